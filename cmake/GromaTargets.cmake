@@ -1,0 +1,82 @@
+# One way to declare each kind of target, so that warnings, include paths and
+# sanitizers are the same everywhere.
+
+find_package(Threads REQUIRED)
+find_package(Eigen3 3.4 REQUIRED NO_MODULE)
+find_package(fmt REQUIRED)
+
+add_library(groma_build_options INTERFACE)
+target_compile_options(
+  groma_build_options
+  INTERFACE
+    -Wall
+    -Wextra
+    -Wpedantic
+    -Werror
+    -Wshadow
+    -Wconversion
+    -Wsign-conversion
+    -Wdouble-promotion
+    -Wnull-dereference
+    $<$<COMPILE_LANGUAGE:CXX>:-Wold-style-cast>
+    $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor>
+    -ffp-contract=off
+)
+# -Wnull-dereference and -Wmaybe-uninitialized see ghosts through sanitizer instrumentation in GCC 12.
+if(GROMA_SANITIZE)
+  target_compile_options(
+    groma_build_options
+    INTERFACE
+      -fsanitize=${GROMA_SANITIZE}
+      -fno-sanitize-recover=all
+      -fno-omit-frame-pointer
+      -Wno-null-dereference
+      -Wno-maybe-uninitialized
+  )
+  target_link_options(groma_build_options INTERFACE -fsanitize=${GROMA_SANITIZE})
+endif()
+target_include_directories(groma_build_options INTERFACE ${CMAKE_SOURCE_DIR})
+
+# groma_library(NAME <name> SOURCES ... [DEPENDS ...]); a library without sources is an interface.
+function(groma_library)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;DEPENDS" ${ARGN})
+  if(arg_SOURCES)
+    add_library(${arg_NAME} STATIC ${arg_SOURCES})
+    target_link_libraries(${arg_NAME} PRIVATE groma_build_options PUBLIC ${arg_DEPENDS})
+    target_include_directories(${arg_NAME} PUBLIC ${CMAKE_SOURCE_DIR})
+  else()
+    add_library(${arg_NAME} INTERFACE)
+    target_link_libraries(${arg_NAME} INTERFACE ${arg_DEPENDS})
+    target_include_directories(${arg_NAME} INTERFACE ${CMAKE_SOURCE_DIR})
+  endif()
+endfunction()
+
+# groma_executable(NAME <name> SOURCES ... [DEPENDS ...])
+function(groma_executable)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;DEPENDS" ${ARGN})
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
+endfunction()
+
+# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [LABELS ...] [TIMEOUT s]): a GoogleTest program, each case a CTest test.
+function(groma_test)
+  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
+  if(NOT arg_TIMEOUT)
+    set(arg_TIMEOUT 120)
+  endif()
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
+  gtest_discover_tests(
+    ${arg_NAME}
+    TEST_PREFIX ${arg_NAME}.
+    DISCOVERY_MODE PRE_TEST
+    PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}"
+  )
+endfunction()
+
+# groma_benchmark(NAME <name> SOURCES ... [DEPENDS ...])
+function(groma_benchmark)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;DEPENDS" ${ARGN})
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS} benchmark::benchmark benchmark::benchmark_main)
+endfunction()

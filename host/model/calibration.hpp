@@ -1,0 +1,50 @@
+// What a calibration knows: written by the solver, kept in a file, read by the filter.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/model/types.hpp"
+
+namespace groma::model {
+
+enum class AnchorVerdict { kOk, kWeakZ, kWeak, kNeverInSight, kMoved, kNoData };
+enum class Verdict { kUsable, kWarnings, kUnusable };
+
+// Constant and range-dependent bias of one tag and anchor, with marginal sigmas.
+struct PairBias {
+  NodeId tag_id = 0;
+  double beta_m = 0.0;
+  double beta_sigma_m = 0.0;
+  double gamma = 1.0;
+  double gamma_sigma = 0.0;
+};
+
+struct AnchorCalibration {
+  NodeId id = 0;
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  std::vector<PairBias> pairs;  // by tag id, ascending; T of them
+  // (3 + 2T) x (3 + 2T): position, then beta of each pair, then gamma of each pair, in the order of `pairs`.
+  Eigen::MatrixXd covariance;
+  std::size_t ranges_used = 0;
+  std::size_t ranges_rejected = 0;
+  std::optional<double> held_out_rms_m;  // none: too few ranges were held out
+  std::optional<double> mirror_ratio;    // cost of the best solution over that of its mirror side, 0..1
+  AnchorVerdict verdict = AnchorVerdict::kNoData;
+  std::string advice;  // empty when there is nothing to do
+};
+
+struct Calibration {
+  std::string frame = "map";
+  std::vector<AnchorCalibration> anchors;  // by id, ascending
+  // Covariance (x, y, z, yaw) of the frame error that all anchors share through the drive's poses.
+  Eigen::Matrix4d common_frame_covariance = Eigen::Matrix4d::Zero();
+  Verdict verdict = Verdict::kUnusable;
+  std::string input_sha256;
+  std::string program_version;
+};
+
+}  // namespace groma::model

@@ -1,0 +1,85 @@
+#include "host/model/pose.hpp"
+
+#include <cmath>
+#include <numbers>
+
+namespace groma::model {
+
+double wrap_angle(double theta_rad) noexcept {
+  const double wrapped = std::remainder(theta_rad, 2.0 * std::numbers::pi);
+  return wrapped <= -std::numbers::pi ? std::numbers::pi : wrapped;
+}
+
+SurfaceRotation surface_rotation_with_derivatives(const Eigen::Vector2d& gradient) noexcept {
+  // With n = (a, b, c) the unit normal and k = 1/(1 + c), the smallest rotation of z to n is
+  //   [ 1 - k a a   -k a b     a ]
+  //   [ -k a b      1 - k b b  b ]
+  //   [ -a          -b         c ]
+  const double gx = gradient.x();
+  const double gy = gradient.y();
+  const double c = 1.0 / std::sqrt(1.0 + gx * gx + gy * gy);
+  const double a = -gx * c;
+  const double b = -gy * c;
+  const double k = 1.0 / (1.0 + c);
+
+  SurfaceRotation out;
+  out.rotation << 1.0 - k * a * a, -k * a * b, a, -k * a * b, 1.0 - k * b * b, b, -a, -b, c;
+
+  const auto derivative = [&](double dc, double da, double db) {
+    const double dk = -k * k * dc;
+    const double aa = dk * a * a + 2.0 * k * a * da;
+    const double bb = dk * b * b + 2.0 * k * b * db;
+    const double ab = dk * a * b + k * (da * b + a * db);
+    Eigen::Matrix3d d;
+    d << -aa, -ab, da, -ab, -bb, db, -da, -db, dc;
+    return d;
+  };
+  const double c3 = c * c * c;
+  const double dc_gx = -gx * c3;
+  const double dc_gy = -gy * c3;
+  out.d_gx = derivative(dc_gx, -c - gx * dc_gx, -gy * dc_gx);
+  out.d_gy = derivative(dc_gy, -gx * dc_gy, -c - gy * dc_gy);
+  return out;
+}
+
+Eigen::Matrix3d surface_rotation(const Eigen::Vector2d& gradient) noexcept {
+  return surface_rotation_with_derivatives(gradient).rotation;
+}
+
+Eigen::Matrix3d rotation_from_zyx(double yaw_rad, double pitch_rad, double roll_rad) noexcept {
+  const double cy = std::cos(yaw_rad);
+  const double sy = std::sin(yaw_rad);
+  const double cp = std::cos(pitch_rad);
+  const double sp = std::sin(pitch_rad);
+  const double cr = std::cos(roll_rad);
+  const double sr = std::sin(roll_rad);
+  Eigen::Matrix3d r;
+  r << cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, sy * cp, sy * sp * sr + cy * cr,
+      sy * sp * cr - cy * sr, -sp, cp * sr, cp * cr;
+  return r;
+}
+
+SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) noexcept {
+  const SurfacePoint ground = surface.at(planar.x_m, planar.y_m);
+  const SurfaceRotation tilt = surface_rotation_with_derivatives(ground.gradient);
+  const double c = std::cos(planar.theta_rad);
+  const double s = std::sin(planar.theta_rad);
+  Eigen::Matrix3d rz;
+  rz << c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0;
+  Eigen::Matrix3d drz;
+  drz << -s, -c, 0.0, c, -s, 0.0, 0.0, 0.0, 0.0;
+
+  SurfacePose out;
+  out.pose.position_m << planar.x_m, planar.y_m, ground.z_m;
+  out.rotation_wt = tilt.rotation;
+  out.pose.rotation = tilt.rotation * rz;
+  out.d_position_d_xy << 1.0, 0.0, 0.0, 1.0, ground.gradient.x(), ground.gradient.y();
+  out.d_rotation_wt_d_x = tilt.d_gx * ground.hessian(0, 0) + tilt.d_gy * ground.hessian(1, 0);
+  out.d_rotation_wt_d_y = tilt.d_gx * ground.hessian(0, 1) + tilt.d_gy * ground.hessian(1, 1);
+  out.d_rotation_d_x = out.d_rotation_wt_d_x * rz;
+  out.d_rotation_d_y = out.d_rotation_wt_d_y * rz;
+  out.d_rotation_d_theta = tilt.rotation * drz;
+  return out;
+}
+
+}  // namespace groma::model

@@ -1,0 +1,53 @@
+// A robot pose on a surface: R_WR = R_WT(x, y) R_z(theta), with derivatives.
+#pragma once
+
+#include <Eigen/Core>
+
+#include "host/model/surface.hpp"
+
+namespace groma::model {
+
+// theta wrapped to (-pi, pi].
+[[nodiscard]] double wrap_angle(double theta_rad) noexcept;
+
+// Core state of the M-ESEKF: planar position t_R and heading theta_R.
+struct PlanarPose {
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double theta_rad = 0.0;
+};
+
+// A rigid pose: R_WR takes base_link vectors into the map frame.
+struct RigidPose {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
+};
+
+// R_WT: the smallest rotation that takes the world's z to the surface normal (-gx, -gy, 1)/norm.
+[[nodiscard]] Eigen::Matrix3d surface_rotation(const Eigen::Vector2d& gradient) noexcept;
+
+// The same with its derivatives with respect to both gradient components.
+struct SurfaceRotation {
+  Eigen::Matrix3d rotation;
+  Eigen::Matrix3d d_gx;
+  Eigen::Matrix3d d_gy;
+};
+[[nodiscard]] SurfaceRotation surface_rotation_with_derivatives(const Eigen::Vector2d& gradient) noexcept;
+
+// ZYX Euler angles to a rotation.
+[[nodiscard]] Eigen::Matrix3d rotation_from_zyx(double yaw_rad, double pitch_rad, double roll_rad) noexcept;
+
+// sigma^-1 and R_WR of a planar pose, with derivatives by x, y and theta.
+struct SurfacePose {
+  RigidPose pose;
+  Eigen::Matrix3d rotation_wt;                          // R_WT
+  Eigen::Matrix<double, 3, 2> d_position_d_xy;          // of sigma^-1
+  Eigen::Matrix3d d_rotation_d_x;
+  Eigen::Matrix3d d_rotation_d_y;
+  Eigen::Matrix3d d_rotation_d_theta;
+  Eigen::Matrix3d d_rotation_wt_d_x;
+  Eigen::Matrix3d d_rotation_wt_d_y;
+};
+[[nodiscard]] SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) noexcept;
+
+}  // namespace groma::model

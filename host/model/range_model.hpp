@@ -1,0 +1,32 @@
+// The bias-aware range model z = gamma ||p + R l - a|| + beta (eq. z_dist_new of the source paper), with
+// its Jacobians. Calibration and filter both use this file and no other.
+#pragma once
+
+#include <Eigen/Core>
+
+#include "host/model/pose.hpp"
+
+namespace groma::model {
+
+// Shorter distances have no usable direction; the Jacobians by position are then zero.
+inline constexpr double kMinDistance_m = 1e-6;
+
+// Predicted range of a tag on a rigid body. d_beta is 1 and left out; d_gamma is distance_m.
+struct RangePrediction {
+  double range_m = 0.0;
+  double distance_m = 0.0;          // ||p + R l - a||
+  Eigen::Vector3d direction;        // unit vector from anchor to tag, map frame
+  Eigen::RowVector3d d_position;    // by base_link's position p, map frame
+  Eigen::RowVector3d d_anchor;      // by the anchor's position a, map frame
+  Eigen::RowVector3d d_lever_arm;   // by the tag's lever arm l, base_link
+};
+[[nodiscard]] RangePrediction predict_range(const RigidPose& pose, const Eigen::Vector3d& lever_arm_m,
+                                            const Eigen::Vector3d& anchor_m, double beta_m,
+                                            double gamma) noexcept;
+
+// Jacobian of the range by (x, y, theta) of a pose on a surface.
+[[nodiscard]] Eigen::RowVector3d range_by_planar_pose(const RangePrediction& prediction,
+                                                      const SurfacePose& pose,
+                                                      const Eigen::Vector3d& lever_arm_m) noexcept;
+
+}  // namespace groma::model

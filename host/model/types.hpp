@@ -1,0 +1,78 @@
+// What both estimators take in: plain values, SI units, radians, REP-103 axes.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+
+#include <Eigen/Core>
+
+namespace groma::model {
+
+// Anchors and tags share one number space of 16 bits.
+using NodeId = std::uint16_t;
+
+inline constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
+
+// One two-way range between an onboard tag and an anchor.
+struct RangeSample {
+  double t_s = 0.0;                     // instant of the range itself, not of its arrival
+  NodeId tag_id = 0;
+  NodeId anchor_id = 0;
+  double range_m = 0.0;                 // as measured: antenna delays applied, pair bias not
+  float first_path_power_dbm = kUnknown;
+  float receive_power_dbm = kUnknown;
+};
+
+// Body velocity in base_link; holds from t_s until the next sample.
+struct OdometrySample {
+  double t_s = 0.0;
+  double vx_mps = 0.0;
+  double vy_mps = 0.0;
+  double omega_radps = 0.0;
+};
+
+// A pose of base_link in the map frame. Where roll and pitch are unknown (NaN), yaw is the heading
+// on the surface, R_WR = R_WT(x, y) R_z(yaw); where they are known it is the ZYX yaw.
+struct PoseSample {
+  double t_s = 0.0;
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double z_m = 0.0;
+  double yaw_rad = 0.0;
+  double roll_rad = std::numeric_limits<double>::quiet_NaN();
+  double pitch_rad = std::numeric_limits<double>::quiet_NaN();
+};
+
+// An onboard tag: its antenna's lever arm in base_link.
+struct Tag {
+  NodeId id = 0;
+  Eigen::Vector3d lever_arm_m = Eigen::Vector3d::Zero();
+};
+
+// A fixed anchor: its antenna's position in the map frame.
+struct Anchor {
+  NodeId id = 0;
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+};
+
+// A Gaussian prior of one scalar.
+struct ScalarPrior {
+  double mean = 0.0;
+  double sigma = 0.0;
+};
+
+// Priors of z = gamma d + beta + noise, the same for each pair, independent.
+struct RangePriors {
+  double sigma_m = 0.1;
+  ScalarPrior beta_m{0.0, 0.5};
+  ScalarPrior gamma{1.0, 0.005};
+};
+
+// White noise of one odometry row, constant over its interval. Scale and yaw-rate bias are not in it.
+struct OdometryNoise {
+  double sigma_vx_mps = 0.05;
+  double sigma_vy_mps = 0.05;
+  double sigma_omega_radps = 0.01;
+};
+
+}  // namespace groma::model
