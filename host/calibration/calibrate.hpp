@@ -1,0 +1,42 @@
+// Anchor calibration from one drive: positions, pair biases and their covariance from ranges and the
+// robot's own poses.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "host/model/calibration.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::calibration {
+
+// The drive. All spans are sorted by time and outlive the call.
+struct Drive {
+  std::span<const model::RangeSample> ranges;
+  std::span<const model::PoseSample> poses;
+  std::span<const model::Tag> tags;
+  const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
+  model::RangePriors priors;
+  std::span<const model::Anchor> known_anchors;  // not empty: their positions are surveyed, biases alone are learnt
+};
+
+struct Options {
+  double known_anchor_sigma_m = 0.02;
+  double max_pose_gap_s = 0.3;      // a range within a longer gap of the poses is not used
+  double held_out_fraction = 0.2;   // the last contiguous part of the drive, for the verdict
+};
+
+struct Result {
+  model::Calibration calibration;  // input_sha256 and program_version left to the caller
+  std::size_t ranges_used = 0;
+  std::size_t ranges_rejected = 0;
+};
+
+// Deterministic; allocates in proportion to the number of ranges; throws nothing on data: what cannot be
+// calibrated comes back marked so.
+[[nodiscard]] Result calibrate(const Drive& drive, const Options& options = {});
+
+}  // namespace groma::calibration
