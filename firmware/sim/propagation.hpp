@@ -7,8 +7,8 @@ namespace groma::sim {
 
 // One frame's way from a transmitter to a receiver.
 struct Propagation {
-  bool audible = false;               // strong enough to be detected at all
-  double flight_m = 0.0;              // time of flight of the first path times c: geometry, bends, pair bias and all
+  bool audible = false;   // strong enough to be detected at all
+  double flight_m = 0.0;  // time of flight of the first path times c: geometry, bends, pair bias and all
   double receive_power_dbm = -80.0;
   double first_path_power_dbm = -80.0;
 };

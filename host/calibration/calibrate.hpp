@@ -20,13 +20,14 @@ struct Drive {
   std::span<const model::Tag> tags;
   const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
   model::RangePriors priors;
-  std::span<const model::Anchor> known_anchors;  // not empty: their positions are surveyed, biases alone are learnt
+  std::span<const model::Anchor>
+      known_anchors;  // not empty: their positions are surveyed, biases alone are learnt
 };
 
 struct Options {
   double known_anchor_sigma_m = 0.02;
-  double max_pose_gap_s = 0.3;      // a range within a longer gap of the poses is not used
-  double held_out_fraction = 0.2;   // the last contiguous part of the drive, for the verdict
+  double max_pose_gap_s = 0.3;     // a range within a longer gap of the poses is not used
+  double held_out_fraction = 0.2;  // the last contiguous part of the drive, for the verdict
 };
 
 struct Result {

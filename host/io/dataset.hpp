@@ -18,8 +18,8 @@ struct DroppedRows {
   std::size_t range_out_of_bounds = 0;  // not within (0, kMaxRange_m]
   std::size_t unknown_tag = 0;
   std::size_t unknown_anchor = 0;
-  std::size_t late = 0;                 // more than kMaxLateness_s behind the latest row before it
-  std::size_t repeated = 0;             // same pair, same instant
+  std::size_t late = 0;      // more than kMaxLateness_s behind the latest row before it
+  std::size_t repeated = 0;  // same pair, same instant
 
   [[nodiscard]] std::size_t total() const {
     return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated;

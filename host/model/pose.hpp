@@ -40,8 +40,8 @@ struct SurfaceRotation {
 // sigma^-1 and R_WR of a planar pose, with derivatives by x, y and theta.
 struct SurfacePose {
   RigidPose pose;
-  Eigen::Matrix3d rotation_wt;                          // R_WT
-  Eigen::Matrix<double, 3, 2> d_position_d_xy;          // of sigma^-1
+  Eigen::Matrix3d rotation_wt;                  // R_WT
+  Eigen::Matrix<double, 3, 2> d_position_d_xy;  // of sigma^-1
   Eigen::Matrix3d d_rotation_d_x;
   Eigen::Matrix3d d_rotation_d_y;
   Eigen::Matrix3d d_rotation_d_theta;

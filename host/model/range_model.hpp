@@ -14,11 +14,11 @@ inline constexpr double kMinDistance_m = 1e-6;
 // Predicted range of a tag on a rigid body. d_beta is 1 and left out; d_gamma is distance_m.
 struct RangePrediction {
   double range_m = 0.0;
-  double distance_m = 0.0;          // ||p + R l - a||
-  Eigen::Vector3d direction;        // unit vector from anchor to tag, map frame
-  Eigen::RowVector3d d_position;    // by base_link's position p, map frame
-  Eigen::RowVector3d d_anchor;      // by the anchor's position a, map frame
-  Eigen::RowVector3d d_lever_arm;   // by the tag's lever arm l, base_link
+  double distance_m = 0.0;         // ||p + R l - a||
+  Eigen::Vector3d direction;       // unit vector from anchor to tag, map frame
+  Eigen::RowVector3d d_position;   // by base_link's position p, map frame
+  Eigen::RowVector3d d_anchor;     // by the anchor's position a, map frame
+  Eigen::RowVector3d d_lever_arm;  // by the tag's lever arm l, base_link
 };
 [[nodiscard]] RangePrediction predict_range(const RigidPose& pose, const Eigen::Vector3d& lever_arm_m,
                                             const Eigen::Vector3d& anchor_m, double beta_m,

@@ -59,8 +59,8 @@ class BSpline {
 class Surface {
  public:
   Surface() = default;
-  Surface(Plane plane) : shape_(plane) {}                  // NOLINT(google-explicit-constructor)
-  Surface(BSpline spline) : shape_(std::move(spline)) {}   // NOLINT(google-explicit-constructor)
+  Surface(Plane plane) : shape_(plane) {}                 // NOLINT(google-explicit-constructor)
+  Surface(BSpline spline) : shape_(std::move(spline)) {}  // NOLINT(google-explicit-constructor)
 
   [[nodiscard]] SurfacePoint at(double x_m, double y_m) const noexcept {
     return std::visit([&](const auto& shape) { return shape.at(x_m, y_m); }, shape_);

@@ -15,10 +15,10 @@ inline constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
 
 // One two-way range between an onboard tag and an anchor.
 struct RangeSample {
-  double t_s = 0.0;                     // instant of the range itself, not of its arrival
+  double t_s = 0.0;  // instant of the range itself, not of its arrival
   NodeId tag_id = 0;
   NodeId anchor_id = 0;
-  double range_m = 0.0;                 // as measured: antenna delays applied, pair bias not
+  double range_m = 0.0;  // as measured: antenna delays applied, pair bias not
   float first_path_power_dbm = kUnknown;
   float receive_power_dbm = kUnknown;
 };
