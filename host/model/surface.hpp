@@ -63,7 +63,8 @@ class Surface {
   Surface(BSpline spline) : shape_(std::move(spline)) {}  // NOLINT(google-explicit-constructor)
 
   [[nodiscard]] SurfacePoint at(double x_m, double y_m) const noexcept {
-    return std::visit([&](const auto& shape) { return shape.at(x_m, y_m); }, shape_);
+    if (const auto* plane = std::get_if<Plane>(&shape_)) return plane->at(x_m, y_m);
+    return std::get_if<BSpline>(&shape_)->at(x_m, y_m);
   }
   [[nodiscard]] const std::variant<Plane, BSpline>& shape() const noexcept { return shape_; }
 
