@@ -1,0 +1,90 @@
+#pragma once
+
+#include <concepts>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <type_traits>
+
+#include "firmware/core/dw1000/spi.hpp"
+
+namespace groma::node {
+
+// What the node's lights tell.
+enum class Indicator : std::uint8_t {
+  kRadioFault,    // the DW1000 did not come up
+  kUnconfigured,  // silent, waiting for a configuration
+  kSearching,     // configured, no beacon heard yet
+  kRanging,       // in step with the master, or the master itself
+  kIdentify,      // "here I am", asked for by the host
+};
+
+// Same values as groma.ResetReason of the schema.
+enum class ResetReason : std::uint8_t { kPowerOn, kPin, kWatchdog, kSoftware, kLockup, kFault };
+
+// What the fault handler kept over the reset.
+struct Fault {
+  std::uint32_t pc = 0;
+  std::uint32_t lr = 0;
+  std::uint32_t cfsr = 0;
+};
+
+// What the image says of itself in its hello.
+struct Build {
+  const char* version = "";
+  std::uint32_t git_hash = 0;
+};
+
+// The hardware a node stands on. Everything is called from one context: the one that calls the Node.
+//   spi()               the bus to the radio; interrupts of the radio may come at any time during a transfer
+//   reset_radio()       pulls the radio's reset line low, lets it float, returns when the chip may be spoken
+//   to delay_us(n)         returns after at least n microseconds now_us()            microseconds since boot,
+//   64 bits, monotonic; any drift link_write(frame)   queues one whole frame of bytes for the host, or
+//   nothing and returns false store_config(blob)  keeps the blob over resets and power cuts in place of the
+//   one before; false: not stored.
+//                       An empty blob erases it. May take 100 ms: the node has left the air before
+//   load_config(out)    copies the kept blob to `out`, returns its size; 0: there is none, or it does not fit
+//   set_indicator(i)    shows it until the next call
+//   restart()           resets the microcontroller. A simulated one may return; the node then does nothing
+//   more
+//                       until start()
+//   reset_reason(), last_fault()  of the boot before this run
+template <class P>
+concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<const std::uint8_t> bytes,
+                            std::span<std::uint8_t> out, Indicator indicator) {
+  { platform.spi() }
+  noexcept;
+  requires dw1000::Spi<std::remove_reference_t<decltype(platform.spi())>>;
+  { platform.reset_radio() }
+  noexcept->std::same_as<void>;
+  { platform.delay_us(duration_us) }
+  noexcept->std::same_as<void>;
+  { platform.now_us() }
+  noexcept->std::same_as<std::uint64_t>;
+  { platform.link_write(bytes) }
+  noexcept->std::same_as<bool>;
+  { platform.store_config(bytes) }
+  noexcept->std::same_as<bool>;
+  { platform.load_config(out) }
+  noexcept->std::same_as<std::size_t>;
+  { platform.set_indicator(indicator) }
+  noexcept->std::same_as<void>;
+  { platform.restart() }
+  noexcept->std::same_as<void>;
+  { platform.reset_reason() }
+  noexcept->std::same_as<ResetReason>;
+  { platform.last_fault() }
+  noexcept->std::same_as<std::optional<Fault>>;
+};
+
+// The node on top of it (node.hpp), all calls noexcept and from one context:
+//   Node<P> node(platform, build);
+//   node.start()                 once after boot
+//   node.on_radio_interrupt()    whenever the radio's interrupt line is high; returns with it low
+//   node.on_link_bytes(bytes)    bytes from the host, in any pieces
+//   node.next_deadline_us()      the now_us() at which on_timer() wants to be called; UINT64_MAX: never
+//   node.on_timer()              harmless if early
+// The radio's own slots never wait for on_timer(): it serves recovery, telemetry and the lights.
+
+}  // namespace groma::node
