@@ -1,0 +1,155 @@
+#include "proto/frame_codec.hpp"
+
+namespace groma::wire {
+namespace {
+
+constexpr std::uint32_t kPolynomialReflected = 0xEDB88320U;
+constexpr std::uint32_t kCrcInitial = 0xFFFFFFFFU;
+constexpr std::uint8_t kFullBlock = 0xFF;  // 254 bytes without a zero behind them
+
+constexpr std::array<std::uint32_t, 256> make_crc_table() {
+  std::array<std::uint32_t, 256> table{};
+  for (std::uint32_t i = 0; i < 256; ++i) {
+    std::uint32_t value = i;
+    for (int bit = 0; bit < 8; ++bit) {
+      value = (value & 1U) != 0 ? (value >> 1) ^ kPolynomialReflected : value >> 1;
+    }
+    table[i] = value;
+  }
+  return table;
+}
+
+constexpr std::array<std::uint32_t, 256> kCrcTable = make_crc_table();
+
+std::uint32_t crc_step(std::uint32_t crc, std::uint8_t byte) noexcept {
+  return (crc >> 8) ^ kCrcTable[(crc ^ byte) & 0xFFU];
+}
+
+std::uint32_t load_little_endian(const std::uint8_t* bytes) noexcept {
+  return static_cast<std::uint32_t>(bytes[0]) | static_cast<std::uint32_t>(bytes[1]) << 8 |
+         static_cast<std::uint32_t>(bytes[2]) << 16 | static_cast<std::uint32_t>(bytes[3]) << 24;
+}
+
+// Writes COBS blocks; the caller has made sure of the room.
+class CobsWriter {
+ public:
+  explicit CobsWriter(std::uint8_t* out) noexcept : out_(out) {}
+
+  void put(std::uint8_t byte) noexcept {
+    if (byte != 0) {
+      out_[end_++] = byte;
+      ++code_;
+    }
+    if (byte == 0 || code_ == kFullBlock) close_block();
+  }
+
+  // Number of bytes written.
+  std::size_t finish() noexcept {
+    out_[block_] = code_;
+    return end_;
+  }
+
+ private:
+  void close_block() noexcept {
+    out_[block_] = code_;
+    block_ = end_++;
+    code_ = 1;
+  }
+
+  std::uint8_t* out_;
+  std::size_t block_ = 0;  // where the open block's code goes
+  std::size_t end_ = 1;
+  std::uint8_t code_ = 1;
+};
+
+}  // namespace
+
+std::uint32_t crc32(std::span<const std::uint8_t> bytes) noexcept {
+  std::uint32_t crc = kCrcInitial;
+  for (const std::uint8_t byte : bytes) crc = crc_step(crc, byte);
+  return ~crc;
+}
+
+std::size_t encode_frame(std::span<const std::uint8_t> payload, std::span<std::uint8_t> out) noexcept {
+  if (payload.size() > kMaxPayload || out.size() < max_encoded_size(payload.size())) return 0;
+  out[0] = 0;
+  CobsWriter writer(out.data() + 1);
+  std::uint32_t crc = crc_step(kCrcInitial, kFrameVersion);
+  writer.put(kFrameVersion);
+  for (const std::uint8_t byte : payload) {
+    crc = crc_step(crc, byte);
+    writer.put(byte);
+  }
+  crc = ~crc;
+  for (unsigned shift = 0; shift < 32; shift += 8) writer.put(static_cast<std::uint8_t>(crc >> shift));
+  const std::size_t end = 1 + writer.finish();
+  out[end] = 0;
+  return end + 1;
+}
+
+bool FrameDecoder::push(std::uint8_t byte) noexcept {
+  if (byte == 0) return finish();
+  ++received_;
+  if (left_in_block_ == 0) {
+    if (zero_due_) store(0);
+    left_in_block_ = static_cast<std::uint8_t>(byte - 1);
+    zero_due_ = byte != kFullBlock;
+  } else {
+    store(byte);
+    --left_in_block_;
+  }
+  return false;
+}
+
+void FrameDecoder::reset() noexcept {
+  counters_.bytes_discarded += static_cast<std::uint32_t>(received_);
+  begin();
+}
+
+void FrameDecoder::store(std::uint8_t byte) noexcept {
+  if (size_ == buffer_.size()) {
+    overflow_ = true;
+    return;
+  }
+  buffer_[size_++] = byte;
+}
+
+void FrameDecoder::begin() noexcept {
+  size_ = 0;
+  received_ = 0;
+  left_in_block_ = 0;
+  zero_due_ = false;
+  overflow_ = false;
+}
+
+bool FrameDecoder::finish() noexcept {
+  if (received_ == 0) return false;  // between two frames
+  std::uint32_t* error = nullptr;
+  if (overflow_) {
+    error = &counters_.oversize;
+  } else if (left_in_block_ != 0) {
+    error = &counters_.cobs_errors;
+  } else if (size_ < kFrameOverhead) {
+    error = &counters_.truncated;
+  } else {
+    const std::span<const std::uint8_t> covered(buffer_.data(), size_ - 4);
+    if (crc32(covered) != load_little_endian(buffer_.data() + covered.size())) {
+      error = &counters_.crc_errors;
+    } else if (buffer_[0] != kFrameVersion) {
+      error = &counters_.version_errors;
+    }
+  }
+  if (error != nullptr) {
+    ++*error;
+    counters_.bytes_discarded += static_cast<std::uint32_t>(received_);
+  } else {
+    ++counters_.frames;
+    payload_size_ = size_ - kFrameOverhead;
+    encoded_size_ = received_ + 2;
+  }
+  const bool ready = error == nullptr;
+  begin();
+  return ready;
+}
+
+}  // namespace groma::wire
