@@ -16,10 +16,10 @@ namespace groma::io {
 // Rows that could be read but are wrong: dropped, counted, never an error.
 struct DroppedRows {
   std::size_t range_out_of_bounds = 0;  // not within (0, kMaxRange_m]
-  std::size_t unknown_tag = 0;
-  std::size_t unknown_anchor = 0;
-  std::size_t late = 0;      // more than kMaxLateness_s behind the latest row before it
-  std::size_t repeated = 0;  // same pair, same instant
+  std::size_t unknown_tag = 0;          // not in tags.csv
+  std::size_t unknown_anchor = 0;       // no 16-bit id, or not in anchors.csv where that is read
+  std::size_t late = 0;                 // of any file: more than kMaxLateness_s behind the rows around it
+  std::size_t repeated = 0;             // of any file: same instant (and pair)
 
   [[nodiscard]] std::size_t total() const {
     return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated;
@@ -35,14 +35,32 @@ struct Dataset {
   model::OdometryNoise odometry_noise;
   model::RangePriors range_priors;
   model::Surface surface;
-  std::vector<model::Anchor> surveyed_anchors;  // empty where anchors.csv is absent
-  std::vector<model::Tag> tags;
-  std::vector<model::RangeSample> ranges;       // by time, ascending
-  std::vector<model::OdometrySample> odometry;  // by time, ascending
+  std::vector<model::Anchor> surveyed_anchors;  // by id; empty where anchors.csv is absent
+  std::vector<model::Tag> tags;                 // by id
+  std::vector<model::RangeSample> ranges;       // by time, then tag, then anchor, ascending
+  std::vector<model::OdometrySample> odometry;  // by time, strictly ascending
+  // Poses: by time, strictly ascending; roll and pitch each NaN where the file does not tell it.
   std::vector<model::PoseSample> ground_truth;  // empty where the file is absent
   std::vector<model::PoseSample> pose_prior;    // ground truth where pose_prior.csv is absent
   DroppedRows dropped;
-  std::string sha256;  // of the files read, hexadecimal
+  std::string sha256;  // of the files read, hexadecimal; see InputFiles::digest()
 };
+
+// Which files are read; dataset.yaml, tags.csv, ranges.csv and a surface.csv that is named always are.
+struct ReadOptions {
+  bool surveyed_anchors = true;  // anchors.csv, where it is there; ranges to other anchors are then dropped
+  bool odometry = true;          // odometry.csv
+  bool ground_truth = true;      // groundtruth.csv, where it is there
+  bool pose_prior = true;        // pose_prior.csv, or groundtruth.csv in its place
+  std::optional<std::filesystem::path> pose_file;  // in the place of both
+};
+
+// Throws DataError (a file is missing or cannot be read as numbers), ConfigError (dataset.yaml) or
+// PermissionError.
+[[nodiscard]] Dataset read_dataset(const std::filesystem::path& folder, const ReadOptions& options = {});
+
+// Poses of a file with the columns of groundtruth.csv; wrong rows are dropped and counted.
+[[nodiscard]] std::vector<model::PoseSample> read_poses(const std::filesystem::path& path,
+                                                        DroppedRows& dropped);
 
 }  // namespace groma::io

@@ -1,0 +1,334 @@
+#include "host/io/dataset.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <span>
+#include <tuple>
+#include <unordered_set>
+#include <utility>
+
+#include "host/io/csv.hpp"
+#include "host/io/error.hpp"
+#include "host/io/input_file.hpp"
+#include "host/io/yaml_reader.hpp"
+
+namespace groma::io {
+
+namespace {
+
+using Presence = CsvReader::Presence;
+
+constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
+constexpr int kMaxSurfaceCells = 10'000;  // along one axis
+
+// Rows in the order of time. A row more than kMaxLateness_s behind the latest before it is dropped; so is one
+// that has jumped ahead of most rows that follow, which else would make all of those late.
+template <typename Sample, typename Key>
+void put_in_order(std::vector<Sample>& samples, const Key& key, DroppedRows& dropped) {
+  constexpr std::ptrdiff_t kRowsAhead = 16;
+  double latest_s = -std::numeric_limits<double>::infinity();
+  std::vector<Sample> kept;
+  kept.reserve(samples.size());
+  for (auto row = samples.begin(); row != samples.end(); ++row) {
+    bool misplaced = row->t_s < latest_s - kMaxLateness_s;
+    if (row->t_s > latest_s + kMaxLateness_s) {
+      const auto next = std::next(row);
+      const auto end = samples.end() - next > kRowsAhead ? next + kRowsAhead : samples.end();
+      const auto behind = std::count_if(
+          next, end, [&](const Sample& other) { return other.t_s < row->t_s - kMaxLateness_s; });
+      misplaced = 2 * behind > end - next;
+    }
+    if (misplaced) {
+      ++dropped.late;
+    } else {
+      latest_s = std::max(latest_s, row->t_s);
+      kept.push_back(*row);
+    }
+  }
+  const auto before = [&](const Sample& a, const Sample& b) { return key(a) < key(b); };
+  if (!std::is_sorted(kept.begin(), kept.end(), before)) std::stable_sort(kept.begin(), kept.end(), before);
+  const auto end = std::unique(kept.begin(), kept.end(),
+                               [&](const Sample& a, const Sample& b) { return key(a) == key(b); });
+  dropped.repeated += static_cast<std::size_t>(kept.end() - end);
+  kept.erase(end, kept.end());
+  samples = std::move(kept);
+}
+
+template <typename Sample>
+void put_in_order(std::vector<Sample>& samples, DroppedRows& dropped) {
+  put_in_order(
+      samples, [](const Sample& sample) { return sample.t_s; }, dropped);
+}
+
+// An id that may be wrong: none where it is no 16-bit number.
+std::optional<model::NodeId> node_id(const CsvReader& csv, std::size_t column) {
+  const std::int64_t id = csv.integer(column);
+  if (id < 0 || id > kMaxId) return std::nullopt;
+  return static_cast<model::NodeId>(id);
+}
+
+// The rows id,x_m,y_m,z_m of tags.csv and anchors.csv, by id.
+std::vector<std::pair<model::NodeId, Eigen::Vector3d>> parse_points(const std::filesystem::path& path,
+                                                                    std::string_view text,
+                                                                    std::string_view id_column) {
+  CsvReader csv(path, text, {{id_column}, {"x_m"}, {"y_m"}, {"z_m"}});
+  std::vector<std::pair<model::NodeId, Eigen::Vector3d>> points;
+  std::unordered_set<model::NodeId> seen;
+  while (csv.next()) {
+    const std::optional<model::NodeId> id = node_id(csv, 0);
+    if (!id)
+      throw DataError(csv.place(0), "the id is out of range", fmt::format("it has to be 0 to {}", kMaxId));
+    if (!seen.insert(*id).second) {
+      throw DataError(csv.place(0), fmt::format("id {} is there twice", *id), "keep one of the rows");
+    }
+    points.emplace_back(*id, Eigen::Vector3d(csv.number(1), csv.number(2), csv.number(3)));
+  }
+  std::sort(points.begin(), points.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  return points;
+}
+
+std::vector<model::Tag> parse_tags(const std::filesystem::path& path, std::string_view text) {
+  std::vector<model::Tag> tags;
+  for (const auto& [id, point] : parse_points(path, text, "tag_id")) tags.push_back({id, point});
+  if (tags.empty()) throw DataError({path}, "there are no tags", "add a row tag_id,x_m,y_m,z_m for each");
+  return tags;
+}
+
+std::vector<model::Anchor> parse_anchors(const std::filesystem::path& path, std::string_view text) {
+  std::vector<model::Anchor> anchors;
+  for (const auto& [id, point] : parse_points(path, text, "anchor_id")) anchors.push_back({id, point});
+  return anchors;
+}
+
+template <typename Node>
+bool has_id(const std::vector<Node>& nodes, model::NodeId id) {
+  return std::any_of(nodes.begin(), nodes.end(), [&](const Node& node) { return node.id == id; });
+}
+
+float power(const CsvReader& csv, std::size_t column) {
+  const std::optional<double> value = csv.optional_number(column);
+  return value ? static_cast<float>(*value) : model::kUnknown;
+}
+
+// `anchors` is null where any anchor may answer.
+std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, std::string_view text,
+                                             const std::vector<model::Tag>& tags,
+                                             const std::vector<model::Anchor>* anchors,
+                                             DroppedRows& dropped) {
+  CsvReader csv(path, text,
+                {{"t_s"},
+                 {"tag_id"},
+                 {"anchor_id"},
+                 {"range_m"},
+                 {"first_path_power_dbm", Presence::kOptional},
+                 {"receive_power_dbm", Presence::kOptional}});
+  std::vector<model::RangeSample> ranges;
+  while (csv.next()) {
+    const double t_s = csv.number(0);
+    const std::optional<model::NodeId> tag_id = node_id(csv, 1);
+    const std::optional<model::NodeId> anchor_id = node_id(csv, 2);
+    const double range_m = csv.number(3);
+    const float first_path_power_dbm = power(csv, 4);
+    const float receive_power_dbm = power(csv, 5);
+    if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
+      ++dropped.range_out_of_bounds;
+    } else if (!tag_id || !has_id(tags, *tag_id)) {
+      ++dropped.unknown_tag;
+    } else if (!anchor_id || (anchors != nullptr && !has_id(*anchors, *anchor_id))) {
+      ++dropped.unknown_anchor;
+    } else {
+      ranges.push_back({t_s, *tag_id, *anchor_id, range_m, first_path_power_dbm, receive_power_dbm});
+    }
+  }
+  put_in_order(
+      ranges,
+      [](const model::RangeSample& range) { return std::tuple(range.t_s, range.tag_id, range.anchor_id); },
+      dropped);
+  return ranges;
+}
+
+std::vector<model::OdometrySample> parse_odometry(const std::filesystem::path& path, std::string_view text,
+                                                  DroppedRows& dropped) {
+  CsvReader csv(path, text, {{"t_s"}, {"vx_mps"}, {"vy_mps"}, {"omega_radps"}});
+  std::vector<model::OdometrySample> odometry;
+  while (csv.next()) odometry.push_back({csv.number(0), csv.number(1), csv.number(2), csv.number(3)});
+  put_in_order(odometry, dropped);
+  return odometry;
+}
+
+std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, std::string_view text,
+                                           DroppedRows& dropped) {
+  CsvReader csv(path, text,
+                {{"t_s"},
+                 {"x_m"},
+                 {"y_m"},
+                 {"z_m"},
+                 {"yaw_rad"},
+                 {"roll_rad", Presence::kOptional},
+                 {"pitch_rad", Presence::kOptional}});
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  std::vector<model::PoseSample> poses;
+  while (csv.next()) {
+    poses.push_back({csv.number(0), csv.number(1), csv.number(2), csv.number(3), csv.number(4),
+                     csv.optional_number(5).value_or(kNone), csv.optional_number(6).value_or(kNone)});
+  }
+  put_in_order(poses, dropped);
+  return poses;
+}
+
+// The grid's line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights.
+model::BSpline parse_spline(const std::filesystem::path& path, std::string_view text) {
+  LineReader lines(text);
+  // All fields of the line as numbers.
+  const auto numbers = [&](std::size_t count, std::string_view meaning, std::vector<double>& out) {
+    std::string_view rest = lines.line();
+    std::size_t found = 0;
+    for (bool more = true; more; ++found) {
+      const auto column = static_cast<std::size_t>(rest.data() - lines.line().data()) + 1;
+      const std::size_t comma = rest.find(',');
+      more = comma != std::string_view::npos;
+      if (found < count) out.push_back(parse_number(rest.substr(0, comma), {path, lines.number(), column}));
+      rest = more ? rest.substr(comma + 1) : rest.substr(rest.size());
+    }
+    if (found != count) {
+      throw DataError({path, lines.number()}, fmt::format("the row has {} numbers", found),
+                      fmt::format("it has to have {}: {}", count, meaning));
+    }
+  };
+
+  if (!lines.next())
+    throw DataError({path, 1}, "the file is empty", "its first line is x0_m,y0_m,dx_m,dy_m,nx,ny");
+  std::vector<double> header;
+  numbers(6, "x0_m,y0_m,dx_m,dy_m,nx,ny", header);
+  const FilePlace header_place{path, lines.number()};
+  if (!(header[2] > 0.0) || !(header[3] > 0.0)) {
+    throw DataError(header_place, "dx_m and dy_m have to be above 0", "give the grid's steps in metres");
+  }
+  const auto count = [&](double value, std::string_view name) {
+    if (!(value >= 4.0 && value <= kMaxSurfaceCells) || value != std::floor(value)) {
+      throw DataError(header_place, fmt::format("{} is {}", name, value),
+                      fmt::format("it has to be a whole number from 4 to {}", kMaxSurfaceCells));
+    }
+    return static_cast<int>(value);
+  };
+  const model::BSpline::Grid grid{
+      header[0], header[1], header[2], header[3], count(header[4], "nx"), count(header[5], "ny")};
+
+  std::vector<double> heights_m;
+  int rows = 0;
+  while (lines.next()) {
+    if (rows == grid.nx) {
+      throw DataError({path, lines.number()}, fmt::format("there are more than nx = {} rows", grid.nx),
+                      "take the rest out, or mend nx");
+    }
+    numbers(static_cast<std::size_t>(grid.ny), "the ny control heights of the row", heights_m);
+    ++rows;
+  }
+  if (rows != grid.nx) {
+    throw DataError({path, lines.number()}, fmt::format("there are {} rows of heights", rows),
+                    fmt::format("nx asks for {}", grid.nx));
+  }
+  return {grid, std::move(heights_m)};
+}
+
+model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
+  if (yaml.find("type").has_value() && yaml.at("type").one_of({"plane", "bspline"}) == 1) {
+    yaml.expect_keys({{"type", "file"}});
+    const std::string file = yaml.at("file").text();
+    if (file.empty()) yaml.at("file").fail("is empty", "name the file, such as surface.csv");
+    const std::filesystem::path path = folder / file;
+    return parse_spline(path, files.read(path));
+  }
+  yaml.expect_keys({{"type", "z_m", "normal"}});
+  const std::vector<double> normal = yaml.at("normal").numbers(3);
+  if (!(normal[2] > 0.0)) yaml.at("normal").fail("does not point up", "its z component has to be above 0");
+  return model::Plane(yaml.at("z_m").number(), {normal[0], normal[1], normal[2]});
+}
+
+model::ScalarPrior parse_prior(const YamlValue& yaml) {
+  const std::vector<YamlValue> values = yaml.list_of(2);
+  return {values[0].number(), values[1].positive_number()};
+}
+
+void parse_description(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files,
+                       Dataset& dataset) {
+  yaml.expect_keys({{"schema", "name", "origin", "odometry", "range", "surface"}});
+  if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
+    yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
+  }
+  dataset.name = yaml.at("name").text();
+  dataset.origin = yaml.at("origin").one_of({"recorded", "simulated"}) == 0 ? "recorded" : "simulated";
+
+  const YamlValue odometry = yaml.at("odometry");
+  odometry.expect_keys({{"sigma_vx_mps", "sigma_vy_mps", "sigma_omega_radps"}});
+  dataset.odometry_noise = {odometry.at("sigma_vx_mps").positive_number(),
+                            odometry.at("sigma_vy_mps").positive_number(),
+                            odometry.at("sigma_omega_radps").positive_number()};
+
+  const YamlValue range = yaml.at("range");
+  range.expect_keys({{"sigma_m"}, {"beta_m", "gamma"}});
+  dataset.range_priors.sigma_m = range.at("sigma_m").positive_number();
+  if (const auto beta_m = range.find("beta_m")) dataset.range_priors.beta_m = parse_prior(*beta_m);
+  if (const auto gamma = range.find("gamma")) dataset.range_priors.gamma = parse_prior(*gamma);
+
+  dataset.surface = parse_surface(yaml.at("surface"), folder, files);
+}
+
+}  // namespace
+
+Dataset read_dataset(const std::filesystem::path& folder, const ReadOptions& options) {
+  if (!std::filesystem::exists(folder))
+    throw DataError({folder}, "does not exist", "give the folder of a data set");
+  if (!std::filesystem::is_directory(folder))
+    throw DataError({folder}, "is no folder", "give the folder of a data set");
+
+  InputFiles files;
+  Dataset dataset;
+  const std::filesystem::path description = folder / "dataset.yaml";
+  parse_description(YamlValue::parse(description, files.read(description)), folder, files, dataset);
+
+  const std::filesystem::path tags = folder / "tags.csv";
+  dataset.tags = parse_tags(tags, files.read(tags));
+
+  const std::filesystem::path anchors = folder / "anchors.csv";
+  const bool with_anchors = options.surveyed_anchors && std::filesystem::exists(anchors);
+  if (with_anchors) dataset.surveyed_anchors = parse_anchors(anchors, files.read(anchors));
+
+  const std::filesystem::path ranges = folder / "ranges.csv";
+  dataset.ranges = parse_ranges(ranges, files.read(ranges), dataset.tags,
+                                with_anchors ? &dataset.surveyed_anchors : nullptr, dataset.dropped);
+
+  if (options.odometry) {
+    const std::filesystem::path odometry = folder / "odometry.csv";
+    dataset.odometry = parse_odometry(odometry, files.read(odometry), dataset.dropped);
+  }
+
+  const std::filesystem::path truth = folder / "groundtruth.csv";
+  const bool truth_is_there = std::filesystem::exists(truth);
+  std::filesystem::path prior = options.pose_file.value_or(folder / "pose_prior.csv");
+  if (options.pose_prior && !options.pose_file && !std::filesystem::exists(prior)) {
+    if (!truth_is_there)
+      throw DataError({prior}, "does not exist, nor does groundtruth.csv", "add one of them");
+    prior = truth;
+  }
+  if (options.ground_truth && truth_is_there) {
+    dataset.ground_truth = parse_poses(truth, files.read(truth), dataset.dropped);
+  }
+  if (options.pose_prior) {
+    dataset.pose_prior = options.ground_truth && prior == truth
+                             ? dataset.ground_truth
+                             : parse_poses(prior, files.read(prior), dataset.dropped);
+  }
+  dataset.sha256 = files.digest();
+  return dataset;
+}
+
+std::vector<model::PoseSample> read_poses(const std::filesystem::path& path, DroppedRows& dropped) {
+  return parse_poses(path, read_file(path), dropped);
+}
+
+}  // namespace groma::io

@@ -1,0 +1,92 @@
+#include "host/io/input_file.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <openssl/evp.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <stdexcept>
+#include <system_error>
+
+#include "host/io/error.hpp"
+
+namespace groma::io {
+
+namespace {
+
+class Descriptor {
+ public:
+  explicit Descriptor(int fd) : fd_(fd) {}
+  ~Descriptor() {
+    if (fd_ >= 0) ::close(fd_);
+  }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  [[nodiscard]] int get() const { return fd_; }
+
+ private:
+  int fd_;
+};
+
+[[noreturn]] void throw_unreadable(const std::filesystem::path& path, int error) {
+  const std::string reason = std::generic_category().message(error);
+  if (error == EACCES || error == EPERM) {
+    throw PermissionError({path}, fmt::format("cannot be read ({})", reason), "allow this user to read it");
+  }
+  if (error == ENOENT || error == ENOTDIR) {
+    throw DataError({path}, "does not exist", "check the path, or add the file");
+  }
+  throw DataError({path}, fmt::format("cannot be read ({})", reason), "give a readable file");
+}
+
+}  // namespace
+
+std::string read_file(const std::filesystem::path& path) {
+  const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (file.get() < 0) throw_unreadable(path, errno);
+  struct stat status {};
+  if (::fstat(file.get(), &status) != 0) throw_unreadable(path, errno);
+  if (S_ISDIR(status.st_mode)) throw_unreadable(path, EISDIR);
+
+  // The size is a hint only: pipes have none, and a file may grow.
+  std::string text(static_cast<std::size_t>(status.st_size) + 1, '\0');
+  std::size_t size = 0;
+  for (;;) {
+    if (size == text.size()) text.resize(2 * text.size());
+    const ssize_t count = ::read(file.get(), text.data() + size, text.size() - size);
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) throw_unreadable(path, errno);
+    if (count == 0) break;
+    size += static_cast<std::size_t>(count);
+  }
+  text.resize(size);
+  return text;
+}
+
+std::string sha256(std::string_view bytes) {
+  std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
+  unsigned int size = 0;
+  if (EVP_Digest(bytes.data(), bytes.size(), digest.data(), &size, EVP_sha256(), nullptr) != 1) {
+    throw std::runtime_error("OpenSSL cannot compute SHA-256");
+  }
+  std::string text;
+  for (unsigned int i = 0; i < size; ++i) text += fmt::format("{:02x}", digest[i]);
+  return text;
+}
+
+std::string InputFiles::read(const std::filesystem::path& path) {
+  std::string text = read_file(path);
+  digest_by_name_[path.filename().string()] = sha256(text);
+  return text;
+}
+
+std::string InputFiles::digest() const {
+  std::string list;
+  for (const auto& [name, digest] : digest_by_name_) list += fmt::format("{}  {}\n", digest, name);
+  return sha256(list);
+}
+
+}  // namespace groma::io

@@ -1,0 +1,176 @@
+#include "host/io/yaml_reader.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <set>
+#include <system_error>
+#include <utility>
+
+namespace groma::io {
+
+namespace {
+
+FilePlace place_of(const std::filesystem::path& path, const YAML::Mark& mark) {
+  if (mark.is_null()) return {path};
+  return {path, static_cast<std::size_t>(mark.line) + 1, static_cast<std::size_t>(mark.column) + 1};
+}
+
+template <typename Words>
+std::string joined(const Words& words) {
+  std::string text;
+  for (const std::string_view word : words) text += (text.empty() ? "" : ", ") + std::string(word);
+  return text;
+}
+
+}  // namespace
+
+YamlValue YamlValue::parse(const std::filesystem::path& path, const std::string& text) {
+  YAML::Node node;
+  try {
+    node = YAML::Load(text);
+  } catch (const YAML::Exception& error) {
+    throw ConfigError(place_of(path, error.mark), fmt::format("no YAML ({})", error.msg),
+                      "mend the syntax at this place");
+  }
+  if (!node.IsMap()) {
+    throw ConfigError({path, 1, 1}, node.IsNull() ? "the file is empty" : "the document is no map",
+                      "write lines such as 'schema: 1'");
+  }
+  return {std::make_shared<const std::filesystem::path>(path), "", node};
+}
+
+FilePlace YamlValue::place() const {
+  return place_of(*path_, node_.Mark());
+}
+
+void YamlValue::fail(std::string_view problem, std::string_view remedy) const {
+  const std::string subject = name_.empty() ? std::string(problem) : fmt::format("{} {}", name_, problem);
+  throw ConfigError(place(), subject, remedy);
+}
+
+void YamlValue::expect_keys(const Keys& keys) const {
+  if (!node_.IsMap()) fail("has to be a map", fmt::format("give it the keys {}", joined(keys.required)));
+  std::set<std::string> seen;
+  for (const auto& entry : node_) {
+    const FilePlace key_place = place_of(*path_, entry.first.Mark());
+    const std::string key = entry.first.IsScalar() ? entry.first.Scalar() : std::string();
+    const bool known = std::find(keys.required.begin(), keys.required.end(), key) != keys.required.end() ||
+                       std::find(keys.optional.begin(), keys.optional.end(), key) != keys.optional.end();
+    if (!known) {
+      std::vector<std::string_view> all(keys.required);
+      all.insert(all.end(), keys.optional.begin(), keys.optional.end());
+      throw ConfigError(key_place, fmt::format("unknown key {}", shown(key)),
+                        fmt::format("take it out; known here: {}", joined(all)));
+    }
+    if (!seen.insert(key).second) {
+      throw ConfigError(key_place, fmt::format("key {} is there twice", key), "keep one of them");
+    }
+  }
+  for (const std::string_view key : keys.required) {
+    if (!seen.contains(std::string(key))) {
+      fail(name_.empty() ? fmt::format("key {} is missing", key) : fmt::format("lacks the key {}", key),
+           "add it");
+    }
+  }
+}
+
+YAML::Node YamlValue::child(std::string_view key) const {
+  for (const auto& entry : node_) {
+    if (entry.first.IsScalar() && entry.first.Scalar() == key) return entry.second;
+  }
+  return YAML::Node(YAML::NodeType::Undefined);
+}
+
+YamlValue YamlValue::at(std::string_view key) const {
+  std::optional<YamlValue> value = find(key);
+  if (!value) fail(fmt::format("lacks the key {}", key), "add it");
+  return *std::move(value);
+}
+
+std::optional<YamlValue> YamlValue::find(std::string_view key) const {
+  if (!node_.IsMap()) return std::nullopt;
+  const YAML::Node node = child(key);
+  if (!node.IsDefined()) return std::nullopt;
+  return YamlValue(path_, name_.empty() ? std::string(key) : fmt::format("{}.{}", name_, key), node);
+}
+
+std::vector<YamlValue> YamlValue::list() const {
+  if (!node_.IsSequence()) fail("has to be a list", "write it as [a, b] or as lines that begin with '-'");
+  std::vector<YamlValue> values;
+  values.reserve(node_.size());
+  for (const auto& entry : node_) {
+    values.push_back(YamlValue(path_, fmt::format("{}[{}]", name_, values.size()), entry));
+  }
+  return values;
+}
+
+std::vector<YamlValue> YamlValue::list_of(std::size_t size) const {
+  std::vector<YamlValue> values = list();
+  if (values.size() != size) {
+    fail(fmt::format("has {} entries", values.size()), fmt::format("give it {}", size));
+  }
+  return values;
+}
+
+std::vector<double> YamlValue::numbers(std::size_t size) const {
+  std::vector<double> numbers;
+  numbers.reserve(size);
+  for (const YamlValue& value : list_of(size)) numbers.push_back(value.number());
+  return numbers;
+}
+
+std::string YamlValue::plain_scalar(std::string_view wanted) const {
+  // A quoted scalar carries the tag "!": it is text, whatever it looks like.
+  if (!node_.IsScalar() || node_.Tag() == "!")
+    fail(fmt::format("is not {}", wanted), fmt::format("write {}", wanted));
+  return node_.Scalar();
+}
+
+std::string YamlValue::text() const {
+  if (!node_.IsScalar()) fail("is not text", "write a word or a quoted text");
+  return node_.Scalar();
+}
+
+double YamlValue::number() const {
+  const std::string scalar = plain_scalar("a number");
+  const char* begin = scalar.data();
+  const char* const end = begin + scalar.size();
+  if (scalar.size() > 1 && *begin == '+' && begin[1] != '-') ++begin;
+  double value = 0.0;
+  const auto [last, error] = std::from_chars(begin, end, value);
+  if (error != std::errc() || last != end)
+    fail(fmt::format("is not a number: {}", shown(scalar)), "write a number");
+  if (!std::isfinite(value)) fail(fmt::format("is not finite: {}", shown(scalar)), "write a finite number");
+  return value;
+}
+
+double YamlValue::positive_number() const {
+  const double value = number();
+  if (!(value > 0.0)) fail(fmt::format("is {}", value), "it has to be above 0");
+  return value;
+}
+
+std::int64_t YamlValue::integer(std::int64_t min, std::int64_t max) const {
+  const std::string scalar = plain_scalar("a whole number");
+  std::int64_t value = 0;
+  const auto [last, error] = std::from_chars(scalar.data(), scalar.data() + scalar.size(), value);
+  if (error != std::errc() || last != scalar.data() + scalar.size()) {
+    fail(fmt::format("is not a whole number: {}", shown(scalar)), "write a whole number");
+  }
+  if (value < min || value > max)
+    fail(fmt::format("is {}", value), fmt::format("it has to be {} to {}", min, max));
+  return value;
+}
+
+std::size_t YamlValue::one_of(std::initializer_list<std::string_view> words) const {
+  const std::string word = text();
+  const auto found = std::find(words.begin(), words.end(), word);
+  if (found == words.end())
+    fail(fmt::format("is {}", shown(word)), fmt::format("it has to be one of {}", joined(words)));
+  return static_cast<std::size_t>(found - words.begin());
+}
+
+}  // namespace groma::io

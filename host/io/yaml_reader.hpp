@@ -1,0 +1,62 @@
+// Strict reading of YAML: each key is known, there once and of its type, or the message names the line and
+// column where it is not.
+#pragma once
+
+#include <yaml-cpp/yaml.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <initializer_list>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "host/io/error.hpp"
+
+namespace groma::io {
+
+// A value in a YAML file. Each access throws ConfigError at the value's place unless it is as asked for.
+class YamlValue {
+ public:
+  // Parses a document of one map.
+  static YamlValue parse(const std::filesystem::path& path, const std::string& text);
+
+  // A map with these keys and no others.
+  struct Keys {
+    std::initializer_list<std::string_view> required;
+    std::initializer_list<std::string_view> optional = {};
+  };
+  void expect_keys(const Keys& keys) const;
+  [[nodiscard]] YamlValue at(std::string_view key) const;  // a required key that expect_keys() has seen
+  [[nodiscard]] std::optional<YamlValue> find(std::string_view key) const;
+
+  [[nodiscard]] std::vector<YamlValue> list() const;
+  [[nodiscard]] std::vector<YamlValue> list_of(std::size_t size) const;
+  [[nodiscard]] std::vector<double> numbers(std::size_t size) const;  // a list of that many finite numbers
+
+  [[nodiscard]] bool is_null() const { return node_.IsNull(); }
+  [[nodiscard]] std::string text() const;
+  [[nodiscard]] double number() const;           // finite
+  [[nodiscard]] double positive_number() const;  // finite, > 0
+  [[nodiscard]] std::int64_t integer(std::int64_t min, std::int64_t max) const;
+  // One of these words, as its index.
+  [[nodiscard]] std::size_t one_of(std::initializer_list<std::string_view> words) const;
+
+  [[nodiscard]] FilePlace place() const;
+  [[noreturn]] void fail(std::string_view problem, std::string_view remedy) const;
+
+ private:
+  YamlValue(std::shared_ptr<const std::filesystem::path> path, std::string name, YAML::Node node)
+      : path_(std::move(path)), name_(std::move(name)), node_(std::move(node)) {}
+  [[nodiscard]] YAML::Node child(std::string_view key) const;
+  [[nodiscard]] std::string plain_scalar(std::string_view wanted) const;
+
+  std::shared_ptr<const std::filesystem::path> path_;
+  std::string name_;  // as in odometry.sigma_vx_mps; empty for the document
+  YAML::Node node_;
+};
+
+}  // namespace groma::io
