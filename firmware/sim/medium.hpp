@@ -1,0 +1,99 @@
+// The air between the nodes: who hears which frame, when, how strong, and how well.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "firmware/sim/keyed_random.hpp"
+#include "firmware/sim/propagation.hpp"
+#include "firmware/sim/time.hpp"
+
+namespace groma::sim {
+
+class Dw1000Chip;
+
+struct MediumSettings {
+  double stamp_noise_s = 1e-10;     // standard deviation of each receive stamp
+  double carrier_noise_ppm = 0.05;  // of the clock offset that a receiver measures of a frame's carrier
+  double loss_probability = 0.0;    // of each frame at each receiver, beyond what the propagation model says
+  double capture_db = 6.0;          // by which the stronger of two overlapping frames outdoes the other
+};
+
+// How a frame fails at a receiver by the draw of loss_probability.
+enum class Loss : std::uint8_t {
+  kNone,
+  kUnheard,  // no preamble found: half of the losses
+  kSfd,      // preamble found, but no start of frame: 15 %
+  kHeader,   // the PHY header's code fails: 15 %
+  kData,     // the frame check fails: 20 %
+};
+
+// What a receiver has to agree with to hear a frame.
+struct AirFormat {
+  std::uint8_t channel = 5;
+  std::uint8_t prf_mhz = 64;
+  std::uint8_t preamble_code = 9;
+  std::uint16_t preamble_symbols = 128;
+  friend bool operator==(const AirFormat&, const AirFormat&) = default;
+};
+
+// A frame on its way. Instants are those at which the transmitter's antenna radiates them.
+struct AirFrame {
+  std::size_t source = 0;    // the transmitter's index on the medium
+  std::uint32_t number = 0;  // counts the transmitter's frames
+  AirFormat format;
+  SimTime preamble_start = 0;
+  SimTime rmarker = 0;  // the start of the PHY header, which stamps refer to
+  SimTime data_start = 0;
+  SimTime end = 0;
+  double clock_offset = 0.0;  // of the transmitter: frequency over nominal, minus 1
+  bool ranging = false;       // the header's ranging bit
+  std::uint16_t length = 0;   // with frame check
+  std::array<std::uint8_t, 127> data{};
+};
+
+// A frame as it reaches one receiver's antenna.
+struct IncomingFrame {
+  std::shared_ptr<const AirFrame> frame;
+  SimTime delay = 0;                  // flight
+  double flight_residue_ticks = 0.0;  // what the whole units of `delay` leave
+  double receive_power_dbm = 0.0;
+  double first_path_power_dbm = 0.0;
+  double stamp_noise_ticks = 0.0;
+  double carrier_noise_ppm = 0.0;
+  std::uint64_t junk = 0;  // for what a receiver makes up when it is misused
+  Loss loss = Loss::kNone;
+};
+
+class Medium {
+ public:
+  Medium(const PropagationModel& propagation, const MediumSettings& settings, std::uint64_t seed);
+
+  // The chip's index. The chip outlives the medium's use.
+  std::size_t attach(Dw1000Chip& chip, std::uint16_t id);
+
+  // A frame that will surely be sent unless it is retracted; tells all other chips. Its data may still change
+  // until it starts.
+  void announce(std::shared_ptr<AirFrame> frame);
+  // Takes back a frame that has not started.
+  void retract(const std::shared_ptr<AirFrame>& frame);
+
+  [[nodiscard]] const MediumSettings& settings() const noexcept { return settings_; }
+  void set_settings(const MediumSettings& settings) noexcept { settings_ = settings; }
+
+ private:
+  struct Station {
+    Dw1000Chip* chip;
+    std::uint16_t id;
+  };
+
+  const PropagationModel& propagation_;
+  MediumSettings settings_;
+  KeyedRandom random_;
+  std::vector<Station> stations_;
+};
+
+}  // namespace groma::sim

@@ -1,0 +1,121 @@
+// Many nodes on one medium, run in order of time.
+//
+//   Network network(world, MediumSettings{.loss_probability = 0.02}, seed);
+//   const std::size_t tag = network.add_native({.id = 1, .clock = {.offset_ppm = 12.0}});
+//   network.send(tag, bytes);                 // host to node, over the serial line
+//   network.run_until(from_seconds(1.0));
+//   network.take(tag, received);              // node to host: the bytes that left by then, each with its
+//   time
+//
+// The same nodes, settings, seed and bytes sent at the same times give the same run, whatever the steps of
+// run_until().
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <stdexcept>
+#include <vector>
+
+#include "firmware/sim/medium.hpp"
+#include "firmware/sim/node_clock.hpp"
+#include "firmware/sim/propagation.hpp"
+#include "firmware/sim/time.hpp"
+#include "firmware/sim/uart.hpp"
+
+namespace groma::sim {
+
+class Dw1000Chip;
+
+// A node did what its hardware would not bear: an access to a register that is not modelled, and the like.
+struct SimulationError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// How fast a native node's processor gets its work done. Computing itself costs nothing.
+struct CpuSettings {
+  double interrupt_us = 4.0;        // from the interrupt line to the first instruction of the handler's work
+  double spi_transaction_us = 2.5;  // set-up, chip select and end-of-transfer interrupt of each transaction
+  std::uint32_t spi_slow_hz = 2'000'000;
+  std::uint32_t spi_fast_hz = 8'000'000;
+};
+
+// The DW1000's one-time programmable words that the firmware may read.
+struct OtpWords {
+  std::uint32_t ldo_tune = 0x8A'9A'AA'88;
+  std::uint32_t part_id = 0x1000'0001;
+  std::uint32_t lot_id = 0x0D0D'0001;
+  std::uint32_t antenna_delay = 0;
+  std::uint32_t crystal_trim = 0x10;
+};
+
+struct NodeSpec {
+  std::uint16_t id = 0;                // names the node to the propagation model
+  ClockSpec clock;                     // the DW1000's crystal
+  std::optional<ClockSpec> cpu_clock;  // the processor's; without it they share the DW1000's
+  CpuSettings cpu;
+  UartSettings uart;
+  OtpWords otp;
+  // What the antennas really delay, transmit and receive; registers set to the same values give true ranges.
+  std::uint32_t transmit_antenna_delay_ticks = 16436;
+  std::uint32_t receive_antenna_delay_ticks = 16436;
+  SimTime power_on = 0;
+  std::vector<std::uint8_t> stored_config;  // what store_config() kept in an earlier life
+};
+
+// A node as the network runs it: native firmware, a processor emulator, a test's script.
+class NodeHost {
+ public:
+  NodeHost() = default;
+  NodeHost(const NodeHost&) = delete;
+  NodeHost& operator=(const NodeHost&) = delete;
+  virtual ~NodeHost() = default;
+
+  [[nodiscard]] virtual Dw1000Chip& chip() noexcept = 0;
+  // To the host and from it.
+  [[nodiscard]] virtual UartLine& uart_out() noexcept = 0;
+  [[nodiscard]] virtual UartLine& uart_in() noexcept = 0;
+
+  // When run() has to be called next, given that nothing new arrives; kNever: not at all.
+  [[nodiscard]] virtual SimTime next_event() = 0;
+  // Does what is due at `now`. May reach ahead of it by the time that the work takes.
+  virtual void run(SimTime now) = 0;
+  // Brown-out, and power back: volatile state is lost.
+  virtual void set_power(bool on, SimTime now) = 0;
+};
+
+class Network {
+ public:
+  // Keeps a reference to the propagation model.
+  Network(const PropagationModel& propagation, const MediumSettings& settings, std::uint64_t seed);
+  ~Network();
+
+  // The node's index. Nodes are added before time passes their power_on.
+  std::size_t add_native(const NodeSpec& spec);
+  // For hosts that are built on medium(); the host's chip must be attached to it.
+  std::size_t add(std::unique_ptr<NodeHost> host);
+
+  // Throws SimulationError that names node and cause.
+  void run_until(SimTime t);
+  [[nodiscard]] SimTime now() const noexcept { return now_; }
+
+  // Bytes from the host: on the line from now() on, at its bit rate. False: the line's queue is full.
+  bool send(std::size_t node, std::span<const std::uint8_t> bytes);
+  // Appends the bytes from the node that were through the line by now().
+  void take(std::size_t node, std::vector<TimedByte>& out);
+
+  void set_power(std::size_t node, bool on);
+
+  [[nodiscard]] NodeHost& node(std::size_t index) { return *nodes_[index]; }
+  [[nodiscard]] std::size_t size() const noexcept { return nodes_.size(); }
+  [[nodiscard]] Medium& medium() noexcept { return medium_; }
+
+ private:
+  Medium medium_;
+  std::vector<std::unique_ptr<NodeHost>> nodes_;
+  SimTime now_ = 0;
+};
+
+}  // namespace groma::sim
