@@ -1,0 +1,62 @@
+#include "host/link/byte_link.hpp"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
+#include <sys/un.h>
+
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+#include "host/link/descriptor.hpp"
+
+namespace groma::link {
+namespace {
+
+// Linux: Documentation/admin-guide/devices.txt, Unix98 pseudo-terminals.
+constexpr unsigned kFirstPtyMajor = 136;
+constexpr unsigned kLastPtyMajor = 143;
+
+}  // namespace
+
+OpenedLink open_unix_socket(const std::string& path) {
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  if (path.size() >= sizeof(address.sun_path)) {
+    return {nullptr,
+            {LinkFault::kUnsuitable,
+             fmt::format("{}: longer than the {} characters that a socket's path may have", path,
+                         sizeof(address.sun_path) - 1)}};
+  }
+  std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
+  Descriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  if (!fd.valid() || ::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+    // A full backlog says EAGAIN: as good as nobody listening, for now.
+    return {nullptr, explain_open_error(path, errno == EAGAIN ? ECONNREFUSED : errno)};
+  }
+  return {std::make_unique<DescriptorLink>(std::move(fd)), {}};
+}
+
+OpenedLink open_recording(const std::string& path) {
+  Descriptor fd(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (!fd.valid()) return {nullptr, explain_open_error(path, errno)};
+  return {std::make_unique<DescriptorLink>(std::move(fd)), {}};
+}
+
+OpenedLink open_link(const std::string& path, unsigned baud) {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0) return {nullptr, explain_open_error(path, errno)};
+  if (S_ISSOCK(status.st_mode)) return open_unix_socket(path);
+  if (S_ISREG(status.st_mode)) return open_recording(path);
+  if (S_ISCHR(status.st_mode)) {
+    const unsigned device = major(status.st_rdev);
+    const bool pty = device >= kFirstPtyMajor && device <= kLastPtyMajor;
+    return pty ? open_pty(path, baud) : open_serial_port(path, baud);
+  }
+  return {nullptr, explain_open_error(path, S_ISDIR(status.st_mode) ? EISDIR : ENOTTY)};
+}
+
+}  // namespace groma::link

@@ -1,0 +1,61 @@
+// A file descriptor with an owner, and what the links over one share.
+#pragma once
+
+#include <unistd.h>
+
+#include <string>
+#include <utility>
+
+#include "host/link/byte_link.hpp"
+
+namespace groma::link {
+
+class Descriptor {
+ public:
+  Descriptor() = default;
+  explicit Descriptor(int fd) noexcept : fd_(fd) {}
+  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  Descriptor& operator=(Descriptor&& other) noexcept {
+    if (this != &other) {
+      close();
+      fd_ = std::exchange(other.fd_, -1);
+    }
+    return *this;
+  }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  ~Descriptor() { close(); }
+
+  [[nodiscard]] int get() const noexcept { return fd_; }
+  [[nodiscard]] bool valid() const noexcept { return fd_ >= 0; }
+  void close() noexcept {
+    if (fd_ >= 0) ::close(std::exchange(fd_, -1));
+  }
+
+ private:
+  int fd_ = -1;
+};
+
+// What open(2), connect(2) or flock(2) on `path` meant by `error_number`, with its remedy.
+[[nodiscard]] LinkError explain_open_error(const std::string& path, int error_number);
+
+// Takes the lock by which links keep each other off a device; false where another holds it.
+[[nodiscard]] bool lock_device(int fd) noexcept;
+
+// True once the other end of `fd` has hung up.
+[[nodiscard]] bool hung_up(int fd) noexcept;
+
+// A link that is nothing but a descriptor that does not block.
+class DescriptorLink : public ByteLink {
+ public:
+  explicit DescriptorLink(Descriptor fd) noexcept : fd_(std::move(fd)) {}
+
+  [[nodiscard]] int poll_fd() const noexcept override { return fd_.get(); }
+  [[nodiscard]] ReadResult read(std::span<std::uint8_t> out) override;
+  [[nodiscard]] std::size_t write(std::span<const std::uint8_t> bytes) override;
+
+ private:
+  Descriptor fd_;
+};
+
+}  // namespace groma::link

@@ -1,0 +1,35 @@
+#include "host/link/reconnecting_link.hpp"
+
+#include <algorithm>
+
+namespace groma::link {
+
+bool ReconnectingLink::service(double now_s) {
+  if (link_ || now_s < next_attempt_s_) return false;
+  OpenedLink opened = open_();
+  if (opened.link) {
+    link_ = std::move(opened.link);
+    ++counters_.opened;
+    return true;
+  }
+  last_error_ = std::move(opened.error);
+  ++counters_.attempts_failed;
+  next_attempt_s_ = now_s + wait_s_;
+  wait_s_ = std::min(2.0 * wait_s_, kLongestWait_s);
+  return false;
+}
+
+ReadResult ReconnectingLink::read(std::span<std::uint8_t> out, double now_s) {
+  if (!link_) return {};
+  const ReadResult result = link_->read(out);
+  if (result.bytes > 0) wait_s_ = kFirstWait_s;
+  if (result.gone) {
+    link_.reset();
+    ++counters_.lost;
+    next_attempt_s_ = now_s + wait_s_;
+    wait_s_ = std::min(2.0 * wait_s_, kLongestWait_s);
+  }
+  return result;
+}
+
+}  // namespace groma::link

@@ -1,0 +1,56 @@
+// A link that is opened again, at growing intervals, after it was lost. Time comes in as an argument.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+
+#include "host/link/byte_link.hpp"
+
+namespace groma::link {
+
+struct LinkCounters {
+  std::uint32_t opened = 0;
+  std::uint32_t lost = 0;
+  std::uint32_t attempts_failed = 0;
+};
+
+class ReconnectingLink {
+ public:
+  using Opener = std::function<OpenedLink()>;
+
+  // The waits between attempts double from the first to the longest; a link that delivered anything starts
+  // over with the first.
+  static constexpr double kFirstWait_s = 0.1;
+  static constexpr double kLongestWait_s = 3.0;
+
+  explicit ReconnectingLink(Opener open) : open_(std::move(open)) {}
+
+  // Opens the link where it is closed and an attempt is due. True: it was opened by this call.
+  bool service(double now_s);
+
+  // Reads from the link where it is open; a link that is gone is closed, counted, and due to be opened again.
+  [[nodiscard]] ReadResult read(std::span<std::uint8_t> out, double now_s);
+
+  // The open link, or null.
+  [[nodiscard]] ByteLink* get() const noexcept { return link_.get(); }
+
+  // When the next attempt is due; meaningless while the link is open.
+  [[nodiscard]] double next_attempt_s() const noexcept { return next_attempt_s_; }
+
+  // Of the last attempt that failed.
+  [[nodiscard]] const LinkError& last_error() const noexcept { return last_error_; }
+  [[nodiscard]] const LinkCounters& counters() const noexcept { return counters_; }
+
+ private:
+  Opener open_;
+  std::unique_ptr<ByteLink> link_;
+  double next_attempt_s_ = 0.0;
+  double wait_s_ = kFirstWait_s;
+  LinkError last_error_;
+  LinkCounters counters_;
+};
+
+}  // namespace groma::link
