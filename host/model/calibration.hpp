@@ -2,6 +2,7 @@
 #pragma once
 
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -46,5 +47,10 @@ struct Calibration {
   std::string input_sha256;
   std::string program_version;
 };
+
+// Positions as surveyed, with that sigma an axis; beta and gamma of each pair at their priors; no error of a
+// common frame.
+[[nodiscard]] Calibration surveyed_calibration(std::span<const Anchor> anchors, std::span<const Tag> tags,
+                                               const RangePriors& priors, double position_sigma_m);
 
 }  // namespace groma::model

@@ -1,0 +1,25 @@
+#include "host/filter/config.hpp"
+
+#include <cstddef>
+
+namespace groma::filter {
+
+namespace {
+
+constexpr std::array<std::string_view, kModels.size()> kModelNames{"odometry", "original",      "inflated",
+                                                                   "schmidt",  "anchor-states", "joint"};
+
+}  // namespace
+
+std::string_view model_name(Model model) noexcept {
+  return kModelNames[static_cast<std::size_t>(model)];
+}
+
+std::optional<Model> model_from_name(std::string_view name) noexcept {
+  for (const Model model : kModels) {
+    if (model_name(model) == name) return model;
+  }
+  return std::nullopt;
+}
+
+}  // namespace groma::filter

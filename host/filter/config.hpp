@@ -1,0 +1,67 @@
+// What the filter is told before it starts: the measurement model, noises and bounds.
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string_view>
+
+#include "host/model/types.hpp"
+
+namespace groma::filter {
+
+// How a range is turned into a correction; the comparisons of the source paper and ours.
+enum class Model {
+  kOdometry,      // no ranges: dead reckoning
+  kOriginal,      // z = d, R = sigma^2
+  kInflated,      // bias-aware, R + J Pc J^T, cross-covariances dropped (the source paper's)
+  kSchmidt,       // bias-aware, parameters considered, cross-covariances with the core kept
+  kAnchorStates,  // anchor positions estimated too, the other parameters considered
+  kJoint,         // every parameter estimated in one covariance
+};
+
+inline constexpr std::array kModels{Model::kOdometry, Model::kOriginal,     Model::kInflated,
+                                    Model::kSchmidt,  Model::kAnchorStates, Model::kJoint};
+
+// "odometry", "original", "inflated", "schmidt", "anchor-states", "joint".
+[[nodiscard]] std::string_view model_name(Model model) noexcept;
+[[nodiscard]] std::optional<Model> model_from_name(std::string_view name) noexcept;
+
+// When a range is weighed down or turned away; e is the innovation over its sigma.
+struct GateConfig {
+  // Up to here a range has its full weight; beyond, the weight falls with (knee/e)^2. Blocked ranges are
+  // too long, hardly ever too short: the positive side is the stricter one.
+  double knee_long = 2.0;
+  double knee_short = 3.0;
+  // Beyond this a range is turned away.
+  double reject = 6.0;
+  // The share of turned-away ranges, averaged over window_s, from which the state itself is doubted: its
+  // covariance then grows by these rates until ranges are accepted again.
+  double doubt_share = 0.7;
+  double window_s = 1.0;
+  double doubt_position_mps = 1.0;
+  double doubt_heading_radps = 0.2;
+};
+
+struct Config {
+  Model model = Model::kSchmidt;
+
+  model::OdometryNoise odometry;       // white, a row, constant over it
+  double scale_sigma = 0.01;           // of the constant odometry scale error
+  double yaw_rate_bias_radps = 0.002;  // sigma of the constant yaw-rate bias
+  double scale_walk = 1e-4;            // per sqrt(s): how constant the scale is
+  double yaw_rate_bias_walk = 2e-5;    // rad/s per sqrt(s)
+  double max_hold_s = 0.5;             // an odometry row holds so long at most; then its velocity walks:
+  double hold_walk_mps = 1.0;          // m/s per sqrt(s)
+  double hold_walk_radps = 0.5;        // rad/s per sqrt(s)
+
+  double range_sigma_m = 0.1;
+  double lever_arm_sigma_m = 0.01;
+  double range_delay_s = 0.0;         // expected age of a range at its stamp
+  double range_delay_sigma_s = 0.01;  // 0: the delay is known
+  double min_range_m = 0.0;           // exclusive
+  double max_range_m = 1000.0;
+
+  GateConfig gate;
+};
+
+}  // namespace groma::filter

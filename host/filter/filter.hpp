@@ -1,0 +1,139 @@
+// The terrain-informed error-state filter (M-ESEKF of the source paper): odometry moves a pose on the
+// surface, ranges correct it, and the uncertainty of the site's calibration is carried along.
+//
+//   filter::Filter filter(surface, tags, calibration, config);
+//   filter.start({.t_s = 12.0, .pose = {x, y, theta}});
+//   filter.process(odometry_row);
+//   filter.process(range);
+//   filter.estimate();
+//
+// No clock, no I/O, no log, no exceptions, no allocation after construction. Inputs come in time order;
+// what came of each is returned.
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+#include <Eigen/Core>
+
+#include "host/filter/config.hpp"
+#include "host/filter/gate.hpp"
+#include "host/filter/joint_covariance.hpp"
+#include "host/filter/parameters.hpp"
+#include "host/filter/state.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::filter {
+
+struct Start {
+  double t_s = 0.0;
+  model::PlanarPose pose;
+  double position_sigma_m = 0.1;
+  double heading_sigma_rad = 0.05;
+};
+
+enum class OdometryOutcome {
+  kUsed,
+  kUsedLate,    // older than the state, newer than the row held: holds from the state's time on
+  kStored,      // before the start: held for it
+  kOutOfOrder,  // not newer than the row held: refused
+  kBadValue,    // not finite: refused
+};
+
+enum class RangeOutcome {
+  kUsed,
+  kGated,
+  kUnknownTag,
+  kUnknownAnchor,  // or a pair of tag and anchor that the calibration lacks
+  kBadValue,       // not finite, or out of bounds
+  kOutOfOrder,     // older than the state: refused
+  kNotStarted,
+  kNotModelled,  // the model uses no ranges
+};
+
+struct RangeResult {
+  RangeOutcome outcome = RangeOutcome::kNotStarted;
+  // Of ranges used or gated:
+  double innovation_m = 0.0;            // measured less predicted
+  double innovation_variance_m2 = 0.0;  // S, before any weight
+  double nis = 0.0;                     // innovation^2 / S
+  double weight = 0.0;                  // 0 gated, 1 full
+};
+
+// Everything that was given to the filter is counted in exactly one of these.
+struct Counters {
+  std::size_t ranges_used = 0;
+  std::size_t ranges_gated = 0;
+  std::size_t ranges_unknown_tag = 0;
+  std::size_t ranges_unknown_anchor = 0;
+  std::size_t ranges_bad_value = 0;
+  std::size_t ranges_out_of_order = 0;
+  std::size_t ranges_not_started = 0;
+  std::size_t ranges_not_modelled = 0;
+  std::size_t odometry_used = 0;
+  std::size_t odometry_used_late = 0;
+  std::size_t odometry_stored = 0;
+  std::size_t odometry_out_of_order = 0;
+  std::size_t odometry_bad_value = 0;
+  std::size_t doubts = 0;  // times the gate began to doubt the state
+};
+
+struct Estimate {
+  double t_s = 0.0;
+  model::PlanarPose pose;
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, theta_rad
+  double scale_error = 0.0;
+  double yaw_rate_bias_radps = 0.0;
+  double range_delay_s = 0.0;
+};
+
+class Filter {
+ public:
+  // Tags beyond kMaxTags and anchors beyond kMaxAnchors are left out, and so are anchors without a finite
+  // position and covariance; anchors() and tags() tell how many are in.
+  Filter(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
+         const Config& config);
+
+  // Begins, or begins anew, at a known pose; what was learnt of the parameters stays.
+  void start(const Start& start) noexcept;
+  [[nodiscard]] bool started() const noexcept { return started_; }
+
+  OdometryOutcome process(const model::OdometrySample& row) noexcept;
+  RangeResult process(const model::RangeSample& range) noexcept;
+  // Moves the state to t_s by the row held. False, and nothing done, when t_s is not a later time.
+  bool advance_to(double t_s) noexcept;
+
+  // At the time of the last input.
+  [[nodiscard]] Estimate estimate() const noexcept;
+  [[nodiscard]] const Counters& counters() const noexcept { return counters_; }
+  [[nodiscard]] std::size_t anchors() const noexcept;
+  [[nodiscard]] std::size_t tags() const noexcept;
+
+  // For tests and diagnosis.
+  [[nodiscard]] const CoreVector& core() const noexcept { return core_; }
+  [[nodiscard]] const JointCovariance& covariance() const noexcept { return covariance_; }
+  [[nodiscard]] const Parameters& parameters() const noexcept { return parameters_; }
+
+ private:
+  OdometryOutcome take(const model::OdometrySample& row) noexcept;
+  RangeResult take(const model::RangeSample& range) noexcept;
+  void hold(const model::OdometrySample& row) noexcept;
+  void step(double dt_s) noexcept;
+
+  model::Surface surface_;
+  Config config_;
+  Parameters parameters_;
+  Gate gate_;
+  JointCovariance covariance_;
+  CoreVector core_ = CoreVector::Zero();
+  model::OdometrySample row_;
+  bool has_row_ = false;
+  bool started_ = false;
+  double t_s_ = 0.0;
+  Counters counters_;
+};
+
+}  // namespace groma::filter

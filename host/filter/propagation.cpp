@@ -1,0 +1,121 @@
+#include "host/filter/propagation.hpp"
+
+#include <cmath>
+
+namespace groma::filter {
+
+namespace {
+
+// The tangent plane's directions seen from above, A = sigma R_WT restricted to the plane, with its
+// derivatives by position.
+struct Projection {
+  Eigen::Matrix2d a;
+  Eigen::Matrix2d d_x;
+  Eigen::Matrix2d d_y;
+};
+
+Projection projection(const model::Surface& surface, const Eigen::Vector2d& position) noexcept {
+  const model::SurfacePoint ground = surface.at(position.x(), position.y());
+  const model::SurfaceRotation tilt = model::surface_rotation_with_derivatives(ground.gradient);
+  const auto gx = tilt.d_gx.topLeftCorner<2, 2>();
+  const auto gy = tilt.d_gy.topLeftCorner<2, 2>();
+  return {tilt.rotation.topLeftCorner<2, 2>(), gx * ground.hessian(0, 0) + gy * ground.hessian(1, 0),
+          gx * ground.hessian(0, 1) + gy * ground.hessian(1, 1)};
+}
+
+// Mean of the rotated unit velocities over a turn by angle: R(angle/2) sinc(angle/2), and its derivative.
+struct MeanTurn {
+  Eigen::Matrix2d r;
+  Eigen::Matrix2d d_angle;
+};
+
+MeanTurn mean_turn(double theta_rad, double angle_rad) noexcept {
+  const double half = 0.5 * angle_rad;
+  double sinc = 1.0 - half * half / 6.0;
+  double d_sinc = -half / 3.0;
+  if (std::abs(half) > 1e-3) {
+    sinc = std::sin(half) / half;
+    d_sinc = (std::cos(half) - sinc) / half;
+  }
+  const double c = std::cos(theta_rad + half);
+  const double s = std::sin(theta_rad + half);
+  MeanTurn out;
+  out.r << c * sinc, -s * sinc, s * sinc, c * sinc;
+  out.d_angle << c * d_sinc - s * sinc, -s * d_sinc - c * sinc, s * d_sinc + c * sinc, c * d_sinc - s * sinc;
+  out.d_angle *= 0.5;
+  return out;
+}
+
+Eigen::Vector2d perpendicular(const Eigen::Vector2d& v) noexcept {
+  return {-v.y(), v.x()};
+}
+
+Eigen::Vector2d row_velocity(const CoreVector& core, const model::OdometrySample& row) noexcept {
+  return {(1.0 + core(kScale)) * row.vx_mps - core(kRowVx), (1.0 + core(kScale)) * row.vy_mps - core(kRowVy)};
+}
+
+}  // namespace
+
+Motion move(const model::Surface& surface, const CoreVector& core, const model::OdometrySample& row,
+            double dt_s) noexcept {
+  const Eigen::Vector2d start = core.segment<2>(kX);
+  const Eigen::Vector2d v = row_velocity(core, row);
+  const Eigen::Vector2d v_row(row.vx_mps, row.vy_mps);
+  const double omega = row.omega_radps - core(kYawBias) - core(kRowOmega);
+
+  // Halfway along the surface, where its slope stands for the whole step.
+  const double half_s = 0.5 * dt_s;
+  const Projection first = projection(surface, start);
+  const MeanTurn half_turn = mean_turn(core(kTheta), omega * half_s);
+  const Eigen::Vector2d u_half = half_turn.r * v;
+  const Eigen::Vector2d middle = start + half_s * (first.a * u_half);
+
+  const Projection mean = projection(surface, middle);
+  const MeanTurn turn = mean_turn(core(kTheta), omega * dt_s);
+  const Eigen::Vector2d u = turn.r * v;
+
+  Motion out;
+  out.pose.head<2>() = start + dt_s * (mean.a * u);
+  out.pose(2) = core(kTheta) + omega * dt_s;
+
+  // Each column is the step's derivative with the middle held, plus what moving the middle does.
+  Eigen::Matrix2d by_middle;
+  by_middle << dt_s * (mean.d_x * u), dt_s * (mean.d_y * u);
+  Eigen::Matrix<double, 2, kCoreSize> middle_by_core = Eigen::Matrix<double, 2, kCoreSize>::Zero();
+  middle_by_core.col(kX) = Eigen::Vector2d::UnitX() + half_s * (first.d_x * u_half);
+  middle_by_core.col(kY) = Eigen::Vector2d::UnitY() + half_s * (first.d_y * u_half);
+  middle_by_core.col(kTheta) = half_s * (first.a * perpendicular(u_half));
+  middle_by_core.col(kScale) = half_s * (first.a * (half_turn.r * v_row));
+  middle_by_core.col(kYawBias) = -half_s * half_s * (first.a * (half_turn.d_angle * v));
+  middle_by_core.col(kRowVx) = -half_s * (first.a * half_turn.r.col(0));
+  middle_by_core.col(kRowVy) = -half_s * (first.a * half_turn.r.col(1));
+  middle_by_core.col(kRowOmega) = middle_by_core.col(kYawBias);
+
+  auto d_xy = out.d_core.topRows<2>();
+  d_xy.noalias() = by_middle * middle_by_core;
+  d_xy.col(kX) += Eigen::Vector2d::UnitX();
+  d_xy.col(kY) += Eigen::Vector2d::UnitY();
+  d_xy.col(kTheta) += dt_s * (mean.a * perpendicular(u));
+  d_xy.col(kScale) += dt_s * (mean.a * (turn.r * v_row));
+  const Eigen::Vector2d by_omega = dt_s * dt_s * (mean.a * (turn.d_angle * v));
+  d_xy.col(kYawBias) -= by_omega;
+  d_xy.col(kRowVx) -= dt_s * (mean.a * turn.r.col(0));
+  d_xy.col(kRowVy) -= dt_s * (mean.a * turn.r.col(1));
+  d_xy.col(kRowOmega) -= by_omega;
+
+  auto d_theta = out.d_core.row(2);
+  d_theta.setZero();
+  d_theta(kTheta) = 1.0;
+  d_theta(kYawBias) = -dt_s;
+  d_theta(kRowOmega) = -dt_s;
+  return out;
+}
+
+Eigen::Vector3d pose_rate(const model::Surface& surface, const CoreVector& core,
+                          const model::OdometrySample& row) noexcept {
+  const Eigen::Vector2d rate =
+      projection(surface, core.segment<2>(kX)).a * (mean_turn(core(kTheta), 0.0).r * row_velocity(core, row));
+  return {rate.x(), rate.y(), row.omega_radps - core(kYawBias) - core(kRowOmega)};
+}
+
+}  // namespace groma::filter

@@ -1,0 +1,75 @@
+// A recorded run through the filter, as it would have gone on the robot.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "host/filter/config.hpp"
+#include "host/filter/filter.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::filter {
+
+// The run. Spans are sorted by time; everything outlives the call.
+struct Run {
+  std::span<const model::OdometrySample> odometry;
+  std::span<const model::RangeSample> ranges;
+  std::span<const model::Tag> tags;
+  const model::Surface* surface = nullptr;
+  const model::Calibration* calibration = nullptr;
+};
+
+struct ReplayOptions {
+  Config config;  // with the run's own sigmas
+  Start start;    // start.t_s: rows and ranges before it are left out
+  std::optional<double> to_s;
+  std::vector<model::NodeId> tags;     // empty: all
+  std::vector<model::NodeId> anchors;  // empty: all
+  // A monotonic clock in nanoseconds, for the timing alone; empty: no timing.
+  std::function<std::int64_t()> now_ns;
+};
+
+// One row for each odometry row from the start on: the state when everything up to and at t_s is seen.
+struct EstimateRow {
+  double t_s = 0.0;
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double yaw_rad = 0.0;  // heading on the surface, (-pi, pi]
+  double p_xx = 0.0;
+  double p_xy = 0.0;
+  double p_xt = 0.0;
+  double p_yy = 0.0;
+  double p_yt = 0.0;
+  double p_tt = 0.0;
+};
+
+struct Percentiles {
+  double p50 = 0.0;
+  double p99 = 0.0;
+};
+
+struct ReplayResult {
+  std::vector<EstimateRow> rows;
+  std::size_t ranges_seen = 0;  // of the chosen tags and anchors, within the time
+  Counters counters;
+  double nis_mean = 0.0;  // over the ranges used
+  // Wall times of one call each: of an odometry row (propagation to it), and of a range (propagation to
+  // it and update). Zero without a clock.
+  Percentiles propagate_ns;
+  Percentiles update_ns;
+};
+
+[[nodiscard]] ReplayResult replay(const Run& run, const ReplayOptions& options);
+
+// The first pose prior at or after from_s as a start; none when there is none. Where a pose tells roll and
+// pitch, its heading on the surface is taken from its attitude.
+[[nodiscard]] std::optional<Start> start_from_prior(std::span<const model::PoseSample> priors, double from_s,
+                                                    const model::Surface& surface);
+
+}  // namespace groma::filter
