@@ -22,6 +22,8 @@ namespace {
 
 using Presence = CsvReader::Presence;
 
+constexpr std::array<std::string_view, 2> kOrigins{"recorded", "simulated"};
+constexpr std::array<std::string_view, 2> kSurfaceTypes{"plane", "bspline"};
 constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
 constexpr int kMaxSurfaceCells = 10'000;  // along one axis
 
@@ -146,7 +148,9 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
   }
   put_in_order(
       ranges,
-      [](const model::RangeSample& range) { return std::tuple(range.t_s, range.tag_id, range.anchor_id); },
+      [](const model::RangeSample& range) {
+        return std::tuple(range.t_s, range.tag_id, range.anchor_id, range.range_m);
+      },
       dropped);
   return ranges;
 }
@@ -236,7 +240,7 @@ model::BSpline parse_spline(const std::filesystem::path& path, std::string_view 
 }
 
 model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
-  if (yaml.find("type").has_value() && yaml.at("type").one_of({"plane", "bspline"}) == 1) {
+  if (yaml.find("type").has_value() && yaml.at("type").one_of(kSurfaceTypes) == 1) {
     yaml.expect_keys({{"type", "file"}});
     const std::string file = yaml.at("file").text();
     if (file.empty()) yaml.at("file").fail("is empty", "name the file, such as surface.csv");
@@ -261,7 +265,7 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
   dataset.name = yaml.at("name").text();
-  dataset.origin = yaml.at("origin").one_of({"recorded", "simulated"}) == 0 ? "recorded" : "simulated";
+  dataset.origin = kOrigins.at(yaml.at("origin").one_of(kOrigins));
 
   const YamlValue odometry = yaml.at("odometry");
   odometry.expect_keys({{"sigma_vx_mps", "sigma_vy_mps", "sigma_omega_radps"}});

@@ -19,7 +19,7 @@ struct DroppedRows {
   std::size_t unknown_tag = 0;          // not in tags.csv
   std::size_t unknown_anchor = 0;       // no 16-bit id, or not in anchors.csv where that is read
   std::size_t late = 0;                 // of any file: more than kMaxLateness_s behind the rows around it
-  std::size_t repeated = 0;             // of any file: same instant (and pair)
+  std::size_t repeated = 0;             // same instant; of ranges, the same pair and range too
 
   [[nodiscard]] std::size_t total() const {
     return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated;
@@ -37,7 +37,7 @@ struct Dataset {
   model::Surface surface;
   std::vector<model::Anchor> surveyed_anchors;  // by id; empty where anchors.csv is absent
   std::vector<model::Tag> tags;                 // by id
-  std::vector<model::RangeSample> ranges;       // by time, then tag, then anchor, ascending
+  std::vector<model::RangeSample> ranges;       // by time, then tag, then anchor; ascending
   std::vector<model::OdometrySample> odometry;  // by time, strictly ascending
   // Poses: by time, strictly ascending; roll and pitch each NaN where the file does not tell it.
   std::vector<model::PoseSample> ground_truth;  // empty where the file is absent

@@ -11,25 +11,12 @@
 #include <stdexcept>
 #include <system_error>
 
+#include "host/io/descriptor.hpp"
 #include "host/io/error.hpp"
 
 namespace groma::io {
 
 namespace {
-
-class Descriptor {
- public:
-  explicit Descriptor(int fd) : fd_(fd) {}
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  [[nodiscard]] int get() const { return fd_; }
-
- private:
-  int fd_;
-};
 
 [[noreturn]] void throw_unreadable(const std::filesystem::path& path, int error) {
   const std::string reason = std::generic_category().message(error);

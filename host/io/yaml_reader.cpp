@@ -165,7 +165,7 @@ std::int64_t YamlValue::integer(std::int64_t min, std::int64_t max) const {
   return value;
 }
 
-std::size_t YamlValue::one_of(std::initializer_list<std::string_view> words) const {
+std::size_t YamlValue::one_of(std::span<const std::string_view> words) const {
   const std::string word = text();
   const auto found = std::find(words.begin(), words.end(), word);
   if (found == words.end())

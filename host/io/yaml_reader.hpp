@@ -10,6 +10,7 @@
 #include <initializer_list>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -43,7 +44,7 @@ class YamlValue {
   [[nodiscard]] double positive_number() const;  // finite, > 0
   [[nodiscard]] std::int64_t integer(std::int64_t min, std::int64_t max) const;
   // One of these words, as its index.
-  [[nodiscard]] std::size_t one_of(std::initializer_list<std::string_view> words) const;
+  [[nodiscard]] std::size_t one_of(std::span<const std::string_view> words) const;
 
   [[nodiscard]] FilePlace place() const;
   [[noreturn]] void fail(std::string_view problem, std::string_view remedy) const;

@@ -43,6 +43,15 @@ struct PoseSample {
   double pitch_rad = std::numeric_limits<double>::quiet_NaN();
 };
 
+// An estimated planar pose: x, y and heading in the map frame with their covariance, in that order.
+struct PlanarEstimate {
+  double t_s = 0.0;
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double yaw_rad = 0.0;
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
+};
+
 // An onboard tag: its antenna's lever arm in base_link.
 struct Tag {
   NodeId id = 0;

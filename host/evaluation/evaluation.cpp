@@ -1,0 +1,109 @@
+#include "host/evaluation/evaluation.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "host/model/pose.hpp"
+
+namespace groma::evaluation {
+
+namespace {
+
+constexpr double kDegreesOfFreedom = 3.0;
+
+std::optional<double> nees(const Eigen::Vector3d& error, const Eigen::Matrix3d& covariance) {
+  const Eigen::LLT<Eigen::Matrix3d> factor(covariance);
+  if (factor.info() != Eigen::Success) return std::nullopt;
+  const double value = error.dot(factor.solve(error)) / kDegreesOfFreedom;
+  return std::isfinite(value) ? std::optional(value) : std::nullopt;
+}
+
+// The estimate at t_s, between the row at or before it and the next.
+std::optional<model::PlanarEstimate> estimate_at(std::span<const model::PlanarEstimate> rows, double t_s) {
+  const auto after = std::upper_bound(rows.begin(), rows.end(), t_s,
+                                      [](double t, const model::PlanarEstimate& row) { return t < row.t_s; });
+  if (after == rows.begin()) return std::nullopt;
+  const model::PlanarEstimate& earlier = *std::prev(after);
+  if (earlier.t_s == t_s) return earlier;
+  if (after == rows.end() || after->t_s - earlier.t_s > kMaxGap_s) return std::nullopt;
+  const double fraction = (t_s - earlier.t_s) / (after->t_s - earlier.t_s);
+  model::PlanarEstimate between = earlier;
+  between.t_s = t_s;
+  between.x_m += fraction * (after->x_m - earlier.x_m);
+  between.y_m += fraction * (after->y_m - earlier.y_m);
+  between.yaw_rad += fraction * model::wrap_angle(after->yaw_rad - earlier.yaw_rad);
+  return between;
+}
+
+// The samples of one kind of error.
+class Samples {
+ public:
+  void add(double value) {
+    max_ = std::max(max_, value);
+    values_.push_back(value);
+  }
+  [[nodiscard]] Statistics statistics() const {
+    const auto n = static_cast<double>(values_.size());
+    double sum = 0.0;
+    double squares = 0.0;
+    for (const double value : values_) {
+      sum += value;
+      squares += value * value;
+    }
+    const double mean = sum / n;
+    double deviations = 0.0;
+    for (const double value : values_) deviations += (value - mean) * (value - mean);
+    return {max_, mean, std::sqrt(deviations / n), std::sqrt(squares / n)};
+  }
+  [[nodiscard]] std::size_t count() const { return values_.size(); }
+
+ private:
+  double max_ = 0.0;
+  std::vector<double> values_;
+};
+
+}  // namespace
+
+std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estimate,
+                                   std::span<const model::PoseSample> truth) {
+  std::vector<PoseError> errors;
+  errors.reserve(truth.size());
+  for (const model::PoseSample& pose : truth) {
+    const std::optional<model::PlanarEstimate> row = estimate_at(estimate, pose.t_s);
+    if (!row) continue;
+    const Eigen::Vector3d error(row->x_m - pose.x_m, row->y_m - pose.y_m,
+                                model::wrap_angle(row->yaw_rad - pose.yaw_rad));
+    errors.push_back({pose.t_s, error.x(), error.y(), error.z(), nees(error, row->covariance)});
+  }
+  return errors;
+}
+
+std::optional<Evaluation> evaluate(std::span<const PoseError> errors) {
+  if (errors.empty()) return std::nullopt;
+  Samples ate_m;
+  Samples ate_rad;
+  Samples nees;
+  std::size_t inside = 0;
+  for (const PoseError& error : errors) {
+    ate_m.add(std::hypot(error.x_m, error.y_m));
+    ate_rad.add(std::abs(error.yaw_rad));
+    if (!error.nees) continue;
+    nees.add(*error.nees);
+    if (*error.nees * kDegreesOfFreedom <= kChiSquare95) ++inside;
+  }
+  Evaluation evaluation;
+  evaluation.samples = errors.size();
+  evaluation.ate_m = ate_m.statistics();
+  evaluation.ate_rad = ate_rad.statistics();
+  evaluation.samples_without_covariance = errors.size() - nees.count();
+  if (nees.count() > 0) {
+    const Statistics statistics = nees.statistics();
+    evaluation.nees = Consistency{statistics.max, statistics.mean, statistics.std,
+                                  static_cast<double>(inside) / static_cast<double>(nees.count())};
+  }
+  return evaluation;
+}
+
+}  // namespace groma::evaluation

@@ -1,0 +1,60 @@
+// Accuracy and consistency of an estimate against the truth, as the source paper defines them: at sample k
+// ATE^t_k = ||e_t,k||, ATE^theta_k = |e_theta,k|, NEES_k = e_k' P_k^-1 e_k / 3, without alignment of any
+// kind.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "host/model/types.hpp"
+
+namespace groma::evaluation {
+
+// An estimate is interpolated over no longer gap.
+inline constexpr double kMaxGap_s = 0.3;
+// 95 % of a chi-square with 3 degrees of freedom.
+inline constexpr double kChiSquare95 = 7.815;
+
+// Estimate less truth at one of the truth's times; the heading's difference in (-pi, pi].
+struct PoseError {
+  double t_s = 0.0;
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double yaw_rad = 0.0;
+  std::optional<double> nees;  // e' P^-1 e / 3; none where P is not positive definite
+};
+
+// One for each of the truth's times at which there is an estimate: its own row at that time, or between two
+// rows at most kMaxGap_s apart, position and heading interpolated and the covariance that of the earlier
+// row. Both are by time, strictly ascending.
+[[nodiscard]] std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estimate,
+                                                 std::span<const model::PoseSample> truth);
+
+struct Statistics {
+  double max = 0.0;
+  double mean = 0.0;
+  double std = 0.0;  // of the samples: rmse^2 = mean^2 + std^2
+  double rmse = 0.0;
+};
+
+struct Consistency {
+  double max = 0.0;
+  double mean = 0.0;
+  double std = 0.0;
+  double inside_95 = 0.0;  // share of samples with e' P^-1 e at most kChiSquare95
+};
+
+struct Evaluation {
+  std::size_t samples = 0;
+  std::size_t samples_without_covariance = 0;  // P not positive definite: left out of `nees`
+  Statistics ate_m;
+  Statistics ate_rad;
+  std::optional<Consistency> nees;  // none without a sample for it
+};
+
+// None without a sample.
+[[nodiscard]] std::optional<Evaluation> evaluate(std::span<const PoseError> errors);
+
+}  // namespace groma::evaluation

@@ -1,0 +1,253 @@
+#include "host/io/calibration_file.hpp"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Eigenvalues>
+#include <nlohmann/json.hpp>
+
+#include "host/io/input_file.hpp"
+#include "host/io/yaml_reader.hpp"
+
+namespace groma::io {
+
+namespace {
+
+// In the order of their enumerations.
+constexpr std::array<std::string_view, 6> kAnchorVerdicts{"ok",    "weak-z", "weak", "never-in-sight",
+                                                          "moved", "no-data"};
+constexpr std::array<std::string_view, 3> kVerdicts{"usable", "warnings", "unusable"};
+
+// A file that was mended by hand may disagree with itself by rounding.
+constexpr double kAgreement = 1e-6;
+
+using Output = std::back_insert_iterator<std::string>;
+
+bool all_finite(const Eigen::MatrixXd& matrix) {
+  return matrix.array().isFinite().all();
+}
+
+// JSON's strings are YAML 1.2's double-quoted ones.
+std::string yaml_text(std::string_view text) {
+  return nlohmann::json(text).dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
+}
+
+std::string yaml_number(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? fmt::format("{}", *value) : "null";
+}
+
+std::string yaml_list(const Eigen::VectorXd& values) {
+  return fmt::format("[{}]", fmt::join(values.begin(), values.end(), ", "));
+}
+
+void write_matrix(Output out, std::string_view indent, std::string_view key, const Eigen::MatrixXd& matrix) {
+  fmt::format_to(out, "{}{}:\n", indent, key);
+  for (const auto& row : matrix.rowwise())
+    fmt::format_to(out, "{}  - {}\n", indent, yaml_list(row.transpose()));
+}
+
+void write_anchor(Output out, const model::AnchorCalibration& anchor) {
+  fmt::format_to(out, "  - id: {}\n", anchor.id);
+  fmt::format_to(out, "    verdict: {}\n", word(anchor.verdict));
+  fmt::format_to(out, "    advice: {}\n", yaml_text(anchor.advice));
+  fmt::format_to(out, "    ranges_used: {}\n", anchor.ranges_used);
+  fmt::format_to(out, "    ranges_rejected: {}\n", anchor.ranges_rejected);
+  fmt::format_to(out, "    held_out_rms_m: {}\n", yaml_number(anchor.held_out_rms_m));
+  fmt::format_to(out, "    mirror_ratio: {}\n", yaml_number(anchor.mirror_ratio));
+  const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
+  const bool known = anchor.covariance.rows() == size && anchor.covariance.cols() == size &&
+                     all_finite(anchor.covariance) && all_finite(anchor.position_m);
+  if (!known) {
+    fmt::format_to(out, "    position_m: null\n    covariance_m2: null\n    pairs: []\n");
+    return;
+  }
+  fmt::format_to(out, "    position_m: {}\n", yaml_list(anchor.position_m));
+  write_matrix(out, "    ", "covariance_m2", anchor.covariance.topLeftCorner<3, 3>());
+  fmt::format_to(out, "    pairs:{}\n", anchor.pairs.empty() ? " []" : "");
+  for (const model::PairBias& pair : anchor.pairs) {
+    fmt::format_to(out,
+                   "      - {{tag: {}, beta_m: {}, beta_variance_m2: {}, gamma: {}, gamma_variance: {}}}\n",
+                   pair.tag_id, pair.beta_m, pair.beta_sigma_m * pair.beta_sigma_m, pair.gamma,
+                   pair.gamma_sigma * pair.gamma_sigma);
+  }
+  write_matrix(out, "    ", "block_covariance", anchor.covariance);
+}
+
+Eigen::MatrixXd parse_covariance(const YamlValue& yaml, std::size_t size) {
+  const auto n = static_cast<Eigen::Index>(size);
+  Eigen::MatrixXd matrix(n, n);
+  Eigen::Index row = 0;
+  for (const YamlValue& values : yaml.list_of(size)) {
+    Eigen::Index column = 0;
+    for (const double value : values.numbers(size)) matrix(row, column++) = value;
+    ++row;
+  }
+  const double scale = matrix.cwiseAbs().maxCoeff();
+  if (!((matrix - matrix.transpose()).cwiseAbs().maxCoeff() <= kAgreement * scale)) {
+    yaml.fail("is not symmetric", "mend the entries that differ across the diagonal");
+  }
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(matrix, Eigen::EigenvaluesOnly);
+  if (!(eigen.eigenvalues().minCoeff() >= -kAgreement * scale)) {
+    yaml.fail("is no covariance: a variance would be negative", "mend its entries, or calibrate again");
+  }
+  return matrix;
+}
+
+bool agree(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
+  return (a - b).cwiseAbs().maxCoeff() <=
+         kAgreement * std::max(a.cwiseAbs().maxCoeff(), b.cwiseAbs().maxCoeff());
+}
+
+double parse_variance(const YamlValue& yaml) {
+  const double variance = yaml.number();
+  if (variance < 0.0) yaml.fail("is negative", "it has to be 0 or above");
+  return variance;
+}
+
+std::vector<model::PairBias> parse_pairs(const YamlValue& yaml) {
+  std::vector<model::PairBias> pairs;
+  for (const YamlValue& entry : yaml.list()) {
+    entry.expect_keys({{"tag", "beta_m", "beta_variance_m2", "gamma", "gamma_variance"}});
+    model::PairBias pair;
+    pair.tag_id =
+        static_cast<model::NodeId>(entry.at("tag").integer(0, std::numeric_limits<model::NodeId>::max()));
+    pair.beta_m = entry.at("beta_m").number();
+    pair.beta_sigma_m = std::sqrt(parse_variance(entry.at("beta_variance_m2")));
+    pair.gamma = entry.at("gamma").positive_number();
+    pair.gamma_sigma = std::sqrt(parse_variance(entry.at("gamma_variance")));
+    if (!pairs.empty() && pair.tag_id <= pairs.back().tag_id) {
+      entry.fail("is out of order", "write the pairs by tag, ascending, each once");
+    }
+    pairs.push_back(pair);
+  }
+  return pairs;
+}
+
+// The block that position and pair variances make where the file has none of its own.
+Eigen::MatrixXd block_of(const Eigen::MatrixXd& position, const std::vector<model::PairBias>& pairs) {
+  const auto tags = static_cast<Eigen::Index>(pairs.size());
+  Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags, 3 + 2 * tags);
+  block.topLeftCorner<3, 3>() = position;
+  for (Eigen::Index i = 0; i < tags; ++i) {
+    const model::PairBias& pair = pairs[static_cast<std::size_t>(i)];
+    block(3 + i, 3 + i) = pair.beta_sigma_m * pair.beta_sigma_m;
+    block(3 + tags + i, 3 + tags + i) = pair.gamma_sigma * pair.gamma_sigma;
+  }
+  return block;
+}
+
+std::optional<double> parse_optional(const YamlValue& yaml) {
+  if (yaml.is_null()) return std::nullopt;
+  return yaml.number();
+}
+
+model::AnchorCalibration parse_anchor(const YamlValue& yaml) {
+  yaml.expect_keys(
+      {{"id", "verdict", "position_m", "covariance_m2", "pairs"},
+       {"advice", "ranges_used", "ranges_rejected", "held_out_rms_m", "mirror_ratio", "block_covariance"}});
+  constexpr std::int64_t kMaxCount = std::numeric_limits<std::int64_t>::max();
+  model::AnchorCalibration anchor;
+  anchor.id = static_cast<model::NodeId>(yaml.at("id").integer(0, std::numeric_limits<model::NodeId>::max()));
+  anchor.verdict = static_cast<model::AnchorVerdict>(yaml.at("verdict").one_of(kAnchorVerdicts));
+  if (const auto advice = yaml.find("advice")) anchor.advice = advice->text();
+  if (const auto used = yaml.find("ranges_used")) {
+    anchor.ranges_used = static_cast<std::size_t>(used->integer(0, kMaxCount));
+  }
+  if (const auto rejected = yaml.find("ranges_rejected")) {
+    anchor.ranges_rejected = static_cast<std::size_t>(rejected->integer(0, kMaxCount));
+  }
+  if (const auto rms_m = yaml.find("held_out_rms_m")) anchor.held_out_rms_m = parse_optional(*rms_m);
+  if (const auto ratio = yaml.find("mirror_ratio")) anchor.mirror_ratio = parse_optional(*ratio);
+
+  if (yaml.at("position_m").is_null()) {
+    anchor.position_m.setConstant(std::numeric_limits<double>::quiet_NaN());
+    if (!yaml.at("covariance_m2").is_null()) {
+      yaml.at("covariance_m2").fail("is there without a position", "write both, or null for both");
+    }
+    return anchor;
+  }
+  const std::vector<double> position_m = yaml.at("position_m").numbers(3);
+  anchor.position_m << position_m[0], position_m[1], position_m[2];
+  anchor.pairs = parse_pairs(yaml.at("pairs"));
+  const Eigen::MatrixXd own = block_of(parse_covariance(yaml.at("covariance_m2"), 3), anchor.pairs);
+  anchor.covariance = own;
+  if (const auto block = yaml.find("block_covariance")) {
+    anchor.covariance = parse_covariance(*block, 3 + 2 * anchor.pairs.size());
+    const bool same = agree(own.topLeftCorner<3, 3>(), anchor.covariance.topLeftCorner<3, 3>()) &&
+                      agree(own.diagonal(), anchor.covariance.diagonal());
+    if (!same) {
+      block->fail("disagrees with covariance_m2 or the pairs' variances",
+                  "change both alike, or leave block_covariance out");
+    }
+  }
+  return anchor;
+}
+
+}  // namespace
+
+std::string_view word(model::AnchorVerdict verdict) {
+  return kAnchorVerdicts.at(static_cast<std::size_t>(verdict));
+}
+
+std::string_view word(model::Verdict verdict) {
+  return kVerdicts.at(static_cast<std::size_t>(verdict));
+}
+
+std::string format_calibration(const model::Calibration& calibration) {
+  std::string text;
+  const Output out(text);
+  fmt::format_to(out, "%YAML 1.2\n---\nschema: 1\n");
+  fmt::format_to(out, "program_version: {}\n", yaml_text(calibration.program_version));
+  fmt::format_to(out, "input_sha256: {}\n", yaml_text(calibration.input_sha256));
+  fmt::format_to(out, "frame: {}\n", yaml_text(calibration.frame));
+  fmt::format_to(out, "verdict: {}\n", word(calibration.verdict));
+  fmt::format_to(
+      out, "# Of the shift (x, y, z in m) and turn (yaw in rad) that all anchors share through the poses.\n");
+  write_matrix(out, "", "common_frame_covariance", calibration.common_frame_covariance);
+  fmt::format_to(out, "# block_covariance: position, then beta of each pair, then gamma of each pair.\n");
+  fmt::format_to(out, "anchors:{}\n", calibration.anchors.empty() ? " []" : "");
+  for (const model::AnchorCalibration& anchor : calibration.anchors) write_anchor(out, anchor);
+  return text;
+}
+
+model::Calibration parse_calibration(const std::filesystem::path& path, const std::string& text) {
+  const YamlValue yaml = YamlValue::parse(path, text);
+  yaml.expect_keys({{"schema", "frame", "anchors"},
+                    {"program_version", "input_sha256", "verdict", "common_frame_covariance"}});
+  if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
+    yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
+  }
+  model::Calibration calibration;
+  calibration.frame = yaml.at("frame").text();
+  if (const auto version = yaml.find("program_version")) calibration.program_version = version->text();
+  if (const auto sha256 = yaml.find("input_sha256")) calibration.input_sha256 = sha256->text();
+  calibration.verdict = model::Verdict::kUsable;
+  if (const auto verdict = yaml.find("verdict")) {
+    calibration.verdict = static_cast<model::Verdict>(verdict->one_of(kVerdicts));
+  }
+  if (const auto frame = yaml.find("common_frame_covariance")) {
+    calibration.common_frame_covariance = parse_covariance(*frame, 4);
+  }
+  for (const YamlValue& entry : yaml.at("anchors").list()) {
+    calibration.anchors.push_back(parse_anchor(entry));
+    if (calibration.anchors.size() > 1 &&
+        entry.at("id").integer(0, 65535) <= std::prev(calibration.anchors.end(), 2)->id) {
+      entry.at("id").fail("is out of order", "write the anchors by id, ascending, each once");
+    }
+  }
+  return calibration;
+}
+
+model::Calibration read_calibration(const std::filesystem::path& path) {
+  return parse_calibration(path, read_file(path));
+}
+
+}  // namespace groma::io

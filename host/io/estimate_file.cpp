@@ -1,0 +1,43 @@
+#include "host/io/estimate_file.hpp"
+
+#include <fmt/format.h>
+
+#include <iterator>
+
+#include "host/io/csv.hpp"
+#include "host/io/input_file.hpp"
+
+namespace groma::io {
+
+std::string format_estimate(std::span<const model::PlanarEstimate> rows) {
+  std::string text = "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n";
+  for (const model::PlanarEstimate& row : rows) {
+    const Eigen::Matrix3d& p = row.covariance;
+    fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{}\n", row.t_s, row.x_m, row.y_m,
+                   row.yaw_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1), p(1, 2), p(2, 2));
+  }
+  return text;
+}
+
+std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& path) {
+  const std::string text = read_file(path);
+  CsvReader csv(
+      path, text,
+      {{"t_s"}, {"x_m"}, {"y_m"}, {"yaw_rad"}, {"p_xx"}, {"p_xy"}, {"p_xt"}, {"p_yy"}, {"p_yt"}, {"p_tt"}});
+  std::vector<model::PlanarEstimate> rows;
+  while (csv.next()) {
+    model::PlanarEstimate row{csv.number(0), csv.number(1), csv.number(2), csv.number(3)};
+    if (!rows.empty() && !(row.t_s > rows.back().t_s)) {
+      throw DataError(csv.place(0), "the times do not increase", "sort the rows by t_s, each time once");
+    }
+    row.covariance << csv.number(4), csv.number(5), csv.number(6),  //
+        csv.number(5), csv.number(7), csv.number(8),                //
+        csv.number(6), csv.number(8), csv.number(9);
+    rows.push_back(row);
+  }
+  if (rows.empty())
+    throw DataError({path}, "there are no rows", "give an estimate that groma replay has written");
+  return rows;
+}
+
+}  // namespace groma::io

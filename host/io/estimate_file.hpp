@@ -1,0 +1,19 @@
+// The estimate of a replay as a table: t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt.
+#pragma once
+
+#include <filesystem>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "host/model/types.hpp"
+
+namespace groma::io {
+
+// Numbers as short as they read back exactly.
+[[nodiscard]] std::string format_estimate(std::span<const model::PlanarEstimate> rows);
+
+// Throws DataError (cannot be read as numbers, no rows, times that do not increase) or PermissionError.
+[[nodiscard]] std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& path);
+
+}  // namespace groma::io
