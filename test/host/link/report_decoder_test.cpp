@@ -1,0 +1,225 @@
+#include "host/link/report_decoder.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <span>
+#include <vector>
+
+#include "test/host/link/node_frames.hpp"
+
+namespace groma::link {
+namespace {
+
+using clock::kDeviceTicksPerSecond;
+using test::frame_of;
+using test::make_range;
+using test::make_report;
+
+class Collected : public NodeSink {
+ public:
+  void on_range(const model::RangeSample& range, double time_sigma_s) override {
+    ranges.push_back(range);
+    time_sigmas_s.push_back(time_sigma_s);
+  }
+  void on_hello(const groma_Hello& hello) override { hellos.push_back(hello); }
+  void on_network_status(const groma_NetworkStatus& status) override { statuses.push_back(status); }
+  void on_counters(const groma_Counters& counters) override { node_counters.push_back(counters); }
+  void on_log(const groma_Log& log) override { logs.push_back(log); }
+  void on_reply(const groma_Reply& reply) override { replies.push_back(reply); }
+
+  std::vector<model::RangeSample> ranges;
+  std::vector<double> time_sigmas_s;
+  std::vector<groma_Hello> hellos;
+  std::vector<groma_NetworkStatus> statuses;
+  std::vector<groma_Counters> node_counters;
+  std::vector<groma_Log> logs;
+  std::vector<groma_Reply> replies;
+};
+
+std::int64_t dtu(double seconds) {
+  return std::llround(seconds * kDeviceTicksPerSecond);
+}
+
+TEST(ReportDecoder, GivesEachRangeItsOwnInstantInHostTime) {
+  constexpr unsigned kBaud = 1'000'000;
+  ReportDecoder decoder(kBaud);
+  Collected got;
+  // Fifty reports a tenth of a second apart; the node's counter began at host time 100 s.
+  for (std::uint32_t i = 0; i < 50; ++i) {
+    const double handed_over_s = 105.0 + 0.1 * i;
+    const auto frame =
+        frame_of(make_report(i, 3, static_cast<std::uint64_t>(dtu(handed_over_s - 100.0)),
+                             {make_range(11, 4.5, -dtu(0.080)), make_range(12, 7.25, -dtu(0.075))}));
+    decoder.take(frame, handed_over_s + 10.0 * static_cast<double>(frame.size()) / kBaud, got);
+  }
+  ASSERT_EQ(got.ranges.size(), 100U);
+  const model::RangeSample& last = got.ranges.back();
+  EXPECT_NEAR(last.t_s, 105.0 + 4.9 - 0.075, 1e-7);
+  EXPECT_NEAR(got.ranges[98].t_s, 105.0 + 4.9 - 0.080, 1e-7);
+  EXPECT_EQ(last.tag_id, 3);
+  EXPECT_EQ(last.anchor_id, 12);
+  EXPECT_DOUBLE_EQ(last.range_m, 7.25);
+  EXPECT_TRUE(std::isnan(last.first_path_power_dbm));
+  EXPECT_LT(got.time_sigmas_s.back(), 2e-3);
+  EXPECT_EQ(decoder.counters().reports, 50U);
+  EXPECT_EQ(decoder.counters().ranges, 100U);
+  EXPECT_EQ(decoder.counters().frames_lost, 0U);
+}
+
+TEST(ReportDecoder, PassesOnPowersWhereTheyAreKnown) {
+  groma_Range range = make_range(1, 2.0, 0);
+  range.has_first_path_power_cdbm = true;
+  range.first_path_power_cdbm = -8123;
+  range.has_receive_power_cdbm = true;
+  range.receive_power_cdbm = -7900;
+  ReportDecoder decoder(0);
+  Collected got;
+  decoder.take(frame_of(make_report(0, 1, 1000, {range})), 5.0, got);
+  ASSERT_EQ(got.ranges.size(), 1U);
+  EXPECT_FLOAT_EQ(got.ranges[0].first_path_power_dbm, -81.23F);
+  EXPECT_FLOAT_EQ(got.ranges[0].receive_power_dbm, -79.0F);
+}
+
+TEST(ReportDecoder, DropsBadRangesAndCountsEachOnce) {
+  std::vector<groma_Range> ranges{
+      make_range(1, 5.0, 0),
+      make_range(2, 0.0, 0),
+      make_range(3, -1.0, 0),
+      make_range(4, 300'000.0, 0),
+      make_range(5, std::numeric_limits<double>::quiet_NaN(), 0),
+      make_range(6, std::numeric_limits<double>::infinity(), 0),
+      make_range(7, 5.0, dtu(-60.0)),
+      make_range(8, 5.0, std::numeric_limits<std::int64_t>::max()),
+      make_range(9, 5.0, 0),
+      make_range(10, 1000.0, 0),
+  };
+  ranges[8].status = groma_RangeStatus_RANGE_NO_CLOSING_STAMP;
+  ReportDecoder decoder(0);
+  Collected got;
+  decoder.take(frame_of(make_report(0, 1, static_cast<std::uint64_t>(dtu(100.0)), ranges)), 5.0, got);
+  ASSERT_EQ(got.ranges.size(), 2U);
+  EXPECT_EQ(got.ranges[0].anchor_id, 1);
+  EXPECT_EQ(got.ranges[1].anchor_id, 10);
+  EXPECT_EQ(decoder.counters().ranges, 2U);
+  EXPECT_EQ(decoder.counters().ranges_out_of_bounds, 5U);
+  EXPECT_EQ(decoder.counters().ranges_bad_instant, 2U);
+  EXPECT_EQ(decoder.counters().ranges_not_ok, 1U);
+}
+
+TEST(ReportDecoder, CountsLostReportsByTheirSequence) {
+  ReportDecoder decoder(0);
+  Collected got;
+  std::uint64_t device_dtu = 1'000'000'000;
+  double host_s = 1.0;
+  const auto send = [&](std::uint32_t sequence) {
+    device_dtu += static_cast<std::uint64_t>(dtu(0.1));
+    host_s += 0.1;
+    decoder.take(frame_of(make_report(sequence, 1, device_dtu, {})), host_s, got);
+  };
+  send(0xFFFFFFFDU);
+  send(0xFFFFFFFEU);
+  send(1);  // 0xFFFFFFFF and 0 are missing
+  EXPECT_EQ(decoder.counters().frames_lost, 2U);
+  send(2);
+  send(7);
+  EXPECT_EQ(decoder.counters().frames_lost, 6U);
+  // The node is restarted: counter and sequence begin anew, nothing is lost by that.
+  device_dtu = 0;
+  send(0);
+  send(1);
+  EXPECT_EQ(decoder.counters().frames_lost, 6U);
+  EXPECT_EQ(decoder.time().counters().counter_restarts, 1U);
+}
+
+TEST(ReportDecoder, ADamagedFrameIsALostReport) {
+  ReportDecoder decoder(0);
+  Collected got;
+  for (std::uint32_t i = 0; i < 10; ++i) {
+    auto frame =
+        frame_of(make_report(i, 1, static_cast<std::uint64_t>(dtu(1.0 + 0.1 * i)), {make_range(1, 2.0, 0)}));
+    if (i == 4) frame[frame.size() / 2] ^= 0x10U;
+    decoder.take(frame, 1.0 + 0.1 * i, got);
+  }
+  EXPECT_EQ(got.ranges.size(), 9U);
+  EXPECT_EQ(decoder.counters().frames_lost, 1U);
+  EXPECT_EQ(decoder.frame_counters().crc_errors + decoder.frame_counters().cobs_errors, 1U);
+}
+
+TEST(ReportDecoder, TellsTagsOnOneCableApart) {
+  ReportDecoder decoder(0);
+  Collected got;
+  decoder.take(frame_of(make_report(500, 1, static_cast<std::uint64_t>(dtu(900.0)), {make_range(1, 2.0, 0)})),
+               10.0, got);
+  // Another tag was plugged in; its counter is ahead.
+  decoder.take(
+      frame_of(make_report(900, 2, static_cast<std::uint64_t>(dtu(5000.0)), {make_range(1, 2.0, 0)})), 11.0,
+      got);
+  ASSERT_EQ(got.ranges.size(), 2U);
+  EXPECT_DOUBLE_EQ(got.ranges[1].t_s, 11.0);
+  EXPECT_EQ(decoder.counters().frames_lost, 0U);
+}
+
+TEST(ReportDecoder, HandsOnWhatNodesSayOfThemselves) {
+  ReportDecoder decoder(115200);
+  Collected got;
+  decoder.take(frame_of(test::make_hello(7, "0.1.0")), 1.0, got);
+  decoder.take(frame_of(test::make_log(groma_LogLevel_LOG_WARNING, "no beacon")), 1.0, got);
+  groma_NodeToHost message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_counters_tag;
+  message.body.counters.crc_errors = 5;
+  decoder.take(frame_of(message), 1.0, got);
+  message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_network_status_tag;
+  message.body.network_status.skew_ppb = -1234;
+  decoder.take(frame_of(message), 1.0, got);
+  message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_reply_tag;
+  message.body.reply.request_id = 77;
+  decoder.take(frame_of(message), 1.0, got);
+  ASSERT_EQ(got.hellos.size(), 1U);
+  EXPECT_STREQ(got.hellos[0].version, "0.1.0");
+  ASSERT_EQ(got.logs.size(), 1U);
+  EXPECT_STREQ(got.logs[0].text, "no beacon");
+  EXPECT_EQ(got.node_counters.at(0).crc_errors, 5U);
+  EXPECT_EQ(got.statuses.at(0).skew_ppb, -1234);
+  EXPECT_EQ(got.replies.at(0).request_id, 77U);
+  EXPECT_EQ(decoder.counters().messages, 5U);
+}
+
+TEST(ReportDecoder, CountsFramesThatHoldNoMessage) {
+  ReportDecoder decoder(0);
+  Collected got;
+  for (const std::vector<std::uint8_t>& payload :
+       {std::vector<std::uint8_t>{}, {0xFF, 0xFF, 0xFF}, {0x0A, 0x7F}, {0xF8, 0x01, 0x01}}) {
+    std::vector<std::uint8_t> frame(wire::max_encoded_size(payload.size()));
+    frame.resize(wire::encode_frame(payload, frame));
+    decoder.take(frame, 1.0, got);
+  }
+  decoder.take(frame_of(make_report(0, 70'000, 5, {})), 1.0, got);
+  decoder.take(frame_of(make_report(0, 1, std::numeric_limits<std::uint64_t>::max(), {})), 1.0, got);
+  EXPECT_EQ(decoder.counters().messages, 0U);
+  EXPECT_EQ(decoder.counters().messages_malformed, 6U);
+  EXPECT_EQ(decoder.frame_counters().frames, 6U);
+}
+
+TEST(ReportDecoder, RelatesTheClocksAnewAfterReopening) {
+  ReportDecoder decoder(0);
+  Collected got;
+  const auto first =
+      frame_of(make_report(0, 1, static_cast<std::uint64_t>(dtu(10.0)), {make_range(1, 2.0, 0)}));
+  decoder.take(first, 100.0, got);
+  decoder.take(std::span(first).first(first.size() / 2), 100.1, got);
+  decoder.link_reopened();
+  // The node was restarted while it was unplugged, and has run for longer than before.
+  decoder.take(frame_of(make_report(1, 1, static_cast<std::uint64_t>(dtu(50.0)), {make_range(1, 2.0, 0)})),
+               200.0, got);
+  ASSERT_EQ(got.ranges.size(), 2U);
+  EXPECT_DOUBLE_EQ(got.ranges[1].t_s, 200.0);
+  EXPECT_EQ(decoder.time().counters().host_jumps, 0U);
+  EXPECT_EQ(decoder.frame_counters().crc_errors, 0U);
+}
+
+}  // namespace
+}  // namespace groma::link
