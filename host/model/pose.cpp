@@ -6,6 +6,7 @@
 namespace groma::model {
 
 double wrap_angle(double theta_rad) noexcept {
+  if (theta_rad > -std::numbers::pi && theta_rad <= std::numbers::pi) return theta_rad;
   const double wrapped = std::remainder(theta_rad, 2.0 * std::numbers::pi);
   return wrapped <= -std::numbers::pi ? std::numbers::pi : wrapped;
 }

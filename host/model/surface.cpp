@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace groma::model {
@@ -56,7 +57,10 @@ BSpline::BSpline(const Grid& grid, std::vector<double> heights_m)
 
 SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
   // A position that is not a number must not become an index.
-  if (!std::isfinite(x_m) || !std::isfinite(y_m)) return {std::nan(""), {}, {}};
+  if (!std::isfinite(x_m) || !std::isfinite(y_m)) {
+    constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+    return {kNone, Eigen::Vector2d::Constant(kNone), Eigen::Matrix2d::Constant(kNone)};
+  }
   const Cell cx = locate(x_m, grid_.x0_m, grid_.dx_m, grid_.nx);
   const Cell cy = locate(y_m, grid_.y0_m, grid_.dy_m, grid_.ny);
   const Basis bx = basis(cx.t);

@@ -1,0 +1,95 @@
+#include "host/model/range_model.hpp"
+
+#include <gtest/gtest.h>
+
+#include <numbers>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "test/support/numerical_jacobian.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::model {
+namespace {
+
+using test::numerical_jacobian;
+using test::Random;
+
+struct Scene {
+  RigidPose pose;
+  Eigen::Vector3d lever_arm_m;
+  Eigen::Vector3d anchor_m;
+  double beta_m;
+  double gamma;
+
+  explicit Scene(Random& random)
+      : lever_arm_m(random.gaussians(3)),
+        anchor_m(20.0 * random.gaussians(3)),
+        beta_m(random.gaussian()),
+        gamma(1.0 + 0.05 * random.gaussian()) {
+    pose.position_m = 10.0 * random.gaussians(3);
+    pose.rotation =
+        Eigen::AngleAxisd(random.uniform(-3.0, 3.0), random.gaussians(3).normalized()).toRotationMatrix();
+  }
+  RangePrediction predict() const { return predict_range(pose, lever_arm_m, anchor_m, beta_m, gamma); }
+};
+
+TEST(PredictRange, is_scaled_distance_plus_bias) {
+  const RigidPose pose{{1.0, 2.0, 3.0}, rotation_from_zyx(std::numbers::pi / 2.0, 0.0, 0.0)};
+  // The lever arm of (1, 0, 2) points along y: the tag stands at (1, 3, 5), 3-4-12 away from the anchor.
+  const RangePrediction prediction = predict_range(pose, {1.0, 0.0, 2.0}, {4.0, 7.0, 17.0}, 0.5, 1.02);
+  EXPECT_NEAR(prediction.distance_m, 13.0, 1e-12);
+  EXPECT_NEAR(prediction.range_m, 1.02 * 13.0 + 0.5, 1e-12);
+}
+
+TEST(PredictRange, derivatives_equal_numerical_ones) {
+  Random random(21);
+  for (int i = 0; i < 100; ++i) {
+    const Scene scene(random);
+    Eigen::VectorXd at(11);
+    at << scene.pose.position_m, scene.anchor_m, scene.lever_arm_m, scene.beta_m, scene.gamma;
+    const Eigen::MatrixXd numerical = numerical_jacobian(
+        [&](const Eigen::VectorXd& x) {
+          const RigidPose pose{x.head<3>(), scene.pose.rotation};
+          return Eigen::VectorXd::Constant(
+              1, predict_range(pose, x.segment<3>(6), x.segment<3>(3), x(9), x(10)).range_m);
+        },
+        at);
+    const RangePrediction prediction = scene.predict();
+    Eigen::MatrixXd exact(1, 11);
+    exact << prediction.d_position, prediction.d_anchor, prediction.d_lever_arm, 1.0, prediction.distance_m;
+    EXPECT_LT((exact - numerical).cwiseAbs().maxCoeff(), 1e-7);
+  }
+}
+
+TEST(PredictRange, has_no_direction_where_tag_and_anchor_meet) {
+  const RangePrediction prediction = predict_range({}, {1.0, 2.0, 3.0}, {1.0, 2.0, 3.0}, 0.25, 1.0);
+  EXPECT_EQ(prediction.range_m, 0.25);
+  EXPECT_EQ(prediction.d_position, Eigen::RowVector3d::Zero());
+  EXPECT_EQ(prediction.d_anchor, Eigen::RowVector3d::Zero());
+}
+
+TEST(RangeByPlanarPose, equals_the_numerical_derivative_on_curved_ground) {
+  const BSpline::Grid grid{.x0_m = -8.0, .y0_m = -8.0, .dx_m = 2.0, .dy_m = 2.0, .nx = 11, .ny = 11};
+  Random random(22);
+  std::vector<double> heights(static_cast<std::size_t>(grid.nx * grid.ny));
+  for (double& height : heights) height = 0.5 * random.gaussian();
+  const Surface surface = BSpline(grid, heights);
+  for (int i = 0; i < 100; ++i) {
+    const Scene scene(random);
+    const Eigen::Vector3d at(random.uniform(-7.0, 7.0), random.uniform(-7.0, 7.0), random.uniform(-3.0, 3.0));
+    const auto predict = [&](const Eigen::VectorXd& x) {
+      const SurfacePose pose = pose_on_surface(surface, {x(0), x(1), x(2)});
+      return predict_range(pose.pose, scene.lever_arm_m, scene.anchor_m, scene.beta_m, scene.gamma);
+    };
+    const Eigen::MatrixXd numerical = numerical_jacobian(
+        [&](const Eigen::VectorXd& x) { return Eigen::VectorXd::Constant(1, predict(x).range_m); }, at, 1e-6);
+    const Eigen::RowVector3d exact = range_by_planar_pose(
+        predict(at), pose_on_surface(surface, {at.x(), at.y(), at.z()}), scene.lever_arm_m);
+    EXPECT_LT((exact - numerical).cwiseAbs().maxCoeff(), 2e-6);
+  }
+}
+
+}  // namespace
+}  // namespace groma::model
