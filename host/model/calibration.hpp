@@ -32,8 +32,9 @@ struct AnchorCalibration {
   Eigen::MatrixXd covariance;
   std::size_t ranges_used = 0;
   std::size_t ranges_rejected = 0;
-  std::optional<double> held_out_rms_m;  // none: too few ranges were held out
-  std::optional<double> mirror_ratio;    // cost of the best solution over that of its mirror side, 0..1
+  std::optional<double> held_out_rms_m;         // none: too few ranges were held out
+  std::optional<double> held_out_robust_rms_m;  // the same from the median: outliers do not count
+  std::optional<double> mirror_ratio;  // cost of the best solution over that of its mirror side, 0..1
   AnchorVerdict verdict = AnchorVerdict::kNoData;
   std::string advice;  // empty when there is nothing to do
 };

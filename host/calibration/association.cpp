@@ -1,0 +1,180 @@
+#include "host/calibration/association.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <optional>
+
+namespace groma::calibration {
+namespace {
+
+// A two-way range beyond this is a wrapped stamp, not a distance.
+constexpr double kMaxRange_m = 1000.0;
+
+bool is_finite(const model::PoseSample& pose) noexcept {
+  return std::isfinite(pose.t_s) && std::isfinite(pose.x_m) && std::isfinite(pose.y_m) &&
+         std::isfinite(pose.z_m) && std::isfinite(pose.yaw_rad);
+}
+
+bool is_range(const model::RangeSample& sample) noexcept {
+  return std::isfinite(sample.t_s) && sample.range_m > 0.0 && sample.range_m <= kMaxRange_m;
+}
+
+std::vector<model::PoseSample> clean_poses(std::span<const model::PoseSample> poses) {
+  std::vector<model::PoseSample> out;
+  out.reserve(poses.size());
+  std::copy_if(poses.begin(), poses.end(), std::back_inserter(out), is_finite);
+  const auto earlier = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };
+  std::stable_sort(out.begin(), out.end(), earlier);
+  const auto same_instant = [](const auto& a, const auto& b) { return a.t_s == b.t_s; };
+  out.erase(std::unique(out.begin(), out.end(), same_instant), out.end());
+  return out;
+}
+
+double blend_angle(double from_rad, double to_rad, double fraction) noexcept {
+  return from_rad + fraction * model::wrap_angle(to_rad - from_rad);
+}
+
+// The robot between two neighbouring samples: pose at the range's instant and the motion across the gap.
+struct Motion {
+  model::RigidPose pose;
+  Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();
+  double yaw_rate_radps = 0.0;
+};
+
+// Walks along the poses as ranges come in time; a step back costs what it has to.
+class PoseCursor {
+ public:
+  PoseCursor(std::vector<model::PoseSample> poses, const model::Surface& surface, double max_gap_s,
+             HeightSource height)
+      : poses_(std::move(poses)), surface_(surface), max_gap_s_(max_gap_s), height_(height) {}
+
+  // Nothing outside the poses or within a longer gap of them. The result holds until the next call.
+  [[nodiscard]] const Motion* at(double t_s) {
+    if (t_s == last_t_s_) return found_ ? &motion_ : nullptr;
+    last_t_s_ = t_s;
+    found_ = false;
+    if (poses_.size() < 2) return nullptr;
+    while (next_ > 1 && poses_[next_ - 1].t_s > t_s) --next_;
+    while (next_ + 1 < poses_.size() && poses_[next_].t_s < t_s) ++next_;
+    const model::PoseSample& from = poses_[next_ - 1];
+    const model::PoseSample& to = poses_[next_];
+    if (t_s < from.t_s || t_s > to.t_s) return nullptr;
+    const double gap_s = to.t_s - from.t_s;
+    if (gap_s > max_gap_s_) return nullptr;
+    const double fraction = (t_s - from.t_s) / gap_s;
+    motion_.pose = interpolate_pose(from, to, fraction, surface_, height_);
+    motion_.velocity_mps = Eigen::Vector3d(to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m) / gap_s;
+    motion_.yaw_rate_radps = model::wrap_angle(to.yaw_rad - from.yaw_rad) / gap_s;
+    found_ = true;
+    return &motion_;
+  }
+
+ private:
+  std::vector<model::PoseSample> poses_;
+  const model::Surface& surface_;
+  double max_gap_s_;
+  HeightSource height_;
+  std::size_t next_ = 1;
+  std::optional<double> last_t_s_;
+  bool found_ = false;
+  Motion motion_;
+};
+
+}  // namespace
+
+model::RigidPose interpolate_pose(const model::PoseSample& from, const model::PoseSample& to, double fraction,
+                                  const model::Surface& surface, HeightSource height) noexcept {
+  const double x_m = from.x_m + fraction * (to.x_m - from.x_m);
+  const double y_m = from.y_m + fraction * (to.y_m - from.y_m);
+  const double yaw_rad = blend_angle(from.yaw_rad, to.yaw_rad, fraction);
+  const double roll_rad = blend_angle(from.roll_rad, to.roll_rad, fraction);
+  const double pitch_rad = blend_angle(from.pitch_rad, to.pitch_rad, fraction);
+  const bool roll_known = std::isfinite(roll_rad);
+  const bool pitch_known = std::isfinite(pitch_rad);
+
+  model::RigidPose pose;
+  pose.position_m = {x_m, y_m, from.z_m + fraction * (to.z_m - from.z_m)};
+  if (roll_known && pitch_known && height == HeightSource::kPose) {
+    pose.rotation = model::rotation_from_zyx(yaw_rad, pitch_rad, roll_rad);
+    return pose;
+  }
+  const model::SurfacePoint ground = surface.at(x_m, y_m);
+  if (height == HeightSource::kSurface) pose.position_m.z() = ground.z_m;
+  if (!roll_known && !pitch_known) {
+    const double c = std::cos(yaw_rad);
+    const double s = std::sin(yaw_rad);
+    Eigen::Matrix3d heading;
+    heading << c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0;
+    pose.rotation = model::surface_rotation(ground.gradient) * heading;
+    return pose;
+  }
+  // With a ZYX yaw, a robot on the ground pitches down by the slope ahead, and rolls by that to its left.
+  const double slope_ahead =
+      ground.gradient.x() * std::cos(yaw_rad) + ground.gradient.y() * std::sin(yaw_rad);
+  const double slope_left = ground.gradient.y() * std::cos(yaw_rad) - ground.gradient.x() * std::sin(yaw_rad);
+  const double ground_pitch_rad = -std::atan(slope_ahead);
+  const double ground_roll_rad = std::atan(slope_left * std::cos(ground_pitch_rad));
+  pose.rotation = model::rotation_from_zyx(yaw_rad, pitch_known ? pitch_rad : ground_pitch_rad,
+                                           roll_known ? roll_rad : ground_roll_rad);
+  return pose;
+}
+
+Association associate(const Drive& drive, double max_pose_gap_s, double range_delay_s, HeightSource height) {
+  Association out;
+  out.tags.assign(drive.tags.begin(), drive.tags.end());
+  std::erase_if(out.tags, [](const model::Tag& tag) { return !tag.lever_arm_m.allFinite(); });
+  const auto smaller_id = [](const auto& a, const auto& b) { return a.id < b.id; };
+  std::stable_sort(out.tags.begin(), out.tags.end(), smaller_id);
+  const auto same_id = [](const auto& a, const auto& b) { return a.id == b.id; };
+  out.tags.erase(std::unique(out.tags.begin(), out.tags.end(), same_id), out.tags.end());
+
+  std::map<model::NodeId, std::size_t> count;
+  for (const model::RangeSample& sample : drive.ranges) ++count[sample.anchor_id];
+  std::map<model::NodeId, std::size_t> index;
+  for (const auto& [id, n] : count) {
+    index[id] = out.anchors.size();
+    out.anchors.push_back({.id = id, .rows = {}, .rejected = 0});
+    out.anchors.back().rows.reserve(n);
+  }
+
+  const model::Surface flat;
+  PoseCursor cursor(clean_poses(drive.poses), drive.surface != nullptr ? *drive.surface : flat,
+                    max_pose_gap_s, height);
+  for (const model::RangeSample& sample : drive.ranges) {
+    AnchorObservations& anchor = out.anchors[index.at(sample.anchor_id)];
+    const auto tag = std::lower_bound(out.tags.begin(), out.tags.end(), sample.tag_id,
+                                      [](const model::Tag& a, model::NodeId id) { return a.id < id; });
+    const bool known_tag = tag != out.tags.end() && tag->id == sample.tag_id;
+    const Motion* motion = known_tag && is_range(sample) ? cursor.at(sample.t_s - range_delay_s) : nullptr;
+    if (motion == nullptr) {
+      ++anchor.rejected;
+      continue;
+    }
+    const Eigen::Vector3d arm_m = motion->pose.rotation * tag->lever_arm_m;
+    Observation& row = anchor.rows.emplace_back();
+    row.t_s = sample.t_s;
+    row.range_m = sample.range_m;
+    row.tag_m = motion->pose.position_m + arm_m;
+    row.yaw_arm_m = {-arm_m.y(), arm_m.x()};
+    row.velocity_mps = motion->velocity_mps;
+    row.velocity_mps.head<2>() += motion->yaw_rate_radps * row.yaw_arm_m;
+    row.tag = static_cast<std::uint32_t>(tag - out.tags.begin());
+  }
+  return out;
+}
+
+double height_disagreement_m(const Drive& drive) noexcept {
+  if (drive.surface == nullptr) return 0.0;
+  double square_m2 = 0.0;
+  std::size_t n = 0;
+  for (const model::PoseSample& pose : drive.poses) {
+    if (!is_finite(pose)) continue;
+    const double difference_m = pose.z_m - drive.surface->at(pose.x_m, pose.y_m).z_m;
+    square_m2 += difference_m * difference_m;
+    ++n;
+  }
+  return n > 0 ? std::sqrt(square_m2 / static_cast<double>(n)) : 0.0;
+}
+
+}  // namespace groma::calibration

@@ -1,0 +1,252 @@
+#include "host/calibration/calibrate.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "host/calibration/association.hpp"
+#include "host/calibration/initial_guess.hpp"
+#include "host/calibration/site_solver.hpp"
+#include "host/calibration/uncertainty.hpp"
+#include "host/calibration/verdict.hpp"
+
+namespace groma::calibration {
+namespace {
+
+// Poses whose height differs from the ground's by more than this are tried at both heights.
+constexpr double kHeightDisagreement_m = 0.1;
+constexpr std::size_t kRivalRowsPerTag = 150;
+constexpr int kRivalIterations = 15;
+constexpr std::size_t kMinHeldOut = 10;
+// Median of the absolute value of a standard normal.
+constexpr double kMedianAbsolute = 0.6744897501960817;
+
+double finite_or(double value, double fallback) {
+  return std::isfinite(value) ? value : fallback;
+}
+
+// Priors that no arithmetic trips over.
+model::RangePriors usable_priors(const model::RangePriors& given) {
+  const model::RangePriors fallback;
+  const auto sigma = [](double value, double instead) {
+    return std::max(std::isfinite(value) && value > 0.0 ? value : instead, 1e-6);
+  };
+  model::RangePriors out;
+  out.sigma_m = std::max(sigma(given.sigma_m, fallback.sigma_m), 1e-3);
+  out.beta_m = {finite_or(given.beta_m.mean, fallback.beta_m.mean),
+                sigma(given.beta_m.sigma, fallback.beta_m.sigma)};
+  out.gamma = {finite_or(given.gamma.mean, fallback.gamma.mean),
+               sigma(given.gamma.sigma, fallback.gamma.sigma)};
+  if (!(out.gamma.mean > 0.1)) out.gamma.mean = fallback.gamma.mean;
+  return out;
+}
+
+double total_cost(std::span<const AnchorFit> fits) {
+  double cost = 0.0;
+  for (const AnchorFit& fit : fits) cost += fit.cost;
+  return cost;
+}
+
+// The instant that parts the drive from its held-out end.
+double held_out_from(const Association& association, double fraction) {
+  double begin_s = std::numeric_limits<double>::infinity();
+  double end_s = -std::numeric_limits<double>::infinity();
+  for (const AnchorObservations& anchor : association.anchors) {
+    if (anchor.rows.empty()) continue;
+    begin_s = std::min(begin_s, anchor.rows.front().t_s);
+    end_s = std::max(end_s, anchor.rows.back().t_s);
+  }
+  return end_s - std::clamp(fraction, 0.0, 0.9) * (end_s - begin_s);
+}
+
+struct HeldOut {
+  std::optional<double> rms_m;
+  std::optional<double> robust_rms_m;
+  std::optional<double> share_of_scale;  // robust rms over the fit's own scale
+};
+
+HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows, double from_s) {
+  std::vector<double> absolute_m;
+  double square_m2 = 0.0;
+  double scale_m = 0.0;
+  for (const Observation& row : rows) {
+    if (row.t_s <= from_s) continue;
+    const double r = residual_m(row, first.anchor, first.problem.tag_count);
+    square_m2 += r * r;
+    scale_m += first.kernels[row.tag].shape().scale_m;
+    absolute_m.push_back(std::abs(r));
+  }
+  HeldOut out;
+  if (absolute_m.size() < kMinHeldOut) return out;
+  const double n = static_cast<double>(absolute_m.size());
+  out.rms_m = std::sqrt(square_m2 / n);
+  const auto middle = absolute_m.begin() + static_cast<std::ptrdiff_t>(absolute_m.size() / 2);
+  std::nth_element(absolute_m.begin(), middle, absolute_m.end());
+  out.robust_rms_m = *middle / kMedianAbsolute;
+  out.share_of_scale = *out.robust_rms_m / (scale_m / n);
+  return out;
+}
+
+// The best solution on the other side of the tags along one of their axes, and how well it does.
+Rival find_rival(const AnchorFit& fit, const TagSpread& spread, int axis, double inflation) {
+  AnchorProblem problem = fit.problem;
+  const std::vector<Observation> few =
+      spread_along_the_way(problem.rows, problem.tag_count, kRivalRowsPerTag);
+  problem.rows = few;
+  const double rows_per_row = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
+  const AnchorSolution here = solve_anchor(problem, fit.kernels, fit.anchor, kRivalIterations);
+
+  AnchorVector start = here.anchor;
+  start.head<3>() = spread.mirror(here.anchor.head<3>(), axis);
+  AnchorSolution there = solve_anchor(problem, fit.kernels, start, kRivalIterations);
+  const Eigen::Vector3d normal = spread.axes.col(axis);
+  const double side = normal.dot(here.anchor.head<3>() - spread.center_m);
+  if (normal.dot(there.anchor.head<3>() - spread.center_m) * side > 0.0) {
+    // No valley over there: the cost at the mirrored distance from the tags has to speak for it.
+    const double sigma_m = 0.01;
+    problem.position.information += normal * normal.transpose() / (sigma_m * sigma_m);
+    problem.position.mean_m = start.head<3>();
+    there = solve_anchor(problem, fit.kernels, start, kRivalIterations);
+  }
+  double perfect = 0.0;
+  for (const Observation& row : few) perfect += fit.kernels[row.tag].at(0.0).cost;
+  Rival rival;
+  rival.position_m = there.anchor.head<3>();
+  rival.cost_excess = std::max(0.0, there.cost - here.cost) * rows_per_row / std::max(1.0, inflation);
+  rival.cost_ratio = std::clamp((here.cost - perfect) / std::max(there.cost - perfect, 1e-9), 0.0, 1.0);
+  return rival;
+}
+
+// The spread that a rival adds: were it the truth with the probability that its cost leaves it.
+void admit_rival(const Rival& rival, const Eigen::Vector3d& position_m, Eigen::MatrixXd& covariance) {
+  const double odds = std::exp(-rival.cost_excess);
+  const Eigen::Vector3d offset_m = rival.position_m - position_m;
+  covariance.topLeftCorner<3, 3>() += odds / (1.0 + odds) * offset_m * offset_m.transpose();
+}
+
+double in_sight_share(const AnchorFit& fit) {
+  double in_sight = 0.0;
+  for (const Observation& row : fit.problem.rows) {
+    const KernelShares shares =
+        fit.kernels[row.tag].shares(residual_m(row, fit.anchor, fit.problem.tag_count));
+    in_sight += shares.core + shares.wide;
+  }
+  return in_sight / std::max<double>(1.0, static_cast<double>(fit.problem.rows.size()));
+}
+
+double nearest_antenna_m(const AnchorFit& fit) {
+  double nearest_m = std::numeric_limits<double>::infinity();
+  for (const Observation& row : fit.problem.rows) {
+    nearest_m = std::min(nearest_m, (row.tag_m - fit.anchor.head<3>()).norm());
+  }
+  return std::isfinite(nearest_m) ? nearest_m : 0.0;
+}
+
+// Ranges that the kernel holds for blocked or gross count as rejected.
+std::size_t rejected_rows(const AnchorFit& fit) {
+  std::size_t out = 0;
+  for (const Observation& row : fit.problem.rows) {
+    const KernelShares shares =
+        fit.kernels[row.tag].shares(residual_m(row, fit.anchor, fit.problem.tag_count));
+    if (shares.blocked + shares.gross > 0.5) ++out;
+  }
+  return out;
+}
+
+std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen::MatrixXd& covariance,
+                                         std::span<const model::Tag> tags) {
+  std::vector<model::PairBias> out;
+  for (std::size_t tag = 0; tag < tags.size(); ++tag) {
+    const Eigen::Index beta = beta_index(tag);
+    const Eigen::Index gamma = gamma_index(tag, tags.size());
+    out.push_back({.tag_id = tags[tag].id,
+                   .beta_m = anchor(beta),
+                   .beta_sigma_m = std::sqrt(covariance(beta, beta)),
+                   .gamma = anchor(gamma),
+                   .gamma_sigma = std::sqrt(covariance(gamma, gamma))});
+  }
+  return out;
+}
+
+// The site solved with the better of the two heights that the robot may have had.
+struct Site {
+  Association association;
+  std::vector<AnchorFit> fits;
+};
+
+SiteProblem site_problem(const Drive& drive, const Options& options, const Association& association) {
+  return {.association = &association,
+          .priors = usable_priors(drive.priors),
+          .known_anchors = drive.known_anchors,
+          .known_anchor_sigma_m = options.known_anchor_sigma_m,
+          .end_s = std::numeric_limits<double>::infinity()};
+}
+
+Site solve_at_height(const Drive& drive, const Options& options, HeightSource height) {
+  Site site;
+  site.association = associate(drive, options.max_pose_gap_s, 0.0, height);
+  site.fits = solve_site(site_problem(drive, options, site.association), {});
+  return site;
+}
+
+Site solve_at_best_height(const Drive& drive, const Options& options) {
+  Site site = solve_at_height(drive, options, HeightSource::kPose);
+  if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
+  Site other = solve_at_height(drive, options, HeightSource::kSurface);
+  return total_cost(other.fits) < total_cost(site.fits) ? std::move(other) : std::move(site);
+}
+
+}  // namespace
+
+Result calibrate(const Drive& drive, const Options& options) {
+  const Site site = solve_at_best_height(drive, options);
+  const Association& association = site.association;
+
+  SiteProblem beginning = site_problem(drive, options, association);
+  beginning.end_s = held_out_from(association, options.held_out_fraction);
+  const std::vector<AnchorFit> first = solve_site(beginning, {});
+
+  std::vector<Evidence> evidence;
+  for (const AnchorFit& fit : site.fits) evidence.push_back(gather_evidence(fit));
+  const std::vector<double> inflation = score_inflation(evidence);
+
+  Result result;
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    const AnchorFit& fit = site.fits[i];
+    const AnchorObservations& data = association.anchors[i];
+    model::AnchorCalibration anchor;
+    anchor.id = data.id;
+    anchor.position_m = fit.anchor.head<3>();
+    anchor.covariance = anchor_covariance(evidence[i], inflation[i]);
+    const std::size_t rejected = rejected_rows(fit);
+    anchor.ranges_used = data.rows.size() - rejected;
+    anchor.ranges_rejected = data.rejected + rejected;
+
+    AnchorEvidence known;
+    known.surveyed = fit.problem.position.surveyed;
+    known.spread = tag_spread(fit.problem.rows);
+    known.nearest_m = nearest_antenna_m(fit);
+    known.in_sight_share = in_sight_share(fit);
+    if (!known.surveyed && !data.rows.empty()) {
+      known.mirror = find_rival(fit, known.spread, 2, inflation[i]);
+      known.side = find_rival(fit, known.spread, 1, inflation[i]);
+      admit_rival(*known.mirror, anchor.position_m, anchor.covariance);
+      admit_rival(*known.side, anchor.position_m, anchor.covariance);
+      anchor.mirror_ratio = known.mirror->cost_ratio;
+    }
+    const HeldOut held_out = score_held_out(first[i], data.rows, beginning.end_s);
+    anchor.held_out_rms_m = held_out.rms_m;
+    anchor.held_out_robust_rms_m = held_out.robust_rms_m;
+    known.held_out_z = held_out.share_of_scale;
+
+    anchor.pairs = pair_biases(fit.anchor, anchor.covariance, association.tags);
+    judge_anchor(known, anchor);
+    result.ranges_used += anchor.ranges_used;
+    result.ranges_rejected += anchor.ranges_rejected;
+    result.calibration.anchors.push_back(std::move(anchor));
+  }
+  result.calibration.verdict = judge_site(result.calibration.anchors);
+  return result;
+}
+
+}  // namespace groma::calibration

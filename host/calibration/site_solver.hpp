@@ -1,0 +1,42 @@
+// All anchors of a drive: each solved by itself, with kernels that learn from all of them.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/calibration/anchor_solver.hpp"
+#include "host/calibration/association.hpp"
+#include "host/calibration/robust_kernel.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::calibration {
+
+// One anchor's solution, with what made it.
+struct AnchorFit {
+  AnchorProblem problem;  // its rows belong to the association
+  AnchorVector anchor;
+  std::vector<RobustKernel> kernels;  // one a tag
+  double cost = 0.0;
+};
+
+struct SiteProblem {
+  const Association* association = nullptr;
+  model::RangePriors priors;
+  std::span<const model::Anchor> known_anchors;
+  double known_anchor_sigma_m = 0.02;
+  double end_s = 0.0;  // rows later than this are left out
+};
+
+// In the order of the association's anchors; `starts`, where not empty, gives a further start of each.
+// An anchor without rows stays at its prior.
+[[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
+                                                std::span<const AnchorVector> starts);
+
+// Learns the kernels and solves each anchor anew from where it is, a few rounds.
+void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int rounds);
+
+}  // namespace groma::calibration

@@ -1,0 +1,31 @@
+// How far an anchor's solution can be trusted: covariance from the undamped information, corrected for
+// residuals that hang together in time.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/calibration/site_solver.hpp"
+
+namespace groma::calibration {
+
+// The statistics of one anchor's rows at its solution.
+struct Evidence {
+  Eigen::MatrixXd information;  // of priors and data, at the kernels' mean curvature
+  Eigen::MatrixXd prior_information;
+  Eigen::MatrixXd score_variance;       // of the data's gradient, were residuals independent
+  std::vector<Eigen::VectorXd> scores;  // the data's gradient in each short block of the drive
+};
+[[nodiscard]] Evidence gather_evidence(const AnchorFit& fit);
+
+// How much more the score scatters than independent residuals would make it: 1 for white residuals, else
+// about the number of ranges that together carry one range's information. One figure an anchor: the site's
+// mean, or its own where that is clearly larger.
+[[nodiscard]] std::vector<double> score_inflation(std::span<const Evidence> evidence);
+
+// Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1.
+[[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
+
+}  // namespace groma::calibration
