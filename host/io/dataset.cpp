@@ -14,6 +14,7 @@
 #include "host/io/csv.hpp"
 #include "host/io/error.hpp"
 #include "host/io/input_file.hpp"
+#include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
 
 namespace groma::io {
@@ -23,9 +24,7 @@ namespace {
 using Presence = CsvReader::Presence;
 
 constexpr std::array<std::string_view, 2> kOrigins{"recorded", "simulated"};
-constexpr std::array<std::string_view, 2> kSurfaceTypes{"plane", "bspline"};
 constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
-constexpr int kMaxSurfaceCells = 10'000;  // along one axis
 
 // Rows in the order of time. A row more than kMaxLateness_s behind the latest before it is dropped; so is one
 // that has jumped ahead of most rows that follow, which else would make all of those late.
@@ -184,80 +183,6 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
   return poses;
 }
 
-// The grid's line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights.
-model::BSpline parse_spline(const std::filesystem::path& path, std::string_view text) {
-  LineReader lines(text);
-  // All fields of the line as numbers.
-  const auto numbers = [&](std::size_t count, std::string_view meaning, std::vector<double>& out) {
-    std::string_view rest = lines.line();
-    std::size_t found = 0;
-    for (bool more = true; more; ++found) {
-      const auto column = static_cast<std::size_t>(rest.data() - lines.line().data()) + 1;
-      const std::size_t comma = rest.find(',');
-      more = comma != std::string_view::npos;
-      if (found < count) out.push_back(parse_number(rest.substr(0, comma), {path, lines.number(), column}));
-      rest = more ? rest.substr(comma + 1) : rest.substr(rest.size());
-    }
-    if (found != count) {
-      throw DataError({path, lines.number()}, fmt::format("the row has {} numbers", found),
-                      fmt::format("it has to have {}: {}", count, meaning));
-    }
-  };
-
-  if (!lines.next())
-    throw DataError({path, 1}, "the file is empty", "its first line is x0_m,y0_m,dx_m,dy_m,nx,ny");
-  std::vector<double> header;
-  numbers(6, "x0_m,y0_m,dx_m,dy_m,nx,ny", header);
-  const FilePlace header_place{path, lines.number()};
-  if (!(header[2] > 0.0) || !(header[3] > 0.0)) {
-    throw DataError(header_place, "dx_m and dy_m have to be above 0", "give the grid's steps in metres");
-  }
-  const auto count = [&](double value, std::string_view name) {
-    if (!(value >= 4.0 && value <= kMaxSurfaceCells) || value != std::floor(value)) {
-      throw DataError(header_place, fmt::format("{} is {}", name, value),
-                      fmt::format("it has to be a whole number from 4 to {}", kMaxSurfaceCells));
-    }
-    return static_cast<int>(value);
-  };
-  const model::BSpline::Grid grid{
-      header[0], header[1], header[2], header[3], count(header[4], "nx"), count(header[5], "ny")};
-
-  std::vector<double> heights_m;
-  int rows = 0;
-  while (lines.next()) {
-    if (rows == grid.nx) {
-      throw DataError({path, lines.number()}, fmt::format("there are more than nx = {} rows", grid.nx),
-                      "take the rest out, or mend nx");
-    }
-    numbers(static_cast<std::size_t>(grid.ny), "the ny control heights of the row", heights_m);
-    ++rows;
-  }
-  if (rows != grid.nx) {
-    throw DataError({path, lines.number()}, fmt::format("there are {} rows of heights", rows),
-                    fmt::format("nx asks for {}", grid.nx));
-  }
-  return {grid, std::move(heights_m)};
-}
-
-model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
-  if (yaml.find("type").has_value() && yaml.at("type").one_of(kSurfaceTypes) == 1) {
-    yaml.expect_keys({{"type", "file"}});
-    const std::string file = yaml.at("file").text();
-    if (file.empty()) yaml.at("file").fail("is empty", "name the file, such as surface.csv");
-    const std::filesystem::path path = folder / file;
-    return parse_spline(path, files.read(path));
-  }
-  yaml.expect_keys({{"type", "z_m", "normal"}});
-  const std::vector<double> normal = yaml.at("normal").numbers(3);
-  if (!(normal[2] > 0.0)) yaml.at("normal").fail("does not point up", "its z component has to be above 0");
-  return model::Plane(yaml.at("z_m").number(), {normal[0], normal[1], normal[2]});
-}
-
-model::ScalarPrior parse_prior(const YamlValue& yaml) {
-  const std::vector<YamlValue> values = yaml.list_of(2);
-  return {values[0].number(), values[1].positive_number()};
-}
-
 void parse_description(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files,
                        Dataset& dataset) {
   yaml.expect_keys({{"schema", "name", "origin", "odometry", "range", "surface"}});
@@ -267,18 +192,8 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
   dataset.name = yaml.at("name").text();
   dataset.origin = kOrigins.at(yaml.at("origin").one_of(kOrigins));
 
-  const YamlValue odometry = yaml.at("odometry");
-  odometry.expect_keys({{"sigma_vx_mps", "sigma_vy_mps", "sigma_omega_radps"}});
-  dataset.odometry_noise = {odometry.at("sigma_vx_mps").positive_number(),
-                            odometry.at("sigma_vy_mps").positive_number(),
-                            odometry.at("sigma_omega_radps").positive_number()};
-
-  const YamlValue range = yaml.at("range");
-  range.expect_keys({{"sigma_m"}, {"beta_m", "gamma"}});
-  dataset.range_priors.sigma_m = range.at("sigma_m").positive_number();
-  if (const auto beta_m = range.find("beta_m")) dataset.range_priors.beta_m = parse_prior(*beta_m);
-  if (const auto gamma = range.find("gamma")) dataset.range_priors.gamma = parse_prior(*gamma);
-
+  dataset.odometry_noise = parse_odometry_noise(yaml.at("odometry"));
+  dataset.range_priors = parse_range_priors(yaml.at("range"));
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
 }
 

@@ -9,20 +9,30 @@ namespace groma::io {
 
 class Descriptor {
  public:
-  explicit Descriptor(int fd) : fd_(fd) {}
+  Descriptor() = default;
+  explicit Descriptor(int fd) noexcept : fd_(fd) {}
   ~Descriptor() { close(); }
+  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  Descriptor& operator=(Descriptor&& other) noexcept {
+    if (this != &other) {
+      close();
+      fd_ = std::exchange(other.fd_, -1);
+    }
+    return *this;
+  }
   Descriptor(const Descriptor&) = delete;
   Descriptor& operator=(const Descriptor&) = delete;
 
-  [[nodiscard]] int get() const { return fd_; }
+  [[nodiscard]] int get() const noexcept { return fd_; }
+  [[nodiscard]] bool valid() const noexcept { return fd_ >= 0; }
   // As ::close(); 0 if it is closed already.
-  int close() {
+  int close() noexcept {
     const int fd = std::exchange(fd_, -1);
     return fd >= 0 ? ::close(fd) : 0;
   }
 
  private:
-  int fd_;
+  int fd_ = -1;
 };
 
 }  // namespace groma::io

@@ -1,40 +1,15 @@
-// A file descriptor with an owner, and what the links over one share.
+// What links over a file descriptor share.
 #pragma once
-
-#include <unistd.h>
 
 #include <string>
 #include <utility>
 
+#include "host/io/descriptor.hpp"
 #include "host/link/byte_link.hpp"
 
 namespace groma::link {
 
-class Descriptor {
- public:
-  Descriptor() = default;
-  explicit Descriptor(int fd) noexcept : fd_(fd) {}
-  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Descriptor& operator=(Descriptor&& other) noexcept {
-    if (this != &other) {
-      close();
-      fd_ = std::exchange(other.fd_, -1);
-    }
-    return *this;
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  ~Descriptor() { close(); }
-
-  [[nodiscard]] int get() const noexcept { return fd_; }
-  [[nodiscard]] bool valid() const noexcept { return fd_ >= 0; }
-  void close() noexcept {
-    if (fd_ >= 0) ::close(std::exchange(fd_, -1));
-  }
-
- private:
-  int fd_ = -1;
-};
+using io::Descriptor;
 
 // What open(2), connect(2) or flock(2) on `path` meant by `error_number`, with its remedy.
 [[nodiscard]] LinkError explain_open_error(const std::string& path, int error_number);
