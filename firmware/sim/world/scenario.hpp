@@ -1,0 +1,69 @@
+// What a simulated run is made of: the site, the nodes, the robot's drives, the radio's faults and the links.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "firmware/sim/world/path.hpp"
+#include "firmware/sim/world/robot.hpp"
+#include "firmware/sim/world/site.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::sim {
+
+// A part of the robot's way; the next begins where it ends, with a stop between.
+struct DriveLeg {
+  std::string name;
+  std::vector<Waypoint> waypoints;
+};
+
+// How the biases z = gamma d + beta of each pair of tag and anchor are drawn: Gaussian, within bounds.
+struct BiasOptions {
+  model::ScalarPrior beta_m{0.0, 0.0};
+  double beta_min_m = -1.0;
+  double beta_max_m = 1.2;
+  model::ScalarPrior gamma{1.0, 0.0};
+};
+
+struct RadioOptions {
+  double clock_ppm = 20.0;      // of each node's crystal, uniform within +-
+  double stamp_sigma_ns = 0.1;  // of each receive stamp
+  double loss = 0.02;           // of each frame at each receiver
+};
+
+// The superframe and the physical layer, as the nodes are configured.
+struct ScheduleOptions {
+  enum class Method { kFinal, kNextPoll };
+  Method method = Method::kFinal;
+  unsigned preamble = 128;       // symbols: 64, 128 or 256
+  unsigned turn_round_us = 300;  // end of a received frame to the preamble of the answer
+  unsigned response_gap_us = 100;
+  unsigned guard_us = 30;
+};
+
+struct LinkOptions {
+  unsigned bit_per_s = 1'000'000;  // 8N1: ten bits a byte
+};
+
+struct Scenario {
+  std::string name;
+  model::Surface ground;
+  std::vector<Material> materials;
+  std::vector<Wall> walls;
+  RadioClimate climate;
+  std::vector<model::Anchor> anchors;  // by id
+  std::vector<model::Tag> tags;        // by id
+  BiasOptions biases;
+  PathOptions path;
+  std::vector<DriveLeg> drives;  // at least one
+  OdometryOptions odometry;
+  PosePriorOptions pose_prior;
+  RadioOptions radio;
+  ScheduleOptions schedule;
+  LinkOptions link;
+  double range_sigma_m = 0.08;  // what estimators are told of the noise of a range
+};
+
+}  // namespace groma::sim

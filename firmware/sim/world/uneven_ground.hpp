@@ -1,0 +1,27 @@
+// Ground that is flat but for some areas with a slope and gentle waves.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/model/surface.hpp"
+
+namespace groma::sim {
+
+// Within the rectangle; it comes in smoothly over edge_m from the border.
+struct UnevenArea {
+  Eigen::Vector2d from_m = Eigen::Vector2d::Zero();
+  Eigen::Vector2d to_m = Eigen::Vector2d::Zero();
+  double edge_m = 2.0;
+  Eigen::Vector2d slope = Eigen::Vector2d::Zero();  // dz/dx, dz/dy, from the corner from_m
+  double height_m = 0.0;                            // standard deviation of the waves
+  double wave_m = 4.0;                              // distance over which they change
+};
+
+// Control heights at the grid's points. Outside all areas z is 0.
+[[nodiscard]] model::BSpline uneven_ground(const model::BSpline::Grid& grid,
+                                           const std::vector<UnevenArea>& areas, std::uint64_t seed);
+
+}  // namespace groma::sim

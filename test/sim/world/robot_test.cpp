@@ -1,0 +1,186 @@
+#include "firmware/sim/world/robot.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include <Eigen/Dense>
+
+#include "firmware/sim/world/uneven_ground.hpp"
+
+namespace groma::sim {
+namespace {
+
+model::Surface hilly_ground() {
+  return uneven_ground({-6.0, -6.0, 1.0, 1.0, 30, 24},
+                       {{{-5.0, -5.0}, {20.0, 15.0}, 2.0, {0.05, -0.02}, 0.15, 3.0}}, 3);
+}
+
+Robot robot(const OdometryOptions& odometry, const PosePriorOptions& prior, std::uint64_t seed = 1) {
+  const std::vector<Waypoint> waypoints = {{0.0, 0.0, 0.2, 0.0},
+                                           {8.0, 0.0, 1.5, 1.0},
+                                           {8.0, 5.0, {}, 0.0},
+                                           {0.0, 6.0, -2.0, 0.0},
+                                           {1.0, 1.0, 0.5, 0.0}};
+  PathOptions options;
+  options.drive = Drive::kOmnidirectional;
+  return {hilly_ground(), Path(waypoints, options), odometry, prior, KeyedRandom(seed)};
+}
+
+OdometryOptions exact_odometry() {
+  OdometryOptions options;
+  options.noise = {0.0, 0.0, 0.0};
+  options.scale_sigma = 0.0;
+  options.yaw_rate_bias_sigma_radps = 0.0;
+  return options;
+}
+
+TEST(Robot, BodyVelocityIsTheNumericalDerivativeOfThePose) {
+  const Robot subject = robot({}, {});
+  constexpr double kStep_s = 1e-5;
+  double steepest = 0.0;
+  for (double t = 0.5; t < subject.path().duration_s(); t += 0.219) {
+    const model::RigidPose before = subject.pose(t - kStep_s).pose;
+    const model::RigidPose after = subject.pose(t + kStep_s).pose;
+    const Eigen::Matrix3d rotation = subject.pose(t).pose.rotation;
+    const Eigen::Vector3d velocity =
+        rotation.transpose() * (after.position_m - before.position_m) / (2.0 * kStep_s);
+    const Eigen::Matrix3d spin = rotation.transpose() * (after.rotation - before.rotation) / (2.0 * kStep_s);
+    const BodyVelocity body = subject.velocity(t);
+    EXPECT_NEAR(body.vx_mps, velocity.x(), 1e-6) << t;
+    EXPECT_NEAR(body.vy_mps, velocity.y(), 1e-6) << t;
+    EXPECT_NEAR(velocity.z(), 0.0, 1e-6) << t;
+    EXPECT_NEAR(body.omega_radps, 0.5 * (spin(1, 0) - spin(0, 1)), 1e-6) << t;
+    steepest = std::max(steepest, std::abs(rotation(2, 0)));
+  }
+  EXPECT_GT(steepest, 0.05) << "the test has to be on a slope";
+}
+
+TEST(Robot, StandsOnTheGroundAndAlongIt) {
+  const Robot subject = robot({}, {});
+  for (double t = 0.0; t < subject.path().duration_s(); t += 0.5) {
+    const model::SurfacePose pose = subject.pose(t);
+    const model::PoseSample truth = subject.truth(t);
+    const model::SurfacePoint ground = subject.ground().at(truth.x_m, truth.y_m);
+    EXPECT_NEAR(truth.z_m, ground.z_m, 1e-12);
+    const Eigen::Vector3d normal =
+        Eigen::Vector3d(-ground.gradient.x(), -ground.gradient.y(), 1.0).normalized();
+    EXPECT_LT((pose.pose.rotation.col(2) - normal).norm(), 1e-12);
+  }
+}
+
+// Integrates rows as rigid motions: nothing of the filter's propagation.
+TEST(Robot, NoiseFreeRowsReproduceTheWay) {
+  const Robot subject = robot(exact_odometry(), {});
+  const auto rows =
+      static_cast<std::uint64_t>(subject.path().duration_s() * subject.odometry_options().rate_hz);
+  const double interval_s = 1.0 / subject.odometry_options().rate_hz;
+  model::PoseSample start = subject.truth(0.0);
+  Eigen::Vector2d at(start.x_m, start.y_m);
+  double theta = start.yaw_rad;
+  for (std::uint64_t k = 0; k < rows; ++k) {
+    const model::OdometrySample row = subject.odometry(k);
+    constexpr int kPieces = 4;
+    for (int piece = 0; piece < kPieces; ++piece) {
+      const double dt = interval_s / kPieces;
+      const model::SurfacePose pose =
+          model::pose_on_surface(subject.ground(), {at.x(), at.y(), theta + 0.5 * dt * row.omega_radps});
+      const Eigen::Vector3d step = pose.pose.rotation * Eigen::Vector3d(row.vx_mps, row.vy_mps, 0.0) * dt;
+      // What the tilting of the ground alone turns the body by, about its own normal.
+      const Eigen::Matrix3d tilting = pose.rotation_wt.transpose() *
+                                      (pose.d_rotation_wt_d_x * step.x() + pose.d_rotation_wt_d_y * step.y());
+      at += step.head<2>();
+      theta += row.omega_radps * dt - 0.5 * (tilting(1, 0) - tilting(0, 1));
+    }
+  }
+  const model::PoseSample end = subject.truth(static_cast<double>(rows) * interval_s);
+  EXPECT_NEAR(at.x(), end.x_m, 2e-3);
+  EXPECT_NEAR(at.y(), end.y_m, 2e-3);
+  EXPECT_NEAR(model::wrap_angle(theta - end.yaw_rad), 0.0, 5e-4);
+}
+
+TEST(Robot, OdometryErrorsAreWhiteConstantScaleAndBias) {
+  const OdometryOptions options;
+  const Robot exact = robot(exact_odometry(), {});
+  double scales = 0.0;
+  double biases = 0.0;
+  constexpr int kSeeds = 300;
+  for (int seed = 0; seed < kSeeds; ++seed) {
+    const Robot subject = robot(options, {}, static_cast<std::uint64_t>(seed));
+    double with = 0.0;
+    double square = 0.0;
+    double turn = 0.0;
+    constexpr std::uint64_t kFirst = 150;  // on the first leg, along x
+    constexpr std::uint64_t kRows = 200;
+    for (std::uint64_t k = kFirst; k < kFirst + kRows; ++k) {
+      const model::OdometrySample told = subject.odometry(k);
+      const model::OdometrySample true_row = exact.odometry(k);
+      with += told.vx_mps * true_row.vx_mps + told.vy_mps * true_row.vy_mps;
+      square += true_row.vx_mps * true_row.vx_mps + true_row.vy_mps * true_row.vy_mps;
+      turn += told.omega_radps - true_row.omega_radps;
+    }
+    const double scale = with / square - 1.0;
+    scales += scale * scale;
+    biases += (turn / kRows) * (turn / kRows);
+  }
+  // The white part averages out to 0.0014 and 0.0004.
+  EXPECT_NEAR(std::sqrt(scales / kSeeds), std::hypot(options.scale_sigma, 0.0016), 0.0012);
+  EXPECT_NEAR(std::sqrt(biases / kSeeds), std::hypot(options.yaw_rate_bias_sigma_radps, 0.00042), 0.00012);
+
+  const Robot subject = robot(options, {}, 1);
+  double squares = 0.0;
+  double neighbours = 0.0;
+  double last = 0.0;
+  constexpr std::uint64_t kRows = 1500;
+  for (std::uint64_t k = 0; k < kRows; ++k) {
+    const double error = subject.odometry(k).omega_radps - exact.odometry(k).omega_radps;
+    squares += error * error;
+    neighbours += error * last;
+    last = error;
+  }
+  EXPECT_NEAR(std::sqrt(squares / kRows), options.noise.sigma_omega_radps, 0.0005);
+  EXPECT_NEAR(neighbours / squares, 0.0, 0.1);
+}
+
+TEST(Robot, PosePriorErrsSlowlyAndALittleFast) {
+  const PosePriorOptions options;
+  double squares = 0.0;
+  double jumps = 0.0;
+  double yaws = 0.0;
+  int count = 0;
+  for (std::uint64_t seed = 0; seed < 100; ++seed) {
+    const Robot subject = robot({}, options, seed);
+    double last = 0.0;
+    for (std::uint64_t k = 0; k < 200; ++k) {
+      const model::PoseSample row = subject.pose_prior(k);
+      const model::PoseSample truth = subject.truth(row.t_s);
+      const double error = row.x_m - truth.x_m;
+      const double yaw = model::wrap_angle(row.yaw_rad - truth.yaw_rad);
+      squares += error * error;
+      yaws += yaw * yaw;
+      if (k > 0) jumps += (error - last) * (error - last);
+      last = error;
+      ++count;
+      EXPECT_NEAR(row.z_m, subject.ground().at(row.x_m, row.y_m).z_m, 1e-12);
+    }
+  }
+  EXPECT_NEAR(std::sqrt(squares / count), std::hypot(options.correlated_sigma_m, options.white_sigma_m),
+              0.002);
+  EXPECT_NEAR(std::sqrt(yaws / count), std::hypot(options.correlated_sigma_rad, options.white_sigma_rad),
+              0.0003);
+  EXPECT_NEAR(std::sqrt(jumps / count), std::sqrt(2.0) * options.white_sigma_m, 0.001);
+}
+
+TEST(Robot, RowsDoNotDependOnTheOrderOfTheQuestions) {
+  const Robot a = robot({}, {}, 9);
+  const Robot b = robot({}, {}, 9);
+  (void)b.odometry(700);
+  (void)b.pose_prior(300);
+  for (const std::uint64_t k : {5U, 100U, 17U}) {
+    EXPECT_EQ(a.odometry(k).vx_mps, b.odometry(k).vx_mps);
+    EXPECT_EQ(a.pose_prior(k).x_m, b.pose_prior(k).x_m);
+  }
+}
+
+}  // namespace
+}  // namespace groma::sim
