@@ -49,6 +49,7 @@ struct AirFrame {
   SimTime rmarker = 0;  // the start of the PHY header, which stamps refer to
   SimTime data_start = 0;
   SimTime end = 0;
+  SimTime cut_at = kNever;    // switched off amid the frame
   double clock_offset = 0.0;  // of the transmitter: frequency over nominal, minus 1
   bool ranging = false;       // the header's ranging bit
   std::uint16_t length = 0;   // with frame check
@@ -56,10 +57,10 @@ struct AirFrame {
 };
 
 // A frame as it reaches one receiver's antenna.
-struct IncomingFrame {
-  std::shared_ptr<const AirFrame> frame;
-  SimTime delay = 0;                  // flight
-  double flight_residue_ticks = 0.0;  // what the whole units of `delay` leave
+struct Reception {
+  bool audible = false;
+  SimTime delay = 0;                 // flight, in whole units
+  double delay_residue_ticks = 0.0;  // and the rest of it
   double receive_power_dbm = 0.0;
   double first_path_power_dbm = 0.0;
   double stamp_noise_ticks = 0.0;
@@ -72,14 +73,17 @@ class Medium {
  public:
   Medium(const PropagationModel& propagation, const MediumSettings& settings, std::uint64_t seed);
 
-  // The chip's index. The chip outlives the medium's use.
+  // The chip's index. The chip outlives the medium's use. No two chips share an id.
   std::size_t attach(Dw1000Chip& chip, std::uint16_t id);
 
   // A frame that will surely be sent unless it is retracted; tells all other chips. Its data may still change
   // until it starts.
-  void announce(std::shared_ptr<AirFrame> frame);
+  void announce(const std::shared_ptr<const AirFrame>& frame);
   // Takes back a frame that has not started.
-  void retract(const std::shared_ptr<AirFrame>& frame);
+  void retract(const AirFrame& frame);
+
+  // How the frame reaches that chip; the same whenever it is asked.
+  [[nodiscard]] Reception reception(const AirFrame& frame, std::size_t receiver) const;
 
   [[nodiscard]] const MediumSettings& settings() const noexcept { return settings_; }
   void set_settings(const MediumSettings& settings) noexcept { settings_ = settings; }

@@ -1,7 +1,7 @@
 // Many nodes on one medium, run in order of time.
 //
 //   Network network(world, MediumSettings{.loss_probability = 0.02}, seed);
-//   const std::size_t tag = network.add_native({.id = 1, .clock = {.offset_ppm = 12.0}});
+//   const std::size_t tag = network.add_native({.chip = {.id = 1, .clock = {.offset_ppm = 12.0}}});
 //   network.send(tag, bytes);                 // host to node, over the serial line
 //   network.run_until(from_seconds(1.0));
 //   network.take(tag, received);              // node to host: the bytes that left by then, each with its
@@ -19,6 +19,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "firmware/sim/dw1000_chip.hpp"
 #include "firmware/sim/medium.hpp"
 #include "firmware/sim/node_clock.hpp"
 #include "firmware/sim/propagation.hpp"
@@ -26,8 +27,6 @@
 #include "firmware/sim/uart.hpp"
 
 namespace groma::sim {
-
-class Dw1000Chip;
 
 // A node did what its hardware would not bear: an access to a register that is not modelled, and the like.
 struct SimulationError : std::runtime_error {
@@ -42,25 +41,11 @@ struct CpuSettings {
   std::uint32_t spi_fast_hz = 8'000'000;
 };
 
-// The DW1000's one-time programmable words that the firmware may read.
-struct OtpWords {
-  std::uint32_t ldo_tune = 0x8A'9A'AA'88;
-  std::uint32_t part_id = 0x1000'0001;
-  std::uint32_t lot_id = 0x0D0D'0001;
-  std::uint32_t antenna_delay = 0;
-  std::uint32_t crystal_trim = 0x10;
-};
-
 struct NodeSpec {
-  std::uint16_t id = 0;                // names the node to the propagation model
-  ClockSpec clock;                     // the DW1000's crystal
-  std::optional<ClockSpec> cpu_clock;  // the processor's; without it they share the DW1000's
+  ChipSpec chip;                       // the node's id on the medium, the DW1000's crystal, its antennas
+  std::optional<ClockSpec> cpu_clock;  // without it the processor shares the DW1000's crystal
   CpuSettings cpu;
   UartSettings uart;
-  OtpWords otp;
-  // What the antennas really delay, transmit and receive; registers set to the same values give true ranges.
-  std::uint32_t transmit_antenna_delay_ticks = 16436;
-  std::uint32_t receive_antenna_delay_ticks = 16436;
   SimTime power_on = 0;
   std::vector<std::uint8_t> stored_config;  // what store_config() kept in an earlier life
 };

@@ -1,0 +1,220 @@
+// A DW1000 down to its registers: SPI on one side, the medium on the other, an interrupt line.
+//
+// Time is given to it: advance(t), or an SPI transfer that ends at t. What happens inside between two calls
+// happens at its own instant, not at the call's. It may be ahead of its neighbours by less than the time from
+// a frame's first symbol to what a receiver shows of it (one PAC, 8 us and more); a frame that is announced
+// later than that is still heard as it should be, as long as the receiver did not change its state in
+// between: late_announcements() counts those that came too late for that.
+//
+// How receptions end:
+//   - The receiver has to be on when a frame's preamble begins; switched on in mid-preamble it hears nothing.
+//   - Two frames overlap at a receiver that listens to the first. If the first is stronger by capture_db it
+//     is received. If the second is stronger by capture_db and begins before the first's RMARKER it is
+//     received instead. Otherwise the first is damaged from where the second begins (no SFD, then header
+//     error, then frame-check error) and the second is not heard.
+//   - A receiver that is switched on amid a frame hears a later one if that is stronger by capture_db.
+//   - After a header or Reed-Solomon error or a time-out, stamps are wrong until the receiver is reset.
+//
+// It is strict: an access to a register that is not modelled, a mode that is not, or a command that the real
+// chip would not bear leaves a message in fault().
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "firmware/sim/dw1000_air_time.hpp"
+#include "firmware/sim/dw1000_registers.hpp"
+#include "firmware/sim/dw1000_tuning.hpp"
+#include "firmware/sim/medium.hpp"
+#include "firmware/sim/node_clock.hpp"
+#include "firmware/sim/time.hpp"
+
+namespace groma::sim {
+
+// The one-time programmable words that firmware may read.
+struct OtpWords {
+  std::uint32_t ldo_tune = 0x8A9AAA88;
+  std::uint32_t part_id = 0x10000001;
+  std::uint32_t lot_id = 0x0D0D0001;
+  std::uint32_t antenna_delay = 0;
+  std::uint32_t crystal_trim = 0x10;
+};
+
+struct ChipSpec {
+  std::uint16_t id = 0;  // names the antenna to the propagation model
+  ClockSpec clock;
+  OtpWords otp;
+  // What the antennas really delay; registers set to the same values give true ranges.
+  std::uint32_t transmit_antenna_delay_ticks = 16436;
+  std::uint32_t receive_antenna_delay_ticks = 16436;
+};
+
+class Dw1000Chip {
+ public:
+  // From the reset line's release, or power, to the first SPI access that is answered, and to the clock PLL's
+  // lock.
+  static constexpr SimTime kSpiReadyAfterReset = 1500 * kUnitsPerMicrosecond;
+  static constexpr SimTime kPllLockAfterReset = 2100 * kUnitsPerMicrosecond;
+  static constexpr SimTime kPllLockAfterSoftReset = 10 * kUnitsPerMicrosecond;
+  static constexpr SimTime kLdeLoadTime = 120 * kUnitsPerMicrosecond;
+  static constexpr std::int64_t kTransmitterPowerUpTicks = 5 * kTicksPerUus;
+
+  // Attaches itself to the medium, which it must not outlive. Without power until set_power().
+  Dw1000Chip(const ChipSpec& spec, Medium& medium);
+  Dw1000Chip(const Dw1000Chip&) = delete;
+  Dw1000Chip& operator=(const Dw1000Chip&) = delete;
+  ~Dw1000Chip() = default;
+
+  void set_power(bool on, SimTime t);
+  // The reset line is released at t. The 40-bit counter starts anew at the clock's first_tick.
+  void reset(SimTime t);
+
+  // One chip-select window that ends at t: a header of 1 to 3 bytes, then the payload.
+  void write(SimTime t, std::span<const std::uint8_t> header, std::span<const std::uint8_t> out,
+             std::uint32_t hz);
+  void read(SimTime t, std::span<const std::uint8_t> header, std::span<std::uint8_t> in, std::uint32_t hz);
+  // The same as one full-duplex transfer of equal length both ways.
+  void transfer(SimTime t, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
+                std::uint32_t hz);
+
+  void advance(SimTime t);
+  // The next instant at which something changes by itself.
+  [[nodiscard]] SimTime next_event() const noexcept { return next_event_; }
+  [[nodiscard]] SimTime now() const noexcept { return now_; }
+  // The interrupt line, active high, at now().
+  [[nodiscard]] bool irq() const noexcept;
+
+  // Empty while all is well; otherwise what was done to the chip first that should not have been.
+  [[nodiscard]] const std::string& fault() const noexcept { return fault_; }
+  [[nodiscard]] std::uint64_t late_announcements() const noexcept { return late_announcements_; }
+  // SPI transfers that were too fast for the clock at the time and so had no effect or gave garbage.
+  [[nodiscard]] std::uint64_t garbled_transfers() const noexcept { return garbled_transfers_; }
+  [[nodiscard]] std::uint16_t id() const noexcept { return spec_.id; }
+  [[nodiscard]] bool powered() const noexcept { return powered_; }
+  [[nodiscard]] const NodeClock& clock() const noexcept { return clock_; }
+  // SYS_TIME with all its bits, not wrapped.
+  [[nodiscard]] std::int64_t ticks(SimTime t) const noexcept { return clock_.ticks(t) - counter_base_; }
+  [[nodiscard]] std::uint64_t register_value(Reg reg) const noexcept { return registers_.get(reg); }
+
+  // From the medium.
+  void incoming(std::shared_ptr<const AirFrame> frame);
+  void withdraw(const AirFrame& frame);
+
+ private:
+  struct Transmission {
+    std::shared_ptr<AirFrame> frame;
+    bool delayed = false;
+    bool wait_for_response = false;
+    bool announced = false;
+    std::int64_t start_tick = 0;
+    std::int64_t rmarker_tick = 0;  // without antenna delay: TX_RAWST
+    SimTime announce_at = 0;
+    // Preamble, SFD, data, end: when each of TXFRB, TXPRS, TXPHS and TXFRS comes.
+    std::array<SimTime, 4> at{};
+    std::size_t stage = 0;
+  };
+
+  struct Arrival {
+    std::shared_ptr<const AirFrame> frame;
+    Reception reception;
+    bool resolved = false;
+    bool started = false;
+  };
+
+  enum class Receiver : std::uint8_t { kOff, kDelayed, kHunting, kPreamble, kFrame };
+
+  // dw1000_chip.cpp: power, SPI, commands, transmitter
+  void restart_counter(SimTime t) noexcept;
+  void clear_radio();
+  bool spi_answers(std::uint32_t hz);
+  void write_register(const RegisterInfo& info, std::size_t at, std::span<const std::uint8_t> bytes);
+  void register_written(Reg reg);
+  void system_configuration_written();
+  void otp_control_written();
+  void power_management_written(std::uint32_t before);
+  void soft_reset();
+  void command(std::uint32_t bits);
+  void start_transmit(bool delayed, bool wait_for_response);
+  void start_receive(bool delayed);
+  void transceiver_off();
+  bool radio_clocked(const char* what);
+  void load_frame(AirFrame& frame);
+  void transmission_step();
+  void update_next_event() noexcept;
+  [[nodiscard]] SimTime time_of(std::int64_t tick) const noexcept {
+    return clock_.time_of_tick(tick + counter_base_);
+  }
+  [[nodiscard]] std::uint64_t live_status() const noexcept;
+  // The absolute tick at which the counter's low 40 bits next are `value`.
+  [[nodiscard]] std::int64_t next_tick_with(std::uint64_t value) const noexcept;
+  void count_event(Reg counter);
+  void complain(const std::string& message);
+
+  // dw1000_receiver.cpp
+  [[nodiscard]] SimTime next_receiver_event() const noexcept;
+  void receiver_step(SimTime at);
+  void receiver_on(SimTime at);
+  void receiver_ends(std::uint64_t event, Reg counter, bool needs_reset);
+  void preamble_begins(Arrival& arrival);
+  void lock(const Arrival& arrival);
+  void overlap(const Arrival& later);
+  void damage_from(SimTime at);
+  void header_ends();
+  void frame_ends();
+  void write_reception(bool damaged);
+  void write_measurements();
+  void receiver_off();
+  void resolve(Arrival& arrival);
+  void forget_past_frames();
+  const Tuning& tuning();
+  [[nodiscard]] bool listening() const noexcept { return receiver_ >= Receiver::kHunting; }
+
+  Medium& medium_;
+  std::size_t station_;
+  ChipSpec spec_;
+  NodeClock clock_;
+  Dw1000Registers registers_;
+
+  SimTime now_ = 0;
+  SimTime next_event_ = kNever;
+  std::int64_t counter_base_ = 0;
+  bool powered_ = false;
+  SimTime spi_ready_at_ = kNever;
+  SimTime pll_locks_at_ = kNever;
+  bool pll_locked_ = false;
+  SimTime lde_loaded_at_ = kNever;
+  bool lde_loaded_ = false;
+  std::uint64_t status_ = 0;
+  Tuning tuning_;
+  bool tuning_valid_ = false;
+
+  Transmission transmission_;  // with a frame while one is pending or on its way
+  std::uint32_t frames_sent_ = 0;
+
+  Receiver receiver_ = Receiver::kOff;
+  bool receiver_needs_reset_ = false;
+  std::int64_t receive_start_tick_ = 0;  // delayed
+  SimTime receiver_on_at_ = 0;
+  SimTime last_on_at_ = kNever;  // of the listening before the present one
+  SimTime last_off_at_ = 0;
+  SimTime preamble_timeout_at_ = kNever;
+  SimTime frame_timeout_at_ = kNever;
+  SimTime sfd_timeout_at_ = kNever;
+  Arrival current_;  // with a frame while one is being received
+  Loss damage_ = Loss::kNone;
+  bool header_done_ = false;
+  SimTime detected_at_ = kNever;
+  std::int64_t accumulated_symbols_ = 0;
+  std::vector<Arrival> arrivals_;  // by (start, source), those that matter yet
+
+  std::uint64_t late_announcements_ = 0;
+  std::uint64_t garbled_transfers_ = 0;
+  std::string fault_;
+};
+
+}  // namespace groma::sim

@@ -1,0 +1,348 @@
+// The receiving half of the chip: from a frame's preamble to the registers that tell of it.
+#include <algorithm>
+#include <cmath>
+
+#include "firmware/sim/dw1000_chip.hpp"
+
+namespace groma::sim {
+
+namespace {
+
+constexpr std::uint64_t kCounterMask = (std::uint64_t{1} << 40) - 1;
+constexpr std::uint64_t kRxwtoe = 1U << 28;
+constexpr std::uint64_t kLderune = 1U << 17;
+// No frame is heard longer than this after its last symbol was sent (30 km).
+constexpr SimTime kLongestFlight = 100 * kUnitsPerMicrosecond;
+
+// User manual 4.7: power = 10 log10(sum 2^k / N^2) - A at PRF 64 MHz.
+constexpr double kPowerConstant_db = 121.74;
+// RXPACC counts symbols of the SFD too while it is not saturated: 5 with the 8-symbol SFD (table 18).
+constexpr std::int64_t kSfdAccumulation = 5;
+constexpr double kCarIntPpm = -5.7312e-4;  // ppm a unit of DRX_CAR_INT on channel 5 at 6.8 Mbit/s
+constexpr std::int64_t kTrackingInterval = 0x01FC0000;  // RX_TTCKI at PRF 64 MHz
+constexpr double kNoisePower_dbm = -120.0;              // what STD_NOISE stands for
+
+std::uint64_t to_register(double value, std::uint64_t largest) {
+  if (!(value > 0.0)) return 0;
+  return static_cast<std::uint64_t>(std::min(std::round(value), static_cast<double>(largest)));
+}
+
+void put(std::span<std::uint8_t> bytes, std::size_t at, std::size_t count, std::uint64_t value) {
+  for (std::size_t i = 0; i < count; ++i) bytes[at + i] = static_cast<std::uint8_t>(value >> (8 * i));
+}
+
+}  // namespace
+
+// ---- from the medium ------------------------------------------------------------------------------
+
+void Dw1000Chip::incoming(std::shared_ptr<const AirFrame> frame) {
+  if (!powered_) return;
+  if (frame->preamble_start < now_ && last_on_at_ <= frame->preamble_start &&
+      frame->preamble_start < last_off_at_)
+    ++late_announcements_;
+  const auto before = [](const Arrival& a, const Arrival& b) {
+    return a.frame->preamble_start != b.frame->preamble_start
+               ? a.frame->preamble_start < b.frame->preamble_start
+               : a.frame->source < b.frame->source;
+  };
+  Arrival arrival;
+  arrival.frame = std::move(frame);
+  const auto at = std::upper_bound(arrivals_.begin(), arrivals_.end(), arrival, before);
+  arrivals_.insert(at, std::move(arrival));
+  update_next_event();
+}
+
+void Dw1000Chip::withdraw(const AirFrame& frame) {
+  std::erase_if(arrivals_, [&](const Arrival& arrival) { return arrival.frame.get() == &frame; });
+  if (current_.frame.get() == &frame) {
+    current_ = {};
+    if (listening()) receiver_ = Receiver::kHunting;
+  }
+  update_next_event();
+}
+
+// ---- the receiver's course ------------------------------------------------------------------------
+
+SimTime Dw1000Chip::next_receiver_event() const noexcept {
+  const SimTime rmarker = current_.frame ? current_.frame->rmarker + current_.reception.delay : kNever;
+  switch (receiver_) {
+    case Receiver::kOff:
+      return kNever;
+    case Receiver::kDelayed:
+      return receiver_on_at_;
+    case Receiver::kHunting:
+      return std::min({frame_timeout_at_, preamble_timeout_at_, detected_at_});
+    case Receiver::kPreamble:
+      return std::min({frame_timeout_at_, sfd_timeout_at_, damage_ == Loss::kSfd ? kNever : rmarker});
+    case Receiver::kFrame: {
+      const SimTime part_ends = header_done_ ? current_.frame->end : current_.frame->data_start;
+      return std::min(frame_timeout_at_, part_ends + current_.reception.delay);
+    }
+  }
+  return kNever;
+}
+
+void Dw1000Chip::receiver_step(SimTime at) {
+  if (next_receiver_event() > at) {
+    const auto first = std::find_if(arrivals_.begin(), arrivals_.end(),
+                                    [](const Arrival& arrival) { return !arrival.started; });
+    first->started = true;
+    preamble_begins(*first);
+    forget_past_frames();
+    return;
+  }
+  const SimTime cut_at = current_.frame && current_.frame->cut_at != kNever ? current_.frame->cut_at : kNever;
+  if (cut_at < at) damage_from(cut_at);
+  switch (receiver_) {
+    case Receiver::kOff:
+      break;
+    case Receiver::kDelayed:
+      receiver_on(at);
+      break;
+    case Receiver::kHunting:
+      if (detected_at_ <= at) {
+        status_ |= status::kRxprd;
+        receiver_ = Receiver::kPreamble;
+        preamble_timeout_at_ = kNever;
+        const auto symbols = static_cast<std::int64_t>(registers_.get(Reg::kDrxSfdtoc));
+        sfd_timeout_at_ =
+            symbols == 0 ? kNever : time_of(ticks(detected_at_) + symbols * kPreambleSymbolTicks);
+      } else if (preamble_timeout_at_ <= at) {
+        receiver_ends(status::kRxpto, Reg::kEvcPto, true);
+      } else {
+        receiver_ends(status::kRxrfto, Reg::kEvcFwto, true);
+      }
+      break;
+    case Receiver::kPreamble:
+      if (damage_ != Loss::kSfd && current_.frame->rmarker + current_.reception.delay <= at) {
+        status_ |= status::kRxsfdd;
+        receiver_ = Receiver::kFrame;
+        header_done_ = false;
+      } else if (sfd_timeout_at_ <= at) {
+        receiver_ends(status::kRxsfdto, Reg::kEvcSto, true);
+      } else {
+        receiver_ends(status::kRxrfto, Reg::kEvcFwto, true);
+      }
+      break;
+    case Receiver::kFrame:
+      if (frame_timeout_at_ <= at) {
+        receiver_ends(status::kRxrfto, Reg::kEvcFwto, true);
+      } else if (!header_done_) {
+        header_ends();
+      } else {
+        frame_ends();
+      }
+      break;
+  }
+}
+
+void Dw1000Chip::receiver_on(SimTime at) {
+  status_ &= ~status::kAllRx;
+  receiver_ = Receiver::kHunting;
+  receiver_on_at_ = at;
+  current_ = {};
+  detected_at_ = kNever;
+  sfd_timeout_at_ = kNever;
+  const std::int64_t on = ticks(at);
+  const auto chunks = static_cast<std::int64_t>(registers_.get(Reg::kDrxPretoc));
+  // The counter adds one by itself (user manual 7.2.40.9).
+  preamble_timeout_at_ =
+      chunks == 0 ? kNever : time_of(on + (chunks + 1) * tuning().pac_symbols * kPreambleSymbolTicks);
+  const bool limited = (registers_.get(Reg::kSysCfg) & kRxwtoe) != 0;
+  frame_timeout_at_ =
+      limited ? time_of(on + static_cast<std::int64_t>(registers_.get(Reg::kRxFwto)) * kTicksPerUus) : kNever;
+}
+
+void Dw1000Chip::receiver_ends(std::uint64_t event, Reg counter, bool needs_reset) {
+  status_ |= event;
+  count_event(counter);
+  receiver_off();
+  receiver_needs_reset_ = receiver_needs_reset_ || needs_reset;
+}
+
+void Dw1000Chip::receiver_off() {
+  if (listening()) {
+    last_on_at_ = receiver_on_at_;
+    last_off_at_ = now_;
+  }
+  receiver_ = Receiver::kOff;
+  current_ = {};
+}
+
+void Dw1000Chip::resolve(Arrival& arrival) {
+  if (arrival.resolved) return;
+  arrival.resolved = true;
+  arrival.reception = medium_.reception(*arrival.frame, station_);
+}
+
+void Dw1000Chip::preamble_begins(Arrival& arrival) {
+  if (!listening() || receiver_on_at_ > arrival.frame->preamble_start) return;
+  if (!tuning().hears(arrival.frame->format)) return;
+  resolve(arrival);
+  if (!arrival.reception.audible || arrival.reception.loss == Loss::kUnheard) return;
+  if (current_.frame) {
+    overlap(arrival);
+    return;
+  }
+  for (Arrival& other : arrivals_) {
+    if (&other == &arrival || !other.started || !tuning().hears(other.frame->format)) continue;
+    resolve(other);
+    const bool over = std::min(other.frame->end, other.frame->cut_at) + other.reception.delay <=
+                      arrival.frame->preamble_start + arrival.reception.delay;
+    if (!over && other.reception.audible && other.reception.loss != Loss::kUnheard &&
+        arrival.reception.receive_power_dbm <
+            other.reception.receive_power_dbm + medium_.settings().capture_db)
+      return;
+  }
+  lock(arrival);
+}
+
+// The preamble is found in the first whole chunk of PAC symbols, counted from the receiver's start, that lies
+// in it.
+void Dw1000Chip::lock(const Arrival& arrival) {
+  current_ = arrival;
+  damage_ = arrival.reception.loss;
+  receiver_ = Receiver::kHunting;
+  const std::int64_t chunk = tuning().pac_symbols * kPreambleSymbolTicks;
+  const std::int64_t on = ticks(receiver_on_at_);
+  const std::int64_t begin = ticks(arrival.frame->preamble_start + arrival.reception.delay);
+  const std::int64_t whole_chunks = (begin - on + chunk - 1) / chunk + 1;
+  const std::int64_t detected = on + whole_chunks * chunk;
+  detected_at_ = time_of(detected);
+  accumulated_symbols_ = std::max<std::int64_t>(
+      arrival.frame->format.preamble_symbols - (detected - begin) / kPreambleSymbolTicks, 1);
+}
+
+void Dw1000Chip::overlap(const Arrival& later) {
+  const double stronger_db = later.reception.receive_power_dbm - current_.reception.receive_power_dbm;
+  const double capture_db = medium_.settings().capture_db;
+  const SimTime begins = later.frame->preamble_start + later.reception.delay;
+  if (stronger_db <= -capture_db) return;
+  if (stronger_db >= capture_db && begins < current_.frame->rmarker + current_.reception.delay) {
+    lock(later);
+    return;
+  }
+  damage_from(begins - current_.reception.delay);
+}
+
+// `at`: in the frame's own time, as it is sent.
+void Dw1000Chip::damage_from(SimTime at) {
+  const Loss damage = at < current_.frame->rmarker      ? Loss::kSfd
+                      : at < current_.frame->data_start ? Loss::kHeader
+                      : at < current_.frame->end        ? Loss::kData
+                                                        : Loss::kNone;
+  if (damage == Loss::kNone) return;
+  // Once past, a part is past.
+  if (damage_ == Loss::kNone || damage < damage_) damage_ = damage;
+}
+
+void Dw1000Chip::header_ends() {
+  if (damage_ == Loss::kHeader) {
+    receiver_ends(status::kRxphe, Reg::kEvcPhe, true);
+    return;
+  }
+  status_ |= status::kRxphd;
+  header_done_ = true;
+}
+
+void Dw1000Chip::frame_ends() {
+  const bool damaged = damage_ == Loss::kData;
+  if (damaged && current_.reception.junk % 4 == 0) {
+    receiver_ends(status::kRxrfsl, Reg::kEvcRse, true);
+    return;
+  }
+  write_reception(damaged);
+  write_measurements();
+  if (lde_loaded_ && (registers_.get(Reg::kPmscCtrl1) & kLderune) != 0) status_ |= status::kLdedone;
+  status_ |= status::kRxdfr;
+  receiver_ends(damaged ? status::kRxfce : status::kRxfcg, damaged ? Reg::kEvcFce : Reg::kEvcFcg, false);
+}
+
+// Drops what can neither be received nor disturb any more.
+void Dw1000Chip::forget_past_frames() {
+  std::erase_if(arrivals_, [&](const Arrival& arrival) {
+    if (!arrival.started) return false;
+    if (arrival.resolved && (!arrival.reception.audible || arrival.reception.loss == Loss::kUnheard))
+      return true;
+    return arrival.frame->end + kLongestFlight < now_;
+  });
+}
+
+// ---- what the registers tell of a frame -----------------------------------------------------------
+
+void Dw1000Chip::write_reception(bool damaged) {
+  const AirFrame& frame = *current_.frame;
+  const std::span<std::uint8_t> buffer = registers_.bytes(Reg::kRxBuffer);
+  std::copy_n(frame.data.begin(), frame.length, buffer.begin());
+  if (damaged) {
+    const std::size_t at = (current_.reception.junk >> 8) % frame.length;
+    buffer[at] = static_cast<std::uint8_t>(buffer[at] ^ ((current_.reception.junk >> 24) & 0xFF) ^ 0x10);
+  }
+
+  const std::int64_t symbols = frame.format.preamble_symbols;
+  const std::uint64_t rxpsr = symbols >= 4096 ? 3 : symbols >= 1024 ? 2 : 1;
+  const auto accumulated = static_cast<std::uint64_t>(accumulated_symbols_ + kSfdAccumulation);
+  registers_.set(Reg::kRxFinfo, static_cast<std::uint64_t>(frame.length) | 2ULL << 13 |
+                                    (frame.ranging ? 1ULL << 15 : 0ULL) | 2ULL << 16 | rxpsr << 18 |
+                                    accumulated << 20);
+  registers_.set(Reg::kRxpaccNosat, accumulated);
+
+  // The instant at which the RMARKER reached the antenna, as the chip counts it.
+  const Reception& reception = current_.reception;
+  const std::int64_t rmarker =
+      clock_.nearest_tick(frame.rmarker + reception.delay,
+                          static_cast<double>(spec_.receive_antenna_delay_ticks) +
+                              reception.delay_residue_ticks + reception.stamp_noise_ticks) -
+      counter_base_;
+  std::uint64_t stamp = static_cast<std::uint64_t>(rmarker) - registers_.get(Reg::kLdeRxAntd);
+  const bool lde_runs = lde_loaded_ && (registers_.get(Reg::kPmscCtrl1) & kLderune) != 0;
+  if (!lde_runs) {
+    stamp = reception.junk;
+  } else if (receiver_needs_reset_ || !tuning().stamps_true) {
+    // Off by 1 to 16 ns either way.
+    const std::uint64_t error = 64 + ((reception.junk >> 16) & 0x3BF);
+    stamp = (reception.junk & 1) != 0 ? stamp + error : stamp - error;
+  }
+  const std::span<std::uint8_t> time = registers_.bytes(Reg::kRxTime);
+  put(time, 0, 5, stamp & kCounterMask);
+  put(time, 9, 5, static_cast<std::uint64_t>(rmarker) & kCounterMask & ~std::uint64_t{0x1FF});
+}
+
+void Dw1000Chip::write_measurements() {
+  const AirFrame& frame = *current_.frame;
+  const Reception& reception = current_.reception;
+
+  const auto n = static_cast<double>(accumulated_symbols_);
+  const auto amplitude_squared = [&](double power_dbm) {
+    return std::pow(10.0, (power_dbm + kPowerConstant_db) / 10.0) * n * n;
+  };
+  const double first_path = amplitude_squared(reception.first_path_power_dbm);
+  const double received = amplitude_squared(reception.receive_power_dbm);
+  const std::span<std::uint8_t> quality = registers_.bytes(Reg::kRxFqual);
+  put(quality, 0, 2, to_register(std::sqrt(amplitude_squared(kNoisePower_dbm)), 0xFFFF));
+  // The three points of the first path share its power unevenly, so that none passes for another.
+  put(quality, 2, 2, to_register(std::sqrt(0.45 * first_path), 0xFFFF));
+  put(quality, 4, 2, to_register(std::sqrt(0.30 * first_path), 0xFFFF));
+  put(quality, 6, 2, to_register(received / 131072.0, 0xFFFF));
+  const std::span<std::uint8_t> time = registers_.bytes(Reg::kRxTime);
+  put(time, 7, 2, to_register(std::sqrt(0.25 * first_path), 0xFFFF));
+
+  // The first path lies near sample 746; the more of the power comes later, the later the peak.
+  const double hidden_db = std::max(reception.receive_power_dbm - reception.first_path_power_dbm, 0.0);
+  const double first_index = 746.0 + static_cast<double>(reception.junk >> 56) / 64.0;
+  put(time, 5, 2, to_register(first_index * 64.0, 0xFFFF));
+  registers_.set(Reg::kLdePpIndx, to_register(first_index + 0.9 + 0.4 * hidden_db, 0xFFFF));
+  registers_.set(Reg::kLdePpAmpl, to_register(std::sqrt(0.5 * received), 0xFFFF));
+  registers_.set(Reg::kLdeThresh, to_register(13.0 * std::sqrt(amplitude_squared(kNoisePower_dbm)), 0xFFFF));
+
+  // Both registers tell the transmitter's frequency against the receiver's.
+  const double ratio = (1.0 + frame.clock_offset) / (1.0 + clock_.offset(frame.rmarker)) - 1.0;
+  const double ppm = ratio * 1e6 + reception.carrier_noise_ppm;
+  registers_.set(Reg::kDrxCarInt, static_cast<std::uint64_t>(std::llround(ppm / kCarIntPpm)) & 0x1FFFFF);
+  registers_.set(Reg::kRxTtcki, static_cast<std::uint64_t>(kTrackingInterval));
+  registers_.set(Reg::kRxTtcko, static_cast<std::uint64_t>(
+                                    std::llround(ppm * 1e-6 * static_cast<double>(kTrackingInterval))) &
+                                    0x7FFFF);
+}
+
+}  // namespace groma::sim

@@ -1,0 +1,31 @@
+// Which frames a DW1000 can send and hear with the register values that it holds. The manual's tables are
+// taken at their word: with any other value the model's radio neither sends nor hears. Modelled: channel 5,
+// PRF 64 MHz, preamble codes 9 to 12.
+#pragma once
+
+#include <cstdint>
+
+#include "firmware/sim/dw1000_registers.hpp"
+#include "firmware/sim/medium.hpp"
+
+namespace groma::sim {
+
+struct Tuning {
+  bool transmits = false;
+  bool receives = false;
+  bool stamps_true = false;  // the leading-edge detection is set up for the code in use
+  std::uint8_t transmit_code = 0;
+  std::uint8_t receive_code = 0;
+  std::uint16_t pac_symbols = 8;
+  std::uint16_t shortest_preamble = 0;  // that the receiver is set up for
+  std::uint16_t longest_preamble = 0;
+
+  [[nodiscard]] bool hears(const AirFormat& format) const noexcept {
+    return receives && format.channel == 5 && format.prf_mhz == 64 && format.preamble_code == receive_code &&
+           format.preamble_symbols >= shortest_preamble && format.preamble_symbols <= longest_preamble;
+  }
+};
+
+[[nodiscard]] Tuning read_tuning(const Dw1000Registers& registers) noexcept;
+
+}  // namespace groma::sim

@@ -1,0 +1,70 @@
+#include "firmware/sim/medium.hpp"
+
+#include <cmath>
+
+#include "firmware/sim/dw1000_chip.hpp"
+
+namespace groma::sim {
+
+namespace {
+
+constexpr double kSpeedOfLight_mps = 299'792'458.0;
+constexpr double kTicksPerSecond = 63.8976e9;
+
+// Purposes of draws.
+enum : std::uint64_t { kStampNoise = 0x5A01, kCarrierNoise, kLossDraw, kLossKind, kJunk };
+
+Loss kind_of_loss(double uniform) {
+  if (uniform < 0.50) return Loss::kUnheard;
+  if (uniform < 0.65) return Loss::kSfd;
+  if (uniform < 0.80) return Loss::kHeader;
+  return Loss::kData;
+}
+
+}  // namespace
+
+Medium::Medium(const PropagationModel& propagation, const MediumSettings& settings, std::uint64_t seed)
+    : propagation_(propagation), settings_(settings), random_(seed) {}
+
+std::size_t Medium::attach(Dw1000Chip& chip, std::uint16_t id) {
+  stations_.push_back({&chip, id});
+  return stations_.size() - 1;
+}
+
+void Medium::announce(const std::shared_ptr<const AirFrame>& frame) {
+  for (std::size_t i = 0; i < stations_.size(); ++i)
+    if (i != frame->source) stations_[i].chip->incoming(frame);
+}
+
+void Medium::retract(const AirFrame& frame) {
+  for (std::size_t i = 0; i < stations_.size(); ++i)
+    if (i != frame.source) stations_[i].chip->withdraw(frame);
+}
+
+Reception Medium::reception(const AirFrame& frame, std::size_t receiver) const {
+  const std::uint16_t from = stations_[frame.source].id;
+  const std::uint16_t to = stations_[receiver].id;
+  const Propagation path = propagation_.between(from, to, to_seconds(frame.rmarker));
+  Reception reception;
+  reception.audible = path.audible;
+  if (!path.audible) return reception;
+
+  const double flight = path.flight_m / kSpeedOfLight_mps * static_cast<double>(kUnitsPerSecond);
+  const double whole = std::floor(flight);
+  reception.delay = static_cast<SimTime>(whole);
+  reception.delay_residue_ticks = (flight - whole) / static_cast<double>(kUnitsPerTick);
+  reception.receive_power_dbm = path.receive_power_dbm;
+  reception.first_path_power_dbm = path.first_path_power_dbm;
+
+  const auto draw = [&](std::uint64_t purpose) { return random_.of(purpose, from, to, frame.number); };
+  reception.junk = draw(kJunk).bits();
+  if (settings_.stamp_noise_s > 0.0)
+    reception.stamp_noise_ticks = draw(kStampNoise).normal() * settings_.stamp_noise_s * kTicksPerSecond;
+  if (settings_.carrier_noise_ppm > 0.0)
+    reception.carrier_noise_ppm = draw(kCarrierNoise).normal() * settings_.carrier_noise_ppm;
+  if (settings_.loss_probability > 0.0 && draw(kLossDraw).uniform() < settings_.loss_probability)
+    reception.loss = kind_of_loss(draw(kLossKind).uniform());
+  return reception;
+}
+
+}  // namespace groma::sim
