@@ -1,0 +1,144 @@
+// groma calibrate: anchor positions and pair biases from one drive.
+#include "host/calibration/calibrate.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/selection.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/cli/warnings.hpp"
+#include "host/io/calibration_file.hpp"
+#include "host/io/dataset.hpp"
+#include "host/io/error.hpp"
+#include "host/io/output_file.hpp"
+#include "host/io/version.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  std::filesystem::path dataset;
+  std::optional<std::filesystem::path> poses;
+  Selection selection;
+  bool known_anchors = false;
+  std::filesystem::path output;
+  bool json = false;
+};
+
+std::string format_table(const model::Calibration& calibration) {
+  Table table({"anchor", "x m", "y m", "z m", "sigma xy m", "sigma z m", "ranges", "held out m", "mirror",
+               "verdict"});
+  const auto number = [](double value) { return std::isfinite(value) ? fmt::format("{:.3f}", value) : "-"; };
+  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+    const bool known = anchor.covariance.rows() >= 3;
+    const double nan = std::nan("");
+    const double sigma_xy_m =
+        known ? std::sqrt(std::max(anchor.covariance(0, 0), anchor.covariance(1, 1))) : nan;
+    const double sigma_z_m = known ? std::sqrt(anchor.covariance(2, 2)) : nan;
+    std::string verdict(io::word(anchor.verdict));
+    if (!anchor.advice.empty()) verdict += ": " + anchor.advice;
+    table.add({fmt::format("{}", anchor.id), number(anchor.position_m.x()), number(anchor.position_m.y()),
+               number(anchor.position_m.z()), number(sigma_xy_m), number(sigma_z_m),
+               fmt::format("{}", anchor.ranges_used), number(anchor.held_out_rms_m.value_or(nan)),
+               number(anchor.mirror_ratio.value_or(nan)), verdict});
+  }
+  return table.format(true);
+}
+
+int run(Options& options) {
+  const auto begin = std::chrono::steady_clock::now();
+  io::expect_writable(options.output);
+  io::ReadOptions read;
+  read.surveyed_anchors = options.known_anchors;
+  read.odometry = false;
+  read.ground_truth = false;
+  read.pose_file = options.poses;
+  io::Dataset dataset = io::read_dataset(options.dataset, read);
+  Warnings warnings;
+  warnings.add(dataset.dropped);
+  if (options.known_anchors && dataset.surveyed_anchors.empty()) {
+    throw io::DataError({options.dataset / "anchors.csv"}, "there are no surveyed anchors",
+                        "add them, or calibrate without --known-anchors");
+  }
+  options.selection.apply(dataset);
+
+  calibration::Drive drive;
+  drive.ranges = dataset.ranges;
+  drive.poses = dataset.pose_prior;
+  drive.tags = dataset.tags;
+  drive.surface = &dataset.surface;
+  drive.priors = dataset.range_priors;
+  if (options.known_anchors) drive.known_anchors = dataset.surveyed_anchors;
+  calibration::Result result = calibration::calibrate(drive);
+  result.calibration.input_sha256 = dataset.sha256;
+  result.calibration.program_version = io::program_version();
+  io::write_file(options.output, io::format_calibration(result.calibration));
+  const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+
+  if (options.json) {
+    Json json{{"verdict", io::word(result.calibration.verdict)}, {"wall_s", wall_s}};
+    json.update(to_json(result));
+    json["dropped"] = to_json(dataset.dropped);
+    say_json(json);
+  } else {
+    say(format_table(result.calibration));
+    say(fmt::format("{}: {} ranges used, {} rejected, {:.2f} s; written to {}\n",
+                    io::word(result.calibration.verdict), result.ranges_used, result.ranges_rejected, wall_s,
+                    options.output.string()));
+  }
+  switch (result.calibration.verdict) {
+    case model::Verdict::kUsable:
+      break;
+    case model::Verdict::kWarnings:
+      warnings.add(
+          fmt::format("{}: some anchors are not as good as they should be; see their verdicts and advice",
+                      options.output.string()));
+      break;
+    case model::Verdict::kUnusable:
+      complain(fmt::format(
+          "{}: the calibration is not usable; see the anchors' verdicts and advice, and drive again",
+          options.output.string()));
+      return kBadData;
+  }
+  return warnings.exit_code();
+}
+
+}  // namespace
+
+void add_calibrate(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand(
+      "calibrate",
+      "Find the anchors' positions and the ranges' biases from one drive of a robot that knows its own "
+      "poses. The last "
+      "fifth of the drive is held out for the verdict; the final solution uses all of it.");
+  command
+      ->add_option("DATASET", options->dataset,
+                   "Folder of the drive: dataset.yaml, ranges.csv, tags.csv, poses")
+      ->required();
+  command->add_option(
+      "--poses", options->poses,
+      "Poses to calibrate from, in the place of pose_prior.csv (or, without it, groundtruth.csv)");
+  options->selection.add_options(*command);
+  command->add_flag(
+      "--known-anchors", options->known_anchors,
+      "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and learn the biases alone");
+  command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")->required();
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

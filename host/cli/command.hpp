@@ -1,0 +1,18 @@
+// What a subcommand is: a function that declares its options and sets what to do when it is chosen. Each is
+// a file of its own; main() turns what they throw into exit codes.
+#pragma once
+
+#include <functional>
+
+#include <CLI/App.hpp>
+
+namespace groma::cli {
+
+// Returns the exit code.
+using Action = std::function<int()>;
+
+void add_calibrate(CLI::App& app, Action& action);
+void add_evaluate(CLI::App& app, Action& action);
+void add_replay(CLI::App& app, Action& action);
+
+}  // namespace groma::cli

@@ -1,0 +1,77 @@
+// groma: calibrates, replays and evaluates UWB localization.
+#include <fmt/format.h>
+
+#include <csignal>
+#include <exception>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/io/error.hpp"
+#include "host/io/version.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+int run(int argc, char** argv) {
+  CLI::App app(
+      "UWB localization for ground robots: calibrates anchors from a drive, replays drives through the "
+      "filter, and "
+      "scores the result.",
+      "groma");
+  app.set_version_flag("--version", fmt::format("groma {}", io::program_version()));
+  app.require_subcommand(1);
+  app.footer(
+      "Exit codes: 0 good, 2 usage, 3 done with warnings, 65 bad data or a result that is not usable,\n"
+      "69 device or service unavailable, 77 permission, 78 bad configuration.");
+  Action action;
+  add_calibrate(app, action);
+  add_evaluate(app, action);
+  add_replay(app, action);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? kGood : kUsage;
+  }
+  return action();
+}
+
+int guarded_run(int argc, char** argv) {
+  try {
+    const int code = run(argc, argv);
+    flush_output();
+    return code;
+  } catch (const CLI::Error& error) {
+    complain(error.what());
+    return kUsage;
+  } catch (const io::DataError& error) {
+    complain(error.what());
+    return kBadData;
+  } catch (const io::ConfigError& error) {
+    complain(error.what());
+    return kBadConfiguration;
+  } catch (const io::PermissionError& error) {
+    complain(error.what());
+    return kNoPermission;
+  } catch (const io::PathError& error) {
+    complain(error.what());
+    return kUsage;
+  } catch (const std::exception& error) {
+    complain(error.what());
+    return kUnavailable;
+  }
+}
+
+}  // namespace
+
+}  // namespace groma::cli
+
+int main(int argc, char** argv) {
+  // A full disk or a closed pipe comes back as an error of the write, which cleans up and tells.
+  std::signal(SIGXFSZ, SIG_IGN);
+  std::signal(SIGPIPE, SIG_IGN);
+  return groma::cli::guarded_run(argc, argv);
+}

@@ -1,0 +1,100 @@
+#include "host/cli/selection.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <limits>
+#include <string_view>
+#include <system_error>
+
+#include <CLI/CLI.hpp>
+
+namespace groma::cli {
+
+namespace {
+
+template <typename Number>
+std::vector<Number> parse_list(const std::string& option, const std::string& text, std::string_view wanted) {
+  std::vector<Number> values;
+  const char* begin = text.data();
+  const char* const end = begin + text.size();
+  for (;;) {
+    Number value{};
+    const auto [last, error] = std::from_chars(begin, end, value);
+    if (error != std::errc() || (last != end && *last != ',')) {
+      throw CLI::ValidationError(option, fmt::format("'{}' is not {}", text, wanted));
+    }
+    values.push_back(value);
+    if (last == end) return values;
+    begin = last + 1;
+  }
+}
+
+template <typename Sample>
+void keep_between(std::vector<Sample>& samples, double from_s, double to_s) {
+  std::erase_if(samples, [&](const Sample& sample) { return sample.t_s < from_s || sample.t_s > to_s; });
+}
+
+bool chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
+  return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
+}
+
+}  // namespace
+
+std::vector<model::NodeId> parse_ids(const std::string& option, const std::string& text) {
+  return parse_list<model::NodeId>(option, text, "a list of ids such as 1,2");
+}
+
+std::vector<double> parse_numbers(const std::string& option, const std::string& text, std::size_t count) {
+  const std::string wanted = fmt::format("{} numbers between commas", count);
+  std::vector<double> values = parse_list<double>(option, text, wanted);
+  const bool finite =
+      std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+  if (values.size() != count || !finite)
+    throw CLI::ValidationError(option, fmt::format("'{}' is not {}", text, wanted));
+  return values;
+}
+
+void Selection::add_options(CLI::App& command) {
+  const auto add_time = [&](const std::string& name, std::optional<double>& value, const std::string& help) {
+    command
+        .add_option_function<std::string>(
+            name, [&value, name](const std::string& text) { value = parse_numbers(name, text, 1).front(); },
+            help)
+        ->type_name("S");
+  };
+  add_time("--from", from_s_, "Use the run from this t_s of the files on");
+  add_time("--to", to_s_, "Use the run up to this t_s of the files");
+  const auto add_ids = [&](const std::string& name, std::vector<model::NodeId>& ids,
+                           const std::string& help) {
+    command
+        .add_option_function<std::string>(
+            name, [&ids, name](const std::string& text) { ids = parse_ids(name, text); }, help)
+        ->type_name("IDS");
+  };
+  add_ids("--tags", tags_, "Use the ranges of these tags alone, such as 1,2");
+  add_ids("--anchors", anchors_, "Use the ranges to these anchors alone, such as 5,8,12,14");
+}
+
+void Selection::apply(io::Dataset& dataset) const {
+  for (const model::NodeId id : tags_) {
+    if (std::none_of(dataset.tags.begin(), dataset.tags.end(),
+                     [&](const model::Tag& tag) { return tag.id == id; })) {
+      throw CLI::ValidationError("--tags", fmt::format("the data set has no tag {}", id));
+    }
+  }
+  const double from_s = from_s_.value_or(-std::numeric_limits<double>::infinity());
+  const double to_s = to_s_.value_or(std::numeric_limits<double>::infinity());
+  if (!(from_s < to_s))
+    throw CLI::ValidationError("--to", fmt::format("{} is not after --from {}", to_s, from_s));
+  keep_between(dataset.ranges, from_s, to_s);
+  keep_between(dataset.pose_prior, from_s, to_s);
+  std::erase_if(dataset.ranges, [&](const model::RangeSample& range) {
+    return !chosen(tags_, range.tag_id) || !chosen(anchors_, range.anchor_id);
+  });
+  std::erase_if(dataset.tags, [&](const model::Tag& tag) { return !chosen(tags_, tag.id); });
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,39 @@
+// The part of a run that a command works on: a stretch of time, some tags, some anchors.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <CLI/App.hpp>
+
+#include "host/io/dataset.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::cli {
+
+class Selection {
+ public:
+  // Declares --from, --to, --tags and --anchors.
+  void add_options(CLI::App& command);
+
+  // Takes the rest out of the data set: ranges by all four, poses by time, tags by id. Throws
+  // CLI::ValidationError for a tag that the data set lacks, or an empty stretch.
+  void apply(io::Dataset& dataset) const;
+
+  [[nodiscard]] std::optional<double> from_s() const { return from_s_; }
+  [[nodiscard]] std::optional<double> to_s() const { return to_s_; }
+
+ private:
+  std::optional<double> from_s_;
+  std::optional<double> to_s_;
+  std::vector<model::NodeId> tags_;     // empty: all
+  std::vector<model::NodeId> anchors_;  // empty: all
+};
+
+// Values between commas, such as "1,2" or "0.5,-2,3.1". Throws CLI::ValidationError, naming the option.
+[[nodiscard]] std::vector<model::NodeId> parse_ids(const std::string& option, const std::string& text);
+[[nodiscard]] std::vector<double> parse_numbers(const std::string& option, const std::string& text,
+                                                std::size_t count);
+
+}  // namespace groma::cli

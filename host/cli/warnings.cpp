@@ -1,0 +1,27 @@
+#include "host/cli/warnings.hpp"
+
+#include <fmt/format.h>
+
+#include "host/cli/terminal.hpp"
+
+namespace groma::cli {
+
+void Warnings::add(const std::string& text) {
+  complain(fmt::format("warning: {}", text));
+  any_ = true;
+}
+
+void Warnings::add(const io::DroppedRows& dropped) {
+  std::string list;
+  const auto count = [&](std::size_t rows, const std::string& what) {
+    if (rows > 0) list += fmt::format("{}{} {}", list.empty() ? "" : ", ", rows, what);
+  };
+  count(dropped.range_out_of_bounds, fmt::format("with a range not within 0 to {} m", io::kMaxRange_m));
+  count(dropped.unknown_tag, "of an unknown tag");
+  count(dropped.unknown_anchor, "of an unknown anchor");
+  count(dropped.late, fmt::format("out of order by over {} s", io::kMaxLateness_s));
+  count(dropped.repeated, "repeated");
+  if (!list.empty()) add(fmt::format("{} rows dropped: {}", dropped.total(), list));
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,22 @@
+// What went less than well but did not stop the work: told at once, and remembered for the exit code.
+#pragma once
+
+#include <string>
+
+#include "host/cli/exit_code.hpp"
+#include "host/io/dataset.hpp"
+
+namespace groma::cli {
+
+class Warnings {
+ public:
+  void add(const std::string& text);
+  // One warning for all dropped rows together; none if there are none.
+  void add(const io::DroppedRows& dropped);
+  [[nodiscard]] int exit_code() const { return any_ ? kDoneWithWarnings : kGood; }
+
+ private:
+  bool any_ = false;
+};
+
+}  // namespace groma::cli
