@@ -1,0 +1,50 @@
+// Collects a drive with pose priors and calibrates the anchors from it.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "host/calibration/calibrate.hpp"
+#include "host/daemon/measurement_sink.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::daemon {
+
+class CalibrationDrive : public MeasurementSink {
+ public:
+  // Three hours of 300 ranges a second; what comes beyond is left out.
+  static constexpr std::size_t kMaxRanges = 3'240'000;
+  static constexpr std::size_t kMaxPoses = 1'000'000;
+
+  CalibrationDrive(std::vector<model::Tag> tags, model::Surface surface, model::RangePriors priors);
+
+  void on_odometry(const model::OdometrySample& /*row*/) override {}
+  void on_range(const model::RangeSample& range) override;
+  void on_pose_prior(const model::PoseSample& pose) override;
+  void on_clock_set() override;  // the drive begins anew
+
+  // From the first pose to the last.
+  [[nodiscard]] double duration_s() const noexcept;
+  [[nodiscard]] std::size_t range_count() const noexcept { return ranges_.size(); }
+  [[nodiscard]] std::size_t pose_count() const noexcept { return poses_.size(); }
+  // Of tags that are not the robot's.
+  [[nodiscard]] std::size_t unknown_tags() const noexcept { return unknown_tags_; }
+
+  // Sorts what was collected and calibrates; takes seconds. input_sha256 is that of the samples,
+  // little-endian doubles and ids in the order of time: ranges (t_s, tag, anchor, range_m), then poses (all
+  // seven numbers).
+  [[nodiscard]] calibration::Result solve(const calibration::Options& options = {});
+
+ private:
+  std::vector<model::Tag> tags_;
+  model::Surface surface_;
+  model::RangePriors priors_;
+  std::vector<model::RangeSample> ranges_;
+  std::vector<model::PoseSample> poses_;
+  std::size_t unknown_tags_ = 0;
+};
+
+}  // namespace groma::daemon

@@ -1,0 +1,83 @@
+#include "host/daemon/localizer.hpp"
+
+#include <array>
+#include <cmath>
+#include <span>
+#include <utility>
+
+#include "host/filter/replay.hpp"
+
+namespace groma::daemon {
+
+PoseEstimate pose_on(const model::Surface& surface, const model::PlanarPose& planar,
+                     const Eigen::Matrix3d& planar_covariance) noexcept {
+  const model::SurfacePose on_surface = model::pose_on_surface(surface, planar);
+  const Eigen::Matrix3d& rotation = on_surface.pose.rotation;
+  PoseEstimate pose;
+  pose.x_m = planar.x_m;
+  pose.y_m = planar.y_m;
+  pose.z_m = on_surface.pose.position_m.z();
+  // R_WR = R_z(yaw) R_y(pitch) R_x(roll): its last row is (-sin p, cos p sin r, cos p cos r).
+  const double cos_pitch = std::hypot(rotation(2, 1), rotation(2, 2));
+  pose.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
+  pose.pitch_rad = std::atan2(-rotation(2, 0), cos_pitch);
+  pose.yaw_rad = model::wrap_angle(planar.theta_rad);
+
+  Eigen::Matrix<double, 6, 3> d_planar = Eigen::Matrix<double, 6, 3>::Zero();
+  d_planar.topLeftCorner<3, 2>() = on_surface.d_position_d_xy;
+  const std::array<const Eigen::Matrix3d*, 3> d_rotation{
+      &on_surface.d_rotation_d_x, &on_surface.d_rotation_d_y, &on_surface.d_rotation_d_theta};
+  for (int i = 0; i < 3; ++i) {
+    const Eigen::RowVector3d d_row = d_rotation[static_cast<std::size_t>(i)]->row(2);
+    d_planar(3, i) = (d_row.y() * rotation(2, 2) - rotation(2, 1) * d_row.z()) / (cos_pitch * cos_pitch);
+    d_planar(4, i) = -d_row.x() / cos_pitch;
+  }
+  d_planar(5, 2) = 1.0;
+  pose.planar_covariance = planar_covariance;
+  pose.covariance = d_planar * planar_covariance * d_planar.transpose();
+  return pose;
+}
+
+Localizer::Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_pose)
+    : setup_(std::move(setup)), on_pose_(std::move(on_pose)) {
+  renew();
+}
+
+void Localizer::start(const filter::Start& start) {
+  filter_->start(start);
+  started_ = true;
+}
+
+void Localizer::on_odometry(const model::OdometrySample& row) {
+  const filter::OdometryOutcome outcome = filter_->process(row);
+  if (!started_ || outcome != filter::OdometryOutcome::kUsed) return;
+  const filter::Estimate estimate = filter_->estimate();
+  PoseEstimate pose = pose_on(setup_.surface, estimate.pose, estimate.covariance);
+  pose.t_s = estimate.t_s;
+  pose.state =
+      estimate.t_s - last_range_used_s_ <= kCoastingAfter_s ? PoseState::kTracking : PoseState::kCoasting;
+  on_pose_(pose);
+}
+
+void Localizer::on_range(const model::RangeSample& range) {
+  if (!started_) return;
+  if (filter_->process(range).outcome == filter::RangeOutcome::kUsed) last_range_used_s_ = range.t_s;
+}
+
+void Localizer::on_pose_prior(const model::PoseSample& pose) {
+  if (started_) return;
+  if (const auto prior = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface))
+    start(*prior);
+}
+
+void Localizer::on_clock_set() {
+  renew();
+}
+
+void Localizer::renew() {
+  filter_.emplace(setup_.surface, setup_.tags, setup_.calibration, setup_.filter);
+  started_ = false;
+  last_range_used_s_ = -std::numeric_limits<double>::infinity();
+}
+
+}  // namespace groma::daemon

@@ -1,0 +1,82 @@
+// Measurements in, poses out: one filter, started at the first pose prior.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/daemon/measurement_sink.hpp"
+#include "host/filter/config.hpp"
+#include "host/filter/filter.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::daemon {
+
+enum class PoseState {
+  kTracking,  // ranges are being used
+  kCoasting,  // none of late: odometry alone
+};
+
+// base_link in the map frame, at a time of the robot.
+struct PoseEstimate {
+  double t_s = 0.0;
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double z_m = 0.0;
+  double roll_rad = 0.0;  // ZYX angles of R_WR
+  double pitch_rad = 0.0;
+  double yaw_rad = 0.0;  // heading on the surface: R_WR = R_WT(x, y) R_z(yaw)
+  Eigen::Matrix3d planar_covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, yaw_rad
+  // Of x, y, z, roll, pitch, yaw; of rank 3, as z, roll and pitch follow from x, y and yaw.
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
+  PoseState state = PoseState::kCoasting;
+};
+
+// A planar pose and its covariance (x, y, theta) carried onto the surface.
+[[nodiscard]] PoseEstimate pose_on(const model::Surface& surface, const model::PlanarPose& planar,
+                                   const Eigen::Matrix3d& planar_covariance) noexcept;
+
+class Localizer : public MeasurementSink {
+ public:
+  // No range used for so long: coasting.
+  static constexpr double kCoastingAfter_s = 1.0;
+
+  struct Setup {
+    model::Surface surface;
+    std::vector<model::Tag> tags;
+    model::Calibration calibration;
+    filter::Config filter;
+  };
+
+  // `on_pose` is called for each odometry row used once started, with the state at the row's time.
+  Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_pose);
+
+  // Starts, or starts anew, at a known pose instead of the first pose prior.
+  void start(const filter::Start& start);
+
+  void on_odometry(const model::OdometrySample& row) override;
+  void on_range(const model::RangeSample& range) override;
+  void on_pose_prior(const model::PoseSample& pose) override;
+  void on_clock_set() override;  // waits for a pose prior again
+
+  [[nodiscard]] bool started() const noexcept { return started_; }
+  [[nodiscard]] const filter::Filter& filter() const noexcept { return *filter_; }
+
+ private:
+  void renew();
+
+  Setup setup_;
+  std::function<void(const PoseEstimate&)> on_pose_;
+  std::optional<filter::Filter> filter_;
+  bool started_ = false;
+  double last_range_used_s_ = -std::numeric_limits<double>::infinity();
+};
+
+}  // namespace groma::daemon

@@ -1,0 +1,27 @@
+// Who takes the measurements of a session.
+#pragma once
+
+#include "host/model/types.hpp"
+
+namespace groma::daemon {
+
+// All times are the robot's (the t_s of its odometry). Measurements come in the order of their times; one
+// that was delayed by more than the session waits comes late, out of order, but at most SessionConfig::
+// max_lateness_s behind the robot's present.
+class MeasurementSink {
+ public:
+  MeasurementSink(const MeasurementSink&) = delete;
+  MeasurementSink& operator=(const MeasurementSink&) = delete;
+  virtual ~MeasurementSink() = default;
+
+  virtual void on_odometry(const model::OdometrySample& row) = 0;
+  virtual void on_range(const model::RangeSample& range) = 0;
+  virtual void on_pose_prior(const model::PoseSample& pose) = 0;
+  // The robot's clock was set or the robot restarted: times before and after do not compare.
+  virtual void on_clock_set() = 0;
+
+ protected:
+  MeasurementSink() = default;
+};
+
+}  // namespace groma::daemon

@@ -1,0 +1,169 @@
+// The input path: bytes of all links in, measurements in the order of their times out. It opens nothing and
+// reads no clock, so that the daemon and the demonstration run the same one, the latter on a simulated clock.
+//
+//   Session session({});
+//   const auto tag = session.add_node("tag-1", 1'000'000);
+//   session.attach(localizer);
+//   session.robot_bytes(line, now_s);
+//   session.node_bytes(tag, bytes, now_s);
+//   session.advance(now_s);  // measurements reach the localizer
+//
+// Three clocks meet here: each node's counter, the host's (now_s: monotonic, any origin) and the robot's. The
+// robot's is the base of everything that comes out: a node's counter is related to the host's clock, and that
+// to the t_s of the robot's odometry, each by the messages with the least delay.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <optional>
+#include <queue>
+#include <span>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+#include "host/clock/time_mapper.hpp"
+#include "host/daemon/measurement_sink.hpp"
+#include "host/daemon/robot_input.hpp"
+#include "host/link/report_decoder.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::daemon {
+
+struct SessionConfig {
+  // How long measurements wait for earlier ones: a range is reported a superframe after its instant.
+  double reorder_lag_s = 0.2;
+  // What is further behind the robot's present is dropped.
+  double max_lateness_s = 0.5;
+  // A robot's t_s further from where its clock should be is dropped as wrong, unless ...
+  double max_clock_error_s = 1.0;
+  // ... it stays so for this long: then the clock was set.
+  double clock_set_after_s = 1.0;
+  // More measurements than this do not wait: the earliest go out at once.
+  std::size_t max_waiting = 16384;
+  // Takes one line about an event worth a human's eye; may be empty.
+  std::function<void(std::string_view)> log;
+};
+
+struct SessionCounters {
+  std::uint64_t odometry = 0;  // passed on, as are the next two
+  std::uint64_t pose_priors = 0;
+  std::uint64_t ranges = 0;
+  std::uint64_t passed_late = 0;              // of those, out of order
+  std::uint64_t dropped_late = 0;             // more than max_lateness_s behind
+  std::uint64_t odometry_out_of_order = 0;    // not newer than the row before: dropped
+  std::uint64_t robot_time_wrong = 0;         // dropped
+  std::uint64_t robot_clock_set = 0;          // times
+  std::uint64_t ranges_without_odometry = 0;  // no row has told the robot's time yet: dropped
+  std::uint64_t waiting_overflows = 0;        // went out before their wait was over
+};
+
+class Session {
+ public:
+  // What is known of one node's link.
+  class Node : public link::NodeSink {
+   public:
+    Node(Session& session, std::string name, unsigned baud);
+
+    [[nodiscard]] const std::string& name() const noexcept { return name_; }
+    [[nodiscard]] const link::ReportDecoder& decoder() const noexcept { return decoder_; }
+    // The last of each that the node sent.
+    [[nodiscard]] const std::optional<groma_Hello>& hello() const noexcept { return hello_; }
+    [[nodiscard]] const std::optional<groma_NetworkStatus>& network_status() const noexcept {
+      return status_;
+    }
+    [[nodiscard]] const std::optional<groma_Counters>& node_counters() const noexcept { return counters_; }
+
+   private:
+    friend class Session;
+    void on_range(const model::RangeSample& range, double time_sigma_s) override;
+    void on_hello(const groma_Hello& hello) override;
+    void on_network_status(const groma_NetworkStatus& status) override { status_ = status; }
+    void on_counters(const groma_Counters& counters) override { counters_ = counters; }
+    void on_log(const groma_Log& log) override;
+
+    Session& session_;
+    std::string name_;
+    link::ReportDecoder decoder_;
+    std::optional<groma_Hello> hello_;
+    std::optional<groma_NetworkStatus> status_;
+    std::optional<groma_Counters> counters_;
+  };
+
+  explicit Session(SessionConfig config = {});
+  Session(const Session&) = delete;
+  Session& operator=(const Session&) = delete;
+  ~Session() = default;
+
+  // A node's link of so many bits per second (0: takes no time); returns its index, from 0.
+  std::size_t add_node(std::string name, unsigned baud);
+
+  // Each sink gets every measurement until it is detached, which it is before it ends; neither from within a
+  // call to a sink.
+  void attach(MeasurementSink& sink);
+  void detach(MeasurementSink& sink);
+
+  // Bytes as they arrived at now_s, which never decreases.
+  void node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s);
+  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s);
+
+  // After a link was closed and opened anew.
+  void node_reopened(std::size_t node);
+  void robot_reopened();
+
+  // Passes on what has waited long enough.
+  void advance(double now_s);
+  // Passes on everything that waits: the drive is over.
+  void flush();
+
+  // The robot's time at a time of the host; nothing before its first odometry.
+  [[nodiscard]] std::optional<double> robot_time_s(double host_s) const;
+
+  [[nodiscard]] std::size_t node_count() const noexcept { return nodes_.size(); }
+  [[nodiscard]] const Node& node(std::size_t index) const { return nodes_.at(index); }
+  [[nodiscard]] const RobotInputCounters& robot_counters() const noexcept { return robot_.counters(); }
+  [[nodiscard]] const SessionCounters& counters() const noexcept { return counters_; }
+  // Reports lost by nodes and links together.
+  [[nodiscard]] std::uint64_t frames_lost() const noexcept;
+
+ private:
+  using Sample = std::variant<model::OdometrySample, model::PoseSample, model::RangeSample>;
+  struct Waiting {
+    double t_s = 0.0;
+    std::uint64_t serial = 0;
+    Sample sample;
+  };
+  // Earliest first; at the same time odometry, then poses, then ranges by tag and anchor, then as they came.
+  struct Later {
+    bool operator()(const Waiting& a, const Waiting& b) const noexcept;
+  };
+
+  void take(const model::OdometrySample& row, double now_s);
+  void take(const model::PoseSample& pose, double now_s);
+  void take(model::RangeSample range);
+  // Puts a sample in its place among those that wait, or passes it on if that place is gone.
+  void enqueue(double t_s, const Sample& sample);
+  void deliver(const Sample& sample);
+  void clock_was_set();
+  [[nodiscard]] bool clock_is_wrong(double t_s, double now_s);
+  void say(std::string_view text) const;
+
+  SessionConfig config_;
+  std::deque<Node> nodes_;
+  RobotInput robot_;
+  std::uint64_t robot_lines_dropped_ = 0;  // that were told of
+  clock::TimeMapper robot_clock_;
+  std::optional<double> last_odometry_s_;
+  std::optional<double> wrong_since_s_;  // host time
+  std::priority_queue<Waiting, std::vector<Waiting>, Later> waiting_;
+  std::uint64_t serial_ = 0;
+  double now_s_ = 0.0;
+  std::optional<double> passed_until_s_;  // robot time
+  std::vector<MeasurementSink*> sinks_;
+  SessionCounters counters_;
+};
+
+}  // namespace groma::daemon
