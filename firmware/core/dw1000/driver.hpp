@@ -1,0 +1,472 @@
+// The DW1000 behind its SPI bus: brings it up, arms one delayed transmission or one reception at a time, and
+// tells what came of it.
+//
+//        bring_up()            transmit_at() / receive_at() / receive_now()
+//   kDown --------> kIdle --------------------------------------------> kTransmitting / kReceiving
+//                     ^                                                        |
+//                     +------------ take_event() says it is over, or stop() ---+
+//
+// An operation asked for in any other state than kIdle is refused (Start::kNotIdle) and touches nothing, so
+// that a frame in flight cannot be trampled. The receiver never re-enables itself: one buffer, one frame,
+// read before the next is asked for.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "firmware/core/dw1000/phy.hpp"
+#include "firmware/core/dw1000/receive_quality.hpp"
+#include "firmware/core/dw1000/registers.hpp"
+#include "firmware/core/dw1000/spi.hpp"
+#include "firmware/core/ranging/device_time.hpp"
+
+namespace groma::dw1000 {
+
+inline constexpr std::uint16_t kDefaultAntennaDelay_dtu = 16436;
+inline constexpr std::uint32_t kDefaultTransmitPower = 0x8585'8585;
+
+struct RadioSettings {
+  Preamble preamble = Preamble::k128;
+  std::uint32_t transmit_power = kDefaultTransmitPower;  // TX_POWER, the same for all parts of a frame
+  // Nothing: what the chip's maker wrote into its OTP memory, or else kDefaultAntennaDelay_dtu.
+  std::optional<std::uint16_t> transmit_antenna_delay_dtu{};
+  std::optional<std::uint16_t> receive_antenna_delay_dtu{};
+};
+
+enum class BringUp : std::uint8_t {
+  kOk,
+  kNoChip,       // no DW1000 answers on the bus
+  kNoLock,       // its clock PLL did not lock
+  kNoFastBus,    // it answers at 2 MHz, but not at 8
+  kNotWritable,  // a register did not keep what was written
+};
+
+// At most 31 characters; empty for kOk.
+[[nodiscard]] constexpr const char* describe(BringUp result) noexcept {
+  switch (result) {
+    case BringUp::kOk:
+      return "";
+    case BringUp::kNoChip:
+      return "no DW1000 answers on SPI";
+    case BringUp::kNoLock:
+      return "clock PLL does not lock";
+    case BringUp::kNoFastBus:
+      return "SPI fails at full speed";
+    case BringUp::kNotWritable:
+      return "registers do not keep values";
+  }
+  return "";
+}
+
+enum class State : std::uint8_t { kDown, kIdle, kTransmitting, kReceiving };
+
+enum class Start : std::uint8_t {
+  kStarted,
+  kLate,  // the instant had passed: nothing is on the air, the chip is idle
+  kNotIdle,
+  kTooLong,  // the frame does not fit
+};
+
+enum class EventKind : std::uint8_t {
+  kNone,
+  kTransmitted,
+  kReceived,
+  kPreambleTimeout,
+  kSfdTimeout,
+  kFrameTimeout,
+  kCheckError,   // the frame check failed
+  kHeaderError,  // the PHY header or the Reed-Solomon code failed
+  kClockLost,    // a PLL lost its lock: the chip has to be brought up again
+};
+
+struct Event {
+  EventKind kind = EventKind::kNone;
+  ranging::DeviceTime stamp{};            // of the RMARKER at the antenna, for kTransmitted and kReceived
+  bool stamp_valid = false;               // for kReceived: the leading edge was found and stamped
+  std::span<const std::uint8_t> frame{};  // for kReceived: without its check; valid until the next operation
+  ReceiveQuality quality{};               // for kReceived
+};
+
+template <Spi S>
+class Dw1000 {
+ public:
+  explicit Dw1000(S& spi) noexcept : spi_(spi) {}
+
+  // Resets and configures the chip; `reset()` pulls its reset line, `delay_us(n)` waits. Afterwards the bus
+  // is fast, and the driver kIdle or, if the result is not kOk, kDown.
+  template <class Reset, class Delay>
+  [[nodiscard]] BringUp bring_up(const RadioSettings& settings, Reset&& reset, Delay&& delay_us) noexcept {
+    state_ = State::kDown;
+    reset();
+    spi_.set_speed(SpiSpeed::kSlow);
+    if (read<reg::DevId>() != kDeviceId) return BringUp::kNoChip;
+
+    write<reg::PmscCtrl0>(kCrystalClock);
+    write(Value<reg::EcCtrl>().set(reg::ec_ctrl::kLockDetect));
+    if (const std::uint32_t ldo_tune = read_otp(kOtpLdoTune); (ldo_tune & 0xFF) != 0) {
+      write<reg::OtpSf>(kLdoKick);
+    }
+    trim_crystal(read_otp(kOtpCrystalTrim));
+    settle_antenna_delays(settings, read_otp(kOtpAntennaDelay));
+    load_leading_edge_microcode(delay_us);
+    tune(settings);
+    if (!await_lock(delay_us)) return BringUp::kNoLock;
+
+    spi_.set_speed(SpiSpeed::kFast);
+    if (read<reg::DevId>() != kDeviceId) return BringUp::kNoFastBus;
+    if (read<reg::ChanCtrl>() != kChannel || read<reg::LdeRepc>() != kLdeReplicaCode ||
+        read<reg::TxAntd>() != Value<reg::TxAntd>(transmit_antenna_delay_dtu_)) {
+      return BringUp::kNotWritable;
+    }
+    state_ = State::kIdle;
+    return BringUp::kOk;
+  }
+
+  [[nodiscard]] State state() const noexcept { return state_; }
+  // In force since the last bring-up.
+  [[nodiscard]] ranging::Ticks transmit_antenna_delay() const noexcept {
+    return ranging::Ticks(transmit_antenna_delay_dtu_);
+  }
+
+  [[nodiscard]] ranging::DeviceTime now() noexcept {
+    return ranging::DeviceTime(read<reg::SysTime>().word());
+  }
+
+  // Sends `frame` (without its check) so that its RMARKER leaves the antenna at `stamp`, which is
+  // transmit_stamp_not_after() of something and less than 8.6 s ahead.
+  [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame) noexcept {
+    if (state_ != State::kIdle) return Start::kNotIdle;
+    if (frame.size() + kFrameCheckBytes > kMaxFrameBytes) return Start::kTooLong;
+    spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
+    write(Value<reg::TxFctrl>(frame_format_).set(reg::tx_fctrl::kLength, frame.size() + kFrameCheckBytes));
+    write(Value<reg::DxTime>((stamp - transmit_antenna_delay()).count()));
+    // Erratum TX-1: without this clock the end of a delayed transmission is not told.
+    write<reg::PmscClock>(kTransmitClockForced);
+    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kTransmit).set(reg::sys_ctrl::kDelayedTransmit));
+    state_ = State::kTransmitting;
+    if (started_late()) {
+      stop();
+      return Start::kLate;
+    }
+    return Start::kStarted;
+  }
+
+  // Listens from `from` on, less than 8.6 s ahead, until a frame came, `frame_timeout` passed (rounded up to
+  // 1.03 us, at most 67 ms), or no preamble was found within `preamble_timeout` (rounded up to a chunk of
+  // symbols; nothing: not supervised).
+  [[nodiscard]] Start receive_at(ranging::DeviceTime from, ranging::Ticks frame_timeout,
+                                 std::optional<ranging::Ticks> preamble_timeout) noexcept {
+    if (state_ != State::kIdle) return Start::kNotIdle;
+    set_timeouts(frame_timeout, preamble_timeout);
+    write(Value<reg::DxTime>(from.count()));
+    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive).set(reg::sys_ctrl::kDelayedReceive));
+    state_ = State::kReceiving;
+    if (started_late()) {
+      stop();
+      return Start::kLate;
+    }
+    return Start::kStarted;
+  }
+
+  // The same, from now on.
+  [[nodiscard]] Start receive_now(ranging::Ticks frame_timeout,
+                                  std::optional<ranging::Ticks> preamble_timeout) noexcept {
+    if (state_ != State::kIdle) return Start::kNotIdle;
+    set_timeouts(frame_timeout, preamble_timeout);
+    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive));
+    state_ = State::kReceiving;
+    return Start::kStarted;
+  }
+
+  // What ended the operation under way; kNone if nothing has. The interrupt line is low afterwards.
+  [[nodiscard]] Event take_event() noexcept {
+    namespace st = reg::sys_status;
+    if (state_ == State::kDown) return {};
+    auto status = read<reg::SysStatus>();
+    if (status.has(st::kClockPllLosing) || status.has(st::kRfPllLosing)) {
+      state_ = State::kDown;
+      write(kAllEvents);
+      return {.kind = EventKind::kClockLost};
+    }
+    if (state_ == State::kTransmitting && status.has(st::kTransmitted)) return take_transmitted();
+    if (state_ == State::kReceiving) {
+      if (status.has(st::kReceived)) return take_received(status);
+      if (const EventKind failure = failure_of(status); failure != EventKind::kNone) {
+        write(kAllEvents);
+        reset_receiver();
+        state_ = State::kIdle;
+        return {.kind = failure};
+      }
+    }
+    if (status.has(st::kInterrupt)) write(kAllEvents);
+    return {};
+  }
+
+  // Ends the operation under way, whatever its state; the driver is kIdle again.
+  void stop() noexcept {
+    if (state_ == State::kDown) return;
+    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kOff));
+    write(kAllEvents);
+    if (state_ == State::kTransmitting) write<reg::PmscClock>(kClocksAutomatic);
+    if (state_ == State::kReceiving) reset_receiver();
+    state_ = State::kIdle;
+  }
+
+ private:
+  static constexpr Value<reg::DevId> kDeviceId{0xDECA0130};
+  static constexpr Value<reg::PmscCtrl0> kCrystalClock{0x0201};
+  static constexpr Value<reg::PmscCtrl0> kMicrocodeClock{0x0301};
+  static constexpr Value<reg::PmscCtrl0> kNormalClock{0x0200};
+  static constexpr Value<reg::PmscClock> kTransmitClockForced{0x20};
+  static constexpr Value<reg::PmscClock> kClocksAutomatic{0x00};
+  static constexpr Value<reg::PmscReset> kReceiverReset{0xE0};
+  static constexpr Value<reg::PmscReset> kNoReset{0xF0};
+  static constexpr Value<reg::OtpSf> kLdoKick{0x02};
+  static constexpr Value<reg::ChanCtrl> kChannel{0x4A480055};
+  static constexpr Value<reg::LdeRepc> kLdeReplicaCode{0x28F4};
+  static constexpr std::uint16_t kOtpLdoTune = 0x04;
+  static constexpr std::uint16_t kOtpAntennaDelay = 0x1C;
+  static constexpr std::uint16_t kOtpCrystalTrim = 0x1E;
+
+  // What may raise the interrupt line: each end of an operation, and the loss of a PLL.
+  static constexpr Value<reg::SysMask> kInterrupts = [] {
+    namespace st = reg::sys_status;
+    const auto bits = Value<reg::SysStatus>()
+                          .set(st::kTransmitted)
+                          .set(st::kHeaderError)
+                          .set(st::kReceived)
+                          .set(st::kCheckError)
+                          .set(st::kSyncLoss)
+                          .set(st::kFrameTimeout)
+                          .set(st::kPreambleTimeout)
+                          .set(st::kRfPllLosing)
+                          .set(st::kClockPllLosing)
+                          .set(st::kSfdTimeout);
+    return Value<reg::SysMask>(bits.word());
+  }();
+  static constexpr Value<reg::SysStatus> kAllEvents{0x07'FFFF'FFFF};
+
+  // What depends on the preamble's length.
+  struct Tuning {
+    Value<reg::DrxTune1b> tune1b;
+    Value<reg::DrxTune2> tune2;
+    Value<reg::DrxTune4h> tune4h;
+    std::uint8_t code;  // TXPSR and PE
+  };
+  static constexpr Tuning tuning_of(Preamble preamble) noexcept {
+    using T1 = Value<reg::DrxTune1b>;
+    using T2 = Value<reg::DrxTune2>;
+    using T4 = Value<reg::DrxTune4h>;
+    switch (preamble) {
+      case Preamble::k64:
+        return {T1(0x0010), T2(0x313B006B), T4(0x0010), 0b0001};
+      case Preamble::k128:
+        return {T1(0x0020), T2(0x313B006B), T4(0x0028), 0b0101};
+      case Preamble::k256:
+        return {T1(0x0020), T2(0x333B00BE), T4(0x0028), 0b1001};
+    }
+    return {};
+  }
+
+  template <class R>
+  [[nodiscard]] Value<R> read() noexcept {
+    static_assert(R::kReadable, "a register that cannot be read");
+    Value<R> value;
+    spi_.read(TransactionHeader(false, R::kId, R::kSub).bytes(), value.bytes());
+    return value;
+  }
+
+  template <class R>
+  void write(const Value<R>& value) noexcept {
+    static_assert(R::kWritable, "a register that cannot be written");
+    spi_.write(TransactionHeader(true, R::kId, R::kSub).bytes(), value.bytes());
+  }
+
+  // User manual 6.3.3; on the crystal's clock, for the words read at the PLL's are not reliable.
+  [[nodiscard]] std::uint32_t read_otp(std::uint16_t address) noexcept {
+    write(Value<reg::OtpAddr>(address));
+    write(Value<reg::OtpCtrl>().set(reg::otp_ctrl::kReadEnable).set(reg::otp_ctrl::kRead));
+    write(Value<reg::OtpCtrl>());
+    return static_cast<std::uint32_t>(read<reg::OtpRdat>().word());
+  }
+
+  void trim_crystal(std::uint32_t otp_word) noexcept {
+    constexpr std::uint32_t kMidRange = 0x10;
+    const std::uint32_t trim = otp_word & 0x1F;
+    write(Value<reg::FsXtalt>()
+              .set(reg::fs_xtalt::kFixed, 3)
+              .set(reg::fs_xtalt::kTrim, trim == 0 ? kMidRange : trim));
+  }
+
+  void settle_antenna_delays(const RadioSettings& settings, std::uint32_t otp_word) noexcept {
+    const auto at_prf64 = static_cast<std::uint16_t>(otp_word >> 16);
+    const std::uint16_t fallback = at_prf64 == 0 || at_prf64 == 0xFFFF ? kDefaultAntennaDelay_dtu : at_prf64;
+    transmit_antenna_delay_dtu_ = settings.transmit_antenna_delay_dtu.value_or(fallback);
+    write(Value<reg::TxAntd>(transmit_antenna_delay_dtu_));
+    write(Value<reg::LdeRxantd>(settings.receive_antenna_delay_dtu.value_or(fallback)));
+  }
+
+  // User manual 2.5.5.10. Without its microcode the leading edge detector's stamps are junk.
+  template <class Delay>
+  void load_leading_edge_microcode(Delay& delay_us) noexcept {
+    constexpr std::uint32_t kLoad_us = 200;
+    write(kMicrocodeClock);
+    write(Value<reg::OtpCtrl>().set(reg::otp_ctrl::kLoadMicrocode));
+    delay_us(kLoad_us);
+    write(kNormalClock);
+  }
+
+  // User manual 2.5.5 and 7.2.31 ff. for channel 5, PRF 64 MHz, 6.8 Mbit/s, code 9.
+  void tune(const RadioSettings& settings) noexcept {
+    const Phy phy(settings.preamble);
+    const Tuning tuning = tuning_of(settings.preamble);
+    write(Value<reg::SysCfg>()
+              .set(reg::sys_cfg::kInterruptHigh)
+              .set(reg::sys_cfg::kSingleBuffer)
+              .set(reg::sys_cfg::kConstantPower)
+              .set(reg::sys_cfg::kFrameWaitTimeout));
+    write(kChannel);
+    write(Value<reg::TxPower>(settings.transmit_power));
+    write(Value<reg::AgcTune1>(0x889B));
+    write(Value<reg::AgcTune2>(0x2502A907));
+    write(Value<reg::AgcTune3>(0x0035));
+    write(Value<reg::DrxTune0b>(0x0001));
+    write(Value<reg::DrxTune1a>(0x008D));
+    write(tuning.tune1b);
+    write(tuning.tune2);
+    write(tuning.tune4h);
+    // The longest preamble that can still become a frame: all of it, the SFD, and one symbol of doubt.
+    write(Value<reg::DrxSfdtoc>(static_cast<std::uint64_t>(phy.preamble_symbols() + 1 + Phy::kSfdSymbols -
+                                                           phy.acquisition_chunk_symbols())));
+    write(Value<reg::DrxPretoc>());
+    write(Value<reg::RfRxctrlh>(0xD8));
+    write(Value<reg::RfTxctrl>(0x001E3FE3));
+    write(Value<reg::TcPgdelay>(0xB5));
+    write(Value<reg::FsPllcfg>(0x0800041D));
+    write(Value<reg::FsPlltune>(0xBE));
+    write(Value<reg::LdeCfg1>(0x6D));
+    write(Value<reg::LdeCfg2>(0x0607));
+    write(kLdeReplicaCode);
+    write(kInterrupts);
+    frame_format_ = Value<reg::TxFctrl>()
+                        .set(reg::tx_fctrl::kBitRate, 2)
+                        .set(reg::tx_fctrl::kRanging)
+                        .set(reg::tx_fctrl::kPrf, 2)
+                        .set(reg::tx_fctrl::kPreamble, tuning.code);
+    preamble_timeout_chunks_ = 0;
+    chunk_ = phy.acquisition_chunk_symbols() * Phy::kPreambleSymbol;
+  }
+
+  template <class Delay>
+  [[nodiscard]] bool await_lock(Delay& delay_us) noexcept {
+    constexpr int kTries = 50;
+    constexpr std::uint32_t kTry_us = 100;
+    for (int i = 0; i < kTries; ++i) {
+      if (read<reg::SysStatus>().has(reg::sys_status::kPllLocked)) {
+        // What the flags said while the PLL was settling does not count.
+        write(kAllEvents);
+        const auto status = read<reg::SysStatus>();
+        return !status.has(reg::sys_status::kClockPllLosing) && !status.has(reg::sys_status::kRfPllLosing);
+      }
+      delay_us(kTry_us);
+    }
+    return false;
+  }
+
+  void set_timeouts(ranging::Ticks frame_timeout, std::optional<ranging::Ticks> preamble_timeout) noexcept {
+    write(Value<reg::RxFwto>(rounded_up(frame_timeout, ranging::Ticks(ranging::Ticks::kPerUus))));
+    const std::uint16_t chunks = preamble_timeout ? rounded_up(*preamble_timeout, chunk_) : std::uint16_t{0};
+    if (chunks == preamble_timeout_chunks_) return;
+    preamble_timeout_chunks_ = chunks;
+    write(Value<reg::DrxPretoc>(chunks));
+  }
+
+  // In units, at least 1, saturated at 16 bits.
+  [[nodiscard]] static std::uint16_t rounded_up(ranging::Ticks t, ranging::Ticks unit) noexcept {
+    const std::int64_t units = (t.count() + unit.count() - 1) / unit.count();
+    return static_cast<std::uint16_t>(units < 1 ? 1 : units > 0xFFFF ? 0xFFFF : units);
+  }
+
+  [[nodiscard]] bool started_late() noexcept {
+    const auto status = read<reg::SysStatus>();
+    return status.has(reg::sys_status::kHalfPeriod) ||
+           (state_ == State::kTransmitting && status.has(reg::sys_status::kPowerUpError));
+  }
+
+  [[nodiscard]] Event take_transmitted() noexcept {
+    const ranging::DeviceTime stamp(read<reg::TxTime>().get(reg::tx_time::kStamp));
+    write(kAllEvents);
+    write<reg::PmscClock>(kClocksAutomatic);
+    state_ = State::kIdle;
+    return {.kind = EventKind::kTransmitted, .stamp = stamp};
+  }
+
+  [[nodiscard]] Event take_received(Value<reg::SysStatus> status) noexcept {
+    namespace st = reg::sys_status;
+    // The frame may be whole before its leading edge is found.
+    for (int i = 0; i < kStampTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
+      status = read<reg::SysStatus>();
+    }
+    const auto info = read<reg::RxFinfo>();
+    const std::size_t length = info.get(reg::rx_finfo::kLength);
+    const std::size_t size = length < kFrameCheckBytes ? 0 : length - kFrameCheckBytes;
+    const std::span<std::uint8_t> frame =
+        std::span(frame_).first(size < frame_.size() ? size : frame_.size());
+    spi_.read(TransactionHeader(false, reg::RxBuffer::kId, reg::RxBuffer::kSub).bytes(), frame);
+    const auto time = read<reg::RxTime>();
+    const auto quality = read<reg::RxFqual>();
+    const auto count = info.get(reg::rx_finfo::kPreambleCount);
+    const auto unsaturated_count = read<reg::RxpaccNosat>().word();
+    const auto carrier = read<reg::DrxCarInt>().get_signed(reg::drx_car_int::kIntegral);
+    const Event event{
+        .kind = EventKind::kReceived,
+        .stamp = ranging::DeviceTime(time.get(reg::rx_time::kStamp)),
+        .stamp_valid = status.has(st::kStamped) && !status.has(st::kStampError),
+        .frame = frame,
+        .quality = {
+            .amplitude1 = static_cast<std::uint16_t>(time.get(reg::rx_time::kAmplitude1)),
+            .amplitude2 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude2)),
+            .amplitude3 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude3)),
+            .channel_power = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kChannelPower)),
+            .noise = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kNoise)),
+            .first_path_index_64ths = static_cast<std::uint16_t>(time.get(reg::rx_time::kFirstPath)),
+            .preamble_count = corrected_preamble_count(static_cast<std::uint16_t>(count),
+                                                       static_cast<std::uint16_t>(unsaturated_count)),
+            .carrier_integral = static_cast<std::int32_t>(carrier),
+        }};
+    write(kAllEvents);
+    state_ = State::kIdle;
+    return event;
+  }
+
+  [[nodiscard]] static EventKind failure_of(const Value<reg::SysStatus>& status) noexcept {
+    namespace st = reg::sys_status;
+    if (status.has(st::kHeaderError) || status.has(st::kSyncLoss)) return EventKind::kHeaderError;
+    if (status.has(st::kCheckError)) return EventKind::kCheckError;
+    if (status.has(st::kSfdTimeout)) return EventKind::kSfdTimeout;
+    if (status.has(st::kPreambleTimeout)) return EventKind::kPreambleTimeout;
+    if (status.has(st::kFrameTimeout)) return EventKind::kFrameTimeout;
+    return EventKind::kNone;
+  }
+
+  // User manual 4.1.6: after an error or a time-out the next stamp would be wrong.
+  void reset_receiver() noexcept {
+    write(kReceiverReset);
+    write(kNoReset);
+  }
+
+  static constexpr int kStampTries = 8;
+
+  S& spi_;
+  State state_ = State::kDown;
+  std::uint16_t transmit_antenna_delay_dtu_ = 0;
+  std::uint16_t preamble_timeout_chunks_ = 0;
+  ranging::Ticks chunk_{1};
+  Value<reg::TxFctrl> frame_format_;
+  std::array<std::uint8_t, kMaxFrameBytes> frame_{};
+};
+
+}  // namespace groma::dw1000

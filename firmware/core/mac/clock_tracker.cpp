@@ -1,0 +1,90 @@
+#include "firmware/core/mac/clock_tracker.hpp"
+
+#include <cmath>
+
+namespace groma::mac {
+namespace {
+
+using ranging::ClockTime;
+using ranging::Ticks;
+
+constexpr auto kTicksPerSecond = static_cast<float>(Ticks::kPerSecond);
+constexpr float kTicksPerSecondPerPpb = kTicksPerSecond * 1e-9F;
+
+// A receive stamp with its reflections: 0.2 ns.
+constexpr float kStampSigma_ticks = 13.0F;
+// The carrier's offset as a measure of the rate: 1 ppm.
+constexpr float kSeedSigma_ticks_per_s = 1000.0F * kTicksPerSecondPerPpb;
+// The rate's random walk: 0.1 ppm in a second, so that a ramp of 1 ppm a second is followed as well.
+constexpr float kWalk_ticks_per_s = 100.0F * kTicksPerSecondPerPpb;
+// A stamp this far off can still be honest: the filter's own idea of its accuracy is not to lock it out.
+constexpr float kGateFloor_ticks = 5e-6F * kTicksPerSecond;
+constexpr float kGateSigmas = 6.0F;
+
+}  // namespace
+
+void ClockTracker::seed(Ticks master, ClockTime local, std::int32_t master_offset_ppb) noexcept {
+  seeded_ = true;
+  reference_master_ = master;
+  reference_local_ = local;
+  fraction_ticks_ = 0.0F;
+  rate_ticks_per_s_ = -static_cast<float>(master_offset_ppb) * kTicksPerSecondPerPpb;
+  covariance_ = {kStampSigma_ticks * kStampSigma_ticks, 0.0F,
+                 kSeedSigma_ticks_per_s * kSeedSigma_ticks_per_s};
+}
+
+float ClockTracker::seconds_since_reference(Ticks master) const noexcept {
+  return static_cast<float>((master - reference_master_).count()) / kTicksPerSecond;
+}
+
+ClockTracker::Covariance ClockTracker::predicted(float dt) const noexcept {
+  // White noise on the rate's derivative.
+  constexpr float kDensity = kWalk_ticks_per_s * kWalk_ticks_per_s;
+  const float span = std::fabs(dt);
+  return {covariance_.offset + 2.0F * dt * covariance_.cross + dt * dt * covariance_.rate +
+              kDensity * span * span * span / 3.0F,
+          covariance_.cross + dt * covariance_.rate + kDensity * span * dt / 2.0F,
+          covariance_.rate + kDensity * span};
+}
+
+ClockTime ClockTracker::local(Ticks master) const noexcept {
+  // The whole ticks stay whole; only the correction, a few millionths of them, is a float.
+  const float correction = fraction_ticks_ + rate_ticks_per_s_ * seconds_since_reference(master);
+  return reference_local_ + (master - reference_master_) + Ticks(std::llround(correction));
+}
+
+Ticks ClockTracker::sigma(Ticks master) const noexcept {
+  return Ticks(std::llround(std::ceil(std::sqrt(predicted(seconds_since_reference(master)).offset))));
+}
+
+std::int32_t ClockTracker::skew_ppb() const noexcept {
+  return static_cast<std::int32_t>(std::lround(rate_ticks_per_s_ / kTicksPerSecondPerPpb));
+}
+
+bool ClockTracker::update(Ticks master, ClockTime local_stamp) noexcept {
+  const float dt = seconds_since_reference(master);
+  const Covariance prior = predicted(dt);
+  const float correction = fraction_ticks_ + rate_ticks_per_s_ * dt;
+  const Ticks whole = local_stamp - (reference_local_ + (master - reference_master_));
+  const float innovation = static_cast<float>(whole.count()) - correction;
+
+  constexpr float kNoise = kStampSigma_ticks * kStampSigma_ticks;
+  const float variance = prior.offset + kNoise;
+  if (std::fabs(innovation) > kGateFloor_ticks + kGateSigmas * std::sqrt(variance)) return false;
+
+  const float gain_offset = prior.offset / variance;
+  const float gain_rate = prior.cross / variance;
+  // The stamp is the new reference, so that the fraction stays small and exact.
+  reference_master_ = master;
+  reference_local_ = local_stamp;
+  fraction_ticks_ = (gain_offset - 1.0F) * innovation;
+  rate_ticks_per_s_ += gain_rate * innovation;
+  // Joseph's form: stays positive in single precision.
+  const float keep = 1.0F - gain_offset;
+  covariance_ = {keep * keep * prior.offset + gain_offset * gain_offset * kNoise,
+                 keep * (prior.cross - gain_rate * prior.offset) + gain_offset * gain_rate * kNoise,
+                 prior.rate - 2.0F * gain_rate * prior.cross + gain_rate * gain_rate * variance};
+  return true;
+}
+
+}  // namespace groma::mac

@@ -1,0 +1,60 @@
+#include "firmware/core/mac/exchange.hpp"
+
+#include <cstdlib>
+
+namespace groma::mac {
+namespace {
+
+constexpr std::int32_t kClockTolerance_ppb = 100'000;
+// The carrier's offset has some 0.1 ppm of noise; drift within an exchange adds less.
+constexpr std::int32_t kCarrierTolerance_ppb = 5'000;
+constexpr ranging::FlightTime kShortest{-2131 * 256};   // -10 m
+constexpr ranging::FlightTime kLongest{213'140 * 256};  // 1 km
+
+// Two stamps' noise in a short exchange looks like an offset: half a nanosecond over its length.
+std::int32_t stamp_tolerance_ppb(ranging::Ticks length) noexcept {
+  constexpr std::int64_t kNoise_ticks = 32;
+  return static_cast<std::int32_t>(kNoise_ticks * 1'000'000'000 / length.count());
+}
+
+bool plausible(const Range& range, const Leg& leg) noexcept {
+  const std::int32_t offset_ppb = range.clock_offset_ppb;
+  if (std::abs(offset_ppb) > kClockTolerance_ppb) return false;
+  const ranging::Ticks length = range.intervals.tag_round + range.intervals.tag_reply;
+  const std::int32_t tolerance_ppb = kCarrierTolerance_ppb + stamp_tolerance_ppb(length);
+  if (std::abs(offset_ppb - dw1000::clock_offset_ppb(leg.quality.carrier_integral)) > tolerance_ppb) {
+    return false;
+  }
+  return range.flight >= kShortest && range.flight <= kLongest;
+}
+
+}  // namespace
+
+Range evaluate(const Exchange& exchange, const Leg& leg) noexcept {
+  Range range;
+  if (!leg.answered) return range;
+  if (!leg.stamp_valid) {
+    range.status = RangeStatus::kBadStamp;
+    return range;
+  }
+  range.status = RangeStatus::kNoClosingStamp;
+  if (leg.closing_state == Leg::Closing::kStale) {
+    range.status = RangeStatus::kStale;
+    return range;
+  }
+  if (leg.closing_state == Leg::Closing::kNone || !exchange.closing_sent) return range;
+  range.intervals = {.tag_round = leg.received - exchange.poll_sent,
+                     .anchor_reply = leg.reply,
+                     .anchor_round = leg.closing,
+                     .tag_reply = *exchange.closing_sent - leg.received};
+  if (range.intervals.tag_reply > kMaxClosing) return range;
+  range.status = RangeStatus::kBadStamp;
+  const auto flight = ranging::double_sided(range.intervals);
+  if (!flight) return range;
+  range.flight = *flight;
+  range.clock_offset_ppb = ranging::clock_offset_ppb(range.intervals);
+  if (plausible(range, leg)) range.status = RangeStatus::kOk;
+  return range;
+}
+
+}  // namespace groma::mac

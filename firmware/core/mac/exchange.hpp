@@ -1,0 +1,62 @@
+// One exchange of a tag with the anchors it polled, and the ranges that follow from it.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+#include "firmware/core/dw1000/receive_quality.hpp"
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/ranging/device_time.hpp"
+#include "firmware/core/ranging/twr.hpp"
+
+namespace groma::mac {
+
+enum class RangeStatus : std::uint8_t {
+  kOk,
+  kNoResponse,      // the anchor's RESPONSE was not received
+  kNoClosingStamp,  // the anchor did not hear the closing frame, or its next RESPONSE was not received
+  kStale,           // the closing stamp that it holds is another exchange's
+  kBadStamp,        // a stamp was not valid, or the four intervals contradict each other
+};
+
+// The part of one anchor.
+struct Leg {
+  std::uint16_t anchor = 0;
+  bool answered = false;
+  bool stamp_valid = false;
+  ranging::ClockTime received{};  // T2
+  ranging::Ticks reply{};         // A2 - A1
+  dw1000::ReceiveQuality quality{};
+  enum class Closing : std::uint8_t { kNone, kStale, kHeld };
+  Closing closing_state = Closing::kNone;
+  ranging::Ticks closing{};  // A3 - A2
+};
+
+struct Exchange {
+  std::uint16_t number = 0;
+  std::uint32_t superframe = 0;
+  std::uint8_t slot = 0;
+  std::uint8_t count = 0;
+  std::array<Leg, kMaxAnchors> legs{};
+  ranging::ClockTime poll_sent{};                    // T1
+  std::optional<ranging::ClockTime> closing_sent{};  // T3: of the FINAL, or of the next POLL
+};
+
+struct Range {
+  RangeStatus status = RangeStatus::kNoResponse;
+  ranging::DoubleSidedIntervals intervals{};  // for kOk
+  ranging::FlightTime flight{};               // for kOk: at the leg's `received`
+  std::int32_t clock_offset_ppb = 0;          // for kOk: anchor's clock against the tag's, by the intervals
+};
+
+// Longest time between a RESPONSE and the frame that closes its exchange: far below the 17.2 s at which the
+// anchor's interval would wrap unseen.
+inline constexpr ranging::Ticks kMaxClosing = ranging::Ticks::from_us(4'000'000);
+
+// A range is good only if both clocks agree about the exchange's length to 100 ppm and, to 5 ppm, about what
+// the carrier says of them, and its flight time is within -10 m and 1 km: a stamp of the wrong frame fails.
+[[nodiscard]] Range evaluate(const Exchange& exchange, const Leg& leg) noexcept;
+
+}  // namespace groma::mac

@@ -1,0 +1,158 @@
+// Time as the DW1000 counts it: ticks of 1/(128 x 499.2 MHz) = 15.65 ps, 40 bits, wrapping each 17.2 s.
+//
+//   Ticks       a signed length of time
+//   DeviceTime  an instant of the chip's counter, modulo 2^40
+//   ClockTime   an instant of the node's clock in 64 bits, which does not wrap (9 years)
+//   Unwrapper   from one to the other
+//
+// None of them converts to or from a number, or a length to an instant, unless asked by name: microseconds
+// cannot be taken for ticks.
+#pragma once
+
+#include <compare>
+#include <cstdint>
+
+namespace groma::ranging {
+
+class Ticks {
+ public:
+  static constexpr std::int64_t kPerSecond = 63'897'600'000;
+  // 1.0256 us: a PHR symbol, and the unit of the receiver's time-outs.
+  static constexpr std::int64_t kPerUus = 65'536;
+
+  constexpr Ticks() noexcept = default;
+  constexpr explicit Ticks(std::int64_t count) noexcept : count_(count) {}
+
+  // Rounded to the nearest tick; |us| up to 10^13.
+  [[nodiscard]] static constexpr Ticks from_us(std::int64_t us) noexcept {
+    const std::int64_t tenths = us * 638'976;
+    return Ticks((tenths + (tenths < 0 ? -5 : 5)) / 10);
+  }
+
+  [[nodiscard]] constexpr std::int64_t count() const noexcept { return count_; }
+  // Rounded down.
+  [[nodiscard]] constexpr std::int64_t to_us() const noexcept {
+    constexpr std::int64_t kTicksIn10Us = 638'976;
+    const std::int64_t whole = count_ / kTicksIn10Us;
+    const std::int64_t rest = count_ % kTicksIn10Us;
+    const std::int64_t rest_us = rest * 10;
+    return whole * 10 + (rest_us - (rest_us < 0 ? kTicksIn10Us - 1 : 0)) / kTicksIn10Us;
+  }
+
+  constexpr Ticks& operator+=(Ticks other) noexcept {
+    count_ += other.count_;
+    return *this;
+  }
+  constexpr Ticks& operator-=(Ticks other) noexcept {
+    count_ -= other.count_;
+    return *this;
+  }
+  friend constexpr Ticks operator+(Ticks a, Ticks b) noexcept { return Ticks(a.count_ + b.count_); }
+  friend constexpr Ticks operator-(Ticks a, Ticks b) noexcept { return Ticks(a.count_ - b.count_); }
+  friend constexpr Ticks operator-(Ticks a) noexcept { return Ticks(-a.count_); }
+  friend constexpr Ticks operator*(Ticks a, std::int64_t n) noexcept { return Ticks(a.count_ * n); }
+  friend constexpr Ticks operator*(std::int64_t n, Ticks a) noexcept { return a * n; }
+  friend constexpr auto operator<=>(Ticks, Ticks) noexcept = default;
+
+ private:
+  std::int64_t count_ = 0;
+};
+
+class DeviceTime {
+ public:
+  static constexpr std::uint64_t kMask = (std::uint64_t{1} << 40) - 1;
+
+  constexpr DeviceTime() noexcept = default;
+  // The low 40 bits of `count`.
+  constexpr explicit DeviceTime(std::uint64_t count) noexcept : count_(count & kMask) {}
+
+  [[nodiscard]] constexpr std::uint64_t count() const noexcept { return count_; }
+
+  friend constexpr DeviceTime operator+(DeviceTime t, Ticks d) noexcept {
+    return DeviceTime(t.count_ + static_cast<std::uint64_t>(d.count()));
+  }
+  friend constexpr DeviceTime operator-(DeviceTime t, Ticks d) noexcept { return t + -d; }
+  // The shorter way round: -2^39 to 2^39 - 1 ticks, that is +-8.6 s.
+  friend constexpr Ticks operator-(DeviceTime later, DeviceTime earlier) noexcept {
+    const std::uint64_t modular = (later.count_ - earlier.count_) & kMask;
+    const auto signed_ticks = static_cast<std::int64_t>(modular);
+    return Ticks(modular >= (kMask + 1) / 2 ? signed_ticks - static_cast<std::int64_t>(kMask) - 1
+                                            : signed_ticks);
+  }
+  friend constexpr bool operator==(DeviceTime, DeviceTime) noexcept = default;
+
+ private:
+  std::uint64_t count_ = 0;
+};
+
+class ClockTime {
+ public:
+  constexpr ClockTime() noexcept = default;
+  constexpr explicit ClockTime(std::int64_t count) noexcept : count_(count) {}
+
+  [[nodiscard]] constexpr std::int64_t count() const noexcept { return count_; }
+
+  constexpr ClockTime& operator+=(Ticks d) noexcept {
+    count_ += d.count();
+    return *this;
+  }
+  friend constexpr ClockTime operator+(ClockTime t, Ticks d) noexcept {
+    return ClockTime(t.count_ + d.count());
+  }
+  friend constexpr ClockTime operator-(ClockTime t, Ticks d) noexcept {
+    return ClockTime(t.count_ - d.count());
+  }
+  friend constexpr Ticks operator-(ClockTime later, ClockTime earlier) noexcept {
+    return Ticks(later.count_ - earlier.count_);
+  }
+  friend constexpr auto operator<=>(ClockTime, ClockTime) noexcept = default;
+
+ private:
+  std::int64_t count_ = 0;
+};
+
+// A delayed transmission starts on a grid of 512 ticks: DX_TIME ignores its low 9 bits (user manual 3.3).
+inline constexpr Ticks kTransmitGrid{512};
+
+[[nodiscard]] constexpr Ticks round_up_to_grid(Ticks t) noexcept {
+  return Ticks((t.count() + kTransmitGrid.count() - 1) & ~(kTransmitGrid.count() - 1));
+}
+
+// The stamp of the last transmission that can leave the antenna not after `latest`, the grid and the antenna
+// delay taken into account: both ends of the chain know it before the frame is sent.
+[[nodiscard]] constexpr ClockTime transmit_stamp_not_after(ClockTime latest, Ticks antenna_delay) noexcept {
+  const std::int64_t at_chip = (latest - antenna_delay).count() & ~(kTransmitGrid.count() - 1);
+  return ClockTime(at_chip) + antenna_delay;
+}
+
+// Follows the 40-bit counter over its wraps. It must see an instant at least each 8 s. A ClockTime's low 9
+// bits are the counter's, so that the transmit grid is the same in both.
+class Unwrapper {
+ public:
+  [[nodiscard]] constexpr DeviceTime wrap(ClockTime t) const noexcept {
+    return DeviceTime(static_cast<std::uint64_t>((t - offset_).count()));
+  }
+
+  // The instant nearest to the latest one seen; later ones become the latest.
+  constexpr ClockTime unwrap(DeviceTime t) noexcept {
+    const ClockTime result = latest_ + (t - wrap(latest_));
+    if (result > latest_) latest_ = result;
+    return result;
+  }
+
+  // The counter started anew and reads `counter` now, `elapsed` (not negative) after the latest instant seen:
+  // the clock goes on from there without a step back.
+  constexpr void restart(DeviceTime counter, Ticks elapsed) noexcept {
+    const ClockTime now = latest_ + elapsed;
+    offset_ = round_up_to_grid(Ticks((now - Ticks(static_cast<std::int64_t>(counter.count()))).count()));
+    latest_ = now;
+  }
+
+  [[nodiscard]] constexpr ClockTime latest() const noexcept { return latest_; }
+
+ private:
+  ClockTime latest_;
+  Ticks offset_;
+};
+
+}  // namespace groma::ranging

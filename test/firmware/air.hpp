@@ -1,0 +1,327 @@
+// A small world for the state machines: nodes with drifting clocks on one ideal air, no chip and no driver.
+// Frames may be lost, collide, or be sent again by someone else.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <random>
+#include <span>
+#include <variant>
+#include <vector>
+
+#include "firmware/core/mac/anchor.hpp"
+#include "firmware/core/mac/tag.hpp"
+
+namespace groma::testing {
+
+using mac::Action;
+using mac::Step;
+using ranging::ClockTime;
+using ranging::Ticks;
+
+inline constexpr double kTicksPerSecond = 63'897'600'000.0;
+inline constexpr double kMetresPerTick = 299'792'458.0 / kTicksPerSecond;
+
+inline groma_Schedule schedule_of(std::size_t tags, std::size_t anchors, groma_RangingMethod method,
+                                  std::uint32_t turn_round_us = 650, std::uint32_t gap_us = 290) {
+  groma_Schedule schedule = groma_Schedule_init_zero;
+  schedule.epoch = 7;
+  schedule.master_id = 101;
+  schedule.tag_ids_count = static_cast<pb_size_t>(tags);
+  for (std::size_t i = 0; i < tags; ++i) schedule.tag_ids[i] = static_cast<std::uint16_t>(1 + i);
+  schedule.anchor_ids_count = static_cast<pb_size_t>(anchors);
+  for (std::size_t i = 0; i < anchors; ++i) schedule.anchor_ids[i] = static_cast<std::uint16_t>(101 + i);
+  schedule.method = method;
+  schedule.turn_round_us = turn_round_us;
+  schedule.response_gap_us = gap_us;
+  schedule.guard_us = 20;
+  return schedule;
+}
+
+struct NodeSettings {
+  std::uint16_t id = 0;
+  double x_m = 0.0;
+  double offset_ppm = 0.0;
+  double phase_ticks = 0.0;  // what its clock shows at time 0
+  Ticks antenna_delay{16436};
+};
+
+struct RangeSeen {
+  std::uint16_t tag = 0;
+  std::uint16_t anchor = 0;
+  std::uint32_t superframe = 0;
+  mac::Range range{};
+  double truth_m = 0.0;
+};
+
+class Air {
+ public:
+  struct Frame {
+    std::size_t source = 0;  // a node's index, or kGhost
+    double rmarker = 0.0;    // true time, ticks
+    double x_m = 0.0;
+    std::vector<std::uint8_t> bytes;
+  };
+  static constexpr std::size_t kGhost = ~std::size_t{0};
+
+  Air(const groma_Schedule& schedule, dw1000::Preamble preamble) : schedule_(schedule), phy_(preamble) {}
+
+  std::size_t add(const NodeSettings& settings) {
+    const mac::Site site{.id = settings.id,
+                         .network_id = 0x55AA,
+                         .preamble = phy_.preamble(),
+                         .schedule = schedule_,
+                         .transmit_antenna_delay = settings.antenna_delay};
+    auto node = std::make_unique<Node>();
+    node->settings = settings;
+    if (settings.id < 100) {
+      node->machine.emplace<mac::Tag>(site, node->counters);
+    } else {
+      node->machine.emplace<mac::Anchor>(site, node->counters);
+    }
+    nodes_.push_back(std::move(node));
+    return nodes_.size() - 1;
+  }
+
+  // Tags 1.. at random places of a hall, anchors 101.. too.
+  void add_all(double spread_m, double ppm, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    const auto uniform = [&](double low, double high) {
+      return low + (high - low) * static_cast<double>(random() >> 11) * 0x1p-53;
+    };
+    for (std::size_t i = 0; i < schedule_.anchor_ids_count; ++i) {
+      add({.id = schedule_.anchor_ids[i],
+           .x_m = uniform(0.0, spread_m),
+           .offset_ppm = uniform(-ppm, ppm),
+           .phase_ticks = uniform(0.0, 1e12)});
+    }
+    for (std::size_t i = 0; i < schedule_.tag_ids_count; ++i) {
+      add({.id = schedule_.tag_ids[i],
+           .x_m = uniform(0.0, spread_m),
+           .offset_ppm = uniform(-ppm, ppm),
+           .phase_ticks = uniform(0.0, 1e12)});
+    }
+  }
+
+  void start(std::size_t node) {
+    Node& n = *nodes_[node];
+    n.on = true;
+    arm(node, tell(n, [&](auto& machine) { return machine.start(local(n, now_)); }));
+  }
+  void start_all() {
+    for (std::size_t i = 0; i < nodes_.size(); ++i) start(i);
+  }
+  void stop(std::size_t node) {
+    nodes_[node]->on = false;
+    nodes_[node]->action = {};
+  }
+
+  void run(double seconds) {
+    const double end = now_ + seconds * kTicksPerSecond;
+    while (step(end)) {
+    }
+    now_ = end;
+  }
+
+  // A frame sent by nobody of the site, its RMARKER at true time `rmarker`.
+  void inject(double rmarker, double x_m, std::span<const std::uint8_t> bytes) {
+    ghosts_.push_back({kGhost, rmarker, x_m, {bytes.begin(), bytes.end()}});
+  }
+
+  // True: this receiver does not hear this frame.
+  std::function<bool(const Frame&, std::size_t receiver)> lost;
+  // Sees each frame as it ends.
+  std::function<void(const Frame&)> overheard;
+  // Changes a reception on its way.
+  std::function<void(std::size_t receiver, mac::Reception&)> spoil;
+  double stamp_noise_ticks = 0.0;
+  double work_ticks = 100e-6 * kTicksPerSecond;  // from an event to the next action armed
+
+  std::vector<RangeSeen> ranges;
+  std::size_t collisions = 0;
+
+  [[nodiscard]] double now() const { return now_; }
+  [[nodiscard]] std::size_t size() const { return nodes_.size(); }
+  [[nodiscard]] std::uint16_t id(std::size_t node) const { return nodes_[node]->settings.id; }
+  [[nodiscard]] double x_m(std::size_t node) const { return nodes_[node]->settings.x_m; }
+  [[nodiscard]] const groma_Counters& counters(std::size_t node) const { return nodes_[node]->counters; }
+  [[nodiscard]] const mac::Station& station(std::size_t node) const {
+    const auto& machine = nodes_[node]->machine;
+    if (const auto* tag = std::get_if<mac::Tag>(&machine)) return tag->station();
+    return std::get<mac::Anchor>(machine).station();
+  }
+  void set_offset_ppm(std::size_t node, double ppm) {
+    Node& n = *nodes_[node];
+    const double shown = local_ticks(n, now_);
+    n.settings.offset_ppm = ppm;
+    n.settings.phase_ticks = shown - now_ * (1.0 + ppm * 1e-6);
+  }
+
+ private:
+  struct Node {
+    NodeSettings settings;
+    groma_Counters counters = groma_Counters_init_zero;
+    std::variant<std::monostate, mac::Tag, mac::Anchor> machine;
+    bool on = false;
+    Action action;
+    std::vector<std::uint8_t> outgoing;
+    double ready = 0.0;      // true time from which the action is in force
+    double busy_from = 0.0;  // true time at which the receiver is on
+  };
+
+  template <class F>
+  static Step tell(Node& n, F&& f) {
+    if (auto* tag = std::get_if<mac::Tag>(&n.machine)) return f(*tag);
+    return f(std::get<mac::Anchor>(n.machine));
+  }
+  static double local_ticks(const Node& n, double t) {
+    return n.settings.phase_ticks + t * (1.0 + n.settings.offset_ppm * 1e-6);
+  }
+  static ClockTime local(const Node& n, double t) {
+    return ClockTime(static_cast<std::int64_t>(std::llround(local_ticks(n, t))));
+  }
+  static double true_time(const Node& n, ClockTime t) {
+    return (static_cast<double>(t.count()) - n.settings.phase_ticks) / (1.0 + n.settings.offset_ppm * 1e-6);
+  }
+  [[nodiscard]] double before() const { return static_cast<double>(phy_.before_rmarker().count()); }
+  [[nodiscard]] static double after(std::size_t bytes) {
+    return static_cast<double>(dw1000::Phy::after_rmarker(bytes + dw1000::kFrameCheckBytes).count());
+  }
+
+  void arm(std::size_t index, Step step) {
+    Node& n = *nodes_[index];
+    for (;;) {
+      if (step.completed != nullptr) record(index, *step.completed);
+      n.action = step.action;
+      n.ready = now_ + work_ticks;
+      if (n.action.kind == Action::Kind::kTransmit) {
+        n.outgoing.assign(n.action.frame.begin(), n.action.frame.end());
+        if (true_time(n, n.action.at) - before() >= n.ready) return;
+        step = tell(n, [&](auto& machine) { return machine.on_late(local(n, n.ready)); });
+        continue;
+      }
+      const double from = n.action.kind == Action::Kind::kListen ? true_time(n, n.action.at) : n.ready;
+      n.busy_from = std::max(from, n.ready);
+      if (n.action.kind == Action::Kind::kNone || true_time(n, n.action.until) > n.busy_from) return;
+      step = tell(n, [&](auto& machine) { return machine.on_timeout(local(n, n.ready)); });
+    }
+  }
+
+  void record(std::size_t index, const mac::Exchange& exchange) {
+    for (std::size_t i = 0; i < exchange.count; ++i) {
+      double truth_m = 0.0;
+      for (const auto& other : nodes_) {
+        if (other->settings.id == exchange.legs[i].anchor) {
+          truth_m = std::abs(other->settings.x_m - nodes_[index]->settings.x_m);
+        }
+      }
+      ranges.push_back({nodes_[index]->settings.id, exchange.legs[i].anchor, exchange.superframe,
+                        mac::evaluate(exchange, exchange.legs[i]), truth_m});
+    }
+  }
+
+  // One event: the end of a frame, or of a listening. False: nothing before `end`.
+  bool step(double end) {
+    double first = end;
+    std::size_t who = kGhost;
+    const Frame* ghost = nullptr;
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      const Node& n = *nodes_[i];
+      if (!n.on || n.action.kind == Action::Kind::kNone) continue;
+      const bool sends = n.action.kind == Action::Kind::kTransmit;
+      const double t =
+          sends ? true_time(n, n.action.at) + after(n.outgoing.size()) : true_time(n, n.action.until);
+      if (t < first) {
+        first = t;
+        who = i;
+      }
+    }
+    for (const Frame& g : ghosts_) {
+      if (g.rmarker + after(g.bytes.size()) < first) {
+        first = g.rmarker + after(g.bytes.size());
+        ghost = &g;
+      }
+    }
+    if (ghost == nullptr && who == kGhost) return false;
+    now_ = first;
+    if (ghost != nullptr) {
+      const Frame frame = *ghost;
+      ghosts_.erase(ghosts_.begin() + (ghost - ghosts_.data()));
+      spread(frame);
+      return true;
+    }
+    Node& n = *nodes_[who];
+    if (n.action.kind != Action::Kind::kTransmit) {
+      arm(who, tell(n, [&](auto& machine) { return machine.on_timeout(local(n, now_)); }));
+      return true;
+    }
+    const ClockTime stamp = n.action.at;
+    spread({who, true_time(n, stamp), n.settings.x_m, n.outgoing});
+    arm(who, tell(n, [&](auto& machine) { return machine.on_transmitted(stamp); }));
+    return true;
+  }
+
+  void spread(const Frame& frame) {
+    if (overheard) overheard(frame);
+    const double start = frame.rmarker - before();
+    const double end = frame.rmarker + after(frame.bytes.size());
+    bool collided = false;
+    for (Past& past : past_) {
+      if (past.end > start && past.start < end) collided = true;
+    }
+    for (const auto& n : nodes_) {
+      if (!n->on || n->action.kind != Action::Kind::kTransmit) continue;
+      const double other = true_time(*n, n->action.at);
+      if (n->outgoing == frame.bytes) continue;
+      if (other - before() < end && other + after(n->outgoing.size()) > start) collided = true;
+    }
+    past_.push_back({start, end});
+    if (past_.size() > 64) past_.erase(past_.begin(), past_.begin() + 32);
+    if (collided) {
+      ++collisions;
+      return;
+    }
+    for (std::size_t i = 0; i < nodes_.size(); ++i) hear(i, frame, start, end);
+  }
+
+  void hear(std::size_t index, const Frame& frame, double start, double end) {
+    Node& n = *nodes_[index];
+    if (!n.on || index == frame.source) return;
+    if (n.action.kind != Action::Kind::kListen && n.action.kind != Action::Kind::kListenNow) return;
+    const double flight = std::abs(frame.x_m - n.settings.x_m) / kMetresPerTick;
+    if (n.busy_from > start + flight || true_time(n, n.action.until) < end + flight) return;
+    if (lost && lost(frame, index)) return;
+    const double sender_ppm =
+        frame.source == kGhost ? n.settings.offset_ppm : nodes_[frame.source]->settings.offset_ppm;
+    const double offset_ppb = (sender_ppm - n.settings.offset_ppm) * 1e3;
+    mac::Reception reception{
+        .stamp = local(n, frame.rmarker + flight + stamp_noise_ticks * gaussian()),
+        .stamp_valid = true,
+        .frame = frame.bytes,
+        .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
+    if (spoil) spoil(index, reception);
+    arm(index, tell(n, [&](auto& machine) { return machine.on_received(reception); }));
+  }
+
+  double gaussian() {
+    double sum = -6.0;
+    for (int i = 0; i < 12; ++i) sum += static_cast<double>(random_() >> 11) * 0x1p-53;
+    return sum;
+  }
+
+  struct Past {
+    double start;
+    double end;
+  };
+  groma_Schedule schedule_;
+  dw1000::Phy phy_;
+  std::vector<std::unique_ptr<Node>> nodes_;
+  std::vector<Frame> ghosts_;
+  std::vector<Past> past_;
+  std::mt19937_64 random_{42};
+  double now_ = 0.0;
+};
+
+}  // namespace groma::testing
