@@ -45,7 +45,7 @@ struct SessionConfig {
   // More measurements than this do not wait: the earliest go out at once.
   std::size_t max_waiting = 16384;
   // Takes one line about an event worth a human's eye; may be empty.
-  std::function<void(std::string_view)> log;
+  std::function<void(std::string_view)> log = {};
 };
 
 struct SessionCounters {

@@ -1,0 +1,132 @@
+#include "host/daemon/robot_input.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace groma::daemon {
+namespace {
+
+constexpr std::string_view kOdometry =
+    R"({"class":"ODOMETRY","t_s":1.5,"vx_mps":0.5,"vy_mps":-0.25,"omega_radps":0.125})";
+
+void push(RobotInput& input, std::string_view text) {
+  input.push(std::vector<std::uint8_t>(text.begin(), text.end()));
+}
+
+std::vector<RobotMessage> take_all(RobotInput& input) {
+  std::vector<RobotMessage> all;
+  while (auto message = input.next()) all.push_back(*message);
+  return all;
+}
+
+TEST(RobotInput, ReadsBothClasses) {
+  RobotInput input;
+  push(
+      input,
+      std::string(kOdometry) + "\r\n\n" +
+          R"({"class":"POSE_PRIOR","t_s":2,"x_m":1,"y_m":2,"z_m":3,"yaw_rad":0.5,"source":"slam"})"
+          "\n" +
+          R"({"class":"POSE_PRIOR","t_s":3,"x_m":1,"y_m":2,"z_m":3,"yaw_rad":0.5,"roll_rad":0.1,"pitch_rad":null})"
+          "\n");
+  const auto messages = take_all(input);
+  ASSERT_EQ(messages.size(), 3U);
+  const auto& row = std::get<model::OdometrySample>(messages[0]);
+  EXPECT_EQ(row.t_s, 1.5);
+  EXPECT_EQ(row.vx_mps, 0.5);
+  EXPECT_EQ(row.vy_mps, -0.25);
+  EXPECT_EQ(row.omega_radps, 0.125);
+  const auto& pose = std::get<model::PoseSample>(messages[1]);
+  EXPECT_EQ(pose.t_s, 2.0);
+  EXPECT_EQ(pose.z_m, 3.0);
+  EXPECT_TRUE(std::isnan(pose.roll_rad));
+  EXPECT_EQ(std::get<model::PoseSample>(messages[2]).roll_rad, 0.1);
+  EXPECT_TRUE(std::isnan(std::get<model::PoseSample>(messages[2]).pitch_rad));
+  EXPECT_EQ(input.counters().odometry, 1U);
+  EXPECT_EQ(input.counters().pose_priors, 2U);
+  EXPECT_EQ(input.counters().dropped(), 0U);
+}
+
+TEST(RobotInput, PutsLinesTogetherFromSingleBytes) {
+  RobotInput input;
+  std::size_t messages = 0;
+  for (const char c : std::string(kOdometry) + "\n" + std::string(kOdometry) + "\n") {
+    push(input, std::string_view(&c, 1));
+    messages += take_all(input).size();
+  }
+  EXPECT_EQ(messages, 2U);
+}
+
+TEST(RobotInput, DropsAndCountsWhatItCannotUse) {
+  RobotInput input;
+  push(input, "{\"class\":\"ODOMETRY\",\"t_s\":1.5,\"vx_m\n");
+  push(input, "[1,2,3]\n");
+  push(input, "\"ODOMETRY\"\n");
+  push(input, std::string_view("\xff\xfe\x00 garbage\n", 12));
+  EXPECT_TRUE(take_all(input).empty());
+  EXPECT_EQ(input.counters().torn, 4U);
+
+  push(input, R"({"class":"LASER","t_s":1})"
+              "\n"
+              R"({"t_s":1})"
+              "\n"
+              R"({"class":7})"
+              "\n");
+  EXPECT_TRUE(take_all(input).empty());
+  EXPECT_EQ(input.counters().unknown_class, 3U);
+
+  for (const std::string_view value : {"\"0.5\"", "null", "true", "[0.5]"}) {
+    push(input, R"({"class":"ODOMETRY","t_s":1,"vx_mps":)" + std::string(value) +
+                    R"(,"vy_mps":0,"omega_radps":0})"
+                    "\n");
+  }
+  push(input, R"({"class":"ODOMETRY","t_s":1,"vx_mps":0,"vy_mps":0})"
+              "\n");
+  push(input, R"({"class":"POSE_PRIOR","t_s":1,"x_m":0,"y_m":0,"z_m":0})"
+              "\n");
+  push(input, R"({"class":"POSE_PRIOR","t_s":1,"x_m":0,"y_m":0,"z_m":0,"yaw_rad":0,"roll_rad":"x"})"
+              "\n");
+  EXPECT_TRUE(take_all(input).empty());
+  EXPECT_EQ(input.counters().bad_value, 7U);
+  EXPECT_THAT(input.last_problem(), testing::HasSubstr("POSE_PRIOR"));
+
+  // NaN, Infinity and numbers beyond a double are no JSON numbers.
+  for (const std::string_view value : {"NaN", "-Infinity", "1e999", "nan"}) {
+    push(input, R"({"class":"ODOMETRY","t_s":1,"vx_mps":)" + std::string(value) +
+                    R"(,"vy_mps":0,"omega_radps":0})"
+                    "\n");
+  }
+  EXPECT_TRUE(take_all(input).empty());
+  EXPECT_EQ(input.counters().dropped(), 18U);
+
+  push(input, std::string(kOdometry) + "\n");
+  EXPECT_EQ(take_all(input).size(), 1U);
+}
+
+TEST(RobotInput, StaysSmallWhateverItIsFed) {
+  RobotInput input;
+  for (int i = 0; i < 1000; ++i) {
+    push(input, std::string(10'000, 'x'));
+    EXPECT_TRUE(take_all(input).empty());
+  }
+  push(input, "\n" + std::string(kOdometry) + "\n");
+  EXPECT_EQ(take_all(input).size(), 1U);
+  EXPECT_EQ(input.counters().torn, 1U);
+}
+
+TEST(RobotInput, ForgetsALineBegunWhenTheLinkBreaks) {
+  RobotInput input;
+  push(input, kOdometry.substr(0, 30));
+  EXPECT_TRUE(take_all(input).empty());
+  input.reset();
+  push(input, std::string(kOdometry) + "\n");
+  EXPECT_EQ(take_all(input).size(), 1U);
+  EXPECT_EQ(input.counters().torn, 1U);
+}
+
+}  // namespace
+}  // namespace groma::daemon

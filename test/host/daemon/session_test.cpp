@@ -1,0 +1,267 @@
+#include "host/daemon/session.hpp"
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "test/host/link/node_frames.hpp"
+
+namespace groma::daemon {
+namespace {
+
+using clock::kDeviceTicksPerSecond;
+using link::test::frame_of;
+using link::test::make_range;
+using link::test::make_report;
+
+class Recorded : public MeasurementSink {
+ public:
+  void on_odometry(const model::OdometrySample& row) override {
+    odometry.push_back(row);
+    times_s.push_back(row.t_s);
+  }
+  void on_range(const model::RangeSample& range) override {
+    ranges.push_back(range);
+    times_s.push_back(range.t_s);
+  }
+  void on_pose_prior(const model::PoseSample& pose) override {
+    poses.push_back(pose);
+    times_s.push_back(pose.t_s);
+  }
+  void on_clock_set() override { ++clock_sets; }
+
+  std::vector<model::OdometrySample> odometry;
+  std::vector<model::RangeSample> ranges;
+  std::vector<model::PoseSample> poses;
+  std::vector<double> times_s;  // of all, as they came
+  int clock_sets = 0;
+};
+
+// A robot whose clock reads host time plus an offset, and a tag whose counter runs 20 ppm fast.
+struct Site {
+  explicit Site(SessionConfig config = {}) : session(std::move(config)) {
+    tag = session.add_node("tag-1", 0);
+    session.attach(sink);
+  }
+
+  void odometry(double host_s, double t_s) {
+    const std::string line =
+        fmt::format(R"({{"class":"ODOMETRY","t_s":{},"vx_mps":1,"vy_mps":0,"omega_radps":0}})"
+                    "\n",
+                    t_s);
+    session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
+  }
+  void odometry(double host_s) { odometry(host_s, host_s + robot_offset_s); }
+  void pose(double host_s, double t_s) {
+    const std::string line =
+        fmt::format(R"({{"class":"POSE_PRIOR","t_s":{},"x_m":1,"y_m":0,"z_m":0,"yaw_rad":0}})"
+                    "\n",
+                    t_s);
+    session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
+  }
+  // Arrives at once, and tells of ranges so long ago.
+  void report(double host_s, const std::vector<double>& ages_s) {
+    const auto dtu = [](double s) { return std::llround(s * kDeviceTicksPerSecond * (1.0 + 20e-6)); };
+    std::vector<groma_Range> ranges;
+    for (const double age_s : ages_s) {
+      ranges.push_back(make_range(static_cast<std::uint16_t>(10 + ranges.size()), 5.0, dtu(-age_s)));
+    }
+    session.node_bytes(
+        tag, frame_of(make_report(sequence++, 1, static_cast<std::uint64_t>(dtu(host_s + 50.0)), ranges)),
+        host_s);
+  }
+
+  Recorded sink;
+  Session session;
+  std::size_t tag = 0;
+  std::uint32_t sequence = 0;
+  double robot_offset_s = 1.7e9;
+};
+
+TEST(Session, PutsRangesOnTheRobotsClockAndInOrder) {
+  Site site;
+  double host_s = 100.0;
+  for (int i = 0; i < 500; ++i) {
+    host_s = 100.0 + 0.02 * i;
+    site.odometry(host_s);
+    if (i % 5 == 4) site.report(host_s + 0.005, {0.12, 0.11, 0.10});
+    site.session.advance(host_s + 0.005);
+  }
+  site.session.flush();
+  EXPECT_TRUE(std::is_sorted(site.sink.times_s.begin(), site.sink.times_s.end()));
+  EXPECT_EQ(site.sink.odometry.size(), 500U);
+  ASSERT_EQ(site.sink.ranges.size(), 300U);
+  EXPECT_NEAR(site.sink.ranges[299].t_s - site.robot_offset_s, host_s + 0.005 - 0.10, 1e-5);
+  EXPECT_NEAR(site.sink.ranges[0].t_s - site.robot_offset_s, 100.085 - 0.12, 1e-5);
+  EXPECT_EQ(site.session.counters().passed_late, 0U);
+  EXPECT_EQ(site.session.counters().dropped_late, 0U);
+  EXPECT_EQ(site.session.frames_lost(), 0U);
+}
+
+TEST(Session, KeepsMeasurementsBackNoLongerThanItsLag) {
+  Site site({.reorder_lag_s = 0.15});
+  site.odometry(10.0);
+  site.session.advance(10.149);
+  EXPECT_TRUE(site.sink.odometry.empty());
+  site.session.advance(10.151);
+  EXPECT_EQ(site.sink.odometry.size(), 1U);
+}
+
+TEST(Session, PassesOnTheLateAndDropsTheTooLate) {
+  Site site({.reorder_lag_s = 0.15});
+  for (int i = 0; i <= 100; ++i) {
+    site.odometry(10.0 + 0.02 * i);
+    site.session.advance(10.0 + 0.02 * i);
+  }
+  site.report(12.0, {0.05, 0.3, 0.6});
+  EXPECT_EQ(site.sink.ranges.size(), 1U) << "the one of 0.3 s ago, at once";
+  EXPECT_EQ(site.session.counters().passed_late, 1U);
+  EXPECT_EQ(site.session.counters().dropped_late, 1U);
+  site.session.advance(12.2);
+  EXPECT_EQ(site.sink.ranges.size(), 2U);
+}
+
+TEST(Session, WithoutOdometryThereIsNoTimeToPutARangeAt) {
+  Site site;
+  site.report(10.0, {0.1, 0.1});
+  site.session.flush();
+  EXPECT_TRUE(site.sink.ranges.empty());
+  EXPECT_EQ(site.session.counters().ranges_without_odometry, 2U);
+  site.odometry(10.1);
+  site.report(10.1, {0.05});
+  site.session.flush();
+  EXPECT_EQ(site.sink.ranges.size(), 1U);
+}
+
+TEST(Session, DropsARowThatIsNotNewer) {
+  Site site;
+  site.odometry(10.0);
+  site.odometry(10.01, 10.0 + site.robot_offset_s);
+  site.odometry(10.02, 9.9 + site.robot_offset_s);
+  site.odometry(10.03);
+  site.session.flush();
+  EXPECT_EQ(site.sink.odometry.size(), 2U);
+  EXPECT_EQ(site.session.counters().odometry_out_of_order, 2U);
+}
+
+TEST(Session, OneAbsurdTimeDisturbsNothing) {
+  for (const double absurd_s : {0.0, -5.0, 1.7e9 + 4000.0, 1e18, -1e300}) {
+    Site site;
+    for (int i = 0; i < 100; ++i) {
+      const double host_s = 10.0 + 0.02 * i;
+      site.odometry(host_s);
+      if (i == 50) site.odometry(host_s + 0.001, absurd_s);
+      if (i == 60) site.pose(host_s + 0.001, absurd_s);
+      site.session.advance(host_s);
+    }
+    site.session.flush();
+    EXPECT_EQ(site.sink.odometry.size(), 100U);
+    EXPECT_TRUE(site.sink.poses.empty());
+    EXPECT_EQ(site.sink.clock_sets, 0);
+    EXPECT_GE(site.session.counters().robot_time_wrong, 1U);
+  }
+}
+
+TEST(Session, FollowsARobotThatRestarts) {
+  for (const double new_offset_s : {-12.0, 3e9}) {
+    std::vector<std::string> said;
+    Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
+    for (int i = 0; i < 100; ++i) {
+      site.odometry(10.0 + 0.02 * i);
+      site.session.advance(10.0 + 0.02 * i);
+    }
+    site.robot_offset_s = new_offset_s;
+    for (int i = 0; i < 100; ++i) {
+      site.odometry(12.0 + 0.02 * i);
+      site.session.advance(12.0 + 0.02 * i);
+    }
+    site.report(14.0, {0.1});
+    site.session.flush();
+    EXPECT_EQ(site.sink.clock_sets, 1);
+    EXPECT_EQ(site.session.counters().robot_clock_set, 1U);
+    EXPECT_NEAR(static_cast<double>(site.session.counters().robot_time_wrong), 50.0, 2.0);
+    ASSERT_EQ(site.sink.ranges.size(), 1U);
+    EXPECT_NEAR(site.sink.ranges[0].t_s - new_offset_s, 13.9, 1e-3);
+    EXPECT_THAT(said, testing::Contains(testing::HasSubstr("robot")));
+  }
+}
+
+TEST(Session, TellsOfBadRobotLinesWithoutFillingTheLog) {
+  std::vector<std::string> said;
+  Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
+  const std::string bad = "{\"class\":\"ODOMETRY\"}\n";
+  for (int i = 0; i < 1000; ++i)
+    site.session.robot_bytes(std::vector<std::uint8_t>(bad.begin(), bad.end()), 1.0);
+  EXPECT_EQ(site.session.robot_counters().bad_value, 1000U);
+  EXPECT_EQ(said.size(), 10U);
+}
+
+TEST(Session, HoldsNoMoreThanItsBound) {
+  Site site({.max_waiting = 100});
+  for (int i = 0; i < 1000; ++i) site.odometry(10.0 + 1e-5 * i);
+  EXPECT_EQ(site.sink.odometry.size(), 900U);
+  EXPECT_EQ(site.session.counters().waiting_overflows, 900U);
+  EXPECT_TRUE(std::is_sorted(site.sink.times_s.begin(), site.sink.times_s.end()));
+}
+
+TEST(Session, FeedsEachAttachedSinkAlike) {
+  Site site;
+  Recorded second;
+  site.session.attach(second);
+  site.odometry(10.0);
+  site.session.flush();
+  site.session.detach(site.sink);
+  site.odometry(10.1);
+  site.session.flush();
+  EXPECT_EQ(site.sink.odometry.size(), 1U);
+  EXPECT_EQ(second.odometry.size(), 2U);
+}
+
+TEST(Session, RemembersWhatNodesSayOfThemselves) {
+  std::vector<std::string> said;
+  Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
+  site.session.node_bytes(site.tag, frame_of(link::test::make_hello(3, "0.1.0")), 1.0);
+  site.session.node_bytes(site.tag, frame_of(link::test::make_log(groma_LogLevel_LOG_WARNING, "no beacon")),
+                          1.0);
+  ASSERT_TRUE(site.session.node(site.tag).hello());
+  EXPECT_EQ(site.session.node(site.tag).hello()->id, 3U);
+  EXPECT_THAT(said, testing::ElementsAre(testing::HasSubstr("tag-1: node 3 runs version 0.1.0"),
+                                         testing::HasSubstr("tag-1: no beacon")));
+}
+
+// How bytes are cut into pieces changes nothing.
+TEST(Session, SameBytesInOtherPiecesGiveTheSame) {
+  std::vector<std::vector<model::RangeSample>> results;
+  for (const std::size_t piece : {1U, 7U, 10'000U}) {
+    Site site;
+    for (int i = 0; i < 50; ++i) {
+      const double host_s = 10.0 + 0.1 * i;
+      site.odometry(host_s);
+      const auto frame =
+          frame_of(make_report(static_cast<std::uint32_t>(i), 1,
+                               static_cast<std::uint64_t>(std::llround(host_s * kDeviceTicksPerSecond)),
+                               {make_range(1, 2.0, 0), make_range(2, 3.0, 5)}));
+      for (std::size_t at = 0; at < frame.size(); at += piece) {
+        site.session.node_bytes(site.tag, std::span(frame).subspan(at, std::min(piece, frame.size() - at)),
+                                host_s);
+      }
+      site.session.advance(host_s);
+    }
+    site.session.flush();
+    results.push_back(site.sink.ranges);
+  }
+  ASSERT_EQ(results[0].size(), 100U);
+  for (std::size_t i = 0; i < 100; ++i) {
+    EXPECT_EQ(results[0][i].t_s, results[1][i].t_s);
+    EXPECT_EQ(results[0][i].t_s, results[2][i].t_s);
+    EXPECT_EQ(results[0][i].anchor_id, results[2][i].anchor_id);
+  }
+}
+
+}  // namespace
+}  // namespace groma::daemon
