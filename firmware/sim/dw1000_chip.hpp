@@ -47,8 +47,8 @@ struct OtpWords {
 
 struct ChipSpec {
   std::uint16_t id = 0;  // names the antenna to the propagation model
-  ClockSpec clock;
-  OtpWords otp;
+  ClockSpec clock{};
+  OtpWords otp{};
   // What the antennas really delay; registers set to the same values give true ranges.
   std::uint32_t transmit_antenna_delay_ticks = 16436;
   std::uint32_t receive_antenna_delay_ticks = 16436;

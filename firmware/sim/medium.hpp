@@ -44,7 +44,7 @@ struct AirFormat {
 struct AirFrame {
   std::size_t source = 0;    // the transmitter's index on the medium
   std::uint32_t number = 0;  // counts the transmitter's frames
-  AirFormat format;
+  AirFormat format{};
   SimTime preamble_start = 0;
   SimTime rmarker = 0;  // the start of the PHY header, which stamps refer to
   SimTime data_start = 0;

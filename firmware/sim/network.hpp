@@ -42,12 +42,12 @@ struct CpuSettings {
 };
 
 struct NodeSpec {
-  ChipSpec chip;                       // the node's id on the medium, the DW1000's crystal, its antennas
-  std::optional<ClockSpec> cpu_clock;  // without it the processor shares the DW1000's crystal
-  CpuSettings cpu;
-  UartSettings uart;
+  ChipSpec chip{};                       // the node's id on the medium, the DW1000's crystal, its antennas
+  std::optional<ClockSpec> cpu_clock{};  // without it the processor shares the DW1000's crystal
+  CpuSettings cpu{};
+  UartSettings uart{};
   SimTime power_on = 0;
-  std::vector<std::uint8_t> stored_config;  // what store_config() kept in an earlier life
+  std::vector<std::uint8_t> stored_config{};  // what store_config() kept in an earlier life
 };
 
 // A node as the network runs it: native firmware, a processor emulator, a test's script.
