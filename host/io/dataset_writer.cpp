@@ -1,0 +1,133 @@
+#include "host/io/dataset_writer.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <span>
+#include <string>
+#include <string_view>
+#include <variant>
+
+#include "host/io/output_file.hpp"
+
+namespace groma::io {
+
+namespace {
+
+template <typename... Values>
+void add(std::string& text, fmt::format_string<const Values&...> format, const Values&... values) {
+  fmt::format_to(std::back_inserter(text), format, values...);
+}
+
+// YAML's double-quoted style.
+std::string double_quoted(std::string_view plain) {
+  std::string text = "\"";
+  for (const char c : plain) {
+    if (c == '"' || c == '\\') text += '\\';
+    text += c;
+  }
+  return text + '"';
+}
+
+std::string format_description(const Dataset& dataset) {
+  std::string text = "schema: 1\n";
+  add(text, "name: {}\norigin: {}\n", double_quoted(dataset.name), double_quoted(dataset.origin));
+  const model::OdometryNoise& odometry = dataset.odometry_noise;
+  add(text, "odometry: {{sigma_vx_mps: {}, sigma_vy_mps: {}, sigma_omega_radps: {}}}  # white, a row\n",
+      odometry.sigma_vx_mps, odometry.sigma_vy_mps, odometry.sigma_omega_radps);
+  const model::RangePriors& range = dataset.range_priors;
+  add(text, "range: {{sigma_m: {}, beta_m: [{}, {}], gamma: [{}, {}]}}\n", range.sigma_m, range.beta_m.mean,
+      range.beta_m.sigma, range.gamma.mean, range.gamma.sigma);
+  if (std::holds_alternative<model::BSpline>(dataset.surface.shape())) {
+    text += "surface: {type: bspline, file: surface.csv}\n";
+  } else {
+    const model::SurfacePoint origin = dataset.surface.at(0.0, 0.0);
+    add(text, "surface: {{type: plane, z_m: {}, normal: [{}, {}, 1]}}\n", origin.z_m, -origin.gradient.x(),
+        -origin.gradient.y());
+  }
+  return text;
+}
+
+std::string format_spline(const model::BSpline& spline) {
+  const model::BSpline::Grid& grid = spline.grid();
+  std::string text =
+      "# uniform cubic B-spline: x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights (m)\n";
+  add(text, "{},{},{},{},{},{}\n", grid.x0_m, grid.y0_m, grid.dx_m, grid.dy_m, grid.nx, grid.ny);
+  const auto columns = static_cast<std::size_t>(grid.ny);
+  for (std::size_t i = 0; i < spline.heights_m().size(); ++i) {
+    add(text, "{}{}", spline.heights_m()[i], i % columns + 1 == columns ? '\n' : ',');
+  }
+  return text;
+}
+
+std::string format_ranges(std::span<const model::RangeSample> ranges) {
+  std::string text = "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n";
+  for (const model::RangeSample& range : ranges) {
+    add(text, "{},{},{},{}", range.t_s, range.tag_id, range.anchor_id, range.range_m);
+    for (const float power_dbm : {range.first_path_power_dbm, range.receive_power_dbm}) {
+      text += ',';
+      if (std::isfinite(power_dbm)) add(text, "{}", power_dbm);
+    }
+    text += '\n';
+  }
+  return text;
+}
+
+std::string format_poses(std::span<const model::PoseSample> poses) {
+  const bool attitude = std::any_of(poses.begin(), poses.end(), [](const model::PoseSample& pose) {
+    return std::isfinite(pose.roll_rad) || std::isfinite(pose.pitch_rad);
+  });
+  std::string text = "t_s,x_m,y_m,z_m,yaw_rad";
+  text += attitude ? ",roll_rad,pitch_rad\n" : "\n";
+  for (const model::PoseSample& pose : poses) {
+    add(text, "{},{},{},{},{}", pose.t_s, pose.x_m, pose.y_m, pose.z_m, pose.yaw_rad);
+    if (attitude) {
+      for (const double angle_rad : {pose.roll_rad, pose.pitch_rad}) {
+        text += ',';
+        if (std::isfinite(angle_rad)) add(text, "{}", angle_rad);
+      }
+    }
+    text += '\n';
+  }
+  return text;
+}
+
+std::string format_odometry(std::span<const model::OdometrySample> rows) {
+  std::string text = "t_s,vx_mps,vy_mps,omega_radps\n";
+  for (const model::OdometrySample& row : rows) {
+    add(text, "{},{},{},{}\n", row.t_s, row.vx_mps, row.vy_mps, row.omega_radps);
+  }
+  return text;
+}
+
+void add_point(std::string& text, model::NodeId id, const Eigen::Vector3d& point) {
+  add(text, "{},{},{},{}\n", id, point.x(), point.y(), point.z());
+}
+
+}  // namespace
+
+void write_dataset(const std::filesystem::path& folder, const Dataset& dataset) {
+  make_folder(folder);
+  if (!dataset.surveyed_anchors.empty()) {
+    std::string text = "anchor_id,x_m,y_m,z_m\n";
+    for (const model::Anchor& anchor : dataset.surveyed_anchors)
+      add_point(text, anchor.id, anchor.position_m);
+    write_file(folder / "anchors.csv", text);
+  }
+  std::string tags = "tag_id,x_m,y_m,z_m\n";
+  for (const model::Tag& tag : dataset.tags) add_point(tags, tag.id, tag.lever_arm_m);
+  write_file(folder / "tags.csv", tags);
+  if (const auto* spline = std::get_if<model::BSpline>(&dataset.surface.shape())) {
+    write_file(folder / "surface.csv", format_spline(*spline));
+  }
+  write_file(folder / "ranges.csv", format_ranges(dataset.ranges));
+  write_file(folder / "odometry.csv", format_odometry(dataset.odometry));
+  if (!dataset.ground_truth.empty())
+    write_file(folder / "groundtruth.csv", format_poses(dataset.ground_truth));
+  if (!dataset.pose_prior.empty()) write_file(folder / "pose_prior.csv", format_poses(dataset.pose_prior));
+  write_file(folder / "dataset.yaml", format_description(dataset));  // last: a folder with it is whole
+}
+
+}  // namespace groma::io

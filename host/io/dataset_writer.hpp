@@ -1,0 +1,15 @@
+// Data sets out: what dataset.hpp reads.
+#pragma once
+
+#include <filesystem>
+
+#include "host/io/dataset.hpp"
+
+namespace groma::io {
+
+// Writes the folder's files, each whole or not at all, numbers as short as they read back exactly. Files for
+// which the data set has nothing are left out: anchors.csv, groundtruth.csv, pose_prior.csv. Its name and
+// origin are written plain: no line ends in them. Throws as write_file().
+void write_dataset(const std::filesystem::path& folder, const Dataset& dataset);
+
+}  // namespace groma::io
