@@ -7,7 +7,7 @@
 namespace groma::model {
 namespace {
 
-TEST(SurveyedCalibration, takes_positions_as_surveyed_and_biases_as_expected) {
+TEST(SurveyedCalibration, TakesPositionsAsSurveyedAndBiasesAsExpected) {
   const std::vector<Anchor> anchors{{9, {1.0, 2.0, 3.0}}, {4, {-5.0, 6.0, 0.5}}};
   const std::vector<Tag> tags{{2, Eigen::Vector3d::Zero()}, {1, Eigen::Vector3d::Ones()}};
   const RangePriors priors{.sigma_m = 0.1, .beta_m = {0.2, 0.3}, .gamma = {1.01, 0.005}};

@@ -26,12 +26,12 @@ Eigen::VectorXd flat(const Eigen::Matrix3d& m) {
 Surface hills() {
   const BSpline::Grid grid{.x0_m = -8.0, .y0_m = -8.0, .dx_m = 1.5, .dy_m = 2.0, .nx = 14, .ny = 11};
   Random random(11);
-  std::vector<double> heights(static_cast<std::size_t>(grid.nx * grid.ny));
+  std::vector<double> heights(static_cast<std::size_t>(grid.nx) * static_cast<std::size_t>(grid.ny));
   for (double& height : heights) height = 0.5 * random.gaussian();
   return BSpline(grid, heights);
 }
 
-TEST(WrapAngle, lands_in_the_half_open_circle_and_turns_by_whole_circles) {
+TEST(WrapAngle, LandsInTheHalfOpenCircleAndTurnsByWholeCircles) {
   for (const double angle : {0.0, 1.0, -1.0, kPi, -kPi, 3.0 * kPi, -3.0 * kPi, 1000.0, -1000.0,
                              std::nextafter(kPi, 4.0), std::nextafter(-kPi, -4.0)}) {
     const double wrapped = wrap_angle(angle);
@@ -43,7 +43,7 @@ TEST(WrapAngle, lands_in_the_half_open_circle_and_turns_by_whole_circles) {
   EXPECT_TRUE(std::isnan(wrap_angle(std::nan(""))));
 }
 
-TEST(SurfaceRotation, is_the_smallest_that_takes_up_to_the_normal) {
+TEST(SurfaceRotation, IsTheSmallestThatTakesUpToTheNormal) {
   Random random(12);
   for (int i = 0; i < 200; ++i) {
     const Eigen::Vector2d gradient(2.0 * random.gaussian(), 2.0 * random.gaussian());
@@ -55,7 +55,7 @@ TEST(SurfaceRotation, is_the_smallest_that_takes_up_to_the_normal) {
   EXPECT_EQ(surface_rotation(Eigen::Vector2d::Zero()), Eigen::Matrix3d::Identity());
 }
 
-TEST(SurfaceRotation, derivatives_equal_numerical_ones) {
+TEST(SurfaceRotation, DerivativesEqualNumericalOnes) {
   Random random(13);
   for (int i = 0; i < 100; ++i) {
     const Eigen::Vector2d gradient(random.gaussian(), random.gaussian());
@@ -67,7 +67,7 @@ TEST(SurfaceRotation, derivatives_equal_numerical_ones) {
   }
 }
 
-TEST(RotationFromZyx, turns_about_z_then_y_then_x) {
+TEST(RotationFromZyx, TurnsAboutZThenYThenX) {
   Random random(14);
   for (int i = 0; i < 50; ++i) {
     const double yaw = random.uniform(-kPi, kPi);
@@ -81,7 +81,7 @@ TEST(RotationFromZyx, turns_about_z_then_y_then_x) {
   }
 }
 
-TEST(PoseOnSurface, stands_on_the_ground_upright_to_it_and_turned_by_its_heading) {
+TEST(PoseOnSurface, StandsOnTheGroundUprightToItAndTurnedByItsHeading) {
   const Surface surface = hills();
   Random random(15);
   for (int i = 0; i < 100; ++i) {
@@ -96,7 +96,7 @@ TEST(PoseOnSurface, stands_on_the_ground_upright_to_it_and_turned_by_its_heading
   }
 }
 
-TEST(PoseOnSurface, derivatives_equal_numerical_ones) {
+TEST(PoseOnSurface, DerivativesEqualNumericalOnes) {
   const Surface surface = hills();
   Random random(16);
   for (int i = 0; i < 100; ++i) {

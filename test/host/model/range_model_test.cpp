@@ -35,7 +35,7 @@ struct Scene {
   RangePrediction predict() const { return predict_range(pose, lever_arm_m, anchor_m, beta_m, gamma); }
 };
 
-TEST(PredictRange, is_scaled_distance_plus_bias) {
+TEST(PredictRange, IsScaledDistancePlusBias) {
   const RigidPose pose{{1.0, 2.0, 3.0}, rotation_from_zyx(std::numbers::pi / 2.0, 0.0, 0.0)};
   // The lever arm of (1, 0, 2) points along y: the tag stands at (1, 3, 5), 3-4-12 away from the anchor.
   const RangePrediction prediction = predict_range(pose, {1.0, 0.0, 2.0}, {4.0, 7.0, 17.0}, 0.5, 1.02);
@@ -43,7 +43,7 @@ TEST(PredictRange, is_scaled_distance_plus_bias) {
   EXPECT_NEAR(prediction.range_m, 1.02 * 13.0 + 0.5, 1e-12);
 }
 
-TEST(PredictRange, derivatives_equal_numerical_ones) {
+TEST(PredictRange, DerivativesEqualNumericalOnes) {
   Random random(21);
   for (int i = 0; i < 100; ++i) {
     const Scene scene(random);
@@ -63,17 +63,17 @@ TEST(PredictRange, derivatives_equal_numerical_ones) {
   }
 }
 
-TEST(PredictRange, has_no_direction_where_tag_and_anchor_meet) {
+TEST(PredictRange, HasNoDirectionWhereTagAndAnchorMeet) {
   const RangePrediction prediction = predict_range({}, {1.0, 2.0, 3.0}, {1.0, 2.0, 3.0}, 0.25, 1.0);
   EXPECT_EQ(prediction.range_m, 0.25);
   EXPECT_EQ(prediction.d_position, Eigen::RowVector3d::Zero());
   EXPECT_EQ(prediction.d_anchor, Eigen::RowVector3d::Zero());
 }
 
-TEST(RangeByPlanarPose, equals_the_numerical_derivative_on_curved_ground) {
+TEST(RangeByPlanarPose, EqualsTheNumericalDerivativeOnCurvedGround) {
   const BSpline::Grid grid{.x0_m = -8.0, .y0_m = -8.0, .dx_m = 2.0, .dy_m = 2.0, .nx = 11, .ny = 11};
   Random random(22);
-  std::vector<double> heights(static_cast<std::size_t>(grid.nx * grid.ny));
+  std::vector<double> heights(static_cast<std::size_t>(grid.nx) * static_cast<std::size_t>(grid.ny));
   for (double& height : heights) height = 0.5 * random.gaussian();
   const Surface surface = BSpline(grid, heights);
   for (int i = 0; i < 100; ++i) {

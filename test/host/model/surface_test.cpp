@@ -31,7 +31,7 @@ struct Spline {
 
   std::vector<double> draw(std::uint64_t seed) const {
     Random random(seed);
-    std::vector<double> heights(static_cast<std::size_t>(grid.nx * grid.ny));
+    std::vector<double> heights(static_cast<std::size_t>(grid.nx) * static_cast<std::size_t>(grid.ny));
     for (double& height : heights) height = random.gaussian();
     return heights;
   }
@@ -45,8 +45,9 @@ struct Spline {
     double z = 0.0;
     for (int i = 0; i < grid.nx; ++i) {
       for (int j = 0; j < grid.ny; ++j) {
-        z += heights_m[static_cast<std::size_t>(i * grid.ny + j)] * cox_de_boor(i, 3, u) *
-             cox_de_boor(j, 3, v);
+        z += heights_m[static_cast<std::size_t>(i) * static_cast<std::size_t>(grid.ny) +
+                       static_cast<std::size_t>(j)] *
+             cox_de_boor(i, 3, u) * cox_de_boor(j, 3, v);
       }
     }
     return z;
@@ -59,7 +60,7 @@ Eigen::VectorXd point_of(const SurfacePoint& p) {
   return out;
 }
 
-TEST(BSpline, equals_the_sum_over_all_control_points) {
+TEST(BSpline, EqualsTheSumOverAllControlPoints) {
   const Spline spline(1);
   Random random(2);
   for (int i = 0; i < 2000; ++i) {
@@ -69,7 +70,7 @@ TEST(BSpline, equals_the_sum_over_all_control_points) {
   }
 }
 
-TEST(BSpline, equals_it_on_knots_and_at_the_borders) {
+TEST(BSpline, EqualsItOnKnotsAndAtTheBorders) {
   const Spline spline(3);
   for (int i = 0; i <= spline.grid.nx - 3; ++i) {
     for (int j = 0; j <= spline.grid.ny - 3; ++j) {
@@ -81,7 +82,7 @@ TEST(BSpline, equals_it_on_knots_and_at_the_borders) {
   }
 }
 
-TEST(BSpline, goes_on_flat_outside) {
+TEST(BSpline, GoesOnFlatOutside) {
   const Spline spline(4);
   const double middle_x = 0.5 * (spline.grid.x0_m + spline.x_end());
   const double middle_y = 0.5 * (spline.grid.y0_m + spline.y_end());
@@ -106,7 +107,7 @@ TEST(BSpline, goes_on_flat_outside) {
   }
 }
 
-TEST(BSpline, derivatives_equal_numerical_ones_inside_and_beside) {
+TEST(BSpline, DerivativesEqualNumericalOnesInsideAndBeside) {
   const Spline spline(5);
   Random random(6);
   int outside = 0;
@@ -125,13 +126,13 @@ TEST(BSpline, derivatives_equal_numerical_ones_inside_and_beside) {
   EXPECT_GT(outside, 50);
 }
 
-TEST(BSpline, smallest_grid_is_one_cell) {
+TEST(BSpline, SmallestGridIsOneCell) {
   const BSpline::Grid grid{.x0_m = 0.0, .y0_m = 0.0, .dx_m = 1.0, .dy_m = 1.0, .nx = 4, .ny = 4};
   const BSpline surface(grid, std::vector<double>(16, 2.5));
   for (const double at : {-1.0, 0.0, 0.5, 1.0, 7.0}) EXPECT_NEAR(surface.at(at, at).z_m, 2.5, 1e-15);
 }
 
-TEST(BSpline, a_position_that_is_no_number_has_no_height) {
+TEST(BSpline, APositionThatIsNoNumberHasNoHeight) {
   const Spline spline(7);
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
@@ -143,7 +144,7 @@ TEST(BSpline, a_position_that_is_no_number_has_no_height) {
   }
 }
 
-TEST(Plane, holds_every_point_that_is_perpendicular_to_its_normal) {
+TEST(Plane, HoldsEveryPointThatIsPerpendicularToItsNormal) {
   const Eigen::Vector3d normal(0.3, -0.2, 1.7);
   const Plane plane(1.25, normal);
   Random random(8);
@@ -157,7 +158,7 @@ TEST(Plane, holds_every_point_that_is_perpendicular_to_its_normal) {
   }
 }
 
-TEST(Surface, is_flat_ground_unless_told_otherwise) {
+TEST(Surface, IsFlatGroundUnlessToldOtherwise) {
   const SurfacePoint point = Surface().at(12.0, -7.0);
   EXPECT_EQ(point.z_m, 0.0);
   EXPECT_EQ(point.gradient, Eigen::Vector2d::Zero());

@@ -1,0 +1,168 @@
+#include "host/filter/range_measurement.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstddef>
+
+#include "test/host/filter/small_site.hpp"
+#include "test/support/numerical_jacobian.hpp"
+
+namespace groma::filter {
+namespace {
+
+using test::numerical_jacobian;
+using test::Random;
+
+class RangeMeasurementTest : public ::testing::Test {
+ protected:
+  // A robot somewhere, every parameter off its nominal value.
+  void draw() {
+    core_ << random_.uniform(-9.0, 9.0), random_.uniform(-9.0, 9.0), random_.uniform(-3.0, 3.0),
+        0.02 * random_.gaussian(), 0.01 * random_.gaussian(), 0.02 * random_.gaussian(),
+        0.1 * random_.gaussian(), 0.1 * random_.gaussian(), 0.05 * random_.gaussian();
+    row_ = {0.0, 2.0 * random_.gaussian(), random_.gaussian(), random_.gaussian()};
+    parameters_.values() += 0.02 * random_.gaussians(parameters_.size());
+  }
+
+  // The derivative by every core state and parameter of what a function of them tells.
+  template <typename Measure>
+  void expect_exact(const Measure& measure, int anchor, int tag) {
+    const RangeMeasurement measurement = measure(surface_, core_, row_, parameters_, anchor, tag);
+    Eigen::VectorXd all(kCoreSize + parameters_.size());
+    all << core_, parameters_.values();
+    const Eigen::MatrixXd numerical = numerical_jacobian(
+        [&](const Eigen::VectorXd& x) {
+          Parameters parameters = parameters_;
+          parameters.values() = x.tail(parameters_.size());
+          return Eigen::VectorXd::Constant(
+              1, measure(surface_, CoreVector(x.head<kCoreSize>()), row_, parameters, anchor, tag).range_m);
+        },
+        all, 1e-6);
+    Eigen::RowVectorXd exact = Eigen::RowVectorXd::Zero(all.size());
+    exact.head<kCoreSize>() = measurement.d_core;
+    for (int i = 0; i < kPairParameters; ++i) {
+      exact(kCoreSize + measurement.index[static_cast<std::size_t>(i)]) = measurement.d_parameters(i);
+    }
+    // Of the delay the first order alone is claimed on a curved surface.
+    EXPECT_NEAR(exact(kDelay), numerical(kDelay), 2e-3);
+    exact(kDelay) = numerical(kDelay);
+    EXPECT_LT((exact - numerical).cwiseAbs().maxCoeff(), 3e-7);
+  }
+
+  model::Surface surface_ = testing::hills(0.5);
+  Parameters parameters_{testing::three_tags(), testing::six_anchors()};
+  Random random_{31};
+  CoreVector core_;
+  model::OdometrySample row_;
+};
+
+TEST_F(RangeMeasurementTest, DerivativesEqualNumericalOnes) {
+  for (int anchor = 0; anchor < parameters_.anchor_count(); ++anchor) {
+    for (int tag = 0; tag < parameters_.tag_count(); ++tag) {
+      draw();
+      expect_exact(measure_range, anchor, tag);
+    }
+  }
+}
+
+TEST_F(RangeMeasurementTest, WithoutDelayTheyAreExactForItToo) {
+  for (int i = 0; i < 30; ++i) {
+    draw();
+    core_(kDelay) = 0.0;
+    const RangeMeasurement measurement = measure_range(surface_, core_, row_, parameters_, i % 6, i % 3);
+    const double h = 1e-6;
+    CoreVector late = core_;
+    late(kDelay) = h;
+    CoreVector early = core_;
+    early(kDelay) = -h;
+    const double numerical = (measure_range(surface_, late, row_, parameters_, i % 6, i % 3).range_m -
+                              measure_range(surface_, early, row_, parameters_, i % 6, i % 3).range_m) /
+                             (2.0 * h);
+    EXPECT_NEAR(measurement.d_core(kDelay), numerical, 1e-7);
+  }
+}
+
+TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
+  // A robot that drives away from the anchor at 2 m/s, its ranges 50 ms old: 0.1 m short.
+  const model::Calibration calibration = model::surveyed_calibration(
+      std::vector<model::Anchor>{{5, {0.0, 0.0, 0.0}}}, std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}},
+      {.sigma_m = 0.1, .beta_m = {0.3, 0.1}, .gamma = {1.0, 0.01}}, 0.02);
+  const Parameters parameters(std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}}, calibration);
+  CoreVector core = CoreVector::Zero();
+  core(kX) = 10.0;
+  core(kDelay) = 0.05;
+  const RangeMeasurement measurement =
+      measure_range(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, parameters, 0, 0);
+  EXPECT_NEAR(measurement.range_m, 10.0 - 0.1 + 0.3, 1e-12);
+  EXPECT_NEAR(measurement.d_core(kDelay), -2.0, 1e-12);
+  EXPECT_NEAR(measure_distance(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, parameters, 0, 0).range_m, 9.9,
+              1e-12);
+}
+
+TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
+  const Parameters parameters(testing::three_tags(), testing::six_anchors());
+  ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4);
+  std::vector<int> taken(static_cast<std::size_t>(parameters.size()), 0);
+  const auto take = [&](int first, int count) {
+    for (int i = 0; i < count; ++i) ++taken.at(static_cast<std::size_t>(first + i));
+  };
+  for (int anchor = 0; anchor < 6; ++anchor) {
+    take(parameters.position(anchor), 3);
+    for (int tag = 0; tag < 3; ++tag) {
+      take(parameters.beta(anchor, tag), 1);
+      take(parameters.gamma(anchor, tag), 1);
+    }
+  }
+  for (int tag = 0; tag < 3; ++tag) take(parameters.lever_arm(tag), 3);
+  take(parameters.frame(), 4);
+  EXPECT_EQ(std::count(taken.begin(), taken.end(), 1), parameters.size());
+}
+
+TEST(Parameters, TakeTheCalibrationsBlocksForTheTagsThatAreThere) {
+  const model::Calibration calibration = testing::six_anchors();
+  const std::vector<model::Tag> all = testing::three_tags();
+  // In another order, one missing, one that the calibration does not know.
+  const std::vector<model::Tag> tags{all[2], {77, Eigen::Vector3d::Ones()}, all[0]};
+  const Parameters parameters(tags, calibration);
+  const Eigen::MatrixXd covariance = parameters.prior_covariance(calibration, 0.01);
+  for (int slot = 0; slot < 6; ++slot) {
+    const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(slot)];
+    EXPECT_EQ(parameters.anchor_slot(anchor.id), slot);
+    EXPECT_EQ(parameters.values()(parameters.beta(slot, 0)), anchor.pairs[2].beta_m);
+    EXPECT_EQ(parameters.values()(parameters.gamma(slot, 2)), anchor.pairs[0].gamma);
+    EXPECT_TRUE(parameters.knows_pair(slot, 0));
+    EXPECT_FALSE(parameters.knows_pair(slot, 1));
+    // beta of tag 3 against gamma of tag 1, and against the position's z.
+    EXPECT_EQ(covariance(parameters.beta(slot, 0), parameters.gamma(slot, 2)),
+              anchor.covariance(3 + 2, 6 + 0));
+    EXPECT_EQ(covariance(parameters.position(slot) + 2, parameters.beta(slot, 0)), anchor.covariance(2, 5));
+  }
+  EXPECT_EQ(covariance(parameters.lever_arm(1), parameters.lever_arm(1)), 1e-4);
+  EXPECT_EQ(covariance, covariance.transpose());
+}
+
+TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
+  model::Calibration calibration = testing::six_anchors();
+  calibration.anchors[1].position_m.x() = std::nan("");
+  calibration.anchors[2].covariance.resize(2, 2);
+  calibration.anchors[3].covariance(1, 1) = std::nan("");
+  EXPECT_EQ(Parameters(testing::three_tags(), calibration).anchor_count(), 3);
+
+  calibration = testing::six_anchors();
+  while (calibration.anchors.size() < 40) {
+    calibration.anchors.push_back(calibration.anchors.front());
+    calibration.anchors.back().id = static_cast<model::NodeId>(100 + calibration.anchors.size());
+  }
+  std::vector<model::Tag> tags;
+  for (model::NodeId id = 1; id < 20; ++id) tags.push_back({id, Eigen::Vector3d::Zero()});
+  const Parameters parameters(tags, calibration);
+  EXPECT_EQ(parameters.anchor_count(), kMaxAnchors);
+  EXPECT_EQ(parameters.tag_count(), kMaxTags);
+  EXPECT_EQ(parameters.size(), kMaxParameters);
+  EXPECT_EQ(parameters.prior_covariance(calibration, 0.01).rows(), kMaxParameters);
+  EXPECT_EQ(parameters.tag_slot(19), -1);
+}
+
+}  // namespace
+}  // namespace groma::filter

@@ -1,0 +1,157 @@
+// A small simulated site for the filter's tests: hilly ground, anchors, a robot with tags on a drive, its
+// odometry with the errors that the contract tells, and ranges. Truth is integrated in fine steps.
+#pragma once
+
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include <Eigen/LU>
+
+#include "host/filter/filter.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/range_model.hpp"
+#include "host/model/surface.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::filter::testing {
+
+using test::Random;
+
+inline model::Surface hills(double height_m) {
+  const model::BSpline::Grid grid{.x0_m = -20.0, .y0_m = -20.0, .dx_m = 4.0, .dy_m = 4.0, .nx = 13, .ny = 13};
+  Random random(77);
+  std::vector<double> heights(169);
+  for (double& height : heights) height = height_m * random.gaussian();
+  return model::BSpline(grid, heights);
+}
+
+inline std::vector<model::Tag> three_tags() {
+  return {{1, {0.75, 0.45, 1.9}}, {2, {-0.7, -0.4, 1.2}}, {3, {0.6, -0.45, 0.4}}};
+}
+
+// Six anchors around, each with a full covariance block and correlated biases, and a common frame error.
+inline model::Calibration six_anchors(double scale = 1.0) {
+  const std::vector<model::Anchor> anchors{{11, {-12.0, -11.0, 2.5}}, {12, {13.0, -9.0, 3.0}},
+                                           {13, {12.0, 12.0, 0.6}},   {14, {-11.0, 13.0, 2.8}},
+                                           {15, {1.0, -14.0, 1.5}},   {16, {0.5, 15.0, 3.2}}};
+  model::Calibration calibration = model::surveyed_calibration(
+      anchors, three_tags(), {.sigma_m = 0.1, .beta_m = {0.2, 0.05}, .gamma = {1.0, 0.002}}, 0.1);
+  Random random(78);
+  for (model::AnchorCalibration& anchor : calibration.anchors) {
+    const Eigen::Index size = anchor.covariance.rows();
+    Eigen::MatrixXd mix = Eigen::MatrixXd::Identity(size, size);
+    for (Eigen::Index i = 0; i < size; ++i) mix.row(i) += 0.5 * random.gaussians(size).transpose();
+    const Eigen::VectorXd sigmas = scale * anchor.covariance.diagonal().cwiseSqrt();
+    const Eigen::MatrixXd root = sigmas.asDiagonal() * mix / 1.5;
+    anchor.covariance = root * root.transpose();
+    for (model::PairBias& pair : anchor.pairs) pair.beta_m += 0.2 * random.gaussian();
+  }
+  calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-6;
+  calibration.common_frame_covariance *= scale * scale;
+  return calibration;
+}
+
+// One drive with its truth.
+struct Drive {
+  std::vector<model::OdometrySample> odometry;
+  std::vector<model::RangeSample> ranges;
+  std::vector<model::PlanarPose> truth;  // at each odometry row
+};
+
+struct DriveOptions {
+  double duration_s = 10.0;
+  double row_s = 0.05;
+  double range_s = 0.0;  // between ranges; 0: none
+  double scale_sigma = 0.01;
+  double yaw_rate_bias_sigma_radps = 0.002;
+  double range_sigma_m = 0.1;
+  double lever_arm_sigma_m = 0.01;
+  double range_delay_sigma_s = 0.0;
+  model::OdometryNoise noise{0.03, 0.03, 0.01};
+};
+
+// theta' = omega, t' = sigma(R_WT R_z v), by the classical Runge-Kutta rule.
+inline model::PlanarPose integrate(const model::Surface& surface, const model::PlanarPose& from,
+                                   const Eigen::Vector3d& velocity, double dt_s, int steps) {
+  const auto rate = [&](const Eigen::Vector3d& at) {
+    const model::SurfacePose pose = model::pose_on_surface(surface, {at.x(), at.y(), at.z()});
+    const Eigen::Vector3d moved = pose.pose.rotation * Eigen::Vector3d(velocity.x(), velocity.y(), 0.0);
+    return Eigen::Vector3d(moved.x(), moved.y(), velocity.z());
+  };
+  Eigen::Vector3d at(from.x_m, from.y_m, from.theta_rad);
+  const double h = dt_s / steps;
+  for (int i = 0; i < steps; ++i) {
+    const Eigen::Vector3d k1 = rate(at);
+    const Eigen::Vector3d k2 = rate(at + 0.5 * h * k1);
+    const Eigen::Vector3d k3 = rate(at + 0.5 * h * k2);
+    const Eigen::Vector3d k4 = rate(at + h * k3);
+    at += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4);
+  }
+  return {at.x(), at.y(), at.z()};
+}
+
+// A curved drive around the middle from the pose given, with everything random drawn from its sigma: odometry
+// errors, and the true site from the calibration's covariance.
+inline Drive drive(const model::Surface& surface, const model::Calibration& calibration,
+                   const model::PlanarPose& start, const DriveOptions& options, Random& random) {
+  const double scale = options.scale_sigma * random.gaussian();
+  const double bias = options.yaw_rate_bias_sigma_radps * random.gaussian();
+  const double delay = options.range_delay_sigma_s * random.gaussian();
+  const Eigen::VectorXd frame = random.gaussians(calibration.common_frame_covariance);
+  std::vector<model::Tag> tags = three_tags();
+  for (model::Tag& tag : tags) tag.lever_arm_m += options.lever_arm_sigma_m * random.gaussians(3);
+  std::vector<Eigen::VectorXd> sites;
+  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+    Eigen::VectorXd site = random.gaussians(anchor.covariance);
+    site.head<3>() += anchor.position_m;
+    const Eigen::Vector3d turned(-site(1), site(0), 0.0);
+    site.head<3>() += frame.head<3>() + frame(3) * turned;
+    for (Eigen::Index tag = 0; tag < 3; ++tag) {
+      site(3 + tag) += anchor.pairs[static_cast<std::size_t>(tag)].beta_m;
+      site(6 + tag) += anchor.pairs[static_cast<std::size_t>(tag)].gamma;
+    }
+    sites.push_back(site);
+  }
+
+  Drive out;
+  model::PlanarPose at = start;
+  double next_range_s = options.range_s > 0.0 ? 0.5 * options.range_s : options.duration_s + 1.0;
+  std::size_t turn = 0;
+  const int rows = static_cast<int>(std::lround(options.duration_s / options.row_s));
+  for (int i = 0; i < rows; ++i) {
+    const double t_s = i * options.row_s;
+    const Eigen::Vector3d velocity(1.0 + 0.5 * std::sin(0.7 * t_s), 0.3 * std::sin(0.3 * t_s),
+                                   0.25 + 0.4 * std::sin(0.5 * t_s));
+    out.odometry.push_back({t_s,
+                            (velocity.x() + options.noise.sigma_vx_mps * random.gaussian()) / (1.0 + scale),
+                            (velocity.y() + options.noise.sigma_vy_mps * random.gaussian()) / (1.0 + scale),
+                            velocity.z() + bias + options.noise.sigma_omega_radps * random.gaussian()});
+    out.truth.push_back(at);
+    for (; next_range_s < t_s + options.row_s; next_range_s += options.range_s) {
+      const std::size_t anchor = turn % sites.size();
+      const std::size_t tag = turn / sites.size() % tags.size();
+      ++turn;
+      // A range is stamped late by the delay.
+      const model::PlanarPose when = integrate(surface, at, velocity, next_range_s - delay - t_s, 2);
+      const Eigen::VectorXd& site = sites[anchor];
+      const auto prediction = model::predict_range(
+          model::pose_on_surface(surface, when).pose, tags[tag].lever_arm_m, site.head<3>(),
+          site(3 + static_cast<Eigen::Index>(tag)), site(6 + static_cast<Eigen::Index>(tag)));
+      out.ranges.push_back({next_range_s, tags[tag].id, calibration.anchors[anchor].id,
+                            prediction.range_m + options.range_sigma_m * random.gaussian()});
+    }
+    at = integrate(surface, at, velocity, options.row_s, 10);
+  }
+  return out;
+}
+
+// e' P^-1 e of an estimate.
+inline double squared_error(const Estimate& estimate, const model::PlanarPose& truth) {
+  const Eigen::Vector3d e(estimate.pose.x_m - truth.x_m, estimate.pose.y_m - truth.y_m,
+                          model::wrap_angle(estimate.pose.theta_rad - truth.theta_rad));
+  return e.dot(estimate.covariance.inverse() * e);
+}
+
+}  // namespace groma::filter::testing
