@@ -1,0 +1,220 @@
+#include "firmware/sim/native_node.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <optional>
+
+#include "firmware/core/node/node.hpp"
+
+namespace groma::sim {
+
+namespace {
+
+constexpr SimTime kBootTime = 3 * kUnitsPerMillisecond;          // crystal and start-up code
+constexpr SimTime kRadioResetTime = 2 * kUnitsPerMillisecond;    // from the reset line's release to SPI
+constexpr SimTime kConfigStoreTime = 90 * kUnitsPerMillisecond;  // erase of a page and its words
+
+SimTime from_us(double t_us) {
+  return from_seconds(t_us * 1e-6);
+}
+
+// One node's hardware as its firmware sees it. Its own time runs ahead of the network's by the work it does.
+class NativePlatform {
+ public:
+  class Spi {
+   public:
+    explicit Spi(NativePlatform& platform) : platform_(platform) {}
+    void write(std::span<const std::uint8_t> header, std::span<const std::uint8_t> out) noexcept {
+      platform_.chip.write(platform_.spend(header.size() + out.size()), header, out, platform_.spi_hz_);
+    }
+    void read(std::span<const std::uint8_t> header, std::span<std::uint8_t> in) noexcept {
+      platform_.chip.read(platform_.spend(header.size() + in.size()), header, in, platform_.spi_hz_);
+    }
+    void set_speed(dw1000::SpiSpeed speed) noexcept {
+      const CpuSettings& cpu = platform_.spec_.cpu;
+      platform_.spi_hz_ = speed == dw1000::SpiSpeed::kFast ? cpu.spi_fast_hz : cpu.spi_slow_hz;
+    }
+
+   private:
+    NativePlatform& platform_;
+  };
+
+  NativePlatform(const NodeSpec& spec, Medium& medium)
+      : chip(spec.chip, medium),
+        uart_out(spec.uart),
+        uart_in(spec.uart),
+        spec_(spec),
+        clock_(spec.cpu_clock.value_or(spec.chip.clock)),
+        transaction_time_(from_us(spec.cpu.spi_transaction_us)),
+        spi_hz_(spec.cpu.spi_slow_hz),
+        spi_(*this),
+        flash_(spec.stored_config) {}
+
+  // ---- what the firmware asks for (firmware/core/node/platform.hpp) --------------------------------------
+  Spi& spi() noexcept { return spi_; }
+  void reset_radio() noexcept {
+    chip.reset(now);
+    now += kRadioResetTime;
+  }
+  void delay_us(std::uint32_t duration_us) noexcept { now += SimTime{duration_us} * kUnitsPerMicrosecond; }
+  std::uint64_t now_us() noexcept { return local_us(now) - boot_us_; }
+  bool link_write(std::span<const std::uint8_t> frame) noexcept { return uart_out.write(now, frame); }
+  bool store_config(std::span<const std::uint8_t> blob) noexcept {
+    flash_.assign(blob.begin(), blob.end());
+    now += kConfigStoreTime;
+    return true;
+  }
+  std::size_t load_config(std::span<std::uint8_t> out) noexcept {
+    if (flash_.size() > out.size()) return 0;
+    std::copy(flash_.begin(), flash_.end(), out.begin());
+    return flash_.size();
+  }
+  void set_indicator(node::Indicator indicator) noexcept { indicator_ = indicator; }
+  void restart() noexcept { restart_asked = true; }
+  [[nodiscard]] node::ResetReason reset_reason() const noexcept { return reset_reason_; }
+  [[nodiscard]] std::optional<node::Fault> last_fault() const noexcept { return std::nullopt; }
+
+  // ---- what the host of the node needs -------------------------------------------------------------------
+  void boot(SimTime t, node::ResetReason reason) {
+    now = t;
+    boot_us_ = local_us(t);
+    reset_reason_ = reason;
+    restart_asked = false;
+    spi_hz_ = spec_.cpu.spi_slow_hz;
+  }
+  // When the processor's clock shows that.
+  [[nodiscard]] SimTime time_of_us(std::uint64_t t_us) const {
+    constexpr std::uint64_t kLast =
+        static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max() / kUnitsPerMicrosecond / 2);
+    if (t_us > kLast) return kNever;
+    return clock_.time_of_local(static_cast<std::int64_t>(t_us + boot_us_) * kUnitsPerMicrosecond);
+  }
+
+  Dw1000Chip chip;
+  UartLine uart_out;
+  UartLine uart_in;
+  SimTime now = 0;  // the node's own: up to here its processor is busy
+  bool restart_asked = false;
+
+ private:
+  SimTime spend(std::size_t bytes) noexcept {
+    now += transaction_time_ + static_cast<SimTime>(bytes) * 8 * kUnitsPerSecond / spi_hz_;
+    return now;
+  }
+  [[nodiscard]] std::uint64_t local_us(SimTime t) const noexcept {
+    return static_cast<std::uint64_t>(clock_.local_units(t) / kUnitsPerMicrosecond);
+  }
+
+  NodeSpec spec_;
+  NodeClock clock_;
+  SimTime transaction_time_;
+  std::uint32_t spi_hz_;
+  Spi spi_;
+  std::vector<std::uint8_t> flash_;
+  node::Indicator indicator_ = node::Indicator::kUnconfigured;
+  node::ResetReason reset_reason_ = node::ResetReason::kPowerOn;
+  std::uint64_t boot_us_ = 0;
+};
+
+static_assert(node::Platform<NativePlatform>);
+
+class NativeNode final : public NodeHost {
+ public:
+  NativeNode(const NodeSpec& spec, Medium& medium)
+      : platform_(spec, medium), interrupt_time_(from_us(spec.cpu.interrupt_us)), boots_at_(spec.power_on) {}
+
+  [[nodiscard]] Dw1000Chip& chip() noexcept override { return platform_.chip; }
+  [[nodiscard]] UartLine& uart_out() noexcept override { return platform_.uart_out; }
+  [[nodiscard]] UartLine& uart_in() noexcept override { return platform_.uart_in; }
+
+  [[nodiscard]] SimTime next_event() override {
+    if (!firmware_) return boots_at_;
+    const Dw1000Chip& chip = platform_.chip;
+    SimTime work = std::min(timer_at_, platform_.uart_in.next_byte());
+    if (chip.irq()) work = std::min(work, chip.now());
+    if (work != kNever) work = std::max(work, platform_.now);
+    return std::min(work, chip.next_event());
+  }
+
+  void run(SimTime now) override {
+    if (!firmware_) {
+      if (now >= boots_at_) boot(now);
+      return;
+    }
+    platform_.chip.advance(now);
+    if (platform_.now > now) return;
+    if (platform_.chip.irq()) {
+      platform_.now = now + interrupt_time_;
+      firmware_->on_radio_interrupt();
+    } else if (timer_at_ <= now) {
+      platform_.now = now + interrupt_time_;
+      firmware_->on_timer();
+    } else if (platform_.uart_in.next_byte() <= now) {
+      received_.clear();
+      platform_.uart_in.take(now, received_);
+      bytes_.clear();
+      for (const TimedByte& byte : received_) bytes_.push_back(byte.value);
+      platform_.now = now + interrupt_time_;
+      firmware_->on_link_bytes(bytes_);
+    } else {
+      return;
+    }
+    after_work();
+  }
+
+  void set_power(bool on, SimTime now) override {
+    if (on == (firmware_.has_value() || boots_at_ != kNever)) return;
+    if (on) {
+      boots_at_ = now;
+      return;
+    }
+    firmware_.reset();
+    boots_at_ = kNever;
+    platform_.chip.set_power(false, now);
+    platform_.uart_out.clear(now);
+    platform_.uart_in.clear(now);
+  }
+
+ private:
+  void boot(SimTime now) {
+    // Power on a chip that has it already is a reset of the processor alone.
+    platform_.boot(now + kBootTime, restarting_ ? node::ResetReason::kSoftware : node::ResetReason::kPowerOn);
+    restarting_ = false;
+    boots_at_ = kNever;
+    platform_.chip.set_power(true, now);
+    firmware_.emplace(platform_, node::Build{.version = "simulated", .git_hash = 0});
+    firmware_->start();
+    after_work();
+  }
+
+  void after_work() {
+    if (platform_.restart_asked) {
+      firmware_.reset();
+      restarting_ = true;
+      boots_at_ = platform_.now;
+      return;
+    }
+    timer_at_ = platform_.time_of_us(firmware_->next_deadline_us());
+  }
+
+  NativePlatform platform_;
+  std::optional<node::Node<NativePlatform>> firmware_;
+  SimTime interrupt_time_;
+  SimTime boots_at_;
+  bool restarting_ = false;
+  SimTime timer_at_ = kNever;
+  std::vector<TimedByte> received_;
+  std::vector<std::uint8_t> bytes_;
+};
+
+}  // namespace
+
+std::unique_ptr<NodeHost> make_native_node(const NodeSpec& spec, Medium& medium) {
+  return std::make_unique<NativeNode>(spec, medium);
+}
+
+std::size_t Network::add_native(const NodeSpec& spec) {
+  return add(make_native_node(spec, medium_));
+}
+
+}  // namespace groma::sim
