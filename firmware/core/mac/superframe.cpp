@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <span>
 
+#include "firmware/core/mac/wire_enum.hpp"
+
 namespace groma::mac {
 namespace {
 
@@ -88,10 +90,7 @@ ScheduleFault check(const groma_Schedule& schedule) noexcept {
   if (outside(schedule.tag_ids_count, 1, kMaxTags)) return ScheduleFault::kNoTags;
   if (outside(schedule.anchor_ids_count, 1, kMaxAnchors)) return ScheduleFault::kNoAnchors;
   if (const ScheduleFault fault = check_ids(schedule); fault != ScheduleFault::kNone) return fault;
-  if (schedule.method != groma_RangingMethod_METHOD_DS_FINAL &&
-      schedule.method != groma_RangingMethod_METHOD_DS_NEXT_POLL) {
-    return ScheduleFault::kBadMethod;
-  }
+  if (number_of(schedule.method) > _groma_RangingMethod_MAX) return ScheduleFault::kBadMethod;
   if (outside(schedule.turn_round_us, 150, 5'000)) return ScheduleFault::kBadTurnRound;
   if (outside(schedule.response_gap_us, 50, 2'000)) return ScheduleFault::kBadGap;
   if (outside(schedule.guard_us, 5, 1'000)) return ScheduleFault::kBadGuard;

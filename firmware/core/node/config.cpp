@@ -5,6 +5,8 @@
 
 #include <algorithm>
 
+#include "firmware/core/mac/wire_enum.hpp"
+
 namespace groma::node {
 namespace {
 
@@ -45,10 +47,7 @@ const char* fault_of(const groma_Config& config) noexcept {
     return mac::describe(fault);
   }
   if (!lists_own_id(config)) return "id: among the schedule's ids of its role";
-  if (config.preamble != groma_Preamble_PREAMBLE_64 && config.preamble != groma_Preamble_PREAMBLE_128 &&
-      config.preamble != groma_Preamble_PREAMBLE_256) {
-    return "preamble: 64, 128 or 256";
-  }
+  if (mac::number_of(config.preamble) > _groma_Preamble_MAX) return "preamble: 64, 128 or 256";
   if (config.transmit_antenna_delay_dtu > kLargest16) return "transmit_antenna_delay_dtu: 0 to 65535";
   if (config.receive_antenna_delay_dtu > kLargest16) return "receive_antenna_delay_dtu: 0 to 65535";
   return "";

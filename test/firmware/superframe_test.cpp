@@ -1,0 +1,178 @@
+#include "firmware/core/mac/superframe.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <string_view>
+#include <vector>
+
+#include "test/firmware/air.hpp"
+
+namespace groma::mac {
+namespace {
+
+using dw1000::Phy;
+using dw1000::Preamble;
+using ranging::Ticks;
+using testing::schedule_of;
+
+double us(Ticks t) {
+  return static_cast<double>(t.count()) / 63'897.6;
+}
+
+TEST(AirTime, IsThatOfTheFactsPage) {
+  const std::size_t bytes[] = {12, 20, 32, 64, 100, 127};
+  const int expected_us[3][6] = {
+      {113, 122, 134, 173, 216, 250}, {178, 187, 199, 238, 281, 315}, {309, 317, 329, 368, 411, 445}};
+  const Preamble preambles[] = {Preamble::k64, Preamble::k128, Preamble::k256};
+  for (std::size_t p = 0; p < 3; ++p) {
+    for (std::size_t n = 0; n < 6; ++n) {
+      EXPECT_NEAR(us(Phy(preambles[p]).air_time(bytes[n])), expected_us[p][n], 0.6)
+          << Phy(preambles[p]).preamble_symbols() << " symbols, " << bytes[n] << " bytes";
+    }
+  }
+}
+
+TEST(AirTime, AgreesWithTheFormulaForEveryLength) {
+  for (std::size_t n = 0; n <= dw1000::kMaxFrameBytes; ++n) {
+    const double bits = 8.0 * static_cast<double>(n);
+    const double formula_us =
+        (128 + 8) * 1.01763 + 21 * 1.02564 + (bits + 48.0 * std::ceil(bits / 330.0)) * 0.128205;
+    EXPECT_NEAR(us(Phy(Preamble::k128).air_time(n)), formula_us, 0.01) << n;
+  }
+}
+
+struct Span {
+  Ticks from;
+  Ticks to;
+};
+
+// Each frame of a superframe as it is on the air, in order.
+std::vector<Span> frames_of(const groma_Schedule& schedule, const Superframe& superframe) {
+  const Phy phy = superframe.phy();
+  const std::size_t anchors = schedule.anchor_ids_count;
+  std::vector<Span> spans;
+  const auto add = [&](Ticks rmarker, std::size_t bytes) {
+    spans.push_back({rmarker - phy.before_rmarker(), rmarker + Phy::after_rmarker(bytes)});
+  };
+  add(superframe.beacon(), kBeaconBytes);
+  for (std::size_t slot = 0; slot < schedule.tag_ids_count; ++slot) {
+    const Ticks poll = superframe.poll(slot);
+    add(poll, poll_bytes(anchors));
+    for (std::size_t i = 0; i < anchors; ++i) add(poll + superframe.response(i, anchors), kResponseBytes);
+    if (superframe.has_final()) add(poll + superframe.final(anchors), kFinalBytes);
+  }
+  return spans;
+}
+
+TEST(Superframe, NoFrameOverlapsAnotherAndEachGapIsKept) {
+  for (const auto method : {groma_RangingMethod_METHOD_DS_FINAL, groma_RangingMethod_METHOD_DS_NEXT_POLL}) {
+    for (const Preamble preamble : {Preamble::k64, Preamble::k128, Preamble::k256}) {
+      for (const std::size_t tags : {1U, 3U, 16U}) {
+        for (const std::size_t anchors : {1U, 4U, 12U, 16U}) {
+          for (const std::uint32_t gap_us : {50U, 290U, 2000U}) {
+            const groma_Schedule schedule = schedule_of(tags, anchors, method, 300, gap_us);
+            ASSERT_EQ(check(schedule), ScheduleFault::kNone);
+            const Superframe superframe(schedule, Phy(preamble));
+            const auto spans = frames_of(schedule, superframe);
+            const Ticks guard = superframe.guard();
+            EXPECT_GE(spans.front().from, guard);
+            const Ticks least = std::min(Ticks::from_us(gap_us), Ticks::from_us(300));
+            for (std::size_t i = 1; i < spans.size(); ++i) {
+              ASSERT_GE(spans[i].from - spans[i - 1].to, least) << i;
+            }
+            ASSERT_GE(superframe.duration() + spans.front().from - spans.back().to, least + guard);
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST(Superframe, EveryTransmissionLiesOnTheGrid) {
+  for (const std::uint32_t odd_us : {151U, 299U, 653U}) {
+    groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, odd_us, odd_us);
+    schedule.guard_us = 17;
+    const Superframe superframe(schedule, Phy(Preamble::k128));
+    EXPECT_EQ(superframe.duration().count() % 512, 0);
+    EXPECT_EQ(superframe.beacon().count() % 512, 0);
+    EXPECT_EQ(superframe.poll(2).count() % 512, 0);
+    EXPECT_EQ(superframe.final(12).count() % 512, 0);
+    for (std::size_t i = 0; i < 12; ++i) EXPECT_EQ(superframe.response(i, 12).count() % 512, 0);
+  }
+}
+
+TEST(Superframe, ThreeTagsAndTwelveAnchorsGetWellOverAThousandRangesASecond) {
+  const auto rate = [](groma_RangingMethod method, std::uint32_t turn_us, std::uint32_t gap_us) {
+    const Superframe superframe(schedule_of(3, 12, method, turn_us, gap_us), Phy(Preamble::k128));
+    return 36.0 / (us(superframe.duration()) * 1e-6);
+  };
+  EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 650, 290), 1550.0);
+  EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_FINAL, 650, 290), 1350.0);
+  EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 300, 100), 2500.0);
+  // Nothing for free: it cannot beat the air.
+  EXPECT_LT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 650, 290), 1900.0);
+}
+
+TEST(Superframe, ReplyIntervalsFitTheirFieldAndWindowsTheReceiversTimeout) {
+  groma_Schedule schedule = schedule_of(16, 16, groma_RangingMethod_METHOD_DS_FINAL, 5000, 2000);
+  schedule.guard_us = 1000;
+  ASSERT_EQ(check(schedule), ScheduleFault::kNone);
+  const Superframe superframe(schedule, Phy(Preamble::k256));
+  EXPECT_LT(superframe.response(15, 16).count() + 1'000'000, std::int64_t{1} << 32);
+  EXPECT_LT(superframe.duration(), kMaxClosing);
+}
+
+TEST(Schedule, EachFaultIsFoundAndNamed) {
+  const groma_Schedule good = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL);
+  EXPECT_EQ(check(good), ScheduleFault::kNone);
+  const auto expect = [&](ScheduleFault fault, auto&& spoil) {
+    groma_Schedule schedule = good;
+    spoil(schedule);
+    EXPECT_EQ(check(schedule), fault) << describe(fault);
+    EXPECT_GT(std::string_view(describe(fault)).size(), 10U);
+    EXPECT_LT(std::string_view(describe(fault)).size(), 64U);
+  };
+  expect(ScheduleFault::kNoTags, [](auto& s) { s.tag_ids_count = 0; });
+  expect(ScheduleFault::kNoTags, [](auto& s) { s.tag_ids_count = 17; });
+  expect(ScheduleFault::kNoAnchors, [](auto& s) { s.anchor_ids_count = 0; });
+  expect(ScheduleFault::kBadId, [](auto& s) { s.tag_ids[1] = 0; });
+  expect(ScheduleFault::kBadId, [](auto& s) { s.anchor_ids[11] = 0xFFFF; });
+  expect(ScheduleFault::kRepeatedId, [](auto& s) { s.anchor_ids[5] = s.tag_ids[0]; });
+  expect(ScheduleFault::kRepeatedId, [](auto& s) { s.tag_ids[2] = s.tag_ids[0]; });
+  expect(ScheduleFault::kBadMaster, [](auto& s) { s.master_id = 1; });
+  expect(ScheduleFault::kBadMaster, [](auto& s) { s.master_id = 65536 + 101; });
+  expect(ScheduleFault::kBadMethod, [](auto& s) { std::memset(&s.method, 9, sizeof s.method); });
+  expect(ScheduleFault::kBadTurnRound, [](auto& s) { s.turn_round_us = 149; });
+  expect(ScheduleFault::kBadTurnRound, [](auto& s) { s.turn_round_us = 5001; });
+  expect(ScheduleFault::kBadGap, [](auto& s) { s.response_gap_us = 49; });
+  expect(ScheduleFault::kBadGap, [](auto& s) { s.response_gap_us = 0xFFFFFFFF; });
+  expect(ScheduleFault::kBadGuard, [](auto& s) { s.guard_us = 4; });
+}
+
+TEST(Schedule, TheHashTellsEveryDifference) {
+  const groma_Schedule base = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL);
+  const std::uint32_t hash = schedule_hash(base, 1, Preamble::k128);
+  EXPECT_EQ(hash, schedule_hash(base, 1, Preamble::k128));
+  EXPECT_NE(hash, schedule_hash(base, 2, Preamble::k128));
+  EXPECT_NE(hash, schedule_hash(base, 1, Preamble::k64));
+  const auto changed = [&](auto&& change) {
+    groma_Schedule schedule = base;
+    change(schedule);
+    return schedule_hash(schedule, 1, Preamble::k128);
+  };
+  EXPECT_NE(hash, changed([](auto& s) { ++s.epoch; }));
+  EXPECT_NE(hash, changed([](auto& s) { ++s.master_id; }));
+  EXPECT_NE(hash, changed([](auto& s) { std::swap(s.tag_ids[0], s.tag_ids[1]); }));
+  EXPECT_NE(hash, changed([](auto& s) { --s.anchor_ids_count; }));
+  EXPECT_NE(hash, changed([](auto& s) { s.method = groma_RangingMethod_METHOD_DS_NEXT_POLL; }));
+  EXPECT_NE(hash, changed([](auto& s) { ++s.turn_round_us; }));
+  EXPECT_NE(hash, changed([](auto& s) { ++s.response_gap_us; }));
+  EXPECT_NE(hash, changed([](auto& s) { ++s.guard_us; }));
+  // What lies beyond the lists' ends is no part of them.
+  EXPECT_EQ(hash, changed([](auto& s) { s.tag_ids[9] = 77; }));
+}
+
+}  // namespace
+}  // namespace groma::mac
