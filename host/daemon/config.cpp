@@ -1,0 +1,163 @@
+#include "host/daemon/config.hpp"
+
+#include <arpa/inet.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <limits>
+#include <set>
+
+#include "host/filter/state.hpp"
+#include "host/io/input_file.hpp"
+#include "host/io/site_description.hpp"
+#include "host/io/yaml_reader.hpp"
+
+namespace groma::daemon {
+namespace {
+
+using io::YamlValue;
+
+constexpr double kMinDrive_s = 10.0;
+constexpr double kMaxDrive_s = 3600.0;
+constexpr double kMaxReorderLag_s = 0.5;  // what is later is dropped anyway
+constexpr double kMaxSpeed = 1000.0;
+
+std::filesystem::path parse_path(const YamlValue& yaml, const std::filesystem::path& folder) {
+  const std::string text = yaml.text();
+  if (text.empty()) yaml.fail("is empty", "name a path");
+  return folder / text;
+}
+
+double parse_between(const YamlValue& yaml, double min, double max) {
+  const double value = yaml.number();
+  if (!(value >= min && value <= max)) {
+    yaml.fail(fmt::format("is {}", value), fmt::format("it has to be from {} to {}", min, max));
+  }
+  return value;
+}
+
+std::vector<NodeLink> parse_nodes(const YamlValue& yaml, const std::filesystem::path& folder) {
+  std::vector<NodeLink> nodes;
+  std::set<std::filesystem::path> seen;
+  for (const YamlValue& entry : yaml.list()) {
+    entry.expect_keys({{"path"}, {"baud"}});
+    NodeLink node;
+    node.path = parse_path(entry.at("path"), folder);
+    if (!seen.insert(node.path).second) entry.at("path").fail("is there twice", "name each port once");
+    if (const auto baud = entry.find("baud"))
+      node.baud = static_cast<unsigned>(baud->integer(1200, 4'000'000));
+    nodes.push_back(std::move(node));
+  }
+  if (nodes.empty()) yaml.fail("is empty", "name the serial port of each tag");
+  return nodes;
+}
+
+std::vector<model::Tag> parse_tags(const YamlValue& yaml) {
+  std::vector<model::Tag> tags;
+  for (const YamlValue& entry : yaml.list()) {
+    entry.expect_keys({{"id", "lever_arm_m"}});
+    const auto id =
+        static_cast<model::NodeId>(entry.at("id").integer(0, std::numeric_limits<model::NodeId>::max()));
+    const bool repeated =
+        std::any_of(tags.begin(), tags.end(), [&](const auto& tag) { return tag.id == id; });
+    if (repeated) entry.at("id").fail("is there twice", "name each tag once");
+    const std::vector<double> arm_m = entry.at("lever_arm_m").numbers(3);
+    tags.push_back({id, {arm_m[0], arm_m[1], arm_m[2]}});
+  }
+  if (tags.empty()) yaml.fail("is empty", "name each tag of the robot with its lever arm");
+  if (tags.size() > filter::kMaxTags) {
+    yaml.fail(fmt::format("has {} tags", tags.size()), fmt::format("at most {} are used", filter::kMaxTags));
+  }
+  std::sort(tags.begin(), tags.end(), [](const auto& a, const auto& b) { return a.id < b.id; });
+  return tags;
+}
+
+CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::filesystem::path& folder) {
+  CalibrationSource source;
+  yaml.expect_keys({{}, {"file", "drive_s", "output"}});
+  const auto file = yaml.find("file");
+  const auto drive_s = yaml.find("drive_s");
+  const auto output = yaml.find("output");
+  if (file.has_value() == drive_s.has_value()) {
+    yaml.fail("has to have either 'file' or 'drive_s'",
+              "give a calibration, or the length of a drive to learn it");
+  }
+  if (file) {
+    if (output) output->fail("goes with 'drive_s' only", "leave it out: the file is not changed");
+    source.file = parse_path(*file, folder);
+    return source;
+  }
+  source.drive_s = parse_between(*drive_s, kMinDrive_s, kMaxDrive_s);
+  if (output) source.output = parse_path(*output, folder);
+  return source;
+}
+
+void parse_pose_stream(const YamlValue& yaml, Config& config) {
+  yaml.expect_keys({{}, {"address", "port"}});
+  if (const auto address = yaml.find("address")) {
+    config.address = address->text();
+    in_addr v4{};
+    in6_addr v6{};
+    if (::inet_pton(AF_INET, config.address.c_str(), &v4) != 1 &&
+        ::inet_pton(AF_INET6, config.address.c_str(), &v6) != 1) {
+      address->fail("is no numeric address",
+                    "write 127.0.0.1 for this computer alone, 0.0.0.0 for the network");
+    }
+  }
+  if (const auto port = yaml.find("port")) {
+    config.port = static_cast<std::uint16_t>(port->integer(0, std::numeric_limits<std::uint16_t>::max()));
+  }
+}
+
+filter::Model parse_model(const YamlValue& yaml) {
+  const auto model = filter::model_from_name(yaml.text());
+  if (!model) {
+    std::string names;
+    for (const filter::Model known : filter::kModels) {
+      names += (names.empty() ? "" : ", ") + std::string(filter::model_name(known));
+    }
+    yaml.fail("is no model", "choose one of " + names);
+  }
+  return *model;
+}
+
+}  // namespace
+
+filter::Config Config::filter_config() const {
+  filter::Config out;
+  out.model = model;
+  out.odometry = odometry;
+  out.range_sigma_m = range.sigma_m;
+  return out;
+}
+
+Config read_config(const std::filesystem::path& path) {
+  io::InputFiles files;
+  const YamlValue yaml = YamlValue::parse(path, files.read(path));
+  const std::filesystem::path folder = path.parent_path();
+  yaml.expect_keys(
+      {{"schema", "nodes", "robot_socket", "tags", "odometry", "range", "surface", "calibration"},
+       {"model", "pose_stream", "reorder_lag_s", "speed"}});
+  if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
+    yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
+  }
+  Config config;
+  config.nodes = parse_nodes(yaml.at("nodes"), folder);
+  config.robot_socket = parse_path(yaml.at("robot_socket"), folder);
+  config.tags = parse_tags(yaml.at("tags"));
+  config.odometry = io::parse_odometry_noise(yaml.at("odometry"));
+  config.range = io::parse_range_priors(yaml.at("range"));
+  config.surface = io::parse_surface(yaml.at("surface"), folder, files);
+  config.calibration = parse_calibration_source(yaml.at("calibration"), folder);
+  if (const auto model = yaml.find("model")) config.model = parse_model(*model);
+  if (const auto stream = yaml.find("pose_stream")) parse_pose_stream(*stream, config);
+  if (const auto lag = yaml.find("reorder_lag_s")) {
+    config.reorder_lag_s = parse_between(*lag, 0.0, kMaxReorderLag_s);
+  }
+  if (const auto speed = yaml.find("speed")) {
+    config.speed = parse_between(*speed, 1.0 / kMaxSpeed, kMaxSpeed);
+  }
+  return config;
+}
+
+}  // namespace groma::daemon

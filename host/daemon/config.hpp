@@ -1,0 +1,66 @@
+// The daemon's configuration file: YAML, schema 1, strict.
+//
+//   schema: 1
+//   nodes:                            # a serial port or pseudo-terminal for each tag
+//     - {path: /dev/serial/by-id/usb-tag-1, baud: 1000000}
+//   robot_socket: robot.sock          # JSON lines: robot_input.hpp
+//   tags:                             # where each tag's antenna sits, in base_link
+//     - {id: 1, lever_arm_m: [0.3, 0.2, 0.6]}
+//   odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.01}
+//   range: {sigma_m: 0.1, beta_m: [0.3, 0.5], gamma: [1.0, 0.005]}   # the latter two as priors of a pair
+//   surface: {type: plane, z_m: 0.0, normal: [0, 0, 1]}              # or {type: bspline, file: surface.csv}
+//   calibration: {file: calibration.yaml}       # or {drive_s: 120, output: calibration.yaml}: learn it first
+//   model: schmidt                              # optional, as are all that follow
+//   pose_stream: {address: 127.0.0.1, port: 4721}
+//   reorder_lag_s: 0.2
+//   speed: 1                          # of the site's clocks against this computer's: that of `groma sim`
+//
+// Paths are relative to the file's folder.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "host/filter/config.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::daemon {
+
+struct NodeLink {
+  std::filesystem::path path;
+  unsigned baud = 1'000'000;
+};
+
+struct CalibrationSource {
+  std::optional<std::filesystem::path> file;  // none: from a drive
+  double drive_s = 0.0;
+  std::optional<std::filesystem::path> output;  // where the drive's calibration is kept
+};
+
+struct Config {
+  std::vector<NodeLink> nodes;
+  std::filesystem::path robot_socket;
+  std::vector<model::Tag> tags;
+  model::OdometryNoise odometry;
+  model::RangePriors range;
+  model::Surface surface;
+  CalibrationSource calibration;
+  filter::Model model = filter::Config{}.model;
+  std::string address = "127.0.0.1";
+  std::uint16_t port = 4721;
+  double reorder_lag_s = 0.2;
+  double speed = 1.0;
+
+  // The filter's, with the robot's and the ranges' sigmas.
+  [[nodiscard]] filter::Config filter_config() const;
+};
+
+// Throws io::ConfigError with the place and the remedy, io::DataError or io::PermissionError (a file that it
+// names, or itself, cannot be read).
+[[nodiscard]] Config read_config(const std::filesystem::path& path);
+
+}  // namespace groma::daemon

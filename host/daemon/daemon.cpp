@@ -1,0 +1,250 @@
+#include "host/daemon/daemon.hpp"
+
+#include <fmt/format.h>
+#include <pb_encode.h>
+#include <poll.h>
+
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <filesystem>
+#include <system_error>
+#include <utility>
+
+#include "groma.pb.h"
+#include "host/filter/config.hpp"
+#include "host/io/calibration_file.hpp"
+#include "host/io/output_file.hpp"
+#include "proto/frame_codec.hpp"
+
+namespace groma::daemon {
+namespace {
+
+constexpr int kPollTimeout_ms = 10;  // measurements wait no longer than this beyond their lag
+constexpr double kStatusPeriod_s = 1.0;
+constexpr std::size_t kReadsPerTurn = 16;  // of one link, so that none keeps the others waiting
+
+link::OpenedLink open_input(const std::string& path, unsigned baud) {
+  std::error_code ignored;  // what cannot be looked at, open_link() explains
+  if (std::filesystem::is_regular_file(path, ignored)) {
+    return {
+        nullptr,
+        {link::LinkFault::kUnsuitable,
+         fmt::format("{}: a file is no live link; name a serial port, a pseudo-terminal or a socket", path)}};
+  }
+  return link::open_link(path, baud);
+}
+
+// A frame that asks a node who it is.
+std::vector<std::uint8_t> hello_request() {
+  groma_HostToNode message = groma_HostToNode_init_zero;
+  message.request_id = 1;
+  message.which_body = groma_HostToNode_get_hello_tag;
+  std::array<std::uint8_t, groma_HostToNode_size> payload{};
+  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+  if (!pb_encode(&stream, groma_HostToNode_fields, &message)) return {};
+  const auto content = std::span(payload).first(stream.bytes_written);
+  std::vector<std::uint8_t> frame(wire::max_encoded_size(content.size()));
+  frame.resize(wire::encode_frame(content, frame));
+  return frame;
+}
+
+std::string describe(const model::Calibration& calibration) {
+  std::string text =
+      fmt::format("verdict {}, {} anchors", io::word(calibration.verdict), calibration.anchors.size());
+  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+    if (!anchor.advice.empty()) text += fmt::format("; anchor {}: {}", anchor.id, anchor.advice);
+  }
+  return text;
+}
+
+}  // namespace
+
+Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log log)
+    : config_(std::move(config)),
+      log_(std::move(log)),
+      calibration_(std::move(calibration)),
+      session_({.reorder_lag_s = config_.reorder_lag_s, .log = log_}) {
+  for (const NodeLink& node : config_.nodes) {
+    const std::string path = node.path.string();
+    inputs_.push_back(
+        {.name = path,
+         .link = link::ReconnectingLink([path, baud = node.baud] { return open_input(path, baud); }),
+         .is_robot = false,
+         .node = session_.add_node(path, node.baud),
+         .told_error = {}});
+  }
+  const std::string path = config_.robot_socket.string();
+  inputs_.push_back({.name = path,
+                     .link = link::ReconnectingLink([path] { return open_input(path, 0); }),
+                     .is_robot = true,
+                     .node = 0,
+                     .told_error = {}});
+}
+
+Daemon::~Daemon() = default;
+
+link::LinkError Daemon::open() {
+  PoseServer::Opened opened = PoseServer::open(config_.address, config_.port, version_line());
+  if (!opened.server) return opened.error;
+  server_ = std::move(opened.server);
+  log_(fmt::format("pose stream on {} port {}", config_.address, server_->port()));
+  for (Input& input : inputs_) {
+    if (!input.link.service(now_s())) return input.link.last_error();
+    this->opened(input);
+  }
+  return {};
+}
+
+bool Daemon::run(int stop_fd) {
+  if (calibration_) {
+    localize(*std::exchange(calibration_, std::nullopt));
+  } else {
+    drive_ = std::make_unique<CalibrationDrive>(config_.tags, config_.surface, config_.range);
+    session_.attach(*drive_);
+    log_(fmt::format("calibrates from the first {} s with pose priors", config_.calibration.drive_s));
+  }
+  bool stop = false;
+  while (!stop) {
+    wait(stop_fd, stop);
+    for (Input& input : inputs_) service(input);
+    session_.advance(now_s());
+    if (drive_ && !calibrate()) return false;
+    tell_status();
+    server_->service();
+  }
+  return true;
+}
+
+double Daemon::now_s() const {
+  const std::chrono::duration<double> since_start = std::chrono::steady_clock::now().time_since_epoch();
+  return config_.speed * since_start.count();
+}
+
+void Daemon::wait(int stop_fd, bool& stop) {
+  std::vector<pollfd> entries{{stop_fd, POLLIN, 0}};
+  for (const Input& input : inputs_) {
+    if (input.link.get() != nullptr) entries.push_back({input.link.get()->poll_fd(), POLLIN, 0});
+  }
+  server_->append_poll(entries);
+  if (::poll(entries.data(), entries.size(), kPollTimeout_ms) > 0) {
+    stop = (entries.front().revents & POLLIN) != 0;
+  }
+}
+
+void Daemon::service(Input& input) {
+  if (input.link.service(now_s())) {
+    log_(fmt::format("{}: open again", input.name));
+    if (input.is_robot) {
+      session_.robot_reopened();
+    } else {
+      session_.node_reopened(input.node);
+    }
+    opened(input);
+  }
+  if (input.link.get() != nullptr) {
+    read(input);
+  } else if (input.told_error != input.link.last_error().message) {
+    input.told_error = input.link.last_error().message;
+    if (!input.told_error.empty()) log_(input.told_error);
+  }
+}
+
+void Daemon::read(Input& input) {
+  std::array<std::uint8_t, 4096> buffer{};
+  for (std::size_t i = 0; i < kReadsPerTurn; ++i) {
+    const link::ReadResult result = input.link.read(buffer, now_s());
+    if (result.gone) {
+      log_(fmt::format("{}: the link is gone; it is opened again as soon as it can be", input.name));
+      return;
+    }
+    if (result.bytes == 0) return;
+    const auto bytes = std::span(buffer).first(result.bytes);
+    if (input.is_robot) {
+      session_.robot_bytes(bytes, now_s());
+    } else {
+      session_.node_bytes(input.node, bytes, now_s());
+    }
+  }
+}
+
+void Daemon::opened(Input& input) {
+  input.told_error.clear();
+  // The answer is welcome and not waited for.
+  if (!input.is_robot) static_cast<void>(input.link.get()->write(hello_request()));
+}
+
+bool Daemon::calibrate() {
+  if (!solution_.valid()) {
+    if (drive_->duration_s() < config_.calibration.drive_s) return true;
+    session_.detach(*drive_);
+    log_(fmt::format("solves the calibration from {} ranges and {} poses", drive_->range_count(),
+                     drive_->pose_count()));
+    solution_ = std::async(std::launch::async, [this] { return drive_->solve(); });
+    return true;
+  }
+  if (solution_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return true;
+  model::Calibration calibration = solution_.get().calibration;
+  drive_.reset();
+  log_("calibration: " + describe(calibration));
+  if (calibration.verdict == model::Verdict::kUnusable) return false;
+  if (config_.calibration.output) {
+    io::write_file(*config_.calibration.output, io::format_calibration(calibration));
+    log_(fmt::format("calibration kept in {}", config_.calibration.output->string()));
+  }
+  localize(std::move(calibration));
+  return true;
+}
+
+void Daemon::localize(model::Calibration calibration) {
+  frame_ = calibration.frame;
+  const std::size_t anchors = calibration.anchors.size();
+  localizer_ = std::make_unique<Localizer>(Localizer::Setup{.surface = config_.surface,
+                                                            .tags = config_.tags,
+                                                            .calibration = std::move(calibration),
+                                                            .filter = config_.filter_config()},
+                                           [this](const PoseEstimate& pose) { publish(pose); });
+  session_.attach(*localizer_);
+  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; waits for a pose prior",
+                   filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
+}
+
+void Daemon::publish(const PoseEstimate& pose) {
+  if (pose_state_ != pose.state) log_(fmt::format("state {}", state_word(pose.state)));
+  pose_state_ = pose.state;
+  last_pose_s_ = now_s();
+  server_->broadcast(pose_line(pose, frame_, filter::model_name(config_.model)));
+}
+
+void Daemon::tell_status() {
+  if (now_s() < next_status_s_) return;
+  next_status_s_ = now_s() + kStatusPeriod_s;
+  server_->broadcast(status_line(status()));
+}
+
+std::string_view Daemon::state() const {
+  if (solution_.valid()) return "CALIBRATING";
+  if (drive_) return "CALIBRATION_DRIVE";
+  if (!localizer_->started()) return "WAITING_FOR_POSE_PRIOR";
+  if (!pose_state_ || now_s() - last_pose_s_ > kStatusPeriod_s) return "WAITING_FOR_ODOMETRY";
+  return state_word(*pose_state_);
+}
+
+Status Daemon::status() const {
+  const SessionCounters& counters = session_.counters();
+  Status status;
+  status.state = state();
+  status.odometry = counters.odometry;
+  status.ranges = counters.ranges;
+  status.frames_lost = session_.frames_lost();
+  status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.robot_time_wrong +
+                   counters.ranges_without_odometry + session_.robot_counters().dropped();
+  for (std::size_t i = 0; i < session_.node_count(); ++i) {
+    const link::ReportCounters& node = session_.node(i).decoder().counters();
+    status.dropped +=
+        node.messages_malformed + node.ranges_not_ok + node.ranges_out_of_bounds + node.ranges_bad_instant;
+  }
+  return status;
+}
+
+}  // namespace groma::daemon

@@ -1,0 +1,57 @@
+#include "host/daemon/pose_message.hpp"
+
+#include <nlohmann/json.hpp>
+
+#include "host/io/version.hpp"
+
+namespace groma::daemon {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// Bytes that are no UTF-8 (the frame's name is an operator's text) must not end the stream.
+std::string line(const Json& object) {
+  return object.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+}  // namespace
+
+std::string_view state_word(PoseState state) noexcept {
+  return state == PoseState::kTracking ? "TRACKING" : "COASTING";
+}
+
+std::string version_line() {
+  return line(
+      {{"class", "VERSION"}, {"program", "gromad"}, {"version", io::program_version()}, {"protocol", 1}});
+}
+
+std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
+  Json covariance = Json::array();
+  // What is not finite, nlohmann writes as null.
+  for (Eigen::Index row = 0; row < 6; ++row) {
+    for (Eigen::Index column = 0; column < 6; ++column) covariance.push_back(pose.covariance(row, column));
+  }
+  return line({{"class", "POSE"},
+               {"t_s", pose.t_s},
+               {"frame", frame},
+               {"model", model},
+               {"state", state_word(pose.state)},
+               {"x_m", pose.x_m},
+               {"y_m", pose.y_m},
+               {"z_m", pose.z_m},
+               {"roll_rad", pose.roll_rad},
+               {"pitch_rad", pose.pitch_rad},
+               {"yaw_rad", pose.yaw_rad},
+               {"covariance", std::move(covariance)}});
+}
+
+std::string status_line(const Status& status) {
+  return line({{"class", "STATUS"},
+               {"state", status.state},
+               {"odometry", status.odometry},
+               {"ranges", status.ranges},
+               {"frames_lost", status.frames_lost},
+               {"dropped", status.dropped}});
+}
+
+}  // namespace groma::daemon

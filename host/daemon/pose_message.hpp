@@ -1,0 +1,34 @@
+// The lines of the pose stream: one JSON object each, ended by a line feed.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "host/daemon/localizer.hpp"
+
+namespace groma::daemon {
+
+// What a stream tells beside poses, about once a second.
+struct Status {
+  std::string_view state;  // see state_word() and Daemon
+  std::uint64_t odometry = 0;
+  std::uint64_t ranges = 0;
+  std::uint64_t frames_lost = 0;
+  std::uint64_t dropped = 0;  // measurements and lines, of all causes
+};
+
+// "TRACKING" or "COASTING".
+[[nodiscard]] std::string_view state_word(PoseState state) noexcept;
+
+// {"class":"VERSION","program":"gromad","version":...,"protocol":1}
+[[nodiscard]] std::string version_line();
+
+// {"class":"POSE","t_s","frame","model","state","x_m","y_m","z_m","roll_rad","pitch_rad","yaw_rad",
+// "covariance"}: the covariance 6 x 6, row by row, of x, y, z, roll, pitch, yaw; what is unknown is null.
+[[nodiscard]] std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model);
+
+// {"class":"STATUS","state",...}
+[[nodiscard]] std::string status_line(const Status& status);
+
+}  // namespace groma::daemon

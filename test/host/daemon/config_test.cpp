@@ -1,0 +1,130 @@
+#include "host/daemon/config.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <string>
+
+#include "host/io/error.hpp"
+#include "test/host/daemon/temporary_folder.hpp"
+
+namespace groma::daemon {
+namespace {
+
+using test::TemporaryFolder;
+using ::testing::HasSubstr;
+
+constexpr const char* kGood = R"(schema: 1
+nodes:
+  - {path: tag-1, baud: 115200}
+  - {path: /dev/ttyACM7}
+robot_socket: robot.sock
+tags:
+  - {id: 2, lever_arm_m: [-0.3, 0.1, 0.6]}
+  - {id: 1, lever_arm_m: [0.3, 0.2, 0.5]}
+odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.04, sigma_omega_radps: 0.01}
+range: {sigma_m: 0.12, beta_m: [0.3, 0.4], gamma: [1.0, 0.004]}
+surface: {type: plane, z_m: 0.5, normal: [0, 0, 1]}
+calibration: {drive_s: 120, output: kept.yaml}
+model: inflated
+pose_stream: {address: "::1", port: 4000}
+reorder_lag_s: 0.3
+speed: 4
+)";
+
+class ConfigFile : public ::testing::Test {
+ protected:
+  Config read(const std::string& text) { return read_config(folder_.write("gromad.yaml", text)); }
+
+  // The message of the error that the good file gives with one text in the place of another.
+  std::string error_with(const std::string& from, const std::string& to) {
+    std::string text = kGood;
+    const std::size_t at = text.find(from);
+    EXPECT_NE(at, std::string::npos) << from;
+    text.replace(at, from.size(), to);
+    try {
+      read(text);
+    } catch (const io::ConfigError& error) {
+      return error.what();
+    }
+    return "no error";
+  }
+
+  TemporaryFolder folder_;
+};
+
+TEST_F(ConfigFile, IsReadWhole) {
+  const Config config = read(kGood);
+  ASSERT_EQ(config.nodes.size(), 2U);
+  EXPECT_EQ(config.nodes[0].path, folder_ / "tag-1");
+  EXPECT_EQ(config.nodes[0].baud, 115200U);
+  EXPECT_EQ(config.nodes[1].path, "/dev/ttyACM7");
+  EXPECT_EQ(config.nodes[1].baud, 1'000'000U);
+  EXPECT_EQ(config.robot_socket, folder_ / "robot.sock");
+  ASSERT_EQ(config.tags.size(), 2U);
+  EXPECT_EQ(config.tags[0].id, 1);
+  EXPECT_EQ(config.tags[1].lever_arm_m, Eigen::Vector3d(-0.3, 0.1, 0.6));
+  EXPECT_EQ(config.odometry.sigma_vy_mps, 0.04);
+  EXPECT_EQ(config.range.beta_m.sigma, 0.4);
+  EXPECT_EQ(config.surface.at(3.0, 4.0).z_m, 0.5);
+  EXPECT_FALSE(config.calibration.file);
+  EXPECT_EQ(config.calibration.drive_s, 120.0);
+  EXPECT_EQ(config.calibration.output, folder_ / "kept.yaml");
+  EXPECT_EQ(config.model, filter::Model::kInflated);
+  EXPECT_EQ(config.address, "::1");
+  EXPECT_EQ(config.port, 4000);
+  EXPECT_EQ(config.reorder_lag_s, 0.3);
+  EXPECT_EQ(config.speed, 4.0);
+  EXPECT_EQ(config.filter_config().range_sigma_m, 0.12);
+  EXPECT_EQ(config.filter_config().odometry.sigma_vy_mps, 0.04);
+}
+
+TEST_F(ConfigFile, StaysOnThisComputerUnlessToldOtherwise) {
+  std::string text = kGood;
+  text.resize(text.find("model:"));
+  const Config config = read(text);
+  EXPECT_EQ(config.address, "127.0.0.1");
+  EXPECT_EQ(config.speed, 1.0);
+  EXPECT_EQ(config.model, filter::Config{}.model);
+}
+
+TEST_F(ConfigFile, NamesThePlaceOfEachMistake) {
+  const std::string file = (folder_ / "gromad.yaml").string();
+  EXPECT_THAT(error_with("speed: 4", "spede: 4"), HasSubstr(file + ":16:1: "));
+  EXPECT_THAT(error_with("speed: 4", "spede: 4"), HasSubstr("spede"));
+  EXPECT_THAT(error_with("baud: 115200", "boud: 115200"), HasSubstr(file + ":3:19: "));
+  EXPECT_THAT(error_with("baud: 115200", "baud: fast"), HasSubstr(file + ":3:25: "));
+  EXPECT_THAT(error_with("/dev/ttyACM7", "tag-1"), HasSubstr("twice"));
+  EXPECT_THAT(error_with("schema: 1", "schema: 2"), HasSubstr("schema"));
+  EXPECT_THAT(error_with("id: 2", "id: 1"), HasSubstr("twice"));
+  EXPECT_THAT(error_with("id: 2", "id: 70000"), HasSubstr(file + ":7:"));
+  EXPECT_THAT(error_with("0.1, 0.6]", "0.6]"), HasSubstr("lever_arm_m"));
+  EXPECT_THAT(error_with("sigma_vx_mps: 0.05", "sigma_vx_mps: .nan"), HasSubstr(file + ":9:"));
+  EXPECT_THAT(error_with("normal: [0, 0, 1]", "normal: [0, 0, -1]"), HasSubstr("normal"));
+  EXPECT_THAT(error_with("drive_s: 120", "drive_s: 1"), HasSubstr("from 10 to 3600"));
+  EXPECT_THAT(error_with("drive_s: 120", "file: a.yaml"), HasSubstr("output"));
+  EXPECT_THAT(error_with("drive_s: 120, output: kept.yaml", ""), HasSubstr("either"));
+  EXPECT_THAT(error_with("inflated", "magic"), HasSubstr("schmidt"));
+  EXPECT_THAT(error_with("\"::1\"", "localhost"), HasSubstr("127.0.0.1"));
+  EXPECT_THAT(error_with("port: 4000", "port: 66000"), HasSubstr(file + ":14:"));
+  EXPECT_THAT(error_with("reorder_lag_s: 0.3", "reorder_lag_s: 3"), HasSubstr("reorder_lag_s"));
+  EXPECT_THAT(error_with("speed: 4", "speed: 0"), HasSubstr("speed"));
+  EXPECT_THAT(error_with("robot_socket: robot.sock\n", ""), HasSubstr("robot_socket"));
+  EXPECT_THAT(error_with("  - {id: 2", "  - {id: 2\n  ]"), HasSubstr(file + ":"));
+}
+
+TEST_F(ConfigFile, ReadsASplineBesideIt) {
+  std::string rows = "# grid\n0,0,10,10,4,4\n";
+  for (int i = 0; i < 4; ++i) rows += "1.5,1.5,1.5,1.5\n";
+  folder_.write("surface.csv", rows);
+  std::string text = kGood;
+  const std::string plane = "{type: plane, z_m: 0.5, normal: [0, 0, 1]}";
+  text.replace(text.find(plane), plane.size(), "{type: bspline, file: surface.csv}");
+  EXPECT_NEAR(read(text).surface.at(5.0, 5.0).z_m, 1.5, 1e-12);
+  folder_.write("surface.csv", "0,0,10,10,4,4\n1,2\n");
+  EXPECT_THROW(read(text), io::DataError);
+}
+
+}  // namespace
+}  // namespace groma::daemon
