@@ -49,7 +49,9 @@ void Synchronizer::on_beacon_missed(std::uint32_t number) noexcept {
   if (state_ == SyncState::kSearching || leading_) return;
   ++missed_;
   state_ = SyncState::kCoasting;
-  if (margin(number + 1) > superframe_.guard()) search();
+  // A master that is away for longer may have started anew at any other time.
+  constexpr std::uint32_t kMostMissed = 100;
+  if (missed_ >= kMostMissed || margin(number + 1) > superframe_.guard()) search();
 }
 
 ClockTime Synchronizer::start(std::uint32_t number) const noexcept {

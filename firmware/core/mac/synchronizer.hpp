@@ -28,7 +28,7 @@ class Synchronizer {
   // False where it does not fit to those before: then it is not used, unless it is the third such in a row.
   bool on_beacon(std::uint32_t number, ranging::ClockTime stamp, std::int32_t master_offset_ppb) noexcept;
   // The beacon due in superframe `number` did not come. Ends the coasting when the time of the next ones is
-  // not known within the guard any more.
+  // not known within the guard any more, or after 100 in a row.
   void on_beacon_missed(std::uint32_t number) noexcept;
 
   [[nodiscard]] SyncState state() const noexcept { return state_; }

@@ -1,0 +1,412 @@
+// Whole sites of native nodes: the firmware as it is, on the chip model and the medium.
+#include "firmware/sim/network.hpp"
+
+#include <gtest/gtest.h>
+#include <pb_encode.h>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "test/sim/site_bench.hpp"
+
+namespace groma::sim {
+namespace {
+
+constexpr double kSettled_s = 0.6;  // by then each node is in step and each pair has ranged
+
+void expect_sound(SiteBench& site) {
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    Dw1000Chip& chip = site.network.node(i).chip();
+    EXPECT_EQ(chip.late_announcements(), 0U) << chip.id();
+    EXPECT_EQ(chip.garbled_transfers(), 0U) << chip.id();
+    EXPECT_EQ(site.listeners[i].undecodable, 0) << chip.id();
+    EXPECT_EQ(site.listeners[i].counters.radio_recoveries, 0U) << chip.id();
+    EXPECT_EQ(site.listeners[i].counters.late_transmits, 0U) << chip.id();
+    EXPECT_EQ(site.listeners[i].counters.late_receives, 0U) << chip.id();
+    EXPECT_EQ(site.network.node(i).uart_out().overflow_bytes(), 0U) << chip.id();
+  }
+}
+
+struct Errors {
+  int good = 0;
+  int missing = 0;
+  double worst_m = 0.0;
+  double mean_m = 0.0;
+};
+
+Errors errors_of(const SiteBench& site, double from_s = kSettled_s) {
+  Errors errors;
+  double sum = 0.0;
+  site.each_range(
+      [&](const groma_SlotReport& report, const groma_Range& range) {
+        if (range.status != groma_RangeStatus_RANGE_OK) {
+          ++errors.missing;
+          return;
+        }
+        const double truth = site.space.distance_m(static_cast<std::uint16_t>(report.tag_id),
+                                                   static_cast<std::uint16_t>(range.anchor_id));
+        const double error = static_cast<double>(range.range_m) - truth;
+        ++errors.good;
+        sum += error;
+        errors.worst_m = std::max(errors.worst_m, std::abs(error));
+      },
+      from_s);
+  errors.mean_m = errors.good > 0 ? sum / errors.good : 0.0;
+  return errors;
+}
+
+// Ranges a second that the schedule promises.
+double promised_rate(const SiteBench& site, const SiteSettings& settings) {
+  const double superframe_s = static_cast<double>(site.superframe().duration().count()) / 63.8976e9;
+  return settings.tags * settings.anchors / superframe_s;
+}
+
+std::vector<std::uint8_t> frame_of(const groma_HostToNode& command) {
+  std::vector<std::uint8_t> payload(groma_HostToNode_size);
+  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+  EXPECT_TRUE(pb_encode(&stream, groma_HostToNode_fields, &command));
+  std::vector<std::uint8_t> frame(wire::max_encoded_size(stream.bytes_written));
+  frame.resize(wire::encode_frame(std::span(payload).first(stream.bytes_written), frame));
+  return frame;
+}
+
+// ---- a small site ---------------------------------------------------------------------------------
+
+TEST(SmallSite, ComesUpAndKeepsInStep) {
+  SiteBench site({});
+  site.run_until(3.0);
+  expect_sound(site);
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    const Listener& node = site.listeners[i];
+    ASSERT_EQ(node.hellos.size(), 1U);
+    EXPECT_STREQ(node.hellos[0].radio_error, "");
+    EXPECT_EQ(node.hellos[0].id, site.network.node(i).chip().id());
+    EXPECT_EQ(node.hellos[0].reset_reason, groma_ResetReason_RESET_POWER_ON);
+    EXPECT_EQ(node.hellos[0].schedule_hash, site.listeners[0].hellos[0].schedule_hash);
+    EXPECT_EQ(node.status.state, groma_SyncState_SYNC_LOCKED);
+    EXPECT_EQ(node.status.beacons_missed, 0U);
+  }
+}
+
+TEST(SmallSite, TheSkewIsTheClocksDifference) {
+  SiteBench site({});
+  site.run_until(3.0);
+  const double master_ppm = site.network.node(1).chip().clock().offset(0) * 1e6;
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    const double own_ppm = site.network.node(i).chip().clock().offset(0) * 1e6;
+    EXPECT_NEAR(site.listeners[i].status.skew_ppb, (master_ppm - own_ppm) * 1e3, 30.0);
+  }
+}
+
+TEST(SmallSite, ReportsPowersAndTheAnchorsClockOffset) {
+  SiteBench site({});
+  site.run_until(2.0);
+  const double tag_ppm = site.network.node(0).chip().clock().offset(0) * 1e6;
+  int seen = 0;
+  site.each_range(
+      [&](const groma_SlotReport&, const groma_Range& range) {
+        const auto anchor = static_cast<std::uint16_t>(range.anchor_id);
+        const double anchor_ppm =
+            site.network.node(1U + (anchor - SiteBench::anchor_id(0))).chip().clock().offset(0) * 1e6;
+        const Propagation path = site.space.between(1, anchor, 0.0);
+        ASSERT_TRUE(range.has_first_path_power_cdbm && range.has_receive_power_cdbm &&
+                    range.has_clock_offset_ppb);
+        EXPECT_NEAR(range.clock_offset_ppb, (anchor_ppm - tag_ppm) * 1e3, 10.0);
+        EXPECT_NEAR(range.receive_power_cdbm, path.receive_power_dbm * 100.0, 20.0);
+        EXPECT_NEAR(range.first_path_power_cdbm, path.first_path_power_dbm * 100.0, 20.0);
+        ++seen;
+      },
+      kSettled_s);
+  EXPECT_GT(seen, 100);
+}
+
+TEST(SmallSite, ARangesInstantIsThatOfItsExchange) {
+  SiteBench site({});
+  site.run_until(2.0);
+  for (const Listener::Report& report : site.listeners[0].reports) {
+    std::set<std::int64_t> instants;
+    for (pb_size_t k = 0; k < report.body.ranges_count; ++k) {
+      const groma_Range& range = report.body.ranges[k];
+      if (range.status != groma_RangeStatus_RANGE_OK) continue;
+      EXPECT_LT(range.instant_offset_dtu, 0);
+      EXPECT_GT(range.instant_offset_dtu, -2 * site.superframe().duration().count());
+      instants.insert(range.instant_offset_dtu);
+    }
+    if (report.body.ranges_count > 1 && !instants.empty()) {
+      EXPECT_GT(instants.size(), 1U) << "each range has its own";
+    }
+  }
+}
+
+TEST(SmallSite, DeviceTimeRunsAsTheTagsClockOverTheWrap) {
+  SiteBench site({});
+  site.run_until(40.0);
+  const auto& reports = site.listeners[0].reports;
+  ASSERT_GT(reports.size(), 1000U);
+  const double rate = 63.8976e9 * (1.0 + site.network.node(0).chip().clock().offset(0));
+  for (const Listener::Report& report : reports) {
+    const double device_s =
+        static_cast<double>(report.body.device_time_dtu - reports.front().body.device_time_dtu) / rate;
+    ASSERT_NEAR(device_s, to_seconds(report.t - reports.front().t), 0.002);
+  }
+  EXPECT_GT(errors_of(site).good, 30'000);
+  EXPECT_LT(errors_of(site).worst_m, 0.01);
+  EXPECT_EQ(errors_of(site).missing, 0);
+}
+
+// ---- ranges without noise -------------------------------------------------------------------------
+
+struct Variant {
+  const char* name;
+  SiteSettings settings;
+};
+
+class NoiseFree : public testing::TestWithParam<Variant> {};
+
+TEST_P(NoiseFree, RangesAreTrueAndAsManyAsPromised) {
+  const SiteSettings& settings = GetParam().settings;
+  SiteBench site(settings);
+  site.run_until(kSettled_s + 2.0);
+  expect_sound(site);
+  const Errors errors = errors_of(site);
+  EXPECT_EQ(errors.missing, 0);
+  EXPECT_LT(errors.worst_m, 0.01);
+  EXPECT_LT(std::abs(errors.mean_m), 0.003);
+  EXPECT_NEAR(errors.good, 2.0 * promised_rate(site, settings), settings.tags * settings.anchors + 0.0);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Sites, NoiseFree,
+    testing::Values(
+        Variant{"one_tag_three_anchors", {}}, Variant{"no_clock_offset", {.spread_ppm = 0.0}},
+        Variant{"three_tags_twelve_anchors", {.tags = 3, .anchors = 12}},
+        Variant{"sixteen_anchors", {.tags = 2, .anchors = 16}},
+        Variant{"preamble_64", {.tags = 2, .anchors = 6, .preamble = groma_Preamble_PREAMBLE_64}},
+        Variant{"preamble_256", {.tags = 2, .anchors = 6, .preamble = groma_Preamble_PREAMBLE_256}},
+        Variant{"next_poll", {.tags = 1, .anchors = 4, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL}}),
+    [](const auto& test) { return std::string(test.param.name); });
+
+// ---- noise ----------------------------------------------------------------------------------------
+
+// tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), each of the three receive stamps with its own noise.
+TEST(NoisyStamps, SpreadRangesAsTheClosedFormSays) {
+  SiteBench site({.tags = 1, .anchors = 6, .medium = {.stamp_noise_s = 1e-10}});
+  site.run_until(12.0);
+  double squares = 0.0;
+  int count = 0;
+  site.each_range(
+      [&](const groma_SlotReport& report, const groma_Range& range) {
+        if (range.status != groma_RangeStatus_RANGE_OK) return;
+        ASSERT_TRUE(range.has_raw);
+        const auto ra = static_cast<double>(range.raw.tag_round_dtu);
+        const auto db = static_cast<double>(range.raw.anchor_reply_dtu);
+        const auto rb = static_cast<double>(range.raw.anchor_round_dtu);
+        const auto da = static_cast<double>(range.raw.tag_reply_dtu);
+        const double sum = ra + rb + da + db;
+        const double poll = da / sum;
+        const double response = (rb + db) / sum;
+        const double closing = ra / sum;
+        const double stamp_sigma_m = std::hypot(1e-10, 15.65e-12 / std::sqrt(12.0)) * 299'792'458.0;
+        const double sigma_m =
+            stamp_sigma_m * std::sqrt(poll * poll + response * response + closing * closing);
+        const double truth = site.space.distance_m(static_cast<std::uint16_t>(report.tag_id),
+                                                   static_cast<std::uint16_t>(range.anchor_id));
+        const double normalized = (static_cast<double>(range.range_m) - truth) / sigma_m;
+        EXPECT_LT(std::abs(normalized), 6.0);
+        squares += normalized * normalized;
+        ++count;
+      },
+      kSettled_s);
+  ASSERT_GT(count, 5000);
+  EXPECT_NEAR(squares / count, 1.0, 4.0 * std::sqrt(2.0 / count) + 0.02);
+}
+
+// ---- faults ---------------------------------------------------------------------------------------
+
+TEST(Faults, LostFramesCostRangesAndNothingElse) {
+  const SiteSettings settings{
+      .tags = 3,
+      .anchors = 12,
+      .medium = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.02}};
+  SiteBench site(settings);
+  site.run_until(kSettled_s + 10.0);
+  const Errors errors = errors_of(site);
+  EXPECT_LT(errors.worst_m, 0.01) << "a lost frame never gives a range";
+  const double share = errors.good / (10.0 * promised_rate(site, settings));
+  // POLL, RESPONSE, FINAL, then the next POLL and RESPONSE that bring the last stamp back.
+  const double product = std::pow(0.98, 5);
+  EXPECT_GT(share, 0.9 * product);
+  EXPECT_LT(share, 1.02 * product);
+  for (const Listener& node : site.listeners) {
+    EXPECT_EQ(node.counters.radio_recoveries, 0U);
+    EXPECT_EQ(node.counters.bad_stamps, 0U);
+  }
+  // Each kind of failure has been met.
+  EXPECT_GT(site.listeners[0].counters.crc_errors, 0U);
+  EXPECT_GT(site.listeners[0].counters.header_errors, 0U);
+  EXPECT_GT(site.listeners[0].counters.sfd_timeouts, 0U);
+}
+
+TEST(Faults, ThirtyPercentLossLocksNothingUp) {
+  const SiteSettings settings{
+      .tags = 2,
+      .anchors = 6,
+      .medium = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.3}};
+  SiteBench site(settings);
+  site.run_until(10.0);
+  EXPECT_LT(errors_of(site).worst_m, 0.01);
+  EXPECT_GT(errors_of(site).good, 100);
+  MediumSettings clear = settings.medium;
+  clear.loss_probability = 0.0;
+  site.network.medium().set_settings(clear);
+  site.run_until(14.0);
+  EXPECT_NEAR(site.good_ranges(12.0), 2.0 * promised_rate(site, settings), 24.0);
+}
+
+TEST(Faults, ADeadAnchorCostsItsOwnRangesOnly) {
+  const SiteSettings settings{.tags = 2, .anchors = 6};
+  SiteBench site(settings);
+  site.run_until(2.0);
+  site.network.set_power(2 + 3, false);
+  site.run_until(4.0);
+  int others = 0;
+  site.each_range(
+      [&](const groma_SlotReport&, const groma_Range& range) {
+        if (range.anchor_id == SiteBench::anchor_id(3)) {
+          EXPECT_NE(range.status, groma_RangeStatus_RANGE_OK);
+        } else if (range.status == groma_RangeStatus_RANGE_OK) {
+          ++others;
+        }
+      },
+      2.5);
+  EXPECT_NEAR(others, 1.5 * promised_rate(site, settings) * 5.0 / 6.0, 12.0);
+  site.network.set_power(2 + 3, true);
+  site.run_until(6.0);
+  EXPECT_NEAR(site.good_ranges(5.0), promised_rate(site, settings), 12.0);
+  EXPECT_LT(errors_of(site).worst_m, 0.01);
+}
+
+TEST(Faults, ADeadMasterSilencesTheSiteUntilItReturns) {
+  const SiteSettings settings{.tags = 1, .anchors = 4};
+  SiteBench site(settings);
+  site.run_until(2.0);
+  site.network.set_power(1, false);
+  site.run_until(5.0);
+  site.network.set_power(1, true);
+  site.run_until(8.0);
+  EXPECT_NEAR(site.good_ranges(7.0), promised_rate(site, settings), 8.0);
+  EXPECT_LT(errors_of(site).worst_m, 0.01);
+}
+
+TEST(Faults, ARebootedTagRangesAgain) {
+  const SiteSettings settings{.tags = 2, .anchors = 4};
+  SiteBench site(settings);
+  site.run_until(2.0);
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.request_id = 77;
+  command.which_body = groma_HostToNode_reboot_tag;
+  ASSERT_TRUE(site.network.send(0, frame_of(command)));
+  site.run_until(4.0);
+  ASSERT_EQ(site.listeners[0].hellos.size(), 2U);
+  EXPECT_EQ(site.listeners[0].hellos[1].reset_reason, groma_ResetReason_RESET_SOFTWARE);
+  ASSERT_EQ(site.listeners[0].replies.size(), 1U);
+  EXPECT_EQ(site.listeners[0].replies[0].request_id, 77U);
+  EXPECT_NEAR(site.good_ranges(3.0), promised_rate(site, settings), 8.0);
+  EXPECT_LT(errors_of(site).worst_m, 0.01);
+}
+
+TEST(Faults, AConfigurationWrittenOverTheLinkIsKept) {
+  SiteBench site({.tags = 2, .anchors = 4});
+  site.run_until(1.0);
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.request_id = 1;
+  command.which_body = groma_HostToNode_write_config_tag;
+  command.body.write_config = site.config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG);
+  command.body.write_config.report_raw_stamps = false;
+  ASSERT_TRUE(site.network.send(0, frame_of(command)));
+  site.run_until(1.5);
+  command.request_id = 2;
+  command.which_body = groma_HostToNode_apply_config_tag;
+  ASSERT_TRUE(site.network.send(0, frame_of(command)));
+  site.run_until(4.0);
+  ASSERT_EQ(site.listeners[0].replies.size(), 2U);
+  EXPECT_EQ(site.listeners[0].replies[1].result, groma_Result_RESULT_OK);
+  EXPECT_FALSE(site.listeners[0].reports.back().body.ranges[0].has_raw);
+  EXPECT_TRUE(site.listeners[1].reports.back().body.ranges[0].has_raw);
+}
+
+TEST(Faults, AFullLineDropsWholeReportsAndSaysSo) {
+  // 20 kbit/s is far too slow for this many reports.
+  SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});
+  site.run_until(6.0);
+  const UartLine& line = site.network.node(0).uart_out();
+  EXPECT_GT(line.overflow_writes(), 100U);
+  EXPECT_EQ(site.listeners[0].undecodable, 0);
+  EXPECT_GT(site.listeners[0].counters.reports_dropped, 0U);
+  // Sequence numbers show the gap.
+  const auto& reports = site.listeners[0].reports;
+  ASSERT_GT(reports.size(), 3U);
+  EXPECT_GT(reports.back().body.sequence, reports.front().body.sequence + reports.size() - 1);
+}
+
+// ---- determinism ----------------------------------------------------------------------------------
+
+TEST(Determinism, OneSeedGivesOneTraceWhateverTheSteps) {
+  SiteSettings settings{.tags = 2, .anchors = 5, .medium = {.loss_probability = 0.02}};
+  const auto trace = [&](double step_s) {
+    SiteBench site(settings);
+    std::uint64_t bytes = 0;
+    for (double t_s = step_s; t_s < 2.0 + step_s / 2; t_s += step_s) site.run_until(std::min(t_s, 2.0));
+    site.run_until(2.0);
+    for (std::size_t i = 0; i < site.network.size(); ++i)
+      bytes = bytes * 31 + site.network.node(i).uart_out().accepted_bytes();
+    return std::pair{site.line_traces(), bytes};
+  };
+  const auto whole = trace(2.0);
+  EXPECT_EQ(whole, trace(2.0));
+  EXPECT_EQ(whole, trace(0.0137));
+  settings.seed = 2;
+  EXPECT_NE(whole, trace(2.0));
+}
+
+// A node's speed moves no stamp: the same frames carry the same noise.
+TEST(Determinism, TheBussSpeedChangesNoRange) {
+  const auto ranges = [](double transaction_us) {
+    SiteBench site(
+        {.tags = 1, .anchors = 4, .medium = {.stamp_noise_s = 1e-10}, .spi_transaction_us = transaction_us});
+    site.run_until(2.0);
+    std::map<std::pair<std::uint32_t, std::uint32_t>, float> out;
+    site.each_range([&](const groma_SlotReport& report, const groma_Range& range) {
+      if (range.status == groma_RangeStatus_RANGE_OK)
+        out[{report.superframe, range.anchor_id}] = range.range_m;
+    });
+    return out;
+  };
+  const auto slow = ranges(2.5);
+  const auto fast = ranges(1.5);
+  ASSERT_GT(slow.size(), 500U);
+  double squares = 0.0;
+  int shared = 0;
+  for (const auto& [key, range_m] : slow) {
+    const auto other = fast.find(key);
+    if (other == fast.end()) continue;
+    squares += std::pow(static_cast<double>(range_m - other->second), 2);
+    ++shared;
+  }
+  ASSERT_GT(shared, 500);
+  // Independent noise would be 3 cm and more; the tick's rounding is some millimetres.
+  EXPECT_LT(std::sqrt(squares / shared), 0.02);
+}
+
+TEST(Faults, DriftRampsBendNoRange) {
+  SiteBench site({.tags = 2, .anchors = 5, .drift_ppm_per_s = 1.0});
+  site.run_until(12.0);
+  const Errors errors = errors_of(site, 1.0);
+  EXPECT_GT(errors.good, 1000);
+  EXPECT_LT(errors.worst_m, 0.01);
+  EXPECT_EQ(errors.missing, 0);
+}
+
+}  // namespace
+}  // namespace groma::sim

@@ -1,0 +1,227 @@
+// A whole site of native nodes in free space, and what its tags report.
+#pragma once
+
+#include <pb_decode.h>
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <map>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "firmware/core/node/config.hpp"
+#include "firmware/sim/network.hpp"
+#include "groma.pb.h"
+#include "proto/frame_codec.hpp"
+
+namespace groma::sim {
+
+struct Place {
+  double x_m = 0.0;
+  double y_m = 0.0;
+  double z_m = 0.0;
+};
+
+class FreeSpace final : public PropagationModel {
+ public:
+  void put(std::uint16_t id, const Place& place) { places_[id] = place; }
+  [[nodiscard]] double distance_m(std::uint16_t a, std::uint16_t b) const {
+    const Place& p = places_.at(a);
+    const Place& q = places_.at(b);
+    return std::hypot(p.x_m - q.x_m, p.y_m - q.y_m, p.z_m - q.z_m);
+  }
+  [[nodiscard]] Propagation between(std::uint16_t a, std::uint16_t b, double /*t_s*/) const override {
+    const double d_m = distance_m(a, b);
+    const double power_dbm = -59.0 - 20.0 * std::log10(d_m);
+    return {.audible = power_dbm > -100.0,
+            .flight_m = d_m,
+            .receive_power_dbm = power_dbm,
+            .first_path_power_dbm = power_dbm - 2.0};
+  }
+
+ private:
+  std::map<std::uint16_t, Place> places_;
+};
+
+// Decodes one node's bytes.
+class Listener {
+ public:
+  struct Report {
+    SimTime t = 0;  // of its last byte
+    groma_SlotReport body;
+  };
+
+  void take(std::span<const TimedByte> bytes) {
+    for (const TimedByte& byte : bytes) {
+      if (!decoder_.push(byte.value)) continue;
+      groma_NodeToHost message = groma_NodeToHost_init_zero;
+      const auto payload = decoder_.payload();
+      pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
+      if (!pb_decode(&stream, groma_NodeToHost_fields, &message)) {
+        ++undecodable;
+        continue;
+      }
+      switch (message.which_body) {
+        case groma_NodeToHost_slot_report_tag:
+          reports.push_back({byte.t, message.body.slot_report});
+          break;
+        case groma_NodeToHost_hello_tag:
+          hellos.push_back(message.body.hello);
+          break;
+        case groma_NodeToHost_counters_tag:
+          counters = message.body.counters;
+          break;
+        case groma_NodeToHost_network_status_tag:
+          status = message.body.network_status;
+          break;
+        case groma_NodeToHost_log_tag:
+          logs.emplace_back(message.body.log.text);
+          break;
+        case groma_NodeToHost_reply_tag:
+          replies.push_back(message.body.reply);
+          break;
+        default:
+          ++undecodable;
+          break;
+      }
+    }
+  }
+
+  std::vector<Report> reports;
+  std::vector<groma_Hello> hellos;
+  std::vector<groma_Reply> replies;
+  std::vector<std::string> logs;
+  groma_Counters counters = groma_Counters_init_zero;
+  groma_NetworkStatus status = groma_NetworkStatus_init_zero;
+  int undecodable = 0;
+
+ private:
+  wire::FrameDecoder decoder_;
+};
+
+struct SiteSettings {
+  int tags = 1;
+  int anchors = 3;
+  groma_RangingMethod method = groma_RangingMethod_METHOD_DS_FINAL;
+  groma_Preamble preamble = groma_Preamble_PREAMBLE_128;
+  MediumSettings medium{.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0};
+  std::uint64_t seed = 1;
+  double spread_ppm = 20.0;  // clocks lie evenly in +- this
+  std::uint32_t turn_round_us = 300;
+  std::uint32_t response_gap_us = 200;
+  std::uint32_t guard_us = 30;
+  double drift_ppm_per_s = 0.0;  // up on the odd nodes, down on the even ones, from 1 s to 11 s
+  double spi_transaction_us = 2.5;
+  std::uint32_t uart_bits_per_s = 1'000'000;
+};
+
+// Tags 1, 2, ...; anchors 101, 102, ..., the first of them the master.
+class SiteBench {
+ public:
+  explicit SiteBench(const SiteSettings& settings)
+      : settings_(settings), network(space, settings.medium, settings.seed) {
+    for (int i = 0; i < settings.tags; ++i) add(tag_id(i), groma_Role_ROLE_TAG, i);
+    for (int i = 0; i < settings.anchors; ++i) add(anchor_id(i), groma_Role_ROLE_ANCHOR, settings.tags + i);
+    listeners.resize(network.size());
+    traces_.assign(network.size(), 0xCBF29CE484222325ULL);
+  }
+
+  static std::uint16_t tag_id(int i) { return static_cast<std::uint16_t>(1 + i); }
+  static std::uint16_t anchor_id(int i) { return static_cast<std::uint16_t>(101 + i); }
+
+  [[nodiscard]] groma_Config config_of(std::uint16_t id, groma_Role role) const {
+    groma_Config config = groma_Config_init_zero;
+    config.role = role;
+    config.id = id;
+    config.network_id = 7;
+    config.has_schedule = true;
+    config.preamble = settings_.preamble;
+    config.transmit_antenna_delay_dtu = 16436;
+    config.receive_antenna_delay_dtu = 16436;
+    config.report_raw_stamps = true;
+    groma_Schedule& schedule = config.schedule;
+    schedule.epoch = 1;
+    schedule.master_id = anchor_id(0);
+    for (int i = 0; i < settings_.tags; ++i) schedule.tag_ids[schedule.tag_ids_count++] = tag_id(i);
+    for (int i = 0; i < settings_.anchors; ++i)
+      schedule.anchor_ids[schedule.anchor_ids_count++] = anchor_id(i);
+    schedule.method = settings_.method;
+    schedule.turn_round_us = settings_.turn_round_us;
+    schedule.response_gap_us = settings_.response_gap_us;
+    schedule.guard_us = settings_.guard_us;
+    return config;
+  }
+
+  [[nodiscard]] mac::Superframe superframe() const {
+    const groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
+    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble));
+  }
+
+  void run_until(double t_s) {
+    network.run_until(from_seconds(t_s));
+    std::vector<TimedByte> bytes;
+    for (std::size_t i = 0; i < network.size(); ++i) {
+      bytes.clear();
+      network.take(i, bytes);
+      for (const TimedByte& byte : bytes)
+        traces_[i] = (traces_[i] ^ byte.value ^ static_cast<std::uint64_t>(byte.t)) * 0x100000001B3ULL;
+      listeners[i].take(bytes);
+    }
+  }
+
+  // A hash over each byte on each line with its time.
+  [[nodiscard]] const std::vector<std::uint64_t>& line_traces() const { return traces_; }
+
+  template <class F>
+  void each_range(F&& f, double from_s = 0.0) const {
+    for (std::size_t i = 0; i < static_cast<std::size_t>(settings_.tags); ++i)
+      for (const Listener::Report& report : listeners[i].reports) {
+        if (to_seconds(report.t) < from_s) continue;
+        for (pb_size_t k = 0; k < report.body.ranges_count; ++k) f(report.body, report.body.ranges[k]);
+      }
+  }
+  [[nodiscard]] int good_ranges(double from_s = 0.0) const {
+    int count = 0;
+    each_range([&](const auto&,
+                   const groma_Range& range) { count += range.status == groma_RangeStatus_RANGE_OK ? 1 : 0; },
+               from_s);
+    return count;
+  }
+
+ private:
+  void add(std::uint16_t id, groma_Role role, int index) {
+    const int count = settings_.tags + settings_.anchors;
+    // Neighbours far apart in frequency, tags low above the floor, anchors around.
+    const double turn = std::fmod(static_cast<double>(index) * 0.618034, 1.0);
+    const double angle = 6.2831853 * static_cast<double>(index) / static_cast<double>(count);
+    space.put(id, role == groma_Role_ROLE_TAG ? Place{1.0 + index, 0.7 * index, 0.5}
+                                              : Place{14.0 * std::cos(angle), 9.0 * std::sin(angle), 2.7});
+    NodeSpec spec;
+    spec.chip.id = id;
+    spec.chip.clock.offset_ppm = settings_.spread_ppm * (2.0 * turn - 1.0);
+    spec.chip.clock.first_tick = static_cast<std::uint64_t>(index) * std::uint64_t{0x1234'5678'9A};
+    spec.chip.clock.drift_ppm_per_s = (index % 2 == 0 ? -1.0 : 1.0) * settings_.drift_ppm_per_s;
+    spec.chip.clock.drift_from_s = 1.0;
+    spec.chip.clock.drift_until_s = 11.0;
+    spec.cpu.spi_transaction_us = settings_.spi_transaction_us;
+    spec.uart.bits_per_s = settings_.uart_bits_per_s;
+    spec.power_on = index * 7 * kUnitsPerMillisecond;
+    const groma_Config config = config_of(id, role);
+    std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
+    const std::size_t size = node::encode_config(config, blob);
+    spec.stored_config.assign(blob.begin(), blob.begin() + static_cast<std::ptrdiff_t>(size));
+    network.add_native(spec);
+  }
+
+  SiteSettings settings_;
+  std::vector<std::uint64_t> traces_;
+
+ public:
+  FreeSpace space;
+  Network network;
+  std::vector<Listener> listeners;
+};
+
+}  // namespace groma::sim
