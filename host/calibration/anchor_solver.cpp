@@ -13,10 +13,6 @@ constexpr double kMaxDamping = 1e10;
 // A step this small in every parameter, as a share of its own sigma, ends the search.
 constexpr double kConvergedSigmas = 1e-3;
 
-// By position, beta and gamma of the one pair that a range sees.
-using PairRow = Eigen::Matrix<double, 5, 1>;
-using PairBlock = Eigen::Matrix<double, 5, 5>;
-
 double square(double x) noexcept {
   return x * x;
 }
@@ -35,17 +31,6 @@ double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
 
 }  // namespace
 
-model::RangePrediction predict(const Observation& row, const AnchorVector& anchor,
-                               std::size_t tag_count) noexcept {
-  const model::RigidPose antenna{.position_m = row.tag_m, .rotation = Eigen::Matrix3d::Identity()};
-  return model::predict_range(antenna, Eigen::Vector3d::Zero(), anchor.head<3>(), anchor(beta_index(row.tag)),
-                              anchor(gamma_index(row.tag, tag_count)));
-}
-
-double residual_m(const Observation& row, const AnchorVector& anchor, std::size_t tag_count) noexcept {
-  return row.range_m - predict(row, anchor, tag_count).range_m;
-}
-
 NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                           const AnchorVector& anchor) {
   const std::size_t tags = problem.tag_count;
@@ -56,11 +41,10 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
   NormalEquations out;
   out.cost = prior_cost(problem, anchor);
   for (const Observation& row : problem.rows) {
-    const model::RangePrediction predicted = predict(row, anchor, tags);
+    const model::AntennaPrediction predicted = predict(row, anchor, tags);
     const KernelValue value = kernels[row.tag].at(row.range_m - predicted.range_m);
     out.cost += value.cost;
-    PairRow j;
-    j << predicted.d_anchor.transpose(), 1.0, predicted.distance_m;
+    const PairRow j = pair_jacobian(predicted, anchor(gamma_index(row.tag, tags)));
     slopes[row.tag] -= value.slope * j;
     blocks[row.tag].noalias() += (value.weight * j) * j.transpose();
   }

@@ -38,11 +38,24 @@ struct AnchorProblem {
   PositionPrior position;
 };
 
-// The range an observation should have shown, with its derivatives.
-[[nodiscard]] model::RangePrediction predict(const Observation& row, const AnchorVector& anchor,
-                                             std::size_t tag_count) noexcept;
-[[nodiscard]] double residual_m(const Observation& row, const AnchorVector& anchor,
-                                std::size_t tag_count) noexcept;
+// The range an observation should have shown.
+[[nodiscard]] inline model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
+                                                      std::size_t tag_count) noexcept {
+  return model::predict_antenna_range(row.tag_m, anchor.head<3>(), anchor(beta_index(row.tag)),
+                                      anchor(gamma_index(row.tag, tag_count)));
+}
+[[nodiscard]] inline double residual_m(const Observation& row, const AnchorVector& anchor,
+                                       std::size_t tag_count) noexcept {
+  return row.range_m - predict(row, anchor, tag_count).range_m;
+}
+
+// Derivative of the predicted range by position, beta and gamma of the one pair that it sees.
+using PairRow = Eigen::Matrix<double, 5, 1>;
+using PairBlock = Eigen::Matrix<double, 5, 5>;
+[[nodiscard]] inline PairRow pair_jacobian(const model::AntennaPrediction& predicted, double gamma) noexcept {
+  return {-gamma * predicted.direction.x(), -gamma * predicted.direction.y(),
+          -gamma * predicted.direction.z(), 1.0, predicted.distance_m};
+}
 
 // Quadratic model of the robust cost at one point: cost, gradient, and the information with each row's
 // weight, priors included, nothing damped.

@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <limits>
 #include <map>
-#include <optional>
 
 namespace groma::calibration {
 namespace {
@@ -76,7 +77,7 @@ class PoseCursor {
   double max_gap_s_;
   HeightSource height_;
   std::size_t next_ = 1;
-  std::optional<double> last_t_s_;
+  double last_t_s_ = std::numeric_limits<double>::quiet_NaN();
   bool found_ = false;
   Motion motion_;
 };

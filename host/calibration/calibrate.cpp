@@ -6,6 +6,7 @@
 
 #include "host/calibration/association.hpp"
 #include "host/calibration/initial_guess.hpp"
+#include "host/calibration/rival.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/uncertainty.hpp"
 #include "host/calibration/verdict.hpp"
@@ -15,8 +16,6 @@ namespace {
 
 // Poses whose height differs from the ground's by more than this are tried at both heights.
 constexpr double kHeightDisagreement_m = 0.1;
-constexpr std::size_t kRivalRowsPerTag = 150;
-constexpr int kRivalIterations = 15;
 constexpr std::size_t kMinHeldOut = 10;
 // Median of the absolute value of a standard normal.
 constexpr double kMedianAbsolute = 0.6744897501960817;
@@ -87,43 +86,6 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
   return out;
 }
 
-// The best solution on the other side of the tags along one of their axes, and how well it does.
-Rival find_rival(const AnchorFit& fit, const TagSpread& spread, int axis, double inflation) {
-  AnchorProblem problem = fit.problem;
-  const std::vector<Observation> few =
-      spread_along_the_way(problem.rows, problem.tag_count, kRivalRowsPerTag);
-  problem.rows = few;
-  const double rows_per_row = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
-  const AnchorSolution here = solve_anchor(problem, fit.kernels, fit.anchor, kRivalIterations);
-
-  AnchorVector start = here.anchor;
-  start.head<3>() = spread.mirror(here.anchor.head<3>(), axis);
-  AnchorSolution there = solve_anchor(problem, fit.kernels, start, kRivalIterations);
-  const Eigen::Vector3d normal = spread.axes.col(axis);
-  const double side = normal.dot(here.anchor.head<3>() - spread.center_m);
-  if (normal.dot(there.anchor.head<3>() - spread.center_m) * side > 0.0) {
-    // No valley over there: the cost at the mirrored distance from the tags has to speak for it.
-    const double sigma_m = 0.01;
-    problem.position.information += normal * normal.transpose() / (sigma_m * sigma_m);
-    problem.position.mean_m = start.head<3>();
-    there = solve_anchor(problem, fit.kernels, start, kRivalIterations);
-  }
-  double perfect = 0.0;
-  for (const Observation& row : few) perfect += fit.kernels[row.tag].at(0.0).cost;
-  Rival rival;
-  rival.position_m = there.anchor.head<3>();
-  rival.cost_excess = std::max(0.0, there.cost - here.cost) * rows_per_row / std::max(1.0, inflation);
-  rival.cost_ratio = std::clamp((here.cost - perfect) / std::max(there.cost - perfect, 1e-9), 0.0, 1.0);
-  return rival;
-}
-
-// The spread that a rival adds: were it the truth with the probability that its cost leaves it.
-void admit_rival(const Rival& rival, const Eigen::Vector3d& position_m, Eigen::MatrixXd& covariance) {
-  const double odds = std::exp(-rival.cost_excess);
-  const Eigen::Vector3d offset_m = rival.position_m - position_m;
-  covariance.topLeftCorner<3, 3>() += odds / (1.0 + odds) * offset_m * offset_m.transpose();
-}
-
 double in_sight_share(const AnchorFit& fit) {
   double in_sight = 0.0;
   for (const Observation& row : fit.problem.rows) {
@@ -168,27 +130,46 @@ std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen
   return out;
 }
 
-// The site solved with the better of the two heights that the robot may have had.
+// The drive solved twice: its beginning for the verdict, and all of it.
 struct Site {
   Association association;
+  double held_out_from_s = 0.0;
+  std::vector<AnchorFit> beginning;
   std::vector<AnchorFit> fits;
+  std::vector<AnchorEvidence> evidence;  // of each anchor
 };
 
-SiteProblem site_problem(const Drive& drive, const Options& options, const Association& association) {
-  return {.association = &association,
-          .priors = usable_priors(drive.priors),
-          .known_anchors = drive.known_anchors,
-          .known_anchor_sigma_m = options.known_anchor_sigma_m,
-          .end_s = std::numeric_limits<double>::infinity()};
+// Both other sides of each anchor, the fit moved where one is better; and what else its rows tell.
+void explore(Site& site) {
+  for (AnchorFit& fit : site.fits) {
+    AnchorEvidence& evidence = site.evidence.emplace_back();
+    if (fit.problem.rows.empty()) continue;
+    evidence.spread = tag_spread(fit.problem.rows);
+    if (!fit.problem.position.surveyed) {
+      evidence.side = challenge(fit, evidence.spread, kAcrossLine);
+      evidence.mirror = challenge(fit, evidence.spread, kAcrossPlane);
+    }
+  }
 }
 
 Site solve_at_height(const Drive& drive, const Options& options, HeightSource height) {
   Site site;
   site.association = associate(drive, options.max_pose_gap_s, 0.0, height);
-  site.fits = solve_site(site_problem(drive, options, site.association), {});
+  site.held_out_from_s = held_out_from(site.association, options.held_out_fraction);
+  SiteProblem problem{.association = &site.association,
+                      .priors = usable_priors(drive.priors),
+                      .known_anchors = drive.known_anchors,
+                      .known_anchor_sigma_m = options.known_anchor_sigma_m,
+                      .end_s = site.held_out_from_s};
+  site.beginning = solve_site(problem, {});
+  problem.end_s = std::numeric_limits<double>::infinity();
+  site.fits = solve_site(problem, site.beginning);
+  explore(site);
+  refine_site(site.fits, problem.priors, 1);
   return site;
 }
 
+// The robot's height is its own or that of the ground: whichever explains the ranges better.
 Site solve_at_best_height(const Drive& drive, const Options& options) {
   Site site = solve_at_height(drive, options, HeightSource::kPose);
   if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
@@ -199,16 +180,12 @@ Site solve_at_best_height(const Drive& drive, const Options& options) {
 }  // namespace
 
 Result calibrate(const Drive& drive, const Options& options) {
-  const Site site = solve_at_best_height(drive, options);
+  Site site = solve_at_best_height(drive, options);
   const Association& association = site.association;
 
-  SiteProblem beginning = site_problem(drive, options, association);
-  beginning.end_s = held_out_from(association, options.held_out_fraction);
-  const std::vector<AnchorFit> first = solve_site(beginning, {});
-
-  std::vector<Evidence> evidence;
-  for (const AnchorFit& fit : site.fits) evidence.push_back(gather_evidence(fit));
-  const std::vector<double> inflation = score_inflation(evidence);
+  std::vector<Evidence> statistics;
+  for (const AnchorFit& fit : site.fits) statistics.push_back(gather_evidence(fit));
+  const std::vector<double> inflation = score_inflation(statistics);
 
   Result result;
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
@@ -217,24 +194,20 @@ Result calibrate(const Drive& drive, const Options& options) {
     model::AnchorCalibration anchor;
     anchor.id = data.id;
     anchor.position_m = fit.anchor.head<3>();
-    anchor.covariance = anchor_covariance(evidence[i], inflation[i]);
+    anchor.covariance = anchor_covariance(statistics[i], inflation[i]);
     const std::size_t rejected = rejected_rows(fit);
     anchor.ranges_used = data.rows.size() - rejected;
     anchor.ranges_rejected = data.rejected + rejected;
 
-    AnchorEvidence known;
-    known.surveyed = fit.problem.position.surveyed;
-    known.spread = tag_spread(fit.problem.rows);
+    AnchorEvidence& known = site.evidence[i];
     known.nearest_m = nearest_antenna_m(fit);
     known.in_sight_share = in_sight_share(fit);
-    if (!known.surveyed && !data.rows.empty()) {
-      known.mirror = find_rival(fit, known.spread, 2, inflation[i]);
-      known.side = find_rival(fit, known.spread, 1, inflation[i]);
-      admit_rival(*known.mirror, anchor.position_m, anchor.covariance);
-      admit_rival(*known.side, anchor.position_m, anchor.covariance);
-      anchor.mirror_ratio = known.mirror->cost_ratio;
+    known.inflation = inflation[i];
+    for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
+      if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
     }
-    const HeldOut held_out = score_held_out(first[i], data.rows, beginning.end_s);
+    if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
+    const HeldOut held_out = score_held_out(site.beginning[i], data.rows, site.held_out_from_s);
     anchor.held_out_rms_m = held_out.rms_m;
     anchor.held_out_robust_rms_m = held_out.robust_rms_m;
     known.held_out_z = held_out.share_of_scale;

@@ -13,10 +13,10 @@ namespace {
 constexpr std::size_t kReferences = 3;
 constexpr int kAzimuths = 16;
 constexpr std::array<double, 5> kElevations_rad{0.0, 0.45, -0.45, 1.05, -1.05};
-constexpr std::size_t kScoredRows = 48;
-constexpr std::size_t kRefined = 4;
+constexpr std::size_t kScoredRows = 24;
+constexpr std::size_t kRefined = 2;
 constexpr int kSearchRounds = 4;
-constexpr int kSearchIterations = 6;
+constexpr int kSearchIterations = 4;
 
 struct Start {
   Eigen::Vector3d position_m;
@@ -118,7 +118,7 @@ Candidate search(const AnchorProblem& problem) {
     const AnchorVector anchor = anchor_at(start.position_m, problem.tag_count, priors);
     for (const Observation* row : scored) {
       const double r = residual_m(*row, anchor, problem.tag_count) / width_m;
-      start.score += std::log1p(r * r);
+      start.score += r * r / (1.0 + r * r);
     }
   }
   std::stable_sort(starts.begin(), starts.end(),
@@ -149,10 +149,10 @@ Candidate search(const AnchorProblem& problem) {
       for (std::size_t i = 0; i < residuals.size(); ++i) {
         residuals[i] = residual_m(problem.rows[i], candidate.solution.anchor, problem.tag_count);
       }
-      KernelPrior prior{.shape = candidate.kernel, .scale_weight = 2.0, .share_weight = 4.0};
+      KernelPrior prior{.shape = candidate.kernel, .weight = 3.0};
       prior.shape.scale_m = std::max(priors.sigma_m, candidate.kernel.scale_m / 2.0);
       prior.shape.excess_m = std::max(1.0, 3.0 * prior.shape.scale_m);
-      candidate.kernel = fit_kernel(residuals, prior, 0.0, 4);
+      candidate.kernel = fit_kernel(residuals, prior, 3);
     }
     if (!found || candidate.solution.cost < best.solution.cost) best = candidate;
     found = true;

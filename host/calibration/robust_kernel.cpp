@@ -1,7 +1,9 @@
 #include "host/calibration/robust_kernel.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstddef>
 #include <numbers>
 
 namespace groma::calibration {
@@ -10,16 +12,51 @@ namespace {
 constexpr double kInverseSqrtTwoPi = std::numbers::inv_sqrtpi / std::numbers::sqrt2;
 constexpr double kMinScale_m = 0.005;
 constexpr double kMaxExcess_m = 10.0;
+// Below this argument the upper tail is one.
+constexpr double kFullTail = -5.5;
 // A blocked range's mean excess below this many scales could not be told from noise.
 constexpr double kMinExcessScales = 3.0;
 
-// Ratio of the normal density to its upper tail.
-double inverse_mills(double x) noexcept {
-  if (x < 8.0) {
-    return kInverseSqrtTwoPi * std::exp(-0.5 * x * x) / (0.5 * std::erfc(x / std::numbers::sqrt2));
+// Ratio h of the normal density to its upper tail; h' = h (h - x).
+double exact_inverse_mills(double x) noexcept {
+  return kInverseSqrtTwoPi * std::exp(-0.5 * x * x) / (0.5 * std::erfc(x / std::numbers::sqrt2));
+}
+
+// The same, tabulated: cubic Hermite between nodes, since the derivative is known; off by less than 1e-7.
+class InverseMills {
+ public:
+  InverseMills() {
+    for (std::size_t i = 0; i < kNodes; ++i) {
+      const double x = -kReach + kStep * static_cast<double>(i);
+      value_[i] = exact_inverse_mills(x);
+      slope_[i] = kStep * value_[i] * (value_[i] - x);
+    }
   }
-  // Continued fraction: the tail itself would underflow.
-  return x + 1.0 / (x + 2.0 / (x + 3.0 / (x + 4.0 / (x + 5.0 / x))));
+
+  [[nodiscard]] double operator()(double x) const noexcept {
+    if (x <= -kReach) return 0.0;
+    // Continued fraction: the tail itself would underflow.
+    if (!(x < kReach)) return x + 1.0 / (x + 2.0 / (x + 3.0 / (x + 4.0 / (x + 5.0 / x))));
+    const double position = (x + kReach) / kStep;
+    const auto i = static_cast<std::size_t>(position);
+    const double t = position - static_cast<double>(i);
+    const double rise = value_[i + 1] - value_[i];
+    const double bend = slope_[i] - rise;
+    const double twist = rise - slope_[i + 1];
+    return value_[i] + t * (rise + (1.0 - t) * ((1.0 - t) * bend + t * twist));
+  }
+
+ private:
+  static constexpr double kReach = 8.0;
+  static constexpr double kStep = 1.0 / 16.0;
+  static constexpr std::size_t kNodes = 257;
+  std::array<double, kNodes> value_{};
+  std::array<double, kNodes> slope_{};
+};
+
+double inverse_mills(double x) noexcept {
+  static const InverseMills kTable;
+  return kTable(x);
 }
 
 }  // namespace
@@ -47,14 +84,17 @@ RobustKernel::RobustKernel(const KernelShape& shape)
 RobustKernel::Densities RobustKernel::densities(double residual_m) const noexcept {
   const double u = residual_m * inverse_scale_;
   Densities out;
-  const double normal = std::exp(-0.5 * u * u);
+  const double wide = std::exp(-0.5 * u * u / (kWideness * kWideness));
+  const double wide_square = wide * wide;
+  const double wide_fourth = wide_square * wide_square;
+  const double normal = wide_fourth * wide_fourth;
   out.core = core_factor_ * normal;
-  out.wide = wide_factor_ * std::exp(-0.5 * u * u / (kWideness * kWideness));
+  out.wide = wide_factor_ * wide;
   // Normal noise plus an exponential excess: exp(k x - k^2/2) Q(x) / excess with k = scale/excess and
   // x = k - u; and Q(x) = phi(x) / mills(x) makes that phi(u) / (mills(x) excess).
   out.tail_at = shape_.scale_m * inverse_excess_ - u;
   out.mills = inverse_mills(out.tail_at);
-  if (out.tail_at < -8.0) {
+  if (out.tail_at < kFullTail) {
     const double k = shape_.scale_m * inverse_excess_;
     out.blocked = shape_.blocked * inverse_excess_ * std::exp(0.5 * k * k - residual_m * inverse_excess_);
   } else {
@@ -102,43 +142,58 @@ double RobustKernel::expected_excess_m(double residual_m) const noexcept {
   return shape_.scale_m * (inverse_mills(x) - x);
 }
 
-KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior, double parameters_used,
-                       int iterations) {
+KernelStatistics& KernelStatistics::operator+=(const KernelStatistics& other) noexcept {
+  count += other.count;
+  parameters += other.parameters;
+  narrow += other.narrow;
+  wide += other.wide;
+  blocked += other.blocked;
+  gross += other.gross;
+  square_m2 += other.square_m2;
+  excess_m += other.excess_m;
+  return *this;
+}
+
+KernelStatistics kernel_statistics(const RobustKernel& kernel, std::span<const double> residuals_m,
+                                   double parameters_used) noexcept {
+  KernelStatistics out;
+  out.count = static_cast<double>(residuals_m.size());
+  out.parameters = parameters_used;
+  for (const double r : residuals_m) {
+    const KernelShares s = kernel.shares(r);
+    out.narrow += s.core;
+    out.wide += s.wide;
+    out.blocked += s.blocked;
+    out.gross += s.gross;
+    out.square_m2 += (s.core + s.wide / (kWideness * kWideness)) * r * r;
+    if (s.blocked > 1e-6) out.excess_m += s.blocked * kernel.expected_excess_m(r);
+  }
+  return out;
+}
+
+KernelShape likeliest_shape(const KernelStatistics& statistics, const KernelPrior& prior) noexcept {
   KernelShape shape = prior.shape;
-  if (residuals_m.empty()) return shape;
-  const double n = static_cast<double>(residuals_m.size());
+  const double total = statistics.count + prior.weight;
+  if (!(total > 0.0)) return shape;
+  shape.wide = (statistics.wide + prior.weight * prior.shape.wide) / total;
+  shape.blocked = (statistics.blocked + prior.weight * prior.shape.blocked) / total;
+  shape.gross = (statistics.gross + prior.weight * prior.shape.gross) / total;
+  const double in_sight = statistics.narrow + statistics.wide;
+  const double free = in_sight - std::min(statistics.parameters, 0.5 * in_sight) + prior.weight;
+  const double prior_square_m2 = prior.shape.scale_m * prior.shape.scale_m;
+  shape.scale_m =
+      std::max(kMinScale_m, std::sqrt((statistics.square_m2 + prior.weight * prior_square_m2) / free));
+  const double prior_blocked = std::max(prior.weight * prior.shape.blocked, 1e-9);
+  shape.excess_m = std::clamp(
+      (statistics.excess_m + prior_blocked * prior.shape.excess_m) / (statistics.blocked + prior_blocked),
+      kMinExcessScales * shape.scale_m, std::max(kMaxExcess_m, kMinExcessScales * shape.scale_m));
+  return shape;
+}
+
+KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior, int iterations) {
+  KernelShape shape = prior.shape;
   for (int i = 0; i < iterations; ++i) {
-    const RobustKernel kernel(shape);
-    double narrow = 0.0;
-    double wide = 0.0;
-    double blocked = 0.0;
-    double gross = 0.0;
-    double square_m2 = 0.0;
-    double excess_m = 0.0;
-    for (const double r : residuals_m) {
-      const KernelShares s = kernel.shares(r);
-      narrow += s.core;
-      wide += s.wide;
-      blocked += s.blocked;
-      gross += s.gross;
-      square_m2 += (s.core + s.wide / (kWideness * kWideness)) * r * r;
-      // A blocked range shows the core's noise too: what is left of it beside the excess.
-      const double excess = kernel.expected_excess_m(r);
-      excess_m += s.blocked * excess;
-    }
-    const double pseudo = prior.share_weight;
-    const double total = n + pseudo;
-    shape.wide = (wide + pseudo * prior.shape.wide) / total;
-    shape.blocked = (blocked + pseudo * prior.shape.blocked) / total;
-    shape.gross = (gross + pseudo * prior.shape.gross) / total;
-    const double prior_square = prior.shape.scale_m * prior.shape.scale_m;
-    const double used = std::min(parameters_used, 0.5 * (narrow + wide));
-    const double scale = std::sqrt((square_m2 + prior.scale_weight * prior_square) /
-                                   std::max(narrow + wide - used + prior.scale_weight, 1e-9));
-    shape.scale_m = std::max(scale, kMinScale_m);
-    const double prior_blocked = std::max(pseudo * prior.shape.blocked, 1e-9);
-    shape.excess_m = std::clamp((excess_m + prior_blocked * prior.shape.excess_m) / (blocked + prior_blocked),
-                                kMinExcessScales * shape.scale_m, kMaxExcess_m);
+    shape = likeliest_shape(kernel_statistics(RobustKernel(shape), residuals_m, 0.0), prior);
   }
   return shape;
 }

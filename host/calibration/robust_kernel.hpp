@@ -21,7 +21,7 @@ struct KernelShape {
   [[nodiscard]] double core() const noexcept { return 1.0 - wide - blocked - gross; }
 };
 
-inline constexpr double kWideness = 3.0;
+inline constexpr double kWideness = 2.8284271247461903;  // its square is 8: one exponential serves both
 inline constexpr double kGrossWidth_m = 100.0;
 
 // At one residual r = measured - predicted.
@@ -64,16 +64,35 @@ class RobustKernel {
   double gross_density_;
 };
 
-// What is believed of a kernel before its residuals are seen: each figure counts as so many residuals.
+// What residuals tell of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
+struct KernelStatistics {
+  double count = 0.0;
+  double parameters = 0.0;  // degrees of freedom that the fit behind the residuals took
+  double narrow = 0.0;      // shares summed
+  double wide = 0.0;
+  double blocked = 0.0;
+  double gross = 0.0;
+  double square_m2 = 0.0;  // of core and wide residuals, each over its own width
+  double excess_m = 0.0;   // of blocked ones
+
+  KernelStatistics& operator+=(const KernelStatistics& other) noexcept;
+};
+[[nodiscard]] KernelStatistics kernel_statistics(const RobustKernel& kernel,
+                                                 std::span<const double> residuals_m,
+                                                 double parameters_used) noexcept;
+
+// What is believed of a kernel before its residuals are seen: as much as so many residuals would tell.
 struct KernelPrior {
   KernelShape shape;
-  double scale_weight = 10.0;
-  double share_weight = 10.0;
+  double weight = 10.0;
 };
 
-// Expectation maximization from prior.shape over the residuals; parameters_used: degrees of freedom that
-// the fit behind the residuals took. No residuals: the prior's shape.
+// The maximization step: the shape that prior and statistics make likeliest.
+[[nodiscard]] KernelShape likeliest_shape(const KernelStatistics& statistics,
+                                          const KernelPrior& prior) noexcept;
+
+// Expectation maximization from prior.shape over the residuals.
 [[nodiscard]] KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior,
-                                     double parameters_used, int iterations);
+                                     int iterations);
 
 }  // namespace groma::calibration

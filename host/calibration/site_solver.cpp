@@ -7,13 +7,11 @@
 namespace groma::calibration {
 namespace {
 
-constexpr std::size_t kSearchRowsPerTag = 80;
-constexpr std::size_t kPooledResiduals = 4000;
-constexpr std::size_t kAnchorResiduals = 1500;
-constexpr std::size_t kPairResiduals = 500;
+constexpr std::size_t kSearchRowsPerTag = 30;
+constexpr std::size_t kPairResiduals = 250;
 constexpr int kLearningSteps = 3;
-constexpr int kSolvingSteps = 3;
-constexpr int kFirstRounds = 3;
+constexpr int kSolvingSteps = 2;
+constexpr int kFirstRounds = 2;
 // So many residuals it takes to move a kernel half-way from what it inherits: the site's from the data
 // set's noise, an anchor's from the site's, a pair's from its anchor's.
 constexpr double kSiteWeight = 20.0;
@@ -39,45 +37,44 @@ PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& 
   return prior;
 }
 
-void append_residuals(const AnchorFit& fit, std::optional<std::uint32_t> tag, std::size_t count,
-                      std::vector<double>& out) {
-  const std::size_t rows = fit.problem.rows.size();
-  const std::size_t stride = std::max<std::size_t>(1, rows / std::max<std::size_t>(1, count));
-  if (!tag) {
-    for (std::size_t i = 0; i < rows; i += stride) {
-      out.push_back(residual_m(fit.problem.rows[i], fit.anchor, fit.problem.tag_count));
-    }
-    return;
-  }
-  // Of one tag: the stride counts this tag's rows alone.
-  std::size_t seen = 0;
-  const std::size_t tag_stride = std::max<std::size_t>(1, stride / fit.problem.tag_count);
+// Residuals of each tag: every n-th row.
+std::vector<std::vector<double>> sample_residuals(const AnchorFit& fit) {
+  const std::size_t tags = fit.problem.tag_count;
+  std::vector<std::vector<double>> out(tags);
+  // Counted pair by pair: a stride over all rows would see but some of the tags where they take turns.
+  const std::size_t stride = 1 + fit.problem.rows.size() / (tags * kPairResiduals + 1);
+  std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
-    if (row.tag != *tag || seen++ % tag_stride != 0) continue;
-    out.push_back(residual_m(row, fit.anchor, fit.problem.tag_count));
+    if (seen[row.tag]++ % stride != 0) continue;
+    out[row.tag].push_back(residual_m(row, fit.anchor, tags));
   }
+  return out;
 }
 
-// Site, anchor, pair: each kernel starts from the one above.
+// Site, anchor, pair: each kernel leans on the one above.
 void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
-  std::vector<double> residuals;
-  for (const AnchorFit& fit : fits) {
-    append_residuals(fit, std::nullopt, kPooledResiduals / std::max<std::size_t>(1, fits.size()), residuals);
-  }
-  KernelPrior site{
-      .shape = {.scale_m = priors.sigma_m}, .scale_weight = kSiteWeight, .share_weight = kSiteWeight};
-  site.shape = fit_kernel(residuals, site, 0.0, 3 * kLearningSteps);
-  for (AnchorFit& fit : fits) {
-    if (fit.problem.rows.empty()) continue;
-    residuals.clear();
-    append_residuals(fit, std::nullopt, kAnchorResiduals, residuals);
-    KernelPrior anchor{.shape = site.shape, .scale_weight = kAnchorWeight, .share_weight = kAnchorWeight};
-    anchor.shape = fit_kernel(residuals, anchor, 3.0, kLearningSteps);
-    for (std::size_t tag = 0; tag < fit.problem.tag_count; ++tag) {
-      residuals.clear();
-      append_residuals(fit, static_cast<std::uint32_t>(tag), kPairResiduals, residuals);
-      const KernelPrior pair{.shape = anchor.shape, .scale_weight = kPairWeight, .share_weight = kPairWeight};
-      fit.kernels[tag] = RobustKernel(fit_kernel(residuals, pair, 1.0, kLearningSteps));
+  std::vector<std::vector<std::vector<double>>> residuals;
+  residuals.reserve(fits.size());
+  for (const AnchorFit& fit : fits) residuals.push_back(sample_residuals(fit));
+
+  for (int step = 0; step < kLearningSteps; ++step) {
+    std::vector<KernelStatistics> anchors(fits.size());
+    std::vector<std::vector<KernelStatistics>> pairs(fits.size());
+    KernelStatistics site;
+    for (std::size_t i = 0; i < fits.size(); ++i) {
+      for (std::size_t tag = 0; tag < fits[i].kernels.size(); ++tag) {
+        pairs[i].push_back(kernel_statistics(fits[i].kernels[tag], residuals[i][tag], 2.0));
+        anchors[i] += pairs[i].back();
+      }
+      site += anchors[i];
+    }
+    const KernelPrior of_data_set{.shape = {.scale_m = priors.sigma_m}, .weight = kSiteWeight};
+    const KernelPrior of_site{.shape = likeliest_shape(site, of_data_set), .weight = kAnchorWeight};
+    for (std::size_t i = 0; i < fits.size(); ++i) {
+      const KernelPrior of_anchor{.shape = likeliest_shape(anchors[i], of_site), .weight = kPairWeight};
+      for (std::size_t tag = 0; tag < fits[i].kernels.size(); ++tag) {
+        fits[i].kernels[tag] = RobustKernel(likeliest_shape(pairs[i][tag], of_anchor));
+      }
     }
   }
 }
@@ -96,7 +93,7 @@ void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors,
   }
 }
 
-std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const AnchorVector> starts) {
+std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const AnchorFit> earlier) {
   const std::size_t tags = site.association->tags.size();
   std::vector<AnchorFit> fits;
   for (const AnchorObservations& data : site.association->anchors) {
@@ -119,15 +116,15 @@ std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const Ancho
       fit.anchor = solve_anchor(sketch, fit.kernels, fit.anchor, 10).anchor;
       continue;
     }
-    Candidate best = search(sketch);
-    if (fits.size() <= starts.size()) {
-      const std::vector<RobustKernel> kernels(tags, RobustKernel(best.kernel));
-      AnchorSolution other = solve_anchor(sketch, kernels, starts[fits.size() - 1], 10);
-      if (other.cost < best.solution.cost) best.solution = std::move(other);
+    const std::size_t index = fits.size() - 1;
+    if (index < earlier.size() && 2 * earlier[index].problem.rows.size() > rows.size()) {
+      fit.anchor = earlier[index].anchor;
+      fit.kernels = earlier[index].kernels;
+      continue;
     }
+    Candidate best = search(sketch);
     fit.anchor = best.solution.anchor;
     fit.kernels.assign(tags, RobustKernel(best.kernel));
-    fit.cost = best.solution.cost;
   }
   refine_site(fits, site.priors, kFirstRounds);
   return fits;

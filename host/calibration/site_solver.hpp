@@ -31,10 +31,11 @@ struct SiteProblem {
   double end_s = 0.0;  // rows later than this are left out
 };
 
-// In the order of the association's anchors; `starts`, where not empty, gives a further start of each.
-// An anchor without rows stays at its prior.
+// In the order of the association's anchors. Each starts from `earlier`, a solution from a part of the same
+// rows, where that had enough of them; the others are searched for. An anchor without rows stays at its
+// prior.
 [[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
-                                                std::span<const AnchorVector> starts);
+                                                std::span<const AnchorFit> earlier);
 
 // Learns the kernels and solves each anchor anew from where it is, a few rounds.
 void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int rounds);

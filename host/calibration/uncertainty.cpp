@@ -17,9 +17,6 @@ constexpr double kSignificance = 2.5;
 // The mean curvature of a kernel is believed no further below its majorizer than this.
 constexpr double kMinCurvatureShare = 0.3;
 
-using PairRow = Eigen::Matrix<double, 5, 1>;
-using PairBlock = Eigen::Matrix<double, 5, 5>;
-
 // What one pair's rows say together.
 struct PairMoments {
   PairBlock weighted = PairBlock::Zero();  // sum of weight J J^T
@@ -110,10 +107,9 @@ Evidence gather_evidence(const AnchorFit& fit) {
   const double block_s = std::max(kScoreBlock_s, duration_s / kMaxScoreBlocks);
   std::vector<PairMoments> pairs(tags);
   for (const Observation& row : problem.rows) {
-    const model::RangePrediction predicted = predict(row, fit.anchor, tags);
+    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
     const KernelValue value = fit.kernels[row.tag].at(row.range_m - predicted.range_m);
-    PairRow j;
-    j << predicted.d_anchor.transpose(), 1.0, predicted.distance_m;
+    const PairRow j = pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
     PairMoments& pair = pairs[row.tag];
     pair.weighted.noalias() += (value.weight * j) * j.transpose();
     pair.weight += value.weight;

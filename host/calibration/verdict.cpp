@@ -43,8 +43,11 @@ std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& 
          " side and turn there";
 }
 
-bool is_plausible(const std::optional<Rival>& rival) {
-  return rival && rival->cost_excess < kPlausibleExcess;
+// Rivals within this of the best solution's negative log likelihood cannot be ruled out.
+constexpr double kPlausibleExcess = 6.0;
+
+bool is_plausible(const std::optional<Rival>& rival, double inflation) {
+  return rival && rival->cost_excess < kPlausibleExcess * inflation;
 }
 
 }  // namespace
@@ -70,7 +73,7 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
     anchor.advice = "its ranges come through something: drive where it is in sight, or move it";
     return;
   }
-  if (sigma_xy_m > limit_m || is_plausible(evidence.side)) {
+  if (sigma_xy_m > limit_m || is_plausible(evidence.side, evidence.inflation)) {
     anchor.verdict = AnchorVerdict::kWeak;
     anchor.advice = drive_advice(evidence, anchor.position_m);
     return;
@@ -81,9 +84,9 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
         "the end of the drive contradicts its beginning: drive again, and look whether the anchor moved";
     return;
   }
-  if (sigma_z_m > limit_m || is_plausible(evidence.mirror)) {
+  if (sigma_z_m > limit_m || is_plausible(evidence.mirror, evidence.inflation)) {
     anchor.verdict = AnchorVerdict::kWeakZ;
-    anchor.advice = is_plausible(evidence.mirror)
+    anchor.advice = is_plausible(evidence.mirror, evidence.inflation)
                         ? "above or below the tags cannot be told: measure its height, or " +
                               drive_advice(evidence, anchor.position_m)
                         : "height uncertain: " + drive_advice(evidence, anchor.position_m);

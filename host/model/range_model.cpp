@@ -4,12 +4,12 @@ namespace groma::model {
 
 RangePrediction predict_range(const RigidPose& pose, const Eigen::Vector3d& lever_arm_m,
                               const Eigen::Vector3d& anchor_m, double beta_m, double gamma) noexcept {
-  const Eigen::Vector3d separation = pose.position_m + pose.rotation * lever_arm_m - anchor_m;
+  const AntennaPrediction antenna =
+      predict_antenna_range(pose.position_m + pose.rotation * lever_arm_m, anchor_m, beta_m, gamma);
   RangePrediction out;
-  out.distance_m = separation.norm();
-  out.range_m = gamma * out.distance_m + beta_m;
-  out.direction = Eigen::Vector3d::Zero();
-  if (out.distance_m > kMinDistance_m) out.direction = separation / out.distance_m;
+  out.range_m = antenna.range_m;
+  out.distance_m = antenna.distance_m;
+  out.direction = antenna.direction;
   out.d_position = gamma * out.direction.transpose();
   out.d_anchor = -out.d_position;
   out.d_lever_arm = out.d_position * pose.rotation;

@@ -11,6 +11,23 @@ namespace groma::model {
 // Shorter distances have no usable direction; the Jacobians by position are then zero.
 inline constexpr double kMinDistance_m = 1e-6;
 
+// Predicted range of an antenna at a place in the map.
+struct AntennaPrediction {
+  double range_m = 0.0;
+  double distance_m = 0.0;
+  Eigen::Vector3d direction = Eigen::Vector3d::Zero();  // unit vector from anchor to antenna, map frame
+};
+[[nodiscard]] inline AntennaPrediction predict_antenna_range(const Eigen::Vector3d& antenna_m,
+                                                             const Eigen::Vector3d& anchor_m, double beta_m,
+                                                             double gamma) noexcept {
+  AntennaPrediction out;
+  const Eigen::Vector3d separation = antenna_m - anchor_m;
+  out.distance_m = separation.norm();
+  out.range_m = gamma * out.distance_m + beta_m;
+  if (out.distance_m > kMinDistance_m) out.direction = separation / out.distance_m;
+  return out;
+}
+
 // Predicted range of a tag on a rigid body. d_beta is 1 and left out; d_gamma is distance_m.
 struct RangePrediction {
   double range_m = 0.0;

@@ -1,0 +1,31 @@
+// Solutions on the other side of the tags: a robot on a floor hardly tells above from below, on a straight
+// line hardly left from right.
+#pragma once
+
+#include <Eigen/Core>
+
+#include "host/calibration/initial_guess.hpp"
+#include "host/calibration/site_solver.hpp"
+
+namespace groma::calibration {
+
+// The best solution on the other side.
+struct Rival {
+  AnchorVector anchor;
+  double cost_excess = 0.0;  // negative log likelihood over the solution's, as of independent residuals; >= 0
+  double cost_ratio = 1.0;   // the solution's cost over its, 0..1; a cost counts from that of perfect ranges
+};
+
+// Axes of TagSpread to mirror along.
+inline constexpr int kAcrossLine = 1;
+inline constexpr int kAcrossPlane = 2;
+
+// Looks for the other side along one axis; where it explains the ranges better, the fit moves there and its
+// former place is the rival. The fit must have rows.
+[[nodiscard]] Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis);
+
+// The spread that a rival adds to the position's covariance: as were it the truth with the probability that
+// its excess, over `inflation`, leaves it.
+[[nodiscard]] Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation);
+
+}  // namespace groma::calibration

@@ -1,0 +1,130 @@
+#include "host/calibration/anchor_solver.hpp"
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+#include "host/calibration/initial_guess.hpp"
+#include "test/support/numerical_jacobian.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::calibration {
+namespace {
+
+constexpr std::size_t kTags = 3;
+
+// Ranges along a random walk to an anchor, with biases; noise and some blocked ones on demand.
+struct Scene {
+  std::vector<Observation> rows;
+  AnchorVector truth;
+  AnchorProblem problem;
+};
+
+Scene make_scene(std::uint64_t seed, double noise_m, double blocked_share) {
+  test::Random random(seed);
+  Scene scene;
+  scene.truth = anchor_at({8.0, -3.0, 2.5}, kTags, {});
+  for (std::size_t tag = 0; tag < kTags; ++tag) {
+    scene.truth(beta_index(tag)) = 0.3 * random.gaussian();
+    scene.truth(gamma_index(tag, kTags)) = 1.0 + 0.004 * random.gaussian();
+  }
+  for (int i = 0; i < 300; ++i) {
+    Observation row;
+    row.t_s = 0.1 * i;
+    row.tag = static_cast<std::uint32_t>(i) % kTags;
+    row.tag_m = {random.uniform(-6.0, 6.0), random.uniform(-6.0, 6.0), 0.3 + 0.7 * row.tag};
+    row.range_m = predict(row, scene.truth, kTags).range_m + noise_m * random.gaussian();
+    if (random.uniform() < blocked_share) row.range_m += random.uniform(0.5, 3.0);
+    scene.rows.push_back(row);
+  }
+  scene.problem.rows = scene.rows;
+  scene.problem.tag_count = kTags;
+  scene.problem.position.information = 1e-4 * Eigen::Matrix3d::Identity();
+  return scene;
+}
+
+TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
+  const Scene scene = make_scene(1, 0.1, 0.2);
+  const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.blocked = 0.2}));
+  test::Random random(2);
+  for (int i = 0; i < 10; ++i) {
+    const AnchorVector at = scene.truth + 0.05 * random.gaussians(scene.truth.size());
+    const auto cost = [&](const Eigen::VectorXd& anchor) {
+      return Eigen::VectorXd::Constant(1, robust_cost(scene.problem, kernels, anchor));
+    };
+    const Eigen::VectorXd expected = test::numerical_jacobian(cost, at, 1e-6).transpose();
+    const NormalEquations found = linearize(scene.problem, kernels, at);
+    EXPECT_NEAR((found.gradient - expected).norm() / (1.0 + expected.norm()), 0.0, 1e-4);
+    EXPECT_NEAR(found.cost, cost(at)(0), 1e-9 * std::abs(found.cost));
+  }
+}
+
+TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
+  const Scene scene = make_scene(3, 0.0, 0.0);
+  // Next to pure noise: the weight is then the cost's own curvature.
+  const std::vector<RobustKernel> kernels(
+      kTags, RobustKernel(KernelShape{.scale_m = 0.1, .wide = 1e-9, .blocked = 1e-9, .gross = 1e-9}));
+  const auto gradient = [&](const Eigen::VectorXd& anchor) {
+    return Eigen::VectorXd(linearize(scene.problem, kernels, anchor).gradient);
+  };
+  const Eigen::MatrixXd expected = test::numerical_jacobian(gradient, scene.truth, 1e-6);
+  const Eigen::MatrixXd found = linearize(scene.problem, kernels, scene.truth).information;
+  EXPECT_NEAR((found - expected).norm() / expected.norm(), 0.0, 1e-4);
+}
+
+TEST(AnchorSolver, NeverEndsWorseThanItStarted) {
+  const Scene scene = make_scene(4, 0.1, 0.4);
+  const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.blocked = 0.3}));
+  test::Random random(5);
+  for (int i = 0; i < 50; ++i) {
+    const AnchorVector start = anchor_at(20.0 * random.gaussians(3), kTags, {});
+    const AnchorSolution solution = solve_anchor(scene.problem, kernels, start, 20);
+    EXPECT_TRUE(solution.anchor.allFinite());
+    EXPECT_LE(solution.cost, robust_cost(scene.problem, kernels, start) + 1e-9);
+  }
+}
+
+TEST(AnchorSolver, StaysFiniteWhenTheAnchorIsAtTheAntenna) {
+  const Scene scene = make_scene(6, 0.1, 0.0);
+  const std::vector<RobustKernel> kernels(kTags, RobustKernel());
+  const AnchorVector start = anchor_at(scene.rows[0].tag_m, kTags, {});
+  EXPECT_TRUE(solve_anchor(scene.problem, kernels, start, 20).anchor.allFinite());
+}
+
+TEST(Search, FindsTheAnchorWithoutAStart) {
+  for (std::uint64_t seed = 10; seed < 30; ++seed) {
+    const Scene scene = make_scene(seed, 0.1, 0.3);
+    const Candidate found = search(scene.problem);
+    EXPECT_LT((found.solution.anchor - scene.truth).head<2>().norm(), 0.4) << "seed " << seed;
+  }
+}
+
+TEST(SpreadAlongTheWay, ALongStopCountsNoMoreThanAShortOne) {
+  std::vector<Observation> rows;
+  for (int i = 0; i < 10000; ++i) {
+    Observation row;
+    row.t_s = i;
+    // Nine tenths of the time it stands.
+    row.tag_m.x() = i < 9000 ? 0.0 : 0.1 * (i - 9000);
+    rows.push_back(row);
+  }
+  const std::vector<Observation> few = spread_along_the_way(rows, 1, 100);
+  ASSERT_GE(few.size(), 50U);
+  EXPECT_LE(few.size(), 101U);
+  std::size_t standing = 0;
+  for (const Observation& row : few) standing += row.tag_m.x() == 0.0 ? 1U : 0U;
+  EXPECT_LT(standing, few.size() / 4);
+}
+
+TEST(TagSpread, MirrorsAcrossTheFloorPlane) {
+  test::Random random(8);
+  std::vector<Observation> rows(500);
+  for (Observation& row : rows) row.tag_m = {random.uniform(-9.0, 9.0), random.uniform(-4.0, 4.0), 1.0};
+  const TagSpread spread = tag_spread(rows);
+  const Eigen::Vector3d mirrored = spread.mirror({1.0, 2.0, 3.5}, 2);
+  EXPECT_NEAR((mirrored - Eigen::Vector3d(1.0, 2.0, -1.5)).norm(), 0.0, 1e-9);
+  EXPECT_GT(spread.deviation_m(0), spread.deviation_m(1));
+}
+
+}  // namespace
+}  // namespace groma::calibration

@@ -1,0 +1,126 @@
+// The whole calibration on simulated drives, against the Cramer-Rao bound and against its own covariance.
+#include "host/calibration/calibrate.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "test/host/calibration/site_simulation.hpp"
+
+namespace groma::calibration {
+namespace {
+
+struct Campaign {
+  double rmse_over_bound = 0.0;
+  double mean_nees = 0.0;  // of positions, divided by 3
+  double inside_95 = 0.0;
+  std::size_t lies = 0;  // over 1 m and over 3 sigma off, marked ok
+};
+
+Campaign run_campaign(const test::SiteSettings& settings, std::uint64_t seeds) {
+  Campaign out;
+  double square_m2 = 0.0;
+  double bound_m2 = 0.0;
+  double anchors = 0.0;
+  for (std::uint64_t seed = 1; seed <= seeds; ++seed) {
+    const test::SimulatedSite site = test::simulate_site(settings, seed);
+    const Result result = calibrate(site.drive());
+    EXPECT_EQ(result.calibration.anchors.size(), site.anchors.size());
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+      const model::AnchorCalibration& found = result.calibration.anchors[a];
+      EXPECT_EQ(found.id, site.anchors[a].id);
+      const Eigen::Vector3d error_m = found.position_m - site.anchors[a].position_m;
+      const Eigen::Matrix3d covariance = found.covariance.topLeftCorner<3, 3>();
+      const double mahalanobis = error_m.dot(covariance.ldlt().solve(error_m));
+      square_m2 += error_m.squaredNorm();
+      bound_m2 += test::cramer_rao_bound(site, a).topLeftCorner<3, 3>().trace();
+      out.mean_nees += mahalanobis / 3.0;
+      out.inside_95 += mahalanobis <= 7.815 ? 1.0 : 0.0;
+      if (error_m.norm() > 1.0 && mahalanobis > 9.0 && found.verdict == model::AnchorVerdict::kOk) ++out.lies;
+      anchors += 1.0;
+    }
+  }
+  out.rmse_over_bound = std::sqrt(square_m2 / bound_m2);
+  out.mean_nees /= anchors;
+  out.inside_95 /= anchors;
+  return out;
+}
+
+TEST(Calibrate, ReachesTheBoundWithoutOutliers) {
+  const Campaign campaign = run_campaign({}, 20);
+  EXPECT_LE(campaign.rmse_over_bound, 1.08);
+  // 720 degrees of freedom: the 99 % band of chi-square over its mean.
+  EXPECT_NEAR(campaign.mean_nees, 1.0, 0.14);
+  EXPECT_NEAR(campaign.inside_95, 0.95, 0.04);
+  EXPECT_EQ(campaign.lies, 0U);
+}
+
+TEST(Calibrate, StaysNearTheBoundWithFifteenPercentTooLong) {
+  const Campaign campaign = run_campaign({.outlier_share = 0.15}, 20);
+  EXPECT_LE(campaign.rmse_over_bound, 1.15);
+  EXPECT_NEAR(campaign.mean_nees, 1.0, 0.2);
+  EXPECT_EQ(campaign.lies, 0U);
+}
+
+TEST(Calibrate, StaysNearTheBoundWithThirtyPercentTooLong) {
+  const Campaign campaign = run_campaign({.outlier_share = 0.30}, 20);
+  EXPECT_LE(campaign.rmse_over_bound, 1.30);
+  EXPECT_NEAR(campaign.mean_nees, 1.0, 0.2);
+  EXPECT_EQ(campaign.lies, 0U);
+}
+
+TEST(Calibrate, IsTheSameEachTime) {
+  const test::SimulatedSite site = test::simulate_site({.outlier_share = 0.2}, 5);
+  const Result one = calibrate(site.drive());
+  const Result two = calibrate(site.drive());
+  for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+    EXPECT_EQ(one.calibration.anchors[a].position_m, two.calibration.anchors[a].position_m);
+    EXPECT_EQ(one.calibration.anchors[a].covariance, two.calibration.anchors[a].covariance);
+  }
+}
+
+TEST(Calibrate, TellsPairsHeldOutScoreAndVerdict) {
+  const test::SimulatedSite site = test::simulate_site({}, 6);
+  const Result result = calibrate(site.drive());
+  EXPECT_EQ(result.calibration.verdict, model::Verdict::kUsable);
+  EXPECT_EQ(result.ranges_used + result.ranges_rejected, site.ranges.size());
+  for (const model::AnchorCalibration& anchor : result.calibration.anchors) {
+    EXPECT_EQ(anchor.verdict, model::AnchorVerdict::kOk);
+    EXPECT_TRUE(anchor.advice.empty());
+    ASSERT_TRUE(anchor.held_out_rms_m.has_value());
+    EXPECT_NEAR(*anchor.held_out_rms_m, 0.1, 0.04);
+    ASSERT_TRUE(anchor.mirror_ratio.has_value());
+    EXPECT_GT(*anchor.mirror_ratio, 0.0);
+    EXPECT_LT(*anchor.mirror_ratio, 1.0);
+    ASSERT_EQ(anchor.pairs.size(), 3U);
+    ASSERT_EQ(anchor.covariance.rows(), 9);
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      const model::PairBias& pair = anchor.pairs[static_cast<std::size_t>(j)];
+      EXPECT_EQ(pair.tag_id, j + 1);
+      EXPECT_NEAR(pair.beta_sigma_m * pair.beta_sigma_m, anchor.covariance(3 + j, 3 + j), 1e-12);
+      EXPECT_NEAR(pair.gamma_sigma * pair.gamma_sigma, anchor.covariance(6 + j, 6 + j), 1e-12);
+    }
+  }
+}
+
+TEST(Calibrate, LearnsBiasesAloneWhereAnchorsAreKnown) {
+  const test::SimulatedSite site = test::simulate_site({.outlier_share = 0.15}, 7);
+  Drive drive = site.drive();
+  drive.known_anchors = site.anchors;
+  const Result result = calibrate(drive);
+  for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+    const model::AnchorCalibration& anchor = result.calibration.anchors[a];
+    EXPECT_LT((anchor.position_m - site.anchors[a].position_m).norm(), 0.06);
+    EXPECT_LE(std::sqrt(anchor.covariance(2, 2)), 0.021);
+    EXPECT_FALSE(anchor.mirror_ratio.has_value());
+    for (std::size_t j = 0; j < 3; ++j) {
+      EXPECT_NEAR(anchor.pairs[j].beta_m, site.beta_m[a][j], 5.0 * anchor.pairs[j].beta_sigma_m);
+      EXPECT_LT(anchor.pairs[j].beta_sigma_m, 0.1);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace groma::calibration

@@ -1,0 +1,92 @@
+// Recorded and simulated runs from the shared data folder; skipped where it is absent.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <string>
+
+#include <Eigen/Cholesky>
+
+#include "host/calibration/calibrate.hpp"
+#include "host/io/dataset.hpp"
+#include "test/support/shared_data.hpp"
+
+namespace groma::calibration {
+namespace {
+
+class RecordedRun : public ::testing::Test {
+ protected:
+  void load(const std::string& name) {
+    GROMA_SHARED_OR_SKIP(folder, name);
+    dataset_ = io::read_dataset(folder);
+    Drive drive;
+    drive.ranges = dataset_.ranges;
+    drive.poses = dataset_.pose_prior;
+    drive.tags = dataset_.tags;
+    drive.surface = &dataset_.surface;
+    drive.priors = dataset_.range_priors;
+    result_ = calibrate(drive);
+  }
+
+  [[nodiscard]] double mean_xy_error_m() const {
+    double sum_m = 0.0;
+    double anchors = 0.0;
+    for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
+      for (const model::Anchor& surveyed : dataset_.surveyed_anchors) {
+        if (surveyed.id != anchor.id || anchor.ranges_used + anchor.ranges_rejected < 100) continue;
+        sum_m += (anchor.position_m - surveyed.position_m).head<2>().norm();
+        anchors += 1.0;
+      }
+    }
+    return sum_m / anchors;
+  }
+
+  io::Dataset dataset_;
+  Result result_;
+};
+
+TEST_F(RecordedRun, Plaza1FindsAnchorsAndScale) {
+  load("real/plaza1");
+  if (IsSkipped()) return;
+  EXPECT_LE(mean_xy_error_m(), 0.12);
+  for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
+    EXPECT_NEAR(anchor.pairs[0].gamma, 1.065, 0.02);
+    EXPECT_EQ(anchor.verdict, model::AnchorVerdict::kWeakZ) << "all in one plane: heights stay open";
+  }
+}
+
+TEST_F(RecordedRun, LiasFastFindsAnchorsAndMarksHeights) {
+  load("real/lias_fast");
+  if (IsSkipped()) return;
+  EXPECT_LE(mean_xy_error_m(), 0.15);
+  for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
+    EXPECT_NE(anchor.verdict, model::AnchorVerdict::kOk);
+  }
+}
+
+TEST_F(RecordedRun, McdFindsAnchorsFromTheSlamPrior) {
+  load("real/mcd_ntu_day_09");
+  if (IsSkipped()) return;
+  EXPECT_LE(mean_xy_error_m(), 0.40);
+}
+
+TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
+  load("real/inrol_env1");
+  if (IsSkipped()) return;
+  EXPECT_LE(mean_xy_error_m(), 0.17);
+}
+
+TEST_F(RecordedRun, CleanSimulationFindsAnchorsWithinTheirCovariance) {
+  load("simulated/clean");
+  if (IsSkipped()) return;
+  EXPECT_LE(mean_xy_error_m(), 0.04);
+  double nees = 0.0;
+  for (std::size_t a = 0; a < dataset_.surveyed_anchors.size(); ++a) {
+    const model::AnchorCalibration& anchor = result_.calibration.anchors[a];
+    const Eigen::Vector3d error_m = anchor.position_m - dataset_.surveyed_anchors[a].position_m;
+    nees += error_m.dot(anchor.covariance.topLeftCorner<3, 3>().ldlt().solve(error_m)) / 36.0;
+  }
+  EXPECT_LE(nees, 1.6);
+}
+
+}  // namespace
+}  // namespace groma::calibration

@@ -1,0 +1,163 @@
+// A drive past the twelve anchors of the source paper's Table I, with ranges to three tags, and the bound on
+// what any estimator can make of it.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <numbers>
+#include <vector>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include "host/calibration/calibrate.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::test {
+
+struct SiteSettings {
+  double duration_s = 240.0;
+  std::size_t ranges_per_pair = 200;
+  double sigma_m = 0.1;
+  double outlier_share = 0.0;  // uniform 0.5 to 3.5 m too long
+  double beta_sigma_m = 0.3;
+  double gamma_sigma = 0.005;
+  double pose_sigma_m = 0.0;  // of the priors' error in x and in y, correlated over pose_correlation_s
+  double pose_yaw_sigma_rad = 0.0;
+  double pose_correlation_s = 20.0;
+  double range_delay_s = 0.0;  // ranges are stamped so much too late
+};
+
+// What was drawn and what came of it.
+struct SimulatedSite {
+  SiteSettings settings;
+  std::vector<model::Anchor> anchors;
+  std::vector<model::Tag> tags;
+  std::vector<model::PoseSample> truth;
+  std::vector<model::PoseSample> poses;  // with their errors
+  std::vector<model::RangeSample> ranges;
+  std::vector<std::vector<double>> beta_m;  // [anchor][tag]
+  std::vector<std::vector<double>> gamma;
+  model::Surface floor;
+
+  [[nodiscard]] calibration::Drive drive() const {
+    calibration::Drive out;
+    out.ranges = ranges;
+    out.poses = poses;
+    out.tags = tags;
+    out.surface = &floor;
+    out.priors.sigma_m = settings.sigma_m;
+    out.priors.beta_m = {0.0, settings.beta_sigma_m};
+    out.priors.gamma = {1.0, settings.gamma_sigma};
+    return out;
+  }
+};
+
+inline std::vector<model::Anchor> table_one_anchors() {
+  return {{4, {2.510, 1.830, 2.780}},   {5, {3.370, 12.900, 3.070}},   {6, {9.570, 2.300, 3.250}},
+          {7, {16.000, 13.000, 3.080}}, {8, {16.600, 6.010, 0.462}},   {9, {16.600, 6.000, 2.060}},
+          {10, {20.200, 6.030, 0.429}}, {11, {19.700, 6.430, 2.430}},  {12, {21.900, 6.200, 0.625}},
+          {13, {21.300, 6.530, 2.670}}, {14, {21.700, 10.600, 2.940}}, {15, {21.100, 9.960, 0.605}}};
+}
+
+inline std::vector<model::Tag> three_tags() {
+  return {{1, {0.75, 0.45, 1.90}}, {2, {-0.70, -0.42, 1.25}}, {3, {0.60, -0.45, 0.35}}};
+}
+
+// The true pose: two slow waves that fill the hall, heading along the way.
+inline model::PoseSample true_pose(double t_s) {
+  const double wx = 2.0 * std::numbers::pi / 97.0;
+  const double wy = 2.0 * std::numbers::pi / 61.0;
+  model::PoseSample pose;
+  pose.t_s = t_s;
+  pose.x_m = 11.0 + 7.5 * std::sin(wx * t_s);
+  pose.y_m = 7.5 + 4.0 * std::sin(wy * t_s + 0.5);
+  pose.yaw_rad = std::atan2(4.0 * wy * std::cos(wy * t_s + 0.5), 7.5 * wx * std::cos(wx * t_s));
+  return pose;
+}
+
+inline Eigen::Vector3d antenna_of(const model::PoseSample& pose, const model::Tag& tag) {
+  return Eigen::Vector3d(pose.x_m, pose.y_m, pose.z_m) +
+         Eigen::AngleAxisd(pose.yaw_rad, Eigen::Vector3d::UnitZ()) * tag.lever_arm_m;
+}
+
+inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t seed) {
+  Random random(seed);
+  SimulatedSite site;
+  site.settings = settings;
+  site.anchors = table_one_anchors();
+  site.tags = three_tags();
+
+  const double pose_step_s = 0.05;
+  const double keep = std::exp(-pose_step_s / settings.pose_correlation_s);
+  Eigen::Vector3d error = random.gaussians(3);
+  for (double t_s = 0.0; t_s < settings.duration_s + 2.0 * pose_step_s; t_s += pose_step_s) {
+    model::PoseSample pose = true_pose(t_s);
+    site.truth.push_back(pose);
+    error = keep * error + std::sqrt(1.0 - keep * keep) * random.gaussians(3);
+    pose.x_m += settings.pose_sigma_m * error.x();
+    pose.y_m += settings.pose_sigma_m * error.y();
+    pose.yaw_rad = model::wrap_angle(pose.yaw_rad + settings.pose_yaw_sigma_rad * error.z());
+    site.poses.push_back(pose);
+  }
+
+  for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+    site.beta_m.emplace_back();
+    site.gamma.emplace_back();
+    for (std::size_t j = 0; j < site.tags.size(); ++j) {
+      site.beta_m.back().push_back(settings.beta_sigma_m * random.gaussian());
+      site.gamma.back().push_back(1.0 + settings.gamma_sigma * random.gaussian());
+    }
+  }
+  const std::size_t pairs = site.anchors.size() * site.tags.size();
+  const double step_s = settings.duration_s / static_cast<double>(settings.ranges_per_pair * pairs);
+  double t_s = settings.range_delay_s;
+  for (std::size_t k = 0; k < settings.ranges_per_pair; ++k) {
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+      for (std::size_t j = 0; j < site.tags.size(); ++j, t_s += step_s) {
+        const Eigen::Vector3d antenna_m = antenna_of(true_pose(t_s - settings.range_delay_s), site.tags[j]);
+        const double distance_m = (antenna_m - site.anchors[a].position_m).norm();
+        double range_m =
+            site.gamma[a][j] * distance_m + site.beta_m[a][j] + settings.sigma_m * random.gaussian();
+        if (random.uniform() < settings.outlier_share) range_m += random.uniform(0.5, 3.5);
+        site.ranges.push_back(
+            {.t_s = t_s, .tag_id = site.tags[j].id, .anchor_id = site.anchors[a].id, .range_m = range_m});
+      }
+    }
+  }
+  return site;
+}
+
+// The Cramer-Rao bound of one anchor's (position, beta of each tag, gamma of each tag) from all its ranges as
+// if none were an outlier, with the priors of the biases and perfect poses: the inverse of the information,
+// written out here from the range model itself.
+inline Eigen::MatrixXd cramer_rao_bound(const SimulatedSite& site, std::size_t a) {
+  const std::size_t tags = site.tags.size();
+  const auto size = static_cast<Eigen::Index>(3 + 2 * tags);
+  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
+  for (std::size_t j = 0; j < tags; ++j) {
+    const auto beta = static_cast<Eigen::Index>(3 + j);
+    const auto gamma = static_cast<Eigen::Index>(3 + tags + j);
+    information(beta, beta) += 1.0 / std::pow(site.settings.beta_sigma_m, 2);
+    information(gamma, gamma) += 1.0 / std::pow(site.settings.gamma_sigma, 2);
+    for (const model::RangeSample& range : site.ranges) {
+      if (range.anchor_id != site.anchors[a].id || range.tag_id != site.tags[j].id) continue;
+      const Eigen::Vector3d antenna_m =
+          antenna_of(true_pose(range.t_s - site.settings.range_delay_s), site.tags[j]);
+      const Eigen::Vector3d to_anchor_m = site.anchors[a].position_m - antenna_m;
+      Eigen::VectorXd row = Eigen::VectorXd::Zero(size);
+      row.head<3>() = site.gamma[a][j] * to_anchor_m / to_anchor_m.norm();
+      row(beta) = 1.0;
+      row(gamma) = to_anchor_m.norm();
+      information += row * row.transpose() / std::pow(site.settings.sigma_m, 2);
+    }
+  }
+  return information.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
+}
+
+}  // namespace groma::test
