@@ -68,11 +68,13 @@ class Air {
 
   Air(const groma_Schedule& schedule, dw1000::Preamble preamble) : schedule_(schedule), phy_(preamble) {}
 
-  std::size_t add(const NodeSettings& settings) {
+  std::size_t add(const NodeSettings& settings) { return add(settings, schedule_); }
+  // A node that goes by a schedule of its own.
+  std::size_t add(const NodeSettings& settings, const groma_Schedule& schedule) {
     const mac::Site site{.id = settings.id,
                          .network_id = 0x55AA,
                          .preamble = phy_.preamble(),
-                         .schedule = schedule_,
+                         .schedule = schedule,
                          .transmit_antenna_delay = settings.antenna_delay};
     auto node = std::make_unique<Node>();
     node->settings = settings;
