@@ -1,0 +1,333 @@
+// The daemon as a process, on real pseudo-terminals, a real Unix socket and a real TCP client.
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <functional>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "host/cli/exit_code.hpp"
+#include "host/io/calibration_file.hpp"
+#include "host/io/descriptor.hpp"
+#include "host/model/calibration.hpp"
+#include "proto/frame_codec.hpp"
+#include "test/host/daemon/simulated_site.hpp"
+#include "test/host/daemon/temporary_folder.hpp"
+
+namespace groma::daemon {
+namespace {
+
+using groma::test::TemporaryFolder;
+using nlohmann::json;
+using test::SimulatedSite;
+using ::testing::HasSubstr;
+
+constexpr double kSpeed = 2.0;
+constexpr auto kPatience = std::chrono::seconds(40);
+
+// gromad, run with one configuration file; killed at the end if it still runs.
+class Gromad {
+ public:
+  // as_nobody: without root's rights, where the test has them.
+  explicit Gromad(const std::vector<std::string>& arguments, bool as_nobody = false) {
+    int pipe_ends[2];
+    if (::pipe2(pipe_ends, O_CLOEXEC) != 0) throw std::runtime_error("pipe2");
+    std::vector<const char*> argv{GROMAD_PATH};
+    for (const std::string& argument : arguments) argv.push_back(argument.c_str());
+    argv.push_back(nullptr);
+    pid_ = ::fork();
+    if (pid_ == 0) {
+      ::dup2(pipe_ends[1], STDERR_FILENO);
+      ::dup2(pipe_ends[1], STDOUT_FILENO);
+      if (as_nobody && ::geteuid() == 0 && (::setgid(65534) != 0 || ::setuid(65534) != 0)) ::_exit(126);
+      ::execv(GROMAD_PATH, const_cast<char* const*>(argv.data()));
+      ::_exit(127);
+    }
+    ::close(pipe_ends[1]);
+    errors_ = io::Descriptor(pipe_ends[0]);
+    ::fcntl(errors_.get(), F_SETFL, O_NONBLOCK);
+  }
+  Gromad(const Gromad&) = delete;
+  Gromad& operator=(const Gromad&) = delete;
+  ~Gromad() {
+    if (!exit_code_) {
+      ::kill(pid_, SIGKILL);
+      ::waitpid(pid_, nullptr, 0);
+    }
+  }
+
+  void terminate() const { ::kill(pid_, SIGTERM); }
+
+  // Everything said so far.
+  const std::string& log() {
+    char buffer[4096];
+    ssize_t n = 0;
+    while ((n = ::read(errors_.get(), buffer, sizeof(buffer))) > 0)
+      log_.append(buffer, static_cast<std::size_t>(n));
+    return log_;
+  }
+
+  bool running() {
+    if (exit_code_) return false;
+    int status = 0;
+    if (::waitpid(pid_, &status, WNOHANG) != pid_) return true;
+    exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+    return false;
+  }
+
+  // Waits for the end; none if it does not come.
+  std::optional<int> exit_code() {
+    const auto deadline = std::chrono::steady_clock::now() + kPatience;
+    while (running() && std::chrono::steady_clock::now() < deadline) {
+      log();
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+    log();
+    return exit_code_;
+  }
+
+ private:
+  pid_t pid_ = -1;
+  io::Descriptor errors_;
+  std::string log_;
+  std::optional<int> exit_code_;
+};
+
+// Objects of the pose stream.
+class StreamClient {
+ public:
+  explicit StreamClient(std::uint16_t port) : fd_(::socket(AF_INET, SOCK_STREAM, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    if (::connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+      throw std::runtime_error("connect");
+    }
+  }
+
+  std::vector<json> read() {
+    char buffer[4096];
+    ssize_t n = 0;
+    while ((n = ::recv(fd_.get(), buffer, sizeof(buffer), MSG_DONTWAIT)) > 0) {
+      text_.append(buffer, static_cast<std::size_t>(n));
+    }
+    std::vector<json> objects;
+    std::size_t end = 0;
+    while ((end = text_.find('\n')) != std::string::npos) {
+      objects.push_back(json::parse(text_.substr(0, end)));
+      text_.erase(0, end + 1);
+    }
+    return objects;
+  }
+
+ private:
+  io::Descriptor fd_;
+  std::string text_;
+};
+
+class GromadTest : public ::testing::Test {
+ protected:
+  std::string config_text(const std::string& calibration) const {
+    return fmt::format(R"(schema: 1
+nodes:
+  - {{path: tag-1, baud: 1000000}}
+robot_socket: robot.sock
+tags:
+  - {{id: 1, lever_arm_m: [0, 0, {}]}}
+odometry: {{sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.02}}
+range: {{sigma_m: 0.05, beta_m: [0.3, 0.3], gamma: [1.0, 0.002]}}
+surface: {{type: plane, z_m: 0, normal: [0, 0, 1]}}
+calibration: {}
+pose_stream: {{port: 0}}
+speed: {}
+)",
+                       SimulatedSite::kTagHeight_m, calibration, kSpeed);
+  }
+
+  // Keeps the site going until it is so; false if that takes too long or the daemon has ended.
+  bool run_until(SimulatedSite& site, Gromad& gromad, const std::function<bool()>& done) {
+    const auto deadline = std::chrono::steady_clock::now() + kPatience;
+    while (std::chrono::steady_clock::now() < deadline) {
+      site.step();
+      gromad.log();
+      if (!client_) connect(gromad);
+      if (client_) {
+        for (json& object : client_->read()) objects_.push_back(std::move(object));
+      }
+      if (done()) return true;
+      if (!gromad.running()) return false;
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+    return false;
+  }
+
+  [[nodiscard]] std::size_t poses(const std::string& state) const {
+    std::size_t n = 0;
+    for (const json& object : objects_) {
+      if (object.at("class") == "POSE" && object.at("state") == state) ++n;
+    }
+    return n;
+  }
+
+  [[nodiscard]] double largest_error_m(std::size_t skip) const {
+    double worst_m = 0.0;
+    std::size_t seen = 0;
+    for (const json& object : objects_) {
+      if (object.at("class") != "POSE" || seen++ < skip) continue;
+      const auto truth = SimulatedSite::truth(object.at("t_s"));
+      worst_m = std::max(worst_m, std::hypot(object.at("x_m").get<double>() - truth.x_m,
+                                             object.at("y_m").get<double>() - truth.y_m));
+    }
+    return worst_m;
+  }
+
+  void write_surveyed(const SimulatedSite& site) const {
+    const std::vector<model::Tag> tags{{1, {0.0, 0.0, SimulatedSite::kTagHeight_m}}};
+    model::RangePriors priors;
+    priors.beta_m = {0.0, 0.05};
+    model::Calibration calibration = model::surveyed_calibration(site.anchors, tags, priors, 0.02);
+    calibration.verdict = model::Verdict::kUsable;
+    folder_.write("calibration.yaml", io::format_calibration(calibration));
+  }
+
+  TemporaryFolder folder_;
+  std::vector<json> objects_;
+
+ private:
+  void connect(Gromad& gromad) {
+    const std::string key = "pose stream on 127.0.0.1 port ";
+    const std::size_t at = gromad.log().find(key);
+    if (at == std::string::npos || gromad.log().find('\n', at) == std::string::npos) return;
+    client_.emplace(static_cast<std::uint16_t>(std::stoi(gromad.log().substr(at + key.size()))));
+  }
+
+  std::optional<StreamClient> client_;
+};
+
+TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 250; })) << gromad.log();
+
+  ASSERT_FALSE(objects_.empty());
+  EXPECT_EQ(objects_.front().at("class"), "VERSION");
+  const json& pose = objects_.back().at("class") == "POSE" ? objects_.back() : objects_[objects_.size() - 2];
+  ASSERT_EQ(pose.at("class"), "POSE");
+  for (const char* key : {"t_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"}) {
+    EXPECT_TRUE(pose.at(key).is_number()) << key;
+  }
+  ASSERT_EQ(pose.at("covariance").size(), 36U);
+  EXPECT_GT(pose.at("covariance")[0], 0.0);
+  EXPECT_EQ(pose.at("covariance")[1], pose.at("covariance")[6]);
+  EXPECT_LT(largest_error_m(50), 0.3);
+  // The tag was asked who it is.
+  wire::FrameDecoder decoder;
+  for (const std::uint8_t byte : site.received()) decoder.push(byte);
+  EXPECT_EQ(decoder.counters().frames, 1U);
+
+  // Garbage on either input disturbs nothing.
+  site.send_to_robot_socket("{\"class\":\"ODOMETRY\",\"t_s\":NaN}\n\xff\xfe\n{\"class\":\"LASER\"}\n");
+  site.send_to_tag_link({0x01, 0x55, 0x00, 0xFF, 0x12});
+  std::size_t before = poses("TRACKING");
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 50; })) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("robot: "));
+
+  site.pull();
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("COASTING") >= 20; })) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("tag-1: the link is gone"));
+
+  site.plug_in();
+  before = poses("TRACKING");
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("tag-1: open again"));
+  EXPECT_LT(largest_error_m(50), 0.5);
+
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+}
+
+TEST_F(GromadTest, CalibratesOnADriveThenLocalizes) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  site.range_bias_m = 0.4;
+  Gromad gromad(
+      {"--config", folder_.write("gromad.yaml", config_text("{drive_s: 26, output: learnt.yaml}")).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 150; })) << gromad.log();
+  EXPECT_LT(largest_error_m(50), 0.3);
+  bool drove = false;
+  for (const json& object : objects_) {
+    drove = drove || (object.at("class") == "STATUS" && object.at("state") == "CALIBRATION_DRIVE");
+  }
+  EXPECT_TRUE(drove);
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+
+  const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
+  EXPECT_EQ(learnt.anchors.size(), site.anchors.size());
+  EXPECT_EQ(learnt.input_sha256.size(), 64U);
+}
+
+TEST_F(GromadTest, EndsWithTheExitCodeOfWhatIsWrong) {
+  {
+    Gromad gromad({});
+    EXPECT_EQ(gromad.exit_code(), cli::kUsage);
+    EXPECT_THAT(gromad.log(), HasSubstr("--config"));
+  }
+  {
+    Gromad gromad({"--version"});
+    EXPECT_EQ(gromad.exit_code(), cli::kGood);
+  }
+  const auto code_of = [&](const std::string& text, std::string& log) {
+    Gromad gromad({"--config", folder_.write("bad.yaml", text).string()});
+    const auto code = gromad.exit_code();
+    log = gromad.log();
+    return code;
+  };
+  std::string log;
+  EXPECT_EQ(code_of(config_text("{drive_s: 100}") + "sped: 3\n", log), cli::kBadConfiguration);
+  EXPECT_THAT(log, HasSubstr((folder_ / "bad.yaml").string() + ":13:1: "));
+  EXPECT_EQ(code_of(config_text("{file: none.yaml}"), log), cli::kBadData);
+  EXPECT_THAT(log, HasSubstr("none.yaml"));
+  EXPECT_EQ(code_of(config_text("{drive_s: 100, output: no/such/folder.yaml}"), log), cli::kBadConfiguration);
+  EXPECT_EQ(code_of(config_text("{drive_s: 100}"), log), cli::kUnavailable);
+  EXPECT_THAT(log, HasSubstr((folder_ / "tag-1").string() + ": no such device"));
+}
+
+TEST_F(GromadTest, TellsOfAPortItMayNotOpen) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  const std::string pty = std::filesystem::read_symlink(folder_ / "tag-1").string();
+  ASSERT_EQ(::chmod(pty.c_str(), ::geteuid() == 0 ? 0600 : 0), 0);
+  std::filesystem::permissions(folder_.path(), std::filesystem::perms{0755});
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{drive_s: 100}")).string()},
+                /*as_nobody=*/true);
+  const auto code = gromad.exit_code();
+  if (code == 126 || code == 127) GTEST_SKIP() << "gromad cannot be run by another user here";
+  EXPECT_EQ(code, cli::kNoPermission) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("usermod -aG"));
+}
+
+TEST_F(GromadTest, RefusesACalibrationThatIsNotUsable) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  model::Calibration calibration;
+  calibration.verdict = model::Verdict::kUnusable;
+  folder_.write("calibration.yaml", io::format_calibration(calibration));
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  EXPECT_EQ(gromad.exit_code(), cli::kBadData) << gromad.log();
+}
+
+}  // namespace
+}  // namespace groma::daemon

@@ -1,0 +1,176 @@
+// A site for end-to-end tests of the daemon: a robot that drives a circle, with one tag on a real
+// pseudo-terminal and its odometry and pose priors on a real Unix socket.
+#pragma once
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <pty.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "host/clock/time_mapper.hpp"
+#include "host/io/descriptor.hpp"
+#include "host/model/types.hpp"
+#include "test/host/link/node_frames.hpp"
+
+namespace groma::daemon::test {
+
+class SimulatedSite {
+ public:
+  static constexpr double kRadius_m = 4.0;
+  static constexpr double kOmega = 0.25;
+  static constexpr double kOdometryPeriod_s = 0.02;
+  static constexpr double kReportPeriod_s = 0.1;
+  static constexpr double kRobotOrigin_s = 5000.0;  // of the robot's clock
+  static constexpr double kDeviceOrigin_s = 77.0;   // of the tag's counter
+  static constexpr double kDeviceSkew = 15e-6;
+  static constexpr double kTagHeight_m = 0.5;
+
+  // speed: of the site's clocks against the computer's. folder: takes tag-1 and robot.sock.
+  SimulatedSite(std::filesystem::path folder, double speed)
+      : folder_(std::move(folder)), speed_(speed), start_(std::chrono::steady_clock::now()) {
+    for (int i = 0; i < 6; ++i) {
+      const double angle = 2.0 * 3.14159265358979 * i / 6.0;
+      anchors.push_back({static_cast<model::NodeId>(100 + i),
+                         {9.0 * std::cos(angle), 4.0 + 9.0 * std::sin(angle), 1.0 + 0.7 * (i % 3)}});
+    }
+    plug_in();
+    listener_ = io::Descriptor(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    (folder_ / "robot.sock").string().copy(address.sun_path, sizeof(address.sun_path) - 1);
+    if (::bind(listener_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0 ||
+        ::listen(listener_.get(), 4) != 0) {
+      throw std::runtime_error("robot.sock");
+    }
+  }
+
+  // tag-1 becomes a new pseudo-terminal, as a USB port that is plugged in again.
+  void plug_in() {
+    int master = -1;
+    int slave = -1;
+    char name[128];
+    if (::openpty(&master, &slave, nullptr, nullptr, nullptr) != 0 ||
+        ::ttyname_r(slave, name, sizeof(name)) != 0) {
+      throw std::runtime_error("openpty");
+    }
+    termios raw{};
+    ::tcgetattr(slave, &raw);
+    ::cfmakeraw(&raw);
+    ::tcsetattr(slave, TCSANOW, &raw);
+    ::close(slave);
+    ::fcntl(master, F_SETFL, O_NONBLOCK);
+    // The daemon must not keep its own port's other end open.
+    ::fcntl(master, F_SETFD, FD_CLOEXEC);
+    master_ = io::Descriptor(master);
+    std::filesystem::remove(folder_ / "tag-1");
+    std::filesystem::create_symlink(name, folder_ / "tag-1");
+  }
+  void pull() {
+    master_.close();
+    std::filesystem::remove(folder_ / "tag-1");
+  }
+
+  // Sends everything due by now.
+  void step() {
+    const int peer = ::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+    if (peer >= 0) robot_ = io::Descriptor(peer);
+    const double now_s = site_time_s();
+    for (; kOdometryPeriod_s * odometry_sent_ <= now_s; ++odometry_sent_)
+      send_robot(kOdometryPeriod_s * odometry_sent_);
+    for (; kReportPeriod_s * reports_sent_ <= now_s; ++reports_sent_)
+      send_report(kReportPeriod_s * reports_sent_);
+    drain();
+  }
+
+  void send_to_robot_socket(const std::string& text) const {
+    if (robot_.valid()) static_cast<void>(!::send(robot_.get(), text.data(), text.size(), MSG_NOSIGNAL));
+  }
+  void send_to_tag_link(const std::vector<std::uint8_t>& bytes) const {
+    if (master_.valid()) static_cast<void>(!::write(master_.get(), bytes.data(), bytes.size()));
+  }
+
+  struct Pose {
+    double x_m, y_m, yaw_rad;
+  };
+  // By the robot's clock.
+  [[nodiscard]] static Pose truth(double robot_s) {
+    const double angle = kOmega * (robot_s - kRobotOrigin_s);
+    return {kRadius_m * std::sin(angle), kRadius_m * (1.0 - std::cos(angle)),
+            std::remainder(angle, 2.0 * 3.14159265358979)};
+  }
+  [[nodiscard]] double site_time_s() const {
+    return speed_ * std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  }
+  // What the daemon has sent to the tag.
+  [[nodiscard]] const std::vector<std::uint8_t>& received() const { return received_; }
+
+  std::vector<model::Anchor> anchors;
+  double range_bias_m = 0.0;  // of all pairs
+  bool pose_priors = true;
+
+ private:
+  void send_robot(double site_s) const {
+    const double t_s = kRobotOrigin_s + site_s;
+    std::string lines =
+        fmt::format(R"({{"class":"ODOMETRY","t_s":{},"vx_mps":{},"vy_mps":0,"omega_radps":{}}})"
+                    "\n",
+                    t_s, kRadius_m * kOmega, kOmega);
+    if (pose_priors && odometry_sent_ % 5 == 0) {
+      const Pose pose = truth(t_s);
+      lines += fmt::format(R"({{"class":"POSE_PRIOR","t_s":{},"x_m":{},"y_m":{},"z_m":0,"yaw_rad":{}}})"
+                           "\n",
+                           t_s, pose.x_m, pose.y_m, pose.yaw_rad);
+    }
+    send_to_robot_socket(lines);
+  }
+
+  void send_report(double site_s) {
+    const auto dtu = [](double s) {
+      return std::llround(s * (1.0 + kDeviceSkew) * clock::kDeviceTicksPerSecond);
+    };
+    std::vector<groma_Range> ranges;
+    for (std::size_t i = 0; i < anchors.size(); ++i) {
+      const double age_s = 0.08 - 0.002 * static_cast<double>(i);
+      const Pose pose = truth(kRobotOrigin_s + site_s - age_s);
+      const double range_m =
+          (Eigen::Vector3d(pose.x_m, pose.y_m, kTagHeight_m) - anchors[i].position_m).norm();
+      // A deterministic ripple of 3 cm in the place of noise.
+      const double ripple_m = 0.03 * std::sin(1.7 * reports_sent_ + 2.3 * static_cast<double>(i));
+      ranges.push_back(link::test::make_range(anchors[i].id, range_m + range_bias_m + ripple_m, dtu(-age_s)));
+    }
+    send_to_tag_link(link::test::frame_of(
+        link::test::make_report(static_cast<std::uint32_t>(reports_sent_), 1,
+                                static_cast<std::uint64_t>(dtu(kDeviceOrigin_s + site_s)), ranges)));
+  }
+
+  void drain() {
+    std::uint8_t buffer[512];
+    ssize_t n = 0;
+    while (master_.valid() && (n = ::read(master_.get(), buffer, sizeof(buffer))) > 0) {
+      received_.insert(received_.end(), buffer, buffer + n);
+    }
+  }
+
+  std::filesystem::path folder_;
+  double speed_;
+  std::chrono::steady_clock::time_point start_;
+  io::Descriptor master_;
+  io::Descriptor listener_;
+  io::Descriptor robot_;
+  int odometry_sent_ = 0;
+  int reports_sent_ = 0;
+  std::vector<std::uint8_t> received_;
+};
+
+}  // namespace groma::daemon::test
