@@ -404,11 +404,12 @@ void Dw1000Chip::power_management_written(std::uint32_t before) {
 
 std::uint64_t Dw1000Chip::live_status() const noexcept {
   std::uint64_t value = status_;
-  const std::int64_t now = ticks(now_);
-  const bool far_transmit = transmission_.frame != nullptr && transmission_.delayed &&
-                            transmission_.stage == 0 && transmission_.start_tick - now > kCounterPeriod / 2;
-  const bool far_receive = receiver_ == Receiver::kDelayed && receive_start_tick_ - now > kCounterPeriod / 2;
-  if (far_transmit || far_receive) value |= status::kHpdwarn;
+  const bool transmit_waits =
+      transmission_.frame != nullptr && transmission_.delayed && transmission_.stage == 0;
+  if (transmit_waits || receiver_ == Receiver::kDelayed) {
+    const std::int64_t start = transmit_waits ? transmission_.start_tick : receive_start_tick_;
+    if (start - ticks(now_) > kCounterPeriod / 2) value |= status::kHpdwarn;
+  }
   if ((value & registers_.get(Reg::kSysMask)) != 0) value |= status::kIrqs;
   return value;
 }

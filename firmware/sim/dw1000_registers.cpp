@@ -1,6 +1,8 @@
 #include "firmware/sim/dw1000_registers.hpp"
 
 #include <algorithm>
+#include <bit>
+#include <cstring>
 
 namespace groma::sim {
 
@@ -140,22 +142,23 @@ const RegisterInfo& register_info(Reg reg) noexcept {
 }
 
 void Dw1000Registers::reset() noexcept {
-  static_assert(kStorage[kRegisters.size()] <= sizeof(memory_));
+  // get() reads 8 bytes wherever a register begins.
+  static_assert(kStorage[kRegisters.size()] + 8 <= sizeof(memory_));
   memory_.fill(0);
   for (const RegisterInfo& info : kRegisters) set(info.reg, info.reset);
 }
 
 std::uint64_t Dw1000Registers::get(Reg reg) const noexcept {
-  const std::span<const std::uint8_t> at = bytes(reg);
+  static_assert(std::endian::native == std::endian::little);
   std::uint64_t value = 0;
-  for (std::size_t i = std::min<std::size_t>(at.size(), 8); i-- > 0;) value = value << 8 | at[i];
-  return value;
+  std::memcpy(&value, memory_.data() + kStorage[index(reg)], sizeof(value));
+  const unsigned bits = 8U * std::min<unsigned>(kRegisters[index(reg)].length, 8U);
+  return bits == 64 ? value : value & ((std::uint64_t{1} << bits) - 1);
 }
 
 void Dw1000Registers::set(Reg reg, std::uint64_t value) noexcept {
-  const std::span<std::uint8_t> at = bytes(reg);
-  for (std::size_t i = 0; i < std::min<std::size_t>(at.size(), 8); ++i)
-    at[i] = static_cast<std::uint8_t>(value >> (8 * i));
+  std::memcpy(memory_.data() + kStorage[index(reg)], &value,
+              std::min<std::size_t>(kRegisters[index(reg)].length, sizeof(value)));
 }
 
 std::span<std::uint8_t> Dw1000Registers::bytes(Reg reg) noexcept {

@@ -127,13 +127,11 @@ class NativeNode final : public NodeHost {
   [[nodiscard]] UartLine& uart_out() noexcept override { return platform_.uart_out; }
   [[nodiscard]] UartLine& uart_in() noexcept override { return platform_.uart_in; }
 
-  [[nodiscard]] SimTime next_event() override {
+  [[nodiscard]] SimTime next_work() override {
     if (!firmware_) return boots_at_;
-    const Dw1000Chip& chip = platform_.chip;
     SimTime work = std::min(timer_at_, platform_.uart_in.next_byte());
-    if (chip.irq()) work = std::min(work, chip.now());
-    if (work != kNever) work = std::max(work, platform_.now);
-    return std::min(work, chip.next_event());
+    if (platform_.chip.irq()) work = std::min(work, platform_.chip.now());
+    return work == kNever ? kNever : std::max(work, platform_.now);
   }
 
   void run(SimTime now) override {

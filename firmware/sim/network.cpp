@@ -1,5 +1,6 @@
 #include "firmware/sim/network.hpp"
 
+#include <algorithm>
 #include <string>
 #include <utility>
 
@@ -11,6 +12,7 @@ Network::Network(const PropagationModel& propagation, const MediumSettings& sett
 Network::~Network() = default;
 
 std::size_t Network::add(std::unique_ptr<NodeHost> host) {
+  due_.push_back({&host->chip(), host->next_work()});
   nodes_.push_back(std::move(host));
   return nodes_.size() - 1;
 }
@@ -19,8 +21,8 @@ void Network::run_until(SimTime t) {
   for (;;) {
     SimTime next = kNever;
     std::size_t who = 0;
-    for (std::size_t i = 0; i < nodes_.size(); ++i) {
-      const SimTime event = nodes_[i]->next_event();
+    for (std::size_t i = 0; i < due_.size(); ++i) {
+      const SimTime event = std::min(due_[i].work, due_[i].chip->next_event());
       if (event < next) {
         next = event;
         who = i;
@@ -30,6 +32,7 @@ void Network::run_until(SimTime t) {
     // A node that has fallen due since it last ran (a frame announced to it late) runs now.
     if (next > now_) now_ = next;
     nodes_[who]->run(now_);
+    due_[who].work = nodes_[who]->next_work();
     const std::string& fault = nodes_[who]->chip().fault();
     if (!fault.empty())
       throw SimulationError("node " + std::to_string(nodes_[who]->chip().id()) + " at " +
@@ -39,7 +42,9 @@ void Network::run_until(SimTime t) {
 }
 
 bool Network::send(std::size_t node, std::span<const std::uint8_t> bytes) {
-  return nodes_.at(node)->uart_in().write(now_, bytes);
+  const bool queued = nodes_.at(node)->uart_in().write(now_, bytes);
+  due_[node].work = nodes_[node]->next_work();
+  return queued;
 }
 
 void Network::take(std::size_t node, std::vector<TimedByte>& out) {
@@ -48,6 +53,7 @@ void Network::take(std::size_t node, std::vector<TimedByte>& out) {
 
 void Network::set_power(std::size_t node, bool on) {
   nodes_.at(node)->set_power(on, now_);
+  due_[node].work = nodes_[node]->next_work();
 }
 
 }  // namespace groma::sim

@@ -63,8 +63,9 @@ class NodeHost {
   [[nodiscard]] virtual UartLine& uart_out() noexcept = 0;
   [[nodiscard]] virtual UartLine& uart_in() noexcept = 0;
 
-  // When run() has to be called next, given that nothing new arrives; kNever: not at all.
-  [[nodiscard]] virtual SimTime next_event() = 0;
+  // When run() has to be called next, beside the chip's own next_event(); kNever: not at all. Changes only by
+  // run(), set_power() and bytes on uart_in().
+  [[nodiscard]] virtual SimTime next_work() = 0;
   // Does what is due at `now`. May reach ahead of it by the time that the work takes.
   virtual void run(SimTime now) = 0;
   // Brown-out, and power back: volatile state is lost.
@@ -98,8 +99,14 @@ class Network {
   [[nodiscard]] Medium& medium() noexcept { return medium_; }
 
  private:
+  struct Due {
+    const Dw1000Chip* chip;
+    SimTime work;  // the host's next_work()
+  };
+
   Medium medium_;
   std::vector<std::unique_ptr<NodeHost>> nodes_;
+  std::vector<Due> due_;  // the same order
   SimTime now_ = 0;
 };
 

@@ -32,16 +32,17 @@ std::int64_t NodeClock::offset_of_piece(std::int64_t piece) const noexcept {
 }
 
 NodeClock::Phase NodeClock::phase(SimTime t) const noexcept {
-  const std::int64_t piece = t >> kPieceBits;
-  // The offsets of all whole pieces before this one, summed: constant, then growing by one step a piece, then
-  // constant again.
-  const std::int64_t grown = std::clamp<std::int64_t>(piece - drift_first_, 0, drift_pieces_);
-  const Wide steps =
-      static_cast<Wide>(grown) * (grown - 1) / 2 +
-      static_cast<Wide>(std::max<std::int64_t>(piece - drift_first_ - drift_pieces_, 0)) * drift_pieces_;
-  const Wide whole_pieces = (static_cast<Wide>(piece) * offset_ + steps * offset_a_piece_) << kPieceBits;
-  const Wide excess =
-      whole_pieces + static_cast<Wide>(t & (kPiece - 1)) * static_cast<Wide>(offset_of_piece(piece));
+  Wide excess = static_cast<Wide>(t) * offset_;
+  if (offset_a_piece_ != 0) {
+    // The steps of all whole pieces before this one, summed: none, then one more each piece, then all of
+    // them.
+    const std::int64_t piece = t >> kPieceBits;
+    const std::int64_t grown = std::clamp<std::int64_t>(piece - drift_first_, 0, drift_pieces_);
+    const Wide steps =
+        static_cast<Wide>(grown) * (grown - 1) / 2 +
+        static_cast<Wide>(std::max<std::int64_t>(piece - drift_first_ - drift_pieces_, 0)) * drift_pieces_;
+    excess += ((steps << kPieceBits) + static_cast<Wide>(t & (kPiece - 1)) * grown) * offset_a_piece_;
+  }
   const std::uint64_t mask = (std::uint64_t{1} << kFractionBits) - 1;
   return {t + static_cast<std::int64_t>(excess >> kFractionBits), static_cast<std::uint64_t>(excess) & mask};
 }
@@ -65,13 +66,12 @@ std::int64_t NodeClock::nearest_tick(SimTime t, double plus_ticks) const noexcep
 
 SimTime NodeClock::time_of_local(std::int64_t units) const noexcept {
   if (units <= 0) return 0;
-  // The offset is below 1e-3, so that each step leaves at most a thousandth of the error before it.
+  // The offset is below 1e-3, so that each step leaves at most a thousandth of the error before it; after the
+  // first few the last unit is found by trying.
   SimTime t = units;
-  for (;;) {
-    const std::int64_t missing = units - phase(t).units;
-    if (missing == 0) break;
+  for (std::int64_t missing = 2; missing > 1 || missing < -1;) {
+    missing = units - phase(t).units;
     t = std::max<SimTime>(t + missing, 0);
-    if (missing == 1 || missing == -1) break;
   }
   while (phase(t).units < units) ++t;
   while (t > 0 && phase(t - 1).units >= units) --t;
