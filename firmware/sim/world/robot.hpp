@@ -44,8 +44,8 @@ class Robot {
   // yaw_rad is the heading on the surface; roll and pitch are left unknown.
   [[nodiscard]] model::PoseSample truth(double t_s) const noexcept;
 
-  // Row k holds from k / rate to (k + 1) / rate, and cannot be known before that: the mean velocity over its
-  // interval, with noise, scale and bias.
+  // Row k holds from k / rate to (k + 1) / rate: the mean velocity over its interval, with noise, scale and
+  // bias.
   [[nodiscard]] model::OdometrySample odometry(std::uint64_t k) const;
   // Row k is of k / rate: what the robot's own localization tells.
   [[nodiscard]] model::PoseSample pose_prior(std::uint64_t k) const;

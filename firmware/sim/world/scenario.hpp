@@ -36,6 +36,7 @@ struct RadioOptions {
 // The superframe and the physical layer, as the nodes are configured.
 struct ScheduleOptions {
   enum class Method { kFinal, kNextPoll };
+  model::NodeId master_id = 0;  // the anchor whose beacon leads
   Method method = Method::kFinal;
   unsigned preamble = 128;       // symbols: 64, 128 or 256
   unsigned turn_round_us = 300;  // end of a received frame to the preamble of the answer

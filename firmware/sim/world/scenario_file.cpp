@@ -324,9 +324,16 @@ RadioOptions parse_radio(const YamlValue& map) {
   return options;
 }
 
-ScheduleOptions parse_schedule(const YamlValue& map) {
-  map.expect_keys({{}, {"method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
+ScheduleOptions parse_schedule(const YamlValue& map, const std::vector<model::Anchor>& anchors) {
+  map.expect_keys({{}, {"master_id", "method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
   ScheduleOptions options;
+  if (const auto master = map.find("master_id")) {
+    const std::int64_t id = master->integer(1, kMaxId - 1);
+    if (std::none_of(anchors.begin(), anchors.end(), [&](const model::Anchor& a) { return a.id == id; })) {
+      master->fail(fmt::format("is {}", id), "name one of the anchors");
+    }
+    options.master_id = static_cast<model::NodeId>(id);
+  }
   if (const auto method = map.find("method")) {
     options.method = method->one_of(std::array<std::string_view, 2>{"final", "next-poll"}) == 0
                          ? ScheduleOptions::Method::kFinal
@@ -336,9 +343,9 @@ ScheduleOptions parse_schedule(const YamlValue& map) {
     options.preamble =
         std::array{64U, 128U, 256U}[preamble->one_of(std::array<std::string_view, 3>{"64", "128", "256"})];
   }
-  options.turn_round_us = whole(map, "turn_round_us", 1, 10'000, options.turn_round_us);
-  options.response_gap_us = whole(map, "response_gap_us", 1, 10'000, options.response_gap_us);
-  options.guard_us = whole(map, "guard_us", 1, 1'000, options.guard_us);
+  options.turn_round_us = whole(map, "turn_round_us", 150, 5'000, options.turn_round_us);
+  options.response_gap_us = whole(map, "response_gap_us", 50, 2'000, options.response_gap_us);
+  options.guard_us = whole(map, "guard_us", 5, 1'000, options.guard_us);
   return options;
 }
 
@@ -365,7 +372,10 @@ Scenario parse_scenario(const std::filesystem::path& path, const std::string& te
   if (const auto odometry = root.find("odometry")) scenario.odometry = parse_odometry(*odometry);
   if (const auto pose_prior = root.find("pose_prior")) scenario.pose_prior = parse_pose_prior(*pose_prior);
   if (const auto radio = root.find("radio")) scenario.radio = parse_radio(*radio);
-  if (const auto schedule = root.find("schedule")) scenario.schedule = parse_schedule(*schedule);
+  if (const auto schedule = root.find("schedule")) {
+    scenario.schedule = parse_schedule(*schedule, scenario.anchors);
+  }
+  if (scenario.schedule.master_id == 0) scenario.schedule.master_id = scenario.anchors.front().id;
   if (const auto link = root.find("link")) {
     link->expect_keys({{}, {"bit_per_s"}});
     scenario.link.bit_per_s = whole(*link, "bit_per_s", 9'600, 8'000'000, scenario.link.bit_per_s);

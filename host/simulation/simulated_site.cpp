@@ -1,0 +1,109 @@
+#include "host/simulation/simulated_site.hpp"
+
+#include <fmt/format.h>
+
+#include <array>
+
+#include "firmware/core/node/config.hpp"
+#include "firmware/sim/keyed_random.hpp"
+#include "groma.pb.h"
+
+namespace groma::simulation {
+
+namespace {
+
+enum Purpose : std::uint64_t { kWorld, kMedium, kNodes };
+enum NodeDraw : std::uint64_t { kClockOffset, kFirstTick, kPowerOn };
+
+constexpr std::uint32_t kNetworkId = 0x4752;
+constexpr double kLatestPowerOn_s = 0.5;
+constexpr std::uint64_t kCounterMask = (1ULL << 40) - 1;
+
+groma_Preamble preamble_of(unsigned symbols) {
+  if (symbols == 64) return groma_Preamble_PREAMBLE_64;
+  return symbols == 256 ? groma_Preamble_PREAMBLE_256 : groma_Preamble_PREAMBLE_128;
+}
+
+groma_Config config_of(const sim::Scenario& scenario, groma_Role role, model::NodeId id) {
+  groma_Config config = groma_Config_init_zero;
+  config.role = role;
+  config.id = id;
+  config.network_id = kNetworkId;
+  config.preamble = preamble_of(scenario.schedule.preamble);
+  const sim::ChipSpec chip;
+  config.transmit_antenna_delay_dtu = chip.transmit_antenna_delay_ticks;
+  config.receive_antenna_delay_dtu = chip.receive_antenna_delay_ticks;
+  config.has_schedule = true;
+  groma_Schedule& schedule = config.schedule;
+  schedule.epoch = 1;
+  schedule.master_id = scenario.schedule.master_id;
+  for (const model::Tag& tag : scenario.tags) schedule.tag_ids[schedule.tag_ids_count++] = tag.id;
+  for (const model::Anchor& anchor : scenario.anchors) {
+    schedule.anchor_ids[schedule.anchor_ids_count++] = anchor.id;
+  }
+  schedule.method = scenario.schedule.method == sim::ScheduleOptions::Method::kFinal
+                        ? groma_RangingMethod_METHOD_DS_FINAL
+                        : groma_RangingMethod_METHOD_DS_NEXT_POLL;
+  schedule.turn_round_us = scenario.schedule.turn_round_us;
+  schedule.response_gap_us = scenario.schedule.response_gap_us;
+  schedule.guard_us = scenario.schedule.guard_us;
+  return config;
+}
+
+sim::NodeSpec spec_of(const sim::Scenario& scenario, const groma_Config& config,
+                      const sim::KeyedRandom& random) {
+  if (const char* fault = node::fault_of(config); *fault != '\0') {
+    throw sim::SimulationError(fmt::format("node {} refuses its configuration: {}", config.id, fault));
+  }
+  sim::NodeSpec spec;
+  spec.chip.id = static_cast<std::uint16_t>(config.id);
+  spec.chip.clock.offset_ppm =
+      random.of(kClockOffset).uniform(-scenario.radio.clock_ppm, scenario.radio.clock_ppm);
+  spec.chip.clock.first_tick = random.of(kFirstTick).bits() & kCounterMask;
+  spec.power_on = sim::from_seconds(random.of(kPowerOn).uniform(0.0, kLatestPowerOn_s));
+  spec.uart.bits_per_s = scenario.link.bit_per_s;
+  std::array<std::uint8_t, node::kMaxConfigBytes> stored{};
+  const std::size_t size = node::encode_config(config, stored);
+  spec.stored_config.assign(stored.begin(), stored.begin() + static_cast<std::ptrdiff_t>(size));
+  return spec;
+}
+
+sim::MediumSettings medium_settings(const sim::RadioOptions& radio) {
+  sim::MediumSettings settings;
+  settings.stamp_noise_s = radio.stamp_sigma_ns * 1e-9;
+  settings.loss_probability = radio.loss;
+  return settings;
+}
+
+}  // namespace
+
+SimulatedSite::SimulatedSite(const sim::Scenario& scenario, std::uint64_t seed)
+    : world_(scenario, sim::KeyedRandom(seed).of(kWorld).bits()),
+      network_(world_, medium_settings(scenario.radio), sim::KeyedRandom(seed).of(kMedium).bits()) {
+  const sim::KeyedRandom nodes = sim::KeyedRandom(seed).of(kNodes);
+  for (const model::Anchor& anchor : scenario.anchors) {
+    network_.add_native(
+        spec_of(scenario, config_of(scenario, groma_Role_ROLE_ANCHOR, anchor.id), nodes.of(anchor.id)));
+  }
+  for (const model::Tag& tag : scenario.tags) {
+    const std::size_t node = network_.add_native(
+        spec_of(scenario, config_of(scenario, groma_Role_ROLE_TAG, tag.id), nodes.of(tag.id)));
+    tags_.push_back({tag.id, node});
+  }
+}
+
+void SimulatedSite::run_until(double t_s) {
+  network_.run_until(sim::from_seconds(t_s));
+}
+
+void SimulatedSite::take(std::size_t tag, std::vector<std::uint8_t>& bytes) {
+  taken_.clear();
+  network_.take(tags_.at(tag).node, taken_);
+  for (const sim::TimedByte& byte : taken_) bytes.push_back(byte.value);
+}
+
+bool SimulatedSite::send(std::size_t tag, std::span<const std::uint8_t> bytes) {
+  return network_.send(tags_.at(tag).node, bytes);
+}
+
+}  // namespace groma::simulation
