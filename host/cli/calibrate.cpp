@@ -24,6 +24,8 @@
 #include "host/io/error.hpp"
 #include "host/io/output_file.hpp"
 #include "host/io/version.hpp"
+#include "host/report/calibration_report.hpp"
+#include "host/report/page.hpp"
 
 namespace groma::cli {
 
@@ -34,6 +36,7 @@ struct Options {
   std::optional<std::filesystem::path> poses;
   Selection selection;
   bool known_anchors = false;
+  std::optional<std::filesystem::path> report;
   std::filesystem::path output;
   bool json = false;
 };
@@ -58,7 +61,17 @@ std::string format_table(const model::Calibration& calibration) {
   return table.format(true);
 }
 
-int run(Options& options) {
+void write_report(const std::filesystem::path& folder, const io::Dataset& dataset,
+                  const calibration::Drive& drive, const calibration::Result& result) {
+  report::Page page(fmt::format("Calibration from {}", dataset.name),
+                    fmt::format("Anchor positions and range biases, found from one {} drive. Input {}.",
+                                dataset.origin, dataset.sha256.substr(0, 12)));
+  report::add_calibration(page, drive, result);
+  io::make_folder(folder);
+  io::write_file(folder / "report.html", page.html());
+}
+
+int run(const Options& options) {
   const auto begin = std::chrono::steady_clock::now();
   io::expect_writable(options.output);
   io::ReadOptions read;
@@ -86,6 +99,7 @@ int run(Options& options) {
   result.calibration.input_sha256 = dataset.sha256;
   result.calibration.program_version = io::program_version();
   io::write_file(options.output, io::format_calibration(result.calibration));
+  if (options.report) write_report(*options.report, dataset, drive, result);
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 
   if (options.json) {
@@ -137,6 +151,8 @@ void add_calibrate(CLI::App& app, Action& action) {
       "--known-anchors", options->known_anchors,
       "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and learn the biases alone");
   command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")->required();
+  command->add_option("--report", options->report,
+                      "Folder to write a report to, report.html, which a browser opens");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -1,0 +1,17 @@
+// What a calibration found, for the one who has to decide whether to trust it.
+#pragma once
+
+#include <string>
+
+#include "host/calibration/calibrate.hpp"
+#include "host/report/page.hpp"
+
+namespace groma::report {
+
+// Verdict, map with 95 % ellipses, anchors, biases, and residuals over time.
+void add_calibration(Page& page, const calibration::Drive& drive, const calibration::Result& result);
+
+[[nodiscard]] Tone tone(model::AnchorVerdict verdict);
+[[nodiscard]] Tone tone(model::Verdict verdict);
+
+}  // namespace groma::report

@@ -1,0 +1,49 @@
+// A report as one HTML file that opens offline: nothing is fetched, and it follows the reader's light or dark
+// theme.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "host/report/chart.hpp"
+
+namespace groma::report {
+
+enum class Tone { kPlain, kGood, kWarning, kBad };
+
+// A figure in large print with what it is.
+struct Fact {
+  std::string value;
+  std::string name;
+  Tone tone = Tone::kPlain;
+};
+
+struct Cell {
+  std::string text;
+  Tone tone = Tone::kPlain;
+  bool words = false;  // left-aligned and wrapped, unlike numbers
+};
+
+class Page {
+ public:
+  Page(std::string title, std::string subtitle) : title_(std::move(title)), subtitle_(std::move(subtitle)) {}
+
+  // In the order of the calls; text is escaped.
+  void add_facts(const std::vector<Fact>& facts);
+  void add_heading(const std::string& text);
+  void add_text(const std::string& text);
+  void add_chart(const Chart& chart, const std::string& caption);
+  // Several small ones side by side.
+  void add_charts(const std::vector<Chart>& charts, const std::string& caption);
+  // As many cells a row as there are titles.
+  void add_table(const std::vector<std::string>& titles, const std::vector<std::vector<Cell>>& rows);
+
+  [[nodiscard]] std::string html() const;
+
+ private:
+  std::string title_;
+  std::string subtitle_;
+  std::string body_;
+};
+
+}  // namespace groma::report
