@@ -1,0 +1,43 @@
+// Compiled as for the target, without exceptions, RTTI or a hosted library, so that nothing creeps into the
+// core that the board's toolchain would not take. A node is instantiated on hardware that does nothing.
+#include "firmware/core/node/node.hpp"
+
+namespace groma::node {
+namespace {
+
+class NoSpi {
+ public:
+  void write(std::span<const std::uint8_t>, std::span<const std::uint8_t>) noexcept {}
+  void read(std::span<const std::uint8_t>, std::span<std::uint8_t>) noexcept {}
+  void set_speed(dw1000::SpiSpeed) noexcept {}
+};
+
+class NoHardware {
+ public:
+  NoSpi& spi() noexcept { return spi_; }
+  void reset_radio() noexcept {}
+  void delay_us(std::uint32_t) noexcept {}
+  std::uint64_t now_us() noexcept { return 0; }
+  bool link_write(std::span<const std::uint8_t>) noexcept { return false; }
+  bool store_config(std::span<const std::uint8_t>) noexcept { return false; }
+  std::size_t load_config(std::span<std::uint8_t>) noexcept { return 0; }
+  void set_indicator(Indicator) noexcept {}
+  void restart() noexcept {}
+  ResetReason reset_reason() noexcept { return ResetReason::kPowerOn; }
+  std::optional<Fault> last_fault() noexcept { return std::nullopt; }
+
+ private:
+  NoSpi spi_;
+};
+
+static_assert(dw1000::Spi<NoSpi>);
+static_assert(Platform<NoHardware>);
+
+}  // namespace
+
+template class Node<NoHardware>;
+
+// 24 KiB of RAM are the image's budget, stack and drivers included.
+static_assert(sizeof(Node<NoHardware>) <= 16 * 1024);
+
+}  // namespace groma::node

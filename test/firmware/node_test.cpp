@@ -1,0 +1,546 @@
+#include "firmware/core/node/node.hpp"
+
+#include <gtest/gtest.h>
+#include <pb_decode.h>
+#include <pb_encode.h>
+
+#include <cstring>
+#include <string>
+
+#include "test/firmware/air.hpp"
+#include "test/firmware/fake_chip.hpp"
+
+namespace groma::node {
+namespace {
+
+using testing::FakeChip;
+using testing::schedule_of;
+using testing::Transfer;
+
+struct FakePlatform {
+  FakeChip chip;
+  std::uint64_t time_us = 1'000;
+  std::vector<std::vector<std::uint8_t>> sent;
+  bool link_full = false;
+  std::vector<std::uint8_t> stored;
+  bool store_fails = false;
+  bool store_corrupts = false;
+  std::vector<Indicator> shown;
+  int restarts = 0;
+  int resets = 0;
+  std::optional<Fault> fault;
+
+  FakeChip& spi() noexcept { return chip; }
+  void reset_radio() noexcept {
+    ++resets;
+    chip.reset();
+  }
+  void delay_us(std::uint32_t us) noexcept { time_us += us; }
+  std::uint64_t now_us() noexcept { return time_us; }
+  bool link_write(std::span<const std::uint8_t> frame) noexcept {
+    if (link_full) return false;
+    sent.emplace_back(frame.begin(), frame.end());
+    return true;
+  }
+  bool store_config(std::span<const std::uint8_t> blob) noexcept {
+    if (store_fails) return false;
+    stored.assign(blob.begin(), blob.end());
+    if (store_corrupts && !stored.empty()) stored.back() ^= 1;
+    return true;
+  }
+  std::size_t load_config(std::span<std::uint8_t> out) noexcept {
+    if (stored.size() > out.size()) return 0;
+    std::copy(stored.begin(), stored.end(), out.begin());
+    return stored.size();
+  }
+  void set_indicator(Indicator indicator) noexcept { shown.push_back(indicator); }
+  void restart() noexcept { ++restarts; }
+  ResetReason reset_reason() noexcept { return ResetReason::kWatchdog; }
+  std::optional<Fault> last_fault() noexcept { return fault; }
+};
+static_assert(Platform<FakePlatform>);
+
+groma_Config good_config(groma_Role role = groma_Role_ROLE_TAG) {
+  groma_Config config = groma_Config_init_zero;
+  config.role = role;
+  config.id = role == groma_Role_ROLE_TAG ? 2 : 101;
+  config.network_id = 0x1234;
+  config.has_schedule = true;
+  config.schedule = schedule_of(3, 4, groma_RangingMethod_METHOD_DS_FINAL);
+  return config;
+}
+
+groma_NodeToHost decode(std::span<const std::uint8_t> bytes) {
+  wire::FrameDecoder decoder;
+  bool whole = false;
+  for (const std::uint8_t byte : bytes) whole = decoder.push(byte) || whole;
+  EXPECT_TRUE(whole);
+  groma_NodeToHost message = groma_NodeToHost_init_zero;
+  auto stream = pb_istream_from_buffer(decoder.payload().data(), decoder.payload().size());
+  EXPECT_TRUE(pb_decode(&stream, groma_NodeToHost_fields, &message));
+  return message;
+}
+
+class NodeTest : public ::testing::Test {
+ protected:
+  void store(const groma_Config& config) {
+    platform.stored.resize(kMaxConfigBytes);
+    platform.stored.resize(encode_config(config, platform.stored));
+    ASSERT_FALSE(platform.stored.empty());
+  }
+  void command(const groma_HostToNode& message) {
+    std::array<std::uint8_t, groma_HostToNode_size> payload{};
+    auto stream = pb_ostream_from_buffer(payload.data(), payload.size());
+    ASSERT_TRUE(pb_encode(&stream, groma_HostToNode_fields, &message));
+    command(std::span(payload).first(stream.bytes_written));
+  }
+  void command(std::span<const std::uint8_t> payload) {
+    std::vector<std::uint8_t> frame(wire::max_encoded_size(payload.size()));
+    frame.resize(wire::encode_frame(payload, frame));
+    // In two pieces, as a UART may give them.
+    node.on_link_bytes(std::span(frame).first(frame.size() / 2));
+    node.on_link_bytes(std::span(frame).subspan(frame.size() / 2));
+  }
+  void command(pb_size_t which, std::uint32_t request = 77) {
+    groma_HostToNode message = groma_HostToNode_init_zero;
+    message.request_id = request;
+    message.which_body = which;
+    command(message);
+  }
+  void write(const groma_Config& config) {
+    groma_HostToNode message = groma_HostToNode_init_zero;
+    message.request_id = 5;
+    message.which_body = groma_HostToNode_write_config_tag;
+    message.body.write_config = config;
+    command(message);
+  }
+  std::vector<groma_NodeToHost> messages(pb_size_t which) {
+    std::vector<groma_NodeToHost> out;
+    for (const auto& bytes : platform.sent) {
+      const auto message = decode(bytes);
+      if (message.which_body == which) out.push_back(message);
+    }
+    return out;
+  }
+  groma_Reply last_reply() {
+    const auto replies = messages(groma_NodeToHost_reply_tag);
+    EXPECT_FALSE(replies.empty());
+    return replies.empty() ? groma_Reply groma_Reply_init_zero : replies.back().body.reply;
+  }
+  // Commands to the radio: a transmission or a reception.
+  std::size_t radio_starts() {
+    std::size_t n = 0;
+    for (const Transfer& t : platform.chip.writes()) {
+      if (t.file == 0x0D && (t.word() & 0x102) != 0) ++n;
+    }
+    return n;
+  }
+
+  FakePlatform platform;
+  Node<FakePlatform> node{platform, {.version = "1.2.3", .git_hash = 0xC0FFEE01}};
+};
+
+TEST_F(NodeTest, SaysHelloAtStart) {
+  platform.fault = Fault{.pc = 0x1234, .lr = 0x5678, .cfsr = 0x82};
+  store(good_config());
+  node.start();
+  const auto hellos = messages(groma_NodeToHost_hello_tag);
+  ASSERT_EQ(hellos.size(), 1U);
+  const groma_Hello& hello = hellos[0].body.hello;
+  EXPECT_STREQ(hello.version, "1.2.3");
+  EXPECT_EQ(hello.git_hash, 0xC0FFEE01);
+  EXPECT_EQ(hello.protocol_version, kProtocolVersion);
+  EXPECT_EQ(hello.role, groma_Role_ROLE_TAG);
+  EXPECT_EQ(hello.id, 2U);
+  EXPECT_EQ(hello.network_id, 0x1234U);
+  EXPECT_EQ(hello.schedule_hash, schedule_hash_of(good_config()));
+  EXPECT_EQ(hello.reset_reason, groma_ResetReason_RESET_WATCHDOG);
+  ASSERT_TRUE(hello.has_last_fault);
+  EXPECT_EQ(hello.last_fault.pc, 0x1234U);
+  EXPECT_EQ(hello.last_fault.cfsr, 0x82U);
+  EXPECT_STREQ(hello.radio_error, "");
+  EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
+}
+
+TEST_F(NodeTest, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
+  node.start();
+  EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
+  command(groma_HostToNode_get_hello_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  EXPECT_EQ(last_reply().request_id, 77U);
+  const auto hellos = messages(groma_NodeToHost_hello_tag);
+  ASSERT_EQ(hellos.size(), 2U);
+  EXPECT_EQ(hellos[1].body.hello.role, groma_Role_ROLE_UNCONFIGURED);
+  command(groma_HostToNode_get_counters_tag);
+  EXPECT_EQ(messages(groma_NodeToHost_counters_tag).size(), 1U);
+  for (int i = 0; i < 10; ++i) {
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+  }
+  EXPECT_EQ(radio_starts(), 0U);
+}
+
+TEST_F(NodeTest, TellsWhyTheRadioIsDownAndTriesAgain) {
+  platform.chip.absent = true;
+  store(good_config());
+  node.start();
+  EXPECT_STREQ(messages(groma_NodeToHost_hello_tag).at(0).body.hello.radio_error, "no DW1000 answers on SPI");
+  EXPECT_EQ(platform.shown.back(), Indicator::kRadioFault);
+  const int resets = platform.resets;
+  for (int i = 0; i < 4; ++i) {
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+  }
+  EXPECT_GT(platform.resets, resets);
+  EXPECT_EQ(radio_starts(), 0U);
+  platform.chip.absent = false;
+  for (int i = 0; i < 4; ++i) {
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+  }
+  EXPECT_STREQ(messages(groma_NodeToHost_hello_tag).back().body.hello.radio_error, "");
+  EXPECT_GT(radio_starts(), 0U);
+  EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
+}
+
+TEST_F(NodeTest, AConfigurationIsStoredReadBackAndInForceAfterApply) {
+  node.start();
+  groma_Config config = good_config();
+  config.transmit_antenna_delay_dtu = 16000;
+  config.preamble = groma_Preamble_PREAMBLE_256;
+  write(config);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  EXPECT_EQ(last_reply().request_id, 5U);
+  ASSERT_TRUE(last_reply().has_config);
+  EXPECT_EQ(last_reply().config.transmit_antenna_delay_dtu, 16000U);
+  EXPECT_EQ(last_reply().config.schedule.anchor_ids_count, 4U);
+  EXPECT_EQ(radio_starts(), 0U);
+  EXPECT_EQ(platform.chip.written(0x18, 0), 16436U);
+
+  command(groma_HostToNode_apply_config_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  EXPECT_EQ(platform.chip.written(0x18, 0), 16000U);
+  EXPECT_EQ(platform.chip.written(0x27, 0x08), 0x333B00BEU);
+  EXPECT_EQ(radio_starts(), 1U);
+  EXPECT_EQ(messages(groma_NodeToHost_hello_tag).back().body.hello.role, groma_Role_ROLE_TAG);
+
+  command(groma_HostToNode_read_config_tag);
+  ASSERT_TRUE(last_reply().has_config);
+  EXPECT_EQ(last_reply().config.id, 2U);
+}
+
+TEST_F(NodeTest, ReadingBeforeAnythingWasWrittenGivesAnUnconfiguredOne) {
+  node.start();
+  command(groma_HostToNode_read_config_tag);
+  ASSERT_TRUE(last_reply().has_config);
+  EXPECT_EQ(last_reply().config.role, groma_Role_ROLE_UNCONFIGURED);
+  command(groma_HostToNode_apply_config_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID);
+}
+
+TEST_F(NodeTest, EachBadConfigurationIsRefusedByName) {
+  node.start();
+  const auto refused = [&](const char* word, auto&& spoil) {
+    groma_Config config = good_config();
+    spoil(config);
+    write(config);
+    EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID) << word;
+    EXPECT_NE(std::string(last_reply().text).find(word), std::string::npos) << last_reply().text;
+    EXPECT_TRUE(platform.stored.empty()) << word;
+  };
+  refused("role", [](auto& c) { c.role = groma_Role_ROLE_UNCONFIGURED; });
+  refused("id", [](auto& c) { c.id = 9; });
+  refused("id", [](auto& c) { c.id = 65536 + 2; });
+  refused("id", [](auto& c) { c.id = 101; });
+  refused("network_id", [](auto& c) { c.network_id = 65535; });
+  refused("schedule", [](auto& c) { c.has_schedule = false; });
+  refused("tag_ids", [](auto& c) { c.schedule.tag_ids_count = 0; });
+  refused("master_id", [](auto& c) { c.schedule.master_id = 2; });
+  refused("guard_us", [](auto& c) { c.schedule.guard_us = 2000; });
+  refused("transmit_antenna_delay", [](auto& c) { c.transmit_antenna_delay_dtu = 65536; });
+  refused("receive_antenna_delay", [](auto& c) { c.receive_antenna_delay_dtu = 1U << 31; });
+  EXPECT_EQ(node.counters().commands_refused, 11U);
+}
+
+// nanopb takes any number for an enumeration.
+TEST_F(NodeTest, NumbersThatAreNoEnumeratorsAreRefused) {
+  node.start();
+  for (const auto& [member, offset] : {std::pair{"role", offsetof(groma_Config, role)},
+                                       std::pair{"preamble", offsetof(groma_Config, preamble)}}) {
+    groma_Config config = good_config();
+    std::memset(reinterpret_cast<unsigned char*>(&config) + offset, 0x11, 4);
+    EXPECT_NE(std::string(fault_of(config)).find(member), std::string::npos);
+  }
+}
+
+TEST_F(NodeTest, AStoreThatFailsOrLiesIsToldAndTheNodeGoesOn) {
+  store(good_config());
+  node.start();
+  const auto kept = platform.stored;
+  platform.store_fails = true;
+  write(good_config());
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_STORAGE);
+  EXPECT_EQ(platform.stored, kept);
+  platform.store_fails = false;
+  platform.store_corrupts = true;
+  const std::size_t starts = radio_starts();
+  write(good_config());
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_STORAGE);
+  // Off the air while storing, and on it again.
+  EXPECT_EQ(radio_starts(), starts + 1);
+}
+
+TEST_F(NodeTest, AStoredConfigurationThatIsNotValidIsNone) {
+  groma_Config config = good_config();
+  config.id = 55;
+  store(config);
+  node.start();
+  EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
+  platform.stored.assign(50, 0xFF);
+  node.start();
+  EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
+  EXPECT_EQ(radio_starts(), 0U);
+}
+
+TEST_F(NodeTest, FactoryResetForgetsAndFallsSilent) {
+  store(good_config());
+  node.start();
+  command(groma_HostToNode_factory_reset_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  EXPECT_TRUE(platform.stored.empty());
+  EXPECT_EQ(platform.chip.written(0x0D, 0), 0x40U);  // off
+  EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
+  EXPECT_EQ(messages(groma_NodeToHost_hello_tag).back().body.hello.role, groma_Role_ROLE_UNCONFIGURED);
+}
+
+TEST_F(NodeTest, RebootAnswersAndRestarts) {
+  node.start();
+  command(groma_HostToNode_reboot_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  EXPECT_EQ(platform.restarts, 1);
+}
+
+TEST_F(NodeTest, IdentifyBlinksForItsTime) {
+  node.start();
+  groma_HostToNode message = groma_HostToNode_init_zero;
+  message.which_body = groma_HostToNode_identify_s_tag;
+  message.body.identify_s = 2;
+  command(message);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  EXPECT_EQ(platform.shown.back(), Indicator::kIdentify);
+  const std::uint64_t began_us = platform.time_us;
+  while (platform.shown.back() == Indicator::kIdentify && platform.time_us < 10'000'000) {
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+  }
+  EXPECT_EQ(platform.time_us - began_us, 2'000'000U);
+  EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
+  message.body.identify_s = 3601;
+  command(message);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID);
+}
+
+TEST_F(NodeTest, UnknownCommandsAndGarbageAreCounted) {
+  node.start();
+  const std::uint8_t unknown[] = {0x08, 0x05, 0xFA, 0x06, 0x00};  // request 5, field 111
+  command(unknown);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_UNSUPPORTED);
+  EXPECT_EQ(last_reply().request_id, 5U);
+  const std::size_t sent = platform.sent.size();
+  const std::uint8_t garbage[] = {0xFF, 0xFF, 0xFF};
+  command(garbage);
+  EXPECT_EQ(node.counters().link_frames_bad, 1U);
+  const std::uint8_t noise[] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 0};
+  node.on_link_bytes(noise);
+  EXPECT_EQ(node.counters().link_frames_bad, 2U);
+  EXPECT_EQ(platform.sent.size(), sent);
+  command(groma_HostToNode_get_hello_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+}
+
+TEST_F(NodeTest, WhatAFullLinkDropsIsCounted) {
+  node.start();
+  platform.link_full = true;
+  command(groma_HostToNode_get_hello_tag);
+  EXPECT_EQ(node.counters().reports_dropped, 2U);
+  platform.link_full = false;
+  command(groma_HostToNode_get_counters_tag);
+  EXPECT_EQ(messages(groma_NodeToHost_counters_tag).back().body.counters.reports_dropped, 2U);
+}
+
+TEST_F(NodeTest, SendsTelemetryOnceASecond) {
+  store(good_config());
+  node.start();
+  platform.sent.clear();
+  while (platform.time_us < 5'500'000) {
+    platform.chip.time += 1'000'000;
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+  }
+  const auto status = messages(groma_NodeToHost_network_status_tag);
+  EXPECT_NEAR(static_cast<double>(status.size()), 5.0, 1.0);
+  EXPECT_EQ(messages(groma_NodeToHost_counters_tag).size(), status.size());
+  EXPECT_EQ(status.back().body.network_status.state, groma_SyncState_SYNC_SEARCHING);
+  EXPECT_EQ(status.back().body.network_status.master_id, 101U);
+}
+
+TEST_F(NodeTest, WhenTheInterruptStaysAwayTheRadioIsBroughtUpAgain) {
+  store(good_config());
+  node.start();
+  EXPECT_EQ(radio_starts(), 1U);
+  const int resets = platform.resets;
+  // Listening for 50 ms; its end is never told.
+  const std::uint64_t deadline_us = node.next_deadline_us();
+  EXPECT_LT(deadline_us, platform.time_us + 60'000);
+  platform.time_us = deadline_us;
+  node.on_timer();
+  EXPECT_EQ(node.counters().radio_recoveries, 1U);
+  EXPECT_EQ(platform.resets, resets + 1);
+  EXPECT_EQ(radio_starts(), 2U);
+  EXPECT_EQ(messages(groma_NodeToHost_log_tag).size(), 1U);
+}
+
+TEST_F(NodeTest, AnInterruptThatWasOverlookedIsTakenAtTheDeadline) {
+  store(good_config());
+  node.start();
+  platform.chip.status |= 1U << 17;
+  platform.time_us = node.next_deadline_us();
+  node.on_timer();
+  EXPECT_EQ(node.counters().radio_recoveries, 0U);
+  EXPECT_EQ(node.counters().frame_timeouts, 1U);
+  EXPECT_EQ(radio_starts(), 2U);
+}
+
+TEST_F(NodeTest, ALostClockIsRecoveredFrom) {
+  store(good_config());
+  node.start();
+  platform.chip.status |= 1U << 25;
+  node.on_radio_interrupt();
+  EXPECT_EQ(node.counters().radio_recoveries, 1U);
+  EXPECT_EQ(radio_starts(), 2U);
+  EXPECT_FALSE(platform.chip.interrupt());
+}
+
+TEST_F(NodeTest, AChipThatFindsEverythingLateDoesNotHangTheNode) {
+  platform.chip.on_write = [&](const Transfer& t) {
+    if (t.file == 0x0D && (t.word() & 0x204) != 0) platform.chip.status |= 1U << 27;
+  };
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  node.start();
+  EXPECT_GT(node.counters().late_transmits + node.counters().late_receives, 0U);
+  for (int i = 0; i < 3; ++i) {
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+  }
+  SUCCEED();
+}
+
+TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  node.start();
+  EXPECT_EQ(platform.shown.back(), Indicator::kRanging);
+  EXPECT_EQ(platform.chip.written(0x0D, 0), 0x06U);
+  const auto writes = platform.chip.writes();
+  const auto buffer =
+      std::find_if(writes.begin(), writes.end(), [](const Transfer& t) { return t.file == 0x09; });
+  ASSERT_NE(buffer, writes.end());
+  const auto parsed = mac::parse(buffer->bytes);
+  ASSERT_TRUE(parsed.frame);
+  EXPECT_EQ(parsed.frame->network, 0x1234);
+  EXPECT_EQ(parsed.frame->source, 101);
+  const auto* beacon = std::get_if<mac::Beacon>(&parsed.frame->body);
+  ASSERT_NE(beacon, nullptr);
+  EXPECT_EQ(beacon->superframe, 0U);
+  EXPECT_EQ(beacon->epoch, 7U);
+  EXPECT_EQ(beacon->schedule_hash, schedule_hash_of(good_config()));
+}
+
+TEST_F(NodeTest, DeviceTimeGoesOnWhenTheRadioIsBroughtUpAgain) {
+  // A master: each beacon's DX_TIME tells where its clock stands.
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  platform.chip.time = 400'000'000'000;
+  node.start();
+  const std::uint64_t first = platform.chip.written(0x0A, 0);
+  platform.chip.time = 1'000'000;  // a reset counter
+  platform.time_us = node.next_deadline_us();
+  node.on_timer();
+  EXPECT_EQ(node.counters().radio_recoveries, 1U);
+  const std::uint64_t second = platform.chip.written(0x0A, 0);
+  EXPECT_GT(first, 400'000'000'000U);
+  EXPECT_LT(second, 1'000'000'000U);
+}
+
+TEST(SlotReport, CarriesEachRangeWithItsInstantAndItsStatus) {
+  mac::Exchange exchange{.number = 9, .superframe = 1234, .slot = 2, .count = 3};
+  exchange.poll_sent = ranging::ClockTime(1'000'000'000'000);
+  exchange.closing_sent = exchange.poll_sent + ranging::Ticks(800'000'000);
+  const std::int64_t tof = 2131;  // 10 m
+  exchange.legs[0] = {.anchor = 101,
+                      .answered = true,
+                      .stamp_valid = true,
+                      .received = exchange.poll_sent + ranging::Ticks(400'000'000 + 2 * tof),
+                      .reply = ranging::Ticks(400'000'000),
+                      .quality = {.amplitude1 = 11'000,
+                                  .amplitude2 = 12'000,
+                                  .amplitude3 = 9'000,
+                                  .channel_power = 5'000,
+                                  .preamble_count = 113},
+                      .closing_state = mac::Leg::Closing::kHeld,
+                      .closing = ranging::Ticks(400'000'000)};
+  exchange.legs[1] = {.anchor = 102};
+  exchange.legs[2] = exchange.legs[0];
+  exchange.legs[2].anchor = 103;
+  exchange.legs[2].closing_state = mac::Leg::Closing::kStale;
+  groma_SlotReport report = groma_SlotReport_init_zero;
+  groma_Counters counters = groma_Counters_init_zero;
+  const ranging::ClockTime now = exchange.poll_sent + ranging::Ticks(1'500'000'000);
+  fill_slot_report(report, exchange, now, true, counters);
+  EXPECT_EQ(report.superframe, 1234U);
+  EXPECT_EQ(report.slot, 2U);
+  EXPECT_EQ(report.device_time_dtu, 1'001'500'000'000U);
+  ASSERT_EQ(report.ranges_count, 3U);
+  EXPECT_EQ(report.ranges[0].status, groma_RangeStatus_RANGE_OK);
+  EXPECT_NEAR(static_cast<double>(report.ranges[0].range_m), 10.0, 0.01);
+  EXPECT_EQ(report.ranges[0].instant_offset_dtu, 400'000'000 + 2 * tof - 1'500'000'000);
+  EXPECT_TRUE(report.ranges[0].has_first_path_power_cdbm);
+  EXPECT_TRUE(report.ranges[0].has_receive_power_cdbm);
+  ASSERT_TRUE(report.ranges[0].has_raw);
+  EXPECT_EQ(report.ranges[0].raw.tag_round_dtu, 400'004'262U);
+  EXPECT_EQ(report.ranges[0].raw.anchor_reply_dtu, 400'000'000U);
+  EXPECT_EQ(report.ranges[0].raw.anchor_round_dtu, 400'000'000U);
+  EXPECT_EQ(report.ranges[0].raw.tag_reply_dtu, 399'995'738U);
+  EXPECT_EQ(report.ranges[1].status, groma_RangeStatus_RANGE_NO_RESPONSE);
+  EXPECT_EQ(report.ranges[1].anchor_id, 102U);
+  EXPECT_FALSE(report.ranges[1].has_raw);
+  EXPECT_FALSE(report.ranges[1].has_receive_power_cdbm);
+  EXPECT_EQ(report.ranges[2].status, groma_RangeStatus_RANGE_STALE);
+  EXPECT_EQ(counters.ranges_completed, 1U);
+  EXPECT_EQ(counters.ranges_lost, 2U);
+}
+
+TEST(MessageEncoder, TheLargestMessageOfTheSchemaFits) {
+  groma_NodeToHost message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_slot_report_tag;
+  groma_SlotReport& report = message.body.slot_report;
+  report.sequence = report.superframe = report.slot = report.tag_id = ~0U;
+  report.device_time_dtu = ~std::uint64_t{0};
+  report.ranges_count = 16;
+  for (groma_Range& range : report.ranges) {
+    range.anchor_id = 0xFFFF;
+    range.status = groma_RangeStatus_RANGE_BAD_STAMP;
+    range.instant_offset_dtu = std::numeric_limits<std::int64_t>::min();
+    range.range_m = 1.0F;
+    range.has_first_path_power_cdbm = range.has_receive_power_cdbm = range.has_clock_offset_ppb = true;
+    range.first_path_power_cdbm = range.receive_power_cdbm = range.clock_offset_ppb =
+        std::numeric_limits<std::int32_t>::min();
+    range.has_raw = true;
+    range.raw = {~0ULL, ~0ULL, ~0ULL, ~0ULL};
+  }
+  MessageEncoder encoder;
+  const auto frame = encoder.encode(message);
+  ASSERT_FALSE(frame.empty());
+  EXPECT_EQ(decode(frame).body.slot_report.ranges[15].anchor_id, 0xFFFF);
+}
+
+}  // namespace
+}  // namespace groma::node
