@@ -6,11 +6,12 @@
 
 namespace groma::sim {
 
-inline constexpr std::int64_t kPreambleSymbolTicks = 508 * 128;  // 1.01763 us
+inline constexpr std::int64_t kPreambleSymbolTicks = std::int64_t{508} * 128;  // 1.01763 us
 inline constexpr std::int64_t kSfdSymbols = 8;
-inline constexpr std::int64_t kHeaderTicks = 21 * 512 * 128;  // 21 symbols of 1.02564 us
-inline constexpr std::int64_t kDataBitTicks = 64 * 128;       // 128.205 ns
-inline constexpr std::int64_t kTicksPerUus = 512 * 128;       // the unit of RX_FWTO and W4R_TIM, 1.02564 us
+inline constexpr std::int64_t kHeaderTicks = std::int64_t{21} * 512 * 128;  // 21 symbols of 1.02564 us
+inline constexpr std::int64_t kDataBitTicks = std::int64_t{64} * 128;       // 128.205 ns
+inline constexpr std::int64_t kTicksPerUus =
+    std::int64_t{512} * 128;  // the unit of RX_FWTO and W4R_TIM, 1.02564 us
 
 // Preamble and start-of-frame delimiter: from the first symbol to the RMARKER.
 [[nodiscard]] constexpr std::int64_t preamble_ticks(std::int64_t symbols) noexcept {

@@ -9,8 +9,6 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr std::int64_t kAntennaDelay = 16436;
-
 struct Dw1000ChipTest : testing::Test {
   RadioBench bench;
   HandDriven& radio = bench.add({.id = 1});
@@ -206,7 +204,7 @@ TEST_F(Dw1000ChipTest, AFrameTakesItsTimeInTheAir) {
     sender.load(std::vector<std::uint8_t>(c.length - 2));
     const SimTime begin = sender.t;
     sender.send_now();
-    alone.run_until(begin + Dw1000Chip::kTransmitterPowerUpTicks * 5 + 10 * 512 +
+    alone.run_until(begin + Dw1000Chip::kTransmitterPowerUpTicks * 5 + SimTime{10} * 512 +
                     (c.expected_us + 1) * kMicrosecond);
     EXPECT_NE(sender.status() & status::kTxfrs, 0U) << c.preamble << ' ' << c.length;
     RadioBench again;

@@ -70,7 +70,7 @@ class Talker {
       log.push_back(radio.read(0x11, 0, 2));
       if (!polls_) {
         radio.load({2, static_cast<std::uint8_t>(log.size())});
-        radio.send_at(radio.receive_stamp() + 500 * 63'898);
+        radio.send_at(radio.receive_stamp() + 500 * kTicksPerMicrosecond);
         return;
       }
     } else {

@@ -235,7 +235,8 @@ TEST_F(Dw1000TimeoutTest, FrameWaitEndsAReceptionInProgress) {
   // From 20 us before the preamble: less than the frame takes.
   receiver.limit_frame_wait(100);
   const std::uint64_t target = send();
-  receiver.receive_at(target - static_cast<std::uint64_t>(preamble_ticks(128)) - 20 * 65536);
+  receiver.receive_at(target - static_cast<std::uint64_t>(preamble_ticks(128)) -
+                      20 * std::uint64_t{kTicksPerUus});
   pass();
   EXPECT_EQ(receiver.status() & (status::kRxprd | status::kRxrfto | status::kRxfcg),
             status::kRxprd | status::kRxrfto);
@@ -254,13 +255,13 @@ TEST_F(Dw1000TimeoutTest, PreambleWaitIsOverOnceAPreambleIsFound) {
   receiver.write(0x27, 0x24, 4, 2);  // 40 symbols
   const std::uint64_t target = send();
   const auto begins = target - static_cast<std::uint64_t>(preamble_ticks(128));
-  receiver.receive_at(begins - 20 * 65536);
+  receiver.receive_at(begins - 20 * std::uint64_t{kTicksPerUus});
   pass();
   EXPECT_EQ(receiver.status() & status::kAllRx, kGood);
 
   receiver.receiver_reset();
   const std::uint64_t late = send() - static_cast<std::uint64_t>(preamble_ticks(128));
-  receiver.receive_at(late - 50 * 65536);
+  receiver.receive_at(late - 50 * std::uint64_t{kTicksPerUus});
   pass();
   EXPECT_EQ(receiver.status() & status::kAllRx, status::kRxpto);
 }
@@ -516,7 +517,7 @@ struct Dw1000CollisionTest : testing::Test {
     first.load(std::vector<std::uint8_t>(length - 2, 1));
     second.load(std::vector<std::uint8_t>(length - 2, 2));
     first.send_at(target);
-    second.send_at(target + static_cast<std::uint64_t>(later_us) * 63'898);
+    second.send_at(target + static_cast<std::uint64_t>(later_us) * kTicksPerMicrosecond);
     bench.run_until(receiver.t + 3 * kMillisecond);
     return receiver.status();
   }
@@ -568,8 +569,8 @@ TEST_F(Dw1000CollisionTest, AFrameUnderWayHidesAWeakerOneFromALateReceiver) {
     first.load(std::vector<std::uint8_t>(120, 1));
     second.load({2, 2, 2});
     first.send_at(target);
-    second.send_at(target + 100 * 63'898);
-    receiver.receive_at(target - 50 * 63'898);  // amid the first one's preamble
+    second.send_at(target + 100 * kTicksPerMicrosecond);
+    receiver.receive_at(target - 50 * kTicksPerMicrosecond);  // amid the first one's preamble
     bench.run_until(receiver.t + 3 * kMillisecond);
     EXPECT_EQ((receiver.status() & status::kRxfcg) != 0, hears);
   }

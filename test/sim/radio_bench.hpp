@@ -18,6 +18,7 @@ namespace groma::sim {
 inline constexpr SimTime kMicrosecond = kUnitsPerMicrosecond;
 inline constexpr SimTime kMillisecond = kUnitsPerMillisecond;
 inline constexpr std::uint64_t kMask40 = (std::uint64_t{1} << 40) - 1;
+inline constexpr std::uint64_t kTicksPerMicrosecond = 63'898;  // nearly
 // The way of light in one tick.
 inline constexpr double kMetresPerTick = 299'792'458.0 / 63.8976e9;
 

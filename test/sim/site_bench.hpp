@@ -207,7 +207,7 @@ class SiteBench {
     spec.chip.clock.drift_until_s = 11.0;
     spec.cpu.spi_transaction_us = settings_.spi_transaction_us;
     spec.uart.bits_per_s = settings_.uart_bits_per_s;
-    spec.power_on = index * 7 * kUnitsPerMillisecond;
+    spec.power_on = SimTime{index} * 7 * kUnitsPerMillisecond;
     const groma_Config config = config_of(id, role);
     std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
     const std::size_t size = node::encode_config(config, blob);
