@@ -38,6 +38,6 @@ static_assert(Platform<NoHardware>);
 template class Node<NoHardware>;
 
 // 24 KiB of RAM are the image's budget, stack and drivers included.
-static_assert(sizeof(Node<NoHardware>) <= 16 * 1024);
+static_assert(sizeof(Node<NoHardware>) <= 16'384);
 
 }  // namespace groma::node

@@ -342,13 +342,13 @@ TEST_F(Driver, ALateTransmitIsTakenBack) {
 
 TEST_F(Driver, ReceivesFromAnInstantForAWhile) {
   ready();
-  ASSERT_EQ(radio.receive_at(DeviceTime(0x55'0000'1234), Ticks(65'536 * 300 + 1), Ticks(520'192 * 4 - 5)),
+  ASSERT_EQ(radio.receive_at(DeviceTime(0x55'0000'1234), Ticks(19'660'801), Ticks(2'080'763)),
             Start::kStarted);
   expect_writes({{0x0C, 0, 301}, {0x27, 0x24, 4}, {0x0A, 0, 0x55'0000'1234}, {0x0D, 0, 0x300}});
   radio.stop();
   chip.log.clear();
   // The preamble time-out is written only where it changes.
-  ASSERT_EQ(radio.receive_at(DeviceTime(0), Ticks(65'536), Ticks(520'192 * 4)), Start::kStarted);
+  ASSERT_EQ(radio.receive_at(DeviceTime(0), Ticks(65'536), Ticks(2'080'768)), Start::kStarted);
   expect_writes({{0x0C, 0, 1}, {0x0A, 0, 0}, {0x0D, 0, 0x300}});
   radio.stop();
   chip.log.clear();

@@ -13,10 +13,10 @@ constexpr float kTicksPerSecondPerPpb = kTicksPerSecond * 1e-9F;
 
 // A receive stamp with its reflections: 0.2 ns.
 constexpr float kStampSigma_ticks = 13.0F;
-// The carrier's offset as a measure of the rate: 1 ppm.
-constexpr float kSeedSigma_ticks_per_s = 1000.0F * kTicksPerSecondPerPpb;
+// The carrier's offset as a measure of the rate, in ticks a second (tps): 1 ppm.
+constexpr float kSeedSigma_tps = 1000.0F * kTicksPerSecondPerPpb;
 // The rate's random walk: 0.1 ppm in a second, so that a ramp of 1 ppm a second is followed as well.
-constexpr float kWalk_ticks_per_s = 100.0F * kTicksPerSecondPerPpb;
+constexpr float kWalk_tps = 100.0F * kTicksPerSecondPerPpb;
 // A stamp this far off can still be honest: the filter's own idea of its accuracy is not to lock it out.
 constexpr float kGateFloor_ticks = 5e-6F * kTicksPerSecond;
 constexpr float kGateSigmas = 6.0F;
@@ -29,8 +29,7 @@ void ClockTracker::seed(Ticks master, ClockTime local, std::int32_t master_offse
   reference_local_ = local;
   fraction_ticks_ = 0.0F;
   rate_ticks_per_s_ = -static_cast<float>(master_offset_ppb) * kTicksPerSecondPerPpb;
-  covariance_ = {kStampSigma_ticks * kStampSigma_ticks, 0.0F,
-                 kSeedSigma_ticks_per_s * kSeedSigma_ticks_per_s};
+  covariance_ = {kStampSigma_ticks * kStampSigma_ticks, 0.0F, kSeedSigma_tps * kSeedSigma_tps};
 }
 
 float ClockTracker::seconds_since_reference(Ticks master) const noexcept {
@@ -39,7 +38,7 @@ float ClockTracker::seconds_since_reference(Ticks master) const noexcept {
 
 ClockTracker::Covariance ClockTracker::predicted(float dt) const noexcept {
   // White noise on the rate's derivative.
-  constexpr float kDensity = kWalk_ticks_per_s * kWalk_ticks_per_s;
+  constexpr float kDensity = kWalk_tps * kWalk_tps;
   const float span = std::fabs(dt);
   return {covariance_.offset + 2.0F * dt * covariance_.cross + dt * dt * covariance_.rate +
               kDensity * span * span * span / 3.0F,

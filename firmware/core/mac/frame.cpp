@@ -69,38 +69,33 @@ Response read_response(Reader& in) noexcept {
   return response;
 }
 
+std::optional<Body> read_body(Type type, Reader& in) noexcept {
+  switch (type) {
+    case Type::kBeacon:
+      return Body(read_beacon(in));
+    case Type::kPoll:
+      if (const auto poll = read_poll(in)) return Body(*poll);
+      return std::nullopt;
+    case Type::kResponse:
+      return Body(read_response(in));
+    case Type::kFinal:
+      return Body(Final{in.take16()});
+  }
+  return std::nullopt;
+}
+
 }  // namespace
 
 ParseResult parse(std::span<const std::uint8_t> bytes) noexcept {
   Reader in(bytes);
   const std::uint16_t frame_control = in.take16();
-  Frame frame;
-  frame.sequence = in.take8();
-  frame.network = in.take16();
-  frame.destination = in.take16();
-  frame.source = in.take16();
+  Frame frame{
+      .sequence = in.take8(), .network = in.take16(), .destination = in.take16(), .source = in.take16()};
   const std::uint8_t type = in.take8();
   if (!in.good() || frame_control != kFrameControl) return {std::nullopt, ParseError::kForeign};
-  switch (static_cast<Type>(type)) {
-    case Type::kBeacon:
-      frame.body = read_beacon(in);
-      break;
-    case Type::kPoll:
-      if (const auto poll = read_poll(in)) {
-        frame.body = *poll;
-        break;
-      }
-      return {std::nullopt, ParseError::kMalformed};
-    case Type::kResponse:
-      frame.body = read_response(in);
-      break;
-    case Type::kFinal:
-      frame.body = Final{in.take16()};
-      break;
-    default:
-      return {std::nullopt, ParseError::kMalformed};
-  }
-  if (!in.at_end()) return {std::nullopt, ParseError::kMalformed};
+  const auto body = read_body(static_cast<Type>(type), in);
+  if (!body || !in.at_end()) return {std::nullopt, ParseError::kMalformed};
+  frame.body = *body;
   return {frame, ParseError::kForeign};
 }
 

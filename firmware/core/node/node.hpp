@@ -14,7 +14,6 @@
 #include <limits>
 #include <optional>
 #include <span>
-#include <variant>
 
 #include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/mac/anchor.hpp"
@@ -88,13 +87,10 @@ class Node {
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
   static constexpr std::uint32_t kMaxIdentify_s = 3'600;
 
-  using Machine = std::variant<std::monostate, mac::Tag, mac::Anchor>;
-
   // ---- the radio -----------------------------------------------------------------------------------------
 
   void bring_radio_up() noexcept {
-    machine_.template emplace<std::monostate>();
-    completed_ = nullptr;
+    forget_machine();
     const dw1000::RadioSettings settings = config_ ? radio_settings(*config_) : dw1000::RadioSettings{};
     bring_up_ = radio_.bring_up(
         settings, [this] { platform_.reset_radio(); }, [this](std::uint32_t us) { platform_.delay_us(us); });
@@ -119,9 +115,9 @@ class Node {
     }
     const mac::Site site = site_of(*config_, radio_.transmit_antenna_delay());
     if (config_->role == groma_Role_ROLE_TAG) {
-      machine_.template emplace<mac::Tag>(site, counters_);
+      tag_.emplace(site, counters_);
     } else {
-      machine_.template emplace<mac::Anchor>(site, counters_);
+      anchor_.emplace(site, counters_);
     }
     const ranging::ClockTime now = read_clock();
     perform(tell([now](auto& machine) { return machine.start(now); }));
@@ -131,21 +127,26 @@ class Node {
   // Off the air until join() or bring_radio_up().
   void leave() noexcept {
     radio_.stop();
-    machine_.template emplace<std::monostate>();
-    completed_ = nullptr;
+    forget_machine();
     if (bring_up_ == dw1000::BringUp::kOk) radio_deadline_us_ = kNever_us;
   }
 
   template <class F>
   mac::Step tell(F&& f) noexcept {
-    if (auto* tag = std::get_if<mac::Tag>(&machine_)) return f(*tag);
-    if (auto* anchor = std::get_if<mac::Anchor>(&machine_)) return f(*anchor);
+    if (tag_) return f(*tag_);
+    if (anchor_) return f(*anchor_);
     return {};
   }
 
+  void forget_machine() noexcept {
+    tag_.reset();
+    anchor_.reset();
+    completed_ = nullptr;
+  }
+
   [[nodiscard]] const mac::Station* station() const noexcept {
-    if (const auto* tag = std::get_if<mac::Tag>(&machine_)) return &tag->station();
-    if (const auto* anchor = std::get_if<mac::Anchor>(&machine_)) return &anchor->station();
+    if (tag_) return &tag_->station();
+    if (anchor_) return &anchor_->station();
     return nullptr;
   }
 
@@ -370,8 +371,8 @@ class Node {
   }
 
   [[nodiscard]] std::uint32_t superframe() const noexcept {
-    if (const auto* tag = std::get_if<mac::Tag>(&machine_)) return tag->superframe_number();
-    if (const auto* anchor = std::get_if<mac::Anchor>(&machine_)) return anchor->superframe_number();
+    if (tag_) return tag_->superframe_number();
+    if (anchor_) return anchor_->superframe_number();
     return 0;
   }
 
@@ -509,7 +510,9 @@ class Node {
   std::uint64_t reference_us_ = 0;
 
   std::optional<groma_Config> config_;  // in force
-  Machine machine_;
+  // The one that the role asks for, while the node is on the air.
+  std::optional<mac::Tag> tag_;
+  std::optional<mac::Anchor> anchor_;
   mac::SyncState sync_state_ = mac::SyncState::kSearching;
   const mac::Exchange* completed_ = nullptr;
   std::uint32_t report_sequence_ = 0;

@@ -52,7 +52,10 @@ class Ticks {
   friend constexpr Ticks operator-(Ticks a) noexcept { return Ticks(-a.count_); }
   friend constexpr Ticks operator*(Ticks a, std::int64_t n) noexcept { return Ticks(a.count_ * n); }
   friend constexpr Ticks operator*(std::int64_t n, Ticks a) noexcept { return a * n; }
-  friend constexpr auto operator<=>(Ticks, Ticks) noexcept = default;
+  friend constexpr bool operator==(Ticks, Ticks) noexcept = default;
+  friend constexpr std::strong_ordering operator<=>(Ticks a, Ticks b) noexcept {
+    return a.count_ <=> b.count_;
+  }
 
  private:
   std::int64_t count_ = 0;
@@ -105,7 +108,10 @@ class ClockTime {
   friend constexpr Ticks operator-(ClockTime later, ClockTime earlier) noexcept {
     return Ticks(later.count_ - earlier.count_);
   }
-  friend constexpr auto operator<=>(ClockTime, ClockTime) noexcept = default;
+  friend constexpr bool operator==(ClockTime, ClockTime) noexcept = default;
+  friend constexpr std::strong_ordering operator<=>(ClockTime a, ClockTime b) noexcept {
+    return a.count_ <=> b.count_;
+  }
 
  private:
   std::int64_t count_ = 0;

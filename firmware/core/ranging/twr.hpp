@@ -1,6 +1,7 @@
 // Two-way ranging: flight times from intervals that two free-running clocks measured.
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <optional>
 
@@ -24,7 +25,10 @@ class FlightTime {
         static_cast<float>(kSpeedOfLight_mps / static_cast<double>(Ticks::kPerSecond) / 256.0);
     return static_cast<float>(in_256ths_) * kMetresPer256th;
   }
-  friend constexpr auto operator<=>(FlightTime, FlightTime) noexcept = default;
+  friend constexpr bool operator==(FlightTime, FlightTime) noexcept = default;
+  friend constexpr std::strong_ordering operator<=>(FlightTime a, FlightTime b) noexcept {
+    return a.in_256ths_ <=> b.in_256ths_;
+  }
 
  private:
   std::int64_t in_256ths_ = 0;
