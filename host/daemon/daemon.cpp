@@ -238,7 +238,7 @@ Status Daemon::status() const {
   status.ranges = counters.ranges;
   status.frames_lost = session_.frames_lost();
   status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.robot_time_wrong +
-                   counters.ranges_without_odometry + session_.robot_counters().dropped();
+                   counters.without_odometry + session_.robot_counters().dropped();
   for (std::size_t i = 0; i < session_.node_count(); ++i) {
     const link::ReportCounters& node = session_.node(i).decoder().counters();
     status.dropped +=

@@ -25,7 +25,7 @@ struct PoseServerCounters {
 class PoseServer {
  public:
   static constexpr std::size_t kMaxClients = 64;
-  static constexpr std::size_t kMaxBacklog = 256 * 1024;  // bytes that may wait for one client
+  static constexpr std::size_t kMaxBacklog = 262'144;  // bytes that may wait for one client
 
   struct Opened {
     std::unique_ptr<PoseServer> server;

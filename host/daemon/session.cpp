@@ -164,7 +164,11 @@ void Session::take(const model::OdometrySample& row, double now_s) {
 
 void Session::take(const model::PoseSample& pose, double now_s) {
   const auto robot_now_s = robot_time_s(now_s);
-  if (robot_now_s && pose.t_s - *robot_now_s > config_.max_clock_error_s) {
+  if (!robot_now_s) {
+    ++counters_.without_odometry;
+    return;
+  }
+  if (pose.t_s - *robot_now_s > config_.max_clock_error_s) {
     ++counters_.robot_time_wrong;
     return;
   }
@@ -174,7 +178,7 @@ void Session::take(const model::PoseSample& pose, double now_s) {
 void Session::take(model::RangeSample range) {
   const auto t_s = robot_time_s(range.t_s);
   if (!t_s) {
-    ++counters_.ranges_without_odometry;
+    ++counters_.without_odometry;
     return;
   }
   range.t_s = *t_s;
@@ -182,8 +186,7 @@ void Session::take(model::RangeSample range) {
 }
 
 void Session::enqueue(double t_s, const Sample& sample) {
-  const auto robot_now_s = robot_time_s(now_s_);
-  if (robot_now_s && *robot_now_s - t_s > config_.max_lateness_s) {
+  if (*robot_time_s(now_s_) - t_s > config_.max_lateness_s) {
     ++counters_.dropped_late;
     return;
   }

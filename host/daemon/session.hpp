@@ -52,13 +52,13 @@ struct SessionCounters {
   std::uint64_t odometry = 0;  // passed on, as are the next two
   std::uint64_t pose_priors = 0;
   std::uint64_t ranges = 0;
-  std::uint64_t passed_late = 0;              // of those, out of order
-  std::uint64_t dropped_late = 0;             // more than max_lateness_s behind
-  std::uint64_t odometry_out_of_order = 0;    // not newer than the row before: dropped
-  std::uint64_t robot_time_wrong = 0;         // dropped
-  std::uint64_t robot_clock_set = 0;          // times
-  std::uint64_t ranges_without_odometry = 0;  // no row has told the robot's time yet: dropped
-  std::uint64_t waiting_overflows = 0;        // went out before their wait was over
+  std::uint64_t passed_late = 0;            // of those, out of order
+  std::uint64_t dropped_late = 0;           // more than max_lateness_s behind
+  std::uint64_t odometry_out_of_order = 0;  // not newer than the row before: dropped
+  std::uint64_t robot_time_wrong = 0;       // dropped
+  std::uint64_t robot_clock_set = 0;        // times
+  std::uint64_t without_odometry = 0;  // ranges and poses before the first row told the robot's time: dropped
+  std::uint64_t waiting_overflows = 0;  // went out before their wait was over
 };
 
 class Session {
@@ -144,7 +144,8 @@ class Session {
   void take(const model::OdometrySample& row, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(model::RangeSample range);
-  // Puts a sample in its place among those that wait, or passes it on if that place is gone.
+  // Puts a sample in its place among those that wait, or passes it on if that place is gone. The robot's time
+  // is known.
   void enqueue(double t_s, const Sample& sample);
   void deliver(const Sample& sample);
   void clock_was_set();

@@ -126,12 +126,13 @@ TEST(Session, PassesOnTheLateAndDropsTheTooLate) {
   EXPECT_EQ(site.sink.ranges.size(), 2U);
 }
 
-TEST(Session, WithoutOdometryThereIsNoTimeToPutARangeAt) {
+TEST(Session, WithoutOdometryThereIsNoTimeToPutAnythingAt) {
   Site site;
   site.report(10.0, {0.1, 0.1});
+  site.pose(10.0, -1e6);
   site.session.flush();
-  EXPECT_TRUE(site.sink.ranges.empty());
-  EXPECT_EQ(site.session.counters().ranges_without_odometry, 2U);
+  EXPECT_TRUE(site.sink.times_s.empty());
+  EXPECT_EQ(site.session.counters().without_odometry, 3U);
   site.odometry(10.1);
   site.report(10.1, {0.05});
   site.session.flush();

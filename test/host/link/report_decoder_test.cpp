@@ -221,5 +221,46 @@ TEST(ReportDecoder, RelatesTheClocksAnewAfterReopening) {
   EXPECT_EQ(decoder.frame_counters().crc_errors, 0U);
 }
 
+// Frames that are whole but whose messages are damaged anywhere: what comes out is within its bounds, and
+// each range that a report holds is accounted for.
+TEST(ReportDecoder, StaysWithinItsBoundsWhateverAFrameHolds) {
+  std::uint64_t state = 12345;
+  const auto random = [&state] {
+    state = state * 6364136223846793005U + 1442695040888963407U;
+    return static_cast<std::size_t>(state >> 33);
+  };
+  std::vector<groma_Range> ranges;
+  for (std::uint16_t i = 0; i < 6; ++i) ranges.push_back(make_range(i, 3.0 + i, -dtu(0.01 * i)));
+  const auto good = frame_of(make_report(5, 1, static_cast<std::uint64_t>(dtu(100.0)), ranges));
+  wire::FrameDecoder unpacked;
+  for (const std::uint8_t byte : good) unpacked.push(byte);
+  const std::vector<std::uint8_t> payload(unpacked.payload().begin(), unpacked.payload().end());
+
+  ReportDecoder decoder(115200);
+  Collected got;
+  constexpr std::uint64_t kTries = 200'000;
+  for (std::uint64_t i = 0; i < kTries; ++i) {
+    std::vector<std::uint8_t> damaged = payload;
+    for (std::size_t n = 1 + random() % 4; n > 0; --n) {
+      damaged[random() % damaged.size()] = static_cast<std::uint8_t>(random());
+    }
+    if (random() % 8 == 0) damaged.resize(random() % (damaged.size() + 1));
+    std::vector<std::uint8_t> frame(wire::max_encoded_size(damaged.size()));
+    frame.resize(wire::encode_frame(damaged, frame));
+    got.ranges.clear();
+    decoder.take(frame, 1e-3 * static_cast<double>(i), got);
+    for (const model::RangeSample& range : got.ranges) {
+      ASSERT_TRUE(range.range_m > 0.0 && range.range_m <= ReportDecoder::kMaxRange_m);
+      ASSERT_TRUE(std::isfinite(range.t_s));
+    }
+  }
+  const ReportCounters& counters = decoder.counters();
+  EXPECT_EQ(counters.messages + counters.messages_malformed, kTries);
+  EXPECT_EQ(decoder.frame_counters().frames, kTries);
+  EXPECT_GT(counters.messages_malformed, 1000U);
+  EXPECT_GT(counters.ranges, 100'000U);
+  EXPECT_GT(counters.ranges_out_of_bounds, 1000U);
+}
+
 }  // namespace
 }  // namespace groma::link
