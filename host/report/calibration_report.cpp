@@ -88,7 +88,7 @@ void add_map(Page& page, const calibration::Drive& drive, const model::Calibrati
   }
   for (auto& [ink, group] : groups) {
     if (group.marks.empty()) continue;
-    map.add_ellipses(group.name == "anchor" ? "95 % ellipse" : "", ink, std::move(group.ellipses));
+    map.add_ellipses("95 % ellipse", ink, std::move(group.ellipses));
     map.add_marks(group.name, ink, std::move(group.marks));
   }
   page.add_chart(map, "The drive from above, and where the anchors were found.");

@@ -1,0 +1,432 @@
+// The command groma from the outside: what it writes, says and ends with.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "host/io/dataset.hpp"
+#include "host/io/dataset_writer.hpp"
+#include "host/io/estimate_file.hpp"
+#include "test/support/child_process.hpp"
+#include "test/support/scratch_folder.hpp"
+#include "test/support/small_run.hpp"
+
+namespace groma {
+namespace {
+
+using nlohmann::json;
+using test::ChildOptions;
+using test::ChildResult;
+using test::read_text;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+
+constexpr double kDrive_s = 80.0;
+
+class CliTest : public testing::Test {
+ protected:
+  CliTest() {
+    std::filesystem::create_directory(data_);
+    io::write_dataset(data_, test::make_small_run(kDrive_s, 1));
+  }
+
+  static ChildResult groma(std::vector<std::string> arguments, const ChildOptions& options = {}) {
+    arguments.insert(arguments.begin(), GROMA_EXECUTABLE);
+    return test::run_child(arguments, options);
+  }
+  [[nodiscard]] ChildResult calibrate(const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> arguments{"calibrate", data_, "-o", calibration_};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return groma(arguments);
+  }
+  [[nodiscard]] ChildResult replay(const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> arguments{"replay", data_, "-o", estimate_};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return groma(arguments);
+  }
+  [[nodiscard]] ChildResult replay_calibrated(std::vector<std::string> more = {}) const {
+    more.insert(more.end(), {"--calibration", calibration_});
+    return replay(more);
+  }
+  [[nodiscard]] json evaluate() const {
+    const ChildResult result = groma({"evaluate", estimate_, data_ / "groundtruth.csv", "--json"});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return json::parse(result.out);
+  }
+  // A file of the data set with a line of its own at the end.
+  void append(const std::string& file, const std::string& line) const {
+    folder_.write("data/" + file, read_text(data_ / file) + line + "\n");
+  }
+  [[nodiscard]] std::size_t files() const {
+    return static_cast<std::size_t>(std::distance(std::filesystem::directory_iterator(folder_.path()), {}));
+  }
+
+  test::ScratchFolder folder_;
+  std::filesystem::path data_ = folder_ / "data";
+  std::filesystem::path calibration_ = folder_ / "calibration.yaml";
+  std::filesystem::path estimate_ = folder_ / "estimate.csv";
+};
+
+TEST_F(CliTest, FromADriveToAScore) {
+  const ChildResult calibrated = calibrate({"--json"});
+  ASSERT_THAT(calibrated.exit_code, testing::AnyOf(0, 3)) << calibrated.err;
+  const json calibration = json::parse(calibrated.out);
+  EXPECT_THAT(calibration["verdict"], testing::AnyOf("usable", "warnings"));
+  EXPECT_EQ(calibrated.exit_code, calibration["verdict"] == "usable" ? 0 : 3);
+  EXPECT_GT(calibration["wall_s"], 0.0);
+  EXPECT_GT(calibration["ranges_used"], 7000);
+  EXPECT_TRUE(calibration["ranges_rejected"].is_number_integer());
+  ASSERT_EQ(calibration["anchors"].size(), 6U);
+  const io::Dataset data = io::read_dataset(data_);
+  for (std::size_t i = 0; i < 6; ++i) {
+    const json& anchor = calibration["anchors"][i];
+    const model::Anchor& truth = data.surveyed_anchors[i];
+    EXPECT_EQ(anchor["id"], truth.id);
+    EXPECT_NEAR(anchor["position_m"][0], truth.position_m.x(), 0.25);
+    EXPECT_NEAR(anchor["position_m"][1], truth.position_m.y(), 0.25);
+    EXPECT_EQ(anchor["covariance_m2"].size(), 3U);
+    EXPECT_EQ(anchor["covariance_m2"][0][1], anchor["covariance_m2"][1][0]);
+    EXPECT_GT(anchor["covariance_m2"][2][2], 0.0);
+    for (const char* key : {"held_out_rms_m", "mirror_ratio", "verdict", "advice"})
+      EXPECT_TRUE(anchor.contains(key));
+  }
+  ASSERT_EQ(calibration["pairs"].size(), 12U);
+  for (const json& pair : calibration["pairs"]) {
+    EXPECT_NEAR(pair["beta_m"], test::small_run_beta_m(pair["tag"], pair["anchor"]),
+                5.0 * pair["beta_sigma_m"].get<double>());
+    EXPECT_NEAR(pair["gamma"], 1.0, 0.02);
+    EXPECT_GT(pair["gamma_sigma"], 0.0);
+  }
+
+  std::map<std::string, double> ate_m;
+  for (const std::string model : {"odometry", "original", "inflated", "schmidt", "anchor-states", "joint"}) {
+    const ChildResult replayed = replay_calibrated({"--model", model, "--json"});
+    ASSERT_EQ(replayed.exit_code, 0) << model << replayed.err;
+    const json summary = json::parse(replayed.out);
+    EXPECT_EQ(summary["model"], model);
+    EXPECT_EQ(summary["ranges_seen"], data.ranges.size());
+    EXPECT_LE(summary["ranges_used"].get<int>() + summary["ranges_gated"].get<int>(),
+              summary["ranges_seen"].get<int>());
+    EXPECT_GT(summary["realtime_factor"], 1.0);
+    EXPECT_GT(summary["propagate_ns"]["p50"], 0.0);
+    EXPECT_LE(summary["propagate_ns"]["p50"], summary["propagate_ns"]["p99"]);
+    EXPECT_EQ(summary["update_ns"].size(), 2U);
+    EXPECT_EQ(io::read_estimate(estimate_).size(), data.odometry.size()) << "one row for each odometry row";
+    const json score = evaluate();
+    EXPECT_GT(score["samples"], 1500);
+    for (const char* quantity : {"ate_m", "ate_rad"}) {
+      for (const char* key : {"max", "mean", "std", "rmse"}) EXPECT_GE(score[quantity][key], 0.0);
+    }
+    for (const char* key : {"max", "mean", "std", "inside_95"}) EXPECT_GE(score["nees"][key], 0.0);
+    ate_m[model] = score["ate_m"]["mean"];
+  }
+  EXPECT_LT(ate_m["schmidt"], 0.06);
+  EXPECT_LT(ate_m["joint"], 0.06);
+  EXPECT_LT(ate_m["schmidt"], ate_m["original"]);
+  EXPECT_LT(ate_m["schmidt"], ate_m["odometry"]);
+}
+
+TEST_F(CliTest, SurveyedAnchorsServeInPlaceOfACalibration) {
+  const ChildResult replayed = replay({"--surveyed", "--json"});
+  ASSERT_EQ(replayed.exit_code, 0) << replayed.err;
+  EXPECT_LT(evaluate()["ate_m"]["mean"], 0.3);
+  std::filesystem::remove(data_ / "anchors.csv");
+  EXPECT_EQ(replay({"--surveyed"}).exit_code, 65);
+}
+
+TEST_F(CliTest, KnownAnchorsStayWhereTheyAre) {
+  const ChildResult result = calibrate({"--known-anchors", "--json"});
+  ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
+  EXPECT_NEAR(json::parse(result.out)["anchors"][0]["position_m"][0], -1.0, 0.06);
+  std::filesystem::remove(data_ / "anchors.csv");
+  EXPECT_EQ(calibrate({"--known-anchors"}).exit_code, 65);
+}
+
+TEST_F(CliTest, CalibrationNeverReadsAnchorsTruthOrOdometry) {
+  static_cast<void>(calibrate());
+  const std::string before = read_text(calibration_);
+  for (const char* file : {"anchors.csv", "groundtruth.csv", "odometry.csv"}) {
+    folder_.write(std::string("data/") + file, "nonsense");
+  }
+  static_cast<void>(calibrate());
+  EXPECT_EQ(read_text(calibration_), before);
+}
+
+TEST_F(CliTest, OtherPosesAndPartsOfADriveCanBeChosen) {
+  std::filesystem::rename(data_ / "pose_prior.csv", folder_ / "slam.csv");
+  std::filesystem::remove(data_ / "groundtruth.csv");
+  EXPECT_EQ(calibrate().exit_code, 65) << "there are no poses";
+  const ChildResult result = calibrate({"--poses", folder_ / "slam.csv", "--from", "10", "--to", "60",
+                                        "--anchors", "4,6,8", "--tags", "2", "--json"});
+  ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3, 65)) << result.err;
+  const json calibration = json::parse(result.out);
+  ASSERT_EQ(calibration["anchors"].size(), 3U);
+  EXPECT_EQ(calibration["anchors"][1]["id"], 6);
+  for (const json& pair : calibration["pairs"]) EXPECT_EQ(pair["tag"], 2);
+  EXPECT_LE(calibration["ranges_used"].get<int>() + calibration["ranges_rejected"].get<int>(),
+            50 * 100 / 4 + 50);
+}
+
+TEST_F(CliTest, ReplayIsCausal) {
+  static_cast<void>(calibrate());
+  ASSERT_EQ(replay_calibrated().exit_code, 0);
+  const std::string whole = read_text(estimate_);
+  // What comes after 40 s is another world.
+  io::Dataset other = test::make_small_run(kDrive_s, 1);
+  for (model::RangeSample& range : other.ranges) range.range_m += range.t_s > 40.0 ? 3.0 : 0.0;
+  for (model::OdometrySample& row : other.odometry) row.vx_mps += row.t_s > 40.0 ? 1.0 : 0.0;
+  for (std::size_t i = 1; i < other.ground_truth.size(); ++i) other.ground_truth[i].x_m += 100.0;
+  for (std::size_t i = 1; i < other.pose_prior.size(); ++i) other.pose_prior[i].x_m += 100.0;
+  io::write_dataset(data_, other);
+  ASSERT_EQ(replay_calibrated().exit_code, 0);
+  const std::string changed = read_text(estimate_);
+  const std::size_t until = whole.find("\n40.05");
+  ASSERT_NE(until, std::string::npos);
+  EXPECT_EQ(changed.substr(0, until), whole.substr(0, until));
+  EXPECT_NE(changed, whole);
+}
+
+TEST_F(CliTest, ReplayOfAPartStartsWhereItIsTold) {
+  static_cast<void>(calibrate());
+  ASSERT_EQ(replay_calibrated({"--from", "20", "--to", "30"}).exit_code, 0);
+  std::vector<model::PlanarEstimate> rows = io::read_estimate(estimate_);
+  EXPECT_NEAR(rows.front().t_s, 20.0, 0.051);
+  EXPECT_NEAR(rows.back().t_s, 30.0, 0.051);
+  EXPECT_EQ(rows.size(), 201U);
+
+  const model::PoseSample truth = test::make_small_run(kDrive_s, 1).ground_truth[400];
+  const auto start = [](const model::PoseSample& pose) {
+    std::ostringstream text;
+    text << pose.x_m << ',' << pose.y_m << ',' << pose.yaw_rad;
+    return text.str();
+  };
+  std::filesystem::remove(data_ / "pose_prior.csv");
+  std::filesystem::remove(data_ / "groundtruth.csv");
+  EXPECT_EQ(replay_calibrated({"--from", "20"}).exit_code, 65) << "no pose to start from";
+  const ChildResult started = replay_calibrated({"--from", "20", "--start", start(truth)});
+  ASSERT_EQ(started.exit_code, 0) << started.err;
+  rows = io::read_estimate(estimate_);
+  EXPECT_NEAR(rows.front().x_m, truth.x_m, 0.3);
+  EXPECT_EQ(replay_calibrated({"--start", "-1,-2,-0.5"}).exit_code, 0) << "a minus is no option";
+}
+
+TEST_F(CliTest, TheSameInputGivesTheSameFiles) {
+  static_cast<void>(calibrate());
+  static_cast<void>(replay_calibrated());
+  const std::string calibration = read_text(calibration_);
+  const std::string estimate = read_text(estimate_);
+  static_cast<void>(calibrate());
+  static_cast<void>(replay_calibrated());
+  EXPECT_EQ(read_text(calibration_), calibration);
+  EXPECT_EQ(read_text(estimate_), estimate);
+}
+
+TEST_F(CliTest, TheReportIsOnePageThatNeedsNothingElse) {
+  const ChildResult result = calibrate({"--report", folder_ / "deep/report"});
+  ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
+  const std::string html = read_text(folder_ / "deep/report/report.html");
+  EXPECT_THAT(html, AllOf(HasSubstr("<!doctype html>"), HasSubstr("95 % ellipse"), HasSubstr("</html>")));
+  EXPECT_THAT(html, AllOf(Not(HasSubstr("http")), Not(HasSubstr("src=")), Not(HasSubstr("nan")),
+                          Not(HasSubstr("inf "))));
+}
+
+TEST_F(CliTest, WrongRowsAreDroppedCountedAndEndWith3) {
+  append("ranges.csv", "80.0,1,4,0,,");
+  append("ranges.csv", "80.0,1,4,300000,,");
+  append("ranges.csv", "80.0,99,4,5,,");
+  append("ranges.csv", "3.0,1,4,5,,");
+  const ChildResult calibrated = calibrate({"--json"});
+  EXPECT_EQ(calibrated.exit_code, 3) << calibrated.err;
+  EXPECT_THAT(calibrated.err, HasSubstr("4 rows dropped"));
+  const json dropped = json::parse(calibrated.out)["dropped"];
+  EXPECT_EQ(dropped["range_out_of_bounds"], 2);
+  EXPECT_EQ(dropped["unknown_tag"], 1);
+  EXPECT_EQ(dropped["late"], 1);
+  EXPECT_EQ(replay_calibrated().exit_code, 3);
+
+  append("ranges.csv", "80.0,1,77,5,,");
+  const ChildResult surveyed = replay({"--surveyed"});
+  EXPECT_EQ(surveyed.exit_code, 3);
+  EXPECT_THAT(surveyed.err, HasSubstr("1 of an unknown anchor"));
+}
+
+TEST_F(CliTest, AnchorsThatTheCalibrationLacksAreIgnoredAndCounted) {
+  ASSERT_THAT(calibrate({"--anchors", "4,5,6,7,8"}).exit_code, testing::AnyOf(0, 3));
+  const ChildResult result = replay_calibrated({"--json"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_THAT(result.err, HasSubstr("that the calibration lacks"));
+  const json summary = json::parse(result.out);
+  EXPECT_NEAR(summary["ranges_unknown_anchor"].get<double>(), summary["ranges_seen"].get<double>() / 6.0,
+              50.0);
+}
+
+TEST_F(CliTest, DataThatCannotBeReadEndsWith65AndItsPlace) {
+  static_cast<void>(calibrate());
+  struct Fault {
+    const char* file;
+    const char* text;
+    const char* place;
+  };
+  for (const Fault& fault :
+       {Fault{"ranges.csv", "", "ranges.csv:1: the file is empty"},
+        Fault{"ranges.csv", "t_s,tag_id,anchor_id\n0,1,4\n", "ranges.csv:1:1: column range_m is missing"},
+        Fault{"ranges.csv", "t_s,tag_id,anchor_id,range_m\n0,1,4,nan\n", "ranges.csv:2:7: "},
+        Fault{"ranges.csv", "t_s,tag_id,anchor_id,range_m\n0,1,4,far\n", "ranges.csv:2:7: 'far'"},
+        Fault{"ranges.csv", "t_s,tag_id,anchor_id,range_m\n0,1\n", "ranges.csv:2:4: "},
+        Fault{"tags.csv", "tag_id,x_m,y_m\n", "tags.csv:1:1: column z_m is missing"},
+        Fault{"pose_prior.csv", "t_s,x_m,y_m,z_m,yaw_rad\n0,0,0,0,north\n", "pose_prior.csv:2:9: 'north'"}}) {
+    const std::string before = read_text(data_ / fault.file);
+    const std::string old = read_text(calibration_);
+    folder_.write(std::string("data/") + fault.file, fault.text);
+    for (const ChildResult& result : {calibrate({"--json"}), replay_calibrated({"--json"})}) {
+      EXPECT_EQ(result.exit_code, 65) << fault.place;
+      EXPECT_THAT(result.err, HasSubstr(fault.place));
+      EXPECT_THAT(result.out, IsEmpty());
+    }
+    EXPECT_EQ(read_text(calibration_), old);
+    EXPECT_FALSE(std::filesystem::exists(estimate_));
+    folder_.write(std::string("data/") + fault.file, before);
+  }
+  std::filesystem::remove(data_ / "odometry.csv");
+  EXPECT_THAT(replay_calibrated().err, HasSubstr("odometry.csv: does not exist"));
+  EXPECT_EQ(groma({"calibrate", folder_ / "nowhere", "-o", calibration_}).exit_code, 65);
+}
+
+TEST_F(CliTest, BadConfigurationEndsWith78AndItsPlace) {
+  static_cast<void>(calibrate());
+  const std::string calibration = read_text(calibration_);
+  folder_.write("calibration.yaml", calibration + "colour: red\n");
+  const ChildResult unknown_key = replay_calibrated();
+  EXPECT_EQ(unknown_key.exit_code, 78);
+  EXPECT_THAT(unknown_key.err, AllOf(HasSubstr("calibration.yaml:"), HasSubstr(":1: unknown key 'colour'")));
+  folder_.write("calibration.yaml", calibration);
+  folder_.write("data/dataset.yaml", "schema: 1\nname: x\n");
+  EXPECT_THAT(calibrate().err, HasSubstr("dataset.yaml:1:1: key origin is missing"));
+  EXPECT_EQ(replay_calibrated().exit_code, 78);
+  EXPECT_FALSE(std::filesystem::exists(estimate_));
+}
+
+TEST_F(CliTest, UsageEndsWith2) {
+  const std::string data = data_;
+  for (const std::vector<std::string>& arguments : std::vector<std::vector<std::string>>{
+           {},
+           {"dance"},
+           {"calibrate"},
+           {"calibrate", data},
+           {"calibrate", data, "-o", calibration_, "--colour"},
+           {"calibrate", data, "-o", calibration_, "--tags", "one"},
+           {"calibrate", data, "-o", calibration_, "--tags", "70000"},
+           {"calibrate", data, "-o", calibration_, "--tags", "9"},
+           {"calibrate", data, "-o", calibration_, "--anchors", "1,,2"},
+           {"calibrate", data, "-o", calibration_, "--from", "nan"},
+           {"calibrate", data, "-o", calibration_, "--from", "5", "--to", "4"},
+           {"calibrate", data, "-o", folder_ / "none/c.yaml"},
+           {"calibrate", data, "-o", data},
+           {"replay", data, "-o", estimate_},
+           {"replay", data, "-o", estimate_, "--surveyed", "--calibration", calibration_},
+           {"replay", data, "-o", estimate_, "--surveyed", "--model", "magic"},
+           {"replay", data, "-o", estimate_, "--surveyed", "--start", "1,2"},
+           {"evaluate", estimate_}}) {
+    const ChildResult result = groma(arguments);
+    EXPECT_EQ(result.exit_code, 2) << testing::PrintToString(arguments);
+    EXPECT_THAT(result.err, Not(IsEmpty()));
+    EXPECT_THAT(result.out, IsEmpty());
+  }
+  EXPECT_EQ(files(), 1U);
+}
+
+TEST_F(CliTest, HelpTellsTheDefaultModel) {
+  const ChildResult help = groma({"replay", "--help"});
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_THAT(help.out, AllOf(HasSubstr("Default: "), HasSubstr("measures best")));
+  for (const std::string command : {"calibrate", "evaluate"})
+    EXPECT_EQ(groma({command, "--help"}).exit_code, 0);
+  const ChildResult version = groma({"--version"});
+  EXPECT_EQ(version.exit_code, 0);
+  EXPECT_THAT(version.out, testing::MatchesRegex("groma [0-9.]+\n"));
+}
+
+TEST_F(CliTest, EvaluateByHand) {
+  folder_.write("e.csv",
+                "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n"
+                "0,3,4,0.1,1,0,0,4,0,0.01\n0.1,0,0,-0.2,1,0,0,1,0,0.04\n5,0,0,0,1,0,0,1,0,1\n");
+  folder_.write("t.csv", "t_s,x_m,y_m,z_m,yaw_rad\n0,0,0,0,0\n0.1,0,0,0,0\n2,7,7,7,0\n");
+  const ChildResult result = groma({"evaluate", folder_ / "e.csv", folder_ / "t.csv", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json score = json::parse(result.out);
+  EXPECT_EQ(score["samples"], 2);
+  EXPECT_EQ(score["ate_m"]["mean"], 2.5);
+  EXPECT_EQ(score["ate_m"]["max"], 5.0);
+  EXPECT_NEAR(score["nees"]["mean"], 2.5, 1e-12);
+  EXPECT_EQ(score["nees"]["inside_95"], 0.5);
+  EXPECT_THAT(groma({"evaluate", folder_ / "e.csv", folder_ / "t.csv"}).out, HasSubstr("2 samples"));
+
+  folder_.write("t.csv", "t_s,x_m,y_m,z_m,yaw_rad\n2,7,7,7,0\n");
+  const ChildResult apart = groma({"evaluate", folder_ / "e.csv", folder_ / "t.csv", "--json"});
+  EXPECT_EQ(apart.exit_code, 65);
+  EXPECT_THAT(apart.err, HasSubstr("gaps over 0.3 s"));
+  folder_.write("e.csv", "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n0,3,4,0.1,nan,0,0,4,0,0.01\n");
+  EXPECT_THAT(groma({"evaluate", folder_ / "e.csv", folder_ / "t.csv"}).err, HasSubstr("e.csv:2:11: 'nan'"));
+}
+
+TEST_F(CliTest, AFullDiskLeavesWhatWasThere) {
+  static_cast<void>(calibrate());
+  static_cast<void>(replay_calibrated());
+  const std::string calibration = read_text(calibration_);
+  const std::string estimate = read_text(estimate_);
+  const std::size_t before = files();
+  ChildOptions full;
+  full.max_file_bytes = 2000;
+  const ChildResult calibrated = groma({"calibrate", data_, "-o", calibration_, "--from", "1"}, full);
+  const ChildResult replayed =
+      groma({"replay", data_, "-o", estimate_, "--calibration", calibration_, "--from", "1"}, full);
+  for (const ChildResult& result : {calibrated, replayed}) {
+    EXPECT_EQ(result.exit_code, 69);
+    EXPECT_THAT(result.err, HasSubstr("cannot be written"));
+  }
+  EXPECT_EQ(read_text(calibration_), calibration);
+  EXPECT_EQ(read_text(estimate_), estimate);
+  EXPECT_EQ(files(), before) << "no temporary file stays";
+}
+
+TEST_F(CliTest, KilledAtAnyMomentItLeavesAWholeFileOrNone) {
+  static_cast<void>(calibrate());
+  ASSERT_EQ(replay_calibrated().exit_code, 0);
+  const std::string whole = read_text(estimate_);
+  for (unsigned i = 0; i < 25; ++i) {
+    std::filesystem::remove(estimate_);
+    ChildOptions options;
+    options.kill_after_us = 2000 * i;
+    static_cast<void>(groma({"replay", data_, "-o", estimate_, "--calibration", calibration_}, options));
+    if (std::filesystem::exists(estimate_)) {
+      EXPECT_EQ(read_text(estimate_), whole);
+    }
+  }
+}
+
+TEST_F(CliTest, ADeviceThatFailsEndsWith69) {
+  EXPECT_EQ(groma({"replay", data_, "-o", "/dev/full", "--surveyed"}).exit_code, 69);
+  ChildOptions options;
+  options.stdout_path = "/dev/full";
+  const ChildResult result = groma({"replay", data_, "-o", estimate_, "--surveyed", "--json"}, options);
+  EXPECT_EQ(result.exit_code, 69);
+  EXPECT_THAT(result.err, HasSubstr("standard output"));
+  EXPECT_EQ(groma({"replay", data_, "-o", "/dev/null", "--surveyed"}).exit_code, 0);
+}
+
+TEST_F(CliTest, NoPermissionEndsWith77) {
+  // The kernel's own folders may not be written to even by root.
+  const ChildResult result = groma({"replay", data_, "-o", "/sys/kernel/estimate.csv", "--surveyed"});
+  EXPECT_EQ(result.exit_code, 77);
+  EXPECT_THAT(result.err, HasSubstr("/sys/kernel/estimate.csv: cannot be written"));
+}
+
+}  // namespace
+}  // namespace groma
