@@ -78,7 +78,27 @@ INSTANTIATE_TEST_SUITE_P(
         ClockSpec{.offset_ppm = 3.0, .drift_ppm_per_s = 1.0, .drift_until_s = 30.0},
         ClockSpec{.offset_ppm = 3.0, .drift_ppm_per_s = -0.7, .drift_from_s = 2.0, .drift_until_s = 50.0}));
 
-TEST(NodeClock, ADriftIsTheSumOfItsPieces) {
+TEST(NodeClock, WithADriftIsTheExactSumOfItsPieces) {
+  const NodeClock clock(
+      ClockSpec{.offset_ppm = 5.0, .drift_ppm_per_s = -1.0, .drift_from_s = 0.5, .drift_until_s = 2.0});
+  const SimTime piece = SimTime{1} << 30;
+  const auto offset = static_cast<std::int64_t>(std::llround(std::ldexp(5e-6, 48)));
+  const auto step = static_cast<std::int64_t>(std::llround(std::ldexp(-1e-6 * to_seconds(piece), 48)));
+  const std::int64_t first = from_seconds(0.5) / piece;
+  const std::int64_t last = from_seconds(2.0) / piece;
+  Wide excess = 0;
+  for (std::int64_t k = 0; k < 1200; ++k) {
+    const std::int64_t here = offset + step * std::clamp<std::int64_t>(k - first, 0, last - first);
+    for (const SimTime within : {SimTime{0}, SimTime{1}, piece / 3, piece - 1}) {
+      const Wide exact = excess + static_cast<Wide>(within) * here;
+      ASSERT_EQ(clock.local_units(k * piece + within),
+                k * piece + within + static_cast<std::int64_t>(exact >> 48));
+    }
+    excess += static_cast<Wide>(piece) * here;
+  }
+}
+
+TEST(NodeClock, ADriftFollowsItsRamp) {
   const ClockSpec spec{.offset_ppm = -4.0, .drift_ppm_per_s = 1.0, .drift_from_s = 1.0, .drift_until_s = 3.0};
   const NodeClock clock(spec);
   // Phase against nominal, by the area under the frequency: off by less than a step of the piecewise line.
