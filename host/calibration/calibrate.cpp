@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "host/calibration/association.hpp"
+#include "host/calibration/drive_error.hpp"
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/rival.hpp"
 #include "host/calibration/site_solver.hpp"
@@ -181,6 +182,13 @@ Site solve_at_best_height(const Drive& drive, const Options& options) {
 
 Result calibrate(const Drive& drive, const Options& options) {
   Site site = solve_at_best_height(drive, options);
+  // Before the poses are corrected by all ranges: what is held out stays so.
+  std::vector<HeldOut> held_out;
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    held_out.push_back(
+        score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
+  }
+  const DriveError drive_error = correct_drive(site.association, site.fits, usable_priors(drive.priors));
   const Association& association = site.association;
 
   std::vector<Evidence> statistics;
@@ -194,7 +202,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     model::AnchorCalibration anchor;
     anchor.id = data.id;
     anchor.position_m = fit.anchor.head<3>();
-    anchor.covariance = anchor_covariance(statistics[i], inflation[i]);
+    anchor.covariance = anchor_covariance(statistics[i], inflation[i]) + drive_error.added_covariance[i];
     const std::size_t rejected = rejected_rows(fit);
     anchor.ranges_used = data.rows.size() - rejected;
     anchor.ranges_rejected = data.rejected + rejected;
@@ -207,10 +215,9 @@ Result calibrate(const Drive& drive, const Options& options) {
       if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
     }
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
-    const HeldOut held_out = score_held_out(site.beginning[i], data.rows, site.held_out_from_s);
-    anchor.held_out_rms_m = held_out.rms_m;
-    anchor.held_out_robust_rms_m = held_out.robust_rms_m;
-    known.held_out_z = held_out.share_of_scale;
+    anchor.held_out_rms_m = held_out[i].rms_m;
+    anchor.held_out_robust_rms_m = held_out[i].robust_rms_m;
+    known.held_out_z = held_out[i].share_of_scale;
 
     anchor.pairs = pair_biases(fit.anchor, anchor.covariance, association.tags);
     judge_anchor(known, anchor);
@@ -218,6 +225,9 @@ Result calibrate(const Drive& drive, const Options& options) {
     result.ranges_rejected += anchor.ranges_rejected;
     result.calibration.anchors.push_back(std::move(anchor));
   }
+  result.calibration.common_frame_covariance = drive_error.frame_covariance;
+  result.calibration.range_delay_s = drive_error.range_delay_s;
+  result.calibration.range_delay_sigma_s = drive_error.range_delay_sigma_s;
   result.calibration.verdict = judge_site(result.calibration.anchors);
   return result;
 }

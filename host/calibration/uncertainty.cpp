@@ -155,6 +155,13 @@ std::vector<double> score_inflation(std::span<const Evidence> evidence) {
   return own;
 }
 
+double moment_inflation(const Evidence& evidence) {
+  const std::vector<Scatter> levels = scatter_by_block_length(evidence);
+  constexpr auto kLevels = static_cast<std::size_t>(kMoment_s / kScoreBlock_s);
+  return significant_ratio(std::span(levels).first(kLevels),
+                           static_cast<double>(evidence.information.rows()));
+}
+
 Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {
   const Eigen::Index size = evidence.information.rows();
   const Eigen::MatrixXd inverse = evidence.information.ldlt().solve(Eigen::MatrixXd::Identity(size, size));

@@ -25,6 +25,11 @@ struct Evidence {
 // mean, or its own where that is clearly larger.
 [[nodiscard]] std::vector<double> score_inflation(std::span<const Evidence> evidence);
 
+// The same of each anchor alone, over blocks no longer than this: what hangs together for a moment, as
+// filtered or repeated ranges do, but not what poses or places do.
+inline constexpr double kMoment_s = 1.0;
+[[nodiscard]] double moment_inflation(const Evidence& evidence);
+
 // Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
 

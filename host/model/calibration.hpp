@@ -42,8 +42,12 @@ struct AnchorCalibration {
 struct Calibration {
   std::string frame = "map";
   std::vector<AnchorCalibration> anchors;  // by id, ascending
-  // Covariance (x, y, z, yaw) of the frame error that all anchors share through the drive's poses.
+  // Covariance (x, y, z, yaw about the map's origin) of the frame error that all anchors share through the
+  // drive's poses: a + (x, y, z) + yaw (z axis x a).
   Eigen::Matrix4d common_frame_covariance = Eigen::Matrix4d::Zero();
+  // Ranges are stamped so much later than measured, against the poses; both zero: not observed.
+  double range_delay_s = 0.0;
+  double range_delay_sigma_s = 0.0;
   Verdict verdict = Verdict::kUnusable;
   std::string input_sha256;
   std::string program_version;

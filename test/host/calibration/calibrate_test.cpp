@@ -71,6 +71,30 @@ TEST(Calibrate, StaysNearTheBoundWithThirtyPercentTooLong) {
   EXPECT_EQ(campaign.lies, 0U);
 }
 
+TEST(Calibrate, StaysHonestWhenPosesWander) {
+  const Campaign campaign = run_campaign({.pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004}, 15);
+  EXPECT_GT(campaign.mean_nees, 0.8);
+  EXPECT_LT(campaign.mean_nees, 1.3);
+  EXPECT_EQ(campaign.lies, 0U);
+}
+
+TEST(Calibrate, FindsHowLateRangesAreStamped) {
+  const test::SimulatedSite late = test::simulate_site({.ranges_per_pair = 600, .range_delay_s = 0.05}, 9);
+  const model::Calibration found = calibrate(late.drive()).calibration;
+  EXPECT_NEAR(found.range_delay_s, 0.05, 0.01);
+  EXPECT_NEAR(found.range_delay_s, 0.05, 5.0 * found.range_delay_sigma_s);
+  const test::SimulatedSite punctual = test::simulate_site({.ranges_per_pair = 600}, 9);
+  EXPECT_EQ(calibrate(punctual.drive()).calibration.range_delay_s, 0.0);
+}
+
+TEST(Calibrate, TellsTheFrameThatAllAnchorsShare) {
+  const test::SimulatedSite site = test::simulate_site({.pose_sigma_m = 0.05}, 10);
+  const Eigen::Matrix4d frame = calibrate(site.drive()).calibration.common_frame_covariance;
+  EXPECT_EQ(frame.llt().info(), Eigen::Success);
+  EXPECT_GT(std::sqrt(frame(2, 2)), 0.001);
+  EXPECT_LT(std::sqrt(frame(3, 3)), 0.02);
+}
+
 TEST(Calibrate, IsTheSameEachTime) {
   const test::SimulatedSite site = test::simulate_site({.outlier_share = 0.2}, 5);
   const Result one = calibrate(site.drive());

@@ -66,7 +66,8 @@ TEST_F(RecordedRun, LiasFastFindsAnchorsAndMarksHeights) {
 TEST_F(RecordedRun, McdFindsAnchorsFromTheSlamPrior) {
   load("real/mcd_ntu_day_09");
   if (IsSkipped()) return;
-  EXPECT_LE(mean_xy_error_m(), 0.40);
+  EXPECT_LE(mean_xy_error_m(), 0.32);
+  EXPECT_NEAR(result_.calibration.range_delay_s, 0.018, 0.008);
 }
 
 TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
