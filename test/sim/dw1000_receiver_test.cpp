@@ -168,6 +168,67 @@ TEST_F(Dw1000ReceiverTest, AReceiverListensToOneFrameOnly) {
   EXPECT_EQ(receiver.status() & status::kAllRx, 0U) << "it has to be switched on again";
 }
 
+TEST_F(Dw1000ReceiverTest, CarriesFramesOfEachLength) {
+  bring_up();
+  for (std::size_t payload = 1; payload <= 125; payload += 31) {
+    std::vector<std::uint8_t> bytes(payload);
+    for (std::size_t i = 0; i < payload; ++i) bytes[i] = static_cast<std::uint8_t>(i * 7 + payload);
+    receiver.receive_now();
+    send(bytes);
+    pass();
+    ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
+    EXPECT_EQ(receiver.read(0x10, 0, 2) & 0x3FF, payload + 2);
+    EXPECT_EQ(receiver.read_bytes(0x11, 0, payload), bytes);
+  }
+}
+
+TEST_F(Dw1000ReceiverTest, TheFrameIsWhatTheBufferHoldsWhenItStarts) {
+  bring_up();
+  receiver.receive_now();
+  send({1, 2, 3});
+  sender.write_bytes(0x09, 1, {9});
+  pass();
+  EXPECT_EQ(receiver.read_bytes(0x11, 0, 3), (std::vector<std::uint8_t>{1, 9, 3}));
+  // And is taken from the offset in TX_FCTRL.
+  receiver.receive_now();
+  sender.write_bytes(0x09, 100, {7, 8, 9});
+  sender.write(0x0F, 0, kMask40, 5);
+  sender.write(0x08, 0, 100U << 22 | 0x0016C000 | 5, 5);
+  sender.send_at(sender.system_time() + 63'897'600);
+  pass();
+  EXPECT_EQ(receiver.read_bytes(0x11, 0, 3), (std::vector<std::uint8_t>{7, 8, 9}));
+}
+
+TEST_F(Dw1000ReceiverTest, CountsItsEventsOnceToldTo) {
+  bring_up();
+  hear();
+  EXPECT_EQ(receiver.read(0x2F, 0x08, 2), 0U);
+  receiver.write(0x2F, 0, 1, 4);
+  hear();
+  hear();
+  EXPECT_EQ(receiver.read(0x2F, 0x08, 2), 2U);
+  receiver.write(0x27, 0x24, 5, 2);
+  receiver.receive_now();
+  pass();
+  EXPECT_EQ(receiver.read(0x2F, 0x12, 2), 1U);
+  receiver.write(0x2F, 0, 3, 4);
+  EXPECT_EQ(receiver.read(0x2F, 0x08, 2), 0U);
+  EXPECT_EQ(receiver.read(0x2F, 0x12, 2), 0U);
+}
+
+TEST_F(Dw1000ReceiverTest, WithoutPowerItHearsNothingAndForgets) {
+  bring_up();
+  receiver.receive_now();
+  receiver.chip().set_power(false, receiver.t);
+  send();
+  pass();
+  EXPECT_FALSE(receiver.chip().irq());
+  EXPECT_EQ(receiver.status(), 0U);
+  receiver.bring_up();
+  bench.run_until(receiver.t);
+  EXPECT_EQ(hear() & status::kAllRx, kGood);
+}
+
 TEST_F(Dw1000ReceiverTest, SwitchingOnClearsTheOldEvents) {
   bring_up();
   EXPECT_EQ(hear() & status::kAllRx, kGood);
