@@ -1,7 +1,7 @@
 #pragma once
 
-#include <bit>
 #include <cstdint>
+#include <cstring>
 #include <type_traits>
 
 namespace groma::mac {
@@ -9,8 +9,10 @@ namespace groma::mac {
 // The number behind an enumeration that was decoded from the wire. It may be none of the enumerators, and
 // then even to look at it as an enumeration is undefined.
 template <class E>
-[[nodiscard]] constexpr std::uint32_t number_of(const E& value) noexcept {
-  return static_cast<std::uint32_t>(std::bit_cast<std::underlying_type_t<E>>(value));
+[[nodiscard]] std::uint32_t number_of(const E& value) noexcept {
+  std::underlying_type_t<E> number{};
+  std::memcpy(&number, &value, sizeof number);
+  return static_cast<std::uint32_t>(number);
 }
 
 }  // namespace groma::mac

@@ -39,8 +39,8 @@ std::optional<std::uint16_t> delay_of(std::uint32_t delay_dtu) noexcept {
 }  // namespace
 
 const char* fault_of(const groma_Config& config) noexcept {
-  if (config.role != groma_Role_ROLE_ANCHOR && config.role != groma_Role_ROLE_TAG)
-    return "role: ANCHOR or TAG";
+  const std::uint32_t role = mac::number_of(config.role);
+  if (role != groma_Role_ROLE_ANCHOR && role != groma_Role_ROLE_TAG) return "role: ANCHOR or TAG";
   if (config.network_id >= kLargest16) return "network_id: 0 to 65534";
   if (!config.has_schedule) return "schedule: missing";
   if (const auto fault = mac::check(config.schedule); fault != mac::ScheduleFault::kNone) {
