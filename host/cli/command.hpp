@@ -12,6 +12,7 @@ namespace groma::cli {
 using Action = std::function<int()>;
 
 void add_calibrate(CLI::App& app, Action& action);
+void add_demo(CLI::App& app, Action& action);
 void add_evaluate(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
 

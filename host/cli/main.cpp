@@ -29,6 +29,7 @@ int run(int argc, char** argv) {
       "69 device or service unavailable, 77 permission, 78 bad configuration.");
   Action action;
   add_calibrate(app, action);
+  add_demo(app, action);
   add_evaluate(app, action);
   add_replay(app, action);
   try {

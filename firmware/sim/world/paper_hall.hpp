@@ -1,0 +1,10 @@
+// The scenario of the demonstration, carried within the program: scenarios/paper_hall.yaml.
+#pragma once
+
+#include "firmware/sim/world/scenario.hpp"
+
+namespace groma::sim {
+
+[[nodiscard]] Scenario paper_hall();
+
+}  // namespace groma::sim

@@ -1,0 +1,168 @@
+// groma demo: the whole path on a simulated site.
+#include "host/simulation/demo.hpp"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "firmware/sim/world/paper_hall.hpp"
+#include "host/cli/command.hpp"
+#include "host/cli/demo_report.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/io/calibration_file.hpp"
+#include "host/io/dataset_writer.hpp"
+#include "host/io/estimate_file.hpp"
+#include "host/io/output_file.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  std::uint64_t seed = 1;
+  std::optional<std::filesystem::path> report;
+  bool json = false;
+};
+
+Json to_json(const simulation::DemoResult& result, std::uint64_t seed) {
+  Json json{{"seed", seed}};
+  Json calibration{{"verdict", nullptr}, {"wall_s", result.calibration_wall_s}};
+  calibration.update(cli::to_json(result.calibration));
+  for (std::size_t i = 0; i < result.anchor_errors_m.size(); ++i) {
+    const double error_m = result.anchor_errors_m[i];
+    calibration["anchors"][i]["error_m"] = std::isfinite(error_m) ? Json(error_m) : Json(nullptr);
+  }
+  json["calibration"] = std::move(calibration);
+  for (const simulation::ModelRun& run : result.models) {
+    json["evaluation"][std::string(filter::model_name(run.model))] = cli::to_json(run.evaluation);
+  }
+  json["ranges_per_s"] = result.ranges_per_s;
+  json["without_sight"] = result.without_sight;
+  json["frames_lost"] = result.frames_lost;
+  json["simulated_s"] = result.simulated_s;
+  json["wall_s"] = result.wall_s;
+  json["realtime_factor"] = result.wall_s > 0.0 ? result.simulated_s / result.wall_s : 0.0;
+  return json;
+}
+
+std::string format_text(const simulation::DemoResult& result) {
+  const model::Calibration& calibration = result.calibration.calibration;
+  Table anchors({"anchor", "x m", "y m", "z m", "error m", "sigma m", "verdict"});
+  double sum_m = 0.0;
+  for (std::size_t i = 0; i < calibration.anchors.size(); ++i) {
+    const model::AnchorCalibration& anchor = calibration.anchors[i];
+    const bool known = anchor.covariance.rows() >= 3;
+    const double sigma_m = known ? std::sqrt(anchor.covariance.topLeftCorner<3, 3>().trace()) : std::nan("");
+    anchors.add({fmt::format("{}", anchor.id), fmt::format("{:.3f}", anchor.position_m.x()),
+                 fmt::format("{:.3f}", anchor.position_m.y()), fmt::format("{:.3f}", anchor.position_m.z()),
+                 fmt::format("{:.3f}", result.anchor_errors_m[i]), fmt::format("{:.3f}", sigma_m),
+                 std::string(io::word(anchor.verdict))});
+    sum_m += result.anchor_errors_m[i];
+  }
+  Table models({"model", "ATE mean m", "max m", "heading mean rad", "NEES mean", "inside 95 %"});
+  for (const simulation::ModelRun& run : result.models) {
+    const evaluation::Evaluation& evaluation = run.evaluation;
+    const bool consistent = evaluation.nees.has_value();
+    models.add({std::string(filter::model_name(run.model)), fmt::format("{:.3f}", evaluation.ate_m.mean),
+                fmt::format("{:.3f}", evaluation.ate_m.max), fmt::format("{:.4f}", evaluation.ate_rad.mean),
+                consistent ? fmt::format("{:.2f}", evaluation.nees->mean) : "-",
+                consistent ? fmt::format("{:.0f} %", 100.0 * evaluation.nees->inside_95) : "-"});
+  }
+  std::string text =
+      fmt::format("Calibration from the first drive ({:.0f} s, {} ranges): {}\n\n",
+                  result.first_drive.ground_truth.back().t_s - result.first_drive.ground_truth.front().t_s,
+                  result.calibration.ranges_used, io::word(calibration.verdict));
+  text += anchors.format(true);
+  if (!calibration.anchors.empty()) {
+    text += fmt::format("mean error {:.3f} m\n", sum_m / static_cast<double>(calibration.anchors.size()));
+  }
+  text +=
+      fmt::format("\nLocalization on the second drive ({:.0f} s)\n\n",
+                  result.second_drive.ground_truth.back().t_s - result.second_drive.ground_truth.front().t_s);
+  text += models.format();
+  text += fmt::format(
+      "\n{:.0f} ranges/s, {:.0f} % of them without sight; {} frames lost\n"
+      "{:.0f} s simulated in {:.1f} s: {:.1f} times real time\n",
+      result.ranges_per_s, 100.0 * result.without_sight, result.frames_lost, result.simulated_s,
+      result.wall_s, result.simulated_s / result.wall_s);
+  return text;
+}
+
+void write_report(const std::filesystem::path& folder, const sim::Scenario& scenario,
+                  const simulation::DemoResult& result, std::uint64_t seed) {
+  io::make_folder(folder);
+  io::write_dataset(folder / "first_drive", result.first_drive);
+  io::write_dataset(folder / "second_drive", result.second_drive);
+  io::write_file(folder / "calibration.yaml", io::format_calibration(result.calibration.calibration));
+  for (const simulation::ModelRun& run : result.models) {
+    io::write_file(folder / fmt::format("estimate_{}.csv", filter::model_name(run.model)),
+                   io::format_estimate(run.estimate));
+  }
+  io::write_file(folder / "report.html", format_demo_report(scenario, result, seed));
+}
+
+// One line on the terminal that is written over, and gone in the end.
+class Progress {
+ public:
+  void show(std::string_view phase, double done) const {
+    if (!terminal_) return;
+    constexpr int kWidth = 40;
+    const int filled = static_cast<int>(std::lround(done * kWidth));
+    fmt::print(stderr, "\r{:<18} [{:<{}}] {:3.0f} %", phase,
+               std::string(static_cast<std::size_t>(filled), '#'), kWidth, 100.0 * done);
+  }
+  void clear() const {
+    if (terminal_) fmt::print(stderr, "\r\033[K");
+  }
+
+ private:
+  bool terminal_ = ::isatty(STDERR_FILENO) == 1;
+};
+
+int run(const Options& options) {
+  if (options.report) io::make_folder(*options.report);
+  const sim::Scenario scenario = sim::paper_hall();
+  const Progress progress;
+  simulation::DemoOptions demo;
+  demo.seed = options.seed;
+  demo.progress = [&](std::string_view phase, double done) { progress.show(phase, done); };
+  simulation::DemoResult result = simulation::run_demo(scenario, demo);
+  progress.clear();
+  if (options.report) write_report(*options.report, scenario, result, options.seed);
+  if (options.json) {
+    say_json(to_json(result, options.seed));
+  } else {
+    say(format_text(result));
+    if (options.report) say(fmt::format("report: {}\n", (*options.report / "report.html").string()));
+  }
+  return result.calibration.calibration.verdict == model::Verdict::kUnusable ? kBadData : kGood;
+}
+
+}  // namespace
+
+void add_demo(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("demo",
+                                         "Show the whole path on a simulated site: tags and anchors run the "
+                                         "firmware on a modelled radio and stream "
+                                         "over pseudo-terminals; a first drive calibrates the anchors, a "
+                                         "second is localized by every model and scored.");
+  command->add_option("--seed", options->seed, "Fixes all but wall times")->capture_default_str();
+  command->add_option("--report", options->report,
+                      "Folder for report.html, the calibration, the estimates and both drives as data sets");
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,15 @@
+// The demonstration as one page of HTML that needs nothing else: a map, the errors over time, the tables.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "firmware/sim/world/scenario.hpp"
+#include "host/simulation/demo.hpp"
+
+namespace groma::cli {
+
+[[nodiscard]] std::string format_demo_report(const sim::Scenario& scenario,
+                                             const simulation::DemoResult& result, std::uint64_t seed);
+
+}  // namespace groma::cli
