@@ -39,7 +39,7 @@ void Session::Node::on_range(const model::RangeSample& range, double /*time_sigm
 void Session::Node::on_hello(const groma_Hello& hello) {
   hello_ = hello;
   session_.say(fmt::format("{}: node {} runs version {}, reset reason {}{}{}", name_, hello.id, hello.version,
-                           static_cast<int>(hello.reset_reason),
+                           link::number_in(hello.reset_reason),
                            hello.radio_error[0] != '\0' ? "; radio: " : "", hello.radio_error));
 }
 

@@ -81,7 +81,7 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
     const groma_Range& range = report.ranges[i];
     const double range_m = static_cast<double>(range.range_m);
     const double offset_s = static_cast<double>(range.instant_offset_dtu) / clock::kDeviceTicksPerSecond;
-    if (range.status != groma_RangeStatus_RANGE_OK) {
+    if (number_in(range.status) != groma_RangeStatus_RANGE_OK) {
       ++counters_.ranges_not_ok;
     } else if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
       ++counters_.ranges_out_of_bounds;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 #include <span>
 
 #include "groma.pb.h"
@@ -11,6 +12,16 @@
 #include "proto/frame_codec.hpp"
 
 namespace groma::link {
+
+// An enumeration's field as the number that came. Read it by this: nanopb stores any number, and a number
+// that the enumeration does not have must not be loaded as one.
+template <typename Enum>
+[[nodiscard]] std::uint32_t number_in(const Enum& field) noexcept {
+  static_assert(sizeof(Enum) == sizeof(std::uint32_t));
+  std::uint32_t number = 0;
+  std::memcpy(&number, &field, sizeof(number));
+  return number;
+}
 
 // Takes what a ReportDecoder finds. Strings in the messages end with a zero.
 class NodeSink {
