@@ -432,6 +432,79 @@ TEST(Anchor, AnswersOnlyAPollOfItsSlotItsSuperframeAndItsName) {
   EXPECT_EQ(counters.stale_frames, 3U);
 }
 
+// One tag and one anchor played by hand: two exchanges, the second RESPONSE as the test wants it.
+class HandPlayed {
+ public:
+  HandPlayed() : tag_(site(), counters) {
+    (void)tag_.start(ClockTime(0));
+    const groma_Schedule schedule = site().schedule;
+    const auto beacon = mac::serialize(
+        {.network = 9,
+         .destination = mac::kBroadcast,
+         .source = 101,
+         .body = mac::Beacon{42, schedule.epoch, mac::schedule_hash(schedule, 9, dw1000::Preamble::k128)}});
+    step_ =
+        tag_.on_received({.stamp = ClockTime(5'000'000'000), .stamp_valid = true, .frame = beacon.bytes()});
+  }
+
+  // Sends the POLL and hears the RESPONSE, `late` after its due time.
+  Step exchange(mac::Response response, Ticks late, std::uint16_t source = 101) {
+    while (step_.action.kind == Action::Kind::kListen) step_ = tag_.on_timeout(step_.action.until);
+    EXPECT_EQ(step_.action.kind, Action::Kind::kTransmit);
+    const ClockTime sent = step_.action.at;
+    (void)tag_.on_transmitted(sent);
+    const Ticks due = tag_.station().superframe().response(0, 1);
+    response.reply = due - Ticks(200);
+    const auto bytes = mac::serialize({.network = 9, .destination = 1, .source = source, .body = response});
+    step_ = tag_.on_received({.stamp = sent + due + late, .stamp_valid = true, .frame = bytes.bytes()});
+    return step_;
+  }
+
+  groma_Counters counters = groma_Counters_init_zero;
+
+ private:
+  static mac::Site site() {
+    return {.id = 1,
+            .network_id = 9,
+            .schedule = schedule_of(1, 1, groma_RangingMethod_METHOD_DS_NEXT_POLL),
+            .transmit_antenna_delay = Ticks(16436)};
+  }
+  mac::Tag tag_;
+  Step step_;
+};
+
+TEST(Tag, TakesAClosingStampOnlyOfTheExchangeBefore) {
+  for (const std::uint16_t closed : {std::uint16_t{0}, std::uint16_t{1}, std::uint16_t{0xFFFF}}) {
+    HandPlayed play;
+    EXPECT_EQ(play.exchange({.exchange = 0}, Ticks(0)).completed, nullptr);
+    const Step step = play.exchange(
+        {.exchange = 1, .closing_valid = true, .closed_exchange = closed, .closing = Ticks(1000)}, Ticks(0));
+    ASSERT_NE(step.completed, nullptr);
+    EXPECT_TRUE(step.completed->legs[0].answered);
+    EXPECT_EQ(step.completed->legs[0].closing_state,
+              closed == 0 ? mac::Leg::Closing::kHeld : mac::Leg::Closing::kStale);
+  }
+}
+
+TEST(Tag, TakesAResponseOnlyOfThisExchangeThisAnchorAndThisWindow) {
+  const auto answered = [](std::uint16_t number, Ticks late, std::uint16_t source) {
+    HandPlayed play;
+    (void)play.exchange({.exchange = number}, late, source);
+    const Step step = play.exchange({.exchange = 1}, Ticks(0));
+    EXPECT_NE(step.completed, nullptr);
+    const bool taken = step.completed != nullptr && step.completed->legs[0].answered;
+    EXPECT_EQ(play.counters.stale_frames, taken ? 0U : 1U);
+    return taken;
+  };
+  EXPECT_TRUE(answered(0, Ticks(0), 101));
+  EXPECT_TRUE(answered(0, Ticks::from_us(19), 101));
+  EXPECT_FALSE(answered(1, Ticks(0), 101));
+  EXPECT_FALSE(answered(0xFFFF, Ticks(0), 101));
+  EXPECT_FALSE(answered(0, Ticks::from_us(21), 101));
+  EXPECT_FALSE(answered(0, Ticks::from_us(-21), 101));
+  EXPECT_FALSE(answered(0, Ticks(0), 102));
+}
+
 TEST(Tag, PollsAgainAfterALateTransmitWithoutClosingAcrossTheGap) {
   Air air(schedule_of(1, 2, groma_RangingMethod_METHOD_DS_NEXT_POLL), dw1000::Preamble::k128);
   air.add_all(50.0, 20.0, 18);
