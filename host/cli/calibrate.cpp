@@ -31,6 +31,8 @@ namespace groma::cli {
 
 namespace {
 
+constexpr const char* kReportName = "report.html";
+
 struct Options {
   std::filesystem::path dataset;
   std::optional<std::filesystem::path> poses;
@@ -67,13 +69,16 @@ void write_report(const std::filesystem::path& folder, const io::Dataset& datase
                     fmt::format("Anchor positions and range biases, found from one {} drive. Input {}.",
                                 dataset.origin, dataset.sha256.substr(0, 12)));
   report::add_calibration(page, drive, result);
-  io::make_folder(folder);
-  io::write_file(folder / "report.html", page.html());
+  io::write_file(folder / kReportName, page.html());
 }
 
 int run(const Options& options) {
   const auto begin = std::chrono::steady_clock::now();
   io::expect_writable(options.output);
+  if (options.report) {
+    io::make_folder(*options.report);
+    io::expect_writable(*options.report / kReportName);
+  }
   io::ReadOptions read;
   read.surveyed_anchors = options.known_anchors;
   read.odometry = false;

@@ -105,9 +105,12 @@ std::vector<model::Anchor> parse_anchors(const std::filesystem::path& path, std:
   return anchors;
 }
 
+// Which of all ids are there.
 template <typename Node>
-bool has_id(const std::vector<Node>& nodes, model::NodeId id) {
-  return std::any_of(nodes.begin(), nodes.end(), [&](const Node& node) { return node.id == id; });
+std::vector<bool> known_ids(const std::vector<Node>& nodes) {
+  std::vector<bool> known(kMaxId + 1, false);
+  for (const Node& node : nodes) known[node.id] = true;
+  return known;
 }
 
 float power(const CsvReader& csv, std::size_t column) {
@@ -127,6 +130,9 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
                  {"range_m"},
                  {"first_path_power_dbm", Presence::kOptional},
                  {"receive_power_dbm", Presence::kOptional}});
+  const std::vector<bool> known_tags = known_ids(tags);
+  const std::vector<bool> known_anchors =
+      anchors != nullptr ? known_ids(*anchors) : std::vector<bool>(kMaxId + 1, true);
   std::vector<model::RangeSample> ranges;
   while (csv.next()) {
     const double t_s = csv.number(0);
@@ -137,9 +143,9 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
     const float receive_power_dbm = power(csv, 5);
     if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
       ++dropped.range_out_of_bounds;
-    } else if (!tag_id || !has_id(tags, *tag_id)) {
+    } else if (!tag_id || !known_tags[*tag_id]) {
       ++dropped.unknown_tag;
-    } else if (!anchor_id || (anchors != nullptr && !has_id(*anchors, *anchor_id))) {
+    } else if (!anchor_id || !known_anchors[*anchor_id]) {
       ++dropped.unknown_anchor;
     } else {
       ranges.push_back({t_s, *tag_id, *anchor_id, range_m, first_path_power_dbm, receive_power_dbm});
