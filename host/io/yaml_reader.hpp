@@ -50,8 +50,8 @@ class YamlValue {
   [[noreturn]] void fail(std::string_view problem, std::string_view remedy) const;
 
  private:
-  YamlValue(std::shared_ptr<const std::filesystem::path> path, std::string name, YAML::Node node)
-      : path_(std::move(path)), name_(std::move(name)), node_(std::move(node)) {}
+  YamlValue(std::shared_ptr<const std::filesystem::path> path, std::string name, const YAML::Node& node)
+      : path_(std::move(path)), name_(std::move(name)), node_(node) {}
   [[nodiscard]] YAML::Node child(std::string_view key) const;
   [[nodiscard]] std::string plain_scalar(std::string_view wanted) const;
 
