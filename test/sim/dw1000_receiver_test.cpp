@@ -432,6 +432,65 @@ TEST_F(Dw1000ReceiverTest, AfterATimeOutTheStampIsWrongUntilTheReceiverIsReset) 
   }
 }
 
+TEST_F(Dw1000ReceiverTest, AGoodFrameIsNoReset) {
+  bring_up();
+  receiver.limit_frame_wait(50);
+  receiver.receive_now();
+  pass();
+  receiver.write(0x04, 0, 0x00041200, 4);
+  for (int i = 0; i < 3; ++i) {
+    receiver.receive_now();
+    const std::uint64_t target = send();
+    pass();
+    ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
+    EXPECT_GE(std::abs(static_cast<std::int64_t>(receiver.receive_stamp() - target - 16436)), 64);
+  }
+}
+
+TEST_F(Dw1000ReceiverTest, EachPreambleCodeHasItsLeadingEdgeSetting) {
+  bring_up();
+  for (const auto& [code, coefficient] :
+       {std::pair{9U, 0x28F4U}, std::pair{10U, 0x3332U}, std::pair{11U, 0x3AE0U}, std::pair{12U, 0x3D70U}}) {
+    for (HandDriven* node : {&sender, &receiver}) {
+      node->write(0x1F, 0, 0x00080055 | code << 22 | code << 27, 4);
+      node->write(0x2E, 0x2804, coefficient, 2);
+    }
+    receiver.receive_now();
+    const std::uint64_t target = send();
+    pass();
+    ASSERT_EQ(receiver.status() & status::kAllRx, kGood) << code;
+    EXPECT_EQ(receiver.receive_stamp(), target + 16436);
+  }
+}
+
+// A node may be ahead of the one that sends: what it did meanwhile counts.
+TEST_F(Dw1000ReceiverTest, AFrameAnnouncedLateIsHeardOnlyIfTheReceiverWasOnInTime) {
+  bring_up();
+  sender.load({1, 2, 3});
+  for (const bool in_time : {true, false}) {
+    const SimTime starts = sender.t + Dw1000Chip::kTransmitterPowerUpTicks * 5;
+    receiver.t = in_time ? sender.t : starts + 20 * kMicrosecond;
+    receiver.receive_now();
+    receiver.chip().advance(sender.t + 40 * kMicrosecond);
+    sender.write(0x0F, 0, kMask40, 5);
+    sender.send_now();
+    bench.run_until(sender.t + kMillisecond);
+    EXPECT_EQ(receiver.status() & status::kAllRx, in_time ? kGood : 0U);
+    EXPECT_EQ(receiver.chip().late_announcements(), 0U);
+    receiver.off();
+  }
+}
+
+TEST_F(Dw1000ReceiverTest, AFrameAnnouncedTooLateIsCounted) {
+  bring_up();
+  sender.load({1, 2, 3});
+  receiver.receive_now();
+  receiver.t += 40 * kMicrosecond;
+  receiver.off();  // it would have been amid the frame's preamble
+  sender.send_now();
+  EXPECT_EQ(receiver.chip().late_announcements(), 1U);
+}
+
 TEST_F(Dw1000ReceiverTest, LeadingEdgeSettingsOfAnotherCodeBendTheStamp) {
   bring_up();
   receiver.write(0x2E, 0x2804, 0x3332, 2);
@@ -595,6 +654,21 @@ TEST_F(Dw1000CollisionTest, AWeakLatecomerDoesNoHarm) {
 }
 TEST_F(Dw1000CollisionTest, AStrongOneInThePreambleTakesOver) {
   EXPECT_NE(collide(50, 6.5) & status::kRxfcg, 0U);
+  EXPECT_EQ(heard(), 2U);
+}
+TEST_F(Dw1000CollisionTest, AStrongOneTakesOverAlsoWhereThePreambleIsWaitedFor) {
+  bench.space.set(1, 3, {.audible = true, .receive_power_dbm = -80.0});
+  bench.space.set(2, 3, {.audible = true, .receive_power_dbm = -70.0});
+  for (HandDriven* node : {&first, &second, &receiver}) node->bring_up();
+  receiver.write(0x27, 0x24, 4, 2);  // 40 symbols
+  const std::uint64_t target = first.system_time() + 63'897'600;
+  first.load({1, 1, 1});
+  second.load({2, 2, 2});
+  first.send_at(target);
+  second.send_at(target + 60 * kTicksPerMicrosecond);
+  receiver.receive_at(target - static_cast<std::uint64_t>(preamble_ticks(128)) - 5 * kTicksPerMicrosecond);
+  bench.run_until(receiver.t + 3 * kMillisecond);
+  EXPECT_EQ(receiver.status() & status::kAllRx, kGood);
   EXPECT_EQ(heard(), 2U);
 }
 TEST_F(Dw1000CollisionTest, EqualOnesInThePreambleLoseBoth) {

@@ -70,6 +70,18 @@ TEST_P(ClockInBothDirections, TheNearestTickAgreesWithTheTick) {
   }
 }
 
+TEST(NodeClock, TheFirstInstantIsFoundWhereUnitsRepeatAndWhereTheyAreSkipped) {
+  for (const double ppm : {-1000.0, 1000.0}) {
+    const NodeClock clock(ClockSpec{.offset_ppm = ppm});
+    for (std::uint64_t i = 0; i < 20'000; ++i) {
+      const auto units = static_cast<std::int64_t>(KeyedRandom(13).of(i).bits() >> 16) + 2;
+      const SimTime first = clock.time_of_local(units);
+      ASSERT_GE(clock.local_units(first), units);
+      ASSERT_LT(clock.local_units(first - 1), units);
+    }
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Crystals, ClockInBothDirections,
     testing::Values(
