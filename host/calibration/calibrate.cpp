@@ -87,6 +87,20 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
   return out;
 }
 
+// Zero of nothing.
+double median(std::vector<double> values) {
+  if (values.empty()) return 0.0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+double mean_scale_m(const AnchorFit& fit) {
+  double sum_m = 0.0;
+  for (const RobustKernel& kernel : fit.kernels) sum_m += kernel.shape().scale_m;
+  return sum_m / std::max<double>(1.0, static_cast<double>(fit.kernels.size()));
+}
+
 double in_sight_share(const AnchorFit& fit) {
   double in_sight = 0.0;
   for (const Observation& row : fit.problem.rows) {
@@ -195,6 +209,16 @@ Result calibrate(const Drive& drive, const Options& options) {
   for (const AnchorFit& fit : site.fits) statistics.push_back(gather_evidence(fit));
   const std::vector<double> inflation = score_inflation(statistics);
 
+  std::vector<double> scales_m;
+  std::vector<double> rows;
+  for (const AnchorFit& fit : site.fits) {
+    if (fit.problem.rows.empty()) continue;
+    scales_m.push_back(mean_scale_m(fit));
+    rows.push_back(static_cast<double>(fit.problem.rows.size()));
+  }
+  const double median_scale_m = median(scales_m);
+  const double median_rows = median(rows);
+
   Result result;
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     const AnchorFit& fit = site.fits[i];
@@ -211,6 +235,9 @@ Result calibrate(const Drive& drive, const Options& options) {
     known.nearest_m = nearest_antenna_m(fit);
     known.in_sight_share = in_sight_share(fit);
     known.inflation = inflation[i];
+    known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
+    known.count_ratio = median_rows > 0.0 ? static_cast<double>(data.rows.size()) / median_rows : 1.0;
+    if (is_never_in_sight(known)) admit_wall(association.tags.size(), anchor.covariance);
     for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
       if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
     }

@@ -230,6 +230,7 @@ bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span
     taken = share;
     if (share == 0.0) break;
     std::vector<AnchorVector> after;
+    after.reserve(fits.size());
     for (std::size_t i = 0; i < fits.size(); ++i) after.push_back(before[i] + share * change[i]);
     const Eigen::VectorXd moved = error + share * step;
     const double cost = cost_after(fits, after, inflation) + 0.5 * moved.dot(prior * moved);

@@ -6,6 +6,7 @@
 #include <numbers>
 #include <string>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
 namespace groma::calibration {
@@ -19,6 +20,11 @@ constexpr double kWeakSigma_m = 0.30;
 // Sigmas also grow with the site: a thirtieth of the distance at which the anchor is used.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
 constexpr double kMinInSightShare = 0.3;
+constexpr double kBlockedScaleRatio = 1.2;
+constexpr double kBlockedCountRatio = 0.75;
+// Excess that walls between an anchor and all of a drive share, and how it differs from place to place.
+constexpr double kWallSigma_m = 0.5;
+constexpr double kWallVariation_m = 0.25;
 constexpr double kHeldOutLimit = 3.0;
 constexpr std::size_t kMinAnchors = 3;
 
@@ -52,6 +58,21 @@ bool is_plausible(const std::optional<Rival>& rival, double inflation) {
 
 }  // namespace
 
+bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
+  if (evidence.in_sight_share < kMinInSightShare) return true;
+  return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
+}
+
+void admit_wall(std::size_t tag_count, Eigen::MatrixXd& covariance) {
+  const auto tags = static_cast<Eigen::Index>(tag_count);
+  if (tags == 0) return;
+  const Eigen::LDLT<Eigen::MatrixXd> biases(covariance.block(3, 3, tags, tags));
+  const Eigen::VectorXd response =
+      kWallSigma_m * covariance.middleCols(3, tags) * biases.solve(Eigen::VectorXd::Ones(tags));
+  if (response.allFinite()) covariance += response * response.transpose();
+  covariance.diagonal().head<3>().array() += kWallVariation_m * kWallVariation_m;
+}
+
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {
   anchor.advice.clear();
   if (anchor.ranges_used < kMinRanges) {
@@ -66,9 +87,8 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
   const double sigma_xy_m = std::sqrt(
       std::max(0.0, covariance.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1)));
   const double sigma_z_m = std::sqrt(std::max(0.0, covariance(2, 2)));
-  const bool in_sight = evidence.in_sight_share >= kMinInSightShare;
 
-  if (!in_sight) {
+  if (is_never_in_sight(evidence)) {
     anchor.verdict = AnchorVerdict::kNeverInSight;
     anchor.advice = "its ranges come through something: drive where it is in sight, or move it";
     return;

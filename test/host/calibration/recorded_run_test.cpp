@@ -76,6 +76,15 @@ TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
   EXPECT_LE(mean_xy_error_m(), 0.17);
 }
 
+TEST_F(RecordedRun, IndoorSimulationNamesTheAnchorsBehindTheWall) {
+  load("simulated/indoor");
+  if (IsSkipped()) return;
+  for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
+    const bool behind = anchor.id == 12 || anchor.id == 13 || anchor.id == 14;
+    EXPECT_EQ(anchor.verdict == model::AnchorVerdict::kNeverInSight, behind) << anchor.id;
+  }
+}
+
 TEST_F(RecordedRun, CleanSimulationFindsAnchorsWithinTheirCovariance) {
   load("simulated/clean");
   if (IsSkipped()) return;
