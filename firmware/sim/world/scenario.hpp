@@ -38,9 +38,9 @@ struct ScheduleOptions {
   enum class Method { kFinal, kNextPoll };
   model::NodeId master_id = 0;  // the anchor whose beacon leads
   Method method = Method::kFinal;
-  unsigned preamble = 128;       // symbols: 64, 128 or 256
-  unsigned turn_round_us = 300;  // end of a received frame to the preamble of the answer
-  unsigned response_gap_us = 100;
+  unsigned preamble = 128;         // symbols: 64, 128 or 256
+  unsigned turn_round_us = 300;    // end of a received frame to the preamble of the answer
+  unsigned response_gap_us = 200;  // a tag that drains a RESPONSE with all its measurements needs 160
   unsigned guard_us = 30;
 };
 
