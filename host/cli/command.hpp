@@ -15,5 +15,6 @@ void add_calibrate(CLI::App& app, Action& action);
 void add_demo(CLI::App& app, Action& action);
 void add_evaluate(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
+void add_sim(CLI::App& app, Action& action);
 
 }  // namespace groma::cli

@@ -23,6 +23,7 @@ using report::Page;
 constexpr double kEllipseEvery_s = 4.0;
 constexpr double kPointEvery_s = 0.1;
 constexpr double kLowestError_m = 1e-3;
+constexpr double kOverhead_m = 2.0;  // what begins higher is no wall on a plan: the lintel of a gate
 
 const simulation::ModelRun* run_of(const simulation::DemoResult& result, filter::Model model) {
   const auto found = std::find_if(result.models.begin(), result.models.end(),
@@ -57,6 +58,7 @@ void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoRe
   std::vector<std::pair<Vector2d, Vector2d>> walls;
   std::vector<std::pair<Vector2d, Vector2d>> obstacles;
   for (const sim::Wall& wall : scenario.walls) {
+    if (wall.bottom_m > kOverhead_m) continue;
     const bool opaque = scenario.materials[wall.material].loss_db >= sim::kOpaqueLoss_db;
     (opaque ? walls : obstacles).emplace_back(wall.from_m, wall.to_m);
   }
@@ -134,14 +136,19 @@ void add_models(Page& page, const simulation::DemoResult& result) {
 
 void add_calibration_errors(Page& page, const simulation::DemoResult& result) {
   const auto& anchors = result.calibration.calibration.anchors;
-  Chart chart({.x_label = "anchor", .y_label = "error (m)", .height_px = 240.0});
   std::vector<std::string> names;
   std::vector<report::Mark> marks;
+  double largest_m = 0.0;
   for (std::size_t i = 0; i < anchors.size(); ++i) {
+    if (std::isfinite(result.anchor_errors_m[i])) largest_m = std::max(largest_m, result.anchor_errors_m[i]);
     marks.push_back({{static_cast<double>(i), result.anchor_errors_m[i]},
                      fmt::format("{:.2f}", result.anchor_errors_m[i])});
     names.push_back(fmt::format("{}", anchors[i].id));
   }
+  Chart chart({.x_label = "anchor",
+               .y_label = "error (m)",
+               .height_px = 240.0,
+               .y_range = Vector2d(0.0, std::max(1.2 * largest_m, 0.1))});
   chart.name_x(std::move(names));
   chart.add_marks("distance of the calibrated position from the truth", Ink::kAnchor, std::move(marks));
   page.add_heading("Calibration from the first drive");

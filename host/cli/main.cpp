@@ -32,6 +32,7 @@ int run(int argc, char** argv) {
   add_demo(app, action);
   add_evaluate(app, action);
   add_replay(app, action);
+  add_sim(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -1,0 +1,74 @@
+// groma sim: a simulated site for others to connect to.
+#include <fmt/format.h>
+
+#include <csignal>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+
+#include "firmware/sim/world/scenario_file.hpp"
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/simulation/site_server.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  std::filesystem::path scenario;
+  simulation::SiteServer::Options server;
+};
+
+volatile std::sig_atomic_t stop = 0;
+
+extern "C" void on_stop_signal(int /*signal*/) {
+  stop = 1;
+}
+
+int run(const Options& options) {
+  const sim::Scenario scenario = sim::read_scenario(options.scenario);
+  // Before anything is made that an early end would leave behind.
+  std::signal(SIGINT, on_stop_signal);
+  std::signal(SIGTERM, on_stop_signal);
+  simulation::SiteServer server(scenario, options.server);
+  for (const model::Tag& tag : scenario.tags) {
+    say(fmt::format("{}\n", (options.server.folder / fmt::format("tag-{}", tag.id)).string()));
+  }
+  say(fmt::format("{}\nrunning {} at {} times real time; end it with Ctrl-C\n",
+                  (options.server.folder / "robot.sock").string(), scenario.name, options.server.speed));
+  flush_output();
+  server.run(stop);
+  if (server.behind_s() > 0.0) {
+    complain(fmt::format(
+        "this machine was too slow: {:.1f} s behind after {:.1f} simulated seconds; give a lower --speed",
+        server.behind_s(), server.now_s()));
+    return kDoneWithWarnings;
+  }
+  return kGood;
+}
+
+}  // namespace
+
+void add_sim(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command =
+      app.add_subcommand("sim",
+                         "Keep a simulated site running: for each tag a pseudo-terminal that behaves as a "
+                         "flashed tag's serial port "
+                         "does, and a socket that gives the robot's odometry and pose priors as JSON lines.");
+  command->add_option("--scenario", options->scenario, "Site, nodes, robot and radio as YAML")->required();
+  command->add_option("--seed", options->server.seed, "Fixes what happens in the simulation")
+      ->capture_default_str();
+  command->add_option("--speed", options->server.speed, "So many times real time")
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
+  command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
+      ->required();
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

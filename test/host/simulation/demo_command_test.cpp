@@ -1,0 +1,63 @@
+// groma demo as a whole: what it promises of the paper's hall, and that its report holds together.
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <string>
+
+#include <nlohmann/json.hpp>
+
+#include "test/support/child_process.hpp"
+#include "test/support/scratch_folder.hpp"
+
+namespace groma::simulation {
+namespace {
+
+using Json = nlohmann::json;
+
+TEST(DemoCommand, KeepsItsBoundsAndItsReportHoldsTogether) {
+  const test::ScratchFolder scratch;
+  const test::ChildResult demo =
+      test::run_child({GROMA_EXECUTABLE, "demo", "--seed", "1", "--json", "--report", scratch / "report"});
+  ASSERT_EQ(demo.exit_code, 0) << demo.err;
+  const Json json = Json::parse(demo.out);
+
+  EXPECT_GE(json.at("ranges_per_s").get<double>(), 300.0);
+  EXPECT_EQ(json.at("frames_lost"), 0);
+  EXPECT_GT(json.at("realtime_factor").get<double>(), 0.0);
+  EXPECT_GE(json.at("without_sight").get<double>(), 0.10);
+  const Json& anchors = json.at("calibration").at("anchors");
+  ASSERT_EQ(anchors.size(), 12U);
+  double anchor_error_m = 0.0;
+  for (const Json& anchor : anchors) anchor_error_m += anchor.at("error_m").get<double>() / 12.0;
+  EXPECT_LT(anchor_error_m, 0.3);
+  EXPECT_EQ(json.at("calibration").at("pairs").size(), 36U);
+  const Json& evaluation = json.at("evaluation");
+  for (const char* model : {"odometry", "original", "inflated", "schmidt", "anchor-states", "joint"}) {
+    EXPECT_GE(evaluation.at(model).at("samples").get<int>(), 4000) << model;
+  }
+  const double schmidt_m = evaluation.at("schmidt").at("ate_m").at("mean").get<double>();
+  EXPECT_LE(schmidt_m, 0.15);
+  EXPECT_LE(schmidt_m, 2.0 / 3.0 * evaluation.at("original").at("ate_m").at("mean").get<double>());
+
+  const std::string truth = scratch / "report/second_drive/groundtruth.csv";
+  const auto score = [&](const std::string& estimate) {
+    const auto result = test::run_child({GROMA_EXECUTABLE, "evaluate", estimate, truth, "--json"});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return Json::parse(result.out).at("ate_m").at("mean").get<double>();
+  };
+  EXPECT_DOUBLE_EQ(score(scratch / "report/estimate_schmidt.csv"), schmidt_m);
+  // The drives that it wrote can be replayed, from the calibration that it wrote.
+  const auto replay = test::run_child({GROMA_EXECUTABLE, "replay", scratch / "report/second_drive",
+                                       "--calibration", scratch / "report/calibration.yaml", "--model",
+                                       "schmidt", "-o", scratch / "estimate.csv"});
+  EXPECT_EQ(replay.exit_code, 0) << replay.err;
+  EXPECT_NEAR(score(scratch / "estimate.csv"), schmidt_m, 0.02);
+
+  const std::string page = test::read_text(scratch / "report/report.html");
+  EXPECT_NE(page.find("<svg"), std::string::npos);
+  EXPECT_EQ(page.find("src="), std::string::npos) << "it fetches nothing";
+  EXPECT_EQ(page.find("href="), std::string::npos);
+}
+
+}  // namespace
+}  // namespace groma::simulation

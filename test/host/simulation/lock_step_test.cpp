@@ -1,0 +1,94 @@
+#include "host/simulation/lock_step.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+#include "test/host/simulation/small_site.hpp"
+
+namespace groma::simulation {
+namespace {
+
+class Keeper : public daemon::MeasurementSink {
+ public:
+  void on_odometry(const model::OdometrySample& row) override { odometry.push_back(row); }
+  void on_range(const model::RangeSample& range) override { ranges.push_back(range); }
+  void on_pose_prior(const model::PoseSample& /*pose*/) override { ++priors; }
+  void on_clock_set() override { ++clock_sets; }
+
+  std::vector<model::OdometrySample> odometry;
+  std::vector<model::RangeSample> ranges;
+  int priors = 0;
+  int clock_sets = 0;
+};
+
+std::vector<model::RangeSample> ranges_of(const sim::Scenario& site, std::uint64_t seed, double step_s) {
+  LockStep run(site, seed);
+  Keeper keeper;
+  run.session().attach(keeper);
+  for (double t_s = step_s; t_s < 3.0; t_s += step_s) run.run_until(t_s);
+  run.run_until(3.0);
+  run.session().flush();
+  return keeper.ranges;
+}
+
+TEST(LockStep, RangesThatArriveAreThoseOfTheWorld) {
+  sim::Scenario site = small_site();
+  LockStep run(site, 5);
+  Keeper keeper;
+  run.session().attach(keeper);
+  run.run_until(6.0);
+  run.session().flush();
+
+  ASSERT_GT(keeper.ranges.size(), 1000U);
+  EXPECT_EQ(keeper.odometry.size(), 301U);
+  EXPECT_EQ(keeper.priors, 61);
+  EXPECT_EQ(keeper.clock_sets, 0);
+  EXPECT_EQ(run.session().frames_lost(), 0U);
+  double sum = 0.0;
+  double squares = 0.0;
+  for (const model::RangeSample& range : keeper.ranges) {
+    const sim::Propagation true_way = run.site().world().between(range.tag_id, range.anchor_id, range.t_s);
+    const double error_m = range.range_m - true_way.flight_m;
+    EXPECT_LT(std::abs(error_m), 0.15);
+    EXPECT_NEAR(range.first_path_power_dbm, true_way.first_path_power_dbm, 1.0);
+    sum += error_m;
+    squares += error_m * error_m;
+  }
+  const auto count = static_cast<double>(keeper.ranges.size());
+  EXPECT_LT(std::abs(sum / count), 0.005) << "no antenna delay is left over, nor is one taken off twice";
+  EXPECT_LT(std::sqrt(squares / count), 0.035);
+}
+
+TEST(LockStep, ASeedGivesOneResult) {
+  const sim::Scenario site = small_site();
+  const auto once = ranges_of(site, 3, 0.05);
+  const auto again = ranges_of(site, 3, 0.21);
+  const auto other = ranges_of(site, 4, 0.05);
+  ASSERT_GT(once.size(), 300U);
+  ASSERT_EQ(once.size(), again.size());
+  for (std::size_t i = 0; i < once.size(); ++i) {
+    EXPECT_EQ(once[i].t_s, again[i].t_s);
+    EXPECT_EQ(once[i].range_m, again[i].range_m);
+    EXPECT_EQ(once[i].anchor_id, again[i].anchor_id);
+  }
+  EXPECT_NE(once.front().range_m, other.front().range_m);
+}
+
+TEST(LockStep, AScheduleThatTheFirmwareRefusesIsAnError) {
+  sim::Scenario site = small_site();
+  site.schedule.master_id = 99;
+  EXPECT_THROW(LockStep(site, 1), sim::SimulationError);
+}
+
+TEST(LockStep, ALineTooSlowForItsReportsLosesFramesAndCountsThem) {
+  sim::Scenario site = small_site();
+  site.link.bit_per_s = 115'200;
+  LockStep run(site, 5);
+  run.run_until(6.0);
+  EXPECT_GT(run.session().frames_lost(), 10U);
+}
+
+}  // namespace
+}  // namespace groma::simulation
