@@ -26,20 +26,30 @@ inline constexpr std::array kModels{Model::kOdometry, Model::kOriginal,     Mode
 [[nodiscard]] std::string_view model_name(Model model) noexcept;
 [[nodiscard]] std::optional<Model> model_from_name(std::string_view name) noexcept;
 
-// When a range is weighed down or turned away; e is the innovation over its sigma.
+// How ranges are weighed: see gate.hpp.
 struct GateConfig {
-  // Up to here a range has its full weight; beyond, the weight falls with (knee/e)^2. Blocked ranges are
-  // too long, hardly ever too short: the positive side is the stricter one.
-  double knee_long = 2.0;
-  double knee_short = 3.0;
-  // Beyond this a range is turned away.
-  double reject = 6.0;
-  // The share of turned-away ranges, averaged over window_s, from which the state itself is doubted: its
-  // covariance then grows by these rates until ranges are accepted again.
+  double blocked_share = 0.1;   // of pairs, on the whole
+  double blocked_most = 0.5;    // no pair is given up for good
+  double sticky_s = 2.0;        // a pair's past is forgotten over this time
+  double excess_m = 0.5;        // mean excess of blocked ranges
+  double short_share = 0.2;     // of pairs that go wrong, those whose ranges are too short
+  double garbage_share = 0.01;  // of ranges
+  double garbage_width_m = 50.0;
+
+  // Beyond so many sigmas the weight falls with the square, too: calibrations may be wrong.
+  double knee = 1.5;
+
+  // The factor upon the range sigma: its change with each range, and its bounds.
+  double noise_step = 0.005;
+  double noise_least = 0.5;
+  double noise_most = 4.0;
+
+  // The share of weight refused, averaged over window_s, from which the state itself is doubted: its
+  // covariance then grows by these rates (per sqrt(s)) until ranges are accepted again.
   double doubt_share = 0.7;
   double window_s = 1.0;
-  double doubt_position_mps = 1.0;
-  double doubt_heading_radps = 0.2;
+  double doubt_position_m = 1.0;
+  double doubt_heading_rad = 0.2;
 };
 
 struct Config {
@@ -56,9 +66,9 @@ struct Config {
 
   double range_sigma_m = 0.1;
   double lever_arm_sigma_m = 0.01;
-  double range_delay_s = 0.0;         // expected age of a range at its stamp
-  double range_delay_sigma_s = 0.01;  // 0: the delay is known
-  double min_range_m = 0.0;           // exclusive
+  double range_delay_s = 0.0;        // expected age of a range at its stamp
+  double range_delay_sigma_s = 0.0;  // 0: the delay is known
+  double min_range_m = 0.0;          // exclusive
   double max_range_m = 1000.0;
 
   GateConfig gate;

@@ -168,10 +168,10 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
 
   RangeResult result;
   result.innovation_m = range.range_m - measurement.range_m;
-  result.innovation_variance_m2 = projected.variance + square(config_.range_sigma_m);
+  result.innovation_variance_m2 = projected.variance + square(config_.range_sigma_m * gate_.noise_scale());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  result.weight = gate_.weight(result.innovation_m, result.innovation_variance_m2);
-  if (gate_.observe(t_s_, result.weight <= 0.0)) ++counters_.doubts;
+  result.weight = gate_.weigh(anchor, tag, t_s_, result.innovation_m, result.innovation_variance_m2);
+  counters_.doubts = gate_.doubts_begun();
   if (!(result.weight > 0.0)) {
     result.outcome = RangeOutcome::kGated;
     return result;
@@ -229,11 +229,11 @@ void Filter::step(double dt_s) noexcept {
   if (gate_.doubts(t_s_)) {
     const CoreMatrix& core = covariance_.core();
     if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
-      covariance_.grow(kX, square(config_.gate.doubt_position_mps) * dt_s);
-      covariance_.grow(kY, square(config_.gate.doubt_position_mps) * dt_s);
+      covariance_.grow(kX, square(config_.gate.doubt_position_m) * dt_s);
+      covariance_.grow(kY, square(config_.gate.doubt_position_m) * dt_s);
     }
     if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
-      covariance_.grow(kTheta, square(config_.gate.doubt_heading_radps) * dt_s);
+      covariance_.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
     }
   }
 }

@@ -30,7 +30,7 @@ namespace groma::filter {
 
 struct Start {
   double t_s = 0.0;
-  model::PlanarPose pose;
+  model::PlanarPose pose = {};
   double position_sigma_m = 0.1;
   double heading_sigma_rad = 0.05;
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 namespace groma::filter {
 
@@ -9,30 +10,94 @@ namespace {
 
 // Fewer ranges than this within the window say nothing about the state.
 constexpr double kFewRanges = 4.0;
+// A weight below this turns the range away.
+constexpr double kNoWeight = 1e-3;
+// Half of a Gaussian's draws lie within this many sigmas.
+constexpr double kHalfWithin = 0.6744897501960817;
+
+double gaussian(double x, double sigma) noexcept {
+  const double e = x / sigma;
+  return std::exp(-0.5 * e * e) / (sigma * std::sqrt(2.0 * std::numbers::pi));
+}
+
+// Density of a Gaussian error plus an exponential excess of that mean.
+double with_excess(double x, double sigma, double mean) noexcept {
+  const double ratio = sigma / mean;
+  const double below = 0.5 * std::erfc((ratio - x / sigma) * std::numbers::sqrt2 / 2.0);
+  // For a wide sigma the product of a huge and a tiny factor; it then is the Gaussian's own.
+  if (ratio > 8.0) return gaussian(x, sigma);
+  if (!(below > 0.0)) return 0.0;
+  return std::exp(0.5 * ratio * ratio - x / mean) * below / mean;
+}
 
 }  // namespace
 
-double Gate::weight(double innovation_m, double variance_m2) const noexcept {
-  if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2) || !(variance_m2 > 0.0)) return 0.0;
-  const double e = innovation_m / std::sqrt(variance_m2);
-  const double size = std::abs(e);
-  if (!(size < config_.reject)) return 0.0;
-  const double knee = e > 0.0 ? config_.knee_long : config_.knee_short;
-  if (size <= knee) return 1.0;
-  return knee * knee / (size * size);
+Gate::Gate(const GateConfig& config) : config_(config) {
+  reset(0.0);
 }
 
-bool Gate::observe(double t_s, bool rejected) noexcept {
+Gate::Pair& Gate::pair(int anchor, int tag) noexcept {
+  return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
+}
+
+double Gate::blocked(int anchor, int tag) const noexcept {
+  return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].blocked;
+}
+
+double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept {
+  if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2) || !(variance_m2 > 0.0)) return 0.0;
+  const double sigma = std::sqrt(variance_m2);
+  Pair& chain = pair(anchor, tag);
+
+  const double fade = std::exp(-std::max(t_s - chain.t_s, 0.0) / config_.sticky_s);
+  const double prior = config_.blocked_share + (chain.blocked - config_.blocked_share) * fade;
+  const double in_sight = (1.0 - prior) * (1.0 - config_.garbage_share) * gaussian(innovation_m, sigma);
+  const double excess = prior * (1.0 - config_.garbage_share) *
+                        ((1.0 - config_.short_share) * with_excess(innovation_m, sigma, config_.excess_m) +
+                         config_.short_share * with_excess(-innovation_m, sigma, config_.excess_m));
+  const double garbage = config_.garbage_share / config_.garbage_width_m;
+  const double total = in_sight + excess + garbage;
+  chain.t_s = t_s;
+  chain.blocked = prior;
+  if (!(total > 0.0)) {
+    observe(t_s, 0.0);
+    return 0.0;
+  }
+
+  chain.blocked = std::min((excess + garbage * prior) / total, config_.blocked_most);
+  double weight = in_sight / total;
+  const double knees = std::abs(innovation_m) / (sigma * config_.knee);
+  if (knees > 1.0) weight /= knees * knees;
+  if (!(weight >= kNoWeight)) weight = 0.0;
+  adapt_noise(innovation_m / sigma);
+  observe(t_s, weight);
+  return weight;
+}
+
+void Gate::adapt_noise(double e) noexcept {
+  // Ranges that are too short tell of the noise alone.
+  if (e > 0.0) return;
+  const double step = e < -kHalfWithin ? config_.noise_step : -config_.noise_step;
+  noise_scale_ = std::clamp(noise_scale_ * (1.0 + step), config_.noise_least, config_.noise_most);
+}
+
+void Gate::observe(double t_s, double weight) noexcept {
   const double fade = std::exp(-std::max(t_s - t_s_, 0.0) / config_.window_s);
   t_s_ = t_s;
   seen_ = seen_ * fade + 1.0;
-  rejected_ = rejected_ * fade + (rejected ? 1.0 : 0.0);
+  rejected_ = rejected_ * fade + (1.0 - weight);
   const bool before = doubts_;
   doubts_ = seen_ >= kFewRanges && rejected_ > config_.doubt_share * seen_;
-  return doubts_ && !before;
+  if (doubts_ && !before) ++doubts_begun_;
+}
+
+bool Gate::doubts(double t_s) const noexcept {
+  return doubts_ && t_s - t_s_ < config_.window_s;
 }
 
 void Gate::reset(double t_s) noexcept {
+  pairs_.fill({t_s, config_.blocked_share});
+  noise_scale_ = 1.0;
   t_s_ = t_s;
   rejected_ = 0.0;
   seen_ = 0.0;

@@ -1,31 +1,60 @@
-// What weight a range deserves, from its innovation alone; apart from the update, and unable to lock
-// itself out.
+// What weight a range deserves, from its innovation and from what its pair did before; apart from the
+// update, and unable to lock itself out.
+//
+// A pair is in sight (innovation Gaussian with the filter's own variance) or goes wrong (an exponential
+// excess on top: blocked ranges are too long, those of a wrong calibration may be too short), and stays so
+// for a while; any single range may be garbage. The weight is the posterior probability of being in sight,
+// less what is taken from innovations beyond the knee.
 #pragma once
 
+#include <array>
+#include <cstddef>
+
 #include "host/filter/config.hpp"
+#include "host/filter/state.hpp"
 
 namespace groma::filter {
 
 class Gate {
  public:
-  explicit Gate(const GateConfig& config) : config_(config) {}
+  explicit Gate(const GateConfig& config);
 
-  // Weight in [0, 1] of an innovation of that variance; 0 turns it away, as it does what is not a number.
-  [[nodiscard]] double weight(double innovation_m, double variance_m2) const noexcept;
+  // Weight in [0, 1] of an innovation of that variance by a pair of slots at t_s, and takes note of it. 0
+  // turns the range away; so does what is not a number.
+  [[nodiscard]] double weigh(int anchor, int tag, double t_s, double innovation_m,
+                             double variance_m2) noexcept;
 
-  // Takes note of what became of a range at t_s. True when the gate begins to doubt the state.
-  bool observe(double t_s, bool rejected) noexcept;
+  // Probability that the pair is blocked, as of its last range.
+  [[nodiscard]] double blocked(int anchor, int tag) const noexcept;
+  // Factor upon the configured sigma of ranges that makes innovations as wide as they should be.
+  [[nodiscard]] double noise_scale() const noexcept { return noise_scale_; }
+
   // Too large a share of late has been turned away: not the ranges, the state is wrong. Where no ranges come
   // there is no doubt either.
-  [[nodiscard]] bool doubts(double t_s) const noexcept { return doubts_ && t_s - t_s_ < config_.window_s; }
+  [[nodiscard]] bool doubts(double t_s) const noexcept;
+  // Times that a doubt began.
+  [[nodiscard]] std::size_t doubts_begun() const noexcept { return doubts_begun_; }
+  // Forgets everything but the count.
   void reset(double t_s) noexcept;
 
  private:
+  struct Pair {
+    double t_s = 0.0;
+    double blocked = 0.0;
+  };
+
+  Pair& pair(int anchor, int tag) noexcept;
+  void adapt_noise(double e) noexcept;
+  void observe(double t_s, double weight) noexcept;
+
   GateConfig config_;
+  std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
+  double noise_scale_ = 1.0;
   double t_s_ = 0.0;
-  double rejected_ = 0.0;  // fading counts over window_s
+  double rejected_ = 0.0;  // fading sums over window_s
   double seen_ = 0.0;
   bool doubts_ = false;
+  std::size_t doubts_begun_ = 0;
 };
 
 }  // namespace groma::filter

@@ -37,7 +37,7 @@ Parameters::Parameters(std::span<const model::Tag> tags, const model::Calibratio
       if (tag < 0) continue;
       values_(beta(slot, tag)) = pair.beta_m;
       values_(gamma(slot, tag)) = pair.gamma;
-      known_pairs_[static_cast<std::size_t>(slot * kMaxTags + tag)] = true;
+      known_pairs_[static_cast<std::size_t>(slot)][static_cast<std::size_t>(tag)] = true;
     }
   }
 }
@@ -57,7 +57,7 @@ int Parameters::tag_slot(model::NodeId id) const noexcept {
 }
 
 bool Parameters::knows_pair(int anchor, int tag) const noexcept {
-  return known_pairs_[static_cast<std::size_t>(anchor * kMaxTags + tag)];
+  return known_pairs_[static_cast<std::size_t>(anchor)][static_cast<std::size_t>(tag)];
 }
 
 ParameterMatrix Parameters::prior_covariance(const model::Calibration& calibration,

@@ -51,7 +51,7 @@ class Parameters {
  private:
   std::array<model::NodeId, kMaxAnchors> anchor_ids_{};
   std::array<model::NodeId, kMaxTags> tag_ids_{};
-  std::array<bool, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> known_pairs_{};
+  std::array<std::array<bool, kMaxTags>, kMaxAnchors> known_pairs_{};
   int anchor_count_ = 0;
   int tag_count_ = 0;
   ParameterVector values_;

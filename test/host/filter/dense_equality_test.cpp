@@ -23,9 +23,10 @@ Config plain_config(Model model) {
   config.model = model;
   config.odometry = {0.03, 0.03, 0.01};
   // No weights: the reference has none.
-  config.gate.knee_long = 1e9;
-  config.gate.knee_short = 1e9;
-  config.gate.reject = 1e9;
+  config.gate.blocked_share = 0.0;
+  config.gate.garbage_share = 0.0;
+  config.gate.knee = 1e9;
+  config.gate.noise_step = 0.0;
   return config;
 }
 

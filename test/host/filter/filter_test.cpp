@@ -1,0 +1,336 @@
+#include "host/filter/filter.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include <Eigen/Eigenvalues>
+
+#include "test/host/filter/small_site.hpp"
+#include "test/support/allocations.hpp"
+
+namespace groma::filter {
+namespace {
+
+using test::Random;
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+Config config_of(Model model) {
+  Config config;
+  config.model = model;
+  config.odometry = {0.03, 0.03, 0.01};
+  return config;
+}
+
+std::unique_ptr<Filter> make_filter(Model model, const model::Surface& surface = testing::hills(0.2)) {
+  return std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(), config_of(model));
+}
+
+// Odometry and ranges in order of time, up to before end_s; what has been taken in is remembered.
+class Feeder {
+ public:
+  explicit Feeder(const testing::Drive& drive) : drive_(drive) {}
+
+  void until(double end_s, Filter& filter) {
+    while (true) {
+      const bool has_row = row_ < drive_.odometry.size() && drive_.odometry[row_].t_s < end_s;
+      const bool has_range = range_ < drive_.ranges.size() && drive_.ranges[range_].t_s < end_s;
+      if (!has_row && !has_range) return;
+      if (has_row && (!has_range || drive_.odometry[row_].t_s <= drive_.ranges[range_].t_s)) {
+        filter.process(drive_.odometry[row_++]);
+      } else {
+        filter.process(drive_.ranges[range_++]);
+      }
+    }
+  }
+
+ private:
+  const testing::Drive& drive_;
+  std::size_t row_ = 0;
+  std::size_t range_ = 0;
+};
+
+class EveryModel : public ::testing::TestWithParam<Model> {};
+INSTANTIATE_TEST_SUITE_P(Filter, EveryModel, ::testing::ValuesIn(kModels),
+                         [](const ::testing::TestParamInfo<Model>& model) {
+                           std::string name(model_name(model.param));
+                           std::erase(name, '-');
+                           return name;
+                         });
+
+TEST(ModelNames, GoBothWays) {
+  for (const Model model : kModels) EXPECT_EQ(model_from_name(model_name(model)), model);
+  EXPECT_FALSE(model_from_name("kalman").has_value());
+  EXPECT_FALSE(model_from_name("").has_value());
+}
+
+TEST(Filter, SaysWhatBecameOfEachInputAndCountsIt) {
+  const auto filter = make_filter(Model::kSchmidt);
+  const model::RangeSample good{1.0, 1, 11, 15.0};
+  EXPECT_EQ(filter->process(good).outcome, RangeOutcome::kNotStarted);
+  EXPECT_EQ(filter->process(model::OdometrySample{0.5, 1.0, 0.0, 0.0}), OdometryOutcome::kStored);
+  filter->start({.t_s = 1.0});
+  EXPECT_EQ(filter->process(model::RangeSample{1.1, 9, 11, 15.0}).outcome, RangeOutcome::kUnknownTag);
+  EXPECT_EQ(filter->process(model::RangeSample{1.1, 1, 99, 15.0}).outcome, RangeOutcome::kUnknownAnchor);
+  for (const double range_m : {0.0, -3.0, 300e3, kNan, kInfinity, -kInfinity}) {
+    EXPECT_EQ(filter->process(model::RangeSample{1.1, 1, 11, range_m}).outcome, RangeOutcome::kBadValue)
+        << range_m;
+  }
+  EXPECT_EQ(filter->process(model::RangeSample{kNan, 1, 11, 15.0}).outcome, RangeOutcome::kBadValue);
+  EXPECT_EQ(filter->process(model::RangeSample{0.9, 1, 11, 15.0}).outcome, RangeOutcome::kOutOfOrder);
+  const RangeResult gated = filter->process(model::RangeSample{1.1, 1, 11, 500.0});
+  EXPECT_EQ(gated.outcome, RangeOutcome::kGated);
+  const double expected_m = 500.0 - gated.innovation_m;
+  const RangeResult used = filter->process(model::RangeSample{1.2, 1, 11, expected_m});
+  EXPECT_EQ(used.outcome, RangeOutcome::kUsed);
+  EXPECT_NEAR(used.nis, used.innovation_m * used.innovation_m / used.innovation_variance_m2, 1e-12);
+  EXPECT_GT(used.weight, 0.0);
+
+  EXPECT_EQ(filter->process(model::OdometrySample{1.3, 1.0, 0.0, 0.0}), OdometryOutcome::kUsed);
+  EXPECT_EQ(filter->process(model::OdometrySample{1.3, 1.0, 0.0, 0.0}), OdometryOutcome::kOutOfOrder);
+  EXPECT_EQ(filter->process(model::OdometrySample{1.2, 1.0, 0.0, 0.0}), OdometryOutcome::kOutOfOrder);
+  EXPECT_EQ(filter->process(model::OdometrySample{1.4, kNan, 0.0, 0.0}), OdometryOutcome::kBadValue);
+  EXPECT_EQ(filter->process(model::OdometrySample{kInfinity, 1.0, 0.0, 0.0}), OdometryOutcome::kBadValue);
+  filter->process(model::RangeSample{1.5, 1, 11, expected_m});
+  EXPECT_EQ(filter->process(model::OdometrySample{1.45, 1.0, 0.0, 0.0}), OdometryOutcome::kUsedLate);
+  EXPECT_EQ(filter->estimate().t_s, 1.5);
+
+  const Counters& counters = filter->counters();
+  EXPECT_EQ(counters.ranges_not_started, 1U);
+  EXPECT_EQ(counters.ranges_unknown_tag, 1U);
+  EXPECT_EQ(counters.ranges_unknown_anchor, 1U);
+  EXPECT_EQ(counters.ranges_bad_value, 7U);
+  EXPECT_EQ(counters.ranges_out_of_order, 1U);
+  EXPECT_EQ(counters.ranges_used + counters.ranges_gated, 3U);
+  EXPECT_EQ(counters.odometry_used, 1U);
+  EXPECT_EQ(counters.odometry_used_late, 1U);
+  EXPECT_EQ(counters.odometry_stored, 1U);
+  EXPECT_EQ(counters.odometry_out_of_order, 2U);
+  EXPECT_EQ(counters.odometry_bad_value, 2U);
+}
+
+TEST(Filter, AnInputThatIsRefusedChangesNothing) {
+  const auto filter = make_filter(Model::kJoint);
+  filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.1});
+  filter->start({.t_s = 0.0});
+  const CoreVector core = filter->core();
+  const CoreMatrix covariance = filter->covariance().core();
+  filter->process(model::RangeSample{0.5, 1, 11, kNan});
+  filter->process(model::RangeSample{0.5, 7, 11, 10.0});
+  filter->process(model::RangeSample{-0.5, 1, 11, 10.0});
+  filter->process(model::OdometrySample{0.5, 1.0, kNan, 0.1});
+  EXPECT_FALSE(filter->advance_to(kNan));
+  EXPECT_FALSE(filter->advance_to(-1.0));
+  EXPECT_FALSE(filter->advance_to(0.0));
+  EXPECT_EQ(filter->core(), core);
+  EXPECT_EQ(filter->covariance().core(), covariance);
+  EXPECT_EQ(filter->estimate().t_s, 0.0);
+}
+
+TEST(Filter, TwoStepsWithinARowAreOneStep) {
+  const model::Surface flat;
+  const auto once = make_filter(Model::kSchmidt, flat);
+  const auto often = make_filter(Model::kSchmidt, flat);
+  for (const auto& filter : {once.get(), often.get()}) {
+    filter->process(model::OdometrySample{0.0, 1.3, 0.2, 0.4});
+    filter->start({.t_s = 0.0, .pose = {1.0, 2.0, 0.3}});
+  }
+  once->advance_to(0.04);
+  for (int i = 1; i <= 8; ++i) often->advance_to(0.005 * i);
+  EXPECT_LT((once->core() - often->core()).cwiseAbs().maxCoeff(), 1e-12);
+  // The walks of scale and bias are all that may differ.
+  EXPECT_LT((once->covariance().core() - often->covariance().core()).cwiseAbs().maxCoeff(), 1e-9);
+  // One draw of sigma 0.03 m/s held over 0.04 s, and so on: not 8 draws of an eighth.
+  EXPECT_NEAR(often->estimate().covariance(0, 0) - 0.01,
+              std::pow(0.04 * 0.03, 2) + std::pow(0.04 * 1.3 * 0.01, 2) + 0.0025 * std::pow(0.04 * 0.62, 2),
+              2e-6);
+}
+
+TEST(Filter, CovarianceOfDeadReckoningIsThatOfManyDrives) {
+  const model::Surface surface = testing::hills(0.2);
+  const model::PlanarPose start{1.0, -2.0, 0.4};
+  Random random(61);
+  constexpr int kDrives = 400;
+  double sum = 0.0;
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  Eigen::Matrix3d stated = Eigen::Matrix3d::Zero();
+  for (int i = 0; i < kDrives; ++i) {
+    const testing::Drive drive =
+        testing::drive(surface, testing::six_anchors(), start, {.duration_s = 6.0}, random);
+    const auto filter = make_filter(Model::kOdometry, surface);
+    filter->process(drive.odometry.front());
+    filter->start({.t_s = 0.0,
+                   .pose = {start.x_m + 0.1 * random.gaussian(), start.y_m + 0.1 * random.gaussian(),
+                            start.theta_rad + 0.05 * random.gaussian()}});
+    for (std::size_t row = 1; row < drive.odometry.size(); ++row) filter->process(drive.odometry[row]);
+    const Estimate estimate = filter->estimate();
+    const model::PlanarPose& truth = drive.truth.back();
+    sum += testing::squared_error(estimate, truth);
+    const Eigen::Vector3d e(estimate.pose.x_m - truth.x_m, estimate.pose.y_m - truth.y_m,
+                            model::wrap_angle(estimate.pose.theta_rad - truth.theta_rad));
+    scatter += e * e.transpose() / kDrives;
+    stated += estimate.covariance / kDrives;
+  }
+  // Chi-square of 3 * 400 degrees of freedom: 4 sigmas.
+  EXPECT_NEAR(sum / (3.0 * kDrives), 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kDrives)));
+  for (int i = 0; i < 3; ++i) EXPECT_NEAR(scatter(i, i) / stated(i, i), 1.0, 4.0 * std::sqrt(2.0 / kDrives));
+}
+
+class Consistency : public ::testing::TestWithParam<Model> {};
+INSTANTIATE_TEST_SUITE_P(Filter, Consistency,
+                         ::testing::Values(Model::kSchmidt, Model::kAnchorStates, Model::kJoint),
+                         [](const ::testing::TestParamInfo<Model>& model) {
+                           std::string name(model_name(model.param));
+                           std::erase(name, '-');
+                           return name;
+                         });
+
+TEST_P(Consistency, ErrorsAreAsLargeAsStatedOverManySites) {
+  const model::Surface surface = testing::hills(0.2);
+  const model::PlanarPose start{1.0, -2.0, 0.4};
+  Random random(62);
+  constexpr int kSites = 120;
+  double sum = 0.0;
+  int inside = 0;
+  double nis = 0.0;
+  for (int i = 0; i < kSites; ++i) {
+    const testing::Drive drive =
+        testing::drive(surface, testing::six_anchors(), start, {.duration_s = 15.0, .range_s = 0.02}, random);
+    const auto filter = make_filter(GetParam(), surface);
+    filter->process(drive.odometry.front());
+    filter->start({.t_s = 0.0,
+                   .pose = {start.x_m + 0.1 * random.gaussian(), start.y_m + 0.1 * random.gaussian(),
+                            start.theta_rad + 0.05 * random.gaussian()}});
+    Feeder feeder(drive);
+    // One instant of each, as errors are nearly constant within a site.
+    const std::size_t instant = 40 + static_cast<std::size_t>(random.uniform(0.0, 259.0));
+    feeder.until(drive.odometry[instant].t_s, *filter);
+    const RangeResult last = filter->process(model::RangeSample{drive.odometry[instant].t_s, 1, 11, 1.0});
+    EXPECT_EQ(last.outcome, RangeOutcome::kGated);
+    const double error = testing::squared_error(filter->estimate(), drive.truth[instant]);
+    sum += error;
+    inside += error <= 7.815 ? 1 : 0;
+    nis += static_cast<double>(filter->counters().ranges_gated);
+  }
+  // Chi-square of 360 degrees of freedom, 4 sigmas; binomial for the share.
+  EXPECT_NEAR(sum / (3.0 * kSites), 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
+  EXPECT_GE(inside, 105);
+  EXPECT_LE(nis, 5.0 * kSites);
+}
+
+TEST(Filter, WithoutCrossCovariancesItIsOverconfident) {
+  // What the consider filter is for: the same sites with the inflated model.
+  const model::Surface surface = testing::hills(0.2);
+  const model::PlanarPose start{1.0, -2.0, 0.4};
+  Random random(63);
+  double sum = 0.0;
+  for (int i = 0; i < 20; ++i) {
+    const testing::Drive drive =
+        testing::drive(surface, testing::six_anchors(), start, {.duration_s = 15.0, .range_s = 0.02}, random);
+    const auto filter = make_filter(Model::kInflated, surface);
+    filter->process(drive.odometry.front());
+    filter->start({.t_s = 0.0, .pose = start});
+    Feeder(drive).until(drive.odometry.back().t_s, *filter);
+    filter->advance_to(drive.odometry.back().t_s);
+    sum += testing::squared_error(filter->estimate(), drive.truth.back());
+  }
+  EXPECT_GT(sum / 60.0, 2.0);
+}
+
+TEST(Filter, FindsBackAfterItWasCarriedAway) {
+  const model::Surface surface = testing::hills(0.2);
+  const model::PlanarPose start{1.0, -2.0, 0.4};
+  Random random(64);
+  const testing::Drive drive = testing::drive(surface, testing::six_anchors(0.3), start,
+                                              {.duration_s = 30.0, .range_s = 0.005}, random);
+  for (const Model model : {Model::kSchmidt, Model::kInflated}) {
+    const auto filter =
+        std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(0.3), config_of(model));
+    filter->process(drive.odometry.front());
+    filter->start({.t_s = 0.0, .pose = start});
+    Feeder feeder(drive);
+    feeder.until(5.0, *filter);
+    // 3 m off and sure of it.
+    const Estimate estimate = filter->estimate();
+    filter->start({.t_s = estimate.t_s,
+                   .pose = {estimate.pose.x_m + 2.5, estimate.pose.y_m - 1.7, estimate.pose.theta_rad + 0.2},
+                   .position_sigma_m = 0.05,
+                   .heading_sigma_rad = 0.02});
+    feeder.until(7.0, *filter);
+    EXPECT_GE(filter->counters().doubts, 1U);
+    feeder.until(20.0, *filter);
+    const std::size_t row = 399;
+    EXPECT_NEAR(filter->estimate().t_s, drive.odometry[row].t_s, 0.06);
+    EXPECT_LT(std::hypot(filter->estimate().pose.x_m - drive.truth[row].x_m,
+                         filter->estimate().pose.y_m - drive.truth[row].y_m),
+              0.3)
+        << model_name(model);
+  }
+}
+
+TEST(Filter, TrustsAnOverdueRowLessAndLess) {
+  const auto filter = make_filter(Model::kOdometry, model::Surface());
+  filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.0});
+  filter->start({.t_s = 0.0, .position_sigma_m = 0.01});
+  filter->advance_to(0.5);
+  EXPECT_NEAR(filter->estimate().pose.x_m, 0.5, 1e-12);
+  EXPECT_LT(filter->estimate().covariance(0, 0), std::pow(0.03, 2));
+  filter->advance_to(3.5);
+  // A velocity that walks by 1 m/s per sqrt(s) over 3 s: variance 3^3 / 3.
+  EXPECT_NEAR(filter->estimate().covariance(0, 0), 9.0, 0.3);
+  // A leap in time ends in bounded work and finite numbers.
+  filter->advance_to(1e9);
+  EXPECT_TRUE(filter->core().allFinite());
+  EXPECT_TRUE(filter->covariance().core().allFinite());
+}
+
+TEST_P(EveryModel, NeverAllocatesOnceItStands) {
+  const model::Surface surface = testing::hills(0.2);
+  Random random(65);
+  const testing::Drive drive = testing::drive(surface, testing::six_anchors(), {1.0, -2.0, 0.4},
+                                              {.duration_s = 2.0, .range_s = 0.01}, random);
+  const auto filter = make_filter(GetParam(), surface);
+  Feeder feeder(drive);
+  const std::size_t before = test::allocations();
+  filter->process(drive.odometry.front());
+  filter->start({.t_s = 0.0, .pose = {1.0, -2.0, 0.4}});
+  feeder.until(2.0, *filter);
+  filter->process(model::RangeSample{2.0, 1, 11, 1e9});
+  static_cast<void>(filter->estimate());
+  EXPECT_EQ(test::allocations(), before);
+  EXPECT_GT(filter->counters().ranges_used + filter->counters().ranges_not_modelled, 150U);
+}
+
+TEST_P(EveryModel, StaysSymmetricAndPositiveOverALongRun) {
+  const model::Surface surface = testing::hills(0.2);
+  Random random(66);
+  const testing::Drive drive = testing::drive(surface, testing::six_anchors(), {1.0, -2.0, 0.4},
+                                              {.duration_s = 200.0, .range_s = 0.005}, random);
+  const auto filter = make_filter(GetParam(), surface);
+  filter->process(drive.odometry.front());
+  filter->start({.t_s = 0.0, .pose = {1.0, -2.0, 0.4}});
+  Feeder(drive).until(200.0, *filter);
+  const JointCovariance& covariance = filter->covariance();
+  const Eigen::Index parameters = covariance.parameters().rows();
+  Eigen::MatrixXd p(kCoreSize + parameters, kCoreSize + parameters);
+  p << covariance.core(), covariance.cross().transpose(), covariance.cross(), covariance.parameters();
+  EXPECT_LT((p - p.transpose()).cwiseAbs().maxCoeff(), 1e-13);
+  // Of the matrix scaled to unit variances, so that no unit hides another; the delay is known: no variance.
+  Eigen::VectorXd scale = p.diagonal().cwiseSqrt();
+  EXPECT_EQ(scale(kDelay), 0.0);
+  scale(kDelay) = 1.0;
+  p(kDelay, kDelay) = 1.0;
+  const Eigen::MatrixXd correlation =
+      scale.cwiseInverse().asDiagonal() * p * scale.cwiseInverse().asDiagonal();
+  EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(correlation).eigenvalues().minCoeff(), -1e-12);
+  const Eigen::Matrix3d pose = filter->estimate().covariance;
+  EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(pose).eigenvalues().minCoeff(), 0.0);
+}
+
+}  // namespace
+}  // namespace groma::filter

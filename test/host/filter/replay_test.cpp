@@ -1,0 +1,156 @@
+#include "host/filter/replay.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "test/host/filter/small_site.hpp"
+
+namespace groma::filter {
+namespace {
+
+using test::Random;
+
+class ReplayTest : public ::testing::Test {
+ protected:
+  ReplayTest() {
+    Random random(71);
+    drive_ = testing::drive(surface_, calibration_, start_, {.duration_s = 12.0, .range_s = 0.013}, random);
+    options_.config.odometry = {0.03, 0.03, 0.01};
+    options_.start = {.t_s = 0.0, .pose = start_};
+  }
+
+  ReplayResult run() const {
+    return replay({drive_.odometry, drive_.ranges, tags_, &surface_, &calibration_}, options_);
+  }
+
+  model::Surface surface_ = testing::hills(0.2);
+  model::Calibration calibration_ = testing::six_anchors(0.3);
+  std::vector<model::Tag> tags_ = testing::three_tags();
+  model::PlanarPose start_{1.0, -2.0, 0.4};
+  testing::Drive drive_;
+  ReplayOptions options_;
+};
+
+bool same(const EstimateRow& a, const EstimateRow& b) {
+  return std::memcmp(&a, &b, sizeof a) == 0;
+}
+
+TEST_F(ReplayTest, GivesOneRowForEachOdometryRowAtItsTime) {
+  const ReplayResult result = run();
+  ASSERT_EQ(result.rows.size(), drive_.odometry.size());
+  for (std::size_t i = 0; i < result.rows.size(); ++i) EXPECT_EQ(result.rows[i].t_s, drive_.odometry[i].t_s);
+  // Ranges after the last row are not seen: no row could tell of them.
+  std::size_t before = 0;
+  for (const model::RangeSample& range : drive_.ranges)
+    before += range.t_s <= drive_.odometry.back().t_s ? 1U : 0U;
+  EXPECT_EQ(result.ranges_seen, before);
+  EXPECT_EQ(result.counters.ranges_used + result.counters.ranges_gated, before);
+  double sum = 0.0;
+  for (std::size_t i = 0; i < result.rows.size(); ++i) {
+    sum += std::hypot(result.rows[i].x_m - drive_.truth[i].x_m, result.rows[i].y_m - drive_.truth[i].y_m);
+  }
+  EXPECT_LT(sum / static_cast<double>(result.rows.size()), 0.1);
+  EXPECT_NEAR(result.nis_mean, 1.0, 0.25);
+}
+
+TEST_F(ReplayTest, IsCausal) {
+  const ReplayResult whole = run();
+  // Cut anywhere: the rows before are the same to the last bit.
+  for (const double cut_s : {0.6, 3.3, 9.05}) {
+    const testing::Drive uncut = drive_;
+    std::erase_if(drive_.odometry, [&](const model::OdometrySample& row) { return row.t_s > cut_s; });
+    std::erase_if(drive_.ranges, [&](const model::RangeSample& range) { return range.t_s > cut_s; });
+    const ReplayResult part = run();
+    ASSERT_EQ(part.rows.size(), drive_.odometry.size());
+    for (std::size_t i = 0; i < part.rows.size(); ++i) EXPECT_TRUE(same(part.rows[i], whole.rows[i])) << i;
+    drive_ = uncut;
+  }
+}
+
+TEST_F(ReplayTest, ARowTellsOfTheRangeAtItsOwnTime) {
+  drive_.ranges = {{drive_.odometry[40].t_s, 1, 11, 15.0}};
+  const ReplayResult with = run();
+  drive_.ranges.front().range_m += 0.1;
+  const ReplayResult other = run();
+  EXPECT_TRUE(same(with.rows[39], other.rows[39]));
+  EXPECT_EQ(with.ranges_seen, 1U);
+  EXPECT_EQ(with.rows[40].t_s, drive_.odometry[40].t_s);
+}
+
+TEST_F(ReplayTest, KeepsWithinItsTimesAndItsChoiceOfTagsAndAnchors) {
+  options_.start.t_s = 3.02;
+  options_.start.pose = drive_.truth[60];
+  options_.to_s = 8.0;
+  options_.tags = {1, 3};
+  options_.anchors = {11, 13, 14, 16};
+  const ReplayResult result = run();
+  EXPECT_EQ(result.rows.front().t_s, drive_.odometry[61].t_s);
+  EXPECT_LE(result.rows.back().t_s, 8.0);
+  EXPECT_GT(result.rows.back().t_s, 7.9);
+  std::size_t expected = 0;
+  for (const model::RangeSample& range : drive_.ranges) {
+    expected += range.t_s >= 3.02 && range.t_s <= result.rows.back().t_s && range.tag_id != 2 &&
+                        range.anchor_id != 12 && range.anchor_id != 15
+                    ? 1U
+                    : 0U;
+  }
+  EXPECT_EQ(result.ranges_seen, expected);
+  EXPECT_EQ(result.counters.ranges_used + result.counters.ranges_gated, expected);
+  // The row before the start holds at it.
+  EXPECT_EQ(result.counters.odometry_stored, 1U);
+}
+
+TEST_F(ReplayTest, CountsRangesToAnchorsThatTheCalibrationLacks) {
+  calibration_.anchors.erase(calibration_.anchors.begin() + 2);
+  const ReplayResult result = run();
+  EXPECT_GT(result.counters.ranges_unknown_anchor, 100U);
+  EXPECT_EQ(
+      result.counters.ranges_unknown_anchor + result.counters.ranges_used + result.counters.ranges_gated,
+      result.ranges_seen);
+}
+
+TEST_F(ReplayTest, TimesEachCallByTheClockThatIsGiven) {
+  EXPECT_EQ(run().update_ns.p50, 0.0);
+  std::int64_t now = 0;
+  options_.now_ns = [&now] { return now += 7; };
+  const ReplayResult result = run();
+  EXPECT_EQ(result.propagate_ns.p50, 7.0);
+  EXPECT_EQ(result.update_ns.p99, 7.0);
+}
+
+TEST_F(ReplayTest, WithoutInputThereIsNoOutput) {
+  drive_ = {};
+  const ReplayResult result = run();
+  EXPECT_TRUE(result.rows.empty());
+  EXPECT_EQ(result.nis_mean, 0.0);
+}
+
+TEST(StartFromPrior, IsTheFirstPoseAtOrAfterTheTime) {
+  const std::vector<model::PoseSample> priors{{1.0, 1.0, 2.0, 0.0, 0.5}, {2.0, 3.0, 4.0, 0.0, 0.6}};
+  const model::Surface flat;
+  EXPECT_EQ(start_from_prior(priors, -10.0, flat)->t_s, 1.0);
+  EXPECT_EQ(start_from_prior(priors, 1.0, flat)->pose.x_m, 1.0);
+  EXPECT_EQ(start_from_prior(priors, 1.5, flat)->pose.y_m, 4.0);
+  EXPECT_EQ(start_from_prior(priors, 1.5, flat)->pose.theta_rad, 0.6);
+  EXPECT_FALSE(start_from_prior(priors, 2.5, flat).has_value());
+  EXPECT_FALSE(start_from_prior({}, 0.0, flat).has_value());
+}
+
+TEST(StartFromPrior, TakesTheHeadingOnTheSurfaceFromAFullAttitude) {
+  const model::Surface slope = model::Plane(0.0, {-0.11, 0.05, 1.0});
+  const double heading = 0.9;
+  const Eigen::Matrix3d rotation = model::pose_on_surface(slope, {1.0, 2.0, heading}).pose.rotation;
+  model::PoseSample pose{0.0, 1.0, 2.0, 0.0, std::atan2(rotation(1, 0), rotation(0, 0))};
+  // Without roll and pitch the yaw is the heading.
+  EXPECT_EQ(start_from_prior(std::vector{pose}, 0.0, slope)->pose.theta_rad, pose.yaw_rad);
+  EXPECT_GT(std::abs(pose.yaw_rad - heading), 1e-3);
+  pose.pitch_rad = -std::asin(rotation(2, 0));
+  pose.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
+  EXPECT_NEAR(start_from_prior(std::vector{pose}, 0.0, slope)->pose.theta_rad, heading, 1e-12);
+}
+
+}  // namespace
+}  // namespace groma::filter
