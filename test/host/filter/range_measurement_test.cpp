@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <cstddef>
 
 #include "test/host/filter/small_site.hpp"
@@ -103,9 +102,10 @@ TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
 TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   const Parameters parameters(testing::three_tags(), testing::six_anchors());
   ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4);
-  std::vector<int> taken(static_cast<std::size_t>(parameters.size()), 0);
+  Eigen::VectorXi taken = Eigen::VectorXi::Zero(parameters.size());
   const auto take = [&](int first, int count) {
-    for (int i = 0; i < count; ++i) ++taken.at(static_cast<std::size_t>(first + i));
+    ASSERT_LE(first + count, parameters.size());
+    taken.segment(first, count).array() += 1;
   };
   for (int anchor = 0; anchor < 6; ++anchor) {
     take(parameters.position(anchor), 3);
@@ -116,7 +116,7 @@ TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   }
   for (int tag = 0; tag < 3; ++tag) take(parameters.lever_arm(tag), 3);
   take(parameters.frame(), 4);
-  EXPECT_EQ(std::count(taken.begin(), taken.end(), 1), parameters.size());
+  EXPECT_TRUE((taken.array() == 1).all());
 }
 
 TEST(Parameters, TakeTheCalibrationsBlocksForTheTagsThatAreThere) {
