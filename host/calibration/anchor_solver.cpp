@@ -72,6 +72,12 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
     out.information(beta, beta) = block(3, 3) + 1.0 / square(priors.beta_m.sigma);
     out.information(gamma, gamma) = block(4, 4) + 1.0 / square(priors.gamma.sigma);
   }
+  if (problem.position.surveyed) {
+    out.gradient.head<3>().setZero();
+    out.information.topRows<3>().setZero();
+    out.information.leftCols<3>().setZero();
+    out.information.topLeftCorner<3, 3>() = problem.position.information;
+  }
   return out;
 }
 

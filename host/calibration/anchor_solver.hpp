@@ -28,7 +28,7 @@ using AnchorVector = Eigen::VectorXd;
 struct PositionPrior {
   Eigen::Vector3d mean_m = Eigen::Vector3d::Zero();
   Eigen::Matrix3d information = Eigen::Matrix3d::Zero();  // 1/m^2
-  bool surveyed = false;                                  // known beforehand: not searched for
+  bool surveyed = false;  // known beforehand: held fixed, biases alone are learnt
 };
 
 struct AnchorProblem {
@@ -58,7 +58,7 @@ using PairBlock = Eigen::Matrix<double, 5, 5>;
 }
 
 // Quadratic model of the robust cost at one point: cost, gradient, and the information with each row's
-// weight, priors included, nothing damped.
+// weight, priors included, nothing damped. A surveyed position has no gradient and is tied to nothing.
 struct NormalEquations {
   double cost = 0.0;
   Eigen::VectorXd gradient;

@@ -121,6 +121,7 @@ JointEquations build(std::span<const AnchorFit> fits, std::span<const double> in
       cross.block<1, 6>(gamma, share.first) += j(4) * weighted.head<6>().transpose();
       cross(gamma, knots.delay()) += j(4) * weighted(6);
     }
+    if (fit.problem.position.surveyed) cross.topRows<3>().setZero();
     AnchorPart part;
     part.information.compute(alone.information);
     part.descent = -alone.gradient;

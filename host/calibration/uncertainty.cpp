@@ -99,6 +99,7 @@ Evidence gather_evidence(const AnchorFit& fit) {
   Evidence out;
   out.prior_information = information_of_priors(problem);
   out.information = out.prior_information;
+  out.surveyed = problem.position.surveyed;
   out.score_variance = Eigen::MatrixXd::Zero(size, size);
   if (problem.rows.empty()) return out;
 
@@ -164,6 +165,24 @@ double moment_inflation(const Evidence& evidence) {
 
 Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {
   const Eigen::Index size = evidence.information.rows();
+  if (evidence.surveyed) {
+    const Eigen::Index biases = size - 3;
+    const Eigen::LDLT<Eigen::MatrixXd> information(evidence.information.bottomRightCorner(biases, biases));
+    // Biases move by this where the position moves by one.
+    const Eigen::MatrixXd by_position = -information.solve(evidence.information.bottomLeftCorner(biases, 3));
+    const Eigen::Matrix3d position =
+        evidence.prior_information.topLeftCorner<3, 3>().ldlt().solve(Eigen::Matrix3d::Identity());
+    const Eigen::MatrixXd variance = evidence.prior_information.bottomRightCorner(biases, biases) +
+                                     inflation * evidence.score_variance.bottomRightCorner(biases, biases);
+    const Eigen::MatrixXd half = information.solve(variance);
+    Eigen::MatrixXd covariance(size, size);
+    covariance.topLeftCorner<3, 3>() = position;
+    covariance.bottomLeftCorner(biases, 3) = by_position * position;
+    covariance.topRightCorner(3, biases) = covariance.bottomLeftCorner(biases, 3).transpose();
+    covariance.bottomRightCorner(biases, biases) =
+        information.solve(half.transpose()) + by_position * position * by_position.transpose();
+    return 0.5 * (covariance + covariance.transpose());
+  }
   const Eigen::MatrixXd inverse = evidence.information.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
   const Eigen::MatrixXd variance = evidence.prior_information + inflation * evidence.score_variance;
   const Eigen::MatrixXd covariance = inverse * variance * inverse;

@@ -17,6 +17,7 @@ struct Evidence {
   Eigen::MatrixXd prior_information;
   Eigen::MatrixXd score_variance;       // of the data's gradient, were residuals independent
   std::vector<Eigen::VectorXd> scores;  // the data's gradient in each short block of the drive
+  bool surveyed = false;                // the position was held fixed
 };
 [[nodiscard]] Evidence gather_evidence(const AnchorFit& fit);
 
@@ -30,7 +31,8 @@ struct Evidence {
 inline constexpr double kMoment_s = 1.0;
 [[nodiscard]] double moment_inflation(const Evidence& evidence);
 
-// Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1.
+// Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1. A surveyed position keeps its
+// prior's covariance, and its error goes on into the biases that were learnt with it held fixed.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
 
 }  // namespace groma::calibration

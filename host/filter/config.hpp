@@ -66,9 +66,11 @@ struct Config {
 
   double range_sigma_m = 0.1;
   double lever_arm_sigma_m = 0.01;
-  double range_delay_s = 0.0;        // expected age of a range at its stamp
-  double range_delay_sigma_s = 0.0;  // 0: the delay is known
-  double min_range_m = 0.0;          // exclusive
+  // Expected age of a range at its stamp, where the calibration observed none; sigma 0: the delay is known.
+  double range_delay_s = 0.0;
+  double range_delay_sigma_s = 0.0;
+  double range_delay_change_s = 0.003;  // sigma of what changes in an observed delay from drive to drive
+  double min_range_m = 0.0;             // exclusive
   double max_range_m = 1000.0;
 
   GateConfig gate;

@@ -40,7 +40,12 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
       config_(config),
       parameters_(tags, calibration),
       gate_(config.gate),
-      covariance_(parameters_, calibration, config.lever_arm_sigma_m, learning(config.model)) {}
+      covariance_(parameters_, calibration, config.lever_arm_sigma_m, learning(config.model)) {
+  if (calibration.range_delay_sigma_s > 0.0) {
+    config_.range_delay_s = calibration.range_delay_s;
+    config_.range_delay_sigma_s = std::hypot(calibration.range_delay_sigma_s, config_.range_delay_change_s);
+  }
+}
 
 std::size_t Filter::anchors() const noexcept {
   return static_cast<std::size_t>(parameters_.anchor_count());

@@ -61,6 +61,7 @@ void write_anchor(Output out, const model::AnchorCalibration& anchor) {
   fmt::format_to(out, "    ranges_used: {}\n", anchor.ranges_used);
   fmt::format_to(out, "    ranges_rejected: {}\n", anchor.ranges_rejected);
   fmt::format_to(out, "    held_out_rms_m: {}\n", yaml_number(anchor.held_out_rms_m));
+  fmt::format_to(out, "    held_out_robust_rms_m: {}\n", yaml_number(anchor.held_out_robust_rms_m));
   fmt::format_to(out, "    mirror_ratio: {}\n", yaml_number(anchor.mirror_ratio));
   const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
   const bool known = anchor.covariance.rows() == size && anchor.covariance.cols() == size &&
@@ -150,9 +151,9 @@ std::optional<double> parse_optional(const YamlValue& yaml) {
 }
 
 model::AnchorCalibration parse_anchor(const YamlValue& yaml) {
-  yaml.expect_keys(
-      {{"id", "verdict", "position_m", "covariance_m2", "pairs"},
-       {"advice", "ranges_used", "ranges_rejected", "held_out_rms_m", "mirror_ratio", "block_covariance"}});
+  yaml.expect_keys({{"id", "verdict", "position_m", "covariance_m2", "pairs"},
+                    {"advice", "ranges_used", "ranges_rejected", "held_out_rms_m", "held_out_robust_rms_m",
+                     "mirror_ratio", "block_covariance"}});
   constexpr std::int64_t kMaxCount = std::numeric_limits<std::int64_t>::max();
   model::AnchorCalibration anchor;
   anchor.id = static_cast<model::NodeId>(yaml.at("id").integer(0, std::numeric_limits<model::NodeId>::max()));
@@ -165,6 +166,9 @@ model::AnchorCalibration parse_anchor(const YamlValue& yaml) {
     anchor.ranges_rejected = static_cast<std::size_t>(rejected->integer(0, kMaxCount));
   }
   if (const auto rms_m = yaml.find("held_out_rms_m")) anchor.held_out_rms_m = parse_optional(*rms_m);
+  if (const auto rms_m = yaml.find("held_out_robust_rms_m")) {
+    anchor.held_out_robust_rms_m = parse_optional(*rms_m);
+  }
   if (const auto ratio = yaml.find("mirror_ratio")) anchor.mirror_ratio = parse_optional(*ratio);
 
   if (yaml.at("position_m").is_null()) {
@@ -212,6 +216,9 @@ std::string format_calibration(const model::Calibration& calibration) {
   fmt::format_to(
       out, "# Of the shift (x, y, z in m) and turn (yaw in rad) that all anchors share through the poses.\n");
   write_matrix(out, "", "common_frame_covariance", calibration.common_frame_covariance);
+  fmt::format_to(out, "# Of ranges behind the poses; a variance of 0: not observed.\n");
+  fmt::format_to(out, "range_delay: {{mean_s: {}, variance_s2: {}}}\n", calibration.range_delay_s,
+                 calibration.range_delay_sigma_s * calibration.range_delay_sigma_s);
   fmt::format_to(out, "# block_covariance: position, then beta of each pair, then gamma of each pair.\n");
   fmt::format_to(out, "anchors:{}\n", calibration.anchors.empty() ? " []" : "");
   for (const model::AnchorCalibration& anchor : calibration.anchors) write_anchor(out, anchor);
@@ -220,8 +227,9 @@ std::string format_calibration(const model::Calibration& calibration) {
 
 model::Calibration parse_calibration(const std::filesystem::path& path, const std::string& text) {
   const YamlValue yaml = YamlValue::parse(path, text);
-  yaml.expect_keys({{"schema", "frame", "anchors"},
-                    {"program_version", "input_sha256", "verdict", "common_frame_covariance"}});
+  yaml.expect_keys(
+      {{"schema", "frame", "anchors"},
+       {"program_version", "input_sha256", "verdict", "common_frame_covariance", "range_delay"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -235,6 +243,11 @@ model::Calibration parse_calibration(const std::filesystem::path& path, const st
   }
   if (const auto frame = yaml.find("common_frame_covariance")) {
     calibration.common_frame_covariance = parse_covariance(*frame, 4);
+  }
+  if (const auto delay = yaml.find("range_delay")) {
+    delay->expect_keys({{"mean_s", "variance_s2"}});
+    calibration.range_delay_s = delay->at("mean_s").number();
+    calibration.range_delay_sigma_s = std::sqrt(parse_variance(delay->at("variance_s2")));
   }
   for (const YamlValue& entry : yaml.at("anchors").list()) {
     calibration.anchors.push_back(parse_anchor(entry));

@@ -53,6 +53,8 @@ model::Calibration make_calibration() {
   calibration.frame = "hall: 2";
   calibration.anchors = {make_anchor(4, {1, 2, 3}), make_anchor(65535, {7})};
   calibration.common_frame_covariance = awkward_covariance(4, 0.3);
+  calibration.range_delay_s = 0.0211;
+  calibration.range_delay_sigma_s = 0.0017;
   calibration.verdict = model::Verdict::kWarnings;
   calibration.input_sha256 = "00e1";
   calibration.program_version = "0.1.0";
@@ -68,6 +70,8 @@ TEST(CalibrationFileTest, EveryNumberSurvivesExactly) {
   const model::Calibration after = round_trip(before);
   EXPECT_EQ(after.frame, before.frame);
   EXPECT_EQ(after.common_frame_covariance, before.common_frame_covariance);
+  EXPECT_EQ(after.range_delay_s, before.range_delay_s);
+  EXPECT_DOUBLE_EQ(after.range_delay_sigma_s, before.range_delay_sigma_s);
   EXPECT_EQ(after.verdict, before.verdict);
   EXPECT_EQ(after.input_sha256, before.input_sha256);
   EXPECT_EQ(after.program_version, before.program_version);
