@@ -291,6 +291,7 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   Eigen::VectorXd error = Eigen::VectorXd::Zero(knots.size());
   Eigen::MatrixXd covariance;
   std::vector<double> inflation;
+  inflation.reserve(fits.size());
   for (const AnchorFit& fit : fits) inflation.push_back(moment_inflation(gather_evidence(fit)));
   JointEquations equations = build(fits, inflation, knots);
   out.wander = likeliest_wander(equations, knots);

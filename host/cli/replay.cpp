@@ -48,6 +48,7 @@ struct Options {
 
 std::vector<std::string> model_names() {
   std::vector<std::string> names;
+  names.reserve(filter::kModels.size());
   for (const filter::Model model : filter::kModels) names.emplace_back(filter::model_name(model));
   return names;
 }
