@@ -43,7 +43,7 @@ class RecordedRunsTest : public testing::Test {
     Arguments arguments{"replay", data, "--calibration", calibration_, "-o", estimate_};
     arguments.insert(arguments.end(), more.begin(), more.end());
     static_cast<void>(groma(arguments));
-    const json result = groma({"evaluate", estimate_, data / "groundtruth.csv"});
+    json result = groma({"evaluate", estimate_, data / "groundtruth.csv"});
     if (result.is_object()) {
       std::cout << data.filename().string() << ": ATE " << result["ate_m"] << ", NEES " << result["nees"]
                 << '\n';

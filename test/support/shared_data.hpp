@@ -23,7 +23,9 @@ inline std::optional<std::filesystem::path> shared_data(const std::string& name)
 }  // namespace groma::test
 
 // Skips the test unless the run is there; afterwards `variable` is its path.
+// A name that is declared cannot stand in parentheses. NOLINTBEGIN(bugprone-macro-parentheses)
 #define GROMA_SHARED_OR_SKIP(variable, name)                                               \
   const auto variable##_found = ::groma::test::shared_data(name);                          \
   if (!variable##_found) GTEST_SKIP() << "no data " << (name) << " beside the repository"; \
   const std::filesystem::path& variable = *variable##_found
+// NOLINTEND(bugprone-macro-parentheses)

@@ -44,6 +44,7 @@ TEST(Association, TurnsTheShortWayAcrossHalfATurn) {
 
 TEST(Association, TellsTheAntennasVelocityAndYawArm) {
   std::vector<PoseSample> poses;
+  poses.reserve(5);
   const auto pose_at = [](double t_s) {
     return PoseSample{.t_s = t_s, .x_m = 2.0 * t_s, .y_m = -t_s, .z_m = 0.1 * t_s, .yaw_rad = 0.7 * t_s};
   };
