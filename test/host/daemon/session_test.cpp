@@ -68,6 +68,7 @@ struct Site {
   void report(double host_s, const std::vector<double>& ages_s) {
     const auto dtu = [](double s) { return std::llround(s * kDeviceTicksPerSecond * (1.0 + 20e-6)); };
     std::vector<groma_Range> ranges;
+    ranges.reserve(ages_s.size());
     for (const double age_s : ages_s) {
       ranges.push_back(make_range(static_cast<std::uint16_t>(10 + ranges.size()), 5.0, dtu(-age_s)));
     }
