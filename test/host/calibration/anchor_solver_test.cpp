@@ -31,7 +31,7 @@ Scene make_scene(std::uint64_t seed, double noise_m, double blocked_share) {
   for (int i = 0; i < 300; ++i) {
     Observation row;
     row.t_s = 0.1 * i;
-    row.tag = static_cast<std::uint32_t>(i) % kTags;
+    row.tag = static_cast<std::uint32_t>(static_cast<std::size_t>(i) % kTags);
     row.tag_m = {random.uniform(-6.0, 6.0), random.uniform(-6.0, 6.0), 0.3 + 0.7 * row.tag};
     row.range_m = predict(row, scene.truth, kTags).range_m + noise_m * random.gaussian();
     if (random.uniform() < blocked_share) row.range_m += random.uniform(0.5, 3.0);
