@@ -165,7 +165,7 @@ TEST(PoseMessage, WhatIsUnknownIsNull) {
   EXPECT_TRUE(object.at("covariance")[14].is_null());
   EXPECT_EQ(json::parse(version_line()).at("class"), "VERSION");
   EXPECT_EQ(json::parse(status_line({.state = "TRACKING", .ranges = 5})).at("ranges"), 5);
-  EXPECT_NO_THROW(static_cast<void>(json::parse(pose_line(pose, "m\xff", "schmidt"))));
+  EXPECT_TRUE(json::parse(pose_line(pose, "m\xff", "schmidt")).is_object());
 }
 
 }  // namespace
