@@ -17,7 +17,7 @@ using model::AnchorVerdict;
 constexpr std::size_t kMinRanges = 30;
 // Sigmas that a filter can live with; beyond them the position is a hint and no more.
 constexpr double kWeakSigma_m = 0.30;
-// Sigmas also grow with the site: a thirtieth of the distance at which the anchor is used.
+// Sigmas also grow with the site: a sixtieth of the distance at which the anchor is used.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
 constexpr double kMinInSightShare = 0.3;
 constexpr double kBlockedScaleRatio = 1.2;

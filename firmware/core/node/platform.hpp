@@ -37,19 +37,18 @@ struct Build {
 };
 
 // The hardware a node stands on. Everything is called from one context: the one that calls the Node.
-//   spi()               the bus to the radio; interrupts of the radio may come at any time during a transfer
-//   reset_radio()       pulls the radio's reset line low, lets it float, returns when the chip may be spoken
-//   to delay_us(n)         returns after at least n microseconds now_us()            microseconds since boot,
-//   64 bits, monotonic; any drift link_write(frame)   queues one whole frame of bytes for the host, or
-//   nothing and returns false store_config(blob)  keeps the blob over resets and power cuts in place of the
-//   one before; false: not stored.
-//                       An empty blob erases it. May take 100 ms: the node has left the air before
-//   load_config(out)    copies the kept blob to `out`, returns its size; 0: there is none, or it does not fit
-//   set_indicator(i)    shows it until the next call
-//   restart()           resets the microcontroller. A simulated one may return; the node then does nothing
-//   more
-//                       until start()
-//   reset_reason(), last_fault()  of the boot before this run
+// - spi(): the bus to the radio; interrupts of the radio may come at any time during a transfer
+// - reset_radio(): pulls the radio's reset line low, lets it float, returns when the chip may be spoken to
+// - delay_us(n): returns after at least n microseconds
+// - now_us(): microseconds since boot, 64 bits, monotonic; any drift
+// - link_write(frame): queues one whole frame of bytes for the host, or nothing and returns false
+// - store_config(blob): keeps the blob over resets and power cuts in place of the one before; false: not
+//   stored. An empty blob erases it. May take 100 ms: the node has left the air before
+// - load_config(out): copies the kept blob to `out`, returns its size; 0: there is none, or it does not fit
+// - set_indicator(i): shows it until the next call
+// - restart(): resets the microcontroller. A simulated one may return; the node then does nothing more until
+//   start()
+// - reset_reason(), last_fault(): of the boot before this run
 template <class P>
 concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<const std::uint8_t> bytes,
                             std::span<std::uint8_t> out, Indicator indicator) {

@@ -1,4 +1,4 @@
-// Scenarios as YAML files: docs/scenarios tells the keys by example.
+// Scenarios as YAML files: docs/reference/files.md tells the keys.
 #pragma once
 
 #include <filesystem>
