@@ -25,6 +25,8 @@ class NoHardware {
   void restart() noexcept {}
   ResetReason reset_reason() noexcept { return ResetReason::kPowerOn; }
   std::optional<Fault> last_fault() noexcept { return std::nullopt; }
+  void proof_of_life() noexcept {}
+  StackUse stack_use() noexcept { return {}; }
 
  private:
   NoSpi spi_;

@@ -73,6 +73,8 @@ class NativePlatform {
   void restart() noexcept { restart_asked = true; }
   [[nodiscard]] node::ResetReason reset_reason() const noexcept { return reset_reason_; }
   [[nodiscard]] std::optional<node::Fault> last_fault() const noexcept { return std::nullopt; }
+  void proof_of_life() noexcept {}
+  [[nodiscard]] node::StackUse stack_use() const noexcept { return {}; }
 
   // ---- what the host of the node needs -------------------------------------------------------------------
   void boot(SimTime t, node::ResetReason reason) {

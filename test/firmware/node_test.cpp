@@ -28,6 +28,7 @@ struct FakePlatform {
   std::vector<Indicator> shown;
   int restarts = 0;
   int resets = 0;
+  int proofs = 0;
   std::optional<Fault> fault;
 
   FakeChip& spi() noexcept { return chip; }
@@ -57,6 +58,8 @@ struct FakePlatform {
   void restart() noexcept { ++restarts; }
   ResetReason reset_reason() noexcept { return ResetReason::kWatchdog; }
   std::optional<Fault> last_fault() noexcept { return fault; }
+  void proof_of_life() noexcept { ++proofs; }
+  StackUse stack_use() noexcept { return {.size_bytes = 4096, .high_water_bytes = 1234}; }
 };
 static_assert(Platform<FakePlatform>);
 
@@ -136,6 +139,25 @@ class NodeTest : public ::testing::Test {
     return n;
   }
 
+  std::size_t transmissions() {
+    std::size_t n = 0;
+    for (const Transfer& t : platform.chip.writes()) {
+      if (t.file == 0x0D && (t.word() & 0x2) != 0) ++n;
+    }
+    return n;
+  }
+  // By the radio's own time-out.
+  void end_listening() {
+    ++receptions_ended;
+    platform.chip.status |= kFrameTimeout;
+    node.on_radio_interrupt();
+  }
+
+  static constexpr std::uint64_t kTransmitted = 1U << 7;
+  static constexpr std::uint64_t kFrameTimeout = 1U << 17;
+  static constexpr std::uint64_t kClockPllLosing = 1U << 25;
+
+  std::size_t receptions_ended = 0;
   FakePlatform platform;
   Node<FakePlatform> node{platform, {.version = "1.2.3", .git_hash = 0xC0FFEE01}};
 };
@@ -159,6 +181,8 @@ TEST_F(NodeTest, SaysHelloAtStart) {
   EXPECT_EQ(hello.last_fault.pc, 0x1234U);
   EXPECT_EQ(hello.last_fault.cfsr, 0x82U);
   EXPECT_STREQ(hello.radio_error, "");
+  EXPECT_EQ(hello.stack_size_bytes, 4096U);
+  EXPECT_EQ(hello.stack_high_water_bytes, 1234U);
   EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
 }
 
@@ -177,7 +201,81 @@ TEST_F(NodeTest, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
     platform.time_us = node.next_deadline_us();
     node.on_timer();
   }
-  EXPECT_EQ(radio_starts(), 0U);
+  EXPECT_EQ(transmissions(), 0U);
+}
+
+TEST_F(NodeTest, UnconfiguredItListensEachSecondToProveItsLife) {
+  node.start();
+  const std::uint64_t began_us = platform.time_us;
+  while (platform.time_us < began_us + 5'500'000) {
+    if (radio_starts() > receptions_ended) {
+      EXPECT_GE(platform.chip.written(0x0C, 0), 20'000U / 1.0257);
+      platform.time_us += 20'000;
+      platform.chip.time += 20'000 * 63'898;
+      end_listening();
+    } else {
+      platform.time_us = node.next_deadline_us();
+      node.on_timer();
+    }
+  }
+  EXPECT_EQ(platform.proofs, 5);
+  EXPECT_EQ(node.counters().frame_timeouts, 5U);
+  EXPECT_EQ(node.counters().radio_recoveries, 0U);
+  EXPECT_EQ(transmissions(), 0U);
+  EXPECT_TRUE(messages(groma_NodeToHost_network_status_tag).empty());
+}
+
+TEST_F(NodeTest, UnconfiguredAndWithoutTheRadiosInterruptItProvesNothing) {
+  node.start();
+  const std::uint64_t began_us = platform.time_us;
+  while (platform.time_us < began_us + 10'000'000) {
+    platform.time_us = node.next_deadline_us();
+    // Its listening ends, and the line that would tell is cut.
+    if (radio_starts() > 0) platform.chip.status |= kFrameTimeout;
+    node.on_timer();
+  }
+  EXPECT_EQ(platform.proofs, 0);
+  EXPECT_GE(node.counters().frame_timeouts, 9U);
+}
+
+TEST_F(NodeTest, EachListeningOfTheSearchProvesLife) {
+  store(good_config());
+  node.start();
+  EXPECT_EQ(platform.proofs, 0);
+  for (int i = 1; i <= 3; ++i) {
+    end_listening();
+    EXPECT_EQ(platform.proofs, i);
+  }
+}
+
+TEST_F(NodeTest, AMasterProvesLifeOnceASuperframe) {
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  node.start();
+  for (int superframe = 0; superframe < 3; ++superframe) {
+    platform.chip.put(0x17, 0, platform.chip.written(0x0A, 0) + 16'436, 5);
+    platform.chip.time = platform.chip.written(0x0A, 0);
+    platform.chip.status |= kTransmitted;
+    node.on_radio_interrupt();
+    for (int slot = 0; slot < 3; ++slot) {
+      EXPECT_EQ(platform.proofs, superframe);
+      platform.chip.time = platform.chip.written(0x0A, 0) + 400 * 63'898;
+      end_listening();
+    }
+    EXPECT_EQ(platform.proofs, superframe + 1);
+  }
+  EXPECT_EQ(node.counters().frames_sent, 3U);
+  EXPECT_EQ(node.counters().late_transmits, 0U);
+}
+
+TEST_F(NodeTest, WhatHadToBeRecoveredFromProvesNothing) {
+  store(good_config());
+  node.start();
+  for (int i = 0; i < 5; ++i) {
+    platform.chip.status |= kClockPllLosing;
+    node.on_radio_interrupt();
+  }
+  EXPECT_EQ(node.counters().radio_recoveries, 5U);
+  EXPECT_EQ(platform.proofs, 0);
 }
 
 TEST_F(NodeTest, TellsWhyTheRadioIsDownAndTriesAgain) {
@@ -193,6 +291,7 @@ TEST_F(NodeTest, TellsWhyTheRadioIsDownAndTriesAgain) {
   }
   EXPECT_GT(platform.resets, resets);
   EXPECT_EQ(radio_starts(), 0U);
+  EXPECT_EQ(platform.proofs, 0);
   platform.chip.absent = false;
   for (int i = 0; i < 4; ++i) {
     platform.time_us = node.next_deadline_us();
@@ -403,7 +502,7 @@ TEST_F(NodeTest, WhenTheInterruptStaysAwayTheRadioIsBroughtUpAgain) {
 TEST_F(NodeTest, AnInterruptThatWasOverlookedIsTakenAtTheDeadline) {
   store(good_config());
   node.start();
-  platform.chip.status |= 1U << 17;
+  platform.chip.status |= kFrameTimeout;
   platform.time_us = node.next_deadline_us();
   node.on_timer();
   EXPECT_EQ(node.counters().radio_recoveries, 0U);
@@ -414,7 +513,7 @@ TEST_F(NodeTest, AnInterruptThatWasOverlookedIsTakenAtTheDeadline) {
 TEST_F(NodeTest, ALostClockIsRecoveredFrom) {
   store(good_config());
   node.start();
-  platform.chip.status |= 1U << 25;
+  platform.chip.status |= kClockPllLosing;
   node.on_radio_interrupt();
   EXPECT_EQ(node.counters().radio_recoveries, 1U);
   EXPECT_EQ(radio_starts(), 2U);

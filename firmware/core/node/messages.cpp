@@ -81,7 +81,7 @@ void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, r
 }
 
 void fill_hello(groma_Hello& hello, const Build& build, const std::optional<groma_Config>& config,
-                ResetReason reset_reason, const std::optional<Fault>& last_fault,
+                ResetReason reset_reason, const std::optional<Fault>& last_fault, const StackUse& stack,
                 const char* radio_error) noexcept {
   copy_text(hello.version, build.version);
   hello.git_hash = build.git_hash;
@@ -95,6 +95,8 @@ void fill_hello(groma_Hello& hello, const Build& build, const std::optional<grom
   hello.reset_reason = static_cast<groma_ResetReason>(reset_reason);
   hello.has_last_fault = last_fault.has_value();
   if (last_fault) hello.last_fault = {.pc = last_fault->pc, .lr = last_fault->lr, .cfsr = last_fault->cfsr};
+  hello.stack_size_bytes = stack.size_bytes;
+  hello.stack_high_water_bytes = stack.high_water_bytes;
   copy_text(hello.radio_error, radio_error);
 }
 

@@ -26,7 +26,7 @@ void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, r
 
 // `config`: the one in force, or nothing. `radio_error`: empty where the radio came up.
 void fill_hello(groma_Hello& hello, const Build& build, const std::optional<groma_Config>& config,
-                ResetReason reset_reason, const std::optional<Fault>& last_fault,
+                ResetReason reset_reason, const std::optional<Fault>& last_fault, const StackUse& stack,
                 const char* radio_error) noexcept;
 
 [[nodiscard]] groma_SyncState sync_state_of(mac::SyncState state) noexcept;

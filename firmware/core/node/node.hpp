@@ -4,6 +4,9 @@
 // for what is next; only then evaluate and report what the exchange gave. The slots run on the DW1000's clock
 // alone. The processor's clock paces telemetry and stands by with a deadline for each operation of the radio:
 // should its interrupt stay away, the chip is brought up again and the node joins anew.
+//
+// An unconfigured node sends nothing and listens for 20 ms each second, so that it, too, can prove that
+// radio, bus, interrupt and loop are alive (platform.hpp, proof_of_life()).
 #pragma once
 
 #include <pb_decode.h>
@@ -44,7 +47,10 @@ class Node {
 
   // While the radio's interrupt line is high, again until it is low.
   void on_radio_interrupt() noexcept {
-    if (handle(radio_.take_event())) deliver();
+    const std::uint32_t recoveries = counters_.radio_recoveries;
+    if (!handle(radio_.take_event())) return;
+    deliver();
+    if (counters_.radio_recoveries == recoveries) prove_life();
   }
 
   // Bytes from the host, in any pieces.
@@ -60,13 +66,14 @@ class Node {
 
   // On the clock of now_us(); the maximum: never.
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
-    return std::min({radio_deadline_us_, next_telemetry_us_, identify_until_us_});
+    return std::min({radio_deadline_us_, next_listening_us_, next_telemetry_us_, identify_until_us_});
   }
 
   // At or after next_deadline_us(); harmless before.
   void on_timer() noexcept {
     const std::uint64_t now_us = platform_.now_us();
     if (now_us >= radio_deadline_us_) on_radio_deadline();
+    if (now_us >= next_listening_us_) listen_unconfigured();
     if (now_us >= identify_until_us_) {
       identify_until_us_ = kNever_us;
       indicate();
@@ -85,12 +92,15 @@ class Node {
   // How long after its due end an operation of the radio is given up.
   static constexpr std::uint64_t kRadioGrace_us = 5'000;
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
+  static constexpr std::uint64_t kUnconfiguredPeriod_us = 1'000'000;
+  static constexpr ranging::Ticks kUnconfiguredListening = ranging::Ticks::from_us(20'000);
   static constexpr std::uint32_t kMaxIdentify_s = 3'600;
 
   // ---- the radio -----------------------------------------------------------------------------------------
 
   void bring_radio_up() noexcept {
     forget_machine();
+    next_listening_us_ = kNever_us;
     const dw1000::RadioSettings settings = config_ ? radio_settings(*config_) : dw1000::RadioSettings{};
     bring_up_ = radio_.bring_up(
         settings, [this] { platform_.reset_radio(); }, [this](std::uint32_t us) { platform_.delay_us(us); });
@@ -109,9 +119,11 @@ class Node {
 
   // Enters the network from the beginning, by the configuration in force.
   void join() noexcept {
-    if (!config_ || bring_up_ != dw1000::BringUp::kOk) {
-      indicate();
-      return;
+    next_listening_us_ = kNever_us;
+    if (bring_up_ != dw1000::BringUp::kOk) return indicate();
+    if (!config_) {
+      next_listening_us_ = platform_.now_us() + kUnconfiguredPeriod_us;
+      return indicate();
     }
     const mac::Site site = site_of(*config_, radio_.transmit_antenna_delay());
     if (config_->role == groma_Role_ROLE_TAG) {
@@ -121,13 +133,32 @@ class Node {
     }
     const ranging::ClockTime now = read_clock();
     perform(tell([now](auto& machine) { return machine.start(now); }));
+    proven_superframe_ = superframe();
     indicate();
+  }
+
+  void listen_unconfigured() noexcept {
+    next_listening_us_ = platform_.now_us() + kUnconfiguredPeriod_us;
+    const ranging::ClockTime now = read_clock();
+    refer(now);
+    if (radio_.receive_now(kUnconfiguredListening, std::nullopt) != dw1000::Start::kStarted) return recover();
+    supervise({.kind = mac::Action::Kind::kListenNow, .until = now + kUnconfiguredListening});
+  }
+
+  // After an interrupt that the radio went on from as it should.
+  void prove_life() noexcept {
+    const mac::Station* member = station();
+    const bool searching = member == nullptr || member->sync().state() == mac::SyncState::kSearching;
+    if (!searching && superframe() == proven_superframe_) return;
+    proven_superframe_ = superframe();
+    platform_.proof_of_life();
   }
 
   // Off the air until join() or bring_radio_up().
   void leave() noexcept {
     radio_.stop();
     forget_machine();
+    next_listening_us_ = kNever_us;
     if (bring_up_ == dw1000::BringUp::kOk) radio_deadline_us_ = kNever_us;
   }
 
@@ -166,6 +197,7 @@ class Node {
         ++counters_.frames_received;
         const ranging::ClockTime stamp = event.stamp_valid ? clock_.unwrap(event.stamp) : read_clock();
         refer(stamp);
+        if (station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{stamp, event.stamp_valid, event.frame, event.quality};
         perform(tell([&](auto& machine) { return machine.on_received(reception); }));
         break;
@@ -347,7 +379,7 @@ class Node {
   void send_hello() noexcept {
     send(groma_NodeToHost_hello_tag, [&](auto& body) {
       fill_hello(body.hello, build_, config_, platform_.reset_reason(), platform_.last_fault(),
-                 dw1000::describe(bring_up_));
+                 platform_.stack_use(), dw1000::describe(bring_up_));
     });
   }
 
@@ -490,7 +522,7 @@ class Node {
     }
     config_.reset();
     reply(groma_Result_RESULT_OK, "");
-    indicate();
+    join();
     send_hello();
   }
 
@@ -515,6 +547,7 @@ class Node {
   std::optional<mac::Anchor> anchor_;
   mac::SyncState sync_state_ = mac::SyncState::kSearching;
   const mac::Exchange* completed_ = nullptr;
+  std::uint32_t proven_superframe_ = 0;  // the one under way at the last proof of life
   std::uint32_t report_sequence_ = 0;
   groma_Counters counters_ = groma_Counters_init_zero;
   std::uint32_t undecodable_ = 0;  // whole frames from the host that held no message
@@ -525,6 +558,7 @@ class Node {
   groma_HostToNode command_ = groma_HostToNode_init_zero;
 
   std::uint64_t radio_deadline_us_ = kNever_us;
+  std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured
   std::uint64_t next_telemetry_us_ = kNever_us;
   std::uint64_t identify_until_us_ = kNever_us;
 };

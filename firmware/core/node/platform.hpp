@@ -30,6 +30,12 @@ struct Fault {
   std::uint32_t cfsr = 0;
 };
 
+// Of the stack that the node runs on; 0: not known.
+struct StackUse {
+  std::uint32_t size_bytes = 0;
+  std::uint32_t high_water_bytes = 0;  // the deepest that it has been since the reset
+};
+
 // What the image says of itself in its hello.
 struct Build {
   const char* version = "";
@@ -49,6 +55,10 @@ struct Build {
 // - restart(): resets the microcontroller. A simulated one may return; the node then does nothing more until
 //   start()
 // - reset_reason(), last_fault(): of the boot before this run
+// - proof_of_life(): feeds the watchdog, which nothing else does. Comes from a radio interrupt alone: after a
+//   completed superframe, or after a completed listening while searching or unconfigured (each second). A
+//   radio that does not come up, or whose interrupt stays away, gives none, and the watchdog resets the node
+// - stack_use(): now
 template <class P>
 concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<const std::uint8_t> bytes,
                             std::span<std::uint8_t> out, Indicator indicator) {
@@ -75,6 +85,10 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
   noexcept->std::same_as<ResetReason>;
   { platform.last_fault() }
   noexcept->std::same_as<std::optional<Fault>>;
+  { platform.proof_of_life() }
+  noexcept->std::same_as<void>;
+  { platform.stack_use() }
+  noexcept->std::same_as<StackUse>;
 };
 
 // The node on top of it (node.hpp), all calls noexcept and from one context:
