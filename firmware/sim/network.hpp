@@ -16,22 +16,17 @@
 #include <memory>
 #include <optional>
 #include <span>
-#include <stdexcept>
 #include <vector>
 
 #include "firmware/sim/dw1000_chip.hpp"
 #include "firmware/sim/medium.hpp"
 #include "firmware/sim/node_clock.hpp"
 #include "firmware/sim/propagation.hpp"
+#include "firmware/sim/simulation_error.hpp"
 #include "firmware/sim/time.hpp"
 #include "firmware/sim/uart.hpp"
 
 namespace groma::sim {
-
-// A node did what its hardware would not bear: an access to a register that is not modelled, and the like.
-struct SimulationError : std::runtime_error {
-  using std::runtime_error::runtime_error;
-};
 
 // How fast a native node's processor gets its work done. Computing itself costs nothing.
 struct CpuSettings {
