@@ -1,29 +1,11 @@
 #include "proto/frame_codec.hpp"
 
+#include "proto/crc32.hpp"
+
 namespace groma::wire {
 namespace {
 
-constexpr std::uint32_t kPolynomialReflected = 0xEDB88320U;
-constexpr std::uint32_t kCrcInitial = 0xFFFFFFFFU;
 constexpr std::uint8_t kFullBlock = 0xFF;  // 254 bytes without a zero behind them
-
-constexpr std::array<std::uint32_t, 256> make_crc_table() {
-  std::array<std::uint32_t, 256> table{};
-  for (std::uint32_t i = 0; i < 256; ++i) {
-    std::uint32_t value = i;
-    for (int bit = 0; bit < 8; ++bit) {
-      value = (value & 1U) != 0 ? (value >> 1) ^ kPolynomialReflected : value >> 1;
-    }
-    table[i] = value;
-  }
-  return table;
-}
-
-constexpr std::array<std::uint32_t, 256> kCrcTable = make_crc_table();
-
-std::uint32_t crc_step(std::uint32_t crc, std::uint8_t byte) noexcept {
-  return (crc >> 8) ^ kCrcTable[(crc ^ byte) & 0xFFU];
-}
 
 std::uint32_t load_little_endian(const std::uint8_t* bytes) noexcept {
   return static_cast<std::uint32_t>(bytes[0]) | static_cast<std::uint32_t>(bytes[1]) << 8 |
@@ -64,24 +46,19 @@ class CobsWriter {
 
 }  // namespace
 
-std::uint32_t crc32(std::span<const std::uint8_t> bytes) noexcept {
-  std::uint32_t crc = kCrcInitial;
-  for (const std::uint8_t byte : bytes) crc = crc_step(crc, byte);
-  return ~crc;
-}
-
 std::size_t encode_frame(std::span<const std::uint8_t> payload, std::span<std::uint8_t> out) noexcept {
   if (payload.size() > kMaxPayload || out.size() < max_encoded_size(payload.size())) return 0;
   out[0] = 0;
   CobsWriter writer(out.data() + 1);
-  std::uint32_t crc = crc_step(kCrcInitial, kFrameVersion);
+  Crc32 crc;
+  crc.add(kFrameVersion);
   writer.put(kFrameVersion);
   for (const std::uint8_t byte : payload) {
-    crc = crc_step(crc, byte);
+    crc.add(byte);
     writer.put(byte);
   }
-  crc = ~crc;
-  for (unsigned shift = 0; shift < 32; shift += 8) writer.put(static_cast<std::uint8_t>(crc >> shift));
+  const std::uint32_t check = crc.value();
+  for (unsigned shift = 0; shift < 32; shift += 8) writer.put(static_cast<std::uint8_t>(check >> shift));
   const std::size_t end = 1 + writer.finish();
   out[end] = 0;
   return end + 1;

@@ -7,9 +7,7 @@
 // of it, such as the torn end of a frame or the noise of a cable being plugged in, then ends there and cannot
 // take the frame with it. That costs one byte a frame and makes each frame stand on its own.
 //
-// The CRC is that of IEEE 802.3 (polynomial 0x04C11DB7 reflected, initial value and final XOR all ones; its
-// published check value for "123456789" is 0xCBF43926). Freestanding: no heap, no exceptions, no library
-// calls.
+// The CRC is that of crc32.hpp. Freestanding: no heap, no exceptions, no library calls.
 #pragma once
 
 #include <array>
@@ -32,8 +30,6 @@ inline constexpr std::size_t kFrameOverhead = 5;
   const std::size_t plain = n + kFrameOverhead;
   return 1 + plain + plain / 254 + 1 + 1;
 }
-
-[[nodiscard]] std::uint32_t crc32(std::span<const std::uint8_t> bytes) noexcept;
 
 // Writes one whole frame to the start of `out` and returns its length; 0 where the payload is longer than
 // kMaxPayload or `out` shorter than max_encoded_size(payload.size()). The two must not overlap.

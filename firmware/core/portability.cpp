@@ -1,6 +1,8 @@
 // Compiled as for the target, without exceptions, RTTI or a hosted library, so that nothing creeps into the
 // core that the board's toolchain would not take. A node is instantiated on hardware that does nothing.
 #include "firmware/core/node/node.hpp"
+#include "firmware/core/storage/config_store.hpp"
+#include "firmware/core/storage/counter.hpp"
 
 namespace groma::node {
 namespace {
@@ -32,6 +34,13 @@ class NoHardware {
   NoSpi spi_;
 };
 
+class NoFlash {
+ public:
+  bool erase(std::size_t) noexcept { return false; }
+  bool write(std::uint32_t, std::uint32_t) noexcept { return false; }
+  [[nodiscard]] std::uint32_t read(std::uint32_t) const noexcept { return storage::kErasedWord; }
+};
+
 static_assert(dw1000::Spi<NoSpi>);
 static_assert(Platform<NoHardware>);
 
@@ -43,3 +52,6 @@ template class Node<NoHardware>;
 static_assert(sizeof(Node<NoHardware>) <= 16'384);
 
 }  // namespace groma::node
+
+template class groma::storage::ConfigStore<groma::node::NoFlash>;
+template class groma::storage::Counter<groma::node::NoFlash>;

@@ -3,16 +3,20 @@
 #include <algorithm>
 #include <limits>
 #include <optional>
+#include <string>
 
 #include "firmware/core/node/node.hpp"
+#include "firmware/core/storage/config_store.hpp"
+#include "firmware/sim/nor_flash.hpp"
 
 namespace groma::sim {
 
 namespace {
 
-constexpr SimTime kBootTime = 3 * kUnitsPerMillisecond;          // crystal and start-up code
-constexpr SimTime kRadioResetTime = 2 * kUnitsPerMillisecond;    // from the reset line's release to SPI
-constexpr SimTime kConfigStoreTime = 90 * kUnitsPerMillisecond;  // erase of a page and its words
+constexpr SimTime kBootTime = 3 * kUnitsPerMillisecond;        // crystal and start-up code
+constexpr SimTime kRadioResetTime = 2 * kUnitsPerMillisecond;  // from the reset line's release to SPI
+
+static_assert(node::kMaxConfigBytes <= storage::kMaxRecordBytes);
 
 SimTime from_us(double t_us) {
   return from_seconds(t_us * 1e-6);
@@ -48,7 +52,12 @@ class NativePlatform {
         transaction_time_(from_us(spec.cpu.spi_transaction_us)),
         spi_hz_(spec.cpu.spi_slow_hz),
         spi_(*this),
-        flash_(spec.stored_config) {}
+        flash_(storage::kPages),
+        config_(flash_) {
+    if (!config_.store(spec.stored_config)) {
+      throw SimulationError("stored_config: at most " + std::to_string(storage::kMaxRecordBytes) + " bytes");
+    }
+  }
 
   // ---- what the firmware asks for (firmware/core/node/platform.hpp) --------------------------------------
   Spi& spi() noexcept { return spi_; }
@@ -60,15 +69,12 @@ class NativePlatform {
   std::uint64_t now_us() noexcept { return local_us(now) - boot_us_; }
   bool link_write(std::span<const std::uint8_t> frame) noexcept { return uart_out.write(now, frame); }
   bool store_config(std::span<const std::uint8_t> blob) noexcept {
-    flash_.assign(blob.begin(), blob.end());
-    now += kConfigStoreTime;
-    return true;
+    const SimTime busy_before = flash_.busy_time();
+    const bool stored = config_.store(blob);
+    now += flash_.busy_time() - busy_before;
+    return stored;
   }
-  std::size_t load_config(std::span<std::uint8_t> out) noexcept {
-    if (flash_.size() > out.size()) return 0;
-    std::copy(flash_.begin(), flash_.end(), out.begin());
-    return flash_.size();
-  }
+  std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_.load(out); }
   void set_indicator(node::Indicator indicator) noexcept { indicator_ = indicator; }
   void restart() noexcept { restart_asked = true; }
   [[nodiscard]] node::ResetReason reset_reason() const noexcept { return reset_reason_; }
@@ -112,7 +118,8 @@ class NativePlatform {
   SimTime transaction_time_;
   std::uint32_t spi_hz_;
   Spi spi_;
-  std::vector<std::uint8_t> flash_;
+  NorFlash flash_;
+  storage::ConfigStore<NorFlash> config_;
   node::Indicator indicator_ = node::Indicator::kUnconfigured;
   node::ResetReason reset_reason_ = node::ResetReason::kPowerOn;
   std::uint64_t boot_us_ = 0;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "groma.pb.h"
+#include "proto/crc32.hpp"
 
 namespace groma::wire {
 namespace {
