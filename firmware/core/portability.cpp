@@ -21,6 +21,9 @@ class NoHardware {
   void delay_us(std::uint32_t) noexcept {}
   std::uint64_t now_us() noexcept { return 0; }
   bool link_write(std::span<const std::uint8_t>) noexcept { return false; }
+  const char* configure_link(const groma_Config&) noexcept { return ""; }
+  bool link_answer(std::span<const std::uint8_t>) noexcept { return false; }
+  void count_link(groma_Counters&) noexcept {}
   bool store_config(std::span<const std::uint8_t>) noexcept { return false; }
   std::size_t load_config(std::span<std::uint8_t>) noexcept { return 0; }
   void set_indicator(Indicator) noexcept {}
@@ -42,7 +45,7 @@ class NoFlash {
 };
 
 static_assert(dw1000::Spi<NoSpi>);
-static_assert(Platform<NoHardware>);
+static_assert(ChoosesLink<NoHardware>);
 
 }  // namespace
 

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <limits>
 
+#include "proto/compact_report.hpp"
+
 namespace groma::link {
 namespace {
 
@@ -41,6 +43,14 @@ void ReportDecoder::take_message(double arrival_s, NodeSink& sink) {
   switch (message_.which_body) {
     case groma_NodeToHost_slot_report_tag:
       take_report(message_.body.slot_report, arrival_s, sink);
+      break;
+    case groma_NodeToHost_compact_report_tag:
+      if (!wire::expand_report(message_.body.compact_report, expanded_)) {
+        --counters_.messages;
+        ++counters_.messages_malformed;
+        break;
+      }
+      take_report(expanded_, arrival_s, sink);
       break;
     case groma_NodeToHost_hello_tag:
       sink.on_hello(message_.body.hello);

@@ -46,8 +46,8 @@ class NodeSink {
 struct ReportCounters {
   std::uint64_t messages = 0;              // frames with a message in them
   std::uint64_t messages_malformed = 0;    // whole frames whose content is no message of the schema
-  std::uint64_t reports = 0;               // SlotReports
-  std::uint64_t frames_lost = 0;           // SlotReports missing in the sequence, on the node or on the link
+  std::uint64_t reports = 0;               // SlotReports and CompactReports
+  std::uint64_t frames_lost = 0;           // reports missing in the sequence, on the node or on the link
   std::uint64_t ranges = 0;                // delivered
   std::uint64_t ranges_not_ok = 0;         // with another status than RANGE_OK
   std::uint64_t ranges_out_of_bounds = 0;  // not finite, or not within (0, kMaxRange_m]
@@ -81,6 +81,7 @@ class ReportDecoder {
   wire::FrameDecoder frames_;
   clock::TimeMapper time_{clock::kDeviceTicksPerSecond};
   groma_NodeToHost message_ = groma_NodeToHost_init_zero;
+  groma_SlotReport expanded_ = groma_SlotReport_init_zero;  // a CompactReport's content
   bool has_report_ = false;
   std::uint32_t last_sequence_ = 0;
   std::uint64_t last_device_time_dtu_ = 0;

@@ -569,6 +569,107 @@ TEST_F(NodeTest, DeviceTimeGoesOnWhenTheRadioIsBroughtUpAgain) {
   EXPECT_LT(second, 1'000'000'000U);
 }
 
+// A platform with a second link beside the UART.
+struct TwoLinks : FakePlatform {
+  std::vector<groma_Link> configured;
+  std::vector<std::vector<std::uint8_t>> answered;
+  const char* error = "";
+
+  const char* configure_link(const groma_Config& config) noexcept {
+    configured.push_back(config.link);
+    return error;
+  }
+  bool link_answer(std::span<const std::uint8_t> frame) noexcept {
+    answered.emplace_back(frame.begin(), frame.end());
+    return true;
+  }
+  void count_link(groma_Counters& counters) noexcept { counters.can_frames_sent = 7; }
+};
+static_assert(ChoosesLink<TwoLinks>);
+static_assert(!ChoosesLink<FakePlatform>);
+
+class TwoLinksTest : public ::testing::Test {
+ protected:
+  void store(const groma_Config& config) {
+    platform.stored.resize(kMaxConfigBytes);
+    platform.stored.resize(encode_config(config, platform.stored));
+  }
+  void command(pb_size_t which) {
+    groma_HostToNode message = groma_HostToNode_init_zero;
+    message.which_body = which;
+    std::array<std::uint8_t, groma_HostToNode_size> payload{};
+    auto stream = pb_ostream_from_buffer(payload.data(), payload.size());
+    ASSERT_TRUE(pb_encode(&stream, groma_HostToNode_fields, &message));
+    std::vector<std::uint8_t> frame(wire::max_encoded_size(stream.bytes_written));
+    frame.resize(wire::encode_frame(std::span(payload).first(stream.bytes_written), frame));
+    node.on_link_bytes(frame);
+  }
+
+  TwoLinks platform;
+  Node<TwoLinks> node{platform, {.version = "1.2.3", .git_hash = 0xC0FFEE01}};
+};
+
+TEST_F(TwoLinksTest, TheConfigurationInForceChoosesTheLink) {
+  node.start();
+  EXPECT_EQ(platform.configured, std::vector({groma_Link_LINK_UART}));
+  groma_Config config = good_config(groma_Role_ROLE_ANCHOR);
+  config.link = groma_Link_LINK_CAN_FD;
+  store(config);
+  command(groma_HostToNode_apply_config_tag);
+  EXPECT_EQ(platform.configured, std::vector({groma_Link_LINK_UART, groma_Link_LINK_CAN_FD}));
+  command(groma_HostToNode_factory_reset_tag);
+  EXPECT_EQ(platform.configured.back(), groma_Link_LINK_UART);
+}
+
+TEST_F(TwoLinksTest, AnAnswerGoesToWhoAskedAndTellsWhatFailed) {
+  groma_Config config = good_config(groma_Role_ROLE_ANCHOR);
+  config.link = groma_Link_LINK_CAN;
+  store(config);
+  platform.error = "no MCP2518FD answers on SPI";
+  node.start();
+  ASSERT_FALSE(platform.sent.empty());
+  EXPECT_STREQ(decode(platform.sent.back()).body.hello.link_error, "no MCP2518FD answers on SPI");
+  platform.sent.clear();
+  command(groma_HostToNode_get_hello_tag);
+  command(groma_HostToNode_get_counters_tag);
+  EXPECT_TRUE(platform.sent.empty());
+  ASSERT_EQ(platform.answered.size(), 4U);
+  EXPECT_EQ(decode(platform.answered[0]).which_body, groma_NodeToHost_reply_tag);
+  EXPECT_STREQ(decode(platform.answered[1]).body.hello.link_error, "no MCP2518FD answers on SPI");
+  EXPECT_EQ(decode(platform.answered[2]).which_body, groma_NodeToHost_reply_tag);
+  EXPECT_EQ(decode(platform.answered[3]).body.counters.can_frames_sent, 7U);
+}
+
+TEST_F(NodeTest, RefusesALinkThatIsNoneAndBitRatesThatCannotBe) {
+  groma_Config config = good_config();
+  config.link = groma_Link_LINK_CAN;
+  config.can_nominal_bit_per_s = 500'000;
+  config.can_data_bit_per_s = 4'000'000;
+  EXPECT_STREQ(fault_of(config), "");
+  config.can_nominal_bit_per_s = 333'333;
+  EXPECT_NE(std::string(fault_of(config)).find("can_nominal_bit_per_s"), std::string::npos);
+  config.can_nominal_bit_per_s = 0;
+  config.can_data_bit_per_s = 1;
+  EXPECT_NE(std::string(fault_of(config)).find("can_data_bit_per_s"), std::string::npos);
+  config.can_data_bit_per_s = 0;
+  const std::uint32_t none = 3;
+  std::memcpy(&config.link, &none, sizeof(none));
+  EXPECT_NE(std::string(fault_of(config)).find("link"), std::string::npos);
+}
+
+TEST(SlotReport, BecomesCompact) {
+  groma_NodeToHost message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_slot_report_tag;
+  message.body.slot_report.sequence = 9;
+  message.body.slot_report.ranges_count = 2;
+  message.body.slot_report.ranges[1].anchor_id = 104;
+  make_compact(message);
+  ASSERT_EQ(message.which_body, groma_NodeToHost_compact_report_tag);
+  EXPECT_EQ(message.body.compact_report.sequence, 9U);
+  ASSERT_EQ(message.body.compact_report.ranges.size, 22U);
+  EXPECT_EQ(message.body.compact_report.ranges.bytes[11], 104);
+}
+
 TEST(SlotReport, CarriesEachRangeWithItsInstantAndItsStatus) {
   mac::Exchange exchange{.number = 9, .superframe = 1234, .slot = 2, .count = 3};
   exchange.poll_sent = ranging::ClockTime(1'000'000'000'000);

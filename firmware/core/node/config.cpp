@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "firmware/core/mac/wire_enum.hpp"
+#include "firmware/core/mcp2518fd/bit_timing.hpp"
 
 namespace groma::node {
 namespace {
@@ -50,6 +51,13 @@ const char* fault_of(const groma_Config& config) noexcept {
   if (mac::number_of(config.preamble) > _groma_Preamble_MAX) return "preamble: 64, 128 or 256";
   if (config.transmit_antenna_delay_dtu > kLargest16) return "transmit_antenna_delay_dtu: 0 to 65535";
   if (config.receive_antenna_delay_dtu > kLargest16) return "receive_antenna_delay_dtu: 0 to 65535";
+  if (mac::number_of(config.link) > _groma_Link_MAX) return "link: UART, CAN or CAN_FD";
+  if (config.can_nominal_bit_per_s != 0 && !mcp2518fd::nominal_timing(config.can_nominal_bit_per_s)) {
+    return "can_nominal_bit_per_s: such as 1000000, 500000, 250000, 125000";
+  }
+  if (config.can_data_bit_per_s != 0 && !mcp2518fd::data_timing(config.can_data_bit_per_s)) {
+    return "can_data_bit_per_s: such as 1000000, 2000000, 4000000, 5000000";
+  }
   return "";
 }
 

@@ -3,6 +3,7 @@
 #include <pb_encode.h>
 
 #include "firmware/core/node/config.hpp"
+#include "proto/compact_report.hpp"
 
 namespace groma::node {
 namespace {
@@ -78,6 +79,13 @@ void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, r
     const bool good = report.ranges[i].status == groma_RangeStatus_RANGE_OK;
     ++(good ? counters.ranges_completed : counters.ranges_lost);
   }
+}
+
+void make_compact(groma_NodeToHost& message) noexcept {
+  groma_CompactReport compact = groma_CompactReport_init_zero;
+  wire::compact_report(message.body.slot_report, compact);
+  message.which_body = groma_NodeToHost_compact_report_tag;
+  message.body.compact_report = compact;
 }
 
 void fill_hello(groma_Hello& hello, const Build& build, const std::optional<groma_Config>& config,

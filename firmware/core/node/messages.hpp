@@ -24,6 +24,9 @@ void copy_text(std::span<char> out, const char* text) noexcept;
 void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, ranging::ClockTime device_time,
                       bool with_raw_stamps, groma_Counters& counters) noexcept;
 
+// A slot report becomes a compact one.
+void make_compact(groma_NodeToHost& message) noexcept;
+
 // `config`: the one in force, or nothing. `radio_error`: empty where the radio came up.
 void fill_hello(groma_Hello& hello, const Build& build, const std::optional<groma_Config>& config,
                 ResetReason reset_reason, const std::optional<Fault>& last_fault, const StackUse& stack,

@@ -41,6 +41,7 @@ class Node {
     platform_.set_indicator(Indicator::kUnconfigured);
     next_telemetry_us_ = platform_.now_us() + kTelemetryPeriod_us;
     config_ = load_config();
+    choose_link();
     bring_radio_up();
     send_hello();
   }
@@ -357,12 +358,30 @@ class Node {
 
   // ---- to the host ---------------------------------------------------------------------------------------
 
+  // kAsker: over the link from which the command came that is being carried out.
+  enum class To : std::uint8_t { kHost, kAsker };
+
+  // By the configuration in force; without one, what the platform has for that.
+  void choose_link() noexcept {
+    if constexpr (ChoosesLink<P>) {
+      link_error_ = platform_.configure_link(config_.value_or(groma_Config groma_Config_init_zero));
+    }
+  }
+
   template <class Fill>
-  void send(pb_size_t which, Fill&& fill) noexcept {
+  void send(pb_size_t which, Fill&& fill, To to = To::kHost) noexcept {
     message_ = groma_NodeToHost_init_zero;
     message_.which_body = which;
     fill(message_.body);
-    if (!platform_.link_write(encoder_.encode(message_))) ++counters_.reports_dropped;
+    if (!write_message(to)) ++counters_.reports_dropped;
+  }
+
+  bool write_message(To to) noexcept {
+    const auto frame = encoder_.encode(message_);
+    if constexpr (ChoosesLink<P>) {
+      if (to == To::kAsker) return platform_.link_answer(frame);
+    }
+    return platform_.link_write(frame);
   }
 
   void deliver() noexcept {
@@ -373,18 +392,25 @@ class Node {
       body.slot_report.sequence = report_sequence_++;
       body.slot_report.tag_id = config_->id;
       fill_slot_report(body.slot_report, exchange, read_clock(), config_->report_raw_stamps, counters_);
+      if (config_->link == groma_Link_LINK_CAN) make_compact(message_);
     });
   }
 
-  void send_hello() noexcept {
-    send(groma_NodeToHost_hello_tag, [&](auto& body) {
-      fill_hello(body.hello, build_, config_, platform_.reset_reason(), platform_.last_fault(),
-                 platform_.stack_use(), dw1000::describe(bring_up_));
-    });
+  void send_hello(To to = To::kHost) noexcept {
+    send(
+        groma_NodeToHost_hello_tag,
+        [&](auto& body) {
+          fill_hello(body.hello, build_, config_, platform_.reset_reason(), platform_.last_fault(),
+                     platform_.stack_use(), dw1000::describe(bring_up_));
+          copy_text(body.hello.link_error, link_error_);
+        },
+        to);
   }
 
-  void send_counters() noexcept {
-    send(groma_NodeToHost_counters_tag, [&](auto& body) { body.counters = counters_; });
+  void send_counters(To to = To::kHost) noexcept {
+    if constexpr (ChoosesLink<P>) platform_.count_link(counters_);
+    send(
+        groma_NodeToHost_counters_tag, [&](auto& body) { body.counters = counters_; }, to);
   }
 
   void send_telemetry() noexcept {
@@ -428,11 +454,11 @@ class Node {
     switch (command_.which_body) {
       case groma_HostToNode_get_hello_tag:
         reply(groma_Result_RESULT_OK, "");
-        send_hello();
+        send_hello(To::kAsker);
         break;
       case groma_HostToNode_get_counters_tag:
         reply(groma_Result_RESULT_OK, "");
-        send_counters();
+        send_counters(To::kAsker);
         break;
       case groma_HostToNode_read_config_tag:
         reply(groma_Result_RESULT_OK, "", load_config().value_or(groma_Config groma_Config_init_zero));
@@ -461,13 +487,16 @@ class Node {
 
   void reply(groma_Result result, const char* text,
              const std::optional<groma_Config>& config = std::nullopt) noexcept {
-    send(groma_NodeToHost_reply_tag, [&](auto& body) {
-      body.reply.request_id = command_.request_id;
-      body.reply.result = result;
-      copy_text(body.reply.text, text);
-      body.reply.has_config = config.has_value();
-      if (config) body.reply.config = *config;
-    });
+    send(
+        groma_NodeToHost_reply_tag,
+        [&](auto& body) {
+          body.reply.request_id = command_.request_id;
+          body.reply.result = result;
+          copy_text(body.reply.text, text);
+          body.reply.has_config = config.has_value();
+          if (config) body.reply.config = *config;
+        },
+        To::kAsker);
   }
 
   void refuse(groma_Result result, const char* text) noexcept {
@@ -510,6 +539,7 @@ class Node {
     reply(groma_Result_RESULT_OK, "", config);
     leave();
     config_ = config;
+    choose_link();
     bring_radio_up();
     send_hello();
   }
@@ -522,6 +552,7 @@ class Node {
     }
     config_.reset();
     reply(groma_Result_RESULT_OK, "");
+    choose_link();
     join();
     send_hello();
   }
@@ -549,6 +580,7 @@ class Node {
   const mac::Exchange* completed_ = nullptr;
   std::uint32_t proven_superframe_ = 0;  // the one under way at the last proof of life
   std::uint32_t report_sequence_ = 0;
+  const char* link_error_ = "";
   groma_Counters counters_ = groma_Counters_init_zero;
   std::uint32_t undecodable_ = 0;  // whole frames from the host that held no message
 

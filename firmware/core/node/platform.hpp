@@ -8,6 +8,7 @@
 #include <type_traits>
 
 #include "firmware/core/dw1000/spi.hpp"
+#include "groma.pb.h"
 
 namespace groma::node {
 
@@ -89,6 +90,24 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
   noexcept->std::same_as<void>;
   { platform.stack_use() }
   noexcept->std::same_as<StackUse>;
+};
+
+// A platform that has more than one link to the host also has:
+// - configure_link(config): from now on link_write() uses config.link, which is brought up for it; empty and
+//   zero fields mean the UART. Called after boot and whenever a configuration comes into force, the node off
+//   the air: it may take 50 ms. Returns why the link did not come up, in at most 31 characters, empty where
+//   it did; the UART then serves in its place.
+// - link_answer(frame): as link_write(), over the link whose bytes the node was given last
+// - count_link(counters): brings the CAN fields up to date
+template <class P>
+concept ChoosesLink = Platform<P> && requires(P& platform, const groma_Config& config,
+                                              groma_Counters& counters, std::span<const std::uint8_t> bytes) {
+  { platform.configure_link(config) }
+  noexcept->std::same_as<const char*>;
+  { platform.link_answer(bytes) }
+  noexcept->std::same_as<bool>;
+  { platform.count_link(counters) }
+  noexcept->std::same_as<void>;
 };
 
 // The node on top of it (node.hpp), all calls noexcept and from one context:

@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "proto/compact_report.hpp"
 #include "test/host/link/node_frames.hpp"
 
 namespace groma::link {
@@ -66,6 +67,52 @@ TEST(ReportDecoder, GivesEachRangeItsOwnInstantInHostTime) {
   EXPECT_EQ(decoder.counters().reports, 50U);
   EXPECT_EQ(decoder.counters().ranges, 100U);
   EXPECT_EQ(decoder.counters().frames_lost, 0U);
+}
+
+TEST(ReportDecoder, TakesACompactReportForTheSameMeasurement) {
+  std::vector<groma_Range> ranges{make_range(11, 4.5, -dtu(0.080)), make_range(12, 7.2503, -dtu(0.075))};
+  ranges[0].has_first_path_power_cdbm = true;
+  ranges[0].first_path_power_cdbm = -8150;
+  ranges.push_back(make_range(13, 0.0, 0));
+  ranges.back().status = groma_RangeStatus_RANGE_NO_RESPONSE;
+  ReportDecoder full(0);
+  ReportDecoder compact(0);
+  Collected by_full;
+  Collected by_compact;
+  for (std::uint32_t i = 0; i < 20; ++i) {
+    groma_NodeToHost message = make_report(2 * i, 3, static_cast<std::uint64_t>(dtu(5.0 + 0.1 * i)), ranges);
+    full.take(frame_of(message), 100.0 + 0.1 * i, by_full);
+    groma_CompactReport report = groma_CompactReport_init_zero;
+    wire::compact_report(message.body.slot_report, report);
+    message.which_body = groma_NodeToHost_compact_report_tag;
+    message.body.compact_report = report;
+    compact.take(frame_of(message), 100.0 + 0.1 * i, by_compact);
+  }
+  ASSERT_EQ(by_full.ranges.size(), 40U);
+  ASSERT_EQ(by_compact.ranges.size(), 40U);
+  for (std::size_t i = 0; i < 40; ++i) {
+    EXPECT_EQ(by_compact.ranges[i].tag_id, by_full.ranges[i].tag_id);
+    EXPECT_EQ(by_compact.ranges[i].anchor_id, by_full.ranges[i].anchor_id);
+    EXPECT_NEAR(by_compact.ranges[i].t_s, by_full.ranges[i].t_s, 0.6e-6);
+    EXPECT_NEAR(by_compact.ranges[i].range_m, by_full.ranges[i].range_m, 1e-4);
+  }
+  EXPECT_FLOAT_EQ(by_compact.ranges[0].first_path_power_dbm, -81.5F);
+  EXPECT_TRUE(std::isnan(by_compact.ranges[1].first_path_power_dbm));
+  EXPECT_EQ(compact.counters().reports, 20U);
+  EXPECT_EQ(compact.counters().frames_lost, 19U);
+  EXPECT_EQ(compact.counters().ranges_not_ok, 20U);
+}
+
+TEST(ReportDecoder, CountsATornCompactReportAsMalformed) {
+  groma_NodeToHost message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_compact_report_tag;
+  message.body.compact_report.ranges.size = 12;
+  ReportDecoder decoder(0);
+  Collected got;
+  decoder.take(frame_of(message), 1.0, got);
+  EXPECT_EQ(decoder.counters().messages, 0U);
+  EXPECT_EQ(decoder.counters().messages_malformed, 1U);
+  EXPECT_EQ(decoder.counters().reports, 0U);
 }
 
 TEST(ReportDecoder, PassesOnPowersWhereTheyAreKnown) {
