@@ -1,0 +1,56 @@
+// CLOCK and POWER (0x40000000): crystals, reset reasons, retained registers.
+#pragma once
+
+#include <array>
+
+#include "firmware/sim/emulator/peripheral.hpp"
+
+namespace groma::sim {
+
+// RESETREAS (product specification 18.9.10). A power-on leaves none.
+enum class ResetCause : std::uint32_t {
+  kPowerOn = 0,
+  kPin = 1U << 0,
+  kWatchdog = 1U << 1,
+  kSoftware = 1U << 2,
+  kLockup = 1U << 3,
+};
+
+class ClockPower final : public Peripheral {
+ public:
+  static constexpr SimTime kHfxoStart = 360 * kUnitsPerMicrosecond;
+  static constexpr SimTime kLfxoStart = 250 * kUnitsPerMillisecond;
+  static constexpr SimTime kLfrcStart = 600 * kUnitsPerMicrosecond;
+
+  // The registers that outlive a soft reset are those of the peripheral before; RESETREAS adds up.
+  void reset(ResetCause cause);
+
+  [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
+  [[nodiscard]] bool write(SimTime t, std::uint32_t offset, std::uint32_t value) override;
+  [[nodiscard]] SimTime next_event() const noexcept override;
+  void advance(SimTime t) override;
+  [[nodiscard]] bool irq() const noexcept override { return events_.irq(); }
+
+  // The high-frequency crystal runs: timers and baud rates are exact.
+  [[nodiscard]] bool crystal_runs() const noexcept { return hfxo_runs_; }
+
+ private:
+  static constexpr unsigned kHfclkStarted = 0;
+  static constexpr unsigned kLfclkStarted = 1;
+
+  EventRegisters events_{1U << kHfclkStarted | 1U << kLfclkStarted};
+  SimTime hfxo_at_ = kNever;
+  SimTime lfclk_at_ = kNever;
+  bool hfxo_asked_ = false;
+  bool hfxo_runs_ = false;
+  bool lfclk_asked_ = false;
+  bool lfclk_runs_ = false;
+  std::uint32_t lfclk_source_ = 0;       // LFCLKSRC
+  std::uint32_t lfclk_source_copy_ = 0;  // as it was at the start
+  std::uint32_t reset_reason_ = 0;
+  std::uint32_t dcdc_ = 0;
+  std::array<std::uint32_t, 2> retained_{};  // GPREGRET
+  std::uint32_t approtect_ = 0;
+};
+
+}  // namespace groma::sim

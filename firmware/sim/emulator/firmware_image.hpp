@@ -1,0 +1,31 @@
+// The image as it is flashed: what the shipped .hex puts into flash and UICR.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <string_view>
+#include <vector>
+
+namespace groma::sim {
+
+// nRF52832 product specification, memory map.
+inline constexpr std::uint32_t kFlashBytes = 512 * 1024;
+inline constexpr std::uint32_t kFlashPageBytes = 4096;
+inline constexpr std::uint32_t kRamAddress = 0x20000000;
+inline constexpr std::uint32_t kRamBytes = 64 * 1024;
+inline constexpr std::uint32_t kUicrAddress = 0x10001000;
+inline constexpr std::uint32_t kUicrBytes = 0x300;
+
+struct FirmwareImage {
+  std::vector<std::uint8_t> flash = std::vector<std::uint8_t>(kFlashBytes, 0xFF);
+  std::vector<std::uint8_t> uicr = std::vector<std::uint8_t>(kUicrBytes, 0xFF);
+};
+
+// Of Intel HEX. Throws SimulationError where the text is wrong or reaches beyond flash and UICR.
+[[nodiscard]] FirmwareImage firmware_image_of_hex(std::string_view text);
+
+// The same of a file. Throws SimulationError that names it and tells how it is built if it is not there.
+[[nodiscard]] FirmwareImage read_firmware_image(const std::filesystem::path& path);
+
+}  // namespace groma::sim

@@ -1,0 +1,54 @@
+// P0 (0x50000000), its 32 pins and what hangs on them.
+#pragma once
+
+#include <array>
+#include <functional>
+
+#include "firmware/sim/emulator/peripheral.hpp"
+
+namespace groma::sim {
+
+enum class Drive : std::uint8_t { kFloating, kLow, kHigh };
+
+class Gpio final : public Peripheral {
+ public:
+  static constexpr unsigned kPins = 32;
+
+  // Who is told when the chip drives a pin otherwise, and when a pin's level as an input changes.
+  using OnDrive = std::function<void(SimTime t, unsigned pin, Drive drive)>;
+  using OnLevel = std::function<void(SimTime t, unsigned pin, bool high)>;
+
+  Gpio(OnDrive on_drive, OnLevel on_level);
+
+  // All pins float, as inputs without a buffer.
+  void reset(SimTime t);
+
+  // What drives the pin from outside.
+  void drive_from_outside(SimTime t, unsigned pin, Drive drive);
+
+  [[nodiscard]] Drive drive(unsigned pin) const noexcept { return pins_[pin].drive; }
+  // Of the wire: driven, else pulled, else low.
+  [[nodiscard]] bool level(unsigned pin) const noexcept;
+
+  [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
+  [[nodiscard]] bool write(SimTime t, std::uint32_t offset, std::uint32_t value) override;
+
+ private:
+  struct Pin {
+    std::uint32_t configuration = 2;  // PIN_CNF
+    Drive drive = Drive::kFloating;
+    Drive outside = Drive::kFloating;
+    bool level = false;
+  };
+
+  void update(SimTime t);
+  void update_pin(SimTime t, unsigned pin);
+  [[nodiscard]] Drive driven(unsigned pin) const noexcept;
+
+  OnDrive on_drive_;
+  OnLevel on_level_;
+  std::uint32_t out_ = 0;
+  std::array<Pin, kPins> pins_{};
+};
+
+}  // namespace groma::sim

@@ -1,0 +1,261 @@
+#include "firmware/sim/emulator/nrf52832.hpp"
+
+#include <algorithm>
+
+#include "firmware/sim/network.hpp"
+
+namespace groma::sim {
+
+namespace {
+
+constexpr SpimPins kCanPins{4, 6, 7};
+constexpr SpimPins kRadioPins{16, 20, 18};
+constexpr UartePins kHostPins{5, 11};
+
+constexpr std::uint32_t kFicr = 0x10000000;
+constexpr std::uint32_t kBlockBytes = 0x1000;
+// Peripherals of the chip (product specification, instantiation): by ids 0 to 38, and P0 on the AHB.
+constexpr std::uint32_t kPeripherals = 0x40000000;
+constexpr std::uint32_t kPeripheralsEnd = 0x40027000;
+constexpr std::uint32_t kP0 = 0x50000000;
+
+bool chip_has(std::uint32_t address) {
+  return (address >= kPeripherals && address < kPeripheralsEnd) ||
+         (address >= kP0 && address < kP0 + kBlockBytes);
+}
+
+}  // namespace
+
+Nrf52832::Nrf52832(const Parts& parts)
+    : parts_(parts),
+      slots_{{{"SPIM1", parts.can, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
+              {"SPIM2", &parts.radio, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
+      gpio_([this](SimTime t, unsigned pin, Drive drive) { pin_driven(t, pin, drive); },
+            [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
+      spim1_("SPIM1", kCanPins, EasyDma(parts.ram),
+             [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
+               return exchange(slots_[0], end, mosi, miso, hz);
+             }),
+      spim2_("SPIM2", kRadioPins, EasyDma(parts.ram),
+             [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
+               return exchange(slots_[1], end, mosi, miso, hz);
+             }),
+      uarte_(kHostPins,
+             {parts.bits_per_s,
+              [this](SimTime t, auto bytes) {
+                if (!parts_.to_host.write(world(t), bytes))
+                  throw SimulationError("UARTE0: the host's line is still busy with earlier bytes");
+              },
+              [this](SimTime t) { parts_.to_host.clear(world(t)); }},
+             EasyDma(parts.ram)),
+      nvmc_(
+          parts.flash,
+          [this](SimTime duration) {
+            // What is written is settled before the processor runs on.
+            parts_.processor.stall(duration);
+            parts_.processor.limit(parts_.processor.now());
+          },
+          [this](std::uint32_t address, std::uint32_t bytes) {
+            parts_.processor.flash_changed(address, bytes);
+          }),
+      blocks_{{{&clock_power_, 0x40000000, 0},
+               {&uarte_, 0x40002000, 2},
+               {&spim1_, 0x40004000, 4},
+               {&gpiote_, 0x40006000, 6},
+               {&timer_, 0x40008000, 8},
+               {&watchdog_, 0x40010000, 16},
+               {&nvmc_, 0x4001E000, -1},
+               {&spim2_, 0x40023000, 35},
+               {&gpio_, kP0, -1}}} {}
+
+// ---- resets ---------------------------------------------------------------------------------------------
+
+// Product specification 18.8, reset behaviour: a soft reset and a lockup leave the watchdog running.
+void Nrf52832::reset(ResetCause cause, SimTime t) {
+  spim1_.reset();
+  spim2_.reset();
+  gpiote_.reset();
+  gpio_.reset(t);
+  uarte_.reset(t);
+  timer_.reset();
+  nvmc_.reset();
+  clock_power_.reset(cause);
+  if (cause != ResetCause::kSoftware && cause != ResetCause::kLockup) watchdog_.reset();
+  for (const Slot& slot : slots_) update_interrupt_pin(t, slot);
+  update_interrupts();
+}
+
+void Nrf52832::power_cut(SimTime t) {
+  nvmc_.power_cut(t);
+}
+
+// ---- time -----------------------------------------------------------------------------------------------
+
+SimTime Nrf52832::next_of(Slot& slot) {
+  if (slot.device == nullptr) return kNever;
+  const SimTime event = slot.device->next_event();
+  if (event != slot.event) {
+    slot.event = event;
+    slot.event_local = local(event);
+  }
+  return slot.event_local;
+}
+
+SimTime Nrf52832::next_host_byte() {
+  const SimTime byte = parts_.from_host.next_byte();
+  if (byte != host_byte_) {
+    host_byte_ = byte;
+    host_byte_local_ = byte == kNever ? kNever : local(byte + kHostDelay);
+  }
+  return host_byte_local_;
+}
+
+SimTime Nrf52832::next_event() {
+  SimTime next = next_host_byte();
+  for (Slot& slot : slots_) next = std::min(next, next_of(slot));
+  for (const Block& block : blocks_) next = std::min(next, block.peripheral->next_event());
+  return next;
+}
+
+void Nrf52832::advance(SimTime t) {
+  for (SimTime next = next_event(); next <= t; next = next_event()) step(next);
+}
+
+// All that is due at t, the devices first.
+void Nrf52832::step(SimTime t) {
+  for (Slot& slot : slots_) {
+    if (next_of(slot) > t) continue;
+    slot.device->advance(slot.event);
+    update_interrupt_pin(t, slot);
+  }
+  if (next_host_byte() <= t) {
+    received_.clear();
+    parts_.from_host.take(host_byte_, received_);
+    for (const TimedByte& byte : received_) uarte_.receive(t, byte.value);
+  }
+  for (const Block& block : blocks_)
+    if (block.peripheral->next_event() <= t) block.peripheral->advance(t);
+  update_interrupts();
+}
+
+void Nrf52832::update_interrupts() {
+  for (Block& block : blocks_) {
+    if (block.irq < 0) continue;
+    const bool level = block.peripheral->irq();
+    if (level == block.level) continue;
+    block.level = level;
+    parts_.processor.set_irq(static_cast<unsigned>(block.irq), level);
+  }
+}
+
+void Nrf52832::update_interrupt_pin(SimTime t, const Slot& slot) {
+  if (slot.device == nullptr) return;
+  const bool high = slot.device->irq() == slot.active_high;
+  gpio_.drive_from_outside(t, slot.interrupt_pin, high ? Drive::kHigh : Drive::kLow);
+}
+
+// ---- pins and buses -------------------------------------------------------------------------------------
+
+bool Nrf52832::exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> mosi,
+                        std::span<std::uint8_t> miso, std::uint32_t hz) {
+  if (gpio_.drive(slot.select_pin) != Drive::kLow) return false;
+  if (++slot.transfers_in_window > 1) {
+    throw SimulationError(std::string(slot.name) +
+                          ": a second transfer within one chip-select window is not modelled");
+  }
+  if (slot.device == nullptr) return true;
+  slot.device->transfer(world(end), mosi, miso, hz);
+  update_interrupt_pin(end, slot);
+  return true;
+}
+
+void Nrf52832::pin_driven(SimTime t, unsigned pin, Drive drive) {
+  if (pin == dwm1001::kRadioReset) {
+    if (drive == Drive::kHigh) throw SimulationError("P0.24 drives the DW1000's reset line high");
+    if (drive == Drive::kLow) {
+      parts_.radio.hold_in_reset(world(t));
+    } else {
+      parts_.radio.release_reset(world(t));
+    }
+    update_interrupt_pin(t, slots_[1]);
+    return;
+  }
+  for (Slot& slot : slots_) {
+    if (pin != slot.select_pin) continue;
+    const Spim& master = &slot == &slots_.front() ? spim1_ : spim2_;
+    if (master.busy())
+      throw SimulationError(std::string(slot.name) + ": chip select changes during a transfer");
+    slot.transfers_in_window = 0;
+  }
+}
+
+// ---- the bus --------------------------------------------------------------------------------------------
+
+void Nrf52832::fail(const std::string& what, std::uint32_t address) const {
+  throw SimulationError(what + " (address " + hexadecimal(address) + ", PC " +
+                        hexadecimal(parts_.processor.pc()) + ")");
+}
+
+Nrf52832::Block* Nrf52832::find(std::uint32_t address) {
+  const std::uint32_t base = address & ~(kBlockBytes - 1);
+  const auto block =
+      std::find_if(blocks_.begin(), blocks_.end(), [&](const Block& it) { return it.base == base; });
+  return block == blocks_.end() ? nullptr : &*block;
+}
+
+bool Nrf52832::read(std::uint32_t address, unsigned bytes, std::uint32_t& value) {
+  const SimTime t = parts_.processor.now();
+  std::optional<std::uint32_t> content;
+  if (address >= kFicr && address < kUicrAddress + kBlockBytes) {
+    const std::uint32_t word = address & ~3U;
+    content = address < kUicrAddress ? read_factory_information(parts_.identity, word - kFicr)
+                                     : read_user_information(parts_.uicr, word - kUicrAddress);
+    if (!content) fail("read of FICR or UICR where no register is modelled", address);
+    value = *content >> (8 * (address & 3U));
+    return true;
+  }
+  if (!chip_has(address)) return false;
+  if (bytes != 4) fail("peripheral registers are read as words", address);
+  Block* block = find(address);
+  if (block != nullptr) {
+    advance(t);
+    try {
+      content = block->peripheral->read(t, address - block->base);
+    } catch (const SimulationError& error) {
+      fail(error.what(), address);
+    }
+  }
+  if (!content) fail("read where no register is modelled", address);
+  value = *content;
+  return true;
+}
+
+bool Nrf52832::write(std::uint32_t address, unsigned bytes, std::uint32_t value) {
+  if (address >= kFicr && address < kUicrAddress + kBlockBytes)
+    fail("FICR and UICR are written by the flashing tool alone", address);
+  if (!chip_has(address)) return false;
+  if (bytes != 4) fail("peripheral registers are written as words", address);
+  const SimTime t = parts_.processor.now();
+  Block* block = find(address);
+  bool known = false;
+  if (block != nullptr) {
+    advance(t);
+    try {
+      known = block->peripheral->write(t, address - block->base, value);
+    } catch (const SimulationError& error) {
+      fail(error.what(), address);
+    }
+  }
+  if (!known) fail("write of " + hexadecimal(value) + " where no register is modelled", address);
+  update_interrupts();
+  parts_.processor.limit(next_event());
+  return true;
+}
+
+bool Nrf52832::flash_write(std::uint32_t address, unsigned bytes, std::uint32_t value) {
+  const SimTime t = parts_.processor.now();
+  advance(t);
+  return nvmc_.store(t, address, bytes, value);
+}
+
+}  // namespace groma::sim

@@ -1,0 +1,116 @@
+#include "firmware/sim/emulator/nvmc.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "firmware/sim/emulator/firmware_image.hpp"
+#include "firmware/sim/network.hpp"
+
+namespace groma::sim {
+
+namespace {
+
+enum : std::uint32_t {
+  kReady = 0x400,
+  kConfig = 0x504,
+  kErasepage = 0x508,
+  kIcachecnf = 0x540,
+};
+
+constexpr std::uint32_t kWriteEnabled = 1;
+constexpr std::uint32_t kEraseEnabled = 2;
+constexpr std::uint32_t kWhole = 4096;
+
+}  // namespace
+
+Nvmc::Nvmc(std::span<std::uint8_t> flash, Stall stall, Changed changed)
+    : flash_(flash), stall_(std::move(stall)), changed_(std::move(changed)) {}
+
+void Nvmc::reset() {
+  if (busy()) advance(end_at_);
+  mode_ = 0;
+  cache_ = 0;
+}
+
+void Nvmc::power_cut(SimTime t) {
+  mode_ = 0;
+  cache_ = 0;
+  if (!busy()) return;
+  const SimTime end = std::exchange(end_at_, kNever);
+  if (t <= begun_at_) return;
+  const SimTime done = std::min(t, end) - begun_at_;
+  apply(static_cast<std::uint32_t>(done * static_cast<SimTime>(kWhole) / (end - begun_at_)));
+}
+
+void Nvmc::begin(SimTime t, SimTime duration) {
+  if (busy()) throw SimulationError("NVMC: an operation while another is under way");
+  begun_at_ = t;
+  end_at_ = t + duration;
+  ++operations_;
+  stall_(duration);
+}
+
+void Nvmc::apply(std::uint32_t share) {
+  if (erasing_) {
+    const std::uint32_t bytes = kFlashPageBytes * share / kWhole & ~3U;
+    std::fill_n(flash_.begin() + static_cast<std::ptrdiff_t>(address_), bytes, std::uint8_t{0xFF});
+  } else {
+    const unsigned bytes = share == kWhole ? 4 : share >= kWhole / 2 ? 2 : 0;
+    for (unsigned i = 0; i < bytes; ++i) flash_[address_ + i] &= static_cast<std::uint8_t>(value_ >> (8 * i));
+  }
+  changed_(address_, erasing_ ? kFlashPageBytes : 4);
+}
+
+void Nvmc::advance(SimTime t) {
+  if (end_at_ > t) return;
+  end_at_ = kNever;
+  apply(kWhole);
+}
+
+bool Nvmc::store(SimTime t, std::uint32_t address, unsigned bytes, std::uint32_t value) {
+  if (mode_ != kWriteEnabled || bytes != 4 || address % 4 != 0 || address + 4 > flash_.size()) return false;
+  erasing_ = false;
+  address_ = address;
+  value_ = value;
+  begin(t, kWriteTime);
+  return true;
+}
+
+std::optional<std::uint32_t> Nvmc::read(SimTime, std::uint32_t offset) {
+  switch (offset) {
+    case kReady:
+      return busy() ? 0 : 1;
+    case kConfig:
+      return mode_;
+    case kIcachecnf:
+      return cache_;
+    default:
+      return std::nullopt;
+  }
+}
+
+bool Nvmc::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case kConfig:
+      if (value > kEraseEnabled) throw SimulationError("NVMC: CONFIG " + hexadecimal(value));
+      mode_ = value;
+      return true;
+    case kErasepage:
+      if (mode_ != kEraseEnabled) throw SimulationError("NVMC: ERASEPAGE while erasing is not enabled");
+      if (value % kFlashPageBytes != 0 || value >= flash_.size())
+        throw SimulationError("NVMC: ERASEPAGE of " + hexadecimal(value) + ", where no page begins");
+      erasing_ = true;
+      address_ = value;
+      begin(t, kEraseTime);
+      return true;
+    case kIcachecnf:
+      // The cache changes time alone; profiling it is not modelled.
+      if (value > 1) throw SimulationError("NVMC: ICACHECNF " + hexadecimal(value) + " is not modelled");
+      cache_ = value;
+      return true;
+    default:
+      return false;
+  }
+}
+
+}  // namespace groma::sim

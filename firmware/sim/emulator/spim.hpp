@@ -1,0 +1,89 @@
+// SPIM1 (0x40004000) and SPIM2 (0x40023000): an SPI master with EasyDMA, and the chips on its lines.
+//
+// A transfer takes bytes x 8 / f and a start-up time; it takes effect on the chip, and in RAM, at its end.
+// The chip select is a GPIO: one transfer a window, as all drivers here do it, is what is modelled.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "firmware/sim/emulator/easy_dma.hpp"
+#include "firmware/sim/emulator/peripheral.hpp"
+
+namespace groma::sim {
+
+struct SpimPins {
+  std::uint32_t sck;
+  std::uint32_t mosi;
+  std::uint32_t miso;
+};
+
+class Spim final : public Peripheral {
+ public:
+  // From START to the first clock, and from the last to END: an estimate.
+  static constexpr SimTime kOverhead = kUnitsPerMicrosecond / 2;
+
+  // Does the transfer on the selected chip; `end` is local time. False: no chip is selected.
+  using Exchange = std::function<bool(SimTime end, std::span<const std::uint8_t> mosi,
+                                      std::span<std::uint8_t> miso, std::uint32_t hz)>;
+
+  // `wired`: the pins that lead to the chip; a transfer over others fails the run.
+  Spim(std::string name, const SpimPins& wired, EasyDma dma, Exchange exchange);
+
+  void reset();
+  [[nodiscard]] bool busy() const noexcept { return end_at_ != kNever; }
+  // Time that transfers took since the beginning, and how many there were.
+  [[nodiscard]] SimTime busy_time() const noexcept { return busy_time_; }
+  [[nodiscard]] std::uint64_t transfers() const noexcept { return transfers_; }
+
+  [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
+  [[nodiscard]] bool write(SimTime t, std::uint32_t offset, std::uint32_t value) override;
+  [[nodiscard]] SimTime next_event() const noexcept override { return end_at_; }
+  void advance(SimTime t) override;
+  [[nodiscard]] bool irq() const noexcept override { return events_.irq(); }
+
+ private:
+  static constexpr unsigned kStopped = 1;
+  static constexpr unsigned kEndRx = 4;
+  static constexpr unsigned kEnd = 6;
+  static constexpr unsigned kEndTx = 8;
+  static constexpr unsigned kStarted = 19;
+  static constexpr std::uint32_t kEvents =
+      1U << kStopped | 1U << kEndRx | 1U << kEnd | 1U << kEndTx | 1U << kStarted;
+
+  struct Buffer {
+    std::uint32_t pointer = 0;
+    std::uint32_t maximum = 0;
+    std::uint32_t amount = 0;
+  };
+
+  void start(SimTime t);
+  [[nodiscard]] std::uint32_t clock_hz() const;
+
+  std::string name_;
+  SpimPins wired_;
+  EasyDma dma_;
+  Exchange exchange_;
+
+  EventRegisters events_{kEvents};
+  bool enabled_ = false;
+  std::array<std::uint32_t, 3> pins_{};
+  std::uint32_t frequency_ = 0x04000000;
+  std::uint32_t over_read_ = 0;
+  Buffer receive_;
+  Buffer transmit_;
+
+  SimTime end_at_ = kNever;
+  Buffer receiving_;
+  Buffer sending_;
+  std::vector<std::uint8_t> mosi_;
+  std::vector<std::uint8_t> miso_;
+  SimTime busy_time_ = 0;
+  std::uint64_t transfers_ = 0;
+};
+
+}  // namespace groma::sim
