@@ -25,6 +25,8 @@ struct FakePlatform {
   std::vector<std::uint8_t> stored;
   bool store_fails = false;
   bool store_corrupts = false;
+  std::size_t sent_before_store = 0;
+  std::uint64_t last_radio_command_at_store = 0;
   std::vector<Indicator> shown;
   int restarts = 0;
   int resets = 0;
@@ -44,6 +46,10 @@ struct FakePlatform {
     return true;
   }
   bool store_config(std::span<const std::uint8_t> blob) noexcept {
+    sent_before_store = sent.size();
+    last_radio_command_at_store = chip.written(0x0D, 0);
+    time_us += 85'000;
+    chip.time += std::uint64_t{85'000} * 63'898;
     if (store_fails) return false;
     stored.assign(blob.begin(), blob.end());
     if (store_corrupts && !stored.empty()) stored.back() ^= 1;
@@ -387,6 +393,57 @@ TEST_F(NodeTest, AStoreThatFailsOrLiesIsToldAndTheNodeGoesOn) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_STORAGE);
   // Off the air while storing, and on it again.
   EXPECT_EQ(radio_starts(), starts + 1);
+}
+
+TEST_F(NodeTest, TellsTheHostAndLeavesTheAirBeforeItWritesFlash) {
+  store(good_config());
+  node.start();
+  for (const bool reset : {false, true}) {
+    platform.sent.clear();
+    if (reset) {
+      command(groma_HostToNode_factory_reset_tag);
+    } else {
+      write(good_config());
+    }
+    EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+    ASSERT_EQ(platform.sent_before_store, 1U);
+    EXPECT_STREQ(decode(platform.sent[0]).body.log.text, "off the air to write flash");
+    EXPECT_EQ(platform.last_radio_command_at_store, 0x40U);
+  }
+}
+
+TEST_F(NodeTest, AMasterGoesOnWithItsCountAfterAWrite) {
+  groma_Config config = good_config(groma_Role_ROLE_ANCHOR);
+  store(config);
+  node.start();
+  const std::uint64_t first = platform.chip.written(0x0A, 0);
+  config.report_raw_stamps = true;
+  write(config);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
+  // The slots of some superframes have passed; the next beacon comes as many whole ones later.
+  for (int i = 0; i < 4 && platform.chip.written(0x0D, 0) != 0x06U; ++i) {
+    platform.chip.time = platform.chip.written(0x0A, 0) + 400 * 63'898;
+    end_listening();
+  }
+  EXPECT_EQ(platform.chip.written(0x0D, 0), 0x06U);
+  const auto duration = static_cast<std::uint64_t>(
+      mac::Superframe(config.schedule, dw1000::Phy(dw1000::Preamble::k128)).duration().count());
+  const std::uint64_t since = platform.chip.written(0x0A, 0) - first;
+  EXPECT_GT(since, 85'000U * 63'897U);
+  EXPECT_LT(std::min(since % duration, duration - since % duration), 512U);
+  EXPECT_EQ(node.counters().late_transmits, 0U);
+  EXPECT_EQ(node.counters().radio_recoveries, 0U);
+}
+
+TEST_F(NodeTest, AResetThatLeavesTheOldConfigurationIsRefused) {
+  store(good_config());
+  node.start();
+  const std::size_t starts = radio_starts();
+  platform.store_fails = true;
+  command(groma_HostToNode_factory_reset_tag);
+  EXPECT_EQ(last_reply().result, groma_Result_RESULT_STORAGE);
+  EXPECT_EQ(radio_starts(), starts + 1);
+  EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
 }
 
 TEST_F(NodeTest, AStoredConfigurationThatIsNotValidIsNone) {

@@ -337,6 +337,48 @@ TEST(Faults, AConfigurationWrittenOverTheLinkIsKept) {
   EXPECT_TRUE(site.listeners[1].reports.back().body.ranges[0].has_raw);
 }
 
+// Often enough that pages fill up and are erased: each erase takes the node off the air for 85 ms.
+TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
+  for (const std::size_t writer : {0U, 1U, 2U}) {  // the tag, the master, another anchor
+    const SiteSettings settings{.tags = 1, .anchors = 3};
+    SiteBench site(settings);
+    site.run_until(1.0);
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.which_body = groma_HostToNode_write_config_tag;
+    command.body.write_config =
+        writer == 0 ? site.config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG)
+                    : site.config_of(static_cast<std::uint16_t>(100 + writer), groma_Role_ROLE_ANCHOR);
+    constexpr std::uint32_t kWrites = 80;
+    for (std::uint32_t i = 0; i < kWrites; ++i) {
+      command.request_id = i;
+      command.body.write_config.transmit_antenna_delay_dtu = 16'000 + i;
+      ASSERT_TRUE(site.network.send(writer, frame_of(command)));
+      site.run_until(1.0 + 0.15 * (i + 1));
+    }
+    const double end_s = 1.0 + 0.15 * kWrites;
+    site.run_until(end_s + 1.2);
+    ASSERT_EQ(site.listeners[writer].replies.size(), kWrites);
+    for (const groma_Reply& reply : site.listeners[writer].replies) {
+      EXPECT_EQ(reply.result, groma_Result_RESULT_OK);
+      EXPECT_EQ(reply.config.transmit_antenna_delay_dtu, 16'000 + reply.request_id);
+    }
+    const auto& logs = site.listeners[writer].logs;
+    EXPECT_EQ(std::count(logs.begin(), logs.end(), "off the air to write flash"), kWrites);
+    for (std::size_t i = 0; i < site.network.size(); ++i) {
+      const auto& said = site.listeners[i].logs;
+      EXPECT_EQ(std::count(said.begin(), said.end(), "beacons lost, searching"), 0) << writer << ' ' << i;
+      EXPECT_EQ(site.listeners[i].status.state, groma_SyncState_SYNC_LOCKED);
+      EXPECT_EQ(site.listeners[i].counters.radio_recoveries, 0U);
+    }
+    // As many superframes as without, so nobody began anew.
+    EXPECT_NEAR(site.listeners[0].status.superframe,
+                end_s / to_seconds(site.superframe().duration().count() * kUnitsPerTick),
+                1.2 / to_seconds(site.superframe().duration().count() * kUnitsPerTick));
+    EXPECT_GT(site.good_ranges(end_s), 0.95 * promised_rate(site, settings));
+    EXPECT_LT(errors_of(site).worst_m, 0.01);
+  }
+}
+
 TEST(Faults, AFullLineDropsWholeReportsAndSaysSo) {
   // 20 kbit/s is far too slow for this many reports.
   SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});

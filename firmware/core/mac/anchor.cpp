@@ -156,6 +156,11 @@ Step Anchor::on_timeout(ClockTime now) noexcept {
   return doing(plan(now));
 }
 
+Step Anchor::resume(ClockTime now) noexcept {
+  if (phase_ == Phase::kBeacon && !is_master()) station_.beacon_missed(superframe_);
+  return doing(plan(now));
+}
+
 // After a frame of no use.
 Step Anchor::listen_on_or(ClockTime now) noexcept {
   if (phase_ == Phase::kSearching) return doing(Station::search(now));

@@ -27,6 +27,9 @@ class Anchor {
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
   [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
   [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
+  // The radio was stopped, whatever it was at, and is there again: goes on with what lies ahead, in step as
+  // far as the clock filter carries; a master goes on with its own count.
+  [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
 
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   // The one under way, of the master's count.

@@ -3,7 +3,8 @@
 // Each event returns a Step: what the radio is to do next, and an exchange if one is complete. The machine
 // expects exactly one event for each action but kNone: on_transmitted() or on_late() for a transmission;
 // on_received(), on_timeout() or on_error() for a reception. A listening that could not be armed in time
-// starts at once instead, or counts as a time-out when its end has passed.
+// starts at once instead, or counts as a time-out when its end has passed. Or resume() instead of any, where
+// the radio was stopped.
 #pragma once
 
 #include <cstdint>

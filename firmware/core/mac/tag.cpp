@@ -172,6 +172,12 @@ Step Tag::on_timeout(ClockTime now) noexcept {
   return listening(plan(now));
 }
 
+Step Tag::resume(ClockTime now) noexcept {
+  if (phase_ == Phase::kResponses || phase_ == Phase::kFinal) return finish(now);
+  if (phase_ == Phase::kBeacon) station_.beacon_missed(superframe_);
+  return listening(plan(now));
+}
+
 // After a frame of no use while waiting for a beacon.
 Step Tag::listen_on_or(ClockTime now) noexcept {
   if (phase_ == Phase::kSearching) return listening(Station::search(now));

@@ -155,12 +155,22 @@ class Node {
     platform_.proof_of_life();
   }
 
-  // Off the air until join() or bring_radio_up().
+  // Off the air until resume(), join() or bring_radio_up().
   void leave() noexcept {
     radio_.stop();
-    forget_machine();
     next_listening_us_ = kNever_us;
     if (bring_up_ == dw1000::BringUp::kOk) radio_deadline_us_ = kNever_us;
+  }
+
+  // Back where leave() left: the DW1000's clock has gone on, so a master's beacons come when the others,
+  // coasting meanwhile, expect them.
+  void resume() noexcept {
+    if (station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();
+    const ranging::ClockTime now = read_clock();
+    refer(now);
+    perform(tell([now](auto& machine) { return machine.resume(now); }));
+    watch_sync();
+    deliver();
   }
 
   template <class F>
@@ -514,15 +524,20 @@ class Node {
     return config;
   }
 
-  // Off the air meanwhile: storing may stall the processor for many slots.
+  // An erase stalls the processor for 85 ms: the host is told, and the radio is off meanwhile.
+  bool store_off_the_air(std::span<const std::uint8_t> blob) noexcept {
+    log(groma_LogLevel_LOG_INFO, "off the air to write flash");
+    leave();
+    return platform_.store_config(blob);
+  }
+
   void write_config(const groma_Config& config) noexcept {
     if (const char* fault = fault_of(config); fault[0] != '\0') {
       return refuse(groma_Result_RESULT_INVALID, fault);
     }
     std::array<std::uint8_t, kMaxConfigBytes> blob{};
     const std::size_t size = encode_config(config, blob);
-    leave();
-    const bool stored = size != 0 && platform_.store_config(std::span(blob).first(size));
+    const bool stored = size != 0 && store_off_the_air(std::span(blob).first(size));
     std::array<std::uint8_t, kMaxConfigBytes> back{};
     const bool kept = stored && platform_.load_config(back) == size && back == blob;
     if (kept) {
@@ -530,7 +545,7 @@ class Node {
     } else {
       refuse(groma_Result_RESULT_STORAGE, "not stored: write it again");
     }
-    join();
+    resume();
   }
 
   void apply_config() noexcept {
@@ -545,11 +560,12 @@ class Node {
   }
 
   void factory_reset() noexcept {
-    leave();
-    if (!platform_.store_config({})) {
+    std::array<std::uint8_t, kMaxConfigBytes> back{};
+    if (!store_off_the_air({}) || platform_.load_config(back) != 0) {
       refuse(groma_Result_RESULT_STORAGE, "not erased: try again");
-      return join();
+      return resume();
     }
+    forget_machine();
     config_.reset();
     reply(groma_Result_RESULT_OK, "");
     choose_link();
