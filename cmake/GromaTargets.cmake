@@ -1,9 +1,11 @@
 # One way to declare each kind of target, so that warnings, include paths and
 # sanitizers are the same everywhere.
 
-find_package(Threads REQUIRED)
-find_package(Eigen3 3.4 REQUIRED NO_MODULE)
-find_package(fmt REQUIRED)
+if(NOT GROMA_BOARD)
+  find_package(Threads REQUIRED)
+  find_package(Eigen3 3.4 REQUIRED NO_MODULE)
+  find_package(fmt REQUIRED)
+endif()
 
 add_library(groma_build_options INTERFACE)
 target_compile_options(

@@ -1,9 +1,11 @@
 #include "host/io/version.hpp"
 
+#include "generated/groma_version.hpp"
+
 namespace groma::io {
 
 std::string_view program_version() {
-  return GROMA_VERSION;
+  return kVersion;
 }
 
 }  // namespace groma::io

@@ -411,7 +411,7 @@ class Dw1000 {
       status = read<reg::SysStatus>();
     }
     const auto info = read<reg::RxFinfo>();
-    const std::size_t length = info.get(reg::rx_finfo::kLength);
+    const auto length = static_cast<std::size_t>(info.get(reg::rx_finfo::kLength));
     const std::size_t size = length < kFrameCheckBytes ? 0 : length - kFrameCheckBytes;
     const std::span<std::uint8_t> frame =
         std::span(frame_).first(size < frame_.size() ? size : frame_.size());

@@ -9,7 +9,7 @@ namespace groma::storage {
 template <Flash F>
 class ConfigStore {
  public:
-  explicit ConfigStore(F& flash) noexcept : records_(flash) {}
+  explicit constexpr ConfigStore(F& flash) noexcept : records_(flash) {}
 
   // As RecordStore::load() and store() say.
   [[nodiscard]] std::size_t load(std::span<std::uint8_t> out) const noexcept {

@@ -46,7 +46,7 @@ inline constexpr std::uint32_t kRecordMark = 0xA5;
 template <Flash F>
 class RecordStore {
  public:
-  explicit RecordStore(F& flash) noexcept : flash_(flash) {}
+  explicit constexpr RecordStore(F& flash) noexcept : flash_(flash) {}
 
   // The newest record's payload to the start of `out`, and its length; 0: there is none, or it does not fit.
   [[nodiscard]] std::size_t load(Key key, std::span<std::uint8_t> out) const noexcept {

@@ -1,0 +1,56 @@
+// The DWM1001 as a node's platform (firmware/core/node/platform.hpp).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "firmware/board/dwm1001/leds.hpp"
+#include "firmware/board/dwm1001/nvmc.hpp"
+#include "firmware/board/dwm1001/radio_bus.hpp"
+#include "firmware/board/dwm1001/reset.hpp"
+#include "firmware/board/dwm1001/uarte.hpp"
+#include "firmware/core/node/platform.hpp"
+#include "firmware/core/storage/config_store.hpp"
+
+namespace groma::dwm1001 {
+
+class Board {
+ public:
+  // Once after boot.
+  void start() noexcept;
+
+  // ---- what the node asks for ----------------------------------------------------------------------------
+  RadioBus& spi() noexcept { return radio_; }
+  void reset_radio() noexcept;
+  void delay_us(std::uint32_t duration_us) noexcept;
+  std::uint64_t now_us() noexcept;
+  bool link_write(std::span<const std::uint8_t> frame) noexcept { return uart_.write(frame); }
+  bool store_config(std::span<const std::uint8_t> blob) noexcept { return config_store_.store(blob); }
+  std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_store_.load(out); }
+  void set_indicator(node::Indicator indicator) noexcept { leds_.show(indicator, now_us()); }
+  void restart() noexcept;
+  node::ResetReason reset_reason() noexcept { return reset_.reason; }
+  std::optional<node::Fault> last_fault() noexcept { return reset_.fault; }
+  void proof_of_life() noexcept;
+  node::StackUse stack_use() noexcept;
+
+  // ---- what main() asks for ------------------------------------------------------------------------------
+  [[nodiscard]] bool radio_interrupt() const noexcept;
+  Uarte& uart() noexcept { return uart_; }
+  RadioBus& radio() noexcept { return radio_; }
+  void update_leds() noexcept { leds_.update(now_us()); }
+  // Sleeps until `t_us` or until there is something to do.
+  void sleep_until(std::uint64_t t_us) noexcept;
+
+ private:
+  RadioBus radio_;
+  Uarte uart_;
+  Leds leds_;
+  Nvmc flash_;
+  storage::ConfigStore<Nvmc> config_store_{flash_};
+  Reset reset_;
+};
+
+}  // namespace groma::dwm1001

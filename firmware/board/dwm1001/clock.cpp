@@ -1,0 +1,74 @@
+#include "firmware/board/dwm1001/clock.hpp"
+
+#include <algorithm>
+
+#include "firmware/board/dwm1001/cpu.hpp"
+#include "firmware/board/dwm1001/nrf52832.hpp"
+
+namespace groma::dwm1001::clock {
+namespace {
+
+namespace power = nrf52832::power;
+namespace timer = nrf52832::timer;
+
+constexpr std::uint32_t kDeadlineChannel = 0;
+constexpr std::uint32_t kNowChannel = 1;
+
+// Ahead of now by less than half the timer's range, so that it is not behind.
+constexpr std::uint64_t kLongestSleep_us = std::uint64_t{1} << 31;
+
+std::uint32_t last_count_us = 0;
+std::uint32_t wraps = 0;
+
+}  // namespace
+
+void start() noexcept {
+  power::kBlock[power::kHfclkStarted] = 0;
+  power::kBlock[power::kHfclkStart] = 1;
+  power::kBlock[power::kLfclkSource] = power::kLfclkCrystal;
+  power::kBlock[power::kLfclkStart] = 1;
+  while (power::kBlock[power::kHfclkStarted] == 0) {
+  }
+
+  const auto& registers = timer::kBlock0;
+  registers[timer::kMode] = timer::kTimerMode;
+  registers[timer::kBitMode] = timer::k32Bits;
+  registers[timer::kPrescaler] = timer::k1MHz;
+  registers[timer::kClear] = 1;
+  registers[timer::kInterruptSet] = timer::kInterruptCompare0;
+  enable_interrupt(nrf52832::Irq::kTimer0, Priority::kPeripheral);
+  registers[timer::kStart] = 1;
+}
+
+std::uint64_t now_us() noexcept {
+  timer::kBlock0[timer::kCapture + 4 * kNowChannel] = 1;
+  const std::uint32_t count_us = timer::kBlock0[timer::kCompare + 4 * kNowChannel];
+  if (count_us < last_count_us) ++wraps;
+  last_count_us = count_us;
+  return std::uint64_t{wraps} << 32 | count_us;
+}
+
+void wake_at(std::uint64_t t_us) noexcept {
+  const std::uint64_t latest_us = now_us() + kLongestSleep_us;
+  timer::kBlock0[timer::kCompare + 4 * kDeadlineChannel] =
+      static_cast<std::uint32_t>(std::min(t_us, latest_us));
+}
+
+void delay_us(std::uint32_t duration_us) noexcept {
+  // One more for the part of a microsecond that has passed already.
+  const std::uint64_t end_us = now_us() + duration_us + 1;
+  for (;;) {
+    const InterruptLock lock;
+    wake_at(end_us);
+    if (now_us() >= end_us) return;
+    sleep();
+  }
+}
+
+}  // namespace groma::dwm1001::clock
+
+// Only wakes the processor.
+extern "C" void timer0_entry() {
+  namespace timer = groma::nrf52832::timer;
+  groma::nrf52832::clear_event(timer::kBlock0[timer::kEventCompare]);
+}

@@ -1,0 +1,54 @@
+// The processor's own: interrupts, sleep, reset.
+#pragma once
+
+#include <cstdint>
+
+#include "firmware/board/dwm1001/nrf52832.hpp"
+
+namespace groma::dwm1001 {
+
+// Smaller is more urgent; the four upper levels of eight are enough. Faults come before all.
+enum class Priority : std::uint8_t {
+  kWatchdog = 0,
+  kPeripheral = 2,
+};
+
+inline void enable_interrupt(nrf52832::Irq irq, Priority priority) noexcept {
+  namespace scb = nrf52832::scb;
+  const auto number = static_cast<std::uint32_t>(irq);
+  // The priority is the byte's upper three bits; the register is written as a word.
+  const std::uint32_t shift = 8 * (number % 4);
+  auto& priorities = scb::kBlock[scb::kNvicPriority + number / 4 * 4];
+  priorities = (priorities & ~(0xFFU << shift)) | static_cast<std::uint32_t>(priority) << (shift + 5);
+  scb::kBlock[scb::kNvicEnable + number / 32 * 4] = 1U << (number % 32);
+}
+
+inline void clear_pending_interrupt(nrf52832::Irq irq) noexcept {
+  namespace scb = nrf52832::scb;
+  const auto number = static_cast<std::uint32_t>(irq);
+  scb::kBlock[scb::kNvicClearPending + number / 32 * 4] = 1U << (number % 32);
+}
+
+// No interrupt is taken while one lives; faults are. For thread mode, not nested.
+class InterruptLock {
+ public:
+  InterruptLock() noexcept { asm volatile("cpsid i" ::: "memory"); }
+  ~InterruptLock() noexcept { asm volatile("cpsie i\n isb" ::: "memory"); }
+  InterruptLock(const InterruptLock&) = delete;
+  InterruptLock& operator=(const InterruptLock&) = delete;
+};
+
+// Until an interrupt is pending. Under an InterruptLock it is taken when the lock goes, so that what was
+// checked under the lock before cannot change unseen.
+inline void sleep() noexcept {
+  asm volatile("dsb\n wfi" ::: "memory");
+}
+
+[[noreturn]] inline void reset_processor() noexcept {
+  namespace scb = nrf52832::scb;
+  asm volatile("dsb" ::: "memory");
+  scb::kBlock[scb::kResetControl] = scb::kResetRequest;
+  for (;;) asm volatile("dsb" ::: "memory");
+}
+
+}  // namespace groma::dwm1001

@@ -1,0 +1,119 @@
+#include "firmware/board/dwm1001/fault.hpp"
+
+#include <array>
+#include <cstddef>
+#include <span>
+
+#include "firmware/board/dwm1001/cpu.hpp"
+#include "firmware/board/dwm1001/memory.hpp"
+#include "firmware/board/dwm1001/nrf52832.hpp"
+#include "proto/crc32.hpp"
+
+namespace groma::dwm1001 {
+namespace {
+
+// All words, so that it has no gaps.
+struct Record {
+  std::uint32_t magic;
+  std::uint32_t cause;
+  std::uint32_t pc;
+  std::uint32_t lr;
+  std::uint32_t cfsr;
+  std::uint32_t crc;  // of all before
+};
+
+constexpr std::uint32_t kMagic = 0x4752'4D46;
+
+// Its bytes after power-on are chance; the CRC tells.
+[[gnu::section(".noinit")]] Record record;
+
+std::uint32_t crc_of(const Record& r) noexcept {
+  return wire::crc32({reinterpret_cast<const std::uint8_t*>(&r), offsetof(Record, crc)});
+}
+
+void keep(FaultCause cause, const node::Fault& fault) noexcept {
+  record = {.magic = kMagic,
+            .cause = static_cast<std::uint32_t>(cause),
+            .pc = fault.pc,
+            .lr = fault.lr,
+            .cfsr = fault.cfsr,
+            .crc = 0};
+  record.crc = crc_of(record);
+}
+
+// What the processor stacks at an exception (ARM DDI 0403E, B1.5.6).
+enum StackedWord : std::size_t { kStackedLr = 5, kStackedPc = 6, kStackedWords = 8 };
+
+// CFSR: the frame could not be stacked, for the memory protection's or the bus's fault.
+constexpr std::uint32_t kMstkerr = 1U << 4;
+constexpr std::uint32_t kStkerr = 1U << 12;
+
+[[nodiscard]] bool in_stack(const std::uint32_t* frame) noexcept {
+  return frame >= groma_stack_begin && frame + kStackedWords <= groma_stack_end;
+}
+
+// Where the stack has overflowed there is no frame. The innermost return address that it still holds, or
+// rather the nearest word to its end that looks like one, is as near as one can get.
+[[nodiscard]] std::uint32_t innermost_return_address() noexcept {
+  for (const std::uint32_t* word = groma_stack_begin; word != groma_stack_end; ++word) {
+    const bool thumb = (*word & 1U) != 0;
+    if (thumb && *word >= address_of(groma_text_begin) && *word < address_of(groma_text_end))
+      return *word & ~1U;
+  }
+  return 0;
+}
+
+}  // namespace
+
+std::optional<KeptFault> take_kept_fault() noexcept {
+  const Record kept = record;
+  record.magic = 0;
+  if (kept.magic != kMagic || kept.crc != crc_of(kept)) return std::nullopt;
+  return KeptFault{.cause = static_cast<FaultCause>(kept.cause),
+                   .fault = {.pc = kept.pc, .lr = kept.lr, .cfsr = kept.cfsr}};
+}
+
+}  // namespace groma::dwm1001
+
+extern "C" {
+
+// Called on the fault handlers' own stack; `frame` is the stack pointer at the exception, perhaps a wild one.
+[[noreturn, gnu::used]] void keep_fault_and_reset(const std::uint32_t* frame) {
+  using namespace groma::dwm1001;
+  namespace scb = groma::nrf52832::scb;
+  groma::node::Fault fault{.cfsr = scb::kBlock[scb::kFaultStatus]};
+  if ((fault.cfsr & (kMstkerr | kStkerr)) == 0 && in_stack(frame)) {
+    fault.pc = frame[kStackedPc];
+    fault.lr = frame[kStackedLr];
+  } else {
+    fault.pc = innermost_return_address();
+  }
+  keep(FaultCause::kFault, fault);
+  reset_processor();
+}
+
+// The watchdog resets in 61 us.
+[[noreturn, gnu::used]] void keep_place_until_reset(const std::uint32_t* frame) {
+  using namespace groma::dwm1001;
+  groma::node::Fault place;
+  if (in_stack(frame)) place = {.pc = frame[kStackedPc], .lr = frame[kStackedLr]};
+  keep(FaultCause::kWatchdog, place);
+  for (;;) sleep();
+}
+
+[[gnu::naked]] void fault_entry() {
+  asm volatile(
+      "mov r0, sp\n"
+      "ldr sp, =groma_fault_stack_end\n"
+      "b keep_fault_and_reset\n"
+      ".ltorg");
+}
+
+[[gnu::naked]] void watchdog_entry() {
+  asm volatile(
+      "mov r0, sp\n"
+      "ldr sp, =groma_fault_stack_end\n"
+      "b keep_place_until_reset\n"
+      ".ltorg");
+}
+}

@@ -1,0 +1,28 @@
+// The module's lights: what the node is doing, as a blink pattern in time.
+//
+//   kRadioFault    both red, fast        kSearching  green, slow
+//   kUnconfigured  blue, slow            kRanging    green, a short flash each second
+//   kIdentify      all, fast
+#pragma once
+
+#include <cstdint>
+
+#include "firmware/core/node/platform.hpp"
+
+namespace groma::dwm1001 {
+
+class Leds {
+ public:
+  void start() noexcept;
+  void show(node::Indicator indicator, std::uint64_t now_us) noexcept;
+  // At or after next_change_us().
+  void update(std::uint64_t now_us) noexcept;
+  [[nodiscard]] std::uint64_t next_change_us() const noexcept { return next_change_us_; }
+
+ private:
+  node::Indicator indicator_ = node::Indicator::kUnconfigured;
+  bool lit_ = false;
+  std::uint64_t next_change_us_ = 0;
+};
+
+}  // namespace groma::dwm1001

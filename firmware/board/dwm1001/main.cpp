@@ -1,0 +1,50 @@
+// The image: one node on this board, for ever.
+#include "firmware/board/dwm1001/board.hpp"
+#include "firmware/board/dwm1001/nrf52832.hpp"
+#include "firmware/core/node/node.hpp"
+#include "generated/groma_version.hpp"
+
+namespace {
+
+using groma::dwm1001::Board;
+using groma::node::Build;
+using groma::node::Node;
+
+constinit Board board;
+
+}  // namespace
+
+// Interrupts note and wake; the work is done below.
+extern "C" {
+
+void uarte0_entry() {
+  board.uart().on_interrupt();
+}
+
+void spim2_entry() {
+  board.radio().on_interrupt();
+}
+
+// The lines themselves tell: their level is looked at before each sleep.
+void gpiote_entry() {
+  namespace gpiote = groma::nrf52832::gpiote;
+  groma::nrf52832::clear_event(gpiote::kBlock[gpiote::kEventIn]);
+}
+}
+
+int main() {
+  board.start();
+  static Node<Board> node(board, Build{.version = groma::kVersion, .git_hash = groma::kGitHash});
+  node.start();
+  for (;;) {
+    if (board.radio_interrupt()) node.on_radio_interrupt();
+    if (board.now_us() >= node.next_deadline_us()) node.on_timer();
+    if (const auto bytes = board.uart().received(board.now_us()); !bytes.empty()) {
+      node.on_link_bytes(bytes);
+      board.uart().release(bytes.size());
+      continue;
+    }
+    board.update_leds();
+    board.sleep_until(node.next_deadline_us());
+  }
+}

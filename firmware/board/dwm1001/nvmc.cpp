@@ -1,0 +1,57 @@
+#include "firmware/board/dwm1001/nvmc.hpp"
+
+#include "firmware/board/dwm1001/nrf52832.hpp"
+
+namespace groma::dwm1001 {
+namespace {
+
+namespace nvmc = nrf52832::nvmc;
+
+constexpr std::uint32_t kFirstPage = 0x7'E000;
+
+void await_ready() noexcept {
+  while (nvmc::kBlock[nvmc::kReady] == 0) {
+  }
+}
+
+// Lets the flash be changed in one way for as long as it lives.
+class Unlocked {
+ public:
+  explicit Unlocked(std::uint32_t mode) noexcept { nvmc::kBlock[nvmc::kConfig] = mode; }
+  ~Unlocked() noexcept {
+    await_ready();
+    nvmc::kBlock[nvmc::kConfig] = nvmc::kReadOnly;
+  }
+  Unlocked(const Unlocked&) = delete;
+  Unlocked& operator=(const Unlocked&) = delete;
+};
+
+}  // namespace
+
+bool Nvmc::erase(std::size_t page) noexcept {
+  if (page >= kPages) return false;
+  const std::uint32_t begin = static_cast<std::uint32_t>(page) * kPageBytes;
+  {
+    const Unlocked unlocked(nvmc::kErase);
+    nvmc::kBlock[nvmc::kErasePage] = kFirstPage + begin;
+  }
+  for (std::uint32_t offset = begin; offset < begin + kPageBytes; offset += 4) {
+    if (read(offset) != 0xFFFF'FFFF) return false;
+  }
+  return true;
+}
+
+bool Nvmc::write(std::uint32_t offset, std::uint32_t word) noexcept {
+  if (offset % 4 != 0 || offset >= kPages * kPageBytes) return false;
+  {
+    const Unlocked unlocked(nvmc::kWrite);
+    nrf52832::at(kFirstPage + offset) = word;
+  }
+  return read(offset) == word;
+}
+
+std::uint32_t Nvmc::read(std::uint32_t offset) const noexcept {
+  return nrf52832::at(kFirstPage + offset);
+}
+
+}  // namespace groma::dwm1001

@@ -1,0 +1,59 @@
+// The DW1000 on SPIM2, as the driver wants its bus (firmware/core/dw1000/spi.hpp).
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <span>
+
+#include "firmware/board/dwm1001/pins.hpp"
+#include "firmware/board/dwm1001/spim.hpp"
+#include "firmware/core/dw1000/phy.hpp"
+#include "firmware/core/dw1000/spi.hpp"
+
+namespace groma::dwm1001 {
+
+class RadioBus {
+ public:
+  void start() noexcept { spim_.start(SpiFrequency::k2MHz); }
+
+  void write(std::span<const std::uint8_t> header, std::span<const std::uint8_t> out) noexcept {
+    spim_.transfer(join(header, out), {});
+  }
+
+  void read(std::span<const std::uint8_t> header, std::span<std::uint8_t> in) noexcept {
+    const auto sent = join(header, {});
+    const auto received = std::span(buffer_).first(header.size() + in.size());
+    spim_.transfer(sent, received);
+    std::copy_n(received.begin() + static_cast<std::ptrdiff_t>(header.size()), in.size(), in.begin());
+  }
+
+  void set_speed(dw1000::SpiSpeed speed) noexcept {
+    spim_.set_frequency(speed == dw1000::SpiSpeed::kFast ? SpiFrequency::k8MHz : SpiFrequency::k2MHz);
+  }
+
+  void on_interrupt() noexcept { spim_.on_interrupt(); }
+
+ private:
+  // Header and body as one piece in RAM: EasyDMA reads no flash, and erratum 58 forbids a lone byte.
+  std::span<const std::uint8_t> join(std::span<const std::uint8_t> header,
+                                     std::span<const std::uint8_t> body) noexcept {
+    auto* end = std::copy(header.begin(), header.end(), buffer_.begin());
+    std::copy(body.begin(), body.end(), end);
+    return std::span(buffer_).first(header.size() + body.size());
+  }
+
+  static constexpr std::size_t kHeaderBytes = 3;
+
+  Spim spim_{{.base = nrf52832::spim::kBase2,
+              .irq = nrf52832::Irq::kSpim2,
+              .clock_pin = pin::kRadioClock,
+              .out_pin = pin::kRadioOut,
+              .in_pin = pin::kRadioIn,
+              .select_pin = pin::kRadioSelect}};
+  std::array<std::uint8_t, kHeaderBytes + dw1000::kMaxFrameBytes> buffer_{};
+};
+
+static_assert(dw1000::Spi<RadioBus>);
+
+}  // namespace groma::dwm1001

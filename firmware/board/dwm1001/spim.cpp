@@ -1,0 +1,63 @@
+#include "firmware/board/dwm1001/spim.hpp"
+
+#include "firmware/board/dwm1001/cpu.hpp"
+#include "firmware/board/dwm1001/pins.hpp"
+
+namespace groma::dwm1001 {
+
+namespace gpio = nrf52832::gpio;
+namespace spim = nrf52832::spim;
+
+void Spim::start(SpiFrequency frequency) noexcept {
+  pin::set(wiring_.select_pin);
+  pin::configure(wiring_.select_pin, gpio::kOutput);
+  pin::clear(wiring_.clock_pin);
+  pin::configure(wiring_.clock_pin, gpio::kOutput);
+  pin::clear(wiring_.out_pin);
+  pin::configure(wiring_.out_pin, gpio::kOutput);
+  pin::configure(wiring_.in_pin, gpio::kInput);
+  registers_[spim::kPinClock] = wiring_.clock_pin;
+  registers_[spim::kPinOut] = wiring_.out_pin;
+  registers_[spim::kPinIn] = wiring_.in_pin;
+  registers_[spim::kConfig] = 0;
+  registers_[spim::kOverReadByte] = 0;
+  set_frequency(frequency);
+  registers_[spim::kEnable] = spim::kEnabled;
+  enable_interrupt(wiring_.irq, Priority::kPeripheral);
+}
+
+void Spim::set_frequency(SpiFrequency frequency) noexcept {
+  registers_[spim::kFrequency] = static_cast<std::uint32_t>(frequency);
+}
+
+void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> in) noexcept {
+  registers_[spim::kTransmitPointer] = reinterpret_cast<std::uintptr_t>(out.data());
+  registers_[spim::kTransmitCount] = out.size();
+  registers_[spim::kReceivePointer] = reinterpret_cast<std::uintptr_t>(in.data());
+  registers_[spim::kReceiveCount] = in.size();
+  registers_[spim::kEventEnd] = 0;
+  registers_[spim::kInterruptSet] = spim::kInterruptEnd;
+  pin::clear(wiring_.select_pin);
+  asm volatile("" ::: "memory");
+  registers_[spim::kStart] = 1;
+  for (bool over = false; !over;) {
+    const InterruptLock lock;
+    if (registers_[spim::kEventEnd] == 0) sleep();
+    over = registers_[spim::kEventEnd] != 0;
+    // Its interrupt has done its work: to take it would only cost time.
+    if (over) {
+      registers_[spim::kInterruptClear] = spim::kInterruptEnd;
+      clear_pending_interrupt(wiring_.irq);
+    }
+  }
+  asm volatile("" ::: "memory");
+  pin::set(wiring_.select_pin);
+}
+
+// Only wakes the processor: the event stays for transfer() to see.
+void Spim::on_interrupt() noexcept {
+  registers_[spim::kInterruptClear] = spim::kInterruptEnd;
+  nrf52832::settle(registers_[spim::kEventEnd]);
+}
+
+}  // namespace groma::dwm1001

@@ -1,0 +1,46 @@
+// One SPI master with EasyDMA: mode 0, most significant bit first, chip select by GPIO.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "firmware/board/dwm1001/nrf52832.hpp"
+
+namespace groma::dwm1001 {
+
+// Values of the FREQUENCY register.
+enum class SpiFrequency : std::uint32_t { k2MHz = 0x2000'0000, k4MHz = 0x4000'0000, k8MHz = 0x8000'0000 };
+
+class Spim {
+ public:
+  // What EasyDMA moves at most in one transfer.
+  static constexpr std::size_t kMaxTransfer = 255;
+
+  struct Wiring {
+    std::uint32_t base;  // spim::kBase1 or kBase2
+    nrf52832::Irq irq;
+    std::uint32_t clock_pin, out_pin, in_pin, select_pin;
+  };
+
+  explicit constexpr Spim(const Wiring& wiring) noexcept : wiring_(wiring), registers_(wiring.base) {}
+
+  // Configures pins and controller, deselects the chip.
+  void start(SpiFrequency frequency) noexcept;
+  void set_frequency(SpiFrequency frequency) noexcept;
+
+  // One chip-select window of the longer of the two sizes: `out` goes out, and zeros after its end; `in` is
+  // received from the first byte on. Returns when it is over; sleeps meanwhile, interrupts are served. Both
+  // lie in RAM, may be the same bytes, and hold at most kMaxTransfer; together never a single received byte,
+  // for which the chip clocks two (erratum 58).
+  void transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> in) noexcept;
+
+  // For its vector.
+  void on_interrupt() noexcept;
+
+ private:
+  Wiring wiring_;
+  nrf52832::Block registers_;
+};
+
+}  // namespace groma::dwm1001
