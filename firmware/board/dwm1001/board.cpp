@@ -18,8 +18,8 @@ namespace gpiote = nrf52832::gpiote;
 
 void Board::start() noexcept {
   reset_ = take_reset();
-  watchdog::start();
   clock::start();
+  watchdog::start();
   leds_.start();
   radio_.start();
   uart_.start();

@@ -23,10 +23,10 @@ std::uint32_t wraps = 0;
 }  // namespace
 
 void start() noexcept {
-  power::kBlock[power::kHfclkStarted] = 0;
-  power::kBlock[power::kHfclkStart] = 1;
   power::kBlock[power::kLfclkSource] = power::kLfclkCrystal;
   power::kBlock[power::kLfclkStart] = 1;
+  power::kBlock[power::kHfclkStarted] = 0;
+  power::kBlock[power::kHfclkStart] = 1;
   while (power::kBlock[power::kHfclkStarted] == 0) {
   }
 

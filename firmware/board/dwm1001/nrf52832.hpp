@@ -45,6 +45,24 @@ enum class Irq : std::uint8_t {
   kSpim2 = 35,
 };
 
+// ---- FICR (13) and UICR (14) -----------------------------------------------------------------------------
+namespace ficr {
+inline constexpr Block kBlock{0x1000'0000};
+// Not in the product specification: its maker's start-up code reads part and revision there.
+inline constexpr std::uint32_t kPart = 0x130;
+inline constexpr std::uint32_t kNrf52832 = 6;
+inline constexpr std::uint32_t kRevision = 0x134;
+inline constexpr std::uint32_t kRevision3 = 7;
+inline constexpr std::uint32_t kErratum108 = 0x258;
+}  // namespace ficr
+
+namespace uicr {
+inline constexpr Block kBlock{0x1000'1000};
+inline constexpr std::uint32_t kErased = 0xFFFF'FFFF;
+inline constexpr std::uint32_t kApprotect = 0x208;
+inline constexpr std::uint32_t kApprotectOpen = 0x5A;
+}  // namespace uicr
+
 // ---- POWER and CLOCK (18, 19) ----------------------------------------------------------------------------
 namespace power {
 inline constexpr Block kBlock{0x4000'0000};
@@ -53,6 +71,8 @@ inline constexpr std::uint32_t kLfclkStart = 0x008;
 inline constexpr std::uint32_t kHfclkStarted = 0x100;
 inline constexpr std::uint32_t kResetReason = 0x400;
 inline constexpr std::uint32_t kLfclkSource = 0x518;
+inline constexpr std::uint32_t kApprotectDisable = 0x558;
+inline constexpr std::uint32_t kErratum108 = 0xEE4;
 inline constexpr std::uint32_t kLfclkCrystal = 1;
 inline constexpr std::uint32_t kResetPin = 1U << 0;
 inline constexpr std::uint32_t kResetWatchdog = 1U << 1;

@@ -43,11 +43,13 @@ bool Nvmc::erase(std::size_t page) noexcept {
 
 bool Nvmc::write(std::uint32_t offset, std::uint32_t word) noexcept {
   if (offset % 4 != 0 || offset >= kPages * kPageBytes) return false;
-  {
-    const Unlocked unlocked(nvmc::kWrite);
-    nrf52832::at(kFirstPage + offset) = word;
-  }
+  write_flash_word(nrf52832::at(kFirstPage + offset), word);
   return read(offset) == word;
+}
+
+void write_flash_word(nrf52832::Register& word, std::uint32_t value) noexcept {
+  const Unlocked unlocked(nvmc::kWrite);
+  word = value;
 }
 
 std::uint32_t Nvmc::read(std::uint32_t offset) const noexcept {

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "firmware/board/dwm1001/nrf52832.hpp"
+
 namespace groma::dwm1001 {
 
 // Offsets count from the first of the two pages. The processor stands still while the flash works: 85 ms for
@@ -18,5 +20,8 @@ class Nvmc {
   bool write(std::uint32_t offset, std::uint32_t word) noexcept;
   [[nodiscard]] std::uint32_t read(std::uint32_t offset) const noexcept;
 };
+
+// A word of flash or of UICR: its bits can only be cleared.
+void write_flash_word(nrf52832::Register& word, std::uint32_t value) noexcept;
 
 }  // namespace groma::dwm1001

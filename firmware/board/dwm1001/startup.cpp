@@ -6,6 +6,7 @@
 #include "firmware/board/dwm1001/cpu.hpp"
 #include "firmware/board/dwm1001/memory.hpp"
 #include "firmware/board/dwm1001/nrf52832.hpp"
+#include "firmware/board/dwm1001/silicon.hpp"
 
 int main();
 
@@ -44,6 +45,8 @@ void spim2_entry();
   auto& control = scb::kBlock[scb::kConfigControl];
   control = control | scb::kTrapDivideByZero;
   nvmc::kBlock[nvmc::kCacheConfig] = nvmc::kCacheEnabled;
+
+  groma::dwm1001::prepare_silicon();
 
   std::copy(groma_data_load, groma_data_load + (groma_data_end - groma_data_begin), groma_data_begin);
   std::fill(groma_bss_begin, groma_bss_end, 0U);

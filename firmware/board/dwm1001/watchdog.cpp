@@ -15,6 +15,8 @@ void start() noexcept {
   wdt::kBlock[wdt::kInterruptSet] = wdt::kInterruptTimeout;
   enable_interrupt(nrf52832::Irq::kWatchdog, Priority::kWatchdog);
   wdt::kBlock[wdt::kStart] = 1;
+  // A reset by software leaves it running, with what was left of its period.
+  feed();
 }
 
 void feed() noexcept {

@@ -1,4 +1,4 @@
-// Resets the node unless it is fed for kWatchdogPeriod_s. Its interrupt comes two ticks of 32.768 kHz (61 us)
+// Resets the node when it has not been fed for kPeriod_s. Its interrupt comes two ticks of 32.768 kHz (61 us)
 // before the reset and keeps where the program was (fault.hpp).
 #pragma once
 
@@ -8,7 +8,7 @@ namespace groma::dwm1001::watchdog {
 
 inline constexpr std::uint32_t kPeriod_s = 8;
 
-// From here on it runs until the next reset.
+// Gives it a whole period; from here on it runs until the next reset.
 void start() noexcept;
 void feed() noexcept;
 

@@ -24,6 +24,7 @@ enum : std::uint32_t {
   kLfclksrc = 0x518,
   kApprotectDisable = 0x558,  // of the revisions that open the debug port by firmware
   kDcdcen = 0x578,
+  kErratum108 = 0xEE4,  // RAM is not to be trusted after sleep before FICR's value is copied there
 };
 
 constexpr std::uint32_t kStateRunning = 1U << 16;
@@ -116,6 +117,10 @@ bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       return true;
     case kApprotectDisable:
       approtect_ = value;
+      return true;
+    case kErratum108:
+      if (value != 0x4F)
+        throw SimulationError("POWER: erratum 108 wants bits of FICR 0x258, not " + hexadecimal(value));
       return true;
     default:
       return events_.write(offset, value);

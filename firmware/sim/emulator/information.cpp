@@ -31,6 +31,12 @@ std::optional<std::uint32_t> read_factory_information(const ChipIdentity& identi
       return 64;
     case 0x110:  // INFO.FLASH, KiB
       return 512;
+    case 0x130:  // part and revision as the maker's start-up code knows them: nRF52832, revision 2
+      return 6;
+    case 0x134:
+      return 5;
+    case 0x258:  // for POWER's register of erratum 108
+      return 0x4F;
     default:
       return std::nullopt;
   }
