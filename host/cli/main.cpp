@@ -29,8 +29,10 @@ int run(int argc, char** argv) {
       "69 device or service unavailable, 77 permission, 78 bad configuration.");
   Action action;
   add_calibrate(app, action);
+  add_configure(app, action);
   add_demo(app, action);
   add_evaluate(app, action);
+  add_identify(app, action);
   add_replay(app, action);
   add_sim(app, action);
   try {

@@ -7,6 +7,7 @@
 #include "firmware/core/node/config.hpp"
 #include "firmware/sim/keyed_random.hpp"
 #include "groma.pb.h"
+#include "host/provision/node_config.hpp"
 
 namespace groma::simulation {
 
@@ -15,39 +16,27 @@ namespace {
 enum Purpose : std::uint64_t { kWorld, kMedium, kNodes };
 enum NodeDraw : std::uint64_t { kClockOffset, kFirstTick, kPowerOn };
 
-constexpr std::uint32_t kNetworkId = 0x4752;
+constexpr std::uint16_t kNetworkId = 0x4752;
 constexpr double kLatestPowerOn_s = 0.5;
 constexpr std::uint64_t kCounterMask = (1ULL << 40) - 1;
 
-groma_Preamble preamble_of(unsigned symbols) {
-  if (symbols == 64) return groma_Preamble_PREAMBLE_64;
-  return symbols == 256 ? groma_Preamble_PREAMBLE_256 : groma_Preamble_PREAMBLE_128;
-}
-
-groma_Config config_of(const sim::Scenario& scenario, groma_Role role, model::NodeId id) {
-  groma_Config config = groma_Config_init_zero;
-  config.role = role;
-  config.id = id;
-  config.network_id = kNetworkId;
-  config.preamble = preamble_of(scenario.schedule.preamble);
+provision::SiteSettings settings_of(const sim::Scenario& scenario) {
+  provision::SiteSettings settings;
+  settings.network_id = kNetworkId;
+  settings.preamble_symbols = scenario.schedule.preamble;
   const sim::ChipSpec chip;
-  config.transmit_antenna_delay_dtu = chip.transmit_antenna_delay_ticks;
-  config.receive_antenna_delay_dtu = chip.receive_antenna_delay_ticks;
-  config.has_schedule = true;
-  groma_Schedule& schedule = config.schedule;
-  schedule.epoch = 1;
-  schedule.master_id = scenario.schedule.master_id;
-  for (const model::Tag& tag : scenario.tags) schedule.tag_ids[schedule.tag_ids_count++] = tag.id;
-  for (const model::Anchor& anchor : scenario.anchors) {
-    schedule.anchor_ids[schedule.anchor_ids_count++] = anchor.id;
-  }
-  schedule.method = scenario.schedule.method == sim::ScheduleOptions::Method::kFinal
+  settings.transmit_antenna_delay_dtu = chip.transmit_antenna_delay_ticks;
+  settings.receive_antenna_delay_dtu = chip.receive_antenna_delay_ticks;
+  settings.master_id = scenario.schedule.master_id;
+  for (const model::Tag& tag : scenario.tags) settings.tag_ids.push_back(tag.id);
+  for (const model::Anchor& anchor : scenario.anchors) settings.anchor_ids.push_back(anchor.id);
+  settings.method = scenario.schedule.method == sim::ScheduleOptions::Method::kFinal
                         ? groma_RangingMethod_METHOD_DS_FINAL
                         : groma_RangingMethod_METHOD_DS_NEXT_POLL;
-  schedule.turn_round_us = scenario.schedule.turn_round_us;
-  schedule.response_gap_us = scenario.schedule.response_gap_us;
-  schedule.guard_us = scenario.schedule.guard_us;
-  return config;
+  settings.turn_round_us = scenario.schedule.turn_round_us;
+  settings.response_gap_us = scenario.schedule.response_gap_us;
+  settings.guard_us = scenario.schedule.guard_us;
+  return settings;
 }
 
 sim::NodeSpec spec_of(const sim::Scenario& scenario, const groma_Config& config,
@@ -81,13 +70,14 @@ SimulatedSite::SimulatedSite(const sim::Scenario& scenario, std::uint64_t seed)
     : world_(scenario, sim::KeyedRandom(seed).of(kWorld).bits()),
       network_(world_, medium_settings(scenario.radio), sim::KeyedRandom(seed).of(kMedium).bits()) {
   const sim::KeyedRandom nodes = sim::KeyedRandom(seed).of(kNodes);
+  const provision::SiteSettings settings = settings_of(scenario);
   for (const model::Anchor& anchor : scenario.anchors) {
-    network_.add_native(
-        spec_of(scenario, config_of(scenario, groma_Role_ROLE_ANCHOR, anchor.id), nodes.of(anchor.id)));
+    network_.add_native(spec_of(scenario, provision::config_of(settings, groma_Role_ROLE_ANCHOR, anchor.id),
+                                nodes.of(anchor.id)));
   }
   for (const model::Tag& tag : scenario.tags) {
     const std::size_t node = network_.add_native(
-        spec_of(scenario, config_of(scenario, groma_Role_ROLE_TAG, tag.id), nodes.of(tag.id)));
+        spec_of(scenario, provision::config_of(settings, groma_Role_ROLE_TAG, tag.id), nodes.of(tag.id)));
     tags_.push_back({tag.id, node});
   }
 }

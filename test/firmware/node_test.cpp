@@ -182,6 +182,10 @@ TEST_F(NodeTest, SaysHelloAtStart) {
   EXPECT_EQ(hello.id, 2U);
   EXPECT_EQ(hello.network_id, 0x1234U);
   EXPECT_EQ(hello.schedule_hash, schedule_hash_of(good_config()));
+  EXPECT_EQ(hello.config_hash, config_hash_of(good_config()));
+  groma_Config other = good_config();
+  other.transmit_antenna_delay_dtu += 1;
+  EXPECT_NE(hello.config_hash, config_hash_of(other));
   EXPECT_EQ(hello.reset_reason, groma_ResetReason_RESET_WATCHDOG);
   ASSERT_TRUE(hello.has_last_fault);
   EXPECT_EQ(hello.last_fault.pc, 0x1234U);
@@ -201,6 +205,7 @@ TEST_F(NodeTest, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
   const auto hellos = messages(groma_NodeToHost_hello_tag);
   ASSERT_EQ(hellos.size(), 2U);
   EXPECT_EQ(hellos[1].body.hello.role, groma_Role_ROLE_UNCONFIGURED);
+  EXPECT_EQ(hellos[1].body.hello.config_hash, 0U);
   command(groma_HostToNode_get_counters_tag);
   EXPECT_EQ(messages(groma_NodeToHost_counters_tag).size(), 1U);
   for (int i = 0; i < 10; ++i) {

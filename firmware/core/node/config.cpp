@@ -4,9 +4,11 @@
 #include <pb_encode.h>
 
 #include <algorithm>
+#include <array>
 
 #include "firmware/core/mac/wire_enum.hpp"
 #include "firmware/core/mcp2518fd/bit_timing.hpp"
+#include "proto/crc32.hpp"
 
 namespace groma::node {
 namespace {
@@ -91,6 +93,11 @@ mac::Site site_of(const groma_Config& config, ranging::Ticks transmit_antenna_de
 
 std::uint32_t schedule_hash_of(const groma_Config& config) noexcept {
   return mac::schedule_hash(config.schedule, config.network_id, preamble_of(config.preamble));
+}
+
+std::uint32_t config_hash_of(const groma_Config& config) noexcept {
+  std::array<std::uint8_t, kMaxConfigBytes> bytes{};
+  return wire::crc32(std::span(bytes).first(encode_config(config, bytes)));
 }
 
 }  // namespace groma::node

@@ -30,5 +30,7 @@ inline constexpr std::size_t kMaxConfigBytes = groma_Config_size;
 // Of a configuration without fault.
 [[nodiscard]] mac::Site site_of(const groma_Config& config, ranging::Ticks transmit_antenna_delay) noexcept;
 [[nodiscard]] std::uint32_t schedule_hash_of(const groma_Config& config) noexcept;
+// Over all of it: CRC-32 of its encoded form.
+[[nodiscard]] std::uint32_t config_hash_of(const groma_Config& config) noexcept;
 
 }  // namespace groma::node

@@ -99,6 +99,7 @@ void fill_hello(groma_Hello& hello, const Build& build, const std::optional<grom
     hello.id = config->id;
     hello.network_id = config->network_id;
     hello.schedule_hash = schedule_hash_of(*config);
+    hello.config_hash = config_hash_of(*config);
   }
   hello.reset_reason = static_cast<groma_ResetReason>(reset_reason);
   hello.has_last_fault = last_fault.has_value();

@@ -1,0 +1,88 @@
+// groma configure: a site plan's configurations into its nodes.
+#include "host/provision/configure.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/nodes.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/cli/warnings.hpp"
+#include "host/provision/site_plan.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  std::filesystem::path plan;
+  std::string nodes;
+  std::string link;
+  bool reassign = false;
+  bool json = false;
+};
+
+int run(const Options& options) {
+  const provision::SitePlan plan = provision::read_site_plan(options.plan);
+  std::vector<const provision::PlannedNode*> nodes = select_nodes(plan, options.nodes);
+  provision::PlannedNode relinked;
+  if (!options.link.empty()) {
+    if (nodes.size() != 1) throw CLI::ValidationError("--link", "goes with one --node");
+    relinked = *nodes.front();
+    relinked.port = options.link;
+    nodes.front() = &relinked;
+  }
+  provision::ConfigureOptions configuring;
+  configuring.reassign = options.reassign;
+
+  Warnings warnings;
+  Table table({"node", "role", "port", "result", "firmware"});
+  Json json{{"plan", plan.path.string()}, {"nodes", Json::array()}};
+  int first_failure = kGood;
+  for (const provision::PlannedNode* node : nodes) {
+    const provision::NodeOutcome outcome = provision::configure_node(*node, plan.baud, configuring);
+    if (outcome.fault != provision::NodeFault::kNone) {
+      complain(outcome.message);
+      if (first_failure == kGood) first_failure = exit_code_of(outcome.fault);
+    }
+    if (const std::string trouble = trouble_in(outcome); !trouble.empty()) warnings.add(trouble);
+    table.add({fmt::format("{}", node->id), provision::role_word(node->role), outcome.port,
+               result_word(outcome), outcome.hello ? outcome.hello->version : "-"});
+    Json entry{{"id", node->id}, {"role", provision::role_word(node->role)}};
+    entry.update(to_json(outcome));
+    json["nodes"].push_back(std::move(entry));
+  }
+  if (options.json) {
+    say_json(json);
+  } else {
+    say(table.format(true));
+  }
+  return first_failure != kGood ? first_failure : warnings.exit_code();
+}
+
+}  // namespace
+
+void add_configure(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand(
+      "configure",
+      "Write a site plan's configuration into each node, read it back and apply it. A node that works by it "
+      "already is left alone: after an interruption repeat the command.");
+  command->add_option("--plan", options->plan, "The site plan")->required();
+  command->add_option("--node", options->nodes, "These nodes alone, such as 1,5");
+  command->add_option("--link", options->link, "Port in the place of the plan's; with one --node");
+  command->add_flag("--reassign", options->reassign, "Also nodes that are configured under another id");
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,90 @@
+// groma identify: which of them is it?
+#include <fmt/format.h>
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/nodes.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/provision/configure.hpp"
+#include "host/provision/site_plan.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+constexpr std::uint32_t kMaxIdentify_s = 3'600;
+
+struct Options {
+  std::string link;
+  std::filesystem::path plan;
+  std::string node;
+  unsigned baud = 1'000'000;
+  std::uint32_t for_s = 10;
+  bool json = false;
+};
+
+int run(Options options) {
+  if (options.link.empty() == options.plan.empty()) {
+    throw CLI::ValidationError("identify", "name either the port or --plan and --node");
+  }
+  if (!options.plan.empty()) {
+    const provision::SitePlan plan = provision::read_site_plan(options.plan);
+    const auto nodes = select_nodes(plan, options.node);
+    if (options.node.empty() || nodes.size() != 1)
+      throw CLI::ValidationError("--node", "name one of the plan");
+    const provision::PlannedNode& node = *nodes.front();
+    options.link = node.can_link.empty() ? node.port : node.can_link;
+    options.baud = plan.baud;
+    if (options.link.empty()) {
+      complain(fmt::format("{}: names no port for node {}; add 'port:' to it", plan.path.string(), node.id));
+      return kBadConfiguration;
+    }
+  }
+  const provision::NodeOutcome outcome = provision::identify_node(options.link, options.baud, options.for_s);
+  if (outcome.fault != provision::NodeFault::kNone) {
+    complain(outcome.message);
+    return exit_code_of(outcome.fault);
+  }
+  const bool known = outcome.hello.has_value();
+  const char* role = known ? provision::role_word(outcome.hello->role) : "";
+  if (options.json) {
+    say_json({{"port", outcome.port},
+              {"for_s", options.for_s},
+              {"role", known ? Json(role) : Json(nullptr)},
+              {"id", known ? Json(outcome.hello->id) : Json(nullptr)},
+              {"network_id", known ? Json(outcome.hello->network_id) : Json(nullptr)}});
+    return kGood;
+  }
+  const bool configured = known && outcome.hello->role != groma_Role_ROLE_UNCONFIGURED;
+  const std::string who =
+      configured ? fmt::format("{} {} of network {}", role, outcome.hello->id, outcome.hello->network_id)
+                 : "an unconfigured node";
+  say(fmt::format("{}: {} blinks for {} s\n", outcome.port, known ? who : "the node", options.for_s));
+  return kGood;
+}
+
+}  // namespace
+
+void add_identify(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("identify", "Let a node blink, and tell which it is.");
+  command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3");
+  command->add_option("--plan", options->plan, "The site plan, in the place of a port");
+  command->add_option("--node", options->node, "The node of the plan");
+  command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
+  command->add_option("--for", options->for_s, "So many seconds; 0 ends it")
+      ->check(CLI::Range(0U, kMaxIdentify_s))
+      ->capture_default_str();
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

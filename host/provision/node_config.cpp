@@ -1,0 +1,123 @@
+#include "host/provision/node_config.hpp"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <iterator>
+#include <span>
+#include <string_view>
+
+#include "host/link/report_decoder.hpp"
+
+namespace groma::provision {
+
+namespace {
+
+groma_Preamble preamble_of(unsigned symbols) {
+  if (symbols == 64) return groma_Preamble_PREAMBLE_64;
+  return symbols == 256 ? groma_Preamble_PREAMBLE_256 : groma_Preamble_PREAMBLE_128;
+}
+
+template <std::size_t N>
+pb_size_t copy_ids(const std::vector<model::NodeId>& ids, std::uint16_t (&out)[N]) {
+  const std::size_t count = std::min(ids.size(), N);
+  std::copy_n(ids.begin(), count, out);
+  return static_cast<pb_size_t>(count);
+}
+
+class Comparison {
+ public:
+  template <typename T>
+  void compare(std::string_view name, const T& is, const T& should_be) {
+    if (is != should_be) add(name, fmt::format("{}", is), fmt::format("{}", should_be));
+  }
+  void compare_ids(std::string_view name, std::span<const std::uint16_t> is,
+                   std::span<const std::uint16_t> should_be) {
+    if (!std::equal(is.begin(), is.end(), should_be.begin(), should_be.end())) {
+      add(name, fmt::format("[{}]", fmt::join(is, ", ")), fmt::format("[{}]", fmt::join(should_be, ", ")));
+    }
+  }
+  [[nodiscard]] const std::string& text() const { return text_; }
+
+ private:
+  void add(std::string_view name, const std::string& is, const std::string& should_be) {
+    if (!text_.empty()) text_ += "; ";
+    text_ += fmt::format("{}: {}, not {}", name, is, should_be);
+  }
+
+  std::string text_;
+};
+
+std::span<const std::uint16_t> tags_of(const groma_Schedule& schedule) {
+  return std::span(schedule.tag_ids)
+      .first(std::min<std::size_t>(schedule.tag_ids_count, std::size(schedule.tag_ids)));
+}
+
+std::span<const std::uint16_t> anchors_of(const groma_Schedule& schedule) {
+  return std::span(schedule.anchor_ids)
+      .first(std::min<std::size_t>(schedule.anchor_ids_count, std::size(schedule.anchor_ids)));
+}
+
+}  // namespace
+
+groma_Config config_of(const SiteSettings& site, groma_Role role, model::NodeId id) {
+  groma_Config config = groma_Config_init_zero;
+  config.role = role;
+  config.id = id;
+  config.network_id = site.network_id;
+  config.preamble = preamble_of(site.preamble_symbols);
+  config.transmit_antenna_delay_dtu = site.transmit_antenna_delay_dtu;
+  config.receive_antenna_delay_dtu = site.receive_antenna_delay_dtu;
+  config.transmit_power = site.transmit_power;
+  config.report_raw_stamps = site.report_raw_stamps;
+  config.link = site.link;
+  config.can_nominal_bit_per_s = site.can_nominal_bit_per_s;
+  config.can_data_bit_per_s = site.can_data_bit_per_s;
+  config.has_schedule = true;
+  groma_Schedule& schedule = config.schedule;
+  schedule.epoch = site.epoch;
+  schedule.master_id = site.master_id;
+  schedule.tag_ids_count = copy_ids(site.tag_ids, schedule.tag_ids);
+  schedule.anchor_ids_count = copy_ids(site.anchor_ids, schedule.anchor_ids);
+  schedule.method = site.method;
+  schedule.turn_round_us = site.turn_round_us;
+  schedule.response_gap_us = site.response_gap_us;
+  schedule.guard_us = site.guard_us;
+  return config;
+}
+
+std::string differences(const groma_Config& is, const groma_Config& should_be) {
+  using link::number_in;
+  Comparison fields;
+  fields.compare("role", number_in(is.role), number_in(should_be.role));
+  fields.compare("id", is.id, should_be.id);
+  fields.compare("network_id", is.network_id, should_be.network_id);
+  fields.compare("preamble", number_in(is.preamble), number_in(should_be.preamble));
+  fields.compare("transmit_antenna_delay_dtu", is.transmit_antenna_delay_dtu,
+                 should_be.transmit_antenna_delay_dtu);
+  fields.compare("receive_antenna_delay_dtu", is.receive_antenna_delay_dtu,
+                 should_be.receive_antenna_delay_dtu);
+  fields.compare("transmit_power", is.transmit_power, should_be.transmit_power);
+  fields.compare("report_raw_stamps", is.report_raw_stamps, should_be.report_raw_stamps);
+  fields.compare("link", number_in(is.link), number_in(should_be.link));
+  fields.compare("can_nominal_bit_per_s", is.can_nominal_bit_per_s, should_be.can_nominal_bit_per_s);
+  fields.compare("can_data_bit_per_s", is.can_data_bit_per_s, should_be.can_data_bit_per_s);
+  fields.compare("has schedule", is.has_schedule, should_be.has_schedule);
+  if (is.has_schedule && should_be.has_schedule) {
+    const groma_Schedule& a = is.schedule;
+    const groma_Schedule& b = should_be.schedule;
+    fields.compare("schedule.epoch", a.epoch, b.epoch);
+    fields.compare("schedule.master_id", a.master_id, b.master_id);
+    fields.compare_ids("schedule.tag_ids", tags_of(a), tags_of(b));
+    fields.compare_ids("schedule.anchor_ids", anchors_of(a), anchors_of(b));
+    fields.compare("schedule.method", number_in(a.method), number_in(b.method));
+    fields.compare("schedule.turn_round_us", a.turn_round_us, b.turn_round_us);
+    fields.compare("schedule.response_gap_us", a.response_gap_us, b.response_gap_us);
+    fields.compare("schedule.guard_us", a.guard_us, b.guard_us);
+  }
+  return fields.text();
+}
+
+}  // namespace groma::provision

@@ -1,0 +1,42 @@
+// A node's configuration from what is the same at each node of its site.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "groma.pb.h"
+#include "host/model/types.hpp"
+
+namespace groma::provision {
+
+// What a site's nodes have in common. Bounds are the firmware's: see node::fault_of().
+struct SiteSettings {
+  std::uint16_t network_id = 0;
+  unsigned preamble_symbols = 128;  // 64, 128 or 256
+  std::uint32_t epoch = 1;
+  model::NodeId master_id = 0;
+  std::vector<model::NodeId> tag_ids;     // one slot each, in this order
+  std::vector<model::NodeId> anchor_ids;  // they answer in this order
+  groma_RangingMethod method = groma_RangingMethod_METHOD_DS_FINAL;
+  std::uint32_t turn_round_us = 300;
+  std::uint32_t response_gap_us = 200;
+  std::uint32_t guard_us = 30;
+  std::uint32_t transmit_antenna_delay_dtu = 0;  // 0: the chip's own; so the next
+  std::uint32_t receive_antenna_delay_dtu = 0;
+  std::uint32_t transmit_power = 0;  // TX_POWER register; 0: the firmware's default
+  bool report_raw_stamps = false;
+  groma_Link link = groma_Link_LINK_UART;
+  std::uint32_t can_nominal_bit_per_s = 0;  // 0: the firmware's default; so the next
+  std::uint32_t can_data_bit_per_s = 0;
+};
+
+// The configuration of one of them. Of more ids than a schedule holds the rest is left out; whether a node
+// would work by the result, node::fault_of() tells.
+[[nodiscard]] groma_Config config_of(const SiteSettings& site, groma_Role role, model::NodeId id);
+
+// Where two configurations differ: "network_id: 1, not 2; schedule.epoch: 3, not 4", the first's values
+// first; empty where they are the same in every field.
+[[nodiscard]] std::string differences(const groma_Config& is, const groma_Config& should_be);
+
+}  // namespace groma::provision

@@ -1,0 +1,213 @@
+#include "host/provision/site_plan.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cstdint>
+#include <limits>
+#include <set>
+#include <string_view>
+#include <system_error>
+
+#include "firmware/core/node/config.hpp"
+#include "host/io/input_file.hpp"
+#include "host/io/yaml_reader.hpp"
+
+namespace groma::provision {
+
+namespace {
+
+using io::YamlValue;
+
+constexpr std::int64_t kMaxId = 65'534;
+constexpr std::int64_t kMaxNetworkId = 65'534;
+constexpr std::int64_t kMaxEpoch = std::numeric_limits<std::uint32_t>::max();
+constexpr std::int64_t kMaxAntennaDelay_dtu = 65'535;
+constexpr std::size_t kMaxNodesOfARole = 16;  // as many as a schedule holds
+
+// From the first to the last, where the key is there.
+void read_whole(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
+                std::uint32_t& out) {
+  if (const auto value = map.find(key)) out = static_cast<std::uint32_t>(value->integer(first, last));
+}
+
+// Decimal, or hexadecimal after 0x, as manuals write registers.
+std::uint32_t parse_register(const YamlValue& value) {
+  const std::string text = value.text();
+  const bool hexadecimal = text.starts_with("0x");
+  const char* first = text.data() + (hexadecimal ? 2 : 0);
+  std::uint32_t number = 0;
+  const auto [last, error] = std::from_chars(first, text.data() + text.size(), number, hexadecimal ? 16 : 10);
+  if (error != std::errc() || last != text.data() + text.size()) {
+    value.fail(fmt::format("is no register of 32 bits: {}", io::shown(text)), "write it as 0x85858585");
+  }
+  return number;
+}
+
+void parse_schedule(const YamlValue& map, SiteSettings& site) {
+  map.expect_keys(
+      {{}, {"epoch", "master_id", "method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
+  read_whole(map, "epoch", 0, kMaxEpoch, site.epoch);
+  if (const auto master = map.find("master_id")) {
+    site.master_id = static_cast<model::NodeId>(master->integer(1, kMaxId));
+    if (std::find(site.anchor_ids.begin(), site.anchor_ids.end(), site.master_id) == site.anchor_ids.end()) {
+      master->fail(fmt::format("is {}", site.master_id), "name one of the anchors");
+    }
+  }
+  if (const auto method = map.find("method")) {
+    site.method = method->one_of(std::array<std::string_view, 2>{"final", "next-poll"}) == 0
+                      ? groma_RangingMethod_METHOD_DS_FINAL
+                      : groma_RangingMethod_METHOD_DS_NEXT_POLL;
+  }
+  if (const auto preamble = map.find("preamble")) {
+    site.preamble_symbols =
+        std::array{64U, 128U, 256U}.at(preamble->one_of(std::array<std::string_view, 3>{"64", "128", "256"}));
+  }
+  read_whole(map, "turn_round_us", 150, 5'000, site.turn_round_us);
+  read_whole(map, "response_gap_us", 50, 2'000, site.response_gap_us);
+  read_whole(map, "guard_us", 5, 1'000, site.guard_us);
+}
+
+// Keys that a node may have of its own; those of the site are the default.
+constexpr std::string_view kTransmitDelayKey = "transmit_antenna_delay_dtu";
+constexpr std::string_view kReceiveDelayKey = "receive_antenna_delay_dtu";
+constexpr std::string_view kTransmitPowerKey = "transmit_power";
+
+template <typename Settings>  // SiteSettings or groma_Config
+void parse_radio_keys(const YamlValue& map, Settings& settings) {
+  read_whole(map, kTransmitDelayKey, 0, kMaxAntennaDelay_dtu, settings.transmit_antenna_delay_dtu);
+  read_whole(map, kReceiveDelayKey, 0, kMaxAntennaDelay_dtu, settings.receive_antenna_delay_dtu);
+  if (const auto power = map.find(kTransmitPowerKey)) settings.transmit_power = parse_register(*power);
+}
+
+struct LinkSettings {
+  unsigned baud = 1'000'000;
+  std::string can_scheme;  // of link::open_link(); empty: nodes report over their UART
+  std::string can_interface;
+};
+
+LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
+  map.expect_keys({{}, {"type", "baud", "can_interface", "nominal_bit_per_s", "data_bit_per_s"}});
+  LinkSettings link;
+  std::size_t type = 0;
+  if (const auto named = map.find("type")) {
+    type = named->one_of(std::array<std::string_view, 3>{"uart", "can", "can-fd"});
+  }
+  site.link = std::array{groma_Link_LINK_UART, groma_Link_LINK_CAN, groma_Link_LINK_CAN_FD}.at(type);
+  link.can_scheme = std::array{"", "can", "canfd"}.at(type);
+  if (const auto baud = map.find("baud")) link.baud = static_cast<unsigned>(baud->integer(1'200, 4'000'000));
+  for (const std::string_view key : {"can_interface", "nominal_bit_per_s", "data_bit_per_s"}) {
+    const auto value = map.find(key);
+    const bool of_fd_alone = key == "data_bit_per_s";
+    if (value && (type == 0 || (of_fd_alone && type != 2))) {
+      value->fail(
+          of_fd_alone ? "goes with 'type: can-fd' only" : "goes with 'type: can' and 'type: can-fd' only",
+          "take it out, or change the type");
+    }
+  }
+  read_whole(map, "nominal_bit_per_s", 10'000, 1'000'000, site.can_nominal_bit_per_s);
+  read_whole(map, "data_bit_per_s", 10'000, 8'000'000, site.can_data_bit_per_s);
+  if (type != 0) {
+    if (!map.find("can_interface")) map.fail("lacks the key can_interface", "name it, such as can0");
+    link.can_interface = map.at("can_interface").text();
+    if (link.can_interface.empty()) map.at("can_interface").fail("is empty", "name it, such as can0");
+  }
+  return link;
+}
+
+bool is_can(std::string_view port) {
+  return port.starts_with("can:") || port.starts_with("canfd:");
+}
+
+std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesystem::path& folder) {
+  std::vector<PlannedNode> nodes;
+  std::set<model::NodeId> ids;
+  std::set<std::string> ports;
+  std::set<std::string> probes;
+  std::array<std::size_t, 2> counts{};
+  for (const YamlValue& entry : list.list()) {
+    entry.expect_keys(
+        {{"id", "role"}, {"port", "probe", kTransmitDelayKey, kReceiveDelayKey, kTransmitPowerKey}});
+    PlannedNode node;
+    node.id = static_cast<model::NodeId>(entry.at("id").integer(1, kMaxId));
+    if (!ids.insert(node.id).second) {
+      entry.at("id").fail(fmt::format("{} is taken", node.id), "give each tag and anchor an own id");
+    }
+    const std::size_t role = entry.at("role").one_of(std::array<std::string_view, 2>{"tag", "anchor"});
+    node.role = role == 0 ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
+    if (++counts.at(role) > kMaxNodesOfARole) {
+      entry.fail(fmt::format("is one {} too many", role == 0 ? "tag" : "anchor"),
+                 fmt::format("a schedule holds {}", kMaxNodesOfARole));
+    }
+    if (const auto port = entry.find("port")) {
+      const std::string text = port->text();
+      if (text.empty()) port->fail("is empty", "name a port, such as /dev/ttyACM0, or take it out");
+      node.port = is_can(text) ? text : (folder / text).string();
+      if (!ports.insert(node.port).second) port->fail("is there twice", "give each node its own port");
+    }
+    if (const auto probe = entry.find("probe")) {
+      node.probe = probe->text();
+      if (node.probe.empty()) probe->fail("is empty", "'groma flash --list' tells the serial numbers");
+      if (!probes.insert(node.probe).second) probe->fail("is there twice", "give each node its own probe");
+    }
+    nodes.push_back(std::move(node));
+  }
+  if (counts[0] == 0) list.fail("has no tag", "a site needs one or more");
+  if (counts[1] == 0) list.fail("has no anchor", "a site needs one or more");
+  return nodes;
+}
+
+}  // namespace
+
+const PlannedNode* SitePlan::find(model::NodeId id) const {
+  const auto found =
+      std::find_if(nodes.begin(), nodes.end(), [&](const auto& node) { return node.id == id; });
+  return found == nodes.end() ? nullptr : &*found;
+}
+
+SitePlan read_site_plan(const std::filesystem::path& path) {
+  const YamlValue root = YamlValue::parse(path, io::read_file(path));
+  root.expect_keys({{"schema", "network_id", "nodes"}, {"schedule", "radio", "link", "report_raw_stamps"}});
+  if (root.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
+    root.at("schema").fail("is not 1", "this program reads schema 1 only");
+  }
+  SitePlan plan;
+  plan.path = path;
+  SiteSettings site;
+  site.network_id = static_cast<std::uint16_t>(root.at("network_id").integer(0, kMaxNetworkId));
+  plan.nodes = parse_nodes(root.at("nodes"), path.parent_path());
+  for (const PlannedNode& node : plan.nodes) {
+    (node.role == groma_Role_ROLE_TAG ? site.tag_ids : site.anchor_ids).push_back(node.id);
+  }
+  std::sort(site.tag_ids.begin(), site.tag_ids.end());
+  std::sort(site.anchor_ids.begin(), site.anchor_ids.end());
+  site.master_id = site.anchor_ids.front();
+  if (const auto schedule = root.find("schedule")) parse_schedule(*schedule, site);
+  if (const auto radio = root.find("radio")) {
+    radio->expect_keys({{}, {kTransmitDelayKey, kReceiveDelayKey, kTransmitPowerKey}});
+    parse_radio_keys(*radio, site);
+  }
+  LinkSettings link;
+  if (const auto settings = root.find("link")) link = parse_link(*settings, site);
+  plan.baud = link.baud;
+  if (const auto raw = root.find("report_raw_stamps")) {
+    site.report_raw_stamps = raw->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
+  }
+  const std::vector<YamlValue> entries = root.at("nodes").list();
+  for (std::size_t i = 0; i < plan.nodes.size(); ++i) {
+    PlannedNode& node = plan.nodes[i];
+    node.config = config_of(site, node.role, node.id);
+    parse_radio_keys(entries[i], node.config);
+    if (!link.can_scheme.empty()) {
+      node.can_link = fmt::format("{}:{}/{}", link.can_scheme, link.can_interface, node.id);
+    }
+    if (const char* fault = node::fault_of(node.config); *fault != '\0') {
+      entries[i].fail(fmt::format("would be refused by the node ({})", fault), "mend that value");
+    }
+  }
+  return plan;
+}
+
+}  // namespace groma::provision
