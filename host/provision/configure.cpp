@@ -190,6 +190,23 @@ class Configuring {
                       "docs/how-to/flash.md",
                       hello.link_error)};
     }
+    if (!node_.can_link.empty() && outcome_.port != node_.can_link) check_bus();
+  }
+
+  // Where this computer has the bus, the node has to be heard on it.
+  void check_bus() const {
+    link::OpenedLink opened = options_.open(node_.can_link, baud_);
+    if (!opened.link) {
+      if (opened.error.fault == link::LinkFault::kNoDevice) return;
+      throw Failure{fault_of_link(opened.error.fault), opened.error.message};
+    }
+    NodeClient bus(std::move(opened.link));
+    if (bus.ask_hello()) return;
+    throw Failure{
+        NodeFault::kLink,
+        fmt::format("is configured, but does not answer at {}; check the bus: CAN H and L, termination at "
+                    "both ends, and the same bit rates at each node and this computer",
+                    node_.can_link)};
   }
 
   [[nodiscard]] bool in_force(const groma_Hello& hello) const {

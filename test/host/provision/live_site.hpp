@@ -1,0 +1,128 @@
+// Simulated nodes in free space, each on a real pseudo-terminal, running in real time beside the test.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <span>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "firmware/core/node/config.hpp"
+#include "firmware/sim/network.hpp"
+#include "host/provision/site_plan.hpp"
+#include "host/simulation/pty_port.hpp"
+#include "test/sim/site_bench.hpp"
+
+namespace groma::provision::test {
+
+class LiveSite {
+ public:
+  // What a line does to bytes on their way; called with all that come at once.
+  using Line = std::function<void(std::vector<std::uint8_t>&)>;
+
+  // Nodes 1 (tag), 10, 11, 12 (anchors), none of them configured unless one is given.
+  explicit LiveSite(const std::optional<groma_Config>& first_config = std::nullopt)
+      : network_(space_, {}, 1) {
+    constexpr std::array<std::uint16_t, 4> kIds{1, 10, 11, 12};
+    for (const std::uint16_t id : kIds) {
+      space_.put(id, {id == 1 ? 3.0 : 4.0 * (id - 10), id == 1 ? 4.0 : 0.5 * id, 1.5});
+      sim::NodeSpec spec;
+      spec.chip.id = id;
+      if (id == 1 && first_config) {
+        std::array<std::uint8_t, node::kMaxConfigBytes> stored{};
+        const std::size_t size = node::encode_config(*first_config, stored);
+        spec.stored_config.assign(stored.begin(), stored.begin() + static_cast<std::ptrdiff_t>(size));
+      }
+      ports_.push_back({network_.add_native(spec), std::make_unique<simulation::PtyPort>()});
+    }
+    thread_ = std::thread([this] { run(); });
+  }
+  ~LiveSite() {
+    stop_ = true;
+    thread_.join();
+  }
+  LiveSite(const LiveSite&) = delete;
+  LiveSite& operator=(const LiveSite&) = delete;
+
+  // The plan of all four.
+  [[nodiscard]] SitePlan plan() {
+    SitePlan plan;
+    SiteSettings site;
+    site.network_id = 77;
+    site.tag_ids = {1};
+    site.anchor_ids = {10, 11, 12};
+    site.master_id = 10;
+    for (std::size_t i = 0; i < ports_.size(); ++i) {
+      PlannedNode node;
+      node.id = i == 0 ? model::NodeId{1} : static_cast<model::NodeId>(9 + i);
+      node.role = i == 0 ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
+      node.port = ports_[i].pty->path();
+      node.config = config_of(site, node.role, node.id);
+      plan.nodes.push_back(node);
+    }
+    return plan;
+  }
+
+  void set_line(Line line) {
+    const std::lock_guard lock(mutex_);
+    line_ = std::move(line);
+  }
+  // As if the cable of the first node were pulled.
+  void unplug() {
+    const std::lock_guard lock(mutex_);
+    ports_.front().pty.reset();
+  }
+
+ private:
+  struct Port {
+    std::size_t node;
+    std::unique_ptr<simulation::PtyPort> pty;
+  };
+
+  void run() {
+    using Clock = std::chrono::steady_clock;
+    const Clock::time_point begin = Clock::now();
+    for (int steps = 1; !stop_; ++steps) {
+      std::this_thread::sleep_until(begin + steps * std::chrono::milliseconds(2));
+      const std::lock_guard lock(mutex_);
+      for (const Port& port : ports_) {
+        if (!port.pty) continue;
+        std::array<std::uint8_t, 512> chunk{};
+        const std::size_t size = port.pty->read(chunk);
+        bytes_.assign(chunk.begin(), chunk.begin() + static_cast<std::ptrdiff_t>(size));
+        if (line_) line_(bytes_);
+        if (!bytes_.empty()) (void)network_.send(port.node, bytes_);
+      }
+      network_.run_until(steps * 2 * sim::kUnitsPerMillisecond);
+      for (const Port& port : ports_) {
+        taken_.clear();
+        network_.take(port.node, taken_);
+        if (!port.pty) continue;
+        bytes_.clear();
+        for (const sim::TimedByte& byte : taken_) bytes_.push_back(byte.value);
+        if (line_) line_(bytes_);
+        if (!bytes_.empty()) (void)port.pty->write(bytes_);
+      }
+    }
+  }
+
+  sim::FreeSpace space_;
+  sim::Network network_;
+  std::vector<Port> ports_;
+  std::mutex mutex_;
+  Line line_;
+  std::vector<std::uint8_t> bytes_;
+  std::vector<sim::TimedByte> taken_;
+  std::atomic<bool> stop_ = false;
+  std::thread thread_;
+};
+
+}  // namespace groma::provision::test
