@@ -11,6 +11,7 @@
 #include "host/io/input_file.hpp"
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/link/can_path.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -36,19 +37,44 @@ double parse_between(const YamlValue& yaml, double min, double max) {
   return value;
 }
 
+NodeLink parse_serial_node(const YamlValue& entry, const std::filesystem::path& folder) {
+  NodeLink node;
+  node.path = parse_path(entry.at("path"), folder);
+  if (const auto baud = entry.find("baud")) {
+    node.baud = static_cast<unsigned>(baud->integer(1200, 4'000'000));
+  }
+  return node;
+}
+
+NodeLink parse_can_node(const YamlValue& entry) {
+  const YamlValue path = entry.at("path");
+  const auto can = link::parse_can_path(path.text());
+  if (!can) path.fail("names no node on a CAN bus", std::string(link::kCanPathAdvice));
+  if (const auto baud = entry.find("baud")) {
+    baud->fail("is a serial port's", "leave it out: a CAN interface's bit rate is set with 'ip link'");
+  }
+  return {path.text(), link::equivalent_baud(can->format)};
+}
+
+// What two entries must not share: a node on a bus is one in whatever format.
+std::filesystem::path identity_of(const NodeLink& node) {
+  const auto can = link::parse_can_path(node.path.string());
+  return can ? std::filesystem::path(fmt::format("can:{}/{}", can->interface, can->node)) : node.path;
+}
+
 std::vector<NodeLink> parse_nodes(const YamlValue& yaml, const std::filesystem::path& folder) {
   std::vector<NodeLink> nodes;
   std::set<std::filesystem::path> seen;
   for (const YamlValue& entry : yaml.list()) {
     entry.expect_keys({{"path"}, {"baud"}});
-    NodeLink node;
-    node.path = parse_path(entry.at("path"), folder);
-    if (!seen.insert(node.path).second) entry.at("path").fail("is there twice", "name each port once");
-    if (const auto baud = entry.find("baud"))
-      node.baud = static_cast<unsigned>(baud->integer(1200, 4'000'000));
+    NodeLink node =
+        link::is_can_path(entry.at("path").text()) ? parse_can_node(entry) : parse_serial_node(entry, folder);
+    if (!seen.insert(identity_of(node)).second) {
+      entry.at("path").fail("is there twice", "name each port, or node of a bus, once");
+    }
     nodes.push_back(std::move(node));
   }
-  if (nodes.empty()) yaml.fail("is empty", "name the serial port of each tag");
+  if (nodes.empty()) yaml.fail("is empty", "name the port of each tag");
   return nodes;
 }
 

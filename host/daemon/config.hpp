@@ -1,8 +1,9 @@
 // The daemon's configuration file: YAML, schema 1, strict.
 //
 //   schema: 1
-//   nodes:                            # a serial port or pseudo-terminal for each tag
+//   nodes:                            # a serial port, pseudo-terminal or node on a CAN bus for each tag
 //     - {path: /dev/serial/by-id/usb-tag-1, baud: 1000000}
+//     - {path: can:can0/2}            # or canfd:can0/2; see host/link/can_path.hpp
 //   robot_socket: robot.sock          # JSON lines: robot_input.hpp
 //   tags:                             # where each tag's antenna sits, in base_link
 //     - {id: 1, lever_arm_m: [0.3, 0.2, 0.6]}
@@ -15,7 +16,7 @@
 //   reorder_lag_s: 0.2
 //   speed: 1                          # of the site's clocks against this computer's: that of `groma sim`
 //
-// Paths are relative to the file's folder.
+// Paths are relative to the file's folder, but for those of CAN links.
 #pragma once
 
 #include <cstdint>
@@ -32,7 +33,7 @@ namespace groma::daemon {
 
 struct NodeLink {
   std::filesystem::path path;
-  unsigned baud = 1'000'000;
+  unsigned baud = 1'000'000;  // of a CAN link, the serial line's that is as fast
 };
 
 struct CalibrationSource {

@@ -27,10 +27,10 @@ constexpr std::size_t kReadsPerTurn = 16;  // of one link, so that none keeps th
 link::OpenedLink open_input(const std::string& path, unsigned baud) {
   std::error_code ignored;  // what cannot be looked at, open_link() explains
   if (std::filesystem::is_regular_file(path, ignored)) {
-    return {
-        nullptr,
-        {link::LinkFault::kUnsuitable,
-         fmt::format("{}: a file is no live link; name a serial port, a pseudo-terminal or a socket", path)}};
+    return {nullptr,
+            {link::LinkFault::kUnsuitable, fmt::format("{}: a file is no live link; name a serial port, a "
+                                                       "pseudo-terminal, a node on a CAN bus or a socket",
+                                                       path)}};
   }
   return link::open_link(path, baud);
 }
@@ -144,6 +144,7 @@ void Daemon::service(Input& input) {
   }
   if (input.link.get() != nullptr) {
     read(input);
+    tell_news(input);
   } else if (input.told_error != input.link.last_error().message) {
     input.told_error = input.link.last_error().message;
     if (!input.told_error.empty()) log_(input.told_error);
@@ -166,6 +167,11 @@ void Daemon::read(Input& input) {
       session_.node_bytes(input.node, bytes, now_s());
     }
   }
+}
+
+void Daemon::tell_news(Input& input) {
+  if (input.link.get() == nullptr) return;
+  if (const std::string news = input.link.get()->take_news(); !news.empty()) log_(news);
 }
 
 void Daemon::opened(Input& input) {

@@ -52,6 +52,7 @@ class Daemon {
   void wait(int stop_fd, bool& stop);
   void service(Input& input);
   void read(Input& input);
+  void tell_news(Input& input);
   void opened(Input& input);
   // False: there is no usable calibration.
   [[nodiscard]] bool calibrate();

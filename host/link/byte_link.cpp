@@ -2,16 +2,21 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/sysmacros.h>
 #include <sys/un.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <cstring>
 #include <utility>
 
+#include "host/link/can_log.hpp"
+#include "host/link/can_path.hpp"
 #include "host/link/descriptor.hpp"
+#include "host/link/socket_can_link.hpp"
 
 namespace groma::link {
 namespace {
@@ -46,7 +51,30 @@ OpenedLink open_recording(const std::string& path) {
   return {std::make_unique<DescriptorLink>(std::move(fd)), {}};
 }
 
+OpenedLink open_can_log(const std::string& path) {
+  const auto parsed = parse_can_log_path(path);
+  if (!parsed) {
+    return {nullptr,
+            {LinkFault::kUnsuitable,
+             fmt::format("{}: names no node of a CAN log; write it as can-log:FILE/NODE", path)}};
+  }
+  CanLog log = read_candump_log(parsed->file);
+  if (log.error.fault != LinkFault::kNone) return {nullptr, std::move(log.error)};
+  Descriptor fd(::memfd_create("can-log", MFD_CLOEXEC));
+  if (!fd.valid()) return {nullptr, explain_open_error(path, errno)};
+  for (const LoggedCanFrame& logged : log.frames) {
+    const auto bytes = wire::stream_in(logged.frame, {wire::CanDirection::kToHost, parsed->node});
+    if (::write(fd.get(), bytes.data(), bytes.size()) != static_cast<ssize_t>(bytes.size())) {
+      return {nullptr, explain_open_error(path, errno)};
+    }
+  }
+  if (::lseek(fd.get(), 0, SEEK_SET) != 0) return {nullptr, explain_open_error(path, errno)};
+  return {std::make_unique<DescriptorLink>(std::move(fd)), {}};
+}
+
 OpenedLink open_link(const std::string& path, unsigned baud) {
+  if (is_can_path(path)) return open_socket_can(path);
+  if (is_can_log_path(path)) return open_can_log(path);
   struct stat status {};
   if (::stat(path.c_str(), &status) != 0) return {nullptr, explain_open_error(path, errno)};
   if (S_ISSOCK(status.st_mode)) return open_unix_socket(path);

@@ -1,4 +1,5 @@
-// Where bytes come from: a serial port, a pseudo-terminal, a Unix socket or a recording, all read alike.
+// Where bytes come from: a serial port, a pseudo-terminal, a node on a CAN bus, a Unix socket or a recording,
+// all read alike.
 #pragma once
 
 #include <cstddef>
@@ -45,6 +46,9 @@ class ByteLink {
   // Bytes taken, from the front; fewer than given where the link is full or gone.
   [[nodiscard]] virtual std::size_t write(std::span<const std::uint8_t> bytes) = 0;
 
+  // What befell the link since the last call that a person has to know of, on one line; mostly nothing.
+  [[nodiscard]] virtual std::string take_news() { return {}; }
+
  protected:
   ByteLink() = default;
 };
@@ -56,13 +60,16 @@ struct OpenedLink {
 };
 
 // Opens whatever `path` is: a pseudo-terminal by termios (libserialport 0.1.1 refuses those), another
-// character device by libserialport, a socket, or a file, which is then replayed. Terminals are set raw, 8N1,
-// without flow control, to `baud` bits per second, and locked against a second reader.
+// character device by libserialport, a socket, or a file, which is then replayed; a node on a CAN bus, or in
+// the log of one, by a path of can_path.hpp. Terminals are set raw, 8N1, without flow control, to `baud` bits
+// per second, and locked against a second reader.
 [[nodiscard]] OpenedLink open_link(const std::string& path, unsigned baud);
 
 [[nodiscard]] OpenedLink open_serial_port(const std::string& path, unsigned baud);
 [[nodiscard]] OpenedLink open_pty(const std::string& path, unsigned baud);
 [[nodiscard]] OpenedLink open_unix_socket(const std::string& path);
 [[nodiscard]] OpenedLink open_recording(const std::string& path);
+// The bytes that a node of a candump log sent to its host, as can_path.hpp names them.
+[[nodiscard]] OpenedLink open_can_log(const std::string& path);
 
 }  // namespace groma::link

@@ -114,6 +114,23 @@ TEST_F(ConfigFile, NamesThePlaceOfEachMistake) {
   EXPECT_THAT(error_with("  - {id: 2", "  - {id: 2\n  ]"), HasSubstr(file + ":"));
 }
 
+TEST_F(ConfigFile, TakesNodesOnACanBusAsTheyStand) {
+  std::string text = kGood;
+  text.replace(text.find("tag-1, baud: 115200"), 19, "can:can0/2");
+  text.replace(text.find("/dev/ttyACM7"), 12, "canfd:can1/2");
+  const Config config = read(text);
+  ASSERT_EQ(config.nodes.size(), 2U);
+  EXPECT_EQ(config.nodes[0].path, "can:can0/2");
+  EXPECT_EQ(config.nodes[1].path, "canfd:can1/2");
+  EXPECT_LT(config.nodes[0].baud, config.nodes[1].baud);
+
+  const std::string file = (folder_ / "gromad.yaml").string();
+  EXPECT_THAT(error_with("/dev/ttyACM7", "can:can0"), HasSubstr(file + ":4:12: "));
+  EXPECT_THAT(error_with("/dev/ttyACM7", "can:can0"), HasSubstr("can:can0/3"));
+  EXPECT_THAT(error_with("/dev/ttyACM7", "can:can0/1, baud: 9600"), HasSubstr("ip link"));
+  EXPECT_THAT(error_with("/dev/ttyACM7}", "can:can0/1}\n  - {path: canfd:can0/1}"), HasSubstr("twice"));
+}
+
 TEST_F(ConfigFile, ReadsASplineBesideIt) {
   std::string rows = "# grid\n0,0,10,10,4,4\n";
   for (int i = 0; i < 4; ++i) rows += "1.5,1.5,1.5,1.5\n";

@@ -1,0 +1,134 @@
+// A virtual CAN interface of a test's own (vcan), made and gone with it, and what else is on its bus. Needs a
+// kernel with vcan and the right to make interfaces: test/vm/with-can.
+#pragma once
+
+#include <linux/can.h>
+#include <linux/can/raw.h>
+#include <net/if.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cstdint>
+#include <cstring>
+#include <optional>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "host/io/descriptor.hpp"
+#include "proto/can_segment.hpp"
+#include "test/support/child_process.hpp"
+
+namespace groma::test {
+
+class VirtualCan {
+ public:
+  explicit VirtualCan(std::string name, int mtu = CANFD_MTU) : name_(std::move(name)), mtu_(mtu) { add(); }
+  VirtualCan(const VirtualCan&) = delete;
+  VirtualCan& operator=(const VirtualCan&) = delete;
+  ~VirtualCan() {
+    if (there_) static_cast<void>(run_child({kBusybox, "ip", "link", "del", name_}));
+  }
+
+  void add() {
+    ip({"add", "dev", name_, "type", "vcan"});
+    there_ = true;
+    ip({"set", name_, "mtu", std::to_string(mtu_), "up"});
+  }
+  void remove() {
+    ip({"del", name_});
+    there_ = false;
+  }
+  void up() { ip({"set", name_, "up"}); }
+  void down() { ip({"set", name_, "down"}); }
+
+  [[nodiscard]] const std::string& name() const { return name_; }
+
+ private:
+  static constexpr const char* kBusybox = "/bin/busybox";
+
+  static void ip(const std::vector<std::string>& arguments) {
+    std::vector<std::string> command{kBusybox, "ip", "link"};
+    command.insert(command.end(), arguments.begin(), arguments.end());
+    const ChildResult result = run_child(command);
+    if (result.exit_code != 0) throw std::runtime_error("ip link: " + result.out + result.err);
+  }
+
+  std::string name_;
+  int mtu_;
+  bool there_ = false;
+};
+
+// Another participant of the bus, that hears everything and says what it likes.
+class CanParticipant {
+ public:
+  explicit CanParticipant(const std::string& interface)
+      : fd_(::socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW)) {
+    const int on = 1;
+    sockaddr_can address{};
+    address.can_family = AF_CAN;
+    address.can_ifindex = static_cast<int>(::if_nametoindex(interface.c_str()));
+    if (!fd_.valid() || address.can_ifindex == 0 ||
+        ::setsockopt(fd_.get(), SOL_CAN_RAW, CAN_RAW_FD_FRAMES, &on, sizeof(on)) != 0 ||
+        ::bind(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+      throw std::runtime_error("no CAN socket on " + interface);
+    }
+  }
+
+  // As it stands, flags in its id included.
+  void send_raw(const can_frame& frame) const { send_bytes(&frame, CAN_MTU); }
+
+  void send(const wire::CanFrame& frame) const {
+    canfd_frame raw{};
+    raw.can_id = frame.id | CAN_EFF_FLAG;
+    raw.len = frame.size;
+    if (frame.bit_rate_switch) raw.flags = CANFD_BRS;
+    std::memcpy(raw.data, frame.data.data(), frame.size);
+    send_bytes(&raw, frame.format == wire::CanFormat::kFd ? CANFD_MTU : CAN_MTU);
+  }
+
+  // A frame of the protocol's byte stream, cut.
+  void send_stream(std::span<const std::uint8_t> stream, wire::CanFormat format,
+                   wire::CanAddress from) const {
+    while (!stream.empty()) {
+      wire::CanFrame frame;
+      stream = stream.subspan(wire::cut_can_payload(stream, format, frame));
+      frame.id = wire::can_id(from);
+      send(frame);
+    }
+  }
+
+  // The next frame with an id of 29 bits, waited for up to two seconds.
+  [[nodiscard]] std::optional<wire::CanFrame> receive() const {
+    pollfd entry{fd_.get(), POLLIN, 0};
+    canfd_frame raw{};
+    while (::poll(&entry, 1, 2000) > 0) {
+      const ssize_t n = ::read(fd_.get(), &raw, sizeof(raw));
+      if (n < static_cast<ssize_t>(CAN_MTU)) break;
+      if ((raw.can_id & CAN_EFF_FLAG) == 0) continue;
+      wire::CanFrame frame;
+      frame.id = raw.can_id & CAN_EFF_MASK;
+      frame.format = n == static_cast<ssize_t>(CANFD_MTU) ? wire::CanFormat::kFd : wire::CanFormat::kClassic;
+      frame.bit_rate_switch =
+          frame.format == wire::CanFormat::kFd && (raw.flags & static_cast<unsigned>(CANFD_BRS)) != 0;
+      frame.size = raw.len;
+      std::memcpy(frame.data.data(), raw.data, frame.data.size());
+      return frame;
+    }
+    return std::nullopt;
+  }
+
+ private:
+  void send_bytes(const void* frame, std::size_t size) const {
+    if (::write(fd_.get(), frame, size) != static_cast<ssize_t>(size)) {
+      throw std::runtime_error("a CAN frame could not be sent");
+    }
+  }
+
+  io::Descriptor fd_;
+};
+
+}  // namespace groma::test
