@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 

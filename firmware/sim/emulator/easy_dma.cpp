@@ -4,7 +4,7 @@
 
 #include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/emulator/peripheral.hpp"
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 

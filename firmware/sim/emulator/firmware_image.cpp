@@ -8,7 +8,7 @@
 #include <string>
 
 #include "firmware/sim/emulator/hex_file.hpp"
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 

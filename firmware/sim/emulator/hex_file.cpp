@@ -7,7 +7,7 @@
 #include <span>
 #include <string>
 
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 

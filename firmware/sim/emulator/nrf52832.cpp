@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 
@@ -49,7 +49,7 @@ Nrf52832::Nrf52832(const Parts& parts)
               [this](SimTime t) { parts_.to_host.clear(world(t)); }},
              EasyDma(parts.ram)),
       nvmc_(
-          parts.flash,
+          parts.flash, parts.uicr,
           [this](SimTime duration) {
             // What is written is settled before the processor runs on.
             parts_.processor.stall(duration);
@@ -231,8 +231,9 @@ bool Nrf52832::read(std::uint32_t address, unsigned bytes, std::uint32_t& value)
 }
 
 bool Nrf52832::write(std::uint32_t address, unsigned bytes, std::uint32_t value) {
-  if (address >= kFicr && address < kUicrAddress + kBlockBytes)
-    fail("FICR and UICR are written by the flashing tool alone", address);
+  if (address >= kUicrAddress && address < kUicrAddress + kBlockBytes)
+    return flash_write(address, bytes, value);
+  if (address >= kFicr && address < kUicrAddress) fail("FICR cannot be written", address);
   if (!chip_has(address)) return false;
   if (bytes != 4) fail("peripheral registers are written as words", address);
   const SimTime t = parts_.processor.now();

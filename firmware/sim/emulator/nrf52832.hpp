@@ -71,7 +71,7 @@ class Nrf52832 final : public Bus {
     const NodeClock& clock;  // the processor's crystal
     std::span<std::uint8_t> flash;
     std::span<std::uint8_t> ram;
-    std::span<const std::uint8_t> uicr;
+    std::span<std::uint8_t> uicr;
     ChipIdentity identity;
     RadioDevice& radio;
     SpiDevice* can = nullptr;  // nothing on the header's SPI: reads give zeros

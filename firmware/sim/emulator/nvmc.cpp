@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "firmware/sim/emulator/firmware_image.hpp"
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 
@@ -23,8 +23,8 @@ constexpr std::uint32_t kWhole = 4096;
 
 }  // namespace
 
-Nvmc::Nvmc(std::span<std::uint8_t> flash, Stall stall, Changed changed)
-    : flash_(flash), stall_(std::move(stall)), changed_(std::move(changed)) {}
+Nvmc::Nvmc(std::span<std::uint8_t> flash, std::span<std::uint8_t> uicr, Stall stall, Changed changed)
+    : flash_(flash), uicr_(uicr), stall_(std::move(stall)), changed_(std::move(changed)) {}
 
 void Nvmc::reset() {
   if (busy()) advance(end_at_);
@@ -50,15 +50,23 @@ void Nvmc::begin(SimTime t, SimTime duration) {
   stall_(duration);
 }
 
+std::span<std::uint8_t> Nvmc::word(std::uint32_t address) const {
+  if (address + 4 <= flash_.size()) return flash_.subspan(address, 4);
+  if (address >= kUicrAddress && address - kUicrAddress + 4 <= uicr_.size())
+    return uicr_.subspan(address - kUicrAddress, 4);
+  return {};
+}
+
 void Nvmc::apply(std::uint32_t share) {
   if (erasing_) {
     const std::uint32_t bytes = kFlashPageBytes * share / kWhole & ~3U;
     std::fill_n(flash_.begin() + static_cast<std::ptrdiff_t>(address_), bytes, std::uint8_t{0xFF});
   } else {
     const unsigned bytes = share == kWhole ? 4 : share >= kWhole / 2 ? 2 : 0;
-    for (unsigned i = 0; i < bytes; ++i) flash_[address_ + i] &= static_cast<std::uint8_t>(value_ >> (8 * i));
+    const std::span<std::uint8_t> cells = word(address_);
+    for (unsigned i = 0; i < bytes; ++i) cells[i] &= static_cast<std::uint8_t>(value_ >> (8 * i));
   }
-  changed_(address_, erasing_ ? kFlashPageBytes : 4);
+  if (address_ < flash_.size()) changed_(address_, erasing_ ? kFlashPageBytes : 4);
 }
 
 void Nvmc::advance(SimTime t) {
@@ -68,7 +76,7 @@ void Nvmc::advance(SimTime t) {
 }
 
 bool Nvmc::store(SimTime t, std::uint32_t address, unsigned bytes, std::uint32_t value) {
-  if (mode_ != kWriteEnabled || bytes != 4 || address % 4 != 0 || address + 4 > flash_.size()) return false;
+  if (mode_ != kWriteEnabled || bytes != 4 || address % 4 != 0 || word(address).empty()) return false;
   erasing_ = false;
   address_ = address;
   value_ = value;

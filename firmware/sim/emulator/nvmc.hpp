@@ -1,4 +1,4 @@
-// NVMC (0x4001E000): the flash as the firmware may change it.
+// NVMC (0x4001E000): flash and UICR as the firmware may change them.
 //
 // A write clears bits and never sets one; an erase sets a whole page. Both take their time, in which the
 // processor stands still, and take effect at its end. Where power goes amid one, the first part is done: of a
@@ -23,14 +23,14 @@ class Nvmc final : public Peripheral {
   // were.
   using Stall = std::function<void(SimTime duration)>;
   using Changed = std::function<void(std::uint32_t address, std::uint32_t bytes)>;
-  Nvmc(std::span<std::uint8_t> flash, Stall stall, Changed changed);
+  Nvmc(std::span<std::uint8_t> flash, std::span<std::uint8_t> uicr, Stall stall, Changed changed);
 
   // What is under way is finished: resets wait for it.
   void reset();
   // Power is gone at t, and with it what is under way.
   void power_cut(SimTime t);
 
-  // A store to flash. False: a bus fault, since it is not enabled, or no aligned word.
+  // A store to flash or UICR. False: a bus fault, since it is not enabled, or no aligned word.
   [[nodiscard]] bool store(SimTime t, std::uint32_t address, unsigned bytes, std::uint32_t value);
 
   [[nodiscard]] bool busy() const noexcept { return end_at_ != kNever; }
@@ -44,10 +44,13 @@ class Nvmc final : public Peripheral {
 
  private:
   void begin(SimTime t, SimTime duration);
+  // The four bytes there; empty where neither memory has them.
+  [[nodiscard]] std::span<std::uint8_t> word(std::uint32_t address) const;
   // The operation as far as it came: `share` of 4096.
   void apply(std::uint32_t share);
 
   std::span<std::uint8_t> flash_;
+  std::span<std::uint8_t> uicr_;
   Stall stall_;
   Changed changed_;
   std::uint32_t mode_ = 0;  // CONFIG

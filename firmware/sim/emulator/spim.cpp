@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 

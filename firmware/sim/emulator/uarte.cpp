@@ -4,7 +4,7 @@
 #include <string>
 #include <utility>
 
-#include "firmware/sim/network.hpp"
+#include "firmware/sim/simulation_error.hpp"
 
 namespace groma::sim {
 

@@ -1,0 +1,78 @@
+// A node that runs the shipped image, instruction by instruction, on the medium.
+//
+//   const FirmwareImage image = read_firmware_image("build/dwm1001/groma-node.hex");
+//   network.add(make_emulated_node({.chip = {.id = 1}}, image, network.medium()));
+//
+// The processor may run ahead of the network by a quantum; what it does to the world has its own time all the
+// same, so that stamps and bytes do not depend on the quantum. In its spec, `cpu` is of no effect and
+// `uart.bits_per_s` is what the image has to send at.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+
+#include "firmware/sim/emulator/cortex_m4.hpp"
+#include "firmware/sim/emulator/firmware_image.hpp"
+#include "firmware/sim/emulator/nrf52832.hpp"
+#include "firmware/sim/network.hpp"
+
+namespace groma::sim {
+
+struct EmulatorOptions {
+  // Below both the look-ahead of the medium (dw1000_chip.hpp) and the delay of the host's bytes.
+  SimTime quantum = 40 * kUnitsPerMicrosecond;
+  CpuTiming timing{};
+  // The CAN controller on the header's SPI, in world time; outlives the node.
+  SpiDevice* can = nullptr;
+};
+
+// Sums since power first came.
+struct EmulatorUsage {
+  double powered_s = 0.0;
+  double cpu_load = 0.0;  // of that, with the processor neither asleep nor halted by the flash
+  double radio_spi_s = 0.0;
+  double can_spi_s = 0.0;
+  std::uint64_t radio_transfers = 0;
+  std::uint64_t instructions = 0;
+  std::uint64_t interrupts = 0;  // and other exceptions
+  std::uint64_t resets = 0;
+};
+
+class EmulatedNode final : public NodeHost {
+ public:
+  // Attaches itself to the medium; without power until spec.power_on. spec.stored_config is placed in the
+  // flash's last two pages as the firmware would store it. Throws SimulationError for a quantum that is too
+  // long or a configuration that does not fit.
+  EmulatedNode(const NodeSpec& spec, const FirmwareImage& image, Medium& medium,
+               const EmulatorOptions& options);
+  ~EmulatedNode() override;
+
+  [[nodiscard]] Dw1000Chip& chip() noexcept override;
+  [[nodiscard]] UartLine& uart_out() noexcept override;
+  [[nodiscard]] UartLine& uart_in() noexcept override;
+  [[nodiscard]] SimTime next_work() override;
+  void run(SimTime now) override;
+  void set_power(bool on, SimTime now) override;
+
+  // The reset pin is pulled low and released.
+  void press_reset(SimTime now);
+
+  // For faults and their tests: change registers and memory between the network's runs only.
+  [[nodiscard]] CortexM4& cpu() noexcept;
+  [[nodiscard]] const Nrf52832& soc() const noexcept;
+  [[nodiscard]] std::span<std::uint8_t> flash() noexcept;  // then cpu().flash_changed()
+  [[nodiscard]] std::span<std::uint8_t> ram() noexcept;
+
+  [[nodiscard]] EmulatorUsage usage() const;
+
+ private:
+  class Machine;
+  std::unique_ptr<Machine> machine_;
+};
+
+[[nodiscard]] std::unique_ptr<EmulatedNode> make_emulated_node(const NodeSpec& spec,
+                                                               const FirmwareImage& image, Medium& medium,
+                                                               const EmulatorOptions& options = {});
+
+}  // namespace groma::sim
