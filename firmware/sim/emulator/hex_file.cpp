@@ -17,6 +17,7 @@ enum class Record : std::uint8_t {
   kData = 0,
   kEndOfFile = 1,
   kExtendedSegment = 2,
+  kStartSegment = 3,
   kExtendedLinear = 4,
   kStartLinear = 5,
 };
@@ -105,6 +106,7 @@ std::vector<HexSegment> parse_hex(std::string_view text) {
         expect_length(data, 2, line);
         base = static_cast<std::uint32_t>(data[0] << 8 | data[1]) << 16;
         break;
+      case Record::kStartSegment:
       case Record::kStartLinear:
         // The processor starts by its vector table.
         expect_length(data, 4, line);

@@ -1,0 +1,33 @@
+// The image of the DWM1001 that the preset dwm1001 builds: its files, for tests that cannot do without.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+namespace groma::test {
+
+// GROMA_SOURCE_DIR is the test program's definition. extension: ".elf" or ".hex".
+inline std::filesystem::path shipped_image(const std::string& extension) {
+  return std::filesystem::path(GROMA_SOURCE_DIR) / "build/dwm1001" / ("groma-node" + extension);
+}
+
+}  // namespace groma::test
+
+// At a test's beginning: without the image the test is skipped, or fails where GROMA_REQUIRE_IMAGE is set.
+#define GROMA_NEEDS_SHIPPED_IMAGE()                                                                    \
+  do {                                                                                                 \
+    if (std::filesystem::exists(groma::test::shipped_image(".elf")) &&                                 \
+        std::filesystem::exists(groma::test::shipped_image(".hex"))) {                                 \
+      break;                                                                                           \
+    }                                                                                                  \
+    const std::string message = "no " + groma::test::shipped_image(".hex").string() +                  \
+                                ": run scripts/setup firmware, cmake --preset dwm1001, cmake --build " \
+                                "--preset dwm1001";                                                    \
+    if (std::getenv("GROMA_REQUIRE_IMAGE") != nullptr) {                                               \
+      FAIL() << message;                                                                               \
+    }                                                                                                  \
+    GTEST_SKIP() << message;                                                                           \
+  } while (false)
