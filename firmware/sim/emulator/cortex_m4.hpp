@@ -49,11 +49,11 @@ class Bus {
 };
 
 struct CpuTiming {
-  SimTime cycle = 4992;  // 64 MHz
-  std::uint32_t quarter_cycles_per_instruction =
-      5;                                      // 1.25: two thirds Thumb-2, zero wait states by the cache
-  std::uint32_t exception_entry_cycles = 12;  // Cortex-M4 TRM (100166) 3.9.1
-  std::uint32_t exception_return_cycles = 10;
+  SimTime cycle = 4992;             // 64 MHz
+  SimTime instruction = 6240;       // 1.25 cycles
+  std::uint32_t entry_cycles = 12;  // of an exception, with zero wait states
+  std::uint32_t return_cycles = 10;
+  std::uint32_t tail_chain_cycles = 6;
 };
 
 class CortexM4 {

@@ -1,0 +1,72 @@
+// What the emulator has to know of Thumb-2 code without running it: lengths, a few kinds of instructions, and
+// the memory that a load or store touches. Encodings: ARMv7-M Architecture Reference Manual (DDI 0403E),
+// A5-A7.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+namespace groma::sim::thumb {
+
+struct Instruction {
+  std::uint16_t first = 0;
+  std::uint16_t second = 0;  // of a 32-bit instruction
+  unsigned bytes = 2;
+};
+
+// At the beginning of `code`, which holds 2 bytes at least. A 32-bit instruction that is cut off reads zeros.
+[[nodiscard]] Instruction instruction_at(std::span<const std::uint8_t> code) noexcept;
+
+[[nodiscard]] bool is_send_event(const Instruction& i) noexcept;
+[[nodiscard]] bool is_wait_for_event(const Instruction& i) noexcept;
+[[nodiscard]] bool is_wait_for_interrupt(const Instruction& i) noexcept;
+// CPS and MSR, to any register.
+[[nodiscard]] bool writes_special_register(const Instruction& i) noexcept;
+// Coprocessors 10 and 11.
+[[nodiscard]] bool is_floating_point(const Instruction& i) noexcept;
+[[nodiscard]] bool is_division(const Instruction& i) noexcept;
+
+// Traits: what a block of code holds.
+inline constexpr std::uint8_t kSendsEvent = 1;
+inline constexpr std::uint8_t kWritesSpecialRegister = 2;
+inline constexpr std::uint8_t kFloatingPoint = 4;
+inline constexpr std::uint8_t kDivides = 8;
+
+struct BlockFacts {
+  std::uint16_t instructions = 0;
+  std::uint8_t traits = 0;
+};
+
+[[nodiscard]] BlockFacts facts_of_block(std::span<const std::uint8_t> code) noexcept;
+
+// The condition state of an IT block (EPSR.IT, B1.4.2): 0 outside of one.
+class ItState {
+ public:
+  explicit ItState(std::uint8_t bits = 0) noexcept : bits_(bits) {}
+  // The state after an instruction: IT starts a block, any other moves on in one.
+  void after(const Instruction& i) noexcept;
+  [[nodiscard]] std::uint8_t bits() const noexcept { return bits_; }
+  // With the flags at the top of an APSR.
+  [[nodiscard]] bool condition_holds(std::uint32_t apsr) const noexcept;
+
+ private:
+  std::uint8_t bits_;
+};
+
+using Registers = std::array<std::uint32_t, 16>;  // R15 is the instruction's own address
+
+// The words or less that a load or store touches, with the registers as they were before it.
+struct MemoryAccess {
+  bool store = false;
+  std::uint32_t address = 0;  // of the lowest byte
+  std::uint32_t bytes = 0;
+  std::int32_t base_moves = 0;       // by write-back
+  std::uint32_t core_registers = 0;  // loaded or stored in order of address, one bit each; word accesses only
+};
+
+[[nodiscard]] std::optional<MemoryAccess> memory_access(const Instruction& i, const Registers& r) noexcept;
+
+}  // namespace groma::sim::thumb

@@ -1,0 +1,58 @@
+// Unicorn 2.0's ARM engine set up as a Cortex-M4, and what it takes to change its state from outside.
+#pragma once
+
+#include <unicorn/unicorn.h>
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "firmware/sim/emulator/nvic.hpp"
+
+namespace groma::sim {
+
+class UnicornEngine {
+ public:
+  // Throws SimulationError.
+  UnicornEngine();
+  UnicornEngine(const UnicornEngine&) = delete;
+  UnicornEngine& operator=(const UnicornEngine&) = delete;
+  ~UnicornEngine();
+
+  void map_memory(std::uint32_t address, std::span<std::uint8_t> memory, unsigned permissions);
+  // The callbacks' addresses count from `address`.
+  void map_io(std::uint32_t address, std::size_t bytes, uc_cb_mmio_read_t on_read,
+              uc_cb_mmio_write_t on_write, void* user);
+  // From `begin` to `end`, both included; all addresses if end is below begin.
+  void add_hook(int type, void* callback, void* user, std::uint64_t begin = 1, std::uint64_t end = 0);
+  // Forgets what was translated there. Not while it runs.
+  void drop_code(std::uint32_t begin, std::uint32_t end);
+
+  // Runs from `pc`, bit 0 of which is the T bit, until stop() or an event.
+  uc_err start(std::uint32_t pc) { return uc_emu_start(engine_, pc, 0, 0, 0); }
+  // From within a callback.
+  void stop() { uc_emu_stop(engine_); }
+
+  [[nodiscard]] std::uint32_t read(int which) const;
+  void write(int which, std::uint32_t value);
+  // R0 to R15.
+  [[nodiscard]] std::array<std::uint32_t, 16> core_registers() const;
+
+  [[nodiscard]] std::uint32_t xpsr() const { return read(UC_ARM_REG_XPSR); }
+  // Switches between the stacks as the change of mode demands.
+  void set_xpsr(std::uint32_t value);
+  [[nodiscard]] bool unprivileged() const;
+  [[nodiscard]] ExceptionMasks masks();
+  // As an exception's entry does (B1.5.6): from any mode into the handler's, on the main stack.
+  void enter_handler(unsigned exception, bool thumb);
+  // As its return does: from handler mode into a thread, with these bits of CONTROL (nPRIV stays).
+  void leave_to_thread(bool process_stack, bool floating_point);
+  void set_floating_point_active(bool on);  // CONTROL.FPCA, in handler mode
+  void reset();
+
+ private:
+  uc_engine* engine_ = nullptr;
+};
+
+}  // namespace groma::sim
