@@ -51,10 +51,7 @@ class ElfFile {
     }
     for (std::uint32_t i = 0; i < header.e_phnum; ++i) {
       const auto segment = at<Elf32_Phdr>(header.e_phoff + i * header.e_phentsize);
-      if (segment.p_type != PT_LOAD) continue;
-      for (std::uint32_t k = 0; k < segment.p_filesz; ++k) {
-        loaded_[segment.p_paddr + k] = at<std::uint8_t>(segment.p_offset + k);
-      }
+      if (segment.p_type == PT_LOAD) load(segment, sections);
     }
   }
 
@@ -86,6 +83,18 @@ class ElfFile {
   }
   [[nodiscard]] std::string text(std::size_t offset) const {
     return offset < bytes_.size() ? std::string(bytes_.data() + offset) : std::string();
+  }
+  // The sections in it: what lies between them is nobody's.
+  void load(const Elf32_Phdr& segment, const std::vector<Elf32_Shdr>& sections) {
+    for (const Elf32_Shdr& section : sections) {
+      const bool inside = section.sh_offset >= segment.p_offset &&
+                          section.sh_offset + section.sh_size <= segment.p_offset + segment.p_filesz;
+      if (!inside || section.sh_type == SHT_NOBITS || (section.sh_flags & SHF_ALLOC) == 0) continue;
+      const std::uint32_t address = segment.p_paddr + section.sh_offset - segment.p_offset;
+      for (std::uint32_t k = 0; k < section.sh_size; ++k) {
+        loaded_[address + k] = at<std::uint8_t>(section.sh_offset + k);
+      }
+    }
   }
   void read_symbols(const Elf32_Shdr& table, const Elf32_Shdr& names) {
     for (std::uint32_t i = 0; i < table.sh_size / table.sh_entsize; ++i) {
