@@ -68,8 +68,7 @@ bool lock_device(int fd) noexcept {
 
 bool hung_up(int fd) noexcept {
   pollfd entry{fd, POLLIN, 0};
-  return ::poll(&entry, 1, 0) > 0 && (entry.revents & (POLLHUP | POLLERR | POLLNVAL)) != 0 &&
-         (entry.revents & POLLIN) == 0;
+  return ::poll(&entry, 1, 0) > 0 && (entry.revents & (POLLHUP | POLLERR | POLLNVAL)) != 0;
 }
 
 ReadResult DescriptorLink::read(std::span<std::uint8_t> out) {

@@ -17,7 +17,8 @@ using io::Descriptor;
 // Takes the lock by which links keep each other off a device; false where another holds it.
 [[nodiscard]] bool lock_device(int fd) noexcept;
 
-// True once the other end of `fd` has hung up.
+// True once the device behind the terminal `fd` has gone. It then also says that it could be read, and has
+// nothing.
 [[nodiscard]] bool hung_up(int fd) noexcept;
 
 // A link that is nothing but a descriptor that does not block.
