@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cstring>
 #include <limits>
 
 #include "firmware/sim/simulation_error.hpp"
@@ -54,8 +55,9 @@ CortexM4::Core::Core(std::span<std::uint8_t> flash, std::span<std::uint8_t> ram,
   if (flash.empty() || flash.size() % kPage != 0 || ram.empty() || ram.size() % kPage != 0) {
     throw SimulationError("processor emulator: flash and RAM are multiples of 4096 bytes");
   }
-  engine_.map_memory(0, flash, UC_PROT_READ | UC_PROT_EXEC);
-  engine_.map_memory(kRam, ram, UC_PROT_ALL);
+  engine_.map_read_only(0, flash);
+  // Unicorn's own store to RAM allocates memory to look for code there, which is four times as slow.
+  engine_.map_read_only(kRam, ram);
   engine_.map_io(kFactory, kFactoryBytes, &on_bus_read<kFactory>, &on_bus_write<kFactory>, this);
   engine_.map_io(kPeripherals, kPeripheralBytes, &on_bus_read<kPeripherals>, &on_bus_write<kPeripherals>,
                  this);
@@ -64,7 +66,10 @@ CortexM4::Core::Core(std::span<std::uint8_t> flash, std::span<std::uint8_t> ram,
   engine_.add_hook(UC_HOOK_INTR, reinterpret_cast<void*>(&on_interrupt), this);
   engine_.add_hook(UC_HOOK_MEM_READ_UNMAPPED | UC_HOOK_MEM_WRITE_UNMAPPED,
                    reinterpret_cast<void*>(&on_unmapped), this);
-  engine_.add_hook(UC_HOOK_MEM_WRITE_PROT, reinterpret_cast<void*>(&on_flash_store), this);
+  engine_.add_hook(UC_HOOK_MEM_WRITE_PROT, reinterpret_cast<void*>(&on_ram_store), this, kRam,
+                   kRam + ram.size() - 1);
+  engine_.add_hook(UC_HOOK_MEM_WRITE_PROT, reinterpret_cast<void*>(&on_flash_store), this, 0,
+                   flash.size() - 1);
 }
 
 void CortexM4::Core::reset(SimTime t) {
@@ -172,7 +177,7 @@ void CortexM4::Core::flash_changed(std::uint32_t address, std::size_t bytes) {
   // A block is no longer than a page.
   const std::size_t first = begin > kPage ? begin - kPage : 0;
   std::fill(facts_.begin() + static_cast<std::ptrdiff_t>(first / 2),
-            facts_.begin() + static_cast<std::ptrdiff_t>((end + 1) / 2), 0U);
+            facts_.begin() + static_cast<std::ptrdiff_t>((end + 1) / 2), Facts{});
   watched_blocks_.clear();
   changed_code_.push_back({static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(end - begin)});
   limit_ = kStopNow;
@@ -194,17 +199,17 @@ std::span<const std::uint8_t> CortexM4::Core::memory_at(std::uint32_t address, s
   return memory.subspan(at, std::min(bytes, memory.size() - at));
 }
 
-thumb::BlockFacts CortexM4::Core::facts_of(std::uint32_t address, std::uint32_t bytes) {
-  constexpr std::uint32_t kInstructions = 0x3FF;
-  const std::size_t slot = address / 2;
-  const bool remembered = slot < facts_.size();
-  if (remembered && facts_[slot] >> 16 == bytes) {
-    const std::uint32_t known = facts_[slot];
-    return {static_cast<std::uint16_t>(known & kInstructions), static_cast<std::uint8_t>(known >> 10 & 0x3F)};
-  }
-  const thumb::BlockFacts facts = thumb::facts_of_block(memory_at(address, bytes));
-  if (remembered)
-    facts_[slot] = bytes << 16 | static_cast<std::uint32_t>(facts.traits) << 10 | facts.instructions;
+inline CortexM4::Core::Facts CortexM4::Core::facts_of(const CodeBlock& block) {
+  const std::size_t slot = block.address / 2;
+  if (slot < facts_.size() && facts_[slot].bytes == block.bytes) [[likely]]
+    return facts_[slot];
+  return learn_facts_of(block);
+}
+
+CortexM4::Core::Facts CortexM4::Core::learn_facts_of(const CodeBlock& block) {
+  const thumb::BlockFacts found = thumb::facts_of_block(memory_at(block.address, block.bytes));
+  const Facts facts{static_cast<std::uint16_t>(block.bytes), found.instructions, found.traits};
+  if (block.address / 2 < facts_.size()) facts_[block.address / 2] = facts;
   return facts;
 }
 
@@ -216,7 +221,7 @@ void CortexM4::Core::on_block(uc_engine*, std::uint64_t address, std::uint32_t b
     self.stop_before(block);
     return;
   }
-  const thumb::BlockFacts facts = self.facts_of(block.address, bytes);
+  const Facts facts = self.facts_of(block);
   self.block_ = block;
   const unsigned traits = facts.traits & self.attention_;
   if (traits != 0 && !self.attend(traits, block)) [[unlikely]]
@@ -345,6 +350,31 @@ bool CortexM4::Core::on_unmapped(uc_engine*, int type, std::uint64_t address, in
   Core& self = *static_cast<Core*>(user);
   self.guarded({static_cast<std::uint32_t>(address), type == UC_MEM_WRITE_UNMAPPED}, [] { return false; });
   return false;
+}
+
+bool CortexM4::Core::on_ram_store(uc_engine*, int, std::uint64_t address, int bytes, std::int64_t value,
+                                  void* user) {
+  Core& self = *static_cast<Core*>(user);
+  const std::size_t at = address - kRam;
+  const auto size = static_cast<std::size_t>(bytes);
+  if (size > self.ram_.size() - at) [[unlikely]] {
+    return self.guarded({static_cast<std::uint32_t>(address), true}, [] { return false; });
+  }
+  switch (size) {
+    case 4:
+      std::memcpy(&self.ram_[at], &value, 4);
+      break;
+    case 1:
+      std::memcpy(&self.ram_[at], &value, 1);
+      break;
+    case 2:
+      std::memcpy(&self.ram_[at], &value, 2);
+      break;
+    default:
+      std::memcpy(&self.ram_[at], &value, size);
+      break;
+  }
+  return true;
 }
 
 // True: done, and Unicorn leaves the flash alone.

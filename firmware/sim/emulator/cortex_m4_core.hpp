@@ -57,6 +57,13 @@ class CortexM4::Core {
     std::uint32_t bytes = 0;
   };
 
+  // What is remembered of a block: the length that Unicorn gave it tells whether it is still the same.
+  struct Facts {
+    std::uint16_t bytes = 0;
+    std::uint16_t instructions = 0;
+    std::uint8_t traits = 0;
+  };
+
   // An access that the CPU is making to something other than memory.
   struct Access {
     std::uint32_t address = 0;
@@ -84,6 +91,8 @@ class CortexM4::Core {
   static void on_interrupt(uc_engine* engine, std::uint32_t number, void* self);
   static bool on_unmapped(uc_engine* engine, int type, std::uint64_t address, int bytes, std::int64_t value,
                           void* self);
+  static bool on_ram_store(uc_engine* engine, int type, std::uint64_t address, int bytes, std::int64_t value,
+                           void* self);
   static bool on_flash_store(uc_engine* engine, int type, std::uint64_t address, int bytes,
                              std::int64_t value, void* self);
   template <std::uint32_t base>
@@ -97,7 +106,8 @@ class CortexM4::Core {
 
   // Blocks of code (cortex_m4_core.cpp).
   [[nodiscard]] std::span<const std::uint8_t> memory_at(std::uint32_t address, std::size_t bytes) const;
-  [[nodiscard]] thumb::BlockFacts facts_of(std::uint32_t address, std::uint32_t bytes);
+  [[nodiscard]] Facts facts_of(const CodeBlock& block);
+  [[nodiscard]] Facts learn_facts_of(const CodeBlock& block);
   [[nodiscard]] bool attend(unsigned traits, const CodeBlock& block);
   void watch_instructions_of(const CodeBlock& block);
   void stop_before(const CodeBlock& block);
@@ -164,9 +174,8 @@ class CortexM4::Core {
   std::optional<Stopped> stopped_;
   std::exception_ptr error_;
 
-  // Of flash, by half-word: bytes << 16 | traits << 10 | instructions; 0: not known.
-  std::vector<std::uint32_t> facts_;
-  std::set<std::uint32_t> watched_;                                   // instructions
+  std::vector<Facts> facts_;         // of the blocks that begin at each half-word of flash
+  std::set<std::uint32_t> watched_;  // instructions
   std::set<std::pair<std::uint32_t, std::uint32_t>> watched_blocks_;  // address, bytes
   std::vector<CodeBlock> changed_code_;
 
