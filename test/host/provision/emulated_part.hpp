@@ -1,0 +1,69 @@
+// An nRF52832 as a debugger sees it: flash and UICR behind their NVMC, the core's halt and reset, and the
+// CTRL-AP that unlocks it. It runs no program. Register names and addresses: nRF52832 product specification
+// (NVMC, UICR, FICR, CTRL-AP) and the ARMv7-M architecture reference manual (C1, debug).
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <vector>
+
+namespace groma::provision::test {
+
+class EmulatedPart {
+ public:
+  static constexpr std::uint32_t kFlashBytes = 512 * 1024;
+
+  EmulatedPart();
+
+  // As with UICR.APPROTECT written, and a reset since.
+  void lock();
+  [[nodiscard]] bool locked() const noexcept { return locked_; }
+  // This word of flash keeps its bits whatever is written.
+  void break_flash_at(std::uint32_t address) { broken_ = address; }
+
+  // One access of the memory access port, of an aligned word; `lanes` marks the bytes that count. Nothing, or
+  // false: a bus fault.
+  [[nodiscard]] std::optional<std::uint32_t> read(std::uint32_t address);
+  [[nodiscard]] bool write(std::uint32_t address, std::uint32_t value, std::uint32_t lanes);
+
+  // CTRL-AP.
+  [[nodiscard]] std::uint32_t read_control(std::uint32_t reg);
+  void write_control(std::uint32_t reg, std::uint32_t value);
+
+  [[nodiscard]] const std::vector<std::uint8_t>& flash() const noexcept { return flash_; }
+  [[nodiscard]] bool halted() const noexcept { return halted_; }
+  // Pages erased one by one, and mass erases, so far.
+  [[nodiscard]] int pages_erased() const noexcept { return pages_erased_; }
+  [[nodiscard]] int mass_erases() const noexcept { return mass_erases_; }
+  [[nodiscard]] int words_written() const noexcept { return words_written_; }
+
+ private:
+  void reset();
+  void mass_erase();
+  [[nodiscard]] bool write_flash(std::vector<std::uint8_t>& memory, std::uint32_t offset, std::uint32_t value);
+  [[nodiscard]] std::optional<std::uint32_t> read_register(std::uint32_t address);
+  [[nodiscard]] bool write_register(std::uint32_t address, std::uint32_t value);
+
+  std::vector<std::uint8_t> flash_;
+  std::vector<std::uint8_t> uicr_;
+  std::vector<std::uint8_t> ram_;
+  std::map<std::uint32_t, std::uint32_t> kept_;  // registers without a life of their own
+  std::array<std::uint32_t, 128> core_{};        // by DCRSR.REGSEL
+  std::uint32_t core_transfer_ = 0;              // DCRDR
+  std::uint32_t nvmc_config_ = 0;
+  std::uint32_t dhcsr_ = 0;
+  std::uint32_t demcr_ = 0;
+  bool halted_ = false;
+  bool was_reset_ = true;
+  bool locked_ = false;
+  std::uint32_t control_reset_ = 0;
+  int erase_polls_left_ = 0;
+  std::optional<std::uint32_t> broken_;
+  int pages_erased_ = 0;
+  int mass_erases_ = 0;
+  int words_written_ = 0;
+};
+
+}  // namespace groma::provision::test

@@ -1,0 +1,85 @@
+// A debug probe on a socket: OpenOCD's remote_bitbang adapter moves its pins. Behind them a JTAG-DP with a
+// MEM-AP and the CTRL-AP of an emulated part. Sources: OpenOCD's manual, remote_bitbang.txt; IEEE 1149.1 (the
+// state machine); ARM IHI 0031 (debug port and access ports).
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "host/io/descriptor.hpp"
+#include "test/host/provision/emulated_part.hpp"
+
+namespace groma::provision::test {
+
+// Four wires.
+class JtagPort {
+ public:
+  // Keeps a reference to the part; null: nothing is wired to the probe.
+  explicit JtagPort(EmulatedPart* part) : part_(part) {}
+
+  void set(bool tck, bool tms, bool tdi);
+  [[nodiscard]] bool tdo() const noexcept { return part_ == nullptr || (shift_ & 1U) != 0; }
+
+ private:
+  enum class State : std::uint8_t {
+    kReset, kIdle,
+    kSelectDr, kCaptureDr, kShiftDr, kExit1Dr, kPauseDr, kExit2Dr, kUpdateDr,
+    kSelectIr, kCaptureIr, kShiftIr, kExit1Ir, kPauseIr, kExit2Ir, kUpdateIr,
+  };
+  [[nodiscard]] static State next(State state, bool tms) noexcept;
+
+  void capture();
+  void update();
+  void access_debug_port(unsigned address, bool read, std::uint32_t value);
+  void access_access_port(unsigned address, bool read, std::uint32_t value);
+  void access_memory(unsigned reg, bool read, std::uint32_t value);
+
+  EmulatedPart* part_;
+  bool tck_ = false;
+  State state_ = State::kReset;
+  std::uint8_t instruction_ = 0xE;  // IDCODE
+  std::uint64_t shift_ = 0;
+  unsigned shift_bits_ = 32;
+  // Debug port
+  std::uint32_t result_ = 0;  // of the access before
+  std::uint32_t select_ = 0;
+  std::uint32_t control_ = 0;
+  bool sticky_error_ = false;
+  // Memory access port
+  std::uint32_t csw_ = 0;
+  std::uint32_t tar_ = 0;
+};
+
+class EmulatedProbe {
+ public:
+  // Listens at `socket`. After so many words in flash it falls off the bus, if that is given.
+  EmulatedProbe(std::filesystem::path socket, EmulatedPart* part);
+  ~EmulatedProbe();
+  EmulatedProbe(const EmulatedProbe&) = delete;
+  EmulatedProbe& operator=(const EmulatedProbe&) = delete;
+
+  // Asked after each batch of pin changes; true: the cable is pulled.
+  void set_pull(std::function<bool()> pull);
+  [[nodiscard]] int sessions() const { return sessions_; }
+
+ private:
+  void run();
+  void serve(int client);
+
+  std::filesystem::path socket_;
+  EmulatedPart* part_;
+  io::Descriptor listening_;
+  std::mutex mutex_;
+  std::function<bool()> pull_;
+  std::atomic<bool> stop_ = false;
+  std::atomic<int> sessions_ = 0;
+  std::thread thread_;
+};
+
+}  // namespace groma::provision::test
