@@ -1,6 +1,7 @@
 // The image: one node on this board, for ever.
 #include "firmware/board/dwm1001/board.hpp"
 #include "firmware/board/dwm1001/nrf52832.hpp"
+#include "firmware/core/node/image_identity.hpp"
 #include "firmware/core/node/node.hpp"
 #include "generated/groma_version.hpp"
 
@@ -11,6 +12,10 @@ using groma::node::Build;
 using groma::node::Node;
 
 constinit Board board;
+
+// For who flashes: see image_identity.hpp.
+[[gnu::used, gnu::section(".identity")]] constexpr groma::node::ImageIdentity identity(groma::kVersion,
+                                                                                       groma::kGitHash);
 
 }  // namespace
 
