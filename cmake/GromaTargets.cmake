@@ -1,7 +1,7 @@
 # One way to declare each kind of target, so that warnings, include paths and
 # sanitizers are the same everywhere.
 
-if(NOT GROMA_BOARD)
+if(NOT CMAKE_CROSSCOMPILING)
   find_package(Threads REQUIRED)
   find_package(Eigen3 3.4 REQUIRED NO_MODULE)
   find_package(fmt REQUIRED)
@@ -60,12 +60,14 @@ function(groma_executable)
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
 endfunction()
 
-# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [LABELS ...] [TIMEOUT s]): a GoogleTest program, each case a CTest test.
+# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [LABELS ...] [TIMEOUT s]): a GoogleTest program, each case a CTest test,
+# with the labels of GROMA_TEST_LABELS, too.
 function(groma_test)
   cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 120)
   endif()
+  list(APPEND arg_LABELS ${GROMA_TEST_LABELS})
   add_executable(${arg_NAME} ${arg_SOURCES})
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
   gtest_discover_tests(

@@ -424,7 +424,7 @@ TEST_F(Driver, LengthsThatCannotBeAreHarmless) {
     chip.put(0x10, 0, length, 4);
     const Event event = radio.take_event();
     EXPECT_EQ(event.kind, EventKind::kReceived);
-    EXPECT_EQ(event.frame.size(), length < 2 ? 0 : std::min<std::size_t>(length - 2, kMaxFrameBytes));
+    EXPECT_EQ(event.frame.size(), length < 2 ? 0 : std::min<std::uint64_t>(length - 2, kMaxFrameBytes));
   }
 }
 

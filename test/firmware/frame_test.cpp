@@ -127,7 +127,7 @@ TEST(Frame, AnyBytesAreParsedWithoutHarmAndOnlyCanonicalOnesAccepted) {
   std::mt19937_64 random(11);
   std::size_t accepted = 0;
   for (int i = 0; i < 500'000; ++i) {
-    std::vector<std::uint8_t> bytes(random() % 70);
+    std::vector<std::uint8_t> bytes(static_cast<std::size_t>(random() % 70));
     for (auto& byte : bytes) byte = static_cast<std::uint8_t>(random());
     // Mostly with a header that leads into the bodies.
     if (bytes.size() >= kHeaderBytes && i % 4 != 0) {

@@ -369,7 +369,8 @@ TEST(PowerCutFuzz, WhateverIsCutWheneverTheOldOrTheNewIsThereAndNoCounterRepeats
       }
       if (draw.of(4).uniform() < 0.6) {
         const bool reset = draw.of(5).uniform() < 0.1;
-        const Bytes next = reset ? Bytes{} : blob(1 + draw.of(6).bits() % 400, draw.of(7).bits());
+        const Bytes next =
+            reset ? Bytes{} : blob(static_cast<std::size_t>(1 + draw.of(6).bits() % 400), draw.of(7).bits());
         const bool done = store(flash, next);
         ASSERT_TRUE(done || !flash.powered()) << seed << ' ' << step;
         flash.power_on();

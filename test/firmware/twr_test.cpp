@@ -5,10 +5,12 @@
 #include <cmath>
 #include <random>
 
+#include "test/support/int128.hpp"
+
 namespace groma::ranging {
 namespace {
 
-__extension__ using Int128 = __int128;
+using test::Int128;
 
 constexpr std::int64_t kWrap = std::int64_t{1} << 40;
 
@@ -25,7 +27,7 @@ class Random {
 
 Int128 floor_div(Int128 a, Int128 b) {
   const Int128 q = a / b;
-  return a % b != 0 && (a < 0) != (b < 0) ? q - 1 : q;
+  return q * b != a && (a < 0) != (b < 0) ? q - 1 : q;
 }
 
 // Nearest integer to a/b, b > 0, halves away from zero.

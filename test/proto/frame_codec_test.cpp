@@ -347,9 +347,9 @@ TEST(FrameDecoder, InventsNoFrameInTenMillionTries) {
       case 1: {
         const Bytes& frame = frames[random.below(frames.size())];
         const std::uint64_t word = random.next();
-        const std::size_t at = 1 + word % (frame.size() - 2);
+        const auto at = static_cast<std::size_t>(1 + word % (frame.size() - 2));
         const auto mask = static_cast<std::uint8_t>(1 + (word >> 32) % 255);
-        const std::size_t again = 1 + (word >> 40) % (frame.size() - 2);
+        const auto again = static_cast<std::size_t>(1 + (word >> 40) % (frame.size() - 2));
         for (std::size_t i = 0; i < frame.size(); ++i) {
           std::uint8_t byte = frame[i];
           if (i == at) byte ^= mask;
