@@ -62,15 +62,6 @@ double promised_rate(const SiteBench& site, const SiteSettings& settings) {
   return settings.tags * settings.anchors / superframe_s;
 }
 
-std::vector<std::uint8_t> frame_of(const groma_HostToNode& command) {
-  std::vector<std::uint8_t> payload(groma_HostToNode_size);
-  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
-  EXPECT_TRUE(pb_encode(&stream, groma_HostToNode_fields, &command));
-  std::vector<std::uint8_t> frame(wire::max_encoded_size(stream.bytes_written));
-  frame.resize(wire::encode_frame(std::span(payload).first(stream.bytes_written), frame));
-  return frame;
-}
-
 // ---- a small site ---------------------------------------------------------------------------------
 
 TEST(SmallSite, ComesUpAndKeepsInStep) {

@@ -2,16 +2,21 @@
 #pragma once
 
 #include <pb_decode.h>
+#include <pb_encode.h>
 
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <memory>
 #include <span>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "firmware/core/node/config.hpp"
+#include "firmware/sim/native_node.hpp"
 #include "firmware/sim/network.hpp"
 #include "groma.pb.h"
 #include "proto/frame_codec.hpp"
@@ -44,6 +49,16 @@ class FreeSpace final : public PropagationModel {
  private:
   std::map<std::uint16_t, Place> places_;
 };
+
+// As the host sends it.
+inline std::vector<std::uint8_t> frame_of(const groma_HostToNode& command) {
+  std::vector<std::uint8_t> payload(groma_HostToNode_size);
+  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+  if (!pb_encode(&stream, groma_HostToNode_fields, &command)) throw std::logic_error(PB_GET_ERROR(&stream));
+  std::vector<std::uint8_t> frame(wire::max_encoded_size(stream.bytes_written));
+  frame.resize(wire::encode_frame(std::span(payload).first(stream.bytes_written), frame));
+  return frame;
+}
 
 // Decodes one node's bytes.
 class Listener {
@@ -115,6 +130,8 @@ struct SiteSettings {
   double drift_ppm_per_s = 0.0;  // up on the odd nodes, down on the even ones, from 1 s to 11 s
   double spi_transaction_us = 2.5;
   std::uint32_t uart_bits_per_s = 1'000'000;
+  // What runs a node; tags come first.
+  std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
 };
 
 // Tags 1, 2, ...; anchors 101, 102, ..., the first of them the master.
@@ -212,7 +229,7 @@ class SiteBench {
     std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
     const std::size_t size = node::encode_config(config, blob);
     spec.stored_config.assign(blob.begin(), blob.begin() + static_cast<std::ptrdiff_t>(size));
-    network.add_native(spec);
+    network.add(settings_.make_node(spec, network.medium()));
   }
 
   SiteSettings settings_;

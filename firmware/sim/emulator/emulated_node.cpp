@@ -72,7 +72,7 @@ class EmulatedNode::Machine final : private Processor {
         boots_at_(spec.power_on) {
     if (quantum_ <= 0 || quantum_ > Nrf52832::kHostDelay)
       throw SimulationError("an emulated node runs ahead by more than 0 and at most 50 us");
-    ImageFlash pages(std::span(flash).subspan(kStoragePages));
+    ImageFlash pages{std::span<std::uint8_t>(flash).subspan(kStoragePages)};
     if (!spec.stored_config.empty() && !storage::ConfigStore(pages).store(spec.stored_config))
       throw SimulationError("stored_config: at most " + std::to_string(storage::kMaxRecordBytes) + " bytes");
   }
@@ -123,6 +123,7 @@ class EmulatedNode::Machine final : private Processor {
     if (!powered_) return;
     powered_ = false;
     powered_time_ += clock_.local_units(now) - powered_since_;
+    busy_time_ += cpu.now() - powered_since_ - idle_time_;
     soc.power_cut(clock_.local_units(now));
     chip.set_power(false, now);
     uart_out.clear(now);
@@ -140,11 +141,16 @@ class EmulatedNode::Machine final : private Processor {
     if (powered_) reset(ResetCause::kPin, std::max(cpu.now(), clock_.local_units(now)));
   }
 
-  [[nodiscard]] EmulatorUsage usage() const {
-    const SimTime powered = powered_time_ + (powered_ ? cpu.now() - powered_since_ : 0);
+  [[nodiscard]] EmulatorUsage usage(SimTime now) const {
     EmulatorUsage usage;
+    SimTime powered = powered_time_;
+    SimTime busy = busy_time_;
+    if (powered_) {
+      powered += std::max(clock_.local_units(now), cpu.now()) - powered_since_;
+      busy += cpu.now() - powered_since_ - idle_time_;
+    }
     usage.powered_s = to_seconds(powered);
-    if (powered > 0) usage.cpu_load = 1.0 - to_seconds(idle_time_) / to_seconds(powered);
+    if (powered > 0) usage.cpu_load = to_seconds(busy) / to_seconds(powered);
     usage.radio_spi_s = to_seconds(soc.radio_spi().busy_time());
     usage.can_spi_s = to_seconds(soc.can_spi().busy_time());
     usage.radio_transfers = soc.radio_spi().transfers();
@@ -184,6 +190,7 @@ class EmulatedNode::Machine final : private Processor {
     chip.set_power(true, now);
     const SimTime t = clock_.local_units(now);
     powered_since_ = t;
+    idle_time_ = 0;
     soc.reset(ResetCause::kPowerOn, t);
     cpu.reset(t + kPowerOnTime);
     idle_time_ += kPowerOnTime;
@@ -214,7 +221,8 @@ class EmulatedNode::Machine final : private Processor {
   SimTime boots_at_;
   SimTime powered_since_ = 0;  // local, as the others
   SimTime powered_time_ = 0;
-  SimTime idle_time_ = 0;
+  SimTime idle_time_ = 0;  // since then, asleep, halted or in reset
+  SimTime busy_time_ = 0;  // of what was before
   std::uint64_t resets_ = 0;
 };
 
@@ -257,8 +265,8 @@ std::span<std::uint8_t> EmulatedNode::flash() noexcept {
 std::span<std::uint8_t> EmulatedNode::ram() noexcept {
   return machine_->ram;
 }
-EmulatorUsage EmulatedNode::usage() const {
-  return machine_->usage();
+EmulatorUsage EmulatedNode::usage(SimTime now) const {
+  return machine_->usage(now);
 }
 
 std::unique_ptr<EmulatedNode> make_emulated_node(const NodeSpec& spec, const FirmwareImage& image,

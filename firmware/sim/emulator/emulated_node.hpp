@@ -64,7 +64,8 @@ class EmulatedNode final : public NodeHost {
   [[nodiscard]] std::span<std::uint8_t> flash() noexcept;  // then cpu().flash_changed()
   [[nodiscard]] std::span<std::uint8_t> ram() noexcept;
 
-  [[nodiscard]] EmulatorUsage usage() const;
+  // Up to the network's time.
+  [[nodiscard]] EmulatorUsage usage(SimTime now) const;
 
  private:
   class Machine;

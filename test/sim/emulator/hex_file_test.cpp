@@ -51,7 +51,7 @@ TEST(HexFile, NamesTheLineAndTheCause) {
   EXPECT_THAT(complaint(":01000000G0FF" + end), HasSubstr("'G0' is not hexadecimal"));
   EXPECT_THAT(complaint(":0200000000FE" + end), HasSubstr("announces 2 data bytes and carries 1"));
   EXPECT_THAT(complaint(":00" + end), HasSubstr("too short"));
-  EXPECT_THAT(complaint(":00000003FD" + end), HasSubstr("unknown record type 3"));
+  EXPECT_THAT(complaint(":00000006FA" + end), HasSubstr("unknown record type 6"));
   EXPECT_THAT(complaint(":0100000401FA" + end), HasSubstr("carries 2 data bytes"));
   EXPECT_THAT(complaint(":02FFFF00000000" + end), HasSubstr("beyond the end of its 64 KiB"));
   EXPECT_THAT(complaint(":0100000000FF\n"), HasSubstr("no end-of-file record"));

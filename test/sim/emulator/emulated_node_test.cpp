@@ -1,0 +1,309 @@
+// The shipped image on emulated nodes, end to end.
+#include "firmware/sim/emulator/emulated_node.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <iostream>
+#include <map>
+#include <tuple>
+
+#include "test/sim/emulator/emulated_site.hpp"
+
+namespace groma::sim {
+namespace {
+
+using ::testing::HasSubstr;
+using Register = CortexM4::Register;
+
+constexpr MediumSettings kNoise{.stamp_noise_s = 1e-10, .carrier_noise_ppm = 0.05, .loss_probability = 0.02};
+
+class ShippedImage : public ::testing::Test {
+ protected:
+  void SetUp() override { GROMA_NEEDS_SHIPPED_IMAGE(); }
+};
+
+// One node without a configuration, in empty space.
+struct LoneNode {
+  explicit LoneNode(const EmulatorOptions& options = {}, std::vector<std::uint8_t> stored_config = {}) {
+    space.put(1, {});
+    NodeSpec spec;
+    spec.chip.id = 1;
+    spec.chip.clock.offset_ppm = 13.0;
+    spec.stored_config = std::move(stored_config);
+    network.add(make_emulated_node(spec, shipped(), network.medium(), options));
+  }
+  EmulatedNode& node() { return dynamic_cast<EmulatedNode&>(network.node(0)); }
+  void run_until(double t_s) {
+    network.run_until(from_seconds(t_s));
+    std::vector<TimedByte> bytes;
+    network.take(0, bytes);
+    listener.take(bytes);
+  }
+  void send(std::uint32_t request_id, pb_size_t which) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.request_id = request_id;
+    command.which_body = which;
+    ASSERT_TRUE(network.send(0, frame_of(command)));
+  }
+
+  FreeSpace space;
+  Network network{space, {}, 1};
+  Listener listener;
+};
+
+TEST_F(ShippedImage, BootsAndSaysHello) {
+  LoneNode site;
+  site.run_until(1.5);
+  ASSERT_EQ(site.listener.hellos.size(), 1U);
+  const groma_Hello& hello = site.listener.hellos[0];
+  EXPECT_STRNE(hello.version, "");
+  EXPECT_STREQ(hello.radio_error, "");
+  EXPECT_EQ(hello.reset_reason, groma_ResetReason_RESET_POWER_ON);
+  EXPECT_FALSE(hello.has_last_fault);
+  EXPECT_GT(hello.stack_high_water_bytes, 100U);
+  EXPECT_LT(hello.stack_high_water_bytes, hello.stack_size_bytes);
+  EXPECT_EQ(site.listener.undecodable, 0);
+  EXPECT_EQ(site.node().usage(site.network.now()).resets, 0U);
+  EXPECT_LT(site.node().usage(site.network.now()).cpu_load, 0.5);
+}
+
+TEST_F(ShippedImage, AnswersItsHost) {
+  LoneNode site;
+  site.run_until(1.0);
+  site.send(5, groma_HostToNode_get_hello_tag);
+  site.run_until(1.1);
+  ASSERT_EQ(site.listener.replies.size(), 1U);
+  EXPECT_EQ(site.listener.replies[0].request_id, 5U);
+  EXPECT_EQ(site.listener.hellos.size(), 2U);
+  site.send(6, groma_HostToNode_reboot_tag);
+  site.run_until(2.0);
+  ASSERT_EQ(site.listener.hellos.size(), 3U);
+  EXPECT_EQ(site.listener.hellos[2].reset_reason, groma_ResetReason_RESET_SOFTWARE);
+  EXPECT_EQ(site.node().uart_in().next_byte(), kNever);
+  EXPECT_EQ(site.node().soc().uarte().lost_bytes(), 0U);
+}
+
+struct Errors {
+  int count = 0;
+  double rms_m = 0.0;
+  double worst_m = 0.0;
+};
+
+Errors errors_of(const SiteBench& site, double from_s) {
+  Errors errors;
+  double squares = 0.0;
+  site.each_range(
+      [&](const groma_SlotReport& report, const groma_Range& range) {
+        if (range.status != groma_RangeStatus_RANGE_OK) return;
+        const double error_m = static_cast<double>(range.range_m) -
+                               site.space.distance_m(static_cast<std::uint16_t>(report.tag_id),
+                                                     static_cast<std::uint16_t>(range.anchor_id));
+        ++errors.count;
+        squares += error_m * error_m;
+        errors.worst_m = std::max(errors.worst_m, std::abs(error_m));
+      },
+      from_s);
+  errors.rms_m = std::sqrt(squares / std::max(errors.count, 1));
+  return errors;
+}
+
+TEST_F(ShippedImage, IsConfiguredOverItsUartAndRangesWithNativeNeighbours) {
+  SiteSettings settings{.tags = 1, .anchors = 3};
+  settings.make_node = [](const NodeSpec& spec, Medium& medium) -> std::unique_ptr<NodeHost> {
+    if (spec.chip.id != SiteBench::tag_id(0)) return make_native_node(spec, medium);
+    NodeSpec blank = spec;
+    blank.stored_config.clear();
+    return make_emulated_node(blank, shipped(), medium);
+  };
+  SiteBench site(settings);
+  site.run_until(1.0);
+  ASSERT_EQ(site.listeners[0].hellos.size(), 1U);
+  EXPECT_EQ(site.listeners[0].hellos[0].role, groma_Role_ROLE_UNCONFIGURED);
+
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.request_id = 1;
+  command.which_body = groma_HostToNode_write_config_tag;
+  command.body.write_config = site.config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG);
+  ASSERT_TRUE(site.network.send(0, frame_of(command)));
+  site.run_until(1.5);
+  command.request_id = 2;
+  command.which_body = groma_HostToNode_apply_config_tag;
+  ASSERT_TRUE(site.network.send(0, frame_of(command)));
+  site.run_until(4.0);
+  ASSERT_EQ(site.listeners[0].replies.size(), 2U);
+  EXPECT_EQ(site.listeners[0].replies[0].result, groma_Result_RESULT_OK);
+  EXPECT_EQ(site.listeners[0].replies[1].result, groma_Result_RESULT_OK);
+  const Errors errors = errors_of(site, 2.5);
+  EXPECT_GT(errors.count, 300);
+  EXPECT_LT(errors.worst_m, 0.01);
+  EXPECT_EQ(site.listeners[0].undecodable, 0);
+}
+
+TEST_F(ShippedImage, RangesInAMixedNetwork) {
+  // An emulated master, native and emulated anchors and tags.
+  SiteBench site(emulating({.tags = 2, .anchors = 4}, {}, [](std::uint16_t id) { return id % 2 == 1; }));
+  site.run_until(3.0);
+  const Errors errors = errors_of(site, 1.5);
+  EXPECT_GT(errors.count, 500);
+  EXPECT_LT(errors.worst_m, 0.01);
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    EXPECT_EQ(site.listeners[i].undecodable, 0) << i;
+    EXPECT_EQ(site.listeners[i].counters.late_transmits, 0U) << i;
+    EXPECT_EQ(site.listeners[i].counters.radio_recoveries, 0U) << i;
+    EXPECT_EQ(site.network.node(i).chip().late_announcements(), 0U) << i;
+    EXPECT_EQ(site.network.node(i).chip().garbled_transfers(), 0U) << i;
+  }
+}
+
+using RangeKey = std::tuple<std::uint32_t, std::uint32_t, std::uint32_t>;  // superframe, tag, anchor
+
+std::map<RangeKey, double> ranges_of(const SiteBench& site) {
+  std::map<RangeKey, double> ranges;
+  site.each_range([&](const groma_SlotReport& report, const groma_Range& range) {
+    if (range.status == groma_RangeStatus_RANGE_OK)
+      ranges[{report.superframe, report.tag_id, range.anchor_id}] = static_cast<double>(range.range_m);
+  });
+  return ranges;
+}
+
+TEST_F(ShippedImage, AgreesWithTheNativeNodes) {
+  const SiteSettings settings{.tags = 2, .anchors = 4, .medium = kNoise};
+  SiteBench native(settings);
+  SiteBench emulation(emulating(settings));
+  native.run_until(4.0);
+  emulation.run_until(4.0);
+  const auto expected = ranges_of(native);
+  const auto seen = ranges_of(emulation);
+  int common = 0;
+  double squares = 0.0;
+  for (const auto& [key, range_m] : seen) {
+    const auto other = expected.find(key);
+    if (other == expected.end()) continue;
+    ++common;
+    squares += (range_m - other->second) * (range_m - other->second);
+  }
+  const double rms_m = std::sqrt(squares / std::max(common, 1));
+  RecordProperty("common_ranges", common);
+  RecordProperty("rms_um", static_cast<int>(rms_m * 1e6));
+  std::cout << "native and emulated: " << expected.size() << " and " << seen.size() << " ranges, " << common
+            << " in common, " << rms_m * 1e3 << " mm rms apart\n";
+  EXPECT_GT(common, static_cast<int>(expected.size() * 9 / 10));
+  EXPECT_LT(rms_m, 0.02);
+  EXPECT_NEAR(static_cast<double>(seen.size()), static_cast<double>(expected.size()),
+              0.05 * static_cast<double>(expected.size()));
+}
+
+TEST_F(ShippedImage, SaysTheSameBytesForTheSameSeedAndAnyQuantum) {
+  const SiteSettings settings{.tags = 1, .anchors = 3, .medium = kNoise};
+  const auto traces = [&](SimTime quantum_us, std::uint64_t seed) {
+    SiteSettings seeded = settings;
+    seeded.seed = seed;
+    SiteBench site(emulating(seeded, {.quantum = quantum_us * kUnitsPerMicrosecond}));
+    site.run_until(1.0);
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.request_id = 3;
+    command.which_body = groma_HostToNode_read_config_tag;
+    EXPECT_TRUE(site.network.send(0, frame_of(command)));
+    site.run_until(2.0);
+    EXPECT_GT(site.good_ranges(), 50);
+    EXPECT_EQ(site.listeners[0].replies.size(), 1U);
+    return site.line_traces();
+  };
+  const auto reference = traces(40, 1);
+  EXPECT_EQ(traces(40, 1), reference);
+  for (const SimTime quantum_us : {1, 13, 50}) EXPECT_EQ(traces(quantum_us, 1), reference) << quantum_us;
+  EXPECT_NE(traces(40, 2), reference);
+}
+
+TEST_F(ShippedImage, RunsAheadByNoMoreThanTheHostsDelay) {
+  FreeSpace space;
+  Network network(space, {}, 1);
+  EXPECT_THROW(make_emulated_node({}, shipped(), network.medium(), {.quantum = 51 * kUnitsPerMicrosecond}),
+               SimulationError);
+}
+
+// ---- faults ---------------------------------------------------------------------------------------------
+
+TEST_F(ShippedImage, TellsTheProgramCounterOfABadAddress) {
+  LoneNode site;
+  site.run_until(1.5);
+  // Code that is not there.
+  site.node().cpu().set_register(Register::kPc, 0x00300000);
+  site.run_until(3.0);
+  ASSERT_EQ(site.listener.hellos.size(), 2U);
+  const groma_Hello& hello = site.listener.hellos[1];
+  EXPECT_EQ(hello.reset_reason, groma_ResetReason_RESET_FAULT);
+  ASSERT_TRUE(hello.has_last_fault);
+  EXPECT_EQ(hello.last_fault.pc, 0x00300000U);
+  EXPECT_NE(hello.last_fault.cfsr, 0U);
+  // And is well again.
+  EXPECT_STREQ(hello.radio_error, "");
+  site.send(1, groma_HostToNode_get_hello_tag);
+  site.run_until(3.5);
+  EXPECT_EQ(site.listener.replies.size(), 1U);
+}
+
+TEST_F(ShippedImage, TellsOfAStackThatOverflowed) {
+  LoneNode site;
+  site.run_until(1.5);
+  site.node().cpu().set_register(Register::kSp, kRamAddress + 16);
+  site.run_until(3.0);
+  ASSERT_EQ(site.listener.hellos.size(), 2U);
+  EXPECT_EQ(site.listener.hellos[1].reset_reason, groma_ResetReason_RESET_FAULT);
+  ASSERT_TRUE(site.listener.hellos[1].has_last_fault);
+  EXPECT_NE(site.listener.hellos[1].last_fault.cfsr, 0U);
+}
+
+TEST_F(ShippedImage, IsBittenByTheWatchdogWhenItIsStuck) {
+  LoneNode site;
+  site.run_until(1.5);
+  // What it would do next becomes a loop without end.
+  EmulatedNode& node = site.node();
+  const std::uint32_t pc = node.cpu().pc() & ~1U;
+  const std::uint8_t before[2] = {node.flash()[pc], node.flash()[pc + 1]};
+  node.flash()[pc] = 0xFE;
+  node.flash()[pc + 1] = 0xE7;
+  node.cpu().flash_changed(pc, 2);
+  // It slept with its interrupts held back.
+  node.cpu().set_register(Register::kPrimask, 0);
+  site.run_until(4.0);
+  EXPECT_EQ(site.listener.hellos.size(), 1U);
+  site.run_until(9.9);
+  node.flash()[pc] = before[0];
+  node.flash()[pc + 1] = before[1];
+  node.cpu().flash_changed(pc, 2);
+  site.run_until(11.0);
+  ASSERT_EQ(site.listener.hellos.size(), 2U);
+  const groma_Hello& hello = site.listener.hellos[1];
+  EXPECT_EQ(hello.reset_reason, groma_ResetReason_RESET_WATCHDOG);
+  ASSERT_TRUE(hello.has_last_fault);
+  EXPECT_EQ(hello.last_fault.pc, pc);
+}
+
+TEST_F(ShippedImage, TellsOfItsResetPin) {
+  LoneNode site;
+  site.run_until(1.0);
+  site.node().press_reset(site.network.now());
+  site.run_until(2.0);
+  ASSERT_EQ(site.listener.hellos.size(), 2U);
+  EXPECT_EQ(site.listener.hellos[1].reset_reason, groma_ResetReason_RESET_PIN);
+}
+
+TEST_F(ShippedImage, LosesItsRamInAPowerCut) {
+  LoneNode site;
+  site.run_until(1.0);
+  site.network.set_power(0, false);
+  site.run_until(1.2);
+  EXPECT_EQ(site.node().next_work(), kNever);
+  site.network.set_power(0, true);
+  site.run_until(2.2);
+  ASSERT_EQ(site.listener.hellos.size(), 2U);
+  EXPECT_EQ(site.listener.hellos[1].reset_reason, groma_ResetReason_RESET_POWER_ON);
+  EXPECT_FALSE(site.listener.hellos[1].has_last_fault);
+  EXPECT_NEAR(site.node().usage(site.network.now()).powered_s, 2.0, 0.01);
+}
+
+}  // namespace
+}  // namespace groma::sim
