@@ -4,6 +4,7 @@
 
 #include "firmware/core/node/config.hpp"
 #include "proto/compact_report.hpp"
+#include "proto/slot_report.hpp"
 
 namespace groma::node {
 namespace {
@@ -122,10 +123,16 @@ groma_SyncState sync_state_of(mac::SyncState state) noexcept {
 }
 
 std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message) noexcept {
-  pb_ostream_t stream = pb_ostream_from_buffer(payload_.data(), payload_.size());
-  if (!pb_encode(&stream, groma_NodeToHost_fields, &message)) return {};
-  const std::size_t size = wire::encode_frame(std::span(payload_).first(stream.bytes_written), frame_);
-  return std::span(frame_).first(size);
+  std::span<const std::uint8_t> payload;
+  if (message.which_body == groma_NodeToHost_slot_report_tag) {
+    payload = wire::encode_slot_report(message.body.slot_report, payload_);
+  } else {
+    pb_ostream_t stream = pb_ostream_from_buffer(payload_.data(), payload_.size());
+    if (!pb_encode(&stream, groma_NodeToHost_fields, &message)) return {};
+    payload = std::span(payload_).first(stream.bytes_written);
+  }
+  if (payload.empty()) return {};
+  return std::span(frame_).first(wire::encode_frame(payload, frame_));
 }
 
 }  // namespace groma::node

@@ -1,0 +1,130 @@
+#include "proto/slot_report.hpp"
+
+#include <bit>
+#include <cstddef>
+
+namespace groma::wire {
+namespace {
+
+// All the fields that are written below; a new one in the schema changes these.
+static_assert(groma_RawStamps_size == 44 && groma_Range_size == 86 && groma_SlotReport_size == 1443,
+              "groma.proto: a field of SlotReport has been added that is not encoded here");
+
+enum class WireType : std::uint32_t { kVarint = 0, kLength = 2, kFixed32 = 5 };
+
+// Protocol Buffers from the last byte to the first: a message's length is known when it has to be written.
+// Fields are put in the reverse of their order.
+class BackwardWriter {
+ public:
+  explicit BackwardWriter(std::span<std::uint8_t> out) noexcept
+      : begin_(out.data()), at_(out.data() + out.size()), end_(at_) {}
+
+  [[nodiscard]] std::span<const std::uint8_t> written() const noexcept {
+    if (overflow_) return {};
+    return {at_, end_};
+  }
+  [[nodiscard]] std::size_t size() const noexcept { return static_cast<std::size_t>(end_ - at_); }
+
+  // A field of its type's default value is left out.
+  template <class T>
+  void number(std::uint32_t field, T value) noexcept {
+    if (value != 0) put_number(field, value);
+  }
+  template <class T>
+  void put_number(std::uint32_t field, T value) noexcept {
+    varint(value);
+    key(field, WireType::kVarint);
+  }
+  void optional_signed(std::uint32_t field, bool has, std::int32_t value) noexcept {
+    if (has) put_number(field, zigzag(value));
+  }
+  void float32(std::uint32_t field, float value) noexcept {
+    const auto bits = std::bit_cast<std::uint32_t>(value);
+    if (bits == 0) return;
+    for (unsigned shift = 32; shift != 0; shift -= 8) byte(static_cast<std::uint8_t>(bits >> (shift - 8)));
+    key(field, WireType::kFixed32);
+  }
+  // `size_after` is size() before the message's own fields were put.
+  void message(std::uint32_t field, std::size_t size_after) noexcept {
+    varint(static_cast<std::uint32_t>(size() - size_after));
+    key(field, WireType::kLength);
+  }
+
+  [[nodiscard]] static std::uint32_t zigzag(std::int32_t value) noexcept {
+    return static_cast<std::uint32_t>(value) << 1 ^ static_cast<std::uint32_t>(value >> 31);
+  }
+  [[nodiscard]] static std::uint64_t zigzag(std::int64_t value) noexcept {
+    return static_cast<std::uint64_t>(value) << 1 ^ static_cast<std::uint64_t>(value >> 63);
+  }
+
+ private:
+  void byte(std::uint8_t value) noexcept {
+    if (at_ == begin_) {
+      overflow_ = true;
+    } else {
+      *--at_ = value;
+    }
+  }
+  void key(std::uint32_t field, WireType type) noexcept {
+    varint(field << 3 | static_cast<std::uint32_t>(type));
+  }
+  template <class T>
+  void varint(T value) noexcept {
+    unsigned groups = (static_cast<unsigned>(std::bit_width(value)) + 6) / 7;
+    std::uint8_t more = 0;
+    for (groups = groups == 0 ? 1 : groups; groups != 0; --groups) {
+      byte(static_cast<std::uint8_t>((value >> (7 * (groups - 1)) & 0x7F) | more));
+      more = 0x80;
+    }
+  }
+
+  std::uint8_t* begin_;
+  std::uint8_t* at_;
+  std::uint8_t* end_;
+  bool overflow_ = false;
+};
+
+void put(BackwardWriter& out, const groma_RawStamps& raw) noexcept {
+  out.number(groma_RawStamps_tag_reply_dtu_tag, raw.tag_reply_dtu);
+  out.number(groma_RawStamps_anchor_round_dtu_tag, raw.anchor_round_dtu);
+  out.number(groma_RawStamps_anchor_reply_dtu_tag, raw.anchor_reply_dtu);
+  out.number(groma_RawStamps_tag_round_dtu_tag, raw.tag_round_dtu);
+}
+
+void put(BackwardWriter& out, const groma_Range& range) noexcept {
+  if (range.has_raw) {
+    const std::size_t size_after = out.size();
+    put(out, range.raw);
+    out.message(groma_Range_raw_tag, size_after);
+  }
+  out.optional_signed(groma_Range_clock_offset_ppb_tag, range.has_clock_offset_ppb, range.clock_offset_ppb);
+  out.optional_signed(groma_Range_receive_power_cdbm_tag, range.has_receive_power_cdbm,
+                      range.receive_power_cdbm);
+  out.optional_signed(groma_Range_first_path_power_cdbm_tag, range.has_first_path_power_cdbm,
+                      range.first_path_power_cdbm);
+  out.float32(groma_Range_range_m_tag, range.range_m);
+  out.number(groma_Range_instant_offset_dtu_tag, BackwardWriter::zigzag(range.instant_offset_dtu));
+  out.number(groma_Range_status_tag, static_cast<std::uint32_t>(range.status));
+  out.number(groma_Range_anchor_id_tag, std::uint32_t{range.anchor_id});
+}
+
+}  // namespace
+
+std::span<const std::uint8_t> encode_slot_report(const groma_SlotReport& report,
+                                                 std::span<std::uint8_t> out) noexcept {
+  BackwardWriter writer(out);
+  for (pb_size_t i = report.ranges_count; i != 0; --i) {
+    const std::size_t size_after = writer.size();
+    put(writer, report.ranges[i - 1]);
+    writer.message(groma_SlotReport_ranges_tag, size_after);
+  }
+  writer.number(groma_SlotReport_device_time_dtu_tag, report.device_time_dtu);
+  writer.number(groma_SlotReport_tag_id_tag, report.tag_id);
+  writer.number(groma_SlotReport_slot_tag, report.slot);
+  writer.number(groma_SlotReport_superframe_tag, report.superframe);
+  writer.number(groma_SlotReport_sequence_tag, report.sequence);
+  writer.message(groma_NodeToHost_slot_report_tag, 0);
+  return writer.written();
+}
+
+}  // namespace groma::wire
