@@ -1,5 +1,6 @@
 // Compiled as for the target, without exceptions, RTTI or a hosted library, so that nothing creeps into the
 // core that the board's toolchain would not take. A node is instantiated on hardware that does nothing.
+#include "firmware/core/node/can_link.hpp"
 #include "firmware/core/node/node.hpp"
 #include "firmware/core/storage/config_store.hpp"
 #include "firmware/core/storage/counter.hpp"
@@ -12,6 +13,11 @@ class NoSpi {
   void write(std::span<const std::uint8_t>, std::span<const std::uint8_t>) noexcept {}
   void read(std::span<const std::uint8_t>, std::span<std::uint8_t>) noexcept {}
   void set_speed(dw1000::SpiSpeed) noexcept {}
+};
+
+class NoCanSpi {
+ public:
+  void transfer(std::span<std::uint8_t>) noexcept {}
 };
 
 class NoHardware {
@@ -46,13 +52,16 @@ class NoFlash {
 
 static_assert(dw1000::Spi<NoSpi>);
 static_assert(ChoosesLink<NoHardware>);
+static_assert(mcp2518fd::Spi<NoCanSpi>);
 
 }  // namespace
 
 template class Node<NoHardware>;
+template class CanLink<NoCanSpi>;
 
 // 24 KiB of RAM are the image's budget, stack and drivers included.
 static_assert(sizeof(Node<NoHardware>) <= 16'384);
+static_assert(sizeof(CanLink<NoCanSpi>) <= 2'304);
 
 }  // namespace groma::node
 

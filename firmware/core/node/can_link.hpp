@@ -1,0 +1,173 @@
+// A node's link to its host over CAN: whole frames of frame_codec.hpp in, CAN payloads out, and the bytes
+// from the host the other way.
+//
+// All of it is done in steps that the platform takes between the radio's slots: one of them moves one CAN
+// frame at most, 8 SPI transfers with 150 bytes in all, 0.2 ms at 8 MHz with CAN FD, a third of that with
+// classic CAN.
+//
+// What the queue holds when the controller goes bus-off stays; what was in the controller is lost, and the
+// host sees one damaged frame. Before the next try it waits 10 ms, then twice as long each time, up to a
+// second, until a second has gone well.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "firmware/core/mcp2518fd/driver.hpp"
+#include "proto/can_segment.hpp"
+
+namespace groma::node {
+
+struct CanLinkCounters {
+  std::uint32_t frames_sent = 0;  // handed to the controller
+  std::uint32_t frames_received = 0;
+  std::uint32_t receive_overruns = 0;
+  std::uint32_t bus_offs = 0;
+  std::uint32_t restarts = 0;  // the controller had lost its settings, and was brought up again
+  mcp2518fd::ErrorCounters errors{};
+};
+
+template <mcp2518fd::Spi S>
+class CanLink {
+ public:
+  // More than the largest frame, a report of 16 ranges with raw stamps.
+  static constexpr std::size_t kQueueBytes = 2048;
+  static_assert(kQueueBytes >= wire::max_can_payload(wire::CanFormat::kFd));
+
+  explicit CanLink(S& spi) noexcept : chip_(spi) {}
+
+  // Brings the controller up with an empty queue, as Mcp2518fd::bring_up().
+  template <class Delay>
+  mcp2518fd::BringUp start(const mcp2518fd::Settings& settings, std::uint64_t now_us,
+                           Delay&& delay_us) noexcept {
+    settings_ = settings;
+    begin_ = size_ = 0;
+    blocked_ = false;
+    resume_at_us_ = 0;
+    back_off_us_ = kShortestBackOff_us;
+    next_check_us_ = now_us + kCheckPeriod_us;
+    const auto result = chip_.bring_up(settings, delay_us);
+    wanted_ = result == mcp2518fd::BringUp::kOk;
+    return result;
+  }
+
+  void stop() noexcept { wanted_ = false; }
+
+  // Queues a whole frame or nothing.
+  bool write(std::span<const std::uint8_t> frame) noexcept {
+    if (!wanted_ || frame.size() > kQueueBytes - size_) return false;
+    for (const std::uint8_t byte : frame) queue_[(begin_ + size_++) % kQueueBytes] = byte;
+    return true;
+  }
+
+  // One step, to be taken when the controller pulls its line low (`interrupt`), when a frame was written, at
+  // next_deadline_us(), and harmlessly at any other time. `sink(bytes)` takes what came from the host;
+  // `delay_us(n)` waits, where the controller has to be brought up again. True: there is more to do at once.
+  template <class Sink, class Delay>
+  bool service(bool interrupt, std::uint64_t now_us, Sink&& sink, Delay&& delay_us) noexcept {
+    if (!wanted_) return false;
+    bool again = false;
+    if (interrupt || now_us >= next_check_us_) {
+      const Look seen = look(now_us, delay_us);
+      if (seen == Look::kDown) return false;
+      receive(sink);
+      // A line that stays low for no reason that the controller tells is left alone until the next check.
+      again = interrupt && seen == Look::kSomething;
+    }
+    if (size_ != 0 && !blocked_ && now_us >= resume_at_us_) again = send_one() || again;
+    return again;
+  }
+
+  // When service() wants to be called though no interrupt comes; the maximum: never.
+  [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
+    if (!wanted_) return ~std::uint64_t{0};
+    const bool held = size_ != 0 && !blocked_ && chip_.state() == mcp2518fd::State::kOnBus;
+    return held ? std::min(next_check_us_, resume_at_us_) : next_check_us_;
+  }
+
+  [[nodiscard]] bool running() const noexcept { return wanted_; }
+  [[nodiscard]] bool empty() const noexcept { return size_ == 0; }
+  [[nodiscard]] const mcp2518fd::Settings& settings() const noexcept { return settings_; }
+  [[nodiscard]] const CanLinkCounters& counters() const noexcept { return counters_; }
+
+ private:
+  static constexpr std::uint64_t kCheckPeriod_us = 100'000;
+  static constexpr std::uint64_t kShortestBackOff_us = 10'000;
+  static constexpr std::uint64_t kLongestBackOff_us = 1'000'000;
+  static constexpr std::uint64_t kRestartPeriod_us = 1'000'000;
+
+  enum class Look : std::uint8_t { kDown, kNothing, kSomething };
+
+  template <class Delay>
+  Look look(std::uint64_t now_us, Delay& delay_us) noexcept {
+    if (chip_.state() == mcp2518fd::State::kDown) {
+      return now_us < next_check_us_ ? Look::kDown : restart(now_us, delay_us);
+    }
+    next_check_us_ = now_us + kCheckPeriod_us;
+    const mcp2518fd::Events events = chip_.take_events();
+    if (events.lost) return restart(now_us, delay_us);
+    if (events.overrun) ++counters_.receive_overruns;
+    if (events.bus_off) {
+      ++counters_.bus_offs;
+      const bool soon = now_us < resume_at_us_ + kLongestBackOff_us;
+      back_off_us_ = soon ? std::min(2 * back_off_us_, kLongestBackOff_us) : kShortestBackOff_us;
+      resume_at_us_ = now_us + back_off_us_;
+    }
+    // Whatever changed, the next frame finds out whether there is room.
+    if (events.room || events.bus_off || events.on_bus) blocked_ = false;
+    counters_.errors = chip_.error_counters();
+    return events.any ? Look::kSomething : Look::kNothing;
+  }
+
+  template <class Delay>
+  Look restart(std::uint64_t now_us, Delay& delay_us) noexcept {
+    ++counters_.restarts;
+    blocked_ = false;
+    next_check_us_ = now_us + kRestartPeriod_us;
+    const bool up = chip_.bring_up(settings_, delay_us) == mcp2518fd::BringUp::kOk;
+    return up ? Look::kNothing : Look::kDown;
+  }
+
+  template <class Sink>
+  void receive(Sink& sink) noexcept {
+    wire::CanFrame frame;
+    if (!chip_.receive(frame)) return;
+    ++counters_.frames_received;
+    sink(wire::stream_in(frame, {wire::CanDirection::kToNode, settings_.node}));
+  }
+
+  bool send_one() noexcept {
+    std::array<std::uint8_t, wire::kMaxFdPayload> head{};
+    const std::size_t available = std::min(size_, head.size());
+    for (std::size_t i = 0; i < available; ++i) head[i] = queue_[(begin_ + i) % kQueueBytes];
+    wire::CanFrame frame;
+    frame.id = wire::can_id({wire::CanDirection::kToHost, settings_.node});
+    const std::size_t taken =
+        wire::cut_can_payload(std::span(head).first(available), settings_.format, frame);
+    if (!chip_.send(frame)) {
+      blocked_ = true;
+      return false;
+    }
+    ++counters_.frames_sent;
+    begin_ = (begin_ + taken) % kQueueBytes;
+    size_ -= taken;
+    return size_ != 0;
+  }
+
+  mcp2518fd::Mcp2518fd<S> chip_;
+  mcp2518fd::Settings settings_;
+  CanLinkCounters counters_;
+  std::array<std::uint8_t, kQueueBytes> queue_{};
+  std::size_t begin_ = 0;
+  std::size_t size_ = 0;
+  bool wanted_ = false;   // brought up once
+  bool blocked_ = false;  // the controller had no room; an event will tell
+  std::uint64_t resume_at_us_ = 0;
+  std::uint64_t back_off_us_ = kShortestBackOff_us;
+  std::uint64_t next_check_us_ = 0;
+};
+
+}  // namespace groma::node
