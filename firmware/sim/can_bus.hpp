@@ -1,0 +1,173 @@
+// One CAN bus: arbitration, exact bit lengths, acknowledgement, error frames.
+//
+//   CanBus bus;
+//   CanTap host(bus, {.nominal = bit_time(1'000'000), .data = bit_time(2'000'000), .fd = true});
+//   Mcp2518fdChip chip(bus, {.id = 3});
+//   bus.advance(t);
+//   for (const TimedCanFrame& frame : host.received()) ...
+//
+// Stations live in different threads of time: one may post a frame for an instant that another has already
+// been advanced beyond. A frame's start is therefore decided kLookahead after it, which is less than the
+// shortest frame takes, so that nothing is decided too late to be seen; a frame posted later still than that
+// begins as soon as the bus is free after its own instant. The same calls give the same run.
+//
+// Bit rates are enforced: a frame takes its bits at its sender's rates, and a receiver whose rates are
+// others, or that does not know CAN FD, destroys it with an error frame, as on a real bus.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "firmware/sim/time.hpp"
+#include "proto/can_segment.hpp"
+
+namespace groma::sim {
+
+[[nodiscard]] constexpr SimTime can_bit_time(std::uint32_t bit_per_s) noexcept {
+  return (kUnitsPerSecond + bit_per_s / 2) / bit_per_s;
+}
+
+struct CanRates {
+  SimTime nominal = can_bit_time(1'000'000);  // a bit's time
+  SimTime data = can_bit_time(2'000'000);
+  bool fd = true;  // understands CAN FD
+};
+
+enum class CanError : std::uint8_t {
+  kAcknowledge,  // nobody acknowledged
+  kBit,          // the bus showed another bit than was sent
+};
+
+class CanStation {
+ public:
+  CanStation() = default;
+  CanStation(const CanStation&) = delete;
+  CanStation& operator=(const CanStation&) = delete;
+  virtual ~CanStation() = default;
+
+  struct Offer {
+    SimTime since = 0;  // it may begin from then on
+    const wire::CanFrame* frame = nullptr;
+    bool error_passive = false;
+    bool sees_itself = true;  // with the frame's rates and the transceiver's delay it can check its own bits
+  };
+
+  // The frame that it would send next. The frame lives until sent() or send_failed().
+  [[nodiscard]] virtual std::optional<Offer> offer() const = 0;
+  // It receives, acknowledges and objects.
+  [[nodiscard]] virtual bool takes_part() const = 0;
+  // Its error flags are recessive: it cannot destroy a frame.
+  [[nodiscard]] virtual bool error_passive() const = 0;
+  [[nodiscard]] virtual const CanRates& rates() const = 0;
+
+  // A frame begins at t, its own or another's: the bus is no longer recessive.
+  virtual void frame_begins(SimTime t) = 0;
+  virtual void sent(SimTime end) = 0;
+  virtual void send_failed(SimTime t, CanError error) = 0;
+  virtual void received(const wire::CanFrame& frame, SimTime end) = 0;
+  virtual void receive_failed(SimTime t) = 0;
+};
+
+struct CanBusCounters {
+  std::uint64_t frames = 0;
+  std::uint64_t errors = 0;  // frames that did not come to their end
+  SimTime busy = 0;          // frames and error frames with the intermission behind them
+};
+
+class CanBus {
+ public:
+  static constexpr SimTime kLookahead = 55 * kUnitsPerMicrosecond;
+
+  CanBus() = default;
+  CanBus(const CanBus&) = delete;
+  CanBus& operator=(const CanBus&) = delete;
+
+  // The station must outlive the bus's last advance().
+  void attach(CanStation& station) { stations_.push_back(&station); }
+
+  void advance(SimTime t);
+  [[nodiscard]] SimTime next_event() const;
+  [[nodiscard]] SimTime now() const noexcept { return now_; }
+
+  // Error frames are injected: each frame that is on the bus between the two instants is damaged.
+  void damage(SimTime from, SimTime until) { disturbances_.push_back({from, until, false}); }
+  // As a short circuit does: what is on the bus is damaged, and it is never idle.
+  void hold_dominant(SimTime from, SimTime until) { disturbances_.push_back({from, until, true}); }
+  // Since when the bus has been recessive; nothing while it is not.
+  [[nodiscard]] std::optional<SimTime> recessive_since(SimTime t) const;
+
+  [[nodiscard]] const CanBusCounters& counters() const noexcept { return counters_; }
+  // Empty while all is well: two stations that send the same id at once, and the like.
+  [[nodiscard]] const std::string& fault() const noexcept { return fault_; }
+
+ private:
+  struct Transmission {
+    CanStation* sender = nullptr;
+    wire::CanFrame frame;
+    SimTime begin = 0;
+    SimTime end = 0;  // of frame, or of the error frame
+    SimTime fails_at = kNever;
+    CanError error = CanError::kBit;
+  };
+  struct Disturbance {
+    SimTime from;
+    SimTime until;
+    bool dominant;
+  };
+
+  [[nodiscard]] SimTime next_start() const;
+  void begin(SimTime start);
+  void finish();
+  [[nodiscard]] bool understands(const CanStation& station, const Transmission& transmission) const;
+
+  std::vector<CanStation*> stations_;
+  std::vector<Disturbance> disturbances_;
+  std::optional<Transmission> transmission_;
+  SimTime now_ = 0;
+  SimTime free_at_ = 0;  // the intermission is over
+  SimTime recessive_since_ = 0;
+  CanBusCounters counters_;
+  std::string fault_;
+};
+
+struct TimedCanFrame {
+  SimTime t = 0;  // the end of frame
+  wire::CanFrame frame;
+};
+
+// A controller without faults, whose host is the caller.
+class CanTap final : public CanStation {
+ public:
+  CanTap(CanBus& bus, const CanRates& rates);
+
+  // Queues a frame that may begin at t.
+  void send(SimTime t, const wire::CanFrame& frame) { queue_.push_back({t, frame}); }
+  // Takes the frames that ended by t. The bus must have been advanced there.
+  [[nodiscard]] std::vector<TimedCanFrame> take(SimTime t);
+  // Unplugged, it neither hears nor acknowledges.
+  void set_connected(bool on) noexcept { connected_ = on; }
+  [[nodiscard]] std::uint64_t failures() const noexcept { return failures_; }
+  [[nodiscard]] std::size_t waiting() const noexcept { return queue_.size(); }
+
+  [[nodiscard]] std::optional<Offer> offer() const override;
+  [[nodiscard]] bool takes_part() const override { return connected_; }
+  [[nodiscard]] bool error_passive() const override { return false; }
+  [[nodiscard]] const CanRates& rates() const override { return rates_; }
+  void frame_begins(SimTime) override {}
+  void sent(SimTime) override { queue_.pop_front(); }
+  void send_failed(SimTime, CanError) override { ++failures_; }
+  void received(const wire::CanFrame& frame, SimTime end) override { received_.push_back({end, frame}); }
+  void receive_failed(SimTime) override { ++failures_; }
+
+ private:
+  CanRates rates_;
+  bool connected_ = true;
+  std::deque<TimedCanFrame> queue_;
+  std::deque<TimedCanFrame> received_;
+  std::uint64_t failures_ = 0;
+};
+
+}  // namespace groma::sim
