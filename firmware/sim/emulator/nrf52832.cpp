@@ -82,70 +82,78 @@ void Nrf52832::reset(ResetCause cause, SimTime t) {
   clock_power_.reset(cause);
   if (cause != ResetCause::kSoftware && cause != ResetCause::kLockup) watchdog_.reset();
   for (const Slot& slot : slots_) update_interrupt_pin(t, slot);
-  update_interrupts();
+  look_at_all();
 }
 
 void Nrf52832::power_cut(SimTime t) {
   nvmc_.power_cut(t);
+  look_at_all();
 }
 
 // ---- time -----------------------------------------------------------------------------------------------
 
-SimTime Nrf52832::next_of(Slot& slot) {
-  if (slot.device == nullptr) return kNever;
-  const SimTime event = slot.device->next_event();
-  if (event != slot.event) {
+// What other nodes and the host did, or a transfer or a pin to a device.
+void Nrf52832::look_outside() {
+  for (Slot& slot : slots_) {
+    if (slot.device == nullptr) continue;
+    const SimTime event = slot.device->next_event();
+    if (event == slot.event) continue;
     slot.event = event;
     slot.event_local = local(event);
   }
-  return slot.event_local;
-}
-
-SimTime Nrf52832::next_host_byte() {
   const SimTime byte = parts_.from_host.next_byte();
   if (byte != host_byte_) {
     host_byte_ = byte;
     host_byte_local_ = byte == kNever ? kNever : local(byte + kHostDelay);
   }
-  return host_byte_local_;
+  settle();
+}
+
+void Nrf52832::settle() {
+  next_ = host_byte_local_;
+  for (const Slot& slot : slots_) next_ = std::min(next_, slot.event_local);
+  for (const Block& block : blocks_) next_ = std::min(next_, block.next);
+}
+
+void Nrf52832::look_at(Block& block) {
+  block.next = block.peripheral->next_event();
+  if (block.irq < 0) return;
+  const bool level = block.peripheral->irq();
+  if (level == block.level) return;
+  block.level = level;
+  parts_.processor.set_irq(static_cast<unsigned>(block.irq), level);
+}
+
+void Nrf52832::look_at_all() {
+  for (Block& block : blocks_) look_at(block);
+  look_outside();
 }
 
 SimTime Nrf52832::next_event() {
-  SimTime next = next_host_byte();
-  for (Slot& slot : slots_) next = std::min(next, next_of(slot));
-  for (const Block& block : blocks_) next = std::min(next, block.peripheral->next_event());
-  return next;
+  look_outside();
+  return next_;
 }
 
 void Nrf52832::advance(SimTime t) {
-  for (SimTime next = next_event(); next <= t; next = next_event()) step(next);
+  look_outside();
+  while (next_ <= t) step(next_);
 }
 
 // All that is due at t, the devices first.
 void Nrf52832::step(SimTime t) {
   for (Slot& slot : slots_) {
-    if (next_of(slot) > t) continue;
+    if (slot.event_local > t) continue;
     slot.device->advance(slot.event);
     update_interrupt_pin(t, slot);
   }
-  if (next_host_byte() <= t) {
+  if (host_byte_local_ <= t) {
     received_.clear();
     parts_.from_host.take(host_byte_, received_);
     for (const TimedByte& byte : received_) uarte_.receive(t, byte.value);
   }
   for (const Block& block : blocks_)
-    if (block.peripheral->next_event() <= t) block.peripheral->advance(t);
-  update_interrupts();
-}
-
-void Nrf52832::update_interrupts() {
-  for (Block& block : blocks_) {
-    if (block.irq < 0) continue;
-    const bool level = block.peripheral->irq();
-    if (level == block.level) continue;
-    block.level = level;
-    parts_.processor.set_irq(static_cast<unsigned>(block.irq), level);
-  }
+    if (block.next <= t) block.peripheral->advance(t);
+  look_at_all();
 }
 
 void Nrf52832::update_interrupt_pin(SimTime t, const Slot& slot) {
@@ -218,7 +226,7 @@ bool Nrf52832::read(std::uint32_t address, unsigned bytes, std::uint32_t& value)
   if (bytes != 4) fail("peripheral registers are read as words", address);
   Block* block = find(address);
   if (block != nullptr) {
-    advance(t);
+    if (next_ <= t) advance(t);
     try {
       content = block->peripheral->read(t, address - block->base);
     } catch (const SimulationError& error) {
@@ -240,7 +248,7 @@ bool Nrf52832::write(std::uint32_t address, unsigned bytes, std::uint32_t value)
   Block* block = find(address);
   bool known = false;
   if (block != nullptr) {
-    advance(t);
+    if (next_ <= t) advance(t);
     try {
       known = block->peripheral->write(t, address - block->base, value);
     } catch (const SimulationError& error) {
@@ -248,15 +256,22 @@ bool Nrf52832::write(std::uint32_t address, unsigned bytes, std::uint32_t value)
     }
   }
   if (!known) fail("write of " + hexadecimal(value) + " where no register is modelled", address);
-  update_interrupts();
-  parts_.processor.limit(next_event());
+  if (block->peripheral == &gpio_) {
+    look_at_all();
+  } else {
+    look_at(*block);
+    settle();
+  }
+  parts_.processor.limit(next_);
   return true;
 }
 
 bool Nrf52832::flash_write(std::uint32_t address, unsigned bytes, std::uint32_t value) {
   const SimTime t = parts_.processor.now();
   advance(t);
-  return nvmc_.store(t, address, bytes, value);
+  if (!nvmc_.store(t, address, bytes, value)) return false;
+  look_at_all();
+  return true;
 }
 
 }  // namespace groma::sim

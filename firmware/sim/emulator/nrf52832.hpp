@@ -115,6 +115,7 @@ class Nrf52832 final : public Bus {
     std::uint32_t base;
     int irq;  // -1: none
     bool level = false;
+    SimTime next = kNever;  // the peripheral's next_event()
   };
   // A chip on an SPI bus with its select and interrupt pins.
   struct Slot {
@@ -133,10 +134,11 @@ class Nrf52832 final : public Bus {
   [[nodiscard]] SimTime local(SimTime world) const noexcept {
     return world == kNever ? kNever : parts_.clock.local_units(world);
   }
-  [[nodiscard]] SimTime next_of(Slot& slot);
-  [[nodiscard]] SimTime next_host_byte();
+  void look_outside();
+  void look_at(Block& block);
+  void look_at_all();
+  void settle();
   void step(SimTime t);
-  void update_interrupts();
   void update_interrupt_pin(SimTime t, const Slot& slot);
   bool exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
                 std::uint32_t hz);
@@ -156,6 +158,9 @@ class Nrf52832 final : public Bus {
   Watchdog watchdog_;
   std::array<Block, 9> blocks_;
 
+  // The least of the blocks', the slots' and the host's next instants, as last looked at. Between two calls
+  // from outside only accesses and steps change them.
+  SimTime next_ = kNever;
   SimTime host_byte_ = kNever;
   SimTime host_byte_local_ = kNever;
   std::vector<TimedByte> received_;
