@@ -15,6 +15,7 @@ void add_calibrate(CLI::App& app, Action& action);
 void add_configure(CLI::App& app, Action& action);
 void add_demo(CLI::App& app, Action& action);
 void add_evaluate(CLI::App& app, Action& action);
+void add_flash(CLI::App& app, Action& action);
 void add_identify(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
 void add_sim(CLI::App& app, Action& action);

@@ -32,6 +32,7 @@ int run(int argc, char** argv) {
   add_configure(app, action);
   add_demo(app, action);
   add_evaluate(app, action);
+  add_flash(app, action);
   add_identify(app, action);
   add_replay(app, action);
   add_sim(app, action);

@@ -33,6 +33,8 @@ const char* word(NodeFault fault) {
       return "no-answer";
     case NodeFault::kOtherProtocol:
       return "other-protocol";
+    case NodeFault::kOtherBuild:
+      return "other-build";
     case NodeFault::kWrongNode:
       return "wrong-node";
     case NodeFault::kRefused:
@@ -76,6 +78,7 @@ int exit_code_of(NodeFault fault) {
     case NodeFault::kPermission:
       return kNoPermission;
     case NodeFault::kNotInPlan:
+    case NodeFault::kOtherBuild:
     case NodeFault::kWrongNode:
     case NodeFault::kRefused:
       return kBadConfiguration;

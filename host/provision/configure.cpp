@@ -78,6 +78,7 @@ class Configuring {
   void run() {
     reach();
     check_release();
+    check_build();
     check_identity();
     tell("reads");
     const groma_Reply stored =
@@ -127,6 +128,17 @@ class Configuring {
         fmt::format("its firmware {} speaks protocol {}, this program {}; flash the image of this release "
                     "('groma flash')",
                     outcome_.hello->version, spoken, node::kProtocolVersion)};
+  }
+
+  void check_build() const {
+    if (!options_.build) return;
+    const groma_Hello& hello = *outcome_.hello;
+    if (options_.build->version == hello.version && options_.build->git_hash == hello.git_hash) return;
+    throw Failure{
+        NodeFault::kOtherBuild,
+        fmt::format("runs {} ({:08x}), not {} ({:08x}) that was flashed; check that this port and the debug "
+                    "probe are those of one node",
+                    hello.version, hello.git_hash, options_.build->version, options_.build->git_hash)};
   }
 
   void check_identity() const {

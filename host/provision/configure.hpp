@@ -22,6 +22,7 @@ enum class NodeFault {
   kUnsuitable,     // no link, or not at that bit rate
   kNoAnswer,       // also one that was unplugged meanwhile
   kOtherProtocol,  // firmware of another release
+  kOtherBuild,     // not the one that was expected
   kWrongNode,      // it is configured as another node
   kRefused,        // by the node, with its text
   kStorage,        // the node could not store, or reads back something else
@@ -40,9 +41,16 @@ struct NodeOutcome {
 
 using LinkOpener = std::function<link::OpenedLink(const std::string& path, unsigned baud)>;
 
+// As an image and a hello tell it.
+struct Build {
+  std::string version;
+  std::uint32_t git_hash = 0;
+};
+
 struct ConfigureOptions {
   LinkOpener open = link::open_link;
-  bool reassign = false;  // also a node that is configured as another
+  std::optional<Build> build;  // that the node has to run, if given
+  bool reassign = false;       // also a node that is configured as another
   // Told before each step: "asks", "reads", "writes", "applies". May be empty.
   std::function<void(const char* step)> progress;
 };
