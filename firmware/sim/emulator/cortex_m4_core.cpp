@@ -27,6 +27,7 @@ constexpr std::uint32_t kThumb = 1U << 24;
 
 // Numbers that Unicorn gives its interrupt callback.
 constexpr int kSupervisorCall = 2;
+constexpr int kPrefetchAbort = 3;  // by the default memory map
 constexpr int kBreakpoint = 7;
 constexpr int kExceptionReturn = 8;
 constexpr int kNoCoprocessor = 17;
@@ -101,7 +102,7 @@ void CortexM4::Core::run(SimTime until) {
       now_ = std::min(until_, stalled_until_);
       continue;
     }
-    if (sys_tick_.advance(now_)) pend(exception::kSysTick);
+    count_ticks();
     if (look_again_ && take_pending()) continue;
     if (sleep_ != Sleep::kAwake) {
       if (!wakes()) {
@@ -115,6 +116,10 @@ void CortexM4::Core::run(SimTime until) {
     }
     execute();
   }
+}
+
+void CortexM4::Core::count_ticks() {
+  if (sys_tick_.advance(now_)) pend(exception::kSysTick);
 }
 
 void CortexM4::Core::limit(SimTime t) {
@@ -318,6 +323,7 @@ std::uint64_t CortexM4::Core::on_private_read(uc_engine*, std::uint64_t offset, 
   std::uint32_t value = 0;
   self.guarded({address, false}, [&] {
     if (self.engine_.unprivileged()) return false;
+    self.count_ticks();
     const std::uint32_t at = address - kSystemControl;
     if (at >= kSystemControlBytes || !self.control_.read(at, bytes, self.now_, value)) {
       throw SimulationError(fmt::format("a read of {} bytes at {:#010x}, which is not modelled (PC {:#010x})",
@@ -334,6 +340,7 @@ void CortexM4::Core::on_private_write(uc_engine*, std::uint64_t offset, unsigned
   const auto address = static_cast<std::uint32_t>(kPrivate + offset);
   self.guarded({address, true}, [&] {
     if (self.engine_.unprivileged()) return false;
+    self.count_ticks();
     const std::uint32_t at = address - kSystemControl;
     if (at >= kSystemControlBytes ||
         !self.control_.write(at, bytes, self.now_, static_cast<std::uint32_t>(value))) {
@@ -511,6 +518,9 @@ void CortexM4::Core::after_event(uc_err result) {
   switch (interrupt_) {
     case kSupervisorCall:
       fault(exception::kSvCall, 0, pc);
+      return;
+    case kPrefetchAbort:
+      fault(exception::kMemManage, fault_status::kInstructionAccess, pc);
       return;
     case kBreakpoint:
       breakpoint();

@@ -112,6 +112,7 @@ class CortexM4::Core {
   void watch_instructions_of(const CodeBlock& block);
   void stop_before(const CodeBlock& block);
   void look_again();
+  void count_ticks();
   void trace_point(std::uint64_t what);
 
   // The way an access goes, and what becomes of a wrong one.
