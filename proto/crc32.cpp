@@ -19,13 +19,9 @@ constexpr std::array<std::uint32_t, 256> make_crc_table() {
   return table;
 }
 
-constexpr std::array<std::uint32_t, 256> kCrcTable = make_crc_table();
-
 }  // namespace
 
-void Crc32::add(std::uint8_t byte) noexcept {
-  state_ = (state_ >> 8) ^ kCrcTable[(state_ ^ byte) & 0xFFU];
-}
+constinit const std::array<std::uint32_t, 256> kCrc32Table = make_crc_table();
 
 std::uint32_t crc32(std::span<const std::uint8_t> bytes) noexcept {
   Crc32 crc;

@@ -2,14 +2,18 @@
 // check value for "123456789" is 0xCBF43926): of frames on the wire and of records in flash.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 
 namespace groma::wire {
 
+// What a byte does to the CRC.
+extern const std::array<std::uint32_t, 256> kCrc32Table;
+
 class Crc32 {
  public:
-  void add(std::uint8_t byte) noexcept;
+  void add(std::uint8_t byte) noexcept { state_ = state_ >> 8 ^ kCrc32Table[(state_ ^ byte) & 0xFFU]; }
   // Its bytes from the lowest to the highest.
   void add_word(std::uint32_t word) noexcept {
     for (unsigned shift = 0; shift < 32; shift += 8) add(static_cast<std::uint8_t>(word >> shift));

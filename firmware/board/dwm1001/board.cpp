@@ -75,9 +75,7 @@ bool Board::radio_interrupt() const noexcept {
 void Board::sleep_until(std::uint64_t t_us) noexcept {
   const InterruptLock lock;
   const std::uint64_t wake_us = std::min({t_us, leds_.next_change_us(), uart_.next_poll_us()});
-  clock::wake_at(wake_us);
-  if (radio_interrupt() || now_us() >= wake_us) return;
-  sleep();
+  if (!radio_interrupt() && clock::wake_at(wake_us)) sleep();
 }
 
 }  // namespace groma::dwm1001

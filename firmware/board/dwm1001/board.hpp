@@ -40,7 +40,7 @@ class Board {
   [[nodiscard]] bool radio_interrupt() const noexcept;
   Uarte& uart() noexcept { return uart_; }
   RadioBus& radio() noexcept { return radio_; }
-  void update_leds() noexcept { leds_.update(now_us()); }
+  void update_leds(std::uint64_t now_us) noexcept { leds_.update(now_us); }
   // Sleeps until `t_us` or until there is something to do.
   void sleep_until(std::uint64_t t_us) noexcept;
 

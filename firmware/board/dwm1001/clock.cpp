@@ -20,6 +20,10 @@ constexpr std::uint64_t kLongestSleep_us = std::uint64_t{1} << 31;
 std::uint32_t last_count_us = 0;
 std::uint32_t wraps = 0;
 
+constexpr std::uint64_t kNothing = 0;
+// What the compare register waits for; kNothing after its interrupt.
+std::uint64_t awaited_us = kNothing;  // changed under an InterruptLock or by the interrupt
+
 }  // namespace
 
 void start() noexcept {
@@ -48,27 +52,34 @@ std::uint64_t now_us() noexcept {
   return std::uint64_t{wraps} << 32 | count_us;
 }
 
-void wake_at(std::uint64_t t_us) noexcept {
+bool wake_at(std::uint64_t t_us) noexcept {
+  if (t_us == awaited_us) return true;
   const std::uint64_t latest_us = now_us() + kLongestSleep_us;
   timer::kBlock0[timer::kCompare + 4 * kDeadlineChannel] =
       static_cast<std::uint32_t>(std::min(t_us, latest_us));
+  awaited_us = t_us;
+  // The count may have passed it before it was set.
+  if (now_us() < t_us) return true;
+  awaited_us = kNothing;
+  return false;
+}
+
+void on_interrupt() noexcept {
+  nrf52832::clear_event(timer::kBlock0[timer::kEventCompare + 4 * kDeadlineChannel]);
+  awaited_us = kNothing;
 }
 
 void delay_us(std::uint32_t duration_us) noexcept {
   // One more for the part of a microsecond that has passed already.
   const std::uint64_t end_us = now_us() + duration_us + 1;
-  for (;;) {
+  while (now_us() < end_us) {
     const InterruptLock lock;
-    wake_at(end_us);
-    if (now_us() >= end_us) return;
-    sleep();
+    if (wake_at(end_us)) sleep();
   }
 }
 
 }  // namespace groma::dwm1001::clock
 
-// Only wakes the processor.
 extern "C" void timer0_entry() {
-  namespace timer = groma::nrf52832::timer;
-  groma::nrf52832::clear_event(timer::kBlock0[timer::kEventCompare]);
+  groma::dwm1001::clock::on_interrupt();
 }

@@ -43,13 +43,14 @@ int main() {
   node.start();
   for (;;) {
     if (board.radio_interrupt()) node.on_radio_interrupt();
-    if (board.now_us() >= node.next_deadline_us()) node.on_timer();
-    if (const auto bytes = board.uart().received(board.now_us()); !bytes.empty()) {
+    const std::uint64_t now_us = board.now_us();
+    if (now_us >= node.next_deadline_us()) node.on_timer();
+    if (const auto bytes = board.uart().received(now_us); !bytes.empty()) {
       node.on_link_bytes(bytes);
       board.uart().release(bytes.size());
       continue;
     }
-    board.update_leds();
+    board.update_leds(now_us);
     board.sleep_until(node.next_deadline_us());
   }
 }

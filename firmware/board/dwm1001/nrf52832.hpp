@@ -114,7 +114,6 @@ inline constexpr std::uint32_t kBase2 = 0x4002'3000;
 inline constexpr std::uint32_t kStart = 0x010;
 inline constexpr std::uint32_t kEventEnd = 0x118;
 inline constexpr std::uint32_t kInterruptSet = 0x304;
-inline constexpr std::uint32_t kInterruptClear = 0x308;
 inline constexpr std::uint32_t kInterruptEnd = 1U << 6;
 inline constexpr std::uint32_t kEnable = 0x500;
 inline constexpr std::uint32_t kEnabled = 7;

@@ -23,6 +23,8 @@ void Spim::start(SpiFrequency frequency) noexcept {
   registers_[spim::kOverReadByte] = 0;
   set_frequency(frequency);
   registers_[spim::kEnable] = spim::kEnabled;
+  registers_[spim::kEventEnd] = 0;
+  registers_[spim::kInterruptSet] = spim::kInterruptEnd;
   enable_interrupt(wiring_.irq, Priority::kPeripheral);
 }
 
@@ -35,29 +37,29 @@ void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> i
   registers_[spim::kTransmitCount] = out.size();
   registers_[spim::kReceivePointer] = reinterpret_cast<std::uintptr_t>(in.data());
   registers_[spim::kReceiveCount] = in.size();
-  registers_[spim::kEventEnd] = 0;
-  registers_[spim::kInterruptSet] = spim::kInterruptEnd;
+  over_ = false;
   pin::clear(wiring_.select_pin);
   asm volatile("" ::: "memory");
   registers_[spim::kStart] = 1;
   for (bool over = false; !over;) {
     const InterruptLock lock;
-    if (registers_[spim::kEventEnd] == 0) sleep();
-    over = registers_[spim::kEventEnd] != 0;
-    // Its interrupt has done its work: to take it would only cost time.
-    if (over) {
-      registers_[spim::kInterruptClear] = spim::kInterruptEnd;
+    // Its interrupt may have come while another was served.
+    if (!over_) sleep();
+    if (registers_[spim::kEventEnd] != 0) {
+      // To take the interrupt now would only cost time.
+      nrf52832::clear_event(registers_[spim::kEventEnd]);
       clear_pending_interrupt(wiring_.irq);
+      over_ = true;
     }
+    over = over_;
   }
   asm volatile("" ::: "memory");
   pin::set(wiring_.select_pin);
 }
 
-// Only wakes the processor: the event stays for transfer() to see.
 void Spim::on_interrupt() noexcept {
-  registers_[spim::kInterruptClear] = spim::kInterruptEnd;
-  nrf52832::settle(registers_[spim::kEventEnd]);
+  nrf52832::clear_event(registers_[spim::kEventEnd]);
+  over_ = true;
 }
 
 }  // namespace groma::dwm1001

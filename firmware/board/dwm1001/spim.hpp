@@ -1,6 +1,7 @@
 // One SPI master with EasyDMA: mode 0, most significant bit first, chip select by GPIO.
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -41,6 +42,7 @@ class Spim {
  private:
   Wiring wiring_;
   nrf52832::Block registers_;
+  std::atomic<bool> over_ = false;
 };
 
 }  // namespace groma::dwm1001
