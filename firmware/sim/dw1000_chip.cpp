@@ -434,9 +434,9 @@ void Dw1000Chip::command(std::uint32_t bits) {
 void Dw1000Chip::transceiver_off() {
   if (transmission_.frame != nullptr) {
     if (transmission_.stage > 0) {
-      transmission_.frame->cut_at = now_;
+      medium_.cut(transmission_.frame, now_);
     } else if (transmission_.announced) {
-      medium_.retract(*transmission_.frame);
+      medium_.retract(transmission_.frame);
     }
     transmission_ = {};
   }

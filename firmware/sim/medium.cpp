@@ -27,24 +27,64 @@ Medium::Medium(const PropagationModel& propagation, const MediumSettings& settin
     : propagation_(propagation), settings_(settings), random_(seed) {}
 
 std::size_t Medium::attach(Dw1000Chip& chip, std::uint16_t id) {
-  stations_.push_back({&chip, id});
+  stations_.push_back({&chip, id, {}});
   return stations_.size() - 1;
 }
 
 void Medium::announce(const std::shared_ptr<const AirFrame>& frame) {
-  for (std::size_t i = 0; i < stations_.size(); ++i)
-    if (i != frame->source) stations_[i].chip->incoming(frame);
+  tell(frame->source, {News::Kind::kAnnounced, frame, nullptr, 0});
 }
 
-void Medium::retract(const AirFrame& frame) {
-  for (std::size_t i = 0; i < stations_.size(); ++i)
-    if (i != frame.source) stations_[i].chip->withdraw(frame);
+void Medium::retract(const std::shared_ptr<const AirFrame>& frame) {
+  tell(frame->source, {News::Kind::kRetracted, frame, nullptr, 0});
+}
+
+void Medium::cut(const std::shared_ptr<AirFrame>& frame, SimTime at) {
+  tell(frame->source, {News::Kind::kCut, nullptr, frame, at});
+}
+
+void Medium::tell(std::size_t source, const News& news) {
+  if (holding_) {
+    stations_[source].held.push_back(news);
+  } else {
+    spread(source, news);
+  }
+}
+
+void Medium::spread(std::size_t source, const News& news) {
+  if (news.kind == News::Kind::kCut) {
+    news.cut_frame->cut_at = news.at;
+    return;
+  }
+  for (std::size_t i = 0; i < stations_.size(); ++i) {
+    if (i == source) continue;
+    if (news.kind == News::Kind::kAnnounced) {
+      stations_[i].chip->incoming(news.frame);
+    } else {
+      stations_[i].chip->withdraw(*news.frame);
+    }
+  }
+}
+
+void Medium::hold() {
+  holding_ = true;
+}
+
+void Medium::release() {
+  holding_ = false;
+  for (std::size_t source = 0; source < stations_.size(); ++source) {
+    for (const News& news : stations_[source].held) spread(source, news);
+    stations_[source].held.clear();
+  }
 }
 
 Reception Medium::reception(const AirFrame& frame, std::size_t receiver) const {
   const std::uint16_t from = stations_[frame.source].id;
   const std::uint16_t to = stations_[receiver].id;
-  const Propagation path = propagation_.between(from, to, to_seconds(frame.rmarker));
+  const Propagation path = [&] {
+    const std::lock_guard lock(propagation_mutex_);
+    return propagation_.between(from, to, to_seconds(frame.rmarker));
+  }();
   Reception reception;
   reception.audible = path.audible;
   if (!path.audible) return reception;

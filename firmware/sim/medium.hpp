@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <vector>
 
 #include "firmware/sim/keyed_random.hpp"
@@ -80,7 +81,13 @@ class Medium {
   // until it starts.
   void announce(const std::shared_ptr<const AirFrame>& frame);
   // Takes back a frame that has not started.
-  void retract(const AirFrame& frame);
+  void retract(const std::shared_ptr<const AirFrame>& frame);
+  // The transmitter is switched off amid its frame.
+  void cut(const std::shared_ptr<AirFrame>& frame, SimTime at);
+
+  // Between the two no chip learns of what another one does: each may then be driven by a thread of its own.
+  void hold();
+  void release();
 
   // How the frame reaches that chip; the same whenever it is asked.
   [[nodiscard]] Reception reception(const AirFrame& frame, std::size_t receiver) const;
@@ -89,15 +96,28 @@ class Medium {
   void set_settings(const MediumSettings& settings) noexcept { settings_ = settings; }
 
  private:
+  // What a chip did while news were held.
+  struct News {
+    enum class Kind : std::uint8_t { kAnnounced, kRetracted, kCut };
+    Kind kind;
+    std::shared_ptr<const AirFrame> frame;
+    std::shared_ptr<AirFrame> cut_frame;
+    SimTime at;
+  };
   struct Station {
     Dw1000Chip* chip;
     std::uint16_t id;
+    std::vector<News> held;
   };
+  void tell(std::size_t source, const News& news);
+  void spread(std::size_t source, const News& news);
 
   const PropagationModel& propagation_;
   MediumSettings settings_;
   KeyedRandom random_;
   std::vector<Station> stations_;
+  bool holding_ = false;
+  mutable std::mutex propagation_mutex_;  // the model answers one thread at a time
 };
 
 }  // namespace groma::sim

@@ -17,28 +17,81 @@ std::size_t Network::add(std::unique_ptr<NodeHost> host) {
   return nodes_.size() - 1;
 }
 
+void Network::set_threads(unsigned threads) {
+  workers_ = threads > 1 ? std::make_unique<WorkerPool>(threads) : nullptr;
+}
+
 void Network::run_until(SimTime t) {
+  if (workers_ != nullptr) {
+    run_in_windows(t);
+  } else {
+    run_in_order(t);
+  }
+  if (t > now_) now_ = t;
+}
+
+SimTime Network::next_of(std::size_t node) const noexcept {
+  return std::min(due_[node].work, due_[node].chip->next_event());
+}
+
+void Network::run_node(std::size_t node, SimTime now) {
+  const auto fail = [&](const std::string& cause) {
+    throw SimulationError("node " + std::to_string(nodes_[node]->chip().id()) + " at " +
+                          std::to_string(to_seconds(now)) + " s: " + cause);
+  };
+  try {
+    nodes_[node]->run(now);
+  } catch (const SimulationError& error) {
+    fail(error.what());
+  }
+  due_[node].work = nodes_[node]->next_work();
+  if (const std::string& fault = nodes_[node]->chip().fault(); !fault.empty()) fail(fault);
+}
+
+void Network::run_in_order(SimTime t) {
   for (;;) {
     SimTime next = kNever;
     std::size_t who = 0;
     for (std::size_t i = 0; i < due_.size(); ++i) {
-      const SimTime event = std::min(due_[i].work, due_[i].chip->next_event());
+      const SimTime event = next_of(i);
       if (event < next) {
         next = event;
         who = i;
       }
     }
-    if (next > t) break;
+    if (next > t) return;
     // A node that has fallen due since it last ran (a frame announced to it late) runs now.
     if (next > now_) now_ = next;
-    nodes_[who]->run(now_);
-    due_[who].work = nodes_[who]->next_work();
-    const std::string& fault = nodes_[who]->chip().fault();
-    if (!fault.empty())
-      throw SimulationError("node " + std::to_string(nodes_[who]->chip().id()) + " at " +
-                            std::to_string(to_seconds(now_)) + " s: " + fault);
+    run_node(who, now_);
   }
-  if (t > now_) now_ = t;
+}
+
+void Network::run_in_windows(SimTime t) {
+  for (;;) {
+    SimTime next = kNever;
+    for (std::size_t i = 0; i < due_.size(); ++i) next = std::min(next, next_of(i));
+    if (next > t) return;
+    now_ = std::max(now_, next);
+    const SimTime end = std::min(t, now_ + kWindow);
+    at_work_.clear();
+    for (std::size_t i = 0; i < due_.size(); ++i)
+      if (next_of(i) <= end) at_work_.push_back(i);
+    failures_.assign(at_work_.size(), nullptr);
+
+    medium_.hold();
+    workers_->run(static_cast<std::uint16_t>(at_work_.size()), [&](std::uint16_t piece) {
+      const std::size_t node = at_work_[piece];
+      try {
+        for (SimTime event = next_of(node); event <= end; event = next_of(node))
+          run_node(node, std::max(now_, event));
+      } catch (...) {
+        failures_[piece] = std::current_exception();
+      }
+    });
+    medium_.release();
+    for (const std::exception_ptr& failure : failures_)
+      if (failure != nullptr) std::rethrow_exception(failure);
+  }
 }
 
 bool Network::send(std::size_t node, std::span<const std::uint8_t> bytes) {

@@ -13,6 +13,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <exception>
 #include <memory>
 #include <optional>
 #include <span>
@@ -25,6 +26,7 @@
 #include "firmware/sim/simulation_error.hpp"
 #include "firmware/sim/time.hpp"
 #include "firmware/sim/uart.hpp"
+#include "firmware/sim/worker_pool.hpp"
 
 namespace groma::sim {
 
@@ -78,6 +80,12 @@ class Network {
   // For hosts that are built on medium(); the host's chip must be attached to it.
   std::size_t add(std::unique_ptr<NodeHost> host);
 
+  // From here on nodes that work at the same time are run by that many threads. They do the same whatever the
+  // number, as long as no node acts upon another sooner than kWindow and its run's reach after it decides to:
+  // the chips count where it was not so (late_announcements()). Nodes on one CAN bus need one thread.
+  void set_threads(unsigned threads);
+  static constexpr SimTime kWindow = 10 * kUnitsPerMicrosecond;
+
   // Throws SimulationError that names node and cause.
   void run_until(SimTime t);
   [[nodiscard]] SimTime now() const noexcept { return now_; }
@@ -99,9 +107,17 @@ class Network {
     SimTime work;  // the host's next_work()
   };
 
+  [[nodiscard]] SimTime next_of(std::size_t node) const noexcept;
+  void run_node(std::size_t node, SimTime now);
+  void run_in_order(SimTime t);
+  void run_in_windows(SimTime t);
+
   Medium medium_;
   std::vector<std::unique_ptr<NodeHost>> nodes_;
-  std::vector<Due> due_;  // the same order
+  std::vector<Due> due_;                 // the same order
+  std::unique_ptr<WorkerPool> workers_;  // without: one node after the other
+  std::vector<std::size_t> at_work_;
+  std::vector<std::exception_ptr> failures_;
   SimTime now_ = 0;
 };
 

@@ -386,6 +386,26 @@ TEST(Faults, AFullLineDropsWholeReportsAndSaysSo) {
 
 // ---- determinism ----------------------------------------------------------------------------------
 
+TEST(Determinism, TheNumberOfThreadsChangesNothing) {
+  const auto trace = [&](unsigned threads) {
+    SiteBench site({.tags = 3, .anchors = 12, .medium = {.loss_probability = 0.02}});
+    site.network.set_threads(threads);
+    site.run_until(1.0);
+    // A power cut amid frames, perhaps.
+    site.network.set_power(4, false);
+    site.run_until(1.3);
+    site.network.set_power(4, true);
+    site.run_until(2.0);
+    EXPECT_GT(site.good_ranges(), 500);
+    for (std::size_t i = 0; i < site.network.size(); ++i)
+      EXPECT_EQ(site.network.node(i).chip().late_announcements(), 0U) << i;
+    return site.line_traces();
+  };
+  const auto reference = trace(1);
+  EXPECT_EQ(trace(2), reference);
+  EXPECT_EQ(trace(3), reference);
+}
+
 TEST(Determinism, OneSeedGivesOneTraceWhateverTheSteps) {
   SiteSettings settings{.tags = 2, .anchors = 5, .medium = {.loss_probability = 0.02}};
   const auto trace = [&](double step_s) {

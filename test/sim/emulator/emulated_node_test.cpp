@@ -195,12 +195,13 @@ TEST_F(ShippedImage, AgreesWithTheNativeNodes) {
               0.05 * static_cast<double>(expected.size()));
 }
 
-TEST_F(ShippedImage, SaysTheSameBytesForTheSameSeedAndAnyQuantum) {
+TEST_F(ShippedImage, SaysTheSameBytesForTheSameSeedWithAnyQuantumAndThreads) {
   const SiteSettings settings{.tags = 1, .anchors = 3, .medium = kNoise};
-  const auto traces = [&](SimTime quantum_us, std::uint64_t seed) {
+  const auto traces = [&](SimTime quantum_us, std::uint64_t seed, unsigned threads = 1) {
     SiteSettings seeded = settings;
     seeded.seed = seed;
     SiteBench site(emulating(seeded, {.quantum = quantum_us * kUnitsPerMicrosecond}));
+    site.network.set_threads(threads);
     site.run_until(1.0);
     groma_HostToNode command = groma_HostToNode_init_zero;
     command.request_id = 3;
@@ -214,6 +215,7 @@ TEST_F(ShippedImage, SaysTheSameBytesForTheSameSeedAndAnyQuantum) {
   const auto reference = traces(40, 1);
   EXPECT_EQ(traces(40, 1), reference);
   for (const SimTime quantum_us : {1, 13, 50}) EXPECT_EQ(traces(quantum_us, 1), reference) << quantum_us;
+  EXPECT_EQ(traces(40, 1, 2), reference);
   EXPECT_NE(traces(40, 2), reference);
 }
 

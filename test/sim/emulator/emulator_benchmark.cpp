@@ -14,6 +14,7 @@ void BM_three_tags_twelve_anchors(benchmark::State& state) {
     return;
   }
   SiteBench site(emulating({.tags = 3, .anchors = 12, .medium = {.loss_probability = 0.02}}));
+  site.network.set_threads(static_cast<unsigned>(state.range(0)));
   double t_s = 1.0;
   site.run_until(t_s);
   for (auto _ : state) {
@@ -42,7 +43,12 @@ void BM_three_tags_twelve_anchors(benchmark::State& state) {
   state.counters["transfers_per_s"] = transfers / node_seconds;
   state.counters["interrupts_per_s"] = interrupts / node_seconds;
 }
-BENCHMARK(BM_three_tags_twelve_anchors)->Unit(benchmark::kMillisecond);
+BENCHMARK(BM_three_tags_twelve_anchors)
+    ->ArgName("threads")
+    ->Arg(1)
+    ->Arg(2)
+    ->Unit(benchmark::kMillisecond)
+    ->UseRealTime();
 
 }  // namespace
 }  // namespace groma::sim

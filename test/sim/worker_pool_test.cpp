@@ -1,0 +1,44 @@
+#include "firmware/sim/worker_pool.hpp"
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <thread>
+#include <vector>
+
+namespace groma::sim {
+namespace {
+
+TEST(WorkerPool, DoesEachPieceOnceInEachRound) {
+  for (const unsigned threads : {1U, 2U, 5U}) {
+    WorkerPool pool(threads);
+    std::vector<int> done(64, 0);
+    int expected = 0;
+    for (std::uint16_t round = 0; round < 2'000; ++round) {
+      const auto count = static_cast<std::uint16_t>(round % 65);
+      // Each piece is its own element, and the next round sees what this one wrote.
+      pool.run(count, [&](std::uint16_t piece) { ++done[piece]; });
+      expected += count;
+    }
+    int sum = 0;
+    for (const int times : done) sum += times;
+    EXPECT_EQ(sum, expected) << threads;
+  }
+}
+
+TEST(WorkerPool, WakesThreadsThatHaveFallenAsleep) {
+  WorkerPool pool(2);
+  std::vector<std::thread::id> who(2);
+  // Long enough that the second piece is not left to the first one's thread.
+  for (int tries = 0; tries < 50 && who[0] == who[1]; ++tries) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    pool.run(2, [&](std::uint16_t piece) {
+      who[piece] = std::this_thread::get_id();
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    });
+  }
+  EXPECT_NE(who[0], who[1]);
+}
+
+}  // namespace
+}  // namespace groma::sim
