@@ -17,6 +17,7 @@
 #include "firmware/sim/world/paper_hall.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/demo_report.hpp"
+#include "host/cli/emulation_option.hpp"
 #include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
@@ -31,6 +32,7 @@ namespace {
 
 struct Options {
   std::uint64_t seed = 1;
+  EmulationChoice emulation;
   std::optional<std::filesystem::path> report;
   bool json = false;
 };
@@ -135,7 +137,8 @@ int run(const Options& options) {
   const sim::Scenario scenario = sim::paper_hall();
   const Progress progress;
   simulation::DemoOptions demo;
-  demo.seed = options.seed;
+  demo.site.seed = options.seed;
+  demo.site.image = chosen_image(options.emulation);
   demo.progress = [&](std::string_view phase, double done) { progress.show(phase, done); };
   simulation::DemoResult result = simulation::run_demo(scenario, demo);
   progress.clear();
@@ -159,6 +162,7 @@ void add_demo(CLI::App& app, Action& action) {
                                          "over pseudo-terminals; a first drive calibrates the anchors, a "
                                          "second is localized by every model and scored.");
   command->add_option("--seed", options->seed, "Fixes all but wall times")->capture_default_str();
+  add_emulation_options(*command, options->emulation);
   command->add_option("--report", options->report,
                       "Folder for report.html, the calibration, the estimates and both drives as data sets");
   command->add_flag("--json", options->json, "Print one JSON object");

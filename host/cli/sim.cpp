@@ -10,6 +10,7 @@
 
 #include "firmware/sim/world/scenario_file.hpp"
 #include "host/cli/command.hpp"
+#include "host/cli/emulation_option.hpp"
 #include "host/cli/exit_code.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/simulation/site_server.hpp"
@@ -21,6 +22,7 @@ namespace {
 struct Options {
   std::filesystem::path scenario;
   simulation::SiteServer::Options server;
+  EmulationChoice emulation;
 };
 
 volatile std::sig_atomic_t stop = 0;
@@ -29,8 +31,9 @@ extern "C" void on_stop_signal(int /*signal*/) {
   stop = 1;
 }
 
-int run(const Options& options) {
+int run(Options options) {
   const sim::Scenario scenario = sim::read_scenario(options.scenario);
+  options.server.site.image = chosen_image(options.emulation);
   // Before anything is made that an early end would leave behind.
   std::signal(SIGINT, on_stop_signal);
   std::signal(SIGTERM, on_stop_signal);
@@ -61,11 +64,12 @@ void add_sim(CLI::App& app, Action& action) {
                          "flashed tag's serial port "
                          "does, and a socket that gives the robot's odometry and pose priors as JSON lines.");
   command->add_option("--scenario", options->scenario, "Site, nodes, robot and radio as YAML")->required();
-  command->add_option("--seed", options->server.seed, "Fixes what happens in the simulation")
+  command->add_option("--seed", options->server.site.seed, "Fixes what happens in the simulation")
       ->capture_default_str();
   command->add_option("--speed", options->server.speed, "So many times real time")
       ->check(CLI::Range(0.01, 100.0))
       ->capture_default_str();
+  add_emulation_options(*command, options->emulation);
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
       ->required();
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -96,7 +96,7 @@ double share_without_sight(const sim::World& world, const std::vector<model::Ran
 
 DemoResult run_demo(const sim::Scenario& scenario, const DemoOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
-  LockStep site(scenario, options.seed);
+  LockStep site(scenario, options.site);
   const sim::World& world = site.site().world();
   const sim::DriveTime& first = world.drives().at(0);
   const sim::DriveTime& second = world.drives().at(1);

@@ -15,6 +15,7 @@
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
 #include "host/model/types.hpp"
+#include "host/simulation/simulated_site.hpp"
 
 namespace groma::simulation {
 
@@ -40,7 +41,7 @@ struct DemoResult {
 };
 
 struct DemoOptions {
-  std::uint64_t seed = 1;
+  SiteOptions site{};
   std::span<const filter::Model> models = filter::kModels;
   // Told now and then: what goes on, and the share of the whole that is done. May be empty.
   std::function<void(std::string_view phase, double done)> progress;

@@ -21,8 +21,8 @@ std::span<const std::uint8_t> bytes_of(const std::string& text) {
 
 }  // namespace
 
-LockStep::LockStep(const sim::Scenario& scenario, std::uint64_t seed)
-    : site_(scenario, seed), robot_(site_.world().robot()) {
+LockStep::LockStep(const sim::Scenario& scenario, const SiteOptions& options)
+    : site_(scenario, options), robot_(site_.world().robot()) {
   for (std::size_t i = 0; i < site_.tag_count(); ++i) {
     Tag tag;
     link::OpenedLink opened = link::open_link(tag.port.path(), scenario.link.bit_per_s);

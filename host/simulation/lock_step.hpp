@@ -25,7 +25,7 @@ class LockStep {
   static constexpr double kStep_s = 0.002;
 
   // Throws io::DeviceError or sim::SimulationError.
-  LockStep(const sim::Scenario& scenario, std::uint64_t seed);
+  LockStep(const sim::Scenario& scenario, const SiteOptions& options);
 
   // Throws io::DeviceError where bytes get lost in the system, and sim::SimulationError.
   void run_until(double t_s);

@@ -66,19 +66,21 @@ sim::MediumSettings medium_settings(const sim::RadioOptions& radio) {
 
 }  // namespace
 
-SimulatedSite::SimulatedSite(const sim::Scenario& scenario, std::uint64_t seed)
-    : world_(scenario, sim::KeyedRandom(seed).of(kWorld).bits()),
-      network_(world_, medium_settings(scenario.radio), sim::KeyedRandom(seed).of(kMedium).bits()) {
-  const sim::KeyedRandom nodes = sim::KeyedRandom(seed).of(kNodes);
+SimulatedSite::SimulatedSite(const sim::Scenario& scenario, const SiteOptions& options)
+    : world_(scenario, sim::KeyedRandom(options.seed).of(kWorld).bits()),
+      network_(world_, medium_settings(scenario.radio), sim::KeyedRandom(options.seed).of(kMedium).bits()) {
+  const sim::KeyedRandom nodes = sim::KeyedRandom(options.seed).of(kNodes);
   const provision::SiteSettings settings = settings_of(scenario);
+  const auto add = [&](groma_Role role, model::NodeId id) {
+    const sim::NodeSpec spec = spec_of(scenario, provision::config_of(settings, role, id), nodes.of(id));
+    if (!options.image) return network_.add_native(spec);
+    return network_.add(sim::make_emulated_node(spec, *options.image, network_.medium(), options.emulator));
+  };
   for (const model::Anchor& anchor : scenario.anchors) {
-    network_.add_native(spec_of(scenario, provision::config_of(settings, groma_Role_ROLE_ANCHOR, anchor.id),
-                                nodes.of(anchor.id)));
+    add(groma_Role_ROLE_ANCHOR, anchor.id);
   }
   for (const model::Tag& tag : scenario.tags) {
-    const std::size_t node = network_.add_native(
-        spec_of(scenario, provision::config_of(settings, groma_Role_ROLE_TAG, tag.id), nodes.of(tag.id)));
-    tags_.push_back({tag.id, node});
+    tags_.push_back({tag.id, add(groma_Role_ROLE_TAG, tag.id)});
   }
 }
 

@@ -4,10 +4,13 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "firmware/sim/emulator/emulated_node.hpp"
+#include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/network.hpp"
 #include "firmware/sim/world/scenario.hpp"
 #include "firmware/sim/world/world.hpp"
@@ -15,12 +18,18 @@
 
 namespace groma::simulation {
 
+struct SiteOptions {
+  std::uint64_t seed = 1;  // crystals, counters and power-on times are drawn from it
+  // What each node runs, instruction by instruction; none: the firmware compiled in.
+  std::shared_ptr<const sim::FirmwareImage> image{};
+  sim::EmulatorOptions emulator{};
+};
+
 // Throws sim::SimulationError where the firmware would refuse the scenario's schedule, or where a node does
 // what its hardware would not bear.
 class SimulatedSite {
  public:
-  // Crystals, counters and power-on times are drawn from the seed.
-  SimulatedSite(const sim::Scenario& scenario, std::uint64_t seed);
+  SimulatedSite(const sim::Scenario& scenario, const SiteOptions& options);
 
   // To t_s, the world's time. Returns early never.
   void run_until(double t_s);

@@ -94,7 +94,7 @@ void LineServer::give(const std::string& lines) {
 }
 
 SiteServer::SiteServer(const sim::Scenario& scenario, const Options& options)
-    : site_(scenario, options.seed),
+    : site_(scenario, options.site),
       feed_(site_.world().robot()),
       speed_(options.speed),
       folder_(options.folder),

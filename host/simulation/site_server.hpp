@@ -40,7 +40,7 @@ class LineServer {
 class SiteServer {
  public:
   struct Options {
-    std::uint64_t seed = 1;
+    SiteOptions site{};
     double speed = 1.0;  // simulated seconds a second
     std::filesystem::path folder;
   };

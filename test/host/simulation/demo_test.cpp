@@ -12,7 +12,7 @@ namespace {
 TEST(Demo, ASeedGivesOneResult) {
   const sim::Scenario site = small_site();
   DemoOptions options;
-  options.seed = 7;
+  options.site.seed = 7;
   double done = 0.0;
   options.progress = [&](std::string_view /*phase*/, double share) {
     EXPECT_GE(share, done);
@@ -38,7 +38,7 @@ TEST(Demo, ASeedGivesOneResult) {
   ASSERT_EQ(once.calibration.calibration.anchors.size(), again.calibration.calibration.anchors.size());
   EXPECT_EQ(once.calibration.calibration.input_sha256, again.calibration.calibration.input_sha256);
 
-  options.seed = 8;
+  options.site.seed = 8;
   EXPECT_NE(run_demo(site, options).anchor_errors_m, once.anchor_errors_m);
 }
 

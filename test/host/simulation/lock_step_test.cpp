@@ -24,7 +24,7 @@ class Keeper : public daemon::MeasurementSink {
 };
 
 std::vector<model::RangeSample> ranges_of(const sim::Scenario& site, std::uint64_t seed, double step_s) {
-  LockStep run(site, seed);
+  LockStep run(site, {.seed = seed});
   Keeper keeper;
   run.session().attach(keeper);
   for (double t_s = step_s; t_s < 3.0; t_s += step_s) run.run_until(t_s);
@@ -35,7 +35,7 @@ std::vector<model::RangeSample> ranges_of(const sim::Scenario& site, std::uint64
 
 TEST(LockStep, RangesThatArriveAreThoseOfTheWorld) {
   sim::Scenario site = small_site();
-  LockStep run(site, 5);
+  LockStep run(site, {.seed = 5});
   Keeper keeper;
   run.session().attach(keeper);
   run.run_until(6.0);
@@ -79,13 +79,13 @@ TEST(LockStep, ASeedGivesOneResult) {
 TEST(LockStep, AScheduleThatTheFirmwareRefusesIsAnError) {
   sim::Scenario site = small_site();
   site.schedule.master_id = 99;
-  EXPECT_THROW(LockStep(site, 1), sim::SimulationError);
+  EXPECT_THROW(LockStep(site, {.seed = 1}), sim::SimulationError);
 }
 
 TEST(LockStep, ALineTooSlowForItsReportsLosesFramesAndCountsThem) {
   sim::Scenario site = small_site();
   site.link.bit_per_s = 115'200;
-  LockStep run(site, 5);
+  LockStep run(site, {.seed = 5});
   run.run_until(6.0);
   EXPECT_GT(run.session().frames_lost(), 10U);
 }

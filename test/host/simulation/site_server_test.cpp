@@ -22,7 +22,7 @@ TEST(SiteServer, ServesTagsAndRobotAndLeavesNothingBehind) {
   const std::filesystem::path folder = scratch / "ports";
   volatile std::sig_atomic_t stop = 0;
   {
-    SiteServer server(small_site(), {.seed = 1, .speed = 100.0, .folder = folder});
+    SiteServer server(small_site(), {.site = {.seed = 1}, .speed = 100.0, .folder = folder});
     EXPECT_TRUE(std::filesystem::is_symlink(folder / "tag-1"));
     EXPECT_TRUE(std::filesystem::is_character_file(folder / "tag-2"));
     EXPECT_TRUE(std::filesystem::is_socket(folder / "robot.sock"));

@@ -1,0 +1,28 @@
+#include "host/cli/emulation_option.hpp"
+
+#include <CLI/App.hpp>
+
+namespace groma::cli {
+
+void add_emulation_options(CLI::App& command, EmulationChoice& choice) {
+  command.add_flag("--emulated", choice.emulated,
+                   "Each node runs the DWM1001's image, instruction by instruction, in place of the firmware "
+                   "compiled in");
+  command
+      .add_option("--image", choice.image,
+                  "The image as Intel HEX, with --emulated; else the one that the preset dwm1001 builds")
+      ->needs("--emulated");
+}
+
+std::filesystem::path default_image_path() {
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe");
+  return program.parent_path().parent_path().parent_path() / "dwm1001" / "groma-node.hex";
+}
+
+std::shared_ptr<const sim::FirmwareImage> chosen_image(const EmulationChoice& choice) {
+  if (!choice.emulated) return nullptr;
+  return std::make_shared<const sim::FirmwareImage>(
+      sim::read_firmware_image(choice.image.value_or(default_image_path())));
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,30 @@
+// --emulated and --image, the same for each command that simulates nodes.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+
+#include "firmware/sim/emulator/firmware_image.hpp"
+
+namespace CLI {
+class App;
+}
+
+namespace groma::cli {
+
+struct EmulationChoice {
+  bool emulated = false;
+  std::optional<std::filesystem::path> image;
+};
+
+// `choice` outlives the parsing.
+void add_emulation_options(CLI::App& command, EmulationChoice& choice);
+
+// Where the preset dwm1001 puts the image of the tree that this program was built in.
+[[nodiscard]] std::filesystem::path default_image_path();
+
+// The image to emulate, or nothing for native nodes. Throws sim::SimulationError where it cannot be read.
+[[nodiscard]] std::shared_ptr<const sim::FirmwareImage> chosen_image(const EmulationChoice& choice);
+
+}  // namespace groma::cli
