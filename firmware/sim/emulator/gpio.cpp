@@ -40,31 +40,31 @@ void Gpio::reset(SimTime t) {
   update(t);
 }
 
-void Gpio::drive_from_outside(SimTime t, unsigned pin, Drive drive) {
+void Gpio::drive_from_outside(SimTime t, unsigned pin, PinDrive drive) {
   pins_[pin].outside = drive;
   update_pin(t, pin);
 }
 
-Drive Gpio::driven(unsigned pin) const noexcept {
+PinDrive Gpio::driven(unsigned pin) const noexcept {
   const std::uint32_t configuration = pins_[pin].configuration;
-  if ((configuration & kOutput) == 0) return Drive::kFloating;
+  if ((configuration & kOutput) == 0) return PinDrive::kFloating;
   // S0S1, H0S1, S0H1, H0H1, D0S1, D0H1, S0D1, H0D1
   const std::uint32_t mode = configuration >> kDriveShift & 7U;
   const bool high = (out_ >> pin & 1U) != 0;
-  if (high) return mode >= 6 ? Drive::kFloating : Drive::kHigh;
-  return mode == 4 || mode == 5 ? Drive::kFloating : Drive::kLow;
+  if (high) return mode >= 6 ? PinDrive::kFloating : PinDrive::kHigh;
+  return mode == 4 || mode == 5 ? PinDrive::kFloating : PinDrive::kLow;
 }
 
 bool Gpio::level(unsigned pin) const noexcept {
   const Pin& state = pins_[pin];
-  if (state.drive != Drive::kFloating) return state.drive == Drive::kHigh;
-  if (state.outside != Drive::kFloating) return state.outside == Drive::kHigh;
+  if (state.drive != PinDrive::kFloating) return state.drive == PinDrive::kHigh;
+  if (state.outside != PinDrive::kFloating) return state.outside == PinDrive::kHigh;
   return (state.configuration >> kPullShift & 3U) == kPullUp;
 }
 
 void Gpio::update_pin(SimTime t, unsigned pin) {
   Pin& state = pins_[pin];
-  const Drive drive = driven(pin);
+  const PinDrive drive = driven(pin);
   if (drive != state.drive) {
     state.drive = drive;
     on_drive_(t, pin, drive);

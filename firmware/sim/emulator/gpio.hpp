@@ -8,14 +8,14 @@
 
 namespace groma::sim {
 
-enum class Drive : std::uint8_t { kFloating, kLow, kHigh };
+enum class PinDrive : std::uint8_t { kFloating, kLow, kHigh };
 
 class Gpio final : public Peripheral {
  public:
   static constexpr unsigned kPins = 32;
 
   // Who is told when the chip drives a pin otherwise, and when a pin's level as an input changes.
-  using OnDrive = std::function<void(SimTime t, unsigned pin, Drive drive)>;
+  using OnDrive = std::function<void(SimTime t, unsigned pin, PinDrive drive)>;
   using OnLevel = std::function<void(SimTime t, unsigned pin, bool high)>;
 
   Gpio(OnDrive on_drive, OnLevel on_level);
@@ -24,9 +24,9 @@ class Gpio final : public Peripheral {
   void reset(SimTime t);
 
   // What drives the pin from outside.
-  void drive_from_outside(SimTime t, unsigned pin, Drive drive);
+  void drive_from_outside(SimTime t, unsigned pin, PinDrive drive);
 
-  [[nodiscard]] Drive drive(unsigned pin) const noexcept { return pins_[pin].drive; }
+  [[nodiscard]] PinDrive drive(unsigned pin) const noexcept { return pins_[pin].drive; }
   // Of the wire: driven, else pulled, else low.
   [[nodiscard]] bool level(unsigned pin) const noexcept;
 
@@ -36,14 +36,14 @@ class Gpio final : public Peripheral {
  private:
   struct Pin {
     std::uint32_t configuration = 2;  // PIN_CNF
-    Drive drive = Drive::kFloating;
-    Drive outside = Drive::kFloating;
+    PinDrive drive = PinDrive::kFloating;
+    PinDrive outside = PinDrive::kFloating;
     bool level = false;
   };
 
   void update(SimTime t);
   void update_pin(SimTime t, unsigned pin);
-  [[nodiscard]] Drive driven(unsigned pin) const noexcept;
+  [[nodiscard]] PinDrive driven(unsigned pin) const noexcept;
 
   OnDrive on_drive_;
   OnLevel on_level_;

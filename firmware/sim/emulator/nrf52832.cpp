@@ -30,7 +30,7 @@ Nrf52832::Nrf52832(const Parts& parts)
     : parts_(parts),
       slots_{{{"SPIM1", parts.can, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
               {"SPIM2", &parts.radio, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
-      gpio_([this](SimTime t, unsigned pin, Drive drive) { pin_driven(t, pin, drive); },
+      gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
             [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
       spim1_("SPIM1", kCanPins, EasyDma(parts.ram),
              [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
@@ -159,14 +159,14 @@ void Nrf52832::step(SimTime t) {
 void Nrf52832::update_interrupt_pin(SimTime t, const Slot& slot) {
   if (slot.device == nullptr) return;
   const bool high = slot.device->irq() == slot.active_high;
-  gpio_.drive_from_outside(t, slot.interrupt_pin, high ? Drive::kHigh : Drive::kLow);
+  gpio_.drive_from_outside(t, slot.interrupt_pin, high ? PinDrive::kHigh : PinDrive::kLow);
 }
 
 // ---- pins and buses -------------------------------------------------------------------------------------
 
 bool Nrf52832::exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> mosi,
                         std::span<std::uint8_t> miso, std::uint32_t hz) {
-  if (gpio_.drive(slot.select_pin) != Drive::kLow) return false;
+  if (gpio_.drive(slot.select_pin) != PinDrive::kLow) return false;
   if (++slot.transfers_in_window > 1) {
     throw SimulationError(std::string(slot.name) +
                           ": a second transfer within one chip-select window is not modelled");
@@ -177,10 +177,10 @@ bool Nrf52832::exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> m
   return true;
 }
 
-void Nrf52832::pin_driven(SimTime t, unsigned pin, Drive drive) {
+void Nrf52832::pin_driven(SimTime t, unsigned pin, PinDrive drive) {
   if (pin == dwm1001::kRadioReset) {
-    if (drive == Drive::kHigh) throw SimulationError("P0.24 drives the DW1000's reset line high");
-    if (drive == Drive::kLow) {
+    if (drive == PinDrive::kHigh) throw SimulationError("P0.24 drives the DW1000's reset line high");
+    if (drive == PinDrive::kLow) {
       parts_.radio.hold_in_reset(world(t));
     } else {
       parts_.radio.release_reset(world(t));

@@ -106,7 +106,7 @@ class Nrf52832 final : public Bus {
   [[nodiscard]] const Watchdog& watchdog() const noexcept { return watchdog_; }
   // One of the module's lights.
   [[nodiscard]] bool lit(std::size_t light) const noexcept {
-    return gpio_.drive(dwm1001::kLights[light]) == Drive::kLow;
+    return gpio_.drive(dwm1001::kLights[light]) == PinDrive::kLow;
   }
 
  private:
@@ -142,7 +142,7 @@ class Nrf52832 final : public Bus {
   void update_interrupt_pin(SimTime t, const Slot& slot);
   bool exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
                 std::uint32_t hz);
-  void pin_driven(SimTime t, unsigned pin, Drive drive);
+  void pin_driven(SimTime t, unsigned pin, PinDrive drive);
   [[noreturn]] void fail(const std::string& what, std::uint32_t address) const;
 
   Parts parts_;

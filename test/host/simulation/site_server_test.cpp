@@ -17,12 +17,19 @@
 namespace groma::simulation {
 namespace {
 
+SiteServer::Options serving_at(const std::filesystem::path& folder, double speed = 1.0) {
+  SiteServer::Options options;
+  options.speed = speed;
+  options.folder = folder;
+  return options;
+}
+
 TEST(SiteServer, ServesTagsAndRobotAndLeavesNothingBehind) {
   const test::ScratchFolder scratch;
   const std::filesystem::path folder = scratch / "ports";
   volatile std::sig_atomic_t stop = 0;
   {
-    SiteServer server(small_site(), {.site = {.seed = 1}, .speed = 100.0, .folder = folder});
+    SiteServer server(small_site(), serving_at(folder, 100.0));
     EXPECT_TRUE(std::filesystem::is_symlink(folder / "tag-1"));
     EXPECT_TRUE(std::filesystem::is_character_file(folder / "tag-2"));
     EXPECT_TRUE(std::filesystem::is_socket(folder / "robot.sock"));
@@ -60,17 +67,16 @@ TEST(SiteServer, ServesTagsAndRobotAndLeavesNothingBehind) {
 TEST(SiteServer, TakesOverWhatAKilledRunLeftButNothingThatIsServed) {
   const test::ScratchFolder scratch;
   std::filesystem::create_symlink("/dev/pts/9999", scratch / "tag-1");
-  const auto first =
-      std::make_unique<SiteServer>(small_site(), SiteServer::Options{.folder = scratch.path()});
+  const auto first = std::make_unique<SiteServer>(small_site(), serving_at(scratch.path()));
   EXPECT_NE(std::filesystem::read_symlink(scratch / "tag-1"), "/dev/pts/9999");
-  EXPECT_THROW(SiteServer(small_site(), {.folder = scratch.path()}), io::DeviceError);
+  EXPECT_THROW(SiteServer(small_site(), serving_at(scratch.path())), io::DeviceError);
   EXPECT_TRUE(std::filesystem::is_socket(scratch / "robot.sock")) << "the first still serves";
 }
 
 TEST(SiteServer, StopsWhenTold) {
   const test::ScratchFolder scratch;
   volatile std::sig_atomic_t stop = 1;
-  SiteServer server(small_site(), {.folder = scratch.path()});
+  SiteServer server(small_site(), serving_at(scratch.path()));
   server.run(stop);
   EXPECT_LT(server.now_s(), 0.01);
 }

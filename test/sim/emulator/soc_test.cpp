@@ -132,7 +132,7 @@ TEST(Gpio, MayOpenTheDrainOfTheRadiosReset) {
   // S0D1: high is not driven.
   bench.write(reg::kP0 + 0x508, 1U << 24);
   bench.write(reg::kP0 + 0x700 + 4 * 24, 6U << 8 | 1);
-  EXPECT_EQ(bench.soc.gpio().drive(24), Drive::kFloating);
+  EXPECT_EQ(bench.soc.gpio().drive(24), PinDrive::kFloating);
 }
 
 TEST(Gpiote, RaisesEventsOnTheEdgesItWasToldOf) {
