@@ -1,0 +1,138 @@
+// gromad as a process, and a client of its pose stream, for tests. GROMAD_PATH is the program.
+#pragma once
+
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <cstdint>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "host/io/descriptor.hpp"
+
+namespace groma::daemon::test {
+
+constexpr auto kPatience = std::chrono::seconds(40);
+
+// gromad, run with one configuration file; killed at the end if it still runs.
+class Gromad {
+ public:
+  // as_nobody: without root's rights, where the test has them.
+  explicit Gromad(const std::vector<std::string>& arguments, bool as_nobody = false) {
+    int pipe_ends[2];
+    if (::pipe2(pipe_ends, O_CLOEXEC) != 0) throw std::runtime_error("pipe2");
+    std::vector<const char*> argv{GROMAD_PATH};
+    for (const std::string& argument : arguments) argv.push_back(argument.c_str());
+    argv.push_back(nullptr);
+    pid_ = ::fork();
+    if (pid_ == 0) {
+      ::dup2(pipe_ends[1], STDERR_FILENO);
+      ::dup2(pipe_ends[1], STDOUT_FILENO);
+      if (as_nobody && ::geteuid() == 0 && (::setgid(65534) != 0 || ::setuid(65534) != 0)) ::_exit(126);
+      ::execv(GROMAD_PATH, const_cast<char* const*>(argv.data()));
+      ::_exit(127);
+    }
+    ::close(pipe_ends[1]);
+    errors_ = io::Descriptor(pipe_ends[0]);
+    ::fcntl(errors_.get(), F_SETFL, O_NONBLOCK);
+  }
+  Gromad(const Gromad&) = delete;
+  Gromad& operator=(const Gromad&) = delete;
+  ~Gromad() {
+    if (!exit_code_) {
+      ::kill(pid_, SIGKILL);
+      ::waitpid(pid_, nullptr, 0);
+    }
+  }
+
+  void terminate() const { ::kill(pid_, SIGTERM); }
+
+  // Everything said so far.
+  const std::string& log() {
+    char buffer[4096];
+    ssize_t n = 0;
+    while ((n = ::read(errors_.get(), buffer, sizeof(buffer))) > 0)
+      log_.append(buffer, static_cast<std::size_t>(n));
+    return log_;
+  }
+
+  bool running() {
+    if (exit_code_) return false;
+    int status = 0;
+    if (::waitpid(pid_, &status, WNOHANG) != pid_) return true;
+    exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+    return false;
+  }
+
+  // Waits for the end; none if it does not come.
+  std::optional<int> exit_code() {
+    const auto deadline = std::chrono::steady_clock::now() + kPatience;
+    while (running() && std::chrono::steady_clock::now() < deadline) {
+      log();
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+    log();
+    return exit_code_;
+  }
+
+ private:
+  pid_t pid_ = -1;
+  io::Descriptor errors_;
+  std::string log_;
+  std::optional<int> exit_code_;
+};
+
+// Objects of the pose stream.
+class StreamClient {
+ public:
+  explicit StreamClient(std::uint16_t port) : fd_(::socket(AF_INET, SOCK_STREAM, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    if (::connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+      throw std::runtime_error("connect");
+    }
+  }
+
+  std::vector<nlohmann::json> read() {
+    char buffer[4096];
+    ssize_t n = 0;
+    while ((n = ::recv(fd_.get(), buffer, sizeof(buffer), MSG_DONTWAIT)) > 0) {
+      text_.append(buffer, static_cast<std::size_t>(n));
+    }
+    std::vector<nlohmann::json> objects;
+    std::size_t end = 0;
+    while ((end = text_.find('\n')) != std::string::npos) {
+      objects.push_back(nlohmann::json::parse(text_.substr(0, end)));
+      text_.erase(0, end + 1);
+    }
+    return objects;
+  }
+
+ private:
+  io::Descriptor fd_;
+  std::string text_;
+};
+
+// Where gromad serves its pose stream, once it has told.
+inline std::optional<std::uint16_t> pose_stream_port(Gromad& gromad) {
+  const std::string key = "pose stream on 127.0.0.1 port ";
+  const std::string& log = gromad.log();
+  const std::size_t at = log.find(key);
+  if (at == std::string::npos || log.find('\n', at) == std::string::npos) return std::nullopt;
+  return static_cast<std::uint16_t>(std::stoi(log.substr(at + key.size())));
+}
+
+}  // namespace groma::daemon::test

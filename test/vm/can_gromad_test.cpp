@@ -1,0 +1,242 @@
+// The daemon on a CAN bus: what three tags said (record_can_site) comes at its recorded times over real
+// sockets.
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <cmath>
+#include <fstream>
+#include <functional>
+#include <map>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "host/cli/exit_code.hpp"
+#include "host/link/byte_link.hpp"
+#include "host/link/can_log.hpp"
+#include "host/link/report_decoder.hpp"
+#include "host/simulation/site_server.hpp"
+#include "test/host/daemon/gromad_process.hpp"
+#include "test/support/scratch_folder.hpp"
+#include "test/support/virtual_can.hpp"
+
+namespace groma::daemon {
+namespace {
+
+using groma::test::CanParticipant;
+using groma::test::read_text;
+using groma::test::ScratchFolder;
+using groma::test::VirtualCan;
+using nlohmann::json;
+using test::Gromad;
+using test::StreamClient;
+using ::testing::HasSubstr;
+using wire::CanFormat;
+
+const std::filesystem::path kRecording = GROMA_CAN_RECORDING;
+constexpr unsigned kTags[] = {1, 2, 3};
+
+link::CanLog bus_log(const std::string& name) {
+  link::CanLog log = link::read_candump_log(kRecording / name);
+  if (log.frames.empty()) throw std::runtime_error("no recording: " + log.error.message);
+  return log;
+}
+
+// The robot's lines by their times.
+std::multimap<double, std::string> robot_lines() {
+  std::multimap<double, std::string> lines;
+  std::istringstream all(read_text(kRecording / "robot.jsonl"));
+  for (std::string line; std::getline(all, line);)
+    lines.emplace(json::parse(line).at("t_s").get<double>(), line + "\n");
+  return lines;
+}
+
+struct Position {
+  double x_m, y_m;
+};
+std::map<double, Position> truth() {
+  std::map<double, Position> rows;
+  std::istringstream all(read_text(kRecording / "truth.csv"));
+  std::string line;
+  std::getline(all, line);
+  while (std::getline(all, line)) {
+    double t_s = 0.0;
+    Position at{};
+    if (std::sscanf(line.c_str(), "%lf,%lf,%lf", &t_s, &at.x_m, &at.y_m) == 3) rows[t_s] = at;
+  }
+  return rows;
+}
+
+// What the recording holds for the daemon.
+link::ReportCounters recorded(const std::string& name) {
+  class Ignored : public link::NodeSink {
+    void on_range(const model::RangeSample& /*range*/, double /*time_sigma_s*/) override {}
+  } sink;
+  link::ReportCounters all;
+  for (const unsigned tag : kTags) {
+    const std::string path = fmt::format("can-log:{}/{}", (kRecording / name).string(), tag);
+    const link::OpenedLink opened = link::open_link(path, 0);
+    if (!opened.link) throw std::runtime_error(opened.error.message);
+    link::ReportDecoder decoder(0);
+    std::uint8_t buffer[4096];
+    for (link::ReadResult result; !(result = opened.link->read(buffer)).gone;) {
+      decoder.take(std::span(buffer).first(result.bytes), 0.0, sink);
+    }
+    all.ranges += decoder.counters().ranges;
+    all.reports += decoder.counters().reports;
+    all.ranges_not_ok += decoder.counters().ranges_not_ok;
+    all.frames_lost += decoder.counters().frames_lost;
+  }
+  return all;
+}
+
+class GromadOnCan : public ::testing::Test {
+ protected:
+  std::string config(const std::string& scheme) const {
+    std::string text = "schema: 1\nnodes:\n";
+    for (const unsigned tag : kTags)
+      text += fmt::format("  - {{path: {}:{}/{}}}\n", scheme, bus_.name(), tag);
+    text += "robot_socket: robot.sock\npose_stream: {port: 0}\n";
+    folder_.write("gromad.yaml", text + read_text(kRecording / "site.yaml"));
+    return (folder_ / "gromad.yaml").string();
+  }
+
+  void listen(Gromad& gromad) {
+    if (!client_) {
+      if (const auto port = pose_stream_port(gromad)) client_.emplace(*port);
+    }
+    if (!client_) return;
+    for (json& object : client_->read()) {
+      if (object.at("class") == "POSE") poses_.push_back(object);
+      if (object.at("class") == "STATUS") status_ = object;
+    }
+  }
+
+  bool listen_until(Gromad& gromad, const std::function<bool()>& done) {
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+    while (!done()) {
+      if (std::chrono::steady_clock::now() > deadline || !gromad.running()) return false;
+      listen(gromad);
+      robot_.give({});
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+    return true;
+  }
+
+  // Everything recorded, each at its time.
+  void play(const link::CanLog& log, Gromad& gromad) {
+    const CanParticipant tags(bus_.name());
+    const auto lines = robot_lines();
+    auto line = lines.begin();
+    auto frame = log.frames.begin();
+    const auto start = std::chrono::steady_clock::now();
+    while (line != lines.end() || frame != log.frames.end()) {
+      const bool robots_turn =
+          frame == log.frames.end() || (line != lines.end() && line->first <= frame->t_s);
+      const double t_s = robots_turn ? line->first : frame->t_s;
+      const auto due = start + std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+                                   std::chrono::duration<double>(t_s));
+      if (due > std::chrono::steady_clock::now()) {
+        listen(gromad);
+        std::this_thread::sleep_until(due);
+      }
+      if (robots_turn) {
+        robot_.give((line++)->second);
+      } else {
+        tags.send((frame++)->frame);
+      }
+    }
+  }
+
+  void replay(const std::string& scheme, const std::string& name) {
+    const link::CanLog log = bus_log(name);
+    const link::ReportCounters expected = recorded(name);
+    ASSERT_GT(expected.ranges, 5000U);
+    ASSERT_EQ(expected.frames_lost, 0U);
+    Gromad gromad({"--config", config(scheme)});
+    ASSERT_TRUE(listen_until(gromad, [&] { return client_ && robot_.clients() == 1; })) << gromad.log();
+    play(log, gromad);
+    EXPECT_TRUE(listen_until(gromad, [&] { return status_.value("ranges", 0U) >= expected.ranges; }))
+        << status_ << "\n"
+        << gromad.log();
+
+    EXPECT_EQ(status_.value("ranges", 0U), expected.ranges);
+    EXPECT_EQ(status_.value("frames_lost", 1U), 0U);
+    EXPECT_EQ(status_.value("dropped", 0U), expected.ranges_not_ok);
+    ASSERT_GT(poses_.size(), 200U);
+    EXPECT_EQ(poses_.back().at("state"), "TRACKING");
+    const auto where = truth();
+    double worst_m = 0.0;
+    for (const json& pose : poses_) {
+      const auto at = where.lower_bound(pose.at("t_s").get<double>() - 1e-6);
+      if (at == where.end()) continue;
+      worst_m = std::max(worst_m, std::hypot(pose.at("x_m").get<double>() - at->second.x_m,
+                                             pose.at("y_m").get<double>() - at->second.y_m));
+    }
+    EXPECT_LT(worst_m, 0.3);
+    gromad.terminate();
+    EXPECT_EQ(gromad.exit_code(), cli::kGood);
+    RecordProperty("ranges", static_cast<int>(expected.ranges));
+    fmt::print("{} reports, {} ranges, worst error {:.3f} m\n", expected.reports, expected.ranges, worst_m);
+  }
+
+  ScratchFolder folder_;
+  VirtualCan bus_{"bus0"};
+  simulation::LineServer robot_{folder_ / "robot.sock"};
+  std::optional<StreamClient> client_;
+  std::vector<json> poses_;
+  json status_ = json::object();
+};
+
+TEST_F(GromadOnCan, LosesNothingOfThreeTagsInClassicFrames) {
+  replay("can", "classic.log");
+}
+
+TEST_F(GromadOnCan, LosesNothingOfThreeTagsInFdFrames) {
+  replay("canfd", "fd.log");
+}
+
+TEST_F(GromadOnCan, AsksTheNodesWhoTheyAreAndSurvivesTheBusGoingDown) {
+  const CanParticipant tags(bus_.name());
+  Gromad gromad({"--config", config("can")});
+  ASSERT_TRUE(listen_until(gromad, [&] { return client_ && robot_.clients() == 1; })) << gromad.log();
+  const auto asked = tags.receive();
+  ASSERT_TRUE(asked);
+  EXPECT_EQ(asked->id, wire::can_id({wire::CanDirection::kToNode, 1}));
+  can_frame bus_off{};
+  bus_off.can_id = CAN_ERR_FLAG | 0x40U;  // CAN_ERR_BUSOFF
+  bus_off.can_dlc = 8;
+  tags.send_raw(bus_off);
+  EXPECT_TRUE(listen_until(gromad, [&] { return gromad.log().find("(bus-off)") != std::string::npos; }))
+      << gromad.log();
+
+  bus_.down();
+  EXPECT_TRUE(listen_until(gromad, [&] {
+    return gromad.log().find("can:bus0/3: bus0 is down") != std::string::npos;
+  })) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("can:bus0/1: the link is gone"));
+  bus_.up();
+  EXPECT_TRUE(listen_until(gromad, [&] {
+    return gromad.log().find("can:bus0/3: open again") != std::string::npos;
+  })) << gromad.log();
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), cli::kGood);
+}
+
+TEST_F(GromadOnCan, EndsWhereThereIsNoSuchInterface) {
+  folder_.write("gromad.yaml",
+                "schema: 1\nnodes: [{path: can:can7/1}]\nrobot_socket: robot.sock\npose_stream: {port: 0}\n" +
+                    read_text(kRecording / "site.yaml"));
+  Gromad gromad({"--config", (folder_ / "gromad.yaml").string()});
+  EXPECT_EQ(gromad.exit_code(), cli::kUnavailable);
+  EXPECT_THAT(gromad.log(), HasSubstr("can:can7/1: there is no interface can7"));
+}
+
+}  // namespace
+}  // namespace groma::daemon
