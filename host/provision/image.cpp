@@ -81,7 +81,8 @@ NodeImage read_node_image(const std::filesystem::path& path) {
   const auto mark =
       std::search(searched.begin(), searched.end(), ImageIdentity::kMark.begin(), ImageIdentity::kMark.end());
   const auto at = static_cast<std::size_t>(mark - searched.begin());
-  if (flash.size() - at < sizeof(ImageIdentity)) fail(path, "is no image of a Groma node");
+  if (mark == searched.end() || flash.size() - at < sizeof(ImageIdentity))
+    fail(path, "is no image of a Groma node");
   NodeImage image;
   image.path = path;
   image.bytes = flash.size();

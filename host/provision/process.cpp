@@ -43,7 +43,8 @@ bool is_program(const std::filesystem::path& path) {
 
 // In the child: only what is safe between fork and exec.
 [[noreturn]] void become(char* const* argv, int output, int failure, pid_t parent) {
-  (void)::prctl(PR_SET_PDEATHSIG, SIGTERM);
+  // OpenOCD puts a SIGTERM off until it is done: the next run would find the probe in use.
+  (void)::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(127);
   ::dup2(output, STDOUT_FILENO);
   ::dup2(output, STDERR_FILENO);

@@ -23,8 +23,8 @@
 
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/messages.hpp"
-#include "proto/crc32.hpp"
 #include "host/link/report_decoder.hpp"
+#include "proto/crc32.hpp"
 #include "test/host/provision/live_site.hpp"
 #include "test/host/provision/scripted_node.hpp"
 

@@ -61,23 +61,20 @@ void set_word(std::vector<std::uint8_t>& memory, std::uint32_t offset, std::uint
 
 EmulatedPart::EmulatedPart() : flash_(kFlashBytes, 0xFF), uicr_(kUicrBytes, 0xFF), ram_(kRamBytes, 0) {
   kept_ = {
-      {0x1000'0010, kPageBytes},    // FICR.CODEPAGESIZE
-      {0x1000'0014, 128},           // FICR.CODESIZE
-      {0x1000'0100, 0x52832},       // FICR.INFO.PART
-      {0x1000'0104, 0x4141'4530},   // VARIANT AAE0
-      {0x1000'0108, 0x2000},        // PACKAGE QF
-      {0x1000'010C, 64},            // RAM in KiB
-      {0x1000'0110, 512},           // FLASH in KiB
-      {0x1000'005C, 0xFFFF'0139},   // CONFIGID
-      {0x4000'0600, 0},             // BPROT.CONFIG0 to 3
-      {0x4000'0604, 0},
-      {0x4000'0610, 0},
-      {0x4000'0614, 0},
-      {kCpuid, 0x410F'C241},        // Cortex-M4 r0p1
-      {0xE000'EF40, 0x1011'0021},   // MVFR0, MVFR1: with an FPU
-      {0xE000'EF44, 0x1100'0011},
-      {0xE000'1000, 0x4000'0000},   // DWT_CTRL: 4 comparators
-      {0xE000'2000, 0x0000'0260},   // FP_CTRL: 6 + 2 comparators
+      {0x1000'0010, kPageBytes},   // FICR.CODEPAGESIZE
+      {0x1000'0014, 128},          // FICR.CODESIZE
+      {0x1000'0100, 0x52832},      // FICR.INFO.PART
+      {0x1000'0104, 0x4141'4530},  // VARIANT AAE0
+      {0x1000'0108, 0x2000},       // PACKAGE QF
+      {0x1000'010C, 64},           // RAM in KiB
+      {0x1000'0110, 512},          // FLASH in KiB
+      {0x1000'005C, 0xFFFF'0139},  // CONFIGID
+      {0x4000'0600, 0},            // BPROT.CONFIG0 to 3
+      {0x4000'0604, 0},           {0x4000'0610, 0},
+      {0x4000'0614, 0},           {kCpuid, 0x410F'C241},       // Cortex-M4 r0p1
+      {0xE000'EF40, 0x1011'0021},                              // MVFR0, MVFR1: with an FPU
+      {0xE000'EF44, 0x1100'0011}, {0xE000'1000, 0x4000'0000},  // DWT_CTRL: 4 comparators
+      {0xE000'2000, 0x0000'0260},                              // FP_CTRL: 6 + 2 comparators
   };
 }
 
@@ -98,7 +95,8 @@ bool EmulatedPart::write(std::uint32_t address, std::uint32_t value, std::uint32
   if (locked_) return false;
   const bool whole = lanes == 0xFFFF'FFFF;
   if (address < kFlashBytes) return whole && write_flash(flash_, address, value);
-  if (address >= kUicr && address < kUicr + kUicrBytes) return whole && write_flash(uicr_, address - kUicr, value);
+  if (address >= kUicr && address < kUicr + kUicrBytes)
+    return whole && write_flash(uicr_, address - kUicr, value);
   if (address >= kRam && address < kRam + kRamBytes) {
     set_word(ram_, address - kRam, (word_at(ram_, address - kRam) & ~lanes) | (value & lanes));
     return true;
@@ -121,8 +119,8 @@ std::optional<std::uint32_t> EmulatedPart::read_register(std::uint32_t address) 
     case kNvmcConfig:
       return nvmc_config_;
     case kDhcsr: {
-      const std::uint32_t value = (dhcsr_ & 0xFFFF) | kRegisterReady | (halted_ ? kHalted : 0) |
-                                  (was_reset_ ? kResetSeen : 0);
+      const std::uint32_t value =
+          (dhcsr_ & 0xFFFF) | kRegisterReady | (halted_ ? kHalted : 0) | (was_reset_ ? kResetSeen : 0);
       was_reset_ = false;
       return value;
     }

@@ -42,7 +42,8 @@ class EmulatedPart {
  private:
   void reset();
   void mass_erase();
-  [[nodiscard]] bool write_flash(std::vector<std::uint8_t>& memory, std::uint32_t offset, std::uint32_t value);
+  [[nodiscard]] bool write_flash(std::vector<std::uint8_t>& memory, std::uint32_t offset,
+                                 std::uint32_t value);
   [[nodiscard]] std::optional<std::uint32_t> read_register(std::uint32_t address);
   [[nodiscard]] bool write_register(std::uint32_t address, std::uint32_t value);
 

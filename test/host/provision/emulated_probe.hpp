@@ -28,9 +28,22 @@ class JtagPort {
 
  private:
   enum class State : std::uint8_t {
-    kReset, kIdle,
-    kSelectDr, kCaptureDr, kShiftDr, kExit1Dr, kPauseDr, kExit2Dr, kUpdateDr,
-    kSelectIr, kCaptureIr, kShiftIr, kExit1Ir, kPauseIr, kExit2Ir, kUpdateIr,
+    kReset,
+    kIdle,
+    kSelectDr,
+    kCaptureDr,
+    kShiftDr,
+    kExit1Dr,
+    kPauseDr,
+    kExit2Dr,
+    kUpdateDr,
+    kSelectIr,
+    kCaptureIr,
+    kShiftIr,
+    kExit1Ir,
+    kPauseIr,
+    kExit2Ir,
+    kUpdateIr,
   };
   [[nodiscard]] static State next(State state, bool tms) noexcept;
 

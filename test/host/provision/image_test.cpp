@@ -1,0 +1,84 @@
+#include "host/provision/image.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+#include "host/io/error.hpp"
+#include "test/host/provision/small_image.hpp"
+#include "test/support/scratch_folder.hpp"
+
+namespace groma::provision {
+namespace {
+
+using groma::test::ScratchFolder;
+using ::testing::HasSubstr;
+
+std::string fault_of(const std::string& text) {
+  const ScratchFolder scratch;
+  scratch.write("node.hex", text);
+  try {
+    (void)read_node_image(scratch / "node.hex");
+  } catch (const io::DataError& error) {
+    return error.what();
+  }
+  return "none";
+}
+
+TEST(NodeImage, SaysWhatItIs) {
+  const ScratchFolder scratch;
+  scratch.write("node.hex", test::hex_of(test::small_image(5000, "1.2.3", 0xC0FFEE01)) + test::kHexEnd);
+  const NodeImage image = read_node_image(scratch / "node.hex");
+  EXPECT_EQ(image.version, "1.2.3");
+  EXPECT_EQ(image.git_hash, 0xC0FFEE01);
+  EXPECT_EQ(image.bytes, 5000U);
+}
+
+TEST(NodeImage, MayWriteUicr) {
+  const std::vector<std::uint8_t> word{0x5A, 0xFF, 0xFF, 0xFF};
+  EXPECT_EQ(fault_of(test::hex_of(test::small_image(5000)) + test::hex_of(word, 0x1000'1208) + test::kHexEnd),
+            "none");
+}
+
+TEST(NodeImage, WhatIsNoneOfOursIsRefusedBeforeAnythingIsErased) {
+  const std::vector<std::uint8_t> good = test::small_image(5000);
+  const auto hex = [](const std::vector<std::uint8_t>& image) { return test::hex_of(image) + test::kHexEnd; };
+  EXPECT_EQ(fault_of(hex(good)), "none");
+  EXPECT_THAT(fault_of("ELF"), HasSubstr("node.hex: Intel HEX, line 1: a record begins with ':'"));
+  EXPECT_THAT(fault_of(test::hex_of(good)), HasSubstr("cut short"));
+  EXPECT_THAT(fault_of(""), HasSubstr("cmake --preset dwm1001"));
+  EXPECT_THAT(fault_of(test::kHexEnd), HasSubstr("has no vector table"));
+
+  std::vector<std::uint8_t> unmarked = good;
+  unmarked[0x100] ^= 1U;
+  EXPECT_THAT(fault_of(hex(unmarked)), HasSubstr("is no image of a Groma node"));
+  std::vector<std::uint8_t> no_stack = good;
+  no_stack[3] = 0x30;
+  EXPECT_THAT(fault_of(hex(no_stack)),
+              HasSubstr("does not begin with a vector table (stack 30001000, entry 00000201)"));
+  std::vector<std::uint8_t> no_entry = good;
+  no_entry[4] = 0;
+  EXPECT_THAT(fault_of(hex(no_entry)), HasSubstr("does not begin with a vector table"));
+
+  const std::vector<std::uint8_t> word(4);
+  EXPECT_THAT(fault_of(test::hex_of(good) + test::hex_of(word, 0x7DFFE) + test::kHexEnd),
+              HasSubstr("would overwrite the node's configuration at 0x7e000"));
+  EXPECT_THAT(fault_of(test::hex_of(good) + test::hex_of(word, 0x2000'0000) + test::kHexEnd),
+              HasSubstr("4 bytes at 0x20000000 lie in neither flash nor UICR"));
+}
+
+TEST(NodeImage, AMissingOneTellsHowItIsBuilt) {
+  try {
+    (void)read_node_image("/none/node.hex");
+    FAIL();
+  } catch (const io::DataError& error) {
+    EXPECT_STREQ(
+        error.what(),
+        "/none/node.hex: no such image; build it: cmake --preset dwm1001 && cmake --build --preset dwm1001");
+  }
+}
+
+}  // namespace
+}  // namespace groma::provision
