@@ -61,7 +61,7 @@ template class CanLink<NoCanSpi>;
 
 // 24 KiB of RAM are the image's budget, stack and drivers included.
 static_assert(sizeof(Node<NoHardware>) <= 16'384);
-static_assert(sizeof(CanLink<NoCanSpi>) <= 2'304);
+static_assert(sizeof(CanLink<NoCanSpi>) <= 1'700);
 
 }  // namespace groma::node
 

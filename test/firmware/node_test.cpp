@@ -616,6 +616,20 @@ TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
   EXPECT_EQ(beacon->schedule_hash, schedule_hash_of(good_config()));
 }
 
+TEST_F(NodeTest, TellsUntilWhenTheRadioLetsItDoOtherThings) {
+  EXPECT_EQ(node.quiet_until_us(), ~std::uint64_t{0});
+  // A master has armed its first beacon.
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  node.start();
+  const std::uint64_t beacon_us = node.quiet_until_us();
+  EXPECT_GT(beacon_us, platform.time_us);
+  EXPECT_LT(beacon_us, platform.time_us + 100'000);
+  // And where it searches for a beacon, nothing hangs on how soon it is served.
+  store(good_config());
+  command(groma_HostToNode_apply_config_tag);
+  EXPECT_EQ(node.quiet_until_us(), ~std::uint64_t{0});
+}
+
 TEST_F(NodeTest, DeviceTimeGoesOnWhenTheRadioIsBroughtUpAgain) {
   // A master: each beacon's DX_TIME tells where its clock stands.
   store(good_config(groma_Role_ROLE_ANCHOR));

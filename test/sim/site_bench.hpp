@@ -19,6 +19,7 @@
 #include "firmware/sim/native_node.hpp"
 #include "firmware/sim/network.hpp"
 #include "groma.pb.h"
+#include "proto/compact_report.hpp"
 #include "proto/frame_codec.hpp"
 
 namespace groma::sim {
@@ -82,6 +83,15 @@ class Listener {
         case groma_NodeToHost_slot_report_tag:
           reports.push_back({byte.t, message.body.slot_report});
           break;
+        case groma_NodeToHost_compact_report_tag:
+          ++compact_reports;
+          if (groma_SlotReport report = groma_SlotReport_init_zero;
+              wire::expand_report(message.body.compact_report, report)) {
+            reports.push_back({byte.t, report});
+          } else {
+            ++undecodable;
+          }
+          break;
         case groma_NodeToHost_hello_tag:
           hellos.push_back(message.body.hello);
           break;
@@ -111,6 +121,9 @@ class Listener {
   groma_Counters counters = groma_Counters_init_zero;
   groma_NetworkStatus status = groma_NetworkStatus_init_zero;
   int undecodable = 0;
+  int compact_reports = 0;
+
+  [[nodiscard]] const wire::FrameCounters& frames() const noexcept { return decoder_.counters(); }
 
  private:
   wire::FrameDecoder decoder_;

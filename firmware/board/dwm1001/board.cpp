@@ -56,6 +56,7 @@ std::uint64_t Board::now_us() noexcept {
 void Board::restart() noexcept {
   constexpr std::uint32_t kStep_us = 100;
   constexpr int kSteps = 1'000;
+  can_.drain();
   for (int i = 0; i < kSteps && !uart_.idle(); ++i) delay_us(kStep_us);
   reset_processor();
 }
@@ -74,8 +75,9 @@ bool Board::radio_interrupt() const noexcept {
 
 void Board::sleep_until(std::uint64_t t_us) noexcept {
   const InterruptLock lock;
-  const std::uint64_t wake_us = std::min({t_us, leds_.next_change_us(), uart_.next_poll_us()});
-  if (!radio_interrupt() && clock::wake_at(wake_us)) sleep();
+  const std::uint64_t wake_us =
+      std::min({t_us, leds_.next_change_us(), uart_.next_poll_us(), can_.next_deadline_us()});
+  if (!radio_interrupt() && !can_.waiting() && clock::wake_at(wake_us)) sleep();
 }
 
 }  // namespace groma::dwm1001

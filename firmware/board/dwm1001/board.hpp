@@ -6,6 +6,7 @@
 #include <optional>
 #include <span>
 
+#include "firmware/board/dwm1001/can_port.hpp"
 #include "firmware/board/dwm1001/leds.hpp"
 #include "firmware/board/dwm1001/nvmc.hpp"
 #include "firmware/board/dwm1001/radio_bus.hpp"
@@ -26,7 +27,14 @@ class Board {
   void reset_radio() noexcept;
   void delay_us(std::uint32_t duration_us) noexcept;
   std::uint64_t now_us() noexcept;
-  bool link_write(std::span<const std::uint8_t> frame) noexcept { return uart_.write(frame); }
+  bool link_write(std::span<const std::uint8_t> frame) noexcept {
+    return can_.up() ? can_.write(frame) : uart_.write(frame);
+  }
+  const char* configure_link(const groma_Config& config) noexcept { return can_.configure(config); }
+  bool link_answer(std::span<const std::uint8_t> frame) noexcept {
+    return asked_over_can_ ? can_.write(frame) : uart_.write(frame);
+  }
+  void count_link(groma_Counters& counters) noexcept { can_.count(counters); }
   bool store_config(std::span<const std::uint8_t> blob) noexcept { return config_store_.store(blob); }
   std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_store_.load(out); }
   void set_indicator(node::Indicator indicator) noexcept { leds_.show(indicator, now_us()); }
@@ -40,6 +48,9 @@ class Board {
   [[nodiscard]] bool radio_interrupt() const noexcept;
   Uarte& uart() noexcept { return uart_; }
   RadioBus& radio() noexcept { return radio_; }
+  CanPort& can() noexcept { return can_; }
+  // Where link_answer() goes, until the next call.
+  void set_asked_over_can(bool over_can) noexcept { asked_over_can_ = over_can; }
   void update_leds(std::uint64_t now_us) noexcept { leds_.update(now_us); }
   // Sleeps until `t_us` or until there is something to do.
   void sleep_until(std::uint64_t t_us) noexcept;
@@ -47,10 +58,14 @@ class Board {
  private:
   RadioBus radio_;
   Uarte uart_;
+  CanPort can_;
+  bool asked_over_can_ = false;
   Leds leds_;
   Nvmc flash_;
   storage::ConfigStore<Nvmc> config_store_{flash_};
   Reset reset_;
 };
+
+static_assert(node::ChoosesLink<Board>);
 
 }  // namespace groma::dwm1001

@@ -26,6 +26,10 @@ void uarte0_entry() {
   board.uart().on_interrupt();
 }
 
+void spim1_entry() {
+  board.can().on_interrupt();
+}
+
 void spim2_entry() {
   board.radio().on_interrupt();
 }
@@ -34,6 +38,7 @@ void spim2_entry() {
 void gpiote_entry() {
   namespace gpiote = groma::nrf52832::gpiote;
   groma::nrf52832::clear_event(gpiote::kBlock[gpiote::kEventIn]);
+  groma::nrf52832::clear_event(gpiote::kBlock[gpiote::kEventIn + 4]);
 }
 }
 
@@ -46,10 +51,16 @@ int main() {
     const std::uint64_t now_us = board.now_us();
     if (now_us >= node.next_deadline_us()) node.on_timer();
     if (const auto bytes = board.uart().received(now_us); !bytes.empty()) {
+      board.set_asked_over_can(false);
       node.on_link_bytes(bytes);
       board.uart().release(bytes.size());
       continue;
     }
+    const auto from_can = [](std::span<const std::uint8_t> in) {
+      board.set_asked_over_can(true);
+      node.on_link_bytes(in);
+    };
+    if (board.can().service(now_us, node.quiet_until_us(), from_can)) continue;
     board.update_leds(now_us);
     board.sleep_until(node.next_deadline_us());
   }

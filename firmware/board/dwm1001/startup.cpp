@@ -18,6 +18,7 @@ void watchdog_entry();
 void uarte0_entry();
 void gpiote_entry();
 void timer0_entry();
+void spim1_entry();
 void spim2_entry();
 
 // Paints the stack, which is not in use yet, and sets its pointer: a debugger may begin here without the
@@ -81,6 +82,7 @@ consteval std::array<Handler, kExceptions + kInterrupts> handlers() {
   set(Irq::kGpiote, gpiote_entry);
   set(Irq::kTimer0, timer0_entry);
   set(Irq::kWatchdog, watchdog_entry);
+  set(Irq::kSpim1, spim1_entry);
   set(Irq::kSpim2, spim2_entry);
   return table;
 }

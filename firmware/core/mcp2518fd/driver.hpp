@@ -94,7 +94,7 @@ struct ErrorCounters {
 template <Spi S>
 class Mcp2518fd {
  public:
-  explicit Mcp2518fd(S& spi) noexcept : spi_(spi) {}
+  explicit constexpr Mcp2518fd(S& spi) noexcept : spi_(spi) {}
 
   // Resets the chip and puts it on the bus; `delay_us(n)` waits. Some 3 ms of SPI at 8 MHz, and up to 40 ms
   // of waiting where it fails.

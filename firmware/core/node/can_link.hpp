@@ -17,7 +17,9 @@
 #include <span>
 
 #include "firmware/core/mcp2518fd/driver.hpp"
+#include "groma.pb.h"
 #include "proto/can_segment.hpp"
+#include "proto/frame_codec.hpp"
 
 namespace groma::node {
 
@@ -33,13 +35,14 @@ struct CanLinkCounters {
 template <mcp2518fd::Spi S>
 class CanLink {
  public:
-  // More than the largest frame, a report of 16 ranges with raw stamps.
-  static constexpr std::size_t kQueueBytes = 2048;
-  static_assert(kQueueBytes >= wire::max_can_payload(wire::CanFormat::kFd));
+  // Room for the largest frame, a report of 16 ranges with raw stamps; four without, eight compact ones.
+  static constexpr std::size_t kQueueBytes = 1536;
+  static_assert(kQueueBytes >= wire::max_encoded_size(groma_NodeToHost_size));
 
-  explicit CanLink(S& spi) noexcept : chip_(spi) {}
+  explicit constexpr CanLink(S& spi) noexcept : chip_(spi) {}
 
-  // Brings the controller up with an empty queue, as Mcp2518fd::bring_up().
+  // Brings the controller up with an empty queue, as Mcp2518fd::bring_up(). Where that fails, it is tried
+  // again from time to time, but for a bit rate that cannot be.
   template <class Delay>
   mcp2518fd::BringUp start(const mcp2518fd::Settings& settings, std::uint64_t now_us,
                            Delay&& delay_us) noexcept {
@@ -48,9 +51,9 @@ class CanLink {
     blocked_ = false;
     resume_at_us_ = 0;
     back_off_us_ = kShortestBackOff_us;
-    next_check_us_ = now_us + kCheckPeriod_us;
     const auto result = chip_.bring_up(settings, delay_us);
-    wanted_ = result == mcp2518fd::BringUp::kOk;
+    wanted_ = result != mcp2518fd::BringUp::kNoBitRate;
+    next_check_us_ = now_us + (result == mcp2518fd::BringUp::kOk ? kCheckPeriod_us : kRetryPeriod_us);
     return result;
   }
 
@@ -58,7 +61,7 @@ class CanLink {
 
   // Queues a whole frame or nothing.
   bool write(std::span<const std::uint8_t> frame) noexcept {
-    if (!wanted_ || frame.size() > kQueueBytes - size_) return false;
+    if (!up() || frame.size() > kQueueBytes - size_) return false;
     for (const std::uint8_t byte : frame) queue_[(begin_ + size_++) % kQueueBytes] = byte;
     return true;
   }
@@ -88,7 +91,9 @@ class CanLink {
     return held ? std::min(next_check_us_, resume_at_us_) : next_check_us_;
   }
 
-  [[nodiscard]] bool running() const noexcept { return wanted_; }
+  // Started, and the controller answers; bus-off or not.
+  [[nodiscard]] bool up() const noexcept { return wanted_ && chip_.state() != mcp2518fd::State::kDown; }
+  [[nodiscard]] bool started() const noexcept { return wanted_; }
   [[nodiscard]] bool empty() const noexcept { return size_ == 0; }
   [[nodiscard]] const mcp2518fd::Settings& settings() const noexcept { return settings_; }
   [[nodiscard]] const CanLinkCounters& counters() const noexcept { return counters_; }
@@ -97,7 +102,8 @@ class CanLink {
   static constexpr std::uint64_t kCheckPeriod_us = 100'000;
   static constexpr std::uint64_t kShortestBackOff_us = 10'000;
   static constexpr std::uint64_t kLongestBackOff_us = 1'000'000;
-  static constexpr std::uint64_t kRestartPeriod_us = 1'000'000;
+  // A failing try keeps the processor for 10 ms and more.
+  static constexpr std::uint64_t kRetryPeriod_us = 10'000'000;
 
   enum class Look : std::uint8_t { kDown, kNothing, kSomething };
 
@@ -126,9 +132,9 @@ class CanLink {
   Look restart(std::uint64_t now_us, Delay& delay_us) noexcept {
     ++counters_.restarts;
     blocked_ = false;
-    next_check_us_ = now_us + kRestartPeriod_us;
-    const bool up = chip_.bring_up(settings_, delay_us) == mcp2518fd::BringUp::kOk;
-    return up ? Look::kNothing : Look::kDown;
+    const bool success = chip_.bring_up(settings_, delay_us) == mcp2518fd::BringUp::kOk;
+    next_check_us_ = now_us + (success ? kCheckPeriod_us : kRetryPeriod_us);
+    return success ? Look::kNothing : Look::kDown;
   }
 
   template <class Sink>
@@ -163,7 +169,7 @@ class CanLink {
   std::array<std::uint8_t, kQueueBytes> queue_{};
   std::size_t begin_ = 0;
   std::size_t size_ = 0;
-  bool wanted_ = false;   // brought up once
+  bool wanted_ = false;
   bool blocked_ = false;  // the controller had no room; an event will tell
   std::uint64_t resume_at_us_ = 0;
   std::uint64_t back_off_us_ = kShortestBackOff_us;

@@ -85,6 +85,15 @@ class Node {
     }
   }
 
+  // Up to then the radio is armed and wants nothing of the processor, on the clock of now_us(): the time for
+  // what else there is to do. 0 while it may want something any time; the maximum where nothing hangs on how
+  // soon it is served.
+  [[nodiscard]] std::uint64_t quiet_until_us() const noexcept {
+    const mac::Station* member = station();
+    const bool searching = member != nullptr && member->sync().state() == mac::SyncState::kSearching;
+    return member == nullptr || searching ? kNever_us : quiet_until_us_;
+  }
+
   [[nodiscard]] const groma_Counters& counters() const noexcept { return counters_; }
 
  private:
@@ -263,7 +272,7 @@ class Node {
       dw1000::Start start = dw1000::Start::kStarted;
       switch (action.kind) {
         case mac::Action::Kind::kNone:
-          radio_deadline_us_ = kNever_us;
+          radio_deadline_us_ = quiet_until_us_ = kNever_us;
           return;
         case mac::Action::Kind::kTransmit:
           start = radio_.transmit_at(clock_.wrap(action.at), action.frame);
@@ -305,6 +314,9 @@ class Node {
   }
 
   void supervise(const mac::Action& action) noexcept {
+    const std::int64_t quiet_us = (action.at - reference_).to_us();
+    const bool later = action.kind != mac::Action::Kind::kListenNow && quiet_us > 0;
+    quiet_until_us_ = later ? reference_us_ + static_cast<std::uint64_t>(quiet_us) : 0;
     const ranging::ClockTime end = action.kind == mac::Action::Kind::kTransmit ? action.at : action.until;
     const std::int64_t ahead_us = std::max<std::int64_t>((end - reference_).to_us(), 0);
     radio_deadline_us_ = reference_us_ + static_cast<std::uint64_t>(ahead_us) + kRadioGrace_us;
@@ -606,6 +618,7 @@ class Node {
   groma_HostToNode command_ = groma_HostToNode_init_zero;
 
   std::uint64_t radio_deadline_us_ = kNever_us;
+  std::uint64_t quiet_until_us_ = 0;
   std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured
   std::uint64_t next_telemetry_us_ = kNever_us;
   std::uint64_t identify_until_us_ = kNever_us;

@@ -1,0 +1,91 @@
+// The MCP2518FD on the header: SPIM1 at 8 MHz, its interrupt on P0.27, and the link to the host over it.
+// Without a configuration that asks for it, none of its pins is touched.
+#pragma once
+
+#include <cstdint>
+#include <span>
+
+#include "firmware/board/dwm1001/pins.hpp"
+#include "firmware/board/dwm1001/spim.hpp"
+#include "firmware/core/mcp2518fd/spi.hpp"
+#include "firmware/core/node/can_link.hpp"
+#include "groma.pb.h"
+
+namespace groma::dwm1001 {
+
+class CanSpi {
+ public:
+  void start() noexcept { spim_.start(SpiFrequency::k8MHz); }
+  void transfer(std::span<std::uint8_t> inout) noexcept { spim_.transfer(inout, inout); }
+  void on_interrupt() noexcept { spim_.on_interrupt(); }
+
+ private:
+  Spim spim_{{.base = nrf52832::spim::kBase1,
+              .irq = nrf52832::Irq::kSpim1,
+              .clock_pin = pin::kCanClock,
+              .out_pin = pin::kCanOut,
+              .in_pin = pin::kCanIn,
+              .select_pin = pin::kCanSelect}};
+};
+
+static_assert(mcp2518fd::Spi<CanSpi>);
+
+class CanPort {
+ public:
+  // Brings the link up that the configuration asks for, or none; what was queued before goes out first, as
+  // far as 20 ms allow. What failed, in at most 31 characters.
+  const char* configure(const groma_Config& config) noexcept;
+
+  // Queues all of it, or nothing and returns false.
+  bool write(std::span<const std::uint8_t> frame) noexcept { return link_.write(frame); }
+  [[nodiscard]] bool up() const noexcept { return link_.up(); }
+
+  // One bounded step (can_link.hpp), where it is over before the radio may want the processor at
+  // `quiet_until_us`; for a link that has waited for that for long, in any case. `sink(bytes)` takes what
+  // came from the host. True: there is more to do.
+  template <class Sink>
+  bool service(std::uint64_t now_us, std::uint64_t quiet_until_us, Sink&& sink) noexcept {
+    if (!link_.started()) return false;
+    held_ = now_us + kStep_us > quiet_until_us && now_us < patient_until_us_;
+    if (held_) return false;
+    patient_until_us_ = now_us + kPatience_us;
+    const bool low = line_is_low();
+    const bool more = link_.service(low, now_us, sink, delay);
+    left_alone_ = low && !more;
+    return more;
+  }
+
+  // Gives what is queued time to go out, at most 20 ms.
+  void drain() noexcept;
+
+  // For the sleep: the controller waits for service(), and when that is due in any case.
+  [[nodiscard]] bool waiting() const noexcept {
+    return link_.started() && !held_ && !left_alone_ && line_is_low();
+  }
+  [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
+    return link_.started() && held_ ? patient_until_us_ : link_.next_deadline_us();
+  }
+
+  void count(groma_Counters& counters) const noexcept;
+
+  // For its vector.
+  void on_interrupt() noexcept { spi_.on_interrupt(); }
+
+ private:
+  // The longest step, and how long it is put off at most.
+  static constexpr std::uint64_t kStep_us = 250;
+  static constexpr std::uint64_t kPatience_us = 20'000;
+
+  [[nodiscard]] static bool line_is_low() noexcept { return !pin::is_high(pin::kCanInterrupt); }
+  [[nodiscard]] static std::uint64_t now_us() noexcept;
+  static void delay(std::uint32_t duration_us) noexcept;
+
+  CanSpi spi_;
+  node::CanLink<CanSpi> link_{spi_};
+  std::uint64_t patient_until_us_ = 0;
+  bool held_ = false;        // for the radio
+  bool connected_ = false;   // the pins are set up
+  bool left_alone_ = false;  // the line is low, and the controller says nothing to it
+};
+
+}  // namespace groma::dwm1001
