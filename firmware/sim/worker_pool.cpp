@@ -4,8 +4,9 @@ namespace groma::sim {
 
 namespace {
 
-// Rounds come thick and fast or not at all: how often a thread looks for the next one before it sleeps.
-constexpr int kLooks = 2'000;
+// Rounds come thick and fast or not at all: how often a thread looks for the next one before it sleeps, and
+// for a round's end before it lets another thread run in its place.
+constexpr int kLooks = 500;
 
 constexpr std::uint32_t round_of(std::uint64_t ticket) noexcept {
   return static_cast<std::uint32_t>(ticket >> 32);
@@ -45,7 +46,13 @@ void WorkerPool::run(std::uint16_t count, const std::function<void(std::uint16_t
   ticket_ = ticket_of(round, count);
   ticket_.notify_all();
   take_part(round);
-  while (done_ != count) pause();
+  for (int look = 0; done_ != count; ++look) {
+    if (look < kLooks) {
+      pause();
+    } else {
+      std::this_thread::yield();
+    }
+  }
 }
 
 void WorkerPool::take_part(std::uint32_t round) {

@@ -1,0 +1,170 @@
+// Power goes while a configuration that came over the UART is written to flash: whatever the instant, the
+// node comes back with the old one or the new one, whole.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <array>
+#include <iostream>
+#include <set>
+
+#include "firmware/core/storage/config_store.hpp"
+#include "test/sim/emulator/emulated_site.hpp"
+
+namespace groma::sim {
+
+inline constexpr std::uint32_t kOldDelay = 16'400;
+inline constexpr std::uint32_t kNewDelay = 16'500;
+inline constexpr double kBooted_s = 0.4;
+
+struct CutPlan {
+  bool page_full = false;  // so that the new configuration goes to the other page
+  int anchors = 3;         // in the configuration
+  std::vector<double> after_us = {0.0, 12.0, 25.0, 45.0, 40'000.0};  // of each operation's begin
+};
+
+inline groma_Config config_with(std::uint32_t antenna_delay, int anchors) {
+  groma_Config config = SiteBench({.tags = 1, .anchors = anchors}).config_of(1, groma_Role_ROLE_TAG);
+  config.transmit_antenna_delay_dtu = antenna_delay;
+  return config;
+}
+
+inline std::vector<std::uint8_t> blob_of(const groma_Config& config) {
+  std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
+  const std::size_t size = node::encode_config(config, blob);
+  return {blob.begin(), blob.begin() + static_cast<std::ptrdiff_t>(size)};
+}
+
+// The storage's pages of a node's flash.
+struct Pages {
+  std::span<std::uint8_t> bytes;
+  std::uint64_t erases = 0;
+
+  bool erase(std::size_t page) noexcept {
+    ++erases;
+    std::fill_n(bytes.begin() + static_cast<std::ptrdiff_t>(page * storage::kPageBytes), storage::kPageBytes,
+                std::uint8_t{0xFF});
+    return true;
+  }
+  bool write(std::uint32_t offset, std::uint32_t word) noexcept {
+    for (unsigned i = 0; i < 4; ++i) bytes[offset + i] &= static_cast<std::uint8_t>(word >> (8 * i));
+    return true;
+  }
+  [[nodiscard]] std::uint32_t read(std::uint32_t offset) const noexcept {
+    std::uint32_t word = 0;
+    for (unsigned i = 0; i < 4; ++i) word |= static_cast<std::uint32_t>(bytes[offset + i]) << (8 * i);
+    return word;
+  }
+};
+
+// A tag with the old configuration, that looks for a network and is told of the new one.
+struct ToldNode {
+  explicit ToldNode(const CutPlan& plan) : anchors(plan.anchors) {
+    const groma_Config old_config = config_with(kOldDelay, anchors);
+    groma_Config other_config = old_config;
+    other_config.transmit_antenna_delay_dtu = kOldDelay + 1;
+    groma_Config new_config = old_config;
+    new_config.transmit_antenna_delay_dtu = kNewDelay;
+    space.put(1, {});
+    NodeSpec spec;
+    spec.chip.id = 1;
+    auto owned = make_emulated_node(spec, shipped(), network.medium());
+    Pages pages{owned->flash().subspan(kFlashBytes - storage::kPages * storage::kPageBytes)};
+    storage::ConfigStore store(pages);
+    EXPECT_TRUE(store.store(blob_of(old_config)));
+    // As often as the page in force bears it.
+    for (std::uint32_t i = 0; plan.page_full; ++i) {
+      const std::vector<std::uint8_t> before(pages.bytes.begin(), pages.bytes.end());
+      const std::uint64_t erases = pages.erases;
+      EXPECT_TRUE(store.store(blob_of(i % 2 == 0 ? other_config : old_config)));
+      if (pages.erases == erases) continue;
+      std::copy(before.begin(), before.end(), pages.bytes.begin());
+      break;
+    }
+    node = owned.get();
+    network.add(std::move(owned));
+    network.run_until(from_seconds(kBooted_s));
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.request_id = 1;
+    command.which_body = groma_HostToNode_write_config_tag;
+    command.body.write_config = new_config;
+    EXPECT_TRUE(network.send(0, frame_of(command)));
+  }
+
+  // Until that many operations of the flash have begun.
+  void run_to_operation(std::uint64_t number) {
+    while (node->soc().nvmc().operations() < number && to_seconds(network.now()) < kBooted_s + 1.0)
+      network.run_until(network.now() + 10 * kUnitsPerMicrosecond);
+  }
+
+  // Of the configuration that the node has after a power cut now; 0: none.
+  std::uint32_t delay_after_power_cut() {
+    network.set_power(0, false);
+    network.run_until(network.now() + from_seconds(0.1));
+    network.set_power(0, true);
+    std::vector<TimedByte> bytes;
+    network.take(0, bytes);
+    network.run_until(network.now() + from_seconds(kBooted_s));
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.request_id = 2;
+    command.which_body = groma_HostToNode_read_config_tag;
+    EXPECT_TRUE(network.send(0, frame_of(command)));
+    network.run_until(network.now() + from_seconds(0.1));
+    bytes.clear();
+    network.take(0, bytes);
+    Listener listener;
+    listener.take(bytes);
+    if (listener.replies.empty() || !listener.replies.back().has_config) return 0;
+    EXPECT_EQ(listener.replies.back().config.role, groma_Role_ROLE_TAG);
+    EXPECT_EQ(listener.replies.back().config.schedule.anchor_ids_count, anchors);
+    return listener.replies.back().config.transmit_antenna_delay_dtu;
+  }
+
+  int anchors;
+  FreeSpace space;
+  Network network{space, {}, 1};
+  EmulatedNode* node = nullptr;
+};
+
+// In each operation of the flash that the change takes.
+inline void cut_power_everywhere(const CutPlan& plan) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
+  ToldNode whole(plan);
+  whole.network.run_until(from_seconds(kBooted_s + 1.0));
+  const std::uint64_t operations = whole.node->soc().nvmc().operations();
+  ASSERT_GT(operations, 10U);
+  const std::uint32_t old_delay = [&] {
+    ToldNode untouched(plan);
+    return untouched.delay_after_power_cut();
+  }();
+  EXPECT_TRUE(old_delay == kOldDelay || old_delay == kOldDelay + 1) << old_delay;
+  ASSERT_EQ(whole.delay_after_power_cut(), kNewDelay);
+
+  std::set<std::uint32_t> seen;
+  bool new_one_in_force = false;
+  int cuts = 0;
+  for (std::uint64_t operation = 1; operation <= operations; ++operation) {
+    for (const double after_us : plan.after_us) {
+      ToldNode site(plan);
+      site.run_to_operation(operation);
+      ASSERT_EQ(site.node->soc().nvmc().operations(), operation);
+      const bool erases = site.node->soc().nvmc().next_event() - site.network.now() > kUnitsPerMillisecond;
+      if (after_us > 50.0 && !erases) continue;
+      site.network.run_until(site.network.now() + from_seconds(after_us * 1e-6));
+      const std::uint32_t delay = site.delay_after_power_cut();
+      ++cuts;
+      EXPECT_TRUE(delay == old_delay || delay == kNewDelay)
+          << "operation " << operation << " after " << after_us << " us: " << delay;
+      // No way back.
+      if (delay == kNewDelay) new_one_in_force = true;
+      EXPECT_TRUE(!new_one_in_force || delay == kNewDelay) << "operation " << operation;
+      seen.insert(delay);
+    }
+  }
+  std::cout << operations << " operations of the flash, " << cuts << " power cuts, "
+            << (seen.contains(kNewDelay) ? "old and new" : "old") << " configuration seen\n";
+  EXPECT_TRUE(seen.contains(old_delay));
+  EXPECT_TRUE(seen.contains(kNewDelay));
+}
+
+}  // namespace groma::sim

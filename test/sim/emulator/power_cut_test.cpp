@@ -1,0 +1,16 @@
+// A few instants of each operation of the flash; the campaign (power_cut_campaign.cpp) has more.
+#include "test/sim/emulator/power_cut.hpp"
+
+namespace groma::sim {
+namespace {
+
+TEST(PowerCut, AmidAWriteLeavesOneConfiguration) {
+  cut_power_everywhere({});
+}
+
+TEST(PowerCut, AmidAMoveToTheOtherPageLeavesOneConfiguration) {
+  cut_power_everywhere({.page_full = true});
+}
+
+}  // namespace
+}  // namespace groma::sim
