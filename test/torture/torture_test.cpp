@@ -43,8 +43,8 @@ Outcome run_on_qemu() {
 Outcome run_on_ours(sim::SimTime cut) {
   constexpr std::uint32_t kWrite0 = 0x04;
   constexpr std::uint32_t kExitExtended = 0x20;
-  std::vector<std::uint8_t> flash(64 * 1024, 0xFF);
-  std::vector<std::uint8_t> ram(32 * 1024);
+  std::vector<std::uint8_t> flash(std::size_t{64} * 1024, 0xFF);
+  std::vector<std::uint8_t> ram(std::size_t{32} * 1024);
   const test::ElfFile image(kImage);
   for (const auto& [address, byte] : image.loaded()) flash.at(address) = byte;
   NoBus bus;

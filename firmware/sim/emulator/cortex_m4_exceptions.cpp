@@ -8,7 +8,6 @@ namespace groma::sim {
 namespace {
 
 constexpr std::uint32_t kRam = 0x20000000;
-constexpr std::uint32_t kThumb = 1U << 24;
 constexpr std::uint32_t kExceptionNumber = 0x1FF;
 constexpr std::uint32_t kRealigned = 1U << 9;  // of the stacked xPSR
 constexpr std::uint32_t kBasicFrame = 0x20;
