@@ -2,6 +2,8 @@
 
 #include <CLI/App.hpp>
 
+#include "host/provision/image.hpp"
+
 namespace groma::cli {
 
 void add_emulation_options(CLI::App& command, EmulationChoice& choice) {
@@ -14,15 +16,10 @@ void add_emulation_options(CLI::App& command, EmulationChoice& choice) {
       ->needs("--emulated");
 }
 
-std::filesystem::path default_image_path() {
-  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe");
-  return program.parent_path().parent_path().parent_path() / "dwm1001" / "groma-node.hex";
-}
-
 std::shared_ptr<const sim::FirmwareImage> chosen_image(const EmulationChoice& choice) {
   if (!choice.emulated) return nullptr;
   return std::make_shared<const sim::FirmwareImage>(
-      sim::read_firmware_image(choice.image.value_or(default_image_path())));
+      sim::read_firmware_image(choice.image.value_or(provision::default_image_path())));
 }
 
 }  // namespace groma::cli

@@ -21,9 +21,6 @@ struct EmulationChoice {
 // `choice` outlives the parsing.
 void add_emulation_options(CLI::App& command, EmulationChoice& choice);
 
-// Where the preset dwm1001 puts the image of the tree that this program was built in.
-[[nodiscard]] std::filesystem::path default_image_path();
-
 // The image to emulate, or nothing for native nodes. Throws sim::SimulationError where it cannot be read.
 [[nodiscard]] std::shared_ptr<const sim::FirmwareImage> chosen_image(const EmulationChoice& choice);
 

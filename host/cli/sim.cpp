@@ -38,9 +38,7 @@ int run(Options options) {
   std::signal(SIGINT, on_stop_signal);
   std::signal(SIGTERM, on_stop_signal);
   simulation::SiteServer server(scenario, options.server);
-  for (const model::Tag& tag : scenario.tags) {
-    say(fmt::format("{}\n", (options.server.folder / fmt::format("tag-{}", tag.id)).string()));
-  }
+  for (const std::filesystem::path& port : server.ports()) say(port.string() + '\n');
   say(fmt::format("{}\nrunning {} at {} times real time; end it with Ctrl-C\n",
                   (options.server.folder / "robot.sock").string(), scenario.name, options.server.speed));
   flush_output();
@@ -70,6 +68,9 @@ void add_sim(CLI::App& app, Action& action) {
       ->check(CLI::Range(0.01, 100.0))
       ->capture_default_str();
   add_emulation_options(*command, options->emulation);
+  command->add_flag(
+      "--unconfigured", options->server.site.unconfigured,
+      "Nodes as out of the box, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
       ->required();
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -23,12 +23,12 @@ std::span<const std::uint8_t> bytes_of(const std::string& text) {
 
 LockStep::LockStep(const sim::Scenario& scenario, const SiteOptions& options)
     : site_(scenario, options), robot_(site_.world().robot()) {
-  for (std::size_t i = 0; i < site_.tag_count(); ++i) {
+  for (std::size_t i = 0; i < site_.port_count(); ++i) {
     Tag tag;
     link::OpenedLink opened = link::open_link(tag.port.path(), scenario.link.bit_per_s);
     if (!opened.link) throw io::DeviceError({tag.port.path()}, opened.error.message, "see there");
     tag.link = std::move(opened.link);
-    tag.node = session_.add_node(fmt::format("tag-{}", site_.tag_id(i)), scenario.link.bit_per_s);
+    tag.node = session_.add_node(site_.port_name(i), scenario.link.bit_per_s);
     tags_.push_back(std::move(tag));
   }
 }

@@ -72,30 +72,33 @@ SimulatedSite::SimulatedSite(const sim::Scenario& scenario, const SiteOptions& o
   const sim::KeyedRandom nodes = sim::KeyedRandom(options.seed).of(kNodes);
   const provision::SiteSettings settings = settings_of(scenario);
   const auto add = [&](groma_Role role, model::NodeId id) {
-    const sim::NodeSpec spec = spec_of(scenario, provision::config_of(settings, role, id), nodes.of(id));
+    sim::NodeSpec spec = spec_of(scenario, provision::config_of(settings, role, id), nodes.of(id));
+    if (options.unconfigured) spec.stored_config.clear();
     if (!options.image) return network_.add_native(spec);
     return network_.add(sim::make_emulated_node(spec, *options.image, network_.medium(), options.emulator));
   };
+  std::vector<Port> of_anchors;
   for (const model::Anchor& anchor : scenario.anchors) {
-    add(groma_Role_ROLE_ANCHOR, anchor.id);
+    of_anchors.push_back({fmt::format("anchor-{}", anchor.id), add(groma_Role_ROLE_ANCHOR, anchor.id)});
   }
   for (const model::Tag& tag : scenario.tags) {
-    tags_.push_back({tag.id, add(groma_Role_ROLE_TAG, tag.id)});
+    ports_.push_back({fmt::format("tag-{}", tag.id), add(groma_Role_ROLE_TAG, tag.id)});
   }
+  if (options.unconfigured) ports_.insert(ports_.end(), of_anchors.begin(), of_anchors.end());
 }
 
 void SimulatedSite::run_until(double t_s) {
   network_.run_until(sim::from_seconds(t_s));
 }
 
-void SimulatedSite::take(std::size_t tag, std::vector<std::uint8_t>& bytes) {
+void SimulatedSite::take(std::size_t port, std::vector<std::uint8_t>& bytes) {
   taken_.clear();
-  network_.take(tags_.at(tag).node, taken_);
+  network_.take(ports_.at(port).node, taken_);
   for (const sim::TimedByte& byte : taken_) bytes.push_back(byte.value);
 }
 
-bool SimulatedSite::send(std::size_t tag, std::span<const std::uint8_t> bytes) {
-  return network_.send(tags_.at(tag).node, bytes);
+bool SimulatedSite::send(std::size_t port, std::span<const std::uint8_t> bytes) {
+  return network_.send(ports_.at(port).node, bytes);
 }
 
 }  // namespace groma::simulation

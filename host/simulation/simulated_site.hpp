@@ -23,6 +23,8 @@ struct SiteOptions {
   // What each node runs, instruction by instruction; none: the firmware compiled in.
   std::shared_ptr<const sim::FirmwareImage> image{};
   sim::EmulatorOptions emulator{};
+  // Nodes as they come out of the box: flashed, not configured; then anchors have ports, too.
+  bool unconfigured = false;
 };
 
 // Throws sim::SimulationError where the firmware would refuse the scenario's schedule, or where a node does
@@ -35,25 +37,25 @@ class SimulatedSite {
   void run_until(double t_s);
   [[nodiscard]] double now_s() const noexcept { return sim::to_seconds(network_.now()); }
 
-  // Tags in the order of the scenario.
-  [[nodiscard]] std::size_t tag_count() const noexcept { return tags_.size(); }
-  [[nodiscard]] model::NodeId tag_id(std::size_t tag) const { return tags_.at(tag).id; }
-  // Appends the bytes that have left the tag's UART by now, at the line's bit rate.
-  void take(std::size_t tag, std::vector<std::uint8_t>& bytes);
-  // From the host to the tag. False: more than its line's queue holds; nothing was sent.
-  bool send(std::size_t tag, std::span<const std::uint8_t> bytes);
+  // Serial ports in the order of the scenario, tags first: "tag-1" and so on.
+  [[nodiscard]] std::size_t port_count() const noexcept { return ports_.size(); }
+  [[nodiscard]] const std::string& port_name(std::size_t port) const { return ports_.at(port).name; }
+  // Appends the bytes that have left the node's UART by now, at the line's bit rate.
+  void take(std::size_t port, std::vector<std::uint8_t>& bytes);
+  // From the host to the node. False: more than its line's queue holds; nothing was sent.
+  bool send(std::size_t port, std::span<const std::uint8_t> bytes);
 
   [[nodiscard]] const sim::World& world() const noexcept { return world_; }
 
  private:
-  struct Tag {
-    model::NodeId id;
+  struct Port {
+    std::string name;
     std::size_t node;
   };
 
   sim::World world_;
   sim::Network network_;
-  std::vector<Tag> tags_;
+  std::vector<Port> ports_;
   std::vector<sim::TimedByte> taken_;
 };
 

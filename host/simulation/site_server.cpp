@@ -101,9 +101,9 @@ SiteServer::SiteServer(const sim::Scenario& scenario, const Options& options)
       made_folder_(!std::filesystem::exists(folder_)),
       robot_((io::make_folder(folder_), folder_ / "robot.sock")) {
   try {
-    for (std::size_t i = 0; i < site_.tag_count(); ++i) {
+    for (std::size_t i = 0; i < site_.port_count(); ++i) {
       ports_.emplace_back();
-      const std::filesystem::path link = folder_ / fmt::format("tag-{}", site_.tag_id(i));
+      const std::filesystem::path link = folder_ / site_.port_name(i);
       if (std::filesystem::is_symlink(link)) ::unlink(link.c_str());  // a run's that was killed
       if (::symlink(ports_.back().path().c_str(), link.c_str()) != 0) fail(link, "cannot be made");
       links_.push_back(link);

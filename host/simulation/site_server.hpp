@@ -1,5 +1,6 @@
 // A simulated site that runs in real time, or faster, for others to connect to: in a folder, a serial port
-// for each tag (tag-1 and so on) and a socket with the robot's odometry and pose priors (robot.sock).
+// for each tag (tag-1 and so on; and anchors, if they come unconfigured) and a socket with the robot's
+// odometry and pose priors (robot.sock).
 #pragma once
 
 #include <csignal>
@@ -56,6 +57,8 @@ class SiteServer {
   // and says so by behind_s().
   void run(const volatile std::sig_atomic_t& stop, double simulated_s = 0.0);
 
+  // The serial ports that it serves.
+  [[nodiscard]] const std::vector<std::filesystem::path>& ports() const noexcept { return links_; }
   [[nodiscard]] double now_s() const noexcept { return site_.now_s(); }
   // How much later than asked for it went, all together.
   [[nodiscard]] double behind_s() const noexcept { return behind_s_; }

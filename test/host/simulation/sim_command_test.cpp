@@ -127,6 +127,29 @@ TEST(SimCommand, RunsUntilTerminated) {
   runs_until(SIGTERM);
 }
 
+TEST(SimCommand, UnconfiguredNodesWaitAtTheirPortsForAPlan) {
+  const test::ScratchFolder scratch;
+  const std::filesystem::path ports = scratch / "ports";
+  Child child({"sim", "--scenario", scenario("open_field.yaml"), "--unconfigured", "--ports", ports.string()},
+              scratch / "errors");
+  ASSERT_TRUE(wait_for([&] { return std::filesystem::exists(ports / "robot.sock"); }, 20.0))
+      << test::read_text(scratch / "errors");
+  scratch.write("plan.yaml",
+                "schema: 1\nnetwork_id: 7\nnodes:\n  - {id: 1, role: tag, port: ports/tag-1}\n"
+                "  - {id: 10, role: anchor, port: ports/anchor-10}\n");
+  const auto blinking = test::run_child({GROMA_EXECUTABLE, "identify", ports / "anchor-10"});
+  EXPECT_EQ(blinking.exit_code, 0) << blinking.err;
+  EXPECT_THAT(blinking.out, HasSubstr("an unconfigured node"));
+  for (const char* result : {"configured", "unchanged"}) {
+    const auto configured = test::run_child({GROMA_EXECUTABLE, "configure", "--plan", scratch / "plan.yaml"});
+    EXPECT_EQ(configured.exit_code, 0) << configured.err;
+    EXPECT_THAT(configured.out, HasSubstr(result));
+  }
+  child.signal(SIGINT);
+  EXPECT_NE(child.exit_code(), -1);
+  EXPECT_FALSE(std::filesystem::exists(ports));
+}
+
 TEST(SimCommand, AnUnknownKeyEndsItWithItsPlace) {
   const test::ScratchFolder scratch;
   scratch.write("site.yaml", "schema: 1\nname: x\ncolour: red\n");
