@@ -14,8 +14,8 @@ using groma::node::Node;
 constinit Board board;
 
 // For who flashes: see image_identity.hpp.
-[[gnu::used, gnu::section(".identity")]] constexpr groma::node::ImageIdentity identity(groma::kVersion,
-                                                                                       groma::kGitHash);
+[[gnu::used, gnu::section(".identity")]] constexpr groma::node::ImageIdentity kIdentity(groma::kVersion,
+                                                                                        groma::kGitHash);
 
 }  // namespace
 

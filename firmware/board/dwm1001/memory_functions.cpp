@@ -20,9 +20,6 @@ void store(std::uint8_t* to, Word word) noexcept {
 
 }  // namespace
 
-// Otherwise the compiler would see in each loop what it is, and call the function from within itself.
-#pragma GCC optimize("no-tree-loop-distribute-patterns")
-
 extern "C" {
 
 void* memcpy(void* to, const void* from, std::size_t size) {

@@ -11,7 +11,7 @@ namespace groma::nrf52832 {
 using Register = volatile std::uint32_t;
 
 [[nodiscard]] inline Register& at(std::uint32_t address) noexcept {
-  return *reinterpret_cast<Register*>(address);
+  return *reinterpret_cast<Register*>(address);  // NOLINT(performance-no-int-to-ptr): that is what it is
 }
 
 // A peripheral's registers: each a 32-bit word at an offset from its base.

@@ -87,6 +87,6 @@ consteval std::array<Handler, kExceptions + kInterrupts> handlers() {
   return table;
 }
 
-[[gnu::section(".vectors"), gnu::used]] const VectorTable vectors{groma_stack_end, handlers()};
+[[gnu::section(".vectors"), gnu::used]] const VectorTable kVectors{groma_stack_end, handlers()};
 
 }  // namespace

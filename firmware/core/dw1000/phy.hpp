@@ -35,7 +35,7 @@ class Phy {
   // From the RMARKER to the end of a frame of `bytes` with its frame check. Reed-Solomon adds 48 bits to each
   // 330 begun.
   [[nodiscard]] static constexpr ranging::Ticks after_rmarker(std::size_t bytes) noexcept {
-    const auto bits = static_cast<std::int64_t>(8 * bytes);
+    const std::int64_t bits = 8 * static_cast<std::int64_t>(bytes);
     return kHeaderSymbols * kHeaderSymbol + (bits + 48 * ((bits + 329) / 330)) * kDataBit;
   }
   [[nodiscard]] constexpr ranging::Ticks air_time(std::size_t bytes) const noexcept {
