@@ -1,0 +1,240 @@
+// What the board's own code promises, tried on the shipped image in the emulator.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "test/sim/emulator/emulated_site.hpp"
+#include "test/support/elf_file.hpp"
+
+namespace groma::sim {
+namespace {
+
+using Register = CortexM4::Register;
+
+groma_HostToNode command_of(std::uint32_t request_id, pb_size_t which) {
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.request_id = request_id;
+  command.which_body = which;
+  return command;
+}
+
+class Board : public testing::Test {
+ protected:
+  void SetUp() override {
+    GROMA_NEEDS_SHIPPED_IMAGE();
+    space_.put(1, {});
+    NodeSpec spec;
+    spec.chip.id = 1;
+    network_.add(make_emulated_node(spec, shipped(), network_.medium()));
+  }
+
+  EmulatedNode& node() { return dynamic_cast<EmulatedNode&>(network_.node(0)); }
+  void run_until(double t_s) {
+    network_.run_until(from_seconds(t_s));
+    std::vector<TimedByte> bytes;
+    network_.take(0, bytes);
+    listener.take(bytes);
+  }
+  void send(const groma_HostToNode& command) { ASSERT_TRUE(network_.send(0, frame_of(command))); }
+  // The processor goes on at `pc`, with interrupts as they are outside of a lock.
+  void jump(std::uint32_t pc) {
+    node().cpu().set_register(Register::kPrimask, 0);
+    node().cpu().set_register(Register::kPc, pc);
+  }
+  void put_word(std::uint32_t address, std::uint32_t word) {
+    for (std::uint32_t i = 0; i < 4; ++i) {
+      node().ram()[address - kRamAddress + i] = static_cast<std::uint8_t>(word >> (8 * i));
+    }
+  }
+  // Samples of one light, 10 ms apart.
+  std::vector<bool> watch(std::size_t light, double from_s, double until_s) {
+    std::vector<bool> lit;
+    for (double t_s = from_s; t_s < until_s; t_s += 0.01) {
+      run_until(t_s);
+      lit.push_back(node().soc().lit(light));
+    }
+    return lit;
+  }
+
+  Listener listener;
+
+ private:
+  FreeSpace space_;
+  Network network_{space_, {}, 1};
+};
+
+// ---- the link ---------------------------------------------------------------------------------------------
+
+TEST_F(Board, AnswersCommandsThatComeWithoutAPauseWhileItRanges) {
+  SiteBench site(
+      emulating({.tags = 1, .anchors = 3}, {}, [](std::uint16_t id) { return id == SiteBench::tag_id(0); }));
+  site.run_until(1.0);
+  constexpr std::uint32_t kCommands = 60;
+  std::vector<std::uint8_t> burst;
+  for (std::uint32_t i = 0; i < kCommands; ++i) {
+    const auto frame = frame_of(command_of(i + 1, groma_HostToNode_identify_s_tag));
+    burst.insert(burst.end(), frame.begin(), frame.end());
+  }
+  ASSERT_TRUE(site.network.send(0, burst));
+  site.run_until(2.5);
+  const auto& replies = site.listeners[0].replies;
+  ASSERT_EQ(replies.size(), kCommands);
+  for (std::uint32_t i = 0; i < kCommands; ++i) EXPECT_EQ(replies[i].request_id, i + 1);
+  EXPECT_EQ(emulated(site, 0).soc().uarte().lost_bytes(), 0U);
+  EXPECT_EQ(site.listeners[0].counters.link_frames_bad, 0U);
+  EXPECT_EQ(site.listeners[0].counters.reports_dropped, 0U);
+}
+
+TEST_F(Board, RefusesWholeFramesWhereTheLineIsFull) {
+  // The longest answer that there is: some 2.3 ms of the line.
+  groma_HostToNode write = command_of(1, groma_HostToNode_write_config_tag);
+  groma_Config& config = write.body.write_config;
+  config = SiteBench({.tags = 1, .anchors = 1}).config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG);
+  groma_Schedule& schedule = config.schedule;
+  schedule.tag_ids_count = schedule.anchor_ids_count = 16;
+  for (std::uint16_t i = 0; i < 16; ++i) {
+    schedule.tag_ids[i] = static_cast<std::uint16_t>(60'000 + i);
+    schedule.anchor_ids[i] = static_cast<std::uint16_t>(50'000 + i);
+  }
+  config.id = schedule.tag_ids[0];
+  schedule.master_id = schedule.anchor_ids[0];
+  run_until(1.0);
+  send(write);
+  run_until(2.0);
+  ASSERT_EQ(listener.replies.size(), 1U);
+  ASSERT_EQ(listener.replies[0].result, groma_Result_RESULT_OK) << listener.replies[0].text;
+
+  constexpr std::uint32_t kCommands = 200;
+  for (std::uint32_t i = 0; i < kCommands; ++i) {
+    run_until(2.0 + 1.2e-3 * i);
+    send(command_of(i + 2, groma_HostToNode_read_config_tag));
+  }
+  run_until(4.0);
+  // What was dropped is counted, and what came is whole.
+  EXPECT_EQ(listener.undecodable, 0);
+  EXPECT_EQ(listener.counters.link_frames_bad, 0U);
+  EXPECT_GT(listener.counters.reports_dropped, 0U);
+  EXPECT_EQ(listener.replies.size() - 1 + listener.counters.reports_dropped, kCommands);
+}
+
+// ---- faults -----------------------------------------------------------------------------------------------
+
+TEST_F(Board, NamesWhoseCallOverflowedTheStack) {
+  run_until(1.5);
+  const std::uint32_t caller = test::ElfFile(test::shipped_image(".elf")).symbol("groma_text_begin") + 0x100;
+  put_word(kRamAddress + 8, caller | 1U);
+  node().cpu().set_register(Register::kSp, kRamAddress + 8);
+  jump(0x0030'0000);
+  run_until(3.0);
+  ASSERT_EQ(listener.hellos.size(), 2U);
+  const groma_Hello& hello = listener.hellos[1];
+  EXPECT_EQ(hello.reset_reason, groma_ResetReason_RESET_FAULT);
+  constexpr std::uint32_t kStkerr = 1U << 12;
+  EXPECT_NE(hello.last_fault.cfsr & kStkerr, 0U);
+  EXPECT_EQ(hello.last_fault.pc, caller);
+}
+
+TEST_F(Board, TellsOfAFaultOnce) {
+  run_until(1.5);
+  jump(0x0030'0000);
+  run_until(3.0);
+  ASSERT_EQ(listener.hellos.size(), 2U);
+  EXPECT_TRUE(listener.hellos[1].has_last_fault);
+  send(command_of(1, groma_HostToNode_reboot_tag));
+  run_until(4.5);
+  ASSERT_EQ(listener.hellos.size(), 3U);
+  EXPECT_EQ(listener.replies.size(), 1U);
+  EXPECT_EQ(listener.hellos[2].reset_reason, groma_ResetReason_RESET_SOFTWARE);
+  EXPECT_FALSE(listener.hellos[2].has_last_fault);
+}
+
+TEST_F(Board, DoesNotBelieveARecordWithAWrongCheck) {
+  run_until(1.5);
+  jump(0x0030'0000);
+  // Until the record is kept and the processor reset, but not until it is read.
+  const auto kept = test::ElfFile(test::shipped_image(".elf")).section(".noinit");
+  const std::span<std::uint8_t> record = node().ram().subspan(kept.address - kRamAddress, kept.bytes);
+  const std::vector<std::uint8_t> before(record.begin(), record.end());
+  for (double t_s = 1.5; t_s < 1.6 && std::equal(before.begin(), before.end(), record.begin()); t_s += 1e-6)
+    run_until(t_s);
+  record[8] ^= 1;
+  run_until(3.0);
+  ASSERT_EQ(listener.hellos.size(), 2U);
+  EXPECT_EQ(listener.hellos[1].reset_reason, groma_ResetReason_RESET_SOFTWARE);
+  EXPECT_FALSE(listener.hellos[1].has_last_fault);
+}
+
+TEST_F(Board, IsResetFromALoopThatLetsNoInterruptThrough) {
+  run_until(1.5);
+  // A jump to itself, in flash that the image does not use.
+  constexpr std::uint32_t kLoop = 0x7'0000;
+  node().flash()[kLoop] = 0xFE;
+  node().flash()[kLoop + 1] = 0xE7;
+  node().cpu().flash_changed(kLoop, 2);
+  jump(kLoop);
+  node().cpu().set_register(Register::kPrimask, 1);
+  run_until(11.0);
+  ASSERT_EQ(listener.hellos.size(), 2U);
+  EXPECT_EQ(listener.hellos[1].reset_reason, groma_ResetReason_RESET_WATCHDOG);
+  // Nobody could look where it was.
+  EXPECT_FALSE(listener.hellos[1].has_last_fault);
+}
+
+// ---- the rest ---------------------------------------------------------------------------------------------
+
+TEST_F(Board, ShowsByItsLightsWhatItDoes) {
+  constexpr std::size_t kBlue = 3;
+  const auto changes = [](const std::vector<bool>& lit) {
+    int count = 0;
+    for (std::size_t i = 1; i < lit.size(); ++i) count += lit[i] != lit[i - 1] ? 1 : 0;
+    return count;
+  };
+  // Not configured: blue, half a second each.
+  EXPECT_NEAR(changes(watch(kBlue, 1.0, 5.0)), 8, 1);
+  EXPECT_EQ(changes(watch(0, 5.0, 6.0)), 0);
+  groma_HostToNode identify = command_of(1, groma_HostToNode_identify_s_tag);
+  identify.body.identify_s = 2;
+  send(identify);
+  run_until(6.1);
+  double from_s = 6.2;
+  for (const std::size_t light : {0U, 1U, 2U, 3U}) {
+    EXPECT_NEAR(changes(watch(light, from_s, from_s + 0.4)), 4, 1) << light;
+    from_s += 0.4;
+  }
+  EXPECT_EQ(changes(watch(0, 8.5, 9.5)), 0);
+}
+
+TEST_F(Board, LeavesHalfOfItsStackUntouched) {
+  SiteBench site(emulating({.tags = 1, .anchors = 3}));
+  site.run_until(1.0);
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    groma_HostToNode write = command_of(1, groma_HostToNode_write_config_tag);
+    const bool tag = i == 0;
+    const auto id = tag ? SiteBench::tag_id(0) : SiteBench::anchor_id(static_cast<int>(i) - 1);
+    write.body.write_config = site.config_of(id, tag ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR);
+    write.body.write_config.report_raw_stamps = false;
+    ASSERT_TRUE(site.network.send(i, frame_of(write)));
+    ASSERT_TRUE(site.network.send(i, frame_of(command_of(2, groma_HostToNode_read_config_tag))));
+  }
+  site.run_until(2.0);
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    ASSERT_TRUE(site.network.send(i, frame_of(command_of(3, groma_HostToNode_apply_config_tag))));
+    ASSERT_TRUE(site.network.send(i, frame_of(command_of(4, groma_HostToNode_get_hello_tag))));
+  }
+  site.run_until(4.0);
+  for (const Listener& each : site.listeners) {
+    EXPECT_EQ(each.replies.size(), 4U);
+    const groma_Hello& hello = each.hellos.back();
+    EXPECT_GT(hello.stack_high_water_bytes, 1'000U);
+    EXPECT_LE(hello.stack_high_water_bytes, hello.stack_size_bytes / 2);
+    RecordProperty("stack_high_water_bytes", static_cast<int>(hello.stack_high_water_bytes));
+  }
+}
+
+}  // namespace
+}  // namespace groma::sim
