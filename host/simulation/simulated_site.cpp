@@ -2,7 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
+#include <thread>
 
 #include "firmware/core/node/config.hpp"
 #include "firmware/sim/keyed_random.hpp"
@@ -71,6 +73,7 @@ SimulatedSite::SimulatedSite(const sim::Scenario& scenario, const SiteOptions& o
       network_(world_, medium_settings(scenario.radio), sim::KeyedRandom(options.seed).of(kMedium).bits()) {
   const sim::KeyedRandom nodes = sim::KeyedRandom(options.seed).of(kNodes);
   const provision::SiteSettings settings = settings_of(scenario);
+  if (options.image) network_.set_threads(std::max(1U, std::thread::hardware_concurrency()));
   const auto add = [&](groma_Role role, model::NodeId id) {
     sim::NodeSpec spec = spec_of(scenario, provision::config_of(settings, role, id), nodes.of(id));
     if (options.unconfigured) spec.stored_config.clear();
