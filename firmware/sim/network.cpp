@@ -12,7 +12,8 @@ Network::Network(const PropagationModel& propagation, const MediumSettings& sett
 Network::~Network() = default;
 
 std::size_t Network::add(std::unique_ptr<NodeHost> host) {
-  due_.push_back({&host->chip(), host->next_work()});
+  due_.push_back({&host->chip(), host->next_work(), host->shares_bus()});
+  shared_bus_ = shared_bus_ || host->shares_bus();
   nodes_.push_back(std::move(host));
   return nodes_.size() - 1;
 }
@@ -22,7 +23,7 @@ void Network::set_threads(unsigned threads) {
 }
 
 void Network::run_until(SimTime t) {
-  if (workers_ != nullptr) {
+  if (workers_ != nullptr && !shared_bus_) {
     run_in_windows(t);
   } else {
     run_in_order(t);
@@ -30,8 +31,9 @@ void Network::run_until(SimTime t) {
   if (t > now_) now_ = t;
 }
 
-SimTime Network::next_of(std::size_t node) const noexcept {
-  return std::min(due_[node].work, due_[node].chip->next_event());
+SimTime Network::next_of(std::size_t node) {
+  const SimTime work = due_[node].shares_bus ? nodes_[node]->next_work() : due_[node].work;
+  return std::min(work, due_[node].chip->next_event());
 }
 
 void Network::run_node(std::size_t node, SimTime now) {

@@ -63,6 +63,8 @@ class NodeHost {
   // When run() has to be called next, beside the chip's own next_event(); kNever: not at all. Changes only by
   // run(), set_power() and bytes on uart_in().
   [[nodiscard]] virtual SimTime next_work() = 0;
+  // What other nodes do on a bus that they share changes it too.
+  [[nodiscard]] virtual bool shares_bus() const noexcept { return false; }
   // Does what is due at `now`. May reach ahead of it by the time that the work takes.
   virtual void run(SimTime now) = 0;
   // Brown-out, and power back: volatile state is lost.
@@ -82,7 +84,8 @@ class Network {
 
   // From here on nodes that work at the same time are run by that many threads. They do the same whatever the
   // number, as long as no node acts upon another sooner than kWindow and its run's reach after it decides to:
-  // the chips count where it was not so (late_announcements()). Nodes on one CAN bus need one thread.
+  // the chips count where it was not so (late_announcements()). Nodes that share a bus
+  // are run by one thread all the same.
   void set_threads(unsigned threads);
   static constexpr SimTime kWindow = 10 * kUnitsPerMicrosecond;
 
@@ -104,10 +107,11 @@ class Network {
  private:
   struct Due {
     const Dw1000Chip* chip;
-    SimTime work;  // the host's next_work()
+    SimTime work;  // the host's next_work(), unless it shares a bus: that is asked each time
+    bool shares_bus;
   };
 
-  [[nodiscard]] SimTime next_of(std::size_t node) const noexcept;
+  [[nodiscard]] SimTime next_of(std::size_t node);
   void run_node(std::size_t node, SimTime now);
   void run_in_order(SimTime t);
   void run_in_windows(SimTime t);
@@ -116,6 +120,7 @@ class Network {
   std::vector<std::unique_ptr<NodeHost>> nodes_;
   std::vector<Due> due_;                 // the same order
   std::unique_ptr<WorkerPool> workers_;  // without: one node after the other
+  bool shared_bus_ = false;
   std::vector<std::size_t> at_work_;
   std::vector<std::exception_ptr> failures_;
   SimTime now_ = 0;

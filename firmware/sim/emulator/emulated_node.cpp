@@ -52,6 +52,7 @@ class EmulatedNode::Machine final : private Processor {
         uart_in(spec.uart),
         flash(image.flash),
         ram(kRamBytes),
+        shares_bus(options.can != nullptr),
         random_(KeyedRandom(spec.chip.id)),
         clock_(spec.cpu_clock.value_or(spec.chip.clock)),
         quantum_(options.quantum),
@@ -165,6 +166,7 @@ class EmulatedNode::Machine final : private Processor {
   UartLine uart_in;
   std::vector<std::uint8_t> flash;
   std::vector<std::uint8_t> ram;
+  const bool shares_bus;
 
  private:
   // ---- what the peripherals ask for
@@ -243,6 +245,9 @@ UartLine& EmulatedNode::uart_in() noexcept {
 }
 SimTime EmulatedNode::next_work() {
   return machine_->next_work();
+}
+bool EmulatedNode::shares_bus() const noexcept {
+  return machine_->shares_bus;
 }
 void EmulatedNode::run(SimTime now) {
   machine_->run(now);

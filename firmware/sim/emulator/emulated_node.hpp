@@ -52,6 +52,7 @@ class EmulatedNode final : public NodeHost {
   [[nodiscard]] UartLine& uart_out() noexcept override;
   [[nodiscard]] UartLine& uart_in() noexcept override;
   [[nodiscard]] SimTime next_work() override;
+  [[nodiscard]] bool shares_bus() const noexcept override;
   void run(SimTime now) override;
   void set_power(bool on, SimTime now) override;
 
