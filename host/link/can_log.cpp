@@ -84,15 +84,6 @@ CanLogLine parse_candump_line(std::string_view line) {
   return {.intact = true, .frame = std::move(logged)};
 }
 
-std::string format_candump_line(const LoggedCanFrame& logged) {
-  std::string line = fmt::format("({:.6f}) {} {:08X}#", logged.t_s, logged.interface, logged.frame.id);
-  if (logged.frame.format == wire::CanFormat::kFd) {
-    line += fmt::format("#{:X}", logged.frame.bit_rate_switch ? kBitRateSwitch : 0U);
-  }
-  for (const std::uint8_t byte : logged.frame.payload()) line += fmt::format("{:02X}", byte);
-  return line;
-}
-
 CanLog read_candump_log(const std::filesystem::path& path) {
   std::ifstream file(path);
   if (!file) return {{}, explain_open_error(path.string(), errno)};

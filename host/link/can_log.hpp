@@ -32,7 +32,6 @@ struct CanLogLine {
 };
 
 [[nodiscard]] CanLogLine parse_candump_line(std::string_view line);
-[[nodiscard]] std::string format_candump_line(const LoggedCanFrame& logged);  // without the line's end
 
 struct CanLog {
   std::vector<LoggedCanFrame> frames;

@@ -16,13 +16,17 @@
 #include <exception>
 #include <filesystem>
 #include <fstream>
+#include <memory>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "firmware/sim/can_bus.hpp"
+#include "firmware/sim/can_log.hpp"
+#include "firmware/sim/time.hpp"
 #include "firmware/sim/world/scenario_file.hpp"
 #include "host/io/calibration_file.hpp"
-#include "host/link/can_log.hpp"
 #include "host/model/calibration.hpp"
 #include "host/simulation/robot_feed.hpp"
 #include "host/simulation/simulated_site.hpp"
@@ -37,34 +41,38 @@ constexpr double kDuration_s = 6.0;
 constexpr double kStep_s = 0.001;
 constexpr double kTruthPeriod_s = 0.02;
 
-// One bus that all tags share: a frame waits for the one before.
-class BusLog {
+// The bus that all tags share, and what is heard on it.
+class RecordedBus {
  public:
-  BusLog(const std::filesystem::path& path, wire::CanFormat format) : file_(path), format_(format) {}
+  RecordedBus(wire::CanFormat format, std::size_t tags) : format_(format) {
+    const sim::CanRates rates{.fd = format == wire::CanFormat::kFd};
+    host_ = std::make_unique<sim::CanTap>(bus_, rates);
+    for (std::size_t i = 0; i < tags; ++i) controllers_.push_back(std::make_unique<sim::CanTap>(bus_, rates));
+  }
 
-  void send(model::NodeId node, std::span<const std::uint8_t> stream, double t_s) {
+  void send(std::size_t tag, model::NodeId id, std::span<const std::uint8_t> stream, sim::SimTime t) {
     while (!stream.empty()) {
-      link::LoggedCanFrame logged;
-      logged.interface = "can0";
-      stream = stream.subspan(wire::cut_can_payload(stream, format_, logged.frame));
-      logged.frame.id = wire::can_id({wire::CanDirection::kToHost, node});
-      free_at_s_ = std::max(free_at_s_, t_s) + duration_s(logged.frame.size);
-      logged.t_s = free_at_s_;
-      file_ << link::format_candump_line(logged) << "\n";
+      wire::CanFrame frame;
+      stream = stream.subspan(wire::cut_can_payload(stream, format_, frame));
+      frame.id = wire::can_id({wire::CanDirection::kToHost, id});
+      controllers_.at(tag)->send(t, frame);
     }
   }
 
- private:
-  // At 1 Mbit/s, the data of CAN FD at 2 Mbit/s: the bits around the payload, and one stuff bit in ten.
-  [[nodiscard]] double duration_s(std::uint8_t size) const {
-    constexpr double kStuffing = 1.1;
-    if (format_ == wire::CanFormat::kClassic) return kStuffing * (67.0 + 8.0 * size) * 1e-6;
-    return kStuffing * (48.0 * 1e-6 + (30.0 + 8.0 * size) * 0.5e-6);
+  void write(const std::filesystem::path& path, sim::SimTime until) {
+    bus_.advance(until);
+    if (!bus_.fault().empty()) throw std::runtime_error(bus_.fault());
+    std::ofstream file(path);
+    sim::write_candump(file, host_->take(until));
+    fmt::print("{}: {} frames, bus busy for {:.0f} %\n", path.string(), bus_.counters().frames,
+               100.0 * sim::to_seconds(bus_.counters().busy) / sim::to_seconds(until));
   }
 
-  std::ofstream file_;
+ private:
   wire::CanFormat format_;
-  double free_at_s_ = 0.0;
+  sim::CanBus bus_;
+  std::unique_ptr<sim::CanTap> host_;
+  std::vector<std::unique_ptr<sim::CanTap>> controllers_;
 };
 
 // A tag's stream by the frame of the protocol, as its UART carries it. On classic CAN a node sends its
@@ -152,10 +160,10 @@ void record(const std::filesystem::path& scenario_file, const std::filesystem::p
   std::ofstream(folder / "site.yaml") << site_yaml(scenario, std::filesystem::absolute(folder));
   std::ofstream(folder / "calibration.yaml") << surveyed(scenario);
 
-  simulation::SimulatedSite site(scenario, 1);
+  simulation::SimulatedSite site(scenario, {.seed = 1});
   simulation::RobotFeed feed(site.world().robot());
-  BusLog classic(folder / "classic.log", wire::CanFormat::kClassic);
-  BusLog fd(folder / "fd.log", wire::CanFormat::kFd);
+  RecordedBus classic(wire::CanFormat::kClassic, site.tag_count());
+  RecordedBus fd(wire::CanFormat::kFd, site.tag_count());
   std::vector<TagStream> classic_streams(site.tag_count(), TagStream(wire::CanFormat::kClassic));
   std::vector<TagStream> fd_streams(site.tag_count(), TagStream(wire::CanFormat::kFd));
   std::string lines;
@@ -167,10 +175,13 @@ void record(const std::filesystem::path& scenario_file, const std::filesystem::p
     for (std::size_t i = 0; i < site.tag_count(); ++i) {
       bytes.clear();
       site.take(i, bytes);
-      classic.send(site.tag_id(i), classic_streams[i].take(bytes), now_s);
-      fd.send(site.tag_id(i), fd_streams[i].take(bytes), now_s);
+      const sim::SimTime now = sim::from_seconds(now_s);
+      classic.send(i, site.tag_id(i), classic_streams[i].take(bytes), now);
+      fd.send(i, site.tag_id(i), fd_streams[i].take(bytes), now);
     }
   }
+  classic.write(folder / "classic.log", sim::from_seconds(kDuration_s));
+  fd.write(folder / "fd.log", sim::from_seconds(kDuration_s));
   std::ofstream(folder / "robot.jsonl") << lines;
   std::ofstream truth(folder / "truth.csv");
   truth << "t_s,x_m,y_m,yaw_rad\n";
