@@ -77,6 +77,7 @@ SimulatedSite::SimulatedSite(const sim::Scenario& scenario, const SiteOptions& o
   const auto add = [&](groma_Role role, model::NodeId id) {
     sim::NodeSpec spec = spec_of(scenario, provision::config_of(settings, role, id), nodes.of(id));
     if (options.unconfigured) spec.stored_config.clear();
+    if (options.make_node) return network_.add(options.make_node(spec, network_.medium()));
     if (!options.image) return network_.add_native(spec);
     return network_.add(sim::make_emulated_node(spec, *options.image, network_.medium(), options.emulator));
   };

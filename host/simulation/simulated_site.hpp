@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
@@ -25,6 +26,8 @@ struct SiteOptions {
   sim::EmulatorOptions emulator{};
   // Nodes as they come out of the box: flashed, not configured; then anchors have ports, too.
   bool unconfigured = false;
+  // In the place of both kinds of node, what runs one of this specification; empty: see above.
+  std::function<std::unique_ptr<sim::NodeHost>(const sim::NodeSpec& spec, sim::Medium& medium)> make_node{};
 };
 
 // Throws sim::SimulationError where the firmware would refuse the scenario's schedule, or where a node does

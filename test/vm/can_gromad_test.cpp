@@ -98,6 +98,11 @@ link::ReportCounters recorded(const std::string& name) {
 
 class GromadOnCan : public ::testing::Test {
  protected:
+  void SetUp() override {
+    if (!std::filesystem::exists(kRecording / "fd.log"))
+      GTEST_SKIP() << "record_can_site has recorded nothing";
+  }
+
   std::string config(const std::string& scheme) const {
     std::string text = "schema: 1\nnodes:\n";
     for (const unsigned tag : kTags)
