@@ -69,6 +69,7 @@ bool NorFlash::write(std::uint32_t offset, std::uint32_t word) noexcept {
       word |= bits;
       break;
   }
+  if (words_[index] != kErased) ++overwrites_;
   words_[index] &= word;
   std::uint32_t& writes = wear_[offset / kPageBytes].writes[offset % kPageBytes / kBlockBytes];
   most_writes_ = std::max(most_writes_, ++writes);

@@ -49,6 +49,8 @@ class NorFlash {
   [[nodiscard]] std::uint64_t erases(std::size_t page) const noexcept { return wear_[page].erases; }
   // The most that any block has seen between two erases.
   [[nodiscard]] std::uint32_t most_writes_in_a_block() const noexcept { return most_writes_; }
+  // Writes to words that were not erased, torn ones among them.
+  [[nodiscard]] std::uint64_t overwrites() const noexcept { return overwrites_; }
   // Time that all of it has taken.
   [[nodiscard]] SimTime busy_time() const noexcept { return busy_time_; }
 
@@ -66,6 +68,7 @@ class NorFlash {
   std::vector<Wear> wear_;
   std::uint64_t operations_ = 0;
   std::uint32_t most_writes_ = 0;
+  std::uint64_t overwrites_ = 0;
   SimTime busy_time_ = 0;
   bool powered_ = true;
   std::uint64_t cut_at_ = ~std::uint64_t{0};

@@ -17,6 +17,8 @@ using testing::FakeChip;
 using testing::schedule_of;
 using testing::Transfer;
 
+constexpr std::uint64_t kTicksPerUs = 63'898;
+
 struct FakePlatform {
   FakeChip chip;
   std::uint64_t time_us = 1'000;
@@ -49,7 +51,7 @@ struct FakePlatform {
     sent_before_store = sent.size();
     last_radio_command_at_store = chip.written(0x0D, 0);
     time_us += 85'000;
-    chip.time += std::uint64_t{85'000} * 63'898;
+    chip.time += 85'000 * kTicksPerUs;
     if (store_fails) return false;
     stored.assign(blob.begin(), blob.end());
     if (store_corrupts && !stored.empty()) stored.back() ^= 1;
@@ -222,7 +224,7 @@ TEST_F(NodeTest, UnconfiguredItListensEachSecondToProveItsLife) {
     if (radio_starts() > receptions_ended) {
       EXPECT_GE(platform.chip.written(0x0C, 0), 20'000U / 1.0257);
       platform.time_us += 20'000;
-      platform.chip.time += 20'000 * 63'898;
+      platform.chip.time += 20'000 * kTicksPerUs;
       end_listening();
     } else {
       platform.time_us = node.next_deadline_us();
@@ -269,7 +271,7 @@ TEST_F(NodeTest, AMasterProvesLifeOnceASuperframe) {
     node.on_radio_interrupt();
     for (int slot = 0; slot < 3; ++slot) {
       EXPECT_EQ(platform.proofs, superframe);
-      platform.chip.time = platform.chip.written(0x0A, 0) + 400 * 63'898;
+      platform.chip.time = platform.chip.written(0x0A, 0) + 400 * kTicksPerUs;
       end_listening();
     }
     EXPECT_EQ(platform.proofs, superframe + 1);
@@ -427,7 +429,7 @@ TEST_F(NodeTest, AMasterGoesOnWithItsCountAfterAWrite) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
   // The slots of some superframes have passed; the next beacon comes as many whole ones later.
   for (int i = 0; i < 4 && platform.chip.written(0x0D, 0) != 0x06U; ++i) {
-    platform.chip.time = platform.chip.written(0x0A, 0) + 400 * 63'898;
+    platform.chip.time = platform.chip.written(0x0A, 0) + 400 * kTicksPerUs;
     end_listening();
   }
   EXPECT_EQ(platform.chip.written(0x0D, 0), 0x06U);

@@ -174,10 +174,10 @@ TEST(ConfigStore, AnyFlippedBitOfAPageHeadGivesTheOtherPage) {
   }
 }
 
-// Of page 1 some words take no more writes.
+// Some words take no more writes, or pages no more erases.
 class WornFlash {
  public:
-  bool erase(std::size_t page) noexcept { return flash.erase(page); }
+  bool erase(std::size_t page) noexcept { return erases ? flash.erase(page) : lies; }
   bool write(std::uint32_t offset, std::uint32_t word) noexcept {
     if (std::find(worn.begin(), worn.end(), offset) != worn.end()) return lies;
     return flash.write(offset, word);
@@ -186,7 +186,8 @@ class WornFlash {
 
   NorFlash flash{kPages};
   std::vector<std::uint32_t> worn;
-  bool lies = false;  // says that it wrote
+  bool erases = true;
+  bool lies = false;  // says that it did
 };
 
 TEST(ConfigStore, AWordThatTakesNoWriteIsFoundAndTheOtherPageUsed) {
@@ -206,8 +207,27 @@ TEST(ConfigStore, AWordThatTakesNoWriteIsFoundAndTheOtherPageUsed) {
   }
 }
 
-// ---- power cuts
-// --------------------------------------------------------------------------------------------
+TEST(ConfigStore, APageThatIsNotErasedIsNotWritten) {
+  for (const bool lies : {false, true}) {
+    WornFlash worn;
+    worn.lies = lies;
+    ConfigStore config(worn);
+    for (std::uint64_t i = 0; i < 20; ++i) ASSERT_TRUE(config.store(blob(300, i)));
+    worn.erases = false;
+    Bytes kept = blob(300, 19);
+    std::size_t refused = 0;
+    for (std::uint64_t i = 100; i < 130; ++i) {
+      const bool stored = config.store(blob(300, i));
+      if (stored) kept = blob(300, i);
+      refused += stored ? 0 : 1;
+      ASSERT_EQ(load(worn.flash), kept);
+    }
+    EXPECT_GT(refused, 15U);
+    EXPECT_EQ(worn.flash.overwrites(), 0U);
+  }
+}
+
+// ---- power cuts -----------------------------------------------------------------------------------------
 
 // What is in flash, and what may be after a store that was cut short.
 struct Scenario {
@@ -311,6 +331,7 @@ TEST_P(PowerCut, LeavesTheOldOrTheNewAndTheCounterAsItWas) {
         // Life goes on.
         ASSERT_TRUE(store(flash, blob(300, 77))) << where;
         ASSERT_EQ(load(flash), blob(300, 77)) << where;
+        ASSERT_EQ(flash.overwrites(), 0U) << where;
         ASSERT_EQ(counter_after(flash), counter) << where;
       });
   EXPECT_GT(olds, 0U);
