@@ -16,6 +16,7 @@
 //    when it begins, so now() in a bus access is the end of the block that makes it.
 //  - Every data bus fault is precise, a buffered store's too. Where two instructions of one block could have
 //    made the faulting access (a pointer chased twice through one register), the first is told as its PC.
+//  - Code in RAM is not run: a SimulationError.
 //  - No MPU, no debug unit. CCR.UNALIGN_TRP cannot be set, and an unaligned LDM or LDRD does not fault.
 //  - Floating-point context is stacked at once; lazy stacking (FPCCR.LSPEN) changes time alone.
 #pragma once

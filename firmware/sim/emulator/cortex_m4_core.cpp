@@ -46,19 +46,20 @@ std::uint32_t with_it_state(std::uint32_t xpsr, std::uint8_t it) {
 
 CortexM4::Core::Core(std::span<std::uint8_t> flash, std::span<std::uint8_t> ram, Bus& bus,
                      const CpuTiming& timing)
-    : flash_(flash),
+    : instruction_time_(timing.instruction),
+      flash_(flash),
       ram_(ram),
       bus_(bus),
       timing_(timing),
       sys_tick_(timing.cycle),
-      control_(nvic_, sys_tick_),
-      facts_(flash.size() / 2) {
+      control_(nvic_, sys_tick_) {
+  facts_.resize(flash.size() / 2);
   if (flash.empty() || flash.size() % kPage != 0 || ram.empty() || ram.size() % kPage != 0) {
     throw SimulationError("processor emulator: flash and RAM are multiples of 4096 bytes");
   }
-  engine_.map_read_only(0, flash);
+  engine_.map_read_only(0, flash, UC_PROT_EXEC);
   // Unicorn's own store to RAM allocates memory to look for code there, which is four times as slow.
-  engine_.map_read_only(kRam, ram);
+  engine_.map_read_only(kRam, ram, UC_PROT_NONE);
   engine_.map_io(kFactory, kFactoryBytes, &on_bus_read<kFactory>, &on_bus_write<kFactory>, this);
   engine_.map_io(kPeripherals, kPeripheralBytes, &on_bus_read<kPeripherals>, &on_bus_write<kPeripherals>,
                  this);
@@ -205,16 +206,18 @@ std::span<const std::uint8_t> CortexM4::Core::memory_at(std::uint32_t address, s
 }
 
 inline CortexM4::Core::Facts CortexM4::Core::facts_of(const CodeBlock& block) {
-  const std::size_t slot = block.address / 2;
-  if (slot < facts_.size() && facts_[slot].bytes == block.bytes) [[likely]]
-    return facts_[slot];
-  return learn_facts_of(block);
+  Facts& facts = facts_[block.address / 2];
+  if (facts.instructions == 0 || facts.length != (block.bytes / 2 & 3U)) [[unlikely]]
+    facts = learn(block);
+  return facts;
 }
 
-CortexM4::Core::Facts CortexM4::Core::learn_facts_of(const CodeBlock& block) {
+CortexM4::Core::Facts CortexM4::Core::learn(const CodeBlock& block) const {
   const thumb::BlockFacts found = thumb::facts_of_block(memory_at(block.address, block.bytes));
-  const Facts facts{static_cast<std::uint16_t>(block.bytes), found.instructions, found.traits};
-  if (block.address / 2 < facts_.size()) facts_[block.address / 2] = facts;
+  Facts facts;
+  facts.instructions = found.instructions & 0x3FFU;  // Unicorn's blocks have 512 at most
+  facts.length = block.bytes / 2 & 3U;
+  facts.traits = found.traits & 0xFU;
   return facts;
 }
 
@@ -231,8 +234,9 @@ void CortexM4::Core::on_block(uc_engine*, std::uint64_t address, std::uint32_t b
   const unsigned traits = facts.traits & self.attention_;
   if (traits != 0 && !self.attend(traits, block)) [[unlikely]]
     return;
-  self.instructions_ += facts.instructions;
-  self.now_ += facts.instructions * self.timing_.instruction;
+  const std::uint32_t count = facts.instructions;
+  self.instructions_ += count;
+  self.now_ += count * self.instruction_time_;
   if (self.tracing_) self.trace_point(address);
 }
 
@@ -542,6 +546,9 @@ void CortexM4::Core::after_event(uc_err result) {
       return;  // WFI
     case UC_ERR_FETCH_UNMAPPED:
     case UC_ERR_FETCH_PROT:
+      if (!memory_at(pc, 2).empty()) {
+        throw SimulationError(fmt::format("execution of RAM, which is not modelled, at {:#010x}", pc));
+      }
       if (never_executable(pc)) {
         fault(exception::kMemManage, fault_status::kInstructionAccess, pc);
       } else {

@@ -1,6 +1,7 @@
 // The inside of CortexM4: Unicorn executes, this decides what is executed next.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <exception>
 #include <functional>
@@ -57,11 +58,12 @@ class CortexM4::Core {
     std::uint32_t bytes = 0;
   };
 
-  // What is remembered of a block: the length that Unicorn gave it tells whether it is still the same.
+  // What is remembered of a block, in two bytes: nodes that take turns find little of theirs in the host's
+  // cache.
   struct Facts {
-    std::uint16_t bytes = 0;
-    std::uint16_t instructions = 0;
-    std::uint8_t traits = 0;
+    std::uint16_t instructions : 10 = 0;  // 0: nothing is
+    std::uint16_t length : 2 = 0;         // in half-words, its last bits: Unicorn may come with another block
+    std::uint16_t traits : 4 = 0;
   };
 
   // An access that the CPU is making to something other than memory.
@@ -107,7 +109,7 @@ class CortexM4::Core {
   // Blocks of code (cortex_m4_core.cpp).
   [[nodiscard]] std::span<const std::uint8_t> memory_at(std::uint32_t address, std::size_t bytes) const;
   [[nodiscard]] Facts facts_of(const CodeBlock& block);
-  [[nodiscard]] Facts learn_facts_of(const CodeBlock& block);
+  [[nodiscard]] Facts learn(const CodeBlock& block) const;
   [[nodiscard]] bool attend(unsigned traits, const CodeBlock& block);
   void watch_instructions_of(const CodeBlock& block);
   void stop_before(const CodeBlock& block);
@@ -145,6 +147,16 @@ class CortexM4::Core {
   [[nodiscard]] bool load_word(std::uint32_t address, std::uint32_t& value) const;
   void add_cycles(std::uint32_t cycles) { now_ += static_cast<SimTime>(cycles) * timing_.cycle; }
 
+  // What each block needs, in a line of the cache.
+  alignas(64) SimTime now_ = 0;
+  SimTime limit_ = 0;  // blocks begin before it
+  SimTime instruction_time_;
+  std::uint64_t instructions_ = 0;
+  CodeBlock block_;
+  unsigned attention_ = 0;  // traits that matter now
+  bool tracing_ = false;
+  std::vector<Facts> facts_;  // of the blocks that begin at each half-word of the flash
+
   std::span<std::uint8_t> flash_;
   std::span<std::uint8_t> ram_;
   Bus& bus_;
@@ -154,9 +166,7 @@ class CortexM4::Core {
   SysTick sys_tick_;
   SystemControl control_;
 
-  SimTime now_ = 0;
   SimTime until_ = 0;  // of this run
-  SimTime limit_ = 0;  // blocks begin before it
   SimTime stalled_until_ = 0;
   std::uint32_t next_pc_ = 0;  // between executions; bit 0 is the T bit
   Sleep sleep_ = Sleep::kAwake;
@@ -166,8 +176,6 @@ class CortexM4::Core {
   std::uint64_t pending_before_ = 0;
 
   // Within an execution.
-  CodeBlock block_;
-  unsigned attention_ = 0;  // traits that matter now
   bool stopped_before_block_ = false;
   bool watch_block_ = false;
   int interrupt_ = -1;
@@ -175,14 +183,11 @@ class CortexM4::Core {
   std::optional<Stopped> stopped_;
   std::exception_ptr error_;
 
-  std::vector<Facts> facts_;         // of the blocks that begin at each half-word of flash
-  std::set<std::uint32_t> watched_;  // instructions
+  std::set<std::uint32_t> watched_;                                   // instructions
   std::set<std::pair<std::uint32_t, std::uint32_t>> watched_blocks_;  // address, bytes
   std::vector<CodeBlock> changed_code_;
 
-  std::uint64_t instructions_ = 0;
   std::uint64_t exceptions_ = 0;
-  bool tracing_ = false;
   std::uint64_t trace_hash_ = 0xCBF29CE484222325U;
   std::function<std::uint32_t(std::uint32_t, std::uint32_t)> semihosting_;
 };

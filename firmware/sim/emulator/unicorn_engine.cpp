@@ -38,9 +38,10 @@ UnicornEngine::~UnicornEngine() {
   uc_close(engine_);
 }
 
-void UnicornEngine::map_read_only(std::uint32_t address, std::span<std::uint8_t> memory) {
+void UnicornEngine::map_read_only(std::uint32_t address, std::span<std::uint8_t> memory,
+                                  unsigned permissions) {
   check(uc_mem_map_ptr(engine_, address, memory.size(), UC_PROT_ALL, memory.data()), "memory");
-  check(uc_mem_protect(engine_, address, memory.size(), UC_PROT_READ | UC_PROT_EXEC), "memory");
+  check(uc_mem_protect(engine_, address, memory.size(), UC_PROT_READ | permissions), "memory");
 }
 
 void UnicornEngine::map_io(std::uint32_t address, std::size_t bytes, uc_cb_mmio_read_t on_read,

@@ -20,8 +20,9 @@ class UnicornEngine {
   UnicornEngine& operator=(const UnicornEngine&) = delete;
   ~UnicornEngine();
 
-  // Stores go to hooks of UC_HOOK_MEM_WRITE_PROT alone, which do what is to be done.
-  void map_read_only(std::uint32_t address, std::span<std::uint8_t> memory);
+  // To be read, and what the permissions add. Stores go to hooks of UC_HOOK_MEM_WRITE_PROT alone, which do
+  // what is to be done.
+  void map_read_only(std::uint32_t address, std::span<std::uint8_t> memory, unsigned permissions);
   // The callbacks' addresses count from `address`.
   void map_io(std::uint32_t address, std::size_t bytes, uc_cb_mmio_read_t on_read,
               uc_cb_mmio_write_t on_write, void* user);

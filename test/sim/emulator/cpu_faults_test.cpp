@@ -767,6 +767,19 @@ TEST_F(CpuFaults, WhatIsNotModelledEndsTheRunAndNamesThePlace) {
             "a write of 0x208 (4 bytes) to 0xe000ed14, which is not modelled (PC 0x0000020c)");
 }
 
+TEST_F(CpuFaults, CodeInRamIsNotModelled) {
+  try {
+    bench_.run({
+        0xF240, 0x1001,  // movw r0, #0x0101
+        0xF2C2, 0x0000,  // movt r0, #0x2000
+        0x4700,          // bx r0
+    });
+    FAIL();
+  } catch (const SimulationError& error) {
+    EXPECT_STREQ(error.what(), "execution of RAM, which is not modelled, at 0x20000100");
+  }
+}
+
 TEST_F(CpuFaults, AnErrorOfTheBusLeavesTheRunAndMayAskForThePc) {
   bench_.on_write = [&](std::uint32_t address, std::uint32_t) {
     throw SimulationError(std::to_string(address - CpuBench::kBus) + " at " +
