@@ -17,6 +17,7 @@ void add_demo(CLI::App& app, Action& action);
 void add_evaluate(CLI::App& app, Action& action);
 void add_flash(CLI::App& app, Action& action);
 void add_identify(CLI::App& app, Action& action);
+void add_listen(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
 void add_sim(CLI::App& app, Action& action);
 

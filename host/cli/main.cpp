@@ -34,6 +34,7 @@ int run(int argc, char** argv) {
   add_evaluate(app, action);
   add_flash(app, action);
   add_identify(app, action);
+  add_listen(app, action);
   add_replay(app, action);
   add_sim(app, action);
   try {

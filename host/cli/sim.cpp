@@ -12,6 +12,7 @@
 #include "host/cli/command.hpp"
 #include "host/cli/emulation_option.hpp"
 #include "host/cli/exit_code.hpp"
+#include "host/cli/stop_signal.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/simulation/site_server.hpp"
 
@@ -25,18 +26,11 @@ struct Options {
   EmulationChoice emulation;
 };
 
-volatile std::sig_atomic_t stop = 0;
-
-extern "C" void on_stop_signal(int /*signal*/) {
-  stop = 1;
-}
-
 int run(Options options) {
   const sim::Scenario scenario = sim::read_scenario(options.scenario);
   options.server.site.image = chosen_image(options.emulation);
   // Before anything is made that an early end would leave behind.
-  std::signal(SIGINT, on_stop_signal);
-  std::signal(SIGTERM, on_stop_signal);
+  const volatile std::sig_atomic_t& stop = stop_on_signals();
   simulation::SiteServer server(scenario, options.server);
   for (const std::filesystem::path& port : server.ports()) say(port.string() + '\n');
   say(fmt::format("{}\nrunning {} at {} times real time; end it with Ctrl-C\n",

@@ -131,10 +131,8 @@ FlashOutcome read_openocd(int exit_code, std::string_view output, const FlashReq
           FlashFault::kNotUnlocked,
           "the part is locked (APPROTECT) and did not unlock; switch it off and on, then repeat this");
     }
-    return fail(
-        FlashFault::kLocked,
-        "the part is locked (APPROTECT), as modules come with other firmware; --recover unlocks it, and "
-        "erases all that is in it");
+    return fail(FlashFault::kLocked,
+                "the part is locked (APPROTECT); --recover unlocks it, and erases all that is in it");
   }
   if (has_any(output, {"remote_bitbang_fill_buf", "remote_bitbang_putc", "LIBUSB_ERROR_NO_DEVICE",
                        "LIBUSB_ERROR_IO", "jaylink_swd_io() failed", "jaylink_jtag_io() failed",

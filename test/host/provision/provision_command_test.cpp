@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <cmath>
 #include <csignal>
 #include <filesystem>
 #include <functional>
@@ -228,6 +229,26 @@ TEST_F(CommandTest, IdentifyTellsWhoBlinks) {
   EXPECT_EQ(configured.exit_code, 0) << configured.err;
   EXPECT_EQ(json::parse(configured.out)["id"], 10);
   EXPECT_EQ(json::parse(configured.out)["role"], "anchor");
+}
+
+TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
+  const ChildResult before = groma_run({"listen", nodes_[0].port, "--for", "1.5"});
+  EXPECT_EQ(before.exit_code, 3);
+  EXPECT_THAT(before.err, HasSubstr("no range came"));
+  ASSERT_EQ(groma_run(configure_all()).exit_code, 0);
+  const ChildResult after = groma_run({"listen", nodes_[0].port, "--for", "2.5", "--json"});
+  EXPECT_EQ(after.exit_code, 0) << after.err;
+  const json out = json::parse(after.out);
+  EXPECT_EQ(out["sync"], "locked");
+  EXPECT_EQ(out["master"], 10);
+  ASSERT_EQ(out["pairs"].size(), 3U);
+  const double distance_m = std::hypot(3.0, 4.0 - 5.0);  // of live_site.hpp: tag 1 to anchor 10
+  EXPECT_NEAR(out["pairs"][0]["mean_m"].get<double>(), distance_m, 0.1);
+  EXPECT_GT(out["pairs"][0]["ranges"].get<int>(), 20);
+
+  const ChildResult rows = groma_run({"listen", nodes_[0].port, "--for", "0.5", "--rows"});
+  EXPECT_THAT(rows.out, ::testing::StartsWith(
+                            "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n1"));
 }
 
 TEST_F(CommandTest, APortThatIsTakenEndsWith69) {

@@ -1,0 +1,205 @@
+// groma listen: what a tag measures, as it comes.
+#include <fmt/format.h>
+#include <poll.h>
+
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <csignal>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+
+#include <CLI/CLI.hpp>
+
+#include "groma.pb.h"
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/stop_signal.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/link/byte_link.hpp"
+#include "host/link/report_decoder.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  std::string link;
+  unsigned baud = 1'000'000;
+  double for_s = 5.0;
+  bool rows = false;
+  bool json = false;
+};
+
+// Mean and spread of one pair's ranges (Welford).
+struct Pair {
+  std::uint64_t count = 0;
+  double mean_m = 0.0;
+  double squares_m2 = 0.0;
+  double power_dbm = 0.0;
+
+  void add(const model::RangeSample& range) {
+    ++count;
+    const double off_m = range.range_m - mean_m;
+    mean_m += off_m / static_cast<double>(count);
+    squares_m2 += off_m * (range.range_m - mean_m);
+    power_dbm += (static_cast<double>(range.receive_power_dbm) - power_dbm) / static_cast<double>(count);
+  }
+  [[nodiscard]] double std_m() const {
+    return count > 1 ? std::sqrt(squares_m2 / static_cast<double>(count - 1)) : 0.0;
+  }
+};
+
+std::string power_text(double power_dbm) {
+  return std::isfinite(power_dbm) ? fmt::format("{:.1f}", power_dbm) : std::string();
+}
+
+class Listener : public link::NodeSink {
+ public:
+  explicit Listener(bool rows) : rows_(rows) {
+    if (rows_) say("t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n");
+  }
+  void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
+    pairs[{range.tag_id, range.anchor_id}].add(range);
+    if (!rows_) return;
+    say(fmt::format("{:.6f},{},{},{:.4f},{},{}\n", range.t_s, range.tag_id, range.anchor_id, range.range_m,
+                    power_text(static_cast<double>(range.first_path_power_dbm)),
+                    power_text(static_cast<double>(range.receive_power_dbm))));
+  }
+  void on_network_status(const groma_NetworkStatus& said) override { status = said; }
+
+  std::map<std::pair<model::NodeId, model::NodeId>, Pair> pairs;  // tag, anchor
+  std::optional<groma_NetworkStatus> status;
+
+ private:
+  bool rows_;
+};
+
+const char* word(groma_SyncState state) {
+  switch (link::number_in(state)) {
+    case groma_SyncState_SYNC_LOCKED:
+      return "locked";
+    case groma_SyncState_SYNC_COASTING:
+      return "coasting";
+    default:
+      return "searching";
+  }
+}
+
+int exit_code_of(link::LinkFault fault) {
+  return fault == link::LinkFault::kPermission ? kNoPermission : kUnavailable;
+}
+
+Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double for_s) {
+  Json pairs = Json::array();
+  for (const auto& [ids, pair] : heard.pairs) {
+    pairs.push_back(
+        {{"tag", ids.first},
+         {"anchor", ids.second},
+         {"ranges", pair.count},
+         {"mean_m", pair.mean_m},
+         {"std_m", pair.std_m()},
+         {"receive_power_dbm", std::isfinite(pair.power_dbm) ? Json(pair.power_dbm) : Json(nullptr)}});
+  }
+  return {{"for_s", for_s},
+          {"sync", heard.status ? Json(word(heard.status->state)) : Json(nullptr)},
+          {"master", heard.status ? Json(heard.status->master_id) : Json(nullptr)},
+          {"ranges", decoder.counters().ranges},
+          {"ranges_failed", decoder.counters().ranges_not_ok},
+          {"frames_lost", decoder.counters().frames_lost},
+          {"pairs", pairs}};
+}
+
+// Why there was no range, and what to do.
+int complain_of_nothing(const Options& options, const Listener& heard, std::uint64_t bytes) {
+  if (bytes == 0) {
+    complain(fmt::format("{}: not a byte came; 'groma identify {}' tells more", options.link, options.link));
+    return kUnavailable;
+  }
+  if (!heard.status) {
+    complain(fmt::format(
+        "{}: no range came, and no status; check that it is a configured node ('groma identify {}')",
+        options.link, options.link));
+    return kDoneWithWarnings;
+  }
+  if (heard.status->state == groma_SyncState_SYNC_SEARCHING) {
+    complain(fmt::format(
+        "{}: no range came, for the node hears no beacon; check that the master is configured with the "
+        "same plan, has power, and is in reach",
+        options.link));
+    return kDoneWithWarnings;
+  }
+  complain(fmt::format(
+      "{}: in step with the master {}, but no range came; is it a tag, and are there anchors in reach?",
+      options.link, heard.status->master_id));
+  return kDoneWithWarnings;
+}
+
+int run(const Options& options) {
+  using Clock = std::chrono::steady_clock;
+  const link::OpenedLink opened = link::open_link(options.link, options.baud);
+  if (!opened.link) {
+    complain(opened.error.message);
+    return exit_code_of(opened.error.fault);
+  }
+  const volatile std::sig_atomic_t& stop = stop_on_signals();
+  Listener heard(options.rows && !options.json);
+  link::ReportDecoder decoder(options.baud);
+  std::uint64_t bytes = 0;
+  bool gone = false;
+  const Clock::time_point begin = Clock::now();
+  double elapsed_s = 0.0;
+  while (stop == 0 && !gone && elapsed_s < options.for_s) {
+    pollfd entry{opened.link->poll_fd(), POLLIN, 0};
+    (void)::poll(&entry, 1, 20);
+    std::array<std::uint8_t, 4096> chunk{};
+    const link::ReadResult read = opened.link->read(chunk);
+    const double now_s =
+        std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+    decoder.take(std::span(chunk).first(read.bytes), now_s, heard);
+    bytes += read.bytes;
+    gone = read.gone;
+    elapsed_s = std::chrono::duration<double>(Clock::now() - begin).count();
+  }
+  if (options.json) {
+    say_json(to_json(heard, decoder, elapsed_s));
+  } else if (!options.rows) {
+    Table table({"tag", "anchor", "ranges", "per s", "mean m", "std m", "power dBm"});
+    for (const auto& [ids, pair] : heard.pairs) {
+      table.add({fmt::format("{}", ids.first), fmt::format("{}", ids.second), fmt::format("{}", pair.count),
+                 fmt::format("{:.0f}", static_cast<double>(pair.count) / elapsed_s),
+                 fmt::format("{:.3f}", pair.mean_m), fmt::format("{:.3f}", pair.std_m()),
+                 power_text(pair.power_dbm)});
+    }
+    if (!heard.pairs.empty()) say(table.format());
+  }
+  if (gone) {
+    complain(fmt::format("{}: the port went away; plug it in again", options.link));
+    return kUnavailable;
+  }
+  return heard.pairs.empty() ? complain_of_nothing(options, heard, bytes) : kGood;
+}
+
+}  // namespace
+
+void add_listen(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("listen", "Show what a tag measures: ranges by anchor.");
+  command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3")->required();
+  command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
+  command->add_option("--for", options->for_s, "So many seconds")
+      ->check(CLI::Range(0.1, 86'400.0))
+      ->capture_default_str();
+  command->add_flag("--rows", options->rows, "Each range as it comes, as ranges.csv of a data set has them");
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli
