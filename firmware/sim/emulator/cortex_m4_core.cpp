@@ -158,8 +158,9 @@ bool CortexM4::Core::wakes() const {
 }
 
 void CortexM4::Core::set_line(unsigned exception, bool level) {
+  const std::uint64_t pending = nvic_.pending_bits();
   nvic_.set_line(exception, level);
-  if (nvic_.pending_bits() != pending_before_) look_again();
+  if (nvic_.pending_bits() != pending) look_again();
 }
 
 void CortexM4::Core::pend(unsigned exception) {
@@ -173,7 +174,17 @@ void CortexM4::Core::look_again() {
   if (control_.pending_sends_event() && (pending & ~pending_before_) != 0) event_ = true;
   pending_before_ = pending;
   look_again_ = true;
-  limit_ = kStopNow;
+  look_out();
+  limit_ = std::min(limit_, sys_tick_.next_interrupt());
+  if (nvic_.any_enabled_pending() || control_.reset_requested()) limit_ = kStopNow;
+}
+
+// Which blocks need more than to be counted.
+void CortexM4::Core::look_out() {
+  attention_ = thumb::kSendsEvent;
+  if (nvic_.any_enabled_pending()) attention_ |= thumb::kWritesSpecialRegister;
+  if (!control_.floating_point_enabled()) attention_ |= thumb::kFloatingPoint;
+  if (control_.traps_division()) attention_ |= thumb::kDivides;
 }
 
 void CortexM4::Core::flash_changed(std::uint32_t address, std::size_t bytes) {
@@ -485,10 +496,7 @@ void CortexM4::Core::execute() {
   }
   changed_code_.clear();
   limit_ = std::min(until_, sys_tick_.next_interrupt());
-  attention_ = thumb::kSendsEvent;
-  if (nvic_.any_enabled_pending()) attention_ |= thumb::kWritesSpecialRegister;
-  if (!control_.floating_point_enabled()) attention_ |= thumb::kFloatingPoint;
-  if (control_.traps_division()) attention_ |= thumb::kDivides;
+  look_out();
   stopped_before_block_ = false;
   interrupt_ = -1;
   const uc_err result = engine_.start(next_pc_);

@@ -114,6 +114,7 @@ class CortexM4::Core {
   void watch_instructions_of(const CodeBlock& block);
   void stop_before(const CodeBlock& block);
   void look_again();
+  void look_out();
   void count_ticks();
   void trace_point(std::uint64_t what);
 

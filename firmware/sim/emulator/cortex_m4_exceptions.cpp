@@ -159,6 +159,7 @@ void CortexM4::Core::take(std::uint32_t exc_return, std::uint32_t cycles) {
     number = nvic_.best_pending();
   }
   nvic_.activate(number);
+  pending_before_ = nvic_.pending_bits();
   control_.set_current_exception(number);
   engine_.enter_handler(number, (vector & 1U) != 0);
   engine_.write(UC_ARM_REG_LR, exc_return);
