@@ -209,6 +209,20 @@ TEST_F(Board, ShowsByItsLightsWhatItDoes) {
   EXPECT_EQ(changes(watch(0, 8.5, 9.5)), 0);
 }
 
+// The emulator's 1.25 cycles an instruction are a guess; a board's flash may make it more.
+TEST_F(Board, KeepsItsSlotsAtTwoCyclesAnInstruction) {
+  EmulatorOptions slow;
+  slow.timing.instruction = 2 * slow.timing.cycle;
+  SiteBench site(emulating({.tags = 3, .anchors = 6}, slow));
+  site.run_until(1.5);
+  for (std::size_t i = 0; i < 3; ++i) {
+    EXPECT_EQ(site.listeners[i].counters.late_transmits, 0U) << "tag " << i;
+    EXPECT_EQ(site.listeners[i].counters.late_receives, 0U) << "tag " << i;
+  }
+  // Of the 1700/s that the schedule has.
+  EXPECT_GT(site.good_ranges(0.5), 1'600);
+}
+
 TEST_F(Board, LeavesHalfOfItsStackUntouched) {
   SiteBench site(emulating({.tags = 1, .anchors = 3}));
   site.run_until(1.0);
