@@ -36,6 +36,7 @@ class NoHardware {
   void restart() noexcept {}
   ResetReason reset_reason() noexcept { return ResetReason::kPowerOn; }
   std::optional<Fault> last_fault() noexcept { return std::nullopt; }
+  std::uint32_t boot_count() noexcept { return 0; }
   void proof_of_life() noexcept {}
   StackUse stack_use() noexcept { return {}; }
 

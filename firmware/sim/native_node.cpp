@@ -7,6 +7,7 @@
 
 #include "firmware/core/node/node.hpp"
 #include "firmware/core/storage/config_store.hpp"
+#include "firmware/core/storage/counter.hpp"
 #include "firmware/sim/nor_flash.hpp"
 
 namespace groma::sim {
@@ -79,6 +80,7 @@ class NativePlatform {
   void restart() noexcept { restart_asked = true; }
   [[nodiscard]] node::ResetReason reset_reason() const noexcept { return reset_reason_; }
   [[nodiscard]] std::optional<node::Fault> last_fault() const noexcept { return std::nullopt; }
+  [[nodiscard]] std::uint32_t boot_count() const noexcept { return boot_count_; }
   void proof_of_life() noexcept {}
   [[nodiscard]] node::StackUse stack_use() const noexcept { return {}; }
 
@@ -89,6 +91,9 @@ class NativePlatform {
     reset_reason_ = reason;
     restart_asked = false;
     spi_hz_ = spec_.cpu.spi_slow_hz;
+    const SimTime busy_before = flash_.busy_time();
+    boot_count_ = storage::Counter(flash_).open_block();
+    now += flash_.busy_time() - busy_before;
   }
   // When the processor's clock shows that.
   [[nodiscard]] SimTime time_of_us(std::uint64_t t_us) const {
@@ -123,6 +128,7 @@ class NativePlatform {
   node::Indicator indicator_ = node::Indicator::kUnconfigured;
   node::ResetReason reset_reason_ = node::ResetReason::kPowerOn;
   std::uint64_t boot_us_ = 0;
+  std::uint32_t boot_count_ = 0;
 };
 
 static_assert(node::Platform<NativePlatform>);

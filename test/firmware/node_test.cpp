@@ -66,6 +66,7 @@ struct FakePlatform {
   void restart() noexcept { ++restarts; }
   ResetReason reset_reason() noexcept { return ResetReason::kWatchdog; }
   std::optional<Fault> last_fault() noexcept { return fault; }
+  std::uint32_t boot_count() noexcept { return 42; }
   void proof_of_life() noexcept { ++proofs; }
   StackUse stack_use() noexcept { return {.size_bytes = 4096, .high_water_bytes = 1234}; }
 };
@@ -193,6 +194,7 @@ TEST_F(NodeTest, SaysHelloAtStart) {
   EXPECT_EQ(hello.last_fault.pc, 0x1234U);
   EXPECT_EQ(hello.last_fault.cfsr, 0x82U);
   EXPECT_STREQ(hello.radio_error, "");
+  EXPECT_EQ(hello.boot_count, 42U);
   EXPECT_EQ(hello.stack_size_bytes, 4096U);
   EXPECT_EQ(hello.stack_high_water_bytes, 1234U);
   EXPECT_EQ(platform.shown.back(), Indicator::kSearching);

@@ -429,6 +429,17 @@ TEST(Counter, CountsOnWithinABlockAndReservesTheNext) {
   EXPECT_GT(flash.operations(), operations);
 }
 
+TEST(Counter, TheBlocksNumberCountsTheBoots) {
+  NorFlash flash(kPages);
+  for (std::uint32_t boot = 1; boot <= 5; ++boot) {
+    Counter counter(flash);
+    EXPECT_EQ(counter.open_block(), boot);
+    EXPECT_EQ(counter.next(), (boot - 1) * Counter<NorFlash>::kBlock);
+  }
+  flash.cut_power_at(0, NorFlash::Tear::kHalf, 0);
+  EXPECT_EQ(Counter(flash).open_block(), 0U);
+}
+
 TEST(Counter, BeginsEachBootWithABlockOfItsOwn) {
   NorFlash flash(kPages);
   ASSERT_TRUE(store(flash, blob(100, 1)));

@@ -302,6 +302,8 @@ TEST(Faults, ARebootedTagRangesAgain) {
   site.run_until(4.0);
   ASSERT_EQ(site.listeners[0].hellos.size(), 2U);
   EXPECT_EQ(site.listeners[0].hellos[1].reset_reason, groma_ResetReason_RESET_SOFTWARE);
+  EXPECT_EQ(site.listeners[0].hellos[0].boot_count, 1U);
+  EXPECT_EQ(site.listeners[0].hellos[1].boot_count, 2U);
   ASSERT_EQ(site.listeners[0].replies.size(), 1U);
   EXPECT_EQ(site.listeners[0].replies[0].request_id, 77U);
   EXPECT_NEAR(site.good_ranges(3.0), promised_rate(site, settings), 8.0);

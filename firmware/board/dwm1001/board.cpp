@@ -7,6 +7,7 @@
 #include "firmware/board/dwm1001/pins.hpp"
 #include "firmware/board/dwm1001/stack.hpp"
 #include "firmware/board/dwm1001/watchdog.hpp"
+#include "firmware/core/storage/counter.hpp"
 
 namespace groma::dwm1001 {
 namespace {
@@ -23,6 +24,7 @@ void Board::start() noexcept {
   leds_.start();
   radio_.start();
   uart_.start();
+  boot_count_ = storage::Counter(flash_).open_block();
 
   pin::configure(pin::kRadioInterrupt, gpio::kInput);
   gpiote::kBlock[gpiote::kConfig] =

@@ -41,6 +41,7 @@ class Board {
   void restart() noexcept;
   node::ResetReason reset_reason() noexcept { return reset_.reason; }
   std::optional<node::Fault> last_fault() noexcept { return reset_.fault; }
+  std::uint32_t boot_count() noexcept { return boot_count_; }
   void proof_of_life() noexcept;
   node::StackUse stack_use() noexcept;
 
@@ -63,6 +64,7 @@ class Board {
   Leds leds_;
   Nvmc flash_;
   storage::ConfigStore<Nvmc> config_store_{flash_};
+  std::uint32_t boot_count_ = 0;
   Reset reset_;
 };
 

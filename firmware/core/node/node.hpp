@@ -424,6 +424,7 @@ class Node {
         [&](auto& body) {
           fill_hello(body.hello, build_, config_, platform_.reset_reason(), platform_.last_fault(),
                      platform_.stack_use(), dw1000::describe(bring_up_));
+          body.hello.boot_count = platform_.boot_count();
           copy_text(body.hello.link_error, link_error_);
         },
         to);

@@ -56,6 +56,8 @@ struct Build {
 // - restart(): resets the microcontroller. A simulated one may return; the node then does nothing more until
 //   start()
 // - reset_reason(), last_fault(): of the boot before this run
+// - boot_count(): this boot's number, counted from 1 up over resets and power cuts; 0: it could not be
+// counted
 // - proof_of_life(): feeds the watchdog, which nothing else does. Comes from a radio interrupt alone: after a
 //   completed superframe, or after a completed listening while searching or unconfigured (each second). A
 //   radio that does not come up, or whose interrupt stays away, gives none, and the watchdog resets the node
@@ -86,6 +88,8 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
   noexcept->std::same_as<ResetReason>;
   { platform.last_fault() }
   noexcept->std::same_as<std::optional<Fault>>;
+  { platform.boot_count() }
+  noexcept->std::same_as<std::uint32_t>;
   { platform.proof_of_life() }
   noexcept->std::same_as<void>;
   { platform.stack_use() }

@@ -18,8 +18,11 @@ class Counter {
 
   explicit Counter(F& flash) noexcept : records_(flash) {}
 
-  // Writes to flash for the first value after boot and after each block: call next() once while booting, for
-  // that may take an erase. Nothing: the flash failed; no value may be used.
+  // Once while booting, for it may take an erase: reserves the first block. Its number, 1 for the first ever,
+  // is the boot's own; 0: the flash failed.
+  std::uint32_t open_block() noexcept { return reserve() ? static_cast<std::uint32_t>(end_ / kBlock) : 0; }
+
+  // Writes to flash where no block is open or it is used up. Nothing: the flash failed; no value may be used.
   [[nodiscard]] std::optional<std::uint64_t> next() noexcept {
     if (next_ == end_ && !reserve()) return std::nullopt;
     return next_++;

@@ -81,6 +81,8 @@ TEST_F(ShippedImage, AnswersItsHost) {
   site.run_until(2.0);
   ASSERT_EQ(site.listener.hellos.size(), 3U);
   EXPECT_EQ(site.listener.hellos[2].reset_reason, groma_ResetReason_RESET_SOFTWARE);
+  EXPECT_EQ(site.listener.hellos[1].boot_count, 1U);
+  EXPECT_EQ(site.listener.hellos[2].boot_count, 2U);
   EXPECT_EQ(site.node().uart_in().next_byte(), kNever);
   EXPECT_EQ(site.node().soc().uarte().lost_bytes(), 0U);
 }

@@ -9,6 +9,7 @@
 #include <set>
 
 #include "firmware/core/storage/config_store.hpp"
+#include "firmware/core/storage/counter.hpp"
 #include "test/sim/emulator/emulated_site.hpp"
 
 namespace groma::sim {
@@ -72,18 +73,20 @@ struct ToldNode {
     Pages pages{owned->flash().subspan(kFlashBytes - storage::kPages * storage::kPageBytes)};
     storage::ConfigStore store(pages);
     EXPECT_TRUE(store.store(blob_of(old_config)));
-    // As often as the page in force bears it.
+    // As often as leaves room for the boot's count, but not for another configuration.
     for (std::uint32_t i = 0; plan.page_full; ++i) {
-      const std::vector<std::uint8_t> before(pages.bytes.begin(), pages.bytes.end());
-      const std::uint64_t erases = pages.erases;
+      std::vector<std::uint8_t> copy(pages.bytes.begin(), pages.bytes.end());
+      Pages trial{copy};
+      EXPECT_EQ(storage::Counter(trial).open_block(), 1U);
+      const std::uint64_t erases_of_boot = trial.erases;
+      EXPECT_TRUE(storage::ConfigStore(trial).store(blob_of(new_config)));
+      if (erases_of_boot == 0 && trial.erases > 0) break;
       EXPECT_TRUE(store.store(blob_of(i % 2 == 0 ? other_config : old_config)));
-      if (pages.erases == erases) continue;
-      std::copy(before.begin(), before.end(), pages.bytes.begin());
-      break;
     }
     node = owned.get();
     network.add(std::move(owned));
     network.run_until(from_seconds(kBooted_s));
+    operations_of_boot = node->soc().nvmc().operations();
     groma_HostToNode command = groma_HostToNode_init_zero;
     command.request_id = 1;
     command.which_body = groma_HostToNode_write_config_tag;
@@ -91,9 +94,14 @@ struct ToldNode {
     EXPECT_TRUE(network.send(0, frame_of(command)));
   }
 
+  // Operations of the flash since the command.
+  [[nodiscard]] std::uint64_t operations() const {
+    return node->soc().nvmc().operations() - operations_of_boot;
+  }
+
   // Until that many operations of the flash have begun.
   void run_to_operation(std::uint64_t number) {
-    while (node->soc().nvmc().operations() < number && to_seconds(network.now()) < kBooted_s + 1.0)
+    while (operations() < number && to_seconds(network.now()) < kBooted_s + 1.0)
       network.run_until(network.now() + 10 * kUnitsPerMicrosecond);
   }
 
@@ -124,6 +132,7 @@ struct ToldNode {
   FreeSpace space;
   Network network{space, {}, 1};
   EmulatedNode* node = nullptr;
+  std::uint64_t operations_of_boot = 0;
 };
 
 // In each operation of the flash that the change takes.
@@ -131,7 +140,7 @@ inline void cut_power_everywhere(const CutPlan& plan) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   ToldNode whole(plan);
   whole.network.run_until(from_seconds(kBooted_s + 1.0));
-  const std::uint64_t operations = whole.node->soc().nvmc().operations();
+  const std::uint64_t operations = whole.operations();
   ASSERT_GT(operations, 10U);
   const std::uint32_t old_delay = [&] {
     ToldNode untouched(plan);
@@ -147,7 +156,7 @@ inline void cut_power_everywhere(const CutPlan& plan) {
     for (const double after_us : plan.after_us) {
       ToldNode site(plan);
       site.run_to_operation(operation);
-      ASSERT_EQ(site.node->soc().nvmc().operations(), operation);
+      ASSERT_EQ(site.operations(), operation);
       const bool erases = site.node->soc().nvmc().next_event() - site.network.now() > kUnitsPerMillisecond;
       if (after_us > 50.0 && !erases) continue;
       site.network.run_until(site.network.now() + from_seconds(after_us * 1e-6));
