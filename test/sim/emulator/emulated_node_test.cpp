@@ -14,7 +14,6 @@
 namespace groma::sim {
 namespace {
 
-using ::testing::HasSubstr;
 using Register = CortexM4::Register;
 
 constexpr MediumSettings kNoise{.stamp_noise_s = 1e-10, .carrier_noise_ppm = 0.05, .loss_probability = 0.02};
@@ -224,8 +223,9 @@ TEST_F(ShippedImage, SaysTheSameBytesForTheSameSeedWithAnyQuantumAndThreads) {
 TEST_F(ShippedImage, RunsAheadByNoMoreThanTheHostsDelay) {
   FreeSpace space;
   Network network(space, {}, 1);
-  EXPECT_THROW(make_emulated_node({}, shipped(), network.medium(), {.quantum = 51 * kUnitsPerMicrosecond}),
-               SimulationError);
+  EXPECT_THROW(
+      (void)make_emulated_node({}, shipped(), network.medium(), {.quantum = 51 * kUnitsPerMicrosecond}),
+      SimulationError);
 }
 
 // ---- faults ---------------------------------------------------------------------------------------------
