@@ -14,6 +14,7 @@
 #include "firmware/core/node/config.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/link/can_path.hpp"
 
 namespace groma::provision {
 
@@ -117,10 +118,6 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
   return link;
 }
 
-bool is_can(std::string_view port) {
-  return port.starts_with("can:") || port.starts_with("canfd:");
-}
-
 std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesystem::path& folder) {
   std::vector<PlannedNode> nodes;
   std::set<model::NodeId> ids;
@@ -144,7 +141,11 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
     if (const auto port = entry.find("port")) {
       const std::string text = port->text();
       if (text.empty()) port->fail("is empty", "name a port, such as /dev/ttyACM0, or take it out");
-      node.port = is_can(text) ? text : (folder / text).string();
+      const bool can = link::is_can_path(text);
+      if (can && !link::parse_can_path(text)) {
+        port->fail("names no node on a CAN bus", std::string(link::kCanPathAdvice));
+      }
+      node.port = can ? text : (folder / text).string();
       if (!ports.insert(node.port).second) port->fail("is there twice", "give each node its own port");
     }
     if (const auto probe = entry.find("probe")) {
