@@ -6,6 +6,7 @@
 extern "C" {
 std::uint32_t torture_return;
 std::uint32_t torture_stack;
+std::uint32_t value_left;
 }
 
 namespace torture {
@@ -45,6 +46,18 @@ constexpr std::uint32_t kFloatingPointActive = 1U << 2;
 
 float value = 1.5F;
 
+[[gnu::naked]] void overwriting() {
+  asm volatile(
+      "ldr r0, =torture_return\n"
+      "str lr, [r0]\n"
+      "vmov.f32 s0, #1.0\n"
+      "vmrs r0, fpscr\n"
+      "orr r0, #0xC0000000\n"
+      "vmsr fpscr, r0\n"
+      "bx lr\n"
+      ".ltorg");
+}
+
 void nested_floats() {
   note('(');
   value = value * 2.0F + 1.0F;
@@ -64,6 +77,29 @@ void tail_floats() {
   note('{');
   value = value * 0.5F - 7.0F;
   note('}');
+}
+
+// Uses floats, is interrupted twice with none used in between, and looks at what it has left.
+[[gnu::naked]] void interrupted_twice() {
+  asm volatile(
+      "vmov.f32 s0, #2.0\n"
+      "mov r0, #0x30000000\n"
+      "vmsr fpscr, r0\n"
+      "movs r0, #2\n"
+      "ldr r1, =0xE000E200\n"
+      "str r0, [r1]\n"
+      "dsb\n"
+      "isb\n"
+      "str r0, [r1]\n"
+      "dsb\n"
+      "isb\n"
+      "ldr r1, =torture_stack\n"
+      "vmrs r0, fpscr\n"
+      "str r0, [r1]\n"
+      "ldr r1, =value_left\n"
+      "vstr s0, [r1]\n"
+      "bx lr\n"
+      ".ltorg");
 }
 
 void pend_and_tell(const char* name) {
@@ -136,6 +172,14 @@ void test_floating_point() {
   pend(1U);
   print_line("handler's own", control() & kFloatingPointActive);
   print_line("its return", torture_return);
+
+  set_priority(kIrq0, 4);
+  set_handler(kIrq0 + 0, interrupted_twice);
+  set_handler(kIrq0 + 1, overwriting);
+  pend(1U);
+  print_line("left", value_left);
+  print_line("its fpscr", torture_stack);
+  print_line("seen return", torture_return);
 
   set_handler(kIrq0 + 0, nested_floats);
   set_handler(kIrq0 + 1, inner_floats);

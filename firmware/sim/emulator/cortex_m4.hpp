@@ -18,6 +18,7 @@
 //    made the faulting access (a pointer chased twice through one register), the first is told as its PC.
 //  - Code in RAM is not run: a SimulationError.
 //  - No MPU, no debug unit. CCR.UNALIGN_TRP cannot be set, and an unaligned LDM or LDRD does not fault.
+//  - STREX fails where the word has changed since LDREX; an exception in between alone does not make it fail.
 //  - Floating-point context is stacked at once; lazy stacking (FPCCR.LSPEN) changes time alone.
 #pragma once
 

@@ -185,6 +185,44 @@ TEST_F(CpuExceptions, StacksFloatingPointOnlyWhereItWasUsed) {
   EXPECT_EQ(bench_.r(3), stack - 0x68 + 0x20);
 }
 
+TEST_F(CpuExceptions, AHandlersFloatsAreStackedAgainAfterOneReturnedToIt) {
+  // Interrupt 0 uses floats and pends 1 twice, with no floats in between.
+  bench_.put(0x1800, {
+                         0x2007,          // movs r0, #7
+                         0xEE00, 0x0A10,  // vmov s0, r0
+                         0x2502,          // movs r5, #2
+                         0x4674,          // mov r4, lr
+                         0xF8C6, 0x5200,  // str.w r5, [r6, #0x200]
+                         0xF3BF, 0x8F6F,  // isb
+                         0x46C2,          // mov r10, r8
+                         0xF8C6, 0x5200,  // str.w r5, [r6, #0x200]
+                         0xF3BF, 0x8F6F,  // isb
+                         0xEE10, 0xBA10,  // vmov r11, s0
+                         0x4720,          // bx r4
+                     });
+  bench_.put(0x1840, {
+                         0x46F0,          // mov r8, lr
+                         0xF3EF, 0x8914,  // mrs r9, control
+                         0x2009,          // movs r0, #9
+                         0xEE00, 0x0A10,  // vmov s0, r0
+                         0x4770,          // bx lr
+                     });
+  run({
+      0x2080,          // movs r0, #0x80
+      0xF886, 0x0400,  // strb.w r0, [r6, #0x400]
+      0x2001,          // movs r0, #1
+      0xF8C6, 0x0200,  // str.w r0, [r6, #0x200]
+      0xF3BF, 0x8F6F,  // isb
+      0xE7FE,          // b .
+  });
+  EXPECT_EQ(bench_.r(4), 0xFFFFFFF9U);
+  EXPECT_EQ(bench_.r(10), 0xFFFFFFE1U);
+  EXPECT_EQ(bench_.r(8), 0xFFFFFFE1U);
+  EXPECT_EQ(bench_.r(9) & 4U, 0U);
+  EXPECT_EQ(bench_.r(11), 7U);
+  EXPECT_EQ(bench_.reg(Register::kControl) & 4U, 0U);
+}
+
 TEST_F(CpuExceptions, HigherPriorityComesFirstAndLowerWaits) {
   run({
       0xF04F, 0x4080,  // mov.w r0, #0x40000000
@@ -479,6 +517,27 @@ TEST_F(CpuExceptions, ALineThatStaysHighPendsAgain) {
   bench_.go_on(100 * kUnitsPerMicrosecond);
   // What was pending when it fell is taken once more.
   EXPECT_LE(text().size(), often + 2);
+}
+
+TEST_F(CpuExceptions, ALineThatIsHighCannotBeCleared) {
+  run({
+      0xB672,  // cpsid i
+      0xE7FE,  // b .
+  });
+  bench_.cpu().set_irq(2, true);
+  bench_.cpu().set_register(Register::kPc, 0x400);
+  bench_.put(0x400, {
+                        0x2004,          // movs r0, #4
+                        0xF8C6, 0x0280,  // str.w r0, [r6, #0x280]
+                        0xF8D6, 0x1200,  // ldr.w r1, [r6, #0x200]
+                        0xE7FE,          // b .
+                    });
+  bench_.go_on(kUnitsPerMillisecond);
+  EXPECT_EQ(bench_.r(1), 4U);
+  bench_.cpu().set_irq(2, false);
+  bench_.cpu().set_register(Register::kPc, 0x400);
+  bench_.go_on(kUnitsPerMillisecond);
+  EXPECT_EQ(bench_.r(1), 0U);
 }
 
 TEST_F(CpuExceptions, APulseIsRemembered) {
