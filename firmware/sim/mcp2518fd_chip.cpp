@@ -479,8 +479,8 @@ void Mcp2518fdChip::lay_out_fifos() {
 }
 
 void Mcp2518fdChip::load_bit_timing() {
-  const auto time_of = [this](std::uint64_t cycles) {
-    return static_cast<SimTime>(cycles * static_cast<std::uint64_t>(kUnitsPerSecond) / spec_.clock_hz);
+  const auto time_of = [this](unsigned cycles) {
+    return SimTime{cycles} * kUnitsPerSecond / SimTime{spec_.clock_hz};
   };
   const auto check = [this](const char* phase, unsigned before, unsigned quanta) {
     if (before * 100 < quanta * 70 || before * 1000 > quanta * 875) {

@@ -70,7 +70,7 @@ TEST(CanBus, IsTheSameWhateverTheStepsItIsAdvancedIn) {
     CanTap a(bus, {});
     CanTap b(bus, {});
     CanTap host(bus, {});
-    for (int i = 0; i < 50; ++i) {
+    for (SimTime i = 0; i < 50; ++i) {
       a.send(i * 170 * kUs, frame_of(0x16000001, 8, CanFormat::kClassic, static_cast<std::uint8_t>(i)));
       b.send(i * 150 * kUs, frame_of(0x16000002, 8, CanFormat::kClassic, static_cast<std::uint8_t>(7 * i)));
     }

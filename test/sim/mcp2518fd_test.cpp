@@ -23,6 +23,8 @@ using wire::CanFormat;
 constexpr SimTime kUs = kUnitsPerMicrosecond;
 constexpr SimTime kMs = kUnitsPerMillisecond;
 constexpr SimTime kBit = can_bit_time(1'000'000);
+constexpr SimTime kLong = 40 * kMs;
+constexpr SimTime kRecovery = SimTime{128} * 11 * kBit;
 
 using Bytes = std::vector<std::uint8_t>;
 
@@ -113,6 +115,7 @@ TEST_P(McpTest, FillsTheBusWhenTheQueueIsFull) {
   Host host;
   const SimTime begin = module.now;
   const SimTime busy = bus.counters().busy;
+  const std::size_t transfers = module.spi.transfers;
   std::uint64_t refused = 0;
   for (std::uint64_t i = 0; i < 2'000; ++i) {
     if (!module.link.write(framed(150, i))) ++refused;
@@ -121,6 +124,8 @@ TEST_P(McpTest, FillsTheBusWhenTheQueueIsFull) {
   }
   EXPECT_GT(refused, 100U);
   EXPECT_EQ(host.decoder.counters().bytes_discarded, 0U);
+  // Two transfers a frame, and few to look for room.
+  EXPECT_LT(module.spi.transfers - transfers, module.link.counters().frames_sent * 11 / 4);
   // Frame follows frame: nothing is left idle between them but what a refused write leaves.
   EXPECT_GT(static_cast<double>(bus.counters().busy - busy), 0.97 * static_cast<double>(module.now - begin));
 }
@@ -128,6 +133,7 @@ TEST_P(McpTest, FillsTheBusWhenTheQueueIsFull) {
 TEST_P(McpTest, TakesWhatTheHostSendsToIt) {
   start();
   const Bytes command = framed(100, 4);
+  std::uint32_t pieces = 0;
   std::span<const std::uint8_t> left(command);
   while (!left.empty()) {
     wire::CanFrame frame;
@@ -139,6 +145,9 @@ TEST_P(McpTest, TakesWhatTheHostSendsToIt) {
     tap.send(module.now, frame);
     frame.id = wire::can_id({CanDirection::kToHost, 7});
     tap.send(module.now, frame);
+    frame.id = wire::can_id({CanDirection::kToHost, 3});
+    tap.send(module.now, frame);
+    ++pieces;
     frame.id = wire::can_id({CanDirection::kToNode, 3}) ^ (1U << 28);
     tap.send(module.now, frame);
   }
@@ -148,6 +157,8 @@ TEST_P(McpTest, TakesWhatTheHostSendsToIt) {
   EXPECT_EQ(std::count(module.received.begin() + static_cast<std::ptrdiff_t>(command.size()),
                        module.received.end(), 0),
             static_cast<std::ptrdiff_t>(module.received.size() - command.size()));
+  // The chip's filter has kept the others out: they never crossed the SPI.
+  EXPECT_EQ(module.link.counters().frames_received, pieces);
   EXPECT_FALSE(module.chip.irq());
 }
 
@@ -276,6 +287,14 @@ TEST_P(McpTest, CanBeStartedAgainWithOtherSettingsAmidTraffic) {
   Host host;
   host.take(tap.take(module.now), 4);
   EXPECT_EQ(host.payloads.size(), 1U);
+}
+
+TEST_P(McpTest, UsesTheWholeTransmitFifo) {
+  tap.set_connected(false);
+  start();
+  for (int i = 0; i < 10; ++i) (void)module.link.write(framed(140, 1));
+  module.run(module.now + 50 * kMs);
+  EXPECT_EQ(module.link.counters().frames_sent, GetParam() == CanFormat::kFd ? 20U : 32U);
 }
 
 TEST_P(McpTest, RefusesAWholeFrameWhereThereIsNoRoomForAllOfIt) {
@@ -453,7 +472,7 @@ TEST_F(McpChipTest, RecoversFromBusOffAfter128Times11RecessiveBits) {
   write(0x408, 0);
   write(0x40C, 0);
   transfer({0x20, 0x5D, 0x03});
-  const SimTime quiet = now + 40 * kMs;
+  const SimTime quiet = now + kLong;
   bus.hold_dominant(now, quiet);
   SimTime t = now;
   while (!chip.bus_off() && t < quiet) chip.advance(t += kUs);
@@ -464,10 +483,10 @@ TEST_F(McpChipTest, RecoversFromBusOffAfter128Times11RecessiveBits) {
   EXPECT_EQ(read(0x060) & 4U, 4U);  // emptied
   EXPECT_EQ(chip.next_event(), kNever);
   chip.advance(quiet);
-  EXPECT_EQ(chip.next_event(), quiet + 128 * 11 * kBit);
-  chip.advance(quiet + 128 * 11 * kBit - 1);
+  EXPECT_EQ(chip.next_event(), quiet + kRecovery);
+  chip.advance(quiet + kRecovery - 1);
   EXPECT_TRUE(chip.bus_off());
-  chip.advance(quiet + 128 * 11 * kBit);
+  chip.advance(quiet + kRecovery);
   EXPECT_FALSE(chip.bus_off());
   EXPECT_EQ(chip.transmit_errors(), 0U);
   EXPECT_EQ(chip.fault(), "");
@@ -482,7 +501,7 @@ TEST_F(McpChipTest, CountsTheEndOfEachFrameForItsRecovery) {
   for (const unsigned address : {0x400U, 0x408U, 0x40CU}) write(address, 0x16);
   write(0x404, 0x18);
   transfer({0x20, 0x5D, 0x03});
-  const SimTime quiet = now + 40 * kMs;
+  const SimTime quiet = now + kLong;
   bus.hold_dominant(now, quiet);
   chip.advance(quiet);
   ASSERT_TRUE(chip.bus_off());

@@ -238,7 +238,7 @@ class Mcp2518fd {
       buffer[kHeaderBytes + kObjectHeaderBytes + i] = frame.data[i];
     }
     // The RAM takes whole words.
-    const std::size_t size = (frame.size + 3U) / 4U * 4U;
+    const unsigned size = (frame.size + 3U) / 4U * 4U;
     spi_.transfer(std::span(buffer).first(kHeaderBytes + kObjectHeaderBytes + size));
   }
 

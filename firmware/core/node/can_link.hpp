@@ -74,11 +74,11 @@ class CanLink {
     if (!wanted_) return false;
     bool again = false;
     if (interrupt || now_us >= next_check_us_) {
-      const Look seen = look(now_us, delay_us);
+      const Look seen = look(interrupt, now_us, delay_us);
       if (seen == Look::kDown) return false;
-      receive(sink);
+      if (seen == Look::kReceived) receive(sink);
       // A line that stays low for no reason that the controller tells is left alone until the next check.
-      again = interrupt && seen == Look::kSomething;
+      again = interrupt && seen != Look::kNothing;
     }
     if (size_ != 0 && !blocked_ && now_us >= resume_at_us_) again = send_one() || again;
     return again;
@@ -105,14 +105,14 @@ class CanLink {
   // A failing try keeps the processor for 10 ms and more.
   static constexpr std::uint64_t kRetryPeriod_us = 10'000'000;
 
-  enum class Look : std::uint8_t { kDown, kNothing, kSomething };
+  enum class Look : std::uint8_t { kDown, kNothing, kSomething, kReceived };
 
   template <class Delay>
-  Look look(std::uint64_t now_us, Delay& delay_us) noexcept {
+  Look look(bool interrupt, std::uint64_t now_us, Delay& delay_us) noexcept {
     if (chip_.state() == mcp2518fd::State::kDown) {
       return now_us < next_check_us_ ? Look::kDown : restart(now_us, delay_us);
     }
-    next_check_us_ = now_us + kCheckPeriod_us;
+    if (!interrupt) next_check_us_ = now_us + kCheckPeriod_us;
     const mcp2518fd::Events events = chip_.take_events();
     if (events.lost) return restart(now_us, delay_us);
     if (events.overrun) ++counters_.receive_overruns;
@@ -124,7 +124,8 @@ class CanLink {
     }
     // Whatever changed, the next frame finds out whether there is room.
     if (events.room || events.bus_off || events.on_bus) blocked_ = false;
-    counters_.errors = chip_.error_counters();
+    if (!interrupt) counters_.errors = chip_.error_counters();
+    if (events.received) return Look::kReceived;
     return events.any ? Look::kSomething : Look::kNothing;
   }
 
