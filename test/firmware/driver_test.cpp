@@ -281,10 +281,23 @@ TEST_F(Driver, BringUpSaysWhatFailed) {
   EXPECT_EQ(radio.transmit_at(DeviceTime(0), frame), Start::kNotIdle);
   EXPECT_EQ(radio.receive_now(Ticks(1'000'000), std::nullopt), Start::kNotIdle);
   chip.deaf = false;
+  chip.on_write = [this](const Transfer& transfer) {
+    if (transfer.file == 0x2B && transfer.sub == 0x0E) chip.put(0x2B, 0x0E, 0x60, 1);
+  };
+  EXPECT_EQ(bring_up(), BringUp::kNoTrim);
+  for (const std::uint16_t setting : {std::uint16_t{0x0806}, std::uint16_t{0x2804}}) {
+    chip.on_write = [this, setting](const Transfer& transfer) {
+      if (transfer.file == 0x2E && transfer.sub == setting) chip.put(0x2E, setting, 0, 1);
+    };
+    EXPECT_EQ(bring_up(), BringUp::kNoStamps);
+  }
+  chip.on_write = [this](const Transfer&) { chip.put(0x36, 0x04, 0x81000738, 4); };
+  EXPECT_EQ(bring_up(), BringUp::kNoStamps);
+  chip.on_write = nullptr;
   EXPECT_EQ(bring_up(), BringUp::kOk);
   EXPECT_EQ(radio.state(), State::kIdle);
-  for (const BringUp result :
-       {BringUp::kNoChip, BringUp::kNoLock, BringUp::kNoFastBus, BringUp::kNotWritable}) {
+  for (const BringUp result : {BringUp::kNoChip, BringUp::kNoLock, BringUp::kNoFastBus, BringUp::kNotWritable,
+                               BringUp::kNoTrim, BringUp::kNoStamps}) {
     EXPECT_GT(std::string_view(describe(result)).size(), 10U);
     EXPECT_LT(std::string_view(describe(result)).size(), 32U);
   }

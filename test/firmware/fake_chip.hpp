@@ -37,6 +37,7 @@ class FakeChip {
   void reset() {
     memory_.clear();
     put(0x00, 0, 0xDECA0130, 4);
+    put(0x36, 0x04, 0x81020738, 4);
     status = locks ? kLocked : 0;
   }
 

@@ -26,7 +26,8 @@ void Board::start() noexcept {
   uart_.start();
   boot_count_ = storage::Counter(flash_).open_block();
 
-  pin::configure(pin::kRadioInterrupt, gpio::kInput);
+  // Low also while the radio is in reset and drives nothing.
+  pin::configure(pin::kRadioInterrupt, gpio::kInputPulledDown);
   gpiote::kBlock[gpiote::kConfig] =
       gpiote::kEventMode | pin::kRadioInterrupt << gpiote::kPinShift | gpiote::kRising;
   gpiote::kBlock[gpiote::kEventIn] = 0;

@@ -89,11 +89,11 @@ inline constexpr std::uint32_t kIn = 0x510;
 inline constexpr std::uint32_t kDirectionSet = 0x518;
 inline constexpr std::uint32_t kDirectionClear = 0x51C;
 inline constexpr std::uint32_t kPinConfig = 0x700;  // and four more a pin
-// Pin configurations: output; input without and with pull-up; disconnected as after reset.
+// Pin configurations: output; input alone and pulled.
 inline constexpr std::uint32_t kOutput = 0x3;
 inline constexpr std::uint32_t kInput = 0x0;
+inline constexpr std::uint32_t kInputPulledDown = 0x4;
 inline constexpr std::uint32_t kInputPulledUp = 0xC;
-inline constexpr std::uint32_t kDisconnected = 0x2;
 }  // namespace gpio
 
 namespace gpiote {

@@ -42,6 +42,8 @@ enum class BringUp : std::uint8_t {
   kNoLock,       // its clock PLL did not lock
   kNoFastBus,    // it answers at 2 MHz, but not at 8
   kNotWritable,  // a register did not keep what was written
+  kNoTrim,       // nor the crystal's trim
+  kNoStamps,     // nor the leading edge detector's settings, or it is not on
 };
 
 // At most 31 characters; empty for kOk.
@@ -57,6 +59,10 @@ enum class BringUp : std::uint8_t {
       return "SPI fails at full speed";
     case BringUp::kNotWritable:
       return "registers do not keep values";
+    case BringUp::kNoTrim:
+      return "crystal trim is not kept";
+    case BringUp::kNoStamps:
+      return "leading edge detector not ready";
   }
   return "";
 }
@@ -117,9 +123,16 @@ class Dw1000 {
 
     spi_.set_speed(SpiSpeed::kFast);
     if (read<reg::DevId>() != kDeviceId) return BringUp::kNoFastBus;
-    if (read<reg::ChanCtrl>() != kChannel || read<reg::LdeRepc>() != kLdeReplicaCode ||
+    if (read<reg::ChanCtrl>() != kChannel ||
         read<reg::TxAntd>() != Value<reg::TxAntd>(transmit_antenna_delay_dtu_)) {
       return BringUp::kNotWritable;
+    }
+    if (read<reg::FsXtalt>() != crystal_trim_) return BringUp::kNoTrim;
+    // Its microcode cannot be read back; should it be missing, no stamp is valid, and counters.bad_stamps
+    // tells.
+    if (read<reg::LdeCfg1>() != kLdeNoiseThreshold || read<reg::LdeRepc>() != kLdeReplicaCode ||
+        !read<reg::PmscCtrl1>().has(reg::pmsc_ctrl1::kLeadingEdge)) {
+      return BringUp::kNoStamps;
     }
     state_ = State::kIdle;
     return BringUp::kOk;
@@ -226,6 +239,7 @@ class Dw1000 {
   static constexpr Value<reg::PmscReset> kNoReset{0xF0};
   static constexpr Value<reg::OtpSf> kLdoKick{0x02};
   static constexpr Value<reg::ChanCtrl> kChannel{0x4A480055};
+  static constexpr Value<reg::LdeCfg1> kLdeNoiseThreshold{0x6D};
   static constexpr Value<reg::LdeRepc> kLdeReplicaCode{0x28F4};
   static constexpr std::uint16_t kOtpLdoTune = 0x04;
   static constexpr std::uint16_t kOtpAntennaDelay = 0x1C;
@@ -296,9 +310,10 @@ class Dw1000 {
   void trim_crystal(std::uint32_t otp_word) noexcept {
     constexpr std::uint32_t kMidRange = 0x10;
     const std::uint32_t trim = otp_word & 0x1F;
-    write(Value<reg::FsXtalt>()
-              .set(reg::fs_xtalt::kFixed, 3)
-              .set(reg::fs_xtalt::kTrim, trim == 0 ? kMidRange : trim));
+    crystal_trim_ = Value<reg::FsXtalt>()
+                        .set(reg::fs_xtalt::kFixed, 3)
+                        .set(reg::fs_xtalt::kTrim, trim == 0 ? kMidRange : trim);
+    write(crystal_trim_);
   }
 
   void settle_antenna_delays(const RadioSettings& settings, std::uint32_t otp_word) noexcept {
@@ -347,7 +362,7 @@ class Dw1000 {
     write(Value<reg::TcPgdelay>(0xB5));
     write(Value<reg::FsPllcfg>(0x0800041D));
     write(Value<reg::FsPlltune>(0xBE));
-    write(Value<reg::LdeCfg1>(0x6D));
+    write(kLdeNoiseThreshold);
     write(Value<reg::LdeCfg2>(0x0607));
     write(kLdeReplicaCode);
     write(kInterrupts);
@@ -463,6 +478,7 @@ class Dw1000 {
   S& spi_;
   State state_ = State::kDown;
   std::uint16_t transmit_antenna_delay_dtu_ = 0;
+  Value<reg::FsXtalt> crystal_trim_;
   std::uint16_t preamble_timeout_chunks_ = 0;
   ranging::Ticks chunk_{1};
   Value<reg::TxFctrl> frame_format_;

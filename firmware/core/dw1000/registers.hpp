@@ -57,6 +57,7 @@ using LdeRepc      = Register<0x2E, 0x2804,  2, kReadWrite>;  // leading edge, b
 using PmscCtrl0    = Register<0x36, 0x0000,  2, kReadWrite>;  // clocks (its low half)
 using PmscClock    = Register<0x36, 0x0000,  1, kReadWrite>;  // clocks of system, receiver, transmitter
 using PmscReset    = Register<0x36, 0x0003,  1, kReadWrite>;  // soft reset: 0xF0 none, 0xE0 receiver
+using PmscCtrl1    = Register<0x36, 0x0004,  4, kRead>;       // more clocks
 // clang-format on
 
 namespace sys_cfg {
@@ -141,5 +142,9 @@ namespace fs_xtalt {
 inline constexpr Field<FsXtalt, 0, 5> kTrim{};
 inline constexpr Field<FsXtalt, 5, 3> kFixed{};  // always 3
 }  // namespace fs_xtalt
+
+namespace pmsc_ctrl1 {
+inline constexpr Field<PmscCtrl1, 17> kLeadingEdge{};  // LDERUNE: detect it in each frame received
+}  // namespace pmsc_ctrl1
 
 }  // namespace groma::dw1000::reg
