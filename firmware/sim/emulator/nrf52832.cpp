@@ -269,7 +269,11 @@ bool Nrf52832::write(std::uint32_t address, unsigned bytes, std::uint32_t value)
 bool Nrf52832::flash_write(std::uint32_t address, unsigned bytes, std::uint32_t value) {
   const SimTime t = parts_.processor.now();
   advance(t);
-  if (!nvmc_.store(t, address, bytes, value)) return false;
+  try {
+    if (!nvmc_.store(t, address, bytes, value)) return false;
+  } catch (const SimulationError& error) {
+    fail(error.what(), address);
+  }
   look_at_all();
   return true;
 }

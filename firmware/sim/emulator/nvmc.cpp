@@ -1,6 +1,7 @@
 #include "firmware/sim/emulator/nvmc.hpp"
 
 #include <algorithm>
+#include <string>
 #include <utility>
 
 #include "firmware/sim/emulator/firmware_image.hpp"
@@ -24,7 +25,11 @@ constexpr std::uint32_t kWhole = 4096;
 }  // namespace
 
 Nvmc::Nvmc(std::span<std::uint8_t> flash, std::span<std::uint8_t> uicr, Stall stall, Changed changed)
-    : flash_(flash), uicr_(uicr), stall_(std::move(stall)), changed_(std::move(changed)) {}
+    : flash_(flash),
+      uicr_(uicr),
+      writes_(flash.size() / kBlockBytes),
+      stall_(std::move(stall)),
+      changed_(std::move(changed)) {}
 
 void Nvmc::reset() {
   if (busy()) advance(end_at_);
@@ -77,6 +82,10 @@ void Nvmc::advance(SimTime t) {
 
 bool Nvmc::store(SimTime t, std::uint32_t address, unsigned bytes, std::uint32_t value) {
   if (mode_ != kWriteEnabled || bytes != 4 || address % 4 != 0 || word(address).empty()) return false;
+  if (address < flash_.size() && ++writes_[address / kBlockBytes] > kMostWrites) {
+    throw SimulationError("NVMC: more than " + std::to_string(kMostWrites) +
+                          " writes to a block of 512 bytes without an erase");
+  }
   erasing_ = false;
   address_ = address;
   value_ = value;
@@ -109,6 +118,8 @@ bool Nvmc::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
         throw SimulationError("NVMC: ERASEPAGE of " + hexadecimal(value) + ", where no page begins");
       erasing_ = true;
       address_ = value;
+      std::fill_n(writes_.begin() + static_cast<std::ptrdiff_t>(value / kBlockBytes),
+                  kFlashPageBytes / kBlockBytes, std::uint8_t{0});
       begin(t, kEraseTime);
       return true;
     case kIcachecnf:

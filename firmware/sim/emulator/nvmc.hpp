@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <functional>
 #include <span>
+#include <vector>
 
 #include "firmware/sim/emulator/peripheral.hpp"
 
@@ -18,6 +19,9 @@ class Nvmc final : public Peripheral {
   // Product specification 11.4, electrical specification.
   static constexpr SimTime kEraseTime = 85 * kUnitsPerMillisecond;
   static constexpr SimTime kWriteTime = 41 * kUnitsPerMicrosecond;
+  // Writes to a block that it bears between two erases (nWRITE,BLOCK); one more fails the run.
+  static constexpr std::uint32_t kBlockBytes = 512;
+  static constexpr std::uint8_t kMostWrites = 181;
 
   // `stall`: halts the processor for that long. `changed`: these bytes of the flash are no longer what they
   // were.
@@ -51,6 +55,7 @@ class Nvmc final : public Peripheral {
 
   std::span<std::uint8_t> flash_;
   std::span<std::uint8_t> uicr_;
+  std::vector<std::uint8_t> writes_;  // to each block of the flash since its erase
   Stall stall_;
   Changed changed_;
   std::uint32_t mode_ = 0;  // CONFIG

@@ -158,6 +158,21 @@ TEST_F(ShippedImage, RangesInAMixedNetwork) {
   }
 }
 
+TEST_F(ShippedImage, RangesWithAProcessorCrystalOfItsOwn) {
+  SiteSettings settings{.tags = 1, .anchors = 3};
+  settings.make_node = [](const NodeSpec& spec, Medium& medium) -> std::unique_ptr<NodeHost> {
+    NodeSpec changed = spec;
+    changed.cpu_clock = ClockSpec{.offset_ppm = spec.chip.id % 2 == 0 ? 40.0 : -40.0};
+    return make_emulated_node(changed, shipped(), medium);
+  };
+  SiteBench site(settings);
+  site.run_until(2.0);
+  const Errors errors = errors_of(site, 1.0);
+  EXPECT_GT(errors.count, 300);
+  EXPECT_LT(errors.worst_m, 0.01);
+  EXPECT_EQ(site.listeners[0].undecodable, 0);
+}
+
 using RangeKey = std::tuple<std::uint32_t, std::uint32_t, std::uint32_t>;  // superframe, tag, anchor
 
 std::map<RangeKey, double> ranges_of(const SiteBench& site) {

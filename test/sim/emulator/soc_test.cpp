@@ -542,6 +542,21 @@ TEST(Nvmc, FaultsAStoreThatIsNotEnabled) {
   EXPECT_THAT(SocBench::complaint([&] { bench.erase(0x7E004); }), HasSubstr("no page begins"));
 }
 
+TEST(Nvmc, WearsOutByMoreWritesThanABlockBears) {
+  NvmcBench bench;
+  bench.write(reg::kNvmc + 0x504, 1);
+  for (int i = 0; i < 181; ++i) {
+    bench.store(0x7E000 + 4U * static_cast<unsigned>(i % 128), 0xFFFFFFFF);
+    bench.run_us(41);
+  }
+  EXPECT_THAT(SocBench::complaint([&] { bench.store(0x7E000, 0); }), HasSubstr("more than 181 writes"));
+  bench.store(0x7E200, 0);
+  bench.run_us(41);
+  bench.erase(0x7E000);
+  bench.run_us(85'000);
+  EXPECT_EQ(SocBench::complaint([&] { bench.store(0x7E000, 0); }), "");
+}
+
 TEST(Nvmc, WritesTheUserInformationToo) {
   NvmcBench bench;
   EXPECT_FALSE(bench.soc.write(0x10001208, 4, 0x5A));
