@@ -536,6 +536,23 @@ TEST_F(CpuFaults, FloatingPointBeforeItIsEnabled) {
   EXPECT_EQ(bench_.reg(CpuBench::Register::kLr), 0xFFFFFFF9U);
 }
 
+TEST_F(CpuFaults, FloatingPointIsFoundInOtherCodeAtTheSamePlace) {
+  bench_.run({
+      0xBF00,          // nop
+      0xBF00,          // nop
+      0xEE00, 0x0A10,  // vmov s0, r0
+      0xE7FE,          // b .
+  });
+  expect_fault(CpuBench::kHardFault, kNocp, CpuBench::kMain + 4);
+  bench_.run({
+      0xBF00,          // nop
+      0xEE00, 0x0A10,  // vmov s0, r0
+      0xBF00,          // nop
+      0xE7FE,          // b .
+  });
+  expect_fault(CpuBench::kHardFault, kNocp, CpuBench::kMain + 2);
+}
+
 TEST_F(CpuFaults, FloatingPointThatItsHandlerEnablesIsRunAgain) {
   bench_.put(0x1800, {
                          0xF64E, 0x5088,  // movw r0, #0xED88

@@ -222,6 +222,25 @@ TEST_F(CpuSleep, WaitsForAnEvent) {
   EXPECT_EQ(bench_.r(5), 3U);
 }
 
+TEST_F(CpuSleep, AReturnFromAnExceptionIsAnEvent) {
+  // The handler uses up the one that its entry was.
+  bench_.handler(CpuBench::kSvCall, 0x1900);
+  bench_.put(0x1900, {
+                         0xBF20,  // wfe
+                         0x4770,  // bx lr
+                     });
+  run({
+      0xDF00,  // svc #0
+      0xBF20,  // wfe
+      0x3501,  // adds r5, #1
+      0xBF20,  // wfe
+      0x3501,  // adds r5, #1
+      0xE7FE,  // b .
+  });
+  EXPECT_EQ(bench_.r(5), 1U);
+  EXPECT_TRUE(bench_.cpu().sleeping());
+}
+
 TEST_F(CpuSleep, WideEncodingsOfTheHints) {
   run({
       0xF3AF, 0x8004,  // sev.w
@@ -302,6 +321,9 @@ TEST_F(CpuSleep, SysTickWakes) {
   const SimTime tick = bench_.cpu().next_wake();
   EXPECT_GT(tick, bench_.cpu().now());
   EXPECT_LE(tick, from_seconds(0.0103));
+  bench_.cpu().idle_until(tick);
+  bench_.cpu().run(tick + kUnitsPerMicrosecond * 100);
+  EXPECT_EQ(bench_.cpu().next_wake() - tick, 16'000 * kCycle);
 }
 
 TEST_F(CpuSleep, SysTickCountsDown) {
