@@ -4,7 +4,7 @@
 
 #include <algorithm>
 #include <functional>
-#include <map>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -234,6 +234,8 @@ struct Scenario {
   std::string name;
   std::function<void(NorFlash&)> before;
   Bytes next;
+
+  friend void PrintTo(const Scenario& scenario, std::ostream* out) { *out << scenario.name; }
 };
 
 std::vector<Scenario> scenarios() {
