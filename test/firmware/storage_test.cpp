@@ -235,7 +235,9 @@ struct Scenario {
   std::function<void(NorFlash&)> before;
   Bytes next;
 
-  friend void PrintTo(const Scenario& scenario, std::ostream* out) { *out << scenario.name; }
+  friend std::ostream& operator<<(std::ostream& out, const Scenario& scenario) {
+    return out << scenario.name;
+  }
 };
 
 std::vector<Scenario> scenarios() {
