@@ -11,6 +11,7 @@
 
 #include <cstdint>
 #include <cstring>
+#include <exception>
 #include <optional>
 #include <span>
 #include <stdexcept>
@@ -30,7 +31,12 @@ class VirtualCan {
   VirtualCan(const VirtualCan&) = delete;
   VirtualCan& operator=(const VirtualCan&) = delete;
   ~VirtualCan() {
-    if (there_) static_cast<void>(run_child({kBusybox, "ip", "link", "del", name_}));
+    try {
+      if (there_) remove();
+    } catch (const std::exception&) {
+      // It goes with the test's network or machine.
+      there_ = false;
+    }
   }
 
   void add() {

@@ -87,7 +87,7 @@ class SocketCan : public ::testing::Test {
 std::vector<std::uint8_t> report_of(std::uint32_t sequence, std::uint32_t tag) {
   std::vector<groma_Range> ranges;
   for (std::uint16_t anchor = 10; anchor < 20; ++anchor) {
-    ranges.push_back(test::make_range(anchor, 1.0 + 0.5 * anchor, -1'000'000 * anchor));
+    ranges.push_back(test::make_range(anchor, 1.0 + 0.5 * anchor, std::int64_t{-1'000'000} * anchor));
   }
   return test::frame_of(test::make_report(sequence, tag, 1'000'000'000ULL * (sequence + 1), ranges));
 }
