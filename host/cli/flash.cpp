@@ -29,7 +29,6 @@ namespace groma::cli {
 
 namespace {
 
-using provision::Adapter;
 using provision::DebugProbe;
 using provision::FlashFault;
 using provision::FlashOutcome;

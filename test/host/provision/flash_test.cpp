@@ -48,7 +48,7 @@ class FlashTest : public ::testing::Test {
   }
   FlashOutcome run() {
     std::vector<std::string> phases;
-    const FlashOutcome outcome = flash(request_, [&](const char* phase) { phases.emplace_back(phase); });
+    FlashOutcome outcome = flash(request_, [&](const char* phase) { phases.emplace_back(phase); });
     phases_ = phases;
     return outcome;
   }

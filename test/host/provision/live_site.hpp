@@ -9,13 +9,13 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <span>
 #include <string>
 #include <thread>
 #include <vector>
 
-#include "firmware/core/node/config.hpp"
+#include "firmware/sim/emulator/emulated_node.hpp"
+#include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/network.hpp"
 #include "host/provision/site_plan.hpp"
 #include "host/simulation/pty_port.hpp"
@@ -28,20 +28,18 @@ class LiveSite {
   // What a line does to bytes on their way; called with all that come at once.
   using Line = std::function<void(std::vector<std::uint8_t>&)>;
 
-  // Nodes 1 (tag), 10, 11, 12 (anchors), none of them configured unless one is given.
-  explicit LiveSite(const std::optional<groma_Config>& first_config = std::nullopt)
-      : network_(space_, {}, 1) {
+  // Nodes 1 (tag), 10, 11, 12 (anchors), none of them configured. They run the image, or without one the
+  // firmware compiled in.
+  explicit LiveSite(const sim::FirmwareImage* image = nullptr) : network_(space_, {}, 1) {
     constexpr std::array<std::uint16_t, 4> kIds{1, 10, 11, 12};
     for (const std::uint16_t id : kIds) {
       space_.put(id, {id == 1 ? 3.0 : 4.0 * (id - 10), id == 1 ? 4.0 : 0.5 * id, 1.5});
       sim::NodeSpec spec;
       spec.chip.id = id;
-      if (id == 1 && first_config) {
-        std::array<std::uint8_t, node::kMaxConfigBytes> stored{};
-        const std::size_t size = node::encode_config(*first_config, stored);
-        spec.stored_config.assign(stored.begin(), stored.begin() + static_cast<std::ptrdiff_t>(size));
-      }
-      ports_.push_back({network_.add_native(spec), std::make_unique<simulation::PtyPort>()});
+      const std::size_t node = image == nullptr
+                                   ? network_.add_native(spec)
+                                   : network_.add(sim::make_emulated_node(spec, *image, network_.medium()));
+      ports_.push_back({node, std::make_unique<simulation::PtyPort>()});
     }
     thread_ = std::thread([this] { run(); });
   }
@@ -101,7 +99,7 @@ class LiveSite {
         if (line_) line_(bytes_);
         if (!bytes_.empty()) (void)network_.send(port.node, bytes_);
       }
-      network_.run_until(steps * 2 * sim::kUnitsPerMillisecond);
+      network_.run_until(sim::SimTime{steps} * 2 * sim::kUnitsPerMillisecond);
       for (const Port& port : ports_) {
         taken_.clear();
         network_.take(port.node, taken_);
