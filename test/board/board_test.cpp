@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <span>
 #include <vector>
 
+#include "firmware/core/node/image_identity.hpp"
 #include "test/sim/emulator/emulated_site.hpp"
 #include "test/support/elf_file.hpp"
 
@@ -186,6 +188,22 @@ TEST_F(Board, IsResetFromALoopThatLetsNoInterruptThrough) {
 }
 
 // ---- the rest ---------------------------------------------------------------------------------------------
+
+TEST_F(Board, SaysOfItselfWhatItsImageDoes) {
+  using node::ImageIdentity;
+  const auto begin = shipped().flash.begin();
+  const auto end = begin + ImageIdentity::kSearched_bytes;
+  const auto found = std::search(begin, end, ImageIdentity::kMark.begin(), ImageIdentity::kMark.end());
+  ASSERT_NE(found, end);
+  ImageIdentity identity("", 0);
+  std::memcpy(&identity, &*found, sizeof(identity));
+  run_until(1.0);
+  ASSERT_EQ(listener.hellos.size(), 1U);
+  EXPECT_STREQ(listener.hellos[0].version, identity.version.data());
+  EXPECT_THAT(identity.version[0], testing::AllOf(testing::Ge('0'), testing::Le('9')));
+  EXPECT_EQ(listener.hellos[0].git_hash, identity.git_hash);
+  EXPECT_EQ(listener.hellos[0].role, groma_Role_ROLE_UNCONFIGURED);
+}
 
 TEST_F(Board, ShowsByItsLightsWhatItDoes) {
   constexpr std::size_t kBlue = 3;
