@@ -46,8 +46,10 @@ constexpr std::uint64_t divide(const Wide& numerator, std::uint64_t divisor) noe
   for (int digit = 7; digit >= 0; --digit) {
     const std::uint64_t word = digit >= 4 ? numerator.high : numerator.low;
     const std::uint64_t chunk = (remainder << 16) | ((word >> (16 * (digit % 4))) & 0xFFFF);
-    quotient = (quotient << 16) | (chunk / divisor);
-    remainder = chunk % divisor;
+    // Most digits are zero, and a division costs a Cortex-M4 a hundred instructions.
+    const std::uint64_t value = chunk < divisor ? 0 : chunk / divisor;
+    quotient = (quotient << 16) | value;
+    remainder = chunk - value * divisor;
   }
   return quotient;
 }
