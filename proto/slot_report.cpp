@@ -41,7 +41,9 @@ class BackwardWriter {
   void float32(std::uint32_t field, float value) noexcept {
     const auto bits = std::bit_cast<std::uint32_t>(value);
     if (bits == 0) return;
-    for (unsigned shift = 32; shift != 0; shift -= 8) byte(static_cast<std::uint8_t>(bits >> (shift - 8)));
+    if (std::uint8_t* byte = take(4); byte != nullptr) {
+      for (unsigned shift = 0; shift < 32; shift += 8) *byte++ = static_cast<std::uint8_t>(bits >> shift);
+    }
     key(field, WireType::kFixed32);
   }
   // `size_after` is size() before the message's own fields were put.
@@ -58,24 +60,24 @@ class BackwardWriter {
   }
 
  private:
-  void byte(std::uint8_t value) noexcept {
-    if (at_ == begin_) {
-      overflow_ = true;
-    } else {
-      *--at_ = value;
-    }
-  }
   void key(std::uint32_t field, WireType type) noexcept {
     varint(field << 3 | static_cast<std::uint32_t>(type));
   }
   template <class T>
   void varint(T value) noexcept {
-    unsigned groups = (static_cast<unsigned>(std::bit_width(value)) + 6) / 7;
-    std::uint8_t more = 0;
-    for (groups = groups == 0 ? 1 : groups; groups != 0; --groups) {
-      byte(static_cast<std::uint8_t>((value >> (7 * (groups - 1)) & 0x7F) | more));
-      more = 0x80;
+    const unsigned groups = (static_cast<unsigned>(std::bit_width(value | 1U)) + 6) / 7;
+    std::uint8_t* byte = take(groups);
+    if (byte == nullptr) return;
+    for (; value >= 0x80; value >>= 7) *byte++ = static_cast<std::uint8_t>(value | 0x80);
+    *byte = static_cast<std::uint8_t>(value);
+  }
+  // Room for so many bytes before those written; nothing where there is none.
+  std::uint8_t* take(std::size_t bytes) noexcept {
+    if (overflow_ || static_cast<std::size_t>(at_ - begin_) < bytes) {
+      overflow_ = true;
+      return nullptr;
     }
+    return at_ -= bytes;
   }
 
   std::uint8_t* begin_;
