@@ -478,6 +478,23 @@ TEST_F(NodeTest, FactoryResetForgetsAndFallsSilent) {
   EXPECT_EQ(messages(groma_NodeToHost_hello_tag).back().body.hello.role, groma_Role_ROLE_UNCONFIGURED);
 }
 
+TEST_F(NodeTest, AfterAFactoryResetNoBeaconsAreMissed) {
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  node.start();
+  platform.chip.put(0x17, 0, platform.chip.written(0x0A, 0) + 16'436, 5);
+  platform.chip.status |= kTransmitted;
+  node.on_radio_interrupt();
+  command(groma_HostToNode_factory_reset_tag);
+  platform.sent.clear();
+  for (int i = 0; i < 3; ++i) {
+    platform.time_us = node.next_deadline_us();
+    node.on_timer();
+    end_listening();
+  }
+  EXPECT_GT(platform.proofs, 0);
+  EXPECT_TRUE(messages(groma_NodeToHost_log_tag).empty());
+}
+
 TEST_F(NodeTest, RebootAnswersAndRestarts) {
   node.start();
   command(groma_HostToNode_reboot_tag);

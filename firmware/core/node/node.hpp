@@ -352,7 +352,11 @@ class Node {
 
   void watch_sync() noexcept {
     const mac::Station* member = station();
-    const mac::SyncState state = member != nullptr ? member->sync().state() : mac::SyncState::kSearching;
+    if (member == nullptr) {
+      sync_state_ = mac::SyncState::kSearching;
+      return;
+    }
+    const mac::SyncState state = member->sync().state();
     if (state == sync_state_) return;
     const bool was_searching = sync_state_ == mac::SyncState::kSearching;
     sync_state_ = state;
