@@ -259,15 +259,14 @@ class Mcp2518fd {
     for (std::size_t i = 0; i < out.size; ++i) out.data[i] = buffer[kHeaderBytes + kObjectHeaderBytes + i];
   }
 
-  // Room is reckoned from the flags: with each frame of it one transfer is spared.
+  // Room is reckoned from the flags: with each frame of it one transfer is spared. A FIFO that is more than
+  // half full can wait: the bus has enough to do.
   bool look_for_room() noexcept {
     const auto [status, address] = read_pair<reg::TransmitSta, reg::TransmitUa>();
     if (status.has(reg::transmit_sta::kEmpty)) {
       room_ = transmit_depth();
     } else if (status.has(reg::transmit_sta::kHalfEmpty)) {
       room_ = transmit_depth() / 2;
-    } else if (status.has(reg::transmit_sta::kNotFull)) {
-      room_ = 1;
     } else {
       ask_for_room(true);
       return false;

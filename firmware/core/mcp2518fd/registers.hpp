@@ -105,7 +105,6 @@ inline constexpr Field<TransmitCon, 1> kOnHalfEmpty{};      // TFHRFHIE
 }  // namespace transmit_con
 
 namespace transmit_sta {
-inline constexpr Field<TransmitSta, 0> kNotFull{};    // TFNRFNIF
 inline constexpr Field<TransmitSta, 1> kHalfEmpty{};  // TFHRFHIF
 inline constexpr Field<TransmitSta, 2> kEmpty{};      // TFERFFIF
 }  // namespace transmit_sta
