@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -34,7 +35,7 @@ class EmulatedPart {
 
   [[nodiscard]] const std::vector<std::uint8_t>& flash() const noexcept { return flash_; }
   [[nodiscard]] bool halted() const noexcept { return halted_; }
-  // Pages erased one by one, and mass erases, so far.
+  // Pages erased one by one, and mass erases, so far; these may be read while a debugger is at work.
   [[nodiscard]] int pages_erased() const noexcept { return pages_erased_; }
   [[nodiscard]] int mass_erases() const noexcept { return mass_erases_; }
   [[nodiscard]] int words_written() const noexcept { return words_written_; }
@@ -62,9 +63,9 @@ class EmulatedPart {
   std::uint32_t control_reset_ = 0;
   int erase_polls_left_ = 0;
   std::optional<std::uint32_t> broken_;
-  int pages_erased_ = 0;
-  int mass_erases_ = 0;
-  int words_written_ = 0;
+  std::atomic<int> pages_erased_ = 0;
+  std::atomic<int> mass_erases_ = 0;
+  std::atomic<int> words_written_ = 0;
 };
 
 }  // namespace groma::provision::test
