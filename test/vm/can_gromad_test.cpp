@@ -166,17 +166,18 @@ class GromadOnCan : public ::testing::Test {
     const link::CanLog log = bus_log(name);
     const link::ReportCounters expected = recorded(name);
     ASSERT_GT(expected.ranges, 5000U);
-    ASSERT_EQ(expected.frames_lost, 0U);
     Gromad gromad({"--config", config(scheme)});
     ASSERT_TRUE(listen_until(gromad, [&] { return client_ && robot_.clients() == 1; })) << gromad.log();
     play(log, gromad);
-    EXPECT_TRUE(listen_until(gromad, [&] { return status_.value("ranges", 0U) >= expected.ranges; }))
-        << status_ << "\n"
-        << gromad.log();
-
-    EXPECT_EQ(status_.value("ranges", 0U), expected.ranges);
-    EXPECT_EQ(status_.value("frames_lost", 1U), 0U);
-    EXPECT_EQ(status_.value("dropped", 0U), expected.ranges_not_ok);
+    // Each range of the recording is delivered or counted as dropped.
+    const std::uint64_t all = expected.ranges + expected.ranges_not_ok;
+    const auto accounted_for = [&] { return status_.value("ranges", 0U) + status_.value("dropped", 0U); };
+    EXPECT_TRUE(listen_until(gromad, [&] { return accounted_for() >= all; })) << status_ << "\n"
+                                                                              << gromad.log();
+    EXPECT_EQ(accounted_for(), all);
+    EXPECT_EQ(status_.value("frames_lost", 0U), expected.frames_lost);
+    dropped_late_ = status_.value("dropped", 0U) - expected.ranges_not_ok;
+    frames_lost_ = expected.frames_lost;
     ASSERT_GT(poses_.size(), 200U);
     EXPECT_EQ(poses_.back().at("state"), "TRACKING");
     const auto where = truth();
@@ -200,14 +201,27 @@ class GromadOnCan : public ::testing::Test {
   std::optional<StreamClient> client_;
   std::vector<json> poses_;
   json status_ = json::object();
+  std::uint64_t frames_lost_ = 0;
+  std::uint64_t dropped_late_ = 0;
 };
 
 TEST_F(GromadOnCan, LosesNothingOfThreeTagsInClassicFrames) {
   replay("can", "classic.log");
+  EXPECT_EQ(frames_lost_, 0U);
+  EXPECT_EQ(dropped_late_, 0U);
 }
 
 TEST_F(GromadOnCan, LosesNothingOfThreeTagsInFdFrames) {
   replay("canfd", "fd.log");
+  EXPECT_EQ(frames_lost_, 0U);
+  EXPECT_EQ(dropped_late_, 0U);
+}
+
+TEST_F(GromadOnCan, CountsWhatTheModulesLoseWhileTheyAreOffTheBusAndGoesOn) {
+  replay("canfd", "bus_off.log");
+  EXPECT_GT(frames_lost_, 0U);
+  // What had waited in a module for longer than the daemon looks back.
+  EXPECT_LT(dropped_late_, 100U);
 }
 
 TEST_F(GromadOnCan, AsksTheNodesWhoTheyAreAndSurvivesTheBusGoingDown) {

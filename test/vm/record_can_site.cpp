@@ -2,10 +2,9 @@
 // run the shipped image, each with an MCP2518FD on one bus; its anchors run natively; all stand in the open.
 //
 //   classic.log, fd.log  the bus as candump writes it, in the site's time
-//   robot.jsonl          the robot's lines
-//   truth.csv            t_s,x_m,y_m,yaw_rad
-//   calibration.yaml     of the site as surveyed
-//   site.yaml            what a configuration of gromad needs beside its links
+//   bus_off.log          the same with CAN FD and each frame damaged for a while, until the controllers leave
+//   the bus robot.jsonl          the robot's lines truth.csv            t_s,x_m,y_m,yaw_rad calibration.yaml
+//   of the site as surveyed site.yaml            what a configuration of gromad needs beside its links
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -36,6 +35,8 @@ namespace groma {
 namespace {
 
 constexpr double kDuration_s = 6.0;
+constexpr double kDamageBegin_s = 3.0;
+constexpr double kDamageEnd_s = 3.4;
 constexpr double kTruthPeriod_s = 0.02;
 constexpr double kBetaSigma_m = 0.02;
 constexpr double kGammaSigma = 0.001;
@@ -65,6 +66,8 @@ class SiteOnCan {
     site_ = std::make_unique<simulation::SimulatedSite>(scenario, options);
   }
 
+  void damage() { bus_.damage(sim::from_seconds(kDamageBegin_s), sim::from_seconds(kDamageEnd_s)); }
+
   void write_log(const std::filesystem::path& path) {
     site_->run_until(kDuration_s);
     const sim::SimTime end = sim::from_seconds(kDuration_s);
@@ -74,7 +77,8 @@ class SiteOnCan {
     if (!fault.empty()) throw std::runtime_error(fault);
     std::ofstream file(path);
     sim::write_candump(file, tap_.take(end));
-    fmt::print("{}: {} frames, bus busy for {:.0f} % of the time\n", path.string(), bus_.counters().frames,
+    fmt::print("{}: {} frames and {} damaged, bus busy for {:.0f} % of the time\n", path.string(),
+               bus_.counters().frames, bus_.counters().errors,
                100.0 * sim::to_seconds(bus_.counters().busy) / kDuration_s);
   }
 
@@ -142,6 +146,9 @@ void record(const std::filesystem::path& scenario_file, const std::filesystem::p
   classic.write_log(folder / "classic.log");
   write_robot(classic.robot(), folder);
   SiteOnCan(scenario, image, groma_Link_LINK_CAN_FD).write_log(folder / "fd.log");
+  SiteOnCan damaged(scenario, image, groma_Link_LINK_CAN_FD);
+  damaged.damage();
+  damaged.write_log(folder / "bus_off.log");
 }
 
 }  // namespace
