@@ -38,7 +38,7 @@ class EmulatedSite : public ::testing::Test {
 // What each tag's serial port gives.
 std::vector<std::vector<std::uint8_t>> bytes_of(const sim::Scenario& scenario, const SiteOptions& options) {
   SimulatedSite site(scenario, options);
-  std::vector<std::vector<std::uint8_t>> bytes(site.tag_count());
+  std::vector<std::vector<std::uint8_t>> bytes(site.port_count());
   site.run_until(kRun_s);
   for (std::size_t i = 0; i < bytes.size(); ++i) site.take(i, bytes[i]);
   return bytes;
