@@ -20,7 +20,7 @@ struct Patience {
 };
 
 // Storing may take a node a few page erases.
-inline constexpr Patience kStoringPatience{1.5, 3};
+inline constexpr Patience kStoringPatience{1.0, 6};
 
 class NodeClient : private link::NodeSink {
  public:

@@ -156,7 +156,7 @@ TEST(ConfigureNode, NoiseOnTheLineOnlyTakesTime) {
   site.set_line([&](std::vector<std::uint8_t>& bytes) {
     std::vector<std::uint8_t> through;
     for (const std::uint8_t byte : bytes) {
-      const auto draw = random() % 1000;
+      const auto draw = random() % 2000;
       if (draw == 0) continue;                                                       // lost
       through.push_back(draw < 3 ? static_cast<std::uint8_t>(byte ^ 0x10U) : byte);  // flipped
       if (draw == 3) through.push_back(0x55);                                        // from nowhere
