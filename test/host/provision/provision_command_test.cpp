@@ -133,7 +133,7 @@ TEST_F(CommandTest, FlashWithAPlanGoesThroughAllNodes) {
 
   const ChildResult again = groma_run(flash_all());
   EXPECT_EQ(again.exit_code, 0) << again.err;
-  for (const json& node : json::parse(again.out)["nodes"]) {
+  for (const json said = json::parse(again.out); const json& node : said.at("nodes")) {
     EXPECT_EQ(node["flash"]["result"], "unchanged");
     EXPECT_EQ(node["configure"]["result"], "unchanged");
   }
@@ -199,7 +199,9 @@ TEST_F(CommandTest, ConfigureKilledAtAnyTimeGoesOnWhereItStopped) {
   EXPECT_EQ(rest.exit_code, 0) << rest.err;
   const ChildResult again = groma_run(configure_all());
   EXPECT_EQ(again.exit_code, 0) << again.err;
-  for (const json& node : json::parse(again.out)["nodes"]) EXPECT_EQ(node["result"], "unchanged");
+  for (const json said = json::parse(again.out); const json& node : said.at("nodes")) {
+    EXPECT_EQ(node["result"], "unchanged");
+  }
 }
 
 TEST_F(CommandTest, ConfigureTellsEachFailureAndGoesOn) {
