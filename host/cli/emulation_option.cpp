@@ -1,7 +1,5 @@
 #include "host/cli/emulation_option.hpp"
 
-#include <CLI/App.hpp>
-
 #include "host/provision/image.hpp"
 
 namespace groma::cli {

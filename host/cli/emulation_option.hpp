@@ -5,11 +5,9 @@
 #include <memory>
 #include <optional>
 
-#include "firmware/sim/emulator/firmware_image.hpp"
+#include <CLI/App.hpp>
 
-namespace CLI {
-class App;
-}
+#include "firmware/sim/emulator/firmware_image.hpp"
 
 namespace groma::cli {
 
