@@ -17,13 +17,7 @@ enum : std::uint32_t {
   kPselSck = 0x508,
   kPselMiso = 0x510,
   kFrequency = 0x524,
-  kRxdPtr = 0x534,
-  kRxdMaxcnt = 0x538,
-  kRxdAmount = 0x53C,
   kRxdList = 0x540,
-  kTxdPtr = 0x544,
-  kTxdMaxcnt = 0x548,
-  kTxdAmount = 0x54C,
   kTxdList = 0x550,
   kConfig = 0x554,
   kOrc = 0x5C0,
@@ -35,7 +29,12 @@ constexpr std::uint32_t kDisconnected = 0xFFFFFFFF;
 }  // namespace
 
 Spim::Spim(std::string name, const SpimPins& wired, EasyDma dma, Exchange exchange)
-    : name_(std::move(name)), wired_(wired), dma_(dma), exchange_(std::move(exchange)) {
+    : name_(std::move(name)),
+      receive_name_(name_ + " RXD"),
+      transmit_name_(name_ + " TXD"),
+      wired_(wired),
+      dma_(dma),
+      exchange_(std::move(exchange)) {
   reset();
 }
 
@@ -45,7 +44,7 @@ void Spim::reset() {
   pins_.fill(kDisconnected);
   frequency_ = 0x04000000;
   over_read_ = 0;
-  receive_ = transmit_ = {};
+  buffers_ = {};
   end_at_ = kNever;
 }
 
@@ -76,20 +75,18 @@ void Spim::start(SimTime t) {
   if (pins_ != std::array{wired_.sck, wired_.mosi, wired_.miso})
     throw SimulationError(name_ + ": SCK, MOSI and MISO are not the pins that lead to its chip");
   // Erratum 58.
-  if (receive_.maximum == 1 && transmit_.maximum <= 1) {
+  if (buffers_.receive.maximum == 1 && buffers_.transmit.maximum <= 1) {
     throw SimulationError(name_ + ": a transfer of one received byte clocks one byte too many (erratum 58)");
   }
-  const std::string receive_name = name_ + " RXD";
-  const std::string transmit_name = name_ + " TXD";
   const std::span<const std::uint8_t> out =
-      dma_.at(transmit_.pointer, transmit_.maximum, transmit_name.c_str());
-  (void)dma_.at(receive_.pointer, receive_.maximum, receive_name.c_str());
+      dma_.at(buffers_.transmit.pointer, buffers_.transmit.maximum, transmit_name_.c_str());
+  (void)dma_.at(buffers_.receive.pointer, buffers_.receive.maximum, receive_name_.c_str());
 
-  const std::size_t bytes = std::max(transmit_.maximum, receive_.maximum);
+  const std::size_t bytes = std::max(buffers_.transmit.maximum, buffers_.receive.maximum);
   mosi_.assign(out.begin(), out.end());
   mosi_.resize(bytes, static_cast<std::uint8_t>(over_read_));
-  sending_ = transmit_;
-  receiving_ = receive_;
+  sending_ = buffers_.transmit;
+  receiving_ = buffers_.receive;
   const SimTime duration = kOverhead + static_cast<SimTime>(bytes) * 8 * (kUnitsPerSecond / clock_hz());
   end_at_ = t + duration;
   busy_time_ += duration;
@@ -100,19 +97,18 @@ void Spim::start(SimTime t) {
 void Spim::advance(SimTime t) {
   if (end_at_ > t) return;
   const SimTime end = std::exchange(end_at_, kNever);
-  const std::string transmit_name = name_ + " TXD";
   const std::span<const std::uint8_t> out =
-      dma_.at(sending_.pointer, sending_.maximum, transmit_name.c_str());
+      dma_.at(sending_.pointer, sending_.maximum, transmit_name_.c_str());
   if (!std::equal(out.begin(), out.end(), mosi_.begin()))
     throw SimulationError(name_ + ": the transmit buffer was changed during the transfer");
 
   miso_.assign(mosi_.size(), 0);
   if (!mosi_.empty() && !exchange_(end, mosi_, miso_, clock_hz()))
     throw SimulationError(name_ + ": a transfer while no chip is selected");
-  const std::span<std::uint8_t> in = dma_.at(receiving_.pointer, receiving_.maximum, "RXD");
+  const std::span<std::uint8_t> in = dma_.at(receiving_.pointer, receiving_.maximum, receive_name_.c_str());
   std::copy_n(miso_.begin(), in.size(), in.begin());
-  transmit_.amount = sending_.maximum;
-  receive_.amount = receiving_.maximum;
+  buffers_.transmit.amount = sending_.maximum;
+  buffers_.receive.amount = receiving_.maximum;
   events_.raise(kEndTx);
   events_.raise(kEndRx);
   events_.raise(kEnd);
@@ -129,22 +125,11 @@ std::optional<std::uint32_t> Spim::read(SimTime, std::uint32_t offset) {
       return enabled_ ? kEnabled : 0;
     case kFrequency:
       return frequency_;
-    case kRxdPtr:
-      return receive_.pointer;
-    case kRxdMaxcnt:
-      return receive_.maximum;
-    case kRxdAmount:
-      return receive_.amount;
-    case kTxdPtr:
-      return transmit_.pointer;
-    case kTxdMaxcnt:
-      return transmit_.maximum;
-    case kTxdAmount:
-      return transmit_.amount;
     case kOrc:
       return over_read_;
     default:
       if (offset >= kPselSck && offset <= kPselMiso) return pins_[(offset - kPselSck) / 4];
+      if (const auto value = buffers_.read(offset)) return value;
       return events_.read(offset);
   }
 }
@@ -170,18 +155,6 @@ bool Spim::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       frequency_ = value;
       (void)clock_hz();
       return true;
-    case kRxdPtr:
-      receive_.pointer = value;
-      return true;
-    case kRxdMaxcnt:
-      receive_.maximum = value;
-      return true;
-    case kTxdPtr:
-      transmit_.pointer = value;
-      return true;
-    case kTxdMaxcnt:
-      transmit_.maximum = value;
-      return true;
     case kOrc:
       over_read_ = value & 0xFF;
       return true;
@@ -202,7 +175,7 @@ bool Spim::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     pins_[(offset - kPselSck) / 4] = value;
     return true;
   }
-  return events_.write(offset, value);
+  return buffers_.write(offset, value) || events_.write(offset, value);
 }
 
 }  // namespace groma::sim

@@ -55,16 +55,12 @@ class Spim final : public Peripheral {
   static constexpr std::uint32_t kEvents =
       1U << kStopped | 1U << kEndRx | 1U << kEnd | 1U << kEndTx | 1U << kStarted;
 
-  struct Buffer {
-    std::uint32_t pointer = 0;
-    std::uint32_t maximum = 0;
-    std::uint32_t amount = 0;
-  };
-
   void start(SimTime t);
   [[nodiscard]] std::uint32_t clock_hz() const;
 
   std::string name_;
+  std::string receive_name_;
+  std::string transmit_name_;
   SpimPins wired_;
   EasyDma dma_;
   Exchange exchange_;
@@ -74,12 +70,11 @@ class Spim final : public Peripheral {
   std::array<std::uint32_t, 3> pins_{};
   std::uint32_t frequency_ = 0x04000000;
   std::uint32_t over_read_ = 0;
-  Buffer receive_;
-  Buffer transmit_;
+  DmaRegisters buffers_;
 
   SimTime end_at_ = kNever;
-  Buffer receiving_;
-  Buffer sending_;
+  DmaBuffer receiving_;
+  DmaBuffer sending_;
   std::vector<std::uint8_t> mosi_;
   std::vector<std::uint8_t> miso_;
   SimTime busy_time_ = 0;

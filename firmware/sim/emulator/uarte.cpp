@@ -22,12 +22,6 @@ enum : std::uint32_t {
   kPselRts = 0x508,
   kPselRxd = 0x514,
   kBaudrate = 0x524,
-  kRxdPtr = 0x534,
-  kRxdMaxcnt = 0x538,
-  kRxdAmount = 0x53C,
-  kTxdPtr = 0x544,
-  kTxdMaxcnt = 0x548,
-  kTxdAmount = 0x54C,
   kConfig = 0x56C,
 };
 
@@ -52,7 +46,7 @@ void Uarte::reset(SimTime t) {
   pins_.fill(kDisconnected);
   baud_rate_ = 0x04000000;
   shorts_ = error_source_ = 0;
-  receive_ = transmit_ = {};
+  buffers_ = {};
   receiver_ = Receiver::kOff;
   receiving_ = false;
   fifo_.clear();
@@ -105,12 +99,12 @@ void Uarte::receive(SimTime, std::uint8_t byte) {
 void Uarte::start_receive() {
   check_ready("STARTRX");
   if (receiving_) throw SimulationError("UARTE0: STARTRX while a buffer is being filled");
-  (void)dma_.at(receive_.pointer, receive_.maximum, "UARTE0 RXD");
-  if (receive_.maximum == 0) throw SimulationError("UARTE0: STARTRX with an empty buffer");
+  (void)dma_.at(buffers_.receive.pointer, buffers_.receive.maximum, "UARTE0 RXD");
+  if (buffers_.receive.maximum == 0) throw SimulationError("UARTE0: STARTRX with an empty buffer");
   receiver_ = Receiver::kOn;
   timeout_at_ = kNever;
   receiving_ = true;
-  in_ = {receive_.pointer, receive_.maximum, 0};
+  in_ = {buffers_.receive.pointer, buffers_.receive.maximum, 0};
   events_.raise(kRxStarted);
   flush_receive();
 }
@@ -130,12 +124,12 @@ void Uarte::flush_receive() {
 
 void Uarte::end_receive() {
   receiving_ = false;
-  receive_.amount = in_.amount;
+  buffers_.receive.amount = in_.amount;
   events_.raise(kEndRx);
   if ((shorts_ & kEndrxStartrx) != 0) {
     // What remains of the FIFO is moved by whoever moves it now.
     receiving_ = true;
-    in_ = {receive_.pointer, receive_.maximum, 0};
+    in_ = {buffers_.receive.pointer, buffers_.receive.maximum, 0};
     (void)dma_.at(in_.pointer, in_.maximum, "UARTE0 RXD");
     events_.raise(kRxStarted);
   } else if ((shorts_ & kEndrxStoprx) != 0) {
@@ -151,7 +145,7 @@ void Uarte::stop_receive(SimTime t) {
   timeout_at_ = t + static_cast<SimTime>(kFifoBytes) * byte_time();
   if (!receiving_) return;
   receiving_ = false;
-  receive_.amount = in_.amount;
+  buffers_.receive.amount = in_.amount;
   events_.raise(kEndRx);
 }
 
@@ -160,9 +154,10 @@ void Uarte::stop_receive(SimTime t) {
 void Uarte::start_transmit(SimTime t) {
   check_ready("STARTTX");
   if (sent_at_ != kNever) throw SimulationError("UARTE0: STARTTX while a transfer is on its way");
-  const std::span<const std::uint8_t> bytes = dma_.at(transmit_.pointer, transmit_.maximum, "UARTE0 TXD");
+  const std::span<const std::uint8_t> bytes =
+      dma_.at(buffers_.transmit.pointer, buffers_.transmit.maximum, "UARTE0 TXD");
   sending_.assign(bytes.begin(), bytes.end());
-  out_ = {transmit_.pointer, transmit_.maximum, transmit_.maximum};
+  out_ = {buffers_.transmit.pointer, buffers_.transmit.maximum, buffers_.transmit.maximum};
   sending_since_ = t;
   sent_at_ = t + static_cast<SimTime>(sending_.size()) * byte_time();
   stopping_ = false;
@@ -189,7 +184,7 @@ void Uarte::transmitted() {
   if (!std::equal(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(out_.amount), sending_.begin()))
     throw SimulationError("UARTE0: the transmit buffer was changed during the transfer");
   sent_at_ = kNever;
-  transmit_.amount = out_.amount;
+  buffers_.transmit.amount = out_.amount;
   if (out_.amount > 0) events_.raise(kTxdrdy);
   events_.raise(kEndTx);
   if (std::exchange(stopping_, false)) events_.raise(kTxStopped);
@@ -220,22 +215,11 @@ std::optional<std::uint32_t> Uarte::read(SimTime, std::uint32_t offset) {
       return enabled_ ? kEnabled : 0;
     case kBaudrate:
       return baud_rate_;
-    case kRxdPtr:
-      return receive_.pointer;
-    case kRxdMaxcnt:
-      return receive_.maximum;
-    case kRxdAmount:
-      return receive_.amount;
-    case kTxdPtr:
-      return transmit_.pointer;
-    case kTxdMaxcnt:
-      return transmit_.maximum;
-    case kTxdAmount:
-      return transmit_.amount;
     case kConfig:
       return 0;
     default:
       if (offset >= kPselRts && offset <= kPselRxd) return pins_[(offset - kPselRts) / 4];
+      if (const auto value = buffers_.read(offset)) return value;
       return events_.read(offset);
   }
 }
@@ -257,10 +241,10 @@ bool Uarte::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     case kTasksFlushrx:
       if (value == 0) return true;
       if (receiver_ != Receiver::kOff) throw SimulationError("UARTE0: FLUSHRX while the receiver runs");
-      in_ = {receive_.pointer, receive_.maximum, 0};
+      in_ = {buffers_.receive.pointer, buffers_.receive.maximum, 0};
       receiving_ = !fifo_.empty();
       flush_receive();
-      receive_.amount = in_.amount;
+      buffers_.receive.amount = in_.amount;
       receiving_ = false;
       events_.raise(kEndRx);
       return true;
@@ -280,18 +264,6 @@ bool Uarte::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     case kBaudrate:
       baud_rate_ = value;
       return true;
-    case kRxdPtr:
-      receive_.pointer = value;
-      return true;
-    case kRxdMaxcnt:
-      receive_.maximum = value;
-      return true;
-    case kTxdPtr:
-      transmit_.pointer = value;
-      return true;
-    case kTxdMaxcnt:
-      transmit_.maximum = value;
-      return true;
     case kConfig:
       if (value != 0) throw SimulationError("UARTE0: parity and flow control are not modelled");
       return true;
@@ -303,7 +275,7 @@ bool Uarte::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     pins_[(offset - kPselRts) / 4] = value;
     return true;
   }
-  return events_.write(offset, value);
+  return buffers_.write(offset, value) || events_.write(offset, value);
 }
 
 }  // namespace groma::sim

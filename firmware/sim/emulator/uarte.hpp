@@ -59,11 +59,6 @@ class Uarte final : public Peripheral {
                                            1U << kError | 1U << kRxto | 1U << kRxStarted | 1U << kTxStarted |
                                            1U << kTxStopped;
 
-  struct Buffer {
-    std::uint32_t pointer = 0;
-    std::uint32_t maximum = 0;
-    std::uint32_t amount = 0;
-  };
   enum class Receiver : std::uint8_t { kOff, kOn, kStopping };
 
   [[nodiscard]] SimTime byte_time() const noexcept;
@@ -86,19 +81,18 @@ class Uarte final : public Peripheral {
   std::uint32_t baud_rate_ = 0x04000000;
   std::uint32_t shorts_ = 0;
   std::uint32_t error_source_ = 0;
-  Buffer receive_;
-  Buffer transmit_;
+  DmaRegisters buffers_;
 
   Receiver receiver_ = Receiver::kOff;
   bool receiving_ = false;  // into in_
-  Buffer in_;
+  DmaBuffer in_;
   std::vector<std::uint8_t> fifo_;
   SimTime timeout_at_ = kNever;
 
   SimTime sent_at_ = kNever;  // the transfer's end
   SimTime sending_since_ = 0;
   bool stopping_ = false;
-  Buffer out_;
+  DmaBuffer out_;
   std::vector<std::uint8_t> sending_;
   std::uint64_t lost_bytes_ = 0;
 };
