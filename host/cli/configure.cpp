@@ -50,11 +50,7 @@ int run(const Options& options) {
   int first_failure = kGood;
   for (const provision::PlannedNode* node : nodes) {
     const provision::NodeOutcome outcome = provision::configure_node(*node, plan.baud, configuring);
-    if (outcome.fault != provision::NodeFault::kNone) {
-      complain(outcome.message);
-      if (first_failure == kGood) first_failure = exit_code_of(outcome.fault);
-    }
-    if (const std::string trouble = trouble_in(outcome); !trouble.empty()) warnings.add(trouble);
+    if (const int code = tell(outcome, warnings); first_failure == kGood) first_failure = code;
     table.add({fmt::format("{}", node->id), provision::role_word(node->role), outcome.port,
                result_word(outcome), outcome.hello ? outcome.hello->version : "-"});
     Json entry{{"id", node->id}, {"role", provision::role_word(node->role)}};

@@ -301,11 +301,7 @@ int flash_plan(const Options& options) {
       show_phase(who, "configuring");
       configured = provision::configure_node(node, plan.baud, configuring);
       clear_phase();
-      if (configured->fault != provision::NodeFault::kNone) {
-        complain(configured->message);
-        if (first_failure == kGood) first_failure = cli::exit_code_of(configured->fault);
-      }
-      if (const std::string trouble = trouble_in(*configured); !trouble.empty()) warnings.add(trouble);
+      if (const int code = tell(*configured, warnings); first_failure == kGood) first_failure = code;
     } else if (flashed.fault == FlashFault::kNone) {
       warnings.add(
           fmt::format("node {} is flashed but not configured: the plan names no port for it", node.id));

@@ -8,6 +8,7 @@
 
 #include "host/cli/exit_code.hpp"
 #include "host/cli/selection.hpp"
+#include "host/cli/terminal.hpp"
 
 namespace groma::cli {
 
@@ -49,6 +50,17 @@ const char* word(NodeFault fault) {
       return "link";
   }
   return "";
+}
+
+// What a hello tells that a user should look after; empty: nothing.
+std::string trouble_in(const provision::NodeOutcome& outcome) {
+  if (!outcome.hello || !outcome.hello->has_last_fault) return {};
+  const groma_Fault& fault = outcome.hello->last_fault;
+  return fmt::format(
+      "{}: the node's firmware failed before this start (PC {:08x}, LR {:08x}, CFSR {:08x}); report it with "
+      "the "
+      "image's version {} ({:08x})",
+      outcome.port, fault.pc, fault.lr, fault.cfsr, outcome.hello->version, outcome.hello->git_hash);
 }
 
 }  // namespace
@@ -107,14 +119,10 @@ Json to_json(const provision::NodeOutcome& outcome) {
   return json;
 }
 
-std::string trouble_in(const provision::NodeOutcome& outcome) {
-  if (!outcome.hello || !outcome.hello->has_last_fault) return {};
-  const groma_Fault& fault = outcome.hello->last_fault;
-  return fmt::format(
-      "{}: the node's firmware failed before this start (PC {:08x}, LR {:08x}, CFSR {:08x}); report it with "
-      "the "
-      "image's version {} ({:08x})",
-      outcome.port, fault.pc, fault.lr, fault.cfsr, outcome.hello->version, outcome.hello->git_hash);
+int tell(const provision::NodeOutcome& outcome, Warnings& warnings) {
+  if (outcome.fault != NodeFault::kNone) complain(outcome.message);
+  if (const std::string trouble = trouble_in(outcome); !trouble.empty()) warnings.add(trouble);
+  return exit_code_of(outcome.fault);
 }
 
 }  // namespace groma::cli

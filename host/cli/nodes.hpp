@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "host/cli/json.hpp"
+#include "host/cli/warnings.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -23,7 +24,8 @@ namespace groma::cli {
 // result, fault, message, port, version, git_hash.
 [[nodiscard]] Json to_json(const provision::NodeOutcome& outcome);
 
-// What a hello tells that a user should look after; empty: nothing.
-[[nodiscard]] std::string trouble_in(const provision::NodeOutcome& outcome);
+// Complains of a failure and warns of what the hello tells that a user should look after; returns the exit
+// code that the fault asks for.
+[[nodiscard]] int tell(const provision::NodeOutcome& outcome, Warnings& warnings);
 
 }  // namespace groma::cli
