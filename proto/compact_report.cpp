@@ -1,5 +1,6 @@
 #include "proto/compact_report.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <cstring>
@@ -14,11 +15,14 @@ constexpr std::uint32_t kLargest24 = 0xFF'FFFF;
 constexpr std::int32_t kPowerStep_cdbm = -50;
 constexpr std::uint8_t kWeakest = 0xFE;
 constexpr std::uint8_t kUnknownPower = 0xFF;
+constexpr std::uint16_t kLargestNoise = 0xFF;
 
 using Record = std::array<std::uint8_t, kCompactRangeBytes>;
 
 static_assert(sizeof(groma_CompactReport{}.ranges.bytes) ==
               kCompactRangeBytes * sizeof(groma_SlotReport{}.ranges) / sizeof(groma_Range));
+static_assert(sizeof(groma_CompactReport{}.traits.bytes) ==
+              kCompactTraitBytes * sizeof(groma_SlotReport{}.ranges) / sizeof(groma_Range));
 
 void store(std::uint8_t* out, unsigned bytes, std::uint32_t value) noexcept {
   for (unsigned i = 0; i < bytes; ++i) out[i] = static_cast<std::uint8_t>(value >> (8 * i));
@@ -51,9 +55,9 @@ std::uint8_t power_steps(bool known, std::int32_t power_cdbm) noexcept {
   return static_cast<std::uint8_t>((power_cdbm + kPowerStep_cdbm / 2) / kPowerStep_cdbm);
 }
 
-void expand_power(std::uint8_t steps, bool& known, std::int32_t& power_cdbm) noexcept {
+void expand_power(std::uint8_t steps, bool& known, std::int16_t& power_cdbm) noexcept {
   known = steps != kUnknownPower;
-  power_cdbm = known ? steps * kPowerStep_cdbm : 0;
+  power_cdbm = known ? static_cast<std::int16_t>(steps * kPowerStep_cdbm) : std::int16_t{0};
 }
 
 }  // namespace
@@ -65,6 +69,8 @@ void compact_report(const groma_SlotReport& report, groma_CompactReport& out) no
   out.slot = report.slot;
   out.tag_id = report.tag_id;
   out.device_time_dtu = report.device_time_dtu;
+  out.network_time_dtu = report.network_time_dtu;
+  out.network_rate_ppb = report.network_rate_ppb;
   for (pb_size_t i = 0; i < report.ranges_count; ++i) {
     const groma_Range& range = report.ranges[i];
     std::uint8_t* record = out.ranges.bytes + out.ranges.size;
@@ -75,6 +81,10 @@ void compact_report(const groma_SlotReport& report, groma_CompactReport& out) no
     record[9] = power_steps(range.has_first_path_power_cdbm, range.first_path_power_cdbm);
     record[10] = power_steps(range.has_receive_power_cdbm, range.receive_power_cdbm);
     out.ranges.size = static_cast<pb_size_t>(out.ranges.size + kCompactRangeBytes);
+    std::uint8_t* traits = out.traits.bytes + out.traits.size;
+    traits[0] = range.flags;
+    traits[1] = static_cast<std::uint8_t>(std::min(range.noise, kLargestNoise));
+    out.traits.size = static_cast<pb_size_t>(out.traits.size + kCompactTraitBytes);
   }
 }
 
@@ -86,7 +96,10 @@ bool expand_report(const groma_CompactReport& report, groma_SlotReport& out) noe
   out.slot = report.slot;
   out.tag_id = report.tag_id;
   out.device_time_dtu = report.device_time_dtu;
+  out.network_time_dtu = report.network_time_dtu;
+  out.network_rate_ppb = report.network_rate_ppb;
   out.ranges_count = static_cast<pb_size_t>(report.ranges.size / kCompactRangeBytes);
+  const bool has_traits = report.traits.size == out.ranges_count * kCompactTraitBytes;
   for (pb_size_t i = 0; i < out.ranges_count; ++i) {
     const std::uint8_t* record = report.ranges.bytes + i * kCompactRangeBytes;
     groma_Range& range = out.ranges[i];
@@ -99,6 +112,9 @@ bool expand_report(const groma_CompactReport& report, groma_SlotReport& out) noe
     range.instant_offset_dtu = -static_cast<std::int64_t>(load(record + 6, 3)) * kTicksPer10us / 10;
     expand_power(record[9], range.has_first_path_power_cdbm, range.first_path_power_cdbm);
     expand_power(record[10], range.has_receive_power_cdbm, range.receive_power_cdbm);
+    if (!has_traits) continue;
+    range.flags = report.traits.bytes[i * kCompactTraitBytes];
+    range.noise = report.traits.bytes[i * kCompactTraitBytes + 1];
   }
   return true;
 }

@@ -1,7 +1,5 @@
 #include "proto/frame_codec.hpp"
 
-#include "proto/crc32.hpp"
-
 namespace groma::wire {
 namespace {
 
@@ -12,56 +10,42 @@ std::uint32_t load_little_endian(const std::uint8_t* bytes) noexcept {
          static_cast<std::uint32_t>(bytes[2]) << 16 | static_cast<std::uint32_t>(bytes[3]) << 24;
 }
 
-// Writes COBS blocks; the caller has made sure of the room.
-class CobsWriter {
- public:
-  explicit CobsWriter(std::uint8_t* out) noexcept : out_(out) {}
-
-  void put(std::uint8_t byte) noexcept {
-    if (byte != 0) {
-      out_[end_++] = byte;
-      ++code_;
-    }
-    if (byte == 0 || code_ == kFullBlock) close_block();
-  }
-
-  // Number of bytes written.
-  std::size_t finish() noexcept {
-    out_[block_] = code_;
-    return end_;
-  }
-
- private:
-  void close_block() noexcept {
-    out_[block_] = code_;
-    block_ = end_++;
-    code_ = 1;
-  }
-
-  std::uint8_t* out_;
-  std::size_t block_ = 0;  // where the open block's code goes
-  std::size_t end_ = 1;
-  std::uint8_t code_ = 1;
-};
-
 }  // namespace
+
+FrameWriter::FrameWriter(std::span<std::uint8_t> out) noexcept : out_(out.data()) {
+  out_[0] = 0;
+  crc_.add(kFrameVersion);
+  add(kFrameVersion);
+}
+
+void FrameWriter::put(std::span<const std::uint8_t> payload) noexcept {
+  for (const std::uint8_t byte : payload) {
+    crc_.add(byte);
+    add(byte);
+  }
+}
+
+std::size_t FrameWriter::finish() noexcept {
+  const std::uint32_t check = crc_.value();
+  for (unsigned shift = 0; shift < 32; shift += 8) add(static_cast<std::uint8_t>(check >> shift));
+  out_[block_] = static_cast<std::uint8_t>(end_ - block_);
+  out_[end_++] = 0;
+  return end_;
+}
+
+void FrameWriter::add(std::uint8_t byte) noexcept {
+  if (byte != 0) out_[end_++] = byte;
+  const std::size_t code = end_ - block_;
+  if (byte != 0 && code != kFullBlock) return;
+  out_[block_] = static_cast<std::uint8_t>(code);
+  block_ = end_++;
+}
 
 std::size_t encode_frame(std::span<const std::uint8_t> payload, std::span<std::uint8_t> out) noexcept {
   if (payload.size() > kMaxPayload || out.size() < max_encoded_size(payload.size())) return 0;
-  out[0] = 0;
-  CobsWriter writer(out.data() + 1);
-  Crc32 crc;
-  crc.add(kFrameVersion);
-  writer.put(kFrameVersion);
-  for (const std::uint8_t byte : payload) {
-    crc.add(byte);
-    writer.put(byte);
-  }
-  const std::uint32_t check = crc.value();
-  for (unsigned shift = 0; shift < 32; shift += 8) writer.put(static_cast<std::uint8_t>(check >> shift));
-  const std::size_t end = 1 + writer.finish();
-  out[end] = 0;
-  return end + 1;
+  FrameWriter writer(out);
+  writer.put(payload);
+  return writer.finish();
 }
 
 bool FrameDecoder::push(std::uint8_t byte) noexcept {

@@ -15,6 +15,8 @@
 #include <cstdint>
 #include <span>
 
+#include "proto/crc32.hpp"
+
 namespace groma::wire {
 
 inline constexpr std::uint8_t kFrameVersion = 1;
@@ -32,9 +34,28 @@ inline constexpr std::size_t kFrameOverhead = 5;
 }
 
 // Writes one whole frame to the start of `out` and returns its length; 0 where the payload is longer than
-// kMaxPayload or `out` shorter than max_encoded_size(payload.size()). The two must not overlap.
+// kMaxPayload or `out` shorter than max_encoded_size(payload.size()). The payload may lie in `out`, at its
+// end.
 [[nodiscard]] std::size_t encode_frame(std::span<const std::uint8_t> payload,
                                        std::span<std::uint8_t> out) noexcept;
+
+// The same in pieces, for who cannot spare the time at once.
+class FrameWriter {
+ public:
+  // `out` has room for max_encoded_size() of all that will be put.
+  explicit FrameWriter(std::span<std::uint8_t> out) noexcept;
+  void put(std::span<const std::uint8_t> payload) noexcept;
+  // The frame's length.
+  [[nodiscard]] std::size_t finish() noexcept;
+
+ private:
+  void add(std::uint8_t byte) noexcept;
+
+  std::uint8_t* out_;
+  Crc32 crc_;
+  std::size_t block_ = 1;  // where the open COBS block's code goes
+  std::size_t end_ = 2;
+};
 
 // What a decoder has seen since its construction. What lies between two zeros and is no frame is counted
 // under one of the errors and its bytes under bytes_discarded.

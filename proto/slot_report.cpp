@@ -7,7 +7,7 @@ namespace groma::wire {
 namespace {
 
 // All the fields that are written below; a new one in the schema changes these.
-static_assert(groma_RawStamps_size == 44 && groma_Range_size == 86 && groma_SlotReport_size == 1443,
+static_assert(groma_RawStamps_size == 34 && groma_Range_size == 79 && groma_SlotReport_size == 1348,
               "groma.proto: a field of SlotReport has been added that is not encoded here");
 
 enum class WireType : std::uint32_t { kVarint = 0, kLength = 2, kFixed32 = 5 };
@@ -16,14 +16,16 @@ enum class WireType : std::uint32_t { kVarint = 0, kLength = 2, kFixed32 = 5 };
 // Fields are put in the reverse of their order.
 class BackwardWriter {
  public:
-  explicit BackwardWriter(std::span<std::uint8_t> out) noexcept
-      : begin_(out.data()), at_(out.data() + out.size()), end_(at_) {}
+  // What lies from `at` on is written already.
+  BackwardWriter(std::span<std::uint8_t> out, std::size_t at, bool overflow) noexcept
+      : begin_(out.data()), at_(out.data() + at), end_(out.data() + out.size()), overflow_(overflow) {}
 
   [[nodiscard]] std::span<const std::uint8_t> written() const noexcept {
     if (overflow_) return {};
     return {at_, end_};
   }
   [[nodiscard]] std::size_t size() const noexcept { return static_cast<std::size_t>(end_ - at_); }
+  [[nodiscard]] bool overflow() const noexcept { return overflow_; }
 
   // A field of its type's default value is left out.
   template <class T>
@@ -83,7 +85,7 @@ class BackwardWriter {
   std::uint8_t* begin_;
   std::uint8_t* at_;
   std::uint8_t* end_;
-  bool overflow_ = false;
+  bool overflow_;
 };
 
 void put(BackwardWriter& out, const groma_RawStamps& raw) noexcept {
@@ -94,6 +96,8 @@ void put(BackwardWriter& out, const groma_RawStamps& raw) noexcept {
 }
 
 void put(BackwardWriter& out, const groma_Range& range) noexcept {
+  out.number(groma_Range_flags_tag, std::uint32_t{range.flags});
+  out.number(groma_Range_noise_tag, std::uint32_t{range.noise});
   if (range.has_raw) {
     const std::size_t size_after = out.size();
     put(out, range.raw);
@@ -112,14 +116,26 @@ void put(BackwardWriter& out, const groma_Range& range) noexcept {
 
 }  // namespace
 
-std::span<const std::uint8_t> encode_slot_report(const groma_SlotReport& report,
-                                                 std::span<std::uint8_t> out) noexcept {
-  BackwardWriter writer(out);
-  for (pb_size_t i = report.ranges_count; i != 0; --i) {
-    const std::size_t size_after = writer.size();
-    put(writer, report.ranges[i - 1]);
-    writer.message(groma_SlotReport_ranges_tag, size_after);
-  }
+void SlotReportWriter::begin(const groma_SlotReport& report, std::span<std::uint8_t> out) noexcept {
+  out_ = out;
+  BackwardWriter writer(out_, out_.size(), false);
+  writer.number(groma_SlotReport_network_rate_ppb_tag, BackwardWriter::zigzag(report.network_rate_ppb));
+  writer.number(groma_SlotReport_network_time_dtu_tag, report.network_time_dtu);
+  at_ = out_.size() - writer.size();
+  overflow_ = writer.overflow();
+}
+
+void SlotReportWriter::put_range(const groma_Range& range) noexcept {
+  BackwardWriter writer(out_, at_, overflow_);
+  const std::size_t size_after = writer.size();
+  put(writer, range);
+  writer.message(groma_SlotReport_ranges_tag, size_after);
+  at_ = out_.size() - writer.size();
+  overflow_ = writer.overflow();
+}
+
+std::span<const std::uint8_t> SlotReportWriter::finish(const groma_SlotReport& report) noexcept {
+  BackwardWriter writer(out_, at_, overflow_);
   writer.number(groma_SlotReport_device_time_dtu_tag, report.device_time_dtu);
   writer.number(groma_SlotReport_tag_id_tag, report.tag_id);
   writer.number(groma_SlotReport_slot_tag, report.slot);
@@ -127,6 +143,14 @@ std::span<const std::uint8_t> encode_slot_report(const groma_SlotReport& report,
   writer.number(groma_SlotReport_sequence_tag, report.sequence);
   writer.message(groma_NodeToHost_slot_report_tag, 0);
   return writer.written();
+}
+
+std::span<const std::uint8_t> encode_slot_report(const groma_SlotReport& report,
+                                                 std::span<std::uint8_t> out) noexcept {
+  SlotReportWriter writer;
+  writer.begin(report, out);
+  for (pb_size_t i = report.ranges_count; i != 0; --i) writer.put_range(report.ranges[i - 1]);
+  return writer.finish(report);
 }
 
 }  // namespace groma::wire

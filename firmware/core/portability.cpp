@@ -20,6 +20,11 @@ class NoCanSpi {
   void transfer(std::span<std::uint8_t>) noexcept {}
 };
 
+class NoCipher final : public security::BlockCipher {
+ public:
+  bool encrypt(const security::Key&, security::Block&) noexcept override { return false; }
+};
+
 class NoHardware {
  public:
   NoSpi& spi() noexcept { return spi_; }
@@ -32,6 +37,7 @@ class NoHardware {
   void count_link(groma_Counters&) noexcept {}
   bool store_config(std::span<const std::uint8_t>) noexcept { return false; }
   std::size_t load_config(std::span<std::uint8_t>) noexcept { return 0; }
+  security::BlockCipher& cipher() noexcept { return cipher_; }
   void set_indicator(Indicator) noexcept {}
   void restart() noexcept {}
   ResetReason reset_reason() noexcept { return ResetReason::kPowerOn; }
@@ -42,6 +48,7 @@ class NoHardware {
 
  private:
   NoSpi spi_;
+  NoCipher cipher_;
 };
 
 class NoFlash {

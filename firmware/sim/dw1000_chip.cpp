@@ -1,7 +1,10 @@
 #include "firmware/sim/dw1000_chip.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
+
+#include "firmware/sim/frame_check.hpp"
 
 namespace groma::sim {
 
@@ -70,17 +73,6 @@ std::uint64_t little_endian(std::span<const std::uint8_t> bytes, std::size_t at)
   return value;
 }
 
-// The frame check of IEEE 802.15.4: CRC-16 of the ITU-T, least significant bit first, from 0.
-std::uint16_t frame_check(std::span<const std::uint8_t> bytes) {
-  std::uint16_t crc = 0;
-  for (const std::uint8_t byte : bytes) {
-    crc = static_cast<std::uint16_t>(crc ^ byte);
-    for (int bit = 0; bit < 8; ++bit)
-      crc = static_cast<std::uint16_t>((crc & 1) != 0 ? (crc >> 1) ^ 0x8408 : crc >> 1);
-  }
-  return crc;
-}
-
 // TX_FCTRL's TXPSR and PE (table 16); 0: reserved.
 std::uint16_t preamble_symbols(std::uint64_t fctrl) {
   switch ((fctrl >> 18) & 0xF) {
@@ -133,6 +125,7 @@ void Dw1000Chip::reset(SimTime t) {
   registers_.reset();
   status_ = 0;
   tuning_valid_ = false;
+  converted_at_ = kNever;
   restart_counter(t);
   lde_loaded_ = false;
   lde_loaded_at_ = kNever;
@@ -149,6 +142,7 @@ void Dw1000Chip::soft_reset() {
   registers_.set(Reg::kPmscCtrl0, held);
   status_ = 0;
   tuning_valid_ = false;
+  converted_at_ = kNever;
   restart_counter(now_);
   lde_loaded_ = false;
   lde_loaded_at_ = kNever;
@@ -232,6 +226,10 @@ void Dw1000Chip::read(SimTime t, std::span<const std::uint8_t> header_bytes, std
       case Reg::kSysStatus:
         registers_.set(Reg::kSysStatus, live_status());
         break;
+      case Reg::kTcSarlSupply:
+      case Reg::kTcSarlTemperature:
+        finish_conversion();
+        break;
       case Reg::kRfStatus:
         registers_.set(Reg::kRfStatus, pll_locked_ ? 0x1 : 0x0);
         break;
@@ -306,6 +304,12 @@ void Dw1000Chip::register_written(Reg reg) {
     case Reg::kOtpCtrl:
       otp_control_written();
       break;
+    case Reg::kTcSarc:
+      converter_written();
+      break;
+    case Reg::kRfSensorBias:
+    case Reg::kRfSensorEnable:
+      break;
     case Reg::kAonCfg0:
     case Reg::kAonWcfg:
       if (registers_.get(reg) != 0) complain("AON: sleep is not modelled");
@@ -359,6 +363,12 @@ void Dw1000Chip::otp_control_written() {
       case 0x07:
         word = spec_.otp.lot_id;
         break;
+      case 0x08:
+        word = spec_.otp.supply;
+        break;
+      case 0x09:
+        word = spec_.otp.temperature;
+        break;
       case 0x1C:
         word = spec_.otp.antenna_delay;
         break;
@@ -370,6 +380,31 @@ void Dw1000Chip::otp_control_written() {
     }
     registers_.set(Reg::kOtpRdat, word);
   }
+}
+
+// User manual 6.4, and as its maker's driver does it: the sensors and the converter need their bias and their
+// outputs on before they are started, and take their time.
+void Dw1000Chip::converter_written() {
+  const bool on = (registers_.get(Reg::kTcSarc) & 1) != 0;
+  const bool biased =
+      registers_.get(Reg::kRfSensorBias) == 0x80 && registers_.get(Reg::kRfSensorEnable) == 0x0F;
+  if (!on) {
+    finish_conversion();
+    converted_at_ = kNever;
+  } else if (biased && converted_at_ == kNever) {
+    converted_at_ = now_ + kConversionTime;
+  }
+}
+
+void Dw1000Chip::finish_conversion() {
+  if (converted_at_ == kNever || now_ < converted_at_) return;
+  const auto reading = [](double at_reference, double steps) {
+    return static_cast<std::uint64_t>(std::clamp(std::round(at_reference + steps), 0.0, 255.0));
+  };
+  registers_.set(Reg::kTcSarlSupply,
+                 reading(spec_.otp.supply & 0xFF, (spec_.ambient.supply_v - 3.3) * 173.0));
+  registers_.set(Reg::kTcSarlTemperature,
+                 reading(spec_.otp.temperature & 0xFF, (spec_.ambient.temperature_c - 23.0) / 1.14));
 }
 
 void Dw1000Chip::power_management_written(std::uint32_t before) {

@@ -41,8 +41,23 @@ struct OtpWords {
   std::uint32_t ldo_tune = 0x8A9AAA88;
   std::uint32_t part_id = 0x10000001;
   std::uint32_t lot_id = 0x0D0D0001;
+  std::uint32_t supply = 0x000000A9;       // the converter's reading at 3.3 V
+  std::uint32_t temperature = 0x0000007D;  // and at 23 degrees C
   std::uint32_t antenna_delay = 0;
   std::uint32_t crystal_trim = 0x10;
+};
+
+// What the chip stands in.
+struct Ambient {
+  double temperature_c = 23.0;
+  double supply_v = 3.3;
+};
+
+// How its surroundings bend what it stamps. All of it is in the receive stamps, half of it from each end of a
+// two-way range.
+struct StampBias {
+  bool drift = false;  // 2.2 mm a degree C from 23, and 5 cm a volt from 3.3, of range for each end
+  bool power = false;  // by receive power: APS011, table 2, for PRF 64 MHz
 };
 
 struct ChipSpec {
@@ -52,6 +67,8 @@ struct ChipSpec {
   // What the antennas really delay; registers set to the same values give true ranges.
   std::uint32_t transmit_antenna_delay_ticks = 16436;
   std::uint32_t receive_antenna_delay_ticks = 16436;
+  Ambient ambient{};
+  StampBias bias{};
 };
 
 class Dw1000Chip {
@@ -61,6 +78,8 @@ class Dw1000Chip {
   static constexpr SimTime kSpiReadyAfterReset = 1500 * kUnitsPerMicrosecond;
   static constexpr SimTime kPllLockAfterReset = 2100 * kUnitsPerMicrosecond;
   static constexpr SimTime kPllLockAfterSoftReset = 10 * kUnitsPerMicrosecond;
+  // Of the converter for temperature and supply, on the PLL's clock.
+  static constexpr SimTime kConversionTime = 900 * kUnitsPerMicrosecond;
   static constexpr SimTime kLdeLoadTime = 120 * kUnitsPerMicrosecond;
   static constexpr std::int64_t kTransmitterPowerUpTicks = 5 * kTicksPerUus;
 
@@ -86,6 +105,8 @@ class Dw1000Chip {
   // The next instant at which something changes by itself.
   [[nodiscard]] SimTime next_event() const noexcept { return next_event_; }
   [[nodiscard]] SimTime now() const noexcept { return now_; }
+  void set_ambient(const Ambient& ambient) noexcept { spec_.ambient = ambient; }
+
   // The interrupt line, active high, at now().
   [[nodiscard]] bool irq() const noexcept;
 
@@ -137,6 +158,8 @@ class Dw1000Chip {
   void system_configuration_written();
   void otp_control_written();
   void power_management_written(std::uint32_t before);
+  void converter_written();
+  void finish_conversion();
   void soft_reset();
   void command(std::uint32_t bits);
   void start_transmit(bool delayed, bool wait_for_response);
@@ -150,6 +173,7 @@ class Dw1000Chip {
     return clock_.time_of_tick(tick + counter_base_);
   }
   [[nodiscard]] std::uint64_t live_status() const noexcept;
+  [[nodiscard]] double stamp_bias_ticks(double receive_power_dbm) const noexcept;
   // The absolute tick at which the counter's low 40 bits next are `value`.
   [[nodiscard]] std::int64_t next_tick_with(std::uint64_t value) const noexcept;
   void count_event(Reg counter);
@@ -163,9 +187,11 @@ class Dw1000Chip {
   void preamble_begins(Arrival& arrival);
   void lock(const Arrival& arrival);
   void overlap(const Arrival& later);
+  void tell_of_overlap(const AirFrame& lost, const AirFrame& by) const;
   void damage_from(SimTime at);
   void header_ends();
   void frame_ends();
+  void spoil_last_frame();
   void write_reception(bool damaged);
   void write_measurements();
   void receiver_off();
@@ -189,6 +215,7 @@ class Dw1000Chip {
   bool pll_locked_ = false;
   SimTime lde_loaded_at_ = kNever;
   bool lde_loaded_ = false;
+  SimTime converted_at_ = kNever;
   std::uint64_t status_ = 0;
   Tuning tuning_;
   bool tuning_valid_ = false;

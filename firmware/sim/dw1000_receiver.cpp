@@ -1,5 +1,6 @@
 // The receiving half of the chip: from a frame's preamble to the registers that tell of it.
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "firmware/sim/dw1000_chip.hpp"
@@ -117,6 +118,7 @@ void Dw1000Chip::receiver_step(SimTime at) {
       if (damage_ != Loss::kSfd && current_.frame->rmarker + current_.reception.delay <= at) {
         status_ |= status::kRxsfdd;
         receiver_ = Receiver::kFrame;
+        spoil_last_frame();
         header_done_ = false;
       } else if (sfd_timeout_at_ <= at) {
         receiver_ends(status::kRxsfdto, Reg::kEvcSto, true);
@@ -143,6 +145,9 @@ void Dw1000Chip::receiver_on(SimTime at) {
   current_ = {};
   detected_at_ = kNever;
   sfd_timeout_at_ = kNever;
+  // The demodulator's own registers are the next frame's from here on.
+  registers_.set(Reg::kDrxCarInt, 0);
+  registers_.set(Reg::kRxpaccNosat, 0);
   const std::int64_t on = ticks(at);
   const auto chunks = static_cast<std::int64_t>(registers_.get(Reg::kDrxPretoc));
   // The counter adds one by itself (user manual 7.2.40.9).
@@ -156,6 +161,8 @@ void Dw1000Chip::receiver_on(SimTime at) {
 void Dw1000Chip::receiver_ends(std::uint64_t event, Reg counter, bool needs_reset) {
   status_ |= event;
   count_event(counter);
+  if (Witness* const witness = medium_.witness(); witness != nullptr)
+    witness->reception_ended(spec_.id, event);
   receiver_off();
   receiver_needs_reset_ = receiver_needs_reset_ || needs_reset;
 }
@@ -191,8 +198,10 @@ void Dw1000Chip::preamble_begins(Arrival& arrival) {
                       arrival.frame->preamble_start + arrival.reception.delay;
     if (!over && other.reception.audible && other.reception.loss != Loss::kUnheard &&
         arrival.reception.receive_power_dbm <
-            other.reception.receive_power_dbm + medium_.settings().capture_db)
+            other.reception.receive_power_dbm + medium_.settings().capture_db) {
+      tell_of_overlap(*arrival.frame, *other.frame);
       return;
+    }
   }
   lock(arrival);
 }
@@ -217,12 +226,19 @@ void Dw1000Chip::overlap(const Arrival& later) {
   const double stronger_db = later.reception.receive_power_dbm - current_.reception.receive_power_dbm;
   const double capture_db = medium_.settings().capture_db;
   const SimTime begins = later.frame->preamble_start + later.reception.delay;
-  if (stronger_db <= -capture_db) return;
   if (stronger_db >= capture_db && begins < current_.frame->rmarker + current_.reception.delay) {
+    tell_of_overlap(*current_.frame, *later.frame);
     lock(later);
     return;
   }
+  tell_of_overlap(*later.frame, *current_.frame);
+  if (stronger_db <= -capture_db || begins >= current_.frame->end + current_.reception.delay) return;
+  tell_of_overlap(*current_.frame, *later.frame);
   damage_from(begins - current_.reception.delay);
+}
+
+void Dw1000Chip::tell_of_overlap(const AirFrame& lost, const AirFrame& by) const {
+  if (Witness* const witness = medium_.witness(); witness != nullptr) witness->overlapped(lost, by, spec_.id);
 }
 
 // `at`: in the frame's own time, as it is sent.
@@ -268,7 +284,38 @@ void Dw1000Chip::forget_past_frames() {
   });
 }
 
+// A receive stamp late by b at each end makes a range longer by c b.
+double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
+  constexpr double kTicksPerMetre = 63.8976e9 / 299'792'458.0;
+  double bias_m = 0.0;
+  if (spec_.bias.drift) {
+    // Each end's own, all of it in its own stamps: they enter by half.
+    bias_m += 2.0 * (0.0022 * (spec_.ambient.temperature_c - 23.0) + 0.05 * (spec_.ambient.supply_v - 3.3));
+  }
+  if (spec_.bias.power) {
+    constexpr std::array<double, 17> kBias_m = {0.081,  0.076,  0.071,  0.062,  0.049,  0.042,
+                                                0.035,  0.021,  0.0,    -0.027, -0.051, -0.069,
+                                                -0.082, -0.093, -0.100, -0.105, -0.110};
+    const double at = std::clamp((receive_power_dbm + 93.0) / 2.0, 0.0, 16.0);
+    const auto below = static_cast<std::size_t>(std::min(std::floor(at), 15.0));
+    const double rest = at - static_cast<double>(below);
+    bias_m += (1.0 - rest) * kBias_m[below] + rest * kBias_m[below + 1];
+  }
+  return bias_m * kTicksPerMetre;
+}
+
 // ---- what the registers tell of a frame -----------------------------------------------------------
+
+// With one buffer the next frame comes over the last one. The chip does so bit by bit until the new one is
+// whole; here all is lost as soon as that has begun, so that who reads too late is found out.
+void Dw1000Chip::spoil_last_frame() {
+  for (const Reg reg : {Reg::kRxFinfo, Reg::kRxBuffer, Reg::kRxFqual, Reg::kRxTime}) {
+    const std::span<std::uint8_t> bytes = registers_.bytes(reg);
+    std::fill(bytes.begin(),
+              bytes.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(bytes.size(), 16)),
+              std::uint8_t{0xA5});
+  }
+}
 
 void Dw1000Chip::write_reception(bool damaged) {
   const AirFrame& frame = *current_.frame;
@@ -292,7 +339,8 @@ void Dw1000Chip::write_reception(bool damaged) {
   const std::int64_t rmarker =
       clock_.nearest_tick(frame.rmarker + reception.delay,
                           static_cast<double>(spec_.receive_antenna_delay_ticks) +
-                              reception.delay_residue_ticks + reception.stamp_noise_ticks) -
+                              reception.delay_residue_ticks + reception.stamp_noise_ticks +
+                              stamp_bias_ticks(reception.receive_power_dbm)) -
       counter_base_;
   std::uint64_t stamp = static_cast<std::uint64_t>(rmarker) - registers_.get(Reg::kLdeRxAntd);
   const bool lde_runs = lde_loaded_ && (registers_.get(Reg::kPmscCtrl1) & kLderune) != 0;

@@ -1,6 +1,7 @@
 #include "firmware/sim/medium.hpp"
 
 #include <cmath>
+#include <utility>
 
 #include "firmware/sim/dw1000_chip.hpp"
 
@@ -11,8 +12,11 @@ namespace {
 constexpr double kSpeedOfLight_mps = 299'792'458.0;
 constexpr double kTicksPerSecond = 63.8976e9;
 
+// A receiver asks for a frame while it lasts, at the latest: none is longer.
+constexpr SimTime kLongestFrame = 10 * kUnitsPerMillisecond;
+
 // Purposes of draws.
-enum : std::uint64_t { kStampNoise = 0x5A01, kCarrierNoise, kLossDraw, kLossKind, kJunk };
+enum : std::uint64_t { kStampNoise = 0x5A01, kCarrierNoise, kLossDraw, kLossKind, kJunk, kFade };
 
 Loss kind_of_loss(double uniform) {
   if (uniform < 0.50) return Loss::kUnheard;
@@ -31,7 +35,13 @@ std::size_t Medium::attach(Dw1000Chip& chip, std::uint16_t id) {
   return stations_.size() - 1;
 }
 
+std::size_t Medium::attach_sender(std::uint16_t id) {
+  stations_.push_back({nullptr, id, {}});
+  return stations_.size() - 1;
+}
+
 void Medium::announce(const std::shared_ptr<const AirFrame>& frame) {
+  if (witness_ != nullptr) witness_->announced(*frame);
   tell(frame->source, {News::Kind::kAnnounced, frame, nullptr, 0});
 }
 
@@ -57,7 +67,7 @@ void Medium::spread(std::size_t source, const News& news) {
     return;
   }
   for (std::size_t i = 0; i < stations_.size(); ++i) {
-    if (i == source) continue;
+    if (i == source || stations_[i].chip == nullptr) continue;
     if (news.kind == News::Kind::kAnnounced) {
       stations_[i].chip->incoming(news.frame);
     } else {
@@ -104,7 +114,25 @@ Reception Medium::reception(const AirFrame& frame, std::size_t receiver) const {
     reception.carrier_noise_ppm = draw(kCarrierNoise).normal() * settings_.carrier_noise_ppm;
   if (settings_.loss_probability > 0.0 && draw(kLossDraw).uniform() < settings_.loss_probability)
     reception.loss = kind_of_loss(draw(kLossKind).uniform());
+  if (!fades_.empty() && reception.loss != Loss::kUnheard) fade(frame, from, to, reception);
   return reception;
+}
+
+void Medium::add_fade(Fade fade, SimTime now) {
+  std::erase_if(fades_, [now](const NumberedFade& old) { return old.fade.until < now - kLongestFrame; });
+  fades_.push_back({std::move(fade), fades_added_++});
+}
+
+// The worst of what all of them do.
+void Medium::fade(const AirFrame& frame, std::uint16_t from, std::uint16_t to, Reception& reception) const {
+  for (const auto& [fade, number] : fades_) {
+    if (frame.rmarker < fade.from || frame.rmarker >= fade.until) continue;
+    if (fade.hits && !fade.hits(frame, from, to)) continue;
+    const KeyedRandom draw = random_.of(kFade, number, from, to, frame.number);
+    if (draw.uniform() >= fade.probability) continue;
+    const Loss loss = fade.silent ? Loss::kUnheard : kind_of_loss(draw.of(kLossKind).uniform());
+    if (reception.loss == Loss::kNone || loss < reception.loss) reception.loss = loss;
+  }
 }
 
 }  // namespace groma::sim

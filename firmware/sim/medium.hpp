@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -70,12 +71,44 @@ struct Reception {
   Loss loss = Loss::kNone;
 };
 
+// A stretch of time in which frames are lost beyond MediumSettings::loss_probability, each by a draw of its
+// own.
+struct Fade {
+  SimTime from = 0;  // of the frames' RMARKERs
+  SimTime until = kNever;
+  double probability = 1.0;
+  // As behind a wall: nothing is noticed, and the frame disturbs no other either. Otherwise frames fail as
+  // by loss_probability, in any of its ways.
+  bool silent = false;
+  // Which frames, by their content and the ids of the two nodes; empty: all. Depends on nothing else, and
+  // bears to be asked by any thread.
+  std::function<bool(const AirFrame& frame, std::uint16_t transmitter, std::uint16_t receiver)> hits{};
+};
+
+// Looks on at what no node sees. Told by whichever thread runs the node that it is about.
+class Witness {
+ public:
+  Witness() = default;
+  Witness(const Witness&) = delete;
+  Witness& operator=(const Witness&) = delete;
+  virtual ~Witness() = default;
+
+  // Its data are what they are now, and may change until it starts; it may be retracted.
+  virtual void announced(const AirFrame& /*frame*/) {}
+  // A receiver that was on did not receive `lost`, whether or not it would have cared, because of `by`.
+  virtual void overlapped(const AirFrame& /*lost*/, const AirFrame& /*by*/, std::uint16_t /*receiver*/) {}
+  // A receiver went off by itself: with a frame, good or not, or by a time-out; `event` of SYS_STATUS.
+  virtual void reception_ended(std::uint16_t /*receiver*/, std::uint64_t /*event*/) {}
+};
+
 class Medium {
  public:
   Medium(const PropagationModel& propagation, const MediumSettings& settings, std::uint64_t seed);
 
   // The chip's index. The chip outlives the medium's use. No two chips share an id.
   std::size_t attach(Dw1000Chip& chip, std::uint16_t id);
+  // The same for what only sends.
+  std::size_t attach_sender(std::uint16_t id);
 
   // A frame that will surely be sent unless it is retracted; tells all other chips. Its data may still change
   // until it starts.
@@ -94,6 +127,12 @@ class Medium {
 
   [[nodiscard]] const MediumSettings& settings() const noexcept { return settings_; }
   void set_settings(const MediumSettings& settings) noexcept { settings_ = settings; }
+  // Not while the network runs. A fade that is over by `now` is forgotten.
+  void add_fade(Fade fade, SimTime now);
+  // Nothing: nobody. The witness outlives the medium's use.
+  void set_witness(Witness* witness) noexcept { witness_ = witness; }
+  [[nodiscard]] Witness* witness() const noexcept { return witness_; }
+  [[nodiscard]] std::uint16_t id_of(std::size_t station) const { return stations_.at(station).id; }
 
  private:
   // What a chip did while news were held.
@@ -105,17 +144,25 @@ class Medium {
     SimTime at;
   };
   struct Station {
-    Dw1000Chip* chip;
+    Dw1000Chip* chip;  // null for one that only sends
     std::uint16_t id;
     std::vector<News> held;
   };
   void tell(std::size_t source, const News& news);
   void spread(std::size_t source, const News& news);
+  void fade(const AirFrame& frame, std::uint16_t from, std::uint16_t to, Reception& reception) const;
 
   const PropagationModel& propagation_;
   MediumSettings settings_;
   KeyedRandom random_;
   std::vector<Station> stations_;
+  struct NumberedFade {
+    Fade fade;
+    std::uint64_t number;  // keys its draws
+  };
+  std::vector<NumberedFade> fades_;
+  std::uint64_t fades_added_ = 0;
+  Witness* witness_ = nullptr;
   bool holding_ = false;
   mutable std::mutex propagation_mutex_;  // the model answers one thread at a time
 };

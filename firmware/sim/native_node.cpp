@@ -8,6 +8,7 @@
 #include "firmware/core/node/node.hpp"
 #include "firmware/core/storage/config_store.hpp"
 #include "firmware/core/storage/counter.hpp"
+#include "firmware/sim/aes.hpp"
 #include "firmware/sim/nor_flash.hpp"
 
 namespace groma::sim {
@@ -22,6 +23,21 @@ static_assert(node::kMaxConfigBytes <= storage::kMaxRecordBytes);
 SimTime from_us(double t_us) {
   return from_seconds(t_us * 1e-6);
 }
+
+// As fast as the nRF52832's.
+class TimedAes final : public security::BlockCipher {
+ public:
+  explicit TimedAes(SimTime& now) noexcept : now_(now) {}
+  bool encrypt(const security::Key& key, security::Block& block) noexcept override {
+    constexpr SimTime kBlockTime = 8 * kUnitsPerMicrosecond;  // 7.2 us, and the looks at it
+    now_ += kBlockTime;
+    return aes_.encrypt(key, block);
+  }
+
+ private:
+  SimTime& now_;
+  Aes aes_;
+};
 
 // One node's hardware as its firmware sees it. Its own time runs ahead of the network's by the work it does.
 class NativePlatform {
@@ -76,6 +92,7 @@ class NativePlatform {
     return stored;
   }
   std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_.load(out); }
+  security::BlockCipher& cipher() noexcept { return cipher_; }
   void set_indicator(node::Indicator indicator) noexcept { indicator_ = indicator; }
   void restart() noexcept { restart_asked = true; }
   [[nodiscard]] node::ResetReason reset_reason() const noexcept { return reset_reason_; }
@@ -124,6 +141,7 @@ class NativePlatform {
   std::uint32_t spi_hz_;
   Spi spi_;
   NorFlash flash_;
+  TimedAes cipher_{now};
   storage::ConfigStore<NorFlash> config_;
   node::Indicator indicator_ = node::Indicator::kUnconfigured;
   node::ResetReason reset_reason_ = node::ResetReason::kPowerOn;

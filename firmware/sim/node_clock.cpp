@@ -19,29 +19,47 @@ std::int64_t to_fraction(double ratio) noexcept {
 
 }  // namespace
 
+std::vector<DriftRamp> up_and_down(double ppm_per_s, double height_ppm, double from_s, double until_s) {
+  const double side_s = std::abs(height_ppm / ppm_per_s);
+  std::vector<DriftRamp> ramps;
+  for (double start_s = from_s; start_s + 2.0 * side_s <= until_s; start_s += 2.0 * side_s) {
+    const double top_s = start_s + side_s;
+    ramps.push_back({ppm_per_s, start_s, top_s});
+    ramps.push_back({-ppm_per_s, top_s, top_s + side_s});
+  }
+  return ramps;
+}
+
 NodeClock::NodeClock(const ClockSpec& spec) noexcept
-    : offset_(to_fraction(spec.offset_ppm * 1e-6)),
-      offset_a_piece_(to_fraction(spec.drift_ppm_per_s * 1e-6 * to_seconds(kPiece))),
-      drift_first_(from_seconds(std::max(spec.drift_from_s, 0.0)) >> kPieceBits),
-      drift_pieces_(
-          std::max<std::int64_t>((from_seconds(spec.drift_until_s) >> kPieceBits) - drift_first_, 0)),
-      first_tick_(static_cast<std::int64_t>(spec.first_tick)) {}
+    : offset_(to_fraction(spec.offset_ppm * 1e-6)), first_tick_(static_cast<std::int64_t>(spec.first_tick)) {
+  const auto add = [&](const DriftRamp& ramp) {
+    const std::int64_t first = from_seconds(std::max(ramp.from_s, 0.0)) >> kPieceBits;
+    const std::int64_t pieces = std::max<std::int64_t>((from_seconds(ramp.until_s) >> kPieceBits) - first, 0);
+    const std::int64_t a_piece = to_fraction(ramp.ppm_per_s * 1e-6 * to_seconds(kPiece));
+    if (a_piece != 0 && pieces != 0) ramps_.push_back({a_piece, first, pieces});
+  };
+  add({spec.drift_ppm_per_s, spec.drift_from_s, spec.drift_until_s});
+  for (const DriftRamp& ramp : spec.more_ramps) add(ramp);
+}
 
 std::int64_t NodeClock::offset_of_piece(std::int64_t piece) const noexcept {
-  return offset_ + offset_a_piece_ * std::clamp<std::int64_t>(piece - drift_first_, 0, drift_pieces_);
+  std::int64_t offset = offset_;
+  for (const Ramp& ramp : ramps_)
+    offset += ramp.offset_a_piece * std::clamp<std::int64_t>(piece - ramp.first, 0, ramp.pieces);
+  return offset;
 }
 
 NodeClock::Phase NodeClock::phase(SimTime t) const noexcept {
   Wide excess = static_cast<Wide>(t) * offset_;
-  if (offset_a_piece_ != 0) {
+  const std::int64_t piece = t >> kPieceBits;
+  for (const Ramp& ramp : ramps_) {
     // The steps of all whole pieces before this one, summed: none, then one more each piece, then all of
     // them.
-    const std::int64_t piece = t >> kPieceBits;
-    const std::int64_t grown = std::clamp<std::int64_t>(piece - drift_first_, 0, drift_pieces_);
+    const std::int64_t grown = std::clamp<std::int64_t>(piece - ramp.first, 0, ramp.pieces);
     const Wide steps =
         static_cast<Wide>(grown) * (grown - 1) / 2 +
-        static_cast<Wide>(std::max<std::int64_t>(piece - drift_first_ - drift_pieces_, 0)) * drift_pieces_;
-    excess += ((steps << kPieceBits) + static_cast<Wide>(t & (kPiece - 1)) * grown) * offset_a_piece_;
+        static_cast<Wide>(std::max<std::int64_t>(piece - ramp.first - ramp.pieces, 0)) * ramp.pieces;
+    excess += ((steps << kPieceBits) + static_cast<Wide>(t & (kPiece - 1)) * grown) * ramp.offset_a_piece;
   }
   const std::uint64_t mask = (std::uint64_t{1} << kFractionBits) - 1;
   return {t + static_cast<std::int64_t>(excess >> kFractionBits), static_cast<std::uint64_t>(excess) & mask};

@@ -2,18 +2,32 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "firmware/sim/time.hpp"
 
 namespace groma::sim {
+
+// A stretch of world time over which the offset grows, and stays at what it has grown to.
+struct DriftRamp {
+  double ppm_per_s = 0.0;
+  double from_s = 0.0;
+  double until_s = 0.0;
+};
 
 struct ClockSpec {
   double offset_ppm = 0.0;       // fast is positive
   double drift_ppm_per_s = 0.0;  // added to the offset from drift_from_s to drift_until_s of world time
   double drift_from_s = 0.0;
   double drift_until_s = 0.0;
-  std::uint64_t first_tick = 0;  // the 40-bit DW1000 counter's value at time 0
+  std::uint64_t first_tick = 0;         // the 40-bit DW1000 counter's value at time 0
+  std::vector<DriftRamp> more_ramps{};  // they add up, with each other and with drift_ppm_per_s
 };
+
+// Up and down at ppm_per_s, a triangle between 0 and `height_ppm` (of the slope's sign) from from_s until
+// until_s at the latest; back at 0 after the last whole one.
+[[nodiscard]] std::vector<DriftRamp> up_and_down(double ppm_per_s, double height_ppm, double from_s,
+                                                 double until_s);
 
 // Maps world time to the clock's own and back, in whole numbers: the frequency is constant over pieces of
 // 2^30 units (3.4 ms) and a whole number of 2^-48 parts there, so that both ways are exact, strictly in order
@@ -48,10 +62,14 @@ class NodeClock {
   [[nodiscard]] Phase phase(SimTime t) const noexcept;
   [[nodiscard]] std::int64_t offset_of_piece(std::int64_t piece) const noexcept;
 
-  std::int64_t offset_;          // 2^-48
-  std::int64_t offset_a_piece_;  // 2^-48, added at each piece's end while the drift lasts
-  std::int64_t drift_first_;     // pieces
-  std::int64_t drift_pieces_;
+  struct Ramp {
+    std::int64_t offset_a_piece;  // 2^-48, added at each piece's end while the ramp lasts
+    std::int64_t first;           // pieces
+    std::int64_t pieces;
+  };
+
+  std::int64_t offset_;  // 2^-48
+  std::vector<Ramp> ramps_;
   std::int64_t first_tick_;
 };
 

@@ -18,7 +18,10 @@ void add_evaluate(CLI::App& app, Action& action);
 void add_flash(CLI::App& app, Action& action);
 void add_identify(CLI::App& app, Action& action);
 void add_listen(CLI::App& app, Action& action);
+void add_nodes(CLI::App& app, Action& action);
+void add_plan(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
 void add_sim(CLI::App& app, Action& action);
+void add_survey(CLI::App& app, Action& action);
 
 }  // namespace groma::cli

@@ -17,6 +17,7 @@
 #include "host/cli/nodes.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/provision/air_plan.hpp"
 #include "host/provision/site_plan.hpp"
 
 namespace groma::cli {
@@ -27,6 +28,7 @@ struct Options {
   std::filesystem::path plan;
   std::string nodes;
   std::string link;
+  std::string via;
   bool reassign = false;
   bool json = false;
 };
@@ -34,6 +36,16 @@ struct Options {
 int run(const Options& options) {
   const provision::SitePlan plan = provision::read_site_plan(options.plan);
   std::vector<const provision::PlannedNode*> nodes = select_nodes(plan, options.nodes);
+  std::vector<provision::PlannedNode> by_air;
+  if (!options.via.empty()) {
+    by_air.reserve(nodes.size());
+    for (const provision::PlannedNode*& node : nodes) {
+      if (!node->port.empty()) continue;
+      by_air.push_back(*node);
+      by_air.back().via_port = options.via;
+      node = &by_air.back();
+    }
+  }
   provision::PlannedNode relinked;
   if (!options.link.empty()) {
     if (nodes.size() != 1) throw CLI::ValidationError("--link", "goes with one --node");
@@ -45,15 +57,22 @@ int run(const Options& options) {
   configuring.reassign = options.reassign;
 
   Warnings warnings;
+  for (const std::string& text : provision::plan_air(plan.nodes.front().config, plan.baud).warnings) {
+    warnings.add(fmt::format("{}: {}", plan.path.string(), text));
+  }
   Table table({"node", "role", "port", "result", "firmware"});
   Json json{{"plan", plan.path.string()}, {"nodes", Json::array()}};
   int first_failure = kGood;
-  for (const provision::PlannedNode* node : nodes) {
-    const provision::NodeOutcome outcome = provision::configure_node(*node, plan.baud, configuring);
+  const auto outcomes = provision::configure_nodes(nodes, plan.baud, configuring);
+  for (std::size_t i = 0; i < nodes.size(); ++i) {
+    const provision::PlannedNode* node = nodes[i];
+    const provision::NodeOutcome& outcome = outcomes[i];
     if (const int code = tell(outcome, warnings); first_failure == kGood) first_failure = code;
-    table.add({fmt::format("{}", node->id), provision::role_word(node->role), outcome.port,
-               result_word(outcome), outcome.hello ? outcome.hello->version : "-"});
-    Json entry{{"id", node->id}, {"role", provision::role_word(node->role)}};
+    const bool over_air = provision::is_reached_by_air(*node);
+    table.add({fmt::format("{}", node->id), provision::role_word(node->role),
+               over_air ? "via " + outcome.port : outcome.port, result_word(outcome),
+               outcome.hello ? outcome.hello->version : "-"});
+    Json entry{{"id", node->id}, {"role", provision::role_word(node->role)}, {"over_air", over_air}};
     entry.update(to_json(outcome));
     json["nodes"].push_back(std::move(entry));
   }
@@ -76,6 +95,8 @@ void add_configure(CLI::App& app, Action& action) {
   command->add_option("--plan", options->plan, "The site plan")->required();
   command->add_option("--node", options->nodes, "These nodes alone, such as 1,5");
   command->add_option("--link", options->link, "Port in the place of the plan's; with one --node");
+  command->add_option("--via", options->via,
+                      "Port of a node that passes on over the air what is for the nodes that have no port");
   command->add_flag("--reassign", options->reassign, "Also nodes that are configured under another id");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
@@ -12,6 +13,7 @@
 #include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/nodes.hpp"
+#include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/site_plan.hpp"
@@ -32,6 +34,12 @@ struct Options {
 };
 
 int run(Options options) {
+  model::NodeId target = 0;
+  if (options.plan.empty() && !options.node.empty()) {
+    const std::vector<model::NodeId> ids = parse_ids("--node", options.node);
+    if (ids.size() != 1) throw CLI::ValidationError("--node", "name one");
+    target = ids.front();
+  }
   if (options.link.empty() == options.plan.empty()) {
     throw CLI::ValidationError("identify", "name either the port or --plan and --node");
   }
@@ -41,14 +49,18 @@ int run(Options options) {
     if (options.node.empty() || nodes.size() != 1)
       throw CLI::ValidationError("--node", "name one of the plan");
     const provision::PlannedNode& node = *nodes.front();
-    options.link = node.can_link.empty() ? node.port : node.can_link;
+    const bool over_air = provision::is_reached_by_air(node);
+    if (over_air) target = node.id;
+    options.link = over_air ? node.via_port : node.can_link.empty() ? node.port : node.can_link;
     options.baud = plan.baud;
     if (options.link.empty()) {
-      complain(fmt::format("{}: names no port for node {}; add 'port:' to it", plan.path.string(), node.id));
+      complain(fmt::format("{}: names no port for node {}; add 'port:' or 'via:' to it", plan.path.string(),
+                           node.id));
       return kBadConfiguration;
     }
   }
-  const provision::NodeOutcome outcome = provision::identify_node(options.link, options.baud, options.for_s);
+  const provision::NodeOutcome outcome =
+      provision::identify_node(options.link, options.baud, options.for_s, link::open_link, target);
   if (outcome.fault != provision::NodeFault::kNone) {
     complain(outcome.message);
     return exit_code_of(outcome.fault);
@@ -67,7 +79,8 @@ int run(Options options) {
   const std::string who =
       configured ? fmt::format("{} {} of network {}", role, outcome.hello->id, outcome.hello->network_id)
                  : "an unconfigured node";
-  say(fmt::format("{}: {} blinks for {} s\n", outcome.port, known ? who : "the node", options.for_s));
+  say(fmt::format("{}: {} blinks for {} s{}\n", outcome.port, known ? who : "the node", options.for_s,
+                  target == 0 ? "" : ", told over the air"));
   return kGood;
 }
 
@@ -78,7 +91,9 @@ void add_identify(CLI::App& app, Action& action) {
   CLI::App* command = app.add_subcommand("identify", "Let a node blink, and tell which it is.");
   command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3");
   command->add_option("--plan", options->plan, "The site plan, in the place of a port");
-  command->add_option("--node", options->node, "The node of the plan");
+  command->add_option(
+      "--node", options->node,
+      "The node of the plan; with a port: the node that the one there passes it on to over the air");
   command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
   command->add_option("--for", options->for_s, "So many seconds; 0 ends it")
       ->check(CLI::Range(0U, kMaxIdentify_s))

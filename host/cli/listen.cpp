@@ -57,21 +57,27 @@ struct Pair {
   }
 };
 
-std::string power_text(double power_dbm) {
-  return std::isfinite(power_dbm) ? fmt::format("{:.1f}", power_dbm) : std::string();
+std::string known(float value, int decimals) {
+  return std::isfinite(value) ? fmt::format("{:.{}f}", value, decimals) : std::string();
 }
 
 class Listener : public link::NodeSink {
  public:
   explicit Listener(bool rows) : rows_(rows) {
-    if (rows_) say("t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n");
+    if (rows_) {
+      say("t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm,clock_offset_ppm,noise,"
+          "line_of_sight,corrections,network_time_dtu\n");
+    }
   }
   void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
     pairs[{range.tag_id, range.anchor_id}].add(range);
     if (!rows_) return;
-    say(fmt::format("{:.6f},{},{},{:.4f},{},{}\n", range.t_s, range.tag_id, range.anchor_id, range.range_m,
-                    power_text(static_cast<double>(range.first_path_power_dbm)),
-                    power_text(static_cast<double>(range.receive_power_dbm))));
+    const std::string network_time =
+        range.network_time_dtu != 0 ? fmt::format("{}", range.network_time_dtu) : std::string();
+    say(fmt::format("{:.6f},{},{},{:.4f},{},{},{},{},{},{},{}\n", range.t_s, range.tag_id, range.anchor_id,
+                    range.range_m, known(range.first_path_power_dbm, 1), known(range.receive_power_dbm, 1),
+                    known(range.clock_offset_ppm, 3), known(range.noise, 0),
+                    static_cast<unsigned>(range.line_of_sight), range.corrections, network_time));
   }
   void on_network_status(const groma_NetworkStatus& said) override { status = said; }
 
@@ -176,7 +182,7 @@ int run(const Options& options) {
       table.add({fmt::format("{}", ids.first), fmt::format("{}", ids.second), fmt::format("{}", pair.count),
                  fmt::format("{:.0f}", static_cast<double>(pair.count) / elapsed_s),
                  fmt::format("{:.3f}", pair.mean_m), fmt::format("{:.3f}", pair.std_m()),
-                 power_text(pair.power_dbm)});
+                 known(static_cast<float>(pair.power_dbm), 1)});
     }
     if (!heard.pairs.empty()) say(table.format());
   }

@@ -35,8 +35,11 @@ int run(int argc, char** argv) {
   add_flash(app, action);
   add_identify(app, action);
   add_listen(app, action);
+  add_nodes(app, action);
+  add_plan(app, action);
   add_replay(app, action);
   add_sim(app, action);
+  add_survey(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -48,6 +48,8 @@ const char* word(NodeFault fault) {
       return "radio";
     case NodeFault::kLink:
       return "link";
+    case NodeFault::kHeldBack:
+      return "held-back";
   }
   return "";
 }

@@ -47,12 +47,35 @@ void TimeMapper::observe(std::int64_t ticks, double arrival_s, double transmissi
   }
   insert(added);
   fit();
+  measure_round_trip();
+}
+
+void TimeMapper::observe_request(std::int64_t ticks, double sent_s) noexcept {
+  if (size_ == 0) return;
+  const double x_s = seconds_since_reference(ticks);
+  requests_[next_request_] = {x_s, sent_s - reference_s_ - x_s};
+  next_request_ = (next_request_ + 1) % kRequests;
+  request_count_ = std::min(request_count_ + 1, kRequests);
+  measure_round_trip();
+}
+
+void TimeMapper::measure_round_trip() noexcept {
+  round_trip_s_.reset();
+  for (std::size_t i = 0; i < request_count_; ++i) {
+    const Point& request = requests_[(next_request_ + kRequests - 1 - i) % kRequests];
+    if (point(size_ - 1).x_s - request.x_s > kRequestWindow_s) break;
+    // The line has its own error: together they cannot delay by less than nothing.
+    const double both_s = std::max(line_at(request.x_s) - request.y_s, 0.0);
+    round_trip_s_ = std::min(both_s, round_trip_s_.value_or(both_s));
+  }
 }
 
 std::optional<HostInstant> TimeMapper::to_host(std::int64_t ticks) noexcept {
   if (size_ == 0) return std::nullopt;
   const double x_s = seconds_since_reference(ticks);
-  HostInstant instant{reference_s_ + x_s + line_at(x_s), sigma_at(x_s)};
+  HostInstant instant{reference_s_ + x_s + line_at(x_s) - shared_delay_s(),
+                      // The error from unequal delays is anywhere within half of the round trip.
+                      std::hypot(sigma_at(x_s), shared_delay_s() / std::sqrt(3.0))};
   if (last_stamp_ && ticks >= last_stamp_->ticks) {
     const double earliest_s = last_stamp_->instant.t_s - last_stamp_->instant.sigma_s;
     if (instant.t_s < earliest_s) {
@@ -67,7 +90,8 @@ std::optional<HostInstant> TimeMapper::to_host(std::int64_t ticks) noexcept {
 std::optional<std::int64_t> TimeMapper::to_ticks(double host_s) const noexcept {
   if (size_ == 0) return std::nullopt;
   // host = reference + x + offset + slope (x - centre)
-  const double x_s = (host_s - reference_s_ - offset_s_ + slope_ * centre_s_) / (1.0 + slope_);
+  const double x_s =
+      (host_s + shared_delay_s() - reference_s_ - offset_s_ + slope_ * centre_s_) / (1.0 + slope_);
   return reference_ticks_ + std::llround(x_s * ticks_per_second_);
 }
 
@@ -75,6 +99,8 @@ void TimeMapper::reset() noexcept {
   size_ = 0;
   slope_ = 0.0;
   last_stamp_.reset();
+  request_count_ = 0;
+  round_trip_s_.reset();
 }
 
 void TimeMapper::start(std::int64_t ticks, double sent_s) noexcept {
@@ -85,6 +111,8 @@ void TimeMapper::start(std::int64_t ticks, double sent_s) noexcept {
   size_ = 0;
   late_messages_ = 0;
   last_stamp_.reset();
+  request_count_ = 0;
+  round_trip_s_.reset();
   ++epoch_;
   insert(Point{});
   fit();

@@ -5,8 +5,14 @@
 // therefore lie on or above the line that relates the two clocks, and the mapper fits that line from below:
 // of all lines under all points of a sliding window it takes the one with the least sum of distances (Moon,
 // Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements", 1999), its
-// slope within kMaxSkew. Delays of any size above the line cost nothing. What no fit can see is a delay that
-// all messages share; it stays in the result as an offset.
+// slope within kMaxSkew. Delays of any size above the line cost nothing. What no such fit can see is a delay
+// that all messages share: it stays in the result as an offset.
+//
+// Requests the other way tell of it. One that left the host at a known time was there when the counter showed
+// a known value: that point lies on or below the line of the two clocks. The least distance between those
+// points and the line from above is what both ways together delay at least. Half of it is taken off (as NTP
+// does, at the least round trip): right where both ways delay alike, off by half of what they differ by, and
+// by no more than that half itself.
 #pragma once
 
 #include <array>
@@ -21,7 +27,8 @@ inline constexpr double kDeviceTicksPerSecond = 63.8976e9;
 
 struct HostInstant {
   double t_s = 0.0;
-  double sigma_s = 0.0;  // of the fit; a delay that all messages share is not in it
+  double sigma_s =
+      0.0;  // of the fit and, where requests have told of it, of the delay that all messages share
 };
 
 struct TimeMapperCounters {
@@ -41,6 +48,8 @@ class TimeMapper {
   static constexpr double kJumpDelay_s = 0.020;   // arrivals later than this ...
   static constexpr double kJumpDuration_s = 2.0;  // ... all of them, for so long, are a jump and no jitter
   static constexpr std::uint32_t kJumpMessages = 8;
+  static constexpr std::size_t kRequests = 32;      // the last ones count ...
+  static constexpr double kRequestWindow_s = 60.0;  // ... for so long
 
   // ticks_per_second: the counter's nominal rate.
   explicit TimeMapper(double ticks_per_second) noexcept : ticks_per_second_(ticks_per_second) {}
@@ -49,6 +58,14 @@ class TimeMapper {
   // its transmission took `transmission_s`. A counter that falls back, and arrivals that fit no longer, start
   // the fit anew.
   void observe(std::int64_t ticks, double arrival_s, double transmission_s) noexcept;
+
+  // A request that had left this host, its transmission included, at `sent_s` was there when the counter
+  // showed `ticks`. Without effect before the first message.
+  void observe_request(std::int64_t ticks, double sent_s) noexcept;
+
+  // What both ways together delay at least, transmission aside; nothing before a request. Half of it is taken
+  // off each instant, and bounds its error from delays that differ.
+  [[nodiscard]] std::optional<double> round_trip_s() const noexcept { return round_trip_s_; }
 
   // Host time of a value of the counter; nothing before the first message. Where values come in rising order,
   // between two restarts, each result is no earlier than the one before less the sigma stated with that.
@@ -87,6 +104,8 @@ class TimeMapper {
   void insert(const Point& added) noexcept;
   void fit() noexcept;
   [[nodiscard]] bool arrives_late_for_long(const Point& added) noexcept;
+  void measure_round_trip() noexcept;
+  [[nodiscard]] double shared_delay_s() const noexcept { return 0.5 * round_trip_s_.value_or(0.0); }
 
   double ticks_per_second_;
   std::int64_t reference_ticks_ = 0;
@@ -102,6 +121,11 @@ class TimeMapper {
   double offset_s_ = 0.0;  // line at the centre
   double slope_ = 0.0;
   double fit_sigma_s_ = 0.0;
+
+  std::array<Point, kRequests> requests_{};  // a ring
+  std::size_t next_request_ = 0;
+  std::size_t request_count_ = 0;
+  std::optional<double> round_trip_s_;
 
   std::uint32_t late_messages_ = 0;  // in a row
   Point late_since_;

@@ -22,7 +22,8 @@ namespace {
 
 constexpr int kPollTimeout_ms = 10;  // measurements wait no longer than this beyond their lag
 constexpr double kStatusPeriod_s = 1.0;
-constexpr std::size_t kReadsPerTurn = 16;  // of one link, so that none keeps the others waiting
+constexpr double kTimeRequestPeriod_s = 1.0;  // to each node
+constexpr std::size_t kReadsPerTurn = 16;     // of one link, so that none keeps the others waiting
 
 link::OpenedLink open_input(const std::string& path, unsigned baud) {
   std::error_code ignored;  // what cannot be looked at, open_link() explains
@@ -108,6 +109,7 @@ bool Daemon::run(int stop_fd) {
   while (!stop) {
     wait(stop_fd, stop);
     for (Input& input : inputs_) service(input);
+    ask_for_time();
     session_.advance(now_s());
     if (drive_ && !calibrate()) return false;
     tell_status();
@@ -180,6 +182,16 @@ void Daemon::opened(Input& input) {
   if (!input.is_robot) static_cast<void>(input.link.get()->write(hello_request()));
 }
 
+// A node's answer tells what delay its link has; one that is full, or does not answer, is asked again.
+void Daemon::ask_for_time() {
+  if (now_s() < next_time_request_s_) return;
+  next_time_request_s_ = now_s() + kTimeRequestPeriod_s;
+  for (Input& input : inputs_) {
+    if (input.is_robot || input.link.get() == nullptr) continue;
+    static_cast<void>(input.link.get()->write(link::time_request(now_s())));
+  }
+}
+
 bool Daemon::calibrate() {
   if (!solution_.valid()) {
     if (drive_->duration_s() < config_.calibration.drive_s) return true;
@@ -249,6 +261,7 @@ Status Daemon::status() const {
     const link::ReportCounters& node = session_.node(i).decoder().counters();
     status.dropped +=
         node.messages_malformed + node.ranges_not_ok + node.ranges_out_of_bounds + node.ranges_bad_instant;
+    status.links.push_back({session_.node(i).name(), session_.node(i).decoder().time().round_trip_s()});
   }
   return status;
 }

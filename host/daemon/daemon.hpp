@@ -58,6 +58,7 @@ class Daemon {
   [[nodiscard]] bool calibrate();
   void localize(model::Calibration calibration);
   void publish(const PoseEstimate& pose);
+  void ask_for_time();
   void tell_status();
   [[nodiscard]] std::string_view state() const;
   [[nodiscard]] Status status() const;
@@ -73,7 +74,8 @@ class Daemon {
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";
   std::optional<PoseState> pose_state_;
-  double last_pose_s_ = 0.0;    // of this computer
+  double last_pose_s_ = 0.0;  // of this computer
+  double next_time_request_s_ = 0.0;
   double next_status_s_ = 0.0;  // of this computer
 };
 

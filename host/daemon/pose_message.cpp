@@ -46,12 +46,18 @@ std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::str
 }
 
 std::string status_line(const Status& status) {
+  Json links = Json::array();
+  for (const LinkDelay& link : status.links) {
+    links.push_back(Json{{"link", link.link},
+                         {"round_trip_s", link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr)}});
+  }
   return line({{"class", "STATUS"},
                {"state", status.state},
                {"odometry", status.odometry},
                {"ranges", status.ranges},
                {"frames_lost", status.frames_lost},
-               {"dropped", status.dropped}});
+               {"dropped", status.dropped},
+               {"links", std::move(links)}});
 }
 
 }  // namespace groma::daemon

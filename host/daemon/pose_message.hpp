@@ -2,12 +2,21 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "host/daemon/localizer.hpp"
 
 namespace groma::daemon {
+
+// A node's link, and what both its ways together delay at least; half of that is taken off each range's
+// instant, and bounds what it is wrong by. Nothing: not known, no request was answered yet.
+struct LinkDelay {
+  std::string_view link;
+  std::optional<double> round_trip_s{};
+};
 
 // What a stream tells beside poses, about once a second.
 struct Status {
@@ -16,6 +25,7 @@ struct Status {
   std::uint64_t ranges = 0;
   std::uint64_t frames_lost = 0;
   std::uint64_t dropped = 0;  // measurements and lines, of all causes
+  std::vector<LinkDelay> links{};
 };
 
 // "TRACKING" or "COASTING".

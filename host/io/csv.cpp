@@ -177,6 +177,11 @@ std::optional<double> CsvReader::optional_number(std::size_t column) const {
   return number(column);
 }
 
+std::optional<std::int64_t> CsvReader::optional_integer(std::size_t column) const {
+  if (field_of_wanted_[column] == kAbsent || trimmed(fields_[column]).empty()) return std::nullopt;
+  return integer(column);
+}
+
 FilePlace CsvReader::place(std::size_t column) const {
   const std::string_view field = fields_[column];
   const std::size_t blanks = std::min(field.find_first_not_of(" \t\r"), field.size());

@@ -57,6 +57,7 @@ class CsvReader {
   [[nodiscard]] std::int64_t integer(std::size_t column) const;
   // None where the column is absent, or its field is empty or NaN: unknown.
   [[nodiscard]] std::optional<double> optional_number(std::size_t column) const;
+  [[nodiscard]] std::optional<std::int64_t> optional_integer(std::size_t column) const;
 
   // Place of the row, or of one of its fields.
   [[nodiscard]] FilePlace row_place() const { return {path_, lines_.number(), 0}; }

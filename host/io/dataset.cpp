@@ -113,9 +113,15 @@ std::vector<bool> known_ids(const std::vector<Node>& nodes) {
   return known;
 }
 
-float power(const CsvReader& csv, std::size_t column) {
+float optional_float(const CsvReader& csv, std::size_t column) {
   const std::optional<double> value = csv.optional_number(column);
   return value ? static_cast<float>(*value) : model::kUnknown;
+}
+
+// A field that holds one of 0 to `largest`, or else nothing is known.
+std::uint8_t optional_code(const CsvReader& csv, std::size_t column, std::uint8_t largest) {
+  const std::int64_t code = csv.optional_integer(column).value_or(0);
+  return code >= 0 && code <= largest ? static_cast<std::uint8_t>(code) : std::uint8_t{0};
 }
 
 // `anchors` is null where any anchor may answer.
@@ -129,7 +135,12 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
                  {"anchor_id"},
                  {"range_m"},
                  {"first_path_power_dbm", Presence::kOptional},
-                 {"receive_power_dbm", Presence::kOptional}});
+                 {"receive_power_dbm", Presence::kOptional},
+                 {"clock_offset_ppm", Presence::kOptional},
+                 {"noise", Presence::kOptional},
+                 {"line_of_sight", Presence::kOptional},
+                 {"corrections", Presence::kOptional},
+                 {"network_time_dtu", Presence::kOptional}});
   const std::vector<bool> known_tags = known_ids(tags);
   const std::vector<bool> known_anchors =
       anchors != nullptr ? known_ids(*anchors) : std::vector<bool>(kMaxId + 1, true);
@@ -139,8 +150,13 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
     const std::optional<model::NodeId> tag_id = node_id(csv, 1);
     const std::optional<model::NodeId> anchor_id = node_id(csv, 2);
     const double range_m = csv.number(3);
-    const float first_path_power_dbm = power(csv, 4);
-    const float receive_power_dbm = power(csv, 5);
+    const float first_path_power_dbm = optional_float(csv, 4);
+    const float receive_power_dbm = optional_float(csv, 5);
+    const float clock_offset_ppm = optional_float(csv, 6);
+    const float noise = optional_float(csv, 7);
+    const auto line_of_sight = static_cast<model::LineOfSight>(optional_code(csv, 8, 3));
+    const std::uint8_t corrections = optional_code(csv, 9, 0xFF);
+    const std::int64_t network_time_dtu = csv.optional_integer(10).value_or(0);
     if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
       ++dropped.range_out_of_bounds;
     } else if (!tag_id || !known_tags[*tag_id]) {
@@ -148,7 +164,8 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
     } else if (!anchor_id || !known_anchors[*anchor_id]) {
       ++dropped.unknown_anchor;
     } else {
-      ranges.push_back({t_s, *tag_id, *anchor_id, range_m, first_path_power_dbm, receive_power_dbm});
+      ranges.push_back({t_s, *tag_id, *anchor_id, range_m, first_path_power_dbm, receive_power_dbm,
+                        clock_offset_ppm, noise, line_of_sight, corrections, network_time_dtu});
     }
   }
   put_in_order(

@@ -62,14 +62,37 @@ std::string format_spline(const model::BSpline& spline) {
   return text;
 }
 
+// Of the optional columns after the powers those that some row knows.
 std::string format_ranges(std::span<const model::RangeSample> ranges) {
-  std::string text = "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n";
-  for (const model::RangeSample& range : ranges) {
+  using model::RangeSample;
+  const auto some = [&](const auto& knows) { return std::any_of(ranges.begin(), ranges.end(), knows); };
+  const bool offset = some([](const RangeSample& range) { return std::isfinite(range.clock_offset_ppm); });
+  const bool noise = some([](const RangeSample& range) { return std::isfinite(range.noise); });
+  const bool sight =
+      some([](const RangeSample& range) { return range.line_of_sight != model::LineOfSight::kNotKnown; });
+  const bool corrections = some([](const RangeSample& range) { return range.corrections != 0; });
+  const bool network_time = some([](const RangeSample& range) { return range.network_time_dtu != 0; });
+  std::string text = "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm";
+  if (offset) text += ",clock_offset_ppm";
+  if (noise) text += ",noise";
+  if (sight) text += ",line_of_sight";
+  if (corrections) text += ",corrections";
+  if (network_time) text += ",network_time_dtu";
+  text += '\n';
+  const auto add_known = [&text](float value) {
+    text += ',';
+    if (std::isfinite(value)) add(text, "{}", value);
+  };
+  for (const RangeSample& range : ranges) {
     add(text, "{},{},{},{}", range.t_s, range.tag_id, range.anchor_id, range.range_m);
-    for (const float power_dbm : {range.first_path_power_dbm, range.receive_power_dbm}) {
-      text += ',';
-      if (std::isfinite(power_dbm)) add(text, "{}", power_dbm);
-    }
+    add_known(range.first_path_power_dbm);
+    add_known(range.receive_power_dbm);
+    if (offset) add_known(range.clock_offset_ppm);
+    if (noise) add_known(range.noise);
+    if (sight) add(text, ",{}", static_cast<unsigned>(range.line_of_sight));
+    if (corrections) add(text, ",{}", range.corrections);
+    if (network_time) text += ',';
+    if (network_time && range.network_time_dtu != 0) add(text, "{}", range.network_time_dtu);
     text += '\n';
   }
   return text;

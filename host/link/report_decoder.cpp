@@ -1,7 +1,9 @@
 #include "host/link/report_decoder.hpp"
 
 #include <pb_decode.h>
+#include <pb_encode.h>
 
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -14,11 +16,35 @@ constexpr double kBitsPerByte = 10.0;  // start, eight data, stop
 
 static_assert(wire::kMaxPayload >= groma_NodeToHost_size);
 
+constexpr std::uint64_t kLargestTime_dtu =
+    static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max() / 2);
+
 float power_dbm(bool known, std::int32_t cdbm) {
   return known ? 0.01F * static_cast<float>(cdbm) : model::kUnknown;
 }
 
+// Of the range's instant, in the network's time; 0: not known.
+std::int64_t network_time_dtu(const groma_SlotReport& report, const groma_Range& range) {
+  if (report.network_time_dtu == 0 || report.network_time_dtu > kLargestTime_dtu) return 0;
+  const double drift_dtu = static_cast<double>(range.instant_offset_dtu) * 1e-9 * report.network_rate_ppb;
+  return static_cast<std::int64_t>(report.network_time_dtu) + range.instant_offset_dtu +
+         std::llround(drift_dtu);
+}
+
 }  // namespace
+
+std::vector<std::uint8_t> time_request(double now_s) {
+  groma_HostToNode message = groma_HostToNode_init_zero;
+  message.which_body = groma_HostToNode_time_request_tag;
+  message.body.time_request.host_time_ns = static_cast<std::uint64_t>(std::llround(now_s * 1e9));
+  std::array<std::uint8_t, 32> payload{};
+  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+  if (!pb_encode(&stream, groma_HostToNode_fields, &message)) return {};
+  const auto content = std::span(payload).first(stream.bytes_written);
+  std::vector<std::uint8_t> frame(wire::max_encoded_size(content.size()));
+  frame.resize(wire::encode_frame(content, frame));
+  return frame;
+}
 
 void ReportDecoder::take(std::span<const std::uint8_t> bytes, double arrival_s, NodeSink& sink) {
   for (const std::uint8_t byte : bytes) {
@@ -40,6 +66,7 @@ void ReportDecoder::take_message(double arrival_s, NodeSink& sink) {
     return;
   }
   ++counters_.messages;
+  if (message_.source_id != 0) return sink.on_relayed(message_);
   switch (message_.which_body) {
     case groma_NodeToHost_slot_report_tag:
       take_report(message_.body.slot_report, arrival_s, sink);
@@ -64,6 +91,9 @@ void ReportDecoder::take_message(double arrival_s, NodeSink& sink) {
     case groma_NodeToHost_log_tag:
       sink.on_log(message_.body.log);
       break;
+    case groma_NodeToHost_time_reply_tag:
+      take_time_reply(message_.body.time_reply, arrival_s);
+      break;
     case groma_NodeToHost_reply_tag:
       sink.on_reply(message_.body.reply);
       break;
@@ -76,16 +106,14 @@ void ReportDecoder::take_message(double arrival_s, NodeSink& sink) {
 
 void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s, NodeSink& sink) {
   if (report.tag_id > std::numeric_limits<model::NodeId>::max() ||
-      report.device_time_dtu > static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max() / 2)) {
+      report.device_time_dtu > kLargestTime_dtu) {
     --counters_.messages;
     ++counters_.messages_malformed;
     return;
   }
   count_lost(report);
   const auto ticks = static_cast<std::int64_t>(report.device_time_dtu);
-  const double transmission_s =
-      baud_ > 0.0 ? kBitsPerByte * static_cast<double>(frames_.encoded_size()) / baud_ : 0.0;
-  time_.observe(ticks, arrival_s, transmission_s);
+  time_.observe(ticks, arrival_s, transmission_s(frames_.encoded_size()));
 
   for (pb_size_t i = 0; i < report.ranges_count; ++i) {
     const groma_Range& range = report.ranges[i];
@@ -106,10 +134,35 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
            .anchor_id = static_cast<model::NodeId>(range.anchor_id),
            .range_m = range_m,
            .first_path_power_dbm = power_dbm(range.has_first_path_power_cdbm, range.first_path_power_cdbm),
-           .receive_power_dbm = power_dbm(range.has_receive_power_cdbm, range.receive_power_cdbm)},
+           .receive_power_dbm = power_dbm(range.has_receive_power_cdbm, range.receive_power_cdbm),
+           .clock_offset_ppm = range.has_clock_offset_ppb
+                                   ? 0.001F * static_cast<float>(range.clock_offset_ppb)
+                                   : model::kUnknown,
+           .noise = range.noise != 0 ? static_cast<float>(range.noise) : model::kUnknown,
+           .line_of_sight = static_cast<model::LineOfSight>(range.flags & 3),
+           .corrections = static_cast<std::uint8_t>(range.flags & ~3),
+           .network_time_dtu = network_time_dtu(report, range)},
           instant.sigma_s);
     }
   }
+}
+
+// How long the way back took is seen of the reports, which come in the order of their times; a reply may pass
+// one that is being written.
+void ReportDecoder::take_time_reply(const groma_TimeReply& reply, double arrival_s) {
+  const double asked_s = 1e-9 * static_cast<double>(reply.host_time_ns);
+  const bool ours = asked_s <= arrival_s && arrival_s - asked_s <= kMaxRoundTrip_s;
+  if (!ours || reply.received_dtu > reply.transmitted_dtu || reply.transmitted_dtu > kLargestTime_dtu) {
+    ++counters_.time_replies_odd;
+    return;
+  }
+  ++counters_.time_replies;
+  time_.observe_request(static_cast<std::int64_t>(reply.received_dtu),
+                        asked_s + transmission_s(time_request(asked_s).size()));
+}
+
+double ReportDecoder::transmission_s(std::size_t bytes) const noexcept {
+  return baud_ > 0.0 ? kBitsPerByte * static_cast<double>(bytes) / baud_ : 0.0;
 }
 
 void ReportDecoder::count_lost(const groma_SlotReport& report) noexcept {

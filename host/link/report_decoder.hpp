@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <cstring>
 #include <span>
+#include <vector>
 
 #include "groma.pb.h"
 #include "host/clock/time_mapper.hpp"
@@ -37,6 +38,8 @@ class NodeSink {
   virtual void on_counters(const groma_Counters& /*counters*/) {}
   virtual void on_log(const groma_Log& /*log*/) {}
   virtual void on_reply(const groma_Reply& /*reply*/) {}
+  // What another node than the wired one said, over the air; nothing of that comes by the calls above.
+  virtual void on_relayed(const groma_NodeToHost& /*message*/) {}
 
  protected:
   NodeSink() = default;
@@ -52,12 +55,20 @@ struct ReportCounters {
   std::uint64_t ranges_not_ok = 0;         // with another status than RANGE_OK
   std::uint64_t ranges_out_of_bounds = 0;  // not finite, or not within (0, kMaxRange_m]
   std::uint64_t ranges_bad_instant = 0;    // further from their report than kMaxInstantOffset_s
+  std::uint64_t time_replies = 0;          // to time_request()
+  std::uint64_t time_replies_odd = 0;      // to none of this host's clock, or after more than kMaxRoundTrip_s
 };
+
+// A frame that asks a node for its time, as it is handed to the link at now_s (from 0) of the clock that
+// ReportDecoder::take() is told of; the reply tells its decoder what delay the link has. Once a second will
+// do.
+[[nodiscard]] std::vector<std::uint8_t> time_request(double now_s);
 
 class ReportDecoder {
  public:
   static constexpr double kMaxRange_m = 1000.0;
   static constexpr double kMaxInstantOffset_s = 5.0;
+  static constexpr double kMaxRoundTrip_s = 1.0;
 
   // baud: bits per second of the link, 10 to a byte, for the time that a frame takes; 0 takes none.
   explicit ReportDecoder(unsigned baud) noexcept : baud_(baud) {}
@@ -75,7 +86,9 @@ class ReportDecoder {
  private:
   void take_message(double arrival_s, NodeSink& sink);
   void take_report(const groma_SlotReport& report, double arrival_s, NodeSink& sink);
+  void take_time_reply(const groma_TimeReply& reply, double arrival_s);
   void count_lost(const groma_SlotReport& report) noexcept;
+  [[nodiscard]] double transmission_s(std::size_t bytes) const noexcept;
 
   double baud_;
   wire::FrameDecoder frames_;

@@ -13,6 +13,16 @@ using NodeId = std::uint16_t;
 
 inline constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
 
+// A hint, by how far the first path's power is below all of it; the numbers are those of the wire and of
+// files.
+enum class LineOfSight : std::uint8_t { kNotKnown, kLikely, kUncertain, kUnlikely };
+
+// What was applied to a range, once: bits, of the wire and of files.
+inline constexpr std::uint8_t kAntennaDelaysApplied = 4;
+inline constexpr std::uint8_t kTemperatureCorrected = 8;
+inline constexpr std::uint8_t kSupplyCorrected = 16;
+inline constexpr std::uint8_t kPowerBiasCorrected = 32;
+
 // One two-way range between an onboard tag and an anchor.
 struct RangeSample {
   double t_s = 0.0;  // instant of the range itself, not of its arrival
@@ -21,6 +31,12 @@ struct RangeSample {
   double range_m = 0.0;  // as measured: antenna delays applied, pair bias not
   float first_path_power_dbm = kUnknown;
   float receive_power_dbm = kUnknown;
+  float clock_offset_ppm = kUnknown;  // the anchor's clock against the tag's; positive: the anchor's is fast
+  float noise = kUnknown;  // standard deviation of the channel's impulse response, the chip's units
+  LineOfSight line_of_sight = LineOfSight::kNotKnown;
+  std::uint8_t corrections = 0;
+  // The range's instant in the network's time, ticks of 1/63.8976 GHz of the master's clock; 0: unknown.
+  std::int64_t network_time_dtu = 0;
 };
 
 // Body velocity in base_link; holds from t_s until the next sample.

@@ -2,9 +2,14 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <chrono>
 #include <memory>
+#include <span>
+#include <thread>
 #include <utility>
 
+#include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/messages.hpp"
 #include "host/provision/node_client.hpp"
@@ -41,10 +46,11 @@ groma_HostToNode command_of(pb_size_t which) {
 }
 
 // Throws Failure where the link cannot be opened.
-std::unique_ptr<NodeClient> connect(const std::string& port, unsigned baud, const LinkOpener& open) {
+std::unique_ptr<NodeClient> connect(const std::string& port, unsigned baud, const LinkOpener& open,
+                                    model::NodeId target = 0) {
   link::OpenedLink opened = open(port, baud);
   if (!opened.link) throw Failure{fault_of_link(opened.error.fault), opened.error.message};
-  return std::make_unique<NodeClient>(std::move(opened.link));
+  return std::make_unique<NodeClient>(std::move(opened.link), target);
 }
 
 groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Reply>& reply,
@@ -53,6 +59,8 @@ groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Rep
   switch (link::number_in(reply->result)) {
     case groma_Result_RESULT_OK:
       return *reply;
+    case groma_Result_RESULT_UNREACHABLE:
+      throw Failure{NodeFault::kNoAnswer, client.silence()};
     case groma_Result_RESULT_STORAGE:
       throw Failure{NodeFault::kStorage,
                     fmt::format("{} failed ({}); repeat it, and replace the node if that does not help",
@@ -76,6 +84,13 @@ class Configuring {
 
   // Throws Failure.
   void run() {
+    write_if_needed();
+    if (!in_force(*outcome_.hello)) apply();
+    check_health();
+  }
+
+  // The steps of run() apart, with the link closed in between; each throws Failure.
+  void write_if_needed() {
     reach();
     check_release();
     check_build();
@@ -83,9 +98,58 @@ class Configuring {
     tell("reads");
     const groma_Reply stored =
         expect_reply(*client_, client_->ask(command_of(groma_HostToNode_read_config_tag)), "read_config");
-    if (!stored.has_config || !differences(stored.config, node_.config).empty()) write();
-    if (!in_force(*outcome_.hello)) apply();
+    if (!stored.has_config || !differences(stored.config, wanted()).empty()) write();
+  }
+  void hang_up() { client_.reset(); }
+  [[nodiscard]] bool has_to_apply() const { return !in_force(*outcome_.hello); }
+  [[nodiscard]] bool changes_schedule() const {
+    return outcome_.hello->schedule_hash != node::schedule_hash_of(node_.config);
+  }
+  // The node has `trial_s` to prove itself, which check_after_trial() lets it do.
+  void apply_on_trial(std::uint32_t trial_s) {
+    tell("applies");
+    outcome_.changed = true;
+    client_ = connect(outcome_.port, baud_, options_.open, node_.id);
+    groma_HostToNode command = command_of(groma_HostToNode_apply_config_tag);
+    command.trial_s = static_cast<std::uint16_t>(trial_s);
+    (void)expect_reply(*client_, client_->ask(command, kStoringPatience), "apply_config");
+  }
+  void check_after_trial(double most_s) {
+    using Clock = std::chrono::steady_clock;
+    client_ = connect(outcome_.port, baud_, options_.open, node_.id);
+    const Clock::time_point begin = Clock::now();
+    for (;;) {
+      if (client_->ask_hello([this](const groma_Hello& said) { return in_force(said); })) break;
+      const bool late = std::chrono::duration<double>(Clock::now() - begin).count() > most_s;
+      if (late || client_->gone()) {
+        if (client_->last_hello()) throw not_in_force(*client_->last_hello());
+        throw Failure{
+            NodeFault::kNoAnswer,
+            client_->silence() + "; by itself it goes back to the configuration that it had before"};
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    }
+    outcome_.hello = client_->last_hello();
     check_health();
+  }
+
+  void check_health() const {
+    const groma_Hello& hello = *outcome_.hello;
+    if (hello.radio_error[0] != '\0') {
+      throw Failure{
+          NodeFault::kRadio,
+          fmt::format("is configured, but its DW1000 did not come up ({}); switch it off and on, and "
+                      "replace the module if that does not help",
+                      hello.radio_error)};
+    }
+    if (hello.link_error[0] != '\0') {
+      throw Failure{
+          NodeFault::kLink,
+          fmt::format("is configured, but its CAN controller did not come up ({}); check its wiring, see "
+                      "docs/how-to/flash.md",
+                      hello.link_error)};
+    }
+    if (!by_air() && !node_.can_link.empty() && outcome_.port != node_.can_link) check_bus();
   }
 
  private:
@@ -93,8 +157,26 @@ class Configuring {
     if (options_.progress) options_.progress(step);
   }
 
+  // Over the air no key travels, for all can read it there.
+  [[nodiscard]] groma_Config wanted() const {
+    groma_Config config = node_.config;
+    if (by_air()) config.network_key.size = 0;
+    return config;
+  }
+  [[nodiscard]] bool by_air() const { return is_reached_by_air(node_); }
+
+  void reach_by_air() {
+    outcome_.port = node_.via_port;
+    client_ = connect(outcome_.port, baud_, options_.open);
+    if (!client_->ask_hello()) throw Failure{NodeFault::kNoAnswer, client_->silence()};
+    client_->set_target(node_.id);
+    outcome_.hello = client_->ask_hello();
+    if (!outcome_.hello) throw Failure{NodeFault::kNoAnswer, client_->silence()};
+  }
+
   void reach() {
     tell("asks");
+    if (by_air()) return reach_by_air();
     outcome_.port = node_.port.empty() ? node_.can_link : node_.port;
     if (outcome_.port.empty()) {
       throw Failure{NodeFault::kNotInPlan, "the plan names no port for it; add 'port:' to the node"};
@@ -154,10 +236,10 @@ class Configuring {
   void write() {
     tell("writes");
     groma_HostToNode command = command_of(groma_HostToNode_write_config_tag);
-    command.body.write_config = node_.config;
+    command.body.write_config = wanted();
     const groma_Reply reply = expect_reply(*client_, client_->ask(command, kStoringPatience), "write_config");
     const std::string differing =
-        reply.has_config ? differences(reply.config, node_.config) : "no configuration in the reply";
+        reply.has_config ? differences(reply.config, wanted()) : "no configuration in the reply";
     if (!differing.empty()) {
       throw Failure{
           NodeFault::kStorage,
@@ -179,30 +261,15 @@ class Configuring {
     if (client_->last_hello()) outcome_.hello = client_->last_hello();
     if (hello) return;
     if (!client_->last_hello()) throw Failure{NodeFault::kNoAnswer, client_->silence()};
-    throw Failure{
+    throw not_in_force(*outcome_.hello);
+  }
+
+  [[nodiscard]] Failure not_in_force(const groma_Hello& hello) const {
+    return {
         NodeFault::kNotInForce,
         fmt::format("says it works by another configuration (schedule {:08x}, not {:08x}); repeat it, and "
                     "restart the node if that does not help",
-                    outcome_.hello->schedule_hash, node::schedule_hash_of(node_.config))};
-  }
-
-  void check_health() const {
-    const groma_Hello& hello = *outcome_.hello;
-    if (hello.radio_error[0] != '\0') {
-      throw Failure{
-          NodeFault::kRadio,
-          fmt::format("is configured, but its DW1000 did not come up ({}); switch it off and on, and "
-                      "replace the module if that does not help",
-                      hello.radio_error)};
-    }
-    if (hello.link_error[0] != '\0') {
-      throw Failure{
-          NodeFault::kLink,
-          fmt::format("is configured, but its CAN controller did not come up ({}); check its wiring, see "
-                      "docs/how-to/flash.md",
-                      hello.link_error)};
-    }
-    if (!node_.can_link.empty() && outcome_.port != node_.can_link) check_bus();
+                    hello.schedule_hash, node::schedule_hash_of(node_.config))};
   }
 
   // Where this computer has the bus, the node has to be heard on it; a site is often set up from another.
@@ -233,36 +300,185 @@ class Configuring {
 
 }  // namespace
 
-NodeOutcome configure_node(const PlannedNode& node, unsigned baud, const ConfigureOptions& options) {
-  NodeOutcome outcome;
+namespace {
+
+// Notes what `step` throws; true where it throws nothing.
+template <typename Step>
+bool attempt(const PlannedNode& node, NodeOutcome& outcome, Step&& step) {
   try {
-    Configuring(node, baud, options, outcome).run();
+    step();
+    return true;
   } catch (const Failure& failure) {
     outcome.fault = failure.fault;
     // What opens links begins with the port itself.
     const bool names_port = !outcome.port.empty() && !failure.problem.starts_with(outcome.port);
     outcome.message =
         fmt::format("node {}: {}{}", node.id, names_port ? outcome.port + ": " : "", failure.problem);
+    return false;
   }
-  return outcome;
+}
+
+// As attempt(), of a node that is known by its port alone.
+template <typename Step>
+void note(NodeOutcome& outcome, Step&& step) {
+  try {
+    step();
+  } catch (const Failure& failure) {
+    outcome.fault = failure.fault;
+    outcome.message = failure.problem.starts_with(outcome.port)
+                          ? failure.problem
+                          : fmt::format("{}: {}", outcome.port, failure.problem);
+  }
+}
+
+// Over the air in this order: who relays goes when the others have, the master last.
+std::size_t turn_of(const PlannedNode& node) {
+  const auto rank = mac::rank_of(node.config.schedule, static_cast<std::uint16_t>(node.id));
+  return rank ? mac::kMaxAnchors * 2 - *rank : 0;
+}
+
+}  // namespace
+
+bool is_reached_by_air(const PlannedNode& node) {
+  return node.port.empty() && !node.via_port.empty();
+}
+
+NodeOutcome configure_node(const PlannedNode& node, unsigned baud, const ConfigureOptions& options) {
+  return configure_nodes({&node}, baud, options).front();
+}
+
+std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& nodes, unsigned baud,
+                                         const ConfigureOptions& options,
+                                         const std::function<void(std::size_t, const NodeOutcome&)>& done) {
+  std::vector<NodeOutcome> outcomes(nodes.size());
+  const auto tell = [&](std::size_t i) {
+    if (done) done(i, outcomes[i]);
+  };
+  const bool some_by_air =
+      std::any_of(nodes.begin(), nodes.end(), [](const auto* node) { return is_reached_by_air(*node); });
+  if (!some_by_air) {
+    for (std::size_t i = 0; i < nodes.size(); ++i) {
+      (void)attempt(*nodes[i], outcomes[i],
+                    [&] { Configuring(*nodes[i], baud, options, outcomes[i]).run(); });
+      tell(i);
+    }
+    return outcomes;
+  }
+
+  std::vector<Configuring> steps;
+  steps.reserve(nodes.size());
+  for (std::size_t i = 0; i < nodes.size(); ++i) steps.emplace_back(*nodes[i], baud, options, outcomes[i]);
+  std::vector<std::size_t> by_air;
+  std::vector<std::size_t> wired;
+  for (std::size_t i = 0; i < nodes.size(); ++i) (is_reached_by_air(*nodes[i]) ? by_air : wired).push_back(i);
+  std::stable_sort(by_air.begin(), by_air.end(),
+                   [&](std::size_t a, std::size_t b) { return turn_of(*nodes[a]) < turn_of(*nodes[b]); });
+
+  const auto good = [&](std::size_t i) { return outcomes[i].fault == NodeFault::kNone; };
+  bool all_written = true;
+  bool schedule_changes = false;
+  for (const auto& group : {by_air, wired}) {
+    for (const std::size_t i : group) {
+      const bool written = attempt(*nodes[i], outcomes[i], [&] { steps[i].write_if_needed(); });
+      steps[i].hang_up();
+      all_written = all_written && written;
+      schedule_changes = schedule_changes || (written && steps[i].changes_schedule());
+    }
+  }
+  // A wired node that passes things on, and is not among these, stays where it is.
+  const bool alone = wired.empty();
+  if (schedule_changes && (!all_written || alone)) {
+    for (std::size_t i = 0; i < nodes.size(); ++i) {
+      if (!good(i) || !steps[i].has_to_apply()) continue;
+      (void)attempt(*nodes[i], outcomes[i], [&] {
+        throw Failure{
+            NodeFault::kHeldBack,
+            alone ? "is written, but stays at its schedule: the node that passes it on works by it too; "
+                    "configure both together"
+                  : "is written, but stays at its schedule until all nodes are written; see to the "
+                    "others and repeat it"};
+      });
+    }
+    for (std::size_t i = 0; i < nodes.size(); ++i) tell(i);
+    return outcomes;
+  }
+
+  constexpr std::uint32_t kTrialOfEach_s = 20;
+  const auto trial_s = static_cast<std::uint32_t>(60 + kTrialOfEach_s * by_air.size());
+  std::vector<std::size_t> on_trial;
+  for (const std::size_t i : by_air) {
+    if (!good(i) || !steps[i].has_to_apply()) continue;
+    if (attempt(*nodes[i], outcomes[i], [&] { steps[i].apply_on_trial(trial_s); })) on_trial.push_back(i);
+    steps[i].hang_up();
+  }
+  // A wired node still has to acknowledge the last answer before it leaves for another schedule.
+  if (!on_trial.empty()) std::this_thread::sleep_for(std::chrono::seconds(1));
+  for (const std::size_t i : wired) {
+    if (good(i)) (void)attempt(*nodes[i], outcomes[i], [&] { steps[i].run(); });
+    steps[i].hang_up();
+    tell(i);
+  }
+  for (const std::size_t i : by_air) {
+    constexpr double kComingBack_s = 30.0;
+    const bool tried = std::find(on_trial.begin(), on_trial.end(), i) != on_trial.end();
+    (void)attempt(*nodes[i], outcomes[i], [&] {
+      if (tried) {
+        steps[i].check_after_trial(kComingBack_s);
+      } else if (good(i)) {
+        steps[i].check_health();
+      }
+    });
+    steps[i].hang_up();
+    tell(i);
+  }
+  return outcomes;
 }
 
 NodeOutcome identify_node(const std::string& port, unsigned baud, std::uint32_t duration_s,
-                          const LinkOpener& open) {
+                          const LinkOpener& open, model::NodeId target) {
   NodeOutcome outcome;
   outcome.port = port;
-  try {
-    const std::unique_ptr<NodeClient> client = connect(port, baud, open);
+  const auto step = [&] {
+    const std::unique_ptr<NodeClient> client = connect(port, baud, open, target);
     groma_HostToNode command = command_of(groma_HostToNode_identify_s_tag);
     command.body.identify_s = duration_s;
     (void)expect_reply(*client, client->ask(command), "identify_s");
     outcome.hello = client->ask_hello();
-  } catch (const Failure& failure) {
-    outcome.fault = failure.fault;
-    outcome.message =
-        failure.problem.starts_with(port) ? failure.problem : fmt::format("{}: {}", port, failure.problem);
-  }
+  };
+  note(outcome, step);
   return outcome;
+}
+
+NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target, const LinkOpener& open) {
+  NodeReport report;
+  report.outcome.port = port;
+  note(report.outcome, [&] {
+    const std::unique_ptr<NodeClient> client = connect(port, baud, open, target);
+    report.outcome.hello = client->ask_hello();
+    if (!report.outcome.hello) throw Failure{NodeFault::kNoAnswer, client->silence()};
+    report.counters = client->ask_counters();
+    if (!report.counters) throw Failure{NodeFault::kNoAnswer, client->silence()};
+  });
+  return report;
+}
+
+SurveyOutcome survey_from(const std::string& port, unsigned baud, model::NodeId anchor,
+                          std::uint16_t exchanges, const LinkOpener& open) {
+  SurveyOutcome surveyed;
+  surveyed.outcome.port = port;
+  note(surveyed.outcome, [&] {
+    const std::unique_ptr<NodeClient> client = connect(port, baud, open, anchor);
+    const auto survey = client->ask_survey(exchanges);
+    (void)expect_reply(*client, survey ? std::optional(survey->reply) : std::nullopt, "survey");
+    const std::size_t count =
+        std::min<std::size_t>(survey->report.pairs_count, std::size(survey->report.pairs));
+    for (const groma_SurveyPair& pair : std::span(survey->report.pairs).first(count)) {
+      surveyed.pairs.push_back({anchor, static_cast<model::NodeId>(pair.anchor_id),
+                                static_cast<double>(pair.mean_m), static_cast<double>(pair.sigma_m),
+                                pair.count});
+    }
+  });
+  return surveyed;
 }
 
 const char* role_word(groma_Role role) {

@@ -6,6 +6,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "groma.pb.h"
 #include "host/link/byte_link.hpp"
@@ -29,6 +30,7 @@ enum class NodeFault {
   kNotInForce,     // applied, yet its hello tells otherwise
   kRadio,          // the DW1000 did not come up
   kLink,           // the CAN controller did not come up
+  kHeldBack,       // written, but not applied, for others could not be
 };
 
 struct NodeOutcome {
@@ -55,12 +57,48 @@ struct ConfigureOptions {
   std::function<void(const char* step)> progress;
 };
 
+// It has no port of its own, but one that passes commands on to it.
+[[nodiscard]] bool is_reached_by_air(const PlannedNode& node);
+
 [[nodiscard]] NodeOutcome configure_node(const PlannedNode& node, unsigned baud,
                                          const ConfigureOptions& options = {});
 
-// Lets the node at `port` blink for so many seconds, 0 to 3600; 0 ends it.
+// All of them, one after the other. Where some are reached over the air each is written first, and then all
+// go over, those over the air before the wired ones that pass it on: a schedule that changes cannot be told
+// to a network that follows it already. If one could not be written nobody goes over to another schedule.
+// `done`: told of each as soon as its outcome is known; may be empty. Outcomes are in the order of `nodes`.
+[[nodiscard]] std::vector<NodeOutcome> configure_nodes(
+    const std::vector<const PlannedNode*>& nodes, unsigned baud, const ConfigureOptions& options = {},
+    const std::function<void(std::size_t, const NodeOutcome&)>& done = {});
+
+// Lets the node at `port` blink for so many seconds, 0 to 3600; 0 ends it. `target`: another one, to which
+// that one passes it on over the air; 0: itself.
 [[nodiscard]] NodeOutcome identify_node(const std::string& port, unsigned baud, std::uint32_t duration_s,
-                                        const LinkOpener& open = link::open_link);
+                                        const LinkOpener& open = link::open_link, model::NodeId target = 0);
+
+// What the node tells of itself: its hello, and what it has counted.
+struct NodeReport {
+  NodeOutcome outcome;
+  std::optional<groma_Counters> counters;
+};
+[[nodiscard]] NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target = 0,
+                                  const LinkOpener& open = link::open_link);
+
+// One anchor's ranges to others.
+struct SurveyedPair {
+  model::NodeId from = 0;
+  model::NodeId to = 0;
+  double range_m = 0.0;  // mean; antenna delays applied once, pair bias not
+  double sigma_m = 0.0;  // standard deviation of one
+  std::uint32_t count = 0;
+};
+struct SurveyOutcome {
+  NodeOutcome outcome;
+  std::vector<SurveyedPair> pairs;
+};
+// Lets `anchor` range to the anchors around it in the slot of the tag at `port`, 1 to 200 times.
+[[nodiscard]] SurveyOutcome survey_from(const std::string& port, unsigned baud, model::NodeId anchor,
+                                        std::uint16_t exchanges, const LinkOpener& open = link::open_link);
 
 // "tag", "anchor" or "unconfigured".
 [[nodiscard]] const char* role_word(groma_Role role);

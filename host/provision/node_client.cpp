@@ -1,5 +1,6 @@
 #include "host/provision/node_client.hpp"
 
+#include <fmt/format.h>
 #include <pb_encode.h>
 #include <poll.h>
 
@@ -26,8 +27,8 @@ double since(Clock::time_point begin) {
 
 }  // namespace
 
-NodeClient::NodeClient(std::unique_ptr<link::ByteLink> link)
-    : link_(std::move(link)), request_id_(std::random_device{}()) {
+NodeClient::NodeClient(std::unique_ptr<link::ByteLink> link, model::NodeId target)
+    : link_(std::move(link)), request_id_(std::random_device{}()), target_(target) {
   std::array<std::uint8_t, 4096> old{};
   // As much as a system buffers at most: a node that never stops sending must not hold us here.
   for (int i = 0; i < 64; ++i) {
@@ -37,18 +38,80 @@ NodeClient::NodeClient(std::unique_ptr<link::ByteLink> link)
   }
 }
 
+void NodeClient::on_hello(const groma_Hello& hello) {
+  if (target_ == 0) hello_ = hello;
+}
+
+void NodeClient::on_counters(const groma_Counters& counters) {
+  if (target_ == 0) counters_ = counters;
+}
+
+// Of the node at the link, also about a target that it did not reach.
 void NodeClient::on_reply(const groma_Reply& reply) {
-  if (reply.request_id == request_id_) reply_ = reply;
+  if (reply.request_id != request_id_) return;
+  if (link::number_in(reply.result) == groma_Result_RESULT_PENDING) {
+    pending_ = true;
+  } else {
+    reply_ = reply;
+  }
+}
+
+void NodeClient::on_relayed(const groma_NodeToHost& message) {
+  if (message.source_id != target_) return;
+  switch (message.which_body) {
+    case groma_NodeToHost_hello_tag:
+      hello_ = message.body.hello;
+      break;
+    case groma_NodeToHost_counters_tag:
+      counters_ = message.body.counters;
+      break;
+    case groma_NodeToHost_survey_report_tag:
+      survey_ = message.body.survey_report;
+      break;
+    case groma_NodeToHost_reply_tag:
+      if (message.body.reply.request_id == request_id_) reply_ = message.body.reply;
+      break;
+    default:
+      break;
+  }
+}
+
+bool NodeClient::unreachable() const {
+  return reply_ && link::number_in(reply_->result) == groma_Result_RESULT_UNREACHABLE;
+}
+
+bool NodeClient::repeat(const groma_HostToNode& command, const Patience& patience,
+                        const std::function<bool()>& done) {
+  // Several commands may be before it, and each is given up after a while.
+  constexpr double kMostPending_s = 120.0;
+  // The node at the link gets into step within this after it started or was configured.
+  constexpr double kMostOutOfStep_s = 10.0;
+  constexpr double kLeftAlone_s = 0.2;
+  const Clock::time_point begin = Clock::now();
+  bool under_way = false;
+  reply_.reset();
+  for (int i = 0; i < patience.tries && !gone_; ++i) {
+    pending_ = false;
+    if (!send(command)) continue;
+    const bool over = wait(patience.answer_s, [&] { return done() || unreachable(); });
+    under_way = under_way || pending_;
+    // Given up before it was tried: that node is not in step yet.
+    if (over && unreachable() && !under_way && since(begin) < kMostOutOfStep_s) {
+      (void)wait(kLeftAlone_s, [] { return false; });
+      reply_.reset();
+      i = -1;
+      continue;
+    }
+    if (over) return done();
+    if (pending_ && since(begin) < kMostPending_s) i = -1;
+  }
+  return false;
 }
 
 std::optional<groma_Reply> NodeClient::ask(groma_HostToNode command, const Patience& patience) {
-  reply_.reset();
   command.request_id = ++request_id_;
-  for (int i = 0; i < patience.tries && !gone_; ++i) {
-    if (!send(command)) continue;
-    if (wait(patience.answer_s, [this] { return reply_.has_value(); })) return reply_;
-  }
-  return std::nullopt;
+  (void)repeat(command, patience, [this] { return reply_.has_value(); });
+  return reply_;
 }
 
 std::optional<groma_Hello> NodeClient::ask_hello(const HelloTest& wanted, const Patience& patience) {
@@ -56,18 +119,44 @@ std::optional<groma_Hello> NodeClient::ask_hello(const HelloTest& wanted, const 
   groma_HostToNode command = groma_HostToNode_init_zero;
   command.which_body = groma_HostToNode_get_hello_tag;
   command.request_id = ++request_id_;
-  for (int i = 0; i < patience.tries && !gone_; ++i) {
-    if (!send(command)) continue;
-    if (wait(patience.answer_s, [&] { return hello_ && wanted(*hello_); })) return hello_;
-  }
-  return std::nullopt;
+  const bool heard = repeat(command, patience, [&] {
+    if (hello_ && wanted(*hello_)) return true;
+    // What it says next may be otherwise: the next question is a new one, not answered from memory.
+    if (target_ != 0 && hello_ && reply_) {
+      command.request_id = ++request_id_;
+      reply_.reset();
+    }
+    return false;
+  });
+  return heard ? hello_ : std::nullopt;
+}
+
+std::optional<groma_Counters> NodeClient::ask_counters(const Patience& patience) {
+  counters_.reset();
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.which_body = groma_HostToNode_get_counters_tag;
+  command.request_id = ++request_id_;
+  (void)repeat(command, patience, [this] { return counters_.has_value() && reply_.has_value(); });
+  return counters_;
 }
 
 std::optional<groma_Hello> NodeClient::ask_hello(const Patience& patience) {
   return ask_hello([](const groma_Hello& /*any*/) { return true; }, patience);
 }
 
-bool NodeClient::send(const groma_HostToNode& command) {
+std::optional<NodeClient::Survey> NodeClient::ask_survey(std::uint16_t exchanges, const Patience& patience) {
+  survey_.reset();
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.which_body = groma_HostToNode_survey_tag;
+  command.body.survey.exchanges = exchanges;
+  const auto reply = ask(command, patience);
+  if (!reply) return std::nullopt;
+  return Survey{*reply, survey_.value_or(groma_SurveyReport groma_SurveyReport_init_zero)};
+}
+
+bool NodeClient::send(const groma_HostToNode& addressed) {
+  groma_HostToNode command = addressed;
+  command.target_id = target_;
   std::array<std::uint8_t, groma_HostToNode_size> payload{};
   pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
   if (!pb_encode(&stream, groma_HostToNode_fields, &command)) return false;
@@ -104,6 +193,12 @@ void NodeClient::read() {
 }
 
 std::string NodeClient::silence() const {
+  if (unreachable()) {
+    return fmt::format(
+        "no answer from node {} over the air ({}); check that it has power, was configured by its cable once "
+        "and has the same schedule, and that a node that relays the beacon is in its reach",
+        target_, reply_->text);
+  }
   if (gone_) return "the port went away; plug it in again and repeat the command";
   if (bytes_ == 0) {
     return "no answer, not a byte; check that the node has power and is flashed ('groma flash'), that its TX "

@@ -1,5 +1,6 @@
 // Commands to one node over its link, and its answers. Bytes may be lost both ways, and the node's reports
-// stream in between: a command is sent again until its reply came, which its number tells.
+// stream in between: a command is sent again until its reply came, which its number tells. The node at the
+// link passes on what is for another one, over the air; it tells that it is at it, and when it gave up.
 #pragma once
 
 #include <cstdint>
@@ -10,6 +11,7 @@
 #include "groma.pb.h"
 #include "host/link/byte_link.hpp"
 #include "host/link/report_decoder.hpp"
+#include "host/model/types.hpp"
 
 namespace groma::provision {
 
@@ -24,8 +26,10 @@ inline constexpr Patience kStoringPatience{1.0, 6};
 
 class NodeClient : private link::NodeSink {
  public:
-  // What is waiting on the link already is thrown away: it answers nobody's question.
-  explicit NodeClient(std::unique_ptr<link::ByteLink> link);
+  // What is waiting on the link already is thrown away: it answers nobody's question. `target`: the node that
+  // is spoken to over the air; 0: the one at the link.
+  explicit NodeClient(std::unique_ptr<link::ByteLink> link, model::NodeId target = 0);
+  void set_target(model::NodeId target) noexcept { target_ = target; }
 
   // The command's request_id is set here. Nothing where no reply came: silence() tells why. Every command of
   // the schema may be sent twice without harm.
@@ -38,6 +42,16 @@ class NodeClient : private link::NodeSink {
   [[nodiscard]] std::optional<groma_Hello> ask_hello(const Patience& patience = {});
   [[nodiscard]] const std::optional<groma_Hello>& last_hello() const noexcept { return hello_; }
 
+  // Nothing where none came.
+  [[nodiscard]] std::optional<groma_Counters> ask_counters(const Patience& patience = {});
+
+  struct Survey {
+    groma_Reply reply = groma_Reply_init_zero;
+    groma_SurveyReport report = groma_SurveyReport_init_zero;  // of a good reply
+  };
+  // Nothing where no reply came.
+  [[nodiscard]] std::optional<Survey> ask_survey(std::uint16_t exchanges, const Patience& patience = {});
+
   // The link was unplugged or hung up: nothing more will come.
   [[nodiscard]] bool gone() const noexcept { return gone_; }
 
@@ -46,9 +60,14 @@ class NodeClient : private link::NodeSink {
 
  private:
   void on_range(const model::RangeSample& /*range*/, double /*time_sigma_s*/) override {}
-  void on_hello(const groma_Hello& hello) override { hello_ = hello; }
+  void on_hello(const groma_Hello& hello) override;
+  void on_counters(const groma_Counters& counters) override;
   void on_reply(const groma_Reply& reply) override;
+  void on_relayed(const groma_NodeToHost& message) override;
 
+  // Sends it until `done` or the final reply of a target that cannot be reached.
+  bool repeat(const groma_HostToNode& command, const Patience& patience, const std::function<bool()>& done);
+  [[nodiscard]] bool unreachable() const;
   [[nodiscard]] bool send(const groma_HostToNode& command);
   // Reads until `done` or for so long; true: done.
   [[nodiscard]] bool wait(double most_s, const std::function<bool()>& done);
@@ -59,6 +78,10 @@ class NodeClient : private link::NodeSink {
   std::uint32_t request_id_;
   std::optional<groma_Reply> reply_;  // to request_id_
   std::optional<groma_Hello> hello_;
+  std::optional<groma_Counters> counters_;
+  std::optional<groma_SurveyReport> survey_;
+  model::NodeId target_;
+  bool pending_ = false;  // since the last sending
   std::uint64_t bytes_ = 0;
   bool gone_ = false;
 };

@@ -1,7 +1,9 @@
 // A node's configuration from what is the same at each node of its site.
 #pragma once
 
+#include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -10,14 +12,22 @@
 
 namespace groma::provision {
 
+// Of AES-128.
+using NetworkKey = std::array<std::uint8_t, 16>;
+
 // What a site's nodes have in common. Bounds are the firmware's: see node::fault_of().
 struct SiteSettings {
   std::uint16_t network_id = 0;
   unsigned preamble_symbols = 128;  // 64, 128 or 256
   std::uint32_t epoch = 1;
   model::NodeId master_id = 0;
-  std::vector<model::NodeId> tag_ids;     // one slot each, in this order
-  std::vector<model::NodeId> anchor_ids;  // they answer in this order
+  std::vector<model::NodeId>
+      backup_ids;                      // anchors that relay the beacon and take over from the master, by rank
+  std::vector<model::NodeId> tag_ids;  // one slot each, in this order, unless tag_slots says otherwise
+  std::vector<std::uint8_t> tag_slots;    // of each of tag_ids; empty: in order
+  std::vector<model::NodeId> anchor_ids;  // the ones that a tag tries first, in this order
+  std::uint32_t slots = 0;                // in one superframe; 0: one a tag
+  std::uint32_t responses = 0;            // anchors that a POLL names at most; 0: all, up to 16
   groma_RangingMethod method = groma_RangingMethod_METHOD_DS_FINAL;
   std::uint32_t turn_round_us = 300;
   std::uint32_t response_gap_us = 200;
@@ -26,9 +36,12 @@ struct SiteSettings {
   std::uint32_t receive_antenna_delay_dtu = 0;
   std::uint32_t transmit_power = 0;  // TX_POWER register; 0: the firmware's default
   bool report_raw_stamps = false;
+  bool correct_temperature = false;  // ranges: by both chips' temperature and supply
+  bool correct_power_bias = false;   // and by receive power
   groma_Link link = groma_Link_LINK_UART;
   std::uint32_t can_nominal_bit_per_s = 0;  // 0: the firmware's default; so the next
   std::uint32_t can_data_bit_per_s = 0;
+  std::optional<NetworkKey> network_key;  // each frame carries a code
 };
 
 // The configuration of one of them. Of more ids than a schedule holds the rest is left out; whether a node

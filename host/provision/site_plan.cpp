@@ -7,6 +7,7 @@
 #include <charconv>
 #include <cstdint>
 #include <limits>
+#include <map>
 #include <set>
 #include <string_view>
 #include <system_error>
@@ -26,7 +27,11 @@ constexpr std::int64_t kMaxId = 65'534;
 constexpr std::int64_t kMaxNetworkId = 65'534;
 constexpr std::int64_t kMaxEpoch = std::numeric_limits<std::uint32_t>::max();
 constexpr std::int64_t kMaxAntennaDelay_dtu = 65'535;
-constexpr std::size_t kMaxNodesOfARole = 16;  // as many as a schedule holds
+// As many as a schedule holds: tags, anchors, back-ups of the master.
+constexpr std::array<std::size_t, 2> kMaxNodesOfARole{16, 64};
+constexpr std::int64_t kMaxSlots = 16;
+constexpr std::size_t kMaxBackups = 7;
+constexpr std::size_t kDefaultBackups = 2;
 
 // From the first to the last, where the key is there.
 void read_whole(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
@@ -47,9 +52,40 @@ std::uint32_t parse_register(const YamlValue& value) {
   return number;
 }
 
+// Anchors, each once, none of them the master.
+std::vector<model::NodeId> parse_backups(const YamlValue& list, const SiteSettings& site) {
+  std::vector<model::NodeId> backups;
+  for (const YamlValue& entry : list.list()) {
+    const auto id = static_cast<model::NodeId>(entry.integer(1, kMaxId));
+    const auto is = [id](model::NodeId other) { return other == id; };
+    if (std::none_of(site.anchor_ids.begin(), site.anchor_ids.end(), is)) {
+      entry.fail(fmt::format("is {}", id), "name one of the anchors");
+    }
+    if (id == site.master_id || std::any_of(backups.begin(), backups.end(), is)) {
+      entry.fail(fmt::format("{} has its rank already", id), "name each anchor once, and not the master");
+    }
+    if (backups.size() == kMaxBackups) {
+      entry.fail("is one too many", fmt::format("a schedule holds {} back-ups", kMaxBackups));
+    }
+    backups.push_back(id);
+  }
+  return backups;
+}
+
+std::vector<model::NodeId> default_backups(const SiteSettings& site) {
+  std::vector<model::NodeId> backups;
+  for (const model::NodeId id : site.anchor_ids) {
+    if (id != site.master_id && backups.size() < kDefaultBackups) backups.push_back(id);
+  }
+  return backups;
+}
+
 void parse_schedule(const YamlValue& map, SiteSettings& site) {
-  map.expect_keys(
-      {{}, {"epoch", "master_id", "method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
+  map.expect_keys({{},
+                   {"epoch", "master_id", "backup_ids", "method", "preamble", "slots", "responses",
+                    "turn_round_us", "response_gap_us", "guard_us"}});
+  read_whole(map, "slots", 1, kMaxSlots, site.slots);
+  read_whole(map, "responses", 1, 16, site.responses);
   read_whole(map, "epoch", 0, kMaxEpoch, site.epoch);
   if (const auto master = map.find("master_id")) {
     site.master_id = static_cast<model::NodeId>(master->integer(1, kMaxId));
@@ -57,6 +93,8 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
       master->fail(fmt::format("is {}", site.master_id), "name one of the anchors");
     }
   }
+  const auto backups = map.find("backup_ids");
+  site.backup_ids = backups ? parse_backups(*backups, site) : default_backups(site);
   if (const auto method = map.find("method")) {
     site.method = method->one_of(std::array<std::string_view, 2>{"final", "next-poll"}) == 0
                       ? groma_RangingMethod_METHOD_DS_FINAL
@@ -75,6 +113,7 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
 constexpr std::string_view kTransmitDelayKey = "transmit_antenna_delay_dtu";
 constexpr std::string_view kReceiveDelayKey = "receive_antenna_delay_dtu";
 constexpr std::string_view kTransmitPowerKey = "transmit_power";
+constexpr std::string_view kSlotKey = "slot";
 
 template <typename Settings>  // SiteSettings or groma_Config
 void parse_radio_keys(const YamlValue& map, Settings& settings) {
@@ -118,6 +157,29 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
   return link;
 }
 
+// The file holds 32 hexadecimal digits, and white space around them at most.
+NetworkKey read_key(const YamlValue& value, const std::filesystem::path& folder) {
+  const std::filesystem::path path = folder / value.text();
+  std::string text = io::read_file(path);
+  constexpr std::string_view kSpace = " \t\r\n";
+  text.erase(0, std::min(text.find_first_not_of(kSpace), text.size()));
+  text.erase(text.find_last_not_of(kSpace) + 1);
+  NetworkKey key{};
+  constexpr std::size_t kDigitsOfAByte = 2;
+  bool good = text.size() == kDigitsOfAByte * key.size();
+  for (std::size_t i = 0; good && i < key.size(); ++i) {
+    const char* first = text.data() + kDigitsOfAByte * i;
+    const auto [last, error] = std::from_chars(first, first + kDigitsOfAByte, key.at(i), 16);
+    good = error == std::errc() && last == first + kDigitsOfAByte;
+  }
+  if (!good) {
+    // What is in the file stays untold.
+    value.fail(fmt::format("names {}, which holds no key", path.string()),
+               "write 32 hexadecimal digits into it, such as 'openssl rand -hex 16' prints");
+  }
+  return key;
+}
+
 std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesystem::path& folder) {
   std::vector<PlannedNode> nodes;
   std::set<model::NodeId> ids;
@@ -126,7 +188,8 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
   std::array<std::size_t, 2> counts{};
   for (const YamlValue& entry : list.list()) {
     entry.expect_keys(
-        {{"id", "role"}, {"port", "probe", kTransmitDelayKey, kReceiveDelayKey, kTransmitPowerKey}});
+        {{"id", "role"},
+         {"port", "via", "probe", kSlotKey, kTransmitDelayKey, kReceiveDelayKey, kTransmitPowerKey}});
     PlannedNode node;
     node.id = static_cast<model::NodeId>(entry.at("id").integer(1, kMaxId));
     if (!ids.insert(node.id).second) {
@@ -134,9 +197,14 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
     }
     const std::size_t role = entry.at("role").one_of(std::array<std::string_view, 2>{"tag", "anchor"});
     node.role = role == 0 ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
-    if (++counts.at(role) > kMaxNodesOfARole) {
+    if (++counts.at(role) > kMaxNodesOfARole.at(role)) {
       entry.fail(fmt::format("is one {} too many", role == 0 ? "tag" : "anchor"),
-                 fmt::format("a schedule holds {}", kMaxNodesOfARole));
+                 fmt::format("a schedule holds {}", kMaxNodesOfARole.at(role)));
+    }
+    if (const auto slot = entry.find(kSlotKey)) {
+      if (role != 0)
+        slot->fail("is a tag's", "take it out; anchors answer in the slots of the tags that poll them");
+      node.slot = static_cast<std::uint8_t>(slot->integer(0, kMaxSlots - 1));
     }
     if (const auto port = entry.find("port")) {
       const std::string text = port->text();
@@ -147,6 +215,10 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
       }
       node.port = can ? text : (folder / text).string();
       if (!ports.insert(node.port).second) port->fail("is there twice", "give each node its own port");
+    }
+    if (const auto via = entry.find("via")) {
+      if (entry.find("port")) via->fail("does not go with 'port:'", "take one of them out");
+      node.via = static_cast<model::NodeId>(via->integer(1, kMaxId));
     }
     if (const auto probe = entry.find("probe")) {
       node.probe = probe->text();
@@ -160,6 +232,29 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
   return nodes;
 }
 
+void resolve_via(const std::vector<YamlValue>& entries, SitePlan& plan) {
+  for (std::size_t i = 0; i < plan.nodes.size(); ++i) {
+    PlannedNode& node = plan.nodes[i];
+    if (node.via == 0) continue;
+    const PlannedNode* wired = plan.find(node.via);
+    if (wired == nullptr || wired->port.empty()) {
+      entries[i].at("via").fail(fmt::format("{} is no node with a port", node.via),
+                                "name one of the nodes that have a 'port:'");
+    }
+    node.via_port = wired->port;
+  }
+}
+
+}  // namespace
+
+namespace {
+
+// False where the key is absent.
+bool is_true(const YamlValue& root, std::string_view key) {
+  const auto value = root.find(key);
+  return value && value->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
+}
+
 }  // namespace
 
 const PlannedNode* SitePlan::find(model::NodeId id) const {
@@ -170,7 +265,9 @@ const PlannedNode* SitePlan::find(model::NodeId id) const {
 
 SitePlan read_site_plan(const std::filesystem::path& path) {
   const YamlValue root = YamlValue::parse(path, io::read_file(path));
-  root.expect_keys({{"schema", "network_id", "nodes"}, {"schedule", "radio", "link", "report_raw_stamps"}});
+  root.expect_keys({{"schema", "network_id", "nodes"},
+                    {"schedule", "radio", "link", "report_raw_stamps", "correct_temperature",
+                     "correct_power_bias", "network_key_file"}});
   if (root.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     root.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -179,12 +276,29 @@ SitePlan read_site_plan(const std::filesystem::path& path) {
   SiteSettings site;
   site.network_id = static_cast<std::uint16_t>(root.at("network_id").integer(0, kMaxNetworkId));
   plan.nodes = parse_nodes(root.at("nodes"), path.parent_path());
+  std::map<model::NodeId, std::optional<std::uint8_t>> tags;
   for (const PlannedNode& node : plan.nodes) {
-    (node.role == groma_Role_ROLE_TAG ? site.tag_ids : site.anchor_ids).push_back(node.id);
+    if (node.role == groma_Role_ROLE_TAG) {
+      tags[node.id] = node.slot;
+    } else {
+      site.anchor_ids.push_back(node.id);
+    }
   }
-  std::sort(site.tag_ids.begin(), site.tag_ids.end());
+  const bool slots_named =
+      std::any_of(tags.begin(), tags.end(), [](const auto& tag) { return tag.second.has_value(); });
+  for (const auto& [id, slot] : tags) {
+    site.tag_ids.push_back(id);
+    if (!slots_named) continue;
+    if (!slot) {
+      root.at("nodes").fail(fmt::format("names slots, but none for tag {}", id),
+                            "name one for each tag, or for none");
+    }
+    site.tag_slots.push_back(*slot);
+    site.slots = std::max<std::uint32_t>(site.slots, *slot + 1U);
+  }
   std::sort(site.anchor_ids.begin(), site.anchor_ids.end());
   site.master_id = site.anchor_ids.front();
+  site.backup_ids = default_backups(site);
   if (const auto schedule = root.find("schedule")) parse_schedule(*schedule, site);
   if (const auto radio = root.find("radio")) {
     radio->expect_keys({{}, {kTransmitDelayKey, kReceiveDelayKey, kTransmitPowerKey}});
@@ -193,10 +307,12 @@ SitePlan read_site_plan(const std::filesystem::path& path) {
   LinkSettings link;
   if (const auto settings = root.find("link")) link = parse_link(*settings, site);
   plan.baud = link.baud;
-  if (const auto raw = root.find("report_raw_stamps")) {
-    site.report_raw_stamps = raw->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
-  }
+  site.report_raw_stamps = is_true(root, "report_raw_stamps");
+  site.correct_temperature = is_true(root, "correct_temperature");
+  site.correct_power_bias = is_true(root, "correct_power_bias");
+  if (const auto key = root.find("network_key_file")) site.network_key = read_key(*key, path.parent_path());
   const std::vector<YamlValue> entries = root.at("nodes").list();
+  resolve_via(entries, plan);
   for (std::size_t i = 0; i < plan.nodes.size(); ++i) {
     PlannedNode& node = plan.nodes[i];
     node.config = config_of(site, node.role, node.id);

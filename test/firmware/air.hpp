@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <random>
 #include <span>
 #include <variant>
@@ -13,6 +14,7 @@
 
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
+#include "firmware/sim/aes.hpp"
 
 namespace groma::testing {
 
@@ -71,13 +73,20 @@ class Air {
   std::size_t add(const NodeSettings& settings) { return add(settings, schedule_); }
   // A node that goes by a schedule of its own.
   std::size_t add(const NodeSettings& settings, const groma_Schedule& schedule) {
-    const mac::Site site{.id = settings.id,
-                         .network_id = 0x55AA,
-                         .preamble = phy_.preamble(),
-                         .schedule = schedule,
-                         .transmit_antenna_delay = settings.antenna_delay};
     auto node = std::make_unique<Node>();
     node->settings = settings;
+    node->schedule = schedule;
+    const mac::Site site{
+        .id = settings.id,
+        .network_id = 0x55AA,
+        .preamble = phy_.preamble(),
+        .schedule = &node->schedule,
+        .transmit_antenna_delay = settings.antenna_delay,
+        .boot_count = 1,
+        .sessions = &node->sessions,
+        .network_key = key ? std::span<const std::uint8_t>(*key) : std::span<const std::uint8_t>(),
+        .cipher = &aes_,
+        .nonces = &node->nonces};
     if (settings.id < 100) {
       node->machine.emplace<mac::Tag>(site, node->counters);
     } else {
@@ -112,8 +121,19 @@ class Air {
     n.on = true;
     arm(node, tell(n, [&](auto& machine) { return machine.start(local(n, now_)); }));
   }
+  void attach(std::size_t node, mac::ControlChannel& channel) {
+    auto& machine = nodes_[node]->machine;
+    if (auto* tag = std::get_if<mac::Tag>(&machine)) return tag->attach(channel);
+    std::get<mac::Anchor>(machine).attach(channel);
+  }
   void start_all() {
     for (std::size_t i = 0; i < nodes_.size(); ++i) start(i);
+  }
+  // Its radio was off for a while; it goes on with what it knows.
+  void resume(std::size_t node) {
+    Node& n = *nodes_[node];
+    n.on = true;
+    arm(node, tell(n, [&](auto& machine) { return machine.resume(local(n, now_)); }));
   }
   void stop(std::size_t node) {
     nodes_[node]->on = false;
@@ -132,8 +152,14 @@ class Air {
     ghosts_.push_back({kGhost, rmarker, x_m, {bytes.begin(), bytes.end()}});
   }
 
+  // Of the network, for nodes that are added from then on.
+  std::optional<security::Key> key{};
+  // Whether two nodes, by index, are near enough to hear, and to disturb, each other; without: all are.
+  std::function<bool(std::size_t a, std::size_t b)> reach;
   // True: this receiver does not hear this frame.
   std::function<bool(const Frame&, std::size_t receiver)> lost;
+  // True: nobody hears this frame, and it disturbs no other.
+  std::function<bool(const Frame&)> jammed;
   // Sees each frame as it ends.
   std::function<void(const Frame&)> overheard;
   // Changes a reception on its way.
@@ -154,6 +180,9 @@ class Air {
     if (const auto* tag = std::get_if<mac::Tag>(&machine)) return tag->station();
     return std::get<mac::Anchor>(machine).station();
   }
+  [[nodiscard]] double offset_ppm(std::size_t node) const { return nodes_[node]->settings.offset_ppm; }
+  // What its clock shows now.
+  [[nodiscard]] double local_ticks_of(std::size_t node) const { return local_ticks(*nodes_[node], now_); }
   void set_offset_ppm(std::size_t node, double ppm) {
     Node& n = *nodes_[node];
     const double shown = local_ticks(n, now_);
@@ -164,6 +193,9 @@ class Air {
  private:
   struct Node {
     NodeSettings settings;
+    groma_Schedule schedule = groma_Schedule_init_zero;
+    std::uint16_t sessions = 0;
+    std::uint32_t nonces = 0;
     groma_Counters counters = groma_Counters_init_zero;
     std::variant<std::monostate, mac::Tag, mac::Anchor> machine;
     bool on = false;
@@ -173,6 +205,11 @@ class Air {
     double busy_from = 0.0;  // true time at which the receiver is on
   };
 
+  [[nodiscard]] std::size_t index_of(const Node& n) const {
+    std::size_t i = 0;
+    while (nodes_[i].get() != &n) ++i;
+    return i;
+  }
   template <class F>
   static Step tell(Node& n, F&& f) {
     if (auto* tag = std::get_if<mac::Tag>(&n.machine)) return f(*tag);
@@ -267,25 +304,44 @@ class Air {
 
   void spread(const Frame& frame) {
     if (overheard) overheard(frame);
+    if (jammed && jammed(frame)) return;
     const double start = frame.rmarker - before();
     const double end = frame.rmarker + after(frame.bytes.size());
     bool collided = false;
-    for (Past& past : past_) {
-      if (past.end > start && past.start < end) collided = true;
+    std::vector<std::size_t> receivers;
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      if (i == frame.source || !nodes_[i]->on || !audible(frame.source, i)) continue;
+      if (disturbed(i, frame.source, start, end)) {
+        collided = true;
+      } else {
+        receivers.push_back(i);
+      }
     }
-    for (const auto& n : nodes_) {
-      if (!n->on || n->action.kind != Action::Kind::kTransmit) continue;
-      const double other = true_time(*n, n->action.at);
-      if (n->outgoing == frame.bytes) continue;
-      if (other - before() < end && other + after(n->outgoing.size()) > start) collided = true;
-    }
-    past_.push_back({start, end});
+    past_.push_back({frame.source, start, end});
     if (past_.size() > 64) past_.erase(past_.begin(), past_.begin() + 32);
-    if (collided) {
-      ++collisions;
-      return;
+    collisions += collided ? 1 : 0;
+    for (const std::size_t i : receivers) hear(i, frame, start, end);
+  }
+
+  [[nodiscard]] bool audible(std::size_t source, std::size_t receiver) const {
+    return !reach || source == kGhost || reach(source, receiver);
+  }
+  // By another frame than the one of `source`.
+  [[nodiscard]] bool disturbed(std::size_t receiver, std::size_t source, double start, double end) const {
+    for (const Past& past : past_) {
+      if (past.source != receiver && past.end > start && past.start < end && audible(past.source, receiver)) {
+        return true;
+      }
     }
-    for (std::size_t i = 0; i < nodes_.size(); ++i) hear(i, frame, start, end);
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      const Node& n = *nodes_[i];
+      if (i == source || i == receiver || !n.on || n.action.kind != Action::Kind::kTransmit) continue;
+      if (!audible(i, receiver)) continue;
+      const double other = true_time(n, n.action.at);
+      if (jammed && jammed({i, other, n.settings.x_m, n.outgoing})) continue;
+      if (other - before() < end && other + after(n.outgoing.size()) > start) return true;
+    }
+    return false;
   }
 
   void hear(std::size_t index, const Frame& frame, double start, double end) {
@@ -305,6 +361,7 @@ class Air {
         .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
     if (spoil) spoil(index, reception);
     arm(index, tell(n, [&](auto& machine) { return machine.on_received(reception); }));
+    if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->check();
   }
 
   double gaussian() {
@@ -314,6 +371,7 @@ class Air {
   }
 
   struct Past {
+    std::size_t source;
     double start;
     double end;
   };
@@ -321,6 +379,7 @@ class Air {
   dw1000::Phy phy_;
   std::vector<std::unique_ptr<Node>> nodes_;
   std::vector<Frame> ghosts_;
+  sim::Aes aes_;
   std::vector<Past> past_;
   std::mt19937_64 random_{42};
   double now_ = 0.0;

@@ -60,6 +60,11 @@ static_assert(lies_at<reg::DrxCarInt>({0x27, 0x28, 3}));
 static_assert(lies_at<reg::RxpaccNosat>({0x27, 0x2C, 2}));
 static_assert(lies_at<reg::RfRxctrlh>({0x28, 0x0B, 1}));
 static_assert(lies_at<reg::RfTxctrl>({0x28, 0x0C, 4}));
+static_assert(lies_at<reg::RfBias>({0x28, 0x11, 1}));
+static_assert(lies_at<reg::RfSensors>({0x28, 0x12, 1}));
+static_assert(lies_at<reg::TcSarc>({0x2A, 0x00, 1}));
+static_assert(lies_at<reg::TcSarSupply>({0x2A, 0x03, 1}));
+static_assert(lies_at<reg::TcSarTemperature>({0x2A, 0x04, 1}));
 static_assert(lies_at<reg::TcPgdelay>({0x2A, 0x0B, 1}));
 static_assert(lies_at<reg::FsPllcfg>({0x2B, 0x07, 4}));
 static_assert(lies_at<reg::FsPlltune>({0x2B, 0x0B, 1}));
@@ -301,6 +306,59 @@ TEST_F(Driver, BringUpSaysWhatFailed) {
     EXPECT_GT(std::string_view(describe(result)).size(), 10U);
     EXPECT_LT(std::string_view(describe(result)).size(), 32U);
   }
+}
+
+TEST_F(Driver, SamplesTemperatureAndSupplyByTheirCalibration) {
+  chip.otp[0x08] = 0x1234'56A9;  // 3.3 V
+  chip.otp[0x09] = 0x1234'567D;  // 23 degrees C
+  ready();
+  radio.start_sampling();
+  // In this order: the bias, then the converter's, then the outputs, then the converter itself.
+  expect_writes(
+      {{0x28, 0x11, 0x80}, {0x28, 0x12, 0x0A}, {0x28, 0x12, 0x0F}, {0x2A, 0x00, 0}, {0x2A, 0x00, 1}});
+  chip.put(0x2A, 0x03, 0xA9 - 52, 1);
+  chip.put(0x2A, 0x04, 0x7D + 10, 1);
+  chip.log.clear();
+  const auto ambient = radio.finish_sampling();
+  expect_writes({{0x2A, 0x00, 0}});
+  ASSERT_TRUE(ambient);
+  EXPECT_NEAR(ambient->supply_mv, 1000.0 * (3.3 - 52.0 / 173.0), 1.0);
+  EXPECT_NEAR(ambient->temperature_cdegc, 100.0 * (23.0 + 11.4), 0.5);
+}
+
+// Without a calibration the typical reading of each is as good as any.
+TEST_F(Driver, SamplesWithoutACalibrationToo) {
+  chip.otp[0x08] = 0;
+  chip.otp[0x09] = 0xFFFF'FFFF;
+  ready();
+  radio.start_sampling();
+  chip.put(0x2A, 0x03, 175, 1);
+  chip.put(0x2A, 0x04, 120, 1);
+  const auto ambient = radio.finish_sampling();
+  ASSERT_TRUE(ambient);
+  EXPECT_EQ(ambient->supply_mv, 3'300);
+  EXPECT_EQ(ambient->temperature_cdegc, 2'300);
+}
+
+TEST_F(Driver, SamplingDisturbsNoReceptionAndNeedsAChip) {
+  radio.start_sampling();
+  EXPECT_TRUE(chip.log.empty());
+  EXPECT_FALSE(radio.finish_sampling());
+  ready();
+  ASSERT_EQ(radio.receive_now(Ticks(1'000'000), std::nullopt), Start::kStarted);
+  radio.start_sampling();
+  EXPECT_TRUE(radio.finish_sampling());
+  EXPECT_EQ(radio.state(), State::kReceiving);
+}
+
+TEST(LineOfSight, HangsOnThePowerThatIsNotInTheFirstPath) {
+  EXPECT_EQ(line_of_sight(std::nullopt, -8'000), LineOfSight::kUnknown);
+  EXPECT_EQ(line_of_sight(-8'000, std::nullopt), LineOfSight::kUnknown);
+  EXPECT_EQ(line_of_sight(-8'000, -8'000), LineOfSight::kLikely);
+  EXPECT_EQ(line_of_sight(-8'599, -8'000), LineOfSight::kLikely);
+  EXPECT_EQ(line_of_sight(-8'600, -8'000), LineOfSight::kUncertain);
+  EXPECT_EQ(line_of_sight(-9'000, -8'000), LineOfSight::kUncertain);
+  EXPECT_EQ(line_of_sight(-9'001, -8'000), LineOfSight::kUnlikely);
 }
 
 TEST_F(Driver, TransmitsAtAStamp) {

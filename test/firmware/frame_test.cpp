@@ -34,7 +34,12 @@ TEST(Frame, HasTheBytesThatTheHeaderPromises) {
 }
 
 TEST(Frame, LengthsAreThoseTheScheduleCountsOn) {
-  EXPECT_EQ(bytes_of(with(Beacon{})).size() + 2, kBeaconBytes);
+  Beacon beacon{.slots = 5};
+  EXPECT_EQ(bytes_of(with(beacon)).size() + 2, beacon_bytes(5, false));
+  beacon.welcome = Welcome{};
+  EXPECT_EQ(bytes_of(with(beacon)).size() + 2, beacon_bytes(5, true));
+  EXPECT_EQ(bytes_of(with(Join{})).size() + 2, kJoinBytes);
+  EXPECT_EQ(bytes_of(with(Data{.fragments = 1, .size = 48})).size() + 2, data_bytes(48));
   EXPECT_EQ(bytes_of(with(Response{})).size() + 2, kResponseBytes);
   EXPECT_EQ(bytes_of(with(Final{})).size() + 2, kFinalBytes);
   EXPECT_EQ(bytes_of(with(full_poll())).size() + 2, poll_bytes(kMaxAnchors));
@@ -44,7 +49,22 @@ TEST(Frame, LengthsAreThoseTheScheduleCountsOn) {
 
 TEST(Frame, ComesBackAsItWent) {
   {
-    const auto parsed = parse(bytes_of(with(Beacon{0x89ABCDEF, 0x01234567, 0xFEDCBA98})));
+    Beacon sent{.superframe = 0x89ABCDEF,
+                .session = 0x1122'3344'5566'7788,
+                .epoch = 0x01234567,
+                .schedule_hash = 0xFEDCBA98,
+                .master = 0xABCD,
+                .hop = 3,
+                .age = 0xFF,
+                .lateness_dtu = -511,
+                .dissolving = true,
+                .shared = true,
+                .invitation = true,
+                .slots = 2,
+                .welcome = Welcome{.id = 0x7766, .nonce = 0x8899'AABB'CCDD'EEFF}};
+    sent.holders[0] = kBroadcast;
+    sent.holders[1] = 0x0203;
+    const auto parsed = parse(bytes_of(with(sent)));
     ASSERT_TRUE(parsed.frame);
     EXPECT_EQ(parsed.frame->sequence, 0x5A);
     EXPECT_EQ(parsed.frame->network, 0xBEEF);
@@ -54,6 +74,19 @@ TEST(Frame, ComesBackAsItWent) {
     EXPECT_EQ(beacon.superframe, 0x89ABCDEF);
     EXPECT_EQ(beacon.epoch, 0x01234567U);
     EXPECT_EQ(beacon.schedule_hash, 0xFEDCBA98);
+    EXPECT_EQ(beacon.session, sent.session);
+    EXPECT_EQ(beacon.master, sent.master);
+    EXPECT_EQ(beacon.hop, sent.hop);
+    EXPECT_EQ(beacon.age, sent.age);
+    EXPECT_EQ(beacon.lateness_dtu, sent.lateness_dtu);
+    EXPECT_TRUE(beacon.dissolving);
+    EXPECT_TRUE(beacon.shared);
+    EXPECT_TRUE(beacon.invitation);
+    EXPECT_EQ(beacon.slots, sent.slots);
+    EXPECT_EQ(beacon.holders, sent.holders);
+    ASSERT_TRUE(beacon.welcome);
+    EXPECT_EQ(beacon.welcome->id, sent.welcome->id);
+    EXPECT_EQ(beacon.welcome->nonce, sent.welcome->nonce);
   }
   {
     const Poll sent = full_poll();
@@ -71,7 +104,8 @@ TEST(Frame, ComesBackAsItWent) {
                         .reply = Ticks((std::int64_t{1} << 32) - 1),
                         .closing_valid = valid,
                         .closed_exchange = 0x8000,
-                        .closing = Ticks((std::int64_t{1} << 40) - 1)};
+                        .closing = Ticks((std::int64_t{1} << 40) - 1),
+                        .health = {.temperature_c = -40, .supply_64ths_v = 211}};
     const auto parsed = parse(bytes_of(with(sent)));
     ASSERT_TRUE(parsed.frame);
     const auto& response = std::get<Response>(parsed.frame->body);
@@ -80,7 +114,72 @@ TEST(Frame, ComesBackAsItWent) {
     EXPECT_EQ(response.closing_valid, valid);
     EXPECT_EQ(response.closed_exchange, sent.closed_exchange);
     EXPECT_EQ(response.closing, sent.closing);
+    EXPECT_EQ(response.health, sent.health);
   }
+  for (const bool set : {false, true}) {
+    const Join sent{.origin = 0x0708,
+                    .nonce = 0x0102'0304'0506'0708,
+                    .tag = set,
+                    .wants_slot = !set,
+                    .wants_welcome = set,
+                    .leaving = !set};
+    const auto parsed = parse(bytes_of(with(sent)));
+    ASSERT_TRUE(parsed.frame);
+    const auto& join = std::get<Join>(parsed.frame->body);
+    EXPECT_EQ(join.origin, sent.origin);
+    EXPECT_EQ(join.nonce, sent.nonce);
+    EXPECT_EQ(join.tag, set);
+    EXPECT_EQ(join.wants_slot, !set);
+    EXPECT_EQ(join.wants_welcome, set);
+    EXPECT_EQ(join.leaving, !set);
+  }
+  for (const std::uint8_t size : {std::uint8_t{0}, std::uint8_t{1}, std::uint8_t{48}}) {
+    Data sent{.origin = 0x1112,
+              .target = 0x2122,
+              .message = 9,
+              .fragment = 3,
+              .fragments = 4,
+              .asks = size % 2 == 0,
+              .hops_left = static_cast<std::uint8_t>(size % 4),
+              .round = static_cast<std::uint8_t>(size % 8),
+              .size = size};
+    for (std::size_t i = 0; i < size; ++i) sent.payload[i] = static_cast<std::uint8_t>(i + 1);
+    sent.to_host = size == 1;
+    sent.acknowledgement = size == 0;
+    const auto parsed = parse(bytes_of(with(sent)));
+    ASSERT_TRUE(parsed.frame);
+    const auto& data = std::get<Data>(parsed.frame->body);
+    EXPECT_EQ(data.origin, sent.origin);
+    EXPECT_EQ(data.target, sent.target);
+    EXPECT_EQ(data.message, sent.message);
+    EXPECT_EQ(data.fragment, sent.fragment);
+    EXPECT_EQ(data.fragments, sent.fragments);
+    EXPECT_EQ(data.to_host, sent.to_host);
+    EXPECT_EQ(data.asks, sent.asks);
+    EXPECT_EQ(data.hops_left, sent.hops_left);
+    EXPECT_EQ(data.round, sent.round);
+    EXPECT_EQ(data.acknowledgement, sent.acknowledgement);
+    EXPECT_EQ(data.size, size);
+    EXPECT_EQ(data.payload, sent.payload);
+  }
+}
+
+TEST(Frame, ASecuredOneIsLongerByItsCode) {
+  for (const Body& body :
+       {Body(Beacon{}), Body(full_poll()), Body(Response{}), Body(Final{}), Body(Join{})}) {
+    Frame frame = with(body);
+    const std::size_t plain = bytes_of(frame).size();
+    frame.secured = true;
+    auto bytes = bytes_of(frame);
+    EXPECT_EQ(bytes.size(), plain + kCodeBytes);
+    const auto parsed = parse(bytes);
+    ASSERT_TRUE(parsed.frame);
+    EXPECT_TRUE(parsed.frame->secured);
+    EXPECT_EQ(parsed.frame->body.index(), body.index());
+    bytes.resize(plain);
+    EXPECT_FALSE(parse(bytes).frame);
+  }
+  EXPECT_LE(poll_bytes(kMaxAnchors) + kCodeBytes, dw1000::kMaxFrameBytes);
 }
 
 // Each copy sits at the very end of its own allocation, so that a sanitizer sees any read beyond it.
@@ -91,7 +190,8 @@ ParseResult parse_exact(const std::vector<std::uint8_t>& bytes) {
 }
 
 TEST(Frame, CutOrLengthenedIsNoFrame) {
-  for (const Body& body : {Body(Beacon{}), Body(full_poll()), Body(Response{}), Body(Final{})}) {
+  for (const Body& body :
+       {Body(Beacon{}), Body(full_poll()), Body(Response{}), Body(Final{}), Body(Join{})}) {
     auto bytes = bytes_of(with(body));
     for (std::size_t n = 0; n < bytes.size(); ++n) {
       const auto result = parse_exact({bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n)});
@@ -119,7 +219,7 @@ TEST(Frame, OtherFrameControlIsForeign) {
   bytes[0] = 0x42;
   EXPECT_EQ(parse_exact(bytes).error, ParseError::kForeign);
   bytes[0] = 0x41;
-  bytes[9] = 5;
+  bytes[9] = 7;
   EXPECT_EQ(parse_exact(bytes).error, ParseError::kMalformed);
 }
 

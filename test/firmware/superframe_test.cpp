@@ -56,7 +56,8 @@ std::vector<Span> frames_of(const groma_Schedule& schedule, const Superframe& su
   const auto add = [&](Ticks rmarker, std::size_t bytes) {
     spans.push_back({rmarker - phy.before_rmarker(), rmarker + Phy::after_rmarker(bytes)});
   };
-  add(superframe.beacon(), kBeaconBytes);
+  add(superframe.beacon(), superframe.control_bytes());
+  add(superframe.shared(), superframe.control_bytes());
   for (std::size_t slot = 0; slot < schedule.tag_ids_count; ++slot) {
     const Ticks poll = superframe.poll(slot);
     add(poll, poll_bytes(anchors));

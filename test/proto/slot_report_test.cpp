@@ -61,14 +61,16 @@ class Draw {
     range.instant_offset_dtu = number<std::int64_t>();
     range.range_m = real();
     range.has_first_path_power_cdbm = flag();
-    range.first_path_power_cdbm = number<std::int32_t>();
+    range.first_path_power_cdbm = number<std::int16_t>();
     range.has_receive_power_cdbm = flag();
-    range.receive_power_cdbm = number<std::int32_t>();
+    range.receive_power_cdbm = number<std::int16_t>();
     range.has_clock_offset_ppb = flag();
     range.clock_offset_ppb = number<std::int32_t>();
     range.has_raw = flag();
-    range.raw = {.tag_round_dtu = number<std::uint64_t>(),
-                 .anchor_reply_dtu = number<std::uint64_t>(),
+    range.noise = number<std::uint16_t>();
+    range.flags = number<std::uint8_t>();
+    range.raw = {.tag_round_dtu = number<std::uint32_t>(),
+                 .anchor_reply_dtu = number<std::uint32_t>(),
                  .anchor_round_dtu = number<std::uint64_t>(),
                  .tag_reply_dtu = number<std::uint64_t>()};
     return range;
@@ -81,6 +83,8 @@ class Draw {
     report.slot = number<std::uint32_t>();
     report.tag_id = number<std::uint32_t>();
     report.device_time_dtu = number<std::uint64_t>();
+    report.network_time_dtu = number<std::uint64_t>();
+    report.network_rate_ppb = number<std::int32_t>();
     report.ranges_count = static_cast<pb_size_t>(generator_() % 17);
     for (groma_Range& each : std::span(report.ranges).first(report.ranges_count)) each = range();
     return report;
@@ -108,22 +112,26 @@ TEST(SlotReport, TheLargestFitsAndAByteLessIsRefused) {
   groma_SlotReport report = groma_SlotReport_init_zero;
   report.sequence = report.superframe = report.slot = report.tag_id =
       std::numeric_limits<std::uint32_t>::max();
-  report.device_time_dtu = std::numeric_limits<std::uint64_t>::max();
+  report.device_time_dtu = report.network_time_dtu = std::numeric_limits<std::uint64_t>::max();
+  report.network_rate_ppb = std::numeric_limits<std::int32_t>::min();
   report.ranges_count = 16;
   for (groma_Range& range : report.ranges) {
+    constexpr std::uint32_t kMost32 = std::numeric_limits<std::uint32_t>::max();
     constexpr std::uint64_t kMost = std::numeric_limits<std::uint64_t>::max();
     range = {.anchor_id = 65'535,
              .status = groma_RangeStatus_RANGE_BAD_STAMP,
              .instant_offset_dtu = std::numeric_limits<std::int64_t>::min(),
              .range_m = -1.0F,
              .has_first_path_power_cdbm = true,
-             .first_path_power_cdbm = std::numeric_limits<std::int32_t>::min(),
+             .first_path_power_cdbm = std::numeric_limits<std::int16_t>::min(),
              .has_receive_power_cdbm = true,
-             .receive_power_cdbm = std::numeric_limits<std::int32_t>::min(),
+             .receive_power_cdbm = std::numeric_limits<std::int16_t>::min(),
              .has_clock_offset_ppb = true,
              .clock_offset_ppb = std::numeric_limits<std::int32_t>::min(),
              .has_raw = true,
-             .raw = {kMost, kMost, kMost, kMost}};
+             .raw = {kMost32, kMost32, kMost, kMost},
+             .noise = std::numeric_limits<std::uint16_t>::max(),
+             .flags = std::numeric_limits<std::uint8_t>::max()};
   }
   const Bytes whole = by_nanopb(report);
   EXPECT_THAT(by_hand(report), testing::ElementsAreArray(whole));

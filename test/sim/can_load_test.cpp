@@ -34,15 +34,19 @@ groma_NodeToHost report_of(std::uint32_t tag, std::uint32_t superframe, std::mt1
   report.slot = tag;
   report.tag_id = tag;
   report.device_time_dtu = (std::uint64_t{1} << 52) + superframe * 1'533'542'400ULL;
+  report.network_time_dtu = (std::uint64_t{1} << 51) + superframe * 1'533'542'400ULL;
+  report.network_rate_ppb = -12'345;
   for (int i = 0; i < kAnchors; ++i) {
     groma_Range& range = report.ranges[report.ranges_count++];
     range.anchor_id = static_cast<std::uint16_t>(101 + i);
     range.instant_offset_dtu = -static_cast<std::int64_t>(random() % 1'500'000'000);
     range.range_m = static_cast<float>(random() % 40'000'000) * 1e-6F;
     range.has_first_path_power_cdbm = range.has_receive_power_cdbm = range.has_clock_offset_ppb = true;
-    range.first_path_power_cdbm = -7'500 - static_cast<std::int32_t>(random() % 2'500);
-    range.receive_power_cdbm = -7'500 - static_cast<std::int32_t>(random() % 2'500);
+    range.first_path_power_cdbm = static_cast<std::int16_t>(-7'500 - static_cast<int>(random() % 2'500));
+    range.receive_power_cdbm = static_cast<std::int16_t>(-7'500 - static_cast<int>(random() % 2'500));
     range.clock_offset_ppb = static_cast<std::int32_t>(random() % 40'000) - 20'000;
+    range.noise = static_cast<std::uint16_t>(30 + random() % 200);
+    range.flags = groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS;
   }
   return message;
 }

@@ -31,6 +31,38 @@ TEST_F(Dw1000ChipTest, ResetValuesAreTheManuals) {
   EXPECT_EQ(radio.chip().fault(), "");
 }
 
+void start_converter(HandDriven& radio) {
+  radio.write(0x28, 0x11, 0x80, 1);
+  radio.write(0x28, 0x12, 0x0A, 1);
+  radio.write(0x28, 0x12, 0x0F, 1);
+  radio.write(0x2A, 0x00, 0x00, 1);
+  radio.write(0x2A, 0x00, 0x01, 1);
+}
+
+TEST_F(Dw1000ChipTest, ItsConverterTellsTemperatureAndSupply) {
+  radio.bring_up();
+  radio.chip().set_ambient({.temperature_c = 23.0 + 1.14 * 20.0, .supply_v = 3.3 - 26.0 / 173.0});
+  start_converter(radio);
+  radio.t += kMillisecond;
+  EXPECT_EQ(radio.read(0x2A, 0x03, 1), 0xA9U - 26U);
+  EXPECT_EQ(radio.read(0x2A, 0x04, 1), 0x7DU + 20U);
+  EXPECT_EQ(radio.chip().fault(), "");
+}
+
+TEST_F(Dw1000ChipTest, ItsConverterNeedsItsTimeAndItsBias) {
+  radio.bring_up();
+  start_converter(radio);
+  radio.t += 500 * kMicrosecond;
+  EXPECT_EQ(radio.read(0x2A, 0x04, 1), 0U);
+  radio.t += 500 * kMicrosecond;
+  EXPECT_EQ(radio.read(0x2A, 0x04, 1), 0x7DU);
+  HandDriven& unbiased = bench.add({.id = 2});
+  unbiased.bring_up();
+  unbiased.write(0x2A, 0x00, 0x01, 1);
+  unbiased.t += kMillisecond;
+  EXPECT_EQ(unbiased.read(0x2A, 0x04, 1), 0U);
+}
+
 TEST_F(Dw1000ChipTest, DecodesEachFormOfHeader) {
   radio.bring_up();
   // One, two and three bytes of header, reads and writes, and a window in the middle of a register.

@@ -4,7 +4,9 @@
 #include <cmath>
 #include <functional>
 
+#include "firmware/sim/frame_check.hpp"
 #include "firmware/sim/keyed_random.hpp"
+#include "firmware/sim/transmitter.hpp"
 #include "test/sim/radio_bench.hpp"
 
 namespace groma::sim {
@@ -709,6 +711,53 @@ TEST_F(Dw1000CollisionTest, AFrameUnderWayHidesAWeakerOneFromALateReceiver) {
     bench.run_until(receiver.t + 3 * kMillisecond);
     EXPECT_EQ((receiver.status() & status::kRxfcg) != 0, hears);
   }
+}
+
+// Who lost what to whom, by the first byte of each frame.
+class OverlapList final : public Witness {
+ public:
+  void overlapped(const AirFrame& lost, const AirFrame& by, std::uint16_t receiver) override {
+    EXPECT_EQ(receiver, 3U);
+    seen.emplace_back(lost.data[0], by.data[0]);
+  }
+  std::vector<std::pair<int, int>> seen;
+};
+
+TEST_F(Dw1000CollisionTest, AWitnessIsToldOfEachFrameThatAnOverlapTook) {
+  using Seen = std::vector<std::pair<int, int>>;
+  struct Case {
+    int later_us;
+    double stronger_db;
+    Seen expected;
+  };
+  for (const Case& c : {Case{300, 0.0, {}}, Case{100, -6.5, {{2, 1}}}, Case{50, 6.5, {{1, 2}}},
+                        Case{50, 0.0, {{2, 1}, {1, 2}}}, Case{200, 20.0, {{2, 1}, {1, 2}}}}) {
+    Dw1000CollisionTest_AWitnessIsToldOfEachFrameThatAnOverlapTook_Test fresh;
+    OverlapList witness;
+    fresh.bench.medium.set_witness(&witness);
+    (void)fresh.collide(c.later_us, c.stronger_db);
+    EXPECT_EQ(witness.seen, c.expected) << c.later_us << ' ' << c.stronger_db;
+  }
+}
+
+TEST_F(Dw1000CollisionTest, ASenderWithoutAChipIsHeardLikeAnyOther) {
+  Transmitter sender(4, bench.medium);
+  bench.space.set(3, 4, {.audible = true, .flight_m = 3.0});
+  for (HandDriven* node : {&first, &second, &receiver}) node->bring_up();
+  receiver.receive_now();
+  const std::vector<std::uint8_t> bytes{9, 8, 7};
+  const SimTime at = receiver.t + 2 * kMillisecond;
+  sender.send(at, bytes);
+  bench.run_until(at + kMillisecond);
+  ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
+  EXPECT_EQ(receiver.read(0x10, 0, 1), 5U);
+  EXPECT_EQ(receiver.read_bytes(0x11, 0, 3), bytes);
+  EXPECT_EQ(receiver.read(0x11, 3, 2), frame_check(bytes));
+  // Of the preamble's 128 symbols and the SFD's 8, and 3 m of flight; nominal clocks.
+  const std::int64_t rmarker = at / kUnitsPerTick + std::int64_t{136} * 508 * 128;
+  const double flight_ticks = 3.0 / kMetresPerTick;
+  EXPECT_NEAR(static_cast<double>(receiver.receive_stamp()),
+              std::fmod(static_cast<double>(rmarker) + flight_ticks, 0x1.0p40), 1.01);
 }
 
 }  // namespace

@@ -110,5 +110,70 @@ TEST_F(MediumTest, StampNoiseIsGaussianOfTheSigmaAsked) {
   EXPECT_NEAR(beyond_two_sigma / kFrames, 0.0455, 0.0026);
 }
 
+// ---- faults ---------------------------------------------------------------------------------------
+
+AirFrame frame_at(std::uint32_t number, SimTime rmarker) {
+  AirFrame frame;
+  frame.number = number;
+  frame.rmarker = rmarker;
+  return frame;
+}
+
+TEST_F(MediumTest, AFadeTakesItsShareOfFramesInItsTimeAndNoOther) {
+  ThreeStations air(space, {}, 3);
+  air.medium.add_fade({.from = from_seconds(1.0), .until = from_seconds(2.0), .probability = 0.3}, 0);
+  std::array<int, 3> lost{};
+  constexpr std::uint32_t kFrames = 30'000;
+  for (std::uint32_t n = 0; n < kFrames; ++n) {
+    const double t_s = 3.0 * n / kFrames;
+    const AirFrame frame = frame_at(n, from_seconds(t_s));
+    const Loss loss = air.medium.reception(frame, 1).loss;
+    EXPECT_EQ(loss, air.medium.reception(frame, 1).loss);
+    lost[static_cast<std::size_t>(t_s)] += loss != Loss::kNone ? 1 : 0;
+  }
+  EXPECT_EQ(lost[0], 0);
+  EXPECT_NEAR(lost[1], 3000, 4 * std::sqrt(10'000 * 0.21));
+  EXPECT_EQ(lost[2], 0);
+}
+
+TEST_F(MediumTest, AFadeHitsTheFramesAndLinksThatItIsFor) {
+  ThreeStations air(space, {}, 3);
+  air.medium.add_fade(
+      {.silent = true,
+       .hits = [](const AirFrame& frame, std::uint16_t from,
+                  std::uint16_t to) { return frame.data[9] == 0x42 && from == 10 && to == 30; }},
+      0);
+  AirFrame frame = frame_at(1, from_seconds(1.0));
+  EXPECT_EQ(air.medium.reception(frame, 2).loss, Loss::kNone);
+  frame.data[9] = 0x42;
+  EXPECT_EQ(air.medium.reception(frame, 1).loss, Loss::kNone);
+  EXPECT_EQ(air.medium.reception(frame, 2).loss, Loss::kUnheard);
+}
+
+TEST_F(MediumTest, TwoFadesAreTwoDraws) {
+  ThreeStations air(space, {}, 3);
+  for (int i = 0; i < 2; ++i) air.medium.add_fade({.probability = 0.5}, 0);
+  int received = 0;
+  for (std::uint32_t n = 0; n < 10'000; ++n)
+    received += air.medium.reception(frame_at(n, from_seconds(1.0)), 1).loss == Loss::kNone ? 1 : 0;
+  EXPECT_NEAR(received, 2500, 4 * std::sqrt(10'000 * 0.25 * 0.75));
+}
+
+TEST_F(MediumTest, AFadeThatIsForgottenChangesNoLaterOne) {
+  const auto losses = [&](bool with_an_old_one) {
+    ThreeStations air(space, {}, 3);
+    air.medium.add_fade({.until = from_seconds(1.0)}, 0);
+    if (with_an_old_one) air.medium.add_fade({.until = from_seconds(1.5)}, 0);
+    air.medium.add_fade({.from = from_seconds(2.0), .probability = 0.5},
+                        with_an_old_one ? from_seconds(1.9) : 0);
+    int lost = 0;
+    for (std::uint32_t n = 0; n < 1000; ++n)
+      lost += air.medium.reception(frame_at(n, from_seconds(3.0)), 1).loss != Loss::kNone ? 1 : 0;
+    return lost;
+  };
+  EXPECT_NEAR(losses(false), 500, 64);
+  EXPECT_NEAR(losses(true), 500, 64);
+}
+
 }  // namespace
 }  // namespace groma::sim

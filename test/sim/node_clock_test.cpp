@@ -135,5 +135,30 @@ TEST(NodeClock, ADriftFollowsItsRamp) {
   }
 }
 
+TEST(NodeClock, GoesUpAndDownWithinItsBounds) {
+  ClockSpec spec{.offset_ppm = -10.0};
+  spec.more_ramps = up_and_down(2.0, 20.0, 1.0, 45.0);
+  const NodeClock clock(spec);
+  for (double t_s = 0.05; t_s < 60.0; t_s += 0.0917) {
+    const double phase_s = std::fmod(std::max(t_s - 1.0, 0.0), 20.0);
+    const double triangle = t_s >= 41.0 ? 0.0 : 2.0 * std::min(phase_s, 20.0 - phase_s);
+    EXPECT_NEAR(clock.offset(from_seconds(t_s)) * 1e6, -10.0 + triangle, 0.02) << t_s;
+  }
+  // Strictly in order over the corners, and back.
+  for (SimTime t = from_seconds(10.9); t < from_seconds(11.1); t += 7'777'777)
+    EXPECT_EQ(clock.time_of_local(clock.local_units(t) + 1) > t, true);
+}
+
+TEST(NodeClock, TwoRampsAreTheSumOfEach) {
+  const DriftRamp a{.ppm_per_s = 1.0, .from_s = 0.5, .until_s = 2.5};
+  const DriftRamp b{.ppm_per_s = -0.5, .from_s = 1.5, .until_s = 4.5};
+  const NodeClock both(ClockSpec{.more_ramps = {a, b}});
+  const NodeClock first(ClockSpec{.more_ramps = {a}});
+  const NodeClock second(ClockSpec{.drift_ppm_per_s = -0.5, .drift_from_s = 1.5, .drift_until_s = 4.5});
+  for (SimTime t = 1; t < from_seconds(6.0); t += 12'345'678'901)
+    EXPECT_NEAR(static_cast<double>(both.local_units(t) - t),
+                static_cast<double>(first.local_units(t) + second.local_units(t) - 2 * t), 1.0);
+}
+
 }  // namespace
 }  // namespace groma::sim

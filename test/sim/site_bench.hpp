@@ -4,12 +4,14 @@
 #include <pb_decode.h>
 #include <pb_encode.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -44,8 +46,10 @@ class FreeSpace final : public PropagationModel {
     return {.audible = power_dbm > -100.0,
             .flight_m = d_m,
             .receive_power_dbm = power_dbm,
-            .first_path_power_dbm = power_dbm - 2.0};
+            .first_path_power_dbm = power_dbm - hidden_db};
   }
+
+  double hidden_db = 2.0;  // of the power that is not in the first path
 
  private:
   std::map<std::uint16_t, Place> places_;
@@ -79,6 +83,10 @@ class Listener {
         ++undecodable;
         continue;
       }
+      if (message.source_id != 0) {
+        relayed.push_back(message);
+        continue;
+      }
       switch (message.which_body) {
         case groma_NodeToHost_slot_report_tag:
           reports.push_back({byte.t, message.body.slot_report});
@@ -104,6 +112,9 @@ class Listener {
         case groma_NodeToHost_log_tag:
           logs.emplace_back(message.body.log.text);
           break;
+        case groma_NodeToHost_time_reply_tag:
+          time_replies.push_back(message.body.time_reply);
+          break;
         case groma_NodeToHost_reply_tag:
           replies.push_back(message.body.reply);
           break;
@@ -117,6 +128,8 @@ class Listener {
   std::vector<Report> reports;
   std::vector<groma_Hello> hellos;
   std::vector<groma_Reply> replies;
+  std::vector<groma_NodeToHost> relayed;  // what other nodes said over the air
+  std::vector<groma_TimeReply> time_replies;
   std::vector<std::string> logs;
   groma_Counters counters = groma_Counters_init_zero;
   groma_NetworkStatus status = groma_NetworkStatus_init_zero;
@@ -140,9 +153,14 @@ struct SiteSettings {
   std::uint32_t turn_round_us = 300;
   std::uint32_t response_gap_us = 200;
   std::uint32_t guard_us = 30;
-  double drift_ppm_per_s = 0.0;  // up on the odd nodes, down on the even ones, from 1 s to 11 s
+  std::optional<security::Key> network_key{};  // each frame carries a code
+  double drift_ppm_per_s = 0.0;                // up on the odd nodes, down on the even ones, from 1 s to 11 s
   double spi_transaction_us = 2.5;
   std::uint32_t uart_bits_per_s = 1'000'000;
+  // What is special about a node; tags come first.
+  std::function<void(groma_Config&)> configure = [](groma_Config&) {};
+  std::function<void(ChipSpec&)> equip = [](ChipSpec&) {};
+  bool raw_stamps = true;  // in the reports
   // What runs a node; tags come first.
   std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
 };
@@ -170,7 +188,11 @@ class SiteBench {
     config.preamble = settings_.preamble;
     config.transmit_antenna_delay_dtu = 16436;
     config.receive_antenna_delay_dtu = 16436;
-    config.report_raw_stamps = true;
+    config.report_raw_stamps = settings_.raw_stamps;
+    if (settings_.network_key) {
+      config.network_key.size = security::kBlockBytes;
+      std::copy(settings_.network_key->begin(), settings_.network_key->end(), config.network_key.bytes);
+    }
     groma_Schedule& schedule = config.schedule;
     schedule.epoch = 1;
     schedule.master_id = anchor_id(0);
@@ -181,12 +203,14 @@ class SiteBench {
     schedule.turn_round_us = settings_.turn_round_us;
     schedule.response_gap_us = settings_.response_gap_us;
     schedule.guard_us = settings_.guard_us;
+    settings_.configure(config);
     return config;
   }
 
   [[nodiscard]] mac::Superframe superframe() const {
     const groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
-    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble));
+    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
+                           settings_.network_key.has_value());
   }
 
   void run_until(double t_s) {
@@ -238,6 +262,7 @@ class SiteBench {
     spec.cpu.spi_transaction_us = settings_.spi_transaction_us;
     spec.uart.bits_per_s = settings_.uart_bits_per_s;
     spec.power_on = SimTime{index} * 7 * kUnitsPerMillisecond;
+    settings_.equip(spec.chip);
     const groma_Config config = config_of(id, role);
     std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
     const std::size_t size = node::encode_config(config, blob);

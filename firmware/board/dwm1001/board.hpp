@@ -7,6 +7,7 @@
 #include <span>
 
 #include "firmware/board/dwm1001/can_port.hpp"
+#include "firmware/board/dwm1001/ecb.hpp"
 #include "firmware/board/dwm1001/leds.hpp"
 #include "firmware/board/dwm1001/nvmc.hpp"
 #include "firmware/board/dwm1001/radio_bus.hpp"
@@ -37,6 +38,7 @@ class Board {
   void count_link(groma_Counters& counters) noexcept { can_.count(counters); }
   bool store_config(std::span<const std::uint8_t> blob) noexcept { return config_store_.store(blob); }
   std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_store_.load(out); }
+  security::BlockCipher& cipher() noexcept { return ecb_; }
   void set_indicator(node::Indicator indicator) noexcept { leds_.show(indicator, now_us()); }
   void restart() noexcept;
   node::ResetReason reset_reason() noexcept { return reset_.reason; }
@@ -62,6 +64,7 @@ class Board {
   CanPort can_;
   bool asked_over_can_ = false;
   Leds leds_;
+  Ecb ecb_;
   Nvmc flash_;
   storage::ConfigStore<Nvmc> config_store_{flash_};
   std::uint32_t boot_count_ = 0;

@@ -49,7 +49,11 @@ int main() {
   for (;;) {
     if (board.radio_interrupt()) node.on_radio_interrupt();
     const std::uint64_t now_us = board.now_us();
-    if (now_us >= node.next_deadline_us()) node.on_timer();
+    if (now_us >= node.next_deadline_us()) {
+      node.on_timer();
+      // A report is made in pieces, and between them the radio is looked at.
+      if (board.radio_interrupt()) continue;
+    }
     if (const auto bytes = board.uart().received(now_us); !bytes.empty()) {
       board.set_asked_over_can(false);
       node.on_link_bytes(bytes);

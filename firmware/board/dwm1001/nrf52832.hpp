@@ -175,6 +175,16 @@ inline constexpr std::uint32_t k1MHz = 4;
 inline constexpr std::uint32_t kCompare = 0x540;  // and four more a channel
 }  // namespace timer
 
+// ---- ECB (28) --------------------------------------------------------------------------------------------
+namespace ecb {
+inline constexpr Block kBlock{0x4000'E000};
+inline constexpr std::uint32_t kStart = 0x000;
+inline constexpr std::uint32_t kStop = 0x004;
+inline constexpr std::uint32_t kEventEnd = 0x100;
+inline constexpr std::uint32_t kEventError = 0x104;
+inline constexpr std::uint32_t kDataPointer = 0x504;
+}  // namespace ecb
+
 // ---- WDT (36) --------------------------------------------------------------------------------------------
 namespace wdt {
 inline constexpr Block kBlock{0x4001'0000};

@@ -7,8 +7,10 @@
 //                     +------------ take_event() says it is over, or stop() ---+
 //
 // An operation asked for in any other state than kIdle is refused (Start::kNotIdle) and touches nothing, so
-// that a frame in flight cannot be trampled. The receiver never re-enables itself: one buffer, one frame,
-// read before the next is asked for.
+// that a frame in flight cannot be trampled. The receiver never re-enables itself: one buffer, one frame.
+// Where time is short the next listening is armed, by receive_at(), between look() and read_frame(): the chip
+// is idle until that listening begins (user manual 4.2), and until then keeps what it has of the frame
+// before.
 #pragma once
 
 #include <array>
@@ -96,6 +98,12 @@ struct Event {
   ReceiveQuality quality{};               // for kReceived
 };
 
+// What the chip's own converter shows, by the calibration that its maker wrote into the OTP memory.
+struct Ambient {
+  std::int16_t temperature_cdegc = 0;  // of the chip; in steps of 1.14 degrees
+  std::uint16_t supply_mv = 0;         // in steps of 6
+};
+
 template <Spi S>
 class Dw1000 {
  public:
@@ -117,6 +125,8 @@ class Dw1000 {
     }
     trim_crystal(read_otp(kOtpCrystalTrim));
     settle_antenna_delays(settings, read_otp(kOtpAntennaDelay));
+    supply_at_reference_ = reading_of(read_otp(kOtpSupply), kTypicalSupplyReading);
+    temperature_at_reference_ = reading_of(read_otp(kOtpTemperature), kTypicalTemperatureReading);
     load_leading_edge_microcode(delay_us);
     tune(settings);
     if (!await_lock(delay_us)) return BringUp::kNoLock;
@@ -154,13 +164,18 @@ class Dw1000 {
     if (state_ != State::kIdle) return Start::kNotIdle;
     if (frame.size() + kFrameCheckBytes > kMaxFrameBytes) return Start::kTooLong;
     spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
-    write(Value<reg::TxFctrl>(frame_format_).set(reg::tx_fctrl::kLength, frame.size() + kFrameCheckBytes));
+    if (const std::size_t length = frame.size() + kFrameCheckBytes; length != format_length_) {
+      format_length_ = length;
+      write(Value<reg::TxFctrl>(frame_format_).set(reg::tx_fctrl::kLength, length));
+    }
     write(Value<reg::DxTime>((stamp - transmit_antenna_delay()).count()));
     // Erratum TX-1: without this clock the end of a delayed transmission is not told.
     write<reg::PmscClock>(kTransmitClockForced);
-    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kTransmit).set(reg::sys_ctrl::kDelayedTransmit));
+    command(kTransmitDelayed);
     state_ = State::kTransmitting;
-    if (started_late()) {
+    // HPDWARN, and TXPUTE.
+    const auto status = read_part<reg::SysStatus, 3, 2>();
+    if (status.has(reg::sys_status::kHalfPeriod) || status.has(reg::sys_status::kPowerUpError)) {
       stop();
       return Start::kLate;
     }
@@ -175,12 +190,14 @@ class Dw1000 {
     if (state_ != State::kIdle) return Start::kNotIdle;
     set_timeouts(frame_timeout, preamble_timeout);
     write(Value<reg::DxTime>(from.count()));
-    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive).set(reg::sys_ctrl::kDelayedReceive));
-    state_ = State::kReceiving;
-    if (started_late()) {
-      stop();
+    command(kReceiveDelayed);
+    if (read_part<reg::SysStatus, 3, 1>().has(reg::sys_status::kHalfPeriod)) {
+      // It has not been on, and so needs no reset.
+      command(kOff);
+      write(kAllEvents);
       return Start::kLate;
     }
+    state_ = State::kReceiving;
     return Start::kStarted;
   }
 
@@ -189,16 +206,25 @@ class Dw1000 {
                                   std::optional<ranging::Ticks> preamble_timeout) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
     set_timeouts(frame_timeout, preamble_timeout);
-    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive));
+    command(kReceiveNow);
     state_ = State::kReceiving;
     return Start::kStarted;
   }
 
   // What ended the operation under way; kNone if nothing has. The interrupt line is low afterwards.
   [[nodiscard]] Event take_event() noexcept {
+    Event event = look();
+    if (event.kind == EventKind::kReceived) {
+      read_frame(event, [](std::span<const std::uint8_t>) { return true; });
+    }
+    return event;
+  }
+
+  // The same, but that a frame received is left in the chip until read_frame().
+  [[nodiscard]] Event look() noexcept {
     namespace st = reg::sys_status;
     if (state_ == State::kDown) return {};
-    auto status = read<reg::SysStatus>();
+    auto status = read_part<reg::SysStatus, 0, 4>();
     if (status.has(st::kClockPllLosing) || status.has(st::kRfPllLosing)) {
       state_ = State::kDown;
       write(kAllEvents);
@@ -206,9 +232,18 @@ class Dw1000 {
     }
     if (state_ == State::kTransmitting && status.has(st::kTransmitted)) return take_transmitted();
     if (state_ == State::kReceiving) {
-      if (status.has(st::kReceived)) return take_received(status);
+      if (status.has(st::kReceived)) {
+        // The frame may be whole before its leading edge is found.
+        for (int i = 0; i < kStampTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
+          status = read_part<reg::SysStatus, 0, 4>();
+        }
+        clear_events();
+        state_ = State::kIdle;
+        return {.kind = EventKind::kReceived,
+                .stamp_valid = status.has(st::kStamped) && !status.has(st::kStampError)};
+      }
       if (const EventKind failure = failure_of(status); failure != EventKind::kNone) {
-        write(kAllEvents);
+        clear_events();
         reset_receiver();
         state_ = State::kIdle;
         return {.kind = failure};
@@ -218,10 +253,70 @@ class Dw1000 {
     return {};
   }
 
+  // Completes what look() said of a frame; its quality only where `wanted`(its bytes). Before the next
+  // listening begins, which may be armed already.
+  template <class Wanted>
+  void read_frame(Event& event, Wanted&& wanted) noexcept {
+    // With the next listening armed, first what the receiver overwrites first.
+    Value<reg::DrxResults> results;
+    const bool armed = state_ == State::kReceiving;
+    if (armed) results = read<reg::DrxResults>();
+    const auto info = read<reg::RxFinfo>();
+    const auto length = static_cast<std::size_t>(info.get(reg::rx_finfo::kLength));
+    const std::size_t size = length < kFrameCheckBytes ? 0 : length - kFrameCheckBytes;
+    const std::span<std::uint8_t> frame =
+        std::span(frame_).first(size < frame_.size() ? size : frame_.size());
+    spi_.read(TransactionHeader(false, reg::RxBuffer::kId, reg::RxBuffer::kSub).bytes(), frame);
+    const auto time = read_part<reg::RxTime, 0, 9>();
+    event.stamp = ranging::DeviceTime(time.get(reg::rx_time::kStamp));
+    event.frame = frame;
+    if (!wanted(std::span<const std::uint8_t>(frame))) return;
+    if (!armed) results = read<reg::DrxResults>();
+    const auto quality = read<reg::RxFqual>();
+    const auto count = info.get(reg::rx_finfo::kPreambleCount);
+    const auto unsaturated_count = results.get(reg::drx_results::kUnsaturatedCount);
+    event.quality = {
+        .amplitude1 = static_cast<std::uint16_t>(time.get(reg::rx_time::kAmplitude1)),
+        .amplitude2 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude2)),
+        .amplitude3 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude3)),
+        .channel_power = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kChannelPower)),
+        .noise = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kNoise)),
+        .first_path_index_64ths = static_cast<std::uint16_t>(time.get(reg::rx_time::kFirstPath)),
+        .preamble_count = corrected_preamble_count(static_cast<std::uint16_t>(count),
+                                                   static_cast<std::uint16_t>(unsaturated_count)),
+        .carrier_integral = static_cast<std::int32_t>(results.get_signed(reg::drx_results::kIntegral)),
+    };
+  }
+
+  // Has the chip measure its temperature and supply, whatever else it is at; the result is there
+  // kSampling_us later. User manual 6.4, with the sensors switched on step by step as its maker's driver
+  // does.
+  static constexpr std::uint32_t kSampling_us = 1'000;
+  void start_sampling() noexcept {
+    if (state_ == State::kDown) return;
+    write<reg::RfBias>(kSensorBias);
+    write<reg::RfSensors>(kSensorAndConverterBias);
+    write<reg::RfSensors>(kSensorOutputs);
+    write<reg::TcSarc>(kConverterOff);
+    write<reg::TcSarc>(kConverterOn);
+  }
+  [[nodiscard]] std::optional<Ambient> finish_sampling() noexcept {
+    if (state_ == State::kDown) return std::nullopt;
+    const auto supply = static_cast<std::int32_t>(read<reg::TcSarSupply>().word());
+    const auto temperature = static_cast<std::int32_t>(read<reg::TcSarTemperature>().word());
+    write<reg::TcSarc>(kConverterOff);
+    // Temperature = (reading - that at 23 degrees C) 1.14 + 23, supply = (reading - that at 3.3 V) / 173
+    // + 3.3.
+    return Ambient{
+        .temperature_cdegc =
+            static_cast<std::int16_t>((temperature - temperature_at_reference_) * 114 + 2'300),
+        .supply_mv = static_cast<std::uint16_t>((supply - supply_at_reference_) * 1'000 / 173 + 3'300)};
+  }
+
   // Ends the operation under way, whatever its state; the driver is kIdle again.
   void stop() noexcept {
     if (state_ == State::kDown) return;
-    write(Value<reg::SysCtrl>().set(reg::sys_ctrl::kOff));
+    command(kOff);
     write(kAllEvents);
     if (state_ == State::kTransmitting) write<reg::PmscClock>(kClocksAutomatic);
     if (state_ == State::kReceiving) reset_receiver();
@@ -241,9 +336,25 @@ class Dw1000 {
   static constexpr Value<reg::ChanCtrl> kChannel{0x4A480055};
   static constexpr Value<reg::LdeCfg1> kLdeNoiseThreshold{0x6D};
   static constexpr Value<reg::LdeRepc> kLdeReplicaCode{0x28F4};
+  static constexpr Value<reg::RfBias> kSensorBias{0x80};
+  static constexpr Value<reg::RfSensors> kSensorAndConverterBias{0x0A};
+  static constexpr Value<reg::RfSensors> kSensorOutputs{0x0F};
+  static constexpr Value<reg::TcSarc> kConverterOff{0x00};
+  static constexpr Value<reg::TcSarc> kConverterOn{0x01};
+  static constexpr std::uint8_t kTypicalSupplyReading = 175;
+  static constexpr std::uint8_t kTypicalTemperatureReading = 120;
   static constexpr std::uint16_t kOtpLdoTune = 0x04;
+  static constexpr std::uint16_t kOtpSupply = 0x08;       // the converter's reading at 3.3 V
+  static constexpr std::uint16_t kOtpTemperature = 0x09;  // and at 23 degrees C
   static constexpr std::uint16_t kOtpAntennaDelay = 0x1C;
   static constexpr std::uint16_t kOtpCrystalTrim = 0x1E;
+
+  static constexpr auto kTransmitDelayed =
+      Value<reg::SysCtrl>().set(reg::sys_ctrl::kTransmit).set(reg::sys_ctrl::kDelayedTransmit);
+  static constexpr auto kReceiveDelayed =
+      Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive).set(reg::sys_ctrl::kDelayedReceive);
+  static constexpr auto kReceiveNow = Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive);
+  static constexpr auto kOff = Value<reg::SysCtrl>().set(reg::sys_ctrl::kOff);
 
   // What may raise the interrupt line: each end of an operation, and the loss of a PLL.
   static constexpr Value<reg::SysMask> kInterrupts = [] {
@@ -299,6 +410,26 @@ class Dw1000 {
     spi_.write(TransactionHeader(true, R::kId, R::kSub).bytes(), value.bytes());
   }
 
+  // `Count` bytes of it from `First` on; the others are zero.
+  template <class R, std::size_t First, std::size_t Count>
+  [[nodiscard]] Value<R> read_part() noexcept {
+    static_assert(R::kReadable, "a register that cannot be read");
+    Value<R> value;
+    spi_.read(TransactionHeader(false, R::kId, R::kSub + First).bytes(),
+              value.bytes().template subspan<First, Count>());
+    return value;
+  }
+  template <class R, std::size_t First, std::size_t Count>
+  void write_part(const Value<R>& value) noexcept {
+    static_assert(R::kWritable, "a register that cannot be written");
+    spi_.write(TransactionHeader(true, R::kId, R::kSub + First).bytes(),
+               value.bytes().template subspan<First, Count>());
+  }
+  // All commands in use lie in its low half.
+  void command(const Value<reg::SysCtrl>& bits) noexcept { write_part<reg::SysCtrl, 0, 2>(bits); }
+  // All that ends an operation, late transmissions aside.
+  void clear_events() noexcept { write_part<reg::SysStatus, 0, 4>(kAllEvents); }
+
   // User manual 6.3.3; on the crystal's clock, for the words read at the PLL's are not reliable.
   [[nodiscard]] std::uint32_t read_otp(std::uint16_t address) noexcept {
     write(Value<reg::OtpAddr>(address));
@@ -322,6 +453,12 @@ class Dw1000 {
     transmit_antenna_delay_dtu_ = settings.transmit_antenna_delay_dtu.value_or(fallback);
     write(Value<reg::TxAntd>(transmit_antenna_delay_dtu_));
     write(Value<reg::LdeRxantd>(settings.receive_antenna_delay_dtu.value_or(fallback)));
+  }
+
+  // Of the converter, as its maker saw it at the reference.
+  [[nodiscard]] static std::uint8_t reading_of(std::uint32_t otp_word, std::uint8_t fallback) noexcept {
+    const auto reading = static_cast<std::uint8_t>(otp_word);
+    return reading == 0 || reading == 0xFF ? fallback : reading;
   }
 
   // User manual 2.5.5.10. Without its microcode the leading edge detector's stamps are junk.
@@ -372,6 +509,9 @@ class Dw1000 {
                         .set(reg::tx_fctrl::kPrf, 2)
                         .set(reg::tx_fctrl::kPreamble, tuning.code);
     preamble_timeout_chunks_ = 0;
+    frame_timeout_units_ = 0;
+    frame_timeout_ = ranging::Ticks(-1);
+    format_length_ = 0;
     chunk_ = phy.acquisition_chunk_symbols() * Phy::kPreambleSymbol;
   }
 
@@ -392,7 +532,15 @@ class Dw1000 {
   }
 
   void set_timeouts(ranging::Ticks frame_timeout, std::optional<ranging::Ticks> preamble_timeout) noexcept {
-    write(Value<reg::RxFwto>(rounded_up(frame_timeout, ranging::Ticks(ranging::Ticks::kPerUus))));
+    // As a rule a listening lasts as long as the one before, and 64-bit divisions are long.
+    if (frame_timeout == frame_timeout_ && preamble_timeout == preamble_timeout_) return;
+    frame_timeout_ = frame_timeout;
+    preamble_timeout_ = preamble_timeout;
+    const std::uint16_t units = rounded_up(frame_timeout, ranging::Ticks(ranging::Ticks::kPerUus));
+    if (units != frame_timeout_units_) {
+      frame_timeout_units_ = units;
+      write(Value<reg::RxFwto>(units));
+    }
     const std::uint16_t chunks = preamble_timeout ? rounded_up(*preamble_timeout, chunk_) : std::uint16_t{0};
     if (chunks == preamble_timeout_chunks_) return;
     preamble_timeout_chunks_ = chunks;
@@ -405,56 +553,12 @@ class Dw1000 {
     return static_cast<std::uint16_t>(units < 1 ? 1 : units > 0xFFFF ? 0xFFFF : units);
   }
 
-  [[nodiscard]] bool started_late() noexcept {
-    const auto status = read<reg::SysStatus>();
-    return status.has(reg::sys_status::kHalfPeriod) ||
-           (state_ == State::kTransmitting && status.has(reg::sys_status::kPowerUpError));
-  }
-
   [[nodiscard]] Event take_transmitted() noexcept {
     const ranging::DeviceTime stamp(read<reg::TxTime>().get(reg::tx_time::kStamp));
-    write(kAllEvents);
+    clear_events();
     write<reg::PmscClock>(kClocksAutomatic);
     state_ = State::kIdle;
     return {.kind = EventKind::kTransmitted, .stamp = stamp};
-  }
-
-  [[nodiscard]] Event take_received(Value<reg::SysStatus> status) noexcept {
-    namespace st = reg::sys_status;
-    // The frame may be whole before its leading edge is found.
-    for (int i = 0; i < kStampTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
-      status = read<reg::SysStatus>();
-    }
-    const auto info = read<reg::RxFinfo>();
-    const auto length = static_cast<std::size_t>(info.get(reg::rx_finfo::kLength));
-    const std::size_t size = length < kFrameCheckBytes ? 0 : length - kFrameCheckBytes;
-    const std::span<std::uint8_t> frame =
-        std::span(frame_).first(size < frame_.size() ? size : frame_.size());
-    spi_.read(TransactionHeader(false, reg::RxBuffer::kId, reg::RxBuffer::kSub).bytes(), frame);
-    const auto time = read<reg::RxTime>();
-    const auto quality = read<reg::RxFqual>();
-    const auto count = info.get(reg::rx_finfo::kPreambleCount);
-    const auto unsaturated_count = read<reg::RxpaccNosat>().word();
-    const auto carrier = read<reg::DrxCarInt>().get_signed(reg::drx_car_int::kIntegral);
-    const Event event{
-        .kind = EventKind::kReceived,
-        .stamp = ranging::DeviceTime(time.get(reg::rx_time::kStamp)),
-        .stamp_valid = status.has(st::kStamped) && !status.has(st::kStampError),
-        .frame = frame,
-        .quality = {
-            .amplitude1 = static_cast<std::uint16_t>(time.get(reg::rx_time::kAmplitude1)),
-            .amplitude2 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude2)),
-            .amplitude3 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude3)),
-            .channel_power = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kChannelPower)),
-            .noise = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kNoise)),
-            .first_path_index_64ths = static_cast<std::uint16_t>(time.get(reg::rx_time::kFirstPath)),
-            .preamble_count = corrected_preamble_count(static_cast<std::uint16_t>(count),
-                                                       static_cast<std::uint16_t>(unsaturated_count)),
-            .carrier_integral = static_cast<std::int32_t>(carrier),
-        }};
-    write(kAllEvents);
-    state_ = State::kIdle;
-    return event;
   }
 
   [[nodiscard]] static EventKind failure_of(const Value<reg::SysStatus>& status) noexcept {
@@ -478,8 +582,15 @@ class Dw1000 {
   S& spi_;
   State state_ = State::kDown;
   std::uint16_t transmit_antenna_delay_dtu_ = 0;
+  std::uint8_t supply_at_reference_ = kTypicalSupplyReading;
+  std::uint8_t temperature_at_reference_ = kTypicalTemperatureReading;
   Value<reg::FsXtalt> crystal_trim_;
+  // What the chip holds; 0: not known, but for the first.
   std::uint16_t preamble_timeout_chunks_ = 0;
+  std::uint16_t frame_timeout_units_ = 0;
+  ranging::Ticks frame_timeout_{-1};  // asked for last
+  std::optional<ranging::Ticks> preamble_timeout_{};
+  std::size_t format_length_ = 0;
   ranging::Ticks chunk_{1};
   Value<reg::TxFctrl> frame_format_;
   std::array<std::uint8_t, kMaxFrameBytes> frame_{};

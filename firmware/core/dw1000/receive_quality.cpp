@@ -38,6 +38,16 @@ std::optional<std::int32_t> receive_power_cdbm(const ReceiveQuality& q) noexcept
   return power_cdbm(static_cast<float>(q.channel_power) * kScale, q.preamble_count);
 }
 
+LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
+                          std::optional<std::int32_t> receive_power_cdbm) noexcept {
+  constexpr std::int32_t kLikely_cdb = 600;
+  constexpr std::int32_t kUnlikely_cdb = 1'000;
+  if (!first_path_power_cdbm || !receive_power_cdbm) return LineOfSight::kUnknown;
+  const std::int32_t hidden_cdb = *receive_power_cdbm - *first_path_power_cdbm;
+  if (hidden_cdb < kLikely_cdb) return LineOfSight::kLikely;
+  return hidden_cdb > kUnlikely_cdb ? LineOfSight::kUnlikely : LineOfSight::kUncertain;
+}
+
 std::int32_t clock_offset_ppb(std::int32_t carrier_integral) noexcept {
   // -5.7312e-4 ppm each: 998.4 MHz / 2 / 1024 / 2^17 over the carrier of 6489.6 MHz.
   return static_cast<std::int32_t>(std::int64_t{carrier_integral} * -57312 / 100'000);

@@ -26,6 +26,13 @@ struct ReceiveQuality {
 [[nodiscard]] std::optional<std::int32_t> first_path_power_cdbm(const ReceiveQuality& quality) noexcept;
 [[nodiscard]] std::optional<std::int32_t> receive_power_cdbm(const ReceiveQuality& quality) noexcept;
 
+// Whether the first path is likely the straight one, by what part of the power it holds: within 6 dB of all
+// of it is line of sight, more than 10 dB below is not (user manual 4.7.3). A hint: a wall of one material
+// attenuates all paths alike.
+enum class LineOfSight : std::uint8_t { kUnknown, kLikely, kUncertain, kUnlikely };
+[[nodiscard]] LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
+                                        std::optional<std::int32_t> receive_power_cdbm) noexcept;
+
 // The transmitter's clock against the receiver's, parts per 10^9; positive: the transmitter's is fast
 // (channel 5, 6.8 Mbit/s). The integral's sign is the other way round.
 [[nodiscard]] std::int32_t clock_offset_ppb(std::int32_t carrier_integral) noexcept;

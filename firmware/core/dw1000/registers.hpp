@@ -40,8 +40,14 @@ using DrxPretoc    = Register<0x27, 0x0024,  2, kReadWrite>;  // preamble time-o
 using DrxTune4h    = Register<0x27, 0x0026,  2, kReadWrite>;  // receiver, by preamble length
 using DrxCarInt    = Register<0x27, 0x0028,  3, kRead>;       // carrier recovery integrator
 using RxpaccNosat  = Register<0x27, 0x002C,  2, kRead>;       // preamble count, not saturated
+using DrxResults   = Register<0x27, 0x0028,  6, kRead>;       // the two above, and a byte of no use between
 using RfRxctrlh    = Register<0x28, 0x000B,  1, kReadWrite>;  // receiver, by channel
 using RfTxctrl     = Register<0x28, 0x000C,  4, kReadWrite>;  // transmitter, by channel
+using RfBias       = Register<0x28, 0x0011,  1, kReadWrite>;  // bias of the temperature and supply sensors
+using RfSensors    = Register<0x28, 0x0012,  1, kReadWrite>;  // bias and outputs of the sensors and their converter
+using TcSarc       = Register<0x2A, 0x0000,  1, kReadWrite>;  // starts the converter
+using TcSarSupply  = Register<0x2A, 0x0003,  1, kRead>;       // its last reading of the supply
+using TcSarTemperature = Register<0x2A, 0x0004, 1, kRead>;    // and of the temperature
 using TcPgdelay    = Register<0x2A, 0x000B,  1, kReadWrite>;  // pulse width, by channel
 using FsPllcfg     = Register<0x2B, 0x0007,  4, kReadWrite>;  // synthesizer, by channel
 using FsPlltune    = Register<0x2B, 0x000B,  1, kReadWrite>;  // synthesizer, by channel
@@ -131,6 +137,11 @@ inline constexpr Field<EcCtrl, 2> kLockDetect{};  // PLLLDT: without it the lock
 namespace drx_car_int {
 inline constexpr Field<DrxCarInt, 0, 21> kIntegral{};  // signed
 }  // namespace drx_car_int
+
+namespace drx_results {
+inline constexpr Field<DrxResults, 0, 21> kIntegral{};  // signed
+inline constexpr Field<DrxResults, 32, 16> kUnsaturatedCount{};
+}  // namespace drx_results
 
 namespace otp_ctrl {
 inline constexpr Field<OtpCtrl, 0> kReadEnable{};      // OTPRDEN

@@ -7,7 +7,16 @@ namespace groma::mac {
 using ranging::ClockTime;
 using ranging::Ticks;
 
-Anchor::Anchor(const Site& site, groma_Counters& counters) noexcept : station_(site, counters) {}
+namespace {
+
+constexpr int kSilent = 4;  // superframes without a POLL after which a slot counts as not in use
+
+}  // namespace
+
+Anchor::Anchor(const Site& site, groma_Counters& counters) noexcept
+    : station_(site, counters), membership_(site.id, *site.schedule) {
+  station_.attach(membership_);
+}
 
 Step Anchor::doing(const Action& action) noexcept {
   doing_ = action;
@@ -16,109 +25,130 @@ Step Anchor::doing(const Action& action) noexcept {
 
 Step Anchor::start(ClockTime now) noexcept {
   records_ = {};
-  station_.sync().search();
-  if (is_master()) {
-    constexpr Ticks kHead = Ticks::from_us(5'000);
-    station_.sync().lead(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
-    // "Past the last slot" of the one before the first.
-    superframe_ = ~std::uint32_t{0};
-    next_slot_ = station_.superframe().tag_count();
-  }
+  answered_ = nullptr;
+  polls_missing_ = 0;
+  station_.start(now);
   return doing(plan(now));
 }
 
 Action Anchor::plan(ClockTime now) noexcept {
   for (;;) {
-    if (station_.sync().state() == SyncState::kSearching) {
-      phase_ = Phase::kSearching;
-      return Station::search(now);
-    }
-    if (next_slot_ >= station_.superframe().tag_count()) {
-      ++superframe_;
+    if (const auto action = station_.control(now)) {
+      phase_ = Phase::kControl;
       next_slot_ = 0;
-      if (station_.ahead(station_.beacon_due(superframe_), now)) {
-        phase_ = Phase::kBeacon;
-        return is_master() ? beacon() : station_.listen_for_beacon(superframe_);
-      }
-      if (!is_master()) station_.beacon_missed(superframe_);
+      return *action;
+    }
+    const std::uint32_t superframe = station_.superframe_number();
+    if (superframe != slots_of_) {
+      slots_of_ = superframe;
+      next_slot_ = 0;
+    }
+    if (next_slot_ >= station_.superframe().slot_count()) {
+      end_superframe();
       continue;
     }
     slot_ = next_slot_++;
-    const ClockTime due = station_.poll_due(superframe_, slot_);
+    silent_[slot_] = static_cast<std::uint8_t>(std::min(silent_[slot_] + 1, 255));
+    const ClockTime due = station_.poll_due(superframe, slot_);
     if (station_.ahead(due, now)) {
       phase_ = Phase::kPoll;
-      return station_.listen(due, poll_bytes(station_.site().schedule.anchor_ids_count),
-                             station_.sync().margin(superframe_));
+      return listen_in_slot(due);
     }
   }
 }
 
-Action Anchor::beacon() noexcept {
-  const Beacon body{
-      .superframe = superframe_, .epoch = station_.site().schedule.epoch, .schedule_hash = station_.hash()};
-  return station_.transmit(station_.stamp_not_after(station_.beacon_due(superframe_)), kBroadcast, body);
+Action Anchor::listen_in_slot(ClockTime due) const noexcept {
+  const Superframe& superframe = station_.superframe();
+  Action action = station_.listen(due, superframe.on_air(poll_bytes(superframe.responses())),
+                                  station_.sync().margin(slots_of_));
+  if (silent_[slot_] < kSilent) return action;
+  // The next thing to do is a slot's length after this, a beacon or a POLL.
+  constexpr Ticks kToGetReady = Ticks::from_us(300);
+  action.until = std::max(action.until, action.at + superframe.tag_slot() - kToGetReady);
+  action.preamble_until.reset();
+  return action;
+}
+
+void Anchor::end_superframe() noexcept {
+  constexpr std::uint32_t kTooMany = 2;
+  station_.on_lack(++polls_missing_ > kTooMany);
+  station_.end_superframe();
+  next_slot_ = 0;
 }
 
 Step Anchor::on_transmitted(ClockTime stamp) noexcept {
+  if (phase_ == Phase::kControl) {
+    station_.on_control_transmitted(stamp);
+    return doing(plan(stamp));
+  }
   ++station_.counters().frames_sent;
-  if (phase_ != Phase::kResponse) return doing(plan(stamp));
-  Record& record = records_[slot_];
+  Record& record = *answered_;
   record.valid = stamp == record.responded;
   if (!record.valid) ++station_.counters().bad_stamps;
   if (!station_.superframe().has_final()) return doing(plan(stamp));
   phase_ = Phase::kFinal;
-  return doing(station_.listen(poll_heard_ + station_.superframe().final(polled_), kFinalBytes, Ticks(0)));
+  return doing(station_.listen(poll_heard_ + station_.superframe().final(polled_),
+                               station_.superframe().on_air(kFinalBytes), Ticks(0)));
 }
 
 Step Anchor::on_late(ClockTime now) noexcept {
-  ++station_.counters().late_transmits;
+  if (phase_ == Phase::kControl) {
+    station_.on_control_late();
+  } else {
+    ++station_.counters().late_transmits;
+  }
   return doing(plan(now));
 }
 
 Step Anchor::on_received(const Reception& reception) noexcept {
-  const auto frame = station_.accept(reception);
-  if (frame) {
-    if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
-      if (!is_master() && station_.take_beacon(*frame, *beacon, reception)) {
-        superframe_ = beacon->superframe;
-        next_slot_ = 0;
-        return doing(plan(reception.stamp));
-      }
-    } else if (const auto* poll = std::get_if<Poll>(&frame->body);
-               poll != nullptr && phase_ == Phase::kPoll) {
+  if (phase_ == Phase::kControl) {
+    if (const auto rest = station_.on_control_received(reception)) return doing(*rest);
+    return doing(plan(reception.stamp));
+  }
+  if (const auto frame = station_.accept(reception, place())) {
+    if (const auto* poll = std::get_if<Poll>(&frame->body);
+        poll != nullptr && phase_ == Phase::kPoll && is_of_slot(*frame, *poll, reception)) {
+      silent_[slot_] = 0;
       if (const auto action = answer(*frame, *poll, reception)) return doing(*action);
     } else if (const auto* final = std::get_if<Final>(&frame->body);
                final != nullptr && phase_ == Phase::kFinal) {
       close(*frame, *final, reception);
+      return doing(plan(reception.stamp));
+    } else if (station_.overhear(*frame, reception)) {
       return doing(plan(reception.stamp));
     }
   }
   return listen_on_or(reception.stamp);
 }
 
+bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& reception) const noexcept {
+  const Ticks late = reception.stamp - station_.poll_due(slots_of_, slot_);
+  const Ticks most = station_.superframe().guard() + station_.sync().margin(slots_of_);
+  return poll.superframe == slots_of_ && poll.slot == slot_ && station_.may_poll(frame.source, slot_) &&
+         (!reception.stamp_valid || (late <= most && late >= -most));
+}
+
 std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
                                      const Reception& reception) noexcept {
-  const groma_Schedule& schedule = station_.site().schedule;
-  if (poll.superframe != superframe_ || poll.slot != slot_ || frame.source != schedule.tag_ids[slot_]) {
-    ++station_.counters().stale_frames;
-    return std::nullopt;
-  }
+  if (!station_.fresh()) return std::nullopt;
   if (!reception.stamp_valid) {
     ++station_.counters().bad_stamps;
     return std::nullopt;
   }
   const auto end = poll.anchors.begin() + poll.count;
   const auto self = std::find(poll.anchors.begin(), end, station_.site().id);
+  membership_.on_poll(frame.source, slot_, self != end);
   if (self == end) return std::nullopt;
   const auto index = static_cast<std::size_t>(self - poll.anchors.begin());
 
-  Record& record = records_[slot_];
-  Response body{.exchange = poll.exchange};
+  polls_missing_ = 0;
+  Record& record = record_of(frame.source);
+  Response body{.exchange = poll.exchange, .health = station_.health()};
   if (record.valid) {
     body.closed_exchange = record.exchange;
     if (station_.superframe().has_final()) {
-      body.closing_valid = record.closing.has_value();
-      body.closing = record.closing.value_or(Ticks(0));
+      body.closing_valid = record.closing_valid;
+      body.closing = record.closing;
     } else {
       // This POLL closes the exchange before, if it follows it directly.
       const auto following = static_cast<std::uint16_t>(record.exchange + 1);
@@ -133,14 +163,28 @@ std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
   const ClockTime stamp =
       station_.stamp_not_after(reception.stamp + station_.superframe().response(index, poll.count));
   body.reply = stamp - reception.stamp;
-  record = {.exchange = poll.exchange, .responded = stamp};
+  record = {
+      .tag = frame.source, .exchange = poll.exchange, .superframe = poll.superframe, .responded = stamp};
+  answered_ = &record;
   phase_ = Phase::kResponse;
-  return station_.transmit(stamp, frame.source, body);
+  return station_.transmit(stamp, frame.source, body, place());
+}
+
+Anchor::Record& Anchor::record_of(std::uint16_t tag) noexcept {
+  const auto found =
+      std::find_if(records_.begin(), records_.end(), [=](const Record& record) { return record.tag == tag; });
+  if (found != records_.end()) return *found;
+  Record& oldest = *std::min_element(records_.begin(), records_.end(), [&](const Record& a, const Record& b) {
+    if ((a.tag == kNobody) != (b.tag == kNobody)) return a.tag == kNobody;
+    return slots_of_ - a.superframe > slots_of_ - b.superframe;
+  });
+  oldest = {.tag = tag};
+  return oldest;
 }
 
 void Anchor::close(const Frame& frame, const Final& final, const Reception& reception) noexcept {
-  Record& record = records_[slot_];
-  if (frame.source != station_.site().schedule.tag_ids[slot_] || final.exchange != record.exchange) {
+  Record& record = *answered_;
+  if (frame.source != record.tag || final.exchange != record.exchange) {
     ++station_.counters().stale_frames;
     return;
   }
@@ -149,22 +193,22 @@ void Anchor::close(const Frame& frame, const Final& final, const Reception& rece
     return;
   }
   record.closing = reception.stamp - record.responded;
+  record.closing_valid = true;
 }
 
 Step Anchor::on_timeout(ClockTime now) noexcept {
-  if (phase_ == Phase::kBeacon) station_.beacon_missed(superframe_);
+  if (phase_ == Phase::kControl) station_.on_control_timeout();
   return doing(plan(now));
 }
 
 Step Anchor::resume(ClockTime now) noexcept {
-  if (phase_ == Phase::kBeacon && !is_master()) station_.beacon_missed(superframe_);
+  station_.resume(now);
   return doing(plan(now));
 }
 
 // After a frame of no use.
 Step Anchor::listen_on_or(ClockTime now) noexcept {
-  if (phase_ == Phase::kSearching) return doing(Station::search(now));
-  if (doing_.preamble_until && now < *doing_.preamble_until) return doing(Station::listen_on(doing_));
+  if (const auto rest = Station::listen_on(doing_, now)) return doing(*rest);
   return on_timeout(now);
 }
 

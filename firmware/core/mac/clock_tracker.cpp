@@ -13,9 +13,8 @@ constexpr float kTicksPerSecondPerPpb = kTicksPerSecond * 1e-9F;
 
 // A receive stamp with its reflections: 0.2 ns.
 constexpr float kStampSigma_ticks = 13.0F;
-// The carrier's offset as a measure of the rate, in ticks a second (tps): 1 ppm.
-constexpr float kSeedSigma_tps = 1000.0F * kTicksPerSecondPerPpb;
-// The rate's random walk: 0.1 ppm in a second, so that a ramp of 1 ppm a second is followed as well.
+// The rate's random walk, in ticks a second (tps): 0.1 ppm in a second, so that a ramp of 1 ppm a second is
+// followed as well.
 constexpr float kWalk_tps = 100.0F * kTicksPerSecondPerPpb;
 // A stamp this far off can still be honest: the filter's own idea of its accuracy is not to lock it out.
 constexpr float kGateFloor_ticks = 5e-6F * kTicksPerSecond;
@@ -23,13 +22,15 @@ constexpr float kGateSigmas = 6.0F;
 
 }  // namespace
 
-void ClockTracker::seed(Ticks master, ClockTime local, std::int32_t master_offset_ppb) noexcept {
+void ClockTracker::seed(Ticks master, ClockTime local, std::int32_t master_offset_ppb,
+                        std::int32_t offset_sigma_ppb) noexcept {
+  const float rate_sigma_tps = static_cast<float>(offset_sigma_ppb) * kTicksPerSecondPerPpb;
   seeded_ = true;
   reference_master_ = master;
   reference_local_ = local;
   fraction_ticks_ = 0.0F;
   rate_ticks_per_s_ = -static_cast<float>(master_offset_ppb) * kTicksPerSecondPerPpb;
-  covariance_ = {kStampSigma_ticks * kStampSigma_ticks, 0.0F, kSeedSigma_tps * kSeedSigma_tps};
+  covariance_ = {kStampSigma_ticks * kStampSigma_ticks, 0.0F, rate_sigma_tps * rate_sigma_tps};
 }
 
 float ClockTracker::seconds_since_reference(Ticks master) const noexcept {
@@ -60,15 +61,38 @@ std::int32_t ClockTracker::skew_ppb() const noexcept {
   return static_cast<std::int32_t>(std::lround(rate_ticks_per_s_ / kTicksPerSecondPerPpb));
 }
 
-bool ClockTracker::update(Ticks master, ClockTime local_stamp) noexcept {
+Ticks ClockTracker::master(ClockTime local_stamp) const noexcept {
+  const Ticks elapsed = local_stamp - reference_local_;
+  const float seconds = static_cast<float>(elapsed.count()) / kTicksPerSecond;
+  // The rate squared, over 20 s, is 8 ns.
+  const float relative = rate_ticks_per_s_ / kTicksPerSecond;
+  const float correction = (fraction_ticks_ + rate_ticks_per_s_ * seconds) * (1.0F - relative);
+  return reference_master_ + elapsed - Ticks(std::llround(correction));
+}
+
+void ClockTracker::widen(float offset_sigma_ticks) noexcept {
+  covariance_.offset += offset_sigma_ticks * offset_sigma_ticks;
+}
+
+void ClockTracker::rebase(Ticks master) noexcept {
+  const float dt = seconds_since_reference(master);
+  const float correction = fraction_ticks_ + rate_ticks_per_s_ * dt;
+  const Ticks whole(std::llround(correction));
+  covariance_ = predicted(dt);
+  reference_local_ += (master - reference_master_) + whole;
+  reference_master_ = master;
+  fraction_ticks_ = correction - static_cast<float>(whole.count());
+}
+
+bool ClockTracker::update(Ticks master, ClockTime local_stamp, float path_sigma_ticks) noexcept {
   const float dt = seconds_since_reference(master);
   const Covariance prior = predicted(dt);
   const float correction = fraction_ticks_ + rate_ticks_per_s_ * dt;
   const Ticks whole = local_stamp - (reference_local_ + (master - reference_master_));
   const float innovation = static_cast<float>(whole.count()) - correction;
 
-  constexpr float kNoise = kStampSigma_ticks * kStampSigma_ticks;
-  const float variance = prior.offset + kNoise;
+  const float noise = kStampSigma_ticks * kStampSigma_ticks + path_sigma_ticks * path_sigma_ticks;
+  const float variance = prior.offset + noise;
   if (std::fabs(innovation) > kGateFloor_ticks + kGateSigmas * std::sqrt(variance)) return false;
 
   const float gain_offset = prior.offset / variance;
@@ -80,8 +104,8 @@ bool ClockTracker::update(Ticks master, ClockTime local_stamp) noexcept {
   rate_ticks_per_s_ += gain_rate * innovation;
   // Joseph's form: stays positive in single precision.
   const float keep = 1.0F - gain_offset;
-  covariance_ = {keep * keep * prior.offset + gain_offset * gain_offset * kNoise,
-                 keep * (prior.cross - gain_rate * prior.offset) + gain_offset * gain_rate * kNoise,
+  covariance_ = {keep * keep * prior.offset + gain_offset * gain_offset * noise,
+                 keep * (prior.cross - gain_rate * prior.offset) + gain_offset * gain_rate * noise,
                  prior.rate - 2.0F * gain_rate * prior.cross + gain_rate * gain_rate * variance};
   return true;
 }

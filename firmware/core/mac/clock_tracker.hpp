@@ -15,12 +15,23 @@ namespace groma::mac {
 class ClockTracker {
  public:
   // Starts anew: a master's instant (in ticks of its clock since any origin of its own) was seen at `local`.
-  // `master_offset_ppb`: the master's clock against this one's, from the carrier.
-  void seed(ranging::Ticks master, ranging::ClockTime local, std::int32_t master_offset_ppb) noexcept;
+  // `master_offset_ppb`: the master's clock against this one's, from the carrier, with its standard
+  // deviation.
+  void seed(ranging::Ticks master, ranging::ClockTime local, std::int32_t master_offset_ppb,
+            std::int32_t offset_sigma_ppb = 1'000) noexcept;
 
-  // A further instant, later than the one before. Returns false and leaves the state alone if the stamp is
-  // further from its prediction than 5 us and 6 sigma: a reflection, another master, or a clock that jumped.
-  bool update(ranging::Ticks master, ranging::ClockTime local) noexcept;
+  // A further instant, later than the one before, whose standard deviation beside the stamp's own is
+  // `path_sigma_ticks`. Returns false and leaves the state alone if the stamp is further from its prediction
+  // than 5 us and 6 sigma: a reflection, another master, or a clock that jumped.
+  bool update(ranging::Ticks master, ranging::ClockTime local, float path_sigma_ticks = 0.0F) noexcept;
+
+  // The instants to come arrive by another path: what is known of the offset is known that much less well,
+  // and of the rate as well as before.
+  void widen(float offset_sigma_ticks) noexcept;
+
+  // Counts from `master` on without any change to what is predicted: so that a clock that is not updated any
+  // more stays exact however long it runs.
+  void rebase(ranging::Ticks master) noexcept;
 
   // Nothing before the first seed().
   [[nodiscard]] bool seeded() const noexcept { return seeded_; }
@@ -29,6 +40,9 @@ class ClockTracker {
   [[nodiscard]] ranging::ClockTime local(ranging::Ticks master) const noexcept;
   // The standard deviation of that, rounded up.
   [[nodiscard]] ranging::Ticks sigma(ranging::Ticks master) const noexcept;
+
+  // The inverse: the master's instant at which this node's clock shows `local`, to a few ticks.
+  [[nodiscard]] ranging::Ticks master(ranging::ClockTime local) const noexcept;
 
   // This node's clock against the master's, in parts per 10^9; positive: this one is fast.
   [[nodiscard]] std::int32_t skew_ppb() const noexcept;

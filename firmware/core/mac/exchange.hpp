@@ -26,6 +26,7 @@ struct Leg {
   std::uint16_t anchor = 0;
   bool answered = false;
   bool stamp_valid = false;
+  Health health{};                // of the anchor's chip
   ranging::ClockTime received{};  // T2
   ranging::Ticks reply{};         // A2 - A1
   dw1000::ReceiveQuality quality{};

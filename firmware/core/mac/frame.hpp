@@ -1,12 +1,19 @@
-// What goes over the air: IEEE 802.15.4 data frames with short addresses, one type byte, and a body of fixed
-// layout, little-endian. The frame check is the chip's.
+// What goes over the air: IEEE 802.15.4 data frames with short addresses, one type byte, and a body,
+// little-endian. The frame check is the chip's.
 //
-//   FCF 0x8841 (2)  sequence (1)  network (2)  destination (2)  source (2)  type (1)  body
+//   FCF 0x8841 (2)  sequence (1)  network (2)  destination (2)  source (2)  type (1)  body  [code (8)]
 //
-//   BEACON    superframe (4)  epoch (4)  schedule hash (4)
+//   BEACON    superframe (4)  session (8)  epoch (4)  schedule hash (4)  master (2)  hop (1)  age (1)
+//             lateness (2)  flags (1)  slots (1)  holders (2 each)  [welcomed (2)  nonce (8)]
 //   POLL      exchange (2)  superframe (4)  slot (1)  count (1)  anchor ids in the order of answers (2 each)
 //   RESPONSE  exchange (2)  reply interval (4)  flags (1)  closed exchange (2)  closing interval (5)
+//             temperature (1)  supply (1)
 //   FINAL     exchange (2)
+//   JOIN      origin (2)  nonce (8)  flags (1)
+//   DATA      origin (2)  target (2)  message (1)  fragment (1)  fragments (1)  flags (1)  payload
+//
+// BEACON, JOIN and DATA fit the control slots (kMaxControlBytes). The type byte's top bit says that a code
+// follows the body: see security.hpp.
 #pragma once
 
 #include <array>
@@ -21,15 +28,40 @@
 
 namespace groma::mac {
 
+inline constexpr std::uint16_t kNobody = 0;
 inline constexpr std::uint16_t kBroadcast = 0xFFFF;
 inline constexpr std::size_t kMaxAnchors = 16;  // in one POLL
-inline constexpr std::size_t kMaxTags = 16;     // in one superframe
+inline constexpr std::size_t kMaxTags = 16;     // slots in one superframe
+inline constexpr std::size_t kMaxDataBytes = 48;
 
-// The master's, at the start of a superframe.
+// In answer to a JOIN: whoever sent that nonce knows now that this frame is fresh.
+struct Welcome {
+  std::uint16_t id = kNobody;
+  std::uint64_t nonce = 0;
+};
+
+// The master's, at the start of a superframe, and the ranked back-ups' that relay it.
 struct Beacon {
   std::uint32_t superframe = 0;
+  std::uint64_t session =
+      0;  // unique to each time that a master began to count: its id, its boots, its starts
   std::uint32_t epoch = 0;
   std::uint32_t schedule_hash = 0;
+  std::uint16_t master = kNobody;  // who leads now
+  std::uint8_t hop = 0;            // 0: the master's own
+  std::uint8_t age = 0;            // superframes since what this tells left the master; saturates
+  // How much later than its place in the superframe the RMARKER leaves the antenna, ticks of the network's
+  // time: the transmit grid's and the relay's rounding.
+  std::int16_t lateness_dtu = 0;
+  // The network dissolves: its nodes look for another one.
+  bool dissolving = false;
+  bool shared = false;  // sent in the shared slot: its place is there, not in the beacon's
+  // With `shared`: sent in the shared slot of another network, whose nodes are to come over: its place tells
+  // no time. Without: the master sends one in the next superframe, in which all of its own are quiet.
+  bool invitation = false;
+  std::uint8_t slots = 0;
+  std::array<std::uint16_t, kMaxTags> holders{};  // who may poll in each slot; kNobody: free
+  std::optional<Welcome> welcome{};
 };
 
 // A tag's, to all anchors that it names.
@@ -41,6 +73,14 @@ struct Poll {
   std::array<std::uint16_t, kMaxAnchors> anchors{};
 };
 
+// Of a node's chip: what its SAR converter shows, as signed degrees C and in 1/64 V. Nothing: not known.
+struct Health {
+  std::int8_t temperature_c = kUnknown;
+  std::uint8_t supply_64ths_v = 0;  // 0: not known
+  static constexpr std::int8_t kUnknown = -128;
+  friend bool operator==(const Health&, const Health&) = default;
+};
+
 // An anchor's, to the tag that polled it.
 struct Response {
   std::uint16_t exchange = 0;
@@ -49,6 +89,7 @@ struct Response {
   bool closing_valid = false;
   std::uint16_t closed_exchange = 0;
   ranging::Ticks closing{};
+  Health health{};
 };
 
 // A tag's, to the anchors that it polled.
@@ -56,13 +97,40 @@ struct Final {
   std::uint16_t exchange = 0;
 };
 
-using Body = std::variant<Beacon, Poll, Response, Final>;
+// In a shared slot: a node that is new makes itself known, and asks for a slot or for a Welcome.
+struct Join {
+  std::uint16_t origin = 0;  // who joins; another than the frame's source where it was passed on
+  std::uint64_t nonce = 0;   // unlike all before
+  bool tag = false;
+  bool wants_slot = false;
+  bool wants_welcome = false;
+  bool leaving = false;  // gives its slot back
+};
+
+// In a shared slot: a piece of a message of the host link's protocol, or the word that one has come.
+struct Data {
+  std::uint16_t origin = 0;
+  std::uint16_t target = 0;
+  std::uint8_t message = 0;   // counts the origin's messages
+  std::uint8_t fragment = 0;  // of `fragments`
+  std::uint8_t fragments = 0;
+  bool acknowledgement = false;
+  bool to_host = false;
+  bool asks = false;           // for an acknowledgement now
+  std::uint8_t hops_left = 0;  // how often it may still be passed on, 0 to 3
+  std::uint8_t round = 0;      // counts how often this was sent, modulo 8: each is passed on once
+  std::uint8_t size = 0;
+  std::array<std::uint8_t, kMaxDataBytes> payload{};
+};
+
+using Body = std::variant<Beacon, Poll, Response, Final, Join, Data>;
 
 struct Frame {
   std::uint8_t sequence = 0;
   std::uint16_t network = 0;
   std::uint16_t destination = 0;
   std::uint16_t source = 0;
+  bool secured = false;  // the body was or will be followed by a code
   Body body{};
 };
 
@@ -76,12 +144,18 @@ struct ParseResult {
   ParseError error = ParseError::kForeign;  // where there is no frame
 };
 
+// Of a secured frame the code is skipped, not checked.
 [[nodiscard]] ParseResult parse(std::span<const std::uint8_t> bytes) noexcept;
+
+// As far as its type byte tells: for who has no time to parse.
+[[nodiscard]] bool looks_like_poll(std::span<const std::uint8_t> bytes) noexcept;
 
 // A frame's bytes, without the frame check.
 class FrameBytes {
  public:
   [[nodiscard]] std::span<const std::uint8_t> bytes() const noexcept { return std::span(data_).first(size_); }
+  // The last kCodeBytes of a secured frame, zeros after serialize().
+  [[nodiscard]] std::span<std::uint8_t> code() noexcept;
 
  private:
   friend class FrameWriter;
@@ -89,14 +163,25 @@ class FrameBytes {
   std::size_t size_ = 0;
 };
 
-// A POLL's count is at most kMaxAnchors and intervals are within their bounds.
+// A POLL's count is at most kMaxAnchors, a DATA's size at most kMaxDataBytes, and intervals are within their
+// bounds.
 [[nodiscard]] FrameBytes serialize(const Frame& frame) noexcept;
 
-// Bytes on the air, frame check included.
+// Bytes on the air, frame check included; a code of a secured frame comes on top.
+inline constexpr std::size_t kCodeBytes = 8;
 inline constexpr std::size_t kHeaderBytes = 10;
-inline constexpr std::size_t kBeaconBytes = kHeaderBytes + 12 + dw1000::kFrameCheckBytes;
-inline constexpr std::size_t kResponseBytes = kHeaderBytes + 14 + dw1000::kFrameCheckBytes;
+[[nodiscard]] constexpr std::size_t beacon_bytes(std::size_t slots, bool welcome) noexcept {
+  return kHeaderBytes + 28 + 2 * slots + (welcome ? 10 : 0) + dw1000::kFrameCheckBytes;
+}
+// The largest of what is sent in a beacon's or a shared slot.
+inline constexpr std::size_t kMaxControlBytes = beacon_bytes(kMaxTags, true);
+inline constexpr std::size_t kResponseBytes = kHeaderBytes + 16 + dw1000::kFrameCheckBytes;
 inline constexpr std::size_t kFinalBytes = kHeaderBytes + 2 + dw1000::kFrameCheckBytes;
+inline constexpr std::size_t kJoinBytes = kHeaderBytes + 11 + dw1000::kFrameCheckBytes;
+[[nodiscard]] constexpr std::size_t data_bytes(std::size_t payload) noexcept {
+  return kHeaderBytes + 8 + payload + dw1000::kFrameCheckBytes;
+}
+static_assert(data_bytes(kMaxDataBytes) <= kMaxControlBytes);
 [[nodiscard]] constexpr std::size_t poll_bytes(std::size_t anchors) noexcept {
   return kHeaderBytes + 8 + 2 * anchors + dw1000::kFrameCheckBytes;
 }

@@ -1,18 +1,435 @@
 #include "firmware/core/mac/station.hpp"
 
+#include <algorithm>
+#include <utility>
+
 namespace groma::mac {
 
 using ranging::ClockTime;
 using ranging::Ticks;
 
+namespace {
+
+// The nodes that the schedule names take turns, those that it does not know go by their ids.
+Freshness::Settings freshness_of(const Site& site) noexcept {
+  const groma_Schedule& schedule = *site.schedule;
+  const auto anchors = std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
+  const auto tags = std::span(schedule.tag_ids).first(schedule.tag_ids_count);
+  const auto turns = static_cast<std::uint32_t>(anchors.size() + tags.size());
+  const auto anchor = std::find(anchors.begin(), anchors.end(), site.id) - anchors.begin();
+  const auto tag = std::find(tags.begin(), tags.end(), site.id) - tags.begin();
+  const bool is_anchor = static_cast<std::size_t>(anchor) < anchors.size();
+  const auto turn = static_cast<std::uint32_t>(is_anchor ? anchor : anchor + tag);
+  return {.id = site.id,
+          .tag = static_cast<std::size_t>(tag) < tags.size(),
+          .required = !site.network_key.empty(),
+          .boot_count = site.boot_count,
+          .nonces = site.nonces,
+          .turn = turn < turns ? turn : site.id % turns,
+          .turns = turns,
+          .relays = schedule.backup_ids_count};
+}
+
+}  // namespace
+
 Station::Station(const Site& site, groma_Counters& counters) noexcept
     : site_(site),
-      superframe_(site.schedule, dw1000::Phy(site.preamble)),
-      hash_(schedule_hash(site.schedule, site.network_id, site.preamble)),
+      superframe_(*site.schedule, dw1000::Phy(site.preamble), !site.network_key.empty()),
+      hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
       sync_(superframe_),
-      counters_(counters) {}
+      mastership_(site_, superframe_.duration(), superframe_.guard(), hash_),
+      seal_(site.cipher, site.network_key),
+      freshness_(freshness_of(site)),
+      counters_(counters) {
+  if (!site.network_key.empty()) attach(freshness_);
+  forget_holders();
+}
 
-std::optional<Frame> Station::accept(const Reception& reception) noexcept {
+void Station::attach(ControlChannel& channel) noexcept {
+  for (ControlChannel*& place : channels_) {
+    if (place == nullptr) {
+      place = &channel;
+      return;
+    }
+  }
+}
+
+// ---- the superframe's course
+
+void Station::start(ClockTime now) noexcept {
+  sync_.search();
+  mastership_.search(now);
+  phase_ = Phase::kSearching;
+}
+
+void Station::resume(ClockTime now) noexcept {
+  if (sync_.state() == SyncState::kSearching) return start(now);
+  if (phase_ == Phase::kBeacon && !own_beacon_) miss();
+  const Ticks elapsed = now - sync_.start(number_);
+  mastership_.on_absence(number_ +
+                         static_cast<std::uint32_t>(elapsed.count() / superframe_.duration().count()));
+  if (!mastership_.leads()) sync_.follow();
+}
+
+void Station::end_superframe() noexcept {
+  ++number_;
+  next_ = Next::kBeacon;
+}
+
+std::optional<Action> Station::control(ClockTime now) noexcept {
+  for (;;) {
+    if (!fresh() && (freshness_.hopeless() || sync_.missed_in_a_row() > Mastership::kPatience))
+      sync_.search();
+    if (sync_.state() == SyncState::kSearching && !found_if_time(now)) return search(now);
+    std::optional<Action> action = invite(now);
+    if (action) {
+      listening_ = *action;
+      return action;
+    }
+    switch (next_) {
+      case Next::kBeacon:
+        next_ = Next::kShared;
+        action = beacon_slot(now);
+        break;
+      case Next::kShared:
+        next_ = Next::kSlots;
+        action = shared_slot(now);
+        break;
+      case Next::kSlots:
+        phase_ = Phase::kSlots;
+        return std::nullopt;
+    }
+    if (action) {
+      listening_ = *action;
+      return action;
+    }
+  }
+}
+
+std::optional<Action> Station::control_ahead() const noexcept {
+  if (sync_.state() == SyncState::kSearching || mastership_.leads()) return std::nullopt;
+  Ticks place;
+  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !mastership_.has_shared_turn(number_)) {
+    place = superframe_.shared();
+  } else if (phase_ == Phase::kSlots && next_ == Next::kBeacon) {
+    place = superframe_.beacon();
+  } else {
+    return std::nullopt;
+  }
+  return listen(sync_.start(number_) + place, superframe_.control_bytes(), sync_.margin(number_));
+}
+
+bool Station::found_if_time(ClockTime now) noexcept {
+  if (mastership_.role() != Role::kSearching) mastership_.search(now);
+  freshness_.forget();
+  const auto lead_at = mastership_.lead_at();
+  if (!lead_at || now < *lead_at) return false;
+  // The session of a boot that could not be counted may have been there before.
+  if (seal_.on() && site_.boot_count == 0) return false;
+  constexpr Ticks kHead = Ticks::from_us(2'000);
+  mastership_.found();
+  freshness_.found();
+  seal_.enter(mastership_.session());
+  sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
+  forget_holders();
+  number_ = 0;
+  next_ = Next::kBeacon;
+  next_invitation_ = 0;
+  invite_at_.reset();
+  inviting_ = false;
+  return true;
+}
+
+Action Station::search(ClockTime now) noexcept {
+  constexpr Ticks kWhile = Ticks::from_us(50'000);
+  phase_ = Phase::kSearching;
+  listening_ = {.kind = Action::Kind::kListenNow,
+                .until = std::min(now + kWhile, mastership_.lead_at().value_or(now + kWhile))};
+  return listening_;
+}
+
+std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
+  sync_.begin(number_);
+  if (sync_.state() == SyncState::kSearching) return std::nullopt;
+  const Duty duty = mastership_.begin(number_);
+  if (duty == Duty::kTakeOver && !fresh()) {
+    sync_.search();
+    return std::nullopt;
+  }
+  if (duty == Duty::kTakeOver) sync_.lead();
+  scanning_ = duty == Duty::kScan;
+  if (scanning_ && !mastership_.leads()) return scan(now);
+  const ClockTime due = sync_.start(number_) + superframe_.beacon();
+  if (!ahead(due, now)) {
+    if (mastership_.parent_due(number_, false)) miss();
+    return std::nullopt;
+  }
+  phase_ = Phase::kBeacon;
+  if (mastership_.leads()) return send_beacon(due, false);
+  return listen(due, superframe_.control_bytes(), sync_.margin(number_));
+}
+
+// Until the end of the superframe.
+std::optional<Action> Station::scan(ClockTime now) noexcept {
+  scanning_ = false;
+  end_superframe();
+  const ClockTime end = sync_.start(number_);
+  if (end <= now) return std::nullopt;
+  phase_ = Phase::kScanning;
+  return Action{.kind = Action::Kind::kListenNow, .until = end};
+}
+
+std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
+  if (scanning_) return scan(now);
+  const ClockTime due = sync_.start(number_) + superframe_.shared();
+  if (!ahead(due, now)) {
+    if (mastership_.parent_due(number_, true)) miss();
+    return std::nullopt;
+  }
+  phase_ = Phase::kShared;
+  if (timed(number_)) {
+    const ClockTime stamp = stamp_not_after(due);
+    if (fresh() && mastership_.has_shared_turn(number_)) {
+      const bool odd = number_ / (site_.schedule->backup_ids_count + 1U) % 2 != 0;
+      if (odd && !mastership_.leads()) {
+        if (const auto action = from_channels(stamp, true)) return action;
+      }
+      return send_beacon(due, true);
+    }
+    if (superframe_.shared_turn(number_) == 0) {
+      if (const auto action = from_channels(stamp, false)) return action;
+    }
+  }
+  return listen(due, superframe_.control_bytes(), sync_.margin(number_));
+}
+
+std::optional<Action> Station::from_channels(ClockTime stamp, bool own_turn) noexcept {
+  for (ControlChannel* channel : channels_) {
+    if (channel == nullptr) break;
+    if (!fresh() && channel != &freshness_) continue;
+    const auto outgoing = own_turn ? channel->own_turn(number_) : channel->open_slot(number_);
+    if (!outgoing) continue;
+    sender_ = channel;
+    own_beacon_ = false;
+    return transmit(stamp, outgoing->destination, outgoing->body, {number_, Place::kShared});
+  }
+  return std::nullopt;
+}
+
+Beacon Station::make_beacon(Ticks lateness, bool shared) noexcept {
+  return {.superframe = number_,
+          .session = mastership_.session(),
+          .epoch = site_.schedule->epoch,
+          .schedule_hash = hash_,
+          .master = mastership_.master(),
+          .hop = mastership_.hop(),
+          .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(mastership_.age(number_), 255)),
+          .lateness_dtu = static_cast<std::int16_t>(lateness.count()),
+          .dissolving = mastership_.dissolving(),
+          .shared = shared,
+          .slots = static_cast<std::uint8_t>(superframe_.slot_count()),
+          .holders = holders_};
+}
+
+// Where the nodes of a younger network listen, out of this one's time. A master lets its own be quiet
+// meanwhile. Not where there is a key: its network takes no other session's word.
+std::optional<Action> Station::invite(ClockTime now) noexcept {
+  if (!invite_at_ || next_ != Next::kBeacon || inviting_) return std::nullopt;
+  ClockTime at = *std::exchange(invite_at_, std::nullopt);
+  while (at < sync_.start(number_)) at += superframe_.duration();
+  const ClockTime stamp = stamp_not_after(at);
+  if (!ahead(stamp, now) || seal_.on()) return std::nullopt;
+  Beacon beacon = make_beacon(Ticks(0), true);
+  beacon.invitation = true;
+  phase_ = Phase::kInviting;
+  sender_ = nullptr;
+  own_beacon_ = true;
+  return transmit(stamp, kBroadcast, beacon, place_of(beacon));
+}
+
+Action Station::send_beacon(ClockTime due, bool shared) noexcept {
+  const ClockTime stamp = stamp_not_after(due);
+  Beacon beacon = make_beacon(stamp - due, shared);
+  beacon.invitation = !shared && std::exchange(inviting_, false);
+  for (ControlChannel* channel : channels_) {
+    if (channel != nullptr) channel->on_beacon_out(beacon, mastership_.leads());
+  }
+  if (mastership_.leads()) {
+    holders_ = beacon.holders;
+    holders_told_ = number_;
+  }
+  sender_ = nullptr;
+  own_beacon_ = true;
+  return transmit(stamp, kBroadcast, beacon, place_of(beacon));
+}
+
+void Station::on_control_transmitted(ClockTime stamp) noexcept {
+  ++counters_.frames_sent;
+  if (sender_ != nullptr) {
+    std::exchange(sender_, nullptr)->on_sent(number_, true);
+  } else if (phase_ == Phase::kBeacon && mastership_.on_led(stamp)) {
+    sync_.search();
+  }
+  own_beacon_ = false;
+}
+
+void Station::on_control_late() noexcept {
+  ++counters_.late_transmits;
+  own_beacon_ = false;
+  if (sender_ != nullptr) std::exchange(sender_, nullptr)->on_sent(number_, false);
+}
+
+std::optional<Action> Station::on_control_received(const Reception& reception) noexcept {
+  const std::uint8_t slot = phase_ == Phase::kShared ? Place::kShared : Place::kBeacon;
+  const auto frame = accept(reception, {number_, slot});
+  if (frame) {
+    const Phase phase = phase_;
+    if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
+      if (take_beacon(*frame, *beacon, reception)) return std::nullopt;
+    } else if (std::holds_alternative<Join>(frame->body) || std::holds_alternative<Data>(frame->body)) {
+      if (phase == Phase::kSearching) mastership_.on_traffic(reception.stamp);
+      for (ControlChannel* channel : channels_) {
+        if (channel != nullptr) channel->on_control(*frame, number_, mastership_.leads());
+      }
+      if (phase == Phase::kShared) return std::nullopt;
+    } else if (phase == Phase::kSearching) {
+      mastership_.on_traffic(reception.stamp);
+    } else if (phase != Phase::kScanning) {
+      ++counters_.stale_frames;
+      if (std::holds_alternative<Poll>(frame->body)) mastership_.suspect();
+    }
+  }
+  if (phase_ == Phase::kSearching) return std::nullopt;
+  const auto rest = listen_on(listening_, reception.stamp);
+  if (!rest) on_control_timeout();
+  return rest;
+}
+
+void Station::on_control_timeout() noexcept {
+  if (phase_ == Phase::kBeacon && mastership_.parent_due(number_, false)) miss();
+  if (phase_ == Phase::kShared && mastership_.parent_due(number_, true)) miss();
+}
+
+void Station::miss() noexcept {
+  ++counters_.beacons_missed;
+  sync_.on_beacon_missed();
+}
+
+bool Station::overhear(const Frame& frame, const Reception& reception) noexcept {
+  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return take_beacon(frame, *beacon, reception);
+  ++counters_.stale_frames;
+  if (std::holds_alternative<Poll>(frame.body)) mastership_.suspect();
+  return false;
+}
+
+// ---- beacons
+
+bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept {
+  if (!reception.stamp_valid) {
+    ++counters_.bad_stamps;
+    return false;
+  }
+  if (beacon.schedule_hash == hash_ && beacon.slots != superframe_.slot_count()) {
+    ++counters_.stale_frames;
+    return false;
+  }
+  const BeaconStamp stamp{
+      .superframe = beacon.superframe,
+      .place = (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu),
+      .heard = reception.stamp,
+      .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
+      .hop = beacon.hop,
+      .age = beacon.age};
+  const bool searching = sync_.state() == SyncState::kSearching;
+  const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
+  constexpr std::uint32_t kBetweenInvitations = 4;
+  const Verdict verdict = mastership_.judge(frame.source, beacon, ahead, reception.stamp);
+  switch (verdict) {
+    case Verdict::kStale:
+      ++counters_.stale_frames;
+      return false;
+    case Verdict::kIgnore:
+      return false;
+    case Verdict::kInvite:
+      if (static_cast<std::int32_t>(number_ - next_invitation_) < 0) return false;
+      next_invitation_ = number_ + kBetweenInvitations;
+      invite_at_ = reception.stamp + (beacon.shared ? Ticks(0) : superframe_.shared() - superframe_.beacon());
+      inviting_ = mastership_.leads();
+      return phase_ == Phase::kScanning;
+    case Verdict::kLeave:
+      sync_.search();
+      return true;
+    case Verdict::kKnown:
+      take_content(frame, beacon);
+      return phase_ == Phase::kShared;
+    case Verdict::kMeasure:
+    case Verdict::kSwitch:
+    case Verdict::kAdopt:
+      break;
+  }
+  // A beacon that is late for its place may have been held up by somebody.
+  if (!take_stamp(stamp, beacon.session, verdict, !seal_.on() || ahead >= Ticks(0))) {
+    ++counters_.bad_stamps;
+    return false;
+  }
+  ++counters_.beacons_received;
+  if (verdict == Verdict::kAdopt) holders_told_ = beacon.superframe - beacon.age;
+  take_content(frame, beacon);
+  if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
+  number_ = beacon.superframe;
+  next_ = beacon.shared ? Next::kSlots : Next::kShared;
+  return true;
+}
+
+bool Station::take_stamp(const BeaconStamp& stamp, std::uint64_t session, Verdict verdict,
+                         bool persuasive) noexcept {
+  if (verdict == Verdict::kAdopt) {
+    freshness_.forget();
+    seal_.enter(session);
+    sync_.adopt(stamp);
+    return true;
+  }
+  sync_.follow();
+  return sync_.on_beacon(stamp, verdict == Verdict::kSwitch, persuasive);
+}
+
+void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
+  const std::uint32_t told = beacon.superframe - beacon.age;
+  if (static_cast<std::int32_t>(told - holders_told_) >= 0) {
+    holders_told_ = told;
+    holders_ = beacon.holders;
+  }
+  for (ControlChannel* channel : channels_) {
+    if (channel != nullptr && (fresh() || channel == &freshness_)) channel->on_beacon(frame, beacon);
+  }
+}
+
+// ---- slots
+
+void Station::forget_holders() noexcept {
+  holders_.fill(kNobody);
+  for (std::size_t i = 0; i < site_.schedule->tag_ids_count; ++i) {
+    const auto slot = configured_slot(*site_.schedule, site_.schedule->tag_ids[i]);
+    if (slot && *slot < kMaxTags) holders_[*slot] = kBroadcast;
+  }
+  holders_told_ = 0;
+}
+
+bool Station::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
+  if (slot >= superframe_.slot_count()) return false;
+  return holders_[slot] == kBroadcast ? configured_slot(*site_.schedule, tag) == slot : holders_[slot] == tag;
+}
+
+std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
+  for (std::size_t slot = 0; slot < superframe_.slot_count(); ++slot) {
+    if (may_poll(tag, slot)) return slot;
+  }
+  return std::nullopt;
+}
+
+// ---- frames
+
+std::optional<Frame> Station::accept(const Reception& reception, Place place, Check check) noexcept {
   const ParseResult parsed = parse(reception.frame);
   if (!parsed.frame) {
     ++(parsed.error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
@@ -23,40 +440,61 @@ std::optional<Frame> Station::accept(const Reception& reception) noexcept {
     return std::nullopt;
   }
   const std::uint16_t destination = parsed.frame->destination;
-  if (destination != site_.id && destination != kBroadcast) return std::nullopt;
+  const bool passed_on =
+      std::holds_alternative<Join>(parsed.frame->body) || std::holds_alternative<Data>(parsed.frame->body);
+  if (destination != site_.id && destination != kBroadcast && !passed_on) return std::nullopt;
+  if (!authentic(*parsed.frame, reception, place, check)) return std::nullopt;
   return parsed.frame;
 }
 
-bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept {
-  if (frame.source != site_.schedule.master_id || beacon.epoch != site_.schedule.epoch ||
-      beacon.schedule_hash != hash_) {
-    ++counters_.stale_frames;
+bool Station::authentic(const Frame& frame, const Reception& reception, Place place, Check check) noexcept {
+  if (!seal_.on()) {
+    if (frame.secured) ++counters_.foreign_frames;
+    return !frame.secured;
+  }
+  if (!frame.secured) {
+    ++counters_.unsecured_frames;
     return false;
   }
-  if (!reception.stamp_valid) {
-    ++counters_.bad_stamps;
+  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) {
+    if (may_be_of_now(*beacon, reception.stamp) && seal_.fits(reception.frame, *beacon)) return true;
+    ++counters_.forged_frames;
     return false;
   }
-  const std::int32_t offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral);
-  if (!sync_.on_beacon(beacon.superframe, reception.stamp, offset_ppb)) {
-    ++counters_.bad_stamps;
-    return false;
-  }
-  ++counters_.beacons_received;
-  return true;
+  // Who does not know the place cannot tell; but somebody is there.
+  if (phase_ == Phase::kSearching) mastership_.on_traffic(reception.stamp);
+  if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
+  const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
+  return later || is_genuine(reception.frame, place);
 }
 
-void Station::beacon_missed(std::uint32_t superframe) noexcept {
-  ++counters_.beacons_missed;
-  sync_.on_beacon_missed(superframe);
+bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept {
+  if (!seal_.on() || seal_.fits(frame, place)) return true;
+  ++counters_.forged_frames;
+  return false;
 }
 
-Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body) noexcept {
+Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
+  const Ticks place =
+      (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu);
+  return sync_.start(beacon.superframe) + place - heard;
+}
+
+// Once this node knows the time, a recording gives itself away: it comes later than what it tells.
+bool Station::may_be_of_now(const Beacon& beacon, ClockTime heard) const noexcept {
+  if (sync_.state() == SyncState::kSearching || !fresh()) return true;
+  return beacon.session == mastership_.session() &&
+         ahead_by(beacon, heard) >= -(superframe_.guard() + sync_.margin(beacon.superframe));
+}
+
+Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place) noexcept {
   outgoing_ = serialize({.sequence = sequence_++,
                          .network = site_.network_id,
                          .destination = destination,
                          .source = site_.id,
+                         .secured = seal_.on(),
                          .body = body});
+  if (seal_.on()) seal_.sign(outgoing_, place);
   return {.kind = Action::Kind::kTransmit, .at = stamp, .frame = outgoing_.bytes()};
 }
 
@@ -69,19 +507,11 @@ Action Station::listen(ClockTime due, std::size_t bytes, Ticks slack) const noex
           .preamble_until = due + guard};
 }
 
-Action Station::listen_for_beacon(std::uint32_t superframe) const noexcept {
-  return listen(beacon_due(superframe), kBeaconBytes, sync_.margin(superframe));
-}
-
-Action Station::search(ClockTime now) noexcept {
-  constexpr Ticks kWhile = Ticks::from_us(50'000);
-  return {.kind = Action::Kind::kListenNow, .until = now + kWhile};
-}
-
-Action Station::listen_on(const Action& interrupted) noexcept {
-  return {.kind = Action::Kind::kListenNow,
-          .until = interrupted.until,
-          .preamble_until = interrupted.preamble_until};
+std::optional<Action> Station::listen_on(const Action& interrupted, ClockTime now) noexcept {
+  if (now >= interrupted.preamble_until.value_or(interrupted.until)) return std::nullopt;
+  return Action{.kind = Action::Kind::kListenNow,
+                .until = interrupted.until,
+                .preamble_until = interrupted.preamble_until};
 }
 
 }  // namespace groma::mac

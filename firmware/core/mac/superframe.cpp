@@ -40,7 +40,7 @@ std::span<const std::uint16_t> tags_of(const groma_Schedule& schedule) noexcept 
 }
 
 std::span<const std::uint16_t> anchors_of(const groma_Schedule& schedule) noexcept {
-  return std::span(schedule.anchor_ids).first(std::min<std::size_t>(schedule.anchor_ids_count, kMaxAnchors));
+  return std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
 }
 
 ScheduleFault check_ids(const groma_Schedule& schedule) noexcept {
@@ -58,6 +58,32 @@ ScheduleFault check_ids(const groma_Schedule& schedule) noexcept {
                                                                              : ScheduleFault::kBadMaster;
 }
 
+std::span<const std::uint16_t> backups_of(const groma_Schedule& schedule) noexcept {
+  return std::span(schedule.backup_ids).first(schedule.backup_ids_count);
+}
+
+bool backups_fit(const groma_Schedule& schedule) noexcept {
+  const auto backups = backups_of(schedule);
+  const auto anchors = anchors_of(schedule);
+  return std::all_of(backups.begin(), backups.end(), [&](std::uint16_t id) {
+    return id != schedule.master_id && std::count(backups.begin(), backups.end(), id) == 1 &&
+           std::count(anchors.begin(), anchors.end(), id) == 1;
+  });
+}
+
+std::size_t slot_count_of(const groma_Schedule& schedule) noexcept {
+  return schedule.slots == 0 ? schedule.tag_ids_count : schedule.slots;
+}
+
+bool slots_fit(const groma_Schedule& schedule) noexcept {
+  const std::size_t count = slot_count_of(schedule);
+  if (count > kMaxTags) return false;
+  if (schedule.tag_slots_count == 0) return schedule.tag_ids_count <= count;
+  const auto slots = std::span(schedule.tag_slots).first(schedule.tag_slots_count);
+  return slots.size() == schedule.tag_ids_count &&
+         std::all_of(slots.begin(), slots.end(), [&](std::size_t slot) { return slot < count; });
+}
+
 }  // namespace
 
 const char* describe(ScheduleFault fault) noexcept {
@@ -67,7 +93,7 @@ const char* describe(ScheduleFault fault) noexcept {
     case ScheduleFault::kNoTags:
       return "schedule.tag_ids: 1 to 16 tags";
     case ScheduleFault::kNoAnchors:
-      return "schedule.anchor_ids: 1 to 16 anchors";
+      return "schedule.anchor_ids: 1 to 64 anchors";
     case ScheduleFault::kBadId:
       return "schedule: ids are 1 to 65534";
     case ScheduleFault::kRepeatedId:
@@ -82,19 +108,44 @@ const char* describe(ScheduleFault fault) noexcept {
       return "schedule.response_gap_us: 50 to 2000";
     case ScheduleFault::kBadGuard:
       return "schedule.guard_us: 5 to 1000";
+    case ScheduleFault::kBadBackup:
+      return "schedule.backup_ids: anchors, each once, not the master";
+    case ScheduleFault::kBadSlots:
+      return "schedule.slots: 1 to 16, and each of tag_slots below it";
+    case ScheduleFault::kBadResponses:
+      return "schedule.responses: 1 to 16";
   }
   return "";
 }
 
 ScheduleFault check(const groma_Schedule& schedule) noexcept {
   if (outside(schedule.tag_ids_count, 1, kMaxTags)) return ScheduleFault::kNoTags;
-  if (outside(schedule.anchor_ids_count, 1, kMaxAnchors)) return ScheduleFault::kNoAnchors;
+  if (schedule.anchor_ids_count == 0) return ScheduleFault::kNoAnchors;
   if (const ScheduleFault fault = check_ids(schedule); fault != ScheduleFault::kNone) return fault;
   if (number_of(schedule.method) > _groma_RangingMethod_MAX) return ScheduleFault::kBadMethod;
   if (outside(schedule.turn_round_us, 150, 5'000)) return ScheduleFault::kBadTurnRound;
   if (outside(schedule.response_gap_us, 50, 2'000)) return ScheduleFault::kBadGap;
   if (outside(schedule.guard_us, 5, 1'000)) return ScheduleFault::kBadGuard;
+  if (!backups_fit(schedule)) return ScheduleFault::kBadBackup;
+  if (!slots_fit(schedule)) return ScheduleFault::kBadSlots;
+  if (schedule.responses > kMaxAnchors) return ScheduleFault::kBadResponses;
   return ScheduleFault::kNone;
+}
+
+std::optional<std::size_t> configured_slot(const groma_Schedule& schedule, std::uint16_t tag) noexcept {
+  const auto tags = tags_of(schedule);
+  const auto found = std::find(tags.begin(), tags.end(), tag);
+  if (found == tags.end()) return std::nullopt;
+  const auto index = static_cast<std::size_t>(found - tags.begin());
+  return index < schedule.tag_slots_count ? schedule.tag_slots[index] : index;
+}
+
+std::optional<std::size_t> rank_of(const groma_Schedule& schedule, std::uint16_t anchor) noexcept {
+  if (anchor == schedule.master_id) return 0;
+  const auto backups = backups_of(schedule);
+  const auto found = std::find(backups.begin(), backups.end(), anchor);
+  if (found == backups.end()) return std::nullopt;
+  return static_cast<std::size_t>(found - backups.begin()) + 1;
 }
 
 std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t network_id,
@@ -110,35 +161,52 @@ std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t networ
   hash.add(schedule.turn_round_us);
   hash.add(schedule.response_gap_us);
   hash.add(schedule.guard_us);
+  hash.add(backups_of(schedule));
+  hash.add(schedule.slots);
+  for (const std::uint8_t slot : std::span(schedule.tag_slots).first(schedule.tag_slots_count))
+    hash.add(slot);
+  hash.add(schedule.responses);
   return hash.value();
 }
 
-Superframe::Superframe(const groma_Schedule& schedule, Phy phy) noexcept
+Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) noexcept
     : phy_(phy),
       has_final_(schedule.method == groma_RangingMethod_METHOD_DS_FINAL),
-      tag_count_(schedule.tag_ids_count),
+      code_bytes_(secured ? kCodeBytes : 0),
+      code_time_(round_up_to_grid(Ticks::from_us(secured ? 100 : 0))),
+      slot_count_(slot_count_of(schedule)),
+      responses_(schedule.responses != 0 ? schedule.responses
+                                         : std::min<std::size_t>(schedule.anchor_ids_count, kMaxAnchors)),
+      backups_(schedule.backup_ids_count),
+      control_bytes_(on_air(std::max(beacon_bytes(slot_count_, true), data_bytes(kMaxDataBytes)))),
       guard_(Ticks::from_us(schedule.guard_us)),
       turn_round_(Ticks::from_us(schedule.turn_round_us)),
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
-      response_spacing_(round_up_to_grid(phy.air_time(kResponseBytes) + gap_)),
-      beacon_slot_(round_up_to_grid(first_frame_ + Phy::after_rmarker(kBeaconBytes) + turn_round_)) {
-  const std::size_t anchors = schedule.anchor_ids_count;
-  const Ticks last_frame = has_final_ ? final(anchors) + Phy::after_rmarker(kFinalBytes)
-                                      : response(anchors - 1, anchors) + Phy::after_rmarker(kResponseBytes);
+      response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
+      control_slot_(round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) +
+                                     (secured ? std::max(gap_, turn_round_) : gap_)) +
+                    code_time_),
+      slots_start_(control_slot_ +
+                   round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turn_round_) +
+                   code_time_) {
+  const Ticks last_frame =
+      has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes))
+                 : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes));
   tag_slot_ = round_up_to_grid(first_frame_ + last_frame + gap_);
+  end_time_ = code_time_ + round_up_to_grid(Ticks::from_us(has_final_ ? 100 : 0));
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {
   const Ticks first =
-      round_up_to_grid(Phy::after_rmarker(poll_bytes(count)) + turn_round_ + phy_.before_rmarker());
+      round_up_to_grid(Phy::after_rmarker(on_air(poll_bytes(count))) + turn_round_ + phy_.before_rmarker());
   return first + static_cast<std::int64_t>(index) * response_spacing_;
 }
 
 Ticks Superframe::final(std::size_t count) const noexcept {
   const std::size_t last = count == 0 ? 0 : count - 1;
   return response(last, count) +
-         round_up_to_grid(Phy::after_rmarker(kResponseBytes) + turn_round_ + phy_.before_rmarker());
+         round_up_to_grid(Phy::after_rmarker(on_air(kResponseBytes)) + turn_round_ + phy_.before_rmarker());
 }
 
 }  // namespace groma::mac

@@ -1,16 +1,28 @@
 // When each frame of a site's superframe is due, computed from the schedule and the air times of the frames.
 //
-//   | guard BEACON turn-round | slot of tag 0 | slot of tag 1 | ...
+//   | BEACON | shared | slot 0 | slot 1 | ...
 //
-//   slot: | guard POLL turn-round RESPONSE gap RESPONSE gap ... RESPONSE gap | [turn-round FINAL gap] |
+//   BEACON: | guard BEACON gap |      shared: | guard BEACON, JOIN or DATA turn-round |
+//   slot:   | guard POLL turn-round RESPONSE gap RESPONSE gap ... RESPONSE gap | [turn-round FINAL gap] |
 //
-// All instants are in ticks of the master's clock, multiples of 512 (the transmit grid), and are those of
-// RMARKERs. In a slot everything follows from the POLL as it was sent or heard; a POLL that names fewer
-// anchors than the schedule has only ends earlier.
+// The first BEACON is the master's. The shared slot is taken in turns, by the superframe's number: one
+// superframe it is open to all, in the next ones the back-ups, by rank, relay the beacon. All instants are in
+// ticks of the network's time, multiples of 512 (the transmit grid), and are those of RMARKERs. In a slot
+// everything follows from the POLL as it was sent or heard; a POLL that names fewer anchors than the schedule
+// allows only ends earlier.
+//
+// In a network with a key frames have to be checked before another is made, which takes an nRF52832 some
+// 100 us for both: the beacon's and the shared slot are so much longer, and have the turn-round in place of
+// the gap; the superframe ends 100 us later. Within a tag's slot the schedule's turn-round has room for it,
+// or has not.
+//
+// A master that has closed an exchange by a FINAL still has its beacon to make: with METHOD_DS_FINAL the
+// superframe ends 100 us later, too.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 
 #include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/frame.hpp"
@@ -30,6 +42,9 @@ enum class ScheduleFault : std::uint8_t {
   kBadTurnRound,  // outside of 150 to 5000 us
   kBadGap,        // outside of 50 to 2000 us
   kBadGuard,      // outside of 5 to 1000 us
+  kBadBackup,     // a back-up is not among the anchors, or is the master
+  kBadSlots,      // outside of 0 to 16, or a tag's slot beyond them
+  kBadResponses,  // outside of 0 to 16
 };
 
 // What is wrong and what would be right, at most 63 characters; empty for kNone.
@@ -44,19 +59,27 @@ enum class ScheduleFault : std::uint8_t {
 
 class Superframe {
  public:
-  // The schedule is one that check() has passed.
-  Superframe(const groma_Schedule& schedule, dw1000::Phy phy) noexcept;
+  // The schedule is one that check() has passed. `secured`: each frame carries a code.
+  Superframe(const groma_Schedule& schedule, dw1000::Phy phy, bool secured = false) noexcept;
 
   [[nodiscard]] ranging::Ticks duration() const noexcept {
-    return beacon_slot_ + static_cast<std::int64_t>(tag_count_) * tag_slot_;
+    return slots_start_ + static_cast<std::int64_t>(slot_count_) * tag_slot_ + end_time_;
   }
-  [[nodiscard]] std::size_t tag_count() const noexcept { return tag_count_; }
+  [[nodiscard]] std::size_t slot_count() const noexcept { return slot_count_; }
   [[nodiscard]] ranging::Ticks tag_slot() const noexcept { return tag_slot_; }
+  // Anchors that a POLL may name.
+  [[nodiscard]] std::size_t responses() const noexcept { return responses_; }
 
-  // From the superframe's start.
+  // From the superframe's start, to the RMARKER.
   [[nodiscard]] ranging::Ticks beacon() const noexcept { return first_frame_; }
+  [[nodiscard]] ranging::Ticks shared() const noexcept { return control_slot_ + first_frame_; }
   [[nodiscard]] ranging::Ticks poll(std::size_t slot) const noexcept {
-    return beacon_slot_ + static_cast<std::int64_t>(slot) * tag_slot_ + first_frame_;
+    return slots_start_ + static_cast<std::int64_t>(slot) * tag_slot_ + first_frame_;
+  }
+
+  // Whose the shared slot is: 0: open to all; n: of the back-up of rank n, from 1.
+  [[nodiscard]] std::size_t shared_turn(std::uint32_t superframe) const noexcept {
+    return superframe % (backups_ + 1);
   }
 
   // From the RMARKER of a POLL that names `count` anchors: to the RESPONSE of the one at `index`, and to the
@@ -67,18 +90,37 @@ class Superframe {
   [[nodiscard]] bool has_final() const noexcept { return has_final_; }
   [[nodiscard]] ranging::Ticks guard() const noexcept { return guard_; }
   [[nodiscard]] dw1000::Phy phy() const noexcept { return phy_; }
+  // On the air, of a frame with so many bytes but for its code.
+  [[nodiscard]] std::size_t on_air(std::size_t bytes) const noexcept { return bytes + code_bytes_; }
+  // The largest frame of a beacon's or a shared slot, with its code.
+  [[nodiscard]] std::size_t control_bytes() const noexcept { return control_bytes_; }
 
  private:
   dw1000::Phy phy_;
   bool has_final_;
-  std::size_t tag_count_;
+  std::size_t code_bytes_;
+  ranging::Ticks code_time_;
+  std::size_t slot_count_;
+  std::size_t responses_;
+  std::uint32_t backups_;
+  std::size_t control_bytes_;
   ranging::Ticks guard_;
   ranging::Ticks turn_round_;
   ranging::Ticks gap_;
   ranging::Ticks first_frame_;       // from a slot's start to the RMARKER of its first frame
   ranging::Ticks response_spacing_;  // from RMARKER to RMARKER
-  ranging::Ticks beacon_slot_;
+  ranging::Ticks control_slot_;      // the beacon's
+  ranging::Ticks slots_start_;
   ranging::Ticks tag_slot_;
+  ranging::Ticks end_time_;  // after the last slot
 };
+
+// The slot that the schedule gives to a tag; nothing where it does not name the tag.
+[[nodiscard]] std::optional<std::size_t> configured_slot(const groma_Schedule& schedule,
+                                                         std::uint16_t tag) noexcept;
+
+// The rank of an anchor: 0 is the master's, 1 and up the back-ups'; nothing for others.
+[[nodiscard]] std::optional<std::size_t> rank_of(const groma_Schedule& schedule,
+                                                 std::uint16_t anchor) noexcept;
 
 }  // namespace groma::mac

@@ -1,15 +1,47 @@
 #include "firmware/core/mac/synchronizer.hpp"
 
+#include <cmath>
+
 namespace groma::mac {
+namespace {
 
 using ranging::ClockTime;
 using ranging::Ticks;
 
-void Synchronizer::lead(ClockTime start) noexcept {
+// Two senders' flight times differ by some 50 m, and a relay's idea of the time by as much: 0.2 us.
+constexpr float kPathSigma_ticks = 12'800.0F;
+// A master that has gone on by itself for long, against another one's time.
+constexpr float kFormerMasterSigma_ticks = 320'000.0F;
+
+// What a relay adds to its beacon's error: its own stamp's at each hop, and the walk of its clock (as the
+// tracker's: 0.1 ppm in a second) since it heard.
+float relay_sigma_ticks(const BeaconStamp& beacon, Ticks duration) noexcept {
+  constexpr float kStampSigma_ticks = 13.0F;
+  constexpr float kWalk_ticks = 6'390.0F / 1.732F;
+  const float silent_s = static_cast<float>(beacon.age) * static_cast<float>(duration.count()) /
+                         static_cast<float>(Ticks::kPerSecond);
+  return kStampSigma_ticks * static_cast<float>(beacon.hop) + kWalk_ticks * silent_s * std::sqrt(silent_s);
+}
+
+}  // namespace
+
+void Synchronizer::found(ClockTime start) noexcept {
+  search();
+  base_ = last_heard_ = 0;
+  tracker_.seed(Ticks(0), start, 0);
+  lead();
+}
+
+void Synchronizer::lead() noexcept {
   leading_ = true;
-  lead_start_ = start;
-  base_ = 0;
+  missed_ = 0;
+  misfits_ = 0;
   state_ = SyncState::kLocked;
+}
+
+void Synchronizer::follow() noexcept {
+  if (leading_) tracker_.widen(kFormerMasterSigma_ticks);
+  leading_ = false;
 }
 
 void Synchronizer::search() noexcept {
@@ -25,43 +57,65 @@ Ticks Synchronizer::master_time(std::uint32_t number) const noexcept {
   return std::int64_t{static_cast<std::int32_t>(number - base_)} * superframe_.duration();
 }
 
-bool Synchronizer::on_beacon(std::uint32_t number, ClockTime stamp, std::int32_t master_offset_ppb) noexcept {
+void Synchronizer::adopt(const BeaconStamp& beacon) noexcept {
+  leading_ = false;
+  base_ = last_heard_ = beacon.superframe;
+  // A relay's crystal tells of the master's only that both were made alike: the best guess lies half way.
+  constexpr std::int32_t kCarrierSigma_ppb = 1'000;
+  constexpr std::int32_t kRelaySigma_ppb = 15'000;
+  const bool relayed = beacon.hop != 0;
+  tracker_.seed(beacon.place, beacon.heard, relayed ? beacon.offset_ppb / 2 : beacon.offset_ppb,
+                relayed ? kRelaySigma_ppb : kCarrierSigma_ppb);
+  missed_ = 0;
+  misfits_ = 0;
+  state_ = SyncState::kLocked;
+}
+
+bool Synchronizer::on_beacon(const BeaconStamp& beacon, bool other_path, bool persuasive) noexcept {
   constexpr std::uint32_t kMisfitsBelieved = 3;
-  const ClockTime start = stamp - superframe_.beacon();
-  if (state_ != SyncState::kSearching) {
-    if (tracker_.update(master_time(number), start)) {
-      missed_ = 0;
-      misfits_ = 0;
-      state_ = SyncState::kLocked;
-      return true;
-    }
-    if (++misfits_ < kMisfitsBelieved) return false;
+  if (other_path) tracker_.widen(kPathSigma_ticks);
+  const float sigma = relay_sigma_ticks(beacon, superframe_.duration());
+  if (!tracker_.update(master_time(beacon.superframe) + beacon.place, beacon.heard, sigma)) {
+    if (!persuasive || ++misfits_ < kMisfitsBelieved) return false;
+    adopt(beacon);
+    return true;
   }
-  base_ = number;
-  tracker_.seed(Ticks(0), start, master_offset_ppb);
+  last_heard_ = beacon.superframe;
   missed_ = 0;
   misfits_ = 0;
   state_ = SyncState::kLocked;
   return true;
 }
 
-void Synchronizer::on_beacon_missed(std::uint32_t number) noexcept {
+void Synchronizer::on_beacon_missed() noexcept {
   if (state_ == SyncState::kSearching || leading_) return;
   ++missed_;
   state_ = SyncState::kCoasting;
-  // A master that is away for longer may have started anew at any other time.
-  constexpr std::uint32_t kMostMissed = 100;
-  if (missed_ >= kMostMissed || margin(number + 1) > superframe_.guard()) search();
+}
+
+void Synchronizer::begin(std::uint32_t number) noexcept {
+  if (state_ == SyncState::kSearching) return;
+  if (leading_) {
+    tracker_.rebase(master_time(number));
+    last_heard_ = number;
+    return;
+  }
+  constexpr std::int32_t kMostSilent = 100;
+  const auto silent = static_cast<std::int32_t>(number - last_heard_);
+  if (silent > kMostSilent || margin(number) > superframe_.guard()) search();
 }
 
 ClockTime Synchronizer::start(std::uint32_t number) const noexcept {
-  const Ticks master = master_time(number);
-  return leading_ ? lead_start_ + master : tracker_.local(master);
+  return tracker_.local(master_time(number));
 }
 
 Ticks Synchronizer::margin(std::uint32_t number) const noexcept {
   constexpr std::int64_t kSigmas = 5;
   return leading_ ? Ticks(0) : kSigmas * tracker_.sigma(master_time(number));
+}
+
+Ticks Synchronizer::network_time(ClockTime local) const noexcept {
+  return std::int64_t{base_} * superframe_.duration() + tracker_.master(local);
 }
 
 }  // namespace groma::mac

@@ -15,21 +15,42 @@ enum class SyncState : std::uint8_t {
   kCoasting,   // going on by the filter alone
 };
 
+// A beacon as it was heard.
+struct BeaconStamp {
+  std::uint32_t superframe = 0;
+  ranging::Ticks place{};  // of its RMARKER from the superframe's start, by the network's time
+  ranging::ClockTime heard{};
+  std::int32_t offset_ppb = 0;  // the sender's clock against this node's, as the carrier tells
+  // Of what the sender knows of the network's time.
+  std::uint8_t hop = 0;
+  std::uint8_t age = 0;
+};
+
 class Synchronizer {
  public:
+  // Keeps a reference.
   explicit Synchronizer(const Superframe& superframe) noexcept : superframe_(superframe) {}
 
-  // This node is the master: superframe 0 starts at `start`.
-  void lead(ranging::ClockTime start) noexcept;
+  // This node founds a session: superframe 0 starts at `start`.
+  void found(ranging::ClockTime start) noexcept;
+  // This node is the master from now on, or is it no more; the time goes on as it is known.
+  void lead() noexcept;
+  void follow() noexcept;
   // Forgets everything.
   void search() noexcept;
 
-  // A beacon of superframe `number` had its RMARKER at `stamp`; `master_offset_ppb` as its carrier tells.
-  // False where it does not fit to those before: then it is not used, unless it is the third such in a row.
-  bool on_beacon(std::uint32_t number, ranging::ClockTime stamp, std::int32_t master_offset_ppb) noexcept;
-  // The beacon due in superframe `number` did not come. Ends the coasting when the time of the next ones is
-  // not known within the guard any more, or after 100 in a row.
-  void on_beacon_missed(std::uint32_t number) noexcept;
+  // Takes the first beacon of a timeline. Its sender need not be the master: the carrier tells of the
+  // sender's clock, which may be off by some ppm against the network's.
+  void adopt(const BeaconStamp& beacon) noexcept;
+  // Takes a further one. `other_path`: from another sender than those before, so that its flight time is
+  // another. False where it does not fit to those before: then it is not used, unless it is the third such in
+  // a row and `persuasive`.
+  bool on_beacon(const BeaconStamp& beacon, bool other_path, bool persuasive = true) noexcept;
+  // The beacon due in superframe `number` did not come.
+  void on_beacon_missed() noexcept;
+  // Superframe `number` begins. Ends the coasting when its time is not known within the guard any more, or
+  // nothing was heard for 100 superframes.
+  void begin(std::uint32_t number) noexcept;
 
   [[nodiscard]] SyncState state() const noexcept { return state_; }
   [[nodiscard]] std::uint32_t missed_in_a_row() const noexcept { return missed_; }
@@ -39,16 +60,19 @@ class Synchronizer {
   // sigma).
   [[nodiscard]] ranging::ClockTime start(std::uint32_t number) const noexcept;
   [[nodiscard]] ranging::Ticks margin(std::uint32_t number) const noexcept;
+  // The network's time, counted from the start of superframe 0, that it is at `local`. Continuous over a
+  // change of master.
+  [[nodiscard]] ranging::Ticks network_time(ranging::ClockTime local) const noexcept;
 
  private:
   [[nodiscard]] ranging::Ticks master_time(std::uint32_t number) const noexcept;
 
-  Superframe superframe_;
+  const Superframe& superframe_;
   ClockTracker tracker_;
   SyncState state_ = SyncState::kSearching;
   bool leading_ = false;
-  ranging::ClockTime lead_start_;
-  std::uint32_t base_ = 0;  // superframe at which the master's time is taken as 0
+  std::uint32_t base_ = 0;        // superframe at which the tracker takes the network's time as 0
+  std::uint32_t last_heard_ = 0;  // superframe
   std::uint32_t missed_ = 0;
   std::uint32_t misfits_ = 0;
 };

@@ -1,76 +1,89 @@
 #include "firmware/core/mac/tag.hpp"
 
 #include <algorithm>
+#include <span>
+#include <utility>
 
 namespace groma::mac {
+namespace {
+
+Place place_of(const Exchange& exchange) noexcept {
+  return {exchange.superframe, exchange.slot};
+}
+
+}  // namespace
 
 using ranging::ClockTime;
 using ranging::Ticks;
 
-Tag::Tag(const Site& site, groma_Counters& counters) noexcept : station_(site, counters) {
-  const auto& tags = site.schedule.tag_ids;
-  slot_ = static_cast<std::size_t>(std::find(tags, tags + site.schedule.tag_ids_count, site.id) - tags);
-}
-
-Step Tag::listening(const Action& action, const Exchange* completed) noexcept {
-  listening_ = action;
-  return {action, completed};
+Tag::Tag(const Site& site, groma_Counters& counters) noexcept
+    : station_(site, counters), membership_(site.id, *site.schedule) {
+  station_.attach(membership_);
 }
 
 Step Tag::start(ClockTime now) noexcept {
-  station_.sync().search();
+  station_.start(now);
   previous_valid_ = false;
-  return listening(plan(now));
+  windows_over_ = 0;
+  return {plan(now), nullptr};
 }
 
 Action Tag::plan(ClockTime now) noexcept {
   for (;;) {
-    if (station_.sync().state() == SyncState::kSearching) {
-      phase_ = Phase::kSearching;
-      return Station::search(now);
-    }
-    if (beacon_next_) {
-      beacon_next_ = false;
-      if (station_.ahead(station_.beacon_due(superframe_), now)) {
-        phase_ = Phase::kBeacon;
-        return station_.listen_for_beacon(superframe_);
-      }
-      station_.beacon_missed(superframe_);
-      continue;
-    }
-    const std::uint32_t superframe = superframe_++;
-    beacon_next_ = true;
-    const bool in_time = station_.ahead(station_.poll_due(superframe, slot_), now);
-    if (in_time && station_.sync().margin(superframe) <= station_.superframe().guard()) {
+    phase_ = Phase::kControl;
+    if (const auto action = station_.control(now)) return *action;
+    const std::uint32_t superframe = station_.superframe_number();
+    station_.end_superframe();
+    const auto slot = lent_ ? std::nullopt : membership_.slot(superframe);
+    if (slot && station_.ahead(station_.poll_due(superframe, *slot), now) && station_.sure(superframe)) {
       phase_ = Phase::kPoll;
-      return poll();
+      return poll(superframe, *slot);
     }
   }
 }
 
-// In the slot of the superframe before superframe_. A number is used once, whether or not its POLL gets out,
-// so that no anchor can close one exchange with another's frame.
-Action Tag::poll() noexcept {
-  const groma_Schedule& schedule = station_.site().schedule;
+void Tag::choose_anchors() noexcept {
+  AnchorSet& anchors = membership_.anchors();
+  for (const Leg& leg : std::span(previous().legs).first(windows_over_)) {
+    if (leg.answered) {
+      anchors.on_answer(leg.anchor, link_quality(leg.quality));
+    } else {
+      anchors.on_silence(leg.anchor);
+    }
+  }
+  windows_over_ = 0;
+  if (next_count_ != 0) return;
+  const std::size_t places = std::min(station_.superframe().responses(), kMaxAnchors);
+  next_count_ = static_cast<std::uint8_t>(anchors.choose(std::span(next_anchors_).first(places)));
+}
+
+// A number is used once, whether or not its POLL gets out, so that no anchor can close one exchange with
+// another's frame.
+Action Tag::poll(std::uint32_t superframe, std::size_t slot) noexcept {
+  choose_anchors();
   Exchange& exchange = current();
   exchange.number = next_number_++;
-  exchange.superframe = superframe_ - 1;
-  exchange.slot = static_cast<std::uint8_t>(slot_);
-  exchange.count = static_cast<std::uint8_t>(schedule.anchor_ids_count);
+  exchange.superframe = superframe;
+  exchange.slot = static_cast<std::uint8_t>(slot);
+  exchange.count = std::exchange(next_count_, std::uint8_t{0});
   exchange.closing_sent.reset();
   Poll body{.exchange = exchange.number,
             .superframe = exchange.superframe,
             .slot = exchange.slot,
             .count = exchange.count};
   for (std::size_t i = 0; i < exchange.count; ++i) {
-    exchange.legs[i] = Leg{.anchor = schedule.anchor_ids[i]};
-    body.anchors[i] = schedule.anchor_ids[i];
+    exchange.legs[i] = Leg{.anchor = next_anchors_[i]};
+    body.anchors[i] = next_anchors_[i];
   }
-  const ClockTime stamp = station_.stamp_not_after(station_.poll_due(exchange.superframe, slot_));
-  return station_.transmit(stamp, kBroadcast, body);
+  const ClockTime stamp = station_.stamp_not_after(station_.poll_due(superframe, slot));
+  return station_.transmit(stamp, kBroadcast, body, place_of(exchange));
 }
 
 Step Tag::on_transmitted(ClockTime stamp) noexcept {
+  if (phase_ == Phase::kControl) {
+    station_.on_control_transmitted(stamp);
+    return {plan(stamp), nullptr};
+  }
   ++station_.counters().frames_sent;
   if (phase_ == Phase::kFinal) {
     current().closing_sent = stamp;
@@ -78,45 +91,81 @@ Step Tag::on_transmitted(ClockTime stamp) noexcept {
   }
   Exchange& exchange = current();
   exchange.poll_sent = stamp;
-  if (previous_valid_ && !station_.superframe().has_final()) previous().closing_sent = stamp;
+  // Later the clocks' drift since would bend the range: at 2 ppm a second by 0.7 m for each second of it.
+  constexpr std::uint32_t kLatestClosing = 2;
+  if (previous_valid_ && !station_.superframe().has_final() &&
+      exchange.superframe - previous().superframe <= kLatestClosing) {
+    previous().closing_sent = stamp;
+  }
   phase_ = Phase::kResponses;
   window_ = 0;
-  return listening(response_window());
+  return {response_window(window_), nullptr};
 }
 
 Step Tag::on_late(ClockTime now) noexcept {
+  if (phase_ == Phase::kControl) {
+    station_.on_control_late();
+    return {plan(now), nullptr};
+  }
   ++station_.counters().late_transmits;
   if (phase_ == Phase::kFinal) return finish(now);
-  return listening(plan(now));
+  return {plan(now), nullptr};
 }
 
-Action Tag::response_window() noexcept {
+std::optional<Action> Tag::ahead() const noexcept {
+  if (phase_ == Phase::kControl) return station_.control_ahead();
+  if (phase_ != Phase::kResponses) return std::nullopt;
+  if (window_ + 1 < current().count) return response_window(window_ + 1);
+  if (station_.superframe().has_final()) return std::nullopt;
+  return station_.control_ahead();
+}
+
+Action Tag::response_window(std::size_t index) const noexcept {
   const Exchange& exchange = current();
-  const ClockTime due = exchange.poll_sent + station_.superframe().response(window_, exchange.count);
-  return station_.listen(due, kResponseBytes, Ticks(0));
+  const ClockTime due = exchange.poll_sent + station_.superframe().response(index, exchange.count);
+  return station_.listen(due, station_.superframe().on_air(kResponseBytes), Ticks(0));
 }
 
 Step Tag::on_received(const Reception& reception) noexcept {
-  const auto frame = station_.accept(reception);
-  if (phase_ == Phase::kResponses) {
-    const auto* response = frame ? std::get_if<Response>(&frame->body) : nullptr;
-    if (response != nullptr) {
+  if (phase_ == Phase::kControl) {
+    if (const auto rest = station_.on_control_received(reception)) return {*rest, nullptr};
+    return {plan(reception.stamp), nullptr};
+  }
+  // There is time for its code once the receiver is on for the next one.
+  const bool last = window_ + 1U >= current().count;
+  const auto check = last ? Station::Check::kNow : Station::Check::kResponseLater;
+  if (const auto frame = station_.accept(reception, place_of(current()), check)) {
+    if (const auto* response = std::get_if<Response>(&frame->body)) {
       take_response(*frame, *response, reception);
-    } else if (frame) {
-      ++station_.counters().stale_frames;
-    }
-    return next_window(reception.stamp);
-  }
-  if (frame) {
-    if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
-      if (station_.take_beacon(*frame, *beacon, reception)) {
-        superframe_ = beacon->superframe;
-        beacon_next_ = false;
-        return listening(plan(reception.stamp));
+      if (!last) {
+        Leg& leg = current().legs[window_];
+        unchecked_ = {.frame = reception.frame,
+                      .place = place_of(current()),
+                      .leg = &leg,
+                      .closed = previous_leg(leg.anchor)};
       }
+    } else if (station_.overhear(*frame, reception)) {
+      return finish(reception.stamp);
     }
   }
-  return listen_on_or(reception.stamp);
+  return next_window(reception.stamp);
+}
+
+void Tag::check() noexcept {
+  if (unchecked_.frame.empty()) return;
+  const Unchecked taken = std::exchange(unchecked_, {});
+  if (station_.is_genuine(taken.frame, taken.place)) return;
+  *taken.leg = Leg{.anchor = taken.leg->anchor};
+  if (taken.closed != nullptr) taken.closed->closing_state = Leg::Closing::kNone;
+}
+
+Leg* Tag::previous_leg(std::uint16_t anchor) noexcept {
+  if (!previous_valid_) return nullptr;
+  Exchange& before = previous();
+  const auto end = before.legs.begin() + before.count;
+  const auto found =
+      std::find_if(before.legs.begin(), end, [=](const Leg& leg) { return leg.anchor == anchor; });
+  return found == end ? nullptr : &*found;
 }
 
 void Tag::take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept {
@@ -135,56 +184,59 @@ void Tag::take_response(const Frame& frame, const Response& response, const Rece
   leg.stamp_valid = reception.stamp_valid;
   leg.received = reception.stamp;
   leg.reply = response.reply;
+  leg.health = response.health;
   leg.quality = reception.quality;
 
-  if (!previous_valid_ || !response.closing_valid) return;
-  Exchange& before = previous();
-  const auto end = before.legs.begin() + before.count;
-  const auto open =
-      std::find_if(before.legs.begin(), end, [&](const Leg& other) { return other.anchor == leg.anchor; });
-  if (open == end) return;
-  const bool same = response.closed_exchange == before.number;
+  if (!response.closing_valid) return;
+  Leg* open = previous_leg(leg.anchor);
+  if (open == nullptr) return;
+  const bool same = response.closed_exchange == previous().number;
   open->closing_state = same ? Leg::Closing::kHeld : Leg::Closing::kStale;
   open->closing = response.closing;
 }
 
 Step Tag::next_window(ClockTime now) noexcept {
   const Exchange& exchange = current();
-  if (++window_ < exchange.count) return listening(response_window());
+  if (++window_ < exchange.count) return {response_window(window_), nullptr};
   if (!station_.superframe().has_final()) return finish(now);
   phase_ = Phase::kFinal;
   const ClockTime stamp =
       station_.stamp_not_after(exchange.poll_sent + station_.superframe().final(exchange.count));
-  return {station_.transmit(stamp, kBroadcast, Final{exchange.number}), nullptr};
+  return {station_.transmit(stamp, kBroadcast, Final{exchange.number}, place_of(exchange)), nullptr};
+}
+
+// Twice in a row not half of what is usual: something else is on the air.
+void Tag::watch_answers() noexcept {
+  const Exchange& exchange = current();
+  const auto answers =
+      static_cast<std::uint8_t>(std::count_if(exchange.legs.begin(), exchange.legs.begin() + exchange.count,
+                                              [](const Leg& leg) { return leg.answered; }));
+  const bool poor = 2 * answers < usual_answers_ || answers == 0;
+  station_.on_lack(poor && was_poor_);
+  was_poor_ = poor;
+  usual_answers_ = std::max<std::uint8_t>(answers, usual_answers_ == 0 ? 0 : usual_answers_ - 1);
 }
 
 // The exchange before has had its chance to be closed by each anchor.
 Step Tag::finish(ClockTime now) noexcept {
+  watch_answers();
   const Exchange* completed = previous_valid_ ? &previous() : nullptr;
+  windows_over_ = static_cast<std::uint8_t>(std::min<std::size_t>(window_, current().count));
   current_ = (current_ + 1) % 3;
   previous_valid_ = true;
-  return listening(plan(now), completed);
+  return {plan(now), completed};
 }
 
 Step Tag::on_timeout(ClockTime now) noexcept {
   if (phase_ == Phase::kResponses) return next_window(now);
-  if (phase_ == Phase::kBeacon) station_.beacon_missed(superframe_);
-  return listening(plan(now));
+  station_.on_control_timeout();
+  return {plan(now), nullptr};
 }
 
 Step Tag::resume(ClockTime now) noexcept {
+  station_.resume(now);
   if (phase_ == Phase::kResponses || phase_ == Phase::kFinal) return finish(now);
-  if (phase_ == Phase::kBeacon) station_.beacon_missed(superframe_);
-  return listening(plan(now));
-}
-
-// After a frame of no use while waiting for a beacon.
-Step Tag::listen_on_or(ClockTime now) noexcept {
-  if (phase_ == Phase::kSearching) return listening(Station::search(now));
-  if (listening_.preamble_until && now < *listening_.preamble_until) {
-    return listening(Station::listen_on(listening_));
-  }
-  return on_timeout(now);
+  return {plan(now), nullptr};
 }
 
 }  // namespace groma::mac

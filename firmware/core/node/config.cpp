@@ -8,12 +8,14 @@
 
 #include "firmware/core/mac/wire_enum.hpp"
 #include "firmware/core/mcp2518fd/bit_timing.hpp"
+#include "firmware/core/security/block_cipher.hpp"
 #include "proto/crc32.hpp"
 
 namespace groma::node {
 namespace {
 
 constexpr std::uint32_t kLargest16 = 0xFFFF;
+constexpr std::uint32_t kBeforeTag = 100;
 
 dw1000::Preamble preamble_of(groma_Preamble preamble) noexcept {
   switch (preamble) {
@@ -26,12 +28,14 @@ dw1000::Preamble preamble_of(groma_Preamble preamble) noexcept {
   }
 }
 
-bool lists_own_id(const groma_Config& config) noexcept {
+// The schedule need not list it, but not as of the other role.
+bool id_fits(const groma_Config& config) noexcept {
+  if (config.id == mac::kNobody || config.id >= mac::kBroadcast) return false;
   const groma_Schedule& schedule = config.schedule;
   const bool tag = config.role == groma_Role_ROLE_TAG;
-  const auto* ids = tag ? schedule.tag_ids : schedule.anchor_ids;
-  const auto* end = ids + (tag ? schedule.tag_ids_count : schedule.anchor_ids_count);
-  return std::find(ids, end, config.id) != end;
+  const auto* others = tag ? schedule.anchor_ids : schedule.tag_ids;
+  const auto* end = others + (tag ? schedule.anchor_ids_count : schedule.tag_ids_count);
+  return std::find(others, end, config.id) == end;
 }
 
 std::optional<std::uint16_t> delay_of(std::uint32_t delay_dtu) noexcept {
@@ -49,11 +53,17 @@ const char* fault_of(const groma_Config& config) noexcept {
   if (const auto fault = mac::check(config.schedule); fault != mac::ScheduleFault::kNone) {
     return mac::describe(fault);
   }
-  if (!lists_own_id(config)) return "id: among the schedule's ids of its role";
+  if (!id_fits(config)) return "id: 1 to 65534, and not among the schedule's of the other role";
   if (mac::number_of(config.preamble) > _groma_Preamble_MAX) return "preamble: 64, 128 or 256";
   if (config.transmit_antenna_delay_dtu > kLargest16) return "transmit_antenna_delay_dtu: 0 to 65535";
   if (config.receive_antenna_delay_dtu > kLargest16) return "receive_antenna_delay_dtu: 0 to 65535";
   if (mac::number_of(config.link) > _groma_Link_MAX) return "link: UART, CAN or CAN_FD";
+  if (config.network_key.size != 0 && config.network_key.size != security::kBlockBytes) {
+    return "network_key: 16 bytes, or none";
+  }
+  if (config.network_key_hash != 0 && config.network_key.size == 0) {
+    return "network_key: missing, and not the one that this node has";
+  }
   if (config.can_nominal_bit_per_s != 0 && !mcp2518fd::nominal_timing(config.can_nominal_bit_per_s)) {
     return "can_nominal_bit_per_s: such as 1000000, 500000, 250000, 125000";
   }
@@ -68,11 +78,35 @@ std::size_t encode_config(const groma_Config& config, std::span<std::uint8_t> ou
   return pb_encode(&stream, groma_Config_fields, &config) ? stream.bytes_written : 0;
 }
 
-std::optional<groma_Config> decode_config(std::span<const std::uint8_t> bytes) noexcept {
-  groma_Config config = groma_Config_init_zero;
+bool decode_config(std::span<const std::uint8_t> bytes, groma_Config& out) noexcept {
   pb_istream_t stream = pb_istream_from_buffer(bytes.data(), bytes.size());
-  if (!pb_decode(&stream, groma_Config_fields, &config)) return std::nullopt;
-  return config;
+  return pb_decode(&stream, groma_Config_fields, &out);
+}
+
+std::size_t encode_on_trial(const groma_Config& config, const groma_Config& before,
+                            std::span<std::uint8_t> out) noexcept {
+  pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
+  const bool fits = pb_encode(&stream, groma_Config_fields, &config) &&
+                    pb_encode_tag(&stream, PB_WT_STRING, kBeforeTag) &&
+                    pb_encode_submessage(&stream, groma_Config_fields, &before);
+  return fits ? stream.bytes_written : 0;
+}
+
+std::span<const std::uint8_t> before_trial(std::span<const std::uint8_t> stored) noexcept {
+  pb_istream_t stream = pb_istream_from_buffer(stored.data(), stored.size());
+  pb_wire_type_t type{};
+  std::uint32_t tag = 0;
+  bool end = false;
+  while (pb_decode_tag(&stream, &type, &tag, &end)) {
+    if (tag != kBeforeTag || type != PB_WT_STRING) {
+      if (!pb_skip_field(&stream, type)) return {};
+      continue;
+    }
+    std::uint32_t size = 0;
+    if (!pb_decode_varint32(&stream, &size) || size > stream.bytes_left) return {};
+    return stored.last(stream.bytes_left).first(size);
+  }
+  return {};
 }
 
 dw1000::RadioSettings radio_settings(const groma_Config& config) noexcept {
@@ -87,7 +121,7 @@ mac::Site site_of(const groma_Config& config, ranging::Ticks transmit_antenna_de
   return {.id = static_cast<std::uint16_t>(config.id),
           .network_id = static_cast<std::uint16_t>(config.network_id),
           .preamble = preamble_of(config.preamble),
-          .schedule = config.schedule,
+          .schedule = &config.schedule,
           .transmit_antenna_delay = transmit_antenna_delay};
 }
 
@@ -95,9 +129,27 @@ std::uint32_t schedule_hash_of(const groma_Config& config) noexcept {
   return mac::schedule_hash(config.schedule, config.network_id, preamble_of(config.preamble));
 }
 
+groma_Config without_key(const groma_Config& config) noexcept {
+  groma_Config shown = config;
+  shown.network_key = {};
+  return shown;
+}
+
 std::uint32_t config_hash_of(const groma_Config& config) noexcept {
-  std::array<std::uint8_t, kMaxConfigBytes> bytes{};
-  return wire::crc32(std::span(bytes).first(encode_config(config, bytes)));
+  wire::Crc32 crc;
+  // Straight into the check: the stack has no room for the bytes.
+  pb_ostream_t stream = {.callback =
+                             [](pb_ostream_t* to, const pb_byte_t* bytes, std::size_t count) {
+                               auto& check = *static_cast<wire::Crc32*>(to->state);
+                               for (std::size_t i = 0; i < count; ++i) check.add(bytes[i]);
+                               return true;
+                             },
+                         .state = &crc,
+                         .max_size = SIZE_MAX,
+                         .bytes_written = 0,
+                         .errmsg = nullptr};
+  const groma_Config shown = without_key(config);
+  return pb_encode(&stream, groma_Config_fields, &shown) ? crc.value() : 0;
 }
 
 }  // namespace groma::node

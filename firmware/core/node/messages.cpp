@@ -2,7 +2,10 @@
 
 #include <pb_encode.h>
 
+#include <algorithm>
+
 #include "firmware/core/node/config.hpp"
+#include "firmware/core/ranging/corrections.hpp"
 #include "proto/compact_report.hpp"
 #include "proto/slot_report.hpp"
 
@@ -29,13 +32,38 @@ std::uint64_t ticks_of(ranging::Ticks t) noexcept {
   return static_cast<std::uint64_t>(t.count());
 }
 
-void set(bool& has, std::int32_t& field, std::optional<std::int32_t> value) noexcept {
+template <class T>
+void set(bool& has, T& field, std::optional<std::int32_t> value) noexcept {
   has = value.has_value();
-  field = value.value_or(0);
+  field = static_cast<T>(value.value_or(0));
+}
+
+static_assert(static_cast<int>(dw1000::LineOfSight::kUnlikely) == groma_LineOfSight_LINE_OF_SIGHT_UNLIKELY);
+
+// What is known to bend this range, taken out as far as it is asked for and known; `flags` say what was.
+ranging::FlightTime corrected(ranging::FlightTime flight, const mac::Leg& leg, const Ranging& ranging,
+                              std::optional<std::int32_t> receive_power_cdbm, std::uint8_t& flags) noexcept {
+  if (ranging.correct_temperature && ranging.ambient) {
+    if (leg.health.temperature_c != mac::Health::kUnknown) {
+      flight = flight - ranging::temperature_drift(ranging.ambient->temperature_cdegc) -
+               ranging::temperature_drift(leg.health.temperature_c * 100);
+      flags |= groma_RangeFlag_RANGE_FLAG_TEMPERATURE;
+    }
+    if (leg.health.supply_64ths_v != 0) {
+      flight = flight - ranging::supply_drift(ranging.ambient->supply_mv) -
+               ranging::supply_drift(leg.health.supply_64ths_v * 1000 / 64);
+      flags |= groma_RangeFlag_RANGE_FLAG_SUPPLY;
+    }
+  }
+  if (ranging.correct_power_bias && receive_power_cdbm) {
+    flight = flight - ranging::power_bias(*receive_power_cdbm);
+    flags |= groma_RangeFlag_RANGE_FLAG_POWER_BIAS;
+  }
+  return flight;
 }
 
 groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging::ClockTime device_time,
-                     bool with_raw_stamps) noexcept {
+                     const Ranging& ranging) noexcept {
   const mac::Range range = mac::evaluate(exchange, leg);
   groma_Range out = groma_Range_init_zero;
   out.anchor_id = leg.anchor;
@@ -43,18 +71,24 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
   // Where there is no range, the instant is that of the POLL, so that the report can be placed in time.
   const ranging::ClockTime instant = leg.answered ? leg.received : exchange.poll_sent;
   out.instant_offset_dtu = (instant - device_time).count();
+  std::optional<std::int32_t> receive_power_cdbm;
   if (leg.answered) {
-    set(out.has_first_path_power_cdbm, out.first_path_power_cdbm, dw1000::first_path_power_cdbm(leg.quality));
-    set(out.has_receive_power_cdbm, out.receive_power_cdbm, dw1000::receive_power_cdbm(leg.quality));
+    const auto first_path_power_cdbm = dw1000::first_path_power_cdbm(leg.quality);
+    receive_power_cdbm = dw1000::receive_power_cdbm(leg.quality);
+    set(out.has_first_path_power_cdbm, out.first_path_power_cdbm, first_path_power_cdbm);
+    set(out.has_receive_power_cdbm, out.receive_power_cdbm, receive_power_cdbm);
     set(out.has_clock_offset_ppb, out.clock_offset_ppb,
         dw1000::clock_offset_ppb(leg.quality.carrier_integral));
+    out.noise = leg.quality.noise;
+    out.flags = static_cast<std::uint8_t>(dw1000::line_of_sight(first_path_power_cdbm, receive_power_cdbm));
   }
   if (range.status != mac::RangeStatus::kOk) return out;
-  out.range_m = range.flight.distance_m();
-  out.has_raw = with_raw_stamps;
-  if (with_raw_stamps) {
-    out.raw = {.tag_round_dtu = ticks_of(range.intervals.tag_round),
-               .anchor_reply_dtu = ticks_of(range.intervals.anchor_reply),
+  out.flags |= groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS;
+  out.range_m = corrected(range.flight, leg, ranging, receive_power_cdbm, out.flags).distance_m();
+  out.has_raw = ranging.raw_stamps;
+  if (out.has_raw) {
+    out.raw = {.tag_round_dtu = static_cast<std::uint32_t>(ticks_of(range.intervals.tag_round)),
+               .anchor_reply_dtu = static_cast<std::uint32_t>(ticks_of(range.intervals.anchor_reply)),
                .anchor_round_dtu = ticks_of(range.intervals.anchor_round),
                .tag_reply_dtu = ticks_of(range.intervals.tag_reply)};
   }
@@ -69,17 +103,35 @@ void copy_text(std::span<char> out, const char* text) noexcept {
   out[i] = '\0';
 }
 
-void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, ranging::ClockTime device_time,
-                      bool with_raw_stamps, groma_Counters& counters) noexcept {
+void begin_slot_report(groma_SlotReport& report, const mac::Exchange& exchange,
+                       ranging::ClockTime device_time) noexcept {
   report.superframe = exchange.superframe;
   report.slot = exchange.slot;
   report.device_time_dtu = static_cast<std::uint64_t>(device_time.count());
   report.ranges_count = exchange.count;
+}
+
+void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange& exchange,
+                ranging::ClockTime device_time, const Ranging& ranging, groma_Counters& counters) noexcept {
+  report.ranges[index] = range_of(exchange, exchange.legs[index], device_time, ranging);
+  const bool good = report.ranges[index].status == groma_RangeStatus_RANGE_OK;
+  ++(good ? counters.ranges_completed : counters.ranges_lost);
+}
+
+void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, ranging::ClockTime device_time,
+                      const Ranging& ranging, groma_Counters& counters) noexcept {
+  begin_slot_report(report, exchange, device_time);
   for (std::size_t i = 0; i < exchange.count; ++i) {
-    report.ranges[i] = range_of(exchange, exchange.legs[i], device_time, with_raw_stamps);
-    const bool good = report.ranges[i].status == groma_RangeStatus_RANGE_OK;
-    ++(good ? counters.ranges_completed : counters.ranges_lost);
+    fill_range(report, i, exchange, device_time, ranging, counters);
   }
+}
+
+mac::Health health_of(const dw1000::Ambient& ambient) noexcept {
+  const int rounding = ambient.temperature_cdegc < 0 ? -50 : 50;
+  const int temperature_c = (ambient.temperature_cdegc + rounding) / 100;
+  const unsigned supply_64ths_v = (ambient.supply_mv * 64U + 500U) / 1000U;
+  return {.temperature_c = static_cast<std::int8_t>(std::clamp(temperature_c, -127, 127)),
+          .supply_64ths_v = static_cast<std::uint8_t>(std::clamp(supply_64ths_v, 1U, 255U))};
 }
 
 void make_compact(groma_NodeToHost& message) noexcept {
@@ -122,17 +174,46 @@ groma_SyncState sync_state_of(mac::SyncState state) noexcept {
   return groma_SyncState_SYNC_SEARCHING;
 }
 
+std::span<const std::uint8_t> MessageEncoder::encode_of(std::span<const std::uint8_t> message,
+                                                        std::uint16_t source) noexcept {
+  // The last of a field's values counts.
+  pb_ostream_t stream = pb_ostream_from_buffer(buffer_.data(), groma_NodeToHost_size);
+  const bool fits = pb_write(&stream, message.data(), message.size()) &&
+                    pb_encode_tag(&stream, PB_WT_VARINT, groma_NodeToHost_source_id_tag) &&
+                    pb_encode_varint(&stream, source);
+  return fits ? frame_first(stream.bytes_written) : std::span<const std::uint8_t>();
+}
+
+std::span<const std::uint8_t> MessageEncoder::frame_first(std::size_t bytes) noexcept {
+  const auto end = buffer_.begin() + static_cast<std::ptrdiff_t>(bytes);
+  std::copy_backward(buffer_.begin(), end, buffer_.end());
+  return std::span(buffer_).first(wire::encode_frame(std::span(buffer_).last(bytes), buffer_));
+}
+
 std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message) noexcept {
-  std::span<const std::uint8_t> payload;
   if (message.which_body == groma_NodeToHost_slot_report_tag) {
-    payload = wire::encode_slot_report(message.body.slot_report, payload_);
-  } else {
-    pb_ostream_t stream = pb_ostream_from_buffer(payload_.data(), payload_.size());
-    if (!pb_encode(&stream, groma_NodeToHost_fields, &message)) return {};
-    payload = std::span(payload_).first(stream.bytes_written);
+    const auto payload = wire::encode_slot_report(message.body.slot_report, buffer_);
+    if (payload.empty()) return {};
+    return std::span(buffer_).first(wire::encode_frame(payload, buffer_));
   }
-  if (payload.empty()) return {};
-  return std::span(frame_).first(wire::encode_frame(payload, frame_));
+  pb_ostream_t stream = pb_ostream_from_buffer(buffer_.data(), groma_NodeToHost_size);
+  if (!pb_encode(&stream, groma_NodeToHost_fields, &message)) return {};
+  return frame_first(stream.bytes_written);
+}
+
+void MessageEncoder::close(const groma_SlotReport& report) noexcept {
+  payload_ = report_.finish(report);
+  frame_bytes_ = 0;
+  if (!payload_.empty()) writer_ = wire::FrameWriter(buffer_);
+}
+
+bool MessageEncoder::step() noexcept {
+  constexpr std::size_t kPiece = 64;
+  if (payload_.empty()) return true;
+  writer_.put(payload_.first(std::min(kPiece, payload_.size())));
+  payload_ = payload_.subspan(std::min(kPiece, payload_.size()));
+  if (payload_.empty()) frame_bytes_ = writer_.finish();
+  return payload_.empty();
 }
 
 }  // namespace groma::node

@@ -1,30 +1,38 @@
 // A node: the radio's driver, the tag or the anchor that uses it, and the link to the host.
 //
 // The order of work after each radio interrupt: take the event, let the state machine decide, arm the radio
-// for what is next; only then evaluate and report what the exchange gave. The slots run on the DW1000's clock
-// alone. The processor's clock paces telemetry and stands by with a deadline for each operation of the radio:
-// should its interrupt stay away, the chip is brought up again and the node joins anew.
+// for what is next; what the exchange gave is evaluated and reported afterwards, in pieces for which the
+// radio has no use of the processor (on_timer()). The slots run on the DW1000's clock alone. The processor's
+// clock paces telemetry and stands by with a deadline for each operation of the radio: should its interrupt
+// stay away, the chip is brought up again and the node joins anew.
 //
 // An unconfigured node sends nothing and listens for 20 ms each second, so that it, too, can prove that
 // radio, bus, interrupt and loop are alive (platform.hpp, proof_of_life()).
 #pragma once
 
 #include <pb_decode.h>
+#include <pb_encode.h>
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <span>
+#include <variant>
 
 #include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
+#include "firmware/core/node/air_link.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/messages.hpp"
 #include "firmware/core/node/platform.hpp"
 #include "groma.pb.h"
+#include "proto/crc32.hpp"
 #include "proto/frame_codec.hpp"
 
 namespace groma::node {
@@ -39,8 +47,10 @@ class Node {
   // Once after boot: loads the configuration, brings the radio up, says hello, and joins if configured.
   void start() noexcept {
     platform_.set_indicator(Indicator::kUnconfigured);
-    next_telemetry_us_ = platform_.now_us() + kTelemetryPeriod_us;
-    config_ = load_config();
+    telemetry_due_us_ = next_telemetry_us_ = platform_.now_us() + kTelemetryPeriod_us;
+    const Stored stored = load_stored();
+    config_ = stored.config;
+    if (stored.on_trial) begin_trial(kTrial_s);
     choose_link();
     bring_radio_up();
     send_hello();
@@ -49,8 +59,9 @@ class Node {
   // While the radio's interrupt line is high, again until it is low.
   void on_radio_interrupt() noexcept {
     const std::uint32_t recoveries = counters_.radio_recoveries;
-    if (!handle(radio_.take_event())) return;
-    deliver();
+    if (!handle_event()) return;
+    serve_air();
+    sample_ambient();
     if (counters_.radio_recoveries == recoveries) prove_life();
   }
 
@@ -67,7 +78,9 @@ class Node {
 
   // On the clock of now_us(); the maximum: never.
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
-    return std::min({radio_deadline_us_, next_listening_us_, next_telemetry_us_, identify_until_us_});
+    const std::uint64_t piece_us = completed_ != nullptr ? next_piece_us_ : kNever_us;
+    return std::min(
+        {radio_deadline_us_, next_listening_us_, next_telemetry_us_, identify_until_us_, piece_us});
   }
 
   // At or after next_deadline_us(); harmless before.
@@ -79,9 +92,17 @@ class Node {
       identify_until_us_ = kNever_us;
       indicate();
     }
-    if (now_us >= next_telemetry_us_) {
-      next_telemetry_us_ = now_us + kTelemetryPeriod_us;
-      send_telemetry();
+    if (completed_ != nullptr) {
+      if (now_us >= next_piece_us_)
+        next_piece_us_ = spare(now_us, kPiece_us) ? report_piece() : now_us + kPiece_us;
+    } else if (now_us >= next_telemetry_us_) {
+      if (spare(now_us, kTelemetry_us) || now_us >= telemetry_due_us_ + kTelemetryPatience_us) {
+        telemetry_due_us_ = next_telemetry_us_ = now_us + kTelemetryPeriod_us;
+        send_telemetry();
+        watch_air(now_us);
+      } else {
+        next_telemetry_us_ = now_us + kTelemetryRetry_us;
+      }
     }
   }
 
@@ -99,18 +120,32 @@ class Node {
  private:
   static constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::max();
   static constexpr std::uint64_t kTelemetryPeriod_us = 1'000'000;
+  // It waits until the radio leaves it so much time, but not for ever.
+  static constexpr std::uint64_t kTelemetry_us = 1'200;
+  static constexpr std::uint64_t kTelemetryRetry_us = 250;
+  static constexpr std::uint64_t kTelemetryPatience_us = 100'000;
+  // The longest piece of a report.
+  static constexpr std::uint64_t kPiece_us = 60;
   // How long after its due end an operation of the radio is given up.
   static constexpr std::uint64_t kRadioGrace_us = 5'000;
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
   static constexpr std::uint64_t kUnconfiguredPeriod_us = 1'000'000;
   static constexpr ranging::Ticks kUnconfiguredListening = ranging::Ticks::from_us(20'000);
   static constexpr std::uint32_t kMaxIdentify_s = 3'600;
+  static constexpr std::uint32_t kTrial_s = 60;
+  static constexpr std::uint64_t kLongestSurvey_us = 60'000'000;
+  // After a survey of which nothing was heard any more.
+  static constexpr std::uint64_t kLentOn_us = 5'000'000;
+  static constexpr std::uint64_t kAmbientPeriod_us = 1'000'000;
+  // What either half of a sampling may take of the time in which the radio wants nothing.
+  static constexpr std::uint64_t kAmbientWork_us = 100;
 
   // ---- the radio -----------------------------------------------------------------------------------------
 
   void bring_radio_up() noexcept {
     forget_machine();
     next_listening_us_ = kNever_us;
+    sampling_ = false;
     const dw1000::RadioSettings settings = config_ ? radio_settings(*config_) : dw1000::RadioSettings{};
     bring_up_ = radio_.bring_up(
         settings, [this] { platform_.reset_radio(); }, [this](std::uint32_t us) { platform_.delay_us(us); });
@@ -135,12 +170,22 @@ class Node {
       next_listening_us_ = platform_.now_us() + kUnconfiguredPeriod_us;
       return indicate();
     }
-    const mac::Site site = site_of(*config_, radio_.transmit_antenna_delay());
-    if (config_->role == groma_Role_ROLE_TAG) {
-      tag_.emplace(site, counters_);
+    mac::Site site = site_of(*config_, radio_.transmit_antenna_delay());
+    site.boot_count = platform_.boot_count();
+    site.sessions = &sessions_;
+    site.network_key = std::span(config_->network_key.bytes).first(config_->network_key.size);
+    site.cipher = &platform_.cipher();
+    site.nonces = &nonces_;
+    const auto own_id = static_cast<std::uint16_t>(config_->id);
+    if (survey_as_ != mac::kNobody) site.id = survey_as_;
+    if (config_->role == groma_Role_ROLE_TAG || survey_as_ != mac::kNobody) {
+      tag_ = std::construct_at(&machine_.tag, site, counters_);
     } else {
-      anchor_.emplace(site, counters_);
+      anchor_ = std::construct_at(&machine_.anchor, site, counters_);
     }
+    air_.start(own_id, mac::rank_of(*site.schedule, own_id).has_value(), platform_.boot_count());
+    if (tag_) tag_->attach(air_);
+    if (anchor_) anchor_->attach(air_);
     const ranging::ClockTime now = read_clock();
     perform(tell([now](auto& machine) { return machine.start(now); }));
     proven_superframe_ = superframe();
@@ -164,9 +209,32 @@ class Node {
     platform_.proof_of_life();
   }
 
+  // The chip's temperature and supply, in two halves between which the chip needs its time; each where the
+  // radio is armed for later, so that it costs no slot.
+  void sample_ambient() noexcept {
+    const std::uint64_t now_us = platform_.now_us();
+    if (now_us < next_ambient_us_ || now_us + kAmbientWork_us > quiet_until_us()) return;
+    if (!sampling_) {
+      radio_.start_sampling();
+      next_ambient_us_ = now_us + radio_.kSampling_us + kAmbientWork_us;
+    } else {
+      ambient_ = radio_.finish_sampling();
+      next_ambient_us_ = now_us + kAmbientPeriod_us;
+      share_health();
+    }
+    sampling_ = !sampling_;
+  }
+
+  void share_health() noexcept {
+    const mac::Health health = ambient_ ? health_of(*ambient_) : mac::Health{};
+    if (tag_) tag_->set_health(health);
+    if (anchor_) anchor_->set_health(health);
+  }
+
   // Off the air until resume(), join() or bring_radio_up().
   void leave() noexcept {
     radio_.stop();
+    event_due_us_ = 0;
     next_listening_us_ = kNever_us;
     if (bring_up_ == dw1000::BringUp::kOk) radio_deadline_us_ = kNever_us;
   }
@@ -179,7 +247,6 @@ class Node {
     refer(now);
     perform(tell([now](auto& machine) { return machine.resume(now); }));
     watch_sync();
-    deliver();
   }
 
   template <class F>
@@ -190,9 +257,11 @@ class Node {
   }
 
   void forget_machine() noexcept {
-    tag_.reset();
-    anchor_.reset();
+    tag_ = nullptr;
+    anchor_ = nullptr;
     completed_ = nullptr;
+    armed_.reset();
+    event_due_us_ = 0;
   }
 
   [[nodiscard]] const mac::Station* station() const noexcept {
@@ -202,8 +271,9 @@ class Node {
   }
 
   // False where nothing had happened.
-  bool handle(const dw1000::Event& event) noexcept {
+  bool handle_event() noexcept {
     using dw1000::EventKind;
+    dw1000::Event event = radio_.look();
     switch (event.kind) {
       case EventKind::kNone:
         return false;
@@ -215,11 +285,16 @@ class Node {
       }
       case EventKind::kReceived: {
         ++counters_.frames_received;
+        arm_ahead();
+        // The answer to a POLL is urgent, and nobody asks how well it came.
+        radio_.read_frame(event,
+                          [](std::span<const std::uint8_t> frame) { return !mac::looks_like_poll(frame); });
         const ranging::ClockTime stamp = event.stamp_valid ? clock_.unwrap(event.stamp) : read_clock();
         refer(stamp);
         if (station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{stamp, event.stamp_valid, event.frame, event.quality};
         perform(tell([&](auto& machine) { return machine.on_received(reception); }));
+        if (tag_) tag_->check();
         break;
       }
       case EventKind::kPreambleTimeout:
@@ -227,6 +302,7 @@ class Node {
       case EventKind::kFrameTimeout:
       case EventKind::kCheckError:
       case EventKind::kHeaderError: {
+        arm_ahead();
         const bool error = count_failure(event.kind);
         const ranging::ClockTime now = read_clock();
         refer(now);
@@ -239,6 +315,24 @@ class Node {
     }
     watch_sync();
     return true;
+  }
+
+  // Between two RESPONSEs each microsecond counts: the next window is armed before the frame is read.
+  void arm_ahead() noexcept {
+    armed_.reset();
+    std::optional<mac::Action> next;
+    if (tag_) next = tag_->ahead();
+    if (anchor_) next = anchor_->ahead();
+    if (!next) return;
+    dw1000::Start start =
+        radio_.receive_at(clock_.wrap(next->at), next->until - next->at, preamble_timeout(*next, next->at));
+    if (start == dw1000::Start::kLate) {
+      const ranging::ClockTime now = read_clock();
+      if (now >= next->preamble_until.value_or(next->until)) return;
+      ++counters_.late_receives;
+      start = radio_.receive_now(next->until - now, preamble_timeout(*next, now));
+    }
+    if (start == dw1000::Start::kStarted) armed_ = next->at;
   }
 
   // True for a reception that failed, false for one that did not come.
@@ -266,13 +360,29 @@ class Node {
   // lies ahead; a chip that finds everything late is broken.
   void perform(mac::Step step) noexcept {
     constexpr int kTries = 100;
+    // What a beacon changes of the time of the next listening.
+    constexpr ranging::Ticks kSame = ranging::Ticks::from_us(1);
     for (int i = 0; i < kTries; ++i) {
-      if (step.completed != nullptr) completed_ = step.completed;
+      if (step.completed != nullptr) {
+        finish_report();
+        completed_ = step.completed;
+        ranges_left_ = completed_->count;
+        reporting_ = Reporting::kChoosing;
+        next_piece_us_ = 1;
+      }
       const mac::Action& action = step.action;
+      if (armed_) {
+        const ranging::Ticks apart = action.at - *armed_;
+        const bool same = action.kind == mac::Action::Kind::kListen && apart < kSame && -apart < kSame;
+        armed_.reset();
+        if (same) return supervise(action);
+        radio_.stop();
+      }
       dw1000::Start start = dw1000::Start::kStarted;
       switch (action.kind) {
         case mac::Action::Kind::kNone:
           radio_deadline_us_ = quiet_until_us_ = kNever_us;
+          event_due_us_ = 0;
           return;
         case mac::Action::Kind::kTransmit:
           start = radio_.transmit_at(clock_.wrap(action.at), action.frame);
@@ -314,12 +424,33 @@ class Node {
   }
 
   void supervise(const mac::Action& action) noexcept {
-    const std::int64_t quiet_us = (action.at - reference_).to_us();
-    const bool later = action.kind != mac::Action::Kind::kListenNow && quiet_us > 0;
-    quiet_until_us_ = later ? reference_us_ + static_cast<std::uint64_t>(quiet_us) : 0;
-    const ranging::ClockTime end = action.kind == mac::Action::Kind::kTransmit ? action.at : action.until;
-    const std::int64_t ahead_us = std::max<std::int64_t>((end - reference_).to_us(), 0);
-    radio_deadline_us_ = reference_us_ + static_cast<std::uint64_t>(ahead_us) + kRadioGrace_us;
+    using Kind = mac::Action::Kind;
+    const bool later = action.kind != Kind::kListenNow && action.at > reference_;
+    quiet_until_us_ = later ? reference_us_ + rough_us(action.at - reference_) : 0;
+    event_due_us_ = quiet_until_us_;
+    if (later && action.kind == Kind::kListen) {
+      // Of the shortest frame the end, or that none came.
+      constexpr std::size_t kShortest_bytes = 12;
+      const mac::Station* member = station();
+      const ranging::Ticks until_out = action.preamble_until.value_or(action.until) - action.at;
+      event_due_us_ += rough_us(
+          member == nullptr ? until_out
+                            : std::min(until_out, member->superframe().phy().air_time(kShortest_bytes)));
+    }
+    const ranging::ClockTime end = action.kind == Kind::kTransmit ? action.at : action.until;
+    radio_deadline_us_ = reference_us_ + rough_us(end - reference_) + kRadioGrace_us;
+  }
+
+  // 1 us too short at most, and no 64-bit division: 65536 ticks are 40/39 us. 0 for what is past.
+  [[nodiscard]] static std::uint64_t rough_us(ranging::Ticks t) noexcept {
+    if (t.count() <= 0) return 0;
+    const auto uus = static_cast<std::uint32_t>(t.count() >> 16);
+    return std::uint64_t{uus} + uus / 39;
+  }
+
+  // The radio wants nothing of the processor for so long.
+  [[nodiscard]] bool spare(std::uint64_t now_us, std::uint64_t needed_us) const noexcept {
+    return event_due_us_ == 0 || now_us + needed_us <= event_due_us_;
   }
 
   void on_radio_deadline() noexcept {
@@ -329,11 +460,7 @@ class Node {
       return;
     }
     // An interrupt that nobody told of is as good as one that was.
-    if (handle(radio_.take_event())) {
-      deliver();
-      return;
-    }
-    recover();
+    if (!handle_event()) recover();
   }
 
   void recover() noexcept {
@@ -396,6 +523,7 @@ class Node {
 
   template <class Fill>
   void send(pb_size_t which, Fill&& fill, To to = To::kHost) noexcept {
+    finish_report();
     message_ = groma_NodeToHost_init_zero;
     message_.which_body = which;
     fill(message_.body);
@@ -403,23 +531,87 @@ class Node {
   }
 
   bool write_message(To to) noexcept {
-    const auto frame = encoder_.encode(message_);
-    if constexpr (ChoosesLink<P>) {
-      if (to == To::kAsker) return platform_.link_answer(frame);
+    if (to == To::kAsker && by_air_) {
+      const auto room = air_.room();
+      pb_ostream_t stream = pb_ostream_from_buffer(room.data(), room.size());
+      if (!pb_encode(&stream, groma_NodeToHost_fields, &message_)) return false;
+      air_.append(stream.bytes_written);
+      return true;
     }
+    const auto frame = encoder_.encode(message_);
+    return to == To::kAsker ? answer_link(frame) : platform_.link_write(frame);
+  }
+
+  bool answer_link(std::span<const std::uint8_t> frame) noexcept {
+    if constexpr (ChoosesLink<P>) return platform_.link_answer(frame);
     return platform_.link_write(frame);
   }
 
-  void deliver() noexcept {
-    if (completed_ == nullptr) return;
-    const mac::Exchange& exchange = *completed_;
-    completed_ = nullptr;
-    send(groma_NodeToHost_slot_report_tag, [&](auto& body) {
-      body.slot_report.sequence = report_sequence_++;
-      body.slot_report.tag_id = config_->id;
-      fill_slot_report(body.slot_report, exchange, read_clock(), config_->report_raw_stamps, counters_);
-      if (config_->link == groma_Link_LINK_CAN) make_compact(message_);
-    });
+  // The report of completed_ in pieces of 30 us at 64 MHz, its ranges from the last to the first. Returns
+  // when it wants to be called next.
+  std::uint64_t report_piece() noexcept {
+    groma_SlotReport& report = message_.body.slot_report;
+    switch (reporting_) {
+      case Reporting::kChoosing:
+        if (tag_) tag_->choose_anchors();
+        if (survey_as_ != mac::kNobody) {
+          survey(*std::exchange(completed_, nullptr));
+          break;
+        }
+        reporting_ = Reporting::kBegin;
+        break;
+      case Reporting::kBegin:
+        message_ = groma_NodeToHost_init_zero;
+        message_.which_body = groma_NodeToHost_slot_report_tag;
+        report.sequence = report_sequence_++;
+        report.tag_id = config_->id;
+        report_time_ = read_clock();
+        begin_slot_report(report, *completed_, report_time_);
+        place_in_network(report, report_time_);
+        encoder_.begin(report);
+        reporting_ = Reporting::kRanges;
+        break;
+      case Reporting::kRanges:
+        if (ranges_left_ != 0) {
+          --ranges_left_;
+          fill_range(report, ranges_left_, *completed_, report_time_, ranging(), counters_);
+          if (config_->link != groma_Link_LINK_CAN) encoder_.put_range(report.ranges[ranges_left_]);
+        } else if (config_->link == groma_Link_LINK_CAN) {
+          make_compact(message_);
+          completed_ = nullptr;
+          if (!write_message(To::kHost)) ++counters_.reports_dropped;
+        } else {
+          encoder_.close(report);
+          reporting_ = Reporting::kFraming;
+        }
+        break;
+      case Reporting::kFraming:
+        if (!encoder_.step()) break;
+        completed_ = nullptr;
+        if (!platform_.link_write(encoder_.frame())) ++counters_.reports_dropped;
+        break;
+    }
+    return 1;
+  }
+
+  void finish_report() noexcept {
+    while (completed_ != nullptr) report_piece();
+  }
+
+  [[nodiscard]] Ranging ranging() const noexcept {
+    return {.raw_stamps = config_->report_raw_stamps,
+            .correct_temperature = config_->correct_temperature,
+            .correct_power_bias = config_->correct_power_bias,
+            .ambient = ambient_};
+  }
+
+  void place_in_network(groma_SlotReport& report, ranging::ClockTime now) noexcept {
+    const mac::Station* member = station();
+    if (member == nullptr) return;
+    const auto network_time = member->network_time(now);
+    if (!network_time) return;
+    report.network_time_dtu = static_cast<std::uint64_t>(network_time->count());
+    report.network_rate_ppb = -member->sync().skew_ppb();
   }
 
   void send_hello(To to = To::kHost) noexcept {
@@ -440,16 +632,43 @@ class Node {
         groma_NodeToHost_counters_tag, [&](auto& body) { body.counters = counters_; }, to);
   }
 
+  void tell_membership(groma_NetworkStatus& status) const noexcept {
+    if (tag_) {
+      const mac::TagMembership& membership = tag_->membership();
+      const auto slot = membership.slot(superframe());
+      status.has_slot = slot.has_value();
+      status.slot = static_cast<std::uint8_t>(slot.value_or(0));
+      status.candidates = static_cast<std::uint32_t>(membership.anchors().size());
+      status.answering = static_cast<std::uint32_t>(membership.anchors().answering());
+    } else if (anchor_) {
+      const auto holders = anchor_->membership().slots().holders();
+      std::copy(holders.begin(), holders.end(), status.holders);
+      status.holders_count = static_cast<pb_size_t>(holders.size());
+    }
+  }
+
   void send_telemetry() noexcept {
     // The clock's wraps are followed even where nothing is on the air.
     if (bring_up_ == dw1000::BringUp::kOk) (void)read_clock();
     if (const mac::Station* member = station()) {
       send(groma_NodeToHost_network_status_tag, [&](auto& body) {
         body.network_status.state = sync_state_of(member->sync().state());
-        body.network_status.master_id = member->site().schedule.master_id;
         body.network_status.superframe = superframe();
         body.network_status.skew_ppb = -member->sync().skew_ppb();
         body.network_status.beacons_missed = member->sync().missed_in_a_row();
+        body.network_status.has_temperature_cdegc = body.network_status.has_supply_mv = ambient_.has_value();
+        if (ambient_) {
+          body.network_status.temperature_cdegc = ambient_->temperature_cdegc;
+          body.network_status.supply_mv = ambient_->supply_mv;
+        }
+        tell_membership(body.network_status);
+        if (member->sync().state() == mac::SyncState::kSearching) return;
+        const mac::Mastership& mastership = member->mastership();
+        body.network_status.master_id = mastership.master();
+        body.network_status.hop = mastership.hop();
+        body.network_status.session = mastership.session();
+        body.network_status.network_time_dtu =
+            static_cast<std::uint64_t>(member->sync().network_time(clock_.latest()).count());
       });
     }
     send_counters();
@@ -478,6 +697,13 @@ class Node {
       ++counters_.link_frames_bad;
       return;
     }
+    by_air_ = false;
+    if (command_.target_id != 0 && !(config_ && command_.target_id == config_->id))
+      return ask_by_air(payload);
+    carry_out();
+  }
+
+  void carry_out() noexcept {
     switch (command_.which_body) {
       case groma_HostToNode_get_hello_tag:
         reply(groma_Result_RESULT_OK, "");
@@ -488,7 +714,7 @@ class Node {
         send_counters(To::kAsker);
         break;
       case groma_HostToNode_read_config_tag:
-        reply(groma_Result_RESULT_OK, "", load_config().value_or(groma_Config groma_Config_init_zero));
+        read_config();
         break;
       case groma_HostToNode_write_config_tag:
         write_config(command_.body.write_config);
@@ -499,12 +725,29 @@ class Node {
       case groma_HostToNode_identify_s_tag:
         identify(command_.body.identify_s);
         break;
+      case groma_HostToNode_prefer_anchors_tag:
+        prefer_anchors(command_.body.prefer_anchors);
+        break;
+      case groma_HostToNode_leave_network_tag:
+        if (!tag_) {
+          refuse(groma_Result_RESULT_UNSUPPORTED, "only a tag has a slot to leave");
+          break;
+        }
+        tag_->membership().leave();
+        reply(groma_Result_RESULT_OK, "");
+        break;
       case groma_HostToNode_reboot_tag:
         reply(groma_Result_RESULT_OK, "");
-        platform_.restart();
+        do_or_defer(After::kReboot);
         break;
       case groma_HostToNode_factory_reset_tag:
         factory_reset();
+        break;
+      case groma_HostToNode_survey_tag:
+        begin_survey(command_.body.survey.exchanges);
+        break;
+      case groma_HostToNode_time_request_tag:
+        tell_time();
         break;
       default:
         refuse(groma_Result_RESULT_UNSUPPORTED, "not a command of this protocol version");
@@ -521,7 +764,22 @@ class Node {
           body.reply.result = result;
           copy_text(body.reply.text, text);
           body.reply.has_config = config.has_value();
-          if (config) body.reply.config = *config;
+          if (config) body.reply.config = without_key(*config);
+        },
+        To::kAsker);
+  }
+
+  void tell_time() noexcept {
+    if (bring_up_ != dw1000::BringUp::kOk) {
+      return refuse(groma_Result_RESULT_UNSUPPORTED, "no clock: the radio is down");
+    }
+    const ranging::ClockTime received = read_clock();
+    send(
+        groma_NodeToHost_time_reply_tag,
+        [&](auto& body) {
+          body.time_reply.host_time_ns = command_.body.time_request.host_time_ns;
+          body.time_reply.received_dtu = static_cast<std::uint64_t>(received.count());
+          body.time_reply.transmitted_dtu = static_cast<std::uint64_t>(read_clock().count());
         },
         To::kAsker);
   }
@@ -531,14 +789,27 @@ class Node {
     reply(result, text);
   }
 
-  // What is stored, if it is a configuration to work by.
-  [[nodiscard]] std::optional<groma_Config> load_config() noexcept {
-    std::array<std::uint8_t, kMaxConfigBytes> blob{};
-    const std::size_t size = platform_.load_config(blob);
-    if (size == 0 || size > blob.size()) return std::nullopt;
-    auto config = decode_config(std::span(blob).first(size));
-    if (config && fault_of(*config)[0] != '\0') config.reset();
-    return config;
+  struct Stored {
+    std::optional<groma_Config> config;
+    bool on_trial = false;
+  };
+  // What is stored, or with `before` the one that it would give way to, if it is a configuration to work by.
+  [[nodiscard, gnu::noinline]] Stored load_stored(bool before = false) noexcept {
+    Stored stored;
+    const std::size_t size = platform_.load_config(blob_);
+    if (size == 0 || size > blob_.size()) return stored;
+    const auto bytes = std::span<const std::uint8_t>(blob_).first(size);
+    const auto older = before_trial(bytes);
+    stored.on_trial = !older.empty();
+    const bool good = decode_config(before ? older : bytes, stored.config.emplace());
+    if (!good || fault_of(*stored.config)[0] != '\0') stored.config.reset();
+    return stored;
+  }
+
+  [[gnu::noinline]] void read_config() noexcept {
+    Stored stored = load_stored();
+    if (!stored.config) stored.config.emplace();
+    reply(groma_Result_RESULT_OK, "", stored.config);
   }
 
   // An erase stalls the processor for 85 ms: the host is told, and the radio is off meanwhile.
@@ -548,27 +819,61 @@ class Node {
     return platform_.store_config(blob);
   }
 
-  void write_config(const groma_Config& config) noexcept {
+  // Without a key but with its hash: the key that the node has.
+  [[gnu::noinline]] void complete_key(groma_Config& config) noexcept {
+    if (config.network_key.size != 0 || config.network_key_hash == 0) return;
+    const Stored stored = load_stored();
+    if (stored.config && stored.config->network_key_hash == config.network_key_hash)
+      config.network_key = stored.config->network_key;
+  }
+
+  [[gnu::noinline]] void write_config(groma_Config& config) noexcept {
+    if (by_air_ && config.network_key.size != 0) {
+      return refuse(groma_Result_RESULT_INVALID, "network_key: not over the air, where all can read it");
+    }
+    complete_key(config);
     if (const char* fault = fault_of(config); fault[0] != '\0') {
       return refuse(groma_Result_RESULT_INVALID, fault);
     }
-    std::array<std::uint8_t, kMaxConfigBytes> blob{};
-    const std::size_t size = encode_config(config, blob);
-    const bool stored = size != 0 && store_off_the_air(std::span(blob).first(size));
-    std::array<std::uint8_t, kMaxConfigBytes> back{};
-    const bool kept = stored && platform_.load_config(back) == size && back == blob;
-    if (kept) {
-      reply(groma_Result_RESULT_OK, "", decode_config(std::span(back).first(size)));
+    // One that came over the air may cut the node off: the one in force stays beside it.
+    const bool trial = by_air_ && config_;
+    if (keep(config, trial ? &*config_ : nullptr)) {
+      trial_end_us_ = kNever_us;
+      read_config();
     } else {
       refuse(groma_Result_RESULT_STORAGE, "not stored: write it again");
     }
     resume();
   }
 
+  // Leaves the air. False: not stored, or it reads back otherwise.
+  [[gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
+    const std::size_t size =
+        before == nullptr ? encode_config(config, blob_) : encode_on_trial(config, *before, blob_);
+    const std::uint32_t check = wire::crc32(std::span(blob_).first(size));
+    if (size == 0 || !store_off_the_air(std::span(blob_).first(size))) return false;
+    return platform_.load_config(blob_) == size && wire::crc32(std::span(blob_).first(size)) == check;
+  }
+
+  // Tells what is stored, or that nothing good is.
+  [[gnu::noinline]] bool confirm_stored() noexcept {
+    const Stored stored = load_stored();
+    if (stored.config) {
+      reply(groma_Result_RESULT_OK, "", stored.config);
+    } else {
+      refuse(groma_Result_RESULT_INVALID, "no valid configuration is stored: write one");
+    }
+    return stored.config.has_value();
+  }
+
   void apply_config() noexcept {
-    const auto config = load_config();
-    if (!config) return refuse(groma_Result_RESULT_INVALID, "no valid configuration is stored: write one");
-    reply(groma_Result_RESULT_OK, "", config);
+    const std::uint32_t trial_s = command_.trial_s;
+    if (!confirm_stored()) return;
+    trial_s_ = trial_s != 0 ? trial_s : kTrial_s;
+    do_or_defer(by_air_ ? After::kApplyOnTrial : After::kApply);
+  }
+
+  void work_by(const std::optional<groma_Config>& config) noexcept {
     leave();
     config_ = config;
     choose_link();
@@ -576,9 +881,8 @@ class Node {
     send_hello();
   }
 
-  void factory_reset() noexcept {
-    std::array<std::uint8_t, kMaxConfigBytes> back{};
-    if (!store_off_the_air({}) || platform_.load_config(back) != 0) {
+  [[gnu::noinline]] void factory_reset() noexcept {
+    if (!store_off_the_air({}) || platform_.load_config(blob_) != 0) {
       refuse(groma_Result_RESULT_STORAGE, "not erased: try again");
       return resume();
     }
@@ -588,6 +892,265 @@ class Node {
     choose_link();
     join();
     send_hello();
+  }
+
+  // ---- over the air --------------------------------------------------------------------------------------
+
+  // What would cut off the answer to a command that came by air waits until that has arrived.
+  enum class After : std::uint8_t { kNothing, kApply, kApplyOnTrial, kReboot };
+
+  void do_or_defer(After what) noexcept {
+    after_ = what;
+    if (!by_air_) do_after();
+  }
+
+  void do_after() noexcept {
+    const After what = std::exchange(after_, After::kNothing);
+    if (what == After::kNothing) return;
+    if (what == After::kReboot) return platform_.restart();
+    const Stored stored = load_stored();
+    work_by(stored.config);
+    if (!stored.on_trial) return;
+    if (what == After::kApplyOnTrial) return begin_trial(trial_s_);
+    settle();  // whoever is at the cable needs no trial
+  }
+
+  // A command for another node.
+  void ask_by_air(std::span<const std::uint8_t> payload) noexcept {
+    const mac::Station* member = station();
+    if (member == nullptr || member->sync().state() == mac::SyncState::kSearching) {
+      return refuse(groma_Result_RESULT_UNREACHABLE, "the wired node is not in step with its network");
+    }
+    switch (air_.ask(command_.target_id, command_.request_id, payload)) {
+      case AirLink::Asked::kTooLong:
+        return refuse(groma_Result_RESULT_INVALID, "too long to go over the air");
+      case AirLink::Asked::kUnderWay:
+        lend(command_.which_body == groma_HostToNode_survey_tag ? kLongestSurvey_us : 0);
+        return reply(groma_Result_RESULT_PENDING, "");
+      case AirLink::Asked::kBusy:
+        return reply(groma_Result_RESULT_PENDING, "after another command");
+    }
+  }
+
+  // What came over the air since the last time.
+  void serve_air() noexcept {
+    if (survey_as_ != mac::kNobody && survey_left_ == 0) end_survey();
+    switch (air_.take_event()) {
+      case AirLink::Event::kNone:
+        return;
+      case AirLink::Event::kCommand:
+        return carry_out_by_air();
+      case AirLink::Event::kAnswer:
+        return pass_answer_on();
+      case AirLink::Event::kNoAnswer:
+        return report_silence();
+      case AirLink::Event::kDelivered:
+        if (after_ != After::kNothing) return do_after();
+        if (trial_end_us_ != kNever_us) settle();
+        return;
+      case AirLink::Event::kUndelivered:
+        // Whoever asked may have had it and left the air himself; a trial mends what this spoils.
+        return do_after();
+    }
+  }
+
+  void carry_out_by_air() noexcept {
+    // The one before has its answer, or there would be no next one.
+    do_after();
+    const auto payload = air_.message();
+    command_ = groma_HostToNode_init_zero;
+    pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
+    const bool whole = pb_decode(&stream, groma_HostToNode_fields, &command_);
+    by_air_ = true;
+    air_.begin_answer();
+    // A node that is reset could not be found again; the time that a frame waits for its slot says nothing.
+    const bool by_cable_alone = command_.which_body == groma_HostToNode_factory_reset_tag ||
+                                command_.which_body == groma_HostToNode_time_request_tag;
+    if (whole && by_cable_alone) {
+      refuse(groma_Result_RESULT_UNSUPPORTED, "not over the air");
+    } else if (whole) {
+      carry_out();
+    } else {
+      refuse(groma_Result_RESULT_INVALID, "not a command of this protocol version");
+    }
+    if (survey_as_ == mac::kNobody) air_.send_answer();
+    by_air_ = false;
+  }
+
+  void pass_answer_on() noexcept {
+    finish_report();
+    lend(0);
+    auto answer = air_.message();
+    while (const auto message = AirLink::next_message(answer)) {
+      if (!answer_link(encoder_.encode_of(*message, air_.peer()))) ++counters_.reports_dropped;
+    }
+  }
+
+  void report_silence() noexcept {
+    if (lent_until_us_ != kNever_us) lend(kLentOn_us);
+    command_.request_id = air_.request_id();
+    by_air_ = false;
+    reply(groma_Result_RESULT_UNREACHABLE, "no answer over the air");
+  }
+
+  void watch_air(std::uint64_t now_us) noexcept {
+    air_.on_second();
+    serve_air();
+    if (air_.asking()) {
+      command_.request_id = air_.request_id();
+      by_air_ = false;
+      reply(groma_Result_RESULT_PENDING, "");
+    }
+    if (now_us >= trial_end_us_) end_trial();
+    if (now_us >= lent_until_us_) lend(0);
+    if (survey_as_ != mac::kNobody && now_us >= survey_until_us_) end_survey();
+  }
+
+  // ---- ranges between anchors ----------------------------------------------------------------------------
+  //
+  // An anchor that surveys is a tag for that while: it polls the other anchors in the slot, and in the name,
+  // of the tag through which it was asked, and that one keeps silent. What it has is kept where its answer
+  // goes.
+
+  struct Sum {
+    std::uint16_t anchor = mac::kNobody;
+    std::uint16_t count = 0;
+    float mean_m = 0.0F;
+    float squares_m2 = 0.0F;
+  };
+
+  void lend(std::uint64_t duration_us) noexcept {
+    lent_until_us_ = duration_us == 0 ? kNever_us : platform_.now_us() + duration_us;
+    if (tag_ && survey_as_ == mac::kNobody) tag_->lend(duration_us != 0);
+  }
+
+  void begin_survey(std::uint32_t exchanges) noexcept {
+    constexpr std::uint32_t kMost = 200;
+    if (exchanges == 0 || exchanges > kMost) {
+      return refuse(groma_Result_RESULT_INVALID, "survey.exchanges: 1 to 200");
+    }
+    if (!by_air_ || !anchor_ || anchor_->station().mastership().leads()) {
+      return refuse(groma_Result_RESULT_UNSUPPORTED, "an anchor's that does not lead, asked over the air");
+    }
+    if (!mac::configured_slot(config_->schedule, air_.peer())) {
+      return refuse(groma_Result_RESULT_INVALID, "ask through a tag of the schedule: it lends its slot");
+    }
+    survey_as_ = air_.peer();
+    survey_request_ = command_.request_id;
+    survey_left_ = static_cast<std::uint16_t>(exchanges);
+    survey_pairs_ = 0;
+    survey_until_us_ = platform_.now_us() + kLongestSurvey_us / 2;
+    leave();
+    forget_machine();
+    join();
+  }
+
+  void survey(const mac::Exchange& exchange) noexcept {
+    if (survey_left_ == 0) return;
+    for (std::size_t i = 0; i < exchange.count; ++i) {
+      const mac::Leg& leg = exchange.legs[i];
+      if (const mac::Range range = mac::evaluate(exchange, leg); range.status == mac::RangeStatus::kOk) {
+        add_to_survey(leg.anchor, range.flight.distance_m());
+      }
+    }
+    --survey_left_;  // the last one is told of by serve_air(), where the machine may be changed
+  }
+
+  // Welford.
+  void add_to_survey(std::uint16_t anchor, float range_m) noexcept {
+    std::size_t i = 0;
+    Sum sum;
+    for (; i < survey_pairs_; ++i) {
+      sum = survey_sum(i);
+      if (sum.anchor == anchor) break;
+    }
+    if (i == survey_pairs_) {
+      if (i == std::size(message_.body.survey_report.pairs)) return;
+      sum = Sum{.anchor = anchor};
+      ++survey_pairs_;
+    }
+    ++sum.count;
+    const float off_m = range_m - sum.mean_m;
+    sum.mean_m += off_m / static_cast<float>(sum.count);
+    sum.squares_m2 += off_m * (range_m - sum.mean_m);
+    std::memcpy(air_.scratch().subspan(i * sizeof(Sum)).data(), &sum, sizeof(Sum));
+  }
+
+  [[nodiscard]] Sum survey_sum(std::size_t i) noexcept {
+    Sum sum;
+    std::memcpy(&sum, air_.scratch().subspan(i * sizeof(Sum)).data(), sizeof(Sum));
+    return sum;
+  }
+
+  void end_survey() noexcept {
+    by_air_ = true;
+    air_.begin_answer();
+    send(
+        groma_NodeToHost_survey_report_tag,
+        [&](auto& body) {
+          groma_SurveyReport& report = body.survey_report;
+          for (std::size_t i = 0; i < survey_pairs_; ++i) {
+            const Sum sum = survey_sum(i);
+            const float freedom = sum.count > 1 ? static_cast<float>(sum.count - 1) : 1.0F;
+            report.pairs[report.pairs_count++] = {.anchor_id = sum.anchor,
+                                                  .mean_m = sum.mean_m,
+                                                  .sigma_m = std::sqrt(sum.squares_m2 / freedom),
+                                                  .count = sum.count};
+          }
+        },
+        To::kAsker);
+    command_.request_id = survey_request_;
+    reply(groma_Result_RESULT_OK, "");
+    by_air_ = false;
+    air_.send_answer();
+    survey_as_ = mac::kNobody;
+    leave();
+    forget_machine();
+    join();
+  }
+
+  // ---- a configuration on trial --------------------------------------------------------------------------
+
+  void begin_trial(std::uint32_t duration_s) noexcept {
+    trial_round_ = 0;
+    trial_us_ = std::uint64_t{duration_s} * 1'000'000;
+    trial_end_us_ = platform_.now_us() + trial_us_;
+  }
+
+  // In the first round it had to prove itself by an answer of this node that arrived. From then on the two
+  // take turns until the node is in step by one of them.
+  void end_trial() noexcept {
+    const bool in_step = station() != nullptr && station()->sync().state() != mac::SyncState::kSearching;
+    if (trial_round_ != 0 && in_step) return settle();
+    ++trial_round_;
+    const bool before = trial_round_ % 2 != 0;
+    const Stored stored = load_stored(before);
+    trial_end_us_ = stored.on_trial ? platform_.now_us() + trial_us_ : kNever_us;
+    if (!stored.on_trial || !stored.config) return;
+    log(groma_LogLevel_LOG_WARNING,
+        before ? "on trial: back to the configuration before" : "on trial: once more");
+    work_by(stored.config);
+  }
+
+  // The configuration in force is the only one.
+  void settle() noexcept {
+    trial_end_us_ = kNever_us;
+    if (config_ && !keep(*config_, nullptr)) trial_end_us_ = platform_.now_us() + trial_us_;
+    resume();
+  }
+
+  void prefer_anchors(const groma_AnchorPreference& hint) noexcept {
+    if (!tag_) return refuse(groma_Result_RESULT_UNSUPPORTED, "only a tag polls anchors");
+    if (hint.ids_count != hint.weights_count) {
+      return refuse(groma_Result_RESULT_INVALID, "prefer_anchors: a weight for each id");
+    }
+    mac::AnchorSet& anchors = tag_->membership().anchors();
+    anchors.prefer_none();
+    for (pb_size_t i = 0; i < hint.ids_count; ++i) {
+      if (!anchors.knows(hint.ids[i]) && hint.weights[i] > 0) (void)anchors.announce(hint.ids[i]);
+      anchors.prefer(hint.ids[i], hint.weights[i]);
+    }
+    reply(groma_Result_RESULT_OK, "");
   }
 
   void identify(std::uint32_t duration_s) noexcept {
@@ -607,12 +1170,33 @@ class Node {
 
   std::optional<groma_Config> config_;  // in force
   // The one that the role asks for, while the node is on the air.
-  std::optional<mac::Tag> tag_;
-  std::optional<mac::Anchor> anchor_;
+  union Machine {
+    Machine() noexcept : none() {}
+    std::monostate none;
+    mac::Tag tag;
+    mac::Anchor anchor;
+  };
+  static_assert(std::is_trivially_destructible_v<mac::Tag> && std::is_trivially_destructible_v<mac::Anchor>);
+  Machine machine_;
+  mac::Tag* tag_ = nullptr;  // it, where it is one
+  mac::Anchor* anchor_ = nullptr;
   mac::SyncState sync_state_ = mac::SyncState::kSearching;
+  // To be reported, and how far that has come.
+  enum class Reporting : std::uint8_t { kChoosing, kBegin, kRanges, kFraming };
   const mac::Exchange* completed_ = nullptr;
+  Reporting reporting_ = Reporting::kChoosing;
+  std::size_t ranges_left_ = 0;
+  ranging::ClockTime report_time_;
+  std::uint64_t next_piece_us_ = 0;
+  std::optional<ranging::ClockTime>
+      armed_;                            // a listening from then on, that the machine has not asked for yet
   std::uint32_t proven_superframe_ = 0;  // the one under way at the last proof of life
   std::uint32_t report_sequence_ = 0;
+  std::optional<dw1000::Ambient> ambient_;
+  bool sampling_ = false;
+  std::uint64_t next_ambient_us_ = 0;
+  std::uint16_t sessions_ = 0;  // founded in this boot
+  std::uint32_t nonces_ = 0;    // made in this boot
   const char* link_error_ = "";
   groma_Counters counters_ = groma_Counters_init_zero;
   std::uint32_t undecodable_ = 0;  // whole frames from the host that held no message
@@ -622,10 +1206,28 @@ class Node {
   groma_NodeToHost message_ = groma_NodeToHost_init_zero;
   groma_HostToNode command_ = groma_HostToNode_init_zero;
 
+  AirLink air_;
+  bool by_air_ = false;  // the command that is being carried out came over the air
+  After after_ = After::kNothing;
+  std::uint16_t survey_as_ = mac::kNobody;  // the tag in whose place it ranges
+  std::uint16_t survey_left_ = 0;           // exchanges
+  std::uint8_t survey_pairs_ = 0;
+  std::uint8_t trial_round_ = 0;
+  std::uint32_t survey_request_ = 0;
+  std::uint64_t survey_until_us_ = 0;
+  std::uint64_t lent_until_us_ = kNever_us;  // the slot
+  std::uint32_t trial_s_ = kTrial_s;
+  std::uint64_t trial_us_ = 0;
+  std::uint64_t trial_end_us_ = kNever_us;
+
+  std::array<std::uint8_t, kMaxStoredBytes> blob_{};  // what is read from or goes to storage
+
   std::uint64_t radio_deadline_us_ = kNever_us;
   std::uint64_t quiet_until_us_ = 0;
+  std::uint64_t event_due_us_ = 0;               // the radio's next interrupt is not before; 0: not known
   std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured
   std::uint64_t next_telemetry_us_ = kNever_us;
+  std::uint64_t telemetry_due_us_ = kNever_us;
   std::uint64_t identify_until_us_ = kNever_us;
 };
 

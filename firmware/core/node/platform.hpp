@@ -8,6 +8,7 @@
 #include <type_traits>
 
 #include "firmware/core/dw1000/spi.hpp"
+#include "firmware/core/security/block_cipher.hpp"
 #include "groma.pb.h"
 
 namespace groma::node {
@@ -52,6 +53,7 @@ struct Build {
 // - store_config(blob): keeps the blob over resets and power cuts in place of the one before; false: not
 //   stored. An empty blob erases it. May take 100 ms: the node has left the air before
 // - load_config(out): copies the kept blob to `out`, returns its size; 0: there is none, or it does not fit
+// - cipher(): AES-128; one that outlives the node
 // - set_indicator(i): shows it until the next call
 // - restart(): resets the microcontroller. A simulated one may return; the node then does nothing more until
 //   start()
@@ -80,6 +82,8 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
   noexcept->std::same_as<bool>;
   { platform.load_config(out) }
   noexcept->std::same_as<std::size_t>;
+  { platform.cipher() }
+  noexcept->std::same_as<security::BlockCipher&>;
   { platform.set_indicator(indicator) }
   noexcept->std::same_as<void>;
   { platform.restart() }

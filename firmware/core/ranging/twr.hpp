@@ -25,6 +25,12 @@ class FlightTime {
         static_cast<float>(kSpeedOfLight_mps / static_cast<double>(Ticks::kPerSecond) / 256.0);
     return static_cast<float>(in_256ths_) * kMetresPer256th;
   }
+  friend constexpr FlightTime operator+(FlightTime a, FlightTime b) noexcept {
+    return FlightTime(a.in_256ths_ + b.in_256ths_);
+  }
+  friend constexpr FlightTime operator-(FlightTime a, FlightTime b) noexcept {
+    return FlightTime(a.in_256ths_ - b.in_256ths_);
+  }
   friend constexpr bool operator==(FlightTime, FlightTime) noexcept = default;
   friend constexpr std::strong_ordering operator<=>(FlightTime a, FlightTime b) noexcept {
     return a.in_256ths_ <=> b.in_256ths_;

@@ -292,7 +292,7 @@ void CortexM4::Core::on_watched(uc_engine*, std::uint64_t address, std::uint32_t
   if (thumb::is_floating_point(i) && !self.control_.floating_point_enabled()) {
     self.stop_instruction(exception::kUsageFault, fault_status::kNoCoprocessor, self.place_at(pc));
   } else if (thumb::is_division(i) && self.control_.traps_division() &&
-             self.engine_.read(UC_ARM_REG_R0 + (i.second & 0xF)) == 0) {
+             self.engine_.read(core_register(i.second & 0xF)) == 0) {
     self.stop_instruction(exception::kUsageFault, fault_status::kDivideByZero, self.place_at(pc));
   }
 }
@@ -510,10 +510,7 @@ void CortexM4::Core::execute() {
 void CortexM4::Core::after_event(uc_err result) {
   if (stopped_) {
     const Stopped stopped = *std::exchange(stopped_, std::nullopt);
-    for (int i = 0; i < 15; ++i) {
-      const int which = i <= 12 ? UC_ARM_REG_R0 + i : (i == 13 ? UC_ARM_REG_R13 : UC_ARM_REG_R14);
-      engine_.write(which, stopped.registers[static_cast<std::size_t>(i)]);
-    }
+    for (unsigned i = 0; i < 15; ++i) engine_.write(core_register(i), stopped.registers[i]);
     engine_.set_xpsr(stopped.xpsr);
     if (stopped.bus_address) control_.record_bus_address(*stopped.bus_address);
     fault(stopped.exception, stopped.fault_bits, stopped.registers[15]);
@@ -595,7 +592,7 @@ namespace {
 
 int unicorn_register(CortexM4::Register which) {
   using R = CortexM4::Register;
-  if (which <= R::kR12) return UC_ARM_REG_R0 + static_cast<int>(which);
+  if (which <= R::kR12) return core_register(static_cast<unsigned>(which));
   switch (which) {
     case R::kSp:
       return UC_ARM_REG_R13;

@@ -48,6 +48,7 @@ Nrf52832::Nrf52832(const Parts& parts)
               },
               [this](SimTime t) { parts_.to_host.clear(world(t)); }},
              EasyDma(parts.ram)),
+      ecb_(EasyDma(parts.ram)),
       nvmc_(
           parts.flash, parts.uicr,
           [this](SimTime duration) {
@@ -63,6 +64,7 @@ Nrf52832::Nrf52832(const Parts& parts)
                {&spim1_, 0x40004000, 4},
                {&gpiote_, 0x40006000, 6},
                {&timer_, 0x40008000, 8},
+               {&ecb_, 0x4000E000, 14},
                {&watchdog_, 0x40010000, 16},
                {&nvmc_, 0x4001E000, -1},
                {&spim2_, 0x40023000, 35},
@@ -78,6 +80,7 @@ void Nrf52832::reset(ResetCause cause, SimTime t) {
   gpio_.reset(t);
   uarte_.reset(t);
   timer_.reset();
+  ecb_.reset();
   nvmc_.reset();
   clock_power_.reset(cause);
   if (cause != ResetCause::kSoftware && cause != ResetCause::kLockup) watchdog_.reset();

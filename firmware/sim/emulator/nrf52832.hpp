@@ -1,7 +1,7 @@
 // The nRF52832 around its processor, on a DWM1001: the peripherals that the board's image uses, strictly.
 //
 // 0x40000000 CLOCK, POWER   0x40002000 UARTE0   0x40004000 SPIM1    0x40006000 GPIOTE   0x40008000 TIMER0
-// 0x40010000 WDT            0x4001E000 NVMC     0x40023000 SPIM2    0x50000000 P0
+// 0x4000E000 ECB            0x40010000 WDT      0x4001E000 NVMC     0x40023000 SPIM2    0x50000000 P0
 // 0x10000000 FICR           0x10001000 UICR
 //
 // An access to any other register of these, or to any other peripheral of the chip, fails the run; one to
@@ -21,6 +21,7 @@
 
 #include "firmware/sim/emulator/clock_power.hpp"
 #include "firmware/sim/emulator/cortex_m4.hpp"
+#include "firmware/sim/emulator/ecb.hpp"
 #include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/emulator/gpio.hpp"
 #include "firmware/sim/emulator/gpiote.hpp"
@@ -103,6 +104,7 @@ class Nrf52832 final : public Bus {
   [[nodiscard]] const Uarte& uarte() const noexcept { return uarte_; }
   [[nodiscard]] const Spim& radio_spi() const noexcept { return spim2_; }
   [[nodiscard]] const Spim& can_spi() const noexcept { return spim1_; }
+  [[nodiscard]] const Ecb& ecb() const noexcept { return ecb_; }
   [[nodiscard]] const Watchdog& watchdog() const noexcept { return watchdog_; }
   // One of the module's lights.
   [[nodiscard]] bool lit(std::size_t light) const noexcept {
@@ -154,9 +156,10 @@ class Nrf52832 final : public Bus {
   Spim spim1_;
   Spim spim2_;
   Uarte uarte_;
+  Ecb ecb_;
   Nvmc nvmc_;
   Watchdog watchdog_;
-  std::array<Block, 9> blocks_;
+  std::array<Block, 10> blocks_;
 
   // The least of the blocks', the slots' and the host's next instants, as last looked at. Between two calls
   // from outside only accesses and steps change them.

@@ -12,6 +12,12 @@
 
 namespace groma::sim {
 
+// Unicorn's name for r0 to r15, which it does not count through.
+[[nodiscard]] constexpr int core_register(unsigned index) noexcept {
+  constexpr std::array kHigh{UC_ARM_REG_R13, UC_ARM_REG_R14, UC_ARM_REG_R15};
+  return index < 13 ? UC_ARM_REG_R0 + static_cast<int>(index) : static_cast<int>(kHigh[(index - 13) % 3]);
+}
+
 class UnicornEngine {
  public:
   // Throws SimulationError.

@@ -342,6 +342,29 @@ TEST_F(CliTest, UsageEndsWith2) {
   EXPECT_EQ(files(), 1U);
 }
 
+TEST_F(CliTest, PlanForetellsWhatAScheduleGives) {
+  const ChildResult result =
+      groma({"plan", "--tags", "3", "--anchors", "12", "--gap", "150", "--loss", "0.3", "--json"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  const json plan = json::parse(result.out);
+  // POLL and twelve RESPONSEs of 215 and 195 us, pauses of 300 and 150, and 1.2 ms for beacon and shared
+  // slot.
+  EXPECT_NEAR(plan.at("superframe_s").get<double>(), 15.2e-3, 0.3e-3);
+  EXPECT_NEAR(plan.at("ranges_per_s").get<double>(), 36.0 / plan.at("superframe_s").get<double>(), 1e-6);
+  EXPECT_NEAR(plan.at("ranges_per_s_at_loss").get<double>(), 0.2401 * plan.at("ranges_per_s").get<double>(),
+              1e-6);
+  EXPECT_EQ(plan.at("links").size(), 3U);
+  EXPECT_THAT(plan.at("warnings"), IsEmpty());
+
+  const ChildResult tight = groma({"plan", "--turn-round", "150"});
+  EXPECT_EQ(tight.exit_code, 3);
+  EXPECT_THAT(tight.err, HasSubstr("groma: warning: schedule.turn_round_us: 150 is less"));
+  EXPECT_THAT(tight.out, HasSubstr("superframe"));
+  EXPECT_EQ(groma({"plan", "--tags", "17"}).exit_code, 2);
+  EXPECT_EQ(groma({"plan", "x.yaml", "--tags", "2"}).exit_code, 2);
+  EXPECT_EQ(groma({"plan", "--method", "aloha"}).exit_code, 2);
+}
+
 TEST_F(CliTest, HelpTellsTheDefaultModel) {
   const ChildResult help = groma({"replay", "--help"});
   EXPECT_EQ(help.exit_code, 0);

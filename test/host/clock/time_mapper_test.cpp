@@ -254,5 +254,83 @@ TEST(TimeMapper, ForgetsOnReset) {
   EXPECT_DOUBLE_EQ(mapper.to_host(10)->t_s, 6.0);
 }
 
+// ---- requests: what all messages have in common ---------------------------------------------------
+
+// A link whose two ways have each a constant delay beside their jitter.
+struct Link {
+  double to_host_s = 0.0;
+  double to_node_s = 0.0;
+  double jitter_s = 0.001;
+};
+
+// Twenty messages a second and a request each second, for half a minute; the last instant less the true one.
+struct Outcome {
+  double error_s = 0.0;
+  double sigma_s = 0.0;
+  double round_trip_s = 0.0;
+  double counter_error_s = 0.0;  // of the inverse
+};
+Outcome over(const Link& link, std::uint64_t seed, bool with_requests = true) {
+  Random random(seed);
+  TimeMapper mapper(kDeviceTicksPerSecond);
+  const Node node{.skew = 17e-6};
+  Outcome out;
+  for (int i = 0; i < 600; ++i) {
+    const double t_s = 1003.0 + kPeriod_s * i;
+    mapper.observe(node.ticks(t_s), t_s + link.to_host_s + random.exponential(link.jitter_s), 0.0);
+    if (with_requests && i % 20 == 7) {
+      const double asked_s = t_s + 0.01;
+      mapper.observe_request(node.ticks(asked_s + link.to_node_s + random.exponential(link.jitter_s)),
+                             asked_s);
+    }
+    const HostInstant instant = *mapper.to_host(node.ticks(t_s));
+    out.error_s = instant.t_s - t_s;
+    out.sigma_s = instant.sigma_s;
+    out.counter_error_s =
+        static_cast<double>(*mapper.to_ticks(t_s) - node.ticks(t_s)) / kDeviceTicksPerSecond;
+  }
+  out.round_trip_s = mapper.round_trip_s().value_or(-1.0);
+  return out;
+}
+
+TEST(TimeMapper, WithoutRequestsTheSharedDelayStays) {
+  const Outcome out = over({.to_host_s = 0.004, .to_node_s = 0.004}, 1, false);
+  EXPECT_NEAR(out.error_s, 0.004, 2e-4);
+  EXPECT_EQ(out.round_trip_s, -1.0);
+}
+
+TEST(TimeMapper, RequestsTellASymmetricDelay) {
+  for (std::uint64_t seed = 1; seed <= 20; ++seed) {
+    const Outcome out = over({.to_host_s = 0.004, .to_node_s = 0.004}, seed);
+    EXPECT_NEAR(out.round_trip_s, 0.008, 3e-4) << seed;
+    EXPECT_NEAR(out.error_s, 0.0, 2e-4) << seed;
+    EXPECT_NEAR(out.counter_error_s, 0.0, 2e-4) << seed;
+    EXPECT_NEAR(out.sigma_s, 0.004 / std::sqrt(3.0), 2e-4) << seed;
+  }
+}
+
+// What two clocks and a link cannot tell: half of what the two ways differ by.
+TEST(TimeMapper, OfAnAsymmetricDelayHalfTheDifferenceStays) {
+  for (const Link& link : {Link{0.006, 0.002}, Link{0.001, 0.009}, Link{0.010, 0.0}, Link{0.0, 0.010}}) {
+    const Outcome out = over(link, 5);
+    EXPECT_NEAR(out.round_trip_s, link.to_host_s + link.to_node_s, 4e-4);
+    EXPECT_NEAR(out.error_s, 0.5 * (link.to_host_s - link.to_node_s), 3e-4);
+    EXPECT_LE(std::abs(out.error_s), 0.5 * out.round_trip_s + 3e-4);
+    EXPECT_LE(std::abs(out.error_s), 2.0 * out.sigma_s);
+  }
+}
+
+TEST(TimeMapper, ARequestOfBeforeARestartDoesNotCount) {
+  TimeMapper mapper(kDeviceTicksPerSecond);
+  mapper.observe_request(5'000, 1.0);
+  EXPECT_FALSE(mapper.round_trip_s());
+  mapper.observe(100'000'000, 1.0, 0.0);
+  mapper.observe_request(100'000'000, 0.99);
+  ASSERT_TRUE(mapper.round_trip_s());
+  EXPECT_NEAR(*mapper.round_trip_s(), 0.01, 1e-9);
+  mapper.observe(1'000, 1.1, 0.0);
+  EXPECT_FALSE(mapper.round_trip_s());
+}
+
 }  // namespace
 }  // namespace groma::clock

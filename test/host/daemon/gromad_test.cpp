@@ -5,6 +5,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <functional>
 #include <optional>
@@ -130,10 +131,17 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_GT(pose.at("covariance")[0], 0.0);
   EXPECT_EQ(pose.at("covariance")[1], pose.at("covariance")[6]);
   EXPECT_LT(largest_error_m(50), 0.3);
-  // The tag was asked who it is.
+  // The tag was asked who it is, and each second for its time.
   wire::FrameDecoder decoder;
   for (const std::uint8_t byte : site.received()) decoder.push(byte);
-  EXPECT_EQ(decoder.counters().frames, 1U);
+  EXPECT_GE(decoder.counters().frames, 3U);
+  const auto status = std::find_if(objects_.rbegin(), objects_.rend(),
+                                   [](const json& object) { return object.at("class") == "STATUS"; });
+  ASSERT_NE(status, objects_.rend());
+  ASSERT_EQ(status->at("links").size(), 1U);
+  ASSERT_TRUE(status->at("links")[0].at("round_trip_s").is_number());
+  EXPECT_GE(status->at("links")[0].at("round_trip_s"), 0.0);
+  EXPECT_LT(status->at("links")[0].at("round_trip_s"), 0.2);
 
   // Garbage on either input disturbs nothing.
   site.send_to_robot_socket("{\"class\":\"ODOMETRY\",\"t_s\":NaN}\n\xff\xfe\n{\"class\":\"LASER\"}\n");

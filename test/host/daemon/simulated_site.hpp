@@ -4,6 +4,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <pb_decode.h>
 #include <pty.h>
 #include <sys/socket.h>
 #include <sys/un.h>
@@ -14,6 +15,7 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -21,6 +23,7 @@
 #include "host/clock/time_mapper.hpp"
 #include "host/io/descriptor.hpp"
 #include "host/model/types.hpp"
+#include "proto/frame_codec.hpp"
 #include "test/host/link/node_frames.hpp"
 
 namespace groma::daemon::test {
@@ -159,9 +162,29 @@ class SimulatedSite {
     ssize_t n = 0;
     while (master_.valid() && (n = ::read(master_.get(), buffer, sizeof(buffer))) > 0) {
       received_.insert(received_.end(), buffer, buffer + n);
+      for (ssize_t i = 0; i < n; ++i) {
+        if (commands_.push(buffer[i])) answer(commands_.payload());
+      }
     }
   }
 
+  // As a node does.
+  void answer(std::span<const std::uint8_t> payload) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
+    if (!pb_decode(&stream, groma_HostToNode_fields, &command) ||
+        command.which_body != groma_HostToNode_time_request_tag) {
+      return;
+    }
+    const auto now = static_cast<std::uint64_t>(
+        std::llround((kDeviceOrigin_s + site_time_s()) * (1.0 + kDeviceSkew) * clock::kDeviceTicksPerSecond));
+    groma_NodeToHost reply = groma_NodeToHost_init_zero;
+    reply.which_body = groma_NodeToHost_time_reply_tag;
+    reply.body.time_reply = {command.body.time_request.host_time_ns, now, now};
+    send_to_tag_link(link::test::frame_of(reply));
+  }
+
+  wire::FrameDecoder commands_;
   std::filesystem::path folder_;
   double speed_;
   std::chrono::steady_clock::time_point start_;

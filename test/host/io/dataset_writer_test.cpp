@@ -22,7 +22,10 @@ Dataset sample() {
                      {0, 0.1, 0.2, 0.3, 0.4, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0.125, 2, 2, 2, 2, 1.0 / 7.0});
   dataset.surveyed_anchors = {{4, {1.0 / 3.0, 2.0, 3.0}}, {900, {-1.5, 0.0, 0.25}}};
   dataset.tags = {{1, {0.75, 0.45, 1.9}}, {2, {-0.7, 0.1, 0.35}}};
-  dataset.ranges = {{0.1, 1, 4, 5.25}, {0.1 + 1e-9, 2, 900, std::sqrt(2.0), -80.5F, -79.25F}};
+  dataset.ranges = {
+      {0.1, 1, 4, 5.25},
+      {0.1 + 1e-9, 2, 900, std::sqrt(2.0), -80.5F, -79.25F, -3.25F, 57.0F, model::LineOfSight::kUnlikely,
+       model::kAntennaDelaysApplied | model::kPowerBiasCorrected, 9'123'456'789'012'345}};
   dataset.odometry = {{0.0, 0.5, -0.01, 0.002}, {0.02, 1.0 / 3.0, 0.0, -0.002}};
   dataset.ground_truth = {{0.0, 1.0, 2.0, 0.5, 3.1}, {0.05, 1.0 / 7.0, 2.0, 0.5, -3.1}};
   dataset.pose_prior = {{0.0, 1.01, 2.02, 0.5, 3.0, 0.01, -0.02}};
@@ -57,6 +60,14 @@ TEST(DatasetWriter, WhatIsWrittenReadsBackTheSame) {
   EXPECT_EQ(read.ranges[1].t_s, written.ranges[1].t_s);
   EXPECT_EQ(read.ranges[1].range_m, written.ranges[1].range_m);
   EXPECT_EQ(read.ranges[1].first_path_power_dbm, -80.5F);
+  EXPECT_TRUE(std::isnan(read.ranges[0].noise));
+  EXPECT_EQ(read.ranges[0].line_of_sight, model::LineOfSight::kNotKnown);
+  EXPECT_EQ(read.ranges[0].network_time_dtu, 0);
+  EXPECT_EQ(read.ranges[1].noise, 57.0F);
+  EXPECT_EQ(read.ranges[1].clock_offset_ppm, -3.25F);
+  EXPECT_EQ(read.ranges[1].line_of_sight, model::LineOfSight::kUnlikely);
+  EXPECT_EQ(read.ranges[1].corrections, model::kAntennaDelaysApplied | model::kPowerBiasCorrected);
+  EXPECT_EQ(read.ranges[1].network_time_dtu, 9'123'456'789'012'345);
   ASSERT_EQ(read.odometry.size(), 2U);
   EXPECT_EQ(read.odometry[1].vx_mps, written.odometry[1].vx_mps);
   ASSERT_EQ(read.ground_truth.size(), 2U);
@@ -85,6 +96,21 @@ TEST(DatasetWriter, LeavesOutWhatThereIsNot) {
   EXPECT_FALSE(std::filesystem::exists(scratch / "anchors.csv"));
   EXPECT_FALSE(std::filesystem::exists(scratch / "groundtruth.csv"));
   EXPECT_TRUE(read_dataset(scratch.path()).surveyed_anchors.empty());
+}
+
+TEST(DatasetWriter, LeavesOutColumnsOfRangesThatNoRowKnows) {
+  const test::ScratchFolder scratch;
+  Dataset written = sample();
+  written.ranges.resize(1);
+  write_dataset(scratch / "few", written);
+  EXPECT_EQ(test::read_text(scratch / "few/ranges.csv"),
+            "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n0.1,1,4,5.25,,\n");
+  written.ranges.push_back({0.2, 1, 4, 5.5});
+  written.ranges.back().noise = 57.0F;
+  write_dataset(scratch / "noise", written);
+  EXPECT_EQ(test::read_text(scratch / "noise/ranges.csv"),
+            "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm,noise\n0.1,1,4,5.25,,,\n"
+            "0.2,1,4,5.5,,,57\n");
 }
 
 TEST(DatasetWriter, SaysWhereItCannotWrite) {

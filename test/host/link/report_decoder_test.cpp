@@ -1,6 +1,7 @@
 #include "host/link/report_decoder.hpp"
 
 #include <gtest/gtest.h>
+#include <pb_decode.h>
 
 #include <cmath>
 #include <limits>
@@ -127,6 +128,100 @@ TEST(ReportDecoder, PassesOnPowersWhereTheyAreKnown) {
   ASSERT_EQ(got.ranges.size(), 1U);
   EXPECT_FLOAT_EQ(got.ranges[0].first_path_power_dbm, -81.23F);
   EXPECT_FLOAT_EQ(got.ranges[0].receive_power_dbm, -79.0F);
+}
+
+TEST(ReportDecoder, PassesOnWhatIsKnownOfARangesTruth) {
+  groma_Range range = make_range(1, 2.0, -1'000'000'000);
+  range.has_clock_offset_ppb = true;
+  range.clock_offset_ppb = -4'321;
+  range.noise = 57;
+  range.flags = 2 | groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS | groma_RangeFlag_RANGE_FLAG_SUPPLY;
+  groma_NodeToHost message = make_report(0, 1, 5'000'000'000, {range, make_range(2, 3.0, 0)});
+  message.body.slot_report.network_time_dtu = 1'000'000'000'000'000;
+  message.body.slot_report.network_rate_ppb = 20'000;
+  ReportDecoder decoder(0);
+  Collected got;
+  decoder.take(frame_of(message), 5.0, got);
+  message.body.slot_report.network_time_dtu = 0;
+  decoder.take(frame_of(message), 5.1, got);
+  ASSERT_EQ(got.ranges.size(), 4U);
+  EXPECT_FLOAT_EQ(got.ranges[0].clock_offset_ppm, -4.321F);
+  EXPECT_EQ(got.ranges[0].noise, 57.0F);
+  EXPECT_EQ(got.ranges[0].line_of_sight, model::LineOfSight::kUncertain);
+  EXPECT_EQ(got.ranges[0].corrections, model::kAntennaDelaysApplied | model::kSupplyCorrected);
+  EXPECT_EQ(got.ranges[0].network_time_dtu, 1'000'000'000'000'000 - 1'000'000'000 - 20'000);
+  EXPECT_TRUE(std::isnan(got.ranges[1].clock_offset_ppm));
+  EXPECT_TRUE(std::isnan(got.ranges[1].noise));
+  EXPECT_EQ(got.ranges[1].line_of_sight, model::LineOfSight::kNotKnown);
+  EXPECT_EQ(got.ranges[1].network_time_dtu, 1'000'000'000'000'000);
+  EXPECT_EQ(got.ranges[2].network_time_dtu, 0);
+}
+
+// The node's counter began at host time 100 s; its link takes 3 ms up and 5 ms down beside the transmission.
+TEST(ReportDecoder, LearnsTheLinksDelayFromTimeReplies) {
+  constexpr unsigned kBaud = 1'000'000;
+  constexpr double kToHost_s = 0.003;
+  constexpr double kToNode_s = 0.005;
+  const auto taking = [](const std::vector<std::uint8_t>& bytes) {
+    return 10.0 * static_cast<double>(bytes.size()) / kBaud;
+  };
+  ReportDecoder decoder(kBaud);
+  Collected got;
+  for (std::uint32_t i = 0; i < 100; ++i) {
+    const double handed_over_s = 105.0 + 0.1 * i;
+    const auto report = frame_of(
+        make_report(i, 3, static_cast<std::uint64_t>(dtu(handed_over_s - 100.0)), {make_range(11, 4.5, 0)}));
+    decoder.take(report, handed_over_s + kToHost_s + taking(report), got);
+    if (i % 10 != 5) continue;
+    const double asked_s = handed_over_s + 0.02;
+    const std::vector<std::uint8_t> request = time_request(asked_s);
+    groma_HostToNode heard = groma_HostToNode_init_zero;
+    wire::FrameDecoder at_node;
+    bool whole = false;
+    for (const std::uint8_t byte : request) whole = at_node.push(byte) || whole;
+    ASSERT_TRUE(whole);
+    pb_istream_t stream = pb_istream_from_buffer(at_node.payload().data(), at_node.payload().size());
+    ASSERT_TRUE(pb_decode(&stream, groma_HostToNode_fields, &heard));
+    ASSERT_EQ(heard.which_body, groma_HostToNode_time_request_tag);
+    const double received_s = asked_s + taking(request) + kToNode_s;
+    groma_NodeToHost answer = groma_NodeToHost_init_zero;
+    answer.which_body = groma_NodeToHost_time_reply_tag;
+    answer.body.time_reply = {.host_time_ns = heard.body.time_request.host_time_ns,
+                              .received_dtu = static_cast<std::uint64_t>(dtu(received_s - 100.0)),
+                              .transmitted_dtu = static_cast<std::uint64_t>(dtu(received_s + 0.001 - 100.0))};
+    const auto reply = frame_of(answer);
+    decoder.take(reply, received_s + 0.001 + kToHost_s + taking(reply), got);
+  }
+  EXPECT_EQ(decoder.counters().time_replies, 10U);
+  EXPECT_EQ(decoder.counters().time_replies_odd, 0U);
+  ASSERT_TRUE(decoder.time().round_trip_s());
+  EXPECT_NEAR(*decoder.time().round_trip_s(), kToHost_s + kToNode_s, 1e-6);
+  EXPECT_NEAR(got.ranges.back().t_s, 105.0 + 9.9 + 0.5 * (kToHost_s - kToNode_s), 1e-6);
+  EXPECT_GE(got.time_sigmas_s.back(), 0.5 * (kToHost_s + kToNode_s) / std::sqrt(3.0));
+}
+
+// Such as another program's before this one, or one that came over the air from another node.
+TEST(ReportDecoder, LeavesAnswersToOthersAlone) {
+  ReportDecoder decoder(0);
+  Collected got;
+  decoder.take(frame_of(make_report(0, 3, 1'000'000, {make_range(11, 4.5, 0)})), 105.0, got);
+  groma_NodeToHost answer = groma_NodeToHost_init_zero;
+  answer.which_body = groma_NodeToHost_time_reply_tag;
+  const auto take = [&](double asked_s, std::uint64_t received, std::uint64_t sent, std::uint16_t source) {
+    answer.body.time_reply = {.host_time_ns = static_cast<std::uint64_t>(asked_s * 1e9),
+                              .received_dtu = received,
+                              .transmitted_dtu = sent};
+    answer.source_id = source;
+    decoder.take(frame_of(answer), 105.1, got);
+  };
+  take(103.0, 1'000, 2'000, 0);
+  take(106.0, 1'000, 2'000, 0);
+  take(105.0, 3'000, 2'000, 0);
+  take(105.0, 1'000, ~std::uint64_t{0}, 0);
+  take(105.0, 1'000, 2'000, 7);
+  EXPECT_EQ(decoder.counters().time_replies, 0U);
+  EXPECT_EQ(decoder.counters().time_replies_odd, 4U);  // what came over the air is passed on
+  EXPECT_FALSE(decoder.time().round_trip_s());
 }
 
 TEST(ReportDecoder, DropsBadRangesAndCountsEachOnce) {

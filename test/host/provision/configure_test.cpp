@@ -223,6 +223,141 @@ TEST(IdentifyNode, TheNodeTellsWhoItIs) {
   EXPECT_THAT(refused.message, HasSubstr("identify_s: 0 to 3600"));
 }
 
+// ---- over the air -----------------------------------------------------------------------------------------
+
+// The site has been configured by its cables once; then only the tag keeps its own.
+class OverTheAir : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    for (const PlannedNode& node : by_cable.nodes) {
+      const NodeOutcome outcome = configure_node(node, kBaud);
+      ASSERT_EQ(outcome.fault, NodeFault::kNone) << outcome.message;
+    }
+    plan = by_cable;
+    for (std::size_t i = 1; i < plan.nodes.size(); ++i) {
+      plan.nodes[i].port.clear();
+      plan.nodes[i].via = 1;
+      plan.nodes[i].via_port = plan.nodes[0].port;
+    }
+    // The anchors find their master.
+    std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  }
+  [[nodiscard]] std::vector<const PlannedNode*> all() const {
+    std::vector<const PlannedNode*> nodes;
+    for (const PlannedNode& node : plan.nodes) nodes.push_back(&node);
+    return nodes;
+  }
+  // What the nodes say at their cables.
+  void expect_in_force() const {
+    for (std::size_t i = 0; i < plan.nodes.size(); ++i) {
+      const NodeReport report = ask_node(by_cable.nodes[i].port, kBaud);
+      ASSERT_TRUE(report.outcome.hello) << report.outcome.message;
+      EXPECT_EQ(report.outcome.hello->config_hash, node::config_hash_of(plan.nodes[i].config));
+    }
+  }
+
+  LiveSite site;
+  SitePlan by_cable = site.plan();
+  SitePlan plan;
+};
+
+TEST_F(OverTheAir, ANodeIsWrittenReadBackAndGoesOver) {
+  plan.nodes[3].config.transmit_antenna_delay_dtu = 16'321;
+  std::vector<std::string> steps;
+  const NodeOutcome outcome = configure_node(plan.nodes[3], kBaud, recording(steps));
+  ASSERT_EQ(outcome.fault, NodeFault::kNone) << outcome.message;
+  EXPECT_TRUE(outcome.changed);
+  EXPECT_EQ(outcome.port, plan.nodes[0].port);
+  EXPECT_THAT(steps, ::testing::ElementsAre("asks", "reads", "writes", "applies"));
+  const NodeOutcome again = configure_node(plan.nodes[3], kBaud);
+  EXPECT_EQ(again.fault, NodeFault::kNone) << again.message;
+  EXPECT_FALSE(again.changed);
+  expect_in_force();
+}
+
+TEST_F(OverTheAir, AWholeSiteGoesOverToAnotherSchedule) {
+  for (PlannedNode& node : plan.nodes) {
+    node.config.schedule.epoch = 8;
+    node.config.schedule.response_gap_us += 20;
+  }
+  const auto outcomes = configure_nodes(all(), kBaud);
+  for (const NodeOutcome& outcome : outcomes) {
+    EXPECT_EQ(outcome.fault, NodeFault::kNone) << outcome.message;
+    EXPECT_TRUE(outcome.changed);
+  }
+  expect_in_force();
+  for (const NodeOutcome& outcome : configure_nodes(all(), kBaud)) {
+    EXPECT_EQ(outcome.fault, NodeFault::kNone) << outcome.message;
+    EXPECT_FALSE(outcome.changed);
+  }
+}
+
+TEST_F(OverTheAir, AnotherScheduleWaitsForTheNodeThatPassesItOn) {
+  plan.nodes[2].config.schedule.epoch = 8;
+  const NodeOutcome outcome = configure_node(plan.nodes[2], kBaud);
+  EXPECT_EQ(outcome.fault, NodeFault::kHeldBack);
+  EXPECT_THAT(outcome.message, HasSubstr("node 11: " + plan.nodes[0].port + ": is written, but stays"));
+}
+
+TEST_F(OverTheAir, InterruptedItGoesOnWhereItStopped) {
+  plan.nodes[1].config.transmit_power = 0x1F1F1F1F;
+  for (const int commands : {1, 3}) {
+    ConfigureOptions dying;
+    dying.open = [&](const std::string& path, unsigned baud) {
+      link::OpenedLink opened = link::open_link(path, baud);
+      if (opened.link) opened.link = std::make_unique<DyingLink>(std::move(opened.link), commands, true);
+      return opened;
+    };
+    EXPECT_EQ(configure_node(plan.nodes[1], kBaud, dying).fault, NodeFault::kNoAnswer);
+  }
+  const NodeOutcome resumed = configure_node(plan.nodes[1], kBaud);
+  EXPECT_EQ(resumed.fault, NodeFault::kNone) << resumed.message;
+  expect_in_force();
+}
+
+TEST_F(OverTheAir, IdentifyAndCountersReachIt) {
+  const NodeOutcome blinking = identify_node(plan.nodes[0].port, kBaud, 2, link::open_link, 12);
+  EXPECT_EQ(blinking.fault, NodeFault::kNone) << blinking.message;
+  ASSERT_TRUE(blinking.hello);
+  EXPECT_EQ(blinking.hello->id, 12U);
+  const NodeReport report = ask_node(plan.nodes[0].port, kBaud, 12);
+  ASSERT_TRUE(report.counters) << report.outcome.message;
+  EXPECT_EQ(report.outcome.hello->id, 12U);
+  EXPECT_GT(report.counters->beacons_received, 0U);
+}
+
+TEST_F(OverTheAir, AnAnchorSurveysTheOthers) {
+  const SurveyOutcome surveyed = survey_from(plan.nodes[0].port, kBaud, 11, 40);
+  EXPECT_EQ(surveyed.outcome.fault, NodeFault::kNone) << surveyed.outcome.message;
+  std::set<model::NodeId> others;
+  for (const SurveyedPair& pair : surveyed.pairs) {
+    EXPECT_EQ(pair.from, 11U);
+    EXPECT_NEAR(pair.range_m, 4.03, 0.3);  // of LiveSite, and antenna delays of the chips' own
+    EXPECT_GT(pair.count, 10U);
+    others.insert(pair.to);
+  }
+  EXPECT_THAT(others, ::testing::ElementsAre(10, 12));
+  EXPECT_EQ(survey_from(plan.nodes[0].port, kBaud, 10, 40).outcome.fault, NodeFault::kRefused);
+}
+
+TEST_F(OverTheAir, ANodeThatDoesNotAnswerIsNamed) {
+  PlannedNode missing = plan.nodes[3];
+  missing.id = 99;
+  const NodeOutcome outcome = configure_node(missing, kBaud);
+  EXPECT_EQ(outcome.fault, NodeFault::kNoAnswer);
+  EXPECT_THAT(outcome.message,
+              HasSubstr("node 99: " + plan.nodes[0].port + ": no answer from node 99 over the air"));
+}
+
+TEST_F(OverTheAir, AWiredNodeOutOfStepSaysSo) {
+  PlannedNode lone = by_cable.nodes[0];
+  lone.config.schedule.epoch = 77;
+  ASSERT_EQ(configure_node(lone, kBaud).fault, NodeFault::kNone);
+  const NodeOutcome outcome = identify_node(plan.nodes[0].port, kBaud, 2, link::open_link, 12);
+  EXPECT_EQ(outcome.fault, NodeFault::kNoAnswer);
+  EXPECT_THAT(outcome.message, HasSubstr("the wired node is not in step with its network"));
+}
+
 // ---- scripted nodes ---------------------------------------------------------------------------------------
 
 groma_Config some_config() {

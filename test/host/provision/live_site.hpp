@@ -58,6 +58,7 @@ class LiveSite {
     site.tag_ids = {1};
     site.anchor_ids = {10, 11, 12};
     site.master_id = 10;
+    site.backup_ids = {11, 12};  // whom a plan that names none gets
     for (std::size_t i = 0; i < ports_.size(); ++i) {
       PlannedNode node;
       node.id = i == 0 ? model::NodeId{1} : static_cast<model::NodeId>(9 + i);

@@ -233,6 +233,40 @@ TEST_F(CommandTest, IdentifyTellsWhoBlinks) {
   EXPECT_EQ(json::parse(configured.out)["role"], "anchor");
 }
 
+TEST_F(CommandTest, NodesWithoutACableAreReachedThroughATag) {
+  ASSERT_EQ(groma_run(configure_all()).exit_code, 0);
+  scratch_.write("hung.yaml", fmt::format("schema: 1\nnetwork_id: 77\nnodes:\n"
+                                          "  - {{id: 1, role: tag, port: {}}}\n"
+                                          "  - {{id: 10, role: anchor, via: 1}}\n"
+                                          "  - {{id: 11, role: anchor, via: 1, transmit_power: 0x1F1F1F1F}}\n"
+                                          "  - {{id: 12, role: anchor}}\n",
+                                          nodes_[0].port));
+  const ChildResult configured =
+      groma_run({"configure", "--plan", path("hung.yaml"), "--via", nodes_[0].port, "--json"});
+  EXPECT_EQ(configured.exit_code, 0) << configured.err;
+  const json nodes = json::parse(configured.out)["nodes"];
+  EXPECT_EQ(nodes[0]["over_air"], false);
+  EXPECT_EQ(nodes[0]["result"], "unchanged");
+  EXPECT_EQ(nodes[2]["over_air"], true);
+  EXPECT_EQ(nodes[2]["result"], "configured");
+  EXPECT_EQ(nodes[3]["result"], "unchanged");
+
+  const ChildResult blinking = groma_run({"identify", nodes_[0].port, "--node", "12", "--for", "1"});
+  EXPECT_EQ(blinking.exit_code, 0) << blinking.err;
+  EXPECT_EQ(blinking.out, nodes_[0].port + ": anchor 12 of network 77 blinks for 1 s, told over the air\n");
+
+  const ChildResult asked = groma_run({"nodes", "--plan", path("hung.yaml"), "--node", "1,10,11", "--json"});
+  EXPECT_EQ(asked.exit_code, 0) << asked.err;
+  const json told = json::parse(asked.out)["nodes"];
+  ASSERT_EQ(told.size(), 3U);
+  EXPECT_EQ(told[2]["id"], 11);
+  EXPECT_EQ(told[2]["role"], "anchor");
+  EXPECT_GT(told[2]["counters"]["beacons_received"], 0);
+  const ChildResult missing = groma_run({"nodes", nodes_[0].port, "--node", "77"});
+  EXPECT_EQ(missing.exit_code, 69);
+  EXPECT_THAT(missing.err, ::testing::HasSubstr("no answer from node 77 over the air"));
+}
+
 TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
   const ChildResult before = groma_run({"listen", nodes_[0].port, "--for", "1.5"});
   EXPECT_EQ(before.exit_code, 3);
@@ -249,8 +283,9 @@ TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
   EXPECT_GT(out["pairs"][0]["ranges"].get<int>(), 20);
 
   const ChildResult rows = groma_run({"listen", nodes_[0].port, "--for", "0.5", "--rows"});
-  EXPECT_THAT(rows.out, ::testing::StartsWith(
-                            "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm\n1"));
+  EXPECT_THAT(rows.out,
+              ::testing::StartsWith("t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm,"
+                                    "clock_offset_ppm,noise,line_of_sight,corrections,network_time_dtu\n1"));
 }
 
 TEST_F(CommandTest, APortThatIsTakenEndsWith69) {

@@ -25,6 +25,8 @@ nodes:
   - {id: 12, role: anchor, port: /dev/serial/by-id/x, probe: "000760012345"}
   - {id: 3, role: tag, port: ports/tag-3, transmit_antenna_delay_dtu: 16436}
   - {id: 10, role: anchor}
+correct_temperature: true
+correct_power_bias: true
 )";
 
 class SitePlanTest : public ::testing::Test {
@@ -71,6 +73,8 @@ TEST_F(SitePlanTest, EachKeyReachesTheConfiguration) {
   EXPECT_EQ(config.receive_antenna_delay_dtu, 16'450U);
   EXPECT_EQ(config.transmit_power, 0x1F1F1F1FU);
   EXPECT_TRUE(config.report_raw_stamps);
+  EXPECT_TRUE(config.correct_temperature);
+  EXPECT_TRUE(config.correct_power_bias);
   EXPECT_EQ(config.link, groma_Link_LINK_CAN_FD);
   EXPECT_EQ(config.can_nominal_bit_per_s, 500'000U);
   EXPECT_EQ(config.can_data_bit_per_s, 4'000'000U);
@@ -109,6 +113,88 @@ TEST_F(SitePlanTest, TheLeastPlanTakesTheDefaults) {
   EXPECT_EQ(config.transmit_power, 0U);
   EXPECT_EQ(plan.nodes[0].port, "");
   EXPECT_EQ(plan.nodes[0].can_link, "");
+  // The site goes on without its master.
+  ASSERT_EQ(config.schedule.backup_ids_count, 1);
+  EXPECT_EQ(config.schedule.backup_ids[0], 9);
+  EXPECT_EQ(config.network_key.size, 0);
+}
+
+constexpr const char* kCells = R"(schema: 1
+network_id: 5
+schedule: {backup_ids: [13, 11], responses: 3}
+nodes:
+  - {id: 2, role: tag, slot: 1}
+  - {id: 1, role: tag, slot: 0}
+  - {id: 3, role: tag, slot: 1}
+  - {id: 10, role: anchor}
+  - {id: 11, role: anchor}
+  - {id: 12, role: anchor}
+  - {id: 13, role: anchor}
+)";
+
+TEST_F(SitePlanTest, TagsOutOfEachOthersReachMayShareASlot) {
+  const SitePlan plan = read(kCells);
+  const groma_Schedule& schedule = plan.nodes[0].config.schedule;
+  EXPECT_EQ(schedule.slots, 2U);
+  EXPECT_EQ(schedule.responses, 3U);
+  ASSERT_EQ(schedule.tag_slots_count, 3);
+  EXPECT_EQ(schedule.tag_slots[0], 0);
+  EXPECT_EQ(schedule.tag_slots[1], 1);
+  EXPECT_EQ(schedule.tag_slots[2], 1);
+  ASSERT_EQ(schedule.backup_ids_count, 2);
+  EXPECT_EQ(schedule.backup_ids[0], 13);  // by rank, as the file has them
+  EXPECT_EQ(schedule.backup_ids[1], 11);
+}
+
+TEST_F(SitePlanTest, FaultsOfRanksAndSlotsAreTold) {
+  const auto fault = [&](const std::string& from, const std::string& to) {
+    std::string text = kCells;
+    const std::size_t at = text.find(from);
+    EXPECT_NE(at, std::string::npos) << from;
+    return fault_of(text.replace(at, from.size(), to));
+  };
+  EXPECT_THAT(fault("[13, 11]", "[13, 14]"), HasSubstr("backup_ids[1] is 14; name one of the anchors"));
+  EXPECT_THAT(fault("[13, 11]", "[13, 13]"), HasSubstr("13 has its rank already"));
+  EXPECT_THAT(fault("[13, 11]", "[10]"), HasSubstr("10 has its rank already"));
+  EXPECT_THAT(fault("slot: 0", "slot: 16"), HasSubstr("slot is 16; it has to be 0 to 15"));
+  EXPECT_THAT(fault(", slot: 0", ""), HasSubstr("names slots, but none for tag 1"));
+  EXPECT_THAT(fault("id: 12, role: anchor", "id: 12, role: anchor, slot: 1"), HasSubstr("slot is a tag's"));
+  EXPECT_THAT(fault("responses: 3", "responses: 17"), HasSubstr("responses is 17; it has to be 1 to 16"));
+}
+
+TEST_F(SitePlanTest, TheNetworkKeyComesFromAFileOfItsOwnAndIsNotTold) {
+  const std::string text =
+      "schema: 1\nnetwork_id: 5\nnetwork_key_file: key\nnodes: [{id: 9, role: anchor}, {id: 1, role: tag}]\n";
+  scratch_.write("key", "000102030405060708090A0b0c0d0eff\n");
+  const groma_Config config = read(text).nodes[0].config;
+  ASSERT_EQ(config.network_key.size, 16);
+  EXPECT_EQ(config.network_key.bytes[1], 1);
+  EXPECT_EQ(config.network_key.bytes[10], 10);
+  EXPECT_EQ(config.network_key.bytes[15], 0xFF);
+  for (const char* bad : {"", "secret", "000102030405060708090A0b0c0d0e", "000102030405060708090A0b0c0d0exy",
+                          "000102030405060708090A0b0c0d0eff00"}) {
+    scratch_.write("key", bad);
+    const std::string fault = fault_of(text);
+    EXPECT_THAT(fault, HasSubstr("plan.yaml:3:19: network_key_file names"));
+    EXPECT_THAT(fault, HasSubstr("which holds no key; write 32 hexadecimal digits"));
+    EXPECT_THAT(fault, ::testing::Not(HasSubstr("0102")));
+  }
+}
+
+TEST_F(SitePlanTest, ANodeWithoutACableNamesTheOneThatPassesOn) {
+  const std::string text =
+      "schema: 1\nnetwork_id: 1\nnodes:\n"
+      "  - {id: 1, role: tag, port: /dev/ttyACM0}\n"
+      "  - {id: 10, role: anchor, via: 1}\n";
+  const SitePlan plan = read(text);
+  EXPECT_EQ(plan.nodes[1].via, 1);
+  EXPECT_EQ(plan.nodes[1].via_port, plan.nodes[0].port);
+  EXPECT_EQ(plan.nodes[1].port, "");
+  EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 10}\n"),
+              HasSubstr("via 10 is no node with a port"));
+  EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 2}\n"), HasSubstr("is no node with a port"));
+  EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 1, port: x}\n"),
+              HasSubstr("does not go with 'port:'"));
 }
 
 TEST_F(SitePlanTest, EachFaultIsToldWithItsPlaceAndRemedy) {
@@ -134,10 +220,10 @@ TEST_F(SitePlanTest, EachFaultIsToldWithItsPlaceAndRemedy) {
 
 TEST_F(SitePlanTest, MoreNodesThanAScheduleHoldsAreRefused) {
   std::string text = "schema: 1\nnetwork_id: 5\nnodes:\n  - {id: 100, role: tag}\n";
-  for (int id = 1; id <= 16; ++id) text += "  - {id: " + std::to_string(id) + ", role: anchor}\n";
-  EXPECT_EQ(read(text).nodes.size(), 17U);
-  EXPECT_THAT(fault_of(text + "  - {id: 17, role: anchor}\n"),
-              HasSubstr(":21:5: nodes[17] is one anchor too many"));
+  for (int id = 1; id <= 64; ++id) text += "  - {id: " + std::to_string(id) + ", role: anchor}\n";
+  EXPECT_EQ(read(text).nodes.size(), 65U);
+  EXPECT_THAT(fault_of(text + "  - {id: 65, role: anchor}\n"),
+              HasSubstr(":69:5: nodes[65] is one anchor too many"));
 }
 
 TEST(Differences, EachFieldIsCompared) {
@@ -161,6 +247,8 @@ TEST(Differences, EachFieldIsCompared) {
   expect_told([](auto& c) { c.receive_antenna_delay_dtu = 1; }, "receive_antenna_delay_dtu: 1, not 16450");
   expect_told([](auto& c) { c.transmit_power = 1; }, "transmit_power");
   expect_told([](auto& c) { c.report_raw_stamps = false; }, "report_raw_stamps: false, not true");
+  expect_told([](auto& c) { c.correct_temperature = false; }, "correct_temperature: false, not true");
+  expect_told([](auto& c) { c.correct_power_bias = false; }, "correct_power_bias: false, not true");
   expect_told([](auto& c) { c.link = groma_Link_LINK_UART; }, "link: 0, not 2");
   expect_told([](auto& c) { c.can_nominal_bit_per_s = 1; }, "can_nominal_bit_per_s: 1, not 500000");
   expect_told([](auto& c) { c.can_data_bit_per_s = 1; }, "can_data_bit_per_s: 1, not 4000000");

@@ -512,12 +512,16 @@ TEST_F(CpuFaults, DivisionByZeroTrapsOnDemand) {
       0x2064,          // movs r0, #100
       0x2207,          // movs r2, #7
       0xFB90, 0xF4F2,  // sdiv r4, r0, r2
+      0x2105,          // movs r1, #5
+      0x468E,          // mov lr, r1
+      0xFBB0, 0xF5FE,  // udiv r5, r0, lr
       0x2200,          // movs r2, #0
       0xFBB0, 0xF3F2,  // udiv r3, r0, r2
       0xE7FE,          // b .
   });
-  expect_fault(CpuBench::kUsageFault, kDivbyzero, kProgram + 28);
+  expect_fault(CpuBench::kUsageFault, kDivbyzero, kProgram + 36);
   EXPECT_EQ(bench_.r(4), 14U);
+  EXPECT_EQ(bench_.r(5), 20U);
 }
 
 TEST_F(CpuFaults, FloatingPointBeforeItIsEnabled) {

@@ -114,6 +114,7 @@ inline constexpr std::uint32_t kUarte = 0x40002000;
 inline constexpr std::uint32_t kSpim1 = 0x40004000;
 inline constexpr std::uint32_t kGpiote = 0x40006000;
 inline constexpr std::uint32_t kTimer = 0x40008000;
+inline constexpr std::uint32_t kEcb = 0x4000E000;
 inline constexpr std::uint32_t kWdt = 0x40010000;
 inline constexpr std::uint32_t kNvmc = 0x4001E000;
 inline constexpr std::uint32_t kSpim2 = 0x40023000;

@@ -231,6 +231,76 @@ TEST(Timer, KeepsTheCrystalsTime) {
   EXPECT_EQ(bench.capture(), 0U);
 }
 
+// ---- ECB ------------------------------------------------------------------------------------------------
+
+// FIPS 197, appendix C.1: key 00 01 02 ..., clear block 00 11 22 ...
+struct EcbBench : SocBench {
+  EcbBench() {
+    for (std::size_t i = 0; i < 16; ++i) {
+      ram[kOffset + i] = static_cast<std::uint8_t>(i);
+      ram[kOffset + 16 + i] = static_cast<std::uint8_t>(0x11 * i);
+    }
+    write(reg::kEcb + 0x504, kRamAddress + kOffset);
+  }
+  [[nodiscard]] std::vector<std::uint8_t> encrypted() const {
+    return {ram.begin() + kOffset + 32, ram.begin() + kOffset + 48};
+  }
+  static constexpr std::uint32_t kOffset = 0x100;
+};
+
+TEST(Ecb, EncryptsTheBlockInItsTime) {
+  EcbBench bench;
+  bench.write(reg::kEcb + 0x304, 1);
+  bench.write(reg::kEcb + 0x000, 1);
+  bench.run_us(7.1);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x100), 0U);
+  EXPECT_THAT(bench.encrypted(), Each(0));
+  EXPECT_FALSE(bench.irq(14));
+  bench.run_us(0.2);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x100), 1U);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x104), 0U);
+  EXPECT_TRUE(bench.irq(14));
+  EXPECT_THAT(bench.encrypted(), ElementsAre(0x69, 0xC4, 0xE0, 0xD8, 0x6A, 0x7B, 0x04, 0x30, 0xD8, 0xCD, 0xB7,
+                                             0x80, 0x70, 0xB4, 0xC5, 0x5A));
+  bench.write(reg::kEcb + 0x100, 0);
+  EXPECT_FALSE(bench.irq(14));
+  EXPECT_EQ(bench.soc.ecb().blocks(), 1U);
+}
+
+TEST(Ecb, TellsOfABlockThatWasStopped) {
+  EcbBench bench;
+  bench.write(reg::kEcb + 0x000, 1);
+  bench.run_us(3.0);
+  bench.write(reg::kEcb + 0x004, 1);
+  bench.run_us(10.0);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x100), 0U);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x104), 1U);
+  EXPECT_THAT(bench.encrypted(), Each(0));
+  bench.write(reg::kEcb + 0x000, 1);
+  bench.soc.reset(ResetCause::kSoftware, bench.processor.t);
+  bench.run_us(10.0);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x100), 0U);
+  EXPECT_EQ(bench.read(reg::kEcb + 0x504), 0U);
+}
+
+TEST(Ecb, FailsTheRunForWhatTheHardwareWouldNotBear) {
+  {
+    EcbBench bench;
+    bench.write(reg::kEcb + 0x504, kRamAddress + kRamBytes - 47);
+    EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb, 1); }), HasSubstr("not in RAM"));
+    bench.write(reg::kEcb + 0x504, 0x1000);
+    EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb, 1); }), HasSubstr("not in RAM"));
+  }
+  EcbBench bench;
+  bench.write(reg::kEcb, 1);
+  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb, 1); }), HasSubstr("STARTECB"));
+  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb + 0x504, 0); }), HasSubstr("ECBDATAPTR"));
+  EXPECT_THAT(SocBench::complaint([&] { bench.read(reg::kEcb + 0x500); }), HasSubstr("0x4000E500"));
+  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb + 0x304, 4); }), HasSubstr("0x4000E304"));
+  bench.ram[EcbBench::kOffset + 20] ^= 1;
+  EXPECT_THAT(SocBench::complaint([&] { bench.run_us(8.0); }), HasSubstr("clear block changed"));
+}
+
 // ---- SPIM -----------------------------------------------------------------------------------------------
 
 struct SpimBench : SocBench {

@@ -1,0 +1,191 @@
+#include "firmware/core/mac/anchor_set.hpp"
+
+#include <algorithm>
+#include <bit>
+
+namespace groma::mac {
+namespace {
+
+// Moves by 1/2^shift of the way, at least by 1.
+std::uint8_t approach(std::uint8_t value, std::uint8_t target, int shift) noexcept {
+  const int way = int{target} - int{value};
+  const int round_up = (1 << shift) - 1;
+  const int step = way >= 0 ? (way + round_up) >> shift : -((-way + round_up) >> shift);
+  return static_cast<std::uint8_t>(value + step);
+}
+
+constexpr std::uint64_t square(std::uint16_t value) noexcept {
+  return std::uint64_t{value} * value;
+}
+
+}  // namespace
+
+// User manual 4.7: the powers of the first path and of the whole are these sums by the count's square.
+std::uint8_t link_quality(const dw1000::ReceiveQuality& q) noexcept {
+  const std::uint64_t first_path = square(q.amplitude1) + square(q.amplitude2) + square(q.amplitude3);
+  const std::uint64_t total = std::uint64_t{q.channel_power} << 17;
+  if (q.preamble_count == 0 || total == 0) return 0;
+  // 3 dB a bit: 8 bits are -100 dBm, 14 are -80 dBm.
+  const auto bits = static_cast<int>(std::bit_width(total / square(q.preamble_count)));
+  const int strength = std::clamp(16 * (bits - 6), 0, 127);
+  const int sight = total <= 4 * first_path ? 128 : total <= 10 * first_path ? 64 : 0;
+  return static_cast<std::uint8_t>(strength + sight);
+}
+
+// One that is in keeps its place against others that are up to a quarter better: each change costs a range.
+std::uint32_t AnchorSet::Candidate::worth() const noexcept {
+  const std::uint32_t value = (rate + 1U) * (128U + quality / 2U) * weight;
+  return chosen ? value + value / 4 : value;
+}
+
+std::uint32_t AnchorSet::Candidate::urgency() const noexcept {
+  // One that used to answer is more likely to come back than one that never did; one that answers is there.
+  const std::uint32_t hope = missed > 0 ? 8U + rate / 32U : 1U;
+  return (untried + 1U) * (weight + 1U) * hope + (eager != 0 ? std::uint32_t{1} << 31 : 0U);
+}
+
+AnchorSet::AnchorSet(std::span<const std::uint16_t> configured) noexcept {
+  for (const std::uint16_t id : configured.first(std::min(configured.size(), kCapacity))) {
+    candidates_[size_++] = Candidate{.id = id, .untried = kLongest, .configured = true};
+  }
+}
+
+const AnchorSet::Candidate* AnchorSet::find(std::uint16_t id) const noexcept {
+  for (std::size_t i = 0; i < size_; ++i) {
+    if (candidates_[i].id == id) return &candidates_[i];
+  }
+  return nullptr;
+}
+
+AnchorSet::Candidate* AnchorSet::room() noexcept {
+  if (size_ < kCapacity) return &candidates_[size_++];
+  Candidate* oldest = nullptr;
+  for (Candidate& c : candidates_) {
+    if (c.configured || !c.silent() || c.eager != 0) continue;
+    if (oldest == nullptr || c.rate < oldest->rate) oldest = &c;
+  }
+  return oldest;
+}
+
+bool AnchorSet::announce(std::uint16_t id) noexcept {
+  Candidate* candidate = find(id);
+  if (candidate == nullptr) {
+    candidate = room();
+    if (candidate == nullptr) return false;
+    *candidate = Candidate{.id = id, .untried = kLongest};
+  }
+  candidate->eager = kEagerTrials;
+  return true;
+}
+
+void AnchorSet::hear(std::uint16_t id) noexcept {
+  constexpr std::uint16_t kNotTooOften = 16;
+  Candidate* candidate = find(id);
+  if (candidate != nullptr && candidate->silent() && candidate->untried >= kNotTooOften) {
+    candidate->eager = 1;
+  }
+}
+
+void AnchorSet::prefer(std::uint16_t id, std::uint8_t weight) noexcept {
+  if (Candidate* candidate = find(id)) candidate->weight = weight;
+}
+
+void AnchorSet::prefer_none() noexcept {
+  for (Candidate& c : candidates_) c.weight = kNeutralWeight;
+}
+
+// How many places of this POLL the others have earned.
+std::size_t AnchorSet::trials(std::size_t places) noexcept {
+  constexpr std::uint16_t kDoubtfulShare = 5;
+  std::size_t eager = 0;
+  std::size_t earned = credit_;
+  for (std::size_t i = 0; i < size_; ++i) {
+    const Candidate& c = candidates_[i];
+    if (!c.chosen) earned += c.missed > 0 ? kDoubtfulShare : 1U;
+    eager += c.eager != 0 ? 1U : 0U;
+  }
+  const std::uint16_t price = places >= 3 ? 32 : 128;
+  const std::size_t most = most_trials(places);
+  const std::size_t paid = std::min(earned / price, most);
+  credit_ = static_cast<std::uint16_t>(std::min<std::size_t>(earned - paid * price, price - 1U));
+  return std::max(paid, std::min(eager, most));
+}
+
+std::size_t AnchorSet::choose(std::span<std::uint16_t> out) noexcept {
+  const std::size_t places = std::min<std::size_t>(out.size(), size_);
+  if (places == 0) return 0;
+  std::array<std::uint32_t, kCapacity> keys{};  // 0: not in the running
+  std::uint64_t in = 0;
+  std::size_t taken = 0;
+  const auto take_best = [&](std::size_t up_to) {
+    while (taken < up_to) {
+      const auto best = std::max_element(keys.begin(), keys.begin() + size_);
+      if (*best == 0) return;
+      *best = 0;
+      in |= std::uint64_t{1} << (best - keys.begin());
+      ++taken;
+    }
+  };
+
+  std::uint64_t useful = ~std::uint64_t{0};
+  if (places < size_) {
+    const std::size_t kept = out.size() - trials(out.size());
+    for (std::size_t i = 0; i < size_; ++i) {
+      keys[i] = candidates_[i].useful() && candidates_[i].eager == 0 ? candidates_[i].worth() : 0;
+    }
+    take_best(kept);
+    useful = in;
+    for (std::size_t i = 0; i < size_; ++i) {
+      keys[i] = (in >> i & 1U) != 0 ? 0 : candidates_[i].urgency();
+    }
+    take_best(places);
+  } else {
+    in = ~std::uint64_t{0};
+  }
+
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < size_; ++i) {
+    Candidate& c = candidates_[i];
+    c.chosen = (useful >> i & 1U) != 0;
+    if ((in >> i & 1U) == 0) {
+      c.untried = std::min<std::uint16_t>(static_cast<std::uint16_t>(c.untried + 1), kLongest);
+      continue;
+    }
+    c.untried = 0;
+    if (c.eager != 0) --c.eager;
+    out[count++] = c.id;
+  }
+  return count;
+}
+
+void AnchorSet::on_answer(std::uint16_t id, std::uint8_t quality) noexcept {
+  // A new one is taken at its best until it shows otherwise.
+  constexpr std::uint8_t kFirstRate = 192;
+  Candidate* c = find(id);
+  if (c == nullptr) return;
+  const bool found = c->silent();
+  c->eager = c->missed > 0 && !c->chosen ? 1 : 0;  // a range takes two POLLs in a row
+  c->rate = approach(c->rate, 255, 4);
+  if (found) c->rate = std::max(c->rate, kFirstRate);
+  c->quality = found ? quality : approach(c->quality, quality, 3);
+  c->missed = 0;
+}
+
+void AnchorSet::on_silence(std::uint16_t id) noexcept {
+  Candidate* c = find(id);
+  if (c == nullptr) return;
+  c->rate = approach(c->rate, 0, 4);
+  if (c->missed < 15) ++c->missed;
+}
+
+std::size_t AnchorSet::answering() const noexcept {
+  return static_cast<std::size_t>(std::count_if(candidates_.begin(), candidates_.begin() + size_,
+                                                [](const Candidate& c) { return !c.silent(); }));
+}
+
+AnchorSet::View AnchorSet::at(std::size_t index) const noexcept {
+  const Candidate& c = candidates_[index];
+  return {c.id, c.rate, c.quality, c.weight, c.silent()};
+}
+
+}  // namespace groma::mac

@@ -1,0 +1,45 @@
+#include "firmware/core/mac/freshness.hpp"
+
+namespace groma::mac {
+
+void Freshness::forget() noexcept {
+  fresh_ = !settings_.required;
+  nonce_ = 0;
+  asked_ = 0;
+  owed_ = {};
+}
+
+std::optional<ControlChannel::Outgoing> Freshness::open_slot(std::uint32_t number) noexcept {
+  // A boot that could not be counted has no nonce of its own.
+  if (fresh_ || settings_.nonces == nullptr || settings_.boot_count == 0) return std::nullopt;
+  // At once, and from then on in turn; the turns' order rotates, so as not to meet the same other sender for
+  // ever.
+  const std::uint32_t slot = number / (settings_.relays + 1);
+  const std::uint32_t round = slot / settings_.turns;
+  if (asked_ != 0 && (slot + round) % settings_.turns != settings_.turn) return std::nullopt;
+  if (nonce_ == 0) nonce_ = std::uint64_t{settings_.boot_count} << 32 | (*settings_.nonces)++;
+  return Outgoing{
+      .body = Join{.origin = settings_.id, .nonce = nonce_, .tag = settings_.tag, .wants_welcome = true}};
+}
+
+void Freshness::on_sent(std::uint32_t, bool sent) noexcept {
+  if (sent) ++asked_;
+}
+
+void Freshness::on_control(const Frame& frame, std::uint32_t, bool) noexcept {
+  const auto* join = std::get_if<Join>(&frame.body);
+  if (join != nullptr && join->wants_welcome && fresh_) owed_ = {.id = join->origin, .nonce = join->nonce};
+}
+
+void Freshness::on_beacon(const Frame&, const Beacon& beacon) noexcept {
+  if (fresh_ || nonce_ == 0 || !beacon.welcome) return;
+  fresh_ = beacon.welcome->id == settings_.id && beacon.welcome->nonce == nonce_;
+}
+
+void Freshness::on_beacon_out(Beacon& beacon, bool) noexcept {
+  if (owed_.id == kNobody || beacon.welcome || !fresh_) return;
+  beacon.welcome = owed_;
+  owed_ = {};
+}
+
+}  // namespace groma::mac

@@ -1,0 +1,323 @@
+#include "firmware/core/mac/mastership.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "firmware/core/mac/superframe.hpp"
+
+namespace groma::mac {
+namespace {
+
+using ranging::ClockTime;
+using ranging::Ticks;
+
+// How much later than `b` superframe `a` is; right over the number's wrap.
+constexpr std::int32_t since(std::uint32_t a, std::uint32_t b) noexcept {
+  return static_cast<std::int32_t>(a - b);
+}
+
+constexpr std::uint32_t kShortestPause = 8;  // superframes between two scans
+constexpr std::uint32_t kLongestPause = 256;
+
+}  // namespace
+
+Mastership::Mastership(const Site& site, Ticks duration, Ticks guard, std::uint32_t hash) noexcept
+    : site_(site),
+      duration_(duration),
+      guard_(guard),
+      hash_(hash),
+      rank_(rank_of(*site.schedule, site.id)),
+      beaconers_(site.schedule->backup_ids_count + 1U) {}
+
+// Long enough to hear a running network at five lost beacons, and for each rank to hear the one before it.
+Ticks Mastership::listening_time() const noexcept {
+  const auto rank = static_cast<std::int64_t>(rank_.value_or(0));
+  return std::max(Ticks::from_us(100'000), 5 * duration_) +
+         rank * std::max(Ticks::from_us(60'000), 3 * duration_);
+}
+
+void Mastership::search(ClockTime now) noexcept {
+  role_ = Role::kSearching;
+  master_ = parent_ = kNobody;
+  last_beacons_ = 0;
+  rival_ = 0;
+  suspicious_ = lacking_ = invited_ = false;
+  search_start_ = now;
+  lead_at_ = now + listening_time();
+}
+
+void Mastership::on_traffic(ClockTime now) noexcept {
+  constexpr std::int64_t kMostListenings = 20;
+  const ClockTime latest = search_start_ + kMostListenings * listening_time();
+  lead_at_ = std::max(lead_at_, std::min(now + listening_time(), latest));
+}
+
+std::optional<ClockTime> Mastership::lead_at() const noexcept {
+  if (!rank_) return std::nullopt;
+  return lead_at_;
+}
+
+void Mastership::found() noexcept {
+  const std::uint16_t start = site_.sessions == nullptr ? std::uint16_t{0} : (*site_.sessions)++;
+  session_ = std::uint64_t{site_.id} << 48 | std::uint64_t{site_.boot_count} << 16 | start;
+  heard_ = {};
+  fresh_ = number_ = 0;
+  next_scan_ = kShortestPause;
+  scan_pause_ = kShortestPause;
+  lead();
+}
+
+void Mastership::lead() noexcept {
+  role_ = Role::kLeading;
+  master_ = site_.id;
+  parent_ = kNobody;
+  hop_ = 0;
+  last_beacons_ = 0;
+  rival_ = 0;
+}
+
+void Mastership::dissolve() noexcept {
+  constexpr std::uint8_t kLastBeacons = 2;
+  if (last_beacons_ == 0) last_beacons_ = kLastBeacons;
+}
+
+void Mastership::shun(std::uint64_t session, ClockTime now) noexcept {
+  shunned_ = session;
+  shunned_until_ = now + Ticks::from_us(2'000'000);
+}
+
+void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
+  if (role_ == Role::kSearching || session_ != beacon.session) {
+    heard_ = {};
+    suspicious_ = invited_ = false;
+    next_scan_ = beacon.superframe + kShortestPause;
+    scan_pause_ = kShortestPause;
+  }
+  if (const std::size_t rank = rank_of_id(source); rank < kMaxBeaconers) heard_[rank] = beacon.superframe;
+  role_ = Role::kFollowing;
+  session_ = beacon.session;
+  number_ = beacon.superframe;
+  master_ = beacon.master;
+  parent_ = source;
+  parent_told_ = beacon.superframe - beacon.age;
+  hop_ = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
+  fresh_ = beacon.superframe - beacon.age;
+  last_beacons_ = 0;
+}
+
+std::size_t Mastership::rank_of_id(std::uint16_t id) const noexcept {
+  return rank_of(*site_.schedule, id).value_or(beaconers_);
+}
+
+std::uint32_t Mastership::age(std::uint32_t number) const noexcept {
+  if (leads()) return 0;
+  return static_cast<std::uint32_t>(std::max<std::int32_t>(since(number, fresh_), 0));
+}
+
+// Each hop beyond the first may wait for its turn twice.
+std::uint32_t Mastership::patience() const noexcept {
+  const std::uint32_t relays = hop_ == 0 ? 0 : std::min<std::uint32_t>(hop_ - 1U, kMaxBeaconers);
+  return kPatience + 2 * beaconers_ * relays;
+}
+
+Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
+  if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_) {
+    return judge_schedule(beacon, now);
+  }
+  const bool own_word = beacon.hop == 0;
+  if (rank_of_id(source) == beaconers_ || rank_of_id(beacon.master) == beaconers_ ||
+      own_word != (source == beacon.master) || (own_word && beacon.age != 0)) {
+    return Verdict::kStale;
+  }
+  if (beacon.invitation) {
+    // To this network, or by its master to be quiet while it invites another one.
+    if (role_ != Role::kSearching && (beacon.session != session_) == beacon.shared) invited_ = true;
+    if (beacon.shared) return Verdict::kIgnore;
+  }
+  if (beacon.dissolving) {
+    if (role_ != Role::kFollowing || beacon.session != session_) return Verdict::kIgnore;
+    shun(session_, now);
+    search(now);
+    return Verdict::kLeave;
+  }
+  if (role_ == Role::kSearching) {
+    if (beacon.session == shunned_ && now < shunned_until_) return Verdict::kIgnore;
+    follow(source, beacon);
+    return Verdict::kAdopt;
+  }
+  if (beacon.session != session_) return judge_other_session(source, beacon, ahead);
+  // What is far from its place is an echo of former times.
+  if (ahead > Ticks(duration_.count() / 2) || ahead < -Ticks(duration_.count() / 2)) return Verdict::kIgnore;
+  return leads() ? judge_as_master(source, beacon, ahead) : judge_as_follower(source, beacon, ahead);
+}
+
+// Nodes of two schedules would collide. The newer schedule is right; who has it does not drive an older
+// network off, unless it is the master and so the last one to be configured.
+Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept {
+  const std::uint32_t epoch = site_.schedule->epoch;
+  const bool newer = beacon.epoch != epoch ? beacon.epoch > epoch : beacon.schedule_hash > hash_;
+  if (role_ == Role::kSearching) {
+    constexpr Ticks kQuiet = Ticks::from_us(2'000'000);
+    if (newer || rank_ != std::size_t{0}) lead_at_ = std::max(lead_at_, now + kQuiet);
+    return Verdict::kStale;
+  }
+  if (!newer || beacon.dissolving) return Verdict::kStale;
+  if (leads()) {
+    dissolve();
+    return Verdict::kStale;
+  }
+  search(now);
+  return Verdict::kLeave;
+}
+
+Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+  const Ticks tie(duration_.count() / 8);
+  const bool older = ahead > tie || (ahead >= -tie && beacon.session < session_);
+  const bool forsaken = role_ == Role::kFollowing && age(number_) > patience();
+  if (!older && !forsaken) {
+    // The master first, then one back-up after the other.
+    if (!rank_ || beacon.dissolving) return Verdict::kIgnore;
+    const bool own_turn = leads() || strangers_ % beaconers_ == *rank_;
+    ++strangers_;
+    return own_turn ? Verdict::kInvite : Verdict::kIgnore;
+  }
+  if (leads()) {
+    dissolve();
+    return Verdict::kIgnore;
+  }
+  follow(source, beacon);
+  return Verdict::kAdopt;
+}
+
+Verdict Mastership::judge_as_master(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+  if (beacon.master == site_.id) return Verdict::kIgnore;
+  const std::size_t theirs = rank_of_id(beacon.master);
+  if (theirs > *rank_) {
+    rival_ = theirs;
+    rival_until_ = beacon.superframe + 8 * beaconers_;
+    return Verdict::kIgnore;
+  }
+  if (beacon.age > kPatience) return Verdict::kIgnore;
+  if (ahead > guard_ || ahead < -guard_) {
+    dissolve();
+    return Verdict::kIgnore;
+  }
+  follow(source, beacon);
+  return Verdict::kSwitch;
+}
+
+Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+  if (beacon.master == site_.id) return Verdict::kIgnore;  // of the time when it led itself
+  const bool aligned = ahead <= guard_ && ahead >= -guard_;
+  const std::int32_t newer = since(beacon.superframe - beacon.age, fresh_);
+  if (beacon.master != master_) {
+    const bool better = rank_of_id(beacon.master) < rank_of_id(master_) && beacon.age <= kPatience;
+    if (!better && newer <= static_cast<std::int32_t>(kPatience / 2)) return Verdict::kIgnore;
+    follow(source, beacon);
+    return aligned ? Verdict::kSwitch : Verdict::kAdopt;
+  }
+  if (!aligned) return Verdict::kMeasure;  // the clock filter knows when to believe it
+  heard_[rank_of_id(source)] = beacon.superframe;
+  const std::uint32_t told = beacon.superframe - beacon.age;
+  if (newer > 0) fresh_ = told;
+  const auto hop = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
+  if (source == parent_) {
+    // A relay that has heard nothing itself knows no better than this node.
+    if (since(told, parent_told_) <= 0) return Verdict::kKnown;
+    hop_ = hop;
+    parent_told_ = told;
+    return Verdict::kMeasure;
+  }
+  const auto silent = since(beacon.superframe, parent_told_);
+  const auto turns = static_cast<std::int32_t>(beaconers_);
+  constexpr std::int32_t kMissesOfMaster = 6;
+  const bool lost = silent > (hop_ == 1 ? kMissesOfMaster : 3 * turns + beacon.age);
+  const bool better = hop < hop_ || lost || newer > 2 * turns;
+  if (newer <= 0 || !better) return Verdict::kKnown;
+  parent_ = source;
+  parent_told_ = told;
+  hop_ = hop;
+  return Verdict::kSwitch;
+}
+
+// The ranks that have a better claim and were heard lately.
+std::uint32_t Mastership::better_ranks_alive(std::uint32_t number) const noexcept {
+  const auto recent = static_cast<std::int32_t>(kPatience + 4 * beaconers_);
+  std::uint32_t count = 0;
+  for (std::size_t rank = 0; rank < *rank_; ++rank) {
+    if (rank == rank_of_id(master_) || !heard_[rank]) continue;
+    if (since(number, *heard_[rank]) <= recent) ++count;
+  }
+  return count;
+}
+
+Duty Mastership::begin(std::uint32_t number) noexcept {
+  number_ = number;
+  if (rival_ != 0 && since(number, rival_until_) > 0) rival_ = 0;
+  if (leads()) {
+    fresh_ = number;
+  } else {
+    const std::uint32_t unheard = age(number);
+    if (rank_ && unheard > patience() + better_ranks_alive(number) * (beaconers_ + 2)) {
+      lead();
+      fresh_ = number;
+      return Duty::kTakeOver;
+    }
+    if (unheard > patience() + 2 * beaconers_) lacking_ = true;
+  }
+  return scan_due(number) ? Duty::kScan : Duty::kGoOn;
+}
+
+// All nodes of a session do it in the same superframes: so that they do not drown what they listen for.
+bool Mastership::scan_due(std::uint32_t number) noexcept {
+  constexpr std::uint32_t kGrid = 2;
+  if (std::exchange(invited_, false) && last_beacons_ == 0) return true;
+  const std::int32_t late = since(number, next_scan_);
+  const auto phase = static_cast<std::uint32_t>(session_ >> 48 ^ session_ >> 16 ^ session_);
+  if (!(suspicious_ || lacking_) || last_beacons_ != 0 || late < 0 || (number + phase) % kGrid != 0)
+    return false;
+  constexpr std::int32_t kForgotten = 64;
+  scan_pause_ = late > kForgotten ? kShortestPause : std::min(2 * scan_pause_, kLongestPause);
+  next_scan_ = number + scan_pause_;
+  suspicious_ = false;
+  return true;
+}
+
+void Mastership::on_absence(std::uint32_t number) noexcept {
+  if (!leads() || since(number, fresh_) < static_cast<std::int32_t>(kPatience - 2)) return;
+  constexpr std::uint32_t kToHearOthers = 3;
+  role_ = Role::kFollowing;
+  hop_ = 1;
+  last_beacons_ = 0;
+  fresh_ = number - kPatience + kToHearOthers;
+}
+
+// The ranks beyond the first have a turn each. That of an acting master is its own every second time and else
+// the schedule's master's, who has none: so any two of them hear each other.
+bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
+  if (!rank_ || role_ == Role::kSearching || last_beacons_ != 0) return false;
+  const std::uint32_t turn = number % beaconers_;
+  const bool even = number / beaconers_ % 2 == 0;
+  if (leads()) {
+    if (*rank_ != 0) return turn == *rank_ && even;
+    return rival_ != 0 && turn == rival_ && !even;
+  }
+  if (age(number) > patience()) return false;
+  if (*rank_ != 0) return turn == *rank_;
+  return turn != 0 && turn == rank_of_id(master_) && !even;
+}
+
+bool Mastership::on_led(ClockTime now) noexcept {
+  if (last_beacons_ == 0 || --last_beacons_ != 0) return false;
+  shun(session_, now);
+  search(now);
+  return true;
+}
+
+bool Mastership::parent_due(std::uint32_t number, bool shared) const noexcept {
+  if (role_ != Role::kFollowing) return false;
+  if (hop_ <= 1) return !shared;
+  return shared && number % beaconers_ == rank_of_id(parent_);
+}
+
+}  // namespace groma::mac

@@ -1,0 +1,153 @@
+// Who leads the network, and by which path this node follows: pure decisions, no radio and no clock filter.
+//
+//   searching --beacon--> following --nothing of the master for long, and next in rank--> leading
+//       ^  \--nobody heard for long, and in the ranks--> leading (a new session)             |
+//       |                                                                                    |
+//       +-------- dissolved, or a newer schedule heard ---------------------------------------+
+//
+// A session is a count of superframes that somebody began; it goes on under whoever leads it. Its name is
+// unique. Of two masters of one session the better rank stays. Of two sessions the older one stays, by its
+// count; within an eighth of a superframe the smaller name. The loser says so in its last beacons
+// (`dissolving`), so that its nodes come over. A loser that does not know of it is told: who has heard its
+// beacon sends an `invitation` where its nodes listen, and they scan.
+//
+// What a beacon tells left the master `age` superframes ago: a relay can pass it on but not make it younger,
+// so that relays cannot keep a dead master alive among each other.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/site.hpp"
+#include "firmware/core/ranging/device_time.hpp"
+
+namespace groma::mac {
+
+enum class Role : std::uint8_t { kSearching, kFollowing, kLeading };
+
+// What a beacon is to this node.
+enum class Verdict : std::uint8_t {
+  kIgnore,   // of no use
+  kStale,    // of another schedule
+  kKnown,    // of the network followed, but by another path than the clock filter's
+  kMeasure,  // a stamp for the clock filter
+  kSwitch,   // the same, the first by another path
+  kAdopt,    // from now on this timeline is followed: the clock filter starts with it
+  kLeave,    // fall silent and search
+  kInvite,   // of another session, which is to come over: this node is the one to tell it so
+};
+
+// What to do in a superframe that begins.
+enum class Duty : std::uint8_t {
+  kGoOn,
+  kTakeOver,  // lead from now on, with the time as it is known
+  kScan,      // listen for another timeline; a master's own beacon still goes out
+};
+
+class Mastership {
+ public:
+  // `duration`: of a superframe. `hash`: schedule_hash(). `guard`: two timelines that differ by less are one.
+  Mastership(const Site& site, ranging::Ticks duration, ranging::Ticks guard, std::uint32_t hash) noexcept;
+
+  // Begins to search, at start or when the time is lost.
+  void search(ranging::ClockTime now) noexcept;
+  // While searching: a frame of this network that is no beacon. Somebody is there; it is not yet time to
+  // lead.
+  void on_traffic(ranging::ClockTime now) noexcept;
+  // While searching: when to found a session where nobody is heard until then; nothing: never.
+  [[nodiscard]] std::optional<ranging::ClockTime> lead_at() const noexcept;
+  // Founds a session: leads, from superframe 0 on.
+  void found() noexcept;
+
+  // A beacon of this network, sent by `source`. `ahead`: by how much its timeline is ahead of this node's;
+  // of no meaning while searching.
+  [[nodiscard]] Verdict judge(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead,
+                              ranging::ClockTime now) noexcept;
+  // A frame of this network that has no place in the timeline, or frames that should have come did not: there
+  // may be another one.
+  void suspect() noexcept { suspicious_ = true; }
+  // Frames that should have come did not, or there is nothing to do that a scan could disturb: until the
+  // contrary is told.
+  void on_lack(bool lacking) noexcept { lacking_ = lacking; }
+
+  // Not while searching: superframe `number` begins, the one after the last one asked for or a later one.
+  [[nodiscard]] Duty begin(std::uint32_t number) noexcept;
+  // The radio was off: what this node knew last as a master may be old.
+  void on_absence(std::uint32_t number) noexcept;
+  // This node sends a beacon in the shared slot of superframe `number`.
+  [[nodiscard]] bool has_shared_turn(std::uint32_t number) const noexcept;
+  // A beacon of its own has left: true where that was the last one, and it searches.
+  [[nodiscard]] bool on_led(ranging::ClockTime now) noexcept;
+
+  [[nodiscard]] Role role() const noexcept { return role_; }
+  [[nodiscard]] bool leads() const noexcept { return role_ == Role::kLeading; }
+  [[nodiscard]] std::optional<std::size_t> rank() const noexcept { return rank_; }
+  [[nodiscard]] std::uint64_t session() const noexcept { return session_; }
+  [[nodiscard]] std::uint16_t master() const noexcept { return master_; }  // kNobody while searching
+  [[nodiscard]] std::uint8_t hop() const noexcept { return hop_; }         // 0: leads
+  [[nodiscard]] bool dissolving() const noexcept { return last_beacons_ != 0; }
+  // Superframes since what this node knows left the master.
+  [[nodiscard]] std::uint32_t age(std::uint32_t number) const noexcept;
+  // The beacon of the path that this node follows is due in superframe `number`, in the shared slot or not.
+  [[nodiscard]] bool parent_due(std::uint32_t number, bool shared) const noexcept;
+
+  // Superframes without word from the master, beyond what relays take, after which it counts as gone.
+  static constexpr std::uint32_t kPatience = 12;
+
+ private:
+  [[nodiscard]] Verdict judge_schedule(const Beacon& beacon, ranging::ClockTime now) noexcept;
+  [[nodiscard]] Verdict judge_other_session(std::uint16_t source, const Beacon& beacon,
+                                            ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_as_master(std::uint16_t source, const Beacon& beacon,
+                                        ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_as_follower(std::uint16_t source, const Beacon& beacon,
+                                          ranging::Ticks ahead) noexcept;
+  void follow(std::uint16_t source, const Beacon& beacon) noexcept;
+  void lead() noexcept;
+  void dissolve() noexcept;
+  void shun(std::uint64_t session, ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::size_t rank_of_id(std::uint16_t id) const noexcept;  // beaconers_: none
+  [[nodiscard]] std::uint32_t patience() const noexcept;
+  [[nodiscard]] bool scan_due(std::uint32_t number) noexcept;
+  [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
+  [[nodiscard]] ranging::Ticks listening_time() const noexcept;
+
+  static constexpr std::size_t kMaxBeaconers = 8;
+
+  const Site& site_;
+  ranging::Ticks duration_;
+  ranging::Ticks guard_;
+  std::uint32_t hash_;
+  std::optional<std::size_t> rank_;
+  std::uint32_t beaconers_;
+
+  Role role_ = Role::kSearching;
+  std::uint8_t last_beacons_ = 0;  // still to be sent by a master that gives up
+  bool suspicious_ = false;
+  bool lacking_ = false;
+  bool invited_ = false;
+  std::uint8_t strangers_ = 0;  // beacons heard of sessions that are to come over
+  std::uint8_t hop_ = 0;
+  std::uint16_t master_ = kNobody;
+  std::uint16_t parent_ = kNobody;  // whose beacons the clock follows
+  std::uint32_t number_ = 0;        // superframe under way
+  std::uint32_t fresh_ = 0;         // superframe in which what is known left the master
+  std::uint32_t parent_told_ = 0;   // the same, of what the parent told
+  std::uint64_t session_ = 0;
+  // Superframe in which each rank was last heard itself, where it has been.
+  std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
+  std::size_t rival_ = 0;  // rank of a worse master of this session; 0: none
+  std::uint32_t rival_until_ = 0;
+  std::uint32_t next_scan_ = 0;
+  std::uint32_t scan_pause_ = 0;
+
+  ranging::ClockTime search_start_;
+  ranging::ClockTime lead_at_;
+  std::uint64_t shunned_ = 0;  // session
+  ranging::ClockTime shunned_until_;
+};
+
+}  // namespace groma::mac

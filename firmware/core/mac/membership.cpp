@@ -1,0 +1,190 @@
+#include "firmware/core/mac/membership.hpp"
+
+#include <algorithm>
+#include <span>
+
+#include "firmware/core/mac/superframe.hpp"
+
+namespace groma::mac {
+namespace {
+
+// A tag without a slot asks at once, then ever more rarely until it has one.
+constexpr Persistence kAsk{.first_window_log2 = 0, .last_window_log2 = 4};
+constexpr Persistence kTellLeaving{.first_window_log2 = 0, .last_window_log2 = 4, .times = 4};
+// Anchors may all start at once, and most are polled before their turn comes.
+constexpr std::uint32_t kBeforeAnnouncing = 3;  // superframes
+constexpr Persistence kAnnounce{.first_window_log2 = 2, .last_window_log2 = 5, .times = 3};
+constexpr Persistence kPassOn{.first_window_log2 = 1, .last_window_log2 = 4, .times = 2};
+
+constexpr Persistence kRemind{.first_window_log2 = 4, .last_window_log2 = 4, .times = 1};
+constexpr std::uint32_t kRemindEach = 256;  // superframes
+
+// Superframes until what was asked has been asked again.
+constexpr std::uint32_t kPassedOnWithin = 32;
+
+// Differs each time, and between nodes.
+constexpr std::uint64_t nonce_of(std::uint16_t id, std::uint32_t number) noexcept {
+  return std::uint64_t{id} << 32 | number;
+}
+
+}  // namespace
+
+// ---- the tag --------------------------------------------------------------------------------------------
+
+TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept
+    : id_(id),
+      tenure_(id, configured_slot(schedule, id)),
+      anchors_(std::span(schedule.anchor_ids).first(schedule.anchor_ids_count)),
+      access_(id) {}
+
+void TagMembership::leave() noexcept {
+  if (leaving_) return;
+  leaving_ = true;
+  access_.settle(Purpose::kJoin);
+  access_.want(Purpose::kLeave, kTellLeaving, 0);
+}
+
+std::optional<ControlChannel::Outgoing> TagMembership::open_slot(std::uint32_t number) noexcept {
+  under_way_ = access_.turn(number);
+  if (!under_way_) return std::nullopt;
+  const bool leaves = *under_way_ == Purpose::kLeave;
+  return Outgoing{.body = Join{.origin = id_,
+                               .nonce = nonce_of(id_, number),
+                               .tag = true,
+                               .wants_slot = !leaves,
+                               .leaving = leaves}};
+}
+
+void TagMembership::on_sent(std::uint32_t /*number*/, bool sent) noexcept {
+  if (!sent && under_way_) access_.missed(*under_way_);
+  under_way_.reset();
+}
+
+void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, bool /*leading*/) noexcept {
+  // Passed on it is no sign that the anchor is in reach.
+  const auto* join = std::get_if<Join>(&frame.body);
+  if (join == nullptr || join->tag || join->leaving || join->origin != frame.source) return;
+  (void)anchors_.announce(join->origin);
+}
+
+void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept {
+  tenure_.take(beacon);
+  anchors_.hear(frame.source);
+  if (leaving_) {
+    if (tenure_.homeless()) access_.settle(Purpose::kLeave);
+  } else if (tenure_.homeless()) {
+    access_.want(Purpose::kJoin, kAsk, beacon.superframe);
+  } else {
+    access_.settle(Purpose::kJoin);
+  }
+}
+
+// ---- the anchor -----------------------------------------------------------------------------------------
+
+AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept
+    : id_(id),
+      beaconer_(rank_of(schedule, id).has_value()),
+      listed_(std::count(schedule.anchor_ids, schedule.anchor_ids + schedule.anchor_ids_count, id) != 0),
+      slots_(schedule),
+      access_(id) {}
+
+void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept {
+  slots_.hear(tag, slot);
+  // Whoever polls it knows it; others in reach of the same open slots do as well, soon.
+  if (!named || !listed_) return;
+  announcing_ = Announcing::kDone;
+  access_.settle(Purpose::kAnnounce);
+}
+
+void AnchorMembership::announce(std::uint32_t number) noexcept {
+  const std::uint32_t ahead = next_announcement_ - number;
+  switch (announcing_) {
+    case Announcing::kNotYet:
+      announcing_ = Announcing::kSoon;
+      next_announcement_ = number + kBeforeAnnouncing;
+      return;
+    case Announcing::kSoon:
+      if (ahead != 0 && ahead <= kBeforeAnnouncing) return;
+      access_.want(Purpose::kAnnounce, kAnnounce, number);
+      break;
+    case Announcing::kDone:
+      if (listed_ || (ahead != 0 && ahead <= kRemindEach)) return;
+      access_.want(Purpose::kAnnounce, kRemind, number);
+      break;
+  }
+  announcing_ = Announcing::kDone;
+  next_announcement_ = number + kRemindEach;
+}
+
+std::optional<ControlChannel::Outgoing> AnchorMembership::open_slot(std::uint32_t number) noexcept {
+  announce(number);
+  if (number - pending_since_ > kPassedOnWithin) access_.settle(Purpose::kPassOn);
+  under_way_ = access_.turn(number);
+  if (!under_way_) return std::nullopt;
+  if (*under_way_ == Purpose::kPassOn) return passed_on();
+  return Outgoing{.body = Join{.origin = id_, .nonce = nonce_of(id_, number)}};
+}
+
+std::optional<ControlChannel::Outgoing> AnchorMembership::own_turn(std::uint32_t number) noexcept {
+  if (!access_.pending(Purpose::kPassOn) || number - pending_since_ > kPassedOnWithin) return std::nullopt;
+  under_way_ = Purpose::kPassOn;
+  access_.settle(Purpose::kPassOn);  // nobody else sends in that slot
+  return passed_on();
+}
+
+void AnchorMembership::on_sent(std::uint32_t /*number*/, bool sent) noexcept {
+  if (!sent && under_way_) access_.missed(*under_way_);
+  under_way_.reset();
+}
+
+void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept {
+  const auto* join = std::get_if<Join>(&frame.body);
+  if (join == nullptr || !join->tag) return;
+  if (leading) {
+    if (!slots_.leads()) return;  // not before its first beacon
+    slots_.advance(number);
+    if (join->leaving) {
+      slots_.leave(join->origin);
+    } else if (join->wants_slot) {
+      (void)slots_.claim(join->origin);
+    }
+  } else if (beaconer_ && (join->leaving || join->wants_slot)) {
+    consider_passing_on(frame, *join, number);
+  }
+}
+
+// Once each; what another relay passes on needs no third to do it from the same place.
+void AnchorMembership::consider_passing_on(const Frame& frame, const Join& join,
+                                           std::uint32_t number) noexcept {
+  const auto low = static_cast<std::uint32_t>(join.nonce);
+  const bool seen = std::any_of(passed_.begin(), passed_.end(),
+                                [&](const Passed& p) { return p.origin == join.origin && p.nonce == low; });
+  if (seen) {
+    const bool by_another = frame.source != join.origin;
+    if (by_another && pending_.origin == join.origin) access_.settle(Purpose::kPassOn);
+    return;
+  }
+  if (access_.pending(Purpose::kPassOn) && pending_.origin != join.origin) return;
+  passed_[next_passed_++ % passed_.size()] = {join.origin, low};
+  pending_ = join;
+  pending_since_ = number;
+  access_.want(Purpose::kPassOn, kPassOn, number);
+}
+
+void AnchorMembership::on_beacon(const Frame& /*frame*/, const Beacon& beacon) noexcept {
+  if (beacon.master == id_) return;  // its own table, relayed
+  slots_.advance(beacon.superframe);
+  slots_.copy(beacon);
+  const bool holds = slots_.slot_of(pending_.origin).has_value();
+  if (holds != pending_.leaving) access_.settle(Purpose::kPassOn);  // the master knows
+}
+
+void AnchorMembership::on_beacon_out(Beacon& beacon, bool leading) noexcept {
+  if (!leading) return;
+  slots_.advance(beacon.superframe);
+  slots_.lead(beacon.session);
+  slots_.reclaim();
+  slots_.fill(beacon);
+}
+
+}  // namespace groma::mac

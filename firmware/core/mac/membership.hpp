@@ -1,0 +1,96 @@
+// How nodes come into the network and go while it runs, by what they say in the shared slots and what the
+// beacons say: the tag's side and the anchor's.
+//
+//   tag:    in step, no slot --> JOIN (repeated, each time more rarely) --> a beacon names it: it polls
+//           leave() --> silent, JOIN "leaving" --> its slot is nobody's
+//   anchor: in step after its start --> JOIN, a few times: tags that hear it try it at once; where the
+//           schedule does not name it now and then again, for tags that come later
+//           leads: gives slots to those who ask; follows: keeps a copy of the table
+//           relays the beacon: passes on what tags ask, towards the master
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+#include "firmware/core/mac/access.hpp"
+#include "firmware/core/mac/anchor_set.hpp"
+#include "firmware/core/mac/control_channel.hpp"
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/slot_table.hpp"
+#include "groma.pb.h"
+
+namespace groma::mac {
+
+class TagMembership final : public ControlChannel {
+ public:
+  TagMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept;
+
+  // Where it may poll in superframe `number`.
+  [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
+    return leaving_ ? std::nullopt : tenure_.slot(number);
+  }
+  // Polls no more, and says so. For good.
+  void leave() noexcept;
+
+  [[nodiscard]] AnchorSet& anchors() noexcept { return anchors_; }
+  [[nodiscard]] const AnchorSet& anchors() const noexcept { return anchors_; }
+
+  [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
+  void on_sent(std::uint32_t number, bool sent) noexcept override;
+  void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
+  void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
+  void on_beacon_out(Beacon& /*beacon*/, bool /*leading*/) noexcept override {}
+
+ private:
+  std::uint16_t id_;
+  Tenure tenure_;
+  AnchorSet anchors_;
+  Access access_;
+  bool leaving_ = false;
+  std::optional<Purpose> under_way_;
+};
+
+class AnchorMembership final : public ControlChannel {
+ public:
+  // The schedule outlives it.
+  AnchorMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept;
+
+  [[nodiscard]] const SlotTable& slots() const noexcept { return slots_; }
+  // A POLL heard in its slot; `named`: it asks for this anchor's answer.
+  void on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept;
+
+  [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
+  [[nodiscard]] std::optional<Outgoing> own_turn(std::uint32_t number) noexcept override;
+  void on_sent(std::uint32_t number, bool sent) noexcept override;
+  void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
+  void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
+  void on_beacon_out(Beacon& beacon, bool leading) noexcept override;
+
+ private:
+  struct Passed {
+    std::uint16_t origin = kNobody;
+    std::uint32_t nonce = 0;  // its lower half
+  };
+
+  void announce(std::uint32_t number) noexcept;
+  void consider_passing_on(const Frame& frame, const Join& join, std::uint32_t number) noexcept;
+  [[nodiscard]] Outgoing passed_on() const noexcept { return {.body = pending_}; }
+
+  std::uint16_t id_;
+  bool beaconer_;  // it relays beacons
+  bool listed_;    // among the schedule's anchors: all tags know it
+  std::uint32_t next_announcement_ = 0;
+  enum class Announcing : std::uint8_t { kNotYet, kSoon, kDone };
+  Announcing announcing_ = Announcing::kNotYet;
+  SlotTable slots_;
+  Access access_;
+  std::optional<Purpose> under_way_;
+  Join pending_;  // to be passed on, where access_ has kPassOn pending
+  std::uint32_t pending_since_ = 0;
+  std::array<Passed, 4> passed_{};
+  std::size_t next_passed_ = 0;
+};
+
+}  // namespace groma::mac

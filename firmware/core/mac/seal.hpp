@@ -1,0 +1,67 @@
+// The codes of a keyed network's frames: signs what goes out and tells what somebody else made, or sent
+// before.
+//
+// A frame's code is CCM*'s over all its bytes, under the session's own key,
+//
+//   session key = AES(network key, session (8) | "groma" | 0 0 0)
+//   nonce       = source (2)  superframe (4)  place (1)  type byte (1)  0 0 0 0 0       little-endian
+//
+// A receiver takes superframe and place from its own count, not from the frame: in any other superframe, slot
+// or session the code is another one. A beacon alone tells its own session and superframe; that those lie
+// ahead of what has been is for its receiver to see (freshness.hpp). No node sends two frames of one type in
+// one place, so no nonce comes twice.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/security/ccm.hpp"
+
+namespace groma::mac {
+
+// Where in the network's time a frame is sent: a superframe's slot, counted from 0, or one of these.
+struct Place {
+  static constexpr std::uint8_t kBeacon = 0xFE;
+  static constexpr std::uint8_t kShared = 0xFF;
+  std::uint32_t superframe = 0;
+  std::uint8_t slot = 0;
+};
+
+[[nodiscard]] constexpr Place place_of(const Beacon& beacon) noexcept {
+  return {beacon.superframe, beacon.shared ? Place::kShared : Place::kBeacon};
+}
+
+class Seal {
+ public:
+  // Of an open network: frames carry no code.
+  Seal() noexcept = default;
+  // Both outlive it; a key of no bytes: an open network.
+  Seal(security::BlockCipher* cipher, std::span<const std::uint8_t> network_key) noexcept
+      : cipher_(network_key.size() == security::kBlockBytes ? cipher : nullptr), network_key_(network_key) {}
+
+  // The network has a key.
+  [[nodiscard]] bool on() const noexcept { return cipher_ != nullptr; }
+
+  // Frames are of this session from now on.
+  void enter(std::uint64_t session) noexcept;
+
+  // Puts the code into a secured frame's end. Where the cipher fails it stays as it is: nobody will take it.
+  void sign(FrameBytes& frame, Place place) noexcept;
+
+  // Whether the code of a secured frame fits, in the session entered.
+  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place) noexcept;
+  // The same by what the beacon says of itself, whatever its session.
+  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept;
+
+ private:
+  [[nodiscard]] std::optional<security::Key> key_of(std::uint64_t session) noexcept;
+
+  security::BlockCipher* cipher_ = nullptr;
+  std::span<const std::uint8_t> network_key_{};
+  std::uint64_t session_ = 0;
+  std::optional<security::Key> session_key_{};
+};
+
+}  // namespace groma::mac

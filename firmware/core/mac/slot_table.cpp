@@ -1,0 +1,208 @@
+#include "firmware/core/mac/slot_table.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace groma::mac {
+namespace {
+
+constexpr std::uint16_t kLong = std::numeric_limits<std::uint16_t>::max();
+// A slot that was somebody's is nobody's for longer than that.
+constexpr std::uint16_t kVacantFor = kTableGoodFor + 1;
+
+void age(std::uint16_t& superframes, std::uint32_t by) noexcept {
+  superframes = static_cast<std::uint16_t>(std::min<std::uint32_t>(superframes + by, kLong));
+}
+
+bool newer(std::uint32_t a, std::uint32_t b) noexcept {
+  return static_cast<std::int32_t>(a - b) > 0;
+}
+
+}  // namespace
+
+SlotTable::SlotTable(const groma_Schedule& schedule) noexcept
+    : schedule_(&schedule),
+      count_(std::min<std::size_t>(schedule.slots == 0 ? schedule.tag_ids_count : schedule.slots, kMaxTags)) {
+  begin();
+}
+
+std::uint16_t SlotTable::by_schedule(std::size_t slot) const noexcept {
+  for (std::size_t i = 0; i < schedule_->tag_ids_count; ++i) {
+    if (configured_slot(*schedule_, schedule_->tag_ids[i]) == slot) return kBroadcast;
+  }
+  return kNobody;
+}
+
+void SlotTable::begin() noexcept {
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    holders_[slot] = by_schedule(slot);
+    uses_[slot] = Use{.vacant = kLong};
+  }
+  copied_ = false;
+  leads_ = false;
+}
+
+void SlotTable::set(std::size_t slot, std::uint16_t holder) noexcept {
+  holders_[slot] = holder;
+  uses_[slot] = Use{};
+}
+
+// The schedule's tags of this slot may have it again as such.
+void SlotTable::call_back(std::size_t slot) noexcept {
+  const std::uint16_t before = holders_[slot];
+  set(slot, kNobody);
+  uses_[slot].before = before;
+}
+
+void SlotTable::advance(std::uint32_t number) noexcept {
+  const auto step = static_cast<std::int32_t>(number - now_);
+  now_ = number;
+  if (step <= 0) return;
+  age(quiet_, static_cast<std::uint32_t>(step));
+  for (Use& use : uses_) {
+    age(use.unheard, static_cast<std::uint32_t>(step));
+    age(use.vacant, static_cast<std::uint32_t>(step));
+  }
+}
+
+void SlotTable::copy(const Beacon& beacon) noexcept {
+  const std::uint32_t told = told_at(beacon);
+  const bool same_session = copied_ && beacon.session == session_;
+  if (same_session && newer(told_, told)) return;
+  if (!same_session) begin();
+  copied_ = true;
+  leads_ = false;
+  session_ = beacon.session;
+  told_ = told;
+  for (std::size_t slot = 0; slot < std::min<std::size_t>(count_, beacon.slots); ++slot) {
+    const std::uint16_t holder = beacon.holders[slot];
+    if (holder == holders_[slot]) continue;
+    if (holder == kNobody) {
+      call_back(slot);
+    } else {
+      set(slot, holder);
+    }
+  }
+}
+
+void SlotTable::lead(std::uint64_t session) noexcept {
+  if (leads_ && session == session_) return;
+  const bool goes_on = copied_ && session == session_;
+  if (!goes_on) begin();
+  leads_ = true;
+  session_ = session;
+  if (!goes_on) return;
+  for (Use& use : uses_) {
+    use.before = kNobody;
+    use.vacant = 0;
+    use.unheard = 0;
+  }
+}
+
+bool SlotTable::belongs_to(std::uint16_t holder, std::size_t slot, std::uint16_t tag) const noexcept {
+  if (tag == kNobody || tag == kBroadcast) return false;
+  return holder == tag || (holder == kBroadcast && configured_slot(*schedule_, tag) == slot);
+}
+
+bool SlotTable::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
+  return slot < count_ && belongs_to(holders_[slot], slot, tag);
+}
+
+std::optional<std::size_t> SlotTable::slot_of(std::uint16_t tag) const noexcept {
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    if (may_poll(tag, slot)) return slot;
+  }
+  return std::nullopt;
+}
+
+void SlotTable::hear(std::uint16_t tag, std::size_t slot) noexcept {
+  if (!may_poll(tag, slot)) return;
+  if (quiet_ >= kDeaf) {
+    for (Use& use : uses_) use.unheard = 0;
+  }
+  quiet_ = 0;
+  uses_[slot].unheard = 0;
+  uses_[slot].heard = true;
+}
+
+SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
+  if (const auto slot = slot_of(tag)) {
+    uses_[*slot].unheard = 0;
+    return Claim::kHeld;
+  }
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    const std::uint16_t before = uses_[slot].before;
+    if (holders_[slot] != kNobody || !belongs_to(before, slot, tag)) continue;
+    set(slot, before);
+    return Claim::kHeld;
+  }
+  // What the schedule gives to nobody comes first.
+  std::optional<std::size_t> free;
+  bool coming = false;
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    if (holders_[slot] != kNobody) continue;
+    if (uses_[slot].vacant < kVacantFor) {
+      coming = true;
+    } else if (!free || (by_schedule(*free) != kNobody && by_schedule(slot) == kNobody)) {
+      free = slot;
+    }
+  }
+  if (free) {
+    set(*free, tag);
+    return Claim::kGranted;
+  }
+  if (coming) return Claim::kWait;
+  const auto unheard = [](const Use& a, const Use& b) { return a.unheard < b.unheard; };
+  const auto longest = std::max_element(uses_.begin(), uses_.begin() + count_, unheard);
+  if (longest != uses_.begin() + count_ && longest->unheard >= kLease) {
+    call_back(static_cast<std::size_t>(longest - uses_.begin()));
+  }
+  return Claim::kWait;
+}
+
+void SlotTable::reclaim() noexcept {
+  if (quiet_ >= kDeaf) return;
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    if (uses_[slot].heard && uses_[slot].unheard >= kLease) call_back(slot);
+  }
+}
+
+void SlotTable::leave(std::uint16_t tag) noexcept {
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    if (!may_poll(tag, slot)) continue;
+    if (holders_[slot] == kBroadcast) {
+      std::size_t sharing = 0;
+      for (std::size_t i = 0; i < schedule_->tag_ids_count; ++i) {
+        sharing += configured_slot(*schedule_, schedule_->tag_ids[i]) == slot ? 1U : 0U;
+      }
+      if (sharing > 1) continue;
+    }
+    call_back(slot);
+    uses_[slot].vacant = kLong;
+  }
+}
+
+void SlotTable::fill(Beacon& beacon) const noexcept {
+  beacon.slots = static_cast<std::uint8_t>(count_);
+  beacon.holders = holders_;
+}
+
+void Tenure::take(const Beacon& beacon) noexcept {
+  const std::uint32_t told = told_at(beacon);
+  if (known_ && beacon.session == session_ && newer(told_, told)) return;
+  known_ = true;
+  session_ = beacon.session;
+  told_ = told;
+  slot_.reset();
+  for (std::size_t slot = 0; slot < std::min<std::size_t>(beacon.slots, kMaxTags); ++slot) {
+    const std::uint16_t holder = beacon.holders[slot];
+    if (holder == tag_ || (holder == kBroadcast && configured_ == slot)) slot_ = slot;
+  }
+}
+
+std::optional<std::size_t> Tenure::slot(std::uint32_t number) const noexcept {
+  if (!known_ || newer(number, told_ + kTableGoodFor)) return std::nullopt;
+  return slot_;
+}
+
+}  // namespace groma::mac

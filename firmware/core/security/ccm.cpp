@@ -1,0 +1,52 @@
+#include "firmware/core/security/ccm.hpp"
+
+#include <algorithm>
+
+namespace groma::security {
+namespace {
+
+constexpr std::uint8_t kLengthBytes = 2;  // of the message's length: L
+constexpr std::uint8_t kCounterFlags = kLengthBytes - 1;
+constexpr std::uint8_t kAuthenticated = 0x40;  // there are bytes beside the (empty) message
+constexpr std::uint8_t kFirstFlags = kAuthenticated | (std::tuple_size_v<Code> - 2) / 2 << 3 | kCounterFlags;
+
+// B0 and A0: flags, nonce, and a message's length or a counter, both 0.
+Block block_of(std::uint8_t flags, const Nonce& nonce) noexcept {
+  Block block{flags};
+  std::copy(nonce.begin(), nonce.end(), block.begin() + 1);
+  return block;
+}
+
+}  // namespace
+
+std::optional<Code> code_of(BlockCipher& cipher, const Key& key, const Nonce& nonce,
+                            std::span<const std::uint8_t> bytes) noexcept {
+  Block mac = block_of(kFirstFlags, nonce);
+  if (!cipher.encrypt(key, mac)) return std::nullopt;
+  mac[0] ^= static_cast<std::uint8_t>(bytes.size() >> 8);
+  mac[1] ^= static_cast<std::uint8_t>(bytes.size());
+  std::size_t filled = 2;
+  do {
+    const std::size_t taken = std::min(kBlockBytes - filled, bytes.size());
+    for (std::size_t i = 0; i < taken; ++i) mac[filled + i] ^= bytes[i];
+    bytes = bytes.subspan(taken);
+    filled = 0;
+    if (!cipher.encrypt(key, mac)) return std::nullopt;
+  } while (!bytes.empty());
+
+  Block mask = block_of(kCounterFlags, nonce);
+  if (!cipher.encrypt(key, mask)) return std::nullopt;
+  Code code;
+  for (std::size_t i = 0; i < code.size(); ++i) code[i] = mac[i] ^ mask[i];
+  return code;
+}
+
+bool equal(std::span<const std::uint8_t> a, std::span<const std::uint8_t> b) noexcept {
+  if (a.size() != b.size()) return false;
+  // Looked at whole: the compiler may not leave the loop at a difference.
+  volatile std::uint8_t difference = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) difference = difference | (a[i] ^ b[i]);
+  return difference == 0;
+}
+
+}  // namespace groma::security

@@ -1,0 +1,71 @@
+#include "firmware/sim/emulator/ecb.hpp"
+
+#include <algorithm>
+#include <span>
+
+#include "firmware/sim/simulation_error.hpp"
+
+namespace groma::sim {
+
+namespace {
+
+enum : std::uint32_t {
+  kTasksStartecb = 0x000,
+  kTasksStopecb = 0x004,
+  kEcbdataptr = 0x504,
+};
+
+}  // namespace
+
+void Ecb::reset() {
+  events_ = EventRegisters{0x3};
+  pointer_ = 0;
+  end_at_ = kNever;
+}
+
+void Ecb::advance(SimTime t) {
+  if (end_at_ > t) return;
+  end_at_ = kNever;
+  const std::span<std::uint8_t> data = dma_.at(pointer_, kDataBytes, "ECBDATAPTR");
+  if (!std::equal(taken_.begin(), taken_.end(), data.begin())) {
+    throw SimulationError("ECB: key or clear block changed while it was encrypted");
+  }
+  security::Key key{};
+  security::Block block{};
+  std::copy_n(taken_.begin(), key.size(), key.begin());
+  std::copy_n(taken_.begin() + key.size(), block.size(), block.begin());
+  if (aes_.encrypt(key, block)) std::copy(block.begin(), block.end(), data.last(block.size()).begin());
+  ++blocks_;
+  events_.raise(kEnd);
+}
+
+std::optional<std::uint32_t> Ecb::read(SimTime, std::uint32_t offset) {
+  if (offset == kEcbdataptr) return pointer_;
+  return events_.read(offset);
+}
+
+bool Ecb::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case kTasksStartecb: {
+      if (value == 0) return true;
+      if (busy()) throw SimulationError("ECB: STARTECB while a block is under way");
+      const std::span<std::uint8_t> data = dma_.at(pointer_, kDataBytes, "ECBDATAPTR");
+      std::copy_n(data.begin(), taken_.size(), taken_.begin());
+      end_at_ = t + kBlockTime;
+      return true;
+    }
+    case kTasksStopecb:
+      if (value == 0 || !busy()) return true;
+      end_at_ = kNever;
+      events_.raise(kError);
+      return true;
+    case kEcbdataptr:
+      if (busy()) throw SimulationError("ECB: ECBDATAPTR written while a block is under way");
+      pointer_ = value;
+      return true;
+    default:
+      return events_.write(offset, value);
+  }
+}
+
+}  // namespace groma::sim

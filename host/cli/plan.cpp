@@ -1,0 +1,196 @@
+// groma plan: what a schedule gives, before it is written into a node.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "firmware/core/node/config.hpp"
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/cli/warnings.hpp"
+#include "host/io/error.hpp"
+#include "host/provision/air_plan.hpp"
+#include "host/provision/site_plan.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  std::filesystem::path plan;
+  unsigned tags = 3;
+  unsigned anchors = 12;
+  unsigned backups = 2;
+  std::string method = "next-poll";
+  std::string link = "uart";
+  provision::SiteSettings site;
+  double loss = 0.0;
+  bool authenticated = false;
+  bool json = false;
+};
+
+// Of a site that no file describes: its numbers alone count.
+groma_Config made_up(const Options& options) {
+  provision::SiteSettings site = options.site;
+  for (unsigned i = 0; i < options.tags; ++i) site.tag_ids.push_back(static_cast<model::NodeId>(1 + i));
+  for (unsigned i = 0; i < options.anchors; ++i)
+    site.anchor_ids.push_back(static_cast<model::NodeId>(100 + i));
+  site.master_id = site.anchor_ids.front();
+  for (unsigned i = 0; i < std::min(options.backups, options.anchors - 1); ++i) {
+    site.backup_ids.push_back(site.anchor_ids[i + 1]);
+  }
+  site.method = options.method == "final" ? groma_RangingMethod_METHOD_DS_FINAL
+                                          : groma_RangingMethod_METHOD_DS_NEXT_POLL;
+  site.link = options.link == "can"      ? groma_Link_LINK_CAN
+              : options.link == "can-fd" ? groma_Link_LINK_CAN_FD
+                                         : groma_Link_LINK_UART;
+  groma_Config config = provision::config_of(site, groma_Role_ROLE_TAG, site.tag_ids.front());
+  if (options.authenticated) config.network_key.size = sizeof(config.network_key.bytes);
+  if (const char* fault = node::fault_of(config); *fault != '\0') throw CLI::ValidationError("plan", fault);
+  return config;
+}
+
+std::string ms(double t_s) {
+  return fmt::format("{:.3f} ms", 1e3 * t_s);
+}
+std::string percent(double share) {
+  return fmt::format("{:.1f} %", 100.0 * share);
+}
+
+std::string as_text(const provision::AirPlan& plan, double loss, double success) {
+  Table air({"", ""});
+  air.add(
+      {"superframe", fmt::format("{} ({:.1f} a second)", ms(plan.superframe_s), 1.0 / plan.superframe_s)});
+  air.add({"  beacon", ms(plan.beacon_s)});
+  air.add({"  shared slot",
+           fmt::format("{}, open {:.1f} times a second", ms(plan.shared_s), plan.open_slots_per_s)});
+  air.add({fmt::format("  {} slots of", plan.slots),
+           fmt::format("{}, {} anchors in each", ms(plan.slot_s), plan.responses)});
+  air.add({"on the air", percent(plan.air_use)});
+  air.add({"a tag transmits", percent(plan.tag_duty)});
+  air.add({"an anchor", percent(plan.anchor_duty)});
+  air.add({"the master", percent(plan.master_duty)});
+  air.add({"ranges", fmt::format("{:.0f} a second, {:.0f} of each of {} tags", plan.ranges_per_s,
+                                 plan.tag_ranges_per_s, plan.tags)});
+  if (loss > 0.0) {
+    air.add({fmt::format("  at {} loss", percent(loss)),
+             fmt::format("{:.0f} a second", plan.ranges_per_s * success)});
+  }
+  air.add({"  the frames' bound", fmt::format("{:.0f} a second", plan.bound_ranges_per_s)});
+  Table links({"link", "report bytes", "busy", "ranges/s at most"});
+  for (const provision::LinkLoad& link : plan.links) {
+    links.add({link.name, fmt::format("{:.0f}", link.report_bytes), percent(link.busy),
+               fmt::format("{:.0f}", link.most_ranges_per_s)});
+  }
+  return air.format(true) + "\n" + links.format();
+}
+
+Json as_json(const provision::AirPlan& plan, double loss, double success) {
+  Json links = Json::array();
+  for (const provision::LinkLoad& link : plan.links) {
+    links.push_back({{"link", link.name},
+                     {"report_bytes", link.report_bytes},
+                     {"busy", link.busy},
+                     {"most_ranges_per_s", link.most_ranges_per_s}});
+  }
+  return {{"superframe_s", plan.superframe_s},
+          {"beacon_s", plan.beacon_s},
+          {"shared_s", plan.shared_s},
+          {"slot_s", plan.slot_s},
+          {"slots", plan.slots},
+          {"tags", plan.tags},
+          {"responses", plan.responses},
+          {"ranges_per_s", plan.ranges_per_s},
+          {"tag_ranges_per_s", plan.tag_ranges_per_s},
+          {"bound_ranges_per_s", plan.bound_ranges_per_s},
+          {"loss", loss},
+          {"ranges_per_s_at_loss", plan.ranges_per_s * success},
+          {"air_use", plan.air_use},
+          {"tag_duty", plan.tag_duty},
+          {"anchor_duty", plan.anchor_duty},
+          {"master_duty", plan.master_duty},
+          {"open_slots_per_s", plan.open_slots_per_s},
+          {"links", std::move(links)},
+          {"warnings", plan.warnings}};
+}
+
+int run(const Options& options) {
+  unsigned baud = 1'000'000;
+  groma_Config config = groma_Config_init_zero;
+  if (options.plan.empty()) {
+    config = made_up(options);
+  } else {
+    const provision::SitePlan site = provision::read_site_plan(options.plan);
+    const auto tag = std::find_if(site.nodes.begin(), site.nodes.end(),
+                                  [](const auto& node) { return node.role == groma_Role_ROLE_TAG; });
+    config = tag->config;
+    baud = site.baud;
+  }
+  const provision::AirPlan plan = provision::plan_air(config, baud);
+  const double success = provision::range_success(config.schedule.method, 1.0 - options.loss);
+  if (options.json) {
+    say_json(as_json(plan, options.loss, success));
+  } else {
+    say(as_text(plan, options.loss, success));
+  }
+  Warnings warnings;
+  for (const std::string& text : plan.warnings) {
+    warnings.add(options.plan.empty() ? text : fmt::format("{}: {}", options.plan.string(), text));
+  }
+  return warnings.exit_code();
+}
+
+}  // namespace
+
+void add_plan(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("plan",
+                                         "Foretell what a schedule gives: slots, air use, ranges per second, "
+                                         "and what each link carries. Of a site "
+                                         "plan's file, or of the numbers of tags and anchors.");
+  CLI::Option* file = command->add_option("plan", options->plan, "The site plan");
+  const auto number = [&](const char* name, auto& value, const char* text, unsigned first, unsigned last) {
+    command->add_option(name, value, text)
+        ->check(CLI::Range(first, last))
+        ->excludes(file)
+        ->capture_default_str();
+  };
+  options->site.response_gap_us = provision::kLeastGap_us;
+  number("--tags", options->tags, "Tags", 1, 16);
+  number("--anchors", options->anchors, "Anchors", 1, 64);
+  number("--backups", options->backups, "Back-ups of the master among them", 0, 7);
+  number("--responses", options->site.responses, "Anchors that a tag polls at once; 0: all, up to 16", 0, 16);
+  number("--turn-round", options->site.turn_round_us, "End of a frame to the answer's preamble, us", 150,
+         5'000);
+  number("--gap", options->site.response_gap_us, "Between answers, us", 50, 2'000);
+  number("--guard", options->site.guard_us, "A receiver is on so much before a frame is due, us", 5, 1'000);
+  command->add_option("--preamble", options->site.preamble_symbols, "Symbols")
+      ->check(CLI::IsMember({64U, 128U, 256U}))
+      ->excludes(file)
+      ->capture_default_str();
+  command->add_option("--method", options->method, "How an exchange is closed")
+      ->check(CLI::IsMember({"final", "next-poll"}))
+      ->excludes(file)
+      ->capture_default_str();
+  command->add_option("--link", options->link, "How tags report")
+      ->check(CLI::IsMember({"uart", "can", "can-fd"}))
+      ->excludes(file)
+      ->capture_default_str();
+  command->add_flag("--raw-stamps", options->site.report_raw_stamps, "Each range with its four intervals")
+      ->excludes(file);
+  command->add_flag("--authenticated", options->authenticated, "With a code in each frame")->excludes(file);
+  command->add_option("--loss", options->loss, "Share of the frames that are not received")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,419 @@
+// A keyed network on the ideal air, and somebody without the key who hears all, sends what and when he likes,
+// and keeps honest frames from whom he likes.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <map>
+#include <optional>
+#include <set>
+#include <vector>
+
+#include "test/firmware/air.hpp"
+
+namespace groma::testing {
+namespace {
+
+using mac::Body;
+
+constexpr security::Key kKey = {0xA0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+
+enum Kind : std::size_t { kBeacon, kPoll, kResponse, kFinal, kJoin, kData };
+
+mac::Frame frame_of(std::span<const std::uint8_t> bytes) {
+  const auto parsed = mac::parse(bytes);
+  EXPECT_TRUE(parsed.frame.has_value());
+  return parsed.frame.value_or(mac::Frame{});
+}
+
+// What the attacker makes of an honest frame that he has just heard.
+enum class Forgery { kReplayed, kReplayedLongAfter, kWrongCode, kChanged, kWithoutCode, kOtherKey };
+
+constexpr std::array kForgeries = {Forgery::kReplayed, Forgery::kReplayedLongAfter, Forgery::kWrongCode,
+                                   Forgery::kChanged,  Forgery::kWithoutCode,       Forgery::kOtherKey};
+
+// Sends now a JOIN, now a DATA in its own open slots, and counts what comes from others.
+class Chatter final : public mac::ControlChannel {
+ public:
+  explicit Chatter(std::uint16_t id) : id_(id) {}
+  std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override {
+    if (!talks) return std::nullopt;
+    if (number / 2 % 2 == 0)
+      return Outgoing{.body = mac::Join{.origin = id_, .nonce = number, .wants_slot = true}};
+    return Outgoing{.body = mac::Data{.origin = id_, .target = 1, .fragments = 1, .size = 5}};
+  }
+  void on_sent(std::uint32_t, bool) noexcept override {}
+  void on_control(const mac::Frame&, std::uint32_t, bool) noexcept override { ++received; }
+  void on_beacon(const mac::Frame&, const mac::Beacon&) noexcept override { ++beacons; }
+  void on_beacon_out(mac::Beacon&, bool) noexcept override {}
+  bool talks = false;
+  std::size_t received = 0;
+  std::size_t beacons = 0;
+
+ private:
+  std::uint16_t id_;
+};
+
+class AttackTest : public ::testing::Test {
+ protected:
+  AttackTest() {
+    schedule.backup_ids_count = 1;
+    schedule.backup_ids[0] = 102;
+    air.emplace(schedule, dw1000::Preamble::k128);
+    air->key = kKey;
+    air->add_all(30.0, 15.0, 5);
+    for (std::size_t i = 0; i < air->size(); ++i) {
+      chatter.push_back(std::make_unique<Chatter>(air->id(i)));
+      air->attach(i, *chatter.back());
+    }
+    air->overheard = [this](const Air::Frame& frame) { hear(frame); };
+  }
+
+  void hear(const Air::Frame& frame) {
+    if (frame.source == Air::kGhost) return;
+    const mac::Frame parsed = frame_of(frame.bytes);
+    EXPECT_TRUE(parsed.secured);
+    heard[parsed.body.index()].push_back(frame);
+    if (on_frame) on_frame(frame, parsed);
+  }
+
+  [[nodiscard]] double duration() const {
+    return static_cast<double>(air->station(0).superframe().duration().count());
+  }
+  void run_superframes(double count) { air->run(count * duration() / kTicksPerSecond); }
+  [[nodiscard]] std::uint32_t dropped() const {
+    std::uint32_t count = 0;
+    for (std::size_t i = 0; i < air->size(); ++i) {
+      count += air->counters(i).forged_frames + air->counters(i).unsecured_frames;
+    }
+    return count;
+  }
+  [[nodiscard]] std::size_t received_in_shared_slots() const {
+    std::size_t count = 0;
+    for (const auto& one : chatter) count += one->received;
+    return count;
+  }
+  [[nodiscard]] std::size_t good_ranges(std::uint16_t tag = 0, std::uint16_t anchor = 0) const {
+    return static_cast<std::size_t>(
+        std::count_if(air->ranges.begin(), air->ranges.end(), [=](const auto& seen) {
+          return seen.range.status == mac::RangeStatus::kOk && (tag == 0 || seen.tag == tag) &&
+                 (anchor == 0 || seen.anchor == anchor);
+        }));
+  }
+  void expect_true_ranges() const {
+    for (const RangeSeen& seen : air->ranges) {
+      if (seen.range.status != mac::RangeStatus::kOk) continue;
+      EXPECT_NEAR(static_cast<double>(seen.range.flight.distance_m()), seen.truth_m, 0.1);
+    }
+  }
+  [[nodiscard]] bool all_fresh() const {
+    for (std::size_t i = 0; i < air->size(); ++i) {
+      if (!air->station(i).fresh() || air->station(i).sync().state() == mac::SyncState::kSearching)
+        return false;
+    }
+    return true;
+  }
+  void come_up() {
+    air->start_all();
+    run_superframes(60);
+    ASSERT_TRUE(all_fresh());
+    ASSERT_EQ(dropped(), 0U);
+    for (std::size_t i = 0; i < air->size(); ++i) chatter[i]->talks = air->id(i) == 104;
+  }
+  void expect_full_rate(double superframes = 20) {
+    const std::size_t before = good_ranges();
+    run_superframes(superframes);
+    EXPECT_GE(good_ranges() - before, static_cast<std::size_t>((superframes - 1) * 8));
+    expect_true_ranges();
+  }
+
+  // ---- the attacker ------------------------------------------------------------------------------------
+  [[nodiscard]] std::vector<std::uint8_t> forge(Forgery forgery, const Air::Frame& frame,
+                                                const mac::Frame& parsed) {
+    std::vector<std::uint8_t> bytes = frame.bytes;
+    const auto& known = heard[parsed.body.index()];
+    const auto last_of = [&](auto&& good) {
+      return std::find_if(known.rbegin() + 1, known.rend(), [&](const Air::Frame& other) {
+        return other.source == frame.source && frame_of(other.bytes).destination == parsed.destination &&
+               good(other);
+      });
+    };
+    switch (forgery) {
+      case Forgery::kReplayed:
+        return last_of([](const auto&) { return true; })->bytes;
+      case Forgery::kReplayedLongAfter:
+        return last_of(
+                   [&](const Air::Frame& other) { return other.rmarker < frame.rmarker - 40 * duration(); })
+            ->bytes;
+      case Forgery::kWrongCode:
+        bytes.back() ^= 0x10;
+        return bytes;
+      case Forgery::kChanged:
+        bytes[mac::kHeaderBytes] ^= 0x01;
+        return bytes;
+      case Forgery::kWithoutCode:
+        bytes.resize(bytes.size() - mac::kCodeBytes);
+        bytes[mac::kHeaderBytes - 1] &= 0x7F;
+        return bytes;
+      case Forgery::kOtherKey:
+        break;
+    }
+    constexpr security::Key kOwn = {1};
+    mac::Seal seal(&aes, kOwn);
+    mac::Place place{air->station(0).superframe_number(), mac::Place::kShared};
+    seal.enter(air->station(0).mastership().session());
+    if (const auto* beacon = std::get_if<mac::Beacon>(&parsed.body)) place = mac::place_of(*beacon);
+    if (const auto* poll = std::get_if<mac::Poll>(&parsed.body)) place = {poll->superframe, poll->slot};
+    auto signed_bytes = mac::serialize(parsed);
+    seal.sign(signed_bytes, place);
+    return {signed_bytes.bytes().begin(), signed_bytes.bytes().end()};
+  }
+
+  // Each honest frame of that kind from that sender is kept from all, and the forgery put in its place.
+  void replace(Kind kind, std::uint16_t sender, Forgery forgery) {
+    air->jammed = [=, this](const Air::Frame& frame) {
+      return frame.source != Air::kGhost && air->id(frame.source) == sender &&
+             frame_of(frame.bytes).body.index() == kind;
+    };
+    on_frame = [=, this](const Air::Frame& frame, const mac::Frame& parsed) {
+      if (parsed.source != sender || parsed.body.index() != kind) return;
+      ghost = forge(forgery, frame, parsed);
+      const double shorter = static_cast<double>(
+          (dw1000::Phy::after_rmarker(frame.bytes.size() + 2) - dw1000::Phy::after_rmarker(ghost.size() + 2))
+              .count());
+      air->inject(frame.rmarker + shorter + 64.0, air->x_m(frame.source), ghost);
+      if (ghosts_sent++ == 0) first_ghost = frame.rmarker;
+      last_ghost = frame.rmarker;
+      attacked.emplace(parsed.destination, air->station(frame.source).superframe_number());
+    };
+    air->spoil = [this](std::size_t receiver, mac::Reception& reception) {
+      if (!std::equal(ghost.begin(), ghost.end(), reception.frame.begin(), reception.frame.end())) return;
+      const mac::Frame parsed = frame_of(ghost);
+      const bool for_all = parsed.destination == mac::kBroadcast;
+      if (for_all || parsed.destination == air->id(receiver)) ++ghosts_heard;
+    };
+  }
+  void cease() {
+    air->jammed = nullptr;
+    air->spoil = nullptr;
+    on_frame = nullptr;
+  }
+
+  groma_Schedule schedule = schedule_of(2, 4, groma_RangingMethod_METHOD_DS_FINAL);
+  std::optional<Air> air;
+  std::vector<std::unique_ptr<Chatter>> chatter;
+  std::map<std::size_t, std::vector<Air::Frame>> heard;  // by kind
+  std::function<void(const Air::Frame&, const mac::Frame&)> on_frame;
+  std::vector<std::uint8_t> ghost;
+  std::set<std::pair<std::uint16_t, std::uint32_t>> attacked;  // addressee and superframe
+  double first_ghost = 0.0;
+  double last_ghost = 0.0;
+  std::size_t ghosts_sent = 0;
+  std::size_t ghosts_heard = 0;
+  sim::Aes aes;
+};
+
+TEST_F(AttackTest, AKeyedNetworkComesUpAndRanges) {
+  come_up();
+  expect_full_rate(50);
+  EXPECT_EQ(dropped(), 0U);
+  EXPECT_FALSE(heard[kJoin].empty());
+  EXPECT_GT(received_in_shared_slots(), 20U);
+}
+
+struct Replacement {
+  Kind kind;
+  std::uint16_t sender;
+  const char* name;
+};
+
+class Replaced : public AttackTest, public ::testing::WithParamInterface<Replacement> {};
+
+TEST_P(Replaced, FramesAreDroppedAndCountedWhateverTheyAreMadeOf) {
+  const Kind kind = GetParam().kind;
+  const std::uint16_t sender = GetParam().sender;
+  come_up();
+  run_superframes(20);
+  // Not between a POLL and its RESPONSEs.
+  const std::size_t answered = heard[kResponse].size();
+  while (heard[kResponse].size() < answered + 8) air->run(0.0001);
+  for (const Forgery forgery : kForgeries) {
+    SCOPED_TRACE(static_cast<int>(forgery));
+    const std::uint32_t dropped_before = dropped();
+    const std::size_t shared_before = received_in_shared_slots();
+    const std::size_t ranges_before = air->ranges.size();
+    ghosts_sent = ghosts_heard = 0;
+    replace(kind, sender, forgery);
+    run_superframes(8);
+    cease();
+    EXPECT_GE(ghosts_sent, kind >= kJoin ? 1U : 7U);
+    EXPECT_GE(ghosts_heard, ghosts_sent);
+    EXPECT_EQ(dropped() - dropped_before, ghosts_heard);
+    const auto since = std::span(air->ranges).subspan(ranges_before);
+    const auto good = [&](std::uint16_t tag, std::uint16_t anchor) {
+      return std::count_if(since.begin(), since.end(), [=](const RangeSeen& seen) {
+        return seen.range.status == mac::RangeStatus::kOk && (tag == 0 || seen.tag == tag) &&
+               (anchor == 0 || seen.anchor == anchor);
+      });
+    };
+    const auto to_attacked_tag = [&] {
+      return std::count_if(heard[kResponse].begin(), heard[kResponse].end(), [&](const Air::Frame& frame) {
+        return frame.rmarker > first_ghost && frame.rmarker < last_ghost &&
+               frame_of(frame.bytes).destination == sender;
+      });
+    };
+    switch (kind) {
+      case kBeacon:
+        // The others coast, and range on.
+        EXPECT_GE(good(0, 0), 7 * 8);
+        EXPECT_TRUE(all_fresh());
+        break;
+      case kPoll:
+        EXPECT_EQ(to_attacked_tag(), 0);
+        EXPECT_LE(good(sender, 0), 4);  // of the exchange before
+        EXPECT_GE(good(2, 0), 7 * 4);
+        break;
+      case kResponse:
+        EXPECT_LE(good(0, sender), 2);
+        EXPECT_GE(good(0, 101) + good(0, 102) + good(0, 104), 7 * 6);
+        break;
+      case kFinal:
+        EXPECT_LE(good(sender, 0), 4);
+        EXPECT_GE(good(2, 0), 7 * 4);
+        break;
+      case kJoin:
+      case kData:
+        // What is left is of the other kind.
+        EXPECT_LE(received_in_shared_slots() - shared_before, 3 * (air->size() - 1));
+        EXPECT_GE(good(0, 0), 7 * 8);
+        break;
+    }
+    run_superframes(4);
+    if (kind == kResponse) {
+      // Nor does what comes later make a range of them.
+      EXPECT_TRUE(std::none_of(air->ranges.begin(), air->ranges.end(), [&](const RangeSeen& seen) {
+        return seen.range.status == mac::RangeStatus::kOk && seen.anchor == sender &&
+               attacked.count({seen.tag, seen.superframe}) != 0;
+      }));
+    }
+    expect_full_rate();
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(EachKind, Replaced,
+                         ::testing::Values(Replacement{kBeacon, 101, "Beacon"}, Replacement{kPoll, 1, "Poll"},
+                                           Replacement{kResponse, 103, "Response"},
+                                           Replacement{kFinal, 1, "Final"}, Replacement{kJoin, 104, "Join"},
+                                           Replacement{kData, 104, "Data"}),
+                         [](const auto& one) { return one.param.name; });
+
+// Anchor 104's answer is kept from the tag, and 103's, of this very slot, comes in its window.
+TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
+  come_up();
+  std::optional<Air::Frame> of_103;
+  air->jammed = [this](const Air::Frame& frame) {
+    return frame.source != Air::kGhost && air->id(frame.source) == 104 &&
+           frame_of(frame.bytes).body.index() == kResponse;
+  };
+  on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
+    if (parsed.body.index() != kResponse) return;
+    if (parsed.source == 103) of_103 = frame;
+    if (parsed.source == 104) air->inject(frame.rmarker + 64.0, 0.0, of_103->bytes);
+  };
+  std::size_t stale = 0;
+  for (std::size_t i = 0; i < air->size(); ++i) stale += air->counters(i).stale_frames;
+  const std::size_t before = good_ranges(0, 104);
+  run_superframes(20);
+  EXPECT_LE(good_ranges(0, 104) - before, 2U);
+  for (std::size_t i = 0; i < air->size(); ++i) stale -= air->counters(i).stale_frames;
+  EXPECT_LE(static_cast<std::ptrdiff_t>(stale), -38);
+  expect_true_ranges();
+}
+
+// The master's beacon comes again in the shared slot of the same superframe, and in the next superframe's.
+TEST_F(AttackTest, ABeaconIsNotBelievedTwice) {
+  come_up();
+  const double shared = static_cast<double>(
+      (air->station(0).superframe().shared() - air->station(0).superframe().beacon()).count());
+  // The honest talk in the shared slots is kept away.
+  air->jammed = [this](const Air::Frame& frame) {
+    const auto kind = frame_of(frame.bytes).body.index();
+    return frame.source != Air::kGhost &&
+           (kind == kJoin || kind == kData || (kind == kBeacon && air->id(frame.source) != 101));
+  };
+  std::size_t seen = 0;
+  std::size_t sent = 0;
+  on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
+    if (parsed.body.index() != kBeacon || parsed.source != 101) return;
+    if (++seen % 3 == 0) return;
+    const bool next = seen % 3 == 2;
+    ++sent;
+    air->inject(frame.rmarker + shared + (next ? duration() : 0.0), air->x_m(frame.source), frame.bytes);
+  };
+  run_superframes(30);
+  // The master hears it too, and the five others but for who talked itself.
+  EXPECT_GE(dropped(), sent * 4);
+  EXPECT_TRUE(all_fresh());
+  expect_full_rate();
+}
+
+// All that was said in half a minute, said again to a node that has just started, with no honest node on the
+// air.
+TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
+  come_up();
+  run_superframes(60);
+  for (const auto& one : chatter) one->talks = false;
+  std::vector<Air::Frame> recording;
+  for (const auto& [kind, frames] : heard) recording.insert(recording.end(), frames.begin(), frames.end());
+  for (const std::uint16_t victim : {std::uint16_t{1}, std::uint16_t{103}}) {
+    SCOPED_TRACE(victim);
+    std::size_t index = 0;
+    for (std::size_t i = 0; i < air->size(); ++i) {
+      air->stop(i);
+      if (air->id(i) == victim) index = i;
+    }
+    heard.clear();
+    run_superframes(10);
+    const std::size_t ranges = good_ranges();
+    const double later = air->now() - recording.front().rmarker + 4 * duration();
+    for (const Air::Frame& frame : recording) {
+      if (air->id(frame.source) != victim) air->inject(frame.rmarker + later, frame.x_m, frame.bytes);
+    }
+    const std::uint32_t beacons = air->counters(index).beacons_received;
+    const std::size_t told = chatter[index]->beacons;
+    air->start(index);
+    run_superframes(100);
+    // It hears the beacons and asks whether they are of now. It does not speak otherwise, nor tell.
+    EXPECT_GT(air->counters(index).beacons_received, beacons + 10);
+    EXPECT_GE(heard[kJoin].size(), 3U);
+    EXPECT_EQ(heard[kPoll].size() + heard[kResponse].size() + heard[kData].size() + heard[kFinal].size(), 0U);
+    EXPECT_EQ(chatter[index]->beacons, told);
+    EXPECT_FALSE(air->station(index).fresh());
+    EXPECT_EQ(good_ranges(), ranges);
+    // The honest ones come back, and it is of them again.
+    run_superframes(40);
+    for (std::size_t i = 0; i < air->size(); ++i) {
+      if (i != index) air->start(i);
+    }
+    run_superframes(120);
+    EXPECT_TRUE(all_fresh());
+    expect_full_rate();
+  }
+}
+
+// An open network's frames are not a keyed one's, and the other way round.
+TEST_F(AttackTest, AnOpenNodeIsNotOfAKeyedNetwork) {
+  come_up();
+  air->key.reset();
+  const std::size_t open = air->add({.id = 2, .x_m = 3.0});
+  air->stop(5);
+  ASSERT_EQ(air->id(5), 2);
+  air->start(open);
+  run_superframes(30);
+  EXPECT_EQ(air->station(open).sync().state(), mac::SyncState::kSearching);
+  EXPECT_GT(air->counters(open).foreign_frames, 20U);
+  EXPECT_EQ(air->counters(open).beacons_received, 0U);
+}
+
+}  // namespace
+}  // namespace groma::testing

@@ -1,0 +1,553 @@
+#include "firmware/core/mac/mastership.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <memory>
+#include <random>
+#include <set>
+#include <vector>
+
+#include "test/firmware/air.hpp"
+
+namespace groma::mac {
+namespace {
+
+using ranging::ClockTime;
+using ranging::Ticks;
+using testing::schedule_of;
+
+constexpr Ticks kDuration = Ticks::from_us(20'000);
+constexpr Ticks kGuard = Ticks::from_us(20);
+constexpr std::uint32_t kHash = 0xABCD;
+constexpr std::uint64_t kSession = 1'000;
+
+groma_Schedule schedule_with(std::size_t backups) {
+  groma_Schedule schedule = schedule_of(2, 10, groma_RangingMethod_METHOD_DS_NEXT_POLL);
+  schedule.backup_ids_count = static_cast<pb_size_t>(backups);
+  for (std::size_t i = 0; i < backups; ++i) schedule.backup_ids[i] = static_cast<std::uint16_t>(102 + i);
+  return schedule;
+}
+
+ClockTime at_s(double t_s) {
+  return ClockTime(std::llround(t_s * 63'897.6e6));
+}
+
+// One node on its own, told by hand what it hears.
+struct Node {
+  explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_with(backups)) {
+    site = {.id = id, .schedule = &schedule, .boot_count = 7, .sessions = &sessions};
+    mastership = std::make_unique<Mastership>(site, kDuration, kGuard, kHash);
+    mastership->search(ClockTime(0));
+  }
+  [[nodiscard]] Beacon beacon(std::uint32_t number, std::uint16_t master = 101, std::uint8_t hop = 0,
+                              std::uint8_t age = 0) const {
+    return {.superframe = number,
+            .session = kSession,
+            .epoch = schedule.epoch,
+            .schedule_hash = kHash,
+            .master = master,
+            .hop = hop,
+            .age = age,
+            .shared = hop != 0};
+  }
+  Verdict hear(std::uint16_t source, const Beacon& beacon, Ticks ahead = Ticks(0)) {
+    return mastership->judge(source, beacon, ahead, at_s(1.0));
+  }
+  // Superframes in which nothing is heard until it takes over; at most 1000.
+  std::uint32_t silent_until_takeover(std::uint32_t from) {
+    for (std::uint32_t n = 1; n <= 1'000; ++n) {
+      if (mastership->begin(from + n) == Duty::kTakeOver) return n;
+    }
+    return 1'001;
+  }
+  Mastership& operator*() { return *mastership; }
+  Mastership* operator->() { return mastership.get(); }
+
+  groma_Schedule schedule;
+  std::uint16_t sessions = 0;
+  Site site;
+  std::unique_ptr<Mastership> mastership;
+};
+
+TEST(Mastership, ListensFirstAndTheRanksStartOneAfterTheOther) {
+  ClockTime before;
+  for (std::uint16_t id = 101; id <= 104; ++id) {
+    Node node(id);
+    ASSERT_TRUE(node->lead_at());
+    EXPECT_GE(*node->lead_at() - before, Ticks::from_us(60'000)) << id;
+    before = *node->lead_at();
+  }
+  EXPECT_EQ(*Node(101)->lead_at(), at_s(0.1)) << "quick enough for a fresh site";
+  EXPECT_FALSE(Node(105)->lead_at()) << "no rank";
+  EXPECT_FALSE(Node(1)->lead_at()) << "a tag";
+}
+
+TEST(Mastership, WhoHearsSomebodyWaitsButNotForEver) {
+  Node node(101);
+  const ClockTime first = *node->lead_at();
+  double t_s = 0.0;
+  while (at_s(t_s) < *node->lead_at()) {
+    node->on_traffic(at_s(t_s));
+    t_s += 0.01;
+    ASSERT_LT(t_s, 10.0);
+  }
+  EXPECT_GT(at_s(t_s), first + Ticks::from_us(500'000));
+}
+
+TEST(Mastership, EachSessionHasItsOwnName) {
+  std::set<std::uint64_t> names;
+  for (const std::uint16_t id : std::vector<std::uint16_t>{101, 102}) {
+    for (const std::uint32_t boot : {7U, 8U, 0x10007U}) {
+      Node node(id);
+      node.site.boot_count = boot;
+      for (int i = 0; i < 3; ++i) {
+        node->found();
+        names.insert(node->session());
+        node->search(ClockTime(0));
+      }
+    }
+  }
+  EXPECT_EQ(names.size(), 18U);
+}
+
+TEST(Mastership, TheFirstBackUpTakesOverAfterTwelveAndTheNextOnesLater) {
+  std::uint32_t before = 0;
+  for (std::uint16_t id = 102; id <= 104; ++id) {
+    Node node(id);
+    EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+    // The other back-ups are alive.
+    for (std::uint16_t other = 102; other <= 104; ++other) {
+      if (other == id) continue;
+      EXPECT_EQ(node.hear(other, node.beacon(100, 101, 1)), Verdict::kKnown);
+    }
+    const std::uint32_t silent = node.silent_until_takeover(100);
+    EXPECT_EQ(silent, 13 + (id - 102) * 6) << id;
+    EXPECT_GT(silent, before + 4);
+    before = silent;
+    EXPECT_TRUE(node->leads());
+    EXPECT_EQ(node->session(), kSession);
+    EXPECT_EQ(node->hop(), 0);
+  }
+}
+
+TEST(Mastership, ABackUpDoesNotWaitForOneThatIsDeadToo) {
+  Node node(104);
+  EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+  EXPECT_EQ(node.silent_until_takeover(100), 13U);
+}
+
+TEST(Mastership, WhoIsNoBackUpNeverTakesOver) {
+  Node node(107);
+  EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+  EXPECT_EQ(node.silent_until_takeover(100), 1'001U);
+}
+
+TEST(Mastership, RelaysDoNotKeepADeadMasterAlive) {
+  Node a(102);
+  Node b(103);
+  EXPECT_EQ(a.hear(101, a.beacon(100)), Verdict::kAdopt);
+  EXPECT_EQ(b.hear(101, b.beacon(100)), Verdict::kAdopt);
+  std::uint32_t n = 101;
+  for (; n < 200 && !a->leads(); ++n) {
+    (void)a->begin(n);
+    (void)b->begin(n);
+    const auto relayed = [&](Node& node) {
+      return node.beacon(n, 101, node->hop(), static_cast<std::uint8_t>(node->age(n)));
+    };
+    if (a->has_shared_turn(n)) (void)b.hear(102, relayed(a));
+    if (b->has_shared_turn(n)) (void)a.hear(103, relayed(b));
+    EXPECT_LE(a->hop(), 2);
+    EXPECT_LE(b->hop(), 2);
+  }
+  EXPECT_EQ(n, 114U);
+  EXPECT_FALSE(b->leads());
+}
+
+TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
+  Node better(102);
+  Node worse(103);
+  for (Node* node : {&better, &worse}) {
+    EXPECT_EQ(node->hear(101, node->beacon(100)), Verdict::kAdopt);
+    (void)node->silent_until_takeover(100);
+    ASSERT_TRUE((*node)->leads());
+  }
+  EXPECT_EQ(better.hear(103, better.beacon(140, 103)), Verdict::kIgnore);
+  EXPECT_TRUE(better->leads());
+  EXPECT_EQ(worse.hear(102, worse.beacon(140, 102)), Verdict::kSwitch);
+  EXPECT_FALSE(worse->leads());
+  EXPECT_EQ(worse->master(), 102);
+  // Far in time it dissolves, so that its nodes do not drag along.
+  Node far(103);
+  EXPECT_EQ(far.hear(101, far.beacon(100)), Verdict::kAdopt);
+  (void)far.silent_until_takeover(100);
+  EXPECT_EQ(far.hear(102, far.beacon(140, 102), 2 * kGuard), Verdict::kIgnore);
+  EXPECT_TRUE(far->dissolving());
+  EXPECT_FALSE(far->on_led(at_s(1.0)));
+  EXPECT_TRUE(far->on_led(at_s(1.02)));
+  EXPECT_EQ(far->role(), Role::kSearching);
+}
+
+TEST(Mastership, AFollowerGoesWithTheBetterMasterAndNotWithAnEcho) {
+  Node node(107);
+  EXPECT_EQ(node.hear(102, node.beacon(100, 102)), Verdict::kAdopt);
+  EXPECT_EQ(node.hear(103, node.beacon(101, 103)), Verdict::kIgnore) << "a worse one";
+  EXPECT_EQ(node.hear(101, node.beacon(60, 101), -40 * kDuration), Verdict::kIgnore) << "of former times";
+  EXPECT_EQ(node.hear(104, node.beacon(101, 101, 1, 13)), Verdict::kIgnore) << "told too late";
+  EXPECT_EQ(node.hear(101, node.beacon(101, 101)), Verdict::kSwitch);
+  EXPECT_EQ(node->master(), 101);
+  // When it has fallen silent the worse one is welcome.
+  EXPECT_EQ(node.hear(103, node.beacon(114, 103)), Verdict::kSwitch);
+}
+
+// Whatever the two nodes and their times, exactly one of them gives way.
+TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
+  std::mt19937_64 random(3);
+  const auto uniform = [&](double low, double high) {
+    return low + (high - low) * static_cast<double>(random() >> 11) * 0x1p-53;
+  };
+  int by_age = 0;
+  for (int i = 0; i < 20'000; ++i) {
+    Node a(101);
+    Node b(102);
+    a->found();
+    b->found();
+    const double apart = std::pow(10.0, uniform(-6.0, 6.0)) * (random() % 2 == 0 ? 1.0 : -1.0);
+    if (std::abs(std::abs(apart) - 0.125) < 1e-3) continue;
+    const Ticks ahead(std::llround(apart * static_cast<double>(kDuration.count())));
+    Beacon of_a = a.beacon(500, 101);
+    of_a.session = a->session();
+    Beacon of_b = b.beacon(500, 102);
+    of_b.session = b->session();
+    (void)a.hear(102, of_b, ahead);
+    (void)b.hear(101, of_a, -ahead);
+    ASSERT_NE(a->dissolving(), b->dissolving()) << apart;
+    if (std::abs(apart) > 0.125) {
+      ++by_age;
+      ASSERT_EQ(a->dissolving(), apart > 0.0);
+    } else {
+      ASSERT_TRUE(b->dissolving()) << "the smaller name stays";
+    }
+  }
+  EXPECT_GT(by_age, 5'000);
+}
+
+TEST(Mastership, WhoWasDissolvedDoesNotJoinThatSessionAgain) {
+  Node node(105);
+  EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+  Beacon last = node.beacon(101);
+  last.dissolving = true;
+  EXPECT_EQ(node.hear(101, last), Verdict::kLeave);
+  EXPECT_EQ(node->role(), Role::kSearching);
+  EXPECT_EQ(node.hear(103, node.beacon(102, 101, 1, 1)), Verdict::kIgnore);
+  Beacon other = node.beacon(5, 102);
+  other.session = kSession + 1;
+  EXPECT_EQ(node.hear(102, other), Verdict::kAdopt);
+}
+
+TEST(Mastership, AStaleScheduleFallsSilent) {
+  const auto with_epoch = [](Node& node, int by) {
+    Beacon beacon = node.beacon(100);
+    beacon.epoch = static_cast<std::uint32_t>(static_cast<int>(beacon.epoch) + by);
+    beacon.schedule_hash ^= 1U;
+    return beacon;
+  };
+  // Searching: a newer network keeps everybody from starting; an older one all but the master.
+  for (const int by : {-1, 1}) {
+    for (const std::uint16_t id : std::vector<std::uint16_t>{101, 102}) {
+      Node node(id);
+      const ClockTime before = *node->lead_at();
+      EXPECT_EQ(node.hear(101, with_epoch(node, by)), Verdict::kStale);
+      EXPECT_EQ(*node->lead_at() > before, by > 0 || id != 101);
+    }
+  }
+  Node follower(105);
+  EXPECT_EQ(follower.hear(101, follower.beacon(100)), Verdict::kAdopt);
+  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kStale);
+  EXPECT_EQ(follower->role(), Role::kFollowing);
+  EXPECT_EQ(follower.hear(102, with_epoch(follower, 1)), Verdict::kLeave);
+  Node leader(101);
+  leader->found();
+  EXPECT_EQ(leader.hear(102, with_epoch(leader, -1)), Verdict::kStale);
+  EXPECT_FALSE(leader->dissolving());
+  EXPECT_EQ(leader.hear(102, with_epoch(leader, 1)), Verdict::kStale);
+  EXPECT_TRUE(leader->dissolving());
+}
+
+TEST(Mastership, WhatContradictsItselfIsStale) {
+  Node node(105);
+  EXPECT_EQ(node.hear(107, node.beacon(100, 101, 1)), Verdict::kStale) << "no relay";
+  EXPECT_EQ(node.hear(101, node.beacon(100, 107)), Verdict::kStale) << "no master";
+  EXPECT_EQ(node.hear(102, node.beacon(100, 101)), Verdict::kStale) << "another one's own word";
+  EXPECT_EQ(node.hear(101, node.beacon(100, 101, 1)), Verdict::kStale) << "its own word, relayed";
+  EXPECT_EQ(node.hear(101, node.beacon(100, 101, 0, 1)), Verdict::kStale) << "its own word, of before";
+}
+
+// No two have the same turn, whoever leads, and a relay has one in each round.
+TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
+  for (std::size_t backups = 0; backups <= 7; ++backups) {
+    for (std::size_t leader = 0; leader <= backups; ++leader) {
+      std::vector<std::unique_ptr<Node>> nodes;
+      const auto leader_id = static_cast<std::uint16_t>(101 + leader);
+      for (std::size_t i = 0; i <= backups; ++i) {
+        nodes.push_back(std::make_unique<Node>(static_cast<std::uint16_t>(101 + i), backups));
+        Node& node = *nodes.back();
+        if (i == leader) {
+          node->found();
+        } else {
+          (void)node.hear(leader_id, node.beacon(0, leader_id));
+        }
+      }
+      std::vector<int> turns(backups + 1, 0);
+      const auto rounds = static_cast<std::uint32_t>(2 * (backups + 1));
+      for (std::uint32_t n = 0; n < rounds; ++n) {
+        int senders = 0;
+        for (std::size_t i = 0; i <= backups; ++i) {
+          const auto told = (*nodes[i])->leads() ? Verdict::kIgnore
+                                                 : nodes[i]->hear(leader_id, nodes[i]->beacon(n, leader_id));
+          EXPECT_NE(told, Verdict::kStale);
+          if (!(*nodes[i])->has_shared_turn(n)) continue;
+          ++senders;
+          ++turns[i];
+        }
+        ASSERT_LE(senders, 1) << backups << ' ' << leader << ' ' << n;
+        ASSERT_EQ(senders == 0, n % (backups + 1) == 0) << "but the open one each is somebody's";
+      }
+      for (std::size_t i = 1; i <= backups; ++i) {
+        EXPECT_EQ(turns[i], i == leader ? 1 : 2);
+      }
+    }
+  }
+}
+
+TEST(Mastership, CountsOverTheNumbersWrap) {
+  Node node(102);
+  const std::uint32_t last = 0xFFFF'FFFA;
+  EXPECT_EQ(node.hear(101, node.beacon(last)), Verdict::kAdopt);
+  for (std::uint32_t i = 1; i < 20; ++i) {
+    EXPECT_EQ(node->begin(last + i), Duty::kGoOn);
+    EXPECT_EQ(node.hear(101, node.beacon(last + i)), Verdict::kMeasure);
+  }
+  EXPECT_EQ(node->age(last + 19), 0U);
+  EXPECT_EQ(node.silent_until_takeover(last + 19), 13U);
+}
+
+// ---- many nodes at random --------------------------------------------------------------------------------
+
+// Superframe by superframe: who leads and who relays is heard by who is in reach and in step; another
+// timeline only by who searches or scans.
+class Crowd {
+ public:
+  Crowd(std::uint64_t seed, std::size_t backups, std::size_t others) : random_(seed), backups_(backups) {
+    for (std::size_t i = 0; i < backups + 1 + others; ++i) add(static_cast<std::uint16_t>(101 + i));
+    cut.assign(nodes.size(), 0);
+  }
+
+  struct Member {
+    std::unique_ptr<Node> node;
+    bool on = false;
+    bool scans = false;
+    double base = 0.0;  // its superframes are `base` ahead of the step's number
+  };
+
+  void power(std::size_t i, bool on) {
+    Member& member = nodes[i];
+    if (on && !member.on) {
+      const std::uint16_t id = member.node->site.id;
+      ++boots_;
+      member.node = std::make_unique<Node>(id, backups_);
+      member.node->site.boot_count = boots_;
+      (*member.node)->search(now());
+    }
+    member.on = on;
+  }
+
+  void step() {
+    ++t_;
+    const bool several = timelines() > 1;
+    for (Member& m : nodes) begin(m, several);
+    std::vector<Sent> sent;
+    for (std::size_t i = 0; i < nodes.size(); ++i) {
+      const Member& m = nodes[i];
+      if (m.on && (*m.node)->leads()) sent.push_back({i, beacon_of(m, false)});
+    }
+    deliver(sent, true);
+    for (const Sent& s : sent) (void)(*nodes[s.source].node)->on_led(now());
+    sent.clear();
+    for (std::size_t i = 0; i < nodes.size(); ++i) {
+      const Member& m = nodes[i];
+      if (m.on && (*m.node)->role() != Role::kSearching && (*m.node)->has_shared_turn(number(m))) {
+        sent.push_back({i, beacon_of(m, true)});
+      }
+    }
+    deliver(sent, false);
+    std::vector<Sent> invitations;
+    invitations.swap(invitations_);
+    for (const Sent& s : invitations) {
+      for (Member& m : nodes) {
+        if (m.on && hears(s.source, m)) (void)m.node->mastership->judge(101, s.beacon, Ticks(0), now());
+      }
+    }
+  }
+
+  [[nodiscard]] std::size_t leaders() const {
+    return static_cast<std::size_t>(std::count_if(
+        nodes.begin(), nodes.end(), [](const Member& m) { return m.on && m.node->mastership->leads(); }));
+  }
+  [[nodiscard]] bool one_network() const {
+    std::set<std::uint64_t> sessions;
+    for (const Member& m : nodes) {
+      if (!m.on) continue;
+      if (m.node->mastership->role() == Role::kSearching) return false;
+      sessions.insert(m.node->mastership->session());
+    }
+    return sessions.size() == 1 && leaders() == 1;
+  }
+  [[nodiscard]] bool anyone_could_lead() const {
+    return std::any_of(nodes.begin(), nodes.end(),
+                       [](const Member& m) { return m.on && m.node->mastership->rank().has_value(); });
+  }
+
+  std::vector<Member> nodes;
+  std::vector<int> cut;  // nodes hear each other where this is the same
+  double loss = 0.0;
+
+ private:
+  struct Sent {
+    std::size_t source;
+    Beacon beacon;
+  };
+
+  void add(std::uint16_t id) {
+    nodes.push_back({});
+    nodes.back().node = std::make_unique<Node>(id, backups_);
+  }
+  [[nodiscard]] ClockTime now() const { return ClockTime(t_ * kDuration.count()); }
+  [[nodiscard]] std::uint32_t number(const Member& m) const {
+    return static_cast<std::uint32_t>(std::floor(static_cast<double>(t_) + m.base));
+  }
+  double uniform() { return static_cast<double>(random_() >> 11) * 0x1p-53; }
+  [[nodiscard]] std::size_t timelines() const {
+    std::set<double> bases;
+    for (const Member& m : nodes) {
+      if (m.on && m.node->mastership->role() != Role::kSearching) bases.insert(m.base);
+    }
+    return bases.size();
+  }
+  bool hears(std::size_t source, const Member& m) {
+    const auto i = static_cast<std::size_t>(&m - nodes.data());
+    return i != source && cut[i] == cut[source] && uniform() >= loss;
+  }
+
+  void begin(Member& m, bool several) {
+    if (!m.on) return;
+    Mastership& mastership = *m.node->mastership;
+    m.scans = false;
+    if (mastership.role() == Role::kSearching) {
+      const auto lead_at = mastership.lead_at();
+      if (!lead_at || now() < *lead_at) return;
+      mastership.found();
+      m.base = -static_cast<double>(t_) - uniform();
+      while (number(m) == ~0U) m.base += 1e-3;
+      m.base = std::floor(m.base) + uniform() * 0.999 + 1.0;
+    }
+    if (several) mastership.suspect();
+    // Nothing of its network for a hundred superframes: its clock is lost.
+    if (mastership.role() == Role::kFollowing && mastership.age(number(m)) > 100) {
+      return mastership.search(now());
+    }
+    m.scans = mastership.begin(number(m)) == Duty::kScan;
+  }
+
+  [[nodiscard]] Beacon beacon_of(const Member& m, bool shared) const {
+    const Mastership& mastership = *m.node->mastership;
+    const std::uint32_t age = mastership.age(number(m));
+    return {.superframe = number(m),
+            .session = mastership.session(),
+            .epoch = m.node->schedule.epoch,
+            .schedule_hash = kHash,
+            .master = mastership.master(),
+            .hop = mastership.hop(),
+            .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255)),
+            .dissolving = mastership.dissolving(),
+            .shared = shared};
+  }
+
+  // Beacons of one timeline that are sent at one time disturb each other.
+  void deliver(const std::vector<Sent>& sent, bool in_step_collide) {
+    for (Member& m : nodes) {
+      if (!m.on) continue;
+      const auto i = static_cast<std::size_t>(&m - nodes.data());
+      for (const Sent& s : sent) {
+        const Member& source = nodes[s.source];
+        const bool searching = m.node->mastership->role() == Role::kSearching;
+        if (s.source == i || cut[i] != cut[s.source]) continue;
+        if (!searching && !m.scans && source.base != m.base) continue;
+        if (in_step_collide && !searching && m.node->mastership->leads() && source.base == m.base) continue;
+        const bool collides = std::any_of(sent.begin(), sent.end(), [&](const Sent& other) {
+          return other.source != s.source && cut[other.source] == cut[i] &&
+                 nodes[other.source].base == source.base;
+        });
+        if (collides || uniform() < loss) continue;
+        take(m, s, source.base);
+      }
+    }
+  }
+
+  void take(Member& m, const Sent& s, double base) {
+    const Ticks ahead(std::llround((base - m.base) * static_cast<double>(kDuration.count())));
+    const Verdict verdict = m.node->mastership->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
+    if (verdict == Verdict::kAdopt || verdict == Verdict::kSwitch) m.base = base;
+    if (verdict == Verdict::kInvite) {
+      Beacon invitation = beacon_of(m, true);
+      invitation.invitation = true;
+      invitations_.push_back({static_cast<std::size_t>(&m - nodes.data()), invitation});
+    }
+  }
+
+  std::mt19937_64 random_;
+  std::size_t backups_;
+  std::int64_t t_ = 0;
+  std::uint32_t boots_ = 100;
+  std::vector<Sent> invitations_;
+};
+
+TEST(Mastership, WhateverHappensOneNetworkUnderOneMasterComesOfIt) {
+  int longest = 0;
+  for (std::uint64_t seed = 0; seed < 150; ++seed) {
+    std::mt19937_64 random(seed);
+    const auto backups = static_cast<std::size_t>(random() % 6);
+    Crowd crowd(seed + 1'000, backups, 4);
+    for (int round = 0; round < 8; ++round) {
+      crowd.loss = 0.3 * static_cast<double>(random() % 3) / 2.0;
+      for (std::size_t i = 0; i < crowd.nodes.size(); ++i) {
+        if (random() % 3 == 0) crowd.power(i, !crowd.nodes[i].on);
+        crowd.cut[i] = static_cast<int>(random() % 3);
+      }
+      const std::uint64_t turmoil = random() % 200;
+      for (std::uint64_t i = 0; i < turmoil; ++i) crowd.step();
+      std::fill(crowd.cut.begin(), crowd.cut.end(), 0);
+      crowd.loss = 0.0;
+      crowd.power(static_cast<std::size_t>(random() % (backups + 1)), true);
+      ASSERT_TRUE(crowd.anyone_could_lead());
+      int steps = 0;
+      while (steps < 1'000 && !crowd.one_network()) {
+        crowd.step();
+        ++steps;
+      }
+      ASSERT_LT(steps, 400) << "seed " << seed << " round " << round;
+      longest = std::max(longest, steps);
+      // And it stays so.
+      for (int i = 0; i < 50; ++i) crowd.step();
+      ASSERT_TRUE(crowd.one_network()) << "seed " << seed << " round " << round;
+    }
+  }
+  RecordProperty("longest", longest);
+  EXPECT_GT(longest, 5) << "there was something to do";
+}
+
+}  // namespace
+}  // namespace groma::mac

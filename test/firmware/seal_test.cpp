@@ -1,0 +1,284 @@
+// A frame's code holds in one session, superframe and place, for one sender and one type, and for no other.
+#include "firmware/core/mac/seal.hpp"
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+#include "firmware/core/mac/freshness.hpp"
+#include "firmware/sim/aes.hpp"
+
+namespace groma::mac {
+namespace {
+
+constexpr security::Key kKey = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
+constexpr security::Key kOtherKey = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 17};
+constexpr std::uint64_t kSession = 0x0065'0000'0007'0001;
+
+class FailingCipher final : public security::BlockCipher {
+ public:
+  bool encrypt(const security::Key& key, security::Block& block) noexcept override {
+    return good && aes.encrypt(key, block);
+  }
+  bool good = true;
+  sim::Aes aes;
+};
+
+class SealTest : public ::testing::Test {
+ protected:
+  SealTest() { seal.enter(kSession); }
+
+  static Frame frame_with(const Body& body) {
+    return {
+        .sequence = 9, .network = 7, .destination = kBroadcast, .source = 101, .secured = true, .body = body};
+  }
+  static std::vector<Body> bodies() {
+    Beacon beacon{.superframe = 1'000, .session = kSession, .master = 101, .slots = 3, .holders = {1, 2, 3}};
+    beacon.welcome = Welcome{5, 6};
+    Poll poll{.exchange = 4, .superframe = 1'000, .slot = 2, .count = 3, .anchors = {101, 102, 103}};
+    Response response{
+        .exchange = 4, .reply = ranging::Ticks(1234567), .closing_valid = true, .closed_exchange = 3};
+    return {beacon,
+            poll,
+            response,
+            Final{4},
+            Join{.origin = 3, .nonce = 77},
+            Data{.origin = 3, .fragments = 1, .size = 9}};
+  }
+  std::vector<std::uint8_t> signed_bytes(const Frame& frame, Place at) {
+    FrameBytes bytes = serialize(frame);
+    seal.sign(bytes, at);
+    return {bytes.bytes().begin(), bytes.bytes().end()};
+  }
+
+  FailingCipher cipher;
+  Seal seal{&cipher, kKey};
+  const Place place{1'000, 2};
+};
+
+TEST_F(SealTest, FitsWhatItSignedForEachKindOfFrame) {
+  for (const Body& body : bodies()) {
+    const auto bytes = signed_bytes(frame_with(body), place);
+    EXPECT_TRUE(seal.fits(bytes, place)) << body.index();
+    EXPECT_TRUE(parse(bytes).frame.has_value()) << body.index();
+  }
+}
+
+TEST_F(SealTest, FitsNowhereElse) {
+  for (const Body& body : bodies()) {
+    const auto bytes = signed_bytes(frame_with(body), place);
+    for (const std::uint32_t superframe :
+         {0U, 999U, 1'001U, 1'000U + (1U << 8), 1'000U + (1U << 16), 1'000U + (1U << 24)}) {
+      EXPECT_FALSE(seal.fits(bytes, Place{superframe, place.slot})) << body.index();
+    }
+    for (const std::uint8_t slot :
+         {std::uint8_t{0}, std::uint8_t{1}, std::uint8_t{3}, Place::kBeacon, Place::kShared}) {
+      EXPECT_FALSE(seal.fits(bytes, Place{place.superframe, slot})) << body.index();
+    }
+    for (unsigned bit = 0; bit < 64; ++bit) {
+      Seal other(&cipher, kKey);
+      other.enter(kSession ^ std::uint64_t{1} << bit);
+      EXPECT_FALSE(other.fits(bytes, place)) << bit;
+    }
+    Seal stranger(&cipher, kOtherKey);
+    stranger.enter(kSession);
+    EXPECT_FALSE(stranger.fits(bytes, place)) << body.index();
+    Seal searching(&cipher, kKey);
+    EXPECT_FALSE(searching.fits(bytes, place)) << body.index();
+  }
+}
+
+TEST_F(SealTest, SeesEachBitThatIsChanged) {
+  for (const Body& body : bodies()) {
+    auto bytes = signed_bytes(frame_with(body), place);
+    for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
+      bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
+      EXPECT_FALSE(seal.fits(bytes, place)) << body.index() << ", bit " << bit;
+      bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
+    }
+    for (std::size_t size = 0; size < bytes.size(); ++size) {
+      EXPECT_FALSE(seal.fits(std::span(bytes).first(size), place)) << body.index() << ", " << size;
+    }
+  }
+}
+
+TEST_F(SealTest, TakesABeaconByWhatItSaysOfItself) {
+  Beacon beacon = std::get<Beacon>(bodies()[0]);
+  const auto own = signed_bytes(frame_with(beacon), place_of(beacon));
+  Seal searching(&cipher, kKey);
+  EXPECT_TRUE(searching.fits(own, beacon));
+  EXPECT_TRUE(seal.fits(own, beacon));
+  // One that is passed on goes out in the shared slot.
+  beacon.hop = 1;
+  beacon.shared = true;
+  const auto relayed = signed_bytes(frame_with(beacon), {1'000, Place::kShared});
+  EXPECT_TRUE(seal.fits(relayed, beacon));
+  EXPECT_FALSE(seal.fits(signed_bytes(frame_with(beacon), {1'000, Place::kBeacon}), beacon));
+  // Another session's is another key's.
+  beacon.session ^= 1;
+  EXPECT_FALSE(seal.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
+  Seal other(&cipher, kKey);
+  other.enter(beacon.session);
+  FrameBytes bytes = serialize(frame_with(beacon));
+  other.sign(bytes, place_of(beacon));
+  EXPECT_TRUE(seal.fits(bytes.bytes(), beacon));
+}
+
+TEST_F(SealTest, BelievesNothingWhereTheCipherFails) {
+  const auto bytes = signed_bytes(frame_with(Final{4}), place);
+  cipher.good = false;
+  EXPECT_FALSE(seal.fits(bytes, place));
+  const auto uncoded = signed_bytes(frame_with(Final{4}), place);
+  seal.enter(kSession + 1);
+  cipher.good = true;
+  // No key for that session, not one of zeros.
+  EXPECT_EQ(signed_bytes(frame_with(Final{4}), place), uncoded);
+  EXPECT_FALSE(seal.fits(bytes, place));
+  EXPECT_FALSE(seal.fits(uncoded, place));
+  seal.enter(kSession);
+  EXPECT_FALSE(seal.fits(uncoded, place));
+  EXPECT_TRUE(seal.fits(bytes, place));
+}
+
+TEST(Seal, OfAnOpenNetworkDoesNothing) {
+  sim::Aes aes;
+  Seal open;
+  Seal keyless(&aes, {});
+  open.enter(kSession);
+  keyless.enter(kSession);
+  EXPECT_FALSE(open.on());
+  EXPECT_FALSE(keyless.on());
+  const FrameBytes bytes = serialize({.secured = true, .body = Final{4}});
+  EXPECT_FALSE(open.fits(bytes.bytes(), Place{}));
+  EXPECT_FALSE(keyless.fits(bytes.bytes(), Beacon{}));
+}
+
+// ---- freshness ------------------------------------------------------------------------------------------
+
+class FreshnessTest : public ::testing::Test {
+ protected:
+  static Freshness::Settings settings_of(std::uint16_t id, std::uint32_t* nonces) {
+    return {
+        .id = id, .required = true, .boot_count = 5, .nonces = nonces, .turn = 2, .turns = 4, .relays = 1};
+  }
+  static Frame frame_of(const Body& body) { return {.source = 101, .secured = true, .body = body}; }
+  static void hear(Freshness& node, std::optional<Welcome> welcome) {
+    Beacon beacon;
+    beacon.welcome = welcome;
+    node.on_beacon(frame_of(beacon), beacon);
+  }
+  static Join ask(Freshness& node, std::uint32_t number) {
+    const auto outgoing = node.open_slot(number);
+    EXPECT_TRUE(outgoing.has_value());
+    node.on_sent(number, true);
+    return outgoing ? std::get<Join>(outgoing->body) : Join{};
+  }
+
+  std::uint32_t nonces = 0;
+  Freshness node{settings_of(7, &nonces)};
+};
+
+TEST_F(FreshnessTest, BelievesABeaconThatBringsItsNonceBack) {
+  EXPECT_FALSE(node.fresh());
+  hear(node, std::nullopt);
+  hear(node, Welcome{7, 0});
+  EXPECT_FALSE(node.fresh());
+  const Join join = ask(node, 0);
+  EXPECT_EQ(join.origin, 7);
+  EXPECT_TRUE(join.wants_welcome);
+  hear(node, std::nullopt);
+  hear(node, Welcome{8, join.nonce});
+  hear(node, Welcome{7, join.nonce + 1});
+  EXPECT_FALSE(node.fresh());
+  hear(node, Welcome{7, join.nonce});
+  EXPECT_TRUE(node.fresh());
+  // Until it searches again.
+  Freshness lost = node;
+  lost.forget();
+  EXPECT_FALSE(lost.fresh());
+  // And asks no more.
+  for (std::uint32_t number = 1; number < 20; ++number) EXPECT_FALSE(node.open_slot(number).has_value());
+}
+
+TEST_F(FreshnessTest, NeverMakesANonceTwice) {
+  const Join first = ask(node, 0);
+  node.forget();
+  EXPECT_FALSE(node.fresh());
+  const Join second = ask(node, 0);
+  EXPECT_NE(first.nonce, second.nonce);
+  hear(node, Welcome{7, first.nonce});
+  EXPECT_FALSE(node.fresh());
+  // In the same boot as another station.
+  Freshness again(settings_of(7, &nonces));
+  const Join third = ask(again, 0);
+  EXPECT_NE(third.nonce, first.nonce);
+  EXPECT_NE(third.nonce, second.nonce);
+  // After a reboot, the count begins anew.
+  std::uint32_t none = 0;
+  Freshness::Settings settings = settings_of(7, &none);
+  settings.boot_count = 6;
+  Freshness rebooted(settings);
+  EXPECT_NE(ask(rebooted, 0).nonce, first.nonce);
+  // A boot that was not counted asks for nothing, and so believes nothing.
+  settings.boot_count = 0;
+  Freshness uncounted(settings);
+  for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(uncounted.open_slot(number).has_value());
+}
+
+TEST_F(FreshnessTest, AsksAtOnceAndThenInTurn) {
+  (void)ask(node, 12);
+  std::vector<std::uint32_t> turns;
+  for (std::uint32_t number = 14; number < 46; number += 2) {
+    if (!node.open_slot(number)) continue;
+    node.on_sent(number, true);
+    turns.push_back(number);
+  }
+  // Each second superframe's slot is open; of four of those one is this node's, each time an earlier one.
+  EXPECT_EQ(turns, (std::vector<std::uint32_t>{16, 30, 36, 42}));
+}
+
+TEST_F(FreshnessTest, GivesUpOnAVoiceThatNeverAnswers) {
+  std::uint32_t number = 0;
+  while (!node.hopeless() && number < 1'000) {
+    if (node.open_slot(number)) node.on_sent(number, true);
+    number += 2;
+  }
+  EXPECT_LT(number, 100U);
+  node.forget();
+  EXPECT_FALSE(node.hopeless());
+}
+
+TEST_F(FreshnessTest, WelcomesOnceWhoAskedLastIfItIsFreshItself) {
+  std::uint32_t others = 0;
+  Freshness master(settings_of(101, &others));
+  const Join join{.origin = 7, .nonce = 99, .wants_welcome = true};
+  Beacon beacon;
+  master.on_control(frame_of(join), 0, true);
+  master.on_beacon_out(beacon, true);
+  EXPECT_FALSE(beacon.welcome.has_value());
+
+  master.found();
+  master.on_control(frame_of(Join{.origin = 8, .nonce = 98, .wants_slot = true}), 0, true);
+  master.on_beacon_out(beacon, true);
+  EXPECT_FALSE(beacon.welcome.has_value());
+  master.on_control(frame_of(Join{.origin = 8, .nonce = 98, .wants_welcome = true}), 0, true);
+  master.on_control(frame_of(join), 0, true);
+  master.on_beacon_out(beacon, true);
+  ASSERT_TRUE(beacon.welcome.has_value());
+  EXPECT_EQ(beacon.welcome->id, 7);
+  EXPECT_EQ(beacon.welcome->nonce, 99U);
+  beacon.welcome.reset();
+  master.on_beacon_out(beacon, true);
+  EXPECT_FALSE(beacon.welcome.has_value());
+}
+
+TEST(Freshness, IsGivenInAnOpenNetwork) {
+  Freshness node({.id = 7});
+  EXPECT_TRUE(node.fresh());
+  node.forget();
+  EXPECT_TRUE(node.fresh());
+  EXPECT_FALSE(node.open_slot(0).has_value());
+}
+
+}  // namespace
+}  // namespace groma::mac

@@ -1,0 +1,375 @@
+#include "firmware/core/mac/slot_table.hpp"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <memory>
+#include <random>
+#include <set>
+#include <vector>
+
+namespace groma::mac {
+namespace {
+
+using Claim = SlotTable::Claim;
+
+groma_Schedule schedule_with(const std::vector<std::uint16_t>& tags, std::uint32_t slots) {
+  groma_Schedule schedule = groma_Schedule_init_zero;
+  for (const std::uint16_t tag : tags) schedule.tag_ids[schedule.tag_ids_count++] = tag;
+  schedule.slots = slots;
+  return schedule;
+}
+
+Beacon beacon_of(const SlotTable& table, std::uint32_t superframe, std::uint64_t session = 1) {
+  Beacon beacon{.superframe = superframe, .session = session};
+  table.fill(beacon);
+  return beacon;
+}
+
+std::vector<std::uint16_t> holders(const SlotTable& table) {
+  return {table.holders().begin(), table.holders().end()};
+}
+
+using Ids = std::vector<std::uint16_t>;
+
+// ---- the table ----------------------------------------------------------------------------------------
+
+TEST(SlotTable, BeginsAsTheScheduleSays) {
+  auto schedule = schedule_with({1, 2, 3}, 5);
+  SlotTable table(schedule);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast, kBroadcast, kNobody, kNobody}));
+  EXPECT_TRUE(table.may_poll(2, 1));
+  EXPECT_FALSE(table.may_poll(2, 0));
+  EXPECT_FALSE(table.may_poll(9, 3));
+  EXPECT_FALSE(table.may_poll(kNobody, 3)) << "nobody is no tag";
+  EXPECT_FALSE(table.may_poll(1, 16));
+
+  schedule.tag_slots_count = 3;
+  schedule.tag_slots[0] = schedule.tag_slots[1] = 4;
+  schedule.tag_slots[2] = 0;
+  SlotTable shared(schedule);
+  EXPECT_EQ(holders(shared), (Ids{kBroadcast, kNobody, kNobody, kNobody, kBroadcast}));
+  EXPECT_TRUE(shared.may_poll(1, 4) && shared.may_poll(2, 4) && shared.may_poll(3, 0));
+}
+
+TEST(SlotTable, GivesAFreeSlotAtOnceAndTheSameOneWhenAskedAgain) {
+  const auto schedule = schedule_with({1}, 3);
+  SlotTable table(schedule);
+  EXPECT_EQ(table.claim(50), Claim::kGranted);
+  EXPECT_EQ(table.claim(50), Claim::kHeld);
+  EXPECT_EQ(table.claim(1), Claim::kHeld);
+  EXPECT_EQ(table.claim(60), Claim::kGranted);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, 50, 60}));
+  EXPECT_EQ(table.claim(70), Claim::kWait);
+  EXPECT_TRUE(table.may_poll(60, 2));
+}
+
+TEST(SlotTable, ASlotThatWasLeftServesAnotherAtOnce) {
+  const auto schedule = schedule_with({1}, 2);
+  SlotTable table(schedule);
+  EXPECT_EQ(table.claim(50), Claim::kGranted);
+  table.advance(1);
+  table.leave(50);
+  EXPECT_EQ(table.claim(60), Claim::kGranted);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, 60}));
+  table.leave(1);
+  EXPECT_EQ(holders(table), (Ids{kNobody, 60})) << "a slot of the schedule too";
+  EXPECT_EQ(table.claim(70), Claim::kGranted);
+  EXPECT_EQ(table.claim(1), Claim::kWait);
+  table.leave(60);
+  EXPECT_EQ(table.claim(1), Claim::kGranted) << "its own is another's now: it gets what there is";
+  EXPECT_EQ(holders(table), (Ids{70, 1}));
+}
+
+TEST(SlotTable, ASlotThatOthersShareStaysTheirs) {
+  auto schedule = schedule_with({1, 2}, 2);
+  schedule.tag_slots_count = 2;
+  SlotTable table(schedule);
+  table.leave(1);
+  EXPECT_TRUE(table.may_poll(2, 0));
+}
+
+TEST(SlotTable, ATagThatFellSilentLosesItsSlotAndAnotherHasItOnlyAfterAPause) {
+  const auto schedule = schedule_with({1, 2}, 2);
+  SlotTable table(schedule);
+  std::uint32_t t = 0;
+  const auto step = [&] {
+    table.advance(++t);
+    table.hear(1, 0);
+    if (t <= 10) table.hear(2, 1);
+    table.reclaim();
+  };
+  while (t < 10 + kLease - 1) step();
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  step();
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kNobody}));
+  const std::uint32_t called = t;
+  while (table.claim(50) == Claim::kWait) step();
+  EXPECT_EQ(t, called + kTableGoodFor + 1);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, 50}));
+}
+
+TEST(SlotTable, WhoIsStillThereHasItsSlotAgain) {
+  const auto schedule = schedule_with({1, 2}, 3);
+  SlotTable table(schedule);
+  EXPECT_EQ(table.claim(50), Claim::kGranted);
+  table.hear(50, 2);
+  table.hear(1, 0);
+  for (std::uint32_t t = 1; t <= kLease; ++t) {
+    table.advance(t);
+    table.hear(2, 1);
+  }
+  table.reclaim();
+  EXPECT_EQ(holders(table), (Ids{kNobody, kBroadcast, kNobody}));
+  EXPECT_EQ(table.claim(60), Claim::kWait) << "too early";
+  EXPECT_EQ(table.claim(50), Claim::kHeld);
+  EXPECT_EQ(table.claim(1), Claim::kHeld);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast, 50}));
+}
+
+TEST(SlotTable, AMasterThatHearsNobodyCallsNothingBack) {
+  const auto schedule = schedule_with({1, 2}, 2);
+  SlotTable table(schedule);
+  table.hear(1, 0);
+  table.hear(2, 1);
+  for (std::uint32_t t = 1; t < 10 * kLease; ++t) {
+    table.advance(t);
+    table.reclaim();
+  }
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  // Back in reach, the first that it hears costs the others nothing.
+  table.hear(2, 1);
+  table.reclaim();
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  // From then on it counts.
+  for (std::uint32_t t = 10 * kLease; t < 12 * kLease; ++t) {
+    table.advance(t);
+    table.hear(2, 1);
+    table.reclaim();
+  }
+  EXPECT_EQ(holders(table), (Ids{kNobody, kBroadcast}));
+}
+
+TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
+  const auto schedule = schedule_with({1, 2}, 2);
+  SlotTable table(schedule);
+  for (std::uint32_t t = 1; t < 1000; ++t) {
+    table.advance(t);
+    table.hear(1, 0);
+    table.reclaim();
+  }
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  EXPECT_EQ(table.claim(50), Claim::kWait);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kNobody}));
+  EXPECT_EQ(table.claim(51), Claim::kWait);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kNobody})) << "one at a time";
+  EXPECT_EQ(table.claim(2), Claim::kHeld) << "it was only out of the master's reach";
+  EXPECT_EQ(table.claim(50), Claim::kWait);
+  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast})) << "and is not asked again for a lease";
+}
+
+TEST(SlotTable, ACopyIsTheMastersTableAndNoOlderOne) {
+  const auto schedule = schedule_with({1}, 3);
+  SlotTable master(schedule);
+  SlotTable copy(schedule);
+  copy.copy(beacon_of(master, 10));
+  const Beacon old = beacon_of(master, 10);
+  EXPECT_EQ(master.claim(50), Claim::kGranted);
+  copy.copy(beacon_of(master, 11));
+  EXPECT_EQ(holders(copy), holders(master));
+  Beacon relayed = old;
+  relayed.superframe = 13;
+  relayed.age = 3;
+  copy.copy(relayed);
+  EXPECT_EQ(holders(copy), holders(master)) << "told of superframe 10";
+  Beacon other = old;
+  other.session = 2;
+  other.superframe = 3;
+  copy.copy(other);
+  EXPECT_EQ(holders(copy), (Ids{kBroadcast, kNobody, kNobody})) << "another session's count says nothing";
+}
+
+TEST(SlotTable, ANewMasterGoesOnWithTheCopyAndLetsWhatIsFreeRest) {
+  const auto schedule = schedule_with({1}, 3);
+  SlotTable master(schedule);
+  EXPECT_EQ(master.claim(50), Claim::kGranted);
+  SlotTable next(schedule);
+  next.advance(100);
+  next.copy(beacon_of(master, 100));
+  next.advance(113);
+  next.lead(1);
+  EXPECT_EQ(holders(next), (Ids{kBroadcast, 50, kNobody}));
+  EXPECT_EQ(next.claim(50), Claim::kHeld);
+  next.advance(113 + kTableGoodFor);
+  EXPECT_EQ(next.claim(60), Claim::kWait);
+  next.advance(113 + kTableGoodFor + 1);
+  EXPECT_EQ(next.claim(60), Claim::kGranted);
+}
+
+// ---- the tag's side -----------------------------------------------------------------------------------
+
+TEST(Tenure, GoesByTheNewestTableAndNotByAnOldOne) {
+  Tenure tenure(2, 1);
+  EXPECT_FALSE(tenure.slot(0));
+  EXPECT_FALSE(tenure.homeless()) << "it knows nothing yet";
+  Beacon beacon{.superframe = 100, .session = 5, .slots = 3};
+  beacon.holders = {kBroadcast, kBroadcast, kNobody};
+  tenure.take(beacon);
+  EXPECT_EQ(tenure.slot(100), 1U);
+  EXPECT_EQ(tenure.slot(100 + kTableGoodFor), 1U);
+  EXPECT_FALSE(tenure.slot(101 + kTableGoodFor));
+  EXPECT_FALSE(tenure.homeless());
+
+  Beacon taken = beacon;
+  taken.superframe = 110;
+  taken.holders[1] = 77;
+  tenure.take(taken);
+  EXPECT_FALSE(tenure.slot(110));
+  EXPECT_TRUE(tenure.homeless());
+  Beacon relayed = beacon;
+  relayed.superframe = 112;
+  relayed.age = 3;
+  tenure.take(relayed);
+  EXPECT_FALSE(tenure.slot(112));
+  relayed.superframe = 120;
+  tenure.take(relayed);
+  EXPECT_EQ(tenure.slot(117 + kTableGoodFor), 1U);
+  EXPECT_FALSE(tenure.slot(118 + kTableGoodFor)) << "its table is of superframe 117";
+
+  Beacon given = beacon;
+  given.superframe = 130;
+  given.holders[1] = kNobody;
+  given.holders[2] = 2;
+  tenure.take(given);
+  EXPECT_EQ(tenure.slot(130), 2U);
+}
+
+TEST(Tenure, AGuestHasOnlyWhatIsGivenToIt) {
+  Tenure tenure(9, std::nullopt);
+  Beacon beacon{.superframe = 1, .slots = 2};
+  beacon.holders = {kBroadcast, kNobody};
+  tenure.take(beacon);
+  EXPECT_TRUE(tenure.homeless());
+  beacon.superframe = 0;
+  beacon.session = 99;
+  beacon.holders[1] = 9;
+  tenure.take(beacon);
+  EXPECT_EQ(tenure.slot(0), 1U) << "another session";
+}
+
+// ---- never two in one slot ----------------------------------------------------------------------------
+
+struct Player {
+  std::uint16_t id;
+  std::optional<Tenure> tenure{};  // while it is on
+  double hears = 1.0;              // share of beacons
+  std::uint32_t back_at = 0;
+};
+
+struct Head {
+  std::unique_ptr<SlotTable> table;
+  bool on = true;
+  std::uint32_t told = 0;
+};
+
+// Masters that die and come back, tags that come, leave, die, hear little, or are not heard; beacons told
+// late by relays. In no superframe do two tags poll in one slot.
+TEST(Slots, NeverHaveTwoOwners) {
+  std::uint64_t polls = 0;
+  std::uint64_t moves = 0;
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    std::mt19937_64 random(seed);
+    const auto chance = [&](double p) { return static_cast<double>(random() >> 11) * 0x1p-53 < p; };
+    const auto schedule = schedule_with({1, 2, 3}, 4);
+    std::vector<Player> players;
+    for (const std::uint16_t id : Ids{1, 2, 3, 50, 51, 52, 53}) players.push_back({.id = id});
+    std::vector<Head> heads(3);
+    for (Head& head : heads) head.table = std::make_unique<SlotTable>(schedule);
+    std::size_t leader = 0;
+    std::map<std::size_t, std::uint16_t> last;
+    std::vector<Beacon> past;
+    for (std::uint32_t t = 1; t < 3000; ++t) {
+      for (Head& head : heads) head.table->advance(t);
+      // The master dies; another one that heard it lately goes on 13 superframes later.
+      if (chance(0.005)) {
+        heads[leader].on = false;
+        std::size_t next = leader;
+        for (std::size_t i = 0; i < heads.size(); ++i) {
+          if (i != leader && heads[i].on && t - heads[i].told <= 3) next = i;
+        }
+        if (next == leader) {
+          heads[leader].on = true;
+        } else {
+          leader = next;
+          t += 13;
+          heads[leader].table->advance(t);
+          heads[leader].table->lead(1);
+        }
+      }
+      SlotTable& table = *heads[leader].table;
+      table.reclaim();
+      const Beacon beacon = beacon_of(table, t);
+      past.push_back(beacon);
+      for (std::size_t i = 0; i < heads.size(); ++i) {
+        if (i == leader) continue;
+        if (!heads[i].on) {
+          // Reborn, it takes the table from the air before it may lead.
+          if (!chance(0.02)) continue;
+          heads[i].on = true;
+          heads[i].table = std::make_unique<SlotTable>(schedule);
+          heads[i].table->advance(t);
+          heads[i].table->copy(beacon);
+          heads[i].told = t;
+        } else if (chance(0.7)) {
+          heads[i].table->copy(beacon);
+          heads[i].told = t;
+        }
+      }
+      std::map<std::size_t, std::uint16_t> owners;
+      for (Player& player : players) {
+        if (!player.tenure) {
+          if (t > player.back_at && chance(0.02)) {
+            const auto slot = configured_slot(schedule, player.id);
+            player.tenure.emplace(player.id, slot);
+            player.hears = chance(0.4) ? 0.02 : 0.9;
+          }
+          continue;
+        }
+        if (chance(player.hears)) player.tenure->take(beacon);
+        if (chance(player.hears / 2)) {  // by a relay, late
+          const auto late = static_cast<std::size_t>(random() % std::min<std::size_t>(past.size(), 13));
+          Beacon told = past[past.size() - 1 - late];
+          const std::uint32_t age = t - told.superframe;
+          told.superframe = t;
+          told.age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255));
+          player.tenure->take(told);
+        }
+        if (const auto slot = player.tenure->slot(t)) {
+          ++polls;
+          const auto [other, alone] = owners.emplace(*slot, player.id);
+          ASSERT_TRUE(alone) << "seed " << seed << ", superframe " << t << ", slot " << *slot << ": "
+                             << other->second << " and " << player.id;
+          if (chance(0.5)) {
+            for (Head& head : heads) head.table->hear(player.id, *slot);
+          }
+          if (last[*slot] != player.id) {
+            ++moves;
+            last[*slot] = player.id;
+          }
+        } else if (player.tenure->homeless() && chance(0.2)) {
+          (void)table.claim(player.id);
+        }
+        if (chance(0.003)) {
+          if (chance(0.5)) table.leave(player.id);  // else it dies, or its word is lost
+          player.tenure.reset();
+          player.back_at = t + kTableGoodFor;
+        }
+      }
+    }
+  }
+  EXPECT_GT(polls, 100'000U);
+  EXPECT_GT(moves, 1'000U) << "slots do change hands";
+}
+
+}  // namespace
+}  // namespace groma::mac

@@ -1,0 +1,329 @@
+// The fault campaign: a site goes through one phase after the other, each a fault and what is due after it.
+//
+// What is due: so many superframes after the fault is over each pair of a tag and an anchor that are both
+// alive ranges once a superframe again, without a gap, as long as it is watched; while frames are lost, the
+// share of ranges that the frames' successes allow; and no range, ever, further from the truth than 6 sigma.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <limits>
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "test/sim/fault_site.hpp"
+
+namespace groma::sim {
+
+struct FaultPhase {
+  std::string name;
+  std::function<void(FaultSite&)> begin{};
+  double lasts_s = 0.0;
+  std::function<void(FaultSite&)> end{};
+  // Of all pairs' ranges, while it lasts, at least; nothing is asked where it is 0.
+  double least_share = 0.0;
+  double most_share = 1.0;
+  // At least 90 % of the product of the frame successes that the overlaps on the air left.
+  bool of_what_overlaps_left = false;
+  // Dead from here on, or alive again.
+  std::set<std::uint16_t> die{};
+  std::set<std::uint16_t> rise{};
+  // These do not hear the others from here on, for this phase.
+  std::set<std::uint16_t> apart{};
+  // Superframes after which all is well again: between those that were there all the time, and with those
+  // that rose.
+  double within = 3.0;
+  double newcomers_within = 10.0;
+  double watched_s = 0.8;
+};
+
+struct PhaseOutcome {
+  std::string name;
+  double began_s = 0.0;
+  double over_s = 0.0;
+  double ended_s = 0.0;
+  double least_share = 0.0;            // that was due; 0: nothing was asked
+  double share = 0.0;                  // while it lasted; NaN where it did not
+  double old_superframes = 0.0;        // until all is well
+  double newcomers_superframes = 0.0;  // NaN: there were none
+  std::size_t late_pairs = 0;
+  std::string slowest{};  // the pair that was last
+  std::size_t good = 0;
+  double worst_sigmas = 0.0;
+  std::vector<std::string> faults{};
+};
+
+class FaultCampaign {
+ public:
+  explicit FaultCampaign(FaultSite& site) : site_(site) {}
+
+  // The superframe's length, from one range of a pair to the next.
+  [[nodiscard]] double superframe_s() const { return site_.superframe_s(); }
+
+  void run(const std::vector<FaultPhase>& phases) {
+    struct Times {
+      double began_s, over_s, ended_s, least_share;
+    };
+    std::vector<Times> times;
+    for (const FaultPhase& phase : phases) {
+      Times at{.began_s = site_.now_s(), .over_s = 0.0, .ended_s = 0.0, .least_share = phase.least_share};
+      if (phase.of_what_overlaps_left) site_.air.count_successes(true);
+      if (phase.begin) phase.begin(site_);
+      if (phase.lasts_s > 0.0) site_.run_until(std::max(at.began_s + phase.lasts_s, site_.now_s()));
+      if (phase.of_what_overlaps_left) {
+        at.least_share = 0.9 * site_.air.product_of_successes();
+        site_.air.count_successes(false);
+      }
+      if (phase.end) phase.end(site_);
+      at.over_s = site_.now_s();
+      site_.run_for(phase.watched_s);
+      // A range takes the next superframe, too, which may be the next phase's.
+      at.ended_s = site_.now_s() - 3.0 * superframe_s();
+      times.push_back(at);
+    }
+    // What was ranged before the last end is told by then.
+    site_.run_for(5.0 * superframe_s());
+    index();
+    std::set<std::uint16_t> alive;
+    for (std::size_t i = 0; i < phases.size(); ++i) {
+      const FaultPhase& phase = phases[i];
+      const std::set<std::uint16_t> before = alive;
+      for (const std::uint16_t id : phase.die) alive.erase(id);
+      alive.insert(phase.rise.begin(), phase.rise.end());
+      outcomes_.push_back(judge(phase, times[i].began_s, times[i].over_s, times[i].ended_s,
+                                times[i].least_share, alive, before));
+    }
+  }
+
+  [[nodiscard]] const std::vector<PhaseOutcome>& outcomes() const { return outcomes_; }
+  [[nodiscard]] double worst_sigmas() const { return worst_sigmas_; }
+  [[nodiscard]] std::size_t good() const { return good_; }
+  [[nodiscard]] bool sound() const {
+    return std::all_of(outcomes_.begin(), outcomes_.end(),
+                       [](const PhaseOutcome& outcome) { return outcome.faults.empty(); });
+  }
+
+  [[nodiscard]] std::string table() const {
+    std::string text =
+        "phase                              from s  over s  share   least   well after     worst  ranges\n"
+        "                                                           old   new (sf)    sigma        \n";
+    for (const PhaseOutcome& o : outcomes_) {
+      std::array<char, 200> line{};
+      std::snprintf(line.data(), line.size(),
+                    "%-34s %6.2f  %6.2f  %5.3f  %5.3f  %5.1f  %6.1f  %8.2f  %6zu  %s\n", o.name.c_str(),
+                    o.began_s, o.over_s, o.share, o.least_share, o.old_superframes, o.newcomers_superframes,
+                    o.worst_sigmas, o.good, o.slowest.c_str());
+      text += line.data();
+      for (const std::string& fault : o.faults) text += "    ! " + fault + "\n";
+    }
+    return text;
+  }
+
+ private:
+  using Pair = std::pair<std::uint16_t, std::uint16_t>;
+
+  static bool is_tag(std::uint16_t id) { return id < 100; }
+
+  void index() {
+    for (const SeenRange& range : site_.ranges()) {
+      if (!range.good) continue;
+      instants_[{range.tag, range.anchor}].push_back(range.at_s);
+      worst_sigmas_ = std::max(worst_sigmas_, std::abs(range.error_m) / range.sigma_m);
+      ++good_;
+    }
+    for (auto& [pair, at] : instants_) std::sort(at.begin(), at.end());
+  }
+
+  // From when on the pair ranges each superframe until `ended_s`; infinite: not at all.
+  [[nodiscard]] double well_since_s(const Pair& pair, double over_s, double ended_s) const {
+    const double longest_gap_s = 1.5 * superframe_s();
+    const auto found = instants_.find(pair);
+    if (found == instants_.end()) return std::numeric_limits<double>::infinity();
+    const std::vector<double>& at = found->second;
+    auto after = std::upper_bound(at.begin(), at.end(), ended_s);
+    double next_s = after == at.end() ? std::numeric_limits<double>::infinity() : *after;
+    if (next_s > ended_s + longest_gap_s) next_s = std::numeric_limits<double>::infinity();
+    double since_s = next_s;
+    while (after != at.begin()) {
+      const double here_s = *--after;
+      if (here_s < over_s - superframe_s()) break;
+      if (std::isfinite(next_s) && next_s - here_s > longest_gap_s) break;
+      if (!std::isfinite(next_s) && ended_s - here_s > longest_gap_s) break;
+      since_s = here_s;
+      next_s = here_s;
+    }
+    return std::max(since_s, over_s);
+  }
+
+  PhaseOutcome judge(const FaultPhase& phase, double began_s, double over_s, double ended_s,
+                     double least_share, const std::set<std::uint16_t>& alive,
+                     const std::set<std::uint16_t>& before) {
+    PhaseOutcome out{.name = phase.name,
+                     .began_s = began_s,
+                     .over_s = over_s,
+                     .ended_s = ended_s,
+                     .least_share = least_share};
+    const double superframe = superframe_s();
+    out.newcomers_superframes = std::numeric_limits<double>::quiet_NaN();
+    out.share = std::numeric_limits<double>::quiet_NaN();
+    std::size_t pairs = 0;
+    std::size_t ranged = 0;
+    const double inner_from_s = began_s + 3.0 * superframe;
+    const double inner_to_s = over_s - 3.0 * superframe;
+    double slowest = -1.0;
+    for (const std::uint16_t tag : alive) {
+      if (!is_tag(tag)) continue;
+      for (const std::uint16_t anchor : alive) {
+        if (is_tag(anchor)) continue;
+        if (phase.apart.contains(tag) != phase.apart.contains(anchor)) continue;
+        const Pair pair{tag, anchor};
+        const double took = (well_since_s(pair, over_s, ended_s) - over_s) / superframe;
+        const bool newcomer = phase.rise.contains(tag) || phase.rise.contains(anchor);
+        double& worst = newcomer ? out.newcomers_superframes : out.old_superframes;
+        worst = std::isnan(worst) ? took : std::max(worst, took);
+        if (took > (newcomer ? phase.newcomers_within : phase.within)) ++out.late_pairs;
+        if (took > slowest) {
+          slowest = took;
+          out.slowest = std::to_string(tag) + "-" + std::to_string(anchor);
+        }
+        if (!before.contains(tag) || !before.contains(anchor)) continue;
+        ++pairs;
+        const auto found = instants_.find(pair);
+        if (found == instants_.end()) continue;
+        const auto& at = found->second;
+        ranged += static_cast<std::size_t>(
+            std::max<std::ptrdiff_t>(std::upper_bound(at.begin(), at.end(), inner_to_s) -
+                                         std::upper_bound(at.begin(), at.end(), inner_from_s),
+                                     0));
+      }
+    }
+    const double due = static_cast<double>(pairs) * (inner_to_s - inner_from_s) / superframe;
+    if (phase.lasts_s > 0.0 && due > 0.0) out.share = static_cast<double>(ranged) / due;
+    for (const SeenRange& range : site_.ranges()) {
+      if (!range.good || range.at_s < began_s || range.at_s >= ended_s) continue;
+      ++out.good;
+      out.worst_sigmas = std::max(out.worst_sigmas, std::abs(range.error_m) / range.sigma_m);
+      if (std::abs(range.error_m) > 6.0 * range.sigma_m)
+        out.faults.push_back(std::to_string(range.tag) + "-" + std::to_string(range.anchor) + " at " +
+                             std::to_string(range.at_s) + " s: off by " + std::to_string(range.error_m) +
+                             " m, " + std::to_string(range.error_m / range.sigma_m) + " sigma");
+    }
+    if (out.old_superframes > phase.within)
+      out.faults.push_back(std::to_string(out.late_pairs) + " pairs are not well again within " +
+                           std::to_string(phase.within) + " superframes");
+    if (out.newcomers_superframes > phase.newcomers_within)
+      out.faults.push_back("newcomers not in within " + std::to_string(phase.newcomers_within) +
+                           " superframes");
+    if (least_share > 0.0 && !(out.share >= least_share && out.share <= phase.most_share))
+      out.faults.push_back("share not within " + std::to_string(least_share) + " and " +
+                           std::to_string(phase.most_share));
+    return out;
+  }
+
+  FaultSite& site_;
+  std::map<Pair, std::vector<double>> instants_;
+  std::vector<PhaseOutcome> outcomes_;
+  double worst_sigmas_ = 0.0;
+  std::size_t good_ = 0;
+};
+
+// ---- the phases -----------------------------------------------------------------------------------------
+
+inline std::set<std::uint16_t> all_of(int tags, int anchors) {
+  std::set<std::uint16_t> ids;
+  for (int i = 0; i < tags; ++i) ids.insert(FaultSite::tag_id(i));
+  for (int i = 0; i < anchors; ++i) ids.insert(FaultSite::anchor_id(i));
+  return ids;
+}
+
+// POLL and RESPONSE, the frame that closes the exchange, and the RESPONSE that brings its stamp back; where a
+// FINAL closes it, the next POLL as well, for it asks for that RESPONSE.
+inline int frames_a_range_needs(groma_RangingMethod method) {
+  return method == groma_RangingMethod_METHOD_DS_FINAL ? 5 : 4;
+}
+
+inline FaultPhase nothing_wrong(double for_s) {
+  return {.name = "nothing wrong", .lasts_s = for_s, .least_share = 0.99, .most_share = 1.01};
+}
+
+inline FaultPhase loss(double probability, double for_s, groma_RangingMethod method) {
+  const double due = std::pow(1.0 - probability, frames_a_range_needs(method));
+  return {.name = "30 % of all frames lost",
+          .begin = [=](FaultSite& site) { site.lose(probability, for_s); },
+          .lasts_s = for_s,
+          .least_share = 0.9 * due,
+          .most_share = 1.1 * due};
+}
+
+inline FaultPhase beacons_lost(double superframes, double superframe_s) {
+  return {.name = "only beacons lost, all of them",
+          .begin = [=](FaultSite& site) { site.lose(1.0, superframes * superframe_s, &is_a<mac::Beacon>); },
+          .lasts_s = superframes * superframe_s,
+          .least_share = 0.99,
+          .most_share = 1.3};  // of so few superframes one more counts
+}
+
+template <class BodyType>
+FaultPhase brown_out(const char* name, std::uint16_t id, double fraction, double for_s) {
+  return {.name = name,
+          .begin = [=](FaultSite& site) { site.brown_out<BodyType>(id, fraction, for_s); },
+          .rise = {id}};
+}
+
+inline FaultPhase another_network(const char* name, std::uint32_t network_id, int serial, double for_s) {
+  return {.name = name,
+          .begin = [=](FaultSite& site) { site.second_network(network_id, serial); },
+          .lasts_s = for_s,
+          .end = [](FaultSite& site) { site.end_second_network(); },
+          .most_share = 1.02,
+          .of_what_overlaps_left = true};
+}
+
+inline FaultPhase killed(const char* name, const std::set<std::uint16_t>& ids, double within = 3.0,
+                         double watched_s = 0.8) {
+  return {.name = name,
+          .begin =
+              [=](FaultSite& site) {
+                for (const std::uint16_t id : ids) site.set_power(id, false);
+              },
+          .die = ids,
+          .within = within,
+          .watched_s = watched_s};
+}
+
+// For as long as it is watched.
+inline FaultPhase cut_off(const char* name, const std::set<std::uint16_t>& ids, double for_s) {
+  return {.name = name,
+          .begin = [=](FaultSite& site) { site.cut_off(ids, for_s); },
+          .apart = ids,
+          .within = 10.0,
+          .watched_s = for_s};
+}
+
+inline FaultPhase meet_again(const char* name) {
+  return {.name = name, .within = 10.0};
+}
+
+// One that no schedule names.
+inline FaultPhase tag_joins(const char* name, std::uint16_t id) {
+  return {.name = name,
+          .begin =
+              [=](FaultSite& site) {
+                site.add(id, groma_Role_ROLE_TAG, site.network.now(),
+                         site.config_of(id, groma_Role_ROLE_TAG));
+              },
+          .rise = {id}};
+}
+
+inline FaultPhase reborn(const char* name, std::uint16_t id, double within = 3.0) {
+  return {.name = name,
+          .begin = [=](FaultSite& site) { site.set_power(id, true); },
+          .rise = {id},
+          .within = within};
+}
+
+}  // namespace groma::sim

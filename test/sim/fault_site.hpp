@@ -1,0 +1,469 @@
+// A site that goes through faults, and all that its tags said meanwhile: each range with the error that it
+// has by the geometry, in units of the sigma that its own intervals give.
+//
+// Tags 1, 2, ... drive round and round; anchors 101, 102, ... hang around them: the first is the master, the
+// next ones its ranked back-ups. Strangers are other networks' nodes.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <numbers>
+#include <optional>
+#include <set>
+#include <stdexcept>
+#include <tuple>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/superframe.hpp"
+#include "firmware/core/node/config.hpp"
+#include "firmware/sim/keyed_random.hpp"
+#include "firmware/sim/native_node.hpp"
+#include "firmware/sim/network.hpp"
+#include "test/sim/site_bench.hpp"
+
+namespace groma::sim {
+
+// Round a centre at constant speed; without radius it hangs still.
+struct Motion {
+  Place centre;
+  double radius_m = 0.0;
+  double turn_radps = 0.0;
+  [[nodiscard]] Place at(double t_s) const {
+    const double angle = turn_radps * t_s;
+    return {centre.x_m + radius_m * std::cos(angle), centre.y_m + radius_m * std::sin(angle), centre.z_m};
+  }
+};
+
+class Hall final : public PropagationModel {
+ public:
+  void put(std::uint16_t id, const Motion& motion) { motions_[id] = motion; }
+  [[nodiscard]] double distance_m(std::uint16_t a, std::uint16_t b, double t_s) const {
+    const Place p = motions_.at(a).at(t_s);
+    const Place q = motions_.at(b).at(t_s);
+    return std::hypot(p.x_m - q.x_m, p.y_m - q.y_m, p.z_m - q.z_m);
+  }
+  [[nodiscard]] Propagation between(std::uint16_t a, std::uint16_t b, double t_s) const override {
+    const double d_m = distance_m(a, b, t_s);
+    const double power_dbm = -59.0 - 20.0 * std::log10(std::max(d_m, 0.1));
+    return {.audible = power_dbm > -100.0,
+            .flight_m = d_m,
+            .receive_power_dbm = power_dbm,
+            .first_path_power_dbm = power_dbm - 2.0};
+  }
+
+ private:
+  std::map<std::uint16_t, Motion> motions_;
+};
+
+inline std::optional<mac::Frame> parsed(const AirFrame& frame) {
+  return mac::parse(std::span(frame.data).first(frame.length - 2U)).frame;
+}
+
+// A predicate for Fade::hits.
+template <class BodyType>
+bool is_a(const AirFrame& frame, std::uint16_t /*from*/ = 0, std::uint16_t /*to*/ = 0) {
+  const auto content = parsed(frame);
+  return content && std::holds_alternative<BodyType>(content->body);
+}
+
+inline constexpr std::uint16_t kFirstStranger = 1000;  // from here on ids are other networks'
+
+// What went on the air and how it ended, as nobody on the site knows it.
+class AirLog final : public Witness {
+ public:
+  explicit AirLog(const Medium& medium) : medium_(medium) {}
+
+  struct Sent {
+    std::uint16_t transmitter;
+    AirFrame frame;
+  };
+  void announced(const AirFrame& frame) override {
+    if (keep_sent) sent.push_back({medium_.id_of(frame.source), frame});
+    if (!counting_ || medium_.id_of(frame.source) >= kFirstStranger) return;
+    const auto content = parsed(frame);
+    if (!content) return;
+    if (const auto* poll = std::get_if<mac::Poll>(&content->body)) {
+      successes_[kPoll].due += poll->count;
+      answered_[content->source] = 0;
+    } else if (std::holds_alternative<mac::Response>(content->body)) {
+      ++successes_[kResponse].due;
+      ++answered_[content->destination];
+    } else if (std::holds_alternative<mac::Final>(content->body)) {
+      // Those that answered wait for it.
+      successes_[kFinal].due += answered_[content->source];
+    }
+  }
+  void overlapped(const AirFrame& lost, const AirFrame& /*by*/, std::uint16_t receiver) override {
+    if (!wants(receiver, lost)) return;
+    if (!lost_frames_.emplace(receiver, lost.source, lost.number).second) return;
+    ++collisions;
+    if (!counting_ || receiver >= kFirstStranger) return;
+    const auto content = parsed(lost);
+    if (std::holds_alternative<mac::Poll>(content->body)) ++successes_[kPoll].lost;
+    if (std::holds_alternative<mac::Response>(content->body)) ++successes_[kResponse].lost;
+    if (std::holds_alternative<mac::Final>(content->body)) ++successes_[kFinal].lost;
+  }
+  void reception_ended(std::uint16_t receiver, std::uint64_t event) override {
+    groma_Counters& seen = endings[receiver];
+    switch (event) {
+      case status::kRxfcg:
+        ++seen.frames_received;
+        break;
+      case status::kRxfce:
+        ++seen.crc_errors;
+        break;
+      case status::kRxphe:
+      case status::kRxrfsl:
+        ++seen.header_errors;
+        break;
+      case status::kRxsfdto:
+        ++seen.sfd_timeouts;
+        break;
+      case status::kRxpto:
+        ++seen.preamble_timeouts;
+        break;
+      case status::kRxrfto:
+        ++seen.frame_timeouts;
+        break;
+      default:
+        throw std::logic_error("no such end of a reception");
+    }
+  }
+
+  // A beacon is for whoever listens, a POLL for those that it names, anything else for its destination.
+  static bool wants(std::uint16_t receiver, const AirFrame& frame) {
+    const auto content = parsed(frame);
+    if (!content) return false;
+    if (const auto* poll = std::get_if<mac::Poll>(&content->body))
+      return std::count(poll->anchors.begin(), poll->anchors.begin() + poll->count, receiver) > 0;
+    return content->destination == receiver || content->destination == mac::kBroadcast;
+  }
+
+  // Of POLLs, RESPONSEs and FINALs of the site, from now on or no more.
+  void count_successes(bool on) {
+    counting_ = on;
+    if (on) successes_ = {};
+  }
+  // A range needs a POLL and its RESPONSE, then a FINAL where there are any, and the next POLL and RESPONSE.
+  [[nodiscard]] double product_of_successes() const {
+    const auto share = [&](Kind kind) {
+      const Successes& of = successes_[kind];
+      return of.due == 0 ? 1.0 : 1.0 - static_cast<double>(of.lost) / static_cast<double>(of.due);
+    };
+    return std::pow(share(kPoll) * share(kResponse), 2) * share(kFinal);
+  }
+
+  bool keep_sent = false;
+  std::vector<Sent> sent;
+  // Frames spoilt or hidden by an overlap at a receiver that listened and wanted them.
+  std::uint64_t collisions = 0;
+  std::map<std::uint16_t, groma_Counters> endings;  // those counters that tell how receptions end
+
+ private:
+  enum Kind : std::size_t { kPoll, kResponse, kFinal, kKinds };
+  struct Successes {
+    std::uint64_t due = 0;
+    std::uint64_t lost = 0;
+  };
+  const Medium& medium_;
+  bool counting_ = false;
+  std::map<std::uint16_t, std::uint64_t> answered_;  // RESPONSEs since the tag's last POLL
+  std::array<Successes, kKinds> successes_{};
+  std::set<std::tuple<std::uint16_t, std::size_t, std::uint32_t>> lost_frames_;
+};
+
+struct FaultSiteSettings {
+  int tags = 3;  // that the schedule knows
+  int anchors = 12;
+  int backups = 3;
+  int slots = 4;
+  int responses = 0;
+  groma_RangingMethod method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
+  groma_Preamble preamble = groma_Preamble_PREAMBLE_128;
+  std::uint32_t turn_round_us = 250;
+  std::uint32_t response_gap_us = 200;
+  std::uint32_t guard_us = 30;
+  MediumSettings medium{.stamp_noise_s = 1e-10};
+  std::uint64_t seed = 1;
+  double crystals_ppm = 10.0;  // offsets lie within +- this
+  double wander_ppm = 10.0;    // and go up to so much further up and back, or down and back, without end
+  double wander_ppm_per_s = 1.0;
+  double until_s = 200.0;  // the longest that the run may last
+  std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
+};
+
+// A range, good or not.
+struct SeenRange {
+  double at_s = 0.0;  // world time of its own instant, or of its report where it is not good
+  std::uint16_t tag = 0;
+  std::uint16_t anchor = 0;
+  bool good = false;
+  double error_m = 0.0;
+  double sigma_m = 0.0;
+};
+
+class FaultSite {
+ public:
+  explicit FaultSite(const FaultSiteSettings& settings)
+      : settings_(settings), network(hall, settings.medium, settings.seed), air(network.medium()) {
+    network.medium().set_witness(&air);
+    for (int i = 0; i < settings.tags; ++i)
+      add(tag_id(i), groma_Role_ROLE_TAG, from_seconds(0.011 * i), config_of(tag_id(i), groma_Role_ROLE_TAG));
+    for (int i = 0; i < settings.anchors; ++i)
+      add(anchor_id(i), groma_Role_ROLE_ANCHOR, from_seconds(0.007 * i),
+          config_of(anchor_id(i), groma_Role_ROLE_ANCHOR));
+  }
+  FaultSite(const FaultSite&) = delete;
+  FaultSite& operator=(const FaultSite&) = delete;
+  ~FaultSite() { network.medium().set_witness(nullptr); }
+
+  static std::uint16_t tag_id(int i) { return static_cast<std::uint16_t>(1 + i); }
+  static std::uint16_t anchor_id(int i) { return static_cast<std::uint16_t>(101 + i); }
+
+  [[nodiscard]] groma_Config config_of(std::uint16_t id, groma_Role role) const {
+    groma_Config config = groma_Config_init_zero;
+    config.role = role;
+    config.id = id;
+    config.network_id = 7;
+    config.has_schedule = true;
+    config.preamble = settings_.preamble;
+    config.transmit_antenna_delay_dtu = 16436;
+    config.receive_antenna_delay_dtu = 16436;
+    config.report_raw_stamps = true;
+    groma_Schedule& schedule = config.schedule;
+    schedule.epoch = 2;
+    schedule.master_id = anchor_id(0);
+    for (int i = 0; i < settings_.tags; ++i) schedule.tag_ids[schedule.tag_ids_count++] = tag_id(i);
+    for (int i = 0; i < settings_.anchors; ++i)
+      schedule.anchor_ids[schedule.anchor_ids_count++] = anchor_id(i);
+    for (int i = 0; i < settings_.backups; ++i)
+      schedule.backup_ids[schedule.backup_ids_count++] = anchor_id(1 + i);
+    schedule.slots = static_cast<std::uint32_t>(settings_.slots);
+    schedule.responses = static_cast<std::uint32_t>(settings_.responses);
+    schedule.method = settings_.method;
+    schedule.turn_round_us = settings_.turn_round_us;
+    schedule.response_gap_us = settings_.response_gap_us;
+    schedule.guard_us = settings_.guard_us;
+    return config;
+  }
+
+  [[nodiscard]] mac::Superframe superframe() const {
+    const groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
+    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble));
+  }
+  [[nodiscard]] double superframe_s() const {
+    return static_cast<double>(superframe().duration().count()) / 63.8976e9;
+  }
+
+  // A node that the schedule does not know, or another network's. Before `power_on`.
+  void add(std::uint16_t id, groma_Role role, SimTime power_on, const groma_Config& config) {
+    const auto index = static_cast<int>(network.size());
+    const KeyedRandom draw = KeyedRandom(settings_.seed).of(0xC10C, id);
+    hall.put(id, place_of(id, role));
+    NodeSpec spec;
+    spec.chip.id = id;
+    spec.chip.clock.offset_ppm = draw.of(1).uniform(-settings_.crystals_ppm, settings_.crystals_ppm);
+    spec.chip.clock.first_tick = draw.of(2).bits() & ((std::uint64_t{1} << 40) - 1);
+    if (settings_.wander_ppm_per_s > 0.0)
+      spec.chip.clock.more_ramps =
+          up_and_down(index % 2 == 0 ? settings_.wander_ppm_per_s : -settings_.wander_ppm_per_s,
+                      settings_.wander_ppm, draw.of(3).uniform(0.0, 3.0), settings_.until_s);
+    spec.power_on = power_on;
+    std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
+    const std::size_t size = node::encode_config(config, blob);
+    spec.stored_config.assign(blob.begin(), blob.begin() + static_cast<std::ptrdiff_t>(size));
+    nodes_[id] = network.add(settings_.make_node(spec, network.medium()));
+    ids_.push_back(id);
+    listeners_.emplace_back();
+  }
+
+  [[nodiscard]] double now_s() const { return to_seconds(network.now()); }
+  void run_until(double t_s) {
+    for (const SimTime end = from_seconds(t_s); network.now() < end;) {
+      network.run_until(std::min(end, network.now() + from_seconds(0.5)));
+      collect();
+    }
+  }
+  void run_for(double duration_s) { run_until(now_s() + duration_s); }
+
+  // ---- faults --------------------------------------------------------------------------------------------
+  void set_power(std::uint16_t id, bool on) { network.set_power(nodes_.at(id), on); }
+  void lose(double probability, double for_s,
+            std::function<bool(const AirFrame&, std::uint16_t, std::uint16_t)> hits = {}) {
+    network.medium().add_fade({.from = network.now(),
+                               .until = network.now() + from_seconds(for_s),
+                               .probability = probability,
+                               .hits = std::move(hits)},
+                              network.now());
+  }
+  // No frame gets from these to the others or back.
+  void cut_off(std::set<std::uint16_t> ids, double for_s) {
+    network.medium().add_fade(
+        {.from = network.now(),
+         .until = network.now() + from_seconds(for_s),
+         .silent = true,
+         .hits = [ids = std::move(ids)](const AirFrame&, std::uint16_t a,
+                                        std::uint16_t b) { return ids.contains(a) != ids.contains(b); }},
+        network.now());
+  }
+  // Takes the power at `fraction` of the node's next frame of that kind, for so long.
+  template <class BodyType>
+  void brown_out(std::uint16_t id, double fraction, double for_s) {
+    const AirFrame frame = next_frame<BodyType>(id);
+    network.run_until(frame.preamble_start +
+                      static_cast<SimTime>(fraction * static_cast<double>(frame.end - frame.preamble_start)));
+    set_power(id, false);
+    run_for(for_s);
+    set_power(id, true);
+  }
+
+  // Two tags and four anchors of another owner in the same hall, with a schedule and a timeline of their own.
+  void second_network(std::uint32_t network_id, int serial) {
+    constexpr int kTags = 2;
+    constexpr int kAnchors = 4;
+    const auto first = static_cast<std::uint16_t>(kFirstStranger + 100 * serial);
+    groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
+    config.network_id = network_id;
+    groma_Schedule& schedule = config.schedule;
+    schedule.epoch = 1;
+    schedule.tag_ids_count = 0;
+    schedule.anchor_ids_count = 0;
+    schedule.backup_ids_count = 0;
+    schedule.slots = 0;
+    schedule.response_gap_us += 37;
+    for (int i = 0; i < kTags; ++i)
+      schedule.tag_ids[schedule.tag_ids_count++] = static_cast<std::uint16_t>(first + i);
+    for (int i = 0; i < kAnchors; ++i)
+      schedule.anchor_ids[schedule.anchor_ids_count++] = static_cast<std::uint16_t>(first + 10 + i);
+    schedule.master_id = schedule.anchor_ids[0];
+    for (int i = 0; i < kTags + kAnchors; ++i) {
+      config.role = i < kTags ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
+      config.id = static_cast<std::uint32_t>(i < kTags ? first + i : first + 10 + i - kTags);
+      const auto id = static_cast<std::uint16_t>(config.id);
+      add(id, config.role, network.now() + from_seconds(0.003 * i), config);
+      strangers_.insert(id);
+    }
+  }
+  void end_second_network() {
+    for (const std::uint16_t id : strangers_) set_power(id, false);
+    strangers_.clear();
+  }
+
+  // ---- what was seen -------------------------------------------------------------------------------------
+  [[nodiscard]] const std::vector<SeenRange>& ranges() const { return ranges_; }
+  [[nodiscard]] Listener& listener(std::uint16_t id) { return listeners_.at(nodes_.at(id)); }
+  [[nodiscard]] Dw1000Chip& chip(std::uint16_t id) { return network.node(nodes_.at(id)).chip(); }
+  [[nodiscard]] const std::vector<std::uint16_t>& ids() const { return ids_; }
+  [[nodiscard]] bool powered(std::uint16_t id) { return chip(id).powered(); }
+
+  // As the node tells them now.
+  groma_Counters counters(std::uint16_t id) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.request_id = ++requests_;
+    command.which_body = groma_HostToNode_get_counters_tag;
+    if (!network.send(nodes_.at(id), frame_of(command))) throw std::logic_error("the line is full");
+    for (int i = 0; i < 100; ++i) {
+      run_for(0.001);
+      const auto& replies = listener(id).replies;
+      if (replies.empty() || replies.back().request_id != requests_) continue;
+      run_for(0.005);  // the counters follow
+      return listener(id).counters;
+    }
+    throw std::runtime_error("node " + std::to_string(id) + " does not answer");
+  }
+
+  // The standard deviation that the noise of its three receive stamps gives a range of these intervals, with
+  // the counters' own rounding. See docs/explanation/ranging.md.
+  [[nodiscard]] double sigma_m(const groma_RawStamps& raw) const {
+    const auto ra = static_cast<double>(raw.tag_round_dtu);
+    const auto db = static_cast<double>(raw.anchor_reply_dtu);
+    const auto rb = static_cast<double>(raw.anchor_round_dtu);
+    const auto da = static_cast<double>(raw.tag_reply_dtu);
+    const double sum = ra + rb + da + db;
+    const double stamp_m =
+        std::hypot(settings_.medium.stamp_noise_s, 15.65e-12 / std::sqrt(12.0)) * 299'792'458.0;
+    return stamp_m * std::hypot(da / sum, (rb + db) / sum, ra / sum);
+  }
+
+ private:
+  template <class BodyType>
+  AirFrame next_frame(std::uint16_t id) {
+    air.keep_sent = true;
+    air.sent.clear();
+    for (const double from_s = now_s(); now_s() < from_s + 5.0;) {
+      network.run_until(network.now() + 20 * kUnitsPerMicrosecond);
+      for (const AirLog::Sent& sent : air.sent) {
+        if (sent.transmitter != id || sent.frame.preamble_start < network.now()) continue;
+        if (!is_a<BodyType>(sent.frame)) continue;
+        const AirFrame found = sent.frame;
+        air.keep_sent = false;
+        return found;
+      }
+      air.sent.clear();
+    }
+    throw std::runtime_error("node " + std::to_string(id) + " sends no such frame");
+  }
+
+  // Tags low above the floor, anchors around under the ceiling, strangers on either side.
+  [[nodiscard]] Motion place_of(std::uint16_t id, groma_Role role) const {
+    const KeyedRandom draw = KeyedRandom(settings_.seed).of(0x91ACE, id);
+    if (role == groma_Role_ROLE_TAG)
+      return {.centre = {draw.of(1).uniform(-6.0, 6.0), draw.of(2).uniform(-4.0, 4.0), 0.5},
+              .radius_m = 2.0,
+              .turn_radps = 0.4};
+    const double angle = 2.0 * std::numbers::pi * (draw.of(1).uniform(-0.3, 0.3) + id % 100) /
+                         static_cast<double>(settings_.anchors);
+    return {.centre = {14.0 * std::cos(angle), 9.0 * std::sin(angle), draw.of(2).uniform(2.5, 4.0)}};
+  }
+
+  void collect() {
+    std::vector<TimedByte> bytes;
+    for (std::size_t i = 0; i < network.size(); ++i) {
+      bytes.clear();
+      network.take(i, bytes);
+      Listener& listener = listeners_[i];
+      listener.take(bytes);
+      for (const Listener::Report& report : listener.reports) note(report);
+      listener.reports.clear();
+    }
+  }
+
+  void note(const Listener::Report& report) {
+    for (pb_size_t k = 0; k < report.body.ranges_count; ++k) {
+      const groma_Range& range = report.body.ranges[k];
+      SeenRange seen{.at_s = to_seconds(report.t),
+                     .tag = static_cast<std::uint16_t>(report.body.tag_id),
+                     .anchor = static_cast<std::uint16_t>(range.anchor_id),
+                     .good = range.status == groma_RangeStatus_RANGE_OK};
+      if (seen.good) {
+        // The line took some milliseconds: as many millimetres of a tag's way.
+        seen.at_s += static_cast<double>(range.instant_offset_dtu) / 63.8976e9;
+        seen.error_m = static_cast<double>(range.range_m) - hall.distance_m(seen.tag, seen.anchor, seen.at_s);
+        seen.sigma_m = sigma_m(range.raw);
+      }
+      ranges_.push_back(seen);
+    }
+  }
+
+  FaultSiteSettings settings_;
+  std::map<std::uint16_t, std::size_t> nodes_;
+  std::vector<std::uint16_t> ids_;
+  std::vector<Listener> listeners_;
+  std::set<std::uint16_t> strangers_;
+  std::vector<SeenRange> ranges_;
+  std::uint32_t requests_ = 0;
+
+ public:
+  Hall hall;
+  Network network;
+  AirLog air;
+};
+
+}  // namespace groma::sim

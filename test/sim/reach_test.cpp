@@ -1,0 +1,354 @@
+// Commands for anchors without a cable, through a tag that has one: a whole native network.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "firmware/core/node/config.hpp"
+#include "test/sim/site_bench.hpp"
+
+namespace groma::sim {
+namespace {
+
+// A tag at the origin, and anchors in a row; neighbours hear each other, and no others do.
+constexpr double kApart_m = 80.0;
+
+class Reach {
+ public:
+  struct Answer {
+    groma_Reply reply = groma_Reply_init_zero;
+    std::vector<groma_NodeToHost> rest;
+    double took_s = 0.0;
+    int pending = 0;
+  };
+
+  Reach(int anchors, bool in_a_row, double loss, std::uint64_t seed = 1)
+      : bench(settings(anchors, loss, seed)) {
+    if (in_a_row) {
+      for (int i = 0; i < anchors; ++i)
+        bench.space.put(SiteBench::anchor_id(i), {kApart_m * (i + 1), 0.0, 2.0});
+      bench.space.put(SiteBench::tag_id(0), {0.0, 0.0, 2.0});
+    }
+    run(2.0);
+  }
+
+  static SiteSettings settings(int anchors, double loss, std::uint64_t seed) {
+    SiteSettings site;
+    site.anchors = anchors;
+    site.seed = seed;
+    site.medium.loss_probability = loss;
+    site.spread_ppm = 10.0;
+    site.configure = [anchors](groma_Config& config) {
+      // All but the last one relay.
+      for (int i = 1; i + 1 < anchors && i <= 4; ++i)
+        config.schedule.backup_ids[config.schedule.backup_ids_count++] = SiteBench::anchor_id(i);
+      config.schedule.responses = 3;
+    };
+    return site;
+  }
+
+  void run(double duration_s) {
+    now_s_ += duration_s;
+    bench.run_until(now_s_);
+  }
+  [[nodiscard]] Listener& wired() { return bench.listeners[0]; }
+
+  // As a host would: repeats the request once the node has fallen silent.
+  std::optional<Answer> ask(std::uint16_t target, groma_HostToNode command, double most_s = 60.0) {
+    command.target_id = target;
+    command.request_id = ++request_;
+    wired().relayed.clear();
+    wired().replies.clear();
+    if (!bench.network.send(0, frame_of(command))) ADD_FAILURE() << "the line is full";
+    Answer answer;
+    const double begin_s = now_s_;
+    while (now_s_ < begin_s + most_s) {
+      run(0.02);
+      answer.pending = static_cast<int>(std::ranges::count_if(wired().replies, [](const groma_Reply& reply) {
+        return reply.result == groma_Result_RESULT_PENDING;
+      }));
+      for (const groma_Reply& reply : wired().replies) {
+        if (reply.request_id != request_ || reply.result == groma_Result_RESULT_PENDING) continue;
+        answer.reply = reply;
+        answer.took_s = now_s_ - begin_s;
+        return answer;
+      }
+      for (const groma_NodeToHost& message : wired().relayed) {
+        if (message.which_body != groma_NodeToHost_reply_tag) continue;
+        if (message.body.reply.request_id != request_) continue;
+        run(0.05);
+        EXPECT_EQ(message.source_id, target);
+        answer.reply = message.body.reply;
+        answer.rest = wired().relayed;
+        answer.took_s = now_s_ - begin_s;
+        return answer;
+      }
+    }
+    return std::nullopt;
+  }
+
+  std::optional<Answer> ask(std::uint16_t target, pb_size_t which, double most_s = 60.0) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.which_body = which;
+    return ask(target, command, most_s);
+  }
+
+  std::optional<groma_Hello> hello(std::uint16_t target) {
+    const auto answer = ask(target, groma_HostToNode_get_hello_tag);
+    if (!answer) return std::nullopt;
+    for (const groma_NodeToHost& message : answer->rest) {
+      if (message.which_body == groma_NodeToHost_hello_tag) return message.body.hello;
+    }
+    return std::nullopt;
+  }
+
+  groma_Reply write(std::uint16_t target, const groma_Config& config) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.which_body = groma_HostToNode_write_config_tag;
+    command.body.write_config = config;
+    const auto answer = ask(target, command);
+    return answer ? answer->reply : groma_Reply groma_Reply_init_zero;
+  }
+  groma_Result apply(std::uint16_t target, std::uint16_t trial_s) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.which_body = groma_HostToNode_apply_config_tag;
+    command.trial_s = trial_s;
+    const auto answer = ask(target, command);
+    return answer ? answer->reply.result : groma_Result_RESULT_STORAGE;
+  }
+
+  SiteBench bench;
+
+ private:
+  double now_s_ = 0.0;
+  std::uint32_t request_ = 7000;
+};
+
+struct Case {
+  const char* name;
+  int anchors;
+  bool in_a_row;
+  double loss;
+};
+std::ostream& operator<<(std::ostream& out, const Case& c) {
+  return out << c.name;
+}
+
+class ReachTest : public ::testing::TestWithParam<Case> {};
+
+TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
+  const Case& c = GetParam();
+  Reach reach(c.anchors, c.in_a_row, c.loss);
+  double longest_s = 0.0;
+  double sum_s = 0.0;
+  int asked = 0;
+  for (int i = 0; i < c.anchors; ++i) {
+    const std::uint16_t id = SiteBench::anchor_id(i);
+    const auto took = [&](const std::optional<Reach::Answer>& answer) {
+      if (!answer) return;
+      longest_s = std::max(longest_s, answer->took_s);
+      sum_s += answer->took_s;
+      ++asked;
+    };
+    const auto hello = reach.hello(id);
+    ASSERT_TRUE(hello) << "anchor " << id;
+    EXPECT_EQ(hello->id, id);
+    EXPECT_EQ(hello->role, groma_Role_ROLE_ANCHOR);
+
+    const auto counters = reach.ask(id, groma_HostToNode_get_counters_tag);
+    took(counters);
+    ASSERT_TRUE(counters && counters->rest.size() == 2U) << "anchor " << id;
+    EXPECT_GT(counters->rest[1].body.counters.frames_received, 10U);
+
+    const auto read = reach.ask(id, groma_HostToNode_read_config_tag);
+    took(read);
+    ASSERT_TRUE(read && read->reply.has_config) << "anchor " << id;
+    EXPECT_EQ(read->reply.config.id, id);
+    EXPECT_EQ(node::config_hash_of(read->reply.config), hello->config_hash);
+
+    groma_Config changed = read->reply.config;
+    changed.transmit_antenna_delay_dtu = 16'400 + id;
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.which_body = groma_HostToNode_write_config_tag;
+    command.body.write_config = changed;
+    const auto written = reach.ask(id, command);
+    took(written);
+    ASSERT_TRUE(written) << "anchor " << id;
+    EXPECT_EQ(written->reply.result, groma_Result_RESULT_OK) << written->reply.text;
+    EXPECT_EQ(written->reply.config.transmit_antenna_delay_dtu, changed.transmit_antenna_delay_dtu);
+
+    command = groma_HostToNode_init_zero;
+    command.which_body = groma_HostToNode_identify_s_tag;
+    command.body.identify_s = 5;
+    const auto identified = reach.ask(id, command);
+    took(identified);
+    ASSERT_TRUE(identified) << "anchor " << id;
+    EXPECT_EQ(identified->reply.result, groma_Result_RESULT_OK);
+  }
+  std::printf("[ %s ] an answer after %.2f s, the last after %.2f s\n", c.name, sum_s / asked, longest_s);
+}
+
+INSTANTIATE_TEST_SUITE_P(Site, ReachTest,
+                         ::testing::Values(Case{"TwoPercent", 6, false, 0.02},
+                                           Case{"ThirtyPercent", 4, false, 0.3},
+                                           Case{"TwoHopsTwoPercent", 2, true, 0.02},
+                                           Case{"TwoHopsThirtyPercent", 2, true, 0.3},
+                                           Case{"ThreeHopsTwoPercent", 3, true, 0.02}),
+                         ::testing::PrintToStringParamName());
+
+TEST(Reach, ANodeThatIsNotThereIsToldAndTheRateStays) {
+  Reach reach(3, false, 0.0);
+  const auto answer = reach.ask(999, groma_HostToNode_get_hello_tag);
+  ASSERT_TRUE(answer);
+  EXPECT_EQ(answer->reply.result, groma_Result_RESULT_UNREACHABLE);
+  EXPECT_GE(answer->pending, 1);
+  const int before = reach.bench.good_ranges();
+  reach.run(1.0);
+  EXPECT_GT(reach.bench.good_ranges(), before + 10);
+}
+
+TEST(Reach, ARebootOverTheAirHappensOnce) {
+  Reach reach(3, false, 0.3);
+  const auto before = reach.hello(103);
+  ASSERT_TRUE(before);
+  const auto answer = reach.ask(103, groma_HostToNode_reboot_tag);
+  ASSERT_TRUE(answer);
+  EXPECT_EQ(answer->reply.result, groma_Result_RESULT_OK);
+  reach.run(3.0);
+  const auto after = reach.hello(103);
+  ASSERT_TRUE(after);
+  EXPECT_EQ(after->boot_count, before->boot_count + 1);
+}
+
+TEST(Reach, WhatWouldCutANodeOffIsRefusedOverTheAir) {
+  Reach reach(3, false, 0.0);
+  const auto reset = reach.ask(102, groma_HostToNode_factory_reset_tag);
+  ASSERT_TRUE(reset);
+  EXPECT_EQ(reset->reply.result, groma_Result_RESULT_UNSUPPORTED);
+  const auto time = reach.ask(102, groma_HostToNode_time_request_tag);
+  ASSERT_TRUE(time);
+  EXPECT_EQ(time->reply.result, groma_Result_RESULT_UNSUPPORTED);
+  groma_Config config = reach.bench.config_of(102, groma_Role_ROLE_ANCHOR);
+  config.network_key.size = 16;
+  config.network_key_hash = 1;
+  EXPECT_EQ(reach.write(102, config).result, groma_Result_RESULT_INVALID);
+  config = reach.bench.config_of(102, groma_Role_ROLE_ANCHOR);
+  config.schedule.guard_us = 1;
+  EXPECT_EQ(reach.write(102, config).result, groma_Result_RESULT_INVALID);
+}
+
+// ---- ranges between anchors -------------------------------------------------------------------------------
+
+TEST(Reach, AnAnchorRangesToTheOthersInASlotThatIsLentToIt) {
+  Reach reach(4, false, 0.02);
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.which_body = groma_HostToNode_survey_tag;
+  command.body.survey.exchanges = 60;
+  const int before = reach.bench.good_ranges();
+  const auto answer = reach.ask(103, command);
+  ASSERT_TRUE(answer);
+  ASSERT_EQ(answer->reply.result, groma_Result_RESULT_OK) << answer->reply.text;
+  ASSERT_EQ(answer->rest[0].which_body, static_cast<pb_size_t>(groma_NodeToHost_survey_report_tag));
+  const groma_SurveyReport& report = answer->rest[0].body.survey_report;
+  ASSERT_EQ(report.pairs_count, 3U);
+  for (const groma_SurveyPair& pair : std::span(report.pairs).first(report.pairs_count)) {
+    EXPECT_NE(pair.anchor_id, 103U);
+    EXPECT_GT(pair.count, 10U);
+    EXPECT_NEAR(pair.mean_m, reach.bench.space.distance_m(103, pair.anchor_id), 0.02) << pair.anchor_id;
+    EXPECT_LT(pair.sigma_m, 0.05F);
+  }
+  std::printf("a survey of %d exchanges took %.2f s\n", static_cast<int>(command.body.survey.exchanges),
+              answer->took_s);
+  // Then the tag ranges as before, and nothing of what it tells is wrong.
+  reach.run(2.0);
+  const int then = reach.bench.good_ranges();
+  reach.run(1.0);
+  EXPECT_GT(reach.bench.good_ranges() - then, 100);
+  EXPECT_GT(then, before);
+  reach.bench.each_range([&](const groma_SlotReport& slot, const groma_Range& range) {
+    if (range.status != groma_RangeStatus_RANGE_OK) return;
+    const double truth_m =
+        reach.bench.space.distance_m(static_cast<std::uint16_t>(slot.tag_id), range.anchor_id);
+    EXPECT_NEAR(static_cast<double>(range.range_m), truth_m, 0.1);
+  });
+  const auto hello = reach.hello(103);
+  ASSERT_TRUE(hello);
+  EXPECT_EQ(hello->role, groma_Role_ROLE_ANCHOR);
+}
+
+TEST(Reach, TheMasterDoesNotSurvey) {
+  Reach reach(3, false, 0.0);
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.which_body = groma_HostToNode_survey_tag;
+  command.body.survey.exchanges = 10;
+  const auto master = reach.ask(101, command);
+  ASSERT_TRUE(master);
+  EXPECT_EQ(master->reply.result, groma_Result_RESULT_UNSUPPORTED);
+  command.body.survey.exchanges = 0;
+  const auto none = reach.ask(102, command);
+  ASSERT_TRUE(none);
+  EXPECT_EQ(none->reply.result, groma_Result_RESULT_INVALID);
+}
+
+// ---- a configuration on trial -----------------------------------------------------------------------------
+
+TEST(Reach, AConfigurationThatProvesItselfStays) {
+  Reach reach(3, false, 0.02);
+  groma_Config config = reach.bench.config_of(103, groma_Role_ROLE_ANCHOR);
+  config.transmit_antenna_delay_dtu = 16'001;
+  ASSERT_EQ(reach.write(103, config).result, groma_Result_RESULT_OK);
+  ASSERT_EQ(reach.apply(103, 5), groma_Result_RESULT_OK);
+  reach.run(1.0);
+  const auto hello = reach.hello(103);
+  ASSERT_TRUE(hello);
+  EXPECT_EQ(hello->config_hash, node::config_hash_of(config));
+  reach.run(8.0);
+  EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
+            node::config_hash_of(config));
+  reach.bench.network.set_power(3, false);
+  reach.run(0.2);
+  reach.bench.network.set_power(3, true);
+  reach.run(9.0);
+  EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
+            node::config_hash_of(config));
+}
+
+TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
+  for (const bool power_cut : {false, true}) {
+    Reach reach(3, false, 0.02);
+    const groma_Config good = reach.bench.config_of(103, groma_Role_ROLE_ANCHOR);
+    groma_Config wrong = good;
+    wrong.schedule.epoch = 99;
+    ASSERT_EQ(reach.write(103, wrong).result, groma_Result_RESULT_OK);
+    ASSERT_EQ(reach.apply(103, 4), groma_Result_RESULT_OK);
+    reach.run(1.5);
+    const auto away = reach.ask(103, groma_HostToNode_get_hello_tag, 2.0);
+    EXPECT_TRUE(!away || away->reply.result == groma_Result_RESULT_UNREACHABLE);
+    if (power_cut) {  // it begins with the new one again, for a minute
+      reach.bench.network.set_power(3, false);
+      reach.run(0.2);
+      reach.bench.network.set_power(3, true);
+      reach.run(60.0);
+    }
+    reach.run(6.0);
+    const auto hello = reach.hello(103);
+    ASSERT_TRUE(hello) << power_cut;
+    EXPECT_EQ(hello->config_hash, node::config_hash_of(good));
+    // And so it stays, also over a power cut.
+    reach.run(3.0);
+    reach.bench.network.set_power(3, false);
+    reach.run(0.2);
+    reach.bench.network.set_power(3, true);
+    reach.run(3.0);
+    EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
+              node::config_hash_of(good));
+  }
+}
+
+}  // namespace
+}  // namespace groma::sim
