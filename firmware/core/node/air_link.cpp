@@ -154,7 +154,7 @@ std::optional<Data> AirLink::next_fragment() noexcept {
     if (!try_again()) return std::nullopt;
     next_ = last_missing();
   }
-  while (next_ < fragments_ && (have_ >> next_ & 1U) != 0) ++next_;
+  while (next_ < fragments_ && (unsigned{have_} >> next_ & 1U) != 0) ++next_;
   const std::uint8_t last = last_missing();
   const std::uint8_t index = std::min(next_, last);
   round_over_ = index == last;
