@@ -56,6 +56,13 @@ class Site {
     return air.station(index_of(id)).mastership();
   }
   void run_superframes(double count) { air.run(count * superframe_s); }
+  // Keeps none of the ranges: those of minutes are more than the memory of a small target holds.
+  void run_unseen(double seconds) {
+    for (double done_s = 0.0; done_s < seconds; done_s += 1.0) {
+      air.run(std::min(1.0, seconds - done_s));
+      air.ranges.clear();
+    }
+  }
   // What the tags complete meanwhile.
   std::vector<RangeSeen> ranges_of(double superframes) {
     air.ranges.clear();
@@ -167,7 +174,7 @@ TEST(SelfOrganizing, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
     site.air.start_all();
     site.air.run(1.0);
     site.air.reach = [&](std::size_t a, std::size_t b) { return half(a) == half(b); };
-    site.air.run(cut_s);
+    site.run_unseen(cut_s);
     EXPECT_EQ(site.leaders(), (Ids{101, 102})) << cut_s;
     site.air.reach = nullptr;
     site.run_superframes(30);
