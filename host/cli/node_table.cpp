@@ -74,6 +74,8 @@ Json counters_json(const groma_Counters& counters) {
           {"ranges_completed", counters.ranges_completed},
           {"ranges_lost", counters.ranges_lost},
           {"reports_dropped", counters.reports_dropped},
+          {"link_frames_bad", counters.link_frames_bad},
+          {"link_bytes_lost", counters.link_bytes_lost},
           {"radio_recoveries", counters.radio_recoveries}};
 }
 

@@ -956,6 +956,45 @@ TEST(SlotReport, CarriesEachRangeWithItsInstantAndItsStatus) {
   EXPECT_EQ(counters.ranges_lost, 2U);
 }
 
+TEST(MessageEncoder, AReplyWithAStoredConfigurationHasNanopbsBytes) {
+  groma_Config config = good_config();
+  config.network_key.size = 16;
+  config.network_key_hash = 0x12345678;
+  config.correct_power_bias = true;
+  groma_Config before = config;
+  before.id = 1;
+  before.network_key.bytes[3] = 9;
+  groma_NodeToHost message = groma_NodeToHost_init_zero;
+  message.which_body = groma_NodeToHost_reply_tag;
+  groma_Reply& reply = message.body.reply;
+  reply.request_id = 70'000;
+  reply.result = groma_Result_RESULT_STORAGE;
+  std::strcpy(reply.text, "as it is");
+  for (const bool on_trial : {false, true}) {
+    std::vector<std::uint8_t> stored(kMaxStoredBytes);
+    stored.resize(on_trial ? encode_on_trial(config, before, stored) : encode_config(config, stored));
+    const auto told = shown(stored);
+    std::vector<std::uint8_t> expected(kMaxConfigBytes);
+    expected.resize(encode_config(without_key(config), expected));
+    EXPECT_TRUE(std::ranges::equal(told, expected)) << on_trial;
+
+    MessageEncoder encoder;
+    const auto frame = encoder.encode(message, told);
+    const std::vector<std::uint8_t> seen(frame.begin(), frame.end());
+    groma_NodeToHost whole = message;
+    whole.body.reply.has_config = true;
+    whole.body.reply.config = without_key(config);
+    EXPECT_TRUE(std::ranges::equal(encoder.encode(whole), seen)) << on_trial;
+    // Where it does not fit there is nothing, at any length that is too short.
+    std::vector<std::uint8_t> room(groma_NodeToHost_size);
+    const std::size_t size = encode_message(message, told, room);
+    EXPECT_EQ(encode_message(message, told, std::span(room).first(size)), size);
+    for (std::size_t shorter = 0; shorter < size; ++shorter) {
+      EXPECT_EQ(encode_message(message, told, std::span(room).first(shorter)), 0U) << shorter;
+    }
+  }
+}
+
 TEST(MessageEncoder, TheLargestMessageOfTheSchemaFits) {
   groma_NodeToHost message = groma_NodeToHost_init_zero;
   message.which_body = groma_NodeToHost_slot_report_tag;

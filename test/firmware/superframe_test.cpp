@@ -152,6 +152,29 @@ TEST(Schedule, EachFaultIsFoundAndNamed) {
   expect(ScheduleFault::kBadGuard, [](auto& s) { s.guard_us = 4; });
 }
 
+TEST(Schedule, IdsMayComeInAnyOrderButOnceEach) {
+  groma_Schedule schedule = schedule_of(16, 64, groma_RangingMethod_METHOD_DS_FINAL);
+  schedule.backup_ids_count = 0;
+  std::reverse(std::begin(schedule.tag_ids), std::end(schedule.tag_ids));
+  // 27 and 64 have no common factor: each place once, far from where it was.
+  const groma_Schedule sorted = schedule;
+  for (std::size_t i = 0; i < 64; ++i) schedule.anchor_ids[i] = sorted.anchor_ids[27 * i % 64];
+  EXPECT_EQ(check(schedule), ScheduleFault::kNone);
+  for (std::size_t i = 0; i < 80; ++i) {
+    const auto at = [&](groma_Schedule& s, std::size_t k) -> std::uint16_t& {
+      return k < 16 ? s.tag_ids[k] : s.anchor_ids[k - 16];
+    };
+    groma_Schedule twice = schedule;
+    at(twice, i) = at(twice, (i + 31) % 80);
+    EXPECT_EQ(check(twice), ScheduleFault::kRepeatedId) << i;
+    groma_Schedule bad = schedule;
+    at(bad, i) = 0;
+    EXPECT_EQ(check(bad), ScheduleFault::kBadId) << i;
+    at(bad, i) = 0xFFFF;
+    EXPECT_EQ(check(bad), ScheduleFault::kBadId) << i;
+  }
+}
+
 TEST(Schedule, TheHashTellsEveryDifference) {
   const groma_Schedule base = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL);
   const std::uint32_t hash = schedule_hash(base, 1, Preamble::k128);

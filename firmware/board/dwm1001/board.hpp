@@ -35,7 +35,10 @@ class Board {
   bool link_answer(std::span<const std::uint8_t> frame) noexcept {
     return asked_over_can_ ? can_.write(frame) : uart_.write(frame);
   }
-  void count_link(groma_Counters& counters) noexcept { can_.count(counters); }
+  void count_link(groma_Counters& counters) noexcept {
+    can_.count(counters);
+    counters.link_bytes_lost = uart_.lost();
+  }
   bool store_config(std::span<const std::uint8_t> blob) noexcept { return config_store_.store(blob); }
   std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_store_.load(out); }
   security::BlockCipher& cipher() noexcept { return ecb_; }

@@ -90,7 +90,10 @@ std::uint32_t Uarte::certain_end() noexcept {
   const std::uint32_t whole = filled_ * static_cast<std::uint32_t>(kChunk);
   const auto behind = static_cast<std::int32_t>(whole - taken_);
   // The DMA has come around and overwritten what was not taken: begin anew with the chunk it is in.
-  if (behind > static_cast<std::int32_t>(kReceiveRing - kChunk)) taken_ = whole;
+  if (behind > static_cast<std::int32_t>(kReceiveRing - kChunk)) {
+    lost_ += whole - taken_;
+    taken_ = whole;
+  }
   const std::uint32_t begin = behind < 0 ? taken_ : whole;
   for (std::uint32_t end = whole + static_cast<std::uint32_t>(kChunk); end != begin; --end) {
     if (receive_[(end - 1) % kReceiveRing] == 0) return end;

@@ -28,6 +28,8 @@ class Uarte {
   // Bytes that have come, up to the end of a frame or of a chunk; release() them before the next call.
   [[nodiscard]] std::span<const std::uint8_t> received(std::uint64_t now_us) noexcept;
   void release(std::size_t bytes) noexcept;
+  // Bytes that have come and were overwritten before they were taken.
+  [[nodiscard]] std::uint32_t lost() const noexcept { return lost_; }
   // When received() wants to be called next; the maximum: not before an interrupt.
   [[nodiscard]] std::uint64_t next_poll_us() const noexcept;
 
@@ -56,6 +58,7 @@ class Uarte {
   std::atomic<std::uint32_t> sending_ = 0;  // bytes under way
   std::atomic<std::uint32_t> filled_ = 0;   // chunks
   std::uint32_t taken_ = 0;                 // bytes
+  std::uint32_t lost_ = 0;                  // bytes
   std::atomic<bool> silent_ = true;         // the next byte interrupts
   std::uint64_t poll_at_us_ = 0;
 };

@@ -1,7 +1,9 @@
 #include "firmware/core/mac/superframe.hpp"
 
 #include <algorithm>
+#include <array>
 #include <span>
+#include <type_traits>
 
 #include "firmware/core/mac/wire_enum.hpp"
 
@@ -43,19 +45,24 @@ std::span<const std::uint16_t> anchors_of(const groma_Schedule& schedule) noexce
   return std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
 }
 
+bool is_one_of(std::span<const std::uint16_t> ids, std::uint32_t id) noexcept {
+  return std::find(ids.begin(), ids.end(), id) != ids.end();
+}
+
 ScheduleFault check_ids(const groma_Schedule& schedule) noexcept {
   const auto tags = tags_of(schedule);
   const auto anchors = anchors_of(schedule);
-  const std::size_t total = tags.size() + anchors.size();
-  const auto id_at = [&](std::size_t i) { return i < tags.size() ? tags[i] : anchors[i - tags.size()]; };
-  for (std::size_t i = 0; i < total; ++i) {
-    if (outside(id_at(i), 1, kLargestId)) return ScheduleFault::kBadId;
-    for (std::size_t j = 0; j < i; ++j) {
-      if (id_at(i) == id_at(j)) return ScheduleFault::kRepeatedId;
-    }
+  std::array<std::uint16_t, kMaxTags + std::extent_v<decltype(schedule.anchor_ids)>> room;
+  const auto begin = room.begin();
+  const auto end = std::copy(anchors.begin(), anchors.end(), std::copy(tags.begin(), tags.end(), begin));
+  // Most sites count up. Sorted by a heap, for std::sort is long.
+  if (!std::is_sorted(begin, end)) {
+    std::make_heap(begin, end);
+    std::sort_heap(begin, end);
   }
-  return std::count(anchors.begin(), anchors.end(), schedule.master_id) == 1 ? ScheduleFault::kNone
-                                                                             : ScheduleFault::kBadMaster;
+  if (outside(*begin, 1, kLargestId) || outside(*(end - 1), 1, kLargestId)) return ScheduleFault::kBadId;
+  if (std::adjacent_find(begin, end) != end) return ScheduleFault::kRepeatedId;
+  return is_one_of(anchors, schedule.master_id) ? ScheduleFault::kNone : ScheduleFault::kBadMaster;
 }
 
 std::span<const std::uint16_t> backups_of(const groma_Schedule& schedule) noexcept {
@@ -67,7 +74,7 @@ bool backups_fit(const groma_Schedule& schedule) noexcept {
   const auto anchors = anchors_of(schedule);
   return std::all_of(backups.begin(), backups.end(), [&](std::uint16_t id) {
     return id != schedule.master_id && std::count(backups.begin(), backups.end(), id) == 1 &&
-           std::count(anchors.begin(), anchors.end(), id) == 1;
+           is_one_of(anchors, id);
   });
 }
 

@@ -109,6 +109,23 @@ std::span<const std::uint8_t> before_trial(std::span<const std::uint8_t> stored)
   return {};
 }
 
+std::span<const std::uint8_t> shown(std::span<std::uint8_t> stored) noexcept {
+  pb_istream_t stream = pb_istream_from_buffer(stored.data(), stored.size());
+  pb_wire_type_t type{};
+  std::uint32_t tag = 0;
+  bool end = false;
+  std::size_t kept = 0;
+  for (std::size_t begin = 0; pb_decode_tag(&stream, &type, &tag, &end) && pb_skip_field(&stream, type);) {
+    const std::size_t next = stored.size() - stream.bytes_left;
+    if (tag != kBeforeTag && tag != groma_Config_network_key_tag) {
+      std::copy(stored.data() + begin, stored.data() + next, stored.data() + kept);
+      kept += next - begin;
+    }
+    begin = next;
+  }
+  return stored.first(kept);
+}
+
 dw1000::RadioSettings radio_settings(const groma_Config& config) noexcept {
   return {
       .preamble = preamble_of(config.preamble),

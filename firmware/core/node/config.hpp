@@ -39,6 +39,9 @@ inline constexpr std::size_t kMaxStoredBytes = storage::kMaxRecordBytes;
                                           std::span<std::uint8_t> out) noexcept;
 // The one before; empty where there is none.
 [[nodiscard]] std::span<const std::uint8_t> before_trial(std::span<const std::uint8_t> stored) noexcept;
+// Cuts out of a stored configuration, in place, what is nobody's business: the network's key, and the one
+// before. The bytes that remain, at its start, are the encoded form of without_key().
+[[nodiscard]] std::span<const std::uint8_t> shown(std::span<std::uint8_t> stored) noexcept;
 
 // A delay or a power of 0 means the chip's own: see groma.proto.
 [[nodiscard]] dw1000::RadioSettings radio_settings(const groma_Config& config) noexcept;

@@ -190,15 +190,34 @@ std::span<const std::uint8_t> MessageEncoder::frame_first(std::size_t bytes) noe
   return std::span(buffer_).first(wire::encode_frame(std::span(buffer_).last(bytes), buffer_));
 }
 
-std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message) noexcept {
+std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
+                           std::span<std::uint8_t> out) noexcept {
+  pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
+  if (!config) return pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0;
+  const groma_Reply& reply = message.body.reply;
+  // The configuration is the reply's last field, and the reply the message's.
+  static_assert(groma_Reply_config_tag == 4 && groma_NodeToHost_reply_tag == 6);
+  pb_ostream_t size = PB_OSTREAM_SIZING;
+  const bool fits = pb_encode(&size, groma_Reply_fields, &reply) &&
+                    pb_encode_tag(&size, PB_WT_STRING, groma_Reply_config_tag) &&
+                    pb_encode_string(&size, config->data(), config->size()) &&
+                    pb_encode_tag(&stream, PB_WT_STRING, groma_NodeToHost_reply_tag) &&
+                    pb_encode_varint(&stream, size.bytes_written) &&
+                    pb_encode(&stream, groma_Reply_fields, &reply) &&
+                    pb_encode_tag(&stream, PB_WT_STRING, groma_Reply_config_tag) &&
+                    pb_encode_string(&stream, config->data(), config->size());
+  return fits ? stream.bytes_written : 0;
+}
+
+std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message,
+                                                     const ReplyConfig& config) noexcept {
   if (message.which_body == groma_NodeToHost_slot_report_tag) {
     const auto payload = wire::encode_slot_report(message.body.slot_report, buffer_);
     if (payload.empty()) return {};
     return std::span(buffer_).first(wire::encode_frame(payload, buffer_));
   }
-  pb_ostream_t stream = pb_ostream_from_buffer(buffer_.data(), groma_NodeToHost_size);
-  if (!pb_encode(&stream, groma_NodeToHost_fields, &message)) return {};
-  return frame_first(stream.bytes_written);
+  const std::size_t size = encode_message(message, config, std::span(buffer_).first(groma_NodeToHost_size));
+  return size == 0 ? std::span<const std::uint8_t>() : frame_first(size);
 }
 
 void MessageEncoder::close(const groma_SlotReport& report) noexcept {

@@ -52,12 +52,22 @@ void fill_hello(groma_Hello& hello, const Build& build, const std::optional<grom
 
 [[nodiscard]] groma_SyncState sync_state_of(mac::SyncState state) noexcept;
 
+// The configuration of a reply, in its encoded form; nothing where the reply has none, or holds it itself.
+using ReplyConfig = std::optional<std::span<const std::uint8_t>>;
+
+// Writes the message to the start of `out`, as nanopb does; its size, 0 where it does not fit. nanopb goes
+// over nested messages again to learn their length, eight times over a schedule in a reply: `config`, of a
+// reply without one of its own, is put in as it is.
+[[nodiscard]] std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
+                                         std::span<std::uint8_t> out) noexcept;
+
 // Encodes and frames messages in a buffer of its own.
 class MessageEncoder {
  public:
   // One whole frame, valid until the next call; empty where the message does not fit, which no message of the
-  // schema does.
-  [[nodiscard]] std::span<const std::uint8_t> encode(const groma_NodeToHost& message) noexcept;
+  // schema does. `config` as of encode_message().
+  [[nodiscard]] std::span<const std::uint8_t> encode(const groma_NodeToHost& message,
+                                                     const ReplyConfig& config = {}) noexcept;
   // A message of another node, encoded already, with that node's id as its source.
   [[nodiscard]] std::span<const std::uint8_t> encode_of(std::span<const std::uint8_t> message,
                                                         std::uint16_t source) noexcept;

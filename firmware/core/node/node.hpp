@@ -11,28 +11,24 @@
 #pragma once
 
 #include <pb_decode.h>
-#include <pb_encode.h>
 
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <limits>
-#include <memory>
 #include <optional>
 #include <span>
-#include <variant>
+#include <utility>
 
 #include "firmware/core/dw1000/driver.hpp"
-#include "firmware/core/mac/anchor.hpp"
-#include "firmware/core/mac/tag.hpp"
 #include "firmware/core/node/air_link.hpp"
 #include "firmware/core/node/config.hpp"
+#include "firmware/core/node/machine.hpp"
 #include "firmware/core/node/messages.hpp"
 #include "firmware/core/node/platform.hpp"
+#include "firmware/core/node/stored_config.hpp"
+#include "firmware/core/node/survey.hpp"
+#include "firmware/core/node/trial.hpp"
 #include "groma.pb.h"
-#include "proto/crc32.hpp"
 #include "proto/frame_codec.hpp"
 
 namespace groma::node {
@@ -42,15 +38,15 @@ class Node {
  public:
   // Keeps a reference to the platform; build.version is a string that lives as long.
   Node(P& platform, const Build& build) noexcept
-      : platform_(platform), build_(build), radio_(platform.spi()) {}
+      : platform_(platform), build_(build), radio_(platform.spi()), stored_(platform) {}
 
   // Once after boot: loads the configuration, brings the radio up, says hello, and joins if configured.
   void start() noexcept {
     platform_.set_indicator(Indicator::kUnconfigured);
     telemetry_due_us_ = next_telemetry_us_ = platform_.now_us() + kTelemetryPeriod_us;
-    const Stored stored = load_stored();
+    const auto stored = stored_.load();
     config_ = stored.config;
-    if (stored.on_trial) begin_trial(kTrial_s);
+    if (stored.on_trial) trial_.begin(platform_.now_us(), Trial::kUsual_s);
     choose_link();
     bring_radio_up();
     send_hello();
@@ -106,13 +102,12 @@ class Node {
     }
   }
 
-  // Up to then the radio is armed and wants nothing of the processor, on the clock of now_us(): the time for
-  // what else there is to do. 0 while it may want something any time; the maximum where nothing hangs on how
-  // soon it is served.
+  // Up to then the radio wants nothing of the processor, on the clock of now_us(): the time for what else
+  // there is to do. 0 while it may want something any time; the maximum where nothing hangs on how soon it is
+  // served.
   [[nodiscard]] std::uint64_t quiet_until_us() const noexcept {
-    const mac::Station* member = station();
-    const bool searching = member != nullptr && member->sync().state() == mac::SyncState::kSearching;
-    return member == nullptr || searching ? kNever_us : quiet_until_us_;
+    if (!machine_.in_step()) return kNever_us;
+    return event_due_us_ != 0 ? event_due_us_ : quiet_until_us_;
   }
 
   [[nodiscard]] const groma_Counters& counters() const noexcept { return counters_; }
@@ -132,7 +127,7 @@ class Node {
   static constexpr std::uint64_t kUnconfiguredPeriod_us = 1'000'000;
   static constexpr ranging::Ticks kUnconfiguredListening = ranging::Ticks::from_us(20'000);
   static constexpr std::uint32_t kMaxIdentify_s = 3'600;
-  static constexpr std::uint32_t kTrial_s = 60;
+  static constexpr const char* kOffTheAir = "off the air to write flash";
   static constexpr std::uint64_t kLongestSurvey_us = 60'000'000;
   // After a survey of which nothing was heard any more.
   static constexpr std::uint64_t kLentOn_us = 5'000'000;
@@ -179,16 +174,15 @@ class Node {
     const auto own_id = static_cast<std::uint16_t>(config_->id);
     if (survey_as_ != mac::kNobody) site.id = survey_as_;
     if (config_->role == groma_Role_ROLE_TAG || survey_as_ != mac::kNobody) {
-      tag_ = std::construct_at(&machine_.tag, site, counters_);
+      machine_.become_tag(site, counters_);
     } else {
-      anchor_ = std::construct_at(&machine_.anchor, site, counters_);
+      machine_.become_anchor(site, counters_);
     }
     air_.start(own_id, mac::rank_of(*site.schedule, own_id).has_value(), platform_.boot_count());
-    if (tag_) tag_->attach(air_);
-    if (anchor_) anchor_->attach(air_);
+    machine_.attach(air_);
     const ranging::ClockTime now = read_clock();
-    perform(tell([now](auto& machine) { return machine.start(now); }));
-    proven_superframe_ = superframe();
+    perform(machine_.tell([now](auto& machine) { return machine.start(now); }));
+    proven_superframe_ = machine_.superframe();
     indicate();
   }
 
@@ -202,10 +196,8 @@ class Node {
 
   // After an interrupt that the radio went on from as it should.
   void prove_life() noexcept {
-    const mac::Station* member = station();
-    const bool searching = member == nullptr || member->sync().state() == mac::SyncState::kSearching;
-    if (!searching && superframe() == proven_superframe_) return;
-    proven_superframe_ = superframe();
+    if (machine_.in_step() && machine_.superframe() == proven_superframe_) return;
+    proven_superframe_ = machine_.superframe();
     platform_.proof_of_life();
   }
 
@@ -213,22 +205,17 @@ class Node {
   // radio is armed for later, so that it costs no slot.
   void sample_ambient() noexcept {
     const std::uint64_t now_us = platform_.now_us();
-    if (now_us < next_ambient_us_ || now_us + kAmbientWork_us > quiet_until_us()) return;
+    const bool armed_soon = machine_.in_step() && now_us + kAmbientWork_us > quiet_until_us_;
+    if (now_us < next_ambient_us_ || armed_soon) return;
     if (!sampling_) {
       radio_.start_sampling();
       next_ambient_us_ = now_us + radio_.kSampling_us + kAmbientWork_us;
     } else {
       ambient_ = radio_.finish_sampling();
       next_ambient_us_ = now_us + kAmbientPeriod_us;
-      share_health();
+      machine_.set_health(ambient_ ? health_of(*ambient_) : mac::Health{});
     }
     sampling_ = !sampling_;
-  }
-
-  void share_health() noexcept {
-    const mac::Health health = ambient_ ? health_of(*ambient_) : mac::Health{};
-    if (tag_) tag_->set_health(health);
-    if (anchor_) anchor_->set_health(health);
   }
 
   // Off the air until resume(), join() or bring_radio_up().
@@ -242,32 +229,18 @@ class Node {
   // Back where leave() left: the DW1000's clock has gone on, so a master's beacons come when the others,
   // coasting meanwhile, expect them.
   void resume() noexcept {
-    if (station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();
+    if (machine_.station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();
     const ranging::ClockTime now = read_clock();
     refer(now);
-    perform(tell([now](auto& machine) { return machine.resume(now); }));
+    perform(machine_.tell([now](auto& machine) { return machine.resume(now); }));
     watch_sync();
   }
 
-  template <class F>
-  mac::Step tell(F&& f) noexcept {
-    if (tag_) return f(*tag_);
-    if (anchor_) return f(*anchor_);
-    return {};
-  }
-
   void forget_machine() noexcept {
-    tag_ = nullptr;
-    anchor_ = nullptr;
+    machine_.forget();
     completed_ = nullptr;
     armed_.reset();
     event_due_us_ = 0;
-  }
-
-  [[nodiscard]] const mac::Station* station() const noexcept {
-    if (tag_) return &tag_->station();
-    if (anchor_) return &anchor_->station();
-    return nullptr;
   }
 
   // False where nothing had happened.
@@ -280,7 +253,7 @@ class Node {
       case EventKind::kTransmitted: {
         const ranging::ClockTime stamp = clock_.unwrap(event.stamp);
         refer(stamp);
-        perform(tell([&](auto& machine) { return machine.on_transmitted(stamp); }));
+        perform(machine_.tell([&](auto& machine) { return machine.on_transmitted(stamp); }));
         break;
       }
       case EventKind::kReceived: {
@@ -291,10 +264,10 @@ class Node {
                           [](std::span<const std::uint8_t> frame) { return !mac::looks_like_poll(frame); });
         const ranging::ClockTime stamp = event.stamp_valid ? clock_.unwrap(event.stamp) : read_clock();
         refer(stamp);
-        if (station() == nullptr) ++counters_.foreign_frames;
+        if (machine_.station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{stamp, event.stamp_valid, event.frame, event.quality};
-        perform(tell([&](auto& machine) { return machine.on_received(reception); }));
-        if (tag_) tag_->check();
+        perform(machine_.tell([&](auto& machine) { return machine.on_received(reception); }));
+        if (machine_.tag()) machine_.tag()->check();
         break;
       }
       case EventKind::kPreambleTimeout:
@@ -306,7 +279,8 @@ class Node {
         const bool error = count_failure(event.kind);
         const ranging::ClockTime now = read_clock();
         refer(now);
-        perform(tell([&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }));
+        perform(machine_.tell(
+            [&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }));
         break;
       }
       case EventKind::kClockLost:
@@ -320,9 +294,7 @@ class Node {
   // Between two RESPONSEs each microsecond counts: the next window is armed before the frame is read.
   void arm_ahead() noexcept {
     armed_.reset();
-    std::optional<mac::Action> next;
-    if (tag_) next = tag_->ahead();
-    if (anchor_) next = anchor_->ahead();
+    const std::optional<mac::Action> next = machine_.ahead();
     if (!next) return;
     dw1000::Start start =
         radio_.receive_at(clock_.wrap(next->at), next->until - next->at, preamble_timeout(*next, next->at));
@@ -401,12 +373,12 @@ class Node {
       const ranging::ClockTime now = read_clock();
       refer(now);
       if (action.kind == mac::Action::Kind::kTransmit) {
-        step = tell([&](auto& machine) { return machine.on_late(now); });
+        step = machine_.tell([&](auto& machine) { return machine.on_late(now); });
         continue;
       }
       if (action.kind == mac::Action::Kind::kListen) ++counters_.late_receives;
       if (now >= action.preamble_until.value_or(action.until)) {
-        step = tell([&](auto& machine) { return machine.on_timeout(now); });
+        step = machine_.tell([&](auto& machine) { return machine.on_timeout(now); });
         continue;
       }
       if (radio_.receive_now(action.until - now, preamble_timeout(action, now)) != dw1000::Start::kStarted) {
@@ -431,7 +403,7 @@ class Node {
     if (later && action.kind == Kind::kListen) {
       // Of the shortest frame the end, or that none came.
       constexpr std::size_t kShortest_bytes = 12;
-      const mac::Station* member = station();
+      const mac::Station* member = machine_.station();
       const ranging::Ticks until_out = action.preamble_until.value_or(action.until) - action.at;
       event_due_us_ += rough_us(
           member == nullptr ? until_out
@@ -478,7 +450,7 @@ class Node {
   }
 
   void watch_sync() noexcept {
-    const mac::Station* member = station();
+    const mac::Station* member = machine_.station();
     if (member == nullptr) {
       sync_state_ = mac::SyncState::kSearching;
       return;
@@ -501,11 +473,10 @@ class Node {
     if (identify_until_us_ != kNever_us) return;
     if (bring_up_ != dw1000::BringUp::kOk) {
       platform_.set_indicator(Indicator::kRadioFault);
-    } else if (const mac::Station* member = station(); member == nullptr) {
+    } else if (machine_.station() == nullptr) {
       platform_.set_indicator(Indicator::kUnconfigured);
     } else {
-      const bool searching = member->sync().state() == mac::SyncState::kSearching;
-      platform_.set_indicator(searching ? Indicator::kSearching : Indicator::kRanging);
+      platform_.set_indicator(machine_.in_step() ? Indicator::kRanging : Indicator::kSearching);
     }
   }
 
@@ -522,23 +493,21 @@ class Node {
   }
 
   template <class Fill>
-  void send(pb_size_t which, Fill&& fill, To to = To::kHost) noexcept {
+  void send(pb_size_t which, Fill&& fill, To to = To::kHost, const ReplyConfig& config = {}) noexcept {
     finish_report();
     message_ = groma_NodeToHost_init_zero;
     message_.which_body = which;
     fill(message_.body);
-    if (!write_message(to)) ++counters_.reports_dropped;
+    if (!write_message(to, config)) ++counters_.reports_dropped;
   }
 
-  bool write_message(To to) noexcept {
+  bool write_message(To to, const ReplyConfig& config = {}) noexcept {
     if (to == To::kAsker && by_air_) {
-      const auto room = air_.room();
-      pb_ostream_t stream = pb_ostream_from_buffer(room.data(), room.size());
-      if (!pb_encode(&stream, groma_NodeToHost_fields, &message_)) return false;
-      air_.append(stream.bytes_written);
-      return true;
+      const std::size_t size = encode_message(message_, config, air_.room());
+      if (size != 0) air_.append(size);
+      return size != 0;
     }
-    const auto frame = encoder_.encode(message_);
+    const auto frame = encoder_.encode(message_, config);
     return to == To::kAsker ? answer_link(frame) : platform_.link_write(frame);
   }
 
@@ -553,7 +522,7 @@ class Node {
     groma_SlotReport& report = message_.body.slot_report;
     switch (reporting_) {
       case Reporting::kChoosing:
-        if (tag_) tag_->choose_anchors();
+        if (machine_.tag()) machine_.tag()->choose_anchors();
         if (survey_as_ != mac::kNobody) {
           survey(*std::exchange(completed_, nullptr));
           break;
@@ -606,7 +575,7 @@ class Node {
   }
 
   void place_in_network(groma_SlotReport& report, ranging::ClockTime now) noexcept {
-    const mac::Station* member = station();
+    const mac::Station* member = machine_.station();
     if (member == nullptr) return;
     const auto network_time = member->network_time(now);
     if (!network_time) return;
@@ -633,15 +602,15 @@ class Node {
   }
 
   void tell_membership(groma_NetworkStatus& status) const noexcept {
-    if (tag_) {
-      const mac::TagMembership& membership = tag_->membership();
-      const auto slot = membership.slot(superframe());
+    if (const mac::Tag* tag = machine_.tag()) {
+      const mac::TagMembership& membership = tag->membership();
+      const auto slot = membership.slot(machine_.superframe());
       status.has_slot = slot.has_value();
       status.slot = static_cast<std::uint8_t>(slot.value_or(0));
       status.candidates = static_cast<std::uint32_t>(membership.anchors().size());
       status.answering = static_cast<std::uint32_t>(membership.anchors().answering());
-    } else if (anchor_) {
-      const auto holders = anchor_->membership().slots().holders();
+    } else if (const mac::Anchor* anchor = machine_.anchor()) {
+      const auto holders = anchor->membership().slots().holders();
       std::copy(holders.begin(), holders.end(), status.holders);
       status.holders_count = static_cast<pb_size_t>(holders.size());
     }
@@ -650,10 +619,10 @@ class Node {
   void send_telemetry() noexcept {
     // The clock's wraps are followed even where nothing is on the air.
     if (bring_up_ == dw1000::BringUp::kOk) (void)read_clock();
-    if (const mac::Station* member = station()) {
+    if (const mac::Station* member = machine_.station()) {
       send(groma_NodeToHost_network_status_tag, [&](auto& body) {
         body.network_status.state = sync_state_of(member->sync().state());
-        body.network_status.superframe = superframe();
+        body.network_status.superframe = machine_.superframe();
         body.network_status.skew_ppb = -member->sync().skew_ppb();
         body.network_status.beacons_missed = member->sync().missed_in_a_row();
         body.network_status.has_temperature_cdegc = body.network_status.has_supply_mv = ambient_.has_value();
@@ -662,7 +631,7 @@ class Node {
           body.network_status.supply_mv = ambient_->supply_mv;
         }
         tell_membership(body.network_status);
-        if (member->sync().state() == mac::SyncState::kSearching) return;
+        if (!machine_.in_step()) return;
         const mac::Mastership& mastership = member->mastership();
         body.network_status.master_id = mastership.master();
         body.network_status.hop = mastership.hop();
@@ -674,12 +643,6 @@ class Node {
     send_counters();
   }
 
-  [[nodiscard]] std::uint32_t superframe() const noexcept {
-    if (tag_) return tag_->superframe_number();
-    if (anchor_) return anchor_->superframe_number();
-    return 0;
-  }
-
   void log(groma_LogLevel level, const char* text) noexcept {
     send(groma_NodeToHost_log_tag, [&](auto& body) {
       body.log.level = level;
@@ -689,10 +652,15 @@ class Node {
 
   // ---- from the host -------------------------------------------------------------------------------------
 
-  void on_command(std::span<const std::uint8_t> payload) noexcept {
+  // Into command_; false where it is none.
+  bool read_command(std::span<const std::uint8_t> payload) noexcept {
     command_ = groma_HostToNode_init_zero;
     pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
-    if (!pb_decode(&stream, groma_HostToNode_fields, &command_)) {
+    return pb_decode(&stream, groma_HostToNode_fields, &command_);
+  }
+
+  void on_command(std::span<const std::uint8_t> payload) noexcept {
+    if (!read_command(payload)) {
       ++undecodable_;
       ++counters_.link_frames_bad;
       return;
@@ -729,16 +697,17 @@ class Node {
         prefer_anchors(command_.body.prefer_anchors);
         break;
       case groma_HostToNode_leave_network_tag:
-        if (!tag_) {
+        if (machine_.tag() == nullptr) {
           refuse(groma_Result_RESULT_UNSUPPORTED, "only a tag has a slot to leave");
           break;
         }
-        tag_->membership().leave();
+        machine_.tag()->membership().leave();
         reply(groma_Result_RESULT_OK, "");
         break;
       case groma_HostToNode_reboot_tag:
         reply(groma_Result_RESULT_OK, "");
-        do_or_defer(After::kReboot);
+        after_ = After::kReboot;
+        if (!by_air_) do_after();
         break;
       case groma_HostToNode_factory_reset_tag:
         factory_reset();
@@ -755,18 +724,15 @@ class Node {
     }
   }
 
-  void reply(groma_Result result, const char* text,
-             const std::optional<groma_Config>& config = std::nullopt) noexcept {
+  void reply(groma_Result result, const char* text, const ReplyConfig& config = {}) noexcept {
     send(
         groma_NodeToHost_reply_tag,
         [&](auto& body) {
           body.reply.request_id = command_.request_id;
           body.reply.result = result;
           copy_text(body.reply.text, text);
-          body.reply.has_config = config.has_value();
-          if (config) body.reply.config = without_key(*config);
         },
-        To::kAsker);
+        To::kAsker, config);
   }
 
   void tell_time() noexcept {
@@ -789,40 +755,15 @@ class Node {
     reply(result, text);
   }
 
-  struct Stored {
-    std::optional<groma_Config> config;
-    bool on_trial = false;
-  };
-  // What is stored, or with `before` the one that it would give way to, if it is a configuration to work by.
-  [[nodiscard, gnu::noinline]] Stored load_stored(bool before = false) noexcept {
-    Stored stored;
-    const std::size_t size = platform_.load_config(blob_);
-    if (size == 0 || size > blob_.size()) return stored;
-    const auto bytes = std::span<const std::uint8_t>(blob_).first(size);
-    const auto older = before_trial(bytes);
-    stored.on_trial = !older.empty();
-    const bool good = decode_config(before ? older : bytes, stored.config.emplace());
-    if (!good || fault_of(*stored.config)[0] != '\0') stored.config.reset();
-    return stored;
-  }
-
   [[gnu::noinline]] void read_config() noexcept {
-    Stored stored = load_stored();
-    if (!stored.config) stored.config.emplace();
-    reply(groma_Result_RESULT_OK, "", stored.config);
-  }
-
-  // An erase stalls the processor for 85 ms: the host is told, and the radio is off meanwhile.
-  bool store_off_the_air(std::span<const std::uint8_t> blob) noexcept {
-    log(groma_LogLevel_LOG_INFO, "off the air to write flash");
-    leave();
-    return platform_.store_config(blob);
+    const bool good = stored_.load().config.has_value();
+    reply(groma_Result_RESULT_OK, "", good ? stored_.shown() : std::span<const std::uint8_t>());
   }
 
   // Without a key but with its hash: the key that the node has.
   [[gnu::noinline]] void complete_key(groma_Config& config) noexcept {
     if (config.network_key.size != 0 || config.network_key_hash == 0) return;
-    const Stored stored = load_stored();
+    const auto stored = stored_.load();
     if (stored.config && stored.config->network_key_hash == config.network_key_hash)
       config.network_key = stored.config->network_key;
   }
@@ -838,7 +779,7 @@ class Node {
     // One that came over the air may cut the node off: the one in force stays beside it.
     const bool trial = by_air_ && config_;
     if (keep(config, trial ? &*config_ : nullptr)) {
-      trial_end_us_ = kNever_us;
+      trial_.end();
       read_config();
     } else {
       refuse(groma_Result_RESULT_STORAGE, "not stored: write it again");
@@ -846,31 +787,27 @@ class Node {
     resume();
   }
 
-  // Leaves the air. False: not stored, or it reads back otherwise.
+  // Leaves the air, and tells so. False: as StoredConfig says.
   [[gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
-    const std::size_t size =
-        before == nullptr ? encode_config(config, blob_) : encode_on_trial(config, *before, blob_);
-    const std::uint32_t check = wire::crc32(std::span(blob_).first(size));
-    if (size == 0 || !store_off_the_air(std::span(blob_).first(size))) return false;
-    return platform_.load_config(blob_) == size && wire::crc32(std::span(blob_).first(size)) == check;
+    log(groma_LogLevel_LOG_INFO, kOffTheAir);
+    leave();
+    return stored_.keep(config, before);
   }
 
-  // Tells what is stored, or that nothing good is.
-  [[gnu::noinline]] bool confirm_stored() noexcept {
-    const Stored stored = load_stored();
-    if (stored.config) {
-      reply(groma_Result_RESULT_OK, "", stored.config);
-    } else {
-      refuse(groma_Result_RESULT_INVALID, "no valid configuration is stored: write one");
-    }
-    return stored.config.has_value();
-  }
-
-  void apply_config() noexcept {
+  [[gnu::noinline]] void apply_config() noexcept {
     const std::uint32_t trial_s = command_.trial_s;
-    if (!confirm_stored()) return;
-    trial_s_ = trial_s != 0 ? trial_s : kTrial_s;
-    do_or_defer(by_air_ ? After::kApplyOnTrial : After::kApply);
+    const auto stored = stored_.load();
+    if (!stored.config) {
+      return refuse(groma_Result_RESULT_INVALID, "no valid configuration is stored: write one");
+    }
+    reply(groma_Result_RESULT_OK, "", stored_.shown());
+    if (by_air_) {
+      trial_s_ = trial_s != 0 ? trial_s : Trial::kUsual_s;
+      after_ = After::kApply;
+      return;
+    }
+    work_by(stored.config);
+    if (stored.on_trial) settle();  // whoever is at the cable needs no trial
   }
 
   void work_by(const std::optional<groma_Config>& config) noexcept {
@@ -882,7 +819,9 @@ class Node {
   }
 
   [[gnu::noinline]] void factory_reset() noexcept {
-    if (!store_off_the_air({}) || platform_.load_config(blob_) != 0) {
+    log(groma_LogLevel_LOG_INFO, kOffTheAir);
+    leave();
+    if (!stored_.erase()) {
       refuse(groma_Result_RESULT_STORAGE, "not erased: try again");
       return resume();
     }
@@ -897,28 +836,20 @@ class Node {
   // ---- over the air --------------------------------------------------------------------------------------
 
   // What would cut off the answer to a command that came by air waits until that has arrived.
-  enum class After : std::uint8_t { kNothing, kApply, kApplyOnTrial, kReboot };
-
-  void do_or_defer(After what) noexcept {
-    after_ = what;
-    if (!by_air_) do_after();
-  }
+  enum class After : std::uint8_t { kNothing, kApply, kReboot };
 
   void do_after() noexcept {
     const After what = std::exchange(after_, After::kNothing);
     if (what == After::kNothing) return;
     if (what == After::kReboot) return platform_.restart();
-    const Stored stored = load_stored();
+    const auto stored = stored_.load();
     work_by(stored.config);
-    if (!stored.on_trial) return;
-    if (what == After::kApplyOnTrial) return begin_trial(trial_s_);
-    settle();  // whoever is at the cable needs no trial
+    if (stored.on_trial) trial_.begin(platform_.now_us(), trial_s_);
   }
 
   // A command for another node.
   void ask_by_air(std::span<const std::uint8_t> payload) noexcept {
-    const mac::Station* member = station();
-    if (member == nullptr || member->sync().state() == mac::SyncState::kSearching) {
+    if (!machine_.in_step()) {
       return refuse(groma_Result_RESULT_UNREACHABLE, "the wired node is not in step with its network");
     }
     switch (air_.ask(command_.target_id, command_.request_id, payload)) {
@@ -946,7 +877,7 @@ class Node {
         return report_silence();
       case AirLink::Event::kDelivered:
         if (after_ != After::kNothing) return do_after();
-        if (trial_end_us_ != kNever_us) settle();
+        if (trial_.under_way()) settle();
         return;
       case AirLink::Event::kUndelivered:
         // Whoever asked may have had it and left the air himself; a trial mends what this spoils.
@@ -957,10 +888,7 @@ class Node {
   void carry_out_by_air() noexcept {
     // The one before has its answer, or there would be no next one.
     do_after();
-    const auto payload = air_.message();
-    command_ = groma_HostToNode_init_zero;
-    pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
-    const bool whole = pb_decode(&stream, groma_HostToNode_fields, &command_);
+    const bool whole = read_command(air_.message());
     by_air_ = true;
     air_.begin_answer();
     // A node that is reset could not be found again; the time that a frame waits for its slot says nothing.
@@ -1001,7 +929,7 @@ class Node {
       by_air_ = false;
       reply(groma_Result_RESULT_PENDING, "");
     }
-    if (now_us >= trial_end_us_) end_trial();
+    if (trial_.is_over(now_us)) end_trial();
     if (now_us >= lent_until_us_) lend(0);
     if (survey_as_ != mac::kNobody && now_us >= survey_until_us_) end_survey();
   }
@@ -1012,16 +940,9 @@ class Node {
   // of the tag through which it was asked, and that one keeps silent. What it has is kept where its answer
   // goes.
 
-  struct Sum {
-    std::uint16_t anchor = mac::kNobody;
-    std::uint16_t count = 0;
-    float mean_m = 0.0F;
-    float squares_m2 = 0.0F;
-  };
-
   void lend(std::uint64_t duration_us) noexcept {
     lent_until_us_ = duration_us == 0 ? kNever_us : platform_.now_us() + duration_us;
-    if (tag_ && survey_as_ == mac::kNobody) tag_->lend(duration_us != 0);
+    if (machine_.tag() && survey_as_ == mac::kNobody) machine_.tag()->lend(duration_us != 0);
   }
 
   void begin_survey(std::uint32_t exchanges) noexcept {
@@ -1029,7 +950,7 @@ class Node {
     if (exchanges == 0 || exchanges > kMost) {
       return refuse(groma_Result_RESULT_INVALID, "survey.exchanges: 1 to 200");
     }
-    if (!by_air_ || !anchor_ || anchor_->station().mastership().leads()) {
+    if (!by_air_ || !machine_.anchor() || machine_.station()->mastership().leads()) {
       return refuse(groma_Result_RESULT_UNSUPPORTED, "an anchor's that does not lead, asked over the air");
     }
     if (!mac::configured_slot(config_->schedule, air_.peer())) {
@@ -1038,7 +959,7 @@ class Node {
     survey_as_ = air_.peer();
     survey_request_ = command_.request_id;
     survey_left_ = static_cast<std::uint16_t>(exchanges);
-    survey_pairs_ = 0;
+    survey_sums_.clear();
     survey_until_us_ = platform_.now_us() + kLongestSurvey_us / 2;
     leave();
     forget_machine();
@@ -1050,36 +971,10 @@ class Node {
     for (std::size_t i = 0; i < exchange.count; ++i) {
       const mac::Leg& leg = exchange.legs[i];
       if (const mac::Range range = mac::evaluate(exchange, leg); range.status == mac::RangeStatus::kOk) {
-        add_to_survey(leg.anchor, range.flight.distance_m());
+        survey_sums_.add(leg.anchor, range.flight.distance_m(), air_.scratch());
       }
     }
     --survey_left_;  // the last one is told of by serve_air(), where the machine may be changed
-  }
-
-  // Welford.
-  void add_to_survey(std::uint16_t anchor, float range_m) noexcept {
-    std::size_t i = 0;
-    Sum sum;
-    for (; i < survey_pairs_; ++i) {
-      sum = survey_sum(i);
-      if (sum.anchor == anchor) break;
-    }
-    if (i == survey_pairs_) {
-      if (i == std::size(message_.body.survey_report.pairs)) return;
-      sum = Sum{.anchor = anchor};
-      ++survey_pairs_;
-    }
-    ++sum.count;
-    const float off_m = range_m - sum.mean_m;
-    sum.mean_m += off_m / static_cast<float>(sum.count);
-    sum.squares_m2 += off_m * (range_m - sum.mean_m);
-    std::memcpy(air_.scratch().subspan(i * sizeof(Sum)).data(), &sum, sizeof(Sum));
-  }
-
-  [[nodiscard]] Sum survey_sum(std::size_t i) noexcept {
-    Sum sum;
-    std::memcpy(&sum, air_.scratch().subspan(i * sizeof(Sum)).data(), sizeof(Sum));
-    return sum;
   }
 
   void end_survey() noexcept {
@@ -1087,18 +982,7 @@ class Node {
     air_.begin_answer();
     send(
         groma_NodeToHost_survey_report_tag,
-        [&](auto& body) {
-          groma_SurveyReport& report = body.survey_report;
-          for (std::size_t i = 0; i < survey_pairs_; ++i) {
-            const Sum sum = survey_sum(i);
-            const float freedom = sum.count > 1 ? static_cast<float>(sum.count - 1) : 1.0F;
-            report.pairs[report.pairs_count++] = {.anchor_id = sum.anchor,
-                                                  .mean_m = sum.mean_m,
-                                                  .sigma_m = std::sqrt(sum.squares_m2 / freedom),
-                                                  .count = sum.count};
-          }
-        },
-        To::kAsker);
+        [&](auto& body) { survey_sums_.fill(body.survey_report, air_.scratch()); }, To::kAsker);
     command_.request_id = survey_request_;
     reply(groma_Result_RESULT_OK, "");
     by_air_ = false;
@@ -1111,22 +995,13 @@ class Node {
 
   // ---- a configuration on trial --------------------------------------------------------------------------
 
-  void begin_trial(std::uint32_t duration_s) noexcept {
-    trial_round_ = 0;
-    trial_us_ = std::uint64_t{duration_s} * 1'000'000;
-    trial_end_us_ = platform_.now_us() + trial_us_;
-  }
-
-  // In the first round it had to prove itself by an answer of this node that arrived. From then on the two
-  // take turns until the node is in step by one of them.
   void end_trial() noexcept {
-    const bool in_step = station() != nullptr && station()->sync().state() != mac::SyncState::kSearching;
-    if (trial_round_ != 0 && in_step) return settle();
-    ++trial_round_;
-    const bool before = trial_round_ % 2 != 0;
-    const Stored stored = load_stored(before);
-    trial_end_us_ = stored.on_trial ? platform_.now_us() + trial_us_ : kNever_us;
-    if (!stored.on_trial || !stored.config) return;
+    if (!trial_.in_first_round() && machine_.in_step()) return settle();
+    const bool before = trial_.next_round();
+    const auto stored = stored_.load(before);
+    if (!stored.on_trial) return trial_.end();
+    trial_.go_on(platform_.now_us());
+    if (!stored.config) return;
     log(groma_LogLevel_LOG_WARNING,
         before ? "on trial: back to the configuration before" : "on trial: once more");
     work_by(stored.config);
@@ -1134,17 +1009,17 @@ class Node {
 
   // The configuration in force is the only one.
   void settle() noexcept {
-    trial_end_us_ = kNever_us;
-    if (config_ && !keep(*config_, nullptr)) trial_end_us_ = platform_.now_us() + trial_us_;
+    trial_.end();
+    if (config_ && !keep(*config_, nullptr)) trial_.go_on(platform_.now_us());
     resume();
   }
 
   void prefer_anchors(const groma_AnchorPreference& hint) noexcept {
-    if (!tag_) return refuse(groma_Result_RESULT_UNSUPPORTED, "only a tag polls anchors");
+    if (!machine_.tag()) return refuse(groma_Result_RESULT_UNSUPPORTED, "only a tag polls anchors");
     if (hint.ids_count != hint.weights_count) {
       return refuse(groma_Result_RESULT_INVALID, "prefer_anchors: a weight for each id");
     }
-    mac::AnchorSet& anchors = tag_->membership().anchors();
+    mac::AnchorSet& anchors = machine_.tag()->membership().anchors();
     anchors.prefer_none();
     for (pb_size_t i = 0; i < hint.ids_count; ++i) {
       if (!anchors.knows(hint.ids[i]) && hint.weights[i] > 0) (void)anchors.announce(hint.ids[i]);
@@ -1169,17 +1044,7 @@ class Node {
   std::uint64_t reference_us_ = 0;
 
   std::optional<groma_Config> config_;  // in force
-  // The one that the role asks for, while the node is on the air.
-  union Machine {
-    Machine() noexcept : none() {}
-    std::monostate none;
-    mac::Tag tag;
-    mac::Anchor anchor;
-  };
-  static_assert(std::is_trivially_destructible_v<mac::Tag> && std::is_trivially_destructible_v<mac::Anchor>);
   Machine machine_;
-  mac::Tag* tag_ = nullptr;  // it, where it is one
-  mac::Anchor* anchor_ = nullptr;
   mac::SyncState sync_state_ = mac::SyncState::kSearching;
   // To be reported, and how far that has come.
   enum class Reporting : std::uint8_t { kChoosing, kBegin, kRanges, kFraming };
@@ -1211,19 +1076,17 @@ class Node {
   After after_ = After::kNothing;
   std::uint16_t survey_as_ = mac::kNobody;  // the tag in whose place it ranges
   std::uint16_t survey_left_ = 0;           // exchanges
-  std::uint8_t survey_pairs_ = 0;
-  std::uint8_t trial_round_ = 0;
+  SurveySums survey_sums_;
   std::uint32_t survey_request_ = 0;
   std::uint64_t survey_until_us_ = 0;
   std::uint64_t lent_until_us_ = kNever_us;  // the slot
-  std::uint32_t trial_s_ = kTrial_s;
-  std::uint64_t trial_us_ = 0;
-  std::uint64_t trial_end_us_ = kNever_us;
+  Trial trial_;
+  std::uint32_t trial_s_ = Trial::kUsual_s;  // of the next one
 
-  std::array<std::uint8_t, kMaxStoredBytes> blob_{};  // what is read from or goes to storage
+  StoredConfig<P> stored_;
 
   std::uint64_t radio_deadline_us_ = kNever_us;
-  std::uint64_t quiet_until_us_ = 0;
+  std::uint64_t quiet_until_us_ = 0;             // the radio is armed for then
   std::uint64_t event_due_us_ = 0;               // the radio's next interrupt is not before; 0: not known
   std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured
   std::uint64_t next_telemetry_us_ = kNever_us;

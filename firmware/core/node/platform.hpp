@@ -106,7 +106,7 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
 //   the air: it may take 50 ms. Returns why the link did not come up, in at most 31 characters, empty where
 //   it did; the UART then serves in its place.
 // - link_answer(frame): as link_write(), over the link whose bytes the node was given last
-// - count_link(counters): brings the CAN fields up to date
+// - count_link(counters): brings link_bytes_lost and the CAN fields up to date
 template <class P>
 concept ChoosesLink = Platform<P> && requires(P& platform, const groma_Config& config,
                                               groma_Counters& counters, std::span<const std::uint8_t> bytes) {

@@ -86,6 +86,98 @@ TEST_F(ShippedImage, AnswersItsHost) {
   EXPECT_EQ(site.node().soc().uarte().lost_bytes(), 0U);
 }
 
+// As large as it can be, and its ids in no order, or of a usual site.
+groma_Config anchors_config(bool large) {
+  groma_Config config = groma_Config_init_zero;
+  config.role = groma_Role_ROLE_ANCHOR;
+  config.id = 60'002;
+  config.network_id = 65'000;
+  config.has_schedule = true;
+  groma_Schedule& schedule = config.schedule;
+  schedule.epoch = 70'000;
+  schedule.master_id = 60'001;
+  schedule.turn_round_us = 5'000;
+  schedule.response_gap_us = 2'000;
+  schedule.guard_us = 1'000;
+  schedule.responses = 12;
+  const int tags = large ? 16 : 3;
+  for (int i = 0; i < tags; ++i) {
+    schedule.tag_ids[schedule.tag_ids_count++] = static_cast<std::uint16_t>(large ? 50'016 - i : 50'001 + i);
+    if (large) schedule.tag_slots[schedule.tag_slots_count++] = static_cast<std::uint8_t>(15 - i);
+  }
+  for (int i = 0; i < (large ? 64 : 12); ++i)
+    schedule.anchor_ids[schedule.anchor_ids_count++] = static_cast<std::uint16_t>(60'001 + i);
+  for (int i = 0; i < (large ? 7 : 2); ++i)
+    schedule.backup_ids[schedule.backup_ids_count++] = static_cast<std::uint16_t>(60'002 + i);
+  config.network_key.size = 16;
+  return config;
+}
+
+TEST_F(ShippedImage, TellsItsConfigurationSoon) {
+  for (const bool large : {false, true}) {
+    const groma_Config config = anchors_config(large);
+    std::vector<std::uint8_t> blob(node::kMaxConfigBytes);
+    blob.resize(node::encode_config(config, blob));
+    LoneNode site({}, blob);
+    site.run_until(1.5);
+    const auto instructions_of = [&](pb_size_t which) {
+      const double begin_s = to_seconds(site.network.now());
+      const auto before = site.node().usage(site.network.now()).instructions;
+      if (which != 0) site.send(9, which);
+      site.run_until(begin_s + 0.02);
+      return site.node().usage(site.network.now()).instructions - before;
+    };
+    const auto idle = instructions_of(0);
+    const auto busy = instructions_of(groma_HostToNode_read_config_tag);
+    ASSERT_EQ(site.listener.replies.size(), 1U);
+    ASSERT_TRUE(site.listener.replies[0].has_config);
+    EXPECT_EQ(node::config_hash_of(site.listener.replies[0].config), node::config_hash_of(config));
+    EXPECT_EQ(site.listener.replies[0].config.network_key.size, 0U);
+    std::cout << "a configuration of " << blob.size() << " bytes: " << busy - idle << " instructions\n";
+    EXPECT_LT(busy - idle, large ? 100'000U : 60'000U);
+  }
+}
+
+TEST_F(ShippedImage, CountsWhatCameFasterThanItCouldAnswer) {
+  LoneNode site;
+  site.run_until(1.0);
+  constexpr std::size_t kCommands = 200;
+  std::size_t sent_bytes = 0;
+  for (std::uint32_t i = 0; i < kCommands; ++i) {
+    groma_HostToNode command = groma_HostToNode_init_zero;
+    command.request_id = 1'000 + i;
+    command.which_body = groma_HostToNode_get_hello_tag;
+    const auto frame = frame_of(command);
+    sent_bytes += frame.size();
+    ASSERT_TRUE(site.network.send(0, frame));
+  }
+  site.run_until(1.5);
+  const std::size_t answered = site.listener.replies.size();
+  const std::size_t each = sent_bytes / kCommands;
+  EXPECT_GT(answered, kCommands / 10);
+  EXPECT_LT(answered, kCommands);
+  site.send(1, groma_HostToNode_get_counters_tag);
+  site.run_until(1.6);
+  ASSERT_EQ(site.listener.replies.size(), answered + 1);
+  const groma_Counters& counters = site.listener.counters;
+  std::cout << answered << " of " << kCommands << " answered, " << counters.link_bytes_lost << " of "
+            << sent_bytes << " bytes lost, " << counters.link_frames_bad << " frames bad\n";
+  // What is not answered was lost whole, or came torn at the edge of what was lost.
+  EXPECT_GT(counters.link_frames_bad, 0U);
+  EXPECT_GE(answered * each + counters.link_bytes_lost + 2 * each * counters.link_frames_bad, sent_bytes);
+  EXPECT_LE(answered * each + counters.link_bytes_lost, sent_bytes + each);
+
+  // One at a time, nothing is.
+  const std::uint32_t lost = counters.link_bytes_lost;
+  double t_s = 1.6;
+  for (std::uint32_t i = 0; i < 20; ++i) {
+    site.send(5'000 + i, groma_HostToNode_get_counters_tag);
+    while (site.listener.replies.back().request_id != 5'000 + i && t_s < 3.0) site.run_until(t_s += 0.0005);
+  }
+  EXPECT_EQ(site.listener.replies.size(), answered + 21);
+  EXPECT_EQ(site.listener.counters.link_bytes_lost, lost);
+}
+
 struct Errors {
   int count = 0;
   double rms_m = 0.0;

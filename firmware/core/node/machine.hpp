@@ -1,0 +1,87 @@
+// The tag or the anchor that a node is while it is on the air, whichever its role asks for; neither before
+// and after.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <type_traits>
+#include <variant>
+
+#include "firmware/core/mac/anchor.hpp"
+#include "firmware/core/mac/tag.hpp"
+
+namespace groma::node {
+
+class Machine {
+ public:
+  // What the arguments refer to outlives it.
+  void become_tag(const mac::Site& site, groma_Counters& counters) noexcept {
+    tag_ = std::construct_at(&room_.tag, site, counters);
+  }
+  void become_anchor(const mac::Site& site, groma_Counters& counters) noexcept {
+    anchor_ = std::construct_at(&room_.anchor, site, counters);
+  }
+  void forget() noexcept {
+    tag_ = nullptr;
+    anchor_ = nullptr;
+  }
+
+  // Nothing: it is not one.
+  [[nodiscard]] mac::Tag* tag() noexcept { return tag_; }
+  [[nodiscard]] const mac::Tag* tag() const noexcept { return tag_; }
+  [[nodiscard]] mac::Anchor* anchor() noexcept { return anchor_; }
+  [[nodiscard]] const mac::Anchor* anchor() const noexcept { return anchor_; }
+
+  // An event: what it wants done. Nothing wants anything where there is neither.
+  template <class F>
+  mac::Step tell(F&& f) noexcept {
+    if (tag_) return f(*tag_);
+    if (anchor_) return f(*anchor_);
+    return {};
+  }
+  [[nodiscard]] std::optional<mac::Action> ahead() const noexcept {
+    if (tag_) return tag_->ahead();
+    if (anchor_) return anchor_->ahead();
+    return std::nullopt;
+  }
+  void attach(mac::ControlChannel& channel) noexcept {
+    if (tag_) tag_->attach(channel);
+    if (anchor_) anchor_->attach(channel);
+  }
+  void set_health(const mac::Health& health) noexcept {
+    if (tag_) tag_->set_health(health);
+    if (anchor_) anchor_->set_health(health);
+  }
+
+  [[nodiscard]] const mac::Station* station() const noexcept {
+    if (tag_) return &tag_->station();
+    if (anchor_) return &anchor_->station();
+    return nullptr;
+  }
+  // On the air, and not in search of its network: it knows what comes when.
+  [[nodiscard]] bool in_step() const noexcept {
+    const mac::Station* member = station();
+    return member != nullptr && member->sync().state() != mac::SyncState::kSearching;
+  }
+  // The one under way; 0 where there is neither.
+  [[nodiscard]] std::uint32_t superframe() const noexcept {
+    if (tag_) return tag_->superframe_number();
+    if (anchor_) return anchor_->superframe_number();
+    return 0;
+  }
+
+ private:
+  union Room {
+    Room() noexcept : none() {}
+    std::monostate none;
+    mac::Tag tag;
+    mac::Anchor anchor;
+  };
+  static_assert(std::is_trivially_destructible_v<mac::Tag> && std::is_trivially_destructible_v<mac::Anchor>);
+  Room room_;
+  mac::Tag* tag_ = nullptr;
+  mac::Anchor* anchor_ = nullptr;
+};
+
+}  // namespace groma::node

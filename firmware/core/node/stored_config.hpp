@@ -1,0 +1,64 @@
+// The configuration that a node keeps in flash, and how it is read back from there.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "firmware/core/node/config.hpp"
+#include "firmware/core/node/platform.hpp"
+#include "groma.pb.h"
+#include "proto/crc32.hpp"
+
+namespace groma::node {
+
+template <Platform P>
+class StoredConfig {
+ public:
+  explicit StoredConfig(P& platform) noexcept : platform_(platform) {}
+
+  struct Stored {
+    std::optional<groma_Config> config;
+    bool on_trial = false;
+  };
+  // What is stored, or with `before` the one that it would give way to, if it is a configuration to work by.
+  [[nodiscard, gnu::noinline]] Stored load(bool before = false) noexcept {
+    Stored stored;
+    size_ = platform_.load_config(blob_);
+    if (size_ > blob_.size()) size_ = 0;
+    if (size_ == 0) return stored;
+    const auto bytes = std::span<const std::uint8_t>(blob_).first(size_);
+    const auto older = before_trial(bytes);
+    stored.on_trial = !older.empty();
+    const bool good = decode_config(before ? older : bytes, stored.config.emplace());
+    if (!good || fault_of(*stored.config)[0] != '\0') stored.config.reset();
+    return stored;
+  }
+  // What load() has read, encoded, as it may be told; once after each load().
+  [[nodiscard]] std::span<const std::uint8_t> shown() noexcept {
+    return node::shown(std::span(blob_).first(size_));
+  }
+
+  // With the one before beside it where it is on trial. False: not stored, or it reads back otherwise. An
+  // erase stalls the processor for 85 ms: off the air.
+  [[nodiscard, gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
+    const std::size_t size =
+        before == nullptr ? encode_config(config, blob_) : encode_on_trial(config, *before, blob_);
+    const std::uint32_t check = wire::crc32(std::span(blob_).first(size));
+    if (size == 0 || !platform_.store_config(std::span(blob_).first(size))) return false;
+    return platform_.load_config(blob_) == size && wire::crc32(std::span(blob_).first(size)) == check;
+  }
+  // False: not erased. Off the air, as keep().
+  [[nodiscard]] bool erase() noexcept {
+    return platform_.store_config({}) && platform_.load_config(blob_) == 0;
+  }
+
+ private:
+  P& platform_;
+  std::array<std::uint8_t, kMaxStoredBytes> blob_{};  // what is read from or goes to storage
+  std::size_t size_ = 0;                              // of what was read last
+};
+
+}  // namespace groma::node

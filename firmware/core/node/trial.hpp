@@ -1,0 +1,37 @@
+// A configuration on trial: its time runs, and when it is over the other one has its turn, as long, until one
+// of the two is settled on.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+
+namespace groma::node {
+
+class Trial {
+ public:
+  static constexpr std::uint32_t kUsual_s = 60;
+
+  void begin(std::uint64_t now_us, std::uint32_t duration_s) noexcept {
+    round_ = 0;
+    duration_us_ = std::uint64_t{duration_s} * 1'000'000;
+    go_on(now_us);
+  }
+  void go_on(std::uint64_t now_us) noexcept { end_us_ = now_us + duration_us_; }
+  void end() noexcept { end_us_ = kNever_us; }
+
+  [[nodiscard]] bool under_way() const noexcept { return end_us_ != kNever_us; }
+  [[nodiscard]] bool is_over(std::uint64_t now_us) const noexcept { return now_us >= end_us_; }
+  // In the first round it proves itself by an answer that arrived; from then on being in step is enough.
+  [[nodiscard]] bool in_first_round() const noexcept { return round_ == 0; }
+  // True: it is the turn of the configuration before.
+  [[nodiscard]] bool next_round() noexcept { return ++round_ % 2 != 0; }
+
+ private:
+  static constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::max();
+
+  std::uint8_t round_ = 0;
+  std::uint64_t duration_us_ = 0;
+  std::uint64_t end_us_ = kNever_us;
+};
+
+}  // namespace groma::node
