@@ -46,10 +46,10 @@ class CanPort {
   template <class Sink>
   bool service(std::uint64_t now_us, std::uint64_t quiet_until_us, Sink&& sink) noexcept {
     if (!link_.started()) return false;
-    held_ = now_us + kStep_us > quiet_until_us && now_us < patient_until_us_;
+    const bool low = line_is_low();
+    held_ = now_us + link_.step_us(low, now_us) > quiet_until_us && now_us < patient_until_us_;
     if (held_) return false;
     patient_until_us_ = now_us + kPatience_us;
-    const bool low = line_is_low();
     const bool more = link_.service(low, now_us, sink, delay);
     left_alone_ = low && !more;
     return more;
@@ -72,8 +72,7 @@ class CanPort {
   void on_interrupt() noexcept { spi_.on_interrupt(); }
 
  private:
-  // The longest step, and how long it is put off at most.
-  static constexpr std::uint64_t kStep_us = 250;
+  // How long a step is put off at most.
   static constexpr std::uint64_t kPatience_us = 20'000;
 
   [[nodiscard]] static bool line_is_low() noexcept { return !pin::is_high(pin::kCanInterrupt); }

@@ -1,9 +1,9 @@
 // A node's link to its host over CAN: whole frames of frame_codec.hpp in, CAN payloads out, and the bytes
 // from the host the other way.
 //
-// All of it is done in steps that the platform takes between the radio's slots: one of them moves one CAN
-// frame at most, 8 SPI transfers with 150 bytes in all, 0.2 ms at 8 MHz with CAN FD, a third of that with
-// classic CAN.
+// All of it is done in steps that the platform takes while the radio wants nothing: one of them moves one CAN
+// frame at most. What it costs differs much, and small steps fit between two frames on the air: see
+// step_us().
 //
 // What the queue holds when the controller goes bus-off stays; what was in the controller is lost, and the
 // host sees one damaged frame. Before the next try it waits 10 ms, then twice as long each time, up to a
@@ -84,6 +84,15 @@ class CanLink {
     return again;
   }
 
+  // The longest that service() would take now at 8 MHz: with classic CAN and CAN FD at most 2 or 3 SPI
+  // transfers with 31 or 87 bytes where it only sends; 14 with 119 or 231 where there may be events, and a
+  // frame to be received, too.
+  [[nodiscard]] std::uint32_t step_us(bool interrupt, std::uint64_t now_us) const noexcept {
+    const bool fd = settings_.format == wire::CanFormat::kFd;
+    if (interrupt || now_us >= next_check_us_) return fd ? kLongestStep_us : kLongestStep_us * 2 / 3;
+    return fd ? kLongestStep_us / 2 : kLongestStep_us / 4;
+  }
+
   // When service() wants to be called though no interrupt comes; the maximum: never.
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
     if (!wanted_) return ~std::uint64_t{0};
@@ -99,6 +108,7 @@ class CanLink {
   [[nodiscard]] const CanLinkCounters& counters() const noexcept { return counters_; }
 
  private:
+  static constexpr std::uint32_t kLongestStep_us = 280;
   static constexpr std::uint64_t kCheckPeriod_us = 100'000;
   static constexpr std::uint64_t kShortestBackOff_us = 10'000;
   static constexpr std::uint64_t kLongestBackOff_us = 1'000'000;
