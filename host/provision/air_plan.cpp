@@ -31,10 +31,8 @@ double seconds(Ticks ticks) {
 }
 
 // A report as a tag sends it, all ranges good and its numbers as long as they get.
-groma_NodeToHost report_of(const groma_Config& config, std::size_t ranges) {
-  groma_NodeToHost message = groma_NodeToHost_init_zero;
-  message.which_body = groma_NodeToHost_slot_report_tag;
-  groma_SlotReport& report = message.body.slot_report;
+groma_SlotReport report_of(const groma_Config& config, std::size_t ranges) {
+  groma_SlotReport report = groma_SlotReport_init_zero;
   report.sequence = 1U << 30;
   report.superframe = 1U << 30;
   report.slot = 1;
@@ -61,7 +59,7 @@ groma_NodeToHost report_of(const groma_Config& config, std::size_t ranges) {
       range.raw.anchor_round_dtu = range.raw.tag_reply_dtu = std::uint64_t{1} << 30;
     }
   }
-  return message;
+  return report;
 }
 
 std::vector<std::uint8_t> framed(std::span<const std::uint8_t> payload) {
@@ -72,13 +70,13 @@ std::vector<std::uint8_t> framed(std::span<const std::uint8_t> payload) {
 
 std::vector<std::uint8_t> full_report(const groma_Config& config, std::size_t ranges) {
   std::vector<std::uint8_t> payload(groma_NodeToHost_size);
-  return framed(wire::encode_slot_report(report_of(config, ranges).body.slot_report, payload));
+  return framed(wire::encode_slot_report(report_of(config, ranges), payload));
 }
 
 std::vector<std::uint8_t> compact_report(const groma_Config& config, std::size_t ranges) {
   groma_NodeToHost message = groma_NodeToHost_init_zero;
   message.which_body = groma_NodeToHost_compact_report_tag;
-  wire::compact_report(report_of(config, ranges).body.slot_report, message.body.compact_report);
+  wire::compact_report(report_of(config, ranges), message.body.compact_report);
   std::vector<std::uint8_t> payload(groma_NodeToHost_size);
   pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
   payload.resize(pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0);
@@ -89,16 +87,11 @@ std::vector<std::uint8_t> compact_report(const groma_Config& config, std::size_t
 double bus_time_s(std::span<const std::uint8_t> stream, wire::CanFormat format, std::uint16_t node,
                   double nominal_bit_per_s, double data_bit_per_s) {
   double time_s = 0.0;
-  for (std::size_t at = 0; at < stream.size();) {
-    const std::size_t size = std::min(stream.size() - at, wire::max_can_payload(format));
-    wire::CanFrame frame{.id = wire::can_id({wire::CanDirection::kToHost, node}),
-                         .format = format,
-                         .bit_rate_switch = format == wire::CanFormat::kFd};
-    frame.size = *std::lower_bound(wire::kCanLengths.begin(), wire::kCanLengths.end(), size);
-    std::copy_n(stream.begin() + static_cast<std::ptrdiff_t>(at), size, frame.data.begin());
+  wire::CanFrame frame{.id = wire::can_id({wire::CanDirection::kToHost, node})};
+  while (!stream.empty()) {
+    stream = stream.subspan(wire::cut_can_payload(stream, format, frame));
     const sim::CanBits bits = sim::can_bits(frame);
     time_s += (bits.nominal + sim::kIntermissionBits) / nominal_bit_per_s + bits.data / data_bit_per_s;
-    at += size;
   }
   return time_s;
 }
@@ -129,10 +122,12 @@ void warn(const groma_Config& config, AirPlan& plan) {
                                        : config.link == groma_Link_LINK_CAN_FD ? 2
                                                                                : 0);
   if (link.busy > kFull) {
+    // A compact report has no raw stamps.
+    const bool raw = config.report_raw_stamps && config.link != groma_Link_LINK_CAN;
     say(fmt::format(
-        "{} would be busy {:.0f} % of the time: reports will be lost; take raw stamps out, a faster link, "
-        "fewer responses, or more bit/s",
-        link.name, 100.0 * link.busy));
+        "{} would be busy {:.0f} % of the time: reports will be lost; {}take more bit/s, a faster "
+        "link, or a longer response gap",
+        link.name, 100.0 * link.busy, raw ? "leave raw stamps out, or " : ""));
   }
   if (schedule.turn_round_us < kLeastTurnRound_us) {
     say(fmt::format(

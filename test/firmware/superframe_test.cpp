@@ -91,6 +91,23 @@ TEST(Superframe, NoFrameOverlapsAnotherAndEachGapIsKept) {
   }
 }
 
+// Whoever relays the beacon, and whoever polls after a relay, has taken one in first.
+TEST(Superframe, LeavesTimeToTakeABeaconIn) {
+  for (const bool secured : {false, true}) {
+    for (const std::uint32_t gap_us : {50U, 160U, 700U}) {
+      const groma_Schedule schedule =
+          schedule_of(3, 12, groma_RangingMethod_METHOD_DS_NEXT_POLL, 300, gap_us);
+      const Superframe superframe(schedule, Phy(Preamble::k128), secured);
+      const Ticks frame = superframe.phy().air_time(superframe.control_bytes());
+      const double before_relay_us =
+          us(superframe.shared() - superframe.beacon() - frame - superframe.guard());
+      EXPECT_NEAR(before_relay_us, std::max(gap_us, 300U) + 100.0, 0.1);
+      const double before_poll_us = us(superframe.poll(0) - superframe.shared() - frame - superframe.guard());
+      EXPECT_NEAR(before_poll_us, 400.0, 0.1);
+    }
+  }
+}
+
 TEST(Superframe, EveryTransmissionLiesOnTheGrid) {
   for (const std::uint32_t odd_us : {151U, 299U, 653U}) {
     groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, odd_us, odd_us);

@@ -15,6 +15,9 @@ using ranging::round_up_to_grid;
 using ranging::Ticks;
 
 constexpr std::uint16_t kLargestId = 65534;
+// A beacon is taken into the clock filter before a relay's own, or the POLL after it, is made: so much longer
+// than an answer to a POLL. A code is checked and made in it, too.
+constexpr Ticks kToTakeIn = round_up_to_grid(Ticks::from_us(100));
 
 constexpr bool outside(std::uint32_t value, std::uint32_t low, std::uint32_t high) noexcept {
   return value < low || value > high;
@@ -180,7 +183,6 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
     : phy_(phy),
       has_final_(schedule.method == groma_RangingMethod_METHOD_DS_FINAL),
       code_bytes_(secured ? kCodeBytes : 0),
-      code_time_(round_up_to_grid(Ticks::from_us(secured ? 100 : 0))),
       slot_count_(slot_count_of(schedule)),
       responses_(schedule.responses != 0 ? schedule.responses
                                          : std::min<std::size_t>(schedule.anchor_ids_count, kMaxAnchors)),
@@ -191,17 +193,18 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
-      control_slot_(round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) +
-                                     (secured ? std::max(gap_, turn_round_) : gap_)) +
-                    code_time_),
+      control_slot_(
+          round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turn_round_)) +
+          kToTakeIn),
       slots_start_(control_slot_ +
                    round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turn_round_) +
-                   code_time_) {
+                   kToTakeIn) {
   const Ticks last_frame =
       has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes))
                  : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes));
   tag_slot_ = round_up_to_grid(first_frame_ + last_frame + gap_);
-  end_time_ = code_time_ + round_up_to_grid(Ticks::from_us(has_final_ ? 100 : 0));
+  end_time_ = round_up_to_grid(Ticks::from_us(secured ? 100 : 0)) +
+              round_up_to_grid(Ticks::from_us(has_final_ ? 100 : 0));
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {

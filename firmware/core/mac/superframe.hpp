@@ -99,7 +99,6 @@ class Superframe {
   dw1000::Phy phy_;
   bool has_final_;
   std::size_t code_bytes_;
-  ranging::Ticks code_time_;
   std::size_t slot_count_;
   std::size_t responses_;
   std::uint32_t backups_;
