@@ -56,7 +56,7 @@ struct Ambient {
 // How its surroundings bend what it stamps. All of it is in the receive stamps, half of it from each end of a
 // two-way range.
 struct StampBias {
-  bool drift = false;  // 2.2 mm a degree C from 23, and 5 cm a volt from 3.3, of range for each end
+  bool drift = false;  // 2.15 mm a degree C from 23, and 5.35 cm a volt from 3.3, of range for each end
   bool power = false;  // by receive power: APS011, table 2, for PRF 64 MHz
 };
 

@@ -290,7 +290,8 @@ double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
   double bias_m = 0.0;
   if (spec_.bias.drift) {
     // Each end's own, all of it in its own stamps: they enter by half.
-    bias_m += 2.0 * (0.0022 * (spec_.ambient.temperature_c - 23.0) + 0.05 * (spec_.ambient.supply_v - 3.3));
+    bias_m +=
+        2.0 * (0.00215 * (spec_.ambient.temperature_c - 23.0) + 0.0535 * (spec_.ambient.supply_v - 3.3));
   }
   if (spec_.bias.power) {
     constexpr std::array<double, 17> kBias_m = {0.081,  0.076,  0.071,  0.062,  0.049,  0.042,
@@ -309,7 +310,7 @@ double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
 // With one buffer the next frame comes over the last one. The chip does so bit by bit until the new one is
 // whole; here all is lost as soon as that has begun, so that who reads too late is found out.
 void Dw1000Chip::spoil_last_frame() {
-  for (const Reg reg : {Reg::kRxFinfo, Reg::kRxBuffer, Reg::kRxFqual, Reg::kRxTime}) {
+  for (const Reg reg : {Reg::kRxFinfo, Reg::kRxBuffer, Reg::kRxFqual, Reg::kRxTime, Reg::kLdePpIndx}) {
     const std::span<std::uint8_t> bytes = registers_.bytes(reg);
     std::fill(bytes.begin(),
               bytes.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(bytes.size(), 16)),

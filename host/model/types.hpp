@@ -13,8 +13,8 @@ using NodeId = std::uint16_t;
 
 inline constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
 
-// A hint, by how far the first path's power is below all of it; the numbers are those of the wire and of
-// files.
+// A hint, by how far the first path's power is below all of it and the strongest path from it; the numbers
+// are those of the wire and of files.
 enum class LineOfSight : std::uint8_t { kNotKnown, kLikely, kUncertain, kUnlikely };
 
 // What was applied to a range, once: bits, of the wire and of files.

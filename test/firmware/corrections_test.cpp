@@ -19,14 +19,15 @@ TEST(Drift, IsNothingAtTheReference) {
   EXPECT_EQ(supply_drift(3'300).in_256ths(), 0);
 }
 
-TEST(Drift, Is2Point2MillimetresADegreeAnd5CentimetresAVolt) {
+TEST(Drift, Is2Point15MillimetresADegreeAnd5Point35CentimetresAVolt) {
   for (const int temperature_cdegc : {-4'000, -1, 2'299, 2'301, 5'000, 8'500, 12'700}) {
-    EXPECT_NEAR(metres(temperature_drift(temperature_cdegc)), 0.0022 * (temperature_cdegc / 100.0 - 23.0),
+    EXPECT_NEAR(metres(temperature_drift(temperature_cdegc)), 0.00215 * (temperature_cdegc / 100.0 - 23.0),
                 kRounding_m)
         << temperature_cdegc;
   }
   for (const int supply_mv : {2'800, 3'000, 3'299, 3'301, 3'600, 3'984}) {
-    EXPECT_NEAR(metres(supply_drift(supply_mv)), 0.05 * (supply_mv / 1000.0 - 3.3), kRounding_m) << supply_mv;
+    EXPECT_NEAR(metres(supply_drift(supply_mv)), 0.0535 * (supply_mv / 1000.0 - 3.3), kRounding_m)
+        << supply_mv;
   }
 }
 

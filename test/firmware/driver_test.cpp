@@ -74,6 +74,7 @@ static_assert(lies_at<reg::OtpCtrl>({0x2D, 0x06, 2}));
 static_assert(lies_at<reg::OtpRdat>({0x2D, 0x0A, 4}));
 static_assert(lies_at<reg::OtpSf>({0x2D, 0x12, 1}));
 static_assert(lies_at<reg::LdeCfg1>({0x2E, 0x0806, 1}));
+static_assert(lies_at<reg::LdePpindx>({0x2E, 0x1000, 2}));
 static_assert(lies_at<reg::LdeRxantd>({0x2E, 0x1804, 2}));
 static_assert(lies_at<reg::LdeCfg2>({0x2E, 0x1806, 2}));
 static_assert(lies_at<reg::LdeRepc>({0x2E, 0x2804, 2}));
@@ -352,13 +353,24 @@ TEST_F(Driver, SamplingDisturbsNoReceptionAndNeedsAChip) {
 }
 
 TEST(LineOfSight, HangsOnThePowerThatIsNotInTheFirstPath) {
-  EXPECT_EQ(line_of_sight(std::nullopt, -8'000), LineOfSight::kUnknown);
-  EXPECT_EQ(line_of_sight(-8'000, std::nullopt), LineOfSight::kUnknown);
-  EXPECT_EQ(line_of_sight(-8'000, -8'000), LineOfSight::kLikely);
-  EXPECT_EQ(line_of_sight(-8'599, -8'000), LineOfSight::kLikely);
-  EXPECT_EQ(line_of_sight(-8'600, -8'000), LineOfSight::kUncertain);
-  EXPECT_EQ(line_of_sight(-9'000, -8'000), LineOfSight::kUncertain);
-  EXPECT_EQ(line_of_sight(-9'001, -8'000), LineOfSight::kUnlikely);
+  EXPECT_EQ(line_of_sight(std::nullopt, -8'000, 0), LineOfSight::kUnknown);
+  EXPECT_EQ(line_of_sight(-8'000, std::nullopt, 0), LineOfSight::kUnknown);
+  EXPECT_EQ(line_of_sight(-8'000, -8'000, 0), LineOfSight::kLikely);
+  EXPECT_EQ(line_of_sight(-8'599, -8'000, 0), LineOfSight::kLikely);
+  EXPECT_EQ(line_of_sight(-8'600, -8'000, 0), LineOfSight::kUncertain);
+  EXPECT_EQ(line_of_sight(-9'000, -8'000, 0), LineOfSight::kUncertain);
+  EXPECT_EQ(line_of_sight(-9'001, -8'000, 0), LineOfSight::kUnlikely);
+}
+
+TEST(LineOfSight, HangsOnHowFarTheStrongestPathIsFromTheFirst) {
+  EXPECT_EQ(line_of_sight(-8'200, -8'000, 211), LineOfSight::kLikely);
+  EXPECT_EQ(line_of_sight(-8'200, -8'000, 212), LineOfSight::kUncertain);
+  EXPECT_EQ(line_of_sight(-8'200, -8'000, 384), LineOfSight::kUncertain);
+  EXPECT_EQ(line_of_sight(-8'200, -8'000, 385), LineOfSight::kUnlikely);
+  EXPECT_EQ(line_of_sight(-8'800, -8'000, 385), LineOfSight::kUnlikely);
+  EXPECT_EQ(line_of_sight(-8'800, -8'000, 100), LineOfSight::kUncertain);
+  EXPECT_EQ(peak_distance_64ths({.first_path_index_64ths = 64 * 746 + 16, .peak_index = 749}), 176);
+  EXPECT_EQ(peak_distance_64ths({.first_path_index_64ths = 64 * 746 + 16, .peak_index = 745}), 80);
 }
 
 TEST_F(Driver, TransmitsAtAStamp) {
@@ -443,6 +455,7 @@ void put_frame(FakeChip& chip, std::span<const std::uint8_t> frame, std::uint64_
   chip.put(0x15, 0, stamp, 5);
   chip.put(0x15, 5, 0xB9C0, 2);
   chip.put(0x15, 7, 11'000, 2);
+  chip.put(0x2E, 0x1000, 748, 2);
   chip.put(0x12, 0, 40, 2);
   chip.put(0x12, 2, 12'000, 2);
   chip.put(0x12, 4, 9'000, 2);
@@ -468,6 +481,7 @@ TEST_F(Driver, ReadsAFrameWithItsStampAndQuality) {
   EXPECT_EQ(event.quality.channel_power, 5'000);
   EXPECT_EQ(event.quality.noise, 40);
   EXPECT_EQ(event.quality.first_path_index_64ths, 0xB9C0);
+  EXPECT_EQ(event.quality.peak_index, 748);
   EXPECT_EQ(event.quality.preamble_count, 113);
   EXPECT_EQ(event.quality.carrier_integral, -16);
   EXPECT_EQ(radio.state(), State::kIdle);

@@ -7,6 +7,7 @@
 #include <map>
 #include <string>
 
+#include "firmware/core/ranging/twr.hpp"
 #include "test/sim/site_bench.hpp"
 
 namespace groma::sim {
@@ -34,6 +35,15 @@ void put_around(SiteBench& site, int anchors, double distance_m) {
 
 double error_m(const SiteBench& site, const groma_SlotReport& report, const groma_Range& range) {
   return static_cast<double>(range.range_m) -
+         site.space.distance_m(static_cast<std::uint16_t>(report.tag_id), range.anchor_id);
+}
+
+// The same exchange without its closing frame: the anchor's clock by the carrier's offset.
+double single_sided_error_m(const SiteBench& site, const groma_SlotReport& report, const groma_Range& range) {
+  const auto flight =
+      ranging::single_sided(ranging::Ticks(range.raw.tag_round_dtu),
+                            ranging::Ticks(range.raw.anchor_reply_dtu), range.clock_offset_ppb);
+  return static_cast<double>(flight.value().distance_m()) -
          site.space.distance_m(static_cast<std::uint16_t>(report.tag_id), range.anchor_id);
 }
 
@@ -70,6 +80,17 @@ TEST_P(AbsoluteError, IsAtMostACentimetreFrom1To100MetresForTheFirstAndTheLastRe
           const int responder = range.anchor_id - SiteBench::anchor_id(0);
           const double error = error_m(site, report, range);
           EXPECT_LE(std::abs(error), 0.01) << distance_m << " m, responder " << responder;
+          EXPECT_LE(std::abs(single_sided_error_m(site, report, range)), 0.01)
+              << distance_m << " m, responder " << responder;
+          EXPECT_EQ(
+              ranging::double_sided(
+                  {.tag_round = ranging::Ticks(range.raw.tag_round_dtu),
+                   .anchor_reply = ranging::Ticks(range.raw.anchor_reply_dtu),
+                   .anchor_round = ranging::Ticks(static_cast<std::int64_t>(range.raw.anchor_round_dtu)),
+                   .tag_reply = ranging::Ticks(static_cast<std::int64_t>(range.raw.tag_reply_dtu))})
+                  .value()
+                  .distance_m(),
+              range.range_m);
           EXPECT_TRUE(range.flags & groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS);
           worst_m = std::max(worst_m, std::abs(error));
           ++count[responder];
@@ -105,7 +126,8 @@ struct Spread {
 class StampNoise : public testing::TestWithParam<Spread> {};
 
 // docs/explanation/ranging.md: with D the POLL's RMARKER to the RESPONSE's and D' from there to the closing
-// frame's, the three receive stamps weigh D' / 2(D + D'), 1/2 and D / 2(D + D').
+// frame's, the three receive stamps weigh D' / 2(D + D'), 1/2 and D / 2(D + D'). Single-sided, the two weigh
+// 1/2 each.
 double closed_form_m(double stamp_sigma_s, double to_response, double to_closing) {
   const double total = to_response + to_closing;
   return kSpeedOfLight_mps * stamp_sigma_s * 0.5 *
@@ -125,6 +147,8 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
   const double stamp_sigma_s = std::hypot(kNoise_s, 1.0 / kTicksPerSecond / std::sqrt(12.0));
   const mac::Superframe superframe = site.superframe();
   const auto count = static_cast<std::size_t>(p.anchors);
+  const double single_sided_m = kSpeedOfLight_mps * stamp_sigma_s / std::sqrt(2.0);
+  double single_sided_squares = 0.0;
   std::vector<double> squares(count);
   std::vector<int> ranges(count);
   site.each_range(
@@ -139,6 +163,8 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
         const double normalized = error_m(site, report, range) / sigma_m;
         EXPECT_LT(std::abs(normalized), 6.0);
         squares[responder] += normalized * normalized;
+        const double of_two_frames = single_sided_error_m(site, report, range) / single_sided_m;
+        single_sided_squares += of_two_frames * of_two_frames;
         ++ranges[responder];
       },
       kSettled_s);
@@ -152,6 +178,8 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
     all_ranges += ranges[i];
   }
   EXPECT_NEAR(all, all_ranges, 5.0 * std::sqrt(2.0 * all_ranges));
+  // Those of one exchange have nothing in common but the POLL, which each anchor stamps itself.
+  EXPECT_NEAR(single_sided_squares, all_ranges, 5.0 * std::sqrt(2.0 * all_ranges));
   std::printf("%s: spread %.4f of the closed form over %d ranges; first %.4f, last %.4f\n", p.name,
               std::sqrt(all / all_ranges), all_ranges, std::sqrt(squares.front() / ranges.front()),
               std::sqrt(squares.back() / ranges.back()));
@@ -244,8 +272,8 @@ TEST(Drift, OfBothEndsIsInARangeUntilItIsCorrected) {
       [&](const groma_SlotReport& report, const groma_Range& range) {
         if (!ok(range)) return;
         const double expected_m =
-            0.0022 * (kTagTemperature_c - 23.0 + anchor_temperature_c(range.anchor_id) - 23.0) +
-            0.05 * (kTagSupply_v - 3.3 + anchor_supply_v(range.anchor_id) - 3.3);
+            0.00215 * (kTagTemperature_c - 23.0 + anchor_temperature_c(range.anchor_id) - 23.0) +
+            0.0535 * (kTagSupply_v - 3.3 + anchor_supply_v(range.anchor_id) - 3.3);
         EXPECT_NEAR(error_m(site, report, range), expected_m, 0.01) << range.anchor_id;
         EXPECT_EQ(range.flags & (groma_RangeFlag_RANGE_FLAG_TEMPERATURE | groma_RangeFlag_RANGE_FLAG_SUPPLY),
                   0);

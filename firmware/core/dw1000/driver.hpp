@@ -273,6 +273,7 @@ class Dw1000 {
     if (!wanted(std::span<const std::uint8_t>(frame))) return;
     if (!armed) results = read<reg::DrxResults>();
     const auto quality = read<reg::RxFqual>();
+    const auto peak = read<reg::LdePpindx>();
     const auto count = info.get(reg::rx_finfo::kPreambleCount);
     const auto unsaturated_count = results.get(reg::drx_results::kUnsaturatedCount);
     event.quality = {
@@ -282,6 +283,7 @@ class Dw1000 {
         .channel_power = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kChannelPower)),
         .noise = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kNoise)),
         .first_path_index_64ths = static_cast<std::uint16_t>(time.get(reg::rx_time::kFirstPath)),
+        .peak_index = static_cast<std::uint16_t>(peak.word()),
         .preamble_count = corrected_preamble_count(static_cast<std::uint16_t>(count),
                                                    static_cast<std::uint16_t>(unsaturated_count)),
         .carrier_integral = static_cast<std::int32_t>(results.get_signed(reg::drx_results::kIntegral)),

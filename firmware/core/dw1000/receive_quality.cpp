@@ -1,6 +1,7 @@
 #include "firmware/core/dw1000/receive_quality.hpp"
 
 #include <cmath>
+#include <cstdlib>
 
 namespace groma::dw1000 {
 namespace {
@@ -38,14 +39,22 @@ std::optional<std::int32_t> receive_power_cdbm(const ReceiveQuality& q) noexcept
   return power_cdbm(static_cast<float>(q.channel_power) * kScale, q.preamble_count);
 }
 
+std::int32_t peak_distance_64ths(const ReceiveQuality& quality) noexcept {
+  return std::abs(std::int32_t{quality.peak_index} * 64 - std::int32_t{quality.first_path_index_64ths});
+}
+
 LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
-                          std::optional<std::int32_t> receive_power_cdbm) noexcept {
+                          std::optional<std::int32_t> receive_power_cdbm,
+                          std::int32_t peak_distance_64ths) noexcept {
   constexpr std::int32_t kLikely_cdb = 600;
   constexpr std::int32_t kUnlikely_cdb = 1'000;
+  constexpr std::int32_t kLikely_64ths = 211;  // 3.3 samples
+  constexpr std::int32_t kUnlikely_64ths = 6 * 64;
   if (!first_path_power_cdbm || !receive_power_cdbm) return LineOfSight::kUnknown;
   const std::int32_t hidden_cdb = *receive_power_cdbm - *first_path_power_cdbm;
-  if (hidden_cdb < kLikely_cdb) return LineOfSight::kLikely;
-  return hidden_cdb > kUnlikely_cdb ? LineOfSight::kUnlikely : LineOfSight::kUncertain;
+  if (hidden_cdb > kUnlikely_cdb || peak_distance_64ths > kUnlikely_64ths) return LineOfSight::kUnlikely;
+  const bool likely = hidden_cdb < kLikely_cdb && peak_distance_64ths <= kLikely_64ths;
+  return likely ? LineOfSight::kLikely : LineOfSight::kUncertain;
 }
 
 std::int32_t clock_offset_ppb(std::int32_t carrier_integral) noexcept {

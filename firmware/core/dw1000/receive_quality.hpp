@@ -12,8 +12,9 @@ struct ReceiveQuality {
   std::uint16_t amplitude3 = 0;
   std::uint16_t channel_power = 0;
   std::uint16_t noise = 0;
-  std::uint16_t first_path_index_64ths = 0;
-  std::uint16_t preamble_count = 0;  // symbols accumulated, without those of the SFD
+  std::uint16_t first_path_index_64ths = 0;  // of the channel's impulse response, samples of 1.0016 ns
+  std::uint16_t peak_index = 0;              // of its strongest path, whole samples
+  std::uint16_t preamble_count = 0;          // symbols accumulated, without those of the SFD
   std::int32_t carrier_integral = 0;
 };
 
@@ -26,12 +27,17 @@ struct ReceiveQuality {
 [[nodiscard]] std::optional<std::int32_t> first_path_power_cdbm(const ReceiveQuality& quality) noexcept;
 [[nodiscard]] std::optional<std::int32_t> receive_power_cdbm(const ReceiveQuality& quality) noexcept;
 
-// Whether the first path is likely the straight one, by what part of the power it holds: within 6 dB of all
-// of it is line of sight, more than 10 dB below is not (user manual 4.7.3). A hint: a wall of one material
-// attenuates all paths alike.
+// From the first path to the strongest, either way.
+[[nodiscard]] std::int32_t peak_distance_64ths(const ReceiveQuality& quality) noexcept;
+
+// Whether the first path is likely the straight one. By what part of the power it holds: within 6 dB of all
+// of it is line of sight, more than 10 dB below is not (user manual 4.7.3); and by how far the strongest path
+// is from it: up to 3.3 samples is line of sight, more than 6 is not (APS006 part 3). Likely is what both
+// call so, unlikely what one does. A hint: a wall of one material attenuates all paths alike.
 enum class LineOfSight : std::uint8_t { kUnknown, kLikely, kUncertain, kUnlikely };
 [[nodiscard]] LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
-                                        std::optional<std::int32_t> receive_power_cdbm) noexcept;
+                                        std::optional<std::int32_t> receive_power_cdbm,
+                                        std::int32_t peak_distance_64ths) noexcept;
 
 // The transmitter's clock against the receiver's, parts per 10^9; positive: the transmitter's is fast
 // (channel 5, 6.8 Mbit/s). The integral's sign is the other way round.

@@ -57,6 +57,7 @@ using OtpCtrl      = Register<0x2D, 0x0006,  2, kReadWrite>;  // read it, load t
 using OtpRdat      = Register<0x2D, 0x000A,  4, kRead>;       // the word read
 using OtpSf        = Register<0x2D, 0x0012,  1, kReadWrite>;  // special functions: LDO tune
 using LdeCfg1      = Register<0x2E, 0x0806,  1, kReadWrite>;  // leading edge: noise threshold
+using LdePpindx    = Register<0x2E, 0x1000,  2, kRead>;       // sample of the strongest path
 using LdeRxantd    = Register<0x2E, 0x1804,  2, kReadWrite>;  // subtracted from the receive stamp
 using LdeCfg2      = Register<0x2E, 0x1806,  2, kReadWrite>;  // leading edge, by PRF
 using LdeRepc      = Register<0x2E, 0x2804,  2, kReadWrite>;  // leading edge, by preamble code

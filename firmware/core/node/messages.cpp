@@ -80,7 +80,8 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
     set(out.has_clock_offset_ppb, out.clock_offset_ppb,
         dw1000::clock_offset_ppb(leg.quality.carrier_integral));
     out.noise = leg.quality.noise;
-    out.flags = static_cast<std::uint8_t>(dw1000::line_of_sight(first_path_power_cdbm, receive_power_cdbm));
+    out.flags = static_cast<std::uint8_t>(dw1000::line_of_sight(first_path_power_cdbm, receive_power_cdbm,
+                                                                dw1000::peak_distance_64ths(leg.quality)));
   }
   if (range.status != mac::RangeStatus::kOk) return out;
   out.flags |= groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS;
