@@ -27,7 +27,7 @@ struct Options {
   std::filesystem::path plan;
   unsigned tags = 3;
   unsigned anchors = 12;
-  unsigned backups = 2;
+  unsigned backups = provision::kDefaultBackups;
   std::string method = "next-poll";
   std::string link = "uart";
   provision::SiteSettings site;
@@ -43,9 +43,7 @@ groma_Config made_up(const Options& options) {
   for (unsigned i = 0; i < options.anchors; ++i)
     site.anchor_ids.push_back(static_cast<model::NodeId>(100 + i));
   site.master_id = site.anchor_ids.front();
-  for (unsigned i = 0; i < std::min(options.backups, options.anchors - 1); ++i) {
-    site.backup_ids.push_back(site.anchor_ids[i + 1]);
-  }
+  site.backup_ids = provision::first_backups(site, options.backups);
   site.method = options.method == "final" ? groma_RangingMethod_METHOD_DS_FINAL
                                           : groma_RangingMethod_METHOD_DS_NEXT_POLL;
   site.link = options.link == "can"      ? groma_Link_LINK_CAN
@@ -77,16 +75,17 @@ std::string as_text(const provision::AirPlan& plan, double loss, double success)
   air.add({"a tag transmits", percent(plan.tag_duty)});
   air.add({"an anchor", percent(plan.anchor_duty)});
   air.add({"the master", percent(plan.master_duty)});
-  air.add({"ranges", fmt::format("{:.0f} a second, {:.0f} of each of {} tags", plan.ranges_per_s,
-                                 plan.tag_ranges_per_s, plan.tags)});
+  air.add({"ranges", fmt::format("{:.0f} a second, {:.0f} of each of {} tag{}", plan.ranges_per_s,
+                                 plan.tag_ranges_per_s, plan.tags, plan.tags == 1 ? "" : "s")});
   if (loss > 0.0) {
     air.add({fmt::format("  at {} loss", percent(loss)),
              fmt::format("{:.0f} a second", plan.ranges_per_s * success)});
   }
   air.add({"  the frames' bound", fmt::format("{:.0f} a second", plan.bound_ranges_per_s)});
-  Table links({"link", "report bytes", "busy", "ranges/s at most"});
+  Table links({"link", "of", "report bytes", "busy", "ranges/s at most"});
   for (const provision::LinkLoad& link : plan.links) {
-    links.add({link.name, fmt::format("{:.0f}", link.report_bytes), percent(link.busy),
+    links.add({link.name, link.name == "UART" ? "each tag" : "all tags",
+               fmt::format("{:.0f}", link.report_bytes), percent(link.busy),
                fmt::format("{:.0f}", link.most_ranges_per_s)});
   }
   return air.format(true) + "\n" + links.format();
@@ -162,7 +161,6 @@ void add_plan(CLI::App& app, Action& action) {
         ->excludes(file)
         ->capture_default_str();
   };
-  options->site.response_gap_us = provision::kLeastGap_us;
   number("--tags", options->tags, "Tags", 1, 16);
   number("--anchors", options->anchors, "Anchors", 1, 64);
   number("--backups", options->backups, "Back-ups of the master among them", 0, 7);

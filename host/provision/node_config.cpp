@@ -67,6 +67,14 @@ std::uint32_t hash_of(const NetworkKey& key) {
 
 }  // namespace
 
+std::vector<model::NodeId> first_backups(const SiteSettings& site, std::size_t count) {
+  std::vector<model::NodeId> backups;
+  for (const model::NodeId id : site.anchor_ids) {
+    if (id != site.master_id && backups.size() < count) backups.push_back(id);
+  }
+  return backups;
+}
+
 groma_Config config_of(const SiteSettings& site, groma_Role role, model::NodeId id) {
   groma_Config config = groma_Config_init_zero;
   config.role = role;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -28,9 +29,9 @@ struct SiteSettings {
   std::vector<model::NodeId> anchor_ids;  // the ones that a tag tries first, in this order
   std::uint32_t slots = 0;                // in one superframe; 0: one a tag
   std::uint32_t responses = 0;            // anchors that a POLL names at most; 0: all, up to 16
-  groma_RangingMethod method = groma_RangingMethod_METHOD_DS_FINAL;
+  groma_RangingMethod method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
   std::uint32_t turn_round_us = 300;
-  std::uint32_t response_gap_us = 200;
+  std::uint32_t response_gap_us = 160;
   std::uint32_t guard_us = 30;
   std::uint32_t transmit_antenna_delay_dtu = 0;  // 0: the chip's own; so the next
   std::uint32_t receive_antenna_delay_dtu = 0;
@@ -43,6 +44,11 @@ struct SiteSettings {
   std::uint32_t can_data_bit_per_s = 0;
   std::optional<NetworkKey> network_key;  // each frame carries a code
 };
+
+// Back-ups of a site that names none: the first of its anchors but for the master.
+inline constexpr std::size_t kDefaultBackups = 2;
+[[nodiscard]] std::vector<model::NodeId> first_backups(const SiteSettings& site,
+                                                       std::size_t count = kDefaultBackups);
 
 // The configuration of one of them. Of more ids than a schedule holds the rest is left out; whether a node
 // would work by the result, node::fault_of() tells.

@@ -31,7 +31,6 @@ constexpr std::int64_t kMaxAntennaDelay_dtu = 65'535;
 constexpr std::array<std::size_t, 2> kMaxNodesOfARole{16, 64};
 constexpr std::int64_t kMaxSlots = 16;
 constexpr std::size_t kMaxBackups = 7;
-constexpr std::size_t kDefaultBackups = 2;
 
 // From the first to the last, where the key is there.
 void read_whole(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
@@ -72,14 +71,6 @@ std::vector<model::NodeId> parse_backups(const YamlValue& list, const SiteSettin
   return backups;
 }
 
-std::vector<model::NodeId> default_backups(const SiteSettings& site) {
-  std::vector<model::NodeId> backups;
-  for (const model::NodeId id : site.anchor_ids) {
-    if (id != site.master_id && backups.size() < kDefaultBackups) backups.push_back(id);
-  }
-  return backups;
-}
-
 void parse_schedule(const YamlValue& map, SiteSettings& site) {
   map.expect_keys({{},
                    {"epoch", "master_id", "backup_ids", "method", "preamble", "slots", "responses",
@@ -94,7 +85,7 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
     }
   }
   const auto backups = map.find("backup_ids");
-  site.backup_ids = backups ? parse_backups(*backups, site) : default_backups(site);
+  site.backup_ids = backups ? parse_backups(*backups, site) : first_backups(site);
   if (const auto method = map.find("method")) {
     site.method = method->one_of(std::array<std::string_view, 2>{"final", "next-poll"}) == 0
                       ? groma_RangingMethod_METHOD_DS_FINAL
@@ -298,7 +289,7 @@ SitePlan read_site_plan(const std::filesystem::path& path) {
   }
   std::sort(site.anchor_ids.begin(), site.anchor_ids.end());
   site.master_id = site.anchor_ids.front();
-  site.backup_ids = default_backups(site);
+  site.backup_ids = first_backups(site);
   if (const auto schedule = root.find("schedule")) parse_schedule(*schedule, site);
   if (const auto radio = root.find("radio")) {
     radio->expect_keys({{}, {kTransmitDelayKey, kReceiveDelayKey, kTransmitPowerKey}});

@@ -32,6 +32,7 @@ provision::SiteSettings settings_of(const sim::Scenario& scenario) {
   settings.master_id = scenario.schedule.master_id;
   for (const model::Tag& tag : scenario.tags) settings.tag_ids.push_back(tag.id);
   for (const model::Anchor& anchor : scenario.anchors) settings.anchor_ids.push_back(anchor.id);
+  settings.backup_ids = scenario.schedule.backup_ids.value_or(provision::first_backups(settings));
   settings.method = scenario.schedule.method == sim::ScheduleOptions::Method::kFinal
                         ? groma_RangingMethod_METHOD_DS_FINAL
                         : groma_RangingMethod_METHOD_DS_NEXT_POLL;

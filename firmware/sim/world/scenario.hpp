@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,11 +37,12 @@ struct RadioOptions {
 // The superframe and the physical layer, as the nodes are configured.
 struct ScheduleOptions {
   enum class Method { kFinal, kNextPoll };
-  model::NodeId master_id = 0;  // the anchor whose beacon leads
-  Method method = Method::kFinal;
+  model::NodeId master_id = 0;                             // the anchor whose beacon leads
+  std::optional<std::vector<model::NodeId>> backup_ids{};  // by rank; nothing: as a site plan has it
+  Method method = Method::kNextPoll;
   unsigned preamble = 128;         // symbols: 64, 128 or 256
   unsigned turn_round_us = 300;    // end of a received frame to the preamble of the answer
-  unsigned response_gap_us = 200;  // a tag that drains a RESPONSE with all its measurements needs 160
+  unsigned response_gap_us = 160;  // end of one answer to the preamble of the next
   unsigned guard_us = 30;
 };
 

@@ -325,14 +325,29 @@ RadioOptions parse_radio(const YamlValue& map) {
 }
 
 ScheduleOptions parse_schedule(const YamlValue& map, const std::vector<model::Anchor>& anchors) {
-  map.expect_keys({{}, {"master_id", "method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
+  map.expect_keys(
+      {{},
+       {"master_id", "backup_ids", "method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
   ScheduleOptions options;
-  if (const auto master = map.find("master_id")) {
-    const std::int64_t id = master->integer(1, kMaxId - 1);
+  options.master_id = anchors.front().id;
+  const auto anchor_in = [&](const YamlValue& value) {
+    const std::int64_t id = value.integer(1, kMaxId - 1);
     if (std::none_of(anchors.begin(), anchors.end(), [&](const model::Anchor& a) { return a.id == id; })) {
-      master->fail(fmt::format("is {}", id), "name one of the anchors");
+      value.fail(fmt::format("is {}", id), "name one of the anchors");
     }
-    options.master_id = static_cast<model::NodeId>(id);
+    return static_cast<model::NodeId>(id);
+  };
+  if (const auto master = map.find("master_id")) options.master_id = anchor_in(*master);
+  if (const auto backups = map.find("backup_ids")) {
+    options.backup_ids.emplace();
+    for (const YamlValue& entry : backups->list()) {
+      const model::NodeId id = anchor_in(entry);
+      const auto& named = *options.backup_ids;
+      if (id == options.master_id || std::find(named.begin(), named.end(), id) != named.end()) {
+        entry.fail(fmt::format("{} has its rank already", id), "name each anchor once, and not the master");
+      }
+      options.backup_ids->push_back(id);
+    }
   }
   if (const auto method = map.find("method")) {
     options.method = method->one_of(std::array<std::string_view, 2>{"final", "next-poll"}) == 0
@@ -372,10 +387,10 @@ Scenario parse_scenario(const std::filesystem::path& path, const std::string& te
   if (const auto odometry = root.find("odometry")) scenario.odometry = parse_odometry(*odometry);
   if (const auto pose_prior = root.find("pose_prior")) scenario.pose_prior = parse_pose_prior(*pose_prior);
   if (const auto radio = root.find("radio")) scenario.radio = parse_radio(*radio);
+  scenario.schedule.master_id = scenario.anchors.front().id;
   if (const auto schedule = root.find("schedule")) {
     scenario.schedule = parse_schedule(*schedule, scenario.anchors);
   }
-  if (scenario.schedule.master_id == 0) scenario.schedule.master_id = scenario.anchors.front().id;
   if (const auto link = root.find("link")) {
     link->expect_keys({{}, {"bit_per_s"}});
     scenario.link.bit_per_s = whole(*link, "bit_per_s", 9'600, 8'000'000, scenario.link.bit_per_s);

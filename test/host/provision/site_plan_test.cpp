@@ -113,6 +113,9 @@ TEST_F(SitePlanTest, TheLeastPlanTakesTheDefaults) {
   EXPECT_EQ(config.transmit_power, 0U);
   EXPECT_EQ(plan.nodes[0].port, "");
   EXPECT_EQ(plan.nodes[0].can_link, "");
+  EXPECT_EQ(config.schedule.method, groma_RangingMethod_METHOD_DS_NEXT_POLL);
+  EXPECT_EQ(config.schedule.turn_round_us, 300U);
+  EXPECT_EQ(config.schedule.response_gap_us, 160U);
   // The site goes on without its master.
   ASSERT_EQ(config.schedule.backup_ids_count, 1);
   EXPECT_EQ(config.schedule.backup_ids[0], 9);

@@ -78,6 +78,21 @@ TEST(ScenarioFile, ErrorsNameThePlace) {
   EXPECT_THAT(error_of("a: [1"), HasSubstr("site.yaml:"));
 }
 
+TEST(ScenarioFile, RanksBackUpsAsNamedAndLeavesThemOpenWhereItNamesNone) {
+  const auto scheduled = [](const std::string& keys) {
+    return with("name: small\n", "name: small\nschedule: {" + keys + "}\n");
+  };
+  EXPECT_FALSE(parse_scenario("s", kSmall).schedule.backup_ids);
+  EXPECT_EQ(parse_scenario("s", kSmall).schedule.master_id, 11);
+  const Scenario named = parse_scenario("s", scheduled("master_id: 12, backup_ids: [11]"));
+  EXPECT_THAT(named.schedule.backup_ids.value(), ::testing::ElementsAre(11));
+  EXPECT_THAT(parse_scenario("s", scheduled("backup_ids: []")).schedule.backup_ids.value(),
+              ::testing::IsEmpty());
+  EXPECT_THAT(error_of(scheduled("backup_ids: [11]")), ::testing::HasSubstr("has its rank already"));
+  EXPECT_THAT(error_of(scheduled("backup_ids: [12, 12]")), ::testing::HasSubstr("has its rank already"));
+  EXPECT_THAT(error_of(scheduled("backup_ids: [99]")), ::testing::HasSubstr("name one of the anchors"));
+}
+
 TEST(ScenarioFile, AMissingFileIsAnError) {
   EXPECT_THROW((void)read_scenario("/nowhere/site.yaml"), io::Error);
 }
