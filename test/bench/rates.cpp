@@ -1,19 +1,21 @@
 // Ranges a second over preambles, tags and anchors, measured on simulated sites:
 //   rates             the tables of docs/results.md, as Markdown
-//   rates NAME VALUE ...   one site; names: tags, anchors, preamble, turn_round_us, gap_us, guard_us,
-//   seconds,
-//                     emulated (0, 1), instruction (units, 6240 is 1.25 cycles), raw (0, 1), key (0, 1),
-//                     final (0, 1: METHOD_DS_FINAL), threads
+//   rates NAME VALUE ...   one site; names: tags, anchors, preamble, backups, turn_round_us, gap_us,
+//                     guard_us, seconds, emulated (0, 1), instruction (units, 6240 is 1.25 cycles), raw (0, 1),
+//                     key (0, 1), final (0, 1: METHOD_DS_FINAL), threads
+#include <algorithm>
+#include <array>
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
 #include <filesystem>
 #include <map>
+#include <stdexcept>
 #include <string>
 #include <thread>
+#include <vector>
 
-#include "test/sim/emulator/emulated_site.hpp"
-#include "test/sim/emulator/site_rate.hpp"
+#include "test/sim/emulator/fast_site.hpp"
 
 namespace groma::sim {
 namespace {
@@ -29,20 +31,6 @@ groma_Preamble preamble_of(int symbols) {
     default:
       throw std::invalid_argument("preamble: 64, 128 or 256");
   }
-}
-
-// The shortest that the image keeps with room to spare: see docs/explanation/image.md.
-SiteSettings fastest(int preamble, int tags, int anchors) {
-  SiteSettings settings;
-  settings.tags = tags;
-  settings.anchors = anchors;
-  settings.preamble = preamble_of(preamble);
-  settings.method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
-  settings.turn_round_us = 300;
-  settings.response_gap_us = 155;
-  settings.guard_us = 20;
-  settings.raw_stamps = false;
-  return settings;
 }
 
 void print(const SiteRate& rate) {
@@ -62,8 +50,9 @@ int one(const std::map<std::string, double>& given) {
     const auto found = given.find(name);
     return found == given.end() ? fallback : found->second;
   };
-  SiteSettings settings = fastest(static_cast<int>(value("preamble", 128)),
-                                  static_cast<int>(value("tags", 3)), static_cast<int>(value("anchors", 12)));
+  SiteSettings settings =
+      fast_site(static_cast<int>(value("tags", 3)), static_cast<int>(value("anchors", 12)),
+                preamble_of(static_cast<int>(value("preamble", 128))), static_cast<int>(value("backups", 2)));
   settings.turn_round_us = static_cast<std::uint32_t>(value("turn_round_us", settings.turn_round_us));
   settings.response_gap_us = static_cast<std::uint32_t>(value("gap_us", settings.response_gap_us));
   settings.guard_us = static_cast<std::uint32_t>(value("guard_us", settings.guard_us));
@@ -83,38 +72,65 @@ int one(const std::map<std::string, double>& given) {
   return rate.late_transmits == 0 && rate.reports_lost == 0 ? 0 : 1;
 }
 
-// The links would be the limit: one Mbaud carries the reports of some 1,600 ranges/s a tag.
-void table(const char* title, bool emulated, double seconds, const std::vector<int>& tags,
-           const std::vector<int>& anchors, const std::vector<int>& preambles) {
-  std::printf(
-      "\n%s\n\n| preamble | tags | anchors | measured /s | schedule /s | air time alone /s | measured of "
-      "that | "
-      "late transmits |\n|---|---|---|---|---|---|---|---|\n",
-      title);
-  const unsigned threads = std::max(1U, std::thread::hardware_concurrency());
-  for (const int preamble : preambles)
-    for (const int tag : tags)
-      for (const int anchor : anchors) {
-        SiteSettings settings = fastest(preamble, tag, anchor);
-        if (emulated) settings = emulating(settings);
-        const SiteRate rate = measure_rate(settings, seconds, 1.0, threads);
-        std::printf("| %d | %d | %d | %.0f | %.0f | %.0f | %.0f %% | %d |\n", preamble, tag, anchor,
-                    rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s,
-                    100.0 * rate.ranges_per_s / rate.bound_per_s, rate.late_transmits);
+constexpr double kSeconds = 1.0;
+
+SiteRate rate_of(int preamble, int tags, int anchors, bool emulated) {
+  SiteSettings settings = fast_site(tags, anchors, preamble_of(preamble));
+  if (emulated) settings = emulating(settings);
+  return measure_rate(settings, kSeconds, 1.0, std::max(1U, std::thread::hardware_concurrency()));
+}
+
+void table_of_image() {
+  struct Row {
+    int preamble;
+    int tags;
+    int anchors;
+  };
+  std::puts(
+      "| preamble | tags | anchors | measured /s | schedule /s | air time alone /s | late transmits | "
+      "reports lost |\n|---|---|---|---|---|---|---|---|");
+  for (const Row& row : {Row{128, 3, 12}, Row{128, 1, 12}, Row{128, 10, 12}, Row{128, 3, 4}, Row{128, 3, 16},
+                         Row{128, 1, 4}, Row{128, 10, 16}, Row{64, 3, 12}, Row{256, 3, 12}}) {
+    const SiteRate rate = rate_of(row.preamble, row.tags, row.anchors, true);
+    std::printf("| %d | %d | %d | %.0f | %.0f | %.0f | %d | %d |\n", row.preamble, row.tags, row.anchors,
+                rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s, rate.late_transmits,
+                rate.reports_lost);
+    std::fflush(stdout);
+  }
+}
+
+void table_of_grid() {
+  constexpr std::array<int, 4> kAnchors{4, 8, 12, 16};
+  int late = 0;
+  int lost = 0;
+  std::fputs("| preamble | tags |", stdout);
+  for (const int anchors : kAnchors) std::printf(" %d anchors |", anchors);
+  std::puts("\n|---|---|---|---|---|---|");
+  for (const int preamble : {64, 128, 256}) {
+    for (int tags = 1; tags <= 10; ++tags) {
+      std::printf("| %d | %d |", preamble, tags);
+      for (const int anchors : kAnchors) {
+        const SiteRate rate = rate_of(preamble, tags, anchors, false);
+        late += rate.late_transmits;
+        lost += rate.reports_lost;
+        std::printf(" %.0f of %.0f, %.0f |", rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s);
         std::fflush(stdout);
       }
+      std::puts("");
+    }
+  }
+  std::printf("\nLate transmits in all of it: %d, reports lost: %d.\n", late, lost);
 }
 
 int tables() {
-  const SiteSettings settings = fastest(128, 1, 1);
-  std::printf("Turn-round %u us, %u us between RESPONSEs, guard %u us, 20 ppm clocks.\n",
-              settings.turn_round_us, settings.response_gap_us, settings.guard_us);
   if (have_image()) {
-    table("The shipped image in each node:", true, 3.0, {1, 3, 10}, {4, 12}, {64, 128, 256});
+    std::puts("The shipped image in each node:\n");
+    table_of_image();
   } else {
-    std::printf("\nNo image: cmake --preset dwm1001 && cmake --build --preset dwm1001\n");
+    std::puts("No image: cmake --preset dwm1001 && cmake --build --preset dwm1001");
   }
-  table("Native nodes:", false, 3.0, {1, 2, 3, 5, 10}, {4, 8, 12, 16}, {64, 128, 256});
+  std::puts("\nNative nodes, measured of schedule, air time alone:\n");
+  table_of_grid();
   return 0;
 }
 

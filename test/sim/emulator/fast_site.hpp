@@ -1,4 +1,4 @@
-// The site whose rate is promised: 3 tags, 12 anchors, preamble 128.
+// The site whose rate is promised: 3 tags, 12 anchors, preamble 128; and others at the same pauses.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -8,15 +8,23 @@
 
 namespace groma::sim {
 
-inline SiteSettings fast_site() {
+// With back-ups of the master, 101 being that, from 102 on.
+inline SiteSettings fast_site(int tags = 3, int anchors = 12,
+                              groma_Preamble preamble = groma_Preamble_PREAMBLE_128, int backups = 2) {
   SiteSettings settings;
-  settings.tags = 3;
-  settings.anchors = 12;
+  settings.tags = tags;
+  settings.anchors = anchors;
+  settings.preamble = preamble;
   settings.method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
   settings.turn_round_us = 300;
-  settings.response_gap_us = 155;
+  settings.response_gap_us = 120;
   settings.guard_us = 20;
   settings.raw_stamps = false;
+  settings.configure = [backups](groma_Config& config) {
+    groma_Schedule& schedule = config.schedule;
+    for (int i = 1; i <= backups; ++i)
+      schedule.backup_ids[schedule.backup_ids_count++] = SiteBench::anchor_id(i);
+  };
   return settings;
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
@@ -32,12 +33,17 @@ inline double air_time_s(const mac::Superframe& superframe, std::size_t tags, st
   return air_s(mac::beacon_bytes(tags, false)) + static_cast<double>(tags) * slot_s;
 }
 
-// Runs the site for `settle_s` and then `seconds`, and as long as it takes to hear of the nodes' counters.
+// Runs the site for `settle_s` and then as many whole superframes as `seconds` begin, and as long as it takes
+// to hear of the nodes' counters.
 inline SiteRate measure_rate(const SiteSettings& settings, double seconds, double settle_s = 1.0,
                              unsigned threads = 1) {
   SiteBench site(settings);
   site.network.set_threads(threads);
-  const double end_s = settle_s + seconds;
+  const mac::Superframe superframe = site.superframe();
+  const double superframe_s =
+      static_cast<double>(superframe.duration().count()) / static_cast<double>(ranging::Ticks::kPerSecond);
+  const double span_s = std::ceil(seconds / superframe_s) * superframe_s;
+  const double end_s = settle_s + span_s;
   constexpr double kTelemetry_s = 1.3;
   for (double t_s = 0.5; t_s < end_s + kTelemetry_s; t_s += 0.5) site.run_until(t_s);
   site.run_until(end_s + kTelemetry_s);
@@ -62,11 +68,9 @@ inline SiteRate measure_rate(const SiteSettings& settings, double seconds, doubl
     out.late_receives += static_cast<int>(listener.counters.late_receives);
     out.recoveries += static_cast<int>(listener.counters.radio_recoveries);
   }
-  const mac::Superframe superframe = site.superframe();
   const double ranges = static_cast<double>(settings.tags) * settings.anchors;
-  out.ranges_per_s = good / seconds;
-  out.schedule_per_s = ranges * static_cast<double>(ranging::Ticks::kPerSecond) /
-                       static_cast<double>(superframe.duration().count());
+  out.ranges_per_s = good / span_s;
+  out.schedule_per_s = ranges / superframe_s;
   out.bound_per_s = ranges / air_time_s(superframe, tags, static_cast<std::size_t>(settings.anchors));
   return out;
 }
