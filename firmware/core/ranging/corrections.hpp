@@ -15,8 +15,8 @@ inline constexpr std::int32_t kReferenceTemperature_cdegc = 2'300;  // 23 degree
 inline constexpr std::int32_t kReferenceSupply_mv = 3'300;
 
 // A range grows by this with each degree C, and each volt, of either end's chip: typical figures (user manual
-// 8.3.1). The manual tells the size and neither the sign nor whether it is an end's or the pair's; that a range
-// grows, by each end, is what is assumed here.
+// 8.3.1). The manual tells the size and neither the sign nor whether it is an end's or the pair's; that a
+// range grows, by each end, is what is assumed here.
 inline constexpr std::int32_t kTemperatureDrift_um = 2'150;
 inline constexpr std::int32_t kSupplyDrift_um = 53'500;
 
