@@ -59,7 +59,9 @@ TEST(Frame, ComesBackAsItWent) {
                 .lateness_dtu = -511,
                 .dissolving = true,
                 .shared = true,
+                .quiet = true,
                 .invitation = true,
+                .place = ranging::Ticks(0x12'3456'789A),
                 .slots = 2,
                 .welcome = Welcome{.id = 0x7766, .nonce = 0x8899'AABB'CCDD'EEFF}};
     sent.holders[0] = kBroadcast;
@@ -82,6 +84,8 @@ TEST(Frame, ComesBackAsItWent) {
     EXPECT_TRUE(beacon.dissolving);
     EXPECT_TRUE(beacon.shared);
     EXPECT_TRUE(beacon.invitation);
+    EXPECT_TRUE(beacon.quiet);
+    EXPECT_EQ(beacon.place, sent.place);
     EXPECT_EQ(beacon.slots, sent.slots);
     EXPECT_EQ(beacon.holders, sent.holders);
     ASSERT_TRUE(beacon.welcome);

@@ -57,21 +57,35 @@ Action Anchor::plan(ClockTime now) noexcept {
   }
 }
 
+// A slot that nobody polls in is listened to all along, and on into the next one's POLL: what is heard there
+// tells of other networks.
 Action Anchor::listen_in_slot(ClockTime due) const noexcept {
   const Superframe& superframe = station_.superframe();
   Action action = station_.listen(due, superframe.on_air(poll_bytes(superframe.responses())),
                                   station_.sync().margin(slots_of_));
   if (silent_[slot_] < kSilent) return action;
-  // The next thing to do is a slot's length after this, a beacon or a POLL.
+  // The next thing to do is a slot's length after this: to listen for a POLL, or a beacon.
   constexpr Ticks kToGetReady = Ticks::from_us(300);
-  action.until = std::max(action.until, action.at + superframe.tag_slot() - kToGetReady);
+  const bool last = next_slot_ >= superframe.slot_count();
+  action.until = last ? std::max(action.until, action.at + superframe.tag_slot() - kToGetReady)
+                      : action.until + superframe.tag_slot();
   action.preamble_until.reset();
   return action;
 }
 
+// What a listening brings that has gone on over a slot's end is of the next one.
+void Anchor::go_on_to(ClockTime now) noexcept {
+  const Ticks early = station_.superframe().guard() + station_.sync().margin(slots_of_);
+  while (next_slot_ < station_.superframe().slot_count() &&
+         now >= station_.poll_due(slots_of_, next_slot_) - early) {
+    slot_ = next_slot_++;
+    silent_[slot_] = static_cast<std::uint8_t>(std::min(silent_[slot_] + 1, 255));
+  }
+}
+
 void Anchor::end_superframe() noexcept {
   constexpr std::uint32_t kTooMany = 2;
-  station_.on_lack(++polls_missing_ > kTooMany);
+  station_.on_lack(++polls_missing_ > kTooMany, true);
   station_.end_superframe();
   next_slot_ = 0;
 }
@@ -105,6 +119,7 @@ Step Anchor::on_received(const Reception& reception) noexcept {
     if (const auto rest = station_.on_control_received(reception)) return doing(*rest);
     return doing(plan(reception.stamp));
   }
+  if (phase_ == Phase::kPoll) go_on_to(reception.stamp);
   if (const auto frame = station_.accept(reception, place())) {
     if (const auto* poll = std::get_if<Poll>(&frame->body);
         poll != nullptr && phase_ == Phase::kPoll && is_of_slot(*frame, *poll, reception)) {

@@ -65,6 +65,7 @@ class Anchor {
   // Listens for the slot's POLL; where none has come for a while, on to the slot's end: what is sent there
   // is another network's.
   [[nodiscard]] Action listen_in_slot(ranging::ClockTime due) const noexcept;
+  void go_on_to(ranging::ClockTime now) noexcept;
   // Of the slot under way, by who may poll in it.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,
                                 const Reception& reception) const noexcept;

@@ -15,6 +15,7 @@ constexpr std::uint8_t kDissolving = 0x01;  // BEACON
 constexpr std::uint8_t kWelcome = 0x02;
 constexpr std::uint8_t kShared = 0x04;
 constexpr std::uint8_t kInvitation = 0x08;
+constexpr std::uint8_t kQuiet = 0x10;
 constexpr std::uint8_t kClosingValid = 0x01;  // RESPONSE
 constexpr std::uint8_t kTag = 0x01;           // JOIN
 constexpr std::uint8_t kWantsSlot = 0x02;
@@ -87,10 +88,11 @@ std::optional<Beacon> read_beacon(Reader& in) noexcept {
   beacon.hop = in.take8();
   beacon.age = in.take8();
   beacon.lateness_dtu = static_cast<std::int16_t>(in.take16());
-  const std::uint8_t flags = in.take_flags(kDissolving | kWelcome | kShared | kInvitation);
+  const std::uint8_t flags = in.take_flags(kDissolving | kWelcome | kShared | kInvitation | kQuiet);
   beacon.dissolving = (flags & kDissolving) != 0;
   beacon.shared = (flags & kShared) != 0;
   beacon.invitation = (flags & kInvitation) != 0;
+  beacon.quiet = (flags & kQuiet) != 0;
   beacon.slots = in.take8();
   if (beacon.slots > kMaxTags) return std::nullopt;
   for (std::size_t i = 0; i < beacon.slots; ++i) beacon.holders[i] = in.take16();
@@ -98,6 +100,7 @@ std::optional<Beacon> read_beacon(Reader& in) noexcept {
     const std::uint16_t id = in.take16();
     beacon.welcome = Welcome{.id = id, .nonce = in.take64()};
   }
+  if (beacon.invitation) beacon.place = in.take_ticks(5);
   return beacon;
 }
 
@@ -248,7 +251,8 @@ FrameBytes write(const Frame& frame, const Beacon& beacon) noexcept {
   out.put(beacon.age, 1);
   out.put(static_cast<std::uint16_t>(beacon.lateness_dtu), 2);
   out.put(flag_if(beacon.dissolving, kDissolving) | flag_if(beacon.welcome.has_value(), kWelcome) |
-              flag_if(beacon.shared, kShared) | flag_if(beacon.invitation, kInvitation),
+              flag_if(beacon.shared, kShared) | flag_if(beacon.invitation, kInvitation) |
+              flag_if(beacon.quiet, kQuiet),
           1);
   const std::size_t slots = std::min<std::size_t>(beacon.slots, kMaxTags);
   out.put(slots, 1);
@@ -257,6 +261,7 @@ FrameBytes write(const Frame& frame, const Beacon& beacon) noexcept {
     out.put(beacon.welcome->id, 2);
     out.put(beacon.welcome->nonce, 8);
   }
+  if (beacon.invitation) out.put(beacon.place, 5);
   return out.result();
 }
 

@@ -56,9 +56,11 @@ struct Beacon {
   // The network dissolves: its nodes look for another one.
   bool dissolving = false;
   bool shared = false;  // sent in the shared slot: its place is there, not in the beacon's
-  // With `shared`: sent in the shared slot of another network, whose nodes are to come over: its place tells
-  // no time. Without: the master sends one in the next superframe, in which all of its own are quiet.
+  bool quiet = false;   // its nodes are to be quiet for the rest of this superframe, and to listen for others
+  // With `shared`: sent in the shared slot of another session, whose nodes are to come over. `place` tells
+  // where in its own superframe that is, ticks of the network's time.
   bool invitation = false;
+  ranging::Ticks place{};  // 0 to 2^40 - 1
   std::uint8_t slots = 0;
   std::array<std::uint16_t, kMaxTags> holders{};  // who may poll in each slot; kNobody: free
   std::optional<Welcome> welcome{};

@@ -16,8 +16,19 @@ constexpr std::int32_t since(std::uint32_t a, std::uint32_t b) noexcept {
   return static_cast<std::int32_t>(a - b);
 }
 
-constexpr std::uint32_t kShortestPause = 8;  // superframes between two scans
-constexpr std::uint32_t kLongestPause = 256;
+// Superframes in which a new session's nodes have better things to do than to look for others.
+constexpr std::uint32_t kSettling = 16;
+
+// The same at each node of a session, another in each superframe and session. The finalizer of MurmurHash3.
+std::uint32_t chance_of(std::uint64_t session, std::uint32_t number) noexcept {
+  std::uint32_t h = static_cast<std::uint32_t>(session >> 32) * 0x9E37'79B9U ^
+                    static_cast<std::uint32_t>(session) * 0x85EB'CA6BU ^ number;
+  h ^= h >> 16;
+  h *= 0x85EB'CA6BU;
+  h ^= h >> 13;
+  h *= 0xC2B2'AE35U;
+  return h >> 16;
+}
 
 }  // namespace
 
@@ -41,7 +52,8 @@ void Mastership::search(ClockTime now) noexcept {
   master_ = parent_ = kNobody;
   last_beacons_ = 0;
   rival_ = 0;
-  suspicious_ = lacking_ = invited_ = false;
+  suspicious_ = lacking_ = false;
+  hushed_ = 0;
   search_start_ = now;
   lead_at_ = now + listening_time();
 }
@@ -62,8 +74,10 @@ void Mastership::found() noexcept {
   session_ = std::uint64_t{site_.id} << 48 | std::uint64_t{site_.boot_count} << 16 | start;
   heard_ = {};
   fresh_ = number_ = 0;
-  next_scan_ = kShortestPause;
-  scan_pause_ = kShortestPause;
+  scans_.restart(0);
+  lacks_.restart(kSettling);
+  idles_.restart(kSettling);
+  calls_.restart(0);
   lead();
 }
 
@@ -77,7 +91,7 @@ void Mastership::lead() noexcept {
 }
 
 void Mastership::dissolve() noexcept {
-  constexpr std::uint8_t kLastBeacons = 2;
+  constexpr std::uint8_t kLastBeacons = 1;
   if (last_beacons_ == 0) last_beacons_ = kLastBeacons;
 }
 
@@ -89,11 +103,15 @@ void Mastership::shun(std::uint64_t session, ClockTime now) noexcept {
 void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
   if (role_ == Role::kSearching || session_ != beacon.session) {
     heard_ = {};
-    suspicious_ = invited_ = false;
-    next_scan_ = beacon.superframe + kShortestPause;
-    scan_pause_ = kShortestPause;
+    hushed_ = 0;
+    scans_.restart(beacon.superframe);
+    lacks_.restart(beacon.superframe + kSettling);
+    idles_.restart(beacon.superframe + kSettling);
+    calls_.restart(beacon.superframe);
+    silences_.restart(beacon.superframe);
   }
   if (const std::size_t rank = rank_of_id(source); rank < kMaxBeaconers) heard_[rank] = beacon.superframe;
+  suspicious_ = false;
   role_ = Role::kFollowing;
   session_ = beacon.session;
   number_ = beacon.superframe;
@@ -129,11 +147,7 @@ Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahea
       own_word != (source == beacon.master) || (own_word && beacon.age != 0)) {
     return Verdict::kStale;
   }
-  if (beacon.invitation) {
-    // To this network, or by its master to be quiet while it invites another one.
-    if (role_ != Role::kSearching && (beacon.session != session_) == beacon.shared) invited_ = true;
-    if (beacon.shared) return Verdict::kIgnore;
-  }
+  if (beacon.invitation && role_ != Role::kSearching && beacon.session == session_) return Verdict::kIgnore;
   if (beacon.dissolving) {
     if (role_ != Role::kFollowing || beacon.session != session_) return Verdict::kIgnore;
     shun(session_, now);
@@ -171,15 +185,12 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
 }
 
 Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
-  const Ticks tie(duration_.count() / 8);
-  const bool older = ahead > tie || (ahead >= -tie && beacon.session < session_);
+  const bool older = ahead > guard_ || (ahead >= -guard_ && beacon.session < session_);
   const bool forsaken = role_ == Role::kFollowing && age(number_) > patience();
   if (!older && !forsaken) {
-    // The master first, then one back-up after the other.
-    if (!rank_ || beacon.dissolving) return Verdict::kIgnore;
-    const bool own_turn = leads() || strangers_ % beaconers_ == *rank_;
-    ++strangers_;
-    return own_turn ? Verdict::kInvite : Verdict::kIgnore;
+    if (hushed_ != 0 || last_beacons_ != 0 || !calls_.over(number_)) return Verdict::kIgnore;
+    calls_.begin(number_);
+    return Verdict::kCall;
   }
   if (leads()) {
     dissolve();
@@ -263,24 +274,72 @@ Duty Mastership::begin(std::uint32_t number) noexcept {
       fresh_ = number;
       return Duty::kTakeOver;
     }
-    if (unheard > patience() + 2 * beaconers_) lacking_ = true;
+    if (unheard > patience() + beaconers_ * (beaconers_ + 4)) lacking_ = true;
   }
-  return scan_due(number) ? Duty::kScan : Duty::kGoOn;
+  return scan_duty(number);
 }
 
-// All nodes of a session do it in the same superframes: so that they do not drown what they listen for.
-bool Mastership::scan_due(std::uint32_t number) noexcept {
-  constexpr std::uint32_t kGrid = 2;
-  if (std::exchange(invited_, false) && last_beacons_ == 0) return true;
-  const std::int32_t late = since(number, next_scan_);
-  const auto phase = static_cast<std::uint32_t>(session_ >> 48 ^ session_ >> 16 ^ session_);
-  if (!(suspicious_ || lacking_) || last_beacons_ != 0 || late < 0 || (number + phase) % kGrid != 0)
-    return false;
+void Mastership::hush(std::uint32_t until) noexcept {
+  hushed_ = static_cast<std::uint32_t>(
+      std::clamp<std::int32_t>(since(until, number_), 0, static_cast<std::int32_t>(beaconers_ + 1)));
+}
+
+void Mastership::on_silence() noexcept {
+  if (!silences_.over(number_)) return;
+  silences_.begin(number_);
+  hushed_ = std::max(hushed_, std::uint32_t{1});
+}
+
+// A rank that is in this session has no one in that one: its turn is free there.
+bool Mastership::may_invite(std::uint32_t number) const noexcept {
+  if (!rank_ || last_beacons_ != 0) return false;
+  const std::uint32_t turn = number % beaconers_;
+  return turn == 0 ? leads() : turn == *rank_;
+}
+
+// All nodes of a session do it in the same superframes: so that they do not drown what they listen for. A
+// master does it mostly without its beacon: of two that send at one time each is deaf to the other. And not
+// in each superframe, nor always: who listens to one that listens hears nothing.
+Duty Mastership::scan_duty(std::uint32_t number) noexcept {
+  if (last_beacons_ != 0) return Duty::kGoOn;
+  quiet_ = hushed_ != 0;
+  if (hushed_ != 0) {
+    --hushed_;
+    return leads() ? Duty::kScan : Duty::kHush;
+  }
+  const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
+  constexpr std::int32_t kNews = 4;
+  if (since(number, suspected_) > kNews) suspicious_ = false;
+  if (chance % 8 >= 5 || has_shared_turn(number)) return Duty::kGoOn;
+  if (suspicious_ && scans_.over(number)) {
+    scans_.begin(number);
+    suspicious_ = false;
+    quiet_ = true;
+  } else if (Pause& pause = idle_ ? idles_ : lacks_; lacking_ && pause.over(number)) {
+    pause.begin(number);
+  } else {
+    return Duty::kGoOn;
+  }
+  // Its own nodes live by its beacons.
+  constexpr std::int32_t kLongestSilence = 3;
+  const bool may_hush = since(number, led_) < kLongestSilence;
+  return may_hush && chance / 8 % 4 != 0 ? Duty::kHush : Duty::kScan;
+}
+
+void Mastership::Pause::restart(std::uint32_t number) noexcept {
+  next_ = number;
+  times_ = 0;
+}
+
+bool Mastership::Pause::over(std::uint32_t number) const noexcept {
+  return since(number, next_) >= 0;
+}
+
+void Mastership::Pause::begin(std::uint32_t number) noexcept {
   constexpr std::int32_t kForgotten = 64;
-  scan_pause_ = late > kForgotten ? kShortestPause : std::min(2 * scan_pause_, kLongestPause);
-  next_scan_ = number + scan_pause_;
-  suspicious_ = false;
-  return true;
+  if (since(number, next_) > kForgotten) times_ = 0;
+  times_ = std::min<std::uint8_t>(static_cast<std::uint8_t>(times_ + 1), at_once_ + longest_log2_);
+  next_ = number + (times_ <= at_once_ ? 1U : 1U << (times_ - at_once_));
 }
 
 void Mastership::on_absence(std::uint32_t number) noexcept {
@@ -308,6 +367,7 @@ bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
 }
 
 bool Mastership::on_led(ClockTime now) noexcept {
+  led_ = number_;
   if (last_beacons_ == 0 || --last_beacons_ != 0) return false;
   shun(session_, now);
   search(now);

@@ -7,9 +7,9 @@
 //
 // A session is a count of superframes that somebody began; it goes on under whoever leads it. Its name is
 // unique. Of two masters of one session the better rank stays. Of two sessions the older one stays, by its
-// count; within an eighth of a superframe the smaller name. The loser says so in its last beacons
+// count; within the guard the smaller name. The loser says so in its last beacon
 // (`dissolving`), so that its nodes come over. A loser that does not know of it is told: who has heard its
-// beacon sends an `invitation` where its nodes listen, and they scan.
+// beacon sends an `invitation` where its nodes listen.
 //
 // What a beacon tells left the master `age` superframes ago: a relay can pass it on but not make it younger,
 // so that relays cannot keep a dead master alive among each other.
@@ -37,7 +37,7 @@ enum class Verdict : std::uint8_t {
   kSwitch,   // the same, the first by another path
   kAdopt,    // from now on this timeline is followed: the clock filter starts with it
   kLeave,    // fall silent and search
-  kInvite,   // of another session, which is to come over: this node is the one to tell it so
+  kCall,     // of another session, which is to come over: its nodes are to be told
 };
 
 // What to do in a superframe that begins.
@@ -45,6 +45,7 @@ enum class Duty : std::uint8_t {
   kGoOn,
   kTakeOver,  // lead from now on, with the time as it is known
   kScan,      // listen for another timeline; a master's own beacon still goes out
+  kHush,      // the same, without it: two that send at one time do not hear each other
 };
 
 class Mastership {
@@ -68,13 +69,27 @@ class Mastership {
                               ranging::ClockTime now) noexcept;
   // A frame of this network that has no place in the timeline, or frames that should have come did not: there
   // may be another one.
-  void suspect() noexcept { suspicious_ = true; }
-  // Frames that should have come did not, or there is nothing to do that a scan could disturb: until the
-  // contrary is told.
-  void on_lack(bool lacking) noexcept { lacking_ = lacking; }
+  void suspect() noexcept {
+    suspicious_ = true;
+    suspected_ = number_;
+  }
+  // Frames that should have come did not: until the contrary is told. `idle`: none came, so that there is
+  // nothing that a scan could disturb.
+  void on_lack(bool lacking, bool idle) noexcept {
+    lacking_ = lacking;
+    idle_ = idle;
+  }
 
   // Not while searching: superframe `number` begins, the one after the last one asked for or a later one.
   [[nodiscard]] Duty begin(std::uint32_t number) noexcept;
+  // The others may be quiet for a reason.
+  void on_silence() noexcept;
+  // To be quiet from the next superframe on, up to `until`: another session is called over.
+  void hush(std::uint32_t until) noexcept;
+  // The superframe's kScan is for all of the session: the master's beacon says so.
+  [[nodiscard]] bool quiet() const noexcept { return quiet_; }
+  // This node may call a session over in the shared slot of that one's superframe `number`.
+  [[nodiscard]] bool may_invite(std::uint32_t number) const noexcept;
   // The radio was off: what this node knew last as a master may be old.
   void on_absence(std::uint32_t number) noexcept;
   // This node sends a beacon in the shared slot of superframe `number`.
@@ -111,11 +126,27 @@ class Mastership {
   void shun(std::uint64_t session, ranging::ClockTime now) noexcept;
   [[nodiscard]] std::size_t rank_of_id(std::uint16_t id) const noexcept;  // beaconers_: none
   [[nodiscard]] std::uint32_t patience() const noexcept;
-  [[nodiscard]] bool scan_due(std::uint32_t number) noexcept;
+  [[nodiscard]] Duty scan_duty(std::uint32_t number) noexcept;
   [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
   [[nodiscard]] ranging::Ticks listening_time() const noexcept;
 
   static constexpr std::size_t kMaxBeaconers = 8;
+
+  // Between things that cost ranges: the first few times at once, then ever longer.
+  class Pause {
+   public:
+    constexpr Pause(std::uint8_t at_once, std::uint8_t longest_log2) noexcept
+        : at_once_(at_once), longest_log2_(longest_log2) {}
+    void restart(std::uint32_t number) noexcept;
+    [[nodiscard]] bool over(std::uint32_t number) const noexcept;
+    void begin(std::uint32_t number) noexcept;
+
+   private:
+    std::uint32_t next_ = 0;
+    std::uint8_t times_ = 0;
+    std::uint8_t at_once_;
+    std::uint8_t longest_log2_;
+  };
 
   const Site& site_;
   ranging::Ticks duration_;
@@ -127,9 +158,9 @@ class Mastership {
   Role role_ = Role::kSearching;
   std::uint8_t last_beacons_ = 0;  // still to be sent by a master that gives up
   bool suspicious_ = false;
+  std::uint32_t suspected_ = 0;  // superframe
   bool lacking_ = false;
-  bool invited_ = false;
-  std::uint8_t strangers_ = 0;  // beacons heard of sessions that are to come over
+  bool idle_ = false;
   std::uint8_t hop_ = 0;
   std::uint16_t master_ = kNobody;
   std::uint16_t parent_ = kNobody;  // whose beacons the clock follows
@@ -141,8 +172,14 @@ class Mastership {
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
   std::size_t rival_ = 0;  // rank of a worse master of this session; 0: none
   std::uint32_t rival_until_ = 0;
-  std::uint32_t next_scan_ = 0;
-  std::uint32_t scan_pause_ = 0;
+  Pause scans_{4, 8};
+  Pause lacks_{1, 8};
+  Pause idles_{0, 2};
+  Pause calls_{4, 8};
+  Pause silences_{1, 8};
+  std::uint32_t hushed_ = 0;  // superframes
+  bool quiet_ = false;
+  std::uint32_t led_ = 0;  // superframe of its last beacon as a master
 
   ranging::ClockTime search_start_;
   ranging::ClockTime lead_at_;

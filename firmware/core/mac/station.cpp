@@ -10,6 +10,8 @@ using ranging::Ticks;
 
 namespace {
 
+constexpr Ticks kToGetReady = Ticks::from_us(300);
+
 // The nodes that the schedule names take turns, those that it does not know go by their ids.
 Freshness::Settings freshness_of(const Site& site) noexcept {
   const groma_Schedule& schedule = *site.schedule;
@@ -134,9 +136,7 @@ bool Station::found_if_time(ClockTime now) noexcept {
   forget_holders();
   number_ = 0;
   next_ = Next::kBeacon;
-  next_invitation_ = 0;
-  invite_at_.reset();
-  inviting_ = false;
+  others_.reset();
   return true;
 }
 
@@ -158,8 +158,9 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   }
   if (duty == Duty::kTakeOver) sync_.lead();
   scanning_ = duty == Duty::kScan;
-  if (scanning_ && !mastership_.leads()) return scan(now);
+  if (duty == Duty::kHush || (scanning_ && !mastership_.leads())) return scan(now);
   const ClockTime due = sync_.start(number_) + superframe_.beacon();
+  if (scanning_ && invites_beside(due)) return scan(now);
   if (!ahead(due, now)) {
     if (mastership_.parent_due(number_, false)) miss();
     return std::nullopt;
@@ -173,9 +174,10 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
 std::optional<Action> Station::scan(ClockTime now) noexcept {
   scanning_ = false;
   end_superframe();
+  phase_ = Phase::kScanning;
+  if (const auto action = invite(now)) return action;
   const ClockTime end = sync_.start(number_);
   if (end <= now) return std::nullopt;
-  phase_ = Phase::kScanning;
   return Action{.kind = Action::Kind::kListenNow, .until = end};
 }
 
@@ -231,15 +233,54 @@ Beacon Station::make_beacon(Ticks lateness, bool shared) noexcept {
           .holders = holders_};
 }
 
-// Where the nodes of a younger network listen, out of this one's time. A master lets its own be quiet
-// meanwhile. Not where there is a key: its network takes no other session's word.
+// In the shared slots of a session that is to come over, where it is this node's turn and all of its own are
+// quiet; until its next slot that is open to all is over.
 std::optional<Action> Station::invite(ClockTime now) noexcept {
-  if (!invite_at_ || next_ != Next::kBeacon || inviting_) return std::nullopt;
-  ClockTime at = *std::exchange(invite_at_, std::nullopt);
-  while (at < sync_.start(number_)) at += superframe_.duration();
-  const ClockTime stamp = stamp_not_after(at);
-  if (!ahead(stamp, now) || seal_.on()) return std::nullopt;
+  const bool quiet = phase_ == Phase::kScanning || phase_ == Phase::kInviting;
+  if (next_ != Next::kBeacon || !quiet) return std::nullopt;
+  while (others_) {
+    const ClockTime stamp = stamp_not_after(others_->shared);
+    if (ahead(stamp, now) && sure(number_) && mastership_.may_invite(others_->superframe)) {
+      const ClockTime ready = stamp - superframe_.phy().before_rmarker() - kToGetReady;
+      if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
+      if (ready > now + kToGetReady) {
+        phase_ = Phase::kScanning;
+        return Action{.kind = Action::Kind::kListenNow, .until = ready};
+      }
+      next_of_others();
+      return invitation(stamp);
+    }
+    next_of_others();
+  }
+  return std::nullopt;
+}
+
+// A beacon then leaves no time for it.
+bool Station::invites_beside(ClockTime due) const noexcept {
+  if (!others_) return false;
+  const Ticks room = superframe_.phy().before_rmarker() +
+                     dw1000::Phy::after_rmarker(superframe_.control_bytes()) + kToGetReady;
+  Others next = *others_;
+  for (std::uint32_t i = 0; i < next.left; ++i) {
+    if (next.shared > due - room && next.shared < due + room) return mastership_.may_invite(next.superframe);
+    next.shared += superframe_.duration();
+    ++next.superframe;
+  }
+  return false;
+}
+
+void Station::next_of_others() noexcept {
+  if (--others_->left == 0) return others_.reset();
+  others_->shared += superframe_.duration();
+  ++others_->superframe;
+}
+
+Action Station::invitation(ClockTime stamp) noexcept {
+  const std::int64_t duration = superframe_.duration().count();
+  const std::int64_t time = sync_.network_time(stamp).count();
   Beacon beacon = make_beacon(Ticks(0), true);
+  beacon.superframe = static_cast<std::uint32_t>(time / duration);
+  beacon.place = Ticks(time % duration);
   beacon.invitation = true;
   phase_ = Phase::kInviting;
   sender_ = nullptr;
@@ -247,10 +288,30 @@ std::optional<Action> Station::invite(ClockTime now) noexcept {
   return transmit(stamp, kBroadcast, beacon, place_of(beacon));
 }
 
+// All that heard it are quiet until one of them has had its turn to call: from the next superframe on, or
+// where they are already, at once.
+void Station::call(const Beacon& beacon, ClockTime shared) noexcept {
+  const Ticks duration = superframe_.duration();
+  const auto number_at = [&](ClockTime at) {
+    return static_cast<std::uint32_t>(sync_.network_time(at).count() / duration.count());
+  };
+  others_ = Others{.shared = shared, .superframe = beacon.superframe, .left = 0};
+  while (phase_ != Phase::kScanning && static_cast<std::int32_t>(number_at(others_->shared) - number_) <= 0) {
+    others_->shared += duration;
+    ++others_->superframe;
+  }
+  const std::uint32_t turns = site_.schedule->backup_ids_count + 1U;
+  const std::uint32_t to_open = (turns - others_->superframe % turns) % turns;
+  // The first time not all may know yet that they are to be quiet.
+  constexpr std::uint32_t kMore = 1;
+  others_->left = to_open + kMore + 1;
+  mastership_.hush(number_at(others_->shared + std::int64_t{to_open + kMore} * duration));
+}
+
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   const ClockTime stamp = stamp_not_after(due);
   Beacon beacon = make_beacon(stamp - due, shared);
-  beacon.invitation = !shared && std::exchange(inviting_, false);
+  beacon.quiet = scanning_ && mastership_.quiet();
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr) channel->on_beacon_out(beacon, mastership_.leads());
   }
@@ -333,16 +394,14 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     ++counters_.stale_frames;
     return false;
   }
-  const BeaconStamp stamp{
-      .superframe = beacon.superframe,
-      .place = (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu),
-      .heard = reception.stamp,
-      .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
-      .hop = beacon.hop,
-      .age = beacon.age};
+  const BeaconStamp stamp{.superframe = beacon.superframe,
+                          .place = place_in_superframe(beacon),
+                          .heard = reception.stamp,
+                          .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
+                          .hop = beacon.hop,
+                          .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
-  constexpr std::uint32_t kBetweenInvitations = 4;
   const Verdict verdict = mastership_.judge(frame.source, beacon, ahead, reception.stamp);
   switch (verdict) {
     case Verdict::kStale:
@@ -350,11 +409,8 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
       return false;
     case Verdict::kIgnore:
       return false;
-    case Verdict::kInvite:
-      if (static_cast<std::int32_t>(number_ - next_invitation_) < 0) return false;
-      next_invitation_ = number_ + kBetweenInvitations;
-      invite_at_ = reception.stamp + (beacon.shared ? Ticks(0) : superframe_.shared() - superframe_.beacon());
-      inviting_ = mastership_.leads();
+    case Verdict::kCall:
+      call(beacon, reception.stamp - stamp.place + superframe_.shared());
       return phase_ == Phase::kScanning;
     case Verdict::kLeave:
       sync_.search();
@@ -378,6 +434,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
   number_ = beacon.superframe;
   next_ = beacon.shared ? Next::kSlots : Next::kShared;
+  scanning_ = beacon.quiet && !beacon.shared;
   return true;
 }
 
@@ -387,6 +444,7 @@ bool Station::take_stamp(const BeaconStamp& stamp, std::uint64_t session, Verdic
     freshness_.forget();
     seal_.enter(session);
     sync_.adopt(stamp);
+    others_.reset();
     return true;
   }
   sync_.follow();
@@ -474,10 +532,13 @@ bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexc
   return false;
 }
 
+Ticks Station::place_in_superframe(const Beacon& beacon) const noexcept {
+  if (beacon.invitation) return beacon.place;
+  return (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu);
+}
+
 Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
-  const Ticks place =
-      (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu);
-  return sync_.start(beacon.superframe) + place - heard;
+  return sync_.start(beacon.superframe) + place_in_superframe(beacon) - heard;
 }
 
 // Once this node knows the time, a recording gives itself away: it comes later than what it tells.

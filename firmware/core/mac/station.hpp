@@ -81,9 +81,13 @@ class Station {
   // A frame heard in a tag slot that is none of the slot's. True: the timeline is another one now, or none;
   // go on with control().
   [[nodiscard]] bool overhear(const Frame& frame, const Reception& reception) noexcept;
-  // Frames that should have come did not, or there is nothing to do that a scan could disturb; or all is
-  // well.
-  void on_lack(bool lacking) noexcept { mastership_.on_lack(lacking); }
+  // Frames that should have come did not, or all is well. `idle`: none came, so that there is nothing that a
+  // scan could disturb.
+  void on_lack(bool lacking, bool idle) noexcept { mastership_.on_lack(lacking, idle); }
+  // Neither a beacon nor an answer came: the others may be quiet for a reason.
+  void on_silence() noexcept {
+    if (sync_.state() == SyncState::kCoasting) mastership_.on_silence();
+  }
 
   // ---- slots ---------------------------------------------------------------------------------------------
 
@@ -139,6 +143,10 @@ class Station {
   [[nodiscard]] Action search(ranging::ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> beacon_slot(ranging::ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> invite(ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool invites_beside(ranging::ClockTime due) const noexcept;
+  void next_of_others() noexcept;
+  [[nodiscard]] Action invitation(ranging::ClockTime stamp) noexcept;
+  void call(const Beacon& beacon, ranging::ClockTime shared) noexcept;
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA of the first channel that has one, in the shared slot.
@@ -157,6 +165,7 @@ class Station {
   }
   [[nodiscard]] bool authentic(const Frame& frame, const Reception& reception, Place place,
                                Check check) noexcept;
+  [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
   // By how much the timeline that the beacon tells of is ahead of this node's.
   [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   [[nodiscard]] bool may_be_of_now(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
@@ -177,11 +186,15 @@ class Station {
 
   Phase phase_ = Phase::kSearching;
   Next next_ = Next::kBeacon;
-  bool own_beacon_ = false;                      // under way
-  std::optional<ranging::ClockTime> invite_at_;  // or whole superframes later
-  std::uint32_t next_invitation_ = 0;            // superframe
-  bool inviting_ = false;                        // to be told to the own nodes first
-  bool scanning_ = false;                        // once the own beacon is out
+  bool own_beacon_ = false;  // under way
+  // Another session that is to come over: its next shared slot, and in which of its superframes that is.
+  struct Others {
+    ranging::ClockTime shared;
+    std::uint32_t superframe = 0;
+    std::uint32_t left = 0;  // of its shared slots in which this one's nodes are quiet
+  };
+  std::optional<Others> others_;
+  bool scanning_ = false;  // once the own beacon is out
   std::uint32_t number_ = 0;
   Action listening_;
   std::uint32_t holders_told_ = 0;  // superframe in which they left the master

@@ -212,8 +212,12 @@ void Tag::watch_answers() noexcept {
       static_cast<std::uint8_t>(std::count_if(exchange.legs.begin(), exchange.legs.begin() + exchange.count,
                                               [](const Leg& leg) { return leg.answered; }));
   const bool poor = 2 * answers < usual_answers_ || answers == 0;
-  station_.on_lack(poor && was_poor_);
+  constexpr std::uint8_t kAlone = 4;
+  unanswered_ =
+      answers != 0 ? std::uint8_t{0} : static_cast<std::uint8_t>(std::min(unanswered_ + 1, int{kAlone}));
+  station_.on_lack(poor && was_poor_, unanswered_ == kAlone);
   was_poor_ = poor;
+  if (answers == 0) station_.on_silence();
   usual_answers_ = std::max<std::uint8_t>(answers, usual_answers_ == 0 ? 0 : usual_answers_ - 1);
 }
 

@@ -78,6 +78,7 @@ class Tag {
   Phase phase_ = Phase::kControl;
   std::uint8_t usual_answers_ = 0;  // RESPONSEs in one exchange
   bool was_poor_ = false;
+  std::uint8_t unanswered_ = 0;  // exchanges in a row
   std::uint16_t next_number_ = 0;
   std::size_t window_ = 0;
   // Under way, the one before that waits for its closing stamps, and the one before that, just complete.
