@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdio>
 #include <set>
 #include <string>
 #include <tuple>
@@ -245,6 +247,103 @@ TEST(SelfOrganizing, ElevenLostBeaconsCostNothing) {
   const auto later = site.ranges_of(50);
   EXPECT_EQ(good(later), later.size());
   EXPECT_EQ(site.leaders().size(), 1U);
+}
+
+// The node's clocks run off by 1 ppm a second, each its own way, and no beacon comes any more: who ranges,
+// ranges right, and nobody ever sends outside of the guard; when the table of slots is too old all are
+// silent.
+TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
+  // No back-ups: nobody takes over.
+  const groma_Schedule schedule = schedule_with(3, 8, 0);
+  Site site(schedule);
+  const mac::Superframe superframe(schedule, dw1000::Phy(dw1000::Preamble::k128));
+  const auto drift = [&](double superframes) {
+    for (double done = 0.0; done < superframes; done += 1.0) {
+      for (std::size_t i = 0; i < site.air.size(); ++i) {
+        site.air.set_offset_ppm(i, site.air.offset_ppm(i) + (i % 2 == 0 ? 1.0 : -1.0) * site.superframe_s);
+      }
+      site.run_superframes(1);
+    }
+  };
+  site.air.start_all();
+  drift(150);
+  site.air.lost = [](const Air::Frame& frame, std::size_t) { return frame.bytes[9] == 1; };
+  std::size_t polls = 0;
+  double worst_late_us = 0.0;
+  const double duration = static_cast<double>(superframe.duration().count());
+  const std::size_t master = site.index_of(101);
+  site.air.overheard = [&](const Air::Frame& frame) {
+    const auto parsed = mac::parse(frame.bytes).frame;
+    const auto* poll = parsed ? std::get_if<mac::Poll>(&parsed->body) : nullptr;
+    if (poll == nullptr) return;
+    ++polls;
+    // By the master's clock, to which all of this is due.
+    const double shown = site.air.local_ticks_of(master) - (site.air.now() - frame.rmarker);
+    const auto time = site.air.station(master).network_time(ClockTime(std::llround(shown)));
+    ASSERT_TRUE(time);
+    const double due = static_cast<double>(poll->superframe) * duration +
+                       static_cast<double>(superframe.poll(poll->slot).count());
+    worst_late_us =
+        std::max(worst_late_us, std::abs(static_cast<double>(time->count()) - due) / kTicksPerSecond * 1e6);
+  };
+  site.air.ranges.clear();
+  drift(12);
+  EXPECT_EQ(good(site.air.ranges), site.air.ranges.size());
+  EXPECT_GE(site.air.ranges.size(), 11U * 3 * 8);
+  EXPECT_EQ(polls, 12U * 3);
+  EXPECT_LT(worst_error_m(site.air.ranges), kIdealError_m);
+  drift(108);
+  EXPECT_LT(worst_late_us, schedule.guard_us) << "nobody sends outside of its slot";
+  // A table of slots counts for 32 superframes; in some of the last ones all listen for a master.
+  EXPECT_GE(polls, 25U * 3);
+  EXPECT_LE(polls, 33U * 3);
+  // Two superframes with 2 ppm a second between the clocks.
+  EXPECT_LT(worst_error_m(site.air.ranges), 0.02);
+  std::printf("[ coasting ] %zu polls of 3 tags, up to %.2f us off\n", polls, worst_late_us);
+  polls = 0;
+  drift(30);
+  EXPECT_EQ(polls, 0U) << "silent";
+}
+
+// A tag misses its turn for so long that the clocks' drift would bend the range of the exchange before.
+TEST(SelfOrganizing, AnExchangeIsClosedByThePollOfTheNextTwoSuperframesOrNotAtAll) {
+  for (const int pause : {1, 2, 4}) {
+    Site site(schedule_with(1, 4, 0));
+    site.air.start_all();
+    site.air.run(1.0);
+    const std::size_t tag = site.index_of(1);
+    site.air.ranges.clear();
+    // Off from between two exchanges, for `pause` superframes but for a little.
+    std::uint32_t last = 0;
+    site.air.overheard = [&](const Air::Frame& frame) {
+      const auto parsed = mac::parse(frame.bytes).frame;
+      if (const auto* poll = parsed ? std::get_if<mac::Poll>(&parsed->body) : nullptr)
+        last = poll->superframe;
+    };
+    site.run_superframes(10);
+    const std::uint32_t before = last;
+    site.air.stop(tag);
+    site.run_superframes(pause - 0.5);
+    site.air.resume(tag);
+    site.air.ranges.clear();
+    std::uint32_t next = 0;
+    while (next == 0) {
+      site.run_superframes(0.1);
+      if (last != before) next = last;
+    }
+    site.run_superframes(2);
+    std::size_t closed = 0;
+    for (const RangeSeen& r : site.air.ranges) {
+      if (r.superframe == before && r.range.status == RangeStatus::kOk) ++closed;
+    }
+    EXPECT_EQ(closed, next - before <= 2 ? 4U : 0U) << "the next POLL came " << next - before << " later";
+    if (pause == 4) {
+      EXPECT_GT(next - before, 2U);
+    } else if (pause == 1) {
+      EXPECT_LE(next - before, 2U);
+    }
+    EXPECT_LT(worst_error_m(site.air.ranges), kIdealError_m);
+  }
 }
 
 // Three cells in a row, each anchor hears its own cell and the relays next to it.

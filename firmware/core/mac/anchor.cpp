@@ -85,7 +85,8 @@ void Anchor::go_on_to(ClockTime now) noexcept {
 
 void Anchor::end_superframe() noexcept {
   constexpr std::uint32_t kTooMany = 2;
-  station_.on_lack(++polls_missing_ > kTooMany, true);
+  const bool idle = ++polls_missing_ > kTooMany;
+  station_.on_lack(idle, idle);
   station_.end_superframe();
   next_slot_ = 0;
 }
