@@ -6,134 +6,19 @@
 #include <cstdio>
 #include <optional>
 #include <span>
-#include <string>
-#include <vector>
 
 #include "firmware/core/node/config.hpp"
-#include "test/sim/site_bench.hpp"
+#include "test/sim/reach_bench.hpp"
 
 namespace groma::sim {
 namespace {
-
-// A tag at the origin, and anchors in a row; neighbours hear each other, and no others do.
-constexpr double kApart_m = 80.0;
-
-class Reach {
- public:
-  struct Answer {
-    groma_Reply reply = groma_Reply_init_zero;
-    std::vector<groma_NodeToHost> rest;
-    double took_s = 0.0;
-    int pending = 0;
-  };
-
-  Reach(int anchors, bool in_a_row, double loss, std::uint64_t seed = 1)
-      : bench(settings(anchors, loss, seed)) {
-    if (in_a_row) {
-      for (int i = 0; i < anchors; ++i)
-        bench.space.put(SiteBench::anchor_id(i), {kApart_m * (i + 1), 0.0, 2.0});
-      bench.space.put(SiteBench::tag_id(0), {0.0, 0.0, 2.0});
-    }
-    run(2.0);
-  }
-
-  static SiteSettings settings(int anchors, double loss, std::uint64_t seed) {
-    SiteSettings site;
-    site.anchors = anchors;
-    site.seed = seed;
-    site.medium.loss_probability = loss;
-    site.spread_ppm = 10.0;
-    site.configure = [anchors](groma_Config& config) {
-      // All but the last one relay.
-      for (int i = 1; i + 1 < anchors && i <= 4; ++i)
-        config.schedule.backup_ids[config.schedule.backup_ids_count++] = SiteBench::anchor_id(i);
-      config.schedule.responses = 3;
-    };
-    return site;
-  }
-
-  void run(double duration_s) {
-    now_s_ += duration_s;
-    bench.run_until(now_s_);
-  }
-  [[nodiscard]] Listener& wired() { return bench.listeners[0]; }
-
-  // As a host would: repeats the request once the node has fallen silent.
-  std::optional<Answer> ask(std::uint16_t target, groma_HostToNode command, double most_s = 60.0) {
-    command.target_id = target;
-    command.request_id = ++request_;
-    wired().relayed.clear();
-    wired().replies.clear();
-    if (!bench.network.send(0, frame_of(command))) ADD_FAILURE() << "the line is full";
-    Answer answer;
-    const double begin_s = now_s_;
-    while (now_s_ < begin_s + most_s) {
-      run(0.02);
-      answer.pending = static_cast<int>(std::ranges::count_if(wired().replies, [](const groma_Reply& reply) {
-        return reply.result == groma_Result_RESULT_PENDING;
-      }));
-      for (const groma_Reply& reply : wired().replies) {
-        if (reply.request_id != request_ || reply.result == groma_Result_RESULT_PENDING) continue;
-        answer.reply = reply;
-        answer.took_s = now_s_ - begin_s;
-        return answer;
-      }
-      for (const groma_NodeToHost& message : wired().relayed) {
-        if (message.which_body != groma_NodeToHost_reply_tag) continue;
-        if (message.body.reply.request_id != request_) continue;
-        run(0.05);
-        EXPECT_EQ(message.source_id, target);
-        answer.reply = message.body.reply;
-        answer.rest = wired().relayed;
-        answer.took_s = now_s_ - begin_s;
-        return answer;
-      }
-    }
-    return std::nullopt;
-  }
-
-  std::optional<Answer> ask(std::uint16_t target, pb_size_t which, double most_s = 60.0) {
-    groma_HostToNode command = groma_HostToNode_init_zero;
-    command.which_body = which;
-    return ask(target, command, most_s);
-  }
-
-  std::optional<groma_Hello> hello(std::uint16_t target) {
-    const auto answer = ask(target, groma_HostToNode_get_hello_tag);
-    if (!answer) return std::nullopt;
-    for (const groma_NodeToHost& message : answer->rest) {
-      if (message.which_body == groma_NodeToHost_hello_tag) return message.body.hello;
-    }
-    return std::nullopt;
-  }
-
-  groma_Reply write(std::uint16_t target, const groma_Config& config) {
-    groma_HostToNode command = groma_HostToNode_init_zero;
-    command.which_body = groma_HostToNode_write_config_tag;
-    command.body.write_config = config;
-    const auto answer = ask(target, command);
-    return answer ? answer->reply : groma_Reply groma_Reply_init_zero;
-  }
-  groma_Result apply(std::uint16_t target, std::uint16_t trial_s) {
-    groma_HostToNode command = groma_HostToNode_init_zero;
-    command.which_body = groma_HostToNode_apply_config_tag;
-    command.trial_s = trial_s;
-    const auto answer = ask(target, command);
-    return answer ? answer->reply.result : groma_Result_RESULT_STORAGE;
-  }
-
-  SiteBench bench;
-
- private:
-  double now_s_ = 0.0;
-  std::uint32_t request_ = 7000;
-};
 
 struct Case {
   const char* name;
   int anchors;
   bool in_a_row;
   double loss;
+  bool keyed = false;
 };
 std::ostream& operator<<(std::ostream& out, const Case& c) {
   return out << c.name;
@@ -143,7 +28,7 @@ class ReachTest : public ::testing::TestWithParam<Case> {};
 
 TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
   const Case& c = GetParam();
-  Reach reach(c.anchors, c.in_a_row, c.loss);
+  Reach reach({.anchors = c.anchors, .in_a_row = c.in_a_row, .loss = c.loss, .keyed = c.keyed});
   double longest_s = 0.0;
   double sum_s = 0.0;
   int asked = 0;
@@ -190,6 +75,7 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
     ASSERT_TRUE(identified) << "anchor " << id;
     EXPECT_EQ(identified->reply.result, groma_Result_RESULT_OK);
   }
+  EXPECT_EQ(reach.frames_not_genuine(), 0U);
   std::printf("[ %s ] an answer after %.2f s, the last after %.2f s\n", c.name, sum_s / asked, longest_s);
 }
 
@@ -198,11 +84,13 @@ INSTANTIATE_TEST_SUITE_P(Site, ReachTest,
                                            Case{"ThirtyPercent", 4, false, 0.3},
                                            Case{"TwoHopsTwoPercent", 2, true, 0.02},
                                            Case{"TwoHopsThirtyPercent", 2, true, 0.3},
-                                           Case{"ThreeHopsTwoPercent", 3, true, 0.02}),
+                                           Case{"ThreeHopsTwoPercent", 3, true, 0.02},
+                                           Case{"KeyedTwoPercent", 6, false, 0.02, true},
+                                           Case{"KeyedTwoHopsThirtyPercent", 2, true, 0.3, true}),
                          ::testing::PrintToStringParamName());
 
 TEST(Reach, ANodeThatIsNotThereIsToldAndTheRateStays) {
-  Reach reach(3, false, 0.0);
+  Reach reach({.anchors = 3});
   const auto answer = reach.ask(999, groma_HostToNode_get_hello_tag);
   ASSERT_TRUE(answer);
   EXPECT_EQ(answer->reply.result, groma_Result_RESULT_UNREACHABLE);
@@ -213,7 +101,7 @@ TEST(Reach, ANodeThatIsNotThereIsToldAndTheRateStays) {
 }
 
 TEST(Reach, ARebootOverTheAirHappensOnce) {
-  Reach reach(3, false, 0.3);
+  Reach reach({.anchors = 3, .loss = 0.3});
   const auto before = reach.hello(103);
   ASSERT_TRUE(before);
   const auto answer = reach.ask(103, groma_HostToNode_reboot_tag);
@@ -226,7 +114,7 @@ TEST(Reach, ARebootOverTheAirHappensOnce) {
 }
 
 TEST(Reach, WhatWouldCutANodeOffIsRefusedOverTheAir) {
-  Reach reach(3, false, 0.0);
+  Reach reach({.anchors = 3});
   const auto reset = reach.ask(102, groma_HostToNode_factory_reset_tag);
   ASSERT_TRUE(reset);
   EXPECT_EQ(reset->reply.result, groma_Result_RESULT_UNSUPPORTED);
@@ -245,7 +133,7 @@ TEST(Reach, WhatWouldCutANodeOffIsRefusedOverTheAir) {
 // ---- ranges between anchors -------------------------------------------------------------------------------
 
 TEST(Reach, AnAnchorRangesToTheOthersInASlotThatIsLentToIt) {
-  Reach reach(4, false, 0.02);
+  Reach reach({.anchors = 4, .loss = 0.02});
   groma_HostToNode command = groma_HostToNode_init_zero;
   command.which_body = groma_HostToNode_survey_tag;
   command.body.survey.exchanges = 60;
@@ -282,7 +170,7 @@ TEST(Reach, AnAnchorRangesToTheOthersInASlotThatIsLentToIt) {
 }
 
 TEST(Reach, TheMasterDoesNotSurvey) {
-  Reach reach(3, false, 0.0);
+  Reach reach({.anchors = 3});
   groma_HostToNode command = groma_HostToNode_init_zero;
   command.which_body = groma_HostToNode_survey_tag;
   command.body.survey.exchanges = 10;
@@ -298,7 +186,7 @@ TEST(Reach, TheMasterDoesNotSurvey) {
 // ---- a configuration on trial -----------------------------------------------------------------------------
 
 TEST(Reach, AConfigurationThatProvesItselfStays) {
-  Reach reach(3, false, 0.02);
+  Reach reach({.anchors = 3, .loss = 0.02});
   groma_Config config = reach.bench.config_of(103, groma_Role_ROLE_ANCHOR);
   config.transmit_antenna_delay_dtu = 16'001;
   ASSERT_EQ(reach.write(103, config).result, groma_Result_RESULT_OK);
@@ -320,7 +208,7 @@ TEST(Reach, AConfigurationThatProvesItselfStays) {
 
 TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
   for (const bool power_cut : {false, true}) {
-    Reach reach(3, false, 0.02);
+    Reach reach({.anchors = 3, .loss = 0.02});
     const groma_Config good = reach.bench.config_of(103, groma_Role_ROLE_ANCHOR);
     groma_Config wrong = good;
     wrong.schedule.epoch = 99;
@@ -347,6 +235,41 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
     reach.run(3.0);
     EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
               node::config_hash_of(good));
+  }
+}
+
+// The anchor that only the master hears: through the tag and over the master.
+TEST(Reach, TwoHopsAwayATrialIsWonOrLostAsItIsNextDoor) {
+  for (const bool keyed : {false, true}) {
+    constexpr std::uint16_t kFar = 102;
+    Reach reach({.anchors = 2, .in_a_row = true, .loss = 0.02, .keyed = keyed});
+    groma_Config better = reach.anchor_config(kFar);
+    better.transmit_antenna_delay_dtu = 16'001;
+    ASSERT_EQ(reach.write(kFar, better).result, groma_Result_RESULT_OK);
+    ASSERT_EQ(reach.apply(kFar, 5), groma_Result_RESULT_OK);
+    reach.run(1.0);
+    const auto won = reach.hello(kFar);
+    ASSERT_TRUE(won);
+    EXPECT_EQ(won->config_hash, node::config_hash_of(better)) << keyed;
+    reach.run(8.0);
+
+    groma_Config wrong = better;
+    wrong.schedule.epoch = 99;
+    ASSERT_EQ(reach.write(kFar, wrong).result, groma_Result_RESULT_OK);
+    ASSERT_EQ(reach.apply(kFar, 4), groma_Result_RESULT_OK);
+    reach.run(1.5);
+    const auto away = reach.ask(kFar, groma_HostToNode_get_hello_tag, 2.0);
+    EXPECT_TRUE(!away || away->reply.result == groma_Result_RESULT_UNREACHABLE);
+    reach.run(6.0);
+    const auto back = reach.hello(kFar);
+    ASSERT_TRUE(back) << keyed;
+    EXPECT_EQ(back->config_hash, node::config_hash_of(better)) << keyed;
+    // With its key, or nobody would have understood it; and for good.
+    const auto read = reach.ask(kFar, groma_HostToNode_read_config_tag);
+    ASSERT_TRUE(read && read->reply.has_config);
+    EXPECT_EQ(read->reply.config.schedule.epoch, better.schedule.epoch);
+    EXPECT_EQ(read->reply.config.network_key.size, 0U);
+    EXPECT_EQ(reach.frames_not_genuine(), 0U);
   }
 }
 

@@ -93,6 +93,8 @@ std::uint32_t Uarte::certain_end() noexcept {
   if (behind > static_cast<std::int32_t>(kReceiveRing - kChunk)) {
     lost_ += whole - taken_;
     taken_ = whole;
+    // No zero of before may pass for one that has just come.
+    receive_.fill(kNotYet);
   }
   const std::uint32_t begin = behind < 0 ? taken_ : whole;
   for (std::uint32_t end = whole + static_cast<std::uint32_t>(kChunk); end != begin; --end) {

@@ -28,6 +28,8 @@ class ControlChannel {
   [[nodiscard]] virtual std::optional<Outgoing> own_turn(std::uint32_t /*number*/) noexcept {
     return std::nullopt;
   }
+  // It may well send in the next open slot: to arm the listening there ahead of time would only cost time.
+  [[nodiscard]] virtual bool wants_slot() const noexcept { return false; }
   // What open_slot() or own_turn() gave has left the antenna, or was too late for it. Whether anybody heard
   // it is not known.
   virtual void on_sent(std::uint32_t number, bool sent) noexcept = 0;

@@ -112,6 +112,10 @@ std::optional<Action> Station::control_ahead() const noexcept {
   if (sync_.state() == SyncState::kSearching || mastership_.leads()) return std::nullopt;
   Ticks place;
   if (phase_ == Phase::kBeacon && next_ == Next::kShared && !mastership_.has_shared_turn(number_)) {
+    const bool sends = std::any_of(channels_.begin(), channels_.end(), [](const ControlChannel* channel) {
+      return channel != nullptr && channel->wants_slot();
+    });
+    if (sends) return std::nullopt;
     place = superframe_.shared();
   } else if (phase_ == Phase::kSlots && next_ == Next::kBeacon) {
     place = superframe_.beacon();

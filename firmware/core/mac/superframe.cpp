@@ -193,9 +193,10 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
+      // With a key a message takes a second code there.
       control_slot_(
           round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turn_round_)) +
-          kToTakeIn),
+          kToTakeIn + round_up_to_grid(Ticks::from_us(secured ? 100 : 0))),
       slots_start_(control_slot_ +
                    round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turn_round_) +
                    kToTakeIn) {

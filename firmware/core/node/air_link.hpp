@@ -83,6 +83,10 @@ class AirLink final : public mac::ControlChannel {
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
   [[nodiscard]] std::optional<Outgoing> own_turn(std::uint32_t number) noexcept override;
+  [[nodiscard]] bool wants_slot() const noexcept override {
+    return acknowledge_ || passing_ != 0 || phase_ == Phase::kAsking || phase_ == Phase::kAwaiting ||
+           phase_ == Phase::kAnswering;
+  }
   void on_sent(std::uint32_t /*number*/, bool /*sent*/) noexcept override {}
   void on_control(const mac::Frame& frame, std::uint32_t number, bool leading) noexcept override;
   void on_beacon(const mac::Frame& /*frame*/, const mac::Beacon& /*beacon*/) noexcept override {}
