@@ -44,6 +44,8 @@ struct Pair {
   double mean_m = 0.0;
   double squares_m2 = 0.0;
   double power_dbm = 0.0;
+  std::uint64_t sight_known = 0;   // ranges with a hint
+  std::uint64_t sight_likely = 0;  // of those
 
   void add(const model::RangeSample& range) {
     ++count;
@@ -51,6 +53,12 @@ struct Pair {
     mean_m += off_m / static_cast<double>(count);
     squares_m2 += off_m * (range.range_m - mean_m);
     power_dbm += (static_cast<double>(range.receive_power_dbm) - power_dbm) / static_cast<double>(count);
+    sight_known += range.line_of_sight != model::LineOfSight::kNotKnown ? 1 : 0;
+    sight_likely += range.line_of_sight == model::LineOfSight::kLikely ? 1 : 0;
+  }
+  // Share of the ranges with a hint that say it is likely; not a number: none has one.
+  [[nodiscard]] double sight() const {
+    return static_cast<double>(sight_likely) / static_cast<double>(sight_known);
   }
   [[nodiscard]] double std_m() const {
     return count > 1 ? std::sqrt(squares_m2 / static_cast<double>(count - 1)) : 0.0;
@@ -112,15 +120,36 @@ Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double f
          {"ranges", pair.count},
          {"mean_m", pair.mean_m},
          {"std_m", pair.std_m()},
-         {"receive_power_dbm", std::isfinite(pair.power_dbm) ? Json(pair.power_dbm) : Json(nullptr)}});
+         {"receive_power_dbm", std::isfinite(pair.power_dbm) ? Json(pair.power_dbm) : Json(nullptr)},
+         {"sight", std::isfinite(pair.sight()) ? Json(pair.sight()) : Json(nullptr)}});
   }
+  const auto& status = heard.status;
+  const bool warm = status && status->has_temperature_cdegc;
+  const bool fed = status && status->has_supply_mv;
   return {{"for_s", for_s},
           {"sync", heard.status ? Json(word(heard.status->state)) : Json(nullptr)},
           {"master", heard.status ? Json(heard.status->master_id) : Json(nullptr)},
+          {"slot", status && status->has_slot ? Json(status->slot) : Json(nullptr)},
+          {"candidates", status ? Json(status->candidates) : Json(nullptr)},
+          {"answering", status ? Json(status->answering) : Json(nullptr)},
+          {"temperature_c", warm ? Json(status->temperature_cdegc / 100.0) : Json(nullptr)},
+          {"supply_v", fed ? Json(status->supply_mv / 1000.0) : Json(nullptr)},
           {"ranges", decoder.counters().ranges},
           {"ranges_failed", decoder.counters().ranges_not_ok},
           {"frames_lost", decoder.counters().frames_lost},
           {"pairs", pairs}};
+}
+
+// One line of what the tag's status tells; empty where it told none.
+std::string told_of_itself(const Listener& heard) {
+  if (!heard.status) return {};
+  const groma_NetworkStatus& status = *heard.status;
+  std::string line = status.has_slot ? fmt::format("slot {}", status.slot) : "no slot";
+  line += fmt::format(", {} of {} anchors answer", status.answering, status.candidates);
+  if (status.has_temperature_cdegc)
+    line += fmt::format(", chip at {:.1f} °C", status.temperature_cdegc / 100.0);
+  if (status.has_supply_mv) line += fmt::format(", {:.2f} V", status.supply_mv / 1000.0);
+  return line + "\n";
 }
 
 // Why there was no range, and what to do.
@@ -177,14 +206,15 @@ int run(const Options& options) {
   if (options.json) {
     say_json(to_json(heard, decoder, elapsed_s));
   } else if (!options.rows) {
-    Table table({"tag", "anchor", "ranges", "per s", "mean m", "std m", "power dBm"});
+    Table table({"tag", "anchor", "ranges", "per s", "mean m", "std m", "power dBm", "sight"});
     for (const auto& [ids, pair] : heard.pairs) {
       table.add({fmt::format("{}", ids.first), fmt::format("{}", ids.second), fmt::format("{}", pair.count),
                  fmt::format("{:.0f}", static_cast<double>(pair.count) / elapsed_s),
                  fmt::format("{:.3f}", pair.mean_m), fmt::format("{:.3f}", pair.std_m()),
-                 known(static_cast<float>(pair.power_dbm), 1)});
+                 known(static_cast<float>(pair.power_dbm), 1),
+                 std::isfinite(pair.sight()) ? fmt::format("{:.0f} %", 100.0 * pair.sight()) : "-"});
     }
-    if (!heard.pairs.empty()) say(table.format());
+    if (!heard.pairs.empty()) say(table.format() + told_of_itself(heard));
   }
   if (gone) {
     complain(fmt::format("{}: the port went away; plug it in again", options.link));

@@ -1,10 +1,14 @@
 // groma nodes: what each node of a site is and has counted, also of those without a cable.
 #include <fmt/format.h>
 
+#include <charconv>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
+#include <sstream>
 #include <string>
+#include <system_error>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -27,9 +31,61 @@ struct Options {
   std::string link;
   std::filesystem::path plan;
   std::string nodes;
+  std::string leave;
+  std::string prefer;
   unsigned baud = 1'000'000;
   bool json = false;
 };
+
+// What they are told beside: nothing, to leave, or hints.
+struct Orders {
+  bool leave = false;
+  std::optional<std::vector<provision::AnchorHint>> hints;
+
+  [[nodiscard]] const char* word() const { return leave ? "leave" : "prefer"; }
+  [[nodiscard]] bool any() const { return leave || hints; }
+};
+
+// "10=200,11=0", or "none".
+std::vector<provision::AnchorHint> parse_hints(const std::string& text) {
+  std::vector<provision::AnchorHint> hints;
+  if (text == "none") return hints;
+  std::istringstream parts(text);
+  for (std::string part; std::getline(parts, part, ',');) {
+    const std::size_t at = part.find('=');
+    std::uint8_t weight = 0;
+    const char* end = part.data() + part.size();
+    const auto parsed = at == std::string::npos ? std::from_chars_result{}
+                                                : std::from_chars(part.data() + at + 1, end, weight);
+    if (parsed.ptr != end || parsed.ec != std::errc{}) {
+      throw CLI::ValidationError("--prefer",
+                                 fmt::format("'{}' is no ANCHOR=WEIGHT with a weight of 0 to 255", part));
+    }
+    hints.push_back({parse_ids("--prefer", part.substr(0, at)).front(), weight});
+  }
+  if (hints.empty() || hints.size() > provision::kMaxAnchorHints) {
+    throw CLI::ValidationError("--prefer",
+                               fmt::format("names 1 to {} anchors, or none", provision::kMaxAnchorHints));
+  }
+  return hints;
+}
+
+Orders orders_of(Options& options) {
+  Orders orders;
+  if (!options.leave.empty()) {
+    if (!options.prefer.empty() || !options.nodes.empty()) {
+      throw CLI::ValidationError("--leave", "goes without --prefer and --node");
+    }
+    if (parse_ids("--leave", options.leave).size() != 1) throw CLI::ValidationError("--leave", "name one");
+    orders.leave = true;
+    options.nodes = options.leave;
+  }
+  if (!options.prefer.empty()) {
+    if (options.nodes.empty()) throw CLI::ValidationError("--prefer", "name the tags by --node");
+    orders.hints = parse_hints(options.prefer);
+  }
+  return orders;
+}
 
 struct Place {
   model::NodeId id = 0;  // 0: whoever is at the port
@@ -37,10 +93,10 @@ struct Place {
   bool over_air = false;
 };
 
-std::vector<Place> places_of(Options& options) {
+std::vector<Place> places_of(Options& options, const Orders& orders) {
   std::vector<Place> places;
   if (options.plan.empty()) {
-    places.push_back({0, options.link, false});
+    if (!orders.any()) places.push_back({0, options.link, false});
     if (options.nodes.empty()) return places;
     for (const model::NodeId id : parse_ids("--node", options.nodes))
       places.push_back({id, options.link, true});
@@ -56,6 +112,14 @@ std::vector<Place> places_of(Options& options) {
     }
   }
   return places;
+}
+
+// Without orders there is nothing to do.
+provision::NodeOutcome carry_out(const Orders& orders, const std::string& port, unsigned baud,
+                                 model::NodeId target) {
+  if (orders.leave) return provision::let_leave(port, baud, target);
+  if (orders.hints) return provision::hint_anchors(port, baud, *orders.hints, target);
+  return {};
 }
 
 Json counters_json(const groma_Counters& counters) {
@@ -88,23 +152,32 @@ int run(Options options) {
   if (options.link.empty() == options.plan.empty()) {
     throw CLI::ValidationError("nodes", "name either a port or --plan");
   }
+  const Orders orders = orders_of(options);
   Warnings warnings;
   Table table({"node", "role", "port", "firmware", "schedule", "boots", "frames", "beacons missed", "late"});
   Json list = Json::array();
   int first_failure = kGood;
-  for (const Place& place : places_of(options)) {
+  for (const Place& place : places_of(options, orders)) {
     provision::NodeReport report;
     if (place.port.empty()) {
       report.outcome.fault = provision::NodeFault::kNotInPlan;
       report.outcome.message =
           fmt::format("node {}: the plan names no port for it; add 'port:' or 'via:' to the node", place.id);
     } else {
-      report = provision::ask_node(place.port, options.baud, place.over_air ? place.id : model::NodeId{0});
+      const model::NodeId target = place.over_air ? place.id : model::NodeId{0};
+      report.outcome = carry_out(orders, place.port, options.baud, target);
+      if (report.outcome.fault == provision::NodeFault::kNone) {
+        report = provision::ask_node(place.port, options.baud, target);
+      }
     }
     if (const int code = tell(report.outcome, warnings); first_failure == kGood) first_failure = code;
     Json entry{{"id", place.id}, {"over_air", place.over_air}};
     entry.update(to_json(report.outcome));
     entry.erase("result");
+    if (orders.any()) {
+      const bool done = report.outcome.fault == provision::NodeFault::kNone;
+      entry["told"] = done ? Json(orders.word()) : Json(nullptr);
+    }
     entry["counters"] = report.counters ? counters_json(*report.counters) : Json(nullptr);
     const auto& hello = report.outcome.hello;
     if (hello) {
@@ -142,6 +215,12 @@ void add_nodes(CLI::App& app, Action& action) {
   command->add_option("--plan", options->plan, "The site plan, in the place of a port");
   command->add_option("--node", options->nodes,
                       "These of the plan alone, such as 1,5; with a port: also these, over the air");
+  command->add_option("--leave", options->leave,
+                      "This tag gives its slot back and polls no more, until it is configured or restarted");
+  command->add_option(
+      "--prefer", options->prefer,
+      "The tags of --node choose anchors by these weights, such as 10=200,11=0 (100 is neutral, "
+      "0: where there is room, none: no weights), until they restart");
   command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });

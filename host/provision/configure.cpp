@@ -434,19 +434,44 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
   return outcomes;
 }
 
-NodeOutcome identify_node(const std::string& port, unsigned baud, std::uint32_t duration_s,
-                          const LinkOpener& open, model::NodeId target) {
+namespace {
+
+// A command that is done when it is answered, and then who answered.
+NodeOutcome tell_node(const std::string& port, unsigned baud, const groma_HostToNode& command,
+                      const char* name, const LinkOpener& open, model::NodeId target) {
   NodeOutcome outcome;
   outcome.port = port;
-  const auto step = [&] {
+  note(outcome, [&] {
     const std::unique_ptr<NodeClient> client = connect(port, baud, open, target);
-    groma_HostToNode command = command_of(groma_HostToNode_identify_s_tag);
-    command.body.identify_s = duration_s;
-    (void)expect_reply(*client, client->ask(command), "identify_s");
+    (void)expect_reply(*client, client->ask(command), name);
     outcome.hello = client->ask_hello();
-  };
-  note(outcome, step);
+  });
   return outcome;
+}
+
+}  // namespace
+
+NodeOutcome identify_node(const std::string& port, unsigned baud, std::uint32_t duration_s,
+                          const LinkOpener& open, model::NodeId target) {
+  groma_HostToNode command = command_of(groma_HostToNode_identify_s_tag);
+  command.body.identify_s = duration_s;
+  return tell_node(port, baud, command, "identify_s", open, target);
+}
+
+NodeOutcome let_leave(const std::string& port, unsigned baud, model::NodeId target, const LinkOpener& open) {
+  return tell_node(port, baud, command_of(groma_HostToNode_leave_network_tag), "leave_network", open, target);
+}
+
+NodeOutcome hint_anchors(const std::string& port, unsigned baud, const std::vector<AnchorHint>& hints,
+                         model::NodeId target, const LinkOpener& open) {
+  groma_HostToNode command = command_of(groma_HostToNode_prefer_anchors_tag);
+  groma_AnchorPreference& preference = command.body.prefer_anchors;
+  if (hints.size() > std::size(preference.ids)) throw std::length_error("hint_anchors: too many");
+  for (const AnchorHint& hint : hints) {
+    preference.ids[preference.ids_count++] = static_cast<std::uint16_t>(hint.anchor);
+    preference.weights[preference.weights_count++] = hint.weight;
+  }
+  return tell_node(port, baud, command, "prefer_anchors", open, target);
 }
 
 NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target, const LinkOpener& open) {

@@ -6,6 +6,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "groma.pb.h"
@@ -75,6 +76,23 @@ struct ConfigureOptions {
 // that one passes it on over the air; 0: itself.
 [[nodiscard]] NodeOutcome identify_node(const std::string& port, unsigned baud, std::uint32_t duration_s,
                                         const LinkOpener& open = link::open_link, model::NodeId target = 0);
+
+// Lets the tag at `port`, or another one as of identify_node(), give its slot back and poll no more until it
+// is configured anew or starts again.
+[[nodiscard]] NodeOutcome let_leave(const std::string& port, unsigned baud, model::NodeId target = 0,
+                                    const LinkOpener& open = link::open_link);
+
+// What a place in a tag's POLL is worth for an anchor: 100 as for those that are not named, 0: only where
+// there is room.
+struct AnchorHint {
+  model::NodeId anchor = 0;
+  std::uint8_t weight = 100;
+};
+inline constexpr std::size_t kMaxAnchorHints = std::extent_v<decltype(groma_AnchorPreference::ids)>;
+// Gives a tag, as of let_leave(), at most kMaxAnchorHints in the place of those that it had.
+[[nodiscard]] NodeOutcome hint_anchors(const std::string& port, unsigned baud,
+                                       const std::vector<AnchorHint>& hints, model::NodeId target = 0,
+                                       const LinkOpener& open = link::open_link);
 
 // What the node tells of itself: its hello, and what it has counted.
 struct NodeReport {

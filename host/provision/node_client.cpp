@@ -39,11 +39,12 @@ NodeClient::NodeClient(std::unique_ptr<link::ByteLink> link, model::NodeId targe
 }
 
 void NodeClient::on_hello(const groma_Hello& hello) {
-  if (target_ == 0) hello_ = hello;
+  if (target_ != 0) at_link_ = hello.id == target_;
+  if (target_ == 0 || at_link_) hello_ = hello;
 }
 
 void NodeClient::on_counters(const groma_Counters& counters) {
-  if (target_ == 0) counters_ = counters;
+  if (target_ == 0 || at_link_) counters_ = counters;
 }
 
 // Of the node at the link, also about a target that it did not reach.

@@ -27,9 +27,12 @@ inline constexpr Patience kStoringPatience{1.0, 6};
 class NodeClient : private link::NodeSink {
  public:
   // What is waiting on the link already is thrown away: it answers nobody's question. `target`: the node that
-  // is spoken to over the air; 0: the one at the link.
+  // is spoken to, over the air if it is not the one at the link; 0: the one at the link, whoever it is.
   explicit NodeClient(std::unique_ptr<link::ByteLink> link, model::NodeId target = 0);
-  void set_target(model::NodeId target) noexcept { target_ = target; }
+  void set_target(model::NodeId target) noexcept {
+    target_ = target;
+    at_link_ = false;
+  }
 
   // The command's request_id is set here. Nothing where no reply came: silence() tells why. Every command of
   // the schema may be sent twice without harm.
@@ -81,6 +84,7 @@ class NodeClient : private link::NodeSink {
   std::optional<groma_Counters> counters_;
   std::optional<groma_SurveyReport> survey_;
   model::NodeId target_;
+  bool at_link_ = false;  // the target is the one at the link
   bool pending_ = false;  // since the last sending
   std::uint64_t bytes_ = 0;
   bool gone_ = false;

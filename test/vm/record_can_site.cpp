@@ -1,10 +1,12 @@
 // Records a simulated site for can_gromad_test: record_can_site SCENARIO IMAGE FOLDER. The scenario's tags
 // run the shipped image, each with an MCP2518FD on one bus; its anchors run natively; all stand in the open.
 //
-//   classic.log, fd.log  the bus as candump writes it, in the site's time
-//   bus_off.log          the same with CAN FD and each frame damaged for a while, until the controllers leave
-//   the bus robot.jsonl          the robot's lines truth.csv            t_s,x_m,y_m,yaw_rad calibration.yaml
-//   of the site as surveyed site.yaml            what a configuration of gromad needs beside its links
+// - classic.log, fd.log: the bus as candump writes it, in the site's time
+// - bus_off.log: the same with CAN FD and each frame damaged for a while, until the controllers leave the bus
+// - robot.jsonl: the robot's lines
+// - truth.csv: t_s,x_m,y_m,yaw_rad
+// - calibration.yaml: of the site as surveyed
+// - site.yaml: what a configuration of gromad needs beside its links
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -12,7 +14,9 @@
 #include <exception>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <memory>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -30,6 +34,7 @@
 #include "host/simulation/robot_feed.hpp"
 #include "host/simulation/simulated_site.hpp"
 #include "proto/can_segment.hpp"
+#include "test/sim/site_bench.hpp"
 
 namespace groma {
 namespace {
@@ -52,7 +57,7 @@ sim::Scenario in_the_open(sim::Scenario scenario) {
 class SiteOnCan {
  public:
   SiteOnCan(const sim::Scenario& scenario, const sim::FirmwareImage& image, groma_Link link)
-      : tap_(bus_, {}) {
+      : tap_(bus_, {}), tags_(scenario.tags.size()) {
     simulation::SiteOptions options;
     options.make_node = [&, link](const sim::NodeSpec& spec,
                                   sim::Medium& medium) -> std::unique_ptr<sim::NodeHost> {
@@ -68,6 +73,7 @@ class SiteOnCan {
 
   void damage() { bus_.damage(sim::from_seconds(kDamageBegin_s), sim::from_seconds(kDamageEnd_s)); }
 
+  // Throws where a recording would prove nothing: a controller at fault, or a tag that hardly ranged.
   void write_log(const std::filesystem::path& path) {
     site_->run_until(kDuration_s);
     const sim::SimTime end = sim::from_seconds(kDuration_s);
@@ -75,8 +81,11 @@ class SiteOnCan {
     std::string fault = bus_.fault();
     for (const auto& controller : controllers_) fault += controller->fault();
     if (!fault.empty()) throw std::runtime_error(fault);
+    const std::vector<sim::TimedCanFrame> frames = tap_.take(end);
+    expect_ranges(frames);
     std::ofstream file(path);
-    sim::write_candump(file, tap_.take(end));
+    sim::write_candump(file, frames);
+    if (!file.flush()) throw std::runtime_error(path.string() + ": not written");
     fmt::print("{}: {} frames and {} damaged, bus busy for {:.0f} % of the time\n", path.string(),
                bus_.counters().frames, bus_.counters().errors,
                100.0 * sim::to_seconds(bus_.counters().busy) / kDuration_s);
@@ -85,6 +94,30 @@ class SiteOnCan {
   [[nodiscard]] const sim::Robot& robot() const { return site_->world().robot(); }
 
  private:
+  void expect_ranges(std::span<const sim::TimedCanFrame> frames) const {
+    constexpr int kLeast = static_cast<int>(kDuration_s * 250.0);  // of some 570 a second
+    std::map<std::uint16_t, sim::Listener> heard;
+    for (const sim::TimedCanFrame& timed : frames) {
+      const auto address = wire::can_address(timed.frame.id);
+      if (!address) throw std::runtime_error("a frame of another protocol");
+      std::vector<sim::TimedByte> bytes;
+      for (const std::uint8_t byte : timed.frame.payload()) bytes.push_back({timed.t, byte});
+      heard[address->node].take(bytes);
+    }
+    if (heard.size() != tags_) throw std::runtime_error(fmt::format("{} tags reported", heard.size()));
+    for (const auto& [tag, listener] : heard) {
+      int good = 0;
+      for (const sim::Listener::Report& report : listener.reports) {
+        const std::span ranges = std::span(report.body.ranges).first(report.body.ranges_count);
+        good += static_cast<int>(std::count_if(ranges.begin(), ranges.end(), [](const groma_Range& range) {
+          return range.status == groma_RangeStatus_RANGE_OK;
+        }));
+      }
+      if (good < kLeast)
+        throw std::runtime_error(fmt::format("tag {}: {} ranges, not {}", tag, good, kLeast));
+    }
+  }
+
   static sim::NodeSpec on_link(sim::NodeSpec spec, groma_Link link) {
     auto config = node::decode_config(spec.stored_config);
     if (!config) throw std::runtime_error("a tag has no configuration");
@@ -96,6 +129,7 @@ class SiteOnCan {
 
   sim::CanBus bus_;
   sim::CanTap tap_;
+  std::size_t tags_;
   std::vector<std::unique_ptr<sim::Mcp2518fdChip>> controllers_;
   std::unique_ptr<simulation::SimulatedSite> site_;
 };

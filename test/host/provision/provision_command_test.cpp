@@ -288,6 +288,45 @@ TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
                                     "clock_offset_ppm,noise,line_of_sight,corrections,network_time_dtu\n1"));
 }
 
+TEST_F(CommandTest, ATagTakesHintsAndLeavesWhenItIsTold) {
+  ASSERT_EQ(groma_run(configure_all()).exit_code, 0);
+  const std::string tag = nodes_[0].port;
+  const std::string anchor = nodes_[1].port;
+  const auto listen = [&](const char* for_s) { return groma_run({"listen", tag, "--for", for_s, "--json"}); };
+  const json before = json::parse(listen("2.5").out);
+  EXPECT_EQ(before["slot"], 0);
+  EXPECT_EQ(before["candidates"], 3);
+  EXPECT_EQ(before["answering"], 3);
+  EXPECT_GT(before["temperature_c"].get<double>(), -40.0);
+  EXPECT_LT(before["temperature_c"].get<double>(), 85.0);
+  EXPECT_NEAR(before["supply_v"].get<double>(), 3.3, 0.5);
+  EXPECT_GE(before["pairs"][0]["sight"].get<double>(), 0.9);
+
+  // An anchor that it does not know becomes a candidate; at its own port, and over the air through an
+  // anchor's.
+  const ChildResult hinted = groma_run({"nodes", tag, "--node", "1", "--prefer", "99=120,12=0", "--json"});
+  EXPECT_EQ(hinted.exit_code, 0) << hinted.err;
+  const json told = json::parse(hinted.out)["nodes"];
+  ASSERT_EQ(told.size(), 1U);
+  EXPECT_EQ(told[0]["told"], "prefer");
+  EXPECT_EQ(told[0]["id"], 1);
+  EXPECT_GT(told[0]["counters"]["ranges_completed"], 0);
+  EXPECT_EQ(json::parse(listen("1.5").out)["candidates"], 4);
+  const ChildResult none = groma_run({"nodes", anchor, "--node", "1", "--prefer", "none"});
+  EXPECT_EQ(none.exit_code, 0) << none.err;
+
+  const ChildResult refused = groma_run({"nodes", tag, "--leave", "11"});
+  EXPECT_EQ(refused.exit_code, 78);
+  EXPECT_THAT(refused.err, HasSubstr("only a tag has a slot to leave"));
+  const ChildResult left = groma_run({"nodes", anchor, "--leave", "1", "--json"});
+  EXPECT_EQ(left.exit_code, 0) << left.err;
+  EXPECT_EQ(json::parse(left.out)["nodes"][0]["told"], "leave");
+  const ChildResult after = listen("1.5");
+  EXPECT_EQ(after.exit_code, 3) << after.out;
+  EXPECT_TRUE(json::parse(after.out)["slot"].is_null());
+  EXPECT_EQ(json::parse(after.out)["ranges"], 0);
+}
+
 TEST_F(CommandTest, APortThatIsTakenEndsWith69) {
   const link::OpenedLink other = link::open_link(nodes_[0].port, kBaud);
   ASSERT_TRUE(other.link);
@@ -305,6 +344,12 @@ TEST_F(CommandTest, MisuseEndsWith2) {
   EXPECT_EQ(groma_run({"identify", "x", "--plan", plan}).exit_code, 2);
   EXPECT_EQ(groma_run({"identify", "--plan", plan}).exit_code, 2);
   EXPECT_EQ(groma_run({"identify", "x", "--for", "4000"}).exit_code, 2);
+  EXPECT_EQ(groma_run({"nodes", "x", "--leave", "1,2"}).exit_code, 2);
+  EXPECT_EQ(groma_run({"nodes", "x", "--leave", "1", "--prefer", "10=1"}).exit_code, 2);
+  EXPECT_EQ(groma_run({"nodes", "x", "--prefer", "10=1"}).exit_code, 2);
+  for (const char* hints : {"10", "10=", "10=256", "10=-1", "=1", "10=1x", "10=1,,"}) {
+    EXPECT_EQ(groma_run({"nodes", "x", "--node", "1", "--prefer", hints}).exit_code, 2) << hints;
+  }
   EXPECT_EQ(groma_run({"flash", "--image", path("node.hex"), "--adapter", "parport"}).exit_code, 2);
   EXPECT_EQ(groma_run({"flash", "--node", "1"}).exit_code, 2);
   EXPECT_EQ(groma_run({"flash", "--all", "--plan", plan}).exit_code, 2);

@@ -1,21 +1,30 @@
 // groma sim as others meet it: a process, a folder with ports and a socket, signals.
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <chrono>
+#include <cmath>
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
 #include <functional>
+#include <optional>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
 #include "host/daemon/session.hpp"
 #include "host/link/byte_link.hpp"
+#include "host/link/report_decoder.hpp"
+#include "test/host/daemon/gromad_process.hpp"
 #include "test/support/child_process.hpp"
 #include "test/support/scratch_folder.hpp"
 
@@ -125,6 +134,151 @@ TEST(SimCommand, RunsUntilInterrupted) {
 }
 TEST(SimCommand, RunsUntilTerminated) {
   runs_until(SIGTERM);
+}
+
+// ---- the exchange of time stamps over a real port ---------------------------------------------------------
+
+struct Instant {
+  double t_s = 0.0;        // of the range, as mapped to the host's clock
+  double network_s = 0.0;  // the same, in the network's time
+  double delay_s = 0.0;    // from there to where its report was read
+};
+
+class Instants : public link::NodeSink {
+ public:
+  void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
+    if (range.network_time_dtu == 0) return;
+    seen.push_back({range.t_s, static_cast<double>(range.network_time_dtu) / 63.8976e9, now_s - range.t_s});
+  }
+  std::vector<Instant> seen;
+  double now_s = 0.0;
+};
+
+// How far host and network time are apart beside a line, at the most.
+double largest_residual_s(const std::vector<Instant>& seen, double& slope) {
+  double x_mean = 0.0;
+  double y_mean = 0.0;
+  for (const Instant& i : seen) {
+    x_mean += (i.network_s - seen[0].network_s) / static_cast<double>(seen.size());
+    y_mean += (i.t_s - seen[0].t_s) / static_cast<double>(seen.size());
+  }
+  double xx = 0.0;
+  double xy = 0.0;
+  for (const Instant& i : seen) {
+    const double x = i.network_s - seen[0].network_s - x_mean;
+    xx += x * x;
+    xy += x * (i.t_s - seen[0].t_s - y_mean);
+  }
+  slope = xy / xx;
+  double worst_s = 0.0;
+  for (const Instant& i : seen) {
+    const double x = i.network_s - seen[0].network_s - x_mean;
+    worst_s = std::max(worst_s, std::abs(i.t_s - seen[0].t_s - y_mean - slope * x));
+  }
+  return worst_s;
+}
+
+TEST(SimCommand, RangesAreStampedWithAConstantDelayOverARealPort) {
+  const test::ScratchFolder scratch;
+  const std::filesystem::path ports = scratch / "ports";
+  Child child({"sim", "--scenario", scenario("open_field.yaml"), "--ports", ports.string()},
+              scratch / "errors");
+  ASSERT_TRUE(wait_for([&] { return std::filesystem::exists(ports / "tag-1"); }, 20.0))
+      << test::read_text(scratch / "errors");
+  const link::OpenedLink tag = link::open_link(ports / "tag-1", 1'000'000);
+  ASSERT_TRUE(tag.link) << tag.error.message;
+  link::ReportDecoder decoder(1'000'000);
+  Instants instants;
+  const Clock::time_point begin = Clock::now();
+  double next_request_s = 0.5;
+  std::array<std::uint8_t, 4096> chunk{};
+  const auto serve = [&] {
+    instants.now_s = since(begin);
+    if (instants.now_s >= next_request_s) {
+      next_request_s = instants.now_s + 0.25;
+      (void)tag.link->write(link::time_request(instants.now_s));
+    }
+    const std::size_t size = tag.link->read(chunk).bytes;
+    instants.now_s = since(begin);
+    if (size > 0) decoder.take(std::span(chunk).first(size), instants.now_s, instants);
+  };
+  ASSERT_TRUE(wait_for(
+      [&] {
+        serve();
+        return decoder.counters().time_replies >= 16 && instants.seen.size() >= 500;
+      },
+      40.0));
+  instants.seen.clear();
+  const double from_s = since(begin);
+  (void)wait_for(
+      [&] {
+        serve();
+        return since(begin) > from_s + 6.0;
+      },
+      20.0);
+  child.signal(SIGINT);
+  if (child.exit_code() == 3) GTEST_SKIP() << "this machine is too slow for the site in real time";
+
+  ASSERT_TRUE(decoder.time().round_trip_s());
+  const double round_trip_s = *decoder.time().round_trip_s();
+  double slope = 0.0;
+  ASSERT_GT(instants.seen.size(), 500U);
+  const double residual_s = largest_residual_s(instants.seen, slope);
+  double least_delay_s = 1.0;
+  for (const Instant& i : instants.seen) least_delay_s = std::min(least_delay_s, i.delay_s);
+  fmt::print("round trip {:.2f} ms, instants within {:.2f} ms, the least delay {:.2f} ms\n",
+             1e3 * round_trip_s, 1e3 * residual_s, 1e3 * least_delay_s);
+  // The simulation takes steps of some milliseconds, and answers in the next one.
+  EXPECT_GE(round_trip_s, 0.0);
+  EXPECT_LT(round_trip_s, 0.05);
+  EXPECT_NEAR(slope, 1.0, 1e-3);
+  EXPECT_LT(residual_s, 0.01);
+  // Later than it was measured, by a report's way to the host.
+  EXPECT_GT(least_delay_s, -0.5 * round_trip_s);
+  EXPECT_LT(least_delay_s, 0.1);
+}
+
+TEST(SimCommand, GromadTellsTheRoundTripOfASimulatedTagsPort) {
+  const test::ScratchFolder scratch;
+  const std::filesystem::path ports = scratch / "ports";
+  Child child({"sim", "--scenario", scenario("open_field.yaml"), "--ports", ports.string()},
+              scratch / "errors");
+  ASSERT_TRUE(wait_for([&] { return std::filesystem::exists(ports / "robot.sock"); }, 20.0))
+      << test::read_text(scratch / "errors");
+  scratch.write("gromad.yaml", R"(schema: 1
+nodes: [{path: ports/tag-1, baud: 1000000}]
+robot_socket: ports/robot.sock
+tags: [{id: 1, lever_arm_m: [0.4, 0, 1.2]}]
+odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.02}
+range: {sigma_m: 0.05, beta_m: [0.3, 0.3], gamma: [1.0, 0.002]}
+surface: {type: plane, z_m: 0, normal: [-0.01, 0.005, 1]}
+calibration: {drive_s: 600}
+pose_stream: {port: 0}
+)");
+  daemon::test::Gromad gromad({"--config", scratch / "gromad.yaml"});
+  std::optional<daemon::test::StreamClient> client;
+  std::vector<double> round_trips_s;
+  const bool told = wait_for(
+      [&] {
+        if (!client) {
+          if (const auto port = daemon::test::pose_stream_port(gromad)) client.emplace(*port);
+          return !gromad.running();
+        }
+        for (const nlohmann::json& object : client->read()) {
+          if (object.at("class") != "STATUS") continue;
+          const nlohmann::json& round_trip = object.at("links").at(0).at("round_trip_s");
+          if (round_trip.is_number()) round_trips_s.push_back(round_trip);
+        }
+        return round_trips_s.size() >= 5 || !gromad.running();
+      },
+      40.0);
+  ASSERT_TRUE(told && gromad.running()) << gromad.log();
+  for (const double round_trip_s : round_trips_s) {
+    EXPECT_GE(round_trip_s, 0.0);
+    EXPECT_LT(round_trip_s, 0.05);
+  }
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), 0) << gromad.log();
 }
 
 TEST(SimCommand, UnconfiguredNodesWaitAtTheirPortsForAPlan) {
