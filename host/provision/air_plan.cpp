@@ -11,6 +11,7 @@
 #include <span>
 #include <vector>
 
+#include "firmware/core/mac/anchor_set.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/sim/can_bits.hpp"
@@ -153,6 +154,18 @@ void warn(const groma_Config& config, AirPlan& plan) {
   }
 }
 
+// Of a POLL's places those that go, in the long run, to anchors of which no range comes: one that answers its
+// trial is not asked again, unless it is better than those that are. `reached`: the anchors beyond the places
+// answer.
+double trials(std::size_t places, std::size_t anchors, bool reached) {
+  if (anchors <= places) return 0.0;
+  const double share = mac::AnchorSet::shares(reached);
+  const double price = mac::AnchorSet::price(places);
+  // Those left out are the ones beyond the places and those whose places are given to trials.
+  const double earned = share * static_cast<double>(anchors - places) / (price - share);
+  return std::min(earned, static_cast<double>(mac::AnchorSet::most_trials(places)));
+}
+
 }  // namespace
 
 double range_success(groma_RangingMethod method, double frame_success) {
@@ -174,8 +187,14 @@ AirPlan plan_air(const groma_Config& config, unsigned baud) {
   plan.shared_s = plan.superframe_s - plan.beacon_s - static_cast<double>(plan.slots) * plan.slot_s;
   plan.tags = schedule.tag_ids_count;
   plan.responses = std::min<std::size_t>(superframe.responses(), schedule.anchor_ids_count);
+  std::set<std::size_t> used;
+  for (std::size_t i = 0; i < plan.tags; ++i) {
+    used.insert(mac::configured_slot(schedule, schedule.tag_ids[i]).value_or(0));
+  }
+  const bool one_cell = used.size() == plan.tags;
   const auto responses = static_cast<double>(plan.responses);
-  plan.tag_ranges_per_s = responses / plan.superframe_s;
+  plan.tag_ranges_per_s =
+      (responses - trials(plan.responses, schedule.anchor_ids_count, one_cell)) / plan.superframe_s;
   plan.ranges_per_s = plan.tag_ranges_per_s * static_cast<double>(plan.tags);
 
   const auto air_s = [&](std::size_t bytes) { return seconds(phy.air_time(superframe.on_air(bytes))); };
@@ -183,10 +202,6 @@ AirPlan plan_air(const groma_Config& config, unsigned baud) {
   const double tag_s =
       air_s(mac::poll_bytes(plan.responses)) + (superframe.has_final() ? air_s(mac::kFinalBytes) : 0.0);
   const double exchange_s = tag_s + responses * air_s(mac::kResponseBytes);
-  std::set<std::size_t> used;
-  for (std::size_t i = 0; i < plan.tags; ++i) {
-    used.insert(mac::configured_slot(schedule, schedule.tag_ids[i]).value_or(0));
-  }
   const auto slots_used = static_cast<double>(used.size());
   plan.bound_ranges_per_s = static_cast<double>(plan.tags) * responses / (beacon_s + slots_used * exchange_s);
   const double turns = schedule.backup_ids_count + 1.0;

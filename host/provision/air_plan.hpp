@@ -31,7 +31,8 @@ struct AirPlan {
   std::size_t slots = 0;
   std::size_t tags = 0;       // more than slots where some share one out of each other's reach
   std::size_t responses = 0;  // anchors in one exchange
-  // At no loss, of all tags together, at most one exchange a tag and superframe.
+  // At no loss, of all tags together, at most one exchange a tag and superframe. Places in which a tag tries
+  // anchors that it does not use yield none; where tags share a slot, those anchors are out of reach.
   double ranges_per_s = 0.0;
   double tag_ranges_per_s = 0.0;
   // If the frames in use followed each other without a pause.

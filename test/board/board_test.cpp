@@ -73,8 +73,7 @@ class Board : public testing::Test {
 // ---- the link ---------------------------------------------------------------------------------------------
 
 TEST_F(Board, AnswersCommandsThatComeWithoutAPauseWhileItRanges) {
-  SiteBench site(
-      emulating({.tags = 1, .anchors = 3}, {}, [](std::uint16_t id) { return id == SiteBench::tag_id(0); }));
+  SiteBench site(emulating({.tags = 1, .anchors = 3}, {}, [](std::uint16_t id) { return id == nth_tag(0); }));
   site.run_until(1.0);
   constexpr std::uint32_t kCommands = 60;
   std::vector<std::uint8_t> burst;
@@ -96,7 +95,7 @@ TEST_F(Board, RefusesWholeFramesWhereTheLineIsFull) {
   // One tag alone, with raw stamps: more than the line carries.
   SiteBench site(emulating(
       {.tags = 1, .anchors = 12, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL, .response_gap_us = 155},
-      {}, [](std::uint16_t id) { return id == SiteBench::tag_id(0); }));
+      {}, [](std::uint16_t id) { return id == nth_tag(0); }));
   site.run_until(3.0);
   const Listener& heard = site.listeners[0];
   ASSERT_FALSE(heard.reports.empty());
@@ -241,7 +240,7 @@ TEST_F(Board, LeavesHalfOfItsStackUntouched) {
   for (std::size_t i = 0; i < site.network.size(); ++i) {
     groma_HostToNode write = command_of(1, groma_HostToNode_write_config_tag);
     const bool tag = i == 0;
-    const auto id = tag ? SiteBench::tag_id(0) : SiteBench::anchor_id(static_cast<int>(i) - 1);
+    const auto id = tag ? nth_tag(0) : nth_anchor(static_cast<int>(i) - 1);
     write.body.write_config = site.config_of(id, tag ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR);
     write.body.write_config.report_raw_stamps = false;
     ASSERT_TRUE(site.network.send(i, frame_of(write)));

@@ -109,6 +109,26 @@ TEST(Superframe, LeavesTimeToTakeABeaconIn) {
   }
 }
 
+// An anchor that heard a FINAL has the next POLL to hear, the master a beacon to make.
+TEST(Superframe, LeavesTheTurnRoundAfterAFinal) {
+  for (const bool secured : {false, true}) {
+    for (const std::uint32_t gap_us : {50U, 120U, 150U, 200U, 250U, 300U, 700U}) {
+      const groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, 300, gap_us);
+      const Superframe superframe(schedule, Phy(Preamble::k128), secured);
+      const auto silence_us = [&](std::size_t slot, Ticks next) {
+        const Ticks end =
+            superframe.poll(slot) + superframe.final(12) + Phy::after_rmarker(superframe.on_air(kFinalBytes));
+        return us(next - superframe.phy().before_rmarker() - end - superframe.guard());
+      };
+      EXPECT_NEAR(silence_us(0, superframe.poll(1)), std::max(gap_us, 300U), 0.05) << gap_us;
+      const double code_us = secured ? 100.0 : 0.0;
+      EXPECT_NEAR(silence_us(2, superframe.duration() + superframe.beacon()),
+                  std::max(gap_us, 300U) + code_us, 0.05)
+          << gap_us;
+    }
+  }
+}
+
 TEST(Superframe, EveryTransmissionLiesOnTheGrid) {
   for (const std::uint32_t odd_us : {151U, 299U, 653U}) {
     groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, odd_us, odd_us);

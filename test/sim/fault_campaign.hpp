@@ -5,6 +5,8 @@
 // share of ranges that the frames' successes allow; and no range, ever, further from the truth than 6 sigma.
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -231,12 +233,51 @@ class FaultCampaign {
   std::size_t good_ = 0;
 };
 
+// What the nodes counted is what happened to their radios, and each leg of each exchange is a range or a lost
+// one. Of nodes that did not restart meanwhile.
+inline void expect_counters_account(FaultSite& site, const std::vector<std::uint16_t>& ids) {
+  for (const std::uint16_t id : ids) {
+    const groma_Counters told = site.counters(id);
+    const groma_Counters& seen = site.air.endings.at(id);
+    EXPECT_EQ(told.crc_errors, seen.crc_errors) << id;
+    EXPECT_EQ(told.header_errors, seen.header_errors) << id;
+    EXPECT_EQ(told.sfd_timeouts, seen.sfd_timeouts) << id;
+    EXPECT_EQ(told.frame_timeouts, seen.frame_timeouts) << id;
+    EXPECT_GT(told.crc_errors, 0U) << id;
+    EXPECT_GT(told.header_errors, 0U) << id;
+    EXPECT_GT(told.sfd_timeouts, 0U) << id;
+    EXPECT_EQ(told.radio_recoveries, 0U) << id;
+    EXPECT_EQ(told.reports_dropped, 0U) << id;
+    // What the radio does between the answer and now.
+    constexpr double kSince = 40.0;
+    EXPECT_NEAR(told.frames_received, seen.frames_received, kSince) << id;
+    EXPECT_NEAR(told.preamble_timeouts, seen.preamble_timeouts, kSince) << id;
+    if (id >= nth_anchor(0)) continue;
+    double good = 0.0;
+    double lost = 0.0;
+    for (const SeenRange& range : site.ranges())
+      if (range.tag == id) (range.good ? good : lost) += 1.0;
+    EXPECT_NEAR(told.ranges_completed, good, kSince) << id;
+    EXPECT_NEAR(told.ranges_lost, lost, kSince) << id;
+  }
+}
+
+// What is true at the end of each campaign, whoever ran the nodes.
+inline void expect_no_harm(FaultSite& site, const FaultCampaign& campaign) {
+  EXPECT_TRUE(campaign.sound()) << campaign.table();
+  EXPECT_LT(campaign.worst_sigmas(), 6.0);
+  for (const std::uint16_t id : site.ids()) {
+    EXPECT_EQ(site.chip(id).garbled_transfers(), 0U) << id;
+    EXPECT_EQ(site.listener(id).undecodable, 0) << id;
+  }
+}
+
 // ---- the phases -----------------------------------------------------------------------------------------
 
 inline std::set<std::uint16_t> all_of(int tags, int anchors) {
   std::set<std::uint16_t> ids;
-  for (int i = 0; i < tags; ++i) ids.insert(FaultSite::tag_id(i));
-  for (int i = 0; i < anchors; ++i) ids.insert(FaultSite::anchor_id(i));
+  for (int i = 0; i < tags; ++i) ids.insert(nth_tag(i));
+  for (int i = 0; i < anchors; ++i) ids.insert(nth_anchor(i));
   return ids;
 }
 

@@ -190,6 +190,7 @@ struct FaultSiteSettings {
   std::uint32_t turn_round_us = 250;
   std::uint32_t response_gap_us = 200;
   std::uint32_t guard_us = 30;
+  std::optional<security::Key> network_key{};  // each frame carries a code
   MediumSettings medium{.stamp_noise_s = 1e-10};
   std::uint64_t seed = 1;
   double crystals_ppm = 10.0;  // offsets lie within +- this
@@ -215,48 +216,30 @@ class FaultSite {
       : settings_(settings), network(hall, settings.medium, settings.seed), air(network.medium()) {
     network.medium().set_witness(&air);
     for (int i = 0; i < settings.tags; ++i)
-      add(tag_id(i), groma_Role_ROLE_TAG, from_seconds(0.011 * i), config_of(tag_id(i), groma_Role_ROLE_TAG));
+      add(nth_tag(i), groma_Role_ROLE_TAG, from_seconds(0.011 * i),
+          config_of(nth_tag(i), groma_Role_ROLE_TAG));
     for (int i = 0; i < settings.anchors; ++i)
-      add(anchor_id(i), groma_Role_ROLE_ANCHOR, from_seconds(0.007 * i),
-          config_of(anchor_id(i), groma_Role_ROLE_ANCHOR));
+      add(nth_anchor(i), groma_Role_ROLE_ANCHOR, from_seconds(0.007 * i),
+          config_of(nth_anchor(i), groma_Role_ROLE_ANCHOR));
   }
   FaultSite(const FaultSite&) = delete;
   FaultSite& operator=(const FaultSite&) = delete;
   ~FaultSite() { network.medium().set_witness(nullptr); }
 
-  static std::uint16_t tag_id(int i) { return static_cast<std::uint16_t>(1 + i); }
-  static std::uint16_t anchor_id(int i) { return static_cast<std::uint16_t>(101 + i); }
-
   [[nodiscard]] groma_Config config_of(std::uint16_t id, groma_Role role) const {
-    groma_Config config = groma_Config_init_zero;
-    config.role = role;
-    config.id = id;
-    config.network_id = 7;
-    config.has_schedule = true;
-    config.preamble = settings_.preamble;
-    config.transmit_antenna_delay_dtu = 16436;
-    config.receive_antenna_delay_dtu = 16436;
-    config.report_raw_stamps = true;
+    groma_Config config = config_by(settings_, id, role, 2);
     groma_Schedule& schedule = config.schedule;
-    schedule.epoch = 2;
-    schedule.master_id = anchor_id(0);
-    for (int i = 0; i < settings_.tags; ++i) schedule.tag_ids[schedule.tag_ids_count++] = tag_id(i);
-    for (int i = 0; i < settings_.anchors; ++i)
-      schedule.anchor_ids[schedule.anchor_ids_count++] = anchor_id(i);
     for (int i = 0; i < settings_.backups; ++i)
-      schedule.backup_ids[schedule.backup_ids_count++] = anchor_id(1 + i);
+      schedule.backup_ids[schedule.backup_ids_count++] = nth_anchor(1 + i);
     schedule.slots = static_cast<std::uint32_t>(settings_.slots);
     schedule.responses = static_cast<std::uint32_t>(settings_.responses);
-    schedule.method = settings_.method;
-    schedule.turn_round_us = settings_.turn_round_us;
-    schedule.response_gap_us = settings_.response_gap_us;
-    schedule.guard_us = settings_.guard_us;
     return config;
   }
 
   [[nodiscard]] mac::Superframe superframe() const {
-    const groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
-    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble));
+    const groma_Config config = config_of(nth_tag(0), groma_Role_ROLE_TAG);
+    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
+                           settings_.network_key.has_value());
   }
   [[nodiscard]] double superframe_s() const {
     return static_cast<double>(superframe().duration().count()) / 63.8976e9;
@@ -329,7 +312,7 @@ class FaultSite {
     constexpr int kTags = 2;
     constexpr int kAnchors = 4;
     const auto first = static_cast<std::uint16_t>(kFirstStranger + 100 * serial);
-    groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
+    groma_Config config = config_of(nth_tag(0), groma_Role_ROLE_TAG);
     config.network_id = network_id;
     groma_Schedule& schedule = config.schedule;
     schedule.epoch = 1;

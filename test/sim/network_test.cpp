@@ -99,7 +99,7 @@ TEST(SmallSite, ReportsPowersAndTheAnchorsClockOffset) {
       [&](const groma_SlotReport&, const groma_Range& range) {
         const auto anchor = static_cast<std::uint16_t>(range.anchor_id);
         const double anchor_ppm =
-            site.network.node(1U + (anchor - SiteBench::anchor_id(0))).chip().clock().offset(0) * 1e6;
+            site.network.node(1U + (anchor - nth_anchor(0))).chip().clock().offset(0) * 1e6;
         const Propagation path = site.space.between(1, anchor, 0.0);
         ASSERT_TRUE(range.has_first_path_power_cdbm && range.has_receive_power_cdbm &&
                     range.has_clock_offset_ppb);
@@ -264,7 +264,7 @@ TEST(Faults, ADeadAnchorCostsItsOwnRangesOnly) {
   int others = 0;
   site.each_range(
       [&](const groma_SlotReport&, const groma_Range& range) {
-        if (range.anchor_id == SiteBench::anchor_id(3)) {
+        if (range.anchor_id == nth_anchor(3)) {
           EXPECT_NE(range.status, groma_RangeStatus_RANGE_OK);
         } else if (range.status == groma_RangeStatus_RANGE_OK) {
           ++others;
@@ -316,7 +316,7 @@ TEST(Faults, AConfigurationWrittenOverTheLinkIsKept) {
   groma_HostToNode command = groma_HostToNode_init_zero;
   command.request_id = 1;
   command.which_body = groma_HostToNode_write_config_tag;
-  command.body.write_config = site.config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG);
+  command.body.write_config = site.config_of(nth_tag(0), groma_Role_ROLE_TAG);
   command.body.write_config.report_raw_stamps = false;
   ASSERT_TRUE(site.network.send(0, frame_of(command)));
   site.run_until(1.5);
@@ -339,7 +339,7 @@ TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
     groma_HostToNode command = groma_HostToNode_init_zero;
     command.which_body = groma_HostToNode_write_config_tag;
     command.body.write_config =
-        writer == 0 ? site.config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG)
+        writer == 0 ? site.config_of(nth_tag(0), groma_Role_ROLE_TAG)
                     : site.config_of(static_cast<std::uint16_t>(100 + writer), groma_Role_ROLE_ANCHOR);
     constexpr std::uint32_t kWrites = 80;
     for (std::uint32_t i = 0; i < kWrites; ++i) {

@@ -38,8 +38,8 @@ class Reach {
     const int anchors = options.anchors;
     if (options.in_a_row) {
       for (int i = 0; i < anchors; ++i)
-        bench.space.put(SiteBench::anchor_id(i), {kApart_m * (i + 1), 0.0, 2.0});
-      bench.space.put(SiteBench::tag_id(0), {0.0, 0.0, 2.0});
+        bench.space.put(nth_anchor(i), {kApart_m * (i + 1), 0.0, 2.0});
+      bench.space.put(nth_tag(0), {0.0, 0.0, 2.0});
     }
     run(2.0);
   }
@@ -57,7 +57,7 @@ class Reach {
       if (config.network_key.size != 0) config.network_key_hash = 0xC0DE'0001;
       // All but the last one relay.
       for (int i = 1; i + 1 < anchors && i <= 4; ++i)
-        config.schedule.backup_ids[config.schedule.backup_ids_count++] = SiteBench::anchor_id(i);
+        config.schedule.backup_ids[config.schedule.backup_ids_count++] = nth_anchor(i);
       config.schedule.responses = 3;
     };
     return site;

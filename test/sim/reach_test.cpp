@@ -33,7 +33,7 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
   double sum_s = 0.0;
   int asked = 0;
   for (int i = 0; i < c.anchors; ++i) {
-    const std::uint16_t id = SiteBench::anchor_id(i);
+    const std::uint16_t id = nth_anchor(i);
     const auto took = [&](const std::optional<Reach::Answer>& answer) {
       if (!answer) return;
       longest_s = std::max(longest_s, answer->took_s);

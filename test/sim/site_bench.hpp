@@ -32,12 +32,12 @@ struct Place {
   double z_m = 0.0;
 };
 
-class FreeSpace final : public PropagationModel {
+class FreeSpace : public PropagationModel {
  public:
   void put(std::uint16_t id, const Place& place) { places_[id] = place; }
   [[nodiscard]] double distance_m(std::uint16_t a, std::uint16_t b) const {
-    const Place& p = places_.at(a);
-    const Place& q = places_.at(b);
+    const Place& p = place(a);
+    const Place& q = place(b);
     return std::hypot(p.x_m - q.x_m, p.y_m - q.y_m, p.z_m - q.z_m);
   }
   [[nodiscard]] Propagation between(std::uint16_t a, std::uint16_t b, double /*t_s*/) const override {
@@ -50,6 +50,9 @@ class FreeSpace final : public PropagationModel {
   }
 
   double hidden_db = 2.0;  // of the power that is not in the first path
+
+ protected:
+  [[nodiscard]] const Place& place(std::uint16_t id) const { return places_.at(id); }
 
  private:
   std::map<std::uint16_t, Place> places_;
@@ -165,50 +168,61 @@ struct SiteSettings {
   std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
 };
 
+inline std::uint16_t nth_tag(int i) {
+  return static_cast<std::uint16_t>(1 + i);
+}
+inline std::uint16_t nth_anchor(int i) {
+  return static_cast<std::uint16_t>(101 + i);
+}
+
+// Of a node in a site of settings.tags and settings.anchors, the first of them the master.
+template <class Settings>
+groma_Config config_by(const Settings& settings, std::uint16_t id, groma_Role role, std::uint32_t epoch) {
+  groma_Config config = groma_Config_init_zero;
+  config.role = role;
+  config.id = id;
+  config.network_id = 7;
+  config.has_schedule = true;
+  config.preamble = settings.preamble;
+  config.transmit_antenna_delay_dtu = 16436;
+  config.receive_antenna_delay_dtu = 16436;
+  config.report_raw_stamps = true;
+  if (settings.network_key) {
+    config.network_key.size = security::kBlockBytes;
+    std::copy(settings.network_key->begin(), settings.network_key->end(), config.network_key.bytes);
+  }
+  groma_Schedule& schedule = config.schedule;
+  schedule.epoch = epoch;
+  schedule.master_id = nth_anchor(0);
+  for (int i = 0; i < settings.tags; ++i) schedule.tag_ids[schedule.tag_ids_count++] = nth_tag(i);
+  for (int i = 0; i < settings.anchors; ++i) schedule.anchor_ids[schedule.anchor_ids_count++] = nth_anchor(i);
+  schedule.method = settings.method;
+  schedule.turn_round_us = settings.turn_round_us;
+  schedule.response_gap_us = settings.response_gap_us;
+  schedule.guard_us = settings.guard_us;
+  return config;
+}
+
 // Tags 1, 2, ...; anchors 101, 102, ..., the first of them the master.
 class SiteBench {
  public:
   explicit SiteBench(const SiteSettings& settings)
       : settings_(settings), network(space, settings.medium, settings.seed) {
-    for (int i = 0; i < settings.tags; ++i) add(tag_id(i), groma_Role_ROLE_TAG, i);
-    for (int i = 0; i < settings.anchors; ++i) add(anchor_id(i), groma_Role_ROLE_ANCHOR, settings.tags + i);
+    for (int i = 0; i < settings.tags; ++i) add(nth_tag(i), groma_Role_ROLE_TAG, i);
+    for (int i = 0; i < settings.anchors; ++i) add(nth_anchor(i), groma_Role_ROLE_ANCHOR, settings.tags + i);
     listeners.resize(network.size());
     traces_.assign(network.size(), 0xCBF29CE484222325ULL);
   }
 
-  static std::uint16_t tag_id(int i) { return static_cast<std::uint16_t>(1 + i); }
-  static std::uint16_t anchor_id(int i) { return static_cast<std::uint16_t>(101 + i); }
-
   [[nodiscard]] groma_Config config_of(std::uint16_t id, groma_Role role) const {
-    groma_Config config = groma_Config_init_zero;
-    config.role = role;
-    config.id = id;
-    config.network_id = 7;
-    config.has_schedule = true;
-    config.preamble = settings_.preamble;
-    config.transmit_antenna_delay_dtu = 16436;
-    config.receive_antenna_delay_dtu = 16436;
+    groma_Config config = config_by(settings_, id, role, 1);
     config.report_raw_stamps = settings_.raw_stamps;
-    if (settings_.network_key) {
-      config.network_key.size = security::kBlockBytes;
-      std::copy(settings_.network_key->begin(), settings_.network_key->end(), config.network_key.bytes);
-    }
-    groma_Schedule& schedule = config.schedule;
-    schedule.epoch = 1;
-    schedule.master_id = anchor_id(0);
-    for (int i = 0; i < settings_.tags; ++i) schedule.tag_ids[schedule.tag_ids_count++] = tag_id(i);
-    for (int i = 0; i < settings_.anchors; ++i)
-      schedule.anchor_ids[schedule.anchor_ids_count++] = anchor_id(i);
-    schedule.method = settings_.method;
-    schedule.turn_round_us = settings_.turn_round_us;
-    schedule.response_gap_us = settings_.response_gap_us;
-    schedule.guard_us = settings_.guard_us;
     settings_.configure(config);
     return config;
   }
 
   [[nodiscard]] mac::Superframe superframe() const {
-    const groma_Config config = config_of(tag_id(0), groma_Role_ROLE_TAG);
+    const groma_Config config = config_of(nth_tag(0), groma_Role_ROLE_TAG);
     return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
                            settings_.network_key.has_value());
   }

@@ -3,7 +3,7 @@
 // The halls' tags share their slots.
 #include <gtest/gtest.h>
 
-#include "firmware/core/mac/anchor_set.hpp"
+#include "host/provision/air_plan.hpp"
 #include "test/sim/fault_site.hpp"
 
 namespace groma::sim {
@@ -21,35 +21,26 @@ int cell_of(double x_m) {
   return static_cast<int>(std::floor(x_m / kPitch_m));
 }
 
-class Halls final : public PropagationModel {
+class Halls final : public FreeSpace {
  public:
-  void put(std::uint16_t id, const Place& place) { places_[id] = place; }
-  [[nodiscard]] double distance_m(std::uint16_t a, std::uint16_t b) const {
-    const Place& p = places_.at(a);
-    const Place& q = places_.at(b);
-    return std::hypot(p.x_m - q.x_m, p.y_m - q.y_m, p.z_m - q.z_m);
-  }
-  [[nodiscard]] Propagation between(std::uint16_t a, std::uint16_t b, double /*t_s*/) const override {
+  [[nodiscard]] Propagation between(std::uint16_t a, std::uint16_t b, double t_s) const override {
     constexpr double kWallTop_m = 6.8;
     constexpr double kWallLoss_db = 40.0;
     constexpr double kSensitivity_dbm = -94.0;
-    const Place& p = places_.at(a);
-    const Place& q = places_.at(b);
-    double power_dbm = -59.0 - 20.0 * std::log10(std::max(distance_m(a, b), 0.5));
+    const Place& p = place(a);
+    const Place& q = place(b);
+    Propagation path = FreeSpace::between(a, b, t_s);
     const int low = std::min(cell_of(p.x_m), cell_of(q.x_m));
     const int high = std::max(cell_of(p.x_m), cell_of(q.x_m));
     for (int wall = low + 1; wall <= high; ++wall) {
       const double along = (wall * kPitch_m - p.x_m) / (q.x_m - p.x_m);
-      if (p.z_m + along * (q.z_m - p.z_m) < kWallTop_m) power_dbm -= kWallLoss_db;
+      if (p.z_m + along * (q.z_m - p.z_m) >= kWallTop_m) continue;
+      path.receive_power_dbm -= kWallLoss_db;
+      path.first_path_power_dbm -= kWallLoss_db;
     }
-    return {.audible = power_dbm > kSensitivity_dbm,
-            .flight_m = distance_m(a, b),
-            .receive_power_dbm = power_dbm,
-            .first_path_power_dbm = power_dbm - 2.0};
+    path.audible = path.receive_power_dbm > kSensitivity_dbm;
+    return path;
   }
-
- private:
-  std::map<std::uint16_t, Place> places_;
 };
 
 struct CellNodes {
@@ -70,7 +61,7 @@ TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
   schedule.epoch = 1;
   schedule.method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
   schedule.turn_round_us = 250;
-  schedule.response_gap_us = 150;  // a relay is ready so soon after the beacon that it heard
+  schedule.response_gap_us = 150;
   schedule.guard_us = 30;
   schedule.responses = kPlaces;
   schedule.slots = 4;
@@ -160,15 +151,14 @@ TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
   network.medium().set_witness(nullptr);
 
   config.role = groma_Role_ROLE_TAG;
-  const mac::Superframe superframe(schedule, dw1000::Phy(node::radio_settings(config).preamble));
-  const double superframe_s = static_cast<double>(superframe.duration().count()) / 63.8976e9;
-  std::printf("superframe %.2f ms, %llu collisions, worst range off by %.3f m\n", superframe_s * 1e3,
+  config.id = schedule.tag_ids[0];
+  constexpr unsigned kBaud = 1'000'000;
+  const provision::AirPlan plan = provision::plan_air(config, kBaud);
+  std::printf("superframe %.2f ms, %llu collisions, worst range off by %.3f m\n", plan.superframe_s * 1e3,
               static_cast<unsigned long long>(air.collisions - collisions_before), worst_m);
   for (std::size_t cell = 0; cell < kCells; ++cell) {
     const double rate = static_cast<double>(good[cell]) / kWatched_s;
-    // Of a POLL's places two go to anchors that did not answer before: those of the other halls.
-    const double foretold =
-        kTags[cell] * static_cast<double>(kPlaces - mac::AnchorSet::most_trials(kPlaces)) / superframe_s;
+    const double foretold = kTags[cell] * plan.tag_ranges_per_s;
     std::printf("cell %zu: %.0f ranges/s, foretold %.0f\n", cell, rate, foretold);
     EXPECT_NEAR(rate, foretold, 0.05 * foretold) << cell;
     EXPECT_GE(rate, 2000.0) << cell;

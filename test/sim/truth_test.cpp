@@ -25,10 +25,10 @@ bool ok(const groma_Range& range) {
 // All anchors at the same distance from the tag, side by side, so that they hear each other.
 void put_around(SiteBench& site, int anchors, double distance_m) {
   const Place tag{0.0, 0.0, 1.0};
-  site.space.put(SiteBench::tag_id(0), tag);
+  site.space.put(nth_tag(0), tag);
   for (int i = 0; i < anchors; ++i) {
     const double angle = 0.01 * i;
-    site.space.put(SiteBench::anchor_id(i),
+    site.space.put(nth_anchor(i),
                    {tag.x_m + distance_m * std::cos(angle), tag.y_m + distance_m * std::sin(angle), tag.z_m});
   }
 }
@@ -77,7 +77,7 @@ TEST_P(AbsoluteError, IsAtMostACentimetreFrom1To100MetresForTheFirstAndTheLastRe
     site.each_range(
         [&](const groma_SlotReport& report, const groma_Range& range) {
           ASSERT_TRUE(ok(range)) << range.status;
-          const int responder = range.anchor_id - SiteBench::anchor_id(0);
+          const int responder = range.anchor_id - nth_anchor(0);
           const double error = error_m(site, report, range);
           EXPECT_LE(std::abs(error), 0.01) << distance_m << " m, responder " << responder;
           EXPECT_LE(std::abs(single_sided_error_m(site, report, range)), 0.01)
@@ -155,7 +155,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
       [&](const groma_SlotReport& report, const groma_Range& range) {
         // A POLL closes one exchange and opens the next: every other one is independent of all before.
         if (!ok(range) || report.superframe % 2 == 1) return;
-        const auto responder = static_cast<std::size_t>(range.anchor_id - SiteBench::anchor_id(0));
+        const auto responder = static_cast<std::size_t>(range.anchor_id - nth_anchor(0));
         const auto to_response = static_cast<double>(superframe.response(responder, count).count());
         const auto closing = static_cast<double>(
             (p.method == kFinal ? superframe.final(count) : superframe.duration()).count());
@@ -245,10 +245,10 @@ constexpr double kTagTemperature_c = 47.0;
 constexpr double kTagSupply_v = 3.05;
 
 double anchor_temperature_c(std::uint16_t id) {
-  return -15.0 + 18.0 * (id - SiteBench::anchor_id(0));
+  return -15.0 + 18.0 * (id - nth_anchor(0));
 }
 double anchor_supply_v(std::uint16_t id) {
-  return 3.5 - 0.12 * (id - SiteBench::anchor_id(0));
+  return 3.5 - 0.12 * (id - nth_anchor(0));
 }
 
 SiteSettings drifting(bool correct) {
@@ -396,7 +396,7 @@ TEST(NetworkTime, OfARangeIsItsPlaceInTheSchedule) {
         const double offset =
             static_cast<double>(range.instant_offset_dtu) * (1.0 + report.network_rate_ppb * 1e-9);
         const auto at = static_cast<std::int64_t>(report.network_time_dtu) + std::llround(offset);
-        const auto responder = static_cast<std::size_t>(range.anchor_id - SiteBench::anchor_id(0));
+        const auto responder = static_cast<std::size_t>(range.anchor_id - nth_anchor(0));
         // A tag finds its slot from the superframe's start by its own clock.
         const double rate = 1.0 + report.network_rate_ppb * 1e-9;
         const double due = static_cast<double>((std::int64_t{report.superframe} * superframe.duration() +
@@ -437,7 +437,7 @@ TEST(NetworkTime, RunsAsTheMastersClockOverTheCountersWrap) {
 TEST(NetworkTime, GoesOnOverAChangeOfMaster) {
   SiteBench site({.tags = 1, .anchors = 4, .configure = [](groma_Config& config) {
                     config.schedule.backup_ids_count = 1;
-                    config.schedule.backup_ids[0] = SiteBench::anchor_id(1);
+                    config.schedule.backup_ids[0] = nth_anchor(1);
                   }});
   site.run_until(2.0);
   const double master = 1.0 + site.network.node(1).chip().clock().offset(0);

@@ -96,18 +96,17 @@ void AnchorSet::prefer_none() noexcept {
 
 // How many places of this POLL the others have earned.
 std::size_t AnchorSet::trials(std::size_t places) noexcept {
-  constexpr std::uint16_t kDoubtfulShare = 5;
   std::size_t eager = 0;
   std::size_t earned = credit_;
   for (std::size_t i = 0; i < size_; ++i) {
     const Candidate& c = candidates_[i];
-    if (!c.chosen) earned += c.missed > 0 ? kDoubtfulShare : 1U;
+    if (!c.chosen) earned += shares(c.missed == 0);
     eager += c.eager != 0 ? 1U : 0U;
   }
-  const std::uint16_t price = places >= 3 ? 32 : 128;
+  const std::uint16_t cost = price(places);
   const std::size_t most = most_trials(places);
-  const std::size_t paid = std::min(earned / price, most);
-  credit_ = static_cast<std::uint16_t>(std::min<std::size_t>(earned - paid * price, price - 1U));
+  const std::size_t paid = std::min(earned / cost, most);
+  credit_ = static_cast<std::uint16_t>(std::min<std::size_t>(earned - paid * cost, cost - 1U));
   return std::max(paid, std::min(eager, most));
 }
 

@@ -28,11 +28,15 @@ class AnchorSet {
   // An anchor that missed so many POLLs in a row counts as silent.
   static constexpr std::uint8_t kSilentAfter = 7;
 
-  // Places of each POLL that may go to trials while enough anchors answer to fill it. Over time a candidate
-  // that missed its last trial takes 5/32 of a place, one that answered it 1/32 (with fewer than 3 places a
-  // quarter of that), until these bounds are reached.
+  // Places of each POLL that may go to trials while enough anchors answer to fill it. Each choice that leaves
+  // a candidate out earns it a share of such a place, by whether it answered its last trial; a place costs so
+  // many shares. Until the bound is reached: 5/32 of a place, or 1/32.
   [[nodiscard]] static constexpr std::size_t most_trials(std::size_t places) noexcept {
     return places >= 3 ? 2 : 1;
+  }
+  [[nodiscard]] static constexpr std::uint16_t shares(bool answered) noexcept { return answered ? 1 : 5; }
+  [[nodiscard]] static constexpr std::uint16_t price(std::size_t places) noexcept {
+    return places >= 3 ? 32 : 128;
   }
 
   AnchorSet() = default;

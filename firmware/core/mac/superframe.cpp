@@ -201,11 +201,10 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
                    round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turn_round_) +
                    kToTakeIn) {
   const Ticks last_frame =
-      has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes))
-                 : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes));
-  tag_slot_ = round_up_to_grid(first_frame_ + last_frame + gap_);
-  end_time_ = round_up_to_grid(Ticks::from_us(secured ? 100 : 0)) +
-              round_up_to_grid(Ticks::from_us(has_final_ ? 100 : 0));
+      has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turn_round_)
+                 : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes)) + gap_;
+  tag_slot_ = round_up_to_grid(first_frame_ + last_frame);
+  end_time_ = round_up_to_grid(Ticks::from_us(secured ? 100 : 0));
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {

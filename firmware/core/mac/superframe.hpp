@@ -2,8 +2,9 @@
 //
 //   | BEACON | shared | slot 0 | slot 1 | ...
 //
-//   BEACON: | guard BEACON gap |      shared: | guard BEACON, JOIN or DATA turn-round |
-//   slot:   | guard POLL turn-round RESPONSE gap RESPONSE gap ... RESPONSE gap | [turn-round FINAL gap] |
+//   BEACON: | guard BEACON turn-round |     shared: | guard BEACON, JOIN or DATA turn-round |
+//   slot:   | guard POLL turn-round RESPONSE gap RESPONSE gap ... RESPONSE gap | [turn-round FINAL
+//   turn-round] |
 //
 // The first BEACON is the master's. The shared slot is taken in turns, by the superframe's number: one
 // superframe it is open to all, in the next ones the back-ups, by rank, relay the beacon. All instants are in
@@ -16,8 +17,9 @@
 // the gap; the superframe ends 100 us later. Within a tag's slot the schedule's turn-round has room for it,
 // or has not.
 //
-// A master that has closed an exchange by a FINAL still has its beacon to make: with METHOD_DS_FINAL the
-// superframe ends 100 us later, too.
+// Whoever heard a FINAL out has the next POLL to listen for, or a beacon to make: it is followed by the
+// turn-round, or the gap where that is longer. A slot that RESPONSEs end needs no more than the gap: an
+// anchor that was asked has sent.
 #pragma once
 
 #include <cstddef>

@@ -79,6 +79,25 @@ TEST(AirPlan, TagsThatShareASlotCostNoTime) {
   EXPECT_NEAR(shared.ranges_per_s, 48.0 / shared.superframe_s, 0.1);
 }
 
+TEST(AirPlan, APlaceThatGoesToATrialBringsNoRange) {
+  SiteSettings site = site_of(4, 16);
+  const AirPlan enough = plan_of(site);
+  EXPECT_NEAR(enough.tag_ranges_per_s * enough.superframe_s, 16.0, 1e-9);
+  // One anchor more takes a place in each 31 POLLs: 1/32 of one, and what those whose places it took take.
+  site = site_of(4, 17);
+  EXPECT_NEAR(plan_of(site).tag_ranges_per_s * enough.superframe_s, 16.0 - 1.0 / 31.0, 1e-9);
+  site.responses = 2;
+  const AirPlan few = plan_of(site);
+  EXPECT_NEAR(few.tag_ranges_per_s * few.superframe_s, 2.0 - 15.0 / 127.0, 1e-9);
+  // In three halls most of 64 anchors are out of reach, and two of the places are theirs.
+  site = site_of(4, 64);
+  site.tag_slots = {0, 1, 0, 1};
+  site.slots = 2;
+  const AirPlan halls = plan_of(site);
+  EXPECT_NEAR(halls.tag_ranges_per_s * halls.superframe_s, 14.0, 1e-9);
+  EXPECT_EQ(halls.responses, 16U);
+}
+
 TEST(AirPlan, TellsWhatEachLinkCarries) {
   SiteSettings site = site_of(3, 12);
   const AirPlan plan = plan_of(site);

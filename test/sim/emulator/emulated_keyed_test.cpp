@@ -16,7 +16,7 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
                         .response_gap_us = 100};
   settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
   // The tag and the second anchor; the master is native.
-  SiteBench site(emulating(settings, {}, [](std::uint16_t id) { return id != SiteBench::anchor_id(0); }));
+  SiteBench site(emulating(settings, {}, [](std::uint16_t id) { return id != nth_anchor(0); }));
   site.run_until(2.2);
   const double rate = 2.0 / (static_cast<double>(site.superframe().duration().count()) / 63.8976e9);
   EXPECT_GT(site.good_ranges(1.2), 0.95 * rate);

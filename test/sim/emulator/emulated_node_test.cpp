@@ -206,7 +206,7 @@ Errors errors_of(const SiteBench& site, double from_s) {
 TEST_F(ShippedImage, IsConfiguredOverItsUartAndRangesWithNativeNeighbours) {
   SiteSettings settings{.tags = 1, .anchors = 3};
   settings.make_node = [](const NodeSpec& spec, Medium& medium) -> std::unique_ptr<NodeHost> {
-    if (spec.chip.id != SiteBench::tag_id(0)) return make_native_node(spec, medium);
+    if (spec.chip.id != nth_tag(0)) return make_native_node(spec, medium);
     NodeSpec blank = spec;
     blank.stored_config.clear();
     return make_emulated_node(blank, shipped(), medium);
@@ -219,7 +219,7 @@ TEST_F(ShippedImage, IsConfiguredOverItsUartAndRangesWithNativeNeighbours) {
   groma_HostToNode command = groma_HostToNode_init_zero;
   command.request_id = 1;
   command.which_body = groma_HostToNode_write_config_tag;
-  command.body.write_config = site.config_of(SiteBench::tag_id(0), groma_Role_ROLE_TAG);
+  command.body.write_config = site.config_of(nth_tag(0), groma_Role_ROLE_TAG);
   ASSERT_TRUE(site.network.send(0, frame_of(command)));
   site.run_until(1.5);
   command.request_id = 2;

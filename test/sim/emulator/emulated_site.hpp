@@ -18,8 +18,9 @@ inline const FirmwareImage& shipped() {
 }
 
 // Runs those nodes emulated that `which` picks by id, all others native.
-inline SiteSettings emulating(
-    SiteSettings settings, const EmulatorOptions& options = {},
+template <class Settings = SiteSettings>
+Settings emulating(
+    Settings settings, const EmulatorOptions& options = {},
     std::function<bool(std::uint16_t id)> which = [](std::uint16_t) { return true; }) {
   settings.make_node = [options, which = std::move(which)](const NodeSpec& spec,
                                                            Medium& medium) -> std::unique_ptr<NodeHost> {

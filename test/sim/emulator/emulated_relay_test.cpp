@@ -1,0 +1,72 @@
+// The shipped image relays the beacon, whatever the gap.
+#include <gtest/gtest.h>
+
+#include <map>
+#include <vector>
+
+#include "test/sim/emulator/emulated_site.hpp"
+#include "test/sim/fault_site.hpp"
+
+namespace groma::sim {
+namespace {
+
+struct RelayCase {
+  int slots;
+  std::uint32_t gap_us;
+  bool keyed;
+};
+
+std::ostream& operator<<(std::ostream& out, const RelayCase& of) {
+  return out << of.slots << " slots, " << of.gap_us << " us" << (of.keyed ? ", keyed" : "");
+}
+
+class RelayingImages : public testing::TestWithParam<RelayCase> {};
+
+TEST_P(RelayingImages, AreInTimeWithEachBeacon) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
+  const RelayCase of = GetParam();
+  FaultSiteSettings settings{.tags = 1,
+                             .anchors = 3,
+                             .backups = 2,
+                             .slots = of.slots,
+                             .turn_round_us = of.keyed ? 500U : 300U,
+                             .response_gap_us = of.gap_us};
+  if (of.keyed) settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
+  EmulatorOptions slow;  // as the plan's least times were measured
+  slow.timing.instruction = slow.timing.instruction * 3 / 2;
+  FaultSite site(emulating(settings, slow));
+  const std::vector<std::uint16_t> relays{nth_anchor(1), nth_anchor(2)};
+  constexpr double kSettled_s = 1.4;
+  site.run_until(kSettled_s);
+  std::map<std::uint16_t, std::uint32_t> late_before;  // by what the nodes tell each second
+  for (const std::uint16_t id : relays) late_before[id] = site.listener(id).counters.late_transmits;
+  site.air.keep_sent = true;
+  constexpr double kSuperframes = 60.0;
+  site.run_for(kSuperframes * site.superframe_s());
+  site.air.keep_sent = false;
+  const std::vector<AirLog::Sent> sent = std::move(site.air.sent);
+  for (const std::uint16_t id : relays) EXPECT_EQ(site.counters(id).late_transmits, late_before[id]) << id;
+  for (int rank = 0; rank <= settings.backups; ++rank) {
+    const std::uint16_t id = nth_anchor(rank);
+    double beacons = 0.0;
+    for (const AirLog::Sent& one : sent) {
+      const auto frame = parsed(one.frame);
+      const auto* beacon = frame ? std::get_if<mac::Beacon>(&frame->body) : nullptr;
+      if (one.transmitter != id || beacon == nullptr) continue;
+      EXPECT_EQ(beacon->hop, rank == 0 ? 0 : 1);
+      EXPECT_LE(beacon->age, 1);
+      beacons += 1.0;
+    }
+    const double turns = settings.backups + 1.0;
+    EXPECT_NEAR(beacons, rank == 0 ? kSuperframes : kSuperframes / turns, 1.1) << id;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Gaps, RelayingImages,
+                         testing::Values(RelayCase{1, 120, false}, RelayCase{1, 200, false},
+                                         RelayCase{1, 300, false}, RelayCase{1, 120, true},
+                                         RelayCase{1, 200, true}, RelayCase{1, 300, true},
+                                         RelayCase{16, 120, false}, RelayCase{16, 120, true}));
+
+}  // namespace
+}  // namespace groma::sim
