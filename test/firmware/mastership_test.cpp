@@ -267,10 +267,15 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
   EXPECT_EQ(follower.hear(101, follower.beacon(100)), Verdict::kAdopt);
   EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
-  EXPECT_EQ(follower.hear(102, with_epoch(follower, 1)), Verdict::kLeave);
+  // One frame is no evidence, nor are two that tell of different schedules.
+  for (const int by : {1, 2, 1}) EXPECT_EQ(follower.hear(102, with_epoch(follower, by)), Verdict::kStale);
+  EXPECT_EQ(follower->role(), Role::kFollowing);
+  EXPECT_EQ(follower.hear(103, with_epoch(follower, 1)), Verdict::kLeave);
   Node leader(101);
   leader->found();
   EXPECT_EQ(leader.hear(102, with_epoch(leader, -1)), Verdict::kStale);
+  EXPECT_FALSE(leader->dissolving());
+  EXPECT_EQ(leader.hear(102, with_epoch(leader, 1)), Verdict::kStale);
   EXPECT_FALSE(leader->dissolving());
   EXPECT_EQ(leader.hear(102, with_epoch(leader, 1)), Verdict::kStale);
   EXPECT_TRUE(leader->dissolving());

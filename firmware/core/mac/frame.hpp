@@ -38,6 +38,7 @@ inline constexpr std::size_t kMaxDataBytes = 48;
 struct Welcome {
   std::uint16_t id = kNobody;
   std::uint64_t nonce = 0;
+  friend bool operator==(const Welcome&, const Welcome&) = default;
 };
 
 // The master's, at the start of a superframe, and the ranked back-ups' that relay it.
@@ -64,6 +65,7 @@ struct Beacon {
   std::uint8_t slots = 0;
   std::array<std::uint16_t, kMaxTags> holders{};  // who may poll in each slot; kNobody: free
   std::optional<Welcome> welcome{};
+  friend bool operator==(const Beacon&, const Beacon&) = default;
 };
 
 // A tag's, to all anchors that it names.
@@ -73,6 +75,7 @@ struct Poll {
   std::uint8_t slot = 0;
   std::uint8_t count = 0;
   std::array<std::uint16_t, kMaxAnchors> anchors{};
+  friend bool operator==(const Poll&, const Poll&) = default;
 };
 
 // Of a node's chip: what its SAR converter shows, as signed degrees C and in 1/64 V. Nothing: not known.
@@ -92,11 +95,13 @@ struct Response {
   std::uint16_t closed_exchange = 0;
   ranging::Ticks closing{};
   Health health{};
+  friend bool operator==(const Response&, const Response&) = default;
 };
 
 // A tag's, to the anchors that it polled.
 struct Final {
   std::uint16_t exchange = 0;
+  friend bool operator==(const Final&, const Final&) = default;
 };
 
 // In a shared slot: a node that is new makes itself known, and asks for a slot or for a Welcome.
@@ -107,6 +112,7 @@ struct Join {
   bool wants_slot = false;
   bool wants_welcome = false;
   bool leaving = false;  // gives its slot back
+  friend bool operator==(const Join&, const Join&) = default;
 };
 
 // In a shared slot: a piece of a message of the host link's protocol, or the word that one has come.
@@ -123,6 +129,7 @@ struct Data {
   std::uint8_t round = 0;      // counts how often this was sent, modulo 8: each is passed on once
   std::uint8_t size = 0;
   std::array<std::uint8_t, kMaxDataBytes> payload{};
+  friend bool operator==(const Data&, const Data&) = default;
 };
 
 using Body = std::variant<Beacon, Poll, Response, Final, Join, Data>;
@@ -134,6 +141,7 @@ struct Frame {
   std::uint16_t source = 0;
   bool secured = false;  // the body was or will be followed by a code
   Body body{};
+  friend bool operator==(const Frame&, const Frame&) = default;
 };
 
 enum class ParseError : std::uint8_t {

@@ -176,6 +176,9 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
     return Verdict::kStale;
   }
   if (!newer || beacon.dissolving) return Verdict::kStale;
+  // One frame alone may be anybody's mistake: it takes another one that tells the same.
+  const std::uint32_t told = beacon.epoch ^ beacon.schedule_hash;
+  if (std::exchange(newer_schedule_, told) != told) return Verdict::kStale;
   if (leads()) {
     dissolve();
     return Verdict::kStale;

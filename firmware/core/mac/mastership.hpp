@@ -180,6 +180,7 @@ class Mastership {
   std::uint32_t hushed_ = 0;  // superframes
   bool quiet_ = false;
   std::uint32_t led_ = 0;  // superframe of its last beacon as a master
+  std::uint32_t newer_schedule_ = 0;  // that the last beacon of a newer one told of
 
   ranging::ClockTime search_start_;
   ranging::ClockTime lead_at_;

@@ -1,0 +1,271 @@
+// A running site that hears rubbish: any bytes, pieces of its own frames, its own frames with bits turned
+// round, and frames of each kind that make no sense, all with a good frame check. What it ranges is true all
+// the same, and it ranges on at once when it is quiet again.
+#include <gtest/gtest.h>
+
+#include <array>
+#include <memory>
+#include <random>
+#include <vector>
+
+#include "firmware/sim/transmitter.hpp"
+#include "test/sim/fault_campaign.hpp"
+
+namespace groma::sim {
+namespace {
+
+constexpr std::uint16_t kNoise = kFirstStranger + 900;
+constexpr int kTags = 2;
+constexpr int kAnchors = 5;
+
+class Noise {
+ public:
+  Noise(FaultSite& site, bool secured, std::uint64_t seed)
+      : site_(site), secured_(secured), random_(seed), transmitter_(kNoise, site.network.medium()) {
+    site.hall.put(kNoise, {.centre = {1.0, 1.0, 1.5}});
+    site.air.keep_sent = true;
+  }
+
+  using Maker = std::vector<std::uint8_t> (Noise::*)();
+
+  // Some 1,000 frames a second, one after the other.
+  void make(Maker maker, double for_s) {
+    const SimTime end = site_.network.now() + from_seconds(for_s);
+    SimTime at = site_.network.now() + kAhead;
+    while (site_.network.now() < end) {
+      while (at < site_.network.now() + kAhead + kStep) {
+        transmitter_.send(at, (this->*maker)(), format_);
+        at += from_seconds(1e-6 * static_cast<double>(400 + below(1'200)));
+      }
+      site_.run_for(to_seconds(kStep));
+      remember();
+    }
+    site_.run_for(to_seconds(kAhead + kStep));  // the last are on the air
+  }
+  [[nodiscard]] std::uint32_t frames() const { return transmitter_.frames_sent(); }
+
+  std::vector<std::uint8_t> rubbish() {
+    std::vector<std::uint8_t> bytes(below(126));
+    for (std::uint8_t& byte : bytes) byte = static_cast<std::uint8_t>(below(256));
+    return bytes;
+  }
+  std::vector<std::uint8_t> piece() {
+    std::vector<std::uint8_t> bytes = heard();
+    bytes.resize(below(bytes.size()));
+    return bytes;
+  }
+  std::vector<std::uint8_t> turned() {
+    std::vector<std::uint8_t> bytes = heard();
+    for (std::size_t i = 0, count = 1 + below(4); i < count; ++i) {
+      // The same bit twice would be none.
+      const std::size_t bit = 8 * bytes.size() * i / count + below(8 * bytes.size() / count);
+      bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
+    }
+    return bytes;
+  }
+  std::vector<std::uint8_t> beacon() {
+    mac::Beacon body{.superframe = word<std::uint32_t>(),
+                     .session = random_(),
+                     .epoch = word<std::uint32_t>(),
+                     .schedule_hash = word<std::uint32_t>(),
+                     .master = somebody(),
+                     .hop = word<std::uint8_t>(),
+                     .age = word<std::uint8_t>(),
+                     .lateness_dtu = static_cast<std::int16_t>(word<std::uint16_t>()),
+                     .dissolving = coin(),
+                     .shared = coin(),
+                     .invitation = coin(),
+                     .slots = static_cast<std::uint8_t>(below(mac::kMaxTags + 1))};
+    for (std::uint16_t& holder : body.holders) holder = somebody();
+    if (coin()) body.welcome = mac::Welcome{.id = somebody(), .nonce = random_()};
+    return framed(body);
+  }
+  std::vector<std::uint8_t> poll() {
+    mac::Poll body{.exchange = word<std::uint16_t>(),
+                   .superframe = word<std::uint32_t>(),
+                   .slot = word<std::uint8_t>(),
+                   .count = static_cast<std::uint8_t>(below(mac::kMaxAnchors + 1))};
+    for (std::uint16_t& anchor : body.anchors) anchor = somebody();
+    return framed(body);
+  }
+  std::vector<std::uint8_t> response() {
+    return framed(
+        mac::Response{.exchange = word<std::uint16_t>(),
+                      .reply = ranging::Ticks(word<std::uint32_t>()),
+                      .closing_valid = coin(),
+                      .closed_exchange = word<std::uint16_t>(),
+                      .closing = ranging::Ticks(static_cast<std::int64_t>(random_() >> 24)),
+                      .health = {static_cast<std::int8_t>(word<std::uint8_t>()), word<std::uint8_t>()}});
+  }
+  std::vector<std::uint8_t> final() { return framed(mac::Final{.exchange = word<std::uint16_t>()}); }
+  std::vector<std::uint8_t> join() {
+    return framed(mac::Join{.origin = somebody(),
+                            .nonce = random_(),
+                            .tag = coin(),
+                            .wants_slot = coin(),
+                            .wants_welcome = coin(),
+                            .leaving = coin()});
+  }
+  std::vector<std::uint8_t> data() {
+    const auto fragments = static_cast<std::uint8_t>(1 + below(255));
+    mac::Data body{.origin = somebody(),
+                   .target = somebody(),
+                   .message = word<std::uint8_t>(),
+                   .fragment = static_cast<std::uint8_t>(below(fragments)),
+                   .fragments = fragments,
+                   .acknowledgement = coin(),
+                   .to_host = coin(),
+                   .asks = coin(),
+                   .hops_left = static_cast<std::uint8_t>(below(4)),
+                   .round = static_cast<std::uint8_t>(below(8)),
+                   .size = static_cast<std::uint8_t>(below(mac::kMaxDataBytes + 1))};
+    for (std::uint8_t& byte : body.payload) byte = word<std::uint8_t>();
+    return framed(body);
+  }
+
+ private:
+  static constexpr SimTime kAhead = 2 * kUnitsPerMillisecond;
+  static constexpr SimTime kStep = 4 * kUnitsPerMillisecond;
+
+  std::size_t below(std::size_t bound) { return static_cast<std::size_t>(random_() % bound); }
+  bool coin() { return random_() % 2 == 0; }
+  template <class T>
+  T word() {
+    return static_cast<T>(random_());
+  }
+  // Mostly one of the site.
+  std::uint16_t somebody() {
+    switch (below(8)) {
+      case 0:
+        return word<std::uint16_t>();
+      case 1:
+        return mac::kBroadcast;
+      case 2:
+      case 3:
+        return nth_tag(static_cast<int>(below(kTags)));
+      default:
+        return nth_anchor(static_cast<int>(below(kAnchors)));
+    }
+  }
+  // With a code of its own making where there is a key, and now and then without.
+  std::vector<std::uint8_t> framed(const mac::Body& body) {
+    const bool secured = secured_ ? below(4) != 0 : below(8) == 0;
+    mac::FrameBytes out = mac::serialize({.sequence = word<std::uint8_t>(),
+                                          .network = below(8) == 0 ? word<std::uint16_t>() : std::uint16_t{7},
+                                          .destination = somebody(),
+                                          .source = somebody(),
+                                          .secured = secured,
+                                          .body = body});
+    if (secured)
+      for (std::uint8_t& byte : out.code()) byte = word<std::uint8_t>();
+    return {out.bytes().begin(), out.bytes().end()};
+  }
+  [[nodiscard]] const std::vector<std::uint8_t>& heard() { return heard_[below(heard_.size())]; }
+  void remember() {
+    constexpr std::size_t kMost = 100;
+    for (const AirLog::Sent& sent : site_.air.sent) {
+      if (sent.transmitter == kNoise) continue;
+      if (heard_.size() == kMost) heard_.erase(heard_.begin());
+      heard_.emplace_back(sent.frame.data.begin(),
+                          sent.frame.data.begin() + static_cast<std::ptrdiff_t>(sent.frame.length - 2));
+    }
+    site_.air.sent.clear();
+  }
+
+  FaultSite& site_;
+  bool secured_;
+  std::mt19937_64 random_;
+  Transmitter transmitter_;
+  AirFormat format_{};
+  std::vector<std::vector<std::uint8_t>> heard_{{0}};
+};
+
+struct FuzzCase {
+  bool keyed;
+  groma_RangingMethod method;
+};
+
+std::ostream& operator<<(std::ostream& out, const FuzzCase& of) {
+  return out << (of.keyed ? "keyed" : "open")
+             << (of.method == groma_RangingMethod_METHOD_DS_FINAL ? ", FINAL" : ", next POLL");
+}
+
+class AirFuzz : public testing::TestWithParam<FuzzCase> {};
+
+FaultPhase noisy(const std::shared_ptr<Noise>& noise, const char* name, Noise::Maker maker,
+                 double within = 3.0, double watched_s = 0.5) {
+  constexpr double kFor_s = 0.5;
+  return {.name = name,
+          .begin = [=](FaultSite&) { noise->make(maker, kFor_s); },
+          .within = within,
+          .watched_s = watched_s};
+}
+
+TEST_P(AirFuzz, MakesNoRangeWrongAndLocksNothingUp) {
+  const FuzzCase of = GetParam();
+  FaultSiteSettings settings{.tags = kTags,
+                             .anchors = kAnchors,
+                             .backups = 2,
+                             .slots = 3,
+                             .method = of.method,
+                             .turn_round_us = of.keyed ? 400U : 300U,
+                             .response_gap_us = 150};
+  if (of.keyed) settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
+  FaultSite site(settings);
+  const auto noise = std::make_shared<Noise>(site, of.keyed, of.keyed ? 21 : 22);
+  // Without a key a POLL out of place may be another network's and is looked for in a scan, some time later.
+  const double believed = of.keyed ? 3.0 : 2.5 / site.superframe_s();
+  const double watched_s = of.keyed ? 0.5 : 3.0;
+  FaultCampaign campaign(site);
+  std::vector<FaultPhase> phases{
+      {.name = "power on", .rise = all_of(kTags, kAnchors), .newcomers_within = 100.0, .watched_s = 2.5},
+      nothing_wrong(2.0),
+      noisy(noise, "any bytes", &Noise::rubbish),
+      noisy(noise, "pieces of what was sent", &Noise::piece),
+      noisy(noise, "RESPONSEs without sense", &Noise::response),
+      noisy(noise, "FINALs", &Noise::final),
+      noisy(noise, "DATA", &Noise::data),
+      noisy(noise, "BEACONs", &Noise::beacon),
+      noisy(noise, "POLLs", &Noise::poll, believed, watched_s),
+  };
+  // In an open site a JOIN may give any tag's slot back, and so may a beacon with bits turned round.
+  if (of.keyed) {
+    phases.push_back(noisy(noise, "JOINs", &Noise::join));
+    phases.push_back(noisy(noise, "with bits turned round", &Noise::turned));
+  }
+  phases.push_back(nothing_wrong(2.0));
+  campaign.run(phases);
+  expect_no_harm(site, campaign);
+  std::printf("%s%u frames of noise\n", campaign.table().c_str(), noise->frames());
+  groma_Counters sum = groma_Counters_init_zero;
+  for (const std::uint16_t id : site.ids()) {
+    const groma_Counters told = site.counters(id);
+    EXPECT_EQ(told.radio_recoveries, 0U) << id;
+    sum.foreign_frames += told.foreign_frames;
+    sum.malformed_frames += told.malformed_frames;
+    sum.stale_frames += told.stale_frames;
+    sum.unsecured_frames += told.unsecured_frames;
+    sum.forged_frames += told.forged_frames;
+  }
+  std::printf("foreign %u malformed %u stale %u unsecured %u forged %u\n", sum.foreign_frames,
+              sum.malformed_frames, sum.stale_frames, sum.unsecured_frames, sum.forged_frames);
+  constexpr std::uint32_t kMany = 50;
+  EXPECT_GT(noise->frames(), 3'000U);
+  EXPECT_GT(sum.foreign_frames, kMany);
+  EXPECT_GT(sum.malformed_frames, kMany);
+  if (of.keyed) {
+    EXPECT_GT(sum.unsecured_frames, kMany);
+    EXPECT_GT(sum.forged_frames, kMany);
+  } else {
+    EXPECT_GT(sum.stale_frames, kMany);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Sites, AirFuzz,
+                         testing::Values(FuzzCase{false, groma_RangingMethod_METHOD_DS_NEXT_POLL},
+                                         FuzzCase{false, groma_RangingMethod_METHOD_DS_FINAL},
+                                         FuzzCase{true, groma_RangingMethod_METHOD_DS_NEXT_POLL},
+                                         FuzzCase{true, groma_RangingMethod_METHOD_DS_FINAL}));
+
+}  // namespace
+}  // namespace groma::sim
