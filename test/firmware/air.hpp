@@ -230,12 +230,23 @@ class Air {
   }
 
   void arm(std::size_t index, Step step) {
+    carry_out(index, step);
+    (void)tell(*nodes_[index], [](auto& machine) {
+      machine.prepare();
+      return Step{};
+    });
+  }
+  void carry_out(std::size_t index, Step step) {
     Node& n = *nodes_[index];
     for (;;) {
       if (step.completed != nullptr) record(index, *step.completed);
       n.action = step.action;
       n.ready = now_ + work_ticks;
       if (n.action.kind == Action::Kind::kTransmit) {
+        (void)tell(n, [](auto& machine) {
+          machine.complete();
+          return Step{};
+        });
         n.outgoing.assign(n.action.frame.begin(), n.action.frame.end());
         if (true_time(n, n.action.at) - before() >= n.ready) return;
         step = tell(n, [&](auto& machine) { return machine.on_late(local(n, n.ready)); });
@@ -360,6 +371,10 @@ class Air {
         .frame = frame.bytes,
         .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
     if (spoil) spoil(index, reception);
+    (void)tell(n, [&](auto& machine) {
+      machine.glance(reception.frame);
+      return Step{};
+    });
     arm(index, tell(n, [&](auto& machine) { return machine.on_received(reception); }));
     if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->check();
   }

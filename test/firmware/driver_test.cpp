@@ -378,9 +378,9 @@ TEST_F(Driver, TransmitsAtAStamp) {
   const std::uint8_t frame[] = {0x41, 0x88, 0x01, 0xAA};
   const DeviceTime stamp(0x12'3456'7800 + 16436);
   ASSERT_EQ(radio.transmit_at(stamp, frame), Start::kStarted);
-  expect_writes({{0x09, 0, 0xAA018841},
+  expect_writes({{0x0A, 0, 0x12'3456'7800},
                  {0x08, 0, 0x0016C006},
-                 {0x0A, 0, 0x12'3456'7800},
+                 {0x09, 0, 0xAA018841},
                  {0x36, 0, 0x20},
                  {0x0D, 0, 0x06}});
   EXPECT_EQ(radio.state(), State::kTransmitting);
@@ -396,6 +396,42 @@ TEST_F(Driver, TransmitsAtAStamp) {
   EXPECT_FALSE(chip.interrupt());
   EXPECT_EQ(chip.written(0x36, 0), 0x00U);
   EXPECT_EQ(radio.state(), State::kIdle);
+}
+
+TEST_F(Driver, AsksForTheRestOfAFrameBeforeItHandsItOver) {
+  ready();
+  std::array<std::uint8_t, 4> frame = {0x41, 0x88, 0x01, 0x00};
+  chip.log.clear();
+  std::size_t transfers_before = 0;
+  ASSERT_EQ(radio.transmit_at(DeviceTime(1 << 20), frame,
+                              [&] {
+                                transfers_before = chip.log.size();
+                                frame.back() = 0xAA;
+                              }),
+            Start::kStarted);
+  EXPECT_EQ(transfers_before, 2U);
+  EXPECT_EQ(chip.written(0x09, 0), 0xAA018841U);
+}
+
+TEST_F(Driver, WritesTheNextFramesLengthAhead) {
+  ready();
+  radio.expect_length(4);
+  EXPECT_EQ(chip.written(0x08, 0), 0x0016C006U);
+  // While it listens, too; once is enough.
+  ASSERT_EQ(radio.receive_now(Ticks(1 << 16), std::nullopt), Start::kStarted);
+  radio.expect_length(10);
+  EXPECT_EQ(chip.written(0x08, 0), 0x0016C00CU);
+  chip.log.clear();
+  radio.expect_length(10);
+  EXPECT_TRUE(chip.log.empty());
+  radio.stop();
+  const std::uint8_t frame[] = {1, 2, 3, 4};
+  ASSERT_EQ(radio.transmit_at(DeviceTime(1 << 20), frame), Start::kStarted);
+  EXPECT_EQ(chip.written(0x08, 0), 0x0016C006U);
+  // Not while a frame is under way, which has another.
+  chip.log.clear();
+  radio.expect_length(10);
+  EXPECT_TRUE(chip.log.empty());
 }
 
 TEST_F(Driver, TheTransmitTimeWrapsWithTheCounter) {

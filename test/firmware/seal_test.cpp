@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <vector>
 
 #include "firmware/core/mac/freshness.hpp"
@@ -102,6 +104,77 @@ TEST_F(SealTest, SeesEachBitThatIsChanged) {
   }
 }
 
+// What is made ahead is the same code, for each kind of frame and wherever it was expected.
+TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
+  const std::array types = {FrameType::kBeacon, FrameType::kPoll, FrameType::kResponse,
+                            FrameType::kFinal,  FrameType::kJoin, FrameType::kData};
+  for (const Body& body : bodies()) {
+    const auto plain = signed_bytes(frame_with(body), place);
+    for (const FrameType type : types) {
+      Seal ahead(&cipher, kKey);
+      ahead.enter(kSession);
+      ahead.expect_sent(101, type, place);
+      ahead.expect_received(101, type, place);
+      FrameBytes bytes = serialize(frame_with(body));
+      ahead.begin_signing(bytes, place);
+      ahead.finish_signing(bytes);
+      EXPECT_TRUE(std::equal(plain.begin(), plain.end(), bytes.bytes().begin(), bytes.bytes().end()));
+      ahead.glance(plain, place);
+      EXPECT_TRUE(ahead.fits(plain, place));
+      EXPECT_TRUE(ahead.fits(plain, place));
+      // Another session's frames are not expected.
+      ahead.enter(kSession + 1);
+      ahead.glance(plain, place);
+      EXPECT_FALSE(ahead.fits(plain, place));
+    }
+  }
+}
+
+TEST_F(SealTest, SeesAForgeryAtAGlanceToo) {
+  seal.expect_received(101, FrameType::kPoll, place);
+  const auto good = signed_bytes(frame_with(bodies()[1]), place);
+  auto bytes = good;
+  for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
+    bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
+    seal.glance(bytes, place);
+    EXPECT_FALSE(seal.fits(bytes, place)) << bit;
+    bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
+  }
+  for (std::size_t size = 0; size < bytes.size(); ++size) {
+    seal.glance(std::span(bytes).first(size), place);
+    EXPECT_FALSE(seal.fits(std::span(bytes).first(size), place)) << size;
+  }
+  seal.glance(bytes, place);
+  EXPECT_FALSE(seal.fits(bytes, Place{place.superframe + 1, place.slot}));
+  seal.glance(bytes, place);
+  EXPECT_TRUE(seal.fits(bytes, place));
+}
+
+// The frame before was never asked about, and its bytes lay where this one's lie.
+TEST_F(SealTest, TellsNothingOfAFrameByTheOneBefore) {
+  seal.expect_received(101, FrameType::kPoll, place);
+  const auto good = signed_bytes(frame_with(bodies()[1]), place);
+  const auto change = [](std::vector<std::uint8_t>& bytes) { bytes.at(kHeaderBytes) ^= 1; };
+  auto bytes = good;
+  seal.glance(bytes, place);
+  change(bytes);
+  seal.glance(bytes, Place{place.superframe, 5});
+  EXPECT_FALSE(seal.fits(bytes, place));
+
+  bytes = good;
+  seal.glance(bytes, place);
+  FrameBytes own = serialize(frame_with(bodies()[2]));
+  seal.sign(own, place);
+  change(bytes);
+  EXPECT_FALSE(seal.fits(bytes, place));
+
+  bytes = good;
+  seal.glance(bytes, place);
+  seal.expect_received(102, FrameType::kPoll, place);
+  change(bytes);
+  EXPECT_FALSE(seal.fits(bytes, place));
+}
+
 TEST_F(SealTest, TakesABeaconByWhatItSaysOfItself) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
   const auto own = signed_bytes(frame_with(beacon), place_of(beacon));
@@ -137,6 +210,19 @@ TEST_F(SealTest, BelievesNothingWhereTheCipherFails) {
   EXPECT_FALSE(seal.fits(uncoded, place));
   seal.enter(kSession);
   EXPECT_FALSE(seal.fits(uncoded, place));
+  EXPECT_TRUE(seal.fits(bytes, place));
+
+  // Nor by what was made ahead.
+  cipher.good = false;
+  seal.expect_received(101, FrameType::kFinal, place);
+  seal.glance(bytes, place);
+  EXPECT_FALSE(seal.fits(bytes, place));
+  cipher.good = true;
+  seal.expect_received(101, FrameType::kFinal, place);
+  cipher.good = false;
+  seal.glance(bytes, place);
+  cipher.good = true;
+  EXPECT_FALSE(seal.fits(bytes, place));
   EXPECT_TRUE(seal.fits(bytes, place));
 }
 

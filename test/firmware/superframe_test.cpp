@@ -102,7 +102,7 @@ TEST(Superframe, LeavesTimeToTakeABeaconIn) {
       const double before_relay_us =
           us(superframe.shared() - superframe.beacon() - frame - superframe.guard());
       // With a key a message's code is made after the beacon's has been checked.
-      EXPECT_NEAR(before_relay_us, std::max(gap_us, 300U) + (secured ? 200.0 : 100.0), 0.1);
+      EXPECT_NEAR(before_relay_us, std::max<std::uint32_t>(gap_us, 300) + (secured ? 200.0 : 100.0), 0.1);
       const double before_poll_us = us(superframe.poll(0) - superframe.shared() - frame - superframe.guard());
       EXPECT_NEAR(before_poll_us, 400.0, 0.1);
     }

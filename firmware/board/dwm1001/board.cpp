@@ -24,6 +24,7 @@ void Board::start() noexcept {
   leds_.start();
   radio_.start();
   uart_.start();
+  ecb_.start();
   boot_count_ = storage::Counter(flash_).open_block();
 
   // Low also while the radio is in reset and drives nothing.

@@ -55,6 +55,7 @@ class Board {
   Uarte& uart() noexcept { return uart_; }
   RadioBus& radio() noexcept { return radio_; }
   CanPort& can() noexcept { return can_; }
+  Ecb& ecb() noexcept { return ecb_; }
   // Where link_answer() goes, until the next call.
   void set_asked_over_can(bool over_can) noexcept { asked_over_can_ = over_can; }
   void update_leds(std::uint64_t now_us) noexcept { leds_.update(now_us); }

@@ -1,5 +1,6 @@
 #include "firmware/board/dwm1001/ecb.hpp"
 
+#include "firmware/board/dwm1001/cpu.hpp"
 #include "firmware/board/dwm1001/memory.hpp"
 #include "firmware/board/dwm1001/nrf52832.hpp"
 
@@ -7,26 +8,64 @@ namespace groma::dwm1001 {
 
 namespace ecb = nrf52832::ecb;
 
-bool Ecb::encrypt(const security::Key& key, security::Block& block) noexcept {
-  // A block takes some forty looks; far more of them mean that it will not come.
-  constexpr int kLooks = 2'000;
-  data_.key = key;
-  data_.clear = block;
+void Ecb::start() noexcept {
   ecb::kBlock[ecb::kDataPointer] = address_of(&data_);
   ecb::kBlock[ecb::kEventEnd] = 0;
   ecb::kBlock[ecb::kEventError] = 0;
+  ecb::kBlock[ecb::kInterruptSet] = ecb::kInterruptEnd | ecb::kInterruptError;
+  enable_interrupt(nrf52832::Irq::kEcb, Priority::kPeripheral);
+}
+
+bool Ecb::encrypt(const security::Key& key, security::Block& block) noexcept {
+  begin(key, block, {.filled = security::kBlockBytes});
+  const auto encrypted = finish();
+  if (encrypted) block = *encrypted;
+  return encrypted.has_value();
+}
+
+void Ecb::begin(const security::Key& key, const security::Block& state, security::Chain chain) noexcept {
+  (void)finish();
+  data_.key = key;
+  data_.encrypted = state;
+  chain_ = chain;
+  state_ = State::kBusy;
+  encrypt_next();
+}
+
+void Ecb::encrypt_next() noexcept {
+  data_.clear = data_.encrypted;
+  chain_.absorb(data_.clear);
   asm volatile("" ::: "memory");
   ecb::kBlock[ecb::kStart] = 1;
+}
+
+void Ecb::on_interrupt() noexcept {
+  const bool failed = ecb::kBlock[ecb::kEventError] != 0;
+  ecb::kBlock[ecb::kEventError] = 0;
+  nrf52832::clear_event(ecb::kBlock[ecb::kEventEnd]);
+  asm volatile("" ::: "memory");
+  if (state_ != State::kBusy) return;
+  if (failed) {
+    state_ = State::kFailed;
+  } else if (chain_.rest.empty()) {
+    state_ = State::kIdle;
+  } else {
+    encrypt_next();
+  }
+}
+
+std::optional<security::Block> Ecb::finish() noexcept {
+  // A frame of 127 bytes takes some thousand looks; far more of them mean that it will not come.
+  constexpr int kLooks = 50'000;
   int looks = 0;
-  while (ecb::kBlock[ecb::kEventEnd] == 0) {
-    if (++looks > kLooks || ecb::kBlock[ecb::kEventError] != 0) {
+  while (state_ == State::kBusy) {
+    if (++looks > kLooks) {
       ecb::kBlock[ecb::kStop] = 1;
-      return false;
+      state_ = State::kFailed;
     }
   }
-  asm volatile("" ::: "memory");
-  block = data_.encrypted;
-  return true;
+  if (state_ == State::kFailed) return std::nullopt;
+  return data_.encrypted;
 }
 
 }  // namespace groma::dwm1001

@@ -34,6 +34,10 @@ void spim2_entry() {
   board.radio().on_interrupt();
 }
 
+void ecb_entry() {
+  board.ecb().on_interrupt();
+}
+
 // The lines themselves tell: their level is looked at before each sleep.
 void gpiote_entry() {
   namespace gpiote = groma::nrf52832::gpiote;

@@ -69,6 +69,7 @@ void* memset(void* to, int value, std::size_t size) {
     store(out + 2 * sizeof(Word), word);
     store(out + 3 * sizeof(Word), word);
   }
+  for (; size >= sizeof(Word); size -= sizeof(Word), out += sizeof(Word)) store(out, word);
   for (; size != 0; --size) store(out++, static_cast<std::uint8_t>(value));
   return to;
 }

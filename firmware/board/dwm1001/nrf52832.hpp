@@ -41,6 +41,7 @@ enum class Irq : std::uint8_t {
   kSpim1 = 4,
   kGpiote = 6,
   kTimer0 = 8,
+  kEcb = 14,
   kWatchdog = 16,
   kSpim2 = 35,
 };
@@ -182,6 +183,9 @@ inline constexpr std::uint32_t kStart = 0x000;
 inline constexpr std::uint32_t kStop = 0x004;
 inline constexpr std::uint32_t kEventEnd = 0x100;
 inline constexpr std::uint32_t kEventError = 0x104;
+inline constexpr std::uint32_t kInterruptSet = 0x304;
+inline constexpr std::uint32_t kInterruptEnd = 1U << 0;
+inline constexpr std::uint32_t kInterruptError = 1U << 1;
 inline constexpr std::uint32_t kDataPointer = 0x504;
 }  // namespace ecb
 

@@ -1,9 +1,9 @@
 // The DW1000 on SPIM2, as the driver wants its bus (firmware/core/dw1000/spi.hpp).
 #pragma once
 
-#include <algorithm>
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <span>
 
 #include "firmware/board/dwm1001/pins.hpp"
@@ -18,14 +18,16 @@ class RadioBus {
   void start() noexcept { spim_.start(SpiFrequency::k2MHz); }
 
   void write(std::span<const std::uint8_t> header, std::span<const std::uint8_t> out) noexcept {
-    spim_.transfer(join(header, out), {});
+    put(header);
+    std::memcpy(buffer_.data() + header.size(), out.data(), out.size());
+    spim_.transfer(std::span(buffer_).first(header.size() + out.size()), {});
   }
 
   void read(std::span<const std::uint8_t> header, std::span<std::uint8_t> in) noexcept {
-    const auto sent = join(header, {});
-    const auto received = std::span(buffer_).first(header.size() + in.size());
-    spim_.transfer(sent, received);
-    std::copy_n(received.begin() + static_cast<std::ptrdiff_t>(header.size()), in.size(), in.begin());
+    put(header);
+    spim_.transfer(std::span(buffer_).first(header.size()),
+                   std::span(buffer_).first(header.size() + in.size()));
+    std::memcpy(in.data(), buffer_.data() + header.size(), in.size());
   }
 
   void set_speed(dw1000::SpiSpeed speed) noexcept {
@@ -35,12 +37,11 @@ class RadioBus {
   void on_interrupt() noexcept { spim_.on_interrupt(); }
 
  private:
-  // Header and body as one piece in RAM: EasyDMA reads no flash, and erratum 58 forbids a lone byte.
-  std::span<const std::uint8_t> join(std::span<const std::uint8_t> header,
-                                     std::span<const std::uint8_t> body) noexcept {
-    auto* end = std::copy(header.begin(), header.end(), buffer_.begin());
-    std::copy(body.begin(), body.end(), end);
-    return std::span(buffer_).first(header.size() + body.size());
+  // Header and body go as one piece in RAM: EasyDMA reads no flash, and erratum 58 forbids a lone byte.
+  void put(std::span<const std::uint8_t> header) noexcept {
+    buffer_[0] = header[0];
+    if (header.size() > 1) buffer_[1] = header[1];
+    if (header.size() > 2) buffer_[2] = header[2];
   }
 
   static constexpr std::size_t kHeaderBytes = 3;

@@ -8,6 +8,9 @@ namespace groma::dwm1001 {
 namespace gpio = nrf52832::gpio;
 namespace spim = nrf52832::spim;
 
+// One processor: what its interrupts see is in the program's order.
+constexpr auto kRelaxed = std::memory_order_relaxed;
+
 void Spim::start(SpiFrequency frequency) noexcept {
   pin::set(wiring_.select_pin);
   pin::configure(wiring_.select_pin, gpio::kOutput);
@@ -37,21 +40,22 @@ void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> i
   registers_[spim::kTransmitCount] = out.size();
   registers_[spim::kReceivePointer] = reinterpret_cast<std::uintptr_t>(in.data());
   registers_[spim::kReceiveCount] = in.size();
-  over_ = false;
+  over_.store(false, kRelaxed);
   pin::clear(wiring_.select_pin);
   asm volatile("" ::: "memory");
   registers_[spim::kStart] = 1;
   for (bool over = false; !over;) {
     const InterruptLock lock;
     // Its interrupt may have come while another was served.
-    if (!over_) sleep();
+    if (!over_.load(kRelaxed)) sleep();
     if (registers_[spim::kEventEnd] != 0) {
       // To take the interrupt now would only cost time.
       nrf52832::clear_event(registers_[spim::kEventEnd]);
       clear_pending_interrupt(wiring_.irq);
-      over_ = true;
+      over = true;
+    } else {
+      over = over_.load(kRelaxed);
     }
-    over = over_;
   }
   asm volatile("" ::: "memory");
   pin::set(wiring_.select_pin);
@@ -59,7 +63,7 @@ void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> i
 
 void Spim::on_interrupt() noexcept {
   nrf52832::clear_event(registers_[spim::kEventEnd]);
-  over_ = true;
+  over_.store(true, kRelaxed);
 }
 
 }  // namespace groma::dwm1001

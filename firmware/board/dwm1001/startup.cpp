@@ -20,6 +20,7 @@ void gpiote_entry();
 void timer0_entry();
 void spim1_entry();
 void spim2_entry();
+void ecb_entry();
 
 // Paints the stack, which is not in use yet, and sets its pointer: a debugger may begin here without the
 // vector table.
@@ -84,6 +85,7 @@ consteval std::array<Handler, kExceptions + kInterrupts> handlers() {
   set(Irq::kWatchdog, watchdog_entry);
   set(Irq::kSpim1, spim1_entry);
   set(Irq::kSpim2, spim2_entry);
+  set(Irq::kEcb, ecb_entry);
   return table;
 }
 

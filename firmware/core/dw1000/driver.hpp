@@ -158,17 +158,30 @@ class Dw1000 {
     return ranging::DeviceTime(read<reg::SysTime>().word());
   }
 
+  // In idle time, whatever the chip is at but a transmission: the next frame to be sent has so many bytes
+  // without its check, or time is lost.
+  void expect_length(std::size_t bytes) noexcept {
+    if ((state_ == State::kIdle || state_ == State::kReceiving) &&
+        bytes + kFrameCheckBytes <= kMaxFrameBytes) {
+      set_length(bytes);
+    }
+  }
+
   // Sends `frame` (without its check) so that its RMARKER leaves the antenna at `stamp`, which is
   // transmit_stamp_not_after() of something and less than 8.6 s ahead.
   [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame) noexcept {
+    return transmit_at(stamp, frame, [] {});
+  }
+  // The same for a frame whose bytes are not complete before `complete()`, which is called as late as can be.
+  template <class Complete>
+  [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame,
+                                  Complete&& complete) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
     if (frame.size() + kFrameCheckBytes > kMaxFrameBytes) return Start::kTooLong;
-    spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
-    if (const std::size_t length = frame.size() + kFrameCheckBytes; length != format_length_) {
-      format_length_ = length;
-      write(Value<reg::TxFctrl>(frame_format_).set(reg::tx_fctrl::kLength, length));
-    }
     write(Value<reg::DxTime>((stamp - transmit_antenna_delay()).count()));
+    set_length(frame.size());
+    complete();
+    spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
     // Erratum TX-1: without this clock the end of a delayed transmission is not told.
     write<reg::PmscClock>(kTransmitClockForced);
     command(kTransmitDelayed);
@@ -253,10 +266,10 @@ class Dw1000 {
     return {};
   }
 
-  // Completes what look() said of a frame; its quality only where `wanted`(its bytes). Before the next
-  // listening begins, which may be armed already.
-  template <class Wanted>
-  void read_frame(Event& event, Wanted&& wanted) noexcept {
+  // Completes what look() said of a frame; its quality only where `glance`(its bytes), called as soon as they
+  // are there, returns true. Before the next listening begins, which may be armed already.
+  template <class Glance>
+  void read_frame(Event& event, Glance&& glance) noexcept {
     // With the next listening armed, first what the receiver overwrites first.
     Value<reg::DrxResults> results;
     const bool armed = state_ == State::kReceiving;
@@ -267,10 +280,11 @@ class Dw1000 {
     const std::span<std::uint8_t> frame =
         std::span(frame_).first(size < frame_.size() ? size : frame_.size());
     spi_.read(TransactionHeader(false, reg::RxBuffer::kId, reg::RxBuffer::kSub).bytes(), frame);
+    const bool quality_wanted = glance(std::span<const std::uint8_t>(frame));
     const auto time = read_part<reg::RxTime, 0, 9>();
     event.stamp = ranging::DeviceTime(time.get(reg::rx_time::kStamp));
     event.frame = frame;
-    if (!wanted(std::span<const std::uint8_t>(frame))) return;
+    if (!quality_wanted) return;
     if (!armed) results = read<reg::DrxResults>();
     const auto quality = read<reg::RxFqual>();
     const auto peak = read<reg::LdePpindx>();
@@ -571,6 +585,18 @@ class Dw1000 {
     if (status.has(st::kPreambleTimeout)) return EventKind::kPreambleTimeout;
     if (status.has(st::kFrameTimeout)) return EventKind::kFrameTimeout;
     return EventKind::kNone;
+  }
+
+  // Of a frame without its check.
+  void set_length(std::size_t bytes) noexcept {
+    const std::size_t length = bytes + kFrameCheckBytes;
+    if (length == format_length_) return;
+    format_length_ = length;
+    // Its low byte alone: Value::set() goes bit by bit, and time may be short.
+    static_assert(reg::tx_fctrl::kLength.kLsb == 0 && reg::tx_fctrl::kLength.kWidth >= 8);
+    static_assert(kMaxFrameBytes <= 0xFF);
+    frame_format_.bytes()[0] = static_cast<std::uint8_t>(length);
+    write(frame_format_);
   }
 
   // User manual 4.1.6: after an error or a time-out the next stamp would be wrong.

@@ -186,6 +186,26 @@ std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
   return station_.transmit(stamp, frame.source, body, place());
 }
 
+std::size_t Anchor::prepare() noexcept {
+  if (phase_ == Phase::kControl) station_.prepare_control();
+  if (phase_ != Phase::kPoll) return 0;
+  if (station_.keyed()) {
+    station_.expect_heard(expected_tag(), FrameType::kPoll, place());
+    station_.expect_said(FrameType::kResponse, place());
+  }
+  return station_.superframe().on_air(kResponseBytes);
+}
+
+// The slot's owner; of those that share it the one that was answered last.
+std::uint16_t Anchor::expected_tag() const noexcept {
+  const Record* last = nullptr;
+  for (const Record& record : records_) {
+    if (record.tag == kNobody || !station_.may_poll(record.tag, slot_)) continue;
+    if (last == nullptr || slots_of_ - record.superframe < slots_of_ - last->superframe) last = &record;
+  }
+  return last != nullptr ? last->tag : station_.owner_of(slot_);
+}
+
 Anchor::Record& Anchor::record_of(std::uint16_t tag) noexcept {
   const auto found =
       std::find_if(records_.begin(), records_.end(), [=](const Record& record) { return record.tag == tag; });

@@ -33,6 +33,13 @@ class Anchor {
   // far as the clock filter carries. A master that was away for a while listens before it leads on.
   [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
 
+  // What can be done beside other things, see step.hpp.
+  void glance(std::span<const std::uint8_t> frame) noexcept {
+    station_.glance(frame, phase_ == Phase::kControl ? station_.control_place() : place());
+  }
+  void complete() noexcept { station_.complete(); }
+  std::size_t prepare() noexcept;
+
   void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
   [[nodiscard]] const AnchorMembership& membership() const noexcept { return membership_; }
   // As the tag's.
@@ -69,6 +76,8 @@ class Anchor {
   // Of the slot under way, by who may poll in it.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,
                                 const Reception& reception) const noexcept;
+  // In the slot under way.
+  [[nodiscard]] std::uint16_t expected_tag() const noexcept;
   // The record of that tag, or the one to be given up for it.
   [[nodiscard]] Record& record_of(std::uint16_t tag) noexcept;
   void close(const Frame& frame, const Final& final, const Reception& reception) noexcept;

@@ -8,7 +8,6 @@ namespace {
 
 // Data frame, PAN id compressed, short addresses (IEEE 802.15.4-2011, 5.2.1.1).
 constexpr std::uint16_t kFrameControl = 0x8841;
-constexpr std::uint8_t kSecured = 0x80;  // of the type byte
 
 // Flags.
 constexpr std::uint8_t kDissolving = 0x01;  // BEACON
@@ -27,7 +26,7 @@ constexpr std::uint8_t kAsks = 0x04;
 constexpr unsigned kHopsShift = 3;   // two bits
 constexpr unsigned kRoundShift = 5;  // three
 
-enum class Type : std::uint8_t { kBeacon = 1, kPoll = 2, kResponse = 3, kFinal = 4, kJoin = 5, kData = 6 };
+using Type = FrameType;
 
 constexpr std::uint8_t flag_if(bool set, std::uint8_t flag) noexcept {
   return set ? flag : std::uint8_t{0};
@@ -78,8 +77,7 @@ class Reader {
   bool good_ = true;
 };
 
-std::optional<Beacon> read_beacon(Reader& in) noexcept {
-  Beacon beacon;
+bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.superframe = in.take32();
   beacon.session = in.take64();
   beacon.epoch = in.take32();
@@ -94,29 +92,27 @@ std::optional<Beacon> read_beacon(Reader& in) noexcept {
   beacon.invitation = (flags & kInvitation) != 0;
   beacon.quiet = (flags & kQuiet) != 0;
   beacon.slots = in.take8();
-  if (beacon.slots > kMaxTags) return std::nullopt;
+  if (beacon.slots > kMaxTags) return false;
   for (std::size_t i = 0; i < beacon.slots; ++i) beacon.holders[i] = in.take16();
   if ((flags & kWelcome) != 0) {
     const std::uint16_t id = in.take16();
     beacon.welcome = Welcome{.id = id, .nonce = in.take64()};
   }
   if (beacon.invitation) beacon.place = in.take_ticks(5);
-  return beacon;
+  return true;
 }
 
-std::optional<Poll> read_poll(Reader& in) noexcept {
-  Poll poll;
+bool read(Reader& in, Poll& poll) noexcept {
   poll.exchange = in.take16();
   poll.superframe = in.take32();
   poll.slot = in.take8();
   poll.count = in.take8();
-  if (poll.count > kMaxAnchors) return std::nullopt;
+  if (poll.count > kMaxAnchors) return false;
   for (std::size_t i = 0; i < poll.count; ++i) poll.anchors[i] = in.take16();
-  return poll;
+  return true;
 }
 
-Response read_response(Reader& in) noexcept {
-  Response response;
+bool read(Reader& in, Response& response) noexcept {
   response.exchange = in.take16();
   response.reply = in.take_ticks(4);
   response.closing_valid = (in.take_flags(kClosingValid) & kClosingValid) != 0;
@@ -124,11 +120,15 @@ Response read_response(Reader& in) noexcept {
   response.closing = in.take_ticks(5);
   response.health.temperature_c = static_cast<std::int8_t>(in.take8());
   response.health.supply_64ths_v = in.take8();
-  return response;
+  return true;
 }
 
-Join read_join(Reader& in) noexcept {
-  Join join;
+bool read(Reader& in, Final& final) noexcept {
+  final.exchange = in.take16();
+  return true;
+}
+
+bool read(Reader& in, Join& join) noexcept {
   join.origin = in.take16();
   join.nonce = in.take64();
   const std::uint8_t flags = in.take_flags(kTag | kWantsSlot | kWantsWelcome | kLeaving);
@@ -136,11 +136,10 @@ Join read_join(Reader& in) noexcept {
   join.wants_slot = (flags & kWantsSlot) != 0;
   join.wants_welcome = (flags & kWantsWelcome) != 0;
   join.leaving = (flags & kLeaving) != 0;
-  return join;
+  return true;
 }
 
-std::optional<Data> read_data(Reader& in) noexcept {
-  Data data;
+bool read(Reader& in, Data& data) noexcept {
   data.origin = in.take16();
   data.target = in.take16();
   data.message = in.take8();
@@ -153,64 +152,76 @@ std::optional<Data> read_data(Reader& in) noexcept {
   data.hops_left = static_cast<std::uint8_t>((flags >> kHopsShift) & 3U);
   data.round = static_cast<std::uint8_t>(flags >> kRoundShift);
   const auto payload = in.take_rest();
-  if (payload.size() > kMaxDataBytes || data.fragment >= data.fragments) return std::nullopt;
+  if (payload.size() > kMaxDataBytes || data.fragment >= data.fragments) return false;
   data.size = static_cast<std::uint8_t>(payload.size());
   std::copy(payload.begin(), payload.end(), data.payload.begin());
-  return data;
+  return true;
 }
 
-std::optional<Body> read_body(Type type, Reader& in) noexcept {
+// In place: a body is large, and read between two frames.
+template <class T>
+bool read_body(Reader& in, Body& body) noexcept {
+  body = Body(T{});  // to assign a T could throw, for all the compiler knows
+  T* const place = std::get_if<T>(&body);
+  return place != nullptr && read(in, *place);
+}
+
+bool read_body(Type type, Reader& in, Body& body) noexcept {
   switch (type) {
     case Type::kBeacon:
-      if (const auto beacon = read_beacon(in)) return Body(*beacon);
-      return std::nullopt;
+      return read_body<Beacon>(in, body);
     case Type::kPoll:
-      if (const auto poll = read_poll(in)) return Body(*poll);
-      return std::nullopt;
+      return read_body<Poll>(in, body);
     case Type::kResponse:
-      return Body(read_response(in));
+      return read_body<Response>(in, body);
     case Type::kFinal:
-      return Body(Final{in.take16()});
+      return read_body<Final>(in, body);
     case Type::kJoin:
-      return Body(read_join(in));
+      return read_body<Join>(in, body);
     case Type::kData:
-      if (const auto data = read_data(in)) return Body(*data);
-      return std::nullopt;
+      return read_body<Data>(in, body);
   }
-  return std::nullopt;
+  return false;
 }
 
 }  // namespace
 
 bool looks_like_poll(std::span<const std::uint8_t> bytes) noexcept {
   return bytes.size() >= kHeaderBytes &&
-         (bytes[kHeaderBytes - 1] & ~unsigned{kSecured}) == static_cast<unsigned>(Type::kPoll);
+         (bytes[kHeaderBytes - 1] & ~unsigned{kSecuredFlag}) == static_cast<unsigned>(Type::kPoll);
 }
 
 ParseResult parse(std::span<const std::uint8_t> bytes) noexcept {
+  Frame frame;
+  if (const auto error = parse(bytes, frame)) return {std::nullopt, *error};
+  return {frame, ParseError::kForeign};
+}
+
+std::optional<ParseError> parse(std::span<const std::uint8_t> bytes, Frame& frame) noexcept {
   Reader in(bytes);
   const std::uint16_t frame_control = in.take16();
-  Frame frame{
-      .sequence = in.take8(), .network = in.take16(), .destination = in.take16(), .source = in.take16()};
+  frame.sequence = in.take8();
+  frame.network = in.take16();
+  frame.destination = in.take16();
+  frame.source = in.take16();
   const std::uint8_t type = in.take8();
-  if (!in.good() || frame_control != kFrameControl) return {std::nullopt, ParseError::kForeign};
-  frame.secured = (type & kSecured) != 0;
-  if (frame.secured && !in.drop_last(kCodeBytes)) return {std::nullopt, ParseError::kMalformed};
-  const auto body = read_body(static_cast<Type>(type & ~kSecured), in);
-  if (!body || !in.at_end()) return {std::nullopt, ParseError::kMalformed};
-  frame.body = *body;
-  return {frame, ParseError::kForeign};
+  if (!in.good() || frame_control != kFrameControl) return ParseError::kForeign;
+  frame.secured = (type & kSecuredFlag) != 0;
+  if (frame.secured && !in.drop_last(kCodeBytes)) return ParseError::kMalformed;
+  const bool read = read_body(static_cast<Type>(type & ~kSecuredFlag), in, frame.body);
+  return read && in.at_end() ? std::nullopt : std::optional(ParseError::kMalformed);
 }
 
 class FrameWriter {
  public:
-  FrameWriter(const Frame& frame, Type type) noexcept : secured_(frame.secured) {
+  FrameWriter(const Frame& frame, Type type, FrameBytes& out) noexcept : secured_(frame.secured), out_(out) {
+    out_.size_ = 0;
     put(kFrameControl, 2);
     put(frame.sequence, 1);
     put(frame.network, 2);
     put(frame.destination, 2);
     put(frame.source, 2);
-    put(static_cast<std::uint8_t>(type) | flag_if(secured_, kSecured), 1);
+    put(static_cast<std::uint8_t>(type) | flag_if(secured_, kSecuredFlag), 1);
   }
   void put(std::uint64_t value, std::size_t count) noexcept {
     for (std::size_t i = 0; i < count; ++i) {
@@ -224,14 +235,13 @@ class FrameWriter {
     std::copy(bytes.begin(), bytes.end(), out_.data_.begin() + static_cast<std::ptrdiff_t>(out_.size_));
     out_.size_ += bytes.size();
   }
-  [[nodiscard]] const FrameBytes& result() noexcept {
+  void end() noexcept {
     if (secured_) put(std::uint64_t{0}, kCodeBytes);
-    return out_;
   }
 
  private:
   bool secured_;
-  FrameBytes out_;
+  FrameBytes& out_;
 };
 
 std::span<std::uint8_t> FrameBytes::code() noexcept {
@@ -240,8 +250,7 @@ std::span<std::uint8_t> FrameBytes::code() noexcept {
 
 namespace {
 
-FrameBytes write(const Frame& frame, const Beacon& beacon) noexcept {
-  FrameWriter out(frame, Type::kBeacon);
+void write(const Beacon& beacon, FrameWriter& out) noexcept {
   out.put(beacon.superframe, 4);
   out.put(beacon.session, 8);
   out.put(beacon.epoch, 4);
@@ -262,22 +271,18 @@ FrameBytes write(const Frame& frame, const Beacon& beacon) noexcept {
     out.put(beacon.welcome->nonce, 8);
   }
   if (beacon.invitation) out.put(beacon.place, 5);
-  return out.result();
 }
 
-FrameBytes write(const Frame& frame, const Poll& poll) noexcept {
-  FrameWriter out(frame, Type::kPoll);
+void write(const Poll& poll, FrameWriter& out) noexcept {
   out.put(poll.exchange, 2);
   out.put(poll.superframe, 4);
   out.put(poll.slot, 1);
   const std::size_t count = std::min<std::size_t>(poll.count, kMaxAnchors);
   out.put(count, 1);
   for (std::size_t i = 0; i < count; ++i) out.put(poll.anchors[i], 2);
-  return out.result();
 }
 
-FrameBytes write(const Frame& frame, const Response& response) noexcept {
-  FrameWriter out(frame, Type::kResponse);
+void write(const Response& response, FrameWriter& out) noexcept {
   out.put(response.exchange, 2);
   out.put(response.reply, 4);
   out.put(flag_if(response.closing_valid, kClosingValid), 1);
@@ -285,27 +290,21 @@ FrameBytes write(const Frame& frame, const Response& response) noexcept {
   out.put(response.closing, 5);
   out.put(static_cast<std::uint8_t>(response.health.temperature_c), 1);
   out.put(response.health.supply_64ths_v, 1);
-  return out.result();
 }
 
-FrameBytes write(const Frame& frame, const Final& final) noexcept {
-  FrameWriter out(frame, Type::kFinal);
+void write(const Final& final, FrameWriter& out) noexcept {
   out.put(final.exchange, 2);
-  return out.result();
 }
 
-FrameBytes write(const Frame& frame, const Join& join) noexcept {
-  FrameWriter out(frame, Type::kJoin);
+void write(const Join& join, FrameWriter& out) noexcept {
   out.put(join.origin, 2);
   out.put(join.nonce, 8);
   out.put(flag_if(join.tag, kTag) | flag_if(join.wants_slot, kWantsSlot) |
               flag_if(join.wants_welcome, kWantsWelcome) | flag_if(join.leaving, kLeaving),
           1);
-  return out.result();
 }
 
-FrameBytes write(const Frame& frame, const Data& data) noexcept {
-  FrameWriter out(frame, Type::kData);
+void write(const Data& data, FrameWriter& out) noexcept {
   out.put(data.origin, 2);
   out.put(data.target, 2);
   out.put(data.message, 1);
@@ -317,20 +316,31 @@ FrameBytes write(const Frame& frame, const Data& data) noexcept {
                                     static_cast<unsigned>(data.round) << kRoundShift),
           1);
   out.put(std::span(data.payload).first(std::min<std::size_t>(data.size, kMaxDataBytes)));
-  return out.result();
+}
+
+template <class T>
+bool write_if(Type type, const Frame& frame, FrameBytes& out) noexcept {
+  const T* const body = std::get_if<T>(&frame.body);
+  if (body == nullptr) return false;
+  FrameWriter writer(frame, type, out);
+  write(*body, writer);
+  writer.end();
+  return true;
 }
 
 }  // namespace
 
 FrameBytes serialize(const Frame& frame) noexcept {
-  // std::visit could throw, for all the compiler knows.
-  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return write(frame, *beacon);
-  if (const auto* poll = std::get_if<Poll>(&frame.body)) return write(frame, *poll);
-  if (const auto* response = std::get_if<Response>(&frame.body)) return write(frame, *response);
-  if (const auto* final = std::get_if<Final>(&frame.body)) return write(frame, *final);
-  if (const auto* join = std::get_if<Join>(&frame.body)) return write(frame, *join);
-  if (const auto* data = std::get_if<Data>(&frame.body)) return write(frame, *data);
-  return {};
+  FrameBytes out;
+  serialize(frame, out);
+  return out;
+}
+
+// std::visit could throw, for all the compiler knows.
+void serialize(const Frame& frame, FrameBytes& out) noexcept {
+  (void)(write_if<Response>(Type::kResponse, frame, out) || write_if<Poll>(Type::kPoll, frame, out) ||
+         write_if<Beacon>(Type::kBeacon, frame, out) || write_if<Final>(Type::kFinal, frame, out) ||
+         write_if<Join>(Type::kJoin, frame, out) || write_if<Data>(Type::kData, frame, out));
 }
 
 }  // namespace groma::mac

@@ -34,6 +34,16 @@ inline constexpr std::size_t kMaxAnchors = 16;  // in one POLL
 inline constexpr std::size_t kMaxTags = 16;     // slots in one superframe
 inline constexpr std::size_t kMaxDataBytes = 48;
 
+enum class FrameType : std::uint8_t {
+  kBeacon = 1,
+  kPoll = 2,
+  kResponse = 3,
+  kFinal = 4,
+  kJoin = 5,
+  kData = 6
+};
+inline constexpr std::uint8_t kSecuredFlag = 0x80;  // of the type byte
+
 // In answer to a JOIN: whoever sent that nonce knows now that this frame is fresh.
 struct Welcome {
   std::uint16_t id = kNobody;
@@ -156,6 +166,8 @@ struct ParseResult {
 
 // Of a secured frame the code is skipped, not checked.
 [[nodiscard]] ParseResult parse(std::span<const std::uint8_t> bytes) noexcept;
+// The same without a copy; nothing: `frame`, a new one, holds it. Otherwise it holds anything.
+[[nodiscard]] std::optional<ParseError> parse(std::span<const std::uint8_t> bytes, Frame& frame) noexcept;
 
 // As far as its type byte tells: for who has no time to parse.
 [[nodiscard]] bool looks_like_poll(std::span<const std::uint8_t> bytes) noexcept;
@@ -176,6 +188,8 @@ class FrameBytes {
 // A POLL's count is at most kMaxAnchors, a DATA's size at most kMaxDataBytes, and intervals are within their
 // bounds.
 [[nodiscard]] FrameBytes serialize(const Frame& frame) noexcept;
+// The same without a copy.
+void serialize(const Frame& frame, FrameBytes& out) noexcept;
 
 // Bytes on the air, frame check included; a code of a secured frame comes on top.
 inline constexpr std::size_t kCodeBytes = 8;

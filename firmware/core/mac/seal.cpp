@@ -5,70 +5,146 @@
 namespace groma::mac {
 namespace {
 
-using security::Code;
 using security::Key;
-using security::Nonce;
 
 // In a frame's bytes.
 constexpr std::size_t kSource = 7;
 constexpr std::size_t kType = 9;
 static_assert(kType + 1 == kHeaderBytes);
 
-std::optional<Code> code_of(security::BlockCipher& cipher, const Key& key,
-                            std::span<const std::uint8_t> frame, Place place) noexcept {
-  if (frame.size() < kHeaderBytes) return std::nullopt;
-  const Nonce nonce = {frame[kSource],
-                       frame[kSource + 1],
-                       static_cast<std::uint8_t>(place.superframe),
-                       static_cast<std::uint8_t>(place.superframe >> 8),
-                       static_cast<std::uint8_t>(place.superframe >> 16),
-                       static_cast<std::uint8_t>(place.superframe >> 24),
-                       place.slot,
-                       frame[kType]};
-  return security::code_of(cipher, key, nonce, frame);
+constexpr std::uint64_t nonce_of(std::uint16_t source, std::uint8_t type, Place place) noexcept {
+  return source | std::uint64_t{place.superframe} << 16 | std::uint64_t{place.slot} << 48 |
+         std::uint64_t{type} << 56;
 }
 
-bool fits(security::BlockCipher& cipher, const Key& key, std::span<const std::uint8_t> frame,
-          Place place) noexcept {
-  if (frame.size() < kHeaderBytes + kCodeBytes) return false;
-  const auto code = code_of(cipher, key, frame.first(frame.size() - kCodeBytes), place);
+// Of a frame with a whole header.
+std::uint64_t nonce_of(std::span<const std::uint8_t> frame, Place place) noexcept {
+  return nonce_of(static_cast<std::uint16_t>(frame[kSource] | frame[kSource + 1] << 8), frame[kType], place);
+}
+
+std::optional<security::Prepared> prepare(security::BlockCipher& cipher, const Key& key,
+                                          std::uint64_t nonce) noexcept {
+  security::Nonce bytes{};
+  for (std::size_t i = 0; i < 8; ++i) bytes[i] = static_cast<std::uint8_t>(nonce >> (8 * i));
+  return security::prepare(cipher, key, bytes);
+}
+
+constexpr std::uint8_t secured(FrameType type) noexcept {
+  return static_cast<std::uint8_t>(static_cast<std::uint8_t>(type) | kSecuredFlag);
+}
+
+constexpr bool is_whole(std::span<const std::uint8_t> frame) noexcept {
+  return frame.size() >= kHeaderBytes + kCodeBytes;
+}
+
+std::span<const std::uint8_t> without_code(std::span<const std::uint8_t> frame) noexcept {
+  return frame.first(frame.size() - kCodeBytes);
+}
+
+bool fits(std::optional<security::Code> code, std::span<const std::uint8_t> frame) noexcept {
   return code && security::equal(*code, frame.last(kCodeBytes));
 }
 
 }  // namespace
 
-std::optional<Key> Seal::key_of(std::uint64_t session) noexcept {
+const std::optional<Key>& Seal::key_of(std::uint64_t session) noexcept {
+  if (other_key_ && other_session_ == session) return other_key_;
+  abandon();
   security::Block block = {0, 0, 0, 0, 0, 0, 0, 0, 'g', 'r', 'o', 'm', 'a'};
   for (std::size_t i = 0; i < 8; ++i) block[i] = static_cast<std::uint8_t>(session >> (8 * i));
   Key network_key;
   std::copy(network_key_.begin(), network_key_.end(), network_key.begin());
-  if (!cipher_->encrypt(network_key, block)) return std::nullopt;
-  return block;
+  other_session_ = session;
+  other_key_ = cipher_->encrypt(network_key, block) ? std::optional(block) : std::nullopt;
+  return other_key_;
 }
 
 void Seal::enter(std::uint64_t session) noexcept {
   if (!on()) return;
   session_ = session;
   session_key_ = key_of(session);
+  received_.reset();
+  sent_.reset();
 }
 
-void Seal::sign(FrameBytes& frame, Place place) noexcept {
-  if (!on() || !session_key_) return;
-  const auto bytes = frame.bytes();
-  if (const auto code = code_of(*cipher_, *session_key_, bytes.first(bytes.size() - kCodeBytes), place)) {
-    std::copy(code->begin(), code->end(), frame.code().begin());
+void Seal::expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept {
+  if (!on() || !session_key_ || (out && out->nonce == nonce)) return;
+  abandon();
+  out.reset();
+  if (const auto prepared = prepare(*cipher_, *session_key_, nonce)) out = {nonce, *prepared};
+}
+
+void Seal::expect_received(std::uint16_t source, FrameType type, Place place) noexcept {
+  expect(received_, nonce_of(source, secured(type), place));
+}
+
+void Seal::expect_sent(std::uint16_t source, FrameType type, Place place) noexcept {
+  expect(sent_, nonce_of(source, secured(type), place));
+}
+
+std::optional<security::Block> Seal::begin(std::uint64_t nonce,
+                                           std::span<const std::uint8_t> bytes) noexcept {
+  for (const auto* expected : {&received_, &sent_}) {
+    if (!*expected || (*expected)->nonce != nonce) continue;
+    security::begin_code(*cipher_, *session_key_, (*expected)->prepared.first, bytes);
+    return (*expected)->prepared.mask;
   }
+  const auto prepared = prepare(*cipher_, *session_key_, nonce);
+  if (!prepared) return std::nullopt;
+  security::begin_code(*cipher_, *session_key_, prepared->first, bytes);
+  return prepared->mask;
+}
+
+void Seal::begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept {
+  abandon();
+  if (!on() || !session_key_) return;
+  if (const auto mask = begin(nonce, without_code(frame))) checking_ = {frame, nonce, *mask};
+}
+
+void Seal::glance(std::span<const std::uint8_t> frame, Place place) noexcept {
+  abandon();
+  if (!received_ || !is_whole(frame)) return;
+  if (const std::uint64_t nonce = nonce_of(frame, place); nonce == received_->nonce)
+    begin_check(frame, nonce);
 }
 
 bool Seal::fits(std::span<const std::uint8_t> frame, Place place) noexcept {
-  return on() && session_key_ && mac::fits(*cipher_, *session_key_, frame, place);
+  if (!is_whole(frame)) return false;
+  const std::uint64_t nonce = nonce_of(frame, place);
+  const bool begun = checking_ && checking_->nonce == nonce && checking_->frame.data() == frame.data() &&
+                     checking_->frame.size() == frame.size();
+  if (!begun) begin_check(frame, nonce);
+  if (!checking_) return false;
+  const auto code = security::end_code(*cipher_, checking_->mask);
+  checking_.reset();
+  return mac::fits(code, frame);
 }
 
 bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept {
   if (!on()) return false;
   if (session_key_ && beacon.session == session_) return fits(frame, place_of(beacon));
-  const auto key = key_of(beacon.session);
-  return key && mac::fits(*cipher_, *key, frame, place_of(beacon));
+  if (!is_whole(frame)) return false;
+  const auto& key = key_of(beacon.session);
+  if (!key) return false;
+  abandon();
+  const auto prepared = prepare(*cipher_, *key, nonce_of(frame, place_of(beacon)));
+  if (!prepared) return false;
+  security::begin_code(*cipher_, *key, prepared->first, without_code(frame));
+  return mac::fits(security::end_code(*cipher_, prepared->mask), frame);
+}
+
+void Seal::begin_signing(const FrameBytes& frame, Place place) noexcept {
+  abandon();
+  if (!on() || !session_key_) return;
+  const auto bytes = frame.bytes();
+  signing_mask_ = begin(nonce_of(bytes, place), without_code(bytes));
+}
+
+void Seal::finish_signing(FrameBytes& frame) noexcept {
+  if (!signing_mask_) return;
+  const auto code = security::end_code(*cipher_, *signing_mask_);
+  signing_mask_.reset();
+  if (code) std::copy(code->begin(), code->end(), frame.code().begin());
 }
 
 }  // namespace groma::mac

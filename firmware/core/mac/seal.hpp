@@ -10,6 +10,10 @@
 // or session the code is another one. A beacon alone tells its own session and superframe; that those lie
 // ahead of what has been is for its receiver to see (freshness.hpp). No node sends two frames of one type in
 // one place, so no nonce comes twice.
+//
+// Where time is short a code is made in three steps, the second of which goes on by itself: expect_...() as
+// soon as it is known which frame comes next, glance() or begin_signing() with its bytes, fits() or
+// finish_signing(). A frame that was not expected costs time alone.
 #pragma once
 
 #include <cstdint>
@@ -47,21 +51,64 @@ class Seal {
   // Frames are of this session from now on.
   void enter(std::uint64_t session) noexcept;
 
-  // Puts the code into a secured frame's end. Where the cipher fails it stays as it is: nobody will take it.
-  void sign(FrameBytes& frame, Place place) noexcept;
+  // In idle time: which frame is received, and which one is sent, next but for others that are not expected.
+  // Secured ones.
+  void expect_received(std::uint16_t source, FrameType type, Place place) noexcept;
+  void expect_sent(std::uint16_t source, FrameType type, Place place) noexcept;
 
+  // For each frame received, before fits(): begins what fits(frame, place) will ask for if that frame was
+  // expected, and forgets what was begun for another. The frame's bytes stay as they are until then: what has
+  // changed meanwhile would not be seen.
+  void glance(std::span<const std::uint8_t> frame, Place place) noexcept;
   // Whether the code of a secured frame fits, in the session entered.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place) noexcept;
   // The same by what the beacon says of itself, whatever its session.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept;
 
+  // Puts the code into a secured frame's end. Where the cipher fails it stays as it is: nobody will take it.
+  // The frame stays as it is in between.
+  void begin_signing(const FrameBytes& frame, Place place) noexcept;
+  void finish_signing(FrameBytes& frame) noexcept;
+  void sign(FrameBytes& frame, Place place) noexcept {
+    begin_signing(frame, place);
+    finish_signing(frame);
+  }
+
  private:
-  [[nodiscard]] std::optional<security::Key> key_of(std::uint64_t session) noexcept;
+  struct Expected {
+    std::uint64_t nonce = 0;  // its first eight bytes; the others are zero
+    security::Prepared prepared{};
+  };
+
+  // What was begun is not asked for any more: the cipher is wanted for something else.
+  void abandon() noexcept {
+    checking_.reset();
+    signing_mask_.reset();
+  }
+  [[nodiscard]] const std::optional<security::Key>& key_of(std::uint64_t session) noexcept;
+  void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;
+  void begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept;
+  // Begins a code, and returns what masks it.
+  [[nodiscard]] std::optional<security::Block> begin(std::uint64_t nonce,
+                                                     std::span<const std::uint8_t> bytes) noexcept;
 
   security::BlockCipher* cipher_ = nullptr;
   std::span<const std::uint8_t> network_key_{};
   std::uint64_t session_ = 0;
   std::optional<security::Key> session_key_{};
+  // Of another session, whose beacon was heard last.
+  std::uint64_t other_session_ = 0;
+  std::optional<security::Key> other_key_{};
+  std::optional<Expected> received_{};
+  std::optional<Expected> sent_{};
+  // Under way.
+  struct Check {
+    std::span<const std::uint8_t> frame{};
+    std::uint64_t nonce = 0;
+    security::Block mask{};
+  };
+  std::optional<Check> checking_{};
+  std::optional<security::Block> signing_mask_{};
 };
 
 }  // namespace groma::mac

@@ -73,6 +73,18 @@ void Station::resume(ClockTime now) noexcept {
   if (!mastership_.leads()) sync_.follow();
 }
 
+void Station::prepare_control() noexcept {
+  if (!keyed()) return;
+  if (phase_ == Phase::kBeacon) {
+    if (!own_beacon_) expect_heard(mastership_.master(), FrameType::kBeacon, control_place());
+    expect_said(mastership_.has_shared_turn(number_) ? FrameType::kBeacon : FrameType::kJoin,
+                {number_, Place::kShared});
+  } else if (const std::size_t turn = superframe_.shared_turn(number_);
+             phase_ == Phase::kShared && turn != 0) {
+    expect_heard(site_.schedule->backup_ids[turn - 1], FrameType::kBeacon, control_place());
+  }
+}
+
 void Station::end_superframe() noexcept {
   ++number_;
   next_ = Next::kBeacon;
@@ -111,7 +123,8 @@ std::optional<Action> Station::control(ClockTime now) noexcept {
 std::optional<Action> Station::control_ahead() const noexcept {
   if (sync_.state() == SyncState::kSearching || mastership_.leads()) return std::nullopt;
   Ticks place;
-  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !mastership_.has_shared_turn(number_)) {
+  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !mastership_.has_shared_turn(number_) &&
+      !keyed()) {
     const bool sends = std::any_of(channels_.begin(), channels_.end(), [](const ControlChannel* channel) {
       return channel != nullptr && channel->wants_slot();
     });
@@ -345,8 +358,7 @@ void Station::on_control_late() noexcept {
 }
 
 std::optional<Action> Station::on_control_received(const Reception& reception) noexcept {
-  const std::uint8_t slot = phase_ == Phase::kShared ? Place::kShared : Place::kBeacon;
-  const auto frame = accept(reception, {number_, slot});
+  const auto frame = accept(reception, control_place());
   if (frame) {
     const Phase phase = phase_;
     if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
@@ -482,6 +494,15 @@ bool Station::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
   return holders_[slot] == kBroadcast ? configured_slot(*site_.schedule, tag) == slot : holders_[slot] == tag;
 }
 
+std::uint16_t Station::owner_of(std::size_t slot) const noexcept {
+  if (holders_[slot] != kBroadcast) return holders_[slot];
+  const auto tags = std::span(site_.schedule->tag_ids).first(site_.schedule->tag_ids_count);
+  const auto owner = std::find_if(tags.begin(), tags.end(), [=, this](std::uint16_t tag) {
+    return configured_slot(*site_.schedule, tag) == slot;
+  });
+  return owner == tags.end() ? kNobody : *owner;
+}
+
 std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
   for (std::size_t slot = 0; slot < superframe_.slot_count(); ++slot) {
     if (may_poll(tag, slot)) return slot;
@@ -492,21 +513,23 @@ std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
 // ---- frames
 
 std::optional<Frame> Station::accept(const Reception& reception, Place place, Check check) noexcept {
-  const ParseResult parsed = parse(reception.frame);
-  if (!parsed.frame) {
-    ++(parsed.error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
-    return std::nullopt;
-  }
-  if (parsed.frame->network != site_.network_id) {
+  // Returned without a copy.
+  std::optional<Frame> frame(std::in_place);
+  if (const auto error = parse(reception.frame, *frame)) {
+    ++(*error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
+    frame.reset();
+  } else if (frame->network != site_.network_id) {
     ++counters_.foreign_frames;
-    return std::nullopt;
+    frame.reset();
+  } else if (!is_for_this_node(*frame) || !authentic(*frame, reception, place, check)) {
+    frame.reset();
   }
-  const std::uint16_t destination = parsed.frame->destination;
-  const bool passed_on =
-      std::holds_alternative<Join>(parsed.frame->body) || std::holds_alternative<Data>(parsed.frame->body);
-  if (destination != site_.id && destination != kBroadcast && !passed_on) return std::nullopt;
-  if (!authentic(*parsed.frame, reception, place, check)) return std::nullopt;
-  return parsed.frame;
+  return frame;
+}
+
+bool Station::is_for_this_node(const Frame& frame) const noexcept {
+  return frame.destination == site_.id || frame.destination == kBroadcast ||
+         std::holds_alternative<Join>(frame.body) || std::holds_alternative<Data>(frame.body);
 }
 
 bool Station::authentic(const Frame& frame, const Reception& reception, Place place, Check check) noexcept {
@@ -553,13 +576,14 @@ bool Station::may_be_of_now(const Beacon& beacon, ClockTime heard) const noexcep
 }
 
 Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place) noexcept {
-  outgoing_ = serialize({.sequence = sequence_++,
-                         .network = site_.network_id,
-                         .destination = destination,
-                         .source = site_.id,
-                         .secured = seal_.on(),
-                         .body = body});
-  if (seal_.on()) seal_.sign(outgoing_, place);
+  serialize({.sequence = sequence_++,
+             .network = site_.network_id,
+             .destination = destination,
+             .source = site_.id,
+             .secured = seal_.on(),
+             .body = body},
+            outgoing_);
+  if (seal_.on()) seal_.begin_signing(outgoing_, place);
   return {.kind = Action::Kind::kTransmit, .at = stamp, .frame = outgoing_.bytes()};
 }
 

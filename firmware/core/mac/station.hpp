@@ -69,6 +69,8 @@ class Station {
   void end_superframe() noexcept;
   // What control() gave last is under way.
   [[nodiscard]] bool in_control() const noexcept { return phase_ != Phase::kSlots; }
+  // The slots come next.
+  [[nodiscard]] bool before_slots() const noexcept { return phase_ == Phase::kShared; }
   // The one under way.
   [[nodiscard]] std::uint32_t superframe_number() const noexcept { return number_; }
 
@@ -93,6 +95,8 @@ class Station {
 
   // May poll in the slot, as far as this node knows.
   [[nodiscard]] bool may_poll(std::uint16_t tag, std::size_t slot) const noexcept;
+  // Who may, kNobody where nobody may; of several the schedule's first.
+  [[nodiscard]] std::uint16_t owner_of(std::size_t slot) const noexcept;
   // Where this tag may poll.
   [[nodiscard]] std::optional<std::size_t> slot_of(std::uint16_t tag) const noexcept;
   // Of each slot: kBroadcast: who has it by the schedule; kNobody: free.
@@ -109,9 +113,26 @@ class Station {
   // Its code fits, or none is asked for; counted where it does not.
   [[nodiscard]] bool is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept;
 
-  // `place`: of a tag slot's frame; the others tell it by their kind.
+  // Frames carry codes.
+  [[nodiscard]] bool keyed() const noexcept { return seal_.on(); }
+  // In idle time: what is heard, and said, next most likely, so that its code takes the least time then.
+  // Without them, for the beacon's and the shared slot.
+  void expect_heard(std::uint16_t source, FrameType type, Place place) noexcept {
+    seal_.expect_received(source, type, place);
+  }
+  void expect_said(FrameType type, Place place) noexcept { seal_.expect_sent(site_.id, type, place); }
+  void prepare_control() noexcept;
+  // To be called for each frame before accept(): the check of its code begins, and goes on by itself.
+  void glance(std::span<const std::uint8_t> frame, Place place) noexcept { seal_.glance(frame, place); }
+  // Of the beacon's or the shared slot under way.
+  [[nodiscard]] Place control_place() const noexcept {
+    return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
+  }
+
+  // `place`: of a tag slot's frame; the others tell it by their kind. Its code is put in by complete().
   [[nodiscard]] Action transmit(ranging::ClockTime stamp, std::uint16_t destination, const Body& body,
                                 Place place) noexcept;
+  void complete() noexcept { seal_.finish_signing(outgoing_); }
   // The last stamp on the grid that is not after `latest`.
   [[nodiscard]] ranging::ClockTime stamp_not_after(ranging::ClockTime latest) const noexcept {
     return ranging::transmit_stamp_not_after(latest, site_.transmit_antenna_delay);
@@ -163,6 +184,7 @@ class Station {
   [[nodiscard]] bool timed(std::uint32_t number) const noexcept {
     return sync_.margin(number) <= superframe_.guard();
   }
+  [[nodiscard]] bool is_for_this_node(const Frame& frame) const noexcept;
   [[nodiscard]] bool authentic(const Frame& frame, const Reception& reception, Place place,
                                Check check) noexcept;
   [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;

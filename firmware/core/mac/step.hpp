@@ -5,6 +5,12 @@
 // on_received(), on_timeout() or on_error() for a reception. A listening that could not be armed in time
 // starts at once instead, or counts as a time-out when its end has passed. Or resume() instead of any, where
 // the radio was stopped.
+//
+// Beside that it is told at three moments, so that codes are made and checked while the radio's bus or the
+// air is busy: glance(frame) once a frame's bytes are there, before on_received() with them; complete() where
+// a transmission's frame is about to be handed over, which it is not whole before; and prepare() once what a
+// Step asked for is armed, which tells how many bytes are on the air of the frame that it will most likely
+// send next; 0: open.
 #pragma once
 
 #include <cstdint>
@@ -36,7 +42,7 @@ struct Action {
   ranging::ClockTime until{};
   // A preamble that has not come by then will not come.
   std::optional<ranging::ClockTime> preamble_until{};
-  // Stays valid until the machine's next event.
+  // Whole after complete(); stays valid until the machine's next event.
   std::span<const std::uint8_t> frame{};
 };
 

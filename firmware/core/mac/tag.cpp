@@ -151,6 +151,23 @@ Step Tag::on_received(const Reception& reception) noexcept {
   return next_window(reception.stamp);
 }
 
+void Tag::glance(std::span<const std::uint8_t> frame) noexcept {
+  station_.glance(frame, phase_ == Phase::kControl ? station_.control_place() : place_of(current()));
+}
+
+std::size_t Tag::prepare() noexcept {
+  if (!station_.keyed()) return 0;
+  if (phase_ == Phase::kResponses) {
+    station_.expect_heard(current().legs[window_].anchor, FrameType::kResponse, place_of(current()));
+  } else if (phase_ == Phase::kControl) {
+    station_.prepare_control();
+    const std::uint32_t superframe = station_.superframe_number();
+    const auto slot = station_.before_slots() ? membership_.slot(superframe) : std::nullopt;
+    if (slot) station_.expect_said(FrameType::kPoll, {superframe, static_cast<std::uint8_t>(*slot)});
+  }
+  return 0;
+}
+
 void Tag::check() noexcept {
   if (unchecked_.frame.empty()) return;
   const Unchecked taken = std::exchange(unchecked_, {});

@@ -29,6 +29,10 @@ class Tag {
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
   [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
   [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
+  // What can be done beside other things, see step.hpp.
+  void glance(std::span<const std::uint8_t> frame) noexcept;
+  void complete() noexcept { station_.complete(); }
+  std::size_t prepare() noexcept;
   // After what a Step asked for is armed: takes back what the last frame brought where its code does not fit.
   // Its bytes are still there.
   void check() noexcept;

@@ -2,9 +2,11 @@
 // and after.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <type_traits>
 #include <variant>
 
@@ -44,6 +46,20 @@ class Machine {
     if (tag_) return tag_->ahead();
     if (anchor_) return anchor_->ahead();
     return std::nullopt;
+  }
+  // What it is told beside its events, see step.hpp.
+  void glance(std::span<const std::uint8_t> frame) noexcept {
+    if (tag_) tag_->glance(frame);
+    if (anchor_) anchor_->glance(frame);
+  }
+  void complete() noexcept {
+    if (tag_) tag_->complete();
+    if (anchor_) anchor_->complete();
+  }
+  [[nodiscard]] std::size_t prepare() noexcept {
+    if (tag_) return tag_->prepare();
+    if (anchor_) return anchor_->prepare();
+    return 0;
   }
   void attach(mac::ControlChannel& channel) noexcept {
     if (tag_) tag_->attach(channel);

@@ -260,8 +260,10 @@ class Node {
         ++counters_.frames_received;
         arm_ahead();
         // The answer to a POLL is urgent, and nobody asks how well it came.
-        radio_.read_frame(event,
-                          [](std::span<const std::uint8_t> frame) { return !mac::looks_like_poll(frame); });
+        radio_.read_frame(event, [this](std::span<const std::uint8_t> frame) {
+          machine_.glance(frame);
+          return !mac::looks_like_poll(frame);
+        });
         const ranging::ClockTime stamp = event.stamp_valid ? clock_.unwrap(event.stamp) : read_clock();
         refer(stamp);
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
@@ -287,8 +289,15 @@ class Node {
         recover();
         break;
     }
+    prepare();
     watch_sync();
     return true;
+  }
+
+  // The radio is armed: what there is to do may be done ahead.
+  void prepare() noexcept {
+    const std::size_t on_air_bytes = machine_.prepare();
+    if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - dw1000::kFrameCheckBytes);
   }
 
   // Between two RESPONSEs each microsecond counts: the next window is armed before the frame is read.
@@ -357,7 +366,7 @@ class Node {
           event_due_us_ = 0;
           return;
         case mac::Action::Kind::kTransmit:
-          start = radio_.transmit_at(clock_.wrap(action.at), action.frame);
+          start = radio_.transmit_at(clock_.wrap(action.at), action.frame, [this] { machine_.complete(); });
           break;
         case mac::Action::Kind::kListen:
           start = radio_.receive_at(clock_.wrap(action.at), action.until - action.at,

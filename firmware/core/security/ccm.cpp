@@ -19,26 +19,34 @@ Block block_of(std::uint8_t flags, const Nonce& nonce) noexcept {
 
 }  // namespace
 
-std::optional<Code> code_of(BlockCipher& cipher, const Key& key, const Nonce& nonce,
-                            std::span<const std::uint8_t> bytes) noexcept {
-  Block mac = block_of(kFirstFlags, nonce);
-  if (!cipher.encrypt(key, mac)) return std::nullopt;
+std::optional<Prepared> prepare(BlockCipher& cipher, const Key& key, const Nonce& nonce) noexcept {
+  Prepared prepared{.first = block_of(kFirstFlags, nonce), .mask = block_of(kCounterFlags, nonce)};
+  if (!cipher.encrypt(key, prepared.first) || !cipher.encrypt(key, prepared.mask)) return std::nullopt;
+  return prepared;
+}
+
+void begin_code(BlockCipher& cipher, const Key& key, const Block& first,
+                std::span<const std::uint8_t> bytes) noexcept {
+  Block mac = first;
   mac[0] ^= static_cast<std::uint8_t>(bytes.size() >> 8);
   mac[1] ^= static_cast<std::uint8_t>(bytes.size());
-  std::size_t filled = 2;
-  do {
-    const std::size_t taken = std::min(kBlockBytes - filled, bytes.size());
-    for (std::size_t i = 0; i < taken; ++i) mac[filled + i] ^= bytes[i];
-    bytes = bytes.subspan(taken);
-    filled = 0;
-    if (!cipher.encrypt(key, mac)) return std::nullopt;
-  } while (!bytes.empty());
+  cipher.begin(key, mac, {.filled = 2, .rest = bytes});
+}
 
-  Block mask = block_of(kCounterFlags, nonce);
-  if (!cipher.encrypt(key, mask)) return std::nullopt;
+std::optional<Code> end_code(BlockCipher& cipher, const Block& mask) noexcept {
+  const auto mac = cipher.finish();
+  if (!mac) return std::nullopt;
   Code code;
-  for (std::size_t i = 0; i < code.size(); ++i) code[i] = mac[i] ^ mask[i];
+  for (std::size_t i = 0; i < code.size(); ++i) code[i] = (*mac)[i] ^ mask[i];
   return code;
+}
+
+std::optional<Code> code_of(BlockCipher& cipher, const Key& key, const Nonce& nonce,
+                            std::span<const std::uint8_t> bytes) noexcept {
+  const auto prepared = prepare(cipher, key, nonce);
+  if (!prepared) return std::nullopt;
+  begin_code(cipher, key, prepared->first, bytes);
+  return end_code(cipher, prepared->mask);
 }
 
 bool equal(std::span<const std::uint8_t> a, std::span<const std::uint8_t> b) noexcept {

@@ -2,10 +2,21 @@
 // software.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/seal.hpp"
+#include "firmware/sim/aes.hpp"
+#include "firmware/sim/transmitter.hpp"
 #include "test/sim/emulator/emulated_site.hpp"
 
 namespace groma::sim {
 namespace {
+
+constexpr security::Key kKey{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
 
 TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
   GROMA_NEEDS_SHIPPED_IMAGE();
@@ -14,7 +25,7 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
                         .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
                         .turn_round_us = 300,
                         .response_gap_us = 100};
-  settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
+  settings.network_key = kKey;
   // The tag and the second anchor; the master is native.
   SiteBench site(emulating(settings, {}, [](std::uint16_t id) { return id != nth_anchor(0); }));
   site.run_until(2.2);
@@ -33,6 +44,81 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
   }
   EXPECT_GT(emulated(site, 0).soc().ecb().blocks(), 1'000U);
   EXPECT_GT(emulated(site, 2).soc().ecb().blocks(), 1'000U);
+}
+
+class Ear final : public Witness {
+ public:
+  explicit Ear(Medium& medium) { medium.set_witness(this); }
+  void announced(const AirFrame& frame) override {
+    const auto bytes = std::span(frame.data).first(frame.length - 2U);
+    const auto parsed = mac::parse(bytes);
+    if (!parsed.frame) return;
+    if (std::holds_alternative<mac::Response>(parsed.frame->body)) ++responses;
+    if (!std::holds_alternative<mac::Poll>(parsed.frame->body)) return;
+    poll_start = frame.preamble_start;
+    poll = *parsed.frame;
+    poll_bytes.assign(bytes.begin(), bytes.end());
+  }
+  int responses = 0;
+  SimTime poll_start = 0;
+  mac::Frame poll;
+  std::vector<std::uint8_t> poll_bytes;
+};
+
+// The tag is off the air, and somebody without the key polls in its place: says its last POLL again, or one
+// of now with the last one's code, or with a code by another key.
+TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
+  constexpr std::uint16_t kAttacker = 900;
+  constexpr int kAnchors = 2;
+  SiteSettings settings{.tags = 1,
+                        .anchors = kAnchors,
+                        .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
+                        .turn_round_us = 300,
+                        .response_gap_us = 155};
+  settings.network_key = kKey;
+  SiteBench site(emulating(settings));
+  site.space.put(kAttacker, {2.0, 2.0, 1.5});
+  Ear ear(site.network.medium());
+  Transmitter attacker(kAttacker, site.network.medium());
+  site.run_until(1.5);
+  ASSERT_GT(ear.responses, 100);
+  site.network.set_power(0, false);
+  site.run_until(1.51);
+  const SimTime start = ear.poll_start;
+  const mac::Frame last = ear.poll;
+  const std::vector<std::uint8_t> last_bytes = ear.poll_bytes;
+  const int answered = ear.responses;
+  const auto& body = std::get<mac::Poll>(last.body);
+  const SimTime duration = site.superframe().duration().count() * kUnitsPerTick;
+
+  Aes aes;
+  mac::Seal other(&aes, security::Key{9, 9, 9});
+  other.enter(1);
+  constexpr std::uint32_t kForged = 12;
+  std::uint32_t ahead = 0;
+  for (std::uint32_t sent = 0; sent < kForged; ++sent) {
+    do ++ahead;
+    while (start + ahead * duration < site.network.now() + 2 * kUnitsPerMillisecond);
+    mac::Frame now = last;
+    mac::Poll poll = body;
+    poll.superframe += ahead;
+    poll.exchange = static_cast<std::uint16_t>(poll.exchange + ahead);
+    now.body = poll;
+    mac::FrameBytes made = mac::serialize(now);
+    other.sign(made, {poll.superframe, poll.slot});
+    std::vector<std::uint8_t> bytes(made.bytes().begin(), made.bytes().end());
+    if (sent % 3 == 0) bytes = last_bytes;
+    if (sent % 3 == 1)
+      std::copy(last_bytes.end() - mac::kCodeBytes, last_bytes.end(), bytes.end() - mac::kCodeBytes);
+    attacker.send(start + ahead * duration + kUnitsPerMicrosecond, bytes);
+    site.run_until(to_seconds(start + ahead * duration + duration / 2));
+  }
+  site.run_until(to_seconds(site.network.now()) + 1.2);
+  EXPECT_EQ(ear.responses, answered);
+  for (int i = 0; i < kAnchors; ++i) {
+    EXPECT_EQ(site.listeners[static_cast<std::size_t>(1 + i)].counters.forged_frames, kForged) << i;
+  }
 }
 
 }  // namespace

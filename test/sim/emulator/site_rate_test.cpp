@@ -13,9 +13,26 @@ TEST(SiteRate, ThreeTagsAndTwelveAnchorsMake2280RangesASecond) {
 
 TEST(SiteRate, NothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
   GROMA_NEEDS_SHIPPED_IMAGE();
+  expect_fast(measure_rate(emulating(fast_site(), slow_processor()), 0.5));
+}
+
+// By the schedule 2255. A quarter of a second may miss a superframe at either end.
+TEST(KeyedSiteRate, ThreeTagsAndTwelveAnchorsMake2100RangesASecond) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
+  expect_fast(measure_rate(emulating(fast_keyed_site()), 0.25), 2'100.0);
+}
+
+TEST(KeyedSiteRate, NothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
+  expect_fast(measure_rate(emulating(fast_keyed_site(), slow_processor()), 0.25), 2'100.0);
+}
+
+// Else nothing above would show it.
+TEST(KeyedSiteRate, MuchIsLateWhereEachInstructionCosts5TimesAsMuch) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
   EmulatorOptions slow;
-  slow.timing.instruction = slow.timing.instruction * 3 / 2;
-  expect_fast(measure_rate(emulating(fast_site(), slow), 0.5));
+  slow.timing.instruction *= 5;
+  EXPECT_GT(measure_rate(emulating(fast_keyed_site(), slow), 0.1).late_transmits, 100);
 }
 
 }  // namespace
