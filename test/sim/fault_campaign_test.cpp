@@ -17,7 +17,7 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
       brown_out<mac::Response>("brown-out in a RESPONSE", 106, 0.5, 0.005),
       brown_out<mac::Response>("brown-out before a RESPONSE", 107, -0.5, 0.002),
       brown_out<mac::Poll>("brown-out in a POLL", 2, 0.7, 0.005),
-      another_network("another network on the channel", 8, 1, 3.0),
+      another_network("another network on the channel", 8, 1, 10.0),
       another_network("one with our id, older schedule", 7, 2, 3.0),
       tag_joins("a tag joins", 9),
       killed("a tag leaves", {2}, 3.0, 110.0 * site.superframe_s()),

@@ -237,12 +237,15 @@ class FaultSite {
   }
 
   [[nodiscard]] mac::Superframe superframe() const {
-    const groma_Config config = config_of(nth_tag(0), groma_Role_ROLE_TAG);
-    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
-                           settings_.network_key.has_value());
+    return superframe(config_of(nth_tag(0), groma_Role_ROLE_TAG));
   }
-  [[nodiscard]] double superframe_s() const {
-    return static_cast<double>(superframe().duration().count()) / 63.8976e9;
+  [[nodiscard]] mac::Superframe superframe(const groma_Config& config) const {
+    return {config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
+            settings_.network_key.has_value()};
+  }
+  [[nodiscard]] double superframe_s() const { return seconds_of(superframe()); }
+  [[nodiscard]] static double seconds_of(const mac::Superframe& superframe) {
+    return static_cast<double>(superframe.duration().count()) / 63.8976e9;
   }
 
   // A node that the schedule does not know, or another network's. Before `power_on`.
@@ -320,12 +323,12 @@ class FaultSite {
     schedule.anchor_ids_count = 0;
     schedule.backup_ids_count = 0;
     schedule.slots = 0;
-    schedule.response_gap_us += 37;
     for (int i = 0; i < kTags; ++i)
       schedule.tag_ids[schedule.tag_ids_count++] = static_cast<std::uint16_t>(first + i);
     for (int i = 0; i < kAnchors; ++i)
       schedule.anchor_ids[schedule.anchor_ids_count++] = static_cast<std::uint16_t>(first + 10 + i);
     schedule.master_id = schedule.anchor_ids[0];
+    schedule.response_gap_us = gap_out_of_step(config);
     for (int i = 0; i < kTags + kAnchors; ++i) {
       config.role = i < kTags ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
       config.id = static_cast<std::uint32_t>(i < kTags ? first + i : first + 10 + i - kTags);
@@ -333,6 +336,25 @@ class FaultSite {
       add(id, config.role, network.now() + from_seconds(0.003 * i), config);
       strangers_.insert(id);
     }
+  }
+  // The gap that lets a network's frames fall on other places of the site's superframe each time, and on all
+  // alike: the site's lasts whole ones of it and 0.38 of one (the golden section's share). Where the two are
+  // nearly commensurate, the same frames are spoilt again and again, and no product tells what is left.
+  [[nodiscard]] std::uint32_t gap_out_of_step(groma_Config config) const {
+    constexpr double kStep = 0.382;
+    std::uint32_t best = settings_.response_gap_us;
+    double least_off = 1.0;
+    for (std::uint32_t gap_us = settings_.response_gap_us; gap_us < settings_.response_gap_us + 100U;
+         ++gap_us) {
+      config.schedule.response_gap_us = gap_us;
+      const double ratio = superframe_s() / seconds_of(superframe(config));
+      const double off = std::abs(ratio - std::floor(ratio) - kStep);
+      if (off < least_off) {
+        least_off = off;
+        best = gap_us;
+      }
+    }
+    return best;
   }
   void end_second_network() {
     for (const std::uint16_t id : strangers_) set_power(id, false);

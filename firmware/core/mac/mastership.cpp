@@ -340,9 +340,14 @@ bool Mastership::Pause::over(std::uint32_t number) const noexcept {
 
 void Mastership::Pause::begin(std::uint32_t number) noexcept {
   constexpr std::int32_t kForgotten = 64;
+  constexpr std::uint8_t kGoesOn_log2 = 6;
   if (since(number, next_) > kForgotten) times_ = 0;
-  times_ = std::min<std::uint8_t>(static_cast<std::uint8_t>(times_ + 1), at_once_ + longest_log2_);
-  next_ = number + (times_ <= at_once_ ? 1U : 1U << (times_ - at_once_));
+  times_ = static_cast<std::uint8_t>(std::min(times_ + 1, at_once_ + longest_log2_));
+  const int log2 = std::max(times_ - at_once_, 0);
+  const int beyond = log2 - burst_log2_;
+  const int pause_log2 =
+      beyond > 0 ? std::min<int>(std::max<int>(kGoesOn_log2 - 1, burst_log2_) + beyond, longest_log2_) : log2;
+  next_ = number + (1U << pause_log2);
 }
 
 void Mastership::on_absence(std::uint32_t number) noexcept {

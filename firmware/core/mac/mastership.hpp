@@ -132,11 +132,13 @@ class Mastership {
 
   static constexpr std::size_t kMaxBeaconers = 8;
 
-  // Between things that cost ranges: the first few times at once, then ever longer.
+  // Between things that cost ranges: the first few times at once, then ever longer, each twice the one
+  // before. After that of 2^burst_log2 superframes it goes on at 64: what lasts so long is no network to come
+  // to terms with.
   class Pause {
    public:
-    constexpr Pause(std::uint8_t at_once, std::uint8_t longest_log2) noexcept
-        : at_once_(at_once), longest_log2_(longest_log2) {}
+    constexpr Pause(std::uint8_t at_once, std::uint8_t burst_log2, std::uint8_t longest_log2) noexcept
+        : at_once_(at_once), burst_log2_(burst_log2), longest_log2_(longest_log2) {}
     void restart(std::uint32_t number) noexcept;
     [[nodiscard]] bool over(std::uint32_t number) const noexcept;
     void begin(std::uint32_t number) noexcept;
@@ -145,6 +147,7 @@ class Mastership {
     std::uint32_t next_ = 0;
     std::uint8_t times_ = 0;
     std::uint8_t at_once_;
+    std::uint8_t burst_log2_;
     std::uint8_t longest_log2_;
   };
 
@@ -172,14 +175,14 @@ class Mastership {
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
   std::size_t rival_ = 0;  // rank of a worse master of this session; 0: none
   std::uint32_t rival_until_ = 0;
-  Pause scans_{4, 8};
-  Pause lacks_{1, 8};
-  Pause idles_{0, 2};
-  Pause calls_{4, 8};
-  Pause silences_{1, 8};
+  Pause scans_{4, 8, 8};
+  Pause lacks_{1, 2, 8};
+  Pause idles_{0, 2, 2};
+  Pause calls_{4, 8, 8};
+  Pause silences_{1, 1, 8};
   std::uint32_t hushed_ = 0;  // superframes
   bool quiet_ = false;
-  std::uint32_t led_ = 0;  // superframe of its last beacon as a master
+  std::uint32_t led_ = 0;             // superframe of its last beacon as a master
   std::uint32_t newer_schedule_ = 0;  // that the last beacon of a newer one told of
 
   ranging::ClockTime search_start_;
