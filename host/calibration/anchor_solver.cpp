@@ -11,7 +11,7 @@ namespace {
 constexpr double kFirstDamping = 1e-4;
 constexpr double kMaxDamping = 1e10;
 // A step this small in every parameter, as a share of its own sigma, ends the search.
-constexpr double kConvergedSigmas = 1e-3;
+constexpr double kConvergedSigmas = 1e-2;
 
 double square(double x) noexcept {
   return x * x;
@@ -29,6 +29,11 @@ double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
   return cost;
 }
 
+// A step's length in units of the information: a bound on every parameter's share of its sigma.
+double length_in_sigmas(const NormalEquations& equations, const Eigen::VectorXd& step) {
+  return std::sqrt(std::max(0.0, step.dot(equations.information * step)));
+}
+
 }  // namespace
 
 NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
@@ -38,17 +43,18 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
   std::vector<PairBlock> blocks(tags, PairBlock::Zero());
   std::vector<PairRow> slopes(tags, PairRow::Zero());
 
-  NormalEquations out;
-  out.cost = prior_cost(problem, anchor);
+  CostSum cost;
   for (const Observation& row : problem.rows) {
     const model::AntennaPrediction predicted = predict(row, anchor, tags);
     const KernelValue value = kernels[row.tag].at(row.range_m - predicted.range_m);
-    out.cost += value.cost;
+    cost.add(value);
     const PairRow j = pair_jacobian(predicted, anchor(gamma_index(row.tag, tags)));
     slopes[row.tag] -= value.slope * j;
-    blocks[row.tag].noalias() += (value.weight * j) * j.transpose();
+    add_square(j, value.weight, blocks[row.tag]);
   }
 
+  NormalEquations out;
+  out.cost = prior_cost(problem, anchor) + cost.cost();
   out.gradient = Eigen::VectorXd::Zero(size);
   out.information = Eigen::MatrixXd::Zero(size, size);
   out.gradient.head<3>() = problem.position.information * (anchor.head<3>() - problem.position.mean_m);
@@ -57,7 +63,7 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
   for (std::size_t tag = 0; tag < tags; ++tag) {
     const Eigen::Index beta = beta_index(tag);
     const Eigen::Index gamma = gamma_index(tag, tags);
-    const PairBlock& block = blocks[tag];
+    const PairBlock block = blocks[tag].selfadjointView<Eigen::Lower>();
     const PairRow& slope = slopes[tag];
     out.gradient.head<3>() += slope.head<3>();
     out.gradient(beta) = slope(3) + (anchor(beta) - priors.beta_m.mean) / square(priors.beta_m.sigma);
@@ -83,16 +89,16 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
 
 double robust_cost(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                    const AnchorVector& anchor) {
-  double cost = prior_cost(problem, anchor);
+  CostSum cost;
   for (const Observation& row : problem.rows) {
-    cost += kernels[row.tag].at(residual_m(row, anchor, problem.tag_count)).cost;
+    cost.add(kernels[row.tag].at(residual_m(row, anchor, problem.tag_count)));
   }
-  return cost;
+  return prior_cost(problem, anchor) + cost.cost();
 }
 
 AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                             const AnchorVector& start, int max_iterations) {
-  AnchorSolution out{.anchor = start, .cost = 0.0, .converged = false};
+  AnchorSolution out{.anchor = start};
   NormalEquations here = linearize(problem, kernels, start);
   out.cost = here.cost;
   double damping = kFirstDamping;
@@ -105,8 +111,7 @@ AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const Robust
       damping = std::max(damping * 10.0, 1e-3);
       continue;
     }
-    // The step's length in units of the information: a bound on every parameter's share of its sigma.
-    const double length = std::sqrt(std::max(0.0, step.dot(here.information * step)));
+    const double length = length_in_sigmas(here, step);
     const AnchorVector candidate = out.anchor + step;
     NormalEquations there = linearize(problem, kernels, candidate);
     if (!(there.cost <= out.cost)) {
@@ -126,6 +131,7 @@ AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const Robust
       break;
     }
   }
+  out.moved_sigmas = length_in_sigmas(here, out.anchor - start);
   return out;
 }
 

@@ -52,6 +52,13 @@ struct AnchorProblem {
 // Derivative of the predicted range by position, beta and gamma of the one pair that it sees.
 using PairRow = Eigen::Matrix<double, 5, 1>;
 using PairBlock = Eigen::Matrix<double, 5, 5>;
+// Adds weight J J^T to a lower triangle.
+inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexcept {
+  for (Eigen::Index column = 0; column < 5; ++column) {
+    const double weighted = weight * j(column);
+    for (Eigen::Index row = column; row < 5; ++row) lower(row, column) += weighted * j(row);
+  }
+}
 [[nodiscard]] inline PairRow pair_jacobian(const model::AntennaPrediction& predicted, double gamma) noexcept {
   return {-gamma * predicted.direction.x(), -gamma * predicted.direction.y(),
           -gamma * predicted.direction.z(), 1.0, predicted.distance_m};
@@ -74,6 +81,7 @@ struct NormalEquations {
 struct AnchorSolution {
   AnchorVector anchor;
   double cost = 0.0;
+  double moved_sigmas = 0.0;  // from the start: the length in the metric of the information
   bool converged = false;
 };
 

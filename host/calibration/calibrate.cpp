@@ -18,6 +18,8 @@ namespace {
 // Poses whose height differs from the ground's by more than this are tried at both heights.
 constexpr double kHeightDisagreement_m = 0.1;
 constexpr std::size_t kMinHeldOut = 10;
+// At most, from where every anchor is on its better side until all of them rest.
+constexpr int kLastRounds = 10;
 // Median of the absolute value of a standard normal.
 constexpr double kMedianAbsolute = 0.6744897501960817;
 
@@ -101,32 +103,25 @@ double mean_scale_m(const AnchorFit& fit) {
   return sum_m / std::max<double>(1.0, static_cast<double>(fit.kernels.size()));
 }
 
-double in_sight_share(const AnchorFit& fit) {
-  double in_sight = 0.0;
-  for (const Observation& row : fit.problem.rows) {
-    const KernelShares shares =
-        fit.kernels[row.tag].shares(residual_m(row, fit.anchor, fit.problem.tag_count));
-    in_sight += shares.core + shares.wide;
-  }
-  return in_sight / std::max<double>(1.0, static_cast<double>(fit.problem.rows.size()));
-}
+// What the rows look like from the solution.
+struct Sight {
+  double share = 0.0;        // in sight, by the kernel
+  std::size_t rejected = 0;  // rows that it holds for blocked or gross
+  double nearest_m = 0.0;    // closest antenna
+};
 
-double nearest_antenna_m(const AnchorFit& fit) {
-  double nearest_m = std::numeric_limits<double>::infinity();
+Sight look_at_rows(const AnchorFit& fit) {
+  Sight out;
+  if (fit.problem.rows.empty()) return out;
+  out.nearest_m = std::numeric_limits<double>::infinity();
   for (const Observation& row : fit.problem.rows) {
-    nearest_m = std::min(nearest_m, (row.tag_m - fit.anchor.head<3>()).norm());
+    const model::AntennaPrediction predicted = predict(row, fit.anchor, fit.problem.tag_count);
+    const double in_sight = fit.kernels[row.tag].shares(row.range_m - predicted.range_m).in_sight();
+    out.share += in_sight;
+    if (in_sight < 0.5) ++out.rejected;
+    out.nearest_m = std::min(out.nearest_m, predicted.distance_m);
   }
-  return std::isfinite(nearest_m) ? nearest_m : 0.0;
-}
-
-// Ranges that the kernel holds for blocked or gross count as rejected.
-std::size_t rejected_rows(const AnchorFit& fit) {
-  std::size_t out = 0;
-  for (const Observation& row : fit.problem.rows) {
-    const KernelShares shares =
-        fit.kernels[row.tag].shares(residual_m(row, fit.anchor, fit.problem.tag_count));
-    if (shares.blocked + shares.gross > 0.5) ++out;
-  }
+  out.share /= static_cast<double>(fit.problem.rows.size());
   return out;
 }
 
@@ -180,7 +175,7 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   problem.end_s = std::numeric_limits<double>::infinity();
   site.fits = solve_site(problem, site.beginning);
   explore(site);
-  refine_site(site.fits, problem.priors, 1);
+  refine_site(site.fits, problem.priors, kLastRounds);
   return site;
 }
 
@@ -204,10 +199,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   }
   const DriveError drive_error = correct_drive(site.association, site.fits, usable_priors(drive.priors));
   const Association& association = site.association;
-
-  std::vector<Evidence> statistics;
-  for (const AnchorFit& fit : site.fits) statistics.push_back(gather_evidence(fit));
-  const std::vector<double> inflation = score_inflation(statistics);
+  const std::vector<double> inflation = score_inflation(drive_error.evidence);
 
   std::vector<double> scales_m;
   std::vector<double> rows;
@@ -226,14 +218,15 @@ Result calibrate(const Drive& drive, const Options& options) {
     model::AnchorCalibration anchor;
     anchor.id = data.id;
     anchor.position_m = fit.anchor.head<3>();
-    anchor.covariance = anchor_covariance(statistics[i], inflation[i]) + drive_error.added_covariance[i];
-    const std::size_t rejected = rejected_rows(fit);
-    anchor.ranges_used = data.rows.size() - rejected;
-    anchor.ranges_rejected = data.rejected + rejected;
+    anchor.covariance =
+        anchor_covariance(drive_error.evidence[i], inflation[i]) + drive_error.added_covariance[i];
+    const Sight sight = look_at_rows(fit);
+    anchor.ranges_used = data.rows.size() - sight.rejected;
+    anchor.ranges_rejected = data.rejected + sight.rejected;
 
     AnchorEvidence& known = site.evidence[i];
-    known.nearest_m = nearest_antenna_m(fit);
-    known.in_sight_share = in_sight_share(fit);
+    known.nearest_m = sight.nearest_m;
+    known.in_sight_share = sight.share;
     known.inflation = inflation[i];
     known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
     known.count_ratio = median_rows > 0.0 ? static_cast<double>(data.rows.size()) / median_rows : 1.0;

@@ -7,17 +7,26 @@
 
 #include <Eigen/Cholesky>
 
-#include "host/calibration/uncertainty.hpp"
-
 namespace groma::calibration {
 namespace {
 
-constexpr double kKnotSpacing_s = 8.0;
-constexpr double kMaxKnots = 48.0;
+// Knots at most this far apart where the drive is not too long for so many.
+struct KnotGrid {
+  double spacing_s;
+  double max_count;
+};
+// Coarse is enough to choose a wander. What a line between knots misses of it stays in the residuals.
+constexpr KnotGrid kCoarseKnots{.spacing_s = 8.0, .max_count = 48.0};
+constexpr KnotGrid kFineKnots{.spacing_s = 4.0, .max_count = 96.0};
 constexpr int kRounds = 2;
-// Sigmas to choose from, by the likelihood of the ranges.
+// Wanders to choose from, by the likelihood of the ranges: first the size of the shift, then all three by
+// turns.
 constexpr std::array kWander_m{0.02, 0.06, 0.2, 0.6};
-constexpr std::array kWander_rad{0.004, 0.012};
+constexpr WanderPrior kFirstWander{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
+constexpr std::array kCorrelations_s{5.0, 20.0, 60.0};
+constexpr std::array kYawFactors{0.4, 2.5};
+constexpr std::array kShiftFactors{0.7, 1.4};
+constexpr int kSweeps = 2;
 // A wander has to make the ranges likelier by this much (natural logarithm) to be believed.
 constexpr double kMinEvidence = 4.0;
 constexpr double kDelaySigma_s = 0.03;
@@ -30,7 +39,7 @@ constexpr double kFrameSigma_rad = 0.0005;
 // Where the knots of the wander are; between them it is linear.
 struct Knots {
   double begin_s = 0.0;
-  double spacing_s = kKnotSpacing_s;
+  double spacing_s = kCoarseKnots.spacing_s;
   Eigen::Index count = 2;
 
   [[nodiscard]] Eigen::Index size() const noexcept { return 3 * count + 1; }  // x, y, yaw each; the delay
@@ -49,7 +58,7 @@ KnotShare knot_share(const Knots& knots, double t_s) noexcept {
   return {.first = 3 * k, .fraction = position - static_cast<double>(k)};
 }
 
-std::optional<Knots> place_knots(std::span<const AnchorFit> fits) {
+std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid) {
   double begin_s = std::numeric_limits<double>::infinity();
   double end_s = -std::numeric_limits<double>::infinity();
   for (const AnchorFit& fit : fits) {
@@ -60,7 +69,7 @@ std::optional<Knots> place_knots(std::span<const AnchorFit> fits) {
   if (!(end_s > begin_s)) return std::nullopt;
   Knots knots;
   knots.begin_s = begin_s;
-  knots.spacing_s = std::max(kKnotSpacing_s, (end_s - begin_s) / (kMaxKnots - 1.0));
+  knots.spacing_s = std::max(grid.spacing_s, (end_s - begin_s) / (grid.max_count - 1.0));
   knots.count = 2 + static_cast<Eigen::Index>((end_s - begin_s) / knots.spacing_s);
   return knots;
 }
@@ -136,10 +145,15 @@ JointEquations build(std::span<const AnchorFit> fits, std::span<const double> in
   return out;
 }
 
+// What a knot keeps of the error at the one before.
+double kept_share(const Knots& knots, const WanderPrior& wander) noexcept {
+  return std::exp(-knots.spacing_s / wander.correlation_s);
+}
+
 // Information of the prior; a sigma of zero stands for one too small to matter.
 Eigen::MatrixXd prior_information(const Knots& knots, const WanderPrior& wander, double delay_sigma_s) {
   // Of a first-order process at equal steps: tridiagonal.
-  const double keep = std::exp(-knots.spacing_s / wander.correlation_s);
+  const double keep = kept_share(knots, wander);
   const double fresh = 1.0 / (1.0 - keep * keep);
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(knots.size(), knots.size());
   const double sigma_m = std::max(wander.sigma_m, 1e-6);
@@ -166,29 +180,68 @@ double log_determinant(const Eigen::LLT<Eigen::MatrixXd>& factors) {
 }
 
 // Log likelihood of the ranges with the drive's error integrated out, but for a constant.
-double evidence(const JointEquations& equations, const Eigen::MatrixXd& prior) {
-  const Eigen::LLT<Eigen::MatrixXd> posterior(equations.information + prior);
-  const Eigen::LLT<Eigen::MatrixXd> before(prior);
-  if (posterior.info() != Eigen::Success || before.info() != Eigen::Success) {
-    return -std::numeric_limits<double>::infinity();
+double evidence(const JointEquations& equations, const Knots& knots, const WanderPrior& wander) {
+  const double delay_information = 1.0 / (kDelaySigma_s * kDelaySigma_s);
+  if (!(wander.sigma_m > 0.0)) {
+    const double information = equations.information(knots.delay(), knots.delay()) + delay_information;
+    const double descent = equations.descent(knots.delay());
+    return 0.5 * descent * descent / information - 0.5 * std::log(information / delay_information);
   }
+  const Eigen::LLT<Eigen::MatrixXd> posterior(equations.information +
+                                              prior_information(knots, wander, kDelaySigma_s));
+  if (posterior.info() != Eigen::Success) return -std::numeric_limits<double>::infinity();
+  // Of the prior's information: a first-order process is a product of its steps.
+  const double keep = kept_share(knots, wander);
+  const auto n = static_cast<double>(knots.count);
+  const double log_determinant_before =
+      -n * (4.0 * std::log(wander.sigma_m) + 2.0 * std::log(wander.sigma_yaw_rad)) -
+      3.0 * (n - 1.0) * std::log1p(-keep * keep) + std::log(delay_information);
   return 0.5 * equations.descent.dot(posterior.solve(equations.descent)) -
-         0.5 * (log_determinant(posterior) - log_determinant(before));
+         0.5 * (log_determinant(posterior) - log_determinant_before);
 }
 
+// All sigmas zero where none makes the ranges likelier by enough.
 WanderPrior likeliest_wander(const JointEquations& equations, const Knots& knots) {
   WanderPrior best;
-  double best_evidence = evidence(equations, prior_information(knots, best, kDelaySigma_s)) + kMinEvidence;
-  const auto consider = [&](double sigma_m, double sigma_yaw_rad) {
-    const WanderPrior wander{.sigma_m = sigma_m, .sigma_yaw_rad = sigma_yaw_rad};
-    const double found = evidence(equations, prior_information(knots, wander, kDelaySigma_s));
-    if (found <= best_evidence) return;
+  double best_evidence = evidence(equations, knots, best) + kMinEvidence;
+  const auto consider = [&](const WanderPrior& wander) {
+    const double found = evidence(equations, knots, wander);
+    if (found <= best_evidence) return false;
     best = wander;
     best_evidence = found;
+    return true;
   };
-  for (const double sigma_m : kWander_m) consider(sigma_m, kWander_rad.front());
-  if (best.sigma_m > 0.0) consider(best.sigma_m, kWander_rad.back());
+  for (const double sigma_m : kWander_m) {
+    WanderPrior wander = kFirstWander;
+    wander.sigma_m = sigma_m;
+    consider(wander);
+  }
+  if (!(best.sigma_m > 0.0)) return best;
+  const auto scale = [&](double WanderPrior::*sigma, double factor) {
+    WanderPrior wander = best;
+    wander.*sigma *= factor;
+    return consider(wander);
+  };
+  for (int sweep = 0; sweep < kSweeps; ++sweep) {
+    for (const double correlation_s : kCorrelations_s) {
+      WanderPrior wander = best;
+      wander.correlation_s = correlation_s;
+      consider(wander);
+    }
+    for (const double factor : kYawFactors) {
+      if (scale(&WanderPrior::sigma_yaw_rad, factor)) scale(&WanderPrior::sigma_yaw_rad, factor);
+    }
+    for (const double factor : kShiftFactors) scale(&WanderPrior::sigma_m, factor);
+  }
   return best;
+}
+
+// No wander, and a delay that the ranges do not show: poses and stamps are right as they are.
+bool nothing_to_correct(const JointEquations& equations, const Knots& knots, const WanderPrior& wander) {
+  if (wander.sigma_m > 0.0) return false;
+  const double information =
+      equations.information(knots.delay(), knots.delay()) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
+  return std::abs(equations.descent(knots.delay())) < kMinDelaySigmas * std::sqrt(information);
 }
 
 void move_rows(Association& association, const Knots& knots, const Eigen::VectorXd& step) {
@@ -275,6 +328,13 @@ Eigen::Matrix4d frame_covariance(const Knots& knots, const Eigen::MatrixXd& cova
   return about_origin * about_center * about_origin.transpose();
 }
 
+std::vector<Evidence> evidence_of(std::span<const AnchorFit> fits) {
+  std::vector<Evidence> out;
+  out.reserve(fits.size());
+  for (const AnchorFit& fit : fits) out.push_back(gather_evidence(fit));
+  return out;
+}
+
 }  // namespace
 
 DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
@@ -283,18 +343,28 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   for (const AnchorFit& fit : fits) {
     out.added_covariance.push_back(Eigen::MatrixXd::Zero(fit.anchor.size(), fit.anchor.size()));
   }
-  const std::optional<Knots> placed = place_knots(fits);
+  out.evidence = evidence_of(fits);
+  const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
   if (!placed) return out;
-  const Knots& knots = *placed;
+  Knots knots = *placed;
 
+  std::vector<double> inflation;
+  inflation.reserve(fits.size());
+  for (const Evidence& of_anchor : out.evidence) inflation.push_back(moment_inflation(of_anchor));
+  JointEquations equations = build(fits, inflation, knots);
+  out.wander = likeliest_wander(equations, knots);
+  if (nothing_to_correct(equations, knots, out.wander)) {
+    out.frame_covariance =
+        frame_covariance(knots, Eigen::MatrixXd::Zero(knots.size(), knots.size()), mean_antenna_m(fits));
+    return out;
+  }
+  if (out.wander.sigma_m > 0.0) {
+    knots = place_knots(fits, kFineKnots).value_or(knots);
+    equations = build(fits, inflation, knots);
+  }
   double delay_sigma_s = kDelaySigma_s;
   Eigen::VectorXd error = Eigen::VectorXd::Zero(knots.size());
   Eigen::MatrixXd covariance;
-  std::vector<double> inflation;
-  inflation.reserve(fits.size());
-  for (const AnchorFit& fit : fits) inflation.push_back(moment_inflation(gather_evidence(fit)));
-  JointEquations equations = build(fits, inflation, knots);
-  out.wander = likeliest_wander(equations, knots);
   for (int round = 0; round < kRounds; ++round) {
     if (round > 0) equations = build(fits, inflation, knots);
     Eigen::MatrixXd prior = prior_information(knots, out.wander, delay_sigma_s);
@@ -312,7 +382,10 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
         step = solve();
       }
     }
-    if (!step.allFinite() || !covariance.allFinite()) return out;
+    if (!step.allFinite() || !covariance.allFinite()) {
+      out.evidence = evidence_of(fits);
+      return out;
+    }
     if (!take_step(association, fits, inflation, equations, knots, prior, step, error)) break;
     refine_site(fits, priors, 1);
   }
@@ -324,6 +397,7 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
     out.added_covariance[i] = gain * covariance * gain.transpose();
   }
   out.frame_covariance = frame_covariance(knots, covariance, mean_antenna_m(fits));
+  out.evidence = evidence_of(fits);
   return out;
 }
 

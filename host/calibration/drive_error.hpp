@@ -11,6 +11,7 @@
 
 #include "host/calibration/association.hpp"
 #include "host/calibration/site_solver.hpp"
+#include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {
 
@@ -26,6 +27,7 @@ struct DriveError {
   WanderPrior wander;          // as the ranges make it likeliest
   double range_delay_s = 0.0;  // zero where the ranges do not show one clearly
   double range_delay_sigma_s = 0.0;
+  std::vector<Evidence> evidence;  // of each fit as it comes back
   // What the error's remaining uncertainty adds to each anchor's covariance, in the order of the fits.
   std::vector<Eigen::MatrixXd> added_covariance;
   // Of the shift and turn (x, y, z, yaw about the map's origin) that all poses share.

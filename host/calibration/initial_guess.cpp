@@ -138,9 +138,7 @@ Candidate search(const AnchorProblem& problem) {
     // The scale falls from the valley's width to what the residuals show: the basin is wide at first.
     Candidate candidate;
     candidate.solution.anchor = anchor_at(start.position_m, problem.tag_count, priors);
-    candidate.kernel.scale_m = width_m;
-    candidate.kernel.blocked = 0.1;
-    candidate.kernel.excess_m = std::max(1.0, 3.0 * width_m);
+    candidate.kernel = KernelShape{.scale_m = width_m}.with_blocked(0.1);
     std::vector<double> residuals(problem.rows.size());
     for (int round = 0; round < kSearchRounds; ++round) {
       const std::vector<RobustKernel> kernels(problem.tag_count, RobustKernel(candidate.kernel));
@@ -149,9 +147,8 @@ Candidate search(const AnchorProblem& problem) {
       for (std::size_t i = 0; i < residuals.size(); ++i) {
         residuals[i] = residual_m(problem.rows[i], candidate.solution.anchor, problem.tag_count);
       }
-      KernelPrior prior{.shape = candidate.kernel, .weight = 3.0};
+      KernelPrior prior{.shape = candidate.kernel, .scale_weight = 3.0, .share_weight = 3.0};
       prior.shape.scale_m = std::max(priors.sigma_m, candidate.kernel.scale_m / 2.0);
-      prior.shape.excess_m = std::max(1.0, 3.0 * prior.shape.scale_m);
       candidate.kernel = fit_kernel(residuals, prior, 3);
     }
     if (!found || candidate.solution.cost < best.solution.cost) best = candidate;

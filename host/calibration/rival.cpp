@@ -91,15 +91,18 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   double scale = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
   const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kMoved_m;
   if (moved || (result.there.cost - result.here.cost) * scale < kCloseExcess) {
-    const std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor};
+    std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor, fit.anchor};
+    // The few rows may have but one valley, between the two that all of them have.
+    starts.back().head<3>() = spread.mirror(fit.anchor.head<3>(), axis);
     result = contest(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);
     sketch.rows = fit.problem.rows;
     scale = 1.0;
     fit.anchor = result.here.anchor;
     fit.cost = result.here.cost;
   }
-  double perfect = 0.0;
-  for (const Observation& row : sketch.rows) perfect += fit.kernels[row.tag].at(0.0).cost;
+  CostSum of_perfect;
+  for (const Observation& row : sketch.rows) of_perfect.add(fit.kernels[row.tag].at(0.0));
+  const double perfect = of_perfect.cost();
   Rival rival;
   rival.anchor = result.there.anchor;
   rival.cost_excess = scale * std::max(0.0, result.there.cost - result.here.cost);

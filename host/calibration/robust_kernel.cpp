@@ -1,156 +1,99 @@
 #include "host/calibration/robust_kernel.hpp"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
-#include <cstddef>
 #include <numbers>
+#include <numeric>
 
 namespace groma::calibration {
 namespace {
 
 constexpr double kInverseSqrtTwoPi = std::numbers::inv_sqrtpi / std::numbers::sqrt2;
 constexpr double kMinScale_m = 0.005;
-constexpr double kMaxExcess_m = 10.0;
-// Below this argument the upper tail is one.
-constexpr double kFullTail = -5.5;
-// A blocked range's mean excess below this many scales could not be told from noise.
-constexpr double kMinExcessScales = 3.0;
-
-// Ratio h of the normal density to its upper tail; h' = h (h - x).
-double exact_inverse_mills(double x) noexcept {
-  return kInverseSqrtTwoPi * std::exp(-0.5 * x * x) / (0.5 * std::erfc(x / std::numbers::sqrt2));
-}
-
-// The same, tabulated: cubic Hermite between nodes, since the derivative is known; off by less than 1e-7.
-class InverseMills {
- public:
-  InverseMills() {
-    for (std::size_t i = 0; i < kNodes; ++i) {
-      const double x = -kReach + kStep * static_cast<double>(i);
-      value_[i] = exact_inverse_mills(x);
-      slope_[i] = kStep * value_[i] * (value_[i] - x);
-    }
-  }
-
-  [[nodiscard]] double operator()(double x) const noexcept {
-    if (x <= -kReach) return 0.0;
-    // Continued fraction: the tail itself would underflow.
-    if (!(x < kReach)) return x + 1.0 / (x + 2.0 / (x + 3.0 / (x + 4.0 / (x + 5.0 / x))));
-    const double position = (x + kReach) / kStep;
-    const auto i = static_cast<std::size_t>(position);
-    const double t = position - static_cast<double>(i);
-    const double rise = value_[i + 1] - value_[i];
-    const double bend = slope_[i] - rise;
-    const double twist = rise - slope_[i + 1];
-    return value_[i] + t * (rise + (1.0 - t) * ((1.0 - t) * bend + t * twist));
-  }
-
- private:
-  static constexpr double kReach = 8.0;
-  static constexpr double kStep = 1.0 / 16.0;
-  static constexpr std::size_t kNodes = 257;
-  std::array<double, kNodes> value_{};
-  std::array<double, kNodes> slope_{};
-};
-
-double inverse_mills(double x) noexcept {
-  static const InverseMills kTable;
-  return kTable(x);
-}
+constexpr double kWideVariance = 8.0;
+constexpr double kFirstBump = 3.0;
+// Densities below this are nothing beside gross, and their products would be slow, subnormal floats.
+constexpr double kNoDensity = 1e-30;
 
 }  // namespace
 
-// Each already multiplied by its kind's share.
-struct RobustKernel::Densities {
-  double core = 0.0;
-  double wide = 0.0;
-  double blocked = 0.0;
-  double gross = 0.0;
-  double mills = 0.0;    // of the blocked kind's argument
-  double tail_at = 0.0;  // that argument
-  double total = 0.0;
-};
+double KernelShape::blocked() const noexcept {
+  return std::accumulate(bumps.begin(), bumps.end(), 0.0);
+}
 
-RobustKernel::RobustKernel(const KernelShape& shape)
-    : shape_(shape),
-      inverse_scale_(1.0 / shape.scale_m),
-      inverse_wide_(1.0 / (kWideness * shape.scale_m)),
-      inverse_excess_(1.0 / shape.excess_m),
-      core_factor_(shape.core() * kInverseSqrtTwoPi * inverse_scale_),
-      wide_factor_(shape.wide * kInverseSqrtTwoPi * inverse_wide_),
-      gross_density_(shape.gross / kGrossWidth_m) {}
-
-RobustKernel::Densities RobustKernel::densities(double residual_m) const noexcept {
-  const double u = residual_m * inverse_scale_;
-  Densities out;
-  const double wide = std::exp(-0.5 * u * u / (kWideness * kWideness));
-  const double wide_square = wide * wide;
-  const double wide_fourth = wide_square * wide_square;
-  const double normal = wide_fourth * wide_fourth;
-  out.core = core_factor_ * normal;
-  out.wide = wide_factor_ * wide;
-  // Normal noise plus an exponential excess: exp(k x - k^2/2) Q(x) / excess with k = scale/excess and
-  // x = k - u; and Q(x) = phi(x) / mills(x) makes that phi(u) / (mills(x) excess).
-  out.tail_at = shape_.scale_m * inverse_excess_ - u;
-  out.mills = inverse_mills(out.tail_at);
-  if (out.tail_at < kFullTail) {
-    const double k = shape_.scale_m * inverse_excess_;
-    out.blocked = shape_.blocked * inverse_excess_ * std::exp(0.5 * k * k - residual_m * inverse_excess_);
-  } else {
-    out.blocked = shape_.blocked * inverse_excess_ * kInverseSqrtTwoPi * normal / out.mills;
-  }
-  out.gross = gross_density_;
-  out.total = out.core + out.wide + out.blocked + out.gross;
+KernelShape KernelShape::with_blocked(double share) const noexcept {
+  KernelShape out = *this;
+  out.bumps.fill(share / static_cast<double>(kBumps));
   return out;
 }
 
-KernelValue RobustKernel::at(double residual_m) const noexcept {
-  const Densities d = densities(residual_m);
-  const double inverse_total = 1.0 / d.total;
-  const double core = d.core * inverse_total;
-  const double wide = d.wide * inverse_total;
-  const double blocked = d.blocked * inverse_total;
+const KindTable& KindTable::instance() noexcept {
+  static const KindTable kTable;
+  return kTable;
+}
 
-  const double core_slope = residual_m * inverse_scale_ * inverse_scale_;
-  const double wide_slope = residual_m * inverse_wide_ * inverse_wide_;
-  const double blocked_slope = inverse_excess_ - d.mills * inverse_scale_;
+KindTable::KindTable() noexcept {
+  center_ << 0.0, 0.0, KindVector::Zero().tail<kKinds - 2>();
+  inverse_variance_ << 1.0, 1.0 / kWideVariance, KindVector::Zero().tail<kKinds - 2>();
+  double center = kFirstBump;
+  for (Eigen::Index kind = 2; kind < kKinds; ++kind, center *= 2.0) {
+    center_(kind) = center;
+    inverse_variance_(kind) = 1.0 / (center * center / (kFirstBump * kFirstBump) + 1.0);
+  }
+  const auto fill = [this](double begin, double low, double high, double per_scale) {
+    const auto first = static_cast<std::size_t>(begin);
+    const auto last = static_cast<std::size_t>((high - low) * per_scale);
+    for (std::size_t i = 0; i <= last; ++i) {
+      const auto offset = low + static_cast<double>(i) / per_scale - center_.array();
+      const KindVector exact = kInverseSqrtTwoPi * inverse_variance_.array().sqrt() *
+                               (-0.5 * inverse_variance_.array() * offset.square()).exp();
+      nodes_[first + i] = (exact.array() < kNoDensity).select(KindVector::Zero(), exact).cast<float>();
+    }
+  };
+  fill(0.0, kFineLow, kFineHigh, kNodesPerScale);
+  fill(kAbove, kFineHigh, kHigh, 1.0);
+  fill(kBelow, kLow, kFineLow, 1.0);
+}
 
-  KernelValue out;
-  out.cost = -std::log(d.total);
-  out.slope = core * core_slope + wide * wide_slope + blocked * blocked_slope;
-  out.weight = core * inverse_scale_ * inverse_scale_ + wide * inverse_wide_ * inverse_wide_ +
-               blocked * d.mills * (d.mills - d.tail_at) * inverse_scale_ * inverse_scale_;
-  const double mean_square = core * core_slope * core_slope + wide * wide_slope * wide_slope +
-                             blocked * blocked_slope * blocked_slope;
-  out.curvature = out.weight - (mean_square - out.slope * out.slope);
-  return out;
+RobustKernel::RobustKernel(const KernelShape& shape) noexcept
+    : table_(&KindTable::instance()),
+      shape_(shape),
+      inverse_scale_(1.0 / shape.scale_m),
+      gross_density_(shape.gross * inverse_scale_ / kGrossScales) {
+  KindVector factors;
+  factors << shape.core(), shape.wide, Eigen::Map<const Eigen::Matrix<double, kBumps, 1>>(shape.bumps.data());
+  factors *= inverse_scale_;
+  const KindVector weight_factors = factors.cwiseProduct(table_->inverse_variance());
+  factor_ = factors.cast<float>();
+  weight_factor_ = weight_factors.cast<float>();
+  pull_factor_ = weight_factors.cwiseProduct(table_->center()).cast<float>();
 }
 
 KernelShares RobustKernel::shares(double residual_m) const noexcept {
-  const Densities d = densities(residual_m);
-  const double inverse_total = 1.0 / d.total;
-  return {.core = d.core * inverse_total,
-          .wide = d.wide * inverse_total,
-          .blocked = d.blocked * inverse_total,
-          .gross = d.gross * inverse_total};
+  KernelShares out;
+  KindFloats densities;
+  if (!table_->at(residual_m * inverse_scale_, densities)) return out;
+  out.kinds = densities.cwiseProduct(factor_).cast<double>();
+  const double inverse_total = 1.0 / (out.kinds.sum() + gross_density_);
+  out.kinds *= inverse_total;
+  out.gross = gross_density_ * inverse_total;
+  return out;
 }
 
-double RobustKernel::expected_excess_m(double residual_m) const noexcept {
-  // The excess given r is a normal of mean r - scale^2/excess, cut at zero.
-  const double x = shape_.scale_m * inverse_excess_ - residual_m * inverse_scale_;
-  return shape_.scale_m * (inverse_mills(x) - x);
+double RobustKernel::curvature(double residual_m) const noexcept {
+  const KindVector kinds = shares(residual_m).kinds;
+  const KindVector& inverse = table_->inverse_variance();
+  const KindVector slopes = (residual_m * inverse_scale_ - table_->center().array()) * inverse.array();
+  const double mean = kinds.dot(slopes);
+  const double variance = kinds.dot(slopes.cwiseAbs2()) - mean * mean;
+  return (kinds.dot(inverse) - variance) * inverse_scale_ * inverse_scale_;
 }
 
 KernelStatistics& KernelStatistics::operator+=(const KernelStatistics& other) noexcept {
   count += other.count;
   parameters += other.parameters;
-  narrow += other.narrow;
-  wide += other.wide;
-  blocked += other.blocked;
+  kinds += other.kinds;
   gross += other.gross;
   square_m2 += other.square_m2;
-  excess_m += other.excess_m;
   return *this;
 }
 
@@ -160,37 +103,36 @@ KernelStatistics kernel_statistics(const RobustKernel& kernel, std::span<const d
   out.count = static_cast<double>(residuals_m.size());
   out.parameters = parameters_used;
   for (const double r : residuals_m) {
-    const KernelShares s = kernel.shares(r);
-    out.narrow += s.core;
-    out.wide += s.wide;
-    out.blocked += s.blocked;
-    out.gross += s.gross;
-    out.square_m2 += (s.core + s.wide / (kWideness * kWideness)) * r * r;
-    if (s.blocked > 1e-6) out.excess_m += s.blocked * kernel.expected_excess_m(r);
+    const KernelShares shares = kernel.shares(r);
+    out.kinds += shares.kinds;
+    out.gross += shares.gross;
+    out.square_m2 += (shares.kinds(0) + shares.kinds(1) / kWideVariance) * r * r;
   }
   return out;
 }
 
 KernelShape likeliest_shape(const KernelStatistics& statistics, const KernelPrior& prior) noexcept {
   KernelShape shape = prior.shape;
-  const double total = statistics.count + prior.weight;
+  const double total = statistics.count + prior.share_weight;
   if (!(total > 0.0)) return shape;
-  shape.wide = (statistics.wide + prior.weight * prior.shape.wide) / total;
-  shape.blocked = (statistics.blocked + prior.weight * prior.shape.blocked) / total;
-  shape.gross = (statistics.gross + prior.weight * prior.shape.gross) / total;
-  const double in_sight = statistics.narrow + statistics.wide;
-  const double free = in_sight - std::min(statistics.parameters, 0.5 * in_sight) + prior.weight;
-  const double prior_square_m2 = prior.shape.scale_m * prior.shape.scale_m;
-  shape.scale_m =
-      std::max(kMinScale_m, std::sqrt((statistics.square_m2 + prior.weight * prior_square_m2) / free));
-  const double prior_blocked = std::max(prior.weight * prior.shape.blocked, 1e-9);
-  shape.excess_m = std::clamp(
-      (statistics.excess_m + prior_blocked * prior.shape.excess_m) / (statistics.blocked + prior_blocked),
-      kMinExcessScales * shape.scale_m, std::max(kMaxExcess_m, kMinExcessScales * shape.scale_m));
+  const auto share = [&](double seen, double believed) {
+    return (seen + prior.share_weight * believed) / total;
+  };
+  shape.wide = share(statistics.kinds(1), prior.shape.wide);
+  for (std::size_t k = 0; k < kBumps; ++k) {
+    shape.bumps[k] = share(statistics.kinds(2 + static_cast<Eigen::Index>(k)), prior.shape.bumps[k]);
+  }
+  shape.gross = share(statistics.gross, prior.shape.gross);
+  // Bumps tell nothing of the scale: where they are is the excess' doing.
+  const double in_sight = statistics.kinds(0) + statistics.kinds(1);
+  const double free = in_sight - std::min(statistics.parameters, 0.5 * in_sight) + prior.scale_weight;
+  const double prior_square_m2 = prior.scale_weight * prior.shape.scale_m * prior.shape.scale_m;
+  shape.scale_m = std::max(kMinScale_m, std::sqrt((statistics.square_m2 + prior_square_m2) / free));
   return shape;
 }
 
-KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior, int iterations) {
+KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior,
+                       int iterations) noexcept {
   KernelShape shape = prior.shape;
   for (int i = 0; i < iterations; ++i) {
     shape = likeliest_shape(kernel_statistics(RobustKernel(shape), residuals_m, 0.0), prior);

@@ -2,78 +2,155 @@
 // residuals themselves, and too long is not treated as too short.
 #pragma once
 
+#include <array>
+#include <cmath>
+#include <cstddef>
 #include <span>
+
+#include <Eigen/Core>
 
 namespace groma::calibration {
 
-// Four kinds of range, mixed:
-//   core     N(0, scale^2), in sight
-//   wide     N(0, (kWideness scale)^2), in sight but disturbed
-//   blocked  the core's noise plus an exponential excess of mean excess_m: never short, only long
-//   gross    anything, uniform over kGrossWidth_m
+// Kinds of range, mixed; s is the scale:
+//   core   N(0, s^2), in sight
+//   wide   N(0, 8 s^2), in sight but disturbed
+//   bumps  N(c s, ((c/3)^2 + 1) s^2) with c = 3, 6, 12 ... 96, blocked: their shares follow whatever
+//          distribution the excess has, and none has its peak where the core has
+//   gross  anything, uniform over 1000 s
+inline constexpr std::size_t kBumps = 6;
+inline constexpr double kGrossScales = 1000.0;
+
+// Of the kinds but gross, in the order above.
+inline constexpr Eigen::Index kKinds = 2 + static_cast<Eigen::Index>(kBumps);
+using KindVector = Eigen::Matrix<double, kKinds, 1>;
+// In the inner loop: a density wants no more digits than its table has.
+using KindFloats = Eigen::Matrix<float, kKinds, 1>;
+
 struct KernelShape {
   double scale_m = 0.1;
-  double excess_m = 1.0;
-  double wide = 0.05;  // shares; the core has what they leave
-  double blocked = 0.05;
+  double wide = 0.02;  // shares; the core has what they leave
+  std::array<double, kBumps> bumps{0.005, 0.005, 0.005, 0.005, 0.005, 0.005};
   double gross = 0.005;
 
-  [[nodiscard]] double core() const noexcept { return 1.0 - wide - blocked - gross; }
+  [[nodiscard]] double blocked() const noexcept;
+  [[nodiscard]] double core() const noexcept { return 1.0 - wide - blocked() - gross; }
+  // The same with this share divided evenly among the bumps.
+  [[nodiscard]] KernelShape with_blocked(double share) const noexcept;
 };
 
-inline constexpr double kWideness = 2.8284271247461903;  // its square is 8: one exponential serves both
-inline constexpr double kGrossWidth_m = 100.0;
+// Densities of the kinds at u = r/s, unit scale, tabulated and linear between nodes: off by less than 5e-4
+// of each kind's peak.
+class KindTable {
+ public:
+  [[nodiscard]] static const KindTable& instance() noexcept;
 
-// At one residual r = measured - predicted.
+  // False: u is outside the table, where gross alone is left.
+  [[nodiscard]] bool at(double u, KindFloats& densities) const noexcept {
+    if (!(u > kLow && u < kHigh)) return false;
+    double position = (u - kFineLow) * kNodesPerScale;
+    if (u < kFineLow) {
+      position = kBelow + u - kLow;
+    } else if (u >= kFineHigh) {
+      position = kAbove + u - kFineHigh;
+    }
+    const auto node = static_cast<std::size_t>(position);
+    const auto fraction = static_cast<float>(position - static_cast<double>(node));
+    densities = nodes_[node] + fraction * (nodes_[node + 1] - nodes_[node]);
+    return true;
+  }
+  [[nodiscard]] const KindVector& center() const noexcept { return center_; }
+  [[nodiscard]] const KindVector& inverse_variance() const noexcept { return inverse_variance_; }
+
+ private:
+  KindTable() noexcept;
+
+  // Nodes in three pieces: where the narrow kinds are, close together; then, one a scale, above and below.
+  static constexpr double kLow = -128.0;
+  static constexpr double kFineLow = -16.0;
+  static constexpr double kFineHigh = 60.0;
+  static constexpr double kHigh = 400.0;
+  static constexpr double kNodesPerScale = 32.0;
+  static constexpr double kAbove = (kFineHigh - kFineLow) * kNodesPerScale + 1.0;
+  static constexpr double kBelow = kAbove + (kHigh - kFineHigh) + 1.0;
+  static constexpr auto kNodes = static_cast<std::size_t>(kBelow + (kFineLow - kLow) + 1.0);
+
+  std::array<KindFloats, kNodes> nodes_;
+  KindVector center_;
+  KindVector inverse_variance_;
+};
+
+// At one residual r = measured - predicted. The cost is -log density.
 struct KernelValue {
-  double cost = 0.0;       // -log density
-  double slope = 0.0;      // by r, 1/m
-  double weight = 0.0;     // curvature of the majorizing parabola, 1/m^2: never negative
-  double curvature = 0.0;  // true second derivative, 1/m^2: negative where the kernel redescends
+  double density = 0.0;  // 1/m
+  double slope = 0.0;    // of the cost by r, 1/m
+  double weight = 0.0;   // curvature of the majorizing parabola, 1/m^2: never negative
 };
 
 // Shares of one residual among the kinds; they sum to one.
 struct KernelShares {
-  double core = 0.0;
-  double wide = 0.0;
-  double blocked = 0.0;
-  double gross = 0.0;
+  KindVector kinds = KindVector::Zero();
+  double gross = 1.0;
+
+  [[nodiscard]] double in_sight() const noexcept { return kinds(0) + kinds(1); }
 };
 
 class RobustKernel {
  public:
   RobustKernel() : RobustKernel(KernelShape{}) {}
-  explicit RobustKernel(const KernelShape& shape);
+  explicit RobustKernel(const KernelShape& shape) noexcept;
 
-  [[nodiscard]] KernelValue at(double residual_m) const noexcept;
+  [[nodiscard]] KernelValue at(double residual_m) const noexcept {
+    const double u = residual_m * inverse_scale_;
+    KernelValue out{.density = gross_density_};
+    KindFloats densities;
+    if (!table_->at(u, densities)) return out;
+    out.density += static_cast<double>(factor_.dot(densities));
+    const auto weighted = static_cast<double>(weight_factor_.dot(densities));
+    const double share = inverse_scale_ / out.density;
+    out.slope = share * (u * weighted - static_cast<double>(pull_factor_.dot(densities)));
+    out.weight = share * inverse_scale_ * weighted;
+    return out;
+  }
+  // Second derivative of the cost, 1/m^2: negative where the kernel redescends.
+  [[nodiscard]] double curvature(double residual_m) const noexcept;
   [[nodiscard]] KernelShares shares(double residual_m) const noexcept;
-  // Mean of the exponential excess given the residual and that the range was blocked.
-  [[nodiscard]] double expected_excess_m(double residual_m) const noexcept;
   [[nodiscard]] const KernelShape& shape() const noexcept { return shape_; }
 
  private:
-  struct Densities;
-  [[nodiscard]] Densities densities(double residual_m) const noexcept;
-
+  const KindTable* table_;
   KernelShape shape_;
   double inverse_scale_;
-  double inverse_wide_;
-  double inverse_excess_;
-  double core_factor_;  // share times the normal density's constant
-  double wide_factor_;
   double gross_density_;
+  KindFloats factor_;         // shares over the scale
+  KindFloats weight_factor_;  // the same over each kind's variance
+  KindFloats pull_factor_;    // the same times each kind's center
+};
+
+// Sum of costs, with one logarithm for many of them.
+class CostSum {
+ public:
+  void add(const KernelValue& value) noexcept {
+    product_ *= value.density;
+    if (product_ > kSmall && product_ < kLarge) return;
+    cost_ -= std::log(product_);
+    product_ = 1.0;
+  }
+  [[nodiscard]] double cost() const noexcept { return cost_ - std::log(product_); }
+
+ private:
+  static constexpr double kSmall = 1e-200;
+  static constexpr double kLarge = 1e200;
+  double cost_ = 0.0;
+  double product_ = 1.0;
 };
 
 // What residuals tell of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
 struct KernelStatistics {
   double count = 0.0;
-  double parameters = 0.0;  // degrees of freedom that the fit behind the residuals took
-  double narrow = 0.0;      // shares summed
-  double wide = 0.0;
-  double blocked = 0.0;
+  double parameters = 0.0;                // degrees of freedom that the fit behind the residuals took
+  KindVector kinds = KindVector::Zero();  // shares summed
   double gross = 0.0;
-  double square_m2 = 0.0;  // of core and wide residuals, each over its own width
-  double excess_m = 0.0;   // of blocked ones
+  double square_m2 = 0.0;  // of core and wide residuals, each over its own variance
 
   KernelStatistics& operator+=(const KernelStatistics& other) noexcept;
 };
@@ -84,7 +161,8 @@ struct KernelStatistics {
 // What is believed of a kernel before its residuals are seen: as much as so many residuals would tell.
 struct KernelPrior {
   KernelShape shape;
-  double weight = 10.0;
+  double scale_weight = 10.0;
+  double share_weight = 10.0;
 };
 
 // The maximization step: the shape that prior and statistics make likeliest.
@@ -93,6 +171,6 @@ struct KernelPrior {
 
 // Expectation maximization from prior.shape over the residuals.
 [[nodiscard]] KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior,
-                                     int iterations);
+                                     int iterations) noexcept;
 
 }  // namespace groma::calibration

@@ -9,14 +9,20 @@ namespace {
 
 constexpr std::size_t kSearchRowsPerTag = 30;
 constexpr std::size_t kPairResiduals = 250;
-constexpr int kLearningSteps = 3;
+constexpr int kLearningSteps = 2;
 constexpr int kSolvingSteps = 2;
 constexpr int kFirstRounds = 2;
+constexpr int kWarmRounds = 1;
 // So many residuals it takes to move a kernel half-way from what it inherits: the site's from the data
 // set's noise, an anchor's from the site's, a pair's from its anchor's.
 constexpr double kSiteWeight = 20.0;
-constexpr double kAnchorWeight = 50.0;
-constexpr double kPairWeight = 100.0;
+// Shares want far more than scales before they are a pair's own: few ranges are blocked.
+constexpr double kAnchorScaleWeight = 50.0;
+constexpr double kAnchorShareWeight = 500.0;
+constexpr double kPairScaleWeight = 100.0;
+constexpr double kPairShareWeight = 1000.0;
+// An anchor rests that a round moves by less than this, in sigmas.
+constexpr double kRestingSigmas = 0.1;
 // Far outside any site: only keeps an anchor finite where ranges leave it open.
 constexpr double kOpenSigma_m = 300.0;
 
@@ -68,10 +74,15 @@ void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& prior
       }
       site += anchors[i];
     }
-    const KernelPrior of_data_set{.shape = {.scale_m = priors.sigma_m}, .weight = kSiteWeight};
-    const KernelPrior of_site{.shape = likeliest_shape(site, of_data_set), .weight = kAnchorWeight};
+    const KernelPrior of_data_set{
+        .shape = {.scale_m = priors.sigma_m}, .scale_weight = kSiteWeight, .share_weight = kSiteWeight};
+    const KernelPrior of_site{.shape = likeliest_shape(site, of_data_set),
+                              .scale_weight = kAnchorScaleWeight,
+                              .share_weight = kAnchorShareWeight};
     for (std::size_t i = 0; i < fits.size(); ++i) {
-      const KernelPrior of_anchor{.shape = likeliest_shape(anchors[i], of_site), .weight = kPairWeight};
+      const KernelPrior of_anchor{.shape = likeliest_shape(anchors[i], of_site),
+                                  .scale_weight = kPairScaleWeight,
+                                  .share_weight = kPairShareWeight};
       for (std::size_t tag = 0; tag < fits[i].kernels.size(); ++tag) {
         fits[i].kernels[tag] = RobustKernel(likeliest_shape(pairs[i][tag], of_anchor));
       }
@@ -81,12 +92,15 @@ void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& prior
 
 }  // namespace
 
-void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int rounds) {
-  for (int round = 0; round < rounds; ++round) {
+void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int max_rounds) {
+  bool resting = false;
+  for (int round = 0; round < max_rounds && !resting; ++round) {
     learn_kernels(fits, priors);
+    resting = true;
     for (AnchorFit& fit : fits) {
       if (fit.problem.rows.empty()) continue;
       AnchorSolution solution = solve_anchor(fit.problem, fit.kernels, fit.anchor, kSolvingSteps);
+      resting = resting && solution.moved_sigmas < kRestingSigmas;
       fit.anchor = std::move(solution.anchor);
       fit.cost = solution.cost;
     }
@@ -107,26 +121,27 @@ std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const Ancho
     fit.kernels.assign(tags, RobustKernel(KernelShape{.scale_m = site.priors.sigma_m}));
     if (rows.empty()) continue;
 
+    const std::size_t index = fits.size() - 1;
+    const bool was_solved = index < earlier.size() && 2 * earlier[index].problem.rows.size() > rows.size();
+    if (was_solved && !fit.problem.position.surveyed) {
+      fit.anchor = earlier[index].anchor;
+      fit.kernels = earlier[index].kernels;
+      continue;
+    }
     const std::vector<Observation> few = spread_along_the_way(rows, tags, kSearchRowsPerTag);
     AnchorProblem sketch = fit.problem;
     sketch.rows = few;
     if (fit.problem.position.surveyed) {
-      fit.kernels.assign(tags,
-                         RobustKernel(KernelShape{.scale_m = 3.0 * site.priors.sigma_m, .blocked = 0.2}));
+      const KernelShape wide{.scale_m = 3.0 * site.priors.sigma_m};
+      fit.kernels.assign(tags, RobustKernel(wide.with_blocked(0.2)));
       fit.anchor = solve_anchor(sketch, fit.kernels, fit.anchor, 10).anchor;
-      continue;
-    }
-    const std::size_t index = fits.size() - 1;
-    if (index < earlier.size() && 2 * earlier[index].problem.rows.size() > rows.size()) {
-      fit.anchor = earlier[index].anchor;
-      fit.kernels = earlier[index].kernels;
       continue;
     }
     Candidate best = search(sketch);
     fit.anchor = best.solution.anchor;
     fit.kernels.assign(tags, RobustKernel(best.kernel));
   }
-  refine_site(fits, site.priors, kFirstRounds);
+  refine_site(fits, site.priors, earlier.empty() ? kFirstRounds : kWarmRounds);
   return fits;
 }
 

@@ -37,7 +37,8 @@ struct SiteProblem {
 [[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
                                                 std::span<const AnchorFit> earlier);
 
-// Learns the kernels and solves each anchor anew from where it is, a few rounds.
-void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int rounds);
+// Learns the kernels and solves each anchor anew from where it is, until a round moves none of them by a
+// share of its sigma that counts.
+void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int max_rounds);
 
 }  // namespace groma::calibration

@@ -19,7 +19,7 @@ constexpr double kMinCurvatureShare = 0.3;
 
 // What one pair's rows say together.
 struct PairMoments {
-  PairBlock weighted = PairBlock::Zero();  // sum of weight J J^T
+  PairBlock weighted = PairBlock::Zero();  // sum of weight J J^T, its lower triangle
   double weight = 0.0;
   double curvature = 0.0;
   double square_slope = 0.0;
@@ -109,12 +109,14 @@ Evidence gather_evidence(const AnchorFit& fit) {
   std::vector<PairMoments> pairs(tags);
   for (const Observation& row : problem.rows) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-    const KernelValue value = fit.kernels[row.tag].at(row.range_m - predicted.range_m);
+    const double residual_m = row.range_m - predicted.range_m;
+    const RobustKernel& kernel = fit.kernels[row.tag];
+    const KernelValue value = kernel.at(residual_m);
     const PairRow j = pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
     PairMoments& pair = pairs[row.tag];
-    pair.weighted.noalias() += (value.weight * j) * j.transpose();
+    add_square(j, value.weight, pair.weighted);
     pair.weight += value.weight;
-    pair.curvature += value.curvature;
+    pair.curvature += kernel.curvature(residual_m);
     pair.square_slope += value.slope * value.slope;
 
     const double elapsed_s = std::max(0.0, row.t_s - begin_s);
@@ -129,8 +131,9 @@ Evidence gather_evidence(const AnchorFit& fit) {
     const PairMoments& pair = pairs[tag];
     if (!(pair.weight > 0.0)) continue;
     const double curvature = std::clamp(pair.curvature / pair.weight, kMinCurvatureShare, 1.0);
-    add_pair(pair.weighted, curvature, tag, tags, out.information);
-    add_pair(pair.weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
+    const PairBlock weighted = pair.weighted.selfadjointView<Eigen::Lower>();
+    add_pair(weighted, curvature, tag, tags, out.information);
+    add_pair(weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
   }
   return out;
 }

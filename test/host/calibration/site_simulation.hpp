@@ -20,11 +20,23 @@
 
 namespace groma::test {
 
+// Ways through the hall, each about the same area.
+enum class Route {
+  kWaves,      // two slow waves that fill the hall
+  kEight,      // in 120 s
+  kRectangle,  // three laps with sharp corners
+  kEllipse,    // three laps
+};
+inline constexpr std::array kRoutes{Route::kWaves, Route::kEight, Route::kRectangle, Route::kEllipse};
+
 struct SiteSettings {
+  Route route = Route::kWaves;
   double duration_s = 240.0;
   std::size_t ranges_per_pair = 200;
   double sigma_m = 0.1;
-  double outlier_share = 0.0;  // uniform 0.5 to 3.5 m too long
+  double outlier_share =
+      0.0;  // too long: uniform 0.5 to 3.5 m or, where a mean is told, exponential from zero
+  double excess_mean_m = 0.0;
   double beta_sigma_m = 0.3;
   double gamma_sigma = 0.005;
   double pose_sigma_m = 0.0;  // of the priors' error in x and in y, correlated over pose_correlation_s
@@ -69,15 +81,41 @@ inline std::vector<model::Tag> three_tags() {
   return {{1, {0.75, 0.45, 1.90}}, {2, {-0.70, -0.42, 1.25}}, {3, {0.60, -0.45, 0.35}}};
 }
 
-// The true pose: two slow waves that fill the hall, heading along the way.
-inline model::PoseSample true_pose(double t_s) {
-  const double wx = 2.0 * std::numbers::pi / 97.0;
-  const double wy = 2.0 * std::numbers::pi / 61.0;
+inline constexpr double kLap_s = 80.0;
+
+inline Eigen::Vector2d place_on(Route route, double t_s) {
+  const double turn = 2.0 * std::numbers::pi * t_s;
+  switch (route) {
+    case Route::kWaves:
+      return {11.0 + 7.5 * std::sin(turn / 97.0), 7.5 + 4.0 * std::sin(turn / 61.0 + 0.5)};
+    case Route::kEight:
+      return {11.0 + 8.0 * std::sin(turn / 120.0), 7.5 + 4.0 * std::sin(turn / 60.0)};
+    case Route::kRectangle: {
+      constexpr double kLength_m = 16.0;
+      constexpr double kWidth_m = 8.0;
+      double way_m = 2.0 * (kLength_m + kWidth_m) * (t_s / kLap_s - std::floor(t_s / kLap_s));
+      if (way_m < kLength_m) return {3.0 + way_m, 3.5};
+      way_m -= kLength_m;
+      if (way_m < kWidth_m) return {3.0 + kLength_m, 3.5 + way_m};
+      way_m -= kWidth_m;
+      if (way_m < kLength_m) return {3.0 + kLength_m - way_m, 3.5 + kWidth_m};
+      return {3.0, 3.5 + kWidth_m - (way_m - kLength_m)};
+    }
+    case Route::kEllipse:
+      return {11.5 + 8.0 * std::cos(turn / kLap_s), 7.5 + 4.5 * std::sin(turn / kLap_s)};
+  }
+  return Eigen::Vector2d::Zero();
+}
+
+// The true pose: on the route, heading along the way of 0.6 s about the instant.
+inline model::PoseSample true_pose(double t_s, Route route) {
+  const Eigen::Vector2d place_m = place_on(route, t_s);
+  const Eigen::Vector2d way_m = place_on(route, t_s + 0.3) - place_on(route, t_s - 0.3);
   model::PoseSample pose;
   pose.t_s = t_s;
-  pose.x_m = 11.0 + 7.5 * std::sin(wx * t_s);
-  pose.y_m = 7.5 + 4.0 * std::sin(wy * t_s + 0.5);
-  pose.yaw_rad = std::atan2(4.0 * wy * std::cos(wy * t_s + 0.5), 7.5 * wx * std::cos(wx * t_s));
+  pose.x_m = place_m.x();
+  pose.y_m = place_m.y();
+  pose.yaw_rad = std::atan2(way_m.y(), way_m.x());
   return pose;
 }
 
@@ -97,7 +135,7 @@ inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t s
   const double keep = std::exp(-pose_step_s / settings.pose_correlation_s);
   Eigen::Vector3d error = random.gaussians(3);
   for (double t_s = 0.0; t_s < settings.duration_s + 2.0 * pose_step_s; t_s += pose_step_s) {
-    model::PoseSample pose = true_pose(t_s);
+    model::PoseSample pose = true_pose(t_s, settings.route);
     site.truth.push_back(pose);
     error = keep * error + std::sqrt(1.0 - keep * keep) * random.gaussians(3);
     pose.x_m += settings.pose_sigma_m * error.x();
@@ -120,11 +158,15 @@ inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t s
   for (std::size_t k = 0; k < settings.ranges_per_pair; ++k) {
     for (std::size_t a = 0; a < site.anchors.size(); ++a) {
       for (std::size_t j = 0; j < site.tags.size(); ++j, t_s += step_s) {
-        const Eigen::Vector3d antenna_m = antenna_of(true_pose(t_s - settings.range_delay_s), site.tags[j]);
+        const Eigen::Vector3d antenna_m =
+            antenna_of(true_pose(t_s - settings.range_delay_s, settings.route), site.tags[j]);
         const double distance_m = (antenna_m - site.anchors[a].position_m).norm();
         double range_m =
             site.gamma[a][j] * distance_m + site.beta_m[a][j] + settings.sigma_m * random.gaussian();
-        if (random.uniform() < settings.outlier_share) range_m += random.uniform(0.5, 3.5);
+        if (random.uniform() < settings.outlier_share) {
+          range_m += settings.excess_mean_m > 0.0 ? -settings.excess_mean_m * std::log(1.0 - random.uniform())
+                                                  : random.uniform(0.5, 3.5);
+        }
         site.ranges.push_back(
             {.t_s = t_s, .tag_id = site.tags[j].id, .anchor_id = site.anchors[a].id, .range_m = range_m});
       }
@@ -148,7 +190,7 @@ inline Eigen::MatrixXd cramer_rao_bound(const SimulatedSite& site, std::size_t a
     for (const model::RangeSample& range : site.ranges) {
       if (range.anchor_id != site.anchors[a].id || range.tag_id != site.tags[j].id) continue;
       const Eigen::Vector3d antenna_m =
-          antenna_of(true_pose(range.t_s - site.settings.range_delay_s), site.tags[j]);
+          antenna_of(true_pose(range.t_s - site.settings.range_delay_s, site.settings.route), site.tags[j]);
       const Eigen::Vector3d to_anchor_m = site.anchors[a].position_m - antenna_m;
       Eigen::VectorXd row = Eigen::VectorXd::Zero(size);
       row.head<3>() = site.gamma[a][j] * to_anchor_m / to_anchor_m.norm();

@@ -1,0 +1,84 @@
+#include "host/calibration/drive_error.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "test/host/calibration/site_simulation.hpp"
+
+namespace groma::calibration {
+namespace {
+
+struct Solved {
+  Association association;
+  std::vector<AnchorFit> fits;
+  DriveError error;
+};
+
+// The fits refer to the association: not to be copied.
+void solve(const test::SimulatedSite& site, Solved& out) {
+  const Drive drive = site.drive();
+  out.association = associate(drive, 0.3, 0.0, HeightSource::kPose);
+  out.fits = solve_site({.association = &out.association,
+                         .priors = drive.priors,
+                         .known_anchors = {},
+                         .end_s = std::numeric_limits<double>::infinity()},
+                        {});
+  refine_site(out.fits, drive.priors, 5);
+  out.error = correct_drive(out.association, out.fits, drive.priors);
+}
+
+TEST(DriveError, TellsHowFarAndHowSlowlyPosesWander) {
+  for (const double correlation_s : {5.0, 60.0}) {
+    const test::SimulatedSite site = test::simulate_site({.ranges_per_pair = 600,
+                                                          .pose_sigma_m = 0.05,
+                                                          .pose_yaw_sigma_rad = 0.01,
+                                                          .pose_correlation_s = correlation_s},
+                                                         4);
+    Solved solved;
+    solve(site, solved);
+    EXPECT_EQ(solved.error.wander.correlation_s, correlation_s);
+    EXPECT_NEAR(std::log(solved.error.wander.sigma_m / 0.05), 0.0, std::log(2.0)) << correlation_s;
+  }
+}
+
+// Rows are moved to where the antennas were by more than half of what the poses had wrong.
+TEST(DriveError, MovesTheAntennasTowardsTheTruth) {
+  const test::SimulatedSite site = test::simulate_site(
+      {.ranges_per_pair = 600, .pose_sigma_m = 0.1, .pose_yaw_sigma_rad = 0.02, .pose_correlation_s = 20.0},
+      5);
+  Solved solved;
+  solve(site, solved);
+  const Association before = associate(site.drive(), 0.3, 0.0, HeightSource::kPose);
+  double square_before_m2 = 0.0;
+  double square_after_m2 = 0.0;
+  for (std::size_t a = 0; a < before.anchors.size(); ++a) {
+    for (std::size_t i = 0; i < before.anchors[a].rows.size(); ++i) {
+      const Observation& row = before.anchors[a].rows[i];
+      const Eigen::Vector3d truth_m =
+          test::antenna_of(test::true_pose(row.t_s, site.settings.route), before.tags[row.tag]);
+      square_before_m2 += (row.tag_m - truth_m).squaredNorm();
+      square_after_m2 += (solved.association.anchors[a].rows[i].tag_m - truth_m).squaredNorm();
+    }
+  }
+  EXPECT_LT(square_after_m2, 0.25 * square_before_m2);
+}
+
+TEST(DriveError, LeavesExactPosesAsTheyAre) {
+  const test::SimulatedSite site = test::simulate_site({}, 6);
+  Solved solved;
+  solve(site, solved);
+  EXPECT_EQ(solved.error.wander.sigma_m, 0.0);
+  EXPECT_EQ(solved.error.range_delay_s, 0.0);
+  const Association before = associate(site.drive(), 0.3, 0.0, HeightSource::kPose);
+  for (std::size_t a = 0; a < before.anchors.size(); ++a) {
+    EXPECT_TRUE(solved.error.added_covariance[a].isZero(0.0));
+    EXPECT_EQ(solved.association.anchors[a].rows.back().tag_m, before.anchors[a].rows.back().tag_m);
+  }
+  EXPECT_NEAR(solved.error.frame_covariance(2, 2), 0.005 * 0.005, 1e-12);
+}
+
+}  // namespace
+}  // namespace groma::calibration
