@@ -40,7 +40,7 @@ class Uarte {
   static constexpr std::uint64_t kPoll_us = 500;
   static constexpr std::size_t kSendRing = 4096;
   static constexpr std::size_t kChunk = 64;
-  static constexpr std::size_t kChunks = 8;
+  static constexpr std::size_t kChunks = 12;
   static constexpr std::size_t kReceiveRing = kChunk * kChunks;
   static constexpr std::uint8_t kNotYet = 0xFF;
 
