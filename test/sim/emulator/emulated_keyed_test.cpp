@@ -46,6 +46,7 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
   EXPECT_GT(emulated(site, 2).soc().ecb().blocks(), 1'000U);
 }
 
+// Hears tag 1's POLLs and what answers them.
 class Ear final : public Witness {
  public:
   explicit Ear(Medium& medium) { medium.set_witness(this); }
@@ -53,8 +54,9 @@ class Ear final : public Witness {
     const auto bytes = std::span(frame.data).first(frame.length - 2U);
     const auto parsed = mac::parse(bytes);
     if (!parsed.frame) return;
-    if (std::holds_alternative<mac::Response>(parsed.frame->body)) ++responses;
-    if (!std::holds_alternative<mac::Poll>(parsed.frame->body)) return;
+    if (std::holds_alternative<mac::Response>(parsed.frame->body) && parsed.frame->destination == nth_tag(0))
+      ++responses;
+    if (!std::holds_alternative<mac::Poll>(parsed.frame->body) || parsed.frame->source != nth_tag(0)) return;
     poll_start = frame.preamble_start;
     poll = *parsed.frame;
     poll_bytes.assign(bytes.begin(), bytes.end());
@@ -66,12 +68,14 @@ class Ear final : public Witness {
 };
 
 // The tag is off the air, and somebody without the key polls in its place: says its last POLL again, or one
-// of now with the last one's code, or with a code by another key.
+// of now with the last one's code, or with a code by another key. Another tag goes on, so that the anchors
+// have no cause to look for other networks meanwhile.
 TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   constexpr std::uint16_t kAttacker = 900;
   constexpr int kAnchors = 2;
-  SiteSettings settings{.tags = 1,
+  constexpr int kTags = 2;
+  SiteSettings settings{.tags = kTags,
                         .anchors = kAnchors,
                         .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
                         .turn_round_us = 300,
@@ -117,7 +121,7 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
   site.run_until(to_seconds(site.network.now()) + 1.2);
   EXPECT_EQ(ear.responses, answered);
   for (int i = 0; i < kAnchors; ++i) {
-    EXPECT_EQ(site.listeners[static_cast<std::size_t>(1 + i)].counters.forged_frames, kForged) << i;
+    EXPECT_EQ(site.listeners[static_cast<std::size_t>(kTags + i)].counters.forged_frames, kForged) << i;
   }
 }
 
