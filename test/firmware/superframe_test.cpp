@@ -120,10 +120,10 @@ TEST(Superframe, LeavesTheTurnRoundAfterAFinal) {
             superframe.poll(slot) + superframe.final(12) + Phy::after_rmarker(superframe.on_air(kFinalBytes));
         return us(next - superframe.phy().before_rmarker() - end - superframe.guard());
       };
-      EXPECT_NEAR(silence_us(0, superframe.poll(1)), std::max(gap_us, 300U), 0.05) << gap_us;
+      EXPECT_NEAR(silence_us(0, superframe.poll(1)), std::max<std::uint32_t>(gap_us, 300U), 0.05) << gap_us;
       const double code_us = secured ? 100.0 : 0.0;
       EXPECT_NEAR(silence_us(2, superframe.duration() + superframe.beacon()),
-                  std::max(gap_us, 300U) + code_us, 0.05)
+                  std::max<std::uint32_t>(gap_us, 300U) + code_us, 0.05)
           << gap_us;
     }
   }
