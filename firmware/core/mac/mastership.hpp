@@ -175,7 +175,7 @@ class Mastership {
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
   std::size_t rival_ = 0;  // rank of a worse master of this session; 0: none
   std::uint32_t rival_until_ = 0;
-  Pause scans_{4, 8, 8};
+  Pause scans_{4, 5, 5};
   Pause lacks_{1, 2, 8};
   Pause idles_{0, 2, 2};
   Pause calls_{4, 8, 8};
