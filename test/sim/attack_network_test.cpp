@@ -130,7 +130,8 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
   Stage stage(keyed());
   Transmitter attacker(kAttacker, stage.site.network.medium());
   Aes aes;
-  mac::Seal seal(&aes, security::Key{9, 9, 9});
+  const security::Key another_key{9, 9, 9};
+  mac::Seal seal(&aes, another_key);
   stage.site.run_until(2.0);
   stage.refresh_counters();
   ASSERT_EQ(stage.dropped(), 0U);

@@ -37,8 +37,7 @@ class Reach {
   explicit Reach(const Options& options) : bench(options.change(settings(options))) {
     const int anchors = options.anchors;
     if (options.in_a_row) {
-      for (int i = 0; i < anchors; ++i)
-        bench.space.put(nth_anchor(i), {kApart_m * (i + 1), 0.0, 2.0});
+      for (int i = 0; i < anchors; ++i) bench.space.put(nth_anchor(i), {kApart_m * (i + 1), 0.0, 2.0});
       bench.space.put(nth_tag(0), {0.0, 0.0, 2.0});
     }
     run(2.0);
@@ -92,9 +91,9 @@ class Reach {
       for (const groma_NodeToHost& message : wired().relayed) {
         if (message.which_body != groma_NodeToHost_reply_tag) continue;
         if (message.body.reply.request_id != request_) continue;
-        run(0.05);
         EXPECT_EQ(message.source_id, target);
         answer.reply = message.body.reply;
+        run(0.05);
         answer.rest = wired().relayed;
         answer.took_s = now_s_ - begin_s;
         return answer;

@@ -97,7 +97,8 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
   const SimTime duration = site.superframe().duration().count() * kUnitsPerTick;
 
   Aes aes;
-  mac::Seal other(&aes, security::Key{9, 9, 9});
+  const security::Key another_key{9, 9, 9};
+  mac::Seal other(&aes, another_key);
   other.enter(1);
   constexpr std::uint32_t kForged = 12;
   std::uint32_t ahead = 0;

@@ -22,8 +22,7 @@ inline SiteSettings fast_site(int tags = 3, int anchors = 12,
   settings.raw_stamps = false;
   settings.configure = [backups](groma_Config& config) {
     groma_Schedule& schedule = config.schedule;
-    for (int i = 1; i <= backups; ++i)
-      schedule.backup_ids[schedule.backup_ids_count++] = nth_anchor(i);
+    for (int i = 1; i <= backups; ++i) schedule.backup_ids[schedule.backup_ids_count++] = nth_anchor(i);
   };
   return settings;
 }
