@@ -229,8 +229,7 @@ TEST_F(Board, KeepsItsSlotsAtTwoCyclesAnInstruction) {
     EXPECT_EQ(counters.late_receives, joined[i].late_receives) << "tag " << i;
     EXPECT_GT(counters.ranges_completed, joined[i].ranges_completed) << "tag " << i;
   }
-  const double superframe_s =
-      static_cast<double>(site.superframe().duration().count()) / ranging::Ticks::kPerSecond;
+  const double superframe_s = sim::seconds_of(site.superframe());
   EXPECT_GT(site.good_ranges(1.3), 0.94 * 3 * 6 / superframe_s);
 }
 

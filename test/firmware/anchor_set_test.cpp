@@ -108,9 +108,20 @@ class Twin {
     int weight = 100;
     int eager = 0;
     bool chosen = false;
+    bool configured = false;
   };
 
-  void add(std::uint16_t id) { anchors.push_back({.id = id, .outcomes = {}}); }
+  void add(std::uint16_t id, bool configured = false) {
+    anchors.push_back({.id = id, .outcomes = {}, .configured = configured});
+  }
+  void hear_nothing_of(std::uint16_t id) {
+    Anchor& a = of(id);
+    a.outcomes.push_back(-1);
+    const Belief b = belief(a);
+    if (a.configured || a.weight != 100 || b.rate != 0 || b.missed != 15) return;
+    a = anchors.back();
+    anchors.pop_back();
+  }
   Anchor& of(std::uint16_t id) {
     return *std::find_if(anchors.begin(), anchors.end(), [=](const Anchor& a) { return a.id == id; });
   }
@@ -124,11 +135,12 @@ class Twin {
     int quality = 0;
     bool silent = true;
     bool doubtful = true;  // the last outcome was none
+    int missed = 15;
   };
   // From all that ever happened.
   static Belief belief(const Anchor& a) {
     Belief b;
-    int missed = 15;
+    int missed = a.configured ? 15 : 7;
     for (const int outcome : a.outcomes) {
       if (outcome < 0) {
         b.rate = step(b.rate, 0, 1.0 / 16);
@@ -142,6 +154,7 @@ class Twin {
     }
     b.silent = missed >= 7;
     b.doubtful = missed > 0;
+    b.missed = missed;
     return b;
   }
 
@@ -223,7 +236,7 @@ TEST(AnchorSet, ChoosesAsATwinThatRemembersEverything) {
     const auto ids = ids_from(100, configured);
     AnchorSet set(ids);
     Twin twin;
-    for (const std::uint16_t id : ids) twin.add(id);
+    for (const std::uint16_t id : ids) twin.add(id, true);
     std::map<std::uint16_t, double> success;
     for (int superframe = 0; superframe < 300; ++superframe) {
       if (random() % 16 == 0 && twin.anchors.size() < 64) {
@@ -258,10 +271,13 @@ TEST(AnchorSet, ChoosesAsATwinThatRemembersEverything) {
           twin.of(id).eager = Twin::belief(twin.of(id)).doubtful && !twin.of(id).chosen ? 1 : 0;
         } else {
           set.on_silence(id);
+          twin.hear_nothing_of(id);
+          continue;
         }
-        twin.of(id).outcomes.push_back(answers ? quality : -1);
+        twin.of(id).outcomes.push_back(quality);
       }
     }
+    ASSERT_EQ(set.size(), twin.anchors.size());
     for (std::size_t i = 0; i < set.size(); ++i) {
       const Twin::Belief belief = Twin::belief(twin.anchors[i]);
       EXPECT_EQ(set.at(i).rate_256ths, belief.rate);

@@ -402,6 +402,90 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
   }
 }
 
+// A whole session of former times, said again to the network that runs: as one that is older than it, which
+// an honest one would give way to, and as one that is younger. In shared slots, where all hear it.
+class OldSession : public AttackTest, public ::testing::WithParamInterface<bool> {};
+
+TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
+  const bool older = GetParam();
+  std::vector<Air::Frame> recording;
+  on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
+    if (parsed.body.index() == kBeacon) recording.push_back(frame);
+  };
+  come_up();
+  if (older) {
+    run_superframes(900);
+    recording.clear();
+  }
+  run_superframes(200);
+  // With welcomes, for a node that starts.
+  for (auto& one : chatter) one->talks = false;
+  air->stop(5);
+  run_superframes(20);
+  air->start(5);
+  run_superframes(120);
+  on_frame = nullptr;
+  ASSERT_TRUE(std::any_of(recording.begin(), recording.end(), [](const Air::Frame& frame) {
+    const mac::Frame parsed = frame_of(frame.bytes);
+    const auto* beacon = std::get_if<mac::Beacon>(&parsed.body);
+    return beacon != nullptr && beacon->welcome.has_value();
+  }));
+  const std::uint64_t old_session = air->station(0).mastership().session();
+  for (std::size_t i = 0; i < air->size(); ++i) air->stop(i);
+  run_superframes(older ? 20 : 1'500);
+  air->start_all();
+  run_superframes(80);
+  if (!older) run_superframes(1'500);
+  ASSERT_TRUE(all_fresh());
+  const std::uint64_t session = air->station(0).mastership().session();
+  ASSERT_NE(session, old_session);
+  const std::uint32_t number = air->station(0).superframe_number();
+  const mac::Frame last = frame_of(recording.back().bytes);
+  if (const auto* beacon = std::get_if<mac::Beacon>(&last.body)) {
+    ASSERT_EQ(beacon->superframe > number, older);
+  }
+
+  constexpr int kSuperframes = 1'000;
+  const auto rate_of = [&] {
+    const std::size_t before = good_ranges();
+    run_superframes(kSuperframes);
+    return static_cast<double>(good_ranges() - before) / kSuperframes;
+  };
+  const double honest = rate_of();
+  const std::uint32_t dropped_before = dropped();
+  std::size_t next = 0;
+  std::vector<std::uint8_t> said;
+  const double shared = static_cast<double>(
+      (air->station(0).superframe().shared() - air->station(0).superframe().beacon()).count());
+  on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
+    const auto* beacon = std::get_if<mac::Beacon>(&parsed.body);
+    if (beacon == nullptr || beacon->hop != 0 || beacon->shared || beacon->superframe % 2 != 0) return;
+    const Air::Frame& old = recording[next++ % recording.size()];
+    said = old.bytes;
+    air->inject(frame.rmarker + shared + 64.0, old.x_m, said);
+    ++ghosts_sent;
+  };
+  air->spoil = [&](std::size_t receiver, mac::Reception& reception) {
+    if (!std::equal(said.begin(), said.end(), reception.frame.begin(), reception.frame.end())) return;
+    const auto destination = frame_of(said).destination;
+    if (destination == mac::kBroadcast || destination == air->id(receiver)) ++ghosts_heard;
+  };
+  const double under_attack = rate_of();
+  cease();
+  EXPECT_GE(ghosts_sent, 490U);
+  EXPECT_GE(ghosts_heard, 5 * ghosts_sent) << "six hear it, but who is about to call";
+  EXPECT_EQ(dropped() - dropped_before, ghosts_heard);
+  EXPECT_TRUE(all_fresh());
+  for (std::size_t i = 0; i < air->size(); ++i) EXPECT_EQ(air->station(i).mastership().session(), session);
+  EXPECT_TRUE(air->station(0).mastership().leads());
+  // Master and back-up, of four anchors, ask each time less often whether somebody is there.
+  EXPECT_GT(under_attack, 0.975 * honest);
+  expect_full_rate();
+}
+
+INSTANTIATE_TEST_SUITE_P(Looks, OldSession, ::testing::Bool(),
+                         [](const auto& older) { return older.param ? "Older" : "Younger"; });
+
 // An open network's frames are not a keyed one's, and the other way round.
 TEST_F(AttackTest, AnOpenNodeIsNotOfAKeyedNetwork) {
   come_up();

@@ -6,6 +6,8 @@
 #include <memory>
 #include <random>
 
+#include "test/support/random_bodies.hpp"
+
 namespace groma::mac {
 namespace {
 
@@ -258,85 +260,34 @@ TEST(Frame, AnyBytesAreParsedWithoutHarmAndOnlyCanonicalOnesAccepted) {
 class RandomFrames {
  public:
   Frame next() {
-    return {.sequence = word<std::uint8_t>(),
-            .network = word<std::uint16_t>(),
-            .destination = word<std::uint16_t>(),
-            .source = word<std::uint16_t>(),
-            .secured = coin(),
+    return {.sequence = bodies_.word<std::uint8_t>(),
+            .network = bodies_.word<std::uint16_t>(),
+            .destination = bodies_.word<std::uint16_t>(),
+            .source = bodies_.word<std::uint16_t>(),
+            .secured = bodies_.coin(),
             .body = body()};
   }
-  std::size_t below(std::size_t bound) { return static_cast<std::size_t>(random_() % bound); }
+  std::size_t below(std::size_t bound) { return bodies_.below(bound); }
 
  private:
-  bool coin() { return random_() % 2 == 0; }
-  template <class T>
-  T word() {
-    return static_cast<T>(random_());
-  }
   Body body() {
     switch (below(6)) {
-      case 0: {
-        Beacon beacon{.superframe = word<std::uint32_t>(),
-                      .session = random_(),
-                      .epoch = word<std::uint32_t>(),
-                      .schedule_hash = word<std::uint32_t>(),
-                      .master = word<std::uint16_t>(),
-                      .hop = word<std::uint8_t>(),
-                      .age = word<std::uint8_t>(),
-                      .lateness_dtu = static_cast<std::int16_t>(word<std::uint16_t>()),
-                      .dissolving = coin(),
-                      .shared = coin(),
-                      .invitation = coin(),
-                      .slots = static_cast<std::uint8_t>(below(kMaxTags + 1))};
-        for (std::size_t i = 0; i < beacon.slots; ++i) beacon.holders[i] = word<std::uint16_t>();
-        if (coin()) beacon.welcome = Welcome{.id = word<std::uint16_t>(), .nonce = random_()};
-        return beacon;
-      }
-      case 1: {
-        Poll poll{.exchange = word<std::uint16_t>(),
-                  .superframe = word<std::uint32_t>(),
-                  .slot = word<std::uint8_t>(),
-                  .count = static_cast<std::uint8_t>(below(kMaxAnchors + 1))};
-        for (std::size_t i = 0; i < poll.count; ++i) poll.anchors[i] = word<std::uint16_t>();
-        return poll;
-      }
+      case 0:
+        return bodies_.beacon();
+      case 1:
+        return bodies_.poll();
       case 2:
-        return Response{.exchange = word<std::uint16_t>(),
-                        .reply = Ticks(word<std::uint32_t>()),
-                        .closing_valid = coin(),
-                        .closed_exchange = word<std::uint16_t>(),
-                        .closing = Ticks(static_cast<std::int64_t>(random_() >> 24)),
-                        .health = {.temperature_c = static_cast<std::int8_t>(word<std::uint8_t>()),
-                                   .supply_64ths_v = word<std::uint8_t>()}};
+        return bodies_.response();
       case 3:
-        return Final{.exchange = word<std::uint16_t>()};
+        return bodies_.final();
       case 4:
-        return Join{.origin = word<std::uint16_t>(),
-                    .nonce = random_(),
-                    .tag = coin(),
-                    .wants_slot = coin(),
-                    .wants_welcome = coin(),
-                    .leaving = coin()};
-      default: {
-        const auto fragments = static_cast<std::uint8_t>(1 + below(255));
-        Data data{.origin = word<std::uint16_t>(),
-                  .target = word<std::uint16_t>(),
-                  .message = word<std::uint8_t>(),
-                  .fragment = static_cast<std::uint8_t>(below(fragments)),
-                  .fragments = fragments,
-                  .acknowledgement = coin(),
-                  .to_host = coin(),
-                  .asks = coin(),
-                  .hops_left = static_cast<std::uint8_t>(below(4)),
-                  .round = static_cast<std::uint8_t>(below(8)),
-                  .size = static_cast<std::uint8_t>(below(kMaxDataBytes + 1))};
-        for (std::size_t i = 0; i < data.size; ++i) data.payload[i] = word<std::uint8_t>();
-        return data;
-      }
+        return bodies_.join();
+      default:
+        return bodies_.data();
     }
   }
 
-  std::mt19937_64 random_{12};
+  RandomBodies bodies_{12};
 };
 
 TEST(Frame, AnyFrameComesBackAsItWentAndInNoOtherLength) {

@@ -57,6 +57,11 @@ struct Node {
   Verdict hear(std::uint16_t source, const Beacon& beacon, Ticks ahead = Ticks(0)) {
     return mastership->judge(source, beacon, ahead, at_s(1.0));
   }
+  // In step by two beacons, the last of them in superframe `number`.
+  void enter(std::uint32_t number, std::uint16_t master = 101) {
+    EXPECT_EQ(hear(master, beacon(number - 1, master)), Verdict::kAdopt);
+    EXPECT_EQ(hear(master, beacon(number, master)), Verdict::kMeasure);
+  }
   // Superframes in which nothing is heard until it takes over; at most 1000.
   std::uint32_t silent_until_takeover(std::uint32_t from) {
     for (std::uint32_t n = 1; n <= 1'000; ++n) {
@@ -118,7 +123,7 @@ TEST(Mastership, TheFirstBackUpTakesOverAfterTwelveAndTheNextOnesLater) {
   std::uint32_t before = 0;
   for (std::uint16_t id = 102; id <= 104; ++id) {
     Node node(id);
-    EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+    node.enter(100);
     // The other back-ups are alive.
     for (std::uint16_t other = 102; other <= 104; ++other) {
       if (other == id) continue;
@@ -136,21 +141,32 @@ TEST(Mastership, TheFirstBackUpTakesOverAfterTwelveAndTheNextOnesLater) {
 
 TEST(Mastership, ABackUpDoesNotWaitForOneThatIsDeadToo) {
   Node node(104);
-  EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+  node.enter(100);
   EXPECT_EQ(node.silent_until_takeover(100), 13U);
 }
 
 TEST(Mastership, WhoIsNoBackUpNeverTakesOver) {
   Node node(107);
-  EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+  node.enter(100);
   EXPECT_EQ(node.silent_until_takeover(100), 1'001U);
+}
+
+TEST(Mastership, ASessionThatOneBeaconToldOfIsLedOnByNobodyAndSoonGivenUp) {
+  Node node(102);
+  EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
+  std::uint32_t n = 101;
+  for (; n < 200; ++n) {
+    EXPECT_NE(node->begin(n), Duty::kTakeOver);
+    if (node->forsaken_at_once(n)) break;
+  }
+  EXPECT_EQ(n, 100 + Mastership::kPatience + 2 * 4 + 1);
 }
 
 TEST(Mastership, RelaysDoNotKeepADeadMasterAlive) {
   Node a(102);
   Node b(103);
-  EXPECT_EQ(a.hear(101, a.beacon(100)), Verdict::kAdopt);
-  EXPECT_EQ(b.hear(101, b.beacon(100)), Verdict::kAdopt);
+  a.enter(100);
+  b.enter(100);
   std::uint32_t n = 101;
   for (; n < 200 && !a->leads(); ++n) {
     (void)a->begin(n);
@@ -171,7 +187,7 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
   Node better(102);
   Node worse(103);
   for (Node* node : {&better, &worse}) {
-    EXPECT_EQ(node->hear(101, node->beacon(100)), Verdict::kAdopt);
+    node->enter(100);
     (void)node->silent_until_takeover(100);
     ASSERT_TRUE((*node)->leads());
   }
@@ -182,7 +198,7 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
   EXPECT_EQ(worse->master(), 102);
   // Far in time it dissolves, so that its nodes do not drag along.
   Node far(103);
-  EXPECT_EQ(far.hear(101, far.beacon(100)), Verdict::kAdopt);
+  far.enter(100);
   (void)far.silent_until_takeover(100);
   EXPECT_EQ(far.hear(102, far.beacon(140, 102), 2 * kGuard), Verdict::kIgnore);
   EXPECT_TRUE(far->dissolving());
@@ -234,6 +250,49 @@ TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
   EXPECT_GT(by_age, 5'000);
 }
 
+// With a key: a call decides as an open network's beacon does, but nobody is dissolved; and hearsay moves
+// nobody.
+TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
+  std::mt19937_64 random(4);
+  int adopted = 0;
+  for (int i = 0; i < 5'000; ++i) {
+    Node a(101);
+    Node b(102);
+    a->found();
+    b->found();
+    const auto apart = static_cast<std::int64_t>(random() % 40'000'000) - 20'000'000;
+    Beacon of_a = a.beacon(500, 101);
+    of_a.session = a->session();
+    Beacon of_b = b.beacon(500, 102);
+    of_b.session = b->session();
+    // Once, and then ever less often.
+    EXPECT_EQ(a->judge_hearsay(102, of_b), Verdict::kCall);
+    EXPECT_EQ(a->judge_hearsay(102, of_b), Verdict::kIgnore);
+    ASSERT_TRUE(a->leads());
+    ASSERT_EQ(a->session(), of_a.session);
+    const Verdict at_a = a->judge_call(102, of_b, Ticks(apart));
+    const Verdict at_b = b->judge_call(101, of_a, Ticks(-apart));
+    const Verdict loses = apart > kGuard.count() ? at_a : at_b;
+    ASSERT_EQ(loses, Verdict::kAdopt) << apart;
+    ASSERT_EQ(loses == at_a ? at_b : at_a, Verdict::kCall) << apart;
+    ASSERT_NE(a->leads(), b->leads());
+    ASSERT_EQ(a->session() == of_a.session, a->leads());
+    adopted += at_a == Verdict::kAdopt ? 1 : 0;
+  }
+  EXPECT_GT(adopted, 2'000);
+  // A call from within its own timeline says nothing new; one of a session that has drifted apart does.
+  Node node(101);
+  node->found();
+  Beacon own = node.beacon(0, 102);
+  own.session = node->session();
+  EXPECT_EQ(node->judge_call(102, own, kGuard), Verdict::kIgnore);
+  EXPECT_EQ(node->judge_call(102, own, -2 * kGuard), Verdict::kCall);
+  EXPECT_EQ(node->judge_call(102, own, 2 * kGuard), Verdict::kAdopt);
+  // Another schedule's hearsay is nobody to be called.
+  own.schedule_hash ^= 1;
+  EXPECT_EQ(Node(102)->judge_hearsay(102, own), Verdict::kIgnore);
+}
+
 TEST(Mastership, WhoWasDissolvedDoesNotJoinThatSessionAgain) {
   Node node(105);
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
@@ -247,6 +306,49 @@ TEST(Mastership, WhoWasDissolvedDoesNotJoinThatSessionAgain) {
   EXPECT_EQ(node.hear(102, other), Verdict::kAdopt);
 }
 
+// A farewell that its master goes on after was somebody else's.
+TEST(Mastership, AForgedFarewellIsDisprovedByTheMastersNextWord) {
+  Node node(105);
+  node.enter(100);
+  Beacon last = node.beacon(101);
+  last.dissolving = true;
+  Beacon far = last;
+  far.superframe = 501;
+  EXPECT_EQ(node.hear(101, far, 400 * kDuration), Verdict::kIgnore) << "of another time";
+  Beacon of_other = last;
+  of_other.master = 102;
+  EXPECT_EQ(node.hear(102, of_other), Verdict::kIgnore) << "not its master's";
+  EXPECT_EQ(node.hear(101, last), Verdict::kLeave);
+  EXPECT_EQ(node.hear(101, node.beacon(102)), Verdict::kAdopt);
+  EXPECT_EQ(node->role(), Role::kFollowing);
+}
+
+TEST(Mastership, WhoHasTheWrongCountGivesItUp) {
+  Node follower(102);
+  Beacon wrong = follower.beacon(100 + 4096);
+  EXPECT_EQ(follower.hear(101, wrong), Verdict::kAdopt);
+  for (std::uint32_t n = 101; n < 103; ++n)
+    EXPECT_EQ(follower.hear(101, follower.beacon(n), -4096 * kDuration), Verdict::kIgnore);
+  EXPECT_EQ(follower.hear(101, follower.beacon(103), -4096 * kDuration), Verdict::kLeave);
+  EXPECT_EQ(follower.hear(101, follower.beacon(104)), Verdict::kAdopt);
+  // Now and then one, between others that fit, changes nothing.
+  for (std::uint32_t n = 105; n < 125; ++n) {
+    EXPECT_EQ(follower.hear(101, follower.beacon(n + 7), 7 * kDuration), Verdict::kIgnore);
+    EXPECT_EQ(follower.hear(101, follower.beacon(n)), Verdict::kMeasure);
+  }
+  // Of two masters of one session the one whose count is behind gives way.
+  for (const int ahead : {-40, 40}) {
+    Node leader(102);
+    leader.enter(100);
+    (void)leader.silent_until_takeover(100);
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_FALSE(leader->dissolving());
+      EXPECT_EQ(leader.hear(101, leader.beacon(150), ahead * kDuration), Verdict::kIgnore);
+    }
+    EXPECT_EQ(leader->dissolving(), ahead > 0);
+  }
+}
+
 TEST(Mastership, AStaleScheduleFallsSilent) {
   const auto with_epoch = [](Node& node, int by) {
     Beacon beacon = node.beacon(100);
@@ -254,23 +356,41 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
     beacon.schedule_hash ^= 1U;
     return beacon;
   };
-  // Searching: a newer network keeps everybody from starting; an older one all but the master.
+  // Searching: a newer network keeps everybody from starting; an older one those whose schedule is on trial,
+  // but for the master.
   for (const int by : {-1, 1}) {
     for (const std::uint16_t id : std::vector<std::uint16_t>{101, 102}) {
-      Node node(id);
-      const ClockTime before = *node->lead_at();
-      EXPECT_EQ(node.hear(101, with_epoch(node, by)), Verdict::kStale);
-      EXPECT_EQ(*node->lead_at() > before, by > 0 || id != 101);
+      for (const bool on_trial : {false, true}) {
+        Node node(id);
+        node.site.on_trial = on_trial;
+        const ClockTime before = *node->lead_at();
+        const bool waits = by > 0 || (on_trial && id != 101);
+        EXPECT_EQ(node.hear(101, with_epoch(node, by)), waits ? Verdict::kStale : Verdict::kCall);
+        EXPECT_GE(*node->lead_at(), waits ? before + Ticks::from_us(2'000'000) : before);
+        // Of those who are to be driven off no noise keeps it back.
+        const ClockTime then = *node->lead_at();
+        node->on_traffic(at_s(0.9));
+        if (!waits) {
+          EXPECT_EQ(*node->lead_at(), then);
+        }
+      }
     }
   }
   Node follower(105);
   EXPECT_EQ(follower.hear(101, follower.beacon(100)), Verdict::kAdopt);
   EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
+  EXPECT_EQ(follower.hear(101, follower.beacon(101)), Verdict::kMeasure);
+  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall) << "the older ones are told";
   // One frame is no evidence, nor are two that tell of different schedules.
   for (const int by : {1, 2, 1}) EXPECT_EQ(follower.hear(102, with_epoch(follower, by)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(103, with_epoch(follower, 1)), Verdict::kLeave);
+  Node backup(102);
+  backup.enter(100);
+  EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kStale);
+  EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kLeave);
+  EXPECT_GE(*backup->lead_at() - at_s(1.0), Ticks::from_us(2'000'000)) << "founds nothing meanwhile";
   Node leader(101);
   leader->found();
   EXPECT_EQ(leader.hear(102, with_epoch(leader, -1)), Verdict::kStale);
@@ -465,8 +585,9 @@ class Crowd {
       return mastership.search(now());
     }
     const Duty duty = mastership.begin(number(m));
-    m.scans = duty == Duty::kScan || duty == Duty::kHush;
-    m.hushes = duty == Duty::kHush;
+    if (mastership.forsaken_at_once(number(m))) return mastership.search(now());
+    m.scans = duty != Duty::kGoOn && duty != Duty::kTakeOver;
+    m.hushes = duty == Duty::kHush || duty == Duty::kHushLong;
   }
 
   [[nodiscard]] Beacon beacon_of(const Member& m, bool shared) const {

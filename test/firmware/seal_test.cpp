@@ -197,6 +197,47 @@ TEST_F(SealTest, TakesABeaconByWhatItSaysOfItself) {
   EXPECT_TRUE(seal.fits(bytes.bytes(), beacon));
 }
 
+TEST_F(SealTest, ACallHoldsForThoseCalledInThatSuperframeAlone) {
+  Beacon beacon = std::get<Beacon>(bodies()[0]);
+  beacon.shared = beacon.invitation = true;
+  beacon.place = ranging::Ticks(12'345);
+  const Callees callees{kSession + 5, 77};
+  FrameBytes bytes = serialize(frame_with(beacon));
+  seal.begin_signing(bytes, place_of(beacon), callees);
+  seal.finish_signing(bytes);
+  Seal called(&cipher, kKey);
+  called.enter(callees.session);
+  const auto frame = bytes.bytes();
+  EXPECT_TRUE(called.fits(frame, beacon, callees));
+  EXPECT_TRUE(seal.fits(frame, beacon, callees));
+  EXPECT_FALSE(called.fits(frame, beacon, {callees.session, callees.superframe + 1}));
+  EXPECT_FALSE(called.fits(frame, beacon, {callees.session, callees.superframe + 256}));
+  EXPECT_FALSE(called.fits(frame, beacon, {callees.session + 1, callees.superframe}));
+  EXPECT_FALSE(called.fits(frame, beacon, {callees.session ^ (std::uint64_t{1} << 60), callees.superframe}));
+  // It is no beacon of its own session, nor is one of those a call.
+  EXPECT_FALSE(called.fits(frame, beacon));
+  EXPECT_FALSE(called.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon, callees));
+  for (std::size_t i = 0; i < frame.size(); ++i) {
+    std::vector<std::uint8_t> changed(frame.begin(), frame.end());
+    changed[i] ^= 1;
+    EXPECT_FALSE(called.fits(changed, beacon, callees)) << i;
+  }
+  // Who has another key makes none.
+  Seal stranger(&cipher, kOtherKey);
+  stranger.enter(kSession);
+  FrameBytes forged = serialize(frame_with(beacon));
+  stranger.begin_signing(forged, place_of(beacon), callees);
+  stranger.finish_signing(forged);
+  EXPECT_FALSE(called.fits(forged.bytes(), beacon, callees));
+  cipher.good = false;
+  EXPECT_FALSE(called.fits(frame, beacon, callees));
+  FrameBytes uncoded = serialize(frame_with(beacon));
+  seal.begin_signing(uncoded, place_of(beacon), callees);
+  seal.finish_signing(uncoded);
+  cipher.good = true;
+  EXPECT_FALSE(called.fits(uncoded.bytes(), beacon, callees));
+}
+
 TEST_F(SealTest, BelievesNothingWhereTheCipherFails) {
   const auto bytes = signed_bytes(frame_with(Final{4}), place);
   cipher.good = false;

@@ -18,6 +18,7 @@ using mac::RangeStatus;
 using mac::SyncState;
 
 constexpr double kIdealError_m = 0.008;
+constexpr security::Key kKey = {7, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
 double worst_error_m(const std::vector<RangeSeen>& ranges) {
   double worst = 0.0;
@@ -55,10 +56,11 @@ groma_Schedule schedule_with(std::size_t tags, std::size_t anchors, std::size_t 
 
 class Site {
  public:
-  explicit Site(const groma_Schedule& by, std::uint64_t seed = 1, double ppm = 20.0)
+  explicit Site(const groma_Schedule& by, std::uint64_t seed = 1, double ppm = 20.0, bool keyed = false)
       : air(by, dw1000::Preamble::k128) {
+    if (keyed) air.key = kKey;
     air.add_all(60.0, ppm, seed);
-    const mac::Superframe superframe(by, dw1000::Phy(dw1000::Preamble::k128));
+    const mac::Superframe superframe(by, dw1000::Phy(dw1000::Preamble::k128), keyed);
     superframe_s = static_cast<double>(superframe.duration().count()) / kTicksPerSecond;
   }
 
@@ -93,6 +95,17 @@ class Site {
       out.insert(searching ? 0 : air.station(i).mastership().session());
     }
     return out;
+  }
+  // With a key: each has asked whether what it hears is of now, and been answered.
+  [[nodiscard]] bool all_fresh() const {
+    for (std::size_t i = 0; i < air.size(); ++i) {
+      if (!air.station(i).fresh() || air.station(i).sync().state() == SyncState::kSearching) return false;
+    }
+    return true;
+  }
+  void run_until_fresh() {
+    for (int i = 0; i < 600 && !all_fresh(); ++i) run_superframes(1);
+    ASSERT_TRUE(all_fresh());
   }
   [[nodiscard]] std::vector<std::uint16_t> leaders(const std::set<std::uint16_t>& off = {}) const {
     std::vector<std::uint16_t> out;
@@ -184,19 +197,31 @@ TEST(SelfOrganizing, AColdSiteStartsUnderTheFirstThatIsAlive) {
   }
 }
 
-// Cut in two for so long that each half has its own master of the one session, then together again.
-TEST(SelfOrganizing, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
+class KeyedOrOpen : public ::testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(SelfOrganizing, KeyedOrOpen, ::testing::Bool(),
+                         [](const auto& keyed) { return keyed.param ? "Keyed" : "Open"; });
+
+// Cut in two for so long that each half has its own master of the one session, then together again. With a
+// key the half stays whose count is ahead, where the two have drifted apart.
+TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
+  const bool keyed = GetParam();
   for (const double cut_s : {1.0, 20.0, 120.0}) {
-    Site site(schedule_with(4, 8, 3));
+    Site site(schedule_with(4, 8, 3), 1, 20.0, keyed);
     const auto half = [&](std::size_t i) { return site.air.id(i) % 2; };
     site.air.start_all();
     site.air.run(1.0);
+    site.run_until_fresh();
     site.air.reach = [&](std::size_t a, std::size_t b) { return half(a) == half(b); };
     site.run_unseen(cut_s);
     EXPECT_EQ(site.leaders(), (Ids{101, 102})) << cut_s;
     site.air.reach = nullptr;
     site.run_superframes(10);
-    EXPECT_EQ(site.leaders(), Ids{101}) << cut_s;
+    if (keyed) {
+      EXPECT_EQ(site.leaders().size(), 1U) << cut_s;
+      EXPECT_TRUE(site.all_fresh()) << cut_s;
+    } else {
+      EXPECT_EQ(site.leaders(), Ids{101}) << cut_s;
+    }
     EXPECT_EQ(site.sessions().size(), 1U) << cut_s;
     // Tags that were out of the master's reach have lost their slots, and join.
     site.run_superframes(20);
@@ -209,13 +234,14 @@ TEST(SelfOrganizing, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
 
 // Two that never heard of each other, at all phases of their superframes, both with tags that range: the
 // older one stays.
-class MeetingTest : public ::testing::TestWithParam<std::tuple<std::size_t, double>> {};
+class MeetingTest : public ::testing::TestWithParam<std::tuple<std::size_t, double, bool>> {};
 
 TEST_P(MeetingTest, TwoNetworksThatMeetBecomeOneWithinTenSuperframes) {
   constexpr int kPhases = 60;
-  const auto [backups, ppm] = GetParam();
-  for (int trial = 0; trial < kPhases; ++trial) {
-    Site site(schedule_with(4, 8, backups), static_cast<std::uint64_t>(trial) + 5, ppm);
+  int slow = 0;
+  const auto [backups, ppm, keyed] = GetParam();
+  for (int trial = 0; trial < kPhases; trial += keyed ? 3 : 1) {
+    Site site(schedule_with(4, 8, backups), static_cast<std::uint64_t>(trial) + 5, ppm, keyed);
     const auto half = [&](std::size_t i) { return site.air.id(i) % 2; };
     site.air.reach = [&](std::size_t a, std::size_t b) { return half(a) == half(b); };
     const int older = trial % 2;
@@ -227,6 +253,7 @@ TEST_P(MeetingTest, TwoNetworksThatMeetBecomeOneWithinTenSuperframes) {
       if (half(i) != older) site.air.start(i);
     }
     site.air.run(0.5);
+    site.run_until_fresh();
     ASSERT_EQ(site.sessions().size(), 2U) << trial;
     ASSERT_FALSE(site.sessions().contains(0)) << trial;
     const std::uint64_t session = site.of(older == 1 ? 101 : 102).session();
@@ -235,7 +262,9 @@ TEST_P(MeetingTest, TwoNetworksThatMeetBecomeOneWithinTenSuperframes) {
     for (; superframes < 60 && (site.sessions().size() != 1 || site.leaders().size() != 1); ++superframes) {
       site.run_superframes(1);
     }
-    EXPECT_LE(superframes, 10) << trial;
+    EXPECT_LE(superframes, keyed ? 20 : 10) << trial;
+    EXPECT_TRUE(site.all_fresh()) << trial;
+    slow += superframes > 10 ? 1 : 0;
     EXPECT_EQ(site.sessions(), std::set<std::uint64_t>{session}) << trial;
     if (trial % 10 != 0) continue;
     site.run_superframes(10);
@@ -244,10 +273,59 @@ TEST_P(MeetingTest, TwoNetworksThatMeetBecomeOneWithinTenSuperframes) {
     EXPECT_GE(ranges.size(), 29U * 4 * 8) << trial;
     EXPECT_LT(worst_error_m(ranges), kIdealError_m);
   }
+  EXPECT_LE(slow, keyed ? 1 : 0);
 }
 
 INSTANTIATE_TEST_SUITE_P(BackUpsAndClocks, MeetingTest,
-                         ::testing::Combine(::testing::Values(1U, 3U, 7U), ::testing::Values(0.5, 20.0)));
+                         ::testing::Combine(::testing::Values(1U, 3U, 7U), ::testing::Values(0.5, 20.0),
+                                            ::testing::Bool()));
+
+// All calls are kept from all, and said again in later superframes' shared slots: they move nobody, and when
+// the honest ones come through again, the two are one after the longest pause between two of them.
+TEST(SelfOrganizing, ACallThatIsSaidAgainMovesNobody) {
+  Site site(schedule_with(4, 8, 3), 3, 0.5, true);
+  const auto half = [&](std::size_t i) { return site.air.id(i) % 2; };
+  site.air.reach = [&](std::size_t a, std::size_t b) { return half(a) == half(b); };
+  for (std::size_t i = 0; i < site.air.size(); ++i) {
+    if (half(i) == 1) site.air.start(i);
+  }
+  site.air.run(0.4);
+  for (std::size_t i = 0; i < site.air.size(); ++i) {
+    if (half(i) == 0) site.air.start(i);
+  }
+  site.air.run(0.5);
+  site.run_until_fresh();
+  const auto is_call = [](const Air::Frame& frame) {
+    const auto parsed = mac::parse(frame.bytes).frame;
+    const auto* beacon = parsed ? std::get_if<mac::Beacon>(&parsed->body) : nullptr;
+    return beacon != nullptr && beacon->invitation;
+  };
+  site.air.reach = nullptr;
+  site.air.jammed = [&](const Air::Frame& frame) { return frame.source != Air::kGhost && is_call(frame); };
+  std::size_t said_again = 0;
+  site.air.overheard = [&](const Air::Frame& frame) {
+    if (frame.source == Air::kGhost || !is_call(frame)) return;
+    for (const double later : {1.0, 4.0, 9.0}) {
+      ++said_again;
+      site.air.inject(frame.rmarker + later * site.superframe_s * kTicksPerSecond, frame.x_m, frame.bytes);
+    }
+  };
+  site.run_superframes(100);
+  EXPECT_GE(said_again, 9U);
+  EXPECT_EQ(site.sessions().size(), 2U);
+  EXPECT_FALSE(site.sessions().contains(0));
+  std::uint32_t forged = 0;
+  for (std::size_t i = 0; i < site.air.size(); ++i) forged += site.air.counters(i).forged_frames;
+  EXPECT_GT(forged, said_again);
+  site.air.jammed = nullptr;
+  site.air.overheard = nullptr;
+  site.run_superframes(280);
+  EXPECT_EQ(site.sessions().size(), 1U);
+  EXPECT_TRUE(site.all_fresh());
+  const auto ranges = site.ranges_of(30);
+  EXPECT_GE(good(ranges), 29U * 4 * 8);
+  EXPECT_LT(worst_error_m(ranges), kIdealError_m);
+}
 
 TEST(SelfOrganizing, ElevenLostBeaconsCostNothing) {
   Site site(schedule_with(3, 8, 2));

@@ -168,6 +168,51 @@ TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
   EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast})) << "and is not asked again for a lease";
 }
 
+// Three forged JOINs have filled the table; the tags of the schedule ask in vain.
+TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
+  const auto schedule = schedule_with({1, 2}, 3);
+  SlotTable table(schedule);
+  table.lead(7);
+  table.advance(1);
+  table.leave(1);
+  table.leave(2);
+  for (std::uint16_t ghost = 60; ghost < 63; ++ghost) EXPECT_EQ(table.claim(ghost), Claim::kGranted);
+  std::uint32_t t = 2;
+  for (; t < 200 && !(table.slot_of(1) && table.slot_of(2)); ++t) {
+    table.advance(t);
+    if (t % 8 == 0) (void)table.claim(1);
+    if (t % 8 == 4) (void)table.claim(2);
+    table.reclaim();
+  }
+  EXPECT_LE(t, kFirstLease + kTableGoodFor + 12);
+  // Who polls keeps its slot, however many ask.
+  SlotTable full(schedule);
+  full.lead(7);
+  full.advance(1);
+  EXPECT_EQ(full.claim(60), Claim::kGranted);
+  for (t = 2; t < 500; ++t) {
+    full.advance(t);
+    for (const std::uint16_t tag : {std::uint16_t{1}, std::uint16_t{2}, std::uint16_t{60}})
+      full.hear(tag, *full.slot_of(tag));
+    EXPECT_EQ(full.claim(61), Claim::kWait);
+    full.reclaim();
+    ASSERT_TRUE(full.may_poll(60, 2));
+  }
+}
+
+// A table that a beacon of a forged count has brought is none for the right one.
+TEST(Tenure, ATableOfTheFutureGivesWayToTheNextOne) {
+  Tenure tenure(1, 0);
+  Beacon beacon{.superframe = 1'000'000, .session = 7, .slots = 2, .holders = {50, kNobody}};
+  tenure.take(beacon);
+  EXPECT_TRUE(tenure.homeless());
+  beacon.superframe = 100;
+  beacon.holders = {kBroadcast, kNobody};
+  tenure.take(beacon);
+  EXPECT_FALSE(tenure.homeless());
+  EXPECT_EQ(tenure.slot(101), std::size_t{0});
+}
+
 TEST(SlotTable, ACopyIsTheMastersTableAndNoOlderOne) {
   const auto schedule = schedule_with({1}, 3);
   SlotTable master(schedule);

@@ -345,8 +345,8 @@ inline FaultPhase cut_off(const char* name, const std::set<std::uint16_t>& ids, 
           .watched_s = for_s};
 }
 
-inline FaultPhase meet_again(const char* name) {
-  return {.name = name, .within = 10.0};
+inline FaultPhase meet_again(const char* name, double within = 10.0) {
+  return {.name = name, .within = within};
 }
 
 // One that no schedule names.

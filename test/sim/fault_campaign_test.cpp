@@ -6,6 +6,8 @@
 namespace groma::sim {
 namespace {
 
+constexpr double kMeetWithin = 10.0;  // superframes
+
 std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method) {
   return {
       {.name = "power on", .rise = all_of(3, 12), .newcomers_within = 40.0, .watched_s = 1.5},
@@ -32,6 +34,39 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
       nothing_wrong(1.0),
   };
 }
+
+// The same of a site with a key whose parts lose each other and meet again: each with a master of its own,
+// and the old master, which was off, with a session of its own.
+class KeyedFaultCampaignTest : public testing::TestWithParam<std::uint64_t> {};
+
+TEST_P(KeyedFaultCampaignTest, PartsThatMeetAgainAreOneSite) {
+  FaultSite site({.turn_round_us = 400,
+                  .network_key = security::Key{3, 1, 4, 1, 5, 9, 2, 6, 5, 3, 5, 8, 9, 7, 9, 3},
+                  .seed = GetParam()});
+  const auto off = [](FaultSite& of) { of.set_power(101, false); };
+  const auto alone = [](FaultSite& of) {
+    of.set_power(101, true);
+    of.cut_off({101}, 3.0);
+  };
+  FaultCampaign campaign(site);
+  campaign.run({
+      {.name = "power on", .rise = all_of(3, 12), .newcomers_within = 160.0, .watched_s = 4.0},
+      nothing_wrong(1.0),
+      cut_off("master alone: two masters", {101}, 2.0),
+      meet_again("they meet", kMeetWithin),
+      cut_off("site cut in two", {101, 1, 103, 105, 106, 107}, 1.2),
+      meet_again("its halves meet", kMeetWithin),
+      {.name = "master killed", .begin = off, .die = {101}, .within = 10.0, .watched_s = 2.0},
+      {.name = "and reborn alone", .begin = alone, .watched_s = 3.0},
+      {.name = "it meets the others", .rise = {101}, .within = kMeetWithin, .newcomers_within = kMeetWithin},
+      nothing_wrong(1.0),
+  });
+  expect_no_harm(site, campaign);
+  std::printf("%s", campaign.table().c_str());
+}
+
+INSTANTIATE_TEST_SUITE_P(Seeds, KeyedFaultCampaignTest,
+                         testing::Range<std::uint64_t>(GROMA_FIRST_SEED, GROMA_LAST_SEED + 1));
 
 class FaultCampaignTest : public testing::TestWithParam<std::tuple<std::uint64_t, groma_RangingMethod>> {};
 

@@ -244,9 +244,6 @@ class FaultSite {
             settings_.network_key.has_value()};
   }
   [[nodiscard]] double superframe_s() const { return seconds_of(superframe()); }
-  [[nodiscard]] static double seconds_of(const mac::Superframe& superframe) {
-    return static_cast<double>(superframe.duration().count()) / 63.8976e9;
-  }
 
   // A node that the schedule does not know, or another network's. Before `power_on`.
   void add(std::uint16_t id, groma_Role role, SimTime power_on, const groma_Config& config) {
@@ -368,12 +365,16 @@ class FaultSite {
   [[nodiscard]] const std::vector<std::uint16_t>& ids() const { return ids_; }
   [[nodiscard]] bool powered(std::uint16_t id) { return chip(id).powered(); }
 
+  // Over its line.
+  void send(std::uint16_t id, const groma_HostToNode& command) {
+    if (!network.send(nodes_.at(id), frame_of(command))) throw std::logic_error("the line is full");
+  }
   // As the node tells them now.
   groma_Counters counters(std::uint16_t id) {
     groma_HostToNode command = groma_HostToNode_init_zero;
     command.request_id = ++requests_;
     command.which_body = groma_HostToNode_get_counters_tag;
-    if (!network.send(nodes_.at(id), frame_of(command))) throw std::logic_error("the line is full");
+    send(id, command);
     for (int i = 0; i < 100; ++i) {
       run_for(0.001);
       const auto& replies = listener(id).replies;

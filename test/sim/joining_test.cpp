@@ -77,7 +77,7 @@ class Yard {
   [[nodiscard]] double superframe_s() const {
     const groma_Config config = config_of(1, groma_Role_ROLE_TAG);
     const mac::Superframe superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble));
-    return static_cast<double>(superframe.duration().count()) / 63.8976e9;
+    return seconds_of(superframe);
   }
   [[nodiscard]] const Listener& of(std::uint16_t id) const { return listeners[index_.at(id)]; }
 

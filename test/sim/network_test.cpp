@@ -58,7 +58,7 @@ Errors errors_of(const SiteBench& site, double from_s = kSettled_s) {
 
 // Ranges a second that the schedule promises.
 double promised_rate(const SiteBench& site, const SiteSettings& settings) {
-  const double superframe_s = static_cast<double>(site.superframe().duration().count()) / 63.8976e9;
+  const double superframe_s = seconds_of(site.superframe());
   return settings.tags * settings.anchors / superframe_s;
 }
 

@@ -66,6 +66,12 @@ class Reach {
     now_s_ += duration_s;
     bench.run_until(now_s_);
   }
+  // For 0.2 s; `node` is its place in the network.
+  void cut_power(std::size_t node) {
+    bench.network.set_power(node, false);
+    run(0.2);
+    bench.network.set_power(node, true);
+  }
   [[nodiscard]] Listener& wired() { return bench.listeners[0]; }
 
   // As a host would: repeats the request once the node has fallen silent.

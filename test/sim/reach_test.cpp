@@ -198,9 +198,7 @@ TEST(Reach, AConfigurationThatProvesItselfStays) {
   reach.run(8.0);
   EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
             node::config_hash_of(config));
-  reach.bench.network.set_power(3, false);
-  reach.run(0.2);
-  reach.bench.network.set_power(3, true);
+  reach.cut_power(3);
   reach.run(9.0);
   EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
             node::config_hash_of(config));
@@ -218,9 +216,7 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
     const auto away = reach.ask(103, groma_HostToNode_get_hello_tag, 2.0);
     EXPECT_TRUE(!away || away->reply.result == groma_Result_RESULT_UNREACHABLE);
     if (power_cut) {  // it begins with the new one again, for a minute
-      reach.bench.network.set_power(3, false);
-      reach.run(0.2);
-      reach.bench.network.set_power(3, true);
+      reach.cut_power(3);
       reach.run(60.0);
     }
     reach.run(6.0);
@@ -229,9 +225,7 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
     EXPECT_EQ(hello->config_hash, node::config_hash_of(good));
     // And so it stays, also over a power cut.
     reach.run(3.0);
-    reach.bench.network.set_power(3, false);
-    reach.run(0.2);
-    reach.bench.network.set_power(3, true);
+    reach.cut_power(3);
     reach.run(3.0);
     EXPECT_EQ(reach.hello(103).value_or(groma_Hello groma_Hello_init_zero).config_hash,
               node::config_hash_of(good));

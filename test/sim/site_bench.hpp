@@ -17,7 +17,9 @@
 #include <string>
 #include <vector>
 
+#include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
+#include "firmware/core/ranging/device_time.hpp"
 #include "firmware/sim/native_node.hpp"
 #include "firmware/sim/network.hpp"
 #include "groma.pb.h"
@@ -25,6 +27,10 @@
 #include "proto/frame_codec.hpp"
 
 namespace groma::sim {
+
+inline double seconds_of(const mac::Superframe& superframe) {
+  return static_cast<double>(superframe.duration().count()) / static_cast<double>(ranging::Ticks::kPerSecond);
+}
 
 struct Place {
   double x_m = 0.0;

@@ -8,10 +8,16 @@ namespace {
 
 std::atomic<std::size_t> count{0};
 
-void* take(std::size_t size, std::size_t alignment) {
+// Null where there is none.
+void* ask_for(std::size_t size, std::size_t alignment) noexcept {
   ++count;
   void* memory = nullptr;
-  if (posix_memalign(&memory, alignment, size) != 0) throw std::bad_alloc();
+  return posix_memalign(&memory, alignment, size) == 0 ? memory : nullptr;
+}
+
+void* take(std::size_t size, std::size_t alignment) {
+  void* const memory = ask_for(size, alignment);
+  if (memory == nullptr) throw std::bad_alloc();
   return memory;
 }
 
@@ -22,6 +28,9 @@ void* operator new(std::size_t size) {
 }
 void* operator new(std::size_t size, std::align_val_t alignment) {
   return take(size, static_cast<std::size_t>(alignment));
+}
+void* operator new(std::size_t size, const std::nothrow_t& /*tag*/) noexcept {
+  return ask_for(size, alignof(std::max_align_t));
 }
 void operator delete(void* memory) noexcept {
   std::free(memory);

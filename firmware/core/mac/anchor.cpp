@@ -65,9 +65,8 @@ Action Anchor::listen_in_slot(ClockTime due) const noexcept {
                                   station_.sync().margin(slots_of_));
   if (silent_[slot_] < kSilent) return action;
   // The next thing to do is a slot's length after this: to listen for a POLL, or a beacon.
-  constexpr Ticks kToGetReady = Ticks::from_us(300);
   const bool last = next_slot_ >= superframe.slot_count();
-  action.until = last ? std::max(action.until, action.at + superframe.tag_slot() - kToGetReady)
+  action.until = last ? std::max(action.until, action.at + superframe.tag_slot() - Station::kToGetReady)
                       : action.until + superframe.tag_slot();
   action.preamble_until.reset();
   return action;
@@ -121,7 +120,9 @@ Step Anchor::on_received(const Reception& reception) noexcept {
     return doing(plan(reception.stamp));
   }
   if (phase_ == Phase::kPoll) go_on_to(reception.stamp);
-  if (const auto frame = station_.accept(reception, place())) {
+  const bool nobodys = phase_ == Phase::kPoll && silent_[slot_] >= kSilent && !in_time(reception);
+  const auto check = nobodys ? Station::Check::kNobodysSlot : Station::Check::kNow;
+  if (const auto frame = station_.accept(reception, place(), check)) {
     if (const auto* poll = std::get_if<Poll>(&frame->body);
         poll != nullptr && phase_ == Phase::kPoll && is_of_slot(*frame, *poll, reception)) {
       silent_[slot_] = 0;
@@ -137,11 +138,15 @@ Step Anchor::on_received(const Reception& reception) noexcept {
   return listen_on_or(reception.stamp);
 }
 
-bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& reception) const noexcept {
+bool Anchor::in_time(const Reception& reception) const noexcept {
   const Ticks late = reception.stamp - station_.poll_due(slots_of_, slot_);
   const Ticks most = station_.superframe().guard() + station_.sync().margin(slots_of_);
+  return !reception.stamp_valid || (late <= most && late >= -most);
+}
+
+bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& reception) const noexcept {
   return poll.superframe == slots_of_ && poll.slot == slot_ && station_.may_poll(frame.source, slot_) &&
-         (!reception.stamp_valid || (late <= most && late >= -most));
+         in_time(reception);
 }
 
 std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,

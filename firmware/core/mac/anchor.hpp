@@ -73,6 +73,8 @@ class Anchor {
   // is another network's.
   [[nodiscard]] Action listen_in_slot(ranging::ClockTime due) const noexcept;
   void go_on_to(ranging::ClockTime now) noexcept;
+  // Where the POLL of the slot under way is due.
+  [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
   // Of the slot under way, by who may poll in it.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,
                                 const Reception& reception) const noexcept;

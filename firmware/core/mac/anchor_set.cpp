@@ -72,7 +72,7 @@ bool AnchorSet::announce(std::uint16_t id) noexcept {
   if (candidate == nullptr) {
     candidate = room();
     if (candidate == nullptr) return false;
-    *candidate = Candidate{.id = id, .untried = kLongest};
+    *candidate = Candidate{.id = id, .untried = kLongest, .missed = kSilentAfter};
   }
   candidate->eager = kEagerTrials;
   return true;
@@ -174,7 +174,10 @@ void AnchorSet::on_silence(std::uint16_t id) noexcept {
   Candidate* c = find(id);
   if (c == nullptr) return;
   c->rate = approach(c->rate, 0, 4);
-  if (c->missed < 15) ++c->missed;
+  if (c->missed < kMostMissed) ++c->missed;
+  // Whoever said that it is there is not. One that is comes again, for it says so now and then.
+  const bool nobody = c->rate == 0 && c->missed == kMostMissed;
+  if (nobody && !c->configured && c->weight == kNeutralWeight) *c = candidates_[--size_];
 }
 
 std::size_t AnchorSet::answering() const noexcept {

@@ -45,6 +45,7 @@ class AnchorSet {
 
   // An anchor says that it has come up: it is tried next. Where all room is taken, a new one replaces a
   // silent one that had announced itself too, the one that answered least; false where there is none such.
+  // One that answers none of its first eight trials is forgotten, unless the host has given it a weight.
   bool announce(std::uint16_t id) noexcept;
   // A frame of this anchor came in, so it is worth a trial. Nothing where it is no candidate.
   void hear(std::uint16_t id) noexcept;
@@ -78,15 +79,16 @@ class AnchorSet {
   [[nodiscard]] View at(std::size_t index) const noexcept;
 
  private:
+  static constexpr std::uint8_t kMostMissed = 15;
   struct Candidate {
     std::uint16_t id = 0;
     std::uint16_t untried = 0;  // choices since its last trial, up to kLongest
     std::uint8_t rate = 0;
     std::uint8_t quality = 0;
     std::uint8_t weight = kNeutralWeight;
-    std::uint8_t missed : 4 = 15;  // in a row, saturates
-    std::uint8_t eager : 2 = 0;    // trials that come before all others'
-    bool chosen : 1 = false;       // at the last choice for its usefulness
+    std::uint8_t missed : 4 = kMostMissed;  // in a row, saturates
+    std::uint8_t eager : 2 = 0;             // trials that come before all others'
+    bool chosen : 1 = false;                // at the last choice for its usefulness
     bool configured : 1 = false;
 
     [[nodiscard]] bool silent() const noexcept { return missed >= kSilentAfter; }

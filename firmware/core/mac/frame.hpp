@@ -67,7 +67,9 @@ struct Beacon {
   // The network dissolves: its nodes look for another one.
   bool dissolving = false;
   bool shared = false;  // sent in the shared slot: its place is there, not in the beacon's
-  bool quiet = false;   // its nodes are to be quiet for the rest of this superframe, and to listen for others
+  // The master's: its nodes are to be quiet for the rest of this superframe, and to listen for others. A
+  // relay's, in the shared slot: asks the master for such a superframe.
+  bool quiet = false;
   // With `shared`: sent in the shared slot of another session, whose nodes are to come over. `place` tells
   // where in its own superframe that is, ticks of the network's time.
   bool invitation = false;

@@ -38,7 +38,8 @@ Mastership::Mastership(const Site& site, Ticks duration, Ticks guard, std::uint3
       guard_(guard),
       hash_(hash),
       rank_(rank_of(*site.schedule, site.id)),
-      beaconers_(site.schedule->backup_ids_count + 1U) {}
+      beaconers_(site.schedule->backup_ids_count + 1U),
+      calls_(site.network_key.empty() ? Pause(4, 8, 8) : Pause(1, 2, 8)) {}
 
 // Long enough to hear a running network at five lost beacons, and for each rank to hear the one before it.
 Ticks Mastership::listening_time() const noexcept {
@@ -52,13 +53,15 @@ void Mastership::search(ClockTime now) noexcept {
   master_ = parent_ = kNobody;
   last_beacons_ = 0;
   rival_ = 0;
-  suspicious_ = lacking_ = false;
+  suspicious_ = lacking_ = drives_off_ = false;
+  rumoured_ = 0;
   hushed_ = 0;
   search_start_ = now;
-  lead_at_ = now + listening_time();
+  lead_at_ = std::max(now + listening_time(), stale_until_);
 }
 
 void Mastership::on_traffic(ClockTime now) noexcept {
+  if (drives_off_) return;
   constexpr std::int64_t kMostListenings = 20;
   const ClockTime latest = search_start_ + kMostListenings * listening_time();
   lead_at_ = std::max(lead_at_, std::min(now + listening_time(), latest));
@@ -73,8 +76,10 @@ void Mastership::found() noexcept {
   const std::uint16_t start = site_.sessions == nullptr ? std::uint16_t{0} : (*site_.sessions)++;
   session_ = std::uint64_t{site_.id} << 48 | std::uint64_t{site_.boot_count} << 16 | start;
   heard_ = {};
+  former_.reset();
   fresh_ = number_ = 0;
   scans_.restart(0);
+  rumours_.restart(0);
   lacks_.restart(kSettling);
   idles_.restart(kSettling);
   calls_.restart(0);
@@ -82,12 +87,15 @@ void Mastership::found() noexcept {
 }
 
 void Mastership::lead() noexcept {
+  if (role_ == Role::kFollowing) former_ = fresh_;
   role_ = Role::kLeading;
   master_ = site_.id;
   parent_ = kNobody;
   hop_ = 0;
   last_beacons_ = 0;
   rival_ = 0;
+  proven_ = true;
+  echoes_ = 0;
 }
 
 void Mastership::dissolve() noexcept {
@@ -95,9 +103,21 @@ void Mastership::dissolve() noexcept {
   if (last_beacons_ == 0) last_beacons_ = kLastBeacons;
 }
 
-void Mastership::shun(std::uint64_t session, ClockTime now) noexcept {
-  shunned_ = session;
+// That one's next relay may be two rounds away, and more where it is the schedule's master, which has every
+// second turn of another one.
+void Mastership::go_over(ClockTime now) noexcept {
+  shunned_ = session_;
+  shunned_master_ = master_;
+  shunned_at_ = number_;
   shunned_until_ = now + Ticks::from_us(2'000'000);
+  search(now);
+  lead_at_ = lead_at_ + 4 * std::int64_t{beaconers_} * duration_;
+}
+
+// A master that has given up does not go on: whose word is younger than its last one has not said that.
+bool Mastership::is_shunned(const Beacon& beacon, ClockTime now) const noexcept {
+  if (beacon.session != shunned_ || now >= shunned_until_) return false;
+  return beacon.master != shunned_master_ || since(beacon.superframe - beacon.age, shunned_at_) <= 0;
 }
 
 void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
@@ -105,10 +125,15 @@ void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
     heard_ = {};
     hushed_ = 0;
     scans_.restart(beacon.superframe);
+    rumours_.restart(beacon.superframe);
     lacks_.restart(beacon.superframe + kSettling);
     idles_.restart(beacon.superframe + kSettling);
     calls_.restart(beacon.superframe);
     silences_.restart(beacon.superframe);
+    proven_ = false;
+    former_.reset();
+  } else if (rank_of_id(beacon.master) > rank_of_id(master_)) {
+    former_ = fresh_;
   }
   if (const std::size_t rank = rank_of_id(source); rank < kMaxBeaconers) heard_[rank] = beacon.superframe;
   suspicious_ = false;
@@ -121,6 +146,7 @@ void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
   hop_ = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
   fresh_ = beacon.superframe - beacon.age;
   last_beacons_ = 0;
+  echoes_ = 0;
 }
 
 std::size_t Mastership::rank_of_id(std::uint16_t id) const noexcept {
@@ -133,52 +159,88 @@ std::uint32_t Mastership::age(std::uint32_t number) const noexcept {
 }
 
 // Each hop beyond the first may wait for its turn twice.
-std::uint32_t Mastership::patience() const noexcept {
-  const std::uint32_t relays = hop_ == 0 ? 0 : std::min<std::uint32_t>(hop_ - 1U, kMaxBeaconers);
+std::uint32_t Mastership::patience_at(std::uint8_t hop) const noexcept {
+  const std::uint32_t relays = hop == 0 ? 0 : std::min<std::uint32_t>(hop - 1U, kMaxBeaconers);
   return kPatience + 2 * beaconers_ * relays;
+}
+
+bool Mastership::is_credible(std::uint16_t source, const Beacon& beacon) const noexcept {
+  const bool own_word = beacon.hop == 0;
+  return rank_of_id(source) != beaconers_ && rank_of_id(beacon.master) != beaconers_ &&
+         own_word == (source == beacon.master) && (!own_word || beacon.age == 0);
+}
+
+// Of another master of this session: it may be alive, as far as its way tells; and it is not what was known
+// when it was given up.
+bool Mastership::is_news(const Beacon& beacon) const noexcept {
+  const std::uint32_t told = beacon.superframe - beacon.age;
+  return beacon.age <= patience_at(beacon.hop) && (!former_ || since(told, *former_) > 0);
 }
 
 Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
   if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_) {
     return judge_schedule(beacon, now);
   }
-  const bool own_word = beacon.hop == 0;
-  if (rank_of_id(source) == beaconers_ || rank_of_id(beacon.master) == beaconers_ ||
-      own_word != (source == beacon.master) || (own_word && beacon.age != 0)) {
-    return Verdict::kStale;
-  }
+  if (!is_credible(source, beacon)) return Verdict::kStale;
   if (beacon.invitation && role_ != Role::kSearching && beacon.session == session_) return Verdict::kIgnore;
+  const bool own_word = beacon.hop == 0;
+  const Ticks half(duration_.count() / 2);
+  const bool far = ahead > half || ahead < -half;
   if (beacon.dissolving) {
-    if (role_ != Role::kFollowing || beacon.session != session_) return Verdict::kIgnore;
-    shun(session_, now);
-    search(now);
+    const bool of_own = beacon.session == session_ && beacon.master == master_ && own_word && !far;
+    if (role_ != Role::kFollowing || !of_own) return Verdict::kIgnore;
+    number_ = beacon.superframe;
+    go_over(now);
     return Verdict::kLeave;
   }
   if (role_ == Role::kSearching) {
-    if (beacon.session == shunned_ && now < shunned_until_) return Verdict::kIgnore;
+    if (is_shunned(beacon, now)) return Verdict::kIgnore;
     follow(source, beacon);
     return Verdict::kAdopt;
   }
   if (beacon.session != session_) return judge_other_session(source, beacon, ahead);
-  // What is far from its place is an echo of former times.
-  if (ahead > Ticks(duration_.count() / 2) || ahead < -Ticks(duration_.count() / 2)) return Verdict::kIgnore;
+  if (far) return judge_echo(beacon, ahead, now);
+  if (own_word && !beacon.invitation) watch_place(beacon);
   return leads() ? judge_as_master(source, beacon, ahead) : judge_as_follower(source, beacon, ahead);
 }
 
-// Nodes of two schedules would collide. The newer schedule is right; who has it does not drive an older
-// network off, unless it is the master and so the last one to be configured.
+// What is far from its place is an echo of former times; unless it comes again and again from who leads: then
+// it is this node that has the wrong count.
+Verdict Mastership::judge_echo(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
+  constexpr std::uint8_t kBelieved = 3;
+  if (beacon.hop != 0 || beacon.invitation || ++echoes_ < kBelieved) return Verdict::kIgnore;
+  echoes_ = 0;
+  if (leads()) {
+    if (ahead > Ticks(0)) dissolve();
+    return Verdict::kIgnore;
+  }
+  search(now);
+  return Verdict::kLeave;
+}
+
+// Nodes of two schedules would collide. The newer schedule is right: who has the older one falls silent, and
+// who leads with the newer one sees to it that the others hear of it. A node whose schedule is on trial lets
+// the older network be, over which others have theirs, unless it is the master and so the last to get it.
 Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept {
   const std::uint32_t epoch = site_.schedule->epoch;
   const bool newer = beacon.epoch != epoch ? beacon.epoch > epoch : beacon.schedule_hash > hash_;
+  constexpr Ticks kQuiet = Ticks::from_us(2'000'000);
   if (role_ == Role::kSearching) {
-    constexpr Ticks kQuiet = Ticks::from_us(2'000'000);
-    if (newer || rank_ != std::size_t{0}) lead_at_ = std::max(lead_at_, now + kQuiet);
-    return Verdict::kStale;
+    const bool waits = newer || (site_.on_trial && rank_ != std::size_t{0});
+    if (waits) lead_at_ = std::max(lead_at_, now + kQuiet);
+    if (waits || !rank_) return Verdict::kStale;
+    if (!std::exchange(drives_off_, true)) lead_at_ = std::max(now + listening_time(), stale_until_);
+    return Verdict::kCall;
   }
-  if (!newer || beacon.dissolving) return Verdict::kStale;
+  if (beacon.dissolving) return Verdict::kStale;
   // One frame alone may be anybody's mistake: it takes another one that tells the same.
   const std::uint32_t told = beacon.epoch ^ beacon.schedule_hash;
-  if (std::exchange(newer_schedule_, told) != told) return Verdict::kStale;
+  if (std::exchange(newer ? newer_schedule_ : older_schedule_, told) != told) {
+    suspect();
+    return Verdict::kStale;
+  }
+  if (!newer) return call_over();
+  stale_until_ = now + kQuiet;
   if (leads()) {
     dissolve();
     return Verdict::kStale;
@@ -187,14 +249,35 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
   return Verdict::kLeave;
 }
 
-Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+// Not in one session where the two are apart: there the one that is ahead stays, so that nobody's count goes
+// back.
+Verdict Mastership::judge_call(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+  if (!is_credible(source, beacon)) return Verdict::kStale;
+  if (beacon.session == session_ && ahead <= guard_ && ahead >= -guard_) return Verdict::kIgnore;
+  if (gives_way(beacon, ahead)) {
+    follow(source, beacon);
+    return Verdict::kAdopt;
+  }
+  return hushed_ != 0 ? Verdict::kIgnore : Verdict::kCall;
+}
+
+Verdict Mastership::judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept {
+  if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_ || !is_credible(source, beacon))
+    return Verdict::kIgnore;
+  if (hushed_ != 0 || !calls_.over(number_)) return Verdict::kIgnore;
+  calls_.begin(number_);
+  return Verdict::kCall;
+}
+
+// Before that session.
+bool Mastership::gives_way(const Beacon& beacon, Ticks ahead) const noexcept {
   const bool older = ahead > guard_ || (ahead >= -guard_ && beacon.session < session_);
   const bool forsaken = role_ == Role::kFollowing && age(number_) > patience();
-  if (!older && !forsaken) {
-    if (hushed_ != 0 || last_beacons_ != 0 || !calls_.over(number_)) return Verdict::kIgnore;
-    calls_.begin(number_);
-    return Verdict::kCall;
-  }
+  return older || forsaken;
+}
+
+Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+  if (!gives_way(beacon, ahead)) return call_over();
   if (leads()) {
     dissolve();
     return Verdict::kIgnore;
@@ -203,15 +286,24 @@ Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beac
   return Verdict::kAdopt;
 }
 
+Verdict Mastership::call_over() noexcept {
+  if (!proven_ || hushed_ != 0 || last_beacons_ != 0 || !calls_.over(number_)) return Verdict::kIgnore;
+  calls_.begin(number_);
+  return Verdict::kCall;
+}
+
 Verdict Mastership::judge_as_master(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
-  if (beacon.master == site_.id) return Verdict::kIgnore;
+  if (beacon.master == site_.id) {
+    if (beacon.quiet) listens_next_ = true;
+    return Verdict::kIgnore;
+  }
   const std::size_t theirs = rank_of_id(beacon.master);
   if (theirs > *rank_) {
     rival_ = theirs;
     rival_until_ = beacon.superframe + 8 * beaconers_;
     return Verdict::kIgnore;
   }
-  if (beacon.age > kPatience) return Verdict::kIgnore;
+  if (!is_news(beacon)) return Verdict::kIgnore;
   if (ahead > guard_ || ahead < -guard_) {
     dissolve();
     return Verdict::kIgnore;
@@ -225,13 +317,16 @@ Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon
   const bool aligned = ahead <= guard_ && ahead >= -guard_;
   const std::int32_t newer = since(beacon.superframe - beacon.age, fresh_);
   if (beacon.master != master_) {
-    const bool better = rank_of_id(beacon.master) < rank_of_id(master_) && beacon.age <= kPatience;
-    if (!better && newer <= static_cast<std::int32_t>(kPatience / 2)) return Verdict::kIgnore;
+    const bool better = rank_of_id(beacon.master) < rank_of_id(master_) && is_news(beacon);
+    // What comes from its own master may be as old as its own way there is long.
+    if (!better && newer <= static_cast<std::int32_t>(patience() - kPatience / 2)) return Verdict::kIgnore;
     follow(source, beacon);
     return aligned ? Verdict::kSwitch : Verdict::kAdopt;
   }
   if (!aligned) return Verdict::kMeasure;  // the clock filter knows when to believe it
   heard_[rank_of_id(source)] = beacon.superframe;
+  echoes_ = 0;
+  if (newer > 0) proven_ = true;
   const std::uint32_t told = beacon.superframe - beacon.age;
   if (newer > 0) fresh_ = told;
   const auto hop = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
@@ -254,6 +349,21 @@ Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon
   return Verdict::kSwitch;
 }
 
+// A master that is heard in one shared slot after the other and never in the beacon's: somebody else's
+// beacons may lie on its own. Then only in its silence they can be heard.
+void Mastership::watch_place(const Beacon& beacon) noexcept {
+  const bool next = beacon.shared && beacon.master == displaced_ &&
+                    since(beacon.superframe, displaced_at_) <= static_cast<std::int32_t>(4 * beaconers_);
+  asks_for_silence_ = next;
+  displaced_ = beacon.shared ? beacon.master : kNobody;
+  displaced_at_ = beacon.superframe;
+}
+
+bool Mastership::ask_for_silence() noexcept {
+  listens_next_ = !leads() && std::exchange(asks_for_silence_, false);
+  return listens_next_;
+}
+
 // The ranks that have a better claim and were heard lately.
 std::uint32_t Mastership::better_ranks_alive(std::uint32_t number) const noexcept {
   const auto recent = static_cast<std::int32_t>(kPatience + 4 * beaconers_);
@@ -272,7 +382,7 @@ Duty Mastership::begin(std::uint32_t number) noexcept {
     fresh_ = number;
   } else {
     const std::uint32_t unheard = age(number);
-    if (rank_ && unheard > patience() + better_ranks_alive(number) * (beaconers_ + 2)) {
+    if (rank_ && proven_ && unheard > patience() + better_ranks_alive(number) * (beaconers_ + 2)) {
       lead();
       fresh_ = number;
       return Duty::kTakeOver;
@@ -282,9 +392,13 @@ Duty Mastership::begin(std::uint32_t number) noexcept {
   return scan_duty(number);
 }
 
+bool Mastership::forsaken_at_once(std::uint32_t number) const noexcept {
+  return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
+}
+
 void Mastership::hush(std::uint32_t until) noexcept {
   hushed_ = static_cast<std::uint32_t>(
-      std::clamp<std::int32_t>(since(until, number_), 0, static_cast<std::int32_t>(beaconers_ + 1)));
+      std::clamp<std::int32_t>(since(until, number_), 0, static_cast<std::int32_t>(2 * beaconers_ + 1)));
 }
 
 void Mastership::on_silence() noexcept {
@@ -293,11 +407,15 @@ void Mastership::on_silence() noexcept {
   hushed_ = std::max(hushed_, std::uint32_t{1});
 }
 
-// A rank that is in this session has no one in that one: its turn is free there.
+// A rank that is in this session has no one in that one: its turn is free there. An acting master shares its
+// own with the schedule's master, as has_shared_turn().
 bool Mastership::may_invite(std::uint32_t number) const noexcept {
   if (!rank_ || last_beacons_ != 0) return false;
   const std::uint32_t turn = number % beaconers_;
-  return turn == 0 ? leads() : turn == *rank_;
+  const bool even = number / beaconers_ % 2 == 0;
+  if (turn == 0) return leads();
+  if (turn == *rank_) return !leads() || even;
+  return *rank_ == 0 && !leads() && turn == rank_of_id(master_) && !even;
 }
 
 // All nodes of a session do it in the same superframes: so that they do not drown what they listen for. A
@@ -306,17 +424,23 @@ bool Mastership::may_invite(std::uint32_t number) const noexcept {
 Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   if (last_beacons_ != 0) return Duty::kGoOn;
   quiet_ = hushed_ != 0;
+  if (std::exchange(listens_next_, false)) return Duty::kHushLong;
   if (hushed_ != 0) {
     --hushed_;
     return leads() ? Duty::kScan : Duty::kHush;
   }
   const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
+  const bool rumoured = rumoured_ != 0;
+  if (rumoured) --rumoured_;
   constexpr std::int32_t kNews = 4;
   if (since(number, suspected_) > kNews) suspicious_ = false;
   if (chance % 8 >= 5 || has_shared_turn(number)) return Duty::kGoOn;
   if (suspicious_ && scans_.over(number)) {
     scans_.begin(number);
     suspicious_ = false;
+    quiet_ = true;
+  } else if (rumoured && rumours_.over(number)) {
+    rumours_.begin(number);
     quiet_ = true;
   } else if (Pause& pause = idle_ ? idles_ : lacks_; lacking_ && pause.over(number)) {
     pause.begin(number);
@@ -340,14 +464,12 @@ bool Mastership::Pause::over(std::uint32_t number) const noexcept {
 
 void Mastership::Pause::begin(std::uint32_t number) noexcept {
   constexpr std::int32_t kForgotten = 64;
-  constexpr std::uint8_t kGoesOn_log2 = 6;
+  constexpr int kGoesOn_log2 = 6;
   if (since(number, next_) > kForgotten) times_ = 0;
   times_ = static_cast<std::uint8_t>(std::min(times_ + 1, at_once_ + longest_log2_));
-  const int log2 = std::max(times_ - at_once_, 0);
-  const int beyond = log2 - burst_log2_;
-  const int pause_log2 =
-      beyond > 0 ? std::min<int>(std::max<int>(kGoesOn_log2 - 1, burst_log2_) + beyond, longest_log2_) : log2;
-  next_ = number + (1U << pause_log2);
+  int log2 = std::max(times_ - at_once_, 0);
+  if (log2 > burst_log2_) log2 = std::min<int>(log2 - burst_log2_ - 1 + kGoesOn_log2, longest_log2_);
+  next_ = number + (1U << log2);
 }
 
 void Mastership::on_absence(std::uint32_t number) noexcept {
@@ -377,8 +499,7 @@ bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
 bool Mastership::on_led(ClockTime now) noexcept {
   led_ = number_;
   if (last_beacons_ == 0 || --last_beacons_ != 0) return false;
-  shun(session_, now);
-  search(now);
+  go_over(now);
   return true;
 }
 

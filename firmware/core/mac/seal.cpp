@@ -48,6 +48,7 @@ bool fits(std::optional<security::Code> code, std::span<const std::uint8_t> fram
 }  // namespace
 
 const std::optional<Key>& Seal::key_of(std::uint64_t session) noexcept {
+  if (session_key_ && session_ == session) return session_key_;
   if (other_key_ && other_session_ == session) return other_key_;
   abandon();
   security::Block block = {0, 0, 0, 0, 0, 0, 0, 0, 'g', 'r', 'o', 'm', 'a'};
@@ -59,10 +60,21 @@ const std::optional<Key>& Seal::key_of(std::uint64_t session) noexcept {
   return other_key_;
 }
 
+std::optional<Key> Seal::call_key(std::uint64_t caller, const Callees& callees) noexcept {
+  const auto& key = key_of(caller);
+  if (!key) return std::nullopt;
+  abandon();
+  security::Block block = {0, 0, 0, 0, 0, 0, 0, 0, 'c', 'a', 'l', 'l'};
+  for (std::size_t i = 0; i < 8; ++i) block[i] = static_cast<std::uint8_t>(callees.session >> (8 * i));
+  for (std::size_t i = 0; i < 4; ++i)
+    block[12 + i] = static_cast<std::uint8_t>(callees.superframe >> (8 * i));
+  return cipher_->encrypt(*key, block) ? std::optional(block) : std::nullopt;
+}
+
 void Seal::enter(std::uint64_t session) noexcept {
   if (!on()) return;
-  session_ = session;
   session_key_ = key_of(session);
+  session_ = session;
   received_.reset();
   sent_.reset();
 }
@@ -89,9 +101,14 @@ std::optional<security::Block> Seal::begin(std::uint64_t nonce,
     security::begin_code(*cipher_, *session_key_, (*expected)->prepared.first, bytes);
     return (*expected)->prepared.mask;
   }
-  const auto prepared = prepare(*cipher_, *session_key_, nonce);
+  return begin(*session_key_, nonce, bytes);
+}
+
+std::optional<security::Block> Seal::begin(const Key& key, std::uint64_t nonce,
+                                           std::span<const std::uint8_t> bytes) noexcept {
+  const auto prepared = prepare(*cipher_, key, nonce);
   if (!prepared) return std::nullopt;
-  security::begin_code(*cipher_, *session_key_, prepared->first, bytes);
+  security::begin_code(*cipher_, key, prepared->first, bytes);
   return prepared->mask;
 }
 
@@ -123,14 +140,18 @@ bool Seal::fits(std::span<const std::uint8_t> frame, Place place) noexcept {
 bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept {
   if (!on()) return false;
   if (session_key_ && beacon.session == session_) return fits(frame, place_of(beacon));
-  if (!is_whole(frame)) return false;
-  const auto& key = key_of(beacon.session);
-  if (!key) return false;
+  return fits(frame, place_of(beacon), key_of(beacon.session));
+}
+
+bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon, const Callees& callees) noexcept {
+  return on() && fits(frame, place_of(beacon), call_key(beacon.session, callees));
+}
+
+bool Seal::fits(std::span<const std::uint8_t> frame, Place place, const std::optional<Key>& key) noexcept {
+  if (!key || !is_whole(frame)) return false;
   abandon();
-  const auto prepared = prepare(*cipher_, *key, nonce_of(frame, place_of(beacon)));
-  if (!prepared) return false;
-  security::begin_code(*cipher_, *key, prepared->first, without_code(frame));
-  return mac::fits(security::end_code(*cipher_, prepared->mask), frame);
+  const auto mask = begin(*key, nonce_of(frame, place), without_code(frame));
+  return mask && mac::fits(security::end_code(*cipher_, *mask), frame);
 }
 
 void Seal::begin_signing(const FrameBytes& frame, Place place) noexcept {
@@ -138,6 +159,15 @@ void Seal::begin_signing(const FrameBytes& frame, Place place) noexcept {
   if (!on() || !session_key_) return;
   const auto bytes = frame.bytes();
   signing_mask_ = begin(nonce_of(bytes, place), without_code(bytes));
+}
+
+void Seal::begin_signing(const FrameBytes& frame, Place place, const Callees& callees) noexcept {
+  abandon();
+  if (!on()) return;
+  const auto key = call_key(session_, callees);
+  if (!key) return;
+  const auto bytes = frame.bytes();
+  signing_mask_ = begin(*key, nonce_of(bytes, place), without_code(bytes));
 }
 
 void Seal::finish_signing(FrameBytes& frame) noexcept {

@@ -11,6 +11,11 @@
 // ahead of what has been is for its receiver to see (freshness.hpp). No node sends two frames of one type in
 // one place, so no nonce comes twice.
 //
+// A call is the beacon that tells the nodes of another session of this one, in a shared slot of theirs. Who
+// has just heard them made it, and for that slot alone: its key is
+//
+//   call key    = AES(caller's session key, callees' session (8) | "call" | callees' superframe (4))
+//
 // Where time is short a code is made in three steps, the second of which goes on by itself: expect_...() as
 // soon as it is known which frame comes next, glance() or begin_signing() with its bytes, fits() or
 // finish_signing(). A frame that was not expected costs time alone.
@@ -36,6 +41,12 @@ struct Place {
 [[nodiscard]] constexpr Place place_of(const Beacon& beacon) noexcept {
   return {beacon.superframe, beacon.shared ? Place::kShared : Place::kBeacon};
 }
+
+// Those to whom a call goes: a session, and which of its superframes it is sent in.
+struct Callees {
+  std::uint64_t session = 0;
+  std::uint32_t superframe = 0;
+};
 
 class Seal {
  public:
@@ -65,9 +76,14 @@ class Seal {
   // The same by what the beacon says of itself, whatever its session.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept;
 
+  // The same of a call, which holds for those callees alone.
+  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
+                          const Callees& callees) noexcept;
+
   // Puts the code into a secured frame's end. Where the cipher fails it stays as it is: nobody will take it.
   // The frame stays as it is in between.
   void begin_signing(const FrameBytes& frame, Place place) noexcept;
+  void begin_signing(const FrameBytes& frame, Place place, const Callees& callees) noexcept;
   void finish_signing(FrameBytes& frame) noexcept;
   void sign(FrameBytes& frame, Place place) noexcept {
     begin_signing(frame, place);
@@ -86,10 +102,15 @@ class Seal {
     signing_mask_.reset();
   }
   [[nodiscard]] const std::optional<security::Key>& key_of(std::uint64_t session) noexcept;
+  [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller, const Callees& callees) noexcept;
+  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place,
+                          const std::optional<security::Key>& key) noexcept;
   void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;
   void begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept;
-  // Begins a code, and returns what masks it.
+  // Begins a code, in the session entered or under another key, and returns what masks it.
   [[nodiscard]] std::optional<security::Block> begin(std::uint64_t nonce,
+                                                     std::span<const std::uint8_t> bytes) noexcept;
+  [[nodiscard]] std::optional<security::Block> begin(const security::Key& key, std::uint64_t nonce,
                                                      std::span<const std::uint8_t> bytes) noexcept;
 
   security::BlockCipher* cipher_ = nullptr;

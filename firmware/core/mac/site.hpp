@@ -18,6 +18,7 @@ struct Site {
   const groma_Schedule* schedule = nullptr;  // one that check() has passed; outlives who goes by it
   ranging::Ticks transmit_antenna_delay{};
   std::uint32_t boot_count = 0;  // of this boot: together with `sessions` it makes a session's name unique
+  bool on_trial = false;         // its schedule, which came over the air
   // Sessions that this node has founded in this boot; outlives who goes by it. Nothing: none before.
   std::uint16_t* sessions = nullptr;
   // Of a network with a key: 16 bytes, the cipher that they are for, and the nonces made in this boot; all

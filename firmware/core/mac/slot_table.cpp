@@ -14,8 +14,12 @@ void age(std::uint16_t& superframes, std::uint32_t by) noexcept {
   superframes = static_cast<std::uint16_t>(std::min<std::uint32_t>(superframes + by, kLong));
 }
 
-bool newer(std::uint32_t a, std::uint32_t b) noexcept {
-  return static_cast<std::int32_t>(a - b) > 0;
+// What a relay tells may be as old as its `age` can say. What seems older than that is not: the count of
+// superframes that was known before was wrong.
+bool is_late(std::uint32_t told, std::uint32_t known) noexcept {
+  constexpr std::uint32_t kOldest = 255;
+  const std::uint32_t by = known - told;
+  return by != 0 && by <= kOldest;
 }
 
 }  // namespace
@@ -40,6 +44,7 @@ void SlotTable::begin() noexcept {
   }
   copied_ = false;
   leads_ = false;
+  unasked_ = kLong;
 }
 
 void SlotTable::set(std::size_t slot, std::uint16_t holder) noexcept {
@@ -59,6 +64,7 @@ void SlotTable::advance(std::uint32_t number) noexcept {
   now_ = number;
   if (step <= 0) return;
   age(quiet_, static_cast<std::uint32_t>(step));
+  age(unasked_, static_cast<std::uint32_t>(step));
   for (Use& use : uses_) {
     age(use.unheard, static_cast<std::uint32_t>(step));
     age(use.vacant, static_cast<std::uint32_t>(step));
@@ -68,7 +74,7 @@ void SlotTable::advance(std::uint32_t number) noexcept {
 void SlotTable::copy(const Beacon& beacon) noexcept {
   const std::uint32_t told = told_at(beacon);
   const bool same_session = copied_ && beacon.session == session_;
-  if (same_session && newer(told_, told)) return;
+  if (same_session && is_late(told, told_)) return;
   if (!same_session) begin();
   copied_ = true;
   leads_ = false;
@@ -92,10 +98,12 @@ void SlotTable::lead(std::uint64_t session) noexcept {
   leads_ = true;
   session_ = session;
   if (!goes_on) return;
-  for (Use& use : uses_) {
+  for (std::size_t slot = 0; slot < count_; ++slot) {
+    Use& use = uses_[slot];
     use.before = kNobody;
     use.vacant = 0;
     use.unheard = 0;
+    use.awaited = !use.heard && holders_[slot] != kNobody && holders_[slot] != kBroadcast;
   }
 }
 
@@ -123,6 +131,7 @@ void SlotTable::hear(std::uint16_t tag, std::size_t slot) noexcept {
   quiet_ = 0;
   uses_[slot].unheard = 0;
   uses_[slot].heard = true;
+  uses_[slot].awaited = false;
 }
 
 SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
@@ -149,8 +158,10 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
   }
   if (free) {
     set(*free, tag);
+    uses_[*free].awaited = true;
     return Claim::kGranted;
   }
+  unasked_ = 0;
   if (coming) return Claim::kWait;
   const auto unheard = [](const Use& a, const Use& b) { return a.unheard < b.unheard; };
   const auto longest = std::max_element(uses_.begin(), uses_.begin() + count_, unheard);
@@ -161,6 +172,11 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
 }
 
 void SlotTable::reclaim() noexcept {
+  if (unasked_ <= kLease) {
+    for (std::size_t slot = 0; slot < count_; ++slot) {
+      if (uses_[slot].awaited && uses_[slot].unheard >= kFirstLease) call_back(slot);
+    }
+  }
   if (quiet_ >= kDeaf) return;
   for (std::size_t slot = 0; slot < count_; ++slot) {
     if (uses_[slot].heard && uses_[slot].unheard >= kLease) call_back(slot);
@@ -189,7 +205,7 @@ void SlotTable::fill(Beacon& beacon) const noexcept {
 
 void Tenure::take(const Beacon& beacon) noexcept {
   const std::uint32_t told = told_at(beacon);
-  if (known_ && beacon.session == session_ && newer(told_, told)) return;
+  if (known_ && beacon.session == session_ && is_late(told, told_)) return;
   known_ = true;
   session_ = beacon.session;
   told_ = told;
@@ -201,7 +217,7 @@ void Tenure::take(const Beacon& beacon) noexcept {
 }
 
 std::optional<std::size_t> Tenure::slot(std::uint32_t number) const noexcept {
-  if (!known_ || newer(number, told_ + kTableGoodFor)) return std::nullopt;
+  if (!known_ || number - told_ > kTableGoodFor) return std::nullopt;
   return slot_;
 }
 

@@ -34,6 +34,8 @@ namespace groma::mac {
 // All in superframes.
 inline constexpr std::uint32_t kTableGoodFor = 32;
 inline constexpr std::uint32_t kLease = 64;
+// The same, where somebody else asks, for one that has never polled since it was given its slot.
+inline constexpr std::uint32_t kFirstLease = 16;
 // A master that hears no tag at all for so long is itself out of reach: it calls back no slot, and counts
 // anew when it hears one.
 inline constexpr std::uint32_t kDeaf = 8;
@@ -73,7 +75,8 @@ class SlotTable {
   };
   // The master: this tag asks for a slot, or says that it is there.
   Claim claim(std::uint16_t tag) noexcept;
-  // The master, once a superframe: calls back the slots of tags that it heard and then lost.
+  // The master, once a superframe: calls back the slots of tags that it heard and then lost, and where one
+  // waits for a slot those of tags that asked and then never came.
   void reclaim() noexcept;
   // The master: this tag has gone silent and gives back what it held. Nothing where others of the schedule
   // share its slot.
@@ -90,6 +93,7 @@ class SlotTable {
     std::uint16_t unheard = 0;       // superframes since its tag was heard, or since it was given; saturates
     std::uint16_t vacant = 0;        // superframes since it is nobody's; saturates
     bool heard = false;              // its tag, by this node
+    bool awaited = false;            // given to who asked; has not polled yet that this node knows of
   };
 
   void begin() noexcept;
@@ -103,7 +107,8 @@ class SlotTable {
   std::array<std::uint16_t, kMaxTags> holders_{};
   std::array<Use, kMaxTags> uses_{};
   std::uint32_t now_ = 0;
-  std::uint16_t quiet_ = 0;  // superframes since any tag was heard; saturates
+  std::uint16_t quiet_ = 0;    // superframes since any tag was heard; saturates
+  std::uint16_t unasked_ = 0;  // since one asked that there was no slot for; saturates
   std::uint64_t session_ = 0;
   std::uint32_t told_ = 0;  // the superframe that the copy is of
   bool copied_ = false;

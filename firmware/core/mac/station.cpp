@@ -1,6 +1,8 @@
 #include "firmware/core/mac/station.hpp"
 
 #include <algorithm>
+#include <cstdio>
+#include <cstdlib>
 #include <utility>
 
 namespace groma::mac {
@@ -9,8 +11,6 @@ using ranging::ClockTime;
 using ranging::Ticks;
 
 namespace {
-
-constexpr Ticks kToGetReady = Ticks::from_us(300);
 
 // The nodes that the schedule names take turns, those that it does not know go by their ids.
 Freshness::Settings freshness_of(const Site& site) noexcept {
@@ -61,6 +61,7 @@ void Station::attach(ControlChannel& channel) noexcept {
 void Station::start(ClockTime now) noexcept {
   sync_.search();
   mastership_.search(now);
+  others_.reset();
   phase_ = Phase::kSearching;
 }
 
@@ -139,7 +140,10 @@ std::optional<Action> Station::control_ahead() const noexcept {
 }
 
 bool Station::found_if_time(ClockTime now) noexcept {
-  if (mastership_.role() != Role::kSearching) mastership_.search(now);
+  if (mastership_.role() != Role::kSearching) {
+    mastership_.search(now);
+    others_.reset();
+  }
   freshness_.forget();
   const auto lead_at = mastership_.lead_at();
   if (!lead_at || now < *lead_at) return false;
@@ -153,7 +157,9 @@ bool Station::found_if_time(ClockTime now) noexcept {
   forget_holders();
   number_ = 0;
   next_ = Next::kBeacon;
-  others_.reset();
+  phase_ = Phase::kBeacon;
+  // It takes two words of a newer schedule.
+  if (others_) call(Callees(others_->callees), others_->shared, 2);
   return true;
 }
 
@@ -169,13 +175,15 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   sync_.begin(number_);
   if (sync_.state() == SyncState::kSearching) return std::nullopt;
   const Duty duty = mastership_.begin(number_);
-  if (duty == Duty::kTakeOver && !fresh()) {
+  if ((duty == Duty::kTakeOver && !fresh()) || mastership_.forsaken_at_once(number_)) {
     sync_.search();
     return std::nullopt;
   }
   if (duty == Duty::kTakeOver) sync_.lead();
-  scanning_ = duty == Duty::kScan;
+  scanning_ =
+      duty == Duty::kScan || (keyed() && calls_within(sync_.start(number_), sync_.start(number_ + 1)));
   if (duty == Duty::kHush || (scanning_ && !mastership_.leads())) return scan(now);
+  if (duty == Duty::kHushLong) return scan(now, 2);
   const ClockTime due = sync_.start(number_) + superframe_.beacon();
   if (scanning_ && invites_beside(due)) return scan(now);
   if (!ahead(due, now)) {
@@ -187,10 +195,10 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   return listen(due, superframe_.control_bytes(), sync_.margin(number_));
 }
 
-// Until the end of the superframe.
-std::optional<Action> Station::scan(ClockTime now) noexcept {
+// Until the end of the superframe, or of a later one.
+std::optional<Action> Station::scan(ClockTime now, std::uint32_t superframes) noexcept {
   scanning_ = false;
-  end_superframe();
+  for (std::uint32_t i = 0; i < superframes; ++i) end_superframe();
   phase_ = Phase::kScanning;
   if (const auto action = invite(now)) return action;
   const ClockTime end = sync_.start(number_);
@@ -257,15 +265,16 @@ std::optional<Action> Station::invite(ClockTime now) noexcept {
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
   while (others_) {
     const ClockTime stamp = stamp_not_after(others_->shared);
-    if (ahead(stamp, now) && sure(number_) && mastership_.may_invite(others_->superframe)) {
+    if (ahead(stamp, now) && sure(number_) && mastership_.may_invite(others_->callees.superframe)) {
       const ClockTime ready = stamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
       if (ready > now + kToGetReady) {
         phase_ = Phase::kScanning;
         return Action{.kind = Action::Kind::kListenNow, .until = ready};
       }
+      const Callees callees = others_->callees;
       next_of_others();
-      return invitation(stamp);
+      return invitation(stamp, callees);
     }
     next_of_others();
   }
@@ -274,14 +283,16 @@ std::optional<Action> Station::invite(ClockTime now) noexcept {
 
 // A beacon then leaves no time for it.
 bool Station::invites_beside(ClockTime due) const noexcept {
-  if (!others_) return false;
   const Ticks room = superframe_.phy().before_rmarker() +
                      dw1000::Phy::after_rmarker(superframe_.control_bytes()) + kToGetReady;
-  Others next = *others_;
-  for (std::uint32_t i = 0; i < next.left; ++i) {
-    if (next.shared > due - room && next.shared < due + room) return mastership_.may_invite(next.superframe);
-    next.shared += superframe_.duration();
-    ++next.superframe;
+  return calls_within(due - room, due + room);
+}
+
+bool Station::calls_within(ClockTime from, ClockTime to) const noexcept {
+  if (!others_) return false;
+  for (std::uint32_t i = 0; i < others_->left; ++i) {
+    const ClockTime shared = others_->shared + std::int64_t{i} * superframe_.duration();
+    if (shared > from && shared < to) return mastership_.may_invite(others_->callees.superframe + i);
   }
   return false;
 }
@@ -289,10 +300,10 @@ bool Station::invites_beside(ClockTime due) const noexcept {
 void Station::next_of_others() noexcept {
   if (--others_->left == 0) return others_.reset();
   others_->shared += superframe_.duration();
-  ++others_->superframe;
+  ++others_->callees.superframe;
 }
 
-Action Station::invitation(ClockTime stamp) noexcept {
+Action Station::invitation(ClockTime stamp, const Callees& callees) noexcept {
   const std::int64_t duration = superframe_.duration().count();
   const std::int64_t time = sync_.network_time(stamp).count();
   Beacon beacon = make_beacon(Ticks(0), true);
@@ -302,33 +313,44 @@ Action Station::invitation(ClockTime stamp) noexcept {
   phase_ = Phase::kInviting;
   sender_ = nullptr;
   own_beacon_ = true;
-  return transmit(stamp, kBroadcast, beacon, place_of(beacon));
+  return transmit(stamp, kBroadcast, beacon, place_of(beacon), &callees);
 }
 
 // All that heard it are quiet until one of them has had its turn to call: from the next superframe on, or
-// where they are already, at once.
-void Station::call(const Beacon& beacon, ClockTime shared) noexcept {
+// where they are already, at once. Where it may be a recording and nothing is amiss, only who calls is quiet,
+// and only then.
+void Station::call(const Callees& callees, ClockTime shared, std::uint32_t rounds) noexcept {
   const Ticks duration = superframe_.duration();
   const auto number_at = [&](ClockTime at) {
     return static_cast<std::uint32_t>(sync_.network_time(at).count() / duration.count());
   };
-  others_ = Others{.shared = shared, .superframe = beacon.superframe, .left = 0};
+  others_ = Others{.shared = shared, .callees = callees, .left = 0};
   while (phase_ != Phase::kScanning && static_cast<std::int32_t>(number_at(others_->shared) - number_) <= 0) {
     others_->shared += duration;
-    ++others_->superframe;
+    ++others_->callees.superframe;
   }
   const std::uint32_t turns = site_.schedule->backup_ids_count + 1U;
-  const std::uint32_t to_open = (turns - others_->superframe % turns) % turns;
-  // The first time not all may know yet that they are to be quiet.
+  if (discreet()) {
+    others_->left = turns;  // each once
+    return;
+  }
+  const std::uint32_t to_open = (turns - others_->callees.superframe % turns) % turns;
+  // The first time not all may know yet that they are to be quiet. Who has a turn of its own may be the only
+  // one that hears them.
   constexpr std::uint32_t kMore = 1;
-  others_->left = to_open + kMore + 1;
-  mastership_.hush(number_at(others_->shared + std::int64_t{to_open + kMore} * duration));
+  std::uint32_t last = to_open + (rounds - 1) * turns + kMore;
+  while (!mastership_.leads() && mastership_.rank() && last < 2 * turns &&
+         !mastership_.may_invite_within(others_->callees.superframe, last)) {
+    ++last;
+  }
+  others_->left = last + 1;
+  mastership_.hush(number_at(others_->shared + std::int64_t{last} * duration));
 }
 
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   const ClockTime stamp = stamp_not_after(due);
   Beacon beacon = make_beacon(stamp - due, shared);
-  beacon.quiet = scanning_ && mastership_.quiet();
+  beacon.quiet = shared ? mastership_.ask_for_silence() : scanning_ && mastership_.quiet();
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr) channel->on_beacon_out(beacon, mastership_.leads());
   }
@@ -418,7 +440,11 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                           .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
-  const Verdict verdict = mastership_.judge(frame.source, beacon, ahead, reception.stamp);
+  const bool called = seal_.on() && beacon.invitation;
+  const std::uint64_t session = mastership_.session();
+  const Verdict verdict = hearsay_ ? mastership_.judge_hearsay(frame.source, beacon)
+                          : called ? mastership_.judge_call(frame.source, beacon, ahead)
+                                   : mastership_.judge(frame.source, beacon, ahead, reception.stamp);
   switch (verdict) {
     case Verdict::kStale:
       ++counters_.stale_frames;
@@ -426,8 +452,14 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     case Verdict::kIgnore:
       return false;
     case Verdict::kCall:
-      call(beacon, reception.stamp - stamp.place + superframe_.shared());
-      return phase_ == Phase::kScanning;
+      if (searching) {
+        others_ = Others{.shared = reception.stamp - stamp.place + superframe_.shared(),
+                         .callees = {beacon.session, beacon.superframe}};
+        return false;
+      }
+      call({beacon.session, beacon.superframe}, reception.stamp - stamp.place + superframe_.shared(), 1);
+      return phase_ == Phase::kScanning &&
+             (!discreet() || calls_within(reception.stamp, sync_.start(number_)));
     case Verdict::kLeave:
       sync_.search();
       return true;
@@ -439,13 +471,24 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     case Verdict::kAdopt:
       break;
   }
+  // Not all may have heard the call.
+  std::optional<Others> former;
+  if (called && verdict == Verdict::kAdopt) {
+    const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
+    former = Others{.shared = sync_.start(next) + superframe_.shared(),
+                    .callees = {session, next},
+                    .left = site_.schedule->backup_ids_count + 1U};
+  }
   // A beacon that is late for its place may have been held up by somebody.
   if (!take_stamp(stamp, beacon.session, verdict, !seal_.on() || ahead >= Ticks(0))) {
     ++counters_.bad_stamps;
     return false;
   }
   ++counters_.beacons_received;
-  if (verdict == Verdict::kAdopt) holders_told_ = beacon.superframe - beacon.age;
+  if (verdict == Verdict::kAdopt) {
+    others_ = former;
+    holders_told_ = beacon.superframe - beacon.age;
+  }
   take_content(frame, beacon);
   if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
   number_ = beacon.superframe;
@@ -457,10 +500,9 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
 bool Station::take_stamp(const BeaconStamp& stamp, std::uint64_t session, Verdict verdict,
                          bool persuasive) noexcept {
   if (verdict == Verdict::kAdopt) {
-    freshness_.forget();
+    if (!fresh()) freshness_.forget();
     seal_.enter(session);
     sync_.adopt(stamp);
-    others_.reset();
     return true;
   }
   sync_.follow();
@@ -542,15 +584,15 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
     return false;
   }
   if (const auto* beacon = std::get_if<Beacon>(&frame.body)) {
-    if (may_be_of_now(*beacon, reception.stamp) && seal_.fits(reception.frame, *beacon)) return true;
-    ++counters_.forged_frames;
-    return false;
+    return authentic(*beacon, reception);
   }
   // Who does not know the place cannot tell; but somebody is there.
   if (phase_ == Phase::kSearching) mastership_.on_traffic(reception.stamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
   const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
-  return later || is_genuine(reception.frame, place);
+  if (later || is_genuine(reception.frame, place)) return true;
+  if (check == Check::kNobodysSlot && std::holds_alternative<Poll>(frame.body)) mastership_.on_rumour();
+  return false;
 }
 
 bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept {
@@ -568,14 +610,45 @@ Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
   return sync_.start(beacon.superframe) + place_in_superframe(beacon) - heard;
 }
 
-// Once this node knows the time, a recording gives itself away: it comes later than what it tells.
-bool Station::may_be_of_now(const Beacon& beacon, ClockTime heard) const noexcept {
-  if (sync_.state() == SyncState::kSearching || !fresh()) return true;
-  return beacon.session == mastership_.session() &&
-         ahead_by(beacon, heard) >= -(superframe_.guard() + sync_.margin(beacon.superframe));
+// Once this node knows the time, a recording of its own network gives itself away: it comes later than what
+// it tells. What is of another timeline may be a recording, unless it calls this one.
+bool Station::authentic(const Beacon& beacon, const Reception& reception) noexcept {
+  hearsay_ = false;
+  bool good = false;
+  if (sync_.state() == SyncState::kSearching || !fresh()) {
+    good = !beacon.invitation && seal_.fits(reception.frame, beacon);
+  } else if (beacon.invitation) {
+    if (is_called(beacon, reception)) return true;
+    if (beacon.session == mastership_.session()) {  // one of its own calls others
+      ++counters_.stale_frames;
+      return false;
+    }
+  } else {
+    const Ticks most = superframe_.guard() + sync_.margin(beacon.superframe);
+    const Ticks ahead = ahead_by(beacon, reception.stamp);
+    const bool aligned = ahead <= most && ahead >= -most;
+    if (beacon.session == mastership_.session() && (aligned || beacon.master == mastership_.master())) {
+      good = ahead >= -most && seal_.fits(reception.frame, beacon);
+    } else {
+      hearsay_ = seal_.fits(reception.frame, beacon);
+    }
+  }
+  counters_.forged_frames += good ? 0U : 1U;
+  return good || hearsay_;
 }
 
-Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place) noexcept {
+// Heard in a shared slot of this node's own, and made for that one.
+bool Station::is_called(const Beacon& beacon, const Reception& reception) noexcept {
+  const auto number = static_cast<std::uint32_t>(sync_.network_time(reception.stamp).count() /
+                                                 superframe_.duration().count());
+  const Ticks late = reception.stamp - (sync_.start(number) + superframe_.shared());
+  const Ticks most = superframe_.guard() + sync_.margin(number);
+  return late <= most && late >= -most &&
+         seal_.fits(reception.frame, beacon, {mastership_.session(), number});
+}
+
+Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place,
+                         const Callees* callees) noexcept {
   serialize({.sequence = sequence_++,
              .network = site_.network_id,
              .destination = destination,
@@ -583,7 +656,11 @@ Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body&
              .secured = seal_.on(),
              .body = body},
             outgoing_);
-  if (seal_.on()) seal_.begin_signing(outgoing_, place);
+  if (callees != nullptr) {
+    seal_.begin_signing(outgoing_, place, *callees);
+  } else if (seal_.on()) {
+    seal_.begin_signing(outgoing_, place);
+  }
   return {.kind = Action::Kind::kTransmit, .at = stamp, .frame = outgoing_.bytes()};
 }
 

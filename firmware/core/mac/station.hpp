@@ -26,6 +26,9 @@ namespace groma::mac {
 
 class Station {
  public:
+  // What a node needs between two things to do.
+  static constexpr ranging::Ticks kToGetReady = ranging::Ticks::from_us(300);
+
   // Counts into `counters`, which outlives it, as what the site points to.
   Station(const Site& site, groma_Counters& counters) noexcept;
   Station(const Station&) = delete;
@@ -106,8 +109,9 @@ class Station {
 
   // A frame of this network that is for this node or for all, or for whoever passes it on, and with the code
   // that the network's key asks for at `place`, where it was heard; what is not is counted and nothing. A
-  // RESPONSE's code is left to is_genuine() with kResponseLater.
-  enum class Check : std::uint8_t { kNow, kResponseLater };
+  // RESPONSE's code is left to is_genuine() with kResponseLater. With kNobodysSlot, where nobody polls, a
+  // POLL whose code does not fit may be another session's.
+  enum class Check : std::uint8_t { kNow, kResponseLater, kNobodysSlot };
   [[nodiscard]] std::optional<Frame> accept(const Reception& reception, Place place,
                                             Check check = Check::kNow) noexcept;
   // Its code fits, or none is asked for; counted where it does not.
@@ -131,7 +135,7 @@ class Station {
 
   // `place`: of a tag slot's frame; the others tell it by their kind. Its code is put in by complete().
   [[nodiscard]] Action transmit(ranging::ClockTime stamp, std::uint16_t destination, const Body& body,
-                                Place place) noexcept;
+                                Place place, const Callees* callees = nullptr) noexcept;
   void complete() noexcept { seal_.finish_signing(outgoing_); }
   // The last stamp on the grid that is not after `latest`.
   [[nodiscard]] ranging::ClockTime stamp_not_after(ranging::ClockTime latest) const noexcept {
@@ -164,11 +168,15 @@ class Station {
   [[nodiscard]] Action search(ranging::ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> beacon_slot(ranging::ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> invite(ranging::ClockTime now) noexcept;
+  // It is this node's turn to call in a shared slot of the others' that begins between these.
+  [[nodiscard]] bool calls_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
   [[nodiscard]] bool invites_beside(ranging::ClockTime due) const noexcept;
   void next_of_others() noexcept;
-  [[nodiscard]] Action invitation(ranging::ClockTime stamp) noexcept;
-  void call(const Beacon& beacon, ranging::ClockTime shared) noexcept;
-  [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Action invitation(ranging::ClockTime stamp, const Callees& callees) noexcept;
+  void call(const Callees& callees, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
+  // Whom to call may not be there, and nothing is amiss.
+  [[nodiscard]] bool discreet() const noexcept { return hearsay_ && !mastership_.lacking(); }
+  [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA of the first channel that has one, in the shared slot.
   [[nodiscard]] std::optional<Action> from_channels(ranging::ClockTime stamp, bool own_turn) noexcept;
@@ -188,9 +196,10 @@ class Station {
   [[nodiscard]] bool authentic(const Frame& frame, const Reception& reception, Place place,
                                Check check) noexcept;
   [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
+  [[nodiscard]] bool authentic(const Beacon& beacon, const Reception& reception) noexcept;
+  [[nodiscard]] bool is_called(const Beacon& beacon, const Reception& reception) noexcept;
   // By how much the timeline that the beacon tells of is ahead of this node's.
   [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
-  [[nodiscard]] bool may_be_of_now(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   void take_poll(const Poll& poll) noexcept;
   void forget_holders() noexcept;
   void miss() noexcept;
@@ -212,11 +221,12 @@ class Station {
   // Another session that is to come over: its next shared slot, and in which of its superframes that is.
   struct Others {
     ranging::ClockTime shared;
-    std::uint32_t superframe = 0;
+    Callees callees{};
     std::uint32_t left = 0;  // of its shared slots in which this one's nodes are quiet
   };
-  std::optional<Others> others_;
-  bool scanning_ = false;  // once the own beacon is out
+  std::optional<Others> others_;  // while searching: of an older schedule
+  bool hearsay_ = false;          // the last beacon's code fits, but it may have been said long ago
+  bool scanning_ = false;         // once the own beacon is out
   std::uint32_t number_ = 0;
   Action listening_;
   std::uint32_t holders_told_ = 0;  // superframe in which they left the master

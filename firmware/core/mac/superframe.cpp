@@ -16,8 +16,10 @@ using ranging::Ticks;
 
 constexpr std::uint16_t kLargestId = 65534;
 // A beacon is taken into the clock filter before a relay's own, or the POLL after it, is made: so much longer
-// than an answer to a POLL. A code is checked and made in it, too.
+// than an answer to a POLL. One code is checked and made in it, too.
 constexpr Ticks kToTakeIn = round_up_to_grid(Ticks::from_us(100));
+// To check and make another code: an nRF52832 takes some 100 us.
+constexpr Ticks kForCode = round_up_to_grid(Ticks::from_us(100));
 
 constexpr bool outside(std::uint32_t value, std::uint32_t low, std::uint32_t high) noexcept {
   return value < low || value > high;
@@ -193,10 +195,10 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
-      // With a key a message takes a second code there.
+      // A message in a beacon's stead takes a second code.
       control_slot_(
           round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turn_round_)) +
-          kToTakeIn + round_up_to_grid(Ticks::from_us(secured ? 100 : 0))),
+          kToTakeIn + (secured ? kForCode : Ticks(0))),
       slots_start_(control_slot_ +
                    round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turn_round_) +
                    kToTakeIn) {
@@ -204,7 +206,7 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
       has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turn_round_)
                  : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes)) + gap_;
   tag_slot_ = round_up_to_grid(first_frame_ + last_frame);
-  end_time_ = round_up_to_grid(Ticks::from_us(secured ? 100 : 0));
+  if (secured) end_time_ = kForCode;
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {

@@ -2,7 +2,7 @@
 //
 //   | BEACON | shared | slot 0 | slot 1 | ...
 //
-//   BEACON: | guard BEACON turn-round |     shared: | guard BEACON, JOIN or DATA turn-round |
+//   BEACON: | guard BEACON turn-round 100 us |     shared: | guard BEACON, JOIN or DATA turn-round 100 us |
 //   slot:   | guard POLL turn-round RESPONSE gap RESPONSE gap ... RESPONSE gap | [turn-round FINAL
 //   turn-round] |
 //
@@ -12,10 +12,11 @@
 // everything follows from the POLL as it was sent or heard; a POLL that names fewer anchors than the schedule
 // allows only ends earlier.
 //
-// In a network with a key frames have to be checked before another is made, which takes an nRF52832 some
-// 100 us for both: the beacon's and the shared slot are so much longer, and have the turn-round in place of
-// the gap; the superframe ends 100 us later. Within a tag's slot the schedule's turn-round has room for it,
-// or has not.
+// After the beacon and after the shared slot there are the turn-round (or the gap, where that is longer) and
+// 100 us for whoever takes a beacon into the clock filter before making the next frame. In a network with a
+// key a frame's code is checked before another is made, which takes an nRF52832 some 100 us for both: the
+// beacon is followed by as much again, for a message in the shared slot, and so is the last slot, for the
+// next beacon. Within a tag's slot the schedule's turn-round has room for it, or has not.
 //
 // Whoever heard a FINAL out has the next POLL to listen for, or a beacon to make: it is followed by the
 // turn-round, or the gap where that is longer. A slot that RESPONSEs end needs no more than the gap: an
@@ -113,7 +114,7 @@ class Superframe {
   ranging::Ticks control_slot_;      // the beacon's
   ranging::Ticks slots_start_;
   ranging::Ticks tag_slot_;
-  ranging::Ticks end_time_;  // after the last slot
+  ranging::Ticks end_time_{};  // after the last slot
 };
 
 // The slot that the schedule gives to a tag; nothing where it does not name the tag.

@@ -167,6 +167,7 @@ class Node {
     }
     mac::Site site = site_of(*config_, radio_.transmit_antenna_delay());
     site.boot_count = platform_.boot_count();
+    site.on_trial = trial_.under_way();
     site.sessions = &sessions_;
     site.network_key = std::span(config_->network_key.bytes).first(config_->network_key.size);
     site.cipher = &platform_.cipher();

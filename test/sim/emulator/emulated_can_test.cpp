@@ -184,7 +184,7 @@ TEST_P(EmulatedCan, ATagAloneGetsAllItsReportsOntoTheBus) {
   const int good_before = can.good_ranges();
   can.run_until(5.0);
   const Listener& listener = can.listeners[0];
-  const double superframe_s = static_cast<double>(can.site->superframe().duration().count()) / 63.8976e9;
+  const double superframe_s = seconds_of(can.site->superframe());
   const double reports_per_s = static_cast<double>(listener.reports.size() - before) / 2.0;
   std::printf("%.0f of %.0f reports/s, %u dropped\n", reports_per_s, 1.0 / superframe_s,
               listener.counters.reports_dropped);

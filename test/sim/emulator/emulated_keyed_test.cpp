@@ -29,7 +29,7 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
   // The tag and the second anchor; the master is native.
   SiteBench site(emulating(settings, {}, [](std::uint16_t id) { return id != nth_anchor(0); }));
   site.run_until(2.2);
-  const double rate = 2.0 / (static_cast<double>(site.superframe().duration().count()) / 63.8976e9);
+  const double rate = 2.0 / seconds_of(site.superframe());
   EXPECT_GT(site.good_ranges(1.2), 0.95 * rate);
   site.each_range([&](const groma_SlotReport&, const groma_Range& range) {
     if (range.status != groma_RangeStatus_RANGE_OK) return;

@@ -40,8 +40,7 @@ inline SiteRate measure_rate(const SiteSettings& settings, double seconds, doubl
   SiteBench site(settings);
   site.network.set_threads(threads);
   const mac::Superframe superframe = site.superframe();
-  const double superframe_s =
-      static_cast<double>(superframe.duration().count()) / static_cast<double>(ranging::Ticks::kPerSecond);
+  const double superframe_s = seconds_of(superframe);
   const double span_s = std::ceil(seconds / superframe_s) * superframe_s;
   const double end_s = settle_s + span_s;
   constexpr double kTelemetry_s = 1.3;

@@ -1,0 +1,214 @@
+// Networks of several hops whose nodes die and come back at random: lines, rings, stars and trees of
+// beaconers, with tags and anchors that hear one of them each. After the last change each part that hangs
+// together is one network under one master soon.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <map>
+#include <numeric>
+#include <random>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "test/firmware/air.hpp"
+
+namespace groma::testing {
+namespace {
+
+using mac::SyncState;
+
+enum class Shape : std::uint8_t { kLine, kRing, kStar, kTree };
+
+const char* name_of(Shape shape) {
+  constexpr std::array<const char*, 4> kNames{"line", "ring", "star", "tree"};
+  return kNames[static_cast<std::size_t>(shape)];
+}
+
+using Edges = std::vector<std::pair<std::size_t, std::size_t>>;
+
+Edges edges_of(Shape shape) {
+  switch (shape) {
+    case Shape::kLine:
+      return {{0, 1}, {1, 2}, {2, 3}};
+    case Shape::kRing:
+      return {{0, 1}, {1, 2}, {2, 3}, {3, 4}, {4, 5}, {5, 6}, {6, 0}};
+    case Shape::kStar:
+      return {{0, 1}, {0, 2}, {0, 3}, {0, 4}, {0, 5}};
+    case Shape::kTree:
+      return {{0, 1}, {0, 2}, {1, 3}, {1, 4}, {2, 5}, {2, 6}};
+  }
+  return {};
+}
+
+std::size_t beaconers_of(Shape shape) {
+  constexpr std::array<std::size_t, 4> kCounts{4, 7, 6, 7};
+  return kCounts[static_cast<std::size_t>(shape)];
+}
+
+constexpr std::size_t kTags = 3;
+
+groma_Schedule schedule_of_shape(Shape shape) {
+  const std::size_t beaconers = beaconers_of(shape);
+  groma_Schedule schedule =
+      schedule_of(kTags, beaconers + 2, groma_RangingMethod_METHOD_DS_NEXT_POLL, 300, 150);
+  schedule.backup_ids_count = static_cast<pb_size_t>(beaconers - 1);
+  for (std::size_t i = 1; i < beaconers; ++i)
+    schedule.backup_ids[i - 1] = static_cast<std::uint16_t>(101 + i);
+  return schedule;
+}
+
+class Layout {
+ public:
+  Layout(Shape shape, std::uint64_t seed)
+      : beaconers_(beaconers_of(shape)),
+        schedule_(schedule_of_shape(shape)),
+        random_(seed),
+        air(schedule_, dw1000::Preamble::k128) {
+    const mac::Superframe superframe(schedule_, dw1000::Phy(dw1000::Preamble::k128));
+    superframe_s = static_cast<double>(superframe.duration().count()) / kTicksPerSecond;
+    air.add_all(60.0, 20.0, seed);
+    // Which rank stands where is drawn, and whom a leaf hears.
+    std::vector<std::size_t> at(beaconers_);
+    std::iota(at.begin(), at.end(), std::size_t{0});
+    for (std::size_t i = beaconers_ - 1; i > 0; --i) std::swap(at[i], at[below(i + 1)]);
+    for (const auto& [a, b] : edges_of(shape)) join(at[a], at[b]);
+    for (std::size_t i = beaconers_; i < air.size(); ++i) join(i, below(beaconers_));
+    on.assign(air.size(), false);
+    air.reach = [this](std::size_t a, std::size_t b) { return edges_.contains({a, b}); };
+  }
+
+  void set_power(std::size_t node, bool to) {
+    if (on[node] == to) return;
+    on[node] = to;
+    if (to) {
+      air.start(node);
+    } else {
+      air.stop(node);
+    }
+  }
+  // Some die or come back one after the other, and some more at once.
+  void change() {
+    for (int i = 0; i < 4; ++i) {
+      const std::size_t node = below(air.size());
+      set_power(node, !on[node]);
+      air.run(superframe_s * static_cast<double>(below(40)));
+    }
+    for (std::size_t i = 0; i < air.size(); ++i)
+      if (below(3) == 0) set_power(i, below(4) != 0);
+  }
+  std::size_t below(std::size_t bound) { return static_cast<std::size_t>(random_() % bound); }
+
+  // Of each living node: the lowest beaconer that it hangs together with; those that reach none are left out.
+  [[nodiscard]] std::map<std::size_t, std::size_t> parts() const {
+    std::map<std::size_t, std::size_t> part;
+    for (std::size_t first = 0; first < beaconers_; ++first) {
+      if (!on[first] || part.contains(first)) continue;
+      std::vector<std::size_t> open{first};
+      while (!open.empty()) {
+        const std::size_t node = open.back();
+        open.pop_back();
+        if (!part.emplace(node, first).second || node >= beaconers_) continue;
+        for (std::size_t i = 0; i < air.size(); ++i)
+          if (on[i] && edges_.contains({node, i})) open.push_back(i);
+      }
+    }
+    return part;
+  }
+  [[nodiscard]] bool one_master_a_part() const {
+    std::map<std::size_t, int> leaders;
+    for (const auto& [node, part] : parts()) leaders[part] += air.station(node).mastership().leads() ? 1 : 0;
+    return std::all_of(leaders.begin(), leaders.end(), [](const auto& l) { return l.second == 1; });
+  }
+  [[nodiscard]] bool in_step() const {
+    std::map<std::size_t, std::set<std::uint64_t>> sessions;
+    for (const auto& [node, part] : parts()) {
+      if (air.station(node).sync().state() == SyncState::kSearching) return false;
+      sessions[part].insert(air.station(node).mastership().session());
+    }
+    return std::all_of(sessions.begin(), sessions.end(), [](const auto& s) { return s.second.size() == 1; });
+  }
+  [[nodiscard]] std::string told() const {
+    std::string text;
+    for (const auto& [node, part] : parts()) {
+      const auto& m = air.station(node).mastership();
+      std::array<char, 160> line{};
+      std::snprintf(line.data(), line.size(), "  %u of part %u: role %d, master %u, session %llx, hop %d\n",
+                    air.id(node), air.id(part), static_cast<int>(m.role()), m.master(),
+                    static_cast<unsigned long long>(m.session()), m.hop());
+      text += line.data();
+    }
+    return text;
+  }
+
+ private:
+  void join(std::size_t a, std::size_t b) {
+    edges_.insert({a, b});
+    edges_.insert({b, a});
+  }
+
+  std::size_t beaconers_;
+  groma_Schedule schedule_;
+  std::mt19937_64 random_;
+  std::set<std::pair<std::size_t, std::size_t>> edges_;
+
+ public:
+  Air air;
+  double superframe_s = 0.0;
+  std::vector<bool> on;
+};
+
+class Layouts : public ::testing::TestWithParam<Shape> {};
+
+// Two parts that never hear each other, for each one's frames lie where the other does not listen, stay two:
+// at most one round in a hundred.
+TEST_P(Layouts, EachPartIsOneNetworkUnderOneMasterSoonAfterTheLastChange) {
+  constexpr int kRounds = 6;
+  constexpr int kSoon = 60;
+  constexpr int kMost = 400;
+  std::vector<int> until_one;
+  std::vector<int> until_in_step;
+  for (std::uint64_t seed = GROMA_FIRST_SEED; seed <= GROMA_LAST_SEED; ++seed) {
+    Layout layout(GetParam(), 100 * seed + static_cast<std::uint64_t>(GetParam()));
+    for (std::size_t i = 0; i < layout.air.size(); ++i) layout.set_power(i, true);
+    for (int round = 0; round < kRounds; ++round) {
+      if (round > 0) layout.change();
+      int one = 0;
+      int in_step = 0;
+      for (int n = 1; n <= kMost && n <= std::max(one, in_step) + 30; ++n) {
+        layout.air.run(layout.superframe_s);
+        if (!layout.one_master_a_part()) one = n;
+        if (!layout.in_step()) in_step = n;
+      }
+      layout.air.ranges.clear();
+      until_one.push_back(one);
+      until_in_step.push_back(in_step);
+      if (std::max(one, in_step) > kSoon)
+        std::printf("%s, seed %d, round %d: %d and %d superframes\n%s", name_of(GetParam()),
+                    static_cast<int>(seed), round, one, in_step, layout.told().c_str());
+    }
+  }
+  std::sort(until_one.begin(), until_one.end());
+  std::sort(until_in_step.begin(), until_in_step.end());
+  const auto at = [](const std::vector<int>& of, double share) {
+    return of[static_cast<std::size_t>(share * static_cast<double>(of.size() - 1))];
+  };
+  std::printf(
+      "%s, %zu rounds: superframes until one master: median %d, 90 %% %d, 99 %% %d, longest %d; until all in "
+      "step: %d, %d, %d, %d\n",
+      name_of(GetParam()), until_one.size(), at(until_one, 0.5), at(until_one, 0.9), at(until_one, 0.99),
+      until_one.back(), at(until_in_step, 0.5), at(until_in_step, 0.9), at(until_in_step, 0.99),
+      until_in_step.back());
+  EXPECT_GT(until_one.back(), 5) << "there was something to do";
+  EXPECT_LE(at(until_one, 0.99), kSoon);
+  EXPECT_LE(at(until_in_step, 0.99), kSoon);
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, Layouts,
+                         ::testing::Values(Shape::kLine, Shape::kRing, Shape::kStar, Shape::kTree));
+
+}  // namespace
+}  // namespace groma::testing
