@@ -11,7 +11,7 @@ namespace {
 constexpr double kFirstDamping = 1e-4;
 constexpr double kMaxDamping = 1e10;
 // A step this small in every parameter, as a share of its own sigma, ends the search.
-constexpr double kConvergedSigmas = 1e-2;
+constexpr double kConvergedSigmas = 2e-2;
 
 double square(double x) noexcept {
   return x * x;
@@ -26,6 +26,11 @@ double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
     const double gamma = anchor(gamma_index(tag, problem.tag_count)) - priors.gamma.mean;
     cost += 0.5 * square(beta / priors.beta_m.sigma) + 0.5 * square(gamma / priors.gamma.sigma);
   }
+  if (problem.sight == nullptr || !problem.sight->behind_wall) return cost;
+  const WallPrior& wall = problem.sight->prior;
+  const Eigen::Index common = wall_index(problem.tag_count);
+  cost += 0.5 * square((anchor(common) - wall.mean_m) / wall.sigma_m);
+  cost += 0.5 * anchor.tail(anchor.size() - common - 1).squaredNorm() / square(wall.episode_sigma_m);
   return cost;
 }
 
@@ -36,6 +41,21 @@ double length_in_sigmas(const NormalEquations& equations, const Eigen::VectorXd&
 
 }  // namespace
 
+Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
+  const auto tags = static_cast<Eigen::Index>(problem.tag_count);
+  const Eigen::Index common = wall_index(problem.tag_count);
+  const Eigen::Index extra =
+      problem.sight != nullptr ? static_cast<Eigen::Index>(problem.sight->extra_unknowns()) : 0;
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(common + extra, common + extra);
+  out.topLeftCorner<3, 3>() = problem.position.information;
+  out.diagonal().segment(3, tags).setConstant(1.0 / square(problem.priors.beta_m.sigma));
+  out.diagonal().segment(3 + tags, tags).setConstant(1.0 / square(problem.priors.gamma.sigma));
+  if (extra == 0) return out;
+  out(common, common) = 1.0 / square(problem.sight->prior.sigma_m);
+  out.diagonal().tail(extra - 1).setConstant(1.0 / square(problem.sight->prior.episode_sigma_m));
+  return out;
+}
+
 NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                           const AnchorVector& anchor) {
   const std::size_t tags = problem.tag_count;
@@ -43,22 +63,26 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
   std::vector<PairBlock> blocks(tags, PairBlock::Zero());
   std::vector<PairRow> slopes(tags, PairRow::Zero());
 
+  NormalEquations out;
+  out.gradient = Eigen::VectorXd::Zero(size);
+  out.information = Eigen::MatrixXd::Zero(size, size);
   CostSum cost;
   for (const Observation& row : problem.rows) {
     const model::AntennaPrediction predicted = predict(row, anchor, tags);
-    const KernelValue value = kernels[row.tag].at(row.range_m - predicted.range_m);
-    cost.add(value);
+    const RowValue value = value_of(problem, kernels, row, row.range_m - predicted.range_m, anchor);
+    cost.add(value.seen);
     const PairRow j = pair_jacobian(predicted, anchor(gamma_index(row.tag, tags)));
-    slopes[row.tag] -= value.slope * j;
-    add_square(j, value.weight, blocks[row.tag]);
+    slopes[row.tag] -= value.seen.slope * j;
+    add_square(j, value.seen.weight, blocks[row.tag]);
+    if (!(value.wall_weight > 0.0)) continue;
+    const WallRow walled = wall_row(j, problem.sight->rows[row.index], row.tag, tags);
+    add(walled, -value.wall_slope, out.gradient);
+    add_square(walled, value.wall_weight, out.information);
   }
 
-  NormalEquations out;
   out.cost = prior_cost(problem, anchor) + cost.cost();
-  out.gradient = Eigen::VectorXd::Zero(size);
-  out.information = Eigen::MatrixXd::Zero(size, size);
-  out.gradient.head<3>() = problem.position.information * (anchor.head<3>() - problem.position.mean_m);
-  out.information.topLeftCorner<3, 3>() = problem.position.information;
+  out.information += information_of_priors(problem);
+  out.gradient.head<3>() += problem.position.information * (anchor.head<3>() - problem.position.mean_m);
   const model::RangePriors& priors = problem.priors;
   for (std::size_t tag = 0; tag < tags; ++tag) {
     const Eigen::Index beta = beta_index(tag);
@@ -66,17 +90,24 @@ NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKe
     const PairBlock block = blocks[tag].selfadjointView<Eigen::Lower>();
     const PairRow& slope = slopes[tag];
     out.gradient.head<3>() += slope.head<3>();
-    out.gradient(beta) = slope(3) + (anchor(beta) - priors.beta_m.mean) / square(priors.beta_m.sigma);
-    out.gradient(gamma) = slope(4) + (anchor(gamma) - priors.gamma.mean) / square(priors.gamma.sigma);
+    out.gradient(beta) += slope(3) + (anchor(beta) - priors.beta_m.mean) / square(priors.beta_m.sigma);
+    out.gradient(gamma) += slope(4) + (anchor(gamma) - priors.gamma.mean) / square(priors.gamma.sigma);
     out.information.topLeftCorner<3, 3>() += block.topLeftCorner<3, 3>();
-    out.information.block<3, 1>(0, beta) = block.block<3, 1>(0, 3);
-    out.information.block<1, 3>(beta, 0) = block.block<1, 3>(3, 0);
-    out.information.block<3, 1>(0, gamma) = block.block<3, 1>(0, 4);
-    out.information.block<1, 3>(gamma, 0) = block.block<1, 3>(4, 0);
-    out.information(beta, gamma) = block(3, 4);
-    out.information(gamma, beta) = block(4, 3);
-    out.information(beta, beta) = block(3, 3) + 1.0 / square(priors.beta_m.sigma);
-    out.information(gamma, gamma) = block(4, 4) + 1.0 / square(priors.gamma.sigma);
+    out.information.block<3, 1>(0, beta) += block.block<3, 1>(0, 3);
+    out.information.block<1, 3>(beta, 0) += block.block<1, 3>(3, 0);
+    out.information.block<3, 1>(0, gamma) += block.block<3, 1>(0, 4);
+    out.information.block<1, 3>(gamma, 0) += block.block<1, 3>(4, 0);
+    out.information(beta, gamma) += block(3, 4);
+    out.information(gamma, beta) += block(4, 3);
+    out.information(beta, beta) += block(3, 3);
+    out.information(gamma, gamma) += block(4, 4);
+  }
+  if (problem.sight != nullptr && problem.sight->behind_wall) {
+    const WallPrior& wall = problem.sight->prior;
+    const Eigen::Index common = wall_index(tags);
+    const Eigen::Index episodes = size - common - 1;
+    out.gradient(common) += (anchor(common) - wall.mean_m) / square(wall.sigma_m);
+    out.gradient.tail(episodes) += anchor.tail(episodes) / square(wall.episode_sigma_m);
   }
   if (problem.position.surveyed) {
     out.gradient.head<3>().setZero();
@@ -91,7 +122,7 @@ double robust_cost(const AnchorProblem& problem, std::span<const RobustKernel> k
                    const AnchorVector& anchor) {
   CostSum cost;
   for (const Observation& row : problem.rows) {
-    cost.add(kernels[row.tag].at(residual_m(row, anchor, problem.tag_count)));
+    cost.add(value_of(problem, kernels, row, residual_m(row, anchor, problem.tag_count), anchor).seen);
   }
   return prior_cost(problem, anchor) + cost.cost();
 }
@@ -102,7 +133,7 @@ AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const Robust
   NormalEquations here = linearize(problem, kernels, start);
   out.cost = here.cost;
   double damping = kFirstDamping;
-  for (int i = 0; i < max_iterations && damping < kMaxDamping; ++i) {
+  for (int taken = 0; taken < max_iterations && damping < kMaxDamping;) {
     Eigen::MatrixXd damped = here.information;
     damped.diagonal() *= 1.0 + damping;
     const Eigen::LDLT<Eigen::MatrixXd> factors(damped);
@@ -111,25 +142,24 @@ AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const Robust
       damping = std::max(damping * 10.0, 1e-3);
       continue;
     }
-    const double length = length_in_sigmas(here, step);
     const AnchorVector candidate = out.anchor + step;
+    if (length_in_sigmas(here, step) < kConvergedSigmas) {
+      // The information's parabola lies above the cost: so short a step needs no look.
+      out.anchor = candidate;
+      out.cost += 0.5 * here.gradient.dot(step);
+      out.converged = true;
+      break;
+    }
     NormalEquations there = linearize(problem, kernels, candidate);
     if (!(there.cost <= out.cost)) {
-      if (length < kConvergedSigmas) {
-        out.converged = true;
-        break;
-      }
       damping *= 10.0;
       continue;
     }
+    ++taken;
     out.anchor = candidate;
     out.cost = there.cost;
     here = std::move(there);
     damping = std::max(damping * 0.1, 1e-12);
-    if (length < kConvergedSigmas) {
-      out.converged = true;
-      break;
-    }
   }
   out.moved_sigmas = length_in_sigmas(here, out.anchor - start);
   return out;

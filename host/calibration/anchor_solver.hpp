@@ -1,7 +1,9 @@
 // Position and pair biases of one anchor from its ranges: robust non-linear least squares.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -9,12 +11,14 @@
 
 #include "host/calibration/association.hpp"
 #include "host/calibration/robust_kernel.hpp"
+#include "host/calibration/sight.hpp"
 #include "host/model/range_model.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {
 
-// The unknowns of one anchor: position, then beta of each tag, then gamma of each tag. Size 3 + 2T.
+// The unknowns of one anchor: position, then beta of each tag, then gamma of each tag: 3 + 2T; then what
+// walls add, as AnchorSight has it.
 using AnchorVector = Eigen::VectorXd;
 
 [[nodiscard]] inline Eigen::Index beta_index(std::size_t tag) noexcept {
@@ -22,6 +26,13 @@ using AnchorVector = Eigen::VectorXd;
 }
 [[nodiscard]] inline Eigen::Index gamma_index(std::size_t tag, std::size_t tag_count) noexcept {
   return 3 + static_cast<Eigen::Index>(tag_count + tag);
+}
+// Of what all walls add, and of what one episode's wall adds to that.
+[[nodiscard]] inline Eigen::Index wall_index(std::size_t tag_count) noexcept {
+  return 3 + 2 * static_cast<Eigen::Index>(tag_count);
+}
+[[nodiscard]] inline Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept {
+  return wall_index(tag_count) + 1 + episode;
 }
 
 // Gaussian belief in the position; a zero eigenvalue leaves a direction open.
@@ -36,6 +47,7 @@ struct AnchorProblem {
   std::size_t tag_count = 0;
   model::RangePriors priors;
   PositionPrior position;
+  const AnchorSight* sight = nullptr;  // none: every row is taken as the kernels take it
 };
 
 // The range an observation should have shown.
@@ -47,6 +59,43 @@ struct AnchorProblem {
 [[nodiscard]] inline double residual_m(const Observation& row, const AnchorVector& anchor,
                                        std::size_t tag_count) noexcept {
   return row.range_m - predict(row, anchor, tag_count).range_m;
+}
+
+// What a wall adds to this row, by the solution.
+[[nodiscard]] inline double wall_excess_m(const RowSight& sight, const AnchorVector& anchor,
+                                          std::size_t tag_count) noexcept {
+  const double common_m = anchor(wall_index(tag_count));
+  return sight.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(sight.episode, tag_count));
+}
+
+// One row at one solution: the density of the whole, slope and weight of its part in sight, and those of its
+// part behind a wall.
+struct RowValue {
+  KernelValue seen;
+  double seen_share = 1.0;   // posterior
+  double wall_slope = 0.0;   // 1/m
+  double wall_weight = 0.0;  // 1/m^2
+};
+[[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
+                                       const Observation& row, double residual_m,
+                                       const AnchorVector& anchor) noexcept {
+  RowValue out{.seen = kernels[row.tag].at(residual_m)};
+  if (problem.sight == nullptr) return out;
+  const RowSight& sight = problem.sight->rows[row.index];
+  const double seen = static_cast<double>(sight.in_sight) * out.seen.density;
+  KernelValue through;
+  double walled = 0.0;
+  if (sight.wall > 0.0F) {
+    through = problem.sight->wall.at(residual_m - wall_excess_m(sight, anchor, problem.tag_count));
+    walled = static_cast<double>(sight.wall) * through.density;
+  }
+  out.seen.density = seen + walled + static_cast<double>(sight.other_density);
+  out.seen_share = seen / out.seen.density;
+  out.seen.slope *= out.seen_share;
+  out.seen.weight *= out.seen_share;
+  out.wall_slope = walled / out.seen.density * through.slope;
+  out.wall_weight = walled / out.seen.density * through.weight;
+  return out;
 }
 
 // Derivative of the predicted range by position, beta and gamma of the one pair that it sees.
@@ -63,6 +112,40 @@ inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexce
   return {-gamma * predicted.direction.x(), -gamma * predicted.direction.y(),
           -gamma * predicted.direction.z(), 1.0, predicted.distance_m};
 }
+
+// Of a range behind a wall: also by the two parts of its excess.
+struct WallRow {
+  Eigen::Matrix<double, 7, 1> derivative;
+  std::array<Eigen::Index, 7> index{};  // of the anchor's unknowns
+  Eigen::Index size = 6;                // 7 in an episode
+};
+[[nodiscard]] inline WallRow wall_row(const PairRow& j, const RowSight& sight, std::size_t tag,
+                                      std::size_t tag_count) noexcept {
+  WallRow out;
+  out.derivative << j, 1.0, 1.0;
+  out.index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), wall_index(tag_count), 0};
+  if (sight.episode != kNoEpisode) {
+    out.index[6] = episode_index(sight.episode, tag_count);
+    out.size = 7;
+  }
+  return out;
+}
+// Adds weight J J^T to a symmetric matrix.
+inline void add_square(const WallRow& row, double weight, Eigen::MatrixXd& out) noexcept {
+  for (Eigen::Index i = 0; i < row.size; ++i) {
+    for (Eigen::Index k = 0; k < row.size; ++k) {
+      out(row.index[static_cast<std::size_t>(i)], row.index[static_cast<std::size_t>(k)]) +=
+          weight * row.derivative(i) * row.derivative(k);
+    }
+  }
+}
+inline void add(const WallRow& row, double factor, Eigen::VectorXd& out) noexcept {
+  for (Eigen::Index i = 0; i < row.size; ++i)
+    out(row.index[static_cast<std::size_t>(i)]) += factor * row.derivative(i);
+}
+
+// Information of all priors, for all of the anchor's unknowns.
+[[nodiscard]] Eigen::MatrixXd information_of_priors(const AnchorProblem& problem);
 
 // Quadratic model of the robust cost at one point: cost, gradient, and the information with each row's
 // weight, priors included, nothing damped. A surveyed position has no gradient and is tied to nothing.

@@ -39,6 +39,7 @@ double blend_angle(double from_rad, double to_rad, double fraction) noexcept {
 // The robot between two neighbouring samples: pose at the range's instant and the motion across the gap.
 struct Motion {
   model::RigidPose pose;
+  Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // the pose's
   Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();
   double yaw_rate_radps = 0.0;
 };
@@ -65,6 +66,7 @@ class PoseCursor {
     if (gap_s > max_gap_s_) return nullptr;
     const double fraction = (t_s - from.t_s) / gap_s;
     motion_.pose = interpolate_pose(from, to, fraction, surface_, height_);
+    motion_.attitude = Eigen::Quaterniond(motion_.pose.rotation).cast<float>();
     motion_.velocity_mps = Eigen::Vector3d(to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m) / gap_s;
     motion_.yaw_rate_radps = model::wrap_angle(to.yaw_rad - from.yaw_rad) / gap_s;
     found_ = true;
@@ -153,11 +155,14 @@ Association associate(const Drive& drive, double max_pose_gap_s, double range_de
       continue;
     }
     const Eigen::Vector3d arm_m = motion->pose.rotation * tag->lever_arm_m;
+    const std::size_t before = anchor.rows.size();
     Observation& row = anchor.rows.emplace_back();
+    row.index = static_cast<std::uint32_t>(before);
     row.t_s = sample.t_s;
     row.range_m = sample.range_m;
     row.tag_m = motion->pose.position_m + arm_m;
     row.yaw_arm_m = {-arm_m.y(), arm_m.x()};
+    row.attitude = motion->attitude;
     row.velocity_mps = motion->velocity_mps;
     row.velocity_mps.head<2>() += motion->yaw_rate_radps * row.yaw_arm_m;
     row.tag = static_cast<std::uint32_t>(tag - out.tags.begin());

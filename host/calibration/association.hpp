@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include "host/calibration/calibrate.hpp"
 #include "host/model/pose.hpp"
@@ -17,10 +18,12 @@ namespace groma::calibration {
 struct Observation {
   double t_s = 0.0;
   double range_m = 0.0;
-  Eigen::Vector3d tag_m = Eigen::Vector3d::Zero();         // antenna
-  Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();  // of the antenna
-  Eigen::Vector2d yaw_arm_m = Eigen::Vector2d::Zero();     // d tag_m / d yaw, its x and y
-  std::uint32_t tag = 0;                                   // index in Association::tags
+  Eigen::Vector3d tag_m = Eigen::Vector3d::Zero();               // antenna
+  Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();        // of the antenna
+  Eigen::Vector2d yaw_arm_m = Eigen::Vector2d::Zero();           // d tag_m / d yaw, its x and y
+  Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // takes base_link's vectors into the map
+  std::uint32_t tag = 0;                                         // index in Association::tags
+  std::uint32_t index = 0;                                       // among the anchor's rows
 };
 
 struct AnchorObservations {

@@ -3,11 +3,16 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <numbers>
 
+#include "host/calibration/anchor_links.hpp"
 #include "host/calibration/association.hpp"
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/initial_guess.hpp"
+#include "host/calibration/moved.hpp"
 #include "host/calibration/rival.hpp"
+#include "host/calibration/sight_solver.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/uncertainty.hpp"
 #include "host/calibration/verdict.hpp"
@@ -18,6 +23,11 @@ namespace {
 // Poses whose height differs from the ground's by more than this are tried at both heights.
 constexpr double kHeightDisagreement_m = 0.1;
 constexpr std::size_t kMinHeldOut = 10;
+// An anchor is not further off than so many times its nearest range.
+constexpr double kReachFactor = 2.0;
+// Residuals that neither a wall nor a shadow makes.
+constexpr double kFar_m = 1.5;
+constexpr double kShort_m = 0.3;
 // At most, from where every anchor is on its better side until all of them rest.
 constexpr int kLastRounds = 10;
 // Median of the absolute value of a standard normal.
@@ -103,26 +113,74 @@ double mean_scale_m(const AnchorFit& fit) {
   return sum_m / std::max<double>(1.0, static_cast<double>(fit.kernels.size()));
 }
 
-// What the rows look like from the solution.
-struct Sight {
-  double share = 0.0;        // in sight, by the kernel
-  std::size_t rejected = 0;  // rows that it holds for blocked or gross
-  double nearest_m = 0.0;    // closest antenna
-};
-
-Sight look_at_rows(const AnchorFit& fit) {
-  Sight out;
-  if (fit.problem.rows.empty()) return out;
-  out.nearest_m = std::numeric_limits<double>::infinity();
+std::vector<FittedRange> look_at_rows(const AnchorFit& fit, std::span<const model::Tag> tags) {
+  std::vector<FittedRange> out;
+  out.reserve(fit.problem.rows.size());
   for (const Observation& row : fit.problem.rows) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, fit.problem.tag_count);
-    const double in_sight = fit.kernels[row.tag].shares(row.range_m - predicted.range_m).in_sight();
-    out.share += in_sight;
-    if (in_sight < 0.5) ++out.rejected;
-    out.nearest_m = std::min(out.nearest_m, predicted.distance_m);
+    const double residual_m = row.range_m - predicted.range_m;
+    out.push_back({.t_s = row.t_s,
+                   .tag_id = tags[row.tag].id,
+                   .antenna_m = row.tag_m.head<2>(),
+                   .distance_m = predicted.distance_m,
+                   .residual_m = residual_m,
+                   .in_sight = fit.kernels[row.tag].shares(residual_m).in_sight() *
+                               value_of(fit.problem, fit.kernels, row, residual_m, fit.anchor).seen_share});
   }
-  out.share /= static_cast<double>(fit.problem.rows.size());
   return out;
+}
+
+struct Sight {
+  double share = 0.0;        // in sight
+  std::size_t rejected = 0;  // rows that are more likely blocked or gross
+  double nearest_m = 0.0;    // closest antenna
+  double far_share = 0.0;    // of rows that are too long, or too short, by more than walls and shadows make
+  double short_share = 0.0;  // them
+};
+
+Sight sum_up(std::span<const FittedRange> rows) {
+  Sight out;
+  if (rows.empty()) return out;
+  out.nearest_m = std::numeric_limits<double>::infinity();
+  for (const FittedRange& row : rows) {
+    out.share += row.in_sight;
+    if (row.in_sight < 0.5) ++out.rejected;
+    out.nearest_m = std::min(out.nearest_m, row.distance_m);
+    if (row.residual_m > kFar_m) out.far_share += 1.0;
+    if (row.residual_m < -kShort_m) out.short_share += 1.0;
+  }
+  const double n = static_cast<double>(rows.size());
+  out.share /= n;
+  out.far_share /= n;
+  out.short_share /= n;
+  return out;
+}
+
+// Standard deviation of a range, from the differences of residuals that follow each other within kNext_s:
+// what blocks a range for longer is not in it. Zero where there are none.
+double flicker_m(std::span<const FittedRange> rows) {
+  constexpr double kNext_s = 2.0;
+  std::map<model::NodeId, const FittedRange*> before;
+  std::vector<double> differences_m;
+  for (const FittedRange& row : rows) {
+    const FittedRange*& last = before[row.tag_id];
+    if (last != nullptr && row.t_s - last->t_s < kNext_s) {
+      differences_m.push_back(std::abs(row.residual_m - last->residual_m));
+    }
+    last = &row;
+  }
+  return median(std::move(differences_m)) / (kMedianAbsolute * std::numbers::sqrt2);
+}
+
+// Where the information hardly sees a direction, as z of an anchor at the tags' own height, the covariance
+// goes on for ever; but no anchor is further off than its ranges are long. As one more observation of where
+// it is, with that sigma an axis.
+void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
+  const Eigen::Matrix3d sum =
+      covariance.topLeftCorner<3, 3>() + sigma_m * sigma_m * Eigen::Matrix3d::Identity();
+  const Eigen::MatrixXd by_position = covariance.leftCols<3>();
+  const Eigen::MatrixXd less = by_position * sum.ldlt().solve(by_position.transpose());
+  if (less.allFinite()) covariance -= 0.5 * (less + less.transpose());
 }
 
 std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen::MatrixXd& covariance,
@@ -140,12 +198,37 @@ std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen
   return out;
 }
 
+// A lever arm is told where it is known so much better than by hand.
+constexpr double kRefinedShare = 0.5;
+
+std::vector<model::TagCalibration> tag_calibrations(std::span<const BodyError> body,
+                                                    std::span<const model::Tag> tags) {
+  std::vector<model::TagCalibration> out;
+  for (std::size_t i = 0; i < body.size(); ++i) {
+    model::TagCalibration& tag = out.emplace_back();
+    tag.id = tags[i].id;
+    tag.pattern_m = body[i].mean.tail<model::kPatternTerms>();
+    model::LeverArmCalibration lever_arm{.position_m = tags[i].lever_arm_m};
+    for (Eigen::Index axis = 0; axis < 3; ++axis) {
+      const double sigma_m = std::sqrt(body[i].covariance(axis, axis));
+      if (!(sigma_m < kRefinedShare * kLeverArmSigma_m)) continue;
+      lever_arm.position_m(axis) += body[i].mean(axis);
+      lever_arm.sigma_m(axis) = sigma_m;
+      tag.lever_arm = lever_arm;
+    }
+  }
+  return out;
+}
+
 // The drive solved twice: its beginning for the verdict, and all of it.
 struct Site {
   Association association;
   double held_out_from_s = 0.0;
   std::vector<AnchorFit> beginning;
   std::vector<AnchorFit> fits;
+  SiteSight sight;
+  bool polls_are_regular = false;
+  std::vector<std::optional<Shift>> moved;
   std::vector<AnchorEvidence> evidence;  // of each anchor
 };
 
@@ -174,6 +257,15 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   site.beginning = solve_site(problem, {});
   problem.end_s = std::numeric_limits<double>::infinity();
   site.fits = solve_site(problem, site.beginning);
+  site.moved.resize(site.fits.size());
+  if (is_within_reach(site.fits)) {
+    const PollTable polls = tabulate_polls(site.association);
+    site.polls_are_regular = polls.regular;
+    if (is_sight_wanted(polls, site.fits, problem.priors)) {
+      site.sight = solve_sight(polls, first_sight_model(polls, problem.priors), site.fits, problem.priors);
+    }
+    site.moved = find_moved(polls, site.sight, site.fits, problem.priors);
+  }
   explore(site);
   refine_site(site.fits, problem.priors, kLastRounds);
   return site;
@@ -187,6 +279,29 @@ Site solve_at_best_height(const Drive& drive, const Options& options) {
   return total_cost(other.fits) < total_cost(site.fits) ? std::move(other) : std::move(site);
 }
 
+// With the survey's ranges between anchors, where there are any: moves the fits and their rivals.
+std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::span<const double> inflation,
+                                         DriveError& drive_error) {
+  std::vector<model::NodeId> ids;
+  std::vector<std::optional<Rival>> mirrors;
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    ids.push_back(site.association.anchors[i].id);
+    mirrors.push_back(site.evidence[i].mirror);
+  }
+  const model::RangePriors priors = usable_priors(drive.priors);
+  const std::vector<AnchorLink> links = gather_links(drive.anchor_ranges, ids, priors);
+  std::vector<Eigen::MatrixXd> covariance = join_links({.fits = site.fits,
+                                                        .evidence = drive_error.evidence,
+                                                        .inflation = inflation,
+                                                        .mirrors = mirrors,
+                                                        .added_covariance = drive_error.added_covariance,
+                                                        .gain = drive_error.shared_gain,
+                                                        .shared = &drive_error.shared_covariance},
+                                                       links, priors);
+  for (std::size_t i = 0; i < site.fits.size(); ++i) site.evidence[i].mirror = mirrors[i];
+  return covariance;
+}
+
 }  // namespace
 
 Result calibrate(const Drive& drive, const Options& options) {
@@ -197,9 +312,11 @@ Result calibrate(const Drive& drive, const Options& options) {
     held_out.push_back(
         score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
   }
-  const DriveError drive_error = correct_drive(site.association, site.fits, usable_priors(drive.priors));
+  DriveError drive_error = correct_drive(site.association, site.fits, usable_priors(drive.priors));
   const Association& association = site.association;
   const std::vector<double> inflation = score_inflation(drive_error.evidence);
+
+  const std::vector<Eigen::MatrixXd> covariance = join_survey(drive, site, inflation, drive_error);
 
   std::vector<double> scales_m;
   std::vector<double> rows;
@@ -218,19 +335,34 @@ Result calibrate(const Drive& drive, const Options& options) {
     model::AnchorCalibration anchor;
     anchor.id = data.id;
     anchor.position_m = fit.anchor.head<3>();
-    anchor.covariance =
-        anchor_covariance(drive_error.evidence[i], inflation[i]) + drive_error.added_covariance[i];
-    const Sight sight = look_at_rows(fit);
-    anchor.ranges_used = data.rows.size() - sight.rejected;
-    anchor.ranges_rejected = data.rejected + sight.rejected;
+    // Without what walls add: that is told with each wall, not with the anchor.
+    const Eigen::Index size = wall_index(association.tags.size());
+    anchor.covariance = covariance[i].topLeftCorner(size, size);
+    const Sight sight = sum_up(result.fitted.emplace_back(look_at_rows(fit, association.tags)));
+    // Where an anchor was moved, what came before counts as rejected.
+    anchor.ranges_used = fit.problem.rows.size() - sight.rejected;
+    anchor.ranges_rejected = data.rejected + data.rows.size() - anchor.ranges_used;
 
     AnchorEvidence& known = site.evidence[i];
+    if (site.moved[i]) known.moved_m = site.moved[i]->by_m;
+    if (!site.sight.anchors.empty()) {
+      known.sight = SightEvidence{.polls = site.sight.shares[i].polls,
+                                  .polls_are_told = site.polls_are_regular,
+                                  .wall_excess_m = site.sight.model.wall_prior.mean_m,
+                                  .far_share = sight.far_share,
+                                  .short_share = sight.short_share};
+    }
+    known.rows = fit.problem.rows.size();
     known.nearest_m = sight.nearest_m;
     known.in_sight_share = sight.share;
     known.inflation = inflation[i];
+    if (median_scale_m > 0.0) known.flicker = flicker_m(result.fitted[i]) / median_scale_m;
+    known.inflation_ratio = inflation[i] / *std::min_element(inflation.begin(), inflation.end());
     known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
     known.count_ratio = median_rows > 0.0 ? static_cast<double>(data.rows.size()) / median_rows : 1.0;
-    if (is_never_in_sight(known)) admit_wall(association.tags.size(), anchor.covariance);
+    if (!fit.problem.rows.empty() && !fit.problem.position.surveyed)
+      stay_within(kReachFactor * known.nearest_m, anchor.covariance);
+    admit_blocking(known, association.tags.size(), anchor.covariance);
     for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
       if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
     }
@@ -245,6 +377,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     result.ranges_rejected += anchor.ranges_rejected;
     result.calibration.anchors.push_back(std::move(anchor));
   }
+  result.calibration.tags = tag_calibrations(drive_error.body, association.tags);
   result.calibration.common_frame_covariance = drive_error.frame_covariance;
   result.calibration.range_delay_s = drive_error.range_delay_s;
   result.calibration.range_delay_sigma_s = drive_error.range_delay_sigma_s;

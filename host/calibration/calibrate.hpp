@@ -7,6 +7,8 @@
 #include <span>
 #include <vector>
 
+#include <Eigen/Core>
+
 #include "host/model/calibration.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
@@ -20,6 +22,7 @@ struct Drive {
   std::span<const model::Tag> tags;
   const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
   model::RangePriors priors;
+  std::span<const model::AnchorRange> anchor_ranges;  // of a survey, in any order; may be empty
   std::span<const model::Anchor>
       known_anchors;  // not empty: their positions are surveyed, biases alone are learnt
 };
@@ -30,10 +33,22 @@ struct Options {
   double held_out_fraction = 0.2;  // the last contiguous part of the drive, for the verdict
 };
 
+// A range as the solution sees it.
+struct FittedRange {
+  double t_s = 0.0;
+  model::NodeId tag_id = 0;
+  Eigen::Vector2d antenna_m = Eigen::Vector2d::Zero();  // x and y, map
+  double distance_m = 0.0;                              // antenna to anchor
+  double residual_m = 0.0;                              // measured less predicted
+  double in_sight = 0.0;                                // probability that nothing stood between
+};
+
 struct Result {
   model::Calibration calibration;  // input_sha256 and program_version left to the caller
   std::size_t ranges_used = 0;
   std::size_t ranges_rejected = 0;
+  // In the order of the calibration's anchors, each anchor's by time.
+  std::vector<std::vector<FittedRange>> fitted;
 };
 
 // Deterministic; allocates in proportion to the number of ranges; throws nothing on data: what cannot be

@@ -4,21 +4,22 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <span>
+#include <utility>
 
 #include <Eigen/Cholesky>
+
+#include "host/calibration/joint_equations.hpp"
 
 namespace groma::calibration {
 namespace {
 
-// Knots at most this far apart where the drive is not too long for so many.
-struct KnotGrid {
-  double spacing_s;
-  double max_count;
-};
 // Coarse is enough to choose a wander. What a line between knots misses of it stays in the residuals.
 constexpr KnotGrid kCoarseKnots{.spacing_s = 8.0, .max_count = 48.0};
 constexpr KnotGrid kFineKnots{.spacing_s = 4.0, .max_count = 96.0};
-constexpr int kRounds = 2;
+constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};
+constexpr int kRounds = 4;
 // Wanders to choose from, by the likelihood of the ranges: first the size of the shift, then all three by
 // turns.
 constexpr std::array kWander_m{0.02, 0.06, 0.2, 0.6};
@@ -27,8 +28,22 @@ constexpr std::array kCorrelations_s{5.0, 20.0, 60.0};
 constexpr std::array kYawFactors{0.4, 2.5};
 constexpr std::array kShiftFactors{0.7, 1.4};
 constexpr int kSweeps = 2;
-// A wander has to make the ranges likelier by this much (natural logarithm) to be believed.
-constexpr double kMinEvidence = 4.0;
+constexpr int kFollowingSteps = 3;
+// A step that is shorter than this, in sigmas, is the last.
+constexpr double kRestingSigmas = 0.1;
+// What makes the ranges likelier by so much (natural logarithm) is believed: a wander; body terms, and those
+// beside a wander.
+constexpr double kMinWanderEvidence = 4.0;
+constexpr double kMinBodyEvidence = 10.0;
+constexpr double kMinMoreBodyEvidence = 8.0;
+// And by so much where it is thought to be of places: what a place does to the ranges of each anchor can pass
+// for what they share.
+constexpr double kMinLastingWander = 4.0;
+constexpr double kMinLastingBody = 2.0;
+// What hangs together for a moment is the ranges' own doing, as where they are filtered or repeated; for a
+// while, also that of places.
+constexpr double kMoment_s = 1.0;
+constexpr double kWhile_s = 8.0;
 constexpr double kDelaySigma_s = 0.03;
 constexpr double kMinDelaySigmas = 6.0;
 constexpr double kNoDelaySigma_s = 1e-7;
@@ -36,179 +51,40 @@ constexpr double kNoDelaySigma_s = 1e-7;
 constexpr double kFrameSigma_m = 0.005;
 constexpr double kFrameSigma_rad = 0.0005;
 
-// Where the knots of the wander are; between them it is linear.
-struct Knots {
-  double begin_s = 0.0;
-  double spacing_s = kCoarseKnots.spacing_s;
-  Eigen::Index count = 2;
-
-  [[nodiscard]] Eigen::Index size() const noexcept { return 3 * count + 1; }  // x, y, yaw each; the delay
-  [[nodiscard]] Eigen::Index delay() const noexcept { return 3 * count; }
-};
-
-struct KnotShare {
-  Eigen::Index first = 0;  // its knot's first index
-  double fraction = 0.0;   // of the way to the next
-};
-
-KnotShare knot_share(const Knots& knots, double t_s) noexcept {
-  const double position =
-      std::clamp((t_s - knots.begin_s) / knots.spacing_s, 0.0, static_cast<double>(knots.count - 1));
-  const auto k = std::min(static_cast<Eigen::Index>(position), knots.count - 2);
-  return {.first = 3 * k, .fraction = position - static_cast<double>(k)};
-}
-
-std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid) {
-  double begin_s = std::numeric_limits<double>::infinity();
-  double end_s = -std::numeric_limits<double>::infinity();
-  for (const AnchorFit& fit : fits) {
-    if (fit.problem.rows.empty()) continue;
-    begin_s = std::min(begin_s, fit.problem.rows.front().t_s);
-    end_s = std::max(end_s, fit.problem.rows.back().t_s);
-  }
-  if (!(end_s > begin_s)) return std::nullopt;
-  Knots knots;
-  knots.begin_s = begin_s;
-  knots.spacing_s = std::max(grid.spacing_s, (end_s - begin_s) / (grid.max_count - 1.0));
-  knots.count = 2 + static_cast<Eigen::Index>((end_s - begin_s) / knots.spacing_s);
-  return knots;
-}
-
-// One anchor's part of the joint normal equations, solved for the anchor.
-struct AnchorPart {
-  Eigen::LDLT<Eigen::MatrixXd> information;
-  Eigen::VectorXd descent;
-  Eigen::MatrixXd gain;  // information^-1 times the cross information with the drive's error
-};
-
-// The joint normal equations with the anchors eliminated (Schur complement).
-struct JointEquations {
-  std::vector<AnchorPart> anchors;
-  Eigen::MatrixXd information;  // of the drive's error, its prior left out
-  Eigen::VectorXd descent;
-};
-
-// `inflation` of each anchor: its ranges carry so many times less than were they independent.
-JointEquations build(std::span<const AnchorFit> fits, std::span<const double> inflation, const Knots& knots) {
-  JointEquations out;
-  out.information = Eigen::MatrixXd::Zero(knots.size(), knots.size());
-  out.descent = Eigen::VectorXd::Zero(knots.size());
-  for (std::size_t i = 0; i < fits.size(); ++i) {
-    const AnchorFit& fit = fits[i];
-    const std::size_t tags = fit.problem.tag_count;
-    const double share_of_one = 1.0 / inflation[i];
-    const NormalEquations alone = linearize(fit.problem, fit.kernels, fit.anchor);
-    Eigen::MatrixXd cross = Eigen::MatrixXd::Zero(fit.anchor.size(), knots.size());
-    Eigen::MatrixXd own = Eigen::MatrixXd::Zero(knots.size(), knots.size());
-    Eigen::VectorXd descent = Eigen::VectorXd::Zero(knots.size());
-    for (const Observation& row : fit.problem.rows) {
-      const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-      const KernelValue value = fit.kernels[row.tag].at(row.range_m - predicted.range_m);
-      const Eigen::Index beta = beta_index(row.tag);
-      const Eigen::Index gamma = gamma_index(row.tag, tags);
-      const PairRow j = pair_jacobian(predicted, fit.anchor(gamma));
-      const Eigen::Vector3d by_antenna = -j.head<3>();
-      const KnotShare share = knot_share(knots, row.t_s);
-      Eigen::Matrix<double, 7, 1> by_error;
-      const double by_yaw = by_antenna.head<2>().dot(row.yaw_arm_m);
-      const double left = 1.0 - share.fraction;
-      by_error << left * by_antenna.x(), left * by_antenna.y(), left * by_yaw,
-          share.fraction * by_antenna.x(), share.fraction * by_antenna.y(), share.fraction * by_yaw,
-          -by_antenna.dot(row.velocity_mps);
-      const Eigen::Matrix<double, 7, 1> weighted = value.weight * by_error;
-      const Eigen::Matrix<double, 7, 7> square = weighted * by_error.transpose();
-      own.block<6, 6>(share.first, share.first) += square.topLeftCorner<6, 6>();
-      own.block<6, 1>(share.first, knots.delay()) += square.topRightCorner<6, 1>();
-      own.block<1, 6>(knots.delay(), share.first) += square.bottomLeftCorner<1, 6>();
-      own(knots.delay(), knots.delay()) += square(6, 6);
-      descent.segment<6>(share.first) += value.slope * by_error.head<6>();
-      descent(knots.delay()) += value.slope * by_error(6);
-      cross.block<3, 6>(0, share.first) += j.head<3>() * weighted.head<6>().transpose();
-      cross.block<3, 1>(0, knots.delay()) += j.head<3>() * weighted(6);
-      cross.block<1, 6>(beta, share.first) += weighted.head<6>().transpose();
-      cross(beta, knots.delay()) += weighted(6);
-      cross.block<1, 6>(gamma, share.first) += j(4) * weighted.head<6>().transpose();
-      cross(gamma, knots.delay()) += j(4) * weighted(6);
-    }
-    if (fit.problem.position.surveyed) cross.topRows<3>().setZero();
-    AnchorPart part;
-    part.information.compute(alone.information);
-    part.descent = -alone.gradient;
-    part.gain = part.information.solve(cross);
-    // The anchor's own solution is the same at any inflation: its equations are scaled as one.
-    own.noalias() -= cross.transpose() * part.gain;
-    descent.noalias() -= part.gain.transpose() * part.descent;
-    out.information += share_of_one * own;
-    out.descent += share_of_one * descent;
-    out.anchors.push_back(std::move(part));
-  }
-  return out;
-}
-
-// What a knot keeps of the error at the one before.
-double kept_share(const Knots& knots, const WanderPrior& wander) noexcept {
-  return std::exp(-knots.spacing_s / wander.correlation_s);
-}
-
-// Information of the prior; a sigma of zero stands for one too small to matter.
-Eigen::MatrixXd prior_information(const Knots& knots, const WanderPrior& wander, double delay_sigma_s) {
-  // Of a first-order process at equal steps: tridiagonal.
-  const double keep = kept_share(knots, wander);
-  const double fresh = 1.0 / (1.0 - keep * keep);
-  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(knots.size(), knots.size());
-  const double sigma_m = std::max(wander.sigma_m, 1e-6);
-  const double sigma_rad = std::max(wander.sigma_yaw_rad, 1e-7);
-  const std::array<double, 3> inverse{1.0 / (sigma_m * sigma_m), 1.0 / (sigma_m * sigma_m),
-                                      1.0 / (sigma_rad * sigma_rad)};
-  for (Eigen::Index k = 0; k < knots.count; ++k) {
-    const bool inner = k > 0 && k + 1 < knots.count;
-    for (Eigen::Index axis = 0; axis < 3; ++axis) {
-      const double scale = inverse[static_cast<std::size_t>(axis)] * fresh;
-      const Eigen::Index here = 3 * k + axis;
-      out(here, here) = scale * (inner ? 1.0 + keep * keep : 1.0);
-      if (k + 1 == knots.count) continue;
-      out(here, here + 3) = -scale * keep;
-      out(here + 3, here) = -scale * keep;
-    }
-  }
-  out(knots.delay(), knots.delay()) = 1.0 / (delay_sigma_s * delay_sigma_s);
-  return out;
-}
-
 double log_determinant(const Eigen::LLT<Eigen::MatrixXd>& factors) {
   return 2.0 * Eigen::MatrixXd(factors.matrixL()).diagonal().array().log().sum();
 }
 
 // Log likelihood of the ranges with the drive's error integrated out, but for a constant.
-double evidence(const JointEquations& equations, const Knots& knots, const WanderPrior& wander) {
-  const double delay_information = 1.0 / (kDelaySigma_s * kDelaySigma_s);
-  if (!(wander.sigma_m > 0.0)) {
-    const double information = equations.information(knots.delay(), knots.delay()) + delay_information;
-    const double descent = equations.descent(knots.delay());
-    return 0.5 * descent * descent / information - 0.5 * std::log(information / delay_information);
-  }
-  const Eigen::LLT<Eigen::MatrixXd> posterior(equations.information +
-                                              prior_information(knots, wander, kDelaySigma_s));
+double evidence(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior) {
+  // Those that are not zero for sure are neighbours in the unknowns' order.
+  const Eigen::Index first = prior.wander.sigma_m > 0.0 ? 0 : unknowns.delay();
+  const Eigen::Index size = (prior.body ? unknowns.size() : unknowns.body(0)) - first;
+  const Eigen::LLT<Eigen::MatrixXd> posterior(
+      equations.information.block(first, first, size, size) +
+      prior_information(unknowns, prior).block(first, first, size, size));
   if (posterior.info() != Eigen::Success) return -std::numeric_limits<double>::infinity();
-  // Of the prior's information: a first-order process is a product of its steps.
-  const double keep = kept_share(knots, wander);
-  const auto n = static_cast<double>(knots.count);
-  const double log_determinant_before =
-      -n * (4.0 * std::log(wander.sigma_m) + 2.0 * std::log(wander.sigma_yaw_rad)) -
-      3.0 * (n - 1.0) * std::log1p(-keep * keep) + std::log(delay_information);
-  return 0.5 * equations.descent.dot(posterior.solve(equations.descent)) -
-         0.5 * (log_determinant(posterior) - log_determinant_before);
+  const auto descent = equations.descent.segment(first, size);
+  return 0.5 * descent.dot(posterior.solve(descent)) -
+         0.5 * (log_determinant(posterior) - prior_log_determinant(unknowns, prior));
 }
 
-// All sigmas zero where none makes the ranges likelier by enough.
-WanderPrior likeliest_wander(const JointEquations& equations, const Knots& knots) {
-  WanderPrior best;
-  double best_evidence = evidence(equations, knots, best) + kMinEvidence;
+struct Belief {
+  SharedPrior prior;
+  double evidence = 0.0;
+};
+
+// The likeliest wander beside what is believed already; that itself where none makes the ranges likelier by
+// enough.
+Belief believe_wander(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before) {
+  Belief best = before;
+  best.evidence += kMinWanderEvidence;
   const auto consider = [&](const WanderPrior& wander) {
-    const double found = evidence(equations, knots, wander);
-    if (found <= best_evidence) return false;
-    best = wander;
-    best_evidence = found;
+    SharedPrior prior = before.prior;
+    prior.wander = wander;
+    const double found = evidence(equations, unknowns, prior);
+    if (found <= best.evidence) return false;
+    best = {.prior = prior, .evidence = found};
     return true;
   };
   for (const double sigma_m : kWander_m) {
@@ -216,15 +92,15 @@ WanderPrior likeliest_wander(const JointEquations& equations, const Knots& knots
     wander.sigma_m = sigma_m;
     consider(wander);
   }
-  if (!(best.sigma_m > 0.0)) return best;
+  if (!(best.prior.wander.sigma_m > 0.0)) return before;
   const auto scale = [&](double WanderPrior::*sigma, double factor) {
-    WanderPrior wander = best;
+    WanderPrior wander = best.prior.wander;
     wander.*sigma *= factor;
     return consider(wander);
   };
   for (int sweep = 0; sweep < kSweeps; ++sweep) {
     for (const double correlation_s : kCorrelations_s) {
-      WanderPrior wander = best;
+      WanderPrior wander = best.prior.wander;
       wander.correlation_s = correlation_s;
       consider(wander);
     }
@@ -236,60 +112,94 @@ WanderPrior likeliest_wander(const JointEquations& equations, const Knots& knots
   return best;
 }
 
-// No wander, and a delay that the ranges do not show: poses and stamps are right as they are.
-bool nothing_to_correct(const JointEquations& equations, const Knots& knots, const WanderPrior& wander) {
-  if (wander.sigma_m > 0.0) return false;
-  const double information =
-      equations.information(knots.delay(), knots.delay()) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
-  return std::abs(equations.descent(knots.delay())) < kMinDelaySigmas * std::sqrt(information);
+Belief believe_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
+                    double min_evidence) {
+  SharedPrior prior = before.prior;
+  prior.body = true;
+  const Belief found{.prior = prior, .evidence = evidence(equations, unknowns, prior)};
+  return found.evidence > before.evidence + min_evidence ? found : before;
 }
 
-void move_rows(Association& association, const Knots& knots, const Eigen::VectorXd& step) {
-  for (AnchorObservations& anchor : association.anchors) {
-    for (Observation& row : anchor.rows) {
-      const KnotShare share = knot_share(knots, row.t_s);
-      const Eigen::Vector3d error = (1.0 - share.fraction) * step.segment<3>(share.first) +
-                                    share.fraction * step.segment<3>(share.first + 3);
-      row.tag_m.head<2>() += error.head<2>() + error.z() * row.yaw_arm_m;
-      row.tag_m -= step(knots.delay()) * row.velocity_mps;
-    }
+// A wander, body terms, both or nothing: first what lasts better, then the other. `slow` makes the equations
+// with the inflation of a while, and is asked for where something is likely by those of a moment.
+template <typename Slow>
+SharedPrior likeliest_prior(const JointEquations& equations, const SharedUnknowns& unknowns,
+                            const Slow& slow) {
+  Belief nothing{.prior = {.wander = {}, .delay_sigma_s = kDelaySigma_s}};
+  nothing.evidence = evidence(equations, unknowns, nothing.prior);
+  Belief wander = believe_wander(equations, unknowns, nothing);
+  Belief body = believe_body(equations, unknowns, nothing, kMinBodyEvidence);
+  if (!(wander.prior.wander.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
+
+  const JointEquations lasting = slow();
+  const auto gain = [&](const Belief& more, const Belief& less) {
+    return evidence(lasting, unknowns, more.prior) - evidence(lasting, unknowns, less.prior);
+  };
+  const double by_wander = gain(wander, nothing);
+  const double by_body = gain(body, nothing);
+  if (by_wander >= kMinLastingWander && by_wander >= by_body) {
+    body = believe_body(equations, unknowns, wander, kMinMoreBodyEvidence);
+    return gain(body, wander) < kMinLastingBody ? wander.prior : body.prior;
   }
+  if (by_body < kMinLastingBody) return nothing.prior;
+  wander = believe_wander(equations, unknowns, body);
+  return gain(wander, body) < kMinLastingWander ? body.prior : wander.prior;
 }
 
-// Robust cost of all anchors as they would be after a step.
-double cost_after(std::span<const AnchorFit> fits, std::span<const AnchorVector> anchors,
-                  std::span<const double> inflation) {
-  double cost = 0.0;
+// No wander, no body terms, and a delay that the ranges do not show: all is right as it is.
+bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& unknowns,
+                        const SharedPrior& prior) {
+  if (prior.wander.sigma_m > 0.0 || prior.body) return false;
+  const Eigen::Index delay = unknowns.delay();
+  const double information = equations.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
+  return std::abs(equations.descent(delay)) < kMinDelaySigmas * std::sqrt(information);
+}
+
+// As far apart as this prior wants them.
+SharedUnknowns arrange(std::span<const AnchorFit> fits, const SharedUnknowns& coarse,
+                       const SharedPrior& prior) {
+  SharedUnknowns out;
+  const KnotGrid& grid = prior.wander.sigma_m > 0.0 ? kFineKnots : kNoKnots;
+  out.knots = place_knots(fits, grid).value_or(coarse.knots);
+  out.body_tags = prior.body ? coarse.body_tags : 0;
+  return out;
+}
+
+void move_rows(Association& association, std::span<const AnchorFit> fits, const SharedUnknowns& unknowns,
+               const Eigen::VectorXd& step) {
   for (std::size_t i = 0; i < fits.size(); ++i) {
-    cost += robust_cost(fits[i].problem, fits[i].kernels, anchors[i]) / inflation[i];
+    const Eigen::Vector3d anchor_m = fits[i].anchor.head<3>();
+    for (Observation& row : association.anchors[i].rows) move_row(unknowns, step, anchor_m, row);
   }
-  return cost;
 }
 
 // Takes the step, or as much of it as lowers the cost; false: none of it does.
 bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span<const double> inflation,
-               const JointEquations& equations, const Knots& knots, const Eigen::MatrixXd& prior,
-               const Eigen::VectorXd& step, Eigen::VectorXd& error) {
-  std::vector<AnchorVector> before;
-  std::vector<AnchorVector> change;
-  for (std::size_t i = 0; i < fits.size(); ++i) {
-    const AnchorPart& part = equations.anchors[i];
-    before.push_back(fits[i].anchor);
-    change.push_back(part.information.solve(part.descent) - part.gain * step);
-  }
-  const double cost_before = cost_after(fits, before, inflation) + 0.5 * error.dot(prior * error);
+               const SharedUnknowns& unknowns, const Eigen::MatrixXd& prior, const Eigen::VectorXd& step,
+               Eigen::VectorXd& error) {
+  // The anchors follow by steps of their own: what is open of them is too far from linear for the joint one.
+  const auto follow = [&] {
+    double cost = 0.0;
+    std::vector<AnchorVector> anchors;
+    for (std::size_t i = 0; i < fits.size(); ++i) {
+      AnchorSolution solution =
+          solve_anchor(fits[i].problem, fits[i].kernels, fits[i].anchor, kFollowingSteps);
+      cost += solution.cost / inflation[i];
+      anchors.push_back(std::move(solution.anchor));
+    }
+    return std::pair(cost, std::move(anchors));
+  };
+  const double cost_before = follow().first + 0.5 * error.dot(prior * error);
   double taken = 0.0;
   for (const double share : {1.0, 0.5, 0.25, 0.125, 0.0}) {
-    move_rows(association, knots, (share - taken) * step);
+    move_rows(association, fits, unknowns, (share - taken) * step);
     taken = share;
     if (share == 0.0) break;
-    std::vector<AnchorVector> after;
-    after.reserve(fits.size());
-    for (std::size_t i = 0; i < fits.size(); ++i) after.push_back(before[i] + share * change[i]);
     const Eigen::VectorXd moved = error + share * step;
-    const double cost = cost_after(fits, after, inflation) + 0.5 * moved.dot(prior * moved);
+    auto [cost, anchors] = follow();
+    cost += 0.5 * moved.dot(prior * moved);
     if (!(cost < cost_before)) continue;
-    for (std::size_t i = 0; i < fits.size(); ++i) fits[i].anchor = after[i];
+    for (std::size_t i = 0; i < fits.size(); ++i) fits[i].anchor = anchors[i];
     error = moved;
     return true;
   }
@@ -328,10 +238,47 @@ Eigen::Matrix4d frame_covariance(const Knots& knots, const Eigen::MatrixXd& cova
   return about_origin * about_center * about_origin.transpose();
 }
 
+// How large the patterns of the tags' antennas are, a coefficient: zero where they are not known.
+double pattern_size_m(std::span<const BodyError> body) {
+  double square_m2 = 0.0;
+  for (const BodyError& tag : body) {
+    const auto variance_m2 = tag.covariance.diagonal().tail<model::kPatternTerms>();
+    square_m2 += tag.mean.tail<model::kPatternTerms>().squaredNorm() + variance_m2.sum();
+  }
+  const double terms = static_cast<double>(model::kPatternTerms) * static_cast<double>(body.size());
+  return body.empty() ? 0.0 : std::sqrt(square_m2 / terms);
+}
+
+// By how much each coefficient of a pattern of the anchor's own antenna, which stands still in the map, would
+// pull at the anchor's unknowns: sum of weight J h^T.
+Eigen::MatrixXd pull_of_own_pattern(const AnchorFit& fit) {
+  const std::size_t tags = fit.problem.tag_count;
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(fit.anchor.size(), model::kPatternTerms);
+  for (const Observation& row : fit.problem.rows) {
+    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
+    const double weight =
+        value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor).seen.weight;
+    const PairRow j = weight * pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
+    const Eigen::RowVectorXd terms = model::pattern_terms(predicted.direction).transpose();
+    out.topRows<3>() += j.head<3>() * terms;
+    out.row(beta_index(row.tag)) += j(3) * terms;
+    out.row(gamma_index(row.tag, tags)) += j(4) * terms;
+  }
+  if (fit.problem.position.surveyed) out.topRows<3>().setZero();
+  return out;
+}
+
 std::vector<Evidence> evidence_of(std::span<const AnchorFit> fits) {
   std::vector<Evidence> out;
   out.reserve(fits.size());
   for (const AnchorFit& fit : fits) out.push_back(gather_evidence(fit));
+  return out;
+}
+
+std::vector<double> inflations(std::span<const Evidence> evidence, double duration_s) {
+  std::vector<double> out;
+  out.reserve(evidence.size());
+  for (const Evidence& of_anchor : evidence) out.push_back(inflation_within(of_anchor, duration_s));
   return out;
 }
 
@@ -346,58 +293,66 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   out.evidence = evidence_of(fits);
   const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
   if (!placed) return out;
-  Knots knots = *placed;
+  SharedUnknowns unknowns{.knots = *placed, .body_tags = association.tags.size()};
 
-  std::vector<double> inflation;
-  inflation.reserve(fits.size());
-  for (const Evidence& of_anchor : out.evidence) inflation.push_back(moment_inflation(of_anchor));
-  JointEquations equations = build(fits, inflation, knots);
-  out.wander = likeliest_wander(equations, knots);
-  if (nothing_to_correct(equations, knots, out.wander)) {
-    out.frame_covariance =
-        frame_covariance(knots, Eigen::MatrixXd::Zero(knots.size(), knots.size()), mean_antenna_m(fits));
+  std::vector<double> inflation = inflations(out.evidence, kMoment_s);
+  JointEquations equations = eliminate_anchors(fits, inflation, unknowns);
+  const auto slow = [&] { return eliminate_anchors(fits, inflations(out.evidence, kWhile_s), unknowns); };
+  SharedPrior prior = likeliest_prior(equations, unknowns, slow);
+  out.wander = prior.wander;
+  if (nothing_to_correct(equations, unknowns, prior)) {
+    out.frame_covariance = frame_covariance(
+        unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), mean_antenna_m(fits));
     return out;
   }
-  if (out.wander.sigma_m > 0.0) {
-    knots = place_knots(fits, kFineKnots).value_or(knots);
-    equations = build(fits, inflation, knots);
-  }
-  double delay_sigma_s = kDelaySigma_s;
-  Eigen::VectorXd error = Eigen::VectorXd::Zero(knots.size());
+  unknowns = arrange(fits, unknowns, prior);
+  Eigen::VectorXd error = Eigen::VectorXd::Zero(unknowns.size());
   Eigen::MatrixXd covariance;
   for (int round = 0; round < kRounds; ++round) {
-    if (round > 0) equations = build(fits, inflation, knots);
-    Eigen::MatrixXd prior = prior_information(knots, out.wander, delay_sigma_s);
+    equations = eliminate_anchors(fits, inflation, unknowns);
+    Eigen::MatrixXd believed = prior_information(unknowns, prior);
     const auto solve = [&] {
-      const Eigen::LDLT<Eigen::MatrixXd> posterior(equations.information + prior);
-      covariance = posterior.solve(Eigen::MatrixXd::Identity(knots.size(), knots.size()));
-      return Eigen::VectorXd(posterior.solve(equations.descent - prior * error));
+      const Eigen::LDLT<Eigen::MatrixXd> posterior(equations.information + believed);
+      covariance = posterior.solve(Eigen::MatrixXd::Identity(unknowns.size(), unknowns.size()));
+      return Eigen::VectorXd(posterior.solve(equations.descent - believed * error));
     };
     Eigen::VectorXd step = solve();
     if (round == 0) {
-      const double sigma_s = std::sqrt(std::max(0.0, covariance(knots.delay(), knots.delay())));
-      if (std::abs(step(knots.delay())) < kMinDelaySigmas * sigma_s) {
-        delay_sigma_s = kNoDelaySigma_s;
-        prior = prior_information(knots, out.wander, delay_sigma_s);
+      const double sigma_s = std::sqrt(std::max(0.0, covariance(unknowns.delay(), unknowns.delay())));
+      if (std::abs(step(unknowns.delay())) < kMinDelaySigmas * sigma_s) {
+        prior.delay_sigma_s = kNoDelaySigma_s;
+        believed = prior_information(unknowns, prior);
         step = solve();
       }
     }
-    if (!step.allFinite() || !covariance.allFinite()) {
-      out.evidence = evidence_of(fits);
-      return out;
-    }
-    if (!take_step(association, fits, inflation, equations, knots, prior, step, error)) break;
+    if (!step.allFinite() || !covariance.allFinite()) return out;
+    if (!take_step(association, fits, inflation, unknowns, believed, step, error)) break;
     refine_site(fits, priors, 1);
+    // What is explained by now hangs together no more; what still does is of places.
+    out.evidence = evidence_of(fits);
+    inflation = inflations(out.evidence, kWhile_s);
+    if (step.dot((equations.information + believed) * step) < kRestingSigmas * kRestingSigmas) break;
   }
-  out.range_delay_s = delay_sigma_s > kNoDelaySigma_s ? error(knots.delay()) : 0.0;
-  out.range_delay_sigma_s =
-      delay_sigma_s > kNoDelaySigma_s ? std::sqrt(covariance(knots.delay(), knots.delay())) : 0.0;
+  if (prior.delay_sigma_s > kNoDelaySigma_s) {
+    out.range_delay_s = error(unknowns.delay());
+    out.range_delay_sigma_s = std::sqrt(covariance(unknowns.delay(), unknowns.delay()));
+  }
+  for (std::size_t tag = 0; tag < unknowns.body_tags; ++tag) {
+    const Eigen::Index at = unknowns.body(tag);
+    out.body.push_back({.mean = error.segment<kBodyTerms>(at),
+                        .covariance = covariance.block<kBodyTerms, kBodyTerms>(at, at)});
+  }
+  const double pattern_m = pattern_size_m(out.body);
   for (std::size_t i = 0; i < fits.size(); ++i) {
-    const Eigen::MatrixXd& gain = equations.anchors[i].gain;
-    out.added_covariance[i] = gain * covariance * gain.transpose();
+    const AnchorPart& part = equations.anchors[i];
+    out.shared_gain.push_back(part.gain);
+    out.added_covariance[i] = part.gain * covariance * part.gain.transpose();
+    if (!(pattern_m > 0.0)) continue;
+    const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
+    out.added_covariance[i] += pattern_m * pattern_m * response * response.transpose();
   }
-  out.frame_covariance = frame_covariance(knots, covariance, mean_antenna_m(fits));
-  out.evidence = evidence_of(fits);
+  out.frame_covariance = frame_covariance(unknowns.knots, covariance, mean_antenna_m(fits));
+  out.shared_covariance = std::move(covariance);
   return out;
 }
 

@@ -139,13 +139,13 @@ Candidate search(const AnchorProblem& problem) {
     Candidate candidate;
     candidate.solution.anchor = anchor_at(start.position_m, problem.tag_count, priors);
     candidate.kernel = KernelShape{.scale_m = width_m}.with_blocked(0.1);
-    std::vector<double> residuals(problem.rows.size());
+    std::vector<WeighedResidual> residuals(problem.rows.size());
     for (int round = 0; round < kSearchRounds; ++round) {
       const std::vector<RobustKernel> kernels(problem.tag_count, RobustKernel(candidate.kernel));
       candidate.solution = solve_anchor(problem, kernels, candidate.solution.anchor, kSearchIterations);
       if (round + 1 == kSearchRounds) break;
       for (std::size_t i = 0; i < residuals.size(); ++i) {
-        residuals[i] = residual_m(problem.rows[i], candidate.solution.anchor, problem.tag_count);
+        residuals[i].residual_m = residual_m(problem.rows[i], candidate.solution.anchor, problem.tag_count);
       }
       KernelPrior prior{.shape = candidate.kernel, .scale_weight = 3.0, .share_weight = 3.0};
       prior.shape.scale_m = std::max(priors.sigma_m, candidate.kernel.scale_m / 2.0);

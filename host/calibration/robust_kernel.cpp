@@ -97,16 +97,16 @@ KernelStatistics& KernelStatistics::operator+=(const KernelStatistics& other) no
   return *this;
 }
 
-KernelStatistics kernel_statistics(const RobustKernel& kernel, std::span<const double> residuals_m,
+KernelStatistics kernel_statistics(const RobustKernel& kernel, std::span<const WeighedResidual> residuals,
                                    double parameters_used) noexcept {
   KernelStatistics out;
-  out.count = static_cast<double>(residuals_m.size());
   out.parameters = parameters_used;
-  for (const double r : residuals_m) {
+  for (const auto& [r, weight] : residuals) {
     const KernelShares shares = kernel.shares(r);
-    out.kinds += shares.kinds;
-    out.gross += shares.gross;
-    out.square_m2 += (shares.kinds(0) + shares.kinds(1) / kWideVariance) * r * r;
+    out.count += weight;
+    out.kinds += weight * shares.kinds;
+    out.gross += weight * shares.gross;
+    out.square_m2 += weight * (shares.kinds(0) + shares.kinds(1) / kWideVariance) * r * r;
   }
   return out;
 }
@@ -131,11 +131,11 @@ KernelShape likeliest_shape(const KernelStatistics& statistics, const KernelPrio
   return shape;
 }
 
-KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior,
+KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelPrior& prior,
                        int iterations) noexcept {
   KernelShape shape = prior.shape;
   for (int i = 0; i < iterations; ++i) {
-    shape = likeliest_shape(kernel_statistics(RobustKernel(shape), residuals_m, 0.0), prior);
+    shape = likeliest_shape(kernel_statistics(RobustKernel(shape), residuals, 0.0), prior);
   }
   return shape;
 }

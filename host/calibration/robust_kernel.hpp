@@ -154,8 +154,13 @@ struct KernelStatistics {
 
   KernelStatistics& operator+=(const KernelStatistics& other) noexcept;
 };
+// A residual, and how much of it counts.
+struct WeighedResidual {
+  double residual_m = 0.0;
+  double weight = 1.0;
+};
 [[nodiscard]] KernelStatistics kernel_statistics(const RobustKernel& kernel,
-                                                 std::span<const double> residuals_m,
+                                                 std::span<const WeighedResidual> residuals,
                                                  double parameters_used) noexcept;
 
 // What is believed of a kernel before its residuals are seen: as much as so many residuals would tell.
@@ -170,7 +175,7 @@ struct KernelPrior {
                                           const KernelPrior& prior) noexcept;
 
 // Expectation maximization from prior.shape over the residuals.
-[[nodiscard]] KernelShape fit_kernel(std::span<const double> residuals_m, const KernelPrior& prior,
+[[nodiscard]] KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelPrior& prior,
                                      int iterations) noexcept;
 
 }  // namespace groma::calibration

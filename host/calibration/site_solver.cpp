@@ -43,23 +43,25 @@ PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& 
   return prior;
 }
 
-// Residuals of each tag: every n-th row.
-std::vector<std::vector<double>> sample_residuals(const AnchorFit& fit) {
+// Residuals of each tag, as far as they are in sight: every n-th row.
+std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
-  std::vector<std::vector<double>> out(tags);
+  std::vector<std::vector<WeighedResidual>> out(tags);
   // Counted pair by pair: a stride over all rows would see but some of the tags where they take turns.
   const std::size_t stride = 1 + fit.problem.rows.size() / (tags * kPairResiduals + 1);
   std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
-    out[row.tag].push_back(residual_m(row, fit.anchor, tags));
+    const double r = residual_m(row, fit.anchor, tags);
+    out[row.tag].push_back(
+        {.residual_m = r, .weight = value_of(fit.problem, fit.kernels, row, r, fit.anchor).seen_share});
   }
   return out;
 }
 
 // Site, anchor, pair: each kernel leans on the one above.
 void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
-  std::vector<std::vector<std::vector<double>>> residuals;
+  std::vector<std::vector<std::vector<WeighedResidual>>> residuals;
   residuals.reserve(fits.size());
   for (const AnchorFit& fit : fits) residuals.push_back(sample_residuals(fit));
 
@@ -107,6 +109,24 @@ void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors,
   }
 }
 
+void find_start(AnchorFit& fit) {
+  const AnchorProblem& problem = fit.problem;
+  const std::vector<Observation> few =
+      spread_along_the_way(problem.rows, problem.tag_count, kSearchRowsPerTag);
+  AnchorProblem sketch = problem;
+  sketch.rows = few;
+  if (problem.position.surveyed) {
+    const KernelShape wide{.scale_m = 3.0 * problem.priors.sigma_m};
+    fit.anchor = anchor_at(problem.position.mean_m, problem.tag_count, problem.priors);
+    fit.kernels.assign(problem.tag_count, RobustKernel(wide.with_blocked(0.2)));
+    fit.anchor = solve_anchor(sketch, fit.kernels, fit.anchor, 10).anchor;
+    return;
+  }
+  Candidate best = search(sketch);
+  fit.anchor = best.solution.anchor;
+  fit.kernels.assign(problem.tag_count, RobustKernel(best.kernel));
+}
+
 std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const AnchorFit> earlier) {
   const std::size_t tags = site.association->tags.size();
   std::vector<AnchorFit> fits;
@@ -128,18 +148,7 @@ std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const Ancho
       fit.kernels = earlier[index].kernels;
       continue;
     }
-    const std::vector<Observation> few = spread_along_the_way(rows, tags, kSearchRowsPerTag);
-    AnchorProblem sketch = fit.problem;
-    sketch.rows = few;
-    if (fit.problem.position.surveyed) {
-      const KernelShape wide{.scale_m = 3.0 * site.priors.sigma_m};
-      fit.kernels.assign(tags, RobustKernel(wide.with_blocked(0.2)));
-      fit.anchor = solve_anchor(sketch, fit.kernels, fit.anchor, 10).anchor;
-      continue;
-    }
-    Candidate best = search(sketch);
-    fit.anchor = best.solution.anchor;
-    fit.kernels.assign(tags, RobustKernel(best.kernel));
+    find_start(fit);
   }
   refine_site(fits, site.priors, earlier.empty() ? kFirstRounds : kWarmRounds);
   return fits;

@@ -37,6 +37,9 @@ struct SiteProblem {
 [[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
                                                 std::span<const AnchorFit> earlier);
 
+// Solution and kernels of one anchor from few of its rows, without a start: the fit's problem says all.
+void find_start(AnchorFit& fit);
+
 // Learns the kernels and solves each anchor anew from where it is, until a round moves none of them by a
 // share of its sigma that counts.
 void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int max_rounds);

@@ -33,17 +33,6 @@ void add_pair(const PairBlock& block, double factor, std::size_t tag, std::size_
   }
 }
 
-Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
-  const auto tags = static_cast<Eigen::Index>(problem.tag_count);
-  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(3 + 2 * tags, 3 + 2 * tags);
-  out.topLeftCorner<3, 3>() = problem.position.information;
-  const double beta_sigma = problem.priors.beta_m.sigma;
-  const double gamma_sigma = problem.priors.gamma.sigma;
-  out.diagonal().segment(3, tags).setConstant(1.0 / (beta_sigma * beta_sigma));
-  out.diagonal().tail(tags).setConstant(1.0 / (gamma_sigma * gamma_sigma));
-  return out;
-}
-
 // Scatter of the score at one block length, over what independent residuals give, and how well it is known.
 struct Scatter {
   double observed = 0.0;
@@ -111,12 +100,17 @@ Evidence gather_evidence(const AnchorFit& fit) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
     const double residual_m = row.range_m - predicted.range_m;
     const RobustKernel& kernel = fit.kernels[row.tag];
-    const KernelValue value = kernel.at(residual_m);
+    const RowValue whole = value_of(problem, fit.kernels, row, residual_m, fit.anchor);
+    const KernelValue& value = whole.seen;
     const PairRow j = pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
     PairMoments& pair = pairs[row.tag];
     add_square(j, value.weight, pair.weighted);
     pair.weight += value.weight;
-    pair.curvature += kernel.curvature(residual_m);
+    // Of the mixture: the variance of the slope between what is in sight and what is not counts too.
+    pair.curvature += whole.seen_share * kernel.curvature(residual_m);
+    if (whole.seen_share > 0.0) {
+      pair.curvature -= (1.0 / whole.seen_share - 1.0) * value.slope * value.slope;
+    }
     pair.square_slope += value.slope * value.slope;
 
     const double elapsed_s = std::max(0.0, row.t_s - begin_s);
@@ -126,6 +120,11 @@ Evidence gather_evidence(const AnchorFit& fit) {
     score.head<3>() += value.slope * j.head<3>();
     score(beta_index(row.tag)) += value.slope;
     score(gamma_index(row.tag, tags)) += value.slope * j(4);
+    if (!(whole.wall_weight > 0.0)) continue;
+    const WallRow walled = wall_row(j, problem.sight->rows[row.index], row.tag, tags);
+    add(walled, whole.wall_slope, score);
+    add_square(walled, whole.wall_weight, out.information);
+    add_square(walled, whole.wall_slope * whole.wall_slope, out.score_variance);
   }
   for (std::size_t tag = 0; tag < tags; ++tag) {
     const PairMoments& pair = pairs[tag];
@@ -159,11 +158,12 @@ std::vector<double> score_inflation(std::span<const Evidence> evidence) {
   return own;
 }
 
-double moment_inflation(const Evidence& evidence) {
+double inflation_within(const Evidence& evidence, double duration_s) {
   const std::vector<Scatter> levels = scatter_by_block_length(evidence);
-  constexpr auto kLevels = static_cast<std::size_t>(kMoment_s / kScoreBlock_s);
-  return significant_ratio(std::span(levels).first(kLevels),
-                           static_cast<double>(evidence.information.rows()));
+  std::size_t count = 0;
+  for (double block_s = kScoreBlock_s; block_s <= duration_s && count < levels.size(); block_s *= 2.0)
+    ++count;
+  return significant_ratio(std::span(levels).first(count), static_cast<double>(evidence.information.rows()));
 }
 
 Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {

@@ -26,10 +26,8 @@ struct Evidence {
 // mean, or its own where that is clearly larger.
 [[nodiscard]] std::vector<double> score_inflation(std::span<const Evidence> evidence);
 
-// The same of each anchor alone, over blocks no longer than this: what hangs together for a moment, as
-// filtered or repeated ranges do, but not what poses or places do.
-inline constexpr double kMoment_s = 1.0;
-[[nodiscard]] double moment_inflation(const Evidence& evidence);
+// The same of one anchor alone, over blocks no longer than this.
+[[nodiscard]] double inflation_within(const Evidence& evidence, double duration_s);
 
 // Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1. A surveyed position keeps its
 // prior's covariance, and its error goes on into the biases that were learnt with it held fixed.

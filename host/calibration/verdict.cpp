@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <numbers>
 #include <string>
+#include <utility>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -17,6 +18,9 @@ using model::AnchorVerdict;
 constexpr std::size_t kMinRanges = 30;
 // Sigmas that a filter can live with; beyond them the position is a hint and no more.
 constexpr double kWeakSigma_m = 0.30;
+constexpr double kWeakSigmaZ_m = 0.20;
+// The same where ranges come through something.
+constexpr double kBlockedWeakSigmaZ_m = 0.15;
 // Sigmas also grow with the site: a sixtieth of the distance at which the anchor is used.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
 constexpr double kMinInSightShare = 0.3;
@@ -25,6 +29,23 @@ constexpr double kBlockedCountRatio = 0.75;
 // Excess that walls between an anchor and all of a drive share, and how it differs from place to place.
 constexpr double kWallSigma_m = 0.5;
 constexpr double kWallVariation_m = 0.25;
+// Of the polls; below it an anchor is never, or hardly, in sight.
+constexpr double kNeverInSight = 0.10;
+constexpr double kHardlyInSight = 0.30;
+// By how much walls that were told from a bias differ, in common and from place to place, and what is left of
+// rows whose sight was misjudged.
+constexpr double kWallDiffers_m = 0.15;
+constexpr double kWallPlaces_m = 0.10;
+constexpr double kUnmodelled = 10.0;
+constexpr double kMisjudged_m = 0.012;
+constexpr double kMisjudgedBeta_m = 0.005;
+// Shares of ranges that no wall explains: the anchor's geometry is not what the ranges say.
+constexpr double kTornSigma_m = 0.3;
+constexpr double kFarLimit = 0.06;
+constexpr double kShortLimit = 0.03;
+// More answers than the others', that differ from one to the next by more than noise.
+constexpr double kTwinFlicker = 2.5;
+constexpr double kTwinCountRatio = 1.3;
 constexpr double kHeldOutLimit = 3.0;
 constexpr std::size_t kMinAnchors = 3;
 
@@ -56,44 +77,109 @@ bool is_plausible(const std::optional<Rival>& rival, double inflation) {
   return rival && rival->cost_excess < kPlausibleExcess * inflation;
 }
 
+bool is_hardly_in_sight(const AnchorEvidence& evidence) {
+  return evidence.sight && evidence.sight->polls_are_told && evidence.sight->polls(kInSight) < kHardlyInSight;
+}
+
+bool contradicts_itself(const AnchorEvidence& evidence) {
+  return evidence.sight &&
+         (evidence.sight->far_share > kFarLimit || evidence.sight->short_share > kShortLimit);
+}
+
+// A bias of all betas at once, of this sigma, and what follows of it for the rest.
+void add_common_bias(double sigma_m, double position_sigma_m, std::size_t tag_count,
+                     Eigen::MatrixXd& covariance) {
+  const auto tags = static_cast<Eigen::Index>(tag_count);
+  const Eigen::LDLT<Eigen::MatrixXd> biases(covariance.block(3, 3, tags, tags));
+  const Eigen::VectorXd response =
+      sigma_m * covariance.middleCols(3, tags) * biases.solve(Eigen::VectorXd::Ones(tags));
+  if (response.allFinite()) covariance += response * response.transpose();
+  covariance.diagonal().head<3>().array() += position_sigma_m * position_sigma_m;
+}
+
 }  // namespace
 
 bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
+  if (evidence.sight && evidence.sight->polls_are_told) {
+    return evidence.sight->polls(kInSight) < kNeverInSight;
+  }
   if (evidence.in_sight_share < kMinInSightShare) return true;
   return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
 }
 
-void admit_wall(std::size_t tag_count, Eigen::MatrixXd& covariance) {
-  const auto tags = static_cast<Eigen::Index>(tag_count);
-  if (tags == 0) return;
-  const Eigen::LDLT<Eigen::MatrixXd> biases(covariance.block(3, 3, tags, tags));
-  const Eigen::VectorXd response =
-      kWallSigma_m * covariance.middleCols(3, tags) * biases.solve(Eigen::VectorXd::Ones(tags));
-  if (response.allFinite()) covariance += response * response.transpose();
-  covariance.diagonal().head<3>().array() += kWallVariation_m * kWallVariation_m;
+void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance) {
+  if (tag_count == 0) return;
+  if (!evidence.sight) {
+    if (is_never_in_sight(evidence)) add_common_bias(kWallSigma_m, kWallVariation_m, tag_count, covariance);
+    return;
+  }
+  // Residuals that hang together although each row's sight is known have a reason that is not in the model,
+  // and the fit has taken up part of it: most where they do so more than the other anchors'.
+  covariance *=
+      (1.0 + (evidence.inflation - 1.0) / kUnmodelled) * evidence.inflation_ratio * evidence.inflation_ratio;
+  covariance.diagonal().head<3>().array() += kMisjudged_m * kMisjudged_m;
+  covariance.diagonal().segment(3, static_cast<Eigen::Index>(tag_count)).array() +=
+      kMisjudgedBeta_m * kMisjudgedBeta_m;
+  if (contradicts_itself(evidence)) add_common_bias(kTornSigma_m, kTornSigma_m, tag_count, covariance);
+  if (is_never_in_sight(evidence) || is_hardly_in_sight(evidence)) {
+    // What its own walls add is in the covariance already, unless they passed for shadows.
+    const double sigma_m = kWallDiffers_m + evidence.sight->wall_excess_m * evidence.sight->polls(kShadow);
+    add_common_bias(sigma_m, kWallPlaces_m, tag_count, covariance);
+  }
 }
+
+namespace {
+
+// What is said of an anchor because of how its ranges came, if anything.
+struct Opinion {
+  AnchorVerdict verdict = AnchorVerdict::kOk;
+  std::string advice;
+};
+std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
+  const std::size_t all = anchor.ranges_used + anchor.ranges_rejected;
+  const bool never_in_sight = evidence.rows >= kMinRanges && is_never_in_sight(evidence);
+  if (anchor.ranges_used < kMinRanges && !never_in_sight) {
+    return Opinion{AnchorVerdict::kNoData,
+                   all == 0 ? "no range at all: check that the anchor is powered and in the schedule"
+                            : "too few ranges with a pose: drive where this anchor answers"};
+  }
+  if (evidence.moved_m) {
+    return Opinion{AnchorVerdict::kMoved, "was moved during the drive, by " +
+                                              metres(evidence.moved_m->norm()) + " to its " +
+                                              side_of(Eigen::Vector3d::Zero(), *evidence.moved_m) +
+                                              " side: see that it is fixed, and drive again"};
+  }
+  if (never_in_sight) {
+    return Opinion{AnchorVerdict::kNeverInSight,
+                   "its ranges come through something: drive where it is in sight, or move it"};
+  }
+  const std::string where = drive_advice(evidence, anchor.position_m);
+  if (is_hardly_in_sight(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in sight: " + where};
+  if (contradicts_itself(evidence)) {
+    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
+  }
+  if (evidence.flicker > kTwinFlicker && evidence.count_ratio > kTwinCountRatio) {
+    return Opinion{AnchorVerdict::kWeak,
+                   "its ranges differ from one to the next: look whether two anchors answer to this id"};
+  }
+  return std::nullopt;
+}
+
+}  // namespace
 
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {
   anchor.advice.clear();
-  if (anchor.ranges_used < kMinRanges) {
-    anchor.verdict = AnchorVerdict::kNoData;
-    anchor.advice = anchor.ranges_used + anchor.ranges_rejected == 0
-                        ? "no range at all: check that the anchor is powered and in the schedule"
-                        : "too few ranges with a pose: drive where this anchor answers";
+  if (std::optional<Opinion> opinion = judge_ranges(evidence, anchor)) {
+    anchor.verdict = opinion->verdict;
+    anchor.advice = std::move(opinion->advice);
     return;
   }
   const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
-  const double limit_m = std::max(kWeakSigma_m, kWeakSigmaShare * evidence.nearest_m);
+  const double by_distance_m = kWeakSigmaShare * evidence.nearest_m;
   const double sigma_xy_m = std::sqrt(
       std::max(0.0, covariance.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1)));
   const double sigma_z_m = std::sqrt(std::max(0.0, covariance(2, 2)));
-
-  if (is_never_in_sight(evidence)) {
-    anchor.verdict = AnchorVerdict::kNeverInSight;
-    anchor.advice = "its ranges come through something: drive where it is in sight, or move it";
-    return;
-  }
-  if (sigma_xy_m > limit_m || is_plausible(evidence.side, evidence.inflation)) {
+  if (sigma_xy_m > std::max(kWeakSigma_m, by_distance_m) || is_plausible(evidence.side, evidence.inflation)) {
     anchor.verdict = AnchorVerdict::kWeak;
     anchor.advice = drive_advice(evidence, anchor.position_m);
     return;
@@ -104,7 +190,8 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
         "the end of the drive contradicts its beginning: drive again, and look whether the anchor moved";
     return;
   }
-  if (sigma_z_m > limit_m || is_plausible(evidence.mirror, evidence.inflation)) {
+  if (sigma_z_m > std::max(evidence.sight ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m) ||
+      is_plausible(evidence.mirror, evidence.inflation)) {
     anchor.verdict = AnchorVerdict::kWeakZ;
     anchor.advice = is_plausible(evidence.mirror, evidence.inflation)
                         ? "above or below the tags cannot be told: measure its height, or " +

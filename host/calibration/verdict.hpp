@@ -9,30 +9,46 @@
 
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/rival.hpp"
+#include "host/calibration/sight_chain.hpp"
 #include "host/model/calibration.hpp"
 
 namespace groma::calibration {
 
+// How an anchor was seen, where the site was solved with each row's sight.
+struct SightEvidence {
+  SightVector polls = SightVector::Zero();  // share of its polls in each state
+  bool polls_are_told = false;              // replies that are missing count in it
+  double wall_excess_m = 0.0;               // that walls add, as the site has it
+  double far_share = 0.0;    // of its ranges that are too long, or too short, by more than walls and
+  double short_share = 0.0;  // shadows make them
+};
+
 // What is known of one anchor beside its solution.
 struct AnchorEvidence {
-  TagSpread spread;                  // of the antennas while they ranged to it
-  double nearest_m = 0.0;            // closest antenna
-  std::optional<Rival> mirror;       // across the plane of the tags
-  std::optional<Rival> side;         // across the line of the drive
-  double in_sight_share = 0.0;       // of its ranges, by the kernel
-  std::optional<double> held_out_z;  // held-out residuals' scale over what the fit expects
-  double scale_ratio = 1.0;          // its noise over the site's median
-  double count_ratio = 1.0;          // its ranges over the site's median
-  double inflation = 1.0;            // of the score's scatter, by correlation in time
+  TagSpread spread;                        // of the antennas while they ranged to it
+  std::size_t rows = 0;                    // ranges with a pose
+  double nearest_m = 0.0;                  // closest antenna
+  std::optional<Rival> mirror;             // across the plane of the tags
+  std::optional<Rival> side;               // across the line of the drive
+  double in_sight_share = 0.0;             // of its ranges, by the kernel
+  std::optional<double> held_out_z;        // held-out residuals' scale over what the fit expects
+  double scale_ratio = 1.0;                // its noise over the site's median
+  double count_ratio = 1.0;                // its ranges over the site's median
+  double inflation = 1.0;                  // of the score's scatter, by correlation in time
+  double flicker = 1.0;                    // scatter from one range to the next over the site's noise
+  double inflation_ratio = 1.0;            // over the least of all anchors
+  std::optional<Eigen::Vector3d> moved_m;  // from the first half of the drive to the second
+  std::optional<SightEvidence> sight;
 };
 
 // Whether its ranges, all or nearly all, come through something: they are then noisier than the others' and
 // fewer get through, while the excess that they have in common passes for a bias.
 [[nodiscard]] bool is_never_in_sight(const AnchorEvidence& evidence) noexcept;
 
-// What a wall can add to each bias of an anchor that is never in sight, and what follows of it for position
-// and range-dependent biases. The covariance: (position, beta, gamma) of tag_count tags.
-void admit_wall(std::size_t tag_count, Eigen::MatrixXd& covariance);
+// What walls can add to each bias of an anchor that is never or hardly in sight, and what follows of it for
+// position and range-dependent biases; and what remains of rows whose sight was misjudged. The covariance:
+// (position, beta, gamma) of tag_count tags.
+void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance);
 
 // Fills verdict and advice from the anchor's covariance and the evidence.
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor);

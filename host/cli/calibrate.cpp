@@ -2,17 +2,22 @@
 #include "host/calibration/calibrate.hpp"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
+#include "host/calibration/update.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
@@ -36,8 +41,10 @@ constexpr const char* kReportName = "report.html";
 struct Options {
   std::filesystem::path dataset;
   std::optional<std::filesystem::path> poses;
+  std::optional<std::filesystem::path> survey;
   Selection selection;
   bool known_anchors = false;
+  std::optional<std::filesystem::path> update;
   std::optional<std::filesystem::path> report;
   std::filesystem::path output;
   bool json = false;
@@ -72,8 +79,48 @@ void write_report(const std::filesystem::path& folder, const io::Dataset& datase
   io::write_file(folder / kReportName, page.html());
 }
 
+// The fitted ranges follow the anchors' order; those that were only kept have none.
+void adopt(const calibration::Update& update, calibration::Result& result) {
+  std::map<model::NodeId, std::vector<calibration::FittedRange>> fitted;
+  for (std::size_t i = 0; i < result.fitted.size(); ++i) {
+    fitted[result.calibration.anchors[i].id] = std::move(result.fitted[i]);
+  }
+  result.calibration = update.calibration;
+  result.fitted.clear();
+  for (const model::AnchorCalibration& anchor : update.calibration.anchors) {
+    result.fitted.push_back(std::move(fitted[anchor.id]));
+  }
+}
+
+Json update_json(const calibration::Update& update) {
+  Json json{{"moved", Json::array()}, {"added", update.added}, {"kept", update.kept}};
+  for (const calibration::AnchorChange& change : update.comparison.anchors) {
+    if (!change.moved) continue;
+    const Eigen::Vector3d& d = change.displacement_m;
+    json["moved"].push_back({{"id", change.id},
+                             {"displacement_m", {d.x(), d.y(), d.z()}},
+                             {"distance_m", d.norm()},
+                             {"chi2", change.chi2}});
+  }
+  return json;
+}
+
+std::string format_update(const calibration::Update& update) {
+  std::string text;
+  for (const calibration::AnchorChange& change : update.comparison.anchors) {
+    if (change.moved)
+      text += fmt::format("anchor {} moved by {:.2f} m\n", change.id, change.displacement_m.norm());
+  }
+  if (!update.added.empty()) text += fmt::format("new: {}\n", fmt::join(update.added, ", "));
+  if (!update.kept.empty()) text += fmt::format("kept without a range: {}\n", fmt::join(update.kept, ", "));
+  return text;
+}
+
 int run(const Options& options) {
   const auto begin = std::chrono::steady_clock::now();
+  if (options.update && options.known_anchors) {
+    throw CLI::ValidationError("--update", "does not go with --known-anchors");
+  }
   io::expect_writable(options.output);
   if (options.report) {
     io::make_folder(*options.report);
@@ -84,9 +131,14 @@ int run(const Options& options) {
   read.odometry = false;
   read.ground_truth = false;
   read.pose_file = options.poses;
+  read.log_section = options.selection.section();
+  std::optional<model::Calibration> earlier;
+  if (options.update) earlier = io::read_calibration(*options.update);
   io::Dataset dataset = io::read_dataset(options.dataset, read);
   Warnings warnings;
-  warnings.add(dataset.dropped);
+  std::vector<model::AnchorRange> survey;
+  if (options.survey) survey = io::read_survey(*options.survey, dataset.dropped);
+  warnings.add(dataset);
   if (options.known_anchors && dataset.surveyed_anchors.empty()) {
     throw io::DataError({options.dataset / "anchors.csv"}, "there are no surveyed anchors",
                         "add them, or calibrate without --known-anchors");
@@ -99,8 +151,14 @@ int run(const Options& options) {
   drive.tags = dataset.tags;
   drive.surface = &dataset.surface;
   drive.priors = dataset.range_priors;
+  drive.anchor_ranges = survey;
   if (options.known_anchors) drive.known_anchors = dataset.surveyed_anchors;
   calibration::Result result = calibration::calibrate(drive);
+  std::optional<calibration::Update> update;
+  if (earlier) {
+    update = calibration::update(*earlier, result.calibration, dataset.range_priors);
+    adopt(*update, result);
+  }
   result.calibration.input_sha256 = dataset.sha256;
   result.calibration.program_version = io::program_version();
   io::write_file(options.output, io::format_calibration(result.calibration));
@@ -110,10 +168,12 @@ int run(const Options& options) {
   if (options.json) {
     Json json{{"verdict", io::word(result.calibration.verdict)}, {"wall_s", wall_s}};
     json.update(to_json(result));
+    if (update) json["update"] = update_json(*update);
     json["dropped"] = to_json(dataset.dropped);
     say_json(json);
   } else {
     say(format_table(result.calibration));
+    if (update) say(format_update(*update));
     say(fmt::format("{}: {} ranges used, {} rejected, {:.2f} s; written to {}\n",
                     io::word(result.calibration.verdict), result.ranges_used, result.ranges_rejected, wall_s,
                     options.output.string()));
@@ -145,16 +205,24 @@ void add_calibrate(CLI::App& app, Action& action) {
       "poses. The last "
       "fifth of the drive is held out for the verdict; the final solution uses all of it.");
   command
-      ->add_option("DATASET", options->dataset,
-                   "Folder of the drive: dataset.yaml, ranges.csv, tags.csv, poses")
+      ->add_option(
+          "DATASET_OR_LOG", options->dataset,
+          "Folder of the drive (dataset.yaml, ranges.csv, tags.csv, poses), or the log that gromad recorded")
       ->required();
   command->add_option(
       "--poses", options->poses,
       "Poses to calibrate from, in the place of pose_prior.csv (or, without it, groundtruth.csv)");
+  command->add_option("--survey", options->survey,
+                      "Ranges between the anchors, as groma survey prints them: they join the anchors in one "
+                      "problem");
   options->selection.add_options(*command);
   command->add_flag(
       "--known-anchors", options->known_anchors,
       "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and learn the biases alone");
+  command->add_option(
+      "--update", options->update,
+      "Bring this earlier calibration up to date: its anchors are looked for where they were, moved ones are "
+      "named, new ones added");
   command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")->required();
   command->add_option("--report", options->report,
                       "Folder to write a report to, report.html, which a browser opens");

@@ -14,6 +14,7 @@ using Action = std::function<int()>;
 void add_calibrate(CLI::App& app, Action& action);
 void add_configure(CLI::App& app, Action& action);
 void add_demo(CLI::App& app, Action& action);
+void add_diff(CLI::App& app, Action& action);
 void add_evaluate(CLI::App& app, Action& action);
 void add_flash(CLI::App& app, Action& action);
 void add_identify(CLI::App& app, Action& action);

@@ -31,6 +31,7 @@ int run(int argc, char** argv) {
   add_calibrate(app, action);
   add_configure(app, action);
   add_demo(app, action);
+  add_diff(app, action);
   add_evaluate(app, action);
   add_flash(app, action);
   add_identify(app, action);

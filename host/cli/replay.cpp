@@ -119,9 +119,10 @@ int run(const Options& options) {
   read.surveyed_anchors = options.surveyed;
   read.ground_truth = false;
   read.pose_prior = !options.start;
+  read.log_section = options.selection.section();
   io::Dataset dataset = io::read_dataset(options.dataset, read);
   Warnings warnings;
-  warnings.add(dataset.dropped);
+  warnings.add(dataset);
   const model::Calibration calibration = load_calibration(options, dataset, warnings);
   options.selection.apply(dataset);
 
@@ -178,8 +179,9 @@ void add_replay(CLI::App& app, Action& action) {
                                          "row or pose before its time, and of the poses "
                                          "none but the first, from which it starts (sigma 0.1 m, 0.05 rad).");
   command
-      ->add_option("DATASET", options->dataset,
-                   "Folder of the drive: dataset.yaml, ranges.csv, odometry.csv, ...")
+      ->add_option("DATASET_OR_LOG", options->dataset,
+                   "Folder of the drive (dataset.yaml, ranges.csv, odometry.csv, ...), or the log that "
+                   "gromad recorded")
       ->required();
   command->add_option("--calibration", options->calibration,
                       "Calibration file that groma calibrate has written");

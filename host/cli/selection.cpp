@@ -76,9 +76,11 @@ void Selection::add_options(CLI::App& command) {
   };
   add_ids("--tags", tags_, "Use the ranges of these tags alone, such as 1,2");
   add_ids("--anchors", anchors_, "Use the ranges to these anchors alone, such as 5,8,12,14");
+  command.add_option("--section", section_, "Section of a log, from 1; without it the last")->type_name("N");
 }
 
 void Selection::apply(io::Dataset& dataset) const {
+  if (section_ && !dataset.log) throw CLI::ValidationError("--section", "a data set folder has no sections");
   for (const model::NodeId id : tags_) {
     if (std::none_of(dataset.tags.begin(), dataset.tags.end(),
                      [&](const model::Tag& tag) { return tag.id == id; })) {

@@ -1,6 +1,7 @@
 // The part of a run that a command works on: a stretch of time, some tags, some anchors.
 #pragma once
 
+#include <cstddef>
 #include <optional>
 #include <string>
 #include <vector>
@@ -14,7 +15,7 @@ namespace groma::cli {
 
 class Selection {
  public:
-  // Declares --from, --to, --tags and --anchors.
+  // Declares --from, --to, --tags, --anchors and --section.
   void add_options(CLI::App& command);
 
   // Takes the rest out of the data set: ranges by all four, poses by time, tags by id. Throws
@@ -23,10 +24,12 @@ class Selection {
 
   [[nodiscard]] std::optional<double> from_s() const { return from_s_; }
   [[nodiscard]] std::optional<double> to_s() const { return to_s_; }
+  [[nodiscard]] std::optional<std::size_t> section() const { return section_; }
 
  private:
   std::optional<double> from_s_;
   std::optional<double> to_s_;
+  std::optional<std::size_t> section_;
   std::vector<model::NodeId> tags_;     // empty: all
   std::vector<model::NodeId> anchors_;  // empty: all
 };

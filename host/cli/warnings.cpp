@@ -24,4 +24,11 @@ void Warnings::add(const io::DroppedRows& dropped) {
   if (!list.empty()) add(fmt::format("{} rows dropped: {}", dropped.total(), list));
 }
 
+void Warnings::add(const io::Dataset& dataset) {
+  add(dataset.dropped);
+  if (dataset.log && dataset.log->damaged_bytes > 0) {
+    add(fmt::format("{} bytes of the log are damaged and were left out", dataset.log->damaged_bytes));
+  }
+}
+
 }  // namespace groma::cli

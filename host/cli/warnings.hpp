@@ -13,6 +13,8 @@ class Warnings {
   void add(const std::string& text);
   // One warning for all dropped rows together; none if there are none.
   void add(const io::DroppedRows& dropped);
+  // The same, and one for what is damaged in a log.
+  void add(const io::Dataset& dataset);
   [[nodiscard]] int exit_code() const { return any_ ? kDoneWithWarnings : kGood; }
 
  private:

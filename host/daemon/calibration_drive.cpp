@@ -1,45 +1,13 @@
 #include "host/daemon/calibration_drive.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <tuple>
 #include <utility>
 
-#include "host/io/input_file.hpp"
+#include "host/daemon/sample_digest.hpp"
 #include "host/io/version.hpp"
 
 namespace groma::daemon {
-namespace {
-
-template <std::size_t kBytes>
-void append_little_endian(std::string& out, std::uint64_t value) {
-  for (std::size_t i = 0; i < kBytes; ++i) out.push_back(static_cast<char>(value >> (8 * i) & 0xFFU));
-}
-
-void append(std::string& out, double value) {
-  append_little_endian<8>(out, std::bit_cast<std::uint64_t>(value));
-}
-
-std::string digest(const std::vector<model::RangeSample>& ranges,
-                   const std::vector<model::PoseSample>& poses) {
-  std::string bytes;
-  for (const model::RangeSample& range : ranges) {
-    append(bytes, range.t_s);
-    append_little_endian<2>(bytes, range.tag_id);
-    append_little_endian<2>(bytes, range.anchor_id);
-    append(bytes, range.range_m);
-  }
-  for (const model::PoseSample& pose : poses) {
-    for (const double value :
-         {pose.t_s, pose.x_m, pose.y_m, pose.z_m, pose.yaw_rad, pose.roll_rad, pose.pitch_rad}) {
-      append(bytes, value);
-    }
-  }
-  return io::sha256(bytes);
-}
-
-}  // namespace
-
 CalibrationDrive::CalibrationDrive(std::vector<model::Tag> tags, model::Surface surface,
                                    model::RangePriors priors)
     : tags_(std::move(tags)), surface_(std::move(surface)), priors_(priors) {}
@@ -82,9 +50,10 @@ calibration::Result CalibrationDrive::solve(const calibration::Options& options)
                                  .tags = tags_,
                                  .surface = &surface_,
                                  .priors = priors_,
+                                 .anchor_ranges = {},
                                  .known_anchors = {}};
   calibration::Result result = calibration::calibrate(drive, options);
-  result.calibration.input_sha256 = digest(ranges_, poses_);
+  result.calibration.input_sha256 = sample_digest(ranges_, poses_);
   result.calibration.program_version = io::program_version();
   return result;
 }

@@ -33,9 +33,7 @@ class CalibrationDrive : public MeasurementSink {
   // Of tags that are not the robot's.
   [[nodiscard]] std::size_t unknown_tags() const noexcept { return unknown_tags_; }
 
-  // Sorts what was collected and calibrates; takes seconds. input_sha256 is that of the samples,
-  // little-endian doubles and ids in the order of time: ranges (t_s, tag, anchor, range_m), then poses (all
-  // seven numbers).
+  // Sorts what was collected and calibrates; takes seconds. input_sha256 is the sample_digest().
   [[nodiscard]] calibration::Result solve(const calibration::Options& options = {});
 
  private:

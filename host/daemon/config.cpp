@@ -4,10 +4,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <limits>
 #include <set>
 
 #include "host/filter/state.hpp"
+#include "host/io/dataset_writer.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
@@ -22,6 +24,7 @@ constexpr double kMinDrive_s = 10.0;
 constexpr double kMaxDrive_s = 3600.0;
 constexpr double kMaxReorderLag_s = 0.5;  // what is later is dropped anyway
 constexpr double kMaxSpeed = 1000.0;
+constexpr std::array<std::string_view, 2> kSwitch{"false", "true"};
 
 std::filesystem::path parse_path(const YamlValue& yaml, const std::filesystem::path& folder) {
   const std::string text = yaml.text();
@@ -100,21 +103,27 @@ std::vector<model::Tag> parse_tags(const YamlValue& yaml) {
 
 CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::filesystem::path& folder) {
   CalibrationSource source;
-  yaml.expect_keys({{}, {"file", "drive_s", "output"}});
+  yaml.expect_keys({{}, {"file", "drive_s", "learn", "output"}});
   const auto file = yaml.find("file");
   const auto drive_s = yaml.find("drive_s");
+  const auto learn = yaml.find("learn");
   const auto output = yaml.find("output");
+  source.learn = learn && learn->one_of(kSwitch) == 1;
+  if (file) source.file = parse_path(*file, folder);
+  if (output) source.output = parse_path(*output, folder);
+  if (source.learn) {
+    if (drive_s) drive_s->fail("does not go with 'learn'", "leave out one of them");
+    return source;
+  }
   if (file.has_value() == drive_s.has_value()) {
     yaml.fail("has to have either 'file' or 'drive_s'",
-              "give a calibration, or the length of a drive to learn it");
+              "give a calibration, or the length of a drive to learn it, or 'learn: true'");
   }
   if (file) {
-    if (output) output->fail("goes with 'drive_s' only", "leave it out: the file is not changed");
-    source.file = parse_path(*file, folder);
+    if (output) output->fail("goes with 'drive_s' or 'learn' only", "leave it out: the file is not changed");
     return source;
   }
   source.drive_s = parse_between(*drive_s, kMinDrive_s, kMaxDrive_s);
-  if (output) source.output = parse_path(*output, folder);
   return source;
 }
 
@@ -149,6 +158,17 @@ filter::Model parse_model(const YamlValue& yaml) {
 
 }  // namespace
 
+std::vector<io::DescriptionFile> Config::description() const {
+  io::Dataset dataset;
+  dataset.name = "a log of gromad";
+  dataset.origin = "recorded";
+  dataset.odometry_noise = odometry;
+  dataset.range_priors = range;
+  dataset.surface = surface;
+  dataset.tags = tags;
+  return io::describe(dataset);
+}
+
 filter::Config Config::filter_config() const {
   filter::Config out;
   out.model = model;
@@ -163,7 +183,7 @@ Config read_config(const std::filesystem::path& path) {
   const std::filesystem::path folder = path.parent_path();
   yaml.expect_keys(
       {{"schema", "nodes", "robot_socket", "tags", "odometry", "range", "surface", "calibration"},
-       {"model", "pose_stream", "reorder_lag_s", "speed"}});
+       {"model", "pose_stream", "log", "reorder_lag_s", "speed"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -177,6 +197,7 @@ Config read_config(const std::filesystem::path& path) {
   config.calibration = parse_calibration_source(yaml.at("calibration"), folder);
   if (const auto model = yaml.find("model")) config.model = parse_model(*model);
   if (const auto stream = yaml.find("pose_stream")) parse_pose_stream(*stream, config);
+  if (const auto log = yaml.find("log")) config.log = parse_path(*log, folder);
   if (const auto lag = yaml.find("reorder_lag_s")) {
     config.reorder_lag_s = parse_between(*lag, 0.0, kMaxReorderLag_s);
   }

@@ -10,9 +10,12 @@
 //   odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.01}
 //   range: {sigma_m: 0.1, beta_m: [0.3, 0.5], gamma: [1.0, 0.005]}   # the latter two as priors of a pair
 //   surface: {type: plane, z_m: 0.0, normal: [0, 0, 1]}              # or {type: bspline, file: surface.csv}
-//   calibration: {file: calibration.yaml}       # or {drive_s: 120, output: calibration.yaml}: learn it first
+//   calibration: {file: calibration.yaml}       # or {drive_s: 120, output: calibration.yaml}: learn it
+//   first;
+//                                               # or {learn: true, file: ..., output: ...}: as it drives
 //   model: schmidt                              # optional, as are all that follow
 //   pose_stream: {address: 127.0.0.1, port: 4721}
+//   log: drive.glog                             # what comes in is appended there
 //   reorder_lag_s: 0.2
 //   speed: 1                          # of the site's clocks against this computer's: that of `groma sim`
 //
@@ -26,6 +29,7 @@
 #include <vector>
 
 #include "host/filter/config.hpp"
+#include "host/io/dataset.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
@@ -37,9 +41,10 @@ struct NodeLink {
 };
 
 struct CalibrationSource {
-  std::optional<std::filesystem::path> file;  // none: from a drive
-  double drive_s = 0.0;
-  std::optional<std::filesystem::path> output;  // where the drive's calibration is kept
+  std::optional<std::filesystem::path> file;    // none: from a drive
+  double drive_s = 0.0;                         // 0: no drive of its own
+  bool learn = false;                           // while driving
+  std::optional<std::filesystem::path> output;  // where what was learnt is kept; may be `file`
 };
 
 struct Config {
@@ -53,9 +58,12 @@ struct Config {
   filter::Model model = filter::Config{}.model;
   std::string address = "127.0.0.1";
   std::uint16_t port = 4721;
+  std::optional<std::filesystem::path> log;  // none: nothing is recorded
   double reorder_lag_s = 0.2;
   double speed = 1.0;
 
+  // What a log of this site and robot tells beside its measurements.
+  [[nodiscard]] std::vector<io::DescriptionFile> description() const;
   // The filter's, with the robot's and the ranges' sigmas.
   [[nodiscard]] filter::Config filter_config() const;
 };

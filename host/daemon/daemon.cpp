@@ -14,6 +14,7 @@
 #include "groma.pb.h"
 #include "host/filter/config.hpp"
 #include "host/io/calibration_file.hpp"
+#include "host/io/error.hpp"
 #include "host/io/output_file.hpp"
 #include "proto/frame_codec.hpp"
 
@@ -23,6 +24,8 @@ namespace {
 constexpr int kPollTimeout_ms = 10;  // measurements wait no longer than this beyond their lag
 constexpr double kStatusPeriod_s = 1.0;
 constexpr double kTimeRequestPeriod_s = 1.0;  // to each node
+constexpr std::size_t kMinAnchors = 3;        // that a filter needs to begin with
+constexpr double kGoodPose_m = 0.3;           // sigma of a pose that anchors are learnt from
 constexpr std::size_t kReadsPerTurn = 16;     // of one link, so that none keeps the others waiting
 
 link::OpenedLink open_input(const std::string& path, unsigned baud) {
@@ -94,13 +97,31 @@ link::LinkError Daemon::open() {
     if (!input.link.service(now_s())) return input.link.last_error();
     this->opened(input);
   }
+  if (config_.log) {
+    recorder_ = std::make_unique<LogRecorder>(*config_.log, config_.description());
+    session_.attach(*recorder_);
+    log_(fmt::format("records into {}", config_.log->string()));
+  }
   return {};
 }
 
 bool Daemon::run(int stop_fd) {
+  if (config_.calibration.learn) {
+    const bool known = calibration_.has_value() && !calibration_->anchors.empty();
+    learner_ = std::make_unique<AnchorLearner>(
+        AnchorLearner::Setup{.tags = config_.tags,
+                             .surface = config_.surface,
+                             .priors = config_.range,
+                             .earlier = calibration_.value_or(model::Calibration{}),
+                             .poses = known ? AnchorLearner::Poses::kFilter : AnchorLearner::Poses::kPriors});
+    session_.attach(*learner_);
+    log_(
+        fmt::format("learns anchors while driving, by {}", known ? "the filter's poses" : "the pose priors"));
+    if (!known) calibration_.reset();
+  }
   if (calibration_) {
     localize(*std::exchange(calibration_, std::nullopt));
-  } else {
+  } else if (!learner_) {
     drive_ = std::make_unique<CalibrationDrive>(config_.tags, config_.surface, config_.range);
     session_.attach(*drive_);
     log_(fmt::format("calibrates from the first {} s with pose priors", config_.calibration.drive_s));
@@ -111,10 +132,13 @@ bool Daemon::run(int stop_fd) {
     for (Input& input : inputs_) service(input);
     ask_for_time();
     session_.advance(now_s());
+    record();
     if (drive_ && !calibrate()) return false;
+    if (learner_) learn();
     tell_status();
     server_->service();
   }
+  finish_learning();
   return true;
 }
 
@@ -227,22 +251,83 @@ void Daemon::localize(model::Calibration calibration) {
                    filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
 }
 
+void Daemon::learn() {
+  if (learner_->service()) use_learnt();
+  for (const std::string& news : learner_->take_news()) log_(news);
+  keep_learnt();
+}
+
+void Daemon::use_learnt() {
+  to_keep_ = config_.calibration.output.has_value();
+  if (localizer_) {
+    localizer_->adopt(learner_->live());
+  } else if (learner_->live().anchors.size() >= kMinAnchors) {
+    localize(learner_->live());
+  }
+}
+
+// One file at a time, by a thread that may wait for the disk.
+void Daemon::keep_learnt() {
+  if (keeping_.valid()) {
+    if (keeping_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+    if (const std::string error = keeping_.get(); !error.empty()) log_(error);
+  }
+  if (!std::exchange(to_keep_, false)) return;
+  keeping_ = std::async(std::launch::async, [path = *config_.calibration.output,
+                                             text = io::format_calibration(learner_->live())] {
+    try {
+      io::write_file(path, text);
+    } catch (const io::Error& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  });
+}
+
+// What came since the last step is not lost.
+void Daemon::finish_learning() {
+  if (!learner_) return;
+  to_keep_ = learner_->finish() || to_keep_;
+  to_keep_ = to_keep_ && config_.calibration.output.has_value();
+  for (const std::string& news : learner_->take_news()) log_(news);
+  if (keeping_.valid()) keeping_.wait();
+  keep_learnt();
+  if (keeping_.valid()) keeping_.wait();
+  keep_learnt();
+}
+
 void Daemon::publish(const PoseEstimate& pose) {
+  if (learner_ && pose.state == PoseState::kTracking &&
+      pose.planar_covariance(0, 0) + pose.planar_covariance(1, 1) < kGoodPose_m * kGoodPose_m) {
+    learner_->on_filter_pose(
+        {.t_s = pose.t_s, .x_m = pose.x_m, .y_m = pose.y_m, .z_m = pose.z_m, .yaw_rad = pose.yaw_rad});
+  }
   if (pose_state_ != pose.state) log_(fmt::format("state {}", state_word(pose.state)));
   pose_state_ = pose.state;
   last_pose_s_ = now_s();
   server_->broadcast(pose_line(pose, frame_, filter::model_name(config_.model)));
 }
 
+void Daemon::record() {
+  if (!recorder_) return;
+  recorder_->advance(now_s());
+  if (const auto failure = recorder_->take_failure()) {
+    log_(*failure);
+    session_.detach(*recorder_);
+    recorder_.reset();
+  }
+}
+
 void Daemon::tell_status() {
   if (now_s() < next_status_s_) return;
   next_status_s_ = now_s() + kStatusPeriod_s;
   server_->broadcast(status_line(status()));
+  if (learner_) server_->broadcast(calibration_line(learner_->live().verdict, learner_->progress()));
 }
 
 std::string_view Daemon::state() const {
   if (solution_.valid()) return "CALIBRATING";
-  if (drive_) return "CALIBRATION_DRIVE";
+  if (!localizer_) return "CALIBRATION_DRIVE";
   if (!localizer_->started()) return "WAITING_FOR_POSE_PRIOR";
   if (!pose_state_ || now_s() - last_pose_s_ > kStatusPeriod_s) return "WAITING_FOR_ODOMETRY";
   return state_word(*pose_state_);

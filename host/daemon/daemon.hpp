@@ -1,5 +1,5 @@
 // The daemon: real links, a real clock, a session and what it feeds. One thread and one poll(2); only solving
-// a calibration runs beside it, so that links do not overflow meanwhile.
+// a calibration and what goes to the disk run beside it, so that links do not overflow meanwhile.
 #pragma once
 
 #include <functional>
@@ -11,9 +11,11 @@
 #include <vector>
 
 #include "host/calibration/calibrate.hpp"
+#include "host/daemon/anchor_learner.hpp"
 #include "host/daemon/calibration_drive.hpp"
 #include "host/daemon/config.hpp"
 #include "host/daemon/localizer.hpp"
+#include "host/daemon/log_recorder.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/pose_server.hpp"
 #include "host/daemon/session.hpp"
@@ -32,7 +34,7 @@ class Daemon {
   Daemon& operator=(const Daemon&) = delete;
 
   // Opens all links and the pose stream; the error of the first that cannot be opened. From then on a link
-  // that is lost is opened again at growing intervals.
+  // that is lost is opened again at growing intervals. Throws as LogRecorder, where a log is asked for.
   [[nodiscard]] link::LinkError open();
 
   // Serves until stop_fd is readable. False: the drive gave no usable calibration. May throw as
@@ -57,8 +59,14 @@ class Daemon {
   // False: there is no usable calibration.
   [[nodiscard]] bool calibrate();
   void localize(model::Calibration calibration);
+  // Takes in what was learnt while driving.
+  void learn();
+  void use_learnt();
+  void keep_learnt();
+  void finish_learning();
   void publish(const PoseEstimate& pose);
   void ask_for_time();
+  void record();
   void tell_status();
   [[nodiscard]] std::string_view state() const;
   [[nodiscard]] Status status() const;
@@ -69,8 +77,12 @@ class Daemon {
   Session session_;
   std::vector<Input> inputs_;
   std::unique_ptr<PoseServer> server_;
+  std::unique_ptr<LogRecorder> recorder_;
   std::unique_ptr<CalibrationDrive> drive_;
   std::future<calibration::Result> solution_;
+  std::unique_ptr<AnchorLearner> learner_;
+  bool to_keep_ = false;              // what was learnt is not in its file yet
+  std::future<std::string> keeping_;  // the error, or nothing
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";
   std::optional<PoseState> pose_state_;

@@ -1,9 +1,12 @@
 #include "host/daemon/localizer.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <span>
 #include <utility>
+
+#include <Eigen/Eigenvalues>
 
 #include "host/filter/replay.hpp"
 
@@ -41,6 +44,22 @@ PoseEstimate pose_on(const model::Surface& surface, const model::PlanarPose& pla
 Localizer::Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_pose)
     : setup_(std::move(setup)), on_pose_(std::move(on_pose)) {
   renew();
+}
+
+void Localizer::adopt(model::Calibration calibration) {
+  setup_.calibration = std::move(calibration);
+  const bool started = started_;
+  const double last_range_used_s = last_range_used_s_;
+  const filter::Estimate estimate = filter_->estimate();
+  renew();
+  if (!started) return;
+  const Eigen::Matrix2d position = estimate.covariance.topLeftCorner<2, 2>();
+  const double variance_m2 = position.selfadjointView<Eigen::Lower>().eigenvalues()(1);
+  start({.t_s = estimate.t_s,
+         .pose = estimate.pose,
+         .position_sigma_m = std::sqrt(std::max(variance_m2, 0.0)),
+         .heading_sigma_rad = std::sqrt(std::max(estimate.covariance(2, 2), 0.0))});
+  last_range_used_s_ = last_range_used_s;
 }
 
 void Localizer::start(const filter::Start& start) {

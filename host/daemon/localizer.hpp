@@ -58,6 +58,9 @@ class Localizer : public MeasurementSink {
   // `on_pose` is called for each odometry row used once started, with the state at the row's time.
   Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_pose);
 
+  // Goes on by another calibration of the same site from where it is.
+  void adopt(model::Calibration calibration);
+
   // Starts, or starts anew, at a known pose instead of the first pose prior.
   void start(const filter::Start& start);
 

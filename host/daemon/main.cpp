@@ -61,7 +61,11 @@ int run(int argc, char** argv) {
   }
   Config config = read_config(path);
   std::optional<model::Calibration> calibration;
-  if (config.calibration.file) calibration = io::read_calibration(*config.calibration.file);
+  const CalibrationSource& source = config.calibration;
+  // One that is learnt into its own file begins without it.
+  const bool begins =
+      source.learn && source.file == source.output && source.file && !std::filesystem::exists(*source.file);
+  if (source.file && !begins) calibration = io::read_calibration(*source.file);
   if (calibration && calibration->verdict == model::Verdict::kUnusable) {
     log(fmt::format("{}: its verdict is 'unusable'; drive and calibrate again",
                     config.calibration.file->string()));

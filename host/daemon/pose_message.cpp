@@ -2,6 +2,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "host/io/calibration_file.hpp"
 #include "host/io/version.hpp"
 
 namespace groma::daemon {
@@ -43,6 +44,20 @@ std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::str
                {"pitch_rad", pose.pitch_rad},
                {"yaw_rad", pose.yaw_rad},
                {"covariance", std::move(covariance)}});
+}
+
+std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors) {
+  Json list = Json::array();
+  for (const AnchorProgress& anchor : anchors) {
+    list.push_back(Json{{"id", anchor.id},
+                        {"state", state_word(anchor.state)},
+                        {"coverage", anchor.coverage},
+                        {"verdict", io::word(anchor.verdict)},
+                        {"advice", anchor.advice},
+                        {"ranges_used", anchor.ranges_used},
+                        {"sigma_m", anchor.sigma_m ? Json(*anchor.sigma_m) : Json(nullptr)}});
+  }
+  return line({{"class", "CALIBRATION"}, {"verdict", io::word(verdict)}, {"anchors", std::move(list)}});
 }
 
 std::string status_line(const Status& status) {

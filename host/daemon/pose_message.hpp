@@ -3,10 +3,12 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "host/daemon/anchor_learner.hpp"
 #include "host/daemon/localizer.hpp"
 
 namespace groma::daemon {
@@ -37,6 +39,10 @@ struct Status {
 // {"class":"POSE","t_s","frame","model","state","x_m","y_m","z_m","roll_rad","pitch_rad","yaw_rad",
 // "covariance"}: the covariance 6 x 6, row by row, of x, y, z, roll, pitch, yaw; what is unknown is null.
 [[nodiscard]] std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model);
+
+// {"class":"CALIBRATION","verdict","anchors":[{"id","state","coverage","verdict","advice","ranges_used",
+// "sigma_m"}]}: what a driver needs to see while anchors are learnt.
+[[nodiscard]] std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors);
 
 // {"class":"STATUS","state",...}
 [[nodiscard]] std::string status_line(const Status& status);

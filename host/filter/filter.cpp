@@ -27,6 +27,14 @@ Learning learning(Model model) noexcept {
   return Learning::kNothing;
 }
 
+Filter::Snapshot begin(std::span<const model::Tag> tags, const model::Calibration& calibration,
+                       const Config& config) {
+  Parameters parameters(tags, calibration);
+  JointCovariance covariance(parameters, calibration, config.lever_arm_sigma_m, learning(config.model));
+  return {
+      .parameters = std::move(parameters), .gate = Gate(config.gate), .covariance = std::move(covariance)};
+}
+
 bool finite(const model::OdometrySample& row) noexcept {
   return std::isfinite(row.t_s) && std::isfinite(row.vx_mps) && std::isfinite(row.vy_mps) &&
          std::isfinite(row.omega_radps);
@@ -36,11 +44,7 @@ bool finite(const model::OdometrySample& row) noexcept {
 
 Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
                const model::Calibration& calibration, const Config& config)
-    : surface_(std::move(surface)),
-      config_(config),
-      parameters_(tags, calibration),
-      gate_(config.gate),
-      covariance_(parameters_, calibration, config.lever_arm_sigma_m, learning(config.model)) {
+    : surface_(std::move(surface)), config_(config), now_(begin(tags, calibration, config)) {
   if (calibration.range_delay_sigma_s > 0.0) {
     config_.range_delay_s = calibration.range_delay_s;
     config_.range_delay_sigma_s = std::hypot(calibration.range_delay_sigma_s, config_.range_delay_change_s);
@@ -48,21 +52,21 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
 }
 
 std::size_t Filter::anchors() const noexcept {
-  return static_cast<std::size_t>(parameters_.anchor_count());
+  return static_cast<std::size_t>(now_.parameters.anchor_count());
 }
 
 std::size_t Filter::tags() const noexcept {
-  return static_cast<std::size_t>(parameters_.tag_count());
+  return static_cast<std::size_t>(now_.parameters.tag_count());
 }
 
 void Filter::start(const Start& start) noexcept {
-  t_s_ = start.t_s;
-  core_.setZero();
-  core_.segment<3>(kX) << start.pose.x_m, start.pose.y_m, model::wrap_angle(start.pose.theta_rad);
-  core_(kDelay) = config_.range_delay_s;
+  now_.t_s = start.t_s;
+  now_.core.setZero();
+  now_.core.segment<3>(kX) << start.pose.x_m, start.pose.y_m, model::wrap_angle(start.pose.theta_rad);
+  now_.core(kDelay) = config_.range_delay_s;
 
   // Without a row, nothing is known of the velocity but what a robot may do.
-  if (!has_row_) row_ = {.t_s = start.t_s};
+  if (!now_.has_row) now_.row = {.t_s = start.t_s};
   CoreVector variances;
   variances(kX) = square(start.position_sigma_m);
   variances(kY) = square(start.position_sigma_m);
@@ -70,31 +74,31 @@ void Filter::start(const Start& start) noexcept {
   variances(kScale) = square(config_.scale_sigma);
   variances(kYawBias) = square(config_.yaw_rate_bias_radps);
   variances(kDelay) = square(config_.range_delay_sigma_s);
-  variances(kRowVx) = square(has_row_ ? config_.odometry.sigma_vx_mps : config_.hold_walk_mps);
-  variances(kRowVy) = square(has_row_ ? config_.odometry.sigma_vy_mps : config_.hold_walk_mps);
-  variances(kRowOmega) = square(has_row_ ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
-  covariance_.reset_core(variances);
-  gate_.reset(t_s_);
-  started_ = true;
+  variances(kRowVx) = square(now_.has_row ? config_.odometry.sigma_vx_mps : config_.hold_walk_mps);
+  variances(kRowVy) = square(now_.has_row ? config_.odometry.sigma_vy_mps : config_.hold_walk_mps);
+  variances(kRowOmega) = square(now_.has_row ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
+  now_.covariance.reset_core(variances);
+  now_.gate.reset(now_.t_s);
+  now_.started = true;
 }
 
 OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
   const OdometryOutcome outcome = take(row);
   switch (outcome) {
     case OdometryOutcome::kUsed:
-      ++counters_.odometry_used;
+      ++now_.counters.odometry_used;
       break;
     case OdometryOutcome::kUsedLate:
-      ++counters_.odometry_used_late;
+      ++now_.counters.odometry_used_late;
       break;
     case OdometryOutcome::kStored:
-      ++counters_.odometry_stored;
+      ++now_.counters.odometry_stored;
       break;
     case OdometryOutcome::kOutOfOrder:
-      ++counters_.odometry_out_of_order;
+      ++now_.counters.odometry_out_of_order;
       break;
     case OdometryOutcome::kBadValue:
-      ++counters_.odometry_bad_value;
+      ++now_.counters.odometry_bad_value;
       break;
   }
   return outcome;
@@ -104,28 +108,28 @@ RangeResult Filter::process(const model::RangeSample& range) noexcept {
   const RangeResult result = take(range);
   switch (result.outcome) {
     case RangeOutcome::kUsed:
-      ++counters_.ranges_used;
+      ++now_.counters.ranges_used;
       break;
     case RangeOutcome::kGated:
-      ++counters_.ranges_gated;
+      ++now_.counters.ranges_gated;
       break;
     case RangeOutcome::kUnknownTag:
-      ++counters_.ranges_unknown_tag;
+      ++now_.counters.ranges_unknown_tag;
       break;
     case RangeOutcome::kUnknownAnchor:
-      ++counters_.ranges_unknown_anchor;
+      ++now_.counters.ranges_unknown_anchor;
       break;
     case RangeOutcome::kBadValue:
-      ++counters_.ranges_bad_value;
+      ++now_.counters.ranges_bad_value;
       break;
     case RangeOutcome::kOutOfOrder:
-      ++counters_.ranges_out_of_order;
+      ++now_.counters.ranges_out_of_order;
       break;
     case RangeOutcome::kNotStarted:
-      ++counters_.ranges_not_started;
+      ++now_.counters.ranges_not_started;
       break;
     case RangeOutcome::kNotModelled:
-      ++counters_.ranges_not_modelled;
+      ++now_.counters.ranges_not_modelled;
       break;
   }
   return result;
@@ -133,13 +137,13 @@ RangeResult Filter::process(const model::RangeSample& range) noexcept {
 
 OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
   if (!finite(row)) return OdometryOutcome::kBadValue;
-  if (has_row_ && !(row.t_s > row_.t_s)) return OdometryOutcome::kOutOfOrder;
-  if (!started_) {
-    row_ = row;
-    has_row_ = true;
+  if (now_.has_row && !(row.t_s > now_.row.t_s)) return OdometryOutcome::kOutOfOrder;
+  if (!now_.started) {
+    now_.row = row;
+    now_.has_row = true;
     return OdometryOutcome::kStored;
   }
-  const bool late = row.t_s < t_s_;
+  const bool late = row.t_s < now_.t_s;
   advance_to(row.t_s);
   hold(row);
   return late ? OdometryOutcome::kUsedLate : OdometryOutcome::kUsed;
@@ -151,32 +155,36 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
     return {.outcome = RangeOutcome::kBadValue};
   }
   if (config_.model == Model::kOdometry) return {.outcome = RangeOutcome::kNotModelled};
-  const int tag = parameters_.tag_slot(range.tag_id);
+  const int tag = now_.parameters.tag_slot(range.tag_id);
   if (tag < 0) return {.outcome = RangeOutcome::kUnknownTag};
-  const int anchor = parameters_.anchor_slot(range.anchor_id);
-  if (anchor < 0 || !parameters_.knows_pair(anchor, tag)) return {.outcome = RangeOutcome::kUnknownAnchor};
-  if (!started_) return {.outcome = RangeOutcome::kNotStarted};
-  if (range.t_s < t_s_) return {.outcome = RangeOutcome::kOutOfOrder};
+  const int anchor = now_.parameters.anchor_slot(range.anchor_id);
+  if (anchor < 0 || !now_.parameters.knows_pair(anchor, tag))
+    return {.outcome = RangeOutcome::kUnknownAnchor};
+  if (!now_.started) return {.outcome = RangeOutcome::kNotStarted};
+  if (range.t_s < now_.t_s) return {.outcome = RangeOutcome::kOutOfOrder};
   advance_to(range.t_s);
 
   const bool whole = config_.model != Model::kOriginal && config_.model != Model::kInflated;
-  const RangeMeasurement measurement = config_.model == Model::kOriginal
-                                           ? measure_distance(surface_, core_, row_, parameters_, anchor, tag)
-                                           : measure_range(surface_, core_, row_, parameters_, anchor, tag);
+  const RangeMeasurement measurement =
+      config_.model == Model::kOriginal
+          ? measure_distance(surface_, now_.core, now_.row, now_.parameters, anchor, tag)
+          : measure_range(surface_, now_.core, now_.row, now_.parameters, anchor, tag);
   Projected projected;
   if (whole) {
-    covariance_.project(measurement, projected);
+    now_.covariance.project(measurement, projected);
   } else {
-    projected.variance = covariance_.project_core(measurement.d_core, projected.core);
-    if (config_.model == Model::kInflated) projected.variance += covariance_.parameter_variance(measurement);
+    projected.variance = now_.covariance.project_core(measurement.d_core, projected.core);
+    if (config_.model == Model::kInflated)
+      projected.variance += now_.covariance.parameter_variance(measurement);
   }
 
   RangeResult result;
   result.innovation_m = range.range_m - measurement.range_m;
-  result.innovation_variance_m2 = projected.variance + square(config_.range_sigma_m * gate_.noise_scale());
+  result.innovation_variance_m2 =
+      projected.variance + square(config_.range_sigma_m * now_.gate.noise_scale());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  result.weight = gate_.weigh(anchor, tag, t_s_, result.innovation_m, result.innovation_variance_m2);
-  counters_.doubts = gate_.doubts_begun();
+  result.weight = now_.gate.weigh(anchor, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  now_.counters.doubts = now_.gate.doubts_begun();
   if (!(result.weight > 0.0)) {
     result.outcome = RangeOutcome::kGated;
     return result;
@@ -184,72 +192,72 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
 
   // A weight below one stands for that much more noise: S / weight in place of S.
   const double variance = result.innovation_variance_m2 / result.weight;
-  core_ += projected.core * (result.innovation_m / variance);
-  core_(kTheta) = model::wrap_angle(core_(kTheta));
+  now_.core += projected.core * (result.innovation_m / variance);
+  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
   if (!whole) {
-    covariance_.correct_core(projected.core, variance);
+    now_.covariance.correct_core(projected.core, variance);
   } else {
-    covariance_.correct(projected, variance);
-    covariance_.mask(projected.parameters);
-    parameters_.values() += projected.parameters * (result.innovation_m / variance);
+    now_.covariance.correct(projected, variance);
+    now_.covariance.mask(projected.parameters);
+    now_.parameters.values() += projected.parameters * (result.innovation_m / variance);
   }
   result.outcome = RangeOutcome::kUsed;
   return result;
 }
 
 bool Filter::advance_to(double t_s) noexcept {
-  if (!started_ || !std::isfinite(t_s) || !(t_s > t_s_)) return false;
-  const double dt_s = t_s - t_s_;
+  if (!now_.started || !std::isfinite(t_s) || !(t_s > now_.t_s)) return false;
+  const double dt_s = t_s - now_.t_s;
   const double steps = std::clamp(std::ceil(dt_s / kMaxStep_s), 1.0, kMaxSteps);
   for (int i = 0; i < static_cast<int>(steps); ++i) step(dt_s / steps);
-  t_s_ = t_s;
+  now_.t_s = t_s;
   return true;
 }
 
 void Filter::hold(const model::OdometrySample& row) noexcept {
-  row_ = row;
-  has_row_ = true;
-  core_.segment<3>(kRowVx).setZero();
-  covariance_.renew(kRowVx, square(config_.odometry.sigma_vx_mps));
-  covariance_.renew(kRowVy, square(config_.odometry.sigma_vy_mps));
-  covariance_.renew(kRowOmega, square(config_.odometry.sigma_omega_radps));
+  now_.row = row;
+  now_.has_row = true;
+  now_.core.segment<3>(kRowVx).setZero();
+  now_.covariance.renew(kRowVx, square(config_.odometry.sigma_vx_mps));
+  now_.covariance.renew(kRowVy, square(config_.odometry.sigma_vy_mps));
+  now_.covariance.renew(kRowOmega, square(config_.odometry.sigma_omega_radps));
 }
 
 void Filter::step(double dt_s) noexcept {
-  const Motion motion = move(surface_, core_, row_, dt_s);
-  core_.segment<3>(kX) = motion.pose;
-  core_(kTheta) = model::wrap_angle(core_(kTheta));
-  covariance_.propagate(motion.d_core);
-  t_s_ += dt_s;
+  const Motion motion = move(surface_, now_.core, now_.row, dt_s);
+  now_.core.segment<3>(kX) = motion.pose;
+  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
+  now_.covariance.propagate(motion.d_core);
+  now_.t_s += dt_s;
 
-  covariance_.grow(kScale, square(config_.scale_walk) * dt_s);
-  covariance_.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
+  now_.covariance.grow(kScale, square(config_.scale_walk) * dt_s);
+  now_.covariance.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
   // A row older than it may be tells less and less of the velocity.
-  const double overdue_s = std::clamp(t_s_ - row_.t_s - config_.max_hold_s, 0.0, dt_s);
+  const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - config_.max_hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {
-    covariance_.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
-    covariance_.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
-    covariance_.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
+    now_.covariance.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
+    now_.covariance.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
+    now_.covariance.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
   }
-  if (gate_.doubts(t_s_)) {
-    const CoreMatrix& core = covariance_.core();
+  if (now_.gate.doubts(now_.t_s)) {
+    const CoreMatrix& core = now_.covariance.core();
     if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
-      covariance_.grow(kX, square(config_.gate.doubt_position_m) * dt_s);
-      covariance_.grow(kY, square(config_.gate.doubt_position_m) * dt_s);
+      now_.covariance.grow(kX, square(config_.gate.doubt_position_m) * dt_s);
+      now_.covariance.grow(kY, square(config_.gate.doubt_position_m) * dt_s);
     }
     if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
-      covariance_.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
+      now_.covariance.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
     }
   }
 }
 
 Estimate Filter::estimate() const noexcept {
-  return {.t_s = t_s_,
-          .pose = {core_(kX), core_(kY), core_(kTheta)},
-          .covariance = covariance_.core().topLeftCorner<3, 3>(),
-          .scale_error = core_(kScale),
-          .yaw_rate_bias_radps = core_(kYawBias),
-          .range_delay_s = core_(kDelay)};
+  return {.t_s = now_.t_s,
+          .pose = {now_.core(kX), now_.core(kY), now_.core(kTheta)},
+          .covariance = now_.covariance.core().topLeftCorner<3, 3>(),
+          .scale_error = now_.core(kScale),
+          .yaw_rate_bias_radps = now_.core(kYawBias),
+          .range_delay_s = now_.core(kDelay)};
 }
 
 }  // namespace groma::filter

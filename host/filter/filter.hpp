@@ -92,6 +92,19 @@ struct Estimate {
 
 class Filter {
  public:
+  // All that inputs change; copying it over another one of the same filter allocates nothing.
+  struct Snapshot {
+    Parameters parameters;
+    Gate gate;
+    JointCovariance covariance;
+    CoreVector core = CoreVector::Zero();
+    model::OdometrySample row{};
+    bool has_row = false;
+    bool started = false;
+    double t_s = 0.0;
+    Counters counters{};
+  };
+
   // Tags beyond kMaxTags and anchors beyond kMaxAnchors are left out, and so are anchors without a finite
   // position and covariance; anchors() and tags() tell how many are in.
   Filter(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
@@ -99,7 +112,7 @@ class Filter {
 
   // Begins, or begins anew, at a known pose; what was learnt of the parameters stays.
   void start(const Start& start) noexcept;
-  [[nodiscard]] bool started() const noexcept { return started_; }
+  [[nodiscard]] bool started() const noexcept { return now_.started; }
 
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
@@ -108,14 +121,18 @@ class Filter {
 
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
-  [[nodiscard]] const Counters& counters() const noexcept { return counters_; }
+  [[nodiscard]] const Counters& counters() const noexcept { return now_.counters; }
   [[nodiscard]] std::size_t anchors() const noexcept;
   [[nodiscard]] std::size_t tags() const noexcept;
 
+  // What restore() brings back: all inputs since are as if they had never been.
+  [[nodiscard]] const Snapshot& snapshot() const noexcept { return now_; }
+  void restore(const Snapshot& snapshot) noexcept { now_ = snapshot; }
+
   // For tests and diagnosis.
-  [[nodiscard]] const CoreVector& core() const noexcept { return core_; }
-  [[nodiscard]] const JointCovariance& covariance() const noexcept { return covariance_; }
-  [[nodiscard]] const Parameters& parameters() const noexcept { return parameters_; }
+  [[nodiscard]] const CoreVector& core() const noexcept { return now_.core; }
+  [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
+  [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
 
  private:
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
@@ -125,15 +142,7 @@ class Filter {
 
   model::Surface surface_;
   Config config_;
-  Parameters parameters_;
-  Gate gate_;
-  JointCovariance covariance_;
-  CoreVector core_ = CoreVector::Zero();
-  model::OdometrySample row_;
-  bool has_row_ = false;
-  bool started_ = false;
-  double t_s_ = 0.0;
-  Counters counters_;
+  Snapshot now_;
 };
 
 }  // namespace groma::filter

@@ -28,6 +28,13 @@ Parameters::Parameters(std::span<const model::Tag> tags, const model::Calibratio
   for (int tag = 0; tag < tag_count_; ++tag) {
     values_.segment<3>(lever_arm(tag)) = tags[static_cast<std::size_t>(tag)].lever_arm_m;
   }
+  patterns_m_.fill(model::PatternTerms::Zero());
+  for (const model::TagCalibration& told : calibration.tags) {
+    const int tag = tag_slot(told.id);
+    if (tag < 0) continue;
+    if (told.lever_arm) values_.segment<3>(lever_arm(tag)) = told.lever_arm->position_m;
+    if (told.pattern_m) patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
+  }
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     const int slot = anchor_slot(anchor.id);
     if (slot < 0 || !usable(anchor)) continue;

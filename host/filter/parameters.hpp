@@ -20,7 +20,7 @@ using ParameterMatrix = Eigen::MatrixXd;
 class Parameters {
  public:
   // Takes the first kMaxTags tags, and the first kMaxAnchors anchors that have a finite position and a
-  // finite covariance of the right size.
+  // finite covariance of the right size. Lever arms are those of the calibration where it tells them.
   Parameters(std::span<const model::Tag> tags, const model::Calibration& calibration);
 
   [[nodiscard]] int anchor_count() const noexcept { return anchor_count_; }
@@ -44,6 +44,11 @@ class Parameters {
   [[nodiscard]] const ParameterVector& values() const noexcept { return values_; }
   [[nodiscard]] ParameterVector& values() noexcept { return values_; }
 
+  // Of a tag's antenna, zero where the calibration tells none.
+  [[nodiscard]] const model::PatternTerms& pattern_m(int tag) const noexcept {
+    return patterns_m_[static_cast<std::size_t>(tag)];
+  }
+
   // The covariance they come with: a block of each anchor, of each lever arm, of the frame; nothing between.
   [[nodiscard]] ParameterMatrix prior_covariance(const model::Calibration& calibration,
                                                  double lever_arm_sigma_m) const;
@@ -52,6 +57,7 @@ class Parameters {
   std::array<model::NodeId, kMaxAnchors> anchor_ids_{};
   std::array<model::NodeId, kMaxTags> tag_ids_{};
   std::array<std::array<bool, kMaxTags>, kMaxAnchors> known_pairs_{};
+  std::array<model::PatternTerms, kMaxTags> patterns_m_;
   int anchor_count_ = 0;
   int tag_count_ = 0;
   ParameterVector values_;

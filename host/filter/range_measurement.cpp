@@ -1,6 +1,7 @@
 #include "host/filter/range_measurement.hpp"
 
 #include "host/filter/propagation.hpp"
+#include "host/model/antenna_pattern.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/range_model.hpp"
 
@@ -10,7 +11,7 @@ namespace {
 
 RangeMeasurement measure(const model::Surface& surface, const CoreVector& core,
                          const model::OdometrySample& row, const Parameters& parameters, int anchor, int tag,
-                         double beta_m, double gamma) noexcept {
+                         double beta_m, double gamma, const model::PatternTerms& pattern_m) noexcept {
   const ParameterVector& values = parameters.values();
   const Eigen::Vector3d surveyed = values.segment<3>(parameters.position(anchor));
   const Eigen::Vector3d lever_arm = values.segment<3>(parameters.lever_arm(tag));
@@ -33,7 +34,9 @@ RangeMeasurement measure(const model::Surface& surface, const CoreVector& core,
   const Eigen::RowVector3d d_pose = model::range_by_planar_pose(prediction, pose, lever_arm);
 
   RangeMeasurement out;
-  out.range_m = prediction.range_m;
+  // What the pattern adds to the derivatives is a tenth of what the lever arm does, and left out.
+  out.range_m = prediction.range_m +
+                model::pattern_terms(pose.pose.rotation.transpose() * prediction.direction).dot(pattern_m);
   out.distance_m = prediction.distance_m;
   out.d_core.noalias() = d_pose * then.d_core;
   out.d_core(kDelay) = -d_pose.dot(pose_rate(surface, core_then, row));
@@ -57,13 +60,13 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
                                int tag) noexcept {
   return measure(surface, core, row, parameters, anchor, tag,
                  parameters.values()(parameters.beta(anchor, tag)),
-                 parameters.values()(parameters.gamma(anchor, tag)));
+                 parameters.values()(parameters.gamma(anchor, tag)), parameters.pattern_m(tag));
 }
 
 RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
                                   const model::OdometrySample& row, const Parameters& parameters, int anchor,
                                   int tag) noexcept {
-  return measure(surface, core, row, parameters, anchor, tag, 0.0, 1.0);
+  return measure(surface, core, row, parameters, anchor, tag, 0.0, 1.0, model::PatternTerms::Zero());
 }
 
 }  // namespace groma::filter

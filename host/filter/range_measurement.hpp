@@ -24,8 +24,9 @@ struct RangeMeasurement {
   Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // by these
 };
 
-// Range of a tag to an anchor (slots), z = gamma d + beta, at the pose that the core state had a delay ago.
-// The anchor stands at a + (frame x, y, z) + frame yaw * (z axis x a).
+// Range of a tag to an anchor (slots), z = gamma d + beta and what the tag's antenna adds in that direction,
+// at the pose that the core state had a delay ago. The anchor stands at a + (frame x, y, z) + frame yaw * (z
+// axis x a).
 [[nodiscard]] RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& core,
                                              const model::OdometrySample& row, const Parameters& parameters,
                                              int anchor, int tag) noexcept;

@@ -82,6 +82,17 @@ void write_anchor(Output out, const model::AnchorCalibration& anchor) {
   write_matrix(out, "    ", "block_covariance", anchor.covariance);
 }
 
+void write_tag(Output out, const model::TagCalibration& tag) {
+  fmt::format_to(out, "  - tag: {}\n", tag.id);
+  if (tag.lever_arm) {
+    const Eigen::Vector3d& sigma_m = tag.lever_arm->sigma_m;
+    const auto variance = [&](Eigen::Index axis) { return yaml_number(sigma_m(axis) * sigma_m(axis)); };
+    fmt::format_to(out, "    lever_arm_m: {}\n", yaml_list(tag.lever_arm->position_m));
+    fmt::format_to(out, "    lever_arm_variance_m2: [{}, {}, {}]\n", variance(0), variance(1), variance(2));
+  }
+  if (tag.pattern_m) fmt::format_to(out, "    antenna_pattern_m: {}\n", yaml_list(*tag.pattern_m));
+}
+
 Eigen::MatrixXd parse_covariance(const YamlValue& yaml, std::size_t size) {
   const auto n = static_cast<Eigen::Index>(size);
   Eigen::MatrixXd matrix(n, n);
@@ -130,6 +141,29 @@ std::vector<model::PairBias> parse_pairs(const YamlValue& yaml) {
     pairs.push_back(pair);
   }
   return pairs;
+}
+
+model::TagCalibration parse_tag(const YamlValue& yaml) {
+  yaml.expect_keys({{"tag"}, {"lever_arm_m", "lever_arm_variance_m2", "antenna_pattern_m"}});
+  model::TagCalibration tag;
+  tag.id = static_cast<model::NodeId>(yaml.at("tag").integer(0, std::numeric_limits<model::NodeId>::max()));
+  if (const auto lever_arm_m = yaml.find("lever_arm_m")) {
+    const std::vector<double> values = lever_arm_m->numbers(3);
+    tag.lever_arm.emplace();
+    tag.lever_arm->position_m << values[0], values[1], values[2];
+    Eigen::Index axis = 0;
+    for (const YamlValue& variance : yaml.at("lever_arm_variance_m2").list_of(3)) {
+      if (!variance.is_null()) tag.lever_arm->sigma_m(axis) = std::sqrt(parse_variance(variance));
+      ++axis;
+    }
+  } else if (const auto variance = yaml.find("lever_arm_variance_m2")) {
+    variance->fail("is there without lever_arm_m", "write both, or neither");
+  }
+  if (const auto pattern_m = yaml.find("antenna_pattern_m")) {
+    const std::vector<double> values = pattern_m->numbers(model::kPatternTerms);
+    tag.pattern_m = Eigen::Map<const model::PatternTerms>(values.data());
+  }
+  return tag;
 }
 
 // The block that position and pair variances make where the file has none of its own.
@@ -219,6 +253,13 @@ std::string format_calibration(const model::Calibration& calibration) {
   fmt::format_to(out, "# Of ranges behind the poses; a variance of 0: not observed.\n");
   fmt::format_to(out, "range_delay: {{mean_s: {}, variance_s2: {}}}\n", calibration.range_delay_s,
                  calibration.range_delay_sigma_s * calibration.range_delay_sigma_s);
+  if (!calibration.tags.empty()) {
+    fmt::format_to(
+        out,
+        "# antenna_pattern_m: of x^2 - y^2, 2 x y, 2 x z, 2 y z and 3 z^2 - 1 of the way to an anchor.\n");
+    fmt::format_to(out, "tags:\n");
+    for (const model::TagCalibration& tag : calibration.tags) write_tag(out, tag);
+  }
   fmt::format_to(out, "# block_covariance: position, then beta of each pair, then gamma of each pair.\n");
   fmt::format_to(out, "anchors:{}\n", calibration.anchors.empty() ? " []" : "");
   for (const model::AnchorCalibration& anchor : calibration.anchors) write_anchor(out, anchor);
@@ -229,7 +270,7 @@ model::Calibration parse_calibration(const std::filesystem::path& path, const st
   const YamlValue yaml = YamlValue::parse(path, text);
   yaml.expect_keys(
       {{"schema", "frame", "anchors"},
-       {"program_version", "input_sha256", "verdict", "common_frame_covariance", "range_delay"}});
+       {"program_version", "input_sha256", "verdict", "common_frame_covariance", "range_delay", "tags"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -248,6 +289,15 @@ model::Calibration parse_calibration(const std::filesystem::path& path, const st
     delay->expect_keys({{"mean_s", "variance_s2"}});
     calibration.range_delay_s = delay->at("mean_s").number();
     calibration.range_delay_sigma_s = std::sqrt(parse_variance(delay->at("variance_s2")));
+  }
+  if (const auto tags = yaml.find("tags")) {
+    for (const YamlValue& entry : tags->list()) {
+      const model::TagCalibration tag = parse_tag(entry);
+      if (!calibration.tags.empty() && tag.id <= calibration.tags.back().id) {
+        entry.fail("is out of order", "write the tags by id, ascending, each once");
+      }
+      calibration.tags.push_back(tag);
+    }
   }
   for (const YamlValue& entry : yaml.at("anchors").list()) {
     calibration.anchors.push_back(parse_anchor(entry));

@@ -14,6 +14,7 @@
 #include "host/io/csv.hpp"
 #include "host/io/error.hpp"
 #include "host/io/input_file.hpp"
+#include "host/io/log_file.hpp"
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
 
@@ -64,6 +65,10 @@ void put_in_order(std::vector<Sample>& samples, DroppedRows& dropped) {
   put_in_order(
       samples, [](const Sample& sample) { return sample.t_s; }, dropped);
 }
+
+constexpr auto kRangeKey = [](const model::RangeSample& range) {
+  return std::tuple(range.t_s, range.tag_id, range.anchor_id, range.range_m);
+};
 
 // An id that may be wrong: none where it is no 16-bit number.
 std::optional<model::NodeId> node_id(const CsvReader& csv, std::size_t column) {
@@ -168,12 +173,7 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
                         clock_offset_ppm, noise, line_of_sight, corrections, network_time_dtu});
     }
   }
-  put_in_order(
-      ranges,
-      [](const model::RangeSample& range) {
-        return std::tuple(range.t_s, range.tag_id, range.anchor_id, range.range_m);
-      },
-      dropped);
+  put_in_order(ranges, kRangeKey, dropped);
   return ranges;
 }
 
@@ -220,14 +220,75 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
 }
 
+// Drops what read_dataset() would drop of a folder's ranges.
+std::vector<model::RangeSample> keep_good(const std::vector<model::RangeSample>& ranges,
+                                          const std::vector<model::Tag>& tags, DroppedRows& dropped) {
+  const std::vector<bool> known_tags = known_ids(tags);
+  std::vector<model::RangeSample> kept;
+  kept.reserve(ranges.size());
+  for (const model::RangeSample& range : ranges) {
+    if (!(range.range_m > 0.0 && range.range_m <= kMaxRange_m)) {
+      ++dropped.range_out_of_bounds;
+    } else if (!known_tags[range.tag_id]) {
+      ++dropped.unknown_tag;
+    } else {
+      kept.push_back(range);
+    }
+  }
+  put_in_order(kept, kRangeKey, dropped);
+  return kept;
+}
+
+Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) {
+  InputFiles files;
+  LogContent content = parse_log(files.read(path), options.log_section);
+  if (content.sections.empty()) {
+    throw DataError({path}, "is no log", "give a data set folder, or a log that gromad has recorded");
+  }
+  const std::size_t count = content.sections.size();
+  const std::size_t chosen = options.log_section.value_or(count);
+  if (chosen < 1 || chosen > count) {
+    throw DataError({path}, fmt::format("has no section {}", chosen),
+                    fmt::format("its sections are 1 to {}", count));
+  }
+  LogSection& section = content.sections[chosen - 1];
+  if (section.description.empty() || section.description.back().name != "dataset.yaml") {
+    throw DataError({path},
+                    fmt::format("section {} does not tell of its site: its beginning is damaged", chosen),
+                    count > 1 ? "choose another by --section" : "record another");
+  }
+  Dataset dataset;
+  dataset.log = {.sections = count, .section = chosen, .damaged_bytes = content.damaged_bytes};
+  InputFiles described;
+  for (DescriptionFile& file : section.description) described.provide(path / file.name, std::move(file.text));
+  const std::filesystem::path description = path / "dataset.yaml";
+  parse_description(YamlValue::parse(description, described.read(description)), path, described, dataset);
+  const std::filesystem::path tags = path / "tags.csv";
+  dataset.tags = parse_tags(tags, described.read(tags));
+
+  dataset.ranges = keep_good(section.ranges, dataset.tags, dataset.dropped);
+  if (options.odometry) {
+    dataset.odometry = std::move(section.odometry);
+    put_in_order(dataset.odometry, dataset.dropped);
+  }
+  if (options.pose_prior && options.pose_file) {
+    dataset.pose_prior = parse_poses(*options.pose_file, files.read(*options.pose_file), dataset.dropped);
+  } else if (options.pose_prior) {
+    dataset.pose_prior = std::move(section.poses);
+    put_in_order(dataset.pose_prior, dataset.dropped);
+  }
+  dataset.sha256 = files.digest();
+  return dataset;
+}
+
 }  // namespace
 
-Dataset read_dataset(const std::filesystem::path& folder, const ReadOptions& options) {
-  if (!std::filesystem::exists(folder))
-    throw DataError({folder}, "does not exist", "give the folder of a data set");
-  if (!std::filesystem::is_directory(folder))
-    throw DataError({folder}, "is no folder", "give the folder of a data set");
+Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& options) {
+  if (!std::filesystem::exists(path))
+    throw DataError({path}, "does not exist", "give the folder of a data set, or a log");
+  if (!std::filesystem::is_directory(path)) return read_log(path, options);
 
+  const std::filesystem::path& folder = path;
   InputFiles files;
   Dataset dataset;
   const std::filesystem::path description = folder / "dataset.yaml";
@@ -271,6 +332,27 @@ Dataset read_dataset(const std::filesystem::path& folder, const ReadOptions& opt
 
 std::vector<model::PoseSample> read_poses(const std::filesystem::path& path, DroppedRows& dropped) {
   return parse_poses(path, read_file(path), dropped);
+}
+
+std::vector<model::AnchorRange> read_survey(const std::filesystem::path& path, DroppedRows& dropped) {
+  const std::string text = read_file(path);
+  CsvReader csv(path, text, {{"anchor_id"}, {"other_id"}, {"range_m"}, {"sigma_m"}, {"count"}});
+  std::vector<model::AnchorRange> out;
+  while (csv.next()) {
+    const std::optional<model::NodeId> anchor_id = node_id(csv, 0);
+    const std::optional<model::NodeId> other_id = node_id(csv, 1);
+    const double range_m = csv.number(2);
+    const double sigma_m = csv.number(3);
+    const std::int64_t count = csv.integer(4);
+    if (!anchor_id || !other_id || *anchor_id == *other_id) {
+      ++dropped.unknown_anchor;
+    } else if (!(range_m > 0.0 && range_m <= kMaxRange_m) || sigma_m < 0.0 || count < 1) {
+      ++dropped.range_out_of_bounds;
+    } else {
+      out.push_back({*anchor_id, *other_id, range_m, sigma_m, static_cast<std::size_t>(count)});
+    }
+  }
+  return out;
 }
 
 }  // namespace groma::io

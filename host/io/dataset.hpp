@@ -29,6 +29,19 @@ struct DroppedRows {
 inline constexpr double kMaxRange_m = 1000.0;
 inline constexpr double kMaxLateness_s = 0.5;
 
+// A file that tells of the site, as a data set folder has it.
+struct DescriptionFile {
+  std::string name;
+  std::string text;
+};
+
+// What else is known of a run that came from a log.
+struct LogInfo {
+  std::size_t sections = 0;
+  std::size_t section = 0;  // the one that was read, from 1
+  std::size_t damaged_bytes = 0;
+};
+
 struct Dataset {
   std::string name;
   std::string origin;  // "recorded" or "simulated"
@@ -43,7 +56,8 @@ struct Dataset {
   std::vector<model::PoseSample> ground_truth;  // empty where the file is absent
   std::vector<model::PoseSample> pose_prior;    // ground truth where pose_prior.csv is absent
   DroppedRows dropped;
-  std::string sha256;  // of the files read, hexadecimal; see InputFiles::digest()
+  std::optional<LogInfo> log;  // none: from a folder
+  std::string sha256;          // of the files read, hexadecimal; see InputFiles::digest()
 };
 
 // Which files are read; dataset.yaml, tags.csv, ranges.csv and a surface.csv that is named always are.
@@ -53,14 +67,21 @@ struct ReadOptions {
   bool ground_truth = true;      // groundtruth.csv, where it is there
   bool pose_prior = true;        // pose_prior.csv, or groundtruth.csv in its place
   std::optional<std::filesystem::path> pose_file;  // in the place of both
+  std::optional<std::size_t> log_section;          // from 1; none: a log's last
 };
 
-// Throws DataError (a file is missing or cannot be read as numbers), ConfigError (dataset.yaml) or
+// Of a folder, or of a log that gromad has recorded: that has no surveyed anchors and no truth, and perhaps
+// no poses. Throws DataError (a file is missing or cannot be read as numbers), ConfigError (dataset.yaml) or
 // PermissionError.
-[[nodiscard]] Dataset read_dataset(const std::filesystem::path& folder, const ReadOptions& options = {});
+[[nodiscard]] Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& options = {});
 
 // Poses of a file with the columns of groundtruth.csv; wrong rows are dropped and counted.
 [[nodiscard]] std::vector<model::PoseSample> read_poses(const std::filesystem::path& path,
                                                         DroppedRows& dropped);
+
+// What `groma survey` prints: anchor_id,other_id,range_m,sigma_m,count. Rows without a range are dropped and
+// counted.
+[[nodiscard]] std::vector<model::AnchorRange> read_survey(const std::filesystem::path& path,
+                                                          DroppedRows& dropped);
 
 }  // namespace groma::io

@@ -8,6 +8,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <variant>
 
 #include "host/io/output_file.hpp"
@@ -131,6 +132,18 @@ void add_point(std::string& text, model::NodeId id, const Eigen::Vector3d& point
 
 }  // namespace
 
+std::vector<DescriptionFile> describe(const Dataset& dataset) {
+  std::vector<DescriptionFile> files;
+  std::string tags = "tag_id,x_m,y_m,z_m\n";
+  for (const model::Tag& tag : dataset.tags) add_point(tags, tag.id, tag.lever_arm_m);
+  files.push_back({"tags.csv", std::move(tags)});
+  if (const auto* spline = std::get_if<model::BSpline>(&dataset.surface.shape())) {
+    files.push_back({"surface.csv", format_spline(*spline)});
+  }
+  files.push_back({"dataset.yaml", format_description(dataset)});
+  return files;
+}
+
 void write_dataset(const std::filesystem::path& folder, const Dataset& dataset) {
   make_folder(folder);
   if (!dataset.surveyed_anchors.empty()) {
@@ -139,18 +152,12 @@ void write_dataset(const std::filesystem::path& folder, const Dataset& dataset) 
       add_point(text, anchor.id, anchor.position_m);
     write_file(folder / "anchors.csv", text);
   }
-  std::string tags = "tag_id,x_m,y_m,z_m\n";
-  for (const model::Tag& tag : dataset.tags) add_point(tags, tag.id, tag.lever_arm_m);
-  write_file(folder / "tags.csv", tags);
-  if (const auto* spline = std::get_if<model::BSpline>(&dataset.surface.shape())) {
-    write_file(folder / "surface.csv", format_spline(*spline));
-  }
   write_file(folder / "ranges.csv", format_ranges(dataset.ranges));
   write_file(folder / "odometry.csv", format_odometry(dataset.odometry));
   if (!dataset.ground_truth.empty())
     write_file(folder / "groundtruth.csv", format_poses(dataset.ground_truth));
   if (!dataset.pose_prior.empty()) write_file(folder / "pose_prior.csv", format_poses(dataset.pose_prior));
-  write_file(folder / "dataset.yaml", format_description(dataset));  // last: a folder with it is whole
+  for (const DescriptionFile& file : describe(dataset)) write_file(folder / file.name, file.text);
 }
 
 }  // namespace groma::io

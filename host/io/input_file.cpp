@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <stdexcept>
 #include <system_error>
+#include <utility>
 
 #include "host/io/descriptor.hpp"
 #include "host/io/error.hpp"
@@ -65,9 +66,14 @@ std::string sha256(std::string_view bytes) {
 }
 
 std::string InputFiles::read(const std::filesystem::path& path) {
-  std::string text = read_file(path);
+  const auto provided = provided_.find(path);
+  std::string text = provided != provided_.end() ? provided->second : read_file(path);
   digest_by_name_[path.filename().string()] = sha256(text);
   return text;
+}
+
+void InputFiles::provide(const std::filesystem::path& path, std::string text) {
+  provided_[path] = std::move(text);
 }
 
 std::string InputFiles::digest() const {

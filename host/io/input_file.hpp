@@ -17,8 +17,11 @@ namespace groma::io {
 // Reads files and remembers their digests.
 class InputFiles {
  public:
-  // As read_file().
+  // As read_file(); a file that was provided is taken from there.
   [[nodiscard]] std::string read(const std::filesystem::path& path);
+
+  // The text of a file that is not on the disk by itself.
+  void provide(const std::filesystem::path& path, std::string text);
 
   // One digest of all files read so far: what `sha256sum FILES | sha256sum` prints, with the files' bare
   // names in alphabetical order. Files of the same name count once.
@@ -26,6 +29,7 @@ class InputFiles {
 
  private:
   std::map<std::string, std::string> digest_by_name_;
+  std::map<std::filesystem::path, std::string> provided_;
 };
 
 }  // namespace groma::io

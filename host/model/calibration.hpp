@@ -1,6 +1,7 @@
 // What a calibration knows: written by the solver, kept in a file, read by the filter.
 #pragma once
 
+#include <limits>
 #include <optional>
 #include <span>
 #include <string>
@@ -8,6 +9,7 @@
 
 #include <Eigen/Core>
 
+#include "host/model/antenna_pattern.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::model {
@@ -39,9 +41,23 @@ struct AnchorCalibration {
   std::string advice;  // empty when there is nothing to do
 };
 
+// base_link; each axis that was not shown clearly is as it was said to be, with a variance of null: NaN.
+struct LeverArmCalibration {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Vector3d sigma_m = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+};
+
+// What a drive showed of a tag on the robot's body.
+struct TagCalibration {
+  NodeId id = 0;
+  std::optional<LeverArmCalibration> lever_arm;  // none: as it was said to be
+  std::optional<PatternTerms> pattern_m;  // of its antenna, in base_link: coefficients of pattern_terms()
+};
+
 struct Calibration {
   std::string frame = "map";
   std::vector<AnchorCalibration> anchors;  // by id, ascending
+  std::vector<TagCalibration> tags;        // by id, ascending: those of which there is something to tell
   // Covariance (x, y, z, yaw about the map's origin) of the frame error that all anchors share through the
   // drive's poses: a + (x, y, z) + yaw (z axis x a).
   Eigen::Matrix4d common_frame_covariance = Eigen::Matrix4d::Zero();

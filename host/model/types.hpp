@@ -1,6 +1,7 @@
 // What both estimators take in: plain values, SI units, radians, REP-103 axes.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 
@@ -37,6 +38,15 @@ struct RangeSample {
   std::uint8_t corrections = 0;
   // The range's instant in the network's time, ticks of 1/63.8976 GHz of the master's clock; 0: unknown.
   std::int64_t network_time_dtu = 0;
+};
+
+// Two-way ranges between two anchors, the mean of some: antenna delays applied, pair bias not.
+struct AnchorRange {
+  NodeId anchor_id = 0;
+  NodeId other_id = 0;
+  double range_m = 0.0;
+  double sigma_m = 0.0;  // of one of them
+  std::size_t count = 1;
 };
 
 // Body velocity in base_link; holds from t_s until the next sample.

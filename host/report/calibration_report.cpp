@@ -3,14 +3,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <map>
 #include <optional>
+#include <set>
+#include <span>
 #include <string>
 #include <vector>
 
-#include "host/calibration/association.hpp"
 #include "host/io/calibration_file.hpp"
 
 namespace groma::report {
@@ -60,17 +62,240 @@ void add_summary(Page& page, const calibration::Drive& drive, const calibration:
        {fmt::format("{:.0f} m", way_m), fmt::format("driven in {:.0f} s", duration_s)}});
 }
 
-void add_map(Page& page, const calibration::Drive& drive, const model::Calibration& calibration) {
-  Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 720.0});
-  std::vector<Vector2d> path;
-  path.reserve(drive.poses.size());
-  double last_s = kNone;
-  for (const model::PoseSample& pose : drive.poses) {
-    if (pose.t_s - last_s > 1.0) path.emplace_back(kNone, kNone);
-    path.emplace_back(pose.x_m, pose.y_m);
-    last_s = pose.t_s;
+// Median of each of `bins` equal stretches along x; a break where there is nothing.
+std::vector<Vector2d> medians(const std::vector<Vector2d>& values, double from, double to, std::size_t bins) {
+  std::vector<std::vector<double>> binned(bins);
+  for (const Vector2d& value : values) {
+    const double share = (value.x() - from) / (to - from);
+    const auto bin = static_cast<std::size_t>(
+        std::clamp(share * static_cast<double>(bins), 0.0, static_cast<double>(bins) - 1.0));
+    binned[bin].push_back(value.y());
   }
-  map.add_line("poses driven", Ink::kPath, std::move(path));
+  std::vector<Vector2d> points;
+  points.reserve(bins);
+  for (std::size_t i = 0; i < bins; ++i) {
+    std::vector<double>& bin = binned[i];
+    const double x = from + (static_cast<double>(i) + 0.5) * (to - from) / static_cast<double>(bins);
+    if (bin.empty()) {
+      points.emplace_back(x, kNone);
+      continue;
+    }
+    const auto middle = bin.begin() + static_cast<std::ptrdiff_t>(bin.size() / 2);
+    std::nth_element(bin.begin(), middle, bin.end());
+    points.emplace_back(x, *middle);
+  }
+  return points;
+}
+
+// What all anchors' charts have in common.
+struct Scales {
+  double from_s = 0.0;
+  double to_s = 1.0;
+  std::vector<model::NodeId> tags;  // ascending
+  [[nodiscard]] Ink ink(model::NodeId tag) const {
+    return series_ink(static_cast<std::size_t>(
+        std::distance(tags.begin(), std::lower_bound(tags.begin(), tags.end(), tag))));
+  }
+};
+
+Scales scales_of(const calibration::Drive& drive) {
+  Scales scales;
+  if (!drive.ranges.empty()) {
+    scales.from_s = drive.ranges.front().t_s;
+    scales.to_s = std::max(drive.ranges.back().t_s, scales.from_s + 1.0);
+  }
+  for (const model::Tag& tag : drive.tags) scales.tags.push_back(tag.id);
+  std::sort(scales.tags.begin(), scales.tags.end());
+  return scales;
+}
+
+Chart::Axes small(std::string title, std::string x_label, std::string y_label) {
+  return {.title = std::move(title),
+          .x_label = std::move(x_label),
+          .y_label = std::move(y_label),
+          .width_px = 345.0,
+          .height_px = 250.0,
+          .legend = false};
+}
+
+// From where the anchor was in sight, and from where not.
+Chart sight_map(const model::AnchorCalibration& anchor, std::span<const calibration::FittedRange> rows) {
+  Chart::Axes axes = small("Seen from", "x (m)", "y (m)");
+  axes.same_scale = true;
+  axes.legend = true;
+  Chart map(axes);
+  std::vector<Vector2d> in_sight;
+  std::vector<Vector2d> blocked;
+  for (const calibration::FittedRange& row : rows)
+    (row.in_sight < 0.5 ? blocked : in_sight).push_back(row.antenna_m);
+  map.add_points("in sight", Ink::kGood, std::move(in_sight));
+  map.add_points("blocked or gross", Ink::kBad, std::move(blocked));
+  if (is_known(anchor)) {
+    const Vector2d at = anchor.position_m.head<2>();
+    map.add_ellipses("", anchor_ink(anchor), {{at, anchor.covariance.topLeftCorner<2, 2>()}});
+    map.add_marks("", anchor_ink(anchor), {{at, fmt::format("{}", anchor.id)}});
+  }
+  return map;
+}
+
+// Each pair's residuals over `x` of a row: dots, and a line of medians.
+template <class Of>
+Chart residual_chart(Chart::Axes axes, std::span<const calibration::FittedRange> rows, const Scales& scales,
+                     double from, double to, const Of& x) {
+  axes.y_range = Vector2d(-0.6, 1.0);
+  Chart chart(std::move(axes));
+  constexpr std::size_t kBins = 60;
+  std::map<model::NodeId, std::vector<Vector2d>> pairs;
+  for (const calibration::FittedRange& row : rows) pairs[row.tag_id].emplace_back(x(row), row.residual_m);
+  for (const auto& [tag, values] : pairs)
+    chart.add_line("", scales.ink(tag), medians(values, from, to, kBins));
+  for (auto& [tag, values] : pairs) chart.add_points("", scales.ink(tag), std::move(values));
+  return chart;
+}
+
+void add_pairs(Page& page, const model::AnchorCalibration& anchor,
+               std::span<const calibration::FittedRange> rows) {
+  std::vector<std::vector<Cell>> cells;
+  for (const model::PairBias& pair : anchor.pairs) {
+    std::size_t count = 0;
+    double in_sight = 0.0;
+    double square_m2 = 0.0;
+    for (const calibration::FittedRange& row : rows) {
+      if (row.tag_id != pair.tag_id) continue;
+      ++count;
+      in_sight += row.in_sight;
+      square_m2 += row.in_sight * row.residual_m * row.residual_m;
+    }
+    const double all = static_cast<double>(count);
+    cells.push_back({{fmt::format("{}", pair.tag_id)},
+                     {fmt::format("{}", count)},
+                     number(100.0 * (1.0 - in_sight / all), "{:.0f} %"),
+                     number(std::sqrt(square_m2 / in_sight)),
+                     number(pair.beta_m),
+                     number(pair.beta_sigma_m),
+                     number(pair.gamma, "{:.4f}"),
+                     number(pair.gamma_sigma, "{:.4f}")});
+  }
+  page.add_table({"tag", "ranges", "not in sight", "rms in sight m", "β m", "σ β m", "γ", "σ γ"}, cells);
+}
+
+double in_sight_share(std::span<const calibration::FittedRange> rows) {
+  double sum = 0.0;
+  for (const calibration::FittedRange& row : rows) sum += row.in_sight;
+  return rows.empty() ? kNone : sum / static_cast<double>(rows.size());
+}
+
+std::string hint_of(const model::AnchorCalibration& anchor) {
+  const Eigen::Vector3d sigma_m = anchor.covariance.topLeftCorner<3, 3>().diagonal().cwiseSqrt();
+  return fmt::format("anchor {}: {}\nx {:.3f} ± {:.3f} m\ny {:.3f} ± {:.3f} m\nz {:.3f} ± {:.3f} m",
+                     anchor.id, io::word(anchor.verdict), anchor.position_m.x(), sigma_m.x(),
+                     anchor.position_m.y(), sigma_m.y(), anchor.position_m.z(), sigma_m.z());
+}
+
+std::string part_of(const model::AnchorCalibration& anchor) {
+  return fmt::format("anchor-{}", anchor.id);
+}
+
+void add_each_anchor(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
+  const Scales scales = scales_of(drive);
+  page.add_heading("Each anchor");
+  page.add_text(
+      "Where it was ranged from, and what each of its pairs measured less what the solution predicts, over "
+      "time and over distance: dots are ranges, lines their medians, colours the tags. Long stretches above "
+      "zero are blocked sight; a slope over distance is a wrong scale; a step in time is an anchor that was "
+      "moved.");
+  const std::vector<model::AnchorCalibration>& anchors = result.calibration.anchors;
+  for (std::size_t i = 0; i < anchors.size() && i < result.fitted.size(); ++i) {
+    const model::AnchorCalibration& anchor = anchors[i];
+    const std::vector<calibration::FittedRange>& rows = result.fitted[i];
+    const bool ok = anchor.verdict == model::AnchorVerdict::kOk;
+    page.begin_part(part_of(anchor), fmt::format("Anchor {}", anchor.id),
+                    std::string(io::word(anchor.verdict)), tone(anchor.verdict), !ok);
+    if (!anchor.advice.empty()) page.add_text(anchor.advice);
+    if (!rows.empty()) {
+      add_pairs(page, anchor, rows);
+      double farthest_m = 1.0;
+      for (const calibration::FittedRange& row : rows) farthest_m = std::max(farthest_m, row.distance_m);
+      page.add_charts(
+          {sight_map(anchor, rows),
+           residual_chart(small("Residual over time", "time (s)", "residual (m)"), rows, scales,
+                          scales.from_s, scales.to_s,
+                          [](const calibration::FittedRange& row) { return row.t_s; }),
+           residual_chart(small("Residual over distance", "distance (m)", "residual (m)"), rows, scales, 0.0,
+                          farthest_m, [](const calibration::FittedRange& row) { return row.distance_m; })},
+          "");
+    }
+    page.end_part();
+  }
+}
+
+// Anchors in sight about each second of the drive.
+std::map<long, std::set<model::NodeId>> anchors_in_sight(const calibration::Result& result) {
+  std::map<long, std::set<model::NodeId>> out;
+  for (std::size_t i = 0; i < result.fitted.size(); ++i) {
+    for (const calibration::FittedRange& row : result.fitted[i]) {
+      if (row.in_sight >= 0.5) out[std::lround(std::floor(row.t_s))].insert(result.calibration.anchors[i].id);
+    }
+  }
+  return out;
+}
+
+// The path, coloured by how many anchors are in sight.
+void add_path(Chart& map, const calibration::Drive& drive, const calibration::Result& result) {
+  const std::map<long, std::set<model::NodeId>> seen = anchors_in_sight(result);
+  struct Part {
+    std::string name;
+    Ink ink;
+    std::vector<Vector2d> line{};
+  };
+  std::array<Part, 3> parts{Part{"path, 5 anchors or more in sight", Ink::kGood},
+                            Part{"3 or 4", Ink::kSeries2}, Part{"fewer", Ink::kOther}};
+  std::size_t last_part = parts.size();
+  std::optional<model::PoseSample> last;
+  for (const model::PoseSample& pose : drive.poses) {
+    const auto found = seen.find(std::lround(std::floor(pose.t_s)));
+    const std::size_t count = found == seen.end() ? 0 : found->second.size();
+    const std::size_t part = count >= 5 ? 0 : count >= 3 ? 1 : 2;
+    std::vector<Vector2d>& line = parts[part].line;
+    if (last && pose.t_s - last->t_s > 1.0) last.reset();
+    if (!last || part != last_part) {
+      line.emplace_back(kNone, kNone);
+      if (last) line.emplace_back(last->x_m, last->y_m);
+    }
+    line.emplace_back(pose.x_m, pose.y_m);
+    last = pose;
+    last_part = part;
+  }
+  for (auto& [name, ink, line] : parts) {
+    if (!line.empty()) map.add_line(name, ink, std::move(line));
+  }
+}
+
+// What there is to do, once for all anchors that share it.
+void add_advice(Page& page, const model::Calibration& calibration) {
+  struct Notice {
+    std::string anchors;
+    std::string text;
+    Tone tone;
+  };
+  std::vector<Notice> notices;
+  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+    if (anchor.advice.empty()) continue;
+    const std::string text = fmt::format("{}: {}", io::word(anchor.verdict), anchor.advice);
+    const auto same = std::find_if(notices.begin(), notices.end(),
+                                   [&](const Notice& notice) { return notice.text == text; });
+    if (same == notices.end()) {
+      notices.push_back({fmt::format("Anchor {}", anchor.id), text, tone(anchor.verdict)});
+    } else {
+      same->anchors += fmt::format(", {}", anchor.id);
+    }
+  }
+  for (const Notice& notice : notices) page.add_notice(notice.anchors, notice.text, notice.tone);
+}
+
+void add_map(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
+  Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 720.0});
+  add_path(map, drive, result);
   struct Group {
     std::string name;
     std::vector<Mark> marks;
@@ -79,11 +304,11 @@ void add_map(Page& page, const calibration::Drive& drive, const model::Calibrati
   std::map<Ink, Group> groups{{Ink::kAnchor, {"anchor", {}, {}}},
                               {Ink::kWarning, {"anchor with a warning", {}, {}}},
                               {Ink::kBad, {"anchor not usable", {}, {}}}};
-  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+  for (const model::AnchorCalibration& anchor : result.calibration.anchors) {
     if (!is_known(anchor)) continue;
     Group& group = groups[anchor_ink(anchor)];
     const Vector2d at = anchor.position_m.head<2>();
-    group.marks.push_back({at, fmt::format("{}", anchor.id)});
+    group.marks.push_back({at, fmt::format("{}", anchor.id), hint_of(anchor), part_of(anchor)});
     group.ellipses.push_back({at, anchor.covariance.topLeftCorner<2, 2>()});
   }
   for (auto& [ink, group] : groups) {
@@ -91,33 +316,36 @@ void add_map(Page& page, const calibration::Drive& drive, const model::Calibrati
     map.add_ellipses("95 % ellipse", ink, std::move(group.ellipses));
     map.add_marks(group.name, ink, std::move(group.marks));
   }
-  page.add_chart(map, "The drive from above, and where the anchors were found.");
+  page.add_chart(
+      map, "The drive from above, and where the anchors were found. An anchor leads to what is known of it.");
 }
 
-void add_anchors(Page& page, const model::Calibration& calibration) {
+void add_anchors(Page& page, const calibration::Result& result) {
   std::vector<std::vector<Cell>> rows;
-  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+  for (std::size_t n = 0; n < result.calibration.anchors.size(); ++n) {
+    const model::AnchorCalibration& anchor = result.calibration.anchors[n];
     const bool known = is_known(anchor);
     const auto coordinate = [&](int i) { return number(known ? anchor.position_m(i) : kNone); };
     const auto sigma = [&](double variance) { return number(known ? std::sqrt(variance) : kNone); };
     const Eigen::Matrix3d covariance =
         known ? Eigen::Matrix3d(anchor.covariance.topLeftCorner<3, 3>()) : Eigen::Matrix3d::Zero();
-    rows.push_back({{fmt::format("{}", anchor.id)},
-                    coordinate(0),
-                    coordinate(1),
-                    coordinate(2),
-                    sigma(std::max(covariance(0, 0), covariance(1, 1))),
-                    sigma(covariance(2, 2)),
-                    {fmt::format("{}", anchor.ranges_used)},
-                    {fmt::format("{}", anchor.ranges_rejected)},
-                    number(anchor.held_out_rms_m.value_or(kNone)),
-                    number(anchor.mirror_ratio.value_or(kNone), "{:.2f}"),
-                    {std::string(io::word(anchor.verdict)), tone(anchor.verdict)},
-                    {anchor.advice.empty() ? "–" : anchor.advice, Tone::kPlain, true}});
+    rows.push_back(
+        {{fmt::format("{}", anchor.id)},
+         coordinate(0),
+         coordinate(1),
+         coordinate(2),
+         sigma(std::max(covariance(0, 0), covariance(1, 1))),
+         sigma(covariance(2, 2)),
+         {fmt::format("{}", anchor.ranges_used)},
+         {fmt::format("{}", anchor.ranges_rejected)},
+         number(n < result.fitted.size() ? 100.0 * in_sight_share(result.fitted[n]) : kNone, "{:.0f} %"),
+         number(anchor.held_out_rms_m.value_or(kNone)),
+         number(anchor.mirror_ratio.value_or(kNone), "{:.2f}"),
+         {std::string(io::word(anchor.verdict)), tone(anchor.verdict)}});
   }
   page.add_heading("Anchors");
-  page.add_table({"anchor", "x m", "y m", "z m", "σ xy m", "σ z m", "used", "rejected", "held out m",
-                  "mirror", "verdict", "advice"},
+  page.add_table({"anchor", "x m", "y m", "z m", "σ xy m", "σ z m", "used", "rejected", "in sight",
+                  "held out m", "mirror", "verdict"},
                  rows);
   page.add_text(
       "Held out: root mean square of the residuals over the last fifth of the drive, which that solution had "
@@ -156,77 +384,6 @@ void add_biases(Page& page, const model::Calibration& calibration) {
   page.add_chart(chart, "What each pair of tag and anchor measures too long, with its 95 % interval.");
 }
 
-// Median of each of `bins` equal stretches of time; a break where there is nothing.
-std::vector<Vector2d> medians(const std::vector<Vector2d>& values, double from_s, double to_s,
-                              std::size_t bins) {
-  std::vector<std::vector<double>> binned(bins);
-  for (const Vector2d& value : values) {
-    const double share = (value.x() - from_s) / (to_s - from_s);
-    const auto bin = static_cast<std::size_t>(
-        std::clamp(share * static_cast<double>(bins), 0.0, static_cast<double>(bins) - 1.0));
-    binned[bin].push_back(value.y());
-  }
-  std::vector<Vector2d> points;
-  points.reserve(bins);
-  for (std::size_t i = 0; i < bins; ++i) {
-    std::vector<double>& bin = binned[i];
-    const double t_s = from_s + (static_cast<double>(i) + 0.5) * (to_s - from_s) / static_cast<double>(bins);
-    if (bin.empty()) {
-      points.emplace_back(t_s, kNone);
-      continue;
-    }
-    const auto middle = bin.begin() + static_cast<std::ptrdiff_t>(bin.size() / 2);
-    std::nth_element(bin.begin(), middle, bin.end());
-    points.emplace_back(t_s, *middle);
-  }
-  return points;
-}
-
-void add_residuals(Page& page, const calibration::Drive& drive, const model::Calibration& calibration) {
-  if (drive.ranges.empty()) return;
-  const double from_s = drive.ranges.front().t_s;
-  const double to_s = std::max(drive.ranges.back().t_s, from_s + 1.0);
-  const calibration::Association association = calibration::associate(
-      drive, calibration::Options{}.max_pose_gap_s, 0.0, calibration::HeightSource::kPose);
-  constexpr std::size_t kBins = 120;
-  std::vector<Chart> charts;
-  for (const model::AnchorCalibration& anchor : calibration.anchors) {
-    if (!is_known(anchor)) continue;
-    const auto found = std::find_if(association.anchors.begin(), association.anchors.end(),
-                                    [&](const auto& observations) { return observations.id == anchor.id; });
-    if (found == association.anchors.end()) continue;
-    Chart chart({.title = fmt::format("anchor {}", anchor.id),
-                 .x_label = "time (s)",
-                 .y_label = "residual (m)",
-                 .width_px = 345.0,
-                 .height_px = 190.0,
-                 .legend = false,
-                 .y_range = Vector2d(-0.5, 0.5)});
-    for (std::size_t tag = 0; tag < association.tags.size(); ++tag) {
-      const auto pair =
-          std::find_if(anchor.pairs.begin(), anchor.pairs.end(),
-                       [&](const model::PairBias& bias) { return bias.tag_id == association.tags[tag].id; });
-      if (pair == anchor.pairs.end()) continue;
-      std::vector<Vector2d> residuals;
-      for (const calibration::Observation& row : found->rows) {
-        if (row.tag != tag) continue;
-        const double distance_m = (row.tag_m - anchor.position_m).norm();
-        residuals.emplace_back(row.t_s, row.range_m - pair->gamma * distance_m - pair->beta_m);
-      }
-      chart.add_line("", series_ink(tag), medians(residuals, from_s, to_s, kBins));
-    }
-    charts.push_back(std::move(chart));
-  }
-  page.add_heading("Residuals");
-  std::string tags;
-  for (const model::Tag& tag : association.tags)
-    tags += fmt::format("{}{}", tags.empty() ? "" : ", ", tag.id);
-  page.add_charts(
-      charts, fmt::format("Measured less predicted range over time, medians of {:.1f} s, a line for each of "
-                          "the tags {} in the colours above. Long stretches off zero are blocked sight.",
-                          (to_s - from_s) / static_cast<double>(kBins), tags));
-}
-
 }  // namespace
 
 Tone tone(model::AnchorVerdict verdict) {
@@ -258,10 +415,11 @@ Tone tone(model::Verdict verdict) {
 
 void add_calibration(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
   add_summary(page, drive, result);
-  add_map(page, drive, result.calibration);
-  add_anchors(page, result.calibration);
+  add_advice(page, result.calibration);
+  add_map(page, drive, result);
+  add_anchors(page, result);
   add_biases(page, result.calibration);
-  add_residuals(page, drive, result.calibration);
+  add_each_anchor(page, drive, result);
 }
 
 }  // namespace groma::report

@@ -8,6 +8,7 @@
 #include <iterator>
 #include <limits>
 #include <numbers>
+#include <set>
 #include <utility>
 
 #include <Eigen/Eigenvalues>
@@ -30,8 +31,8 @@ constexpr double kCharacter_px = 6.6;   // mean width at 12 px, for what has to 
 constexpr double kChiSquare95 = 5.991;  // 2 degrees of freedom
 
 std::string_view css_class(Ink ink) {
-  constexpr std::array<std::string_view, 12> kClasses{"truth", "estimate", "path", "other", "wall", "anchor",
-                                                      "warn",  "bad",      "s1",   "s2",    "s3",   "s4"};
+  constexpr std::array<std::string_view, 13> kClasses{
+      "truth", "estimate", "path", "other", "wall", "anchor", "warn", "bad", "good", "s1", "s2", "s3", "s4"};
   return kClasses.at(static_cast<std::size_t>(ink));
 }
 
@@ -123,6 +124,11 @@ void Chart::add_marks(const std::string& name, Ink ink, std::vector<Mark> marks)
   marks_.push_back({ink, std::move(marks)});
 }
 
+void Chart::add_points(const std::string& name, Ink ink, std::vector<Vector2d> points) {
+  add_to_legend(Symbol::kPoint, ink, name);
+  points_.push_back({ink, std::move(points)});
+}
+
 void Chart::add_intervals(const std::string& name, Ink ink, std::vector<Vector2d> points,
                           std::vector<double> half_heights) {
   add_to_legend(Symbol::kInterval, ink, name);
@@ -147,6 +153,9 @@ Chart::Box Chart::extent(double enlarged) const {
   }
   for (const Marks& marks : marks_) {
     for (const Mark& mark : marks.marks) box.include(mark.at);
+  }
+  for (const Points& points : points_) {
+    for (const Vector2d& point : points.points) box.include(point);
   }
   for (const Intervals& intervals : intervals_) {
     for (std::size_t i = 0; i < intervals.points.size(); ++i) {
@@ -231,9 +240,11 @@ double Chart::magnification(const View& view) const {
   const auto middle = sizes_px.begin() + static_cast<std::ptrdiff_t>(sizes_px.size() / 2);
   std::nth_element(sizes_px.begin(), middle, sizes_px.end());
   constexpr double kVisible_px = 7.0;
+  const double median_px = *middle;
+  const double most = 0.15 * view.width_px / *std::max_element(sizes_px.begin(), sizes_px.end());
   double chosen = 1.0;
   for (const double factor : {2.0, 5.0, 10.0, 20.0, 50.0, 100.0}) {
-    if (*middle * chosen < kVisible_px) chosen = factor;
+    if (median_px * chosen < kVisible_px && factor <= most) chosen = factor;
   }
   return chosen;
 }
@@ -260,6 +271,20 @@ void draw_line(Output out, const std::vector<Vector2d>& points_px, std::string_v
   if (!path.empty()) {
     fmt::format_to(out, "<path class=\"line {}{}\" d=\"{}\"/>\n", css, dashed ? " dashed" : "", path);
   }
+}
+
+// All dots of one ink are one path of strokes without length, whose round ends are the dots.
+void draw_points(Output out, const std::vector<Vector2d>& points_px, std::string_view css) {
+  constexpr double kSpot_px = 2.0;
+  std::set<std::pair<int, int>> drawn;
+  std::string path;
+  for (const Vector2d& point : points_px) {
+    if (!finite(point) || point.cwiseAbs().maxCoeff() > 1e5) continue;
+    const std::pair spot(static_cast<int>(std::floor(point.x() / kSpot_px)),
+                         static_cast<int>(std::floor(point.y() / kSpot_px)));
+    if (drawn.insert(spot).second) path += fmt::format("M{:.0f} {:.0f}h0", point.x(), point.y());
+  }
+  if (!path.empty()) fmt::format_to(out, "<path class=\"points {}\" d=\"{}\"/>\n", css, path);
 }
 
 // An anchor's mark: a triangle about the point.
@@ -376,12 +401,14 @@ std::string Chart::svg() const {
                      css_class(strokes.ink), a.x(), a.y(), b.x(), b.y());
     }
   }
-  for (const Line& line : lines_) {
+  const auto placed = [&](const std::vector<Vector2d>& points) {
     std::vector<Vector2d> points_px;
-    points_px.reserve(line.points.size());
-    for (const Vector2d& point : line.points) points_px.push_back(view(point));
-    draw_line(out, points_px, css_class(line.ink), line.dashed);
-  }
+    points_px.reserve(points.size());
+    for (const Vector2d& point : points) points_px.push_back(view(point));
+    return points_px;
+  };
+  for (const Points& points : points_) draw_points(out, placed(points.points), css_class(points.ink));
+  for (const Line& line : lines_) draw_line(out, placed(line.points), css_class(line.ink), line.dashed);
   const Vector2d scale = enlarged * Vector2d(view.scale().x(), -view.scale().y());
   for (const Ellipses& ellipses : ellipses_) {
     for (const Ellipse& ellipse : ellipses.ellipses) {
@@ -406,7 +433,11 @@ std::string Chart::svg() const {
     for (const Mark& mark : marks.marks) {
       if (!finite(mark.at)) continue;
       const Vector2d at = view(mark.at);
+      if (!mark.link.empty()) fmt::format_to(out, "<a href=\"#{}\">", escaped(mark.link));
+      fmt::format_to(out, "<g>");
+      if (!mark.hint.empty()) fmt::format_to(out, "<title>{}</title>", escaped(mark.hint));
       draw_mark(out, at, css_class(marks.ink));
+      fmt::format_to(out, "</g>{}", mark.link.empty() ? "" : "</a>");
       taken.push_back({at.x() - 6.0, at.y() - 7.0, at.x() + 6.0, at.y() + 4.0});
     }
   }
@@ -444,6 +475,10 @@ std::string Chart::svg() const {
           break;
         case Symbol::kMark:
           draw_mark(out, at, css);
+          break;
+        case Symbol::kPoint:
+          fmt::format_to(out, "<path class=\"points {}\" d=\"M{:.1f} {:.1f}h0\"/>\n", css, at.x() + 2.0,
+                         at.y());
           break;
         case Symbol::kInterval:
           fmt::format_to(out, "<path class=\"interval {}\" d=\"M{:.1f} {:.1f}v12\"/>\n", css, at.x(),

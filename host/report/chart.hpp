@@ -20,6 +20,7 @@ enum class Ink {
   kAnchor,
   kWarning,
   kBad,
+  kGood,
   kSeries1,
   kSeries2,
   kSeries3,
@@ -36,7 +37,9 @@ struct Ellipse {
 
 struct Mark {
   Eigen::Vector2d at = Eigen::Vector2d::Zero();
-  std::string label;  // beside it; may be empty
+  std::string label;   // beside it; may be empty
+  std::string hint{};  // shown where the pointer rests on it
+  std::string link{};  // id of the place on the page that it leads to
 };
 
 class Chart {
@@ -60,6 +63,8 @@ class Chart {
   void add_strokes(const std::string& name, Ink ink,
                    std::vector<std::pair<Eigen::Vector2d, Eigen::Vector2d>> strokes);
   void add_marks(const std::string& name, Ink ink, std::vector<Mark> marks);
+  // Dots, however many: of those that fall on one spot the first is drawn.
+  void add_points(const std::string& name, Ink ink, std::vector<Eigen::Vector2d> points);
   // A vertical bar from low to high at each point, which is marked too.
   void add_intervals(const std::string& name, Ink ink, std::vector<Eigen::Vector2d> points,
                      std::vector<double> half_heights);
@@ -85,6 +90,10 @@ class Chart {
     Ink ink;
     std::vector<Mark> marks;
   };
+  struct Points {
+    Ink ink;
+    std::vector<Eigen::Vector2d> points;
+  };
   struct Intervals {
     Ink ink;
     std::vector<Eigen::Vector2d> points;
@@ -94,7 +103,7 @@ class Chart {
     Ink ink;
     std::vector<Ellipse> ellipses;
   };
-  enum class Symbol { kLine, kDashes, kStroke, kMark, kInterval, kEllipse };
+  enum class Symbol { kLine, kDashes, kStroke, kMark, kPoint, kInterval, kEllipse };
   struct LegendEntry {
     Symbol symbol;
     Ink ink;
@@ -113,6 +122,7 @@ class Chart {
   std::vector<Line> lines_;
   std::vector<Strokes> strokes_;
   std::vector<Marks> marks_;
+  std::vector<Points> points_;
   std::vector<Intervals> intervals_;
   std::vector<Ellipses> ellipses_;
   std::vector<LegendEntry> legend_;

@@ -50,6 +50,7 @@ th { color: var(--soft); font-weight: 600; font-size: 12.5px; }
 th:first-child, td:first-child { text-align: left; font-weight: 600; }
 th.words, td.words { text-align: left; white-space: normal; min-width: 14em; }
 tr:last-child td { border-bottom: 0; }
+.notice { max-width: none; border-left: 4px solid currentColor; padding: 6px 14px; background: var(--card); border-radius: 4px; }
 .good { color: var(--good); } .warning { color: var(--warn); } .badly { color: var(--bad); }
 footer { margin-top: 40px; font-size: 13px; }
 .grid { stroke: var(--grid); fill: none; } .grid.zero { stroke: var(--path); }
@@ -62,16 +63,22 @@ footer { margin-top: 40px; font-size: 13px; }
 .stroke { fill: none; stroke-width: 3.5; stroke-linecap: round; }
 .interval { fill: none; stroke-width: 1.6; }
 .mark { stroke: var(--card); stroke-width: 1; }
+.points { fill: none; stroke-width: 2.4; stroke-linecap: round; stroke-opacity: 0.75; }
+details { border: 1px solid var(--rule); border-radius: 10px; background: var(--card); margin: 10px 0; padding: 0 16px; }
+details[open] { padding-bottom: 12px; }
+details figure { border: 0; padding: 0; } details .table { margin: 4px 0 10px; }
+summary { cursor: pointer; padding: 10px 0; } summary b { margin-right: 10px; }
+details:target { border-color: var(--estimate); }
 .ellipse { fill-opacity: 0.16; stroke-width: 1.2; stroke-opacity: 0.9; }
 )css";
 
 // Each ink strokes lines and fills marks in its own colour.
 std::string ink_style() {
   std::string style;
-  for (const std::string_view ink :
-       {"truth", "estimate", "path", "other", "wall", "anchor", "warn", "bad", "s1", "s2", "s3", "s4"}) {
+  for (const std::string_view ink : {"truth", "estimate", "path", "other", "wall", "anchor", "warn", "bad",
+                                     "good", "s1", "s2", "s3", "s4"}) {
     style += fmt::format(
-        ".line.{0},.stroke.{0},.interval.{0},.ellipse.{0}{{stroke:var(--{0})}} "
+        ".line.{0},.stroke.{0},.interval.{0},.ellipse.{0},.points.{0}{{stroke:var(--{0})}} "
         ".mark.{0},.ellipse.{0}{{fill:var(--{0})}}\n",
         ink);
   }
@@ -107,8 +114,23 @@ void Page::add_heading(const std::string& text) {
   body_ += fmt::format("<h2>{}</h2>\n", escaped(text));
 }
 
+void Page::begin_part(const std::string& id, const std::string& title, const std::string& remark, Tone tone,
+                      bool open) {
+  body_ += fmt::format("<details id=\"{}\"{}><summary><b>{}</b> <span class=\"{}\">{}</span></summary>\n",
+                       escaped(id), open ? " open" : "", escaped(title), css_class(tone), escaped(remark));
+}
+
+void Page::end_part() {
+  body_ += "</details>\n";
+}
+
 void Page::add_text(const std::string& text) {
   body_ += fmt::format("<p>{}</p>\n", escaped(text));
+}
+
+void Page::add_notice(const std::string& what, const std::string& text, Tone tone) {
+  body_ +=
+      fmt::format("<p class=\"notice {}\"><b>{}</b> {}</p>\n", css_class(tone), escaped(what), escaped(text));
 }
 
 void Page::add_chart(const Chart& chart, const std::string& caption) {

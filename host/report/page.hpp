@@ -31,7 +31,13 @@ class Page {
   // In the order of the calls; text is escaped.
   void add_facts(const std::vector<Fact>& facts);
   void add_heading(const std::string& text);
+  // A part that the reader opens and closes, begun and ended; `id` is what a mark's link leads to.
+  void begin_part(const std::string& id, const std::string& title, const std::string& remark, Tone tone,
+                  bool open);
+  void end_part();
   void add_text(const std::string& text);
+  // Something that the reader has to know of `what`.
+  void add_notice(const std::string& what, const std::string& text, Tone tone);
   void add_chart(const Chart& chart, const std::string& caption);
   // Several small ones side by side.
   void add_charts(const std::vector<Chart>& charts, const std::string& caption);

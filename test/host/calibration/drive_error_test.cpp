@@ -3,8 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <vector>
+
+#include <Eigen/Cholesky>
 
 #include "test/host/calibration/site_simulation.hpp"
 
@@ -72,12 +75,56 @@ TEST(DriveError, LeavesExactPosesAsTheyAre) {
   solve(site, solved);
   EXPECT_EQ(solved.error.wander.sigma_m, 0.0);
   EXPECT_EQ(solved.error.range_delay_s, 0.0);
+  EXPECT_TRUE(solved.error.body.empty());
   const Association before = associate(site.drive(), 0.3, 0.0, HeightSource::kPose);
   for (std::size_t a = 0; a < before.anchors.size(); ++a) {
     EXPECT_TRUE(solved.error.added_covariance[a].isZero(0.0));
     EXPECT_EQ(solved.association.anchors[a].rows.back().tag_m, before.anchors[a].rows.back().tag_m);
   }
   EXPECT_NEAR(solved.error.frame_covariance(2, 2), 0.005 * 0.005, 1e-12);
+}
+
+// Lever arms and patterns that are drawn from their priors are found, and as well as is said.
+TEST(DriveError, FindsWhereAntennasAreAndWhatTheyAre) {
+  double nees = 0.0;
+  double terms = 0.0;
+  double square_before_m2 = 0.0;
+  double square_after_m2 = 0.0;
+  for (std::uint64_t seed = 1; seed <= 8; ++seed) {
+    const test::SimulatedSite site = test::simulate_site({.ranges_per_pair = 400,
+                                                          .sigma_m = 0.05,
+                                                          .lever_arm_sigma_m = kLeverArmSigma_m,
+                                                          .pattern_sigma_m = kPatternSigma_m},
+                                                         seed);
+    Solved solved;
+    solve(site, solved);
+    ASSERT_EQ(solved.error.body.size(), site.tags.size()) << seed;
+    for (std::size_t tag = 0; tag < site.tags.size(); ++tag) {
+      BodyVector truth;
+      truth << site.lever_arm_error_m[tag], site.pattern_m[tag];
+      const BodyVector error = solved.error.body[tag].mean - truth;
+      nees += error.dot(solved.error.body[tag].covariance.ldlt().solve(error));
+      terms += static_cast<double>(kBodyTerms);
+      square_before_m2 += truth.head<2>().squaredNorm();
+      square_after_m2 += error.head<2>().squaredNorm();
+    }
+  }
+  // 99 %.
+  EXPECT_NEAR(nees, terms, 2.576 * std::sqrt(2.0 * terms));
+  EXPECT_LT(square_after_m2, 0.25 * square_before_m2);
+}
+
+// Errors that an anchor's ranges have in places look like a wander and like a pattern for a moment; but each
+// anchor has its own.
+TEST(DriveError, BelievesNeitherWanderNorBodyOfWhatPlacesDo) {
+  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+    const test::SimulatedSite site =
+        test::simulate_site({.ranges_per_pair = 600, .place_error_m = 0.08}, seed);
+    Solved solved;
+    solve(site, solved);
+    EXPECT_EQ(solved.error.wander.sigma_m, 0.0) << seed;
+    EXPECT_TRUE(solved.error.body.empty()) << seed;
+  }
 }
 
 }  // namespace

@@ -1,17 +1,23 @@
 // Recorded and simulated runs from the shared data folder; skipped where it is absent.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <string>
 
 #include <Eigen/Cholesky>
 
 #include "host/calibration/calibrate.hpp"
+#include "host/io/calibration_file.hpp"
 #include "host/io/dataset.hpp"
 #include "test/support/shared_data.hpp"
 
 namespace groma::calibration {
 namespace {
+
+constexpr double kFar_m = 1.5;
+constexpr double kAny = std::numeric_limits<double>::infinity();
 
 class RecordedRun : public ::testing::Test {
  protected:
@@ -40,6 +46,27 @@ class RecordedRun : public ::testing::Test {
     return sum_m / anchors;
   }
 
+  // By how much each anchor is off, and by how many sigmas in height.
+  template <typename Look>
+  void for_each_error(const Look& look) const {
+    for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
+      for (const model::Anchor& surveyed : dataset_.surveyed_anchors) {
+        if (surveyed.id != anchor.id) continue;
+        const Eigen::Vector3d error_m = anchor.position_m - surveyed.position_m;
+        look(anchor, error_m, std::abs(error_m.z()) / std::sqrt(anchor.covariance(2, 2)));
+      }
+    }
+  }
+
+  // No anchor that is further off than this is marked ok.
+  void expect_marked(double beyond_m, double beyond_sigmas_z) const {
+    for_each_error(
+        [&](const model::AnchorCalibration& anchor, const Eigen::Vector3d& error_m, double sigmas_z) {
+          if (error_m.norm() <= beyond_m && sigmas_z <= beyond_sigmas_z) return;
+          EXPECT_NE(io::word(anchor.verdict), "ok") << anchor.id << " is off by " << error_m.transpose();
+        });
+  }
+
   io::Dataset dataset_;
   Result result_;
 };
@@ -47,7 +74,8 @@ class RecordedRun : public ::testing::Test {
 TEST_F(RecordedRun, Plaza1FindsAnchorsAndScale) {
   load("real/plaza1");
   if (IsSkipped()) return;
-  EXPECT_LE(mean_xy_error_m(), 0.12);
+  EXPECT_LE(mean_xy_error_m(), 0.09);
+  EXPECT_TRUE(result_.calibration.tags.empty());
   for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
     EXPECT_NEAR(anchor.pairs[0].gamma, 1.065, 0.02);
     EXPECT_EQ(anchor.verdict, model::AnchorVerdict::kWeakZ) << "all in one plane: heights stay open";
@@ -57,7 +85,7 @@ TEST_F(RecordedRun, Plaza1FindsAnchorsAndScale) {
 TEST_F(RecordedRun, LiasFastFindsAnchorsAndMarksHeights) {
   load("real/lias_fast");
   if (IsSkipped()) return;
-  EXPECT_LE(mean_xy_error_m(), 0.15);
+  EXPECT_LE(mean_xy_error_m(), 0.12);
   for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
     EXPECT_NE(anchor.verdict, model::AnchorVerdict::kOk);
   }
@@ -68,12 +96,36 @@ TEST_F(RecordedRun, McdFindsAnchorsFromTheSlamPrior) {
   if (IsSkipped()) return;
   EXPECT_LE(mean_xy_error_m(), 0.32);
   EXPECT_NEAR(result_.calibration.range_delay_s, 0.018, 0.008);
+  EXPECT_TRUE(result_.calibration.tags.empty());
+  expect_marked(kFar_m, 3.0);
 }
 
 TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
   load("real/inrol_env1");
   if (IsSkipped()) return;
-  EXPECT_LE(mean_xy_error_m(), 0.17);
+  EXPECT_LE(mean_xy_error_m(), 0.14);
+  EXPECT_EQ(result_.calibration.tags.size(), 1U);
+  expect_marked(kFar_m, kAny);
+}
+
+TEST_F(RecordedRun, StarlocFindsAnchorsByWhatTheRigDoesToRanges) {
+  load("real/starloc_loop2ds5");
+  if (IsSkipped()) return;
+  EXPECT_LE(mean_xy_error_m(), 0.18);
+  EXPECT_EQ(result_.calibration.tags.size(), 1U);
+  expect_marked(kFar_m, 3.0);
+}
+
+// Its ranges are raw: one anchor is 2.3 m off in height.
+TEST_F(RecordedRun, StarlocWithRawRangesIsMarked) {
+  load("real/starloc_loop2dfasts1");
+  if (IsSkipped()) return;
+  double largest_m = 0.0;
+  for_each_error([&](const model::AnchorCalibration&, const Eigen::Vector3d& error_m, double) {
+    largest_m = std::max(largest_m, error_m.norm());
+  });
+  EXPECT_GT(largest_m, kFar_m) << "else this run shows nothing";
+  expect_marked(kFar_m, kAny);
 }
 
 TEST_F(RecordedRun, IndoorSimulationNamesTheAnchorsBehindTheWall) {

@@ -106,11 +106,11 @@ TEST(CostSum, IsTheSumOfTheCosts) {
 
 TEST(RobustKernel, LearnsScaleAndShareOfWhatDrewTheResiduals) {
   test::Random random(7);
-  std::vector<double> residuals;
+  std::vector<WeighedResidual> residuals;
   for (int i = 0; i < 20000; ++i) {
     double r = 0.08 * random.gaussian();
     if (random.uniform() < 0.25) r += random.uniform(0.5, 3.5);
-    residuals.push_back(r);
+    residuals.push_back({.residual_m = r});
   }
   const KernelPrior prior{.shape = {.scale_m = 0.3}, .scale_weight = 5.0, .share_weight = 5.0};
   const KernelShape shape = fit_kernel(residuals, prior, 60);
@@ -121,7 +121,7 @@ TEST(RobustKernel, LearnsScaleAndShareOfWhatDrewTheResiduals) {
 }
 
 TEST(RobustKernel, ScaleAndSharesLeanOnThePriorEachByItsWeight) {
-  const std::vector<double> residuals(100, 0.0);
+  const std::vector<WeighedResidual> residuals(100, {.residual_m = 0.0});
   const KernelPrior loose_scale{.shape = {.scale_m = 0.2}, .scale_weight = 1.0, .share_weight = 1e6};
   const KernelPrior loose_shares{.shape = {.scale_m = 0.2}, .scale_weight = 1e6, .share_weight = 1.0};
   const KernelShape of_scale = fit_kernel(residuals, loose_scale, 10);

@@ -13,6 +13,7 @@
 #include <Eigen/Geometry>
 
 #include "host/calibration/calibrate.hpp"
+#include "host/model/antenna_pattern.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
@@ -42,7 +43,10 @@ struct SiteSettings {
   double pose_sigma_m = 0.0;  // of the priors' error in x and in y, correlated over pose_correlation_s
   double pose_yaw_sigma_rad = 0.0;
   double pose_correlation_s = 20.0;
-  double range_delay_s = 0.0;  // ranges are stamped so much too late
+  double range_delay_s = 0.0;      // ranges are stamped so much too late
+  double lever_arm_sigma_m = 0.0;  // an axis: what the tags' lever arms are off by
+  double pattern_sigma_m = 0.0;    // a coefficient of each tag's antenna pattern
+  double place_error_m = 0.0;      // of each anchor's ranges, its own, the same wherever the tag is the same
 };
 
 // What was drawn and what came of it.
@@ -55,6 +59,8 @@ struct SimulatedSite {
   std::vector<model::RangeSample> ranges;
   std::vector<std::vector<double>> beta_m;  // [anchor][tag]
   std::vector<std::vector<double>> gamma;
+  std::vector<Eigen::Vector3d> lever_arm_error_m;  // [tag], base_link
+  std::vector<model::PatternTerms> pattern_m;      // [tag]
   model::Surface floor;
 
   [[nodiscard]] calibration::Drive drive() const {
@@ -80,6 +86,33 @@ inline std::vector<model::Anchor> table_one_anchors() {
 inline std::vector<model::Tag> three_tags() {
   return {{1, {0.75, 0.45, 1.90}}, {2, {-0.70, -0.42, 1.25}}, {3, {0.60, -0.45, 0.35}}};
 }
+
+// Smooth in the antenna's place, and of each anchor its own: some waves of 2 to 6 m.
+class PlaceError {
+ public:
+  PlaceError(double sigma_m, Random& random) : amplitude_m_(sigma_m * std::sqrt(2.0 / kWaves)) {
+    for (Wave& wave : waves_) {
+      const double angle_rad = random.uniform(0.0, 2.0 * std::numbers::pi);
+      const double per_m = 2.0 * std::numbers::pi / random.uniform(2.0, 6.0);
+      wave.vector_radpm = per_m * Eigen::Vector2d(std::cos(angle_rad), std::sin(angle_rad));
+      wave.phase_rad = random.uniform(0.0, 2.0 * std::numbers::pi);
+    }
+  }
+  [[nodiscard]] double at(const Eigen::Vector2d& place_m) const {
+    double sum = 0.0;
+    for (const Wave& wave : waves_) sum += std::sin(wave.vector_radpm.dot(place_m) + wave.phase_rad);
+    return amplitude_m_ * sum;
+  }
+
+ private:
+  static constexpr std::size_t kWaves = 8;
+  struct Wave {
+    Eigen::Vector2d vector_radpm;
+    double phase_rad = 0.0;
+  };
+  double amplitude_m_;
+  std::array<Wave, kWaves> waves_;
+};
 
 inline constexpr double kLap_s = 80.0;
 
@@ -152,17 +185,37 @@ inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t s
       site.gamma.back().push_back(1.0 + settings.gamma_sigma * random.gaussian());
     }
   }
+  std::vector<model::Tag> true_tags = site.tags;
+  for (model::Tag& tag : true_tags) {
+    site.lever_arm_error_m.emplace_back(Eigen::Vector3d::Zero());
+    site.pattern_m.emplace_back(model::PatternTerms::Zero());
+    if (settings.lever_arm_sigma_m > 0.0) {
+      site.lever_arm_error_m.back() = settings.lever_arm_sigma_m * random.gaussians(3);
+    }
+    if (settings.pattern_sigma_m > 0.0) {
+      site.pattern_m.back() = settings.pattern_sigma_m * random.gaussians(model::kPatternTerms);
+    }
+    tag.lever_arm_m += site.lever_arm_error_m.back();
+  }
+  std::vector<PlaceError> place_errors;
+  for (std::size_t a = 0; settings.place_error_m > 0.0 && a < site.anchors.size(); ++a) {
+    place_errors.emplace_back(settings.place_error_m, random);
+  }
   const std::size_t pairs = site.anchors.size() * site.tags.size();
   const double step_s = settings.duration_s / static_cast<double>(settings.ranges_per_pair * pairs);
   double t_s = settings.range_delay_s;
   for (std::size_t k = 0; k < settings.ranges_per_pair; ++k) {
     for (std::size_t a = 0; a < site.anchors.size(); ++a) {
       for (std::size_t j = 0; j < site.tags.size(); ++j, t_s += step_s) {
-        const Eigen::Vector3d antenna_m =
-            antenna_of(true_pose(t_s - settings.range_delay_s, settings.route), site.tags[j]);
-        const double distance_m = (antenna_m - site.anchors[a].position_m).norm();
+        const model::PoseSample pose = true_pose(t_s - settings.range_delay_s, settings.route);
+        const Eigen::Vector3d antenna_m = antenna_of(pose, true_tags[j]);
+        const Eigen::Vector3d to_anchor_m = site.anchors[a].position_m - antenna_m;
         double range_m =
-            site.gamma[a][j] * distance_m + site.beta_m[a][j] + settings.sigma_m * random.gaussian();
+            site.gamma[a][j] * to_anchor_m.norm() + site.beta_m[a][j] + settings.sigma_m * random.gaussian();
+        const Eigen::Vector3d in_body =
+            Eigen::AngleAxisd(-pose.yaw_rad, Eigen::Vector3d::UnitZ()) * to_anchor_m.normalized();
+        range_m += model::pattern_terms(in_body).dot(site.pattern_m[j]);
+        if (!place_errors.empty()) range_m += place_errors[a].at(antenna_m.head<2>());
         if (random.uniform() < settings.outlier_share) {
           range_m += settings.excess_mean_m > 0.0 ? -settings.excess_mean_m * std::log(1.0 - random.uniform())
                                                   : random.uniform(0.5, 3.5);

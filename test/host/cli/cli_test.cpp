@@ -9,9 +9,11 @@
 
 #include <nlohmann/json.hpp>
 
+#include "host/io/calibration_file.hpp"
 #include "host/io/dataset.hpp"
 #include "host/io/dataset_writer.hpp"
 #include "host/io/estimate_file.hpp"
+#include "host/io/log_file.hpp"
 #include "test/support/child_process.hpp"
 #include "test/support/scratch_folder.hpp"
 #include "test/support/small_run.hpp"
@@ -172,6 +174,112 @@ TEST_F(CliTest, OtherPosesAndPartsOfADriveCanBeChosen) {
   for (const json& pair : calibration["pairs"]) EXPECT_EQ(pair["tag"], 2);
   EXPECT_LE(calibration["ranges_used"].get<int>() + calibration["ranges_rejected"].get<int>(),
             50 * 100 / 4 + 50);
+}
+
+TEST_F(CliTest, DiffTellsWhatMoved) {
+  ASSERT_THAT(calibrate({"--to", "60"}).exit_code, testing::AnyOf(0, 3));
+  const std::filesystem::path other = folder_ / "other.yaml";
+  ASSERT_THAT(groma({"calibrate", data_, "--from", "20", "-o", other}).exit_code, testing::AnyOf(0, 3));
+  const ChildResult same = groma({"diff", calibration_, other, "--json"});
+  EXPECT_EQ(same.exit_code, 0) << same.out << same.err;
+  const json told = json::parse(same.out);
+  EXPECT_EQ(told.at("same"), true);
+  ASSERT_EQ(told.at("anchors").size(), 6U);
+  EXPECT_EQ(told.at("pairs").size(), 12U);
+  for (const json& anchor : told.at("anchors")) EXPECT_EQ(anchor.at("change"), "same");
+  for (const char* key : {"verdicts", "frame", "missing", "new"}) EXPECT_TRUE(told.contains(key));
+
+  model::Calibration changed = io::read_calibration(other);
+  changed.anchors[2].position_m.x() += 0.9;
+  changed.anchors.pop_back();
+  folder_.write("other.yaml", io::format_calibration(changed));
+  const ChildResult moved = groma({"diff", calibration_, other});
+  EXPECT_EQ(moved.exit_code, 3);
+  EXPECT_THAT(moved.out, AllOf(HasSubstr("moved"), HasSubstr("anchor 9: missing"), HasSubstr("they differ")));
+  const json differences = json::parse(groma({"diff", calibration_, other, "--json"}).out);
+  for (const json& anchor : differences.at("anchors")) {
+    EXPECT_EQ(anchor.at("change") == "moved", anchor.at("id") == 6) << anchor;
+  }
+
+  changed.frame = "yard";
+  folder_.write("other.yaml", io::format_calibration(changed));
+  const ChildResult frames = groma({"diff", calibration_, other});
+  EXPECT_EQ(frames.exit_code, 65);
+  EXPECT_THAT(frames.err, HasSubstr("other.yaml: is in the frame 'yard'"));
+  EXPECT_EQ(groma({"diff", calibration_}).exit_code, 2);
+  EXPECT_EQ(groma({"diff", calibration_, folder_ / "none.yaml"}).exit_code, 65);
+}
+
+TEST_F(CliTest, UpdateKeepsAddsAndNamesWhatMoved) {
+  ASSERT_THAT(calibrate({"--to", "60"}).exit_code, testing::AnyOf(0, 3));
+  model::Calibration old = io::read_calibration(calibration_);
+  const std::filesystem::path updated = folder_ / "updated.yaml";
+  const auto update = [&] {
+    return groma({"calibrate", data_, "--from", "20", "--update", calibration_, "-o", updated, "--json"});
+  };
+  ChildResult result = update();
+  ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
+  json told = json::parse(result.out).at("update");
+  for (const char* key : {"moved", "added", "kept"}) EXPECT_THAT(told.at(key), IsEmpty()) << key;
+  const model::Calibration both = io::read_calibration(updated);
+  for (std::size_t i = 0; i < both.anchors.size(); ++i) {
+    EXPECT_LT(both.anchors[i].covariance.topLeftCorner(2, 2).trace(),
+              old.anchors[i].covariance.topLeftCorner(2, 2).trace());
+  }
+
+  // As if it had stood there once: anchor 6 elsewhere, 8 not yet, and one more that is gone.
+  old.anchors[2].position_m.x() += 0.9;
+  old.anchors.erase(old.anchors.begin() + 4);
+  old.anchors.push_back(old.anchors.front());
+  old.anchors.back().id = 20;
+  folder_.write("calibration.yaml", io::format_calibration(old));
+  result = update();
+  EXPECT_EQ(result.exit_code, 3);
+  told = json::parse(result.out);
+  ASSERT_EQ(told.at("update").at("moved").size(), 1U) << result.out;
+  EXPECT_EQ(told.at("update").at("moved")[0].at("id"), 6);
+  EXPECT_NEAR(told.at("update").at("moved")[0].at("distance_m"), 0.9, 0.3);
+  EXPECT_EQ(told.at("update").at("added"), json::array({8}));
+  EXPECT_EQ(told.at("update").at("kept"), json::array({20}));
+  ASSERT_EQ(told.at("anchors").size(), 7U);
+  EXPECT_EQ(told.at("anchors")[2].at("verdict"), "moved");
+  EXPECT_THAT(told.at("anchors")[2].at("advice"), HasSubstr("moved by 0."));
+  EXPECT_EQ(groma({"calibrate", data_, "--update", calibration_, "--known-anchors", "-o", updated}).exit_code,
+            2);
+  EXPECT_EQ(groma({"calibrate", data_, "--update", folder_ / "none.yaml", "-o", updated}).exit_code, 65);
+}
+
+TEST_F(CliTest, ALogStandsForAFolder) {
+  const io::Dataset run = io::read_dataset(data_);
+  io::LogEncoder log;
+  log.begin_section(io::describe(run), 1);
+  for (const auto& row : run.odometry) log.put(row);
+  for (const auto& pose : run.pose_prior) log.put(pose);
+  for (const auto& range : run.ranges) log.put(range);
+  log.flush();
+  const std::string bytes = log.take();
+  folder_.write("drive.glog", bytes);
+  ASSERT_THAT(calibrate().exit_code, testing::AnyOf(0, 3));
+  const std::filesystem::path from_log = folder_ / "from_log.yaml";
+  ASSERT_THAT(groma({"calibrate", folder_ / "drive.glog", "-o", from_log}).exit_code, testing::AnyOf(0, 3));
+  const model::Calibration a = io::read_calibration(calibration_);
+  const model::Calibration b = io::read_calibration(from_log);
+  ASSERT_EQ(a.anchors.size(), b.anchors.size());
+  for (std::size_t i = 0; i < a.anchors.size(); ++i) {
+    // Ranges of a log are floats.
+    EXPECT_LT((a.anchors[i].position_m - b.anchors[i].position_m).norm(), 1e-3);
+  }
+  EXPECT_EQ(groma({"replay", folder_ / "drive.glog", "--calibration", from_log, "-o", estimate_}).exit_code,
+            0);
+
+  folder_.write("drive.glog", bytes.substr(0, bytes.size() - 9) + bytes.substr(0, bytes.size() / 2));
+  const ChildResult torn =
+      groma({"calibrate", folder_ / "drive.glog", "--section", "1", "-o", from_log, "--json"});
+  EXPECT_EQ(torn.exit_code, 3) << torn.err;
+  EXPECT_THAT(torn.err, HasSubstr("bytes of the log are damaged"));
+  EXPECT_EQ(groma({"calibrate", folder_ / "drive.glog", "--section", "3", "-o", from_log}).exit_code, 65);
+  EXPECT_EQ(groma({"calibrate", data_, "--section", "1", "-o", from_log}).exit_code, 2);
+  EXPECT_EQ(groma({"calibrate", calibration_, "-o", from_log}).exit_code, 65);
 }
 
 TEST_F(CliTest, ReplayIsCausal) {

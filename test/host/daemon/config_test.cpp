@@ -54,6 +54,32 @@ class ConfigFile : public ::testing::Test {
   TemporaryFolder folder_;
 };
 
+TEST_F(ConfigFile, CanAskToLearnAndToRecord) {
+  const auto with = [&](const std::string& calibration, const std::string& more = "") {
+    std::string text = kGood;
+    const std::string line = "calibration: {drive_s: 120, output: kept.yaml}";
+    text.replace(text.find(line), line.size(), "calibration: " + calibration);
+    return read(text + more);
+  };
+  Config config = with("{learn: true}", "log: drive.glog\n");
+  EXPECT_TRUE(config.calibration.learn);
+  EXPECT_FALSE(config.calibration.file || config.calibration.output);
+  EXPECT_EQ(config.log, folder_ / "drive.glog");
+  EXPECT_EQ(config.description().back().name, "dataset.yaml");
+  config = with("{learn: true, file: a.yaml, output: b.yaml}");
+  EXPECT_EQ(config.calibration.file, folder_ / "a.yaml");
+  EXPECT_EQ(config.calibration.output, folder_ / "b.yaml");
+  EXPECT_FALSE(config.log);
+  EXPECT_FALSE(with("{learn: false, file: a.yaml}").calibration.learn);
+
+  const std::string line = "{drive_s: 120, output: kept.yaml}";
+  EXPECT_THAT(error_with(line, "{learn: true, drive_s: 120}"),
+              HasSubstr("calibration.drive_s does not go with"));
+  EXPECT_THAT(error_with(line, "{learn: maybe}"), HasSubstr("calibration.learn"));
+  EXPECT_THAT(error_with(line, "{file: a.yaml, output: b.yaml}"), HasSubstr("'drive_s' or 'learn' only"));
+  EXPECT_THAT(error_with("speed: 4", "log: ''"), HasSubstr("log is empty"));
+}
+
 TEST_F(ConfigFile, IsReadWhole) {
   const Config config = read(kGood);
   ASSERT_EQ(config.nodes.size(), 2U);

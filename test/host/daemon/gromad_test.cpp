@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <chrono>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <thread>
@@ -17,12 +18,14 @@
 
 #include "host/cli/exit_code.hpp"
 #include "host/io/calibration_file.hpp"
+#include "host/io/dataset.hpp"
 #include "host/io/descriptor.hpp"
 #include "host/model/calibration.hpp"
 #include "proto/frame_codec.hpp"
 #include "test/host/daemon/gromad_process.hpp"
 #include "test/host/daemon/simulated_site.hpp"
 #include "test/host/daemon/temporary_folder.hpp"
+#include "test/support/child_process.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -182,6 +185,135 @@ TEST_F(GromadTest, CalibratesOnADriveThenLocalizes) {
   const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
   EXPECT_EQ(learnt.anchors.size(), site.anchors.size());
   EXPECT_EQ(learnt.input_sha256.size(), 64U);
+}
+
+// What the daemon records, the commands read: killed in the middle of it, too.
+TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  site.range_bias_m = 0.4;
+  const std::filesystem::path config =
+      folder_.write("gromad.yaml", config_text("{drive_s: 26, output: learnt.yaml}") + "log: drive.glog\n");
+  {
+    Gromad gromad({"--config", config.string()});
+    ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+    EXPECT_THAT(gromad.log(), HasSubstr("drive.glog"));
+    Gromad second({"--config", config.string()});
+    EXPECT_EQ(second.exit_code(), cli::kUnavailable) << second.log();
+  }  // killed
+  const std::string log = (folder_ / "drive.glog").string();
+  const auto groma = [](const std::vector<std::string>& arguments) {
+    std::vector<std::string> all{GROMA_PATH};
+    all.insert(all.end(), arguments.begin(), arguments.end());
+    return groma::test::run_child(all);
+  };
+  const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
+
+  // The daemon's own drive is the log's first 26 s, to the sample.
+  const io::Dataset recorded = io::read_dataset(log);
+  ASSERT_FALSE(recorded.pose_prior.empty());
+  const double begin_s = recorded.pose_prior.front().t_s;
+  const auto calibrated = groma({"calibrate", log, "--to", fmt::format("{}", begin_s + 26.0), "-o",
+                                 (folder_ / "again.yaml").string(), "--json"});
+  ASSERT_EQ(calibrated.exit_code, cli::kDoneWithWarnings) << calibrated.err;
+  const model::Calibration again = io::read_calibration(folder_ / "again.yaml");
+  ASSERT_EQ(again.anchors.size(), learnt.anchors.size());
+  for (std::size_t i = 0; i < again.anchors.size(); ++i) {
+    EXPECT_LT((again.anchors[i].position_m - learnt.anchors[i].position_m).head<2>().norm(), 0.05);
+  }
+
+  const auto replayed = groma({"replay", log, "--calibration", (folder_ / "learnt.yaml").string(), "-o",
+                               (folder_ / "estimate.csv").string(), "--json"});
+  EXPECT_THAT(replayed.exit_code, ::testing::AnyOf(cli::kGood, cli::kDoneWithWarnings)) << replayed.err;
+  EXPECT_GT(json::parse(replayed.out).at("ranges_used"), 500);
+
+  // Poses of a file in the place of those of the log: the same world turned by half a turn.
+  std::string turned = "t_s,x_m,y_m,z_m,yaw_rad\n";
+  for (const model::PoseSample& pose : recorded.pose_prior) {
+    turned += fmt::format("{},{},{},0,{}\n", pose.t_s, -pose.x_m, -pose.y_m, pose.yaw_rad + 3.14159265358979);
+  }
+  const std::string poses_file = folder_.write("turned.csv", turned).string();
+  ASSERT_EQ(
+      groma({"calibrate", log, "--poses", poses_file, "-o", (folder_ / "turned.yaml").string()}).exit_code,
+      cli::kDoneWithWarnings);
+  const model::Calibration other = io::read_calibration(folder_ / "turned.yaml");
+  for (std::size_t i = 0; i < other.anchors.size(); ++i) {
+    EXPECT_LT((other.anchors[i].position_m + site.anchors[i].position_m).head<2>().norm(), 0.3);
+  }
+
+  // A second run goes into a section of its own; the first is still there.
+  const std::size_t ranges = recorded.ranges.size();
+  {
+    Gromad gromad({"--config", config.string()});
+    ASSERT_TRUE(
+        run_until(site, gromad, [&] { return gromad.log().find("calibrates from") != std::string::npos; }));
+    gromad.terminate();
+    EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+  }
+  io::ReadOptions first;
+  first.log_section = 1;
+  EXPECT_EQ(io::read_dataset(log, first).ranges.size(), ranges);
+  EXPECT_EQ(io::read_dataset(log, first).log->sections, 2U);
+}
+
+// Two of six anchors are not in the file. The daemon localizes by the others, learns them, and keeps them.
+TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  const std::vector<model::Anchor> all = site.anchors;
+  site.anchors = {all[0], all[1], all[3], all[4]};
+  write_surveyed(site);
+  site.anchors = all;
+  Gromad gromad(
+      {"--config",
+       folder_.write("gromad.yaml", config_text("{learn: true, file: calibration.yaml, output: learnt.yaml}"))
+           .string()});
+  std::map<int, std::vector<json>> told;
+  std::size_t seen = 0;
+  const auto state_of = [&](int id) {
+    for (; seen < objects_.size(); ++seen) {
+      if (objects_[seen].at("class") != "CALIBRATION") continue;
+      for (const json& anchor : objects_[seen].at("anchors")) told[anchor.at("id")].push_back(anchor);
+    }
+    return told[id].empty() ? std::string() : told[id].back().at("state").get<std::string>();
+  };
+  ASSERT_TRUE(run_until(site, gromad, [&] { return state_of(102) == "live" && state_of(105) == "live"; }))
+      << gromad.log();
+  EXPECT_EQ(state_of(100), "known");
+  EXPECT_EQ(told[102].back().at("coverage"), 1.0);
+  EXPECT_TRUE(told[102].back().at("sigma_m").is_number());
+  EXPECT_THAT(gromad.log(), HasSubstr("anchor 102 is learnt"));
+  // Localization goes on through the change.
+  const std::size_t before = poses("TRACKING");
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
+  EXPECT_LT(largest_error_m(50), 0.4);
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+
+  const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
+  ASSERT_EQ(learnt.anchors.size(), 6U);
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_LT((learnt.anchors[i].position_m - all[i].position_m).head<2>().norm(), 0.4)
+        << learnt.anchors[i].id;
+  }
+}
+
+// With no calibration at all: by pose priors, into a file that the next start takes up.
+TEST_F(GromadTest, LearnsASiteFromNothingAndTakesItUpAgain) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  const std::string source = "{learn: true, file: site.yaml, output: site.yaml}";
+  const std::filesystem::path config = folder_.write("gromad.yaml", config_text(source));
+  {
+    Gromad gromad({"--config", config.string()});
+    ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+    EXPECT_THAT(gromad.log(), HasSubstr("by the pose priors"));
+    gromad.terminate();
+    EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+  }
+  const model::Calibration learnt = io::read_calibration(folder_ / "site.yaml");
+  EXPECT_GE(learnt.anchors.size(), 3U);
+  Gromad again({"--config", config.string()});
+  ASSERT_TRUE(run_until(site, again, [&] { return again.log().find("localizes with") != std::string::npos; }))
+      << again.log();
+  EXPECT_THAT(again.log(), HasSubstr("by the filter's poses"));
 }
 
 TEST_F(GromadTest, EndsWithTheExitCodeOfWhatIsWrong) {

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <vector>
@@ -109,6 +110,32 @@ class Circle : public ::testing::Test {
   std::vector<model::Anchor> anchors_;
   Localizer::Setup setup_;
 };
+
+TEST_F(Circle, GoesOnByAnotherCalibrationFromWhereItIs) {
+  std::vector<PoseEstimate> poses;
+  const model::Calibration whole = setup_.calibration;
+  setup_.calibration.anchors.pop_back();
+  Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
+  localizer.adopt(setup_.calibration);  // before it has started: it waits on
+  EXPECT_FALSE(localizer.started());
+  localizer.on_odometry(row(0.0));
+  localizer.on_pose_prior(prior(0.0));
+  drive(localizer, 0.02, 10.0, true);
+  EXPECT_EQ(localizer.filter().anchors(), 3U);
+  const PoseEstimate before = poses.back();
+  localizer.adopt(whole);
+  EXPECT_EQ(localizer.filter().anchors(), 4U);
+  EXPECT_TRUE(localizer.started());
+  drive(localizer, 10.0, 20.0, true);
+  const PoseEstimate& after = *std::find_if(poses.begin(), poses.end(),
+                                            [&](const PoseEstimate& pose) { return pose.t_s > before.t_s; });
+  EXPECT_LT(std::hypot(after.x_m - before.x_m, after.y_m - before.y_m), 0.06);
+  EXPECT_EQ(after.state, PoseState::kTracking);
+  for (const PoseEstimate& pose : poses) {
+    const auto true_pose = truth(pose.t_s);
+    EXPECT_LT(std::hypot(pose.x_m - true_pose.x_m, pose.y_m - true_pose.y_m), 0.2) << pose.t_s;
+  }
+}
 
 TEST_F(Circle, SaysNothingBeforeAPosePriorThenTracksThenCoasts) {
   std::vector<PoseEstimate> poses;

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
+#include <vector>
 
 #include "test/host/filter/small_site.hpp"
 #include "test/support/numerical_jacobian.hpp"
@@ -162,6 +163,24 @@ TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
   EXPECT_EQ(parameters.size(), kMaxParameters);
   EXPECT_EQ(parameters.prior_covariance(calibration, 0.01).rows(), kMaxParameters);
   EXPECT_EQ(parameters.tag_slot(19), -1);
+}
+
+// A tag that looks ahead at an anchor sees it by its pattern's first coefficient too far; its lever arm is
+// the calibration's.
+TEST(RangeMeasurement, KnowsWhatADriveShowedOfTheTag) {
+  model::Calibration calibration =
+      model::surveyed_calibration(std::vector<model::Anchor>{{5, {10.0, 0.0, 0.0}}},
+                                  std::vector<model::Tag>{{1, {1.0, 0.0, 0.0}}}, {}, 0.02);
+  calibration.tags.resize(1);
+  calibration.tags[0].id = 1;
+  calibration.tags[0].lever_arm.emplace();
+  calibration.tags[0].lever_arm->position_m = {1.5, 0.0, 0.0};
+  calibration.tags[0].pattern_m = model::PatternTerms::Unit(0) * 0.02;
+  const Parameters parameters(std::vector<model::Tag>{{1, {1.0, 0.0, 0.0}}}, calibration);
+  const RangeMeasurement ahead = measure_range(model::Surface(), CoreVector::Zero(), {}, parameters, 0, 0);
+  EXPECT_NEAR(ahead.range_m, 8.5 + 0.02, 1e-12);
+  EXPECT_NEAR(measure_distance(model::Surface(), CoreVector::Zero(), {}, parameters, 0, 0).range_m, 8.5,
+              1e-12);
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <functional>
 #include <string>
 #include <variant>
+#include <vector>
 
 #include "host/io/error.hpp"
 #include "host/io/input_file.hpp"
@@ -427,6 +428,23 @@ TEST(SharedDataTest, EveryRunReadsWithoutALoss) {
     }
   }
   EXPECT_GE(runs, 16U);
+}
+
+TEST(Survey, ReadsRangesBetweenAnchorsAndCountsWhatIsNone) {
+  const ScratchFolder folder;
+  folder.write("survey.csv",
+               "anchor_id,other_id,range_m,sigma_m,count\n10,11,5.25,0.04,50\n10,10,1,0.1,5\n"
+               "11,12,0,0.1,5\n12,70000,4,0.1,5\n12,13,4,0.1,0\n");
+  DroppedRows dropped;
+  const std::vector<model::AnchorRange> ranges = read_survey(folder / "survey.csv", dropped);
+  ASSERT_EQ(ranges.size(), 1U);
+  EXPECT_EQ(ranges[0].anchor_id, 10);
+  EXPECT_EQ(ranges[0].other_id, 11);
+  EXPECT_EQ(ranges[0].range_m, 5.25);
+  EXPECT_EQ(ranges[0].sigma_m, 0.04);
+  EXPECT_EQ(ranges[0].count, 50U);
+  EXPECT_EQ(dropped.unknown_anchor, 2U);
+  EXPECT_EQ(dropped.range_out_of_bounds, 2U);
 }
 
 }  // namespace

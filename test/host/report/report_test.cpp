@@ -99,6 +99,17 @@ TEST(ChartTest, EllipsesTooSmallToSeeAreEnlargedAndSaySo) {
   EXPECT_NE(svg.find("95 % ellipse (× 20)"), std::string::npos);
 }
 
+TEST(ChartTest, AsManyDotsAsCanBeToldApart) {
+  std::vector<Vector2d> points{{0.0, 0.0}, {1.0, 1.0}};
+  for (int i = 0; i < 100'000; ++i) points.emplace_back(0.5, 0.5);
+  Chart chart({.x_label = "x", .y_label = "y"});
+  chart.add_points("dots", Ink::kSeries1, points);
+  const std::string svg = chart.svg();
+  const std::size_t at = svg.find("class=\"points s1\"");
+  ASSERT_NE(at, std::string::npos);
+  EXPECT_EQ(count(svg.substr(at, svg.find("/>", at) - at), "h0"), 3U);
+}
+
 TEST(ChartTest, NothingOrOnePointIsAChartToo) {
   for (const std::vector<Vector2d>& points : {std::vector<Vector2d>{}, std::vector<Vector2d>{{1e9, -1e9}},
                                               std::vector<Vector2d>{{3.0, 3.0}, {3.0, 3.0}}}) {
@@ -106,6 +117,7 @@ TEST(ChartTest, NothingOrOnePointIsAChartToo) {
     map.add_line("way", Ink::kPath, points);
     Chart chart({.x_label = "x", .y_label = "y"});
     chart.add_line("way", Ink::kPath, points);
+    chart.add_points("dots", Ink::kPath, points);
     for (const std::string& svg : {map.svg(), chart.svg()}) {
       EXPECT_EQ(svg.find("nan"), std::string::npos);
       EXPECT_EQ(svg.find("inf"), std::string::npos);
@@ -120,9 +132,12 @@ TEST(PageTest, TextIsEscapedEverywhere) {
   page.add_facts({{evil, evil, Tone::kBad}});
   page.add_heading(evil);
   page.add_text(evil);
+  page.add_notice(evil, evil, Tone::kBad);
+  page.begin_part(evil, evil, evil, Tone::kGood, true);
+  page.end_part();
   page.add_table({evil}, {{{evil, Tone::kWarning, true}}});
   Chart chart({.title = evil, .x_label = evil, .y_label = evil});
-  chart.add_marks(evil, Ink::kAnchor, {{{0.0, 0.0}, evil}, {{1.0, 1.0}, ""}});
+  chart.add_marks(evil, Ink::kAnchor, {{{0.0, 0.0}, evil, evil, evil}, {{1.0, 1.0}, ""}});
   page.add_chart(chart, evil);
   const std::string html = page.html();
   EXPECT_EQ(html.find("<script"), std::string::npos);
@@ -136,10 +151,14 @@ TEST(PageTest, EveryElementThatOpensCloses) {
   Chart chart({.x_label = "x", .y_label = "y"});
   chart.add_intervals("i", Ink::kSeries1, {{0.0, 1.0}, {1.0, 2.0}}, {0.1, 0.2});
   chart.add_strokes("wall", Ink::kWall, {{{0.0, 0.0}, {1.0, 1.0}}});
+  chart.add_marks("m", Ink::kAnchor, {{{0.0, 0.0}, "1", "hint", "place"}, {{1.0, 1.0}, "2"}});
   page.add_charts({chart, chart}, "two");
+  page.begin_part("place", "part", "remark", Tone::kWarning, false);
+  page.add_notice("it", "is so", Tone::kBad);
+  page.end_part();
   const std::string html = page.html();
-  for (const std::string element :
-       {"svg", "g", "table", "tr", "td", "th", "figure", "div", "main", "body", "text"}) {
+  for (const std::string element : {"svg", "g", "a", "title", "table", "tr", "td", "th", "figure", "details",
+                                    "summary", "div", "main", "body", "text", "p", "span", "b"}) {
     EXPECT_EQ(count(html, "<" + element + ">") + count(html, "<" + element + " "),
               count(html, "</" + element + ">"))
         << element;

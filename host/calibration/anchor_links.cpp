@@ -1,0 +1,275 @@
+#include "host/calibration/anchor_links.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <utility>
+
+#include <Eigen/Cholesky>
+
+#include "host/calibration/robust_kernel.hpp"
+
+namespace groma::calibration {
+namespace {
+
+// Ranges of one pair agree no better than this however many there are.
+constexpr double kLeastSigma_m = 0.01;
+constexpr int kFusingSteps = 8;
+constexpr int kLookingRounds = 3;
+constexpr int kFlippingRounds = 4;
+
+double square(double x) noexcept {
+  return x * x;
+}
+
+Eigen::Index position_of(std::size_t anchor) noexcept {
+  return 3 * static_cast<Eigen::Index>(anchor);
+}
+
+Eigen::Vector3d between(const AnchorLink& link, const Eigen::VectorXd& positions_m) {
+  return positions_m.segment<3>(position_of(link.from)) - positions_m.segment<3>(position_of(link.to));
+}
+
+double residual_m(const AnchorLink& link, const Eigen::VectorXd& positions_m,
+                  const model::RangePriors& priors) {
+  return link.range_m - priors.beta_m.mean - priors.gamma.mean * between(link, positions_m).norm();
+}
+
+// Covariance of anchor a's unknowns with the position of anchor b.
+Eigen::MatrixXd with_position(const AnchorBelief& belief, std::size_t a, std::size_t b) {
+  if (a == b) return belief.covariance[a].leftCols<3>();
+  if (belief.gain.empty()) return Eigen::MatrixXd::Zero(belief.mean[a].size(), 3);
+  return belief.gain[a] * belief.shared * belief.gain[b].topRows<3>().transpose();
+}
+
+// Negative log likelihood of a link whose anchors are known with these covariances.
+double cost_of(const AnchorLink& link, const Eigen::VectorXd& positions_m, const AnchorBelief& belief,
+               const model::RangePriors& priors) {
+  const Eigen::Vector3d direction = between(link, positions_m).normalized();
+  const Eigen::Matrix3d spread =
+      belief.covariance[link.from].topLeftCorner<3, 3>() + belief.covariance[link.to].topLeftCorner<3, 3>();
+  const double variance_m2 = link.variance_m2 + direction.dot(spread * direction);
+  const RobustKernel kernel(KernelShape{.scale_m = std::sqrt(variance_m2)});
+  return -std::log(kernel.at(residual_m(link, positions_m, priors)).density);
+}
+
+AnchorBelief believe(const LinkedSite& site) {
+  AnchorBelief out;
+  for (std::size_t a = 0; a < site.fits.size(); ++a) {
+    const AnchorFit& fit = site.fits[a];
+    AnchorVector mean = fit.anchor;
+    if (!fit.problem.rows.empty() && !fit.problem.position.surveyed) {
+      const NormalEquations here = linearize(fit.problem, fit.kernels, fit.anchor);
+      mean -= here.information.ldlt().solve(here.gradient);
+    }
+    out.mean.push_back(std::move(mean));
+    out.covariance.emplace_back(anchor_covariance(site.evidence[a], site.inflation[a]) +
+                                site.added_covariance[a]);
+  }
+  out.gain.assign(site.gain.begin(), site.gain.end());
+  if (site.shared != nullptr) out.shared = *site.shared;
+  return out;
+}
+
+// Which anchors had better be at their rivals' places, by the links and by what that costs the drive's
+// ranges. One flip or two at a time.
+class SideChooser {
+ public:
+  SideChooser(const LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors)
+      : site_(site), links_(links), priors_(priors), belief_(believe(site)), flipped_(site.fits.size()) {}
+
+  [[nodiscard]] double cost() const {
+    Eigen::VectorXd positions_m(position_of(flipped_.size()));
+    double sum = 0.0;
+    for (std::size_t a = 0; a < flipped_.size(); ++a) {
+      const AnchorVector& anchor = flipped_[a] ? site_.mirrors[a]->anchor : site_.fits[a].anchor;
+      positions_m.segment<3>(position_of(a)) = anchor.head<3>();
+      if (flipped_[a]) sum += site_.mirrors[a]->cost_excess / site_.inflation[a];
+    }
+    for (const AnchorLink& link : links_) sum += cost_of(link, positions_m, belief_, priors_);
+    return sum;
+  }
+
+  void choose() {
+    double best = cost();
+    for (int round = 0; round < kFlippingRounds; ++round) {
+      bool better = false;
+      for (std::size_t a = 0; a < flipped_.size(); ++a) {
+        for (std::size_t b = a; b < flipped_.size(); ++b) {
+          if (!site_.mirrors[a] || !site_.mirrors[b]) continue;
+          flip(a, b);
+          const double found = cost();
+          if (found < best) {
+            best = found;
+            better = true;
+          } else {
+            flip(a, b);
+          }
+        }
+      }
+      if (!better) break;
+    }
+  }
+
+  // What it costs to flip this one from here.
+  [[nodiscard]] double excess(std::size_t anchor) {
+    const double here = cost();
+    flip(anchor, anchor);
+    const double there = cost();
+    flip(anchor, anchor);
+    return std::max(0.0, there - here);
+  }
+  [[nodiscard]] bool is_flipped(std::size_t anchor) const { return flipped_[anchor]; }
+
+ private:
+  void flip(std::size_t a, std::size_t b) {
+    flipped_[a] = !flipped_[a];
+    if (b != a) flipped_[b] = !flipped_[b];
+  }
+
+  const LinkedSite& site_;
+  std::span<const AnchorLink> links_;
+  const model::RangePriors& priors_;
+  AnchorBelief belief_;
+  std::vector<bool> flipped_;
+};
+
+void take_sides(LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
+  SideChooser chooser(site, links, priors);
+  chooser.choose();
+  std::vector<double> excess(site.fits.size(), 0.0);
+  for (std::size_t a = 0; a < site.fits.size(); ++a) {
+    if (site.mirrors[a]) excess[a] = chooser.excess(a) * site.inflation[a];
+  }
+  for (std::size_t a = 0; a < site.fits.size(); ++a) {
+    if (!site.mirrors[a]) continue;
+    site.mirrors[a]->cost_excess = excess[a];
+    if (!chooser.is_flipped(a)) continue;
+    std::swap(site.fits[a].anchor, site.mirrors[a]->anchor);
+    site.evidence[a] = gather_evidence(site.fits[a]);
+  }
+}
+
+}  // namespace
+
+std::vector<AnchorLink> gather_links(std::span<const model::AnchorRange> ranges,
+                                     std::span<const model::NodeId> anchor_ids,
+                                     const model::RangePriors& priors) {
+  struct Sum {
+    double weight = 0.0;
+    double weighted_m = 0.0;
+  };
+  const auto index_of = [&](model::NodeId id) {
+    return static_cast<std::size_t>(std::find(anchor_ids.begin(), anchor_ids.end(), id) - anchor_ids.begin());
+  };
+  std::map<std::pair<std::size_t, std::size_t>, Sum> sums;
+  for (const model::AnchorRange& range : ranges) {
+    const std::size_t a = index_of(range.anchor_id);
+    const std::size_t b = index_of(range.other_id);
+    const bool known = a < anchor_ids.size() && b < anchor_ids.size() && a != b;
+    if (!known || !(range.range_m > 0.0) || !std::isfinite(range.range_m) || range.count == 0) continue;
+    const double sigma_m =
+        std::isfinite(range.sigma_m) && range.sigma_m > 0.0 ? range.sigma_m : priors.sigma_m;
+    Sum& sum = sums[std::minmax(a, b)];
+    const double weight = static_cast<double>(range.count) / square(sigma_m);
+    sum.weight += weight;
+    sum.weighted_m += weight * range.range_m;
+  }
+  std::vector<AnchorLink> out;
+  for (const auto& [pair, sum] : sums) {
+    const double range_m = sum.weighted_m / sum.weight;
+    out.push_back({.from = pair.first,
+                   .to = pair.second,
+                   .range_m = range_m,
+                   .variance_m2 = 1.0 / sum.weight + square(kLeastSigma_m) + square(priors.beta_m.sigma) +
+                                  square(priors.gamma.sigma * range_m)});
+  }
+  return out;
+}
+
+AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> links,
+                        const model::RangePriors& priors) {
+  const std::size_t anchors = belief.mean.size();
+  const Eigen::Index size = position_of(anchors);
+  Eigen::VectorXd mean(size);
+  Eigen::MatrixXd covariance(size, size);
+  for (std::size_t a = 0; a < anchors; ++a) {
+    mean.segment<3>(position_of(a)) = belief.mean[a].head<3>();
+    for (std::size_t b = 0; b < anchors; ++b) {
+      covariance.block<3, 3>(position_of(a), position_of(b)) = with_position(belief, a, b).topRows<3>();
+    }
+  }
+  const Eigen::LDLT<Eigen::MatrixXd> before(covariance);
+  const Eigen::MatrixXd information = before.solve(Eigen::MatrixXd::Identity(size, size));
+
+  Eigen::VectorXd found = mean;
+  Eigen::MatrixXd after = covariance;
+  for (int step = 0; step < kFusingSteps; ++step) {
+    Eigen::MatrixXd sum = information;
+    Eigen::VectorXd descent = information * (mean - found);
+    for (const AnchorLink& link : links) {
+      const Eigen::Vector3d direction = between(link, found).normalized();
+      const Eigen::Vector3d j = priors.gamma.mean * direction;
+      const Eigen::Index a = position_of(link.from);
+      const Eigen::Index b = position_of(link.to);
+      double variance_m2 = link.variance_m2;
+      // At first a link is no outlier for where its anchors are not yet.
+      if (step == 0) {
+        const Eigen::Matrix3d spread = covariance.block<3, 3>(a, a) + covariance.block<3, 3>(b, b) -
+                                       covariance.block<3, 3>(a, b) - covariance.block<3, 3>(b, a);
+        variance_m2 += j.dot(spread * j);
+      }
+      const RobustKernel kernel(KernelShape{.scale_m = std::sqrt(variance_m2)});
+      KernelValue value = kernel.at(residual_m(link, found, priors));
+      if (step == 0) {
+        // The spread makes the link no weaker: the prior has it already.
+        value.weight *= variance_m2 / link.variance_m2;
+        value.slope *= variance_m2 / link.variance_m2;
+      }
+      const Eigen::Matrix3d block = value.weight * j * j.transpose();
+      sum.block<3, 3>(a, a) += block;
+      sum.block<3, 3>(b, b) += block;
+      sum.block<3, 3>(a, b) -= block;
+      sum.block<3, 3>(b, a) -= block;
+      descent.segment<3>(a) += value.slope * j;
+      descent.segment<3>(b) -= value.slope * j;
+    }
+    const Eigen::LDLT<Eigen::MatrixXd> posterior(sum);
+    after = posterior.solve(Eigen::MatrixXd::Identity(size, size));
+    found += posterior.solve(descent);
+  }
+
+  AnchorBelief out = belief;
+  if (!found.allFinite() || !after.allFinite()) return out;
+  // The links tell of the rest what the positions tell of it.
+  const Eigen::VectorXd moved = information * (found - mean);
+  const Eigen::MatrixXd gained = information * (covariance - after) * information;
+  for (std::size_t a = 0; a < anchors; ++a) {
+    Eigen::MatrixXd cross(belief.mean[a].size(), size);
+    for (std::size_t b = 0; b < anchors; ++b) {
+      cross.middleCols<3>(position_of(b)) = with_position(belief, a, b);
+    }
+    out.mean[a] += cross * moved;
+    const Eigen::MatrixXd left = belief.covariance[a] - cross * gained * cross.transpose();
+    out.covariance[a] = 0.5 * (left + left.transpose());
+  }
+  return out;
+}
+
+std::vector<Eigen::MatrixXd> join_links(LinkedSite site, std::span<const AnchorLink> links,
+                                        const model::RangePriors& priors) {
+  AnchorBelief belief = believe(site);
+  if (!links.empty()) {
+    take_sides(site, links, priors);
+    for (int round = 0; round < kLookingRounds; ++round) {
+      belief = fuse_links(believe(site), links, priors);
+      for (std::size_t a = 0; a < site.fits.size(); ++a) {
+        site.fits[a].anchor = belief.mean[a];
+        site.evidence[a] = gather_evidence(site.fits[a]);
+      }
+    }
+  }
+  return belief.covariance;
+}
+
+}  // namespace groma::calibration

@@ -1,0 +1,30 @@
+// Anchors that did not stay where they were: the halves of the drive solved apart.
+#pragma once
+
+#include <optional>
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/calibration/sight_solver.hpp"
+#include "host/calibration/site_solver.hpp"
+
+namespace groma::calibration {
+
+// How two solutions of one anchor differ, from different rows.
+struct Shift {
+  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();  // later minus earlier, were their biases the same
+  double square_sigmas = 0.0;                      // in the metric of its covariance; 3 degrees of freedom
+};
+// Vectors and covariances of position and biases alone.
+[[nodiscard]] Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_covariance,
+                                  const AnchorVector& later, const Eigen::MatrixXd& later_covariance);
+
+// Looks at anchors whose residuals hang together. Where one was moved, its fit becomes that of the later half
+// alone, and so does its sight, where the site has one. The result: of each anchor.
+[[nodiscard]] std::vector<std::optional<Shift>> find_moved(const PollTable& table, SiteSight& sight,
+                                                           std::vector<AnchorFit>& fits,
+                                                           const model::RangePriors& priors);
+
+}  // namespace groma::calibration

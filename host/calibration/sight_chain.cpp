@@ -1,0 +1,173 @@
+#include "host/calibration/sight_chain.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace groma::calibration {
+namespace {
+
+// Rates between the states, 1/s: a shadow lasts some 3 s, a wall some 10 s; in sight some 12 s.
+constexpr double kRound_s = 0.12;
+// Polls missed in a row beyond so many say no more.
+constexpr std::int64_t kMaxMissed = 32;
+// Polls are regular where so large a share of all intervals is a multiple of the shortest but for so much.
+constexpr double kRegularShare = 0.9;
+constexpr double kRegularDeviation = 0.2;
+constexpr std::size_t kMinIntervals = 100;
+// The shortest interval but for a few that are repeats.
+constexpr double kShortest = 0.1;
+// A residual is no better evidence than this against a state.
+constexpr double kMinLikelihood = 6e-6;
+
+double round_count(double interval_s, double step_s) noexcept {
+  return std::round(interval_s / step_s);
+}
+
+// Of the pairs' intervals between replies.
+struct Step {
+  double interval_s = 0.0;
+  bool regular = false;
+};
+Step find_step(const Association& association) {
+  std::vector<double> intervals_s;
+  for (const AnchorObservations& anchor : association.anchors) {
+    std::vector<double> last_s(association.tags.size(), -1.0);
+    std::vector<bool> seen(association.tags.size(), false);
+    for (const Observation& row : anchor.rows) {
+      if (seen[row.tag] && row.t_s > last_s[row.tag]) intervals_s.push_back(row.t_s - last_s[row.tag]);
+      seen[row.tag] = true;
+      last_s[row.tag] = row.t_s;
+    }
+  }
+  Step step;
+  if (intervals_s.size() < kMinIntervals) return step;
+  std::sort(intervals_s.begin(), intervals_s.end());
+  const double n = static_cast<double>(intervals_s.size());
+  const double shortest_s = intervals_s[static_cast<std::size_t>(kShortest * n)];
+  double sum_s = 0.0;
+  double steps = 0.0;
+  for (const double interval_s : intervals_s) {
+    if (std::abs(interval_s / shortest_s - 1.0) > kRegularDeviation) continue;
+    sum_s += interval_s;
+    steps += 1.0;
+  }
+  step.interval_s = sum_s / steps;
+  const auto fits = std::count_if(intervals_s.begin(), intervals_s.end(), [&](double interval_s) {
+    const double count = round_count(interval_s, step.interval_s);
+    return count >= 1.0 && std::abs(interval_s / step.interval_s - count) < kRegularDeviation;
+  });
+  step.regular = static_cast<double>(fits) > kRegularShare * n;
+  if (!step.regular) step.interval_s = intervals_s[intervals_s.size() / 2];
+  return step;
+}
+
+std::vector<std::vector<double>> reply_times_by_tag(const Association& association) {
+  std::vector<std::vector<double>> out(association.tags.size());
+  for (const AnchorObservations& anchor : association.anchors) {
+    for (const Observation& row : anchor.rows) out[row.tag].push_back(row.t_s);
+  }
+  for (std::vector<double>& times_s : out) std::sort(times_s.begin(), times_s.end());
+  return out;
+}
+
+}  // namespace
+
+Eigen::Matrix3d sight_transition(double interval_s) noexcept {
+  Eigen::Matrix3d a_round;
+  a_round << 0.990, 0.005, 0.005, 0.033, 0.962, 0.005, 0.010, 0.0025, 0.9875;
+  const Eigen::Matrix3d rates = (a_round - Eigen::Matrix3d::Identity()) / kRound_s;
+  // The exponential of the rates, by squaring.
+  constexpr int kSquarings = 12;
+  Eigen::Matrix3d out =
+      Eigen::Matrix3d::Identity() + rates * std::clamp(interval_s, 1e-3, 100.0) / std::exp2(kSquarings);
+  for (int i = 0; i < kSquarings; ++i) out = Eigen::Matrix3d(out * out);
+  return out;
+}
+
+PollTable tabulate_polls(const Association& association) {
+  const Step step = find_step(association);
+  PollTable table;
+  table.interval_s = step.interval_s;
+  table.regular = step.regular;
+  const std::size_t tags = association.tags.size();
+  const std::vector<std::vector<double>> replies_s = reply_times_by_tag(association);
+  for (const AnchorObservations& anchor : association.anchors) {
+    std::vector<std::vector<Poll>>& pairs = table.polls.emplace_back(tags);
+    std::vector<const Observation*> last(tags, nullptr);
+    for (const Observation& row : anchor.rows) {
+      std::vector<Poll>& polls = pairs[row.tag];
+      if (last[row.tag] != nullptr && step.interval_s > 0.0) {
+        const double from_s = last[row.tag]->t_s;
+        const auto gap = static_cast<std::int64_t>(
+            std::min(1.0 + kMaxMissed, round_count(row.t_s - from_s, step.interval_s)));
+        for (std::int64_t k = 1; k < gap; ++k) {
+          // A tag that nobody answered may not have asked.
+          const double begin_s = from_s + (static_cast<double>(k) - 0.5) * step.interval_s;
+          const std::vector<double>& times_s = replies_s[row.tag];
+          const auto next = std::lower_bound(times_s.begin(), times_s.end(), begin_s);
+          const bool asked = step.regular && next != times_s.end() && *next < begin_s + step.interval_s;
+          polls.push_back(asked ? kMissed : kNotTold);
+        }
+      }
+      polls.push_back(static_cast<Poll>(row.index));
+      last[row.tag] = &row;
+    }
+  }
+  return table;
+}
+
+void infer_sight(const SightChain& chain, std::span<const Poll> polls,
+                 std::span<const SightVector> likelihoods, SightPosterior& out) {
+  out.prior.resize(likelihoods.size());
+  out.posterior.resize(likelihoods.size());
+  out.log_evidence = 0.0;
+  out.answered.setZero();
+  out.missed.setZero();
+  const Eigen::Matrix3d forth = chain.transition.transpose();
+  const SightVector no_reply = SightVector::Ones() - chain.reply;
+  // What a poll says of the state, its residual included.
+  std::size_t answer = 0;
+  const auto floored = [&](std::size_t i) -> SightVector {
+    const SightVector& given = likelihoods[i];
+    return given.cwiseMax(kMinLikelihood * given.maxCoeff());
+  };
+  std::vector<SightVector> forward;  // of each poll, from those before it
+  forward.reserve(polls.size());
+  SightVector state = chain.start;
+  for (std::size_t n = 0; n < polls.size(); ++n) {
+    if (n > 0) state = SightVector(forth * state);
+    forward.push_back(state);
+    if (polls[n] == kNotTold) continue;
+    if (polls[n] == kMissed) {
+      state = state.cwiseProduct(no_reply);
+    } else {
+      state = state.cwiseProduct(chain.reply).cwiseProduct(floored(answer++));
+    }
+    const double total = state.sum();
+    out.log_evidence += std::log(total);
+    state /= total;
+  }
+  SightVector backward = SightVector::Ones();  // from those after it
+  for (std::size_t n = polls.size(); n-- > 0;) {
+    const SightVector both = forward[n].cwiseProduct(backward);
+    SightVector here = backward;
+    if (polls[n] == kMissed) {
+      const SightVector share = both.cwiseProduct(no_reply);
+      out.missed += share / share.sum();
+      here = backward.cwiseProduct(no_reply);
+    } else if (polls[n] >= 0) {
+      --answer;
+      const SightVector likelihood = floored(answer);
+      SightVector share = both.cwiseProduct(chain.reply);
+      out.prior[answer] = share / share.sum();
+      share = share.cwiseProduct(likelihood);
+      out.posterior[answer] = share / share.sum();
+      out.answered += out.posterior[answer];
+      here = backward.cwiseProduct(chain.reply).cwiseProduct(likelihood);
+    }
+    backward = chain.transition * here;
+    backward /= backward.sum();
+  }
+}
+
+}  // namespace groma::calibration

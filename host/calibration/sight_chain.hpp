@@ -1,0 +1,54 @@
+// Whether a pair sees each other, poll by poll: a hidden Markov chain whose data are the residuals of ranges
+// and the polls that went without a reply.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/calibration/association.hpp"
+
+namespace groma::calibration {
+
+// States: in sight; in a shadow, blocked for a moment by what moves; behind a wall, blocked for long.
+enum SightState : std::uint8_t { kInSight, kShadow, kWall };
+using SightVector = Eigen::Vector3d;  // one figure a state
+
+struct SightChain {
+  Eigen::Matrix3d transition;  // from the row's state to the column's, a poll; rows sum to one
+  SightVector start{0.65, 0.05, 0.30};
+  SightVector reply{0.95, 0.5, 0.5};  // probability that a poll is answered
+};
+// The transition over so long, between polls.
+[[nodiscard]] Eigen::Matrix3d sight_transition(double interval_s) noexcept;
+
+// One poll of a pair: its row, or a negative value.
+using Poll = std::int32_t;
+inline constexpr Poll kMissed = -1;   // no reply
+inline constexpr Poll kNotTold = -2;  // nothing known of it
+
+// The polls of each pair between its first and its last reply.
+struct PollTable {
+  double interval_s = 0.0;
+  bool regular = false;  // polls come at equal steps: then it can be told which of them were missed
+  std::vector<std::vector<std::vector<Poll>>> polls;  // [anchor][tag]
+};
+[[nodiscard]] PollTable tabulate_polls(const Association& association);
+
+// Of each poll that was answered, in order, and of all of them together.
+struct SightPosterior {
+  std::vector<SightVector> prior;      // from all but the row's own residual
+  std::vector<SightVector> posterior;  // from all
+  double log_evidence = 0.0;
+  SightVector answered = SightVector::Zero();  // polls expected in each state
+  SightVector missed = SightVector::Zero();
+};
+// Forward-backward. `likelihoods` holds the residual's density in each state, 1/m, of each answered poll in
+// order. The result's vectors are reused.
+void infer_sight(const SightChain& chain, std::span<const Poll> polls,
+                 std::span<const SightVector> likelihoods, SightPosterior& out);
+
+}  // namespace groma::calibration

@@ -1,0 +1,392 @@
+#include "host/calibration/sight_solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace groma::calibration {
+namespace {
+
+// Data ask for the chain where replies alone hold a pair for blocked for so large a share of its polls,
+constexpr double kBlockedByReplies = 0.02;
+// or where residuals longer than so many scales follow each other.
+constexpr double kLong = 3.0;
+constexpr double kLongShare = 0.02;
+constexpr double kLongOverShort = 2.0;
+constexpr double kLongCorrelation = 0.2;
+constexpr double kLongSignificance = 5.0;
+constexpr std::size_t kMinPolls = 50;
+// Beyond this replies are lost for weakness, and hills and trees are no walls: the model is one of halls and
+// yards, for drives with nearly all of their ranges within it.
+constexpr double kReach_m = 60.0;
+constexpr double kNearShare = 0.9;
+
+constexpr int kRounds = 7;
+constexpr int kLabelRounds = 2;
+// Rows in sight that solve an anchor alone in the first round.
+constexpr double kEnoughInSight = 0.25;
+// An episode behind a wall.
+constexpr double kEpisode_s = 4.0;
+constexpr std::size_t kEpisodeRows = 8;
+constexpr std::size_t kEpisodeBreak = 3;
+// Replies that it takes to move a state's reply probability half-way from where it starts.
+constexpr double kReplyWeight = 200.0;
+// Walls of a site have an excess in common, but for this.
+constexpr double kWallSpread_m = 0.1;
+constexpr double kKnownWall_m = 0.1;
+constexpr double kWallShapeWeight = 50.0;
+
+KernelShape shadow_shape(double scale_m) {
+  KernelShape shape{
+      .scale_m = scale_m, .wide = 0.15, .bumps = {0.38, 0.2, 0.08, 0.02, 0.01, 0.005}, .gross = 0.005};
+  return shape;
+}
+KernelShape wall_shape() {
+  return {.scale_m = 0.15, .wide = 0.1, .bumps = {0.1, 0.03, 0.01, 0.01, 0.005, 0.005}, .gross = 0.005};
+}
+
+// What one pass over an anchor's rows finds.
+struct AnchorPass {
+  AnchorSight sight;
+  SightShares shares;
+  double log_evidence = 0.0;
+  SightVector answered = SightVector::Zero();
+  SightVector missed = SightVector::Zero();
+  std::vector<WeighedResidual> walled;
+  std::vector<double> start_excess_m;  // of each episode over the common part
+};
+
+// Indices of a fit's rows end here.
+std::size_t rows_until(const AnchorFit& fit) {
+  return fit.problem.rows.empty() ? 0 : fit.problem.rows.back().index + std::size_t{1};
+}
+
+SightShares shares_of(const SightVector& answered, const SightVector& missed) {
+  SightShares out;
+  out.polls = (answered + missed) / std::max(1e-9, (answered + missed).sum());
+  out.rows = answered / std::max(1e-9, answered.sum());
+  return out;
+}
+
+std::size_t count_answered(std::span<const Poll> polls) {
+  return static_cast<std::size_t>(std::count_if(polls.begin(), polls.end(), [](Poll p) { return p >= 0; }));
+}
+
+// Ranges too long that come one after the other, and are not as often too short.
+bool long_residuals_hang_together(const AnchorFit& fit) {
+  const std::size_t tags = fit.problem.tag_count;
+  double rows = 0.0;
+  double neighbours = 0.0;
+  double too_long = 0.0;
+  double too_short = 0.0;
+  double both = 0.0;
+  constexpr int kNone = -1;
+  std::vector<int> last(tags, kNone);
+  for (const Observation& row : fit.problem.rows) {
+    const double r = residual_m(row, fit.anchor, tags);
+    const double limit_m = kLong * fit.kernels[row.tag].shape().scale_m;
+    const int is_long = r > limit_m ? 1 : 0;
+    rows += 1.0;
+    too_long += is_long;
+    too_short += r < -limit_m ? 1.0 : 0.0;
+    if (last[row.tag] != kNone) {
+      neighbours += 1.0;
+      both += is_long * last[row.tag];
+    }
+    last[row.tag] = is_long;
+  }
+  if (neighbours < static_cast<double>(kMinPolls)) return false;
+  const double share = too_long / rows;
+  if (share < kLongShare || too_long < kLongOverShort * too_short) return false;
+  const double correlation = (both / neighbours - share * share) / (share * (1.0 - share));
+  return correlation > std::max(kLongCorrelation, kLongSignificance / std::sqrt(neighbours));
+}
+
+bool replies_tell_of_blocking(const SightChain& chain, std::span<const std::vector<Poll>> pairs) {
+  SightPosterior posterior;
+  std::vector<SightVector> likelihoods;
+  for (const std::vector<Poll>& polls : pairs) {
+    if (polls.size() < kMinPolls) continue;
+    const std::size_t answered = count_answered(polls);
+    if (answered == polls.size()) continue;
+    likelihoods.assign(answered, SightVector::Ones());
+    infer_sight(chain, polls, likelihoods, posterior);
+    if (shares_of(posterior.answered, posterior.missed).polls(kInSight) < 1.0 - kBlockedByReplies)
+      return true;
+  }
+  return false;
+}
+
+class SightSolver {
+ public:
+  SightSolver(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits,
+              const model::RangePriors& priors)
+      : table_(table), fits_(fits), priors_(priors) {
+    out_.model = start;
+  }
+
+  SiteSight solve();
+
+ private:
+  void label_by_replies();
+  [[nodiscard]] AnchorPass look(std::size_t anchor) const;
+  void learn(const std::vector<AnchorPass>& passes);
+  void apply(std::size_t anchor, AnchorPass pass);
+
+  const PollTable& table_;
+  std::vector<AnchorFit>& fits_;
+  const model::RangePriors& priors_;
+  SiteSight out_;
+};
+
+// From which polls were answered alone: rows in sight are taken as such, the others not at all or, where
+// there are few in sight, as through a wall.
+void SightSolver::label_by_replies() {
+  SightPosterior posterior;
+  std::vector<SightVector> likelihoods;
+  for (std::size_t a = 0; a < fits_.size(); ++a) {
+    AnchorSight sight;
+    sight.rows.resize(rows_until(fits_[a]));
+    sight.prior = out_.model.wall_prior;
+    sight.wall = RobustKernel(out_.model.wall);
+    double seen = 0.0;
+    for (const std::vector<Poll>& polls : table_.polls[a]) {
+      likelihoods.assign(count_answered(polls), SightVector::Ones());
+      infer_sight(out_.model.chain, polls, likelihoods, posterior);
+      std::size_t i = 0;
+      for (const Poll poll : polls) {
+        if (poll < 0) continue;
+        const bool in_sight = posterior.posterior[i++](kInSight) > 0.5;
+        RowSight& row = sight.rows[static_cast<std::size_t>(poll)];
+        row = {.in_sight = in_sight ? 1.0F : 0.0F, .wall = 0.0F, .other_density = in_sight ? 0.0F : 1.0F};
+        seen += in_sight ? 1.0 : 0.0;
+      }
+    }
+    if (seen < kEnoughInSight * static_cast<double>(sight.rows.size())) {
+      sight.behind_wall = true;
+      for (RowSight& row : sight.rows) {
+        if (row.in_sight == 0.0F) row = {.in_sight = 0.0F, .wall = 1.0F, .other_density = 0.0F};
+      }
+    }
+    AnchorPass pass;
+    pass.sight = std::move(sight);
+    apply(a, std::move(pass));
+  }
+}
+
+AnchorPass SightSolver::look(std::size_t a) const {
+  const AnchorFit& fit = fits_[a];
+  const std::size_t tags = fit.problem.tag_count;
+  const std::span<const Observation> rows = fit.problem.rows;
+  AnchorPass out;
+  if (rows.empty()) return out;
+  const std::size_t first_row = rows.front().index;
+  out.sight.rows.resize(rows_until(fit));
+  out.sight.prior = out_.model.wall_prior;
+  out.sight.wall = RobustKernel(out_.model.wall);
+  const AnchorSight* before = fit.problem.sight;
+  const bool had_wall = before != nullptr && before->behind_wall;
+  const double common_m = had_wall ? fit.anchor(wall_index(tags)) : out_.model.wall_prior.mean_m;
+  KernelShape anywhere_shape = out_.model.wall;
+  anywhere_shape.scale_m = std::hypot(out_.model.wall.scale_m, out_.model.wall_prior.episode_sigma_m);
+  const RobustKernel anywhere(anywhere_shape);
+
+  SightPosterior posterior;
+  std::vector<SightVector> likelihoods;
+  std::vector<double> residuals_m;
+  for (std::size_t tag = 0; tag < tags; ++tag) {
+    const std::vector<Poll>& polls = table_.polls[a][tag];
+    likelihoods.clear();
+    residuals_m.clear();
+    for (const Poll poll : polls) {
+      if (poll < 0) continue;
+      const Observation& row = rows[static_cast<std::size_t>(poll) - first_row];
+      const double r = residual_m(row, fit.anchor, tags);
+      residuals_m.push_back(r);
+      double walled = 0.0;
+      if (had_wall && before->rows[row.index].episode != kNoEpisode) {
+        walled = before->wall.at(r - wall_excess_m(before->rows[row.index], fit.anchor, tags)).density;
+      } else {
+        walled = anywhere.at(r - common_m).density;
+      }
+      likelihoods.emplace_back(fit.kernels[tag].at(r).density, out_.model.shadow.at(r).density, walled);
+    }
+    infer_sight(out_.model.chain, polls, likelihoods, posterior);
+    out.log_evidence += posterior.log_evidence;
+    out.answered += posterior.answered;
+    out.missed += posterior.missed;
+
+    // Rows and, of those behind a wall, episodes.
+    std::size_t i = 0;
+    std::size_t first = 0;
+    std::size_t last = 0;
+    std::size_t inside = 0;
+    std::vector<std::size_t> of_row;
+    for (const Poll poll : polls) {
+      if (poll < 0) continue;
+      of_row.push_back(static_cast<std::size_t>(poll));
+      RowSight& row = out.sight.rows[of_row.back()];
+      const SightVector& prior = posterior.prior[i];
+      row.in_sight = static_cast<float>(prior(kInSight));
+      row.wall = static_cast<float>(prior(kWall));
+      row.other_density = static_cast<float>(prior(kShadow) * likelihoods[i](kShadow));
+      ++i;
+    }
+    const auto close = [&] {
+      if (inside < kEpisodeRows ||
+          rows[of_row[last] - first_row].t_s - rows[of_row[first] - first_row].t_s < kEpisode_s) {
+        inside = 0;
+        return;
+      }
+      const auto episode = static_cast<std::int32_t>(out.sight.episodes++);
+      double sum_m = 0.0;
+      double weight = 0.0;
+      for (std::size_t k = first; k <= last; ++k) {
+        RowSight& row = out.sight.rows[of_row[k]];
+        row.episode = episode;
+        const double share = posterior.posterior[k](kWall);
+        const double r = residuals_m[k] - common_m;
+        if (std::abs(r) > 4.0 * anywhere_shape.scale_m) continue;
+        sum_m += share * r;
+        weight += share;
+      }
+      const double believed = std::pow(out_.model.wall.scale_m / out_.model.wall_prior.episode_sigma_m, 2);
+      const double start_m = sum_m / (weight + believed);
+      out.start_excess_m.push_back(start_m);
+      for (std::size_t k = first; k <= last; ++k) {
+        out.walled.push_back(
+            {.residual_m = residuals_m[k] - common_m - start_m, .weight = posterior.posterior[k](kWall)});
+      }
+      inside = 0;
+    };
+    for (std::size_t k = 0; k < i; ++k) {
+      if (posterior.posterior[k](kWall) > 0.5) {
+        if (inside == 0) first = k;
+        ++inside;
+        last = k;
+      } else if (inside > 0 && k - last >= kEpisodeBreak) {
+        close();
+      }
+    }
+    if (inside > 0) close();
+    // Outside of episodes what a wall adds is too uncertain to be of use.
+    for (std::size_t k = 0; k < i; ++k) {
+      RowSight& row = out.sight.rows[of_row[k]];
+      if (row.episode != kNoEpisode) continue;
+      row.other_density += row.wall * static_cast<float>(likelihoods[k](kWall));
+      row.wall = 0.0F;
+    }
+  }
+  out.sight.behind_wall = out.sight.episodes > 0;
+  out.shares = shares_of(out.answered, out.missed);
+  return out;
+}
+
+void SightSolver::learn(const std::vector<AnchorPass>& passes) {
+  SightVector answered = SightVector::Zero();
+  SightVector missed = SightVector::Zero();
+  std::vector<WeighedResidual> walled;
+  double information = 1.0 / std::pow(WallPrior{}.sigma_m, 2);
+  double weighted_m = WallPrior{}.mean_m * information;
+  for (std::size_t a = 0; a < passes.size(); ++a) {
+    const AnchorPass& pass = passes[a];
+    answered += pass.answered;
+    missed += pass.missed;
+    walled.insert(walled.end(), pass.walled.begin(), pass.walled.end());
+    const AnchorFit& fit = fits_[a];
+    if (fit.problem.sight == nullptr || !fit.problem.sight->behind_wall || !pass.sight.behind_wall) continue;
+    // Only where it is seen as well can a wall be told from a bias.
+    if (pass.shares.polls(kInSight) < 0.3) continue;
+    const double weight = 1.0 / (kKnownWall_m * kKnownWall_m + kWallSpread_m * kWallSpread_m);
+    information += weight;
+    weighted_m += weight * fit.anchor(wall_index(fit.problem.tag_count));
+  }
+  const SightVector believed = SightChain{}.reply;
+  if (table_.regular) {
+    out_.model.chain.reply =
+        (answered + kReplyWeight * believed)
+            .cwiseQuotient((answered + missed).array().matrix() + SightVector::Constant(kReplyWeight));
+  } else {
+    out_.model.chain.reply.setConstant(0.5);
+  }
+  out_.model.wall_prior.mean_m = weighted_m / information;
+  out_.model.wall_prior.sigma_m = std::sqrt(1.0 / information + kWallSpread_m * kWallSpread_m);
+  out_.model.wall = fit_kernel(
+      walled, {.shape = wall_shape(), .scale_weight = kWallShapeWeight, .share_weight = kWallShapeWeight}, 3);
+}
+
+void SightSolver::apply(std::size_t a, AnchorPass pass) {
+  AnchorFit& fit = fits_[a];
+  const std::size_t tags = fit.problem.tag_count;
+  const bool had_wall = fit.problem.sight != nullptr && fit.problem.sight->behind_wall;
+  const double common_m = had_wall ? fit.anchor(wall_index(tags)) : out_.model.wall_prior.mean_m;
+  AnchorVector anchor(wall_index(tags) + static_cast<Eigen::Index>(pass.sight.extra_unknowns()));
+  anchor.head(wall_index(tags)) = fit.anchor.head(wall_index(tags));
+  if (pass.sight.behind_wall) {
+    anchor(wall_index(tags)) = common_m;
+    for (std::size_t k = 0; k < pass.sight.episodes; ++k) {
+      anchor(episode_index(static_cast<std::int32_t>(k), tags)) = pass.start_excess_m[k];
+    }
+  }
+  fit.anchor = std::move(anchor);
+  out_.anchors[a] = std::move(pass.sight);
+  out_.shares[a] = pass.shares;
+  fit.problem.sight = &out_.anchors[a];
+}
+
+SiteSight SightSolver::solve() {
+  out_.anchors.resize(fits_.size());
+  out_.shares.resize(fits_.size());
+  if (table_.regular) {
+    label_by_replies();
+    refine_site(fits_, priors_, kLabelRounds);
+  }
+  for (int round = 0; round < kRounds; ++round) {
+    std::vector<AnchorPass> passes;
+    for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(look(a));
+    learn(passes);
+    for (std::size_t a = 0; a < fits_.size(); ++a) {
+      passes[a].sight.prior = out_.model.wall_prior;
+      passes[a].sight.wall = RobustKernel(out_.model.wall);
+      apply(a, std::move(passes[a]));
+    }
+    refine_site(fits_, priors_, 1);
+  }
+  return std::move(out_);
+}
+
+}  // namespace
+
+SightModel first_sight_model(const PollTable& table, const model::RangePriors& priors) {
+  SightModel out;
+  out.chain.transition = sight_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
+  out.shadow = RobustKernel(shadow_shape(priors.sigma_m));
+  out.wall = wall_shape();
+  return out;
+}
+
+bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
+  std::size_t near = 0;
+  std::size_t all = 0;
+  for (const AnchorFit& fit : fits) {
+    for (const Observation& row : fit.problem.rows) near += row.range_m < kReach_m ? 1 : 0;
+    all += fit.problem.rows.size();
+  }
+  return static_cast<double>(near) >= kNearShare * static_cast<double>(all);
+}
+
+bool is_sight_wanted(const PollTable& table, const std::vector<AnchorFit>& fits,
+                     const model::RangePriors& priors) {
+  const SightChain chain = first_sight_model(table, priors).chain;
+  for (std::size_t a = 0; a < fits.size(); ++a) {
+    if (table.regular && replies_tell_of_blocking(chain, table.polls[a])) return true;
+    if (long_residuals_hang_together(fits[a])) return true;
+  }
+  return false;
+}
+
+SiteSight solve_sight(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits,
+                      const model::RangePriors& priors) {
+  return SightSolver(table, start, fits, priors).solve();
+}
+
+}  // namespace groma::calibration

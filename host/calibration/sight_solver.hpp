@@ -1,0 +1,48 @@
+// All anchors once more where ranges come through something: each row's sight and the anchors in turns.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "host/calibration/association.hpp"
+#include "host/calibration/sight.hpp"
+#include "host/calibration/sight_chain.hpp"
+#include "host/calibration/site_solver.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::calibration {
+
+// How an anchor was seen.
+struct SightShares {
+  SightVector polls = SightVector::Zero();  // share of its polls in each state
+  SightVector rows = SightVector::Zero();   // of its ranges
+};
+
+// What all pairs of a site have in common.
+struct SightModel {
+  SightChain chain;
+  RobustKernel shadow;  // of residuals in a shadow
+  KernelShape wall;     // of what is left of residuals behind a wall
+  WallPrior wall_prior;
+};
+[[nodiscard]] SightModel first_sight_model(const PollTable& table, const model::RangePriors& priors);
+
+struct SiteSight {
+  std::vector<AnchorSight> anchors;  // empty: nothing asks for it; the fits point here
+  std::vector<SightShares> shares;   // of each anchor
+  SightModel model;                  // as learnt
+};
+
+// Whether nearly all ranges are those of a hall or a yard. On longer ones replies are lost for weakness,
+// hills and trees are no walls, and the halves of a drive see an anchor from one side each.
+[[nodiscard]] bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept;
+
+// Whether ranges come through something for longer than a moment; for fits within reach.
+[[nodiscard]] bool is_sight_wanted(const PollTable& table, const std::vector<AnchorFit>& fits,
+                                   const model::RangePriors& priors);
+
+// Finds each row's sight and solves the fits with it. The table: of the same rows.
+[[nodiscard]] SiteSight solve_sight(const PollTable& table, const SightModel& start,
+                                    std::vector<AnchorFit>& fits, const model::RangePriors& priors);
+
+}  // namespace groma::calibration

@@ -1,0 +1,248 @@
+#include "host/daemon/anchor_learner.hpp"
+
+#include <fmt/format.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <set>
+#include <utility>
+
+#include "host/calibration/verdict.hpp"
+#include "host/daemon/sample_digest.hpp"
+#include "host/io/calibration_file.hpp"
+#include "host/io/version.hpp"
+
+namespace groma::daemon {
+namespace {
+
+// Beside localization, which comes first.
+constexpr int kNiceness = 10;
+
+double sigma_xy_m(const model::AnchorCalibration& anchor) {
+  return std::sqrt(std::max(anchor.covariance(0, 0), anchor.covariance(1, 1)));
+}
+
+const model::AnchorCalibration* find(const model::Calibration& calibration, model::NodeId id) {
+  const auto found = std::find_if(calibration.anchors.begin(), calibration.anchors.end(),
+                                  [id](const auto& anchor) { return anchor.id == id; });
+  return found == calibration.anchors.end() ? nullptr : &*found;
+}
+
+calibration::LearningStep learn_and_name(const calibration::LearningInput& input) {
+  calibration::LearningStep step = calibration::learn(input);
+  if (step.learnt) {
+    const calibration::DriveStore::Samples samples = input.places->samples();
+    step.learnt->calibration.input_sha256 = sample_digest(samples.ranges, samples.poses);
+  }
+  return step;
+}
+
+calibration::LearningStep learn_quietly(const calibration::LearningInput& input) {
+  // Of this thread alone, on Linux.
+  ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kNiceness);
+  return learn_and_name(input);
+}
+
+}  // namespace
+
+std::string_view state_word(AnchorState state) noexcept {
+  switch (state) {
+    case AnchorState::kKnown:
+      return "known";
+    case AnchorState::kLearning:
+      return "learning";
+    case AnchorState::kLive:
+      return "live";
+    case AnchorState::kMoved:
+      return "moved";
+  }
+  return "";
+}
+
+AnchorLearner::AnchorLearner(Setup setup) : setup_(std::move(setup)), store_(setup_.limits) {
+  std::erase_if(setup_.earlier.anchors,
+                [](const auto& anchor) { return !calibration::has_position(anchor); });
+  live_ = setup_.earlier;
+}
+
+void AnchorLearner::on_range(const model::RangeSample& range) {
+  store_.add(range);
+}
+
+void AnchorLearner::on_pose_prior(const model::PoseSample& pose) {
+  if (setup_.poses == Poses::kPriors) store_.add(pose);
+}
+
+void AnchorLearner::on_filter_pose(const model::PoseSample& pose) {
+  if (setup_.poses == Poses::kFilter) store_.add(pose);
+}
+
+void AnchorLearner::on_clock_set() {
+  store_.clear();
+  suspicion_.clear();
+  solved_segments_ = 0;
+  next_step_s_ = -std::numeric_limits<double>::infinity();
+  next_places_s_ = next_step_s_;
+  begin_s_ = std::numeric_limits<double>::quiet_NaN();
+}
+
+calibration::LearningInput AnchorLearner::input(bool all_places) const {
+  return {.places = all_places ? std::optional(store_.places()) : std::nullopt,
+          .recent = store_.recent(),
+          .live = live_,
+          .tags = setup_.tags,
+          .surface = setup_.surface,
+          .priors = setup_.priors};
+}
+
+bool AnchorLearner::service() {
+  bool changed = false;
+  if (solving_.valid()) {
+    if (solving_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return false;
+    changed = take(solving_.get(), false);
+  }
+  if (store_.closed() == solved_segments_ || store_.last_s() < next_step_s_) return changed;
+  solved_segments_ = store_.closed();
+  next_step_s_ = store_.last_s() + setup_.step_s;
+  const bool all_places = store_.last_s() >= next_places_s_;
+  if (all_places) {
+    if (std::isnan(begin_s_)) begin_s_ = store_.last_s();
+    next_places_s_ = store_.last_s() + std::clamp(kLonger * (store_.last_s() - begin_s_), setup_.step_s,
+                                                  std::max(setup_.step_s, kMostBetween_s));
+  }
+  if (!setup_.threaded) return take(learn_and_name(input(all_places)), false) || changed;
+  solving_ = std::async(std::launch::async, [input = input(all_places)] { return learn_quietly(input); });
+  return changed;
+}
+
+bool AnchorLearner::finish() {
+  bool changed = false;
+  if (solving_.valid()) changed = take(solving_.get(), false);
+  store_.close();
+  return take(learn_and_name(input(true)), true) || changed;
+}
+
+bool AnchorLearner::take(calibration::LearningStep step, bool last) {
+  ++steps_;
+  const bool anew = step.learnt.has_value();
+  if (anew) learnt_ = std::move(*step.learnt);
+  const bool moved = take_out_moved(step.rechecked);
+  for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
+    // Moved before it was good enough to be used: what it said at its former place is of no use.
+    if (anchor.verdict == model::AnchorVerdict::kMoved && find(live_, anchor.id) == nullptr) {
+      store_.forget(anchor.id, store_.last_s() - setup_.limits.segment_s *
+                                                     static_cast<double>(setup_.limits.recent_segments));
+    }
+  }
+  const bool learnt = anew && take_in_learnt(last);
+  if (moved || learnt) live_.verdict = calibration::judge_site(live_.anchors);
+  return moved || learnt;
+}
+
+bool AnchorLearner::take_out_moved(const std::vector<calibration::AnchorChange>& rechecked) {
+  bool changed = false;
+  std::map<model::NodeId, int> suspicion;
+  for (const calibration::AnchorChange& change : rechecked) {
+    if (!change.moved || find(live_, change.id) == nullptr) continue;
+    const int times = suspicion_[change.id] + 1;
+    if (times < kMovedSteps) {
+      suspicion[change.id] = times;
+      continue;
+    }
+    std::erase_if(live_.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
+    std::erase_if(setup_.earlier.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
+    std::erase_if(learnt_.calibration.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
+    store_.forget(change.id, store_.last_s());
+    moved_m_[change.id] = change.displacement_m.norm();
+    news_.push_back(fmt::format("anchor {} moved by {:.2f} m; it is not used until its new place is learnt",
+                                change.id, moved_m_[change.id]));
+    changed = true;
+  }
+  suspicion_ = std::move(suspicion);
+  return changed;
+}
+
+bool AnchorLearner::is_earlier(model::NodeId id) const {
+  return find(setup_.earlier, id) != nullptr;
+}
+
+// All anchors that were learnt are of one solution: they are taken in together.
+bool AnchorLearner::take_in_learnt(bool last) {
+  bool wanted = false;
+  std::vector<model::AnchorCalibration> learnt;
+  for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
+    if (is_earlier(anchor.id) || !calibration::carries(anchor)) continue;
+    learnt.push_back(anchor);
+    const model::AnchorCalibration* before = find(live_, anchor.id);
+    if (before == nullptr) {
+      news_.push_back(fmt::format("anchor {} is learnt: verdict {}, {} ranges, sigma {:.2f} m", anchor.id,
+                                  io::word(anchor.verdict), anchor.ranges_used, sigma_xy_m(anchor)));
+      moved_m_.erase(anchor.id);
+    }
+    wanted = wanted || last || before == nullptr || sigma_xy_m(anchor) < kBetter * sigma_xy_m(*before);
+  }
+  if (!wanted) return false;
+  const model::Calibration before = std::exchange(live_, setup_.earlier);
+  const Eigen::Matrix4d& frame = learnt_.calibration.common_frame_covariance;
+  if (setup_.earlier.anchors.empty()) {
+    live_.common_frame_covariance = frame;
+    live_.range_delay_s = learnt_.calibration.range_delay_s;
+    live_.range_delay_sigma_s = learnt_.calibration.range_delay_sigma_s;
+    live_.tags = learnt_.calibration.tags;
+  } else {
+    // The filter's poses wander within the frame of the anchors that it tracks by.
+    for (model::AnchorCalibration& anchor : learnt) {
+      const Eigen::Matrix<double, 3, 4> by_frame = calibration::place_by_frame(anchor.position_m);
+      anchor.covariance.topLeftCorner<3, 3>() += by_frame * frame * by_frame.transpose();
+    }
+  }
+  live_.input_sha256 = learnt_.calibration.input_sha256;
+  live_.program_version = io::program_version();
+  live_.anchors.insert(live_.anchors.end(), learnt.begin(), learnt.end());
+  // One that was good once and is not in this solution stays as it was.
+  for (const model::AnchorCalibration& anchor : before.anchors) {
+    if (find(live_, anchor.id) == nullptr) live_.anchors.push_back(anchor);
+  }
+  std::sort(live_.anchors.begin(), live_.anchors.end(),
+            [](const auto& a, const auto& b) { return a.id < b.id; });
+  return true;
+}
+
+std::vector<AnchorProgress> AnchorLearner::progress() const {
+  std::set<model::NodeId> ids;
+  for (const auto& anchor : live_.anchors) ids.insert(anchor.id);
+  for (const auto& anchor : learnt_.calibration.anchors) ids.insert(anchor.id);
+  for (const auto& [id, distance_m] : moved_m_) ids.insert(id);
+  std::vector<AnchorProgress> out;
+  for (const model::NodeId id : ids) {
+    const model::AnchorCalibration* live = find(live_, id);
+    const model::AnchorCalibration* learnt = find(learnt_.calibration, id);
+    const model::AnchorCalibration* anchor = live != nullptr ? live : learnt;
+    AnchorProgress& progress = out.emplace_back();
+    progress.id = id;
+    if (live != nullptr) {
+      progress.state = is_earlier(id) ? AnchorState::kKnown : AnchorState::kLive;
+    } else {
+      progress.state = moved_m_.contains(id) ? AnchorState::kMoved : AnchorState::kLearning;
+    }
+    if (anchor == nullptr) {
+      progress.advice = "drive past it to learn its new place";
+      continue;
+    }
+    progress.coverage = live != nullptr ? 1.0 : calibration::coverage(*anchor);
+    progress.verdict = anchor->verdict;
+    progress.advice = anchor->advice;
+    progress.ranges_used = learnt != nullptr ? learnt->ranges_used : 0;
+    if (calibration::has_position(*anchor)) progress.sigma_m = sigma_xy_m(*anchor);
+  }
+  return out;
+}
+
+std::vector<std::string> AnchorLearner::take_news() {
+  return std::exchange(news_, {});
+}
+
+}  // namespace groma::daemon

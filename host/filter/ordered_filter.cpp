@@ -1,0 +1,188 @@
+#include "host/filter/ordered_filter.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <utility>
+
+namespace groma::filter {
+
+namespace {
+
+using model::OdometrySample;
+using model::RangeSample;
+
+constexpr double kNever = -std::numeric_limits<double>::infinity();
+// Checkpoints within the window.
+constexpr double kPerWindow = 4.0;
+// Inputs from one checkpoint to the next at most: so many are taken again for one that comes late.
+constexpr std::uint64_t kMostAgain = OrderedFilter::kMaxInputs / 8;
+
+// What inputs are sorted by: time, kind, and what else they say.
+struct Place {
+  std::size_t kind = 0;
+  std::array<double, 4> values{};
+  friend bool operator<(const Place& a, const Place& b) noexcept {
+    if (a.values[0] != b.values[0]) return a.values[0] < b.values[0];
+    return a.kind != b.kind ? a.kind < b.kind : a.values < b.values;
+  }
+};
+
+Place place_of(const Start& start) noexcept {
+  return {0, {start.t_s, start.pose.x_m, start.pose.y_m, start.pose.theta_rad}};
+}
+
+Place place_of(const OdometrySample& row) noexcept {
+  return {1, {row.t_s, row.vx_mps, row.vy_mps, row.omega_radps}};
+}
+
+Place place_of(const RangeSample& range) noexcept {
+  return {
+      2, {range.t_s, static_cast<double>(range.tag_id), static_cast<double>(range.anchor_id), range.range_m}};
+}
+
+template <class Input>
+Place place_of(const Input& input) noexcept {
+  if (const auto* start = std::get_if<Start>(&input)) return place_of(*start);
+  if (const auto* row = std::get_if<OdometrySample>(&input)) return place_of(*row);
+  if (const auto* range = std::get_if<RangeSample>(&input)) return place_of(*range);
+  return {};
+}
+
+template <class Input>
+double time_of(const Input& input) noexcept {
+  return place_of(input).values[0];
+}
+
+}  // namespace
+
+OrderedFilter::OrderedFilter(model::Surface surface, std::span<const model::Tag> tags,
+                             const model::Calibration& calibration, const Config& config, double window_s)
+    : filter_(std::move(surface), tags, calibration, config),
+      window_s_(window_s),
+      checkpoints_(kMaxCheckpoints, {.filter = filter_.snapshot()}),
+      newest_s_(kNever) {
+  inputs_.reserve(kMaxInputs);
+  check_in(0, kNever);
+}
+
+bool OrderedFilter::start(const Start& start) noexcept {
+  const bool finite = std::isfinite(start.t_s + start.pose.x_m + start.pose.y_m + start.pose.theta_rad);
+  return finite && insert(start).taken;
+}
+
+OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
+  // What is not a number has no place in any order.
+  if (!std::isfinite(row.t_s + row.vx_mps + row.vy_mps + row.omega_radps)) {
+    ++refused_.odometry_bad_value;
+    return OdometryOutcome::kBadValue;
+  }
+  const Outcome outcome = insert(row);
+  if (!outcome.taken) ++refused_.odometry_out_of_order;
+  return outcome.odometry;
+}
+
+RangeResult OrderedFilter::process(const RangeSample& range) noexcept {
+  if (!std::isfinite(range.t_s + range.range_m)) {
+    ++refused_.ranges_bad_value;
+    return {.outcome = RangeOutcome::kBadValue};
+  }
+  const Outcome outcome = insert(range);
+  if (!outcome.taken) ++refused_.ranges_out_of_order;
+  return outcome.range;
+}
+
+Counters OrderedFilter::counters() const noexcept {
+  Counters sum = filter_.counters();
+  sum.odometry_bad_value += refused_.odometry_bad_value;
+  sum.odometry_out_of_order += refused_.odometry_out_of_order;
+  sum.ranges_bad_value += refused_.ranges_bad_value;
+  sum.ranges_out_of_order += refused_.ranges_out_of_order;
+  return sum;
+}
+
+OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
+  const double t_s = time_of(input);
+  if (t_s < newest_s_ - window_s_) return {};
+  if (inputs_.size() == kMaxInputs) {
+    // Too many for the window: half of it goes.
+    check_in(first_ + inputs_.size(), newest_s_);
+    while (checkpoint_count_ > 1 && checkpoint(0).next < first_ + kMaxInputs / 2) {
+      first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
+      --checkpoint_count_;
+    }
+    forget();
+  }
+  const auto place = std::upper_bound(inputs_.begin(), inputs_.end(), place_of(input),
+                                      [](const Place& a, const Input& b) { return a < place_of(b); });
+  const std::uint64_t number = first_ + static_cast<std::uint64_t>(std::distance(inputs_.begin(), place));
+  if (number < checkpoint(0).next) return {};
+  const bool last = place == inputs_.end();
+  inputs_.insert(place, input);
+  newest_s_ = std::max(newest_s_, t_s);
+
+  Outcome outcome;
+  if (last) {
+    check_in_when_due(number, t_s);
+    outcome = apply(input);
+  } else {
+    ++reordered_;
+    while (checkpoint(checkpoint_count_ - 1).next > number) --checkpoint_count_;
+    const Checkpoint& from = checkpoint(checkpoint_count_ - 1);
+    filter_.restore(from.filter);
+    for (std::uint64_t i = from.next; i < first_ + inputs_.size(); ++i) {
+      const Input& again = inputs_[static_cast<std::size_t>(i - first_)];
+      check_in_when_due(i, time_of(again));
+      const Outcome now = apply(again);
+      if (i == number) outcome = now;
+    }
+  }
+  outcome.taken = true;
+  while (checkpoint_count_ > 1 && checkpoint(1).t_s < newest_s_ - window_s_) {
+    first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
+    --checkpoint_count_;
+  }
+  if (inputs_.size() > kMaxInputs / 2) forget();
+  return outcome;
+}
+
+OrderedFilter::Outcome OrderedFilter::apply(const Input& input) noexcept {
+  Outcome outcome;
+  if (const auto* start = std::get_if<Start>(&input)) {
+    filter_.start(*start);
+  } else if (const auto* row = std::get_if<OdometrySample>(&input)) {
+    outcome.odometry = filter_.process(*row);
+  } else if (const auto* range = std::get_if<RangeSample>(&input)) {
+    outcome.range = filter_.process(*range);
+  }
+  return outcome;
+}
+
+void OrderedFilter::check_in_when_due(std::uint64_t next, double t_s) noexcept {
+  const Checkpoint& last = checkpoint(checkpoint_count_ - 1);
+  if (t_s - last.t_s > window_s_ / kPerWindow || next - last.next >= kMostAgain) check_in(next, t_s);
+}
+
+// The filter as it is now, before the input of number `next`, which is of t_s. Where the ring is full the
+// oldest goes.
+void OrderedFilter::check_in(std::uint64_t next, double t_s) noexcept {
+  if (checkpoint_count_ == kMaxCheckpoints) {
+    first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
+    --checkpoint_count_;
+  }
+  Checkpoint& at = checkpoint(checkpoint_count_++);
+  at.filter = filter_.snapshot();
+  at.next = next;
+  at.t_s = t_s;
+}
+
+// Inputs before the first checkpoint.
+void OrderedFilter::forget() noexcept {
+  const std::uint64_t first = checkpoint(0).next;
+  inputs_.erase(inputs_.begin(), inputs_.begin() + static_cast<std::ptrdiff_t>(first - first_));
+  first_ = first;
+}
+
+}  // namespace groma::filter

@@ -1,0 +1,345 @@
+#include "host/io/log_file.hpp"
+
+#include <pb_decode.h>
+#include <pb_encode.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <utility>
+
+#include "host/io/version.hpp"
+#include "log.pb.h"
+#include "proto/frame_codec.hpp"
+
+namespace groma::io {
+
+namespace {
+
+static_assert(groma_LogRecord_size <= wire::kMaxPayload, "a record has to fit into a frame");
+
+constexpr std::int16_t kNoPower = std::numeric_limits<std::int16_t>::min();
+constexpr std::int32_t kNoOffset = std::numeric_limits<std::int32_t>::min();
+
+template <typename Integer>
+Integer in_steps(float known, double steps, Integer unknown) {
+  if (!std::isfinite(known)) return unknown;
+  const auto value = static_cast<double>(known);
+  const double least = static_cast<double>(unknown) + 1.0;
+  return static_cast<Integer>(std::lround(
+      std::clamp(value * steps, least, static_cast<double>(std::numeric_limits<Integer>::max()))));
+}
+
+float of_steps(std::int32_t value, std::int32_t unknown, float steps) {
+  return value == unknown ? model::kUnknown : static_cast<float>(value) / steps;
+}
+
+std::uint8_t flags_of(const model::RangeSample& range) {
+  return static_cast<std::uint8_t>(static_cast<unsigned>(range.line_of_sight) | range.corrections);
+}
+
+constexpr std::uint8_t kSightMask = 3;
+
+void add(groma_LogRanges& out, const model::RangeSample& range, std::int64_t network_time_before_dtu) {
+  out.t_s[out.t_s_count++] = range.t_s;
+  out.tag_id[out.tag_id_count++] = range.tag_id;
+  out.anchor_id[out.anchor_id_count++] = range.anchor_id;
+  out.range_m[out.range_m_count++] = static_cast<float>(range.range_m);
+  out.first_path_power_cdbm[out.first_path_power_cdbm_count++] =
+      in_steps(range.first_path_power_dbm, 100.0, kNoPower);
+  out.receive_power_cdbm[out.receive_power_cdbm_count++] = in_steps(range.receive_power_dbm, 100.0, kNoPower);
+  out.clock_offset_ppb[out.clock_offset_ppb_count++] = in_steps(range.clock_offset_ppm, 1000.0, kNoOffset);
+  out.noise[out.noise_count++] =
+      std::isfinite(range.noise)
+          ? static_cast<std::uint16_t>(std::clamp(std::lround(range.noise), 0L, 65535L))
+          : std::uint16_t{0};
+  out.flags[out.flags_count++] = flags_of(range);
+  out.network_time_dtu[out.network_time_dtu_count++] = range.network_time_dtu - network_time_before_dtu;
+}
+
+// Columns that nothing is known in are left out.
+template <typename Value>
+void drop_if_all(pb_size_t& count, const Value* values, Value unknown) {
+  if (std::all_of(values, values + count, [&](Value value) { return value == unknown; })) count = 0;
+}
+
+void drop_unknown_columns(groma_LogRanges& ranges) {
+  drop_if_all(ranges.first_path_power_cdbm_count, ranges.first_path_power_cdbm, kNoPower);
+  drop_if_all(ranges.receive_power_cdbm_count, ranges.receive_power_cdbm, kNoPower);
+  drop_if_all(ranges.clock_offset_ppb_count, ranges.clock_offset_ppb, kNoOffset);
+  drop_if_all(ranges.noise_count, ranges.noise, std::uint16_t{0});
+  drop_if_all(ranges.flags_count, ranges.flags, std::uint8_t{0});
+  drop_if_all(ranges.network_time_dtu_count, ranges.network_time_dtu, std::int64_t{0});
+}
+
+void drop_unknown_columns(groma_LogPoses& poses) {
+  const auto unknown = [](double value) { return !std::isfinite(value); };
+  if (std::all_of(poses.roll_rad, poses.roll_rad + poses.roll_rad_count, unknown)) poses.roll_rad_count = 0;
+  if (std::all_of(poses.pitch_rad, poses.pitch_rad + poses.pitch_rad_count, unknown)) {
+    poses.pitch_rad_count = 0;
+  }
+}
+
+bool all_finite(const double* values, pb_size_t count) {
+  return std::all_of(values, values + count, [](double value) { return std::isfinite(value); });
+}
+
+// False, and nothing taken, where the columns do not belong together or hold what no measurement can.
+bool take(const groma_LogRanges& in, std::vector<model::RangeSample>& out) {
+  const pb_size_t n = in.t_s_count;
+  const auto whole = [n](pb_size_t count) { return count == n; };
+  const auto whole_or_absent = [n](pb_size_t count) { return count == n || count == 0; };
+  if (!whole(in.tag_id_count) || !whole(in.anchor_id_count) || !whole(in.range_m_count) ||
+      !whole_or_absent(in.first_path_power_cdbm_count) || !whole_or_absent(in.receive_power_cdbm_count) ||
+      !whole_or_absent(in.clock_offset_ppb_count) || !whole_or_absent(in.noise_count) ||
+      !whole_or_absent(in.flags_count) || !whole_or_absent(in.network_time_dtu_count) ||
+      !all_finite(in.t_s, n) ||
+      !std::all_of(in.range_m, in.range_m + n, [](float range_m) { return std::isfinite(range_m); })) {
+    return false;
+  }
+  std::int64_t network_time_dtu = 0;
+  for (pb_size_t i = 0; i < n; ++i) {
+    model::RangeSample& range = out.emplace_back();
+    range.t_s = in.t_s[i];
+    range.tag_id = in.tag_id[i];
+    range.anchor_id = in.anchor_id[i];
+    range.range_m = static_cast<double>(in.range_m[i]);
+    if (in.first_path_power_cdbm_count > 0) {
+      range.first_path_power_dbm = of_steps(in.first_path_power_cdbm[i], kNoPower, 100.0F);
+    }
+    if (in.receive_power_cdbm_count > 0) {
+      range.receive_power_dbm = of_steps(in.receive_power_cdbm[i], kNoPower, 100.0F);
+    }
+    if (in.clock_offset_ppb_count > 0) {
+      range.clock_offset_ppm = of_steps(in.clock_offset_ppb[i], kNoOffset, 1000.0F);
+    }
+    if (in.noise_count > 0 && in.noise[i] != 0) range.noise = static_cast<float>(in.noise[i]);
+    if (in.flags_count > 0) {
+      range.line_of_sight = static_cast<model::LineOfSight>(in.flags[i] & kSightMask);
+      range.corrections = static_cast<std::uint8_t>(in.flags[i] & ~kSightMask);
+    }
+    if (in.network_time_dtu_count > 0) {
+      network_time_dtu += in.network_time_dtu[i];
+      range.network_time_dtu = network_time_dtu;
+    }
+  }
+  return true;
+}
+
+bool take(const groma_LogOdometry& in, std::vector<model::OdometrySample>& out) {
+  const pb_size_t n = in.t_s_count;
+  if (in.vx_mps_count != n || in.vy_mps_count != n || in.omega_radps_count != n || !all_finite(in.t_s, n) ||
+      !all_finite(in.vx_mps, n) || !all_finite(in.vy_mps, n) || !all_finite(in.omega_radps, n)) {
+    return false;
+  }
+  for (pb_size_t i = 0; i < n; ++i) {
+    out.push_back({in.t_s[i], in.vx_mps[i], in.vy_mps[i], in.omega_radps[i]});
+  }
+  return true;
+}
+
+bool take(const groma_LogPoses& in, std::vector<model::PoseSample>& out) {
+  const pb_size_t n = in.t_s_count;
+  if (in.x_m_count != n || in.y_m_count != n || in.z_m_count != n || in.yaw_rad_count != n ||
+      (in.roll_rad_count != n && in.roll_rad_count != 0) ||
+      (in.pitch_rad_count != n && in.pitch_rad_count != 0) || !all_finite(in.t_s, n) ||
+      !all_finite(in.x_m, n) || !all_finite(in.y_m, n) || !all_finite(in.z_m, n) ||
+      !all_finite(in.yaw_rad, n)) {
+    return false;
+  }
+  for (pb_size_t i = 0; i < n; ++i) {
+    model::PoseSample& pose = out.emplace_back();
+    pose.t_s = in.t_s[i];
+    pose.x_m = in.x_m[i];
+    pose.y_m = in.y_m[i];
+    pose.z_m = in.z_m[i];
+    pose.yaw_rad = in.yaw_rad[i];
+    if (in.roll_rad_count > 0) pose.roll_rad = in.roll_rad[i];
+    if (in.pitch_rad_count > 0) pose.pitch_rad = in.pitch_rad[i];
+  }
+  return true;
+}
+
+void take(const groma_LogFile& in, std::vector<DescriptionFile>& out) {
+  if (out.empty() || out.back().name != in.name) out.push_back({in.name, {}});
+  out.back().text.append(reinterpret_cast<const char*>(in.content.bytes), in.content.size);
+}
+
+// False where the record cannot be one of ours.
+bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSection>& sections) {
+  if (record.which_body == groma_LogRecord_start_tag) {
+    sections.push_back({.program_version = record.body.start.program_version,
+                        .unix_time_ns = record.body.start.unix_time_ns,
+                        .description = {},
+                        .ranges = {},
+                        .odometry = {},
+                        .poses = {}});
+    return true;
+  }
+  if (sections.empty()) return false;
+  LogSection& section = sections.back();
+  switch (record.which_body) {
+    case groma_LogRecord_file_tag:
+      take(record.body.file, section.description);
+      return true;
+    case groma_LogRecord_ranges_tag:
+      return !with_samples || take(record.body.ranges, section.ranges);
+    case groma_LogRecord_odometry_tag:
+      return !with_samples || take(record.body.odometry, section.odometry);
+    case groma_LogRecord_poses_tag:
+      return !with_samples || take(record.body.poses, section.poses);
+    default:
+      return false;
+  }
+}
+
+}  // namespace
+
+// The records that are being filled, and room to encode one.
+struct LogEncoder::Records {
+  groma_LogRecord ranges = groma_LogRecord_init_zero;
+  groma_LogRecord odometry = groma_LogRecord_init_zero;
+  groma_LogRecord poses = groma_LogRecord_init_zero;
+  std::int64_t network_time_dtu = 0;  // of the last range
+  std::array<std::uint8_t, groma_LogRecord_size> payload{};
+  std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
+
+  Records() {
+    clear_ranges();
+    clear_odometry();
+    clear_poses();
+  }
+  void finish_ranges(std::string& out) {
+    if (ranges.body.ranges.t_s_count == 0) return;
+    drop_unknown_columns(ranges.body.ranges);
+    append(ranges, out);
+    clear_ranges();
+  }
+  void finish_odometry(std::string& out) {
+    if (odometry.body.odometry.t_s_count == 0) return;
+    append(odometry, out);
+    clear_odometry();
+  }
+  void finish_poses(std::string& out) {
+    if (poses.body.poses.t_s_count == 0) return;
+    drop_unknown_columns(poses.body.poses);
+    append(poses, out);
+    clear_poses();
+  }
+  void append(const groma_LogRecord& record, std::string& out) {
+    pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+    if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
+    const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
+    out.append(reinterpret_cast<const char*>(frame.data()), size);
+  }
+
+ private:
+  void clear_ranges() {
+    ranges = groma_LogRecord_init_zero;
+    ranges.which_body = groma_LogRecord_ranges_tag;
+    network_time_dtu = 0;
+  }
+  void clear_odometry() {
+    odometry = groma_LogRecord_init_zero;
+    odometry.which_body = groma_LogRecord_odometry_tag;
+  }
+  void clear_poses() {
+    poses = groma_LogRecord_init_zero;
+    poses.which_body = groma_LogRecord_poses_tag;
+  }
+};
+
+LogEncoder::LogEncoder() : records_(std::make_unique<Records>()) {}
+LogEncoder::~LogEncoder() = default;
+
+void LogEncoder::begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns) {
+  flush();
+  groma_LogRecord record = groma_LogRecord_init_zero;
+  record.which_body = groma_LogRecord_start_tag;
+  program_version().copy(record.body.start.program_version, sizeof(record.body.start.program_version) - 1);
+  record.body.start.unix_time_ns = unix_time_ns;
+  records_->append(record, bytes_);
+  for (const DescriptionFile& file : description) {
+    for (std::size_t begin = 0; begin < file.text.size(); begin += sizeof(record.body.file.content.bytes)) {
+      record = groma_LogRecord_init_zero;
+      record.which_body = groma_LogRecord_file_tag;
+      file.name.copy(record.body.file.name, sizeof(record.body.file.name) - 1);
+      const std::size_t size = std::min(sizeof(record.body.file.content.bytes), file.text.size() - begin);
+      std::memcpy(record.body.file.content.bytes, file.text.data() + begin, size);
+      record.body.file.content.size = static_cast<pb_size_t>(size);
+      records_->append(record, bytes_);
+    }
+  }
+}
+
+void LogEncoder::put(const model::RangeSample& range) {
+  groma_LogRanges& ranges = records_->ranges.body.ranges;
+  add(ranges, range, records_->network_time_dtu);
+  records_->network_time_dtu = range.network_time_dtu;
+  if (ranges.t_s_count == std::size(ranges.t_s)) records_->finish_ranges(bytes_);
+}
+
+void LogEncoder::put(const model::OdometrySample& row) {
+  groma_LogOdometry& odometry = records_->odometry.body.odometry;
+  odometry.t_s[odometry.t_s_count++] = row.t_s;
+  odometry.vx_mps[odometry.vx_mps_count++] = row.vx_mps;
+  odometry.vy_mps[odometry.vy_mps_count++] = row.vy_mps;
+  odometry.omega_radps[odometry.omega_radps_count++] = row.omega_radps;
+  if (odometry.t_s_count == std::size(odometry.t_s)) records_->finish_odometry(bytes_);
+}
+
+void LogEncoder::put(const model::PoseSample& pose) {
+  groma_LogPoses& poses = records_->poses.body.poses;
+  poses.t_s[poses.t_s_count++] = pose.t_s;
+  poses.x_m[poses.x_m_count++] = pose.x_m;
+  poses.y_m[poses.y_m_count++] = pose.y_m;
+  poses.z_m[poses.z_m_count++] = pose.z_m;
+  poses.yaw_rad[poses.yaw_rad_count++] = pose.yaw_rad;
+  poses.roll_rad[poses.roll_rad_count++] = pose.roll_rad;
+  poses.pitch_rad[poses.pitch_rad_count++] = pose.pitch_rad;
+  if (poses.t_s_count == std::size(poses.t_s)) records_->finish_poses(bytes_);
+}
+
+void LogEncoder::flush() {
+  records_->finish_ranges(bytes_);
+  records_->finish_odometry(bytes_);
+  records_->finish_poses(bytes_);
+}
+
+std::string LogEncoder::take() {
+  return std::exchange(bytes_, {});
+}
+
+LogContent parse_log(std::string_view bytes, std::optional<std::size_t> only) {
+  LogContent content;
+  const auto decoder = std::make_unique<wire::FrameDecoder>();
+  groma_LogRecord record = groma_LogRecord_init_zero;
+  std::size_t section = 0;  // that the frame belongs to
+  for (const char byte : bytes) {
+    if (!decoder->push(static_cast<std::uint8_t>(byte))) continue;
+    const std::span<const std::uint8_t> payload = decoder->payload();
+    pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
+    record = groma_LogRecord_init_zero;
+    const bool understood = pb_decode(&stream, groma_LogRecord_fields, &record);
+    if (understood && record.which_body == groma_LogRecord_start_tag) {
+      // What comes last is not known yet: what an earlier section had is let go when the next begins.
+      if (!only && !content.sections.empty()) {
+        LogSection& last = content.sections.back();
+        last.ranges = {};
+        last.odometry = {};
+        last.poses = {};
+      }
+      ++section;
+    }
+    if (!understood || !take(record, !only || section == *only, content.sections)) {
+      content.damaged_bytes += decoder->encoded_size();
+    }
+  }
+  decoder->reset();
+  content.damaged_bytes += decoder->counters().bytes_discarded;
+  return content;
+}
+
+}  // namespace groma::io

@@ -1,0 +1,109 @@
+// A site's ranges with walls and shadows in their way: replies get lost, those that come are too long.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "test/host/calibration/site_simulation.hpp"
+
+namespace groma::test {
+
+struct PlanWall {
+  Eigen::Vector2d from_m;
+  Eigen::Vector2d to_m;
+};
+
+struct Blocking {
+  std::vector<PlanWall> walls;  // as high as the hall
+  double reply_in_sight = 0.95;
+  double wall_reply = 0.45;
+  double wall_excess_m = 0.3;        // the least that a wall adds, and the mean of what comes upon it
+  double wall_excess_mean_m = 0.15;  // exponential
+  double shadow_reply = 0.6;
+  double shadow_excess_mean_m = 0.3;
+  double shadows_per_s = 0.01;  // of each pair; lasting 1 to 10 s
+  double gross_share = 0.02;    // 0.5 to 4 m too long
+};
+
+inline bool crosses(const PlanWall& wall, const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
+  const auto side = [](const Eigen::Vector2d& p, const Eigen::Vector2d& q, const Eigen::Vector2d& r) {
+    return (q - p).x() * (r - p).y() - (q - p).y() * (r - p).x() > 0.0;
+  };
+  return side(a, b, wall.from_m) != side(a, b, wall.to_m) &&
+         side(wall.from_m, wall.to_m, a) != side(wall.from_m, wall.to_m, b);
+}
+
+// Settings of a drive whose pairs are polled every 0.12 s.
+inline SiteSettings polled_settings(Route route, double duration_s) {
+  SiteSettings settings;
+  settings.route = route;
+  settings.duration_s = duration_s;
+  settings.ranges_per_pair = static_cast<std::size_t>(duration_s / 0.12);
+  settings.sigma_m = 0.08;
+  settings.pose_sigma_m = 0.014;
+  settings.pose_yaw_sigma_rad = 0.0027;
+  return settings;
+}
+
+// A polled site; the anchors of `moved` (indices) stand elsewhere in the second half of the drive.
+inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& blocking, std::uint64_t seed,
+                                  const std::vector<std::pair<std::size_t, Eigen::Vector3d>>& moved = {}) {
+  SimulatedSite site = simulate_site(settings, seed);
+  Random random(seed + 1000);
+  struct Span {
+    double from_s;
+    double to_s;
+  };
+  std::vector<std::vector<std::vector<Span>>> shadows(site.anchors.size(),
+                                                      std::vector<std::vector<Span>>(site.tags.size()));
+  for (auto& of_anchor : shadows) {
+    for (std::vector<Span>& of_pair : of_anchor) {
+      double t_s = 0.0;
+      while (blocking.shadows_per_s > 0.0) {
+        t_s += -std::log(1.0 - random.uniform()) / blocking.shadows_per_s;
+        if (t_s > settings.duration_s) break;
+        of_pair.push_back({t_s, t_s + random.uniform(1.0, 10.0)});
+        t_s = of_pair.back().to_s;
+      }
+    }
+  }
+  std::vector<model::RangeSample> kept;
+  for (model::RangeSample range : site.ranges) {
+    const std::size_t a = range.anchor_id - site.anchors.front().id;
+    const std::size_t j = range.tag_id - site.tags.front().id;
+    const Eigen::Vector3d antenna_m = antenna_of(true_pose(range.t_s, settings.route), site.tags[j]);
+    Eigen::Vector3d anchor_m = site.anchors[a].position_m;
+    for (const auto& [index, by_m] : moved) {
+      if (index != a || range.t_s < 0.5 * settings.duration_s) continue;
+      const double before_m = (antenna_m - anchor_m).norm();
+      anchor_m += by_m;
+      range.range_m += site.gamma[a][j] * ((antenna_m - anchor_m).norm() - before_m);
+    }
+    double reply = blocking.reply_in_sight;
+    bool walled = false;
+    for (const PlanWall& wall : blocking.walls) {
+      walled = walled || crosses(wall, antenna_m.head<2>(), anchor_m.head<2>());
+    }
+    const auto exponential_m = [&](double mean_m) { return -mean_m * std::log(1.0 - random.uniform()); };
+    if (walled) {
+      reply = blocking.wall_reply;
+      range.range_m += blocking.wall_excess_m + exponential_m(blocking.wall_excess_mean_m);
+    } else {
+      for (const Span& shadow : shadows[a][j]) {
+        if (range.t_s < shadow.from_s || range.t_s > shadow.to_s) continue;
+        reply = blocking.shadow_reply;
+        range.range_m += exponential_m(blocking.shadow_excess_mean_m);
+      }
+    }
+    if (random.uniform() < blocking.gross_share) range.range_m += random.uniform(0.5, 4.0);
+    if (random.uniform() < reply) kept.push_back(range);
+  }
+  site.ranges = std::move(kept);
+  return site;
+}
+
+}  // namespace groma::test

@@ -1,0 +1,119 @@
+// Drives through halls with walls and with what moves in them: anchors right or marked, biases honest.
+#include "test/host/calibration/blocked_site.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+#include <Eigen/Cholesky>
+
+#include "host/calibration/calibrate.hpp"
+
+namespace groma::calibration {
+namespace {
+
+using model::AnchorVerdict;
+
+constexpr double kDrive_s = 160.0;
+// Of chi square with three degrees of freedom, 99.7 %.
+constexpr double kEllipsoid997 = 13.93;
+
+// Across the hall's gate, as seen from inside, and two walls within.
+test::Blocking hall() {
+  test::Blocking blocking;
+  blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}, {{7.0, 1.0}, {7.0, 5.0}}, {{12.0, 9.0}, {16.0, 9.0}}};
+  return blocking;
+}
+
+double square_sigmas(const model::AnchorCalibration& anchor, const Eigen::Vector3d& truth_m) {
+  const Eigen::Vector3d error_m = anchor.position_m - truth_m;
+  return error_m.dot(anchor.covariance.topLeftCorner<3, 3>().ldlt().solve(error_m));
+}
+
+TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonest) {
+  double error_m = 0.0;
+  int ok = 0;
+  int biases = 0;
+  int inside = 0;
+  constexpr int kSites = 4;
+  for (int seed = 1; seed <= kSites; ++seed) {
+    const test::Route route = test::kRoutes[static_cast<std::size_t>(seed) % test::kRoutes.size()];
+    const test::SimulatedSite site =
+        test::blocked_site(test::polled_settings(route, kDrive_s), hall(), static_cast<std::uint64_t>(seed));
+    const model::Calibration found = calibrate(site.drive()).calibration;
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+      const model::AnchorCalibration& anchor = found.anchors[a];
+      for (std::size_t j = 0; j < site.tags.size(); ++j) {
+        ++biases;
+        const double sigmas = (anchor.pairs[j].beta_m - site.beta_m[a][j]) / anchor.pairs[j].beta_sigma_m;
+        if (std::abs(sigmas) < 1.96) ++inside;
+      }
+      if (anchor.verdict != AnchorVerdict::kOk) continue;
+      ++ok;
+      error_m += (anchor.position_m - site.anchors[a].position_m).norm();
+      EXPECT_LT(square_sigmas(anchor, site.anchors[a].position_m), kEllipsoid997)
+          << "seed " << seed << " anchor " << anchor.id << " off by "
+          << (anchor.position_m - site.anchors[a].position_m).transpose();
+    }
+  }
+  EXPECT_GT(ok, kSites * 7);
+  EXPECT_LT(error_m / ok, 0.10);
+  EXPECT_GT(inside, 0.90 * biases);
+}
+
+TEST(BlockedSite, NamesAnAnchorThatOnlyAnswersThroughAWall) {
+  test::Blocking blocking;
+  blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}};
+  const test::SimulatedSite site =
+      test::blocked_site(test::polled_settings(test::Route::kWaves, kDrive_s), blocking, 11);
+  const model::Calibration found = calibrate(site.drive()).calibration;
+  for (const model::AnchorCalibration& anchor : found.anchors) {
+    if (anchor.id != 12 && anchor.id != 13) {
+      EXPECT_NE(anchor.verdict, AnchorVerdict::kNeverInSight) << anchor.id;
+      continue;
+    }
+    EXPECT_EQ(anchor.verdict, AnchorVerdict::kNeverInSight) << anchor.id;
+    EXPECT_FALSE(anchor.advice.empty());
+    for (const model::PairBias& pair : anchor.pairs) EXPECT_GT(pair.beta_sigma_m, 0.15);
+    const std::size_t a = anchor.id - site.anchors.front().id;
+    EXPECT_LT(square_sigmas(anchor, site.anchors[a].position_m), kEllipsoid997);
+  }
+}
+
+TEST(BlockedSite, NamesBothAnchorsThatWereMovedAndNoOther) {
+  for (const bool walls : {false, true}) {
+    test::Blocking blocking = walls ? hall() : test::Blocking{};
+    if (!walls) {
+      // Nothing in the way at all: found without the chain.
+      blocking.reply_in_sight = 1.0;
+      blocking.shadows_per_s = 0.0;
+    }
+    const test::SimulatedSite site =
+        test::blocked_site(test::polled_settings(test::Route::kEight, kDrive_s), blocking, 21,
+                           {{1, {0.4, -0.3, 0.0}}, {5, {-0.3, -0.4, 0.0}}});
+    const model::Calibration found = calibrate(site.drive()).calibration;
+    for (std::size_t a = 0; a < found.anchors.size(); ++a) {
+      const bool moved = a == 1 || a == 5;
+      EXPECT_EQ(found.anchors[a].verdict == AnchorVerdict::kMoved, moved)
+          << (walls ? "walls, " : "no walls, ") << found.anchors[a].id << ": " << found.anchors[a].advice;
+    }
+  }
+}
+
+TEST(BlockedSite, OneWithoutMovesOrWallsIsNotTakenForBlocked) {
+  // Whatever comes one by one is no wall, nor are replies lost to collisions.
+  test::Blocking blocking;
+  blocking.reply_in_sight = 0.98;
+  blocking.shadows_per_s = 0.0;
+  blocking.gross_share = 0.25;
+  const test::SimulatedSite site =
+      test::blocked_site(test::polled_settings(test::Route::kWaves, kDrive_s), blocking, 31);
+  for (const model::AnchorCalibration& anchor : calibrate(site.drive()).calibration.anchors) {
+    EXPECT_TRUE(anchor.verdict == AnchorVerdict::kOk || anchor.verdict == AnchorVerdict::kWeakZ)
+        << anchor.id << ": " << anchor.advice;
+  }
+}
+
+}  // namespace
+}  // namespace groma::calibration

@@ -1,0 +1,361 @@
+// Calibrations set against each other, and brought up to date: against dense algebra, by statistics, and on
+// simulated drives with anchors that were moved.
+#include "host/calibration/comparison.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
+#include "host/calibration/calibrate.hpp"
+#include "host/calibration/update.hpp"
+#include "test/host/calibration/site_simulation.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::calibration {
+namespace {
+
+using model::AnchorVerdict;
+using testing::ElementsAre;
+using testing::IsEmpty;
+
+Eigen::MatrixXd drawn_covariance(test::Random& random, Eigen::Index size, double sigma) {
+  Eigen::MatrixXd root(size, size);
+  for (Eigen::Index i = 0; i < size; ++i) root.row(i) = random.gaussians(size).transpose();
+  Eigen::MatrixXd out = root * root.transpose() + 0.5 * Eigen::MatrixXd::Identity(size, size);
+  return sigma * sigma * out / out.diagonal().mean();
+}
+
+// A site whose two calibrations are drawn from what they say of themselves.
+struct Pair {
+  std::vector<Eigen::Vector3d> truth;
+  model::Calibration a;
+  model::Calibration b;
+};
+
+Pair draw_pair(std::uint64_t seed, std::size_t anchors = 12, double sigma_m = 0.05, double frame_m = 0.03) {
+  test::Random random(seed);
+  Pair out;
+  for (std::size_t i = 0; i < anchors; ++i) {
+    out.truth.emplace_back(random.uniform(0.0, 30.0), random.uniform(0.0, 20.0), random.uniform(0.3, 3.5));
+  }
+  std::vector<Eigen::VectorXd> biases;
+  for (std::size_t i = 0; i < anchors; ++i) biases.push_back(0.3 * random.gaussians(2));
+  for (model::Calibration* calibration : {&out.a, &out.b}) {
+    Eigen::Vector4d scale(frame_m, frame_m, 0.3 * frame_m, 0.1 * frame_m);
+    const Eigen::MatrixXd shape = drawn_covariance(random, 4, 1.0);
+    calibration->common_frame_covariance = scale.asDiagonal() * shape * scale.asDiagonal();
+    calibration->verdict = model::Verdict::kUsable;
+    const Eigen::Vector4d frame = random.gaussians(Eigen::MatrixXd(calibration->common_frame_covariance));
+    for (std::size_t i = 0; i < anchors; ++i) {
+      model::AnchorCalibration& anchor = calibration->anchors.emplace_back();
+      anchor.id = static_cast<model::NodeId>(10 + i);
+      anchor.covariance = drawn_covariance(random, 5, sigma_m);
+      const Eigen::VectorXd error = random.gaussians(anchor.covariance);
+      anchor.position_m = out.truth[i] + place_by_frame(out.truth[i]) * frame + error.head<3>();
+      anchor.pairs.push_back({.tag_id = 1,
+                              .beta_m = biases[i](0) + error(3),
+                              .beta_sigma_m = std::sqrt(anchor.covariance(3, 3)),
+                              .gamma = 1.0 + error(4),
+                              .gamma_sigma = std::sqrt(anchor.covariance(4, 4))});
+      anchor.verdict = AnchorVerdict::kOk;
+      anchor.ranges_used = 1000;
+    }
+  }
+  return out;
+}
+
+TEST(Chi2, TailsAreThoseOfTheTables) {
+  EXPECT_NEAR(chi2_tail_1(3.841), 0.05, 1e-4);
+  EXPECT_NEAR(chi2_tail_1(10.828), 0.001, 1e-5);
+  EXPECT_NEAR(chi2_tail_3(7.815), 0.05, 1e-4);
+  EXPECT_NEAR(chi2_tail_3(16.266), 0.001, 1e-5);
+  EXPECT_EQ(chi2_tail_3(0.0), 1.0);
+}
+
+TEST(Chi2, BeyondARadiusIsTheLeastOfASearch) {
+  test::Random random(5);
+  for (int i = 0; i < 20; ++i) {
+    const Eigen::Matrix3d covariance = drawn_covariance(random, 3, 0.1);
+    const Eigen::Vector3d displacement = 0.4 * random.gaussians(3);
+    constexpr double kRadius_m = 0.15;
+    double least = displacement.norm() <= kRadius_m ? 0.0 : 1e9;
+    for (double polar = 0.0; polar < 3.15; polar += 0.02) {
+      for (double around = 0.0; around < 6.29; around += 0.02) {
+        const Eigen::Vector3d r =
+            displacement - kRadius_m * Eigen::Vector3d(std::sin(polar) * std::cos(around),
+                                                       std::sin(polar) * std::sin(around), std::cos(polar));
+        if (displacement.norm() > kRadius_m) least = std::min(least, r.dot(covariance.inverse() * r));
+      }
+    }
+    const double found = chi2_beyond(displacement, covariance, kRadius_m);
+    EXPECT_LE(found, least + 1e-9);
+    EXPECT_GE(found, least - 0.01 * (1.0 + least));
+  }
+}
+
+// The difference of one anchor given all others, by the dense covariance of all differences.
+TEST(Comparison, IsTheConditionalOfTheJointGaussian) {
+  const Pair pair = draw_pair(3, 5);
+  const Comparison comparison = compare(pair.a, pair.b);
+  const Eigen::Index n = 15;
+  Eigen::MatrixXd frames(n, 4);
+  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(n, n);
+  Eigen::VectorXd difference(n);
+  for (Eigen::Index i = 0; i < 5; ++i) {
+    const auto& a = pair.a.anchors[static_cast<std::size_t>(i)];
+    const auto& b = pair.b.anchors[static_cast<std::size_t>(i)];
+    frames.middleRows<3>(3 * i) = place_by_frame(a.position_m);
+    joint.block<3, 3>(3 * i, 3 * i) = a.covariance.topLeftCorner<3, 3>() + b.covariance.topLeftCorner<3, 3>();
+    difference.segment<3>(3 * i) = b.position_m - a.position_m;
+  }
+  joint += frames * (pair.a.common_frame_covariance + pair.b.common_frame_covariance) * frames.transpose();
+  const Eigen::MatrixXd precision = joint.inverse();
+  ASSERT_EQ(comparison.anchors.size(), 5U);
+  for (Eigen::Index i = 0; i < 5; ++i) {
+    const Eigen::Matrix3d covariance = precision.block<3, 3>(3 * i, 3 * i).inverse();
+    const Eigen::Vector3d conditional = covariance * precision.middleRows<3>(3 * i) * difference;
+    const AnchorChange& change = comparison.anchors[static_cast<std::size_t>(i)];
+    EXPECT_LT((change.displacement_m - conditional).norm(), 1e-8);
+    EXPECT_LT((change.covariance_m2 - covariance).norm(), 1e-8);
+  }
+}
+
+TEST(Comparison, OfTheSameSiteScattersAsChiSquareAndAlarmsByChanceAlone) {
+  constexpr int kSeeds = 400;
+  double sum = 0.0;
+  int differs = 0;
+  for (std::uint64_t seed = 1; seed <= kSeeds; ++seed) {
+    const Pair pair = draw_pair(seed);
+    const Comparison comparison = compare(pair.a, pair.b);
+    bool any = false;
+    for (const AnchorChange& change : comparison.anchors) {
+      sum += change.chi2;
+      any = any || change.differs;
+      EXPECT_FALSE(change.moved);
+    }
+    differs += any ? 1 : 0;
+  }
+  // 4800 values of 3 degrees of freedom; those of one site hang together a little.
+  EXPECT_NEAR(sum / (12.0 * kSeeds), 3.0, 0.15);
+  EXPECT_LE(differs, 4) << "one in a thousand is to be expected";
+}
+
+TEST(Comparison, FindsEachAnchorThatMovedAndNoOther) {
+  for (std::uint64_t seed = 1; seed <= 200; ++seed) {
+    Pair pair = draw_pair(seed, 12, 0.03, 0.02);
+    test::Random random(seed);
+    for (const std::size_t i : {2U, 7U}) {
+      const double angle = random.uniform(0.0, 6.2832);
+      pair.b.anchors[i].position_m += 0.5 * Eigen::Vector3d(std::cos(angle), std::sin(angle), 0.0);
+    }
+    const Comparison comparison = compare(pair.a, pair.b);
+    for (std::size_t i = 0; i < comparison.anchors.size(); ++i) {
+      EXPECT_EQ(comparison.anchors[i].moved, i == 2 || i == 7) << "seed " << seed << ", anchor " << i;
+    }
+  }
+}
+
+TEST(Comparison, TellsWhatIsNewAndWhatIsMissing) {
+  Pair pair = draw_pair(4);
+  pair.a.anchors.erase(pair.a.anchors.begin() + 3);
+  pair.b.anchors[5].covariance.resize(0, 0);  // null in the file
+  pair.b.anchors[0].pairs[0].beta_m += 1.0;
+  const Comparison comparison = compare(pair.a, pair.b);
+  EXPECT_THAT(comparison.only_b, ElementsAre(13));
+  EXPECT_THAT(comparison.only_a, ElementsAre(15));
+  EXPECT_EQ(comparison.anchors.size(), 10U);
+  for (const PairChange& change : comparison.pairs) EXPECT_EQ(change.differs, change.anchor_id == 10);
+}
+
+// ---- update ---------------------------------------------------------------------------------------
+
+// Both calibrations as one linear problem: all anchors, both frames, the priors of the biases once.
+TEST(Update, IsTheDenseSolutionOfBothDrives) {
+  model::RangePriors priors;
+  priors.beta_m = {0.1, 0.3};
+  priors.gamma = {1.0, 0.2};
+  Pair pair = draw_pair(8, 4);
+  const Update updated = update(pair.a, pair.b, priors);
+  ASSERT_THAT(updated.moved, IsEmpty());
+
+  const Eigen::Index frames = 20;  // after four anchors of five unknowns each
+  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(frames + 8, frames + 8);
+  Eigen::VectorXd right_side = Eigen::VectorXd::Zero(frames + 8);
+  information.block<4, 4>(frames, frames) = pair.a.common_frame_covariance.inverse();
+  information.block<4, 4>(frames + 4, frames + 4) = pair.b.common_frame_covariance.inverse();
+  for (Eigen::Index i = 0; i < 4; ++i) {
+    for (Eigen::Index drive = 0; drive < 2; ++drive) {
+      const auto& anchor = (drive == 0 ? pair.a : pair.b).anchors[static_cast<std::size_t>(i)];
+      Eigen::MatrixXd own = anchor.covariance.inverse();
+      Eigen::VectorXd values(5);
+      values << anchor.position_m, anchor.pairs[0].beta_m, anchor.pairs[0].gamma;
+      Eigen::MatrixXd by = Eigen::MatrixXd::Zero(5, frames + 8);
+      by.middleCols<5>(5 * i).setIdentity();
+      by.block<3, 4>(0, frames + 4 * drive) =
+          place_by_frame(pair.a.anchors[static_cast<std::size_t>(i)].position_m);
+      information += by.transpose() * own * by;
+      right_side += by.transpose() * own * values;
+    }
+    const Eigen::Vector2d weight(1.0 / 0.09, 1.0 / 0.04);
+    information.block<2, 2>(5 * i + 3, 5 * i + 3) -= weight.asDiagonal().toDenseMatrix();
+    right_side.segment<2>(5 * i + 3) -= weight.cwiseProduct(Eigen::Vector2d(0.1, 1.0));
+  }
+  const Eigen::MatrixXd covariance = information.inverse();
+  const Eigen::VectorXd solution = covariance * right_side;
+  for (Eigen::Index i = 0; i < 4; ++i) {
+    const auto& anchor = updated.calibration.anchors[static_cast<std::size_t>(i)];
+    const Eigen::Vector3d dense_m = solution.segment<3>(5 * i);
+    const Eigen::Matrix3d dense = covariance.block<3, 3>(5 * i, 5 * i);
+    EXPECT_LT((anchor.position_m - dense_m).norm(), 0.3 * std::sqrt(dense.trace())) << i;
+    // What is told apart as block and common frame is, together, about what the whole problem leaves.
+    const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+    const Eigen::Matrix3d told = anchor.covariance.topLeftCorner<3, 3>() +
+                                 frame * updated.calibration.common_frame_covariance * frame.transpose();
+    EXPECT_GT(told.trace(), 0.9 * dense.trace()) << i;
+    EXPECT_LT(told.trace(), 1.4 * dense.trace()) << i;
+  }
+}
+
+TEST(Comparison, TrustsNoHeightThatMayBeOnTheOtherSide) {
+  Pair pair = draw_pair(6);
+  pair.b.anchors[2].position_m.z() += 3.0;
+  pair.b.anchors[2].verdict = AnchorVerdict::kWeakZ;
+  pair.b.anchors[4].position_m.z() += 3.0;
+  const Comparison comparison = compare(pair.a, pair.b);
+  for (const AnchorChange& change : comparison.anchors) EXPECT_EQ(change.moved, change.id == 14) << change.id;
+
+  // The one that is trusted has its height left.
+  const model::Calibration& updated = update(pair.a, pair.b, {}).calibration;
+  EXPECT_NEAR(updated.anchors[2].position_m.z(), pair.a.anchors[2].position_m.z(), 0.15);
+  EXPECT_EQ(updated.anchors[2].verdict, AnchorVerdict::kOk);
+  pair.a.anchors[2].verdict = AnchorVerdict::kWeakZ;
+  const model::AnchorCalibration both = update(pair.a, pair.b, {}).calibration.anchors[2];
+  EXPECT_EQ(both.verdict, AnchorVerdict::kWeakZ);
+  EXPECT_GT(both.covariance(2, 2), 4.0);
+}
+
+TEST(Update, IsConsistent) {
+  constexpr int kSeeds = 200;
+  model::RangePriors priors;
+  priors.beta_m = {0.0, 10.0};
+  priors.gamma = {1.0, 10.0};
+  double nees = 0.0;
+  double before = 0.0;
+  double after = 0.0;
+  for (std::uint64_t seed = 1; seed <= kSeeds; ++seed) {
+    const Pair pair = draw_pair(seed);
+    const Update updated = update(pair.a, pair.b, priors);
+    for (std::size_t i = 0; i < pair.truth.size(); ++i) {
+      const auto& anchor = updated.calibration.anchors[i];
+      const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+      const Eigen::Matrix3d covariance =
+          anchor.covariance.topLeftCorner<3, 3>() +
+          frame * updated.calibration.common_frame_covariance * frame.transpose();
+      const Eigen::Vector3d error_m = anchor.position_m - pair.truth[i];
+      nees += error_m.dot(covariance.ldlt().solve(error_m)) / 3.0;
+      after += error_m.squaredNorm();
+      before += (pair.a.anchors[i].position_m - pair.truth[i]).squaredNorm();
+    }
+  }
+  const double n = 12.0 * kSeeds;
+  EXPECT_NEAR(nees / n, 0.95, 0.15);
+  EXPECT_LT(std::sqrt(after / n), 0.8 * std::sqrt(before / n));
+}
+
+test::SimulatedSite drive_past(const test::SiteSettings& settings, std::uint64_t seed,
+                               const std::vector<std::pair<std::size_t, Eigen::Vector3d>>& moves,
+                               std::uint64_t noise_seed) {
+  test::SimulatedSite site = test::simulate_site(settings, seed);
+  for (const auto& [index, way_m] : moves) site.anchors[index].position_m += way_m;
+  // Other noise and other errors of the poses; the biases are those of the site.
+  const test::SimulatedSite other = test::simulate_site(settings, noise_seed);
+  site.poses = other.poses;
+  test::Random random(noise_seed + 7000);
+  for (model::RangeSample& range : site.ranges) {
+    std::size_t a = 0;
+    while (site.anchors[a].id != range.anchor_id) ++a;
+    const std::size_t j = range.tag_id - 1U;
+    const Eigen::Vector3d antenna_m =
+        test::antenna_of(test::true_pose(range.t_s, settings.route), site.tags[j]);
+    range.range_m = site.gamma[a][j] * (antenna_m - site.anchors[a].position_m).norm() + site.beta_m[a][j] +
+                    settings.sigma_m * random.gaussian();
+    if (random.uniform() < settings.outlier_share) range.range_m += random.uniform(0.5, 3.5);
+  }
+  return site;
+}
+
+Eigen::Vector3d half_a_metre(double angle_rad) {
+  return 0.5 * Eigen::Vector3d(std::cos(angle_rad), std::sin(angle_rad), 0.0);
+}
+
+// Two drives, two anchors moved by half a metre between them.
+TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
+  const test::SiteSettings settings{.outlier_share = 0.1, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    const test::SimulatedSite first = test::simulate_site(settings, seed);
+    const std::size_t one = seed % 12;
+    const std::size_t two = (seed + 5) % 12;
+    const test::SimulatedSite second = drive_past(settings, seed,
+                                                  {{one, half_a_metre(0.7 * static_cast<double>(seed))},
+                                                   {two, half_a_metre(2.1 * static_cast<double>(seed))}},
+                                                  seed + 500);
+    const model::Calibration earlier = calibrate(first.drive()).calibration;
+    const Result later = calibrate(second.drive());
+    const Update updated = update(earlier, later.calibration, first.drive().priors);
+    std::vector<model::NodeId> expected{first.anchors[one].id, first.anchors[two].id};
+    std::sort(expected.begin(), expected.end());
+    EXPECT_EQ(updated.moved, expected) << "seed " << seed;
+    for (std::size_t a = 0; a < 12; ++a) {
+      const model::AnchorCalibration& anchor = updated.calibration.anchors[a];
+      EXPECT_EQ(anchor.verdict == AnchorVerdict::kMoved, a == one || a == two);
+      if (!has_position(anchor)) continue;
+      const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+      const Eigen::Matrix3d covariance =
+          anchor.covariance.topLeftCorner<3, 3>() +
+          frame * updated.calibration.common_frame_covariance * frame.transpose();
+      const Eigen::Vector3d error_m = anchor.position_m - second.anchors[a].position_m;
+      EXPECT_LT(error_m.dot(covariance.ldlt().solve(error_m)), 25.0)
+          << "seed " << seed << ", anchor " << anchor.id << " off by " << error_m.transpose();
+    }
+  }
+}
+
+TEST(Update, NamesNoneWhereNoneMoved) {
+  const test::SiteSettings settings{.outlier_share = 0.15, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
+  for (std::uint64_t seed = 21; seed <= 32; ++seed) {
+    const test::SimulatedSite first = test::simulate_site(settings, seed);
+    const test::SimulatedSite second = drive_past(settings, seed, {}, seed + 500);
+    const Update updated = update(calibrate(first.drive()).calibration, calibrate(second.drive()).calibration,
+                                  first.drive().priors);
+    EXPECT_THAT(updated.moved, IsEmpty()) << "seed " << seed;
+    EXPECT_THAT(updated.added, IsEmpty());
+    EXPECT_THAT(updated.kept, IsEmpty());
+  }
+}
+
+TEST(Update, AddsNewAnchorsAndKeepsThoseThatWereNotHeard) {
+  const test::SiteSettings settings;
+  const test::SimulatedSite first = test::simulate_site(settings, 1);
+  test::SimulatedSite second = drive_past(settings, 1, {}, 501);
+  model::Calibration earlier = calibrate(first.drive()).calibration;
+  earlier.anchors.erase(earlier.anchors.begin() + 4);  // anchor 8
+  earlier.frame = "hall";
+  std::erase_if(second.ranges, [](const auto& range) { return range.anchor_id == 13; });
+  const Update updated = update(earlier, calibrate(second.drive()).calibration, first.drive().priors);
+  EXPECT_THAT(updated.added, ElementsAre(8));
+  EXPECT_THAT(updated.kept, ElementsAre(13));
+  EXPECT_THAT(updated.moved, IsEmpty());
+  EXPECT_EQ(updated.calibration.frame, "hall");
+  ASSERT_EQ(updated.calibration.anchors.size(), 12U);
+  EXPECT_EQ(updated.calibration.anchors[9].id, 13);
+  EXPECT_LT((updated.calibration.anchors[9].position_m - first.anchors[9].position_m).norm(), 0.5);
+  EXPECT_LT((updated.calibration.anchors[4].position_m - first.anchors[4].position_m).norm(), 0.5);
+}
+
+}  // namespace
+}  // namespace groma::calibration

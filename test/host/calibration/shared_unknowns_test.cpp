@@ -1,0 +1,165 @@
+#include "host/calibration/shared_unknowns.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+
+#include "host/calibration/joint_equations.hpp"
+#include "host/model/antenna_pattern.hpp"
+#include "test/support/numerical_jacobian.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::calibration {
+namespace {
+
+constexpr std::size_t kTags = 2;
+constexpr double kFraction = 0.3;
+
+// One range as if its robot had the errors: from the definitions, not from the code's derivatives.
+double range_with_errors(const Observation& row, const Eigen::Vector3d& anchor_m, double gamma,
+                         const Eigen::VectorXd& error) {
+  const auto at_range = [&](Eigen::Index axis) {
+    return (1.0 - kFraction) * error(axis) + kFraction * error(axis + 3);
+  };
+  const Eigen::Quaterniond attitude = row.attitude.cast<double>().normalized();
+  Eigen::Vector3d antenna_m = row.tag_m + attitude * error.segment<3>(7) - error(6) * row.velocity_mps;
+  antenna_m += Eigen::Vector3d(at_range(0), at_range(1), 0.0);
+  antenna_m.head<2>() += at_range(2) * row.yaw_arm_m;
+  const Eigen::Vector3d to_anchor_m = anchor_m - antenna_m;
+  const Eigen::Vector3d in_body = attitude.conjugate() * to_anchor_m.normalized();
+  return gamma * to_anchor_m.norm() + model::pattern_terms(in_body).dot(error.tail<model::kPatternTerms>());
+}
+
+Observation random_row(test::Random& random) {
+  Observation row;
+  row.tag_m = 4.0 * random.gaussians(3);
+  row.velocity_mps = random.gaussians(3);
+  row.yaw_arm_m = random.gaussians(2);
+  const Eigen::Vector4d draw = random.gaussians(4).normalized();
+  row.attitude = Eigen::Quaterniond(draw(0), draw(1), draw(2), draw(3)).cast<float>();
+  return row;
+}
+
+TEST(SharedUnknowns, JacobianIsTheDerivativeOfTheRange) {
+  test::Random random(1);
+  for (int i = 0; i < 20; ++i) {
+    const Observation row = random_row(random);
+    const Eigen::Vector3d anchor_m = 8.0 * random.gaussians(3);
+    const double gamma = 1.0 + 0.01 * random.gaussian();
+    const auto range = [&](const Eigen::VectorXd& error) {
+      return Eigen::VectorXd::Constant(1, range_with_errors(row, anchor_m, gamma, error));
+    };
+    const Eigen::VectorXd expected =
+        test::numerical_jacobian(range, Eigen::VectorXd::Zero(kSharedTerms)).transpose();
+    const model::AntennaPrediction predicted = model::predict_antenna_range(row.tag_m, anchor_m, 0.0, gamma);
+    const SharedRow found = shared_jacobian(row, predicted, gamma, kFraction);
+    EXPECT_LT((found - expected).cwiseAbs().maxCoeff(), 1e-6);
+  }
+}
+
+TEST(SharedUnknowns, AMovedRowHasTheErrorTakenOff) {
+  test::Random random(2);
+  const SharedUnknowns unknowns{.knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 2}, .body_tags = 1};
+  for (int i = 0; i < 20; ++i) {
+    Observation row = random_row(random);
+    row.t_s = kFraction * unknowns.knots.spacing_s;
+    const Eigen::Vector3d anchor_m = 8.0 * random.gaussians(3);
+    const Eigen::VectorXd error = 0.01 * random.gaussians(unknowns.size());
+    row.range_m = range_with_errors(row, anchor_m, 1.0, error);
+    move_row(unknowns, error, anchor_m, row);
+    // The pattern is taken at the direction before: of second order.
+    EXPECT_NEAR(row.range_m, (row.tag_m - anchor_m).norm(), 5e-4);
+  }
+}
+
+TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
+  const SharedUnknowns unknowns{.knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 5}, .body_tags = 1};
+  const SharedPrior prior{.wander = {.sigma_m = 0.2, .sigma_yaw_rad = 0.01, .correlation_s = 7.0},
+                          .delay_sigma_s = 0.03,
+                          .body = true};
+  const Eigen::MatrixXd information = prior_information(unknowns, prior);
+  const Eigen::MatrixXd covariance = information.inverse();
+  for (Eigen::Index i = 0; i < unknowns.knots.count; ++i) {
+    for (Eigen::Index k = 0; k < unknowns.knots.count; ++k) {
+      const double kept = std::exp(-3.0 * std::abs(static_cast<double>(i - k)) / 7.0);
+      EXPECT_NEAR(covariance(3 * i, 3 * k), 0.04 * kept, 1e-9);
+      EXPECT_NEAR(covariance(3 * i + 2, 3 * k + 2), 1e-4 * kept, 1e-12);
+      EXPECT_NEAR(covariance(3 * i, 3 * k + 1), 0.0, 1e-12);
+    }
+  }
+  EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
+}
+
+// All anchors' and the shared unknowns in one dense system, row by row.
+TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
+  test::Random random(3);
+  constexpr std::size_t kAnchors = 3;
+  constexpr Eigen::Index kOwn = 3 + 2 * kTags;
+  const SharedUnknowns unknowns{.knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .body_tags = kTags};
+  const std::vector<double> inflation{1.0, 2.5, 4.0};
+  std::vector<std::vector<Observation>> rows(kAnchors);
+  std::vector<AnchorFit> fits(kAnchors);
+  const Eigen::Index own_size = kAnchors * kOwn;
+  Eigen::MatrixXd dense = Eigen::MatrixXd::Zero(own_size + unknowns.size(), own_size + unknowns.size());
+  Eigen::VectorXd descent = Eigen::VectorXd::Zero(dense.rows());
+  for (std::size_t a = 0; a < kAnchors; ++a) {
+    AnchorFit& fit = fits[a];
+    fit.problem.tag_count = kTags;
+    fit.problem.position.information = 0.1 * Eigen::Matrix3d::Identity();
+    fit.anchor = anchor_at(8.0 * random.gaussians(3), kTags, {});
+    fit.kernels.assign(kTags, RobustKernel(KernelShape{}));
+    for (int i = 0; i < 60; ++i) {
+      Observation row = random_row(random);
+      row.t_s = 0.2 * i;
+      row.tag = static_cast<std::uint32_t>(i % 2);
+      row.range_m = predict(row, fit.anchor, kTags).range_m + 0.1 * random.gaussian();
+      rows[a].push_back(row);
+    }
+    fit.problem.rows = rows[a];
+
+    const Eigen::Index at = static_cast<Eigen::Index>(a) * kOwn;
+    const double share = 1.0 / inflation[a];
+    const NormalEquations alone = linearize(fit.problem, fit.kernels, fit.anchor);
+    dense.block<kOwn, kOwn>(at, at) = share * alone.information;
+    descent.segment<kOwn>(at) = -share * alone.gradient;
+    for (const Observation& row : rows[a]) {
+      const model::AntennaPrediction predicted = predict(row, fit.anchor, kTags);
+      const KernelValue value = fit.kernels[row.tag].at(row.range_m - predicted.range_m);
+      const double gamma = fit.anchor(gamma_index(row.tag, kTags));
+      const PairRow pair = pair_jacobian(predicted, gamma);
+      const KnotShare knot = knot_share(unknowns.knots, row.t_s);
+      const SharedRow terms = shared_jacobian(row, predicted, gamma, knot.fraction);
+      Eigen::VectorXd own = Eigen::VectorXd::Zero(dense.rows());
+      own.segment<3>(at) = pair.head<3>();
+      own(at + beta_index(row.tag)) = pair(3);
+      own(at + gamma_index(row.tag, kTags)) = pair(4);
+      Eigen::VectorXd shared = Eigen::VectorXd::Zero(dense.rows());
+      shared.segment<6>(own_size + knot.first) = terms.head<6>();
+      shared(own_size + unknowns.delay()) = terms(6);
+      shared.segment<kBodyTerms>(own_size + unknowns.body(row.tag)) = terms.tail<kBodyTerms>();
+      dense += share * value.weight *
+               (own * shared.transpose() + shared * own.transpose() + shared * shared.transpose());
+      descent += share * value.slope * shared;
+    }
+  }
+  const JointEquations found = eliminate_anchors(fits, inflation, unknowns);
+  const Eigen::MatrixXd own = dense.topLeftCorner(own_size, own_size);
+  const Eigen::MatrixXd cross = dense.topRightCorner(own_size, unknowns.size());
+  const Eigen::MatrixXd gain = own.ldlt().solve(cross);
+  const Eigen::MatrixXd information =
+      dense.bottomRightCorner(unknowns.size(), unknowns.size()) - cross.transpose() * gain;
+  EXPECT_LT((found.information - information).norm(), 1e-9 * information.norm());
+  const Eigen::VectorXd rest = descent.tail(unknowns.size()) - gain.transpose() * descent.head(own_size);
+  EXPECT_LT((found.descent - rest).norm(), 1e-9 * descent.norm());
+  for (std::size_t a = 0; a < kAnchors; ++a) {
+    const Eigen::MatrixXd of_anchor = gain.middleRows<kOwn>(static_cast<Eigen::Index>(a) * kOwn);
+    EXPECT_LT((found.anchors[a].gain - of_anchor).norm(), 1e-9 * of_anchor.norm());
+  }
+}
+
+}  // namespace
+}  // namespace groma::calibration

@@ -1,0 +1,226 @@
+// The chain of sights against sums over all ways that it can have gone, and the solver's cost with it against
+// numerical derivatives.
+#include "host/calibration/sight_chain.hpp"
+
+#include <gtest/gtest.h>
+
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include <Eigen/Cholesky>
+
+#include "host/calibration/anchor_solver.hpp"
+#include "host/calibration/moved.hpp"
+#include "host/calibration/sight_solver.hpp"
+#include "test/host/calibration/blocked_site.hpp"
+#include "test/support/numerical_jacobian.hpp"
+
+namespace groma::calibration {
+namespace {
+
+constexpr std::size_t kStates = 3;
+
+// Sums over every way through the states.
+struct Enumeration {
+  double total = 0.0;
+  std::vector<SightVector> prior;  // of each answered poll, its own likelihood left out
+  std::vector<SightVector> posterior;
+  SightVector answered = SightVector::Zero();
+  SightVector missed = SightVector::Zero();
+};
+
+Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
+                      const std::vector<SightVector>& likelihoods) {
+  Enumeration out;
+  out.prior.assign(likelihoods.size(), SightVector::Zero());
+  out.posterior.assign(likelihoods.size(), SightVector::Zero());
+  std::size_t ways = 1;
+  for (std::size_t n = 0; n < polls.size(); ++n) ways *= kStates;
+  for (std::size_t way = 0; way < ways; ++way) {
+    std::vector<Eigen::Index> states;
+    for (std::size_t rest = way, n = 0; n < polls.size(); ++n, rest /= kStates) {
+      states.push_back(static_cast<Eigen::Index>(rest % kStates));
+    }
+    double probability = chain.start(states[0]);
+    for (std::size_t n = 1; n < polls.size(); ++n) probability *= chain.transition(states[n - 1], states[n]);
+    std::size_t answer = 0;
+    for (std::size_t n = 0; n < polls.size(); ++n) {
+      if (polls[n] == kMissed) probability *= 1.0 - chain.reply(states[n]);
+      if (polls[n] >= 0) probability *= chain.reply(states[n]) * likelihoods[answer++](states[n]);
+    }
+    out.total += probability;
+    answer = 0;
+    for (std::size_t n = 0; n < polls.size(); ++n) {
+      if (polls[n] == kMissed) out.missed(states[n]) += probability;
+      if (polls[n] < 0) continue;
+      out.posterior[answer](states[n]) += probability;
+      out.prior[answer](states[n]) += probability / likelihoods[answer](states[n]);
+      out.answered(states[n]) += probability;
+      ++answer;
+    }
+  }
+  out.answered /= out.total;
+  out.missed /= out.total;
+  for (SightVector& prior : out.prior) prior /= prior.sum();
+  for (SightVector& posterior : out.posterior) posterior /= posterior.sum();
+  return out;
+}
+
+TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
+  test::Random random(3);
+  const std::vector<Poll> polls{0, kMissed, 1, kNotTold, 2, kMissed, kMissed, 3};
+  SightPosterior found;
+  for (int draw = 0; draw < 20; ++draw) {
+    SightChain chain;
+    chain.transition = sight_transition(random.uniform(0.1, 5.0));
+    chain.reply = {random.uniform(0.7, 1.0), random.uniform(0.2, 0.8), random.uniform(0.2, 0.8)};
+    std::vector<SightVector> likelihoods(4);
+    for (SightVector& likelihood : likelihoods) {
+      for (double& density : likelihood) density = random.uniform(0.01, 4.0);
+    }
+    infer_sight(chain, polls, likelihoods, found);
+    const Enumeration expected = enumerate(chain, polls, likelihoods);
+    EXPECT_NEAR(found.log_evidence, std::log(expected.total), 1e-9);
+    EXPECT_TRUE(found.answered.isApprox(expected.answered, 1e-9));
+    EXPECT_TRUE(found.missed.isApprox(expected.missed, 1e-9));
+    ASSERT_EQ(found.prior.size(), likelihoods.size());
+    for (std::size_t i = 0; i < likelihoods.size(); ++i) {
+      EXPECT_TRUE(found.prior[i].isApprox(expected.prior[i], 1e-9)) << i;
+      EXPECT_TRUE(found.posterior[i].isApprox(expected.posterior[i], 1e-9)) << i;
+    }
+  }
+}
+
+TEST(SightChain, TransitionsOverTwoTimesAreThatOverBoth) {
+  const Eigen::Matrix3d both = sight_transition(0.5);
+  EXPECT_TRUE((sight_transition(0.2) * sight_transition(0.3)).isApprox(both, 1e-4));
+  EXPECT_TRUE(both.rowwise().sum().isOnes(1e-9));
+  EXPECT_GT(both.minCoeff(), 0.0);
+  EXPECT_TRUE(sight_transition(1e-3).isIdentity(1e-3));
+}
+
+TEST(SightChain, TellsPollsThatWereMissedFromThoseThatNobodyAnswered) {
+  Association association;
+  association.tags.resize(1);
+  association.anchors.resize(2);
+  const auto answer = [&](std::size_t anchor, int poll) {
+    std::vector<Observation>& rows = association.anchors[anchor].rows;
+    Observation& row = rows.emplace_back();
+    row.index = static_cast<std::uint32_t>(rows.size() - 1);
+    row.t_s = 0.1 * poll + 0.03 * static_cast<double>(anchor);
+  };
+  // The first anchor lacks 50, 70 and 90 .. 92; the second 70 alone.
+  for (int poll = 0; poll < 120; ++poll) {
+    if (poll != 50 && poll != 70 && (poll < 90 || poll > 92)) answer(0, poll);
+    if (poll != 70) answer(1, poll);
+  }
+  const PollTable table = tabulate_polls(association);
+  EXPECT_TRUE(table.regular);
+  EXPECT_NEAR(table.interval_s, 0.1, 1e-9);
+  const std::vector<Poll>& polls = table.polls[0][0];
+  ASSERT_EQ(polls.size(), 120U);
+  for (std::size_t poll = 0; poll < polls.size(); ++poll) {
+    if (poll == 70) {
+      EXPECT_EQ(polls[poll], kNotTold);
+    } else if (poll == 50 || (poll >= 90 && poll <= 92)) {
+      EXPECT_EQ(polls[poll], kMissed);
+    } else {
+      EXPECT_GE(polls[poll], 0);
+    }
+  }
+}
+
+TEST(SightChain, PollsAtNoSteadyPaceAreNotMissed) {
+  test::Random random(5);
+  Association association;
+  association.tags.resize(1);
+  association.anchors.resize(1);
+  double t_s = 0.0;
+  for (std::uint32_t i = 0; i < 300; ++i) {
+    t_s -= 0.2 * std::log(1.0 - random.uniform());
+    Observation& row = association.anchors[0].rows.emplace_back();
+    row.index = i;
+    row.t_s = t_s;
+  }
+  const PollTable table = tabulate_polls(association);
+  EXPECT_FALSE(table.regular);
+  for (const Poll poll : table.polls[0][0]) EXPECT_NE(poll, kMissed);
+}
+
+TEST(AnchorSolver, GradientWithASightIsThatOfTheCost) {
+  test::Random random(8);
+  constexpr std::size_t kTags = 2;
+  std::vector<Observation> rows;
+  AnchorSight sight;
+  sight.behind_wall = true;
+  sight.episodes = 2;
+  for (std::uint32_t i = 0; i < 60; ++i) {
+    Observation& row = rows.emplace_back();
+    row.index = i;
+    row.tag = i % kTags;
+    row.tag_m = {random.uniform(0.0, 8.0), random.uniform(0.0, 8.0), random.uniform(0.3, 2.0)};
+    row.range_m = (row.tag_m - Eigen::Vector3d(10.0, 5.0, 3.0)).norm() + 0.2 + 0.3 * random.gaussian();
+    RowSight& of_row = sight.rows.emplace_back();
+    const auto seen = static_cast<float>(random.uniform(0.05, 0.9));
+    of_row.in_sight = seen;
+    of_row.episode = i < 20 ? 0 : (i < 40 ? 1 : kNoEpisode);
+    of_row.wall = of_row.episode == kNoEpisode ? 0.0F : 0.7F * (1.0F - seen);
+    of_row.other_density = 0.2F * (1.0F - seen);
+  }
+  AnchorProblem problem;
+  problem.rows = rows;
+  problem.tag_count = kTags;
+  problem.position.information = 0.01 * Eigen::Matrix3d::Identity();
+  problem.sight = &sight;
+  const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.15}));
+  AnchorVector anchor(wall_index(kTags) + 3);
+  anchor << 9.7, 5.2, 2.5, 0.1, 0.3, 1.01, 0.99, 0.35, 0.1, -0.15;
+  const NormalEquations equations = linearize(problem, kernels, anchor);
+  EXPECT_NEAR(equations.cost, robust_cost(problem, kernels, anchor), 1e-9);
+  const Eigen::MatrixXd numerical = test::numerical_jacobian(
+      [&](const Eigen::VectorXd& x) {
+        return Eigen::VectorXd::Constant(1, robust_cost(problem, kernels, x));
+      },
+      anchor, 1e-4);
+  // The kernels' tables are linear between their nodes: the slope is off by what they are.
+  EXPECT_LT((equations.gradient - numerical.transpose()).norm(), 0.02 * numerical.norm());
+  EXPECT_EQ(equations.information.llt().info(), Eigen::Success);
+}
+
+TEST(ShiftBetween, IsThatOfBothHalvesSolvedTogether) {
+  test::Random random(4);
+  constexpr Eigen::Index kSize = 7;
+  const auto covariance = [&] {
+    Eigen::MatrixXd root(kSize, kSize);
+    for (Eigen::Index i = 0; i < root.size(); ++i) root(i) = random.gaussian();
+    return Eigen::MatrixXd(root * root.transpose() + Eigen::MatrixXd::Identity(kSize, kSize));
+  };
+  const Eigen::MatrixXd earlier_covariance = covariance();
+  const Eigen::MatrixXd later_covariance = covariance();
+  const AnchorVector earlier = random.gaussians(kSize);
+  const AnchorVector later = random.gaussians(kSize);
+  const Shift shift = shift_between(earlier, earlier_covariance, later, later_covariance);
+
+  // Unknowns: both positions, the biases once.
+  Eigen::MatrixXd design = Eigen::MatrixXd::Zero(2 * kSize, kSize + 3);
+  design.block<3, 3>(0, 0).setIdentity();
+  design.block<3, 3>(kSize, 3).setIdentity();
+  design.block<kSize - 3, kSize - 3>(3, 6).setIdentity();
+  design.block<kSize - 3, kSize - 3>(kSize + 3, 6).setIdentity();
+  Eigen::MatrixXd weight = Eigen::MatrixXd::Zero(2 * kSize, 2 * kSize);
+  weight.topLeftCorner<kSize, kSize>() = earlier_covariance.inverse();
+  weight.bottomRightCorner<kSize, kSize>() = later_covariance.inverse();
+  Eigen::VectorXd data(2 * kSize);
+  data << earlier, later;
+  const Eigen::MatrixXd together = (design.transpose() * weight * design).inverse();
+  const Eigen::VectorXd solution = together * design.transpose() * weight * data;
+  const Eigen::Vector3d by_m = solution.segment<3>(3) - solution.head<3>();
+  const Eigen::Matrix3d spread = together.topLeftCorner<3, 3>() + together.block<3, 3>(3, 3) -
+                                 together.block<3, 3>(0, 3) - together.block<3, 3>(3, 0);
+  EXPECT_TRUE(shift.by_m.isApprox(by_m, 1e-9));
+  EXPECT_NEAR(shift.square_sigmas, by_m.dot(spread.inverse() * by_m), 1e-9 * shift.square_sigmas);
+}
+
+}  // namespace
+}  // namespace groma::calibration
