@@ -6,6 +6,8 @@
 #include <limits>
 #include <map>
 
+#include "host/model/samples.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -25,10 +27,7 @@ std::vector<model::PoseSample> clean_poses(std::span<const model::PoseSample> po
   std::vector<model::PoseSample> out;
   out.reserve(poses.size());
   std::copy_if(poses.begin(), poses.end(), std::back_inserter(out), is_finite);
-  const auto earlier = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };
-  std::stable_sort(out.begin(), out.end(), earlier);
-  const auto same_instant = [](const auto& a, const auto& b) { return a.t_s == b.t_s; };
-  out.erase(std::unique(out.begin(), out.end(), same_instant), out.end());
+  model::sort_poses(out);
   return out;
 }
 

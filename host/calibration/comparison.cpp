@@ -132,12 +132,6 @@ std::vector<PairChange> compare_pairs(const std::vector<Shared>& anchors) {
 
 }  // namespace
 
-bool has_position(const model::AnchorCalibration& anchor) noexcept {
-  const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
-  return anchor.position_m.allFinite() && anchor.covariance.rows() == size &&
-         anchor.covariance.cols() == size && anchor.covariance.allFinite();
-}
-
 Frame place_by_frame(const Eigen::Vector3d& place_m) noexcept {
   Frame out;
   out << 1.0, 0.0, 0.0, -place_m.y(),  //
@@ -149,21 +143,20 @@ Frame place_by_frame(const Eigen::Vector3d& place_m) noexcept {
 Comparison compare(const model::Calibration& a, const model::Calibration& b) {
   Comparison out;
   std::vector<Shared> shared;
-  const auto find = [](const model::Calibration& calibration, model::NodeId id) {
-    const auto found = std::find_if(calibration.anchors.begin(), calibration.anchors.end(),
-                                    [id](const auto& anchor) { return anchor.id == id; });
-    return found != calibration.anchors.end() && has_position(*found) ? &*found : nullptr;
+  const auto find_placed = [](const model::Calibration& calibration, model::NodeId id) {
+    const model::AnchorCalibration* found = model::find_anchor(calibration, id);
+    return found != nullptr && model::has_position(*found) ? found : nullptr;
   };
   for (const model::AnchorCalibration& anchor : a.anchors) {
-    if (!has_position(anchor)) continue;
-    if (const auto* other = find(b, anchor.id)) {
+    if (!model::has_position(anchor)) continue;
+    if (const auto* other = find_placed(b, anchor.id)) {
       shared.push_back(make_shared(anchor, *other));
     } else {
       out.only_a.push_back(anchor.id);
     }
   }
   for (const model::AnchorCalibration& anchor : b.anchors) {
-    if (has_position(anchor) && find(a, anchor.id) == nullptr) out.only_b.push_back(anchor.id);
+    if (model::has_position(anchor) && find_placed(a, anchor.id) == nullptr) out.only_b.push_back(anchor.id);
   }
   const Eigen::Matrix4d prior = a.common_frame_covariance + b.common_frame_covariance;
   out.anchors = find_changes(shared, prior);

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <tuple>
 #include <utility>
 
 #include "host/model/pose.hpp"
+#include "host/model/samples.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -39,9 +39,7 @@ void thin_pairs(std::vector<model::RangeSample>& ranges, std::size_t pair_most, 
     ranges.insert(ranges.end(), list.begin(), list.end());
   }
   thin(ranges, most);
-  std::sort(ranges.begin(), ranges.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.t_s, a.tag_id, a.anchor_id) < std::tie(b.t_s, b.tag_id, b.anchor_id);
-  });
+  model::sort_ranges(ranges);
 }
 
 bool is_usable(double t_s) noexcept {
@@ -181,10 +179,7 @@ DriveStore::Samples DriveStore::Snapshot::samples() const {
     }
   }
   // Neighbours share the poses between them.
-  std::stable_sort(out.poses.begin(), out.poses.end(), earlier);
-  out.poses.erase(std::unique(out.poses.begin(), out.poses.end(),
-                              [](const auto& a, const auto& b) { return a.t_s == b.t_s; }),
-                  out.poses.end());
+  model::sort_poses(out.poses);
   return out;
 }
 

@@ -26,8 +26,8 @@ Drive drive_of(const DriveStore::Samples& samples, const LearningInput& input) {
 LearningStep learn(const LearningInput& input) {
   LearningStep step;
   if (input.places) {
-    const DriveStore::Samples samples = input.places->samples();
-    step.learnt = calibrate(drive_of(samples, input));
+    step.samples = input.places->samples();
+    step.learnt = calibrate(drive_of(step.samples, input));
     step.learnt->fitted.clear();
   }
   if (input.live.anchors.empty() || input.recent.segments() < kMinRecheckSegments) return step;
@@ -43,13 +43,12 @@ LearningStep learn(const LearningInput& input) {
 }
 
 bool carries(const model::AnchorCalibration& anchor) noexcept {
-  return has_position(anchor) &&
-         (anchor.verdict == model::AnchorVerdict::kOk || anchor.verdict == model::AnchorVerdict::kWeakZ);
+  return model::has_position(anchor) && model::is_usable(anchor.verdict);
 }
 
 double coverage(const model::AnchorCalibration& anchor) {
   if (carries(anchor)) return 1.0;
-  if (!has_position(anchor)) return 0.0;
+  if (!model::has_position(anchor)) return 0.0;
   double share = std::min(kAlmost, static_cast<double>(anchor.ranges_used) / kNeededRanges);
   const double variance_m2 = std::max(anchor.covariance(0, 0), anchor.covariance(1, 1));
   if (variance_m2 > 0.0) share = std::min(share, kNeededSigma_m * kNeededSigma_m / variance_m2);

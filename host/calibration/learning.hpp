@@ -25,6 +25,7 @@ struct LearningInput {
 
 struct LearningStep {
   std::optional<Result> learnt;  // from all places, where they were given; its fitted ranges are left out
+  DriveStore::Samples samples;   // that it was learnt from
   std::vector<AnchorChange>
       rechecked;  // anchors in use against the last of the drive; none as long as it is short
 };

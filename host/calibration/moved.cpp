@@ -37,17 +37,6 @@ std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Pol
   return out;
 }
 
-double middle_s(std::span<const AnchorFit> fits) {
-  double begin_s = std::numeric_limits<double>::infinity();
-  double end_s = -std::numeric_limits<double>::infinity();
-  for (const AnchorFit& fit : fits) {
-    if (fit.problem.rows.empty()) continue;
-    begin_s = std::min(begin_s, fit.problem.rows.front().t_s);
-    end_s = std::max(end_s, fit.problem.rows.back().t_s);
-  }
-  return 0.5 * (begin_s + end_s);
-}
-
 }  // namespace
 
 Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_covariance,
@@ -68,7 +57,8 @@ Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_
 std::vector<std::optional<Shift>> find_moved(const PollTable& table, SiteSight& sight,
                                              std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
   std::vector<std::optional<Shift>> out(fits.size());
-  const double split_s = middle_s(fits);
+  const RowSpan span = row_span(fits);
+  const double split_s = 0.5 * (span.begin_s + span.end_s);
   PollTable half_table{.interval_s = table.interval_s, .regular = table.regular, .polls = {}};
   std::vector<AnchorFit> halves;  // of each suspect the earlier, then the later
   std::vector<std::size_t> suspects;

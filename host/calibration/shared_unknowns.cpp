@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 
 namespace groma::calibration {
 namespace {
@@ -30,18 +29,13 @@ BodyVector body_information() noexcept {
 }  // namespace
 
 std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid) {
-  double begin_s = std::numeric_limits<double>::infinity();
-  double end_s = -std::numeric_limits<double>::infinity();
-  for (const AnchorFit& fit : fits) {
-    if (fit.problem.rows.empty()) continue;
-    begin_s = std::min(begin_s, fit.problem.rows.front().t_s);
-    end_s = std::max(end_s, fit.problem.rows.back().t_s);
-  }
-  if (!(end_s > begin_s)) return std::nullopt;
+  const RowSpan span = row_span(fits);
+  const double duration_s = span.end_s - span.begin_s;
+  if (!(duration_s > 0.0)) return std::nullopt;
   Knots knots;
-  knots.begin_s = begin_s;
-  knots.spacing_s = std::max(grid.spacing_s, (end_s - begin_s) / (grid.max_count - 1.0));
-  knots.count = 2 + static_cast<Eigen::Index>((end_s - begin_s) / knots.spacing_s);
+  knots.begin_s = span.begin_s;
+  knots.spacing_s = std::max(grid.spacing_s, duration_s / (grid.max_count - 1.0));
+  knots.count = 2 + static_cast<Eigen::Index>(duration_s / knots.spacing_s);
   return knots;
 }
 

@@ -109,6 +109,16 @@ void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors,
   }
 }
 
+RowSpan row_span(std::span<const AnchorFit> fits) noexcept {
+  RowSpan out;
+  for (const AnchorFit& fit : fits) {
+    if (fit.problem.rows.empty()) continue;
+    out.begin_s = std::min(out.begin_s, fit.problem.rows.front().t_s);
+    out.end_s = std::max(out.end_s, fit.problem.rows.back().t_s);
+  }
+  return out;
+}
+
 void find_start(AnchorFit& fit) {
   const AnchorProblem& problem = fit.problem;
   const std::vector<Observation> few =

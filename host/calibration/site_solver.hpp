@@ -2,7 +2,7 @@
 #pragma once
 
 #include <cstddef>
-#include <optional>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -36,6 +36,13 @@ struct SiteProblem {
 // prior.
 [[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
                                                 std::span<const AnchorFit> earlier);
+
+// From the first row of all fits to the last; the end is before the begin where there are none.
+struct RowSpan {
+  double begin_s = std::numeric_limits<double>::infinity();
+  double end_s = -std::numeric_limits<double>::infinity();
+};
+[[nodiscard]] RowSpan row_span(std::span<const AnchorFit> fits) noexcept;
 
 // Solution and kernels of one anchor from few of its rows, without a start: the fit's problem says all.
 void find_start(AnchorFit& fit);

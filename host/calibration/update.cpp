@@ -20,6 +20,7 @@ namespace {
 
 using model::AnchorCalibration;
 using model::AnchorVerdict;
+using model::has_position;
 
 constexpr double kLeastVariance = 1e-12;
 
@@ -40,10 +41,6 @@ int rank(AnchorVerdict verdict) {
       return 5;
   }
   return 5;
-}
-
-bool is_any_good(const AnchorCalibration& anchor) {
-  return has_position(anchor) && rank(anchor.verdict) <= rank(AnchorVerdict::kWeakZ);
 }
 
 // An anchor's whole block of parameters as a vector: position, then beta of each pair, then gamma.
@@ -182,7 +179,7 @@ std::string moved_advice(const AnchorChange& change, bool solved) {
 
 AnchorCalibration moved_anchor(const AnchorCalibration& later, const AnchorChange& change) {
   AnchorCalibration out = later;
-  const bool solved = is_any_good(later);
+  const bool solved = has_position(later) && model::is_usable(later.verdict);
   out.verdict = AnchorVerdict::kMoved;
   out.advice = moved_advice(change, solved);
   if (!solved) {
@@ -245,9 +242,7 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
     }
   }
   for (const AnchorCalibration& anchor : earlier.anchors) {
-    const auto found = std::find_if(heard.anchors.begin(), heard.anchors.end(),
-                                    [&](const AnchorCalibration& a) { return a.id == anchor.id; });
-    if (found == heard.anchors.end()) out.kept.push_back(anchor.id);
+    if (model::find_anchor(heard, anchor.id) == nullptr) out.kept.push_back(anchor.id);
   }
 
   model::Calibration& calibration = out.calibration;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstdio>
 #include <numbers>
 #include <string>
@@ -47,7 +48,7 @@ constexpr double kShortLimit = 0.03;
 constexpr double kTwinFlicker = 2.5;
 constexpr double kTwinCountRatio = 1.3;
 constexpr double kHeldOutLimit = 3.0;
-constexpr std::size_t kMinAnchors = 3;
+constexpr std::ptrdiff_t kMinAnchors = 3;
 
 // The compass side on which the anchor sees the drive least: towards it, but never there.
 std::string side_of(const Eigen::Vector3d& from_m, const Eigen::Vector3d& to_m) {
@@ -203,10 +204,9 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
 }
 
 model::Verdict judge_site(std::span<const model::AnchorCalibration> anchors) {
-  const auto carries = [](const model::AnchorCalibration& anchor) {
-    return anchor.verdict == AnchorVerdict::kOk || anchor.verdict == AnchorVerdict::kWeakZ;
-  };
-  const auto good = static_cast<std::size_t>(std::count_if(anchors.begin(), anchors.end(), carries));
+  const auto good = std::count_if(anchors.begin(), anchors.end(), [](const model::AnchorCalibration& anchor) {
+    return model::is_usable(anchor.verdict);
+  });
   if (good == 0) return model::Verdict::kUnusable;
   const bool all_ok = std::all_of(anchors.begin(), anchors.end(), [](const model::AnchorCalibration& anchor) {
     return anchor.verdict == AnchorVerdict::kOk;

@@ -27,13 +27,8 @@ struct Options {
   bool json = false;
 };
 
-const model::AnchorCalibration& anchor_of(const model::Calibration& calibration, model::NodeId id) {
-  return *std::find_if(calibration.anchors.begin(), calibration.anchors.end(),
-                       [id](const auto& anchor) { return anchor.id == id; });
-}
-
 std::string verdict_of(const model::Calibration& calibration, model::NodeId id) {
-  return std::string(io::word(anchor_of(calibration, id).verdict));
+  return std::string(io::word(model::find_anchor(calibration, id)->verdict));
 }
 
 const char* change_word(const calibration::AnchorChange& change) {

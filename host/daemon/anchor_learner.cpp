@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <set>
 #include <utility>
 
@@ -25,17 +26,10 @@ double sigma_xy_m(const model::AnchorCalibration& anchor) {
   return std::sqrt(std::max(anchor.covariance(0, 0), anchor.covariance(1, 1)));
 }
 
-const model::AnchorCalibration* find(const model::Calibration& calibration, model::NodeId id) {
-  const auto found = std::find_if(calibration.anchors.begin(), calibration.anchors.end(),
-                                  [id](const auto& anchor) { return anchor.id == id; });
-  return found == calibration.anchors.end() ? nullptr : &*found;
-}
-
 calibration::LearningStep learn_and_name(const calibration::LearningInput& input) {
   calibration::LearningStep step = calibration::learn(input);
   if (step.learnt) {
-    const calibration::DriveStore::Samples samples = input.places->samples();
-    step.learnt->calibration.input_sha256 = sample_digest(samples.ranges, samples.poses);
+    step.learnt->calibration.input_sha256 = sample_digest(step.samples.ranges, step.samples.poses);
   }
   return step;
 }
@@ -63,8 +57,7 @@ std::string_view state_word(AnchorState state) noexcept {
 }
 
 AnchorLearner::AnchorLearner(Setup setup) : setup_(std::move(setup)), store_(setup_.limits) {
-  std::erase_if(setup_.earlier.anchors,
-                [](const auto& anchor) { return !calibration::has_position(anchor); });
+  std::erase_if(setup_.earlier.anchors, [](const auto& anchor) { return !model::has_position(anchor); });
   live_ = setup_.earlier;
 }
 
@@ -132,7 +125,7 @@ bool AnchorLearner::take(calibration::LearningStep step, bool last) {
   const bool moved = take_out_moved(step.rechecked);
   for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
     // Moved before it was good enough to be used: what it said at its former place is of no use.
-    if (anchor.verdict == model::AnchorVerdict::kMoved && find(live_, anchor.id) == nullptr) {
+    if (anchor.verdict == model::AnchorVerdict::kMoved && model::find_anchor(live_, anchor.id) == nullptr) {
       store_.forget(anchor.id, store_.last_s() - setup_.limits.segment_s *
                                                      static_cast<double>(setup_.limits.recent_segments));
     }
@@ -146,7 +139,7 @@ bool AnchorLearner::take_out_moved(const std::vector<calibration::AnchorChange>&
   bool changed = false;
   std::map<model::NodeId, int> suspicion;
   for (const calibration::AnchorChange& change : rechecked) {
-    if (!change.moved || find(live_, change.id) == nullptr) continue;
+    if (!change.moved || model::find_anchor(live_, change.id) == nullptr) continue;
     const int times = suspicion_[change.id] + 1;
     if (times < kMovedSteps) {
       suspicion[change.id] = times;
@@ -166,7 +159,7 @@ bool AnchorLearner::take_out_moved(const std::vector<calibration::AnchorChange>&
 }
 
 bool AnchorLearner::is_earlier(model::NodeId id) const {
-  return find(setup_.earlier, id) != nullptr;
+  return model::find_anchor(setup_.earlier, id) != nullptr;
 }
 
 // All anchors that were learnt are of one solution: they are taken in together.
@@ -176,7 +169,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
   for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
     if (is_earlier(anchor.id) || !calibration::carries(anchor)) continue;
     learnt.push_back(anchor);
-    const model::AnchorCalibration* before = find(live_, anchor.id);
+    const model::AnchorCalibration* before = model::find_anchor(live_, anchor.id);
     if (before == nullptr) {
       news_.push_back(fmt::format("anchor {} is learnt: verdict {}, {} ranges, sigma {:.2f} m", anchor.id,
                                   io::word(anchor.verdict), anchor.ranges_used, sigma_xy_m(anchor)));
@@ -204,7 +197,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
   live_.anchors.insert(live_.anchors.end(), learnt.begin(), learnt.end());
   // One that was good once and is not in this solution stays as it was.
   for (const model::AnchorCalibration& anchor : before.anchors) {
-    if (find(live_, anchor.id) == nullptr) live_.anchors.push_back(anchor);
+    if (model::find_anchor(live_, anchor.id) == nullptr) live_.anchors.push_back(anchor);
   }
   std::sort(live_.anchors.begin(), live_.anchors.end(),
             [](const auto& a, const auto& b) { return a.id < b.id; });
@@ -218,8 +211,8 @@ std::vector<AnchorProgress> AnchorLearner::progress() const {
   for (const auto& [id, distance_m] : moved_m_) ids.insert(id);
   std::vector<AnchorProgress> out;
   for (const model::NodeId id : ids) {
-    const model::AnchorCalibration* live = find(live_, id);
-    const model::AnchorCalibration* learnt = find(learnt_.calibration, id);
+    const model::AnchorCalibration* live = model::find_anchor(live_, id);
+    const model::AnchorCalibration* learnt = model::find_anchor(learnt_.calibration, id);
     const model::AnchorCalibration* anchor = live != nullptr ? live : learnt;
     AnchorProgress& progress = out.emplace_back();
     progress.id = id;
@@ -236,7 +229,7 @@ std::vector<AnchorProgress> AnchorLearner::progress() const {
     progress.verdict = anchor->verdict;
     progress.advice = anchor->advice;
     progress.ranges_used = learnt != nullptr ? learnt->ranges_used : 0;
-    if (calibration::has_position(*anchor)) progress.sigma_m = sigma_xy_m(*anchor);
+    if (model::has_position(*anchor)) progress.sigma_m = sigma_xy_m(*anchor);
   }
   return out;
 }

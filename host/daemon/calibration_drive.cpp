@@ -1,11 +1,11 @@
 #include "host/daemon/calibration_drive.hpp"
 
 #include <algorithm>
-#include <tuple>
 #include <utility>
 
 #include "host/daemon/sample_digest.hpp"
 #include "host/io/version.hpp"
+#include "host/model/samples.hpp"
 
 namespace groma::daemon {
 CalibrationDrive::CalibrationDrive(std::vector<model::Tag> tags, model::Surface surface,
@@ -36,15 +36,8 @@ double CalibrationDrive::duration_s() const noexcept {
 }
 
 calibration::Result CalibrationDrive::solve(const calibration::Options& options) {
-  std::stable_sort(ranges_.begin(), ranges_.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.t_s, a.tag_id, a.anchor_id) < std::tie(b.t_s, b.tag_id, b.anchor_id);
-  });
-  std::stable_sort(poses_.begin(), poses_.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
-  // A pose told twice tells nothing new, and an interval of no length could not be interpolated.
-  const auto repeated =
-      std::unique(poses_.begin(), poses_.end(), [](const auto& a, const auto& b) { return a.t_s == b.t_s; });
-  poses_.erase(repeated, poses_.end());
-
+  model::sort_ranges(ranges_);
+  model::sort_poses(poses_);
   const calibration::Drive drive{.ranges = ranges_,
                                  .poses = poses_,
                                  .tags = tags_,

@@ -109,10 +109,7 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
   if (inputs_.size() == kMaxInputs) {
     // Too many for the window: half of it goes.
     check_in(first_ + inputs_.size(), newest_s_);
-    while (checkpoint_count_ > 1 && checkpoint(0).next < first_ + kMaxInputs / 2) {
-      first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
-      --checkpoint_count_;
-    }
+    while (checkpoint_count_ > 1 && checkpoint(0).next < first_ + kMaxInputs / 2) drop_checkpoint();
     forget();
   }
   const auto place = std::upper_bound(inputs_.begin(), inputs_.end(), place_of(input),
@@ -140,10 +137,7 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
     }
   }
   outcome.taken = true;
-  while (checkpoint_count_ > 1 && checkpoint(1).t_s < newest_s_ - window_s_) {
-    first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
-    --checkpoint_count_;
-  }
+  while (checkpoint_count_ > 1 && checkpoint(1).t_s < newest_s_ - window_s_) drop_checkpoint();
   if (inputs_.size() > kMaxInputs / 2) forget();
   return outcome;
 }
@@ -168,14 +162,16 @@ void OrderedFilter::check_in_when_due(std::uint64_t next, double t_s) noexcept {
 // The filter as it is now, before the input of number `next`, which is of t_s. Where the ring is full the
 // oldest goes.
 void OrderedFilter::check_in(std::uint64_t next, double t_s) noexcept {
-  if (checkpoint_count_ == kMaxCheckpoints) {
-    first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
-    --checkpoint_count_;
-  }
+  if (checkpoint_count_ == kMaxCheckpoints) drop_checkpoint();
   Checkpoint& at = checkpoint(checkpoint_count_++);
   at.filter = filter_.snapshot();
   at.next = next;
   at.t_s = t_s;
+}
+
+void OrderedFilter::drop_checkpoint() noexcept {
+  first_checkpoint_ = (first_checkpoint_ + 1) % kMaxCheckpoints;
+  --checkpoint_count_;
 }
 
 // Inputs before the first checkpoint.

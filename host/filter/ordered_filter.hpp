@@ -64,6 +64,7 @@ class OrderedFilter {
   Outcome apply(const Input& input) noexcept;
   void check_in_when_due(std::uint64_t next, double t_s) noexcept;
   void check_in(std::uint64_t next, double t_s) noexcept;
+  void drop_checkpoint() noexcept;  // the oldest
   void forget() noexcept;
   [[nodiscard]] Checkpoint& checkpoint(std::size_t i) noexcept {
     return checkpoints_[(first_checkpoint_ + i) % kMaxCheckpoints];

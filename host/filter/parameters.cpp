@@ -4,16 +4,6 @@
 
 namespace groma::filter {
 
-namespace {
-
-bool usable(const model::AnchorCalibration& anchor) {
-  const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
-  return anchor.position_m.allFinite() && anchor.covariance.rows() == size &&
-         anchor.covariance.cols() == size && anchor.covariance.allFinite();
-}
-
-}  // namespace
-
 Parameters::Parameters(std::span<const model::Tag> tags, const model::Calibration& calibration) {
   for (const model::Tag& tag : tags) {
     if (tag_count_ == kMaxTags) break;
@@ -21,7 +11,7 @@ Parameters::Parameters(std::span<const model::Tag> tags, const model::Calibratio
   }
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     if (anchor_count_ == kMaxAnchors) break;
-    if (usable(anchor)) anchor_ids_[static_cast<std::size_t>(anchor_count_++)] = anchor.id;
+    if (model::has_position(anchor)) anchor_ids_[static_cast<std::size_t>(anchor_count_++)] = anchor.id;
   }
 
   values_.setZero(size());
@@ -37,7 +27,7 @@ Parameters::Parameters(std::span<const model::Tag> tags, const model::Calibratio
   }
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     const int slot = anchor_slot(anchor.id);
-    if (slot < 0 || !usable(anchor)) continue;
+    if (slot < 0 || !model::has_position(anchor)) continue;
     values_.segment<3>(position(slot)) = anchor.position_m;
     for (const model::PairBias& pair : anchor.pairs) {
       const int tag = tag_slot(pair.tag_id);
@@ -72,7 +62,7 @@ ParameterMatrix Parameters::prior_covariance(const model::Calibration& calibrati
   ParameterMatrix covariance = ParameterMatrix::Zero(size(), size());
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     const int slot = anchor_slot(anchor.id);
-    if (slot < 0 || !usable(anchor)) continue;
+    if (slot < 0 || !model::has_position(anchor)) continue;
     // Where each row of the calibration's block goes, -1 for tags that are not ours.
     const auto target = [&](Eigen::Index row) {
       if (row < 3) return position(slot) + static_cast<int>(row);

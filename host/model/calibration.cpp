@@ -4,6 +4,18 @@
 
 namespace groma::model {
 
+bool has_position(const AnchorCalibration& anchor) noexcept {
+  const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
+  return anchor.position_m.allFinite() && anchor.covariance.rows() == size &&
+         anchor.covariance.cols() == size && anchor.covariance.allFinite();
+}
+
+const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) noexcept {
+  const auto found = std::find_if(calibration.anchors.begin(), calibration.anchors.end(),
+                                  [id](const AnchorCalibration& anchor) { return anchor.id == id; });
+  return found == calibration.anchors.end() ? nullptr : &*found;
+}
+
 Calibration surveyed_calibration(std::span<const Anchor> anchors, std::span<const Tag> tags,
                                  const RangePriors& priors, double position_sigma_m) {
   Calibration calibration;

@@ -15,6 +15,10 @@
 namespace groma::model {
 
 enum class AnchorVerdict { kOk, kWeakZ, kWeak, kNeverInSight, kMoved, kNoData };
+// Whether a filter may use an anchor of that verdict.
+[[nodiscard]] constexpr bool is_usable(AnchorVerdict verdict) noexcept {
+  return verdict == AnchorVerdict::kOk || verdict == AnchorVerdict::kWeakZ;
+}
 enum class Verdict { kUsable, kWarnings, kUnusable };
 
 // Constant and range-dependent bias of one tag and anchor, with marginal sigmas.
@@ -40,6 +44,9 @@ struct AnchorCalibration {
   AnchorVerdict verdict = AnchorVerdict::kNoData;
   std::string advice;  // empty when there is nothing to do
 };
+
+// Whether there is a position with its whole block of covariance.
+[[nodiscard]] bool has_position(const AnchorCalibration& anchor) noexcept;
 
 // base_link; each axis that was not shown clearly is as it was said to be, with a variance of null: NaN.
 struct LeverArmCalibration {
@@ -68,6 +75,9 @@ struct Calibration {
   std::string input_sha256;
   std::string program_version;
 };
+
+// Null where there is none of that id.
+[[nodiscard]] const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) noexcept;
 
 // Positions as surveyed, with that sigma an axis; beta and gamma of each pair at their priors; no error of a
 // common frame.

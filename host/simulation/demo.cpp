@@ -7,12 +7,12 @@
 #include <cmath>
 #include <memory>
 #include <string>
-#include <tuple>
 #include <utility>
 
 #include "host/daemon/calibration_drive.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/io/error.hpp"
+#include "host/model/samples.hpp"
 #include "host/simulation/lock_step.hpp"
 
 namespace groma::simulation {
@@ -54,9 +54,7 @@ io::Dataset empty_dataset(const sim::Scenario& scenario, const std::string& driv
 
 // Measurements that came late stand where they belong; the truth is added.
 void complete(io::Dataset& dataset, const sim::World& world, const sim::DriveTime& time) {
-  std::stable_sort(dataset.ranges.begin(), dataset.ranges.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.t_s, a.tag_id, a.anchor_id) < std::tie(b.t_s, b.tag_id, b.anchor_id);
-  });
+  model::sort_ranges(dataset.ranges);
   const auto by_time = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };
   std::stable_sort(dataset.odometry.begin(), dataset.odometry.end(), by_time);
   std::stable_sort(dataset.pose_prior.begin(), dataset.pose_prior.end(), by_time);

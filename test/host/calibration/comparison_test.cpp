@@ -313,7 +313,7 @@ TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
     for (std::size_t a = 0; a < 12; ++a) {
       const model::AnchorCalibration& anchor = updated.calibration.anchors[a];
       EXPECT_EQ(anchor.verdict == AnchorVerdict::kMoved, a == one || a == two);
-      if (!has_position(anchor)) continue;
+      if (!model::has_position(anchor)) continue;
       const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
       const Eigen::Matrix3d covariance =
           anchor.covariance.topLeftCorner<3, 3>() +

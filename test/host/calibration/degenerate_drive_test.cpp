@@ -41,27 +41,8 @@ void expect_no_lie(const Result& result, const test::SimulatedSite& site) {
   }
 }
 
-// The site's ranges, made again for a robot that moves as told.
-template <typename PoseAt>
-test::SimulatedSite with_path(test::SimulatedSite site, PoseAt pose_at) {
-  test::Random random(99);
-  for (model::PoseSample& pose : site.poses) pose = pose_at(pose.t_s);
-  site.truth = site.poses;
-  for (model::RangeSample& range : site.ranges) {
-    const std::size_t a = range.anchor_id - site.anchors.front().id;
-    const std::size_t j = range.tag_id - 1U;
-    const double distance_m =
-        (test::antenna_of(pose_at(range.t_s), site.tags[j]) - site.anchors[a].position_m).norm();
-    range.range_m =
-        site.gamma[a][j] * distance_m + site.beta_m[a][j] + site.settings.sigma_m * random.gaussian();
-  }
-  return site;
-}
-
 TEST(DegenerateDrive, ThatNeverMovesIsUnusable) {
-  const test::SimulatedSite site = with_path(test::simulate_site({}, 1), [](double t_s) {
-    return model::PoseSample{.t_s = t_s, .x_m = 8.0, .y_m = 7.0, .yaw_rad = 0.3};
-  });
+  const test::SimulatedSite site = with_path(test::simulate_site({}, 1), test::standing_pose);
   const Result result = calibrate(site.drive());
   expect_no_lie(result, site);
   for (const auto& anchor : result.calibration.anchors) EXPECT_NE(anchor.verdict, AnchorVerdict::kOk);
@@ -69,9 +50,7 @@ TEST(DegenerateDrive, ThatNeverMovesIsUnusable) {
 }
 
 TEST(DegenerateDrive, InAStraightLineDoesNotTellTheSide) {
-  const test::SimulatedSite site = with_path(test::simulate_site({}, 2), [](double t_s) {
-    return model::PoseSample{.t_s = t_s, .x_m = 3.0 + 0.06 * t_s, .y_m = 7.5, .yaw_rad = 0.0};
-  });
+  const test::SimulatedSite site = with_path(test::simulate_site({}, 2), test::straight_pose);
   // With the three tags side by side the two sides differ; with one they do not.
   expect_no_lie(calibrate(site.drive()), site);
   Drive one_tag = site.drive();

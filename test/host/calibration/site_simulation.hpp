@@ -228,6 +228,29 @@ inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t s
   return site;
 }
 
+// The site's ranges made again for a robot that moves as told, with poses that are exact.
+template <typename PoseAt>
+SimulatedSite with_path(SimulatedSite site, PoseAt pose_at) {
+  Random random(99);
+  for (model::PoseSample& pose : site.poses) pose = pose_at(pose.t_s);
+  site.truth = site.poses;
+  for (model::RangeSample& range : site.ranges) {
+    const std::size_t a = range.anchor_id - site.anchors.front().id;
+    const std::size_t j = range.tag_id - site.tags.front().id;
+    const double distance_m =
+        (antenna_of(pose_at(range.t_s), site.tags[j]) - site.anchors[a].position_m).norm();
+    range.range_m =
+        site.gamma[a][j] * distance_m + site.beta_m[a][j] + site.settings.sigma_m * random.gaussian();
+  }
+  return site;
+}
+inline model::PoseSample standing_pose(double t_s) {
+  return {.t_s = t_s, .x_m = 8.0, .y_m = 7.0, .yaw_rad = 0.3};
+}
+inline model::PoseSample straight_pose(double t_s) {
+  return {.t_s = t_s, .x_m = 3.0 + 0.06 * t_s, .y_m = 7.5, .yaw_rad = 0.0};
+}
+
 // The Cramer-Rao bound of one anchor's (position, beta of each tag, gamma of each tag) from all its ranges as
 // if none were an outlier, with the priors of the biases and perfect poses: the inverse of the information,
 // written out here from the range model itself.

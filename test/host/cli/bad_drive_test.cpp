@@ -2,10 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
-#include <cmath>
-#include <functional>
-#include <limits>
 #include <string>
 #include <vector>
 
@@ -24,29 +20,11 @@ namespace {
 using nlohmann::json;
 using test::SimulatedSite;
 
-// The site's ranges made again for a robot that moves as told.
-SimulatedSite on_path(SimulatedSite site, const std::function<model::PoseSample(double)>& pose_at) {
-  test::Random random(99);
-  for (model::PoseSample& pose : site.poses) pose = pose_at(pose.t_s);
-  for (model::RangeSample& range : site.ranges) {
-    const std::size_t a = range.anchor_id - 4U;
-    const std::size_t j = range.tag_id - 1U;
-    const double distance_m =
-        (test::antenna_of(pose_at(range.t_s), site.tags[j]) - site.anchors[a].position_m).norm();
-    range.range_m =
-        site.gamma[a][j] * distance_m + site.beta_m[a][j] + site.settings.sigma_m * random.gaussian();
-  }
-  return site;
-}
-
 void never_moves(SimulatedSite& site) {
-  site = on_path(
-      site, [](double t_s) { return model::PoseSample{.t_s = t_s, .x_m = 8.0, .y_m = 7.0, .yaw_rad = 0.3}; });
+  site = with_path(site, test::standing_pose);
 }
 void one_straight_line(SimulatedSite& site) {
-  site = on_path(site, [](double t_s) {
-    return model::PoseSample{.t_s = t_s, .x_m = 3.0 + 0.06 * t_s, .y_m = 7.5, .yaw_rad = 0.0};
-  });
+  site = with_path(site, test::straight_pose);
 }
 void one_straight_line_of_one_tag(SimulatedSite& site) {
   one_straight_line(site);
