@@ -228,7 +228,7 @@ struct Site {
   std::vector<AnchorFit> fits;
   SiteSight sight;
   bool polls_are_regular = false;
-  std::vector<std::optional<Shift>> moved;
+  std::vector<AnchorPath> paths;         // of each anchor
   std::vector<AnchorEvidence> evidence;  // of each anchor
 };
 
@@ -257,14 +257,14 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   site.beginning = solve_site(problem, {});
   problem.end_s = std::numeric_limits<double>::infinity();
   site.fits = solve_site(problem, site.beginning);
-  site.moved.resize(site.fits.size());
+  site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
     const PollTable polls = tabulate_polls(site.association);
     site.polls_are_regular = polls.regular;
     if (is_sight_wanted(polls, site.fits, problem.priors)) {
       site.sight = solve_sight(polls, first_sight_model(polls, problem.priors), site.fits, problem.priors);
     }
-    site.moved = find_moved(polls, site.sight, site.fits, problem.priors);
+    site.paths = find_moved(polls, site.sight, site.fits, problem.priors);
   }
   explore(site);
   refine_site(site.fits, problem.priors, kLastRounds);
@@ -277,6 +277,40 @@ Site solve_at_best_height(const Drive& drive, const Options& options) {
   if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
   Site other = solve_at_height(drive, options, HeightSource::kSurface);
   return total_cost(other.fits) < total_cost(site.fits) ? std::move(other) : std::move(site);
+}
+
+// An anchor that goes so far and ends so near to another's place has its id.
+constexpr double kJump_m = 2.0;
+constexpr double kSamePlace_m = 0.5;
+
+// The other anchor that was, or is, where this one has been since one of its moves.
+std::optional<model::NodeId> find_stand_in(const Site& site, std::size_t anchor) {
+  const std::vector<Eigen::Vector3d>& places_m = site.paths[anchor].places_m;
+  for (std::size_t k = 1; k < places_m.size(); ++k) {
+    if ((places_m[k] - places_m[k - 1]).norm() < kJump_m) continue;
+    for (std::size_t other = 0; other < site.fits.size(); ++other) {
+      if (other == anchor || site.fits[other].problem.rows.empty()) continue;
+      std::vector<Eigen::Vector3d> others_m = site.paths[other].places_m;
+      others_m.emplace_back(site.fits[other].anchor.head<3>());
+      if (std::any_of(others_m.begin(), others_m.end(), [&](const Eigen::Vector3d& other_m) {
+            return (other_m - places_m[k]).norm() < kSamePlace_m;
+          })) {
+        return site.association.anchors[other].id;
+      }
+    }
+  }
+  return std::nullopt;
+}
+
+std::optional<MoveEvidence> tell_moves(const Site& site, std::size_t anchor) {
+  const AnchorPath& path = site.paths[anchor];
+  if (path.moves.empty()) return std::nullopt;
+  MoveEvidence out;
+  for (const Move& move : path.moves) out.at_s.push_back(move.t_s);
+  out.by_m = path.moves.back().shift.by_m;
+  out.is_back = (path.places_m.back() - path.places_m.front()).norm() < kSamePlace_m;
+  out.stand_in = find_stand_in(site, anchor);
+  return out;
 }
 
 // With the survey's ranges between anchors, where there are any: moves the fits and their rivals.
@@ -344,7 +378,8 @@ Result calibrate(const Drive& drive, const Options& options) {
     anchor.ranges_rejected = data.rejected + data.rows.size() - anchor.ranges_used;
 
     AnchorEvidence& known = site.evidence[i];
-    if (site.moved[i]) known.moved_m = site.moved[i]->by_m;
+    known.moved = tell_moves(site, i);
+    known.twin_m = site.paths[i].twin_m;
     if (!site.sight.anchors.empty()) {
       known.sight = SightEvidence{.polls = site.sight.shares[i].polls,
                                   .polls_are_told = site.polls_are_regular,

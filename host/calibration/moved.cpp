@@ -1,6 +1,7 @@
 #include "host/calibration/moved.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <utility>
 
@@ -8,21 +9,19 @@
 
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/rival.hpp"
+#include "host/calibration/second_place.hpp"
 #include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {
 namespace {
 
-// Without a sight, an anchor is looked at where its score scatters so much more than independent residuals
-// make it.
-constexpr double kSuspiciousInflation = 1.5;
-// Rows that each half wants.
-constexpr std::ptrdiff_t kMinRows = 100;
 constexpr int kRounds = 4;
-// A move is one of this length in the plane, and so far outside of what the halves can differ by.
+constexpr int kLooks = 3;
+constexpr int kStartingSteps = 6;
+// A move is one of this length in the plane, and so far outside of what the two solutions can differ by.
 constexpr double kMinMove_m = 0.15;
 constexpr double kMinSquareSigmas = 40.0;
-// Share of polls in sight that each half wants.
+// Share of polls in sight that each piece wants.
 constexpr double kMinInSight = 0.2;
 
 // The polls of a table that belong to rows from `first` on, up to `last`.
@@ -35,6 +34,162 @@ std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Pol
     out.emplace_back(begin, end);
   }
   return out;
+}
+
+// Rows at which an anchor is somewhere else than before, and its twin's place. Few: each stretch is looked at
+// once more.
+struct Suspicion {
+  std::vector<std::size_t> changes;         // by row
+  std::vector<Eigen::Vector3d> places_m{};  // where it may have been
+  std::optional<Eigen::Vector3d> twin_m;
+};
+
+// The rows at which the anchor was in sight, as the replies alone have it: behind walls a bias and a move are
+// one, and what a move makes of residuals passes for a wall.
+std::vector<Observation> rows_in_sight(std::span<const Observation> rows,
+                                       std::span<const std::vector<Poll>> pairs, const SightChain& chain) {
+  if (rows.empty()) return {};
+  const std::size_t first = rows.front().index;
+  std::vector<bool> seen(rows.size(), false);
+  SightPosterior posterior;
+  std::vector<SightVector> likelihoods;
+  for (const std::vector<Poll>& polls : pairs) {
+    const auto answered = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
+    likelihoods.assign(static_cast<std::size_t>(answered), SightVector::Ones());
+    infer_sight(chain, polls, likelihoods, posterior);
+    std::size_t i = 0;
+    for (const Poll poll : polls) {
+      if (poll < 0) continue;
+      seen[static_cast<std::size_t>(poll) - first] = posterior.posterior[i++](kInSight) > 0.5;
+    }
+  }
+  std::vector<Observation> out;
+  out.reserve(rows.size());
+  std::copy_if(rows.begin(), rows.end(), std::back_inserter(out),
+               [&](const Observation& row) { return seen[row.index - first]; });
+  return out;
+}
+
+// `rows`: those of the fit that are to be looked at.
+Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows, const model::RangePriors& priors) {
+  Suspicion out;
+  std::vector<AnchorFit> rest(1, fit);
+  rest.front().problem.rows = rows;
+  for (int look = 0; look < kLooks; ++look) {
+    const std::optional<SecondPlace> second = find_second_place(rest.front());
+    if (!second) break;
+    if (second->torn_share > kTornShare) {
+      if (look == 0) out.twin_m = second->place_m;
+      break;
+    }
+    out.places_m.insert(out.places_m.end(), {second->usual_place_m, second->place_m});
+    for (const std::size_t change : {second->first, second->last}) {
+      if (change == 0 || change == rows.size()) continue;
+      out.changes.push_back(rows[change].index - fit.problem.rows.front().index);
+    }
+    rows = rows.subspan(second->last < rows.size() ? second->last : second->first);
+    rest.front().problem.rows = rows;
+    rest.front().problem.sight = nullptr;
+    find_start(rest.front());
+    refine_site(rest, priors, kRounds);
+  }
+  return out;
+}
+
+// One anchor's rows between two changes, and what they tell by themselves.
+struct Piece {
+  std::size_t anchor = 0;
+  std::size_t begin = 0;  // row
+};
+
+// The pieces of all suspects, solved.
+struct Pieces {
+  std::vector<Piece> places;
+  std::vector<AnchorFit> fits;
+  std::vector<Evidence> evidence;
+  std::vector<double> inflation;
+  SiteSight sight;
+};
+
+// Starts from the place that explains the rows best: few rows have more valleys than one.
+void start_at_best(AnchorFit& fit, std::span<const Eigen::Vector3d> places_m) {
+  double least = std::numeric_limits<double>::infinity();
+  for (const Eigen::Vector3d& place_m : places_m) {
+    AnchorSolution solution =
+        solve_anchor(fit.problem, fit.kernels, anchor_at(place_m, fit.problem.tag_count, fit.problem.priors),
+                     kStartingSteps);
+    if (solution.cost >= least) continue;
+    least = solution.cost;
+    fit.anchor = std::move(solution.anchor);
+  }
+}
+
+Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& table, const SiteSight& sight,
+                    std::span<const AnchorFit> fits, const model::RangePriors& priors) {
+  Pieces out;
+  PollTable piece_table{.interval_s = table.interval_s, .regular = table.regular, .polls = {}};
+  for (std::size_t a = 0; a < fits.size(); ++a) {
+    if (suspicions[a].changes.empty()) continue;
+    const std::span<const Observation> rows = fits[a].problem.rows;
+    for (std::size_t k = 0; k <= suspicions[a].changes.size(); ++k) {
+      const std::size_t begin = k == 0 ? 0 : suspicions[a].changes[k - 1];
+      const bool last = k == suspicions[a].changes.size();
+      const std::size_t end = last ? rows.size() : suspicions[a].changes[k];
+      AnchorFit& piece = out.fits.emplace_back();
+      piece.problem = fits[a].problem;
+      piece.problem.sight = nullptr;
+      piece.problem.rows = rows.subspan(begin, end - begin);
+      piece.kernels = fits[a].kernels;
+      start_at_best(piece, suspicions[a].places_m);
+      out.places.push_back({.anchor = a, .begin = begin});
+      piece_table.polls.push_back(
+          cut(table.polls[a], k == 0 ? 0 : static_cast<Poll>(rows[begin].index),
+              last ? std::numeric_limits<Poll>::max() : static_cast<Poll>(rows[end].index)));
+    }
+  }
+  if (out.fits.empty()) return out;
+  refine_site(out.fits, priors, kRounds);
+  if (!sight.anchors.empty()) out.sight = solve_sight(piece_table, sight.model, out.fits, priors);
+  for (const AnchorFit& piece : out.fits) out.evidence.push_back(gather_evidence(piece));
+  out.inflation = score_inflation(out.evidence);
+  return out;
+}
+
+Shift shift_to_next(const Pieces& pieces, std::size_t piece) {
+  const Eigen::Index size = wall_index(pieces.fits[piece].problem.tag_count);
+  // What hangs together in one piece does so in the other, though it may be too short to show it.
+  const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
+  const auto covariance = [&](std::size_t i) -> Eigen::MatrixXd {
+    return anchor_covariance(pieces.evidence[i], inflation).topLeftCorner(size, size);
+  };
+  return shift_between(pieces.fits[piece].anchor.head(size), covariance(piece),
+                       pieces.fits[piece + 1].anchor.head(size), covariance(piece + 1));
+}
+
+bool is_move(const Shift& shift) {
+  return shift.square_sigmas > kMinSquareSigmas && shift.by_m.head<2>().norm() > kMinMove_m;
+}
+
+// Between a piece and the next of the same anchor, if there was one.
+std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
+  // Behind walls a bias and a move are one.
+  for (const std::size_t i : {piece, piece + 1}) {
+    if (!pieces.sight.shares.empty() && pieces.sight.shares[i].polls(kInSight) <= kMinInSight)
+      return std::nullopt;
+  }
+  Shift shift = shift_to_next(pieces, piece);
+  if (!is_move(shift)) return std::nullopt;
+  // Not so where one of the two has but settled on another side of the tags.
+  for (const std::size_t i : {piece, piece + 1}) {
+    const TagSpread spread = tag_spread(pieces.fits[i].problem.rows);
+    for (const int axis : {kAcrossLine, kAcrossPlane}) {
+      static_cast<void>(challenge(pieces.fits[i], spread, axis));
+    }
+    pieces.evidence[i] = gather_evidence(pieces.fits[i]);
+  }
+  shift = shift_to_next(pieces, piece);
+  if (!is_move(shift)) return std::nullopt;
+  return shift;
 }
 
 }  // namespace
@@ -54,85 +209,49 @@ Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_
   return shift;
 }
 
-std::vector<std::optional<Shift>> find_moved(const PollTable& table, SiteSight& sight,
-                                             std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
-  std::vector<std::optional<Shift>> out(fits.size());
-  const RowSpan span = row_span(fits);
-  const double split_s = 0.5 * (span.begin_s + span.end_s);
-  PollTable half_table{.interval_s = table.interval_s, .regular = table.regular, .polls = {}};
-  std::vector<AnchorFit> halves;  // of each suspect the earlier, then the later
-  std::vector<std::size_t> suspects;
+std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std::vector<AnchorFit>& fits,
+                                   const model::RangePriors& priors) {
+  std::vector<AnchorPath> out(fits.size());
+  std::vector<Suspicion> suspicions(fits.size());
   for (std::size_t a = 0; a < fits.size(); ++a) {
-    const AnchorFit& fit = fits[a];
-    const std::span<const Observation> rows = fit.problem.rows;
-    if (rows.empty() || fit.problem.position.surveyed) continue;
-    const auto split = std::lower_bound(rows.begin(), rows.end(), split_s,
-                                        [](const Observation& row, double t_s) { return row.t_s < t_s; });
-    if (split - rows.begin() < kMinRows || rows.end() - split < kMinRows) continue;
-    // With a sight, what a move makes of the ranges may have passed for blocked.
-    if (sight.anchors.empty()) {
-      const std::vector<Evidence> evidence{gather_evidence(fit)};
-      if (score_inflation(evidence).front() < kSuspiciousInflation) continue;
+    if (fits[a].problem.rows.empty() || fits[a].problem.position.surveyed) continue;
+    // Without replies that were missed nothing tells of walls but residuals.
+    const std::span<const Observation> rows = fits[a].problem.rows;
+    suspicions[a] = table.regular && !sight.anchors.empty()
+                        ? suspect(fits[a], rows_in_sight(rows, table.polls[a], sight.model.chain), priors)
+                        : suspect(fits[a], rows, priors);
+    out[a].twin_m = suspicions[a].twin_m;
+  }
+  // A change that is none goes, and what it parted is solved as one.
+  Pieces pieces;
+  for (bool all_are_moves = false; !all_are_moves;) {
+    all_are_moves = true;
+    pieces = solve_pieces(suspicions, table, sight, fits, priors);
+    for (std::size_t a = 0; a < fits.size(); ++a) {
+      out[a].moves.clear();
+      out[a].places_m.clear();
     }
-    suspects.push_back(a);
-    const auto middle = static_cast<Poll>(split->index);
-    for (const bool later : {false, true}) {
-      AnchorFit& half = halves.emplace_back();
-      half.problem = fit.problem;
-      half.problem.sight = nullptr;
-      half.problem.rows = later ? rows.subspan(static_cast<std::size_t>(split - rows.begin()))
-                                : rows.first(static_cast<std::size_t>(split - rows.begin()));
-      find_start(half);
-      half_table.polls.push_back(
-          cut(table.polls[a], later ? middle : 0, later ? std::numeric_limits<Poll>::max() : middle));
+    for (std::size_t i = 0; i < pieces.places.size(); ++i) {
+      const std::size_t a = pieces.places[i].anchor;
+      if (i + 1 < pieces.places.size() && pieces.places[i + 1].anchor == a) {
+        const std::size_t row = pieces.places[i + 1].begin;
+        if (const std::optional<Shift> shift = move_to_next(pieces, i)) {
+          out[a].moves.push_back({.t_s = fits[a].problem.rows[row].t_s, .shift = *shift});
+        } else {
+          std::erase(suspicions[a].changes, row);
+          all_are_moves = false;
+        }
+      }
+      out[a].places_m.push_back(pieces.fits[i].anchor.head<3>());
     }
   }
-  if (halves.empty()) return out;
-  refine_site(halves, priors, kRounds);
-  SiteSight half_sight;
-  if (!sight.anchors.empty()) half_sight = solve_sight(half_table, sight.model, halves, priors);
-
-  std::vector<Evidence> evidence;
-  evidence.reserve(halves.size());
-  for (const AnchorFit& half : halves) evidence.push_back(gather_evidence(half));
-  const std::vector<double> inflation = score_inflation(evidence);
-  for (std::size_t k = 0; k < suspects.size(); ++k) {
-    const std::size_t a = suspects[k];
-    const std::size_t later = 2 * k + 1;
-    const Eigen::Index size = wall_index(fits[a].problem.tag_count);
-    const auto covariance = [&](std::size_t half) -> Eigen::MatrixXd {
-      return anchor_covariance(evidence[half], inflation[half]).topLeftCorner(size, size);
-    };
-    const auto shift_of = [&] {
-      return shift_between(halves[2 * k].anchor.head(size), covariance(2 * k),
-                           halves[later].anchor.head(size), covariance(later));
-    };
-    const auto is_move = [](const Shift& shift) {
-      return shift.square_sigmas > kMinSquareSigmas && shift.by_m.head<2>().norm() > kMinMove_m;
-    };
-    // Behind walls a bias and a move are one.
-    const auto is_seen = [&](std::size_t half) {
-      return half_sight.shares.empty() || half_sight.shares[half].polls(kInSight) > kMinInSight;
-    };
-    if (!is_seen(2 * k) || !is_seen(later)) continue;
-    Shift shift = shift_of();
-    if (is_move(shift)) {
-      // Not so where one of the halves has but settled on another side of the tags.
-      for (const std::size_t half : {2 * k, later}) {
-        const TagSpread spread = tag_spread(halves[half].problem.rows);
-        for (const int axis : {kAcrossLine, kAcrossPlane}) {
-          static_cast<void>(challenge(halves[half], spread, axis));
-        }
-        evidence[half] = gather_evidence(halves[half]);
-      }
-      shift = shift_of();
-    }
-    if (!is_move(shift)) continue;
-    out[a] = shift;
-    fits[a] = std::move(halves[later]);
+  for (std::size_t i = 0; i < pieces.places.size(); ++i) {
+    const std::size_t a = pieces.places[i].anchor;
+    if (i + 1 < pieces.places.size() && pieces.places[i + 1].anchor == a) continue;
+    fits[a] = std::move(pieces.fits[i]);
     if (sight.anchors.empty()) continue;
-    sight.anchors[a] = std::move(half_sight.anchors[later]);
-    sight.shares[a] = half_sight.shares[later];
+    sight.anchors[a] = std::move(pieces.sight.anchors[i]);
+    sight.shares[a] = pieces.sight.shares[i];
     fits[a].problem.sight = &sight.anchors[a];
   }
   return out;

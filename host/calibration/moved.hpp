@@ -1,4 +1,5 @@
-// Anchors that did not stay where they were: the halves of the drive solved apart.
+// Anchors that did not stay where they were, or that are in two places: the stretches of the drive solved
+// apart.
 #pragma once
 
 #include <optional>
@@ -21,10 +22,22 @@ struct Shift {
 [[nodiscard]] Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_covariance,
                                   const AnchorVector& later, const Eigen::MatrixXd& later_covariance);
 
-// Looks at anchors whose residuals hang together. Where one was moved, its fit becomes that of the later half
-// alone, and so does its sight, where the site has one. The result: of each anchor.
-[[nodiscard]] std::vector<std::optional<Shift>> find_moved(const PollTable& table, SiteSight& sight,
-                                                           std::vector<AnchorFit>& fits,
-                                                           const model::RangePriors& priors);
+struct Move {
+  double t_s = 0.0;
+  Shift shift;
+};
+
+// What one anchor's ranges tell of where it was.
+struct AnchorPath {
+  std::vector<Move> moves;                // by time; empty: it stayed
+  std::vector<Eigen::Vector3d> places_m;  // before the first move, after it, and so on; where there are moves
+  std::optional<Eigen::Vector3d> twin_m;  // another place that no time parts from its own
+};
+
+// Where an anchor was moved, its fit becomes that of the rows after its last move, and so does its sight,
+// where the site has one. The result: of each anchor.
+[[nodiscard]] std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight,
+                                                 std::vector<AnchorFit>& fits,
+                                                 const model::RangePriors& priors);
 
 }  // namespace groma::calibration

@@ -44,10 +44,14 @@ constexpr double kMisjudgedBeta_m = 0.005;
 constexpr double kTornSigma_m = 0.3;
 constexpr double kFarLimit = 0.06;
 constexpr double kShortLimit = 0.03;
+// More of them than reflections make.
+constexpr double kTwoAnchors = 0.4;
 // More answers than the others', that differ from one to the next by more than noise.
 constexpr double kTwinFlicker = 2.5;
 constexpr double kTwinCountRatio = 1.3;
 constexpr double kHeldOutLimit = 3.0;
+// Few anchors are carried this far while a robot drives by.
+constexpr double kFarMove_m = 3.0;
 constexpr std::ptrdiff_t kMinAnchors = 3;
 
 // The compass side on which the anchor sees the drive least: towards it, but never there.
@@ -67,8 +71,10 @@ std::string metres(double value_m) {
 // Where to drive to learn what is missing: near the anchor, and around it.
 std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& anchor_m) {
   const double pass_m = std::max(2.0, std::min(3.0, 0.5 * evidence.nearest_m));
-  return "pass within " + metres(pass_m) + " on its " + side_of(evidence.spread.center_m, anchor_m) +
-         " side and turn there";
+  char place[48];
+  std::snprintf(place, sizeof place, "(%.1f, %.1f)", anchor_m.x(), anchor_m.y());
+  return "pass within " + metres(pass_m) + " of " + place + ", on its " +
+         side_of(evidence.spread.center_m, anchor_m) + " side, and turn there";
 }
 
 // Rivals within this of the best solution's negative log likelihood cannot be ruled out.
@@ -136,6 +142,38 @@ struct Opinion {
   AnchorVerdict verdict = AnchorVerdict::kOk;
   std::string advice;
 };
+
+std::string times_of(const MoveEvidence& moved) {
+  std::string out;
+  for (const double t_s : moved.at_s) {
+    char text[32];
+    std::snprintf(text, sizeof text, "%s%.0f", out.empty() ? "t_s = " : " and ", t_s);
+    out += text;
+  }
+  return out;
+}
+
+// `is_placed`: what came after the last move tells where it is now.
+Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
+  const std::string unplaced = is_placed ? "" : "; its ranges since do not tell well where it is";
+  if (moved.stand_in) {
+    const std::string where = "the place of anchor " + std::to_string(*moved.stand_in);
+    if (moved.is_back) {
+      return {AnchorVerdict::kWeak, "answered from " + where + " between " + times_of(moved) +
+                                        ": look whether their ids were swapped, and drive again" + unplaced};
+    }
+    return {AnchorVerdict::kMoved, "answers from " + where + " since about " + times_of(moved) +
+                                       ": look whether their ids are swapped, and drive again" + unplaced};
+  }
+  const char* doubt = moved.by_m.norm() > kFarMove_m ? "see that it is fixed and that no other has its id"
+                                                     : "see that it is fixed";
+  return {AnchorVerdict::kMoved, "was moved during the drive, about " + times_of(moved) +
+                                     (moved.at_s.size() > 1 ? ", last by " : ", by ") +
+                                     metres(moved.by_m.norm()) + " to its " +
+                                     side_of(Eigen::Vector3d::Zero(), moved.by_m) + " side: " + doubt +
+                                     ", and drive again" + unplaced};
+}
+
 std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
   const std::size_t all = anchor.ranges_used + anchor.ranges_rejected;
   const bool never_in_sight = evidence.rows >= kMinRanges && is_never_in_sight(evidence);
@@ -144,19 +182,23 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
                    all == 0 ? "no range at all: check that the anchor is powered and in the schedule"
                             : "too few ranges with a pose: drive where this anchor answers"};
   }
-  if (evidence.moved_m) {
-    return Opinion{AnchorVerdict::kMoved, "was moved during the drive, by " +
-                                              metres(evidence.moved_m->norm()) + " to its " +
-                                              side_of(Eigen::Vector3d::Zero(), *evidence.moved_m) +
-                                              " side: see that it is fixed, and drive again"};
-  }
   if (never_in_sight) {
     return Opinion{AnchorVerdict::kNeverInSight,
                    "its ranges come through something: drive where it is in sight, or move it"};
   }
+  if (evidence.twin_m) {
+    return Opinion{AnchorVerdict::kWeak, "answers from two places, " +
+                                             metres((*evidence.twin_m - anchor.position_m).norm()) +
+                                             " apart: look whether two anchors have this id"};
+  }
   const std::string where = drive_advice(evidence, anchor.position_m);
   if (is_hardly_in_sight(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in sight: " + where};
   if (contradicts_itself(evidence)) {
+    if (evidence.sight->far_share + evidence.sight->short_share > kTwoAnchors) {
+      return Opinion{
+          AnchorVerdict::kWeak,
+          "most of its ranges contradict the others: look whether two anchors have this id; else " + where};
+    }
     return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
   }
   if (evidence.flicker > kTwinFlicker && evidence.count_ratio > kTwinCountRatio) {
@@ -170,6 +212,17 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
 
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {
   anchor.advice.clear();
+  if (evidence.moved) {
+    AnchorEvidence since = evidence;
+    since.moved.reset();
+    since.held_out_z.reset();
+    judge_anchor(since, anchor);
+    if (anchor.verdict == AnchorVerdict::kNoData) return;
+    Opinion opinion = judge_move(*evidence.moved, model::is_usable(anchor.verdict));
+    anchor.verdict = opinion.verdict;
+    anchor.advice = std::move(opinion.advice);
+    return;
+  }
   if (std::optional<Opinion> opinion = judge_ranges(evidence, anchor)) {
     anchor.verdict = opinion->verdict;
     anchor.advice = std::move(opinion->advice);

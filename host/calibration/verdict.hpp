@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -23,21 +24,30 @@ struct SightEvidence {
   double short_share = 0.0;  // shadows make them
 };
 
+// That it was not in one place all the time.
+struct MoveEvidence {
+  std::vector<double> at_s;                        // of each move
+  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();  // the last one
+  bool is_back = false;                            // where it was at first
+  std::optional<model::NodeId> stand_in;           // an anchor whose place it had meanwhile or has now
+};
+
 // What is known of one anchor beside its solution.
 struct AnchorEvidence {
-  TagSpread spread;                        // of the antennas while they ranged to it
-  std::size_t rows = 0;                    // ranges with a pose
-  double nearest_m = 0.0;                  // closest antenna
-  std::optional<Rival> mirror;             // across the plane of the tags
-  std::optional<Rival> side;               // across the line of the drive
-  double in_sight_share = 0.0;             // of its ranges, by the kernel
-  std::optional<double> held_out_z;        // held-out residuals' scale over what the fit expects
-  double scale_ratio = 1.0;                // its noise over the site's median
-  double count_ratio = 1.0;                // its ranges over the site's median
-  double inflation = 1.0;                  // of the score's scatter, by correlation in time
-  double flicker = 1.0;                    // scatter from one range to the next over the site's noise
-  double inflation_ratio = 1.0;            // over the least of all anchors
-  std::optional<Eigen::Vector3d> moved_m;  // from the first half of the drive to the second
+  TagSpread spread;                       // of the antennas while they ranged to it
+  std::size_t rows = 0;                   // ranges with a pose
+  double nearest_m = 0.0;                 // closest antenna
+  std::optional<Rival> mirror;            // across the plane of the tags
+  std::optional<Rival> side;              // across the line of the drive
+  double in_sight_share = 0.0;            // of its ranges, by the kernel
+  std::optional<double> held_out_z;       // held-out residuals' scale over what the fit expects
+  double scale_ratio = 1.0;               // its noise over the site's median
+  double count_ratio = 1.0;               // its ranges over the site's median
+  double inflation = 1.0;                 // of the score's scatter, by correlation in time
+  double flicker = 1.0;                   // scatter from one range to the next over the site's noise
+  double inflation_ratio = 1.0;           // over the least of all anchors
+  std::optional<MoveEvidence> moved;      // during the drive
+  std::optional<Eigen::Vector3d> twin_m;  // another place that it answers from
   std::optional<SightEvidence> sight;
 };
 

@@ -3,7 +3,7 @@
 
 #include <cmath>
 #include <cstdint>
-#include <utility>
+#include <limits>
 #include <vector>
 
 #include <Eigen/Core>
@@ -49,9 +49,17 @@ inline SiteSettings polled_settings(Route route, double duration_s) {
   return settings;
 }
 
-// A polled site; the anchors of `moved` (indices) stand elsewhere in the second half of the drive.
+// An anchor stands elsewhere for a while.
+struct Stay {
+  std::size_t anchor = 0;  // index
+  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();
+  double from_s = 0.0;
+  double to_s = std::numeric_limits<double>::infinity();
+};
+
+// A polled site.
 inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& blocking, std::uint64_t seed,
-                                  const std::vector<std::pair<std::size_t, Eigen::Vector3d>>& moved = {}) {
+                                  const std::vector<Stay>& stays = {}) {
   SimulatedSite site = simulate_site(settings, seed);
   Random random(seed + 1000);
   struct Span {
@@ -77,10 +85,10 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
     const std::size_t j = range.tag_id - site.tags.front().id;
     const Eigen::Vector3d antenna_m = antenna_of(true_pose(range.t_s, settings.route), site.tags[j]);
     Eigen::Vector3d anchor_m = site.anchors[a].position_m;
-    for (const auto& [index, by_m] : moved) {
-      if (index != a || range.t_s < 0.5 * settings.duration_s) continue;
+    for (const Stay& stay : stays) {
+      if (stay.anchor != a || range.t_s < stay.from_s || range.t_s >= stay.to_s) continue;
       const double before_m = (antenna_m - anchor_m).norm();
-      anchor_m += by_m;
+      anchor_m += stay.by_m;
       range.range_m += site.gamma[a][j] * ((antenna_m - anchor_m).norm() - before_m);
     }
     double reply = blocking.reply_in_sight;

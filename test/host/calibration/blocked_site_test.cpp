@@ -91,7 +91,8 @@ TEST(BlockedSite, NamesBothAnchorsThatWereMovedAndNoOther) {
     }
     const test::SimulatedSite site =
         test::blocked_site(test::polled_settings(test::Route::kEight, kDrive_s), blocking, 21,
-                           {{1, {0.4, -0.3, 0.0}}, {5, {-0.3, -0.4, 0.0}}});
+                           {{.anchor = 1, .by_m = {0.4, -0.3, 0.0}, .from_s = 0.5 * kDrive_s},
+                            {.anchor = 5, .by_m = {-0.3, -0.4, 0.0}, .from_s = 0.5 * kDrive_s}});
     const model::Calibration found = calibrate(site.drive()).calibration;
     for (std::size_t a = 0; a < found.anchors.size(); ++a) {
       const bool moved = a == 1 || a == 5;

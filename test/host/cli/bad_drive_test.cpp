@@ -172,7 +172,7 @@ INSTANTIATE_TEST_SUITE_P(
                     BadDrive{"ranges_without_poses", ranges_without_poses, {65}},
                     BadDrive{"poses_of_another_time", poses_of_another_time, {65}},
                     BadDrive{"ids_swapped_half_way", ids_swapped_half_way, {3}, {5, 11}},
-                    BadDrive{"ids_swapped_for_a_third", ids_swapped_for_a_third, {0, 3}},
+                    BadDrive{"ids_swapped_for_a_third", ids_swapped_for_a_third, {3}, {5, 11}},
                     BadDrive{"two_under_one_id", two_under_one_id, {3, 65}, {5}},
                     BadDrive{"two_neighbours_under_one_id", two_neighbours_under_one_id, {3}, {12}},
                     BadDrive{"tags_swapped", tags_swapped, {3, 65}},
