@@ -2,6 +2,8 @@
 #include <benchmark/benchmark.h>
 
 #include "host/calibration/calibrate.hpp"
+#include "host/calibration/drive_store.hpp"
+#include "host/calibration/learning.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 
 namespace {
@@ -14,5 +16,34 @@ void BM_Calibrate(benchmark::State& state) {
   state.SetComplexityN(state.range(0));
 }
 BENCHMARK(BM_Calibrate)->Arg(200)->Arg(1000)->Arg(4000)->Unit(benchmark::kMillisecond)->Complexity();
+
+// One step of learning while driving: all places, and the anchors in use looked for in the last minute. After
+// the store's full time of a drive it holds all that it may; longer drives make no longer steps.
+void BM_LearningStep(benchmark::State& state) {
+  const groma::calibration::DriveStoreLimits limits;
+  const auto duration_s = static_cast<double>(state.range(0));
+  const groma::test::SimulatedSite site = groma::test::simulate_site(
+      {.duration_s = duration_s,
+       .ranges_per_pair = limits.pair_ranges * static_cast<std::size_t>(duration_s / limits.segment_s),
+       .outlier_share = 0.15,
+       .pose_sigma_m = 0.02,
+       .pose_yaw_sigma_rad = 0.004},
+      1);
+  groma::calibration::DriveStore store(limits);
+  auto pose = site.poses.begin();
+  for (const groma::model::RangeSample& range : site.ranges) {
+    for (; pose != site.poses.end() && pose->t_s <= range.t_s; ++pose) store.add(*pose);
+    store.add(range);
+  }
+  groma::calibration::LearningInput input{.places = store.places(),
+                                          .recent = store.recent(),
+                                          .live = groma::calibration::calibrate(site.drive()).calibration,
+                                          .tags = site.tags,
+                                          .surface = site.floor,
+                                          .priors = site.drive().priors};
+  for (auto _ : state) benchmark::DoNotOptimize(groma::calibration::learn(input));
+  state.counters["ranges"] = static_cast<double>(input.places->samples().ranges.size());
+}
+BENCHMARK(BM_LearningStep)->Arg(150)->Arg(300)->Arg(600)->Arg(1200)->Unit(benchmark::kMillisecond);
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <Eigen/Cholesky>
 #include <nlohmann/json.hpp>
 
 #include "host/io/calibration_file.hpp"
@@ -75,6 +76,57 @@ class CliTest : public testing::Test {
   std::filesystem::path calibration_ = folder_ / "calibration.yaml";
   std::filesystem::path estimate_ = folder_ / "estimate.csv";
 };
+
+// A quarter of the drive leaves anchors open; ranges between them join what it tells of each.
+TEST_F(CliTest, JoinsAnchorsByTheRangesOfASurvey) {
+  const std::vector<model::Anchor> truth = io::read_dataset(data_).surveyed_anchors;
+  std::string survey = "anchor_id,other_id,range_m,sigma_m,count\n";
+  test::SmallNoise noise(5);
+  for (const model::Anchor& from : truth) {
+    for (const model::Anchor& to : truth) {
+      if (from.id == to.id) continue;
+      // The mean of what pairs are off by, as tags and anchors are.
+      const double range_m = (from.position_m - to.position_m).norm() + 0.2 + 0.02 * noise();
+      survey += std::to_string(from.id) + ',' + std::to_string(to.id) + ',' + std::to_string(range_m) +
+                ",0.05,20\n";
+    }
+  }
+  folder_.write("survey.csv", survey);
+
+  struct Sum {
+    double square_error_m2 = 0.0;
+    double variance_m2 = 0.0;
+  };
+  const auto sum_up = [&] {
+    Sum out;
+    const model::Calibration found = io::read_calibration(calibration_);
+    EXPECT_EQ(found.anchors.size(), truth.size());
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      const model::AnchorCalibration& anchor = found.anchors[i];
+      const Eigen::Vector3d error_m = anchor.position_m - truth[i].position_m;
+      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
+      EXPECT_LT(error_m.dot(covariance.ldlt().solve(error_m)), 21.1) << anchor.id << ", 99.99 %";
+      out.square_error_m2 += error_m.squaredNorm();
+      out.variance_m2 += covariance.trace();
+    }
+    return out;
+  };
+  ASSERT_THAT(calibrate({"--to", "20"}).exit_code, testing::AnyOf(0, 3));
+  const Sum alone = sum_up();
+  const ChildResult joined = calibrate({"--to", "20", "--survey", folder_ / "survey.csv"});
+  ASSERT_THAT(joined.exit_code, testing::AnyOf(0, 3)) << joined.err;
+  const Sum together = sum_up();
+  EXPECT_LT(together.variance_m2, 0.8 * alone.variance_m2);
+  EXPECT_LT(together.square_error_m2, alone.square_error_m2);
+
+  // Rows that are no range of two anchors are told, and left out.
+  folder_.write("survey.csv", survey + "4,4,5.0,0.05,20\n4,5,-1.0,0.05,20\n");
+  const ChildResult with_garbage = calibrate({"--to", "20", "--survey", folder_ / "survey.csv"});
+  EXPECT_EQ(with_garbage.exit_code, 3);
+  EXPECT_THAT(with_garbage.err, HasSubstr("1 of an unknown anchor"));
+  EXPECT_DOUBLE_EQ(sum_up().variance_m2, together.variance_m2);
+  EXPECT_NE(calibrate({"--survey", folder_ / "nothing.csv"}).exit_code, 0);
+}
 
 TEST_F(CliTest, FromADriveToAScore) {
   const ChildResult calibrated = calibrate({"--json"});
