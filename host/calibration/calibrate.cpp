@@ -8,6 +8,7 @@
 
 #include "host/calibration/anchor_links.hpp"
 #include "host/calibration/association.hpp"
+#include "host/calibration/comparison.hpp"
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/moved.hpp"
@@ -232,15 +233,41 @@ struct Site {
   std::vector<AnchorEvidence> evidence;  // of each anchor
 };
 
+// What the poses of two drives can be off by, beside what the earlier calibration tells of its own.
+constexpr double kFrameSigma_m = 0.1;
+
+// None where it has none; a height that is not trusted decides nothing.
+std::optional<EarlierPlace> earlier_place(const model::Calibration& earlier, model::NodeId id) {
+  const model::AnchorCalibration* anchor = model::find_anchor(earlier, id);
+  if (anchor == nullptr || !model::has_position(*anchor)) return std::nullopt;
+  EarlierPlace out{.position_m = anchor->position_m,
+                   .covariance_m2 = anchor->covariance.topLeftCorner<3, 3>()};
+  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor->position_m);
+  out.covariance_m2 += frame * earlier.common_frame_covariance * frame.transpose();
+  out.covariance_m2.diagonal().array() += kFrameSigma_m * kFrameSigma_m;
+  if (anchor->verdict != model::AnchorVerdict::kOk) out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
+  return out;
+}
+
 // Both other sides of each anchor, the fit moved where one is better; and what else its rows tell.
-void explore(Site& site) {
-  for (AnchorFit& fit : site.fits) {
+void explore(Site& site, const model::Calibration* earlier) {
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    AnchorFit& fit = site.fits[i];
     AnchorEvidence& evidence = site.evidence.emplace_back();
     if (fit.problem.rows.empty()) continue;
     evidence.spread = tag_spread(fit.problem.rows);
-    if (!fit.problem.position.surveyed) {
-      evidence.side = challenge(fit, evidence.spread, kAcrossLine);
-      evidence.mirror = challenge(fit, evidence.spread, kAcrossPlane);
+    if (fit.problem.position.surveyed) continue;
+    // Where it was moved meanwhile, its earlier place is not that of the rows.
+    std::optional<EarlierPlace> place;
+    if (earlier != nullptr && site.paths[i].moves.empty()) {
+      place = earlier_place(*earlier, site.association.anchors[i].id);
+    }
+    for (const auto& [axis, rival] :
+         {std::pair{kAcrossLine, &evidence.side}, {kAcrossPlane, &evidence.mirror}}) {
+      *rival = challenge(fit, evidence.spread, axis);
+      if (!place) continue;
+      const std::vector<Evidence> alone{gather_evidence(fit)};
+      weigh_by_earlier(*place, score_inflation(alone).front(), fit, **rival);
     }
   }
 }
@@ -266,7 +293,7 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
     }
     site.paths = find_moved(polls, site.sight, site.fits, problem.priors);
   }
-  explore(site);
+  explore(site, options.earlier);
   refine_site(site.fits, problem.priors, kLastRounds);
   return site;
 }

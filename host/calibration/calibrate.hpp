@@ -31,6 +31,9 @@ struct Options {
   double known_anchor_sigma_m = 0.02;
   double max_pose_gap_s = 0.3;     // a range within a longer gap of the poses is not used
   double held_out_fraction = 0.2;  // the last contiguous part of the drive, for the verdict
+  // An earlier calibration of the site; outlives the call. Where the drive leaves open on which side of the
+  // tags an anchor is, the one decides on which it was; nothing else of it goes into the solution.
+  const model::Calibration* earlier = nullptr;
 };
 
 // A range as the solution sees it.

@@ -39,8 +39,14 @@ Shared make_shared(const model::AnchorCalibration& a, const model::AnchorCalibra
   out.difference_m = b.position_m - a.position_m;
   out.covariance_m2 = a.covariance.topLeftCorner<3, 3>() + b.covariance.topLeftCorner<3, 3>();
   out.covariance_m2.diagonal().array() += kLeastVariance_m2;
-  if (a.verdict == model::AnchorVerdict::kWeakZ || b.verdict == model::AnchorVerdict::kWeakZ) {
+  const auto is_height_weak = [](const model::AnchorCalibration& anchor) {
+    return anchor.verdict == model::AnchorVerdict::kWeakZ || anchor.verdict == model::AnchorVerdict::kWeak;
+  };
+  if (is_height_weak(a) || is_height_weak(b)) {
     out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
+    // Who is wrong in height is so in the plane too.
+    const double bend_m = bend_over(out.difference_m.z());
+    out.covariance_m2.diagonal().head<2>().array() += bend_m * bend_m;
   }
   const Eigen::LDLT<Eigen::Matrix3d> factors(out.covariance_m2);
   out.information = out.frame.transpose() * factors.solve(out.frame);
@@ -131,6 +137,11 @@ std::vector<PairChange> compare_pairs(const std::vector<Shared>& anchors) {
 }
 
 }  // namespace
+
+double bend_over(double way_m) noexcept {
+  constexpr double kRange_m = 2.5;
+  return way_m * way_m / (2.0 * kRange_m);
+}
 
 Frame place_by_frame(const Eigen::Vector3d& place_m) noexcept {
   Frame out;

@@ -41,8 +41,8 @@ struct PairChange {
   bool differs = false;  // of all pairs, as above
 };
 
-// The height of an anchor that is `weak-z` is not trusted: it may be on the other side of the tags. It counts
-// as this much more uncertain than its covariance says.
+// The height of an anchor that is `weak-z` or `weak` is not trusted: it may be on the other side of the tags.
+// It counts as this much more uncertain than its covariance says.
 inline constexpr double kWeakHeight_m = 5.0;
 
 struct Comparison {
@@ -55,6 +55,10 @@ struct Comparison {
   std::vector<model::NodeId> only_a;  // that have a position there alone
   std::vector<model::NodeId> only_b;
 };
+
+// By how much the spheres of ranges leave their tangent over such a way: where one solution is so far from
+// another, what its covariance says of the directions that ranges leave open is no better.
+[[nodiscard]] double bend_over(double way_m) noexcept;
 
 // The shift of a place by the common frame's (x, y, z, yaw): 3 x 4.
 [[nodiscard]] Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept;

@@ -4,7 +4,10 @@
 #include <cmath>
 #include <limits>
 #include <span>
+#include <utility>
 #include <vector>
+
+#include <Eigen/Cholesky>
 
 namespace groma::calibration {
 namespace {
@@ -14,6 +17,8 @@ constexpr int kIterations = 6;
 // An excess of the few rows' below this is looked at again with all rows.
 constexpr double kCloseExcess = 10.0;
 constexpr double kMoved_m = 0.3;
+// At most, of a place that is not the earlier one: anchors do get moved.
+constexpr double kMovedCost = 10.0;
 // Heights over the tags' plane to try, as shares of the distance to the nearest antenna.
 constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
 // Holds the anchor at a distance from the tags while the rest of it is solved.
@@ -109,6 +114,19 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   rival.cost_ratio =
       std::clamp((result.here.cost - perfect) / std::max(result.there.cost - perfect, 1e-9), 0.0, 1.0);
   return rival;
+}
+
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival) {
+  const Eigen::LDLT<Eigen::Matrix3d> factors(earlier.covariance_m2);
+  const auto cost = [&](const AnchorVector& anchor) {
+    const Eigen::Vector3d offset_m = anchor.head<3>() - earlier.position_m;
+    return std::min(kMovedCost, 0.5 * offset_m.dot(factors.solve(offset_m)));
+  };
+  rival.cost_excess += inflation * (cost(rival.anchor) - cost(fit.anchor));
+  if (rival.cost_excess >= 0.0) return;
+  std::swap(fit.anchor, rival.anchor);
+  fit.cost = robust_cost(fit.problem, fit.kernels, fit.anchor);
+  rival.cost_excess = -rival.cost_excess;
 }
 
 Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation) {

@@ -24,6 +24,16 @@ inline constexpr int kAcrossPlane = 2;
 // former place is the rival. The fit must have rows.
 [[nodiscard]] Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis);
 
+// Where an anchor was by an earlier calibration.
+struct EarlierPlace {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d covariance_m2 = Eigen::Matrix3d::Identity();  // that of the drives' frames included
+};
+// Lets the earlier place decide between both sides, as far as an anchor that may have been moved allows: the
+// excess becomes that of ranges and place together, over `inflation` independent; below zero both change
+// parts.
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival);
+
 // The spread that a rival adds to the position's covariance: as were it the truth with the probability that
 // its excess, over `inflation`, leaves it.
 [[nodiscard]] Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation);

@@ -119,19 +119,28 @@ Eigen::MatrixXd without_priors(const Eigen::MatrixXd& information, std::size_t p
 // 99 % of the chi-square distribution with one degree of freedom.
 constexpr double kHeightsDisagree = 6.63;
 
-// Where the heights disagree, one that is not trusted gives way.
+// A height that is not trusted gives way to one that is, and to any that it disagrees with.
 void settle_heights(AnchorCalibration& earlier, AnchorCalibration& later) {
   const double difference_m = later.position_m.z() - earlier.position_m.z();
   const double variance_m2 = earlier.covariance(2, 2) + later.covariance(2, 2);
-  if (difference_m * difference_m < kHeightsDisagree * variance_m2) return;
+  const bool disagree = difference_m * difference_m > kHeightsDisagree * variance_m2;
+  if (!disagree && earlier.verdict != AnchorVerdict::kOk && later.verdict != AnchorVerdict::kOk) return;
   for (AnchorCalibration* anchor : {&earlier, &later}) {
-    if (anchor->verdict == AnchorVerdict::kWeakZ) anchor->covariance(2, 2) += kWeakHeight_m * kWeakHeight_m;
+    if (anchor->verdict == AnchorVerdict::kWeakZ || anchor->verdict == AnchorVerdict::kWeak) {
+      anchor->covariance(2, 2) += kWeakHeight_m * kWeakHeight_m;
+    }
   }
 }
 
 // Both are in one frame, and independent but for the priors of the biases.
 AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const model::RangePriors& priors) {
   settle_heights(earlier, later);
+  const double bend_m = bend_over((later.position_m - earlier.position_m).norm());
+  AnchorCalibration& weaker =
+      earlier.covariance.topLeftCorner<3, 3>().trace() > later.covariance.topLeftCorner<3, 3>().trace()
+          ? earlier
+          : later;
+  weaker.covariance.diagonal().head<3>().array() += bend_m * bend_m;
   const Parameters parameters(earlier, later);
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(parameters.size(), parameters.size());
   Eigen::VectorXd right_side = Eigen::VectorXd::Zero(parameters.size());

@@ -153,7 +153,9 @@ int run(const Options& options) {
   drive.priors = dataset.range_priors;
   drive.anchor_ranges = survey;
   if (options.known_anchors) drive.known_anchors = dataset.surveyed_anchors;
-  calibration::Result result = calibration::calibrate(drive);
+  calibration::Options how;
+  if (earlier) how.earlier = &*earlier;
+  calibration::Result result = calibration::calibrate(drive, how);
   std::optional<calibration::Update> update;
   if (earlier) {
     update = calibration::update(*earlier, result.calibration, dataset.range_priors);

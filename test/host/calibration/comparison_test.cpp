@@ -338,6 +338,66 @@ TEST(Update, NamesNoneWhereNoneMoved) {
   }
 }
 
+// Of the positions of several calibrations, each with its common frame.
+struct Score {
+  double square_m2 = 0.0;
+  double nees = 0.0;
+  int anchors = 0;
+
+  void add(const model::Calibration& calibration, const test::SimulatedSite& site) {
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+      const model::AnchorCalibration& anchor = calibration.anchors[a];
+      ASSERT_TRUE(model::has_position(anchor));
+      const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>() +
+                                         frame * calibration.common_frame_covariance * frame.transpose();
+      const Eigen::Vector3d error_m = anchor.position_m - site.anchors[a].position_m;
+      square_m2 += error_m.squaredNorm();
+      nees += error_m.dot(covariance.ldlt().solve(error_m)) / 3.0;
+      ++anchors;
+    }
+  }
+  [[nodiscard]] double rmse_m() const { return std::sqrt(square_m2 / anchors); }
+  [[nodiscard]] double mean_nees() const { return nees / anchors; }
+};
+
+// The part of a drive's time from begin to end.
+test::SimulatedSite piece_of(test::SimulatedSite site, double begin_s, double end_s) {
+  const auto is_outside = [&](const auto& sample) { return sample.t_s < begin_s || sample.t_s > end_s; };
+  std::erase_if(site.ranges, is_outside);
+  std::erase_if(site.poses, is_outside);
+  return site;
+}
+
+// A drive that passes the hall once, nearly straight, tells little and may find anchors on the wrong side:
+// what was known before decides, and is not spoiled.
+TEST(Update, ByAWeakDriveIsBetterThanEitherAlone) {
+  const test::SiteSettings settings{.outlier_share = 0.1, .pose_sigma_m = 0.01, .pose_yaw_sigma_rad = 0.002};
+  for (const bool both_are_weak : {false, true}) {
+    Score before;
+    Score alone;
+    Score updated;
+    for (std::uint64_t seed = 1; seed <= 24; ++seed) {
+      const double begin_s = 8.0 * static_cast<double>(seed);
+      test::SimulatedSite first = test::simulate_site(settings, seed);
+      if (both_are_weak) first = piece_of(first, 0.0, 80.0);
+      const test::SimulatedSite second =
+          piece_of(drive_past(settings, seed, {}, seed + 500), begin_s, begin_s + 25.0);
+      const model::Calibration earlier = calibrate(first.drive()).calibration;
+      const model::Calibration later = calibrate(second.drive(), {.earlier = &earlier}).calibration;
+      const Update both = update(earlier, later, first.drive().priors);
+      EXPECT_THAT(both.moved, IsEmpty()) << "seed " << seed;
+      before.add(earlier, first);
+      alone.add(calibrate(second.drive()).calibration, first);
+      updated.add(both.calibration, first);
+    }
+    EXPECT_LT(updated.rmse_m(), 1.2 * before.rmse_m());
+    EXPECT_LT(updated.rmse_m(), 0.3 * alone.rmse_m());
+    EXPECT_GT(updated.mean_nees(), 0.6);
+    EXPECT_LT(updated.mean_nees(), 1.4);
+  }
+}
+
 TEST(Update, AddsNewAnchorsAndKeepsThoseThatWereNotHeard) {
   const test::SiteSettings settings;
   const test::SimulatedSite first = test::simulate_site(settings, 1);
