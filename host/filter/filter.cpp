@@ -82,6 +82,12 @@ void Filter::start(const Start& start) noexcept {
   now_.started = true;
 }
 
+void Filter::stop() noexcept {
+  now_.started = false;
+  now_.has_row = false;
+  now_.row = {};
+}
+
 OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
   const OdometryOutcome outcome = take(row);
   switch (outcome) {

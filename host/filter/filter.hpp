@@ -112,6 +112,9 @@ class Filter {
 
   // Begins, or begins anew, at a known pose; what was learnt of the parameters stays.
   void start(const Start& start) noexcept;
+  // Back to before the first start: the time and the rows are forgotten, what was learnt of the parameters
+  // stays.
+  void stop() noexcept;
   [[nodiscard]] bool started() const noexcept { return now_.started; }
 
   OdometryOutcome process(const model::OdometrySample& row) noexcept;

@@ -73,6 +73,15 @@ bool OrderedFilter::start(const Start& start) noexcept {
   return finite && insert(start).taken;
 }
 
+void OrderedFilter::stop() noexcept {
+  filter_.stop();
+  inputs_.clear();
+  first_ = 0;
+  checkpoint_count_ = 0;
+  newest_s_ = kNever;
+  check_in(0, kNever);
+}
+
 OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
   // What is not a number has no place in any order.
   if (!std::isfinite(row.t_s + row.vx_mps + row.vy_mps + row.omega_radps)) {

@@ -33,6 +33,8 @@ class OrderedFilter {
 
   // False, and nothing done, where it comes too late.
   bool start(const Start& start) noexcept;
+  // As Filter's; inputs of any time are taken after it.
+  void stop() noexcept;
   // kOutOfOrder: too late, and refused.
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;

@@ -1,0 +1,425 @@
+#include "host/filter/start_search.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <utility>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+#include "host/filter/range_measurement.hpp"
+
+namespace groma::filter {
+
+namespace {
+
+constexpr int kRings = 3;
+constexpr int kRingPoints = 16;
+constexpr int kHeadings = 12;
+constexpr std::size_t kStarts = static_cast<std::size_t>(kRings) * kRingPoints * kHeadings;
+// Of them, so many are refined, each in so many steps.
+constexpr std::size_t kRefined = 24;
+constexpr int kSteps = 25;
+// The coarse judgement looks at so many ranges.
+constexpr std::size_t kCoarseRanges = 48;
+// Weak priors about where a hypothesis starts keep the steps finite in a direction that nothing tells of.
+constexpr double kFar_m = 1000.0;
+constexpr double kAnyHeading_rad = 10.0;
+// Ends of refinement nearer than this are one hypothesis.
+constexpr double kSamePlace_m = 0.3;
+constexpr double kSameHeading_rad = 0.1;
+
+double square(double value) noexcept {
+  return value * value;
+}
+
+// Redescending: -ln of a Cauchy density with that knee, zero and with unit curvature at e = 0.
+double robust_cost(double e, const StartSearchConfig& search) noexcept {
+  const double knee = e > 0.0 ? search.excess_knee : search.shortfall_knee;
+  return 0.5 * knee * knee * std::log1p(square(e / knee));
+}
+
+double robust_weight(double e, const StartSearchConfig& search) noexcept {
+  const double knee = e > 0.0 ? search.excess_knee : search.shortfall_knee;
+  return 1.0 / (1.0 + square(e / knee));
+}
+
+// The pose `step` (x, y, theta in the frame of `pose`) away from it.
+Eigen::Vector3d compose(const Eigen::Vector3d& pose, const Eigen::Vector3d& step) noexcept {
+  const double c = std::cos(pose.z());
+  const double s = std::sin(pose.z());
+  return {pose.x() + c * step.x() - s * step.y(), pose.y() + s * step.x() + c * step.y(),
+          pose.z() + step.z()};
+}
+
+Eigen::Vector3d between(const Eigen::Vector3d& from, const Eigen::Vector3d& to) noexcept {
+  const double c = std::cos(from.z());
+  const double s = std::sin(from.z());
+  const Eigen::Vector2d d = to.head<2>() - from.head<2>();
+  return {c * d.x() + s * d.y(), -s * d.x() + c * d.y(), to.z() - from.z()};
+}
+
+bool finite(const model::OdometrySample& row) noexcept {
+  return std::isfinite(row.t_s) && std::isfinite(row.vx_mps) && std::isfinite(row.vy_mps) &&
+         std::isfinite(row.omega_radps);
+}
+
+}  // namespace
+
+StartSearch::StartSearch(model::Surface surface, std::span<const model::Tag> tags,
+                         const model::Calibration& calibration, const Config& config,
+                         const StartSearchConfig& search)
+    : surface_(std::move(surface)),
+      config_(config),
+      search_(search),
+      parameters_(tags, calibration),
+      parameter_covariance_(parameters_.prior_covariance(calibration, config.lever_arm_sigma_m)) {
+  if (calibration.range_delay_sigma_s > 0.0) config_.range_delay_s = calibration.range_delay_s;
+  clear();
+}
+
+void StartSearch::clear() noexcept {
+  first_ = 0;
+  count_ = 0;
+  last_taken_s_.fill(-std::numeric_limits<double>::infinity());
+  now_ = {};
+  hypothesis_count_ = 0;
+  settled_ = false;
+}
+
+void StartSearch::stop() noexcept {
+  clear();
+  has_row_ = false;
+  t_s_ = -std::numeric_limits<double>::infinity();
+}
+
+void StartSearch::advance(double t_s) noexcept {
+  if (has_row_ && t_s > t_s_) {
+    // A row holds for so long at most; then the robot is taken to stand, and to be anywhere it may have gone.
+    const double dt_s = t_s - t_s_;
+    const double held_s = std::clamp(row_.t_s + config_.max_hold_s - t_s_, 0.0, dt_s);
+    const double middle = now_.pose.z() + 0.5 * row_.omega_radps * held_s;
+    const Eigen::Vector3d step(row_.vx_mps * held_s, row_.vy_mps * held_s, row_.omega_radps * held_s);
+    now_.pose.x() += std::cos(middle) * step.x() - std::sin(middle) * step.y();
+    now_.pose.y() += std::sin(middle) * step.x() + std::cos(middle) * step.y();
+    now_.pose.z() += step.z();
+    now_.path_m += step.head<2>().norm();
+    const double row_s = std::max(t_s - row_.t_s, dt_s);
+    now_.position_variance_m2 +=
+        (square(config_.odometry.sigma_vx_mps) + square(config_.odometry.sigma_vy_mps)) * held_s * row_s;
+    now_.heading_variance_rad2 += square(config_.odometry.sigma_omega_radps) * held_s * row_s;
+    const double overdue_s = dt_s - held_s;
+    now_.position_variance_m2 += square(config_.hold_walk_mps) * overdue_s * row_s * row_s;
+    now_.heading_variance_rad2 += square(config_.hold_walk_radps) * overdue_s * row_s * row_s;
+  }
+  t_s_ = t_s;
+}
+
+void StartSearch::process(const model::OdometrySample& row) noexcept {
+  if (!finite(row) || (has_row_ && row.t_s < t_s_)) return;
+  advance(row.t_s);
+  row_ = row;
+  has_row_ = true;
+}
+
+void StartSearch::process(const model::RangeSample& range) noexcept {
+  if (!std::isfinite(range.t_s) || range.t_s < t_s_ - search_.latest_s ||
+      !(range.range_m > config_.min_range_m) || !(range.range_m <= config_.max_range_m)) {
+    return;
+  }
+  const int tag = parameters_.tag_slot(range.tag_id);
+  const int anchor = parameters_.anchor_slot(range.anchor_id);
+  if (tag < 0 || anchor < 0 || !parameters_.knows_pair(anchor, tag)) return;
+  advance(std::max(range.t_s, t_s_));
+  double& last_s = last_taken_s_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
+  if (range.t_s - last_s < search_.spacing_s) return;
+  last_s = range.t_s;
+  while (count_ > 0 && (count_ == kMaxRanges || t_s_ - seen(0).t_s > search_.window_s)) {
+    first_ = (first_ + 1) % kMaxRanges;
+    --count_;
+  }
+  const model::OdometrySample row = has_row_ ? row_ : model::OdometrySample{.t_s = range.t_s};
+  Odometer at = now_;
+  if (range.t_s < t_s_) {
+    const double back_s = t_s_ - range.t_s;
+    const Eigen::Vector3d step(-row.vx_mps * back_s, -row.vy_mps * back_s, -row.omega_radps * back_s);
+    at.pose = compose(at.pose, step);
+    at.path_m -= step.head<2>().norm();
+  }
+  seen(count_++) = {
+      .t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .row = row, .at = at};
+}
+
+StartSearch::Term StartSearch::term_of(const Seen& seen) const noexcept {
+  const double path_m = now_.path_m - seen.at.path_m;
+  const double age_s = t_s_ - seen.t_s;
+  const double heading_variance = now_.heading_variance_rad2 - seen.at.heading_variance_rad2 +
+                                  square(config_.yaw_rate_bias_radps * age_s);
+  return {.seen = &seen,
+          .back = between(now_.pose, seen.at.pose),
+          .drift_variance_m2 = now_.position_variance_m2 - seen.at.position_variance_m2 +
+                               square(config_.scale_sigma * path_m) +
+                               heading_variance * square(path_m) / 3.0};
+}
+
+StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vector3d& pose) const noexcept {
+  const Seen& seen = *term.seen;
+  CoreVector core = CoreVector::Zero();
+  core.segment<3>(kX) = compose(pose, term.back);
+  core(kDelay) = config_.range_delay_s;
+  const RangeMeasurement measurement =
+      measure_range(surface_, core, seen.row, parameters_, seen.anchor, seen.tag);
+  Residual out;
+  out.e_m = seen.range_m - measurement.range_m;
+  const Eigen::Vector2d lever = core.segment<2>(kX) - pose.head<2>();
+  out.d_pose = measurement.d_core.segment<3>(kX);
+  out.d_pose(2) += -out.d_pose(0) * lever.y() + out.d_pose(1) * lever.x();
+  double by_calibration_m2 = 0.0;
+  for (int i = 0; i < kPairParameters; ++i) {
+    for (int j = 0; j < kPairParameters; ++j) {
+      by_calibration_m2 += measurement.d_parameters(i) * measurement.d_parameters(j) *
+                           parameter_covariance_(measurement.index[static_cast<std::size_t>(i)],
+                                                 measurement.index[static_cast<std::size_t>(j)]);
+    }
+  }
+  out.variance_m2 = square(config_.range_sigma_m) + by_calibration_m2 + term.drift_variance_m2;
+  return out;
+}
+
+double StartSearch::coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept {
+  const ParameterVector& values = parameters_.values();
+  const std::size_t every = std::max<std::size_t>(1, count_ / kCoarseRanges);
+  double sum = 0.0;
+  for (std::size_t i = count_ % every; i < count_; i += every) {
+    const Term& term = terms_[i];
+    const Eigen::Vector3d then = compose(pose, term.back);
+    const Eigen::Vector3d lever = values.segment<3>(parameters_.lever_arm(term.seen->tag));
+    const double c = std::cos(then.z());
+    const double s = std::sin(then.z());
+    const Eigen::Vector3d antenna(then.x() + c * lever.x() - s * lever.y(),
+                                  then.y() + s * lever.x() + c * lever.y(),
+                                  surface_.at(then.x(), then.y()).z_m + lever.z());
+    const Eigen::Vector3d anchor = values.segment<3>(parameters_.position(term.seen->anchor));
+    const double predicted_m =
+        values(parameters_.gamma(term.seen->anchor, term.seen->tag)) * (antenna - anchor).norm() +
+        values(parameters_.beta(term.seen->anchor, term.seen->tag));
+    sum += robust_cost((term.seen->range_m - predicted_m) / width_m, search_);
+  }
+  return sum;
+}
+
+void StartSearch::refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept {
+  const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
+  double damping = 1e-3;
+  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
+  double cost = std::numeric_limits<double>::infinity();
+  double weights = 0.0;
+  const auto look = [&](const Eigen::Vector3d& at, Eigen::Matrix3d& a, Eigen::Vector3d& b,
+                        double& weight_sum) {
+    a = Eigen::Vector3d(1.0 / square(kFar_m), 1.0 / square(kFar_m), 1.0 / square(kAnyHeading_rad))
+            .asDiagonal();
+    b.setZero();
+    weight_sum = 0.0;
+    double sum = 0.0;
+    for (std::size_t i = 0; i < count_; ++i) {
+      const Residual r = residual(terms_[i], at);
+      const double e = r.e_m / std::sqrt(r.variance_m2);
+      const double weight = robust_weight(e, search_);
+      sum += share * robust_cost(e, search_);
+      weight_sum += weight;
+      const double w = share * weight / r.variance_m2;
+      a.noalias() += w * r.d_pose.transpose() * r.d_pose;
+      b.noalias() += w * r.e_m * r.d_pose.transpose();
+    }
+    return sum;
+  };
+  cost = look(pose, information, gradient, weights);
+  for (int step = 0; step < kSteps; ++step) {
+    Eigen::Matrix3d damped = information;
+    damped.diagonal() *= 1.0 + damping;
+    const Eigen::Vector3d change = damped.ldlt().solve(gradient);
+    if (!change.allFinite()) break;
+    const Eigen::Vector3d next = pose + change;
+    Eigen::Matrix3d next_information;
+    Eigen::Vector3d next_gradient;
+    double next_weights = 0.0;
+    const double next_cost = look(next, next_information, next_gradient, next_weights);
+    if (!(next_cost < cost)) {
+      damping = std::max(damping * 8.0, 1e-3);
+      if (damping > 1e6) break;
+      continue;
+    }
+    const bool done = change.head<2>().norm() < 1e-4 && std::abs(change.z()) < 1e-5;
+    pose = next;
+    information = next_information;
+    gradient = next_gradient;
+    weights = next_weights;
+    cost = next_cost;
+    damping *= 0.1;
+    if (done) break;
+  }
+  out.pose = {pose.x(), pose.y(), model::wrap_angle(pose.z())};
+  out.covariance = information.inverse();
+  out.cost = cost;
+  out.mean_weight = weights / static_cast<double>(count_);
+}
+
+void StartSearch::add_calibration(Hypothesis& hypothesis) const noexcept {
+  // The solution is linear in the residuals near by: what the parameters' errors, common to many ranges, do
+  // to it is not averaged away.
+  const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
+  Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kMaxParameters> by_parameters;
+  by_parameters.setZero(3, parameters_.size());
+  const Eigen::Vector3d pose(hypothesis.pose.x_m, hypothesis.pose.y_m, hypothesis.pose.theta_rad);
+  for (std::size_t i = 0; i < count_; ++i) {
+    const Term& term = terms_[i];
+    CoreVector core = CoreVector::Zero();
+    core.segment<3>(kX) = compose(pose, term.back);
+    core(kDelay) = config_.range_delay_s;
+    const RangeMeasurement measurement =
+        measure_range(surface_, core, term.seen->row, parameters_, term.seen->anchor, term.seen->tag);
+    const Residual r = residual(term, pose);
+    const double weight = share * robust_weight(r.e_m / std::sqrt(r.variance_m2), search_) / r.variance_m2;
+    for (int j = 0; j < kPairParameters; ++j) {
+      by_parameters.col(measurement.index[static_cast<std::size_t>(j)]) +=
+          weight * measurement.d_parameters(j) * r.d_pose.transpose();
+    }
+  }
+  const Eigen::Matrix3d& gain = hypothesis.covariance;
+  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
+  for (Eigen::Index i = 0; i < by_parameters.cols(); ++i) {
+    Eigen::Vector3d column = Eigen::Vector3d::Zero();
+    for (Eigen::Index j = 0; j < by_parameters.cols(); ++j) {
+      column += parameter_covariance_(j, i) * by_parameters.col(j);
+    }
+    spread.noalias() += column * by_parameters.col(i).transpose();
+  }
+  hypothesis.covariance += gain * spread * gain.transpose();
+}
+
+void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
+  for (std::size_t i = 0; i < hypothesis_count_; ++i) {
+    Hypothesis& other = hypotheses_[i];
+    const double apart_m =
+        std::hypot(hypothesis.pose.x_m - other.pose.x_m, hypothesis.pose.y_m - other.pose.y_m);
+    const double turned_rad = std::abs(model::wrap_angle(hypothesis.pose.theta_rad - other.pose.theta_rad));
+    if (apart_m > kSamePlace_m || turned_rad > kSameHeading_rad) continue;
+    if (hypothesis.cost < other.cost) other = hypothesis;
+    return;
+  }
+  if (hypothesis_count_ < kMaxHypotheses) {
+    hypotheses_[hypothesis_count_++] = hypothesis;
+    return;
+  }
+  const auto worst =
+      std::max_element(hypotheses_.begin(), hypotheses_.end(),
+                       [](const Hypothesis& a, const Hypothesis& b) { return a.cost < b.cost; });
+  if (hypothesis.cost < worst->cost) *worst = hypothesis;
+}
+
+std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
+  hypothesis_count_ = 0;
+  settled_ = false;
+  while (count_ > 0 && t_s_ - seen(0).t_s > search_.window_s) {
+    first_ = (first_ + 1) % kMaxRanges;
+    --count_;
+  }
+  if (count_ < 3) return {};
+  for (std::size_t i = 0; i < count_; ++i) terms_[i] = term_of(seen(i));
+
+  // The anchors that were nearest, each with its shortest range.
+  std::array<const Term*, kMaxAnchors> shortest{};
+  for (std::size_t i = 0; i < count_; ++i) {
+    const Term*& least = shortest[static_cast<std::size_t>(terms_[i].seen->anchor)];
+    if (least == nullptr || terms_[i].seen->range_m < least->seen->range_m) least = &terms_[i];
+  }
+  const auto heard = std::remove(shortest.begin(), shortest.end(), nullptr);
+  std::sort(shortest.begin(), heard, [](const Term* a, const Term* b) {
+    return std::pair(a->seen->range_m, a->seen->anchor) < std::pair(b->seen->range_m, b->seen->anchor);
+  });
+  const auto rings = std::min<std::ptrdiff_t>(kRings, heard - shortest.begin());
+
+  std::array<std::pair<double, Eigen::Vector3d>, kStarts> starts;
+  std::size_t start_count = 0;
+  const ParameterVector& values = parameters_.values();
+  for (std::ptrdiff_t ring = 0; ring < rings; ++ring) {
+    const Term& term = *shortest[static_cast<std::size_t>(ring)];
+    const Eigen::Vector3d anchor = values.segment<3>(parameters_.position(term.seen->anchor));
+    const double height_m = anchor.z() - surface_.at(anchor.x(), anchor.y()).z_m;
+    const double radius_m =
+        std::sqrt(std::max(square(term.seen->range_m) - square(height_m), square(0.2 * term.seen->range_m)));
+    const double width_m = std::hypot(0.2 * radius_m, 0.5);
+    for (int i = 0; i < kRingPoints; ++i) {
+      const double angle = 2.0 * std::numbers::pi * i / kRingPoints;
+      for (int j = 0; j < kHeadings; ++j) {
+        // The range was measured then; the hypothesis is about now.
+        const double heading = 2.0 * std::numbers::pi * (j + 0.5 * (i % 2)) / kHeadings;
+        const Eigen::Vector3d then(anchor.x() + radius_m * std::cos(angle),
+                                   anchor.y() + radius_m * std::sin(angle), heading);
+        const Eigen::Vector3d pose = compose(then, between(term.back, Eigen::Vector3d::Zero()));
+        starts[start_count++] = {coarse_cost(pose, width_m), pose};
+      }
+    }
+  }
+  const auto chosen = starts.begin() + static_cast<std::ptrdiff_t>(std::min(kRefined, start_count));
+  std::partial_sort(starts.begin(), chosen, starts.begin() + static_cast<std::ptrdiff_t>(start_count),
+                    [](const auto& a, const auto& b) { return a.first < b.first; });
+  for (auto start = starts.begin(); start != chosen; ++start) {
+    Hypothesis hypothesis;
+    refine(start->second, hypothesis);
+    keep(hypothesis);
+  }
+  // What a line of anchors, or one tag's straight path, cannot tell apart.
+  const std::size_t found = hypothesis_count_;
+  for (std::size_t i = 0; i < found; ++i) {
+    const model::PlanarPose pose = hypotheses_[i].pose;
+    Hypothesis turned;
+    refine({pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi}, turned);
+    keep(turned);
+    if (rings < 2) continue;
+    const Eigen::Vector2d a = values.segment<2>(parameters_.position(shortest[0]->seen->anchor));
+    const Eigen::Vector2d b = values.segment<2>(parameters_.position(shortest[1]->seen->anchor));
+    const double along = std::atan2(b.y() - a.y(), b.x() - a.x());
+    const Eigen::Vector2d from(pose.x_m - a.x(), pose.y_m - a.y());
+    const Eigen::Vector2d axis(std::cos(along), std::sin(along));
+    const Eigen::Vector2d mirrored = a + 2.0 * axis.dot(from) * axis - from;
+    Hypothesis other;
+    refine({mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad}, other);
+    keep(other);
+  }
+
+  const auto end = hypotheses_.begin() + static_cast<std::ptrdiff_t>(hypothesis_count_);
+  std::sort(hypotheses_.begin(), end,
+            [](const Hypothesis& a, const Hypothesis& b) { return a.cost < b.cost; });
+  const double given_up = hypotheses_[0].cost + search_.odds;
+  hypothesis_count_ = static_cast<std::size_t>(
+      std::find_if(hypotheses_.begin(), end, [&](const Hypothesis& h) { return !(h.cost < given_up); }) -
+      hypotheses_.begin());
+  for (std::size_t i = 0; i < hypothesis_count_; ++i) add_calibration(hypotheses_[i]);
+
+  if (hypothesis_count_ == 1) {
+    const Hypothesis& only = hypotheses_[0];
+    const Eigen::Matrix2d position = only.covariance.topLeftCorner<2, 2>();
+    Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes;
+    axes.computeDirect(position, Eigen::EigenvaluesOnly);
+    settled_ = axes.eigenvalues()(1) < square(search_.position_sigma_m) &&
+               only.covariance(2, 2) < square(search_.heading_sigma_rad) &&
+               only.mean_weight > search_.weight_share;
+  }
+  return {hypotheses_.data(), hypothesis_count_};
+}
+
+double StartSearch::cost(const model::PlanarPose& pose) const noexcept {
+  const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
+  double sum = 0.0;
+  for (std::size_t i = 0; i < count_; ++i) {
+    const Residual r = residual(term_of(seen(i)), {pose.x_m, pose.y_m, pose.theta_rad});
+    sum += share * robust_cost(r.e_m / std::sqrt(r.variance_m2), search_);
+  }
+  return sum;
+}
+
+}  // namespace groma::filter

@@ -1,0 +1,133 @@
+// Where the robot is when nobody tells: the poses that the ranges of the last seconds agree with, joined by
+// the odometry between them.
+//
+// Starts on rings about the nearest anchors, in all headings, are judged coarsely; the best of them are
+// refined by robust Gauss-Newton steps, and what ends at one place is one hypothesis. One that is far less
+// likely than the best is given up. No clock, no allocation after construction; the same inputs give the same
+// hypotheses.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <span>
+
+#include <Eigen/Core>
+
+#include "host/filter/config.hpp"
+#include "host/filter/parameters.hpp"
+#include "host/filter/state.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::filter {
+
+struct StartSearchConfig {
+  double window_s = 6.0;        // older ranges are forgotten
+  double spacing_s = 0.25;      // between the ranges of one pair that are looked at
+  double correlation_s = 1.0;   // of the errors of one pair: within it they tell one thing
+  double latest_s = 0.5;        // by how much a range may be older than the newest input
+  double excess_knee = 1.5;     // beyond so many sigmas a range too long tells less and less,
+  double shortfall_knee = 3.0;  // and beyond these one too short
+  double odds = 8.0;            // ln of the odds at which a hypothesis is given up
+  // A hypothesis is a pose when it is surer than these and the mean weight of its ranges is above the share.
+  double position_sigma_m = 0.5;
+  double heading_sigma_rad = 0.2;
+  double weight_share = 0.5;
+};
+
+class StartSearch {
+ public:
+  static constexpr std::size_t kMaxRanges = 512;
+  static constexpr std::size_t kMaxHypotheses = 8;
+
+  struct Hypothesis {
+    model::PlanarPose pose;  // at the newest input
+    // Of x_m, y_m, theta_rad: by the ranges' noise, the odometry's and the calibration's, which all share.
+    Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();
+    double cost = 0.0;         // -ln of the likelihood, but for what all share
+    double mean_weight = 0.0;  // 1: all ranges as expected
+  };
+
+  // As Filter's.
+  StartSearch(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
+              const Config& config, const StartSearchConfig& search = {});
+
+  // Rows older than the newest input are passed over, and ranges older by latest_s; so is what is unknown or
+  // not a number.
+  void process(const model::OdometrySample& row) noexcept;
+  void process(const model::RangeSample& range) noexcept;
+  // Forgets the ranges.
+  void clear() noexcept;
+  // Forgets the rows and the time, too.
+  void stop() noexcept;
+
+  // The hypotheses as of the newest input, the likeliest first; none with fewer than three ranges.
+  std::span<const Hypothesis> search() noexcept;
+  // Whether the last search left one alone, and that one sure.
+  [[nodiscard]] bool settled() const noexcept { return settled_; }
+  // Cost of a pose at the newest input, to be set against the hypotheses'.
+  [[nodiscard]] double cost(const model::PlanarPose& pose) const noexcept;
+
+  [[nodiscard]] double t_s() const noexcept { return t_s_; }
+  [[nodiscard]] std::size_t ranges() const noexcept { return count_; }
+
+ private:
+  // Motion since the last clear(), dead reckoned on a plane, and how sure it is.
+  struct Odometer {
+    Eigen::Vector3d pose = Eigen::Vector3d::Zero();
+    double path_m = 0.0;
+    double position_variance_m2 = 0.0;   // by the rows' noise
+    double heading_variance_rad2 = 0.0;  // by the rows' noise
+  };
+  struct Seen {
+    double t_s = 0.0;
+    int anchor = 0;
+    int tag = 0;
+    double range_m = 0.0;
+    model::OdometrySample row;
+    Odometer at;
+  };
+  // A range with what does not depend on the hypothesis.
+  struct Term {
+    const Seen* seen = nullptr;
+    Eigen::Vector3d back = Eigen::Vector3d::Zero();  // pose then, from the newest one's frame
+    double drift_variance_m2 = 0.0;
+  };
+  struct Residual {
+    double e_m = 0.0;                                        // measured less predicted
+    double variance_m2 = 0.0;                                // of all that is not the pose
+    Eigen::RowVector3d d_pose = Eigen::RowVector3d::Zero();  // of the predicted range
+  };
+
+  void advance(double t_s) noexcept;
+  [[nodiscard]] Seen& seen(std::size_t i) noexcept { return seen_[(first_ + i) % kMaxRanges]; }
+  [[nodiscard]] const Seen& seen(std::size_t i) const noexcept { return seen_[(first_ + i) % kMaxRanges]; }
+  [[nodiscard]] Term term_of(const Seen& seen) const noexcept;
+  [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose) const noexcept;
+  [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept;
+  void refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept;
+  void add_calibration(Hypothesis& hypothesis) const noexcept;
+  void keep(const Hypothesis& hypothesis) noexcept;
+
+  model::Surface surface_;
+  Config config_;
+  StartSearchConfig search_;
+  Parameters parameters_;
+  ParameterMatrix parameter_covariance_;
+  std::array<Seen, kMaxRanges> seen_;
+  std::size_t first_ = 0;
+  std::size_t count_ = 0;
+  std::array<double, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> last_taken_s_{};
+  std::array<Term, kMaxRanges> terms_;
+  Odometer now_;
+  model::OdometrySample row_{};
+  bool has_row_ = false;
+  double t_s_ = -std::numeric_limits<double>::infinity();
+  std::array<Hypothesis, kMaxHypotheses> hypotheses_;
+  std::size_t hypothesis_count_ = 0;
+  bool settled_ = false;
+};
+
+}  // namespace groma::filter

@@ -1,0 +1,248 @@
+#include "host/filter/tracker.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+namespace groma::filter {
+
+namespace {
+
+constexpr double kNever = -std::numeric_limits<double>::infinity();
+constexpr double kNotNow = std::numeric_limits<double>::quiet_NaN();
+
+double square(double value) noexcept {
+  return value * value;
+}
+
+double largest_variance(const Eigen::Matrix3d& covariance) noexcept {
+  const double a = covariance(0, 0);
+  const double b = covariance(1, 1);
+  return 0.5 * (a + b) + std::hypot(0.5 * (a - b), covariance(0, 1));
+}
+
+}  // namespace
+
+std::string_view state_name(State state) noexcept {
+  switch (state) {
+    case State::kUninitialized:
+      return "UNINITIALIZED";
+    case State::kConverging:
+      return "CONVERGING";
+    case State::kTracking:
+      return "TRACKING";
+    case State::kDegraded:
+      return "DEGRADED";
+    case State::kLost:
+      break;
+  }
+  return "LOST";
+}
+
+std::string_view reason_name(Reason reason) noexcept {
+  switch (reason) {
+    case Reason::kNone:
+      return "";
+    case Reason::kNoRanges:
+      return "no-ranges";
+    case Reason::kRangesDisagree:
+      return "ranges-disagree";
+    case Reason::kNoOdometry:
+      return "no-odometry";
+    case Reason::kTagSilent:
+      return "tag-silent";
+    case Reason::kUncertain:
+      break;
+  }
+  return "uncertain";
+}
+
+Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
+                 const model::Calibration& calibration, const Config& config, const TrackerConfig& tracker,
+                 const StartSearchConfig& search)
+    : config_(tracker),
+      filter_(surface, tags, calibration, config),
+      search_(std::move(surface), tags, calibration, config, search) {
+  for (const model::Tag& tag : tags) {
+    if (tag_count_ < tags_.size()) tags_[tag_count_++].id = tag.id;
+  }
+}
+
+bool Tracker::start(const Start& start) noexcept {
+  if (!filter_.start(start)) return false;
+  state_ = State::kConverging;
+  reason_ = Reason::kNone;
+  newest_s_ = std::max(newest_s_, start.t_s);
+  last_used_s_ = newest_s_;
+  judged_s_ = newest_s_;
+  refused_ = 0.0;
+  judged_ = 0.0;
+  disagrees_since_s_ = kNotNow;
+  agrees_since_s_ = kNotNow;
+  return true;
+}
+
+OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
+  if (std::isfinite(row.t_s) && !believe(row.t_s)) return OdometryOutcome::kOutOfOrder;
+  const OdometryOutcome outcome = filter_.process(row);
+  if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
+  search_.process(row);
+  newest_s_ = std::max(newest_s_, row.t_s);
+  last_row_s_ = std::max(last_row_s_, row.t_s);
+  assess();
+  return outcome;
+}
+
+RangeResult Tracker::process(const model::RangeSample& range) noexcept {
+  if (std::isfinite(range.t_s) && !believe(range.t_s)) return {.outcome = RangeOutcome::kOutOfOrder};
+  const RangeResult result = filter_.process(range);
+  const bool of_use = result.outcome == RangeOutcome::kUsed || result.outcome == RangeOutcome::kGated ||
+                      result.outcome == RangeOutcome::kNotStarted;
+  if (!of_use) return result;
+  search_.process(range);
+  newest_s_ = std::max(newest_s_, range.t_s);
+  watch(range, result);
+  assess();
+  return result;
+}
+
+bool Tracker::believe(double t_s) noexcept {
+  if (newest_s_ == kNever || std::abs(t_s - newest_s_) < config_.clock_step_s) {
+    strange_ = 0;
+    return true;
+  }
+  // One input may be wrong. Some that agree with each other say that the clock was set, or that nothing came
+  // for a while: forwards both are the same.
+  strange_ = strange_ > 0 && std::abs(t_s - strange_s_) < config_.clock_step_s ? strange_ + 1 : 1;
+  strange_s_ = t_s;
+  if (strange_ < config_.clock_step_inputs) return false;
+  strange_ = 0;
+  ++clock_steps_;
+  if (t_s < newest_s_) set_back(t_s);
+  return true;
+}
+
+void Tracker::set_back(double t_s) noexcept {
+  const bool known = state_ == State::kTracking || state_ == State::kDegraded;
+  const Estimate before = filter_.estimate();
+  filter_.stop();
+  search_.stop();
+  hypotheses_ = {};
+  state_ = State::kUninitialized;
+  reason_ = Reason::kNone;
+  newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNever;
+  disagrees_since_s_ = agrees_since_s_ = kNotNow;
+  refused_ = judged_ = 0.0;
+  for (TagWatch& tag : tags_) {
+    tag.last_s = kNever;
+    tag.heard = false;
+  }
+  if (!known) return;
+  // The robot is about where it was, though nobody knows how long ago that was.
+  const Eigen::Matrix3d& covariance = before.covariance;
+  start({.t_s = t_s,
+         .pose = before.pose,
+         .position_sigma_m = std::hypot(std::sqrt(largest_variance(covariance)), config_.set_back_position_m),
+         .heading_sigma_rad = std::hypot(std::sqrt(covariance(2, 2)), config_.set_back_heading_rad)});
+}
+
+void Tracker::watch(const model::RangeSample& range, const RangeResult& result) noexcept {
+  for (TagWatch& tag : std::span(tags_).first(tag_count_)) {
+    if (tag.id != range.tag_id) continue;
+    tag.last_s = std::max(tag.last_s, range.t_s);
+    tag.heard = true;
+  }
+  if (result.outcome == RangeOutcome::kNotStarted) return;
+  if (result.outcome == RangeOutcome::kUsed) last_used_s_ = std::max(last_used_s_, range.t_s);
+  const double fade = std::exp(-std::max(newest_s_ - judged_s_, 0.0) / config_.window_s);
+  judged_s_ = newest_s_;
+  judged_ = judged_ * fade + 1.0;
+  refused_ = refused_ * fade + (1.0 - result.weight);
+  if (judged_ < config_.few_ranges) return;
+  const bool disagrees = refused_ > config_.disagree_share * judged_;
+  if (disagrees && std::isnan(disagrees_since_s_)) {
+    disagrees_since_s_ = newest_s_;
+    // What came before may be of another place.
+    search_.clear();
+    last_search_s_ = newest_s_;
+  }
+  if (!disagrees) disagrees_since_s_ = kNotNow;
+}
+
+Reason Tracker::find_reason() const noexcept {
+  if (!std::isnan(disagrees_since_s_)) return Reason::kRangesDisagree;
+  if (newest_s_ - last_used_s_ > config_.silent_s) return Reason::kNoRanges;
+  if (newest_s_ - last_row_s_ > config_.silent_s) return Reason::kNoOdometry;
+  const Eigen::Matrix3d& covariance = filter_.filter().covariance().core().topLeftCorner<3, 3>();
+  if (!(largest_variance(covariance) < square(config_.position_sigma_m)) ||
+      !(covariance(2, 2) < square(config_.heading_sigma_rad))) {
+    return Reason::kUncertain;
+  }
+  for (const TagWatch& tag : std::span(tags_).first(tag_count_)) {
+    if (tag.heard && newest_s_ - tag.last_s > config_.tag_silent_s) return Reason::kTagSilent;
+  }
+  return Reason::kNone;
+}
+
+void Tracker::assess() noexcept {
+  if (!filter_.started()) {
+    state_ = search_.ranges() > 0 ? State::kConverging : State::kUninitialized;
+    search_when_due();
+    return;
+  }
+  reason_ = find_reason();
+  const bool disagrees = reason_ == Reason::kRangesDisagree;
+  if (state_ == State::kConverging) {
+    if (disagrees || judged_ < config_.few_ranges) {
+      agrees_since_s_ = kNotNow;
+    } else if (std::isnan(agrees_since_s_)) {
+      agrees_since_s_ = newest_s_;
+    }
+    const bool agreed = newest_s_ - agrees_since_s_ >= config_.agree_s;
+    if (agreed && reason_ != Reason::kUncertain) state_ = State::kTracking;
+    if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) state_ = State::kLost;
+  }
+  if (state_ == State::kTracking || state_ == State::kDegraded)
+    state_ = reason_ == Reason::kNone ? State::kTracking : State::kDegraded;
+  if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) state_ = State::kLost;
+  if (state_ == State::kLost && !disagrees) {
+    state_ = State::kConverging;
+    agrees_since_s_ = kNotNow;
+  }
+  if (disagrees) search_when_due();
+}
+
+void Tracker::search_when_due() noexcept {
+  if (newest_s_ - last_search_s_ < config_.search_every_s) return;
+  last_search_s_ = newest_s_;
+  hypotheses_ = search_.search();
+  if (!search_.settled()) return;
+  const StartSearch::Hypothesis& found = hypotheses_.front();
+  if (filter_.started()) {
+    if (!is_elsewhere(found)) return;
+    ++relocations_;
+  }
+  begin_at(found);
+}
+
+bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept {
+  const Estimate now = filter_.estimate();
+  if (search_.cost(now.pose) < hypothesis.cost + config_.other_odds) return false;
+  const Eigen::Vector3d apart(hypothesis.pose.x_m - now.pose.x_m, hypothesis.pose.y_m - now.pose.y_m,
+                              model::wrap_angle(hypothesis.pose.theta_rad - now.pose.theta_rad));
+  // The filter's own covariance grows while it doubts; that the ranges refuse it is held against it already.
+  const double distance2 = apart.dot(hypothesis.covariance.ldlt().solve(apart));
+  return distance2 > square(config_.other_sigmas);
+}
+
+void Tracker::begin_at(const StartSearch::Hypothesis& hypothesis) noexcept {
+  start({.t_s = search_.t_s(),
+         .pose = hypothesis.pose,
+         .position_sigma_m = std::sqrt(largest_variance(hypothesis.covariance)),
+         .heading_sigma_rad = std::sqrt(hypothesis.covariance(2, 2))});
+  search_.clear();
+}
+
+}  // namespace groma::filter

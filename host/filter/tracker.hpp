@@ -1,0 +1,136 @@
+// The filter with somebody who watches it: finds the pose where none is given, says how far the estimate is
+// to be trusted, and begins anew where the ranges tell of another place.
+//
+//   UNINITIALIZED --ranges--> CONVERGING --one hypothesis, ranges agree--> TRACKING
+//   TRACKING <--> DEGRADED (with a reason) --> LOST --another place found--> CONVERGING
+//
+// No clock, no allocation after construction. Inputs may come late as OrderedFilter allows.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <span>
+#include <string_view>
+
+#include "host/filter/config.hpp"
+#include "host/filter/filter.hpp"
+#include "host/filter/ordered_filter.hpp"
+#include "host/filter/start_search.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/surface.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::filter {
+
+enum class State : std::uint8_t {
+  kUninitialized,  // nothing is known of the pose
+  kConverging,     // a pose is being looked for, or was just begun with
+  kTracking,
+  kDegraded,  // there is a pose, but: see the reason
+  kLost,      // the pose is wrong or unknown, and no other was found yet
+};
+
+enum class Reason : std::uint8_t {
+  kNone,
+  kNoRanges,        // none was used of late: odometry alone
+  kRangesDisagree,  // most ranges of late are refused
+  kNoOdometry,      // the motion is a guess
+  kTagSilent,       // a tag that ranged gives no ranges, while others do
+  kUncertain,       // the covariance is too large
+};
+
+// "UNINITIALIZED", "CONVERGING", "TRACKING", "DEGRADED", "LOST".
+[[nodiscard]] std::string_view state_name(State state) noexcept;
+// "", "no-ranges", "ranges-disagree", "no-odometry", "tag-silent", "uncertain".
+[[nodiscard]] std::string_view reason_name(Reason reason) noexcept;
+
+struct TrackerConfig {
+  double window_s = 1.0;        // over which agreement is judged
+  double disagree_share = 0.5;  // of the weight of ranges that is refused
+  double few_ranges = 4.0;      // within the window: too few to judge by
+  double silent_s = 1.0;        // without a range used, or without odometry
+  double tag_silent_s = 2.0;    // without a range of one tag
+  double lost_s = 3.0;          // of disagreement, until the state is lost
+  double agree_s = 0.5;         // of agreement, until a begun pose is tracked
+  double search_every_s = 0.5;
+  double position_sigma_m = 1.0;  // from which the pose is uncertain
+  double heading_sigma_rad = 0.3;
+  // A hypothesis is another place from so many sigmas and so much likelier, ln of the odds.
+  double other_sigmas = 5.0;
+  double other_odds = 15.0;
+  // Inputs that all come so much before or after the newest one: the clock was set.
+  double clock_step_s = 2.0;
+  std::size_t clock_step_inputs = 5;
+  // Where the clock was set back the robot is within this of where it was.
+  double set_back_position_m = 0.5;
+  double set_back_heading_rad = 0.2;
+};
+
+class Tracker {
+ public:
+  // As Filter's.
+  Tracker(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
+          const Config& config, const TrackerConfig& tracker = {}, const StartSearchConfig& search = {});
+
+  // Begins, or begins anew, at a pose that is known. False, and nothing done, where it comes too late.
+  bool start(const Start& start) noexcept;
+  OdometryOutcome process(const model::OdometrySample& row) noexcept;
+  RangeResult process(const model::RangeSample& range) noexcept;
+
+  [[nodiscard]] State state() const noexcept { return state_; }
+  [[nodiscard]] Reason reason() const noexcept { return reason_; }
+  // Whether there is an estimate; it is to be used in the states TRACKING and DEGRADED.
+  [[nodiscard]] bool started() const noexcept { return filter_.started(); }
+  [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
+  // Those that are left of the last search, the likeliest first.
+  [[nodiscard]] std::span<const StartSearch::Hypothesis> hypotheses() const noexcept { return hypotheses_; }
+  [[nodiscard]] const OrderedFilter& filter() const noexcept { return filter_; }
+  // Times that another place was found than the filter's.
+  [[nodiscard]] std::size_t relocations() const noexcept { return relocations_; }
+  // Times that the inputs' clock was set.
+  [[nodiscard]] std::size_t clock_steps() const noexcept { return clock_steps_; }
+
+ private:
+  struct TagWatch {
+    model::NodeId id = 0;
+    double last_s = -std::numeric_limits<double>::infinity();
+    bool heard = false;
+  };
+
+  // False where the input is of a time that cannot be believed yet.
+  bool believe(double t_s) noexcept;
+  void set_back(double t_s) noexcept;
+  void watch(const model::RangeSample& range, const RangeResult& result) noexcept;
+  void assess() noexcept;
+  void search_when_due() noexcept;
+  [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
+  void begin_at(const StartSearch::Hypothesis& hypothesis) noexcept;
+  [[nodiscard]] Reason find_reason() const noexcept;
+
+  TrackerConfig config_;
+  OrderedFilter filter_;
+  StartSearch search_;
+  std::span<const StartSearch::Hypothesis> hypotheses_;
+  State state_ = State::kUninitialized;
+  Reason reason_ = Reason::kNone;
+
+  double newest_s_ = -std::numeric_limits<double>::infinity();
+  double last_row_s_ = -std::numeric_limits<double>::infinity();
+  double last_used_s_ = -std::numeric_limits<double>::infinity();
+  double last_search_s_ = -std::numeric_limits<double>::infinity();
+  double disagrees_since_s_ = std::numeric_limits<double>::quiet_NaN();  // NaN: ranges agree
+  double agrees_since_s_ = std::numeric_limits<double>::quiet_NaN();     // NaN: tracked, or not begun
+  double judged_s_ = 0.0;
+  double refused_ = 0.0;  // fading sums over window_s
+  double judged_ = 0.0;
+  double strange_s_ = 0.0;  // time of the last input that was not believed
+  std::size_t strange_ = 0;
+  std::array<TagWatch, kMaxTags> tags_{};
+  std::size_t tag_count_ = 0;
+  std::size_t relocations_ = 0;
+  std::size_t clock_steps_ = 0;
+};
+
+}  // namespace groma::filter

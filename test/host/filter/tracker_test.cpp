@@ -1,0 +1,242 @@
+#include "host/filter/tracker.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <numbers>
+#include <utility>
+#include <vector>
+
+#include "test/host/filter/small_site.hpp"
+#include "test/support/allocations.hpp"
+
+namespace groma::filter {
+namespace {
+
+using test::Random;
+
+constexpr testing::DriveOptions kMinute{.duration_s = 60.0, .range_s = 0.01};
+
+// One site, the same in all drives of a test.
+class TrackerTest : public ::testing::TestWithParam<std::uint64_t> {
+ protected:
+  TrackerTest() : random_(GetParam()) {
+    Config config;
+    config.odometry = {0.03, 0.03, 0.01};
+    tracker_ = std::make_unique<Tracker>(surface_, testing::three_tags(), calibration_, config);
+  }
+
+  testing::Drive drive(const model::PlanarPose& start, const testing::DriveOptions& options = kMinute) {
+    return testing::drive(surface_, calibration_, start, options, random_);
+  }
+
+  // In order of time, odometry first; `keep` tells which ranges come. Notes after each row what the tracker
+  // says, and how far it is off.
+  void run(const testing::Drive& drive, double shift_s = 0.0,
+           const std::function<bool(const model::RangeSample&)>& keep = {}) {
+    std::size_t next = 0;
+    for (std::size_t i = 0; i < drive.odometry.size(); ++i) {
+      model::OdometrySample row = drive.odometry[i];
+      for (; next < drive.ranges.size() && drive.ranges[next].t_s < row.t_s; ++next) {
+        if (keep && !keep(drive.ranges[next])) continue;
+        model::RangeSample range = drive.ranges[next];
+        range.t_s += shift_s;
+        tracker_->process(range);
+      }
+      const double now_s = elapsed_s_ + row.t_s;
+      row.t_s += shift_s;
+      tracker_->process(row);
+      note(now_s, drive.truth[i]);
+    }
+    elapsed_s_ += drive.odometry.back().t_s + 0.05;
+  }
+
+  void note(double now_s, const model::PlanarPose& truth) {
+    Moment moment{now_s, tracker_->state(), tracker_->reason(), 0.0, 0.0};
+    if (tracker_->started()) {
+      const Estimate estimate = tracker_->estimate();
+      moment.squared = testing::squared_error(estimate, truth);
+      moment.error_m = std::hypot(estimate.pose.x_m - truth.x_m, estimate.pose.y_m - truth.y_m);
+    }
+    wrong_s_ = moment.state == State::kTracking && moment.squared > 34.6 ? wrong_s_ + 0.05 : 0.0;
+    longest_wrong_s_ = std::max(longest_wrong_s_, wrong_s_);
+    moments_.push_back(moment);
+  }
+
+  struct Moment {
+    double t_s;
+    State state;
+    Reason reason;
+    double squared;  // e' P^-1 e
+    double error_m;
+  };
+
+  [[nodiscard]] bool was(State state, double from_s, double to_s) const {
+    return std::any_of(moments_.begin(), moments_.end(), [&](const Moment& moment) {
+      return moment.state == state && moment.t_s >= from_s && moment.t_s < to_s;
+    });
+  }
+  [[nodiscard]] bool was(Reason reason, double from_s, double to_s) const {
+    return std::any_of(moments_.begin(), moments_.end(), [&](const Moment& moment) {
+      return moment.state == State::kDegraded && moment.reason == reason && moment.t_s >= from_s &&
+             moment.t_s < to_s;
+    });
+  }
+  // The time from which on the tracker tracks to the end.
+  [[nodiscard]] double tracks_from_s() const {
+    double from_s = std::numeric_limits<double>::infinity();
+    for (const Moment& moment : moments_) {
+      if (moment.state != State::kTracking) from_s = std::numeric_limits<double>::infinity();
+      if (moment.state == State::kTracking && std::isinf(from_s)) from_s = moment.t_s;
+    }
+    return from_s;
+  }
+  // 5 sigma in three dimensions (the same share as 5 sigma in one: 34.6) for more than 2 s while TRACKING.
+  [[nodiscard]] bool lied() const { return longest_wrong_s_ > 2.0; }
+
+  Random random_;
+  model::Surface surface_ = testing::hills(0.2);
+  model::Calibration calibration_ = testing::six_anchors(0.3);
+  std::unique_ptr<Tracker> tracker_;
+  std::vector<Moment> moments_;
+  double elapsed_s_ = 0.0;
+  double wrong_s_ = 0.0;
+  double longest_wrong_s_ = 0.0;
+};
+
+constexpr model::PlanarPose kHere{2.0, -3.0, 0.5};
+
+TEST_P(TrackerTest, TracksFromAKnownStart) {
+  const testing::Drive known = drive(kHere);
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(known);
+  EXPECT_LT(tracks_from_s(), 2.0);
+  EXPECT_FALSE(lied());
+  EXPECT_EQ(tracker_->relocations(), 0U);
+}
+
+TEST_P(TrackerTest, StartsWithoutAPrior) {
+  run(drive({random_.uniform(-6.0, 6.0), random_.uniform(-6.0, 6.0), random_.uniform(-3.0, 3.0)}));
+  EXPECT_EQ(moments_.front().state, State::kUninitialized);
+  EXPECT_TRUE(was(State::kConverging, 0.0, 10.0));
+  EXPECT_LT(tracks_from_s(), 10.0);
+  EXPECT_LT(moments_.back().error_m, 0.5);
+  EXPECT_FALSE(lied());
+}
+
+TEST_P(TrackerTest, RecoversFromAWrongStart) {
+  const testing::Drive wrong = drive(kHere);
+  tracker_->start(
+      {.t_s = 0.0, .pose = {kHere.x_m + 3.0, kHere.y_m + 4.0, kHere.theta_rad + 0.5 * std::numbers::pi}});
+  run(wrong);
+  EXPECT_LT(tracks_from_s(), 10.0);
+  EXPECT_FALSE(lied());
+  EXPECT_LT(moments_.back().error_m, 0.5);
+}
+
+TEST_P(TrackerTest, FindsAKidnappedRobot) {
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  const testing::Drive before = drive(kHere, {.duration_s = 20.0, .range_s = 0.01});
+  run(before);
+  run(drive({-6.0, 5.0, -2.0}, {.duration_s = 30.0, .range_s = 0.01}), 20.0);
+  EXPECT_LT(tracks_from_s(), 30.0);
+  EXPECT_TRUE(was(State::kDegraded, 20.0, 24.0) || was(State::kLost, 20.0, 24.0));
+  EXPECT_FALSE(lied());
+  EXPECT_LT(moments_.back().error_m, 0.5);
+}
+
+TEST_P(TrackerTest, SaysThatRangesAreLostAndComesBack) {
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(drive(kHere), 0.0,
+      [](const model::RangeSample& range) { return range.t_s < 10.0 || range.t_s > 40.0; });
+  EXPECT_TRUE(was(Reason::kNoRanges, 10.0, 12.0));
+  EXPECT_FALSE(was(State::kTracking, 12.0, 40.0));
+  EXPECT_LT(tracks_from_s(), 50.0);
+  EXPECT_GE(tracks_from_s(), 40.0);
+  EXPECT_FALSE(lied());
+}
+
+TEST_P(TrackerTest, SaysThatATagIsSilentAndGoesOn) {
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(drive(kHere), 0.0, [](const model::RangeSample& range) {
+    return range.tag_id != 2 || range.t_s < 20.0 || range.t_s > 40.0;
+  });
+  EXPECT_TRUE(was(Reason::kTagSilent, 20.0, 24.0));
+  EXPECT_FALSE(was(State::kLost, 0.0, 60.0));
+  EXPECT_LT(tracks_from_s(), 41.0);
+  EXPECT_FALSE(lied());
+}
+
+TEST_P(TrackerTest, GoesOnAfterTheClockWasSet) {
+  for (const double step_s : {1000.0, -1000.0}) {
+    SCOPED_TRACE(step_s);
+    moments_.clear();
+    elapsed_s_ = 0.0;
+    const testing::Drive whole = drive(kHere, {.duration_s = 40.0, .range_s = 0.01});
+    testing::Drive before = whole;
+    testing::Drive after = whole;
+    before.odometry.resize(400);
+    before.truth.resize(400);
+    std::erase_if(before.ranges, [](const auto& range) { return range.t_s >= 20.0; });
+    after.odometry.erase(after.odometry.begin(), after.odometry.begin() + 400);
+    after.truth.erase(after.truth.begin(), after.truth.begin() + 400);
+    std::erase_if(after.ranges, [](const auto& range) { return range.t_s < 20.0; });
+    Config config;
+    config.odometry = {0.03, 0.03, 0.01};
+    tracker_ = std::make_unique<Tracker>(surface_, testing::three_tags(), calibration_, config);
+    tracker_->start({.t_s = 2000.0, .pose = kHere});
+    run(before, 2000.0);
+    elapsed_s_ = 0.0;
+    run(after, 2000.0 + step_s);
+    EXPECT_EQ(tracker_->clock_steps(), 1U);
+    EXPECT_LT(tracks_from_s(), 30.0);
+    EXPECT_FALSE(lied());
+    EXPECT_LT(moments_.back().error_m, 0.5);
+  }
+}
+
+TEST_P(TrackerTest, TakesInputsOutOfOrder) {
+  const testing::Drive whole = drive(kHere);
+  std::vector<std::pair<double, std::size_t>> order;  // rows, then ranges
+  for (std::size_t i = 0; i < whole.odometry.size(); ++i)
+    order.emplace_back(whole.odometry[i].t_s + random_.uniform(0.0, 0.4), i);
+  for (std::size_t i = 0; i < whole.ranges.size(); ++i)
+    order.emplace_back(whole.ranges[i].t_s + random_.uniform(0.0, 0.4), whole.odometry.size() + i);
+  std::sort(order.begin(), order.end());
+  for (const auto& [arrival_s, i] : order) {
+    if (i < whole.odometry.size()) {
+      tracker_->process(whole.odometry[i]);
+      if (whole.odometry[i].t_s >= tracker_->estimate().t_s) note(whole.odometry[i].t_s, whole.truth[i]);
+    } else {
+      tracker_->process(whole.ranges[i - whole.odometry.size()]);
+    }
+  }
+  EXPECT_LT(tracks_from_s(), 12.0);
+  EXPECT_FALSE(lied());
+}
+
+TEST_P(TrackerTest, AllocatesNothing) {
+  const testing::Drive first = drive(kHere, {.duration_s = 5.0, .range_s = 0.01});
+  const testing::Drive second = drive({-6.0, 5.0, -2.0}, {.duration_s = 10.0, .range_s = 0.01});
+  const std::size_t before = test::allocations();
+  for (const auto* one : {&first, &second}) {
+    std::size_t next = 0;
+    for (const model::OdometrySample& row : one->odometry) {
+      for (; next < one->ranges.size() && one->ranges[next].t_s < row.t_s; ++next)
+        tracker_->process(one->ranges[next]);
+      tracker_->process(row);
+    }
+  }
+  EXPECT_EQ(test::allocations(), before);
+  EXPECT_TRUE(tracker_->started());
+}
+
+INSTANTIATE_TEST_SUITE_P(Seeds, TrackerTest, ::testing::Values(1, 2, 3, 4, 5, 6));
+
+}  // namespace
+}  // namespace groma::filter
