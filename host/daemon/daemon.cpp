@@ -247,7 +247,7 @@ void Daemon::localize(model::Calibration calibration) {
                                                             .filter = config_.filter_config()},
                                            [this](const PoseEstimate& pose) { publish(pose); });
   session_.attach(*localizer_);
-  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; waits for a pose prior",
+  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; looks for its pose",
                    filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
 }
 
@@ -297,13 +297,17 @@ void Daemon::finish_learning() {
 }
 
 void Daemon::publish(const PoseEstimate& pose) {
-  if (learner_ && pose.state == PoseState::kTracking &&
+  if (learner_ && pose.state == filter::State::kTracking &&
       pose.planar_covariance(0, 0) + pose.planar_covariance(1, 1) < kGoodPose_m * kGoodPose_m) {
     learner_->on_filter_pose(
         {.t_s = pose.t_s, .x_m = pose.x_m, .y_m = pose.y_m, .z_m = pose.z_m, .yaw_rad = pose.yaw_rad});
   }
-  if (pose_state_ != pose.state) log_(fmt::format("state {}", state_word(pose.state)));
-  pose_state_ = pose.state;
+  const std::pair state(pose.state, pose.reason);
+  if (pose_state_ != state) {
+    const std::string_view reason = filter::reason_name(pose.reason);
+    log_(fmt::format("state {}{}{}", filter::state_name(pose.state), reason.empty() ? "" : ": ", reason));
+  }
+  pose_state_ = state;
   last_pose_s_ = now_s();
   server_->broadcast(pose_line(pose, frame_, filter::model_name(config_.model)));
 }
@@ -328,9 +332,9 @@ void Daemon::tell_status() {
 std::string_view Daemon::state() const {
   if (solution_.valid()) return "CALIBRATING";
   if (!localizer_) return "CALIBRATION_DRIVE";
-  if (!localizer_->started()) return "WAITING_FOR_POSE_PRIOR";
+  if (!localizer_->started()) return filter::state_name(localizer_->state());
   if (!pose_state_ || now_s() - last_pose_s_ > kStatusPeriod_s) return "WAITING_FOR_ODOMETRY";
-  return state_word(*pose_state_);
+  return filter::state_name(pose_state_->first);
 }
 
 Status Daemon::status() const {

@@ -85,7 +85,7 @@ class Daemon {
   std::future<std::string> keeping_;  // the error, or nothing
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";
-  std::optional<PoseState> pose_state_;
+  std::optional<std::pair<filter::State, filter::Reason>> pose_state_;
   double last_pose_s_ = 0.0;  // of this computer
   double next_time_request_s_ = 0.0;
   double next_status_s_ = 0.0;  // of this computer

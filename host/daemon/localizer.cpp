@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
+#include <memory>
 #include <span>
 #include <utility>
 
@@ -49,43 +49,41 @@ Localizer::Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_po
 
 void Localizer::adopt(model::Calibration calibration) {
   setup_.calibration = std::move(calibration);
-  const bool started = started_;
-  const double last_range_used_s = last_range_used_s_;
-  const filter::Estimate estimate = filter_->estimate();
+  const bool started = tracker_->started();
+  const filter::State state = tracker_->state();
+  const filter::Estimate estimate = tracker_->estimate();
   renew();
   if (!started) return;
   const Eigen::Matrix2d position = estimate.covariance.topLeftCorner<2, 2>();
   const double variance_m2 = position.selfadjointView<Eigen::Lower>().eigenvalues()(1);
-  start({.t_s = estimate.t_s,
-         .pose = estimate.pose,
-         .position_sigma_m = std::sqrt(std::max(variance_m2, 0.0)),
-         .heading_sigma_rad = std::sqrt(std::max(estimate.covariance(2, 2), 0.0))});
-  last_range_used_s_ = last_range_used_s;
+  tracker_->start({.t_s = estimate.t_s,
+                   .pose = estimate.pose,
+                   .position_sigma_m = std::sqrt(std::max(variance_m2, 0.0)),
+                   .heading_sigma_rad = std::sqrt(std::max(estimate.covariance(2, 2), 0.0))},
+                  state);
 }
 
 void Localizer::start(const filter::Start& start) {
-  filter_->start(start);
-  started_ = true;
+  tracker_->start(start);
 }
 
 void Localizer::on_odometry(const model::OdometrySample& row) {
-  const filter::OdometryOutcome outcome = filter_->process(row);
-  if (!started_ || outcome != filter::OdometryOutcome::kUsed) return;
-  const filter::Estimate estimate = filter_->estimate();
+  const filter::OdometryOutcome outcome = tracker_->process(row);
+  if (!tracker_->started() || outcome != filter::OdometryOutcome::kUsed) return;
+  const filter::Estimate estimate = tracker_->estimate();
   PoseEstimate pose = pose_on(setup_.surface, estimate.pose, estimate.covariance);
   pose.t_s = estimate.t_s;
-  pose.state =
-      estimate.t_s - last_range_used_s_ <= kCoastingAfter_s ? PoseState::kTracking : PoseState::kCoasting;
+  pose.state = tracker_->state();
+  pose.reason = tracker_->reason();
   on_pose_(pose);
 }
 
 void Localizer::on_range(const model::RangeSample& range) {
-  if (!started_) return;
-  if (filter_->process(range).outcome == filter::RangeOutcome::kUsed) last_range_used_s_ = range.t_s;
+  tracker_->process(range);
 }
 
 void Localizer::on_pose_prior(const model::PoseSample& pose) {
-  if (started_) return;
+  if (tracker_->started()) return;
   if (const auto prior = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface))
     start(*prior);
 }
@@ -95,9 +93,8 @@ void Localizer::on_clock_set() {
 }
 
 void Localizer::renew() {
-  filter_.emplace(setup_.surface, setup_.tags, setup_.calibration, setup_.filter);
-  started_ = false;
-  last_range_used_s_ = -std::numeric_limits<double>::infinity();
+  tracker_ = std::make_unique<filter::Tracker>(setup_.surface, setup_.tags, setup_.calibration, setup_.filter,
+                                               setup_.tracker);
 }
 
 }  // namespace groma::daemon

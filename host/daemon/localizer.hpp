@@ -1,10 +1,9 @@
-// Measurements in, poses out: one filter, started at the first pose prior.
+// Measurements in, poses out: one filter, started at the first pose prior or where its ranges tell.
 #pragma once
 
 #include <cstdint>
 #include <functional>
-#include <limits>
-#include <optional>
+#include <memory>
 #include <vector>
 
 #include <Eigen/Core>
@@ -12,17 +11,13 @@
 #include "host/daemon/measurement_sink.hpp"
 #include "host/filter/config.hpp"
 #include "host/filter/filter.hpp"
+#include "host/filter/tracker.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
-
-enum class PoseState {
-  kTracking,  // ranges are being used
-  kCoasting,  // none of late: odometry alone
-};
 
 // base_link in the map frame, at a time of the robot.
 struct PoseEstimate {
@@ -36,7 +31,8 @@ struct PoseEstimate {
   Eigen::Matrix3d planar_covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, yaw_rad
   // Of x, y, z, roll, pitch, yaw; of rank 3, as z, roll and pitch follow from x, y and yaw.
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
-  PoseState state = PoseState::kCoasting;
+  filter::State state = filter::State::kUninitialized;
+  filter::Reason reason = filter::Reason::kNone;
 };
 
 // A planar pose and its covariance (x, y, theta) carried onto the surface.
@@ -45,14 +41,12 @@ struct PoseEstimate {
 
 class Localizer : public MeasurementSink {
  public:
-  // No range used for so long: coasting.
-  static constexpr double kCoastingAfter_s = 1.0;
-
   struct Setup {
     model::Surface surface;
     std::vector<model::Tag> tags;
     model::Calibration calibration;
     filter::Config filter;
+    filter::TrackerConfig tracker = {};
   };
 
   // `on_pose` is called for each odometry row used once started, with the state at the row's time.
@@ -67,19 +61,18 @@ class Localizer : public MeasurementSink {
   void on_odometry(const model::OdometrySample& row) override;
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& pose) override;
-  void on_clock_set() override;  // waits for a pose prior again
+  void on_clock_set() override;  // begins anew
 
-  [[nodiscard]] bool started() const noexcept { return started_; }
-  [[nodiscard]] const filter::Filter& filter() const noexcept { return *filter_; }
+  [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
+  [[nodiscard]] filter::State state() const noexcept { return tracker_->state(); }
+  [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }
 
  private:
   void renew();
 
   Setup setup_;
   std::function<void(const PoseEstimate&)> on_pose_;
-  std::optional<filter::Filter> filter_;
-  bool started_ = false;
-  double last_range_used_s_ = -std::numeric_limits<double>::infinity();
+  std::unique_ptr<filter::Tracker> tracker_;
 };
 
 }  // namespace groma::daemon

@@ -17,16 +17,13 @@ std::string line(const Json& object) {
 
 }  // namespace
 
-std::string_view state_word(PoseState state) noexcept {
-  return state == PoseState::kTracking ? "TRACKING" : "COASTING";
-}
-
 std::string version_line() {
   return line(
       {{"class", "VERSION"}, {"program", "gromad"}, {"version", io::program_version()}, {"protocol", 1}});
 }
 
 std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
+  const std::string_view reason = filter::reason_name(pose.reason);
   Json covariance = Json::array();
   // What is not finite, nlohmann writes as null.
   for (Eigen::Index row = 0; row < 6; ++row) {
@@ -36,7 +33,8 @@ std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::str
                {"t_s", pose.t_s},
                {"frame", frame},
                {"model", model},
-               {"state", state_word(pose.state)},
+               {"state", filter::state_name(pose.state)},
+               {"reason", reason.empty() ? Json(nullptr) : Json(reason)},
                {"x_m", pose.x_m},
                {"y_m", pose.y_m},
                {"z_m", pose.z_m},

@@ -30,9 +30,6 @@ struct Status {
   std::vector<LinkDelay> links{};
 };
 
-// "TRACKING" or "COASTING".
-[[nodiscard]] std::string_view state_word(PoseState state) noexcept;
-
 // {"class":"VERSION","program":"gromad","version":...,"protocol":1}
 [[nodiscard]] std::string version_line();
 

@@ -70,9 +70,9 @@ Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
   }
 }
 
-bool Tracker::start(const Start& start) noexcept {
+bool Tracker::start(const Start& start, State state) noexcept {
   if (!filter_.start(start)) return false;
-  state_ = State::kConverging;
+  state_ = state;
   reason_ = Reason::kNone;
   newest_s_ = std::max(newest_s_, start.t_s);
   last_used_s_ = newest_s_;
@@ -188,7 +188,7 @@ Reason Tracker::find_reason() const noexcept {
 
 void Tracker::assess() noexcept {
   if (!filter_.started()) {
-    state_ = search_.ranges() > 0 ? State::kConverging : State::kUninitialized;
+    state_ = config_.relocates && search_.ranges() > 0 ? State::kConverging : State::kUninitialized;
     search_when_due();
     return;
   }
@@ -202,6 +202,7 @@ void Tracker::assess() noexcept {
     }
     const bool agreed = newest_s_ - agrees_since_s_ >= config_.agree_s;
     if (agreed && reason_ != Reason::kUncertain) state_ = State::kTracking;
+    if (reason_ == Reason::kNoRanges) state_ = State::kDegraded;
     if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) state_ = State::kLost;
   }
   if (state_ == State::kTracking || state_ == State::kDegraded)
@@ -215,6 +216,7 @@ void Tracker::assess() noexcept {
 }
 
 void Tracker::search_when_due() noexcept {
+  if (!config_.relocates) return;
   if (newest_s_ - last_search_s_ < config_.search_every_s) return;
   last_search_s_ = newest_s_;
   hypotheses_ = search_.search();

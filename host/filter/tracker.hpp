@@ -63,6 +63,8 @@ struct TrackerConfig {
   // Inputs that all come so much before or after the newest one: the clock was set.
   double clock_step_s = 2.0;
   std::size_t clock_step_inputs = 5;
+  // Whether another pose than the one told is looked for at all; without, it waits for a start.
+  bool relocates = true;
   // Where the clock was set back the robot is within this of where it was.
   double set_back_position_m = 0.5;
   double set_back_heading_rad = 0.2;
@@ -74,8 +76,9 @@ class Tracker {
   Tracker(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
           const Config& config, const TrackerConfig& tracker = {}, const StartSearchConfig& search = {});
 
-  // Begins, or begins anew, at a pose that is known. False, and nothing done, where it comes too late.
-  bool start(const Start& start) noexcept;
+  // Begins, or begins anew, at a pose that is known, in the state that it deserves. False, and nothing done,
+  // where it comes too late.
+  bool start(const Start& start, State state = State::kConverging) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
 

@@ -133,6 +133,7 @@ DemoResult run_demo(const sim::Scenario& scenario, const DemoOptions& options) {
     setup.filter.model = run.model;
     setup.filter.odometry = scenario.odometry.noise;
     setup.filter.range_sigma_m = scenario.range_sigma_m;
+    setup.tracker.relocates = false;  // the models are compared from one start
     localizers.push_back(std::make_unique<daemon::Localizer>(
         std::move(setup),
         [&run](const daemon::PoseEstimate& pose) { run.estimate.push_back(planar(pose)); }));

@@ -154,7 +154,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_THAT(gromad.log(), HasSubstr("robot: "));
 
   site.pull();
-  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("COASTING") >= 20; })) << gromad.log();
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("DEGRADED") >= 20; })) << gromad.log();
   EXPECT_THAT(gromad.log(), HasSubstr("tag-1: the link is gone"));
 
   site.plug_in();

@@ -130,15 +130,16 @@ TEST_F(Circle, GoesOnByAnotherCalibrationFromWhereItIs) {
   const PoseEstimate& after = *std::find_if(poses.begin(), poses.end(),
                                             [&](const PoseEstimate& pose) { return pose.t_s > before.t_s; });
   EXPECT_LT(std::hypot(after.x_m - before.x_m, after.y_m - before.y_m), 0.06);
-  EXPECT_EQ(after.state, PoseState::kTracking);
+  EXPECT_EQ(after.state, filter::State::kTracking);
   for (const PoseEstimate& pose : poses) {
     const auto true_pose = truth(pose.t_s);
     EXPECT_LT(std::hypot(pose.x_m - true_pose.x_m, pose.y_m - true_pose.y_m), 0.2) << pose.t_s;
   }
 }
 
-TEST_F(Circle, SaysNothingBeforeAPosePriorThenTracksThenCoasts) {
+TEST_F(Circle, SaysNothingBeforeAPosePriorThenTracksThenTellsThatRangesAreGone) {
   std::vector<PoseEstimate> poses;
+  setup_.tracker.relocates = false;
   Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
   drive(localizer, 0.0, 2.0, true);
   EXPECT_TRUE(poses.empty());
@@ -147,7 +148,7 @@ TEST_F(Circle, SaysNothingBeforeAPosePriorThenTracksThenCoasts) {
   localizer.on_pose_prior(prior(1.99));
   drive(localizer, 2.0, 10.0, true);
   ASSERT_EQ(poses.size(), 400U);
-  EXPECT_EQ(poses.back().state, PoseState::kTracking);
+  EXPECT_EQ(poses.back().state, filter::State::kTracking);
   EXPECT_NEAR(poses.back().t_s, 9.98, 1e-9);
   EXPECT_NEAR(poses.back().x_m, truth(9.98).x_m, 0.05);
   EXPECT_NEAR(poses.back().y_m, truth(9.98).y_m, 0.05);
@@ -155,14 +156,31 @@ TEST_F(Circle, SaysNothingBeforeAPosePriorThenTracksThenCoasts) {
   EXPECT_LT(poses.back().planar_covariance(0, 0), 0.01);
 
   drive(localizer, 10.0, 12.0, false);
-  EXPECT_EQ(poses[400 + 40].state, PoseState::kTracking);
-  EXPECT_EQ(poses.back().state, PoseState::kCoasting);
+  EXPECT_EQ(poses[400 + 40].state, filter::State::kTracking);
+  EXPECT_EQ(poses.back().state, filter::State::kDegraded);
+  EXPECT_EQ(poses.back().reason, filter::Reason::kNoRanges);
   drive(localizer, 12.0, 12.2, true);
-  EXPECT_EQ(poses.back().state, PoseState::kTracking);
+  EXPECT_EQ(poses.back().state, filter::State::kTracking);
+}
+
+TEST_F(Circle, FindsItsPoseWithoutAPriorAndAgainWhenTheClockWasSet) {
+  std::vector<PoseEstimate> poses;
+  Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
+  drive(localizer, 100.0, 110.0, true);
+  ASSERT_FALSE(poses.empty());
+  EXPECT_EQ(poses.back().state, filter::State::kTracking);
+  EXPECT_NEAR(poses.back().x_m, truth(109.98).x_m, 0.1);
+  EXPECT_NEAR(poses.back().y_m, truth(109.98).y_m, 0.1);
+  localizer.on_clock_set();
+  EXPECT_FALSE(localizer.started());
+  drive(localizer, 0.0, 10.0, true);
+  EXPECT_EQ(poses.back().state, filter::State::kTracking);
+  EXPECT_NEAR(poses.back().x_m, truth(9.98).x_m, 0.1);
 }
 
 TEST_F(Circle, WaitsForAPosePriorAgainWhenTheClockWasSet) {
   std::vector<PoseEstimate> poses;
+  setup_.tracker.relocates = false;
   Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
   localizer.on_pose_prior(prior(100.0));
   drive(localizer, 100.0, 102.0, true);
@@ -190,7 +208,7 @@ TEST_F(Circle, TwoModelsSeeTheSameAndAnswerDifferently) {
   }
   ASSERT_EQ(schmidt.size(), odometry.size());
   EXPECT_LT(schmidt.back().planar_covariance.trace(), odometry.back().planar_covariance.trace());
-  EXPECT_EQ(odometry.back().state, PoseState::kCoasting);
+  EXPECT_EQ(odometry.back().state, filter::State::kDegraded);
 }
 
 }  // namespace

@@ -151,7 +151,7 @@ TEST(PoseMessage, WhatIsUnknownIsNull) {
   pose.covariance.setIdentity();
   pose.covariance(2, 2) = std::numeric_limits<double>::quiet_NaN();
   pose.covariance(0, 5) = 0.125;
-  pose.state = PoseState::kTracking;
+  pose.state = filter::State::kTracking;
   const std::string line = pose_line(pose, "map", "schmidt");
   EXPECT_EQ(line.back(), '\n');
   EXPECT_EQ(line.find('\n'), line.size() - 1);

@@ -79,9 +79,11 @@ TEST(StartSearch, FindsThePoseFromAnyPlaceAndHeading) {
 
 TEST(StartSearch, KeepsBothSidesOfALineOfAnchorsUntilTheRobotTurns) {
   // All anchors on y = 0, as high as the tag; the robot first drives along them.
-  std::vector<model::Anchor> anchors;
-  for (int i = 0; i < 5; ++i)
-    anchors.push_back({static_cast<model::NodeId>(11 + i), {-8.0 + 4.0 * i, 0.0, 2.0}});
+  const std::vector<model::Anchor> anchors{{11, {-8.0, 0.0, 2.0}},
+                                           {12, {-4.0, 0.0, 2.0}},
+                                           {13, {0.0, 0.0, 2.0}},
+                                           {14, {4.0, 0.0, 2.0}},
+                                           {15, {8.0, 0.0, 2.0}}};
   const std::vector<model::Tag> tags{{1, {0.0, 0.0, 1.0}}};
   const model::Calibration calibration = model::surveyed_calibration(
       anchors, tags, {.sigma_m = 0.1, .beta_m = {0.0, 0.05}, .gamma = {1.0, 0.001}}, 0.02);
