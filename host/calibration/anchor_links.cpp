@@ -53,6 +53,10 @@ double cost_of(const AnchorLink& link, const Eigen::VectorXd& positions_m, const
   return -std::log(kernel.at(residual_m(link, positions_m, priors)).density);
 }
 
+Eigen::MatrixXd covariance_before_links(const LinkedSite& site, std::size_t anchor) {
+  return anchor_covariance(site.evidence[anchor], site.inflation[anchor]) + site.added_covariance[anchor];
+}
+
 AnchorBelief believe(const LinkedSite& site) {
   AnchorBelief out;
   for (std::size_t a = 0; a < site.fits.size(); ++a) {
@@ -63,8 +67,7 @@ AnchorBelief believe(const LinkedSite& site) {
       mean -= here.information.ldlt().solve(here.gradient);
     }
     out.mean.push_back(std::move(mean));
-    out.covariance.emplace_back(anchor_covariance(site.evidence[a], site.inflation[a]) +
-                                site.added_covariance[a]);
+    out.covariance.push_back(covariance_before_links(site, a));
   }
   out.gain.assign(site.gain.begin(), site.gain.end());
   if (site.shared != nullptr) out.shared = *site.shared;
@@ -258,15 +261,19 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
 
 std::vector<Eigen::MatrixXd> join_links(LinkedSite site, std::span<const AnchorLink> links,
                                         const model::RangePriors& priors) {
-  AnchorBelief belief = believe(site);
-  if (!links.empty()) {
-    take_sides(site, links, priors);
-    for (int round = 0; round < kLookingRounds; ++round) {
-      belief = fuse_links(believe(site), links, priors);
-      for (std::size_t a = 0; a < site.fits.size(); ++a) {
-        site.fits[a].anchor = belief.mean[a];
-        site.evidence[a] = gather_evidence(site.fits[a]);
-      }
+  if (links.empty()) {
+    std::vector<Eigen::MatrixXd> covariance;
+    covariance.reserve(site.fits.size());
+    for (std::size_t a = 0; a < site.fits.size(); ++a) covariance.push_back(covariance_before_links(site, a));
+    return covariance;
+  }
+  take_sides(site, links, priors);
+  AnchorBelief belief;
+  for (int round = 0; round < kLookingRounds; ++round) {
+    belief = fuse_links(believe(site), links, priors);
+    for (std::size_t a = 0; a < site.fits.size(); ++a) {
+      site.fits[a].anchor = belief.mean[a];
+      site.evidence[a] = gather_evidence(site.fits[a]);
     }
   }
   return belief.covariance;

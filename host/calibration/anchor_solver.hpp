@@ -76,26 +76,32 @@ struct RowValue {
   double wall_slope = 0.0;   // 1/m
   double wall_weight = 0.0;  // 1/m^2
 };
-[[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                                       const Observation& row, double residual_m,
-                                       const AnchorVector& anchor) noexcept {
-  RowValue out{.seen = kernels[row.tag].at(residual_m)};
-  if (problem.sight == nullptr) return out;
-  const RowSight& sight = problem.sight->rows[row.index];
-  const double seen = static_cast<double>(sight.in_sight) * out.seen.density;
+[[nodiscard]] inline RowValue value_of(const AnchorSight& sight, const RowSight& row, const KernelValue& seen,
+                                       double residual_m, const AnchorVector& anchor,
+                                       std::size_t tag_count) noexcept {
+  RowValue out{.seen = seen};
+  const double in_sight = static_cast<double>(row.in_sight) * seen.density;
   KernelValue through;
   double walled = 0.0;
-  if (sight.wall > 0.0F) {
-    through = problem.sight->wall.at(residual_m - wall_excess_m(sight, anchor, problem.tag_count));
-    walled = static_cast<double>(sight.wall) * through.density;
+  if (row.wall > 0.0F) {
+    through = sight.wall.at(residual_m - wall_excess_m(row, anchor, tag_count));
+    walled = static_cast<double>(row.wall) * through.density;
   }
-  out.seen.density = seen + walled + static_cast<double>(sight.other_density);
-  out.seen_share = seen / out.seen.density;
+  out.seen.density = in_sight + walled + static_cast<double>(row.other_density);
+  out.seen_share = in_sight / out.seen.density;
   out.seen.slope *= out.seen_share;
   out.seen.weight *= out.seen_share;
   out.wall_slope = walled / out.seen.density * through.slope;
   out.wall_weight = walled / out.seen.density * through.weight;
   return out;
+}
+[[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
+                                       const Observation& row, double residual_m,
+                                       const AnchorVector& anchor) noexcept {
+  const KernelValue seen = kernels[row.tag].at(residual_m);
+  if (problem.sight == nullptr) return {.seen = seen};
+  return value_of(*problem.sight, problem.sight->rows[row.index], seen, residual_m, anchor,
+                  problem.tag_count);
 }
 
 // Derivative of the predicted range by position, beta and gamma of the one pair that it sees.
@@ -139,7 +145,8 @@ inline void add_square(const WallRow& row, double weight, Eigen::MatrixXd& out) 
     }
   }
 }
-inline void add(const WallRow& row, double factor, Eigen::VectorXd& out) noexcept {
+template <typename Vector>
+void add(const WallRow& row, double factor, Vector&& out) noexcept {
   for (Eigen::Index i = 0; i < row.size; ++i)
     out(row.index[static_cast<std::size_t>(i)]) += factor * row.derivative(i);
 }

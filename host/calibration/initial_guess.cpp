@@ -7,6 +7,8 @@
 
 #include <Eigen/Eigenvalues>
 
+#include "host/calibration/row_columns.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -29,6 +31,14 @@ std::vector<const Observation*> sample(std::span<const Observation> rows, std::s
   const std::size_t stride = std::max<std::size_t>(1, rows.size() / count);
   for (std::size_t i = stride / 2; i < rows.size(); i += stride) out.push_back(&rows[i]);
   return out;
+}
+
+// Of all tags as were they one.
+RowColumns columns_of(const std::vector<const Observation*>& rows) {
+  std::vector<Observation> of_one_tag;
+  of_one_tag.reserve(rows.size());
+  for (const Observation* row : rows) of_one_tag.emplace_back(*row).tag = 0;
+  return RowColumns(of_one_tag, 1);
 }
 
 // Points on the spheres of ranges taken far apart on the drive: one of them is near the anchor.
@@ -114,11 +124,17 @@ Candidate search(const AnchorProblem& problem) {
   const double width_m = 0.3 + priors.beta_m.sigma + (priors.gamma.sigma + 0.03) * mean_range_m;
 
   std::vector<Start> starts = sphere_points(problem);
+  // No more tags than one: before the biases are known they are all the same.
+  const RowColumns columns = columns_of(scored);
   for (Start& start : starts) {
-    const AnchorVector anchor = anchor_at(start.position_m, problem.tag_count, priors);
-    for (const Observation* row : scored) {
-      const double r = residual_m(*row, anchor, problem.tag_count) / width_m;
-      start.score += r * r / (1.0 + r * r);
+    for (Eigen::Index block = 0; block < columns.blocks(0); ++block) {
+      Lanes square_m2 = Lanes::Zero();
+      for (Eigen::Index axis = 0; axis < 3; ++axis) {
+        square_m2 += (columns.antenna_m(0, block, axis) - start.position_m(axis)).square();
+      }
+      const Lanes expected_m = priors.gamma.mean * square_m2.sqrt() + priors.beta_m.mean;
+      const Lanes square = ((columns.range_m(0, block) - expected_m) / width_m).square();
+      start.score += (square / (1.0 + square)).head(columns.rows_in(0, block)).sum();
     }
   }
   std::stable_sort(starts.begin(), starts.end(),

@@ -1,108 +1,141 @@
 #include "host/calibration/joint_equations.hpp"
 
-#include <array>
+#include <algorithm>
 #include <cstddef>
+#include <span>
 #include <utility>
 
 namespace groma::calibration {
 namespace {
 
-// Of one tag's rows between two knots: sums over all pairs of derivatives, by the pair (position, beta,
-// gamma) and by the shared unknowns, of which the first `Shared` terms are wanted.
-template <Eigen::Index Shared>
-struct Moments {
-  static constexpr Eigen::Index kSize = 5 + Shared;
-  using Row = Eigen::Matrix<double, kSize, 1>;
-
-  Eigen::Matrix<double, kSize, kSize> square = Eigen::Matrix<double, kSize, kSize>::Zero();
-  Eigen::Matrix<double, Shared, 1> descent = Eigen::Matrix<double, Shared, 1>::Zero();
-  bool empty = true;
-
-  void add(const Row& j, const KernelValue& value) noexcept {
-    for (Eigen::Index column = 0; column < kSize; ++column)
-      square.col(column) += (value.weight * j(column)) * j;
-    descent += value.slope * j.template tail<Shared>();
-    empty = false;
-  }
-};
-
 // One anchor's own sums, before it is eliminated.
 struct AnchorSums {
   Eigen::MatrixXd cross;  // with the shared unknowns
-  Eigen::MatrixXd own;    // of the shared unknowns
+  Eigen::MatrixXd own;    // of the shared unknowns, the lower triangle
   Eigen::VectorXd descent;
 };
 
+// Of one tag's rows: sums of derivatives by the pair (position, beta, gamma) and by the shared unknowns, of
+// which the first `Shared` terms are wanted. Rows are taken up side by side, and summed when there are enough
+// of them.
 template <Eigen::Index Shared>
-class Accumulator {
+class Moments {
  public:
-  Accumulator(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& sums)
-      : fit_(fit), unknowns_(unknowns), sums_(sums), moments_(fit.problem.tag_count) {}
+  static constexpr Eigen::Index kPair = 5;
+  static constexpr Eigen::Index kSize = kPair + Shared;
+  // Of the shared terms, those by the two knots.
+  static constexpr Eigen::Index kKnots = 6;
+  static constexpr Eigen::Index kRest = kPair + kKnots;
+  using Row = Eigen::Array<double, 1, kSize>;
+  // Where each term stands: those by the pair among the anchor's unknowns, those after the knots among the
+  // shared ones.
+  using Places = Eigen::Array<Eigen::Index, kSize, 1>;
 
-  void add_all() {
-    const std::size_t tags = fit_.problem.tag_count;
-    for (const Observation& row : fit_.problem.rows) {
-      const model::AntennaPrediction predicted = predict(row, fit_.anchor, tags);
-      // What walls add differs from place to place as poses do: ranges through them tell nothing of those.
-      const KernelValue value =
-          value_of(fit_.problem, fit_.kernels, row, row.range_m - predicted.range_m, fit_.anchor).seen;
-      const double gamma = fit_.anchor(gamma_index(row.tag, tags));
-      const KnotShare share = knot_share(unknowns_.knots, row.t_s);
-      if (share.first != first_) flush();
-      first_ = share.first;
-      typename Moments<Shared>::Row j;
-      j.template head<5>() = pair_jacobian(predicted, gamma);
-      j.template tail<Shared>() =
-          shared_jacobian(row, predicted, gamma, share.fraction).template head<Shared>();
-      moments_[row.tag].add(j, value);
+  void add(const Row& j, const KernelValue& value) noexcept {
+    rows_.row(waiting_) = j;
+    weight_(waiting_) = value.weight;
+    slope_(waiting_) = value.slope;
+    if (++waiting_ == kLanes) sum_up();
+  }
+  // Gives away what rows between the knots from index `first` on say of these: the next are between others.
+  void leave_knots(Eigen::Index first, const Places& places, AnchorSums& sums) noexcept {
+    sum_up();
+    for (Eigen::Index column = 0; column < kKnots; ++column) {
+      const Eigen::Index from = kPair + column;
+      const Eigen::Index to = first + column;
+      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
+      for (Eigen::Index row = column; row < kKnots; ++row) {
+        take(sums.own(first + row, to), square_(kPair + row, from));
+      }
+      for (Eigen::Index row = kRest; row < kSize; ++row) {
+        take(sums.own(places(row), to), square_(row, from));
+      }
+      take(sums.descent(to), descent_(column));
     }
-    flush();
+  }
+  // The same of all other terms, in the end.
+  void leave(const Places& places, AnchorSums& sums) noexcept {
+    for (Eigen::Index from = kRest; from < kSize; ++from) {
+      const Eigen::Index to = places(from);
+      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
+      for (Eigen::Index row = from; row < kSize; ++row) {
+        take(sums.own(places(row), to), square_(row, from));
+      }
+      take(sums.descent(to), descent_(from - kPair));
+    }
   }
 
  private:
-  void flush() {
-    for (std::size_t tag = 0; tag < moments_.size(); ++tag) {
-      if (moments_[tag].empty) continue;
-      scatter(moments_[tag], tag);
-      moments_[tag] = {};
-    }
+  static void take(double& to, double& from) noexcept {
+    to += from;
+    from = 0.0;
   }
-
-  // A piece of the shared terms, and where it stands among the unknowns.
-  struct Piece {
-    Eigen::Index from;
-    Eigen::Index to;
-    Eigen::Index size;
-  };
-
-  void scatter(const Moments<Shared>& moments, std::size_t tag) {
-    const std::size_t tags = fit_.problem.tag_count;
-    std::array<Piece, 3> pieces{Piece{.from = 0, .to = first_, .size = 6},
-                                Piece{.from = 6, .to = unknowns_.delay(), .size = 1},
-                                Piece{.from = 7, .to = 0, .size = Shared - kMotionTerms}};
-    if (Shared > kMotionTerms) pieces[2].to = unknowns_.body(tag);
-    const auto shared = moments.square.template bottomRightCorner<Shared, Shared>();
-    const auto cross = moments.square.template topRightCorner<5, Shared>();
-    for (const Piece& a : pieces) {
-      if (a.size == 0) continue;
-      sums_.descent.segment(a.to, a.size) += moments.descent.segment(a.from, a.size);
-      sums_.cross.middleCols(a.to, a.size).template topRows<3>() +=
-          cross.middleCols(a.from, a.size).template topRows<3>();
-      sums_.cross.row(beta_index(tag)).segment(a.to, a.size) += cross.row(3).segment(a.from, a.size);
-      sums_.cross.row(gamma_index(tag, tags)).segment(a.to, a.size) += cross.row(4).segment(a.from, a.size);
-      for (const Piece& b : pieces) {
-        if (b.size == 0) continue;
-        sums_.own.block(a.to, b.to, a.size, b.size) += shared.block(a.from, b.from, a.size, b.size);
+  void sum_up() noexcept {
+    if (waiting_ == 0) return;
+    // Rows that are left of earlier ones have no weight.
+    for (Eigen::Index lane = waiting_; lane < kLanes; ++lane) {
+      weight_(lane) = 0.0;
+      slope_(lane) = 0.0;
+    }
+    waiting_ = 0;
+    for (Eigen::Index column = 0; column < kSize; ++column) {
+      const Lanes weighted = weight_ * rows_.col(column);
+      for (Eigen::Index row = std::max(column, kPair); row < kSize; ++row) {
+        square_(row, column) += (weighted * rows_.col(row)).sum();
       }
     }
+    for (Eigen::Index k = 0; k < Shared; ++k) descent_(k) += (slope_ * rows_.col(kPair + k)).sum();
   }
 
-  const AnchorFit& fit_;
-  const SharedUnknowns& unknowns_;
-  AnchorSums& sums_;
-  std::vector<Moments<Shared>> moments_;
-  Eigen::Index first_ = 0;
+  Eigen::Matrix<double, kSize, kSize> square_ =
+      Eigen::Matrix<double, kSize, kSize>::Zero();  // lower triangle
+  Eigen::Matrix<double, Shared, 1> descent_ = Eigen::Matrix<double, Shared, 1>::Zero();
+  Eigen::Array<double, kLanes, kSize> rows_ = Eigen::Array<double, kLanes, kSize>::Zero();
+  Lanes weight_;
+  Lanes slope_;
+  Eigen::Index waiting_ = 0;
 };
+
+template <Eigen::Index Shared>
+void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& sums) {
+  using Sums = Moments<Shared>;
+  const std::size_t tags = fit.problem.tag_count;
+  struct Tag {
+    Sums moments;
+    typename Sums::Places places;
+  };
+  std::vector<Tag> of_tag(tags);
+  for (std::size_t tag = 0; tag < tags; ++tag) {
+    typename Sums::Places& places = of_tag[tag].places;
+    places.setZero();
+    places.template head<Sums::kPair>() << 0, 1, 2, beta_index(tag), gamma_index(tag, tags);
+    places(Sums::kRest) = unknowns.delay();
+    for (Eigen::Index k = 0; Sums::kRest + 1 + k < Sums::kSize; ++k) {
+      places(Sums::kRest + 1 + k) = unknowns.body(tag) + k;
+    }
+  }
+  Eigen::Index first = 0;
+  const auto leave_knots = [&] {
+    for (Tag& tag : of_tag) tag.moments.leave_knots(first, tag.places, sums);
+  };
+  for (const Observation& row : fit.problem.rows) {
+    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
+    // What walls add differs from place to place as poses do: ranges through them tell nothing of those.
+    const KernelValue value =
+        value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor).seen;
+    const double gamma = fit.anchor(gamma_index(row.tag, tags));
+    const KnotShare share = knot_share(unknowns.knots, row.t_s);
+    if (share.first != first) leave_knots();
+    first = share.first;
+    typename Sums::Row j;
+    j.template head<Sums::kPair>() = pair_jacobian(predicted, gamma).array().transpose();
+    j.template tail<Shared>() =
+        shared_jacobian(row, predicted, gamma, share.fraction).template head<Shared>().array().transpose();
+    of_tag[row.tag].moments.add(j, value);
+  }
+  leave_knots();
+  for (Tag& tag : of_tag) tag.moments.leave(tag.places, sums);
+}
 
 }  // namespace
 
@@ -120,9 +153,9 @@ JointEquations eliminate_anchors(std::span<const AnchorFit> fits, std::span<cons
     sums.own.setZero(size, size);
     sums.descent.setZero(size);
     if (unknowns.body_tags > 0) {
-      Accumulator<kSharedTerms>(fit, unknowns, sums).add_all();
+      add_rows<kSharedTerms>(fit, unknowns, sums);
     } else {
-      Accumulator<kMotionTerms>(fit, unknowns, sums).add_all();
+      add_rows<kMotionTerms>(fit, unknowns, sums);
     }
     if (fit.problem.position.surveyed) sums.cross.topRows<3>().setZero();
     const NormalEquations alone = linearize(fit.problem, fit.kernels, fit.anchor);

@@ -19,6 +19,8 @@ constexpr double kCloseExcess = 10.0;
 constexpr double kMoved_m = 0.3;
 // At most, of a place that is not the earlier one: anchors do get moved.
 constexpr double kMovedCost = 10.0;
+// Starts this close to each other are in one valley.
+constexpr double kSamePlace_m = 0.1;
 // Heights over the tags' plane to try, as shares of the distance to the nearest antenna.
 constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
 // Holds the anchor at a distance from the tags while the rest of it is solved.
@@ -54,6 +56,19 @@ std::vector<AnchorVector> starts_around(const AnchorProblem& problem, const Anch
     out.back().head<3>() += (share * nearest_m - height_m) * normal;
   }
   return out;
+}
+
+// Those in the valley of the anchor's own start, or of one before them.
+void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts) {
+  std::vector<Eigen::Vector3d> tried_m{anchor.head<3>()};
+  std::erase_if(starts, [&](const AnchorVector& start) {
+    const Eigen::Vector3d place_m = start.head<3>();
+    const bool tried = std::any_of(tried_m.begin(), tried_m.end(), [&](const Eigen::Vector3d& other_m) {
+      return (place_m - other_m).norm() < kSamePlace_m;
+    });
+    if (!tried) tried_m.push_back(place_m);
+    return tried;
+  });
 }
 
 Contest contest(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
@@ -99,6 +114,7 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
     std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor, fit.anchor};
     // The few rows may have but one valley, between the two that all of them have.
     starts.back().head<3>() = spread.mirror(fit.anchor.head<3>(), axis);
+    drop_doubles(fit.anchor, starts);
     result = contest(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);
     sketch.rows = fit.problem.rows;
     scale = 1.0;

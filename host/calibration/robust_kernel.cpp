@@ -66,6 +66,11 @@ RobustKernel::RobustKernel(const KernelShape& shape) noexcept
   factor_ = factors.cast<float>();
   weight_factor_ = weight_factors.cast<float>();
   pull_factor_ = weight_factors.cwiseProduct(table_->center()).cast<float>();
+  KindVector curve = weight_factors.cwiseProduct(table_->inverse_variance());
+  for (Eigen::Index power = 0; power < 3; ++power) {
+    curve_factors_.col(power) = curve.cast<float>();
+    curve = curve.cwiseProduct(table_->center());
+  }
 }
 
 KernelShares RobustKernel::shares(double residual_m) const noexcept {
@@ -79,13 +84,20 @@ KernelShares RobustKernel::shares(double residual_m) const noexcept {
   return out;
 }
 
-double RobustKernel::curvature(double residual_m) const noexcept {
-  const KindVector kinds = shares(residual_m).kinds;
-  const KindVector& inverse = table_->inverse_variance();
-  const KindVector slopes = (residual_m * inverse_scale_ - table_->center().array()) * inverse.array();
-  const double mean = kinds.dot(slopes);
-  const double variance = kinds.dot(slopes.cwiseAbs2()) - mean * mean;
-  return (kinds.dot(inverse) - variance) * inverse_scale_ * inverse_scale_;
+void RobustKernel::add_to(KernelStatistics& statistics, double residual_m, double weight) const noexcept {
+  statistics.count += weight;
+  KindFloats densities;
+  if (!table_->at(residual_m * inverse_scale_, densities)) {
+    statistics.gross += weight;
+    return;
+  }
+  densities.array() *= factor_.array();
+  const double share = weight / (gross_density_ + static_cast<double>(densities.sum()));
+  statistics.kinds += share * densities.cast<double>();
+  statistics.gross += share * gross_density_;
+  const double in_sight =
+      static_cast<double>(densities(0)) + static_cast<double>(densities(1)) / kWideVariance;
+  statistics.square_m2 += share * in_sight * residual_m * residual_m;
 }
 
 KernelStatistics& KernelStatistics::operator+=(const KernelStatistics& other) noexcept {
@@ -101,13 +113,7 @@ KernelStatistics kernel_statistics(const RobustKernel& kernel, std::span<const W
                                    double parameters_used) noexcept {
   KernelStatistics out;
   out.parameters = parameters_used;
-  for (const auto& [r, weight] : residuals) {
-    const KernelShares shares = kernel.shares(r);
-    out.count += weight;
-    out.kinds += weight * shares.kinds;
-    out.gross += weight * shares.gross;
-    out.square_m2 += weight * (shares.kinds(0) + shares.kinds(1) / kWideVariance) * r * r;
-  }
+  for (const auto& [r, weight] : residuals) kernel.add_to(out, r, weight);
   return out;
 }
 

@@ -94,6 +94,25 @@ struct KernelShares {
   [[nodiscard]] double in_sight() const noexcept { return kinds(0) + kinds(1); }
 };
 
+// The same of residuals side by side.
+inline constexpr Eigen::Index kLanes = 8;
+using Lanes = Eigen::Array<double, kLanes, 1>;
+struct KernelLanes {
+  Lanes density;
+  Lanes slope;
+  Lanes weight;
+};
+
+// What residuals tell of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
+struct KernelStatistics {
+  double count = 0.0;
+  double parameters = 0.0;                // degrees of freedom that the fit behind the residuals took
+  KindVector kinds = KindVector::Zero();  // shares summed
+  double gross = 0.0;
+  double square_m2 = 0.0;  // of core and wide residuals, each over its own variance
+
+  KernelStatistics& operator+=(const KernelStatistics& other) noexcept;
+};
 class RobustKernel {
  public:
   RobustKernel() : RobustKernel(KernelShape{}) {}
@@ -111,9 +130,47 @@ class RobustKernel {
     out.weight = share * inverse_scale_ * weighted;
     return out;
   }
+  // A residual that is no number has the density of gross, and neither slope nor weight.
+  [[nodiscard]] KernelLanes at(const Lanes& residual_m) const noexcept {
+    Lanes u = residual_m * inverse_scale_;
+    Lanes density = Lanes::Zero();
+    Lanes weighted = Lanes::Zero();
+    Lanes pull = Lanes::Zero();
+    for (Eigen::Index lane = 0; lane < kLanes; ++lane) {
+      KindFloats densities;
+      if (!table_->at(u(lane), densities)) {
+        u(lane) = 0.0;
+        continue;
+      }
+      density(lane) = static_cast<double>(factor_.dot(densities));
+      weighted(lane) = static_cast<double>(weight_factor_.dot(densities));
+      pull(lane) = static_cast<double>(pull_factor_.dot(densities));
+    }
+    KernelLanes out;
+    out.density = density + gross_density_;
+    const Lanes share = inverse_scale_ / out.density;
+    out.slope = share * (u * weighted - pull);
+    out.weight = share * inverse_scale_ * weighted;
+    return out;
+  }
   // Second derivative of the cost, 1/m^2: negative where the kernel redescends.
-  [[nodiscard]] double curvature(double residual_m) const noexcept;
+  [[nodiscard]] double curvature(double residual_m) const noexcept {
+    const double u = residual_m * inverse_scale_;
+    KindFloats densities;
+    if (!table_->at(u, densities)) return 0.0;
+    const double total = gross_density_ + static_cast<double>(factor_.dot(densities));
+    // Moments of the shares over the variances and over their squares.
+    const double inverse = static_cast<double>(weight_factor_.dot(densities)) / total;
+    const double mean = u * inverse - static_cast<double>(pull_factor_.dot(densities)) / total;
+    const double square = (u * u * static_cast<double>(curve_factors_.col(0).dot(densities)) -
+                           2.0 * u * static_cast<double>(curve_factors_.col(1).dot(densities)) +
+                           static_cast<double>(curve_factors_.col(2).dot(densities))) /
+                          total;
+    return (inverse - square + mean * mean) * inverse_scale_ * inverse_scale_;
+  }
   [[nodiscard]] KernelShares shares(double residual_m) const noexcept;
+  // Sums of the expectation step: with another residual, that counts for so much.
+  void add_to(KernelStatistics& statistics, double residual_m, double weight) const noexcept;
   [[nodiscard]] const KernelShape& shape() const noexcept { return shape_; }
 
  private:
@@ -124,36 +181,41 @@ class RobustKernel {
   KindFloats factor_;         // shares over the scale
   KindFloats weight_factor_;  // the same over each kind's variance
   KindFloats pull_factor_;    // the same times each kind's center
+  // Shares over the scale and each variance squared: times 1, the center and its square.
+  Eigen::Matrix<float, kKinds, 3> curve_factors_;
 };
 
 // Sum of costs, with one logarithm for many of them.
 class CostSum {
  public:
-  void add(const KernelValue& value) noexcept {
-    product_ *= value.density;
-    if (product_ > kSmall && product_ < kLarge) return;
-    cost_ -= std::log(product_);
-    product_ = 1.0;
+  void add(const KernelValue& value) noexcept { multiply(value.density); }
+  // So many of the lanes, the first ones.
+  void add(const Lanes& density, Eigen::Index count) noexcept {
+    // Four at a time: no product of densities is too small or too large for a double.
+    constexpr Eigen::Index kAtOnce = 4;
+    if (count == kLanes) {
+      multiply(density.head<kAtOnce>().prod());
+      multiply(density.tail<kAtOnce>().prod());
+      return;
+    }
+    for (Eigen::Index lane = 0; lane < count; ++lane) multiply(density(lane));
   }
   [[nodiscard]] double cost() const noexcept { return cost_ - std::log(product_); }
 
  private:
-  static constexpr double kSmall = 1e-200;
-  static constexpr double kLarge = 1e200;
+  void multiply(double density) noexcept {
+    product_ *= density;
+    if (product_ > kSmall && product_ < kLarge) return;
+    cost_ -= std::log(product_);
+    product_ = 1.0;
+  }
+
+  static constexpr double kSmall = 1e-150;
+  static constexpr double kLarge = 1e150;
   double cost_ = 0.0;
   double product_ = 1.0;
 };
 
-// What residuals tell of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
-struct KernelStatistics {
-  double count = 0.0;
-  double parameters = 0.0;                // degrees of freedom that the fit behind the residuals took
-  KindVector kinds = KindVector::Zero();  // shares summed
-  double gross = 0.0;
-  double square_m2 = 0.0;  // of core and wide residuals, each over its own variance
-
-  KernelStatistics& operator+=(const KernelStatistics& other) noexcept;
-};
 // A residual, and how much of it counts.
 struct WeighedResidual {
   double residual_m = 0.0;

@@ -41,9 +41,13 @@ Step find_step(const Association& association) {
   }
   Step step;
   if (intervals_s.size() < kMinIntervals) return step;
-  std::sort(intervals_s.begin(), intervals_s.end());
   const double n = static_cast<double>(intervals_s.size());
-  const double shortest_s = intervals_s[static_cast<std::size_t>(kShortest * n)];
+  const auto smallest = [&](double share) {
+    const auto at = intervals_s.begin() + static_cast<std::ptrdiff_t>(share * n);
+    std::nth_element(intervals_s.begin(), at, intervals_s.end());
+    return *at;
+  };
+  const double shortest_s = smallest(kShortest);
   double sum_s = 0.0;
   double steps = 0.0;
   for (const double interval_s : intervals_s) {
@@ -57,7 +61,7 @@ Step find_step(const Association& association) {
     return count >= 1.0 && std::abs(interval_s / step.interval_s - count) < kRegularDeviation;
   });
   step.regular = static_cast<double>(fits) > kRegularShare * n;
-  if (!step.regular) step.interval_s = intervals_s[intervals_s.size() / 2];
+  if (!step.regular) step.interval_s = smallest(0.5);
   return step;
 }
 

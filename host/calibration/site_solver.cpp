@@ -53,8 +53,10 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
     const double r = residual_m(row, fit.anchor, tags);
+    const bool is_told = fit.problem.sight != nullptr;
     out[row.tag].push_back(
-        {.residual_m = r, .weight = value_of(fit.problem, fit.kernels, row, r, fit.anchor).seen_share});
+        {.residual_m = r,
+         .weight = is_told ? value_of(fit.problem, fit.kernels, row, r, fit.anchor).seen_share : 1.0});
   }
   return out;
 }

@@ -8,7 +8,6 @@
 namespace groma::calibration {
 namespace {
 
-constexpr int kBlockLevels = 9;  // each twice as long as the one before: up to 128 s
 constexpr double kMinBlocks = 8.0;
 constexpr double kScoreBlock_s = 0.5;
 constexpr double kMaxScoreBlocks = 4096.0;
@@ -33,32 +32,41 @@ void add_pair(const PairBlock& block, double factor, std::size_t tag, std::size_
   }
 }
 
-// Scatter of the score at one block length, over what independent residuals give, and how well it is known.
-struct Scatter {
-  double observed = 0.0;
-  double expected = 0.0;
-  double blocks = 0.0;
-};
-
-std::vector<Scatter> scatter_by_block_length(const Evidence& evidence) {
-  std::vector<Scatter> out(kBlockLevels);
-  const Eigen::Index size = evidence.information.rows();
-  const Eigen::MatrixXd weighing = evidence.information.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
-  const double independent = (weighing * evidence.score_variance).trace();
-  std::vector<Eigen::VectorXd> scores = evidence.scores;
-  for (Scatter& scatter : out) {
-    for (const Eigen::VectorXd& score : scores) {
-      if (score.isZero(0.0)) continue;
-      scatter.observed += score.dot(weighing * score);
-      scatter.blocks += 1.0;
+// `scores`: a row for each of the shortest blocks.
+std::array<Scatter, kBlockLevels> scatter_by_block_length(const Eigen::MatrixXd& information,
+                                                          const Eigen::MatrixXd& score_variance,
+                                                          const Eigen::MatrixXd& scores) {
+  // With L L^T the information: in its metric a score s has the square |L^-1 s|^2.
+  const Eigen::LLT<Eigen::MatrixXd> factors(information);
+  const Eigen::MatrixXd inverse =
+      factors.matrixL().solve(Eigen::MatrixXd::Identity(information.rows(), information.cols()));
+  const double independent = (inverse * score_variance).cwiseProduct(inverse).sum();
+  std::array<Eigen::VectorXd, kBlockLevels> squares;
+  Eigen::Index blocks = scores.rows();
+  for (Eigen::VectorXd& square : squares) {
+    square = Eigen::VectorXd::Zero(blocks);
+    blocks = (blocks + 1) / 2;
+  }
+  Eigen::VectorXd whitened(scores.rows());
+  for (Eigen::Index k = 0; k < scores.cols(); ++k) {
+    whitened.setZero();
+    for (Eigen::Index i = 0; i <= k; ++i) whitened += inverse(k, i) * scores.col(i);
+    for (Eigen::VectorXd& square : squares) {
+      const Eigen::Index size = square.size();
+      square.array() += whitened.head(size).array().square();
+      for (Eigen::Index block = 0; 2 * block < size; ++block) {
+        const double second = 2 * block + 1 < size ? whitened(2 * block + 1) : 0.0;
+        whitened(block) = whitened(2 * block) + second;
+      }
     }
+  }
+  std::array<Scatter, kBlockLevels> out;
+  for (std::size_t level = 0; level < kBlockLevels; ++level) {
+    Scatter& scatter = out[level];
+    scatter.observed = squares[level].sum();
+    scatter.blocks = static_cast<double>((squares[level].array() > 0.0).count());
     // The scores of all blocks sum to nearly nothing at the solution: one block's worth is missing.
     if (scatter.blocks > 1.0) scatter.expected = independent * (1.0 - 1.0 / scatter.blocks);
-    for (std::size_t i = 0; 2 * i < scores.size(); ++i) {
-      scores[i] = scores[2 * i];
-      if (2 * i + 1 < scores.size()) scores[i] += scores[2 * i + 1];
-    }
-    scores.resize((scores.size() + 1) / 2);
   }
   return out;
 }
@@ -95,6 +103,8 @@ Evidence gather_evidence(const AnchorFit& fit) {
   const double begin_s = problem.rows.front().t_s;
   const double duration_s = problem.rows.back().t_s - begin_s;
   const double block_s = std::max(kScoreBlock_s, duration_s / kMaxScoreBlocks);
+  const auto blocks = 1 + static_cast<Eigen::Index>(duration_s / block_s);
+  Eigen::MatrixXd scores = Eigen::MatrixXd::Zero(blocks, size);
   std::vector<PairMoments> pairs(tags);
   for (const Observation& row : problem.rows) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
@@ -114,15 +124,13 @@ Evidence gather_evidence(const AnchorFit& fit) {
     pair.square_slope += value.slope * value.slope;
 
     const double elapsed_s = std::max(0.0, row.t_s - begin_s);
-    const auto block = static_cast<std::size_t>(elapsed_s / block_s);
-    if (out.scores.size() <= block) out.scores.resize(block + 1, Eigen::VectorXd::Zero(size));
-    Eigen::VectorXd& score = out.scores[block];
-    score.head<3>() += value.slope * j.head<3>();
+    auto score = scores.row(std::min(blocks - 1, static_cast<Eigen::Index>(elapsed_s / block_s)));
+    for (Eigen::Index axis = 0; axis < 3; ++axis) score(axis) += value.slope * j(axis);
     score(beta_index(row.tag)) += value.slope;
     score(gamma_index(row.tag, tags)) += value.slope * j(4);
     if (!(whole.wall_weight > 0.0)) continue;
     const WallRow walled = wall_row(j, problem.sight->rows[row.index], row.tag, tags);
-    add(walled, whole.wall_slope, score);
+    add(walled, whole.wall_slope, score.transpose());
     add_square(walled, whole.wall_weight, out.information);
     add_square(walled, whole.wall_slope * whole.wall_slope, out.score_variance);
   }
@@ -134,24 +142,25 @@ Evidence gather_evidence(const AnchorFit& fit) {
     add_pair(weighted, curvature, tag, tags, out.information);
     add_pair(weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
   }
+  out.scatter = scatter_by_block_length(out.information, out.score_variance, scores);
   return out;
 }
 
 std::vector<double> score_inflation(std::span<const Evidence> evidence) {
   std::vector<double> own;
-  std::vector<Scatter> site(kBlockLevels);
+  std::array<Scatter, kBlockLevels> site;
   double dimensions = 1.0;
   for (const Evidence& anchor : evidence) {
     dimensions = static_cast<double>(anchor.information.rows());
-    const std::vector<Scatter> levels = scatter_by_block_length(anchor);
-    for (std::size_t level = 0; level < levels.size(); ++level) {
-      if (!(levels[level].expected > 0.0)) continue;
+    for (std::size_t level = 0; level < kBlockLevels; ++level) {
+      const Scatter& scatter = anchor.scatter[level];
+      if (!(scatter.expected > 0.0)) continue;
       // Normalized, so that no anchor speaks louder for having more ranges.
-      site[level].observed += levels[level].blocks * ratio(levels[level]);
-      site[level].expected += levels[level].blocks;
-      site[level].blocks += levels[level].blocks;
+      site[level].observed += scatter.blocks * ratio(scatter);
+      site[level].expected += scatter.blocks;
+      site[level].blocks += scatter.blocks;
     }
-    own.push_back(significant_ratio(levels, dimensions));
+    own.push_back(significant_ratio(anchor.scatter, dimensions));
   }
   const double common = significant_ratio(site, dimensions);
   for (double& inflation : own) inflation = std::max(inflation, common);
@@ -159,11 +168,10 @@ std::vector<double> score_inflation(std::span<const Evidence> evidence) {
 }
 
 double inflation_within(const Evidence& evidence, double duration_s) {
-  const std::vector<Scatter> levels = scatter_by_block_length(evidence);
   std::size_t count = 0;
-  for (double block_s = kScoreBlock_s; block_s <= duration_s && count < levels.size(); block_s *= 2.0)
-    ++count;
-  return significant_ratio(std::span(levels).first(count), static_cast<double>(evidence.information.rows()));
+  for (double block_s = kScoreBlock_s; block_s <= duration_s && count < kBlockLevels; block_s *= 2.0) ++count;
+  return significant_ratio(std::span(evidence.scatter).first(count),
+                           static_cast<double>(evidence.information.rows()));
 }
 
 Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {

@@ -2,6 +2,8 @@
 // residuals that hang together in time.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <span>
 #include <vector>
 
@@ -11,13 +13,22 @@
 
 namespace groma::calibration {
 
+// Scatter of the score, the data's gradient, summed over blocks of one length of the drive: in the metric of
+// the information, what is seen and what independent residuals would give.
+struct Scatter {
+  double observed = 0.0;
+  double expected = 0.0;
+  double blocks = 0.0;
+};
+inline constexpr std::size_t kBlockLevels = 9;  // each twice as long as the one before: up to 128 s
+
 // The statistics of one anchor's rows at its solution.
 struct Evidence {
   Eigen::MatrixXd information;  // of priors and data, at the kernels' mean curvature
   Eigen::MatrixXd prior_information;
-  Eigen::MatrixXd score_variance;       // of the data's gradient, were residuals independent
-  std::vector<Eigen::VectorXd> scores;  // the data's gradient in each short block of the drive
-  bool surveyed = false;                // the position was held fixed
+  Eigen::MatrixXd score_variance;             // of the score, were residuals independent
+  std::array<Scatter, kBlockLevels> scatter;  // by the length of its blocks
+  bool surveyed = false;                      // the position was held fixed
 };
 [[nodiscard]] Evidence gather_evidence(const AnchorFit& fit);
 

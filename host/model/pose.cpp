@@ -11,20 +11,49 @@ double wrap_angle(double theta_rad) noexcept {
   return wrapped <= -std::numbers::pi ? std::numbers::pi : wrapped;
 }
 
+namespace {
+
+// The unit normal (a, b, c), and k = 1/(1 + c).
+struct Normal {
+  double a;
+  double b;
+  double c;
+  double k;
+};
+
+Normal normal_of(const Eigen::Vector2d& gradient) noexcept {
+  Normal out{};
+  out.c = 1.0 / std::sqrt(1.0 + gradient.x() * gradient.x() + gradient.y() * gradient.y());
+  out.a = -gradient.x() * out.c;
+  out.b = -gradient.y() * out.c;
+  out.k = 1.0 / (1.0 + out.c);
+  return out;
+}
+
+// The smallest rotation of z to the normal is
+//   [ 1 - k a a   -k a b     a ]
+//   [ -k a b      1 - k b b  b ]
+//   [ -a          -b         c ]
+Eigen::Matrix3d rotation_to(const Normal& n) noexcept {
+  const auto& [a, b, c, k] = n;
+  Eigen::Matrix3d out;
+  out << 1.0 - k * a * a, -k * a * b, a, -k * a * b, 1.0 - k * b * b, b, -a, -b, c;
+  return out;
+}
+
+}  // namespace
+
 SurfaceRotation surface_rotation_with_derivatives(const Eigen::Vector2d& gradient) noexcept {
-  // With n = (a, b, c) the unit normal and k = 1/(1 + c), the smallest rotation of z to n is
-  //   [ 1 - k a a   -k a b     a ]
-  //   [ -k a b      1 - k b b  b ]
-  //   [ -a          -b         c ]
   const double gx = gradient.x();
   const double gy = gradient.y();
-  const double c = 1.0 / std::sqrt(1.0 + gx * gx + gy * gy);
-  const double a = -gx * c;
-  const double b = -gy * c;
-  const double k = 1.0 / (1.0 + c);
+  const Normal normal = normal_of(gradient);
+  const double a = normal.a;
+  const double b = normal.b;
+  const double c = normal.c;
+  const double k = normal.k;
 
   SurfaceRotation out;
-  out.rotation << 1.0 - k * a * a, -k * a * b, a, -k * a * b, 1.0 - k * b * b, b, -a, -b, c;
+  out.rotation = rotation_to(normal);
 
   const auto derivative = [&](double dc, double da, double db) {
     const double dk = -k * k * dc;
@@ -44,7 +73,7 @@ SurfaceRotation surface_rotation_with_derivatives(const Eigen::Vector2d& gradien
 }
 
 Eigen::Matrix3d surface_rotation(const Eigen::Vector2d& gradient) noexcept {
-  return surface_rotation_with_derivatives(gradient).rotation;
+  return rotation_to(normal_of(gradient));
 }
 
 Eigen::Matrix3d rotation_from_zyx(double yaw_rad, double pitch_rad, double roll_rad) noexcept {
