@@ -125,6 +125,17 @@ void add_priors(const AnchorProblem& problem, const AnchorVector& anchor, Normal
   out.information.diagonal().tail(episodes).array() += 1.0 / square(wall.episode_sigma_m);
 }
 
+// As of one row; towards: unit vectors from anchor to antenna.
+Lanes pose_variance_m2(const RowColumns& columns, std::size_t tag, Eigen::Index block, double gamma,
+                       const std::array<Lanes, 3>& towards) {
+  const Lanes x = gamma * towards[0];
+  const Lanes y = gamma * towards[1];
+  const Lanes variance_m2 = x * x * columns.spread_m2(tag, block, 0) +
+                            2.0 * x * y * columns.spread_m2(tag, block, 1) +
+                            y * y * columns.spread_m2(tag, block, 2);
+  return variance_m2.max(0.0);
+}
+
 // `columns`: of the problem's rows. The result's memory is used again.
 void linearize(const AnchorProblem& problem, const RowColumns& columns, std::span<const RobustKernel> kernels,
                const AnchorVector& anchor, NormalEquations& out) {
@@ -145,14 +156,26 @@ void linearize(const AnchorProblem& problem, const RowColumns& columns, std::spa
       const Lanes inverse = (distance_m > model::kMinDistance_m).select(1.0 / distance_m, 0.0);
       for (Lanes& axis : towards) axis *= inverse;
       const Lanes residual_m = columns.range_m(tag, block) - (gamma * distance_m + beta_m);
-      KernelLanes value = kernels[tag].at(residual_m);
+      Lanes variance_m2 = Lanes::Zero();
+      Lanes share = Lanes::Ones();
+      if (columns.tells_spread()) {
+        variance_m2 = pose_variance_m2(columns, tag, block, gamma, towards);
+        const double scale_m = kernels[tag].shape().scale_m;
+        share = scale_m / (scale_m * scale_m + variance_m2).sqrt();
+      }
+      KernelLanes value = kernels[tag].at(share * residual_m);
+      if (columns.tells_spread()) {
+        value.density *= share;
+        value.slope *= share;
+        value.weight *= share.square();
+      }
       const Eigen::Index count = columns.rows_in(tag, block);
       for (Eigen::Index lane = 0; problem.sight != nullptr && lane < count; ++lane) {
         const RowSight& sight = problem.sight->rows[columns.index(tag, block, lane)];
         const RowValue whole = value_of(
             *problem.sight, sight,
             {.density = value.density(lane), .slope = value.slope(lane), .weight = value.weight(lane)},
-            residual_m(lane), anchor, tags);
+            residual_m(lane), anchor, tags, variance_m2(lane));
         value.density(lane) = whole.seen.density;
         value.slope(lane) = whole.seen.slope;
         value.weight(lane) = whole.seen.weight;

@@ -1,7 +1,9 @@
 // Position and pair biases of one anchor from its ranges: robust non-linear least squares.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -61,6 +63,39 @@ struct AnchorProblem {
   return row.range_m - predict(row, anchor, tag_count).range_m;
 }
 
+// What the pose's own error does to a range: J C J^T with C the spread of the antenna, m^2; zero where
+// nothing is told of the pose.
+[[nodiscard]] inline double pose_variance_m2(const Observation& row, const AnchorVector& anchor,
+                                             std::size_t tag_count) noexcept {
+  const Eigen::Vector3d spread_m2 = row.pose_spread_m2.cast<double>();
+  if (!(spread_m2(0) + spread_m2(2) > 0.0)) return 0.0;
+  const Eigen::Vector3d way = row.tag_m - anchor.head<3>();
+  const Eigen::Vector2d j =
+      anchor(gamma_index(row.tag, tag_count)) / std::max(way.norm(), model::kMinDistance_m) * way.head<2>();
+  const double variance_m2 =
+      j.x() * j.x() * spread_m2(0) + 2.0 * j.x() * j.y() * spread_m2(1) + j.y() * j.y() * spread_m2(2);
+  return std::max(0.0, variance_m2);
+}
+// A range's noise is the kernel's and that: the kernel's scale as a share of both.
+[[nodiscard]] inline double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept {
+  if (!(pose_variance_m2 > 0.0)) return 1.0;
+  const double scale_m = kernel.shape().scale_m;
+  return scale_m / std::sqrt(scale_m * scale_m + pose_variance_m2);
+}
+[[nodiscard]] inline double noise_share(const RobustKernel& kernel, const Observation& row,
+                                        const AnchorVector& anchor, std::size_t tag_count) noexcept {
+  return noise_share(kernel, pose_variance_m2(row, anchor, tag_count));
+}
+// The kernel stretched by so much.
+[[nodiscard]] inline KernelValue stretched(const RobustKernel& kernel, double share,
+                                           double residual_m) noexcept {
+  KernelValue out = kernel.at(share * residual_m);
+  out.density *= share;
+  out.slope *= share;
+  out.weight *= share * share;
+  return out;
+}
+
 // What a wall adds to this row, by the solution.
 [[nodiscard]] inline double wall_excess_m(const RowSight& sight, const AnchorVector& anchor,
                                           std::size_t tag_count) noexcept {
@@ -77,14 +112,15 @@ struct RowValue {
   double wall_weight = 0.0;  // 1/m^2
 };
 [[nodiscard]] inline RowValue value_of(const AnchorSight& sight, const RowSight& row, const KernelValue& seen,
-                                       double residual_m, const AnchorVector& anchor,
-                                       std::size_t tag_count) noexcept {
+                                       double residual_m, const AnchorVector& anchor, std::size_t tag_count,
+                                       double pose_variance_m2) noexcept {
   RowValue out{.seen = seen};
   const double in_sight = static_cast<double>(row.in_sight) * seen.density;
   KernelValue through;
   double walled = 0.0;
   if (row.wall > 0.0F) {
-    through = sight.wall.at(residual_m - wall_excess_m(row, anchor, tag_count));
+    through = stretched(sight.wall, noise_share(sight.wall, pose_variance_m2),
+                        residual_m - wall_excess_m(row, anchor, tag_count));
     walled = static_cast<double>(row.wall) * through.density;
   }
   out.seen.density = in_sight + walled + static_cast<double>(row.other_density);
@@ -98,10 +134,12 @@ struct RowValue {
 [[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                                        const Observation& row, double residual_m,
                                        const AnchorVector& anchor) noexcept {
-  const KernelValue seen = kernels[row.tag].at(residual_m);
+  const double variance_m2 = pose_variance_m2(row, anchor, problem.tag_count);
+  const RobustKernel& kernel = kernels[row.tag];
+  const KernelValue seen = stretched(kernel, noise_share(kernel, variance_m2), residual_m);
   if (problem.sight == nullptr) return {.seen = seen};
-  return value_of(*problem.sight, problem.sight->rows[row.index], seen, residual_m, anchor,
-                  problem.tag_count);
+  return value_of(*problem.sight, problem.sight->rows[row.index], seen, residual_m, anchor, problem.tag_count,
+                  variance_m2);
 }
 
 // Derivative of the predicted range by position, beta and gamma of the one pair that it sees.

@@ -5,6 +5,8 @@
 #include <iterator>
 #include <limits>
 #include <map>
+#include <optional>
+#include <utility>
 
 #include "host/model/samples.hpp"
 
@@ -28,6 +30,9 @@ std::vector<model::PoseSample> clean_poses(std::span<const model::PoseSample> po
   out.reserve(poses.size());
   std::copy_if(poses.begin(), poses.end(), std::back_inserter(out), is_finite);
   model::sort_poses(out);
+  for (model::PoseSample& pose : out) {
+    if (pose.covariance && !model::is_covariance(*pose.covariance)) pose.covariance.reset();
+  }
   return out;
 }
 
@@ -41,7 +46,23 @@ struct Motion {
   Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // the pose's
   Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();
   double yaw_rate_radps = 0.0;
+  std::optional<Eigen::Matrix3d> covariance;  // of the pose's x, y and yaw
 };
+
+std::optional<Eigen::Matrix3d> interpolate_covariance(const model::PoseSample& from,
+                                                      const model::PoseSample& to, double fraction) noexcept {
+  if (!from.covariance || !to.covariance) return std::nullopt;
+  return Eigen::Matrix3d((1.0 - fraction) * model::to_matrix(*from.covariance) +
+                         fraction * model::to_matrix(*to.covariance));
+}
+
+// Of x and y of an antenna, as Observation has it: M C M^T with M = [I, yaw_arm].
+Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::Vector2d& yaw_arm_m) noexcept {
+  Eigen::Matrix<double, 2, 3> by_pose;
+  by_pose << Eigen::Matrix2d::Identity(), yaw_arm_m;
+  const Eigen::Matrix2d spread = by_pose * covariance * by_pose.transpose();
+  return Eigen::Vector3d(spread(0, 0), spread(0, 1), spread(1, 1)).cast<float>();
+}
 
 // Walks along the poses as ranges come in time; a step back costs what it has to.
 class PoseCursor {
@@ -68,6 +89,7 @@ class PoseCursor {
     motion_.attitude = Eigen::Quaterniond(motion_.pose.rotation).cast<float>();
     motion_.velocity_mps = Eigen::Vector3d(to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m) / gap_s;
     motion_.yaw_rate_radps = model::wrap_angle(to.yaw_rad - from.yaw_rad) / gap_s;
+    motion_.covariance = interpolate_covariance(from, to, fraction);
     found_ = true;
     return &motion_;
   }
@@ -141,8 +163,13 @@ Association associate(const Drive& drive, double max_pose_gap_s, double range_de
   }
 
   const model::Surface flat;
-  PoseCursor cursor(clean_poses(drive.poses), drive.surface != nullptr ? *drive.surface : flat,
-                    max_pose_gap_s, height);
+  std::vector<model::PoseSample> poses = clean_poses(drive.poses);
+  for (const model::PoseSample& pose : poses) {
+    if (pose.covariance)
+      out.pose_spreads.push_back({.t_s = pose.t_s, .covariance = model::to_matrix(*pose.covariance)});
+  }
+  PoseCursor cursor(std::move(poses), drive.surface != nullptr ? *drive.surface : flat, max_pose_gap_s,
+                    height);
   for (const model::RangeSample& sample : drive.ranges) {
     AnchorObservations& anchor = out.anchors[index.at(sample.anchor_id)];
     const auto tag = std::lower_bound(out.tags.begin(), out.tags.end(), sample.tag_id,
@@ -162,6 +189,7 @@ Association associate(const Drive& drive, double max_pose_gap_s, double range_de
     row.tag_m = motion->pose.position_m + arm_m;
     row.yaw_arm_m = {-arm_m.y(), arm_m.x()};
     row.attitude = motion->attitude;
+    if (motion->covariance) row.pose_spread_m2 = antenna_spread(*motion->covariance, row.yaw_arm_m);
     row.velocity_mps = motion->velocity_mps;
     row.velocity_mps.head<2>() += motion->yaw_rate_radps * row.yaw_arm_m;
     row.tag = static_cast<std::uint32_t>(tag - out.tags.begin());

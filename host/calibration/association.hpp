@@ -22,8 +22,11 @@ struct Observation {
   Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();        // of the antenna
   Eigen::Vector2d yaw_arm_m = Eigen::Vector2d::Zero();           // d tag_m / d yaw, its x and y
   Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // takes base_link's vectors into the map
-  std::uint32_t tag = 0;                                         // index in Association::tags
-  std::uint32_t index = 0;                                       // among the anchor's rows
+  // Covariance of the antenna's place by the pose's own error that is new at each pose: xx, xy, yy, m^2; zero
+  // where the poses do not tell it.
+  Eigen::Vector3f pose_spread_m2 = Eigen::Vector3f::Zero();
+  std::uint32_t tag = 0;    // index in Association::tags
+  std::uint32_t index = 0;  // among the anchor's rows
 };
 
 struct AnchorObservations {
@@ -32,9 +35,16 @@ struct AnchorObservations {
   std::size_t rejected = 0;       // not a range at all, or no pose near it
 };
 
+// What a pose tells of its own error.
+struct PoseSpread {
+  double t_s = 0.0;
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // of x, y and yaw
+};
+
 struct Association {
   std::vector<model::Tag> tags;             // by id, ascending
   std::vector<AnchorObservations> anchors;  // by id, ascending: every anchor that any range names
+  std::vector<PoseSpread> pose_spreads;     // by time: of the poses that tell it
 };
 
 // Which height the drive's poses have: their own, or that of the surface beneath them.

@@ -86,7 +86,8 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
     if (row.t_s <= from_s) continue;
     const double r = residual_m(row, first.anchor, first.problem.tag_count);
     square_m2 += r * r;
-    scale_m += first.kernels[row.tag].shape().scale_m;
+    const RobustKernel& kernel = first.kernels[row.tag];
+    scale_m += kernel.shape().scale_m / noise_share(kernel, row, first.anchor, first.problem.tag_count);
     absolute_m.push_back(std::abs(r));
   }
   HeldOut out;
@@ -120,12 +121,13 @@ std::vector<FittedRange> look_at_rows(const AnchorFit& fit, std::span<const mode
   for (const Observation& row : fit.problem.rows) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, fit.problem.tag_count);
     const double residual_m = row.range_m - predicted.range_m;
+    const double share = noise_share(fit.kernels[row.tag], row, fit.anchor, fit.problem.tag_count);
     out.push_back({.t_s = row.t_s,
                    .tag_id = tags[row.tag].id,
                    .antenna_m = row.tag_m.head<2>(),
                    .distance_m = predicted.distance_m,
                    .residual_m = residual_m,
-                   .in_sight = fit.kernels[row.tag].shares(residual_m).in_sight() *
+                   .in_sight = fit.kernels[row.tag].shares(share * residual_m).in_sight() *
                                value_of(fit.problem, fit.kernels, row, residual_m, fit.anchor).seen_share});
   }
   return out;

@@ -74,9 +74,16 @@ struct Belief {
   double evidence = 0.0;
 };
 
+// What is asked of the drive, and how: `typical` where the poses tell of their error.
+struct Question {
+  SharedUnknowns unknowns;
+  std::optional<PoseQuality> typical;
+};
+
 // The likeliest wander beside what is believed already; that itself where none makes the ranges likelier by
 // enough.
-Belief believe_wander(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before) {
+Belief believe_wander(const JointEquations& equations, const Question& question, const Belief& before) {
+  const SharedUnknowns& unknowns = question.unknowns;
   Belief best = before;
   best.evidence += kMinWanderEvidence;
   const auto consider = [&](const WanderPrior& wander) {
@@ -90,6 +97,12 @@ Belief believe_wander(const JointEquations& equations, const SharedUnknowns& unk
   for (const double sigma_m : kWander_m) {
     WanderPrior wander = kFirstWander;
     wander.sigma_m = sigma_m;
+    consider(wander);
+  }
+  if (question.typical) {
+    WanderPrior wander = kFirstWander;
+    wander.sigma_m = question.typical->sigma_m;
+    wander.sigma_yaw_rad = question.typical->sigma_yaw_rad;
     consider(wander);
   }
   if (!(best.prior.wander.sigma_m > 0.0)) return before;
@@ -123,11 +136,11 @@ Belief believe_body(const JointEquations& equations, const SharedUnknowns& unkno
 // A wander, body terms, both or nothing: first what lasts better, then the other. `slow` makes the equations
 // with the inflation of a while, and is asked for where something is likely by those of a moment.
 template <typename Slow>
-SharedPrior likeliest_prior(const JointEquations& equations, const SharedUnknowns& unknowns,
-                            const Slow& slow) {
+SharedPrior likeliest_prior(const JointEquations& equations, const Question& question, const Slow& slow) {
+  const SharedUnknowns& unknowns = question.unknowns;
   Belief nothing{.prior = {.wander = {}, .delay_sigma_s = kDelaySigma_s}};
   nothing.evidence = evidence(equations, unknowns, nothing.prior);
-  Belief wander = believe_wander(equations, unknowns, nothing);
+  Belief wander = believe_wander(equations, question, nothing);
   Belief body = believe_body(equations, unknowns, nothing, kMinBodyEvidence);
   if (!(wander.prior.wander.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
 
@@ -142,7 +155,7 @@ SharedPrior likeliest_prior(const JointEquations& equations, const SharedUnknown
     return gain(body, wander) < kMinLastingBody ? wander.prior : body.prior;
   }
   if (by_body < kMinLastingBody) return nothing.prior;
-  wander = believe_wander(equations, unknowns, body);
+  wander = believe_wander(equations, question, body);
   return gain(wander, body) < kMinLastingWander ? body.prior : wander.prior;
 }
 
@@ -156,12 +169,14 @@ bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& u
 }
 
 // As far apart as this prior wants them.
-SharedUnknowns arrange(std::span<const AnchorFit> fits, const SharedUnknowns& coarse,
-                       const SharedPrior& prior) {
+SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpread> spreads,
+                       const Question& question, const SharedPrior& prior) {
+  const SharedUnknowns& coarse = question.unknowns;
   SharedUnknowns out;
   const KnotGrid& grid = prior.wander.sigma_m > 0.0 ? kFineKnots : kNoKnots;
   out.knots = place_knots(fits, grid).value_or(coarse.knots);
   out.body_tags = prior.body ? coarse.body_tags : 0;
+  if (question.typical) out.knot_scale = scale_knots(out.knots, spreads, *question.typical);
   return out;
 }
 
@@ -293,19 +308,31 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   out.evidence = evidence_of(fits);
   const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
   if (!placed) return out;
-  SharedUnknowns unknowns{.knots = *placed, .body_tags = association.tags.size()};
+  Question question;
+  question.typical = typical_quality(association.pose_spreads);
+  SharedUnknowns& unknowns = question.unknowns;
+  unknowns.knots = *placed;
+  unknowns.body_tags = association.tags.size();
+  if (question.typical)
+    unknowns.knot_scale = scale_knots(unknowns.knots, association.pose_spreads, *question.typical);
 
   std::vector<double> inflation = inflations(out.evidence, kMoment_s);
   JointEquations equations = eliminate_anchors(fits, inflation, unknowns);
   const auto slow = [&] { return eliminate_anchors(fits, inflations(out.evidence, kWhile_s), unknowns); };
-  SharedPrior prior = likeliest_prior(equations, unknowns, slow);
+  SharedPrior prior = likeliest_prior(equations, question, slow);
   out.wander = prior.wander;
   if (nothing_to_correct(equations, unknowns, prior)) {
     out.frame_covariance = frame_covariance(
         unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), mean_antenna_m(fits));
     return out;
   }
-  unknowns = arrange(fits, unknowns, prior);
+  unknowns = arrange(fits, association.pose_spreads, question, prior);
+  if (question.typical && prior.wander.sigma_m > 0.0) {
+    const double share = white_share(prior.wander, *question.typical, unknowns.knots.spacing_s);
+    for (AnchorObservations& anchor : association.anchors) {
+      for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
+    }
+  }
   Eigen::VectorXd error = Eigen::VectorXd::Zero(unknowns.size());
   Eigen::MatrixXd covariance;
   for (int round = 0; round < kRounds; ++round) {

@@ -38,6 +38,16 @@ class RowColumns {
       columns_(at, kRange) = row.range_m;
       index_[static_cast<std::size_t>(at)] = row.index;
     }
+    const auto is_told = [](const Observation& row) { return !row.pose_spread_m2.isZero(0.0F); };
+    if (std::any_of(rows.begin(), rows.end(), is_told)) {
+      spread_m2_.setZero(size, 3);
+      std::vector<Eigen::Index> again;
+      again.reserve(tag_count);
+      for (const Tag& tag : tags_) again.push_back(tag.first);
+      for (const Observation& row : rows) {
+        spread_m2_.row(again[row.tag]++) = row.pose_spread_m2.transpose().cast<double>().array();
+      }
+    }
     // What fills the last lanes up is no range: it has no weight.
     for (std::size_t tag = 0; tag < tag_count; ++tag) {
       const Eigen::Index filled = tags_[tag].first + blocks(tag) * kLanes;
@@ -62,6 +72,11 @@ class RowColumns {
   [[nodiscard]] auto range_m(std::size_t tag, Eigen::Index block) const noexcept {
     return columns_.col(kRange).segment<kLanes>(tags_[tag].first + block * kLanes);
   }
+  // Whether some row has a spread; term 0..2 of it, m^2.
+  [[nodiscard]] bool tells_spread() const noexcept { return spread_m2_.rows() > 0; }
+  [[nodiscard]] auto spread_m2(std::size_t tag, Eigen::Index block, Eigen::Index term) const noexcept {
+    return spread_m2_.col(term).segment<kLanes>(tags_[tag].first + block * kLanes);
+  }
   // Observation::index
   [[nodiscard]] std::uint32_t index(std::size_t tag, Eigen::Index block, Eigen::Index lane) const noexcept {
     return index_[static_cast<std::size_t>(tags_[tag].first + block * kLanes + lane)];
@@ -77,6 +92,7 @@ class RowColumns {
 
   std::vector<Tag> tags_;
   Eigen::Array<double, Eigen::Dynamic, kColumns> columns_;
+  Eigen::Array<double, Eigen::Dynamic, 3> spread_m2_;  // of the antennas; empty where none is told
   std::vector<std::uint32_t> index_;
 };
 

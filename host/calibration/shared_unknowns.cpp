@@ -4,6 +4,9 @@
 #include <array>
 #include <cmath>
 
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
 namespace groma::calibration {
 namespace {
 
@@ -44,6 +47,57 @@ KnotShare knot_share(const Knots& knots, double t_s) noexcept {
       std::clamp((t_s - knots.begin_s) / knots.spacing_s, 0.0, static_cast<double>(knots.count - 1));
   const auto k = std::min(static_cast<Eigen::Index>(position), knots.count - 2);
   return {.first = 3 * k, .fraction = position - static_cast<double>(k)};
+}
+
+std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads) {
+  if (spreads.empty()) return std::nullopt;
+  std::vector<double> place_m2;
+  std::vector<double> yaw_rad2;
+  for (const PoseSpread& spread : spreads) {
+    place_m2.push_back(0.5 * (spread.covariance(0, 0) + spread.covariance(1, 1)));
+    yaw_rad2.push_back(spread.covariance(2, 2));
+  }
+  const auto middle = [](std::vector<double>& values) {
+    const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+    std::nth_element(values.begin(), at, values.end());
+    return *at;
+  };
+  return PoseQuality{.sigma_m = std::max(std::sqrt(middle(place_m2)), kLeastSigma_m),
+                     .sigma_yaw_rad = std::max(std::sqrt(middle(yaw_rad2)), kLeastSigma_rad)};
+}
+
+std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const PoseSpread> spreads,
+                                         const PoseQuality& typical) {
+  const auto count = static_cast<std::size_t>(knots.count);
+  std::vector<Eigen::Matrix3d> sums(count, Eigen::Matrix3d::Zero());
+  std::vector<double> poses(count, 0.0);
+  for (const PoseSpread& spread : spreads) {
+    const double position = std::round((spread.t_s - knots.begin_s) / knots.spacing_s);
+    if (position < 0.0 || position > static_cast<double>(count - 1)) continue;
+    const auto k = static_cast<std::size_t>(position);
+    sums[k] += spread.covariance;
+    poses[k] += 1.0;
+  }
+  const Eigen::Vector3d unit(1.0 / typical.sigma_m, 1.0 / typical.sigma_m, 1.0 / typical.sigma_yaw_rad);
+  // No knot is held so much tighter than a typical one that its equations lose their digits.
+  constexpr double kLeastScale = 1e-3;
+  std::vector<Eigen::Matrix3d> out(count, Eigen::Matrix3d::Identity());
+  for (std::size_t k = 0; k < count; ++k) {
+    if (!(poses[k] > 0.0)) continue;
+    Eigen::Matrix3d relative = unit.asDiagonal() * sums[k] * unit.asDiagonal() / poses[k];
+    relative.diagonal().array() += kLeastScale * kLeastScale + 1e-6 * relative.diagonal().array();
+    const Eigen::LLT<Eigen::Matrix3d> factors(relative);
+    if (factors.info() != Eigen::Success) continue;
+    out[k] = unit.cwiseInverse().asDiagonal() * Eigen::Matrix3d(factors.matrixL()) * unit.asDiagonal();
+  }
+  return out;
+}
+
+double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s) {
+  const double slow = std::pow(wander.sigma_m / typical.sigma_m, 2);
+  // Of a first-order process, on average over the way from knot to knot.
+  const double missed = std::min(1.0, spacing_s / (3.0 * wander.correlation_s));
+  return std::max(0.0, 1.0 - slow) + std::min(1.0, slow) * missed;
 }
 
 SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted, double gamma,
@@ -94,6 +148,20 @@ Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPr
       out(here + 3, here) = -scale * keep;
     }
   }
+  if (!unknowns.knot_scale.empty()) {
+    std::vector<Eigen::Matrix3d> inverse_scale;
+    inverse_scale.reserve(unknowns.knot_scale.size());
+    for (const Eigen::Matrix3d& scale : unknowns.knot_scale) inverse_scale.emplace_back(scale.inverse());
+    for (Eigen::Index k = 0; k < knots.count; ++k) {
+      for (Eigen::Index other = std::max<Eigen::Index>(0, k - 1); other < std::min(k + 2, knots.count);
+           ++other) {
+        auto block = out.block<3, 3>(3 * k, 3 * other);
+        block = (inverse_scale[static_cast<std::size_t>(k)].transpose() * block *
+                 inverse_scale[static_cast<std::size_t>(other)])
+                    .eval();
+      }
+    }
+  }
   out(unknowns.delay(), unknowns.delay()) = inverse_square(prior.delay_sigma_s);
   for (std::size_t tag = 0; tag < unknowns.body_tags; ++tag) {
     out.diagonal().segment<kBodyTerms>(unknowns.body(tag)) = body_information();
@@ -109,6 +177,8 @@ double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& 
     const auto n = static_cast<double>(unknowns.knots.count);
     out -= n * (4.0 * std::log(prior.wander.sigma_m) + 2.0 * std::log(prior.wander.sigma_yaw_rad)) +
            3.0 * (n - 1.0) * std::log1p(-keep * keep);
+    for (const Eigen::Matrix3d& scale : unknowns.knot_scale)
+      out -= 2.0 * std::log(std::abs(scale.determinant()));
   }
   if (prior.body) {
     out += static_cast<double>(unknowns.body_tags) * body_information().array().log().sum();

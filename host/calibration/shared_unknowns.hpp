@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -57,6 +58,9 @@ struct KnotShare {
 // The order of the unknowns: x, y, yaw of each knot, the delay, the body terms of each tag or of none.
 struct SharedUnknowns {
   Knots knots;
+  // What the wander of each knot is multiplied by (x, y, yaw), where the poses tell how good they are; else
+  // empty, and all are alike.
+  std::vector<Eigen::Matrix3d> knot_scale;
   std::size_t body_tags = 0;
 
   [[nodiscard]] Eigen::Index delay() const noexcept { return 3 * knots.count; }
@@ -65,6 +69,22 @@ struct SharedUnknowns {
   }
   [[nodiscard]] Eigen::Index size() const noexcept { return body(body_tags); }
 };
+
+// What the poses of a drive tell of their error: standard deviations of the middle one.
+struct PoseQuality {
+  double sigma_m = 0.0;
+  double sigma_yaw_rad = 0.0;
+};
+// None where no pose tells it.
+[[nodiscard]] std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads);
+// Of each knot, L D^-1: L L^T the mean covariance of the poses nearest to it, D the typical sigmas; one where
+// none of them tells it.
+[[nodiscard]] std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots,
+                                                       std::span<const PoseSpread> spreads,
+                                                       const PoseQuality& typical);
+// The share of the poses' variance that is new from pose to pose, beside a wander of this size: what the
+// wander leaves of what they tell, and what a line between its knots misses.
+[[nodiscard]] double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s);
 
 // Derivative of one predicted range by the shared unknowns that it depends on: both knots about it (6), the
 // delay, the body terms of its tag.

@@ -83,7 +83,8 @@ bool long_residuals_hang_together(const AnchorFit& fit) {
   std::vector<int> last(tags, kNone);
   for (const Observation& row : fit.problem.rows) {
     const double r = residual_m(row, fit.anchor, tags);
-    const double limit_m = kLong * fit.kernels[row.tag].shape().scale_m;
+    const RobustKernel& kernel = fit.kernels[row.tag];
+    const double limit_m = kLong * kernel.shape().scale_m / noise_share(kernel, row, fit.anchor, tags);
     const int is_long = r > limit_m ? 1 : 0;
     rows += 1.0;
     too_long += is_long;
@@ -203,12 +204,15 @@ AnchorPass SightSolver::look(std::size_t a) const {
       const double r = residual_m(row, fit.anchor, tags);
       residuals_m.push_back(r);
       double walled = 0.0;
+      const auto density = [&](const RobustKernel& kernel, double excess_m) {
+        return stretched(kernel, noise_share(kernel, row, fit.anchor, tags), r - excess_m).density;
+      };
       if (had_wall && before->rows[row.index].episode != kNoEpisode) {
-        walled = before->wall.at(r - wall_excess_m(before->rows[row.index], fit.anchor, tags)).density;
+        walled = density(before->wall, wall_excess_m(before->rows[row.index], fit.anchor, tags));
       } else {
-        walled = anywhere.at(r - common_m).density;
+        walled = density(anywhere, common_m);
       }
-      likelihoods.emplace_back(fit.kernels[tag].at(r).density, out_.model.shadow.at(r).density, walled);
+      likelihoods.emplace_back(density(fit.kernels[tag], 0.0), density(out_.model.shadow, 0.0), walled);
     }
     infer_sight(out_.model.chain, polls, likelihoods, posterior);
     out.log_evidence += posterior.log_evidence;

@@ -53,10 +53,12 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
     const double r = residual_m(row, fit.anchor, tags);
-    const bool is_told = fit.problem.sight != nullptr;
-    out[row.tag].push_back(
-        {.residual_m = r,
-         .weight = is_told ? value_of(fit.problem, fit.kernels, row, r, fit.anchor).seen_share : 1.0});
+    // A range that the pose blurs tells as much less of the kernel's variance.
+    const double share = noise_share(fit.kernels[row.tag], row, fit.anchor, tags);
+    double weight = share * share * share * share;
+    if (fit.problem.sight != nullptr)
+      weight *= value_of(fit.problem, fit.kernels, row, r, fit.anchor).seen_share;
+    out[row.tag].push_back({.residual_m = share * r, .weight = weight});
   }
   return out;
 }

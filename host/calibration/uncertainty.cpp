@@ -117,7 +117,8 @@ Evidence gather_evidence(const AnchorFit& fit) {
     add_square(j, value.weight, pair.weighted);
     pair.weight += value.weight;
     // Of the mixture: the variance of the slope between what is in sight and what is not counts too.
-    pair.curvature += whole.seen_share * kernel.curvature(residual_m);
+    const double share = noise_share(kernel, row, fit.anchor, tags);
+    pair.curvature += whole.seen_share * share * share * kernel.curvature(share * residual_m);
     if (whole.seen_share > 0.0) {
       pair.curvature -= (1.0 / whole.seen_share - 1.0) * value.slope * value.slope;
     }

@@ -2,12 +2,15 @@
 
 #include <fmt/format.h>
 
+#include <array>
 #include <cmath>
+#include <cstddef>
 #include <utility>
 
 #include <nlohmann/json.hpp>
 
 #include "host/io/error.hpp"
+#include "host/model/pose.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -20,6 +23,32 @@ bool read_number(const Json& object, const char* name, double& out) {
   if (found == object.end() || !found->is_number()) return false;
   out = found->get<double>();
   return std::isfinite(out);
+}
+
+// False where it is there and cannot be one; what is null is not known.
+bool read_covariance(const Json& object, std::optional<model::PoseCovariance>& out) {
+  const auto found = object.find("covariance");
+  if (found == object.end() || found->is_null()) return true;
+  constexpr std::size_t kAxes = 6;
+  constexpr std::array<std::size_t, 3> kPlanar{0, 1, 5};
+  if (!found->is_array() || found->size() != kAxes * kAxes) return false;
+  model::PoseCovariance covariance{};
+  std::size_t known = 0;
+  auto next = covariance.begin();
+  for (std::size_t row = 0; row < kPlanar.size(); ++row) {
+    for (std::size_t column = row; column < kPlanar.size(); ++column, ++next) {
+      const Json& term = (*found)[kAxes * kPlanar[row] + kPlanar[column]];
+      const Json& mirrored = (*found)[kAxes * kPlanar[column] + kPlanar[row]];
+      if (term.is_null() && mirrored.is_null()) continue;
+      if (!term.is_number() || term != mirrored) return false;
+      *next = term.get<double>();
+      ++known;
+    }
+  }
+  if (known == 0) return true;
+  if (known < covariance.size() || !model::is_covariance(covariance)) return false;
+  out = covariance;
+  return true;
 }
 
 }  // namespace
@@ -88,6 +117,11 @@ std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
     if (!good) {
       drop(counters_.bad_value,
            fmt::format("POSE_PRIOR needs finite t_s, x_m, y_m, z_m, yaw_rad: {}", io::shown(line)));
+      return std::nullopt;
+    }
+    if (!read_covariance(object, pose.covariance)) {
+      drop(counters_.bad_value,
+           fmt::format("POSE_PRIOR's covariance is not 36 terms that can be one: {}", io::shown(line)));
       return std::nullopt;
     }
     ++counters_.pose_priors;

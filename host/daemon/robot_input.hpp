@@ -3,7 +3,9 @@
 //   {"class":"ODOMETRY","t_s":12.02,"vx_mps":0.8,"vy_mps":0.0,"omega_radps":0.1}
 //   {"class":"POSE_PRIOR","t_s":12.0,"x_m":1.0,"y_m":2.0,"z_m":0.0,"yaw_rad":0.5}
 //
-// A pose may also have roll_rad and pitch_rad; yaw_rad is then the ZYX yaw. Other keys are left alone.
+// A pose may also have roll_rad and pitch_rad; yaw_rad is then the ZYX yaw. And a covariance as the pose
+// stream has it: 36 numbers, x, y, z, roll, pitch, yaw row by row, null where not known; those of x, y and
+// yaw count. Other keys are left alone.
 #pragma once
 
 #include <cstddef>

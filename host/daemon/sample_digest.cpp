@@ -34,6 +34,8 @@ std::string sample_digest(std::span<const model::RangeSample> ranges,
          {pose.t_s, pose.x_m, pose.y_m, pose.z_m, pose.yaw_rad, pose.roll_rad, pose.pitch_rad}) {
       append(bytes, value);
     }
+    if (!pose.covariance) continue;
+    for (const double term : *pose.covariance) append(bytes, term);
   }
   return io::sha256(bytes);
 }

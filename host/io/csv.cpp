@@ -169,17 +169,19 @@ std::int64_t CsvReader::integer(std::size_t column) const {
 }
 
 std::optional<double> CsvReader::optional_number(std::size_t column) const {
-  if (field_of_wanted_[column] == kAbsent) return std::nullopt;
-  const std::string_view field = trimmed(fields_[column]);
-  if (field.empty()) return std::nullopt;
+  if (!has(column)) return std::nullopt;
   double value = 0.0;
-  if (parse_whole(field, value) == std::errc() && std::isnan(value)) return std::nullopt;
+  if (parse_whole(trimmed(fields_[column]), value) == std::errc() && std::isnan(value)) return std::nullopt;
   return number(column);
 }
 
 std::optional<std::int64_t> CsvReader::optional_integer(std::size_t column) const {
-  if (field_of_wanted_[column] == kAbsent || trimmed(fields_[column]).empty()) return std::nullopt;
+  if (!has(column)) return std::nullopt;
   return integer(column);
+}
+
+bool CsvReader::has(std::size_t column) const {
+  return field_of_wanted_[column] != kAbsent && !trimmed(fields_[column]).empty();
 }
 
 FilePlace CsvReader::place(std::size_t column) const {

@@ -59,6 +59,9 @@ class CsvReader {
   [[nodiscard]] std::optional<double> optional_number(std::size_t column) const;
   [[nodiscard]] std::optional<std::int64_t> optional_integer(std::size_t column) const;
 
+  // False where the column is absent or its field is empty.
+  [[nodiscard]] bool has(std::size_t column) const;
+
   // Place of the row, or of one of its fields.
   [[nodiscard]] FilePlace row_place() const { return {path_, lines_.number(), 0}; }
   [[nodiscard]] FilePlace place(std::size_t column) const;

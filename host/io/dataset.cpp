@@ -17,6 +17,7 @@
 #include "host/io/log_file.hpp"
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/model/pose.hpp"
 
 namespace groma::io {
 
@@ -186,6 +187,27 @@ std::vector<model::OdometrySample> parse_odometry(const std::filesystem::path& p
   return odometry;
 }
 
+// The six fields from `first` on; none where all are empty.
+std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, std::size_t first) {
+  model::PoseCovariance terms{};
+  std::size_t given = 0;
+  for (std::size_t i = 0; i < terms.size(); ++i) {
+    if (!csv.has(first + i)) continue;
+    terms[i] = csv.number(first + i);
+    ++given;
+  }
+  if (given == 0) return std::nullopt;
+  constexpr const char* kWhole = "give p_xx, p_xy, p_xt, p_yy, p_yt and p_tt of a row, or none of them";
+  if (given < terms.size()) throw DataError(csv.row_place(), "the pose's covariance is not whole", kWhole);
+  if (!model::is_covariance(terms)) {
+    throw DataError(
+        csv.row_place(), "p_xx to p_tt are no covariance of x, y and yaw",
+        "variances are above zero, and no correlation is beyond one; leave the fields empty where "
+        "nothing is known");
+  }
+  return terms;
+}
+
 std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, std::string_view text,
                                            DroppedRows& dropped) {
   CsvReader csv(path, text,
@@ -195,12 +217,19 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
                  {"z_m"},
                  {"yaw_rad"},
                  {"roll_rad", Presence::kOptional},
-                 {"pitch_rad", Presence::kOptional}});
+                 {"pitch_rad", Presence::kOptional},
+                 {"p_xx", Presence::kOptional},
+                 {"p_xy", Presence::kOptional},
+                 {"p_xt", Presence::kOptional},
+                 {"p_yy", Presence::kOptional},
+                 {"p_yt", Presence::kOptional},
+                 {"p_tt", Presence::kOptional}});
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   std::vector<model::PoseSample> poses;
   while (csv.next()) {
     poses.push_back({csv.number(0), csv.number(1), csv.number(2), csv.number(3), csv.number(4),
-                     csv.optional_number(5).value_or(kNone), csv.optional_number(6).value_or(kNone)});
+                     csv.optional_number(5).value_or(kNone), csv.optional_number(6).value_or(kNone),
+                     optional_covariance(csv, 7)});
   }
   put_in_order(poses, dropped);
   return poses;

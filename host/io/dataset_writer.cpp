@@ -103,8 +103,12 @@ std::string format_poses(std::span<const model::PoseSample> poses) {
   const bool attitude = std::any_of(poses.begin(), poses.end(), [](const model::PoseSample& pose) {
     return std::isfinite(pose.roll_rad) || std::isfinite(pose.pitch_rad);
   });
+  const bool covariance = std::any_of(
+      poses.begin(), poses.end(), [](const model::PoseSample& pose) { return pose.covariance.has_value(); });
   std::string text = "t_s,x_m,y_m,z_m,yaw_rad";
-  text += attitude ? ",roll_rad,pitch_rad\n" : "\n";
+  if (attitude) text += ",roll_rad,pitch_rad";
+  if (covariance) text += ",p_xx,p_xy,p_xt,p_yy,p_yt,p_tt";
+  text += '\n';
   for (const model::PoseSample& pose : poses) {
     add(text, "{},{},{},{},{}", pose.t_s, pose.x_m, pose.y_m, pose.z_m, pose.yaw_rad);
     if (attitude) {
@@ -112,6 +116,11 @@ std::string format_poses(std::span<const model::PoseSample> poses) {
         text += ',';
         if (std::isfinite(angle_rad)) add(text, "{}", angle_rad);
       }
+    }
+    if (pose.covariance) {
+      for (const double term : *pose.covariance) add(text, ",{}", term);
+    } else if (covariance) {
+      text.append(model::PoseCovariance{}.size(), ',');
     }
     text += '\n';
   }

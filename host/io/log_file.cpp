@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "host/io/version.hpp"
+#include "host/model/pose.hpp"
 #include "log.pb.h"
 #include "proto/frame_codec.hpp"
 
@@ -80,6 +81,21 @@ void drop_unknown_columns(groma_LogPoses& poses) {
   if (std::all_of(poses.pitch_rad, poses.pitch_rad + poses.pitch_rad_count, unknown)) {
     poses.pitch_rad_count = 0;
   }
+  if (std::none_of(poses.covariance, poses.covariance + poses.covariance_count,
+                   [](float term) { return std::isfinite(term); })) {
+    poses.covariance_count = 0;
+  }
+}
+
+constexpr pb_size_t kTerms{model::PoseCovariance{}.size()};
+
+// Of one pose: true where nothing is known of it, or what is known can be a covariance.
+bool take_covariance(const float* terms, std::optional<model::PoseCovariance>& out) {
+  model::PoseCovariance wide{};
+  std::copy(terms, terms + kTerms, wide.begin());
+  if (std::all_of(wide.begin(), wide.end(), [](double term) { return std::isnan(term); })) return true;
+  out = wide;
+  return model::is_covariance(wide);
 }
 
 bool all_finite(const double* values, pb_size_t count) {
@@ -144,10 +160,15 @@ bool take(const groma_LogPoses& in, std::vector<model::PoseSample>& out) {
   const pb_size_t n = in.t_s_count;
   if (in.x_m_count != n || in.y_m_count != n || in.z_m_count != n || in.yaw_rad_count != n ||
       (in.roll_rad_count != n && in.roll_rad_count != 0) ||
-      (in.pitch_rad_count != n && in.pitch_rad_count != 0) || !all_finite(in.t_s, n) ||
+      (in.pitch_rad_count != n && in.pitch_rad_count != 0) ||
+      (in.covariance_count != kTerms * n && in.covariance_count != 0) || !all_finite(in.t_s, n) ||
       !all_finite(in.x_m, n) || !all_finite(in.y_m, n) || !all_finite(in.z_m, n) ||
       !all_finite(in.yaw_rad, n)) {
     return false;
+  }
+  std::vector<std::optional<model::PoseCovariance>> covariances(n);
+  for (pb_size_t i = 0; i < n && in.covariance_count > 0; ++i) {
+    if (!take_covariance(in.covariance + kTerms * i, covariances[i])) return false;
   }
   for (pb_size_t i = 0; i < n; ++i) {
     model::PoseSample& pose = out.emplace_back();
@@ -158,6 +179,7 @@ bool take(const groma_LogPoses& in, std::vector<model::PoseSample>& out) {
     pose.yaw_rad = in.yaw_rad[i];
     if (in.roll_rad_count > 0) pose.roll_rad = in.roll_rad[i];
     if (in.pitch_rad_count > 0) pose.pitch_rad = in.pitch_rad[i];
+    pose.covariance = covariances[i];
   }
   return true;
 }
@@ -299,6 +321,10 @@ void LogEncoder::put(const model::PoseSample& pose) {
   poses.yaw_rad[poses.yaw_rad_count++] = pose.yaw_rad;
   poses.roll_rad[poses.roll_rad_count++] = pose.roll_rad;
   poses.pitch_rad[poses.pitch_rad_count++] = pose.pitch_rad;
+  model::PoseCovariance unknown{};
+  unknown.fill(std::numeric_limits<double>::quiet_NaN());
+  for (const double term : pose.covariance.value_or(unknown))
+    poses.covariance[poses.covariance_count++] = static_cast<float>(term);
   if (poses.t_s_count == std::size(poses.t_s)) records_->finish_poses(bytes_);
 }
 

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <numbers>
 
+#include <Eigen/Eigenvalues>
+
 namespace groma::model {
 
 double wrap_angle(double theta_rad) noexcept {
@@ -110,6 +112,25 @@ SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) no
   out.d_rotation_d_y = out.d_rotation_wt_d_y * rz;
   out.d_rotation_d_theta = tilt.rotation * drz;
   return out;
+}
+
+Eigen::Matrix3d to_matrix(const PoseCovariance& covariance) noexcept {
+  const auto& [xx, xy, xt, yy, yt, tt] = covariance;
+  Eigen::Matrix3d out;
+  out << xx, xy, xt,  //
+      xy, yy, yt,     //
+      xt, yt, tt;
+  return out;
+}
+
+bool is_covariance(const PoseCovariance& covariance) noexcept {
+  constexpr double kRounding = 1e-5;
+  const Eigen::Matrix3d matrix = to_matrix(covariance);
+  if (!matrix.allFinite() || !(matrix.diagonal().minCoeff() > 0.0)) return false;
+  const Eigen::Vector3d inverse_sigma = matrix.diagonal().cwiseSqrt().cwiseInverse();
+  const Eigen::Matrix3d correlation = inverse_sigma.asDiagonal() * matrix * inverse_sigma.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(correlation, Eigen::EigenvaluesOnly);
+  return axes.eigenvalues()(0) > -kRounding;
 }
 
 }  // namespace groma::model

@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 
 #include "host/model/surface.hpp"
+#include "host/model/types.hpp"
 
 namespace groma::model {
 
@@ -49,5 +50,10 @@ struct SurfacePose {
   Eigen::Matrix3d d_rotation_wt_d_y;
 };
 [[nodiscard]] SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) noexcept;
+
+[[nodiscard]] Eigen::Matrix3d to_matrix(const PoseCovariance& covariance) noexcept;
+// Whether it can be one: finite, each variance positive, no direction with a negative one, but for
+// the rounding of floats.
+[[nodiscard]] bool is_covariance(const PoseCovariance& covariance) noexcept;
 
 }  // namespace groma::model

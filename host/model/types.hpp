@@ -1,9 +1,11 @@
 // What both estimators take in: plain values, SI units, radians, REP-103 axes.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <optional>
 
 #include <Eigen/Core>
 
@@ -57,6 +59,9 @@ struct OdometrySample {
   double omega_radps = 0.0;
 };
 
+// The covariance of x, y and yaw (m, rad), its upper triangle: xx, xy, xt, yy, yt, tt.
+using PoseCovariance = std::array<double, 6>;
+
 // A pose of base_link in the map frame. Where roll and pitch are unknown (NaN), yaw is the heading
 // on the surface, R_WR = R_WT(x, y) R_z(yaw); where they are known it is the ZYX yaw.
 struct PoseSample {
@@ -67,6 +72,7 @@ struct PoseSample {
   double yaw_rad = 0.0;
   double roll_rad = std::numeric_limits<double>::quiet_NaN();
   double pitch_rad = std::numeric_limits<double>::quiet_NaN();
+  std::optional<PoseCovariance> covariance = std::nullopt;  // none: not known
 };
 
 // An estimated planar pose: x, y and heading in the map frame with their covariance, in that order.

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <numbers>
 #include <vector>
 
 #include "host/calibration/initial_guess.hpp"
@@ -88,6 +89,29 @@ TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
   const Eigen::MatrixXd expected = test::numerical_jacobian(gradient, scene.truth, 1e-6);
   const Eigen::MatrixXd found = linearize(scene.problem, kernels, scene.truth).information;
   EXPECT_NEAR((found - expected).norm() / expected.norm(), 0.0, 1e-4);
+}
+
+// With hardly anything but the core in the kernel, a row counts as its whole variance says.
+TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
+  Scene scene = make_scene(7, 0.1, 0.0);
+  KernelShape shape{.scale_m = 0.1, .wide = 0.0, .bumps = {}, .gross = 1e-9};
+  const std::vector<RobustKernel> kernels(kTags, RobustKernel(shape));
+  test::Random random(8);
+  for (Observation& row : scene.rows) {
+    const Eigen::Vector2d one = 0.3 * random.gaussians(2);
+    const Eigen::Vector2d other = 0.1 * random.gaussians(2);
+    const Eigen::Matrix2d spread = one * one.transpose() + other * other.transpose();
+    row.pose_spread_m2 = Eigen::Vector3d(spread(0, 0), spread(0, 1), spread(1, 1)).cast<float>();
+    const double gamma = scene.truth(gamma_index(row.tag, kTags));
+    const Eigen::Vector2d j = gamma * (row.tag_m - scene.truth.head<3>()).normalized().head<2>();
+    const double variance_m2 = 0.01 + j.dot(spread * j);
+    const double r = 1.5 * std::sqrt(variance_m2);
+    const KernelValue value = value_of(scene.problem, kernels, row, r, scene.truth).seen;
+    EXPECT_NEAR(value.weight * variance_m2, 1.0, 2e-3);
+    EXPECT_NEAR(value.slope * variance_m2 / r, 1.0, 2e-3);
+    EXPECT_NEAR(value.density * std::sqrt(2.0 * std::numbers::pi * variance_m2) / std::exp(-0.5 * 2.25), 1.0,
+                2e-3);
+  }
 }
 
 TEST(AnchorSolver, NeverEndsWorseThanItStarted) {

@@ -59,6 +59,42 @@ TEST(Association, TellsTheAntennasVelocityAndYawArm) {
   EXPECT_NEAR(by_yaw.z(), 0.0, 1e-9);
 }
 
+// How the antenna scatters where x, y and yaw do, by its definition.
+TEST(Association, TellsHowThePosesErrorMovesTheAntenna) {
+  test::Random random(5);
+  const Eigen::Matrix3d root = Eigen::Vector3d(0.3, 0.2, 0.1).asDiagonal() *
+                               Eigen::Matrix3d::NullaryExpr([&] { return random.gaussian(); });
+  const Eigen::Matrix3d covariance = root * root.transpose();
+  std::vector<PoseSample> poses{{.t_s = 0.0, .yaw_rad = 0.4}, {.t_s = 0.2, .x_m = 0.3, .yaw_rad = 0.6}};
+  const auto told = [&](double factor) -> model::PoseCovariance {
+    const Eigen::Matrix3d all = factor * covariance;
+    return {all(0, 0), all(0, 1), all(0, 2), all(1, 1), all(1, 2), all(2, 2)};
+  };
+  EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero());
+  poses[0].covariance = told(1.0);
+  EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero())
+      << "one pose does not tell it";
+  poses[1].covariance = told(3.0);
+  const Observation row = only_row(poses, 0.05, model::Surface());
+  Eigen::Matrix<double, 2, 3> by_pose;
+  for (Eigen::Index axis = 0; axis < 3; ++axis) {
+    std::vector<PoseSample> moved = poses;
+    for (PoseSample& pose : moved) {
+      pose.x_m += axis == 0 ? 1e-6 : 0.0;
+      pose.y_m += axis == 1 ? 1e-6 : 0.0;
+      pose.yaw_rad += axis == 2 ? 1e-6 : 0.0;
+    }
+    by_pose.col(axis) = (only_row(moved, 0.05, model::Surface()).tag_m - row.tag_m).head<2>() / 1e-6;
+  }
+  const Eigen::Matrix2d expected = by_pose * (1.5 * covariance) * by_pose.transpose();
+  EXPECT_NEAR(row.pose_spread_m2(0), expected(0, 0), 1e-5);
+  EXPECT_NEAR(row.pose_spread_m2(1), expected(0, 1), 1e-5);
+  EXPECT_NEAR(row.pose_spread_m2(2), expected(1, 1), 1e-5);
+  poses[1].covariance = told(-1.0);
+  EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero())
+      << "no covariance at all";
+}
+
 TEST(Association, MovesARangeBackByItsDelay) {
   const std::vector<PoseSample> poses{{.t_s = 0.0}, {.t_s = 0.2, .x_m = 1.0}};
   EXPECT_NEAR(only_row(poses, 0.15, model::Surface(), 0.05).tag_m.x(), 0.5 + 1.0, 1e-9);

@@ -30,6 +30,57 @@ TEST(Calibrate, TellsTheFrameThatAllAnchorsShare) {
   EXPECT_LT(std::sqrt(frame(3, 3)), 0.02);
 }
 
+// Poses that are poor for a quarter of the drive, and say so where they are told to.
+test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool told) {
+  test::SimulatedSite site = test::simulate_site({.ranges_per_pair = 400, .beta_sigma_m = 0.3}, seed);
+  test::Random random(seed + 100);
+  Eigen::Vector3d error = random.gaussians(3);
+  for (std::size_t i = 0; i < site.poses.size(); ++i) {
+    model::PoseSample& pose = site.poses[i];
+    const double keep = std::exp(-0.05 / correlation_s);
+    error = keep * error + std::sqrt(1.0 - keep * keep) * random.gaussians(3);
+    const bool poor = pose.t_s > 90.0 && pose.t_s < 150.0;
+    const double sigma_m = poor ? 0.4 : 0.01;
+    const double sigma_rad = poor ? 0.04 : 0.001;
+    pose.x_m += sigma_m * error.x();
+    pose.y_m += sigma_m * error.y();
+    pose.yaw_rad = model::wrap_angle(pose.yaw_rad + sigma_rad * error.z());
+    if (!told) continue;
+    pose.covariance = {sigma_m * sigma_m, 0.0, 0.0, sigma_m * sigma_m, 0.0, sigma_rad * sigma_rad};
+  }
+  return site;
+}
+
+TEST(Calibrate, TrustsPosesAsTheySay) {
+  struct Score {
+    double square_error_m2 = 0.0;
+    double nees = 0.0;
+    double anchors = 0.0;
+  };
+  for (const double correlation_s : {0.02, 1.0, 20.0}) {
+    const auto score = [&](bool told) {
+      Score out;
+      for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+        const test::SimulatedSite site = partly_poor(seed, correlation_s, told);
+        const model::Calibration found = calibrate(site.drive()).calibration;
+        for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+          const Eigen::Vector3d error_m = found.anchors[a].position_m - site.anchors[a].position_m;
+          const Eigen::Matrix3d covariance = found.anchors[a].covariance.topLeftCorner<3, 3>();
+          out.square_error_m2 += error_m.squaredNorm();
+          out.nees += error_m.dot(covariance.ldlt().solve(error_m)) / 3.0;
+          out.anchors += 1.0;
+        }
+      }
+      return out;
+    };
+    const Score with = score(true);
+    const Score without = score(false);
+    EXPECT_LT(with.square_error_m2, without.square_error_m2);
+    EXPECT_GT(with.nees / with.anchors, 0.7);
+    EXPECT_LT(with.nees / with.anchors, 1.3);
+  }
+}
+
 TEST(Calibrate, IsTheSameEachTime) {
   const test::SimulatedSite site = test::simulate_site({.outlier_share = 0.2}, 5);
   const Result one = calibrate(site.drive());

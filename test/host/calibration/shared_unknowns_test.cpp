@@ -63,7 +63,8 @@ TEST(SharedUnknowns, JacobianIsTheDerivativeOfTheRange) {
 
 TEST(SharedUnknowns, AMovedRowHasTheErrorTakenOff) {
   test::Random random(2);
-  const SharedUnknowns unknowns{.knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 2}, .body_tags = 1};
+  const SharedUnknowns unknowns{
+      .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 2}, .knot_scale = {}, .body_tags = 1};
   for (int i = 0; i < 20; ++i) {
     Observation row = random_row(random);
     row.t_s = kFraction * unknowns.knots.spacing_s;
@@ -77,7 +78,8 @@ TEST(SharedUnknowns, AMovedRowHasTheErrorTakenOff) {
 }
 
 TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
-  const SharedUnknowns unknowns{.knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 5}, .body_tags = 1};
+  const SharedUnknowns unknowns{
+      .knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 5}, .knot_scale = {}, .body_tags = 1};
   const SharedPrior prior{.wander = {.sigma_m = 0.2, .sigma_yaw_rad = 0.01, .correlation_s = 7.0},
                           .delay_sigma_s = 0.03,
                           .body = true};
@@ -94,12 +96,59 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
   EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
 }
 
+TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
+  test::Random random(4);
+  SharedUnknowns unknowns{.knots = {.begin_s = 1.0, .spacing_s = 3.0, .count = 4}, .knot_scale = {}};
+  std::vector<PoseSpread> spreads;
+  std::vector<Eigen::Matrix3d> told;
+  for (int k = 0; k < 3; ++k) {  // of the last knot nothing
+    Eigen::Matrix3d root = Eigen::Vector3d(0.3, 0.3, 0.02).asDiagonal() * Eigen::Matrix3d::Identity();
+    for (Eigen::Index axis = 0; axis < 3; ++axis) root.row(axis) *= 1.0 + 0.5 * random.uniform();
+    root(1, 0) = 0.1 * random.gaussian();
+    root(2, 0) = 0.01 * random.gaussian();
+    told.emplace_back(root * root.transpose());
+    for (const double share : {0.5, 1.5}) {
+      spreads.push_back({.t_s = 1.0 + 3.0 * k + share - 1.0, .covariance = share * told.back()});
+    }
+  }
+  const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
+  unknowns.knot_scale = scale_knots(unknowns.knots, spreads, typical);
+  // Of twice the typical size: twice what the poses say.
+  const SharedPrior prior{.wander = {.sigma_m = 0.6, .sigma_yaw_rad = 0.04, .correlation_s = 7.0},
+                          .delay_sigma_s = 0.03};
+  const Eigen::MatrixXd information = prior_information(unknowns, prior);
+  const Eigen::MatrixXd covariance = information.inverse();
+  for (Eigen::Index k = 0; k < 3; ++k) {
+    const Eigen::Matrix3d expected = 4.0 * told[static_cast<std::size_t>(k)];
+    EXPECT_LT((covariance.block<3, 3>(3 * k, 3 * k) - expected).norm(), 1e-4 * expected.norm());
+  }
+  EXPECT_NEAR(covariance(9, 9), 0.36, 1e-6);
+  EXPECT_NEAR(covariance(11, 11), 0.0016, 1e-8);
+  // From knot to knot each keeps its share, in its own measure.
+  const Eigen::Matrix3d one = unknowns.knot_scale[1].inverse() * covariance.block<3, 3>(3, 6) *
+                              unknowns.knot_scale[2].inverse().transpose();
+  EXPECT_NEAR(one(0, 0), 0.36 * std::exp(-3.0 / 7.0), 1e-6);
+  EXPECT_NEAR(one(2, 2), 0.0016 * std::exp(-3.0 / 7.0), 1e-8);
+  EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
+}
+
+TEST(SharedUnknowns, TypicalQualityIsThatOfTheMiddlePose) {
+  std::vector<PoseSpread> spreads;
+  EXPECT_FALSE(typical_quality(spreads).has_value());
+  for (const double sigma : {0.1, 0.2, 5.0}) {
+    spreads.push_back({.t_s = 0.0, .covariance = sigma * sigma * Eigen::Matrix3d::Identity()});
+  }
+  EXPECT_NEAR(typical_quality(spreads)->sigma_m, 0.2, 1e-12);
+  EXPECT_NEAR(typical_quality(spreads)->sigma_yaw_rad, 0.2, 1e-12);
+}
+
 // All anchors' and the shared unknowns in one dense system, row by row.
 TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   test::Random random(3);
   constexpr std::size_t kAnchors = 3;
   constexpr Eigen::Index kOwn = 3 + 2 * kTags;
-  const SharedUnknowns unknowns{.knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .body_tags = kTags};
+  const SharedUnknowns unknowns{
+      .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kTags};
   const std::vector<double> inflation{1.0, 2.5, 4.0};
   std::vector<std::vector<Observation>> rows(kAnchors);
   std::vector<AnchorFit> fits(kAnchors);

@@ -51,6 +51,50 @@ TEST(RobotInput, ReadsBothClasses) {
   EXPECT_EQ(input.counters().dropped(), 0U);
 }
 
+// As the pose stream has it, a 6 x 6 of which those of x, y and yaw count.
+std::string pose_with(const std::string& covariance) {
+  return R"({"class":"POSE_PRIOR","t_s":2,"x_m":1,"y_m":2,"z_m":3,"yaw_rad":0.5,"covariance":)" + covariance +
+         "}\n";
+}
+
+TEST(RobotInput, ReadsThePartOfACovarianceThatCounts) {
+  RobotInput input;
+  push(input,
+       pose_with("[4,1,null,null,null,0.5, 1,9,null,null,null,0.25, null,null,null,null,null,null,"
+                 "null,null,null,null,null,null, null,null,null,null,null,null, 0.5,0.25,null,null,null,1]"));
+  std::string unknown = "[null";
+  for (int i = 1; i < 36; ++i) unknown += ",null";
+  push(input, pose_with(unknown + "]"));
+  push(input, pose_with("null"));
+  const auto messages = take_all(input);
+  ASSERT_EQ(messages.size(), 3U);
+  const model::PoseCovariance expected{4.0, 1.0, 0.5, 9.0, 0.25, 1.0};
+  EXPECT_EQ(std::get<model::PoseSample>(messages[0]).covariance, expected);
+  EXPECT_FALSE(std::get<model::PoseSample>(messages[1]).covariance.has_value());
+  EXPECT_FALSE(std::get<model::PoseSample>(messages[2]).covariance.has_value());
+}
+
+TEST(RobotInput, DropsAPoseWhoseCovarianceIsNone) {
+  RobotInput input;
+  std::string zeros = "[0";
+  std::string text = "[\"a\"";
+  for (int i = 1; i < 36; ++i) {
+    zeros += ",0";
+    text += ",1";
+  }
+  push(input, pose_with("[1,0,0,1,0,1]"));
+  push(input, pose_with("4"));
+  push(input, pose_with(zeros + "]"));
+  push(input, pose_with(text + "]"));
+  // A negative variance of yaw, one term unknown, and two that should be the same.
+  for (const std::string last : {"0,0,0,0,0,-1]", "null,0,0,0,0,1]", "0.5,0,0,0,0,1]"}) {
+    push(input, pose_with("[1,0,0,0,0,0, 0,1,0,0,0,0, 0,0,1,0,0,0, 0,0,0,1,0,0, 0,0,0,0,1,0, " + last));
+  }
+  EXPECT_TRUE(take_all(input).empty());
+  EXPECT_EQ(input.counters().bad_value, 7U);
+  EXPECT_THAT(input.last_problem(), testing::HasSubstr("covariance"));
+}
+
 TEST(RobotInput, PutsLinesTogetherFromSingleBytes) {
   RobotInput input;
   std::size_t messages = 0;

@@ -258,6 +258,8 @@ TEST_P(DataFaultTest, IsADataErrorWithItsPlace) {
   EXPECT_THAT(message, HasSubstr("; ")) << "the message says what to do";
 }
 
+const std::string kPoses = "t_s,x_m,y_m,z_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n0,1,2,3,0.1,,,,,,\n";
+
 const std::string kRanges = "t_s,tag_id,anchor_id,range_m\n0.1,1,4,5.25\n";
 
 INSTANTIATE_TEST_SUITE_P(
@@ -293,6 +295,17 @@ INSTANTIATE_TEST_SUITE_P(
               "ranges.csv:2:11", "'loud' is not a number"},
         Fault{"RollText", "groundtruth.csv", "t_s,x_m,y_m,z_m,yaw_rad,roll_rad\n0,1,2,3,0.1,flat\n",
               "groundtruth.csv:2:13", "'flat' is not a number"},
+        Fault{"CovarianceNaN", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,nan,0,0.01,0,0.01\n",
+              "pose_prior.csv:3:18", "'nan' is not a finite number"},
+        Fault{"CovarianceHalf", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,,,0.01,,0.01\n",
+              "pose_prior.csv:3", "is not whole"},
+        Fault{"CovarianceColumnMissing", "pose_prior.csv",
+              "t_s,x_m,y_m,z_m,yaw_rad,p_xx,p_yy\n0,1,2,3,0.1,0.01,0.01\n", "pose_prior.csv:2",
+              "is not whole"},
+        Fault{"CovarianceIndefinite", "groundtruth.csv", kPoses + "1,1,2,3,0.1,0.01,0.011,0,0.01,0,0.01\n",
+              "groundtruth.csv:3", "no covariance"},
+        Fault{"CovarianceZero", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,0,0,0.01,0,0\n",
+              "pose_prior.csv:3", "no covariance"},
         Fault{"NoTags", "tags.csv", "tag_id,x_m,y_m,z_m\n", "tags.csv", "there are no tags"},
         Fault{"TagTwice", "tags.csv", "tag_id,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n", "tags.csv:3:1",
               "id 1 is there twice"},

@@ -28,7 +28,9 @@ Dataset sample() {
        model::kAntennaDelaysApplied | model::kPowerBiasCorrected, 9'123'456'789'012'345}};
   dataset.odometry = {{0.0, 0.5, -0.01, 0.002}, {0.02, 1.0 / 3.0, 0.0, -0.002}};
   dataset.ground_truth = {{0.0, 1.0, 2.0, 0.5, 3.1}, {0.05, 1.0 / 7.0, 2.0, 0.5, -3.1}};
-  dataset.pose_prior = {{0.0, 1.01, 2.02, 0.5, 3.0, 0.01, -0.02}};
+  const model::PoseCovariance covariance{0.04, 0.01, -1.0 / 300.0, 0.09, 0.002, 0.0025};
+  dataset.pose_prior = {{0.0, 1.01, 2.02, 0.5, 3.0, 0.01, -0.02},
+                        {0.1, 1.03, 2.02, 0.5, 3.0, 0.01, -0.02, covariance}};
   return dataset;
 }
 
@@ -73,8 +75,10 @@ TEST(DatasetWriter, WhatIsWrittenReadsBackTheSame) {
   ASSERT_EQ(read.ground_truth.size(), 2U);
   EXPECT_EQ(read.ground_truth[1].x_m, written.ground_truth[1].x_m);
   EXPECT_TRUE(std::isnan(read.ground_truth[1].roll_rad));
-  ASSERT_EQ(read.pose_prior.size(), 1U);
+  ASSERT_EQ(read.pose_prior.size(), 2U);
   EXPECT_EQ(read.pose_prior[0].pitch_rad, -0.02);
+  EXPECT_FALSE(read.pose_prior[0].covariance.has_value());
+  EXPECT_EQ(read.pose_prior[1].covariance, written.pose_prior[1].covariance);
 }
 
 TEST(DatasetWriter, APlaneStandsInTheDescription) {

@@ -71,6 +71,7 @@ TEST(Log, GivesBackWhatWasPut) {
   Dataset run = as_recorded(20.0);
   run.pose_prior[3].roll_rad = 0.02;
   run.pose_prior[3].pitch_rad = -0.01;
+  run.pose_prior[5].covariance = {0.25, 0.0625, -0.03125, 0.5, 0.015625, 0.0078125};
   const ScratchFolder folder;
   folder.write("drive.glog", log_of(run));
   const Dataset back = read_dataset(folder / "drive.glog");
@@ -89,6 +90,7 @@ TEST(Log, GivesBackWhatWasPut) {
     EXPECT_EQ(back.pose_prior[i].x_m, run.pose_prior[i].x_m);
     EXPECT_EQ(back.pose_prior[i].yaw_rad, run.pose_prior[i].yaw_rad);
     EXPECT_EQ(std::isnan(back.pose_prior[i].roll_rad), i != 3);
+    EXPECT_EQ(back.pose_prior[i].covariance, run.pose_prior[i].covariance);
   }
   EXPECT_EQ(back.pose_prior[3].roll_rad, 0.02);
   EXPECT_EQ(back.pose_prior[3].pitch_rad, -0.01);
@@ -200,11 +202,15 @@ TEST(Log, NeverHoldsWhatIsNoNumber) {
   run.ranges[5].range_m = std::nan("");
   run.odometry[2].vx_mps = std::nan("");
   run.pose_prior[1].x_m = std::nan("");
+  run.pose_prior.back().covariance = {-1.0, 0.0, 0.0, 1.0, 0.0, 1.0};
   const LogContent content = parse_log(log_of(run));
   EXPECT_GT(content.damaged_bytes, 0U);
   for (const auto& range : content.sections[0].ranges) EXPECT_TRUE(std::isfinite(range.range_m));
   for (const auto& row : content.sections[0].odometry) EXPECT_TRUE(std::isfinite(row.vx_mps));
-  for (const auto& pose : content.sections[0].poses) EXPECT_TRUE(std::isfinite(pose.x_m));
+  for (const auto& pose : content.sections[0].poses) {
+    EXPECT_TRUE(std::isfinite(pose.x_m));
+    EXPECT_FALSE(pose.covariance.has_value());
+  }
 }
 
 TEST(Log, IsToldFromOtherFiles) {
