@@ -26,6 +26,12 @@ constexpr double kHeightDisagreement_m = 0.1;
 constexpr std::size_t kMinHeldOut = 10;
 // An anchor is not further off than so many times its nearest range.
 constexpr double kReachFactor = 2.0;
+// Where the score scatters so much more than independent residuals make it, parts of the drive are set
+// against each other.
+constexpr double kHangingTogether = 1.5;
+// Square sigmas between the solutions of the drive's beginning and of all of it: chi square with three
+// degrees of freedom, 99.97 %.
+constexpr double kContradiction = 18.8;
 // Residuals that neither a wall nor a shadow makes.
 constexpr double kFar_m = 1.5;
 constexpr double kShort_m = 0.3;
@@ -186,6 +192,14 @@ void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
   if (less.allFinite()) covariance -= 0.5 * (less + less.transpose());
 }
 
+// The first part of the drive by itself gave another position than all of it: where they contradict each
+// other, either may be as wrong as they are apart.
+void admit_shift(const Eigen::Vector3d& shift_m, Eigen::MatrixXd& covariance) {
+  const Eigen::Matrix3d of_both = 2.0 * covariance.topLeftCorner<3, 3>();
+  const double square_sigmas = shift_m.dot(of_both.ldlt().solve(shift_m));
+  if (square_sigmas > kContradiction) covariance.topLeftCorner<3, 3>() += shift_m * shift_m.transpose();
+}
+
 std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen::MatrixXd& covariance,
                                          std::span<const model::Tag> tags) {
   std::vector<model::PairBias> out;
@@ -300,6 +314,24 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   return site;
 }
 
+// What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
+void look_again(Site& site, const model::RangePriors& priors) {
+  const auto is_moved = [](const AnchorPath& path) { return !path.moves.empty(); };
+  if (!is_within_reach(site.fits) || std::any_of(site.paths.begin(), site.paths.end(), is_moved)) return;
+  for (AnchorFit& fit : site.fits) {
+    fit.problem.sight = nullptr;
+    fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
+  }
+  site.sight = {};
+  refine_site(site.fits, priors, kLastRounds);
+  const PollTable polls = tabulate_polls(site.association);
+  if (is_sight_wanted(polls, site.fits, priors))
+    site.sight = solve_sight(polls, first_sight_model(polls, priors), site.fits, priors);
+  site.evidence.clear();
+  explore(site);
+  refine_site(site.fits, priors, kLastRounds);
+}
+
 // The robot's height is its own or that of the ground: whichever explains the ranges better.
 Site solve_at_best_height(const Drive& drive, const Options& options) {
   Site site = solve_at_height(drive, options, HeightSource::kPose);
@@ -375,7 +407,12 @@ Result calibrate(const Drive& drive, const Options& options) {
     held_out.push_back(
         score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
   }
-  DriveError drive_error = correct_drive(site.association, site.fits, usable_priors(drive.priors));
+  const model::RangePriors priors = usable_priors(drive.priors);
+  DriveError drive_error = correct_drive(site.association, site.fits, priors);
+  if (!drive_error.body.empty() && !site.sight.anchors.empty()) {
+    look_again(site, priors);
+    correct_further(site.association, site.fits, priors, drive_error);
+  }
   const Association& association = site.association;
   const std::vector<double> inflation = score_inflation(drive_error.evidence);
 
@@ -401,6 +438,13 @@ Result calibrate(const Drive& drive, const Options& options) {
     // Without what walls add: that is told with each wall, not with the anchor.
     const Eigen::Index size = wall_index(association.tags.size());
     anchor.covariance = covariance[i].topLeftCorner(size, size);
+    if (!site.sight.anchors.empty() || inflation[i] > kHangingTogether) {
+      if (const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(fit)) {
+        const Eigen::MatrixXd expected =
+            anchor_covariance(drive_error.evidence[i], inflation[i]).topLeftCorner(size, size);
+        anchor.covariance += excess_of_jackknife(*jackknife, expected);
+      }
+    }
     const Sight sight = sum_up(result.fitted.emplace_back(look_at_rows(fit, association.tags)));
     // Where an anchor was moved, what came before counts as rejected.
     anchor.ranges_used = fit.problem.rows.size() - sight.rejected;
@@ -421,7 +465,6 @@ Result calibrate(const Drive& drive, const Options& options) {
     known.in_sight_share = sight.share;
     known.inflation = inflation[i];
     if (median_scale_m > 0.0) known.flicker = flicker_m(result.fitted[i]) / median_scale_m;
-    known.inflation_ratio = inflation[i] / *std::min_element(inflation.begin(), inflation.end());
     known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
     known.count_ratio = median_rows > 0.0 ? static_cast<double>(data.rows.size()) / median_rows : 1.0;
     if (!fit.problem.rows.empty() && !fit.problem.position.surveyed)
@@ -430,6 +473,8 @@ Result calibrate(const Drive& drive, const Options& options) {
     for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
       if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
     }
+    if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed)
+      admit_shift((fit.anchor - site.beginning[i].anchor).head<3>(), anchor.covariance);
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
     anchor.held_out_rms_m = held_out[i].rms_m;
     anchor.held_out_robust_rms_m = held_out[i].robust_rms_m;

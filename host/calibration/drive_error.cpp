@@ -264,17 +264,31 @@ double pattern_size_m(std::span<const BodyError> body) {
   return body.empty() ? 0.0 : std::sqrt(square_m2 / terms);
 }
 
+// A pattern does not end with the second degree; those of the third, as large in the plane and at the poles.
+constexpr Eigen::Index kThirdDegreeTerms = 7;
+Eigen::Matrix<double, kThirdDegreeTerms, 1> third_degree_terms(const Eigen::Vector3d& b) noexcept {
+  const double x = b.x();
+  const double y = b.y();
+  const double z = b.z();
+  Eigen::Matrix<double, kThirdDegreeTerms, 1> out;
+  out << x * (x * x - 3.0 * y * y), y * (3.0 * x * x - y * y), 2.0 * z * (x * x - y * y), 4.0 * x * y * z,
+      x * (5.0 * z * z - 1.0), y * (5.0 * z * z - 1.0), z * (5.0 * z * z - 3.0);
+  return out;
+}
+
 // By how much each coefficient of a pattern of the anchor's own antenna, which stands still in the map, would
 // pull at the anchor's unknowns: sum of weight J h^T.
 Eigen::MatrixXd pull_of_own_pattern(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
-  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(fit.anchor.size(), model::kPatternTerms);
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(fit.anchor.size(), model::kPatternTerms + kThirdDegreeTerms);
   for (const Observation& row : fit.problem.rows) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
     const double weight =
         value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor).seen.weight;
     const PairRow j = weight * pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
-    const Eigen::RowVectorXd terms = model::pattern_terms(predicted.direction).transpose();
+    Eigen::Matrix<double, 1, model::kPatternTerms + kThirdDegreeTerms> terms;
+    terms << model::pattern_terms(predicted.direction).transpose(),
+        third_degree_terms(predicted.direction).transpose();
     out.topRows<3>() += j.head<3>() * terms;
     out.row(beta_index(row.tag)) += j(3) * terms;
     out.row(gamma_index(row.tag, tags)) += j(4) * terms;
@@ -295,6 +309,64 @@ std::vector<double> inflations(std::span<const Evidence> evidence, double durati
   out.reserve(evidence.size());
   for (const Evidence& of_anchor : evidence) out.push_back(inflation_within(of_anchor, duration_s));
   return out;
+}
+
+// Solves for all that is believed, from what has been taken off already, until it rests; and what follows of
+// it. An open delay is held at zero where it does not show clearly.
+void settle(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
+            bool is_delay_open, std::vector<double> inflation, DriveError& out) {
+  const SharedUnknowns& unknowns = out.unknowns;
+  SharedPrior& prior = out.prior;
+  Eigen::VectorXd& error = out.shared_mean;
+  JointEquations equations;
+  Eigen::MatrixXd covariance;
+  for (int round = 0; round < kRounds; ++round) {
+    equations = eliminate_anchors(fits, inflation, unknowns);
+    Eigen::MatrixXd believed = prior_information(unknowns, prior);
+    const auto solve = [&] {
+      const Eigen::LDLT<Eigen::MatrixXd> posterior(equations.information + believed);
+      covariance = posterior.solve(Eigen::MatrixXd::Identity(unknowns.size(), unknowns.size()));
+      return Eigen::VectorXd(posterior.solve(equations.descent - believed * error));
+    };
+    Eigen::VectorXd step = solve();
+    if (round == 0 && is_delay_open) {
+      const double sigma_s = std::sqrt(std::max(0.0, covariance(unknowns.delay(), unknowns.delay())));
+      if (std::abs(step(unknowns.delay())) < kMinDelaySigmas * sigma_s) {
+        prior.delay_sigma_s = kNoDelaySigma_s;
+        believed = prior_information(unknowns, prior);
+        step = solve();
+      }
+    }
+    if (!step.allFinite() || !covariance.allFinite()) return;
+    if (!take_step(association, fits, inflation, unknowns, believed, step, error)) break;
+    refine_site(fits, priors, 1);
+    // What is explained by now hangs together no more; what still does is of places.
+    out.evidence = evidence_of(fits);
+    inflation = inflations(out.evidence, kWhile_s);
+    if (step.dot((equations.information + believed) * step) < kRestingSigmas * kRestingSigmas) break;
+  }
+  if (prior.delay_sigma_s > kNoDelaySigma_s) {
+    out.range_delay_s = error(unknowns.delay());
+    out.range_delay_sigma_s = std::sqrt(covariance(unknowns.delay(), unknowns.delay()));
+  }
+  out.body.clear();
+  for (std::size_t tag = 0; tag < unknowns.body_tags; ++tag) {
+    const Eigen::Index at = unknowns.body(tag);
+    out.body.push_back({.mean = error.segment<kBodyTerms>(at),
+                        .covariance = covariance.block<kBodyTerms, kBodyTerms>(at, at)});
+  }
+  out.pattern_m = pattern_size_m(out.body);
+  out.shared_gain.clear();
+  for (std::size_t i = 0; i < fits.size(); ++i) {
+    const AnchorPart& part = equations.anchors[i];
+    out.shared_gain.push_back(part.gain);
+    out.added_covariance[i] = part.gain * covariance * part.gain.transpose();
+    if (!(out.pattern_m > 0.0)) continue;
+    const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
+    out.added_covariance[i] += out.pattern_m * out.pattern_m * response * response.transpose();
+  }
+  out.frame_covariance = frame_covariance(unknowns.knots, covariance, mean_antenna_m(fits));
+  out.shared_covariance = std::move(covariance);
 }
 
 }  // namespace
@@ -326,61 +398,29 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
         unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), mean_antenna_m(fits));
     return out;
   }
-  unknowns = arrange(fits, association.pose_spreads, question, prior);
+  out.unknowns = arrange(fits, association.pose_spreads, question, prior);
+  out.prior = prior;
+  out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());
   if (question.typical && prior.wander.sigma_m > 0.0) {
-    const double share = white_share(prior.wander, *question.typical, unknowns.knots.spacing_s);
+    const double share = white_share(prior.wander, *question.typical, out.unknowns.knots.spacing_s);
     for (AnchorObservations& anchor : association.anchors) {
       for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
     }
   }
-  Eigen::VectorXd error = Eigen::VectorXd::Zero(unknowns.size());
-  Eigen::MatrixXd covariance;
-  for (int round = 0; round < kRounds; ++round) {
-    equations = eliminate_anchors(fits, inflation, unknowns);
-    Eigen::MatrixXd believed = prior_information(unknowns, prior);
-    const auto solve = [&] {
-      const Eigen::LDLT<Eigen::MatrixXd> posterior(equations.information + believed);
-      covariance = posterior.solve(Eigen::MatrixXd::Identity(unknowns.size(), unknowns.size()));
-      return Eigen::VectorXd(posterior.solve(equations.descent - believed * error));
-    };
-    Eigen::VectorXd step = solve();
-    if (round == 0) {
-      const double sigma_s = std::sqrt(std::max(0.0, covariance(unknowns.delay(), unknowns.delay())));
-      if (std::abs(step(unknowns.delay())) < kMinDelaySigmas * sigma_s) {
-        prior.delay_sigma_s = kNoDelaySigma_s;
-        believed = prior_information(unknowns, prior);
-        step = solve();
-      }
-    }
-    if (!step.allFinite() || !covariance.allFinite()) return out;
-    if (!take_step(association, fits, inflation, unknowns, believed, step, error)) break;
-    refine_site(fits, priors, 1);
-    // What is explained by now hangs together no more; what still does is of places.
-    out.evidence = evidence_of(fits);
-    inflation = inflations(out.evidence, kWhile_s);
-    if (step.dot((equations.information + believed) * step) < kRestingSigmas * kRestingSigmas) break;
-  }
-  if (prior.delay_sigma_s > kNoDelaySigma_s) {
-    out.range_delay_s = error(unknowns.delay());
-    out.range_delay_sigma_s = std::sqrt(covariance(unknowns.delay(), unknowns.delay()));
-  }
-  for (std::size_t tag = 0; tag < unknowns.body_tags; ++tag) {
-    const Eigen::Index at = unknowns.body(tag);
-    out.body.push_back({.mean = error.segment<kBodyTerms>(at),
-                        .covariance = covariance.block<kBodyTerms, kBodyTerms>(at, at)});
-  }
-  const double pattern_m = pattern_size_m(out.body);
-  for (std::size_t i = 0; i < fits.size(); ++i) {
-    const AnchorPart& part = equations.anchors[i];
-    out.shared_gain.push_back(part.gain);
-    out.added_covariance[i] = part.gain * covariance * part.gain.transpose();
-    if (!(pattern_m > 0.0)) continue;
-    const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
-    out.added_covariance[i] += pattern_m * pattern_m * response * response.transpose();
-  }
-  out.frame_covariance = frame_covariance(unknowns.knots, covariance, mean_antenna_m(fits));
-  out.shared_covariance = std::move(covariance);
+  settle(association, fits, priors, /*is_delay_open=*/true, inflation, out);
   return out;
+}
+
+void correct_further(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
+                     DriveError& drive_error) {
+  for (std::size_t i = 0; i < fits.size(); ++i) {
+    const Eigen::Index size = fits[i].anchor.size();
+    drive_error.added_covariance[i] = Eigen::MatrixXd::Zero(size, size);
+  }
+  drive_error.evidence = evidence_of(fits);
+  if (drive_error.shared_gain.empty()) return;
+  settle(association, fits, priors, /*is_delay_open=*/false, inflations(drive_error.evidence, kWhile_s),
+         drive_error);
 }
 
 }  // namespace groma::calibration

@@ -25,6 +25,7 @@ struct DriveError {
   double range_delay_s = 0.0;  // zero where the ranges do not show one clearly
   double range_delay_sigma_s = 0.0;
   std::vector<BodyError> body;     // of each tag; empty where the ranges do not show it clearly
+  double pattern_m = 0.0;          // size of the tags' antenna patterns, a coefficient; zero where not known
   std::vector<Evidence> evidence;  // of each fit as it comes back
   // What the error's remaining uncertainty adds to each anchor's covariance, in the order of the fits.
   std::vector<Eigen::MatrixXd> added_covariance;
@@ -34,11 +35,18 @@ struct DriveError {
   std::vector<Eigen::MatrixXd> shared_gain;
   // Of the shift and turn (x, y, z, yaw about the map's origin) that all poses share.
   Eigen::Matrix4d frame_covariance = Eigen::Matrix4d::Zero();
+  // What is believed, and what has been taken off the rows.
+  SharedUnknowns unknowns;
+  SharedPrior prior;
+  Eigen::VectorXd shared_mean;
 };
 
 // Estimates the error, moves the antennas of the association's rows (which the fits refer to) to where they
 // were by it and takes their patterns off the ranges, and moves the fits with them.
 [[nodiscard]] DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
                                        const model::RangePriors& priors);
+// The same from where that ended, after the fits' rows have been looked at anew: what is believed stays.
+void correct_further(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
+                     DriveError& drive_error);
 
 }  // namespace groma::calibration

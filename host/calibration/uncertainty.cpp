@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 
 namespace groma::calibration {
 namespace {
@@ -15,6 +17,15 @@ constexpr double kMaxScoreBlocks = 4096.0;
 constexpr double kSignificance = 2.5;
 // The mean curvature of a kernel is believed no further below its majorizer than this.
 constexpr double kMinCurvatureShare = 0.3;
+
+// Of the jackknife: parts of the drive, solver steps for each.
+constexpr int kParts = 5;
+constexpr int kJackknifeSteps = 6;
+constexpr std::size_t kMinJackknifeRows = 50;
+// Largest eigenvalue of a Wishart matrix of 3 dimensions and 4 degrees of freedom over those: 99.7 %.
+constexpr double kLargestByChance = 5.5;
+// Variance of Student's t with 4 degrees of freedom.
+constexpr double kStudent = 2.0;
 
 // What one pair's rows say together.
 struct PairMoments {
@@ -173,6 +184,47 @@ double inflation_within(const Evidence& evidence, double duration_s) {
   for (double block_s = kScoreBlock_s; block_s <= duration_s && count < kBlockLevels; block_s *= 2.0) ++count;
   return significant_ratio(std::span(evidence.scatter).first(count),
                            static_cast<double>(evidence.information.rows()));
+}
+
+std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit) {
+  const std::span<const Observation> rows = fit.problem.rows;
+  if (rows.size() < kMinJackknifeRows || fit.problem.position.surveyed) return std::nullopt;
+  const double begin_s = rows.front().t_s;
+  const double part_s = (rows.back().t_s - begin_s) / kParts;
+  Eigen::Matrix3d sum = Eigen::Matrix3d::Zero();
+  std::vector<Observation> kept;
+  kept.reserve(rows.size());
+  for (int part = 0; part < kParts; ++part) {
+    const double from_s = begin_s + part * part_s;
+    const double to_s = part + 1 == kParts ? rows.back().t_s + 1.0 : from_s + part_s;
+    kept.clear();
+    std::copy_if(rows.begin(), rows.end(), std::back_inserter(kept),
+                 [&](const Observation& row) { return row.t_s < from_s || row.t_s >= to_s; });
+    AnchorProblem problem = fit.problem;
+    problem.rows = kept;
+    const Eigen::Vector3d moved_m =
+        (solve_anchor(problem, fit.kernels, fit.anchor, kJackknifeSteps).anchor - fit.anchor).head<3>();
+    sum += moved_m * moved_m.transpose();
+  }
+  return Eigen::Matrix3d((kParts - 1.0) / kParts * sum);
+}
+
+Eigen::MatrixXd excess_of_jackknife(const Eigen::Matrix3d& jackknife, const Eigen::MatrixXd& expected) {
+  const Eigen::Index size = expected.rows();
+  const Eigen::LLT<Eigen::Matrix3d> root(expected.topLeftCorner<3, 3>());
+  if (root.info() != Eigen::Success || !jackknife.allFinite()) return Eigen::MatrixXd::Zero(size, size);
+  const Eigen::Matrix3d half = root.matrixL().solve(jackknife);
+  const Eigen::Matrix3d relative = root.matrixL().solve(half.transpose());
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(0.5 * (relative + relative.transpose()));
+  Eigen::Matrix3d more = Eigen::Matrix3d::Zero();
+  for (Eigen::Index axis = 0; axis < 3; ++axis) {
+    const double ratio = axes.eigenvalues()(axis);
+    if (ratio < kLargestByChance) continue;
+    const Eigen::Vector3d direction = axes.eigenvectors().col(axis);
+    more += (kStudent * ratio - 1.0) * direction * direction.transpose();
+  }
+  const Eigen::MatrixXd by_position = root.matrixL().solve(expected.topRows<3>());
+  return by_position.transpose() * more * by_position;
 }
 
 Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {

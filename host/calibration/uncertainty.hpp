@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstddef>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -39,6 +40,17 @@ struct Evidence {
 
 // The same of one anchor alone, over blocks no longer than this.
 [[nodiscard]] double inflation_within(const Evidence& evidence, double duration_s);
+
+// How the position scatters with which part of the drive it was solved from: the delete-a-fifth jackknife,
+// m^2. Unlike scores it sees what hangs together for as long as that, and where the cost is no parabola. None
+// where there are too few rows, or the position was held fixed.
+[[nodiscard]] std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit);
+
+// What the jackknife has more than the covariance expected, in those directions where that is no chance, on
+// the position; the biases follow by regression. `expected`: of the ranges alone, (position, beta, gamma
+// ...).
+[[nodiscard]] Eigen::MatrixXd excess_of_jackknife(const Eigen::Matrix3d& jackknife,
+                                                  const Eigen::MatrixXd& expected);
 
 // Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1. A surveyed position keeps its
 // prior's covariance, and its error goes on into the biases that were learnt with it held fixed.

@@ -34,10 +34,9 @@ constexpr double kWallVariation_m = 0.25;
 constexpr double kNeverInSight = 0.10;
 constexpr double kHardlyInSight = 0.30;
 // By how much walls that were told from a bias differ, in common and from place to place, and what is left of
-// rows whose sight was misjudged.
+// rows whose sight was misjudged and of poses whose error no range tells.
 constexpr double kWallDiffers_m = 0.15;
 constexpr double kWallPlaces_m = 0.10;
-constexpr double kUnmodelled = 10.0;
 constexpr double kMisjudged_m = 0.012;
 constexpr double kMisjudgedBeta_m = 0.005;
 // Shares of ranges that no wall explains: the anchor's geometry is not what the ranges say.
@@ -120,10 +119,6 @@ void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen
     if (is_never_in_sight(evidence)) add_common_bias(kWallSigma_m, kWallVariation_m, tag_count, covariance);
     return;
   }
-  // Residuals that hang together although each row's sight is known have a reason that is not in the model,
-  // and the fit has taken up part of it: most where they do so more than the other anchors'.
-  covariance *=
-      (1.0 + (evidence.inflation - 1.0) / kUnmodelled) * evidence.inflation_ratio * evidence.inflation_ratio;
   covariance.diagonal().head<3>().array() += kMisjudged_m * kMisjudged_m;
   covariance.diagonal().segment(3, static_cast<Eigen::Index>(tag_count)).array() +=
       kMisjudgedBeta_m * kMisjudgedBeta_m;

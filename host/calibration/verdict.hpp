@@ -45,7 +45,6 @@ struct AnchorEvidence {
   double count_ratio = 1.0;               // its ranges over the site's median
   double inflation = 1.0;                 // of the score's scatter, by correlation in time
   double flicker = 1.0;                   // scatter from one range to the next over the site's noise
-  double inflation_ratio = 1.0;           // over the least of all anchors
   std::optional<MoveEvidence> moved;      // during the drive
   std::optional<Eigen::Vector3d> twin_m;  // another place that it answers from
   std::optional<SightEvidence> sight;
