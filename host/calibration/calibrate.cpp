@@ -473,8 +473,11 @@ Result calibrate(const Drive& drive, const Options& options) {
     for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
       if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
     }
-    if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed)
-      admit_shift((fit.anchor - site.beginning[i].anchor).head<3>(), anchor.covariance);
+    const AnchorFit& first = site.beginning[i];
+    if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed &&
+        2 * first.problem.rows.size() > fit.problem.rows.size()) {
+      admit_shift((fit.anchor - first.anchor).head<3>(), anchor.covariance);
+    }
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
     anchor.held_out_rms_m = held_out[i].rms_m;
     anchor.held_out_robust_rms_m = held_out[i].robust_rms_m;

@@ -67,6 +67,16 @@ class RecordedRun : public ::testing::Test {
         });
   }
 
+  // Nor one that is outside of its ellipsoid of 99.7 %.
+  void expect_no_lie() const {
+    for_each_error([&](const model::AnchorCalibration& anchor, const Eigen::Vector3d& error_m, double) {
+      if (anchor.verdict != model::AnchorVerdict::kOk) return;
+      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
+      EXPECT_LT(error_m.dot(covariance.ldlt().solve(error_m)), 14.16)
+          << anchor.id << " is off by " << error_m.transpose();
+    });
+  }
+
   io::Dataset dataset_;
   Result result_;
 };
@@ -98,6 +108,9 @@ TEST_F(RecordedRun, McdFindsAnchorsFromTheSlamPrior) {
   EXPECT_NEAR(result_.calibration.range_delay_s, 0.018, 0.008);
   EXPECT_TRUE(result_.calibration.tags.empty());
   expect_marked(kFar_m, 3.0);
+  for_each_error([](const model::AnchorCalibration& anchor, const Eigen::Vector3d&, double sigmas_z) {
+    EXPECT_LT(sigmas_z, 3.0) << anchor.id << ": its height is open, and its covariance says so";
+  });
 }
 
 TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
@@ -105,6 +118,7 @@ TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
   if (IsSkipped()) return;
   EXPECT_LE(mean_xy_error_m(), 0.14);
   EXPECT_EQ(result_.calibration.tags.size(), 1U);
+  expect_no_lie();
   expect_marked(kFar_m, kAny);
 }
 
@@ -113,6 +127,7 @@ TEST_F(RecordedRun, StarlocFindsAnchorsByWhatTheRigDoesToRanges) {
   if (IsSkipped()) return;
   EXPECT_LE(mean_xy_error_m(), 0.18);
   EXPECT_EQ(result_.calibration.tags.size(), 1U);
+  expect_no_lie();
   expect_marked(kFar_m, 3.0);
 }
 
@@ -125,6 +140,7 @@ TEST_F(RecordedRun, StarlocWithRawRangesIsMarked) {
     largest_m = std::max(largest_m, error_m.norm());
   });
   EXPECT_GT(largest_m, kFar_m) << "else this run shows nothing";
+  expect_no_lie();
   expect_marked(kFar_m, kAny);
 }
 
