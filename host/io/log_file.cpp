@@ -168,7 +168,7 @@ bool take(const groma_LogPoses& in, std::vector<model::PoseSample>& out) {
   }
   std::vector<std::optional<model::PoseCovariance>> covariances(n);
   for (pb_size_t i = 0; i < n && in.covariance_count > 0; ++i) {
-    if (!take_covariance(in.covariance + kTerms * i, covariances[i])) return false;
+    if (!take_covariance(in.covariance + kTerms * std::size_t{i}, covariances[i])) return false;
   }
   for (pb_size_t i = 0; i < n; ++i) {
     model::PoseSample& pose = out.emplace_back();
