@@ -32,6 +32,8 @@ constexpr double kHangingTogether = 1.5;
 // Square sigmas between the solutions of the drive's beginning and of all of it: chi square with three
 // degrees of freedom, 99.97 %.
 constexpr double kContradiction = 18.8;
+// Half of the least move that is one.
+constexpr double kMovePose_m = 0.075;
 // Residuals that neither a wall nor a shadow makes.
 constexpr double kFar_m = 1.5;
 constexpr double kShort_m = 0.3;
@@ -288,6 +290,14 @@ void explore(Site& site, const model::Calibration* earlier) {
   }
 }
 
+// Poses that say of themselves that they may be off by as much as a move is long show none.
+bool can_tell_moves(const Association& association) {
+  return std::all_of(
+      association.pose_spreads.begin(), association.pose_spreads.end(), [](const PoseSpread& spread) {
+        return spread.covariance.topLeftCorner<2, 2>().trace() < 2.0 * kMovePose_m * kMovePose_m;
+      });
+}
+
 Site solve_at_height(const Drive& drive, const Options& options, HeightSource height) {
   Site site;
   site.association = associate(drive, options.max_pose_gap_s, 0.0, height);
@@ -307,7 +317,8 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
     if (is_sight_wanted(polls, site.fits, problem.priors)) {
       site.sight = solve_sight(polls, first_sight_model(polls, problem.priors), site.fits, problem.priors);
     }
-    site.paths = find_moved(polls, site.sight, site.fits, problem.priors);
+    if (can_tell_moves(site.association))
+      site.paths = find_moved(polls, site.sight, site.fits, problem.priors);
   }
   explore(site, options.earlier);
   refine_site(site.fits, problem.priors, kLastRounds);
@@ -315,7 +326,7 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
 }
 
 // What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
-void look_again(Site& site, const model::RangePriors& priors) {
+void look_again(Site& site, const model::RangePriors& priors, const model::Calibration* earlier) {
   const auto is_moved = [](const AnchorPath& path) { return !path.moves.empty(); };
   if (!is_within_reach(site.fits) || std::any_of(site.paths.begin(), site.paths.end(), is_moved)) return;
   for (AnchorFit& fit : site.fits) {
@@ -328,7 +339,7 @@ void look_again(Site& site, const model::RangePriors& priors) {
   if (is_sight_wanted(polls, site.fits, priors))
     site.sight = solve_sight(polls, first_sight_model(polls, priors), site.fits, priors);
   site.evidence.clear();
-  explore(site);
+  explore(site, earlier);
   refine_site(site.fits, priors, kLastRounds);
 }
 
@@ -410,7 +421,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   const model::RangePriors priors = usable_priors(drive.priors);
   DriveError drive_error = correct_drive(site.association, site.fits, priors);
   if (!drive_error.body.empty() && !site.sight.anchors.empty()) {
-    look_again(site, priors);
+    look_again(site, priors, options.earlier);
     correct_further(site.association, site.fits, priors, drive_error);
   }
   const Association& association = site.association;
