@@ -97,6 +97,7 @@ TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
   KernelShape shape{.scale_m = 0.1, .wide = 0.0, .bumps = {}, .gross = 1e-9};
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(shape));
   test::Random random(8);
+  Eigen::MatrixXd information = information_of_priors(scene.problem);
   for (Observation& row : scene.rows) {
     const Eigen::Vector2d one = 0.3 * random.gaussians(2);
     const Eigen::Vector2d other = 0.1 * random.gaussians(2);
@@ -111,7 +112,16 @@ TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
     EXPECT_NEAR(value.slope * variance_m2 / r, 1.0, 2e-3);
     EXPECT_NEAR(value.density * std::sqrt(2.0 * std::numbers::pi * variance_m2) / std::exp(-0.5 * 2.25), 1.0,
                 2e-3);
+    Eigen::VectorXd by_all = Eigen::VectorXd::Zero(scene.truth.size());
+    by_all.head<3>() = gamma * (scene.truth.head<3>() - row.tag_m).normalized();
+    by_all(beta_index(row.tag)) = 1.0;
+    by_all(gamma_index(row.tag, kTags)) = (scene.truth.head<3>() - row.tag_m).norm();
+    information += by_all * by_all.transpose() / variance_m2;
   }
+  // All rows side by side weigh as each by itself.
+  const NormalEquations whole = linearize(scene.problem, kernels, scene.truth);
+  EXPECT_LT((whole.information - information).norm(), 2e-3 * information.norm());
+  EXPECT_NEAR(whole.cost, robust_cost(scene.problem, kernels, scene.truth), 1e-3 * std::abs(whole.cost));
 }
 
 TEST(AnchorSolver, NeverEndsWorseThanItStarted) {
