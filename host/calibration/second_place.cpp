@@ -11,7 +11,7 @@
 namespace groma::calibration {
 namespace {
 
-constexpr std::size_t kBins = 40;
+constexpr std::size_t kBins = 24;
 constexpr std::size_t kRowsPerBin = 15;
 // Beyond so many scales a residual pulls no harder.
 constexpr double kHuberScales = 3.0;
@@ -33,7 +33,7 @@ constexpr double kPreference = 0.5;
 // A row is clearly of one place where its cost there is less by this.
 constexpr double kClear = 3.0;
 // Rows that the one place does not explain, of which the larger part has another in common.
-constexpr double kRejectedShare = 0.1;
+constexpr double kRejectedShare = 0.2;
 constexpr double kExplainedShare = 0.5;
 constexpr double kExplainedScales = 3.0;
 constexpr double kFar_m = 1.5;
