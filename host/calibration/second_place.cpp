@@ -11,7 +11,7 @@
 namespace groma::calibration {
 namespace {
 
-constexpr std::size_t kBins = 24;
+constexpr std::size_t kBins = 40;
 constexpr std::size_t kRowsPerBin = 15;
 // Beyond so many scales a residual pulls no harder.
 constexpr double kHuberScales = 3.0;
@@ -24,7 +24,8 @@ constexpr double kGammaAgain = 5e-4;
 constexpr double kOpenShift_m = 10.0;
 // A stretch that gains less is not looked at.
 constexpr double kLeastGain = 30.0;
-// Two places are apart by this, in the plane.
+// Two places are apart by this in the plane, and by as much in the ranges of the stretch: a robot that stood
+// there tells of the one direction alone, and any place in the others would do.
 constexpr double kApart_m = 0.15;
 constexpr int kRounds = 4;
 constexpr int kRefinements = 3;
@@ -147,12 +148,25 @@ bool prefers_each(std::span<const double> prefer_there, const Stretch& stretch) 
   return inside > kPreference * rows_inside && -outside > kPreference * rows_outside;
 }
 
+// Root mean square of what the ranges differ by between the places.
+double apart_in_range_m(std::span<const Observation> rows, const AnchorFit& here, const AnchorFit& there) {
+  const std::size_t tags = here.problem.tag_count;
+  double sum_m2 = 0.0;
+  for (const Observation& row : rows) {
+    const double apart_m =
+        predict(row, there.anchor, tags).distance_m - predict(row, here.anchor, tags).distance_m;
+    sum_m2 += apart_m * apart_m;
+  }
+  return std::sqrt(sum_m2 / static_cast<double>(rows.size()));
+}
+
 // The rows solved as of two places, the stretch's and that of the others; then the stretch that prefers the
 // one, and so on.
 std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
   const std::span<const Observation> rows = problem.rows;
   SecondPlace out;
   std::vector<double> prefer_there;
+  double apart_m = 0.0;
   for (int round = 0; round < kRounds; ++round) {
     if (!is_parted(rows, stretch)) return std::nullopt;
     std::vector<Observation> outside(rows.begin(), rows.begin() + static_cast<std::ptrdiff_t>(stretch.first));
@@ -165,6 +179,8 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
     refine_site(here, problem.priors, kRefinements);
     const AnchorFit there =
         place_of_stretch(here.front(), rows.subspan(stretch.first, stretch.last - stretch.first));
+    apart_m =
+        apart_in_range_m(rows.subspan(stretch.first, stretch.last - stretch.first), here.front(), there);
     out.usual_place_m = here.front().anchor.head<3>();
     out.place_m = there.anchor.head<3>();
     prefer_there = preferences(rows, here.front(), there);
@@ -172,7 +188,8 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
     if (stretch == before) break;
   }
   if (!is_parted(rows, stretch)) return std::nullopt;
-  if ((out.place_m - out.usual_place_m).head<2>().norm() < kApart_m) return std::nullopt;
+  if ((out.place_m - out.usual_place_m).head<2>().norm() < kApart_m || apart_m < kApart_m)
+    return std::nullopt;
   out.first = stretch.first;
   out.last = stretch.last;
   out.torn_share = torn_share(prefer_there, stretch);
