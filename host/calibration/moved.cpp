@@ -177,6 +177,12 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
     if (!pieces.sight.shares.empty() && pieces.sight.shares[i].polls(kInSight) <= kMinInSight)
       return std::nullopt;
   }
+  // Nor do a few rows tell of a place, or many that hang together as walls make them: of so many a piece has
+  // to tell as if each were by itself.
+  for (const std::size_t i : {piece, piece + 1}) {
+    const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
+    if (rows < static_cast<double>(kLeastStretchRows) * pieces.inflation[i]) return std::nullopt;
+  }
   Shift shift = shift_to_next(pieces, piece);
   if (!is_move(shift)) return std::nullopt;
   // Not so where one of the two has but settled on another side of the tags.
