@@ -36,19 +36,27 @@ struct GateConfig {
   double garbage_share = 0.01;  // of ranges
   double garbage_width_m = 50.0;
 
-  // Beyond so many sigmas the weight falls with the square, too: calibrations may be wrong.
-  double knee = 1.5;
+  // Beyond so many sigmas the weight falls with the square, too: calibrations may be wrong. The chain's own
+  // weight sees to what is nearer.
+  double knee = 3.0;
 
   // The factor upon the range sigma: its change with each range, and its bounds.
   double noise_step = 0.005;
   double noise_least = 0.5;
   double noise_most = 4.0;
 
-  // The share of weight refused, averaged over window_s, from which the state itself is doubted: its
-  // covariance then grows by these rates (per sqrt(s)) until ranges are accepted again.
+  // When it is the state that is doubted, not the ranges. Blocked ranges are too long, a wrong state makes as
+  // many too short: so of late (window_s) the share of those used that stays behind those that are too short
+  // tells, and of those that are too long only what lasts (patience_s).
   double doubt_share = 0.7;
   double window_s = 1.0;
-  double doubt_position_m = 1.0;
+  double patience_s = 5.0;
+  // Or as many anchors refuse, by more than a way around an obstacle adds (twice excess_m), as agree; and
+  // those are fewer than a position and a check of it take.
+  double far_m = 1.0;
+  int fixing_anchors = 3;
+  // The covariance then grows by these rates (per sqrt(s)) until ranges are accepted again.
+  double doubt_position_m = 0.7;
   double doubt_heading_rad = 0.2;
 };
 

@@ -60,7 +60,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   chain.t_s = t_s;
   chain.blocked = prior;
   if (!(total > 0.0)) {
-    observe(t_s, 0.0);
+    observe(anchor, t_s, innovation_m, 0.0);
     return 0.0;
   }
 
@@ -70,7 +70,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   if (knees > 1.0) weight /= knees * knees;
   if (!(weight >= kNoWeight)) weight = 0.0;
   adapt_noise(innovation_m / sigma);
-  observe(t_s, weight);
+  observe(anchor, t_s, innovation_m, weight);
   return weight;
 }
 
@@ -81,14 +81,56 @@ void Gate::adapt_noise(double e) noexcept {
   noise_scale_ = std::clamp(noise_scale_ * (1.0 + step), config_.noise_least, config_.noise_most);
 }
 
-void Gate::observe(double t_s, double weight) noexcept {
-  const double fade = std::exp(-std::max(t_s - t_s_, 0.0) / config_.window_s);
+void Gate::Tally::fade(double until_s, double window_s) noexcept {
+  const double fade = std::exp(-std::max(until_s - t_s, 0.0) / window_s);
+  t_s = until_s;
+  seen *= fade;
+  refused *= fade;
+  refused_m *= fade;
+}
+
+void Gate::Tally::add(double innovation_m, double weight) noexcept {
+  seen += 1.0;
+  refused += 1.0 - weight;
+  refused_m += (1.0 - weight) * std::abs(innovation_m);
+}
+
+bool Gate::Tally::refuses(double share) const noexcept {
+  return seen >= kFewRanges && refused > share * seen;
+}
+
+void Gate::observe(int anchor, double t_s, double innovation_m, double weight) noexcept {
+  // Garbage is off by anything; what lasts is not.
+  const double off_m = std::clamp(innovation_m, -config_.garbage_width_m, config_.garbage_width_m);
+  Tally& own = anchors_[static_cast<std::size_t>(anchor)];
+  own.fade(t_s, config_.window_s);
+  own.add(off_m, weight);
+  all_.fade(t_s, config_.patience_s);
+  all_.add(off_m, weight);
+  too_short_.fade(t_s, config_.window_s);
+  too_short_.seen += off_m < 0.0 ? 1.0 : weight;
+  too_short_.refused += off_m < 0.0 ? 1.0 - weight : 0.0;
   t_s_ = t_s;
-  seen_ = seen_ * fade + 1.0;
-  rejected_ = rejected_ * fade + (1.0 - weight);
+
   const bool before = doubts_;
-  doubts_ = seen_ >= kFewRanges && rejected_ > config_.doubt_share * seen_;
+  doubts_ =
+      too_short_.refuses(config_.doubt_share) || all_.refuses(config_.doubt_share) || anchors_refuse(t_s);
   if (doubts_ && !before) ++doubts_begun_;
+}
+
+bool Gate::anchors_refuse(double t_s) const noexcept {
+  int agreeing = 0;
+  int refusing = 0;
+  for (const Tally& anchor : anchors_) {
+    if (anchor.seen < kFewRanges || t_s - anchor.t_s > config_.window_s) continue;
+    if (!anchor.refuses(config_.doubt_share)) {
+      ++agreeing;
+    } else if (anchor.refused_m > config_.far_m * anchor.refused) {
+      ++refusing;
+    }
+  }
+  // One alone may have any reason.
+  return refusing >= 2 && refusing >= agreeing && agreeing < config_.fixing_anchors;
 }
 
 bool Gate::doubts(double t_s) const noexcept {
@@ -99,8 +141,9 @@ void Gate::reset(double t_s) noexcept {
   pairs_.fill({t_s, config_.blocked_share});
   noise_scale_ = 1.0;
   t_s_ = t_s;
-  rejected_ = 0.0;
-  seen_ = 0.0;
+  too_short_ = {.t_s = t_s};
+  all_ = {.t_s = t_s};
+  anchors_.fill({.t_s = t_s});
   doubts_ = false;
 }
 

@@ -29,8 +29,7 @@ class Gate {
   // Factor upon the configured sigma of ranges that makes innovations as wide as they should be.
   [[nodiscard]] double noise_scale() const noexcept { return noise_scale_; }
 
-  // Too large a share of late has been turned away: not the ranges, the state is wrong. Where no ranges come
-  // there is no doubt either.
+  // Not the ranges, the state is wrong: see GateConfig. Where no ranges come there is no doubt either.
   [[nodiscard]] bool doubts(double t_s) const noexcept;
   // Times that a doubt began.
   [[nodiscard]] std::size_t doubts_begun() const noexcept { return doubts_begun_; }
@@ -43,16 +42,30 @@ class Gate {
     double blocked = 0.0;
   };
 
+  // Sums over ranges that fade with time.
+  struct Tally {
+    double t_s = 0.0;
+    double seen = 0.0;
+    double refused = 0.0;
+    double refused_m = 0.0;  // refused times the innovation's size
+
+    void fade(double until_s, double window_s) noexcept;
+    void add(double innovation_m, double weight) noexcept;
+    [[nodiscard]] bool refuses(double share) const noexcept;
+  };
+
   Pair& pair(int anchor, int tag) noexcept;
   void adapt_noise(double e) noexcept;
-  void observe(double t_s, double weight) noexcept;
+  void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
+  [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 
   GateConfig config_;
   std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
   double noise_scale_ = 1.0;
   double t_s_ = 0.0;
-  double rejected_ = 0.0;  // fading sums over window_s
-  double seen_ = 0.0;
+  Tally too_short_;  // and those used
+  Tally all_;
+  std::array<Tally, kMaxAnchors> anchors_{};
   bool doubts_ = false;
   std::size_t doubts_begun_ = 0;
 };

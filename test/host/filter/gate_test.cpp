@@ -109,6 +109,41 @@ TEST(Gate, DoubtsTheStateWhenMostIsRefusedAndNotForOneBlockedPair) {
   EXPECT_FALSE(gate.doubts(t_s));
 }
 
+// A range each 10 ms by the anchors in turn, of which the first so many are off by that much.
+double feed(Gate& gate, double begin_s, double duration_s, int anchors, int off, double off_m) {
+  double t_s = begin_s;
+  for (int i = 0; t_s < begin_s + duration_s; ++i, t_s += 0.01) {
+    static_cast<void>(gate.weigh(i % anchors, 0, t_s, i % anchors < off ? off_m : 0.0, kVariance_m2));
+  }
+  return t_s;
+}
+
+TEST(Gate, TakesManyTooLongForBlockedUntilItLastsAndTooShortForAWrongState) {
+  for (const double off_m : {5.0 * kSigma_m, -5.0 * kSigma_m}) {
+    Gate gate{GateConfig{}};
+    double t_s = feed(gate, 0.0, 10.0, 12, 0, 0.0);
+    t_s = feed(gate, t_s, 3.0, 12, 10, off_m);
+    EXPECT_EQ(gate.doubts(t_s), off_m < 0.0);
+    t_s = feed(gate, t_s, 10.0, 12, 10, off_m);
+    EXPECT_TRUE(gate.doubts(t_s));
+  }
+}
+
+TEST(Gate, DoubtsWhereAsManyAnchorsAreFarOffAsAgreeButForThreeThatAgree) {
+  const auto doubts = [](int anchors, int off, double off_m) {
+    Gate gate{GateConfig{}};
+    double t_s = feed(gate, 0.0, 10.0, anchors, 0, 0.0);
+    t_s = feed(gate, t_s, 2.0, anchors, off, off_m);
+    return gate.doubts(t_s);
+  };
+  EXPECT_TRUE(doubts(4, 2, 2.0));
+  EXPECT_FALSE(doubts(4, 2, 0.5));  // as much as an obstacle adds
+  EXPECT_FALSE(doubts(4, 1, 2.0));
+  EXPECT_FALSE(doubts(2, 1, 2.0));
+  EXPECT_FALSE(doubts(5, 2, 2.0));
+  EXPECT_FALSE(doubts(6, 3, 2.0));
+}
+
 TEST(Gate, AdaptsTheNoiseWithinItsBounds) {
   const GateConfig config;
   Random random(51);
