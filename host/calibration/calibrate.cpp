@@ -12,6 +12,7 @@
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/moved.hpp"
+#include "host/calibration/range_noise.hpp"
 #include "host/calibration/rival.hpp"
 #include "host/calibration/sight_solver.hpp"
 #include "host/calibration/site_solver.hpp"
@@ -504,6 +505,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   result.calibration.common_frame_covariance = drive_error.frame_covariance;
   result.calibration.range_delay_s = drive_error.range_delay_s;
   result.calibration.range_delay_sigma_s = drive_error.range_delay_sigma_s;
+  result.calibration.range_noise = range_noise(site.fits, association.tags.size());
   result.calibration.verdict = judge_site(result.calibration.anchors);
   return result;
 }

@@ -260,6 +260,7 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
   calibration.anchors.clear();
   for (auto& [id, anchor] : anchors) calibration.anchors.push_back(std::move(anchor));
   calibration.common_frame_covariance = 0.5 * (common + common.transpose());
+  if (!later.range_noise) calibration.range_noise = earlier.range_noise;
   if (!(later.range_delay_sigma_s > 0.0)) {
     calibration.range_delay_s = earlier.range_delay_s;
     calibration.range_delay_sigma_s = earlier.range_delay_sigma_s;

@@ -184,6 +184,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
     live_.common_frame_covariance = frame;
     live_.range_delay_s = learnt_.calibration.range_delay_s;
     live_.range_delay_sigma_s = learnt_.calibration.range_delay_sigma_s;
+    live_.range_noise = learnt_.calibration.range_noise;
     live_.tags = learnt_.calibration.tags;
   } else {
     // The filter's poses wander within the frame of the anchors that it tracks by.

@@ -72,7 +72,11 @@ struct Config {
   double hold_walk_mps = 1.0;          // m/s per sqrt(s)
   double hold_walk_radps = 0.5;        // rad/s per sqrt(s)
 
-  double range_sigma_m = 0.1;
+  double range_sigma_m = 0.1;  // where the calibration observed none
+  // The slow error on other drives than the calibration's, by what it left there: beta, gamma and poses were
+  // fitted to that very error, which took much of it away, of what is slowest most.
+  double slow_error_growth = 2.5;
+  double slow_time_growth = 3.0;
   double lever_arm_sigma_m = 0.01;
   // Expected age of a range at its stamp, where the calibration observed none; sigma 0: the delay is known.
   double range_delay_s = 0.0;

@@ -27,8 +27,22 @@ Learning learning(Model model) noexcept {
   return Learning::kNothing;
 }
 
-Filter::Snapshot begin(std::span<const model::Tag> tags, const model::Calibration& calibration,
+// The calibration as it holds on another drive than its own.
+model::Calibration on_another_drive(model::Calibration calibration, const Config& config) {
+  if (calibration.range_noise) {
+    calibration.range_noise->slow_sigma_m *= config.slow_error_growth;
+    calibration.range_noise->slow_time_s *= config.slow_time_growth;
+  }
+  if (calibration.range_delay_sigma_s > 0.0) {
+    calibration.range_delay_sigma_s =
+        std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s);
+  }
+  return calibration;
+}
+
+Filter::Snapshot begin(std::span<const model::Tag> tags, const model::Calibration& told,
                        const Config& config) {
+  const model::Calibration calibration = on_another_drive(told, config);
   Parameters parameters(tags, calibration);
   JointCovariance covariance(parameters, calibration, config.lever_arm_sigma_m, learning(config.model));
   return {
@@ -45,9 +59,14 @@ bool finite(const model::OdometrySample& row) noexcept {
 Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
                const model::Calibration& calibration, const Config& config)
     : surface_(std::move(surface)), config_(config), now_(begin(tags, calibration, config)) {
-  if (calibration.range_delay_sigma_s > 0.0) {
-    config_.range_delay_s = calibration.range_delay_s;
-    config_.range_delay_sigma_s = std::hypot(calibration.range_delay_sigma_s, config_.range_delay_change_s);
+  const model::Calibration here = on_another_drive(calibration, config);
+  if (here.range_noise) {
+    config_.range_sigma_m = here.range_noise->white_sigma_m;
+    if (here.range_noise->slow_sigma_m > 0.0) slow_time_s_ = here.range_noise->slow_time_s;
+  }
+  if (here.range_delay_sigma_s > 0.0) {
+    config_.range_delay_s = here.range_delay_s;
+    config_.range_delay_sigma_s = here.range_delay_sigma_s;
   }
 }
 
@@ -235,6 +254,7 @@ void Filter::step(double dt_s) noexcept {
   now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
   now_.covariance.propagate(motion.d_core);
   now_.t_s += dt_s;
+  if (slow_time_s_ > 0.0) now_.covariance.fade_slow_errors(std::exp(-dt_s / slow_time_s_));
 
   now_.covariance.grow(kScale, square(config_.scale_walk) * dt_s);
   now_.covariance.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);

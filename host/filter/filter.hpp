@@ -145,6 +145,7 @@ class Filter {
 
   model::Surface surface_;
   Config config_;
+  double slow_time_s_ = 0.0;  // 0: there is no slow error
   Snapshot now_;
 };
 

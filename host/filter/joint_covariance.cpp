@@ -20,6 +20,17 @@ JointCovariance::JointCovariance(const Parameters& parameters, const model::Cali
   }
   for (int tag = 0; tag < parameters.tag_count(); ++tag) block(parameters.lever_arm(tag), 3);
   block(parameters.frame(), kFrameSize);
+  // What a calibration is not sure of itself has more than one solution: a filter settles for a wrong one.
+  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+    const int slot = parameters.anchor_slot(anchor.id);
+    if (slot < 0 || anchor.verdict == model::AnchorVerdict::kOk) continue;
+    learns_.segment(parameters.position(slot), parameters.anchor_size()).setZero();
+  }
+  first_slow_error_ = parameters.slow_error(0);
+  for (int anchor = 0; anchor < parameters.anchor_count(); ++anchor) {
+    block(parameters.slow_error(anchor), 1);
+    learns_(parameters.slow_error(anchor)) = 0.0;
+  }
 }
 
 void JointCovariance::reset_core(const CoreVector& variances) noexcept {
@@ -44,6 +55,14 @@ void JointCovariance::propagate(const Eigen::Matrix<double, 3, kCoreSize>& f) no
   auto moved = scratch_.leftCols<3>();
   moved.noalias() = cross_.lazyProduct(f.transpose());
   cross_.leftCols<3>() = moved;
+}
+
+void JointCovariance::fade_slow_errors(double factor) noexcept {
+  const Eigen::Index slow = parameters_.rows() - first_slow_error_;
+  cross_.bottomRows(slow) *= factor;
+  if (learning_ == Learning::kNothing) return;
+  parameters_.topRightCorner(first_slow_error_, slow) *= factor;
+  parameters_.bottomLeftCorner(slow, first_slow_error_) *= factor;
 }
 
 double JointCovariance::project_core(const CoreRow& d_core, CoreVector& out) const noexcept {

@@ -42,6 +42,9 @@ class JointCovariance {
   // P <- F P F^T with F the identity but for the pose's rows.
   void propagate(const Eigen::Matrix<double, 3, kCoreSize>& pose_rows) noexcept;
 
+  // Slow errors of ranges forget: what relates them to all else falls by that factor, their variance stays.
+  void fade_slow_errors(double factor) noexcept;
+
   // For the model that knows core alone.
   [[nodiscard]] double project_core(const CoreRow& d_core, CoreVector& out) const noexcept;
   // H Pp H^T of the parameters alone.
@@ -67,6 +70,7 @@ class JointCovariance {
   };
 
   Learning learning_;
+  int first_slow_error_ = 0;
   CoreMatrix core_ = CoreMatrix::Zero();
   Cross cross_;
   ParameterMatrix parameters_;

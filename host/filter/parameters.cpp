@@ -84,7 +84,11 @@ ParameterMatrix Parameters::prior_covariance(const model::Calibration& calibrati
         .diagonal()
         .setConstant(lever_arm_sigma_m * lever_arm_sigma_m);
   }
-  covariance.bottomRightCorner<kFrameSize, kFrameSize>() = calibration.common_frame_covariance;
+  if (calibration.range_noise) {
+    const double sigma_m = calibration.range_noise->slow_sigma_m;
+    covariance.diagonal().tail(anchor_count_).setConstant(sigma_m * sigma_m);
+  }
+  covariance.block<kFrameSize, kFrameSize>(frame(), frame()) = calibration.common_frame_covariance;
   return covariance;
 }
 

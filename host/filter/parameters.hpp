@@ -25,7 +25,7 @@ class Parameters {
 
   [[nodiscard]] int anchor_count() const noexcept { return anchor_count_; }
   [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
-  [[nodiscard]] int size() const noexcept { return frame() + kFrameSize; }
+  [[nodiscard]] int size() const noexcept { return slow_error(anchor_count_); }
 
   // Slot of an id, -1 where there is none.
   [[nodiscard]] int anchor_slot(model::NodeId id) const noexcept;
@@ -41,6 +41,8 @@ class Parameters {
   [[nodiscard]] int lever_arm(int tag) const noexcept { return anchor_count_ * anchor_size() + 3 * tag; }
   [[nodiscard]] int frame() const noexcept { return lever_arm(tag_count_); }
 
+  [[nodiscard]] int slow_error(int anchor) const noexcept { return frame() + kFrameSize + anchor; }
+
   [[nodiscard]] const ParameterVector& values() const noexcept { return values_; }
   [[nodiscard]] ParameterVector& values() noexcept { return values_; }
 
@@ -49,7 +51,8 @@ class Parameters {
     return patterns_m_[static_cast<std::size_t>(tag)];
   }
 
-  // The covariance they come with: a block of each anchor, of each lever arm, of the frame; nothing between.
+  // The covariance they come with: a block of each anchor, of each lever arm, of the frame; the
+  // variance of each slow error; nothing between.
   [[nodiscard]] ParameterMatrix prior_covariance(const model::Calibration& calibration,
                                                  double lever_arm_sigma_m) const;
 

@@ -35,7 +35,7 @@ RangeMeasurement measure(const model::Surface& surface, const CoreVector& core,
 
   RangeMeasurement out;
   // What the pattern adds to the derivatives is a tenth of what the lever arm does, and left out.
-  out.range_m = prediction.range_m +
+  out.range_m = prediction.range_m + values(parameters.slow_error(anchor)) +
                 model::pattern_terms(pose.pose.rotation.transpose() * prediction.direction).dot(pattern_m);
   out.distance_m = prediction.distance_m;
   out.d_core.noalias() = d_pose * then.d_core;
@@ -47,9 +47,9 @@ RangeMeasurement measure(const model::Surface& surface, const CoreVector& core,
   const int f = parameters.frame();
   out.index = {
       p,     p + 1, p + 2, parameters.beta(anchor, tag), parameters.gamma(anchor, tag), l, l + 1, l + 2, f,
-      f + 1, f + 2, f + 3};
+      f + 1, f + 2, f + 3, parameters.slow_error(anchor)};
   out.d_parameters << d_anchor.x() + frame(3) * d_anchor.y(), d_anchor.y() - frame(3) * d_anchor.x(),
-      d_anchor.z(), 1.0, prediction.distance_m, prediction.d_lever_arm, d_anchor, d_anchor.dot(turned);
+      d_anchor.z(), 1.0, prediction.distance_m, prediction.d_lever_arm, d_anchor, d_anchor.dot(turned), 1.0;
   return out;
 }
 

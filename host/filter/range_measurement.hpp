@@ -13,8 +13,8 @@
 
 namespace groma::filter {
 
-// Position, beta, gamma, lever arm, frame.
-inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize;
+// Position, beta, gamma, lever arm, frame, slow error.
+inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1;
 
 struct RangeMeasurement {
   double range_m = 0.0;                                    // predicted

@@ -24,9 +24,9 @@ enum CoreIndex : int {
 };
 
 // Parameters: of each anchor its position (3), beta (a tag) and gamma (a tag); lever arms (3 a tag); the
-// error of the frame that all anchors share (x, y, z, yaw).
+// error of the frame that all anchors share (x, y, z, yaw); the slow range error of each anchor.
 inline constexpr int kFrameSize = 4;
-inline constexpr int kMaxParameters = kMaxAnchors * (3 + 2 * kMaxTags) + 3 * kMaxTags + kFrameSize;
+inline constexpr int kMaxParameters = kMaxAnchors * (3 + 2 * kMaxTags + 1) + 3 * kMaxTags + kFrameSize;
 
 using CoreVector = Eigen::Matrix<double, kCoreSize, 1>;
 using CoreMatrix = Eigen::Matrix<double, kCoreSize, kCoreSize>;

@@ -124,6 +124,16 @@ double parse_variance(const YamlValue& yaml) {
   return variance;
 }
 
+model::RangeNoise parse_range_noise(const YamlValue& yaml) {
+  yaml.expect_keys({{"white_variance_m2", "slow_variance_m2", "slow_time_s"}});
+  model::RangeNoise noise;
+  const double white_m2 = yaml.at("white_variance_m2").positive_number();
+  noise.white_sigma_m = std::sqrt(white_m2);
+  noise.slow_sigma_m = std::sqrt(parse_variance(yaml.at("slow_variance_m2")));
+  noise.slow_time_s = yaml.at("slow_time_s").positive_number();
+  return noise;
+}
+
 std::vector<model::PairBias> parse_pairs(const YamlValue& yaml) {
   std::vector<model::PairBias> pairs;
   for (const YamlValue& entry : yaml.list()) {
@@ -253,6 +263,13 @@ std::string format_calibration(const model::Calibration& calibration) {
   fmt::format_to(out, "# Of ranges behind the poses; a variance of 0: not observed.\n");
   fmt::format_to(out, "range_delay: {{mean_s: {}, variance_s2: {}}}\n", calibration.range_delay_s,
                  calibration.range_delay_sigma_s * calibration.range_delay_sigma_s);
+  if (calibration.range_noise) {
+    const model::RangeNoise& noise = *calibration.range_noise;
+    fmt::format_to(out, "# Of ranges in sight: white, and slow, which is common to an anchor's tags.\n");
+    fmt::format_to(out, "range_noise: {{white_variance_m2: {}, slow_variance_m2: {}, slow_time_s: {}}}\n",
+                   noise.white_sigma_m * noise.white_sigma_m, noise.slow_sigma_m * noise.slow_sigma_m,
+                   noise.slow_time_s);
+  }
   if (!calibration.tags.empty()) {
     fmt::format_to(
         out,
@@ -268,9 +285,9 @@ std::string format_calibration(const model::Calibration& calibration) {
 
 model::Calibration parse_calibration(const std::filesystem::path& path, const std::string& text) {
   const YamlValue yaml = YamlValue::parse(path, text);
-  yaml.expect_keys(
-      {{"schema", "frame", "anchors"},
-       {"program_version", "input_sha256", "verdict", "common_frame_covariance", "range_delay", "tags"}});
+  yaml.expect_keys({{"schema", "frame", "anchors"},
+                    {"program_version", "input_sha256", "verdict", "common_frame_covariance", "range_delay",
+                     "range_noise", "tags"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -290,6 +307,7 @@ model::Calibration parse_calibration(const std::filesystem::path& path, const st
     calibration.range_delay_s = delay->at("mean_s").number();
     calibration.range_delay_sigma_s = std::sqrt(parse_variance(delay->at("variance_s2")));
   }
+  if (const auto noise = yaml.find("range_noise")) calibration.range_noise = parse_range_noise(*noise);
   if (const auto tags = yaml.find("tags")) {
     for (const YamlValue& entry : tags->list()) {
       const model::TagCalibration tag = parse_tag(entry);

@@ -61,6 +61,14 @@ struct TagCalibration {
   std::optional<PatternTerms> pattern_m;  // of its antenna, in base_link: coefficients of pattern_terms()
 };
 
+// Of a range in sight, what beta and gamma leave: white noise, and an error that lasts (reflections, shadows
+// of what is near, poor surveys), first-order Gauss-Markov, common to an anchor's tags.
+struct RangeNoise {
+  double white_sigma_m = 0.0;
+  double slow_sigma_m = 0.0;
+  double slow_time_s = 1.0;  // correlation falls by e over it
+};
+
 struct Calibration {
   std::string frame = "map";
   std::vector<AnchorCalibration> anchors;  // by id, ascending
@@ -71,6 +79,7 @@ struct Calibration {
   // Ranges are stamped so much later than measured, against the poses; both zero: not observed.
   double range_delay_s = 0.0;
   double range_delay_sigma_s = 0.0;
+  std::optional<RangeNoise> range_noise;  // none: not observed
   Verdict verdict = Verdict::kUnusable;
   std::string input_sha256;
   std::string program_version;

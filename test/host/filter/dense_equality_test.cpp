@@ -27,6 +27,8 @@ Config plain_config(Model model) {
   config.gate.garbage_share = 0.0;
   config.gate.knee = 1e9;
   config.gate.noise_step = 0.0;
+  config.slow_error_growth = 1.0;
+  config.slow_time_growth = 1.0;
   return config;
 }
 
@@ -34,7 +36,10 @@ Config plain_config(Model model) {
 class DenseFilter {
  public:
   DenseFilter(const model::Surface& surface, const model::Calibration& calibration, const Config& config)
-      : surface_(surface), config_(config), parameters_(testing::three_tags(), calibration) {
+      : surface_(surface),
+        config_(config),
+        noise_(*calibration.range_noise),
+        parameters_(testing::three_tags(), calibration) {
     const int size = kCoreSize + parameters_.size();
     x_ = Eigen::VectorXd::Zero(size);
     x_.tail(parameters_.size()) = parameters_.values();
@@ -43,12 +48,19 @@ class DenseFilter {
         parameters_.prior_covariance(calibration, config.lever_arm_sigma_m);
     estimated_ = Eigen::VectorXd::Zero(size);
     estimated_.head<kCoreSize>().setOnes();
-    if (config.model == Model::kJoint) estimated_.setOnes();
+    if (config.model == Model::kJoint) {
+      estimated_.setOnes();
+      estimated_.tail(parameters_.anchor_count()).setZero();
+    }
     if (config.model == Model::kAnchorStates) {
       for (int i = 0; i < parameters_.anchor_count(); ++i) {
         estimated_.segment<3>(kCoreSize + parameters_.position(i)).setOnes();
       }
     }
+  }
+
+  void consider_anchor(int slot) {
+    estimated_.segment(kCoreSize + parameters_.position(slot), parameters_.anchor_size()).setZero();
   }
 
   void start(const Start& start, const model::OdometrySample& row) {
@@ -67,7 +79,12 @@ class DenseFilter {
       Eigen::MatrixXd f = Eigen::MatrixXd::Identity(x_.size(), x_.size());
       f.block<3, kCoreSize>(0, 0) = motion.d_core;
       x_.head<3>() = motion.pose;
+      const int slow = parameters_.anchor_count();
+      const double fade = std::exp(-dt_s / steps / noise_.slow_time_s);
+      f.diagonal().tail(slow).setConstant(fade);
+      x_.tail(slow) *= fade;
       p_ = f * p_ * f.transpose();
+      p_.diagonal().tail(slow).array() += (1.0 - fade * fade) * std::pow(noise_.slow_sigma_m, 2);
       p_(kScale, kScale) += std::pow(config_.scale_walk, 2) * dt_s / steps;
       p_(kYawBias, kYawBias) += std::pow(config_.yaw_rate_bias_walk, 2) * dt_s / steps;
     }
@@ -96,7 +113,7 @@ class DenseFilter {
     Eigen::RowVectorXd j = Eigen::RowVectorXd::Zero(x_.size());
     for (std::size_t i = 0; i < m.index.size(); ++i)
       j(kCoreSize + m.index[i]) = m.d_parameters(static_cast<Eigen::Index>(i));
-    double r = std::pow(config_.range_sigma_m, 2);
+    double r = std::pow(noise_.white_sigma_m, 2);
     if (config_.model == Model::kInflated) r += (j * p_ * j.transpose())(0);
     if (!pure && config_.model != Model::kInflated) h += j;
     const double s = (h * p_ * h.transpose())(0) + r;
@@ -114,6 +131,7 @@ class DenseFilter {
  private:
   const model::Surface& surface_;
   Config config_;
+  model::RangeNoise noise_;
   Parameters parameters_;
   model::OdometrySample row_;
   Eigen::VectorXd x_;
@@ -132,7 +150,9 @@ class DenseEquality : public ::testing::TestWithParam<Model> {};
 
 TEST_P(DenseEquality, OverADriveOnHills) {
   const model::Surface surface = testing::hills(0.3);
-  const model::Calibration calibration = testing::six_anchors();
+  model::Calibration calibration = testing::six_anchors();
+  calibration.range_noise = {.white_sigma_m = 0.08, .slow_sigma_m = 0.1, .slow_time_s = 1.5};
+  calibration.anchors[2].verdict = model::AnchorVerdict::kWeak;
   const Config config = plain_config(GetParam());
   Random random(41);
   const testing::Drive drive =
@@ -140,6 +160,7 @@ TEST_P(DenseEquality, OverADriveOnHills) {
 
   const auto filter = std::make_unique<Filter>(surface, testing::three_tags(), calibration, config);
   DenseFilter dense(surface, calibration, config);
+  dense.consider_anchor(2);
   const Start start{.t_s = 0.0, .pose = {1.05, -2.08, 0.43}};
   filter->process(drive.odometry.front());
   filter->start(start);

@@ -102,7 +102,7 @@ TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
 
 TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   const Parameters parameters(testing::three_tags(), testing::six_anchors());
-  ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4);
+  ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4 + 6);
   Eigen::VectorXi taken = Eigen::VectorXi::Zero(parameters.size());
   const auto take = [&](int first, int count) {
     ASSERT_LE(first + count, parameters.size());
@@ -117,6 +117,7 @@ TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   }
   for (int tag = 0; tag < 3; ++tag) take(parameters.lever_arm(tag), 3);
   take(parameters.frame(), 4);
+  for (int anchor = 0; anchor < 6; ++anchor) take(parameters.slow_error(anchor), 1);
   EXPECT_TRUE((taken.array() == 1).all());
 }
 

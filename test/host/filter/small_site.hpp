@@ -115,6 +115,15 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
     sites.push_back(site);
   }
 
+  // Of each anchor, exact from range to range.
+  const model::RangeNoise noise =
+      calibration.range_noise.value_or(model::RangeNoise{options.range_sigma_m, 0.0, 1.0});
+  std::vector<double> slow_m;
+  for (std::size_t i = 0; i < sites.size(); ++i) {
+    slow_m.push_back(noise.slow_sigma_m > 0.0 ? noise.slow_sigma_m * random.gaussian() : 0.0);
+  }
+  const double fade = std::exp(-options.range_s / noise.slow_time_s);
+
   Drive out;
   model::PlanarPose at = start;
   double next_range_s = options.range_s > 0.0 ? 0.5 * options.range_s : options.duration_s + 1.0;
@@ -130,6 +139,11 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
                             velocity.z() + bias + options.noise.sigma_omega_radps * random.gaussian()});
     out.truth.push_back(at);
     for (; next_range_s < t_s + options.row_s; next_range_s += options.range_s) {
+      if (noise.slow_sigma_m > 0.0) {
+        for (double& error_m : slow_m) {
+          error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.slow_sigma_m * random.gaussian();
+        }
+      }
       const std::size_t anchor = turn % sites.size();
       const std::size_t tag = turn / sites.size() % tags.size();
       ++turn;
@@ -140,7 +154,7 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
           model::pose_on_surface(surface, when).pose, tags[tag].lever_arm_m, site.head<3>(),
           site(3 + static_cast<Eigen::Index>(tag)), site(6 + static_cast<Eigen::Index>(tag)));
       out.ranges.push_back({next_range_s, tags[tag].id, calibration.anchors[anchor].id,
-                            prediction.range_m + options.range_sigma_m * random.gaussian()});
+                            prediction.range_m + slow_m[anchor] + noise.white_sigma_m * random.gaussian()});
     }
     at = integrate(surface, at, velocity, options.row_s, 10);
   }

@@ -1,0 +1,81 @@
+#include "host/calibration/range_noise.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "test/support/random.hpp"
+
+namespace groma::calibration {
+namespace {
+
+struct Truth {
+  double white_sigma_m = 0.05;
+  double slow_sigma_m = 0.0;
+  double slow_time_s = 1.0;
+  double blocked_share = 0.0;
+  std::size_t pairs = 8;
+};
+
+// A tag that stands still before each anchor: residuals alone differ.
+std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
+  test::Random random(seed);
+  constexpr double kStep_s = 0.07;
+  std::vector<std::vector<Observation>> rows(truth.pairs);
+  std::vector<AnchorFit> fits(truth.pairs);
+  const double fade = std::exp(-kStep_s / truth.slow_time_s);
+  for (std::size_t i = 0; i < truth.pairs; ++i) {
+    double slow_m = truth.slow_sigma_m * random.gaussian();
+    for (std::uint32_t k = 0; k < 4000; ++k) {
+      slow_m = fade * slow_m + std::sqrt(1.0 - fade * fade) * truth.slow_sigma_m * random.gaussian();
+      Observation row;
+      row.t_s = kStep_s * k;
+      row.tag_m = {3.0, 4.0, 0.0};
+      row.range_m = 5.2 + slow_m + truth.white_sigma_m * random.gaussian();
+      // Blocked for 7 s of each 70.
+      if (k % 1000 < 1000 * truth.blocked_share) row.range_m += 1.0;
+      row.index = k;
+      rows[i].push_back(row);
+    }
+    fits[i].problem.rows = rows[i];
+    fits[i].problem.tag_count = 1;
+    fits[i].anchor = Eigen::VectorXd::Zero(5);
+    fits[i].anchor(beta_index(0)) = 0.2;
+    fits[i].anchor(gamma_index(0, 1)) = 1.0;
+    fits[i].kernels.resize(1);
+  }
+  return range_noise(fits, 1);
+}
+
+TEST(RangeNoise, FindsWhatIsWhiteWhatIsSlowAndForHowLong) {
+  for (const double time_s : {0.7, 4.0}) {
+    const auto noise = found({.white_sigma_m = 0.06, .slow_sigma_m = 0.1, .slow_time_s = time_s}, 5);
+    ASSERT_TRUE(noise.has_value());
+    EXPECT_NEAR(noise->white_sigma_m, 0.06, 0.006);
+    EXPECT_NEAR(noise->slow_sigma_m, 0.1, 0.01);
+    EXPECT_NEAR(noise->slow_time_s, time_s, 0.25 * time_s);
+  }
+}
+
+TEST(RangeNoise, WhiteAloneHasNoSlowPart) {
+  const auto noise = found({.white_sigma_m = 0.08}, 6);
+  ASSERT_TRUE(noise.has_value());
+  EXPECT_NEAR(noise->white_sigma_m, 0.08, 0.003);
+  EXPECT_EQ(noise->slow_sigma_m, 0.0);
+}
+
+TEST(RangeNoise, BlockedRangesAreNoneOfIt) {
+  const auto noise = found({.white_sigma_m = 0.05, .blocked_share = 0.1}, 7);
+  ASSERT_TRUE(noise.has_value());
+  EXPECT_NEAR(noise->white_sigma_m, 0.05, 0.003);
+  EXPECT_EQ(noise->slow_sigma_m, 0.0);
+}
+
+TEST(RangeNoise, OfTwoPairsNothingIsSaid) {
+  EXPECT_FALSE(found({.pairs = 2}, 8).has_value());
+}
+
+}  // namespace
+}  // namespace groma::calibration
