@@ -30,9 +30,9 @@ constexpr double kReachFactor = 2.0;
 // Where the score scatters so much more than independent residuals make it, parts of the drive are set
 // against each other.
 constexpr double kHangingTogether = 1.5;
-// Square sigmas between the solutions of the drive's beginning and of all of it: chi square with three
-// degrees of freedom, 99.97 %.
-constexpr double kContradiction = 18.8;
+// Square sigmas between the heights by the drive's beginning and by all of it: chi square with one degree of
+// freedom, 99.9 %.
+constexpr double kContradiction = 10.8;
 // Half of the least move that is one.
 constexpr double kMovePose_m = 0.075;
 // Residuals that neither a wall nor a shadow makes.
@@ -195,12 +195,17 @@ void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
   if (less.allFinite()) covariance -= 0.5 * (less + less.transpose());
 }
 
-// The first part of the drive by itself gave another position than all of it: where they contradict each
-// other, either may be as wrong as they are apart.
-void admit_shift(const Eigen::Vector3d& shift_m, Eigen::MatrixXd& covariance) {
-  const Eigen::Matrix3d of_both = 2.0 * covariance.topLeftCorner<3, 3>();
-  const double square_sigmas = shift_m.dot(of_both.ldlt().solve(shift_m));
-  if (square_sigmas > kContradiction) covariance.topLeftCorner<3, 3>() += shift_m * shift_m.transpose();
+// The first part of the drive by itself gave another height than all of it: where they contradict each other,
+// either may be as wrong as they are apart.
+void admit_shift(double shift_m, Eigen::MatrixXd& covariance) {
+  if (shift_m * shift_m > kContradiction * 2.0 * covariance(2, 2)) covariance(2, 2) += shift_m * shift_m;
+}
+
+// Whether the one is about as far below the tags as the other is above: what decides between sides tells so.
+bool is_mirrored(const AnchorFit& first, const AnchorFit& whole) {
+  const double tags_m = tag_spread(whole.problem.rows).center_m.z();
+  const double mirrored_m = 2.0 * tags_m - whole.anchor(2);
+  return std::abs(first.anchor(2) - mirrored_m) < 0.5 * std::abs(mirrored_m - whole.anchor(2));
 }
 
 std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen::MatrixXd& covariance,
@@ -487,8 +492,8 @@ Result calibrate(const Drive& drive, const Options& options) {
     }
     const AnchorFit& first = site.beginning[i];
     if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed &&
-        2 * first.problem.rows.size() > fit.problem.rows.size()) {
-      admit_shift((fit.anchor - first.anchor).head<3>(), anchor.covariance);
+        2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit)) {
+      admit_shift(fit.anchor(2) - first.anchor(2), anchor.covariance);
     }
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
     anchor.held_out_rms_m = held_out[i].rms_m;

@@ -44,9 +44,6 @@ Shared make_shared(const model::AnchorCalibration& a, const model::AnchorCalibra
   };
   if (is_height_weak(a) || is_height_weak(b)) {
     out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
-    // Who is wrong in height is so in the plane too.
-    const double bend_m = bend_over(out.difference_m.z());
-    out.covariance_m2.diagonal().head<2>().array() += bend_m * bend_m;
   }
   const Eigen::LDLT<Eigen::Matrix3d> factors(out.covariance_m2);
   out.information = out.frame.transpose() * factors.solve(out.frame);

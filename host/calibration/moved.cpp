@@ -21,6 +21,8 @@ constexpr int kStartingSteps = 6;
 // A move is one of this length in the plane, and so far outside of what the two solutions can differ by.
 constexpr double kMinMove_m = 0.15;
 constexpr double kMinSquareSigmas = 40.0;
+// As many rows, each by itself, does a piece want as it tells unknowns of three tags, twice over.
+constexpr double kLeastRowsByThemselves = 20.0;
 // Share of polls in sight that each piece wants.
 constexpr double kMinInSight = 0.2;
 
@@ -181,7 +183,7 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   // to tell as if each were by itself.
   for (const std::size_t i : {piece, piece + 1}) {
     const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
-    if (rows < static_cast<double>(kLeastStretchRows) * pieces.inflation[i]) return std::nullopt;
+    if (rows < kLeastRowsByThemselves * pieces.inflation[i]) return std::nullopt;
   }
   Shift shift = shift_to_next(pieces, piece);
   if (!is_move(shift)) return std::nullopt;
