@@ -31,11 +31,8 @@ inline std::vector<model::Tag> three_tags() {
   return {{1, {0.75, 0.45, 1.9}}, {2, {-0.7, -0.4, 1.2}}, {3, {0.6, -0.45, 0.4}}};
 }
 
-// Six anchors around, each with a full covariance block and correlated biases, and a common frame error.
-inline model::Calibration six_anchors(double scale = 1.0) {
-  const std::vector<model::Anchor> anchors{{11, {-12.0, -11.0, 2.5}}, {12, {13.0, -9.0, 3.0}},
-                                           {13, {12.0, 12.0, 0.6}},   {14, {-11.0, 13.0, 2.8}},
-                                           {15, {1.0, -14.0, 1.5}},   {16, {0.5, 15.0, 3.2}}};
+// Each anchor with a full covariance block and correlated biases, and a common frame error.
+inline model::Calibration calibration_of(const std::vector<model::Anchor>& anchors, double scale = 1.0) {
   model::Calibration calibration = model::surveyed_calibration(
       anchors, three_tags(), {.sigma_m = 0.1, .beta_m = {0.2, 0.05}, .gamma = {1.0, 0.002}}, 0.1);
   Random random(78);
@@ -51,6 +48,17 @@ inline model::Calibration six_anchors(double scale = 1.0) {
   calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-6;
   calibration.common_frame_covariance *= scale * scale;
   return calibration;
+}
+
+// Six anchors around.
+inline model::Calibration six_anchors(double scale = 1.0) {
+  return calibration_of({{11, {-12.0, -11.0, 2.5}},
+                         {12, {13.0, -9.0, 3.0}},
+                         {13, {12.0, 12.0, 0.6}},
+                         {14, {-11.0, 13.0, 2.8}},
+                         {15, {1.0, -14.0, 1.5}},
+                         {16, {0.5, 15.0, 3.2}}},
+                        scale);
 }
 
 // One drive with its truth.
@@ -71,6 +79,12 @@ struct DriveOptions {
   double range_delay_sigma_s = 0.0;
   model::OdometryNoise noise{0.03, 0.03, 0.01};
 };
+
+// Of the robot on its drive: vx, vy and the yaw rate, constant over an odometry row.
+inline Eigen::Vector3d true_velocity(double row_t_s) {
+  return {1.0 + 0.5 * std::sin(0.7 * row_t_s), 0.3 * std::sin(0.3 * row_t_s),
+          0.25 + 0.4 * std::sin(0.5 * row_t_s)};
+}
 
 // theta' = omega, t' = sigma(R_WT R_z v), by the classical Runge-Kutta rule.
 inline model::PlanarPose integrate(const model::Surface& surface, const model::PlanarPose& from,
@@ -131,8 +145,7 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
   const int rows = static_cast<int>(std::lround(options.duration_s / options.row_s));
   for (int i = 0; i < rows; ++i) {
     const double t_s = i * options.row_s;
-    const Eigen::Vector3d velocity(1.0 + 0.5 * std::sin(0.7 * t_s), 0.3 * std::sin(0.3 * t_s),
-                                   0.25 + 0.4 * std::sin(0.5 * t_s));
+    const Eigen::Vector3d velocity = true_velocity(t_s);
     out.odometry.push_back({t_s,
                             (velocity.x() + options.noise.sigma_vx_mps * random.gaussian()) / (1.0 + scale),
                             (velocity.y() + options.noise.sigma_vy_mps * random.gaussian()) / (1.0 + scale),
