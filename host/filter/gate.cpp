@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
+
+#include "host/filter/range_density.hpp"
 
 namespace groma::filter {
 
@@ -14,21 +15,6 @@ constexpr double kFewRanges = 4.0;
 constexpr double kNoWeight = 1e-3;
 // Half of a Gaussian's draws lie within this many sigmas.
 constexpr double kHalfWithin = 0.6744897501960817;
-
-double gaussian(double x, double sigma) noexcept {
-  const double e = x / sigma;
-  return std::exp(-0.5 * e * e) / (sigma * std::sqrt(2.0 * std::numbers::pi));
-}
-
-// Density of a Gaussian error plus an exponential excess of that mean.
-double with_excess(double x, double sigma, double mean) noexcept {
-  const double ratio = sigma / mean;
-  const double below = 0.5 * std::erfc((ratio - x / sigma) * std::numbers::sqrt2 / 2.0);
-  // For a wide sigma the product of a huge and a tiny factor; it then is the Gaussian's own.
-  if (ratio > 8.0) return gaussian(x, sigma);
-  if (!(below > 0.0)) return 0.0;
-  return std::exp(0.5 * ratio * ratio - x / mean) * below / mean;
-}
 
 }  // namespace
 
@@ -51,10 +37,11 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
 
   const double fade = std::exp(-std::max(t_s - chain.t_s, 0.0) / config_.sticky_s);
   const double prior = config_.blocked_share + (chain.blocked - config_.blocked_share) * fade;
-  const double in_sight = (1.0 - prior) * (1.0 - config_.garbage_share) * gaussian(innovation_m, sigma);
+  const double in_sight =
+      (1.0 - prior) * (1.0 - config_.garbage_share) * gaussian_density(innovation_m, sigma);
   const double excess = prior * (1.0 - config_.garbage_share) *
-                        ((1.0 - config_.short_share) * with_excess(innovation_m, sigma, config_.excess_m) +
-                         config_.short_share * with_excess(-innovation_m, sigma, config_.excess_m));
+                        ((1.0 - config_.short_share) * excess_density(innovation_m, sigma, config_.excess_m) +
+                         config_.short_share * excess_density(-innovation_m, sigma, config_.excess_m));
   const double garbage = config_.garbage_share / config_.garbage_width_m;
   const double total = in_sight + excess + garbage;
   chain.t_s = t_s;
