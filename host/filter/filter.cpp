@@ -40,25 +40,20 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
   return calibration;
 }
 
-Filter::Snapshot begin(std::span<const model::Tag> tags, const model::Calibration& told,
-                       const Config& config) {
-  const model::Calibration calibration = on_another_drive(told, config);
-  Parameters parameters(tags, calibration);
-  JointCovariance covariance(parameters, calibration, config.lever_arm_sigma_m, learning(config.model));
-  return {
-      .parameters = std::move(parameters), .gate = Gate(config.gate), .covariance = std::move(covariance)};
-}
-
-bool finite(const model::OdometrySample& row) noexcept {
-  return std::isfinite(row.t_s) && std::isfinite(row.vx_mps) && std::isfinite(row.vy_mps) &&
-         std::isfinite(row.omega_radps);
+Filter::Snapshot begin(const Site& site, const Config& config) {
+  const Parameters parameters(site);
+  JointCovariance covariance(site, parameters, learning(config.model));
+  return {.parameters = parameters, .gate = Gate(config.gate), .covariance = std::move(covariance)};
 }
 
 }  // namespace
 
 Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
                const model::Calibration& calibration, const Config& config)
-    : surface_(std::move(surface)), config_(config), now_(begin(tags, calibration, config)) {
+    : surface_(std::move(surface)),
+      site_(tags, on_another_drive(calibration, config), config.lever_arm_sigma_m),
+      config_(config),
+      now_(begin(site_, config)) {
   const model::Calibration here = on_another_drive(calibration, config);
   if (here.range_noise) {
     config_.range_sigma_m = here.range_noise->white_sigma_m;
@@ -161,7 +156,7 @@ RangeResult Filter::process(const model::RangeSample& range) noexcept {
 }
 
 OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
-  if (!finite(row)) return OdometryOutcome::kBadValue;
+  if (!model::is_finite(row)) return OdometryOutcome::kBadValue;
   if (now_.has_row && !(row.t_s > now_.row.t_s)) return OdometryOutcome::kOutOfOrder;
   if (!now_.started) {
     now_.row = row;
@@ -180,27 +175,28 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
     return {.outcome = RangeOutcome::kBadValue};
   }
   if (config_.model == Model::kOdometry) return {.outcome = RangeOutcome::kNotModelled};
-  const int tag = now_.parameters.tag_slot(range.tag_id);
+  const int tag = site_.tag_slot(range.tag_id);
   if (tag < 0) return {.outcome = RangeOutcome::kUnknownTag};
-  const int anchor = now_.parameters.anchor_slot(range.anchor_id);
-  if (anchor < 0 || !now_.parameters.knows_pair(anchor, tag))
-    return {.outcome = RangeOutcome::kUnknownAnchor};
+  const int anchor = site_.anchor_index(range.anchor_id);
+  if (anchor < 0 || !site_.knows_pair(anchor, tag)) return {.outcome = RangeOutcome::kUnknownAnchor};
   if (!now_.started) return {.outcome = RangeOutcome::kNotStarted};
   if (range.t_s < now_.t_s) return {.outcome = RangeOutcome::kOutOfOrder};
   advance_to(range.t_s);
 
+  const int slot = anchor;
   const bool whole = config_.model != Model::kOriginal && config_.model != Model::kInflated;
-  const RangeMeasurement measurement =
-      config_.model == Model::kOriginal
-          ? measure_distance(surface_, now_.core, now_.row, now_.parameters, anchor, tag)
-          : measure_range(surface_, now_.core, now_.row, now_.parameters, anchor, tag);
+  const PairParameters parameters = now_.parameters.pair(site_, slot, tag);
+  const PairPlace pair{.slot = slot, .tag = tag, .anchor = &site_.anchor(anchor)};
+  const RangeMeasurement measurement = config_.model == Model::kOriginal
+                                           ? measure_distance(surface_, now_.core, now_.row, parameters)
+                                           : measure_range(surface_, now_.core, now_.row, parameters);
   Projected projected;
   if (whole) {
-    now_.covariance.project(measurement, projected);
+    now_.covariance.project(measurement, pair, projected);
   } else {
     projected.variance = now_.covariance.project_core(measurement.d_core, projected.core);
     if (config_.model == Model::kInflated)
-      projected.variance += now_.covariance.parameter_variance(measurement);
+      projected.variance += now_.covariance.parameter_variance(measurement, pair);
   }
 
   RangeResult result;
@@ -208,7 +204,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.innovation_variance_m2 =
       projected.variance + square(config_.range_sigma_m * now_.gate.noise_scale());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  result.weight = now_.gate.weigh(anchor, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   now_.counters.doubts = now_.gate.doubts_begun();
   if (!(result.weight > 0.0)) {
     result.outcome = RangeOutcome::kGated;
@@ -222,9 +218,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   if (!whole) {
     now_.covariance.correct_core(projected.core, variance);
   } else {
-    now_.covariance.correct(projected, variance);
-    now_.covariance.mask(projected.parameters);
-    now_.parameters.values() += projected.parameters * (result.innovation_m / variance);
+    now_.covariance.correct(measurement, projected, variance, result.innovation_m, now_.parameters.values());
   }
   result.outcome = RangeOutcome::kUsed;
   return result;
@@ -243,9 +237,8 @@ void Filter::hold(const model::OdometrySample& row) noexcept {
   now_.row = row;
   now_.has_row = true;
   now_.core.segment<3>(kRowVx).setZero();
-  now_.covariance.renew(kRowVx, square(config_.odometry.sigma_vx_mps));
-  now_.covariance.renew(kRowVy, square(config_.odometry.sigma_vy_mps));
-  now_.covariance.renew(kRowOmega, square(config_.odometry.sigma_omega_radps));
+  now_.covariance.renew_row({square(config_.odometry.sigma_vx_mps), square(config_.odometry.sigma_vy_mps),
+                             square(config_.odometry.sigma_omega_radps)});
 }
 
 void Filter::step(double dt_s) noexcept {

@@ -20,6 +20,7 @@
 #include "host/filter/gate.hpp"
 #include "host/filter/joint_covariance.hpp"
 #include "host/filter/parameters.hpp"
+#include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
@@ -136,6 +137,7 @@ class Filter {
   [[nodiscard]] const CoreVector& core() const noexcept { return now_.core; }
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
+  [[nodiscard]] const Site& site() const noexcept { return site_; }
 
  private:
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
@@ -144,6 +146,7 @@ class Filter {
   void step(double dt_s) noexcept;
 
   model::Surface surface_;
+  Site site_;
   Config config_;
   double slow_time_s_ = 0.0;  // 0: there is no slow error
   Snapshot now_;

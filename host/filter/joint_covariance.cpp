@@ -1,68 +1,122 @@
 #include "host/filter/joint_covariance.hpp"
 
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
 namespace groma::filter {
 
-JointCovariance::JointCovariance(const Parameters& parameters, const model::Calibration& calibration,
-                                 double lever_arm_sigma_m, Learning learning)
-    : learning_(learning), parameters_(parameters.prior_covariance(calibration, lever_arm_sigma_m)) {
-  const int size = parameters.size();
-  cross_.setZero(size, kCoreSize);
-  scratch_.setZero(size, kCoreSize);
-  learns_.setConstant(size, learning == Learning::kAll ? 1.0 : 0.0);
+namespace {
 
-  const auto block = [this](int begin, int length) {
-    for (int i = begin; i < begin + length; ++i)
-      blocks_[static_cast<std::size_t>(i)] = {begin, begin + length};
-  };
-  for (int anchor = 0; anchor < parameters.anchor_count(); ++anchor) {
-    block(parameters.position(anchor), parameters.anchor_size());
-    if (learning == Learning::kPositions) learns_.segment<3>(parameters.position(anchor)).setOnes();
+// Slow errors are brought to their own scale when they have faded so far.
+constexpr double kFaded = 1e-3;
+
+using Rows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, kCoreSize>, Eigen::Aligned16,
+                        Eigen::OuterStride<kCrossStride>>;
+using ConstRows = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, kCoreSize>, Eigen::Aligned16,
+                             Eigen::OuterStride<kCrossStride>>;
+
+// Positions of the parts within d_parameters.
+constexpr int kOfPosition = 0;
+constexpr int kOfBeta = 3;
+constexpr int kOfGamma = 4;
+constexpr int kOfLeverArm = 5;
+constexpr int kOfFrame = 8;
+constexpr int kOfSlowError = kPairParameters - 1;
+
+}  // namespace
+
+JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, Learning learning)
+    : learning_(learning),
+      layout_(parameters),
+      size_(parameters.size()),
+      stride_(padded(size_)),
+      lever_arm_variance_m2_(site.lever_arm_variance_m2()),
+      slow_variance_m2_(site.slow_variance_m2()),
+      frame_covariance_(site.frame_covariance()) {
+  if (learning == Learning::kNothing) return;
+  lower_.setZero(static_cast<Eigen::Index>(stride_) * stride_);
+  Eigen::Map<Eigen::MatrixXd> all(lower_.data(), stride_, stride_);
+  all.block<kFrameSize, kFrameSize>(layout_.frame(), layout_.frame()) = frame_covariance_;
+  for (int tag = 0; tag < layout_.tag_count(); ++tag) {
+    all.diagonal().segment<3>(layout_.lever_arm(tag)).setConstant(lever_arm_variance_m2_);
   }
-  for (int tag = 0; tag < parameters.tag_count(); ++tag) block(parameters.lever_arm(tag), 3);
-  block(parameters.frame(), kFrameSize);
-  // What a calibration is not sure of itself has more than one solution: a filter settles for a wrong one.
-  for (const model::AnchorCalibration& anchor : calibration.anchors) {
-    const int slot = parameters.anchor_slot(anchor.id);
-    if (slot < 0 || anchor.verdict == model::AnchorVerdict::kOk) continue;
-    learns_.segment(parameters.position(slot), parameters.anchor_size()).setZero();
+  const int size = layout_.anchor_size();
+  if (learning == Learning::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
+  for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
+    const SiteAnchor& anchor = site.anchor(parameters.anchor_in(slot));
+    all.block(layout_.position(slot), layout_.position(slot), size, size) = anchor.covariance;
+    learn(slot, anchor.is_learnt);
   }
-  first_slow_error_ = parameters.slow_error(0);
-  for (int anchor = 0; anchor < parameters.anchor_count(); ++anchor) {
-    block(parameters.slow_error(anchor), 1);
-    learns_(parameters.slow_error(anchor)) = 0.0;
+}
+
+void JointCovariance::learn(int slot, bool learnt) noexcept {
+  double* const own = learns_.data() + layout_.position(slot);
+  std::fill_n(own, layout_.anchor_size(), 0.0);
+  if (learnt) std::fill_n(own, learning_ == Learning::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
+  // The slow error's variance is known at all times and stands apart.
+  lower(layout_.slow_error(slot), layout_.slow_error(slot)) = 0.0;
+  considered_ = learning_ != Learning::kAll;
+  for (int other = 0; other < layout_.anchor_count(); ++other) {
+    if (learns_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
   }
 }
 
 void JointCovariance::reset_core(const CoreVector& variances) noexcept {
   core_ = variances.asDiagonal();
-  cross_.setZero();
+  cross_.fill(0.0);
+  moved_ = false;
+  same_row_ = true;
+  motion_.setIdentity();
 }
 
-void JointCovariance::renew(CoreIndex index, double variance) noexcept {
-  core_.row(index).setZero();
-  core_.col(index).setZero();
-  core_(index, index) = variance;
-  cross_.col(index).setZero();
+void JointCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
+  core_.bottomRows<3>().setZero();
+  core_.rightCols<3>().setZero();
+  core_.diagonal().tail<3>() = variances;
+  moved_ = true;
+  same_row_ = false;
 }
 
-void JointCovariance::propagate(const Eigen::Matrix<double, 3, kCoreSize>& f) noexcept {
-  const Eigen::Matrix<double, 3, kCoreSize> fp = f * core_;
+void JointCovariance::propagate(const PoseRows& f) noexcept {
+  const PoseRows fp = f * core_;
   const Eigen::Matrix3d pose = fp * f.transpose();
   core_.topRows<3>() = fp;
   core_.leftCols<3>() = fp.transpose();
   core_.topLeftCorner<3, 3>() = 0.5 * (pose + pose.transpose());
 
-  auto moved = scratch_.leftCols<3>();
-  moved.noalias() = cross_.lazyProduct(f.transpose());
-  cross_.leftCols<3>() = moved;
+  PoseRows motion = f.leftCols<3>() * motion_;
+  motion.middleCols<3>(3) += f.middleCols<3>(3);
+  // Errors of a new row are related to nothing yet.
+  if (same_row_) motion.rightCols<3>() += f.rightCols<3>();
+  motion_ = motion;
+  moved_ = true;
+}
+
+void JointCovariance::settle_motion() noexcept {
+  if (!moved_) return;
+  move_cross(cross_.data(), size_, motion_);
+  if (!same_row_) std::fill(cross_.begin() + std::ptrdiff_t{kRowVx} * kCrossStride, cross_.end(), 0.0);
+  motion_.setIdentity();
+  moved_ = false;
+  same_row_ = true;
 }
 
 void JointCovariance::fade_slow_errors(double factor) noexcept {
-  const Eigen::Index slow = parameters_.rows() - first_slow_error_;
-  cross_.bottomRows(slow) *= factor;
-  if (learning_ == Learning::kNothing) return;
-  parameters_.topRightCorner(first_slow_error_, slow) *= factor;
-  parameters_.bottomLeftCorner(slow, first_slow_error_) *= factor;
+  slow_scale_ *= factor;
+  if (slow_scale_ < kFaded) settle_slow_errors();
+}
+
+void JointCovariance::settle_slow_errors() noexcept {
+  Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
+    const int slow = layout_.slow_error(slot);
+    cross.row(slow) *= slow_scale_;
+    if (learning_ == Learning::kNothing) continue;
+    for (int i = 0; i < slow; ++i) lower(slow, i) *= slow_scale_;
+    for (int i = slow + 1; i < size_; ++i) lower(i, slow) *= slow_scale_;
+  }
+  slow_scale_ = 1.0;
 }
 
 double JointCovariance::project_core(const CoreRow& d_core, CoreVector& out) const noexcept {
@@ -70,63 +124,168 @@ double JointCovariance::project_core(const CoreRow& d_core, CoreVector& out) con
   return d_core.dot(out);
 }
 
-double JointCovariance::parameter_variance(const RangeMeasurement& measurement) const noexcept {
+void JointCovariance::own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,
+                                        double* own) const noexcept {
+  const auto& d = measurement.d_parameters;
+  const AnchorMatrix& block = pair.anchor->covariance;
+  const int size = layout_.anchor_size() - 1;
+  const int beta = 3 + pair.tag;
+  const int gamma = beta + layout_.tag_count();
+  double* const anchor = own + layout_.position(pair.slot);
+  for (int i = 0; i < size; ++i) {
+    anchor[i] = block(i, 0) * d(kOfPosition) + block(i, 1) * d(kOfPosition + 1) +
+                block(i, 2) * d(kOfPosition + 2) + block(i, beta) * d(kOfBeta) +
+                block(i, gamma) * d(kOfGamma);
+  }
+  anchor[size] = slow_variance_m2_ * d(kOfSlowError) / slow_scale_;
+  double* const lever_arm = own + layout_.lever_arm(pair.tag);
+  for (int i = 0; i < 3; ++i) lever_arm[i] = lever_arm_variance_m2_ * d(kOfLeverArm + i);
+  const Eigen::Vector4d frame = frame_covariance_ * d.segment<kFrameSize>(kOfFrame).transpose();
+  for (int i = 0; i < kFrameSize; ++i) own[layout_.frame() + i] = frame(i);
+}
+
+void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const PairPlace& pair,
+                                    double* own) const noexcept {
+  const auto& d = measurement.d_parameters;
+  std::array<double, kMaxAnchorSize> of_anchor{};
+  for (int i = 0; i < 3; ++i) of_anchor[static_cast<std::size_t>(i)] = d(kOfPosition + i);
+  of_anchor[static_cast<std::size_t>(3 + pair.tag)] = d(kOfBeta);
+  of_anchor[static_cast<std::size_t>(3 + layout_.tag_count() + pair.tag)] = d(kOfGamma);
+  of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = slow_scale_ * d(kOfSlowError);
+  std::array<double, 3> of_lever_arm{d(kOfLeverArm), d(kOfLeverArm + 1), d(kOfLeverArm + 2)};
+  std::array<double, kFrameSize> of_frame{};
+  for (int i = 0; i < kFrameSize; ++i) of_frame[static_cast<std::size_t>(i)] = d(kOfFrame + i);
+  const auto add = [&](int first, int count, const double* w) {
+    add_columns(lower_.data(), stride_, size_, first, count, w, own);
+    for (int i = 0; i < count; ++i) {
+      for (int k = 0; k < count; ++k) {
+        own[first + i] += w[k] * (i < k ? lower(first + k, first + i) : lower(first + i, first + k));
+      }
+    }
+  };
+  add(layout_.frame(), kFrameSize, of_frame.data());
+  add(layout_.lever_arm(pair.tag), 3, of_lever_arm.data());
+  add(layout_.position(pair.slot), layout_.anchor_size(), of_anchor.data());
+  own[layout_.slow_error(pair.slot)] += slow_variance_m2_ * d(kOfSlowError) / slow_scale_;
+}
+
+double JointCovariance::parameter_variance(const RangeMeasurement& measurement,
+                                           const PairPlace& pair) const noexcept {
+  std::array<double, kMaxParameters> own{};
+  own_of_considered(measurement, pair, own.data());
+  const PairIndices index = layout_.pair_indices(pair.slot, pair.tag);
+  const auto d = stored(measurement);
   double variance = 0.0;
   for (int i = 0; i < kPairParameters; ++i) {
-    for (int j = 0; j < kPairParameters; ++j) {
-      variance += measurement.d_parameters(i) * measurement.d_parameters(j) *
-                  parameters_(measurement.index[static_cast<std::size_t>(i)],
-                              measurement.index[static_cast<std::size_t>(j)]);
-    }
+    variance += d(i) * own[static_cast<std::size_t>(index[static_cast<std::size_t>(i)])];
   }
   return variance;
 }
 
-void JointCovariance::project(const RangeMeasurement& measurement, Projected& out) const noexcept {
-  out.core.noalias() = core_ * measurement.d_core.transpose();
-  out.parameters.noalias() = cross_.lazyProduct(measurement.d_core.transpose());
+Eigen::Matrix<double, 1, kPairParameters> JointCovariance::stored(
+    const RangeMeasurement& measurement) const noexcept {
+  Eigen::Matrix<double, 1, kPairParameters> d = measurement.d_parameters;
+  d(kOfSlowError) *= slow_scale_;
+  return d;
+}
+
+void JointCovariance::project(const RangeMeasurement& measurement, const PairPlace& pair,
+                              Projected& out) noexcept {
+  settle_motion();
+  std::fill_n(out.own.begin(), padded(rows()), 0.0);
+  if (learning_ == Learning::kNothing) {
+    own_of_considered(measurement, pair, out.own.data());
+  } else {
+    own_of_learnt(measurement, pair, out.own.data());
+  }
+  const PairIndices index = layout_.pair_indices(pair.slot, pair.tag);
+  const auto d = stored(measurement);
+  CoreVector by_pair = CoreVector::Zero();  // C^T J^T
+  double own = 0.0;
   for (int i = 0; i < kPairParameters; ++i) {
-    const int column = measurement.index[static_cast<std::size_t>(i)];
-    const double d = measurement.d_parameters(i);
-    out.core.noalias() += d * cross_.row(column).transpose();
-    if (learning_ == Learning::kNothing) {
-      const Extent rows = blocks_[static_cast<std::size_t>(column)];
-      out.parameters.segment(rows.begin, rows.end - rows.begin) +=
-          d * parameters_.col(column).segment(rows.begin, rows.end - rows.begin);
-    } else {
-      out.parameters += d * parameters_.col(column);
+    const auto row = static_cast<std::size_t>(index[static_cast<std::size_t>(i)]);
+    own += d(i) * out.own[row];
+    for (int k = 0; k < kCoreSize; ++k) {
+      by_pair(k) += d(i) * cross_[row + static_cast<std::size_t>(k) * kCrossStride];
     }
   }
-  out.variance = measurement.d_core.dot(out.core);
-  for (int i = 0; i < kPairParameters; ++i) {
-    out.variance +=
-        measurement.d_parameters(i) * out.parameters(measurement.index[static_cast<std::size_t>(i)]);
-  }
+  out.core.noalias() = core_ * measurement.d_core.transpose();
+  out.variance = measurement.d_core.dot(out.core) + 2.0 * measurement.d_core.dot(by_pair) + own;
+  out.core += by_pair;
 }
 
 void JointCovariance::correct_core(const CoreVector& ph, double variance) noexcept {
-  core_.noalias() -= ph * (ph.transpose() / variance);
+  // Of one factor, so that rounding keeps it symmetric.
+  const CoreVector root = ph / std::sqrt(variance);
+  core_.noalias() -= root.lazyProduct(root.transpose());
 }
 
-void JointCovariance::correct(const Projected& projected, double variance) noexcept {
+void JointCovariance::correct(const RangeMeasurement& measurement, Projected& projected, double variance,
+                              double innovation, ParameterVector& values) noexcept {
   correct_core(projected.core, variance);
-  for (int i = 0; i < kCoreSize; ++i) cross_.col(i) -= (projected.core(i) / variance) * projected.parameters;
+  double* const q = projected.own.data();
+  correct_cross(cross_.data(), rows(), measurement.d_core, projected.core / variance, q);
   if (learning_ == Learning::kNothing) return;
-  auto masked = scratch_.col(0);
-  masked = projected.parameters.cwiseProduct(learns_);
-  for (int j = 0; j < parameters_.cols(); ++j) {
-    const double share = projected.parameters(j) / variance;
-    // A pair of considered parameters keeps its covariance.
-    if (learns_(j) != 0.0) {
-      parameters_.col(j) -= share * projected.parameters;
-    } else {
-      parameters_.col(j) -= share * masked;
+
+  const double gain = innovation / variance;
+  const double root = 1.0 / std::sqrt(variance);
+  for (int i = 0; i < size_; ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    values(i) += learns_[at] * q[i] * gain;
+    q[i] *= root;
+  }
+  if (!considered_) {
+    subtract_square(lower_.data(), stride_, size_, q);
+    // Slow errors are considered: their own covariance stays.
+    for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
+      for (int other = 0; other <= slot; ++other) {
+        lower(layout_.slow_error(slot), layout_.slow_error(other)) = 0.0;
+      }
     }
+    return;
+  }
+  std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
+  for (int i = 0; i < size_; ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    masked[at] = learns_[at] * q[i];
+  }
+  for (int j = 0; j < size_; ++j) {
+    // A pair of considered parameters keeps its covariance.
+    const bool learnt = learns_[static_cast<std::size_t>(j)] != 0.0;
+    subtract_column(&lower(0, j), j, size_, q[j], learnt ? q : masked.data());
   }
 }
 
-void JointCovariance::mask(ParameterVector& change) const noexcept {
-  change.array() *= learns_.array();
+Eigen::MatrixXd JointCovariance::cross() const {
+  JointCovariance settled = *this;
+  settled.settle_motion();
+  settled.settle_slow_errors();
+  return ConstRows(settled.cross_.data(), size_, kCoreSize, Eigen::OuterStride<kCrossStride>());
+}
+
+Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& parameters) const {
+  Eigen::MatrixXd all = Eigen::MatrixXd::Zero(size_, size_);
+  if (learning_ == Learning::kNothing) {
+    all.block<kFrameSize, kFrameSize>(layout_.frame(), layout_.frame()) = frame_covariance_;
+    for (int tag = 0; tag < layout_.tag_count(); ++tag) {
+      all.diagonal().segment<3>(layout_.lever_arm(tag)).setConstant(lever_arm_variance_m2_);
+    }
+    const int size = layout_.anchor_size();
+    for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
+      all.block(layout_.position(slot), layout_.position(slot), size, size) =
+          site.anchor(parameters.anchor_in(slot)).covariance;
+    }
+    return all;
+  }
+  JointCovariance settled = *this;
+  settled.settle_slow_errors();
+  for (int j = 0; j < size_; ++j) {
+    for (int i = j; i < size_; ++i) all(i, j) = all(j, i) = settled.lower(i, j);
+  }
+  for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
+    all(layout_.slow_error(slot), layout_.slow_error(slot)) = slow_variance_m2_;
+  }
+  return all;
 }
 
 }  // namespace groma::filter

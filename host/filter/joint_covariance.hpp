@@ -1,4 +1,8 @@
 // Covariance of core and parameters together: P = [core, cross^T; cross, parameters].
+//
+// Two things are kept as factors until they are needed. Motion changes the cross-covariance by a product with
+// a 9 x 9 matrix from the right, and these are gathered until the next range. A slow error is kept as a
+// multiple of what all of them have faded by, so that time changes one number.
 #pragma once
 
 #include <array>
@@ -6,8 +10,10 @@
 
 #include <Eigen/Core>
 
+#include "host/filter/covariance_kernels.hpp"
 #include "host/filter/parameters.hpp"
 #include "host/filter/range_measurement.hpp"
+#include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 
 namespace groma::filter {
@@ -19,64 +25,90 @@ enum class Learning {
   kAll,
 };
 
+// The pair of a measurement: the active anchor's slot, the tag, and the anchor as the site told it.
+struct PairPlace {
+  int slot = 0;
+  int tag = 0;
+  const SiteAnchor* anchor = nullptr;
+};
+
 // P H^T of one scalar measurement, and its variance H P H^T (without the measurement's own noise).
 struct Projected {
   CoreVector core;
-  ParameterVector parameters;
   double variance = 0.0;
+  // Ppp H^T, of the parameters' own covariance alone.
+  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> own;
 };
 
 class JointCovariance {
  public:
-  using Cross = Eigen::Matrix<double, Eigen::Dynamic, kCoreSize, Eigen::ColMajor, kMaxParameters, kCoreSize>;
-
-  JointCovariance(const Parameters& parameters, const model::Calibration& calibration,
-                  double lever_arm_sigma_m, Learning learning);
+  JointCovariance(const Site& site, const Parameters& parameters, Learning learning);
 
   // The core begins anew with these variances, unrelated to the parameters.
   void reset_core(const CoreVector& variances) noexcept;
-  // One core state begins anew with this variance, unrelated to all others.
-  void renew(CoreIndex index, double variance) noexcept;
+  // Another odometry row: its errors' variances, unrelated to all else.
+  void renew_row(const Eigen::Vector3d& variances) noexcept;
   // White noise upon a core state.
   void grow(CoreIndex index, double variance) noexcept { core_(index, index) += variance; }
-  // P <- F P F^T with F the identity but for the pose's rows.
-  void propagate(const Eigen::Matrix<double, 3, kCoreSize>& pose_rows) noexcept;
+  // P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
+  void propagate(const PoseRows& pose_rows) noexcept;
 
   // Slow errors of ranges forget: what relates them to all else falls by that factor, their variance stays.
   void fade_slow_errors(double factor) noexcept;
 
-  // For the model that knows core alone.
+  // For the models that keep no cross-covariance: H P H^T of the core alone, with its P H^T, and of the
+  // parameters alone.
   [[nodiscard]] double project_core(const CoreRow& d_core, CoreVector& out) const noexcept;
-  // H Pp H^T of the parameters alone.
-  [[nodiscard]] double parameter_variance(const RangeMeasurement& measurement) const noexcept;
-  void project(const RangeMeasurement& measurement, Projected& out) const noexcept;
-
-  // P <- P - P H^T H P / variance, but for what is considered: its own covariance stays. That is the
-  // consider (Schmidt) update, equal to its Joseph form for the gain P H^T / variance.
+  [[nodiscard]] double parameter_variance(const RangeMeasurement& measurement,
+                                          const PairPlace& pair) const noexcept;
   void correct_core(const CoreVector& ph, double variance) noexcept;
-  void correct(const Projected& projected, double variance) noexcept;
-  // The same mask upon a change of the parameters' values.
-  void mask(ParameterVector& change) const noexcept;
+
+  void project(const RangeMeasurement& measurement, const PairPlace& pair, Projected& out) noexcept;
+  // P <- P - P H^T H P / variance, but for what is considered: its own covariance stays. That is the
+  // consider (Schmidt) update, equal to its Joseph form for the gain P H^T / variance. The values of what is
+  // learnt change by that gain times the innovation.
+  void correct(const RangeMeasurement& measurement, Projected& projected, double variance, double innovation,
+               ParameterVector& values) noexcept;
 
   [[nodiscard]] const CoreMatrix& core() const noexcept { return core_; }
-  [[nodiscard]] const Cross& cross() const noexcept { return cross_; }
-  [[nodiscard]] const ParameterMatrix& parameters() const noexcept { return parameters_; }
+  // For tests and diagnosis, in full.
+  [[nodiscard]] Eigen::MatrixXd cross() const;
+  [[nodiscard]] Eigen::MatrixXd parameters(const Site& site, const Parameters& parameters) const;
 
  private:
-  // Rows of a parameter's own block, first and one past the last.
-  struct Extent {
-    int begin = 0;
-    int end = 0;
-  };
+  [[nodiscard]] double& lower(int row, int column) noexcept { return lower_(row + column * stride_); }
+  [[nodiscard]] double lower(int row, int column) const noexcept { return lower_(row + column * stride_); }
+  // Rows of the cross-covariance.
+  [[nodiscard]] int rows() const noexcept { return size_; }
+  void learn(int slot, bool learnt) noexcept;
+  void settle_motion() noexcept;
+  void settle_slow_errors() noexcept;
+  // d of the stored parameters: slow errors are stored as multiples of slow_scale_.
+  [[nodiscard]] Eigen::Matrix<double, 1, kPairParameters> stored(
+      const RangeMeasurement& measurement) const noexcept;
+  void own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,
+                         double* own) const noexcept;
+  void own_of_learnt(const RangeMeasurement& measurement, const PairPlace& pair, double* own) const noexcept;
 
   Learning learning_;
-  int first_slow_error_ = 0;
+  Layout layout_;
+  int size_ = 0;
+  int stride_ = 0;
+  double lever_arm_variance_m2_ = 0.0;
+  double slow_variance_m2_ = 0.0;
+  Eigen::Matrix4d frame_covariance_;
+
   CoreMatrix core_ = CoreMatrix::Zero();
-  Cross cross_;
-  ParameterMatrix parameters_;
-  std::array<Extent, kMaxParameters> blocks_{};
-  ParameterVector learns_;  // 1 estimated, 0 considered
-  Cross scratch_;
+  alignas(64) std::array<double, static_cast<std::size_t>(kCoreSize) * kCrossStride> cross_{};
+  // Motion since cross_ was settled: rows of the pose, and whether the row's errors are still the same.
+  PoseRows motion_ = PoseRows::Identity();
+  bool moved_ = false;
+  bool same_row_ = true;
+  double slow_scale_ = 1.0;
+  // Of what is learnt: the lower triangle, column by column. Empty where nothing is.
+  Eigen::VectorXd lower_;
+  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> learns_{};  // 1 learnt, 0 considered
+  bool considered_ = false;  // anything but slow errors
 };
 
 }  // namespace groma::filter

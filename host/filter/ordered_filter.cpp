@@ -84,7 +84,7 @@ void OrderedFilter::stop() noexcept {
 
 OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
   // What is not a number has no place in any order.
-  if (!std::isfinite(row.t_s + row.vx_mps + row.vy_mps + row.omega_radps)) {
+  if (!model::is_finite(row)) {
     ++refused_.odometry_bad_value;
     return OdometryOutcome::kBadValue;
   }

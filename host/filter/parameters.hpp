@@ -1,68 +1,67 @@
-// The site's parameters as the filter numbers them, with their values.
+// The parameters as the filter numbers them, with their values: those that all anchors share, and those of
+// the anchors that are active.
 #pragma once
 
 #include <array>
-#include <span>
+#include <cstddef>
 
 #include <Eigen/Core>
 
+#include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
-#include "host/model/calibration.hpp"
-#include "host/model/types.hpp"
 
 namespace groma::filter {
 
 using ParameterVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxParameters, 1>;
-// Too large for the stack; made in its full size at construction and never resized.
-using ParameterMatrix = Eigen::MatrixXd;
 
-// Where each parameter stands in the vector; anchors and tags are numbered by slots from 0.
-class Parameters {
+// Position, beta, gamma, lever arm, frame, slow error.
+inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1;
+using PairIndices = std::array<int, kPairParameters>;
+
+// Where each parameter stands in the vector; active anchors are numbered by slots from 0, tags as the site
+// does.
+class Layout {
  public:
-  // Takes the first kMaxTags tags, and the first kMaxAnchors anchors that have a finite position and a
-  // finite covariance of the right size. Lever arms are those of the calibration where it tells them.
-  Parameters(std::span<const model::Tag> tags, const model::Calibration& calibration);
+  Layout(int anchor_count, int tag_count) : anchor_count_(anchor_count), tag_count_(tag_count) {}
 
-  [[nodiscard]] int anchor_count() const noexcept { return anchor_count_; }
+  [[nodiscard]] int anchor_count() const noexcept { return anchor_count_; }  // active
   [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
-  [[nodiscard]] int size() const noexcept { return slow_error(anchor_count_); }
-
-  // Slot of an id, -1 where there is none.
-  [[nodiscard]] int anchor_slot(model::NodeId id) const noexcept;
-  [[nodiscard]] int tag_slot(model::NodeId id) const noexcept;
-  // Whether the calibration knows this pair of slots.
-  [[nodiscard]] bool knows_pair(int anchor, int tag) const noexcept;
+  [[nodiscard]] int size() const noexcept { return position(anchor_count_); }
 
   // First index of each.
-  [[nodiscard]] int anchor_size() const noexcept { return 3 + 2 * tag_count_; }
-  [[nodiscard]] int position(int anchor) const noexcept { return anchor * anchor_size(); }
-  [[nodiscard]] int beta(int anchor, int tag) const noexcept { return position(anchor) + 3 + tag; }
-  [[nodiscard]] int gamma(int anchor, int tag) const noexcept { return beta(anchor, tag) + tag_count_; }
-  [[nodiscard]] int lever_arm(int tag) const noexcept { return anchor_count_ * anchor_size() + 3 * tag; }
-  [[nodiscard]] int frame() const noexcept { return lever_arm(tag_count_); }
+  [[nodiscard]] static constexpr int frame() noexcept { return 0; }
+  [[nodiscard]] static constexpr int lever_arm(int tag) noexcept { return kFrameSize + 3 * tag; }
+  [[nodiscard]] int common_size() const noexcept { return lever_arm(tag_count_); }
+  [[nodiscard]] int anchor_size() const noexcept { return 3 + 2 * tag_count_ + 1; }
+  [[nodiscard]] int position(int slot) const noexcept { return common_size() + slot * anchor_size(); }
+  [[nodiscard]] int beta(int slot, int tag) const noexcept { return position(slot) + 3 + tag; }
+  [[nodiscard]] int gamma(int slot, int tag) const noexcept { return beta(slot, tag) + tag_count_; }
+  [[nodiscard]] int slow_error(int slot) const noexcept { return position(slot + 1) - 1; }
+  // Of what a pair's range depends on, in the order of kPairParameters.
+  [[nodiscard]] PairIndices pair_indices(int slot, int tag) const noexcept;
 
-  [[nodiscard]] int slow_error(int anchor) const noexcept { return frame() + kFrameSize + anchor; }
+ private:
+  int anchor_count_;
+  int tag_count_;
+};
+
+class Parameters : public Layout {
+ public:
+  // The site's first `capacity` anchors are active.
+  explicit Parameters(const Site& site, int capacity = kMaxAnchors);
+
+  // The site's index of an active anchor.
+  [[nodiscard]] int anchor_in(int slot) const noexcept { return active_[static_cast<std::size_t>(slot)]; }
 
   [[nodiscard]] const ParameterVector& values() const noexcept { return values_; }
   [[nodiscard]] ParameterVector& values() noexcept { return values_; }
+  [[nodiscard]] PairParameters pair(const Site& site, int slot, int tag) const noexcept;
 
-  // Of a tag's antenna, zero where the calibration tells none.
-  [[nodiscard]] const model::PatternTerms& pattern_m(int tag) const noexcept {
-    return patterns_m_[static_cast<std::size_t>(tag)];
-  }
-
-  // The covariance they come with: a block of each anchor, of each lever arm, of the frame; the
-  // variance of each slow error; nothing between.
-  [[nodiscard]] ParameterMatrix prior_covariance(const model::Calibration& calibration,
-                                                 double lever_arm_sigma_m) const;
+  // Another anchor in a slot, with these values.
+  void exchange(int slot, int index, const AnchorVector& values) noexcept;
 
  private:
-  std::array<model::NodeId, kMaxAnchors> anchor_ids_{};
-  std::array<model::NodeId, kMaxTags> tag_ids_{};
-  std::array<std::array<bool, kMaxTags>, kMaxAnchors> known_pairs_{};
-  std::array<model::PatternTerms, kMaxTags> patterns_m_;
-  int anchor_count_ = 0;
-  int tag_count_ = 0;
+  std::array<int, kMaxAnchors> active_{};
   ParameterVector values_;
 };
 

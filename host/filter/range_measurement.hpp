@@ -2,38 +2,33 @@
 // by the parameters of the one pair.
 #pragma once
 
-#include <array>
-
 #include <Eigen/Core>
 
 #include "host/filter/parameters.hpp"
+#include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::filter {
 
-// Position, beta, gamma, lever arm, frame, slow error.
-inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1;
-
 struct RangeMeasurement {
   double range_m = 0.0;                                    // predicted
   double distance_m = 0.0;                                 // between the antennas
   CoreRow d_core;                                          // by the core state
-  std::array<int, kPairParameters> index;                  // of the parameters it depends on
-  Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // by these
+  Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // by those of the pair
 };
 
-// Range of a tag to an anchor (slots), z = gamma d + beta and what the tag's antenna adds in that direction,
-// at the pose that the core state had a delay ago. The anchor stands at a + (frame x, y, z) + frame yaw * (z
-// axis x a).
+// Range of a tag to an anchor, z = gamma d + beta and what the tag's antenna adds in that direction, at the
+// pose that the core state had a delay ago. The anchor stands at a + (frame x, y, z) + frame yaw * (z axis x
+// a).
 [[nodiscard]] RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& core,
-                                             const model::OdometrySample& row, const Parameters& parameters,
-                                             int anchor, int tag) noexcept;
+                                             const model::OdometrySample& row,
+                                             const PairParameters& pair) noexcept;
 
 // The pure distance of the original model: beta 0, gamma 1.
 [[nodiscard]] RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
                                                 const model::OdometrySample& row,
-                                                const Parameters& parameters, int anchor, int tag) noexcept;
+                                                const PairParameters& pair) noexcept;
 
 }  // namespace groma::filter

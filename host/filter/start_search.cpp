@@ -61,10 +61,23 @@ Eigen::Vector3d between(const Eigen::Vector3d& from, const Eigen::Vector3d& to) 
   return {c * d.x() + s * d.y(), -s * d.x() + c * d.y(), to.z() - from.z()};
 }
 
-bool finite(const model::OdometrySample& row) noexcept {
-  return std::isfinite(row.t_s) && std::isfinite(row.vx_mps) && std::isfinite(row.vy_mps) &&
-         std::isfinite(row.omega_radps);
-}
+// The derivatives by a pair's parameters, where they stand in the site.
+struct PairOf {
+  PairOf(const Site& site, int tag, const RangeMeasurement& measurement)
+      : by_anchor(AnchorVector::Zero(site.anchor_size())) {
+    const auto& d = measurement.d_parameters;
+    by_anchor.head<3>() = d.head<3>();
+    by_anchor(3 + tag) = d(3);
+    by_anchor(3 + site.tag_count() + tag) = d(4);
+    by_lever_arm = d.segment<3>(5);
+    by_frame = d.segment<kFrameSize>(8);
+    by_anchor(site.anchor_size() - 1) = d(kPairParameters - 1);
+  }
+
+  AnchorVector by_anchor;
+  Eigen::Vector3d by_lever_arm;
+  Eigen::Vector4d by_frame;
+};
 
 }  // namespace
 
@@ -74,8 +87,10 @@ StartSearch::StartSearch(model::Surface surface, std::span<const model::Tag> tag
     : surface_(std::move(surface)),
       config_(config),
       search_(search),
-      parameters_(tags, calibration),
-      parameter_covariance_(parameters_.prior_covariance(calibration, config.lever_arm_sigma_m)) {
+      site_(tags, calibration, config.lever_arm_sigma_m),
+      last_taken_s_(static_cast<std::size_t>(site_.anchor_count()) * kMaxTags),
+      shortest_(static_cast<std::size_t>(site_.anchor_count())),
+      by_anchor_(static_cast<std::size_t>(site_.anchor_count()), ByAnchor::Zero(3, site_.anchor_size())) {
   if (calibration.range_delay_sigma_s > 0.0) config_.range_delay_s = calibration.range_delay_s;
   clear();
 }
@@ -83,7 +98,7 @@ StartSearch::StartSearch(model::Surface surface, std::span<const model::Tag> tag
 void StartSearch::clear() noexcept {
   first_ = 0;
   count_ = 0;
-  last_taken_s_.fill(-std::numeric_limits<double>::infinity());
+  std::fill(last_taken_s_.begin(), last_taken_s_.end(), -std::numeric_limits<double>::infinity());
   now_ = {};
   hypothesis_count_ = 0;
   settled_ = false;
@@ -118,7 +133,7 @@ void StartSearch::advance(double t_s) noexcept {
 }
 
 void StartSearch::process(const model::OdometrySample& row) noexcept {
-  if (!finite(row) || (has_row_ && row.t_s < t_s_)) return;
+  if (!model::is_finite(row) || (has_row_ && row.t_s < t_s_)) return;
   advance(row.t_s);
   row_ = row;
   has_row_ = true;
@@ -129,9 +144,9 @@ void StartSearch::process(const model::RangeSample& range) noexcept {
       !(range.range_m > config_.min_range_m) || !(range.range_m <= config_.max_range_m)) {
     return;
   }
-  const int tag = parameters_.tag_slot(range.tag_id);
-  const int anchor = parameters_.anchor_slot(range.anchor_id);
-  if (tag < 0 || anchor < 0 || !parameters_.knows_pair(anchor, tag)) return;
+  const int tag = site_.tag_slot(range.tag_id);
+  const int anchor = site_.anchor_index(range.anchor_id);
+  if (tag < 0 || anchor < 0 || !site_.knows_pair(anchor, tag)) return;
   advance(std::max(range.t_s, t_s_));
   double& last_s = last_taken_s_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
   if (range.t_s - last_s < search_.spacing_s) return;
@@ -170,41 +185,34 @@ StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vecto
   core.segment<3>(kX) = compose(pose, term.back);
   core(kDelay) = config_.range_delay_s;
   const RangeMeasurement measurement =
-      measure_range(surface_, core, seen.row, parameters_, seen.anchor, seen.tag);
+      measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag));
   Residual out;
   out.e_m = seen.range_m - measurement.range_m;
   const Eigen::Vector2d lever = core.segment<2>(kX) - pose.head<2>();
   out.d_pose = measurement.d_core.segment<3>(kX);
   out.d_pose(2) += -out.d_pose(0) * lever.y() + out.d_pose(1) * lever.x();
-  double by_calibration_m2 = 0.0;
-  for (int i = 0; i < kPairParameters; ++i) {
-    for (int j = 0; j < kPairParameters; ++j) {
-      by_calibration_m2 += measurement.d_parameters(i) * measurement.d_parameters(j) *
-                           parameter_covariance_(measurement.index[static_cast<std::size_t>(i)],
-                                                 measurement.index[static_cast<std::size_t>(j)]);
-    }
-  }
+  const PairOf pair(site_, seen.tag, measurement);
+  const double by_calibration_m2 = pair.by_anchor.dot(site_.anchor(seen.anchor).covariance * pair.by_anchor) +
+                                   site_.lever_arm_variance_m2() * pair.by_lever_arm.squaredNorm() +
+                                   pair.by_frame.dot(site_.frame_covariance() * pair.by_frame);
   out.variance_m2 = square(config_.range_sigma_m) + by_calibration_m2 + term.drift_variance_m2;
   return out;
 }
 
 double StartSearch::coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept {
-  const ParameterVector& values = parameters_.values();
   const std::size_t every = std::max<std::size_t>(1, count_ / kCoarseRanges);
   double sum = 0.0;
   for (std::size_t i = count_ % every; i < count_; i += every) {
     const Term& term = terms_[i];
     const Eigen::Vector3d then = compose(pose, term.back);
-    const Eigen::Vector3d lever = values.segment<3>(parameters_.lever_arm(term.seen->tag));
+    const PairParameters pair = site_.pair(term.seen->anchor, term.seen->tag);
+    const Eigen::Vector3d& lever = pair.lever_arm_m;
     const double c = std::cos(then.z());
     const double s = std::sin(then.z());
     const Eigen::Vector3d antenna(then.x() + c * lever.x() - s * lever.y(),
                                   then.y() + s * lever.x() + c * lever.y(),
                                   surface_.at(then.x(), then.y()).z_m + lever.z());
-    const Eigen::Vector3d anchor = values.segment<3>(parameters_.position(term.seen->anchor));
-    const double predicted_m =
-        values(parameters_.gamma(term.seen->anchor, term.seen->tag)) * (antenna - anchor).norm() +
-        values(parameters_.beta(term.seen->anchor, term.seen->tag));
+    const double predicted_m = pair.gamma * (antenna - pair.position_m).norm() + pair.beta_m;
     sum += robust_cost((term.seen->range_m - predicted_m) / width_m, search_);
   }
   return sum;
@@ -267,36 +275,41 @@ void StartSearch::refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept {
   out.mean_weight = weights / static_cast<double>(count_);
 }
 
-void StartSearch::add_calibration(Hypothesis& hypothesis) const noexcept {
+void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
   // The solution is linear in the residuals near by: what the parameters' errors, common to many ranges, do
   // to it is not averaged away.
   const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
-  Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kMaxParameters> by_parameters;
-  by_parameters.setZero(3, parameters_.size());
+  std::array<Eigen::Matrix3d, kMaxTags> by_lever_arm;
+  by_lever_arm.fill(Eigen::Matrix3d::Zero());
+  Eigen::Matrix<double, 3, kFrameSize> by_frame = Eigen::Matrix<double, 3, kFrameSize>::Zero();
   const Eigen::Vector3d pose(hypothesis.pose.x_m, hypothesis.pose.y_m, hypothesis.pose.theta_rad);
   for (std::size_t i = 0; i < count_; ++i) {
     const Term& term = terms_[i];
+    const Seen& seen = *term.seen;
     CoreVector core = CoreVector::Zero();
     core.segment<3>(kX) = compose(pose, term.back);
     core(kDelay) = config_.range_delay_s;
     const RangeMeasurement measurement =
-        measure_range(surface_, core, term.seen->row, parameters_, term.seen->anchor, term.seen->tag);
+        measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag));
     const Residual r = residual(term, pose);
     const double weight = share * robust_weight(r.e_m / std::sqrt(r.variance_m2), search_) / r.variance_m2;
-    for (int j = 0; j < kPairParameters; ++j) {
-      by_parameters.col(measurement.index[static_cast<std::size_t>(j)]) +=
-          weight * measurement.d_parameters(j) * r.d_pose.transpose();
-    }
+    const PairOf pair(site_, seen.tag, measurement);
+    const Eigen::Vector3d pull = weight * r.d_pose.transpose();
+    by_anchor_[static_cast<std::size_t>(seen.anchor)].noalias() += pull * pair.by_anchor.transpose();
+    by_lever_arm[static_cast<std::size_t>(seen.tag)].noalias() += pull * pair.by_lever_arm.transpose();
+    by_frame.noalias() += pull * pair.by_frame.transpose();
+  }
+  Eigen::Matrix3d spread = by_frame * site_.frame_covariance() * by_frame.transpose();
+  for (const Eigen::Matrix3d& by : by_lever_arm) {
+    spread.noalias() += site_.lever_arm_variance_m2() * by * by.transpose();
+  }
+  for (std::size_t i = 0; i < count_; ++i) {
+    const int anchor = terms_[i].seen->anchor;
+    ByAnchor& by = by_anchor_[static_cast<std::size_t>(anchor)];
+    spread += by.lazyProduct(site_.anchor(anchor).covariance).eval().lazyProduct(by.transpose());
+    by.setZero();
   }
   const Eigen::Matrix3d& gain = hypothesis.covariance;
-  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
-  for (Eigen::Index i = 0; i < by_parameters.cols(); ++i) {
-    Eigen::Vector3d column = Eigen::Vector3d::Zero();
-    for (Eigen::Index j = 0; j < by_parameters.cols(); ++j) {
-      column += parameter_covariance_(j, i) * by_parameters.col(j);
-    }
-    spread.noalias() += column * by_parameters.col(i).transpose();
-  }
   hypothesis.covariance += gain * spread * gain.transpose();
 }
 
@@ -331,23 +344,22 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
   for (std::size_t i = 0; i < count_; ++i) terms_[i] = term_of(seen(i));
 
   // The anchors that were nearest, each with its shortest range.
-  std::array<const Term*, kMaxAnchors> shortest{};
+  std::fill(shortest_.begin(), shortest_.end(), nullptr);
   for (std::size_t i = 0; i < count_; ++i) {
-    const Term*& least = shortest[static_cast<std::size_t>(terms_[i].seen->anchor)];
+    const Term*& least = shortest_[static_cast<std::size_t>(terms_[i].seen->anchor)];
     if (least == nullptr || terms_[i].seen->range_m < least->seen->range_m) least = &terms_[i];
   }
-  const auto heard = std::remove(shortest.begin(), shortest.end(), nullptr);
-  std::sort(shortest.begin(), heard, [](const Term* a, const Term* b) {
+  const auto heard = std::remove(shortest_.begin(), shortest_.end(), nullptr);
+  std::sort(shortest_.begin(), heard, [](const Term* a, const Term* b) {
     return std::pair(a->seen->range_m, a->seen->anchor) < std::pair(b->seen->range_m, b->seen->anchor);
   });
-  const auto rings = std::min<std::ptrdiff_t>(kRings, heard - shortest.begin());
+  const auto rings = std::min<std::ptrdiff_t>(kRings, heard - shortest_.begin());
 
   std::array<std::pair<double, Eigen::Vector3d>, kStarts> starts;
   std::size_t start_count = 0;
-  const ParameterVector& values = parameters_.values();
   for (std::ptrdiff_t ring = 0; ring < rings; ++ring) {
-    const Term& term = *shortest[static_cast<std::size_t>(ring)];
-    const Eigen::Vector3d anchor = values.segment<3>(parameters_.position(term.seen->anchor));
+    const Term& term = *shortest_[static_cast<std::size_t>(ring)];
+    const Eigen::Vector3d anchor = site_.anchor(term.seen->anchor).values.head<3>();
     const double height_m = anchor.z() - surface_.at(anchor.x(), anchor.y()).z_m;
     const double radius_m =
         std::sqrt(std::max(square(term.seen->range_m) - square(height_m), square(0.2 * term.seen->range_m)));
@@ -380,8 +392,8 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
     refine({pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi}, turned);
     keep(turned);
     if (rings < 2) continue;
-    const Eigen::Vector2d a = values.segment<2>(parameters_.position(shortest[0]->seen->anchor));
-    const Eigen::Vector2d b = values.segment<2>(parameters_.position(shortest[1]->seen->anchor));
+    const Eigen::Vector2d a = site_.anchor(shortest_[0]->seen->anchor).values.head<2>();
+    const Eigen::Vector2d b = site_.anchor(shortest_[1]->seen->anchor).values.head<2>();
     const double along = std::atan2(b.y() - a.y(), b.x() - a.x());
     const Eigen::Vector2d from(pose.x_m - a.x(), pose.y_m - a.y());
     const Eigen::Vector2d axis(std::cos(along), std::sin(along));

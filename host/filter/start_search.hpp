@@ -9,12 +9,14 @@
 
 #include <array>
 #include <cstddef>
+#include <limits>
 #include <span>
+#include <vector>
 
 #include <Eigen/Core>
 
 #include "host/filter/config.hpp"
-#include "host/filter/parameters.hpp"
+#include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
@@ -101,6 +103,9 @@ class StartSearch {
     Eigen::RowVector3d d_pose = Eigen::RowVector3d::Zero();  // of the predicted range
   };
 
+  // How a pose depends on the parameters of an anchor.
+  using ByAnchor = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kMaxAnchorSize>;
+
   void advance(double t_s) noexcept;
   [[nodiscard]] Seen& seen(std::size_t i) noexcept { return seen_[(first_ + i) % kMaxRanges]; }
   [[nodiscard]] const Seen& seen(std::size_t i) const noexcept { return seen_[(first_ + i) % kMaxRanges]; }
@@ -108,19 +113,20 @@ class StartSearch {
   [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose) const noexcept;
   [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept;
   void refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept;
-  void add_calibration(Hypothesis& hypothesis) const noexcept;
+  void add_calibration(Hypothesis& hypothesis) noexcept;
   void keep(const Hypothesis& hypothesis) noexcept;
 
   model::Surface surface_;
   Config config_;
   StartSearchConfig search_;
-  Parameters parameters_;
-  ParameterMatrix parameter_covariance_;
+  Site site_;
   std::array<Seen, kMaxRanges> seen_;
   std::size_t first_ = 0;
   std::size_t count_ = 0;
-  std::array<double, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> last_taken_s_{};
+  std::vector<double> last_taken_s_;  // of each pair
   std::array<Term, kMaxRanges> terms_;
+  std::vector<const Term*> shortest_;  // of each anchor
+  std::vector<ByAnchor> by_anchor_;    // scratch, zero between uses
   Odometer now_;
   model::OdometrySample row_{};
   bool has_row_ = false;

@@ -5,8 +5,14 @@
 
 namespace groma::filter {
 
+// Anchors that are active at a time, and tags: CMake's GROMA_ACTIVE_ANCHORS and GROMA_TAGS.
+#ifdef GROMA_ACTIVE_ANCHORS
+inline constexpr int kMaxAnchors = GROMA_ACTIVE_ANCHORS;
+inline constexpr int kMaxTags = GROMA_TAGS;
+#else
 inline constexpr int kMaxAnchors = 16;
 inline constexpr int kMaxTags = 4;
+#endif
 
 // Core error state. The last three are the errors of the odometry row that is held now: a row's noise is
 // one draw, constant over the row, so that steps within the row share it.
@@ -23,13 +29,20 @@ enum CoreIndex : int {
   kCoreSize,
 };
 
-// Parameters: of each anchor its position (3), beta (a tag) and gamma (a tag); lever arms (3 a tag); the
-// error of the frame that all anchors share (x, y, z, yaw); the slow range error of each anchor.
+// Parameters: the error of the frame that all anchors share (x, y, z, yaw); lever arms (3 a tag); of each
+// active anchor its position (3), beta (a tag), gamma (a tag) and its slow range error.
 inline constexpr int kFrameSize = 4;
-inline constexpr int kMaxParameters = kMaxAnchors * (3 + 2 * kMaxTags + 1) + 3 * kMaxTags + kFrameSize;
+inline constexpr int kMaxCommon = kFrameSize + 3 * kMaxTags;
+inline constexpr int kMaxAnchorSize = 3 + 2 * kMaxTags + 1;
+inline constexpr int kMaxParameters = kMaxCommon + kMaxAnchors * kMaxAnchorSize;
 
 using CoreVector = Eigen::Matrix<double, kCoreSize, 1>;
 using CoreMatrix = Eigen::Matrix<double, kCoreSize, kCoreSize>;
 using CoreRow = Eigen::Matrix<double, 1, kCoreSize>;
+using PoseRows = Eigen::Matrix<double, 3, kCoreSize>;  // derivatives of x, y, theta by the core state
+// Of one anchor: position, beta of each tag, gamma of each tag, slow error.
+using AnchorVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxAnchorSize, 1>;
+using AnchorMatrix =
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxAnchorSize, kMaxAnchorSize>;
 
 }  // namespace groma::filter

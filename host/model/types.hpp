@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -58,6 +59,11 @@ struct OdometrySample {
   double vy_mps = 0.0;
   double omega_radps = 0.0;
 };
+
+[[nodiscard]] inline bool is_finite(const OdometrySample& row) noexcept {
+  return std::isfinite(row.t_s) && std::isfinite(row.vx_mps) && std::isfinite(row.vy_mps) &&
+         std::isfinite(row.omega_radps);
+}
 
 // The covariance of x, y and yaw (m, rad), its upper triangle: xx, xy, xt, yy, yt, tt.
 using PoseCovariance = std::array<double, 6>;

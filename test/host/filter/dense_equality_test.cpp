@@ -39,18 +39,20 @@ class DenseFilter {
       : surface_(surface),
         config_(config),
         noise_(*calibration.range_noise),
-        parameters_(testing::three_tags(), calibration) {
+        site_(testing::three_tags(), calibration, config.lever_arm_sigma_m),
+        parameters_(site_) {
     const int size = kCoreSize + parameters_.size();
     x_ = Eigen::VectorXd::Zero(size);
     x_.tail(parameters_.size()) = parameters_.values();
     p_ = Eigen::MatrixXd::Zero(size, size);
     p_.bottomRightCorner(parameters_.size(), parameters_.size()) =
-        parameters_.prior_covariance(calibration, config.lever_arm_sigma_m);
+        testing::prior_covariance(site_, parameters_, calibration);
     estimated_ = Eigen::VectorXd::Zero(size);
     estimated_.head<kCoreSize>().setOnes();
     if (config.model == Model::kJoint) {
       estimated_.setOnes();
-      estimated_.tail(parameters_.anchor_count()).setZero();
+      for (int i = 0; i < parameters_.anchor_count(); ++i)
+        estimated_(kCoreSize + parameters_.slow_error(i)) = 0.0;
     }
     if (config.model == Model::kAnchorStates) {
       for (int i = 0; i < parameters_.anchor_count(); ++i) {
@@ -79,12 +81,17 @@ class DenseFilter {
       Eigen::MatrixXd f = Eigen::MatrixXd::Identity(x_.size(), x_.size());
       f.block<3, kCoreSize>(0, 0) = motion.d_core;
       x_.head<3>() = motion.pose;
-      const int slow = parameters_.anchor_count();
       const double fade = std::exp(-dt_s / steps / noise_.slow_time_s);
-      f.diagonal().tail(slow).setConstant(fade);
-      x_.tail(slow) *= fade;
+      for (int anchor = 0; anchor < parameters_.anchor_count(); ++anchor) {
+        const int slow = kCoreSize + parameters_.slow_error(anchor);
+        f(slow, slow) = fade;
+        x_(slow) *= fade;
+      }
       p_ = f * p_ * f.transpose();
-      p_.diagonal().tail(slow).array() += (1.0 - fade * fade) * std::pow(noise_.slow_sigma_m, 2);
+      for (int anchor = 0; anchor < parameters_.anchor_count(); ++anchor) {
+        const int slow = kCoreSize + parameters_.slow_error(anchor);
+        p_(slow, slow) += (1.0 - fade * fade) * std::pow(noise_.slow_sigma_m, 2);
+      }
       p_(kScale, kScale) += std::pow(config_.scale_walk, 2) * dt_s / steps;
       p_(kYawBias, kYawBias) += std::pow(config_.yaw_rate_bias_walk, 2) * dt_s / steps;
     }
@@ -103,16 +110,18 @@ class DenseFilter {
 
   double update(const model::RangeSample& range) {
     parameters_.values() = x_.tail(parameters_.size());
-    const int anchor = parameters_.anchor_slot(range.anchor_id);
-    const int tag = parameters_.tag_slot(range.tag_id);
+    const int anchor = site_.anchor_index(range.anchor_id);
+    const int tag = site_.tag_slot(range.tag_id);
+    const PairParameters pair = parameters_.pair(site_, anchor, tag);
+    const PairIndices index = parameters_.pair_indices(anchor, tag);
     const bool pure = config_.model == Model::kOriginal;
-    const RangeMeasurement m = pure ? measure_distance(surface_, core(), row_, parameters_, anchor, tag)
-                                    : measure_range(surface_, core(), row_, parameters_, anchor, tag);
+    const RangeMeasurement m =
+        pure ? measure_distance(surface_, core(), row_, pair) : measure_range(surface_, core(), row_, pair);
     Eigen::RowVectorXd h = Eigen::RowVectorXd::Zero(x_.size());
     h.head<kCoreSize>() = m.d_core;
     Eigen::RowVectorXd j = Eigen::RowVectorXd::Zero(x_.size());
-    for (std::size_t i = 0; i < m.index.size(); ++i)
-      j(kCoreSize + m.index[i]) = m.d_parameters(static_cast<Eigen::Index>(i));
+    for (std::size_t i = 0; i < index.size(); ++i)
+      j(kCoreSize + index[i]) = m.d_parameters(static_cast<Eigen::Index>(i));
     double r = std::pow(noise_.white_sigma_m, 2);
     if (config_.model == Model::kInflated) r += (j * p_ * j.transpose())(0);
     if (!pure && config_.model != Model::kInflated) h += j;
@@ -132,19 +141,13 @@ class DenseFilter {
   const model::Surface& surface_;
   Config config_;
   model::RangeNoise noise_;
+  Site site_;
   Parameters parameters_;
   model::OdometrySample row_;
   Eigen::VectorXd x_;
   Eigen::MatrixXd p_;
   Eigen::VectorXd estimated_;
 };
-
-Eigen::MatrixXd whole(const JointCovariance& covariance) {
-  const Eigen::Index parameters = covariance.parameters().rows();
-  Eigen::MatrixXd p(kCoreSize + parameters, kCoreSize + parameters);
-  p << covariance.core(), covariance.cross().transpose(), covariance.cross(), covariance.parameters();
-  return p;
-}
 
 class DenseEquality : public ::testing::TestWithParam<Model> {};
 
@@ -192,7 +195,7 @@ TEST_P(DenseEquality, OverADriveOnHills) {
   EXPECT_LT(
       (filter->parameters().values() - dense.x().tail(filter->parameters().size())).cwiseAbs().maxCoeff(),
       1e-9);
-  const Eigen::MatrixXd p = whole(filter->covariance());
+  const Eigen::MatrixXd p = testing::whole(*filter);
   EXPECT_LT((p - dense.p()).cwiseAbs().maxCoeff(), 1e-9);
   EXPECT_EQ(filter->covariance().cross().cwiseAbs().maxCoeff() > 1e-5, keeps_cross);
   EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(p).eigenvalues().minCoeff(), -1e-12);

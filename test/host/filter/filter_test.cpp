@@ -346,10 +346,7 @@ TEST_P(EveryModel, StaysSymmetricAndPositiveOverALongRun) {
   filter->process(drive.odometry.front());
   filter->start({.t_s = 0.0, .pose = {1.0, -2.0, 0.4}});
   Feeder(drive).until(200.0, *filter);
-  const JointCovariance& covariance = filter->covariance();
-  const Eigen::Index parameters = covariance.parameters().rows();
-  Eigen::MatrixXd p(kCoreSize + parameters, kCoreSize + parameters);
-  p << covariance.core(), covariance.cross().transpose(), covariance.cross(), covariance.parameters();
+  Eigen::MatrixXd p = testing::whole(*filter);
   EXPECT_LT((p - p.transpose()).cwiseAbs().maxCoeff(), 1e-13);
   // Of the matrix scaled to unit variances, so that no unit hides another; the delay is known and there are
   // no slow errors: no variance.

@@ -28,7 +28,7 @@ class RangeMeasurementTest : public ::testing::Test {
   // The derivative by every core state and parameter of what a function of them tells.
   template <typename Measure>
   void expect_exact(const Measure& measure, int anchor, int tag) {
-    const RangeMeasurement measurement = measure(surface_, core_, row_, parameters_, anchor, tag);
+    const RangeMeasurement measurement = measure(surface_, core_, row_, parameters_.pair(site_, anchor, tag));
     Eigen::VectorXd all(kCoreSize + parameters_.size());
     all << core_, parameters_.values();
     const Eigen::MatrixXd numerical = numerical_jacobian(
@@ -36,13 +36,15 @@ class RangeMeasurementTest : public ::testing::Test {
           Parameters parameters = parameters_;
           parameters.values() = x.tail(parameters_.size());
           return Eigen::VectorXd::Constant(
-              1, measure(surface_, CoreVector(x.head<kCoreSize>()), row_, parameters, anchor, tag).range_m);
+              1, measure(surface_, CoreVector(x.head<kCoreSize>()), row_, parameters.pair(site_, anchor, tag))
+                     .range_m);
         },
         all, 1e-6);
     Eigen::RowVectorXd exact = Eigen::RowVectorXd::Zero(all.size());
     exact.head<kCoreSize>() = measurement.d_core;
+    const PairIndices index = parameters_.pair_indices(anchor, tag);
     for (int i = 0; i < kPairParameters; ++i) {
-      exact(kCoreSize + measurement.index[static_cast<std::size_t>(i)]) = measurement.d_parameters(i);
+      exact(kCoreSize + index[static_cast<std::size_t>(i)]) = measurement.d_parameters(i);
     }
     // Of the delay the first order alone is claimed on a curved surface.
     EXPECT_NEAR(exact(kDelay), numerical(kDelay), 2e-3);
@@ -51,7 +53,8 @@ class RangeMeasurementTest : public ::testing::Test {
   }
 
   model::Surface surface_ = testing::hills(0.5);
-  Parameters parameters_{testing::three_tags(), testing::six_anchors()};
+  Site site_{testing::three_tags(), testing::six_anchors(), 0.01};
+  Parameters parameters_{site_};
   Random random_{31};
   CoreVector core_;
   model::OdometrySample row_;
@@ -70,14 +73,15 @@ TEST_F(RangeMeasurementTest, WithoutDelayTheyAreExactForItToo) {
   for (int i = 0; i < 30; ++i) {
     draw();
     core_(kDelay) = 0.0;
-    const RangeMeasurement measurement = measure_range(surface_, core_, row_, parameters_, i % 6, i % 3);
+    const PairParameters pair = parameters_.pair(site_, i % 6, i % 3);
+    const RangeMeasurement measurement = measure_range(surface_, core_, row_, pair);
     const double h = 1e-6;
     CoreVector late = core_;
     late(kDelay) = h;
     CoreVector early = core_;
     early(kDelay) = -h;
-    const double numerical = (measure_range(surface_, late, row_, parameters_, i % 6, i % 3).range_m -
-                              measure_range(surface_, early, row_, parameters_, i % 6, i % 3).range_m) /
+    const double numerical = (measure_range(surface_, late, row_, pair).range_m -
+                              measure_range(surface_, early, row_, pair).range_m) /
                              (2.0 * h);
     EXPECT_NEAR(measurement.d_core(kDelay), numerical, 1e-7);
   }
@@ -88,20 +92,19 @@ TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
   const model::Calibration calibration = model::surveyed_calibration(
       std::vector<model::Anchor>{{5, {0.0, 0.0, 0.0}}}, std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}},
       {.sigma_m = 0.1, .beta_m = {0.3, 0.1}, .gamma = {1.0, 0.01}}, 0.02);
-  const Parameters parameters(std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}}, calibration);
+  const PairParameters pair =
+      Site(std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}}, calibration, 0.01).pair(0, 0);
   CoreVector core = CoreVector::Zero();
   core(kX) = 10.0;
   core(kDelay) = 0.05;
-  const RangeMeasurement measurement =
-      measure_range(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, parameters, 0, 0);
+  const RangeMeasurement measurement = measure_range(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, pair);
   EXPECT_NEAR(measurement.range_m, 10.0 - 0.1 + 0.3, 1e-12);
   EXPECT_NEAR(measurement.d_core(kDelay), -2.0, 1e-12);
-  EXPECT_NEAR(measure_distance(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, parameters, 0, 0).range_m, 9.9,
-              1e-12);
+  EXPECT_NEAR(measure_distance(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, pair).range_m, 9.9, 1e-12);
 }
 
 TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
-  const Parameters parameters(testing::three_tags(), testing::six_anchors());
+  const Parameters parameters(Site(testing::three_tags(), testing::six_anchors(), 0.01));
   ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4 + 6);
   Eigen::VectorXi taken = Eigen::VectorXi::Zero(parameters.size());
   const auto take = [&](int first, int count) {
@@ -126,15 +129,18 @@ TEST(Parameters, TakeTheCalibrationsBlocksForTheTagsThatAreThere) {
   const std::vector<model::Tag> all = testing::three_tags();
   // In another order, one missing, one that the calibration does not know.
   const std::vector<model::Tag> tags{all[2], {77, Eigen::Vector3d::Ones()}, all[0]};
-  const Parameters parameters(tags, calibration);
-  const Eigen::MatrixXd covariance = parameters.prior_covariance(calibration, 0.01);
+  const Site site(tags, calibration, 0.01);
+  const Parameters parameters(site);
+  const Eigen::MatrixXd covariance =
+      JointCovariance(site, parameters, Learning::kAll).parameters(site, parameters);
+  EXPECT_EQ(covariance, JointCovariance(site, parameters, Learning::kNothing).parameters(site, parameters));
   for (int slot = 0; slot < 6; ++slot) {
     const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(slot)];
-    EXPECT_EQ(parameters.anchor_slot(anchor.id), slot);
+    EXPECT_EQ(site.anchor_index(anchor.id), slot);
     EXPECT_EQ(parameters.values()(parameters.beta(slot, 0)), anchor.pairs[2].beta_m);
     EXPECT_EQ(parameters.values()(parameters.gamma(slot, 2)), anchor.pairs[0].gamma);
-    EXPECT_TRUE(parameters.knows_pair(slot, 0));
-    EXPECT_FALSE(parameters.knows_pair(slot, 1));
+    EXPECT_TRUE(site.knows_pair(slot, 0));
+    EXPECT_FALSE(site.knows_pair(slot, 1));
     // beta of tag 3 against gamma of tag 1, and against the position's z.
     EXPECT_EQ(covariance(parameters.beta(slot, 0), parameters.gamma(slot, 2)),
               anchor.covariance(3 + 2, 6 + 0));
@@ -149,7 +155,7 @@ TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
   calibration.anchors[1].position_m.x() = std::nan("");
   calibration.anchors[2].covariance.resize(2, 2);
   calibration.anchors[3].covariance(1, 1) = std::nan("");
-  EXPECT_EQ(Parameters(testing::three_tags(), calibration).anchor_count(), 3);
+  EXPECT_EQ(Site(testing::three_tags(), calibration, 0.01).anchor_count(), 3);
 
   calibration = testing::six_anchors();
   while (calibration.anchors.size() < 40) {
@@ -158,12 +164,16 @@ TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
   }
   std::vector<model::Tag> tags;
   for (model::NodeId id = 1; id < 20; ++id) tags.push_back({id, Eigen::Vector3d::Zero()});
-  const Parameters parameters(tags, calibration);
+  const Site site(tags, calibration, 0.01);
+  EXPECT_EQ(site.anchor_count(), 40);
+  EXPECT_EQ(site.tag_count(), kMaxTags);
+  EXPECT_EQ(site.tag_slot(19), -1);
+  EXPECT_EQ(site.anchor_index(9), -1);
+  EXPECT_EQ(site.anchor_index(0xFFFF), -1);
+  const Parameters parameters(site);
   EXPECT_EQ(parameters.anchor_count(), kMaxAnchors);
-  EXPECT_EQ(parameters.tag_count(), kMaxTags);
   EXPECT_EQ(parameters.size(), kMaxParameters);
-  EXPECT_EQ(parameters.prior_covariance(calibration, 0.01).rows(), kMaxParameters);
-  EXPECT_EQ(parameters.tag_slot(19), -1);
+  EXPECT_EQ(Parameters(site, 5).anchor_count(), 5);
 }
 
 // A tag that looks ahead at an anchor sees it by its pattern's first coefficient too far; its lever arm is
@@ -177,11 +187,11 @@ TEST(RangeMeasurement, KnowsWhatADriveShowedOfTheTag) {
   calibration.tags[0].lever_arm.emplace();
   calibration.tags[0].lever_arm->position_m = {1.5, 0.0, 0.0};
   calibration.tags[0].pattern_m = model::PatternTerms::Unit(0) * 0.02;
-  const Parameters parameters(std::vector<model::Tag>{{1, {1.0, 0.0, 0.0}}}, calibration);
-  const RangeMeasurement ahead = measure_range(model::Surface(), CoreVector::Zero(), {}, parameters, 0, 0);
+  const PairParameters pair =
+      Site(std::vector<model::Tag>{{1, {1.0, 0.0, 0.0}}}, calibration, 0.01).pair(0, 0);
+  const RangeMeasurement ahead = measure_range(model::Surface(), CoreVector::Zero(), {}, pair);
   EXPECT_NEAR(ahead.range_m, 8.5 + 0.02, 1e-12);
-  EXPECT_NEAR(measure_distance(model::Surface(), CoreVector::Zero(), {}, parameters, 0, 0).range_m, 8.5,
-              1e-12);
+  EXPECT_NEAR(measure_distance(model::Surface(), CoreVector::Zero(), {}, pair).range_m, 8.5, 1e-12);
 }
 
 }  // namespace

@@ -174,6 +174,39 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
   return out;
 }
 
+// The covariance that parameters come with, from the calibration's own blocks, all anchors active.
+inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& parameters,
+                                        const model::Calibration& calibration) {
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(parameters.size(), parameters.size());
+  for (const model::AnchorCalibration& anchor : calibration.anchors) {
+    const int slot = site.anchor_index(anchor.id);
+    if (slot < 0) continue;
+    std::vector<int> at{parameters.position(slot), parameters.position(slot) + 1,
+                        parameters.position(slot) + 2};
+    for (const model::PairBias& pair : anchor.pairs)
+      at.push_back(parameters.beta(slot, site.tag_slot(pair.tag_id)));
+    for (const model::PairBias& pair : anchor.pairs)
+      at.push_back(parameters.gamma(slot, site.tag_slot(pair.tag_id)));
+    covariance(at, at) = anchor.covariance;
+    if (!calibration.range_noise) continue;
+    covariance(parameters.slow_error(slot), parameters.slow_error(slot)) =
+        std::pow(calibration.range_noise->slow_sigma_m, 2);
+  }
+  for (int tag = 0; tag < parameters.tag_count(); ++tag)
+    covariance.diagonal().segment<3>(parameters.lever_arm(tag)).setConstant(site.lever_arm_variance_m2());
+  covariance.block<4, 4>(parameters.frame(), parameters.frame()) = calibration.common_frame_covariance;
+  return covariance;
+}
+
+// Of core and parameters together.
+inline Eigen::MatrixXd whole(const Filter& filter) {
+  const Eigen::MatrixXd cross = filter.covariance().cross();
+  Eigen::MatrixXd p(kCoreSize + cross.rows(), kCoreSize + cross.rows());
+  p << filter.covariance().core(), cross.transpose(), cross,
+      filter.covariance().parameters(filter.site(), filter.parameters());
+  return p;
+}
+
 // e' P^-1 e of an estimate.
 inline double squared_error(const Estimate& estimate, const model::PlanarPose& truth) {
   const Eigen::Vector3d e(estimate.pose.x_m - truth.x_m, estimate.pose.y_m - truth.y_m,

@@ -1,0 +1,82 @@
+#include "host/filter/site.hpp"
+
+#include <algorithm>
+
+namespace groma::filter {
+
+Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibration, double lever_arm_sigma_m)
+    : lever_arm_variance_m2_(lever_arm_sigma_m * lever_arm_sigma_m),
+      frame_covariance_(calibration.common_frame_covariance) {
+  lever_arms_m_.fill(Eigen::Vector3d::Zero());
+  patterns_m_.fill(model::PatternTerms::Zero());
+  for (const model::Tag& tag : tags) {
+    if (tag_count_ == kMaxTags) break;
+    const auto slot = static_cast<std::size_t>(tag_count_++);
+    tag_ids_[slot] = tag.id;
+    lever_arms_m_[slot] = tag.lever_arm_m;
+  }
+  for (const model::TagCalibration& told : calibration.tags) {
+    const int tag = tag_slot(told.id);
+    if (tag < 0) continue;
+    if (told.lever_arm) lever_arms_m_[static_cast<std::size_t>(tag)] = told.lever_arm->position_m;
+    if (told.pattern_m) patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
+  }
+  if (calibration.range_noise) {
+    slow_variance_m2_ = calibration.range_noise->slow_sigma_m * calibration.range_noise->slow_sigma_m;
+  }
+
+  const int size = anchor_size();
+  for (const model::AnchorCalibration& told : calibration.anchors) {
+    if (!model::has_position(told)) continue;
+    SiteAnchor anchor;
+    anchor.id = told.id;
+    anchor.is_learnt = told.verdict == model::AnchorVerdict::kOk;
+    anchor.values.setZero(size);
+    anchor.values.head<3>() = told.position_m;
+    anchor.covariance.setZero(size, size);
+    const auto pairs = static_cast<Eigen::Index>(told.pairs.size());
+    // Where each row of the calibration's block goes, -1 for tags that are not ours.
+    const auto target = [&](Eigen::Index row) {
+      if (row < 3) return static_cast<int>(row);
+      const int tag = tag_slot(told.pairs[static_cast<std::size_t>((row - 3) % pairs)].tag_id);
+      if (tag < 0) return -1;
+      return row - 3 < pairs ? 3 + tag : 3 + tag_count_ + tag;
+    };
+    for (Eigen::Index i = 0; i < told.covariance.rows(); ++i) {
+      for (Eigen::Index j = 0; j < told.covariance.cols(); ++j) {
+        const int row = target(i);
+        const int column = target(j);
+        if (row >= 0 && column >= 0) anchor.covariance(row, column) = told.covariance(i, j);
+      }
+    }
+    anchor.covariance(size - 1, size - 1) = slow_variance_m2_;
+    for (const model::PairBias& pair : told.pairs) {
+      const int tag = tag_slot(pair.tag_id);
+      if (tag < 0) continue;
+      anchor.values(3 + tag) = pair.beta_m;
+      anchor.values(3 + tag_count_ + tag) = pair.gamma;
+      anchor.knows_tag[static_cast<std::size_t>(tag)] = true;
+    }
+    if (told.id >= index_by_id_.size()) index_by_id_.resize(told.id + std::size_t{1}, -1);
+    index_by_id_[told.id] = anchor_count();
+    anchors_.push_back(anchor);
+  }
+}
+
+int Site::tag_slot(model::NodeId id) const noexcept {
+  for (int slot = 0; slot < tag_count_; ++slot) {
+    if (tag_ids_[static_cast<std::size_t>(slot)] == id) return slot;
+  }
+  return -1;
+}
+
+PairParameters Site::pair(int index, int tag) const noexcept {
+  const AnchorVector& values = anchor(index).values;
+  return {.position_m = values.head<3>(),
+          .beta_m = values(3 + tag),
+          .gamma = values(3 + tag_count_ + tag),
+          .lever_arm_m = lever_arm_m(tag),
+          .pattern_m = pattern_m(tag)};
+}
+
+}  // namespace groma::filter
