@@ -4,6 +4,8 @@
 // Vectors and columns begin at multiples of kKernelStep doubles and are padded to one with zeros.
 #pragma once
 
+#include <cstddef>
+
 #include "host/filter/state.hpp"
 
 namespace groma::filter {
@@ -16,7 +18,7 @@ inline constexpr int kKernelStep = 8;
 
 // Columns of the cross-covariance stand so far apart. Behind the parameters' rows there is place for those of
 // JointCovariance's absent anchors.
-inline constexpr int kCrossStride = padded(kMaxParameters + kCoreSize);
+inline constexpr std::ptrdiff_t kCrossStride = padded(kMaxParameters + kCoreSize);
 
 // C <- C F^T, with F the identity but for the pose's rows, whose derivatives by the delay are zero.
 void move_cross(double* cross, int rows, const PoseRows& pose_rows) noexcept;

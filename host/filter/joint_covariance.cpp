@@ -96,7 +96,7 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
 void JointCovariance::settle_motion() noexcept {
   if (!moved_) return;
   move_cross(cross_.data(), size_, motion_);
-  if (!same_row_) std::fill(cross_.begin() + std::ptrdiff_t{kRowVx} * kCrossStride, cross_.end(), 0.0);
+  if (!same_row_) std::fill(cross_.begin() + kRowVx * kCrossStride, cross_.end(), 0.0);
   motion_.setIdentity();
   moved_ = false;
   same_row_ = true;
@@ -149,8 +149,9 @@ void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const P
   const auto& d = measurement.d_parameters;
   std::array<double, kMaxAnchorSize> of_anchor{};
   for (int i = 0; i < 3; ++i) of_anchor[static_cast<std::size_t>(i)] = d(kOfPosition + i);
-  of_anchor[static_cast<std::size_t>(3 + pair.tag)] = d(kOfBeta);
-  of_anchor[static_cast<std::size_t>(3 + layout_.tag_count() + pair.tag)] = d(kOfGamma);
+  const auto at_beta = std::size_t{3} + static_cast<std::size_t>(pair.tag);
+  of_anchor[at_beta] = d(kOfBeta);
+  of_anchor[at_beta + static_cast<std::size_t>(layout_.tag_count())] = d(kOfGamma);
   of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = slow_scale_ * d(kOfSlowError);
   std::array<double, 3> of_lever_arm{d(kOfLeverArm), d(kOfLeverArm + 1), d(kOfLeverArm + 2)};
   std::array<double, kFrameSize> of_frame{};
@@ -203,11 +204,10 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
   CoreVector by_pair = CoreVector::Zero();  // C^T J^T
   double own = 0.0;
   for (int i = 0; i < kPairParameters; ++i) {
-    const auto row = static_cast<std::size_t>(index[static_cast<std::size_t>(i)]);
-    own += d(i) * out.own[row];
-    for (int k = 0; k < kCoreSize; ++k) {
-      by_pair(k) += d(i) * cross_[row + static_cast<std::size_t>(k) * kCrossStride];
-    }
+    const int row = index[static_cast<std::size_t>(i)];
+    own += d(i) * out.own[static_cast<std::size_t>(row)];
+    for (int k = 0; k < kCoreSize; ++k)
+      by_pair(k) += d(i) * cross_[static_cast<std::size_t>(row + k * kCrossStride)];
   }
   out.core.noalias() = core_ * measurement.d_core.transpose();
   out.variance = measurement.d_core.dot(out.core) + 2.0 * measurement.d_core.dot(by_pair) + own;
