@@ -18,8 +18,8 @@ namespace {
 constexpr int kRounds = 4;
 constexpr int kLooks = 3;
 constexpr int kStartingSteps = 6;
-// A move is one of this length in the plane, and so far outside of what the two solutions can differ by.
-constexpr double kMinMove_m = 0.15;
+constexpr int kJoiningSteps = 20;
+// A move is so far outside of what the two solutions can differ by.
 constexpr double kMinSquareSigmas = 40.0;
 // As many rows, each by itself, does a piece want as it tells unknowns of three tags, twice over.
 constexpr double kLeastRowsByThemselves = 20.0;
@@ -56,8 +56,8 @@ std::vector<Observation> rows_in_sight(std::span<const Observation> rows,
   SightPosterior posterior;
   std::vector<SightVector> likelihoods;
   for (const std::vector<Poll>& polls : pairs) {
-    const auto answered = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
-    likelihoods.assign(static_cast<std::size_t>(answered), SightVector::Ones());
+    const auto with_row = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
+    likelihoods.assign(static_cast<std::size_t>(with_row), SightVector::Ones());
     infer_sight(chain, polls, likelihoods, posterior);
     std::size_t i = 0;
     for (const Poll poll : polls) {
@@ -172,6 +172,26 @@ bool is_move(const Shift& shift) {
   return shift.square_sigmas > kMinSquareSigmas && shift.by_m.head<2>().norm() > kMinMove_m;
 }
 
+// By how much more one place for both pieces costs than each its own, twice, as chi square has it:
+// covariances know the valley's floor near a solution, but few rows or a robot that stands leave a bent one.
+double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
+  const AnchorFit& first = pieces.fits[piece];
+  const AnchorFit& next = pieces.fits[piece + 1];
+  AnchorProblem own = first.problem;
+  own.sight = nullptr;
+  AnchorProblem nexts = own;
+  nexts.rows = next.problem.rows;
+  AnchorProblem both = own;
+  both.rows = {own.rows.data(), own.rows.size() + nexts.rows.size()};
+  const std::vector<RobustKernel>& kernels =
+      own.rows.size() > nexts.rows.size() ? first.kernels : next.kernels;
+  const Eigen::Index size = wall_index(own.tag_count);
+  const auto cost = [&](const AnchorProblem& problem, const AnchorFit& start) {
+    return solve_anchor(problem, kernels, start.anchor.head(size), kJoiningSteps).cost;
+  };
+  return 2.0 * (std::min(cost(both, first), cost(both, next)) - cost(own, first) - cost(nexts, next));
+}
+
 // Between a piece and the next of the same anchor, if there was one.
 std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   // Behind walls a bias and a move are one.
@@ -197,6 +217,8 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   }
   shift = shift_to_next(pieces, piece);
   if (!is_move(shift)) return std::nullopt;
+  const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
+  if (excess_of_one_place(pieces, piece) < kMinSquareSigmas * inflation) return std::nullopt;
   return shift;
 }
 

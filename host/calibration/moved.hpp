@@ -13,6 +13,9 @@
 
 namespace groma::calibration {
 
+// A move is one of at least this length in the plane.
+inline constexpr double kMinMove_m = 0.15;
+
 // How two solutions of one anchor differ, from different rows.
 struct Shift {
   Eigen::Vector3d by_m = Eigen::Vector3d::Zero();  // later minus earlier, were their biases the same

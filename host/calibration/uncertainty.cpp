@@ -253,4 +253,19 @@ Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {
   return 0.5 * (covariance + covariance.transpose());
 }
 
+double prediction_sigma_m(const Observation& row, const AnchorVector& anchor, std::size_t tag_count,
+                          const Eigen::MatrixXd& covariance) noexcept {
+  const double gamma = anchor(gamma_index(row.tag, tag_count));
+  const PairRow j = pair_jacobian(predict(row, anchor, tag_count), gamma);
+  const std::array<Eigen::Index, 5> index{0, 1, 2, beta_index(row.tag), gamma_index(row.tag, tag_count)};
+  double variance_m2 = 0.0;
+  for (std::size_t i = 0; i < index.size(); ++i) {
+    for (std::size_t k = 0; k < index.size(); ++k) {
+      variance_m2 +=
+          j(static_cast<Eigen::Index>(i)) * j(static_cast<Eigen::Index>(k)) * covariance(index[i], index[k]);
+    }
+  }
+  return std::sqrt(std::max(0.0, variance_m2));
+}
+
 }  // namespace groma::calibration

@@ -56,4 +56,8 @@ struct Evidence {
 // prior's covariance, and its error goes on into the biases that were learnt with it held fixed.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
 
+// What the anchor's covariance leaves open of a range, m: the standard deviation of its prediction.
+[[nodiscard]] double prediction_sigma_m(const Observation& row, const AnchorVector& anchor,
+                                        std::size_t tag_count, const Eigen::MatrixXd& covariance) noexcept;
+
 }  // namespace groma::calibration
