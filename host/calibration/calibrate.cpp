@@ -25,6 +25,9 @@ namespace {
 // Poses whose height differs from the ground's by more than this are tried at both heights.
 constexpr double kHeightDisagreement_m = 0.1;
 constexpr std::size_t kMinHeldOut = 10;
+// A solution that leaves the plane open by more than this says nothing of ranges that it has not seen: over
+// such ways spheres leave their tangents.
+constexpr double kOpenSigma_m = 0.5;
 // An anchor is not further off than so many times its nearest range.
 constexpr double kReachFactor = 2.0;
 // Where the score scatters so much more than independent residuals make it, parts of the drive are set
@@ -33,8 +36,8 @@ constexpr double kHangingTogether = 1.5;
 // Square sigmas between the heights by the drive's beginning and by all of it: chi square with one degree of
 // freedom, 99.9 %.
 constexpr double kContradiction = 10.8;
-// Half of the least move that is one.
-constexpr double kMovePose_m = 0.075;
+// Poses may be off by so much an axis where moves are looked for.
+constexpr double kMovePose_m = 0.5 * kMinMove_m;
 // Residuals that neither a wall nor a shadow makes.
 constexpr double kFar_m = 1.5;
 constexpr double kShort_m = 0.3;
@@ -84,19 +87,25 @@ double held_out_from(const Association& association, double fraction) {
 struct HeldOut {
   std::optional<double> rms_m;
   std::optional<double> robust_rms_m;
-  std::optional<double> share_of_scale;  // robust rms over the fit's own scale
+  std::optional<double> share_of_scale;  // robust rms over what the fit expects; none where it cannot tell
+  double height_variance_m2 = std::numeric_limits<double>::infinity();  // that the fit expects
 };
 
+// Residuals count by what the first solution can tell of them: of where the robot had not been till then, not
+// much.
 HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows, double from_s) {
   std::vector<double> absolute_m;
   double square_m2 = 0.0;
   double scale_m = 0.0;
+  const std::size_t tags = first.problem.tag_count;
+  const Eigen::MatrixXd covariance = anchor_covariance(gather_evidence(first), 1.0);
   for (const Observation& row : rows) {
     if (row.t_s <= from_s) continue;
-    const double r = residual_m(row, first.anchor, first.problem.tag_count);
+    const double r = residual_m(row, first.anchor, tags);
     square_m2 += r * r;
     const RobustKernel& kernel = first.kernels[row.tag];
-    scale_m += kernel.shape().scale_m / noise_share(kernel, row, first.anchor, first.problem.tag_count);
+    const double noise_m = kernel.shape().scale_m / noise_share(kernel, row, first.anchor, tags);
+    scale_m += std::hypot(noise_m, prediction_sigma_m(row, first.anchor, tags, covariance));
     absolute_m.push_back(std::abs(r));
   }
   HeldOut out;
@@ -106,7 +115,10 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
   const auto middle = absolute_m.begin() + static_cast<std::ptrdiff_t>(absolute_m.size() / 2);
   std::nth_element(absolute_m.begin(), middle, absolute_m.end());
   out.robust_rms_m = *middle / kMedianAbsolute;
-  out.share_of_scale = *out.robust_rms_m / (scale_m / n);
+  if (covariance.topLeftCorner<2, 2>().trace() < kOpenSigma_m * kOpenSigma_m) {
+    out.share_of_scale = *out.robust_rms_m / (scale_m / n);
+    out.height_variance_m2 = covariance(2, 2);
+  }
   return out;
 }
 
@@ -197,8 +209,9 @@ void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
 
 // The first part of the drive by itself gave another height than all of it: where they contradict each other,
 // either may be as wrong as they are apart.
-void admit_shift(double shift_m, Eigen::MatrixXd& covariance) {
-  if (shift_m * shift_m > kContradiction * 2.0 * covariance(2, 2)) covariance(2, 2) += shift_m * shift_m;
+void admit_shift(double shift_m, double first_variance_m2, Eigen::MatrixXd& covariance) {
+  const double variance_m2 = std::max(2.0 * covariance(2, 2), first_variance_m2);
+  if (shift_m * shift_m > kContradiction * variance_m2) covariance(2, 2) += shift_m * shift_m;
 }
 
 // Whether the one is about as far below the tags as the other is above: what decides between sides tells so.
@@ -252,7 +265,7 @@ struct Site {
   std::vector<AnchorFit> beginning;
   std::vector<AnchorFit> fits;
   SiteSight sight;
-  bool polls_are_regular = false;
+  PollTable polls;
   std::vector<AnchorPath> paths;         // of each anchor
   std::vector<AnchorEvidence> evidence;  // of each anchor
 };
@@ -304,27 +317,31 @@ bool can_tell_moves(const Association& association) {
       });
 }
 
+// Each range's sight, where the data ask for it.
+void find_sight(Site& site, const model::RangePriors& priors) {
+  if (is_sight_wanted(site.polls, site.fits, priors))
+    site.sight = solve_sight(site.polls, first_sight_model(site.polls, priors), site.fits, priors);
+}
+
 Site solve_at_height(const Drive& drive, const Options& options, HeightSource height) {
   Site site;
   site.association = associate(drive, options.max_pose_gap_s, 0.0, height);
-  site.held_out_from_s = held_out_from(site.association, options.held_out_fraction);
   SiteProblem problem{.association = &site.association,
                       .priors = usable_priors(drive.priors),
                       .known_anchors = drive.known_anchors,
-                      .known_anchor_sigma_m = options.known_anchor_sigma_m,
-                      .end_s = site.held_out_from_s};
+                      .known_anchor_sigma_m = options.known_anchor_sigma_m};
+  site.polls = tabulate_polls(site.association);
+  bound_rows(site.association, site.polls, problem, options.most_anchor_ranges);
+  site.held_out_from_s = held_out_from(site.association, options.held_out_fraction);
+  problem.end_s = site.held_out_from_s;
   site.beginning = solve_site(problem, {});
   problem.end_s = std::numeric_limits<double>::infinity();
   site.fits = solve_site(problem, site.beginning);
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
-    const PollTable polls = tabulate_polls(site.association);
-    site.polls_are_regular = polls.regular;
-    if (is_sight_wanted(polls, site.fits, problem.priors)) {
-      site.sight = solve_sight(polls, first_sight_model(polls, problem.priors), site.fits, problem.priors);
-    }
+    find_sight(site, problem.priors);
     if (can_tell_moves(site.association))
-      site.paths = find_moved(polls, site.sight, site.fits, problem.priors);
+      site.paths = find_moved(site.polls, site.sight, site.fits, problem.priors);
   }
   explore(site, options.earlier);
   refine_site(site.fits, problem.priors, kLastRounds);
@@ -341,9 +358,7 @@ void look_again(Site& site, const model::RangePriors& priors, const model::Calib
   }
   site.sight = {};
   refine_site(site.fits, priors, kLastRounds);
-  const PollTable polls = tabulate_polls(site.association);
-  if (is_sight_wanted(polls, site.fits, priors))
-    site.sight = solve_sight(polls, first_sight_model(polls, priors), site.fits, priors);
+  find_sight(site, priors);
   site.evidence.clear();
   explore(site, earlier);
   refine_site(site.fits, priors, kLastRounds);
@@ -437,10 +452,13 @@ Result calibrate(const Drive& drive, const Options& options) {
 
   std::vector<double> scales_m;
   std::vector<double> rows;
-  for (const AnchorFit& fit : site.fits) {
-    if (fit.problem.rows.empty()) continue;
-    scales_m.push_back(mean_scale_m(fit));
-    rows.push_back(static_cast<double>(fit.problem.rows.size()));
+  const auto heard = [](const AnchorObservations& data) {
+    return static_cast<double>(data.rows.size() + data.left_out);
+  };
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    if (site.fits[i].problem.rows.empty()) continue;
+    scales_m.push_back(mean_scale_m(site.fits[i]));
+    rows.push_back(heard(association.anchors[i]));
   }
   const double median_scale_m = median(scales_m);
   const double median_rows = median(rows);
@@ -472,7 +490,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     known.twin_m = site.paths[i].twin_m;
     if (!site.sight.anchors.empty()) {
       known.sight = SightEvidence{.polls = site.sight.shares[i].polls,
-                                  .polls_are_told = site.polls_are_regular,
+                                  .polls_are_told = site.polls.regular,
                                   .wall_excess_m = site.sight.model.wall_prior.mean_m,
                                   .far_share = sight.far_share,
                                   .short_share = sight.short_share};
@@ -483,7 +501,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     known.inflation = inflation[i];
     if (median_scale_m > 0.0) known.flicker = flicker_m(result.fitted[i]) / median_scale_m;
     known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
-    known.count_ratio = median_rows > 0.0 ? static_cast<double>(data.rows.size()) / median_rows : 1.0;
+    known.count_ratio = median_rows > 0.0 ? heard(data) / median_rows : 1.0;
     if (!fit.problem.rows.empty() && !fit.problem.position.surveyed)
       stay_within(kReachFactor * known.nearest_m, anchor.covariance);
     admit_blocking(known, association.tags.size(), anchor.covariance);
@@ -493,7 +511,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     const AnchorFit& first = site.beginning[i];
     if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed &&
         2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit)) {
-      admit_shift(fit.anchor(2) - first.anchor(2), anchor.covariance);
+      admit_shift(fit.anchor(2) - first.anchor(2), held_out[i].height_variance_m2, anchor.covariance);
     }
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
     anchor.held_out_rms_m = held_out[i].rms_m;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -34,6 +35,9 @@ struct Options {
   // An earlier calibration of the site; outlives the call. Where the drive leaves open on which side of the
   // tags an anchor is, the one decides on which it was; nothing else of it goes into the solution.
   const model::Calibration* earlier = nullptr;
+  // Of one anchor at most so many ranges are looked at, chosen by where they were measured (see
+  // measurement_choice.hpp). Of the others it still counts that they came.
+  std::size_t most_anchor_ranges = std::numeric_limits<std::size_t>::max();
 };
 
 // A range as the solution sees it.

@@ -18,6 +18,10 @@ namespace groma::calibration {
                                                             std::size_t tag_count,
                                                             std::size_t max_rows_per_tag);
 
+// Axes of TagSpread to mirror along.
+inline constexpr int kAcrossLine = 1;
+inline constexpr int kAcrossPlane = 2;
+
 // The principal frame of the antennas' positions.
 struct TagSpread {
   Eigen::Vector3d center_m = Eigen::Vector3d::Zero();

@@ -10,6 +10,8 @@ namespace {
 constexpr double kNeededRanges = 30.0;
 constexpr double kNeededSigma_m = 0.30;
 constexpr double kAlmost = 0.99;
+// Of one anchor in a step: of those that a robot measures where it stands for long, most tell nothing new.
+constexpr std::size_t kMostAnchorRanges = 4000;
 
 Drive drive_of(const DriveStore::Samples& samples, const LearningInput& input) {
   Drive drive;
@@ -27,7 +29,7 @@ LearningStep learn(const LearningInput& input) {
   LearningStep step;
   if (input.places) {
     step.samples = input.places->samples();
-    step.learnt = calibrate(drive_of(step.samples, input));
+    step.learnt = calibrate(drive_of(step.samples, input), {.most_anchor_ranges = kMostAnchorRanges});
     step.learnt->fitted.clear();
   }
   if (input.live.anchors.empty() || input.recent.segments() < kMinRecheckSegments) return step;

@@ -16,10 +16,6 @@ struct Rival {
   double cost_ratio = 1.0;   // the solution's cost over its, 0..1; a cost counts from that of perfect ranges
 };
 
-// Axes of TagSpread to mirror along.
-inline constexpr int kAcrossLine = 1;
-inline constexpr int kAcrossPlane = 2;
-
 // Looks for the other side along one axis; where it explains the ranges better, the fit moves there and its
 // former place is the rival. The fit must have rows.
 [[nodiscard]] Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis);

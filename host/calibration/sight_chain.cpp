@@ -120,6 +120,17 @@ PollTable tabulate_polls(const Association& association) {
   return table;
 }
 
+void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t> kept) {
+  for (std::vector<Poll>& polls : table.polls[anchor]) {
+    for (Poll& poll : polls) {
+      if (poll < 0) continue;
+      const auto row = static_cast<std::size_t>(poll);
+      const auto at = std::lower_bound(kept.begin(), kept.end(), row);
+      poll = at != kept.end() && *at == row ? static_cast<Poll>(at - kept.begin()) : kReplied;
+    }
+  }
+}
+
 void infer_sight(const SightChain& chain, std::span<const Poll> polls,
                  std::span<const SightVector> likelihoods, SightPosterior& out) {
   out.prior.resize(likelihoods.size());
@@ -144,6 +155,8 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
     if (polls[n] == kNotTold) continue;
     if (polls[n] == kMissed) {
       state = state.cwiseProduct(no_reply);
+    } else if (polls[n] == kReplied) {
+      state = state.cwiseProduct(chain.reply);
     } else {
       state = state.cwiseProduct(chain.reply).cwiseProduct(floored(answer++));
     }
@@ -159,6 +172,10 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
       const SightVector share = both.cwiseProduct(no_reply);
       out.missed += share / share.sum();
       here = backward.cwiseProduct(no_reply);
+    } else if (polls[n] == kReplied) {
+      const SightVector share = both.cwiseProduct(chain.reply);
+      out.answered += share / share.sum();
+      here = backward.cwiseProduct(chain.reply);
     } else if (polls[n] >= 0) {
       --answer;
       const SightVector likelihood = floored(answer);

@@ -25,10 +25,11 @@ struct SightChain {
 // The transition over so long, between polls.
 [[nodiscard]] Eigen::Matrix3d sight_transition(double interval_s) noexcept;
 
-// One poll of a pair: its row, or a negative value.
+// One poll of a pair: its row, or a negative value where it has none.
 using Poll = std::int32_t;
 inline constexpr Poll kMissed = -1;   // no reply
 inline constexpr Poll kNotTold = -2;  // nothing known of it
+inline constexpr Poll kReplied = -3;  // a reply whose range is not among the rows
 
 // The polls of each pair between its first and its last reply.
 struct PollTable {
@@ -37,8 +38,11 @@ struct PollTable {
   std::vector<std::vector<std::vector<Poll>>> polls;  // [anchor][tag]
 };
 [[nodiscard]] PollTable tabulate_polls(const Association& association);
+// Of all rows of one anchor those are left, by their indices so far, ascending, and numbered anew: the
+// others' replies are still told.
+void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t> kept);
 
-// Of each poll that was answered, in order, and of all of them together.
+// Of each poll that has a row, in order, and of all polls together.
 struct SightPosterior {
   std::vector<SightVector> prior;      // from all but the row's own residual
   std::vector<SightVector> posterior;  // from all
@@ -46,8 +50,8 @@ struct SightPosterior {
   SightVector answered = SightVector::Zero();  // polls expected in each state
   SightVector missed = SightVector::Zero();
 };
-// Forward-backward. `likelihoods` holds the residual's density in each state, 1/m, of each answered poll in
-// order. The result's vectors are reused.
+// Forward-backward. `likelihoods` holds the residual's density in each state, 1/m, of each poll that has a
+// row, in order. The result's vectors are reused.
 void infer_sight(const SightChain& chain, std::span<const Poll> polls,
                  std::span<const SightVector> likelihoods, SightPosterior& out);
 

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "host/calibration/initial_guess.hpp"
+#include "host/calibration/rival.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -67,7 +70,7 @@ SightShares shares_of(const SightVector& answered, const SightVector& missed) {
   return out;
 }
 
-std::size_t count_answered(std::span<const Poll> polls) {
+std::size_t count_rows(std::span<const Poll> polls) {
   return static_cast<std::size_t>(std::count_if(polls.begin(), polls.end(), [](Poll p) { return p >= 0; }));
 }
 
@@ -107,9 +110,9 @@ bool replies_tell_of_blocking(const SightChain& chain, std::span<const std::vect
   std::vector<SightVector> likelihoods;
   for (const std::vector<Poll>& polls : pairs) {
     if (polls.size() < kMinPolls) continue;
-    const std::size_t answered = count_answered(polls);
-    if (answered == polls.size()) continue;
-    likelihoods.assign(answered, SightVector::Ones());
+    const auto is_answered = [](Poll poll) { return poll >= 0 || poll == kReplied; };
+    if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
+    likelihoods.assign(count_rows(polls), SightVector::Ones());
     infer_sight(chain, polls, likelihoods, posterior);
     if (shares_of(posterior.answered, posterior.missed).polls(kInSight) < 1.0 - kBlockedByReplies)
       return true;
@@ -151,7 +154,7 @@ void SightSolver::label_by_replies() {
     sight.wall = RobustKernel(out_.model.wall);
     double seen = 0.0;
     for (const std::vector<Poll>& polls : table_.polls[a]) {
-      likelihoods.assign(count_answered(polls), SightVector::Ones());
+      likelihoods.assign(count_rows(polls), SightVector::Ones());
       infer_sight(out_.model.chain, polls, likelihoods, posterior);
       std::size_t i = 0;
       for (const Poll poll : polls) {
@@ -378,12 +381,18 @@ bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
   return static_cast<double>(near) >= kNearShare * static_cast<double>(all);
 }
 
-bool is_sight_wanted(const PollTable& table, const std::vector<AnchorFit>& fits,
-                     const model::RangePriors& priors) {
+bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
   const SightChain chain = first_sight_model(table, priors).chain;
-  for (std::size_t a = 0; a < fits.size(); ++a) {
-    if (table.regular && replies_tell_of_blocking(chain, table.polls[a])) return true;
-    if (long_residuals_hang_together(fits[a])) return true;
+  const auto tell = [&](const std::vector<std::vector<Poll>>& pairs) {
+    return replies_tell_of_blocking(chain, pairs);
+  };
+  if (table.regular && std::any_of(table.polls.begin(), table.polls.end(), tell)) return true;
+  for (AnchorFit& fit : fits) {
+    if (!long_residuals_hang_together(fit)) continue;
+    if (fit.problem.position.surveyed) return true;
+    const TagSpread spread = tag_spread(fit.problem.rows);
+    for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(challenge(fit, spread, axis));
+    if (long_residuals_hang_together(fit)) return true;
   }
   return false;
 }

@@ -37,8 +37,10 @@ struct SiteSight {
 // hills and trees are no walls, and the halves of a drive see an anchor from one side each.
 [[nodiscard]] bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept;
 
-// Whether ranges come through something for longer than a moment; for fits within reach.
-[[nodiscard]] bool is_sight_wanted(const PollTable& table, const std::vector<AnchorFit>& fits,
+// Whether ranges come through something for longer than a moment; for fits within reach. What a fit on the
+// wrong side of the tags does to residuals passes for that: fits whose residuals look so are challenged, and
+// move where their other side is better.
+[[nodiscard]] bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits,
                                    const model::RangePriors& priors);
 
 // Finds each row's sight and solves the fits with it. The table: of the same rows.

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "host/calibration/initial_guess.hpp"
+#include "host/calibration/measurement_choice.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -23,6 +24,10 @@ constexpr double kPairScaleWeight = 100.0;
 constexpr double kPairShareWeight = 1000.0;
 // An anchor rests that a round moves by less than this, in sigmas.
 constexpr double kRestingSigmas = 0.1;
+// By so much do rows that a solution did not see cost more than those it did, each, if they contradict it: a
+// third of them, or fewer that are far off.
+constexpr double kContradiction = 1.0;
+constexpr int kStartingSteps = 6;
 // Far outside any site: only keeps an anchor finite where ranges leave it open.
 constexpr double kOpenSigma_m = 300.0;
 
@@ -141,6 +146,74 @@ void find_start(AnchorFit& fit) {
   fit.kernels.assign(problem.tag_count, RobustKernel(best.kernel));
 }
 
+void bound_rows(Association& association, PollTable& polls, const SiteProblem& problem, std::size_t most) {
+  const std::size_t tags = association.tags.size();
+  for (std::size_t a = 0; a < association.anchors.size(); ++a) {
+    AnchorObservations& data = association.anchors[a];
+    if (data.rows.size() <= most) continue;
+    AnchorFit sketch;
+    sketch.problem = {.rows = data.rows,
+                      .tag_count = tags,
+                      .priors = problem.priors,
+                      .position = position_prior(problem, data, data.rows)};
+    find_start(sketch);
+    const Eigen::Vector3d anchor_m = sketch.anchor.head<3>();
+    const Eigen::Vector3d mirrored_m = tag_spread(data.rows).mirror(anchor_m, kAcrossPlane);
+    std::vector<RangeGeometry> ranges;
+    ranges.reserve(data.rows.size());
+    for (const Observation& row : data.rows) {
+      const model::AntennaPrediction predicted = predict(row, sketch.anchor, tags);
+      ranges.push_back({.t_s = row.t_s,
+                        .tag = row.tag,
+                        .direction = predicted.direction,
+                        .distance_m = predicted.distance_m,
+                        .mirrored_m = (row.tag_m - mirrored_m).norm(),
+                        .sigma_m = problem.priors.sigma_m});
+    }
+    const std::vector<std::size_t> chosen =
+        choose_measurements({.ranges = ranges,
+                             .tag_count = tags,
+                             .beta_m = problem.priors.beta_m,
+                             .gamma = problem.priors.gamma,
+                             .mirror_offset_m = (mirrored_m - anchor_m).norm()},
+                            most);
+    for (std::size_t i = 0; i < chosen.size(); ++i) {
+      data.rows[i] = data.rows[chosen[i]];
+      data.rows[i].index = static_cast<std::uint32_t>(i);
+    }
+    data.left_out = data.rows.size() - chosen.size();
+    data.rows.resize(chosen.size());
+    keep_rows(polls, a, chosen);
+  }
+}
+
+namespace {
+
+// Whether rows that the earlier solution did not see contradict it, as where the robot had hardly moved till
+// then.
+bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows) {
+  const std::size_t seen = earlier.problem.rows.size();
+  if (rows.size() == seen) return false;
+  AnchorProblem later = earlier.problem;
+  later.rows = rows.subspan(seen);
+  const double later_cost = robust_cost(later, earlier.kernels, earlier.anchor);
+  const double cost = robust_cost(earlier.problem, earlier.kernels, earlier.anchor);
+  return later_cost / static_cast<double>(rows.size() - seen) >
+         cost / static_cast<double>(seen) + kContradiction;
+}
+
+// Searches, and keeps what it finds unless the earlier solution leads to a cheaper one.
+void find_start_beside(const AnchorFit& earlier, AnchorFit& fit) {
+  find_start(fit);
+  const AnchorSolution found = solve_anchor(fit.problem, fit.kernels, fit.anchor, kStartingSteps);
+  const AnchorSolution known = solve_anchor(fit.problem, fit.kernels, earlier.anchor, kStartingSteps);
+  if (found.cost <= known.cost) return;
+  fit.anchor = earlier.anchor;
+  fit.kernels = earlier.kernels;
+}
+
+}  // namespace
+
 std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const AnchorFit> earlier) {
   const std::size_t tags = site.association->tags.size();
   std::vector<AnchorFit> fits;
@@ -158,6 +231,10 @@ std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const Ancho
     const std::size_t index = fits.size() - 1;
     const bool was_solved = index < earlier.size() && 2 * earlier[index].problem.rows.size() > rows.size();
     if (was_solved && !fit.problem.position.surveyed) {
+      if (is_contradicted(earlier[index], rows)) {
+        find_start_beside(earlier[index], fit);
+        continue;
+      }
       fit.anchor = earlier[index].anchor;
       fit.kernels = earlier[index].kernels;
       continue;

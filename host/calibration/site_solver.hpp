@@ -11,6 +11,7 @@
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
 #include "host/calibration/robust_kernel.hpp"
+#include "host/calibration/sight_chain.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {
@@ -31,9 +32,13 @@ struct SiteProblem {
   double end_s = 0.0;  // rows later than this are left out
 };
 
+// Of each anchor with more rows than `most`, leaves those that together see it best: choose_measurements()
+// from where few of them put it. The polls: of the association as it comes.
+void bound_rows(Association& association, PollTable& polls, const SiteProblem& problem, std::size_t most);
+
 // In the order of the association's anchors. Each starts from `earlier`, a solution from a part of the same
-// rows, where that had enough of them; the others are searched for. An anchor without rows stays at its
-// prior.
+// rows, where that had enough of them and is not contradicted by the others; else it is searched for. An
+// anchor without rows stays at its prior.
 [[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
                                                 std::span<const AnchorFit> earlier);
 

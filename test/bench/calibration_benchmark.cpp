@@ -1,9 +1,12 @@
 // Wall time of a calibration by the number of ranges a pair: 12 anchors, 3 tags. It has to grow linearly.
 #include <benchmark/benchmark.h>
 
+#include <cmath>
+
 #include "host/calibration/calibrate.hpp"
 #include "host/calibration/drive_store.hpp"
 #include "host/calibration/learning.hpp"
+#include "test/host/calibration/blocked_site.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 
 namespace {
@@ -16,6 +19,36 @@ void BM_Calibrate(benchmark::State& state) {
   state.SetComplexityN(state.range(0));
 }
 BENCHMARK(BM_Calibrate)->Arg(200)->Arg(1000)->Arg(4000)->Unit(benchmark::kMillisecond)->Complexity();
+
+// Ten times the ranges of the drive above, all of them and a choice (0: all). rmse_m: of the positions.
+void BM_CalibrateChosen(benchmark::State& state) {
+  const groma::test::SimulatedSite site =
+      groma::test::simulate_site({.ranges_per_pair = 2000, .outlier_share = 0.15}, 1);
+  const groma::calibration::Drive drive = site.drive();
+  groma::calibration::Options options;
+  if (state.range(0) > 0) options.most_anchor_ranges = static_cast<std::size_t>(state.range(0));
+  groma::calibration::Result result;
+  for (auto _ : state) result = groma::calibration::calibrate(drive, options);
+  double square_m2 = 0.0;
+  for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+    square_m2 += (result.calibration.anchors[a].position_m - site.anchors[a].position_m).squaredNorm();
+  }
+  state.counters["rmse_m"] = std::sqrt(square_m2 / static_cast<double>(site.anchors.size()));
+}
+BENCHMARK(BM_CalibrateChosen)->Arg(0)->Arg(600)->Arg(1500)->Arg(3000)->Unit(benchmark::kMillisecond);
+
+// The same where walls stand in the way, 2000 polls a pair.
+void BM_CalibrateChosenBehindWalls(benchmark::State& state) {
+  groma::test::Blocking blocking;
+  blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}, {{7.0, 1.0}, {7.0, 5.0}}, {{12.0, 9.0}, {16.0, 9.0}}};
+  const groma::test::SimulatedSite site =
+      groma::test::blocked_site(groma::test::polled_settings(groma::test::Route::kWaves, 240.0), blocking, 4);
+  const groma::calibration::Drive drive = site.drive();
+  groma::calibration::Options options;
+  if (state.range(0) > 0) options.most_anchor_ranges = static_cast<std::size_t>(state.range(0));
+  for (auto _ : state) benchmark::DoNotOptimize(groma::calibration::calibrate(drive, options));
+}
+BENCHMARK(BM_CalibrateChosenBehindWalls)->Arg(0)->Arg(1000)->Arg(2000)->Unit(benchmark::kMillisecond);
 
 // One step of learning while driving: all places, and the anchors in use looked for in the last minute. After
 // the store's full time of a drive it holds all that it may; longer drives make no longer steps.

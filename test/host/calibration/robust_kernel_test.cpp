@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 #include <vector>
 
 #include "test/host/calibration/exact_kernel.hpp"
@@ -87,6 +88,32 @@ TEST(RobustKernel, StaysFiniteAtAnyResidual) {
           << r;
       const KernelShares shares = kernel.shares(r);
       EXPECT_NEAR(shares.kinds.sum() + shares.gross, 1.0, 1e-6);
+    }
+  }
+}
+
+TEST(RobustKernel, SideBySideIsAsOneByOne) {
+  test::Random random(11);
+  for (const KernelShape& shape : shapes()) {
+    const RobustKernel kernel(shape);
+    for (int i = 0; i < 200; ++i) {
+      Lanes residuals_m;
+      for (double& r : residuals_m) r = shape.scale_m * random.uniform(-150.0, 450.0) * random.uniform();
+      residuals_m(kLanes - 1) = std::numeric_limits<double>::quiet_NaN();
+      const KernelLanes found = kernel.at(residuals_m);
+      CostSum sum;
+      double expected = 0.0;
+      for (Eigen::Index lane = 0; lane + 1 < kLanes; ++lane) {
+        const KernelValue one = kernel.at(residuals_m(lane));
+        EXPECT_DOUBLE_EQ(found.density(lane), one.density);
+        EXPECT_NEAR(found.slope(lane), one.slope, 1e-12 / shape.scale_m);
+        EXPECT_NEAR(found.weight(lane), one.weight, 1e-12 / (shape.scale_m * shape.scale_m));
+        expected -= std::log(one.density);
+      }
+      EXPECT_EQ(found.slope(kLanes - 1), 0.0);
+      EXPECT_EQ(found.weight(kLanes - 1), 0.0);
+      sum.add(found.density, kLanes - 1);
+      EXPECT_NEAR(sum.cost(), expected, 1e-9 * std::abs(expected) + 1e-12);
     }
   }
 }

@@ -47,12 +47,14 @@ Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
     std::size_t answer = 0;
     for (std::size_t n = 0; n < polls.size(); ++n) {
       if (polls[n] == kMissed) probability *= 1.0 - chain.reply(states[n]);
+      if (polls[n] == kReplied) probability *= chain.reply(states[n]);
       if (polls[n] >= 0) probability *= chain.reply(states[n]) * likelihoods[answer++](states[n]);
     }
     out.total += probability;
     answer = 0;
     for (std::size_t n = 0; n < polls.size(); ++n) {
       if (polls[n] == kMissed) out.missed(states[n]) += probability;
+      if (polls[n] == kReplied) out.answered(states[n]) += probability;
       if (polls[n] < 0) continue;
       out.posterior[answer](states[n]) += probability;
       out.prior[answer](states[n]) += probability / likelihoods[answer](states[n]);
@@ -69,7 +71,7 @@ Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
 
 TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
   test::Random random(3);
-  const std::vector<Poll> polls{0, kMissed, 1, kNotTold, 2, kMissed, kMissed, 3};
+  const std::vector<Poll> polls{0, kMissed, 1, kNotTold, kReplied, 2, kMissed, kReplied, 3};
   SightPosterior found;
   for (int draw = 0; draw < 20; ++draw) {
     SightChain chain;
@@ -90,6 +92,15 @@ TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
       EXPECT_TRUE(found.posterior[i].isApprox(expected.posterior[i], 1e-9)) << i;
     }
   }
+}
+
+TEST(SightChain, RepliesOfRowsThatWereLeftOutAreStillTold) {
+  PollTable table;
+  table.polls = {{{0, kMissed, 2, 3}, {1, kNotTold, 4}}, {{0, 1}}};
+  keep_rows(table, 0, std::vector<std::size_t>{1, 3});
+  EXPECT_EQ(table.polls[0][0], (std::vector<Poll>{kReplied, kMissed, kReplied, 1}));
+  EXPECT_EQ(table.polls[0][1], (std::vector<Poll>{0, kNotTold, kReplied}));
+  EXPECT_EQ(table.polls[1][0], (std::vector<Poll>{0, 1}));
 }
 
 TEST(SightChain, TransitionsOverTwoTimesAreThatOverBoth) {

@@ -1,0 +1,257 @@
+#include "host/calibration/measurement_choice.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <numeric>
+#include <queue>
+#include <utility>
+
+namespace groma::calibration {
+namespace {
+
+// Of the budget, one part in so many is spread over time.
+constexpr std::size_t kTimeShare = 4;
+// So loose that any range is worth more.
+constexpr double kOpenSigma_m = 100.0;
+// Ranges from the same tag are of one kind whose direction, and distance but for a factor, differ by no more
+// than this: then it hardly matters which of them are taken.
+constexpr double kKindSize = 0.05;
+// Chosen ranges are tried against all others where that is no more trials than this.
+constexpr std::size_t kMostTrials = 100'000;
+constexpr int kSweeps = 3;
+// A range is taken that is worth so much of what the best may be worth.
+constexpr double kNearlyBest = 0.97;
+
+double square(double x) noexcept {
+  return x * x;
+}
+
+// Covariance of position, each tag's beta and gamma, and of the share of the other side: a range of distance
+// d is taken for (1 - share) d + share mirrored.
+class Dilution {
+ public:
+  explicit Dilution(const AnchorGeometry& anchor)
+      : tags_(static_cast<Eigen::Index>(anchor.tag_count)),
+        offset_square_m2_(square(anchor.mirror_offset_m)) {
+    covariance_.setZero(4 + 2 * tags_, 4 + 2 * tags_);
+    for (Eigen::Index axis = 0; axis < 3; ++axis) covariance_(axis, axis) = square(kOpenSigma_m);
+    for (Eigen::Index beta = 3; beta < 3 + tags_; ++beta) {
+      covariance_(beta, beta) = square(anchor.beta_m.sigma);
+      covariance_(beta + tags_, beta + tags_) = square(anchor.gamma.sigma);
+    }
+    covariance_(side(), side()) = 1.0;
+  }
+
+  // By how much the range lowers it.
+  [[nodiscard]] double gain(const RangeGeometry& range) const {
+    const Row row = row_of(range);
+    Figures response{};
+    for (std::size_t i = 0; i < kFigures; ++i) {
+      for (std::size_t k = 0; k < kFigures; ++k) {
+        response[i] += covariance_(row.index[i], row.index[k]) * row.derivative[k];
+      }
+    }
+    double own = 0.0;
+    for (std::size_t i = 0; i < kFigures; ++i) own += row.derivative[i] * response[i];
+    return (square(response[0]) + square(response[1]) + square(response[2]) +
+            offset_square_m2_ * square(response[kFigures - 1])) /
+           (square(range.sigma_m) + own);
+  }
+  void add(const RangeGeometry& range) {
+    const double own = respond(range);
+    covariance_.noalias() -= response_ * response_.transpose() / (square(range.sigma_m) + own);
+  }
+  // Takes back one that was added.
+  void remove(const RangeGeometry& range) {
+    const double own = respond(range);
+    covariance_.noalias() += response_ * response_.transpose() / (square(range.sigma_m) - own);
+  }
+
+ private:
+  // Of position, one beta and gamma, and the side.
+  static constexpr std::size_t kFigures = 6;
+  using Figures = std::array<double, kFigures>;
+  struct Row {
+    Figures derivative;
+    std::array<Eigen::Index, kFigures> index;
+  };
+
+  [[nodiscard]] Eigen::Index side() const noexcept { return 3 + 2 * tags_; }
+  [[nodiscard]] Row row_of(const RangeGeometry& range) const noexcept {
+    const Eigen::Index beta = 3 + static_cast<Eigen::Index>(range.tag);
+    return {{-range.direction.x(), -range.direction.y(), -range.direction.z(), 1.0, range.distance_m,
+             range.mirrored_m - range.distance_m},
+            {0, 1, 2, beta, beta + tags_, side()}};
+  }
+
+  // The covariance of all with the range's prediction, and the variance of that.
+  double respond(const RangeGeometry& range) {
+    const Row row = row_of(range);
+    response_.setZero(covariance_.rows());
+    for (std::size_t k = 0; k < kFigures; ++k) response_ += row.derivative[k] * covariance_.col(row.index[k]);
+    double own = 0.0;
+    for (std::size_t k = 0; k < kFigures; ++k) own += row.derivative[k] * response_(row.index[k]);
+    return own;
+  }
+
+  Eigen::Index tags_;
+  double offset_square_m2_;
+  Eigen::MatrixXd covariance_;
+  Eigen::VectorXd response_;
+};
+
+// Ranges in an order of which every beginning is spread over the whole: the bits of their places reversed.
+std::vector<std::size_t> spread(const std::vector<std::size_t>& ranges) {
+  std::size_t bits = 0;
+  while ((std::size_t{1} << bits) < ranges.size()) ++bits;
+  std::vector<std::size_t> out;
+  out.reserve(ranges.size());
+  for (std::size_t i = 0; i < std::size_t{1} << bits; ++i) {
+    std::size_t reversed = 0;
+    for (std::size_t bit = 0; bit < bits; ++bit) reversed |= ((i >> bit) & 1U) << (bits - 1 - bit);
+    if (reversed < ranges.size()) out.push_back(ranges[reversed]);
+  }
+  return out;
+}
+
+// Indices of the ranges by kind, of each kind in the order in which they are to be taken.
+std::vector<std::vector<std::size_t>> kinds_of(std::span<const RangeGeometry> ranges) {
+  using Key = std::array<std::int64_t, 5>;
+  const auto cell = [](double x) { return static_cast<std::int64_t>(std::floor(x / kKindSize)); };
+  std::vector<std::pair<Key, std::size_t>> keyed;
+  keyed.reserve(ranges.size());
+  for (std::size_t i = 0; i < ranges.size(); ++i) {
+    const RangeGeometry& range = ranges[i];
+    keyed.push_back(
+        {{static_cast<std::int64_t>(range.tag), cell(range.direction.x()), cell(range.direction.y()),
+          cell(range.direction.z()), cell(std::log(std::max(range.distance_m, kKindSize)))},
+         i});
+  }
+  std::sort(keyed.begin(), keyed.end());
+  std::vector<std::vector<std::size_t>> out;
+  for (std::size_t i = 0; i < keyed.size(); ++i) {
+    if (i == 0 || keyed[i].first != keyed[i - 1].first) out.emplace_back();
+    out.back().push_back(keyed[i].second);
+  }
+  for (std::vector<std::size_t>& kind : out) kind = spread(kind);
+  return out;
+}
+
+class Choice {
+ public:
+  explicit Choice(const AnchorGeometry& anchor)
+      : anchor_(anchor), dilution_(anchor), is_taken_(anchor.ranges.size(), false) {}
+
+  // Of each tag, at even steps of time.
+  void spread_over_time(std::size_t count) {
+    std::vector<std::vector<std::size_t>> of_tag(anchor_.tag_count);
+    for (std::size_t i = 0; i < anchor_.ranges.size(); ++i) of_tag[anchor_.ranges[i].tag].push_back(i);
+    for (std::size_t tag = 0; tag < of_tag.size(); ++tag) {
+      const std::vector<std::size_t>& own = of_tag[tag];
+      const std::size_t share = count / of_tag.size() + (tag < count % of_tag.size() ? 1 : 0);
+      if (own.empty() || share == 0) continue;
+      const double begin_s = anchor_.ranges[own.front()].t_s;
+      const double step_s = (anchor_.ranges[own.back()].t_s - begin_s) / static_cast<double>(share);
+      for (std::size_t k = 0; k < share; ++k) {
+        const double t_s = begin_s + (static_cast<double>(k) + 0.5) * step_s;
+        const auto at = std::lower_bound(own.begin(), own.end(), t_s, [&](std::size_t i, double instant_s) {
+          return anchor_.ranges[i].t_s < instant_s;
+        });
+        if (at != own.end() && !is_taken_[*at]) take(*at);
+      }
+    }
+    of_time_ = taken_.size();
+  }
+
+  // Those that lower the dilution most, until there are so many.
+  void lower_dilution(std::size_t budget) {
+    const std::vector<std::vector<std::size_t>> kinds = kinds_of(anchor_.ranges);
+    std::vector<std::size_t> next(kinds.size(), 0);
+    const auto skip_taken = [&](std::size_t kind) {
+      while (next[kind] < kinds[kind].size() && is_taken_[kinds[kind][next[kind]]]) ++next[kind];
+      return next[kind] < kinds[kind].size();
+    };
+    // What a range was worth before others were taken is, but for little, a bound on what it is worth now.
+    std::priority_queue<std::pair<double, std::size_t>> by_gain;
+    for (std::size_t kind = 0; kind < kinds.size(); ++kind) {
+      if (skip_taken(kind)) by_gain.emplace(gain(kinds[kind][next[kind]]), kind);
+    }
+    while (taken_.size() < budget && !by_gain.empty()) {
+      const std::size_t kind = by_gain.top().second;
+      by_gain.pop();
+      const std::size_t range = kinds[kind][next[kind]];
+      const double now = gain(range);
+      if (!by_gain.empty() && now < kNearlyBest * by_gain.top().first) {
+        by_gain.emplace(now, kind);
+        continue;
+      }
+      take(range);
+      if (skip_taken(kind)) by_gain.emplace(gain(kinds[kind][next[kind]]), kind);
+    }
+  }
+
+  // Exchanges one for another as long as that lowers the dilution, where there are few.
+  void exchange() {
+    if (taken_.size() * anchor_.ranges.size() > kMostTrials) return;
+    bool changed = true;
+    for (int sweep = 0; sweep < kSweeps && changed; ++sweep) {
+      changed = false;
+      for (std::size_t place = of_time_; place < taken_.size(); ++place) {
+        const std::size_t before = taken_[place];
+        dilution_.remove(anchor_.ranges[before]);
+        std::size_t best = before;
+        double most = gain(before) * (1.0 + 1e-9);
+        for (std::size_t i = 0; i < anchor_.ranges.size(); ++i) {
+          if (is_taken_[i]) continue;
+          const double found = gain(i);
+          if (found <= most) continue;
+          most = found;
+          best = i;
+        }
+        is_taken_[before] = false;
+        is_taken_[best] = true;
+        taken_[place] = best;
+        dilution_.add(anchor_.ranges[best]);
+        changed = changed || best != before;
+      }
+    }
+  }
+
+  [[nodiscard]] std::vector<std::size_t> ascending() && {
+    std::sort(taken_.begin(), taken_.end());
+    return std::move(taken_);
+  }
+
+ private:
+  [[nodiscard]] double gain(std::size_t range) { return dilution_.gain(anchor_.ranges[range]); }
+  void take(std::size_t range) {
+    is_taken_[range] = true;
+    taken_.push_back(range);
+    dilution_.add(anchor_.ranges[range]);
+  }
+
+  const AnchorGeometry& anchor_;
+  Dilution dilution_;
+  std::vector<bool> is_taken_;
+  std::vector<std::size_t> taken_;
+  std::size_t of_time_ = 0;
+};
+
+}  // namespace
+
+std::vector<std::size_t> choose_measurements(const AnchorGeometry& anchor, std::size_t budget) {
+  if (anchor.ranges.size() <= budget) {
+    std::vector<std::size_t> all(anchor.ranges.size());
+    std::iota(all.begin(), all.end(), std::size_t{0});
+    return all;
+  }
+  Choice choice(anchor);
+  choice.spread_over_time(budget / kTimeShare);
+  choice.lower_dilution(budget);
+  choice.exchange();
+  return std::move(choice).ascending();
+}
+
+}  // namespace groma::calibration
