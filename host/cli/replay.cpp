@@ -98,19 +98,6 @@ std::int64_t now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
 }
 
-std::vector<model::PlanarEstimate> to_estimate(const std::vector<filter::EstimateRow>& rows) {
-  std::vector<model::PlanarEstimate> estimate;
-  estimate.reserve(rows.size());
-  for (const filter::EstimateRow& row : rows) {
-    model::PlanarEstimate pose{row.t_s, row.x_m, row.y_m, row.yaw_rad};
-    pose.covariance << row.p_xx, row.p_xy, row.p_xt,  //
-        row.p_xy, row.p_yy, row.p_yt,                 //
-        row.p_xt, row.p_yt, row.p_tt;
-    estimate.push_back(pose);
-  }
-  return estimate;
-}
-
 int run(const Options& options) {
   if (options.surveyed == options.calibration.has_value()) {
     throw CLI::ValidationError("replay", "give either --calibration FILE or --surveyed");
@@ -142,7 +129,7 @@ int run(const Options& options) {
     throw io::DataError({options.dataset / "odometry.csv"}, "there is no odometry in the chosen time",
                         "choose another --from and --to");
   }
-  io::write_file(options.output, io::format_estimate(to_estimate(result.rows)));
+  io::write_file(options.output, io::format_estimate(result.rows));
 
   const filter::Counters& counters = result.counters;
   if (counters.ranges_unknown_anchor > 0) {
@@ -157,6 +144,8 @@ int run(const Options& options) {
                   {"ranges_used", counters.ranges_used},
                   {"ranges_gated", counters.ranges_gated},
                   {"ranges_unknown_anchor", counters.ranges_unknown_anchor},
+                  {"ranges_not_active", counters.ranges_not_active},
+                  {"anchor_exchanges", counters.anchor_exchanges},
                   {"dropped", to_json(dataset.dropped)},
                   {"wall_s", wall_s},
                   {"realtime_factor", realtime_factor},

@@ -5,6 +5,7 @@
 #include <optional>
 #include <string_view>
 
+#include "host/filter/state.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::filter {
@@ -82,7 +83,10 @@ struct Config {
   double range_delay_s = 0.0;
   double range_delay_sigma_s = 0.0;
   double range_delay_change_s = 0.003;  // sigma of what changes in an observed delay from drive to drive
-  double min_range_m = 0.0;             // exclusive
+  // Anchors that are active at a time, kMaxAnchors at most.
+  int active_anchors = kMaxAnchors;
+  double silent_s = 1.0;     // one that was silent so long makes place for one that is not
+  double min_range_m = 0.0;  // exclusive
   double max_range_m = 1000.0;
 
   GateConfig gate;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "host/filter/propagation.hpp"
@@ -13,6 +14,7 @@ namespace {
 
 // A jump in time is crossed in so many steps at most.
 constexpr double kMaxSteps = 400.0;
+constexpr double kNever = -std::numeric_limits<double>::infinity();
 // Doubt does not widen the pose beyond these.
 constexpr double kMaxDoubt_m = 10.0;
 constexpr double kMaxDoubt_rad = 1.0;
@@ -41,7 +43,7 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
 }
 
 Filter::Snapshot begin(const Site& site, const Config& config) {
-  const Parameters parameters(site);
+  const Parameters parameters(site, config.active_anchors);
   JointCovariance covariance(site, parameters, learning(config.model));
   return {.parameters = parameters, .gate = Gate(config.gate), .covariance = std::move(covariance)};
 }
@@ -63,14 +65,21 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
     config_.range_delay_s = here.range_delay_s;
     config_.range_delay_sigma_s = here.range_delay_sigma_s;
   }
+  now_.last_answer_s.fill(kNever);
+  slots_.assign(static_cast<std::size_t>(site_.anchor_count()), -1);
+  find_slots();
+  if (site_.anchor_count() > now_.parameters.anchor_count()) {
+    memories_.resize(static_cast<std::size_t>(site_.anchor_count()));
+    exchanges_.resize(kMaxExchanges);
+  }
 }
 
 std::size_t Filter::anchors() const noexcept {
-  return static_cast<std::size_t>(now_.parameters.anchor_count());
+  return static_cast<std::size_t>(site_.anchor_count());
 }
 
 std::size_t Filter::tags() const noexcept {
-  return static_cast<std::size_t>(now_.parameters.tag_count());
+  return static_cast<std::size_t>(site_.tag_count());
 }
 
 void Filter::start(const Start& start) noexcept {
@@ -93,6 +102,7 @@ void Filter::start(const Start& start) noexcept {
   variances(kRowOmega) = square(now_.has_row ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
   now_.covariance.reset_core(variances);
   now_.gate.reset(now_.t_s);
+  now_.last_answer_s.fill(kNever);
   now_.started = true;
 }
 
@@ -148,6 +158,9 @@ RangeResult Filter::process(const model::RangeSample& range) noexcept {
     case RangeOutcome::kNotStarted:
       ++now_.counters.ranges_not_started;
       break;
+    case RangeOutcome::kNotActive:
+      ++now_.counters.ranges_not_active;
+      break;
     case RangeOutcome::kNotModelled:
       ++now_.counters.ranges_not_modelled;
       break;
@@ -181,9 +194,14 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   if (anchor < 0 || !site_.knows_pair(anchor, tag)) return {.outcome = RangeOutcome::kUnknownAnchor};
   if (!now_.started) return {.outcome = RangeOutcome::kNotStarted};
   if (range.t_s < now_.t_s) return {.outcome = RangeOutcome::kOutOfOrder};
+  int slot = slot_of(anchor);
+  const bool is_active = slot >= 0;
+  if (!is_active) slot = free_slot(range.t_s);
+  if (slot < 0) return {.outcome = RangeOutcome::kNotActive};
   advance_to(range.t_s);
+  if (!is_active) exchange(slot, anchor);
+  now_.last_answer_s[static_cast<std::size_t>(slot)] = now_.t_s;
 
-  const int slot = anchor;
   const bool whole = config_.model != Model::kOriginal && config_.model != Model::kInflated;
   const PairParameters parameters = now_.parameters.pair(site_, slot, tag);
   const PairPlace pair{.slot = slot, .tag = tag, .anchor = &site_.anchor(anchor)};
@@ -267,6 +285,67 @@ void Filter::step(double dt_s) noexcept {
     if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
       now_.covariance.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
     }
+  }
+}
+
+int Filter::free_slot(double t_s) const noexcept {
+  int longest = 0;
+  for (int slot = 1; slot < now_.parameters.anchor_count(); ++slot) {
+    if (now_.last_answer_s[static_cast<std::size_t>(slot)] <
+        now_.last_answer_s[static_cast<std::size_t>(longest)]) {
+      longest = slot;
+    }
+  }
+  return t_s - now_.last_answer_s[static_cast<std::size_t>(longest)] >= config_.silent_s ? longest : -1;
+}
+
+void Filter::exchange(int slot, int anchor) noexcept {
+  const int leaving = now_.parameters.anchor_in(slot);
+  const std::uint64_t number = now_.exchanges++;
+  Exchange& record = at(number);
+  record.left = leaving;
+  AnchorMemory& left = memories_[static_cast<std::size_t>(leaving)];
+  record.before = left;
+  now_.covariance.leave(now_.parameters, slot, left);
+  left.left = number;
+  left.t_s = now_.t_s;
+  record.absence = now_.covariance.absence();
+  now_.covariance.begin_absence();
+
+  AnchorMemory back = memories_[static_cast<std::size_t>(anchor)];
+  if (back.was_active && back.cross.size() > 0) {
+    // Longer ago than is known of, it is related to nothing.
+    if (number - back.left >= kMaxExchanges) back.cross.setZero();
+    for (std::uint64_t i = back.left + 1; i <= number && !back.cross.isZero(0.0); ++i) {
+      back.cross = back.cross.lazyProduct(at(i).absence).eval();
+    }
+  }
+  const double faded = slow_time_s_ > 0.0 ? std::exp(-(now_.t_s - back.t_s) / slow_time_s_) : 1.0;
+  const AnchorVector& values =
+      back.was_active && back.values.size() > 0 ? back.values : site_.anchor(anchor).values;
+  now_.parameters.exchange(slot, anchor, values);
+  now_.covariance.enter(site_.anchor(anchor), slot, back, faded, now_.parameters);
+  now_.gate.renew(slot, now_.t_s);
+  slots_[static_cast<std::size_t>(leaving)] = -1;
+  slots_[static_cast<std::size_t>(anchor)] = slot;
+  ++now_.counters.anchor_exchanges;
+}
+
+void Filter::restore(const Snapshot& snapshot) noexcept {
+  while (now_.exchanges > snapshot.exchanges) {
+    const Exchange& last = at(--now_.exchanges);
+    memories_[static_cast<std::size_t>(last.left)] = last.before;
+  }
+  for (int slot = 0; slot < now_.parameters.anchor_count(); ++slot) {
+    slots_[static_cast<std::size_t>(now_.parameters.anchor_in(slot))] = -1;
+  }
+  now_ = snapshot;
+  find_slots();
+}
+
+void Filter::find_slots() noexcept {
+  for (int slot = 0; slot < now_.parameters.anchor_count(); ++slot) {
+    slots_[static_cast<std::size_t>(now_.parameters.anchor_in(slot))] = slot;
   }
 }
 

@@ -11,8 +11,11 @@
 // what came of each is returned.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <span>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -52,6 +55,7 @@ enum class RangeOutcome {
   kBadValue,       // not finite, or out of bounds
   kOutOfOrder,     // older than the state: refused
   kNotStarted,
+  kNotActive,    // of an anchor that finds no place: all that are active answered of late
   kNotModelled,  // the model uses no ranges
 };
 
@@ -73,13 +77,15 @@ struct Counters {
   std::size_t ranges_bad_value = 0;
   std::size_t ranges_out_of_order = 0;
   std::size_t ranges_not_started = 0;
+  std::size_t ranges_not_active = 0;
   std::size_t ranges_not_modelled = 0;
   std::size_t odometry_used = 0;
   std::size_t odometry_used_late = 0;
   std::size_t odometry_stored = 0;
   std::size_t odometry_out_of_order = 0;
   std::size_t odometry_bad_value = 0;
-  std::size_t doubts = 0;  // times the gate began to doubt the state
+  std::size_t doubts = 0;            // times the gate began to doubt the state
+  std::size_t anchor_exchanges = 0;  // times an anchor took the place of another one
 };
 
 struct Estimate {
@@ -103,11 +109,15 @@ class Filter {
     bool has_row = false;
     bool started = false;
     double t_s = 0.0;
+    std::array<double, kMaxAnchors> last_answer_s{};  // of each slot
+    std::uint64_t exchanges = 0;
     Counters counters{};
   };
+  // So many exchanges of anchors can be undone.
+  static constexpr std::size_t kMaxExchanges = 64;
 
-  // Tags beyond kMaxTags and anchors beyond kMaxAnchors are left out, and so are anchors without a finite
-  // position and covariance; anchors() and tags() tell how many are in.
+  // Tags beyond kMaxTags are left out, and so are anchors without a finite position and covariance; anchors()
+  // and tags() tell how many are in.
   Filter(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
          const Config& config);
 
@@ -129,27 +139,51 @@ class Filter {
   [[nodiscard]] std::size_t anchors() const noexcept;
   [[nodiscard]] std::size_t tags() const noexcept;
 
-  // What restore() brings back: all inputs since are as if they had never been.
+  // What restore() brings back: all inputs since are as if they had never been. Of this filter, and from its
+  // past; of anchors that are not active it holds nothing but how many exchanges there were. can_restore():
+  // no more than kMaxExchanges since.
   [[nodiscard]] const Snapshot& snapshot() const noexcept { return now_; }
-  void restore(const Snapshot& snapshot) noexcept { now_ = snapshot; }
+  [[nodiscard]] bool can_restore(const Snapshot& snapshot) const noexcept {
+    return now_.exchanges - snapshot.exchanges <= kMaxExchanges;
+  }
+  void restore(const Snapshot& snapshot) noexcept;
 
   // For tests and diagnosis.
   [[nodiscard]] const CoreVector& core() const noexcept { return now_.core; }
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
   [[nodiscard]] const Site& site() const noexcept { return site_; }
+  // Of an anchor of the site, -1 where it is not active.
+  [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 
  private:
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
   RangeResult take(const model::RangeSample& range) noexcept;
   void hold(const model::OdometrySample& row) noexcept;
   void step(double dt_s) noexcept;
+  // The slot whose anchor was silent longest, -1 where none was silent for long enough.
+  [[nodiscard]] int free_slot(double t_s) const noexcept;
+  void exchange(int slot, int anchor) noexcept;
+  void find_slots() noexcept;
+
+  // One exchange, as far as it is needed to undo it and to bring the anchor back.
+  struct Exchange {
+    int left = 0;  // which anchor
+    AnchorMemory before;
+    CoreMatrix absence;  // of the time from the exchange before to this one
+  };
+  [[nodiscard]] Exchange& at(std::uint64_t exchange) noexcept {
+    return exchanges_[static_cast<std::size_t>(exchange % kMaxExchanges)];
+  }
 
   model::Surface surface_;
   Site site_;
   Config config_;
   double slow_time_s_ = 0.0;  // 0: there is no slow error
   Snapshot now_;
+  std::vector<int> slots_;              // of each anchor of the site, -1 where it is not active
+  std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty where all are active
+  std::vector<Exchange> exchanges_;     // a ring; empty where all are active
 };
 
 }  // namespace groma::filter

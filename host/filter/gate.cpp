@@ -124,6 +124,11 @@ bool Gate::doubts(double t_s) const noexcept {
   return doubts_ && t_s - t_s_ < config_.window_s;
 }
 
+void Gate::renew(int anchor, double t_s) noexcept {
+  for (int tag = 0; tag < kMaxTags; ++tag) pair(anchor, tag) = {t_s, config_.blocked_share};
+  anchors_[static_cast<std::size_t>(anchor)] = {.t_s = t_s};
+}
+
 void Gate::reset(double t_s) noexcept {
   pairs_.fill({t_s, config_.blocked_share});
   noise_scale_ = 1.0;

@@ -33,6 +33,8 @@ class Gate {
   [[nodiscard]] bool doubts(double t_s) const noexcept;
   // Times that a doubt began.
   [[nodiscard]] std::size_t doubts_begun() const noexcept { return doubts_begun_; }
+  // Another anchor comes into a slot.
+  void renew(int anchor, double t_s) noexcept;
   // Forgets everything but the count.
   void reset(double t_s) noexcept;
 

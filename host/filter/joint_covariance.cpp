@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include <Eigen/Cholesky>
+
 namespace groma::filter {
 
 namespace {
@@ -34,7 +36,11 @@ JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
       lever_arm_variance_m2_(site.lever_arm_variance_m2()),
       slow_variance_m2_(site.slow_variance_m2()),
       frame_covariance_(site.frame_covariance()) {
-  if (learning == Learning::kNothing) return;
+  if (learning == Learning::kNothing) {
+    absent_rows_ = site.anchor_count() > layout_.anchor_count() ? kCoreSize : 0;
+    begin_absence();
+    return;
+  }
   lower_.setZero(static_cast<Eigen::Index>(stride_) * stride_);
   Eigen::Map<Eigen::MatrixXd> all(lower_.data(), stride_, stride_);
   all.block<kFrameSize, kFrameSize>(layout_.frame(), layout_.frame()) = frame_covariance_;
@@ -79,13 +85,14 @@ void JointCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
 }
 
 void JointCovariance::propagate(const PoseRows& f) noexcept {
-  const PoseRows fp = f * core_;
-  const Eigen::Matrix3d pose = fp * f.transpose();
+  // lazyProduct: Eigen would go through its kernels for large matrices.
+  const PoseRows fp = f.lazyProduct(core_);
+  const Eigen::Matrix3d pose = fp.lazyProduct(f.transpose());
   core_.topRows<3>() = fp;
   core_.leftCols<3>() = fp.transpose();
   core_.topLeftCorner<3, 3>() = 0.5 * (pose + pose.transpose());
 
-  PoseRows motion = f.leftCols<3>() * motion_;
+  PoseRows motion = f.leftCols<3>().lazyProduct(motion_);
   motion.middleCols<3>(3) += f.middleCols<3>(3);
   // Errors of a new row are related to nothing yet.
   if (same_row_) motion.rightCols<3>() += f.rightCols<3>();
@@ -95,7 +102,7 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
 
 void JointCovariance::settle_motion() noexcept {
   if (!moved_) return;
-  move_cross(cross_.data(), size_, motion_);
+  move_cross(cross_.data(), rows(), motion_);
   if (!same_row_) std::fill(cross_.begin() + kRowVx * kCrossStride, cross_.end(), 0.0);
   motion_.setIdentity();
   moved_ = false;
@@ -120,7 +127,7 @@ void JointCovariance::settle_slow_errors() noexcept {
 }
 
 double JointCovariance::project_core(const CoreRow& d_core, CoreVector& out) const noexcept {
-  out.noalias() = core_ * d_core.transpose();
+  out = core_.lazyProduct(d_core.transpose());
   return d_core.dot(out);
 }
 
@@ -209,7 +216,7 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
     for (int k = 0; k < kCoreSize; ++k)
       by_pair(k) += d(i) * cross_[static_cast<std::size_t>(row + k * kCrossStride)];
   }
-  out.core.noalias() = core_ * measurement.d_core.transpose();
+  out.core = core_.lazyProduct(measurement.d_core.transpose());
   out.variance = measurement.d_core.dot(out.core) + 2.0 * measurement.d_core.dot(by_pair) + own;
   out.core += by_pair;
 }
@@ -254,6 +261,122 @@ void JointCovariance::correct(const RangeMeasurement& measurement, Projected& pr
     const bool learnt = learns_[static_cast<std::size_t>(j)] != 0.0;
     subtract_column(&lower(0, j), j, size_, q[j], learnt ? q : masked.data());
   }
+}
+
+CoreMatrix JointCovariance::absence() noexcept {
+  settle_motion();
+  return ConstRows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
+      .middleRows<kCoreSize>(size_);
+}
+
+void JointCovariance::begin_absence() noexcept {
+  if (absent_rows_ == 0) return;
+  Rows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
+      .middleRows<kCoreSize>(size_)
+      .setIdentity();
+}
+
+void JointCovariance::set(int i, int j, double value) noexcept {
+  lower(std::max(i, j), std::min(i, j)) = value;
+}
+
+double JointCovariance::get(int i, int j) const noexcept {
+  return lower(std::max(i, j), std::min(i, j));
+}
+
+void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept {
+  settle_motion();
+  settle_slow_errors();
+  const int first = layout_.position(slot);
+  const int size = layout_.anchor_size();
+  const int common = layout_.common_size();
+  memory.was_active = true;
+  if (learning_ == Learning::kNothing) {
+    memory.cross = Rows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
+                       .middleRows(first, size);
+    return;
+  }
+  // The anchor given what all share, and how it depends on that.
+  using CommonMatrix =
+      Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxCommon, kMaxCommon>;
+  CommonMatrix shared(common, common);
+  CommonVector sigma(common);
+  for (int i = 0; i < common; ++i) sigma(i) = get(i, i) > 0.0 ? std::sqrt(get(i, i)) : 1.0;
+  for (int i = 0; i < common; ++i) {
+    for (int j = 0; j < common; ++j) shared(i, j) = get(i, j) / (sigma(i) * sigma(j));
+  }
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxCommon, kMaxAnchorSize>
+      to_shared(common, size);
+  memory.covariance.resize(size, size);
+  for (int j = 0; j < size; ++j) {
+    for (int i = 0; i < common; ++i) to_shared(i, j) = get(i, first + j) / sigma(i);
+    for (int i = 0; i < size; ++i) memory.covariance(i, j) = get(first + i, first + j);
+  }
+  // The slow error forgets.
+  to_shared.col(size - 1).setZero();
+  memory.covariance.row(size - 1).setZero();
+  memory.covariance.col(size - 1).setZero();
+  const Eigen::LDLT<CommonMatrix> solver(shared);
+  const auto by_scaled = solver.solve(to_shared).eval();
+  const AnchorMatrix explained = to_shared.transpose().lazyProduct(by_scaled);
+  memory.covariance -= 0.5 * (explained + explained.transpose());
+  memory.by_common.resize(size, common);
+  for (int j = 0; j < common; ++j) memory.by_common.col(j) = by_scaled.row(j).transpose() / sigma(j);
+  memory.common = parameters.values().head(common);
+  memory.values = parameters.values().segment(first, size);
+}
+
+void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
+                            Parameters& parameters) noexcept {
+  settle_motion();
+  settle_slow_errors();
+  const int first = layout_.position(slot);
+  const int size = layout_.anchor_size();
+  const int common = layout_.common_size();
+  Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  if (learning_ == Learning::kNothing) {
+    if (memory.was_active) {
+      cross.middleRows(first, size) = memory.cross;
+      cross.row(first + size - 1) *= faded;
+    } else {
+      cross.middleRows(first, size).setZero();
+    }
+    return;
+  }
+  for (int i = 0; i < size; ++i) {
+    for (int j = 0; j < size_; ++j) set(first + i, j, 0.0);
+  }
+  cross.middleRows(first, size).setZero();
+  const AnchorMatrix& own = memory.was_active ? memory.covariance : anchor.covariance;
+  for (int i = 0; i < size; ++i) {
+    for (int j = 0; j <= i; ++j) set(first + i, first + j, own(i, j));
+  }
+  if (memory.was_active) {
+    const auto& by = memory.by_common;
+    parameters.values().segment(first, size) += by * (parameters.values().head(common) - memory.common);
+    for (int k = 0; k < kCoreSize; ++k) {
+      cross.col(k).segment(first, size) = by.lazyProduct(cross.col(k).head(common));
+    }
+    // What it has in common with the others comes by what all share; last its own, by its own row of that.
+    std::array<double, kMaxCommon> column{};
+    const auto relate = [&](int j) {
+      for (int k = 0; k < common; ++k) column[static_cast<std::size_t>(k)] = get(k, j);
+      for (int i = 0; i < size; ++i) {
+        double sum = 0.0;
+        for (int k = 0; k < common; ++k) sum += by(i, k) * column[static_cast<std::size_t>(k)];
+        if (j < first || j >= first + size) {
+          set(first + i, j, sum);
+        } else if (first + i >= j) {
+          set(first + i, j, get(first + i, j) + sum);
+        }
+      }
+    };
+    for (int j = 0; j < size_; ++j) {
+      if (j < first || j >= first + size) relate(j);
+    }
+    for (int j = first; j < first + size; ++j) relate(j);
+  }
+  learn(slot, anchor.is_learnt);
 }
 
 Eigen::MatrixXd JointCovariance::cross() const {

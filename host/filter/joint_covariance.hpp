@@ -7,6 +7,7 @@
 
 #include <array>
 #include <cstddef>
+#include <cstdint>
 
 #include <Eigen/Core>
 
@@ -40,6 +41,22 @@ struct Projected {
   alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> own;
 };
 
+// What an anchor that leaves the active set takes with it.
+struct AnchorMemory {
+  bool was_active = false;
+  std::uint64_t left = 0;  // number of the exchange at which it left
+  double t_s = 0.0;        // and the time
+  // Where nothing is learnt: what relates it to the core.
+  Eigen::Matrix<double, Eigen::Dynamic, kCoreSize, Eigen::ColMajor, kMaxAnchorSize, kCoreSize> cross;
+  // Where it is learnt: its values and those of what all anchors share, how it depends on these, and its
+  // covariance given them.
+  AnchorVector values;
+  CommonVector common;
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxAnchorSize, kMaxCommon>
+      by_common;
+  AnchorMatrix covariance;
+};
+
 class JointCovariance {
  public:
   JointCovariance(const Site& site, const Parameters& parameters, Learning learning);
@@ -70,6 +87,16 @@ class JointCovariance {
   void correct(const RangeMeasurement& measurement, Projected& projected, double variance, double innovation,
                ParameterVector& values) noexcept;
 
+  // An anchor leaves its slot, and another one comes into it; `faded` is what time has left of its slow
+  // error since it left; parameters: with the anchor's values in the slot.
+  void leave(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept;
+  void enter(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
+             Parameters& parameters) noexcept;
+  // Where nothing is learnt: by what matrix (from the right) the covariance of absent anchors with the core
+  // has changed since the absence began; begin_absence() begins anew.
+  [[nodiscard]] CoreMatrix absence() noexcept;
+  void begin_absence() noexcept;
+
   [[nodiscard]] const CoreMatrix& core() const noexcept { return core_; }
   // For tests and diagnosis, in full.
   [[nodiscard]] Eigen::MatrixXd cross() const;
@@ -79,7 +106,9 @@ class JointCovariance {
   [[nodiscard]] double& lower(int row, int column) noexcept { return lower_(row + column * stride_); }
   [[nodiscard]] double lower(int row, int column) const noexcept { return lower_(row + column * stride_); }
   // Rows of the cross-covariance.
-  [[nodiscard]] int rows() const noexcept { return size_; }
+  [[nodiscard]] int rows() const noexcept { return size_ + absent_rows_; }
+  [[nodiscard]] double get(int i, int j) const noexcept;
+  void set(int i, int j, double value) noexcept;
   void learn(int slot, bool learnt) noexcept;
   void settle_motion() noexcept;
   void settle_slow_errors() noexcept;
@@ -94,6 +123,7 @@ class JointCovariance {
   Layout layout_;
   int size_ = 0;
   int stride_ = 0;
+  int absent_rows_ = 0;  // of the cross-covariance, behind the parameters': see absence()
   double lever_arm_variance_m2_ = 0.0;
   double slow_variance_m2_ = 0.0;
   Eigen::Matrix4d frame_covariance_;

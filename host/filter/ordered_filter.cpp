@@ -124,8 +124,11 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
   const auto place = std::upper_bound(inputs_.begin(), inputs_.end(), place_of(input),
                                       [](const Place& a, const Input& b) { return a < place_of(b); });
   const std::uint64_t number = first_ + static_cast<std::uint64_t>(std::distance(inputs_.begin(), place));
+  // Anchors came and went too often to go back that far.
+  while (checkpoint_count_ > 1 && !filter_.can_restore(checkpoint(0).filter)) drop_checkpoint();
   if (number < checkpoint(0).next) return {};
   const bool last = place == inputs_.end();
+  if (!last && !filter_.can_restore(checkpoint(0).filter)) return {};
   inputs_.insert(place, input);
   newest_s_ = std::max(newest_s_, t_s);
 

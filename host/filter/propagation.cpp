@@ -16,11 +16,28 @@ struct Projection {
 
 Projection projection(const model::Surface& surface, const Eigen::Vector2d& position) noexcept {
   const model::SurfacePoint ground = surface.at(position.x(), position.y());
-  const model::SurfaceRotation tilt = model::surface_rotation_with_derivatives(ground.gradient);
-  const auto gx = tilt.d_gx.topLeftCorner<2, 2>();
-  const auto gy = tilt.d_gy.topLeftCorner<2, 2>();
-  return {tilt.rotation.topLeftCorner<2, 2>(), gx * ground.hessian(0, 0) + gy * ground.hessian(1, 0),
-          gx * ground.hessian(0, 1) + gy * ground.hessian(1, 1)};
+  const double gx = ground.gradient.x();
+  const double gy = ground.gradient.y();
+  // The upper left of model::surface_rotation, with the normal (a, b, c).
+  const double c = 1.0 / std::sqrt(1.0 + gx * gx + gy * gy);
+  const double a = -gx * c;
+  const double b = -gy * c;
+  const double k = 1.0 / (1.0 + c);
+  Projection out;
+  out.a << 1.0 - k * a * a, -k * a * b, -k * a * b, 1.0 - k * b * b;
+  const auto along = [&](double d_gx, double d_gy) {
+    const double dc = -c * c * c * (gx * d_gx + gy * d_gy);
+    const double da = -c * d_gx - gx * dc;
+    const double db = -c * d_gy - gy * dc;
+    const double dk = -k * k * dc;
+    const double ab = -dk * a * b - k * (da * b + a * db);
+    Eigen::Matrix2d d;
+    d << -dk * a * a - 2.0 * k * a * da, ab, ab, -dk * b * b - 2.0 * k * b * db;
+    return d;
+  };
+  out.d_x = along(ground.hessian(0, 0), ground.hessian(1, 0));
+  out.d_y = along(ground.hessian(0, 1), ground.hessian(1, 1));
+  return out;
 }
 
 // Mean of the rotated unit velocities over a turn by angle: R(angle/2) sinc(angle/2), and its derivative.
@@ -111,10 +128,13 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   return out;
 }
 
-Eigen::Vector3d pose_rate(const model::Surface& surface, const CoreVector& core,
+Eigen::Vector3d pose_rate(const Eigen::Matrix3d& rotation_wt, const CoreVector& core,
                           const model::OdometrySample& row) noexcept {
+  const double c = std::cos(core(kTheta));
+  const double s = std::sin(core(kTheta));
+  const Eigen::Vector2d v = row_velocity(core, row);
   const Eigen::Vector2d rate =
-      projection(surface, core.segment<2>(kX)).a * (mean_turn(core(kTheta), 0.0).r * row_velocity(core, row));
+      rotation_wt.topLeftCorner<2, 2>() * Eigen::Vector2d(c * v.x() - s * v.y(), s * v.x() + c * v.y());
   return {rate.x(), rate.y(), row.omega_radps - core(kYawBias) - core(kRowOmega)};
 }
 

@@ -25,8 +25,8 @@ struct Motion {
 [[nodiscard]] Motion move(const model::Surface& surface, const CoreVector& core,
                           const model::OdometrySample& row, double dt_s) noexcept;
 
-// x', y', theta' of the core state now.
-[[nodiscard]] Eigen::Vector3d pose_rate(const model::Surface& surface, const CoreVector& core,
+// x', y', theta' of the core state now, with R_WT where it is.
+[[nodiscard]] Eigen::Vector3d pose_rate(const Eigen::Matrix3d& rotation_wt, const CoreVector& core,
                                         const model::OdometrySample& row) noexcept;
 
 }  // namespace groma::filter

@@ -34,8 +34,8 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
       prediction.range_m + pair.slow_error_m +
       model::pattern_terms(pose.pose.rotation.transpose() * prediction.direction).dot(pair.pattern_m);
   out.distance_m = prediction.distance_m;
-  out.d_core.noalias() = d_pose * then.d_core;
-  out.d_core(kDelay) = -d_pose.dot(pose_rate(surface, core_then, row));
+  out.d_core = d_pose.lazyProduct(then.d_core);
+  out.d_core(kDelay) = -d_pose.dot(pose_rate(pose.rotation_wt, core_then, row));
 
   const Eigen::RowVector3d& d_anchor = prediction.d_anchor;
   out.d_parameters << d_anchor.x() + frame(3) * d_anchor.y(), d_anchor.y() - frame(3) * d_anchor.x(),

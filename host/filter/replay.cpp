@@ -25,15 +25,6 @@ Percentiles percentiles(std::vector<double>& values) {
   return {at(0.50), at(0.99)};
 }
 
-EstimateRow row_of(const Estimate& estimate) {
-  const Eigen::Matrix3d& p = estimate.covariance;
-  return {estimate.t_s,      estimate.pose.x_m,
-          estimate.pose.y_m, estimate.pose.theta_rad,
-          p(0, 0),           p(0, 1),
-          p(0, 2),           p(1, 1),
-          p(1, 2),           p(2, 2)};
-}
-
 }  // namespace
 
 ReplayResult replay(const Run& run, const ReplayOptions& options) {
@@ -78,9 +69,12 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     take_ranges_up_to(std::nextafter(row->t_s, -std::numeric_limits<double>::infinity()));
     timed(propagate_ns, *row);
     take_ranges_up_to(row->t_s);
-    EstimateRow estimate = row_of(filter->estimate());
-    estimate.t_s = row->t_s;
-    result.rows.push_back(estimate);
+    const Estimate estimate = filter->estimate();
+    result.rows.push_back({.t_s = row->t_s,
+                           .x_m = estimate.pose.x_m,
+                           .y_m = estimate.pose.y_m,
+                           .yaw_rad = estimate.pose.theta_rad,
+                           .covariance = estimate.covariance});
   }
 
   result.counters = filter->counters();

@@ -35,27 +35,15 @@ struct ReplayOptions {
   std::function<std::int64_t()> now_ns;
 };
 
-// One row for each odometry row from the start on: the state when everything up to and at t_s is seen.
-struct EstimateRow {
-  double t_s = 0.0;
-  double x_m = 0.0;
-  double y_m = 0.0;
-  double yaw_rad = 0.0;  // heading on the surface, (-pi, pi]
-  double p_xx = 0.0;
-  double p_xy = 0.0;
-  double p_xt = 0.0;
-  double p_yy = 0.0;
-  double p_yt = 0.0;
-  double p_tt = 0.0;
-};
-
 struct Percentiles {
   double p50 = 0.0;
   double p99 = 0.0;
 };
 
 struct ReplayResult {
-  std::vector<EstimateRow> rows;
+  // One for each odometry row from the start on: the state when everything up to and at t_s is seen. yaw_rad
+  // is the heading on the surface.
+  std::vector<model::PlanarEstimate> rows;
   std::size_t ranges_seen = 0;  // of the chosen tags and anchors, within the time
   Counters counters;
   double nis_mean = 0.0;  // over the ranges used

@@ -40,6 +40,8 @@ using CoreVector = Eigen::Matrix<double, kCoreSize, 1>;
 using CoreMatrix = Eigen::Matrix<double, kCoreSize, kCoreSize>;
 using CoreRow = Eigen::Matrix<double, 1, kCoreSize>;
 using PoseRows = Eigen::Matrix<double, 3, kCoreSize>;  // derivatives of x, y, theta by the core state
+// Of what all anchors share: frame, lever arms.
+using CommonVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxCommon, 1>;
 // Of one anchor: position, beta of each tag, gamma of each tag, slow error.
 using AnchorVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxAnchorSize, 1>;
 using AnchorMatrix =

@@ -129,7 +129,6 @@ void Tracker::set_back(double t_s) noexcept {
   const Estimate before = filter_.estimate();
   filter_.stop();
   search_.stop();
-  hypotheses_ = {};
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
   newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNever;
@@ -203,7 +202,6 @@ void Tracker::assess() noexcept {
     const bool agreed = newest_s_ - agrees_since_s_ >= config_.agree_s;
     if (agreed && reason_ != Reason::kUncertain) state_ = State::kTracking;
     if (reason_ == Reason::kNoRanges) state_ = State::kDegraded;
-    if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) state_ = State::kLost;
   }
   if (state_ == State::kTracking || state_ == State::kDegraded)
     state_ = reason_ == Reason::kNone ? State::kTracking : State::kDegraded;
@@ -219,9 +217,9 @@ void Tracker::search_when_due() noexcept {
   if (!config_.relocates) return;
   if (newest_s_ - last_search_s_ < config_.search_every_s) return;
   last_search_s_ = newest_s_;
-  hypotheses_ = search_.search();
+  const auto hypotheses = search_.search();
   if (!search_.settled()) return;
-  const StartSearch::Hypothesis& found = hypotheses_.front();
+  const StartSearch::Hypothesis& found = hypotheses.front();
   if (filter_.started()) {
     if (!is_elsewhere(found)) return;
     ++relocations_;

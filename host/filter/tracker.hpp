@@ -87,8 +87,6 @@ class Tracker {
   // Whether there is an estimate; it is to be used in the states TRACKING and DEGRADED.
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
-  // Those that are left of the last search, the likeliest first.
-  [[nodiscard]] std::span<const StartSearch::Hypothesis> hypotheses() const noexcept { return hypotheses_; }
   [[nodiscard]] const OrderedFilter& filter() const noexcept { return filter_; }
   // Times that another place was found than the filter's.
   [[nodiscard]] std::size_t relocations() const noexcept { return relocations_; }
@@ -115,7 +113,6 @@ class Tracker {
   TrackerConfig config_;
   OrderedFilter filter_;
   StartSearch search_;
-  std::span<const StartSearch::Hypothesis> hypotheses_;
   State state_ = State::kUninitialized;
   Reason reason_ = Reason::kNone;
 

@@ -16,15 +16,16 @@ struct Basis {
   Eigen::Vector4d second;
 };
 
-Basis basis(double t) noexcept {
+inline Basis basis(double t) noexcept {
+  constexpr double kSixth = 1.0 / 6.0;
   const double t2 = t * t;
   const double t3 = t2 * t;
   const double s = 1.0 - t;
   Basis b;
-  b.value << s * s * s / 6.0, (3.0 * t3 - 6.0 * t2 + 4.0) / 6.0, (-3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0) / 6.0,
-      t3 / 6.0;
-  b.first << -s * s / 2.0, (3.0 * t2 - 4.0 * t) / 2.0, (-3.0 * t2 + 2.0 * t + 1.0) / 2.0, t2 / 2.0;
-  b.second << s, 3.0 * t - 2.0, 1.0 - 3.0 * t, t;
+  b.value = {s * s * s * kSixth, (3.0 * t3 - 6.0 * t2 + 4.0) * kSixth,
+             (-3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0) * kSixth, t3 * kSixth};
+  b.first = {-s * s * 0.5, (3.0 * t2 - 4.0 * t) * 0.5, (-3.0 * t2 + 2.0 * t + 1.0) * 0.5, t2 * 0.5};
+  b.second = {s, 3.0 * t - 2.0, 1.0 - 3.0 * t, t};
   return b;
 }
 
@@ -35,7 +36,7 @@ struct Cell {
   bool inside;
 };
 
-Cell locate(double position_m, double origin_m, double step_m, int count) noexcept {
+inline Cell locate(double position_m, double origin_m, double step_m, int count) noexcept {
   const double cells = static_cast<double>(count - 3);
   const double u = (position_m - origin_m) / step_m;
   const double clamped = std::clamp(u, 0.0, cells);
@@ -65,12 +66,18 @@ SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
   const Cell cy = locate(y_m, grid_.y0_m, grid_.dy_m, grid_.ny);
   const Basis bx = basis(cx.t);
   const Basis by = basis(cy.t);
-  using Rows = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>, 0, Eigen::OuterStride<>>;
-  const auto first = static_cast<std::size_t>(cx.index) * static_cast<std::size_t>(grid_.ny) +
-                     static_cast<std::size_t>(cy.index);
-  const Rows c(heights_m_.data() + first, Eigen::OuterStride<>(grid_.ny));
-  const Eigen::Vector4d along_y = c * by.value;
-  const Eigen::Vector4d along_y_first = c * by.first;
+  const double* row = heights_m_.data() +
+                      static_cast<std::size_t>(cx.index) * static_cast<std::size_t>(grid_.ny) +
+                      static_cast<std::size_t>(cy.index);
+  Eigen::Vector4d along_y;
+  Eigen::Vector4d along_y_first;
+  Eigen::Vector4d along_y_second;
+  for (Eigen::Index i = 0; i < 4; ++i, row += grid_.ny) {
+    const Eigen::Map<const Eigen::Vector4d> c(row);
+    along_y(i) = c.dot(by.value);
+    along_y_first(i) = c.dot(by.first);
+    along_y_second(i) = c.dot(by.second);
+  }
 
   SurfacePoint point;
   point.z_m = bx.value.dot(along_y);
@@ -79,7 +86,7 @@ SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
   const double ky = cy.inside ? 1.0 / grid_.dy_m : 0.0;
   point.gradient << kx * bx.first.dot(along_y), ky * bx.value.dot(along_y_first);
   const double xy = kx * ky * bx.first.dot(along_y_first);
-  point.hessian << kx * kx * bx.second.dot(along_y), xy, xy, ky * ky * bx.value.dot(c * by.second);
+  point.hessian << kx * kx * bx.second.dot(along_y), xy, xy, ky * ky * bx.value.dot(along_y_second);
   return point;
 }
 

@@ -110,7 +110,10 @@ TEST(PoseRate, IsTheLimitOfAStep) {
     const double h = 1e-6;
     const Eigen::Vector3d numerical =
         (move(surface, core, row, h).pose - move(surface, core, row, -h).pose) / (2.0 * h);
-    EXPECT_LT((pose_rate(surface, core, row) - numerical).norm(), 1e-7);
+    EXPECT_LT(
+        (pose_rate(model::surface_rotation(surface.at(core(kX), core(kY)).gradient), core, row) - numerical)
+            .norm(),
+        1e-7);
   }
 }
 

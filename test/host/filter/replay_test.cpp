@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <array>
 #include <cmath>
 #include <vector>
 
@@ -34,12 +33,9 @@ class ReplayTest : public ::testing::Test {
   ReplayOptions options_;
 };
 
-std::array<double, 10> numbers(const EstimateRow& row) {
-  return {row.t_s, row.x_m, row.y_m, row.yaw_rad, row.p_xx, row.p_xy, row.p_xt, row.p_yy, row.p_yt, row.p_tt};
-}
-
-bool same(const EstimateRow& a, const EstimateRow& b) {
-  return numbers(a) == numbers(b);
+bool same(const model::PlanarEstimate& a, const model::PlanarEstimate& b) {
+  return a.t_s == b.t_s && a.x_m == b.x_m && a.y_m == b.y_m && a.yaw_rad == b.yaw_rad &&
+         a.covariance == b.covariance;
 }
 
 TEST_F(ReplayTest, GivesOneRowForEachOdometryRowAtItsTime) {
