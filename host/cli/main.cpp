@@ -40,6 +40,7 @@ int run(int argc, char** argv) {
   add_plan(app, action);
   add_replay(app, action);
   add_sim(app, action);
+  add_smooth(app, action);
   add_survey(app, action);
   try {
     app.parse(argc, argv);

@@ -1,0 +1,104 @@
+#include "host/cli/filter_input.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "host/io/calibration_file.hpp"
+#include "host/io/error.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+constexpr double kSurveySigma_m = 0.02;
+
+}  // namespace
+
+void FilterInput::add_options(CLI::App& command) {
+  command
+      .add_option("DATASET_OR_LOG", dataset_,
+                  "Folder of the drive (dataset.yaml, ranges.csv, odometry.csv, ...), or the log that "
+                  "gromad recorded")
+      ->required();
+  command.add_option("--calibration", calibration_, "Calibration file that groma calibrate has written");
+  command.add_flag(
+      "--surveyed", surveyed_,
+      "In its place: the positions of anchors.csv with sigma 0.02 m, biases at the data set's priors");
+  selection_.add_options(command);
+  command
+      .add_option_function<std::string>(
+          "--start",
+          [this](const std::string& text) {
+            const std::vector<double> values = parse_numbers("--start", text, 3);
+            start_ = {values[0], values[1], values[2]};
+          },
+          "Start from this pose (m, rad) in the place of the first pose prior at or after --from")
+      ->type_name("X,Y,YAW");
+}
+
+model::Calibration FilterInput::load_calibration(const io::Dataset& dataset, Warnings& warnings) const {
+  if (surveyed_) {
+    if (dataset.surveyed_anchors.empty()) {
+      throw io::DataError({dataset_ / "anchors.csv"}, "there are no surveyed anchors",
+                          "add them, or give a calibration by --calibration");
+    }
+    return model::surveyed_calibration(dataset.surveyed_anchors, dataset.tags, dataset.range_priors,
+                                       kSurveySigma_m);
+  }
+  model::Calibration calibration = io::read_calibration(*calibration_);
+  if (calibration.verdict == model::Verdict::kUnusable) {
+    warnings.add(
+        fmt::format("{}: its verdict is 'unusable'; trust no estimate made with it", calibration_->string()));
+  }
+  return calibration;
+}
+
+filter::Start FilterInput::find_start(const io::Dataset& dataset) const {
+  constexpr double kFirst = -std::numeric_limits<double>::infinity();
+  const double from_s = selection_.from_s().value_or(kFirst);
+  if (start_) {
+    const auto first = std::find_if(dataset.odometry.begin(), dataset.odometry.end(),
+                                    [&](const model::OdometrySample& row) { return row.t_s >= from_s; });
+    if (first == dataset.odometry.end()) return {};
+    const auto [x_m, y_m, yaw_rad] = *start_;
+    filter::Start start;
+    start.t_s = selection_.from_s().value_or(first->t_s);
+    start.pose = {x_m, y_m, yaw_rad};
+    return start;
+  }
+  const std::optional<filter::Start> start =
+      filter::start_from_prior(dataset.pose_prior, from_s, dataset.surface);
+  if (!start) {
+    throw io::DataError({dataset_}, "there is no pose prior to start from in the chosen time",
+                        "choose another --from and --to, or give --start X,Y,YAW");
+  }
+  return *start;
+}
+
+FilterInput::Drive FilterInput::read(const char* command, Warnings& warnings) const {
+  if (surveyed_ == calibration_.has_value()) {
+    throw CLI::ValidationError(command, "give either --calibration FILE or --surveyed");
+  }
+  io::ReadOptions read;
+  read.surveyed_anchors = surveyed_;
+  read.ground_truth = false;
+  read.pose_prior = !start_;
+  read.log_section = selection_.section();
+  Drive drive{.dataset = io::read_dataset(dataset_, read), .calibration = {}, .options = {}};
+  warnings.add(drive.dataset);
+  drive.calibration = load_calibration(drive.dataset, warnings);
+  selection_.apply(drive.dataset);
+  drive.options.config.odometry = drive.dataset.odometry_noise;
+  drive.options.config.range_sigma_m = drive.dataset.range_priors.sigma_m;
+  drive.options.start = find_start(drive.dataset);
+  drive.options.to_s = selection_.to_s();
+  return drive;
+}
+
+}  // namespace groma::cli

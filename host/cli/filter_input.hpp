@@ -1,0 +1,48 @@
+// What a filter or smoother of a recorded drive is given: the drive, a calibration, a start.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <optional>
+
+#include <CLI/App.hpp>
+
+#include "host/cli/selection.hpp"
+#include "host/cli/warnings.hpp"
+#include "host/filter/replay.hpp"
+#include "host/io/dataset.hpp"
+#include "host/model/calibration.hpp"
+
+namespace groma::cli {
+
+class FilterInput {
+ public:
+  // DATASET_OR_LOG, --calibration, --surveyed, --start and those of a selection.
+  void add_options(CLI::App& command);
+
+  struct Drive {
+    io::Dataset dataset;  // the selection of it
+    model::Calibration calibration;
+    filter::ReplayOptions options;  // the run's own sigmas, start and end; the default model
+
+    [[nodiscard]] filter::Run run() const {
+      return {dataset.odometry, dataset.ranges, dataset.tags, &dataset.surface, &calibration};
+    }
+  };
+  // Throws what reading throws, and DataError where there is nothing to start from.
+  [[nodiscard]] Drive read(const char* command, Warnings& warnings) const;
+
+  [[nodiscard]] const std::filesystem::path& dataset() const noexcept { return dataset_; }
+
+ private:
+  [[nodiscard]] model::Calibration load_calibration(const io::Dataset& dataset, Warnings& warnings) const;
+  [[nodiscard]] filter::Start find_start(const io::Dataset& dataset) const;
+
+  std::filesystem::path dataset_;
+  std::optional<std::filesystem::path> calibration_;
+  bool surveyed_ = false;
+  Selection selection_;
+  std::optional<std::array<double, 3>> start_;
+};
+
+}  // namespace groma::cli

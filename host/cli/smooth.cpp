@@ -1,0 +1,96 @@
+// groma smooth: a recorded drive in the light of all of it.
+#include <fmt/format.h>
+
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/filter_input.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/cli/warnings.hpp"
+#include "host/filter/config.hpp"
+#include "host/io/error.hpp"
+#include "host/io/estimate_file.hpp"
+#include "host/io/output_file.hpp"
+#include "host/smoother/smoother.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct Options {
+  FilterInput input;
+  std::string model{filter::model_name(filter::Model::kSchmidt)};
+  std::filesystem::path output;
+  bool json = false;
+};
+
+int run(const Options& options) {
+  io::expect_writable(options.output);
+  Warnings warnings;
+  FilterInput::Drive drive = options.input.read("smooth", warnings);
+  drive.options.config.model = *filter::model_from_name(options.model);
+  const smoother::Result result = smoother::smooth(drive.run(), drive.options);
+  if (result.rows.empty()) {
+    throw io::DataError({options.input.dataset() / "odometry.csv"},
+                        "there are fewer than two rows of odometry in the chosen time",
+                        "choose another --from and --to");
+  }
+  if (!result.converged) {
+    warnings.add(fmt::format("{}: still moving after {} rounds; is the start right?",
+                             options.input.dataset().string(), result.rounds));
+  }
+  io::write_file(options.output, io::format_estimate(result.rows));
+  if (options.json) {
+    say_json(Json{{"ranges_seen", result.ranges_seen},
+                  {"ranges_in_sight", result.ranges_in_sight},
+                  {"rounds", result.rounds},
+                  {"converged", result.converged},
+                  {"scale_error", result.scale_error},
+                  {"yaw_rate_bias_radps", result.yaw_rate_bias_radps},
+                  {"range_delay_s", result.range_delay_s},
+                  {"dropped", to_json(drive.dataset.dropped)}});
+  } else {
+    say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,
+                    options.output.string()));
+    say(fmt::format(
+        "{} ranges, {:.0f} % of them in sight; odometry's scale off by {:.4f}, its yaw rate by "
+        "{:.5f} rad/s\n",
+        result.ranges_seen,
+        result.ranges_seen > 0 ? 100.0 * result.ranges_in_sight / static_cast<double>(result.ranges_seen)
+                               : 0.0,
+        result.scale_error, result.yaw_rate_bias_radps));
+  }
+  return warnings.exit_code();
+}
+
+}  // namespace
+
+void add_smooth(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand(
+      "smooth",
+      "The poses that all of a recorded drive makes most likely: each is told by what came later, too, "
+      "which no filter can have. It shows what the data allows.");
+  options->input.add_options(*command);
+  command
+      ->add_option(
+          "--model", options->model,
+          fmt::format("What becomes of the calibration: schmidt (its errors are allowed for and stay), "
+                      "joint (it is estimated too). Default: {}",
+                      options->model))
+      ->check(CLI::IsMember({std::string(filter::model_name(filter::Model::kSchmidt)),
+                             std::string(filter::model_name(filter::Model::kJoint))}))
+      ->type_name("NAME");
+  command->add_option("-o,--output", options->output, "Table to write, one row for each odometry row")
+      ->required();
+  command->add_flag("--json", options->json, "Print one JSON object");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

@@ -1,0 +1,126 @@
+#include "host/smoother/chain_problem.hpp"
+
+namespace groma::smoother {
+
+ChainProblem::Term::Term(Eigen::Index block_size, Eigen::Index residual_size, Eigen::Index shared_size)
+    : by_first(Eigen::MatrixXd::Zero(residual_size, block_size)),
+      by_second(Eigen::MatrixXd::Zero(residual_size, block_size)),
+      by_shared(Eigen::MatrixXd::Zero(residual_size, shared_size)),
+      shared(static_cast<std::size_t>(shared_size)),
+      residual(Eigen::VectorXd::Zero(residual_size)),
+      information(Eigen::MatrixXd::Zero(residual_size, residual_size)) {}
+
+ChainProblem::ChainProblem(std::size_t blocks, Eigen::Index block_size, Eigen::Index shared_size,
+                           Eigen::Index considered)
+    : blocks_(blocks), considered_(considered) {
+  for (Block& block : blocks_) {
+    block.own.resize(block_size, block_size);
+    block.next.resize(block_size, block_size);
+    block.shared.resize(block_size, shared_size);
+    block.right.resize(block_size);
+  }
+  shared_.resize(shared_size, shared_size);
+  shared_right_.resize(shared_size);
+}
+
+void ChainProblem::clear() {
+  for (Block& block : blocks_) {
+    block.own.setZero();
+    block.next.setZero();
+    block.shared.setZero();
+    block.right.setZero();
+  }
+  shared_.setZero();
+  shared_right_.setZero();
+}
+
+void ChainProblem::add_shared_prior(const Eigen::VectorXd& unknowns) {
+  shared_.diagonal().array() += 1.0;
+  shared_right_ -= unknowns;
+}
+
+void ChainProblem::add(std::size_t k, const Term& term) {
+  Block& first = blocks_[k];
+  Block& second = blocks_[k + 1];
+  const Eigen::MatrixXd first_weighed = term.by_first.transpose() * term.information;
+  const Eigen::MatrixXd second_weighed = term.by_second.transpose() * term.information;
+  first.own.noalias() += first_weighed * term.by_first;
+  first.next.noalias() += first_weighed * term.by_second;
+  first.right.noalias() += first_weighed * term.residual;
+  second.own.noalias() += second_weighed * term.by_second;
+  second.right.noalias() += second_weighed * term.residual;
+  if (term.shared.empty()) return;
+  const Eigen::MatrixXd shared_weighed = term.by_shared.transpose() * term.information;
+  const Eigen::MatrixXd first_shared = first_weighed * term.by_shared;
+  const Eigen::MatrixXd second_shared = second_weighed * term.by_shared;
+  const Eigen::MatrixXd own = shared_weighed * term.by_shared;
+  const Eigen::VectorXd right = shared_weighed * term.residual;
+  for (std::size_t j = 0; j < term.shared.size(); ++j) {
+    const Eigen::Index column = term.shared[j];
+    const auto from = static_cast<Eigen::Index>(j);
+    first.shared.col(column) += first_shared.col(from);
+    second.shared.col(column) += second_shared.col(from);
+    shared_right_(column) += right(from);
+    for (std::size_t i = 0; i < term.shared.size(); ++i) {
+      shared_(term.shared[i], column) += own(static_cast<Eigen::Index>(i), from);
+    }
+  }
+}
+
+ChainProblem::Solution ChainProblem::solve() {
+  Eigen::MatrixXd shared = shared_;
+  Eigen::VectorXd shared_right = shared_right_;
+  for (std::size_t k = 0; k < blocks_.size(); ++k) {
+    Block& block = blocks_[k];
+    const Eigen::LLT<Eigen::MatrixXd> root(block.own);
+    block.inverse = root.solve(Eigen::MatrixXd::Identity(block.own.rows(), block.own.cols()));
+    const Eigen::MatrixXd half = root.matrixL().solve(block.shared);
+    shared.selfadjointView<Eigen::Lower>().rankUpdate(half.transpose(), -1.0);
+    block.to_shared = root.matrixU().solve(half);
+    block.alone = root.solve(block.right);
+    shared_right.noalias() -= block.shared.transpose() * block.alone;
+    if (k + 1 == blocks_.size()) break;
+    Block& next = blocks_[k + 1];
+    block.to_next = root.solve(block.next);
+    next.own.noalias() -= block.next.transpose() * block.to_next;
+    next.shared.noalias() -= block.next.transpose() * block.to_shared;
+    next.right.noalias() -= block.next.transpose() * block.alone;
+  }
+  const Eigen::Index solved = shared.rows() - considered_;
+  shared_root_.compute(shared.topLeftCorner(solved, solved));
+  by_considered_ = shared_root_.solve(shared.bottomLeftCorner(considered_, solved).transpose());
+  Solution out;
+  out.shared = Eigen::VectorXd::Zero(shared.rows());
+  out.shared.head(solved) = shared_root_.solve(shared_right.head(solved));
+  out.blocks.resize(blocks_.size());
+  for (std::size_t k = blocks_.size(); k-- > 0;) {
+    out.blocks[k] = blocks_[k].alone - blocks_[k].to_shared * out.shared;
+    if (k + 1 < blocks_.size()) out.blocks[k] -= blocks_[k].to_next * out.blocks[k + 1];
+  }
+  return out;
+}
+
+std::vector<Eigen::MatrixXd> ChainProblem::covariances() const {
+  std::vector<Eigen::MatrixXd> out(blocks_.size());
+  Eigen::MatrixXd given_shared;  // of the block after, with what is shared known
+  Eigen::MatrixXd by_shared;     // what that moves it
+  for (std::size_t k = blocks_.size(); k-- > 0;) {
+    const Block& block = blocks_[k];
+    Eigen::MatrixXd own = block.inverse;
+    Eigen::MatrixXd by = block.to_shared;
+    if (k + 1 < blocks_.size()) {
+      own.noalias() += block.to_next * given_shared * block.to_next.transpose();
+      by.noalias() -= block.to_next * by_shared;
+    }
+    given_shared = std::move(own);
+    by_shared = std::move(by);
+    const auto solved = by_shared.leftCols(by_shared.cols() - considered_);
+    out[k] = given_shared + solved * shared_root_.solve(solved.transpose());
+    if (considered_ == 0) continue;
+    const Eigen::MatrixXd off = solved * by_considered_ - by_shared.rightCols(considered_);
+    out[k].noalias() += off * off.transpose();
+  }
+  return out;
+}
+
+}  // namespace groma::smoother

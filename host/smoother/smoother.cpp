@@ -1,0 +1,540 @@
+#include "host/smoother/smoother.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <map>
+#include <utility>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/Eigenvalues>
+
+#include "host/filter/propagation.hpp"
+#include "host/model/antenna_pattern.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/range_model.hpp"
+#include "host/smoother/chain_problem.hpp"
+#include "host/smoother/sight.hpp"
+
+namespace groma::smoother {
+namespace {
+
+constexpr int kMaxRounds = 30;
+constexpr double kConverged_m = 1e-3;
+constexpr double kConverged_rad = 1e-4;
+constexpr Eigen::Index kPose = 3;
+
+double square(double x) noexcept {
+  return x * x;
+}
+
+// What all rows share: the odometry's scale and yaw-rate bias, the delay, then of each anchor position, beta
+// and gamma, then lever arms, then the frame. Known by what they come with, so in units of that: shared
+// values = mean + root * unknowns, the unknowns of unit variance.
+class Shared {
+ public:
+  Shared(const std::vector<model::Tag>& tags, const model::Calibration& calibration,
+         const filter::Config& config)
+      : tags_(static_cast<Eigen::Index>(tags.size())) {
+    for (const model::AnchorCalibration& anchor : calibration.anchors) {
+      if (model::has_position(anchor)) anchors_.push_back(&anchor);
+    }
+    // Those that are always solved for come first.
+    const auto first_trusted = std::stable_partition(
+        anchors_.begin(), anchors_.end(),
+        [](const model::AnchorCalibration* anchor) { return anchor->verdict != model::AnchorVerdict::kOk; });
+    not_trusted_ = first_trusted - anchors_.begin();
+    const Eigen::Index size = frame() + filter::kFrameSize;
+    mean_.setZero(size);
+    root_.setZero(size, size);
+    root_(0, 0) = config.scale_sigma;
+    root_(1, 1) = config.yaw_rate_bias_radps;
+    const bool delay_is_observed = calibration.range_delay_sigma_s > 0.0;
+    mean_(kDelay) = delay_is_observed ? calibration.range_delay_s : config.range_delay_s;
+    root_(kDelay, kDelay) = delay_is_observed
+                                ? std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s)
+                                : config.range_delay_sigma_s;
+    for (std::size_t slot = 0; slot < anchors_.size(); ++slot) add_anchor(slot, tags);
+    for (Eigen::Index tag = 0; tag < tags_; ++tag) {
+      mean_.segment<3>(lever_arm(tag)) = tags[static_cast<std::size_t>(tag)].lever_arm_m;
+      root_.diagonal().segment<3>(lever_arm(tag)).setConstant(config.lever_arm_sigma_m);
+    }
+    for (const model::TagCalibration& told : calibration.tags) {
+      const Eigen::Index tag = tag_slot(tags, told.id);
+      if (tag >= 0 && told.lever_arm) mean_.segment<3>(lever_arm(tag)) = told.lever_arm->position_m;
+    }
+    set_root(frame(), calibration.common_frame_covariance);
+  }
+
+  static constexpr Eigen::Index kScale = 0;
+  static constexpr Eigen::Index kYawBias = 1;
+  static constexpr Eigen::Index kDelay = 2;
+
+  [[nodiscard]] Eigen::Index anchors() const noexcept { return static_cast<Eigen::Index>(anchors_.size()); }
+  // From here on are those that may be considered: anchors marked ok, lever arms, frame.
+  [[nodiscard]] Eigen::Index considered() const noexcept { return position(not_trusted_); }
+  [[nodiscard]] Eigen::Index position(Eigen::Index anchor) const noexcept {
+    return kDelay + 1 + anchor * (3 + 2 * tags_);
+  }
+  [[nodiscard]] Eigen::Index beta(Eigen::Index anchor, Eigen::Index tag) const noexcept {
+    return position(anchor) + 3 + tag;
+  }
+  [[nodiscard]] Eigen::Index gamma(Eigen::Index anchor, Eigen::Index tag) const noexcept {
+    return beta(anchor, tag) + tags_;
+  }
+  [[nodiscard]] Eigen::Index lever_arm(Eigen::Index tag) const noexcept {
+    return position(anchors()) + 3 * tag;
+  }
+  [[nodiscard]] Eigen::Index frame() const noexcept { return lever_arm(tags_); }
+  [[nodiscard]] const Eigen::VectorXd& mean() const noexcept { return mean_; }
+  [[nodiscard]] const Eigen::MatrixXd& root() const noexcept { return root_; }
+
+  // -1 where there is none, or none with that tag.
+  [[nodiscard]] Eigen::Index anchor_slot(model::NodeId id, model::NodeId tag_id) const noexcept {
+    for (std::size_t slot = 0; slot < anchors_.size(); ++slot) {
+      if (anchors_[slot]->id != id) continue;
+      const auto& pairs = anchors_[slot]->pairs;
+      const bool known = std::any_of(pairs.begin(), pairs.end(),
+                                     [tag_id](const model::PairBias& pair) { return pair.tag_id == tag_id; });
+      return known ? static_cast<Eigen::Index>(slot) : -1;
+    }
+    return -1;
+  }
+  [[nodiscard]] static Eigen::Index tag_slot(const std::vector<model::Tag>& tags, model::NodeId id) noexcept {
+    for (std::size_t slot = 0; slot < tags.size(); ++slot) {
+      if (tags[slot].id == id) return static_cast<Eigen::Index>(slot);
+    }
+    return -1;
+  }
+
+ private:
+  // A root of a covariance that may have directions of none.
+  void set_root(Eigen::Index at, const Eigen::MatrixXd& covariance) {
+    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(covariance);
+    root_.block(at, at, covariance.rows(), covariance.cols()) =
+        eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal();
+  }
+
+  void add_anchor(std::size_t slot, const std::vector<model::Tag>& tags) {
+    const model::AnchorCalibration& anchor = *anchors_[slot];
+    const auto a = static_cast<Eigen::Index>(slot);
+    mean_.segment<3>(position(a)) = anchor.position_m;
+    const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
+    // Rows of the calibration's block that are ours, and where they go.
+    std::vector<std::pair<Eigen::Index, Eigen::Index>> rows{{0, 0}, {1, 1}, {2, 2}};
+    for (Eigen::Index pair = 0; pair < pairs; ++pair) {
+      const model::PairBias& bias = anchor.pairs[static_cast<std::size_t>(pair)];
+      const Eigen::Index tag = tag_slot(tags, bias.tag_id);
+      if (tag < 0) continue;
+      mean_(beta(a, tag)) = bias.beta_m;
+      mean_(gamma(a, tag)) = bias.gamma;
+      rows.emplace_back(3 + pair, 3 + tag);
+      rows.emplace_back(3 + pairs + pair, 3 + tags_ + tag);
+    }
+    Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags_, 3 + 2 * tags_);
+    for (const auto& [from_row, to_row] : rows) {
+      for (const auto& [from_column, to_column] : rows) {
+        block(to_row, to_column) = anchor.covariance(from_row, from_column);
+      }
+    }
+    set_root(position(a), block);
+  }
+
+  std::vector<const model::AnchorCalibration*> anchors_;
+  Eigen::Index tags_;
+  Eigen::Index not_trusted_ = 0;
+  Eigen::VectorXd mean_;
+  Eigen::MatrixXd root_;
+};
+
+// A range between the rows `row` and `row + 1`.
+struct Sighting {
+  const model::RangeSample* range = nullptr;
+  Eigen::Index anchor = 0;
+  Eigen::Index tag = 0;
+  std::size_t row = 0;
+  double weight = 1.0;
+};
+
+class Smoother {
+ public:
+  Smoother(const filter::Run& run, const filter::ReplayOptions& options, std::vector<model::Tag> tags,
+           std::vector<model::OdometrySample> rows)
+      : surface_(*run.surface),
+        config_(options.config),
+        start_(options.start),
+        tags_(std::move(tags)),
+        rows_(std::move(rows)),
+        shared_(tags_, *run.calibration, config_),
+        patterns_m_(tags_.size(), model::PatternTerms::Zero()),
+        noise_(
+            run.calibration->range_noise.value_or(model::RangeNoise{.white_sigma_m = config_.range_sigma_m})),
+        unknowns_(Eigen::VectorXd::Zero(shared_.mean().size())) {
+    if (run.calibration->range_noise) {
+      noise_.slow_sigma_m *= config_.slow_error_growth;
+      noise_.slow_time_s *= config_.slow_time_growth;
+    }
+    block_ =
+        kPose + (noise_.slow_sigma_m > 0.0 ? shared_.anchors() * static_cast<Eigen::Index>(tags_.size()) : 0);
+    for (const model::TagCalibration& told : run.calibration->tags) {
+      const Eigen::Index tag = Shared::tag_slot(tags_, told.id);
+      if (tag >= 0 && told.pattern_m) patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
+    }
+  }
+
+  void begin(const std::vector<model::PlanarEstimate>& first) {
+    states_.assign(rows_.size(), Eigen::VectorXd::Zero(block_));
+    // A row before the start has its pose by the odometry from the start back.
+    std::size_t k = 0;
+    while (k < rows_.size() && rows_[k].t_s < first.front().t_s) ++k;
+    for (std::size_t i = k; i < rows_.size(); ++i) {
+      const model::PlanarEstimate& row = first[i - k];
+      states_[i].head<kPose>() << row.x_m, row.y_m, row.yaw_rad;
+      // The heading without jumps.
+      if (i > k) states_[i](2) = states_[i - 1](2) + model::wrap_angle(row.yaw_rad - states_[i - 1](2));
+    }
+    if (k == 1) {
+      states_[0].head<kPose>() << start_.pose.x_m, start_.pose.y_m,
+          states_[1](2) + model::wrap_angle(start_.pose.theta_rad - states_[1](2));
+    }
+  }
+
+  void take(const model::RangeSample& range) {
+    if (!std::isfinite(range.t_s) || !(range.range_m > config_.min_range_m) ||
+        !(range.range_m <= config_.max_range_m)) {
+      return;
+    }
+    const Eigen::Index tag = Shared::tag_slot(tags_, range.tag_id);
+    const Eigen::Index anchor = shared_.anchor_slot(range.anchor_id, range.tag_id);
+    if (tag < 0 || anchor < 0) return;
+    sightings_.push_back({.range = &range, .anchor = anchor, .tag = tag});
+  }
+
+  Result solve() {
+    Result result;
+    const Eigen::Index shared = shared_.mean().size();
+    ChainProblem problem(rows_.size(), block_, shared,
+                         config_.model == filter::Model::kJoint ? 0 : shared - shared_.considered());
+    std::vector<Eigen::MatrixXd> covariances;
+    for (result.rounds = 1; result.rounds <= kMaxRounds; ++result.rounds) {
+      locate();
+      weigh(covariances);
+      fill(problem);
+      const ChainProblem::Solution step = problem.solve();
+      unknowns_ += step.shared;
+      double moved_m = 0.0;
+      double turned_rad = 0.0;
+      for (std::size_t k = 0; k < states_.size(); ++k) {
+        states_[k] += step.blocks[k];
+        moved_m = std::max(moved_m, step.blocks[k].head<2>().norm());
+        turned_rad = std::max(turned_rad, std::abs(step.blocks[k](2)));
+      }
+      covariances = problem.covariances();
+      result.converged = moved_m < kConverged_m && turned_rad < kConverged_rad;
+      if (result.converged) break;
+    }
+    result.rounds = std::min(result.rounds, kMaxRounds);
+    const Eigen::VectorXd values = shared_values();
+    result.scale_error = values(Shared::kScale);
+    result.yaw_rate_bias_radps = values(Shared::kYawBias);
+    result.range_delay_s = values(Shared::kDelay);
+    result.ranges_seen = sightings_.size();
+    for (const Sighting& sighting : sightings_) result.ranges_in_sight += sighting.weight;
+    for (std::size_t k = 0; k < rows_.size(); ++k) {
+      if (rows_[k].t_s < start_.t_s) continue;
+      result.rows.push_back({rows_[k].t_s, states_[k](0), states_[k](1), model::wrap_angle(states_[k](2)),
+                             covariances[k].topLeftCorner<3, 3>()});
+    }
+    return result;
+  }
+
+ private:
+  // What a range should have been, with its derivatives by the states of its two rows and by the unknowns.
+  struct Prediction {
+    double range_m = 0.0;
+    double share = 0.0;  // of the later row
+    Eigen::RowVector3d by_pose;
+    double by_delay = 0.0;
+    model::RangePrediction range;
+    Eigen::RowVector3d turned;
+  };
+
+  [[nodiscard]] Eigen::Index slow(const Sighting& sighting) const noexcept {
+    return kPose + sighting.anchor * static_cast<Eigen::Index>(tags_.size()) + sighting.tag;
+  }
+
+  [[nodiscard]] Eigen::VectorXd shared_values() const { return shared_.mean() + shared_.root() * unknowns_; }
+
+  [[nodiscard]] Eigen::Vector3d pose_between(std::size_t row, double share) const {
+    const Eigen::Vector3d first = states_[row].head<kPose>();
+    return first + share * (states_[row + 1].head<kPose>() - first);
+  }
+
+  [[nodiscard]] Prediction predict(const Sighting& sighting, const Eigen::VectorXd& values) const {
+    Prediction out;
+    const double row_s = rows_[sighting.row + 1].t_s - rows_[sighting.row].t_s;
+    out.share = (sighting.range->t_s - values(Shared::kDelay) - rows_[sighting.row].t_s) / row_s;
+    const Eigen::Vector3d pose = pose_between(sighting.row, out.share);
+    const Eigen::Vector3d surveyed = values.segment<3>(shared_.position(sighting.anchor));
+    const Eigen::Vector4d frame = values.segment<4>(shared_.frame());
+    out.turned = Eigen::RowVector3d(-surveyed.y(), surveyed.x(), 0.0);
+    const Eigen::Vector3d anchor_m = surveyed + frame.head<3>() + frame(3) * out.turned.transpose();
+    const Eigen::Vector3d lever_arm_m = values.segment<3>(shared_.lever_arm(sighting.tag));
+    const model::SurfacePose on = model::pose_on_surface(surface_, {pose.x(), pose.y(), pose.z()});
+    out.range = model::predict_range(on.pose, lever_arm_m, anchor_m,
+                                     values(shared_.beta(sighting.anchor, sighting.tag)),
+                                     values(shared_.gamma(sighting.anchor, sighting.tag)));
+    out.by_pose = model::range_by_planar_pose(out.range, on, lever_arm_m);
+    const Eigen::Vector3d way = states_[sighting.row + 1].head<kPose>() - states_[sighting.row].head<kPose>();
+    out.by_delay = -out.by_pose.dot(way) / row_s;
+    const Eigen::Vector3d in_body = on.pose.rotation.transpose() * out.range.direction;
+    out.range_m = out.range.range_m +
+                  model::pattern_terms(in_body).dot(patterns_m_[static_cast<std::size_t>(sighting.tag)]);
+    if (block_ > kPose) out.range_m += states_[sighting.row](slow(sighting));
+    return out;
+  }
+
+  // Puts each range between its rows, by the delay as it is known now.
+  void locate() {
+    const double delay_s = shared_values()(Shared::kDelay);
+    for (Sighting& sighting : sightings_) {
+      const double t_s = sighting.range->t_s - delay_s;
+      const auto after = std::upper_bound(
+          rows_.begin(), rows_.end(), t_s,
+          [](double instant_s, const model::OdometrySample& row) { return instant_s < row.t_s; });
+      const auto next =
+          std::clamp<std::ptrdiff_t>(after - rows_.begin(), 1, static_cast<std::ptrdiff_t>(rows_.size()) - 1);
+      sighting.row = static_cast<std::size_t>(next - 1);
+    }
+  }
+
+  // How likely each is in sight, by all ranges of its pair.
+  void weigh(const std::vector<Eigen::MatrixXd>& covariances) {
+    const Eigen::VectorXd values = shared_values();
+    std::map<std::pair<Eigen::Index, Eigen::Index>, std::vector<std::size_t>> pairs;
+    for (std::size_t i = 0; i < sightings_.size(); ++i) {
+      pairs[{sightings_[i].anchor, sightings_[i].tag}].push_back(i);
+    }
+    for (const auto& [pair, members] : pairs) {
+      std::vector<Residual> residuals;
+      residuals.reserve(members.size());
+      for (const std::size_t i : members) {
+        const Sighting& sighting = sightings_[i];
+        const Prediction predicted = predict(sighting, values);
+        // As far off as a filter expects it: not each reflection is a wall.
+        double variance_m2 = square(noise_.white_sigma_m) + square(noise_.slow_sigma_m);
+        if (covariances.empty()) {
+          variance_m2 += square(kFirst_m);
+        } else {
+          const Eigen::Matrix3d pose = covariances[sighting.row].topLeftCorner<kPose, kPose>();
+          variance_m2 += predicted.by_pose.dot(predicted.by_pose * pose);
+        }
+        if (config_.model != filter::Model::kJoint) {
+          const ByShared by = by_shared(sighting, predicted, values);
+          for (std::size_t k = 0; k < by.at.size(); ++k) {
+            if (by.at[k] >= shared_.considered()) variance_m2 += square(by.by(static_cast<Eigen::Index>(k)));
+          }
+        }
+        const double slow_m = block_ > kPose ? states_[sighting.row](slow(sighting)) : 0.0;
+        residuals.push_back({.t_s = sighting.range->t_s,
+                             .error_m = sighting.range->range_m - predicted.range_m + slow_m,
+                             .sigma_m = std::sqrt(variance_m2)});
+      }
+      const std::vector<double> weights = in_sight(residuals, config_.gate);
+      for (std::size_t j = 0; j < members.size(); ++j) sightings_[members[j]].weight = weights[j];
+    }
+  }
+
+  void fill(ChainProblem& problem) const {
+    const Eigen::VectorXd values = shared_values();
+    problem.clear();
+    problem.add_shared_prior(unknowns_);
+    add_start(problem);
+    for (std::size_t k = 0; k + 1 < rows_.size(); ++k) add_row(problem, k, values);
+    if (block_ > kPose) add_slow_errors(problem);
+    for (const Sighting& sighting : sightings_) add_range(problem, sighting, values);
+  }
+
+  // Of each anchor at the first row, then from row to row.
+  void add_slow_errors(ChainProblem& problem) const {
+    const Eigen::Index slow = block_ - kPose;
+    const double variance = square(noise_.slow_sigma_m);
+    ChainProblem::Term first(block_, slow, 0);
+    first.by_first.rightCols(slow).setIdentity();
+    first.residual = -states_.front().tail(slow);
+    first.information = Eigen::VectorXd::Constant(slow, 1.0 / variance).asDiagonal();
+    problem.add(0, first);
+    for (std::size_t k = 0; k + 1 < rows_.size(); ++k) {
+      const double keep = std::exp(-(rows_[k + 1].t_s - rows_[k].t_s) / noise_.slow_time_s);
+      ChainProblem::Term term(block_, slow, 0);
+      term.by_first.rightCols(slow).diagonal().setConstant(-keep);
+      term.by_second.rightCols(slow).setIdentity();
+      term.residual = keep * states_[k].tail(slow) - states_[k + 1].tail(slow);
+      term.information = Eigen::VectorXd::Constant(slow, 1.0 / (variance * (1.0 - keep * keep))).asDiagonal();
+      problem.add(k, term);
+    }
+  }
+
+  void add_start(ChainProblem& problem) const {
+    const double row_s = rows_[1].t_s - rows_[0].t_s;
+    const double share = (start_.t_s - rows_[0].t_s) / row_s;
+    const Eigen::Vector3d pose = pose_between(0, share);
+    ChainProblem::Term term(block_, kPose, 0);
+    term.by_first.leftCols<kPose>() = (1.0 - share) * Eigen::Matrix3d::Identity();
+    term.by_second.leftCols<kPose>() = share * Eigen::Matrix3d::Identity();
+    term.residual = Eigen::Vector3d(start_.pose.x_m - pose.x(), start_.pose.y_m - pose.y(),
+                                    model::wrap_angle(start_.pose.theta_rad - pose.z()));
+    term.information =
+        Eigen::Vector3d(1.0 / square(start_.position_sigma_m), 1.0 / square(start_.position_sigma_m),
+                        1.0 / square(start_.heading_sigma_rad))
+            .asDiagonal();
+    problem.add(0, term);
+  }
+
+  // What odometry tells of the way between two rows.
+  void add_row(ChainProblem& problem, std::size_t k, const Eigen::VectorXd& values) const {
+    filter::CoreVector core = filter::CoreVector::Zero();
+    core.head<kPose>() = states_[k].head<kPose>();
+    core(filter::kScale) = values(Shared::kScale);
+    core(filter::kYawBias) = values(Shared::kYawBias);
+    const double row_s = rows_[k + 1].t_s - rows_[k].t_s;
+    // Steps as the filter's.
+    const double steps = std::clamp(std::ceil(row_s / filter::kMaxStep_s), 1.0, 400.0);
+    Eigen::Matrix<double, filter::kCoreSize, filter::kCoreSize> by_core;
+    by_core.setIdentity();
+    for (int i = 0; i < static_cast<int>(steps); ++i) {
+      const filter::Motion motion = filter::move(surface_, core, rows_[k], row_s / steps);
+      core.head<kPose>() = motion.pose;
+      const Eigen::Matrix<double, 3, filter::kCoreSize> rows = motion.d_core * by_core;
+      by_core.topRows<3>() = rows;
+    }
+    Eigen::Vector3d variances(square(config_.odometry.sigma_vx_mps), square(config_.odometry.sigma_vy_mps),
+                              square(config_.odometry.sigma_omega_radps));
+    // Of a row that holds for too long, the velocity walks: as one error that moves it as far.
+    const double overdue_s = std::max(row_s - config_.max_hold_s, 0.0);
+    const double walk = overdue_s * overdue_s * overdue_s / (3.0 * row_s * row_s);
+    variances += walk * Eigen::Vector3d(square(config_.hold_walk_mps), square(config_.hold_walk_mps),
+                                        square(config_.hold_walk_radps));
+    const Eigen::Matrix3d by_noise = by_core.block<3, 3>(0, filter::kRowVx);
+    const Eigen::Matrix3d covariance = by_noise * variances.asDiagonal() * by_noise.transpose();
+
+    ChainProblem::Term term(block_, kPose, 2);
+    term.by_first.leftCols<kPose>() = by_core.topLeftCorner<3, 3>();
+    term.by_second.leftCols<kPose>() = -Eigen::Matrix3d::Identity();
+    term.shared = {Shared::kScale, Shared::kYawBias};
+    term.by_shared.col(0) = by_core.block<3, 1>(0, filter::kScale) * shared_.root()(0, 0);
+    term.by_shared.col(1) = by_core.block<3, 1>(0, filter::kYawBias) * shared_.root()(1, 1);
+    term.residual = states_[k + 1].head<kPose>() - core.head<kPose>();
+    term.information = covariance.inverse();
+    problem.add(k, term);
+  }
+
+  // Derivative of a prediction by the unknowns that it depends on, and which these are.
+  struct ByShared {
+    std::vector<Eigen::Index> at;
+    Eigen::RowVectorXd by;
+  };
+
+  [[nodiscard]] ByShared by_shared(const Sighting& sighting, const Prediction& predicted,
+                                   const Eigen::VectorXd& values) const {
+    const Eigen::Index a = shared_.position(sighting.anchor);
+    const Eigen::Index anchor_size = 3 + 2 * static_cast<Eigen::Index>(tags_.size());
+    const Eigen::RowVector3d& d_anchor = predicted.range.d_anchor;
+    const double frame_yaw = values(shared_.frame() + 3);
+    Eigen::RowVectorXd by_anchor = Eigen::RowVectorXd::Zero(anchor_size);
+    by_anchor.head<3>() << d_anchor.x() + frame_yaw * d_anchor.y(), d_anchor.y() - frame_yaw * d_anchor.x(),
+        d_anchor.z();
+    by_anchor(shared_.beta(sighting.anchor, sighting.tag) - a) = 1.0;
+    by_anchor(shared_.gamma(sighting.anchor, sighting.tag) - a) = predicted.range.distance_m;
+    Eigen::RowVectorXd by_frame(filter::kFrameSize);
+    by_frame << d_anchor, d_anchor.dot(predicted.turned);
+
+    ByShared out;
+    out.by.resize(1 + anchor_size + 3 + filter::kFrameSize);
+    const auto add = [&](Eigen::Index at, const Eigen::RowVectorXd& by) {
+      const auto column = static_cast<Eigen::Index>(out.at.size());
+      out.by.segment(column, by.size()) = by * shared_.root().block(at, at, by.size(), by.size());
+      for (Eigen::Index i = 0; i < by.size(); ++i) out.at.push_back(at + i);
+    };
+    add(Shared::kDelay, Eigen::RowVectorXd::Constant(1, predicted.by_delay));
+    add(a, by_anchor);
+    add(shared_.lever_arm(sighting.tag), predicted.range.d_lever_arm);
+    add(shared_.frame(), by_frame);
+    return out;
+  }
+
+  void add_range(ChainProblem& problem, const Sighting& sighting, const Eigen::VectorXd& values) const {
+    if (!(sighting.weight > 0.0)) return;
+    const Prediction predicted = predict(sighting, values);
+    const ByShared by = by_shared(sighting, predicted, values);
+    ChainProblem::Term term(block_, 1, by.by.size());
+    term.by_first.leftCols<kPose>() = (1.0 - predicted.share) * predicted.by_pose;
+    term.by_second.leftCols<kPose>() = predicted.share * predicted.by_pose;
+    if (block_ > kPose) term.by_first(0, slow(sighting)) = 1.0;
+    term.by_shared = by.by;
+    term.shared = by.at;
+    term.residual(0) = sighting.range->range_m - predicted.range_m;
+    term.information(0, 0) = sighting.weight / square(noise_.white_sigma_m);
+    problem.add(sighting.row, term);
+  }
+
+  // What the beginning may be off by.
+  static constexpr double kFirst_m = 0.3;
+
+  const model::Surface& surface_;
+  filter::Config config_;
+  filter::Start start_;
+  std::vector<model::Tag> tags_;
+  std::vector<model::OdometrySample> rows_;
+  Shared shared_;
+  std::vector<model::PatternTerms> patterns_m_;
+  model::RangeNoise noise_;
+  Eigen::Index block_ = kPose;
+  Eigen::VectorXd unknowns_;
+  std::vector<Eigen::VectorXd> states_;  // pose, then the slow error of each anchor
+  std::vector<Sighting> sightings_;
+};
+
+bool chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
+  return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
+}
+
+}  // namespace
+
+Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
+  filter::ReplayOptions first = options;
+  first.now_ns = nullptr;
+  std::vector<model::OdometrySample> odometry;
+  odometry.reserve(run.odometry.size());
+  for (const model::OdometrySample& row : run.odometry) {
+    if (odometry.empty() || row.t_s > odometry.back().t_s) odometry.push_back(row);
+  }
+  filter::Run once = run;
+  once.odometry = odometry;
+  const std::vector<model::PlanarEstimate> beginning = filter::replay(once, first).rows;
+  if (beginning.empty()) return {};
+
+  // The rows of the beginning, and the one that holds at the start.
+  std::vector<model::OdometrySample> rows;
+  for (const model::OdometrySample& row : odometry) {
+    if (row.t_s > beginning.back().t_s) break;
+    if (row.t_s <= options.start.t_s) rows.clear();
+    rows.push_back(row);
+  }
+  if (rows.size() < 2) return {};
+  std::vector<model::Tag> tags;
+  for (const model::Tag& tag : run.tags) {
+    if (chosen(options.tags, tag.id)) tags.push_back(tag);
+  }
+  Smoother smoother(run, options, std::move(tags), std::move(rows));
+  smoother.begin(beginning);
+  for (const model::RangeSample& range : run.ranges) {
+    if (range.t_s < options.start.t_s || range.t_s > beginning.back().t_s) continue;
+    if (chosen(options.tags, range.tag_id) && chosen(options.anchors, range.anchor_id)) smoother.take(range);
+  }
+  return smoother.solve();
+}
+
+}  // namespace groma::smoother

@@ -1,0 +1,89 @@
+#include "host/smoother/chain_problem.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/LU>
+
+#include "test/support/random.hpp"
+
+namespace groma::smoother {
+namespace {
+
+constexpr std::size_t kBlocks = 7;
+constexpr Eigen::Index kBlockSize = 3;
+constexpr Eigen::Index kSharedSize = 5;
+constexpr Eigen::Index kChainSize = static_cast<Eigen::Index>(kBlocks) * kBlockSize;
+
+// The same normal equations in one dense matrix.
+struct Dense {
+  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(kChainSize + kSharedSize, kChainSize + kSharedSize);
+  Eigen::VectorXd right = Eigen::VectorXd::Zero(kChainSize + kSharedSize);
+
+  void add(std::size_t k, const ChainProblem::Term& term) {
+    Eigen::MatrixXd row = Eigen::MatrixXd::Zero(term.residual.size(), kChainSize + kSharedSize);
+    const auto at = static_cast<Eigen::Index>(k) * kBlockSize;
+    row.middleCols(at, kBlockSize) = term.by_first;
+    row.middleCols(at + kBlockSize, kBlockSize) = term.by_second;
+    for (std::size_t j = 0; j < term.shared.size(); ++j) {
+      row.col(kChainSize + term.shared[j]) += term.by_shared.col(static_cast<Eigen::Index>(j));
+    }
+    information += row.transpose() * term.information * row;
+    right += row.transpose() * term.information * term.residual;
+  }
+};
+
+class OfConsidered : public ::testing::TestWithParam<Eigen::Index> {};
+INSTANTIATE_TEST_SUITE_P(ChainProblem, OfConsidered, ::testing::Values(0, 2, 5));
+
+TEST_P(OfConsidered, SolutionAndCovariancesAreThoseOfTheDenseProblem) {
+  const Eigen::Index considered = GetParam();
+  const Eigen::Index solved = kSharedSize - considered;
+  test::Random random(11);
+  ChainProblem problem(kBlocks, kBlockSize, kSharedSize, considered);
+  // What a round before has left is gone.
+  problem.clear();
+  ChainProblem::Term stale(kBlockSize, 1, 0);
+  stale.by_first.setOnes();
+  stale.information.setOnes();
+  problem.add(0, stale);
+  problem.clear();
+
+  Dense dense;
+  Eigen::VectorXd unknowns = random.gaussians(kSharedSize);
+  unknowns.tail(considered).setZero();
+  problem.add_shared_prior(unknowns);
+  dense.information.bottomRightCorner(kSharedSize, kSharedSize).setIdentity();
+  dense.right.tail(kSharedSize) = -unknowns;
+  for (int i = 0; i < 60; ++i) {
+    const std::size_t k = static_cast<std::size_t>(i) % (kBlocks - 1);
+    ChainProblem::Term term(kBlockSize, 2, 3);
+    term.by_first = Eigen::MatrixXd::NullaryExpr(2, kBlockSize, [&] { return random.gaussian(); });
+    term.by_second = Eigen::MatrixXd::NullaryExpr(2, kBlockSize, [&] { return random.gaussian(); });
+    term.by_shared = Eigen::MatrixXd::NullaryExpr(2, 3, [&] { return random.gaussian(); });
+    term.shared = {i % kSharedSize, (i + 1) % kSharedSize, (i + 3) % kSharedSize};
+    term.residual = random.gaussians(2);
+    const Eigen::MatrixXd root = Eigen::MatrixXd::NullaryExpr(2, 2, [&] { return random.gaussian(); });
+    term.information = root * root.transpose() + Eigen::MatrixXd::Identity(2, 2);
+    problem.add(k, term);
+    dense.add(k, term);
+  }
+
+  const ChainProblem::Solution solution = problem.solve();
+  const Eigen::Index size = kChainSize + solved;
+  const Eigen::MatrixXd inverse = dense.information.topLeftCorner(size, size).inverse();
+  const Eigen::VectorXd expected = inverse * dense.right.head(size);
+  // What is considered moves the rest by this, and has unit variance.
+  const Eigen::MatrixXd moved = inverse * dense.information.topRightCorner(size, considered);
+  const Eigen::MatrixXd covariance = inverse + moved * moved.transpose();
+  const std::vector<Eigen::MatrixXd> covariances = problem.covariances();
+  for (std::size_t k = 0; k < kBlocks; ++k) {
+    const auto at = static_cast<Eigen::Index>(k) * kBlockSize;
+    EXPECT_LT((solution.blocks[k] - expected.segment(at, kBlockSize)).norm(), 1e-10) << k;
+    EXPECT_LT((covariances[k] - covariance.block(at, at, kBlockSize, kBlockSize)).norm(), 1e-10) << k;
+  }
+  EXPECT_LT((solution.shared.head(solved) - expected.tail(solved)).norm(), 1e-10);
+  EXPECT_EQ(solution.shared.tail(considered).norm(), 0.0);
+}
+
+}  // namespace
+}  // namespace groma::smoother

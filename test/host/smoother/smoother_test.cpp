@@ -1,0 +1,117 @@
+#include "host/smoother/smoother.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "test/host/filter/small_site.hpp"
+
+namespace groma::smoother {
+namespace {
+
+namespace site = filter::testing;
+using test::Random;
+
+constexpr model::PlanarPose kStart{1.0, -2.0, 0.4};
+
+filter::ReplayOptions options_of(filter::Model model) {
+  filter::ReplayOptions options;
+  options.config.model = model;
+  options.config.odometry = {0.03, 0.03, 0.01};
+  options.start = {.t_s = 0.0, .pose = kStart};
+  return options;
+}
+
+struct Score {
+  double square_m2 = 0.0;
+  double nees = 0.0;  // over 3
+};
+
+// At one row in the middle.
+Score score(const model::PlanarEstimate& row, const model::PlanarPose& truth) {
+  const Eigen::Vector3d e(row.x_m - truth.x_m, row.y_m - truth.y_m,
+                          model::wrap_angle(row.yaw_rad - truth.theta_rad));
+  return {.square_m2 = e.head<2>().squaredNorm(), .nees = e.dot(row.covariance.inverse() * e) / 3.0};
+}
+
+class Smoothing : public ::testing::TestWithParam<filter::Model> {};
+INSTANTIATE_TEST_SUITE_P(Smoother, Smoothing,
+                         ::testing::Values(filter::Model::kSchmidt, filter::Model::kJoint),
+                         [](const ::testing::TestParamInfo<filter::Model>& model) {
+                           return std::string(filter::model_name(model.param));
+                         });
+
+TEST_P(Smoothing, IsBetterThanTheFilterAndErrsAsMuchAsItSays) {
+  constexpr int kSites = 60;
+  const model::Surface surface = site::hills(0.2);
+  const model::Calibration calibration = site::six_anchors(0.5);
+  Random random(31);
+  Score smoothed;
+  Score filtered;
+  double in_sight = 0.0;
+  for (int i = 0; i < kSites; ++i) {
+    const site::Drive drive =
+        site::drive(surface, calibration, kStart, {.duration_s = 12.0, .range_s = 0.02}, random);
+    const auto tags = site::three_tags();
+    const filter::Run run{drive.odometry, drive.ranges, tags, &surface, &calibration};
+    filter::ReplayOptions options = options_of(GetParam());
+    options.start.pose = {kStart.x_m + 0.1 * random.gaussian(), kStart.y_m + 0.1 * random.gaussian(),
+                          kStart.theta_rad + 0.05 * random.gaussian()};
+    const Result result = smooth(run, options);
+    ASSERT_EQ(result.rows.size(), drive.odometry.size());
+    EXPECT_TRUE(result.converged);
+    in_sight += result.ranges_in_sight / static_cast<double>(result.ranges_seen) / kSites;
+    const std::size_t row = 60 + static_cast<std::size_t>(random.uniform(0.0, 120.0));
+    EXPECT_EQ(result.rows[row].t_s, drive.odometry[row].t_s);
+    const Score here = score(result.rows[row], drive.truth[row]);
+    smoothed.square_m2 += here.square_m2 / kSites;
+    smoothed.nees += here.nees / kSites;
+    const model::PlanarEstimate& live = filter::replay(run, options).rows[row];
+    filtered.square_m2 +=
+        (std::pow(live.x_m - drive.truth[row].x_m, 2) + std::pow(live.y_m - drive.truth[row].y_m, 2)) /
+        kSites;
+  }
+  EXPECT_GT(in_sight, 0.97);
+  EXPECT_LT(smoothed.square_m2, filtered.square_m2);
+  EXPECT_NEAR(smoothed.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
+}
+
+TEST_P(Smoothing, TellsBlockedRangesByWhatComesLater) {
+  const model::Surface surface = site::hills(0.2);
+  const model::Calibration calibration = site::six_anchors(0.2);
+  Random random(32);
+  site::Drive drive =
+      site::drive(surface, calibration, kStart, {.duration_s = 12.0, .range_s = 0.02}, random);
+  std::size_t blocked = 0;
+  for (model::RangeSample& range : drive.ranges) {
+    if (range.anchor_id > 13 || range.t_s < 4.0 || range.t_s > 7.0) continue;
+    range.range_m += 0.7 + 0.05 * random.gaussian();
+    ++blocked;
+  }
+  const auto tags = site::three_tags();
+  const Result result =
+      smooth({drive.odometry, drive.ranges, tags, &surface, &calibration}, options_of(GetParam()));
+  EXPECT_NEAR(result.ranges_in_sight, static_cast<double>(drive.ranges.size() - blocked),
+              0.05 * static_cast<double>(drive.ranges.size()));
+  for (std::size_t row = 0; row < result.rows.size(); ++row) {
+    EXPECT_LT(
+        std::hypot(result.rows[row].x_m - drive.truth[row].x_m, result.rows[row].y_m - drive.truth[row].y_m),
+        0.12)
+        << row;
+  }
+}
+
+TEST(Smoother, HasNothingToSayOfNoOdometry) {
+  const model::Surface surface;
+  const model::Calibration calibration = site::six_anchors();
+  const auto tags = site::three_tags();
+  EXPECT_TRUE(smooth({{}, {}, tags, &surface, &calibration}, {}).rows.empty());
+  const std::vector<model::OdometrySample> one{{0.0, 1.0, 0.0, 0.0}};
+  EXPECT_TRUE(smooth({one, {}, tags, &surface, &calibration}, {}).rows.empty());
+}
+
+}  // namespace
+}  // namespace groma::smoother
