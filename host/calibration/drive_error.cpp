@@ -332,6 +332,8 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
     if (round == 0 && is_delay_open) {
       const double sigma_s = std::sqrt(std::max(0.0, covariance(unknowns.delay(), unknowns.delay())));
       if (std::abs(step(unknowns.delay())) < kMinDelaySigmas * sigma_s) {
+        out.range_delay_s = step(unknowns.delay());
+        out.range_delay_sigma_s = sigma_s;
         prior.delay_sigma_s = kNoDelaySigma_s;
         believed = prior_information(unknowns, prior);
         step = solve();
@@ -394,6 +396,11 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   SharedPrior prior = likeliest_prior(equations, question, slow);
   out.wander = prior.wander;
   if (nothing_to_correct(equations, unknowns, prior)) {
+    const JointEquations lasting = slow();
+    const Eigen::Index delay = unknowns.delay();
+    const double information = lasting.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
+    out.range_delay_s = lasting.descent(delay) / information;
+    out.range_delay_sigma_s = 1.0 / std::sqrt(information);
     out.frame_covariance = frame_covariance(
         unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), mean_antenna_m(fits));
     return out;

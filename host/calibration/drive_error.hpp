@@ -22,7 +22,7 @@ struct BodyError {
 
 struct DriveError {
   WanderPrior wander;          // as the ranges make it likeliest
-  double range_delay_s = 0.0;  // zero where the ranges do not show one clearly
+  double range_delay_s = 0.0;  // taken off where the ranges show it clearly; told in any case
   double range_delay_sigma_s = 0.0;
   std::vector<BodyError> body;     // of each tag; empty where the ranges do not show it clearly
   double pattern_m = 0.0;          // size of the tags' antenna patterns, a coefficient; zero where not known

@@ -52,6 +52,8 @@ int run(const Options& options) {
   FilterInput::Drive drive = options.input.read("replay", warnings);
   filter::ReplayOptions& replay = drive.options;
   replay.config.model = *filter::model_from_name(options.model);
+  replay.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
+  replay.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
   replay.now_ns = now_ns;
   const auto begin = std::chrono::steady_clock::now();
   const filter::ReplayResult result = filter::replay(drive.run(), replay);

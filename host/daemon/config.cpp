@@ -174,6 +174,8 @@ filter::Config Config::filter_config() const {
   out.model = model;
   out.odometry = odometry;
   out.range_sigma_m = range.sigma_m;
+  out.range_delay_sigma_s = filter::kRangeDelaySigma_s;
+  out.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
   return out;
 }
 

@@ -29,11 +29,16 @@ inline constexpr std::array kModels{Model::kOdometry, Model::kOriginal,     Mode
 
 // How ranges are weighed: see gate.hpp.
 struct GateConfig {
-  double blocked_share = 0.1;   // of pairs, on the whole
-  double blocked_most = 0.5;    // no pair is given up for good
-  double sticky_s = 2.0;        // a pair's past is forgotten over this time
-  double excess_m = 0.5;        // mean excess of blocked ranges
-  double short_share = 0.2;     // of pairs that go wrong, those whose ranges are too short
+  double blocked_share = 0.1;  // of pairs, on the whole
+  double blocked_most = 0.5;   // no pair is given up for good
+  double sticky_s = 2.0;       // a pair's past is forgotten over this time
+  double excess_m = 0.5;       // mean excess of blocked ranges
+  double short_share = 0.2;    // of pairs that go wrong, those whose ranges are too short
+  // A pair that misses more than the slack of its polls, over reception_s, is likely blocked; its error then
+  // is the one for all its ranges of that while.
+  double reception_s = 2.0;
+  double reception_slack = 0.2;
+  double regained_m = 1.0;
   double garbage_share = 0.01;  // of ranges
   double garbage_width_m = 50.0;
 
@@ -61,6 +66,15 @@ struct GateConfig {
   double doubt_heading_rad = 0.2;
 };
 
+// When a row of odometry is not believed: see odometry_watch.hpp.
+struct OdometryWatchConfig {
+  double max_acceleration_mps2 = 8.0;  // what wheels can push
+  double max_turn_acceleration_radps2 = 10.0;
+  double noise_sigmas = 6.0;  // by which two rows may differ for their noise
+  double lasts_s = 0.5;       // an error that showed by a jump
+  double least_speed_mps = 1.0;
+};
+
 struct Config {
   Model model = Model::kSchmidt;
 
@@ -82,7 +96,8 @@ struct Config {
   // Expected age of a range at its stamp, where the calibration observed none; sigma 0: the delay is known.
   double range_delay_s = 0.0;
   double range_delay_sigma_s = 0.0;
-  double range_delay_change_s = 0.003;  // sigma of what changes in an observed delay from drive to drive
+  double odometry_delay_sigma_s = 0.0;  // of the odometry's age beside its stamp; 0: it is exact
+  double range_delay_change_s = 0.005;  // sigma of what changes in an observed delay from drive to drive
   // Anchors that are active at a time, kMaxAnchors at most.
   int active_anchors = kMaxAnchors;
   double silent_s = 1.0;     // one that was silent so long makes place for one that is not
@@ -90,6 +105,11 @@ struct Config {
   double max_range_m = 1000.0;
 
   GateConfig gate;
+  OdometryWatchConfig watch;
 };
+
+// What is not known of the clocks of a robot's links where nobody told.
+inline constexpr double kRangeDelaySigma_s = 0.01;
+inline constexpr double kOdometryDelaySigma_s = 0.015;
 
 }  // namespace groma::filter

@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "host/filter/link_delay.hpp"
 #include "host/filter/propagation.hpp"
 #include "host/filter/range_measurement.hpp"
 
@@ -45,7 +46,16 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
 Filter::Snapshot begin(const Site& site, const Config& config) {
   const Parameters parameters(site, config.active_anchors);
   JointCovariance covariance(site, parameters, learning(config.model));
-  return {.parameters = parameters, .gate = Gate(config.gate), .covariance = std::move(covariance)};
+  return {.parameters = parameters,
+          .gate = Gate(config.gate),
+          .watch = OdometryWatch(config),
+          .covariance = std::move(covariance)};
+}
+
+LinkDelays delays(const Config& config) noexcept {
+  return {.range_s = config.range_delay_s,
+          .range_sigma_s = config.range_delay_sigma_s,
+          .odometry_sigma_s = config.odometry_delay_sigma_s};
 }
 
 }  // namespace
@@ -96,7 +106,7 @@ void Filter::start(const Start& start) noexcept {
   variances(kTheta) = square(start.heading_sigma_rad);
   variances(kScale) = square(config_.scale_sigma);
   variances(kYawBias) = square(config_.yaw_rate_bias_radps);
-  variances(kDelay) = square(config_.range_delay_sigma_s);
+  variances(kDelay) = delays(config_).difference_variance_s2();
   variances(kRowVx) = square(now_.has_row ? config_.odometry.sigma_vx_mps : config_.hold_walk_mps);
   variances(kRowVy) = square(now_.has_row ? config_.odometry.sigma_vy_mps : config_.hold_walk_mps);
   variances(kRowOmega) = square(now_.has_row ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
@@ -230,7 +240,8 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   }
 
   // A weight below one stands for that much more noise: S / weight in place of S.
-  const double variance = result.innovation_variance_m2 / result.weight;
+  const double variance =
+      result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(slot, tag);
   now_.core += projected.core * (result.innovation_m / variance);
   now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
   if (!whole) {
@@ -252,11 +263,19 @@ bool Filter::advance_to(double t_s) noexcept {
 }
 
 void Filter::hold(const model::OdometrySample& row) noexcept {
+  OdometryDoubt doubt;
+  if (now_.has_row) doubt = now_.watch.judge(now_.row, row);
   now_.row = row;
   now_.has_row = true;
   now_.core.segment<3>(kRowVx).setZero();
-  now_.covariance.renew_row({square(config_.odometry.sigma_vx_mps), square(config_.odometry.sigma_vy_mps),
-                             square(config_.odometry.sigma_omega_radps)});
+  now_.covariance.renew_row({square(config_.odometry.sigma_vx_mps) + doubt.velocity_m2ps2,
+                             square(config_.odometry.sigma_vy_mps) + doubt.velocity_m2ps2,
+                             square(config_.odometry.sigma_omega_radps) + doubt.turn_rad2ps2});
+  if (doubt.position_m2 > 0.0) {
+    now_.covariance.grow(kX, doubt.position_m2);
+    now_.covariance.grow(kY, doubt.position_m2);
+  }
+  if (doubt.heading_rad2 > 0.0) now_.covariance.grow(kTheta, doubt.heading_rad2);
 }
 
 void Filter::step(double dt_s) noexcept {
@@ -350,12 +369,28 @@ void Filter::find_slots() noexcept {
 }
 
 Estimate Filter::estimate() const noexcept {
-  return {.t_s = now_.t_s,
-          .pose = {now_.core(kX), now_.core(kY), now_.core(kTheta)},
-          .covariance = now_.covariance.core().topLeftCorner<3, 3>(),
-          .scale_error = now_.core(kScale),
-          .yaw_rate_bias_radps = now_.core(kYawBias),
-          .range_delay_s = now_.core(kDelay)};
+  Estimate out{.t_s = now_.t_s,
+               .pose = {now_.core(kX), now_.core(kY), now_.core(kTheta)},
+               .covariance = now_.covariance.core().topLeftCorner<3, 3>(),
+               .scale_error = now_.core(kScale),
+               .yaw_rate_bias_radps = now_.core(kYawBias),
+               .range_delay_s = now_.core(kDelay)};
+  const LinkDelays prior = delays(config_);
+  if (!(prior.odometry_share() > 0.0)) return out;
+
+  // The core tells of where the robot was when its odometry was true.
+  out.odometry_delay_s = prior.odometry_s(now_.core(kDelay));
+  out.range_delay_s += out.odometry_delay_s;
+  Motion motion = move(surface_, now_.core, now_.row, out.odometry_delay_s);
+  CoreVector now = now_.core;
+  now.segment<3>(kX) = motion.pose;
+  const model::SurfacePoint ground = surface_.at(motion.pose.x(), motion.pose.y());
+  const Eigen::Vector3d rate = pose_rate(model::surface_rotation(ground.gradient), now, now_.row);
+  motion.d_core.col(kDelay) -= prior.odometry_share() * rate;
+  out.pose = {motion.pose.x(), motion.pose.y(), model::wrap_angle(motion.pose.z())};
+  const Eigen::Matrix3d moved = motion.d_core * now_.covariance.core() * motion.d_core.transpose();
+  out.covariance = 0.5 * (moved + moved.transpose()) + prior.odometry_variance_s2() * rate * rate.transpose();
+  return out;
 }
 
 }  // namespace groma::filter

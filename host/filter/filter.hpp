@@ -22,6 +22,7 @@
 #include "host/filter/config.hpp"
 #include "host/filter/gate.hpp"
 #include "host/filter/joint_covariance.hpp"
+#include "host/filter/odometry_watch.hpp"
 #include "host/filter/parameters.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
@@ -95,6 +96,7 @@ struct Estimate {
   double scale_error = 0.0;
   double yaw_rate_bias_radps = 0.0;
   double range_delay_s = 0.0;
+  double odometry_delay_s = 0.0;
 };
 
 class Filter {
@@ -103,6 +105,7 @@ class Filter {
   struct Snapshot {
     Parameters parameters;
     Gate gate;
+    OdometryWatch watch;
     JointCovariance covariance;
     CoreVector core = CoreVector::Zero();
     model::OdometrySample row{};

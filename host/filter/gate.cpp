@@ -13,6 +13,11 @@ namespace {
 constexpr double kFewRanges = 4.0;
 // A weight below this turns the range away.
 constexpr double kNoWeight = 1e-3;
+// The median gap between a pair's ranges is followed by this share of itself a range.
+constexpr double kGapStep = 0.02;
+constexpr double kLongGaps = 0.9;
+// Fewer polls than this within the window, and a silence tells nothing.
+constexpr double kReceptionPolls = 10.0;
 // Half of a Gaussian's draws lie within this many sigmas.
 constexpr double kHalfWithin = 0.6744897501960817;
 
@@ -30,13 +35,41 @@ double Gate::blocked(int anchor, int tag) const noexcept {
   return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].blocked;
 }
 
+double Gate::regained_variance_m2(int anchor, int tag) const noexcept {
+  return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].regained_m2;
+}
+
+double Gate::listen(Pair& pair, double t_s) noexcept {
+  const double gap_s = std::max(t_s - pair.t_s, 0.0);
+  if (pair.heard && gap_s > 0.0) {
+    const double step = gap_s > poll_interval_s_ ? kLongGaps * kGapStep : (kLongGaps - 1.0) * kGapStep;
+    poll_interval_s_ = poll_interval_s_ > 0.0 ? poll_interval_s_ * (1.0 + step) : gap_s;
+  }
+  pair.heard = true;
+  pair.t_s = t_s;
+  pair.reception *= std::exp(-gap_s / config_.reception_s);
+  pair.reception = std::min(pair.reception + poll_interval_s_ / config_.reception_s, 1.0);
+  const double polls = poll_interval_s_ > 0.0 ? config_.reception_s / poll_interval_s_ : 0.0;
+  if (polls < kReceptionPolls) {
+    pair.regained_m2 = 0.0;
+    return 0.0;
+  }
+  const double expected = 1.0 - config_.reception_slack;
+  const double missed = std::max(expected - pair.reception, 0.0) / expected;
+  // All of the window together count as one range.
+  pair.regained_m2 = config_.regained_m * config_.regained_m * missed * missed * polls;
+  return missed;
+}
+
 double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept {
   if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2) || !(variance_m2 > 0.0)) return 0.0;
   const double sigma = std::sqrt(variance_m2);
   Pair& chain = pair(anchor, tag);
 
   const double fade = std::exp(-std::max(t_s - chain.t_s, 0.0) / config_.sticky_s);
-  const double prior = config_.blocked_share + (chain.blocked - config_.blocked_share) * fade;
+  const double missed = listen(chain, t_s);
+  double prior = config_.blocked_share + (chain.blocked - config_.blocked_share) * fade;
+  prior += std::max(config_.blocked_most - prior, 0.0) * missed;
   const double in_sight =
       (1.0 - prior) * (1.0 - config_.garbage_share) * gaussian_density(innovation_m, sigma);
   const double excess = prior * (1.0 - config_.garbage_share) *
@@ -44,7 +77,6 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
                          config_.short_share * excess_density(-innovation_m, sigma, config_.excess_m));
   const double garbage = config_.garbage_share / config_.garbage_width_m;
   const double total = in_sight + excess + garbage;
-  chain.t_s = t_s;
   chain.blocked = prior;
   if (!(total > 0.0)) {
     observe(anchor, t_s, innovation_m, 0.0);
@@ -125,12 +157,14 @@ bool Gate::doubts(double t_s) const noexcept {
 }
 
 void Gate::renew(int anchor, double t_s) noexcept {
-  for (int tag = 0; tag < kMaxTags; ++tag) pair(anchor, tag) = {t_s, config_.blocked_share};
+  for (int tag = 0; tag < kMaxTags; ++tag) {
+    pair(anchor, tag) = {.t_s = t_s, .blocked = config_.blocked_share, .reception = 0.0};
+  }
   anchors_[static_cast<std::size_t>(anchor)] = {.t_s = t_s};
 }
 
 void Gate::reset(double t_s) noexcept {
-  pairs_.fill({t_s, config_.blocked_share});
+  pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share});
   noise_scale_ = 1.0;
   t_s_ = t_s;
   too_short_ = {.t_s = t_s};

@@ -24,6 +24,9 @@ class Gate {
   [[nodiscard]] double weigh(int anchor, int tag, double t_s, double innovation_m,
                              double variance_m2) noexcept;
 
+  // Variance to be added to the noise of the pair's last range: a pair that was silent is often still blocked
+  // when it is heard again, and all its ranges of that while are off together.
+  [[nodiscard]] double regained_variance_m2(int anchor, int tag) const noexcept;
   // Probability that the pair is blocked, as of its last range.
   [[nodiscard]] double blocked(int anchor, int tag) const noexcept;
   // Factor upon the configured sigma of ranges that makes innovations as wide as they should be.
@@ -42,6 +45,9 @@ class Gate {
   struct Pair {
     double t_s = 0.0;
     double blocked = 0.0;
+    double reception = 1.0;  // share of its polls of late that were answered
+    double regained_m2 = 0.0;
+    bool heard = false;
   };
 
   // Sums over ranges that fade with time.
@@ -57,6 +63,8 @@ class Gate {
   };
 
   Pair& pair(int anchor, int tag) noexcept;
+  // Takes note that the pair was heard; the share of its polls that it missed of late, beyond what is usual.
+  double listen(Pair& pair, double t_s) noexcept;
   void adapt_noise(double e) noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
@@ -64,6 +72,7 @@ class Gate {
   GateConfig config_;
   std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
   double noise_scale_ = 1.0;
+  double poll_interval_s_ = 0.0;  // median of the gaps between a pair's ranges; 0: not known yet
   double t_s_ = 0.0;
   Tally too_short_;  // and those used
   Tally all_;

@@ -19,7 +19,9 @@ TEST(Calibrate, FindsHowLateRangesAreStamped) {
   EXPECT_NEAR(found.range_delay_s, 0.05, 0.01);
   EXPECT_NEAR(found.range_delay_s, 0.05, 5.0 * found.range_delay_sigma_s);
   const test::SimulatedSite punctual = test::simulate_site({.ranges_per_pair = 600}, 9);
-  EXPECT_EQ(calibrate(punctual.drive()).calibration.range_delay_s, 0.0);
+  const model::Calibration none = calibrate(punctual.drive()).calibration;
+  EXPECT_GT(none.range_delay_sigma_s, 0.0);
+  EXPECT_NEAR(none.range_delay_s, 0.0, 3.0 * none.range_delay_sigma_s);
 }
 
 TEST(Calibrate, TellsTheFrameThatAllAnchorsShare) {

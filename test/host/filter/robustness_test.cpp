@@ -1,0 +1,175 @@
+// What no model of noise foresees: late links, odometry that goes astray, pairs that come back from behind a
+// wall.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include <Eigen/Cholesky>
+
+#include "host/filter/filter.hpp"
+#include "host/filter/gate.hpp"
+#include "host/filter/link_delay.hpp"
+#include "host/filter/odometry_watch.hpp"
+#include "test/host/filter/small_site.hpp"
+
+namespace groma::filter {
+namespace {
+
+using test::Random;
+
+TEST(LinkDelays, PartTheDifferenceAsGaussiansDo) {
+  const LinkDelays delays{.range_s = 0.02, .range_sigma_s = 0.004, .odometry_sigma_s = 0.015};
+  // Of (ranges', odometry's) with the first less the second known.
+  const Eigen::Matrix2d prior = Eigen::Vector2d(0.004 * 0.004, 0.015 * 0.015).asDiagonal();
+  const Eigen::RowVector2d h(1.0, -1.0);
+  const double s = h * prior * h.transpose();
+  const Eigen::Vector2d gain = prior * h.transpose() / s;
+  const Eigen::Matrix2d posterior = prior - gain * h * prior;
+  const double difference_s = -0.012;
+  const Eigen::Vector2d mean = Eigen::Vector2d(0.02, 0.0) + gain * (difference_s - 0.02);
+  EXPECT_NEAR(delays.difference_variance_s2(), s, 1e-15);
+  EXPECT_NEAR(delays.odometry_s(difference_s), mean(1), 1e-15);
+  EXPECT_NEAR(delays.odometry_s(difference_s) + difference_s, mean(0), 1e-15);
+  EXPECT_NEAR(delays.odometry_variance_s2(), posterior(1, 1), 1e-15);
+  EXPECT_EQ((LinkDelays{.range_s = 0.02}).odometry_s(0.01), 0.0);
+}
+
+struct Errors {
+  double mean_m = 0.0;
+  double max_m = 0.0;
+  double nees = 0.0;
+  std::unique_ptr<Filter> filter;
+};
+
+// A drive through the filter, from where it began.
+Errors replay(const model::Surface& surface, const model::Calibration& calibration, const Config& config,
+              const testing::Drive& drive, double from_s = 0.0) {
+  Errors out;
+  out.filter = std::make_unique<Filter>(surface, testing::three_tags(), calibration, config);
+  std::size_t next = 0;
+  double count = 0.0;
+  for (std::size_t i = 0; i < drive.odometry.size(); ++i) {
+    for (; next < drive.ranges.size() && drive.ranges[next].t_s < drive.odometry[i].t_s; ++next)
+      out.filter->process(drive.ranges[next]);
+    out.filter->process(drive.odometry[i]);
+    if (i == 0) out.filter->start({.t_s = drive.odometry[0].t_s, .pose = drive.truth[0]});
+    if (drive.odometry[i].t_s < from_s) continue;
+    const Estimate estimate = out.filter->estimate();
+    const double error_m =
+        std::hypot(estimate.pose.x_m - drive.truth[i].x_m, estimate.pose.y_m - drive.truth[i].y_m);
+    out.mean_m += error_m;
+    out.max_m = std::max(out.max_m, error_m);
+    out.nees += testing::squared_error(estimate, drive.truth[i]) / 3.0;
+    count += 1.0;
+  }
+  out.mean_m /= count;
+  out.nees /= count;
+  return out;
+}
+
+Config matching_config() {
+  Config config;
+  config.odometry = {0.03, 0.03, 0.01};
+  return config;
+}
+
+TEST(LateLinks, OdometryAndRangesAreEachTakenForAsLateAsTheyAre) {
+  const model::Surface flat;
+  model::Calibration calibration = testing::six_anchors(0.1);
+  calibration.range_delay_s = 0.06;
+  calibration.range_delay_sigma_s = 0.002;
+  Random random(5);
+  testing::Drive drive =
+      testing::drive(flat, calibration, {0.0, 0.0, 0.2}, {.duration_s = 120.0, .range_s = 0.02}, random);
+  // A row that is late by two rows, ranges that are late by their delay, and the truth on time.
+  for (model::RangeSample& range : drive.ranges) range.t_s += calibration.range_delay_s;
+  for (std::size_t i = drive.odometry.size(); i-- > 2;) {
+    const double t_s = drive.odometry[i].t_s;
+    drive.odometry[i] = drive.odometry[i - 2];
+    drive.odometry[i].t_s = t_s;
+  }
+  Config exact = matching_config();
+  Config open = exact;
+  open.odometry_delay_sigma_s = 0.05;
+  const Errors without = replay(flat, calibration, exact, drive, 30.0);
+  const Errors with = replay(flat, calibration, open, drive, 30.0);
+  EXPECT_NEAR(with.filter->estimate().odometry_delay_s, 0.1, 0.02);
+  EXPECT_NEAR(with.filter->estimate().range_delay_s, 0.06, 0.01);
+  EXPECT_LT(with.mean_m, 0.7 * without.mean_m);
+  EXPECT_LT(with.nees, 2.0);
+}
+
+TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
+  Config config = matching_config();
+  OdometryWatch watch(config);
+  const model::OdometrySample before{1.0, 2.0, 0.0, 0.1};
+  const OdometryDoubt none = watch.judge(before, {1.05, 2.3, 0.05, 0.4});
+  EXPECT_EQ(none.velocity_m2ps2, 0.0);
+  EXPECT_EQ(none.position_m2, 0.0);
+  EXPECT_EQ(none.turn_rad2ps2, 0.0);
+  const OdometryDoubt jump = watch.judge(before, {1.05, 2.0, 2.0, 0.1});
+  const double excess_mps = 2.0 - 8.0 * 0.05 - 6.0 * 0.03;
+  EXPECT_NEAR(jump.position_m2, std::pow(0.5 * excess_mps, 2), 1e-12);
+  EXPECT_NEAR(jump.velocity_m2ps2, excess_mps * excess_mps * 10.0, 1e-9);
+  EXPECT_GT(jump.turn_rad2ps2, 0.0);
+  EXPECT_EQ(watch.jumps(), 1U);
+  // And forgets it.
+  const OdometryDoubt later = watch.judge({1.05, 2.0, 2.0, 0.1}, {3.05, 2.0, 2.0, 0.1});
+  EXPECT_LT(later.velocity_m2ps2, 0.01 * jump.velocity_m2ps2);
+  EXPECT_EQ(later.position_m2, 0.0);
+}
+
+TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.1);
+  Random random(6);
+  testing::Drive drive =
+      testing::drive(flat, calibration, {0.0, 0.0, 0.2}, {.duration_s = 30.0, .range_s = 0.1}, random);
+  // The wheels spin for a second, and no range tells of it meanwhile.
+  for (model::OdometrySample& row : drive.odometry) {
+    if (row.t_s >= 20.0 && row.t_s < 21.0) row.vx_mps += 3.0;
+  }
+  std::erase_if(drive.ranges, [](const auto& range) { return range.t_s > 20.0 && range.t_s < 22.0; });
+  Config blind = matching_config();
+  blind.watch.max_acceleration_mps2 = 1e9;
+  const Errors without = replay(flat, calibration, blind, drive, 19.0);
+  const Errors with = replay(flat, calibration, matching_config(), drive, 19.0);
+  EXPECT_GT(without.nees, 20.0);
+  EXPECT_LT(with.nees, 4.0);
+  EXPECT_LT(with.mean_m, without.mean_m);
+}
+
+// Feeds a pair that is in sight with good ranges.
+void feed(Gate& gate, double from_s, double to_s, double every_s, Random& random) {
+  for (double t_s = from_s; t_s < to_s; t_s += every_s)
+    static_cast<void>(gate.weigh(0, 0, t_s, 0.1 * random.gaussian(), 0.01));
+}
+
+TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
+  Gate gate{GateConfig{}};
+  Random random(7);
+  feed(gate, 0.0, 20.0, 0.05, random);
+  EXPECT_EQ(gate.regained_variance_m2(0, 0), 0.0);
+  const double heard = gate.weigh(0, 0, 20.0, 0.25, 0.01);
+  const double back = gate.weigh(0, 0, 26.0, 0.25, 0.01);
+  EXPECT_LT(back, heard);
+  EXPECT_GT(gate.regained_variance_m2(0, 0), 1.0);
+  EXPECT_GT(gate.blocked(0, 0), 0.3);
+  feed(gate, 26.05, 31.0, 0.05, random);
+  EXPECT_EQ(gate.regained_variance_m2(0, 0), 0.0);
+  EXPECT_LT(gate.blocked(0, 0), 0.15);
+  EXPECT_GT(gate.weigh(0, 0, 31.0, 0.0, 0.01), 0.9);
+}
+
+TEST(Reception, SilenceTellsNothingWherePollsAreRare) {
+  Gate gate{GateConfig{}};
+  Random random(8);
+  feed(gate, 0.0, 100.0, 1.0, random);
+  static_cast<void>(gate.weigh(0, 0, 120.0, 0.0, 0.01));
+  EXPECT_EQ(gate.regained_variance_m2(0, 0), 0.0);
+}
+
+}  // namespace
+}  // namespace groma::filter
