@@ -5,12 +5,14 @@
 #include <limits>
 #include <map>
 #include <numbers>
+#include <utility>
 
 #include "host/calibration/anchor_links.hpp"
 #include "host/calibration/association.hpp"
 #include "host/calibration/comparison.hpp"
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/initial_guess.hpp"
+#include "host/calibration/median.hpp"
 #include "host/calibration/moved.hpp"
 #include "host/calibration/range_noise.hpp"
 #include "host/calibration/rival.hpp"
@@ -43,8 +45,6 @@ constexpr double kFar_m = 1.5;
 constexpr double kShort_m = 0.3;
 // At most, from where every anchor is on its better side until all of them rest.
 constexpr int kLastRounds = 10;
-// Median of the absolute value of a standard normal.
-constexpr double kMedianAbsolute = 0.6744897501960817;
 
 double finite_or(double value, double fallback) {
   return std::isfinite(value) ? value : fallback;
@@ -112,22 +112,12 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
   if (absolute_m.size() < kMinHeldOut) return out;
   const double n = static_cast<double>(absolute_m.size());
   out.rms_m = std::sqrt(square_m2 / n);
-  const auto middle = absolute_m.begin() + static_cast<std::ptrdiff_t>(absolute_m.size() / 2);
-  std::nth_element(absolute_m.begin(), middle, absolute_m.end());
-  out.robust_rms_m = *middle / kMedianAbsolute;
+  out.robust_rms_m = kSigmaOfMad * median(std::move(absolute_m));
   if (covariance.topLeftCorner<2, 2>().trace() < kOpenSigma_m * kOpenSigma_m) {
     out.share_of_scale = *out.robust_rms_m / (scale_m / n);
     out.height_variance_m2 = covariance(2, 2);
   }
   return out;
-}
-
-// Zero of nothing.
-double median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 double mean_scale_m(const AnchorFit& fit) {
@@ -193,7 +183,7 @@ double flicker_m(std::span<const FittedRange> rows) {
     }
     last = &row;
   }
-  return median(std::move(differences_m)) / (kMedianAbsolute * std::numbers::sqrt2);
+  return kSigmaOfMad * median(std::move(differences_m)) / std::numbers::sqrt2;
 }
 
 // Where the information hardly sees a direction, as z of an anchor at the tags' own height, the covariance
@@ -215,8 +205,8 @@ void admit_shift(double shift_m, double first_variance_m2, Eigen::MatrixXd& cova
 }
 
 // Whether the one is about as far below the tags as the other is above: what decides between sides tells so.
-bool is_mirrored(const AnchorFit& first, const AnchorFit& whole) {
-  const double tags_m = tag_spread(whole.problem.rows).center_m.z();
+bool is_mirrored(const AnchorFit& first, const AnchorFit& whole, const TagSpread& spread) {
+  const double tags_m = spread.center_m.z();
   const double mirrored_m = 2.0 * tags_m - whole.anchor(2);
   return std::abs(first.anchor(2) - mirrored_m) < 0.5 * std::abs(mirrored_m - whole.anchor(2));
 }
@@ -323,7 +313,9 @@ void find_sight(Site& site, const model::RangePriors& priors) {
     site.sight = solve_sight(site.polls, first_sight_model(site.polls, priors), site.fits, priors);
 }
 
-Site solve_at_height(const Drive& drive, const Options& options, HeightSource height) {
+enum class Moves { kLookedFor, kNone };
+
+Site solve_at_height(const Drive& drive, const Options& options, HeightSource height, Moves moves) {
   Site site;
   site.association = associate(drive, options.max_pose_gap_s, 0.0, height);
   SiteProblem problem{.association = &site.association,
@@ -340,7 +332,7 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
     find_sight(site, problem.priors);
-    if (can_tell_moves(site.association))
+    if (moves == Moves::kLookedFor && can_tell_moves(site.association))
       site.paths = find_moved(site.polls, site.sight, site.fits, problem.priors);
   }
   explore(site, options.earlier);
@@ -348,10 +340,14 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   return site;
 }
 
+bool has_moves(const Site& site) {
+  return std::any_of(site.paths.begin(), site.paths.end(),
+                     [](const AnchorPath& path) { return !path.moves.empty(); });
+}
+
 // What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
 void look_again(Site& site, const model::RangePriors& priors, const model::Calibration* earlier) {
-  const auto is_moved = [](const AnchorPath& path) { return !path.moves.empty(); };
-  if (!is_within_reach(site.fits) || std::any_of(site.paths.begin(), site.paths.end(), is_moved)) return;
+  if (!is_within_reach(site.fits) || has_moves(site)) return;
   for (AnchorFit& fit : site.fits) {
     fit.problem.sight = nullptr;
     fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
@@ -365,10 +361,10 @@ void look_again(Site& site, const model::RangePriors& priors, const model::Calib
 }
 
 // The robot's height is its own or that of the ground: whichever explains the ranges better.
-Site solve_at_best_height(const Drive& drive, const Options& options) {
-  Site site = solve_at_height(drive, options, HeightSource::kPose);
+Site solve_at_best_height(const Drive& drive, const Options& options, Moves moves) {
+  Site site = solve_at_height(drive, options, HeightSource::kPose, moves);
   if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
-  Site other = solve_at_height(drive, options, HeightSource::kSurface);
+  Site other = solve_at_height(drive, options, HeightSource::kSurface, moves);
   return total_cost(other.fits) < total_cost(site.fits) ? std::move(other) : std::move(site);
 }
 
@@ -432,15 +428,23 @@ std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::sp
 }  // namespace
 
 Result calibrate(const Drive& drive, const Options& options) {
-  Site site = solve_at_best_height(drive, options);
-  // Before the poses are corrected by all ranges: what is held out stays so.
-  std::vector<HeldOut> held_out;
-  for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    held_out.push_back(
-        score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
-  }
   const model::RangePriors priors = usable_priors(drive.priors);
-  DriveError drive_error = correct_drive(site.association, site.fits, priors);
+  Site site;
+  std::vector<HeldOut> held_out;
+  DriveError drive_error;
+  const auto solve = [&](Moves moves) {
+    site = solve_at_best_height(drive, options, moves);
+    // Before the poses are corrected by all ranges: what is held out stays so.
+    held_out.clear();
+    for (std::size_t i = 0; i < site.fits.size(); ++i) {
+      held_out.push_back(
+          score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
+    }
+    drive_error = correct_drive(site.association, site.fits, priors);
+  };
+  solve(Moves::kLookedFor);
+  // Where poses wander by as much as a move is long, anchors that seem to have moved have not.
+  if (has_moves(site) && drive_error.wander.sigma_m > kMovePose_m) solve(Moves::kNone);
   if (!drive_error.body.empty() && !site.sight.anchors.empty()) {
     look_again(site, priors, options.earlier);
     correct_further(site.association, site.fits, priors, drive_error);
@@ -510,7 +514,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     }
     const AnchorFit& first = site.beginning[i];
     if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed &&
-        2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit)) {
+        2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit, known.spread)) {
       admit_shift(fit.anchor(2) - first.anchor(2), held_out[i].height_variance_m2, anchor.covariance);
     }
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;

@@ -135,11 +135,6 @@ std::vector<PairChange> compare_pairs(const std::vector<Shared>& anchors) {
 
 }  // namespace
 
-double bend_over(double way_m) noexcept {
-  constexpr double kRange_m = 2.5;
-  return way_m * way_m / (2.0 * kRange_m);
-}
-
 Frame place_by_frame(const Eigen::Vector3d& place_m) noexcept {
   Frame out;
   out << 1.0, 0.0, 0.0, -place_m.y(),  //

@@ -56,10 +56,6 @@ struct Comparison {
   std::vector<model::NodeId> only_b;
 };
 
-// By how much the spheres of ranges leave their tangent over such a way: where one solution is so far from
-// another, what its covariance says of the directions that ranges leave open is no better.
-[[nodiscard]] double bend_over(double way_m) noexcept;
-
 // The shift of a place by the common frame's (x, y, z, yaw): 3 x 4.
 [[nodiscard]] Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept;
 

@@ -34,7 +34,7 @@ LearningStep learn(const LearningInput& input) {
   }
   if (input.live.anchors.empty() || input.recent.segments() < kMinRecheckSegments) return step;
   const DriveStore::Samples samples = input.recent.samples();
-  model::Calibration recent = calibrate(drive_of(samples, input)).calibration;
+  model::Calibration recent = calibrate(drive_of(samples, input), {.earlier = &input.live}).calibration;
   // What is hardly heard, or through a wall, says nothing of where the anchor is.
   std::erase_if(recent.anchors, [](const model::AnchorCalibration& anchor) {
     return anchor.verdict == model::AnchorVerdict::kNoData ||

@@ -186,10 +186,15 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
   const std::vector<RobustKernel>& kernels =
       own.rows.size() > nexts.rows.size() ? first.kernels : next.kernels;
   const Eigen::Index size = wall_index(own.tag_count);
-  const auto cost = [&](const AnchorProblem& problem, const AnchorFit& start) {
-    return solve_anchor(problem, kernels, start.anchor.head(size), kJoiningSteps).cost;
+  const auto solve = [&](const AnchorProblem& problem, const AnchorVector& start, const AnchorVector& other) {
+    AnchorSolution one = solve_anchor(problem, kernels, start, kJoiningSteps);
+    AnchorSolution another = solve_anchor(problem, kernels, other, kJoiningSteps);
+    return one.cost < another.cost ? one : another;
   };
-  return 2.0 * (std::min(cost(both, first), cost(both, next)) - cost(own, first) - cost(nexts, next));
+  const AnchorVector here = first.anchor.head(size);
+  const AnchorVector there = next.anchor.head(size);
+  const AnchorSolution joined = solve(both, here, there);
+  return 2.0 * (joined.cost - solve(own, here, joined.anchor).cost - solve(nexts, there, joined.anchor).cost);
 }
 
 // Between a piece and the next of the same anchor, if there was one.

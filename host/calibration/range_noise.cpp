@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <vector>
 
+#include "host/calibration/median.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -17,7 +19,6 @@ constexpr std::size_t kFewRows = 50;
 constexpr double kFewProducts = 30.0;
 // A residual beyond so many robust sigmas of its pair is none of a range in sight.
 constexpr double kWithin = 4.0;
-constexpr double kSigmaOfMad = 1.4826;
 // Correlation times that are tried: each longer than the one before by this factor.
 constexpr double kShortest_s = 0.2;
 constexpr double kLongest_s = 20.0;
@@ -29,12 +30,6 @@ struct Residual {
   double t_s = 0.0;
   double value_m = 0.0;
 };
-
-double median_of(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 std::vector<Residual> residuals_in_sight(const AnchorFit& fit, std::size_t tag, std::size_t tag_count) {
   std::vector<Residual> out;
@@ -48,9 +43,9 @@ std::vector<Residual> residuals_in_sight(const AnchorFit& fit, std::size_t tag, 
   std::vector<double> values;
   values.reserve(out.size());
   for (const Residual& residual : out) values.push_back(residual.value_m);
-  const double middle_m = median_of(values);
+  const double middle_m = median(values);
   for (double& value : values) value = std::abs(value - middle_m);
-  const double sigma_m = kSigmaOfMad * median_of(values);
+  const double sigma_m = kSigmaOfMad * median(values);
   std::erase_if(out, [&](const Residual& residual) {
     return std::abs(residual.value_m - middle_m) > kWithin * sigma_m;
   });
@@ -104,13 +99,13 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits, st
     }
   }
   if (pairs.variance_m2.size() < kFewPairs) return std::nullopt;
-  const double whole_m2 = median_of(pairs.variance_m2);
+  const double whole_m2 = median(pairs.variance_m2);
 
   // variance exp(-lag / time) through the medians, by least squares: for each time the best variance.
   std::vector<std::array<double, 2>> points;
   for (std::size_t lag = 0; lag < kLags; ++lag) {
     if (pairs.by_lag_m2[lag].size() < kFewPairs) continue;
-    points.push_back({median_of(pairs.lag_s[lag]), median_of(pairs.by_lag_m2[lag])});
+    points.push_back({median(pairs.lag_s[lag]), median(pairs.by_lag_m2[lag])});
   }
   double best = 0.0;
   double slow_m2 = 0.0;

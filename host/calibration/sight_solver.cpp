@@ -1,6 +1,7 @@
 #include "host/calibration/sight_solver.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "host/calibration/initial_guess.hpp"
@@ -11,6 +12,10 @@ namespace {
 
 // Data ask for the chain where replies alone hold a pair for blocked for so large a share of its polls,
 constexpr double kBlockedByReplies = 0.02;
+// and these are by so much likelier than replies lost one by one, a fifth of them at most,
+constexpr double kBlockedEvidence = 5.0;
+constexpr double kMostLosses = 0.2;
+constexpr std::array kLossesInSight{0.02, 0.01, 0.005};
 // or where residuals longer than so many scales follow each other.
 constexpr double kLong = 3.0;
 constexpr double kLongShare = 0.02;
@@ -105,17 +110,35 @@ bool long_residuals_hang_together(const AnchorFit& fit) {
   return correlation > std::max(kLongCorrelation, kLongSignificance / std::sqrt(neighbours));
 }
 
-bool replies_tell_of_blocking(const SightChain& chain, std::span<const std::vector<Poll>> pairs) {
+// The likeliest logarithm of the evidence of the polls, were each reply lost by itself.
+double log_evidence_of_losses(std::span<const Poll> polls) {
+  const auto missed = static_cast<double>(std::count(polls.begin(), polls.end(), kMissed));
+  const auto told = static_cast<double>(polls.size()) -
+                    static_cast<double>(std::count(polls.begin(), polls.end(), kNotTold));
+  const double share = std::min(missed / told, kMostLosses);
+  return missed * std::log(share) + (told - missed) * std::log1p(-share);
+}
+
+// Replies that are missing here and there are lost by chance: blocking has to tell better why they are.
+bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll>> pairs) {
   SightPosterior posterior;
   std::vector<SightVector> likelihoods;
+  const SightVector believed = chain.reply;
   for (const std::vector<Poll>& polls : pairs) {
     if (polls.size() < kMinPolls) continue;
     const auto is_answered = [](Poll poll) { return poll >= 0 || poll == kReplied; };
     if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
     likelihoods.assign(count_rows(polls), SightVector::Ones());
+    chain.reply = believed;
     infer_sight(chain, polls, likelihoods, posterior);
-    if (shares_of(posterior.answered, posterior.missed).polls(kInSight) < 1.0 - kBlockedByReplies)
-      return true;
+    if (shares_of(posterior.answered, posterior.missed).polls(kInSight) >= 1.0 - kBlockedByReplies) continue;
+    double log_evidence = posterior.log_evidence;
+    for (const double lost : kLossesInSight) {
+      chain.reply(kInSight) = 1.0 - lost;
+      infer_sight(chain, polls, likelihoods, posterior);
+      log_evidence = std::max(log_evidence, posterior.log_evidence);
+    }
+    if (log_evidence > log_evidence_of_losses(polls) + kBlockedEvidence) return true;
   }
   return false;
 }

@@ -132,6 +132,13 @@ void settle_heights(AnchorCalibration& earlier, AnchorCalibration& later) {
   }
 }
 
+// By how much the spheres of ranges leave their tangent over such a way: where one solution is so far from
+// another, what its covariance says of the directions that ranges leave open is no better.
+double bend_over(double way_m) noexcept {
+  constexpr double kRange_m = 2.5;
+  return way_m * way_m / (2.0 * kRange_m);
+}
+
 // Both are in one frame, and independent but for the priors of the biases.
 AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const model::RangePriors& priors) {
   settle_heights(earlier, later);

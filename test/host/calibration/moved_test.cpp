@@ -182,6 +182,24 @@ TEST(Moved, NamesNoneWhereNoneMoved) {
   }
 }
 
+// Poses that wander by as much as a move is long, and do not tell so: what all anchors show is the poses'.
+TEST(Moved, HardlyNamesAnyWherePosesWanderAsFar) {
+  constexpr int kSites = 10;
+  int named = 0;
+  for (std::uint64_t seed = 101; seed < 101 + kSites; ++seed) {
+    const test::SimulatedSite site = test::simulate_site({.route = test::kRoutes[seed % test::kRoutes.size()],
+                                                          .outlier_share = 0.1,
+                                                          .pose_sigma_m = 0.15,
+                                                          .pose_yaw_sigma_rad = 0.02},
+                                                         seed);
+    for (const model::AnchorCalibration& anchor : calibrate(site.drive()).calibration.anchors) {
+      named += anchor.verdict == AnchorVerdict::kMoved ? 1 : 0;
+    }
+  }
+  RecordProperty("named_of_120", named);
+  EXPECT_LE(named, 12 * kSites / 20);
+}
+
 // ---- ids that are not an anchor's own ---------------------------------------------------------------
 
 // Anchor 5 and anchor 11 answer as each other for a while.
