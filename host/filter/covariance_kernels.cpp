@@ -1,5 +1,6 @@
 #include "host/filter/covariance_kernels.hpp"
 
+#include <array>
 #include <cstddef>
 
 #if defined(__x86_64__) && defined(__linux__) && !defined(__SANITIZE_ADDRESS__) && \
@@ -13,12 +14,9 @@ namespace groma::filter {
 
 namespace {
 
-const double* aligned(const double* at) noexcept {
-  return static_cast<const double*>(__builtin_assume_aligned(at, 16));
-}
-
+// All columns begin at a multiple of 64 bytes.
 double* aligned(double* at) noexcept {
-  return static_cast<double*>(__builtin_assume_aligned(at, 16));
+  return static_cast<double*>(__builtin_assume_aligned(at, 64));
 }
 
 }  // namespace
@@ -86,11 +84,11 @@ GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d, co
 }
 
 GROMA_CLONES void subtract_square(double* lower, int stride, int size, const double* g) noexcept {
-  const double* const __restrict v = aligned(g);
+  const double* const __restrict v = g;
   const int end = padded(size);
   // Four columns at once, from the row of the first on.
   for (int j = 0; j < size; j += 4) {
-    double* const column = aligned(lower + static_cast<std::ptrdiff_t>(j) * stride);
+    double* const column = aligned(lower) + static_cast<std::ptrdiff_t>(j) * stride;
     double* const __restrict p0 = column;
     double* const __restrict p1 = column + stride;
     double* const __restrict p2 = column + 2 * static_cast<std::ptrdiff_t>(stride);
@@ -116,16 +114,23 @@ GROMA_CLONES void subtract_column(double* column, int from, int size, double sca
 GROMA_CLONES void add_columns(const double* lower, int stride, int size, int first, int count,
                               const double* w, double* out) noexcept {
   double* const __restrict sum = out;
-  for (int i = 0; i < first; ++i) {
-    const double* const row = lower + static_cast<std::ptrdiff_t>(i) * stride + first;
-    double dot = 0.0;
-    for (int k = 0; k < count; ++k) dot += w[k] * row[k];
-    sum[i] += dot;
-  }
+  std::array<double, kMaxAnchorSize> weight{};
+  std::array<int, kMaxAnchorSize> at{};
+  std::size_t weights = 0;
   for (int k = 0; k < count; ++k) {
     if (w[k] == 0.0) continue;
-    const double* const __restrict column = lower + static_cast<std::ptrdiff_t>(first + k) * stride;
-    const double factor = w[k];
+    weight[weights] = w[k];
+    at[weights++] = first + k;
+  }
+  for (int i = 0; i < first; ++i) {
+    const double* const row = lower + static_cast<std::ptrdiff_t>(i) * stride;
+    double dot = 0.0;
+    for (std::size_t k = 0; k < weights; ++k) dot += weight[k] * row[at[k]];
+    sum[i] += dot;
+  }
+  for (std::size_t k = 0; k < weights; ++k) {
+    const double* const __restrict column = lower + static_cast<std::ptrdiff_t>(at[k]) * stride;
+    const double factor = weight[k];
     for (int i = first + count; i < size; ++i) sum[i] += factor * column[i];
   }
 }

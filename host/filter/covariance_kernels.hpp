@@ -1,7 +1,7 @@
 // The loops over many parameters, apart so that they are compiled for speed, on x86-64 for AVX2 too, which is
 // chosen when the program starts. Each operation is rounded alike in both: results do not depend on it.
 //
-// Vectors and columns begin at multiples of kKernelStep doubles and are padded to one with zeros.
+// Vectors and columns begin at multiples of 64 bytes and are padded with zeros to multiples of kKernelStep.
 #pragma once
 
 #include <cstddef>

@@ -41,8 +41,8 @@ JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
     begin_absence();
     return;
   }
-  lower_.setZero(static_cast<Eigen::Index>(stride_) * stride_);
-  Eigen::Map<Eigen::MatrixXd> all(lower_.data(), stride_, stride_);
+  lower_.resize(static_cast<std::size_t>(stride_ / kKernelStep) * static_cast<std::size_t>(stride_));
+  Eigen::Map<Eigen::MatrixXd> all(lower_data(), stride_, stride_);
   all.block<kFrameSize, kFrameSize>(layout_.frame(), layout_.frame()) = frame_covariance_;
   for (int tag = 0; tag < layout_.tag_count(); ++tag) {
     all.diagonal().segment<3>(layout_.lever_arm(tag)).setConstant(lever_arm_variance_m2_);
@@ -164,7 +164,7 @@ void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const P
   std::array<double, kFrameSize> of_frame{};
   for (int i = 0; i < kFrameSize; ++i) of_frame[static_cast<std::size_t>(i)] = d(kOfFrame + i);
   const auto add = [&](int first, int count, const double* w) {
-    add_columns(lower_.data(), stride_, size_, first, count, w, own);
+    add_columns(lower_data(), stride_, size_, first, count, w, own);
     for (int i = 0; i < count; ++i) {
       for (int k = 0; k < count; ++k) {
         own[first + i] += w[k] * (i < k ? lower(first + k, first + i) : lower(first + i, first + k));
@@ -242,7 +242,7 @@ void JointCovariance::correct(const RangeMeasurement& measurement, Projected& pr
     q[i] *= root;
   }
   if (!considered_) {
-    subtract_square(lower_.data(), stride_, size_, q);
+    subtract_square(lower_data(), stride_, size_, q);
     // Slow errors are considered: their own covariance stays.
     for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
       for (int other = 0; other <= slot; ++other) {

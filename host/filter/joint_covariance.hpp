@@ -8,6 +8,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -103,8 +104,12 @@ class JointCovariance {
   [[nodiscard]] Eigen::MatrixXd parameters(const Site& site, const Parameters& parameters) const;
 
  private:
-  [[nodiscard]] double& lower(int row, int column) noexcept { return lower_(row + column * stride_); }
-  [[nodiscard]] double lower(int row, int column) const noexcept { return lower_(row + column * stride_); }
+  [[nodiscard]] double& lower(int row, int column) noexcept { return lower_data()[row + column * stride_]; }
+  [[nodiscard]] double lower(int row, int column) const noexcept {
+    return lower_data()[row + column * stride_];
+  }
+  [[nodiscard]] double* lower_data() noexcept { return lower_.data()->data(); }
+  [[nodiscard]] const double* lower_data() const noexcept { return lower_.data()->data(); }
   // Rows of the cross-covariance.
   [[nodiscard]] int rows() const noexcept { return size_ + absent_rows_; }
   [[nodiscard]] double get(int i, int j) const noexcept;
@@ -136,7 +141,8 @@ class JointCovariance {
   bool same_row_ = true;
   double slow_scale_ = 1.0;
   // Of what is learnt: the lower triangle, column by column. Empty where nothing is.
-  Eigen::VectorXd lower_;
+  struct alignas(64) Line : std::array<double, kKernelStep> {};
+  std::vector<Line> lower_;
   alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> learns_{};  // 1 learnt, 0 considered
   bool considered_ = false;  // anything but slow errors
 };
