@@ -9,6 +9,7 @@
 
 #include <Eigen/Eigenvalues>
 
+#include "test/host/filter/endurance.hpp"
 #include "test/host/filter/small_site.hpp"
 #include "test/support/allocations.hpp"
 
@@ -335,6 +336,18 @@ TEST_P(EveryModel, NeverAllocatesOnceItStands) {
   static_cast<void>(filter->estimate());
   EXPECT_EQ(test::allocations(), before);
   EXPECT_GT(filter->counters().ranges_used + filter->counters().ranges_not_modelled, 150U);
+}
+
+class Enduring : public ::testing::TestWithParam<Model> {};
+INSTANTIATE_TEST_SUITE_P(Filter, Enduring, ::testing::Values(Model::kSchmidt, Model::kJoint),
+                         [](const ::testing::TestParamInfo<Model>& model) {
+                           return std::string(model_name(model.param));
+                         });
+
+// Ten million are in the long tests.
+TEST_P(Enduring, StaysPositiveWhateverHappens) {
+  for (const double white_sigma_m : {1e-4, 0.1})
+    EXPECT_GT(testing::endure(GetParam(), 200'000, white_sigma_m, 93), -1e-12) << white_sigma_m;
 }
 
 TEST_P(EveryModel, StaysSymmetricAndPositiveOverALongRun) {
