@@ -46,11 +46,6 @@ struct GateConfig {
   // weight sees to what is nearer.
   double knee = 3.0;
 
-  // The factor upon the range sigma: its change with each range, and its bounds.
-  double noise_step = 0.005;
-  double noise_least = 0.5;
-  double noise_most = 4.0;
-
   // When it is the state that is doubted, not the ranges. Blocked ranges are too long, a wrong state makes as
   // many too short: so of late (window_s) the share of those used that stays behind those that are too short
   // tells, and of those that are too long only what lasts (patience_s).
@@ -73,6 +68,17 @@ struct OdometryWatchConfig {
   double noise_sigmas = 6.0;  // by which two rows may differ for their noise
   double lasts_s = 0.5;       // an error that showed by a jump
   double least_speed_mps = 1.0;
+};
+
+// How the noise of ranges follows their innovations: see self_tuning.hpp.
+struct SelfTuningConfig {
+  double most_factor = 10.0;  // upon the white sigma that was told, and below it
+  double difference_s = 3.0;  // ranges of a pair that are closer tell of white noise
+  double step = 0.003;        // of the white sigma with a range
+  double first_step = 0.05;
+  double first_draws = 100.0;
+  double slow_step = 0.002;
+  double slow_most_factor = 3.0;
 };
 
 struct Config {
@@ -106,6 +112,7 @@ struct Config {
 
   GateConfig gate;
   OdometryWatchConfig watch;
+  SelfTuningConfig tuning;
 };
 
 // What is not known of the clocks of a robot's links where nobody told.

@@ -43,12 +43,13 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
   return calibration;
 }
 
-Filter::Snapshot begin(const Site& site, const Config& config) {
+Filter::Snapshot begin(const Site& site, const Config& config, double white_sigma_m) {
   const Parameters parameters(site, config.active_anchors);
   JointCovariance covariance(site, parameters, learning(config.model));
   return {.parameters = parameters,
           .gate = Gate(config.gate),
           .watch = OdometryWatch(config),
+          .tuning = RangeTuning(config.tuning, white_sigma_m),
           .covariance = std::move(covariance)};
 }
 
@@ -65,7 +66,8 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
     : surface_(std::move(surface)),
       site_(tags, on_another_drive(calibration, config), config.lever_arm_sigma_m),
       config_(config),
-      now_(begin(site_, config)) {
+      now_(begin(site_, config,
+                 calibration.range_noise ? calibration.range_noise->white_sigma_m : config.range_sigma_m)) {
   const model::Calibration here = on_another_drive(calibration, config);
   if (here.range_noise) {
     config_.range_sigma_m = here.range_noise->white_sigma_m;
@@ -112,6 +114,7 @@ void Filter::start(const Start& start) noexcept {
   variances(kRowOmega) = square(now_.has_row ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
   now_.covariance.reset_core(variances);
   now_.gate.reset(now_.t_s);
+  now_.tuning.reset();
   now_.last_answer_s.fill(kNever);
   now_.started = true;
 }
@@ -229,11 +232,13 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
 
   RangeResult result;
   result.innovation_m = range.range_m - measurement.range_m;
-  result.innovation_variance_m2 =
-      projected.variance + square(config_.range_sigma_m * now_.gate.noise_scale());
+  result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
   result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   now_.counters.doubts = now_.gate.doubts_begun();
+  const double slow_before = now_.tuning.slow_scale();
+  now_.tuning.observe(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  const double slow_change = now_.tuning.slow_scale() / slow_before;
   if (!(result.weight > 0.0)) {
     result.outcome = RangeOutcome::kGated;
     return result;
@@ -249,6 +254,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   } else {
     now_.covariance.correct(measurement, projected, variance, result.innovation_m, now_.parameters.values());
   }
+  if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
   result.outcome = RangeOutcome::kUsed;
   return result;
 }

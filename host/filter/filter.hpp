@@ -24,6 +24,7 @@
 #include "host/filter/joint_covariance.hpp"
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/parameters.hpp"
+#include "host/filter/self_tuning.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
@@ -106,6 +107,7 @@ class Filter {
     Parameters parameters;
     Gate gate;
     OdometryWatch watch;
+    RangeTuning tuning;
     JointCovariance covariance;
     CoreVector core = CoreVector::Zero();
     model::OdometrySample row{};

@@ -18,8 +18,6 @@ constexpr double kGapStep = 0.02;
 constexpr double kLongGaps = 0.9;
 // Fewer polls than this within the window, and a silence tells nothing.
 constexpr double kReceptionPolls = 10.0;
-// Half of a Gaussian's draws lie within this many sigmas.
-constexpr double kHalfWithin = 0.6744897501960817;
 
 }  // namespace
 
@@ -88,16 +86,8 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const double knees = std::abs(innovation_m) / (sigma * config_.knee);
   if (knees > 1.0) weight /= knees * knees;
   if (!(weight >= kNoWeight)) weight = 0.0;
-  adapt_noise(innovation_m / sigma);
   observe(anchor, t_s, innovation_m, weight);
   return weight;
-}
-
-void Gate::adapt_noise(double e) noexcept {
-  // Ranges that are too short tell of the noise alone.
-  if (e > 0.0) return;
-  const double step = e < -kHalfWithin ? config_.noise_step : -config_.noise_step;
-  noise_scale_ = std::clamp(noise_scale_ * (1.0 + step), config_.noise_least, config_.noise_most);
 }
 
 void Gate::Tally::fade(double until_s, double window_s) noexcept {
@@ -165,7 +155,6 @@ void Gate::renew(int anchor, double t_s) noexcept {
 
 void Gate::reset(double t_s) noexcept {
   pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share});
-  noise_scale_ = 1.0;
   t_s_ = t_s;
   too_short_ = {.t_s = t_s};
   all_ = {.t_s = t_s};

@@ -29,8 +29,6 @@ class Gate {
   [[nodiscard]] double regained_variance_m2(int anchor, int tag) const noexcept;
   // Probability that the pair is blocked, as of its last range.
   [[nodiscard]] double blocked(int anchor, int tag) const noexcept;
-  // Factor upon the configured sigma of ranges that makes innovations as wide as they should be.
-  [[nodiscard]] double noise_scale() const noexcept { return noise_scale_; }
 
   // Not the ranges, the state is wrong: see GateConfig. Where no ranges come there is no doubt either.
   [[nodiscard]] bool doubts(double t_s) const noexcept;
@@ -65,13 +63,11 @@ class Gate {
   Pair& pair(int anchor, int tag) noexcept;
   // Takes note that the pair was heard; the share of its polls that it missed of late, beyond what is usual.
   double listen(Pair& pair, double t_s) noexcept;
-  void adapt_noise(double e) noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 
   GateConfig config_;
   std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
-  double noise_scale_ = 1.0;
   double poll_interval_s_ = 0.0;  // median of the gaps between a pair's ranges; 0: not known yet
   double t_s_ = 0.0;
   Tally too_short_;  // and those used

@@ -114,6 +114,13 @@ void JointCovariance::fade_slow_errors(double factor) noexcept {
   if (slow_scale_ < kFaded) settle_slow_errors();
 }
 
+void JointCovariance::scale_slow_errors(double factor) noexcept {
+  slow_variance_m2_ *= factor * factor;
+  settle_slow_errors();
+  slow_scale_ = factor;
+  settle_slow_errors();
+}
+
 void JointCovariance::settle_slow_errors() noexcept {
   Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {

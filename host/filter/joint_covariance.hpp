@@ -73,6 +73,8 @@ class JointCovariance {
 
   // Slow errors of ranges forget: what relates them to all else falls by that factor, their variance stays.
   void fade_slow_errors(double factor) noexcept;
+  // Slow errors are, and were, larger by that factor.
+  void scale_slow_errors(double factor) noexcept;
 
   // For the models that keep no cross-covariance: H P H^T of the core alone, with its P H^T, and of the
   // parameters alone.

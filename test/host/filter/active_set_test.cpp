@@ -117,7 +117,7 @@ Config config_of(Model model, int active) {
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
   config.gate.knee = 1e9;
-  config.gate.noise_step = 0.0;
+  config.tuning = {.step = 0.0, .first_step = 0.0, .slow_step = 0.0};
   return config;
 }
 

@@ -26,7 +26,7 @@ Config plain_config(Model model) {
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
   config.gate.knee = 1e9;
-  config.gate.noise_step = 0.0;
+  config.tuning = {.step = 0.0, .first_step = 0.0, .slow_step = 0.0};
   config.slow_error_growth = 1.0;
   config.slow_time_growth = 1.0;
   return config;

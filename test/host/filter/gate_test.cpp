@@ -144,29 +144,5 @@ TEST(Gate, DoubtsWhereAsManyAnchorsAreFarOffAsAgreeButForThreeThatAgree) {
   EXPECT_FALSE(doubts(6, 3, 2.0));
 }
 
-TEST(Gate, AdaptsTheNoiseWithinItsBounds) {
-  const GateConfig config;
-  Random random(51);
-  for (const double truth : {0.7, 1.0, 2.0}) {
-    Gate gate(config);
-    double mean = 0.0;
-    for (int i = 0; i < 20000; ++i) {
-      // As the filter does: what is stated follows the factor.
-      const double stated = kSigma_m * gate.noise_scale();
-      static_cast<void>(
-          gate.weigh(i % 6, 0, 0.01 * i, truth * kSigma_m * random.gaussian(), stated * stated));
-      if (i >= 10000) mean += gate.noise_scale() / 10000.0;
-    }
-    EXPECT_NEAR(mean, truth, 0.05 * truth);
-  }
-  Gate gate(config);
-  for (int i = 0; i < 5000; ++i) static_cast<void>(gate.weigh(0, 0, 0.01 * i, -10.0, kVariance_m2));
-  EXPECT_EQ(gate.noise_scale(), config.noise_most);
-  for (int i = 0; i < 5000; ++i) static_cast<void>(gate.weigh(0, 0, 50.0 + 0.01 * i, -0.0, kVariance_m2));
-  EXPECT_EQ(gate.noise_scale(), config.noise_least);
-  gate.reset(100.0);
-  EXPECT_EQ(gate.noise_scale(), 1.0);
-}
-
 }  // namespace
 }  // namespace groma::filter

@@ -12,6 +12,7 @@
 #include "host/filter/gate.hpp"
 #include "host/filter/link_delay.hpp"
 #include "host/filter/odometry_watch.hpp"
+#include "host/filter/self_tuning.hpp"
 #include "test/host/filter/small_site.hpp"
 
 namespace groma::filter {
@@ -139,6 +140,48 @@ TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
   EXPECT_GT(without.nees, 20.0);
   EXPECT_LT(with.nees, 4.0);
   EXPECT_LT(with.mean_m, without.mean_m);
+}
+
+TEST(RangeTuning, FindsTheWhiteSigmaBesideWhatLastsAndWhatIsBlocked) {
+  constexpr double kSigma_m = 0.1;
+  for (const double told_m : {0.03, 0.1, 0.3}) {
+    RangeTuning tuning(SelfTuningConfig{}, told_m);
+    Random random(9);
+    double mean_m = 0.0;
+    for (int i = 0; i < 20000; ++i) {
+      const double t_s = 0.01 * i;
+      const double lasts_m = 0.1 * std::sin(0.3 * t_s);
+      const double excess_m = random.uniform() < 0.15 ? 2.0 * random.uniform() : 0.0;
+      tuning.observe(i % 6, 0, t_s, lasts_m + excess_m + kSigma_m * random.gaussian(),
+                     std::pow(tuning.white_sigma_m(), 2) + 0.005);
+      if (i >= 10000) mean_m += tuning.white_sigma_m() / 10000.0;
+    }
+    EXPECT_NEAR(mean_m, kSigma_m, 0.1 * kSigma_m) << told_m;
+  }
+}
+
+TEST(RangeTuning, ASigmaThatIsWrongByThreeCostsLittle) {
+  const model::Surface flat;
+  const model::Calibration site = testing::six_anchors(0.2);
+  std::vector<double> errors_m;
+  for (const double factor : {1.0, 1.0 / 3.0, 3.0}) {
+    double mean_m = 0.0;
+    double nees = 0.0;
+    for (unsigned seed = 1; seed <= 8; ++seed) {
+      Random random(seed);
+      const testing::Drive drive =
+          testing::drive(flat, site, {0.0, 0.0, 0.2}, {.duration_s = 60.0, .range_s = 0.01}, random);
+      Config config = matching_config();
+      config.range_sigma_m *= factor;
+      const Errors errors = replay(flat, site, config, drive);
+      mean_m += errors.mean_m / 8.0;
+      nees += errors.nees / 8.0;
+    }
+    errors_m.push_back(mean_m);
+    EXPECT_LT(nees, 2.5) << factor;
+  }
+  EXPECT_LT(errors_m[1], 1.1 * errors_m[0]);
+  EXPECT_LT(errors_m[2], 1.1 * errors_m[0]);
 }
 
 // Feeds a pair that is in sight with good ranges.
