@@ -85,14 +85,25 @@ void JointCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
 }
 
 void JointCovariance::propagate(const PoseRows& f) noexcept {
-  // lazyProduct: Eigen would go through its kernels for large matrices.
-  const PoseRows fp = f.lazyProduct(core_);
-  const Eigen::Matrix3d pose = fp.lazyProduct(f.transpose());
+  // The heading's row has three terms. lazyProduct: Eigen would go through its kernels for large matrices.
+  PoseRows fp;
+  fp.topRows<2>() = f.topRows<2>().lazyProduct(core_);
+  fp.row(kTheta) = core_.row(kTheta) + f(kTheta, kYawBias) * core_.row(kYawBias) +
+                   f(kTheta, kRowOmega) * core_.row(kRowOmega);
+  const Eigen::Matrix<double, 3, 2> by_position = fp.lazyProduct(f.topRows<2>().transpose());
+  const double heading = fp(kTheta, kTheta) + f(kTheta, kYawBias) * fp(kTheta, kYawBias) +
+                         f(kTheta, kRowOmega) * fp(kTheta, kRowOmega);
   core_.topRows<3>() = fp;
   core_.leftCols<3>() = fp.transpose();
-  core_.topLeftCorner<3, 3>() = 0.5 * (pose + pose.transpose());
+  core_.topLeftCorner<3, 2>() = by_position;
+  core_(kX, kY) = core_(kY, kX);
+  core_(kX, kTheta) = core_(kTheta, kX);
+  core_(kY, kTheta) = core_(kTheta, kY);
+  core_(kTheta, kTheta) = heading;
 
-  PoseRows motion = f.leftCols<3>().lazyProduct(motion_);
+  PoseRows motion;
+  motion.topRows<2>() = f.topLeftCorner<2, 3>().lazyProduct(motion_);
+  motion.row(kTheta) = motion_.row(kTheta);
   motion.middleCols<3>(3) += f.middleCols<3>(3);
   // Errors of a new row are related to nothing yet.
   if (same_row_) motion.rightCols<3>() += f.rightCols<3>();
