@@ -98,7 +98,9 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
   double square_m2 = 0.0;
   double scale_m = 0.0;
   const std::size_t tags = first.problem.tag_count;
-  const Eigen::MatrixXd covariance = anchor_covariance(gather_evidence(first), 1.0);
+  const Eigen::MatrixXd covariance = first.problem.position.surveyed
+                                         ? anchor_covariance(gather_evidence(first), 1.0)
+                                         : rough_covariance(first);
   for (const Observation& row : rows) {
     if (row.t_s <= from_s) continue;
     const double r = residual_m(row, first.anchor, tags);

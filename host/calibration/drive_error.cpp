@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <optional>
 #include <span>
 #include <utility>
@@ -396,10 +397,14 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   SharedPrior prior = likeliest_prior(equations, question, slow);
   out.wander = prior.wander;
   if (nothing_to_correct(equations, unknowns, prior)) {
-    const JointEquations lasting = slow();
+    // By so much less do rows tell of what lasts.
+    const std::vector<double> lasting = inflations(out.evidence, kWhile_s);
+    const double share = std::accumulate(inflation.begin(), inflation.end(), 0.0) /
+                         std::accumulate(lasting.begin(), lasting.end(), 0.0);
     const Eigen::Index delay = unknowns.delay();
-    const double information = lasting.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
-    out.range_delay_s = lasting.descent(delay) / information;
+    const double information =
+        share * equations.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
+    out.range_delay_s = share * equations.descent(delay) / information;
     out.range_delay_sigma_s = 1.0 / std::sqrt(information);
     out.frame_covariance = frame_covariance(
         unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), mean_antenna_m(fits));

@@ -197,9 +197,8 @@ bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows
   AnchorProblem later = earlier.problem;
   later.rows = rows.subspan(seen);
   const double later_cost = robust_cost(later, earlier.kernels, earlier.anchor);
-  const double cost = robust_cost(earlier.problem, earlier.kernels, earlier.anchor);
   return later_cost / static_cast<double>(rows.size() - seen) >
-         cost / static_cast<double>(seen) + kContradiction;
+         earlier.cost / static_cast<double>(seen) + kContradiction;
 }
 
 // Searches, and keeps what it finds unless the earlier solution leads to a cheaper one.

@@ -253,6 +253,27 @@ Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {
   return 0.5 * (covariance + covariance.transpose());
 }
 
+Eigen::MatrixXd rough_covariance(const AnchorFit& fit) {
+  constexpr std::size_t kRows = 200;
+  const AnchorProblem& problem = fit.problem;
+  const std::size_t tags = problem.tag_count;
+  const std::size_t step = 1 + problem.rows.size() / kRows;
+  std::vector<PairBlock> pairs(tags, PairBlock::Zero());
+  for (std::size_t i = 0; i < problem.rows.size(); i += step) {
+    const Observation& row = problem.rows[i];
+    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
+    const RowValue value = value_of(problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor);
+    add_square(pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags))), value.seen.weight,
+               pairs[row.tag]);
+  }
+  Eigen::MatrixXd information = information_of_priors(problem);
+  for (std::size_t tag = 0; tag < tags; ++tag) {
+    const PairBlock whole = pairs[tag].selfadjointView<Eigen::Lower>();
+    add_pair(whole, static_cast<double>(step), tag, tags, information);
+  }
+  return information.ldlt().solve(Eigen::MatrixXd::Identity(information.rows(), information.cols()));
+}
+
 double prediction_sigma_m(const Observation& row, const AnchorVector& anchor, std::size_t tag_count,
                           const Eigen::MatrixXd& covariance) noexcept {
   const double gamma = anchor(gamma_index(row.tag, tag_count));

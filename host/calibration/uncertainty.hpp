@@ -56,6 +56,11 @@ struct Evidence {
 // prior's covariance, and its error goes on into the biases that were learnt with it held fixed.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
 
+// The inverse of the information that some hundreds of the rows, spread over all of them, have for all: what
+// the drive's way leaves open, without what the residuals tell of the noise. The position must not be
+// surveyed.
+[[nodiscard]] Eigen::MatrixXd rough_covariance(const AnchorFit& fit);
+
 // What the anchor's covariance leaves open of a range, m: the standard deviation of its prediction.
 [[nodiscard]] double prediction_sigma_m(const Observation& row, const AnchorVector& anchor,
                                         std::size_t tag_count, const Eigen::MatrixXd& covariance) noexcept;
