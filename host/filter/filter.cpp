@@ -53,6 +53,12 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
           .covariance = std::move(covariance)};
 }
 
+// The original model knows of no calibration but positions: its noise is the one that it is told.
+double white_sigma_m(const model::Calibration& calibration, const Config& config) noexcept {
+  if (!calibration.range_noise || config.model == Model::kOriginal) return config.range_sigma_m;
+  return calibration.range_noise->white_sigma_m;
+}
+
 LinkDelays delays(const Config& config) noexcept {
   return {.range_s = config.range_delay_s,
           .range_sigma_s = config.range_delay_sigma_s,
@@ -66,13 +72,9 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
     : surface_(std::move(surface)),
       site_(tags, on_another_drive(calibration, config), config.lever_arm_sigma_m),
       config_(config),
-      now_(begin(site_, config,
-                 calibration.range_noise ? calibration.range_noise->white_sigma_m : config.range_sigma_m)) {
+      now_(begin(site_, config, white_sigma_m(calibration, config))) {
   const model::Calibration here = on_another_drive(calibration, config);
-  if (here.range_noise) {
-    config_.range_sigma_m = here.range_noise->white_sigma_m;
-    if (here.range_noise->slow_sigma_m > 0.0) slow_time_s_ = here.range_noise->slow_time_s;
-  }
+  if (here.range_noise && here.range_noise->slow_sigma_m > 0.0) slow_time_s_ = here.range_noise->slow_time_s;
   if (here.range_delay_sigma_s > 0.0) {
     config_.range_delay_s = here.range_delay_s;
     config_.range_delay_sigma_s = here.range_delay_sigma_s;
@@ -237,9 +239,11 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   now_.counters.doubts = now_.gate.doubts_begun();
   const double slow_before = now_.tuning.slow_scale();
-  now_.tuning.observe(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  // The comparisons keep the noise that they were told: what their innovations show is their own error.
+  if (whole) now_.tuning.observe(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   const double slow_change = now_.tuning.slow_scale() / slow_before;
   if (!(result.weight > 0.0)) {
+    if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
     result.outcome = RangeOutcome::kGated;
     return result;
   }

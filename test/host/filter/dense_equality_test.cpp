@@ -122,7 +122,7 @@ class DenseFilter {
     Eigen::RowVectorXd j = Eigen::RowVectorXd::Zero(x_.size());
     for (std::size_t i = 0; i < index.size(); ++i)
       j(kCoreSize + index[i]) = m.d_parameters(static_cast<Eigen::Index>(i));
-    double r = std::pow(noise_.white_sigma_m, 2);
+    double r = std::pow(pure ? config_.range_sigma_m : noise_.white_sigma_m, 2);
     if (config_.model == Model::kInflated) r += (j * p_ * j.transpose())(0);
     if (!pure && config_.model != Model::kInflated) h += j;
     const double s = (h * p_ * h.transpose())(0) + r;

@@ -190,6 +190,28 @@ void feed(Gate& gate, double from_s, double to_s, double every_s, Random& random
     static_cast<void>(gate.weigh(0, 0, t_s, 0.1 * random.gaussian(), 0.01));
 }
 
+TEST(RangeTuning, LeavesTheComparisonsAsTheyWereTold) {
+  // Noise of a third, and biases that these models do not know: a sigma that followed would turn all away.
+  const model::Surface surface = testing::hills(0.2);
+  const model::Calibration calibration = testing::six_anchors();
+  Random random(75);
+  const testing::Drive drive =
+      testing::drive(surface, calibration, {1.0, -2.0, 0.4},
+                     {.duration_s = 60.0, .range_s = 0.01, .range_sigma_m = 0.03}, random);
+  for (const Model model : {Model::kOriginal, Model::kInflated}) {
+    Config config;
+    config.model = model;
+    config.odometry = {0.03, 0.03, 0.01};
+    const Errors errors = replay(surface, calibration, config, drive);
+    EXPECT_EQ(errors.filter->snapshot().tuning.white_sigma_m(), config.range_sigma_m);
+    EXPECT_LT(errors.max_m, 1.0) << model_name(model);
+  }
+  Config config;
+  config.odometry = {0.03, 0.03, 0.01};
+  EXPECT_NEAR(replay(surface, calibration, config, drive).filter->snapshot().tuning.white_sigma_m(), 0.03,
+              0.01);
+}
+
 TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
   Gate gate{GateConfig{}};
   Random random(7);
