@@ -87,11 +87,15 @@ ChainProblem::Solution ChainProblem::solve() {
     next.right.noalias() -= block.next.transpose() * block.alone;
   }
   const Eigen::Index solved = shared.rows() - considered_;
-  shared_root_.compute(shared.topLeftCorner(solved, solved));
-  by_considered_ = shared_root_.solve(shared.bottomLeftCorner(considered_, solved).transpose());
+  by_considered_.setZero(solved, considered_);
   Solution out;
   out.shared = Eigen::VectorXd::Zero(shared.rows());
-  out.shared.head(solved) = shared_root_.solve(shared_right.head(solved));
+  if (solved > 0) {
+    shared_root_.compute(shared.topLeftCorner(solved, solved));
+    out.shared.head(solved) = shared_root_.solve(shared_right.head(solved));
+    if (considered_ > 0)
+      by_considered_ = shared_root_.solve(shared.bottomLeftCorner(considered_, solved).transpose());
+  }
   out.blocks.resize(blocks_.size());
   for (std::size_t k = blocks_.size(); k-- > 0;) {
     out.blocks[k] = blocks_[k].alone - blocks_[k].to_shared * out.shared;
@@ -115,9 +119,11 @@ std::vector<Eigen::MatrixXd> ChainProblem::covariances() const {
     given_shared = std::move(own);
     by_shared = std::move(by);
     const auto solved = by_shared.leftCols(by_shared.cols() - considered_);
-    out[k] = given_shared + solved * shared_root_.solve(solved.transpose());
+    out[k] = given_shared;
+    if (solved.cols() > 0) out[k].noalias() += solved * shared_root_.solve(solved.transpose());
     if (considered_ == 0) continue;
-    const Eigen::MatrixXd off = solved * by_considered_ - by_shared.rightCols(considered_);
+    Eigen::MatrixXd off = -by_shared.rightCols(considered_);
+    if (solved.cols() > 0) off.noalias() += solved * by_considered_;
     out[k].noalias() += off * off.transpose();
   }
   return out;

@@ -69,7 +69,7 @@ TEST_P(Smoothing, IsBetterThanTheFilterAndErrsAsMuchAsItSays) {
     const Score here = score(result.rows[row], drive.truth[row]);
     smoothed.square_m2 += here.square_m2 / kSites;
     smoothed.nees += here.nees / kSites;
-    const model::PlanarEstimate& live = filter::replay(run, options).rows[row];
+    const model::PlanarEstimate live = filter::replay(run, options).rows[row];
     filtered.square_m2 +=
         (std::pow(live.x_m - drive.truth[row].x_m, 2) + std::pow(live.y_m - drive.truth[row].y_m, 2)) /
         kSites;
