@@ -10,8 +10,6 @@
 namespace groma::filter {
 namespace {
 
-using test::Random;
-
 constexpr double kSigma_m = 0.1;
 constexpr double kVariance_m2 = kSigma_m * kSigma_m;
 
