@@ -42,6 +42,11 @@ void FilterInput::add_options(CLI::App& command) {
       ->type_name("X,Y,YAW");
 }
 
+void FilterInput::add_output(CLI::App& command) {
+  command.add_option("-o,--output", output_, "Table to write, one row for each odometry row")->required();
+  command.add_flag("--json", json_, "Print one JSON object");
+}
+
 model::Calibration FilterInput::load_calibration(const io::Dataset& dataset, Warnings& warnings) const {
   if (surveyed_) {
     if (dataset.surveyed_anchors.empty()) {

@@ -20,6 +20,9 @@ class FilterInput {
   // DATASET_OR_LOG, --calibration, --surveyed, --start and those of a selection.
   void add_options(CLI::App& command);
 
+  // -o and --json: of the table that comes of it, and of what is printed.
+  void add_output(CLI::App& command);
+
   struct Drive {
     io::Dataset dataset;  // the selection of it
     model::Calibration calibration;
@@ -33,6 +36,8 @@ class FilterInput {
   [[nodiscard]] Drive read(const char* command, Warnings& warnings) const;
 
   [[nodiscard]] const std::filesystem::path& dataset() const noexcept { return dataset_; }
+  [[nodiscard]] const std::filesystem::path& output() const noexcept { return output_; }
+  [[nodiscard]] bool json() const noexcept { return json_; }
 
  private:
   [[nodiscard]] model::Calibration load_calibration(const io::Dataset& dataset, Warnings& warnings) const;
@@ -43,6 +48,8 @@ class FilterInput {
   bool surveyed_ = false;
   Selection selection_;
   std::optional<std::array<double, 3>> start_;
+  std::filesystem::path output_;
+  bool json_ = false;
 };
 
 }  // namespace groma::cli

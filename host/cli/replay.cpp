@@ -6,7 +6,6 @@
 
 #include <chrono>
 #include <cstdint>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -30,8 +29,6 @@ namespace {
 struct Options {
   FilterInput input;
   std::string model{filter::model_name(filter::Config{}.model)};
-  std::filesystem::path output;
-  bool json = false;
 };
 
 std::vector<std::string> model_names() {
@@ -47,7 +44,7 @@ std::int64_t now_ns() {
 }
 
 int run(const Options& options) {
-  io::expect_writable(options.output);
+  io::expect_writable(options.input.output());
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("replay", warnings);
   filter::ReplayOptions& replay = drive.options;
@@ -62,7 +59,7 @@ int run(const Options& options) {
     throw io::DataError({options.input.dataset() / "odometry.csv"}, "there is no odometry in the chosen time",
                         "choose another --from and --to");
   }
-  io::write_file(options.output, io::format_estimate(result.rows));
+  io::write_file(options.input.output(), io::format_estimate(result.rows));
 
   const filter::Counters& counters = result.counters;
   if (counters.ranges_unknown_anchor > 0) {
@@ -71,7 +68,7 @@ int run(const Options& options) {
   }
   const double duration_s = result.rows.back().t_s - replay.start.t_s;
   const double realtime_factor = wall_s > 0.0 ? duration_s / wall_s : 0.0;
-  if (options.json) {
+  if (options.input.json()) {
     say_json(Json{{"model", options.model},
                   {"ranges_seen", result.ranges_seen},
                   {"ranges_used", counters.ranges_used},
@@ -86,7 +83,7 @@ int run(const Options& options) {
                   {"update_ns", {{"p50", result.update_ns.p50}, {"p99", result.update_ns.p99}}}});
   } else {
     say(fmt::format("{}: {} poses over {:.1f} s, written to {}\n", options.model, result.rows.size(),
-                    duration_s, options.output.string()));
+                    duration_s, options.input.output().string()));
     say(fmt::format("{} ranges seen, {} used, {} gated; {:.0f} times real time\n", result.ranges_seen,
                     counters.ranges_used, counters.ranges_gated, realtime_factor));
   }
@@ -113,9 +110,7 @@ void add_replay(CLI::App& app, Action& action) {
               options->model))
       ->check(CLI::IsMember(model_names()))
       ->type_name("NAME");
-  command->add_option("-o,--output", options->output, "Table to write, one row for each odometry row")
-      ->required();
-  command->add_flag("--json", options->json, "Print one JSON object");
+  options->input.add_output(*command);
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

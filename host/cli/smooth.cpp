@@ -1,7 +1,6 @@
 // groma smooth: a recorded drive in the light of all of it.
 #include <fmt/format.h>
 
-#include <filesystem>
 #include <memory>
 #include <string>
 
@@ -26,12 +25,10 @@ namespace {
 struct Options {
   FilterInput input;
   std::string model{filter::model_name(filter::Model::kSchmidt)};
-  std::filesystem::path output;
-  bool json = false;
 };
 
 int run(const Options& options) {
-  io::expect_writable(options.output);
+  io::expect_writable(options.input.output());
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("smooth", warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
@@ -45,8 +42,8 @@ int run(const Options& options) {
     warnings.add(fmt::format("{}: still moving after {} rounds; is the start right?",
                              options.input.dataset().string(), result.rounds));
   }
-  io::write_file(options.output, io::format_estimate(result.rows));
-  if (options.json) {
+  io::write_file(options.input.output(), io::format_estimate(result.rows));
+  if (options.input.json()) {
     say_json(Json{{"ranges_seen", result.ranges_seen},
                   {"ranges_in_sight", result.ranges_in_sight},
                   {"rounds", result.rounds},
@@ -57,7 +54,7 @@ int run(const Options& options) {
                   {"dropped", to_json(drive.dataset.dropped)}});
   } else {
     say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,
-                    options.output.string()));
+                    options.input.output().string()));
     say(fmt::format(
         "{} ranges, {:.0f} % of them in sight; odometry's scale off by {:.4f}, its yaw rate by "
         "{:.5f} rad/s\n",
@@ -87,9 +84,7 @@ void add_smooth(CLI::App& app, Action& action) {
       ->check(CLI::IsMember({std::string(filter::model_name(filter::Model::kSchmidt)),
                              std::string(filter::model_name(filter::Model::kJoint))}))
       ->type_name("NAME");
-  command->add_option("-o,--output", options->output, "Table to write, one row for each odometry row")
-      ->required();
-  command->add_flag("--json", options->json, "Print one JSON object");
+  options->input.add_output(*command);
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

@@ -11,10 +11,6 @@ namespace groma::filter {
 
 namespace {
 
-bool chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
-  return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
-}
-
 Percentiles percentiles(std::vector<double>& values) {
   if (values.empty()) return {};
   const auto at = [&](double share) {
@@ -27,10 +23,14 @@ Percentiles percentiles(std::vector<double>& values) {
 
 }  // namespace
 
+bool is_chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
+  return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
+}
+
 ReplayResult replay(const Run& run, const ReplayOptions& options) {
   std::vector<model::Tag> tags;
   for (const model::Tag& tag : run.tags) {
-    if (chosen(options.tags, tag.id)) tags.push_back(tag);
+    if (is_chosen(options.tags, tag.id)) tags.push_back(tag);
   }
   const auto filter = std::make_unique<Filter>(*run.surface, tags, *run.calibration, options.config);
 
@@ -58,7 +58,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
 
   const auto take_ranges_up_to = [&](double t_s) {
     for (; range != run.ranges.end() && range->t_s <= t_s; ++range) {
-      if (!chosen(options.tags, range->tag_id) || !chosen(options.anchors, range->anchor_id)) continue;
+      if (!is_chosen(options.tags, range->tag_id) || !is_chosen(options.anchors, range->anchor_id)) continue;
       ++result.ranges_seen;
       const RangeResult update = timed(update_ns, *range);
       if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;

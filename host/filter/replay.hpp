@@ -53,6 +53,9 @@ struct ReplayResult {
   Percentiles update_ns;
 };
 
+// Whether the options' tags or anchors have that one: none named are all.
+[[nodiscard]] bool is_chosen(const std::vector<model::NodeId>& ids, model::NodeId id);
+
 [[nodiscard]] ReplayResult replay(const Run& run, const ReplayOptions& options);
 
 // The first pose prior at or after from_s as a start; none when there is none. Where a pose tells roll and

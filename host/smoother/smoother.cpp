@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <map>
 #include <utility>
 
@@ -497,10 +496,6 @@ class Smoother {
   std::vector<Sighting> sightings_;
 };
 
-bool chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
-  return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
-}
-
 }  // namespace
 
 Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
@@ -526,13 +521,14 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   if (rows.size() < 2) return {};
   std::vector<model::Tag> tags;
   for (const model::Tag& tag : run.tags) {
-    if (chosen(options.tags, tag.id)) tags.push_back(tag);
+    if (filter::is_chosen(options.tags, tag.id)) tags.push_back(tag);
   }
   Smoother smoother(run, options, std::move(tags), std::move(rows));
   smoother.begin(beginning);
   for (const model::RangeSample& range : run.ranges) {
     if (range.t_s < options.start.t_s || range.t_s > beginning.back().t_s) continue;
-    if (chosen(options.tags, range.tag_id) && chosen(options.anchors, range.anchor_id)) smoother.take(range);
+    if (filter::is_chosen(options.tags, range.tag_id) && filter::is_chosen(options.anchors, range.anchor_id))
+      smoother.take(range);
   }
   return smoother.solve();
 }
