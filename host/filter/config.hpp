@@ -5,6 +5,8 @@
 #include <optional>
 #include <string_view>
 
+#include <Eigen/Core>
+
 #include "host/filter/state.hpp"
 #include "host/model/types.hpp"
 
@@ -81,6 +83,24 @@ struct SelfTuningConfig {
   double slow_most_factor = 3.0;
 };
 
+// What is told of sensors beside odometry and ranges.
+struct SensorConfig {
+  double gyro_sigma_radps = 0.005;         // white, a sample, constant until the next
+  double gyro_bias_radps = 0.01;           // sigma of its constant bias
+  double gyro_noise_sigmas = 6.0;          // by which two samples may differ for their noise,
+  double gyro_acceleration_radps2 = 20.0;  // and with time for turning
+  double gyro_hold_s = 0.2;                // silent for longer, odometry's yaw rate holds again
+  Eigen::Vector3d position_lever_arm_m = Eigen::Vector3d::Zero();  // of the antenna, in base_link
+  double standing_sigma_mps = 0.005;
+  double standing_sigma_radps = 0.002;
+
+  // Beyond so many sigmas a sample's weight falls with the square; beyond these it is refused, unless none of
+  // its sensor was used for so long.
+  double knee = 3.0;
+  double wild = 10.0;
+  double patience_s = 2.0;
+};
+
 struct Config {
   Model model = Model::kSchmidt;
 
@@ -113,6 +133,7 @@ struct Config {
   GateConfig gate;
   OdometryWatchConfig watch;
   SelfTuningConfig tuning;
+  SensorConfig sensors;
 };
 
 // What is not known of the clocks of a robot's links where nobody told.

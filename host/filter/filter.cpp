@@ -5,9 +5,15 @@
 #include <limits>
 #include <utility>
 
+#include <Eigen/Cholesky>
+
 #include "host/filter/link_delay.hpp"
+#include "host/filter/pose_measurement.hpp"
+#include "host/filter/position_measurement.hpp"
+#include "host/filter/present_pose.hpp"
 #include "host/filter/propagation.hpp"
 #include "host/filter/range_measurement.hpp"
+#include "host/filter/zero_velocity_measurement.hpp"
 
 namespace groma::filter {
 
@@ -50,6 +56,8 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
           .gate = Gate(config.gate),
           .watch = OdometryWatch(config),
           .tuning = RangeTuning(config.tuning, white_sigma_m),
+          .sensors = SensorGate(config.sensors),
+          .gyro = Gyro(config.sensors),
           .covariance = std::move(covariance)};
 }
 
@@ -114,9 +122,14 @@ void Filter::start(const Start& start) noexcept {
   variances(kRowVx) = square(now_.has_row ? config_.odometry.sigma_vx_mps : config_.hold_walk_mps);
   variances(kRowVy) = square(now_.has_row ? config_.odometry.sigma_vy_mps : config_.hold_walk_mps);
   variances(kRowOmega) = square(now_.has_row ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
+  if (now_.gyro.holds()) {
+    variances(kYawBias) = square(config_.sensors.gyro_bias_radps);
+    variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
+  }
   now_.covariance.reset_core(variances);
   now_.gate.reset(now_.t_s);
   now_.tuning.reset();
+  now_.sensors.reset();
   now_.last_answer_s.fill(kNever);
   now_.started = true;
 }
@@ -125,6 +138,7 @@ void Filter::stop() noexcept {
   now_.started = false;
   now_.has_row = false;
   now_.row = {};
+  now_.gyro = Gyro(config_.sensors);
 }
 
 OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
@@ -256,10 +270,134 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   if (!whole) {
     now_.covariance.correct_core(projected.core, variance);
   } else {
-    now_.covariance.correct(measurement, projected, variance, result.innovation_m, now_.parameters.values());
+    now_.covariance.correct(measurement.d_core, projected, variance, result.innovation_m,
+                            now_.parameters.values());
   }
   if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
   result.outcome = RangeOutcome::kUsed;
+  return result;
+}
+
+SensorResult Filter::process(const model::YawRateSample& sample) noexcept {
+  if (!std::isfinite(sample.t_s + sample.omega_radps))
+    return count(Sensor::kYawRate, {.outcome = SensorOutcome::kBadValue});
+  SensorResult result{.outcome = await(sample.t_s)};
+  if (result.outcome != SensorOutcome::kUsed) return count(Sensor::kYawRate, result);
+  if (!now_.gyro.follows(sample, now_.row.omega_radps))
+    return count(Sensor::kYawRate, {.outcome = SensorOutcome::kJumped});
+  if (!now_.gyro.holds()) renew(kYawBias, square(config_.sensors.gyro_bias_radps));
+  now_.gyro.use(sample);
+  now_.row.omega_radps = sample.omega_radps;
+  renew(kRowOmega, square(config_.sensors.gyro_sigma_radps));
+  result.weight = 1.0;
+  return count(Sensor::kYawRate, result);
+}
+
+void Filter::renew(CoreIndex index, double variance) noexcept {
+  now_.core(index) = 0.0;
+  now_.covariance.renew(index, variance);
+}
+
+SensorResult Filter::process(const model::PositionSample& sample) noexcept {
+  const auto& [xx, xy, yy] = sample.covariance_m2;
+  if (!std::isfinite(sample.t_s + sample.x_m + sample.y_m + xx + xy + yy) || !(xx > 0.0) ||
+      !(xx * yy > xy * xy)) {
+    return count(Sensor::kPosition, {.outcome = SensorOutcome::kBadValue});
+  }
+  const SensorOutcome outcome = await(sample.t_s);
+  if (outcome != SensorOutcome::kUsed) return count(Sensor::kPosition, {.outcome = outcome});
+  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_));
+  return count(Sensor::kPosition,
+               correct(Sensor::kPosition, measure_position(surface_, now, config_.sensors, sample)));
+}
+
+SensorResult Filter::process(const model::PoseSample& sample) noexcept {
+  if (!std::isfinite(sample.t_s + sample.x_m + sample.y_m + sample.yaw_rad) || !sample.covariance ||
+      !model::is_covariance(*sample.covariance)) {
+    return count(Sensor::kPose, {.outcome = SensorOutcome::kBadValue});
+  }
+  const SensorOutcome outcome = await(sample.t_s);
+  if (outcome != SensorOutcome::kUsed) return count(Sensor::kPose, {.outcome = outcome});
+  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_));
+  return count(Sensor::kPose, correct(Sensor::kPose, measure_pose(surface_, now, sample)));
+}
+
+SensorResult Filter::process(const model::ZeroVelocitySample& sample) noexcept {
+  if (!std::isfinite(sample.t_s)) return count(Sensor::kZeroVelocity, {.outcome = SensorOutcome::kBadValue});
+  const SensorOutcome outcome = await(sample.t_s);
+  if (outcome != SensorOutcome::kUsed) return count(Sensor::kZeroVelocity, {.outcome = outcome});
+  return count(Sensor::kZeroVelocity,
+               correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors)));
+}
+
+SensorOutcome Filter::await(double t_s) noexcept {
+  if (!now_.started) return SensorOutcome::kNotStarted;
+  if (t_s < now_.t_s) return SensorOutcome::kOutOfOrder;
+  advance_to(t_s);
+  return SensorOutcome::kUsed;
+}
+
+template <int kSize>
+SensorResult Filter::correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept {
+  using Square = Eigen::Matrix<double, kSize, kSize>;
+  const auto& d_core = measurement.d_core;
+  const Square by_core = d_core.lazyProduct(now_.covariance.core().lazyProduct(d_core.transpose()).eval());
+  const Square variance = by_core + measurement.noise;
+  const Eigen::LLT<Square> root(variance);
+  if (root.info() != Eigen::Success) return {.outcome = SensorOutcome::kBadValue};
+  SensorResult result;
+  result.nis = root.matrixL().solve(measurement.innovation).squaredNorm();
+  result.weight = now_.sensors.weigh(sensor, now_.t_s, result.nis / kSize);
+  if (!(result.weight > 0.0)) {
+    result.outcome = SensorOutcome::kGated;
+    return result;
+  }
+
+  // A weight below one stands for that much more noise: S / weight in place of S. In units of its root the
+  // components are independent, and taken one after the other.
+  const Eigen::LLT<Square> noise(variance / result.weight - by_core);
+  if (noise.info() != Eigen::Success) return {.outcome = SensorOutcome::kBadValue};
+  Eigen::Matrix<double, kSize, kCoreSize> rows = d_core;
+  noise.matrixL().solveInPlace(rows);
+  Eigen::Matrix<double, kSize, 1> innovation = measurement.innovation;
+  noise.matrixL().solveInPlace(innovation);
+  CoreVector change = CoreVector::Zero();
+  for (int i = 0; i < kSize; ++i) {
+    const CoreRow row = rows.row(i);
+    Projected projected;
+    now_.covariance.project(row, projected);
+    const double left = innovation(i) - row.dot(change);
+    change += projected.core * (left / (projected.variance + 1.0));
+    now_.covariance.correct(row, projected, projected.variance + 1.0, left, now_.parameters.values());
+  }
+  now_.core += change;
+  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
+  result.outcome = SensorOutcome::kUsed;
+  return result;
+}
+
+SensorResult Filter::count(Sensor sensor, SensorResult result) noexcept {
+  SensorCounters& counters = now_.counters.sensors[static_cast<std::size_t>(sensor)];
+  switch (result.outcome) {
+    case SensorOutcome::kUsed:
+      ++counters.used;
+      break;
+    case SensorOutcome::kGated:
+      ++counters.gated;
+      break;
+    case SensorOutcome::kJumped:
+      ++counters.jumped;
+      break;
+    case SensorOutcome::kBadValue:
+      ++counters.bad_value;
+      break;
+    case SensorOutcome::kOutOfOrder:
+      ++counters.out_of_order;
+      break;
+    case SensorOutcome::kNotStarted:
+      ++counters.not_started;
+      break;
+  }
   return result;
 }
 
@@ -273,14 +411,28 @@ bool Filter::advance_to(double t_s) noexcept {
 }
 
 void Filter::hold(const model::OdometrySample& row) noexcept {
+  if (now_.gyro.holds() && now_.gyro.is_silent(row.t_s)) {
+    now_.gyro.give_up();
+    renew(kYawBias, square(config_.yaw_rate_bias_radps));
+  }
+  model::OdometrySample held = row;
+  if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
   OdometryDoubt doubt;
-  if (now_.has_row) doubt = now_.watch.judge(now_.row, row);
-  now_.row = row;
+  if (now_.has_row) doubt = now_.watch.judge(now_.row, held);
+  now_.row = held;
   now_.has_row = true;
-  now_.core.segment<3>(kRowVx).setZero();
-  now_.covariance.renew_row({square(config_.odometry.sigma_vx_mps) + doubt.velocity_m2ps2,
-                             square(config_.odometry.sigma_vy_mps) + doubt.velocity_m2ps2,
-                             square(config_.odometry.sigma_omega_radps) + doubt.turn_rad2ps2});
+  const double variance_vx = square(config_.odometry.sigma_vx_mps) + doubt.velocity_m2ps2;
+  const double variance_vy = square(config_.odometry.sigma_vy_mps) + doubt.velocity_m2ps2;
+  if (now_.gyro.holds()) {
+    // Wheels that slip turn the robot no more.
+    doubt.heading_rad2 = 0.0;
+    renew(kRowVx, variance_vx);
+    renew(kRowVy, variance_vy);
+  } else {
+    now_.core.segment<3>(kRowVx).setZero();
+    now_.covariance.renew_row(
+        {variance_vx, variance_vy, square(config_.odometry.sigma_omega_radps) + doubt.turn_rad2ps2});
+  }
   if (doubt.position_m2 > 0.0) {
     now_.covariance.grow(kX, doubt.position_m2);
     now_.covariance.grow(kY, doubt.position_m2);
@@ -303,7 +455,9 @@ void Filter::step(double dt_s) noexcept {
   if (overdue_s > 0.0) {
     now_.covariance.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
     now_.covariance.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
-    now_.covariance.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
+    if (!now_.gyro.holds() || now_.gyro.is_silent(now_.t_s)) {
+      now_.covariance.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
+    }
   }
   if (now_.gate.doubts(now_.t_s)) {
     const CoreMatrix& core = now_.covariance.core();
@@ -391,15 +545,10 @@ Estimate Filter::estimate() const noexcept {
   // The core tells of where the robot was when its odometry was true.
   out.odometry_delay_s = prior.odometry_s(now_.core(kDelay));
   out.range_delay_s += out.odometry_delay_s;
-  Motion motion = move(surface_, now_.core, now_.row, out.odometry_delay_s);
-  CoreVector now = now_.core;
-  now.segment<3>(kX) = motion.pose;
-  const model::SurfacePoint ground = surface_.at(motion.pose.x(), motion.pose.y());
-  const Eigen::Vector3d rate = pose_rate(model::surface_rotation(ground.gradient), now, now_.row);
-  motion.d_core.col(kDelay) -= prior.odometry_share() * rate;
-  out.pose = {motion.pose.x(), motion.pose.y(), model::wrap_angle(motion.pose.z())};
-  const Eigen::Matrix3d moved = motion.d_core * now_.covariance.core() * motion.d_core.transpose();
-  out.covariance = 0.5 * (moved + moved.transpose()) + prior.odometry_variance_s2() * rate * rate.transpose();
+  const PresentPose now = present_pose(surface_, now_.core, now_.row, prior);
+  out.pose = {now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z())};
+  const Eigen::Matrix3d moved = now.d_core * now_.covariance.core() * now.d_core.transpose();
+  out.covariance = 0.5 * (moved + moved.transpose()) + now.noise;
   return out;
 }
 

@@ -20,11 +20,14 @@
 #include <Eigen/Core>
 
 #include "host/filter/config.hpp"
+#include "host/filter/core_measurement.hpp"
 #include "host/filter/gate.hpp"
+#include "host/filter/gyro.hpp"
 #include "host/filter/joint_covariance.hpp"
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/parameters.hpp"
 #include "host/filter/self_tuning.hpp"
+#include "host/filter/sensor_gate.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
@@ -70,6 +73,30 @@ struct RangeResult {
   double weight = 0.0;                  // 0 gated, 1 full
 };
 
+enum class SensorOutcome {
+  kUsed,
+  kGated,       // too far from what is known
+  kJumped,      // a yaw rate that cannot follow the one before it
+  kBadValue,    // not finite, or with a covariance that can be none
+  kOutOfOrder,  // older than the state: refused
+  kNotStarted,
+};
+
+struct SensorResult {
+  SensorOutcome outcome = SensorOutcome::kNotStarted;
+  double nis = 0.0;  // innovation' S^-1 innovation, of samples used or gated
+  double weight = 0.0;
+};
+
+struct SensorCounters {
+  std::size_t used = 0;
+  std::size_t gated = 0;
+  std::size_t jumped = 0;
+  std::size_t bad_value = 0;
+  std::size_t out_of_order = 0;
+  std::size_t not_started = 0;
+};
+
 // Everything that was given to the filter is counted in exactly one of these.
 struct Counters {
   std::size_t ranges_used = 0;
@@ -86,6 +113,7 @@ struct Counters {
   std::size_t odometry_stored = 0;
   std::size_t odometry_out_of_order = 0;
   std::size_t odometry_bad_value = 0;
+  std::array<SensorCounters, kSensors> sensors{};
   std::size_t doubts = 0;            // times the gate began to doubt the state
   std::size_t anchor_exchanges = 0;  // times an anchor took the place of another one
 };
@@ -108,6 +136,8 @@ class Filter {
     Gate gate;
     OdometryWatch watch;
     RangeTuning tuning;
+    SensorGate sensors;
+    Gyro gyro;
     JointCovariance covariance;
     CoreVector core = CoreVector::Zero();
     model::OdometrySample row{};
@@ -135,6 +165,11 @@ class Filter {
 
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
+  // What is told beside odometry and ranges, with any model.
+  SensorResult process(const model::YawRateSample& sample) noexcept;
+  SensorResult process(const model::PositionSample& sample) noexcept;
+  SensorResult process(const model::PoseSample& sample) noexcept;
+  SensorResult process(const model::ZeroVelocitySample& sample) noexcept;
   // Moves the state to t_s by the row held. False, and nothing done, when t_s is not a later time.
   bool advance_to(double t_s) noexcept;
 
@@ -164,6 +199,13 @@ class Filter {
  private:
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
   RangeResult take(const model::RangeSample& range) noexcept;
+  // kUsed where a sensor's sample of that time can be taken; the state is then of that time.
+  SensorOutcome await(double t_s) noexcept;
+  template <int kSize>
+  SensorResult correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept;
+  SensorResult count(Sensor sensor, SensorResult result) noexcept;
+  // The state is unknown anew, but for that variance.
+  void renew(CoreIndex index, double variance) noexcept;
   void hold(const model::OdometrySample& row) noexcept;
   void step(double dt_s) noexcept;
   // The slot whose anchor was silent longest, -1 where none was silent for long enough.

@@ -84,6 +84,14 @@ void JointCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
   same_row_ = false;
 }
 
+void JointCovariance::renew(CoreIndex index, double variance) noexcept {
+  settle_motion();
+  core_.row(index).setZero();
+  core_.col(index).setZero();
+  core_(index, index) = variance;
+  std::fill_n(cross_.begin() + static_cast<std::ptrdiff_t>(index) * kCrossStride, kCrossStride, 0.0);
+}
+
 void JointCovariance::propagate(const PoseRows& f) noexcept {
   // The heading's row has three terms. lazyProduct: Eigen would go through its kernels for large matrices.
   PoseRows fp;
@@ -239,17 +247,23 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
   out.core += by_pair;
 }
 
+void JointCovariance::project(const CoreRow& d_core, Projected& out) noexcept {
+  settle_motion();
+  std::fill_n(out.own.begin(), padded(rows()), 0.0);
+  out.variance = project_core(d_core, out.core);
+}
+
 void JointCovariance::correct_core(const CoreVector& ph, double variance) noexcept {
   // Of one factor, so that rounding keeps it symmetric.
   const CoreVector root = ph / std::sqrt(variance);
   core_.noalias() -= root.lazyProduct(root.transpose());
 }
 
-void JointCovariance::correct(const RangeMeasurement& measurement, Projected& projected, double variance,
-                              double innovation, ParameterVector& values) noexcept {
+void JointCovariance::correct(const CoreRow& d_core, Projected& projected, double variance, double innovation,
+                              ParameterVector& values) noexcept {
   correct_core(projected.core, variance);
   double* const q = projected.own.data();
-  correct_cross(cross_.data(), rows(), measurement.d_core, projected.core / variance, q);
+  correct_cross(cross_.data(), rows(), d_core.transpose(), projected.core / variance, q);
   if (learning_ == Learning::kNothing) return;
 
   const double gain = innovation / variance;

@@ -66,6 +66,8 @@ class JointCovariance {
   void reset_core(const CoreVector& variances) noexcept;
   // Another odometry row: its errors' variances, unrelated to all else.
   void renew_row(const Eigen::Vector3d& variances) noexcept;
+  // One core state begins anew, unrelated to all else.
+  void renew(CoreIndex index, double variance) noexcept;
   // White noise upon a core state.
   void grow(CoreIndex index, double variance) noexcept { core_(index, index) += variance; }
   // P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
@@ -84,10 +86,12 @@ class JointCovariance {
   void correct_core(const CoreVector& ph, double variance) noexcept;
 
   void project(const RangeMeasurement& measurement, const PairPlace& pair, Projected& out) noexcept;
+  // Of what depends on the core alone.
+  void project(const CoreRow& d_core, Projected& out) noexcept;
   // P <- P - P H^T H P / variance, but for what is considered: its own covariance stays. That is the
   // consider (Schmidt) update, equal to its Joseph form for the gain P H^T / variance. The values of what is
   // learnt change by that gain times the innovation.
-  void correct(const RangeMeasurement& measurement, Projected& projected, double variance, double innovation,
+  void correct(const CoreRow& d_core, Projected& projected, double variance, double innovation,
                ParameterVector& values) noexcept;
 
   // An anchor leaves its slot, and another one comes into it; `faded` is what time has left of its slow

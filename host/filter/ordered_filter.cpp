@@ -43,11 +43,28 @@ Place place_of(const RangeSample& range) noexcept {
       2, {range.t_s, static_cast<double>(range.tag_id), static_cast<double>(range.anchor_id), range.range_m}};
 }
 
-template <class Input>
+Place place_of(const model::YawRateSample& sample) noexcept {
+  return {3, {sample.t_s, sample.omega_radps}};
+}
+
+Place place_of(const model::PositionSample& sample) noexcept {
+  return {4, {sample.t_s, sample.x_m, sample.y_m, sample.covariance_m2[0]}};
+}
+
+Place place_of(const model::PoseSample& sample) noexcept {
+  return {5, {sample.t_s, sample.x_m, sample.y_m, sample.yaw_rad}};
+}
+
+Place place_of(const model::ZeroVelocitySample& sample) noexcept {
+  return {6, {sample.t_s}};
+}
+
+template <class Input, std::size_t kAt = 0>
 Place place_of(const Input& input) noexcept {
-  if (const auto* start = std::get_if<Start>(&input)) return place_of(*start);
-  if (const auto* row = std::get_if<OdometrySample>(&input)) return place_of(*row);
-  if (const auto* range = std::get_if<RangeSample>(&input)) return place_of(*range);
+  if constexpr (kAt < std::variant_size_v<Input>) {
+    const auto* held = std::get_if<kAt>(&input);
+    return held != nullptr ? place_of(*held) : place_of<Input, kAt + 1>(input);
+  }
   return {};
 }
 
@@ -103,12 +120,45 @@ RangeResult OrderedFilter::process(const RangeSample& range) noexcept {
   return outcome.range;
 }
 
+template <class Sample>
+SensorResult OrderedFilter::process_sensor(Sensor sensor, const Sample& sample) noexcept {
+  SensorCounters& refused = refused_.sensors[static_cast<std::size_t>(sensor)];
+  const auto place = place_of(sample).values;
+  if (!std::all_of(place.begin(), place.end(), [](double value) { return std::isfinite(value); })) {
+    ++refused.bad_value;
+    return {.outcome = SensorOutcome::kBadValue};
+  }
+  const Outcome outcome = insert(sample);
+  if (!outcome.taken) ++refused.out_of_order;
+  return outcome.sensor;
+}
+
+SensorResult OrderedFilter::process(const model::YawRateSample& sample) noexcept {
+  return process_sensor(Sensor::kYawRate, sample);
+}
+
+SensorResult OrderedFilter::process(const model::PositionSample& sample) noexcept {
+  return process_sensor(Sensor::kPosition, sample);
+}
+
+SensorResult OrderedFilter::process(const model::PoseSample& sample) noexcept {
+  return process_sensor(Sensor::kPose, sample);
+}
+
+SensorResult OrderedFilter::process(const model::ZeroVelocitySample& sample) noexcept {
+  return process_sensor(Sensor::kZeroVelocity, sample);
+}
+
 Counters OrderedFilter::counters() const noexcept {
   Counters sum = filter_.counters();
   sum.odometry_bad_value += refused_.odometry_bad_value;
   sum.odometry_out_of_order += refused_.odometry_out_of_order;
   sum.ranges_bad_value += refused_.ranges_bad_value;
   sum.ranges_out_of_order += refused_.ranges_out_of_order;
+  for (std::size_t i = 0; i < kSensors; ++i) {
+    sum.sensors[i].bad_value += refused_.sensors[i].bad_value;
+    sum.sensors[i].out_of_order += refused_.sensors[i].out_of_order;
+  }
   return sum;
 }
 
@@ -162,6 +212,14 @@ OrderedFilter::Outcome OrderedFilter::apply(const Input& input) noexcept {
     outcome.odometry = filter_.process(*row);
   } else if (const auto* range = std::get_if<RangeSample>(&input)) {
     outcome.range = filter_.process(*range);
+  } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
+    outcome.sensor = filter_.process(*rate);
+  } else if (const auto* position = std::get_if<model::PositionSample>(&input)) {
+    outcome.sensor = filter_.process(*position);
+  } else if (const auto* pose = std::get_if<model::PoseSample>(&input)) {
+    outcome.sensor = filter_.process(*pose);
+  } else if (const auto* standing = std::get_if<model::ZeroVelocitySample>(&input)) {
+    outcome.sensor = filter_.process(*standing);
   }
   return outcome;
 }

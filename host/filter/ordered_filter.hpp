@@ -3,7 +3,7 @@
 //
 // Inputs of the window are kept, and the filter as it was at some instants of it. A late one is put in its
 // place, and the filter goes on from the instant before it. Inputs of one time are taken in an order of their
-// own: starts, odometry, ranges, the latter by tag, anchor and value.
+// own: starts, odometry, ranges by tag, anchor and value, then what other sensors tell.
 #pragma once
 
 #include <array>
@@ -38,6 +38,10 @@ class OrderedFilter {
   // kOutOfOrder: too late, and refused.
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
+  SensorResult process(const model::YawRateSample& sample) noexcept;
+  SensorResult process(const model::PositionSample& sample) noexcept;
+  SensorResult process(const model::PoseSample& sample) noexcept;
+  SensorResult process(const model::ZeroVelocitySample& sample) noexcept;
 
   // As of the newest input.
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
@@ -49,7 +53,8 @@ class OrderedFilter {
   [[nodiscard]] const Filter& filter() const noexcept { return filter_; }
 
  private:
-  using Input = std::variant<Start, model::OdometrySample, model::RangeSample>;
+  using Input = std::variant<Start, model::OdometrySample, model::RangeSample, model::YawRateSample,
+                             model::PositionSample, model::PoseSample, model::ZeroVelocitySample>;
   // The filter before the input of that number; inputs are numbered in their order.
   struct Checkpoint {
     Filter::Snapshot filter;
@@ -60,8 +65,11 @@ class OrderedFilter {
     bool taken = false;
     OdometryOutcome odometry = OdometryOutcome::kOutOfOrder;
     RangeResult range{.outcome = RangeOutcome::kOutOfOrder};
+    SensorResult sensor{.outcome = SensorOutcome::kOutOfOrder};
   };
 
+  template <class Sample>
+  SensorResult process_sensor(Sensor sensor, const Sample& sample) noexcept;
   Outcome insert(const Input& input) noexcept;
   Outcome apply(const Input& input) noexcept;
   void check_in_when_due(std::uint64_t next, double t_s) noexcept;

@@ -5,7 +5,7 @@
 #include <limits>
 #include <memory>
 
-#include "host/model/pose.hpp"
+#include "host/filter/pose_measurement.hpp"
 
 namespace groma::filter {
 
@@ -90,14 +90,7 @@ std::optional<Start> start_from_prior(std::span<const model::PoseSample> priors,
   const auto prior = std::find_if(priors.begin(), priors.end(),
                                   [from_s](const model::PoseSample& pose) { return pose.t_s >= from_s; });
   if (prior == priors.end()) return std::nullopt;
-  double heading = prior->yaw_rad;
-  if (std::isfinite(prior->roll_rad) && std::isfinite(prior->pitch_rad)) {
-    const Eigen::Matrix3d tilt = model::surface_rotation(surface.at(prior->x_m, prior->y_m).gradient);
-    const Eigen::Matrix3d turn =
-        tilt.transpose() * model::rotation_from_zyx(prior->yaw_rad, prior->pitch_rad, prior->roll_rad);
-    heading = std::atan2(turn(1, 0), turn(0, 0));
-  }
-  return Start{.t_s = prior->t_s, .pose = {prior->x_m, prior->y_m, heading}};
+  return Start{.t_s = prior->t_s, .pose = {prior->x_m, prior->y_m, heading_on(surface, *prior)}};
 }
 
 }  // namespace groma::filter

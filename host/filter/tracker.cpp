@@ -6,6 +6,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "host/filter/pose_measurement.hpp"
+
 namespace groma::filter {
 
 namespace {
@@ -63,6 +65,7 @@ Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
                  const model::Calibration& calibration, const Config& config, const TrackerConfig& tracker,
                  const StartSearchConfig& search)
     : config_(tracker),
+      surface_(surface),
       filter_(surface, tags, calibration, config),
       search_(std::move(surface), tags, calibration, config, search) {
   for (const model::Tag& tag : tags) {
@@ -106,6 +109,20 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
   watch(range, result);
   assess();
   return result;
+}
+
+SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
+  const bool can_start = std::isfinite(sample.t_s + sample.x_m + sample.y_m + sample.yaw_rad) &&
+                         sample.covariance && model::is_covariance(*sample.covariance);
+  if (filter_.started() || !can_start) return process_fix(sample);
+  if (!believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
+  const Eigen::Matrix3d covariance = model::to_matrix(*sample.covariance);
+  const bool begun = start({.t_s = sample.t_s,
+                            .pose = {sample.x_m, sample.y_m, heading_on(surface_, sample)},
+                            .position_sigma_m = std::sqrt(largest_variance(covariance)),
+                            .heading_sigma_rad = std::sqrt(covariance(2, 2))});
+  if (!begun) return {.outcome = SensorOutcome::kOutOfOrder};
+  return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
 }
 
 bool Tracker::believe(double t_s) noexcept {

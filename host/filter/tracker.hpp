@@ -7,7 +7,9 @@
 // No clock, no allocation after construction. Inputs may come late as OrderedFilter allows.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -81,6 +83,11 @@ class Tracker {
   bool start(const Start& start, State state = State::kConverging) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
+  SensorResult process(const model::YawRateSample& sample) noexcept { return process_sensor(sample); }
+  SensorResult process(const model::PositionSample& sample) noexcept { return process_fix(sample); }
+  // Begins there, if nothing has begun.
+  SensorResult process(const model::PoseSample& sample) noexcept;
+  SensorResult process(const model::ZeroVelocitySample& sample) noexcept { return process_sensor(sample); }
 
   [[nodiscard]] State state() const noexcept { return state_; }
   [[nodiscard]] Reason reason() const noexcept { return reason_; }
@@ -100,6 +107,11 @@ class Tracker {
     bool heard = false;
   };
 
+  template <class Sample>
+  SensorResult process_sensor(const Sample& sample) noexcept;
+  // Of a sensor that tells where the robot is, as ranges do.
+  template <class Sample>
+  SensorResult process_fix(const Sample& sample) noexcept;
   // False where the input is of a time that cannot be believed yet.
   bool believe(double t_s) noexcept;
   void set_back(double t_s) noexcept;
@@ -111,6 +123,7 @@ class Tracker {
   [[nodiscard]] Reason find_reason() const noexcept;
 
   TrackerConfig config_;
+  model::Surface surface_;
   OrderedFilter filter_;
   StartSearch search_;
   State state_ = State::kUninitialized;
@@ -132,5 +145,21 @@ class Tracker {
   std::size_t relocations_ = 0;
   std::size_t clock_steps_ = 0;
 };
+
+template <class Sample>
+SensorResult Tracker::process_sensor(const Sample& sample) noexcept {
+  if (std::isfinite(sample.t_s) && !believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
+  const SensorResult result = filter_.process(sample);
+  if (result.outcome != SensorOutcome::kUsed && result.outcome != SensorOutcome::kGated) return result;
+  newest_s_ = std::max(newest_s_, sample.t_s);
+  return result;
+}
+
+template <class Sample>
+SensorResult Tracker::process_fix(const Sample& sample) noexcept {
+  const SensorResult result = process_sensor(sample);
+  if (result.outcome == SensorOutcome::kUsed) last_used_s_ = std::max(last_used_s_, sample.t_s);
+  return result;
+}
 
 }  // namespace groma::filter

@@ -81,6 +81,25 @@ struct PoseSample {
   std::optional<PoseCovariance> covariance = std::nullopt;  // none: not known
 };
 
+// Turn about base_link's z axis, as a gyro tells it.
+struct YawRateSample {
+  double t_s = 0.0;
+  double omega_radps = 0.0;
+};
+
+// Where an antenna is in the map frame (GNSS); of its height nothing is told, which the surface knows better.
+struct PositionSample {
+  double t_s = 0.0;
+  double x_m = 0.0;
+  double y_m = 0.0;
+  std::array<double, 3> covariance_m2{};  // xx, xy, yy
+};
+
+// The robot stands.
+struct ZeroVelocitySample {
+  double t_s = 0.0;
+};
+
 // An estimated planar pose: x, y and heading in the map frame with their covariance, in that order.
 struct PlanarEstimate {
   double t_s = 0.0;

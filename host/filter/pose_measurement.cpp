@@ -1,0 +1,27 @@
+#include "host/filter/pose_measurement.hpp"
+
+#include <cmath>
+
+#include "host/model/pose.hpp"
+
+namespace groma::filter {
+
+CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
+                                const model::PoseSample& sample) noexcept {
+  CoreMeasurement<3> out;
+  out.innovation << sample.x_m - now.pose.x(), sample.y_m - now.pose.y(),
+      model::wrap_angle(heading_on(surface, sample) - now.pose.z());
+  out.d_core = now.d_core;
+  out.noise = model::to_matrix(*sample.covariance) + now.noise;
+  return out;
+}
+
+double heading_on(const model::Surface& surface, const model::PoseSample& pose) noexcept {
+  if (!std::isfinite(pose.roll_rad) || !std::isfinite(pose.pitch_rad)) return pose.yaw_rad;
+  const Eigen::Matrix3d tilt = model::surface_rotation(surface.at(pose.x_m, pose.y_m).gradient);
+  const Eigen::Matrix3d turn =
+      tilt.transpose() * model::rotation_from_zyx(pose.yaw_rad, pose.pitch_rad, pose.roll_rad);
+  return std::atan2(turn(1, 0), turn(0, 0));
+}
+
+}  // namespace groma::filter

@@ -1,0 +1,18 @@
+// A pose that another localization tells, such as one by LiDAR: in the map frame, base_link itself.
+#pragma once
+
+#include "host/filter/core_measurement.hpp"
+#include "host/filter/present_pose.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::filter {
+
+// z = x, y, heading at the pose now. The sample's covariance has to be there; its heading is that of
+// heading_on().
+[[nodiscard]] CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
+                                              const model::PoseSample& sample) noexcept;
+
+// The heading of a pose on the surface. Where it tells roll and pitch, taken from its attitude.
+[[nodiscard]] double heading_on(const model::Surface& surface, const model::PoseSample& pose) noexcept;
+
+}  // namespace groma::filter

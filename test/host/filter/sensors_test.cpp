@@ -1,0 +1,412 @@
+// What a gyro, GNSS, another localization and a robot that is known to stand tell.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "host/filter/filter.hpp"
+#include "host/filter/gyro.hpp"
+#include "host/filter/ordered_filter.hpp"
+#include "host/filter/pose_measurement.hpp"
+#include "host/filter/position_measurement.hpp"
+#include "host/filter/present_pose.hpp"
+#include "host/filter/tracker.hpp"
+#include "host/filter/zero_velocity_measurement.hpp"
+#include "test/host/filter/small_site.hpp"
+#include "test/support/allocations.hpp"
+#include "test/support/numerical_jacobian.hpp"
+
+namespace groma::filter {
+namespace {
+
+using test::numerical_jacobian;
+using test::Random;
+
+constexpr std::size_t kGyroAt = static_cast<std::size_t>(Sensor::kYawRate);
+constexpr std::size_t kPositionAt = static_cast<std::size_t>(Sensor::kPosition);
+constexpr std::size_t kPoseAt = static_cast<std::size_t>(Sensor::kPose);
+constexpr std::size_t kStandingAt = static_cast<std::size_t>(Sensor::kZeroVelocity);
+
+const Eigen::Vector3d kLeverArm(0.4, -0.3, 1.5);
+
+CoreVector any_core(Random& random) {
+  CoreVector core;
+  core << random.uniform(-9.0, 9.0), random.uniform(-9.0, 9.0), random.uniform(-3.0, 3.0),
+      0.02 * random.gaussian(), 0.01 * random.gaussian(), 0.02 * random.gaussian(), 0.1 * random.gaussian(),
+      0.1 * random.gaussian(), 0.05 * random.gaussian();
+  return core;
+}
+
+// That of the prediction, which is the measured value less the innovation.
+template <class Measure>
+void expect_jacobian(const Measure& measure, const CoreVector& core, double tolerance) {
+  const auto exact = measure(core).d_core.eval();
+  Eigen::MatrixXd numerical = numerical_jacobian(
+      [&](const Eigen::VectorXd& x) { return Eigen::VectorXd(-measure(CoreVector(x)).innovation); }, core,
+      1e-6);
+  // Of the delay the first order alone is claimed.
+  EXPECT_LT((exact.col(kDelay) - numerical.col(kDelay)).cwiseAbs().maxCoeff(), 2e-3);
+  numerical.col(kDelay) = exact.col(kDelay);
+  EXPECT_LT((exact - numerical).cwiseAbs().maxCoeff(), tolerance);
+}
+
+TEST(Sensors, JacobiansEqualNumericalOnes) {
+  const model::Surface surface = testing::hills(0.5);
+  const LinkDelays delays{.range_s = 0.01, .range_sigma_s = 0.01, .odometry_sigma_s = 0.015};
+  SensorConfig config;
+  config.position_lever_arm_m = kLeverArm;
+  Random random(41);
+  for (int i = 0; i < 20; ++i) {
+    const CoreVector core = any_core(random);
+    const model::OdometrySample row{0.0, 2.0 * random.gaussian(), random.gaussian(), random.gaussian()};
+    const auto position = [&](const CoreVector& at) {
+      return measure_position(surface, present_pose(surface, at, row, delays), config,
+                              {.x_m = 1.0, .y_m = 2.0, .covariance_m2 = {0.04, 0.01, 0.09}});
+    };
+    const auto pose = [&](const CoreVector& at) {
+      return measure_pose(
+          surface, present_pose(surface, at, row, delays),
+          {.yaw_rad = core(kTheta), .covariance = model::PoseCovariance{0.04, 0.01, 0.0, 0.09, 0.0, 0.01}});
+    };
+    const auto standing = [&](const CoreVector& at) { return measure_zero_velocity(at, row, config); };
+    expect_jacobian(position, core, 3e-7);
+    expect_jacobian(pose, core, 3e-7);
+    expect_jacobian(standing, core, 1e-8);
+  }
+}
+
+TEST(Sensors, AnAttitudeTellsTheHeadingOnTheSurface) {
+  const model::Surface surface = testing::hills(0.5);
+  const model::SurfacePose there = model::pose_on_surface(surface, {3.0, -2.0, 0.7});
+  const Eigen::Matrix3d& r = there.pose.rotation;
+  const model::PoseSample sample{.x_m = 3.0,
+                                 .y_m = -2.0,
+                                 .yaw_rad = std::atan2(r(1, 0), r(0, 0)),
+                                 .roll_rad = std::atan2(r(2, 1), r(2, 2)),
+                                 .pitch_rad = -std::asin(r(2, 0))};
+  EXPECT_NEAR(heading_on(surface, sample), 0.7, 1e-12);
+  EXPECT_GT(std::abs(sample.yaw_rad - 0.7), 1e-4);
+}
+
+Config sensor_config(Model model = Model::kSchmidt) {
+  Config config;
+  config.model = model;
+  config.odometry = {0.03, 0.03, 0.01};
+  config.sensors.position_lever_arm_m = kLeverArm;
+  return config;
+}
+
+std::unique_ptr<Filter> filter_of(const Config& config) {
+  return std::make_unique<Filter>(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), config);
+}
+
+// A filter that has driven for 3 s, everything in it correlated.
+std::unique_ptr<Filter> driven(const Config& config) {
+  Random random(6);
+  const testing::Drive drive = testing::drive(testing::hills(0.2), testing::six_anchors(), {},
+                                              {.duration_s = 3.0, .range_s = 0.01}, random);
+  auto filter = filter_of(config);
+  filter->process(drive.odometry.front());
+  filter->start({});
+  auto range = drive.ranges.begin();
+  for (const model::OdometrySample& row : drive.odometry) {
+    for (; range != drive.ranges.end() && range->t_s < row.t_s; ++range) filter->process(*range);
+    filter->process(row);
+  }
+  return filter;
+}
+
+class SensorModels : public ::testing::TestWithParam<Model> {
+ protected:
+  // Core and parameters after the update in Joseph form, of a consider filter that knows nothing of blocks.
+  template <int kSize>
+  void expect_update(const Filter& before, const CoreMeasurement<kSize>& measurement, const Filter& after) {
+    const Eigen::MatrixXd p = testing::whole(before);
+    Eigen::VectorXd learnt = Eigen::VectorXd::Zero(p.rows());
+    learnt.head<kCoreSize>().setOnes();
+    if (GetParam() == Model::kJoint) {
+      learnt.setOnes();
+      for (int i = 0; i < before.parameters().anchor_count(); ++i)
+        learnt(kCoreSize + before.parameters().slow_error(i)) = 0.0;
+    }
+    Eigen::MatrixXd h = Eigen::MatrixXd::Zero(kSize, p.rows());
+    h.leftCols<kCoreSize>() = measurement.d_core;
+    const Eigen::MatrixXd s = h * p * h.transpose() + measurement.noise;
+    const Eigen::MatrixXd gain = learnt.asDiagonal() * p * h.transpose() * s.inverse();
+    const Eigen::MatrixXd rest = Eigen::MatrixXd::Identity(p.rows(), p.rows()) - gain * h;
+    const Eigen::MatrixXd expected =
+        rest * p * rest.transpose() + gain * measurement.noise * gain.transpose();
+    const Eigen::VectorXd sigmas = p.diagonal().cwiseSqrt().cwiseMax(1e-6);
+    const Eigen::MatrixXd off = sigmas.cwiseInverse().asDiagonal() * (testing::whole(after) - expected) *
+                                sigmas.cwiseInverse().asDiagonal();
+    EXPECT_LT(off.cwiseAbs().maxCoeff(), 1e-9);
+    Eigen::VectorXd change(p.rows());
+    change << after.core() - before.core(), after.parameters().values() - before.parameters().values();
+    EXPECT_LT((change - gain * measurement.innovation).cwiseQuotient(sigmas).cwiseAbs().maxCoeff(), 1e-9);
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Sensors, SensorModels, ::testing::Values(Model::kSchmidt, Model::kJoint),
+                         [](const auto& model) { return std::string(model_name(model.param)); });
+
+TEST_P(SensorModels, UpdateEqualsADenseOne) {
+  const Config config = sensor_config(GetParam());
+  const auto before = driven(config);
+  ASSERT_GT(before->covariance().cross().cwiseAbs().maxCoeff(), 1e-5);
+  const Estimate now = before->estimate();
+  const model::Surface surface = testing::hills(0.2);
+  const model::OdometrySample& row = before->snapshot().row;
+  const PresentPose present = present_pose(surface, before->core(), row, {});
+
+  const model::PositionSample position{.t_s = now.t_s,
+                                       .x_m = now.pose.x_m + 0.5,
+                                       .y_m = now.pose.y_m + 0.1,
+                                       .covariance_m2 = {0.09, 0.03, 0.04}};
+  auto after = driven(config);
+  ASSERT_EQ(after->process(position).outcome, SensorOutcome::kUsed);
+  expect_update(*before, measure_position(surface, present, config.sensors, position), *after);
+
+  const model::PoseSample pose{.t_s = now.t_s,
+                               .x_m = now.pose.x_m + 0.1,
+                               .y_m = now.pose.y_m - 0.1,
+                               .yaw_rad = now.pose.theta_rad + 0.03,
+                               .covariance = model::PoseCovariance{0.01, 0.003, 0.001, 0.02, 0.0, 0.001}};
+  after = driven(config);
+  ASSERT_EQ(after->process(pose).outcome, SensorOutcome::kUsed);
+  expect_update(*before, measure_pose(surface, present, pose), *after);
+
+  Config slow = config;
+  slow.sensors.standing_sigma_mps = 1.0;
+  slow.sensors.standing_sigma_radps = 0.5;
+  const auto standing_before = driven(slow);
+  after = driven(slow);
+  ASSERT_EQ(after->process(model::ZeroVelocitySample{now.t_s}).outcome, SensorOutcome::kUsed);
+  expect_update(*standing_before, measure_zero_velocity(standing_before->core(), row, slow.sensors), *after);
+}
+
+// Of drives with all errors drawn from their sigmas, e' P^-1 e / 3 at the end, with a gyro and one other
+// sensor beside odometry, and no range.
+template <class Sense>
+double mean_nees(int drives, bool gyro, const Sense& sense) {
+  const model::Surface surface = testing::hills(0.2);
+  const Config config = sensor_config();
+  double sum = 0.0;
+  for (int seed = 0; seed < drives; ++seed) {
+    Random random(900 + static_cast<std::uint64_t>(seed));
+    const model::PlanarPose begin{0.1 * random.gaussian(), 0.1 * random.gaussian(), 0.05 * random.gaussian()};
+    const testing::Drive drive =
+        testing::drive(surface, testing::six_anchors(), begin, {.duration_s = 20.0}, random);
+    const double gyro_bias = config.sensors.gyro_bias_radps * random.gaussian();
+    const auto filter = filter_of(config);
+    filter->process(drive.odometry.front());
+    filter->start({});
+    for (std::size_t i = 0; i < drive.odometry.size(); ++i) {
+      const model::OdometrySample& row = drive.odometry[i];
+      filter->process(row);
+      if (gyro) {
+        filter->process(
+            model::YawRateSample{row.t_s, testing::true_velocity(row.t_s).z() + gyro_bias +
+                                              config.sensors.gyro_sigma_radps * random.gaussian()});
+      }
+      if (i % 5 == 0) sense(*filter, row.t_s, drive.truth[i], random);
+    }
+    sum += testing::squared_error(filter->estimate(), drive.truth.back()) / 3.0;
+  }
+  return sum / drives;
+}
+
+constexpr auto kNothing = [](Filter&, double, const model::PlanarPose&, Random&) {};
+
+// The mean of 100 has a sigma of 0.08.
+TEST(Sensors, AGyroKeepsTheFilterConsistent) {
+  const double nees = mean_nees(100, true, kNothing);
+  EXPECT_GT(nees, 0.75);
+  EXPECT_LT(nees, 1.25);
+}
+
+TEST(Sensors, PositionsKeepTheFilterConsistent) {
+  const model::Surface surface = testing::hills(0.2);
+  const double nees =
+      mean_nees(100, true, [&](Filter& filter, double t_s, const model::PlanarPose& truth, Random& random) {
+        const Eigen::Vector3d antenna = model::pose_on_surface(surface, truth).pose.rotation * kLeverArm;
+        Eigen::Matrix2d covariance;
+        covariance << 0.04, 0.03, 0.03, 0.09;
+        const Eigen::VectorXd error = random.gaussians(Eigen::MatrixXd(covariance));
+        filter.process(model::PositionSample{.t_s = t_s,
+                                             .x_m = truth.x_m + antenna.x() + error(0),
+                                             .y_m = truth.y_m + antenna.y() + error(1),
+                                             .covariance_m2 = {0.04, 0.03, 0.09}});
+      });
+  EXPECT_GT(nees, 0.75);
+  EXPECT_LT(nees, 1.25);
+}
+
+TEST(Sensors, PosesKeepTheFilterConsistent) {
+  const double nees =
+      mean_nees(100, false, [&](Filter& filter, double t_s, const model::PlanarPose& truth, Random& random) {
+        Eigen::Matrix3d covariance;
+        covariance << 0.04, 0.03, 0.002, 0.03, 0.09, 0.0, 0.002, 0.0, 0.001;
+        const Eigen::VectorXd error = random.gaussians(Eigen::MatrixXd(covariance));
+        filter.process(
+            model::PoseSample{.t_s = t_s,
+                              .x_m = truth.x_m + error(0),
+                              .y_m = truth.y_m + error(1),
+                              .yaw_rad = truth.theta_rad + error(2),
+                              .covariance = model::PoseCovariance{0.04, 0.03, 0.002, 0.09, 0.0, 0.001}});
+      });
+  EXPECT_GT(nees, 0.75);
+  EXPECT_LT(nees, 1.25);
+}
+
+TEST(Sensors, AStandingRobotLearnsTheYawRateBias) {
+  const auto filter = filter_of(sensor_config());
+  Random random(3);
+  filter->process(model::OdometrySample{});
+  filter->start({});
+  for (int i = 1; i <= 600; ++i) {
+    const double t_s = 0.05 * i;
+    filter->process(model::OdometrySample{t_s, 0.03 * random.gaussian(), 0.03 * random.gaussian(),
+                                          0.004 + 0.01 * random.gaussian()});
+    filter->process(model::ZeroVelocitySample{t_s});
+  }
+  const Estimate estimate = filter->estimate();
+  EXPECT_EQ(filter->counters().sensors[kStandingAt].used, 600U);
+  EXPECT_NEAR(estimate.yaw_rate_bias_radps, 0.004, 0.0012);
+  EXPECT_LT(std::hypot(estimate.pose.x_m, estimate.pose.y_m), 0.02);
+  EXPECT_LT(std::abs(estimate.pose.theta_rad), 0.01);
+}
+
+TEST(Sensors, AGyroTurnsTheRobotThoughItsWheelsSlip) {
+  const auto filter = filter_of(sensor_config());
+  filter->process(model::OdometrySample{});
+  filter->start({.heading_sigma_rad = 0.01});
+  for (int i = 1; i <= 500; ++i) {
+    const double t_s = 0.01 * i;
+    filter->process(model::YawRateSample{t_s, 0.3});
+    if (i % 5 == 0) filter->process(model::OdometrySample{t_s, 0.0, 0.0, 1.5});
+  }
+  EXPECT_NEAR(filter->estimate().pose.theta_rad, 0.3 * 4.99, 0.01);
+  // Silent, and odometry's own holds again.
+  const double before = filter->estimate().pose.theta_rad;
+  for (int i = 1; i <= 20; ++i) filter->process(model::OdometrySample{5.0 + 0.05 * i, 0.0, 0.0, 0.1});
+  EXPECT_NEAR(filter->estimate().pose.theta_rad - before, 0.25 * 0.3 + 0.75 * 0.1, 0.03);
+}
+
+TEST(Sensors, WildValuesAreTurnedAwayForTheirReason) {
+  const auto filter = filter_of(sensor_config());
+  filter->process(model::OdometrySample{});
+  EXPECT_EQ(filter->process(model::YawRateSample{0.0, 0.1}).outcome, SensorOutcome::kNotStarted);
+  filter->start({});
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  filter->process(model::YawRateSample{0.0, nan});
+  filter->process(model::YawRateSample{0.01, 0.1});
+  EXPECT_EQ(filter->process(model::YawRateSample{0.02, 5.0}).outcome, SensorOutcome::kJumped);
+  EXPECT_EQ(filter->process(model::YawRateSample{0.01, 0.1}).outcome, SensorOutcome::kOutOfOrder);
+  const SensorCounters& gyro = filter->counters().sensors[kGyroAt];
+  EXPECT_EQ(gyro.used, 1U);
+  EXPECT_EQ(gyro.jumped, 1U);
+  EXPECT_EQ(gyro.bad_value, 1U);
+  EXPECT_EQ(gyro.out_of_order, 1U);
+  EXPECT_EQ(gyro.not_started, 1U);
+
+  filter->process(model::PositionSample{.t_s = 0.02, .covariance_m2 = {0.01, 0.02, 0.01}});
+  const CoreVector before = filter->core();
+  EXPECT_EQ(
+      filter->process(model::PositionSample{.t_s = 0.02, .x_m = 30.0, .covariance_m2 = {0.01, 0.0, 0.01}})
+          .outcome,
+      SensorOutcome::kGated);
+  EXPECT_EQ(filter->core(), before);
+  EXPECT_EQ(filter->counters().sensors[kPositionAt].bad_value, 1U);
+  EXPECT_EQ(filter->counters().sensors[kPositionAt].gated, 1U);
+
+  EXPECT_EQ(filter->process(model::PoseSample{.t_s = 0.02}).outcome, SensorOutcome::kBadValue);
+  EXPECT_EQ(filter->counters().sensors[kPoseAt].bad_value, 1U);
+}
+
+TEST(Sensors, WhatIsTurnedAwayForLongIsHeardAgain) {
+  const auto filter = filter_of(sensor_config());
+  filter->process(model::OdometrySample{});
+  filter->start({});
+  std::size_t first = 0;
+  for (int i = 0; i < 300; ++i) {
+    const double t_s = 0.05 * i;
+    filter->process(model::OdometrySample{t_s + 1e-3, 0.0, 0.0, 0.0});
+    const SensorResult result = filter->process(
+        model::PoseSample{.t_s = t_s + 1e-3,
+                          .x_m = 3.0,
+                          .covariance = model::PoseCovariance{0.01, 0.0, 0.0, 0.01, 0.0, 0.0025}});
+    if (first == 0 && result.outcome == SensorOutcome::kUsed) first = static_cast<std::size_t>(i);
+  }
+  EXPECT_NEAR(static_cast<double>(first) * 0.05, 2.0, 0.1);
+  EXPECT_NEAR(filter->estimate().pose.x_m, 3.0, 0.05);
+}
+
+TEST(Sensors, OutOfOrderTheyCountAsInOrder) {
+  const Config config = sensor_config();
+  const auto twin = filter_of(config);
+  OrderedFilter filter(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), config);
+  twin->start({});
+  filter.start({});
+  Random random(8);
+  for (int step = 0; step < 40; ++step) {
+    const double t_s = 0.1 * step;
+    const model::OdometrySample row{t_s, 0.5, 0.0, 0.1};
+    const model::YawRateSample rate{t_s + 0.01, 0.1 + 0.005 * random.gaussian()};
+    const model::ZeroVelocitySample standing{t_s + 0.02};
+    const model::PositionSample position{
+        .t_s = t_s + 0.03, .x_m = 0.05 * step + 0.3 * random.gaussian(), .covariance_m2 = {0.1, 0.0, 0.1}};
+    const model::PoseSample pose{.t_s = t_s + 0.04,
+                                 .x_m = 0.05 * step,
+                                 .yaw_rad = 0.01 * step,
+                                 .covariance = model::PoseCovariance{0.1, 0.0, 0.0, 0.1, 0.0, 0.1}};
+    twin->process(row);
+    twin->process(rate);
+    twin->process(standing);
+    twin->process(position);
+    twin->process(pose);
+    filter.process(pose);
+    filter.process(standing);
+    filter.process(rate);
+    filter.process(position);
+    filter.process(row);
+  }
+  EXPECT_EQ(filter.filter().core(), twin->core());
+  EXPECT_EQ(testing::whole(filter.filter()), testing::whole(*twin));
+  for (std::size_t i = 0; i < kSensors; ++i) {
+    EXPECT_EQ(filter.counters().sensors[i].used, twin->counters().sensors[i].used) << i;
+    EXPECT_GT(filter.counters().sensors[i].used + filter.counters().sensors[i].gated, 35U) << i;
+  }
+  EXPECT_EQ(filter.process(model::ZeroVelocitySample{1.0}).outcome, SensorOutcome::kOutOfOrder);
+  EXPECT_EQ(filter.counters().sensors[kStandingAt].out_of_order, 1U);
+  EXPECT_EQ(filter.process(model::YawRateSample{5.0, std::nan("")}).outcome, SensorOutcome::kBadValue);
+}
+
+TEST(Sensors, AllocateNothing) {
+  const auto filter = driven(sensor_config(Model::kJoint));
+  const Estimate now = filter->estimate();
+  const std::size_t before = test::allocations();
+  filter->process(model::YawRateSample{now.t_s + 0.01, 0.2});
+  filter->process(model::ZeroVelocitySample{now.t_s + 0.01});
+  filter->process(model::PositionSample{
+      .t_s = now.t_s + 0.01, .x_m = now.pose.x_m, .y_m = now.pose.y_m, .covariance_m2 = {0.1, 0.0, 0.1}});
+  filter->process(model::PoseSample{.t_s = now.t_s + 0.01,
+                                    .x_m = now.pose.x_m,
+                                    .y_m = now.pose.y_m,
+                                    .covariance = model::PoseCovariance{0.1, 0.0, 0.0, 0.1, 0.0, 0.1}});
+  EXPECT_EQ(test::allocations(), before);
+}
+
+TEST(Sensors, AnAbsolutePoseBeginsAndPositionsKeepTracking) {
+  Tracker tracker(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), sensor_config());
+  tracker.process(model::OdometrySample{});
+  const SensorResult begun = tracker.process(model::PoseSample{
+      .t_s = 0.01, .x_m = 2.0, .covariance = model::PoseCovariance{0.01, 0.0, 0.0, 0.04, 0.0, 0.0025}});
+  EXPECT_EQ(begun.outcome, SensorOutcome::kUsed);
+  ASSERT_TRUE(tracker.started());
+  EXPECT_NEAR(tracker.estimate().covariance(0, 0), 0.04, 1e-12);
+}
+
+}  // namespace
+}  // namespace groma::filter
