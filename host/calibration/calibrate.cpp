@@ -271,8 +271,6 @@ std::optional<EarlierPlace> earlier_place(const model::Calibration& earlier, mod
   if (anchor == nullptr || !model::has_position(*anchor)) return std::nullopt;
   EarlierPlace out{.position_m = anchor->position_m,
                    .covariance_m2 = anchor->covariance.topLeftCorner<3, 3>()};
-  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor->position_m);
-  out.covariance_m2 += frame * earlier.common_frame_covariance * frame.transpose();
   out.covariance_m2.diagonal().array() += kFrameSigma_m * kFrameSigma_m;
   if (anchor->verdict != model::AnchorVerdict::kOk) out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
   return out;
@@ -519,6 +517,7 @@ Result calibrate(const Drive& drive, const Options& options) {
         2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit, known.spread)) {
       admit_shift(fit.anchor(2) - first.anchor(2), held_out[i].height_variance_m2, anchor.covariance);
     }
+    model::add_common_frame(anchor, drive_error.unseen_frame_covariance);
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
     anchor.held_out_rms_m = held_out[i].rms_m;
     anchor.held_out_robust_rms_m = held_out[i].robust_rms_m;

@@ -31,13 +31,20 @@ struct Shared {
   bool outlier = false;
 };
 
-Shared make_shared(const model::AnchorCalibration& a, const model::AnchorCalibration& b) {
+// What an anchor's position has for itself, beside the frame.
+Eigen::Matrix3d own_position_covariance(const model::AnchorCalibration& anchor,
+                                        const model::Calibration& calibration) {
+  return model::own_covariance(anchor, calibration.common_frame_covariance).topLeftCorner<3, 3>();
+}
+
+Shared make_shared(const model::Calibration& of_a, const model::AnchorCalibration& a,
+                   const model::Calibration& of_b, const model::AnchorCalibration& b) {
   Shared out;
   out.a = &a;
   out.b = &b;
-  out.frame = place_by_frame(a.position_m);
+  out.frame = model::place_by_frame(a.position_m);
   out.difference_m = b.position_m - a.position_m;
-  out.covariance_m2 = a.covariance.topLeftCorner<3, 3>() + b.covariance.topLeftCorner<3, 3>();
+  out.covariance_m2 = own_position_covariance(a, of_a) + own_position_covariance(b, of_b);
   out.covariance_m2.diagonal().array() += kLeastVariance_m2;
   const auto is_height_weak = [](const model::AnchorCalibration& anchor) {
     return anchor.verdict == model::AnchorVerdict::kWeakZ || anchor.verdict == model::AnchorVerdict::kWeak;
@@ -135,14 +142,6 @@ std::vector<PairChange> compare_pairs(const std::vector<Shared>& anchors) {
 
 }  // namespace
 
-Frame place_by_frame(const Eigen::Vector3d& place_m) noexcept {
-  Frame out;
-  out << 1.0, 0.0, 0.0, -place_m.y(),  //
-      0.0, 1.0, 0.0, place_m.x(),      //
-      0.0, 0.0, 1.0, 0.0;
-  return out;
-}
-
 Comparison compare(const model::Calibration& a, const model::Calibration& b) {
   Comparison out;
   std::vector<Shared> shared;
@@ -153,7 +152,7 @@ Comparison compare(const model::Calibration& a, const model::Calibration& b) {
   for (const model::AnchorCalibration& anchor : a.anchors) {
     if (!model::has_position(anchor)) continue;
     if (const auto* other = find_placed(b, anchor.id)) {
-      shared.push_back(make_shared(anchor, *other));
+      shared.push_back(make_shared(a, anchor, b, *other));
     } else {
       out.only_a.push_back(anchor.id);
     }

@@ -56,9 +56,6 @@ struct Comparison {
   std::vector<model::NodeId> only_b;
 };
 
-// The shift of a place by the common frame's (x, y, z, yaw): 3 x 4.
-[[nodiscard]] Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept;
-
 [[nodiscard]] Comparison compare(const model::Calibration& a, const model::Calibration& b);
 
 // Upper tails of the chi-square distribution.

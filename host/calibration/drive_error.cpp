@@ -233,8 +233,13 @@ Eigen::Vector2d mean_antenna_m(std::span<const AnchorFit> fits) {
 }
 
 // Covariance of the mean of all knots, and what no range can tell, about the map's origin.
-Eigen::Matrix4d frame_covariance(const Knots& knots, const Eigen::MatrixXd& covariance,
-                                 const Eigen::Vector2d& center_m) {
+void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span<const AnchorFit> fits,
+                DriveError& out) {
+  if (std::any_of(fits.begin(), fits.end(),
+                  [](const AnchorFit& fit) { return fit.problem.position.surveyed; })) {
+    return;
+  }
+  const Eigen::Vector2d center_m = mean_antenna_m(fits);
   Eigen::Matrix3d mean = Eigen::Matrix3d::Zero();
   const double knots_squared = static_cast<double>(knots.count * knots.count);
   for (Eigen::Index i = 0; i < knots.count; ++i) {
@@ -245,13 +250,13 @@ Eigen::Matrix4d frame_covariance(const Knots& knots, const Eigen::MatrixXd& cova
   about_center.topLeftCorner<2, 2>() = mean.topLeftCorner<2, 2>();
   about_center(3, 3) = mean(2, 2);
   const double square_m2 = kFrameSigma_m * kFrameSigma_m;
-  about_center.diagonal() +=
-      Eigen::Vector4d(square_m2, square_m2, square_m2, kFrameSigma_rad * kFrameSigma_rad);
+  const Eigen::Vector4d unseen(square_m2, square_m2, square_m2, kFrameSigma_rad * kFrameSigma_rad);
   // A turn about the center is a turn about the origin and the shift that takes the center back.
   Eigen::Matrix4d about_origin = Eigen::Matrix4d::Identity();
   about_origin(0, 3) = center_m.y();
   about_origin(1, 3) = -center_m.x();
-  return about_origin * about_center * about_origin.transpose();
+  out.unseen_frame_covariance = about_origin * unseen.asDiagonal() * about_origin.transpose();
+  out.frame_covariance = about_origin * about_center * about_origin.transpose() + out.unseen_frame_covariance;
 }
 
 // How large the patterns of the tags' antennas are, a coefficient: zero where they are not known.
@@ -368,7 +373,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
     const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
     out.added_covariance[i] += out.pattern_m * out.pattern_m * response * response.transpose();
   }
-  out.frame_covariance = frame_covariance(unknowns.knots, covariance, mean_antenna_m(fits));
+  tell_frame(unknowns.knots, covariance, fits, out);
   out.shared_covariance = std::move(covariance);
 }
 
@@ -406,8 +411,7 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
         share * equations.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
     out.range_delay_s = share * equations.descent(delay) / information;
     out.range_delay_sigma_s = 1.0 / std::sqrt(information);
-    out.frame_covariance = frame_covariance(
-        unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), mean_antenna_m(fits));
+    tell_frame(unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), fits, out);
     return out;
   }
   out.unknowns = arrange(fits, association.pose_spreads, question, prior);

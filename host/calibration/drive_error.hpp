@@ -33,8 +33,11 @@ struct DriveError {
   // it. Empty where nothing was corrected.
   Eigen::MatrixXd shared_covariance;
   std::vector<Eigen::MatrixXd> shared_gain;
-  // Of the shift and turn (x, y, z, yaw about the map's origin) that all poses share.
+  // Of the shift and turn (x, y, z, yaw about the map's origin) that all poses share, and what of it no range
+  // can tell: that is not in what is added to the anchors. Both zero where an anchor was surveyed: the survey
+  // makes the frame then.
   Eigen::Matrix4d frame_covariance = Eigen::Matrix4d::Zero();
+  Eigen::Matrix4d unseen_frame_covariance = Eigen::Matrix4d::Zero();
   // What is believed, and what has been taken off the rows.
   SharedUnknowns unknowns;
   SharedPrior prior;

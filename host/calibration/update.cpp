@@ -68,9 +68,14 @@ void set_values(AnchorCalibration& anchor, const Eigen::VectorXd& values, const 
 
 // Shifts and turns the anchor by a small offset of the frame, and adds that offset's uncertainty.
 void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen::Matrix4d& covariance) {
-  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+  const Eigen::Matrix<double, 3, 4> frame = model::place_by_frame(anchor.position_m);
   anchor.position_m += frame * offset;
   anchor.covariance.topLeftCorner<3, 3>() += frame * covariance * frame.transpose();
+}
+
+// Of an anchor, without what it shares with the others.
+void keep_own(AnchorCalibration& anchor, const model::Calibration& of) {
+  if (has_position(anchor)) anchor.covariance = model::own_covariance(anchor, of.common_frame_covariance);
 }
 
 // The parameters of several calibrations' blocks, each tag once.
@@ -230,10 +235,12 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
 
   std::map<model::NodeId, AnchorCalibration> anchors;
   for (AnchorCalibration anchor : earlier.anchors) {
+    keep_own(anchor, earlier);
     if (has_position(anchor)) shift(anchor, earlier_shift, Eigen::Matrix4d::Zero());
     anchors.emplace(anchor.id, std::move(anchor));
   }
   for (AnchorCalibration anchor : later.anchors) {
+    keep_own(anchor, later);
     const auto known = anchors.find(anchor.id);
     const bool was_known = known != anchors.end() && has_position(known->second);
     const bool is_heard = has_position(anchor) && anchor.verdict != AnchorVerdict::kNoData;
@@ -265,8 +272,11 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
   calibration = later;
   calibration.frame = earlier.frame;
   calibration.anchors.clear();
-  for (auto& [id, anchor] : anchors) calibration.anchors.push_back(std::move(anchor));
   calibration.common_frame_covariance = 0.5 * (common + common.transpose());
+  for (auto& [id, anchor] : anchors) {
+    if (has_position(anchor)) model::add_common_frame(anchor, calibration.common_frame_covariance);
+    calibration.anchors.push_back(std::move(anchor));
+  }
   if (!later.range_noise) calibration.range_noise = earlier.range_noise;
   if (!(later.range_delay_sigma_s > 0.0)) {
     calibration.range_delay_s = earlier.range_delay_s;

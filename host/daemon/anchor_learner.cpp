@@ -179,9 +179,8 @@ bool AnchorLearner::take_in_learnt(bool last) {
   }
   if (!wanted) return false;
   const model::Calibration before = std::exchange(live_, setup_.earlier);
-  const Eigen::Matrix4d& frame = learnt_.calibration.common_frame_covariance;
   if (setup_.earlier.anchors.empty()) {
-    live_.common_frame_covariance = frame;
+    live_.common_frame_covariance = learnt_.calibration.common_frame_covariance;
     live_.range_delay_s = learnt_.calibration.range_delay_s;
     live_.range_delay_sigma_s = learnt_.calibration.range_delay_sigma_s;
     live_.range_noise = learnt_.calibration.range_noise;
@@ -189,8 +188,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
   } else {
     // The filter's poses wander within the frame of the anchors that it tracks by.
     for (model::AnchorCalibration& anchor : learnt) {
-      const Eigen::Matrix<double, 3, 4> by_frame = calibration::place_by_frame(anchor.position_m);
-      anchor.covariance.topLeftCorner<3, 3>() += by_frame * frame * by_frame.transpose();
+      model::add_common_frame(anchor, live_.common_frame_covariance);
     }
   }
   live_.input_sha256 = learnt_.calibration.input_sha256;

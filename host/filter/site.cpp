@@ -35,6 +35,8 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     anchor.values.head<3>() = told.position_m;
     anchor.covariance.setZero(size, size);
     const auto pairs = static_cast<Eigen::Index>(told.pairs.size());
+    // What the anchors share is a parameter of its own.
+    const Eigen::MatrixXd own = model::own_covariance(told, frame_covariance_);
     // Where each row of the calibration's block goes, -1 for tags that are not ours.
     const auto target = [&](Eigen::Index row) {
       if (row < 3) return static_cast<int>(row);
@@ -42,11 +44,11 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
       if (tag < 0) return -1;
       return row - 3 < pairs ? 3 + tag : 3 + tag_count_ + tag;
     };
-    for (Eigen::Index i = 0; i < told.covariance.rows(); ++i) {
-      for (Eigen::Index j = 0; j < told.covariance.cols(); ++j) {
+    for (Eigen::Index i = 0; i < own.rows(); ++i) {
+      for (Eigen::Index j = 0; j < own.cols(); ++j) {
         const int row = target(i);
         const int column = target(j);
-        if (row >= 0 && column >= 0) anchor.covariance(row, column) = told.covariance(i, j);
+        if (row >= 0 && column >= 0) anchor.covariance(row, column) = own(i, j);
       }
     }
     anchor.covariance(size - 1, size - 1) = slow_variance_m2_;

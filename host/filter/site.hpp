@@ -33,7 +33,8 @@ struct SiteAnchor {
   bool is_learnt = false;  // the calibration is sure of it: one that is not may have more than one solution
   std::array<bool, kMaxTags> knows_tag{};
   AnchorVector values;
-  AnchorMatrix covariance;  // the slow error's variance last, related to nothing
+  // Without what the frame adds; the slow error's variance last, related to nothing.
+  AnchorMatrix covariance;
 };
 
 class Site {

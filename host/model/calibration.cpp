@@ -2,6 +2,9 @@
 
 #include <algorithm>
 
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
 namespace groma::model {
 
 bool has_position(const AnchorCalibration& anchor) noexcept {
@@ -14,6 +17,46 @@ const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) 
   const auto found = std::find_if(calibration.anchors.begin(), calibration.anchors.end(),
                                   [id](const AnchorCalibration& anchor) { return anchor.id == id; });
   return found == calibration.anchors.end() ? nullptr : &*found;
+}
+
+Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept {
+  Eigen::Matrix<double, 3, 4> out;
+  out << 1.0, 0.0, 0.0, -place_m.y(),  //
+      0.0, 1.0, 0.0, place_m.x(),      //
+      0.0, 0.0, 1.0, 0.0;
+  return out;
+}
+
+Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
+                               const Eigen::Matrix4d& common_frame_covariance) {
+  Eigen::MatrixXd own = anchor.covariance;
+  if (common_frame_covariance.isZero(0.0)) return own;
+  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+  const Eigen::Matrix3d shared = frame * common_frame_covariance * frame.transpose();
+  // The frame has nothing to do with biases: what the position has room for is its covariance given them.
+  const Eigen::Index biases = own.rows() - 3;
+  Eigen::Matrix3d room = own.topLeftCorner<3, 3>();
+  if (biases > 0) {
+    const Eigen::MatrixXd with_biases = own.topRightCorner(3, biases);
+    room -= with_biases * own.bottomRightCorner(biases, biases).ldlt().solve(with_biases.transpose());
+  }
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(0.5 * (room + room.transpose()));
+  const Eigen::Vector3d sigmas = axes.eigenvalues().cwiseMax(0.0).cwiseSqrt();
+  const Eigen::Vector3d inverse = (sigmas.array() > 0.0).select(sigmas.cwiseInverse(), 0.0);
+  // In units of the room: at most one of it is taken along each axis.
+  const Eigen::Matrix3d to_room = inverse.asDiagonal() * axes.eigenvectors().transpose();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> shares(to_room * shared * to_room.transpose());
+  const Eigen::Matrix3d from_room = axes.eigenvectors() * sigmas.asDiagonal() * shares.eigenvectors();
+  const Eigen::Matrix3d taken =
+      from_room * shares.eigenvalues().cwiseMax(0.0).cwiseMin(1.0).asDiagonal() * from_room.transpose();
+  own.topLeftCorner<3, 3>() -= 0.5 * (taken + taken.transpose());
+  return own;
+}
+
+void add_common_frame(AnchorCalibration& anchor, const Eigen::Matrix4d& common_frame_covariance) {
+  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+  const Eigen::Matrix3d shared = frame * common_frame_covariance * frame.transpose();
+  anchor.covariance.topLeftCorner<3, 3>() += 0.5 * (shared + shared.transpose());
 }
 
 Calibration surveyed_calibration(std::span<const Anchor> anchors, std::span<const Tag> tags,

@@ -35,6 +35,7 @@ struct AnchorCalibration {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   std::vector<PairBias> pairs;  // by tag id, ascending; T of them
   // (3 + 2T) x (3 + 2T): position, then beta of each pair, then gamma of each pair, in the order of `pairs`.
+  // All of the anchor's error, what it shares with the others by the common frame among it.
   Eigen::MatrixXd covariance;
   std::size_t ranges_used = 0;
   std::size_t ranges_rejected = 0;
@@ -73,8 +74,10 @@ struct Calibration {
   std::string frame = "map";
   std::vector<AnchorCalibration> anchors;  // by id, ascending
   std::vector<TagCalibration> tags;        // by id, ascending: those of which there is something to tell
-  // Covariance (x, y, z, yaw about the map's origin) of the frame error that all anchors share through the
-  // drive's poses: a + (x, y, z) + yaw (z axis x a).
+  // Covariance F (x, y, z, yaw about the map's origin) of the frame error that all anchors share through the
+  // drive's poses: a + (x, y, z) + yaw (z axis x a). It is a part of each anchor's block, not on top of it:
+  // between the positions of two anchors stands place_by_frame(a) F place_by_frame(b)^T, and own_covariance()
+  // is what is left of a block. Zero: errors of anchors are independent.
   Eigen::Matrix4d common_frame_covariance = Eigen::Matrix4d::Zero();
   // Ranges are stamped so much later than measured, against the poses; both zero: not observed.
   double range_delay_s = 0.0;
@@ -87,6 +90,17 @@ struct Calibration {
 
 // Null where there is none of that id.
 [[nodiscard]] const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) noexcept;
+
+// The shift of a place by the common frame's (x, y, z, yaw): 3 x 4.
+[[nodiscard]] Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept;
+
+// The anchor's block less what it has of the common frame: what is independent of the other anchors. Where
+// the frame is said to vary more than the block has room for, given its biases, only what there is room for
+// is taken off, so that it stays a covariance.
+[[nodiscard]] Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
+                                             const Eigen::Matrix4d& common_frame_covariance);
+// Makes an own covariance the whole block again.
+void add_common_frame(AnchorCalibration& anchor, const Eigen::Matrix4d& common_frame_covariance);
 
 // Positions as surveyed, with that sigma an axis; beta and gamma of each pair at their priors; no error of a
 // common frame.

@@ -55,7 +55,8 @@ class Shared {
     root_(kDelay, kDelay) = delay_is_observed
                                 ? std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s)
                                 : config.range_delay_sigma_s;
-    for (std::size_t slot = 0; slot < anchors_.size(); ++slot) add_anchor(slot, tags);
+    for (std::size_t slot = 0; slot < anchors_.size(); ++slot)
+      add_anchor(slot, tags, calibration.common_frame_covariance);
     for (Eigen::Index tag = 0; tag < tags_; ++tag) {
       mean_.segment<3>(lever_arm(tag)) = tags[static_cast<std::size_t>(tag)].lever_arm_m;
       root_.diagonal().segment<3>(lever_arm(tag)).setConstant(config.lever_arm_sigma_m);
@@ -116,8 +117,10 @@ class Shared {
         eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal();
   }
 
-  void add_anchor(std::size_t slot, const std::vector<model::Tag>& tags) {
+  void add_anchor(std::size_t slot, const std::vector<model::Tag>& tags,
+                  const Eigen::Matrix4d& frame_covariance) {
     const model::AnchorCalibration& anchor = *anchors_[slot];
+    const Eigen::MatrixXd own = model::own_covariance(anchor, frame_covariance);
     const auto a = static_cast<Eigen::Index>(slot);
     mean_.segment<3>(position(a)) = anchor.position_m;
     const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
@@ -135,7 +138,7 @@ class Shared {
     Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags_, 3 + 2 * tags_);
     for (const auto& [from_row, to_row] : rows) {
       for (const auto& [from_column, to_column] : rows) {
-        block(to_row, to_column) = anchor.covariance(from_row, from_column);
+        block(to_row, to_column) = own(from_row, from_column);
       }
     }
     set_root(position(a), block);

@@ -20,6 +20,7 @@ namespace groma::calibration {
 namespace {
 
 using model::AnchorVerdict;
+using model::place_by_frame;
 using testing::ElementsAre;
 using testing::IsEmpty;
 
@@ -62,10 +63,19 @@ Pair draw_pair(std::uint64_t seed, std::size_t anchors = 12, double sigma_m = 0.
                               .beta_sigma_m = std::sqrt(anchor.covariance(3, 3)),
                               .gamma = 1.0 + error(4),
                               .gamma_sigma = std::sqrt(anchor.covariance(4, 4))});
+      model::add_common_frame(anchor, calibration->common_frame_covariance);
       anchor.verdict = AnchorVerdict::kOk;
       anchor.ranges_used = 1000;
     }
   }
+  return out;
+}
+
+// The block less what the calibration says that all anchors share.
+Eigen::MatrixXd own(const model::AnchorCalibration& anchor, const model::Calibration& calibration) {
+  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+  Eigen::MatrixXd out = anchor.covariance;
+  out.topLeftCorner<3, 3>() -= frame * calibration.common_frame_covariance * frame.transpose();
   return out;
 }
 
@@ -110,7 +120,8 @@ TEST(Comparison, IsTheConditionalOfTheJointGaussian) {
     const auto& a = pair.a.anchors[static_cast<std::size_t>(i)];
     const auto& b = pair.b.anchors[static_cast<std::size_t>(i)];
     frames.middleRows<3>(3 * i) = place_by_frame(a.position_m);
-    joint.block<3, 3>(3 * i, 3 * i) = a.covariance.topLeftCorner<3, 3>() + b.covariance.topLeftCorner<3, 3>();
+    joint.block<3, 3>(3 * i, 3 * i) =
+        own(a, pair.a).topLeftCorner<3, 3>() + own(b, pair.b).topLeftCorner<3, 3>();
     difference.segment<3>(3 * i) = b.position_m - a.position_m;
   }
   joint += frames * (pair.a.common_frame_covariance + pair.b.common_frame_covariance) * frames.transpose();
@@ -190,20 +201,21 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
   information.block<4, 4>(frames + 4, frames + 4) = pair.b.common_frame_covariance.inverse();
   for (Eigen::Index i = 0; i < 4; ++i) {
     for (Eigen::Index drive = 0; drive < 2; ++drive) {
-      const auto& anchor = (drive == 0 ? pair.a : pair.b).anchors[static_cast<std::size_t>(i)];
-      Eigen::MatrixXd own = anchor.covariance.inverse();
+      const model::Calibration& calibration = drive == 0 ? pair.a : pair.b;
+      const auto& anchor = calibration.anchors[static_cast<std::size_t>(i)];
+      const Eigen::MatrixXd weight = own(anchor, calibration).inverse();
       Eigen::VectorXd values(5);
       values << anchor.position_m, anchor.pairs[0].beta_m, anchor.pairs[0].gamma;
       Eigen::MatrixXd by = Eigen::MatrixXd::Zero(5, frames + 8);
       by.middleCols<5>(5 * i).setIdentity();
       by.block<3, 4>(0, frames + 4 * drive) =
           place_by_frame(pair.a.anchors[static_cast<std::size_t>(i)].position_m);
-      information += by.transpose() * own * by;
-      right_side += by.transpose() * own * values;
+      information += by.transpose() * weight * by;
+      right_side += by.transpose() * weight * values;
     }
-    const Eigen::Vector2d weight(1.0 / 0.09, 1.0 / 0.04);
-    information.block<2, 2>(5 * i + 3, 5 * i + 3) -= weight.asDiagonal().toDenseMatrix();
-    right_side.segment<2>(5 * i + 3) -= weight.cwiseProduct(Eigen::Vector2d(0.1, 1.0));
+    const Eigen::Vector2d priors_weight(1.0 / 0.09, 1.0 / 0.04);
+    information.block<2, 2>(5 * i + 3, 5 * i + 3) -= priors_weight.asDiagonal().toDenseMatrix();
+    right_side.segment<2>(5 * i + 3) -= priors_weight.cwiseProduct(Eigen::Vector2d(0.1, 1.0));
   }
   const Eigen::MatrixXd covariance = information.inverse();
   const Eigen::VectorXd solution = covariance * right_side;
@@ -212,10 +224,7 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
     const Eigen::Vector3d dense_m = solution.segment<3>(5 * i);
     const Eigen::Matrix3d dense = covariance.block<3, 3>(5 * i, 5 * i);
     EXPECT_LT((anchor.position_m - dense_m).norm(), 0.3 * std::sqrt(dense.trace())) << i;
-    // What is told apart as block and common frame is, together, about what the whole problem leaves.
-    const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
-    const Eigen::Matrix3d told = anchor.covariance.topLeftCorner<3, 3>() +
-                                 frame * updated.calibration.common_frame_covariance * frame.transpose();
+    const Eigen::Matrix3d told = anchor.covariance.topLeftCorner<3, 3>();
     EXPECT_GT(told.trace(), 0.9 * dense.trace()) << i;
     EXPECT_LT(told.trace(), 1.4 * dense.trace()) << i;
   }
@@ -252,10 +261,7 @@ TEST(Update, IsConsistent) {
     const Update updated = update(pair.a, pair.b, priors);
     for (std::size_t i = 0; i < pair.truth.size(); ++i) {
       const auto& anchor = updated.calibration.anchors[i];
-      const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
-      const Eigen::Matrix3d covariance =
-          anchor.covariance.topLeftCorner<3, 3>() +
-          frame * updated.calibration.common_frame_covariance * frame.transpose();
+      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
       const Eigen::Vector3d error_m = anchor.position_m - pair.truth[i];
       nees += error_m.dot(covariance.ldlt().solve(error_m)) / 3.0;
       after += error_m.squaredNorm();
@@ -314,10 +320,7 @@ TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
       const model::AnchorCalibration& anchor = updated.calibration.anchors[a];
       EXPECT_EQ(anchor.verdict == AnchorVerdict::kMoved, a == one || a == two);
       if (!model::has_position(anchor)) continue;
-      const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
-      const Eigen::Matrix3d covariance =
-          anchor.covariance.topLeftCorner<3, 3>() +
-          frame * updated.calibration.common_frame_covariance * frame.transpose();
+      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
       const Eigen::Vector3d error_m = anchor.position_m - second.anchors[a].position_m;
       EXPECT_LT(error_m.dot(covariance.ldlt().solve(error_m)), 25.0)
           << "seed " << seed << ", anchor " << anchor.id << " off by " << error_m.transpose();
@@ -338,7 +341,7 @@ TEST(Update, NamesNoneWhereNoneMoved) {
   }
 }
 
-// Of the positions of several calibrations, each with its common frame.
+// Of the positions of several calibrations.
 struct Score {
   double square_m2 = 0.0;
   double nees = 0.0;
@@ -348,9 +351,7 @@ struct Score {
     for (std::size_t a = 0; a < site.anchors.size(); ++a) {
       const model::AnchorCalibration& anchor = calibration.anchors[a];
       ASSERT_TRUE(model::has_position(anchor));
-      const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
-      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>() +
-                                         frame * calibration.common_frame_covariance * frame.transpose();
+      const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
       const Eigen::Vector3d error_m = anchor.position_m - site.anchors[a].position_m;
       square_m2 += error_m.squaredNorm();
       nees += error_m.dot(covariance.ldlt().solve(error_m)) / 3.0;

@@ -34,6 +34,8 @@ model::Calibration corridor(int anchors, double position_sigma_m = 0.1) {
       along, testing::three_tags(), {.sigma_m = 0.1, .beta_m = {0.2, 0.05}, .gamma = {1.0, 0.002}},
       position_sigma_m);
   calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-9;
+  for (model::AnchorCalibration& anchor : calibration.anchors)
+    model::add_common_frame(anchor, calibration.common_frame_covariance);
   calibration.range_noise = {.white_sigma_m = 0.1, .slow_sigma_m = 0.05, .slow_time_s = 3.0};
   return calibration;
 }
@@ -55,7 +57,8 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
   std::vector<Eigen::VectorXd> sites;
   const Eigen::VectorXd frame = random.gaussians(calibration.common_frame_covariance);
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
-    Eigen::VectorXd site = random.gaussians(anchor.covariance);
+    Eigen::VectorXd site =
+        random.gaussians(model::own_covariance(anchor, calibration.common_frame_covariance));
     site.head<3>() += anchor.position_m;
     site.head<3>() += frame.head<3>() + frame(3) * Eigen::Vector3d(-site(1), site(0), 0.0);
     site.segment<3>(3).array() += 0.2;

@@ -65,7 +65,8 @@ class Bound {
         0.0, 0.0;
     for (Eigen::Index i = 0; i < anchors; ++i) {
       covariance_.block<kAnchor, kAnchor>(kOdometry + i * kAnchor, kOdometry + i * kAnchor) =
-          calibration.anchors[static_cast<std::size_t>(i)].covariance;
+          model::own_covariance(calibration.anchors[static_cast<std::size_t>(i)],
+                                calibration.common_frame_covariance);
     }
     covariance_.diagonal().segment<9>(lever_arms_).setConstant(std::pow(kLeverArmSigma_m, 2));
     covariance_.bottomRightCorner<4, 4>() = calibration.common_frame_covariance;

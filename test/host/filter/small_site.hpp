@@ -31,7 +31,7 @@ inline std::vector<model::Tag> three_tags() {
   return {{1, {0.75, 0.45, 1.9}}, {2, {-0.7, -0.4, 1.2}}, {3, {0.6, -0.45, 0.4}}};
 }
 
-// Each anchor with a full covariance block and correlated biases, and a common frame error.
+// Each anchor with a full covariance block and correlated biases, the common frame's error in it.
 inline model::Calibration calibration_of(const std::vector<model::Anchor>& anchors, double scale = 1.0) {
   model::Calibration calibration = model::surveyed_calibration(
       anchors, three_tags(), {.sigma_m = 0.1, .beta_m = {0.2, 0.05}, .gamma = {1.0, 0.002}}, 0.1);
@@ -47,6 +47,8 @@ inline model::Calibration calibration_of(const std::vector<model::Anchor>& ancho
   }
   calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-6;
   calibration.common_frame_covariance *= scale * scale;
+  for (model::AnchorCalibration& anchor : calibration.anchors)
+    model::add_common_frame(anchor, calibration.common_frame_covariance);
   return calibration;
 }
 
@@ -118,7 +120,8 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
   for (model::Tag& tag : tags) tag.lever_arm_m += options.lever_arm_sigma_m * random.gaussians(3);
   std::vector<Eigen::VectorXd> sites;
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
-    Eigen::VectorXd site = random.gaussians(anchor.covariance);
+    Eigen::VectorXd site =
+        random.gaussians(model::own_covariance(anchor, calibration.common_frame_covariance));
     site.head<3>() += anchor.position_m;
     const Eigen::Vector3d turned(-site(1), site(0), 0.0);
     site.head<3>() += frame.head<3>() + frame(3) * turned;
@@ -187,7 +190,7 @@ inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& para
       at.push_back(parameters.beta(slot, site.tag_slot(pair.tag_id)));
     for (const model::PairBias& pair : anchor.pairs)
       at.push_back(parameters.gamma(slot, site.tag_slot(pair.tag_id)));
-    covariance(at, at) = anchor.covariance;
+    covariance(at, at) = model::own_covariance(anchor, calibration.common_frame_covariance);
     if (!calibration.range_noise) continue;
     covariance(parameters.slow_error(slot), parameters.slow_error(slot)) =
         std::pow(calibration.range_noise->slow_sigma_m, 2);

@@ -4,6 +4,10 @@
 
 #include <vector>
 
+#include <Eigen/Eigenvalues>
+
+#include "test/support/random.hpp"
+
 namespace groma::model {
 namespace {
 
@@ -28,6 +32,68 @@ TEST(SurveyedCalibration, TakesPositionsAsSurveyedAndBiasesAsExpected) {
     variances << 0.0004, 0.0004, 0.0004, 0.09, 0.09, 0.000025, 0.000025;
     EXPECT_LT((anchor.covariance - Eigen::MatrixXd(variances.asDiagonal())).cwiseAbs().maxCoeff(), 1e-15);
   }
+}
+
+Eigen::MatrixXd drawn_covariance(test::Random& random, Eigen::Index size, double sigma) {
+  Eigen::MatrixXd root(size, size);
+  for (Eigen::Index i = 0; i < size; ++i) root.row(i) = random.gaussians(size).transpose();
+  return sigma * sigma * (root * root.transpose());
+}
+
+double least_eigenvalue(const Eigen::MatrixXd& matrix) {
+  return Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(matrix, Eigen::EigenvaluesOnly).eigenvalues()(0);
+}
+
+// Draws of a block's own error and of a frame's make what the whole block says, and no less can be its own.
+TEST(OwnCovariance, IsTheBlockLessTheFrameWhereItHasRoom) {
+  test::Random random(1);
+  for (int i = 0; i < 50; ++i) {
+    AnchorCalibration anchor;
+    anchor.position_m = 10.0 * random.gaussians(3);
+    const Eigen::MatrixXd own = drawn_covariance(random, 7, 0.1);
+    const Eigen::Matrix4d frame = drawn_covariance(random, 4, 0.03);
+    anchor.covariance = own;
+    add_common_frame(anchor, frame);
+    // By the shift itself: a small one of a point, linear in what shifts it.
+    const auto moved = [&](const Eigen::Vector4d& by) -> Eigen::Vector3d {
+      return by.head<3>() + by(3) * Eigen::Vector3d::UnitZ().cross(anchor.position_m);
+    };
+    const Eigen::Matrix4d root = frame.llt().matrixL();
+    Eigen::Matrix3d shared = Eigen::Matrix3d::Zero();
+    for (Eigen::Index k = 0; k < 4; ++k) shared += moved(root.col(k)) * moved(root.col(k)).transpose();
+    EXPECT_LT((anchor.covariance.topLeftCorner<3, 3>() - own.topLeftCorner<3, 3>() - shared).norm(), 1e-12);
+    EXPECT_LT((own_covariance(anchor, frame) - own).norm(), 1e-9);
+    EXPECT_EQ(own_covariance(anchor, Eigen::Matrix4d::Zero()), anchor.covariance);
+  }
+}
+
+TEST(OwnCovariance, StaysACovarianceHoweverLargeTheFrame) {
+  test::Random random(2);
+  for (int i = 0; i < 50; ++i) {
+    AnchorCalibration anchor;
+    anchor.position_m = 10.0 * random.gaussians(3);
+    anchor.covariance = drawn_covariance(random, 5, 0.05);
+    // Larger than the block along some directions, and none at all along others.
+    Eigen::Matrix4d frame = Eigen::Matrix4d::Zero();
+    frame.diagonal() << 1.0, 1e-8, 0.0, 1e-6;
+    const Eigen::MatrixXd own = own_covariance(anchor, frame);
+    EXPECT_EQ(own, own.transpose());
+    EXPECT_GT(least_eigenvalue(own), -1e-12);
+    EXPECT_GT(least_eigenvalue(anchor.covariance - own), -1e-12) << "nothing is added";
+    AnchorCalibration again = anchor;
+    again.covariance = own;
+    add_common_frame(again, frame);
+    EXPECT_GT(least_eigenvalue(again.covariance - anchor.covariance), -1e-12) << "both together say no less";
+    EXPECT_EQ(own.rightCols<2>(), anchor.covariance.rightCols<2>());
+  }
+  // Biases that are known exactly leave all of the position's room.
+  AnchorCalibration exact;
+  exact.covariance = Eigen::MatrixXd::Zero(5, 5);
+  exact.covariance.topLeftCorner<3, 3>() = drawn_covariance(random, 3, 0.1);
+  const Eigen::Matrix4d frame = 1e-6 * Eigen::Matrix4d::Identity();
+  Eigen::MatrixXd expected = exact.covariance;
+  expected.diagonal().head<3>().array() -= 1e-6;
+  EXPECT_LT((own_covariance(exact, frame) - expected).norm(), 1e-12);
 }
 
 }  // namespace
