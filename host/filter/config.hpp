@@ -36,11 +36,11 @@ struct GateConfig {
   double sticky_s = 2.0;       // a pair's past is forgotten over this time
   double excess_m = 0.5;       // mean excess of blocked ranges
   double short_share = 0.2;    // of pairs that go wrong, those whose ranges are too short
-  // A pair that misses more than the slack of its polls, over reception_s, is likely blocked; its error then
-  // is the one for all its ranges of that while.
+  // A pair that misses more than the slack of its polls, over reception_s, is likely blocked; its anchor's
+  // ranges of that while then have one error for all, of this size where all polls are missed.
   double reception_s = 2.0;
   double reception_slack = 0.2;
-  double regained_m = 1.0;
+  double regained_m = 1.5;
   double garbage_share = 0.01;  // of ranges
   double garbage_width_m = 50.0;
 

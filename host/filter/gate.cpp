@@ -37,7 +37,7 @@ double Gate::regained_variance_m2(int anchor, int tag) const noexcept {
   return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].regained_m2;
 }
 
-double Gate::listen(Pair& pair, double t_s) noexcept {
+double Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   const double gap_s = std::max(t_s - pair.t_s, 0.0);
   if (pair.heard && gap_s > 0.0) {
     const double step = gap_s > poll_interval_s_ ? kLongGaps * kGapStep : (kLongGaps - 1.0) * kGapStep;
@@ -54,8 +54,13 @@ double Gate::listen(Pair& pair, double t_s) noexcept {
   }
   const double expected = 1.0 - config_.reception_slack;
   const double missed = std::max(expected - pair.reception, 0.0) / expected;
-  // All of the window together count as one range.
-  pair.regained_m2 = config_.regained_m * config_.regained_m * missed * missed * polls;
+  // All of the anchor's in the window together count as one range.
+  double tags = 0.0;
+  for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
+    const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
+    if (other.heard && t_s - other.t_s < config_.reception_s) tags += 1.0;
+  }
+  pair.regained_m2 = config_.regained_m * config_.regained_m * missed * polls * tags;
   return missed;
 }
 
@@ -65,7 +70,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   Pair& chain = pair(anchor, tag);
 
   const double fade = std::exp(-std::max(t_s - chain.t_s, 0.0) / config_.sticky_s);
-  const double missed = listen(chain, t_s);
+  const double missed = listen(anchor, chain, t_s);
   double prior = config_.blocked_share + (chain.blocked - config_.blocked_share) * fade;
   prior += std::max(config_.blocked_most - prior, 0.0) * missed;
   const double in_sight =

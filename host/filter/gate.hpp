@@ -62,7 +62,7 @@ class Gate {
 
   Pair& pair(int anchor, int tag) noexcept;
   // Takes note that the pair was heard; the share of its polls that it missed of late, beyond what is usual.
-  double listen(Pair& pair, double t_s) noexcept;
+  double listen(int anchor, Pair& pair, double t_s) noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 

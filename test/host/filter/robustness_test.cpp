@@ -228,6 +228,23 @@ TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
   EXPECT_GT(gate.weigh(0, 0, 31.0, 0.0, 0.01), 0.9);
 }
 
+// However many tags hear an anchor again, what bends the ranges of one bends those of all.
+TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
+  const auto regained_m2 = [](int tags) {
+    Gate gate{GateConfig{}};
+    for (double t_s = 0.0; t_s < 20.0; t_s += 0.05) {
+      for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, t_s, 0.0, 0.01));
+    }
+    for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, 40.0, 0.0, 0.01));
+    // Another anchor's silence is its own.
+    static_cast<void>(gate.weigh(1, 0, 40.0, 0.0, 0.01));
+    return gate.regained_variance_m2(0, tags - 1);
+  };
+  EXPECT_GT(regained_m2(1), 1.0);
+  EXPECT_NEAR(regained_m2(2), 2.0 * regained_m2(1), 0.1 * regained_m2(1));
+  EXPECT_NEAR(regained_m2(3), 3.0 * regained_m2(1), 0.1 * regained_m2(1));
+}
+
 TEST(Reception, SilenceTellsNothingWherePollsAreRare) {
   Gate gate{GateConfig{}};
   Random random(8);
