@@ -44,6 +44,16 @@ void FilterInput::add_options(CLI::App& command) {
 
 void FilterInput::add_output(CLI::App& command) {
   command.add_option("-o,--output", output_, "Table to write, one row for each odometry row")->required();
+  add_json(command);
+}
+
+void FilterInput::add_relocation(CLI::App& command) {
+  command.add_flag("--relocate", relocates_,
+                   "Where the ranges tell of another place, begin anew there, as gromad does; without a pose "
+                   "to start from it is always so");
+}
+
+void FilterInput::add_json(CLI::App& command) {
   command.add_flag("--json", json_, "Print one JSON object");
 }
 
@@ -64,29 +74,21 @@ model::Calibration FilterInput::load_calibration(const io::Dataset& dataset, War
   return calibration;
 }
 
-filter::Start FilterInput::find_start(const io::Dataset& dataset) const {
+std::optional<filter::Start> FilterInput::find_start(const io::Dataset& dataset) const {
   constexpr double kFirst = -std::numeric_limits<double>::infinity();
   const double from_s = selection_.from_s().value_or(kFirst);
-  if (start_) {
-    const auto first = std::find_if(dataset.odometry.begin(), dataset.odometry.end(),
-                                    [&](const model::OdometrySample& row) { return row.t_s >= from_s; });
-    if (first == dataset.odometry.end()) return {};
-    const auto [x_m, y_m, yaw_rad] = *start_;
-    filter::Start start;
-    start.t_s = selection_.from_s().value_or(first->t_s);
-    start.pose = {x_m, y_m, yaw_rad};
-    return start;
-  }
-  const std::optional<filter::Start> start =
-      filter::start_from_prior(dataset.pose_prior, from_s, dataset.surface);
-  if (!start) {
-    throw io::DataError({dataset_}, "there is no pose prior to start from in the chosen time",
-                        "choose another --from and --to, or give --start X,Y,YAW");
-  }
-  return *start;
+  if (!start_) return filter::start_from_prior(dataset.pose_prior, from_s, dataset.surface);
+  const auto first = std::find_if(dataset.odometry.begin(), dataset.odometry.end(),
+                                  [&](const model::OdometrySample& row) { return row.t_s >= from_s; });
+  if (first == dataset.odometry.end()) return filter::Start{};
+  const auto [x_m, y_m, yaw_rad] = *start_;
+  filter::Start start;
+  start.t_s = selection_.from_s().value_or(first->t_s);
+  start.pose = {x_m, y_m, yaw_rad};
+  return start;
 }
 
-FilterInput::Drive FilterInput::read(const char* command, Warnings& warnings) const {
+FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warnings& warnings) const {
   if (surveyed_ == calibration_.has_value()) {
     throw CLI::ValidationError(command, "give either --calibration FILE or --surveyed");
   }
@@ -94,6 +96,8 @@ FilterInput::Drive FilterInput::read(const char* command, Warnings& warnings) co
   read.surveyed_anchors = surveyed_;
   read.ground_truth = false;
   read.pose_prior = !start_;
+  read.needs_pose_prior = start == StartIs::kNeeded;
+  read.sensors = true;
   read.log_section = selection_.section();
   Drive drive{.dataset = io::read_dataset(dataset_, read), .calibration = {}, .options = {}};
   warnings.add(drive.dataset);
@@ -101,7 +105,21 @@ FilterInput::Drive FilterInput::read(const char* command, Warnings& warnings) co
   selection_.apply(drive.dataset);
   drive.options.config.odometry = drive.dataset.odometry_noise;
   drive.options.config.range_sigma_m = drive.dataset.range_priors.sigma_m;
-  drive.options.start = find_start(drive.dataset);
+  drive.options.relocates = relocates_;
+  const io::SensorDescription& told = drive.dataset.sensors;
+  filter::SensorConfig& sensors = drive.options.config.sensors;
+  sensors.gyro_sigma_radps = told.gyro_sigma_radps.value_or(sensors.gyro_sigma_radps);
+  sensors.gyro_bias_radps = told.gyro_bias_sigma_radps.value_or(sensors.gyro_bias_radps);
+  sensors.position_lever_arm_m = told.gnss_lever_arm_m.value_or(sensors.position_lever_arm_m);
+  if (const auto found = find_start(drive.dataset)) {
+    drive.options.start = *found;
+  } else if (start == StartIs::kFoundOtherwise) {
+    drive.options.knows_start = false;
+    drive.options.start.t_s = selection_.from_s().value_or(-std::numeric_limits<double>::infinity());
+  } else {
+    throw io::DataError({dataset_}, "there is no pose prior to start from in the chosen time",
+                        "choose another --from and --to, or give --start X,Y,YAW");
+  }
   drive.options.to_s = selection_.to_s();
   return drive;
 }

@@ -20,6 +20,10 @@ class FilterInput {
   // DATASET_OR_LOG, --calibration, --surveyed, --start and those of a selection.
   void add_options(CLI::App& command);
 
+  // --relocate: of a filter that may begin anew elsewhere.
+  void add_relocation(CLI::App& command);
+  // --json alone.
+  void add_json(CLI::App& command);
   // -o and --json: of the table that comes of it, and of what is printed.
   void add_output(CLI::App& command);
 
@@ -29,11 +33,14 @@ class FilterInput {
     filter::ReplayOptions options;  // the run's own sigmas, start and end; the default model
 
     [[nodiscard]] filter::Run run() const {
-      return {dataset.odometry, dataset.ranges, dataset.tags, &dataset.surface, &calibration};
+      return {dataset.odometry,  dataset.ranges,         dataset.tags,
+              &dataset.surface,  &calibration,           dataset.yaw_rates,
+              dataset.positions, dataset.absolute_poses, dataset.zero_velocities};
     }
   };
-  // Throws what reading throws, and DataError where there is nothing to start from.
-  [[nodiscard]] Drive read(const char* command, Warnings& warnings) const;
+  // Throws what reading throws, and, where a start is needed, DataError if there is none.
+  enum class StartIs { kNeeded, kFoundOtherwise };
+  [[nodiscard]] Drive read(const char* command, StartIs start, Warnings& warnings) const;
 
   [[nodiscard]] const std::filesystem::path& dataset() const noexcept { return dataset_; }
   [[nodiscard]] const std::filesystem::path& output() const noexcept { return output_; }
@@ -41,7 +48,7 @@ class FilterInput {
 
  private:
   [[nodiscard]] model::Calibration load_calibration(const io::Dataset& dataset, Warnings& warnings) const;
-  [[nodiscard]] filter::Start find_start(const io::Dataset& dataset) const;
+  [[nodiscard]] std::optional<filter::Start> find_start(const io::Dataset& dataset) const;
 
   std::filesystem::path dataset_;
   std::optional<std::filesystem::path> calibration_;
@@ -50,6 +57,7 @@ class FilterInput {
   std::optional<std::array<double, 3>> start_;
   std::filesystem::path output_;
   bool json_ = false;
+  bool relocates_ = false;
 };
 
 }  // namespace groma::cli

@@ -33,6 +33,7 @@ int run(int argc, char** argv) {
   add_demo(app, action);
   add_diff(app, action);
   add_evaluate(app, action);
+  add_explain(app, action);
   add_flash(app, action);
   add_identify(app, action);
   add_listen(app, action);

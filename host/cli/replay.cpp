@@ -4,7 +4,10 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
+#include <array>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -43,10 +46,30 @@ std::int64_t now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
 }
 
+double begin_s(const FilterInput::Drive& drive) {
+  if (drive.options.knows_start) return drive.options.start.t_s;
+  return std::max(drive.options.start.t_s, drive.dataset.odometry.front().t_s);
+}
+
+Json sensors_json(const filter::Counters& counters) {
+  constexpr std::array<const char*, filter::kSensors> kNames{"imu", "gnss", "absolute_pose", "zero_velocity"};
+  Json json = Json::object();
+  for (std::size_t i = 0; i < kNames.size(); ++i) {
+    const filter::SensorCounters& of = counters.sensors.at(i);
+    json[kNames.at(i)] = {{"used", of.used},
+                          {"gated", of.gated},
+                          {"jumped", of.jumped},
+                          {"bad_value", of.bad_value},
+                          {"out_of_order", of.out_of_order},
+                          {"not_started", of.not_started}};
+  }
+  return json;
+}
+
 int run(const Options& options) {
   io::expect_writable(options.input.output());
   Warnings warnings;
-  FilterInput::Drive drive = options.input.read("replay", warnings);
+  FilterInput::Drive drive = options.input.read("replay", FilterInput::StartIs::kFoundOtherwise, warnings);
   filter::ReplayOptions& replay = drive.options;
   replay.config.model = *filter::model_from_name(options.model);
   replay.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
@@ -56,17 +79,27 @@ int run(const Options& options) {
   const filter::ReplayResult result = filter::replay(drive.run(), replay);
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   if (result.rows.empty()) {
-    throw io::DataError({options.input.dataset() / "odometry.csv"}, "there is no odometry in the chosen time",
-                        "choose another --from and --to");
+    if (replay.knows_start) {
+      throw io::DataError({options.input.dataset() / "odometry.csv"},
+                          "there is no odometry in the chosen time", "choose another --from and --to");
+    }
+    throw io::DataError({options.input.dataset()},
+                        "there is no pose prior to start from in the chosen time, and none was found from "
+                        "ranges and motion",
+                        "choose another --from and --to, or give --start X,Y,YAW");
   }
-  io::write_file(options.input.output(), io::format_estimate(result.rows));
+  std::vector<io::RowWords> words;
+  words.reserve(result.states.size());
+  for (const auto& [state, reason] : result.states)
+    words.push_back({filter::state_name(state), filter::reason_name(reason)});
+  io::write_file(options.input.output(), io::format_estimate(result.rows, words));
 
   const filter::Counters& counters = result.counters;
   if (counters.ranges_unknown_anchor > 0) {
     warnings.add(fmt::format("{} ranges to anchors, or of pairs, that the calibration lacks were ignored",
                              counters.ranges_unknown_anchor));
   }
-  const double duration_s = result.rows.back().t_s - replay.start.t_s;
+  const double duration_s = result.rows.back().t_s - begin_s(drive);
   const double realtime_factor = wall_s > 0.0 ? duration_s / wall_s : 0.0;
   if (options.input.json()) {
     say_json(Json{{"model", options.model},
@@ -76,6 +109,9 @@ int run(const Options& options) {
                   {"ranges_unknown_anchor", counters.ranges_unknown_anchor},
                   {"ranges_not_active", counters.ranges_not_active},
                   {"anchor_exchanges", counters.anchor_exchanges},
+                  {"relocations", result.relocations},
+                  {"state", words.back().state},
+                  {"sensors", sensors_json(counters)},
                   {"dropped", to_json(drive.dataset.dropped)},
                   {"wall_s", wall_s},
                   {"realtime_factor", realtime_factor},
@@ -94,11 +130,14 @@ int run(const Options& options) {
 
 void add_replay(CLI::App& app, Action& action) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("replay",
-                                         "Run the filter over a recorded drive. It sees no range, odometry "
-                                         "row or pose before its time, and of the poses "
-                                         "none but the first, from which it starts (sigma 0.1 m, 0.05 rad).");
+  CLI::App* command =
+      app.add_subcommand("replay",
+                         "Run the filter over a recorded drive. It sees no range, odometry "
+                         "row or pose before its time, and of the poses "
+                         "none but the first, from which it starts (sigma 0.1 m, 0.05 rad). Where "
+                         "there is none, the pose is found from ranges and motion.");
   options->input.add_options(*command);
+  options->input.add_relocation(*command);
   command
       ->add_option(
           "--model", options->model,

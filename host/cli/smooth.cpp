@@ -30,7 +30,7 @@ struct Options {
 int run(const Options& options) {
   io::expect_writable(options.input.output());
   Warnings warnings;
-  FilterInput::Drive drive = options.input.read("smooth", warnings);
+  FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
   if (result.rows.empty()) {

@@ -251,6 +251,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
   result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();
   const double slow_before = now_.tuning.slow_scale();
   // The comparisons keep the noise that they were told: what their innovations show is their own error.
@@ -265,6 +266,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   // A weight below one stands for that much more noise: S / weight in place of S.
   const double variance =
       result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(slot, tag);
+  result.pull = projected.core.head<3>() * (result.innovation_m / variance);
   now_.core += projected.core * (result.innovation_m / variance);
   now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
   if (!whole) {

@@ -71,6 +71,8 @@ struct RangeResult {
   double innovation_variance_m2 = 0.0;  // S, before any weight
   double nis = 0.0;                     // innovation^2 / S
   double weight = 0.0;                  // 0 gated, 1 full
+  double blocked = 0.0;                 // probability that the pair is, from its past and this range
+  Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // what x, y, theta were moved by
 };
 
 enum class SensorOutcome {
@@ -193,6 +195,7 @@ class Filter {
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
   [[nodiscard]] const Site& site() const noexcept { return site_; }
+  [[nodiscard]] const Config& config() const noexcept { return config_; }
   // Of an anchor of the site, -1 where it is not active.
   [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 

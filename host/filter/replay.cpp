@@ -1,6 +1,7 @@
 #include "host/filter/replay.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -32,18 +33,30 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   for (const model::Tag& tag : run.tags) {
     if (is_chosen(options.tags, tag.id)) tags.push_back(tag);
   }
-  const auto filter = std::make_unique<Filter>(*run.surface, tags, *run.calibration, options.config);
+  TrackerConfig config;
+  config.relocates = options.relocates || !options.knows_start;
+  // A run's times are in order: where they jump, nothing was recorded.
+  config.clock_step_s = std::numeric_limits<double>::infinity();
+  const auto tracker =
+      std::make_unique<Tracker>(*run.surface, tags, *run.calibration, options.config, config);
 
   const double from_s = options.start.t_s;
   const double to_s = options.to_s.value_or(std::numeric_limits<double>::infinity());
-  const auto earlier = [](const auto& sample, double t_s) { return sample.t_s < t_s; };
-  auto row = std::lower_bound(run.odometry.begin(), run.odometry.end(), from_s, earlier);
-  auto range = std::lower_bound(run.ranges.begin(), run.ranges.end(), from_s, earlier);
+  const auto from = [from_s](const auto& samples) {
+    return std::lower_bound(samples.begin(), samples.end(), from_s,
+                            [](const auto& sample, double t_s) { return sample.t_s < t_s; });
+  };
+  auto row = from(run.odometry);
+  auto range = from(run.ranges);
+  auto yaw_rate = from(run.yaw_rates);
+  auto position = from(run.positions);
+  auto absolute_pose = from(run.absolute_poses);
+  auto standing = from(run.zero_velocities);
   // The row that holds at the start.
   if (row != run.odometry.begin() && (row == run.odometry.end() || row->t_s > from_s)) {
-    filter->process(*std::prev(row));
+    tracker->process(*std::prev(row));
   }
-  filter->start(options.start);
+  if (options.knows_start) tracker->start(options.start);
 
   ReplayResult result;
   std::vector<double> propagate_ns;
@@ -51,33 +64,66 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   double nis_sum = 0.0;
   const auto timed = [&](std::vector<double>& durations, const auto& sample) {
     const std::int64_t begin = options.now_ns ? options.now_ns() : 0;
-    const auto outcome = filter->process(sample);
+    const auto outcome = tracker->process(sample);
     if (options.now_ns) durations.push_back(static_cast<double>(options.now_ns() - begin));
     return outcome;
   };
 
-  const auto take_ranges_up_to = [&](double t_s) {
-    for (; range != run.ranges.end() && range->t_s <= t_s; ++range) {
-      if (!is_chosen(options.tags, range->tag_id) || !is_chosen(options.anchors, range->anchor_id)) continue;
-      ++result.ranges_seen;
-      const RangeResult update = timed(update_ns, *range);
-      if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;
+  const auto take_range = [&](const model::RangeSample& sample) {
+    if (!is_chosen(options.tags, sample.tag_id) || !is_chosen(options.anchors, sample.anchor_id)) return;
+    ++result.ranges_seen;
+    const RangeResult update = timed(update_ns, sample);
+    if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;
+    if (options.on_range) options.on_range(*tracker, sample, update);
+  };
+  constexpr double kNever = std::numeric_limits<double>::infinity();
+  const auto time_of = [&](const auto& at, const auto& samples) {
+    return at != samples.end() ? at->t_s : kNever;
+  };
+  const auto take_up_to = [&](double t_s) {
+    while (true) {
+      // The earliest; at one time in OrderedFilter's order.
+      const std::array<double, 5> next_s{
+          time_of(range, run.ranges), time_of(yaw_rate, run.yaw_rates), time_of(position, run.positions),
+          time_of(absolute_pose, run.absolute_poses), time_of(standing, run.zero_velocities)};
+      const auto first = std::min_element(next_s.begin(), next_s.end());
+      if (!(*first <= t_s)) return;
+      switch (first - next_s.begin()) {
+        case 0:
+          take_range(*range++);
+          break;
+        case 1:
+          tracker->process(*yaw_rate++);
+          break;
+        case 2:
+          tracker->process(*position++);
+          break;
+        case 3:
+          tracker->process(*absolute_pose++);
+          break;
+        default:
+          tracker->process(*standing++);
+      }
     }
   };
 
   for (; row != run.odometry.end() && row->t_s <= to_s; ++row) {
-    take_ranges_up_to(std::nextafter(row->t_s, -std::numeric_limits<double>::infinity()));
+    take_up_to(std::nextafter(row->t_s, -kNever));
     timed(propagate_ns, *row);
-    take_ranges_up_to(row->t_s);
-    const Estimate estimate = filter->estimate();
+    take_up_to(row->t_s);
+    if (options.on_row) options.on_row(*tracker, *row);
+    if (!tracker->started()) continue;
+    const Estimate estimate = tracker->estimate();
     result.rows.push_back({.t_s = row->t_s,
                            .x_m = estimate.pose.x_m,
                            .y_m = estimate.pose.y_m,
                            .yaw_rad = estimate.pose.theta_rad,
                            .covariance = estimate.covariance});
+    result.states.push_back({tracker->state(), tracker->reason()});
   }
 
-  result.counters = filter->counters();
+  result.relocations = tracker->relocations();
+  result.counters = tracker->filter().counters();
   if (result.counters.ranges_used > 0) nis_sum /= static_cast<double>(result.counters.ranges_used);
   result.nis_mean = nis_sum;
   result.propagate_ns = percentiles(propagate_ns);

@@ -10,6 +10,7 @@
 
 #include "host/filter/config.hpp"
 #include "host/filter/filter.hpp"
+#include "host/filter/tracker.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
@@ -23,14 +24,26 @@ struct Run {
   std::span<const model::Tag> tags;
   const model::Surface* surface = nullptr;
   const model::Calibration* calibration = nullptr;
+  // Other sensors', where there are any.
+  std::span<const model::YawRateSample> yaw_rates = {};
+  std::span<const model::PositionSample> positions = {};
+  std::span<const model::PoseSample> absolute_poses = {};
+  std::span<const model::ZeroVelocitySample> zero_velocities = {};
 };
 
 struct ReplayOptions {
   Config config;  // with the run's own sigmas
   Start start;    // start.t_s: rows and ranges before it are left out
+  // False: of the start nothing but its time is known, and the pose is found from ranges and motion.
+  bool knows_start = true;
+  // Goes on from another place where the ranges tell of one, as Tracker does; so it does without a start.
+  bool relocates = false;
   std::optional<double> to_s;
   std::vector<model::NodeId> tags;     // empty: all
   std::vector<model::NodeId> anchors;  // empty: all
+  // Is told of each range and what became of it, and of each row.
+  std::function<void(const Tracker&, const model::RangeSample&, const RangeResult&)> on_range;
+  std::function<void(const Tracker&, const model::OdometrySample&)> on_row;
   // A monotonic clock in nanoseconds, for the timing alone; empty: no timing.
   std::function<std::int64_t()> now_ns;
 };
@@ -41,9 +54,15 @@ struct Percentiles {
 };
 
 struct ReplayResult {
-  // One for each odometry row from the start on: the state when everything up to and at t_s is seen. yaw_rad
-  // is the heading on the surface.
+  // One for each odometry row from the start on, or from where a pose was found: the state when everything up
+  // to and at t_s is seen. yaw_rad is the heading on the surface.
   std::vector<model::PlanarEstimate> rows;
+  struct RowState {
+    State state = State::kUninitialized;
+    Reason reason = Reason::kNone;
+  };
+  std::vector<RowState> states;  // of each row
+  std::size_t relocations = 0;
   std::size_t ranges_seen = 0;  // of the chosen tags and anchors, within the time
   Counters counters;
   double nis_mean = 0.0;  // over the ranges used

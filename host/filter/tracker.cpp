@@ -91,7 +91,7 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   if (std::isfinite(row.t_s) && !believe(row.t_s)) return OdometryOutcome::kOutOfOrder;
   const OdometryOutcome outcome = filter_.process(row);
   if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
-  search_.process(row);
+  if (config_.relocates) search_.process(row);
   newest_s_ = std::max(newest_s_, row.t_s);
   last_row_s_ = std::max(last_row_s_, row.t_s);
   assess();
@@ -104,7 +104,7 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
   const bool of_use = result.outcome == RangeOutcome::kUsed || result.outcome == RangeOutcome::kGated ||
                       result.outcome == RangeOutcome::kNotStarted;
   if (!of_use) return result;
-  search_.process(range);
+  if (config_.relocates) search_.process(range);
   newest_s_ = std::max(newest_s_, range.t_s);
   watch(range, result);
   assess();

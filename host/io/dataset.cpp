@@ -235,9 +235,85 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
   return poses;
 }
 
+std::vector<model::YawRateSample> parse_yaw_rates(const std::filesystem::path& path, std::string_view text,
+                                                  DroppedRows& dropped) {
+  CsvReader csv(path, text, {{"t_s"}, {"omega_radps"}});
+  std::vector<model::YawRateSample> rates;
+  while (csv.next()) rates.push_back({csv.number(0), csv.number(1)});
+  put_in_order(rates, dropped);
+  return rates;
+}
+
+std::vector<model::PositionSample> parse_positions(const std::filesystem::path& path, std::string_view text,
+                                                   DroppedRows& dropped) {
+  CsvReader csv(path, text, {{"t_s"}, {"x_m"}, {"y_m"}, {"p_xx"}, {"p_xy"}, {"p_yy"}});
+  std::vector<model::PositionSample> positions;
+  while (csv.next()) {
+    const std::array<double, 3> covariance{csv.number(3), csv.number(4), csv.number(5)};
+    const auto& [xx, xy, yy] = covariance;
+    if (!(xx > 0.0) || !(xx * yy > xy * xy)) {
+      throw DataError(csv.row_place(), "p_xx, p_xy and p_yy are no covariance of x and y",
+                      "variances are above zero, and no correlation reaches one");
+    }
+    positions.push_back({csv.number(0), csv.number(1), csv.number(2), covariance});
+  }
+  put_in_order(positions, dropped);
+  return positions;
+}
+
+// As parse_poses() reads them, without a height and each with its covariance.
+std::vector<model::PoseSample> parse_absolute_poses(const std::filesystem::path& path, std::string_view text,
+                                                    DroppedRows& dropped) {
+  CsvReader csv(path, text,
+                {{"t_s"},
+                 {"x_m"},
+                 {"y_m"},
+                 {"yaw_rad"},
+                 {"p_xx"},
+                 {"p_xy"},
+                 {"p_xt"},
+                 {"p_yy"},
+                 {"p_yt"},
+                 {"p_tt"},
+                 {"roll_rad", Presence::kOptional},
+                 {"pitch_rad", Presence::kOptional}});
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  std::vector<model::PoseSample> poses;
+  while (csv.next()) {
+    const std::optional<model::PoseCovariance> covariance = optional_covariance(csv, 4);
+    if (!covariance)
+      throw DataError(csv.row_place(), "the pose has no covariance", "give p_xx to p_tt in each row");
+    poses.push_back({csv.number(0), csv.number(1), csv.number(2), 0.0, csv.number(3),
+                     csv.optional_number(10).value_or(kNone), csv.optional_number(11).value_or(kNone),
+                     covariance});
+  }
+  put_in_order(poses, dropped);
+  return poses;
+}
+
+std::vector<model::ZeroVelocitySample> parse_zero_velocities(const std::filesystem::path& path,
+                                                             std::string_view text, DroppedRows& dropped) {
+  CsvReader csv(path, text, {{"t_s"}});
+  std::vector<model::ZeroVelocitySample> samples;
+  while (csv.next()) samples.push_back({csv.number(0)});
+  put_in_order(samples, dropped);
+  return samples;
+}
+
+void read_sensors(const std::filesystem::path& folder, InputFiles& files, Dataset& dataset) {
+  const auto read = [&](const char* name, const auto& parse, auto& out) {
+    const std::filesystem::path path = folder / name;
+    if (std::filesystem::exists(path)) out = parse(path, files.read(path), dataset.dropped);
+  };
+  read("imu.csv", parse_yaw_rates, dataset.yaw_rates);
+  read("gnss.csv", parse_positions, dataset.positions);
+  read("absolute_pose.csv", parse_absolute_poses, dataset.absolute_poses);
+  read("zero_velocity.csv", parse_zero_velocities, dataset.zero_velocities);
+}
+
 void parse_description(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files,
                        Dataset& dataset) {
-  yaml.expect_keys({{"schema", "name", "origin", "odometry", "range", "surface"}});
+  yaml.expect_keys({{"schema", "name", "origin", "odometry", "range", "surface"}, {"imu", "gnss"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -246,6 +322,7 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
 
   dataset.odometry_noise = parse_odometry_noise(yaml.at("odometry"));
   dataset.range_priors = parse_range_priors(yaml.at("range"));
+  dataset.sensors = parse_sensors(yaml);
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
 }
 
@@ -339,18 +416,21 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
     dataset.odometry = parse_odometry(odometry, files.read(odometry), dataset.dropped);
   }
 
+  if (options.sensors) read_sensors(folder, files, dataset);
+
   const std::filesystem::path truth = folder / "groundtruth.csv";
   const bool truth_is_there = std::filesystem::exists(truth);
   std::filesystem::path prior = options.pose_file.value_or(folder / "pose_prior.csv");
   if (options.pose_prior && !options.pose_file && !std::filesystem::exists(prior)) {
-    if (!truth_is_there)
+    if (!truth_is_there && options.needs_pose_prior)
       throw DataError({prior}, "does not exist, nor does groundtruth.csv", "add one of them");
     prior = truth;
   }
+  const bool prior_is_there = prior != truth || truth_is_there;
   if (options.ground_truth && truth_is_there) {
     dataset.ground_truth = parse_poses(truth, files.read(truth), dataset.dropped);
   }
-  if (options.pose_prior) {
+  if (options.pose_prior && prior_is_there) {
     dataset.pose_prior = options.ground_truth && prior == truth
                              ? dataset.ground_truth
                              : parse_poses(prior, files.read(prior), dataset.dropped);

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "host/io/site_description.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
@@ -55,6 +56,12 @@ struct Dataset {
   // Poses: by time, strictly ascending; roll and pitch each NaN where the file does not tell it.
   std::vector<model::PoseSample> ground_truth;  // empty where the file is absent
   std::vector<model::PoseSample> pose_prior;    // ground truth where pose_prior.csv is absent
+  // Other sensors': by time, strictly ascending; empty where their file is absent.
+  std::vector<model::YawRateSample> yaw_rates;
+  std::vector<model::PositionSample> positions;
+  std::vector<model::PoseSample> absolute_poses;  // each with its covariance
+  std::vector<model::ZeroVelocitySample> zero_velocities;
+  SensorDescription sensors;
   DroppedRows dropped;
   std::optional<LogInfo> log;  // none: from a folder
   std::string sha256;          // of the files read, hexadecimal; see InputFiles::digest()
@@ -64,8 +71,10 @@ struct Dataset {
 struct ReadOptions {
   bool surveyed_anchors = true;  // anchors.csv, where it is there; ranges to other anchors are then dropped
   bool odometry = true;          // odometry.csv
-  bool ground_truth = true;      // groundtruth.csv, where it is there
-  bool pose_prior = true;        // pose_prior.csv, or groundtruth.csv in its place
+  bool sensors = false;      // imu.csv, gnss.csv, absolute_pose.csv, zero_velocity.csv where they are there
+  bool ground_truth = true;  // groundtruth.csv, where it is there
+  bool pose_prior = true;    // pose_prior.csv, or groundtruth.csv in its place
+  bool needs_pose_prior = true;                    // an error where neither is there; else it is empty
   std::optional<std::filesystem::path> pose_file;  // in the place of both
   std::optional<std::size_t> log_section;          // from 1; none: a log's last
 };

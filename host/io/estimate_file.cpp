@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <cstddef>
 #include <iterator>
 
 #include "host/io/csv.hpp"
@@ -10,11 +11,19 @@
 namespace groma::io {
 
 std::string format_estimate(std::span<const model::PlanarEstimate> rows) {
-  std::string text = "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n";
-  for (const model::PlanarEstimate& row : rows) {
+  return format_estimate(rows, {});
+}
+
+std::string format_estimate(std::span<const model::PlanarEstimate> rows, std::span<const RowWords> words) {
+  std::string text = "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt";
+  text += words.empty() ? "\n" : ",state,reason\n";
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const model::PlanarEstimate& row = rows[i];
     const Eigen::Matrix3d& p = row.covariance;
-    fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{}\n", row.t_s, row.x_m, row.y_m,
+    fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{}", row.t_s, row.x_m, row.y_m,
                    row.yaw_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1), p(1, 2), p(2, 2));
+    if (i < words.size()) fmt::format_to(std::back_inserter(text), ",{},{}", words[i].state, words[i].reason);
+    text += '\n';
   }
   return text;
 }

@@ -101,6 +101,22 @@ model::OdometryNoise parse_odometry_noise(const YamlValue& yaml) {
           yaml.at("sigma_omega_radps").positive_number()};
 }
 
+SensorDescription parse_sensors(const YamlValue& yaml) {
+  SensorDescription out;
+  if (const auto imu = yaml.find("imu")) {
+    imu->expect_keys({{}, {"sigma_omega_radps", "bias_sigma_radps"}});
+    if (const auto sigma = imu->find("sigma_omega_radps")) out.gyro_sigma_radps = sigma->positive_number();
+    if (const auto sigma = imu->find("bias_sigma_radps"))
+      out.gyro_bias_sigma_radps = sigma->positive_number();
+  }
+  if (const auto gnss = yaml.find("gnss")) {
+    gnss->expect_keys({{"lever_arm_m"}});
+    const std::vector<double> lever_arm = gnss->at("lever_arm_m").numbers(3);
+    out.gnss_lever_arm_m = Eigen::Vector3d(lever_arm[0], lever_arm[1], lever_arm[2]);
+  }
+  return out;
+}
+
 model::RangePriors parse_range_priors(const YamlValue& yaml) {
   yaml.expect_keys({{"sigma_m"}, {"beta_m", "gamma"}});
   model::RangePriors priors;
