@@ -152,5 +152,62 @@ TEST(StartFromPrior, TakesTheHeadingOnTheSurfaceFromAFullAttitude) {
   EXPECT_NEAR(start_from_prior(std::vector{pose}, 0.0, slope)->pose.theta_rad, heading, 1e-12);
 }
 
+TEST_F(ReplayTest, WithoutAStartThePoseIsFound) {
+  options_.knows_start = false;
+  const ReplayResult result = run();
+  ASSERT_FALSE(result.rows.empty());
+  ASSERT_EQ(result.states.size(), result.rows.size());
+  EXPECT_GT(result.rows.front().t_s, 0.0);
+  EXPECT_LT(result.rows.front().t_s, 6.0);
+  EXPECT_EQ(result.states.back().state, State::kTracking);
+  EXPECT_LT(std::hypot(result.rows.back().x_m - drive_.truth.back().x_m,
+                       result.rows.back().y_m - drive_.truth.back().y_m),
+            0.3);
+}
+
+TEST_F(ReplayTest, AnObserverSeesABlockedPairWhenItIsAndChangesNothing) {
+  for (model::RangeSample& range : drive_.ranges) {
+    if (range.anchor_id == 13 && range.t_s > 5.0 && range.t_s < 8.0) range.range_m += 2.0;
+  }
+  const ReplayResult without = run();
+  std::size_t seen = 0;
+  Eigen::Vector3d pulled_by_blocked = Eigen::Vector3d::Zero();
+  options_.on_range = [&](const Tracker& tracker, const model::RangeSample& range,
+                          const RangeResult& result) {
+    ++seen;
+    EXPECT_EQ(tracker.estimate().t_s, range.t_s);
+    const bool blocked = range.anchor_id == 13 && range.t_s > 5.0 && range.t_s < 8.0;
+    EXPECT_EQ(result.weight < 0.5 && result.innovation_m > 1.0, blocked) << range.t_s;
+    if (blocked) pulled_by_blocked += result.pull;
+  };
+  const ReplayResult with = run();
+  EXPECT_EQ(seen, with.ranges_seen);
+  EXPECT_LT(pulled_by_blocked.head<2>().norm(), 0.01);
+  ASSERT_EQ(with.rows.size(), without.rows.size());
+  for (std::size_t i = 0; i < with.rows.size(); ++i) EXPECT_TRUE(same(with.rows[i], without.rows[i]));
+}
+
+TEST_F(ReplayTest, OtherSensorsAreTakenInTheirOrder) {
+  drive_.ranges.clear();
+  std::vector<model::PositionSample> positions;
+  for (std::size_t i = 0; i < drive_.truth.size(); i += 4) {
+    positions.push_back(
+        {drive_.odometry[i].t_s, drive_.truth[i].x_m, drive_.truth[i].y_m, {0.01, 0.0, 0.01}});
+  }
+  const ReplayResult result = replay({.odometry = drive_.odometry,
+                                      .ranges = {},
+                                      .tags = tags_,
+                                      .surface = &surface_,
+                                      .calibration = &calibration_,
+                                      .positions = positions},
+                                     options_);
+  const SensorCounters& counters = result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)];
+  EXPECT_EQ(counters.used, positions.size());
+  EXPECT_EQ(counters.out_of_order, 0U);
+  EXPECT_LT(std::hypot(result.rows.back().x_m - drive_.truth.back().x_m,
+                       result.rows.back().y_m - drive_.truth.back().y_m),
+            0.1);
+}
+
 }  // namespace
 }  // namespace groma::filter
