@@ -39,13 +39,21 @@ if(GROMA_SANITIZE)
 endif()
 target_include_directories(groma_build_options INTERFACE ${CMAKE_SOURCE_DIR})
 
-# groma_library(NAME <name> SOURCES ... [DEPENDS ...]); a library without sources is an interface.
+# To depend on where GCC 12 takes Eigen's dynamic matrices for null after a failed allocation.
+add_library(groma_dynamic_eigen INTERFACE)
+target_compile_options(groma_dynamic_eigen INTERFACE -Wno-null-dereference)
+
+# groma_library(NAME <name> SOURCES ... [DEPENDS ...] [APART]); a library without sources is an interface. APART: each
+# source is compiled alone also where CMAKE_UNITY_BUILD is set.
 function(groma_library)
-  cmake_parse_arguments(arg "" "NAME" "SOURCES;DEPENDS" ${ARGN})
+  cmake_parse_arguments(arg "APART" "NAME" "SOURCES;DEPENDS" ${ARGN})
   if(arg_SOURCES)
     add_library(${arg_NAME} STATIC ${arg_SOURCES})
     target_link_libraries(${arg_NAME} PRIVATE groma_build_options PUBLIC ${arg_DEPENDS})
     target_include_directories(${arg_NAME} PUBLIC ${CMAKE_SOURCE_DIR})
+    if(arg_APART)
+      set_target_properties(${arg_NAME} PROPERTIES UNITY_BUILD OFF)
+    endif()
   else()
     add_library(${arg_NAME} INTERFACE)
     target_link_libraries(${arg_NAME} INTERFACE ${arg_DEPENDS})
@@ -60,16 +68,20 @@ function(groma_executable)
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
 endfunction()
 
-# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [LABELS ...] [TIMEOUT s]): a GoogleTest program, each case a CTest test,
-# with the labels of GROMA_TEST_LABELS, too.
+# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [TIMEOUT s]): a GoogleTest program, each
+# case a CTest test, with the labels of GROMA_TEST_LABELS, too. One labelled long is there with GROMA_LONG_TESTS only.
 function(groma_test)
-  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
+  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
+  if("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS)
+    return()
+  endif()
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 120)
   endif()
   list(APPEND arg_LABELS ${GROMA_TEST_LABELS})
   add_executable(${arg_NAME} ${arg_SOURCES})
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
+  target_compile_definitions(${arg_NAME} PRIVATE ${arg_DEFINITIONS})
   gtest_discover_tests(
     ${arg_NAME}
     TEST_PREFIX ${arg_NAME}.

@@ -9,8 +9,8 @@ namespace groma::sim {
 
 namespace {
 
-constexpr std::uint64_t kCounterMask = (std::uint64_t{1} << 40) - 1;
-constexpr std::uint64_t kRxwtoe = 1U << 28;
+constexpr std::uint64_t kStampMask = (std::uint64_t{1} << 40) - 1;
+constexpr std::uint64_t kWaitTimeout = 1U << 28;
 constexpr std::uint64_t kLderune = 1U << 17;
 // No frame is heard longer than this after its last symbol was sent (30 km).
 constexpr SimTime kLongestFlight = 100 * kUnitsPerMicrosecond;
@@ -153,7 +153,7 @@ void Dw1000Chip::receiver_on(SimTime at) {
   // The counter adds one by itself (user manual 7.2.40.9).
   preamble_timeout_at_ =
       chunks == 0 ? kNever : time_of(on + (chunks + 1) * tuning().pac_symbols * kPreambleSymbolTicks);
-  const bool limited = (registers_.get(Reg::kSysCfg) & kRxwtoe) != 0;
+  const bool limited = (registers_.get(Reg::kSysCfg) & kWaitTimeout) != 0;
   frame_timeout_at_ =
       limited ? time_of(on + static_cast<std::int64_t>(registers_.get(Reg::kRxFwto)) * kTicksPerUus) : kNever;
 }
@@ -353,8 +353,8 @@ void Dw1000Chip::write_reception(bool damaged) {
     stamp = (reception.junk & 1) != 0 ? stamp + error : stamp - error;
   }
   const std::span<std::uint8_t> time = registers_.bytes(Reg::kRxTime);
-  put(time, 0, 5, stamp & kCounterMask);
-  put(time, 9, 5, static_cast<std::uint64_t>(rmarker) & kCounterMask & ~std::uint64_t{0x1FF});
+  put(time, 0, 5, stamp & kStampMask);
+  put(time, 9, 5, static_cast<std::uint64_t>(rmarker) & kStampMask & ~std::uint64_t{0x1FF});
 }
 
 void Dw1000Chip::write_measurements() {

@@ -18,9 +18,7 @@ constexpr int kFusingSteps = 8;
 constexpr int kLookingRounds = 3;
 constexpr int kFlippingRounds = 4;
 
-double square(double x) noexcept {
-  return x * x;
-}
+using model::square;
 
 Eigen::Index position_of(std::size_t anchor) noexcept {
   return 3 * static_cast<Eigen::Index>(anchor);

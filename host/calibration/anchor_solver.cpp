@@ -17,9 +17,7 @@ constexpr double kFeltDamping = 0.1;
 // A step this small in every parameter, as a share of its own sigma, ends the search.
 constexpr double kConvergedSigmas = 2e-2;
 
-double square(double x) noexcept {
-  return x * x;
-}
+using model::square;
 
 double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
   const Eigen::Vector3d offset_m = anchor.head<3>() - problem.position.mean_m;

@@ -20,7 +20,7 @@ namespace {
 constexpr KnotGrid kCoarseKnots{.spacing_s = 8.0, .max_count = 48.0};
 constexpr KnotGrid kFineKnots{.spacing_s = 4.0, .max_count = 96.0};
 constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};
-constexpr int kRounds = 4;
+constexpr int kDriveRounds = 4;
 // Wanders to choose from, by the likelihood of the ranges: first the size of the shift, then all three by
 // turns.
 constexpr std::array kWander_m{0.02, 0.06, 0.2, 0.6};
@@ -28,7 +28,7 @@ constexpr WanderPrior kFirstWander{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .corr
 constexpr std::array kCorrelations_s{5.0, 20.0, 60.0};
 constexpr std::array kYawFactors{0.4, 2.5};
 constexpr std::array kShiftFactors{0.7, 1.4};
-constexpr int kSweeps = 2;
+constexpr int kDriveSweeps = 2;
 constexpr int kFollowingSteps = 3;
 // A step that is shorter than this, in sigmas, is the last.
 constexpr double kRestingSigmas = 0.1;
@@ -49,7 +49,7 @@ constexpr double kDelaySigma_s = 0.03;
 constexpr double kMinDelaySigmas = 6.0;
 constexpr double kNoDelaySigma_s = 1e-7;
 // No localization knows its map better than this; shared by all poses and never seen by ranges.
-constexpr double kFrameSigma_m = 0.005;
+constexpr double kDriveFrameSigma_m = 0.005;
 constexpr double kFrameSigma_rad = 0.0005;
 
 double log_determinant(const Eigen::LLT<Eigen::MatrixXd>& factors) {
@@ -112,7 +112,7 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
     wander.*sigma *= factor;
     return consider(wander);
   };
-  for (int sweep = 0; sweep < kSweeps; ++sweep) {
+  for (int sweep = 0; sweep < kDriveSweeps; ++sweep) {
     for (const double correlation_s : kCorrelations_s) {
       WanderPrior wander = best.prior.wander;
       wander.correlation_s = correlation_s;
@@ -249,7 +249,7 @@ void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span
   Eigen::Matrix4d about_center = Eigen::Matrix4d::Zero();
   about_center.topLeftCorner<2, 2>() = mean.topLeftCorner<2, 2>();
   about_center(3, 3) = mean(2, 2);
-  const double square_m2 = kFrameSigma_m * kFrameSigma_m;
+  const double square_m2 = kDriveFrameSigma_m * kDriveFrameSigma_m;
   const Eigen::Vector4d unseen(square_m2, square_m2, square_m2, kFrameSigma_rad * kFrameSigma_rad);
   // A turn about the center is a turn about the origin and the shift that takes the center back.
   Eigen::Matrix4d about_origin = Eigen::Matrix4d::Identity();
@@ -326,7 +326,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
   Eigen::VectorXd& error = out.shared_mean;
   JointEquations equations;
   Eigen::MatrixXd covariance;
-  for (int round = 0; round < kRounds; ++round) {
+  for (int round = 0; round < kDriveRounds; ++round) {
     equations = eliminate_anchors(fits, inflation, unknowns);
     Eigen::MatrixXd believed = prior_information(unknowns, prior);
     const auto solve = [&] {

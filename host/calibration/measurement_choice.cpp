@@ -14,19 +14,17 @@ namespace {
 // Of the budget, one part in so many is spread over time.
 constexpr std::size_t kTimeShare = 4;
 // So loose that any range is worth more.
-constexpr double kOpenSigma_m = 100.0;
+constexpr double kBareSigma_m = 100.0;
 // Ranges from the same tag are of one kind whose direction, and distance but for a factor, differ by no more
 // than this: then it hardly matters which of them are taken.
 constexpr double kKindSize = 0.05;
 // Chosen ranges are tried against all others where that is no more trials than this.
 constexpr std::size_t kMostTrials = 100'000;
-constexpr int kSweeps = 3;
+constexpr int kChoiceSweeps = 3;
 // A range is taken that is worth so much of what the best may be worth.
 constexpr double kNearlyBest = 0.97;
 
-double square(double x) noexcept {
-  return x * x;
-}
+using model::square;
 
 // Covariance of position, each tag's beta and gamma, and of the share of the other side: a range of distance
 // d is taken for (1 - share) d + share mirrored.
@@ -36,7 +34,7 @@ class Dilution {
       : tags_(static_cast<Eigen::Index>(anchor.tag_count)),
         offset_square_m2_(square(anchor.mirror_offset_m)) {
     covariance_.setZero(4 + 2 * tags_, 4 + 2 * tags_);
-    for (Eigen::Index axis = 0; axis < 3; ++axis) covariance_(axis, axis) = square(kOpenSigma_m);
+    for (Eigen::Index axis = 0; axis < 3; ++axis) covariance_(axis, axis) = square(kBareSigma_m);
     for (Eigen::Index beta = 3; beta < 3 + tags_; ++beta) {
       covariance_(beta, beta) = square(anchor.beta_m.sigma);
       covariance_(beta + tags_, beta + tags_) = square(anchor.gamma.sigma);
@@ -196,7 +194,7 @@ class Choice {
   void exchange() {
     if (taken_.size() * anchor_.ranges.size() > kMostTrials) return;
     bool changed = true;
-    for (int sweep = 0; sweep < kSweeps && changed; ++sweep) {
+    for (int sweep = 0; sweep < kChoiceSweeps && changed; ++sweep) {
       changed = false;
       for (std::size_t place = of_time_; place < taken_.size(); ++place) {
         const std::size_t before = taken_[place];

@@ -15,7 +15,7 @@
 namespace groma::calibration {
 namespace {
 
-constexpr int kRounds = 4;
+constexpr int kMovedRounds = 4;
 constexpr int kLooks = 3;
 constexpr int kStartingSteps = 6;
 constexpr int kJoiningSteps = 20;
@@ -93,7 +93,7 @@ Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows, const
     rest.front().problem.rows = rows;
     rest.front().problem.sight = nullptr;
     find_start(rest.front());
-    refine_site(rest, priors, kRounds);
+    refine_site(rest, priors, kMovedRounds);
   }
   return out;
 }
@@ -150,7 +150,7 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
     }
   }
   if (out.fits.empty()) return out;
-  refine_site(out.fits, priors, kRounds);
+  refine_site(out.fits, priors, kMovedRounds);
   if (!sight.anchors.empty()) out.sight = solve_sight(piece_table, sight.model, out.fits, priors);
   for (const AnchorFit& piece : out.fits) out.evidence.push_back(gather_evidence(piece));
   out.inflation = score_inflation(out.evidence);

@@ -20,7 +20,7 @@ constexpr double kMoved_m = 0.3;
 // At most, of a place that is not the earlier one: anchors do get moved.
 constexpr double kMovedCost = 10.0;
 // Starts this close to each other are in one valley.
-constexpr double kSamePlace_m = 0.1;
+constexpr double kSameRival_m = 0.1;
 // Heights over the tags' plane to try, as shares of the distance to the nearest antenna.
 constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
 // Holds the anchor at a distance from the tags while the rest of it is solved.
@@ -64,7 +64,7 @@ void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts)
   std::erase_if(starts, [&](const AnchorVector& start) {
     const Eigen::Vector3d place_m = start.head<3>();
     const bool tried = std::any_of(tried_m.begin(), tried_m.end(), [&](const Eigen::Vector3d& other_m) {
-      return (place_m - other_m).norm() < kSamePlace_m;
+      return (place_m - other_m).norm() < kSameRival_m;
     });
     if (!tried) tried_m.push_back(place_m);
     return tried;

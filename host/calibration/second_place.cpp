@@ -27,17 +27,17 @@ constexpr double kLeastGain = 30.0;
 // Two places are apart by this in the plane, and by as much in the ranges of the stretch: a robot that stood
 // there tells of the one direction alone, and any place in the others would do.
 constexpr double kApart_m = 0.15;
-constexpr int kRounds = 4;
+constexpr int kPlaceRounds = 4;
 constexpr int kRefinements = 3;
 // A row prefers its own place by this, on average.
 constexpr double kPreference = 0.5;
 // A row is clearly of one place where its cost there is less by this.
-constexpr double kClear = 3.0;
+constexpr double kClearlyBetter = 3.0;
 // Rows that the one place does not explain, of which the larger part has another in common.
 constexpr double kRejectedShare = 0.2;
 constexpr double kExplainedShare = 0.5;
 constexpr double kExplainedScales = 3.0;
-constexpr double kFar_m = 1.5;
+constexpr double kFarPlace_m = 1.5;
 
 struct Stretch {
   std::size_t first = 0;
@@ -128,7 +128,7 @@ double torn_share(std::span<const double> prefer_there, const Stretch& stretch) 
   double clear = 0.0;
   double torn = 0.0;
   for (std::size_t i = 0; i < prefer_there.size(); ++i) {
-    if (std::abs(prefer_there[i]) < kClear) continue;
+    if (std::abs(prefer_there[i]) < kClearlyBetter) continue;
     clear += 1.0;
     const bool inside = i >= stretch.first && i < stretch.last;
     torn += inside != (prefer_there[i] > 0.0) ? 1.0 : 0.0;
@@ -167,7 +167,7 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
   SecondPlace out;
   std::vector<double> prefer_there;
   double apart_m = 0.0;
-  for (int round = 0; round < kRounds; ++round) {
+  for (int round = 0; round < kPlaceRounds; ++round) {
     if (!is_parted(rows, stretch)) return std::nullopt;
     std::vector<Observation> outside(rows.begin(), rows.begin() + static_cast<std::ptrdiff_t>(stretch.first));
     outside.insert(outside.end(), rows.begin() + static_cast<std::ptrdiff_t>(stretch.last), rows.end());
@@ -212,7 +212,7 @@ std::optional<AnchorFit> find_far_place(const AnchorFit& fit) {
   if (static_cast<double>(rejected.size()) < least) return std::nullopt;
   far.problem.rows = rejected;
   find_start(far);
-  if ((far.anchor.head<3>() - fit.anchor.head<3>()).norm() < kFar_m) return std::nullopt;
+  if ((far.anchor.head<3>() - fit.anchor.head<3>()).norm() < kFarPlace_m) return std::nullopt;
   const auto explained = std::count_if(rejected.begin(), rejected.end(), [&](const Observation& row) {
     return std::abs(residual_m(row, far.anchor, tags)) <
            kExplainedScales * fit.kernels[row.tag].shape().scale_m;

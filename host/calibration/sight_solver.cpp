@@ -28,7 +28,7 @@ constexpr std::size_t kMinPolls = 50;
 constexpr double kReach_m = 60.0;
 constexpr double kNearShare = 0.9;
 
-constexpr int kRounds = 7;
+constexpr int kSightRounds = 7;
 constexpr int kLabelRounds = 2;
 // Rows in sight that solve an anchor alone in the first round.
 constexpr double kEnoughInSight = 0.25;
@@ -370,7 +370,7 @@ SiteSight SightSolver::solve() {
     label_by_replies();
     refine_site(fits_, priors_, kLabelRounds);
   }
-  for (int round = 0; round < kRounds; ++round) {
+  for (int round = 0; round < kSightRounds; ++round) {
     std::vector<AnchorPass> passes;
     for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(look(a));
     learn(passes);

@@ -29,7 +29,7 @@ constexpr double kRestingSigmas = 0.1;
 constexpr double kContradiction = 1.0;
 constexpr int kStartingSteps = 6;
 // Far outside any site: only keeps an anchor finite where ranges leave it open.
-constexpr double kOpenSigma_m = 300.0;
+constexpr double kUnknownSigma_m = 300.0;
 
 PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& data,
                              std::span<const Observation> rows) {
@@ -44,7 +44,7 @@ PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& 
     return prior;
   }
   prior.mean_m = tag_spread(rows).center_m;
-  prior.information = Eigen::Matrix3d::Identity() / (kOpenSigma_m * kOpenSigma_m);
+  prior.information = Eigen::Matrix3d::Identity() / (kUnknownSigma_m * kUnknownSigma_m);
   return prior;
 }
 

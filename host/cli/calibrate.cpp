@@ -38,7 +38,7 @@ namespace {
 
 constexpr const char* kReportName = "report.html";
 
-struct Options {
+struct CalibrateOptions {
   std::filesystem::path dataset;
   std::optional<std::filesystem::path> poses;
   std::optional<std::filesystem::path> survey;
@@ -116,7 +116,7 @@ std::string format_update(const calibration::Update& update) {
   return text;
 }
 
-int run(const Options& options) {
+int run(const CalibrateOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   if (options.update && options.known_anchors) {
     throw CLI::ValidationError("--update", "does not go with --known-anchors");
@@ -169,9 +169,9 @@ int run(const Options& options) {
 
   if (options.json) {
     Json json{{"verdict", io::word(result.calibration.verdict)}, {"wall_s", wall_s}};
-    json.update(to_json(result));
+    json.update(cli::to_json(result));
     if (update) json["update"] = update_json(*update);
-    json["dropped"] = to_json(dataset.dropped);
+    json["dropped"] = cli::to_json(dataset.dropped);
     say_json(json);
   } else {
     say(format_table(result.calibration));
@@ -200,7 +200,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_calibrate(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<CalibrateOptions>();
   CLI::App* command = app.add_subcommand(
       "calibrate",
       "Find the anchors' positions and the ranges' biases from one drive of a robot that knows its own "

@@ -24,7 +24,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct ConfigureOptions {
   std::filesystem::path plan;
   std::string nodes;
   std::string link;
@@ -33,7 +33,7 @@ struct Options {
   bool json = false;
 };
 
-int run(const Options& options) {
+int run(const ConfigureOptions& options) {
   const provision::SitePlan plan = provision::read_site_plan(options.plan);
   std::vector<const provision::PlannedNode*> nodes = select_nodes(plan, options.nodes);
   std::vector<provision::PlannedNode> by_air;
@@ -73,7 +73,7 @@ int run(const Options& options) {
                over_air ? "via " + outcome.port : outcome.port, result_word(outcome),
                outcome.hello ? outcome.hello->version : "-"});
     Json entry{{"id", node->id}, {"role", provision::role_word(node->role)}, {"over_air", over_air}};
-    entry.update(to_json(outcome));
+    entry.update(cli::to_json(outcome));
     json["nodes"].push_back(std::move(entry));
   }
   if (options.json) {
@@ -87,7 +87,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_configure(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<ConfigureOptions>();
   CLI::App* command = app.add_subcommand(
       "configure",
       "Write a site plan's configuration into each node, read it back and apply it. A node that works by it "

@@ -30,7 +30,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct DemoOptions {
   std::uint64_t seed = 1;
   EmulationChoice emulation;
   std::optional<std::filesystem::path> report;
@@ -132,7 +132,7 @@ class Progress {
   bool terminal_ = ::isatty(STDERR_FILENO) == 1;
 };
 
-int run(const Options& options) {
+int run(const DemoOptions& options) {
   if (options.report) io::make_folder(*options.report);
   const sim::Scenario scenario = sim::paper_hall();
   const Progress progress;
@@ -155,7 +155,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_demo(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<DemoOptions>();
   CLI::App* command = app.add_subcommand("demo",
                                          "Show the whole path on a simulated site: tags and anchors run the "
                                          "firmware on a modelled radio and stream "

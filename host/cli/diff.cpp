@@ -21,7 +21,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct DiffOptions {
   std::filesystem::path a;
   std::filesystem::path b;
   bool json = false;
@@ -127,7 +127,7 @@ Json to_json(const calibration::Comparison& comparison, const model::Calibration
   return json;
 }
 
-int run(const Options& options) {
+int run(const DiffOptions& options) {
   const model::Calibration a = io::read_calibration(options.a);
   const model::Calibration b = io::read_calibration(options.b);
   if (a.frame != b.frame) {
@@ -147,7 +147,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_diff(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<DiffOptions>();
   CLI::App* command = app.add_subcommand(
       "diff",
       "Compare two calibrations of one site: how far each anchor is from where it was, against what both "

@@ -20,7 +20,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct EvaluateOptions {
   std::string estimate;
   std::string truth;
   bool json = false;
@@ -45,7 +45,7 @@ std::string format_table(const evaluation::Evaluation& evaluation) {
   return text + '\n';
 }
 
-int run(const Options& options) {
+int run(const EvaluateOptions& options) {
   Warnings warnings;
   const std::vector<model::PlanarEstimate> estimate = io::read_estimate(options.estimate);
   io::DroppedRows dropped;
@@ -65,7 +65,7 @@ int run(const Options& options) {
                     options.estimate, result->samples_without_covariance));
   }
   if (options.json) {
-    say_json(to_json(*result));
+    say_json(cli::to_json(*result));
   } else {
     say(format_table(*result));
   }
@@ -75,7 +75,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_evaluate(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<EvaluateOptions>();
   CLI::App* command = app.add_subcommand("evaluate",
                                          "Score an estimate against the truth: position and heading errors "
                                          "(ATE) and consistency (NEES divided by 3), at "

@@ -24,7 +24,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct ExplainOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Config{}.model)};
   double at_s = 0.0;
@@ -143,7 +143,7 @@ Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& ro
           .relocations = tracker.relocations()};
 }
 
-Story replay(const Options& options, FilterInput::Drive& drive) {
+Story replay(const ExplainOptions& options, FilterInput::Drive& drive) {
   const double from_s = options.at_s - options.window_s;
   const double to_s = options.at_s + options.window_s;
   Story story;
@@ -222,7 +222,7 @@ Json to_json(const Heard& heard) {
   return json;
 }
 
-Json to_json(const Options& options, const Story& story) {
+Json to_json(const ExplainOptions& options, const Story& story) {
   const Moment& moment = moment_at(story, options.at_s);
   const filter::Estimate& estimate = moment.estimate;
   Json covariance = Json::array();
@@ -270,7 +270,7 @@ Json to_json(const Options& options, const Story& story) {
 }
 
 // The pairs that pulled most come first, those that were not believed last.
-std::string table_of(const Options& options, const Story& story) {
+std::string table_of(const ExplainOptions& options, const Story& story) {
   using Entry = std::pair<Pair, const std::vector<Heard>*>;
   std::vector<Entry> entries;
   entries.reserve(story.pairs.size());
@@ -299,7 +299,7 @@ std::string table_of(const Options& options, const Story& story) {
   return table.format(true);
 }
 
-std::string text_of(const Options& options, const Story& story) {
+std::string text_of(const ExplainOptions& options, const Story& story) {
   const Moment& moment = moment_at(story, options.at_s);
   const filter::Estimate& estimate = moment.estimate;
   const auto sigma = [&](int i) { return std::sqrt(estimate.covariance(i, i)); };
@@ -342,7 +342,7 @@ std::string text_of(const Options& options, const Story& story) {
   return out + table_of(options, story);
 }
 
-int run(const Options& options) {
+int run(const ExplainOptions& options) {
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("explain", FilterInput::StartIs::kFoundOtherwise, warnings);
   const Story story = replay(options, drive);
@@ -357,7 +357,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_explain(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<ExplainOptions>();
   CLI::App* command = app.add_subcommand(
       "explain",
       "What happened at a moment of a recorded drive: the filter's state, and of each tag and anchor what "

@@ -33,7 +33,7 @@ using provision::DebugProbe;
 using provision::FlashFault;
 using provision::FlashOutcome;
 
-struct Options {
+struct FlashOptions {
   std::filesystem::path image = provision::default_image_path();
   std::string openocd = "openocd";
   std::string adapter;
@@ -158,7 +158,7 @@ void clear_phase() {
 
 class Flashing {
  public:
-  explicit Flashing(const Options& options)
+  explicit Flashing(const FlashOptions& options)
       : options_(options), image_(provision::read_node_image(options.image)) {
     own_interface_ = !options.adapter.empty() && !provision::adapter_from_word(options.adapter);
     if (own_interface_ && !std::filesystem::is_regular_file(options.adapter)) {
@@ -219,7 +219,7 @@ class Flashing {
     return outcome;
   }
 
-  const Options& options_;
+  const FlashOptions& options_;
   provision::NodeImage image_;
   bool own_interface_ = false;
   std::optional<std::filesystem::path> openocd_;
@@ -234,7 +234,7 @@ Json to_json(const provision::NodeImage& image) {
 }
 
 // One probe, or with --all each that there is.
-int flash_probes(const Options& options) {
+int flash_probes(const FlashOptions& options) {
   const Flashing flashing(options);
   std::vector<std::string> serials{options.probe};
   if (options.all) {
@@ -263,7 +263,7 @@ int flash_probes(const Options& options) {
 }
 
 // A plan's nodes, each by its own probe, and then configured over its port.
-int flash_plan(const Options& options) {
+int flash_plan(const FlashOptions& options) {
   const provision::SitePlan plan = provision::read_site_plan(options.plan);
   const std::vector<const provision::PlannedNode*> nodes = select_nodes(plan, options.nodes);
   if (nodes.size() > 1) {
@@ -322,7 +322,7 @@ int flash_plan(const Options& options) {
   return first_failure != kGood ? first_failure : warnings.exit_code();
 }
 
-int run(const Options& options) {
+int run(const FlashOptions& options) {
   if (options.udev_rules) {
     say(provision::udev_rules());
     return kGood;
@@ -339,7 +339,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_flash(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<FlashOptions>();
   CLI::App* command =
       app.add_subcommand("flash",
                          "Write the firmware into nodes by a debug probe, with OpenOCD, and verify it; with "

@@ -24,7 +24,7 @@ namespace {
 
 constexpr std::uint32_t kMaxIdentify_s = 3'600;
 
-struct Options {
+struct IdentifyOptions {
   std::string link;
   std::filesystem::path plan;
   std::string node;
@@ -33,7 +33,7 @@ struct Options {
   bool json = false;
 };
 
-int run(Options options) {
+int run(IdentifyOptions options) {
   model::NodeId target = 0;
   if (options.plan.empty() && !options.node.empty()) {
     const std::vector<model::NodeId> ids = parse_ids("--node", options.node);
@@ -63,7 +63,7 @@ int run(Options options) {
       provision::identify_node(options.link, options.baud, options.for_s, link::open_link, target);
   if (outcome.fault != provision::NodeFault::kNone) {
     complain(outcome.message);
-    return exit_code_of(outcome.fault);
+    return cli::exit_code_of(outcome.fault);
   }
   const bool known = outcome.hello.has_value();
   const char* role = known ? provision::role_word(outcome.hello->role) : "";
@@ -87,7 +87,7 @@ int run(Options options) {
 }  // namespace
 
 void add_identify(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<IdentifyOptions>();
   CLI::App* command = app.add_subcommand("identify", "Let a node blink, and tell which it is.");
   command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3");
   command->add_option("--plan", options->plan, "The site plan, in the place of a port");

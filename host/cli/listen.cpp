@@ -30,7 +30,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct ListenOptions {
   std::string link;
   unsigned baud = 1'000'000;
   double for_s = 5.0;
@@ -153,7 +153,7 @@ std::string told_of_itself(const Listener& heard) {
 }
 
 // Why there was no range, and what to do.
-int complain_of_nothing(const Options& options, const Listener& heard, std::uint64_t bytes) {
+int complain_of_nothing(const ListenOptions& options, const Listener& heard, std::uint64_t bytes) {
   if (bytes == 0) {
     complain(fmt::format("{}: not a byte came; 'groma identify {}' tells more", options.link, options.link));
     return kUnavailable;
@@ -177,7 +177,7 @@ int complain_of_nothing(const Options& options, const Listener& heard, std::uint
   return kDoneWithWarnings;
 }
 
-int run(const Options& options) {
+int run(const ListenOptions& options) {
   using Clock = std::chrono::steady_clock;
   const link::OpenedLink opened = link::open_link(options.link, options.baud);
   if (!opened.link) {
@@ -226,7 +226,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_listen(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<ListenOptions>();
   CLI::App* command = app.add_subcommand("listen", "Show what a tag measures: ranges by anchor.");
   command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3")->required();
   command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();

@@ -27,7 +27,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct NodeTableOptions {
   std::string link;
   std::filesystem::path plan;
   std::string nodes;
@@ -70,7 +70,7 @@ std::vector<provision::AnchorHint> parse_hints(const std::string& text) {
   return hints;
 }
 
-Orders orders_of(Options& options) {
+Orders orders_of(NodeTableOptions& options) {
   Orders orders;
   if (!options.leave.empty()) {
     if (!options.prefer.empty() || !options.nodes.empty()) {
@@ -93,7 +93,7 @@ struct Place {
   bool over_air = false;
 };
 
-std::vector<Place> places_of(Options& options, const Orders& orders) {
+std::vector<Place> places_of(NodeTableOptions& options, const Orders& orders) {
   std::vector<Place> places;
   if (options.plan.empty()) {
     if (!orders.any()) places.push_back({0, options.link, false});
@@ -148,7 +148,7 @@ std::string share_missed(const groma_Counters& counters) {
   return all > 0.0 ? fmt::format("{:.1f} %", 100.0 * counters.beacons_missed / all) : "-";
 }
 
-int run(Options options) {
+int run(NodeTableOptions options) {
   if (options.link.empty() == options.plan.empty()) {
     throw CLI::ValidationError("nodes", "name either a port or --plan");
   }
@@ -172,7 +172,7 @@ int run(Options options) {
     }
     if (const int code = tell(report.outcome, warnings); first_failure == kGood) first_failure = code;
     Json entry{{"id", place.id}, {"over_air", place.over_air}};
-    entry.update(to_json(report.outcome));
+    entry.update(cli::to_json(report.outcome));
     entry.erase("result");
     if (orders.any()) {
       const bool done = report.outcome.fault == provision::NodeFault::kNone;
@@ -208,7 +208,7 @@ int run(Options options) {
 }  // namespace
 
 void add_nodes(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<NodeTableOptions>();
   CLI::App* command = app.add_subcommand(
       "nodes", "Ask each node of a site what it is and has counted, over its port or over the air.");
   command->add_option("link", options->link, "Port of one node, such as /dev/ttyACM0 or can:can0/3");

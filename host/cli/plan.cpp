@@ -23,7 +23,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct PlanOptions {
   std::filesystem::path plan;
   unsigned tags = 3;
   unsigned anchors = 12;
@@ -37,7 +37,7 @@ struct Options {
 };
 
 // Of a site that no file describes: its numbers alone count.
-groma_Config made_up(const Options& options) {
+groma_Config made_up(const PlanOptions& options) {
   provision::SiteSettings site = options.site;
   for (unsigned i = 0; i < options.tags; ++i) site.tag_ids.push_back(static_cast<model::NodeId>(1 + i));
   for (unsigned i = 0; i < options.anchors; ++i)
@@ -120,7 +120,7 @@ Json as_json(const provision::AirPlan& plan, double loss, double success) {
           {"warnings", plan.warnings}};
 }
 
-int run(const Options& options) {
+int run(const PlanOptions& options) {
   unsigned baud = 1'000'000;
   groma_Config config = groma_Config_init_zero;
   if (options.plan.empty()) {
@@ -149,7 +149,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_plan(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<PlanOptions>();
   CLI::App* command = app.add_subcommand("plan",
                                          "Foretell what a schedule gives: slots, air use, ranges per second, "
                                          "and what each link carries. Of a site "

@@ -29,7 +29,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct ReplayOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Config{}.model)};
 };
@@ -66,7 +66,7 @@ Json sensors_json(const filter::Counters& counters) {
   return json;
 }
 
-int run(const Options& options) {
+int run(const ReplayOptions& options) {
   io::expect_writable(options.input.output());
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("replay", FilterInput::StartIs::kFoundOtherwise, warnings);
@@ -112,7 +112,7 @@ int run(const Options& options) {
                   {"relocations", result.relocations},
                   {"state", words.back().state},
                   {"sensors", sensors_json(counters)},
-                  {"dropped", to_json(drive.dataset.dropped)},
+                  {"dropped", cli::to_json(drive.dataset.dropped)},
                   {"wall_s", wall_s},
                   {"realtime_factor", realtime_factor},
                   {"propagate_ns", {{"p50", result.propagate_ns.p50}, {"p99", result.propagate_ns.p99}}},
@@ -129,7 +129,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_replay(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<ReplayOptions>();
   CLI::App* command =
       app.add_subcommand("replay",
                          "Run the filter over a recorded drive. It sees no range, odometry "

@@ -20,13 +20,13 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct SimOptions {
   std::filesystem::path scenario;
   simulation::SiteServer::Options server;
   EmulationChoice emulation;
 };
 
-int run(Options options) {
+int run(SimOptions options) {
   const sim::Scenario scenario = sim::read_scenario(options.scenario);
   options.server.site.image = chosen_image(options.emulation);
   // Before anything is made that an early end would leave behind.
@@ -49,7 +49,7 @@ int run(Options options) {
 }  // namespace
 
 void add_sim(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<SimOptions>();
   CLI::App* command =
       app.add_subcommand("sim",
                          "Keep a simulated site running: for each tag a pseudo-terminal that behaves as a "

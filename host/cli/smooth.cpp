@@ -22,12 +22,12 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct SmoothOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Model::kSchmidt)};
 };
 
-int run(const Options& options) {
+int run(const SmoothOptions& options) {
   io::expect_writable(options.input.output());
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
@@ -51,7 +51,7 @@ int run(const Options& options) {
                   {"scale_error", result.scale_error},
                   {"yaw_rate_bias_radps", result.yaw_rate_bias_radps},
                   {"range_delay_s", result.range_delay_s},
-                  {"dropped", to_json(drive.dataset.dropped)}});
+                  {"dropped", cli::to_json(drive.dataset.dropped)}});
   } else {
     say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,
                     options.input.output().string()));
@@ -69,7 +69,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_smooth(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<SmoothOptions>();
   CLI::App* command = app.add_subcommand(
       "smooth",
       "The poses that all of a recorded drive makes most likely: each is told by what came later, too, "

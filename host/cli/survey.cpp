@@ -20,7 +20,7 @@ namespace groma::cli {
 
 namespace {
 
-struct Options {
+struct SurveyOptions {
   std::string link;
   std::string nodes;
   unsigned baud = 1'000'000;
@@ -28,7 +28,7 @@ struct Options {
   bool json = false;
 };
 
-int run(const Options& options) {
+int run(const SurveyOptions& options) {
   Warnings warnings;
   Json pairs = Json::array();
   int first_failure = kGood;
@@ -57,7 +57,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_survey(CLI::App& app, Action& action) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<SurveyOptions>();
   CLI::App* command = app.add_subcommand(
       "survey",
       "Let anchors range to the anchors around them, in the slot of a tag that does not range meanwhile. "

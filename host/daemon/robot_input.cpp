@@ -15,10 +15,10 @@
 namespace groma::daemon {
 namespace {
 
-using Json = nlohmann::json;
+using InputJson = nlohmann::json;
 
 // False unless the object has a finite number of that name.
-bool read_number(const Json& object, const char* name, double& out) {
+bool read_number(const InputJson& object, const char* name, double& out) {
   const auto found = object.find(name);
   if (found == object.end() || !found->is_number()) return false;
   out = found->get<double>();
@@ -26,7 +26,7 @@ bool read_number(const Json& object, const char* name, double& out) {
 }
 
 // False where it is there and cannot be one; what is null is not known.
-bool read_covariance(const Json& object, std::optional<model::PoseCovariance>& out) {
+bool read_covariance(const InputJson& object, std::optional<model::PoseCovariance>& out) {
   const auto found = object.find("covariance");
   if (found == object.end() || found->is_null()) return true;
   constexpr std::size_t kAxes = 6;
@@ -37,8 +37,8 @@ bool read_covariance(const Json& object, std::optional<model::PoseCovariance>& o
   auto next = covariance.begin();
   for (std::size_t row = 0; row < kPlanar.size(); ++row) {
     for (std::size_t column = row; column < kPlanar.size(); ++column, ++next) {
-      const Json& term = (*found)[kAxes * kPlanar[row] + kPlanar[column]];
-      const Json& mirrored = (*found)[kAxes * kPlanar[column] + kPlanar[row]];
+      const InputJson& term = (*found)[kAxes * kPlanar[row] + kPlanar[column]];
+      const InputJson& mirrored = (*found)[kAxes * kPlanar[column] + kPlanar[row]];
       if (term.is_null() && mirrored.is_null()) continue;
       if (!term.is_number() || term != mirrored) return false;
       *next = term.get<double>();
@@ -89,7 +89,7 @@ void RobotInput::reset() {
 }
 
 std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
-  const Json object = Json::parse(line, nullptr, /*allow_exceptions=*/false);
+  const InputJson object = InputJson::parse(line, nullptr, /*allow_exceptions=*/false);
   if (!object.is_object()) {
     drop(counters_.torn, fmt::format("no JSON object: {}", io::shown(line)));
     return std::nullopt;

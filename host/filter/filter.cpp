@@ -26,9 +26,7 @@ constexpr double kNever = -std::numeric_limits<double>::infinity();
 constexpr double kMaxDoubt_m = 10.0;
 constexpr double kMaxDoubt_rad = 1.0;
 
-double square(double value) noexcept {
-  return value * value;
-}
+using model::square;
 
 Learning learning(Model model) noexcept {
   if (model == Model::kJoint) return Learning::kAll;

@@ -7,9 +7,7 @@ namespace groma::filter {
 
 namespace {
 
-double square(double value) noexcept {
-  return value * value;
-}
+using model::square;
 
 }  // namespace
 

@@ -14,7 +14,7 @@ namespace {
 using model::OdometrySample;
 using model::RangeSample;
 
-constexpr double kNever = -std::numeric_limits<double>::infinity();
+constexpr double kNothingYet_s = -std::numeric_limits<double>::infinity();
 // Checkpoints within the window.
 constexpr double kPerWindow = 4.0;
 // Inputs from one checkpoint to the next at most: so many are taken again for one that comes late.
@@ -80,9 +80,9 @@ OrderedFilter::OrderedFilter(model::Surface surface, std::span<const model::Tag>
     : filter_(std::move(surface), tags, calibration, config),
       window_s_(window_s),
       checkpoints_(kMaxCheckpoints, {.filter = filter_.snapshot()}),
-      newest_s_(kNever) {
+      newest_s_(kNothingYet_s) {
   inputs_.reserve(kMaxInputs);
-  check_in(0, kNever);
+  check_in(0, kNothingYet_s);
 }
 
 bool OrderedFilter::start(const Start& start) noexcept {
@@ -95,8 +95,8 @@ void OrderedFilter::stop() noexcept {
   inputs_.clear();
   first_ = 0;
   checkpoint_count_ = 0;
-  newest_s_ = kNever;
-  check_in(0, kNever);
+  newest_s_ = kNothingYet_s;
+  check_in(0, kNothingYet_s);
 }
 
 OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {

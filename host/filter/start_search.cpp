@@ -25,15 +25,13 @@ constexpr int kSteps = 25;
 // The coarse judgement looks at so many ranges.
 constexpr std::size_t kCoarseRanges = 48;
 // Weak priors about where a hypothesis starts keep the steps finite in a direction that nothing tells of.
-constexpr double kFar_m = 1000.0;
+constexpr double kFarStart_m = 1000.0;
 constexpr double kAnyHeading_rad = 10.0;
 // Ends of refinement nearer than this are one hypothesis.
-constexpr double kSamePlace_m = 0.3;
+constexpr double kSameStart_m = 0.3;
 constexpr double kSameHeading_rad = 0.1;
 
-double square(double value) noexcept {
-  return value * value;
-}
+using model::square;
 
 // Redescending: -ln of a Cauchy density with that knee, zero and with unit curvature at e = 0.
 double robust_cost(double e, const StartSearchConfig& search) noexcept {
@@ -227,7 +225,7 @@ void StartSearch::refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept {
   double weights = 0.0;
   const auto look = [&](const Eigen::Vector3d& at, Eigen::Matrix3d& a, Eigen::Vector3d& b,
                         double& weight_sum) {
-    a = Eigen::Vector3d(1.0 / square(kFar_m), 1.0 / square(kFar_m), 1.0 / square(kAnyHeading_rad))
+    a = Eigen::Vector3d(1.0 / square(kFarStart_m), 1.0 / square(kFarStart_m), 1.0 / square(kAnyHeading_rad))
             .asDiagonal();
     b.setZero();
     weight_sum = 0.0;
@@ -319,7 +317,7 @@ void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
     const double apart_m =
         std::hypot(hypothesis.pose.x_m - other.pose.x_m, hypothesis.pose.y_m - other.pose.y_m);
     const double turned_rad = std::abs(model::wrap_angle(hypothesis.pose.theta_rad - other.pose.theta_rad));
-    if (apart_m > kSamePlace_m || turned_rad > kSameHeading_rad) continue;
+    if (apart_m > kSameStart_m || turned_rad > kSameHeading_rad) continue;
     if (hypothesis.cost < other.cost) other = hypothesis;
     return;
   }

@@ -12,12 +12,10 @@ namespace groma::filter {
 
 namespace {
 
-constexpr double kNever = -std::numeric_limits<double>::infinity();
+constexpr double kNotYet_s = -std::numeric_limits<double>::infinity();
 constexpr double kNotNow = std::numeric_limits<double>::quiet_NaN();
 
-double square(double value) noexcept {
-  return value * value;
-}
+using model::square;
 
 double largest_variance(const Eigen::Matrix3d& covariance) noexcept {
   const double a = covariance(0, 0);
@@ -126,7 +124,7 @@ SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
 }
 
 bool Tracker::believe(double t_s) noexcept {
-  if (newest_s_ == kNever || std::abs(t_s - newest_s_) < config_.clock_step_s) {
+  if (newest_s_ == kNotYet_s || std::abs(t_s - newest_s_) < config_.clock_step_s) {
     strange_ = 0;
     return true;
   }
@@ -148,11 +146,11 @@ void Tracker::set_back(double t_s) noexcept {
   search_.stop();
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
-  newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNever;
+  newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNotYet_s;
   disagrees_since_s_ = agrees_since_s_ = kNotNow;
   refused_ = judged_ = 0.0;
   for (TagWatch& tag : tags_) {
-    tag.last_s = kNever;
+    tag.last_s = kNotYet_s;
     tag.heard = false;
   }
   if (!known) return;

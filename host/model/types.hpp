@@ -15,6 +15,10 @@ namespace groma::model {
 // Anchors and tags share one number space of 16 bits.
 using NodeId = std::uint16_t;
 
+[[nodiscard]] constexpr double square(double x) noexcept {
+  return x * x;
+}
+
 inline constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
 
 // A hint, by how far the first path's power is below all of it and the strongest path from it; the numbers

@@ -57,6 +57,8 @@ std::string tick_text(double value, double step) {
   return text.find_first_of("123456789") == std::string::npos && text.front() == '-' ? text.substr(1) : text;
 }
 
+}  // namespace
+
 struct Rectangle {
   double left, top, right, bottom;
   [[nodiscard]] double overlap(const Rectangle& other) const {
@@ -65,8 +67,6 @@ struct Rectangle {
     return width > 0.0 && height > 0.0 ? width * height : 0.0;
   }
 };
-
-}  // namespace
 
 Ink series_ink(std::size_t n) {
   constexpr std::array kInks{Ink::kSeries1, Ink::kSeries2, Ink::kSeries3, Ink::kSeries4};

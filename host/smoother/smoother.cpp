@@ -25,9 +25,7 @@ constexpr double kConverged_m = 1e-3;
 constexpr double kConverged_rad = 1e-4;
 constexpr Eigen::Index kPose = 3;
 
-double square(double x) noexcept {
-  return x * x;
-}
+using model::square;
 
 // What all rows share: the odometry's scale and yaw-rate bias, the delay, then of each anchor position, beta
 // and gamma, then lever arms, then the frame. Known by what they come with, so in units of that: shared

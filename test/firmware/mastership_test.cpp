@@ -25,7 +25,7 @@ constexpr Ticks kGuard = Ticks::from_us(20);
 constexpr std::uint32_t kHash = 0xABCD;
 constexpr std::uint64_t kSession = 1'000;
 
-groma_Schedule schedule_with(std::size_t backups) {
+groma_Schedule schedule_of_backups(std::size_t backups) {
   groma_Schedule schedule = schedule_of(2, 10, groma_RangingMethod_METHOD_DS_NEXT_POLL);
   schedule.backup_ids_count = static_cast<pb_size_t>(backups);
   for (std::size_t i = 0; i < backups; ++i) schedule.backup_ids[i] = static_cast<std::uint16_t>(102 + i);
@@ -38,7 +38,7 @@ ClockTime at_s(double t_s) {
 
 // One node on its own, told by hand what it hears.
 struct Node {
-  explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_with(backups)) {
+  explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_of_backups(backups)) {
     site = {.id = id, .schedule = &schedule, .boot_count = 7, .sessions = &sessions};
     mastership = std::make_unique<Mastership>(site, kDuration, kGuard, kHash);
     mastership->search(ClockTime(0));

@@ -13,7 +13,7 @@ namespace {
 
 using Claim = SlotTable::Claim;
 
-groma_Schedule schedule_with(const std::vector<std::uint16_t>& tags, std::uint32_t slots) {
+groma_Schedule schedule_of_slots(const std::vector<std::uint16_t>& tags, std::uint32_t slots) {
   groma_Schedule schedule = groma_Schedule_init_zero;
   for (const std::uint16_t tag : tags) schedule.tag_ids[schedule.tag_ids_count++] = tag;
   schedule.slots = slots;
@@ -35,7 +35,7 @@ using Ids = std::vector<std::uint16_t>;
 // ---- the table ----------------------------------------------------------------------------------------
 
 TEST(SlotTable, BeginsAsTheScheduleSays) {
-  auto schedule = schedule_with({1, 2, 3}, 5);
+  auto schedule = schedule_of_slots({1, 2, 3}, 5);
   SlotTable table(schedule);
   EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast, kBroadcast, kNobody, kNobody}));
   EXPECT_TRUE(table.may_poll(2, 1));
@@ -53,7 +53,7 @@ TEST(SlotTable, BeginsAsTheScheduleSays) {
 }
 
 TEST(SlotTable, GivesAFreeSlotAtOnceAndTheSameOneWhenAskedAgain) {
-  const auto schedule = schedule_with({1}, 3);
+  const auto schedule = schedule_of_slots({1}, 3);
   SlotTable table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   EXPECT_EQ(table.claim(50), Claim::kHeld);
@@ -65,7 +65,7 @@ TEST(SlotTable, GivesAFreeSlotAtOnceAndTheSameOneWhenAskedAgain) {
 }
 
 TEST(SlotTable, ASlotThatWasLeftServesAnotherAtOnce) {
-  const auto schedule = schedule_with({1}, 2);
+  const auto schedule = schedule_of_slots({1}, 2);
   SlotTable table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.advance(1);
@@ -82,7 +82,7 @@ TEST(SlotTable, ASlotThatWasLeftServesAnotherAtOnce) {
 }
 
 TEST(SlotTable, ASlotThatOthersShareStaysTheirs) {
-  auto schedule = schedule_with({1, 2}, 2);
+  auto schedule = schedule_of_slots({1, 2}, 2);
   schedule.tag_slots_count = 2;
   SlotTable table(schedule);
   table.leave(1);
@@ -90,7 +90,7 @@ TEST(SlotTable, ASlotThatOthersShareStaysTheirs) {
 }
 
 TEST(SlotTable, ATagThatFellSilentLosesItsSlotAndAnotherHasItOnlyAfterAPause) {
-  const auto schedule = schedule_with({1, 2}, 2);
+  const auto schedule = schedule_of_slots({1, 2}, 2);
   SlotTable table(schedule);
   std::uint32_t t = 0;
   const auto step = [&] {
@@ -110,7 +110,7 @@ TEST(SlotTable, ATagThatFellSilentLosesItsSlotAndAnotherHasItOnlyAfterAPause) {
 }
 
 TEST(SlotTable, WhoIsStillThereHasItsSlotAgain) {
-  const auto schedule = schedule_with({1, 2}, 3);
+  const auto schedule = schedule_of_slots({1, 2}, 3);
   SlotTable table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.hear(50, 2);
@@ -128,7 +128,7 @@ TEST(SlotTable, WhoIsStillThereHasItsSlotAgain) {
 }
 
 TEST(SlotTable, AMasterThatHearsNobodyCallsNothingBack) {
-  const auto schedule = schedule_with({1, 2}, 2);
+  const auto schedule = schedule_of_slots({1, 2}, 2);
   SlotTable table(schedule);
   table.hear(1, 0);
   table.hear(2, 1);
@@ -151,7 +151,7 @@ TEST(SlotTable, AMasterThatHearsNobodyCallsNothingBack) {
 }
 
 TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
-  const auto schedule = schedule_with({1, 2}, 2);
+  const auto schedule = schedule_of_slots({1, 2}, 2);
   SlotTable table(schedule);
   for (std::uint32_t t = 1; t < 1000; ++t) {
     table.advance(t);
@@ -170,7 +170,7 @@ TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
 
 // Three forged JOINs have filled the table; the tags of the schedule ask in vain.
 TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
-  const auto schedule = schedule_with({1, 2}, 3);
+  const auto schedule = schedule_of_slots({1, 2}, 3);
   SlotTable table(schedule);
   table.lead(7);
   table.advance(1);
@@ -214,7 +214,7 @@ TEST(Tenure, ATableOfTheFutureGivesWayToTheNextOne) {
 }
 
 TEST(SlotTable, ACopyIsTheMastersTableAndNoOlderOne) {
-  const auto schedule = schedule_with({1}, 3);
+  const auto schedule = schedule_of_slots({1}, 3);
   SlotTable master(schedule);
   SlotTable copy(schedule);
   copy.copy(beacon_of(master, 10));
@@ -235,7 +235,7 @@ TEST(SlotTable, ACopyIsTheMastersTableAndNoOlderOne) {
 }
 
 TEST(SlotTable, ANewMasterGoesOnWithTheCopyAndLetsWhatIsFreeRest) {
-  const auto schedule = schedule_with({1}, 3);
+  const auto schedule = schedule_of_slots({1}, 3);
   SlotTable master(schedule);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
   SlotTable next(schedule);
@@ -325,7 +325,7 @@ TEST(Slots, NeverHaveTwoOwners) {
   for (std::uint64_t seed = 1; seed <= 60; ++seed) {
     std::mt19937_64 random(seed);
     const auto chance = [&](double p) { return static_cast<double>(random() >> 11) * 0x1p-53 < p; };
-    const auto schedule = schedule_with({1, 2, 3}, 4);
+    const auto schedule = schedule_of_slots({1, 2, 3}, 4);
     std::vector<Player> players;
     for (const std::uint16_t id : Ids{1, 2, 3, 50, 51, 52, 53}) players.push_back({.id = id});
     std::vector<Head> heads(3);

@@ -20,11 +20,11 @@ using test::frame_of;
 using wire::CanDirection;
 using wire::CanFormat;
 
-constexpr SimTime kUs = kUnitsPerMicrosecond;
+constexpr SimTime kMicrosecond = kUnitsPerMicrosecond;
 constexpr SimTime kMs = kUnitsPerMillisecond;
-constexpr SimTime kBit = can_bit_time(1'000'000);
+constexpr SimTime kCanBit = can_bit_time(1'000'000);
 constexpr SimTime kLong = 40 * kMs;
-constexpr SimTime kRecovery = SimTime{128} * 11 * kBit;
+constexpr SimTime kRecovery = SimTime{128} * 11 * kCanBit;
 
 using Bytes = std::vector<std::uint8_t>;
 
@@ -119,7 +119,7 @@ TEST_P(McpTest, FillsTheBusWhenTheQueueIsFull) {
   std::uint64_t refused = 0;
   for (std::uint64_t i = 0; i < 2'000; ++i) {
     if (!module.link.write(framed(150, i))) ++refused;
-    module.run(module.now + 300 * kUs);
+    module.run(module.now + 300 * kMicrosecond);
     host.take(tap.take(module.now), 3);
   }
   EXPECT_GT(refused, 100U);
@@ -185,12 +185,12 @@ TEST_P(McpTest, KeepsEachStepWithinItsBounds) {
     (void)module.link.write(framed(10 + random() % 400, i));
     if (random() % 3 == 0) tap.send(module.now, frame_of(0x16010003, 8, GetParam()));
     if (i == 200) bus.damage(module.now, module.now + 30 * kMs);
-    module.run(module.now + static_cast<SimTime>(random() % 3'000) * kUs);
+    module.run(module.now + static_cast<SimTime>(random() % 3'000) * kMicrosecond);
   }
   EXPECT_GE(module.link.counters().bus_offs, 1U);
   EXPECT_LE(module.most_bytes, 230U);
   EXPECT_LE(module.most_transfers, 13U);
-  EXPECT_LE(module.longest_step, (GetParam() == CanFormat::kFd ? 270 : 160) * kUs);
+  EXPECT_LE(module.longest_step, (GetParam() == CanFormat::kFd ? 270 : 160) * kMicrosecond);
 }
 
 TEST_P(McpTest, SurvivesBusOffAndComesBackByItself) {
@@ -376,7 +376,7 @@ class McpChipTest : public ::testing::Test {
     now = 5 * kMs;
   }
   Bytes transfer(Bytes bytes, std::uint32_t hz = 8'000'000) {
-    now += 10 * kUs;
+    now += 10 * kMicrosecond;
     Bytes in(bytes.size());
     chip.transfer(now, bytes, in, hz);
     return in;
@@ -461,7 +461,7 @@ TEST_F(McpChipTest, WaitsForElevenRecessiveBitsBeforeItJoins) {
   write(0x004, 0x001E0707);
   write(0x000, 0x06000760);
   EXPECT_EQ(read(0x000) >> 21 & 7, 4U);
-  now += 11 * kBit;
+  now += 11 * kCanBit;
   EXPECT_EQ(read(0x000) >> 21 & 7, 6U);
 }
 
@@ -479,7 +479,7 @@ TEST_F(McpChipTest, RecoversFromBusOffAfter128Times11RecessiveBits) {
   const SimTime quiet = now + kLong;
   bus.hold_dominant(now, quiet);
   SimTime t = now;
-  while (!chip.bus_off() && t < quiet) chip.advance(t += kUs);
+  while (!chip.bus_off() && t < quiet) chip.advance(t += kMicrosecond);
   // 32 failures of 8 each take it beyond 255.
   EXPECT_EQ(bus.counters().errors, 32U);
   now = t;
@@ -513,7 +513,7 @@ TEST_F(McpChipTest, CountsTheEndOfEachFrameForItsRecovery) {
   CanTap talker(bus, {});
   for (int i = 0; i < 200; ++i) talker.send(quiet, frame_of(0x16000005, 8, CanFormat::kClassic));
   SimTime t = quiet;
-  while (chip.bus_off()) chip.advance(t += 10 * kUs);
+  while (chip.bus_off()) chip.advance(t += 10 * kMicrosecond);
   EXPECT_EQ(200U - talker.waiting(), 128U);
 }
 

@@ -13,7 +13,7 @@
 namespace groma::sim {
 namespace {
 
-constexpr double kSettled_s = 0.6;  // by then each node is in step and each pair has ranged
+constexpr double kInStep_s = 0.6;  // by then each node is in step and each pair has ranged
 
 void expect_sound(SiteBench& site) {
   for (std::size_t i = 0; i < site.network.size(); ++i) {
@@ -35,7 +35,7 @@ struct Errors {
   double mean_m = 0.0;
 };
 
-Errors errors_of(const SiteBench& site, double from_s = kSettled_s) {
+Errors errors_of(const SiteBench& site, double from_s = kInStep_s) {
   Errors errors;
   double sum = 0.0;
   site.each_range(
@@ -108,7 +108,7 @@ TEST(SmallSite, ReportsPowersAndTheAnchorsClockOffset) {
         EXPECT_NEAR(range.first_path_power_cdbm, path.first_path_power_dbm * 100.0, 20.0);
         ++seen;
       },
-      kSettled_s);
+      kInStep_s);
   EXPECT_GT(seen, 100);
 }
 
@@ -158,7 +158,7 @@ class NoiseFree : public testing::TestWithParam<Variant> {};
 TEST_P(NoiseFree, RangesAreTrueAndAsManyAsPromised) {
   const SiteSettings& settings = GetParam().settings;
   SiteBench site(settings);
-  site.run_until(kSettled_s + 2.0);
+  site.run_until(kInStep_s + 2.0);
   expect_sound(site);
   const Errors errors = errors_of(site);
   EXPECT_EQ(errors.missing, 0);
@@ -208,7 +208,7 @@ TEST(NoisyStamps, SpreadRangesAsTheClosedFormSays) {
         squares += normalized * normalized;
         ++count;
       },
-      kSettled_s);
+      kInStep_s);
   ASSERT_GT(count, 5000);
   EXPECT_NEAR(squares / count, 1.0, 4.0 * std::sqrt(2.0 / count) + 0.02);
 }
@@ -221,7 +221,7 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
       .anchors = 12,
       .medium = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.02}};
   SiteBench site(settings);
-  site.run_until(kSettled_s + 10.0);
+  site.run_until(kInStep_s + 10.0);
   const Errors errors = errors_of(site);
   EXPECT_LT(errors.worst_m, 0.01) << "a lost frame never gives a range";
   const double share = errors.good / (10.0 * promised_rate(site, settings));

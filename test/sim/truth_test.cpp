@@ -16,7 +16,7 @@ namespace {
 constexpr double kSpeedOfLight_mps = 299'792'458.0;
 constexpr double kTicksPerSecond = 63.8976e9;
 constexpr double kMetresPerTick = kSpeedOfLight_mps / kTicksPerSecond;
-constexpr double kSettled_s = 0.6;  // by then each node is in step and each pair has ranged
+constexpr double kRanging_s = 0.6;  // by then each node is in step and each pair has ranged
 
 bool ok(const groma_Range& range) {
   return range.status == groma_RangeStatus_RANGE_OK;
@@ -66,7 +66,7 @@ TEST_P(AbsoluteError, IsAtMostACentimetreFrom1To100MetresForTheFirstAndTheLastRe
                     chip.clock.offset_ppm = chip.id < 100 ? p.tag_ppm : p.anchor_ppm;
                   }});
   put_around(site, p.anchors, 1.0);
-  double t_s = kSettled_s;
+  double t_s = kRanging_s;
   site.run_until(t_s);
   for (const double distance_m : {1.0, 2.5, 7.0, 20.0, 50.0, 100.0}) {
     put_around(site, p.anchors, distance_m);
@@ -142,7 +142,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
                   .method = p.method,
                   .medium = {.stamp_noise_s = kNoise_s, .carrier_noise_ppm = 0.0},
                   .seed = 7});
-  site.run_until(kSettled_s + 20.0);
+  site.run_until(kRanging_s + 20.0);
   // A stamp is a whole number of ticks.
   const double stamp_sigma_s = std::hypot(kNoise_s, 1.0 / kTicksPerSecond / std::sqrt(12.0));
   const mac::Superframe superframe = site.superframe();
@@ -167,7 +167,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
         single_sided_squares += of_two_frames * of_two_frames;
         ++ranges[responder];
       },
-      kSettled_s);
+      kRanging_s);
   double all = 0.0;
   int all_ranges = 0;
   for (std::size_t i = 0; i < count; ++i) {
@@ -223,7 +223,7 @@ double mean_error_with(std::int32_t tag_transmit, std::int32_t tag_receive, std:
         sum_m += error_m(site, report, range);
         ++count;
       },
-      kSettled_s);
+      kRanging_s);
   EXPECT_GT(count, 40);
   return sum_m / count;
 }
@@ -314,7 +314,7 @@ TEST(Health, OfEachChipIsToldAndCostsNoSlot) {
     EXPECT_EQ(site.network.node(i).chip().fault(), "") << id;
   }
   site.each_range([](const groma_SlotReport&, const groma_Range& range) { EXPECT_TRUE(ok(range)); },
-                  kSettled_s);
+                  kRanging_s);
   // What changes is told a second later.
   site.network.node(0).chip().set_ambient({.temperature_c = 60.0, .supply_v = 3.3});
   site.run_until(7.2);
@@ -329,7 +329,7 @@ TEST(PowerBias, BendsARangeUntilItIsCorrected) {
                     .configure = [&](groma_Config& config) { config.correct_power_bias = correct; },
                     .equip = [](ChipSpec& chip) { chip.bias.power = true; }});
     put_around(site, 3, 2.0);
-    double t_s = kSettled_s;
+    double t_s = kRanging_s;
     site.run_until(t_s);
     struct Point {
       double distance_m;
@@ -376,7 +376,7 @@ TEST(Quality, HintsAtTheLineOfSightAndTellsTheNoise) {
           EXPECT_GT(range.noise, 0);
           ++count;
         },
-        kSettled_s);
+        kRanging_s);
     EXPECT_GT(count, 40);
   }
 }
@@ -407,7 +407,7 @@ TEST(NetworkTime, OfARangeIsItsPlaceInTheSchedule) {
         EXPECT_NEAR(static_cast<double>(at), due, 12'800.0);
         ++count;
       },
-      kSettled_s);
+      kRanging_s);
   EXPECT_GT(count, 500);
 }
 
@@ -420,7 +420,7 @@ TEST(NetworkTime, RunsAsTheMastersClockOverTheCountersWrap) {
     const double own = 1.0 + site.network.node(tag).chip().clock().offset(0);
     const auto& reports = site.listeners[tag].reports;
     const auto first = std::find_if(reports.begin(), reports.end(), [](const Listener::Report& report) {
-      return to_seconds(report.t) > kSettled_s;
+      return to_seconds(report.t) > kRanging_s;
     });
     ASSERT_NE(first, reports.end());
     for (auto report = first; report != reports.end(); ++report) {

@@ -16,11 +16,11 @@ constexpr float kFormerMasterSigma_ticks = 320'000.0F;
 // What a relay adds to its beacon's error: its own stamp's at each hop, and the walk of its clock (as the
 // tracker's: 0.1 ppm in a second) since it heard.
 float relay_sigma_ticks(const BeaconStamp& beacon, Ticks duration) noexcept {
-  constexpr float kStampSigma_ticks = 13.0F;
+  constexpr float kBeaconSigma_ticks = 13.0F;
   constexpr float kWalk_ticks = 6'390.0F / 1.732F;
   const float silent_s = static_cast<float>(beacon.age) * static_cast<float>(duration.count()) /
                          static_cast<float>(Ticks::kPerSecond);
-  return kStampSigma_ticks * static_cast<float>(beacon.hop) + kWalk_ticks * silent_s * std::sqrt(silent_s);
+  return kBeaconSigma_ticks * static_cast<float>(beacon.hop) + kWalk_ticks * silent_s * std::sqrt(silent_s);
 }
 
 }  // namespace

@@ -8,7 +8,7 @@ namespace groma::sim {
 
 namespace {
 
-enum Purpose : std::uint64_t { kRobot = 0x576F, kBeta, kGamma, kTexture };
+enum WorldPurpose : std::uint64_t { kRobot = 0x576F, kBeta, kGamma, kTexture };
 
 constexpr double kShortestFlight_m = 0.05;
 

@@ -14,7 +14,7 @@
 namespace groma::calibration {
 namespace {
 
-constexpr std::size_t kTags = 3;
+constexpr std::size_t kSolvedTags = 3;
 
 // Ranges along a random walk to an anchor, with biases; noise and some blocked ones on demand.
 struct Scene {
@@ -26,22 +26,22 @@ struct Scene {
 Scene make_scene(std::uint64_t seed, double noise_m, double blocked_share) {
   test::Random random(seed);
   Scene scene;
-  scene.truth = anchor_at({8.0, -3.0, 2.5}, kTags, {});
-  for (std::size_t tag = 0; tag < kTags; ++tag) {
+  scene.truth = anchor_at({8.0, -3.0, 2.5}, kSolvedTags, {});
+  for (std::size_t tag = 0; tag < kSolvedTags; ++tag) {
     scene.truth(beta_index(tag)) = 0.3 * random.gaussian();
-    scene.truth(gamma_index(tag, kTags)) = 1.0 + 0.004 * random.gaussian();
+    scene.truth(gamma_index(tag, kSolvedTags)) = 1.0 + 0.004 * random.gaussian();
   }
   for (int i = 0; i < 300; ++i) {
     Observation row;
     row.t_s = 0.1 * i;
-    row.tag = static_cast<std::uint32_t>(static_cast<std::size_t>(i) % kTags);
+    row.tag = static_cast<std::uint32_t>(static_cast<std::size_t>(i) % kSolvedTags);
     row.tag_m = {random.uniform(-6.0, 6.0), random.uniform(-6.0, 6.0), 0.3 + 0.7 * row.tag};
-    row.range_m = predict(row, scene.truth, kTags).range_m + noise_m * random.gaussian();
+    row.range_m = predict(row, scene.truth, kSolvedTags).range_m + noise_m * random.gaussian();
     if (random.uniform() < blocked_share) row.range_m += random.uniform(0.5, 3.0);
     scene.rows.push_back(row);
   }
   scene.problem.rows = scene.rows;
-  scene.problem.tag_count = kTags;
+  scene.problem.tag_count = kSolvedTags;
   scene.problem.position.information = 1e-4 * Eigen::Matrix3d::Identity();
   return scene;
 }
@@ -49,18 +49,19 @@ Scene make_scene(std::uint64_t seed, double noise_m, double blocked_share) {
 TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
   const Scene scene = make_scene(1, 0.1, 0.2);
   const KernelShape shape = KernelShape{}.with_blocked(0.2);
-  const std::vector<RobustKernel> kernels(kTags, RobustKernel(shape));
+  const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(shape));
   // Of the kernel by its definition, not by its table.
   const auto exact_cost = [&](const AnchorVector& anchor) {
     const Eigen::Vector3d offset_m = anchor.head<3>() - scene.problem.position.mean_m;
     double cost = 0.5 * offset_m.dot(scene.problem.position.information * offset_m);
     const model::RangePriors& priors = scene.problem.priors;
-    for (std::size_t tag = 0; tag < kTags; ++tag) {
+    for (std::size_t tag = 0; tag < kSolvedTags; ++tag) {
       cost += 0.5 * std::pow((anchor(beta_index(tag)) - priors.beta_m.mean) / priors.beta_m.sigma, 2);
-      cost += 0.5 * std::pow((anchor(gamma_index(tag, kTags)) - priors.gamma.mean) / priors.gamma.sigma, 2);
+      cost +=
+          0.5 * std::pow((anchor(gamma_index(tag, kSolvedTags)) - priors.gamma.mean) / priors.gamma.sigma, 2);
     }
     for (const Observation& row : scene.rows) {
-      cost -= std::log(test::exact_density(shape, residual_m(row, anchor, kTags)));
+      cost -= std::log(test::exact_density(shape, residual_m(row, anchor, kSolvedTags)));
     }
     return cost;
   };
@@ -82,7 +83,7 @@ TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
   const Scene scene = make_scene(3, 0.0, 0.0);
   // Next to pure noise: the weight is then the cost's own curvature.
   const std::vector<RobustKernel> kernels(
-      kTags, RobustKernel(KernelShape{.scale_m = 0.1, .wide = 1e-9, .gross = 1e-9}.with_blocked(1e-9)));
+      kSolvedTags, RobustKernel(KernelShape{.scale_m = 0.1, .wide = 1e-9, .gross = 1e-9}.with_blocked(1e-9)));
   const auto gradient = [&](const Eigen::VectorXd& anchor) {
     return Eigen::VectorXd(linearize(scene.problem, kernels, anchor).gradient);
   };
@@ -95,7 +96,7 @@ TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
 TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
   Scene scene = make_scene(7, 0.1, 0.0);
   KernelShape shape{.scale_m = 0.1, .wide = 0.0, .bumps = {}, .gross = 1e-9};
-  const std::vector<RobustKernel> kernels(kTags, RobustKernel(shape));
+  const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(shape));
   test::Random random(8);
   Eigen::MatrixXd information = information_of_priors(scene.problem);
   for (Observation& row : scene.rows) {
@@ -103,7 +104,7 @@ TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
     const Eigen::Vector2d other = 0.1 * random.gaussians(2);
     const Eigen::Matrix2d spread = one * one.transpose() + other * other.transpose();
     row.pose_spread_m2 = Eigen::Vector3d(spread(0, 0), spread(0, 1), spread(1, 1)).cast<float>();
-    const double gamma = scene.truth(gamma_index(row.tag, kTags));
+    const double gamma = scene.truth(gamma_index(row.tag, kSolvedTags));
     const Eigen::Vector2d j = gamma * (row.tag_m - scene.truth.head<3>()).normalized().head<2>();
     const double variance_m2 = 0.01 + j.dot(spread * j);
     const double r = 1.5 * std::sqrt(variance_m2);
@@ -115,7 +116,7 @@ TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
     Eigen::VectorXd by_all = Eigen::VectorXd::Zero(scene.truth.size());
     by_all.head<3>() = gamma * (scene.truth.head<3>() - row.tag_m).normalized();
     by_all(beta_index(row.tag)) = 1.0;
-    by_all(gamma_index(row.tag, kTags)) = (scene.truth.head<3>() - row.tag_m).norm();
+    by_all(gamma_index(row.tag, kSolvedTags)) = (scene.truth.head<3>() - row.tag_m).norm();
     information += by_all * by_all.transpose() / variance_m2;
   }
   // All rows side by side weigh as each by itself.
@@ -126,10 +127,10 @@ TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
 
 TEST(AnchorSolver, NeverEndsWorseThanItStarted) {
   const Scene scene = make_scene(4, 0.1, 0.4);
-  const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{}.with_blocked(0.3)));
+  const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(KernelShape{}.with_blocked(0.3)));
   test::Random random(5);
   for (int i = 0; i < 50; ++i) {
-    const AnchorVector start = anchor_at(20.0 * random.gaussians(3), kTags, {});
+    const AnchorVector start = anchor_at(20.0 * random.gaussians(3), kSolvedTags, {});
     const AnchorSolution solution = solve_anchor(scene.problem, kernels, start, 20);
     EXPECT_TRUE(solution.anchor.allFinite());
     EXPECT_LE(solution.cost, robust_cost(scene.problem, kernels, start) + 1e-9);
@@ -138,8 +139,8 @@ TEST(AnchorSolver, NeverEndsWorseThanItStarted) {
 
 TEST(AnchorSolver, StaysFiniteWhenTheAnchorIsAtTheAntenna) {
   const Scene scene = make_scene(6, 0.1, 0.0);
-  const std::vector<RobustKernel> kernels(kTags, RobustKernel());
-  const AnchorVector start = anchor_at(scene.rows[0].tag_m, kTags, {});
+  const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel());
+  const AnchorVector start = anchor_at(scene.rows[0].tag_m, kSolvedTags, {});
   EXPECT_TRUE(solve_anchor(scene.problem, kernels, start, 20).anchor.allFinite());
 }
 

@@ -114,4 +114,10 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
   return site;
 }
 
+// Of the error of its position, against its own covariance.
+inline double square_sigmas(const model::AnchorCalibration& anchor, const Eigen::Vector3d& truth_m) {
+  const Eigen::Vector3d error_m = anchor.position_m - truth_m;
+  return error_m.dot(anchor.covariance.topLeftCorner<3, 3>().ldlt().solve(error_m));
+}
+
 }  // namespace groma::test

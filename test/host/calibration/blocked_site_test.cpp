@@ -26,11 +26,6 @@ test::Blocking hall() {
   return blocking;
 }
 
-double square_sigmas(const model::AnchorCalibration& anchor, const Eigen::Vector3d& truth_m) {
-  const Eigen::Vector3d error_m = anchor.position_m - truth_m;
-  return error_m.dot(anchor.covariance.topLeftCorner<3, 3>().ldlt().solve(error_m));
-}
-
 TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonest) {
   double error_m = 0.0;
   int ok = 0;
@@ -52,7 +47,7 @@ TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonest) {
       if (anchor.verdict != AnchorVerdict::kOk) continue;
       ++ok;
       error_m += (anchor.position_m - site.anchors[a].position_m).norm();
-      EXPECT_LT(square_sigmas(anchor, site.anchors[a].position_m), kEllipsoid997)
+      EXPECT_LT(test::square_sigmas(anchor, site.anchors[a].position_m), kEllipsoid997)
           << "seed " << seed << " anchor " << anchor.id << " off by "
           << (anchor.position_m - site.anchors[a].position_m).transpose();
     }
@@ -91,7 +86,7 @@ TEST(BlockedSite, NamesAnAnchorThatOnlyAnswersThroughAWall) {
     EXPECT_FALSE(anchor.advice.empty());
     for (const model::PairBias& pair : anchor.pairs) EXPECT_GT(pair.beta_sigma_m, 0.15);
     const std::size_t a = anchor.id - site.anchors.front().id;
-    EXPECT_LT(square_sigmas(anchor, site.anchors[a].position_m), kEllipsoid997);
+    EXPECT_LT(test::square_sigmas(anchor, site.anchors[a].position_m), kEllipsoid997);
   }
 }
 

@@ -19,7 +19,7 @@
 namespace groma::calibration {
 namespace {
 
-constexpr std::size_t kTags = 2;
+constexpr std::size_t kChosenTags = 2;
 
 struct Place {
   double t_s = 0.0;
@@ -45,7 +45,7 @@ std::vector<RangeGeometry> seen_from(const Eigen::Vector3d& anchor_m, const std:
 
 AnchorGeometry geometry_of(const std::vector<RangeGeometry>& ranges, double mirror_offset_m) {
   return {.ranges = ranges,
-          .tag_count = kTags,
+          .tag_count = kChosenTags,
           .beta_m = {.mean = 0.0, .sigma = 0.3},
           .gamma = {.mean = 1.0, .sigma = 0.005},
           .mirror_offset_m = mirror_offset_m};
@@ -53,18 +53,20 @@ AnchorGeometry geometry_of(const std::vector<RangeGeometry>& ranges, double mirr
 
 // Written out: information of position, biases and side, its inverse, the root of the trace.
 double dilution_m(const AnchorGeometry& anchor, const std::vector<std::size_t>& chosen) {
-  constexpr Eigen::Index kSize = 4 + 2 * static_cast<Eigen::Index>(kTags);
+  constexpr Eigen::Index kSize = 4 + 2 * static_cast<Eigen::Index>(kChosenTags);
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(kSize, kSize);
   information.diagonal().head<3>().setConstant(1e-4);
-  information.diagonal().segment(3, kTags).setConstant(1.0 / std::pow(anchor.beta_m.sigma, 2));
-  information.diagonal().segment(3 + kTags, kTags).setConstant(1.0 / std::pow(anchor.gamma.sigma, 2));
+  information.diagonal().segment(3, kChosenTags).setConstant(1.0 / std::pow(anchor.beta_m.sigma, 2));
+  information.diagonal()
+      .segment(3 + kChosenTags, kChosenTags)
+      .setConstant(1.0 / std::pow(anchor.gamma.sigma, 2));
   information(kSize - 1, kSize - 1) = 1.0;
   for (const std::size_t i : chosen) {
     const RangeGeometry& range = anchor.ranges[i];
     Eigen::VectorXd row = Eigen::VectorXd::Zero(kSize);
     row.head<3>() = -range.direction;
     row(static_cast<Eigen::Index>(3 + range.tag)) = 1.0;
-    row(static_cast<Eigen::Index>(3 + kTags + range.tag)) = range.distance_m;
+    row(static_cast<Eigen::Index>(3 + kChosenTags + range.tag)) = range.distance_m;
     row(kSize - 1) = range.mirrored_m - range.distance_m;
     information += row * row.transpose() / std::pow(range.sigma_m, 2);
   }
@@ -91,7 +93,7 @@ std::vector<Place> anywhere(std::size_t count, std::uint64_t seed) {
   for (std::size_t i = 0; i < count; ++i) {
     out.push_back(
         {.t_s = static_cast<double>(i),
-         .tag = i % kTags,
+         .tag = i % kChosenTags,
          .antenna_m = {random.uniform(-8.0, 8.0), random.uniform(-8.0, 8.0), random.uniform(0.0, 2.0)}});
   }
   return out;
@@ -136,9 +138,10 @@ TEST(MeasurementChoice, KeepsTheWayOfARobotThatMostlyStands) {
   std::vector<Place> places;
   for (std::size_t i = 0; i < 6000; ++i) {
     const double way_m = i < 5400 ? 0.0 : 0.03 * static_cast<double>(i - 5400);
-    places.push_back({.t_s = 0.1 * static_cast<double>(i),
-                      .tag = i % kTags,
-                      .antenna_m = {way_m - 6.0, 4.0 * std::sin(0.4 * way_m), i % kTags == 0 ? 0.4 : 1.6}});
+    places.push_back(
+        {.t_s = 0.1 * static_cast<double>(i),
+         .tag = i % kChosenTags,
+         .antenna_m = {way_m - 6.0, 4.0 * std::sin(0.4 * way_m), i % kChosenTags == 0 ? 0.4 : 1.6}});
   }
   const std::vector<RangeGeometry> ranges = seen_from({2.0, 5.0, 2.5}, places);
   const AnchorGeometry anchor = geometry_of(ranges, 3.0);

@@ -22,7 +22,7 @@ namespace {
 
 using model::AnchorVerdict;
 
-constexpr double kDrive_s = 160.0;
+constexpr double kMovedDrive_s = 160.0;
 // Of chi square with three degrees of freedom, 99.99 %.
 constexpr double kEllipsoid9999 = 21.1;
 
@@ -42,11 +42,6 @@ test::Blocking walls() {
 
 Eigen::Vector3d half_a_metre(double angle_rad) {
   return 0.5 * Eigen::Vector3d(std::cos(angle_rad), std::sin(angle_rad), 0.0);
-}
-
-double square_sigmas(const model::AnchorCalibration& anchor, const Eigen::Vector3d& truth_m) {
-  const Eigen::Vector3d error_m = anchor.position_m - truth_m;
-  return error_m.dot(anchor.covariance.topLeftCorner<3, 3>().ldlt().solve(error_m));
 }
 
 // The last number of "... t_s = 40 and 95, ...".
@@ -119,14 +114,15 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
 TEST(Moved, AreBothNamedWithTheTimeAndNoOther) {
   std::uint64_t seed = 40;
   for (const bool has_walls : {false, true}) {
-    for (const auto& [one_s, two_s] : {std::pair{0.2 * kDrive_s, 0.5 * kDrive_s},
-                                       {0.5 * kDrive_s, 0.8 * kDrive_s},
-                                       {0.8 * kDrive_s, 0.2 * kDrive_s}}) {
+    for (const auto& [one_s, two_s] : {std::pair{0.2 * kMovedDrive_s, 0.5 * kMovedDrive_s},
+                                       {0.5 * kMovedDrive_s, 0.8 * kMovedDrive_s},
+                                       {0.8 * kMovedDrive_s, 0.2 * kMovedDrive_s}}) {
       ++seed;
       const std::size_t one = has_walls ? 1 : seed % 10;
       const std::size_t two = has_walls ? 5 : (seed + 4) % 10;
       const test::SimulatedSite site = test::blocked_site(
-          test::polled_settings(test::Route::kEight, kDrive_s), has_walls ? walls() : nothing_blocked(), seed,
+          test::polled_settings(test::Route::kEight, kMovedDrive_s), has_walls ? walls() : nothing_blocked(),
+          seed,
           {{.anchor = one, .by_m = half_a_metre(0.9 * static_cast<double>(seed)), .from_s = one_s},
            {.anchor = two, .by_m = half_a_metre(2.3 * static_cast<double>(seed)), .from_s = two_s}});
       const model::Calibration found = calibrate(site.drive()).calibration;
@@ -138,7 +134,7 @@ TEST(Moved, AreBothNamedWithTheTimeAndNoOther) {
         EXPECT_NEAR(last_time_of(anchor.advice), a == one ? one_s : two_s, 4.0) << anchor.advice;
         const Eigen::Vector3d now_m =
             site.anchors[a].position_m + half_a_metre((a == one ? 0.9 : 2.3) * static_cast<double>(seed));
-        EXPECT_LT(square_sigmas(anchor, now_m), kEllipsoid9999)
+        EXPECT_LT(test::square_sigmas(anchor, now_m), kEllipsoid9999)
             << "seed " << seed << ", anchor " << anchor.id << " off by "
             << (anchor.position_m - now_m).transpose();
       }
@@ -150,7 +146,7 @@ TEST(Moved, AndMovedBackIsNamed) {
   for (std::uint64_t seed = 61; seed <= 63; ++seed) {
     const std::size_t moved = seed % 10;
     const test::SimulatedSite site = test::blocked_site(
-        test::polled_settings(test::Route::kWaves, kDrive_s), nothing_blocked(), seed,
+        test::polled_settings(test::Route::kWaves, kMovedDrive_s), nothing_blocked(), seed,
         {{.anchor = moved, .by_m = half_a_metre(static_cast<double>(seed)), .from_s = 50.0, .to_s = 100.0}});
     const model::Calibration found = calibrate(site.drive()).calibration;
     for (std::size_t a = 0; a < found.anchors.size(); ++a) {
@@ -158,7 +154,7 @@ TEST(Moved, AndMovedBackIsNamed) {
           << "seed " << seed << ", anchor " << found.anchors[a].id << ": " << found.anchors[a].advice;
     }
     EXPECT_NEAR(last_time_of(found.anchors[moved].advice), 100.0, 4.0) << found.anchors[moved].advice;
-    EXPECT_LT(square_sigmas(found.anchors[moved], site.anchors[moved].position_m), kEllipsoid9999);
+    EXPECT_LT(test::square_sigmas(found.anchors[moved], site.anchors[moved].position_m), kEllipsoid9999);
   }
 }
 
@@ -171,7 +167,7 @@ TEST(Moved, NamesNoneWhereNoneMoved) {
         .route = route, .outlier_share = 0.15, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
     if (i % 4 == 1) settings.place_error_m = 0.05;
     const test::SimulatedSite site =
-        i % 4 == 3 ? test::blocked_site(test::polled_settings(route, kDrive_s), walls(), seed)
+        i % 4 == 3 ? test::blocked_site(test::polled_settings(route, kMovedDrive_s), walls(), seed)
                    : test::simulate_site(settings, seed);
     for (const model::AnchorCalibration& anchor : calibrate(site.drive()).calibration.anchors) {
       EXPECT_NE(anchor.verdict, AnchorVerdict::kMoved)
@@ -232,7 +228,7 @@ TEST(SwappedIds, ForAThirdOfTheDriveAreNamedWithEachOther) {
       EXPECT_EQ(anchor.verdict, AnchorVerdict::kWeak);
       EXPECT_NE(anchor.advice.find(anchor.id == 5 ? "anchor 11" : "anchor 5"), std::string::npos);
       EXPECT_NEAR(last_time_of(anchor.advice), 160.0, 2.0) << anchor.advice;
-      EXPECT_LT(square_sigmas(anchor, site.anchors[anchor.id - 4U].position_m), kEllipsoid9999);
+      EXPECT_LT(test::square_sigmas(anchor, site.anchors[anchor.id - 4U].position_m), kEllipsoid9999);
     }
     EXPECT_EQ(found.verdict, model::Verdict::kWarnings);
   }
@@ -250,7 +246,7 @@ TEST(SwappedIds, FromHalfWayOnAreNamedWhereTheyAreNow) {
                 std::string::npos)
           << anchor.advice;
       EXPECT_NEAR(last_time_of(anchor.advice), 120.0, 2.0) << anchor.advice;
-      EXPECT_LT(square_sigmas(anchor, site.anchors[anchor.id == 5 ? 7 : 1].position_m), kEllipsoid9999);
+      EXPECT_LT(test::square_sigmas(anchor, site.anchors[anchor.id == 5 ? 7 : 1].position_m), kEllipsoid9999);
     }
   }
 }

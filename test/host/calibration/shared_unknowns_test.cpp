@@ -16,7 +16,7 @@
 namespace groma::calibration {
 namespace {
 
-constexpr std::size_t kTags = 2;
+constexpr std::size_t kSharingTags = 2;
 constexpr double kFraction = 0.3;
 
 // One range as if its robot had the errors: from the definitions, not from the code's derivatives.
@@ -146,9 +146,9 @@ TEST(SharedUnknowns, TypicalQualityIsThatOfTheMiddlePose) {
 TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   test::Random random(3);
   constexpr std::size_t kAnchors = 3;
-  constexpr Eigen::Index kOwn = 3 + 2 * kTags;
+  constexpr Eigen::Index kOwn = 3 + 2 * kSharingTags;
   const SharedUnknowns unknowns{
-      .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kTags};
+      .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kSharingTags};
   const std::vector<double> inflation{1.0, 2.5, 4.0};
   std::vector<std::vector<Observation>> rows(kAnchors);
   std::vector<AnchorFit> fits(kAnchors);
@@ -157,15 +157,15 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   Eigen::VectorXd descent = Eigen::VectorXd::Zero(dense.rows());
   for (std::size_t a = 0; a < kAnchors; ++a) {
     AnchorFit& fit = fits[a];
-    fit.problem.tag_count = kTags;
+    fit.problem.tag_count = kSharingTags;
     fit.problem.position.information = 0.1 * Eigen::Matrix3d::Identity();
-    fit.anchor = anchor_at(8.0 * random.gaussians(3), kTags, {});
-    fit.kernels.assign(kTags, RobustKernel(KernelShape{}));
+    fit.anchor = anchor_at(8.0 * random.gaussians(3), kSharingTags, {});
+    fit.kernels.assign(kSharingTags, RobustKernel(KernelShape{}));
     for (int i = 0; i < 60; ++i) {
       Observation row = random_row(random);
       row.t_s = 0.2 * i;
       row.tag = static_cast<std::uint32_t>(i % 2);
-      row.range_m = predict(row, fit.anchor, kTags).range_m + 0.1 * random.gaussian();
+      row.range_m = predict(row, fit.anchor, kSharingTags).range_m + 0.1 * random.gaussian();
       rows[a].push_back(row);
     }
     fit.problem.rows = rows[a];
@@ -176,16 +176,16 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
     dense.block<kOwn, kOwn>(at, at) = share * alone.information;
     descent.segment<kOwn>(at) = -share * alone.gradient;
     for (const Observation& row : rows[a]) {
-      const model::AntennaPrediction predicted = predict(row, fit.anchor, kTags);
+      const model::AntennaPrediction predicted = predict(row, fit.anchor, kSharingTags);
       const KernelValue value = fit.kernels[row.tag].at(row.range_m - predicted.range_m);
-      const double gamma = fit.anchor(gamma_index(row.tag, kTags));
+      const double gamma = fit.anchor(gamma_index(row.tag, kSharingTags));
       const PairRow pair = pair_jacobian(predicted, gamma);
       const KnotShare knot = knot_share(unknowns.knots, row.t_s);
       const SharedRow terms = shared_jacobian(row, predicted, gamma, knot.fraction);
       Eigen::VectorXd own = Eigen::VectorXd::Zero(dense.rows());
       own.segment<3>(at) = pair.head<3>();
       own(at + beta_index(row.tag)) = pair(3);
-      own(at + gamma_index(row.tag, kTags)) = pair(4);
+      own(at + gamma_index(row.tag, kSharingTags)) = pair(4);
       Eigen::VectorXd shared = Eigen::VectorXd::Zero(dense.rows());
       shared.segment<6>(own_size + knot.first) = terms.head<6>();
       shared(own_size + unknowns.delay()) = terms(6);

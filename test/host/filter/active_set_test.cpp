@@ -109,7 +109,7 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
   return out;
 }
 
-Config config_of(Model model, int active) {
+Config config_with(Model model, int active) {
   Config config;
   config.model = model;
   config.odometry = {0.03, 0.03, 0.01};
@@ -156,8 +156,8 @@ TEST(ActiveSet, ConsideredAnchorsComeAndGoWithoutATrace) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(81);
   const Truth truth = drive_along(calibration, 4, random);
-  const auto twin = make<Filter>(calibration, config_of(Model::kSchmidt, kMaxAnchors));
-  const auto filter = make<Filter>(calibration, config_of(Model::kSchmidt, 8));
+  const auto twin = make<Filter>(calibration, config_with(Model::kSchmidt, kMaxAnchors));
+  const auto filter = make<Filter>(calibration, config_with(Model::kSchmidt, 8));
   for (Filter* each : {twin.get(), filter.get()}) begin(truth, *each);
   double largest = 0.0;
   double largest_covariance = 0.0;
@@ -189,7 +189,7 @@ Drives drive_many(Model model, int anchors, int active, int trips, int corridors
   for (int i = 0; i < corridors; ++i) {
     const model::Calibration calibration = corridor(anchors);
     const Truth truth = drive_along(calibration, trips, random);
-    const auto filter = make<Filter>(calibration, config_of(model, active));
+    const auto filter = make<Filter>(calibration, config_with(model, active));
     begin(truth, *filter, &random);
     const auto rows = static_cast<double>(truth.odometry.size());
     const auto instant = static_cast<std::size_t>(random.uniform((trips - 1.0) / trips, 0.99) * rows);
@@ -237,7 +237,7 @@ TEST_P(ActiveSetModels, AThousandAnchorsFromEndToEnd) {
   const model::Calibration calibration = corridor(1000);
   Random random(83);
   const Truth truth = drive_along(calibration, 1, random);
-  const auto filter = make<Filter>(calibration, config_of(GetParam(), kMaxAnchors));
+  const auto filter = make<Filter>(calibration, config_with(GetParam(), kMaxAnchors));
   EXPECT_EQ(filter->anchors(), 1000U);
   begin(truth, *filter);
   const std::size_t before = test::allocations();
@@ -270,7 +270,7 @@ TEST(ActiveSet, AnAnchorComesBackWithWhatWasLearnt) {
   constexpr int kSites = 20;
   for (int i = 0; i < kSites; ++i) {
     const Truth truth = drive_along(calibration, 2, random);
-    const auto filter = make<Filter>(calibration, config_of(Model::kJoint, kMaxAnchors));
+    const auto filter = make<Filter>(calibration, config_with(Model::kJoint, kMaxAnchors));
     begin(truth, *filter);
     // Driven past the fifth anchor on the way out, at the far end, and as soon as it is back.
     constexpr int kAnchor = 4;
@@ -316,7 +316,7 @@ TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
   const model::Calibration calibration = corridor(60);
   Random random(85);
   const Truth truth = drive_along(calibration, 2, random);
-  Config config = config_of(GetParam(), 6);
+  Config config = config_with(GetParam(), 6);
   config.silent_s = 0.3;
   const auto twin = make<Filter>(calibration, config);
   begin(truth, *twin);
@@ -347,7 +347,7 @@ TEST(ActiveSet, TurnsAwayWhatFindsNoPlace) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(86);
   const Truth truth = drive_along(calibration, 1, random);
-  const auto filter = make<Filter>(calibration, config_of(Model::kSchmidt, 3));
+  const auto filter = make<Filter>(calibration, config_with(Model::kSchmidt, 3));
   begin(truth, *filter);
   feed(truth, 0, truth.odometry.size(), *filter, kNothing);
   const Counters& counters = filter->counters();

@@ -18,18 +18,9 @@ namespace {
 
 using test::Random;
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-Config config_of(Model model) {
-  Config config;
-  config.model = model;
-  config.odometry = {0.03, 0.03, 0.01};
-  return config;
-}
-
 std::unique_ptr<Filter> make_filter(Model model, const model::Surface& surface = testing::hills(0.2)) {
-  return std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(), config_of(model));
+  return std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(),
+                                  testing::config_of(model));
 }
 
 // Odometry and ranges in order of time, up to before end_s; what has been taken in is remembered.
@@ -78,11 +69,11 @@ TEST(Filter, SaysWhatBecameOfEachInputAndCountsIt) {
   filter->start({.t_s = 1.0});
   EXPECT_EQ(filter->process(model::RangeSample{1.1, 9, 11, 15.0}).outcome, RangeOutcome::kUnknownTag);
   EXPECT_EQ(filter->process(model::RangeSample{1.1, 1, 99, 15.0}).outcome, RangeOutcome::kUnknownAnchor);
-  for (const double range_m : {0.0, -3.0, 300e3, kNan, kInfinity, -kInfinity}) {
+  for (const double range_m : {0.0, -3.0, 300e3, testing::kNan, testing::kInfinity, -testing::kInfinity}) {
     EXPECT_EQ(filter->process(model::RangeSample{1.1, 1, 11, range_m}).outcome, RangeOutcome::kBadValue)
         << range_m;
   }
-  EXPECT_EQ(filter->process(model::RangeSample{kNan, 1, 11, 15.0}).outcome, RangeOutcome::kBadValue);
+  EXPECT_EQ(filter->process(model::RangeSample{testing::kNan, 1, 11, 15.0}).outcome, RangeOutcome::kBadValue);
   EXPECT_EQ(filter->process(model::RangeSample{0.9, 1, 11, 15.0}).outcome, RangeOutcome::kOutOfOrder);
   const RangeResult gated = filter->process(model::RangeSample{1.1, 1, 11, 500.0});
   EXPECT_EQ(gated.outcome, RangeOutcome::kGated);
@@ -95,8 +86,9 @@ TEST(Filter, SaysWhatBecameOfEachInputAndCountsIt) {
   EXPECT_EQ(filter->process(model::OdometrySample{1.3, 1.0, 0.0, 0.0}), OdometryOutcome::kUsed);
   EXPECT_EQ(filter->process(model::OdometrySample{1.3, 1.0, 0.0, 0.0}), OdometryOutcome::kOutOfOrder);
   EXPECT_EQ(filter->process(model::OdometrySample{1.2, 1.0, 0.0, 0.0}), OdometryOutcome::kOutOfOrder);
-  EXPECT_EQ(filter->process(model::OdometrySample{1.4, kNan, 0.0, 0.0}), OdometryOutcome::kBadValue);
-  EXPECT_EQ(filter->process(model::OdometrySample{kInfinity, 1.0, 0.0, 0.0}), OdometryOutcome::kBadValue);
+  EXPECT_EQ(filter->process(model::OdometrySample{1.4, testing::kNan, 0.0, 0.0}), OdometryOutcome::kBadValue);
+  EXPECT_EQ(filter->process(model::OdometrySample{testing::kInfinity, 1.0, 0.0, 0.0}),
+            OdometryOutcome::kBadValue);
   filter->process(model::RangeSample{1.5, 1, 11, expected_m});
   EXPECT_EQ(filter->process(model::OdometrySample{1.45, 1.0, 0.0, 0.0}), OdometryOutcome::kUsedLate);
   EXPECT_EQ(filter->estimate().t_s, 1.5);
@@ -121,11 +113,11 @@ TEST(Filter, AnInputThatIsRefusedChangesNothing) {
   filter->start({.t_s = 0.0});
   const CoreVector core = filter->core();
   const CoreMatrix covariance = filter->covariance().core();
-  filter->process(model::RangeSample{0.5, 1, 11, kNan});
+  filter->process(model::RangeSample{0.5, 1, 11, testing::kNan});
   filter->process(model::RangeSample{0.5, 7, 11, 10.0});
   filter->process(model::RangeSample{-0.5, 1, 11, 10.0});
-  filter->process(model::OdometrySample{0.5, 1.0, kNan, 0.1});
-  EXPECT_FALSE(filter->advance_to(kNan));
+  filter->process(model::OdometrySample{0.5, 1.0, testing::kNan, 0.1});
+  EXPECT_FALSE(filter->advance_to(testing::kNan));
   EXPECT_FALSE(filter->advance_to(-1.0));
   EXPECT_FALSE(filter->advance_to(0.0));
   EXPECT_EQ(filter->core(), core);
@@ -231,7 +223,7 @@ TEST_P(Consistency, ErrorsAreAsLargeAsStatedOverManySites) {
   constexpr int kSites = 120;
   Random random(62);
   const model::Calibration calibration = testing::six_anchors();
-  const Nees nees = nees_over_sites(kSites, calibration, calibration, config_of(GetParam()), random);
+  const Nees nees = nees_over_sites(kSites, calibration, calibration, testing::config_of(GetParam()), random);
   // Chi-square of 360 degrees of freedom, 4 sigmas; binomial for the share.
   EXPECT_NEAR(nees.mean, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
   EXPECT_GE(nees.inside, 105);
@@ -241,7 +233,7 @@ TEST_P(Consistency, OfRangesWithASlowErrorToo) {
   constexpr int kSites = 120;
   model::Calibration calibration = testing::six_anchors(0.3);
   calibration.range_noise = {.white_sigma_m = 0.05, .slow_sigma_m = 0.15, .slow_time_s = 4.0};
-  Config config = config_of(GetParam());
+  Config config = testing::config_of(GetParam());
   config.slow_error_growth = 1.0;
   config.slow_time_growth = 1.0;
   // As told, and not as it shows: tuning would see that what lasts is not white.
@@ -283,8 +275,8 @@ TEST(Filter, FindsBackAfterItWasCarriedAway) {
   const testing::Drive drive = testing::drive(surface, testing::six_anchors(0.3), start,
                                               {.duration_s = 30.0, .range_s = 0.005}, random);
   for (const Model model : {Model::kSchmidt, Model::kInflated}) {
-    const auto filter =
-        std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(0.3), config_of(model));
+    const auto filter = std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(0.3),
+                                                 testing::config_of(model));
     filter->process(drive.odometry.front());
     filter->start({.t_s = 0.0, .pose = start});
     Feeder feeder(drive);

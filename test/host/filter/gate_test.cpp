@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 
+#include "test/host/filter/small_site.hpp"
 #include "test/support/random.hpp"
 
 namespace groma::filter {
@@ -18,14 +19,12 @@ double fresh_weight(double innovation_m) {
 }
 
 TEST(Gate, TurnsAwayWhatIsNoNumber) {
-  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
   Gate gate{GateConfig{}};
-  for (const auto& [innovation, variance] : {std::pair{kNan, 1.0},
-                                             {1.0, kNan},
-                                             {kInfinity, 1.0},
-                                             {-kInfinity, 1.0},
-                                             {1.0, kInfinity},
+  for (const auto& [innovation, variance] : {std::pair{testing::kNan, 1.0},
+                                             {1.0, testing::kNan},
+                                             {testing::kInfinity, 1.0},
+                                             {-testing::kInfinity, 1.0},
+                                             {1.0, testing::kInfinity},
                                              {0.0, 0.0},
                                              {0.0, -1.0}}) {
     EXPECT_EQ(gate.weigh(0, 0, 0.0, innovation, variance), 0.0);

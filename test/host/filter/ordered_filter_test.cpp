@@ -22,13 +22,6 @@ using Input = std::variant<model::OdometrySample, model::RangeSample>;
 
 constexpr double kWindow_s = 0.5;
 
-Config config_of(Model model) {
-  Config config;
-  config.model = model;
-  config.odometry = {0.03, 0.03, 0.01};
-  return config;
-}
-
 double time_of(const Input& input) {
   return std::visit([](const auto& of) { return of.t_s; }, input);
 }
@@ -67,7 +60,7 @@ void feed(const std::vector<Input>& inputs, Into& into) {
 template <class Filter>
 std::unique_ptr<Filter> make(Model model) {
   return std::make_unique<Filter>(testing::hills(0.2), testing::three_tags(), testing::six_anchors(),
-                                  config_of(model));
+                                  testing::config_of(model));
 }
 
 testing::Drive some_drive(double duration_s = 6.0) {
@@ -138,16 +131,15 @@ TEST(OrderedFilter, WhatComesLaterThanTheWindowIsRefusedAndChangesNothing) {
 }
 
 TEST(OrderedFilter, WhatIsNotANumberIsRefused) {
-  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
-  EXPECT_FALSE(filter->start({.t_s = kNan}));
-  EXPECT_FALSE(filter->start({.pose = {kNan, 0.0, 0.0}}));
+  EXPECT_FALSE(filter->start({.t_s = testing::kNan}));
+  EXPECT_FALSE(filter->start({.pose = {testing::kNan, 0.0, 0.0}}));
   ASSERT_TRUE(filter->start({}));
-  EXPECT_EQ(filter->process(model::OdometrySample{kNan, 1.0, 0.0, 0.0}), OdometryOutcome::kBadValue);
-  EXPECT_EQ(filter->process(model::OdometrySample{1.0, 1.0, kNan, 0.0}), OdometryOutcome::kBadValue);
-  EXPECT_EQ(filter->process({.t_s = 1.0, .tag_id = 1, .anchor_id = 11, .range_m = kNan}).outcome,
+  EXPECT_EQ(filter->process(model::OdometrySample{testing::kNan, 1.0, 0.0, 0.0}), OdometryOutcome::kBadValue);
+  EXPECT_EQ(filter->process(model::OdometrySample{1.0, 1.0, testing::kNan, 0.0}), OdometryOutcome::kBadValue);
+  EXPECT_EQ(filter->process({.t_s = 1.0, .tag_id = 1, .anchor_id = 11, .range_m = testing::kNan}).outcome,
             RangeOutcome::kBadValue);
-  EXPECT_EQ(filter->process({.t_s = kNan, .tag_id = 1, .anchor_id = 11, .range_m = 5.0}).outcome,
+  EXPECT_EQ(filter->process({.t_s = testing::kNan, .tag_id = 1, .anchor_id = 11, .range_m = 5.0}).outcome,
             RangeOutcome::kBadValue);
   EXPECT_EQ(filter->counters().odometry_bad_value, 2U);
   EXPECT_EQ(filter->counters().ranges_bad_value, 2U);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <vector>
 
@@ -18,6 +19,16 @@
 namespace groma::filter::testing {
 
 using test::Random;
+
+inline constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+inline constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+inline Config config_of(Model model) {
+  Config config;
+  config.model = model;
+  config.odometry = {0.03, 0.03, 0.01};
+  return config;
+}
 
 inline model::Surface hills(double height_m) {
   const model::BSpline::Grid grid{.x0_m = -20.0, .y0_m = -20.0, .dx_m = 4.0, .dy_m = 4.0, .nx = 13, .ny = 13};

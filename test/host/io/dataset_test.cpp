@@ -233,7 +233,7 @@ TEST_F(DatasetTest, DigestIsWhatSha256sumPrints) {
 }
 
 // One way to spoil a file, and where the message has to point.
-struct Fault {
+struct RowFault {
   std::string name;
   std::string file;
   std::string text;
@@ -241,14 +241,14 @@ struct Fault {
   std::string problem;  // part of the message
 };
 
-std::ostream& operator<<(std::ostream& out, const Fault& fault) {
+std::ostream& operator<<(std::ostream& out, const RowFault& fault) {
   return out << fault.name;
 }
 
-class DataFaultTest : public testing::TestWithParam<Fault> {};
+class DataFaultTest : public testing::TestWithParam<RowFault> {};
 
 TEST_P(DataFaultTest, IsADataErrorWithItsPlace) {
-  const Fault& fault = GetParam();
+  const RowFault& fault = GetParam();
   const ScratchFolder folder;
   test::write_small_dataset(folder);
   folder.write(fault.file, fault.text);
@@ -265,72 +265,77 @@ const std::string kRanges = "t_s,tag_id,anchor_id,range_m\n0.1,1,4,5.25\n";
 INSTANTIATE_TEST_SUITE_P(
     Csv, DataFaultTest,
     testing::Values(
-        Fault{"Empty", "ranges.csv", "", "ranges.csv:1", "the file is empty"},
-        Fault{"OnlyComments", "ranges.csv", "# nothing\n\n", "ranges.csv:1", "the file is empty"},
-        Fault{"MissingColumn", "ranges.csv", "t_s,tag_id,range_m\n0.1,1,4\n", "ranges.csv:1:1",
-              "column anchor_id is missing"},
-        Fault{"NoHeader", "ranges.csv", "0.1,1,4,5.25\n", "ranges.csv:1:1", "column t_s is missing"},
-        Fault{"ColumnTwice", "ranges.csv", "t_s,tag_id,anchor_id,range_m,t_s\n", "ranges.csv:1:30",
-              "column t_s is there twice"},
-        Fault{"NaN", "ranges.csv", kRanges + "0.2,1,4,nan\n", "ranges.csv:3:9",
-              "'nan' is not a finite number"},
-        Fault{"Infinity", "ranges.csv", kRanges + "0.2,1,4,-inf\n", "ranges.csv:3:9", "not a finite number"},
-        Fault{"NaNTime", "odometry.csv", "t_s,vx_mps,vy_mps,omega_radps\nNaN,0,0,0\n", "odometry.csv:2:1",
-              "not a finite"},
-        Fault{"Text", "ranges.csv", kRanges + "0.2,1,4,five\n", "ranges.csv:3:9", "'five' is not a number"},
-        Fault{"NumberAndText", "ranges.csv", kRanges + "0.2,1,4,5.2m\n", "ranges.csv:3:9",
-              "'5.2m' is not a number"},
-        Fault{"TwoPoints", "ranges.csv", kRanges + "0.2,1,4, 5.2.1\n", "ranges.csv:3:10",
-              "'5.2.1' is not a number"},
-        Fault{"DecimalComma", "ranges.csv", kRanges + "0.2,1,4,5,2\n", "ranges.csv:3:12",
-              "5 fields, the header 4"},
-        Fault{"EmptyField", "ranges.csv", kRanges + "0.2,1,,5\n", "ranges.csv:3:7", "the field is empty"},
-        Fault{"FractionalId", "ranges.csv", kRanges + "0.2,1.5,4,5\n", "ranges.csv:3:5",
-              "'1.5' is not a whole number"},
-        Fault{"ShortRow", "ranges.csv", kRanges + "0.2,1\n", "ranges.csv:3:6", "2 fields, the header 4"},
-        Fault{"TooLarge", "ranges.csv", kRanges + "0.2,1,4,1e999\n", "ranges.csv:3:9", "out of range"},
-        Fault{"Binary", "ranges.csv", kRanges + std::string("0.2,1,4,\x01\0\xff", 11) + "\n",
-              "ranges.csv:3:9", "'\\x01\\x00\\xff'"},
-        Fault{"PowerText", "ranges.csv", "t_s,tag_id,anchor_id,range_m,receive_power_dbm\n0.1,1,4,5,loud\n",
-              "ranges.csv:2:11", "'loud' is not a number"},
-        Fault{"RollText", "groundtruth.csv", "t_s,x_m,y_m,z_m,yaw_rad,roll_rad\n0,1,2,3,0.1,flat\n",
-              "groundtruth.csv:2:13", "'flat' is not a number"},
-        Fault{"CovarianceNaN", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,nan,0,0.01,0,0.01\n",
-              "pose_prior.csv:3:18", "'nan' is not a finite number"},
-        Fault{"CovarianceHalf", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,,,0.01,,0.01\n",
-              "pose_prior.csv:3", "is not whole"},
-        Fault{"CovarianceColumnMissing", "pose_prior.csv",
-              "t_s,x_m,y_m,z_m,yaw_rad,p_xx,p_yy\n0,1,2,3,0.1,0.01,0.01\n", "pose_prior.csv:2",
-              "is not whole"},
-        Fault{"CovarianceIndefinite", "groundtruth.csv", kPoses + "1,1,2,3,0.1,0.01,0.011,0,0.01,0,0.01\n",
-              "groundtruth.csv:3", "no covariance"},
-        Fault{"CovarianceZero", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,0,0,0.01,0,0\n",
-              "pose_prior.csv:3", "no covariance"},
-        Fault{"NoTags", "tags.csv", "tag_id,x_m,y_m,z_m\n", "tags.csv", "there are no tags"},
-        Fault{"TagTwice", "tags.csv", "tag_id,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n", "tags.csv:3:1",
-              "id 1 is there twice"},
-        Fault{"TagIdTooLarge", "tags.csv", "tag_id,x_m,y_m,z_m\n65536,0,0,0\n", "tags.csv:2:1",
-              "out of range"},
-        Fault{"AnchorTwice", "anchors.csv", "anchor_id,x_m,y_m,z_m\n4,0,0,0\n4,1,0,0\n", "anchors.csv:3:1",
-              "id 4 is there twice"}),
+        RowFault{"Empty", "ranges.csv", "", "ranges.csv:1", "the file is empty"},
+        RowFault{"OnlyComments", "ranges.csv", "# nothing\n\n", "ranges.csv:1", "the file is empty"},
+        RowFault{"MissingColumn", "ranges.csv", "t_s,tag_id,range_m\n0.1,1,4\n", "ranges.csv:1:1",
+                 "column anchor_id is missing"},
+        RowFault{"NoHeader", "ranges.csv", "0.1,1,4,5.25\n", "ranges.csv:1:1", "column t_s is missing"},
+        RowFault{"ColumnTwice", "ranges.csv", "t_s,tag_id,anchor_id,range_m,t_s\n", "ranges.csv:1:30",
+                 "column t_s is there twice"},
+        RowFault{"NaN", "ranges.csv", kRanges + "0.2,1,4,nan\n", "ranges.csv:3:9",
+                 "'nan' is not a finite number"},
+        RowFault{"Infinity", "ranges.csv", kRanges + "0.2,1,4,-inf\n", "ranges.csv:3:9",
+                 "not a finite number"},
+        RowFault{"NaNTime", "odometry.csv", "t_s,vx_mps,vy_mps,omega_radps\nNaN,0,0,0\n", "odometry.csv:2:1",
+                 "not a finite"},
+        RowFault{"Text", "ranges.csv", kRanges + "0.2,1,4,five\n", "ranges.csv:3:9",
+                 "'five' is not a number"},
+        RowFault{"NumberAndText", "ranges.csv", kRanges + "0.2,1,4,5.2m\n", "ranges.csv:3:9",
+                 "'5.2m' is not a number"},
+        RowFault{"TwoPoints", "ranges.csv", kRanges + "0.2,1,4, 5.2.1\n", "ranges.csv:3:10",
+                 "'5.2.1' is not a number"},
+        RowFault{"DecimalComma", "ranges.csv", kRanges + "0.2,1,4,5,2\n", "ranges.csv:3:12",
+                 "5 fields, the header 4"},
+        RowFault{"EmptyField", "ranges.csv", kRanges + "0.2,1,,5\n", "ranges.csv:3:7", "the field is empty"},
+        RowFault{"FractionalId", "ranges.csv", kRanges + "0.2,1.5,4,5\n", "ranges.csv:3:5",
+                 "'1.5' is not a whole number"},
+        RowFault{"ShortRow", "ranges.csv", kRanges + "0.2,1\n", "ranges.csv:3:6", "2 fields, the header 4"},
+        RowFault{"TooLarge", "ranges.csv", kRanges + "0.2,1,4,1e999\n", "ranges.csv:3:9", "out of range"},
+        RowFault{"Binary", "ranges.csv", kRanges + std::string("0.2,1,4,\x01\0\xff", 11) + "\n",
+                 "ranges.csv:3:9", "'\\x01\\x00\\xff'"},
+        RowFault{"PowerText", "ranges.csv",
+                 "t_s,tag_id,anchor_id,range_m,receive_power_dbm\n0.1,1,4,5,loud\n", "ranges.csv:2:11",
+                 "'loud' is not a number"},
+        RowFault{"RollText", "groundtruth.csv", "t_s,x_m,y_m,z_m,yaw_rad,roll_rad\n0,1,2,3,0.1,flat\n",
+                 "groundtruth.csv:2:13", "'flat' is not a number"},
+        RowFault{"CovarianceNaN", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,nan,0,0.01,0,0.01\n",
+                 "pose_prior.csv:3:18", "'nan' is not a finite number"},
+        RowFault{"CovarianceHalf", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,,,0.01,,0.01\n",
+                 "pose_prior.csv:3", "is not whole"},
+        RowFault{"CovarianceColumnMissing", "pose_prior.csv",
+                 "t_s,x_m,y_m,z_m,yaw_rad,p_xx,p_yy\n0,1,2,3,0.1,0.01,0.01\n", "pose_prior.csv:2",
+                 "is not whole"},
+        RowFault{"CovarianceIndefinite", "groundtruth.csv", kPoses + "1,1,2,3,0.1,0.01,0.011,0,0.01,0,0.01\n",
+                 "groundtruth.csv:3", "no covariance"},
+        RowFault{"CovarianceZero", "pose_prior.csv", kPoses + "1,1,2,3,0.1,0.01,0,0,0.01,0,0\n",
+                 "pose_prior.csv:3", "no covariance"},
+        RowFault{"NoTags", "tags.csv", "tag_id,x_m,y_m,z_m\n", "tags.csv", "there are no tags"},
+        RowFault{"TagTwice", "tags.csv", "tag_id,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n", "tags.csv:3:1",
+                 "id 1 is there twice"},
+        RowFault{"TagIdTooLarge", "tags.csv", "tag_id,x_m,y_m,z_m\n65536,0,0,0\n", "tags.csv:2:1",
+                 "out of range"},
+        RowFault{"AnchorTwice", "anchors.csv", "anchor_id,x_m,y_m,z_m\n4,0,0,0\n4,1,0,0\n", "anchors.csv:3:1",
+                 "id 4 is there twice"}),
     [](const auto& fault) { return fault.param.name; });
 
 INSTANTIATE_TEST_SUITE_P(
     Surface, DataFaultTest,
     testing::Values(
-        Fault{"Empty", "surface.csv", "", "surface.csv:1", "the file is empty"},
-        Fault{"ShortGrid", "surface.csv", "0,0,1,1,4\n", "surface.csv:1", "the row has 5 numbers"},
-        Fault{"Step", "surface.csv", "0,0,0,1,4,4\n", "surface.csv:1", "above 0"},
-        Fault{"TooFew", "surface.csv", "0,0,1,1,3,4\n", "surface.csv:1", "nx is 3"},
-        Fault{"Fraction", "surface.csv", "0,0,1,1,4,4.5\n", "surface.csv:1", "ny is 4.5"},
-        Fault{"Huge", "surface.csv", "0,0,1,1,4,1e300\n", "surface.csv:1", "ny is 1e+300"},
-        Fault{"RowsMissing", "surface.csv", "0,0,1,1,4,4\n0,0,0,0\n0,0,0,0\n", "surface.csv:3",
-              "there are 2 rows"},
-        Fault{"RowsTooMany", "surface.csv", "0,0,1,1,4,4\n0,0,0,0\n0,0,0,0\n0,0,0,0\n0,0,0,0\n0,0,0,0\n",
-              "surface.csv:6", "more than nx = 4"},
-        Fault{"RowShort", "surface.csv", "0,0,1,1,4,4\n0,0,0\n", "surface.csv:2", "the row has 3 numbers"},
-        Fault{"RowLong", "surface.csv", "0,0,1,1,4,4\n0,0,0,0,0\n", "surface.csv:2", "the row has 5 numbers"},
-        Fault{"NaN", "surface.csv", "0,0,1,1,4,4\n0,0,nan,0\n", "surface.csv:2:5", "'nan' is not a finite"}),
+        RowFault{"Empty", "surface.csv", "", "surface.csv:1", "the file is empty"},
+        RowFault{"ShortGrid", "surface.csv", "0,0,1,1,4\n", "surface.csv:1", "the row has 5 numbers"},
+        RowFault{"Step", "surface.csv", "0,0,0,1,4,4\n", "surface.csv:1", "above 0"},
+        RowFault{"TooFew", "surface.csv", "0,0,1,1,3,4\n", "surface.csv:1", "nx is 3"},
+        RowFault{"Fraction", "surface.csv", "0,0,1,1,4,4.5\n", "surface.csv:1", "ny is 4.5"},
+        RowFault{"Huge", "surface.csv", "0,0,1,1,4,1e300\n", "surface.csv:1", "ny is 1e+300"},
+        RowFault{"RowsMissing", "surface.csv", "0,0,1,1,4,4\n0,0,0,0\n0,0,0,0\n", "surface.csv:3",
+                 "there are 2 rows"},
+        RowFault{"RowsTooMany", "surface.csv", "0,0,1,1,4,4\n0,0,0,0\n0,0,0,0\n0,0,0,0\n0,0,0,0\n0,0,0,0\n",
+                 "surface.csv:6", "more than nx = 4"},
+        RowFault{"RowShort", "surface.csv", "0,0,1,1,4,4\n0,0,0\n", "surface.csv:2", "the row has 3 numbers"},
+        RowFault{"RowLong", "surface.csv", "0,0,1,1,4,4\n0,0,0,0,0\n", "surface.csv:2",
+                 "the row has 5 numbers"},
+        RowFault{"NaN", "surface.csv", "0,0,1,1,4,4\n0,0,nan,0\n", "surface.csv:2:5",
+                 "'nan' is not a finite"}),
     [](const auto& fault) { return fault.param.name; });
 
 TEST_F(DatasetTest, EachMissingFileIsNamed) {
@@ -349,10 +354,10 @@ TEST_F(DatasetTest, TheFolderHasToBeOne) {
   EXPECT_THAT(failure<DataError>(folder_), HasSubstr("tags.csv: cannot be read"));
 }
 
-class ConfigFaultTest : public testing::TestWithParam<Fault> {};
+class ConfigFaultTest : public testing::TestWithParam<RowFault> {};
 
 TEST_P(ConfigFaultTest, IsAConfigErrorWithItsPlace) {
-  const Fault& fault = GetParam();
+  const RowFault& fault = GetParam();
   const ScratchFolder folder;
   test::write_small_dataset(folder);
   folder.write("dataset.yaml", fault.text);
@@ -379,48 +384,52 @@ std::string with(const std::string& key, const std::string& line) {
 INSTANTIATE_TEST_SUITE_P(
     Yaml, ConfigFaultTest,
     testing::Values(
-        Fault{"Empty", "", "", "1:1", "the file is empty"}, Fault{"NoMap", "", "- 1\n", "1:1", "no map"},
-        Fault{"Syntax", "", with("range", "range: {sigma_m: 0.1"), "6:8", "no YAML"},
-        Fault{"UnknownKey", "", with("schema", "schema: 1\nshema: 2"), "2:1", "unknown key 'shema'"},
-        Fault{"UnknownDeepKey", "", with("range", "range: {sigma_m: 0.1, alpha: 2}"), "5:23",
-              "unknown key 'alpha'"},
-        Fault{"KeyTwice", "", with("name", "name: x\nname: y"), "3:1", "key name is there twice"},
-        Fault{"MissingKey", "", with("origin", ""), "1:1", "key origin is missing"},
-        Fault{"MissingDeepKey", "", with("odometry", "odometry: {sigma_vx_mps: 0.1, sigma_vy_mps: 0.1}"),
-              "4:11", "odometry lacks the key sigma_omega_radps"},
-        Fault{"Schema", "", with("schema", "schema: 2"), "1:9", "schema is not 1"},
-        Fault{"SchemaText", "", with("schema", "schema: one"), "1:9", "schema is not a whole number: 'one'"},
-        Fault{"Origin", "", with("origin", "origin: dreamt"), "3:9", "origin is 'dreamt'"},
-        Fault{"SigmaZero", "", with("range", "range: {sigma_m: 0}"), "5:18", "range.sigma_m is 0"},
-        Fault{"SigmaNegative", "", with("range", "range: {sigma_m: -0.1}"), "5:18", "range.sigma_m is -0.1"},
-        Fault{"SigmaText", "", with("range", "range: {sigma_m: small}"), "5:18",
-              "range.sigma_m is not a number: 'small'"},
-        Fault{"SigmaQuoted", "", with("range", "range: {sigma_m: \"0.1\"}"), "5:18",
-              "range.sigma_m is not a number"},
-        Fault{"SigmaNaN", "", with("range", "range: {sigma_m: nan}"), "5:18", "range.sigma_m is not finite"},
-        Fault{"SigmaDotNaN", "", with("range", "range: {sigma_m: .nan}"), "5:18",
-              "range.sigma_m is not a number"},
-        Fault{"SigmaList", "", with("range", "range: {sigma_m: [0.1]}"), "5:18",
-              "range.sigma_m is not a number"},
-        Fault{"RangeScalar", "", with("range", "range: 0.1"), "5:8", "range has to be a map"},
-        Fault{"PriorShort", "", with("range", "range: {sigma_m: 0.1, beta_m: [0]}"), "5:31",
-              "range.beta_m has 1 entries"},
-        Fault{"PriorScalar", "", with("range", "range: {sigma_m: 0.1, beta_m: 0}"), "5:31",
-              "range.beta_m has to be a list"},
-        Fault{"PriorSigma", "", with("range", "range: {sigma_m: 0.1, gamma: [1, 0]}"), "5:34",
-              "range.gamma[1] is 0"},
-        Fault{"SurfaceType", "", with("surface", "surface: {type: sphere}"), "6:17",
-              "surface.type is 'sphere'"},
-        Fault{"SurfaceNoType", "", with("surface", "surface: {z_m: 0, normal: [0, 0, 1]}"), "6:10",
-              "surface lacks the key type"},
-        Fault{"SurfaceMixed", "", with("surface", "surface: {type: bspline, z_m: 0}"), "6:26",
-              "unknown key 'z_m'"},
-        Fault{"NormalDown", "", with("surface", "surface: {type: plane, z_m: 0, normal: [0, 0, -1]}"), "6:40",
-              "does not point up"},
-        Fault{"NormalFlat", "", with("surface", "surface: {type: plane, z_m: 0, normal: [1, 0, 0]}"), "6:40",
-              "does not point up"},
-        Fault{"NormalShort", "", with("surface", "surface: {type: plane, z_m: 0, normal: [0, 1]}"), "6:40",
-              "has 2 entries"}),
+        RowFault{"Empty", "", "", "1:1", "the file is empty"},
+        RowFault{"NoMap", "", "- 1\n", "1:1", "no map"},
+        RowFault{"Syntax", "", with("range", "range: {sigma_m: 0.1"), "6:8", "no YAML"},
+        RowFault{"UnknownKey", "", with("schema", "schema: 1\nshema: 2"), "2:1", "unknown key 'shema'"},
+        RowFault{"UnknownDeepKey", "", with("range", "range: {sigma_m: 0.1, alpha: 2}"), "5:23",
+                 "unknown key 'alpha'"},
+        RowFault{"KeyTwice", "", with("name", "name: x\nname: y"), "3:1", "key name is there twice"},
+        RowFault{"MissingKey", "", with("origin", ""), "1:1", "key origin is missing"},
+        RowFault{"MissingDeepKey", "", with("odometry", "odometry: {sigma_vx_mps: 0.1, sigma_vy_mps: 0.1}"),
+                 "4:11", "odometry lacks the key sigma_omega_radps"},
+        RowFault{"Schema", "", with("schema", "schema: 2"), "1:9", "schema is not 1"},
+        RowFault{"SchemaText", "", with("schema", "schema: one"), "1:9",
+                 "schema is not a whole number: 'one'"},
+        RowFault{"Origin", "", with("origin", "origin: dreamt"), "3:9", "origin is 'dreamt'"},
+        RowFault{"SigmaZero", "", with("range", "range: {sigma_m: 0}"), "5:18", "range.sigma_m is 0"},
+        RowFault{"SigmaNegative", "", with("range", "range: {sigma_m: -0.1}"), "5:18",
+                 "range.sigma_m is -0.1"},
+        RowFault{"SigmaText", "", with("range", "range: {sigma_m: small}"), "5:18",
+                 "range.sigma_m is not a number: 'small'"},
+        RowFault{"SigmaQuoted", "", with("range", "range: {sigma_m: \"0.1\"}"), "5:18",
+                 "range.sigma_m is not a number"},
+        RowFault{"SigmaNaN", "", with("range", "range: {sigma_m: nan}"), "5:18",
+                 "range.sigma_m is not finite"},
+        RowFault{"SigmaDotNaN", "", with("range", "range: {sigma_m: .nan}"), "5:18",
+                 "range.sigma_m is not a number"},
+        RowFault{"SigmaList", "", with("range", "range: {sigma_m: [0.1]}"), "5:18",
+                 "range.sigma_m is not a number"},
+        RowFault{"RangeScalar", "", with("range", "range: 0.1"), "5:8", "range has to be a map"},
+        RowFault{"PriorShort", "", with("range", "range: {sigma_m: 0.1, beta_m: [0]}"), "5:31",
+                 "range.beta_m has 1 entries"},
+        RowFault{"PriorScalar", "", with("range", "range: {sigma_m: 0.1, beta_m: 0}"), "5:31",
+                 "range.beta_m has to be a list"},
+        RowFault{"PriorSigma", "", with("range", "range: {sigma_m: 0.1, gamma: [1, 0]}"), "5:34",
+                 "range.gamma[1] is 0"},
+        RowFault{"SurfaceType", "", with("surface", "surface: {type: sphere}"), "6:17",
+                 "surface.type is 'sphere'"},
+        RowFault{"SurfaceNoType", "", with("surface", "surface: {z_m: 0, normal: [0, 0, 1]}"), "6:10",
+                 "surface lacks the key type"},
+        RowFault{"SurfaceMixed", "", with("surface", "surface: {type: bspline, z_m: 0}"), "6:26",
+                 "unknown key 'z_m'"},
+        RowFault{"NormalDown", "", with("surface", "surface: {type: plane, z_m: 0, normal: [0, 0, -1]}"),
+                 "6:40", "does not point up"},
+        RowFault{"NormalFlat", "", with("surface", "surface: {type: plane, z_m: 0, normal: [1, 0, 0]}"),
+                 "6:40", "does not point up"},
+        RowFault{"NormalShort", "", with("surface", "surface: {type: plane, z_m: 0, normal: [0, 1]}"), "6:40",
+                 "has 2 entries"}),
     [](const auto& fault) { return fault.param.name; });
 
 TEST(SharedDataTest, EveryRunReadsWithoutALoss) {

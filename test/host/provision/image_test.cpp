@@ -16,7 +16,7 @@ namespace {
 using groma::test::ScratchFolder;
 using ::testing::HasSubstr;
 
-std::string fault_of(const std::string& text) {
+std::string image_fault_of(const std::string& text) {
   const ScratchFolder scratch;
   scratch.write("node.hex", text);
   try {
@@ -38,34 +38,35 @@ TEST(NodeImage, SaysWhatItIs) {
 
 TEST(NodeImage, MayWriteUicr) {
   const std::vector<std::uint8_t> word{0x5A, 0xFF, 0xFF, 0xFF};
-  EXPECT_EQ(fault_of(test::hex_of(test::small_image(5000)) + test::hex_of(word, 0x1000'1208) + test::kHexEnd),
-            "none");
+  EXPECT_EQ(
+      image_fault_of(test::hex_of(test::small_image(5000)) + test::hex_of(word, 0x1000'1208) + test::kHexEnd),
+      "none");
 }
 
 TEST(NodeImage, WhatIsNoneOfOursIsRefusedBeforeAnythingIsErased) {
   const std::vector<std::uint8_t> good = test::small_image(5000);
   const auto hex = [](const std::vector<std::uint8_t>& image) { return test::hex_of(image) + test::kHexEnd; };
-  EXPECT_EQ(fault_of(hex(good)), "none");
-  EXPECT_THAT(fault_of("ELF"), HasSubstr("node.hex: Intel HEX, line 1: a record begins with ':'"));
-  EXPECT_THAT(fault_of(test::hex_of(good)), HasSubstr("cut short"));
-  EXPECT_THAT(fault_of(""), HasSubstr("cmake --preset dwm1001"));
-  EXPECT_THAT(fault_of(test::kHexEnd), HasSubstr("has no vector table"));
+  EXPECT_EQ(image_fault_of(hex(good)), "none");
+  EXPECT_THAT(image_fault_of("ELF"), HasSubstr("node.hex: Intel HEX, line 1: a record begins with ':'"));
+  EXPECT_THAT(image_fault_of(test::hex_of(good)), HasSubstr("cut short"));
+  EXPECT_THAT(image_fault_of(""), HasSubstr("cmake --preset dwm1001"));
+  EXPECT_THAT(image_fault_of(test::kHexEnd), HasSubstr("has no vector table"));
 
   std::vector<std::uint8_t> unmarked = good;
   unmarked[0x100] ^= 1U;
-  EXPECT_THAT(fault_of(hex(unmarked)), HasSubstr("is no image of a Groma node"));
+  EXPECT_THAT(image_fault_of(hex(unmarked)), HasSubstr("is no image of a Groma node"));
   std::vector<std::uint8_t> no_stack = good;
   no_stack[3] = 0x30;
-  EXPECT_THAT(fault_of(hex(no_stack)),
+  EXPECT_THAT(image_fault_of(hex(no_stack)),
               HasSubstr("does not begin with a vector table (stack 30001000, entry 00000201)"));
   std::vector<std::uint8_t> no_entry = good;
   no_entry[4] = 0;
-  EXPECT_THAT(fault_of(hex(no_entry)), HasSubstr("does not begin with a vector table"));
+  EXPECT_THAT(image_fault_of(hex(no_entry)), HasSubstr("does not begin with a vector table"));
 
   const std::vector<std::uint8_t> word(4);
-  EXPECT_THAT(fault_of(test::hex_of(good) + test::hex_of(word, 0x7DFFE) + test::kHexEnd),
+  EXPECT_THAT(image_fault_of(test::hex_of(good) + test::hex_of(word, 0x7DFFE) + test::kHexEnd),
               HasSubstr("would overwrite the node's configuration at 0x7e000"));
-  EXPECT_THAT(fault_of(test::hex_of(good) + test::hex_of(word, 0x2000'0000) + test::kHexEnd),
+  EXPECT_THAT(image_fault_of(test::hex_of(good) + test::hex_of(word, 0x2000'0000) + test::kHexEnd),
               HasSubstr("4 bytes at 0x20000000 lie in neither flash nor UICR"));
 }
 

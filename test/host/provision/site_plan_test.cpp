@@ -52,7 +52,7 @@ class SitePlanTest : public ::testing::Test {
     return fault_of(text.replace(at, from.size(), to));
   }
 
-  test::ScratchFolder scratch_;
+  groma::test::ScratchFolder scratch_;
 };
 
 TEST_F(SitePlanTest, EachKeyReachesTheConfiguration) {
@@ -231,7 +231,7 @@ TEST_F(SitePlanTest, MoreNodesThanAScheduleHoldsAreRefused) {
 
 TEST(Differences, EachFieldIsCompared) {
   const SitePlan plan = [] {
-    const test::ScratchFolder scratch;
+    const groma::test::ScratchFolder scratch;
     scratch.write("plan.yaml", kWhole);
     return read_site_plan(scratch / "plan.yaml");
   }();
