@@ -88,6 +88,7 @@ StartSearch::StartSearch(model::Surface surface, std::span<const model::Tag> tag
       site_(tags, calibration, config.lever_arm_sigma_m),
       last_taken_s_(static_cast<std::size_t>(site_.anchor_count()) * kMaxTags),
       shortest_(static_cast<std::size_t>(site_.anchor_count())),
+      anchor_costs_(static_cast<std::size_t>(site_.anchor_count())),
       by_anchor_(static_cast<std::size_t>(site_.anchor_count()), ByAnchor::Zero(3, site_.anchor_size())) {
   if (calibration.range_delay_sigma_s > 0.0) config_.range_delay_s = calibration.range_delay_s;
   clear();
@@ -422,13 +423,16 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
   return {hypotheses_.data(), hypothesis_count_};
 }
 
-double StartSearch::cost(const model::PlanarPose& pose) const noexcept {
+double StartSearch::cautious_cost(const model::PlanarPose& pose) noexcept {
   const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
-  double sum = 0.0;
+  std::fill(anchor_costs_.begin(), anchor_costs_.end(), 0.0);
   for (std::size_t i = 0; i < count_; ++i) {
     const Residual r = residual(term_of(seen(i)), {pose.x_m, pose.y_m, pose.theta_rad});
-    sum += share * robust_cost(r.e_m / std::sqrt(r.variance_m2), search_);
+    anchor_costs_[static_cast<std::size_t>(seen(i).anchor)] +=
+        share * robust_cost(r.e_m / std::sqrt(r.variance_m2), search_);
   }
+  double sum = 0.0;
+  for (const double cost : anchor_costs_) sum += search_.anchor_say * std::log1p(cost / search_.anchor_say);
   return sum;
 }
 

@@ -33,6 +33,7 @@ struct StartSearchConfig {
   double excess_knee = 1.5;     // beyond so many sigmas a range too long tells less and less,
   double shortfall_knee = 3.0;  // and beyond these one too short
   double odds = 8.0;            // ln of the odds at which a hypothesis is given up
+  double anchor_say = 4.0;      // ln of the odds from which one anchor's cautious cost counts less and less
   // A hypothesis is a pose when it is surer than these and the mean weight of its ranges is above the share.
   double position_sigma_m = 0.5;
   double heading_sigma_rad = 0.2;
@@ -69,8 +70,9 @@ class StartSearch {
   std::span<const Hypothesis> search() noexcept;
   // Whether the last search left one alone, and that one sure.
   [[nodiscard]] bool settled() const noexcept { return settled_; }
-  // Cost of a pose at the newest input, to be set against the hypotheses'.
-  [[nodiscard]] double cost(const model::PlanarPose& pose) const noexcept;
+  // Cost of a pose at the newest input, where what one anchor says counts less the more of it there is: one
+  // wall is in the way of all its ranges, to all tags, for as long as the robot is behind it.
+  [[nodiscard]] double cautious_cost(const model::PlanarPose& pose) noexcept;
 
   [[nodiscard]] double t_s() const noexcept { return t_s_; }
   [[nodiscard]] std::size_t ranges() const noexcept { return count_; }
@@ -126,6 +128,7 @@ class StartSearch {
   std::vector<double> last_taken_s_;  // of each pair
   std::array<Term, kMaxRanges> terms_;
   std::vector<const Term*> shortest_;  // of each anchor
+  std::vector<double> anchor_costs_;   // scratch
   std::vector<ByAnchor> by_anchor_;    // scratch, zero between uses
   Odometer now_;
   model::OdometrySample row_{};

@@ -89,7 +89,7 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   if (std::isfinite(row.t_s) && !believe(row.t_s)) return OdometryOutcome::kOutOfOrder;
   const OdometryOutcome outcome = filter_.process(row);
   if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
-  if (config_.relocates) search_.process(row);
+  search_.process(row);
   newest_s_ = std::max(newest_s_, row.t_s);
   last_row_s_ = std::max(last_row_s_, row.t_s);
   assess();
@@ -102,7 +102,7 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
   const bool of_use = result.outcome == RangeOutcome::kUsed || result.outcome == RangeOutcome::kGated ||
                       result.outcome == RangeOutcome::kNotStarted;
   if (!of_use) return result;
-  if (config_.relocates) search_.process(range);
+  search_.process(range);
   newest_s_ = std::max(newest_s_, range.t_s);
   watch(range, result);
   assess();
@@ -220,20 +220,24 @@ void Tracker::assess() noexcept {
   }
   if (state_ == State::kTracking || state_ == State::kDegraded)
     state_ = reason_ == Reason::kNone ? State::kTracking : State::kDegraded;
-  if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) state_ = State::kLost;
   if (state_ == State::kLost && !disagrees) {
     state_ = State::kConverging;
     agrees_since_s_ = kNotNow;
   }
-  if (disagrees) search_when_due();
+  // Walls may hide most anchors for a while, and what passes them agrees with a place some way off.
+  if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) search_when_due();
 }
 
 void Tracker::search_when_due() noexcept {
-  if (!config_.relocates) return;
+  if (!filter_.started() && !config_.relocates) return;
   if (newest_s_ - last_search_s_ < config_.search_every_s) return;
   last_search_s_ = newest_s_;
   const auto hypotheses = search_.search();
-  if (!search_.settled()) return;
+  if (filter_.started() && !hypotheses.empty()) {
+    const double doubt = likelier(hypotheses.front());
+    state_ = doubt > config_.lost_odds ? State::kLost : State::kDegraded;
+  }
+  if (!search_.settled() || !config_.relocates) return;
   const StartSearch::Hypothesis& found = hypotheses.front();
   if (filter_.started()) {
     if (!is_elsewhere(found)) return;
@@ -242,9 +246,13 @@ void Tracker::search_when_due() noexcept {
   begin_at(found);
 }
 
-bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept {
+double Tracker::likelier(const StartSearch::Hypothesis& hypothesis) noexcept {
+  return search_.cautious_cost(filter_.estimate().pose) - search_.cautious_cost(hypothesis.pose);
+}
+
+bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) noexcept {
   const Estimate now = filter_.estimate();
-  if (search_.cost(now.pose) < hypothesis.cost + config_.other_odds) return false;
+  if (likelier(hypothesis) < config_.other_odds) return false;
   const Eigen::Vector3d apart(hypothesis.pose.x_m - now.pose.x_m, hypothesis.pose.y_m - now.pose.y_m,
                               model::wrap_angle(hypothesis.pose.theta_rad - now.pose.theta_rad));
   // The filter's own covariance grows while it doubts; that the ranges refuse it is held against it already.

@@ -54,14 +54,17 @@ struct TrackerConfig {
   double few_ranges = 4.0;      // within the window: too few to judge by
   double silent_s = 1.0;        // without a range used, or without odometry
   double tag_silent_s = 2.0;    // without a range of one tag
-  double lost_s = 3.0;          // of disagreement, until the state is lost
+  double lost_s = 3.0;          // of disagreement, until another place is looked for
   double agree_s = 0.5;         // of agreement, until a begun pose is tracked
   double search_every_s = 0.5;
   double position_sigma_m = 1.0;  // from which the pose is uncertain
   double heading_sigma_rad = 0.3;
-  // A hypothesis is another place from so many sigmas and so much likelier, ln of the odds.
+  // A hypothesis is another place from so many sigmas and so much likelier, ln of the odds, by cautious cost:
+  // of all places that the robot may have been carried to, that one is one of some ten thousand.
   double other_sigmas = 5.0;
-  double other_odds = 15.0;
+  double other_odds = 25.0;
+  // And where one is so much likelier, sure or not, the robot is lost.
+  double lost_odds = 20.0;
   // Inputs that all come so much before or after the newest one: the clock was set.
   double clock_step_s = 2.0;
   std::size_t clock_step_inputs = 5;
@@ -118,7 +121,9 @@ class Tracker {
   void watch(const model::RangeSample& range, const RangeResult& result) noexcept;
   void assess() noexcept;
   void search_when_due() noexcept;
-  [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
+  // ln of the odds, by cautious cost, of the hypothesis against the estimate.
+  [[nodiscard]] double likelier(const StartSearch::Hypothesis& hypothesis) noexcept;
+  [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) noexcept;
   void begin_at(const StartSearch::Hypothesis& hypothesis) noexcept;
   [[nodiscard]] Reason find_reason() const noexcept;
 

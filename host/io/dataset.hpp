@@ -74,9 +74,9 @@ struct ReadOptions {
   bool sensors = false;      // imu.csv, gnss.csv, absolute_pose.csv, zero_velocity.csv where they are there
   bool ground_truth = true;  // groundtruth.csv, where it is there
   bool pose_prior = true;    // pose_prior.csv, or groundtruth.csv in its place
-  bool needs_pose_prior = true;                    // an error where neither is there; else it is empty
-  std::optional<std::filesystem::path> pose_file;  // in the place of both
-  std::optional<std::size_t> log_section;          // from 1; none: a log's last
+  bool needs_pose_prior = true;  // an error where neither is there; else it is empty
+  std::optional<std::filesystem::path> pose_file = std::nullopt;  // in the place of both
+  std::optional<std::size_t> log_section = std::nullopt;          // from 1; none: a log's last
 };
 
 // Of a folder, or of a log that gromad has recorded: that has no surveyed anchors and no truth, and perhaps

@@ -195,6 +195,58 @@ TEST_F(CliTest, SurveyedAnchorsServeInPlaceOfACalibration) {
   EXPECT_EQ(replay({"--surveyed"}).exit_code, 65);
 }
 
+TEST_F(CliTest, WithoutAPosePriorReplayFindsThePoseAndTellsItsState) {
+  std::filesystem::remove(data_ / "pose_prior.csv");
+  std::filesystem::rename(data_ / "groundtruth.csv", folder_ / "truth.csv");
+  const ChildResult replayed = replay({"--surveyed", "--json"});
+  ASSERT_EQ(replayed.exit_code, 0) << replayed.err;
+  EXPECT_EQ(json::parse(replayed.out)["state"], "TRACKING");
+  EXPECT_THAT(read_text(estimate_), HasSubstr(",state,reason\n"));
+  const ChildResult scored = groma({"evaluate", estimate_, folder_ / "truth.csv", "--json"});
+  EXPECT_EQ(scored.exit_code, 0) << scored.err;
+  EXPECT_LT(json::parse(scored.out)["ate_m"]["mean"], 0.5);
+}
+
+TEST_F(CliTest, ExplainNamesABlockedPairAtItsMoment) {
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
+  const model::NodeId anchor = data.ranges.front().anchor_id;
+  for (model::RangeSample& range : data.ranges) {
+    if (range.anchor_id == anchor && std::abs(range.t_s - at_s) < 2.0) range.range_m += 3.0;
+  }
+  io::write_dataset(data_, data);
+  const std::vector<std::string> command{"explain",  data_, "--surveyed", "--at", std::to_string(at_s),
+                                         "--window", "1"};
+  const ChildResult told = groma(command);
+  ASSERT_EQ(told.exit_code, 0) << told.err;
+  EXPECT_THAT(told.out, AllOf(HasSubstr("TRACKING"), HasSubstr("blocked")));
+
+  std::vector<std::string> with_json = command;
+  with_json.emplace_back("--json");
+  const json story = json::parse(groma(with_json).out);
+  EXPECT_EQ(story["state"], "TRACKING");
+  EXPECT_NEAR(story["t_s"], at_s, 0.2);
+  std::size_t blocked = 0;
+  double moved_m = 0.0;
+  for (const json& pair : story["pairs"]) {
+    moved_m += pair["pull"]["x_m"].get<double>();
+    if (pair["anchor"] != anchor) continue;
+    EXPECT_EQ(pair["why"], "blocked");
+    ++blocked;
+    for (const json& range : pair["ranges"]) {
+      EXPECT_NEAR(range["innovation_m"], 3.0, 1.0);
+      EXPECT_NEAR(range["range_m"].get<double>() - range["predicted_m"].get<double>(), range["innovation_m"],
+                  1e-9);
+      EXPECT_LT(range["weight"], 0.1);
+    }
+  }
+  EXPECT_GT(blocked, 0U);
+  EXPECT_NEAR(story["pull"]["x_m"], moved_m, 1e-12);
+
+  EXPECT_EQ(groma({"explain", data_, "--surveyed", "--at", "1e6"}).exit_code, 65);
+  EXPECT_EQ(groma({"explain", data_, "--surveyed"}).exit_code, 2);
+}
+
 TEST_F(CliTest, KnownAnchorsStayWhereTheyAre) {
   const ChildResult result = calibrate({"--known-anchors", "--json"});
   ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
@@ -369,7 +421,14 @@ TEST_F(CliTest, ReplayOfAPartStartsWhereItIsTold) {
   };
   std::filesystem::remove(data_ / "pose_prior.csv");
   std::filesystem::remove(data_ / "groundtruth.csv");
-  EXPECT_EQ(replay_calibrated({"--from", "20"}).exit_code, 65) << "no pose to start from";
+  // Without a pose to start from it is found.
+  ASSERT_EQ(replay_calibrated({"--from", "20"}).exit_code, 0);
+  rows = io::read_estimate(estimate_);
+  const model::PoseSample end = test::make_small_run(kDrive_s, 1).ground_truth.back();
+  EXPECT_GT(rows.front().t_s, 20.1);
+  EXPECT_NEAR(rows.back().t_s, end.t_s, 0.051);
+  EXPECT_NEAR(rows.back().x_m, end.x_m, 0.3);
+  EXPECT_NEAR(rows.back().y_m, end.y_m, 0.3);
   const ChildResult started = replay_calibrated({"--from", "20", "--start", start(truth)});
   ASSERT_EQ(started.exit_code, 0) << started.err;
   rows = io::read_estimate(estimate_);

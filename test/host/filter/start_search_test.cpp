@@ -70,7 +70,7 @@ TEST(StartSearch, FindsThePoseFromAnyPlaceAndHeading) {
     // What all ranges share of the calibration's errors costs the truth something, somewhere else far more.
     model::PlanarPose away = drive.truth.back();
     away.x_m += 5.0;
-    EXPECT_LT(search->cost(drive.truth.back()), 0.5 * search->cost(away)) << run;
+    EXPECT_LT(search->cautious_cost(drive.truth.back()), 0.5 * search->cautious_cost(away)) << run;
   }
   // Errors of 60 runs; the covariance is not to promise too much.
   EXPECT_LT(sum / kRuns, 1.3);

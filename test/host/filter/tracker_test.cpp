@@ -150,6 +150,28 @@ TEST_P(TrackerTest, FindsAKidnappedRobot) {
   EXPECT_LT(moments_.back().error_m, 0.5);
 }
 
+// A gate passed: what comes through the walls is too long, for all tags and for seconds, and much as it would
+// be a step aside.
+TEST_P(TrackerTest, StaysWhereItIsBehindAWall) {
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  testing::Drive blocked = drive(kHere);
+  const Eigen::Vector2d aside(0.0, 0.8);
+  for (model::RangeSample& range : blocked.ranges) {
+    if (range.t_s < 20.0 || range.t_s > 30.0) continue;
+    const auto anchor = std::find_if(calibration_.anchors.begin(), calibration_.anchors.end(),
+                                     [&](const auto& of) { return of.id == range.anchor_id; });
+    const model::PlanarPose& pose = blocked.truth.at(static_cast<std::size_t>(range.t_s / 0.05));
+    const Eigen::Vector2d from = Eigen::Vector2d(pose.x_m, pose.y_m) - anchor->position_m.head<2>();
+    range.range_m += std::max((from + aside).norm() - from.norm(), 0.0);
+  }
+  run(blocked);
+  EXPECT_TRUE(was(Reason::kRangesDisagree, 20.0, 30.0));
+  EXPECT_FALSE(was(State::kLost, 0.0, 60.0));
+  EXPECT_EQ(tracker_->relocations(), 0U);
+  EXPECT_FALSE(lied());
+  EXPECT_LT(moments_.back().error_m, 0.3);
+}
+
 TEST_P(TrackerTest, SaysThatRangesAreLostAndComesBack) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   run(drive(kHere), 0.0,
