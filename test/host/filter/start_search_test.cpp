@@ -77,6 +77,35 @@ TEST(StartSearch, FindsThePoseFromAnyPlaceAndHeading) {
   EXPECT_GT(sum / kRuns, 0.2);
 }
 
+TEST(StartSearch, WhatOneAnchorSaysIsOneEvent) {
+  const model::Calibration calibration = testing::six_anchors(0.1);
+  // By how much the truth costs more with so many anchors behind walls.
+  const auto cost_of_walls = [&](std::size_t walls, double range_s) {
+    double costs[2] = {};
+    for (const bool blocked : {false, true}) {
+      Random random(77);
+      testing::Drive drive = testing::drive(testing::hills(0.2), calibration, {1.0, 2.0, 0.3},
+                                            {.duration_s = 5.0, .range_s = range_s}, random);
+      for (model::RangeSample& range : drive.ranges) {
+        for (std::size_t a = 0; blocked && a < walls; ++a) {
+          if (range.anchor_id == calibration.anchors[a].id) range.range_m += 3.0;
+        }
+      }
+      const auto search = make(calibration);
+      feed(drive, *search);
+      costs[blocked ? 1 : 0] = search->cautious_cost(drive.truth.back());
+    }
+    return costs[1] - costs[0];
+  };
+  const double one = cost_of_walls(1, 0.01);
+  EXPECT_GT(one, 4.0);
+  EXPECT_LT(one, 16.0);
+  EXPECT_NEAR(cost_of_walls(3, 0.01), 3.0 * one, 0.25 * one);
+  // Nearly six times the ranges (a pair's are taken each 0.25 s at most), by the same wall, do not count
+  // twice.
+  EXPECT_LT(one, 2.0 * cost_of_walls(1, 0.08));
+}
+
 TEST(StartSearch, KeepsBothSidesOfALineOfAnchorsUntilTheRobotTurns) {
   // All anchors on y = 0, as high as the tag; the robot first drives along them.
   const std::vector<model::Anchor> anchors{{11, {-8.0, 0.0, 2.0}},
