@@ -101,6 +101,25 @@ struct SensorConfig {
   double patience_s = 2.0;
 };
 
+// How the noise of odometry follows its rows: see self_tuning.hpp.
+struct OdometryTuningConfig {
+  double most_factor = 10.0;  // upon the sigmas that were told, and below them
+  double max_gap_s = 0.3;     // rows that are further apart tell of motion, not of noise
+  double uneven = 0.3;        // by which gaps may differ
+  double step = 0.003;        // of a sigma with a row
+  double first_step = 0.05;
+  double first_draws = 100.0;
+};
+
+// When the robot stands: see standstill.hpp.
+struct StandstillConfig {
+  double window_s = 0.5;
+  double sigmas = 3.0;          // of the mean
+  double row_sigmas = 4.0;      // of one row
+  double velocity_mps = 0.003;  // what wheels that stand may show
+  double turn_radps = 0.002;    // and a gyro: its bias
+};
+
 struct Config {
   Model model = Model::kSchmidt;
 
@@ -134,6 +153,8 @@ struct Config {
   OdometryWatchConfig watch;
   SelfTuningConfig tuning;
   SensorConfig sensors;
+  OdometryTuningConfig odometry_tuning;
+  StandstillConfig standstill;
 };
 
 // What is not known of the clocks of a robot's links where nobody told.

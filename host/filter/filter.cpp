@@ -52,11 +52,18 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
   JointCovariance covariance(site, parameters, learning(config.model));
   return {.parameters = parameters,
           .gate = Gate(config.gate),
-          .watch = OdometryWatch(config),
+          .watch = OdometryWatch(config.watch),
           .tuning = RangeTuning(config.tuning, white_sigma_m),
           .sensors = SensorGate(config.sensors),
           .gyro = Gyro(config.sensors),
+          .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
+          .standstill = Standstill(config.standstill),
           .covariance = std::move(covariance)};
+}
+
+// The comparisons keep the noise that they were told: what their innovations show is their own error.
+bool is_tuned(Model model) noexcept {
+  return model == Model::kSchmidt || model == Model::kAnchorStates || model == Model::kJoint;
 }
 
 // The original model knows of no calibration but positions: its noise is the one that it is told.
@@ -117,9 +124,10 @@ void Filter::start(const Start& start) noexcept {
   variances(kScale) = square(config_.scale_sigma);
   variances(kYawBias) = square(config_.yaw_rate_bias_radps);
   variances(kDelay) = delays(config_).difference_variance_s2();
-  variances(kRowVx) = square(now_.has_row ? config_.odometry.sigma_vx_mps : config_.hold_walk_mps);
-  variances(kRowVy) = square(now_.has_row ? config_.odometry.sigma_vy_mps : config_.hold_walk_mps);
-  variances(kRowOmega) = square(now_.has_row ? config_.odometry.sigma_omega_radps : config_.hold_walk_radps);
+  const model::OdometryNoise noise = now_.odometry_tuning.noise();
+  variances(kRowVx) = square(now_.has_row ? noise.sigma_vx_mps : config_.hold_walk_mps);
+  variances(kRowVy) = square(now_.has_row ? noise.sigma_vy_mps : config_.hold_walk_mps);
+  variances(kRowOmega) = square(now_.has_row ? noise.sigma_omega_radps : config_.hold_walk_radps);
   if (now_.gyro.holds()) {
     variances(kYawBias) = square(config_.sensors.gyro_bias_radps);
     variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
@@ -128,6 +136,9 @@ void Filter::start(const Start& start) noexcept {
   now_.gate.reset(now_.t_s);
   now_.tuning.reset();
   now_.sensors.reset();
+  now_.odometry_tuning.reset();
+  now_.standstill.reset();
+  now_.stands = false;
   now_.last_answer_s.fill(kNever);
   now_.started = true;
 }
@@ -162,7 +173,7 @@ OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
 }
 
 RangeResult Filter::process(const model::RangeSample& range) noexcept {
-  const RangeResult result = take(range);
+  RangeResult result = take(range);
   switch (result.outcome) {
     case RangeOutcome::kUsed:
       ++now_.counters.ranges_used;
@@ -229,7 +240,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   if (!is_active) exchange(slot, anchor);
   now_.last_answer_s[static_cast<std::size_t>(slot)] = now_.t_s;
 
-  const bool whole = config_.model != Model::kOriginal && config_.model != Model::kInflated;
+  const bool whole = is_tuned(config_.model);
   const PairParameters parameters = now_.parameters.pair(site_, slot, tag);
   const PairPlace pair{.slot = slot, .tag = tag, .anchor = &site_.anchor(anchor)};
   const RangeMeasurement measurement = config_.model == Model::kOriginal
@@ -252,7 +263,6 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();
   const double slow_before = now_.tuning.slow_scale();
-  // The comparisons keep the noise that they were told: what their innovations show is their own error.
   if (whole) now_.tuning.observe(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   const double slow_change = now_.tuning.slow_scale() / slow_before;
   if (!(result.weight > 0.0)) {
@@ -326,6 +336,13 @@ SensorResult Filter::process(const model::ZeroVelocitySample& sample) noexcept {
   if (!std::isfinite(sample.t_s)) return count(Sensor::kZeroVelocity, {.outcome = SensorOutcome::kBadValue});
   const SensorOutcome outcome = await(sample.t_s);
   if (outcome != SensorOutcome::kUsed) return count(Sensor::kZeroVelocity, {.outcome = outcome});
+  // The row as it came shows the yaw rate's bias, now that it is told that the robot stands.
+  if (now_.stands) {
+    now_.stands = false;
+    if (now_.gyro.holds()) now_.told_row.omega_radps = now_.row.omega_radps;
+    now_.row = now_.told_row;
+    renew_row(now_.odometry_tuning.noise(), {});
+  }
   return count(Sensor::kZeroVelocity,
                correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors)));
 }
@@ -417,22 +434,32 @@ void Filter::hold(const model::OdometrySample& row) noexcept {
   }
   model::OdometrySample held = row;
   if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
+  model::OdometryNoise noise = now_.odometry_tuning.noise();
   OdometryDoubt doubt;
-  if (now_.has_row) doubt = now_.watch.judge(now_.row, held);
+  if (now_.has_row) doubt = now_.watch.judge(now_.row, held, noise);
+  now_.stands = false;
+  if (is_tuned(config_.model)) {
+    const bool wheels_stand = now_.standstill.observe(row, noise);
+    // Wheels that stand tell nothing of their noise in motion.
+    if (wheels_stand) {
+      now_.odometry_tuning.reset();
+    } else {
+      now_.odometry_tuning.observe(row);
+    }
+    now_.stands = wheels_stand && !now_.gate.doubts(now_.t_s);
+  }
+  now_.told_row = held;
+  if (now_.stands) {
+    noise = now_.standstill.noise();
+    held.vx_mps = 0.0;
+    held.vy_mps = 0.0;
+    if (!now_.gyro.holds()) held.omega_radps = now_.core(kYawBias);
+  }
   now_.row = held;
   now_.has_row = true;
-  const double variance_vx = square(config_.odometry.sigma_vx_mps) + doubt.velocity_m2ps2;
-  const double variance_vy = square(config_.odometry.sigma_vy_mps) + doubt.velocity_m2ps2;
-  if (now_.gyro.holds()) {
-    // Wheels that slip turn the robot no more.
-    doubt.heading_rad2 = 0.0;
-    renew(kRowVx, variance_vx);
-    renew(kRowVy, variance_vy);
-  } else {
-    now_.core.segment<3>(kRowVx).setZero();
-    now_.covariance.renew_row(
-        {variance_vx, variance_vy, square(config_.odometry.sigma_omega_radps) + doubt.turn_rad2ps2});
-  }
+  // Wheels that slip turn the robot no more.
+  if (now_.gyro.holds()) doubt.heading_rad2 = 0.0;
+  renew_row(noise, doubt);
   if (doubt.position_m2 > 0.0) {
     now_.covariance.grow(kX, doubt.position_m2);
     now_.covariance.grow(kY, doubt.position_m2);
@@ -440,8 +467,23 @@ void Filter::hold(const model::OdometrySample& row) noexcept {
   if (doubt.heading_rad2 > 0.0) now_.covariance.grow(kTheta, doubt.heading_rad2);
 }
 
+void Filter::renew_row(const model::OdometryNoise& noise, const OdometryDoubt& doubt) noexcept {
+  const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
+  const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
+  if (now_.gyro.holds()) {
+    renew(kRowVx, variance_vx);
+    renew(kRowVy, variance_vy);
+  } else {
+    now_.core.segment<3>(kRowVx).setZero();
+    now_.covariance.renew_row(
+        {variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
+  }
+}
+
 void Filter::step(double dt_s) noexcept {
-  const Motion motion = move(surface_, now_.core, now_.row, dt_s);
+  Motion motion = move(surface_, now_.core, now_.row, dt_s);
+  // Of one that stands, the heading does not depend on what a gyro is off by.
+  if (now_.stands && !now_.gyro.holds()) motion.d_core.col(kYawBias).setZero();
   now_.core.segment<3>(kX) = motion.pose;
   now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
   now_.covariance.propagate(motion.d_core);

@@ -29,6 +29,7 @@
 #include "host/filter/self_tuning.hpp"
 #include "host/filter/sensor_gate.hpp"
 #include "host/filter/site.hpp"
+#include "host/filter/standstill.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
@@ -140,10 +141,14 @@ class Filter {
     RangeTuning tuning;
     SensorGate sensors;
     Gyro gyro;
+    OdometryTuning odometry_tuning;
+    Standstill standstill;
     JointCovariance covariance;
     CoreVector core = CoreVector::Zero();
     model::OdometrySample row{};
     bool has_row = false;
+    model::OdometrySample told_row{};  // that, where row is of a robot that stands
+    bool stands = false;
     bool started = false;
     double t_s = 0.0;
     std::array<double, kMaxAnchors> last_answer_s{};  // of each slot
@@ -174,6 +179,9 @@ class Filter {
   SensorResult process(const model::ZeroVelocitySample& sample) noexcept;
   // Moves the state to t_s by the row held. False, and nothing done, when t_s is not a later time.
   bool advance_to(double t_s) noexcept;
+
+  // Whether the robot stands, by the last row of odometry.
+  [[nodiscard]] bool stands() const noexcept { return now_.stands; }
 
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
@@ -210,6 +218,8 @@ class Filter {
   // The state is unknown anew, but for that variance.
   void renew(CoreIndex index, double variance) noexcept;
   void hold(const model::OdometrySample& row) noexcept;
+  // The errors of the row begin anew.
+  void renew_row(const model::OdometryNoise& noise, const OdometryDoubt& doubt) noexcept;
   void step(double dt_s) noexcept;
   // The slot whose anchor was silent longest, -1 where none was silent for long enough.
   [[nodiscard]] int free_slot(double t_s) const noexcept;

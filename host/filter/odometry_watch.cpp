@@ -11,27 +11,25 @@ using model::square;
 
 }  // namespace
 
-OdometryWatch::OdometryWatch(const Config& config) : config_(config.watch), noise_(config.odometry) {}
-
 void OdometryWatch::reset() noexcept {
   excess_m2ps2_ = 0.0;
   turn_excess_rad2ps2_ = 0.0;
 }
 
-OdometryDoubt OdometryWatch::judge(const model::OdometrySample& before,
-                                   const model::OdometrySample& row) noexcept {
+OdometryDoubt OdometryWatch::judge(const model::OdometrySample& before, const model::OdometrySample& row,
+                                   const model::OdometryNoise& noise) noexcept {
   const double gap_s = std::max(row.t_s - before.t_s, 0.0);
   const double fade = std::exp(-gap_s / config_.lasts_s);
   excess_m2ps2_ *= fade;
   turn_excess_rad2ps2_ *= fade;
 
-  const double sigma_mps = std::max(noise_.sigma_vx_mps, noise_.sigma_vy_mps);
+  const double sigma_mps = std::max(noise.sigma_vx_mps, noise.sigma_vy_mps);
   const double change_mps = std::hypot(row.vx_mps - before.vx_mps, row.vy_mps - before.vy_mps);
   const double turn_change_radps = std::abs(row.omega_radps - before.omega_radps);
   const double excess_mps =
       std::max(change_mps - config_.max_acceleration_mps2 * gap_s - config_.noise_sigmas * sigma_mps, 0.0);
   double turn_excess_radps = std::max(turn_change_radps - config_.max_turn_acceleration_radps2 * gap_s -
-                                          config_.noise_sigmas * noise_.sigma_omega_radps,
+                                          config_.noise_sigmas * noise.sigma_omega_radps,
                                       0.0);
   // A velocity that is not the robot's has another direction, too.
   const double speed_mps = std::max({std::hypot(before.vx_mps, before.vy_mps),

@@ -19,17 +19,17 @@ struct OdometryDoubt {
 
 class OdometryWatch {
  public:
-  explicit OdometryWatch(const Config& config);
+  explicit OdometryWatch(const OdometryWatchConfig& config) : config_(config) {}
 
-  // Of a row that follows another one.
-  OdometryDoubt judge(const model::OdometrySample& before, const model::OdometrySample& row) noexcept;
+  // Of a row that follows another one, both of that white noise.
+  OdometryDoubt judge(const model::OdometrySample& before, const model::OdometrySample& row,
+                      const model::OdometryNoise& noise) noexcept;
   void reset() noexcept;
   // Rows that jumped.
   [[nodiscard]] std::size_t jumps() const noexcept { return jumps_; }
 
  private:
   OdometryWatchConfig config_;
-  model::OdometryNoise noise_;
   double excess_m2ps2_ = 0.0;  // fading squares of what jumps were too large by
   double turn_excess_rad2ps2_ = 0.0;
   std::size_t jumps_ = 0;

@@ -15,6 +15,8 @@ constexpr double kHalfWithin = 0.6744897501960817;
 constexpr double kTooLong = 2.0;
 // Of a slow error the state takes up a part, which innovations do not show.
 constexpr double kShown = 0.7;
+// Of rows x0 to x3, x0 - 3 x1 + 3 x2 - x3 has the variance (1 + 9 + 9 + 1) sigma^2.
+constexpr double kThirdDifference = 4.47213595499958;
 
 }  // namespace
 
@@ -50,6 +52,48 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
     slow_scale_ = std::clamp(slow_scale_ * (1.0 + config_.slow_step * change), 1.0 / config_.slow_most_factor,
                              config_.slow_most_factor);
   }
+}
+
+OdometryTuning::OdometryTuning(const OdometryTuningConfig& config, const model::OdometryNoise& told)
+    : config_(config), told_(told) {}
+
+void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
+  const Row now{.t_s = row.t_s, .values = {row.vx_mps, row.vy_mps, row.omega_radps}};
+  const double gap_s = rows_ > 0 ? now.t_s - last_[0].t_s : 0.0;
+  bool even = rows_ == last_.size() && gap_s <= config_.max_gap_s;
+  for (std::size_t i = 0; even && i + 1 < last_.size(); ++i) {
+    const double other_s = last_[i].t_s - last_[i + 1].t_s;
+    even = std::abs(other_s - gap_s) <= config_.uneven * gap_s;
+  }
+  if (even) {
+    const auto difference = [&](std::size_t axis) {
+      return now.values[axis] - 3.0 * last_[0].values[axis] + 3.0 * last_[1].values[axis] -
+             last_[2].values[axis];
+    };
+    adjust(velocity_, difference(0), told_.sigma_vx_mps);
+    adjust(velocity_, difference(1), told_.sigma_vy_mps);
+    adjust(turn_, difference(2), told_.sigma_omega_radps);
+  }
+  last_[2] = last_[1];
+  last_[1] = last_[0];
+  last_[0] = now;
+  rows_ = std::min(rows_ + 1, last_.size());
+}
+
+void OdometryTuning::adjust(Factor& factor, double difference, double told) const noexcept {
+  // Of an axis that is not measured there is nothing to see.
+  if (difference == 0.0 || !(told > 0.0)) return;
+  factor.differences += 1.0;
+  const double step =
+      std::max(config_.step, config_.first_step / (1.0 + factor.differences / config_.first_draws));
+  const double half = kHalfWithin * kThirdDifference * told * factor.value;
+  const double change = std::abs(difference) > half ? step : -step;
+  factor.value = std::clamp(factor.value * (1.0 + change), 1.0 / config_.most_factor, config_.most_factor);
+}
+
+model::OdometryNoise OdometryTuning::noise() const noexcept {
+  return {told_.sigma_vx_mps * velocity_.value, told_.sigma_vy_mps * velocity_.value,
+          told_.sigma_omega_radps * turn_.value};
 }
 
 }  // namespace groma::filter

@@ -1,5 +1,5 @@
-// The noise of ranges as their innovations show it. What the configuration or the calibration tells is where
-// it begins.
+// The noise of ranges as their innovations show it, and that of odometry as its rows do. What the
+// configuration or the calibration tells is where it begins.
 #pragma once
 
 #include <array>
@@ -7,6 +7,7 @@
 
 #include "host/filter/config.hpp"
 #include "host/filter/state.hpp"
+#include "host/model/types.hpp"
 
 namespace groma::filter {
 
@@ -37,6 +38,41 @@ class RangeTuning {
   double slow_scale_ = 1.0;
   double differences_ = 0.0;  // seen
   std::array<Last, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> last_{};
+};
+
+// The white noise of odometry rows. No robot changes its acceleration much from one row to the next: of
+// four rows at even times the third difference is noise, of variance 20 sigma^2. vx and vy share a factor
+// upon what was told, as many robots measure one alone; omega has its own.
+class OdometryTuning {
+ public:
+  OdometryTuning(const OdometryTuningConfig& config, const model::OdometryNoise& told);
+
+  // Takes note of the next row.
+  void observe(const model::OdometrySample& row) noexcept;
+  // The rows are forgotten, what was learnt of the noise stays.
+  void reset() noexcept { rows_ = 0; }
+
+  // From a tenth to ten times what was told.
+  [[nodiscard]] model::OdometryNoise noise() const noexcept;
+
+ private:
+  struct Row {
+    double t_s = 0.0;
+    std::array<double, 3> values{};  // vx, vy, omega
+  };
+  struct Factor {
+    double value = 1.0;
+    double differences = 0.0;  // seen
+  };
+
+  void adjust(Factor& factor, double difference, double told) const noexcept;
+
+  OdometryTuningConfig config_;
+  model::OdometryNoise told_;
+  Factor velocity_;
+  Factor turn_;
+  std::array<Row, 3> last_{};  // newest first
+  std::size_t rows_ = 0;       // of last_ that hold one
 };
 
 }  // namespace groma::filter

@@ -121,6 +121,7 @@ Config config_with(Model model, int active) {
   config.gate.garbage_share = 0.0;
   config.gate.knee = 1e9;
   config.tuning = {.step = 0.0, .first_step = 0.0, .slow_step = 0.0};
+  config.odometry_tuning = {.step = 0.0, .first_step = 0.0};
   return config;
 }
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <vector>
 
 #include <Eigen/Cholesky>
 
@@ -13,6 +14,7 @@
 #include "host/filter/link_delay.hpp"
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/self_tuning.hpp"
+#include "host/filter/standstill.hpp"
 #include "test/host/filter/small_site.hpp"
 
 namespace groma::filter {
@@ -103,21 +105,22 @@ TEST(LateLinks, OdometryAndRangesAreEachTakenForAsLateAsTheyAre) {
 }
 
 TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
-  Config config = matching_config();
+  const OdometryWatchConfig config;
+  const model::OdometryNoise noise{0.03, 0.03, 0.01};
   OdometryWatch watch(config);
   const model::OdometrySample before{1.0, 2.0, 0.0, 0.1};
-  const OdometryDoubt none = watch.judge(before, {1.05, 2.3, 0.05, 0.4});
+  const OdometryDoubt none = watch.judge(before, {1.05, 2.3, 0.05, 0.4}, noise);
   EXPECT_EQ(none.velocity_m2ps2, 0.0);
   EXPECT_EQ(none.position_m2, 0.0);
   EXPECT_EQ(none.turn_rad2ps2, 0.0);
-  const OdometryDoubt jump = watch.judge(before, {1.05, 2.0, 2.0, 0.1});
-  const double excess_mps = 2.0 - 8.0 * 0.05 - 6.0 * 0.03;
+  const OdometryDoubt jump = watch.judge(before, {1.05, 2.0, 2.0, 0.1}, noise);
+  const double excess_mps = 2.0 - config.max_acceleration_mps2 * 0.05 - 6.0 * 0.03;
   EXPECT_NEAR(jump.position_m2, std::pow(0.5 * excess_mps, 2), 1e-12);
   EXPECT_NEAR(jump.velocity_m2ps2, excess_mps * excess_mps * 10.0, 1e-9);
   EXPECT_GT(jump.turn_rad2ps2, 0.0);
   EXPECT_EQ(watch.jumps(), 1U);
   // And forgets it.
-  const OdometryDoubt later = watch.judge({1.05, 2.0, 2.0, 0.1}, {3.05, 2.0, 2.0, 0.1});
+  const OdometryDoubt later = watch.judge({1.05, 2.0, 2.0, 0.1}, {3.05, 2.0, 2.0, 0.1}, noise);
   EXPECT_LT(later.velocity_m2ps2, 0.01 * jump.velocity_m2ps2);
   EXPECT_EQ(later.position_m2, 0.0);
 }
@@ -140,6 +143,138 @@ TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
   EXPECT_GT(without.nees, 20.0);
   EXPECT_LT(with.nees, 4.0);
   EXPECT_LT(with.mean_m, without.mean_m);
+}
+
+TEST(OdometryTuning, FindsTheWhiteSigmaOfARobotThatDrives) {
+  constexpr model::OdometryNoise kTrue{0.03, 0.03, 0.01};
+  for (const double factor : {0.12, 1.0 / 3.0, 1.0, 3.0, 8.0}) {
+    OdometryTuning tuning(OdometryTuningConfig{}, {kTrue.sigma_vx_mps * factor, kTrue.sigma_vy_mps * factor,
+                                                   kTrue.sigma_omega_radps * factor});
+    Random random(10);
+    double velocity_mps = 0.0;
+    double turn_radps = 0.0;
+    for (int i = 0; i < 6000; ++i) {
+      const double t_s = 0.05 * i;
+      const Eigen::Vector3d velocity = testing::true_velocity(t_s);
+      // No sideways axis, as of most wheels.
+      tuning.observe({t_s, velocity.x() + kTrue.sigma_vx_mps * random.gaussian(), 0.0,
+                      velocity.z() + kTrue.sigma_omega_radps * random.gaussian()});
+      if (i < 3000) continue;
+      velocity_mps += tuning.noise().sigma_vx_mps / 3000.0;
+      turn_radps += tuning.noise().sigma_omega_radps / 3000.0;
+    }
+    EXPECT_NEAR(velocity_mps, kTrue.sigma_vx_mps, 0.1 * kTrue.sigma_vx_mps) << factor;
+    EXPECT_NEAR(turn_radps, kTrue.sigma_omega_radps, 0.1 * kTrue.sigma_omega_radps) << factor;
+    EXPECT_EQ(tuning.noise().sigma_vy_mps, tuning.noise().sigma_vx_mps);
+  }
+}
+
+TEST(OdometryTuning, StaysWithinItsBoundsAndLearnsNothingOfRowsFarApart) {
+  OdometryTuning tuning(OdometryTuningConfig{}, {0.03, 0.03, 0.01});
+  Random random(11);
+  for (int i = 0; i < 2000; ++i) {
+    const double t_s = 0.5 * i;
+    tuning.observe({t_s, random.gaussian(), random.gaussian(), random.gaussian()});
+  }
+  EXPECT_EQ(tuning.noise().sigma_vx_mps, 0.03);
+  tuning.reset();
+  for (int i = 0; i < 2000; ++i) {
+    const double t_s = 1001.0 + 0.05 * i;
+    tuning.observe({t_s, random.gaussian(), random.gaussian(), 1e-5 * random.gaussian()});
+  }
+  EXPECT_NEAR(tuning.noise().sigma_vx_mps, 0.3, 0.003);
+  EXPECT_NEAR(tuning.noise().sigma_omega_radps, 0.001, 1e-5);
+}
+
+TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittle) {
+  const model::Surface flat;
+  const model::Calibration site = testing::six_anchors(0.2);
+  std::vector<double> errors_m;
+  for (const double factor : {1.0, 1.0 / 3.0, 3.0}) {
+    double mean_m = 0.0;
+    double nees = 0.0;
+    for (unsigned seed = 1; seed <= 8; ++seed) {
+      Random random(seed);
+      const testing::Drive drive =
+          testing::drive(flat, site, {0.0, 0.0, 0.2}, {.duration_s = 60.0, .range_s = 0.05}, random);
+      Config config = matching_config();
+      config.odometry = {0.03 * factor, 0.03 * factor, 0.01 * factor};
+      const Errors errors = replay(flat, site, config, drive);
+      mean_m += errors.mean_m / 8.0;
+      nees += errors.nees / 8.0;
+    }
+    errors_m.push_back(mean_m);
+    EXPECT_LT(nees, 2.0) << factor;
+  }
+  EXPECT_LT(errors_m[1], 1.1 * errors_m[0]);
+  EXPECT_LT(errors_m[2], 1.1 * errors_m[0]);
+}
+
+TEST(Standstill, IsSeenInNoiseAndNotInSlowMotion) {
+  constexpr model::OdometryNoise kNoise{0.03, 0.03, 0.01};
+  Random random(12);
+  const auto row = [&](double t_s, double vx_mps) {
+    return model::OdometrySample{t_s, vx_mps + kNoise.sigma_vx_mps * random.gaussian(),
+                                 kNoise.sigma_vy_mps * random.gaussian(),
+                                 kNoise.sigma_omega_radps * random.gaussian()};
+  };
+  int standing = 0;
+  int crawling = 0;
+  double left_s = 0.0;
+  Standstill still{StandstillConfig{}};
+  Standstill crawl{StandstillConfig{}};
+  for (int i = 0; i < 4000; ++i) {
+    standing += still.observe(row(0.02 * i, 0.0), kNoise) ? 1 : 0;
+    crawling += crawl.observe(row(0.02 * i, 0.1), kNoise) ? 1 : 0;
+  }
+  // From there it moves off, by 1 m/s^2.
+  for (int i = 1; i < 50 && left_s == 0.0; ++i) {
+    if (!still.observe(row(80.0 + 0.02 * i, 0.02 * i), kNoise)) left_s = 0.02 * i;
+  }
+  EXPECT_GT(standing, 3800);
+  EXPECT_EQ(crawling, 0);
+  EXPECT_GT(left_s, 0.0);
+  EXPECT_LE(left_s, 0.2);
+}
+
+TEST(Standstill, SwitchesTheNoiseOffAndStaysHonest) {
+  const model::Surface flat;
+  const model::Calibration site = testing::six_anchors(0.2);
+  Config config = matching_config();
+  Config blind = config;
+  blind.standstill.sigmas = 0.0;
+  double nees = 0.0;
+  double variance_m2 = 0.0;
+  double blind_m2 = 0.0;
+  constexpr int kRuns = 40;
+  int standing = 0;
+  for (unsigned seed = 1; seed <= kRuns; ++seed) {
+    Random random(seed);
+    const double bias_radps = config.yaw_rate_bias_radps * random.gaussian();
+    const model::PlanarPose truth{1.0, 2.0, 0.5};
+    const Start start{.t_s = 0.0,
+                      .pose = {truth.x_m + 0.01 * random.gaussian(), truth.y_m + 0.01 * random.gaussian(),
+                               truth.theta_rad + 0.01 * random.gaussian()},
+                      .position_sigma_m = 0.01,
+                      .heading_sigma_rad = 0.01};
+    Filter filter(flat, testing::three_tags(), site, config);
+    Filter other(flat, testing::three_tags(), site, blind);
+    filter.start(start);
+    other.start(start);
+    for (int i = 0; i < 1200; ++i) {
+      const model::OdometrySample row{0.05 * i, 0.03 * random.gaussian(), 0.03 * random.gaussian(),
+                                      bias_radps + 0.01 * random.gaussian()};
+      filter.process(row);
+      other.process(row);
+    }
+    standing += filter.stands() ? 1 : 0;
+    nees += testing::squared_error(filter.estimate(), truth) / (3.0 * kRuns);
+    variance_m2 += filter.estimate().covariance(0, 0) / kRuns;
+    blind_m2 += other.estimate().covariance(0, 0) / kRuns;
+  }
+  EXPECT_GE(standing, kRuns - 4);
+  EXPECT_LT(nees, 1.0 + 4.0 * std::sqrt(2.0 / (3.0 * kRuns)));
+  EXPECT_LT(variance_m2, 0.5 * blind_m2);
 }
 
 TEST(RangeTuning, FindsTheWhiteSigmaBesideWhatLastsAndWhatIsBlocked) {
