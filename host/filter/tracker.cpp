@@ -98,7 +98,7 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
 
 RangeResult Tracker::process(const model::RangeSample& range) noexcept {
   if (std::isfinite(range.t_s) && !believe(range.t_s)) return {.outcome = RangeOutcome::kOutOfOrder};
-  const RangeResult result = filter_.process(range);
+  RangeResult result = filter_.process(range);
   const bool of_use = result.outcome == RangeOutcome::kUsed || result.outcome == RangeOutcome::kGated ||
                       result.outcome == RangeOutcome::kNotStarted;
   if (!of_use) return result;
