@@ -64,7 +64,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   double nis_sum = 0.0;
   const auto timed = [&](std::vector<double>& durations, const auto& sample) {
     const std::int64_t begin = options.now_ns ? options.now_ns() : 0;
-    const auto outcome = tracker->process(sample);
+    auto outcome = tracker->process(sample);
     if (options.now_ns) durations.push_back(static_cast<double>(options.now_ns() - begin));
     return outcome;
   };
