@@ -80,6 +80,10 @@ function(groma_test)
   endif()
   list(APPEND arg_LABELS ${GROMA_TEST_LABELS})
   add_executable(${arg_NAME} ${arg_SOURCES})
+  # What takes operator new's place is not to be seen where it is called.
+  set(support ${arg_SOURCES})
+  list(FILTER support INCLUDE REGEX "/test/support/")
+  set_source_files_properties(${support} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
   target_compile_definitions(${arg_NAME} PRIVATE ${arg_DEFINITIONS})
   gtest_discover_tests(
