@@ -309,9 +309,7 @@ void Filter::renew(CoreIndex index, double variance) noexcept {
 }
 
 SensorResult Filter::process(const model::PositionSample& sample) noexcept {
-  const auto& [xx, xy, yy] = sample.covariance_m2;
-  if (!std::isfinite(sample.t_s + sample.x_m + sample.y_m + xx + xy + yy) || !(xx > 0.0) ||
-      !(xx * yy > xy * xy)) {
+  if (!std::isfinite(sample.t_s + sample.x_m + sample.y_m) || !model::is_covariance(sample.covariance_m2)) {
     return count(Sensor::kPosition, {.outcome = SensorOutcome::kBadValue});
   }
   const SensorOutcome outcome = await(sample.t_s);
@@ -322,10 +320,7 @@ SensorResult Filter::process(const model::PositionSample& sample) noexcept {
 }
 
 SensorResult Filter::process(const model::PoseSample& sample) noexcept {
-  if (!std::isfinite(sample.t_s + sample.x_m + sample.y_m + sample.yaw_rad) || !sample.covariance ||
-      !model::is_covariance(*sample.covariance)) {
-    return count(Sensor::kPose, {.outcome = SensorOutcome::kBadValue});
-  }
+  if (!tells_pose(sample)) return count(Sensor::kPose, {.outcome = SensorOutcome::kBadValue});
   const SensorOutcome outcome = await(sample.t_s);
   if (outcome != SensorOutcome::kUsed) return count(Sensor::kPose, {.outcome = outcome});
   const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_));

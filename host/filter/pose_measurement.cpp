@@ -6,6 +6,11 @@
 
 namespace groma::filter {
 
+bool tells_pose(const model::PoseSample& sample) noexcept {
+  return std::isfinite(sample.t_s + sample.x_m + sample.y_m + sample.yaw_rad) && sample.covariance &&
+         model::is_covariance(*sample.covariance);
+}
+
 CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
                                 const model::PoseSample& sample) noexcept {
   CoreMeasurement<3> out;

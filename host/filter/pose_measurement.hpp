@@ -7,7 +7,10 @@
 
 namespace groma::filter {
 
-// z = x, y, heading at the pose now. The sample's covariance has to be there; its heading is that of
+// Whether all of the pose and its covariance are there and can be.
+[[nodiscard]] bool tells_pose(const model::PoseSample& sample) noexcept;
+
+// z = x, y, heading at the pose now, of a sample that tells_pose(); its heading is that of
 // heading_on().
 [[nodiscard]] CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
                                               const model::PoseSample& sample) noexcept;

@@ -110,9 +110,7 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
 }
 
 SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
-  const bool can_start = std::isfinite(sample.t_s + sample.x_m + sample.y_m + sample.yaw_rad) &&
-                         sample.covariance && model::is_covariance(*sample.covariance);
-  if (filter_.started() || !can_start) return process_fix(sample);
+  if (filter_.started() || !tells_pose(sample)) return process_fix(sample);
   if (!believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
   const Eigen::Matrix3d covariance = model::to_matrix(*sample.covariance);
   const bool begun = start({.t_s = sample.t_s,
@@ -233,14 +231,15 @@ void Tracker::search_when_due() noexcept {
   if (newest_s_ - last_search_s_ < config_.search_every_s) return;
   last_search_s_ = newest_s_;
   const auto hypotheses = search_.search();
+  double doubt = 0.0;
   if (filter_.started() && !hypotheses.empty()) {
-    const double doubt = likelier(hypotheses.front());
+    doubt = likelier(hypotheses.front());
     state_ = doubt > config_.lost_odds ? State::kLost : State::kDegraded;
   }
   if (!search_.settled() || !config_.relocates) return;
   const StartSearch::Hypothesis& found = hypotheses.front();
   if (filter_.started()) {
-    if (!is_elsewhere(found)) return;
+    if (doubt < config_.other_odds || !is_elsewhere(found)) return;
     ++relocations_;
   }
   begin_at(found);
@@ -250,9 +249,8 @@ double Tracker::likelier(const StartSearch::Hypothesis& hypothesis) noexcept {
   return search_.cautious_cost(filter_.estimate().pose) - search_.cautious_cost(hypothesis.pose);
 }
 
-bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) noexcept {
+bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept {
   const Estimate now = filter_.estimate();
-  if (likelier(hypothesis) < config_.other_odds) return false;
   const Eigen::Vector3d apart(hypothesis.pose.x_m - now.pose.x_m, hypothesis.pose.y_m - now.pose.y_m,
                               model::wrap_angle(hypothesis.pose.theta_rad - now.pose.theta_rad));
   // The filter's own covariance grows while it doubts; that the ranges refuse it is held against it already.

@@ -123,7 +123,7 @@ class Tracker {
   void search_when_due() noexcept;
   // ln of the odds, by cautious cost, of the hypothesis against the estimate.
   [[nodiscard]] double likelier(const StartSearch::Hypothesis& hypothesis) noexcept;
-  [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) noexcept;
+  [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
   void begin_at(const StartSearch::Hypothesis& hypothesis) noexcept;
   [[nodiscard]] Reason find_reason() const noexcept;
 

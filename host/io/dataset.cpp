@@ -250,8 +250,7 @@ std::vector<model::PositionSample> parse_positions(const std::filesystem::path& 
   std::vector<model::PositionSample> positions;
   while (csv.next()) {
     const std::array<double, 3> covariance{csv.number(3), csv.number(4), csv.number(5)};
-    const auto& [xx, xy, yy] = covariance;
-    if (!(xx > 0.0) || !(xx * yy > xy * xy)) {
+    if (!model::is_covariance(covariance)) {
       throw DataError(csv.row_place(), "p_xx, p_xy and p_yy are no covariance of x and y",
                       "variances are above zero, and no correlation reaches one");
     }

@@ -123,6 +123,11 @@ Eigen::Matrix3d to_matrix(const PoseCovariance& covariance) noexcept {
   return out;
 }
 
+bool is_covariance(const std::array<double, 3>& covariance_m2) noexcept {
+  const auto& [xx, xy, yy] = covariance_m2;
+  return std::isfinite(xx + xy + yy) && xx > 0.0 && xx * yy > xy * xy;
+}
+
 bool is_covariance(const PoseCovariance& covariance) noexcept {
   constexpr double kRounding = 1e-5;
   const Eigen::Matrix3d matrix = to_matrix(covariance);

@@ -55,5 +55,7 @@ struct SurfacePose {
 // Whether it can be one: finite, each variance positive, no direction with a negative one, but for
 // the rounding of floats.
 [[nodiscard]] bool is_covariance(const PoseCovariance& covariance) noexcept;
+// The same of x and y alone: xx, xy, yy.
+[[nodiscard]] bool is_covariance(const std::array<double, 3>& covariance_m2) noexcept;
 
 }  // namespace groma::model
