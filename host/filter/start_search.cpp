@@ -9,8 +9,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
-#include "host/filter/range_measurement.hpp"
-
 namespace groma::filter {
 
 namespace {
@@ -19,11 +17,18 @@ constexpr int kRings = 3;
 constexpr int kRingPoints = 16;
 constexpr int kHeadings = 12;
 constexpr std::size_t kStarts = static_cast<std::size_t>(kRings) * kRingPoints * kHeadings;
-// Of them, so many are refined, each in so many steps.
+// Of them, so many are refined: roughly, and in so many steps more where they end apart.
 constexpr std::size_t kRefined = 24;
+constexpr int kRoughSteps = 10;
 constexpr int kSteps = 25;
-// The coarse judgement looks at so many ranges.
+// A step smaller than this is the last one: far below what a start is asked to be sure of.
+constexpr double kLastStep_m = 1e-3;
+constexpr double kLastStep_rad = 1e-4;
+// A part of the ranges gives no hypothesis up that all of them might keep.
+constexpr double kRoughOdds = 3.0;
+// The coarse judgement looks at so many ranges, and the rough refinement at these.
 constexpr std::size_t kCoarseRanges = 48;
+constexpr std::size_t kRoughRanges = 96;
 // Weak priors about where a hypothesis starts keep the steps finite in a direction that nothing tells of.
 constexpr double kFarStart_m = 1000.0;
 constexpr double kAnyHeading_rad = 10.0;
@@ -50,6 +55,15 @@ Eigen::Vector3d compose(const Eigen::Vector3d& pose, const Eigen::Vector3d& step
   const double s = std::sin(pose.z());
   return {pose.x() + c * step.x() - s * step.y(), pose.y() + s * step.x() + c * step.y(),
           pose.z() + step.z()};
+}
+
+Eigen::Vector3d vector_of(const model::PlanarPose& pose) noexcept {
+  return {pose.x_m, pose.y_m, pose.theta_rad};
+}
+
+bool is_same(const model::PlanarPose& a, const model::PlanarPose& b) noexcept {
+  return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m) <= kSameStart_m &&
+         std::abs(model::wrap_angle(a.theta_rad - b.theta_rad)) <= kSameHeading_rad;
 }
 
 Eigen::Vector3d between(const Eigen::Vector3d& from, const Eigen::Vector3d& to) noexcept {
@@ -150,14 +164,15 @@ void StartSearch::process(const model::RangeSample& range) noexcept {
   double& last_s = last_taken_s_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
   if (range.t_s - last_s < search_.spacing_s) return;
   last_s = range.t_s;
-  while (count_ > 0 && (count_ == kMaxRanges || t_s_ - seen(0).t_s > search_.window_s)) {
+  forget_old();
+  if (count_ == kMaxRanges) {
     first_ = (first_ + 1) % kMaxRanges;
     --count_;
   }
   const model::OdometrySample row = has_row_ ? row_ : model::OdometrySample{.t_s = range.t_s};
   Odometer at = now_;
-  if (range.t_s < t_s_) {
-    const double back_s = t_s_ - range.t_s;
+  const double back_s = t_s_ - range.t_s + config_.range_delay_s;
+  if (back_s != 0.0) {
     const Eigen::Vector3d step(-row.vx_mps * back_s, -row.vy_mps * back_s, -row.omega_radps * back_s);
     at.pose = compose(at.pose, step);
     at.path_m -= step.head<2>().norm();
@@ -178,24 +193,36 @@ StartSearch::Term StartSearch::term_of(const Seen& seen) const noexcept {
                                heading_variance * square(path_m) / 3.0};
 }
 
+void StartSearch::forget_old() noexcept {
+  while (count_ > 0 && t_s_ - seen(0).t_s > search_.window_s) {
+    first_ = (first_ + 1) % kMaxRanges;
+    --count_;
+  }
+}
+
+double StartSearch::share() const noexcept {
+  return std::min(search_.spacing_s / search_.correlation_s, 1.0);
+}
+
 StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vector3d& pose) const noexcept {
   const Seen& seen = *term.seen;
   CoreVector core = CoreVector::Zero();
   core.segment<3>(kX) = compose(pose, term.back);
-  core(kDelay) = config_.range_delay_s;
-  const RangeMeasurement measurement =
-      measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag));
   Residual out;
-  out.e_m = seen.range_m - measurement.range_m;
+  out.predicted = measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag));
+  out.e_m = seen.range_m - out.predicted.range_m;
   const Eigen::Vector2d lever = core.segment<2>(kX) - pose.head<2>();
-  out.d_pose = measurement.d_core.segment<3>(kX);
+  out.d_pose = out.predicted.d_core.segment<3>(kX);
   out.d_pose(2) += -out.d_pose(0) * lever.y() + out.d_pose(1) * lever.x();
-  const PairOf pair(site_, seen.tag, measurement);
-  const double by_calibration_m2 = pair.by_anchor.dot(site_.anchor(seen.anchor).covariance * pair.by_anchor) +
-                                   site_.lever_arm_variance_m2() * pair.by_lever_arm.squaredNorm() +
-                                   pair.by_frame.dot(site_.frame_covariance() * pair.by_frame);
-  out.variance_m2 = square(config_.range_sigma_m) + by_calibration_m2 + term.drift_variance_m2;
   return out;
+}
+
+double StartSearch::variance_m2(const Term& term, const RangeMeasurement& predicted) const noexcept {
+  const PairOf pair(site_, term.seen->tag, predicted);
+  return square(config_.range_sigma_m) + term.drift_variance_m2 +
+         pair.by_anchor.dot(site_.anchor(term.seen->anchor).covariance * pair.by_anchor) +
+         site_.lever_arm_variance_m2() * pair.by_lever_arm.squaredNorm() +
+         pair.by_frame.dot(site_.frame_covariance() * pair.by_frame);
 }
 
 double StartSearch::coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept {
@@ -217,82 +244,88 @@ double StartSearch::coarse_cost(const Eigen::Vector3d& pose, double width_m) con
   return sum;
 }
 
-void StartSearch::refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept {
-  const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
+StartSearch::Sums StartSearch::look(const Eigen::Vector3d& pose, std::size_t every, bool anew) noexcept {
+  Sums out;
+  out.information.diagonal() << 1.0 / square(kFarStart_m), 1.0 / square(kFarStart_m),
+      1.0 / square(kAnyHeading_rad);
+  for (std::size_t i = count_ % every; i < count_; i += every) {
+    const Residual r = residual(terms_[i], pose);
+    if (anew) variances_m2_[i] = variance_m2(terms_[i], r.predicted);
+    const double e = r.e_m / std::sqrt(variances_m2_[i]);
+    const double weight = robust_weight(e, search_);
+    out.cost += share() * robust_cost(e, search_);
+    out.weights += weight;
+    const double w = share() * weight / variances_m2_[i];
+    out.information.noalias() += w * r.d_pose.transpose() * r.d_pose;
+    out.gradient.noalias() += w * r.e_m * r.d_pose.transpose();
+  }
+  return out;
+}
+
+StartSearch::Hypothesis StartSearch::refine(Eigen::Vector3d pose, std::size_t every, int steps) noexcept {
   double damping = 1e-3;
-  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
-  Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
-  double cost = std::numeric_limits<double>::infinity();
-  double weights = 0.0;
-  const auto look = [&](const Eigen::Vector3d& at, Eigen::Matrix3d& a, Eigen::Vector3d& b,
-                        double& weight_sum) {
-    a = Eigen::Vector3d(1.0 / square(kFarStart_m), 1.0 / square(kFarStart_m), 1.0 / square(kAnyHeading_rad))
-            .asDiagonal();
-    b.setZero();
-    weight_sum = 0.0;
-    double sum = 0.0;
-    for (std::size_t i = 0; i < count_; ++i) {
-      const Residual r = residual(terms_[i], at);
-      const double e = r.e_m / std::sqrt(r.variance_m2);
-      const double weight = robust_weight(e, search_);
-      sum += share * robust_cost(e, search_);
-      weight_sum += weight;
-      const double w = share * weight / r.variance_m2;
-      a.noalias() += w * r.d_pose.transpose() * r.d_pose;
-      b.noalias() += w * r.e_m * r.d_pose.transpose();
-    }
-    return sum;
-  };
-  cost = look(pose, information, gradient, weights);
-  for (int step = 0; step < kSteps; ++step) {
-    Eigen::Matrix3d damped = information;
+  // The variances hardly change on the way, and cost more than all else.
+  Sums sums = look(pose, every, true);
+  for (int step = 0; step < steps; ++step) {
+    Eigen::Matrix3d damped = sums.information;
     damped.diagonal() *= 1.0 + damping;
-    const Eigen::Vector3d change = damped.ldlt().solve(gradient);
+    const Eigen::Vector3d change = damped.ldlt().solve(sums.gradient);
     if (!change.allFinite()) break;
-    const Eigen::Vector3d next = pose + change;
-    Eigen::Matrix3d next_information;
-    Eigen::Vector3d next_gradient;
-    double next_weights = 0.0;
-    const double next_cost = look(next, next_information, next_gradient, next_weights);
-    if (!(next_cost < cost)) {
+    const Sums next = look(pose + change, every, false);
+    if (!(next.cost < sums.cost)) {
       damping = std::max(damping * 8.0, 1e-3);
       if (damping > 1e6) break;
       continue;
     }
-    const bool done = change.head<2>().norm() < 1e-4 && std::abs(change.z()) < 1e-5;
-    pose = next;
-    information = next_information;
-    gradient = next_gradient;
-    weights = next_weights;
-    cost = next_cost;
+    pose += change;
+    sums = next;
     damping *= 0.1;
-    if (done) break;
+    if (change.head<2>().norm() < kLastStep_m && std::abs(change.z()) < kLastStep_rad) break;
   }
-  out.pose = {pose.x(), pose.y(), model::wrap_angle(pose.z())};
-  out.covariance = information.inverse();
-  out.cost = cost;
-  out.mean_weight = weights / static_cast<double>(count_);
+  sums = look(pose, every, true);
+  return {.pose = {pose.x(), pose.y(), model::wrap_angle(pose.z())},
+          .covariance = sums.information.inverse(),
+          .cost = sums.cost,
+          .mean_weight = sums.weights * static_cast<double>(every) / static_cast<double>(count_)};
+}
+
+void StartSearch::refine_all(std::span<const Eigen::Vector3d> starts) noexcept {
+  const std::size_t every = std::max<std::size_t>(1, count_ / kRoughRanges);
+  std::array<Hypothesis, kRefined> rough;
+  const std::size_t rough_count = std::min(starts.size(), rough.size());
+  for (std::size_t i = 0; i < rough_count; ++i) rough[i] = refine(starts[i], every, kRoughSteps);
+  const auto end = rough.begin() + static_cast<std::ptrdiff_t>(rough_count);
+  std::sort(rough.begin(), end, [](const Hypothesis& a, const Hypothesis& b) { return a.cost < b.cost; });
+  const auto scaled = [&](const Hypothesis& h) { return static_cast<double>(every) * h.cost; };
+  double least = rough_count > 0 ? scaled(rough[0]) : 0.0;
+  for (std::size_t i = 0; i < hypothesis_count_; ++i) least = std::min(least, hypotheses_[i].cost);
+  std::size_t refined = 0;
+  for (auto start = rough.begin(); start != end && refined < kMaxHypotheses; ++start) {
+    if (!(scaled(*start) < least + kRoughOdds * search_.odds)) break;
+    const auto is_near = [&](const Hypothesis& other) { return is_same(start->pose, other.pose); };
+    const auto known = hypotheses_.begin() + static_cast<std::ptrdiff_t>(hypothesis_count_);
+    if (std::any_of(rough.begin(), start, is_near) || std::any_of(hypotheses_.begin(), known, is_near)) {
+      continue;
+    }
+    keep(refine(vector_of(start->pose), 1, kSteps));
+    ++refined;
+  }
 }
 
 void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
   // The solution is linear in the residuals near by: what the parameters' errors, common to many ranges, do
   // to it is not averaged away.
-  const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
   std::array<Eigen::Matrix3d, kMaxTags> by_lever_arm;
   by_lever_arm.fill(Eigen::Matrix3d::Zero());
   Eigen::Matrix<double, 3, kFrameSize> by_frame = Eigen::Matrix<double, 3, kFrameSize>::Zero();
-  const Eigen::Vector3d pose(hypothesis.pose.x_m, hypothesis.pose.y_m, hypothesis.pose.theta_rad);
+  const Eigen::Vector3d pose = vector_of(hypothesis.pose);
   for (std::size_t i = 0; i < count_; ++i) {
     const Term& term = terms_[i];
     const Seen& seen = *term.seen;
-    CoreVector core = CoreVector::Zero();
-    core.segment<3>(kX) = compose(pose, term.back);
-    core(kDelay) = config_.range_delay_s;
-    const RangeMeasurement measurement =
-        measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag));
     const Residual r = residual(term, pose);
-    const double weight = share * robust_weight(r.e_m / std::sqrt(r.variance_m2), search_) / r.variance_m2;
-    const PairOf pair(site_, seen.tag, measurement);
+    const double variance = variance_m2(term, r.predicted);
+    const double weight = share() * robust_weight(r.e_m / std::sqrt(variance), search_) / variance;
+    const PairOf pair(site_, seen.tag, r.predicted);
     const Eigen::Vector3d pull = weight * r.d_pose.transpose();
     by_anchor_[static_cast<std::size_t>(seen.anchor)].noalias() += pull * pair.by_anchor.transpose();
     by_lever_arm[static_cast<std::size_t>(seen.tag)].noalias() += pull * pair.by_lever_arm.transpose();
@@ -315,10 +348,7 @@ void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
 void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
   for (std::size_t i = 0; i < hypothesis_count_; ++i) {
     Hypothesis& other = hypotheses_[i];
-    const double apart_m =
-        std::hypot(hypothesis.pose.x_m - other.pose.x_m, hypothesis.pose.y_m - other.pose.y_m);
-    const double turned_rad = std::abs(model::wrap_angle(hypothesis.pose.theta_rad - other.pose.theta_rad));
-    if (apart_m > kSameStart_m || turned_rad > kSameHeading_rad) continue;
+    if (!is_same(hypothesis.pose, other.pose)) continue;
     if (hypothesis.cost < other.cost) other = hypothesis;
     return;
   }
@@ -335,10 +365,7 @@ void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
 std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
   hypothesis_count_ = 0;
   settled_ = false;
-  while (count_ > 0 && t_s_ - seen(0).t_s > search_.window_s) {
-    first_ = (first_ + 1) % kMaxRanges;
-    --count_;
-  }
+  forget_old();
   if (count_ < 3) return {};
   for (std::size_t i = 0; i < count_; ++i) terms_[i] = term_of(seen(i));
 
@@ -378,18 +405,15 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
   const auto chosen = starts.begin() + static_cast<std::ptrdiff_t>(std::min(kRefined, start_count));
   std::partial_sort(starts.begin(), chosen, starts.begin() + static_cast<std::ptrdiff_t>(start_count),
                     [](const auto& a, const auto& b) { return a.first < b.first; });
-  for (auto start = starts.begin(); start != chosen; ++start) {
-    Hypothesis hypothesis;
-    refine(start->second, hypothesis);
-    keep(hypothesis);
-  }
+  std::array<Eigen::Vector3d, kRefined> likely;
+  std::transform(starts.begin(), chosen, likely.begin(), [](const auto& start) { return start.second; });
+  refine_all({likely.data(), static_cast<std::size_t>(chosen - starts.begin())});
   // What a line of anchors, or one tag's straight path, cannot tell apart.
-  const std::size_t found = hypothesis_count_;
-  for (std::size_t i = 0; i < found; ++i) {
+  std::array<Eigen::Vector3d, 2 * kMaxHypotheses> twins;
+  std::size_t twin_count = 0;
+  for (std::size_t i = 0; i < hypothesis_count_; ++i) {
     const model::PlanarPose pose = hypotheses_[i].pose;
-    Hypothesis turned;
-    refine({pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi}, turned);
-    keep(turned);
+    twins[twin_count++] = {pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi};
     if (rings < 2) continue;
     const Eigen::Vector2d a = site_.anchor(shortest_[0]->seen->anchor).values.head<2>();
     const Eigen::Vector2d b = site_.anchor(shortest_[1]->seen->anchor).values.head<2>();
@@ -397,10 +421,9 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
     const Eigen::Vector2d from(pose.x_m - a.x(), pose.y_m - a.y());
     const Eigen::Vector2d axis(std::cos(along), std::sin(along));
     const Eigen::Vector2d mirrored = a + 2.0 * axis.dot(from) * axis - from;
-    Hypothesis other;
-    refine({mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad}, other);
-    keep(other);
+    twins[twin_count++] = {mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad};
   }
+  refine_all({twins.data(), twin_count});
 
   const auto end = hypotheses_.begin() + static_cast<std::ptrdiff_t>(hypothesis_count_);
   std::sort(hypotheses_.begin(), end,
@@ -424,12 +447,12 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
 }
 
 double StartSearch::cautious_cost(const model::PlanarPose& pose) noexcept {
-  const double share = std::min(search_.spacing_s / search_.correlation_s, 1.0);
   std::fill(anchor_costs_.begin(), anchor_costs_.end(), 0.0);
   for (std::size_t i = 0; i < count_; ++i) {
-    const Residual r = residual(term_of(seen(i)), {pose.x_m, pose.y_m, pose.theta_rad});
+    const Term term = term_of(seen(i));
+    const Residual r = residual(term, vector_of(pose));
     anchor_costs_[static_cast<std::size_t>(seen(i).anchor)] +=
-        share * robust_cost(r.e_m / std::sqrt(r.variance_m2), search_);
+        share() * robust_cost(r.e_m / std::sqrt(variance_m2(term, r.predicted)), search_);
   }
   double sum = 0.0;
   for (const double cost : anchor_costs_) sum += search_.anchor_say * std::log1p(cost / search_.anchor_say);

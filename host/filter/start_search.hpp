@@ -2,9 +2,9 @@
 // the odometry between them.
 //
 // Starts on rings about the nearest anchors, in all headings, are judged coarsely; the best of them are
-// refined by robust Gauss-Newton steps, and what ends at one place is one hypothesis. One that is far less
-// likely than the best is given up. No clock, no allocation after construction; the same inputs give the same
-// hypotheses.
+// refined by robust Gauss-Newton steps on a part of the ranges, and what ends apart on all of them. What ends
+// at one place is one hypothesis; one that is far less likely than the best is given up. No clock, no
+// allocation after construction; the same inputs give the same hypotheses.
 #pragma once
 
 #include <array>
@@ -16,6 +16,7 @@
 #include <Eigen/Core>
 
 #include "host/filter/config.hpp"
+#include "host/filter/range_measurement.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
@@ -91,7 +92,7 @@ class StartSearch {
     int tag = 0;
     double range_m = 0.0;
     model::OdometrySample row;
-    Odometer at;
+    Odometer at;  // when the antennas met: the link's delay ago
   };
   // A range with what does not depend on the hypothesis.
   struct Term {
@@ -100,9 +101,16 @@ class StartSearch {
     double drift_variance_m2 = 0.0;
   };
   struct Residual {
+    RangeMeasurement predicted;
     double e_m = 0.0;                                        // measured less predicted
-    double variance_m2 = 0.0;                                // of all that is not the pose
     Eigen::RowVector3d d_pose = Eigen::RowVector3d::Zero();  // of the predicted range
+  };
+  // Of a refinement at one pose.
+  struct Sums {
+    Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
+    double cost = 0.0;
+    double weights = 0.0;
   };
 
   // How a pose depends on the parameters of an anchor.
@@ -112,9 +120,18 @@ class StartSearch {
   [[nodiscard]] Seen& seen(std::size_t i) noexcept { return seen_[(first_ + i) % kMaxRanges]; }
   [[nodiscard]] const Seen& seen(std::size_t i) const noexcept { return seen_[(first_ + i) % kMaxRanges]; }
   [[nodiscard]] Term term_of(const Seen& seen) const noexcept;
+  void forget_old() noexcept;
+  // What a range tells beside others of its pair that share its error.
+  [[nodiscard]] double share() const noexcept;
   [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose) const noexcept;
+  // Variance of all that is not the pose, m^2.
+  [[nodiscard]] double variance_m2(const Term& term, const RangeMeasurement& predicted) const noexcept;
   [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept;
-  void refine(Eigen::Vector3d pose, Hypothesis& out) const noexcept;
+  // Of every n-th range at a pose; with new variances, or with those of the last time.
+  Sums look(const Eigen::Vector3d& pose, std::size_t every, bool anew) noexcept;
+  Hypothesis refine(Eigen::Vector3d pose, std::size_t every, int steps) noexcept;
+  // Keeps what the starts lead to.
+  void refine_all(std::span<const Eigen::Vector3d> starts) noexcept;
   void add_calibration(Hypothesis& hypothesis) noexcept;
   void keep(const Hypothesis& hypothesis) noexcept;
 
@@ -127,9 +144,10 @@ class StartSearch {
   std::size_t count_ = 0;
   std::vector<double> last_taken_s_;  // of each pair
   std::array<Term, kMaxRanges> terms_;
-  std::vector<const Term*> shortest_;  // of each anchor
-  std::vector<double> anchor_costs_;   // scratch
-  std::vector<ByAnchor> by_anchor_;    // scratch, zero between uses
+  std::array<double, kMaxRanges> variances_m2_;  // scratch
+  std::vector<const Term*> shortest_;            // of each anchor
+  std::vector<double> anchor_costs_;             // scratch
+  std::vector<ByAnchor> by_anchor_;              // scratch, zero between uses
   Odometer now_;
   model::OdometrySample row_{};
   bool has_row_ = false;

@@ -16,6 +16,7 @@
 
 #include "host/filter/filter.hpp"
 #include "host/filter/replay.hpp"
+#include "host/filter/start_search.hpp"
 #include "test/host/filter/small_site.hpp"
 
 namespace groma::filter {
@@ -243,6 +244,27 @@ void replay_at_300(benchmark::State& state, Model model) {
       benchmark::Counter(kDuration_s * static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
 }
 
+// A search for the start over 6 s of ranges, which come by 300 a second; agreeing: or from no place at all,
+// as of a robot that is lost for good and looks twice a second.
+void search(benchmark::State& state, bool agreeing) {
+  const model::Surface surface = testing::hills(0.2);
+  const model::Calibration calibration = ring_of(12);
+  const std::vector<model::Tag> tags = testing::three_tags();
+  test::Random random(1);
+  const testing::Drive drive =
+      testing::drive(surface, calibration, {}, {.duration_s = 6.0, .range_s = 1.0 / 300.0}, random);
+  const auto searching = std::make_unique<StartSearch>(surface, tags, calibration, Config{});
+  std::size_t row = 0;
+  for (model::RangeSample range : drive.ranges) {
+    for (; row < drive.odometry.size() && drive.odometry[row].t_s <= range.t_s; ++row)
+      searching->process(drive.odometry[row]);
+    if (!agreeing) range.range_m = random.uniform(5.0, 30.0);
+    searching->process(range);
+  }
+  for (auto _ : state) benchmark::DoNotOptimize(searching->search());
+  state.counters["ranges"] = static_cast<double>(searching->ranges());
+}
+
 void sizes(benchmark::internal::Benchmark* of) {
   for (const int anchors : {4, 8, 12, 16, 64, 256, 1000}) of->Arg(anchors);
 }
@@ -259,6 +281,8 @@ BENCHMARK_CAPTURE(move_and_update, schmidt, Model::kSchmidt)->Arg(12);
 BENCHMARK_CAPTURE(move_and_update, joint, Model::kJoint)->Arg(12);
 BENCHMARK_CAPTURE(exchange, schmidt, Model::kSchmidt)->Arg(64)->Arg(1000);
 BENCHMARK_CAPTURE(exchange, joint, Model::kJoint)->Arg(64)->Arg(1000);
+BENCHMARK_CAPTURE(search, agreeing, true)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(search, lost, false)->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(replay_at_300, schmidt, Model::kSchmidt)->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(replay_at_300, joint, Model::kJoint)->Unit(benchmark::kMillisecond);
 
