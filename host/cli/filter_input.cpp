@@ -106,11 +106,7 @@ FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warning
   drive.options.config.odometry = drive.dataset.odometry_noise;
   drive.options.config.range_sigma_m = drive.dataset.range_priors.sigma_m;
   drive.options.relocates = relocates_;
-  const io::SensorDescription& told = drive.dataset.sensors;
-  filter::SensorConfig& sensors = drive.options.config.sensors;
-  sensors.gyro_sigma_radps = told.gyro_sigma_radps.value_or(sensors.gyro_sigma_radps);
-  sensors.gyro_bias_radps = told.gyro_bias_sigma_radps.value_or(sensors.gyro_bias_radps);
-  sensors.position_lever_arm_m = told.gnss_lever_arm_m.value_or(sensors.position_lever_arm_m);
+  drive.options.config.sensors = filter::SensorConfig(drive.dataset.sensors);
   if (const auto found = find_start(drive.dataset)) {
     drive.options.start = *found;
   } else if (start == StartIs::kFoundOtherwise) {

@@ -164,6 +164,7 @@ std::vector<io::DescriptionFile> Config::description() const {
   dataset.origin = "recorded";
   dataset.odometry_noise = odometry;
   dataset.range_priors = range;
+  dataset.sensors = sensors;
   dataset.surface = surface;
   dataset.tags = tags;
   return io::describe(dataset);
@@ -174,6 +175,7 @@ filter::Config Config::filter_config() const {
   out.model = model;
   out.odometry = odometry;
   out.range_sigma_m = range.sigma_m;
+  out.sensors = filter::SensorConfig(sensors);
   out.range_delay_sigma_s = filter::kRangeDelaySigma_s;
   out.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
   return out;
@@ -185,7 +187,7 @@ Config read_config(const std::filesystem::path& path) {
   const std::filesystem::path folder = path.parent_path();
   yaml.expect_keys(
       {{"schema", "nodes", "robot_socket", "tags", "odometry", "range", "surface", "calibration"},
-       {"model", "pose_stream", "log", "reorder_lag_s", "speed"}});
+       {"imu", "gnss", "model", "pose_stream", "log", "reorder_lag_s", "speed"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -195,6 +197,7 @@ Config read_config(const std::filesystem::path& path) {
   config.tags = parse_tags(yaml.at("tags"));
   config.odometry = io::parse_odometry_noise(yaml.at("odometry"));
   config.range = io::parse_range_priors(yaml.at("range"));
+  config.sensors = io::parse_sensors(yaml);
   config.surface = io::parse_surface(yaml.at("surface"), folder, files);
   config.calibration = parse_calibration_source(yaml.at("calibration"), folder);
   if (const auto model = yaml.find("model")) config.model = parse_model(*model);

@@ -17,6 +17,8 @@
 //   pose_stream: {address: 127.0.0.1, port: 4721}
 //   log: drive.glog                             # what comes in is appended there
 //   reorder_lag_s: 0.2
+//   imu: {sigma_omega_radps: 0.005, bias_sigma_radps: 0.01}  # these without it
+//   gnss: {lever_arm_m: [0.4, -0.3, 1.5]}                    # base_link itself without it
 //   speed: 1                          # of the site's clocks against this computer's: that of `groma sim`
 //
 // Paths are relative to the file's folder, but for those of CAN links.
@@ -53,6 +55,7 @@ struct Config {
   std::vector<model::Tag> tags;
   model::OdometryNoise odometry;
   model::RangePriors range;
+  model::SensorDescription sensors;
   model::Surface surface;
   CalibrationSource calibration;
   filter::Model model = filter::Config{}.model;

@@ -6,6 +6,7 @@
 #include <memory>
 #include <span>
 #include <utility>
+#include <variant>
 
 #include <Eigen/Eigenvalues>
 
@@ -86,6 +87,10 @@ void Localizer::on_pose_prior(const model::PoseSample& pose) {
   if (tracker_->started()) return;
   if (const auto prior = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface))
     start(*prior);
+}
+
+void Localizer::on_sensor(const model::SensorSample& sample) {
+  std::visit([this](const auto& of) { tracker_->process(of); }, sample);
 }
 
 void Localizer::on_clock_set() {

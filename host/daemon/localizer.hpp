@@ -61,6 +61,7 @@ class Localizer : public MeasurementSink {
   void on_odometry(const model::OdometrySample& row) override;
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& pose) override;
+  void on_sensor(const model::SensorSample& sample) override;
   void on_clock_set() override;  // begins anew
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }

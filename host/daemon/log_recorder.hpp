@@ -36,6 +36,7 @@ class LogRecorder : public MeasurementSink {
   void on_odometry(const model::OdometrySample& row) override { encoder_.put(row); }
   void on_range(const model::RangeSample& range) override { encoder_.put(range); }
   void on_pose_prior(const model::PoseSample& pose) override { encoder_.put(pose); }
+  void on_sensor(const model::SensorSample& sample) override { encoder_.put(sample); }
   void on_clock_set() override;  // begins a section
 
   // Hands over what is due; now_s never decreases.

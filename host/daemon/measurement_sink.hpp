@@ -17,6 +17,8 @@ class MeasurementSink {
   virtual void on_odometry(const model::OdometrySample& row) = 0;
   virtual void on_range(const model::RangeSample& range) = 0;
   virtual void on_pose_prior(const model::PoseSample& pose) = 0;
+  // Of a sensor beside odometry and ranges.
+  virtual void on_sensor(const model::SensorSample& /*sample*/) {}
   // The robot's clock was set or the robot restarted: times before and after do not compare.
   virtual void on_clock_set() = 0;
 

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -51,6 +52,88 @@ bool read_covariance(const InputJson& object, std::optional<model::PoseCovarianc
   return true;
 }
 
+std::optional<RobotMessage> read_odometry(const InputJson& object) {
+  model::OdometrySample row;
+  if (!read_number(object, "t_s", row.t_s) || !read_number(object, "vx_mps", row.vx_mps) ||
+      !read_number(object, "vy_mps", row.vy_mps) || !read_number(object, "omega_radps", row.omega_radps)) {
+    return std::nullopt;
+  }
+  return row;
+}
+
+// All but z_m.
+bool read_pose(const InputJson& object, model::PoseSample& out) {
+  for (const auto& [key, value] : {std::pair{"roll_rad", &out.roll_rad}, {"pitch_rad", &out.pitch_rad}}) {
+    if (object.contains(key) && !object.at(key).is_null() && !read_number(object, key, *value)) return false;
+  }
+  return read_number(object, "t_s", out.t_s) && read_number(object, "x_m", out.x_m) &&
+         read_number(object, "y_m", out.y_m) && read_number(object, "yaw_rad", out.yaw_rad) &&
+         read_covariance(object, out.covariance);
+}
+
+std::optional<RobotMessage> read_pose_prior(const InputJson& object) {
+  model::PoseSample pose;
+  if (!read_pose(object, pose) || !read_number(object, "z_m", pose.z_m)) return std::nullopt;
+  return pose;
+}
+
+std::optional<RobotMessage> read_absolute_pose(const InputJson& object) {
+  model::PoseSample pose;
+  if (!read_pose(object, pose) || !pose.covariance) return std::nullopt;
+  return model::SensorSample(pose);
+}
+
+std::optional<RobotMessage> read_imu(const InputJson& object) {
+  model::YawRateSample sample;
+  if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "omega_radps", sample.omega_radps)) {
+    return std::nullopt;
+  }
+  return model::SensorSample(sample);
+}
+
+std::optional<RobotMessage> read_gnss(const InputJson& object) {
+  model::PositionSample sample;
+  const auto covariance = object.find("covariance");
+  if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "x_m", sample.x_m) ||
+      !read_number(object, "y_m", sample.y_m) || covariance == object.end() || !covariance->is_array() ||
+      covariance->size() != 4) {
+    return std::nullopt;
+  }
+  const InputJson& terms = *covariance;
+  for (const InputJson& term : terms) {
+    if (!term.is_number()) return std::nullopt;
+  }
+  sample.covariance_m2 = {terms[0].get<double>(), terms[1].get<double>(), terms[3].get<double>()};
+  if (terms[1] != terms[2] || !model::is_covariance(sample.covariance_m2)) return std::nullopt;
+  return model::SensorSample(sample);
+}
+
+std::optional<RobotMessage> read_zero_velocity(const InputJson& object) {
+  model::ZeroVelocitySample sample;
+  if (!read_number(object, "t_s", sample.t_s)) return std::nullopt;
+  return model::SensorSample(sample);
+}
+
+struct MessageClass {
+  std::string_view name;
+  std::string_view needs;
+  std::uint64_t RobotInputCounters::*counter;
+  std::optional<RobotMessage> (*read)(const InputJson& object);
+};
+
+constexpr std::array<MessageClass, 6> kClasses{{
+    {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps", &RobotInputCounters::odometry, read_odometry},
+    {"POSE_PRIOR",
+     "finite t_s, x_m, y_m, z_m, yaw_rad; its covariance, if any, is of 36 terms that can be one",
+     &RobotInputCounters::pose_priors, read_pose_prior},
+    {"IMU", "finite t_s, omega_radps", &RobotInputCounters::sensors, read_imu},
+    {"GNSS", "finite t_s, x_m, y_m, and a covariance of 4 terms that can be one",
+     &RobotInputCounters::sensors, read_gnss},
+    {"ABSOLUTE_POSE", "finite t_s, x_m, y_m, yaw_rad, and a covariance of 36 terms that can be one",
+     &RobotInputCounters::sensors, read_absolute_pose},
+    {"ZERO_VELOCITY", "a finite t_s", &RobotInputCounters::sensors, read_zero_velocity},
+}};
+
 }  // namespace
 
 void RobotInput::push(std::span<const std::uint8_t> bytes) {
@@ -95,40 +178,20 @@ std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
     return std::nullopt;
   }
   const auto name = object.find("class");
-  if (name != object.end() && *name == "ODOMETRY") {
-    model::OdometrySample row;
-    if (!read_number(object, "t_s", row.t_s) || !read_number(object, "vx_mps", row.vx_mps) ||
-        !read_number(object, "vy_mps", row.vy_mps) || !read_number(object, "omega_radps", row.omega_radps)) {
-      drop(counters_.bad_value,
-           fmt::format("ODOMETRY needs finite t_s, vx_mps, vy_mps, omega_radps: {}", io::shown(line)));
-      return std::nullopt;
-    }
-    ++counters_.odometry;
-    return row;
+  const auto known = std::find_if(kClasses.begin(), kClasses.end(), [&](const MessageClass& of) {
+    return name != object.end() && *name == of.name;
+  });
+  if (known == kClasses.end()) {
+    drop(counters_.unknown_class, fmt::format("class is none that is known: {}", io::shown(line)));
+    return std::nullopt;
   }
-  if (name != object.end() && *name == "POSE_PRIOR") {
-    model::PoseSample pose;
-    bool good = read_number(object, "t_s", pose.t_s) && read_number(object, "x_m", pose.x_m) &&
-                read_number(object, "y_m", pose.y_m) && read_number(object, "z_m", pose.z_m) &&
-                read_number(object, "yaw_rad", pose.yaw_rad);
-    for (const auto& [key, value] : {std::pair{"roll_rad", &pose.roll_rad}, {"pitch_rad", &pose.pitch_rad}}) {
-      if (object.contains(key) && !object.at(key).is_null()) good = read_number(object, key, *value) && good;
-    }
-    if (!good) {
-      drop(counters_.bad_value,
-           fmt::format("POSE_PRIOR needs finite t_s, x_m, y_m, z_m, yaw_rad: {}", io::shown(line)));
-      return std::nullopt;
-    }
-    if (!read_covariance(object, pose.covariance)) {
-      drop(counters_.bad_value,
-           fmt::format("POSE_PRIOR's covariance is not 36 terms that can be one: {}", io::shown(line)));
-      return std::nullopt;
-    }
-    ++counters_.pose_priors;
-    return pose;
+  std::optional<RobotMessage> message = known->read(object);
+  if (message) {
+    ++(counters_.*known->counter);
+  } else {
+    drop(counters_.bad_value, fmt::format("{} needs {}: {}", known->name, known->needs, io::shown(line)));
   }
-  drop(counters_.unknown_class, fmt::format("class is neither ODOMETRY nor POSE_PRIOR: {}", io::shown(line)));
-  return std::nullopt;
+  return message;
 }
 
 void RobotInput::drop(std::uint64_t& counter, std::string problem) {

@@ -162,17 +162,26 @@ void Session::take(const model::OdometrySample& row, double now_s) {
   enqueue(row.t_s, row);
 }
 
-void Session::take(const model::PoseSample& pose, double now_s) {
+bool Session::accepts(double t_s, double now_s) {
   const auto robot_now_s = robot_time_s(now_s);
   if (!robot_now_s) {
     ++counters_.without_odometry;
-    return;
+    return false;
   }
-  if (pose.t_s - *robot_now_s > config_.max_clock_error_s) {
+  if (t_s - *robot_now_s > config_.max_clock_error_s) {
     ++counters_.robot_time_wrong;
-    return;
+    return false;
   }
-  enqueue(pose.t_s, pose);
+  return true;
+}
+
+void Session::take(const model::PoseSample& pose, double now_s) {
+  if (accepts(pose.t_s, now_s)) enqueue(pose.t_s, pose);
+}
+
+void Session::take(const model::SensorSample& sample, double now_s) {
+  const double t_s = model::time_of(sample);
+  if (accepts(t_s, now_s)) enqueue(t_s, sample);
 }
 
 void Session::take(model::RangeSample range) {
@@ -218,6 +227,10 @@ void Session::deliver(const Sample& sample) {
                  [&](const model::RangeSample& range) {
                    ++counters_.ranges;
                    for (MeasurementSink* sink : sinks_) sink->on_range(range);
+                 },
+                 [&](const model::SensorSample& of) {
+                   ++counters_.sensors;
+                   for (MeasurementSink* sink : sinks_) sink->on_sensor(of);
                  },
              },
              sample);

@@ -49,15 +49,16 @@ struct SessionConfig {
 };
 
 struct SessionCounters {
-  std::uint64_t odometry = 0;  // passed on, as are the next two
+  std::uint64_t odometry = 0;  // passed on, as are the next three
   std::uint64_t pose_priors = 0;
   std::uint64_t ranges = 0;
+  std::uint64_t sensors = 0;                // of other sensors
   std::uint64_t passed_late = 0;            // of those, out of order
   std::uint64_t dropped_late = 0;           // more than max_lateness_s behind
   std::uint64_t odometry_out_of_order = 0;  // not newer than the row before: dropped
   std::uint64_t robot_time_wrong = 0;       // dropped
   std::uint64_t robot_clock_set = 0;        // times
-  std::uint64_t without_odometry = 0;  // ranges and poses before the first row told the robot's time: dropped
+  std::uint64_t without_odometry = 0;   // what else came before the first row told the robot's time: dropped
   std::uint64_t waiting_overflows = 0;  // went out before their wait was over
 };
 
@@ -130,20 +131,25 @@ class Session {
   [[nodiscard]] std::uint64_t frames_lost() const noexcept;
 
  private:
-  using Sample = std::variant<model::OdometrySample, model::PoseSample, model::RangeSample>;
+  using Sample =
+      std::variant<model::OdometrySample, model::PoseSample, model::RangeSample, model::SensorSample>;
   struct Waiting {
     double t_s = 0.0;
     std::uint64_t serial = 0;
     Sample sample;
   };
-  // Earliest first; at the same time odometry, then poses, then ranges by tag and anchor, then as they came.
+  // Earliest first; at the same time odometry, then poses, then ranges by tag and anchor, then
+  // other sensors; then as they came.
   struct Later {
     bool operator()(const Waiting& a, const Waiting& b) const noexcept;
   };
 
   void take(const model::OdometrySample& row, double now_s);
   void take(const model::PoseSample& pose, double now_s);
+  void take(const model::SensorSample& sample, double now_s);
   void take(model::RangeSample range);
+  // Whether a pose or a sensor's sample of that time is taken; counts why not.
+  [[nodiscard]] bool accepts(double t_s, double now_s);
   // Puts a sample in its place among those that wait, or passes it on if that place is gone. The robot's time
   // is known.
   void enqueue(double t_s, const Sample& sample);

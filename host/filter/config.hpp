@@ -83,8 +83,12 @@ struct SelfTuningConfig {
   double slow_most_factor = 3.0;
 };
 
-// What is told of sensors beside odometry and ranges.
+// Of sensors beside odometry and ranges.
 struct SensorConfig {
+  SensorConfig() = default;
+  // As told; what is not, as here.
+  explicit SensorConfig(const model::SensorDescription& told);
+
   double gyro_sigma_radps = 0.005;         // white, a sample, constant until the next
   double gyro_bias_radps = 0.01;           // sigma of its constant bias
   double gyro_noise_sigmas = 6.0;          // by which two samples may differ for their noise,

@@ -371,16 +371,26 @@ Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) 
   const std::filesystem::path tags = path / "tags.csv";
   dataset.tags = parse_tags(tags, described.read(tags));
 
-  dataset.ranges = keep_good(section.ranges, dataset.tags, dataset.dropped);
+  dataset.ranges = keep_good(section.samples.ranges, dataset.tags, dataset.dropped);
   if (options.odometry) {
-    dataset.odometry = std::move(section.odometry);
+    dataset.odometry = std::move(section.samples.odometry);
     put_in_order(dataset.odometry, dataset.dropped);
   }
   if (options.pose_prior && options.pose_file) {
     dataset.pose_prior = parse_poses(*options.pose_file, files.read(*options.pose_file), dataset.dropped);
   } else if (options.pose_prior) {
-    dataset.pose_prior = std::move(section.poses);
+    dataset.pose_prior = std::move(section.samples.poses);
     put_in_order(dataset.pose_prior, dataset.dropped);
+  }
+  if (options.sensors) {
+    const auto keep = [&](auto& samples, auto& out) {
+      out = std::move(samples);
+      put_in_order(out, dataset.dropped);
+    };
+    keep(section.samples.yaw_rates, dataset.yaw_rates);
+    keep(section.samples.positions, dataset.positions);
+    keep(section.samples.absolute_poses, dataset.absolute_poses);
+    keep(section.samples.zero_velocities, dataset.zero_velocities);
   }
   dataset.sha256 = files.digest();
   return dataset;

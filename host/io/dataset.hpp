@@ -61,7 +61,7 @@ struct Dataset {
   std::vector<model::PositionSample> positions;
   std::vector<model::PoseSample> absolute_poses;  // each with its covariance
   std::vector<model::ZeroVelocitySample> zero_velocities;
-  SensorDescription sensors;
+  model::SensorDescription sensors;
   DroppedRows dropped;
   std::optional<LogInfo> log;  // none: from a folder
   std::string sha256;          // of the files read, hexadecimal; see InputFiles::digest()

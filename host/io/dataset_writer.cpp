@@ -41,6 +41,18 @@ std::string format_description(const Dataset& dataset) {
   const model::RangePriors& range = dataset.range_priors;
   add(text, "range: {{sigma_m: {}, beta_m: [{}, {}], gamma: [{}, {}]}}\n", range.sigma_m, range.beta_m.mean,
       range.beta_m.sigma, range.gamma.mean, range.gamma.sigma);
+  const model::SensorDescription& sensors = dataset.sensors;
+  if (sensors.gyro_sigma_radps || sensors.gyro_bias_sigma_radps) {
+    text += "imu: {";
+    if (sensors.gyro_sigma_radps) add(text, "sigma_omega_radps: {}", *sensors.gyro_sigma_radps);
+    if (sensors.gyro_sigma_radps && sensors.gyro_bias_sigma_radps) text += ", ";
+    if (sensors.gyro_bias_sigma_radps) add(text, "bias_sigma_radps: {}", *sensors.gyro_bias_sigma_radps);
+    text += "}\n";
+  }
+  if (sensors.gnss_lever_arm_m) {
+    const Eigen::Vector3d& arm_m = *sensors.gnss_lever_arm_m;
+    add(text, "gnss: {{lever_arm_m: [{}, {}, {}]}}\n", arm_m.x(), arm_m.y(), arm_m.z());
+  }
   if (std::holds_alternative<model::BSpline>(dataset.surface.shape())) {
     text += "surface: {type: bspline, file: surface.csv}\n";
   } else {

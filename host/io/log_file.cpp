@@ -8,7 +8,9 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <tuple>
 #include <utility>
+#include <variant>
 
 #include "host/io/version.hpp"
 #include "host/model/pose.hpp"
@@ -58,6 +60,20 @@ void add(groma_LogRanges& out, const model::RangeSample& range, std::int64_t net
           : std::uint16_t{0};
   out.flags[out.flags_count++] = flags_of(range);
   out.network_time_dtu[out.network_time_dtu_count++] = range.network_time_dtu - network_time_before_dtu;
+}
+
+void add(groma_LogPoses& out, const model::PoseSample& pose) {
+  out.t_s[out.t_s_count++] = pose.t_s;
+  out.x_m[out.x_m_count++] = pose.x_m;
+  out.y_m[out.y_m_count++] = pose.y_m;
+  out.z_m[out.z_m_count++] = pose.z_m;
+  out.yaw_rad[out.yaw_rad_count++] = pose.yaw_rad;
+  out.roll_rad[out.roll_rad_count++] = pose.roll_rad;
+  out.pitch_rad[out.pitch_rad_count++] = pose.pitch_rad;
+  model::PoseCovariance unknown{};
+  unknown.fill(std::numeric_limits<double>::quiet_NaN());
+  for (const double term : pose.covariance.value_or(unknown))
+    out.covariance[out.covariance_count++] = static_cast<float>(term);
 }
 
 // Columns that nothing is known in are left out.
@@ -184,6 +200,41 @@ bool take(const groma_LogPoses& in, std::vector<model::PoseSample>& out) {
   return true;
 }
 
+bool take(const groma_LogYawRates& in, std::vector<model::YawRateSample>& out) {
+  const pb_size_t n = in.t_s_count;
+  if (in.omega_radps_count != n || !all_finite(in.t_s, n) || !all_finite(in.omega_radps, n)) return false;
+  for (pb_size_t i = 0; i < n; ++i) out.push_back({in.t_s[i], in.omega_radps[i]});
+  return true;
+}
+
+constexpr pb_size_t kPositionTerms{std::tuple_size_v<decltype(model::PositionSample::covariance_m2)>};
+
+bool take(const groma_LogPositions& in, std::vector<model::PositionSample>& out) {
+  const pb_size_t n = in.t_s_count;
+  if (in.x_m_count != n || in.y_m_count != n || in.covariance_count != kPositionTerms * n ||
+      !all_finite(in.t_s, n) || !all_finite(in.x_m, n) || !all_finite(in.y_m, n)) {
+    return false;
+  }
+  std::vector<model::PositionSample> read;
+  read.reserve(n);
+  for (pb_size_t i = 0; i < n; ++i) {
+    model::PositionSample& position = read.emplace_back();
+    position = {in.t_s[i], in.x_m[i], in.y_m[i], {}};
+    const float* terms = in.covariance + kPositionTerms * std::size_t{i};
+    std::copy(terms, terms + kPositionTerms, position.covariance_m2.begin());
+    if (!model::is_covariance(position.covariance_m2)) return false;
+  }
+  out.insert(out.end(), read.begin(), read.end());
+  return true;
+}
+
+bool take(const groma_LogTimes& in, std::vector<model::ZeroVelocitySample>& out) {
+  const pb_size_t n = in.t_s_count;
+  if (!all_finite(in.t_s, n)) return false;
+  for (pb_size_t i = 0; i < n; ++i) out.push_back({in.t_s[i]});
+  return true;
+}
+
 void take(const groma_LogFile& in, std::vector<DescriptionFile>& out) {
   if (out.empty() || out.back().name != in.name) out.push_back({in.name, {}});
   out.back().text.append(reinterpret_cast<const char*>(in.content.bytes), in.content.size);
@@ -192,12 +243,9 @@ void take(const groma_LogFile& in, std::vector<DescriptionFile>& out) {
 // False where the record cannot be one of ours.
 bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSection>& sections) {
   if (record.which_body == groma_LogRecord_start_tag) {
-    sections.push_back({.program_version = record.body.start.program_version,
-                        .unix_time_ns = record.body.start.unix_time_ns,
-                        .description = {},
-                        .ranges = {},
-                        .odometry = {},
-                        .poses = {}});
+    LogSection& section = sections.emplace_back();
+    section.program_version = record.body.start.program_version;
+    section.unix_time_ns = record.body.start.unix_time_ns;
     return true;
   }
   if (sections.empty()) return false;
@@ -207,11 +255,19 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
       take(record.body.file, section.description);
       return true;
     case groma_LogRecord_ranges_tag:
-      return !with_samples || take(record.body.ranges, section.ranges);
+      return !with_samples || take(record.body.ranges, section.samples.ranges);
     case groma_LogRecord_odometry_tag:
-      return !with_samples || take(record.body.odometry, section.odometry);
+      return !with_samples || take(record.body.odometry, section.samples.odometry);
     case groma_LogRecord_poses_tag:
-      return !with_samples || take(record.body.poses, section.poses);
+      return !with_samples || take(record.body.poses, section.samples.poses);
+    case groma_LogRecord_yaw_rates_tag:
+      return !with_samples || take(record.body.yaw_rates, section.samples.yaw_rates);
+    case groma_LogRecord_positions_tag:
+      return !with_samples || take(record.body.positions, section.samples.positions);
+    case groma_LogRecord_absolute_poses_tag:
+      return !with_samples || take(record.body.absolute_poses, section.samples.absolute_poses);
+    case groma_LogRecord_zero_velocities_tag:
+      return !with_samples || take(record.body.zero_velocities, section.samples.zero_velocities);
     default:
       return false;
   }
@@ -221,55 +277,44 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
 
 // The records that are being filled, and room to encode one.
 struct LogEncoder::Records {
-  groma_LogRecord ranges = groma_LogRecord_init_zero;
-  groma_LogRecord odometry = groma_LogRecord_init_zero;
-  groma_LogRecord poses = groma_LogRecord_init_zero;
+  // One record, which begins anew each time it was appended.
+  struct Filling {
+    explicit Filling(pb_size_t tag) : which(tag) { record.which_body = which; }
+
+    pb_size_t which;
+    groma_LogRecord record = groma_LogRecord_init_zero;
+  };
+
+  Filling ranges{groma_LogRecord_ranges_tag};
+  Filling odometry{groma_LogRecord_odometry_tag};
+  Filling poses{groma_LogRecord_poses_tag};
+  Filling yaw_rates{groma_LogRecord_yaw_rates_tag};
+  Filling positions{groma_LogRecord_positions_tag};
+  Filling absolute_poses{groma_LogRecord_absolute_poses_tag};
+  Filling zero_velocities{groma_LogRecord_zero_velocities_tag};
   std::int64_t network_time_dtu = 0;  // of the last range
   std::array<std::uint8_t, groma_LogRecord_size> payload{};
   std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
 
-  Records() {
-    clear_ranges();
-    clear_odometry();
-    clear_poses();
-  }
   void finish_ranges(std::string& out) {
-    if (ranges.body.ranges.t_s_count == 0) return;
-    drop_unknown_columns(ranges.body.ranges);
-    append(ranges, out);
-    clear_ranges();
+    drop_unknown_columns(ranges.record.body.ranges);
+    finish(ranges, ranges.record.body.ranges.t_s_count, out);
+    network_time_dtu = 0;
   }
-  void finish_odometry(std::string& out) {
-    if (odometry.body.odometry.t_s_count == 0) return;
-    append(odometry, out);
-    clear_odometry();
+  void finish_poses(Filling& filling, groma_LogPoses& body, std::string& out) {
+    drop_unknown_columns(body);
+    finish(filling, body.t_s_count, out);
   }
-  void finish_poses(std::string& out) {
-    if (poses.body.poses.t_s_count == 0) return;
-    drop_unknown_columns(poses.body.poses);
-    append(poses, out);
-    clear_poses();
+  void finish(Filling& filling, pb_size_t count, std::string& out) {
+    if (count == 0) return;
+    append(filling.record, out);
+    filling = Filling(filling.which);
   }
   void append(const groma_LogRecord& record, std::string& out) {
     pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
     if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
     const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
     out.append(reinterpret_cast<const char*>(frame.data()), size);
-  }
-
- private:
-  void clear_ranges() {
-    ranges = groma_LogRecord_init_zero;
-    ranges.which_body = groma_LogRecord_ranges_tag;
-    network_time_dtu = 0;
-  }
-  void clear_odometry() {
-    odometry = groma_LogRecord_init_zero;
-    odometry.which_body = groma_LogRecord_odometry_tag;
-  }
-  void clear_poses() {
-    poses = groma_LogRecord_init_zero;
-    poses.which_body = groma_LogRecord_poses_tag;
   }
 };
 
@@ -297,41 +342,79 @@ void LogEncoder::begin_section(std::span<const DescriptionFile> description, std
 }
 
 void LogEncoder::put(const model::RangeSample& range) {
-  groma_LogRanges& ranges = records_->ranges.body.ranges;
+  groma_LogRanges& ranges = records_->ranges.record.body.ranges;
   add(ranges, range, records_->network_time_dtu);
   records_->network_time_dtu = range.network_time_dtu;
   if (ranges.t_s_count == std::size(ranges.t_s)) records_->finish_ranges(bytes_);
 }
 
 void LogEncoder::put(const model::OdometrySample& row) {
-  groma_LogOdometry& odometry = records_->odometry.body.odometry;
+  groma_LogOdometry& odometry = records_->odometry.record.body.odometry;
   odometry.t_s[odometry.t_s_count++] = row.t_s;
   odometry.vx_mps[odometry.vx_mps_count++] = row.vx_mps;
   odometry.vy_mps[odometry.vy_mps_count++] = row.vy_mps;
   odometry.omega_radps[odometry.omega_radps_count++] = row.omega_radps;
-  if (odometry.t_s_count == std::size(odometry.t_s)) records_->finish_odometry(bytes_);
+  if (odometry.t_s_count == std::size(odometry.t_s)) {
+    records_->finish(records_->odometry, odometry.t_s_count, bytes_);
+  }
 }
 
 void LogEncoder::put(const model::PoseSample& pose) {
-  groma_LogPoses& poses = records_->poses.body.poses;
-  poses.t_s[poses.t_s_count++] = pose.t_s;
-  poses.x_m[poses.x_m_count++] = pose.x_m;
-  poses.y_m[poses.y_m_count++] = pose.y_m;
-  poses.z_m[poses.z_m_count++] = pose.z_m;
-  poses.yaw_rad[poses.yaw_rad_count++] = pose.yaw_rad;
-  poses.roll_rad[poses.roll_rad_count++] = pose.roll_rad;
-  poses.pitch_rad[poses.pitch_rad_count++] = pose.pitch_rad;
-  model::PoseCovariance unknown{};
-  unknown.fill(std::numeric_limits<double>::quiet_NaN());
-  for (const double term : pose.covariance.value_or(unknown))
-    poses.covariance[poses.covariance_count++] = static_cast<float>(term);
-  if (poses.t_s_count == std::size(poses.t_s)) records_->finish_poses(bytes_);
+  groma_LogPoses& poses = records_->poses.record.body.poses;
+  add(poses, pose);
+  if (poses.t_s_count == std::size(poses.t_s)) records_->finish_poses(records_->poses, poses, bytes_);
+}
+
+void LogEncoder::put(const model::SensorSample& sample) {
+  std::visit([this](const auto& of) { put_sensor(of); }, sample);
+}
+
+void LogEncoder::put_sensor(const model::YawRateSample& sample) {
+  groma_LogYawRates& rates = records_->yaw_rates.record.body.yaw_rates;
+  rates.t_s[rates.t_s_count++] = sample.t_s;
+  rates.omega_radps[rates.omega_radps_count++] = sample.omega_radps;
+  if (rates.t_s_count == std::size(rates.t_s)) {
+    records_->finish(records_->yaw_rates, rates.t_s_count, bytes_);
+  }
+}
+
+void LogEncoder::put_sensor(const model::PositionSample& sample) {
+  groma_LogPositions& positions = records_->positions.record.body.positions;
+  positions.t_s[positions.t_s_count++] = sample.t_s;
+  positions.x_m[positions.x_m_count++] = sample.x_m;
+  positions.y_m[positions.y_m_count++] = sample.y_m;
+  for (const double term : sample.covariance_m2)
+    positions.covariance[positions.covariance_count++] = static_cast<float>(term);
+  if (positions.t_s_count == std::size(positions.t_s)) {
+    records_->finish(records_->positions, positions.t_s_count, bytes_);
+  }
+}
+
+void LogEncoder::put_sensor(const model::PoseSample& sample) {
+  groma_LogPoses& poses = records_->absolute_poses.record.body.absolute_poses;
+  add(poses, sample);
+  if (poses.t_s_count == std::size(poses.t_s)) {
+    records_->finish_poses(records_->absolute_poses, poses, bytes_);
+  }
+}
+
+void LogEncoder::put_sensor(const model::ZeroVelocitySample& sample) {
+  groma_LogTimes& times = records_->zero_velocities.record.body.zero_velocities;
+  times.t_s[times.t_s_count++] = sample.t_s;
+  if (times.t_s_count == std::size(times.t_s)) {
+    records_->finish(records_->zero_velocities, times.t_s_count, bytes_);
+  }
 }
 
 void LogEncoder::flush() {
-  records_->finish_ranges(bytes_);
-  records_->finish_odometry(bytes_);
-  records_->finish_poses(bytes_);
+  Records& of = *records_;
+  of.finish_ranges(bytes_);
+  of.finish(of.odometry, of.odometry.record.body.odometry.t_s_count, bytes_);
+  of.finish_poses(of.poses, of.poses.record.body.poses, bytes_);
+  of.finish(of.yaw_rates, of.yaw_rates.record.body.yaw_rates.t_s_count, bytes_);
+  of.finish(of.positions, of.positions.record.body.positions.t_s_count, bytes_);
+  of.finish_poses(of.absolute_poses, of.absolute_poses.record.body.absolute_poses, bytes_);
+  of.finish(of.zero_velocities, of.zero_velocities.record.body.zero_velocities.t_s_count, bytes_);
 }
 
 std::string LogEncoder::take() {
@@ -352,10 +435,7 @@ LogContent parse_log(std::string_view bytes, std::optional<std::size_t> only) {
     if (understood && record.which_body == groma_LogRecord_start_tag) {
       // What comes last is not known yet: what an earlier section had is let go when the next begins.
       if (!only && !content.sections.empty()) {
-        LogSection& last = content.sections.back();
-        last.ranges = {};
-        last.odometry = {};
-        last.poses = {};
+        content.sections.back().samples = {};
       }
       ++section;
     }

@@ -29,7 +29,8 @@ class LogEncoder {
 
   void put(const model::RangeSample& range);
   void put(const model::OdometrySample& row);
-  void put(const model::PoseSample& pose);
+  void put(const model::PoseSample& pose);  // a prior
+  void put(const model::SensorSample& sample);
   void flush();
 
   // The bytes of whole frames so far, which are then forgotten.
@@ -38,20 +39,31 @@ class LogEncoder {
 
  private:
   struct Records;
-  void write();
+  void put_sensor(const model::YawRateSample& sample);
+  void put_sensor(const model::PositionSample& sample);
+  void put_sensor(const model::PoseSample& sample);
+  void put_sensor(const model::ZeroVelocitySample& sample);
 
   std::string bytes_;
   std::unique_ptr<Records> records_;
+};
+
+// As they came: late ones out of order.
+struct LogSamples {
+  std::vector<model::RangeSample> ranges;
+  std::vector<model::OdometrySample> odometry;
+  std::vector<model::PoseSample> poses;  // priors
+  std::vector<model::YawRateSample> yaw_rates;
+  std::vector<model::PositionSample> positions;
+  std::vector<model::PoseSample> absolute_poses;
+  std::vector<model::ZeroVelocitySample> zero_velocities;
 };
 
 struct LogSection {
   std::string program_version;
   std::uint64_t unix_time_ns = 0;  // of the computer, when it began
   std::vector<DescriptionFile> description;
-  // As they came: late ones out of order.
-  std::vector<model::RangeSample> ranges;
-  std::vector<model::OdometrySample> odometry;
-  std::vector<model::PoseSample> poses;
+  LogSamples samples;
 };
 
 struct LogContent {

@@ -101,8 +101,8 @@ model::OdometryNoise parse_odometry_noise(const YamlValue& yaml) {
           yaml.at("sigma_omega_radps").positive_number()};
 }
 
-SensorDescription parse_sensors(const YamlValue& yaml) {
-  SensorDescription out;
+model::SensorDescription parse_sensors(const YamlValue& yaml) {
+  model::SensorDescription out;
   if (const auto imu = yaml.find("imu")) {
     imu->expect_keys({{}, {"sigma_omega_radps", "bias_sigma_radps"}});
     if (const auto sigma = imu->find("sigma_omega_radps")) out.gyro_sigma_radps = sigma->positive_number();

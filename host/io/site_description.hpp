@@ -3,9 +3,6 @@
 #pragma once
 
 #include <filesystem>
-#include <optional>
-
-#include <Eigen/Core>
 
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
@@ -23,16 +20,9 @@ namespace groma::io {
 // {sigma_vx_mps: ..., sigma_vy_mps: ..., sigma_omega_radps: ...}. Throws ConfigError.
 [[nodiscard]] model::OdometryNoise parse_odometry_noise(const YamlValue& yaml);
 
-// Of sensors beside odometry and ranges; none: not told.
-struct SensorDescription {
-  std::optional<double> gyro_sigma_radps;  // white, a sample
-  std::optional<double> gyro_bias_sigma_radps;
-  std::optional<Eigen::Vector3d> gnss_lever_arm_m;  // of the antenna, in base_link
-};
-
 // imu: {sigma_omega_radps: ..., bias_sigma_radps: ...} and gnss: {lever_arm_m: [x, y, z]} of a map, where
 // they are there. Throws ConfigError.
-[[nodiscard]] SensorDescription parse_sensors(const YamlValue& yaml);
+[[nodiscard]] model::SensorDescription parse_sensors(const YamlValue& yaml);
 
 // {sigma_m: ...}, and perhaps beta_m and gamma, each [mean, sigma]. Throws ConfigError.
 [[nodiscard]] model::RangePriors parse_range_priors(const YamlValue& yaml);

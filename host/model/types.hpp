@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <variant>
 
 #include <Eigen/Core>
 
@@ -102,6 +103,20 @@ struct PositionSample {
 // The robot stands.
 struct ZeroVelocitySample {
   double t_s = 0.0;
+};
+
+// What a sensor beside odometry and ranges tells; the pose is another localization's, with its covariance.
+using SensorSample = std::variant<YawRateSample, PositionSample, PoseSample, ZeroVelocitySample>;
+
+[[nodiscard]] inline double time_of(const SensorSample& sample) {
+  return std::visit([](const auto& of) { return of.t_s; }, sample);
+}
+
+// What is told of such sensors beforehand; none: not told.
+struct SensorDescription {
+  std::optional<double> gyro_sigma_radps;  // white, a sample
+  std::optional<double> gyro_bias_sigma_radps;
+  std::optional<Eigen::Vector3d> gnss_lever_arm_m;  // of the antenna, in base_link
 };
 
 // An estimated planar pose: x, y and heading in the map frame with their covariance, in that order.

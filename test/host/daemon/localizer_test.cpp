@@ -195,6 +195,27 @@ TEST_F(Circle, WaitsForAPosePriorAgainWhenTheClockWasSet) {
   EXPECT_NEAR(poses.back().x_m, truth(2.98).x_m, 0.1);
 }
 
+TEST_F(Circle, GoesByOtherSensorsWhereThereAreNoRanges) {
+  std::vector<PoseEstimate> poses;
+  Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
+  for (int i = 0; i < 500; ++i) {
+    const double t_s = 0.02 * i;
+    // Wheels that tell of twice the turn; a gyro, and now and then a pose, that know better.
+    model::OdometrySample turned = row(t_s);
+    turned.omega_radps *= 2.0;
+    localizer.on_odometry(turned);
+    localizer.on_sensor(model::YawRateSample{t_s, kOmega});
+    if (i % 50 != 0) continue;
+    model::PoseSample pose = prior(t_s);
+    pose.covariance = model::PoseCovariance{1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4};
+    localizer.on_sensor(pose);
+  }
+  ASSERT_FALSE(poses.empty());
+  EXPECT_NEAR(poses.back().x_m, truth(9.98).x_m, 0.05);
+  EXPECT_NEAR(poses.back().y_m, truth(9.98).y_m, 0.05);
+  EXPECT_NEAR(poses.back().yaw_rad, truth(9.98).theta_rad, 0.05);
+}
+
 TEST_F(Circle, TwoModelsSeeTheSameAndAnswerDifferently) {
   setup_.filter.model = filter::Model::kSchmidt;
   std::vector<PoseEstimate> schmidt;

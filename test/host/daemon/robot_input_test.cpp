@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <string>
 #include <string_view>
@@ -93,6 +94,49 @@ TEST(RobotInput, DropsAPoseWhoseCovarianceIsNone) {
   EXPECT_TRUE(take_all(input).empty());
   EXPECT_EQ(input.counters().bad_value, 7U);
   EXPECT_THAT(input.last_problem(), testing::HasSubstr("covariance"));
+}
+
+TEST(RobotInput, ReadsOtherSensors) {
+  RobotInput input;
+  push(input, R"({"class":"IMU","t_s":1,"omega_radps":0.25}
+{"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[0.5,0.125,0.125,0.25]}
+{"class":"ABSOLUTE_POSE","t_s":3,"x_m":1,"y_m":2,"yaw_rad":0.5,"covariance":)" +
+                  std::string("[4,1,null,null,null,0.5, 1,9,null,null,null,0.25, "
+                              "null,null,null,null,null,null, null,null,null,null,null,null, "
+                              "null,null,null,null,null,null, 0.5,0.25,null,null,null,1]}\n") +
+                  R"({"class":"ZERO_VELOCITY","t_s":4}
+)");
+  const auto messages = take_all(input);
+  ASSERT_EQ(messages.size(), 4U);
+  std::vector<model::SensorSample> samples;
+  for (const RobotMessage& message : messages) samples.push_back(std::get<model::SensorSample>(message));
+  for (std::size_t i = 0; i < samples.size(); ++i)
+    EXPECT_EQ(model::time_of(samples[i]), 1.0 + static_cast<double>(i));
+  EXPECT_EQ(std::get<model::YawRateSample>(samples[0]).omega_radps, 0.25);
+  const auto& position = std::get<model::PositionSample>(samples[1]);
+  EXPECT_EQ(position.y_m, 4.0);
+  EXPECT_EQ(position.covariance_m2, (std::array<double, 3>{0.5, 0.125, 0.25}));
+  const model::PoseCovariance expected{4.0, 1.0, 0.5, 9.0, 0.25, 1.0};
+  EXPECT_EQ(std::get<model::PoseSample>(samples[2]).covariance, expected);
+  EXPECT_EQ(input.counters().sensors, 4U);
+}
+
+TEST(RobotInput, DropsSensorsThatTellNotHowSureTheyAre) {
+  RobotInput input;
+  for (const std::string line : {
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[1,0,0]})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[1,0.5,0,1]})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[1,2,2,1]})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[1,0,0,null]})",
+           R"({"class":"ABSOLUTE_POSE","t_s":3,"x_m":1,"y_m":2,"yaw_rad":0.5})",
+           R"({"class":"IMU","t_s":1})",
+           R"({"class":"ZERO_VELOCITY"})",
+       }) {
+    push(input, line + "\n");
+    EXPECT_TRUE(take_all(input).empty()) << line;
+  }
+  EXPECT_EQ(input.counters().bad_value, 8U);
 }
 
 TEST(RobotInput, PutsLinesTogetherFromSingleBytes) {

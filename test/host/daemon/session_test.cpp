@@ -33,8 +33,13 @@ class Recorded : public MeasurementSink {
     poses.push_back(pose);
     times_s.push_back(pose.t_s);
   }
+  void on_sensor(const model::SensorSample& sample) override {
+    sensors.push_back(sample);
+    times_s.push_back(model::time_of(sample));
+  }
   void on_clock_set() override { ++clock_sets; }
 
+  std::vector<model::SensorSample> sensors;
   std::vector<model::OdometrySample> odometry;
   std::vector<model::RangeSample> ranges;
   std::vector<model::PoseSample> poses;
@@ -62,6 +67,10 @@ struct Site {
         fmt::format(R"({{"class":"POSE_PRIOR","t_s":{},"x_m":1,"y_m":0,"z_m":0,"yaw_rad":0}})"
                     "\n",
                     t_s);
+    session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
+  }
+  void stands(double host_s, double t_s) {
+    const std::string line = fmt::format("{{\"class\":\"ZERO_VELOCITY\",\"t_s\":{}}}\n", t_s);
     session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
   }
   // Arrives at once, and tells of ranges so long ago.
@@ -102,6 +111,23 @@ TEST(Session, PutsRangesOnTheRobotsClockAndInOrder) {
   EXPECT_EQ(site.session.counters().passed_late, 0U);
   EXPECT_EQ(site.session.counters().dropped_late, 0U);
   EXPECT_EQ(site.session.frames_lost(), 0U);
+}
+
+TEST(Session, PutsOtherSensorsInOrderToo) {
+  Site site;
+  site.stands(9.99, site.robot_offset_s + 9.99);  // the robot's time is not known yet
+  site.odometry(10.0);
+  site.stands(10.01, site.robot_offset_s + 10.01);
+  site.odometry(10.02);
+  site.stands(10.03, site.robot_offset_s + 10.005);
+  site.stands(10.03, site.robot_offset_s + 20.0);
+  site.session.flush();
+  EXPECT_TRUE(std::is_sorted(site.sink.times_s.begin(), site.sink.times_s.end()));
+  ASSERT_EQ(site.sink.sensors.size(), 2U);
+  EXPECT_NEAR(model::time_of(site.sink.sensors[0]) - site.robot_offset_s, 10.005, 1e-6);
+  EXPECT_EQ(site.session.counters().sensors, 2U);
+  EXPECT_EQ(site.session.counters().without_odometry, 1U);
+  EXPECT_EQ(site.session.counters().robot_time_wrong, 1U);
 }
 
 TEST(Session, KeepsMeasurementsBackNoLongerThanItsLag) {

@@ -42,6 +42,10 @@ void put(LogEncoder& log, const Dataset& run) {
   for (const model::OdometrySample& row : run.odometry) log.put(row);
   for (const model::PoseSample& pose : run.pose_prior) log.put(pose);
   for (const model::RangeSample& range : run.ranges) log.put(range);
+  for (const model::YawRateSample& sample : run.yaw_rates) log.put(sample);
+  for (const model::PositionSample& sample : run.positions) log.put(sample);
+  for (const model::PoseSample& sample : run.absolute_poses) log.put(model::SensorSample(sample));
+  for (const model::ZeroVelocitySample& sample : run.zero_velocities) log.put(sample);
   log.flush();
 }
 
@@ -105,6 +109,42 @@ TEST(Log, GivesBackWhatWasPut) {
   EXPECT_EQ(back.sha256.size(), 64U);
 }
 
+TEST(Log, GivesBackOtherSensors) {
+  Dataset run = as_recorded(1.0);
+  for (int i = 0; i < 200; ++i) {
+    const double t_s = 0.01 * i;
+    run.yaw_rates.push_back({t_s, 0.125 * i});
+    run.positions.push_back({t_s, 0.5 * i, -0.25 * i, {0.5, 0.125, 0.25}});
+    run.absolute_poses.push_back(
+        {.t_s = t_s, .x_m = 1.5 * i, .covariance = model::PoseCovariance{1, 0, 0, 2, 0, 3}});
+    run.zero_velocities.push_back({t_s});
+  }
+  run.sensors.gyro_bias_sigma_radps = 0.02;
+  run.sensors.gnss_lever_arm_m = Eigen::Vector3d(0.5, -0.25, 1.5);
+  const ScratchFolder folder;
+  folder.write("drive.glog", log_of(run));
+  ReadOptions options;
+  options.sensors = true;
+  const Dataset back = read_dataset(folder / "drive.glog", options);
+  ASSERT_EQ(back.yaw_rates.size(), 200U);
+  ASSERT_EQ(back.positions.size(), 200U);
+  ASSERT_EQ(back.absolute_poses.size(), 200U);
+  ASSERT_EQ(back.zero_velocities.size(), 200U);
+  for (std::size_t i = 0; i < 200; ++i) {
+    EXPECT_EQ(back.yaw_rates[i].omega_radps, run.yaw_rates[i].omega_radps);
+    EXPECT_EQ(back.positions[i].y_m, run.positions[i].y_m);
+    EXPECT_EQ(back.positions[i].covariance_m2, run.positions[i].covariance_m2);
+    EXPECT_EQ(back.absolute_poses[i].x_m, run.absolute_poses[i].x_m);
+    EXPECT_EQ(back.absolute_poses[i].covariance, run.absolute_poses[i].covariance);
+    EXPECT_EQ(back.zero_velocities[i].t_s, run.zero_velocities[i].t_s);
+  }
+  EXPECT_EQ(back.sensors.gyro_bias_sigma_radps, 0.02);
+  EXPECT_FALSE(back.sensors.gyro_sigma_radps.has_value());
+  EXPECT_EQ(back.sensors.gnss_lever_arm_m, run.sensors.gnss_lever_arm_m);
+  EXPECT_EQ(back.dropped.total(), 0U);
+  EXPECT_TRUE(read_dataset(folder / "drive.glog").yaw_rates.empty());
+}
+
 TEST(Log, CarriesASurfaceOfManyPieces) {
   Dataset run = as_recorded(1.0);
   std::vector<double> heights_m(3000);
@@ -133,9 +173,9 @@ TEST(Log, LosesOnlyItsTornTail) {
   for (std::size_t size = 0; size <= whole.size(); ++size) {
     const LogContent content = parse_log(std::string_view(whole).substr(0, size));
     const std::size_t samples = content.sections.empty() ? 0
-                                                         : content.sections[0].ranges.size() +
-                                                               content.sections[0].odometry.size() +
-                                                               content.sections[0].poses.size();
+                                                         : content.sections[0].samples.ranges.size() +
+                                                               content.sections[0].samples.odometry.size() +
+                                                               content.sections[0].samples.poses.size();
     EXPECT_GE(samples, before);
     EXPECT_LT(content.damaged_bytes, 1400U);
     before = samples;
@@ -155,7 +195,7 @@ TEST(Log, LosesOnlyTheFramesThatAreDamaged) {
     ASSERT_EQ(content.sections.size(), 1U);
     EXPECT_GT(content.damaged_bytes, 0U);
     // A bit that parts a frame, or joins two, costs both.
-    EXPECT_GE(content.sections[0].ranges.size() + 48U, run.ranges.size());
+    EXPECT_GE(content.sections[0].samples.ranges.size() + 48U, run.ranges.size());
   }
 }
 
@@ -202,12 +242,18 @@ TEST(Log, NeverHoldsWhatIsNoNumber) {
   run.ranges[5].range_m = std::nan("");
   run.odometry[2].vx_mps = std::nan("");
   run.pose_prior[1].x_m = std::nan("");
+  run.yaw_rates = {{0.1, std::nan("")}};
+  run.positions = {{0.1, 1.0, 2.0, {-1.0, 0.0, 1.0}}};
+  run.zero_velocities = {{std::nan("")}};
   run.pose_prior.back().covariance = {-1.0, 0.0, 0.0, 1.0, 0.0, 1.0};
   const LogContent content = parse_log(log_of(run));
   EXPECT_GT(content.damaged_bytes, 0U);
-  for (const auto& range : content.sections[0].ranges) EXPECT_TRUE(std::isfinite(range.range_m));
-  for (const auto& row : content.sections[0].odometry) EXPECT_TRUE(std::isfinite(row.vx_mps));
-  for (const auto& pose : content.sections[0].poses) {
+  EXPECT_TRUE(content.sections[0].samples.yaw_rates.empty());
+  EXPECT_TRUE(content.sections[0].samples.positions.empty());
+  EXPECT_TRUE(content.sections[0].samples.zero_velocities.empty());
+  for (const auto& range : content.sections[0].samples.ranges) EXPECT_TRUE(std::isfinite(range.range_m));
+  for (const auto& row : content.sections[0].samples.odometry) EXPECT_TRUE(std::isfinite(row.vx_mps));
+  for (const auto& pose : content.sections[0].samples.poses) {
     EXPECT_TRUE(std::isfinite(pose.x_m));
     EXPECT_FALSE(pose.covariance.has_value());
   }
