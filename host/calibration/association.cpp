@@ -123,7 +123,7 @@ model::RigidPose interpolate_pose(const model::PoseSample& from, const model::Po
     pose.rotation = model::rotation_from_zyx(yaw_rad, pitch_rad, roll_rad);
     return pose;
   }
-  const model::SurfacePoint ground = surface.at(x_m, y_m);
+  const model::SurfacePoint ground = surface.at(x_m, y_m, surface.nearest(x_m, y_m, pose.position_m.z()));
   if (height == HeightSource::kSurface) pose.position_m.z() = ground.z_m;
   if (!roll_known && !pitch_known) {
     const double c = std::cos(yaw_rad);
@@ -203,7 +203,8 @@ double height_disagreement_m(const Drive& drive) noexcept {
   std::size_t n = 0;
   for (const model::PoseSample& pose : drive.poses) {
     if (!is_finite(pose)) continue;
-    const double difference_m = pose.z_m - drive.surface->at(pose.x_m, pose.y_m).z_m;
+    const int chart = drive.surface->nearest(pose.x_m, pose.y_m, pose.z_m);
+    const double difference_m = pose.z_m - drive.surface->at(pose.x_m, pose.y_m, chart).z_m;
     square_m2 += difference_m * difference_m;
     ++n;
   }

@@ -25,6 +25,7 @@ void add_plan(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
 void add_sim(CLI::App& app, Action& action);
 void add_smooth(CLI::App& app, Action& action);
+void add_surface(CLI::App& app, Action& action);
 void add_survey(CLI::App& app, Action& action);
 
 }  // namespace groma::cli

@@ -84,7 +84,8 @@ std::optional<filter::Start> FilterInput::find_start(const io::Dataset& dataset)
   const auto [x_m, y_m, yaw_rad] = *start_;
   filter::Start start;
   start.t_s = selection_.from_s().value_or(first->t_s);
-  start.pose = {x_m, y_m, yaw_rad};
+  constexpr double kAnyHeight_m = std::numeric_limits<double>::quiet_NaN();
+  start.pose = {x_m, y_m, yaw_rad, dataset.surface.nearest(x_m, y_m, kAnyHeight_m)};
   return start;
 }
 

@@ -42,6 +42,7 @@ int run(int argc, char** argv) {
   add_replay(app, action);
   add_sim(app, action);
   add_smooth(app, action);
+  add_surface(app, action);
   add_survey(app, action);
   try {
     app.parse(argc, argv);

@@ -92,7 +92,8 @@ int run(const ReplayOptions& options) {
   words.reserve(result.states.size());
   for (const auto& [state, reason] : result.states)
     words.push_back({filter::state_name(state), filter::reason_name(reason)});
-  io::write_file(options.input.output(), io::format_estimate(result.rows, words));
+  io::write_file(options.input.output(),
+                 io::format_estimate(result.rows, result.spatial, drive.dataset.surface, words));
 
   const filter::Counters& counters = result.counters;
   if (counters.ranges_unknown_anchor > 0) {

@@ -14,32 +14,20 @@
 
 namespace groma::daemon {
 
-PoseEstimate pose_on(const model::Surface& surface, const model::PlanarPose& planar,
-                     const Eigen::Matrix3d& planar_covariance) noexcept {
-  const model::SurfacePose on_surface = model::pose_on_surface(surface, planar);
-  const Eigen::Matrix3d& rotation = on_surface.pose.rotation;
+PoseEstimate pose_on(const model::Surface& surface, const filter::Estimate& estimate) noexcept {
+  const model::SpatialEstimate at =
+      model::on_surface(surface, estimate.pose, estimate.covariance_with_ground());
   PoseEstimate pose;
-  pose.x_m = planar.x_m;
-  pose.y_m = planar.y_m;
-  pose.z_m = on_surface.pose.position_m.z();
-  // R_WR = R_z(yaw) R_y(pitch) R_x(roll): its last row is (-sin p, cos p sin r, cos p cos r).
-  const double cos_pitch = std::hypot(rotation(2, 1), rotation(2, 2));
-  pose.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
-  pose.pitch_rad = std::atan2(-rotation(2, 0), cos_pitch);
-  pose.yaw_rad = model::wrap_angle(planar.theta_rad);
-
-  Eigen::Matrix<double, 6, 3> d_planar = Eigen::Matrix<double, 6, 3>::Zero();
-  d_planar.topLeftCorner<3, 2>() = on_surface.d_position_d_xy;
-  const std::array<const Eigen::Matrix3d*, 3> d_rotation{
-      &on_surface.d_rotation_d_x, &on_surface.d_rotation_d_y, &on_surface.d_rotation_d_theta};
-  for (int i = 0; i < 3; ++i) {
-    const Eigen::RowVector3d d_row = d_rotation[static_cast<std::size_t>(i)]->row(2);
-    d_planar(3, i) = (d_row.y() * rotation(2, 2) - rotation(2, 1) * d_row.z()) / (cos_pitch * cos_pitch);
-    d_planar(4, i) = -d_row.x() / cos_pitch;
-  }
-  d_planar(5, 2) = 1.0;
-  pose.planar_covariance = planar_covariance;
-  pose.covariance = d_planar * planar_covariance * d_planar.transpose();
+  pose.t_s = estimate.t_s;
+  pose.x_m = estimate.pose.x_m;
+  pose.y_m = estimate.pose.y_m;
+  pose.z_m = at.z_m;
+  pose.roll_rad = at.roll_rad;
+  pose.pitch_rad = at.pitch_rad;
+  pose.yaw_rad = model::wrap_angle(estimate.pose.theta_rad);
+  pose.planar_covariance = estimate.covariance;
+  pose.covariance = at.covariance;
+  if (surface.chart_count() > 1) pose.floor = surface.charts()[static_cast<std::size_t>(at.chart)].name;
   return pose;
 }
 
@@ -72,8 +60,7 @@ void Localizer::on_odometry(const model::OdometrySample& row) {
   const filter::OdometryOutcome outcome = tracker_->process(row);
   if (!tracker_->started() || outcome != filter::OdometryOutcome::kUsed) return;
   const filter::Estimate estimate = tracker_->estimate();
-  PoseEstimate pose = pose_on(setup_.surface, estimate.pose, estimate.covariance);
-  pose.t_s = estimate.t_s;
+  PoseEstimate pose = pose_on(setup_.surface, estimate);
   pose.state = tracker_->state();
   pose.reason = tracker_->reason();
   on_pose_(pose);

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <string_view>
 #include <vector>
 
 #include <Eigen/Core>
@@ -29,15 +30,16 @@ struct PoseEstimate {
   double pitch_rad = 0.0;
   double yaw_rad = 0.0;  // heading on the surface: R_WR = R_WT(x, y) R_z(yaw)
   Eigen::Matrix3d planar_covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, yaw_rad
-  // Of x, y, z, roll, pitch, yaw; of rank 3, as z, roll and pitch follow from x, y and yaw.
+  // Of x, y, z, roll, pitch, yaw. Where the surface is exact, of rank 3: z, roll and pitch then follow from
+  // x, y and yaw.
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
+  std::string_view floor;  // the chart's name, as long as the surface lives; empty where there is but one
   filter::State state = filter::State::kUninitialized;
   filter::Reason reason = filter::Reason::kNone;
 };
 
-// A planar pose and its covariance (x, y, theta) carried onto the surface.
-[[nodiscard]] PoseEstimate pose_on(const model::Surface& surface, const model::PlanarPose& planar,
-                                   const Eigen::Matrix3d& planar_covariance) noexcept;
+// A planar estimate carried onto the surface.
+[[nodiscard]] PoseEstimate pose_on(const model::Surface& surface, const filter::Estimate& estimate) noexcept;
 
 class Localizer : public MeasurementSink {
  public:

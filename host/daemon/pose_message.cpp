@@ -29,19 +29,21 @@ std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::str
   for (Eigen::Index row = 0; row < 6; ++row) {
     for (Eigen::Index column = 0; column < 6; ++column) covariance.push_back(pose.covariance(row, column));
   }
-  return line({{"class", "POSE"},
-               {"t_s", pose.t_s},
-               {"frame", frame},
-               {"model", model},
-               {"state", filter::state_name(pose.state)},
-               {"reason", reason.empty() ? Json(nullptr) : Json(reason)},
-               {"x_m", pose.x_m},
-               {"y_m", pose.y_m},
-               {"z_m", pose.z_m},
-               {"roll_rad", pose.roll_rad},
-               {"pitch_rad", pose.pitch_rad},
-               {"yaw_rad", pose.yaw_rad},
-               {"covariance", std::move(covariance)}});
+  Json object = {{"class", "POSE"},
+                 {"t_s", pose.t_s},
+                 {"frame", frame},
+                 {"model", model},
+                 {"state", filter::state_name(pose.state)},
+                 {"reason", reason.empty() ? Json(nullptr) : Json(reason)},
+                 {"x_m", pose.x_m},
+                 {"y_m", pose.y_m},
+                 {"z_m", pose.z_m},
+                 {"roll_rad", pose.roll_rad},
+                 {"pitch_rad", pose.pitch_rad},
+                 {"yaw_rad", pose.yaw_rad},
+                 {"covariance", std::move(covariance)}};
+  if (!pose.floor.empty()) object["floor"] = pose.floor;
+  return line(object);
 }
 
 std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors) {

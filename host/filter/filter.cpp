@@ -133,6 +133,7 @@ void Filter::start(const Start& start) noexcept {
     variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
   }
   now_.covariance.reset_core(variances);
+  stand_on(std::clamp(start.pose.chart, 0, surface_.chart_count() - 1));
   now_.gate.reset(now_.t_s);
   now_.tuning.reset();
   now_.sensors.reset();
@@ -243,9 +244,10 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   const bool whole = is_tuned(config_.model);
   const PairParameters parameters = now_.parameters.pair(site_, slot, tag);
   const PairPlace pair{.slot = slot, .tag = tag, .anchor = &site_.anchor(anchor)};
-  const RangeMeasurement measurement = config_.model == Model::kOriginal
-                                           ? measure_distance(surface_, now_.core, now_.row, parameters)
-                                           : measure_range(surface_, now_.core, now_.row, parameters);
+  const RangeMeasurement measurement =
+      config_.model == Model::kOriginal
+          ? measure_distance(surface_, now_.core, now_.row, parameters, now_.chart)
+          : measure_range(surface_, now_.core, now_.row, parameters, now_.chart);
   Projected projected;
   if (whole) {
     now_.covariance.project(measurement, pair, projected);
@@ -284,6 +286,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
                             now_.parameters.values());
   }
   if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
+  follow_chart();
   result.outcome = RangeOutcome::kUsed;
   return result;
 }
@@ -314,7 +317,7 @@ SensorResult Filter::process(const model::PositionSample& sample) noexcept {
   }
   const SensorOutcome outcome = await(sample.t_s);
   if (outcome != SensorOutcome::kUsed) return count(Sensor::kPosition, {.outcome = outcome});
-  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_));
+  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_), now_.chart);
   return count(Sensor::kPosition,
                correct(Sensor::kPosition, measure_position(surface_, now, config_.sensors, sample)));
 }
@@ -323,7 +326,7 @@ SensorResult Filter::process(const model::PoseSample& sample) noexcept {
   if (!tells_pose(sample)) return count(Sensor::kPose, {.outcome = SensorOutcome::kBadValue});
   const SensorOutcome outcome = await(sample.t_s);
   if (outcome != SensorOutcome::kUsed) return count(Sensor::kPose, {.outcome = outcome});
-  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_));
+  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_), now_.chart);
   return count(Sensor::kPose, correct(Sensor::kPose, measure_pose(surface_, now, sample)));
 }
 
@@ -476,14 +479,18 @@ void Filter::renew_row(const model::OdometryNoise& noise, const OdometryDoubt& d
 }
 
 void Filter::step(double dt_s) noexcept {
-  Motion motion = move(surface_, now_.core, now_.row, dt_s);
+  Motion motion = move(surface_, now_.core, now_.row, dt_s, now_.chart);
   // Of one that stands, the heading does not depend on what a gyro is off by.
   if (now_.stands && !now_.gyro.holds()) motion.d_core.col(kYawBias).setZero();
+  const model::SurfaceMismatch& mismatch = surface_.mismatch(now_.chart);
+  const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now_.core.head<2>()).norm() : 0.0;
   now_.core.segment<3>(kX) = motion.pose;
   now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
   now_.covariance.propagate(motion.d_core);
   now_.t_s += dt_s;
   if (slow_time_s_ > 0.0) now_.covariance.fade_slow_errors(std::exp(-dt_s / slow_time_s_));
+  if (way_m > 0.0) now_.covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
+  follow_chart();
 
   now_.covariance.grow(kScale, square(config_.scale_walk) * dt_s);
   now_.covariance.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
@@ -506,6 +513,19 @@ void Filter::step(double dt_s) noexcept {
       now_.covariance.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
     }
   }
+}
+
+void Filter::stand_on(int chart) noexcept {
+  now_.chart = chart;
+  const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
+  now_.covariance.renew_ground(
+      {square(mismatch.sigma_m), square(mismatch.slope_sigma), square(mismatch.slope_sigma)});
+}
+
+void Filter::follow_chart() noexcept {
+  if (surface_.chart_count() == 1) return;
+  const int chart = surface_.follow(now_.chart, now_.core(kX), now_.core(kY));
+  if (chart != now_.chart) stand_on(chart);
 }
 
 int Filter::free_slot(double t_s) const noexcept {
@@ -571,21 +591,31 @@ void Filter::find_slots() noexcept {
 
 Estimate Filter::estimate() const noexcept {
   Estimate out{.t_s = now_.t_s,
-               .pose = {now_.core(kX), now_.core(kY), now_.core(kTheta)},
+               .pose = {now_.core(kX), now_.core(kY), now_.core(kTheta), now_.chart},
                .covariance = now_.covariance.core().topLeftCorner<3, 3>(),
                .scale_error = now_.core(kScale),
                .yaw_rate_bias_radps = now_.core(kYawBias),
-               .range_delay_s = now_.core(kDelay)};
+               .range_delay_s = now_.core(kDelay),
+               .ground_variances = now_.covariance.ground_variances()};
+  const Eigen::Matrix<double, kGroundSize, kCoreSize> ground_cross = now_.covariance.ground_cross();
+  out.ground_cross = ground_cross.leftCols<3>();
   const LinkDelays prior = delays(config_);
   if (!(prior.odometry_share() > 0.0)) return out;
 
   // The core tells of where the robot was when its odometry was true.
   out.odometry_delay_s = prior.odometry_s(now_.core(kDelay));
   out.range_delay_s += out.odometry_delay_s;
-  const PresentPose now = present_pose(surface_, now_.core, now_.row, prior);
-  out.pose = {now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z())};
+  const PresentPose now = present_pose(surface_, now_.core, now_.row, prior, now_.chart);
+  out.pose = {now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z()), now_.chart};
+  out.ground_cross = ground_cross.lazyProduct(now.d_core.transpose());
   const Eigen::Matrix3d moved = now.d_core * now_.covariance.core() * now.d_core.transpose();
   out.covariance = 0.5 * (moved + moved.transpose()) + now.noise;
+  return out;
+}
+
+Eigen::Matrix<double, 6, 6> Estimate::covariance_with_ground() const noexcept {
+  Eigen::Matrix<double, 6, 6> out;
+  out << covariance, ground_cross.transpose(), ground_cross, Eigen::Matrix3d(ground_variances.asDiagonal());
   return out;
 }
 

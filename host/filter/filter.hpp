@@ -129,6 +129,13 @@ struct Estimate {
   double yaw_rate_bias_radps = 0.0;
   double range_delay_s = 0.0;
   double odometry_delay_s = 0.0;
+  // What the ground may differ by from the surface (height, dS/dx, dS/dy): variances, and covariance with the
+  // pose, by row.
+  Eigen::Vector3d ground_variances = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d ground_cross = Eigen::Matrix3d::Zero();
+
+  // Of x_m, y_m, theta_rad and the ground, for model::on_surface.
+  [[nodiscard]] Eigen::Matrix<double, 6, 6> covariance_with_ground() const noexcept;
 };
 
 class Filter {
@@ -151,6 +158,7 @@ class Filter {
     bool stands = false;
     bool started = false;
     double t_s = 0.0;
+    int chart = 0;                                    // of the surface
     std::array<double, kMaxAnchors> last_answer_s{};  // of each slot
     std::uint64_t exchanges = 0;
     Counters counters{};
@@ -185,6 +193,10 @@ class Filter {
 
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
+  // Beyond what the surface tells of: what it tells there is a guess.
+  [[nodiscard]] bool is_off_surface() const noexcept {
+    return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
+  }
   [[nodiscard]] const Counters& counters() const noexcept { return now_.counters; }
   [[nodiscard]] std::size_t anchors() const noexcept;
   [[nodiscard]] std::size_t tags() const noexcept;
@@ -221,6 +233,8 @@ class Filter {
   // The errors of the row begin anew.
   void renew_row(const model::OdometryNoise& noise, const OdometryDoubt& doubt) noexcept;
   void step(double dt_s) noexcept;
+  void stand_on(int chart) noexcept;
+  void follow_chart() noexcept;
   // The slot whose anchor was silent longest, -1 where none was silent for long enough.
   [[nodiscard]] int free_slot(double t_s) const noexcept;
   void exchange(int slot, int anchor) noexcept;

@@ -24,7 +24,9 @@ constexpr int kOfBeta = 3;
 constexpr int kOfGamma = 4;
 constexpr int kOfLeverArm = 5;
 constexpr int kOfFrame = 8;
-constexpr int kOfSlowError = kPairParameters - 1;
+constexpr int kOfSlowError = 12;
+constexpr int kOfGround = 13;
+static_assert(kOfGround + kGroundSize == kPairParameters);
 
 }  // namespace
 
@@ -74,6 +76,7 @@ void JointCovariance::reset_core(const CoreVector& variances) noexcept {
   moved_ = false;
   same_row_ = true;
   motion_.setIdentity();
+  ground_scale_ = 1.0;
 }
 
 void JointCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
@@ -133,6 +136,41 @@ void JointCovariance::fade_slow_errors(double factor) noexcept {
   if (slow_scale_ < kFaded) settle_slow_errors();
 }
 
+void JointCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
+  ground_scale_ = 0.0;
+  settle_ground();
+  ground_variances_ = variances;
+}
+
+void JointCovariance::fade_ground(double factor) noexcept {
+  ground_scale_ *= factor;
+  if (ground_scale_ < kFaded) settle_ground();
+}
+
+void JointCovariance::settle_ground() noexcept {
+  Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  const int ground = layout_.ground();
+  cross.middleRows<kGroundSize>(ground) *= ground_scale_;
+  if (learning_ != Learning::kNothing) {
+    for (int i = ground; i < ground + kGroundSize; ++i) {
+      for (int j = 0; j < ground; ++j) lower(i, j) *= ground_scale_;
+    }
+  }
+  ground_scale_ = 1.0;
+}
+
+Eigen::Matrix<double, kGroundSize, kCoreSize> JointCovariance::ground_cross() const noexcept {
+  Eigen::Matrix<double, kGroundSize, kCoreSize> before =
+      ConstRows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
+          .middleRows<kGroundSize>(layout_.ground()) *
+      ground_scale_;
+  if (!moved_) return before;
+  Eigen::Matrix<double, kGroundSize, kCoreSize> out = before;
+  out.leftCols<3>() = before.lazyProduct(motion_.transpose());
+  if (!same_row_) out.rightCols<3>().setZero();
+  return out;
+}
+
 void JointCovariance::scale_slow_errors(double factor) noexcept {
   slow_variance_m2_ *= factor * factor;
   settle_slow_errors();
@@ -175,6 +213,9 @@ void JointCovariance::own_of_considered(const RangeMeasurement& measurement, con
   for (int i = 0; i < 3; ++i) lever_arm[i] = lever_arm_variance_m2_ * d(kOfLeverArm + i);
   const Eigen::Vector4d frame = frame_covariance_ * d.segment<kFrameSize>(kOfFrame).transpose();
   for (int i = 0; i < kFrameSize; ++i) own[layout_.frame() + i] = frame(i);
+  for (int i = 0; i < kGroundSize; ++i) {
+    own[layout_.ground() + i] = ground_variances_(i) * d(kOfGround + i) / ground_scale_;
+  }
 }
 
 void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const PairPlace& pair,
@@ -201,6 +242,14 @@ void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const P
   add(layout_.lever_arm(pair.tag), 3, of_lever_arm.data());
   add(layout_.position(pair.slot), layout_.anchor_size(), of_anchor.data());
   own[layout_.slow_error(pair.slot)] += slow_variance_m2_ * d(kOfSlowError) / slow_scale_;
+  if (!has_ground()) return;
+  std::array<double, kGroundSize> of_ground{};
+  for (int i = 0; i < kGroundSize; ++i)
+    of_ground[static_cast<std::size_t>(i)] = ground_scale_ * d(kOfGround + i);
+  add(layout_.ground(), kGroundSize, of_ground.data());
+  for (int i = 0; i < kGroundSize; ++i) {
+    own[layout_.ground() + i] += ground_variances_(i) * d(kOfGround + i) / ground_scale_;
+  }
 }
 
 double JointCovariance::parameter_variance(const RangeMeasurement& measurement,
@@ -220,6 +269,7 @@ Eigen::Matrix<double, 1, kPairParameters> JointCovariance::stored(
     const RangeMeasurement& measurement) const noexcept {
   Eigen::Matrix<double, 1, kPairParameters> d = measurement.d_parameters;
   d(kOfSlowError) *= slow_scale_;
+  d.tail<kGroundSize>() *= ground_scale_;
   return d;
 }
 
@@ -236,7 +286,8 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
   const auto d = stored(measurement);
   CoreVector by_pair = CoreVector::Zero();  // C^T J^T
   double own = 0.0;
-  for (int i = 0; i < kPairParameters; ++i) {
+  const int count = has_ground() ? kPairParameters : kOfGround;
+  for (int i = 0; i < count; ++i) {
     const int row = index[static_cast<std::size_t>(i)];
     own += d(i) * out.own[static_cast<std::size_t>(row)];
     for (int k = 0; k < kCoreSize; ++k)
@@ -280,6 +331,11 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
       for (int other = 0; other <= slot; ++other) {
         lower(layout_.slow_error(slot), layout_.slow_error(other)) = 0.0;
       }
+    }
+    // So are the ground's.
+    for (int i = layout_.ground(); i < size_; ++i) {
+      for (int slot = 0; slot < layout_.anchor_count(); ++slot) lower(i, layout_.slow_error(slot)) = 0.0;
+      for (int j = layout_.ground(); j <= i; ++j) lower(i, j) = 0.0;
     }
     return;
   }
@@ -415,6 +471,7 @@ Eigen::MatrixXd JointCovariance::cross() const {
   JointCovariance settled = *this;
   settled.settle_motion();
   settled.settle_slow_errors();
+  settled.settle_ground();
   return ConstRows(settled.cross_.data(), size_, kCoreSize, Eigen::OuterStride<kCrossStride>());
 }
 
@@ -430,16 +487,19 @@ Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& 
       all.block(layout_.position(slot), layout_.position(slot), size, size) =
           site.anchor(parameters.anchor_in(slot)).covariance;
     }
+    all.diagonal().segment<kGroundSize>(layout_.ground()) = ground_variances_;
     return all;
   }
   JointCovariance settled = *this;
   settled.settle_slow_errors();
+  settled.settle_ground();
   for (int j = 0; j < size_; ++j) {
     for (int i = j; i < size_; ++i) all(i, j) = all(j, i) = settled.lower(i, j);
   }
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
     all(layout_.slow_error(slot), layout_.slow_error(slot)) = slow_variance_m2_;
   }
+  all.diagonal().segment<kGroundSize>(layout_.ground()) = ground_variances_;
   return all;
 }
 

@@ -2,7 +2,7 @@
 //
 // Two things are kept as factors until they are needed. Motion changes the cross-covariance by a product with
 // a 9 x 9 matrix from the right, and these are gathered until the next range. A slow error is kept as a
-// multiple of what all of them have faded by, so that time changes one number.
+// multiple of what all of them have faded by, so that time changes one number; so are those of the ground.
 #pragma once
 
 #include <array>
@@ -73,6 +73,15 @@ class JointCovariance {
   // P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
   void propagate(const PoseRows& pose_rows) noexcept;
 
+  // What the ground differs by from the surface is new, with these variances (of height, dS/dx, dS/dy):
+  // related to nothing.
+  void renew_ground(const Eigen::Vector3d& variances) noexcept;
+  // It forgets: what relates it to all else falls by that factor, its variance stays.
+  void fade_ground(double factor) noexcept;
+  [[nodiscard]] const Eigen::Vector3d& ground_variances() const noexcept { return ground_variances_; }
+  // Its covariance with the core.
+  [[nodiscard]] Eigen::Matrix<double, kGroundSize, kCoreSize> ground_cross() const noexcept;
+
   // Slow errors of ranges forget: what relates them to all else falls by that factor, their variance stays.
   void fade_slow_errors(double factor) noexcept;
   // Slow errors are, and were, larger by that factor.
@@ -123,7 +132,10 @@ class JointCovariance {
   void learn(int slot, bool learnt) noexcept;
   void settle_motion() noexcept;
   void settle_slow_errors() noexcept;
-  // d of the stored parameters: slow errors are stored as multiples of slow_scale_.
+  void settle_ground() noexcept;
+  [[nodiscard]] bool has_ground() const noexcept { return !ground_variances_.isZero(0.0); }
+  // d of the stored parameters: slow errors are stored as multiples of slow_scale_, the ground's of
+  // ground_scale_.
   [[nodiscard]] Eigen::Matrix<double, 1, kPairParameters> stored(
       const RangeMeasurement& measurement) const noexcept;
   void own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,
@@ -146,6 +158,8 @@ class JointCovariance {
   bool moved_ = false;
   bool same_row_ = true;
   double slow_scale_ = 1.0;
+  Eigen::Vector3d ground_variances_ = Eigen::Vector3d::Zero();
+  double ground_scale_ = 1.0;
   // Of what is learnt: the lower triangle, column by column. Empty where nothing is.
   struct alignas(64) Line : std::array<double, kKernelStep> {};
   std::vector<Line> lower_;

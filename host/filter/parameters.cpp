@@ -15,8 +15,9 @@ PairIndices Layout::pair_indices(int slot, int tag) const noexcept {
   const int p = position(slot);
   const int l = lever_arm(tag);
   const int f = frame();
+  const int g = ground();
   return {p, p + 1, p + 2, beta(slot, tag), gamma(slot, tag), l, l + 1, l + 2,
-          f, f + 1, f + 2, f + 3,           slow_error(slot)};
+          f, f + 1, f + 2, f + 3,           slow_error(slot), g, g + 1, g + 2};
 }
 
 PairParameters Parameters::pair(const Site& site, int slot, int tag) const noexcept {
@@ -26,7 +27,8 @@ PairParameters Parameters::pair(const Site& site, int slot, int tag) const noexc
           .slow_error_m = values_(slow_error(slot)),
           .lever_arm_m = values_.segment<3>(lever_arm(tag)),
           .frame = values_.segment<kFrameSize>(frame()),
-          .pattern_m = site.pattern_m(tag)};
+          .pattern_m = site.pattern_m(tag),
+          .ground = values_.segment<kGroundSize>(ground())};
 }
 
 void Parameters::exchange(int slot, int index, const AnchorVector& values) noexcept {

@@ -14,8 +14,8 @@ namespace groma::filter {
 
 using ParameterVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxParameters, 1>;
 
-// Position, beta, gamma, lever arm, frame, slow error.
-inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1;
+// Position, beta, gamma, lever arm, frame, slow error, ground.
+inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1 + kGroundSize;
 using PairIndices = std::array<int, kPairParameters>;
 
 // Where each parameter stands in the vector; active anchors are numbered by slots from 0, tags as the site
@@ -26,7 +26,7 @@ class Layout {
 
   [[nodiscard]] int anchor_count() const noexcept { return anchor_count_; }  // active
   [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
-  [[nodiscard]] int size() const noexcept { return position(anchor_count_); }
+  [[nodiscard]] int size() const noexcept { return ground() + kGroundSize; }
 
   // First index of each.
   [[nodiscard]] static constexpr int frame() noexcept { return 0; }
@@ -37,6 +37,7 @@ class Layout {
   [[nodiscard]] int beta(int slot, int tag) const noexcept { return position(slot) + 3 + tag; }
   [[nodiscard]] int gamma(int slot, int tag) const noexcept { return beta(slot, tag) + tag_count_; }
   [[nodiscard]] int slow_error(int slot) const noexcept { return position(slot + 1) - 1; }
+  [[nodiscard]] int ground() const noexcept { return position(anchor_count_); }
   // Of what a pair's range depends on, in the order of kPairParameters.
   [[nodiscard]] PairIndices pair_indices(int slot, int tag) const noexcept;
 

@@ -3,6 +3,7 @@
 
 #include "host/filter/core_measurement.hpp"
 #include "host/filter/present_pose.hpp"
+#include "host/model/pose.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::filter {
@@ -10,12 +11,13 @@ namespace groma::filter {
 // Whether all of the pose and its covariance are there and can be.
 [[nodiscard]] bool tells_pose(const model::PoseSample& sample) noexcept;
 
-// z = x, y, heading at the pose now, of a sample that tells_pose(); its heading is that of
-// heading_on().
+// z = x, y, heading at the pose now, of a sample that tells_pose(); its heading is that of place_on().
 [[nodiscard]] CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
                                               const model::PoseSample& sample) noexcept;
 
-// The heading of a pose on the surface. Where it tells roll and pitch, taken from its attitude.
-[[nodiscard]] double heading_on(const model::Surface& surface, const model::PoseSample& pose) noexcept;
+// A pose's place on the surface: the chart nearest to its height, and its heading there. Where it tells roll
+// and pitch, that is taken from its attitude.
+[[nodiscard]] model::PlanarPose place_on(const model::Surface& surface,
+                                         const model::PoseSample& pose) noexcept;
 
 }  // namespace groma::filter

@@ -8,7 +8,8 @@ CoreMeasurement<2> measure_position(const model::Surface& surface, const Present
                                     const SensorConfig& config,
                                     const model::PositionSample& sample) noexcept {
   const Eigen::Vector3d& lever_arm = config.position_lever_arm_m;
-  const model::SurfacePose pose = model::pose_on_surface(surface, {now.pose.x(), now.pose.y(), now.pose.z()});
+  const model::SurfacePose pose =
+      model::pose_on_surface(surface, {now.pose.x(), now.pose.y(), now.pose.z(), now.chart});
   const Eigen::Vector3d antenna = pose.pose.rotation * lever_arm;
   Eigen::Matrix3d d_antenna;
   d_antenna << pose.d_rotation_d_x * lever_arm, pose.d_rotation_d_y * lever_arm,

@@ -15,9 +15,11 @@ struct PresentPose {
   Eigen::Vector3d pose;  // x, y, theta, not wrapped
   PoseRows d_core;
   Eigen::Matrix3d noise;  // covariance by what the core does not tell of the odometry's delay
+  int chart = 0;
 };
 
 [[nodiscard]] PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
-                                       const model::OdometrySample& row, const LinkDelays& delays) noexcept;
+                                       const model::OdometrySample& row, const LinkDelays& delays,
+                                       int chart = 0) noexcept;
 
 }  // namespace groma::filter

@@ -14,8 +14,8 @@ struct Projection {
   Eigen::Matrix2d d_y;
 };
 
-Projection projection(const model::Surface& surface, const Eigen::Vector2d& position) noexcept {
-  const model::SurfacePoint ground = surface.at(position.x(), position.y());
+Projection projection(const model::Surface& surface, int chart, const Eigen::Vector2d& position) noexcept {
+  const model::SurfacePoint ground = surface.at(position.x(), position.y(), chart);
   const double gx = ground.gradient.x();
   const double gy = ground.gradient.y();
   // The upper left of model::surface_rotation, with the normal (a, b, c).
@@ -74,7 +74,7 @@ Eigen::Vector2d row_velocity(const CoreVector& core, const model::OdometrySample
 }  // namespace
 
 Motion move(const model::Surface& surface, const CoreVector& core, const model::OdometrySample& row,
-            double dt_s) noexcept {
+            double dt_s, int chart) noexcept {
   const Eigen::Vector2d start = core.segment<2>(kX);
   const Eigen::Vector2d v = row_velocity(core, row);
   const Eigen::Vector2d v_row(row.vx_mps, row.vy_mps);
@@ -82,12 +82,12 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
 
   // Halfway along the surface, where its slope stands for the whole step.
   const double half_s = 0.5 * dt_s;
-  const Projection first = projection(surface, start);
+  const Projection first = projection(surface, chart, start);
   const MeanTurn half_turn = mean_turn(core(kTheta), omega * half_s);
   const Eigen::Vector2d u_half = half_turn.r * v;
   const Eigen::Vector2d middle = start + half_s * (first.a * u_half);
 
-  const Projection mean = projection(surface, middle);
+  const Projection mean = projection(surface, chart, middle);
   const MeanTurn turn = mean_turn(core(kTheta), omega * dt_s);
   const Eigen::Vector2d u = turn.r * v;
 
@@ -128,13 +128,9 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   return out;
 }
 
-Eigen::Vector3d pose_rate(const Eigen::Matrix3d& rotation_wt, const CoreVector& core,
+Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                           const model::OdometrySample& row) noexcept {
-  const double c = std::cos(core(kTheta));
-  const double s = std::sin(core(kTheta));
-  const Eigen::Vector2d v = row_velocity(core, row);
-  const Eigen::Vector2d rate =
-      rotation_wt.topLeftCorner<2, 2>() * Eigen::Vector2d(c * v.x() - s * v.y(), s * v.x() + c * v.y());
+  const Eigen::Vector2d rate = sideways * row_velocity(core, row);
   return {rate.x(), rate.y(), row.omega_radps - core(kYawBias) - core(kRowOmega)};
 }
 

@@ -21,12 +21,12 @@ struct Motion {
 
 // One step of dt_s from the core state, with the row's velocity v = (1 + scale) v_row - e_v and
 // omega = omega_row - bias - e_omega. Exact for planes; second order in dt_s for curved surfaces, its
-// derivatives exact for what it computes.
+// derivatives exact for what it computes. `chart`: of the surface, for the whole step.
 [[nodiscard]] Motion move(const model::Surface& surface, const CoreVector& core,
-                          const model::OdometrySample& row, double dt_s) noexcept;
+                          const model::OdometrySample& row, double dt_s, int chart = 0) noexcept;
 
-// x', y', theta' of the core state now, with R_WT where it is.
-[[nodiscard]] Eigen::Vector3d pose_rate(const Eigen::Matrix3d& rotation_wt, const CoreVector& core,
+// x', y', theta' of the core state now; sideways: the upper left of R_WR where it is.
+[[nodiscard]] Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                                         const model::OdometrySample& row) noexcept;
 
 }  // namespace groma::filter

@@ -8,7 +8,8 @@
 namespace groma::filter {
 
 RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& core,
-                               const model::OdometrySample& row, const PairParameters& pair) noexcept {
+                               const model::OdometrySample& row, const PairParameters& pair,
+                               int chart) noexcept {
   const Eigen::Vector3d& lever_arm = pair.lever_arm_m;
   const Eigen::Vector4d& frame = pair.frame;
   const Eigen::Vector3d turned(-pair.position_m.y(), pair.position_m.x(), 0.0);
@@ -18,39 +19,40 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
   Motion then;
   then.pose = core.segment<3>(kX);
   then.d_core.setIdentity();
-  if (core(kDelay) != 0.0) then = move(surface, core, row, -core(kDelay));
+  if (core(kDelay) != 0.0) then = move(surface, core, row, -core(kDelay), chart);
   CoreVector core_then = core;
   core_then.segment<3>(kX) = then.pose;
 
-  const model::SurfacePose pose =
-      model::pose_on_surface(surface, {then.pose.x(), then.pose.y(), then.pose.z()});
-  const model::RangePrediction prediction =
-      model::predict_range(pose.pose, lever_arm, position, pair.beta_m, pair.gamma);
-  const Eigen::RowVector3d d_pose = model::range_by_planar_pose(prediction, pose, lever_arm);
+  model::SurfacePoint ground = surface.at(then.pose.x(), then.pose.y(), chart);
+  ground.z_m += pair.ground(0);
+  ground.gradient += pair.ground.tail<2>();
+  const model::SurfaceRange prediction = model::predict_surface_range(
+      ground, {then.pose.x(), then.pose.y(), then.pose.z()}, lever_arm, position, pair.beta_m, pair.gamma);
 
   RangeMeasurement out;
   // What the pattern adds to the derivatives is a tenth of what the lever arm does, and left out.
   out.range_m =
-      prediction.range_m + pair.slow_error_m +
-      model::pattern_terms(pose.pose.rotation.transpose() * prediction.direction).dot(pair.pattern_m);
+      prediction.range_m + pair.slow_error_m + model::pattern_terms(prediction.in_body).dot(pair.pattern_m);
   out.distance_m = prediction.distance_m;
-  out.d_core = d_pose.lazyProduct(then.d_core);
-  out.d_core(kDelay) = -d_pose.dot(pose_rate(pose.rotation_wt, core_then, row));
+  out.d_core = prediction.d_pose.lazyProduct(then.d_core);
+  out.d_core(kDelay) = -prediction.d_pose.dot(pose_rate(prediction.sideways, core_then, row));
 
   const Eigen::RowVector3d& d_anchor = prediction.d_anchor;
   out.d_parameters << d_anchor.x() + frame(3) * d_anchor.y(), d_anchor.y() - frame(3) * d_anchor.x(),
-      d_anchor.z(), 1.0, prediction.distance_m, prediction.d_lever_arm, d_anchor, d_anchor.dot(turned), 1.0;
+      d_anchor.z(), 1.0, prediction.distance_m, prediction.d_lever_arm, d_anchor, d_anchor.dot(turned), 1.0,
+      prediction.d_position.z(), prediction.d_gradient;
   return out;
 }
 
 RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
-                                  const model::OdometrySample& row, const PairParameters& pair) noexcept {
+                                  const model::OdometrySample& row, const PairParameters& pair,
+                                  int chart) noexcept {
   PairParameters pure = pair;
   pure.beta_m = 0.0;
   pure.gamma = 1.0;
   pure.slow_error_m = 0.0;
   pure.pattern_m.setZero();
-  return measure_range(surface, core, row, pure);
+  return measure_range(surface, core, row, pure, chart);
 }
 
 }  // namespace groma::filter

@@ -20,15 +20,16 @@ struct RangeMeasurement {
 };
 
 // Range of a tag to an anchor, z = gamma d + beta and what the tag's antenna adds in that direction, at the
-// pose that the core state had a delay ago. The anchor stands at a + (frame x, y, z) + frame yaw * (z axis x
-// a).
+// pose that the core state had a delay ago, on that chart of the surface. The anchor stands at
+// a + (frame x, y, z) + frame yaw * (z axis x a). The derivatives are those where the ground differs from the
+// surface by nothing.
 [[nodiscard]] RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& core,
-                                             const model::OdometrySample& row,
-                                             const PairParameters& pair) noexcept;
+                                             const model::OdometrySample& row, const PairParameters& pair,
+                                             int chart = 0) noexcept;
 
 // The pure distance of the original model: beta 0, gamma 1.
 [[nodiscard]] RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
-                                                const model::OdometrySample& row,
-                                                const PairParameters& pair) noexcept;
+                                                const model::OdometrySample& row, const PairParameters& pair,
+                                                int chart = 0) noexcept;
 
 }  // namespace groma::filter

@@ -120,6 +120,8 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
                            .yaw_rad = estimate.pose.theta_rad,
                            .covariance = estimate.covariance});
     result.states.push_back({tracker->state(), tracker->reason()});
+    result.spatial.push_back(
+        model::on_surface(*run.surface, estimate.pose, estimate.covariance_with_ground()));
   }
 
   result.relocations = tracker->relocations();
@@ -136,7 +138,7 @@ std::optional<Start> start_from_prior(std::span<const model::PoseSample> priors,
   const auto prior = std::find_if(priors.begin(), priors.end(),
                                   [from_s](const model::PoseSample& pose) { return pose.t_s >= from_s; });
   if (prior == priors.end()) return std::nullopt;
-  return Start{.t_s = prior->t_s, .pose = {prior->x_m, prior->y_m, heading_on(surface, *prior)}};
+  return Start{.t_s = prior->t_s, .pose = place_on(surface, *prior)};
 }
 
 }  // namespace groma::filter

@@ -12,6 +12,7 @@
 #include "host/filter/filter.hpp"
 #include "host/filter/tracker.hpp"
 #include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
@@ -63,7 +64,8 @@ struct ReplayResult {
   };
   std::vector<RowState> states;  // of each row
   std::size_t relocations = 0;
-  std::size_t ranges_seen = 0;  // of the chosen tags and anchors, within the time
+  std::vector<model::SpatialEstimate> spatial;  // of each row
+  std::size_t ranges_seen = 0;                  // of the chosen tags and anchors, within the time
   Counters counters;
   double nis_mean = 0.0;  // over the ranges used
   // Wall times of one call each: of an odometry row (propagation to it), and of a range (propagation to
@@ -77,7 +79,8 @@ struct ReplayResult {
 
 [[nodiscard]] ReplayResult replay(const Run& run, const ReplayOptions& options);
 
-// The first pose prior at or after from_s as a start; none when there is none. Where a pose tells roll and
+// The first pose prior at or after from_s as a start, on the chart that is nearest to its height; none when
+// there is none. Where a pose tells roll and
 // pitch, its heading on the surface is taken from its attitude.
 [[nodiscard]] std::optional<Start> start_from_prior(std::span<const model::PoseSample> priors, double from_s,
                                                     const model::Surface& surface);

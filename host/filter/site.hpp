@@ -26,6 +26,7 @@ struct PairParameters {
   Eigen::Vector3d lever_arm_m;
   Eigen::Vector4d frame = Eigen::Vector4d::Zero();
   model::PatternTerms pattern_m = model::PatternTerms::Zero();
+  Eigen::Vector3d ground = Eigen::Vector3d::Zero();  // higher (m) and steeper (dS/dx, dS/dy) than the surface
 };
 
 struct SiteAnchor {

@@ -17,7 +17,7 @@ constexpr int kRings = 3;
 constexpr int kRingPoints = 16;
 constexpr int kHeadings = 12;
 constexpr std::size_t kStarts = static_cast<std::size_t>(kRings) * kRingPoints * kHeadings;
-// Of them, so many are refined: roughly, and in so many steps more where they end apart.
+// Of them, so many of each chart are refined: roughly, and in so many steps more where they end apart.
 constexpr std::size_t kRefined = 24;
 constexpr int kRoughSteps = 10;
 constexpr int kSteps = 25;
@@ -61,11 +61,6 @@ Eigen::Vector3d vector_of(const model::PlanarPose& pose) noexcept {
   return {pose.x_m, pose.y_m, pose.theta_rad};
 }
 
-bool is_same(const model::PlanarPose& a, const model::PlanarPose& b) noexcept {
-  return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m) <= kSameStart_m &&
-         std::abs(model::wrap_angle(a.theta_rad - b.theta_rad)) <= kSameHeading_rad;
-}
-
 Eigen::Vector3d between(const Eigen::Vector3d& from, const Eigen::Vector3d& to) noexcept {
   const double c = std::cos(from.z());
   const double s = std::sin(from.z());
@@ -83,12 +78,14 @@ struct PairOf {
     by_anchor(3 + site.tag_count() + tag) = d(4);
     by_lever_arm = d.segment<3>(5);
     by_frame = d.segment<kFrameSize>(8);
-    by_anchor(site.anchor_size() - 1) = d(kPairParameters - 1);
+    by_anchor(site.anchor_size() - 1) = d(8 + kFrameSize);
+    by_ground = d.tail<kGroundSize>();
   }
 
   AnchorVector by_anchor;
   Eigen::Vector3d by_lever_arm;
   Eigen::Vector4d by_frame;
+  Eigen::Vector3d by_ground;
 };
 
 }  // namespace
@@ -204,12 +201,29 @@ double StartSearch::share() const noexcept {
   return std::min(search_.spacing_s / search_.correlation_s, 1.0);
 }
 
-StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vector3d& pose) const noexcept {
+template <class Each>
+void StartSearch::walk_back(const Eigen::Vector3d& pose, int chart, std::size_t every,
+                            const Each& each) const noexcept {
+  const std::size_t first = count_ % every;
+  if (surface_.chart_count() == 1) {
+    for (std::size_t i = first; i < count_; i += every) each(i, chart);
+    return;
+  }
+  chart = surface_.follow(chart, pose.x(), pose.y());
+  for (std::size_t i = count_; i-- > 0;) {
+    const Eigen::Vector3d then = compose(pose, terms_[i].back);
+    chart = surface_.follow(chart, then.x(), then.y());
+    if (i % every == first) each(i, chart);
+  }
+}
+
+StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vector3d& pose,
+                                            int chart) const noexcept {
   const Seen& seen = *term.seen;
   CoreVector core = CoreVector::Zero();
   core.segment<3>(kX) = compose(pose, term.back);
   Residual out;
-  out.predicted = measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag));
+  out.predicted = measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag), chart);
   out.e_m = seen.range_m - out.predicted.range_m;
   const Eigen::Vector2d lever = core.segment<2>(kX) - pose.head<2>();
   out.d_pose = out.predicted.d_core.segment<3>(kX);
@@ -217,18 +231,22 @@ StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vecto
   return out;
 }
 
-double StartSearch::variance_m2(const Term& term, const RangeMeasurement& predicted) const noexcept {
+double StartSearch::variance_m2(const Term& term, const RangeMeasurement& predicted,
+                                int chart) const noexcept {
   const PairOf pair(site_, term.seen->tag, predicted);
+  const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
   return square(config_.range_sigma_m) + term.drift_variance_m2 +
          pair.by_anchor.dot(site_.anchor(term.seen->anchor).covariance * pair.by_anchor) +
          site_.lever_arm_variance_m2() * pair.by_lever_arm.squaredNorm() +
-         pair.by_frame.dot(site_.frame_covariance() * pair.by_frame);
+         pair.by_frame.dot(site_.frame_covariance() * pair.by_frame) +
+         square(mismatch.sigma_m * pair.by_ground(0)) +
+         square(mismatch.slope_sigma) * pair.by_ground.tail<2>().squaredNorm();
 }
 
-double StartSearch::coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept {
+double StartSearch::coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m) const noexcept {
   const std::size_t every = std::max<std::size_t>(1, count_ / kCoarseRanges);
   double sum = 0.0;
-  for (std::size_t i = count_ % every; i < count_; i += every) {
+  walk_back(pose, chart, every, [&](std::size_t i, int on) {
     const Term& term = terms_[i];
     const Eigen::Vector3d then = compose(pose, term.back);
     const PairParameters pair = site_.pair(term.seen->anchor, term.seen->tag);
@@ -237,20 +255,21 @@ double StartSearch::coarse_cost(const Eigen::Vector3d& pose, double width_m) con
     const double s = std::sin(then.z());
     const Eigen::Vector3d antenna(then.x() + c * lever.x() - s * lever.y(),
                                   then.y() + s * lever.x() + c * lever.y(),
-                                  surface_.at(then.x(), then.y()).z_m + lever.z());
+                                  surface_.at(then.x(), then.y(), on).z_m + lever.z());
     const double predicted_m = pair.gamma * (antenna - pair.position_m).norm() + pair.beta_m;
     sum += robust_cost((term.seen->range_m - predicted_m) / width_m, search_);
-  }
+  });
   return sum;
 }
 
-StartSearch::Sums StartSearch::look(const Eigen::Vector3d& pose, std::size_t every, bool anew) noexcept {
+StartSearch::Sums StartSearch::look(const Eigen::Vector3d& pose, int chart, std::size_t every,
+                                    bool anew) noexcept {
   Sums out;
   out.information.diagonal() << 1.0 / square(kFarStart_m), 1.0 / square(kFarStart_m),
       1.0 / square(kAnyHeading_rad);
-  for (std::size_t i = count_ % every; i < count_; i += every) {
-    const Residual r = residual(terms_[i], pose);
-    if (anew) variances_m2_[i] = variance_m2(terms_[i], r.predicted);
+  walk_back(pose, chart, every, [&](std::size_t i, int on) {
+    const Residual r = residual(terms_[i], pose, on);
+    if (anew) variances_m2_[i] = variance_m2(terms_[i], r.predicted, on);
     const double e = r.e_m / std::sqrt(variances_m2_[i]);
     const double weight = robust_weight(e, search_);
     out.cost += share() * robust_cost(e, search_);
@@ -258,20 +277,22 @@ StartSearch::Sums StartSearch::look(const Eigen::Vector3d& pose, std::size_t eve
     const double w = share() * weight / variances_m2_[i];
     out.information.noalias() += w * r.d_pose.transpose() * r.d_pose;
     out.gradient.noalias() += w * r.e_m * r.d_pose.transpose();
-  }
+  });
   return out;
 }
 
-StartSearch::Hypothesis StartSearch::refine(Eigen::Vector3d pose, std::size_t every, int steps) noexcept {
+StartSearch::Hypothesis StartSearch::refine(const model::PlanarPose& start, std::size_t every,
+                                            int steps) noexcept {
+  Eigen::Vector3d pose = vector_of(start);
   double damping = 1e-3;
   // The variances hardly change on the way, and cost more than all else.
-  Sums sums = look(pose, every, true);
+  Sums sums = look(pose, start.chart, every, true);
   for (int step = 0; step < steps; ++step) {
     Eigen::Matrix3d damped = sums.information;
     damped.diagonal() *= 1.0 + damping;
     const Eigen::Vector3d change = damped.ldlt().solve(sums.gradient);
     if (!change.allFinite()) break;
-    const Sums next = look(pose + change, every, false);
+    const Sums next = look(pose + change, start.chart, every, false);
     if (!(next.cost < sums.cost)) {
       damping = std::max(damping * 8.0, 1e-3);
       if (damping > 1e6) break;
@@ -282,14 +303,15 @@ StartSearch::Hypothesis StartSearch::refine(Eigen::Vector3d pose, std::size_t ev
     damping *= 0.1;
     if (change.head<2>().norm() < kLastStep_m && std::abs(change.z()) < kLastStep_rad) break;
   }
-  sums = look(pose, every, true);
-  return {.pose = {pose.x(), pose.y(), model::wrap_angle(pose.z())},
+  sums = look(pose, start.chart, every, true);
+  return {.pose = {pose.x(), pose.y(), model::wrap_angle(pose.z()),
+                   surface_.follow(start.chart, pose.x(), pose.y())},
           .covariance = sums.information.inverse(),
           .cost = sums.cost,
           .mean_weight = sums.weights * static_cast<double>(every) / static_cast<double>(count_)};
 }
 
-void StartSearch::refine_all(std::span<const Eigen::Vector3d> starts) noexcept {
+void StartSearch::refine_all(std::span<const model::PlanarPose> starts) noexcept {
   const std::size_t every = std::max<std::size_t>(1, count_ / kRoughRanges);
   std::array<Hypothesis, kRefined> rough;
   const std::size_t rough_count = std::min(starts.size(), rough.size());
@@ -307,7 +329,7 @@ void StartSearch::refine_all(std::span<const Eigen::Vector3d> starts) noexcept {
     if (std::any_of(rough.begin(), start, is_near) || std::any_of(hypotheses_.begin(), known, is_near)) {
       continue;
     }
-    keep(refine(vector_of(start->pose), 1, kSteps));
+    keep(refine(start->pose, 1, kSteps));
     ++refined;
   }
 }
@@ -319,18 +341,18 @@ void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
   by_lever_arm.fill(Eigen::Matrix3d::Zero());
   Eigen::Matrix<double, 3, kFrameSize> by_frame = Eigen::Matrix<double, 3, kFrameSize>::Zero();
   const Eigen::Vector3d pose = vector_of(hypothesis.pose);
-  for (std::size_t i = 0; i < count_; ++i) {
+  walk_back(pose, hypothesis.pose.chart, 1, [&](std::size_t i, int chart) {
     const Term& term = terms_[i];
     const Seen& seen = *term.seen;
-    const Residual r = residual(term, pose);
-    const double variance = variance_m2(term, r.predicted);
+    const Residual r = residual(term, pose, chart);
+    const double variance = variance_m2(term, r.predicted, chart);
     const double weight = share() * robust_weight(r.e_m / std::sqrt(variance), search_) / variance;
     const PairOf pair(site_, seen.tag, r.predicted);
     const Eigen::Vector3d pull = weight * r.d_pose.transpose();
     by_anchor_[static_cast<std::size_t>(seen.anchor)].noalias() += pull * pair.by_anchor.transpose();
     by_lever_arm[static_cast<std::size_t>(seen.tag)].noalias() += pull * pair.by_lever_arm.transpose();
     by_frame.noalias() += pull * pair.by_frame.transpose();
-  }
+  });
   Eigen::Matrix3d spread = by_frame * site_.frame_covariance() * by_frame.transpose();
   for (const Eigen::Matrix3d& by : by_lever_arm) {
     spread.noalias() += site_.lever_arm_variance_m2() * by * by.transpose();
@@ -343,6 +365,13 @@ void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
   }
   const Eigen::Matrix3d& gain = hypothesis.covariance;
   hypothesis.covariance += gain * spread * gain.transpose();
+}
+
+bool StartSearch::is_same(const model::PlanarPose& a, const model::PlanarPose& b) const noexcept {
+  if (std::hypot(a.x_m - b.x_m, a.y_m - b.y_m) > kSameStart_m) return false;
+  if (std::abs(model::wrap_angle(a.theta_rad - b.theta_rad)) > kSameHeading_rad) return false;
+  const double above_m = surface_.at(a.x_m, a.y_m, a.chart).z_m - surface_.at(a.x_m, a.y_m, b.chart).z_m;
+  return std::abs(above_m) <= model::Surface::kStep_m;
 }
 
 void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
@@ -362,13 +391,58 @@ void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
   if (hypothesis.cost < worst->cost) *worst = hypothesis;
 }
 
-std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
+void StartSearch::try_chart(int chart, std::ptrdiff_t rings) noexcept {
+  std::array<std::pair<double, Eigen::Vector3d>, kStarts> starts;
+  std::size_t start_count = 0;
+  for (std::ptrdiff_t ring = 0; ring < rings; ++ring) {
+    const Term& term = *shortest_[static_cast<std::size_t>(ring)];
+    const Eigen::Vector3d anchor = site_.anchor(term.seen->anchor).values.head<3>();
+    const double height_m = anchor.z() - surface_.at(anchor.x(), anchor.y(), chart).z_m;
+    const double radius_m =
+        std::sqrt(std::max(square(term.seen->range_m) - square(height_m), square(0.2 * term.seen->range_m)));
+    const double width_m = std::hypot(0.2 * radius_m, 0.5);
+    for (int i = 0; i < kRingPoints; ++i) {
+      const double angle = 2.0 * std::numbers::pi * i / kRingPoints;
+      for (int j = 0; j < kHeadings; ++j) {
+        // The range was measured then; the hypothesis is about now.
+        const double heading = 2.0 * std::numbers::pi * (j + 0.5 * (i % 2)) / kHeadings;
+        const Eigen::Vector3d then(anchor.x() + radius_m * std::cos(angle),
+                                   anchor.y() + radius_m * std::sin(angle), heading);
+        const Eigen::Vector3d pose = compose(then, between(term.back, Eigen::Vector3d::Zero()));
+        starts[start_count++] = {coarse_cost(pose, chart, width_m), pose};
+      }
+    }
+  }
+  const auto chosen = starts.begin() + static_cast<std::ptrdiff_t>(std::min(kRefined, start_count));
+  std::partial_sort(starts.begin(), chosen, starts.begin() + static_cast<std::ptrdiff_t>(start_count),
+                    [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::array<model::PlanarPose, kRefined> likely;
+  std::transform(starts.begin(), chosen, likely.begin(), [chart](const auto& start) {
+    return model::PlanarPose{start.second.x(), start.second.y(), start.second.z(), chart};
+  });
+  refine_all({likely.data(), static_cast<std::size_t>(chosen - starts.begin())});
+}
+
+bool StartSearch::begin_search() noexcept {
   hypothesis_count_ = 0;
   settled_ = false;
   forget_old();
-  if (count_ < 3) return {};
+  if (count_ < 3) return false;
   for (std::size_t i = 0; i < count_; ++i) terms_[i] = term_of(seen(i));
+  return true;
+}
 
+std::span<const StartSearch::Hypothesis> StartSearch::search_floors(const model::PlanarPose& about) noexcept {
+  if (!begin_search()) return {};
+  for (int chart = 0; chart < surface_.chart_count(); ++chart) {
+    if (!surface_.covers(about.x_m, about.y_m, chart)) continue;
+    keep(refine({about.x_m, about.y_m, about.theta_rad, chart}, 1, kSteps));
+  }
+  return end_search();
+}
+
+std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
+  if (!begin_search()) return {};
   // The anchors that were nearest, each with its shortest range.
   std::fill(shortest_.begin(), shortest_.end(), nullptr);
   for (std::size_t i = 0; i < count_; ++i) {
@@ -381,39 +455,13 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
   });
   const auto rings = std::min<std::ptrdiff_t>(kRings, heard - shortest_.begin());
 
-  std::array<std::pair<double, Eigen::Vector3d>, kStarts> starts;
-  std::size_t start_count = 0;
-  for (std::ptrdiff_t ring = 0; ring < rings; ++ring) {
-    const Term& term = *shortest_[static_cast<std::size_t>(ring)];
-    const Eigen::Vector3d anchor = site_.anchor(term.seen->anchor).values.head<3>();
-    const double height_m = anchor.z() - surface_.at(anchor.x(), anchor.y()).z_m;
-    const double radius_m =
-        std::sqrt(std::max(square(term.seen->range_m) - square(height_m), square(0.2 * term.seen->range_m)));
-    const double width_m = std::hypot(0.2 * radius_m, 0.5);
-    for (int i = 0; i < kRingPoints; ++i) {
-      const double angle = 2.0 * std::numbers::pi * i / kRingPoints;
-      for (int j = 0; j < kHeadings; ++j) {
-        // The range was measured then; the hypothesis is about now.
-        const double heading = 2.0 * std::numbers::pi * (j + 0.5 * (i % 2)) / kHeadings;
-        const Eigen::Vector3d then(anchor.x() + radius_m * std::cos(angle),
-                                   anchor.y() + radius_m * std::sin(angle), heading);
-        const Eigen::Vector3d pose = compose(then, between(term.back, Eigen::Vector3d::Zero()));
-        starts[start_count++] = {coarse_cost(pose, width_m), pose};
-      }
-    }
-  }
-  const auto chosen = starts.begin() + static_cast<std::ptrdiff_t>(std::min(kRefined, start_count));
-  std::partial_sort(starts.begin(), chosen, starts.begin() + static_cast<std::ptrdiff_t>(start_count),
-                    [](const auto& a, const auto& b) { return a.first < b.first; });
-  std::array<Eigen::Vector3d, kRefined> likely;
-  std::transform(starts.begin(), chosen, likely.begin(), [](const auto& start) { return start.second; });
-  refine_all({likely.data(), static_cast<std::size_t>(chosen - starts.begin())});
+  for (int chart = 0; chart < surface_.chart_count(); ++chart) try_chart(chart, rings);
   // What a line of anchors, or one tag's straight path, cannot tell apart.
-  std::array<Eigen::Vector3d, 2 * kMaxHypotheses> twins;
+  std::array<model::PlanarPose, 2 * kMaxHypotheses> twins;
   std::size_t twin_count = 0;
   for (std::size_t i = 0; i < hypothesis_count_; ++i) {
     const model::PlanarPose pose = hypotheses_[i].pose;
-    twins[twin_count++] = {pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi};
+    twins[twin_count++] = {pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi, pose.chart};
     if (rings < 2) continue;
     const Eigen::Vector2d a = site_.anchor(shortest_[0]->seen->anchor).values.head<2>();
     const Eigen::Vector2d b = site_.anchor(shortest_[1]->seen->anchor).values.head<2>();
@@ -421,10 +469,14 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
     const Eigen::Vector2d from(pose.x_m - a.x(), pose.y_m - a.y());
     const Eigen::Vector2d axis(std::cos(along), std::sin(along));
     const Eigen::Vector2d mirrored = a + 2.0 * axis.dot(from) * axis - from;
-    twins[twin_count++] = {mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad};
+    twins[twin_count++] = {mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad, pose.chart};
   }
   refine_all({twins.data(), twin_count});
+  return end_search();
+}
 
+std::span<const StartSearch::Hypothesis> StartSearch::end_search() noexcept {
+  if (hypothesis_count_ == 0) return {};
   const auto end = hypotheses_.begin() + static_cast<std::ptrdiff_t>(hypothesis_count_);
   std::sort(hypotheses_.begin(), end,
             [](const Hypothesis& a, const Hypothesis& b) { return a.cost < b.cost; });
@@ -448,12 +500,14 @@ std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
 
 double StartSearch::cautious_cost(const model::PlanarPose& pose) noexcept {
   std::fill(anchor_costs_.begin(), anchor_costs_.end(), 0.0);
-  for (std::size_t i = 0; i < count_; ++i) {
-    const Term term = term_of(seen(i));
-    const Residual r = residual(term, vector_of(pose));
-    anchor_costs_[static_cast<std::size_t>(seen(i).anchor)] +=
-        share() * robust_cost(r.e_m / std::sqrt(variance_m2(term, r.predicted)), search_);
-  }
+  for (std::size_t i = 0; i < count_; ++i) terms_[i] = term_of(seen(i));
+  const Eigen::Vector3d at = vector_of(pose);
+  walk_back(at, pose.chart, 1, [&](std::size_t i, int chart) {
+    const Term& term = terms_[i];
+    const Residual r = residual(term, at, chart);
+    anchor_costs_[static_cast<std::size_t>(term.seen->anchor)] +=
+        share() * robust_cost(r.e_m / std::sqrt(variance_m2(term, r.predicted, chart)), search_);
+  });
   double sum = 0.0;
   for (const double cost : anchor_costs_) sum += search_.anchor_say * std::log1p(cost / search_.anchor_say);
   return sum;

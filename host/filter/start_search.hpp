@@ -1,10 +1,10 @@
 // Where the robot is when nobody tells: the poses that the ranges of the last seconds agree with, joined by
 // the odometry between them.
 //
-// Starts on rings about the nearest anchors, in all headings, are judged coarsely; the best of them are
-// refined by robust Gauss-Newton steps on a part of the ranges, and what ends apart on all of them. What ends
-// at one place is one hypothesis; one that is far less likely than the best is given up. No clock, no
-// allocation after construction; the same inputs give the same hypotheses.
+// Starts on rings about the nearest anchors, in all headings and on each chart of the surface, are judged
+// coarsely; the best of each chart are refined by robust Gauss-Newton steps on a part of the ranges, and what
+// ends apart on all of them. What ends at one place is one hypothesis; one that is far less likely than the
+// best is given up. No clock, no allocation after construction; the same inputs give the same hypotheses.
 #pragma once
 
 #include <array>
@@ -69,6 +69,8 @@ class StartSearch {
 
   // The hypotheses as of the newest input, the likeliest first; none with fewer than three ranges.
   std::span<const Hypothesis> search() noexcept;
+  // The same of what is near one place alone, on each of the charts that cover it.
+  std::span<const Hypothesis> search_floors(const model::PlanarPose& about) noexcept;
   // Whether the last search left one alone, and that one sure.
   [[nodiscard]] bool settled() const noexcept { return settled_; }
   // Cost of a pose at the newest input, where what one anchor says counts less the more of it there is: one
@@ -123,17 +125,29 @@ class StartSearch {
   void forget_old() noexcept;
   // What a range tells beside others of its pair that share its error.
   [[nodiscard]] double share() const noexcept;
-  [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose) const noexcept;
+  // Calls each(i, chart) for every n-th term, with the chart that the robot was on at its time if it has that
+  // pose on `chart` now.
+  template <class Each>
+  void walk_back(const Eigen::Vector3d& pose, int chart, std::size_t every, const Each& each) const noexcept;
+  [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose, int chart) const noexcept;
   // Variance of all that is not the pose, m^2.
-  [[nodiscard]] double variance_m2(const Term& term, const RangeMeasurement& predicted) const noexcept;
-  [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, double width_m) const noexcept;
+  [[nodiscard]] double variance_m2(const Term& term, const RangeMeasurement& predicted,
+                                   int chart) const noexcept;
+  [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m) const noexcept;
   // Of every n-th range at a pose; with new variances, or with those of the last time.
-  Sums look(const Eigen::Vector3d& pose, std::size_t every, bool anew) noexcept;
-  Hypothesis refine(Eigen::Vector3d pose, std::size_t every, int steps) noexcept;
+  Sums look(const Eigen::Vector3d& pose, int chart, std::size_t every, bool anew) noexcept;
+  Hypothesis refine(const model::PlanarPose& start, std::size_t every, int steps) noexcept;
   // Keeps what the starts lead to.
-  void refine_all(std::span<const Eigen::Vector3d> starts) noexcept;
+  void refine_all(std::span<const model::PlanarPose> starts) noexcept;
+  // The likeliest of the starts about the nearest anchors, on one chart of the surface.
+  void try_chart(int chart, std::ptrdiff_t rings) noexcept;
+  [[nodiscard]] bool is_same(const model::PlanarPose& a, const model::PlanarPose& b) const noexcept;
   void add_calibration(Hypothesis& hypothesis) noexcept;
   void keep(const Hypothesis& hypothesis) noexcept;
+  // False where there are too few ranges.
+  bool begin_search() noexcept;
+  // Gives up what is unlikely.
+  std::span<const Hypothesis> end_search() noexcept;
 
   model::Surface surface_;
   Config config_;

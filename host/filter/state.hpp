@@ -30,11 +30,13 @@ enum CoreIndex : int {
 };
 
 // Parameters: the error of the frame that all anchors share (x, y, z, yaw); lever arms (3 a tag); of each
-// active anchor its position (3), beta (a tag), gamma (a tag) and its slow range error.
+// active anchor its position (3), beta (a tag), gamma (a tag) and its slow range error; what the ground is
+// higher (m) and steeper (dS/dx, dS/dy) by than the surface tells.
 inline constexpr int kFrameSize = 4;
 inline constexpr int kMaxCommon = kFrameSize + 3 * kMaxTags;
 inline constexpr int kMaxAnchorSize = 3 + 2 * kMaxTags + 1;
-inline constexpr int kMaxParameters = kMaxCommon + kMaxAnchors * kMaxAnchorSize;
+inline constexpr int kGroundSize = 3;
+inline constexpr int kMaxParameters = kMaxCommon + kMaxAnchors * kMaxAnchorSize + kGroundSize;
 
 using CoreVector = Eigen::Matrix<double, kCoreSize, 1>;
 using CoreMatrix = Eigen::Matrix<double, kCoreSize, kCoreSize>;

@@ -54,9 +54,11 @@ std::string_view reason_name(Reason reason) noexcept {
     case Reason::kTagSilent:
       return "tag-silent";
     case Reason::kUncertain:
+      return "uncertain";
+    case Reason::kOffSurface:
       break;
   }
-  return "uncertain";
+  return "off-surface";
 }
 
 Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
@@ -114,7 +116,7 @@ SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
   if (!believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
   const Eigen::Matrix3d covariance = model::to_matrix(*sample.covariance);
   const bool begun = start({.t_s = sample.t_s,
-                            .pose = {sample.x_m, sample.y_m, heading_on(surface_, sample)},
+                            .pose = place_on(surface_, sample),
                             .position_sigma_m = std::sqrt(largest_variance(covariance)),
                             .heading_sigma_rad = std::sqrt(covariance(2, 2))});
   if (!begun) return {.outcome = SensorOutcome::kOutOfOrder};
@@ -195,6 +197,7 @@ Reason Tracker::find_reason() const noexcept {
   for (const TagWatch& tag : std::span(tags_).first(tag_count_)) {
     if (tag.heard && newest_s_ - tag.last_s > config_.tag_silent_s) return Reason::kTagSilent;
   }
+  if (filter_.filter().is_off_surface()) return Reason::kOffSurface;
   return Reason::kNone;
 }
 
@@ -223,13 +226,23 @@ void Tracker::assess() noexcept {
     agrees_since_s_ = kNotNow;
   }
   // Walls may hide most anchors for a while, and what passes them agrees with a place some way off.
-  if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) search_when_due();
+  if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) {
+    search_when_due();
+  } else if (surface_.chart_count() > 1 && judged_ >= config_.few_ranges &&
+             refused_ > config_.floor_share * judged_) {
+    compare_floors_when_due();
+  }
+}
+
+bool Tracker::search_is_due() noexcept {
+  if (newest_s_ - last_search_s_ < config_.search_every_s) return false;
+  last_search_s_ = newest_s_;
+  return true;
 }
 
 void Tracker::search_when_due() noexcept {
   if (!filter_.started() && !config_.relocates) return;
-  if (newest_s_ - last_search_s_ < config_.search_every_s) return;
-  last_search_s_ = newest_s_;
+  if (!search_is_due()) return;
   const auto hypotheses = search_.search();
   double doubt = 0.0;
   if (filter_.started() && !hypotheses.empty()) {
@@ -245,11 +258,30 @@ void Tracker::search_when_due() noexcept {
   begin_at(found);
 }
 
+void Tracker::compare_floors_when_due() noexcept {
+  if (!config_.relocates || !search_is_due()) return;
+  const auto hypotheses = search_.search_floors(filter_.estimate().pose);
+  if (!search_.settled()) return;
+  const StartSearch::Hypothesis& found = hypotheses.front();
+  if (!is_on_other_floor(found) || likelier(found) < config_.floor_odds) return;
+  ++relocations_;
+  begin_at(found);
+}
+
 double Tracker::likelier(const StartSearch::Hypothesis& hypothesis) noexcept {
   return search_.cautious_cost(filter_.estimate().pose) - search_.cautious_cost(hypothesis.pose);
 }
 
+bool Tracker::is_on_other_floor(const StartSearch::Hypothesis& hypothesis) const noexcept {
+  const double x_m = hypothesis.pose.x_m;
+  const double y_m = hypothesis.pose.y_m;
+  const int chart = surface_.follow(filter_.estimate().pose.chart, x_m, y_m);
+  const double above_m = surface_.at(x_m, y_m, hypothesis.pose.chart).z_m - surface_.at(x_m, y_m, chart).z_m;
+  return std::abs(above_m) > model::Surface::kStep_m;
+}
+
 bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept {
+  if (is_on_other_floor(hypothesis)) return true;
   const Estimate now = filter_.estimate();
   const Eigen::Vector3d apart(hypothesis.pose.x_m - now.pose.x_m, hypothesis.pose.y_m - now.pose.y_m,
                               model::wrap_angle(hypothesis.pose.theta_rad - now.pose.theta_rad));

@@ -41,11 +41,12 @@ enum class Reason : std::uint8_t {
   kNoOdometry,      // the motion is a guess
   kTagSilent,       // a tag that ranged gives no ranges, while others do
   kUncertain,       // the covariance is too large
+  kOffSurface,      // beyond what the surface tells of
 };
 
 // "UNINITIALIZED", "CONVERGING", "TRACKING", "DEGRADED", "LOST".
 [[nodiscard]] std::string_view state_name(State state) noexcept;
-// "", "no-ranges", "ranges-disagree", "no-odometry", "tag-silent", "uncertain".
+// "", "no-ranges", "ranges-disagree", "no-odometry", "tag-silent", "uncertain", "off-surface".
 [[nodiscard]] std::string_view reason_name(Reason reason) noexcept;
 
 struct TrackerConfig {
@@ -57,6 +58,9 @@ struct TrackerConfig {
   double lost_s = 3.0;          // of disagreement, until another place is looked for
   double agree_s = 0.5;         // of agreement, until a begun pose is tracked
   double search_every_s = 0.5;
+  // From this share on other floors at the same place are looked at: a floor above differs by ranges to some
+  // anchors only, and the position makes up for others.
+  double floor_share = 0.1;
   double position_sigma_m = 1.0;  // from which the pose is uncertain
   double heading_sigma_rad = 0.3;
   // A hypothesis is another place from so many sigmas and so much likelier, ln of the odds, by cautious cost:
@@ -65,6 +69,8 @@ struct TrackerConfig {
   double other_odds = 25.0;
   // And where one is so much likelier, sure or not, the robot is lost.
   double lost_odds = 20.0;
+  // Of floors at the same place there are few.
+  double floor_odds = 15.0;
   // Inputs that all come so much before or after the newest one: the clock was set.
   double clock_step_s = 2.0;
   std::size_t clock_step_inputs = 5;
@@ -121,9 +127,13 @@ class Tracker {
   void watch(const model::RangeSample& range, const RangeResult& result) noexcept;
   void assess() noexcept;
   void search_when_due() noexcept;
+  void compare_floors_when_due() noexcept;
+  // Whether enough time went by since the last search, which it is then taken to begin.
+  bool search_is_due() noexcept;
   // ln of the odds, by cautious cost, of the hypothesis against the estimate.
   [[nodiscard]] double likelier(const StartSearch::Hypothesis& hypothesis) noexcept;
   [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
+  [[nodiscard]] bool is_on_other_floor(const StartSearch::Hypothesis& hypothesis) const noexcept;
   void begin_at(const StartSearch::Hypothesis& hypothesis) noexcept;
   [[nodiscard]] Reason find_reason() const noexcept;
 

@@ -32,6 +32,26 @@ std::string double_quoted(std::string_view plain) {
   return text + '"';
 }
 
+std::string spline_file(const model::Surface& surface, std::size_t chart) {
+  return surface.chart_count() == 1 ? "surface.csv" : fmt::format("surface_{}.csv", chart + 1);
+}
+
+std::string format_chart(const model::Chart& chart, const std::string& file) {
+  std::string text;
+  if (std::holds_alternative<model::BSpline>(chart.shape)) {
+    text = fmt::format("{{type: bspline, file: {}", file);
+  } else {
+    const model::SurfacePoint origin = std::get<model::Plane>(chart.shape).at(0.0, 0.0);
+    text = fmt::format("{{type: plane, z_m: {}, normal: [{}, {}, 1]", origin.z_m, -origin.gradient.x(),
+                       -origin.gradient.y());
+  }
+  if (chart.mismatch.is_any()) {
+    add(text, ", mismatch: {{sigma_m: {}, slope_sigma: {}, length_m: {}}}", chart.mismatch.sigma_m,
+        chart.mismatch.slope_sigma, chart.mismatch.length_m);
+  }
+  return text + '}';
+}
+
 std::string format_description(const Dataset& dataset) {
   std::string text = "schema: 1\n";
   add(text, "name: {}\norigin: {}\n", double_quoted(dataset.name), double_quoted(dataset.origin));
@@ -53,15 +73,25 @@ std::string format_description(const Dataset& dataset) {
     const Eigen::Vector3d& arm_m = *sensors.gnss_lever_arm_m;
     add(text, "gnss: {{lever_arm_m: [{}, {}, {}]}}\n", arm_m.x(), arm_m.y(), arm_m.z());
   }
-  if (std::holds_alternative<model::BSpline>(dataset.surface.shape())) {
-    text += "surface: {type: bspline, file: surface.csv}\n";
-  } else {
-    const model::SurfacePoint origin = dataset.surface.at(0.0, 0.0);
-    add(text, "surface: {{type: plane, z_m: {}, normal: [{}, {}, 1]}}\n", origin.z_m, -origin.gradient.x(),
-        -origin.gradient.y());
+  const std::vector<model::Chart>& charts = dataset.surface.charts();
+  if (charts.size() == 1) {
+    add(text, "surface: {}\n", format_chart(charts.front(), spline_file(dataset.surface, 0)));
+    return text;
+  }
+  text += "surface:\n  type: floors\n  floors:\n";
+  for (std::size_t i = 0; i < charts.size(); ++i) {
+    add(text, "    - name: {}\n      surface: {}\n", double_quoted(charts[i].name),
+        format_chart(charts[i], spline_file(dataset.surface, i)));
+    if (charts[i].domain_m.empty()) continue;
+    text += "      domain_m: [";
+    for (const Eigen::Vector2d& corner : charts[i].domain_m)
+      add(text, "{}[{}, {}]", text.back() == '[' ? "" : ", ", corner.x(), corner.y());
+    text += "]\n";
   }
   return text;
 }
+
+}  // namespace
 
 std::string format_spline(const model::BSpline& spline) {
   const model::BSpline::Grid& grid = spline.grid();
@@ -74,6 +104,8 @@ std::string format_spline(const model::BSpline& spline) {
   }
   return text;
 }
+
+namespace {
 
 // Of the optional columns after the powers those that some row knows.
 std::string format_ranges(std::span<const model::RangeSample> ranges) {
@@ -158,8 +190,10 @@ std::vector<DescriptionFile> describe(const Dataset& dataset) {
   std::string tags = "tag_id,x_m,y_m,z_m\n";
   for (const model::Tag& tag : dataset.tags) add_point(tags, tag.id, tag.lever_arm_m);
   files.push_back({"tags.csv", std::move(tags)});
-  if (const auto* spline = std::get_if<model::BSpline>(&dataset.surface.shape())) {
-    files.push_back({"surface.csv", format_spline(*spline)});
+  for (std::size_t i = 0; i < dataset.surface.charts().size(); ++i) {
+    const auto* spline = std::get_if<model::BSpline>(&dataset.surface.charts()[i].shape);
+    if (spline == nullptr) continue;
+    files.push_back({spline_file(dataset.surface, i), format_spline(*spline)});
   }
   files.push_back({"dataset.yaml", format_description(dataset)});
   return files;

@@ -4,25 +4,53 @@
 
 #include <cstddef>
 #include <iterator>
+#include <string_view>
 
 #include "host/io/csv.hpp"
 #include "host/io/input_file.hpp"
 
 namespace groma::io {
 
-std::string format_estimate(std::span<const model::PlanarEstimate> rows) {
-  return format_estimate(rows, {});
+namespace {
+
+constexpr std::string_view kPlanarColumns = "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt";
+constexpr std::string_view kSpatialColumns = "z_m,roll_rad,pitch_rad,p_zz,p_zr,p_zp,p_rr,p_rp,p_pp";
+
+void add_planar(std::string& text, const model::PlanarEstimate& row) {
+  const Eigen::Matrix3d& p = row.covariance;
+  fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{}", row.t_s, row.x_m, row.y_m,
+                 row.yaw_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1), p(1, 2), p(2, 2));
 }
 
-std::string format_estimate(std::span<const model::PlanarEstimate> rows, std::span<const RowWords> words) {
-  std::string text = "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt";
-  text += words.empty() ? "\n" : ",state,reason\n";
+}  // namespace
+
+std::string format_estimate(std::span<const model::PlanarEstimate> rows) {
+  std::string text(kPlanarColumns);
+  text += '\n';
+  for (const model::PlanarEstimate& row : rows) {
+    add_planar(text, row);
+    text += '\n';
+  }
+  return text;
+}
+
+std::string format_estimate(std::span<const model::PlanarEstimate> rows,
+                            std::span<const model::SpatialEstimate> spatial, const model::Surface& surface,
+                            std::span<const RowWords> words) {
+  const bool floors = surface.chart_count() > 1;
+  std::string text =
+      fmt::format("{},{}{},state,reason\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "");
   for (std::size_t i = 0; i < rows.size(); ++i) {
-    const model::PlanarEstimate& row = rows[i];
-    const Eigen::Matrix3d& p = row.covariance;
-    fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{}", row.t_s, row.x_m, row.y_m,
-                   row.yaw_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1), p(1, 2), p(2, 2));
-    if (i < words.size()) fmt::format_to(std::back_inserter(text), ",{},{}", words[i].state, words[i].reason);
+    add_planar(text, rows[i]);
+    const model::SpatialEstimate& at = spatial[i];
+    const auto p = at.covariance.block<3, 3>(2, 2);
+    fmt::format_to(std::back_inserter(text), ",{},{},{},{},{},{},{},{},{}", at.z_m, at.roll_rad, at.pitch_rad,
+                   p(0, 0), p(0, 1), p(0, 2), p(1, 1), p(1, 2), p(2, 2));
+    if (floors) {
+      fmt::format_to(std::back_inserter(text), ",{}",
+                     surface.charts()[static_cast<std::size_t>(at.chart)].name);
+    }
+    fmt::format_to(std::back_inserter(text), ",{},{}", words[i].state, words[i].reason);
     text += '\n';
   }
   return text;

@@ -1,4 +1,5 @@
-// The estimate of a replay as a table: t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt and perhaps more.
+// The estimate of a replay as a table: t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt, and what follows of
+// it in space: z_m,roll_rad,pitch_rad,p_zz,p_zr,p_zp,p_rr,p_rp,p_pp.
 #pragma once
 
 #include <filesystem>
@@ -7,20 +8,23 @@
 #include <string_view>
 #include <vector>
 
+#include "host/model/pose.hpp"
+#include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::io {
 
 // Numbers as short as they read back exactly.
 [[nodiscard]] std::string format_estimate(std::span<const model::PlanarEstimate> rows);
-
-// With the columns state and reason, of each row its two words.
 struct RowWords {
   std::string_view state;
   std::string_view reason;
 };
+// The same with the columns of each row in space; where the surface has several charts, the chart's name as
+// `floor`; and `state` and `reason`. Each has as many elements as `rows`.
 [[nodiscard]] std::string format_estimate(std::span<const model::PlanarEstimate> rows,
-                                          std::span<const RowWords> words);
+                                          std::span<const model::SpatialEstimate> spatial,
+                                          const model::Surface& surface, std::span<const RowWords> words);
 
 // Throws DataError (cannot be read as numbers, no rows, times that do not increase) or PermissionError.
 [[nodiscard]] std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& path);

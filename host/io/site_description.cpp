@@ -2,8 +2,12 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -16,62 +20,179 @@ namespace groma::io {
 
 namespace {
 
-constexpr std::array<std::string_view, 2> kSurfaceTypes{"plane", "bspline"};
+constexpr std::array<std::string_view, 5> kSurfaceTypes{"plane", "bspline", "points", "grid", "floors"};
+constexpr int kMaxFloors = 100;
 constexpr int kMaxSurfaceCells = 10'000;  // along one axis
 
-// The grid's line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights.
-model::BSpline parse_spline(const std::filesystem::path& path, std::string_view text) {
+constexpr std::string_view kGridHeader = "x0_m,y0_m,dx_m,dy_m,nx,ny";
+
+// A file with the line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny heights.
+struct HeightGrid {
+  model::BSpline::Grid grid;
+  std::vector<double> heights_m;  // NaN: not known
+};
+
+// The fields of a line.
+std::vector<std::string_view> fields_of(std::string_view line) {
+  std::vector<std::string_view> fields;
+  for (bool more = true; more;) {
+    const std::size_t comma = line.find(',');
+    more = comma != std::string_view::npos;
+    fields.push_back(line.substr(0, comma));
+    line = more ? line.substr(comma + 1) : line.substr(line.size());
+  }
+  return fields;
+}
+
+// least: of nx and ny; with_gaps: a height may be empty or nan.
+HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, double least,
+                      bool with_gaps) {
   LineReader lines(text);
   // All fields of the line as numbers.
-  const auto numbers = [&](std::size_t count, std::string_view meaning, std::vector<double>& out) {
-    std::string_view rest = lines.line();
-    std::size_t found = 0;
-    for (bool more = true; more; ++found) {
-      const auto column = static_cast<std::size_t>(rest.data() - lines.line().data()) + 1;
-      const std::size_t comma = rest.find(',');
-      more = comma != std::string_view::npos;
-      if (found < count) out.push_back(parse_number(rest.substr(0, comma), {path, lines.number(), column}));
-      rest = more ? rest.substr(comma + 1) : rest.substr(rest.size());
+  const auto numbers = [&](std::size_t count, std::string_view meaning, bool gaps, std::vector<double>& out) {
+    const std::vector<std::string_view> fields = fields_of(lines.line());
+    for (std::size_t i = 0; i < std::min(count, fields.size()); ++i) {
+      const std::string_view field = fields[i];
+      const bool is_gap =
+          field.find_first_not_of(" \t\r") == std::string_view::npos || field == "nan" || field == "NaN";
+      if (gaps && is_gap) {
+        out.push_back(std::numeric_limits<double>::quiet_NaN());
+        continue;
+      }
+      const auto column = static_cast<std::size_t>(field.data() - lines.line().data()) + 1;
+      out.push_back(parse_number(field, {path, lines.number(), column}));
     }
-    if (found != count) {
-      throw DataError({path, lines.number()}, fmt::format("the row has {} numbers", found),
+    if (fields.size() != count) {
+      throw DataError({path, lines.number()}, fmt::format("the row has {} numbers", fields.size()),
                       fmt::format("it has to have {}: {}", count, meaning));
     }
   };
 
   if (!lines.next())
-    throw DataError({path, 1}, "the file is empty", "its first line is x0_m,y0_m,dx_m,dy_m,nx,ny");
+    throw DataError({path, 1}, "the file is empty", fmt::format("its first line is {}", kGridHeader));
   std::vector<double> header;
-  numbers(6, "x0_m,y0_m,dx_m,dy_m,nx,ny", header);
+  numbers(6, kGridHeader, false, header);
   const FilePlace header_place{path, lines.number()};
   if (!(header[2] > 0.0) || !(header[3] > 0.0)) {
     throw DataError(header_place, "dx_m and dy_m have to be above 0", "give the grid's steps in metres");
   }
   const auto count = [&](double value, std::string_view name) {
-    if (!(value >= 4.0 && value <= kMaxSurfaceCells) || value != std::floor(value)) {
+    if (!(value >= least && value <= kMaxSurfaceCells) || value != std::floor(value)) {
       throw DataError(header_place, fmt::format("{} is {}", name, value),
-                      fmt::format("it has to be a whole number from 4 to {}", kMaxSurfaceCells));
+                      fmt::format("it has to be a whole number from {} to {}", least, kMaxSurfaceCells));
     }
     return static_cast<int>(value);
   };
-  const model::BSpline::Grid grid{
-      header[0], header[1], header[2], header[3], count(header[4], "nx"), count(header[5], "ny")};
-
-  std::vector<double> heights_m;
+  HeightGrid out;
+  out.grid = {header[0], header[1], header[2], header[3], count(header[4], "nx"), count(header[5], "ny")};
   int rows = 0;
   while (lines.next()) {
-    if (rows == grid.nx) {
-      throw DataError({path, lines.number()}, fmt::format("there are more than nx = {} rows", grid.nx),
+    if (rows == out.grid.nx) {
+      throw DataError({path, lines.number()}, fmt::format("there are more than nx = {} rows", out.grid.nx),
                       "take the rest out, or mend nx");
     }
-    numbers(static_cast<std::size_t>(grid.ny), "the ny control heights of the row", heights_m);
+    numbers(static_cast<std::size_t>(out.grid.ny), "the ny heights of the row", with_gaps, out.heights_m);
     ++rows;
   }
-  if (rows != grid.nx) {
+  if (rows != out.grid.nx) {
     throw DataError({path, lines.number()}, fmt::format("there are {} rows of heights", rows),
-                    fmt::format("nx asks for {}", grid.nx));
+                    fmt::format("nx asks for {}", out.grid.nx));
   }
-  return {grid, std::move(heights_m)};
+  return out;
+}
+
+model::BSpline parse_spline(const std::filesystem::path& path, std::string_view text) {
+  HeightGrid parsed = parse_grid(path, text, 4.0, false);
+  return {parsed.grid, std::move(parsed.heights_m)};
+}
+
+// Where the file begins with a number it is a grid.
+bool begins_with_number(std::string_view text) {
+  LineReader lines(text);
+  if (!lines.next()) return false;
+  const std::size_t first = lines.line().find_first_not_of(" \t");
+  return std::string_view("+-.0123456789").find(lines.line()[first]) != std::string_view::npos;
+}
+
+std::vector<Eigen::Vector3d> points_of(const HeightGrid& grid) {
+  std::vector<Eigen::Vector3d> points;
+  points.reserve(grid.heights_m.size());
+  for (int i = 0; i < grid.grid.nx; ++i) {
+    for (int j = 0; j < grid.grid.ny; ++j) {
+      const double z_m = grid.heights_m[static_cast<std::size_t>(i) * static_cast<std::size_t>(grid.grid.ny) +
+                                        static_cast<std::size_t>(j)];
+      if (std::isnan(z_m)) continue;
+      points.emplace_back(grid.grid.x0_m + i * grid.grid.dx_m, grid.grid.y0_m + j * grid.grid.dy_m, z_m);
+    }
+  }
+  return points;
+}
+
+std::filesystem::path parse_file(const YamlValue& yaml, const std::filesystem::path& folder) {
+  const std::string file = yaml.text();
+  if (file.empty()) yaml.fail("is empty", "name the file, such as surface.csv");
+  return folder / file;
+}
+
+model::SurfaceMismatch parse_mismatch(const YamlValue& yaml) {
+  yaml.expect_keys({{"sigma_m", "length_m"}, {"slope_sigma"}});
+  model::SurfaceMismatch mismatch;
+  mismatch.sigma_m = yaml.at("sigma_m").number();
+  if (mismatch.sigma_m < 0.0) yaml.at("sigma_m").fail("is below 0", "give a standard deviation in metres");
+  mismatch.length_m = yaml.at("length_m").positive_number();
+  mismatch.slope_sigma = model::slope_sigma(mismatch.sigma_m, mismatch.length_m);
+  if (const auto slope = yaml.find("slope_sigma")) {
+    mismatch.slope_sigma = slope->number();
+    if (mismatch.slope_sigma < 0.0) slope->fail("is below 0", "give a standard deviation, without unit");
+  }
+  return mismatch;
+}
+
+model::SurfaceFitOptions parse_fit_options(const YamlValue& yaml) {
+  model::SurfaceFitOptions options;
+  if (const auto spacing = yaml.find("spacing_m")) options.spacing_m = spacing->positive_number();
+  if (const auto smoothing = yaml.find("smoothing")) options.smoothing = smoothing->positive_number();
+  return options;
+}
+
+std::vector<Eigen::Vector2d> parse_domain(const YamlValue& yaml) {
+  std::vector<Eigen::Vector2d> corners;
+  for (const YamlValue& corner : yaml.list()) {
+    const std::vector<double> xy = corner.numbers(2);
+    corners.emplace_back(xy[0], xy[1]);
+  }
+  if (corners.size() < 3) yaml.fail("has fewer than 3 corners", "list the polygon's corners in order");
+  return corners;
+}
+
+// Of one sheet; name and domain are the caller's.
+model::Chart parse_chart(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
+  model::Chart chart;
+  const std::size_t type = yaml.find("type").has_value() ? yaml.at("type").one_of(kSurfaceTypes) : 0;
+  if (type == 1) {
+    yaml.expect_keys({{"type", "file"}, {"mismatch"}});
+    const std::filesystem::path path = parse_file(yaml.at("file"), folder);
+    chart.shape = parse_spline(path, files.read(path));
+  } else if (type == 2 || type == 3) {
+    yaml.expect_keys({{"type", "file"}, {"spacing_m", "smoothing", "mismatch"}});
+    const std::filesystem::path path = parse_file(yaml.at("file"), folder);
+    const std::string text = files.read(path);
+    if (type == 3 && !begins_with_number(text)) {
+      throw DataError({path, 1}, "is no grid", fmt::format("its first line is {}", kGridHeader));
+    }
+    const model::SurfaceFit fit = fit_heights(path, text, parse_fit_options(yaml));
+    chart.shape = fit.spline;
+    chart.mismatch = fit.mismatch;
+  } else if (type == 4) {
+    yaml.fail("has floors within a floor", "list all floors and ramps beside each other");
+  } else {
+    yaml.expect_keys({{"type", "z_m", "normal"}, {"mismatch"}});
+    const std::vector<double> normal = yaml.at("normal").numbers(3);
+    if (!(normal[2] > 0.0)) yaml.at("normal").fail("does not point up", "its z component has to be above 0");
+    chart.shape = model::Plane(yaml.at("z_m").number(), {normal[0], normal[1], normal[2]});
+  }
+  if (const auto mismatch = yaml.find("mismatch")) chart.mismatch = parse_mismatch(*mismatch);
+  return chart;
 }
 
 model::ScalarPrior parse_prior(const YamlValue& yaml) {
@@ -81,18 +202,58 @@ model::ScalarPrior parse_prior(const YamlValue& yaml) {
 
 }  // namespace
 
-model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
-  if (yaml.find("type").has_value() && yaml.at("type").one_of(kSurfaceTypes) == 1) {
-    yaml.expect_keys({{"type", "file"}});
-    const std::string file = yaml.at("file").text();
-    if (file.empty()) yaml.at("file").fail("is empty", "name the file, such as surface.csv");
-    const std::filesystem::path path = folder / file;
-    return parse_spline(path, files.read(path));
+std::vector<Eigen::Vector3d> parse_heights(const std::filesystem::path& path, std::string_view text) {
+  std::vector<Eigen::Vector3d> points;
+  if (begins_with_number(text)) {
+    points = points_of(parse_grid(path, text, 1.0, true));
+  } else {
+    CsvReader csv(path, text, {{"x_m"}, {"y_m"}, {"z_m"}});
+    while (csv.next()) points.emplace_back(csv.number(0), csv.number(1), csv.number(2));
   }
-  yaml.expect_keys({{"type", "z_m", "normal"}});
-  const std::vector<double> normal = yaml.at("normal").numbers(3);
-  if (!(normal[2] > 0.0)) yaml.at("normal").fail("does not point up", "its z component has to be above 0");
-  return model::Plane(yaml.at("z_m").number(), {normal[0], normal[1], normal[2]});
+  if (points.size() < model::kMinSurfacePoints) {
+    throw DataError({path}, fmt::format("has {} heights", points.size()),
+                    fmt::format("a surface takes {} or more", model::kMinSurfacePoints));
+  }
+  return points;
+}
+
+model::SurfaceFit fit_heights(const std::filesystem::path& path, std::string_view text,
+                              const model::SurfaceFitOptions& options) {
+  std::optional<model::SurfaceFit> fit = model::fit_surface(parse_heights(path, text), options);
+  if (!fit) {
+    throw DataError({path},
+                    fmt::format("takes more than {} control heights at that spacing, or has no solution",
+                                model::kMaxControlHeights),
+                    "choose a larger spacing_m, and look for points that lie far from all others");
+  }
+  return *std::move(fit);
+}
+
+model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
+  std::vector<model::Chart> charts;
+  if (!yaml.find("type").has_value() || yaml.at("type").one_of(kSurfaceTypes) != 4) {
+    charts.push_back(parse_chart(yaml, folder, files));
+    return model::Surface(std::move(charts));
+  }
+  yaml.expect_keys({{"type", "floors"}});
+  for (const YamlValue& floor : yaml.at("floors").list()) {
+    floor.expect_keys({{"name", "surface"}, {"domain_m"}});
+    model::Chart chart = parse_chart(floor.at("surface"), folder, files);
+    chart.name = floor.at("name").text();
+    if (chart.name.empty() || chart.name.find_first_of(",\"\r\n") != std::string::npos) {
+      floor.at("name").fail("is no name", "name the floor, without commas, quotes and line ends");
+    }
+    for (const model::Chart& other : charts) {
+      if (other.name == chart.name) floor.at("name").fail("is there twice", "name each floor once");
+    }
+    if (const auto domain = floor.find("domain_m")) chart.domain_m = parse_domain(*domain);
+    charts.push_back(std::move(chart));
+  }
+  if (charts.empty() || charts.size() > kMaxFloors) {
+    yaml.at("floors").fail(fmt::format("has {} floors", charts.size()),
+                           fmt::format("list 1 to {} of them, ramps included", kMaxFloors));
+  }
+  return model::Surface(std::move(charts));
 }
 
 model::OdometryNoise parse_odometry_noise(const YamlValue& yaml) {

@@ -3,17 +3,23 @@
 #pragma once
 
 #include <filesystem>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Core>
 
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
 #include "host/model/surface.hpp"
+#include "host/model/surface_fit.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::io {
 
-// {type: plane, z_m: ..., normal: [x, y, z]} or {type: bspline, file: ...}, the file relative to `folder`: a
-// line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights. Throws ConfigError, DataError or
-// PermissionError.
+// {type: plane, z_m: ..., normal: [x, y, z]}; {type: bspline, file: ...}, the file relative to `folder`: a
+// line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights; {type: points, file: ...} or {type:
+// grid, file: ...}, heights that a spline is fitted to here; each perhaps with its mismatch; or {type:
+// floors, floors: [...]} of these. Throws ConfigError, DataError or PermissionError.
 [[nodiscard]] model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder,
                                            InputFiles& files);
 
@@ -26,5 +32,13 @@ namespace groma::io {
 
 // {sigma_m: ...}, and perhaps beta_m and gamma, each [mean, sigma]. Throws ConfigError.
 [[nodiscard]] model::RangePriors parse_range_priors(const YamlValue& yaml);
+
+// Points (x, y, z) of a table with the columns x_m, y_m and z_m, or of a grid as a spline's file has it, its
+// heights those of the ground itself, empty or nan where they are not known. Throws DataError.
+[[nodiscard]] std::vector<Eigen::Vector3d> parse_heights(const std::filesystem::path& path,
+                                                         std::string_view text);
+// A surface through them. Throws DataError.
+[[nodiscard]] model::SurfaceFit fit_heights(const std::filesystem::path& path, std::string_view text,
+                                            const model::SurfaceFitOptions& options);
 
 }  // namespace groma::io

@@ -92,7 +92,7 @@ Eigen::Matrix3d rotation_from_zyx(double yaw_rad, double pitch_rad, double roll_
 }
 
 SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) noexcept {
-  const SurfacePoint ground = surface.at(planar.x_m, planar.y_m);
+  const SurfacePoint ground = surface.at(planar.x_m, planar.y_m, planar.chart);
   const SurfaceRotation tilt = surface_rotation_with_derivatives(ground.gradient);
   const double c = std::cos(planar.theta_rad);
   const double s = std::sin(planar.theta_rad);
@@ -106,11 +106,44 @@ SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) no
   out.rotation_wt = tilt.rotation;
   out.pose.rotation = tilt.rotation * rz;
   out.d_position_d_xy << 1.0, 0.0, 0.0, 1.0, ground.gradient.x(), ground.gradient.y();
+  out.d_rotation_wt_d_gx = tilt.d_gx;
+  out.d_rotation_wt_d_gy = tilt.d_gy;
   out.d_rotation_wt_d_x = tilt.d_gx * ground.hessian(0, 0) + tilt.d_gy * ground.hessian(1, 0);
   out.d_rotation_wt_d_y = tilt.d_gx * ground.hessian(0, 1) + tilt.d_gy * ground.hessian(1, 1);
   out.d_rotation_d_x = out.d_rotation_wt_d_x * rz;
   out.d_rotation_d_y = out.d_rotation_wt_d_y * rz;
   out.d_rotation_d_theta = tilt.rotation * drz;
+  return out;
+}
+
+SpatialEstimate on_surface(const Surface& surface, const PlanarPose& planar,
+                           const Eigen::Matrix<double, 6, 6>& covariance) noexcept {
+  const SurfacePose at = pose_on_surface(surface, planar);
+  const Eigen::Matrix3d& rotation = at.pose.rotation;
+  // R_WR = R_z(yaw) R_y(pitch) R_x(roll): its last row is (-sin p, cos p sin r, cos p cos r).
+  const double cos_pitch = std::hypot(rotation(2, 1), rotation(2, 2));
+  SpatialEstimate out;
+  out.z_m = at.pose.position_m.z();
+  out.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
+  out.pitch_rad = std::atan2(-rotation(2, 0), cos_pitch);
+  out.chart = planar.chart;
+
+  Eigen::Matrix<double, 6, 6> by = Eigen::Matrix<double, 6, 6>::Zero();
+  const auto turns = [&](Eigen::Index column, const Eigen::RowVector3d& d_row) {
+    by(3, column) = (d_row.y() * rotation(2, 2) - rotation(2, 1) * d_row.z()) / (cos_pitch * cos_pitch);
+    by(4, column) = -d_row.x() / cos_pitch;
+  };
+  const Eigen::Matrix3d turn = at.rotation_wt.transpose() * rotation;  // R_z(theta)
+  by.topLeftCorner<3, 2>() = at.d_position_d_xy;
+  turns(0, at.d_rotation_d_x.row(2));
+  turns(1, at.d_rotation_d_y.row(2));
+  turns(2, at.d_rotation_d_theta.row(2));
+  by(5, 2) = 1.0;
+  by(2, 3) = 1.0;
+  turns(4, at.d_rotation_wt_d_gx.row(2) * turn);
+  turns(5, at.d_rotation_wt_d_gy.row(2) * turn);
+  const Eigen::Matrix<double, 6, 6> spread = by * covariance * by.transpose();
+  out.covariance = 0.5 * (spread + spread.transpose());
   return out;
 }
 

@@ -16,6 +16,7 @@ struct PlanarPose {
   double x_m = 0.0;
   double y_m = 0.0;
   double theta_rad = 0.0;
+  int chart = 0;  // of the surface
 };
 
 // A rigid pose: R_WR takes base_link vectors into the map frame.
@@ -48,8 +49,23 @@ struct SurfacePose {
   Eigen::Matrix3d d_rotation_d_theta;
   Eigen::Matrix3d d_rotation_wt_d_x;
   Eigen::Matrix3d d_rotation_wt_d_y;
+  Eigen::Matrix3d d_rotation_wt_d_gx;  // by the gradient itself
+  Eigen::Matrix3d d_rotation_wt_d_gy;
 };
 [[nodiscard]] SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) noexcept;
+
+// A planar estimate as a pose in space. Roll and pitch are the ZYX angles of R_WR, yaw is the heading on the
+// surface.
+struct SpatialEstimate {
+  double z_m = 0.0;
+  double roll_rad = 0.0;
+  double pitch_rad = 0.0;
+  int chart = 0;
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();  // x, y, z, roll, pitch, yaw
+};
+// covariance: of x, y, theta and of the errors of the surface's height, dS/dx and dS/dy there.
+[[nodiscard]] SpatialEstimate on_surface(const Surface& surface, const PlanarPose& planar,
+                                         const Eigen::Matrix<double, 6, 6>& covariance) noexcept;
 
 [[nodiscard]] Eigen::Matrix3d to_matrix(const PoseCovariance& covariance) noexcept;
 // Whether it can be one: finite, each variance positive, no direction with a negative one, but for

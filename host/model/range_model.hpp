@@ -46,4 +46,22 @@ struct RangePrediction {
                                                       const SurfacePose& pose,
                                                       const Eigen::Vector3d& lever_arm_m) noexcept;
 
+// Both together, of a pose on ground that is told there, without the matrices between them; and what else the
+// filter asks for.
+struct SurfaceRange {
+  double range_m = 0.0;
+  double distance_m = 0.0;
+  Eigen::RowVector3d d_position;
+  Eigen::RowVector3d d_anchor;
+  Eigen::RowVector3d d_lever_arm;
+  Eigen::RowVector3d d_pose;      // by x, y, theta
+  Eigen::RowVector2d d_gradient;  // by the ground's own
+  Eigen::Vector3d in_body;        // unit vector from anchor to tag, base_link
+  Eigen::Matrix2d sideways;       // of R_WR: velocity in base_link to x', y'
+};
+[[nodiscard]] SurfaceRange predict_surface_range(const SurfacePoint& ground, const PlanarPose& planar,
+                                                 const Eigen::Vector3d& lever_arm_m,
+                                                 const Eigen::Vector3d& anchor_m, double beta_m,
+                                                 double gamma) noexcept;
+
 }  // namespace groma::model

@@ -36,12 +36,25 @@ struct Cell {
   bool inside;
 };
 
+// The position has to be finite.
 inline Cell locate(double position_m, double origin_m, double step_m, int count) noexcept {
   const double cells = static_cast<double>(count - 3);
   const double u = (position_m - origin_m) / step_m;
   const double clamped = std::clamp(u, 0.0, cells);
   const int index = std::min(static_cast<int>(clamped), count - 4);
   return {index, clamped - index, u >= 0.0 && u <= cells};
+}
+
+// Whether a ray from the point crosses the polygon's border an odd number of times.
+bool is_inside(const std::vector<Eigen::Vector2d>& polygon, double x_m, double y_m) noexcept {
+  bool inside = false;
+  for (std::size_t i = 0, j = polygon.size() - 1; i < polygon.size(); j = i++) {
+    const Eigen::Vector2d& a = polygon[i];
+    const Eigen::Vector2d& b = polygon[j];
+    if ((a.y() > y_m) == (b.y() > y_m)) continue;
+    if (x_m < a.x() + (y_m - a.y()) / (b.y() - a.y()) * (b.x() - a.x())) inside = !inside;
+  }
+  return inside;
 }
 
 }  // namespace
@@ -54,7 +67,7 @@ SurfacePoint Plane::at(double x_m, double y_m) const noexcept {
 }
 
 BSpline::BSpline(const Grid& grid, std::vector<double> heights_m)
-    : grid_(grid), heights_m_(std::move(heights_m)) {}
+    : grid_(grid), per_m_(1.0 / grid.dx_m, 1.0 / grid.dy_m), heights_m_(std::move(heights_m)) {}
 
 SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
   // A position that is not a number must not become an index.
@@ -69,25 +82,68 @@ SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
   const double* row = heights_m_.data() +
                       static_cast<std::size_t>(cx.index) * static_cast<std::size_t>(grid_.ny) +
                       static_cast<std::size_t>(cy.index);
-  Eigen::Vector4d along_y;
-  Eigen::Vector4d along_y_first;
-  Eigen::Vector4d along_y_second;
+  Eigen::Vector4d value = Eigen::Vector4d::Zero();
+  Eigen::Vector4d first = Eigen::Vector4d::Zero();
+  Eigen::Vector4d second = Eigen::Vector4d::Zero();
   for (Eigen::Index i = 0; i < 4; ++i, row += grid_.ny) {
     const Eigen::Map<const Eigen::Vector4d> c(row);
-    along_y(i) = c.dot(by.value);
-    along_y_first(i) = c.dot(by.first);
-    along_y_second(i) = c.dot(by.second);
+    value += bx.value(i) * c;
+    first += bx.first(i) * c;
+    second += bx.second(i) * c;
   }
 
   SurfacePoint point;
-  point.z_m = bx.value.dot(along_y);
+  point.z_m = value.dot(by.value);
   // Clamped outside: the height no longer depends on that coordinate.
-  const double kx = cx.inside ? 1.0 / grid_.dx_m : 0.0;
-  const double ky = cy.inside ? 1.0 / grid_.dy_m : 0.0;
-  point.gradient << kx * bx.first.dot(along_y), ky * bx.value.dot(along_y_first);
-  const double xy = kx * ky * bx.first.dot(along_y_first);
-  point.hessian << kx * kx * bx.second.dot(along_y), xy, xy, ky * ky * bx.value.dot(along_y_second);
+  const double kx = cx.inside ? per_m_.x() : 0.0;
+  const double ky = cy.inside ? per_m_.y() : 0.0;
+  point.gradient << kx * first.dot(by.value), ky * value.dot(by.first);
+  const double xy = kx * ky * first.dot(by.first);
+  point.hessian << kx * kx * second.dot(by.value), xy, xy, ky * ky * value.dot(by.second);
   return point;
+}
+
+bool Surface::covers(double x_m, double y_m, int chart) const noexcept {
+  if (!std::isfinite(x_m) || !std::isfinite(y_m)) return false;
+  const Chart& at = charts_[static_cast<std::size_t>(chart)];
+  if (const auto* spline = std::get_if<BSpline>(&at.shape)) {
+    const BSpline::Grid& grid = spline->grid();
+    if (!locate(x_m, grid.x0_m, grid.dx_m, grid.nx).inside) return false;
+    if (!locate(y_m, grid.y0_m, grid.dy_m, grid.ny).inside) return false;
+  }
+  return at.domain_m.empty() || is_inside(at.domain_m, x_m, y_m);
+}
+
+int Surface::follow(int chart, double x_m, double y_m) const noexcept {
+  if (charts_.size() == 1 || covers(x_m, y_m, chart)) return chart;
+  const double z_m = at(x_m, y_m, chart).z_m;
+  double least_m = kStep_m;
+  int found = chart;
+  for (int other = 0; other < chart_count(); ++other) {
+    if (other == chart || !covers(x_m, y_m, other)) continue;
+    const double apart_m = std::abs(at(x_m, y_m, other).z_m - z_m);
+    if (!(apart_m < least_m)) continue;
+    least_m = apart_m;
+    found = other;
+  }
+  return found;
+}
+
+int Surface::nearest(double x_m, double y_m, double z_m) const noexcept {
+  int found = -1;
+  bool found_covers = false;
+  double least_m = 0.0;
+  for (int chart = 0; chart < chart_count(); ++chart) {
+    const bool covered = covers(x_m, y_m, chart);
+    const double apart_m = std::abs(at(x_m, y_m, chart).z_m - z_m);
+    const bool better =
+        found < 0 || (covered && !found_covers) || (covered == found_covers && apart_m < least_m);
+    if (!better) continue;
+    found = chart;
+    found_covers = covered;
+    least_m = apart_m;
+  }
+  return found;
 }
 
 }  // namespace groma::model

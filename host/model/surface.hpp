@@ -1,6 +1,9 @@
 // The ground as a height field z = S(x, y): the inverse chart sigma^-1 of the source paper's M-ESEKF.
 #pragma once
 
+#include <cstddef>
+#include <string>
+#include <utility>
 #include <variant>
 #include <vector>
 
@@ -52,24 +55,70 @@ class BSpline {
 
  private:
   Grid grid_;
+  Eigen::Vector2d per_m_;  // cells
   std::vector<double> heights_m_;
 };
 
-// Either kind of surface behind one call; evaluation allocates nothing.
+// By how much the ground may differ from its model: errors of height and slope, zero on the whole, that
+// change along the way. All zero: it does not.
+struct SurfaceMismatch {
+  double sigma_m = 0.0;
+  double slope_sigma = 0.0;  // of the gradient's error along each axis
+  double length_m = 1.0;     // way after which they are forgotten but for 1/e; > 0
+
+  [[nodiscard]] bool is_any() const noexcept { return sigma_m > 0.0 || slope_sigma > 0.0; }
+};
+
+// One sheet of the ground: a floor, or a ramp between two.
+struct Chart {
+  std::string name;  // empty where it is the only one
+  std::variant<Plane, BSpline> shape;
+  // The polygon (x, y in the map) that it is the ground of, its corners in order; empty: a plane's is
+  // everywhere, a spline's is its grid.
+  std::vector<Eigen::Vector2d> domain_m;
+  SurfaceMismatch mismatch;
+};
+
+// The ground: one chart, or several that may lie above each other. A place on it is x, y and the chart.
+// Evaluation allocates nothing.
 class Surface {
  public:
-  Surface() = default;
-  Surface(Plane plane) : shape_(plane) {}                 // NOLINT(google-explicit-constructor)
-  Surface(BSpline spline) : shape_(std::move(spline)) {}  // NOLINT(google-explicit-constructor)
+  // A chart goes over into another one where their heights differ by less.
+  static constexpr double kStep_m = 0.3;
 
-  [[nodiscard]] SurfacePoint at(double x_m, double y_m) const noexcept {
-    if (const auto* plane = std::get_if<Plane>(&shape_)) return plane->at(x_m, y_m);
-    return std::get_if<BSpline>(&shape_)->at(x_m, y_m);
+  Surface() : charts_(1) {}                                    // the plane z = 0
+  Surface(Plane plane) : charts_{Chart{{}, plane, {}, {}}} {}  // NOLINT(google-explicit-constructor)
+  Surface(BSpline spline)                                      // NOLINT(google-explicit-constructor)
+      : charts_{Chart{{}, std::move(spline), {}, {}}} {}
+  // At least one.
+  explicit Surface(std::vector<Chart> charts) : charts_(std::move(charts)) {}
+
+  // Defined everywhere, outside the chart's domain and grid as each shape tells.
+  [[nodiscard]] SurfacePoint at(double x_m, double y_m, int chart = 0) const noexcept {
+    const auto& shape = this->shape(chart);
+    if (const auto* plane = std::get_if<Plane>(&shape)) return plane->at(x_m, y_m);
+    return std::get_if<BSpline>(&shape)->at(x_m, y_m);
   }
-  [[nodiscard]] const std::variant<Plane, BSpline>& shape() const noexcept { return shape_; }
+  [[nodiscard]] const std::variant<Plane, BSpline>& shape(int chart = 0) const noexcept {
+    return charts_[static_cast<std::size_t>(chart)].shape;
+  }
+  [[nodiscard]] const std::vector<Chart>& charts() const noexcept { return charts_; }
+  [[nodiscard]] int chart_count() const noexcept { return static_cast<int>(charts_.size()); }
+  [[nodiscard]] const SurfaceMismatch& mismatch(int chart) const noexcept {
+    return charts_[static_cast<std::size_t>(chart)].mismatch;
+  }
+
+  // Whether the chart tells of the ground there: within its domain, and a spline's grid.
+  [[nodiscard]] bool covers(double x_m, double y_m, int chart = 0) const noexcept;
+  // The chart of a robot that was on `chart` and has moved to (x, y) since: the same one within its domain,
+  // beyond that the one at whose height it is. Where there is none, it stays.
+  [[nodiscard]] int follow(int chart, double x_m, double y_m) const noexcept;
+  // The chart of a place whose height is known: of those that cover it the nearest in height. A height of
+  // NaN: the first that covers it. Where none does, all are asked.
+  [[nodiscard]] int nearest(double x_m, double y_m, double z_m) const noexcept;
 
  private:
-  std::variant<Plane, BSpline> shape_;
+  std::vector<Chart> charts_;
 };
 
 }  // namespace groma::model

@@ -184,7 +184,9 @@ class Smoother {
     }
   }
 
-  void begin(const std::vector<model::PlanarEstimate>& first) {
+  void begin(const filter::ReplayResult& beginning) {
+    const std::vector<model::PlanarEstimate>& first = beginning.rows;
+    charts_.assign(rows_.size(), start_.pose.chart);
     states_.assign(rows_.size(), Eigen::VectorXd::Zero(block_));
     // A row before the start has its pose by the odometry from the start back.
     std::size_t k = 0;
@@ -192,6 +194,7 @@ class Smoother {
     for (std::size_t i = k; i < rows_.size(); ++i) {
       const model::PlanarEstimate& row = first[i - k];
       states_[i].head<kPose>() << row.x_m, row.y_m, row.yaw_rad;
+      charts_[i] = beginning.spatial[i - k].chart;
       // The heading without jumps.
       if (i > k) states_[i](2) = states_[i - 1](2) + model::wrap_angle(row.yaw_rad - states_[i - 1](2));
     }
@@ -282,7 +285,8 @@ class Smoother {
     out.turned = Eigen::RowVector3d(-surveyed.y(), surveyed.x(), 0.0);
     const Eigen::Vector3d anchor_m = surveyed + frame.head<3>() + frame(3) * out.turned.transpose();
     const Eigen::Vector3d lever_arm_m = values.segment<3>(shared_.lever_arm(sighting.tag));
-    const model::SurfacePose on = model::pose_on_surface(surface_, {pose.x(), pose.y(), pose.z()});
+    const model::SurfacePose on =
+        model::pose_on_surface(surface_, {pose.x(), pose.y(), pose.z(), charts_[sighting.row]});
     out.range = model::predict_range(on.pose, lever_arm_m, anchor_m,
                                      values(shared_.beta(sighting.anchor, sighting.tag)),
                                      values(shared_.gamma(sighting.anchor, sighting.tag)));
@@ -405,7 +409,7 @@ class Smoother {
     Eigen::Matrix<double, filter::kCoreSize, filter::kCoreSize> by_core;
     by_core.setIdentity();
     for (int i = 0; i < static_cast<int>(steps); ++i) {
-      const filter::Motion motion = filter::move(surface_, core, rows_[k], row_s / steps);
+      const filter::Motion motion = filter::move(surface_, core, rows_[k], row_s / steps, charts_[k]);
       core.head<kPose>() = motion.pose;
       const Eigen::Matrix<double, 3, filter::kCoreSize> rows = motion.d_core * by_core;
       by_core.topRows<3>() = rows;
@@ -494,6 +498,7 @@ class Smoother {
   Eigen::Index block_ = kPose;
   Eigen::VectorXd unknowns_;
   std::vector<Eigen::VectorXd> states_;  // pose, then the slow error of each anchor
+  std::vector<int> charts_;              // of each row, as the filter had it
   std::vector<Sighting> sightings_;
 };
 
@@ -509,13 +514,14 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   }
   filter::Run once = run;
   once.odometry = odometry;
-  const std::vector<model::PlanarEstimate> beginning = filter::replay(once, first).rows;
-  if (beginning.empty()) return {};
+  const filter::ReplayResult beginning = filter::replay(once, first);
+  if (beginning.rows.empty()) return {};
+  const double end_s = beginning.rows.back().t_s;
 
   // The rows of the beginning, and the one that holds at the start.
   std::vector<model::OdometrySample> rows;
   for (const model::OdometrySample& row : odometry) {
-    if (row.t_s > beginning.back().t_s) break;
+    if (row.t_s > end_s) break;
     if (row.t_s <= options.start.t_s) rows.clear();
     rows.push_back(row);
   }
@@ -527,7 +533,7 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   Smoother smoother(run, options, std::move(tags), std::move(rows));
   smoother.begin(beginning);
   for (const model::RangeSample& range : run.ranges) {
-    if (range.t_s < options.start.t_s || range.t_s > beginning.back().t_s) continue;
+    if (range.t_s < options.start.t_s || range.t_s > end_s) continue;
     if (filter::is_chosen(options.tags, range.tag_id) && filter::is_chosen(options.anchors, range.anchor_id))
       smoother.take(range);
   }

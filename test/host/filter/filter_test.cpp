@@ -355,11 +355,11 @@ TEST_P(EveryModel, StaysSymmetricAndPositiveOverALongRun) {
   Feeder(drive).until(200.0, *filter);
   Eigen::MatrixXd p = testing::whole(*filter);
   EXPECT_LT((p - p.transpose()).cwiseAbs().maxCoeff(), 1e-13);
-  // Of the matrix scaled to unit variances, so that no unit hides another; the delay is known and there are
-  // no slow errors: no variance.
+  // Of the matrix scaled to unit variances, so that no unit hides another; the delay is known, there are no
+  // slow errors, and the ground is as the surface: no variance.
   Eigen::VectorXd scale = p.diagonal().cwiseSqrt();
   EXPECT_EQ(scale(kDelay), 0.0);
-  EXPECT_EQ((scale.array() == 0.0).count(), 1 + static_cast<Eigen::Index>(filter->anchors()));
+  EXPECT_EQ((scale.array() == 0.0).count(), 1 + static_cast<Eigen::Index>(filter->anchors()) + kGroundSize);
   for (Eigen::Index i = 0; i < scale.size(); ++i) {
     if (scale(i) != 0.0) continue;
     scale(i) = 1.0;

@@ -110,10 +110,8 @@ TEST(PoseRate, IsTheLimitOfAStep) {
     const double h = 1e-6;
     const Eigen::Vector3d numerical =
         (move(surface, core, row, h).pose - move(surface, core, row, -h).pose) / (2.0 * h);
-    EXPECT_LT(
-        (pose_rate(model::surface_rotation(surface.at(core(kX), core(kY)).gradient), core, row) - numerical)
-            .norm(),
-        1e-7);
+    const model::SurfacePose at = model::pose_on_surface(surface, {core(kX), core(kY), core(kTheta)});
+    EXPECT_LT((pose_rate(at.pose.rotation.topLeftCorner<2, 2>(), core, row) - numerical).norm(), 1e-7);
   }
 }
 

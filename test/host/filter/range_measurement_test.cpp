@@ -23,21 +23,24 @@ class RangeMeasurementTest : public ::testing::Test {
         0.1 * random_.gaussian(), 0.1 * random_.gaussian(), 0.05 * random_.gaussian();
     row_ = {0.0, 2.0 * random_.gaussian(), random_.gaussian(), random_.gaussian()};
     parameters_.values() += 0.02 * random_.gaussians(parameters_.size());
+    // What the ground differs by is considered, never estimated: it stays zero.
+    parameters_.values().segment<kGroundSize>(parameters_.ground()).setZero();
   }
 
   // The derivative by every core state and parameter of what a function of them tells.
   template <typename Measure>
   void expect_exact(const Measure& measure, int anchor, int tag) {
-    const RangeMeasurement measurement = measure(surface_, core_, row_, parameters_.pair(site_, anchor, tag));
+    const RangeMeasurement measurement =
+        measure(surface_, core_, row_, parameters_.pair(site_, anchor, tag), 0);
     Eigen::VectorXd all(kCoreSize + parameters_.size());
     all << core_, parameters_.values();
     const Eigen::MatrixXd numerical = numerical_jacobian(
         [&](const Eigen::VectorXd& x) {
           Parameters parameters = parameters_;
           parameters.values() = x.tail(parameters_.size());
-          return Eigen::VectorXd::Constant(
-              1, measure(surface_, CoreVector(x.head<kCoreSize>()), row_, parameters.pair(site_, anchor, tag))
-                     .range_m);
+          return Eigen::VectorXd::Constant(1, measure(surface_, CoreVector(x.head<kCoreSize>()), row_,
+                                                      parameters.pair(site_, anchor, tag), 0)
+                                                  .range_m);
         },
         all, 1e-6);
     Eigen::RowVectorXd exact = Eigen::RowVectorXd::Zero(all.size());
@@ -105,7 +108,7 @@ TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
 
 TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   const Parameters parameters(Site(testing::three_tags(), testing::six_anchors(), 0.01));
-  ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4 + 6);
+  ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4 + 6 + kGroundSize);
   Eigen::VectorXi taken = Eigen::VectorXi::Zero(parameters.size());
   const auto take = [&](int first, int count) {
     ASSERT_LE(first + count, parameters.size());
@@ -121,6 +124,7 @@ TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   for (int tag = 0; tag < 3; ++tag) take(parameters.lever_arm(tag), 3);
   take(parameters.frame(), 4);
   for (int anchor = 0; anchor < 6; ++anchor) take(parameters.slow_error(anchor), 1);
+  take(parameters.ground(), kGroundSize);
   EXPECT_TRUE((taken.array() == 1).all());
 }
 

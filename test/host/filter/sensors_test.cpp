@@ -87,7 +87,7 @@ TEST(Sensors, AnAttitudeTellsTheHeadingOnTheSurface) {
                                  .yaw_rad = std::atan2(r(1, 0), r(0, 0)),
                                  .roll_rad = std::atan2(r(2, 1), r(2, 2)),
                                  .pitch_rad = -std::asin(r(2, 0))};
-  EXPECT_NEAR(heading_on(surface, sample), 0.7, 1e-12);
+  EXPECT_NEAR(place_on(surface, sample).theta_rad, 0.7, 1e-12);
   EXPECT_GT(std::abs(sample.yaw_rad - 0.7), 1e-4);
 }
 

@@ -1,0 +1,95 @@
+// groma surface fit: measured heights as the surface of a site.
+#include <fmt/format.h>
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/exit_code.hpp"
+#include "host/cli/json.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/io/dataset_writer.hpp"
+#include "host/io/input_file.hpp"
+#include "host/io/output_file.hpp"
+#include "host/io/site_description.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct FitCommand {
+  std::string heights;
+  std::string output;
+  std::optional<double> spacing_m;
+  std::optional<double> smoothing;
+  bool json = false;
+};
+
+int run(const FitCommand& options) {
+  io::expect_writable(options.output);
+  const model::SurfaceFit fit = io::fit_heights(options.heights, io::read_file(options.heights),
+                                                {options.spacing_m, options.smoothing});
+  io::write_file(options.output, io::format_spline(fit.spline));
+  const model::SurfaceMismatch& mismatch = fit.mismatch;
+  if (options.json) {
+    say_json(Json{{"points", fit.points},
+                  {"spacing_m", fit.spacing_m},
+                  {"smoothing", fit.smoothing},
+                  {"nx", fit.spline.grid().nx},
+                  {"ny", fit.spline.grid().ny},
+                  {"rms_m", fit.rms_m},
+                  {"max_m", fit.max_m},
+                  {"held_out_rms_m", fit.held_out_rms_m},
+                  {"empty_share", fit.empty_share},
+                  {"gap_m", fit.gap_m},
+                  {"gap_at_m", {fit.gap_at_m.x(), fit.gap_at_m.y()}},
+                  {"mismatch",
+                   {{"sigma_m", mismatch.sigma_m},
+                    {"slope_sigma", mismatch.slope_sigma},
+                    {"length_m", mismatch.length_m}}}});
+    return kGood;
+  }
+  say(fmt::format("{} heights, a knot every {:.2f} m, smoothing {:g}: {} x {} control heights in {}\n",
+                  fit.points, fit.spacing_m, fit.smoothing, fit.spline.grid().nx, fit.spline.grid().ny,
+                  options.output));
+  say(fmt::format("residuals: rms {:.4f} m, largest {:.3f} m; held out {:.4f} m\n", fit.rms_m, fit.max_m,
+                  fit.held_out_rms_m));
+  say(fmt::format("gaps: {:.0f} % of the cells have no height; ({:.1f}, {:.1f}) is {:.1f} m from any\n",
+                  100.0 * fit.empty_share, fit.gap_at_m.x(), fit.gap_at_m.y(), fit.gap_m));
+  say(
+      fmt::format("surface: {{type: bspline, file: {}, mismatch: {{sigma_m: {:.4f}, slope_sigma: {:.4f}, "
+                  "length_m: {:.2f}}}}}\n",
+                  options.output, mismatch.sigma_m, mismatch.slope_sigma, mismatch.length_m));
+  return kGood;
+}
+
+}  // namespace
+
+void add_surface(CLI::App& app, Action& action) {
+  CLI::App* surface = app.add_subcommand("surface", "The ground that the robot drives on.");
+  surface->require_subcommand(1);
+  const auto options = std::make_shared<FitCommand>();
+  CLI::App* fit = surface->add_subcommand("fit",
+                                          "Fit a smooth surface to heights that were measured, by a survey, "
+                                          "a LiDAR or the robot's own poses, and "
+                                          "tell how far they differ from it.");
+  fit->add_option("HEIGHTS", options->heights,
+                  "Table with the columns x_m,y_m,z_m (such as groundtruth.csv), or a grid: a line "
+                  "x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny heights")
+      ->required();
+  fit->add_option("-o,--output", options->output,
+                  "Spline to write, for 'surface: {type: bspline, file: ...}'")
+      ->required();
+  fit->add_option("--spacing", options->spacing_m,
+                  "Metres between knots; chosen by cross-validation without it")
+      ->check(CLI::PositiveNumber);
+  fit->add_option("--smoothing", options->smoothing, "Weight of the bending; chosen likewise without it")
+      ->check(CLI::PositiveNumber);
+  fit->add_flag("--json", options->json, "Print one JSON object");
+  fit->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli
