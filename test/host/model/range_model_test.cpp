@@ -91,5 +91,41 @@ TEST(RangeByPlanarPose, EqualsTheNumericalDerivativeOnCurvedGround) {
   }
 }
 
+TEST(PredictSurfaceRange, EqualsTheRangeOfThePoseOnTheSurface) {
+  const BSpline::Grid grid{.x0_m = -8.0, .y0_m = -8.0, .dx_m = 2.0, .dy_m = 2.0, .nx = 11, .ny = 11};
+  Random random(23);
+  std::vector<double> heights(static_cast<std::size_t>(grid.nx) * static_cast<std::size_t>(grid.ny));
+  for (double& height : heights) height = 0.5 * random.gaussian();
+  const Surface surface = BSpline(grid, heights);
+  for (int i = 0; i < 100; ++i) {
+    const Scene scene(random);
+    const PlanarPose at{random.uniform(-7.0, 7.0), random.uniform(-7.0, 7.0), random.uniform(-3.0, 3.0)};
+    const SurfacePose pose = pose_on_surface(surface, at);
+    const RangePrediction expected =
+        predict_range(pose.pose, scene.lever_arm_m, scene.anchor_m, scene.beta_m, scene.gamma);
+    const SurfacePoint ground = surface.at(at.x_m, at.y_m);
+    const auto on = [&](const SurfacePoint& point) {
+      return predict_surface_range(point, at, scene.lever_arm_m, scene.anchor_m, scene.beta_m, scene.gamma);
+    };
+    const SurfaceRange range = on(ground);
+    EXPECT_NEAR(range.range_m, expected.range_m, 1e-12);
+    EXPECT_NEAR(range.distance_m, expected.distance_m, 1e-12);
+    EXPECT_LT((range.d_position - expected.d_position).norm(), 1e-12);
+    EXPECT_LT((range.d_anchor - expected.d_anchor).norm(), 1e-12);
+    EXPECT_LT((range.d_lever_arm - expected.d_lever_arm).norm(), 1e-12);
+    EXPECT_LT((range.d_pose - range_by_planar_pose(expected, pose, scene.lever_arm_m)).norm(), 1e-11);
+    EXPECT_LT((range.in_body - pose.pose.rotation.transpose() * expected.direction).norm(), 1e-12);
+    EXPECT_LT((range.sideways - pose.pose.rotation.topLeftCorner<2, 2>()).norm(), 1e-14);
+    const Eigen::MatrixXd numerical = numerical_jacobian(
+        [&](const Eigen::VectorXd& gradient) {
+          SurfacePoint other = ground;
+          other.gradient = gradient;
+          return Eigen::VectorXd::Constant(1, on(other).range_m);
+        },
+        ground.gradient, 1e-6);
+    EXPECT_LT((range.d_gradient - numerical).cwiseAbs().maxCoeff(), 1e-8);
+  }
+}
+
 }  // namespace
 }  // namespace groma::model
