@@ -333,6 +333,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
       }
     }
     // So are the ground's.
+    if (!has_ground()) return;
     for (int i = layout_.ground(); i < size_; ++i) {
       for (int slot = 0; slot < layout_.anchor_count(); ++slot) lower(i, layout_.slow_error(slot)) = 0.0;
       for (int j = layout_.ground(); j <= i; ++j) lower(i, j) = 0.0;

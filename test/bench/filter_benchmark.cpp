@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <memory>
 #include <numbers>
+#include <utility>
 #include <vector>
 
 #include "host/filter/filter.hpp"
@@ -36,11 +37,20 @@ model::Calibration ring_of(int anchors) {
                                      {.beta_m = {0.2, 0.05}, .gamma = {1.0, 0.002}}, 0.1);
 }
 
-std::unique_ptr<Filter> started(Model model, int anchors) {
+constexpr model::SurfaceMismatch kExact{};
+constexpr model::SurfaceMismatch kDiffers{.sigma_m = 0.02, .slope_sigma = 0.01, .length_m = 3.0};
+
+model::Surface hills_with(const model::SurfaceMismatch& mismatch) {
+  std::vector<model::Chart> charts = testing::hills(0.2).charts();
+  charts.front().mismatch = mismatch;
+  return model::Surface(std::move(charts));
+}
+
+std::unique_ptr<Filter> started(Model model, int anchors, const model::SurfaceMismatch& mismatch = kExact) {
   Config config;
   config.model = model;
   auto filter =
-      std::make_unique<Filter>(testing::hills(0.2), testing::three_tags(), ring_of(anchors), config);
+      std::make_unique<Filter>(hills_with(mismatch), testing::three_tags(), ring_of(anchors), config);
   filter->process(model::OdometrySample{0.0, 0.5, 0.1, 0.2});
   filter->start({.t_s = 0.0});
   return filter;
@@ -130,7 +140,7 @@ double peak() {
 // Multiply-adds that the covariance takes; surface, gate and the range itself are not in them.
 struct Work {
   double core = kCoreSize;
-  double pair = kPairParameters;
+  double pair = kPairParameters - kGroundSize;  // exact ground's are left out
   double parameters;
 
   explicit Work(int anchors) : parameters(Layout(std::min(anchors, kMaxAnchors), 3).size()) {}
@@ -148,8 +158,8 @@ struct Work {
 };
 
 // A row every 3.3 ms, as between the ranges of 300 a second.
-void propagate(benchmark::State& state, Model model) {
-  const auto filter = started(model, static_cast<int>(state.range(0)));
+void propagate(benchmark::State& state, Model model, const model::SurfaceMismatch& mismatch = kExact) {
+  const auto filter = started(model, static_cast<int>(state.range(0)), mismatch);
   double t_s = 0.0;
   const auto call = [&] {
     t_s += 1.0 / 300.0;
@@ -165,10 +175,10 @@ double work_of(Model model, int anchors) {
 }
 
 // The update alone: all ranges at one instant.
-void update(benchmark::State& state, Model model) {
+void update(benchmark::State& state, Model model, const model::SurfaceMismatch& mismatch = kExact) {
   const int anchors = static_cast<int>(state.range(0));
   const std::vector<model::RangeSample> ranges = ranges_at_start(anchors);
-  const auto filter = started(model, anchors);
+  const auto filter = started(model, anchors, mismatch);
   std::size_t next = 0;
   const auto call = [&] {
     benchmark::DoNotOptimize(filter->process(ranges[next]));
@@ -272,11 +282,15 @@ void sizes(benchmark::internal::Benchmark* of) {
 BENCHMARK_CAPTURE(propagate, odometry, Model::kOdometry)->Arg(12);
 BENCHMARK_CAPTURE(propagate, schmidt, Model::kSchmidt)->Apply(sizes);
 BENCHMARK_CAPTURE(propagate, joint, Model::kJoint)->Apply(sizes);
+BENCHMARK_CAPTURE(propagate, schmidt_mismatch, Model::kSchmidt, kDiffers)->Arg(12);
+BENCHMARK_CAPTURE(propagate, joint_mismatch, Model::kJoint, kDiffers)->Arg(12);
 BENCHMARK_CAPTURE(update, original, Model::kOriginal)->Arg(12);
 BENCHMARK_CAPTURE(update, inflated, Model::kInflated)->Arg(12);
 BENCHMARK_CAPTURE(update, schmidt, Model::kSchmidt)->Apply(sizes);
 BENCHMARK_CAPTURE(update, anchor_states, Model::kAnchorStates)->Arg(12);
 BENCHMARK_CAPTURE(update, joint, Model::kJoint)->Apply(sizes);
+BENCHMARK_CAPTURE(update, schmidt_mismatch, Model::kSchmidt, kDiffers)->Arg(12);
+BENCHMARK_CAPTURE(update, joint_mismatch, Model::kJoint, kDiffers)->Arg(12);
 BENCHMARK_CAPTURE(move_and_update, schmidt, Model::kSchmidt)->Arg(12);
 BENCHMARK_CAPTURE(move_and_update, joint, Model::kJoint)->Arg(12);
 BENCHMARK_CAPTURE(exchange, schmidt, Model::kSchmidt)->Arg(64)->Arg(1000);
