@@ -39,18 +39,18 @@ std::string format_estimate(std::span<const model::PlanarEstimate> rows,
                             std::span<const RowWords> words) {
   const bool floors = surface.chart_count() > 1;
   std::string text =
-      fmt::format("{},{}{},state,reason\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "");
+      fmt::format("{},state,reason,{}{}\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "");
   for (std::size_t i = 0; i < rows.size(); ++i) {
     add_planar(text, rows[i]);
     const model::SpatialEstimate& at = spatial[i];
     const auto p = at.covariance.block<3, 3>(2, 2);
-    fmt::format_to(std::back_inserter(text), ",{},{},{},{},{},{},{},{},{}", at.z_m, at.roll_rad, at.pitch_rad,
-                   p(0, 0), p(0, 1), p(0, 2), p(1, 1), p(1, 2), p(2, 2));
+    fmt::format_to(std::back_inserter(text), ",{},{},{},{},{},{},{},{},{},{},{}", words[i].state,
+                   words[i].reason, at.z_m, at.roll_rad, at.pitch_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1),
+                   p(1, 2), p(2, 2));
     if (floors) {
       fmt::format_to(std::back_inserter(text), ",{}",
                      surface.charts()[static_cast<std::size_t>(at.chart)].name);
     }
-    fmt::format_to(std::back_inserter(text), ",{},{}", words[i].state, words[i].reason);
     text += '\n';
   }
   return text;

@@ -1,5 +1,5 @@
-// The estimate of a replay as a table: t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt, and what follows of
-// it in space: z_m,roll_rad,pitch_rad,p_zz,p_zr,p_zp,p_rr,p_rp,p_pp.
+// The estimate of a replay as a table: t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt, then perhaps
+// state,reason, and what follows of it in space: z_m,roll_rad,pitch_rad,p_zz,p_zr,p_zp,p_rr,p_rp,p_pp.
 #pragma once
 
 #include <filesystem>
@@ -20,8 +20,8 @@ struct RowWords {
   std::string_view state;
   std::string_view reason;
 };
-// The same with the columns of each row in space; where the surface has several charts, the chart's name as
-// `floor`; and `state` and `reason`. Each has as many elements as `rows`.
+// The same with `state` and `reason`, the columns of each row in space and, where the surface has several
+// charts, the chart's name as `floor`. Each has as many elements as `rows`.
 [[nodiscard]] std::string format_estimate(std::span<const model::PlanarEstimate> rows,
                                           std::span<const model::SpatialEstimate> spatial,
                                           const model::Surface& surface, std::span<const RowWords> words);

@@ -1,8 +1,11 @@
 // The command groma from the outside: what it writes, says and ends with.
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstddef>
+#include <filesystem>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -201,7 +204,7 @@ TEST_F(CliTest, WithoutAPosePriorReplayFindsThePoseAndTellsItsState) {
   const ChildResult replayed = replay({"--surveyed", "--json"});
   ASSERT_EQ(replayed.exit_code, 0) << replayed.err;
   EXPECT_EQ(json::parse(replayed.out)["state"], "TRACKING");
-  EXPECT_THAT(read_text(estimate_), HasSubstr(",state,reason\n"));
+  EXPECT_THAT(read_text(estimate_), HasSubstr("p_tt,state,reason,z_m,"));
   const ChildResult scored = groma({"evaluate", estimate_, folder_ / "truth.csv", "--json"});
   EXPECT_EQ(scored.exit_code, 0) << scored.err;
   EXPECT_LT(json::parse(scored.out)["ate_m"]["mean"], 0.5);
@@ -616,6 +619,57 @@ TEST_F(CliTest, EvaluateByHand) {
   EXPECT_THAT(apart.err, HasSubstr("gaps over 0.3 s"));
   folder_.write("e.csv", "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n0,3,4,0.1,nan,0,0,4,0,0.01\n");
   EXPECT_THAT(groma({"evaluate", folder_ / "e.csv", folder_ / "t.csv"}).err, HasSubstr("e.csv:2:11: 'nan'"));
+}
+
+TEST_F(CliTest, FitsASurfaceAndReplaysOnIt) {
+  std::string heights = "x_m,y_m,z_m\n";
+  for (int x_m = -20; x_m <= 20; x_m += 2) {
+    for (int y_m = -20; y_m <= 20; y_m += 2)
+      heights += fmt::format("{},{},{}\n", x_m, y_m, 0.25 + 0.01 * x_m);
+  }
+  folder_.write("heights.csv", heights);
+  const ChildResult fit =
+      groma({"surface", "fit", folder_ / "heights.csv", "-o", data_ / "ground.csv", "--json"});
+  ASSERT_EQ(fit.exit_code, 0) << fit.err;
+  const json told = json::parse(fit.out);
+  EXPECT_EQ(told["points"], 21 * 21);
+  EXPECT_LT(told["max_m"], 0.005);
+  EXPECT_GT(told["mismatch"]["length_m"], 0.0);
+  EXPECT_EQ(told["empty_share"], 0.0);
+
+  const std::string before = read_text(data_ / "dataset.yaml");
+  const std::size_t line = before.find("surface:");
+  ASSERT_NE(line, std::string::npos);
+  const std::string after =
+      before.substr(0, line) +
+      "surface: {type: bspline, file: ground.csv, mismatch: {sigma_m: 0.02, length_m: 3}}" +
+      before.substr(before.find('\n', line));
+  folder_.write("data/dataset.yaml", after);
+  const ChildResult result = replay({"--surveyed"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  std::istringstream rows(read_text(estimate_));
+  std::string row;
+  std::getline(rows, row);
+  EXPECT_EQ(row,
+            "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt,state,reason,z_m,roll_rad,pitch_rad,p_zz,p_zr,"
+            "p_zp,p_rr,p_rp,p_pp");
+  std::size_t count = 0;
+  for (; std::getline(rows, row); ++count) {
+    std::vector<std::string> fields;
+    std::istringstream of_row(row);
+    for (std::string field; std::getline(of_row, field, ',');) fields.push_back(field);
+    ASSERT_EQ(fields.size(), 21U);
+    EXPECT_NEAR(std::stod(fields[12]), 0.25 + 0.01 * std::stod(fields[1]), 0.005);
+    EXPECT_GT(std::stod(fields[15]), 0.9 * 0.02 * 0.02);
+  }
+  EXPECT_GT(count, 100U);
+  EXPECT_GT(evaluate()["samples"], 100);
+
+  folder_.write("heights.csv", "x_m,y_m,z_m\n0,0,0\n1,0,high\n2,2,0\n");
+  const ChildResult bad = groma({"surface", "fit", folder_ / "heights.csv", "-o", folder_ / "s.csv"});
+  EXPECT_EQ(bad.exit_code, 65);
+  EXPECT_THAT(bad.err, HasSubstr("heights.csv:3:5"));
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "s.csv"));
 }
 
 TEST_F(CliTest, AFullDiskLeavesWhatWasThere) {

@@ -4,6 +4,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "host/io/error.hpp"
 #include "test/support/scratch_folder.hpp"
@@ -36,6 +39,37 @@ TEST(EstimateFileTest, EveryNumberSurvivesExactly) {
 
 TEST(EstimateFileTest, HeaderIsTheContracts) {
   EXPECT_EQ(format_estimate({}), "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n");
+}
+
+TEST(EstimateFileTest, WhatIsToldBesideTheContractsColumnsComesAfterThem) {
+  model::PlanarEstimate row;
+  row.t_s = 2.0;
+  row.covariance = Eigen::Matrix3d::Identity();
+  model::SpatialEstimate at;
+  at.z_m = 1.5;
+  at.roll_rad = -0.25;
+  at.pitch_rad = 0.125;
+  at.chart = 1;
+  at.covariance.block<3, 3>(2, 2) << 4.0, 0.5, 0.25, 0.5, 9.0, 0.75, 0.25, 0.75, 16.0;
+  const std::vector<RowWords> words{{"DEGRADED", "off-surface"}};
+  const std::string plane = format_estimate(std::vector{row}, std::vector{at}, model::Surface(), words);
+  EXPECT_EQ(plane,
+            "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt,state,reason,z_m,roll_rad,pitch_rad,p_zz,p_zr,"
+            "p_zp,p_rr,p_rp,p_pp\n2,0,0,0,1,0,0,1,0,1,DEGRADED,off-surface,1.5,-0.25,0.125,4,0.5,0.25,9,0.75,"
+            "16\n");
+  std::vector<model::Chart> charts(2);
+  charts[0].name = "hall";
+  charts[1].name = "gallery";
+  const std::string floors =
+      format_estimate(std::vector{row}, std::vector{at}, model::Surface(std::move(charts)), words);
+  EXPECT_THAT(floors, testing::HasSubstr("p_pp,floor\n"));
+  EXPECT_THAT(floors, testing::EndsWith(",16,gallery\n"));
+  const test::ScratchFolder folder;
+  folder.write("e.csv", floors);
+  const std::vector<model::PlanarEstimate> read = read_estimate(folder / "e.csv");
+  ASSERT_EQ(read.size(), 1U);
+  EXPECT_EQ(read[0].t_s, row.t_s);
+  EXPECT_EQ(read[0].covariance, row.covariance);
 }
 
 TEST(EstimateFileTest, TimesHaveToIncrease) {
