@@ -94,8 +94,11 @@ function(groma_test)
   )
 endfunction()
 
-# groma_benchmark(NAME <name> SOURCES ... [DEPENDS ...])
+# groma_benchmark(NAME <name> SOURCES ... [DEPENDS ...]); there is none under a sanitizer.
 function(groma_benchmark)
+  if(GROMA_SANITIZE)
+    return()
+  endif()
   cmake_parse_arguments(arg "" "NAME" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${arg_NAME} ${arg_SOURCES})
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS} benchmark::benchmark benchmark::benchmark_main)

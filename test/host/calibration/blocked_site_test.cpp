@@ -26,7 +26,7 @@ test::Blocking hall() {
   return blocking;
 }
 
-TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonest) {
+TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonestOverManyDrives) {
   double error_m = 0.0;
   int ok = 0;
   int biases = 0;

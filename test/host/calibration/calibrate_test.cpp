@@ -53,7 +53,7 @@ test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool t
   return site;
 }
 
-TEST(Calibrate, TrustsPosesAsTheySay) {
+TEST(Calibrate, TrustsPosesAsTheySayOverManyDrives) {
   struct Score {
     double square_error_m2 = 0.0;
     double nees = 0.0;

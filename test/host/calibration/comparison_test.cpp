@@ -328,7 +328,7 @@ TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
   }
 }
 
-TEST(Update, NamesNoneWhereNoneMoved) {
+TEST(Update, NamesNoneWhereNoneMovedOverManyDrives) {
   const test::SiteSettings settings{.outlier_share = 0.15, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
   for (std::uint64_t seed = 21; seed <= 32; ++seed) {
     const test::SimulatedSite first = test::simulate_site(settings, seed);
@@ -372,7 +372,7 @@ test::SimulatedSite piece_of(test::SimulatedSite site, double begin_s, double en
 
 // A drive that passes the hall once, nearly straight, tells little and may find anchors on the wrong side:
 // what was known before decides, and is not spoiled.
-TEST(Update, ByAWeakDriveIsBetterThanEitherAlone) {
+TEST(Update, ByAWeakDriveIsBetterThanEitherAloneOverManyDrives) {
   const test::SiteSettings settings{.outlier_share = 0.1, .pose_sigma_m = 0.01, .pose_yaw_sigma_rad = 0.002};
   for (const bool both_are_weak : {false, true}) {
     Score before;

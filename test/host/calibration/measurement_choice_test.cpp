@@ -233,7 +233,7 @@ test::SimulatedSite standing_first(std::uint64_t seed) {
   return site;
 }
 
-TEST(MeasurementChoice, ADriveOfTenTimesTheRangesKeepsItsAccuracyUnderTheBudget) {
+TEST(MeasurementChoice, ADriveOfTenTimesTheRangesKeepsItsAccuracyUnderTheBudgetOverManyDrives) {
   constexpr std::size_t kBudget = 900;  // of 6000
   double whole_m2 = 0.0;
   double twice_m2 = 0.0;  // with twice as many

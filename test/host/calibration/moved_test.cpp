@@ -111,7 +111,7 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
 }
 
 // Two anchors moved by half a metre, each at its own time.
-TEST(Moved, AreBothNamedWithTheTimeAndNoOther) {
+TEST(Moved, AreBothNamedWithTheTimeAndNoOtherOverManyDrives) {
   std::uint64_t seed = 40;
   for (const bool has_walls : {false, true}) {
     for (const auto& [one_s, two_s] : {std::pair{0.2 * kMovedDrive_s, 0.5 * kMovedDrive_s},
@@ -158,7 +158,7 @@ TEST(Moved, AndMovedBackIsNamed) {
   }
 }
 
-TEST(Moved, NamesNoneWhereNoneMoved) {
+TEST(Moved, NamesNoneWhereNoneMovedOverManyDrives) {
   std::uint64_t seed = 70;
   for (int i = 0; i < 24; ++i) {
     ++seed;
@@ -179,7 +179,7 @@ TEST(Moved, NamesNoneWhereNoneMoved) {
 }
 
 // Poses that wander by as much as a move is long, and do not tell so: what all anchors show is the poses'.
-TEST(Moved, HardlyNamesAnyWherePosesWanderAsFar) {
+TEST(Moved, HardlyNamesAnyWherePosesWanderAsFarOverManyDrives) {
   constexpr int kSites = 10;
   int named = 0;
   for (std::uint64_t seed = 101; seed < 101 + kSites; ++seed) {

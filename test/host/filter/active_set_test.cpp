@@ -213,7 +213,7 @@ INSTANTIATE_TEST_SUITE_P(ActiveSet, ActiveSetModels, ::testing::Values(Model::kS
                            return std::string(model_name(model.param));
                          });
 
-TEST_P(ActiveSetModels, ErrorsAreAsLargeAsStatedThereAndBack) {
+TEST_P(ActiveSetModels, ErrorsAreAsLargeAsStatedOverManyReturns) {
   constexpr int kCorridors = 150;
   const Drives twin = drive_many(GetParam(), kMaxAnchors, kMaxAnchors, 2, kCorridors, 82);
   const Drives drives = drive_many(GetParam(), kMaxAnchors, 8, 2, kCorridors, 82);
