@@ -60,6 +60,15 @@ std::vector<Start> sphere_points(const AnchorProblem& problem) {
   return out;
 }
 
+// So wide that neither the biases nor a coarse grid of starts hide the valley.
+double valley_width_m(const AnchorProblem& problem) {
+  const std::vector<const Observation*> rows = sample(problem.rows, kScoredRows);
+  double mean_range_m = 0.0;
+  for (const Observation* row : rows) mean_range_m += row->range_m / static_cast<double>(rows.size());
+  const model::RangePriors& priors = problem.priors;
+  return 0.3 + priors.beta_m.sigma + (priors.gamma.sigma + 0.03) * mean_range_m;
+}
+
 }  // namespace
 
 std::vector<Observation> spread_along_the_way(std::span<const Observation> rows, std::size_t tag_count,
@@ -115,13 +124,30 @@ TagSpread tag_spread(std::span<const Observation> rows) {
   return out;
 }
 
+Candidate descend(const AnchorProblem& problem, const AnchorVector& start) {
+  Candidate out;
+  out.solution.anchor = start;
+  // The scale falls from the valley's width to what the residuals show: the basin is wide at first.
+  out.kernel = KernelShape{.scale_m = valley_width_m(problem)}.with_blocked(0.1);
+  std::vector<WeighedResidual> residuals(problem.rows.size());
+  for (int round = 0; round < kSearchRounds; ++round) {
+    const std::vector<RobustKernel> kernels(problem.tag_count, RobustKernel(out.kernel));
+    out.solution = solve_anchor(problem, kernels, out.solution.anchor, kSearchIterations);
+    if (round + 1 == kSearchRounds) break;
+    for (std::size_t i = 0; i < residuals.size(); ++i) {
+      residuals[i].residual_m = residual_m(problem.rows[i], out.solution.anchor, problem.tag_count);
+    }
+    KernelPrior prior{.shape = out.kernel, .scale_weight = 3.0, .share_weight = 3.0};
+    prior.shape.scale_m = std::max(problem.priors.sigma_m, out.kernel.scale_m / 2.0);
+    out.kernel = fit_kernel(residuals, prior, 3);
+  }
+  return out;
+}
+
 Candidate search(const AnchorProblem& problem) {
   const model::RangePriors& priors = problem.priors;
   const std::vector<const Observation*> scored = sample(problem.rows, kScoredRows);
-  double mean_range_m = 0.0;
-  for (const Observation* row : scored) mean_range_m += row->range_m / static_cast<double>(scored.size());
-  // So wide that neither the biases nor the coarse grid hide the valley.
-  const double width_m = 0.3 + priors.beta_m.sigma + (priors.gamma.sigma + 0.03) * mean_range_m;
+  const double width_m = valley_width_m(problem);
 
   std::vector<Start> starts = sphere_points(problem);
   // No more tags than one: before the biases are known they are all the same.
@@ -151,22 +177,7 @@ Candidate search(const AnchorProblem& problem) {
     if (std::any_of(tried.begin(), tried.end(), is_near)) continue;
     tried.push_back(start.position_m);
 
-    // The scale falls from the valley's width to what the residuals show: the basin is wide at first.
-    Candidate candidate;
-    candidate.solution.anchor = anchor_at(start.position_m, problem.tag_count, priors);
-    candidate.kernel = KernelShape{.scale_m = width_m}.with_blocked(0.1);
-    std::vector<WeighedResidual> residuals(problem.rows.size());
-    for (int round = 0; round < kSearchRounds; ++round) {
-      const std::vector<RobustKernel> kernels(problem.tag_count, RobustKernel(candidate.kernel));
-      candidate.solution = solve_anchor(problem, kernels, candidate.solution.anchor, kSearchIterations);
-      if (round + 1 == kSearchRounds) break;
-      for (std::size_t i = 0; i < residuals.size(); ++i) {
-        residuals[i].residual_m = residual_m(problem.rows[i], candidate.solution.anchor, problem.tag_count);
-      }
-      KernelPrior prior{.shape = candidate.kernel, .scale_weight = 3.0, .share_weight = 3.0};
-      prior.shape.scale_m = std::max(priors.sigma_m, candidate.kernel.scale_m / 2.0);
-      candidate.kernel = fit_kernel(residuals, prior, 3);
-    }
+    Candidate candidate = descend(problem, anchor_at(start.position_m, problem.tag_count, priors));
     if (!found || candidate.solution.cost < best.solution.cost) best = candidate;
     found = true;
   }

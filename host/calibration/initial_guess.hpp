@@ -38,6 +38,10 @@ struct Candidate {
   KernelShape kernel;       // learnt from its own residuals
 };
 
+// The solution that lies in the same wide valley as the start, with its kernel: nothing of it depends on a
+// first guess of the noise.
+[[nodiscard]] Candidate descend(const AnchorProblem& problem, const AnchorVector& start);
+
 // The best solution that the search finds, with its kernel. The rows should be few and spread out.
 [[nodiscard]] Candidate search(const AnchorProblem& problem);
 

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "host/calibration/initial_guess.hpp"
+#include "host/calibration/median.hpp"
 #include "host/calibration/rival.hpp"
 
 namespace groma::calibration {
@@ -42,6 +43,8 @@ constexpr double kReplyWeight = 200.0;
 constexpr double kWallSpread_m = 0.1;
 constexpr double kKnownWall_m = 0.1;
 constexpr double kWallShapeWeight = 50.0;
+// What shadows add to ranges, and what the noise blurs where that is more.
+constexpr double kShadowScale_m = 0.08;
 
 KernelShape shadow_shape(double scale_m) {
   KernelShape shape{
@@ -62,6 +65,16 @@ struct AnchorPass {
   std::vector<WeighedResidual> walled;
   std::vector<double> start_excess_m;  // of each episode over the common part
 };
+
+// Of the pairs' noise in sight: the median of their kernels' scales.
+double typical_scale_m(std::span<const AnchorFit> fits) {
+  std::vector<double> scales_m;
+  for (const AnchorFit& fit : fits) {
+    if (fit.problem.rows.empty()) continue;
+    for (const RobustKernel& kernel : fit.kernels) scales_m.push_back(kernel.shape().scale_m);
+  }
+  return median(std::move(scales_m));
+}
 
 // Indices of a fit's rows end here.
 std::size_t rows_until(const AnchorFit& fit) {
@@ -157,6 +170,7 @@ class SightSolver {
   void label_by_replies();
   [[nodiscard]] AnchorPass look(std::size_t anchor) const;
   void learn(const std::vector<AnchorPass>& passes);
+  void learn_shadow();
   void apply(std::size_t anchor, AnchorPass pass);
 
   const PollTable& table_;
@@ -344,6 +358,10 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
       walled, {.shape = wall_shape(), .scale_weight = kWallShapeWeight, .share_weight = kWallShapeWeight}, 3);
 }
 
+void SightSolver::learn_shadow() {
+  out_.model.shadow = RobustKernel(shadow_shape(std::max(kShadowScale_m, typical_scale_m(fits_))));
+}
+
 void SightSolver::apply(std::size_t a, AnchorPass pass) {
   AnchorFit& fit = fits_[a];
   const std::size_t tags = fit.problem.tag_count;
@@ -371,6 +389,7 @@ SiteSight SightSolver::solve() {
     refine_site(fits_, priors_, kLabelRounds);
   }
   for (int round = 0; round < kSightRounds; ++round) {
+    learn_shadow();
     std::vector<AnchorPass> passes;
     for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(look(a));
     learn(passes);
@@ -386,10 +405,9 @@ SiteSight SightSolver::solve() {
 
 }  // namespace
 
-SightModel first_sight_model(const PollTable& table, const model::RangePriors& priors) {
+SightModel first_sight_model(const PollTable& table) {
   SightModel out;
   out.chain.transition = sight_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
-  out.shadow = RobustKernel(shadow_shape(priors.sigma_m));
   out.wall = wall_shape();
   return out;
 }
@@ -404,8 +422,8 @@ bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
   return static_cast<double>(near) >= kNearShare * static_cast<double>(all);
 }
 
-bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
-  const SightChain chain = first_sight_model(table, priors).chain;
+bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits) {
+  const SightChain chain = first_sight_model(table).chain;
   const auto tell = [&](const std::vector<std::vector<Poll>>& pairs) {
     return replies_tell_of_blocking(chain, pairs);
   };

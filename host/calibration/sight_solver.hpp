@@ -25,7 +25,7 @@ struct SightModel {
   KernelShape wall;     // of what is left of residuals behind a wall
   WallPrior wall_prior;
 };
-[[nodiscard]] SightModel first_sight_model(const PollTable& table, const model::RangePriors& priors);
+[[nodiscard]] SightModel first_sight_model(const PollTable& table);
 
 struct SiteSight {
   std::vector<AnchorSight> anchors;  // empty: nothing asks for it; the fits point here
@@ -40,8 +40,7 @@ struct SiteSight {
 // Whether ranges come through something for longer than a moment; for fits within reach. What a fit on the
 // wrong side of the tags does to residuals passes for that: fits whose residuals look so are challenged, and
 // move where their other side is better.
-[[nodiscard]] bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits,
-                                   const model::RangePriors& priors);
+[[nodiscard]] bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits);
 
 // Finds each row's sight and solves the fits with it. The table: of the same rows.
 [[nodiscard]] SiteSight solve_sight(const PollTable& table, const SightModel& start,

@@ -134,14 +134,10 @@ void find_start(AnchorFit& fit) {
       spread_along_the_way(problem.rows, problem.tag_count, kSearchRowsPerTag);
   AnchorProblem sketch = problem;
   sketch.rows = few;
-  if (problem.position.surveyed) {
-    const KernelShape wide{.scale_m = 3.0 * problem.priors.sigma_m};
-    fit.anchor = anchor_at(problem.position.mean_m, problem.tag_count, problem.priors);
-    fit.kernels.assign(problem.tag_count, RobustKernel(wide.with_blocked(0.2)));
-    fit.anchor = solve_anchor(sketch, fit.kernels, fit.anchor, 10).anchor;
-    return;
-  }
-  Candidate best = search(sketch);
+  Candidate best =
+      problem.position.surveyed
+          ? descend(sketch, anchor_at(problem.position.mean_m, problem.tag_count, problem.priors))
+          : search(sketch);
   fit.anchor = best.solution.anchor;
   fit.kernels.assign(problem.tag_count, RobustKernel(best.kernel));
 }

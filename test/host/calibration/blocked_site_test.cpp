@@ -18,6 +18,7 @@ using model::AnchorVerdict;
 constexpr double kDrive_s = 160.0;
 // Of chi square with three degrees of freedom, 99.7 %.
 constexpr double kEllipsoid997 = 13.93;
+constexpr double kSameSolution = 0.1;  // square sigmas
 
 // Across the hall's gate, as seen from inside, and two walls within.
 test::Blocking hall() {
@@ -55,6 +56,24 @@ TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonestOverManyDrives) {
   EXPECT_GT(ok, kSites * 7);
   EXPECT_LT(error_m / ok, 0.10);
   EXPECT_GT(inside, 0.90 * biases);
+}
+
+// What the ranges' noise is, they tell themselves.
+TEST(BlockedSite, IsTheSameWhateverNoiseIsTold) {
+  const test::SimulatedSite site =
+      test::blocked_site(test::polled_settings(test::Route::kWaves, kDrive_s), hall(), 5);
+  Drive drive = site.drive();
+  const model::Calibration right = calibrate(drive).calibration;
+  const double told_m = drive.priors.sigma_m;
+  for (const double factor : {3.0, 1.0 / 3.0}) {
+    drive.priors.sigma_m = factor * told_m;
+    const model::Calibration found = calibrate(drive).calibration;
+    for (std::size_t a = 0; a < right.anchors.size(); ++a) {
+      EXPECT_EQ(found.anchors[a].verdict, right.anchors[a].verdict) << right.anchors[a].id;
+      EXPECT_LT(test::square_sigmas(found.anchors[a], right.anchors[a].position_m), kSameSolution)
+          << "sigma times " << factor << ", anchor " << right.anchors[a].id;
+    }
+  }
 }
 
 // Replies that are lost now and then, each by itself, are no wall: ranges that are too long here and there
