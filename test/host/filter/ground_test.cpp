@@ -197,7 +197,7 @@ const double kSlopes = 2.0 / 3.0;
 
 model::Surface drawn_ground(Random& random) {
   const model::BSpline::Grid grid{-21.0, -21.0, kKnot_m, kKnot_m, 17, 17};
-  std::vector<double> heights_m(17 * 17);
+  std::vector<double> heights_m(std::size_t{17} * 17);
   for (double& height_m : heights_m) height_m = kHeightSigma_m / kSquares * random.gaussian();
   return model::BSpline(grid, heights_m);
 }

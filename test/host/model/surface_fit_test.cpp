@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstddef>
 #include <vector>
 
 #include "test/support/random.hpp"
@@ -81,7 +82,7 @@ TEST(SurfaceFit, APlaneStaysOneAcrossAGap) {
 TEST(SurfaceFit, GoesThroughTheHeightsOfASplineOfItsOwn) {
   Random random(3);
   const BSpline::Grid grid{0.0, 0.0, 1.5, 1.5, 9, 7};
-  std::vector<double> heights_m(9 * 7);
+  std::vector<double> heights_m(std::size_t{9} * 7);
   for (double& height_m : heights_m) height_m = random.gaussian();
   const BSpline spline(grid, heights_m);
   std::vector<Eigen::Vector3d> points{{0.0, 0.0, spline.at(0.0, 0.0).z_m},
@@ -101,6 +102,7 @@ TEST(SurfaceFit, GoesThroughTheHeightsOfASplineOfItsOwn) {
 
 TEST(SurfaceFit, ALineOfPointsIsHeldLevelBesideItAndTooFineASpacingHasNone) {
   std::vector<Eigen::Vector3d> line;
+  line.reserve(50);
   for (int i = 0; i < 50; ++i) line.emplace_back(0.4 * i, 3.0, 0.02 * i);
   const std::optional<SurfaceFit> fit = fit_surface(line, {.spacing_m = 2.0, .smoothing = 0.01});
   ASSERT_TRUE(fit);
