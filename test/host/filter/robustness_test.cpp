@@ -212,7 +212,7 @@ void expect_little_cost(double range_s, double most_nees, const Wrong& wrong) {
   EXPECT_LT(errors_m[2], 1.1 * errors_m[0]);
 }
 
-TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittle) {
+TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   expect_little_cost(0.05, 2.0, [](Config& config, double factor) {
     config.odometry = {0.03 * factor, 0.03 * factor, 0.01 * factor};
   });
@@ -303,7 +303,7 @@ TEST(RangeTuning, FindsTheWhiteSigmaBesideWhatLastsAndWhatIsBlocked) {
   }
 }
 
-TEST(RangeTuning, ASigmaThatIsWrongByThreeCostsLittle) {
+TEST(RangeTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   expect_little_cost(0.01, 2.5, [](Config& config, double factor) { config.range_sigma_m *= factor; });
 }
 

@@ -220,13 +220,13 @@ double mean_nees(int drives, bool gyro, const Sense& sense) {
 constexpr auto kNothing = [](Filter&, double, const model::PlanarPose&, Random&) {};
 
 // The mean of 100 has a sigma of 0.08.
-TEST(Sensors, AGyroKeepsTheFilterConsistent) {
+TEST(Sensors, AGyroKeepsTheFilterConsistentOverManyDrives) {
   const double nees = mean_nees(100, true, kNothing);
   EXPECT_GT(nees, 0.75);
   EXPECT_LT(nees, 1.25);
 }
 
-TEST(Sensors, PositionsKeepTheFilterConsistent) {
+TEST(Sensors, PositionsKeepTheFilterConsistentOverManyDrives) {
   const model::Surface surface = testing::hills(0.2);
   const double nees =
       mean_nees(100, true, [&](Filter& filter, double t_s, const model::PlanarPose& truth, Random& random) {
@@ -243,7 +243,7 @@ TEST(Sensors, PositionsKeepTheFilterConsistent) {
   EXPECT_LT(nees, 1.25);
 }
 
-TEST(Sensors, PosesKeepTheFilterConsistent) {
+TEST(Sensors, PosesKeepTheFilterConsistentOverManyDrives) {
   const double nees =
       mean_nees(100, false, [&](Filter& filter, double t_s, const model::PlanarPose& truth, Random& random) {
         Eigen::Matrix3d covariance;
