@@ -170,7 +170,11 @@ inline void add_seeds(const SiteSettings& settings, std::uint64_t first, std::ui
       const model::AnchorCalibration& found = result.calibration.anchors[a];
       ASSERT_EQ(found.id, site.anchors[a].id);
       const Eigen::Vector3d error_m = found.position_m - site.anchors[a].position_m;
-      const Eigen::Matrix3d covariance = found.covariance.topLeftCorner<3, 3>();
+      // Of poses that do not wander all of the common frame is what no range can tell, and these have none.
+      const Eigen::Matrix3d covariance =
+          wanders ? Eigen::Matrix3d(found.covariance.topLeftCorner<3, 3>())
+                  : Eigen::Matrix3d(model::own_covariance(found, result.calibration.common_frame_covariance)
+                                        .topLeftCorner<3, 3>());
       const double nees = error_m.dot(covariance.ldlt().solve(error_m));
       out.square_m2 += error_m.squaredNorm();
       out.bound_m2 +=
