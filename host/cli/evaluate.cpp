@@ -64,6 +64,12 @@ int run(const EvaluateOptions& options) {
         fmt::format("{}: {} samples have a covariance that is not positive definite; NEES leaves them out",
                     options.estimate, result->samples_without_covariance));
   }
+  for (const evaluation::FrozenSpan& span : evaluation::frozen_spans(truth)) {
+    warnings.add(fmt::format(
+        "{}: repeats one pose from {:.3f} to {:.3f} s, then jumps by {:.3f} m; errors there count, "
+        "and are the truth's",
+        options.truth, span.from_s, span.to_s, span.jump_m));
+  }
   if (options.json) {
     say_json(cli::to_json(*result));
   } else {

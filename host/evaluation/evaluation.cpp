@@ -80,6 +80,27 @@ std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estima
   return errors;
 }
 
+std::vector<FrozenSpan> frozen_spans(std::span<const model::PoseSample> truth) {
+  const auto step_m = [&](std::size_t i) {
+    return std::hypot(truth[i + 1].x_m - truth[i].x_m, truth[i + 1].y_m - truth[i].y_m);
+  };
+  const auto speed_mps = [&](std::size_t i) { return step_m(i) / (truth[i + 1].t_s - truth[i].t_s); };
+  std::vector<FrozenSpan> out;
+  std::size_t first = 0;
+  for (std::size_t i = 1; i + 2 < truth.size(); ++i) {
+    if (truth[i].x_m != truth[first].x_m || truth[i].y_m != truth[first].y_m ||
+        truth[i].yaw_rad != truth[first].yaw_rad) {
+      first = i;
+    }
+    // Rows i and i + 1 are where it may end, first - 1 and i + 2 about it.
+    if (first == 0 || i + 1 < first + kFewRepeats) continue;
+    if (truth[i].t_s - truth[first].t_s > kMaxFrozen_s || step_m(i) < kLeastJump_m) continue;
+    if (speed_mps(i) <= kJumpFactor * std::max(speed_mps(first - 1), speed_mps(i + 1))) continue;
+    out.push_back({.from_s = truth[first].t_s, .to_s = truth[i].t_s, .jump_m = step_m(i)});
+  }
+  return out;
+}
+
 std::optional<Evaluation> evaluate(std::span<const PoseError> errors) {
   if (errors.empty()) return std::nullopt;
   Samples ate_m;

@@ -32,6 +32,20 @@ struct PoseError {
 [[nodiscard]] std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estimate,
                                                  std::span<const model::PoseSample> truth);
 
+// Where the truth repeats one pose and then jumps, as that of a tracker that has lost sight: at least
+// kFewRepeats rows, within kMaxFrozen_s, and a step at their end of kLeastJump_m or more that is faster than
+// kJumpFactor times both the step before and the one after. What stands and moves off does not.
+inline constexpr std::size_t kFewRepeats = 5;
+inline constexpr double kMaxFrozen_s = 1.0;
+inline constexpr double kLeastJump_m = 0.05;
+inline constexpr double kJumpFactor = 5.0;
+struct FrozenSpan {
+  double from_s = 0.0;
+  double to_s = 0.0;  // of the last row that repeats the first
+  double jump_m = 0.0;
+};
+[[nodiscard]] std::vector<FrozenSpan> frozen_spans(std::span<const model::PoseSample> truth);
+
 struct Statistics {
   double max = 0.0;
   double mean = 0.0;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <numbers>
+#include <vector>
 
 namespace groma::evaluation {
 namespace {
@@ -17,6 +18,31 @@ model::PlanarEstimate estimate_row(double t_s, double x_m, double y_m, double ya
 
 model::PoseSample pose(double t_s, double x_m, double y_m, double yaw_rad) {
   return {t_s, x_m, y_m, 0.0, yaw_rad};
+}
+
+// At 0.5 m/s, 50 rows a second, standing still from row 40 on for some rows.
+std::vector<model::PoseSample> halting(int rows_still, bool goes_on_meanwhile) {
+  std::vector<model::PoseSample> out;
+  double x_m = 0.0;
+  for (int i = 0; i < 120; ++i) {
+    const bool still = i >= 40 && i < 40 + rows_still;
+    if (!still || goes_on_meanwhile) x_m += 0.01;
+    out.push_back(pose(0.02 * i, still ? out.back().x_m : x_m, 1.0, 0.0));
+  }
+  return out;
+}
+
+TEST(EvaluationTest, TruthThatRepeatsItselfAndJumpsIsNamed) {
+  const auto spans = frozen_spans(halting(20, true));
+  ASSERT_EQ(spans.size(), 1U);
+  EXPECT_NEAR(spans[0].from_s, 0.78, 1e-9);
+  EXPECT_NEAR(spans[0].to_s, 1.18, 1e-9);
+  EXPECT_NEAR(spans[0].jump_m, 0.21, 1e-9);
+  // Who stands and moves off does not jump; who stands for long may be carried.
+  EXPECT_TRUE(frozen_spans(halting(20, false)).empty());
+  EXPECT_TRUE(frozen_spans(halting(70, true)).empty());
+  EXPECT_TRUE(frozen_spans(halting(0, false)).empty());
+  EXPECT_TRUE(frozen_spans({}).empty());
 }
 
 TEST(EvaluationTest, ByHand) {
