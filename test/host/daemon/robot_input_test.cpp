@@ -109,6 +109,7 @@ TEST(RobotInput, ReadsOtherSensors) {
   const auto messages = take_all(input);
   ASSERT_EQ(messages.size(), 4U);
   std::vector<model::SensorSample> samples;
+  samples.reserve(messages.size());
   for (const RobotMessage& message : messages) samples.push_back(std::get<model::SensorSample>(message));
   for (std::size_t i = 0; i < samples.size(); ++i)
     EXPECT_EQ(model::time_of(samples[i]), 1.0 + static_cast<double>(i));
