@@ -274,7 +274,7 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
 // What there is to do, once for all anchors that share it.
 void add_advice(Page& page, const model::Calibration& calibration) {
   struct Notice {
-    std::string anchors;
+    std::vector<model::NodeId> anchors;
     std::string text;
     Tone tone;
   };
@@ -285,12 +285,16 @@ void add_advice(Page& page, const model::Calibration& calibration) {
     const auto same = std::find_if(notices.begin(), notices.end(),
                                    [&](const Notice& notice) { return notice.text == text; });
     if (same == notices.end()) {
-      notices.push_back({fmt::format("Anchor {}", anchor.id), text, tone(anchor.verdict)});
+      notices.push_back({{anchor.id}, text, tone(anchor.verdict)});
     } else {
-      same->anchors += fmt::format(", {}", anchor.id);
+      same->anchors.push_back(anchor.id);
     }
   }
-  for (const Notice& notice : notices) page.add_notice(notice.anchors, notice.text, notice.tone);
+  for (const Notice& notice : notices) {
+    page.add_notice(
+        fmt::format("Anchor{} {}", notice.anchors.size() > 1 ? "s" : "", fmt::join(notice.anchors, ", ")),
+        notice.text, notice.tone);
+  }
 }
 
 void add_map(Page& page, const calibration::Drive& drive, const calibration::Result& result) {

@@ -272,7 +272,7 @@ TEST(MeasurementChoice, ADriveOfTenTimesTheRangesKeepsItsAccuracyUnderTheBudgetO
 }
 
 // Polls without a reply are told by all of them: a gap between chosen ranges is no missed poll.
-TEST(MeasurementChoice, KnowsWallsByWhatItLeavesOutToo) {
+TEST(MeasurementChoice, KnowsWallsByWhatItLeavesOutTooOverManyDrives) {
   constexpr std::size_t kBudget = 2000;  // of up to 6000
   test::Blocking blocking;
   blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}, {{7.0, 1.0}, {7.0, 5.0}}};
