@@ -144,7 +144,7 @@ TEST(Filter, TwoStepsWithinARowAreOneStep) {
               2e-6);
 }
 
-TEST(Filter, CovarianceOfDeadReckoningIsThatOfManyDrives) {
+TEST(Filter, CovarianceOfDeadReckoningIsThatOverManyDrives) {
   const model::Surface surface = testing::hills(0.2);
   const model::PlanarPose start{1.0, -2.0, 0.4};
   Random random(61);
@@ -229,7 +229,7 @@ TEST_P(Consistency, ErrorsAreAsLargeAsStatedOverManySites) {
   EXPECT_GE(nees.inside, 105);
 }
 
-TEST_P(Consistency, OfRangesWithASlowErrorToo) {
+TEST_P(Consistency, OfRangesWithASlowErrorTooOverManySites) {
   constexpr int kSites = 120;
   model::Calibration calibration = testing::six_anchors(0.3);
   calibration.range_noise = {.white_sigma_m = 0.05, .slow_sigma_m = 0.15, .slow_time_s = 4.0};

@@ -260,7 +260,7 @@ GroundFigures figures(Model model, bool modelled, int drives) {
   return out;
 }
 
-TEST(GroundMismatch, IsAllowedForByAsMuchAsItIs) {
+TEST(GroundMismatch, IsAllowedForByAsMuchAsItIsOverManyDrives) {
   for (const Model model : {Model::kSchmidt, Model::kJoint}) {
     const GroundFigures told = figures(model, true, 40);
     const GroundFigures untold = figures(model, false, 15);
