@@ -82,6 +82,10 @@ void drop_if_all(pb_size_t& count, const Value* values, Value unknown) {
   if (std::all_of(values, values + count, [&](Value value) { return value == unknown; })) count = 0;
 }
 
+// Most columns are there in each record.
+template <typename Columns>
+void drop_unknown_columns(Columns& /*columns*/) {}
+
 void drop_unknown_columns(groma_LogRanges& ranges) {
   drop_if_all(ranges.first_path_power_cdbm_count, ranges.first_path_power_cdbm, kNoPower);
   drop_if_all(ranges.receive_power_cdbm_count, ranges.receive_power_cdbm, kNoPower);
@@ -277,46 +281,80 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
 
 // The records that are being filled, and room to encode one.
 struct LogEncoder::Records {
-  // One record, which begins anew each time it was appended.
+  // One record of columns, which begins anew each time it was appended.
+  template <typename Columns>
   struct Filling {
-    explicit Filling(pb_size_t tag) : which(tag) { record.which_body = which; }
+    Filling(pb_size_t tag, Columns& (*columns_of)(groma_LogRecord& of))
+        : columns(columns_of(record)), which(tag) {
+      clear();
+    }
+    void clear() {
+      record = groma_LogRecord_init_zero;
+      record.which_body = which;
+    }
 
-    pb_size_t which;
     groma_LogRecord record = groma_LogRecord_init_zero;
+    Columns& columns;
+    pb_size_t which;
   };
 
-  Filling ranges{groma_LogRecord_ranges_tag};
-  Filling odometry{groma_LogRecord_odometry_tag};
-  Filling poses{groma_LogRecord_poses_tag};
-  Filling yaw_rates{groma_LogRecord_yaw_rates_tag};
-  Filling positions{groma_LogRecord_positions_tag};
-  Filling absolute_poses{groma_LogRecord_absolute_poses_tag};
-  Filling zero_velocities{groma_LogRecord_zero_velocities_tag};
-  std::int64_t network_time_dtu = 0;  // of the last range
-  std::array<std::uint8_t, groma_LogRecord_size> payload{};
-  std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
+  Filling<groma_LogRanges> ranges{groma_LogRecord_ranges_tag,
+                                  [](groma_LogRecord& of) -> auto& {return of.body.ranges;
+}
+};  // namespace groma::io
+Filling<groma_LogOdometry> odometry{groma_LogRecord_odometry_tag,
+                                    [](groma_LogRecord& of) -> auto& {return of.body.odometry;
+}
+}
+;
+Filling<groma_LogPoses> poses{groma_LogRecord_poses_tag,
+                              [](groma_LogRecord& of) -> auto& {return of.body.poses;
+}
+}
+;
+Filling<groma_LogYawRates> yaw_rates{groma_LogRecord_yaw_rates_tag,
+                                     [](groma_LogRecord& of) -> auto& {return of.body.yaw_rates;
+}
+}
+;
+Filling<groma_LogPositions> positions{groma_LogRecord_positions_tag,
+                                      [](groma_LogRecord& of) -> auto& {return of.body.positions;
+}
+}
+;
+Filling<groma_LogPoses> absolute_poses{groma_LogRecord_absolute_poses_tag,
+                                       [](groma_LogRecord& of) -> auto& {return of.body.absolute_poses;
+}
+}
+;
+Filling<groma_LogTimes> zero_velocities{groma_LogRecord_zero_velocities_tag,
+                                        [](groma_LogRecord& of) -> auto& {return of.body.zero_velocities;
+}
+}
+;
+std::int64_t network_time_dtu = 0;  // of the last range of the record
+std::array<std::uint8_t, groma_LogRecord_size> payload{};
+std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
 
-  void finish_ranges(std::string& out) {
-    drop_unknown_columns(ranges.record.body.ranges);
-    finish(ranges, ranges.record.body.ranges.t_s_count, out);
-    network_time_dtu = 0;
-  }
-  void finish_poses(Filling& filling, groma_LogPoses& body, std::string& out) {
-    drop_unknown_columns(body);
-    finish(filling, body.t_s_count, out);
-  }
-  void finish(Filling& filling, pb_size_t count, std::string& out) {
-    if (count == 0) return;
-    append(filling.record, out);
-    filling = Filling(filling.which);
-  }
-  void append(const groma_LogRecord& record, std::string& out) {
-    pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
-    if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
-    const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
-    out.append(reinterpret_cast<const char*>(frame.data()), size);
-  }
-};
+template <typename Columns>
+void finish(Filling<Columns>& filling, std::string& out) {
+  if (filling.columns.t_s_count == 0) return;
+  drop_unknown_columns(filling.columns);
+  append(filling.record, out);
+  filling.clear();
+}
+template <typename Columns>
+void finish_if_full(Filling<Columns>& filling, std::string& out) {
+  if (filling.columns.t_s_count == std::size(filling.columns.t_s)) finish(filling, out);
+}
+void append(const groma_LogRecord& record, std::string& out) {
+  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+  if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
+  const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
+  out.append(reinterpret_cast<const char*>(frame.data()), size);
+}
+}
+;
 
 LogEncoder::LogEncoder() : records_(std::make_unique<Records>()) {}
 LogEncoder::~LogEncoder() = default;
@@ -342,27 +380,24 @@ void LogEncoder::begin_section(std::span<const DescriptionFile> description, std
 }
 
 void LogEncoder::put(const model::RangeSample& range) {
-  groma_LogRanges& ranges = records_->ranges.record.body.ranges;
-  add(ranges, range, records_->network_time_dtu);
+  groma_LogRanges& ranges = records_->ranges.columns;
+  add(ranges, range, ranges.t_s_count > 0 ? records_->network_time_dtu : 0);
   records_->network_time_dtu = range.network_time_dtu;
-  if (ranges.t_s_count == std::size(ranges.t_s)) records_->finish_ranges(bytes_);
+  records_->finish_if_full(records_->ranges, bytes_);
 }
 
 void LogEncoder::put(const model::OdometrySample& row) {
-  groma_LogOdometry& odometry = records_->odometry.record.body.odometry;
+  groma_LogOdometry& odometry = records_->odometry.columns;
   odometry.t_s[odometry.t_s_count++] = row.t_s;
   odometry.vx_mps[odometry.vx_mps_count++] = row.vx_mps;
   odometry.vy_mps[odometry.vy_mps_count++] = row.vy_mps;
   odometry.omega_radps[odometry.omega_radps_count++] = row.omega_radps;
-  if (odometry.t_s_count == std::size(odometry.t_s)) {
-    records_->finish(records_->odometry, odometry.t_s_count, bytes_);
-  }
+  records_->finish_if_full(records_->odometry, bytes_);
 }
 
 void LogEncoder::put(const model::PoseSample& pose) {
-  groma_LogPoses& poses = records_->poses.record.body.poses;
-  add(poses, pose);
-  if (poses.t_s_count == std::size(poses.t_s)) records_->finish_poses(records_->poses, poses, bytes_);
+  add(records_->poses.columns, pose);
+  records_->finish_if_full(records_->poses, bytes_);
 }
 
 void LogEncoder::put(const model::SensorSample& sample) {
@@ -370,51 +405,41 @@ void LogEncoder::put(const model::SensorSample& sample) {
 }
 
 void LogEncoder::put_sensor(const model::YawRateSample& sample) {
-  groma_LogYawRates& rates = records_->yaw_rates.record.body.yaw_rates;
+  groma_LogYawRates& rates = records_->yaw_rates.columns;
   rates.t_s[rates.t_s_count++] = sample.t_s;
   rates.omega_radps[rates.omega_radps_count++] = sample.omega_radps;
-  if (rates.t_s_count == std::size(rates.t_s)) {
-    records_->finish(records_->yaw_rates, rates.t_s_count, bytes_);
-  }
+  records_->finish_if_full(records_->yaw_rates, bytes_);
 }
 
 void LogEncoder::put_sensor(const model::PositionSample& sample) {
-  groma_LogPositions& positions = records_->positions.record.body.positions;
+  groma_LogPositions& positions = records_->positions.columns;
   positions.t_s[positions.t_s_count++] = sample.t_s;
   positions.x_m[positions.x_m_count++] = sample.x_m;
   positions.y_m[positions.y_m_count++] = sample.y_m;
   for (const double term : sample.covariance_m2)
     positions.covariance[positions.covariance_count++] = static_cast<float>(term);
-  if (positions.t_s_count == std::size(positions.t_s)) {
-    records_->finish(records_->positions, positions.t_s_count, bytes_);
-  }
+  records_->finish_if_full(records_->positions, bytes_);
 }
 
 void LogEncoder::put_sensor(const model::PoseSample& sample) {
-  groma_LogPoses& poses = records_->absolute_poses.record.body.absolute_poses;
-  add(poses, sample);
-  if (poses.t_s_count == std::size(poses.t_s)) {
-    records_->finish_poses(records_->absolute_poses, poses, bytes_);
-  }
+  add(records_->absolute_poses.columns, sample);
+  records_->finish_if_full(records_->absolute_poses, bytes_);
 }
 
 void LogEncoder::put_sensor(const model::ZeroVelocitySample& sample) {
-  groma_LogTimes& times = records_->zero_velocities.record.body.zero_velocities;
+  groma_LogTimes& times = records_->zero_velocities.columns;
   times.t_s[times.t_s_count++] = sample.t_s;
-  if (times.t_s_count == std::size(times.t_s)) {
-    records_->finish(records_->zero_velocities, times.t_s_count, bytes_);
-  }
+  records_->finish_if_full(records_->zero_velocities, bytes_);
 }
 
 void LogEncoder::flush() {
-  Records& of = *records_;
-  of.finish_ranges(bytes_);
-  of.finish(of.odometry, of.odometry.record.body.odometry.t_s_count, bytes_);
-  of.finish_poses(of.poses, of.poses.record.body.poses, bytes_);
-  of.finish(of.yaw_rates, of.yaw_rates.record.body.yaw_rates.t_s_count, bytes_);
-  of.finish(of.positions, of.positions.record.body.positions.t_s_count, bytes_);
-  of.finish_poses(of.absolute_poses, of.absolute_poses.record.body.absolute_poses, bytes_);
-  of.finish(of.zero_velocities, of.zero_velocities.record.body.zero_velocities.t_s_count, bytes_);
+  records_->finish(records_->ranges, bytes_);
+  records_->finish(records_->odometry, bytes_);
+  records_->finish(records_->poses, bytes_);
+  records_->finish(records_->yaw_rates, bytes_);
+  records_->finish(records_->positions, bytes_);
+  records_->finish(records_->absolute_poses, bytes_);
+  records_->finish(records_->zero_velocities, bytes_);
 }
 
 std::string LogEncoder::take() {
