@@ -68,11 +68,12 @@ function(groma_executable)
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
 endfunction()
 
-# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [TIMEOUT s]): a GoogleTest program, each
-# case a CTest test, with the labels of GROMA_TEST_LABELS, too. One labelled long is there with GROMA_LONG_TESTS only.
+# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [TIMEOUT s] [STATISTICS]): a GoogleTest
+# program, each case a CTest test, with the labels of GROMA_TEST_LABELS, too. One labelled long is there with
+# GROMA_LONG_TESTS only, one of STATISTICS not under a sanitizer: many drives go no other way than single ones.
 function(groma_test)
-  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
-  if("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS)
+  cmake_parse_arguments(arg "STATISTICS" "NAME;TIMEOUT" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
+  if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE))
     return()
   endif()
   if(NOT arg_TIMEOUT)
