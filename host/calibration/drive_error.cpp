@@ -28,6 +28,10 @@ constexpr WanderPrior kFirstWander{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .corr
 constexpr std::array kCorrelations_s{5.0, 20.0, 60.0};
 constexpr std::array kYawFactors{0.4, 2.5};
 constexpr std::array kShiftFactors{0.7, 1.4};
+// And then whether it is smooth, and how fast: natural frequencies' inverses and damping ratios.
+constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
+constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
+constexpr std::array kSmoothFactors{1.0, 0.7};
 constexpr int kDriveSweeps = 2;
 constexpr int kFollowingSteps = 3;
 // A step that is shorter than this, in sigmas, is the last.
@@ -37,6 +41,8 @@ constexpr double kRestingSigmas = 0.1;
 constexpr double kMinWanderEvidence = 4.0;
 constexpr double kMinBodyEvidence = 10.0;
 constexpr double kMinMoreBodyEvidence = 8.0;
+constexpr double kMinSmoothEvidence = 1.0;
+constexpr double kMinOscillationEvidence = 4.0;
 // And by so much where it is thought to be of places: what a place does to the ranges of each anchor can pass
 // for what they share.
 constexpr double kMinLastingWander = 4.0;
@@ -49,8 +55,8 @@ constexpr double kDelaySigma_s = 0.03;
 constexpr double kMinDelaySigmas = 6.0;
 constexpr double kNoDelaySigma_s = 1e-7;
 // No localization knows its map better than this; shared by all poses and never seen by ranges.
-constexpr double kDriveFrameSigma_m = 0.005;
-constexpr double kFrameSigma_rad = 0.0005;
+constexpr double kDriveFrameSigma_m = 0.002;
+constexpr double kFrameSigma_rad = 0.0002;
 
 double log_determinant(const Eigen::LLT<Eigen::MatrixXd>& factors) {
   return 2.0 * Eigen::MatrixXd(factors.matrixL()).diagonal().array().log().sum();
@@ -124,6 +130,41 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
     for (const double factor : kShiftFactors) scale(&WanderPrior::sigma_m, factor);
   }
   return best;
+}
+
+// The wander that is believed as a smooth one, or as one that oscillates, if that makes the ranges likelier by
+// enough. Knots far apart do not tell one from the other: to be asked on fine ones.
+SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknowns& unknowns,
+                            const SharedPrior& rough) {
+  Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
+  const auto consider = [&](const WanderPrior& wander, double min_gain) {
+    SharedPrior prior = rough;
+    prior.wander = wander;
+    const double found = evidence(equations, unknowns, prior) - min_gain;
+    if (found > best.evidence) best = {.prior = prior, .evidence = found};
+  };
+  const auto least_gain = [](double damping_ratio) {
+    return kMinSmoothEvidence + (damping_ratio < 1.0 ? kMinOscillationEvidence : 0.0);
+  };
+  for (const double factor : kSmoothFactors) {
+    for (const double damping_ratio : kDampingRatios) {
+      for (const double time_s : kSmoothTimes_s) {
+        WanderPrior wander = rough.wander;
+        wander.sigma_m *= factor;
+        wander.correlation_s = time_s;
+        wander.damping_ratio = damping_ratio;
+        consider(wander, least_gain(damping_ratio));
+      }
+    }
+  }
+  if (!best.prior.wander.damping_ratio) return rough;
+  const double gain = least_gain(*best.prior.wander.damping_ratio);
+  for (const double factor : kYawFactors) {
+    WanderPrior wander = best.prior.wander;
+    wander.sigma_yaw_rad *= factor;
+    consider(wander, gain);
+  }
+  return best.prior;
 }
 
 Belief believe_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
@@ -400,7 +441,6 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
   JointEquations equations = eliminate_anchors(fits, inflation, unknowns);
   const auto slow = [&] { return eliminate_anchors(fits, inflations(out.evidence, kWhile_s), unknowns); };
   SharedPrior prior = likeliest_prior(equations, question, slow);
-  out.wander = prior.wander;
   if (nothing_to_correct(equations, unknowns, prior)) {
     // By so much less do rows tell of what lasts.
     const std::vector<double> lasting = inflations(out.evidence, kWhile_s);
@@ -415,7 +455,10 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
     return out;
   }
   out.unknowns = arrange(fits, association.pose_spreads, question, prior);
+  if (prior.wander.sigma_m > 0.0)
+    prior = likeliest_shape(eliminate_anchors(fits, inflation, out.unknowns), out.unknowns, prior);
   out.prior = prior;
+  out.wander = prior.wander;
   out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());
   if (question.typical && prior.wander.sigma_m > 0.0) {
     const double share = white_share(prior.wander, *question.typical, out.unknowns.knots.spacing_s);

@@ -1,7 +1,6 @@
 #include "host/calibration/shared_unknowns.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 #include <Eigen/Cholesky>
@@ -17,9 +16,52 @@ constexpr double inverse_square(double x) noexcept {
   return 1.0 / (x * x);
 }
 
+// Added to the variance of one at each knot: smooth processes at near times are alike to the last digit.
+constexpr double kLeastFresh = 1e-6;
+
 // What a knot keeps of the error at the one before.
 double kept_share(const Knots& knots, const WanderPrior& wander) noexcept {
-  return std::exp(-knots.spacing_s / wander.correlation_s);
+  return wander_correlation(wander, knots.spacing_s);
+}
+
+// Of one axis at all knots, of variance one.
+Eigen::MatrixXd knot_correlation(const Knots& knots, const WanderPrior& wander) {
+  Eigen::MatrixXd out(knots.count, knots.count);
+  for (Eigen::Index i = 0; i < knots.count; ++i) {
+    for (Eigen::Index k = 0; k < knots.count; ++k)
+      out(i, k) = wander_correlation(wander, static_cast<double>(i - k) * knots.spacing_s);
+    out(i, i) += kLeastFresh;
+  }
+  return out;
+}
+
+// Inverse of knot_correlation.
+Eigen::MatrixXd knot_information(const Knots& knots, const WanderPrior& wander) {
+  if (wander.damping_ratio) {
+    return knot_correlation(knots, wander).llt().solve(Eigen::MatrixXd::Identity(knots.count, knots.count));
+  }
+  // Of a first-order process at equal steps: tridiagonal.
+  const double keep = kept_share(knots, wander);
+  const double fresh = 1.0 / (1.0 - keep * keep);
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(knots.count, knots.count);
+  for (Eigen::Index k = 0; k < knots.count; ++k) {
+    const bool inner = k > 0 && k + 1 < knots.count;
+    out(k, k) = fresh * (inner ? 1.0 + keep * keep : 1.0);
+    if (k + 1 == knots.count) continue;
+    out(k, k + 1) = -fresh * keep;
+    out(k + 1, k) = -fresh * keep;
+  }
+  return out;
+}
+
+double knot_log_determinant(const Knots& knots, const WanderPrior& wander) {
+  if (wander.damping_ratio) {
+    const Eigen::LLT<Eigen::MatrixXd> factors(knot_correlation(knots, wander));
+    return 2.0 * factors.matrixLLT().diagonal().array().log().sum();
+  }
+  // A first-order process is a product of its steps.
+  const double keep = kept_share(knots, wander);
+  return (static_cast<double>(knots.count) - 1.0) * std::log1p(-keep * keep);
 }
 
 BodyVector body_information() noexcept {
@@ -30,6 +72,15 @@ BodyVector body_information() noexcept {
 }
 
 }  // namespace
+
+double wander_correlation(const WanderPrior& wander, double apart_s) noexcept {
+  const double a = std::abs(apart_s) / wander.correlation_s;
+  if (!wander.damping_ratio) return std::exp(-a);
+  const double damping = *wander.damping_ratio;
+  if (damping >= 1.0) return (1.0 + a) * std::exp(-a);
+  const double frequency = std::sqrt(1.0 - damping * damping);
+  return std::exp(-damping * a) * (std::cos(frequency * a) + damping / frequency * std::sin(frequency * a));
+}
 
 std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid) {
   const RowSpan span = row_span(fits);
@@ -95,8 +146,17 @@ std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const Pos
 
 double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s) {
   const double slow = std::pow(wander.sigma_m / typical.sigma_m, 2);
-  // Of a first-order process, on average over the way from knot to knot.
-  const double missed = std::min(1.0, spacing_s / (3.0 * wander.correlation_s));
+  // Variance of what a line misses of a process of variance one, on average over the way from knot to knot.
+  constexpr int kPlaces = 8;
+  const double over_way = wander_correlation(wander, spacing_s);
+  double missed = 0.0;
+  for (int i = 0; i < kPlaces; ++i) {
+    const double f = (i + 0.5) / kPlaces;
+    missed += (1.0 + f * f + (1.0 - f) * (1.0 - f) + 2.0 * f * (1.0 - f) * over_way -
+               2.0 * (1.0 - f) * wander_correlation(wander, f * spacing_s) -
+               2.0 * f * wander_correlation(wander, (1.0 - f) * spacing_s)) /
+              kPlaces;
+  }
   return std::max(0.0, 1.0 - slow) + std::min(1.0, slow) * missed;
 }
 
@@ -129,37 +189,24 @@ void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const
 }
 
 Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPrior& prior) {
-  // Of a first-order process at equal steps: tridiagonal.
   const Knots& knots = unknowns.knots;
-  const double keep = kept_share(knots, prior.wander);
-  const double fresh = 1.0 / (1.0 - keep * keep);
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size());
   const double shift = inverse_square(std::max(prior.wander.sigma_m, kLeastSigma_m));
   const double turn = inverse_square(std::max(prior.wander.sigma_yaw_rad, kLeastSigma_rad));
-  const std::array<double, 3> inverse{shift, shift, turn};
+  const Eigen::Vector3d inverse(shift, shift, turn);
+  std::vector<Eigen::Matrix3d> inverse_scale;
+  inverse_scale.reserve(unknowns.knot_scale.size());
+  for (const Eigen::Matrix3d& scale : unknowns.knot_scale) inverse_scale.emplace_back(scale.inverse());
+  const Eigen::MatrixXd of_axis = knot_information(knots, prior.wander);
   for (Eigen::Index k = 0; k < knots.count; ++k) {
-    const bool inner = k > 0 && k + 1 < knots.count;
-    for (Eigen::Index axis = 0; axis < 3; ++axis) {
-      const double scale = inverse[static_cast<std::size_t>(axis)] * fresh;
-      const Eigen::Index here = 3 * k + axis;
-      out(here, here) = scale * (inner ? 1.0 + keep * keep : 1.0);
-      if (k + 1 == knots.count) continue;
-      out(here, here + 3) = -scale * keep;
-      out(here + 3, here) = -scale * keep;
-    }
-  }
-  if (!unknowns.knot_scale.empty()) {
-    std::vector<Eigen::Matrix3d> inverse_scale;
-    inverse_scale.reserve(unknowns.knot_scale.size());
-    for (const Eigen::Matrix3d& scale : unknowns.knot_scale) inverse_scale.emplace_back(scale.inverse());
-    for (Eigen::Index k = 0; k < knots.count; ++k) {
-      for (Eigen::Index other = std::max<Eigen::Index>(0, k - 1); other < std::min(k + 2, knots.count);
-           ++other) {
-        auto block = out.block<3, 3>(3 * k, 3 * other);
-        block = (inverse_scale[static_cast<std::size_t>(k)].transpose() * block *
-                 inverse_scale[static_cast<std::size_t>(other)])
-                    .eval();
-      }
+    for (Eigen::Index other = 0; other < knots.count; ++other) {
+      if (of_axis(k, other) == 0.0) continue;
+      auto block = out.block<3, 3>(3 * k, 3 * other);
+      block.diagonal() = of_axis(k, other) * inverse;
+      if (inverse_scale.empty()) continue;
+      block = (inverse_scale[static_cast<std::size_t>(k)].transpose() * block *
+               inverse_scale[static_cast<std::size_t>(other)])
+                  .eval();
     }
   }
   out(unknowns.delay(), unknowns.delay()) = inverse_square(prior.delay_sigma_s);
@@ -172,11 +219,9 @@ Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPr
 double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& prior) {
   double out = -2.0 * std::log(prior.delay_sigma_s);
   if (prior.wander.sigma_m > 0.0) {
-    // A first-order process is a product of its steps.
-    const double keep = kept_share(unknowns.knots, prior.wander);
     const auto n = static_cast<double>(unknowns.knots.count);
     out -= n * (4.0 * std::log(prior.wander.sigma_m) + 2.0 * std::log(prior.wander.sigma_yaw_rad)) +
-           3.0 * (n - 1.0) * std::log1p(-keep * keep);
+           3.0 * knot_log_determinant(unknowns.knots, prior.wander);
     for (const Eigen::Matrix3d& scale : unknowns.knot_scale)
       out -= 2.0 * std::log(std::abs(scale.determinant()));
   }

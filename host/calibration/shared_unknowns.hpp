@@ -16,13 +16,19 @@
 
 namespace groma::calibration {
 
-// The belief in the poses' error before any range is seen: in x, in y (map) and in yaw, each with an
-// exponential correlation over correlation_s; zero means that the poses are exact.
+// The belief in the poses' error before any range is seen: in x, in y (map) and in yaw, each a stationary
+// process; zero means that the poses are exact.
 struct WanderPrior {
   double sigma_m = 0.0;
   double sigma_yaw_rad = 0.0;
   double correlation_s = 20.0;
+  // None: of first order, which is rough. Else of second order, which is smooth: white noise through an
+  // oscillator of the natural frequency 1/correlation_s with this damping ratio, in (0, 1]; far below one where
+  // the robot comes by the same places again and again.
+  std::optional<double> damping_ratio = {};
 };
+// Between two times so far apart, of variance one.
+[[nodiscard]] double wander_correlation(const WanderPrior& wander, double apart_s) noexcept;
 
 // Of one tag: the error of its lever arm (base_link, m), then the coefficients of its antenna's pattern (m).
 inline constexpr Eigen::Index kBodyTerms = 3 + model::kPatternTerms;

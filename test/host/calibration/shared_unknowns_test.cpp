@@ -96,6 +96,69 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
   EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
 }
 
+// The correlation of an oscillator that white noise drives obeys its equation of motion, begun at rest.
+TEST(SharedUnknowns, SmoothWanderIsADrivenOscillators) {
+  for (const double damping_ratio : {1.0, 0.6, 0.1, 0.03}) {
+    const WanderPrior wander{
+        .sigma_m = 1.0, .sigma_yaw_rad = 1.0, .correlation_s = 7.0, .damping_ratio = damping_ratio};
+    constexpr double kStep_s = 1e-3;
+    double correlation = 1.0;
+    double rate = 0.0;
+    for (int i = 0; i < 40'000; ++i) {
+      if (i % 5000 == 0) {
+        EXPECT_NEAR(wander_correlation(wander, -kStep_s * i), correlation, 1e-3) << damping_ratio << i;
+      }
+      rate += kStep_s * (-2.0 * damping_ratio / 7.0 * rate - correlation / 49.0);
+      correlation += kStep_s * rate;
+    }
+  }
+}
+
+TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
+  const SharedUnknowns unknowns{
+      .knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 6}, .knot_scale = {}, .body_tags = 1};
+  for (const double damping_ratio : {1.0, 0.1}) {
+    const SharedPrior prior{.wander = {.sigma_m = 0.2,
+                                       .sigma_yaw_rad = 0.01,
+                                       .correlation_s = 7.0,
+                                       .damping_ratio = damping_ratio},
+                            .delay_sigma_s = 0.03,
+                            .body = true};
+    const Eigen::MatrixXd information = prior_information(unknowns, prior);
+    const Eigen::MatrixXd covariance = information.inverse();
+    for (Eigen::Index i = 0; i < unknowns.knots.count; ++i) {
+      for (Eigen::Index k = 0; k < unknowns.knots.count; ++k) {
+        const double kept = wander_correlation(prior.wander, 3.0 * static_cast<double>(i - k));
+        EXPECT_NEAR(covariance(3 * i, 3 * k), 0.04 * kept, 1e-7);
+        EXPECT_NEAR(covariance(3 * i + 2, 3 * k + 2), 1e-4 * kept, 1e-9);
+        EXPECT_NEAR(covariance(3 * i, 3 * k + 1), 0.0, 1e-9);
+      }
+    }
+    EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-5);
+  }
+}
+
+// By the mean over many drawn places of what a line from knot to knot misses.
+TEST(SharedUnknowns, WhatALineMissesIsLessOfASmoothWander) {
+  const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
+  WanderPrior wander{.sigma_m = 0.3, .sigma_yaw_rad = 0.02, .correlation_s = 20.0};
+  EXPECT_NEAR(white_share(wander, typical, 2.0), 2.0 / (3.0 * 20.0), 2e-3);
+  wander.damping_ratio = 1.0;
+  double missed = 0.0;
+  constexpr int kPlaces = 1000;
+  for (int i = 0; i < kPlaces; ++i) {
+    const double f = (i + 0.5) / kPlaces;
+    Eigen::Matrix3d covariance;  // of the first knot, the next, and the place between
+    const Eigen::Vector3d at(0.0, 12.0, 12.0 * f);
+    for (Eigen::Index a = 0; a < 3; ++a)
+      for (Eigen::Index b = 0; b < 3; ++b) covariance(a, b) = wander_correlation(wander, at(a) - at(b));
+    const Eigen::Vector3d off(1.0 - f, f, -1.0);
+    missed += off.dot(covariance * off) / kPlaces;
+  }
+  EXPECT_NEAR(white_share(wander, typical, 12.0), missed, 0.02 * missed);
+  EXPECT_LT(missed, 0.03);
+}
+
 TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
   test::Random random(4);
   SharedUnknowns unknowns{.knots = {.begin_s = 1.0, .spacing_s = 3.0, .count = 4}, .knot_scale = {}};

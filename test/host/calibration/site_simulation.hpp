@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <numbers>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Cholesky>
@@ -43,6 +44,8 @@ struct SiteSettings {
   double pose_sigma_m = 0.0;  // of the priors' error in x and in y, correlated over pose_correlation_s
   double pose_yaw_sigma_rad = 0.0;
   double pose_correlation_s = 20.0;
+  // Where told, the error is an oscillator's of natural frequency 1/pose_correlation_s that white noise drives.
+  std::optional<double> pose_damping_ratio = {};
   double range_delay_s = 0.0;      // ranges are stamped so much too late
   double lever_arm_sigma_m = 0.0;  // an axis: what the tags' lever arms are off by
   double pattern_sigma_m = 0.0;    // a coefficient of each tag's antenna pattern
@@ -166,11 +169,21 @@ inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t s
 
   const double pose_step_s = 0.05;
   const double keep = std::exp(-pose_step_s / settings.pose_correlation_s);
+  const double frequency = 1.0 / settings.pose_correlation_s;
   Eigen::Vector3d error = random.gaussians(3);
+  Eigen::Vector3d error_rate = Eigen::Vector3d::Zero();
+  if (settings.pose_damping_ratio) error_rate = frequency * random.gaussians(3);
   for (double t_s = 0.0; t_s < settings.duration_s + 2.0 * pose_step_s; t_s += pose_step_s) {
     model::PoseSample pose = true_pose(t_s, settings.route);
     site.truth.push_back(pose);
-    error = keep * error + std::sqrt(1.0 - keep * keep) * random.gaussians(3);
+    if (settings.pose_damping_ratio) {
+      const double loss = 2.0 * *settings.pose_damping_ratio * frequency;
+      error_rate += pose_step_s * (-loss * error_rate - frequency * frequency * error) +
+                    frequency * std::sqrt(2.0 * loss * pose_step_s) * random.gaussians(3);
+      error += pose_step_s * error_rate;
+    } else {
+      error = keep * error + std::sqrt(1.0 - keep * keep) * random.gaussians(3);
+    }
     pose.x_m += settings.pose_sigma_m * error.x();
     pose.y_m += settings.pose_sigma_m * error.y();
     pose.yaw_rad = model::wrap_angle(pose.yaw_rad + settings.pose_yaw_sigma_rad * error.z());
