@@ -132,8 +132,8 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
   return best;
 }
 
-// The wander that is believed as a smooth one, or as one that oscillates, if that makes the ranges likelier by
-// enough. Knots far apart do not tell one from the other: to be asked on fine ones.
+// The wander that is believed as a smooth one, or as one that oscillates, if that makes the ranges likelier
+// by enough. Knots far apart do not tell one from the other: to be asked on fine ones.
 SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknowns& unknowns,
                             const SharedPrior& rough) {
   Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};

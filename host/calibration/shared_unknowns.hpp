@@ -23,8 +23,8 @@ struct WanderPrior {
   double sigma_yaw_rad = 0.0;
   double correlation_s = 20.0;
   // None: of first order, which is rough. Else of second order, which is smooth: white noise through an
-  // oscillator of the natural frequency 1/correlation_s with this damping ratio, in (0, 1]; far below one where
-  // the robot comes by the same places again and again.
+  // oscillator of the natural frequency 1/correlation_s with this damping ratio, in (0, 1]; far below one
+  // where the robot comes by the same places again and again.
   std::optional<double> damping_ratio = {};
 };
 // Between two times so far apart, of variance one.

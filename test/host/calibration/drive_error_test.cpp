@@ -78,7 +78,8 @@ TEST(DriveError, TellsASmoothWanderFromARoughOne) {
     EXPECT_LT(*smooth.error.wander.damping_ratio, 1.0) << seed;
     Eigen::Vector2d shift_m = Eigen::Vector2d::Zero();
     for (std::size_t i = 0; i < site.poses.size(); ++i) {
-      shift_m += Eigen::Vector2d(site.poses[i].x_m - site.truth[i].x_m, site.poses[i].y_m - site.truth[i].y_m);
+      shift_m +=
+          Eigen::Vector2d(site.poses[i].x_m - site.truth[i].x_m, site.poses[i].y_m - site.truth[i].y_m);
     }
     shift_m /= static_cast<double>(site.poses.size());
     // What a turn about the drive's center leaves in place is the shift; the map's origin is far from it.

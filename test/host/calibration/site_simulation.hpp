@@ -44,7 +44,8 @@ struct SiteSettings {
   double pose_sigma_m = 0.0;  // of the priors' error in x and in y, correlated over pose_correlation_s
   double pose_yaw_sigma_rad = 0.0;
   double pose_correlation_s = 20.0;
-  // Where told, the error is an oscillator's of natural frequency 1/pose_correlation_s that white noise drives.
+  // Where told, the error is an oscillator's of natural frequency 1/pose_correlation_s that white noise
+  // drives.
   std::optional<double> pose_damping_ratio = {};
   double range_delay_s = 0.0;      // ranges are stamped so much too late
   double lever_arm_sigma_m = 0.0;  // an axis: what the tags' lever arms are off by
