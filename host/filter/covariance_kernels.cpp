@@ -5,7 +5,7 @@
 
 #if defined(__x86_64__) && defined(__linux__) && !defined(__SANITIZE_ADDRESS__) && \
     !defined(__SANITIZE_THREAD__)
-#define GROMA_CLONES __attribute__((target_clones("default", "avx2")))
+#define GROMA_CLONES __attribute__((target_clones("default", "avx2", "avx512f")))
 #else
 #define GROMA_CLONES
 #endif
@@ -86,20 +86,22 @@ GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d, co
 GROMA_CLONES void subtract_square(double* lower, int stride, int size, const double* g) noexcept {
   const double* const __restrict v = g;
   const int end = padded(size);
-  // Four columns at once, from the row of the first on.
+  // Four columns at once, from the line of the first one's row on: what is above the diagonal is never read.
   for (int j = 0; j < size; j += 4) {
     double* const column = aligned(lower) + static_cast<std::ptrdiff_t>(j) * stride;
-    double* const __restrict p0 = column;
-    double* const __restrict p1 = column + stride;
-    double* const __restrict p2 = column + 2 * static_cast<std::ptrdiff_t>(stride);
-    double* const __restrict p3 = column + 3 * static_cast<std::ptrdiff_t>(stride);
+    double* const __restrict p0 = aligned(column);
+    double* const __restrict p1 = aligned(column + stride);
+    double* const __restrict p2 = aligned(column + 2 * static_cast<std::ptrdiff_t>(stride));
+    double* const __restrict p3 = aligned(column + 3 * static_cast<std::ptrdiff_t>(stride));
     const double g0 = v[j], g1 = v[j + 1], g2 = v[j + 2], g3 = v[j + 3];
-    for (int i = j; i < end; ++i) {
-      const double at = v[i];
-      p0[i] -= g0 * at;
-      p1[i] -= g1 * at;
-      p2[i] -= g2 * at;
-      p3[i] -= g3 * at;
+    for (int line = j - j % kKernelStep; line < end; line += kKernelStep) {
+      for (int i = line; i < line + kKernelStep; ++i) {
+        const double at = v[i];
+        p0[i] -= g0 * at;
+        p1[i] -= g1 * at;
+        p2[i] -= g2 * at;
+        p3[i] -= g3 * at;
+      }
     }
   }
 }

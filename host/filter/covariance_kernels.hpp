@@ -1,5 +1,6 @@
-// The loops over many parameters, apart so that they are compiled for speed, on x86-64 for AVX2 too, which is
-// chosen when the program starts. Each operation is rounded alike in both: results do not depend on it.
+// The loops over many parameters, apart so that they are compiled for speed, on x86-64 for AVX2 and AVX-512
+// too, which is chosen when the program starts. Each operation is rounded alike in all: results do not depend
+// on it.
 //
 // Vectors and columns begin at multiples of 64 bytes and are padded with zeros to multiples of kKernelStep.
 #pragma once
@@ -26,7 +27,7 @@ void move_cross(double* cross, int rows, const PoseRows& pose_rows) noexcept;
 // q <- q + C d; C <- C - q gain^T.
 void correct_cross(double* cross, int rows, const CoreVector& d, const CoreVector& gain, double* q) noexcept;
 
-// P <- P - g g^T, of the lower triangle, column by column.
+// P <- P - g g^T, of the lower triangle, column by column; what stands above it is undefined.
 void subtract_square(double* lower, int stride, int size, const double* g) noexcept;
 // The same of column j alone with another factor: P(i, j) <- P(i, j) - scale g(i) for i from j on.
 void subtract_column(double* column, int from, int size, double scale, const double* g) noexcept;

@@ -16,23 +16,20 @@ struct Projection {
 
 Projection projection(const model::Surface& surface, int chart, const Eigen::Vector2d& position) noexcept {
   const model::SurfacePoint ground = surface.at(position.x(), position.y(), chart);
-  const double gx = ground.gradient.x();
-  const double gy = ground.gradient.y();
-  // The upper left of model::surface_rotation, with the normal (a, b, c).
-  const double c = 1.0 / std::sqrt(1.0 + gx * gx + gy * gy);
-  const double a = -gx * c;
-  const double b = -gy * c;
-  const double k = 1.0 / (1.0 + c);
+  // The upper left of model::surface_rotation: with c the normal's vertical part, 1 - m g gᵀ, m = c²/(1 + c).
+  const Eigen::Vector2d& g = ground.gradient;
+  const double c = 1.0 / std::sqrt(1.0 + g.squaredNorm());
+  const double q = 1.0 / (1.0 + c);
+  const double m = c * c * q;
+  const double dm_by_slope = -c * c * c * c * (2.0 + c) * q * q;
   Projection out;
-  out.a << 1.0 - k * a * a, -k * a * b, -k * a * b, 1.0 - k * b * b;
+  const double xy = -m * g.x() * g.y();
+  out.a << 1.0 - m * g.x() * g.x(), xy, xy, 1.0 - m * g.y() * g.y();
   const auto along = [&](double d_gx, double d_gy) {
-    const double dc = -c * c * c * (gx * d_gx + gy * d_gy);
-    const double da = -c * d_gx - gx * dc;
-    const double db = -c * d_gy - gy * dc;
-    const double dk = -k * k * dc;
-    const double ab = -dk * a * b - k * (da * b + a * db);
+    const double dm = dm_by_slope * (g.x() * d_gx + g.y() * d_gy);
+    const double d_xy = -dm * g.x() * g.y() - m * (d_gx * g.y() + g.x() * d_gy);
     Eigen::Matrix2d d;
-    d << -dk * a * a - 2.0 * k * a * da, ab, ab, -dk * b * b - 2.0 * k * b * db;
+    d << -(dm * g.x() + 2.0 * m * d_gx) * g.x(), d_xy, d_xy, -(dm * g.y() + 2.0 * m * d_gy) * g.y();
     return d;
   };
   out.d_x = along(ground.hessian(0, 0), ground.hessian(1, 0));
