@@ -98,6 +98,18 @@ function(groma_test)
   )
 endfunction()
 
+# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS]): the tests <name>_test and,
+# long, <name> of the same sources; SHORT and LONG are their definitions, TIMEOUT is the long one's.
+function(groma_campaign)
+  cmake_parse_arguments(arg "STATISTICS" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
+  set(common SOURCES ${arg_SOURCES} DEPENDS ${arg_DEPENDS})
+  if(arg_STATISTICS)
+    list(APPEND common STATISTICS)
+  endif()
+  groma_test(NAME ${arg_NAME}_test ${common} DEFINITIONS ${arg_SHORT})
+  groma_test(NAME ${arg_NAME} ${common} DEFINITIONS ${arg_LONG} LABELS long TIMEOUT ${arg_TIMEOUT})
+endfunction()
+
 # groma_benchmark(NAME <name> SOURCES ... [DEPENDS ...]); there is none under a sanitizer.
 function(groma_benchmark)
   if(GROMA_SANITIZE)

@@ -27,12 +27,21 @@ Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexc
   return out;
 }
 
+namespace {
+
+// What the frame's covariance is to a place.
+Eigen::Matrix3d frame_at(const Eigen::Vector3d& place_m, const Eigen::Matrix4d& common_frame_covariance) {
+  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(place_m);
+  return frame * common_frame_covariance * frame.transpose();
+}
+
+}  // namespace
+
 Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
                                const Eigen::Matrix4d& common_frame_covariance) {
   Eigen::MatrixXd own = anchor.covariance;
   if (common_frame_covariance.isZero(0.0)) return own;
-  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
-  const Eigen::Matrix3d shared = frame * common_frame_covariance * frame.transpose();
+  const Eigen::Matrix3d shared = frame_at(anchor.position_m, common_frame_covariance);
   // The frame has nothing to do with biases: what the position has room for is its covariance given them.
   const Eigen::Index biases = own.rows() - 3;
   Eigen::Matrix3d room = own.topLeftCorner<3, 3>();
@@ -54,8 +63,7 @@ Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
 }
 
 void add_common_frame(AnchorCalibration& anchor, const Eigen::Matrix4d& common_frame_covariance) {
-  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
-  const Eigen::Matrix3d shared = frame * common_frame_covariance * frame.transpose();
+  const Eigen::Matrix3d shared = frame_at(anchor.position_m, common_frame_covariance);
   anchor.covariance.topLeftCorner<3, 3>() += 0.5 * (shared + shared.transpose());
 }
 

@@ -125,7 +125,8 @@ SpatialEstimate on_surface(const Surface& surface, const PlanarPose& planar,
   SpatialEstimate out;
   out.z_m = at.pose.position_m.z();
   out.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
-  out.pitch_rad = std::atan2(-rotation(2, 0), cos_pitch);
+  // Not -0 on level ground.
+  out.pitch_rad = std::atan2(0.0 - rotation(2, 0), cos_pitch);
   out.chart = planar.chart;
 
   Eigen::Matrix<double, 6, 6> by = Eigen::Matrix<double, 6, 6>::Zero();
