@@ -7,11 +7,11 @@
 
 #include <Eigen/Cholesky>
 
+#include "host/filter/core_covariance.hpp"
 #include "host/filter/link_delay.hpp"
 #include "host/filter/pose_measurement.hpp"
 #include "host/filter/position_measurement.hpp"
 #include "host/filter/present_pose.hpp"
-#include "host/filter/propagation.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/filter/zero_velocity_measurement.hpp"
 
@@ -19,13 +19,7 @@ namespace groma::filter {
 
 namespace {
 
-// A jump in time is crossed in so many steps at most.
-constexpr double kMaxSteps = 400.0;
 constexpr double kNever = -std::numeric_limits<double>::infinity();
-// Doubt does not widen the pose beyond these.
-constexpr double kMaxDoubt_m = 10.0;
-constexpr double kMaxDoubt_rad = 1.0;
-
 using model::square;
 
 Learning learning(Model model) noexcept {
@@ -50,20 +44,16 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
 Filter::Snapshot begin(const Site& site, const Config& config, double white_sigma_m) {
   const Parameters parameters(site, config.active_anchors);
   JointCovariance covariance(site, parameters, learning(config.model));
-  return {.parameters = parameters,
-          .gate = Gate(config.gate),
-          .watch = OdometryWatch(config.watch),
-          .tuning = RangeTuning(config.tuning, white_sigma_m),
-          .sensors = SensorGate(config.sensors),
-          .gyro = Gyro(config.sensors),
-          .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
-          .standstill = Standstill(config.standstill),
-          .covariance = std::move(covariance)};
-}
-
-// The comparisons keep the noise that they were told: what their innovations show is their own error.
-bool is_tuned(Model model) noexcept {
-  return model == Model::kSchmidt || model == Model::kAnchorStates || model == Model::kJoint;
+  const MotionState motion{.watch = OdometryWatch(config.watch),
+                           .gyro = Gyro(config.sensors),
+                           .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
+                           .standstill = Standstill(config.standstill)};
+  return {motion,
+          parameters,
+          Gate(config.gate),
+          RangeTuning(config.tuning, white_sigma_m),
+          SensorGate(config.sensors),
+          std::move(covariance)};
 }
 
 // The original model knows of no calibration but positions: its noise is the one that it is told.
@@ -132,14 +122,24 @@ void Filter::start(const Start& start) noexcept {
     variances(kYawBias) = square(config_.sensors.gyro_bias_radps);
     variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
   }
-  now_.covariance.reset_core(variances);
-  stand_on(std::clamp(start.pose.chart, 0, surface_.chart_count() - 1));
-  now_.gate.reset(now_.t_s);
-  now_.tuning.reset();
-  now_.sensors.reset();
+  now_.covariance.reset_core(variances.asDiagonal());
   now_.odometry_tuning.reset();
   now_.standstill.reset();
   now_.stands = false;
+  begin_on(std::clamp(start.pose.chart, 0, surface_.chart_count() - 1));
+}
+
+void Filter::resume(const Filter& other) noexcept {
+  static_cast<MotionState&>(now_) = other.now_;
+  now_.covariance.reset_core(other.now_.covariance.core());
+  begin_on(now_.chart);
+}
+
+void Filter::begin_on(int chart) noexcept {
+  motion().stand_on(chart);
+  now_.gate.reset(now_.t_s);
+  now_.tuning.reset();
+  now_.sensors.reset();
   now_.last_answer_s.fill(kNever);
   now_.started = true;
 }
@@ -217,7 +217,7 @@ OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
   }
   const bool late = row.t_s < now_.t_s;
   advance_to(row.t_s);
-  hold(row);
+  motion().hold(row);
   return late ? OdometryOutcome::kUsedLate : OdometryOutcome::kUsed;
 }
 
@@ -286,7 +286,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
                             now_.parameters.values());
   }
   if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
-  follow_chart();
+  motion().follow_chart();
   result.outcome = RangeOutcome::kUsed;
   return result;
 }
@@ -296,19 +296,9 @@ SensorResult Filter::process(const model::YawRateSample& sample) noexcept {
     return count(Sensor::kYawRate, {.outcome = SensorOutcome::kBadValue});
   SensorResult result{.outcome = await(sample.t_s)};
   if (result.outcome != SensorOutcome::kUsed) return count(Sensor::kYawRate, result);
-  if (!now_.gyro.follows(sample, now_.row.omega_radps))
-    return count(Sensor::kYawRate, {.outcome = SensorOutcome::kJumped});
-  if (!now_.gyro.holds()) renew(kYawBias, square(config_.sensors.gyro_bias_radps));
-  now_.gyro.use(sample);
-  now_.row.omega_radps = sample.omega_radps;
-  renew(kRowOmega, square(config_.sensors.gyro_sigma_radps));
+  if (!motion().turn(sample)) return count(Sensor::kYawRate, {.outcome = SensorOutcome::kJumped});
   result.weight = 1.0;
   return count(Sensor::kYawRate, result);
-}
-
-void Filter::renew(CoreIndex index, double variance) noexcept {
-  now_.core(index) = 0.0;
-  now_.covariance.renew(index, variance);
 }
 
 SensorResult Filter::process(const model::PositionSample& sample) noexcept {
@@ -339,7 +329,7 @@ SensorResult Filter::process(const model::ZeroVelocitySample& sample) noexcept {
     now_.stands = false;
     if (now_.gyro.holds()) now_.told_row.omega_radps = now_.row.omega_radps;
     now_.row = now_.told_row;
-    renew_row(now_.odometry_tuning.noise(), {});
+    motion().renew_row(now_.odometry_tuning.noise(), {});
   }
   return count(Sensor::kZeroVelocity,
                correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors)));
@@ -418,114 +408,8 @@ SensorResult Filter::count(Sensor sensor, SensorResult result) noexcept {
 
 bool Filter::advance_to(double t_s) noexcept {
   if (!now_.started || !std::isfinite(t_s) || !(t_s > now_.t_s)) return false;
-  const double dt_s = t_s - now_.t_s;
-  const double steps = std::clamp(std::ceil(dt_s / kMaxStep_s), 1.0, kMaxSteps);
-  for (int i = 0; i < static_cast<int>(steps); ++i) step(dt_s / steps);
-  now_.t_s = t_s;
+  motion().advance_to(t_s);
   return true;
-}
-
-void Filter::hold(const model::OdometrySample& row) noexcept {
-  if (now_.gyro.holds() && now_.gyro.is_silent(row.t_s)) {
-    now_.gyro.give_up();
-    renew(kYawBias, square(config_.yaw_rate_bias_radps));
-  }
-  model::OdometrySample held = row;
-  if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
-  model::OdometryNoise noise = now_.odometry_tuning.noise();
-  OdometryDoubt doubt;
-  if (now_.has_row) doubt = now_.watch.judge(now_.row, held, noise);
-  now_.stands = false;
-  if (is_tuned(config_.model)) {
-    const bool wheels_stand = now_.standstill.observe(row, noise);
-    // Wheels that stand tell nothing of their noise in motion.
-    if (wheels_stand) {
-      now_.odometry_tuning.reset();
-    } else {
-      now_.odometry_tuning.observe(row);
-    }
-    now_.stands = wheels_stand && !now_.gate.doubts(now_.t_s);
-  }
-  now_.told_row = held;
-  if (now_.stands) {
-    noise = now_.standstill.noise();
-    held.vx_mps = 0.0;
-    held.vy_mps = 0.0;
-    if (!now_.gyro.holds()) held.omega_radps = now_.core(kYawBias);
-  }
-  now_.row = held;
-  now_.has_row = true;
-  // Wheels that slip turn the robot no more.
-  if (now_.gyro.holds()) doubt.heading_rad2 = 0.0;
-  renew_row(noise, doubt);
-  if (doubt.position_m2 > 0.0) {
-    now_.covariance.grow(kX, doubt.position_m2);
-    now_.covariance.grow(kY, doubt.position_m2);
-  }
-  if (doubt.heading_rad2 > 0.0) now_.covariance.grow(kTheta, doubt.heading_rad2);
-}
-
-void Filter::renew_row(const model::OdometryNoise& noise, const OdometryDoubt& doubt) noexcept {
-  const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
-  const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
-  if (now_.gyro.holds()) {
-    renew(kRowVx, variance_vx);
-    renew(kRowVy, variance_vy);
-  } else {
-    now_.core.segment<3>(kRowVx).setZero();
-    now_.covariance.renew_row(
-        {variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
-  }
-}
-
-void Filter::step(double dt_s) noexcept {
-  Motion motion = move(surface_, now_.core, now_.row, dt_s, now_.chart);
-  // Of one that stands, the heading does not depend on what a gyro is off by.
-  if (now_.stands && !now_.gyro.holds()) motion.d_core.col(kYawBias).setZero();
-  const model::SurfaceMismatch& mismatch = surface_.mismatch(now_.chart);
-  const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now_.core.head<2>()).norm() : 0.0;
-  now_.core.segment<3>(kX) = motion.pose;
-  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
-  now_.covariance.propagate(motion.d_core);
-  now_.t_s += dt_s;
-  if (slow_time_s_ > 0.0) now_.covariance.fade_slow_errors(std::exp(-dt_s / slow_time_s_));
-  if (way_m > 0.0) now_.covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
-  follow_chart();
-
-  now_.covariance.grow(kScale, square(config_.scale_walk) * dt_s);
-  now_.covariance.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
-  // A row older than it may be tells less and less of the velocity.
-  const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - config_.max_hold_s, 0.0, dt_s);
-  if (overdue_s > 0.0) {
-    now_.covariance.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
-    now_.covariance.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
-    if (!now_.gyro.holds() || now_.gyro.is_silent(now_.t_s)) {
-      now_.covariance.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
-    }
-  }
-  if (now_.gate.doubts(now_.t_s)) {
-    const CoreMatrix& core = now_.covariance.core();
-    if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
-      now_.covariance.grow(kX, square(config_.gate.doubt_position_m) * dt_s);
-      now_.covariance.grow(kY, square(config_.gate.doubt_position_m) * dt_s);
-    }
-    if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
-      now_.covariance.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
-    }
-  }
-}
-
-void Filter::stand_on(int chart) noexcept {
-  now_.chart = chart;
-  const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
-  now_.covariance.renew_ground(
-      {square(mismatch.sigma_m), square(mismatch.slope_sigma), square(mismatch.slope_sigma)});
-}
-
-void Filter::follow_chart() noexcept {
-  if (surface_.chart_count() == 1) return;
-  const int chart = surface_.follow(now_.chart, now_.core(kX), now_.core(kY));
-  if (chart != now_.chart) stand_on(chart);
 }
 
 int Filter::free_slot(double t_s) const noexcept {
@@ -590,26 +474,50 @@ void Filter::find_slots() noexcept {
 }
 
 Estimate Filter::estimate() const noexcept {
-  Estimate out{.t_s = now_.t_s,
-               .pose = {now_.core(kX), now_.core(kY), now_.core(kTheta), now_.chart},
-               .covariance = now_.covariance.core().topLeftCorner<3, 3>(),
-               .scale_error = now_.core(kScale),
-               .yaw_rate_bias_radps = now_.core(kYawBias),
-               .range_delay_s = now_.core(kDelay),
-               .ground_variances = now_.covariance.ground_variances()};
-  const Eigen::Matrix<double, kGroundSize, kCoreSize> ground_cross = now_.covariance.ground_cross();
+  return estimate_of(now_, now_.covariance);
+}
+
+Estimate Filter::predict(std::span<const MotionInput> ahead) const noexcept {
+  MotionState then = now_;
+  CoreCovariance covariance(now_.covariance.core(), now_.covariance.ground_cross(),
+                            now_.covariance.ground_variances());
+  DeadReckoning<CoreCovariance> motion(surface_, config_, slow_time_s_, now_.gate, then, covariance);
+  for (const MotionInput& input : ahead) {
+    if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
+      if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) continue;
+      if (row->t_s > then.t_s) motion.advance_to(row->t_s);
+      motion.hold(*row);
+    } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
+      if (!std::isfinite(rate->omega_radps) || !(rate->t_s >= then.t_s)) continue;
+      if (rate->t_s > then.t_s) motion.advance_to(rate->t_s);
+      motion.turn(*rate);
+    }
+  }
+  return estimate_of(then, covariance);
+}
+
+template <class Covariance>
+Estimate Filter::estimate_of(const MotionState& now, const Covariance& covariance) const noexcept {
+  Estimate out{.t_s = now.t_s,
+               .pose = {now.core(kX), now.core(kY), now.core(kTheta), now.chart},
+               .covariance = covariance.core().template topLeftCorner<3, 3>(),
+               .scale_error = now.core(kScale),
+               .yaw_rate_bias_radps = now.core(kYawBias),
+               .range_delay_s = now.core(kDelay),
+               .ground_variances = covariance.ground_variances()};
+  const GroundRows& ground_cross = covariance.ground_cross();
   out.ground_cross = ground_cross.leftCols<3>();
   const LinkDelays prior = delays(config_);
   if (!(prior.odometry_share() > 0.0)) return out;
 
   // The core tells of where the robot was when its odometry was true.
-  out.odometry_delay_s = prior.odometry_s(now_.core(kDelay));
+  out.odometry_delay_s = prior.odometry_s(now.core(kDelay));
   out.range_delay_s += out.odometry_delay_s;
-  const PresentPose now = present_pose(surface_, now_.core, now_.row, prior, now_.chart);
-  out.pose = {now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z()), now_.chart};
-  out.ground_cross = ground_cross.lazyProduct(now.d_core.transpose());
-  const Eigen::Matrix3d moved = now.d_core * now_.covariance.core() * now.d_core.transpose();
-  out.covariance = 0.5 * (moved + moved.transpose()) + now.noise;
+  const PresentPose present = present_pose(surface_, now.core, now.row, prior, now.chart);
+  out.pose = {present.pose.x(), present.pose.y(), model::wrap_angle(present.pose.z()), now.chart};
+  out.ground_cross = ground_cross.lazyProduct(present.d_core.transpose());
+  const Eigen::Matrix3d moved = present.d_core * covariance.core() * present.d_core.transpose();
+  out.covariance = 0.5 * (moved + moved.transpose()) + present.noise;
   return out;
 }
 

@@ -21,15 +21,13 @@
 
 #include "host/filter/config.hpp"
 #include "host/filter/core_measurement.hpp"
+#include "host/filter/dead_reckoning.hpp"
 #include "host/filter/gate.hpp"
-#include "host/filter/gyro.hpp"
 #include "host/filter/joint_covariance.hpp"
-#include "host/filter/odometry_watch.hpp"
 #include "host/filter/parameters.hpp"
 #include "host/filter/self_tuning.hpp"
 #include "host/filter/sensor_gate.hpp"
 #include "host/filter/site.hpp"
-#include "host/filter/standstill.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
@@ -141,24 +139,13 @@ struct Estimate {
 class Filter {
  public:
   // All that inputs change; copying it over another one of the same filter allocates nothing.
-  struct Snapshot {
+  struct Snapshot : MotionState {
     Parameters parameters;
     Gate gate;
-    OdometryWatch watch;
     RangeTuning tuning;
     SensorGate sensors;
-    Gyro gyro;
-    OdometryTuning odometry_tuning;
-    Standstill standstill;
     JointCovariance covariance;
-    CoreVector core = CoreVector::Zero();
-    model::OdometrySample row{};
-    bool has_row = false;
-    model::OdometrySample told_row{};  // that, where row is of a robot that stands
-    bool stands = false;
     bool started = false;
-    double t_s = 0.0;
-    int chart = 0;                                    // of the surface
     std::array<double, kMaxAnchors> last_answer_s{};  // of each slot
     std::uint64_t exchanges = 0;
     Counters counters{};
@@ -173,6 +160,9 @@ class Filter {
 
   // Begins, or begins anew, at a known pose; what was learnt of the parameters stays.
   void start(const Start& start) noexcept;
+  // Begins where another filter is that has started, of the same robot, surface and configuration by another
+  // calibration: with its core, the covariance of that, and the rows; unrelated to the parameters.
+  void resume(const Filter& other) noexcept;
   // Back to before the first start: the time and the rows are forgotten, what was learnt of the parameters
   // stays.
   void stop() noexcept;
@@ -193,6 +183,10 @@ class Filter {
 
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
+  // As it would be after these inputs too, to the last bit (what the ground adds: to rounding), were each
+  // given to process() in turn; the filter stays as it is. Inputs that it would refuse are passed over. For a
+  // filter that has started.
+  [[nodiscard]] Estimate predict(std::span<const MotionInput> ahead) const noexcept;
   // Beyond what the surface tells of: what it tells there is a guess.
   [[nodiscard]] bool is_off_surface() const noexcept {
     return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
@@ -220,6 +214,8 @@ class Filter {
   [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 
  private:
+  // On that floor, and nothing is known of ranges and other sensors yet.
+  void begin_on(int chart) noexcept;
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
   RangeResult take(const model::RangeSample& range) noexcept;
   // kUsed where a sensor's sample of that time can be taken; the state is then of that time.
@@ -227,14 +223,11 @@ class Filter {
   template <int kSize>
   SensorResult correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept;
   SensorResult count(Sensor sensor, SensorResult result) noexcept;
-  // The state is unknown anew, but for that variance.
-  void renew(CoreIndex index, double variance) noexcept;
-  void hold(const model::OdometrySample& row) noexcept;
-  // The errors of the row begin anew.
-  void renew_row(const model::OdometryNoise& noise, const OdometryDoubt& doubt) noexcept;
-  void step(double dt_s) noexcept;
-  void stand_on(int chart) noexcept;
-  void follow_chart() noexcept;
+  [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
+    return {surface_, config_, slow_time_s_, now_.gate, now_, now_.covariance};
+  }
+  template <class Covariance>
+  [[nodiscard]] Estimate estimate_of(const MotionState& now, const Covariance& covariance) const noexcept;
   // The slot whose anchor was silent longest, -1 where none was silent for long enough.
   [[nodiscard]] int free_slot(double t_s) const noexcept;
   void exchange(int slot, int anchor) noexcept;

@@ -70,8 +70,8 @@ void JointCovariance::learn(int slot, bool learnt) noexcept {
   }
 }
 
-void JointCovariance::reset_core(const CoreVector& variances) noexcept {
-  core_ = variances.asDiagonal();
+void JointCovariance::reset_core(const CoreMatrix& covariance) noexcept {
+  core_ = covariance;
   cross_.fill(0.0);
   moved_ = false;
   same_row_ = true;
@@ -96,22 +96,7 @@ void JointCovariance::renew(CoreIndex index, double variance) noexcept {
 }
 
 void JointCovariance::propagate(const PoseRows& f) noexcept {
-  // The heading's row has three terms. lazyProduct: Eigen would go through its kernels for large matrices.
-  PoseRows fp;
-  fp.topRows<2>() = f.topRows<2>().lazyProduct(core_);
-  fp.row(kTheta) = core_.row(kTheta) + f(kTheta, kYawBias) * core_.row(kYawBias) +
-                   f(kTheta, kRowOmega) * core_.row(kRowOmega);
-  const Eigen::Matrix<double, 3, 2> by_position = fp.lazyProduct(f.topRows<2>().transpose());
-  const double heading = fp(kTheta, kTheta) + f(kTheta, kYawBias) * fp(kTheta, kYawBias) +
-                         f(kTheta, kRowOmega) * fp(kTheta, kRowOmega);
-  core_.topRows<3>() = fp;
-  core_.leftCols<3>() = fp.transpose();
-  core_.topLeftCorner<3, 2>() = by_position;
-  core_(kX, kY) = core_(kY, kX);
-  core_(kX, kTheta) = core_(kTheta, kX);
-  core_(kY, kTheta) = core_(kTheta, kY);
-  core_(kTheta, kTheta) = heading;
-
+  propagate_core(core_, f);
   PoseRows motion;
   motion.topRows<2>() = f.topLeftCorner<2, 3>().lazyProduct(motion_);
   motion.row(kTheta) = motion_.row(kTheta);
@@ -159,13 +144,12 @@ void JointCovariance::settle_ground() noexcept {
   ground_scale_ = 1.0;
 }
 
-Eigen::Matrix<double, kGroundSize, kCoreSize> JointCovariance::ground_cross() const noexcept {
-  Eigen::Matrix<double, kGroundSize, kCoreSize> before =
-      ConstRows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
-          .middleRows<kGroundSize>(layout_.ground()) *
-      ground_scale_;
+GroundRows JointCovariance::ground_cross() const noexcept {
+  GroundRows before = ConstRows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
+                          .middleRows<kGroundSize>(layout_.ground()) *
+                      ground_scale_;
   if (!moved_) return before;
-  Eigen::Matrix<double, kGroundSize, kCoreSize> out = before;
+  GroundRows out = before;
   out.leftCols<3>() = before.lazyProduct(motion_.transpose());
   if (!same_row_) out.rightCols<3>().setZero();
   return out;

@@ -12,6 +12,7 @@
 
 #include <Eigen/Core>
 
+#include "host/filter/core_covariance.hpp"
 #include "host/filter/covariance_kernels.hpp"
 #include "host/filter/parameters.hpp"
 #include "host/filter/range_measurement.hpp"
@@ -62,15 +63,15 @@ class JointCovariance {
  public:
   JointCovariance(const Site& site, const Parameters& parameters, Learning learning);
 
-  // The core begins anew with these variances, unrelated to the parameters.
-  void reset_core(const CoreVector& variances) noexcept;
+  // The core begins anew with this covariance, unrelated to the parameters.
+  void reset_core(const CoreMatrix& covariance) noexcept;
   // Another odometry row: its errors' variances, unrelated to all else.
   void renew_row(const Eigen::Vector3d& variances) noexcept;
   // One core state begins anew, unrelated to all else.
   void renew(CoreIndex index, double variance) noexcept;
   // White noise upon a core state.
   void grow(CoreIndex index, double variance) noexcept { core_(index, index) += variance; }
-  // P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
+  // As propagate_core, and the cross-covariance with it.
   void propagate(const PoseRows& pose_rows) noexcept;
 
   // What the ground differs by from the surface is new, with these variances (of height, dS/dx, dS/dy):
@@ -80,7 +81,7 @@ class JointCovariance {
   void fade_ground(double factor) noexcept;
   [[nodiscard]] const Eigen::Vector3d& ground_variances() const noexcept { return ground_variances_; }
   // Its covariance with the core.
-  [[nodiscard]] Eigen::Matrix<double, kGroundSize, kCoreSize> ground_cross() const noexcept;
+  [[nodiscard]] GroundRows ground_cross() const noexcept;
 
   // Slow errors of ranges forget: what relates them to all else falls by that factor, their variance stays.
   void fade_slow_errors(double factor) noexcept;

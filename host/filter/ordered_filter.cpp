@@ -90,13 +90,23 @@ bool OrderedFilter::start(const Start& start) noexcept {
   return finite && insert(start).taken;
 }
 
+void OrderedFilter::resume(const OrderedFilter& other) noexcept {
+  filter_.resume(other.filter_);
+  begin(other.newest_s_);
+}
+
 void OrderedFilter::stop() noexcept {
   filter_.stop();
+  begin(kNothingYet_s);
+}
+
+void OrderedFilter::begin(double newest_s) noexcept {
   inputs_.clear();
   first_ = 0;
   checkpoint_count_ = 0;
-  newest_s_ = kNothingYet_s;
-  check_in(0, kNothingYet_s);
+  newest_s_ = newest_s;
+  late_row_.reset();
+  check_in(0, newest_s);
 }
 
 OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
@@ -183,6 +193,8 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
   newest_s_ = std::max(newest_s_, t_s);
 
   Outcome outcome;
+  const bool is_row = std::holds_alternative<OdometrySample>(input);
+  if (is_row) late_row_.reset();
   if (last) {
     check_in_when_due(number, t_s);
     outcome = apply(input);
@@ -195,7 +207,9 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
       const Input& again = inputs_[static_cast<std::size_t>(i - first_)];
       check_in_when_due(i, time_of(again));
       const Outcome now = apply(again);
-      if (i == number) outcome = now;
+      if (i != number) continue;
+      outcome = now;
+      if (is_row) late_row_ = filter_.estimate();
     }
   }
   outcome.taken = true;

@@ -9,6 +9,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <variant>
 #include <vector>
@@ -33,6 +34,8 @@ class OrderedFilter {
 
   // False, and nothing done, where it comes too late.
   bool start(const Start& start) noexcept;
+  // As Filter's; what is older than the other's newest input is refused from then on.
+  void resume(const OrderedFilter& other) noexcept;
   // As Filter's; inputs of any time are taken after it.
   void stop() noexcept;
   // kOutOfOrder: too late, and refused.
@@ -45,6 +48,8 @@ class OrderedFilter {
 
   // As of the newest input.
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
+  // Right after a row of odometry was taken: as of that row, which is estimate() unless it came late.
+  [[nodiscard]] Estimate row_estimate() const noexcept { return late_row_ ? *late_row_ : estimate(); }
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
   // Each input once, as it counts by now: what came late may have changed what became of others.
   [[nodiscard]] Counters counters() const noexcept;
@@ -76,6 +81,8 @@ class OrderedFilter {
   void check_in(std::uint64_t next, double t_s) noexcept;
   void drop_checkpoint() noexcept;  // the oldest
   void forget() noexcept;
+  // All inputs, too: the filter as it is now is of that time, and what there is.
+  void begin(double newest_s) noexcept;
   [[nodiscard]] Checkpoint& checkpoint(std::size_t i) noexcept {
     return checkpoints_[(first_checkpoint_ + i) % kMaxCheckpoints];
   }
@@ -88,6 +95,7 @@ class OrderedFilter {
   std::size_t first_checkpoint_ = 0;
   std::size_t checkpoint_count_ = 0;
   double newest_s_;
+  std::optional<Estimate> late_row_;  // where the last row came late
   Counters refused_;
   std::size_t reordered_ = 0;
 };

@@ -20,6 +20,10 @@ constexpr double kThirdDifference = 4.47213595499958;
 
 }  // namespace
 
+bool is_tuned(Model model) noexcept {
+  return model == Model::kSchmidt || model == Model::kAnchorStates || model == Model::kJoint;
+}
+
 RangeTuning::RangeTuning(const SelfTuningConfig& config, double white_sigma_m)
     : config_(config),
       least_sigma_m_(white_sigma_m / config.most_factor),

@@ -11,6 +11,9 @@
 
 namespace groma::filter {
 
+// The comparisons keep the noise that they were told: what their innovations show is their own error.
+[[nodiscard]] bool is_tuned(Model model) noexcept;
+
 class RangeTuning {
  public:
   RangeTuning(const SelfTuningConfig& config, double white_sigma_m);

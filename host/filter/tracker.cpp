@@ -79,12 +79,29 @@ bool Tracker::start(const Start& start, State state) noexcept {
   reason_ = Reason::kNone;
   newest_s_ = std::max(newest_s_, start.t_s);
   last_used_s_ = newest_s_;
+  judge_anew();
+  return true;
+}
+
+void Tracker::resume(const Tracker& other) noexcept {
+  filter_.resume(other.filter_);
+  state_ = other.state_;
+  reason_ = other.reason_;
+  newest_s_ = other.newest_s_;
+  last_row_s_ = other.last_row_s_;
+  last_used_s_ = other.last_used_s_;
+  tags_ = other.tags_;
+  relocations_ = other.relocations_;
+  clock_steps_ = other.clock_steps_;
+  judge_anew();
+}
+
+void Tracker::judge_anew() noexcept {
   judged_s_ = newest_s_;
   refused_ = 0.0;
   judged_ = 0.0;
   disagrees_since_s_ = kNotNow;
   agrees_since_s_ = kNotNow;
-  return true;
 }
 
 OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {

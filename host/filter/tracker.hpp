@@ -90,6 +90,9 @@ class Tracker {
   // Begins, or begins anew, at a pose that is known, in the state that it deserves. False, and nothing done,
   // where it comes too late.
   bool start(const Start& start, State state = State::kConverging) noexcept;
+  // Goes on where another one is that has started, by another calibration, in its state; see Filter. How well
+  // ranges agree is judged anew.
+  void resume(const Tracker& other) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   SensorResult process(const model::YawRateSample& sample) noexcept { return process_sensor(sample); }
@@ -135,6 +138,7 @@ class Tracker {
   [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
   [[nodiscard]] bool is_on_other_floor(const StartSearch::Hypothesis& hypothesis) const noexcept;
   void begin_at(const StartSearch::Hypothesis& hypothesis) noexcept;
+  void judge_anew() noexcept;
   [[nodiscard]] Reason find_reason() const noexcept;
 
   TrackerConfig config_;

@@ -213,6 +213,17 @@ void move_and_update(benchmark::State& state, Model model) {
   report_percentiles(state, call);
 }
 
+// A pose now, from a state that is so many rows behind.
+void predict(benchmark::State& state, Model model, const model::SurfaceMismatch& mismatch = kExact) {
+  const auto filter = started(model, 12, mismatch);
+  std::vector<MotionInput> ahead;
+  for (int row = 1; row <= state.range(0); ++row)
+    ahead.emplace_back(model::OdometrySample{0.02 * row, 0.5, 0.1, 0.2});
+  const auto call = [&] { benchmark::DoNotOptimize(filter->predict(ahead)); };
+  for (auto _ : state) call();
+  report_percentiles(state, call);
+}
+
 // An anchor that comes into the active set for another one: on top of its range's update.
 void exchange(benchmark::State& state, Model model) {
   const int anchors = static_cast<int>(state.range(0));
@@ -293,6 +304,9 @@ BENCHMARK_CAPTURE(update, schmidt_mismatch, Model::kSchmidt, kDiffers)->Arg(12);
 BENCHMARK_CAPTURE(update, joint_mismatch, Model::kJoint, kDiffers)->Arg(12);
 BENCHMARK_CAPTURE(move_and_update, schmidt, Model::kSchmidt)->Arg(12);
 BENCHMARK_CAPTURE(move_and_update, joint, Model::kJoint)->Arg(12);
+BENCHMARK_CAPTURE(predict, schmidt, Model::kSchmidt)->Arg(1)->Arg(10)->Arg(40);
+BENCHMARK_CAPTURE(predict, joint, Model::kJoint)->Arg(10);
+BENCHMARK_CAPTURE(predict, schmidt_mismatch, Model::kSchmidt, kDiffers)->Arg(10);
 BENCHMARK_CAPTURE(exchange, schmidt, Model::kSchmidt)->Arg(64)->Arg(1000);
 BENCHMARK_CAPTURE(exchange, joint, Model::kJoint)->Arg(64)->Arg(1000);
 BENCHMARK_CAPTURE(search, agreeing, true)->Unit(benchmark::kMillisecond);

@@ -147,6 +147,8 @@ class Bound {
   Eigen::MatrixXd covariance_;
 };
 
+constexpr std::size_t kAhead = 4;  // 0.2 s
+
 struct Campaign {
   int runs = 0;
   double nees = 0.0;  // sum
@@ -158,6 +160,10 @@ struct Campaign {
   double square_rad2 = 0.0;
   double bound_m2 = 0.0;
   double bound_rad2 = 0.0;
+  // Of the same instant, foreseen kAhead rows before it.
+  double foreseen_nees = 0.0;
+  int foreseen_inside_95 = 0;
+  double foreseen_square_m2 = 0.0;
 
   [[nodiscard]] double position_over_bound() const { return std::sqrt(square_m2 / bound_m2); }
   [[nodiscard]] double heading_over_bound() const { return std::sqrt(square_rad2 / bound_rad2); }
@@ -166,6 +172,10 @@ struct Campaign {
 // Half the width of the 99 % band of a mean of chi-squares over their degrees of freedom.
 double band(double degrees) {
   return 2.576 * std::sqrt(2.0 / degrees);
+}
+
+double square_m2(const Estimate& estimate, const model::PlanarPose& truth) {
+  return std::pow(estimate.pose.x_m - truth.x_m, 2) + std::pow(estimate.pose.y_m - truth.y_m, 2);
 }
 
 Campaign run(Model model) {
@@ -204,6 +214,15 @@ Campaign run(Model model) {
     double nis = 0.0;
     for (std::size_t row = 0; row < instant; ++row) {
       const model::OdometrySample& odometry = drive.odometry[row];
+      if (row + kAhead == instant) {
+        const auto first = drive.odometry.begin() + static_cast<std::ptrdiff_t>(row);
+        const std::vector<MotionInput> ahead(first, first + kAhead + 1);
+        const Estimate foreseen = filter.predict(ahead);
+        const double error = testing::squared_error(foreseen, drive.truth[instant]);
+        out.foreseen_nees += error;
+        out.foreseen_inside_95 += error <= 7.815 ? 1 : 0;
+        out.foreseen_square_m2 += square_m2(foreseen, drive.truth[instant]);
+      }
       if (row > 0) filter.process(odometry);
       bound.begin_row();
       const Eigen::Vector3d velocity = testing::true_velocity(odometry.t_s);
@@ -232,7 +251,7 @@ Campaign run(Model model) {
     out.nees += error;
     out.inside_95 += error <= 7.815 ? 1 : 0;
     out.nis += nis;
-    out.square_m2 += std::pow(estimate.pose.x_m - truth.x_m, 2) + std::pow(estimate.pose.y_m - truth.y_m, 2);
+    out.square_m2 += square_m2(estimate, truth);
     out.square_rad2 += std::pow(model::wrap_angle(estimate.pose.theta_rad - truth.theta_rad), 2);
     out.used += filter.counters().ranges_used;
     out.gated += filter.counters().ranges_gated;
@@ -266,16 +285,23 @@ TEST_P(FilterCampaign, ErrsAsMuchAsItSaysAndHardlyMoreThanItMust) {
   record("position_over_bound", campaign.position_over_bound());
   record("heading_rmse_rad", std::sqrt(campaign.square_rad2 / runs));
   record("heading_over_bound", campaign.heading_over_bound());
+  record("foreseen_nees", campaign.foreseen_nees / (3.0 * runs));
+  record("foreseen_inside_95", campaign.foreseen_inside_95 / runs);
+  record("foreseen_position_rmse_m", std::sqrt(campaign.foreseen_square_m2 / runs));
 
   // No range is blocked: next to none is taken for garbage.
   EXPECT_LE(1000 * campaign.gated, campaign.used);
   const double sigmas = GROMA_SAMPLING_SIGMAS;
   const double nees_luck = sigmas * std::sqrt(2.0 / (3.0 * runs));
-  EXPECT_GE(nees, 0.90 - nees_luck);
-  EXPECT_LE(nees, 1.11 + nees_luck);
   const double inside_luck = sigmas * std::sqrt(0.95 * 0.05 / runs);
-  EXPECT_GE(inside, 0.922 - inside_luck);
-  EXPECT_LE(inside, 0.978 + inside_luck);
+  for (const double of : {nees, campaign.foreseen_nees / (3.0 * runs)}) {
+    EXPECT_GE(of, 0.90 - nees_luck);
+    EXPECT_LE(of, 1.11 + nees_luck);
+  }
+  for (const double of : {inside, campaign.foreseen_inside_95 / runs}) {
+    EXPECT_GE(of, 0.922 - inside_luck);
+    EXPECT_LE(of, 0.978 + inside_luck);
+  }
   EXPECT_NEAR(campaign.nis / runs, 1.0, band(runs));
   if (GetParam() != Model::kJoint) return;
   EXPECT_LE(campaign.position_over_bound(), 1.1 + sigmas / std::sqrt(4.0 * runs));

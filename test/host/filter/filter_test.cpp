@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <variant>
 #include <vector>
 
 #include <Eigen/Eigenvalues>
@@ -315,6 +318,135 @@ TEST(Filter, TrustsAnOverdueRowLessAndLess) {
   EXPECT_TRUE(filter->covariance().core().allFinite());
 }
 
+// A drive whose odometry stops for three seconds, begins again, and jumps once; with a gyro from `gyro_s` on.
+std::vector<MotionInput> motion_of(const testing::Drive& drive, double gyro_s) {
+  std::vector<MotionInput> inputs;
+  for (model::OdometrySample row : drive.odometry) {
+    if (row.t_s > 3.0 && row.t_s < 6.0) row.vx_mps = row.vy_mps = row.omega_radps = 0.0;
+    if (std::abs(row.t_s - 7.0) < 0.01) row.vx_mps += 5.0;
+    inputs.emplace_back(row);
+    if (row.t_s >= gyro_s) inputs.emplace_back(model::YawRateSample{row.t_s + 0.01, row.omega_radps + 0.002});
+  }
+  return inputs;
+}
+
+double instant_of(const MotionInput& input) {
+  return std::visit([](const auto& of) { return of.t_s; }, input);
+}
+
+// A twin takes for good what the filter only looks at.
+TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
+  constexpr double kAhead_s = 0.2;
+  std::vector<model::Chart> charts = testing::hills(0.2).charts();
+  charts.front().mismatch = {.sigma_m = 0.02, .slope_sigma = 0.01, .length_m = 3.0};
+  const model::Surface surface(std::move(charts));
+  Random random(21);
+  const testing::Drive drive =
+      testing::drive(surface, testing::six_anchors(), {}, {.duration_s = 10.0, .range_s = 0.01}, random);
+  const std::vector<MotionInput> motion = motion_of(drive, 7.5);
+  Config config = testing::config_of(GetParam());
+  config.range_delay_sigma_s = 0.02;
+  config.odometry_delay_sigma_s = 0.02;  // so that the pose now is not that of the core
+  bool stood = false;
+  for (double horizon_s = 0.5; horizon_s < 9.7; horizon_s += 0.37) {
+    const auto made = [&] {
+      auto filter = std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(), config);
+      filter->start({});
+      return filter;
+    };
+    const std::unique_ptr<Filter> filter = made();
+    const std::unique_ptr<Filter> twin = made();
+    std::vector<MotionInput> ahead;
+    std::size_t range = 0;
+    for (const MotionInput& input : motion) {
+      if (instant_of(input) > horizon_s + kAhead_s) break;
+      const double until_s = std::min(instant_of(input), horizon_s);
+      for (; range < drive.ranges.size() && drive.ranges[range].t_s < until_s; ++range) {
+        // None of where the robot would be had it not stopped, but for some at the end, which make doubt.
+        if (drive.ranges[range].t_s > 3.0 && drive.ranges[range].t_s < 6.0) continue;
+        filter->process(drive.ranges[range]);
+        twin->process(drive.ranges[range]);
+      }
+      std::visit([&](const auto& of) { twin->process(of); }, input);
+      if (instant_of(input) > horizon_s) {
+        ahead.push_back(input);
+      } else {
+        std::visit([&](const auto& of) { filter->process(of); }, input);
+      }
+    }
+    ASSERT_GE(ahead.size(), 3U);
+    stood = stood || twin->stands();
+    const Eigen::MatrixXd before = testing::whole(*filter);
+    const Estimate predicted = filter->predict(ahead);
+    const Estimate expected = twin->estimate();
+    EXPECT_EQ(predicted.t_s, expected.t_s);
+    EXPECT_EQ(predicted.pose.x_m, expected.pose.x_m);
+    EXPECT_EQ(predicted.pose.y_m, expected.pose.y_m);
+    EXPECT_EQ(predicted.pose.theta_rad, expected.pose.theta_rad);
+    EXPECT_EQ(predicted.covariance, expected.covariance) << horizon_s;
+    EXPECT_EQ(predicted.yaw_rate_bias_radps, expected.yaw_rate_bias_radps);
+    EXPECT_LT((predicted.covariance_with_ground() - expected.covariance_with_ground()).cwiseAbs().maxCoeff(),
+              1e-15);
+    EXPECT_EQ(testing::whole(*filter), before);
+    EXPECT_LE(filter->estimate().t_s, horizon_s);
+  }
+  EXPECT_EQ(stood, is_tuned(GetParam()));
+}
+
+TEST(Filter, PredictsOverWhatItWouldRefuse) {
+  const auto filter = make_filter(Model::kSchmidt);
+  filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.1});
+  filter->start({});
+  const std::vector<MotionInput> good{model::OdometrySample{0.05, 1.0, 0.0, 0.1},
+                                      model::YawRateSample{0.06, 0.1},
+                                      model::OdometrySample{0.1, 1.1, 0.0, 0.1}};
+  const std::vector<MotionInput> all{model::OdometrySample{-1.0, 9.0, 0.0, 0.0},
+                                     model::YawRateSample{-0.5, 9.0},
+                                     good[0],
+                                     model::OdometrySample{0.05, 9.0, 0.0, 0.0},
+                                     model::OdometrySample{0.06, testing::kNan, 0.0, 0.0},
+                                     good[1],
+                                     model::YawRateSample{0.06, testing::kNan},
+                                     model::YawRateSample{testing::kNan, 0.0},
+                                     model::YawRateSample{0.06, 90.0},
+                                     good[2]};
+  const Estimate expected = filter->predict(good);
+  const Estimate predicted = filter->predict(all);
+  EXPECT_EQ(predicted.t_s, 0.1);
+  EXPECT_NEAR(predicted.pose.x_m, expected.pose.x_m, 1e-12);
+  EXPECT_NEAR(predicted.pose.theta_rad, expected.pose.theta_rad, 1e-12);
+  EXPECT_LT((predicted.covariance - expected.covariance).cwiseAbs().maxCoeff(), 1e-12);
+  EXPECT_EQ(filter->predict({}).covariance, filter->estimate().covariance);
+}
+
+TEST_P(EveryModel, ResumesWhereAnotherOneIs) {
+  Random random(23);
+  const testing::Drive drive = testing::drive(testing::hills(0.2), testing::six_anchors(), {},
+                                              {.duration_s = 20.0, .range_s = 0.01}, random);
+  const auto before = make_filter(GetParam());
+  before->start({});
+  Feeder feeder(drive);
+  feeder.until(15.0, *before);
+  model::Calibration other = testing::six_anchors();
+  other.anchors.pop_back();
+  Filter after(testing::hills(0.2), testing::three_tags(), other, testing::config_of(GetParam()));
+  after.resume(*before);
+  EXPECT_TRUE(after.started());
+  EXPECT_EQ(after.anchors(), 5U);
+  EXPECT_EQ(after.core(), before->core());
+  EXPECT_EQ(after.covariance().core(), before->covariance().core());
+  EXPECT_EQ(after.covariance().cross(), Eigen::MatrixXd::Zero(after.parameters().size(), kCoreSize));
+  EXPECT_EQ(after.estimate().t_s, before->estimate().t_s);
+  // Of odometry alone both go on alike.
+  const std::vector<MotionInput> row{model::OdometrySample{15.05, 1.0, 0.0, 0.1}};
+  EXPECT_EQ(after.predict(row).covariance, before->predict(row).covariance);
+  const double end_s = drive.odometry.back().t_s;
+  feeder.until(end_s, after);
+  after.advance_to(end_s);
+  if (GetParam() != Model::kSchmidt && GetParam() != Model::kJoint) return;
+  EXPECT_LT(testing::squared_error(after.estimate(), drive.truth.back()), 16.27);  // but for 1 of 1000
+}
+
 TEST_P(EveryModel, NeverAllocatesOnceItStands) {
   const model::Surface surface = testing::hills(0.2);
   Random random(65);
@@ -327,7 +459,10 @@ TEST_P(EveryModel, NeverAllocatesOnceItStands) {
   filter->start({.t_s = 0.0, .pose = {1.0, -2.0, 0.4}});
   feeder.until(2.0, *filter);
   filter->process(model::RangeSample{2.0, 1, 11, 1e9});
+  const std::array<MotionInput, 2> ahead{model::OdometrySample{2.05, 1.0, 0.0, 0.1},
+                                         model::YawRateSample{2.06, 0.1}};
   static_cast<void>(filter->estimate());
+  static_cast<void>(filter->predict(ahead));
   EXPECT_EQ(test::allocations(), before);
   EXPECT_GT(filter->counters().ranges_used + filter->counters().ranges_not_modelled, 150U);
 }

@@ -146,6 +146,41 @@ TEST(OrderedFilter, WhatIsNotANumberIsRefused) {
   EXPECT_EQ(filter->estimate().t_s, 0.0);
 }
 
+// What the robot is told of a row that came late is what it would have been told of it in time.
+TEST(OrderedFilter, TellsTheEstimateOfARowThatCameLate) {
+  const std::vector<Input> inputs = in_order(some_drive(3.0));
+  const auto twin = make<OrderedFilter>(Model::kSchmidt);
+  const auto filter = make<OrderedFilter>(Model::kSchmidt);
+  ASSERT_TRUE(twin->start({}));
+  ASSERT_TRUE(filter->start({}));
+  std::vector<Estimate> in_time;
+  std::vector<Input> held_back;
+  for (const Input& input : inputs) {
+    const auto* row = std::get_if<model::OdometrySample>(&input);
+    const bool late = row != nullptr && row->t_s > 2.0 && row->t_s < 2.3;
+    std::visit([&](const auto& of) { twin->process(of); }, input);
+    if (late) {
+      in_time.push_back(twin->row_estimate());
+      EXPECT_EQ(in_time.back().t_s, row->t_s);
+      EXPECT_EQ(in_time.back().covariance, twin->estimate().covariance);
+      held_back.push_back(input);
+    } else if (time_of(input) < 2.3) {
+      std::visit([&](const auto& of) { filter->process(of); }, input);
+    }
+  }
+  ASSERT_GE(held_back.size(), 4U);
+  for (std::size_t i = 0; i < held_back.size(); ++i) {
+    const auto& row = std::get<model::OdometrySample>(held_back[i]);
+    EXPECT_EQ(filter->process(row), OdometryOutcome::kUsed);
+    const Estimate then = filter->row_estimate();
+    EXPECT_EQ(then.t_s, row.t_s);
+    EXPECT_EQ(then.pose.x_m, in_time[i].pose.x_m);
+    EXPECT_EQ(then.pose.y_m, in_time[i].pose.y_m);
+    EXPECT_EQ(then.covariance, in_time[i].covariance);
+    EXPECT_GT(filter->estimate().t_s, row.t_s);
+  }
+}
+
 // All of one instant, in any order.
 TEST(OrderedFilter, InputsOfOneTimeCountAlikeInAnyOrder) {
   std::vector<Input> inputs{model::OdometrySample{1.0, 1.0, 0.0, 0.1}};

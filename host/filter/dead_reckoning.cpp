@@ -1,0 +1,159 @@
+#include "host/filter/dead_reckoning.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "host/filter/core_covariance.hpp"
+#include "host/filter/joint_covariance.hpp"
+#include "host/filter/propagation.hpp"
+
+namespace groma::filter {
+
+namespace {
+
+// A jump in time is crossed in so many steps at most.
+constexpr double kMaxSteps = 400.0;
+// Doubt does not widen the pose beyond these.
+constexpr double kMaxDoubt_m = 10.0;
+constexpr double kMaxDoubt_rad = 1.0;
+
+using model::square;
+
+}  // namespace
+
+template <class Covariance>
+void DeadReckoning<Covariance>::advance_to(double t_s) noexcept {
+  const double dt_s = t_s - now_.t_s;
+  const double steps = std::clamp(std::ceil(dt_s / kMaxStep_s), 1.0, kMaxSteps);
+  for (int i = 0; i < static_cast<int>(steps); ++i) step(dt_s / steps);
+  now_.t_s = t_s;
+}
+
+template <class Covariance>
+bool DeadReckoning<Covariance>::turn(const model::YawRateSample& sample) noexcept {
+  if (!now_.gyro.follows(sample, now_.row.omega_radps)) return false;
+  if (!now_.gyro.holds()) renew(kYawBias, square(config_.sensors.gyro_bias_radps));
+  now_.gyro.use(sample);
+  now_.row.omega_radps = sample.omega_radps;
+  renew(kRowOmega, square(config_.sensors.gyro_sigma_radps));
+  return true;
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::renew(CoreIndex index, double variance) noexcept {
+  now_.core(index) = 0.0;
+  covariance_.renew(index, variance);
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept {
+  if (now_.gyro.holds() && now_.gyro.is_silent(row.t_s)) {
+    now_.gyro.give_up();
+    renew(kYawBias, square(config_.yaw_rate_bias_radps));
+  }
+  model::OdometrySample held = row;
+  if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
+  model::OdometryNoise noise = now_.odometry_tuning.noise();
+  OdometryDoubt doubt;
+  if (now_.has_row) doubt = now_.watch.judge(now_.row, held, noise);
+  now_.stands = false;
+  if (is_tuned(config_.model)) {
+    const bool wheels_stand = now_.standstill.observe(row, noise);
+    // Wheels that stand tell nothing of their noise in motion.
+    if (wheels_stand) {
+      now_.odometry_tuning.reset();
+    } else {
+      now_.odometry_tuning.observe(row);
+    }
+    now_.stands = wheels_stand && !gate_.doubts(now_.t_s);
+  }
+  now_.told_row = held;
+  if (now_.stands) {
+    noise = now_.standstill.noise();
+    held.vx_mps = 0.0;
+    held.vy_mps = 0.0;
+    if (!now_.gyro.holds()) held.omega_radps = now_.core(kYawBias);
+  }
+  now_.row = held;
+  now_.has_row = true;
+  // Wheels that slip turn the robot no more.
+  if (now_.gyro.holds()) doubt.heading_rad2 = 0.0;
+  renew_row(noise, doubt);
+  if (doubt.position_m2 > 0.0) {
+    covariance_.grow(kX, doubt.position_m2);
+    covariance_.grow(kY, doubt.position_m2);
+  }
+  if (doubt.heading_rad2 > 0.0) covariance_.grow(kTheta, doubt.heading_rad2);
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::renew_row(const model::OdometryNoise& noise,
+                                          const OdometryDoubt& doubt) noexcept {
+  const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
+  const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
+  if (now_.gyro.holds()) {
+    renew(kRowVx, variance_vx);
+    renew(kRowVy, variance_vy);
+  } else {
+    now_.core.segment<3>(kRowVx).setZero();
+    covariance_.renew_row({variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
+  }
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::step(double dt_s) noexcept {
+  Motion motion = move(surface_, now_.core, now_.row, dt_s, now_.chart);
+  // Of one that stands, the heading does not depend on what a gyro is off by.
+  if (now_.stands && !now_.gyro.holds()) motion.d_core.col(kYawBias).setZero();
+  const model::SurfaceMismatch& mismatch = surface_.mismatch(now_.chart);
+  const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now_.core.head<2>()).norm() : 0.0;
+  now_.core.segment<3>(kX) = motion.pose;
+  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
+  covariance_.propagate(motion.d_core);
+  now_.t_s += dt_s;
+  if (slow_time_s_ > 0.0) covariance_.fade_slow_errors(std::exp(-dt_s / slow_time_s_));
+  if (way_m > 0.0) covariance_.fade_ground(std::exp(-way_m / mismatch.length_m));
+  follow_chart();
+
+  covariance_.grow(kScale, square(config_.scale_walk) * dt_s);
+  covariance_.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
+  // A row older than it may be tells less and less of the velocity.
+  const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - config_.max_hold_s, 0.0, dt_s);
+  if (overdue_s > 0.0) {
+    covariance_.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
+    covariance_.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
+    if (!now_.gyro.holds() || now_.gyro.is_silent(now_.t_s)) {
+      covariance_.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
+    }
+  }
+  if (gate_.doubts(now_.t_s)) {
+    const CoreMatrix& core = covariance_.core();
+    if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
+      covariance_.grow(kX, square(config_.gate.doubt_position_m) * dt_s);
+      covariance_.grow(kY, square(config_.gate.doubt_position_m) * dt_s);
+    }
+    if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
+      covariance_.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
+    }
+  }
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::stand_on(int chart) noexcept {
+  now_.chart = chart;
+  const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
+  covariance_.renew_ground(
+      {square(mismatch.sigma_m), square(mismatch.slope_sigma), square(mismatch.slope_sigma)});
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::follow_chart() noexcept {
+  if (surface_.chart_count() == 1) return;
+  const int chart = surface_.follow(now_.chart, now_.core(kX), now_.core(kY));
+  if (chart != now_.chart) stand_on(chart);
+}
+
+template class DeadReckoning<JointCovariance>;
+template class DeadReckoning<CoreCovariance>;
+
+}  // namespace groma::filter
