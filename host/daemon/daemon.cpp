@@ -241,11 +241,13 @@ bool Daemon::calibrate() {
 void Daemon::localize(model::Calibration calibration) {
   frame_ = calibration.frame;
   const std::size_t anchors = calibration.anchors.size();
-  localizer_ = std::make_unique<Localizer>(Localizer::Setup{.surface = config_.surface,
-                                                            .tags = config_.tags,
-                                                            .calibration = std::move(calibration),
-                                                            .filter = config_.filter_config()},
-                                           [this](const PoseEstimate& pose) { publish(pose); });
+  localizer_ = std::make_unique<Localizer>(
+      Localizer::Setup{.surface = config_.surface,
+                       .tags = config_.tags,
+                       .calibration = std::move(calibration),
+                       .filter = config_.filter_config()},
+      [this](const PoseEstimate& pose) { publish(pose); },
+      [this](const PoseEstimate& pose) { learn_from(pose); });
   session_.attach(*localizer_);
   log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; looks for its pose",
                    filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
@@ -296,12 +298,18 @@ void Daemon::finish_learning() {
   keep_learnt();
 }
 
+void Daemon::learn_from(const PoseEstimate& settled) {
+  if (!learner_ || settled.state != filter::State::kTracking) return;
+  const Eigen::Matrix3d& covariance = settled.planar_covariance;
+  if (!(covariance(0, 0) + covariance(1, 1) < kGoodPose_m * kGoodPose_m)) return;
+  learner_->on_filter_pose({.t_s = settled.t_s,
+                            .x_m = settled.x_m,
+                            .y_m = settled.y_m,
+                            .z_m = settled.z_m,
+                            .yaw_rad = settled.yaw_rad});
+}
+
 void Daemon::publish(const PoseEstimate& pose) {
-  if (learner_ && pose.state == filter::State::kTracking &&
-      pose.planar_covariance(0, 0) + pose.planar_covariance(1, 1) < kGoodPose_m * kGoodPose_m) {
-    learner_->on_filter_pose(
-        {.t_s = pose.t_s, .x_m = pose.x_m, .y_m = pose.y_m, .z_m = pose.z_m, .yaw_rad = pose.yaw_rad});
-  }
   const std::pair state(pose.state, pose.reason);
   if (pose_state_ != state) {
     const std::string_view reason = filter::reason_name(pose.reason);

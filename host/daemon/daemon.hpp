@@ -64,6 +64,7 @@ class Daemon {
   void use_learnt();
   void keep_learnt();
   void finish_learning();
+  void learn_from(const PoseEstimate& settled);
   void publish(const PoseEstimate& pose);
   void ask_for_time();
   void record();

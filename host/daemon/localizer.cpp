@@ -1,18 +1,29 @@
 #include "host/daemon/localizer.hpp"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
+#include <limits>
 #include <memory>
 #include <span>
 #include <utility>
 #include <variant>
 
-#include <Eigen/Eigenvalues>
-
 #include "host/filter/replay.hpp"
 
 namespace groma::daemon {
+
+namespace {
+
+constexpr double kNothingYet_s = -std::numeric_limits<double>::infinity();
+
+// By time, odometry before yaw rates, as a session passes them on.
+bool comes_before(const filter::MotionInput& a, const filter::MotionInput& b) {
+  const auto time_of = [](const auto& of) { return of.t_s; };
+  const double a_s = std::visit(time_of, a);
+  const double b_s = std::visit(time_of, b);
+  return a_s != b_s ? a_s < b_s : a.index() < b.index();
+}
+
+}  // namespace
 
 PoseEstimate pose_on(const model::Surface& surface, const filter::Estimate& estimate) noexcept {
   const model::SpatialEstimate at =
@@ -31,25 +42,20 @@ PoseEstimate pose_on(const model::Surface& surface, const filter::Estimate& esti
   return pose;
 }
 
-Localizer::Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_pose)
-    : setup_(std::move(setup)), on_pose_(std::move(on_pose)) {
+Localizer::Localizer(Setup setup, OnPose on_pose, OnPose on_settled)
+    : setup_(std::move(setup)),
+      on_pose_(std::move(on_pose)),
+      on_settled_(std::move(on_settled)),
+      last_row_s_(kNothingYet_s) {
+  ahead_.reserve(kMaxAhead);
   renew();
 }
 
 void Localizer::adopt(model::Calibration calibration) {
   setup_.calibration = std::move(calibration);
-  const bool started = tracker_->started();
-  const filter::State state = tracker_->state();
-  const filter::Estimate estimate = tracker_->estimate();
+  const std::unique_ptr<filter::Tracker> before = std::move(tracker_);
   renew();
-  if (!started) return;
-  const Eigen::Matrix2d position = estimate.covariance.topLeftCorner<2, 2>();
-  const double variance_m2 = position.selfadjointView<Eigen::Lower>().eigenvalues()(1);
-  tracker_->start({.t_s = estimate.t_s,
-                   .pose = estimate.pose,
-                   .position_sigma_m = std::sqrt(std::max(variance_m2, 0.0)),
-                   .heading_sigma_rad = std::sqrt(std::max(estimate.covariance(2, 2), 0.0))},
-                  state);
+  if (before->started()) tracker_->resume(*before);
 }
 
 void Localizer::start(const filter::Start& start) {
@@ -57,13 +63,19 @@ void Localizer::start(const filter::Start& start) {
 }
 
 void Localizer::on_odometry(const model::OdometrySample& row) {
+  arrived(row);
   const filter::OdometryOutcome outcome = tracker_->process(row);
+  const bool has_waited = row.t_s <= last_row_s_;
+  last_row_s_ = std::max(last_row_s_, row.t_s);
   if (!tracker_->started() || outcome != filter::OdometryOutcome::kUsed) return;
-  const filter::Estimate estimate = tracker_->estimate();
-  PoseEstimate pose = pose_on(setup_.surface, estimate);
-  pose.state = tracker_->state();
-  pose.reason = tracker_->reason();
-  on_pose_(pose);
+  if (!has_waited) on_pose_(pose_of(tracker_->filter().row_estimate()));
+  if (on_settled_) on_settled_(pose_of(tracker_->estimate()));
+}
+
+void Localizer::on_odometry_ahead(const model::OdometrySample& row) {
+  const auto end = await(row);
+  last_row_s_ = std::max(last_row_s_, row.t_s);
+  if (tracker_->started()) on_pose_(pose_of(filter().predict({ahead_.cbegin(), end})));
 }
 
 void Localizer::on_range(const model::RangeSample& range) {
@@ -77,11 +89,35 @@ void Localizer::on_pose_prior(const model::PoseSample& pose) {
 }
 
 void Localizer::on_sensor(const model::SensorSample& sample) {
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) arrived(*rate);
   std::visit([this](const auto& of) { tracker_->process(of); }, sample);
 }
 
+void Localizer::on_sensor_ahead(const model::SensorSample& sample) {
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) await(*rate);
+}
+
 void Localizer::on_clock_set() {
+  ahead_.clear();
+  last_row_s_ = kNothingYet_s;
   renew();
+}
+
+PoseEstimate Localizer::pose_of(const filter::Estimate& estimate) const {
+  PoseEstimate pose = pose_on(setup_.surface, estimate);
+  pose.state = tracker_->state();
+  pose.reason = tracker_->reason();
+  return pose;
+}
+
+Localizer::Ahead::const_iterator Localizer::await(const filter::MotionInput& input) {
+  if (ahead_.size() == kMaxAhead) ahead_.erase(ahead_.begin());
+  const auto place = std::upper_bound(ahead_.begin(), ahead_.end(), input, comes_before);
+  return ahead_.insert(place, input) + 1;
+}
+
+void Localizer::arrived(const filter::MotionInput& input) {
+  ahead_.erase(ahead_.begin(), std::upper_bound(ahead_.begin(), ahead_.end(), input, comes_before));
 }
 
 void Localizer::renew() {

@@ -1,6 +1,11 @@
 // Measurements in, poses out: one filter, started at the first pose prior or where its ranges tell.
+//
+// The filter takes measurements in their order, which a session makes them wait for. Each row of odometry is
+// answered as soon as it is there: the filter's state is carried on over what waits, up to that row, and the
+// filter stays as it is.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -51,8 +56,17 @@ class Localizer : public MeasurementSink {
     filter::TrackerConfig tracker = {};
   };
 
-  // `on_pose` is called for each odometry row used once started, with the state at the row's time.
-  Localizer(Setup setup, std::function<void(const PoseEstimate&)> on_pose);
+  using OnPose = std::function<void(const PoseEstimate&)>;
+
+  // Rows and yaw rates that are carried over; of more that wait the oldest are left out.
+  static constexpr std::size_t kMaxAhead = 1024;
+
+  // Once started, for each row of odometry:
+  //   on_pose:     when it comes in, at its time, by the measurements that were passed on and by odometry and
+  //                yaw rates since. State and reason are those of the measurements that were passed on. Times
+  //                increase.
+  //   on_settled:  when it is passed on and used, by all until then, at the time of the newest.
+  Localizer(Setup setup, OnPose on_pose, OnPose on_settled = {});
 
   // Goes on by another calibration of the same site from where it is.
   void adopt(model::Calibration calibration);
@@ -64,6 +78,8 @@ class Localizer : public MeasurementSink {
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& pose) override;
   void on_sensor(const model::SensorSample& sample) override;
+  void on_odometry_ahead(const model::OdometrySample& row) override;
+  void on_sensor_ahead(const model::SensorSample& sample) override;
   void on_clock_set() override;  // begins anew
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
@@ -71,11 +87,21 @@ class Localizer : public MeasurementSink {
   [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }
 
  private:
+  using Ahead = std::vector<filter::MotionInput>;
+
   void renew();
+  [[nodiscard]] PoseEstimate pose_of(const filter::Estimate& estimate) const;
+  // Puts it in its place among what waits; returns the place behind it.
+  Ahead::const_iterator await(const filter::MotionInput& input);
+  // It was passed on, and with it all before it.
+  void arrived(const filter::MotionInput& input);
 
   Setup setup_;
-  std::function<void(const PoseEstimate&)> on_pose_;
+  OnPose on_pose_;
+  OnPose on_settled_;
   std::unique_ptr<filter::Tracker> tracker_;
+  Ahead ahead_;        // in order; never grows beyond what is reserved
+  double last_row_s_;  // of the rows that came in
 };
 
 }  // namespace groma::daemon

@@ -19,6 +19,10 @@ class MeasurementSink {
   virtual void on_pose_prior(const model::PoseSample& pose) = 0;
   // Of a sensor beside odometry and ranges.
   virtual void on_sensor(const model::SensorSample& /*sample*/) {}
+  // What waits for its turn, as soon as it is there: of a measurement that is passed on without a wait
+  // nothing is told ahead. Rows of odometry come in the order of their times.
+  virtual void on_odometry_ahead(const model::OdometrySample& /*row*/) {}
+  virtual void on_sensor_ahead(const model::SensorSample& /*sample*/) {}
   // The robot's clock was set or the robot restarted: times before and after do not compare.
   virtual void on_clock_set() = 0;
 

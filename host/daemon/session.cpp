@@ -205,6 +205,7 @@ void Session::enqueue(double t_s, const Sample& sample) {
     return;
   }
   waiting_.push({t_s, serial_++, sample});
+  tell_ahead(sample);
   if (waiting_.size() > config_.max_waiting) {
     ++counters_.waiting_overflows;
     const Waiting first = waiting_.top();
@@ -234,6 +235,14 @@ void Session::deliver(const Sample& sample) {
                  },
              },
              sample);
+}
+
+void Session::tell_ahead(const Sample& sample) {
+  if (const auto* row = std::get_if<model::OdometrySample>(&sample)) {
+    for (MeasurementSink* sink : sinks_) sink->on_odometry_ahead(*row);
+  } else if (const auto* of = std::get_if<model::SensorSample>(&sample)) {
+    for (MeasurementSink* sink : sinks_) sink->on_sensor_ahead(*of);
+  }
 }
 
 void Session::clock_was_set() {

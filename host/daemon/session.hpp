@@ -4,7 +4,7 @@
 //   Session session({});
 //   const auto tag = session.add_node("tag-1", 1'000'000);
 //   session.attach(localizer);
-//   session.robot_bytes(line, now_s);
+//   session.robot_bytes(line, now_s);  // the localizer hears of it ahead
 //   session.node_bytes(tag, bytes, now_s);
 //   session.advance(now_s);  // measurements reach the localizer
 //
@@ -154,6 +154,7 @@ class Session {
   // is known.
   void enqueue(double t_s, const Sample& sample);
   void deliver(const Sample& sample);
+  void tell_ahead(const Sample& sample);
   void clock_was_set();
   [[nodiscard]] bool clock_is_wrong(double t_s, double now_s);
   void say(std::string_view text) const;

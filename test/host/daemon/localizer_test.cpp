@@ -1,13 +1,20 @@
 #include "host/daemon/localizer.hpp"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory>
+#include <string>
 #include <vector>
 
+#include "host/clock/time_mapper.hpp"
+#include "host/daemon/session.hpp"
 #include "host/model/calibration.hpp"
+#include "test/host/link/node_frames.hpp"
+#include "test/support/allocations.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -96,7 +103,7 @@ class Circle : public ::testing::Test {
     return {.t_s = t_s, .x_m = pose.x_m, .y_m = pose.y_m, .z_m = 0.0, .yaw_rad = pose.theta_rad};
   }
   [[nodiscard]] model::RangeSample range(double t_s, std::size_t anchor) const {
-    const auto pose = truth(t_s);
+    const auto pose = truth(t_s + carried_s_);
     const Eigen::Vector3d tag(pose.x_m + 0.2 * std::cos(pose.theta_rad),
                               pose.y_m + 0.2 * std::sin(pose.theta_rad), 0.5);
     return {.t_s = t_s,
@@ -117,6 +124,7 @@ class Circle : public ::testing::Test {
 
   std::vector<model::Anchor> anchors_;
   Localizer::Setup setup_;
+  double carried_s_ = 0.0;  // to where it would have been so much later
 };
 
 TEST_F(Circle, GoesOnByAnotherCalibrationFromWhereItIs) {
@@ -238,6 +246,257 @@ TEST_F(Circle, TwoModelsSeeTheSameAndAnswerDifferently) {
   ASSERT_EQ(schmidt.size(), odometry.size());
   EXPECT_LT(schmidt.back().planar_covariance.trace(), odometry.back().planar_covariance.trace());
   EXPECT_EQ(odometry.back().state, filter::State::kDegraded);
+}
+
+// That robot behind a session, whose clocks all tell the same: a row each 0.02 s, and each 0.1 s a report of
+// ranges that are 0.06 to 0.12 s old.
+class Live : public Circle {
+ protected:
+  static constexpr double kBegin_s = 10.0;
+
+  void begin(double reorder_lag_s) {
+    session_ = std::make_unique<Session>(SessionConfig{.reorder_lag_s = reorder_lag_s});
+    tag_ = session_->add_node("tag-1", 0);
+    localizer_ = std::make_unique<Localizer>(
+        setup_, [this](const PoseEstimate& pose) { poses_.push_back(pose); },
+        [this](const PoseEstimate& pose) { settled_.push_back(pose); });
+    session_->attach(*localizer_);
+  }
+  void line(const std::string& text, double now_s) const {
+    session_->robot_bytes({reinterpret_cast<const std::uint8_t*>(text.data()), text.size()}, now_s);
+  }
+  void odometry(double t_s, double now_s, double omega_radps = kOmega) const {
+    line(fmt::format("{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":{},\"vy_mps\":0,\"omega_radps\":{}}}\n",
+                     t_s, kRadius_m * kOmega, omega_radps),
+         now_s);
+  }
+  void pose_prior(double t_s, double now_s) const {
+    const auto pose = truth(now_s);
+    line(fmt::format(
+             "{{\"class\":\"POSE_PRIOR\",\"t_s\":{},\"x_m\":{},\"y_m\":{},\"z_m\":0,\"yaw_rad\":{}}}\n", t_s,
+             pose.x_m, pose.y_m, pose.theta_rad),
+         now_s);
+  }
+  void report(double now_s) {
+    const auto ticks = [](double s) { return std::llround(s * clock::kDeviceTicksPerSecond); };
+    std::vector<groma_Range> ranges;
+    for (std::size_t i = 0; i < anchors_.size(); ++i) {
+      const double age_s = 0.12 - 0.02 * static_cast<double>(i);
+      const double range_m = range(now_s - age_s, i).range_m;
+      ranges.push_back(link::test::make_range(anchors_[i].id, range_m, ticks(-age_s)));
+    }
+    session_->node_bytes(tag_,
+                         link::test::frame_of(link::test::make_report(
+                             sequence_++, 1, static_cast<std::uint64_t>(ticks(now_s)), ranges)),
+                         now_s);
+  }
+  // With its odometry, or with ranges alone; robot_s: what the robot's clock shows beyond the others.
+  void drive(double from_s, double to_s, bool rows = true, double robot_s = 0.0) {
+    for (auto i = std::lround(from_s / 0.02); i < std::lround(to_s / 0.02); ++i) {
+      const double t_s = 0.02 * static_cast<double>(i);
+      if (rows) odometry(t_s + robot_s, t_s);
+      if (rows && i % 50 == 0) pose_prior(t_s + robot_s, t_s);
+      session_->advance(t_s + 0.001);
+      if (i % 5 == 0) report(t_s + 0.002);
+      session_->advance(t_s + 0.002);
+    }
+  }
+  [[nodiscard]] bool times_increase() const {
+    return std::adjacent_find(poses_.begin(), poses_.end(), [](const PoseEstimate& a, const PoseEstimate& b) {
+             return a.t_s >= b.t_s;
+           }) == poses_.end();
+  }
+  [[nodiscard]] double error_m(const PoseEstimate& pose, double robot_s = 0.0) const {
+    const auto true_pose = truth(pose.t_s - robot_s + carried_s_);
+    return std::hypot(pose.x_m - true_pose.x_m, pose.y_m - true_pose.y_m);
+  }
+  // That what was told of each row at once is what was told of it in its turn, but for the state.
+  void expect_same_as_settled() const {
+    ASSERT_FALSE(poses_.empty());
+    std::size_t compared = 0;
+    auto settled = settled_.begin();
+    for (const PoseEstimate& pose : poses_) {
+      while (settled != settled_.end() && settled->t_s < pose.t_s) ++settled;
+      if (settled == settled_.end()) break;
+      ASSERT_EQ(pose.t_s, settled->t_s);
+      ASSERT_EQ(pose.x_m, settled->x_m) << pose.t_s;
+      ASSERT_EQ(pose.y_m, settled->y_m);
+      ASSERT_EQ(pose.yaw_rad, settled->yaw_rad);
+      ASSERT_EQ(pose.covariance, settled->covariance);
+      ++compared;
+    }
+    EXPECT_GT(compared, 200U);
+  }
+
+  std::unique_ptr<Session> session_;
+  std::unique_ptr<Localizer> localizer_;
+  std::size_t tag_ = 0;
+  std::uint32_t sequence_ = 0;
+  std::vector<PoseEstimate> poses_;
+  std::vector<PoseEstimate> settled_;
+};
+
+TEST_F(Live, APoseLeavesInTheCallThatBroughtItsRow) {
+  begin(0.2);
+  drive(kBegin_s, 16.0);
+  ASSERT_FALSE(poses_.empty());
+  // The prior began the filter once its turn had come.
+  EXPECT_NEAR(poses_.front().t_s, kBegin_s + 0.2, 0.021);
+  EXPECT_EQ(poses_.size(), static_cast<std::size_t>(std::lround((16.0 - poses_.front().t_s) / 0.02)));
+  EXPECT_TRUE(times_increase());
+
+  const std::size_t before = poses_.size();
+  odometry(16.0, 16.0);
+  ASSERT_EQ(poses_.size(), before + 1);
+  EXPECT_EQ(poses_.back().t_s, 16.0);
+  EXPECT_EQ(poses_.back().state, filter::State::kTracking);
+  EXPECT_LT(error_m(poses_.back()), 0.05);
+  EXPECT_LT(settled_.back().t_s, 15.81);
+  session_->advance(16.0);
+  odometry(16.0, 16.01);
+  odometry(15.9, 16.01);
+  session_->flush();
+  EXPECT_EQ(poses_.size(), before + 1);
+  EXPECT_EQ(settled_.back().t_s, 16.0);
+}
+
+TEST_F(Live, WithoutALagItIsTheFiltersOwn) {
+  begin(0.0);
+  drive(kBegin_s, 16.0);
+  expect_same_as_settled();
+  EXPECT_LT(error_m(poses_.back()), 0.05);
+}
+
+// Wheels that tell of twice the turn, a gyro that knows better, and no ranges: nothing is learnt of a row
+// while it waits.
+TEST_F(Live, GoesByAGyroThatStillWaits) {
+  begin(0.2);
+  for (int i = 0; i < 300; ++i) {
+    const double t_s = kBegin_s + 0.02 * i;
+    odometry(t_s, t_s, 2.0 * kOmega);
+    if (i == 0) pose_prior(t_s, t_s);
+    session_->advance(t_s);
+    line(fmt::format("{{\"class\":\"IMU\",\"t_s\":{},\"omega_radps\":{}}}\n", t_s + 0.01, kOmega),
+         t_s + 0.01);
+  }
+  session_->flush();
+  expect_same_as_settled();
+  EXPECT_NEAR(poses_.back().yaw_rad, model::wrap_angle(truth(poses_.back().t_s).theta_rad), 0.05);
+}
+
+TEST_F(Live, RowsThatCameLateHaveAPoseEach) {
+  begin(0.2);
+  drive(kBegin_s, 14.0);
+  const std::size_t before = poses_.size();
+  drive(14.0, 14.4, /*rows=*/false);
+  EXPECT_EQ(poses_.size(), before);
+  for (int i = 0; i <= 20; ++i) {
+    const double t_s = 14.0 + 0.02 * i;
+    odometry(t_s, 14.4);
+    ASSERT_EQ(poses_.size(), before + static_cast<std::size_t>(i) + 1);
+    EXPECT_EQ(poses_.back().t_s, t_s);
+    EXPECT_LT(error_m(poses_.back()), 0.1);
+  }
+  EXPECT_GE(session_->counters().passed_late, 8U);
+  drive(14.42, 15.0);
+  EXPECT_EQ(poses_.size(), before + 21 + 29);
+  EXPECT_TRUE(times_increase());
+}
+
+TEST_F(Live, ARobotWhoseCableWasPulledIsToldHowMuchIsNotKnown) {
+  begin(0.2);
+  drive(kBegin_s, 14.0);
+  const PoseEstimate before = poses_.back();
+  const std::size_t count = poses_.size();
+  drive(14.0, 16.0, /*rows=*/false);
+  EXPECT_EQ(poses_.size(), count);
+  session_->robot_reopened();
+  drive(16.0, 16.02);
+  ASSERT_EQ(poses_.size(), count + 1);
+  EXPECT_NEAR(poses_.back().t_s, 16.0, 1e-9);
+  EXPECT_EQ(poses_.back().reason, filter::Reason::kNoOdometry);
+  EXPECT_GT(poses_.back().planar_covariance.trace(), 2.0 * before.planar_covariance.trace());
+  drive(16.02, 18.0);
+  EXPECT_EQ(poses_.back().state, filter::State::kTracking);
+  EXPECT_LT(error_m(poses_.back()), 0.05);
+  EXPECT_EQ(poses_.size(), count + 100);
+  EXPECT_TRUE(times_increase());
+}
+
+TEST_F(Live, AClockThatWasSetBeginsAnew) {
+  constexpr double kSet_s = -1000.0;
+  setup_.tracker.relocates = false;
+  begin(0.2);
+  drive(kBegin_s, 14.0);
+  const std::size_t before = poses_.size();
+  drive(14.0, 18.0, /*rows=*/true, kSet_s);
+  EXPECT_EQ(session_->counters().robot_clock_set, 1U);
+  ASSERT_GT(poses_.size(), before);
+  EXPECT_TRUE(std::all_of(poses_.begin() + static_cast<std::ptrdiff_t>(before), poses_.end(),
+                          [](const PoseEstimate& pose) { return pose.t_s < 0.0; }));
+  // A second until the clock is believed, the next prior, and its wait.
+  EXPECT_GT(poses_[before].t_s, 15.2 + kSet_s);
+  EXPECT_LT(poses_[before].t_s, 16.3 + kSet_s);
+  poses_.erase(poses_.begin(), poses_.begin() + static_cast<std::ptrdiff_t>(before));
+  EXPECT_TRUE(times_increase());
+  EXPECT_LT(error_m(poses_.back(), kSet_s), 0.05);
+}
+
+TEST_F(Live, GoesOnThroughARelocation) {
+  begin(0.2);
+  drive(kBegin_s, 14.0);
+  carried_s_ = 3.14 / kOmega;  // across its circle, and turned
+  const std::size_t before = poses_.size();
+  drive(14.0, 30.0);
+  EXPECT_EQ(poses_.size(), before + 800);
+  EXPECT_TRUE(times_increase());
+  EXPECT_TRUE(std::any_of(poses_.begin() + static_cast<std::ptrdiff_t>(before), poses_.end(),
+                          [](const PoseEstimate& pose) { return pose.state == filter::State::kConverging; }));
+  EXPECT_EQ(poses_.back().state, filter::State::kTracking);
+  EXPECT_LT(error_m(poses_.back()), 0.1);
+}
+
+TEST_F(Live, GoesOnByAnotherCalibrationOverWhatWaits) {
+  const model::Calibration whole = setup_.calibration;
+  setup_.calibration.anchors.pop_back();
+  begin(0.2);
+  drive(kBegin_s, 20.0);
+  const PoseEstimate before = poses_.back();
+  const filter::CoreVector learnt = localizer_->filter().core();
+  localizer_->adopt(whole);
+  EXPECT_EQ(localizer_->filter().core(), learnt);
+  const std::size_t count = poses_.size();
+  drive(20.0, 21.0);
+  EXPECT_EQ(poses_.size(), count + 50);
+  EXPECT_LT(std::abs(error_m(poses_[count]) - error_m(before)), 0.01);
+  EXPECT_LT(poses_[count].planar_covariance.trace(), 1.3 * before.planar_covariance.trace());
+  for (std::size_t i = count; i < poses_.size(); ++i) {
+    EXPECT_EQ(poses_[i].state, filter::State::kTracking);
+    EXPECT_LT(error_m(poses_[i]), 0.05);
+  }
+}
+
+TEST_F(Circle, LooksAheadWithoutTheHeapAndOverNoMoreThanItsBound) {
+  PoseEstimate last;
+  std::size_t count = 0;
+  Localizer localizer(setup_, [&](const PoseEstimate& pose) {
+    last = pose;
+    ++count;
+  });
+  localizer.on_odometry(row(0.0));
+  localizer.on_pose_prior(prior(0.0));
+  drive(localizer, 0.02, 2.0, true);
+  const std::size_t before = test::allocations();
+  const std::size_t told = count;
+  constexpr int kRows = 2 * static_cast<int>(Localizer::kMaxAhead);
+  for (int i = 0; i < kRows; ++i) {
+    localizer.on_odometry_ahead(row(2.0 + 1e-4 * i));
+    localizer.on_sensor_ahead(model::YawRateSample{2.0 + 1e-4 * (i + 0.5), kOmega});
+  }
+  EXPECT_EQ(test::allocations(), before);
+  EXPECT_EQ(count, told + kRows);
+  EXPECT_EQ(last.t_s, 2.0 + 1e-4 * (kRows - 1));
+  EXPECT_LT(std::hypot(last.x_m - truth(last.t_s).x_m, last.y_m - truth(last.t_s).y_m), 0.05);
 }
 
 }  // namespace

@@ -38,7 +38,13 @@ class Recorded : public MeasurementSink {
     times_s.push_back(model::time_of(sample));
   }
   void on_clock_set() override { ++clock_sets; }
+  void on_odometry_ahead(const model::OdometrySample& row) override { ahead_s.push_back(row.t_s); }
+  void on_sensor_ahead(const model::SensorSample& sample) override {
+    sensors_ahead_s.push_back(model::time_of(sample));
+  }
 
+  std::vector<double> ahead_s;  // of odometry
+  std::vector<double> sensors_ahead_s;
   std::vector<model::SensorSample> sensors;
   std::vector<model::OdometrySample> odometry;
   std::vector<model::RangeSample> ranges;
@@ -137,6 +143,35 @@ TEST(Session, KeepsMeasurementsBackNoLongerThanItsLag) {
   EXPECT_TRUE(site.sink.odometry.empty());
   site.session.advance(10.151);
   EXPECT_EQ(site.sink.odometry.size(), 1U);
+}
+
+TEST(Session, TellsOfWhatWaitsAtOnceAndOfNothingElse) {
+  Site site;
+  for (int i = 0; i <= 100; ++i) {
+    const double host_s = 10.0 + 0.02 * i;
+    if (i >= 60 && i < 80) continue;  // these come with the 80th
+    for (int row = i == 80 ? 60 : i; row <= i; ++row) {
+      const double t_s = 10.0 + 0.02 * row + site.robot_offset_s;
+      const std::size_t before = site.sink.ahead_s.size() + site.sink.odometry.size();
+      site.odometry(host_s, t_s);
+      EXPECT_EQ(site.sink.ahead_s.size() + site.sink.odometry.size(), before + 1) << row;
+      // Of those that are 0.2 s old the filter is told itself.
+      EXPECT_EQ(!site.sink.ahead_s.empty() && site.sink.ahead_s.back() == t_s, row < 60 || row >= 70) << row;
+    }
+    site.stands(host_s, host_s + site.robot_offset_s - 0.1);
+    site.stands(host_s, host_s + site.robot_offset_s - 0.3);
+    site.report(host_s, {0.1});
+    site.odometry(host_s, host_s + site.robot_offset_s - 0.01);  // not newer: dropped
+    site.session.advance(host_s);
+    if (i == 59) site.session.advance(10.0 + 0.02 * 79.5);
+  }
+  site.session.flush();
+  EXPECT_EQ(site.sink.odometry.size(), 101U);
+  EXPECT_EQ(site.sink.ahead_s.size(), 91U);
+  EXPECT_TRUE(std::is_sorted(site.sink.ahead_s.begin(), site.sink.ahead_s.end()));
+  EXPECT_EQ(site.session.counters().odometry_out_of_order, 81U);
+  EXPECT_EQ(site.sink.sensors.size(), 162U);
+  EXPECT_LT(site.sink.sensors_ahead_s.size(), 100U);
 }
 
 TEST(Session, PassesOnTheLateAndDropsTheTooLate) {

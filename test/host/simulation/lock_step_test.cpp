@@ -2,9 +2,15 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
+#include <Eigen/Cholesky>
+
+#include "host/daemon/localizer.hpp"
+#include "host/model/calibration.hpp"
 #include "test/host/simulation/small_site.hpp"
 
 namespace groma::simulation {
@@ -59,6 +65,67 @@ TEST(LockStep, RangesThatArriveAreThoseOfTheWorld) {
   const auto count = static_cast<double>(keeper.ranges.size());
   EXPECT_LT(std::abs(sum / count), 0.005) << "no antenna delay is left over, nor is one taken off twice";
   EXPECT_LT(std::sqrt(squares / count), 0.035);
+}
+
+// Squares of the error: of the position, and in units of what the pose says of it.
+struct Squares {
+  double position_m2 = 0.0;
+  double nees = 0.0;
+
+  void add(const daemon::PoseEstimate& pose, const model::PoseSample& truth) {
+    const Eigen::Vector3d error(pose.x_m - truth.x_m, pose.y_m - truth.y_m,
+                                model::wrap_angle(pose.yaw_rad - truth.yaw_rad));
+    position_m2 += error.head<2>().squaredNorm();
+    nees += error.dot(pose.planar_covariance.ldlt().solve(error)) / 3.0;
+  }
+};
+
+// What the robot is told at once is hardly worse than what its ranges tell of the same instant later, and
+// says so.
+TEST(LockStep, PosesLeaveWithTheirRowsAndAreAsGoodAsThoseInOrder) {
+  const sim::Scenario site = small_site();
+  LockStep run(site, {.seed = 5});
+  daemon::Localizer::Setup setup;
+  setup.surface = site.ground;
+  setup.tags = site.tags;
+  setup.calibration = model::surveyed_calibration(
+      site.anchors, site.tags,
+      {.sigma_m = site.range_sigma_m, .beta_m = site.biases.beta_m, .gamma = site.biases.gamma}, 0.02);
+  setup.filter.odometry = site.odometry.noise;
+  setup.filter.range_sigma_m = site.range_sigma_m;
+  std::vector<daemon::PoseEstimate> live;
+  std::vector<daemon::PoseEstimate> settled;
+  double oldest_s = 0.0;
+  daemon::Localizer localizer(
+      std::move(setup),
+      [&](const daemon::PoseEstimate& pose) {
+        oldest_s = std::max(oldest_s, run.site().now_s() - pose.t_s);
+        live.push_back(pose);
+      },
+      [&](const daemon::PoseEstimate& pose) { settled.push_back(pose); });
+  run.session().attach(localizer);
+  run.run_until(20.0);
+  run.session().flush();
+
+  EXPECT_LT(oldest_s, 0.02) << "the robot's own delay and a step of the host";
+  const double settles_s = live.front().t_s + 2.0;
+  Squares at_once;
+  Squares in_order;
+  std::size_t count = 0;
+  auto later = settled.begin();
+  for (const daemon::PoseEstimate& pose : live) {
+    while (later->t_s < pose.t_s) ++later;
+    ASSERT_EQ(later->t_s, pose.t_s);
+    if (pose.t_s < settles_s) continue;
+    const model::PoseSample truth = run.site().world().robot().truth(pose.t_s);
+    at_once.add(pose, truth);
+    in_order.add(*later, truth);
+    EXPECT_GE(pose.planar_covariance.trace(), 0.9 * later->planar_covariance.trace());
+    ++count;
+  }
+  ASSERT_GT(count, 800U);
+  EXPECT_LT(std::sqrt(at_once.position_m2), 1.2 * std::sqrt(in_order.position_m2));
+  EXPECT_LT(at_once.nees, 1.2 * in_order.nees);
 }
 
 TEST(LockStep, ASeedGivesOneResult) {
