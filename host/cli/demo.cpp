@@ -15,6 +15,7 @@
 #include <CLI/CLI.hpp>
 
 #include "firmware/sim/world/paper_hall.hpp"
+#include "firmware/sim/world/scenario_file.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/demo_report.hpp"
 #include "host/cli/emulation_option.hpp"
@@ -23,6 +24,7 @@
 #include "host/cli/terminal.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset_writer.hpp"
+#include "host/io/error.hpp"
 #include "host/io/estimate_file.hpp"
 #include "host/io/output_file.hpp"
 
@@ -32,6 +34,7 @@ namespace {
 
 struct DemoOptions {
   std::uint64_t seed = 1;
+  std::optional<std::filesystem::path> scenario;  // none: the source paper's hall
   EmulationChoice emulation;
   std::optional<std::filesystem::path> report;
   bool json = false;
@@ -134,7 +137,11 @@ class Progress {
 
 int run(const DemoOptions& options) {
   if (options.report) io::make_folder(*options.report);
-  const sim::Scenario scenario = sim::paper_hall();
+  const sim::Scenario scenario = options.scenario ? sim::read_scenario(*options.scenario) : sim::paper_hall();
+  if (scenario.drives.size() < 2) {
+    throw io::DataError({*options.scenario}, "has one drive: there is none to calibrate on",
+                        "describe two: the first calibrates, the second is localized");
+  }
   const Progress progress;
   simulation::DemoOptions demo;
   demo.site.seed = options.seed;
@@ -162,6 +169,9 @@ void add_demo(CLI::App& app, Action& action) {
                                          "over pseudo-terminals; a first drive calibrates the anchors, a "
                                          "second is localized by every model and scored.");
   command->add_option("--seed", options->seed, "Fixes all but wall times")->capture_default_str();
+  command->add_option(
+      "--scenario", options->scenario,
+      "Site, nodes, robot and radio as YAML, with two drives. Default: the source paper's hall");
   add_emulation_options(*command, options->emulation);
   command->add_option("--report", options->report,
                       "Folder for report.html, the calibration, the estimates and both drives as data sets");

@@ -96,12 +96,19 @@ bool was_judged(const Heard& heard) {
          heard.result.outcome == filter::RangeOutcome::kGated;
 }
 
+// An innovation of fewer sigmas is no reason to refuse a range; powers this much likelier of a blocked one
+// are.
+constexpr double kNear = 2.0;
+constexpr double kTelling = 1.5;
+
 // Why a range was believed or not.
 const char* why(const Heard& heard) {
   if (!was_judged(heard)) return outcome_word(heard.result.outcome);
   const double sigma_m = std::sqrt(heard.result.innovation_variance_m2);
   if (heard.result.weight >= 0.5) return heard.regained_sigma_m > sigma_m ? "heard-again" : "in-sight";
   if (heard.doubts) return "state-doubted";
+  if (heard.result.hint_ratio > kTelling && std::abs(heard.result.innovation_m) < kNear * sigma_m)
+    return "by-powers";
   return heard.result.innovation_m > 0.0 ? "blocked" : "too-short";
 }
 
@@ -217,6 +224,7 @@ Json to_json(const Heard& heard) {
   json["innovation_sigma_m"] = std::sqrt(heard.result.innovation_variance_m2);
   json["weight"] = heard.result.weight;
   json["pair_in_sight"] = 1.0 - heard.result.blocked;
+  json["hint_ratio"] = heard.result.hint_ratio;
   json["heard_again_sigma_m"] = heard.regained_sigma_m;
   json["pull"] = to_json(heard.result.pull);
   return json;
@@ -278,7 +286,7 @@ std::string table_of(const ExplainOptions& options, const Story& story) {
   std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
     return pull(*a.second).head<2>().norm() > pull(*b.second).head<2>().norm();
   });
-  Table table({"tag", "anchor", "used", "range m", "predicted", "off", "sigma", "weight", "in sight",
+  Table table({"tag", "anchor", "used", "range m", "predicted", "off", "sigma", "weight", "in sight", "hint",
                "pull x cm", "y cm", "heading mrad", "why"});
   for (const auto& [pair, ranges] : entries) {
     const Heard& heard = nearest(*ranges, options.at_s);
@@ -293,8 +301,8 @@ std::string table_of(const ExplainOptions& options, const Story& story) {
                number("{:+.3f}", heard.result.innovation_m),
                number("{:.3f}", std::sqrt(heard.result.innovation_variance_m2)),
                number("{:.2f}", heard.result.weight), number("{:.2f}", 1.0 - heard.result.blocked),
-               fmt::format("{:+.1f}", 100.0 * by.x()), fmt::format("{:+.1f}", 100.0 * by.y()),
-               fmt::format("{:+.1f}", 1000.0 * by.z()), why(heard)});
+               number("{:.1f}", heard.result.hint_ratio), fmt::format("{:+.1f}", 100.0 * by.x()),
+               fmt::format("{:+.1f}", 100.0 * by.y()), fmt::format("{:+.1f}", 1000.0 * by.z()), why(heard)});
   }
   return table.format(true);
 }

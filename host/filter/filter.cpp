@@ -261,7 +261,8 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.innovation_m = range.range_m - measurement.range_m;
   result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2,
+                                  SightHint::class_of(range));
   result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();
   const double slow_before = now_.tuning.slow_scale();

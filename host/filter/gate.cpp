@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "host/filter/range_density.hpp"
-
 namespace groma::filter {
 
 namespace {
@@ -19,9 +17,15 @@ constexpr double kLongGaps = 0.9;
 // Fewer polls than this within the window, and a silence tells nothing.
 constexpr double kReceptionPolls = 10.0;
 
+// Less by what lies beyond the knee.
+double weight_of(double in_sight, double knees) noexcept {
+  const double weight = knees > 1.0 ? in_sight / (knees * knees) : in_sight;
+  return weight >= kNoWeight ? weight : 0.0;
+}
+
 }  // namespace
 
-Gate::Gate(const GateConfig& config) : config_(config) {
+Gate::Gate(const GateConfig& config) : config_(config), hint_(config) {
   reset(0.0);
 }
 
@@ -64,35 +68,52 @@ double Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   return missed;
 }
 
-double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept {
+Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const noexcept {
+  const double in_sight = (1.0 - prior) * (1.0 - config_.garbage_share) * density.in_sight;
+  const double blocked = prior * (1.0 - config_.garbage_share) * density.blocked;
+  const double total = in_sight + blocked + density.garbage;
+  // Nothing explains it: nothing is learnt from it.
+  if (!(total > 0.0)) return {.pair_blocked = prior};
+  return {.in_sight = in_sight / total,
+          .blocked = blocked / total,
+          .pair_blocked = std::min((blocked + density.garbage * prior) / total, config_.blocked_most)};
+}
+
+double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2,
+                   SightHint::Class hint) noexcept {
   if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2) || !(variance_m2 > 0.0)) return 0.0;
   const double sigma = std::sqrt(variance_m2);
   Pair& chain = pair(anchor, tag);
 
-  const double fade = std::exp(-std::max(t_s - chain.t_s, 0.0) / config_.sticky_s);
+  const double gap_s = std::max(t_s - chain.t_s, 0.0);
+  const double fade = std::exp(-gap_s / config_.sticky_s);
   const double missed = listen(anchor, chain, t_s);
-  double prior = config_.blocked_share + (chain.blocked - config_.blocked_share) * fade;
+  double prior = config_.blocked_share + (chain.unhinted - config_.blocked_share) * fade;
   prior += std::max(config_.blocked_most - prior, 0.0) * missed;
-  const double in_sight =
-      (1.0 - prior) * (1.0 - config_.garbage_share) * gaussian_density(innovation_m, sigma);
-  const double excess = prior * (1.0 - config_.garbage_share) *
-                        ((1.0 - config_.short_share) * excess_density(innovation_m, sigma, config_.excess_m) +
-                         config_.short_share * excess_density(-innovation_m, sigma, config_.excess_m));
-  const double garbage = config_.garbage_share / config_.garbage_width_m;
-  const double total = in_sight + excess + garbage;
-  chain.blocked = prior;
-  if (!(total > 0.0)) {
-    observe(anchor, t_s, innovation_m, 0.0);
-    return 0.0;
-  }
-
-  chain.blocked = std::min((excess + garbage * prior) / total, config_.blocked_most);
-  double weight = in_sight / total;
+  const RangeDensities density = range_densities(innovation_m, sigma, config_);
   const double knees = std::abs(innovation_m) / (sigma * config_.knee);
-  if (knees > 1.0) weight /= knees * knees;
-  if (!(weight >= kNoWeight)) weight = 0.0;
+
+  // What powers tell makes neither itself nor a doubt of the state.
+  const Posterior unhinted = judge(density, prior);
+  const double weight = weight_of(unhinted.in_sight, knees);
+  chain.unhinted = unhinted.pair_blocked;
+  chain.blocked = unhinted.pair_blocked;
   observe(anchor, t_s, innovation_m, weight);
-  return weight;
+  if (hint == SightHint::kNoClass || !(config_.hint_most > 1.0)) return weight;
+
+  const double ratio = hint_.likelihood_ratio(hint);
+  if (!doubts_) {
+    const double share = std::min(gap_s / config_.hint_s, 1.0);
+    hint_.learn(hint, t_s, share * unhinted.blocked, share * unhinted.in_sight);
+  }
+  const auto with_hint = [ratio](double share) { return share * ratio / (share * ratio + 1.0 - share); };
+  // The innovations that made the chain so sure hang together, too.
+  const double known = std::min(std::max(prior, hint_.blocked_share()), config_.blocked_most);
+  const Posterior hinted = judge(density, with_hint(known));
+  chain.blocked = hinted.pair_blocked;
+  // And so do those of one class that fit: where most are blocked the state follows them.
+  const double trust = 1.0 - with_hint(hint_.blocked_share());
+  return weight_of(hinted.in_sight * trust * trust, knees);
 }
 
 void Gate::Tally::fade(double until_s, double window_s) noexcept {
@@ -153,13 +174,14 @@ bool Gate::doubts(double t_s) const noexcept {
 
 void Gate::renew(int anchor, double t_s) noexcept {
   for (int tag = 0; tag < kMaxTags; ++tag) {
-    pair(anchor, tag) = {.t_s = t_s, .blocked = config_.blocked_share, .reception = 0.0};
+    pair(anchor, tag) = {
+        .t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share, .reception = 0.0};
   }
   anchors_[static_cast<std::size_t>(anchor)] = {.t_s = t_s};
 }
 
 void Gate::reset(double t_s) noexcept {
-  pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share});
+  pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share});
   t_s_ = t_s;
   too_short_ = {.t_s = t_s};
   all_ = {.t_s = t_s};

@@ -19,4 +19,11 @@ double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   return std::exp(0.5 * ratio * ratio - error_m / mean_m) * below / mean_m;
 }
 
+RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config) noexcept {
+  return {.in_sight = gaussian_density(error_m, sigma_m),
+          .blocked = (1.0 - config.short_share) * excess_density(error_m, sigma_m, config.excess_m) +
+                     config.short_share * excess_density(-error_m, sigma_m, config.excess_m),
+          .garbage = config.garbage_share / config.garbage_width_m};
+}
+
 }  // namespace groma::filter

@@ -1,11 +1,23 @@
 // Densities of a range's error.
 #pragma once
 
+#include "host/filter/config.hpp"
+
 namespace groma::filter {
 
 // Of a Gaussian of that sigma, 1/m.
 [[nodiscard]] double gaussian_density(double error_m, double sigma_m) noexcept;
 // Of a Gaussian of that sigma plus an exponential excess of that mean, 1/m.
 [[nodiscard]] double excess_density(double error_m, double sigma_m, double mean_m) noexcept;
+
+// The kinds of error that the gate tells apart, 1/m. The first two: of a range that is not garbage; blocked
+// ones are too long, or by short_share too short. The last: with the share of garbage.
+struct RangeDensities {
+  double in_sight = 0.0;
+  double blocked = 0.0;
+  double garbage = 0.0;
+};
+[[nodiscard]] RangeDensities range_densities(double error_m, double sigma_m,
+                                             const GateConfig& config) noexcept;
 
 }  // namespace groma::filter

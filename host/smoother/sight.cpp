@@ -19,15 +19,11 @@ struct Likelihood {
 };
 
 Likelihood likelihood(const Residual& residual, const filter::GateConfig& config) {
-  const double garbage = config.garbage_share / config.garbage_width_m;
-  const double in_sight =
-      (1.0 - config.garbage_share) * filter::gaussian_density(residual.error_m, residual.sigma_m);
-  const double blocked =
-      (1.0 - config.garbage_share) *
-      ((1.0 - config.short_share) *
-           filter::excess_density(residual.error_m, residual.sigma_m, config.excess_m) +
-       config.short_share * filter::excess_density(-residual.error_m, residual.sigma_m, config.excess_m));
-  return {.of = {in_sight + garbage, blocked + garbage}, .true_share = in_sight / (in_sight + garbage)};
+  const filter::RangeDensities density = filter::range_densities(residual.error_m, residual.sigma_m, config);
+  const double in_sight = (1.0 - config.garbage_share) * density.in_sight;
+  const double blocked = (1.0 - config.garbage_share) * density.blocked;
+  return {.of = {in_sight + density.garbage, blocked + density.garbage},
+          .true_share = in_sight / (in_sight + density.garbage)};
 }
 
 // Of going from one state to the other within a time.

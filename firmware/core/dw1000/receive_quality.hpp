@@ -30,10 +30,15 @@ struct ReceiveQuality {
 // From the first path to the strongest, either way.
 [[nodiscard]] std::int32_t peak_distance_64ths(const ReceiveQuality& quality) noexcept;
 
-// Whether the first path is likely the straight one. By what part of the power it holds: within 6 dB of all
-// of it is line of sight, more than 10 dB below is not (user manual 4.7.3); and by how far the strongest path
-// is from it: up to 3.3 samples is line of sight, more than 6 is not (APS006 part 3). Likely is what both
-// call so, unlikely what one does. A hint: a wall of one material attenuates all paths alike.
+// The straight path is likely the first one where that is less than so far below the whole power, unlikely
+// where it is further below (user manual 4.7.3); 1/100 dB.
+inline constexpr std::int32_t kLikelyHidden_cdb = 600;
+inline constexpr std::int32_t kUnlikelyHidden_cdb = 1'000;
+
+// Whether the first path is likely the straight one. By what part of the power it holds, as above; and by how
+// far the strongest path is from it: up to 3.3 samples is line of sight, more than 6 is not (APS006 part 3).
+// Likely is what both call so, unlikely what one does. A hint: a wall of one material attenuates all paths
+// alike.
 enum class LineOfSight : std::uint8_t { kUnknown, kLikely, kUncertain, kUnlikely };
 [[nodiscard]] LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
                                         std::optional<std::int32_t> receive_power_cdbm,

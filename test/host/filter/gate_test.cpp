@@ -4,6 +4,8 @@
 
 #include <cmath>
 #include <limits>
+#include <numbers>
+#include <vector>
 
 #include "test/host/filter/small_site.hpp"
 #include "test/support/random.hpp"
@@ -13,6 +15,8 @@ namespace {
 
 constexpr double kSigma_m = 0.1;
 constexpr double kVariance_m2 = kSigma_m * kSigma_m;
+
+using test::Random;
 
 double fresh_weight(double innovation_m) {
   return Gate(GateConfig{}).weigh(0, 0, 0.0, innovation_m, kVariance_m2);
@@ -139,6 +143,234 @@ TEST(Gate, DoubtsWhereAsManyAnchorsAreFarOffAsAgreeButForThreeThatAgree) {
   EXPECT_FALSE(doubts(2, 1, 2.0));
   EXPECT_FALSE(doubts(5, 2, 2.0));
   EXPECT_FALSE(doubts(6, 3, 2.0));
+}
+
+// A range of 10 m with a first path so strong at 1 m, and so far below the whole power.
+model::RangeSample with_powers(double strength_dbm, double hidden_db) {
+  model::RangeSample range;
+  range.range_m = 10.0;
+  range.first_path_power_dbm = static_cast<float>(strength_dbm - 20.0);
+  range.receive_power_dbm = static_cast<float>(strength_dbm - 20.0 + hidden_db);
+  return range;
+}
+
+SightHint::Class class_of(double strength_dbm, double hidden_db) {
+  return SightHint::class_of(with_powers(strength_dbm, hidden_db));
+}
+
+TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
+  const auto hidden = [](SightHint::Class of) { return of / SightHint::kStrengthClasses; };
+  EXPECT_EQ(hidden(class_of(-60.0, 0.0)), 0U);
+  EXPECT_EQ(hidden(class_of(-60.0, 5.9)), 0U);
+  EXPECT_EQ(hidden(class_of(-60.0, 6.1)), 1U);
+  EXPECT_EQ(hidden(class_of(-60.0, 9.9)), 1U);
+  EXPECT_EQ(hidden(class_of(-60.0, 10.1)), 2U);
+  EXPECT_EQ(class_of(-59.9, 1.0), class_of(-57.1, 1.0));
+  EXPECT_NE(class_of(-60.1, 1.0), class_of(-59.9, 1.0));
+  EXPECT_EQ(class_of(-99.0, 1.0), class_of(-300.0, 1.0));
+  EXPECT_EQ(class_of(-50.0, 1.0), class_of(300.0, 1.0));
+  // Length does not make it weak.
+  model::RangeSample far = with_powers(-58.0, 1.0);
+  far.range_m = 20.0;
+  far.first_path_power_dbm -= 6.02F;
+  far.receive_power_dbm -= 6.02F;
+  EXPECT_EQ(SightHint::class_of(far), class_of(-58.0, 1.0));
+
+  model::RangeSample told;
+  told.range_m = 10.0;
+  EXPECT_EQ(SightHint::class_of(told), SightHint::kNoClass);
+  told.first_path_power_dbm = -80.0F;
+  EXPECT_EQ(SightHint::class_of(told), SightHint::kNoClass);
+  told.first_path_power_dbm = model::kUnknown;
+  told.line_of_sight = model::LineOfSight::kUnlikely;
+  EXPECT_EQ(hidden(SightHint::class_of(told)), 2U);
+  EXPECT_EQ(SightHint::class_of(told) % SightHint::kStrengthClasses, SightHint::kStrengthClasses - 1);
+  told.line_of_sight = model::LineOfSight::kLikely;
+  EXPECT_EQ(hidden(SightHint::class_of(told)), 0U);
+}
+
+// What a hint says from all that was learnt, each by itself.
+struct Learnt {
+  SightHint::Class of = 0;
+  double t_s = 0.0;
+  double blocked = 0.0;
+  double in_sight = 0.0;
+};
+double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, SightHint::Class of, double t_s,
+                    const GateConfig& config) {
+  constexpr double kInSight[] = {0.8, 0.15, 0.05};
+  constexpr double kBlocked[] = {0.4, 0.3, 0.3};
+  const std::size_t hidden = of / SightHint::kStrengthClasses;
+  const double believed = (state == &Learnt::blocked ? kBlocked[hidden] : kInSight[hidden]) /
+                          static_cast<double>(SightHint::kStrengthClasses);
+  double of_class = config.hint_prior_count * believed;
+  double sum = config.hint_prior_count;
+  for (const Learnt& one : all) {
+    const double counted = one.*state * std::exp(-(t_s - one.t_s) / config.hint_memory_s);
+    sum += counted;
+    if (one.of == of) of_class += counted;
+  }
+  return of_class / sum;
+}
+
+TEST(SightHint, IsTheFadingCountOfWhatItWasTold) {
+  GateConfig config;
+  config.hint_memory_s = 3.0;  // so that the unit is renewed on the way
+  config.hint_most = 50.0;
+  SightHint hint(config);
+  EXPECT_NEAR(hint.likelihood_ratio(class_of(-60.0, 12.0)), 0.3 / 0.05, 1e-12);
+  EXPECT_NEAR(hint.likelihood_ratio(class_of(-70.0, 1.0)), 0.4 / 0.8, 1e-12);
+  EXPECT_EQ(hint.likelihood_ratio(SightHint::kNoClass), 1.0);
+  Random random(31);
+  std::vector<Learnt> all;
+  double t_s = 0.0;
+  for (int i = 0; i < 3000; ++i) {
+    t_s += 0.05 * random.uniform();
+    const double blocked = random.uniform();
+    all.push_back({random.next() % SightHint::kNoClass, t_s, blocked, (1.0 - blocked) * random.uniform()});
+    hint.learn(all.back().of, t_s, all.back().blocked, all.back().in_sight);
+    if (i % 500 != 499) continue;
+    for (SightHint::Class of = 0; of < SightHint::kNoClass; ++of) {
+      const double expected = share_of_all(all, &Learnt::blocked, of, t_s, config) /
+                              share_of_all(all, &Learnt::in_sight, of, t_s, config);
+      EXPECT_NEAR(hint.likelihood_ratio(of), expected, 1e-9 * expected) << of;
+    }
+  }
+  const SightHint::Class rare = class_of(-60.0, 12.0);
+  for (int i = 0; i < 1000; ++i) hint.learn(rare, t_s + 100.0, 1.0, 0.0);
+  EXPECT_EQ(hint.likelihood_ratio(rare), config.hint_most);
+}
+
+// A Gaussian plus an exponential excess, by the trapezoidal rule.
+double with_excess(double x, double sigma, double mean) {
+  constexpr int kSteps = 4000;
+  const double end = 20.0 * mean;
+  double sum = 0.0;
+  for (int i = 0; i <= kSteps; ++i) {
+    const double excess = end * i / kSteps;
+    const double e = (x - excess) / sigma;
+    sum += (i == 0 || i == kSteps ? 0.5 : 1.0) * std::exp(-excess / mean - 0.5 * e * e);
+  }
+  return sum * end / kSteps / (mean * sigma * std::sqrt(2.0 * std::numbers::pi));
+}
+
+TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
+  GateConfig config;
+  config.hint_s = 0.8;
+  Gate gate(config);
+  SightHint twin(config);
+  Random random(32);
+  constexpr double kStep_s = 0.5;  // too rare for a silence to tell
+  double chain = config.blocked_share;
+  double t_s = 0.0;
+  for (int i = 0; i < 200; ++i) {
+    t_s += kStep_s;
+    const bool behind_wall = i / 20 % 2 == 1;
+    const double e_m = kSigma_m * random.gaussian() + (behind_wall ? 0.3 : 0.0);
+    const bool seen = random.uniform() < 0.8;
+    const SightHint::Class of = i % 7 == 3            ? SightHint::kNoClass
+                                : behind_wall == seen ? class_of(-70.0, 11.0)
+                                                      : class_of(-58.0, 1.0);
+    const auto densities = [&](double share) {
+      const double in_sight = (1.0 - share) * (1.0 - config.garbage_share) *
+                              std::exp(-0.5 * e_m * e_m / kVariance_m2) /
+                              (kSigma_m * std::sqrt(2.0 * std::numbers::pi));
+      const double blocked = share * (1.0 - config.garbage_share) *
+                             ((1.0 - config.short_share) * with_excess(e_m, kSigma_m, config.excess_m) +
+                              config.short_share * with_excess(-e_m, kSigma_m, config.excess_m));
+      return std::pair{in_sight, blocked};
+    };
+    const double garbage = config.garbage_share / config.garbage_width_m;
+    const double prior =
+        config.blocked_share + (chain - config.blocked_share) * std::exp(-kStep_s / config.sticky_s);
+    const auto [in_sight, blocked] = densities(prior);
+    const double total = in_sight + blocked + garbage;
+    chain = std::min((blocked + garbage * prior) / total, config.blocked_most);
+    const double knees = std::max(std::abs(e_m) / (kSigma_m * config.knee), 1.0);
+    const double weight = gate.weigh(2, 1, t_s, e_m, kVariance_m2, of);
+    double expected = in_sight / total;
+    if (of != SightHint::kNoClass) {
+      const double ratio = twin.likelihood_ratio(of);
+      const double count = kStep_s / config.hint_s;
+      if (!gate.doubts(t_s)) twin.learn(of, t_s, count * blocked / total, count * in_sight / total);
+      const double all = twin.blocked_share();
+      const double known = std::min(std::max(prior, all), config.blocked_most);
+      const auto [now_in_sight, now_blocked] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
+      expected = now_in_sight / (now_in_sight + now_blocked + garbage);
+      expected *= std::pow((1.0 - all) / (1.0 - all + ratio * all), 2);
+    }
+    expected /= knees * knees;
+    if (weight > 0.0) {
+      ASSERT_NEAR(weight, expected, 1e-4) << i;
+    } else {
+      ASSERT_LT(expected, 2e-3) << i;
+    }
+  }
+}
+
+TEST(Gate, WithoutPowersOrWithNoUseOfThemIsTheSameToTheBit) {
+  GateConfig config;
+  config.hint_most = 1.0;
+  Gate plain{GateConfig{}};
+  Gate unused(config);
+  Random random(33);
+  double t_s = 0.0;
+  for (int i = 0; i < 2000; ++i) {
+    t_s += 0.02 * random.uniform();
+    const int anchor = static_cast<int>(random.next() % 6);
+    const double e_m = 0.15 * random.gaussian() + (anchor == 2 ? 0.4 : 0.0);
+    const SightHint::Class of = random.next() % SightHint::kNoClass;
+    ASSERT_EQ(plain.weigh(anchor, 0, t_s, e_m, kVariance_m2),
+              unused.weigh(anchor, 0, t_s, e_m, kVariance_m2, of));
+    ASSERT_EQ(plain.blocked(anchor, 0), unused.blocked(anchor, 0));
+    ASSERT_EQ(plain.doubts(t_s), unused.doubts(t_s));
+  }
+}
+
+// Five anchors in sight and one behind a wall every other 5 s, which its powers tell where they tell
+// anything.
+void teach(Gate& gate, bool tells, Random& random) {
+  double t_s = 0.0;
+  for (int i = 0; t_s < 60.0; ++i, t_s += 0.01) {
+    const bool hidden = i % 6 == 5 && std::fmod(t_s, 10.0) > 5.0;
+    const double e_m = kSigma_m * random.gaussian() + (hidden ? 0.6 : 0.0);
+    const bool weak = tells ? hidden : random.uniform() < 0.5;
+    static_cast<void>(
+        gate.weigh(i % 6, 0, t_s, e_m, kVariance_m2, weak ? class_of(-70.0, 1.0) : class_of(-58.0, 1.0)));
+  }
+}
+
+// Ranges of a pair in sight, then of one that is blocked by little: how many it takes to believe them less.
+int ranges_until_found(bool tells) {
+  Gate gate{GateConfig{}};
+  Random random(34);
+  teach(gate, tells, random);
+  double t_s = 60.0;
+  for (; t_s < 65.0; t_s += 0.05)
+    static_cast<void>(gate.weigh(0, 0, t_s, 0.0, kVariance_m2, class_of(-58.0, 1.0)));
+  for (int i = 1; i < 200; ++i, t_s += 0.05) {
+    if (gate.weigh(0, 0, t_s, 2.0 * kSigma_m, kVariance_m2, class_of(-70.0, 1.0)) < 0.5) return i;
+  }
+  return 200;
+}
+
+TEST(Gate, FindsABlockedPairSoonerByPowersThatTell) {
+  EXPECT_EQ(ranges_until_found(true), 1);
+  EXPECT_GT(ranges_until_found(false), 3);
+}
+
+// An antenna that is always weak is no wall.
+TEST(Gate, DoesNotLockOutAPairWhosePowersLie) {
+  Gate gate{GateConfig{}};
+  Random random(35);
+  teach(gate, true, random);
+  const SightHint::Class weak = class_of(-70.0, 1.0);
+  EXPECT_GT(gate.hint().likelihood_ratio(weak), 5.0);
+  double t_s = 60.0;
+  for (; t_s < 180.0; t_s += 0.05)
+    static_cast<void>(gate.weigh(1, 0, t_s, kSigma_m * random.gaussian(), kVariance_m2, weak));
+  EXPECT_LT(gate.hint().likelihood_ratio(weak), 3.0);
+  EXPECT_GT(gate.weigh(1, 0, t_s, 0.0, kVariance_m2, weak), 0.6);
 }
 
 }  // namespace

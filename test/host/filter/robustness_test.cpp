@@ -376,5 +376,50 @@ TEST(Reception, SilenceTellsNothingWherePollsAreRare) {
   EXPECT_EQ(gate.regained_variance_m2(0, 0), 0.0);
 }
 
+// What the powers of ranges tell.
+enum class Tells { kNothing, kTruth, kOpposite, kNoise };
+
+// Six anchors of which each is blocked for a third of the time, by 0.15 to 0.75 m.
+Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.3);
+  Random random(seed);
+  testing::Drive drive =
+      testing::drive(flat, calibration, {1.0, -2.0, 0.4}, {.duration_s = 120.0, .range_s = 0.005}, random);
+  for (model::RangeSample& range : drive.ranges) {
+    const int wall = static_cast<int>(range.t_s / 4.0) + 5 * range.anchor_id;
+    const bool blocked = wall * 7 % 3 == 0;
+    if (blocked) range.range_m += 0.15 + 0.1 * (wall * 11 % 7);
+    const bool weak = tells == Tells::kTruth      ? blocked
+                      : tells == Tells::kOpposite ? !blocked
+                                                  : random.next() % 2 == 0;
+    if (tells == Tells::kNothing) continue;
+    const double strength_dbm = (weak ? -68.0 : -59.0) + random.gaussian();
+    range.first_path_power_dbm = static_cast<float>(strength_dbm - 20.0 * std::log10(range.range_m));
+    range.receive_power_dbm = range.first_path_power_dbm + (weak ? 11.0F : 2.0F);
+  }
+  return replay(flat, calibration, testing::config_of(model), drive, 20.0);
+}
+
+TEST(Powers, HelpWhereTheyTellAndCostLittleWhereTheyLieOverManyDrives) {
+  constexpr std::uint64_t kDrives = 12;
+  for (const Model model : {Model::kSchmidt, Model::kJoint}) {
+    const auto mean_m = [model](Tells tells) {
+      double sum_m = 0.0;
+      for (std::uint64_t seed = 1; seed <= kDrives; ++seed) sum_m += behind_walls(model, tells, seed).mean_m;
+      return sum_m / static_cast<double>(kDrives);
+    };
+    const double without_m = mean_m(Tells::kNothing);
+    const double truth = mean_m(Tells::kTruth) / without_m;
+    const double opposite = mean_m(Tells::kOpposite) / without_m;
+    const double noise = mean_m(Tells::kNoise) / without_m;
+    std::printf("%s: %.4f m, truth %.3f, opposite %.3f, noise %.3f\n", model_name(model).data(), without_m,
+                truth, opposite, noise);
+    EXPECT_LT(truth, 0.9) << model_name(model);
+    EXPECT_LT(opposite, 1.05) << model_name(model);
+    EXPECT_LT(noise, 1.05) << model_name(model);
+  }
+}
+
 }  // namespace
 }  // namespace groma::filter
