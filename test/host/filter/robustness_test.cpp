@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <Eigen/Cholesky>
@@ -413,8 +414,10 @@ TEST(Powers, HelpWhereTheyTellAndCostLittleWhereTheyLieOverManyDrives) {
     const double truth = mean_m(Tells::kTruth) / without_m;
     const double opposite = mean_m(Tells::kOpposite) / without_m;
     const double noise = mean_m(Tells::kNoise) / without_m;
-    std::printf("%s: %.4f m, truth %.3f, opposite %.3f, noise %.3f\n", model_name(model).data(), without_m,
-                truth, opposite, noise);
+    const std::string name(model_name(model));
+    RecordProperty(name + "_truth", std::to_string(truth));
+    RecordProperty(name + "_opposite", std::to_string(opposite));
+    RecordProperty(name + "_noise", std::to_string(noise));
     EXPECT_LT(truth, 0.9) << model_name(model);
     EXPECT_LT(opposite, 1.05) << model_name(model);
     EXPECT_LT(noise, 1.05) << model_name(model);
