@@ -32,6 +32,8 @@ int run(const SmoothOptions& options) {
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
+  drive.options.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
+  drive.options.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
   if (result.rows.empty()) {
     throw io::DataError({options.input.dataset() / "odometry.csv"},
@@ -51,6 +53,7 @@ int run(const SmoothOptions& options) {
                   {"scale_error", result.scale_error},
                   {"yaw_rate_bias_radps", result.yaw_rate_bias_radps},
                   {"range_delay_s", result.range_delay_s},
+                  {"odometry_delay_s", result.odometry_delay_s},
                   {"dropped", cli::to_json(drive.dataset.dropped)}});
   } else {
     say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,

@@ -104,10 +104,11 @@ ChainProblem::Solution ChainProblem::solve() {
   return out;
 }
 
-std::vector<Eigen::MatrixXd> ChainProblem::covariances() const {
+std::vector<Eigen::MatrixXd> ChainProblem::covariances(const std::vector<Eigen::Index>& shared) const {
   std::vector<Eigen::MatrixXd> out(blocks_.size());
+  const auto beside = static_cast<Eigen::Index>(shared.size());
   Eigen::MatrixXd given_shared;  // of the block after, with what is shared known
-  Eigen::MatrixXd by_shared;     // what that moves it
+  Eigen::MatrixXd by_shared;     // what that moves it, negative
   for (std::size_t k = blocks_.size(); k-- > 0;) {
     const Block& block = blocks_[k];
     Eigen::MatrixXd own = block.inverse;
@@ -118,11 +119,17 @@ std::vector<Eigen::MatrixXd> ChainProblem::covariances() const {
     }
     given_shared = std::move(own);
     by_shared = std::move(by);
-    const auto solved = by_shared.leftCols(by_shared.cols() - considered_);
-    out[k] = given_shared;
+    const Eigen::Index size = given_shared.rows();
+    Eigen::MatrixXd with_shared = Eigen::MatrixXd::Zero(size + beside, by_shared.cols());
+    with_shared.topRows(size) = by_shared;
+    for (Eigen::Index i = 0; i < beside; ++i)
+      with_shared(size + i, shared[static_cast<std::size_t>(i)]) = -1.0;
+    const auto solved = with_shared.leftCols(with_shared.cols() - considered_);
+    out[k] = Eigen::MatrixXd::Zero(size + beside, size + beside);
+    out[k].topLeftCorner(size, size) = given_shared;
     if (solved.cols() > 0) out[k].noalias() += solved * shared_root_.solve(solved.transpose());
     if (considered_ == 0) continue;
-    Eigen::MatrixXd off = -by_shared.rightCols(considered_);
+    Eigen::MatrixXd off = -with_shared.rightCols(considered_);
     if (solved.cols() > 0) off.noalias() += solved * by_considered_;
     out[k].noalias() += off * off.transpose();
   }

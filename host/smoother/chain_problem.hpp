@@ -45,8 +45,9 @@ class ChainProblem {
 
   // The normal equations have to be positive definite.
   [[nodiscard]] Solution solve();
-  // Of each block, after solve(): with all others and what is shared not known either.
-  [[nodiscard]] std::vector<Eigen::MatrixXd> covariances() const;
+  // Of each block, after solve(): with all others and what is shared not known either. Beside it, behind the
+  // block's own rows, those of the shared vector that are named; none of them is considered.
+  [[nodiscard]] std::vector<Eigen::MatrixXd> covariances(const std::vector<Eigen::Index>& shared = {}) const;
 
  private:
   struct Block {

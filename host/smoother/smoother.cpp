@@ -1,6 +1,7 @@
 #include "host/smoother/smoother.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <map>
@@ -10,6 +11,8 @@
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
 
+#include "host/filter/link_delay.hpp"
+#include "host/filter/present_pose.hpp"
 #include "host/filter/propagation.hpp"
 #include "host/model/antenna_pattern.hpp"
 #include "host/model/pose.hpp"
@@ -49,10 +52,13 @@ class Shared {
     root_(0, 0) = config.scale_sigma;
     root_(1, 1) = config.yaw_rate_bias_radps;
     const bool delay_is_observed = calibration.range_delay_sigma_s > 0.0;
-    mean_(kDelay) = delay_is_observed ? calibration.range_delay_s : config.range_delay_s;
-    root_(kDelay, kDelay) = delay_is_observed
-                                ? std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s)
-                                : config.range_delay_sigma_s;
+    delays_ = {.range_s = delay_is_observed ? calibration.range_delay_s : config.range_delay_s,
+               .range_sigma_s = delay_is_observed
+                                    ? std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s)
+                                    : config.range_delay_sigma_s,
+               .odometry_sigma_s = config.odometry_delay_sigma_s};
+    mean_(kDelay) = delays_.range_s;
+    root_(kDelay, kDelay) = std::sqrt(delays_.difference_variance_s2());
     for (std::size_t slot = 0; slot < anchors_.size(); ++slot)
       add_anchor(slot, tags, calibration.common_frame_covariance);
     for (Eigen::Index tag = 0; tag < tags_; ++tag) {
@@ -88,6 +94,8 @@ class Shared {
   [[nodiscard]] Eigen::Index frame() const noexcept { return lever_arm(tags_); }
   [[nodiscard]] const Eigen::VectorXd& mean() const noexcept { return mean_; }
   [[nodiscard]] const Eigen::MatrixXd& root() const noexcept { return root_; }
+  // The delay is the ranges' less the odometry's.
+  [[nodiscard]] const filter::LinkDelays& delays() const noexcept { return delays_; }
 
   // -1 where there is none, or none with that tag.
   [[nodiscard]] Eigen::Index anchor_slot(model::NodeId id, model::NodeId tag_id) const noexcept {
@@ -145,6 +153,7 @@ class Shared {
   std::vector<const model::AnchorCalibration*> anchors_;
   Eigen::Index tags_;
   Eigen::Index not_trusted_ = 0;
+  filter::LinkDelays delays_;
   Eigen::VectorXd mean_;
   Eigen::MatrixXd root_;
 };
@@ -242,18 +251,40 @@ class Smoother {
     const Eigen::VectorXd values = shared_values();
     result.scale_error = values(Shared::kScale);
     result.yaw_rate_bias_radps = values(Shared::kYawBias);
-    result.range_delay_s = values(Shared::kDelay);
+    result.odometry_delay_s = shared_.delays().odometry_s(values(Shared::kDelay));
+    result.range_delay_s = values(Shared::kDelay) + result.odometry_delay_s;
     result.ranges_seen = sightings_.size();
     for (const Sighting& sighting : sightings_) result.ranges_in_sight += sighting.weight;
+    covariances = problem.covariances({Shared::kScale, Shared::kYawBias, Shared::kDelay});
     for (std::size_t k = 0; k < rows_.size(); ++k) {
-      if (rows_[k].t_s < start_.t_s) continue;
-      result.rows.push_back({rows_[k].t_s, states_[k](0), states_[k](1), model::wrap_angle(states_[k](2)),
-                             covariances[k].topLeftCorner<3, 3>()});
+      if (rows_[k].t_s >= start_.t_s) result.rows.push_back(present(k, values, covariances[k]));
     }
     return result;
   }
 
  private:
+  // The pose at a row's stamp, which late odometry is behind of; covariance: of the row's states, then scale,
+  // yaw-rate bias and delay in units of their roots.
+  [[nodiscard]] model::PlanarEstimate present(std::size_t k, const Eigen::VectorXd& values,
+                                              const Eigen::MatrixXd& covariance) const {
+    constexpr std::array<filter::CoreIndex, 3> kShared{filter::kScale, filter::kYawBias, filter::kDelay};
+    filter::CoreVector core = filter::CoreVector::Zero();
+    core.head<kPose>() = states_[k].head<kPose>();
+    Eigen::MatrixXd from = Eigen::MatrixXd::Zero(filter::kCoreSize, block_ + 3);
+    from.topLeftCorner<kPose, kPose>().setIdentity();
+    for (Eigen::Index i = 0; i < 3; ++i) {
+      const filter::CoreIndex at = kShared[static_cast<std::size_t>(i)];
+      core(at) = values(i);
+      from(at, block_ + i) = shared_.root()(i, i);
+    }
+    const filter::PresentPose now =
+        filter::present_pose(surface_, core, rows_[k], shared_.delays(), charts_[k]);
+    const Eigen::MatrixXd by = now.d_core * from;
+    const Eigen::Matrix3d moved = by * covariance * by.transpose();
+    return {rows_[k].t_s, now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z()),
+            0.5 * (moved + moved.transpose()) + now.noise};
+  }
+
   // What a range should have been, with its derivatives by the states of its two rows and by the unknowns.
   struct Prediction {
     double range_m = 0.0;

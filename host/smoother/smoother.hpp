@@ -23,6 +23,7 @@ struct Result {
   double scale_error = 0.0;
   double yaw_rate_bias_radps = 0.0;
   double range_delay_s = 0.0;
+  double odometry_delay_s = 0.0;
   std::size_t ranges_seen = 0;
   double ranges_in_sight = 0.0;  // sum of their probabilities
   int rounds = 0;

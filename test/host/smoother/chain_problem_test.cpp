@@ -76,10 +76,18 @@ TEST_P(OfConsidered, SolutionAndCovariancesAreThoseOfTheDenseProblem) {
   const Eigen::MatrixXd moved = inverse * dense.information.topRightCorner(size, considered);
   const Eigen::MatrixXd covariance = inverse + moved * moved.transpose();
   const std::vector<Eigen::MatrixXd> covariances = problem.covariances();
+  std::vector<Eigen::Index> beside;
+  if (solved > 0) beside = {solved - 1, 0};
+  const std::vector<Eigen::MatrixXd> with_shared = problem.covariances(beside);
   for (std::size_t k = 0; k < kBlocks; ++k) {
     const auto at = static_cast<Eigen::Index>(k) * kBlockSize;
     EXPECT_LT((solution.blocks[k] - expected.segment(at, kBlockSize)).norm(), 1e-10) << k;
     EXPECT_LT((covariances[k] - covariance.block(at, at, kBlockSize, kBlockSize)).norm(), 1e-10) << k;
+    std::vector<Eigen::Index> rows;
+    rows.reserve(kBlockSize + beside.size());
+    for (Eigen::Index i = 0; i < kBlockSize; ++i) rows.push_back(at + i);
+    for (const Eigen::Index shared : beside) rows.push_back(kChainSize + shared);
+    EXPECT_LT((with_shared[k] - covariance(rows, rows)).norm(), 1e-10) << k;
   }
   EXPECT_LT((solution.shared.head(solved) - expected.tail(solved)).norm(), 1e-10);
   EXPECT_EQ(solution.shared.tail(considered).norm(), 0.0);

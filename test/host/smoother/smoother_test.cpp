@@ -104,6 +104,44 @@ TEST_P(Smoothing, TellsBlockedRangesByWhatComesLater) {
   }
 }
 
+TEST_P(Smoothing, TakesOdometryAndRangesEachForAsLateAsTheyAre) {
+  const model::Surface flat;
+  model::Calibration calibration = site::six_anchors(0.1);
+  calibration.range_delay_s = 0.06;
+  calibration.range_delay_sigma_s = 0.002;
+  Random random(33);
+  site::Drive drive = site::drive(flat, calibration, kStart, {.duration_s = 40.0, .range_s = 0.02}, random);
+  for (model::RangeSample& range : drive.ranges) range.t_s += calibration.range_delay_s;
+  for (std::size_t i = drive.odometry.size(); i-- > 2;) {
+    const double t_s = drive.odometry[i].t_s;
+    drive.odometry[i] = drive.odometry[i - 2];
+    drive.odometry[i].t_s = t_s;
+  }
+  const auto tags = site::three_tags();
+  const auto solved = [&](double odometry_delay_sigma_s, double& mean_m, double& nees) {
+    filter::ReplayOptions options = options_of(GetParam());
+    options.config.odometry_delay_sigma_s = odometry_delay_sigma_s;
+    Result result = smooth({drive.odometry, drive.ranges, tags, &flat, &calibration}, options);
+    for (std::size_t row = 40; row < result.rows.size(); ++row) {
+      const Score here = score(result.rows[row], drive.truth[row]);
+      mean_m += std::sqrt(here.square_m2) / static_cast<double>(result.rows.size() - 40);
+      nees += here.nees / static_cast<double>(result.rows.size() - 40);
+    }
+    return result;
+  };
+  double exact_m = 0.0;
+  double exact_nees = 0.0;
+  static_cast<void>(solved(0.0, exact_m, exact_nees));
+  double open_m = 0.0;
+  double open_nees = 0.0;
+  const Result open = solved(0.05, open_m, open_nees);
+  EXPECT_NEAR(open.odometry_delay_s, 0.1, 0.02);
+  EXPECT_NEAR(open.range_delay_s, 0.06, 0.01);
+  EXPECT_LT(open_m, 0.6 * exact_m);
+  EXPECT_LT(open_nees, 2.5);
+  EXPECT_GT(exact_nees, 2.0 * open_nees);
+}
+
 TEST(Smoother, HasNothingToSayOfNoOdometry) {
   const model::Surface surface;
   const model::Calibration calibration = site::six_anchors();
