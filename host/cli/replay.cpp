@@ -111,6 +111,7 @@ int run(const ReplayOptions& options) {
                   {"ranges_not_active", counters.ranges_not_active},
                   {"anchor_exchanges", counters.anchor_exchanges},
                   {"relocations", result.relocations},
+                  {"slips", counters.slips},
                   {"state", words.back().state},
                   {"sensors", sensors_json(counters)},
                   {"dropped", cli::to_json(drive.dataset.dropped)},

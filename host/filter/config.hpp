@@ -78,6 +78,24 @@ struct OdometryWatchConfig {
   double least_speed_mps = 1.0;
 };
 
+// When ranges tell that the robot went another way than its odometry: see slip_watch.hpp.
+struct SlipWatchConfig {
+  double window_s = 0.4;
+  double usual_s = 3.0;       // over which a pair's innovations are usual
+  double most_sigmas = 3.0;   // by which one range counts at most
+  double near_sigmas = 2.5;   // by which an anchor's mean is too near to be looked into
+  double too_far_cost = 2.0;  // ln of how unlikely another reason is: blocked sight
+  double too_near_cost = 7.0;
+  double odds = 12.0;      // ln of how unlikely a slip is
+  double least_mps = 0.3;  // by which odometry is then off
+  double most_mps = 2.0;
+  double lasts_s = 0.5;  // at first; twice as long each time that it shows again within
+  double again_s = 3.0;
+  double most_lasts_s = 2.0;
+  double turn_per_m = 0.5;
+  double most_turn_radps = 0.5;
+};
+
 // How the noise of ranges follows their innovations: see self_tuning.hpp.
 struct SelfTuningConfig {
   double most_factor = 10.0;  // upon the white sigma that was told, and below it
@@ -161,6 +179,7 @@ struct Config {
 
   GateConfig gate;
   OdometryWatchConfig watch;
+  SlipWatchConfig slip;
   SelfTuningConfig tuning;
   SensorConfig sensors;
   OdometryTuningConfig odometry_tuning;

@@ -65,7 +65,10 @@ void DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     } else {
       now_.odometry_tuning.observe(row);
     }
-    now_.stands = wheels_stand && !gate_.doubts(now_.t_s);
+    const OdometryDoubt slip = now_.slip.judge(std::max(row.t_s - now_.row.t_s, 0.0));
+    doubt.velocity_m2ps2 += slip.velocity_m2ps2;
+    doubt.turn_rad2ps2 += slip.turn_rad2ps2;
+    now_.stands = wheels_stand && !gate_.doubts(now_.t_s) && !now_.slip.is_open();
   }
   now_.told_row = held;
   if (now_.stands) {

@@ -9,6 +9,7 @@
 #include "host/filter/gyro.hpp"
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/self_tuning.hpp"
+#include "host/filter/slip_watch.hpp"
 #include "host/filter/standstill.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/surface.hpp"
@@ -19,6 +20,7 @@ namespace groma::filter {
 // All that motion changes, but for the covariance.
 struct MotionState {
   OdometryWatch watch;
+  SlipDoubt slip;
   Gyro gyro;
   OdometryTuning odometry_tuning;
   Standstill standstill;

@@ -45,12 +45,14 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
   const Parameters parameters(site, config.active_anchors);
   JointCovariance covariance(site, parameters, learning(config.model));
   const MotionState motion{.watch = OdometryWatch(config.watch),
+                           .slip = SlipDoubt(config.slip),
                            .gyro = Gyro(config.sensors),
                            .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
                            .standstill = Standstill(config.standstill)};
   return {motion,
           parameters,
           Gate(config.gate),
+          SlipWatch(config.slip),
           RangeTuning(config.tuning, white_sigma_m),
           SensorGate(config.sensors),
           std::move(covariance)};
@@ -138,6 +140,8 @@ void Filter::resume(const Filter& other) noexcept {
 void Filter::begin_on(int chart) noexcept {
   motion().stand_on(chart);
   now_.gate.reset(now_.t_s);
+  now_.slip_watch.reset();
+  now_.slip.reset();
   now_.tuning.reset();
   now_.sensors.reset();
   now_.last_answer_s.fill(kNever);
@@ -263,6 +267,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
   result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2,
                                   SightHint::class_of(range));
+  if (whole) watch_slip(slot, tag, result, measurement.d_core.head<2>());
   result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();
   const double slow_before = now_.tuning.slow_scale();
@@ -290,6 +295,17 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   motion().follow_chart();
   result.outcome = RangeOutcome::kUsed;
   return result;
+}
+
+void Filter::watch_slip(int slot, int tag, const RangeResult& range,
+                        const Eigen::RowVector2d& by_position) noexcept {
+  const auto displacement_m = now_.slip_watch.observe(
+      slot, tag, now_.t_s, range.innovation_m, range.innovation_variance_m2, range.weight, by_position);
+  if (!displacement_m) return;
+  ++now_.counters.slips;
+  now_.slip.begin(displacement_m->norm(), now_.t_s);
+  now_.covariance.grow(kX, displacement_m->squaredNorm());
+  now_.covariance.grow(kY, displacement_m->squaredNorm());
 }
 
 SensorResult Filter::process(const model::YawRateSample& sample) noexcept {
@@ -451,6 +467,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   now_.parameters.exchange(slot, anchor, values);
   now_.covariance.enter(site_.anchor(anchor), slot, back, faded, now_.parameters);
   now_.gate.renew(slot, now_.t_s);
+  now_.slip_watch.renew(slot);
   slots_[static_cast<std::size_t>(leaving)] = -1;
   slots_[static_cast<std::size_t>(anchor)] = slot;
   ++now_.counters.anchor_exchanges;

@@ -28,6 +28,7 @@
 #include "host/filter/self_tuning.hpp"
 #include "host/filter/sensor_gate.hpp"
 #include "host/filter/site.hpp"
+#include "host/filter/slip_watch.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
@@ -117,6 +118,7 @@ struct Counters {
   std::size_t odometry_bad_value = 0;
   std::array<SensorCounters, kSensors> sensors{};
   std::size_t doubts = 0;            // times the gate began to doubt the state
+  std::size_t slips = 0;             // times that ranges showed odometry to be wrong
   std::size_t anchor_exchanges = 0;  // times an anchor took the place of another one
 };
 
@@ -143,6 +145,7 @@ class Filter {
   struct Snapshot : MotionState {
     Parameters parameters;
     Gate gate;
+    SlipWatch slip_watch;
     RangeTuning tuning;
     SensorGate sensors;
     JointCovariance covariance;
@@ -219,6 +222,9 @@ class Filter {
   void begin_on(int chart) noexcept;
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
   RangeResult take(const model::RangeSample& range) noexcept;
+  // The range's innovation, before it is used, for what it shows of the odometry.
+  void watch_slip(int slot, int tag, const RangeResult& range,
+                  const Eigen::RowVector2d& by_position) noexcept;
   // kUsed where a sensor's sample of that time can be taken; the state is then of that time.
   SensorOutcome await(double t_s) noexcept;
   template <int kSize>

@@ -1,0 +1,154 @@
+#include "host/filter/slip_watch.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace groma::filter {
+
+namespace {
+
+using model::square;
+
+// What is left of a doubt below this share of the least one is none.
+constexpr double kOver = 0.1;
+// Of two anchors' directions, the sine of the angle between them squared, below which they fix no place.
+constexpr double kAlongside = 0.03;
+// By which an anchor agrees with a displacement, in deviations.
+constexpr double kAgrees = 2.0;
+constexpr int kFewestAgreeing = 3;
+
+}  // namespace
+
+void SlipWatch::fade(Sums& sums, double until_s) const noexcept {
+  const double left = std::exp(-std::max(until_s - sums.t_s, 0.0) / config_.window_s);
+  sums.t_s = until_s;
+  sums.w *= left;
+  sums.off *= left;
+  sums.x *= left;
+  sums.y *= left;
+}
+
+std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_s, double innovation_m,
+                                                  double variance_m2, double weight,
+                                                  const Eigen::RowVector2d& by_position) noexcept {
+  if (!std::isfinite(innovation_m) || !(variance_m2 > 0.0)) return std::nullopt;
+  Usual& usual = usual_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
+  const double gap_s = t_s - usual.t_s;
+  usual.t_s = t_s;
+  const double most_m = config_.most_sigmas * std::sqrt(variance_m2);
+  if (!usual.heard || gap_s > config_.usual_s) {
+    usual.heard = true;
+    usual.innovation_m = 0.0;
+    return std::nullopt;
+  }
+  const double off_m = std::clamp(innovation_m - usual.innovation_m, -most_m, most_m);
+  usual.innovation_m += weight * off_m * (gap_s / (gap_s + config_.usual_s));
+
+  Sums& own = anchors_[static_cast<std::size_t>(anchor)];
+  fade(own, t_s);
+  const double w = 1.0 / variance_m2;
+  own.w += w;
+  own.off += w * off_m;
+  own.x += w * by_position.x();
+  own.y += w * by_position.y();
+  // Nothing else but a displacement makes an anchor come too near; without one, there is nothing to look for.
+  if (!(own.off < 0.0) || square(own.off) < square(config_.near_sigmas) * own.w) return std::nullopt;
+  const std::optional<Eigen::Vector2d> displacement_m = find_displacement(t_s);
+  if (!displacement_m) return std::nullopt;
+
+  anchors_.fill({.t_s = t_s});
+  return displacement_m;
+}
+
+double SlipWatch::cost(double deviations) const noexcept {
+  return std::min(0.5 * square(deviations), deviations > 0.0 ? config_.too_far_cost : config_.too_near_cost);
+}
+
+double SlipWatch::cost(const Views& views, const Eigen::Vector2d& displacement_m) const noexcept {
+  double sum = 0.0;
+  for (std::size_t i = 0; i < views.count; ++i) {
+    const View& view = views.of[i];
+    sum += cost(view.off - view.x * displacement_m.x() - view.y * displacement_m.y());
+  }
+  return sum;
+}
+
+std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept {
+  Views views;
+  for (Sums& anchor : anchors_) {
+    if (!(anchor.w > 0.0)) continue;
+    fade(anchor, t_s);
+    const double root = std::sqrt(anchor.w);
+    views.of[views.count++] = {anchor.x / root, anchor.y / root, anchor.off / root};
+  }
+  const double without = cost(views, Eigen::Vector2d::Zero());
+  if (without < config_.odds) return std::nullopt;
+  Eigen::Vector2d best = Eigen::Vector2d::Zero();
+  double least = without - config_.odds;
+  bool found = false;
+  for (std::size_t i = 0; i < views.count; ++i) {
+    for (std::size_t k = 0; k < i; ++k) {
+      const View& a = views.of[i];
+      const View& b = views.of[k];
+      const double determinant = a.x * b.y - a.y * b.x;
+      if (square(determinant) < kAlongside * (square(a.x) + square(a.y)) * (square(b.x) + square(b.y)))
+        continue;
+      const Eigen::Vector2d place_m((b.y * a.off - a.y * b.off) / determinant,
+                                    (a.x * b.off - b.x * a.off) / determinant);
+      const double now = cost(views, place_m);
+      if (!(now < least)) continue;
+      least = now;
+      best = place_m;
+      found = true;
+    }
+  }
+  if (!found) return std::nullopt;
+  int agreeing = 0;
+  int against = 0;
+  for (std::size_t i = 0; i < views.count; ++i) {
+    const View& view = views.of[i];
+    const bool agrees = std::abs(view.off - view.x * best.x() - view.y * best.y()) < kAgrees;
+    ++(agrees ? agreeing : against);
+  }
+  if (agreeing < kFewestAgreeing || agreeing <= against) return std::nullopt;
+  return best;
+}
+
+void SlipWatch::renew(int anchor) noexcept {
+  anchors_[static_cast<std::size_t>(anchor)] = {};
+  for (std::size_t tag = 0; tag < kMaxTags; ++tag)
+    usual_[static_cast<std::size_t>(anchor) * kMaxTags + tag] = {};
+}
+
+void SlipWatch::reset() noexcept {
+  anchors_.fill({});
+  usual_.fill({});
+}
+
+void SlipDoubt::begin(double displacement_m, double t_s) noexcept {
+  const double excess_mps = 2.0 * displacement_m / config_.window_s;
+  excess_mps_ = std::max(excess_mps_, std::clamp(excess_mps, config_.least_mps, config_.most_mps));
+  const bool goes_on = t_s - last_s_ < config_.again_s;
+  lasts_s_ = goes_on ? std::min(2.0 * lasts_s_, config_.most_lasts_s) : config_.lasts_s;
+  last_s_ = t_s;
+}
+
+OdometryDoubt SlipDoubt::judge(double gap_s) noexcept {
+  if (!is_open()) return {};
+  excess_mps_ *= std::exp(-gap_s / lasts_s_);
+  if (excess_mps_ < kOver * config_.least_mps) {
+    excess_mps_ = 0.0;
+    return {};
+  }
+  // As of OdometryWatch: drawn anew with each row it has to be larger for the same way.
+  const double rows = gap_s > 0.0 ? std::max(lasts_s_ / gap_s, 1.0) : 1.0;
+  const double turn_radps = std::min(excess_mps_ * config_.turn_per_m, config_.most_turn_radps);
+  return {.velocity_m2ps2 = rows * square(excess_mps_), .turn_rad2ps2 = rows * square(turn_radps)};
+}
+
+void SlipDoubt::reset() noexcept {
+  excess_mps_ = 0.0;
+  last_s_ = -std::numeric_limits<double>::infinity();
+}
+
+}  // namespace groma::filter

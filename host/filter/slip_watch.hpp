@@ -1,0 +1,98 @@
+// Whether the robot went another way than its odometry, by what the ranges of many anchors say together:
+// wheels slip as gently as a robot accelerates, or it is carried. An anchor alone is blocked, and so are
+// several that are all too far; one displacement that explains what at least three of them see, some of them
+// from too near, is the robot's.
+//
+// Of each range counts by how much its innovation is above what its pair's in sight was of late, so that what
+// an anchor is always off by is no displacement. In a window that fades, an anchor is off by z deviations of
+// its mean. Of a displacement d, with h the mean derivative by x and y and w the sum of 1/S,
+//
+//   z(d) = (sum e/S - w h d)/√w,     cost(d) = sum over anchors of min(z²/2, c),
+//
+// c what it costs to have another reason: little to be too far (a wall), much to be too near. The odometry is
+// wrong where the best d costs less than none by as much as a slip is unlikely.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <limits>
+#include <optional>
+
+#include <Eigen/Core>
+
+#include "host/filter/config.hpp"
+#include "host/filter/odometry_watch.hpp"
+#include "host/filter/state.hpp"
+
+namespace groma::filter {
+
+class SlipWatch {
+ public:
+  explicit SlipWatch(const SlipWatchConfig& config) : config_(config) { reset(); }
+
+  // Of a pair of slots, before the range is used: innovation and its variance, the gate's weight, and the
+  // derivative of the range by x and y. The displacement (m, map) by which the pose is wrong, where that
+  // shows.
+  std::optional<Eigen::Vector2d> observe(int anchor, int tag, double t_s, double innovation_m,
+                                         double variance_m2, double weight,
+                                         const Eigen::RowVector2d& by_position) noexcept;
+
+  // Another anchor comes into a slot.
+  void renew(int anchor) noexcept;
+  // Forgets everything.
+  void reset() noexcept;
+
+ private:
+  struct Sums {
+    double t_s = 0.0;
+    double w = 0.0;    // sum 1/S
+    double off = 0.0;  // sum e/S
+    double x = 0.0;    // sum h/S
+    double y = 0.0;
+  };
+  // What an anchor saw of late, as equations: direction d = off, each in deviations of its mean.
+  struct View {
+    double x = 0.0;
+    double y = 0.0;
+    double off = 0.0;
+  };
+  struct Views {
+    std::array<View, kMaxAnchors> of{};
+    std::size_t count = 0;
+  };
+  struct Usual {
+    double t_s = 0.0;
+    double innovation_m = 0.0;
+    bool heard = false;
+  };
+
+  void fade(Sums& sums, double until_s) const noexcept;
+  [[nodiscard]] double cost(double deviations) const noexcept;
+  [[nodiscard]] double cost(const Views& views, const Eigen::Vector2d& displacement_m) const noexcept;
+  [[nodiscard]] std::optional<Eigen::Vector2d> find_displacement(double t_s) noexcept;
+
+  SlipWatchConfig config_;
+  std::array<Sums, kMaxAnchors> anchors_{};
+  std::array<Usual, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> usual_{};
+};
+
+// How far odometry is to be believed since a slip showed: not for a while, and longer where it shows again.
+class SlipDoubt {
+ public:
+  explicit SlipDoubt(const SlipWatchConfig& config) : config_(config) {}
+
+  // A displacement by so much showed.
+  void begin(double displacement_m, double t_s) noexcept;
+  // Of a row, gap_s after the one before.
+  OdometryDoubt judge(double gap_s) noexcept;
+  [[nodiscard]] bool is_open() const noexcept { return excess_mps_ > 0.0; }
+  void reset() noexcept;
+
+ private:
+  SlipWatchConfig config_;
+  double excess_mps_ = 0.0;
+  double lasts_s_ = 0.0;
+  double last_s_ = -std::numeric_limits<double>::infinity();
+};
+
+}  // namespace groma::filter
