@@ -89,10 +89,10 @@ struct SlipWatchConfig {
   double odds = 12.0;      // ln of how unlikely a slip is
   double least_mps = 0.3;  // by which odometry is then off
   double most_mps = 2.0;
-  double lasts_s = 0.5;  // at first; twice as long each time that it shows again within
-  double again_s = 3.0;
+  double lasts_s = 0.5;  // at first; twice as long each time that it shows again ...
+  double again_s = 3.0;  // ... within this
   double most_lasts_s = 2.0;
-  double turn_per_m = 0.5;
+  double turn_per_m = 0.5;  // rad/s of the yaw rate's doubt for each m/s
   double most_turn_radps = 0.5;
 };
 

@@ -53,10 +53,8 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
   own.y += w * by_position.y();
   // Nothing else but a displacement makes an anchor come too near; without one, there is nothing to look for.
   if (!(own.off < 0.0) || square(own.off) < square(config_.near_sigmas) * own.w) return std::nullopt;
-  const std::optional<Eigen::Vector2d> displacement_m = find_displacement(t_s);
-  if (!displacement_m) return std::nullopt;
-
-  anchors_.fill({.t_s = t_s});
+  std::optional<Eigen::Vector2d> displacement_m = find_displacement(t_s);
+  if (displacement_m) anchors_.fill({.t_s = t_s});
   return displacement_m;
 }
 

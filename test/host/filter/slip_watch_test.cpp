@@ -37,8 +37,7 @@ struct Circle {
         const double angle = std::numbers::pi / 3.0 * static_cast<double>(anchor);
         const Eigen::RowVector2d h(std::cos(angle), std::sin(angle));
         const double off_m = h * displacement_m + excess_m[anchor] + kSigma_m * random.gaussian();
-        const auto found =
-            watch.observe(static_cast<int>(anchor), 0, t_s, off_m, kSigma_m * kSigma_m, weight, h);
+        auto found = watch.observe(static_cast<int>(anchor), 0, t_s, off_m, kSigma_m * kSigma_m, weight, h);
         if (found) return found;
       }
     }
