@@ -36,11 +36,13 @@ struct GateConfig {
   double sticky_s = 2.0;       // a pair's past is forgotten over this time
   double excess_m = 0.5;       // mean excess of blocked ranges
   double short_share = 0.2;    // of pairs that go wrong, those whose ranges are too short
-  // A pair that misses more than the slack of its polls, over reception_s, is likely blocked; its anchor's
-  // ranges of that while then have one error for all, of this size where all polls are missed.
+  // A pair that misses more than the slack of its polls, over reception_s, is likely blocked. Where all are
+  // missed: the share that is off, and garbage of all; half-way there the excess is all of a larger mean.
   double reception_s = 2.0;
   double reception_slack = 0.2;
-  double regained_m = 1.5;
+  double regained_share = 0.7;
+  double regained_m = 3.0;
+  double regained_garbage = 0.14;
   double garbage_share = 0.01;  // of ranges
   double garbage_width_m = 50.0;
 

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "host/model/types.hpp"
+
 namespace groma::filter {
 
 namespace {
@@ -41,7 +43,7 @@ double Gate::regained_variance_m2(int anchor, int tag) const noexcept {
   return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].regained_m2;
 }
 
-double Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
+Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   const double gap_s = std::max(t_s - pair.t_s, 0.0);
   if (pair.heard && gap_s > 0.0) {
     const double step = gap_s > poll_interval_s_ ? kLongGaps * kGapStep : (kLongGaps - 1.0) * kGapStep;
@@ -52,30 +54,38 @@ double Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   pair.reception *= std::exp(-gap_s / config_.reception_s);
   pair.reception = std::min(pair.reception + poll_interval_s_ / config_.reception_s, 1.0);
   const double polls = poll_interval_s_ > 0.0 ? config_.reception_s / poll_interval_s_ : 0.0;
-  if (polls < kReceptionPolls) {
-    pair.regained_m2 = 0.0;
-    return 0.0;
-  }
+  if (polls < kReceptionPolls) return {};
   const double expected = 1.0 - config_.reception_slack;
-  const double missed = std::max(expected - pair.reception, 0.0) / expected;
   // All of the anchor's in the window together count as one range.
   double tags = 0.0;
   for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
     const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
     if (other.heard && t_s - other.t_s < config_.reception_s) tags += 1.0;
   }
-  pair.regained_m2 = config_.regained_m * config_.regained_m * missed * polls * tags;
-  return missed;
+  return {.missed = std::max(expected - pair.reception, 0.0) / expected, .alike = polls * tags};
+}
+
+double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept {
+  const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
+  double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
+  // What hides an anchor from one tag hides it from the next.
+  for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
+    const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
+    if (other.unhinted > std::max(out, config_.blocked_share))
+      out = std::max(out, other.unhinted * fade(other));
+  }
+  return out;
 }
 
 Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const noexcept {
-  const double in_sight = (1.0 - prior) * (1.0 - config_.garbage_share) * density.in_sight;
-  const double blocked = prior * (1.0 - config_.garbage_share) * density.blocked;
+  const double in_sight = (1.0 - prior) * (1.0 - density.garbage_share) * density.in_sight;
+  const double blocked = prior * (1.0 - density.garbage_share) * density.blocked;
   const double total = in_sight + blocked + density.garbage;
   // Nothing explains it: nothing is learnt from it.
   if (!(total > 0.0)) return {.pair_blocked = prior};
   return {.in_sight = in_sight / total,
           .blocked = blocked / total,
+          .far = prior * (1.0 - density.garbage_share) * density.far / total,
           .pair_blocked = std::min((blocked + density.garbage * prior) / total, config_.blocked_most)};
 }
 
@@ -86,16 +96,22 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   Pair& chain = pair(anchor, tag);
 
   const double gap_s = std::max(t_s - chain.t_s, 0.0);
-  const double fade = std::exp(-gap_s / config_.sticky_s);
-  const double missed = listen(anchor, chain, t_s);
-  double prior = config_.blocked_share + (chain.unhinted - config_.blocked_share) * fade;
-  prior += std::max(config_.blocked_most - prior, 0.0) * missed;
-  const RangeDensities density = range_densities(innovation_m, sigma, config_);
+  double prior = expect_blocked(anchor, chain, t_s);
+  const Reception reception = listen(anchor, chain, t_s);
+  prior += std::max(config_.regained_share - prior, 0.0) * reception.missed;
+  const RangeDensities density = range_densities(innovation_m, sigma, config_, reception.missed);
   const double knees = std::abs(innovation_m) / (sigma * config_.knee);
 
   // What powers tell makes neither itself nor a doubt of the state.
   const Posterior unhinted = judge(density, prior);
   const double weight = weight_of(unhinted.in_sight, knees);
+  chain.regained_m2 = 0.0;
+  if (reception.missed > 0.0) {
+    const double garbage = 1.0 - unhinted.in_sight - unhinted.blocked;
+    chain.regained_m2 =
+        reception.alike * (unhinted.far * excess_square(innovation_m, sigma, config_.regained_m) +
+                           garbage * model::square(innovation_m));
+  }
   chain.unhinted = unhinted.pair_blocked;
   chain.blocked = unhinted.pair_blocked;
   observe(anchor, t_s, innovation_m, weight);

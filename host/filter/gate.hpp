@@ -27,7 +27,7 @@ class Gate {
                              SightHint::Class hint = SightHint::kNoClass) noexcept;
 
   // Variance to be added to the noise of the pair's last range: a pair that was silent is often still blocked
-  // when it is heard again, and all its ranges of that while are off together.
+  // when it is heard again, and all its anchor's ranges of that while are off together.
   [[nodiscard]] double regained_variance_m2(int anchor, int tag) const noexcept;
   // Probability that the pair is blocked, as of its last range.
   [[nodiscard]] double blocked(int anchor, int tag) const noexcept;
@@ -54,6 +54,11 @@ class Gate {
     bool heard = false;
   };
 
+  struct Reception {
+    double missed = 0.0;  // share of the pair's polls of late, beyond what is usual
+    double alike = 0.0;   // ranges of the anchor that are off together with one, itself included
+  };
+
   // Sums over ranges that fade with time.
   struct Tally {
     double t_s = 0.0;
@@ -70,13 +75,16 @@ class Gate {
   struct Posterior {
     double in_sight = 0.0;
     double blocked = 0.0;       // what is left is garbage
+    double far = 0.0;           // of blocked: by as much as after a silence
     double pair_blocked = 0.0;  // after it
   };
   [[nodiscard]] Posterior judge(const RangeDensities& density, double prior) const noexcept;
 
   Pair& pair(int anchor, int tag) noexcept;
-  // Takes note that the pair was heard; the share of its polls that it missed of late, beyond what is usual.
-  double listen(int anchor, Pair& pair, double t_s) noexcept;
+  // Takes note that the pair was heard.
+  Reception listen(int anchor, Pair& pair, double t_s) noexcept;
+  // Probability that the pair is blocked, before its range is seen.
+  [[nodiscard]] double expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 

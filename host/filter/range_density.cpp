@@ -1,9 +1,20 @@
 #include "host/filter/range_density.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
+#include "host/model/types.hpp"
+
 namespace groma::filter {
+
+namespace {
+
+constexpr double kExponentialTail = 8.0;
+// From this share of polls missed on, what is off is off by regained_m.
+constexpr double kFarMissed = 0.5;
+
+}  // namespace
 
 double gaussian_density(double error_m, double sigma_m) noexcept {
   const double e = error_m / sigma_m;
@@ -19,11 +30,28 @@ double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   return std::exp(0.5 * ratio * ratio - error_m / mean_m) * below / mean_m;
 }
 
-RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config) noexcept {
+double excess_square(double error_m, double sigma_m, double mean_m) noexcept {
+  // Given the error, the excess is a Gaussian's part above zero.
+  const double sigmas = error_m / sigma_m - sigma_m / mean_m;
+  // So far below, what is left of it falls like an exponential.
+  if (sigmas < -kExponentialTail) return 2.0 * model::square(sigma_m / sigmas);
+  const double below = 0.5 * std::erfc(-sigmas * std::numbers::sqrt2 / 2.0);
+  const double at_zero = gaussian_density(sigmas, 1.0) / below;
+  return std::max(model::square(sigma_m) * (1.0 + sigmas * (sigmas + at_zero)), 0.0);
+}
+
+RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
+                               double missed) noexcept {
+  const double far_share = std::min(missed / kFarMissed, 1.0);
+  const double garbage_share = config.garbage_share + config.regained_garbage * missed;
+  const double near = (1.0 - config.short_share) * excess_density(error_m, sigma_m, config.excess_m) +
+                      config.short_share * excess_density(-error_m, sigma_m, config.excess_m);
+  const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, config.regained_m) : 0.0;
   return {.in_sight = gaussian_density(error_m, sigma_m),
-          .blocked = (1.0 - config.short_share) * excess_density(error_m, sigma_m, config.excess_m) +
-                     config.short_share * excess_density(-error_m, sigma_m, config.excess_m),
-          .garbage = config.garbage_share / config.garbage_width_m};
+          .blocked = (1.0 - far_share) * near + far,
+          .far = far,
+          .garbage = garbage_share / config.garbage_width_m,
+          .garbage_share = garbage_share};
 }
 
 }  // namespace groma::filter

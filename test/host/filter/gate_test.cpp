@@ -2,11 +2,13 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numbers>
 #include <vector>
 
+#include "host/filter/range_density.hpp"
 #include "test/host/filter/small_site.hpp"
 #include "test/support/random.hpp"
 
@@ -74,22 +76,74 @@ TEST(Gate, AWideVarianceForgives) {
   EXPECT_GT(gate.weigh(0, 1, 0.0, 0.0, 1e12), 0.0);
 }
 
-TEST(Gate, RemembersABlockedPairForAWhileAndNoOtherPair) {
+TEST(Gate, RemembersABlockedPairForAWhileAndNoOtherAnchor) {
   Gate gate{GateConfig{}};
   double t_s = 0.0;
   for (; t_s < 2.0; t_s += 0.1) {
     static_cast<void>(gate.weigh(3, 1, t_s, 5.0 * kSigma_m, kVariance_m2));
-    static_cast<void>(gate.weigh(3, 2, t_s, 0.0, kVariance_m2));
+    static_cast<void>(gate.weigh(4, 2, t_s, 0.0, kVariance_m2));
   }
   EXPECT_GT(gate.blocked(3, 1), 0.4);
-  EXPECT_LT(gate.blocked(3, 2), 0.1);
+  EXPECT_LT(gate.blocked(4, 2), 0.1);
   // An innovation that by itself would pass is taken for a blocked one still.
   const double suspect = gate.weigh(3, 1, t_s, 1.5 * kSigma_m, kVariance_m2);
-  EXPECT_LT(suspect, gate.weigh(3, 2, t_s, 1.5 * kSigma_m, kVariance_m2) - 0.2);
+  EXPECT_LT(suspect, gate.weigh(4, 2, t_s, 1.5 * kSigma_m, kVariance_m2) - 0.2);
   // Back in sight: trusted again within seconds.
   for (const double end_s = t_s + 2.0; t_s < end_s; t_s += 0.1)
     static_cast<void>(gate.weigh(3, 1, t_s, 0.0, kVariance_m2));
   EXPECT_GT(gate.weigh(3, 1, t_s, 0.0, kVariance_m2), 0.95);
+}
+
+TEST(Gate, ExpectsAnAnchorThatIsBlockedForOneTagToBeSoForTheNext) {
+  Gate gate{GateConfig{}};
+  for (double t_s = 0.0; t_s < 2.0; t_s += 0.1) {
+    static_cast<void>(gate.weigh(3, 1, t_s, 5.0 * kSigma_m, kVariance_m2));
+    static_cast<void>(gate.weigh(4, 1, t_s, 0.0, kVariance_m2));
+  }
+  // An innovation that by itself would pass: of another tag at the blocked anchor, and at one in sight.
+  const double next = gate.weigh(3, 2, 2.0, 1.5 * kSigma_m, kVariance_m2);
+  EXPECT_LT(next, gate.weigh(4, 2, 2.0, 1.5 * kSigma_m, kVariance_m2) - 0.1);
+  EXPECT_LT(next, fresh_weight(1.5 * kSigma_m) - 0.1);
+  // That the first is in sight again is no reason to forget what the second shows.
+  for (double t_s = 2.1; t_s < 4.0; t_s += 0.1) {
+    static_cast<void>(gate.weigh(3, 2, t_s, 5.0 * kSigma_m, kVariance_m2));
+    static_cast<void>(gate.weigh(3, 1, t_s, 0.0, kVariance_m2));
+  }
+  EXPECT_GT(gate.blocked(3, 2), 0.4);
+}
+
+// E(x^2 | e) of e = x + n, x exponential and n Gaussian, by Simpson's rule.
+TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
+  for (const double mean_m : {0.5, 3.0}) {
+    for (const double sigma_m : {0.05, 0.3, 2.0, 6.0}) {
+      for (const double error_m : {-5.0, -1.0, -0.1, 0.0, 0.2, 1.0, 4.0, 15.0}) {
+        // The excess is about the error, or about zero where that is below.
+        const double width_m = std::min(sigma_m, sigma_m * sigma_m / (std::abs(error_m) + sigma_m));
+        const double from_m = std::max(0.0, error_m - sigma_m * sigma_m / mean_m - 12.0 * sigma_m);
+        const double to_m = std::max(0.0, error_m) + 12.0 * sigma_m;
+        const int steps = 2 * static_cast<int>(std::ceil((to_m - from_m) / width_m * 50.0));
+        const double step_m = (to_m - from_m) / steps;
+        double density = 0.0;
+        double square = 0.0;
+        for (int i = 0; i <= steps; ++i) {
+          const double x = from_m + i * step_m;
+          const double inner = i % 2 == 0 ? 2.0 : 4.0;
+          const double weight = (i == 0 || i == steps ? 1.0 : inner) * step_m / 3.0;
+          // About its largest value, lest all of it be too small a number.
+          const double z = (error_m - x) / sigma_m;
+          const double z0 = std::min(error_m, 0.0) / sigma_m;
+          const double p = weight * std::exp(-0.5 * (z * z - z0 * z0) - x / mean_m);
+          density += p;
+          square += p * x * x;
+        }
+        const double expected = square / density;
+        // Far below zero the tail's exponential is good to a few hundredths.
+        const bool is_tail = error_m / sigma_m - sigma_m / mean_m < -8.0;
+        EXPECT_NEAR(excess_square(error_m, sigma_m, mean_m), expected, (is_tail ? 0.1 : 1e-6) * expected)
+            << error_m << " " << sigma_m << " " << mean_m;
+      }
+    }
+  }
 }
 
 TEST(Gate, DoubtsTheStateWhenMostIsRefusedAndNotForOneBlockedPair) {

@@ -352,6 +352,21 @@ TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
   EXPECT_GT(gate.weigh(0, 0, 31.0, 0.0, 0.01), 0.9);
 }
 
+// What a range may be off by, unseen, depends on how well the pose is known.
+TEST(Reception, ARangeOfASilentPairIsBelievedWhereItCanBeTold) {
+  const auto regained_m2 = [](double innovation_m, double variance_m2) {
+    Gate gate{GateConfig{}};
+    for (double t_s = 0.0; t_s < 20.0; t_s += 0.05) static_cast<void>(gate.weigh(0, 0, t_s, 0.0, 0.01));
+    static_cast<void>(gate.weigh(0, 0, 26.0, innovation_m, variance_m2));
+    return gate.regained_variance_m2(0, 0);
+  };
+  EXPECT_LT(regained_m2(0.0, 0.01), 0.05);
+  EXPECT_GT(regained_m2(0.0, 4.0), 10.0);
+  // Too long is likelier than too short, but after a silence there is either.
+  EXPECT_GT(regained_m2(2.0, 1.0), 2.0 * regained_m2(-2.0, 1.0));
+  EXPECT_GT(regained_m2(-3.0, 1.0), 30.0);
+}
+
 // However many tags hear an anchor again, what bends the ranges of one bends those of all.
 TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
   const auto regained_m2 = [](int tags) {
@@ -359,14 +374,76 @@ TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
     for (double t_s = 0.0; t_s < 20.0; t_s += 0.05) {
       for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, t_s, 0.0, 0.01));
     }
-    for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, 40.0, 0.0, 0.01));
+    for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, 40.0, 2.0, 1.0));
     // Another anchor's silence is its own.
-    static_cast<void>(gate.weigh(1, 0, 40.0, 0.0, 0.01));
+    static_cast<void>(gate.weigh(1, 0, 40.0, 2.0, 1.0));
     return gate.regained_variance_m2(0, tags - 1);
   };
   EXPECT_GT(regained_m2(1), 1.0);
   EXPECT_NEAR(regained_m2(2), 2.0 * regained_m2(1), 0.1 * regained_m2(1));
   EXPECT_NEAR(regained_m2(3), 3.0 * regained_m2(1), 0.1 * regained_m2(1));
+}
+
+// A drive of which each pair is polled each 50 ms, and what is left of its ranges: those that `change` keeps.
+template <typename Change>
+testing::Drive polled(const model::Surface& surface, const model::Calibration& calibration,
+                      const model::OdometryNoise& noise, Random& random, const Change& change) {
+  testing::Drive out = testing::drive(
+      surface, calibration, {0.0, 0.0, 0.2},
+      {.duration_s = 30.0, .range_s = 0.05 / 18.0, .range_sigma_m = 0.05, .noise = noise}, random);
+  std::erase_if(out.ranges, [&](model::RangeSample& range) { return !change(range); });
+  return out;
+}
+
+Config without_silence(Config config) {
+  config.gate.regained_share = 0.0;
+  config.gate.regained_garbage = 0.0;
+  return config;
+}
+
+TEST(Reception, HalfOfTheRepliesAreNearlyAsGoodAsAllWhereTheyAreInSight) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.1);
+  const Config config = matching_config();
+  double mean_m = 0.0;
+  double blind_m = 0.0;
+  for (const unsigned seed : {1U, 2U, 3U, 4U}) {
+    Random random(seed);
+    const testing::Drive drive =
+        polled(flat, calibration, config.odometry, random,
+               [&](const model::RangeSample& range) { return range.t_s < 5.0 || random.uniform() < 0.45; });
+    mean_m += replay(flat, calibration, config, drive, 10.0).mean_m;
+    blind_m += replay(flat, calibration, without_silence(config), drive, 10.0).mean_m;
+  }
+  EXPECT_LT(mean_m, 1.15 * blind_m);
+}
+
+TEST(Reception, AnchorsThatComeBackFromBehindWallsAreTakenForAsUnsureAsTheyAre) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.1);
+  Config config = matching_config();
+  config.odometry = {1.0, 1.0, 0.03};
+  double nees = 0.0;
+  double blind_nees = 0.0;
+  constexpr int kRuns = 8;
+  for (unsigned seed = 1; seed <= kRuns; ++seed) {
+    Random random(seed);
+    const double excess_m[] = {-3.0 * std::log(1.0 - random.uniform()),
+                               -3.0 * std::log(1.0 - random.uniform())};
+    // Nothing for 8 s; then for 2 s of two anchors alone a reply in five, too long.
+    testing::Drive drive = polled(flat, calibration, config.odometry, random, [&](model::RangeSample& range) {
+      if (range.t_s < 10.0 || range.t_s > 20.0) return true;
+      if (range.t_s < 18.0 || range.anchor_id > 12) return false;
+      range.range_m += excess_m[range.anchor_id - 11];
+      return random.uniform() < 0.2;
+    });
+    std::erase_if(drive.ranges, [](const model::RangeSample& range) { return range.t_s > 22.0; });
+    drive.odometry.resize(440);
+    nees += replay(flat, calibration, config, drive, 18.0).nees / kRuns;
+    blind_nees += replay(flat, calibration, without_silence(config), drive, 18.0).nees / kRuns;
+  }
+  EXPECT_LT(nees, 1.5);
+  EXPECT_LT(nees, 0.3 * blind_nees);
 }
 
 TEST(Reception, SilenceTellsNothingWherePollsAreRare) {
