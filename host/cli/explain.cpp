@@ -55,6 +55,7 @@ struct Moment {
   Eigen::Vector3d row_sigmas = Eigen::Vector3d::Zero();  // of the row's vx, vy, yaw rate
   bool doubts = false;
   std::size_t jumps = 0;        // rows that jumped, until then
+  std::size_t slips = 0;        // until then: ranges showed that the robot went another way
   std::size_t relocations = 0;  // until then
 };
 
@@ -147,6 +148,7 @@ Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& ro
           .row_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kRowVx).cwiseSqrt(),
           .doubts = now.gate.doubts(now.t_s),
           .jumps = now.watch.jumps(),
+          .slips = now.counters.slips,
           .relocations = tracker.relocations()};
 }
 
@@ -266,6 +268,7 @@ Json to_json(const ExplainOptions& options, const Story& story) {
                       {"yaw_rate_bias_radps", estimate.yaw_rate_bias_radps},
                       {"delay_s", estimate.odometry_delay_s},
                       {"jumps", story.rows.back().jumps - story.rows.front().jumps},
+                      {"slips", story.rows.back().slips - story.rows.front().slips},
                       {"row_sigma_vx_mps", moment.row_sigmas.x()},
                       {"row_sigma_vy_mps", moment.row_sigmas.y()},
                       {"row_sigma_omega_radps", moment.row_sigmas.z()}};
@@ -325,6 +328,14 @@ std::string text_of(const ExplainOptions& options, const Story& story) {
       story.told.odometry.sigma_omega_radps, estimate.scale_error, estimate.yaw_rate_bias_radps,
       1000.0 * estimate.odometry_delay_s,
       jumps > 0 ? fmt::format("; {} rows jumped, and are doubted", jumps) : "");
+  const std::size_t slips = story.rows.back().slips - story.rows.front().slips;
+  if (slips > 0) {
+    out += fmt::format(
+        "          the ranges of several anchors show another way than it tells ({} times): its wheels slip, "
+        "or the "
+        "robot is carried\n",
+        slips);
+  }
   out += fmt::format("ranges    white +- {:.3f} m, slow +- {:.3f} m, {:.0f} ms late\n", moment.white_sigma_m,
                      moment.slow_sigma_m, 1000.0 * estimate.range_delay_s);
   const std::vector<StateAt> states = changes(story);

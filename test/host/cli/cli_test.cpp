@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <filesystem>
@@ -248,6 +249,24 @@ TEST_F(CliTest, ExplainNamesABlockedPairAtItsMoment) {
 
   EXPECT_EQ(groma({"explain", data_, "--surveyed", "--at", "1e6"}).exit_code, 65);
   EXPECT_EQ(groma({"explain", data_, "--surveyed"}).exit_code, 2);
+}
+
+TEST_F(CliTest, ExplainNamesASlip) {
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
+  const auto explain = [&] {
+    io::write_dataset(data_, data);
+    return groma({"explain", data_, "--surveyed", "--at", std::to_string(at_s), "--window", "3", "--json"});
+  };
+  EXPECT_EQ(json::parse(explain().out)["odometry"]["slips"], 0);
+  // Spun up and down within a second each, which a robot could.
+  for (model::OdometrySample& row : data.odometry)
+    row.vx_mps += 3.0 * std::clamp(2.0 - std::abs(row.t_s - at_s), 0.0, 1.0);
+  const ChildResult told = explain();
+  ASSERT_EQ(told.exit_code, 0) << told.err;
+  const json story = json::parse(told.out);
+  EXPECT_GE(story["odometry"]["slips"], 1);
+  EXPECT_EQ(story["odometry"]["jumps"], 0);
 }
 
 TEST_F(CliTest, KnownAnchorsStayWhereTheyAre) {
