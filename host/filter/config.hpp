@@ -88,8 +88,9 @@ struct SlipWatchConfig {
   double near_sigmas = 2.5;   // by which an anchor's mean is too near to be looked into
   double too_far_cost = 2.0;  // ln of how unlikely another reason is: blocked sight
   double too_near_cost = 7.0;
-  double odds = 12.0;      // ln of how unlikely a slip is
-  double least_mps = 0.3;  // by which odometry is then off
+  double explained_share = 0.65;  // of all cost
+  double odds = 12.0;             // ln of how unlikely a slip is
+  double least_mps = 0.3;         // by which odometry is then off
   double most_mps = 2.0;
   double lasts_s = 0.5;  // at first; twice as long each time that it shows again ...
   double again_s = 3.0;  // ... within this

@@ -82,7 +82,8 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
   const double without = cost(views, Eigen::Vector2d::Zero());
   if (without < config_.odds) return std::nullopt;
   Eigen::Vector2d best = Eigen::Vector2d::Zero();
-  double least = without - config_.odds;
+  // What leaves much unexplained is something else: a wrong surface, a wrong calibration.
+  double least = std::min(without - config_.odds, (1.0 - config_.explained_share) * without);
   bool found = false;
   for (std::size_t i = 0; i < views.count; ++i) {
     for (std::size_t k = 0; k < i; ++k) {

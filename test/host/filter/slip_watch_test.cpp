@@ -95,6 +95,13 @@ TEST(SlipWatch, OneAnchorThatIsTooNearIsNoSlip) {
   EXPECT_FALSE(circle.hear(5.0, Eigen::Vector2d::Zero(), {-1.0, 0.0, 0.0, 0.0, 0.0, 0.0}, 0.0));
 }
 
+// As where the ground is not the surface: anchors are too far and too near as no displacement makes them.
+TEST(SlipWatch, WhatADisplacementLeavesUnexplainedIsNoSlip) {
+  Circle circle(9);
+  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  EXPECT_FALSE(circle.hear(2.0, {0.08, 0.0}, {-0.3, 0.3, -0.3, -0.3, 0.3, -0.3}));
+}
+
 TEST(SlipWatch, IgnoresWhatIsNoNumberAndForgets) {
   Circle circle(8);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
