@@ -10,6 +10,7 @@
 #include <memory>
 #include <numbers>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include <Eigen/Core>
@@ -216,6 +217,12 @@ TEST(Slip, IsFoundAndCostsLittle) {
       const Disturbance slip{.slip_mps = slip_mps, .length_s = length_s};
       const Slipped with = drive_with(slip, 6, told_truly());
       const Slipped without = drive_with(slip, 6, blind);
+      const std::string name =
+          "at_" + std::to_string(slip_mps) + "_mps_for_" + std::to_string(length_s) + "_s";
+      RecordProperty(name + "_mean_m", std::to_string(with.mean_m));
+      RecordProperty(name + "_max_m", std::to_string(with.max_m));
+      RecordProperty(name + "_blind_mean_m", std::to_string(without.mean_m));
+      RecordProperty(name + "_blind_max_m", std::to_string(without.max_m));
       EXPECT_GE(with.slips, 1U) << slip_mps << ' ' << length_s;
       EXPECT_LT(with.mean_m, 0.12) << slip_mps << ' ' << length_s;
       EXPECT_LT(with.max_m, 0.5) << slip_mps << ' ' << length_s;
