@@ -90,6 +90,7 @@ struct SlipWatchConfig {
   double too_near_cost = 7.0;
   double explained_share = 0.65;  // of all cost
   double odds = 12.0;             // ln of how unlikely a slip is
+  double least_m = 0.04;          // a smaller displacement is none
   double least_mps = 0.3;         // by which odometry is then off
   double most_mps = 2.0;
   double lasts_s = 0.5;  // at first; twice as long each time that it shows again ...

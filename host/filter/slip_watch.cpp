@@ -16,12 +16,15 @@ constexpr double kAlongside = 0.03;
 // By which an anchor agrees with a displacement, in deviations.
 constexpr double kAgrees = 2.0;
 constexpr int kFewestAgreeing = 3;
+// What is left of an anchor's ranges below this is no witness.
+constexpr double kFewRanges = 0.3;
 
 }  // namespace
 
 void SlipWatch::fade(Sums& sums, double until_s) const noexcept {
   const double left = std::exp(-std::max(until_s - sums.t_s, 0.0) / config_.window_s);
   sums.t_s = until_s;
+  sums.n *= left;
   sums.w *= left;
   sums.off *= left;
   sums.x *= left;
@@ -47,6 +50,7 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
   Sums& own = anchors_[static_cast<std::size_t>(anchor)];
   fade(own, t_s);
   const double w = 1.0 / variance_m2;
+  own.n += 1.0;
   own.w += w;
   own.off += w * off_m;
   own.x += w * by_position.x();
@@ -74,8 +78,9 @@ double SlipWatch::cost(const Views& views, const Eigen::Vector2d& displacement_m
 std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept {
   Views views;
   for (Sums& anchor : anchors_) {
-    if (!(anchor.w > 0.0)) continue;
+    if (!(anchor.n > 0.0)) continue;
     fade(anchor, t_s);
+    if (anchor.n < kFewRanges) continue;
     const double root = std::sqrt(anchor.w);
     views.of[views.count++] = {anchor.x / root, anchor.y / root, anchor.off / root};
   }
@@ -101,7 +106,7 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
       found = true;
     }
   }
-  if (!found) return std::nullopt;
+  if (!found || best.norm() < config_.least_m) return std::nullopt;
   int agreeing = 0;
   int against = 0;
   for (std::size_t i = 0; i < views.count; ++i) {

@@ -45,6 +45,7 @@ class SlipWatch {
  private:
   struct Sums {
     double t_s = 0.0;
+    double n = 0.0;    // ranges
     double w = 0.0;    // sum 1/S
     double off = 0.0;  // sum e/S
     double x = 0.0;    // sum h/S

@@ -96,6 +96,21 @@ TEST(SlipWatch, OneAnchorThatIsTooNearIsNoSlip) {
   EXPECT_FALSE(circle.hear(5.0, Eigen::Vector2d::Zero(), {-1.0, 0.0, 0.0, 0.0, 0.0, 0.0}, 0.0));
 }
 
+// Anchors that were heard once, and then no more, agree with nothing.
+TEST(SlipWatch, SilentAnchorsAreNoWitnesses) {
+  Circle circle(10);
+  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  // Only two are left, both of a sudden too near.
+  for (int i = 0; i < 1000; ++i) {
+    circle.t_s += 0.01;
+    const int anchor = i % 2;
+    const double angle = std::numbers::pi / 3.0 * anchor;
+    const Eigen::RowVector2d h(std::cos(angle), std::sin(angle));
+    const double off_m = i < 500 ? 0.0 : -0.5;
+    EXPECT_FALSE(circle.watch.observe(anchor, 0, circle.t_s, off_m, kSigma_m * kSigma_m, 0.0, h)) << i;
+  }
+}
+
 // As where the ground is not the surface: anchors are too far and too near as no displacement makes them.
 TEST(SlipWatch, WhatADisplacementLeavesUnexplainedIsNoSlip) {
   Circle circle(9);
