@@ -31,10 +31,10 @@ class Moments {
   // shared ones.
   using Places = Eigen::Array<Eigen::Index, kSize, 1>;
 
-  void add(const Row& j, const KernelValue& value) noexcept {
+  void add(const Row& j, double slope, double weight) noexcept {
     rows_.row(waiting_) = j;
-    weight_(waiting_) = value.weight;
-    slope_(waiting_) = value.slope;
+    weight_(waiting_) = weight;
+    slope_(waiting_) = slope;
     if (++waiting_ == kLanes) sum_up();
   }
   // Gives away what rows between the knots from index `first` on say of these: the next are between others.
@@ -120,9 +120,8 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
   };
   for (const Observation& row : fit.problem.rows) {
     const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-    // What walls add differs from place to place as poses do: ranges through them tell nothing of those.
-    const KernelValue value =
-        value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor).seen;
+    const RowValue value =
+        value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor);
     const double gamma = fit.anchor(gamma_index(row.tag, tags));
     const KnotShare share = knot_share(unknowns.knots, row.t_s);
     if (share.first != first) leave_knots();
@@ -131,7 +130,20 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
     j.template head<Sums::kPair>() = pair_jacobian(predicted, gamma).array().transpose();
     j.template tail<Shared>() =
         shared_jacobian(row, predicted, gamma, share.fraction).template head<Shared>().array().transpose();
-    of_tag[row.tag].moments.add(j, value);
+    // Ranges through walls too: they hold the anchor to the poses, and a shift of all of them shows in none.
+    of_tag[row.tag].moments.add(j, value.seen.slope + value.wall_slope,
+                                value.seen.weight + value.wall_weight);
+    if (value.wall_weight == 0.0) continue;
+    const RowSight& sight = fit.problem.sight->rows[row.index];
+    const Eigen::Matrix<double, 1, Shared> by_wall = value.wall_weight * j.template tail<Shared>().matrix();
+    const auto add_wall = [&](Eigen::Index at) {
+      sums.cross.template block<1, Sums::kKnots>(at, first) += by_wall.template head<Sums::kKnots>();
+      for (Eigen::Index k = Sums::kKnots; k < Shared; ++k) {
+        sums.cross(at, of_tag[row.tag].places(Sums::kPair + k)) += by_wall(k);
+      }
+    };
+    add_wall(wall_index(tags));
+    if (sight.episode != kNoEpisode) add_wall(episode_index(sight.episode, tags));
   }
   leave_knots();
   for (Tag& tag : of_tag) tag.moments.leave(tag.places, sums);

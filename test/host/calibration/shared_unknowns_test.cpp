@@ -205,11 +205,28 @@ TEST(SharedUnknowns, TypicalQualityIsThatOfTheMiddlePose) {
   EXPECT_NEAR(typical_quality(spreads)->sigma_yaw_rad, 0.2, 1e-12);
 }
 
-// All anchors' and the shared unknowns in one dense system, row by row.
+// Of an anchor with one episode behind a wall: a third of its rows are in it, as many behind a wall by
+// chance.
+AnchorSight sight_of(std::size_t rows) {
+  AnchorSight out;
+  out.behind_wall = true;
+  out.episodes = 1;
+  out.wall = RobustKernel(KernelShape{.scale_m = 0.15});
+  for (std::size_t i = 0; i < rows; ++i) {
+    RowSight& row = out.rows.emplace_back();
+    row = {.in_sight = 0.3F, .wall = 0.6F, .other_density = 0.05F, .episode = i % 3 == 0 ? 0 : kNoEpisode};
+    if (i % 3 == 2) row = {};
+  }
+  return out;
+}
+
+// All anchors' and the shared unknowns in one dense system, row by row; one anchor is seen through a wall.
 TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   test::Random random(3);
   constexpr std::size_t kAnchors = 3;
-  constexpr Eigen::Index kOwn = 3 + 2 * kSharingTags;
+  constexpr std::size_t kRows = 60;
+  constexpr Eigen::Index kOwn = 5 + 2 * kSharingTags;  // a wall's two at the end
+  const AnchorSight sight = sight_of(kRows);
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kSharingTags};
   const std::vector<double> inflation{1.0, 2.5, 4.0};
@@ -218,17 +235,24 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   const Eigen::Index own_size = kAnchors * kOwn;
   Eigen::MatrixXd dense = Eigen::MatrixXd::Zero(own_size + unknowns.size(), own_size + unknowns.size());
   Eigen::VectorXd descent = Eigen::VectorXd::Zero(dense.rows());
+  dense.topLeftCorner(own_size, own_size).setIdentity();  // where an anchor has no wall
   for (std::size_t a = 0; a < kAnchors; ++a) {
     AnchorFit& fit = fits[a];
     fit.problem.tag_count = kSharingTags;
     fit.problem.position.information = 0.1 * Eigen::Matrix3d::Identity();
     fit.anchor = anchor_at(8.0 * random.gaussians(3), kSharingTags, {});
     fit.kernels.assign(kSharingTags, RobustKernel(KernelShape{}));
-    for (int i = 0; i < 60; ++i) {
+    if (a == 1) {
+      fit.problem.sight = &sight;
+      fit.anchor.conservativeResize(kOwn);
+      fit.anchor.tail<2>() << 0.3, -0.1;
+    }
+    for (std::size_t i = 0; i < kRows; ++i) {
       Observation row = random_row(random);
-      row.t_s = 0.2 * i;
+      row.index = static_cast<std::uint32_t>(i);
+      row.t_s = 0.2 * static_cast<double>(i);
       row.tag = static_cast<std::uint32_t>(i % 2);
-      row.range_m = predict(row, fit.anchor, kSharingTags).range_m + 0.1 * random.gaussian();
+      row.range_m = predict(row, fit.anchor, kSharingTags).range_m + random.uniform(-0.1, 0.5);
       rows[a].push_back(row);
     }
     fit.problem.rows = rows[a];
@@ -236,11 +260,13 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
     const Eigen::Index at = static_cast<Eigen::Index>(a) * kOwn;
     const double share = 1.0 / inflation[a];
     const NormalEquations alone = linearize(fit.problem, fit.kernels, fit.anchor);
-    dense.block<kOwn, kOwn>(at, at) = share * alone.information;
-    descent.segment<kOwn>(at) = -share * alone.gradient;
+    const Eigen::Index size = fit.anchor.size();
+    dense.block(at, at, size, size) = share * alone.information;
+    descent.segment(at, size) = -share * alone.gradient;
     for (const Observation& row : rows[a]) {
       const model::AntennaPrediction predicted = predict(row, fit.anchor, kSharingTags);
-      const KernelValue value = fit.kernels[row.tag].at(row.range_m - predicted.range_m);
+      const RowValue value =
+          value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor);
       const double gamma = fit.anchor(gamma_index(row.tag, kSharingTags));
       const PairRow pair = pair_jacobian(predicted, gamma);
       const KnotShare knot = knot_share(unknowns.knots, row.t_s);
@@ -253,9 +279,16 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
       shared.segment<6>(own_size + knot.first) = terms.head<6>();
       shared(own_size + unknowns.delay()) = terms(6);
       shared.segment<kBodyTerms>(own_size + unknowns.body(row.tag)) = terms.tail<kBodyTerms>();
-      dense += share * value.weight *
-               (own * shared.transpose() + shared * own.transpose() + shared * shared.transpose());
-      descent += share * value.slope * shared;
+      const auto add = [&](double weight, double slope) {
+        dense += share * weight *
+                 (own * shared.transpose() + shared * own.transpose() + shared * shared.transpose());
+        descent += share * slope * shared;
+      };
+      add(value.seen.weight, value.seen.slope);
+      if (a != 1) continue;
+      own(at + kOwn - 2) = 1.0;
+      own(at + kOwn - 1) = sight.rows[row.index].episode == 0 ? 1.0 : 0.0;
+      add(value.wall_weight, value.wall_slope);
     }
   }
   const JointEquations found = eliminate_anchors(fits, inflation, unknowns);
@@ -268,8 +301,49 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   const Eigen::VectorXd rest = descent.tail(unknowns.size()) - gain.transpose() * descent.head(own_size);
   EXPECT_LT((found.descent - rest).norm(), 1e-9 * descent.norm());
   for (std::size_t a = 0; a < kAnchors; ++a) {
-    const Eigen::MatrixXd of_anchor = gain.middleRows<kOwn>(static_cast<Eigen::Index>(a) * kOwn);
+    const Eigen::MatrixXd of_anchor =
+        gain.middleRows(static_cast<Eigen::Index>(a) * kOwn, fits[a].anchor.size());
     EXPECT_LT((found.anchors[a].gain - of_anchor).norm(), 1e-9 * of_anchor.norm());
+  }
+}
+
+// No range tells where the map is: neither those in sight nor those through walls resist a shift of all
+// poses.
+TEST(JointEquations, HoldNoShiftOfAllPoses) {
+  test::Random random(4);
+  const SharedUnknowns unknowns{
+      .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = 0};
+  constexpr std::size_t kRows = 60;
+  const AnchorSight sight = sight_of(kRows);
+  std::vector<Observation> rows;
+  std::vector<AnchorFit> fits(1);
+  AnchorFit& fit = fits.front();
+  fit.problem.tag_count = kSharingTags;
+  fit.problem.sight = &sight;
+  fit.problem.position.information = 1e-9 * Eigen::Matrix3d::Identity();
+  fit.kernels.assign(kSharingTags, RobustKernel(KernelShape{}));
+  fit.anchor = anchor_at(8.0 * random.gaussians(3), kSharingTags, {});
+  fit.anchor.conservativeResize(5 + 2 * static_cast<Eigen::Index>(kSharingTags));
+  fit.anchor.tail<2>() << 0.4, 0.0;
+  for (std::size_t i = 0; i < kRows; ++i) {
+    Observation row = random_row(random);
+    row.index = static_cast<std::uint32_t>(i);
+    row.t_s = 0.2 * static_cast<double>(i);
+    row.tag = static_cast<std::uint32_t>(i % 2);
+    row.range_m =
+        predict(row, fit.anchor, kSharingTags).range_m + 0.05 * random.gaussian() + (i % 3 == 0 ? 0.4 : 0.0);
+    rows.push_back(row);
+  }
+  fit.problem.rows = rows;
+  const std::vector<double> inflation{1.0};
+  const JointEquations found = eliminate_anchors(fits, inflation, unknowns);
+  for (const Eigen::Index axis : {0, 1}) {
+    Eigen::VectorXd shift = Eigen::VectorXd::Zero(unknowns.size());
+    for (Eigen::Index knot = 0; knot < unknowns.knots.count; ++knot) shift(3 * knot + axis) = 1.0;
+    EXPECT_LT(shift.dot(found.information * shift), 1e-6);
+    Eigen::VectorXd with_it = Eigen::VectorXd::Zero(fit.anchor.size());
+    with_it(axis) = -1.0;
+    EXPECT_LT((found.anchors.front().gain * shift - with_it).norm(), 1e-6);
   }
 }
 
