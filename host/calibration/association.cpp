@@ -193,6 +193,7 @@ Association associate(const Drive& drive, double max_pose_gap_s, double range_de
     row.velocity_mps = motion->velocity_mps;
     row.velocity_mps.head<2>() += motion->yaw_rate_radps * row.yaw_arm_m;
     row.tag = static_cast<std::uint32_t>(tag - out.tags.begin());
+    row.power_class = model::power_class(sample);
   }
   return out;
 }

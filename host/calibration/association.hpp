@@ -11,6 +11,7 @@
 
 #include "host/calibration/calibrate.hpp"
 #include "host/model/pose.hpp"
+#include "host/model/power_class.hpp"
 
 namespace groma::calibration {
 
@@ -27,6 +28,7 @@ struct Observation {
   Eigen::Vector3f pose_spread_m2 = Eigen::Vector3f::Zero();
   std::uint32_t tag = 0;    // index in Association::tags
   std::uint32_t index = 0;  // among the anchor's rows
+  model::PowerClass power_class = model::kNoPowerClass;
 };
 
 struct AnchorObservations {

@@ -310,7 +310,7 @@ bool can_tell_moves(const Association& association) {
 // Each range's sight, where the data ask for it.
 void find_sight(Site& site, const model::RangePriors& priors) {
   if (is_sight_wanted(site.polls, site.fits))
-    site.sight = solve_sight(site.polls, first_sight_model(site.polls), site.fits, priors);
+    site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits, priors);
 }
 
 enum class Moves { kLookedFor, kNone };

@@ -46,10 +46,10 @@ struct Suspicion {
   std::optional<Eigen::Vector3d> twin_m;
 };
 
-// The rows at which the anchor was in sight, as the replies alone have it: behind walls a bias and a move are
-// one, and what a move makes of residuals passes for a wall.
+// The rows at which the anchor was in sight, as replies and powers alone have it: behind walls a bias and a
+// move are one, and what a move makes of residuals passes for a wall.
 std::vector<Observation> rows_in_sight(std::span<const Observation> rows,
-                                       std::span<const std::vector<Poll>> pairs, const SightChain& chain) {
+                                       std::span<const std::vector<Poll>> pairs, const SightModel& model) {
   if (rows.empty()) return {};
   const std::size_t first = rows.front().index;
   std::vector<bool> seen(rows.size(), false);
@@ -58,7 +58,7 @@ std::vector<Observation> rows_in_sight(std::span<const Observation> rows,
   for (const std::vector<Poll>& polls : pairs) {
     const auto with_row = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
     likelihoods.assign(static_cast<std::size_t>(with_row), SightVector::Ones());
-    infer_sight(chain, polls, likelihoods, posterior);
+    infer_sight(model.chain, polls, likelihoods, hints_of(classes_of(polls, rows), model.powers), posterior);
     std::size_t i = 0;
     for (const Poll poll : polls) {
       if (poll < 0) continue;
@@ -252,8 +252,8 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
     if (fits[a].problem.rows.empty() || fits[a].problem.position.surveyed) continue;
     // Without replies that were missed nothing tells of walls but residuals.
     const std::span<const Observation> rows = fits[a].problem.rows;
-    suspicions[a] = table.regular && !sight.anchors.empty()
-                        ? suspect(fits[a], rows_in_sight(rows, table.polls[a], sight.model.chain), priors)
+    suspicions[a] = (table.regular || sight.model.powers) && !sight.anchors.empty()
+                        ? suspect(fits[a], rows_in_sight(rows, table.polls[a], sight.model), priors)
                         : suspect(fits[a], rows, priors);
     out[a].twin_m = suspicions[a].twin_m;
   }

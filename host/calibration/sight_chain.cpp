@@ -132,7 +132,8 @@ void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t
 }
 
 void infer_sight(const SightChain& chain, std::span<const Poll> polls,
-                 std::span<const SightVector> likelihoods, SightPosterior& out) {
+                 std::span<const SightVector> likelihoods, std::span<const double> hints,
+                 SightPosterior& out) {
   out.prior.resize(likelihoods.size());
   out.posterior.resize(likelihoods.size());
   out.log_evidence = 0.0;
@@ -146,6 +147,11 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
     const SightVector& given = likelihoods[i];
     return given.cwiseMax(kMinLikelihood * given.maxCoeff());
   };
+  // Of a reply that has a row, but for its residual.
+  const auto replied = [&](std::size_t i) -> SightVector {
+    if (hints.empty()) return chain.reply;
+    return chain.reply.cwiseProduct(SightVector(1.0, hints[i], hints[i]));
+  };
   std::vector<SightVector> forward;  // of each poll, from those before it
   forward.reserve(polls.size());
   SightVector state = chain.start;
@@ -158,7 +164,8 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
     } else if (polls[n] == kReplied) {
       state = state.cwiseProduct(chain.reply);
     } else {
-      state = state.cwiseProduct(chain.reply).cwiseProduct(floored(answer++));
+      state = state.cwiseProduct(replied(answer)).cwiseProduct(floored(answer));
+      ++answer;
     }
     const double total = state.sum();
     out.log_evidence += std::log(total);
@@ -179,12 +186,13 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
     } else if (polls[n] >= 0) {
       --answer;
       const SightVector likelihood = floored(answer);
-      SightVector share = both.cwiseProduct(chain.reply);
+      const SightVector reply = replied(answer);
+      SightVector share = both.cwiseProduct(reply);
       out.prior[answer] = share / share.sum();
       share = share.cwiseProduct(likelihood);
       out.posterior[answer] = share / share.sum();
       out.answered += out.posterior[answer];
-      here = backward.cwiseProduct(chain.reply).cwiseProduct(likelihood);
+      here = backward.cwiseProduct(reply).cwiseProduct(likelihood);
     }
     backward = chain.transition * here;
     backward /= backward.sum();

@@ -51,8 +51,10 @@ struct SightPosterior {
   SightVector missed = SightVector::Zero();
 };
 // Forward-backward. `likelihoods` holds the residual's density in each state, 1/m, of each poll that has a
-// row, in order. The result's vectors are reused.
+// row, in order; `hints`, of the same, the likelihood of its powers where blocked over that in sight, or
+// nothing. The result's vectors are reused.
 void infer_sight(const SightChain& chain, std::span<const Poll> polls,
-                 std::span<const SightVector> likelihoods, SightPosterior& out);
+                 std::span<const SightVector> likelihoods, std::span<const double> hints,
+                 SightPosterior& out);
 
 }  // namespace groma::calibration

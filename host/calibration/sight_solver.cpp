@@ -62,6 +62,7 @@ struct AnchorPass {
   double log_evidence = 0.0;
   SightVector answered = SightVector::Zero();
   SightVector missed = SightVector::Zero();
+  PowerCounts powers;  // by residuals and replies alone
   std::vector<WeighedResidual> walled;
   std::vector<double> start_excess_m;  // of each episode over the common part
 };
@@ -143,12 +144,12 @@ bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll
     if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
     likelihoods.assign(count_rows(polls), SightVector::Ones());
     chain.reply = believed;
-    infer_sight(chain, polls, likelihoods, posterior);
+    infer_sight(chain, polls, likelihoods, {}, posterior);
     if (shares_of(posterior.answered, posterior.missed).polls(kInSight) >= 1.0 - kBlockedByReplies) continue;
     double log_evidence = posterior.log_evidence;
     for (const double lost : kLossesInSight) {
       chain.reply(kInSight) = 1.0 - lost;
-      infer_sight(chain, polls, likelihoods, posterior);
+      infer_sight(chain, polls, likelihoods, {}, posterior);
       log_evidence = std::max(log_evidence, posterior.log_evidence);
     }
     if (log_evidence > log_evidence_of_losses(polls) + kBlockedEvidence) return true;
@@ -167,7 +168,7 @@ class SightSolver {
   SiteSight solve();
 
  private:
-  void label_by_replies();
+  void label_first();
   [[nodiscard]] AnchorPass look(std::size_t anchor) const;
   void learn(const std::vector<AnchorPass>& passes);
   void learn_shadow();
@@ -179,9 +180,9 @@ class SightSolver {
   SiteSight out_;
 };
 
-// From which polls were answered alone: rows in sight are taken as such, the others not at all or, where
+// From replies and powers alone: rows in sight are taken as such, the others not at all or, where
 // there are few in sight, as through a wall.
-void SightSolver::label_by_replies() {
+void SightSolver::label_first() {
   SightPosterior posterior;
   std::vector<SightVector> likelihoods;
   for (std::size_t a = 0; a < fits_.size(); ++a) {
@@ -192,7 +193,8 @@ void SightSolver::label_by_replies() {
     double seen = 0.0;
     for (const std::vector<Poll>& polls : table_.polls[a]) {
       likelihoods.assign(count_rows(polls), SightVector::Ones());
-      infer_sight(out_.model.chain, polls, likelihoods, posterior);
+      infer_sight(out_.model.chain, polls, likelihoods,
+                  hints_of(classes_of(polls, fits_[a].problem.rows), out_.model.powers), posterior);
       std::size_t i = 0;
       for (const Poll poll : polls) {
         if (poll < 0) continue;
@@ -254,7 +256,15 @@ AnchorPass SightSolver::look(std::size_t a) const {
       }
       likelihoods.emplace_back(density(fit.kernels[tag], 0.0), density(out_.model.shadow, 0.0), walled);
     }
-    infer_sight(out_.model.chain, polls, likelihoods, posterior);
+    const std::vector<model::PowerClass> classes = classes_of(polls, rows);
+    if (out_.model.powers) {
+      // What powers tell makes not itself.
+      infer_sight(out_.model.chain, polls, likelihoods, {}, posterior);
+      for (std::size_t i = 0; i < classes.size(); ++i) {
+        out.powers.add(classes[i], posterior.posterior[i](kInSight));
+      }
+    }
+    infer_sight(out_.model.chain, polls, likelihoods, hints_of(classes, out_.model.powers), posterior);
     out.log_evidence += posterior.log_evidence;
     out.answered += posterior.answered;
     out.missed += posterior.missed;
@@ -328,6 +338,7 @@ AnchorPass SightSolver::look(std::size_t a) const {
 void SightSolver::learn(const std::vector<AnchorPass>& passes) {
   SightVector answered = SightVector::Zero();
   SightVector missed = SightVector::Zero();
+  PowerCounts powers;
   std::vector<WeighedResidual> walled;
   double information = 1.0 / std::pow(WallPrior{}.sigma_m, 2);
   double weighted_m = WallPrior{}.mean_m * information;
@@ -335,6 +346,7 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
     const AnchorPass& pass = passes[a];
     answered += pass.answered;
     missed += pass.missed;
+    powers.add(pass.powers, 1.0);
     walled.insert(walled.end(), pass.walled.begin(), pass.walled.end());
     const AnchorFit& fit = fits_[a];
     if (fit.problem.sight == nullptr || !fit.problem.sight->behind_wall || !pass.sight.behind_wall) continue;
@@ -344,6 +356,7 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
     information += weight;
     weighted_m += weight * fit.anchor(wall_index(fit.problem.tag_count));
   }
+  if (out_.model.powers) out_.model.powers->learn(powers);
   const SightVector believed = SightChain{}.reply;
   if (table_.regular) {
     out_.model.chain.reply =
@@ -384,8 +397,8 @@ void SightSolver::apply(std::size_t a, AnchorPass pass) {
 SiteSight SightSolver::solve() {
   out_.anchors.resize(fits_.size());
   out_.shares.resize(fits_.size());
-  if (table_.regular) {
-    label_by_replies();
+  if (table_.regular || out_.model.powers) {
+    label_first();
     refine_site(fits_, priors_, kLabelRounds);
   }
   for (int round = 0; round < kSightRounds; ++round) {
@@ -405,8 +418,37 @@ SiteSight SightSolver::solve() {
 
 }  // namespace
 
-SightModel first_sight_model(const PollTable& table) {
+std::vector<model::PowerClass> classes_of(std::span<const Poll> polls, std::span<const Observation> rows) {
+  std::vector<model::PowerClass> out;
+  out.reserve(polls.size());
+  for (const Poll poll : polls) {
+    if (poll >= 0) out.push_back(rows[static_cast<std::size_t>(poll) - rows.front().index].power_class);
+  }
+  return out;
+}
+
+std::vector<double> hints_of(std::span<const model::PowerClass> classes,
+                             const std::optional<PowerHints>& powers) {
+  std::vector<double> out;
+  if (!powers) return out;
+  out.reserve(classes.size());
+  for (const model::PowerClass of : classes) out.push_back(powers->ratio(of));
+  return out;
+}
+
+SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits) {
   SightModel out;
+  std::array<double, model::kPowerClasses + 1> ranges{};
+  double with_powers = 0.0;
+  for (const AnchorFit& fit : fits) {
+    for (const Observation& row : fit.problem.rows) {
+      ranges[row.power_class] += 1.0;
+      with_powers += row.power_class != model::kNoPowerClass ? 1.0 : 0.0;
+    }
+  }
+  if (with_powers > 0.0) {
+    out.powers.emplace(std::span(ranges).first<model::kPowerClasses>(), table.interval_s);
+  }
   out.chain.transition = sight_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
   out.wall = wall_shape();
   return out;
@@ -423,7 +465,7 @@ bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
 }
 
 bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits) {
-  const SightChain chain = first_sight_model(table).chain;
+  const SightChain chain = first_sight_model(table, {}).chain;
   const auto tell = [&](const std::vector<std::vector<Poll>>& pairs) {
     return replies_tell_of_blocking(chain, pairs);
   };

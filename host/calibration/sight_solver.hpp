@@ -1,10 +1,12 @@
 // All anchors once more where ranges come through something: each row's sight and the anchors in turns.
 #pragma once
 
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "host/calibration/association.hpp"
+#include "host/calibration/power_hints.hpp"
 #include "host/calibration/sight.hpp"
 #include "host/calibration/sight_chain.hpp"
 #include "host/calibration/site_solver.hpp"
@@ -24,8 +26,16 @@ struct SightModel {
   RobustKernel shadow;  // of residuals in a shadow
   KernelShape wall;     // of what is left of residuals behind a wall
   WallPrior wall_prior;
+  std::optional<PowerHints> powers;  // none where ranges carry none
 };
-[[nodiscard]] SightModel first_sight_model(const PollTable& table);
+[[nodiscard]] SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits);
+
+// Of each poll that has a row, in order: its class, by the rows of its anchor; and what powers tell, nothing
+// without them.
+[[nodiscard]] std::vector<model::PowerClass> classes_of(std::span<const Poll> polls,
+                                                        std::span<const Observation> rows);
+[[nodiscard]] std::vector<double> hints_of(std::span<const model::PowerClass> classes,
+                                           const std::optional<PowerHints>& powers);
 
 struct SiteSight {
   std::vector<AnchorSight> anchors;  // empty: nothing asks for it; the fits point here

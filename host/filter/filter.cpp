@@ -266,7 +266,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
   result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2,
-                                  SightHint::class_of(range));
+                                  model::power_class(range));
   if (whole) watch_slip(slot, tag, result, measurement.d_core.head<2>());
   result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();

@@ -90,7 +90,7 @@ Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const n
 }
 
 double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2,
-                   SightHint::Class hint) noexcept {
+                   model::PowerClass hint) noexcept {
   if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2) || !(variance_m2 > 0.0)) return 0.0;
   const double sigma = std::sqrt(variance_m2);
   Pair& chain = pair(anchor, tag);
@@ -115,7 +115,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   chain.unhinted = unhinted.pair_blocked;
   chain.blocked = unhinted.pair_blocked;
   observe(anchor, t_s, innovation_m, weight);
-  if (hint == SightHint::kNoClass || !(config_.hint_most > 1.0)) return weight;
+  if (hint == model::kNoPowerClass || !(config_.hint_most > 1.0)) return weight;
 
   const double ratio = hint_.likelihood_ratio(hint);
   if (!doubts_) {

@@ -24,7 +24,7 @@ class Gate {
   // Weight in [0, 1] of an innovation of that variance by a pair of slots at t_s, of a range of that class,
   // and takes note of it. 0 turns the range away; so does what is not a number.
   [[nodiscard]] double weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2,
-                             SightHint::Class hint = SightHint::kNoClass) noexcept;
+                             model::PowerClass hint = model::kNoPowerClass) noexcept;
 
   // Variance to be added to the noise of the pair's last range: a pair that was silent is often still blocked
   // when it is heard again, and all its anchor's ranges of that while are off together.

@@ -1,16 +1,14 @@
 // What the powers of a range tell of its pair's sight: learnt on the site itself, by what innovations say.
 //
-// A range falls into one class by how far its first path is below the whole power and by how strong that path
-// is for its length. How often either state gives the class is counted. The counts begin with what the chip's
-// maker tells of the first and with nothing of the second: a hint that is wrong here, or tells nothing, soon
-// has a likelihood ratio of 1.
+// A range falls into one class. How often either state gives the class is counted. The counts begin with what
+// the chip's maker tells of the first and with nothing of the second: a hint that is wrong here, or tells
+// nothing, soon has a likelihood ratio of 1.
 #pragma once
 
 #include <array>
-#include <cstddef>
 
 #include "host/filter/config.hpp"
-#include "host/model/types.hpp"
+#include "host/model/power_class.hpp"
 
 namespace groma::filter {
 
@@ -18,28 +16,21 @@ class SightHint {
  public:
   explicit SightHint(const GateConfig& config) noexcept;
 
-  // A range's class; kNoClass where it carries nothing.
-  using Class = std::size_t;
-  static constexpr std::size_t kHiddenClasses = 3;     // of the power beside the first path
-  static constexpr std::size_t kStrengthClasses = 17;  // of the first path's strength; the last: not known
-  static constexpr Class kNoClass = kHiddenClasses * kStrengthClasses;
-  [[nodiscard]] static Class class_of(const model::RangeSample& range) noexcept;
-
-  // Of a blocked pair over one in sight, from 1/hint_most to hint_most; 1 of kNoClass.
-  [[nodiscard]] double likelihood_ratio(Class of) const noexcept;
+  // Of a blocked pair over one in sight, from 1/hint_most to hint_most; 1 of kNoPowerClass.
+  [[nodiscard]] double likelihood_ratio(model::PowerClass of) const noexcept;
   // Of all ranges that were learnt from.
   [[nodiscard]] double blocked_share() const noexcept;
   // Takes note of a range of that class at t_s, held for blocked and for in sight by those shares.
-  void learn(Class of, double t_s, double blocked, double in_sight) noexcept;
+  void learn(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept;
 
  private:
   struct Counts {
-    std::array<double, kNoClass> of{};
+    std::array<double, model::kPowerClasses> of{};
     double all = 0.0;
   };
   // Of a class in a state.
-  [[nodiscard]] double share(const Counts& counts, const std::array<double, kHiddenClasses>& believed,
-                             Class of) const noexcept;
+  [[nodiscard]] double share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
+                             model::PowerClass of) const noexcept;
 
   double most_ = 1.0;
   double memory_s_ = 0.0;

@@ -1,6 +1,7 @@
 // A site's ranges with walls and shadows in their way: replies get lost, those that come are too long.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -17,6 +18,14 @@ struct PlanWall {
   Eigen::Vector2d to_m;
 };
 
+// What the powers of ranges say of walls and shadows.
+enum class Powers {
+  kNone,      // ranges carry none
+  kTrue,      // weaker where blocked
+  kOpposite,  // weaker in sight
+  kNothing,   // weaker or not as the robot goes
+};
+
 struct Blocking {
   std::vector<PlanWall> walls;  // as high as the hall
   double reply_in_sight = 0.95;
@@ -27,6 +36,7 @@ struct Blocking {
   double shadow_excess_mean_m = 0.3;
   double shadows_per_s = 0.01;  // of each pair; lasting 1 to 10 s
   double gross_share = 0.02;    // 0.5 to 4 m too long
+  Powers powers = Powers::kNone;
 };
 
 inline bool crosses(const PlanWall& wall, const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
@@ -57,11 +67,37 @@ struct Stay {
   double to_s = std::numeric_limits<double>::infinity();
 };
 
+// Of a range that comes through a wall, a shadow or nothing.
+inline void add_powers(Powers powers, double blocked_share, Random& random, model::RangeSample& range) {
+  constexpr double kInSight_dbm = -60.0;  // at 1 m
+  constexpr double kLoss_db = 6.0;
+  constexpr double kSigma_db = 2.0;
+  constexpr double kPeriod_s = 14.0;
+  double weak = 0.0;
+  switch (powers) {
+    case Powers::kNone:
+      return;
+    case Powers::kTrue:
+      weak = blocked_share;
+      break;
+    case Powers::kOpposite:
+      weak = 1.0 - blocked_share;
+      break;
+    case Powers::kNothing:
+      weak = std::fmod(range.t_s + range.anchor_id, kPeriod_s) < 0.5 * kPeriod_s ? 1.0 : 0.0;
+  }
+  const double first_path_dbm = kInSight_dbm - 20.0 * std::log10(std::max(range.range_m, 0.1)) -
+                                kLoss_db * weak + kSigma_db * random.gaussian();
+  range.first_path_power_dbm = static_cast<float>(first_path_dbm);
+  range.receive_power_dbm = static_cast<float>(first_path_dbm + 2.0 + weak);
+}
+
 // A polled site.
 inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& blocking, std::uint64_t seed,
                                   const std::vector<Stay>& stays = {}) {
   SimulatedSite site = simulate_site(settings, seed);
   Random random(seed + 1000);
+  Random radio(seed + 2000);
   struct Span {
     double from_s;
     double to_s;
@@ -93,21 +129,25 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
     }
     double reply = blocking.reply_in_sight;
     bool walled = false;
+    double blocked_share = 0.0;
     for (const PlanWall& wall : blocking.walls) {
       walled = walled || crosses(wall, antenna_m.head<2>(), anchor_m.head<2>());
     }
     const auto exponential_m = [&](double mean_m) { return -mean_m * std::log(1.0 - random.uniform()); };
     if (walled) {
       reply = blocking.wall_reply;
+      blocked_share = 1.0;
       range.range_m += blocking.wall_excess_m + exponential_m(blocking.wall_excess_mean_m);
     } else {
       for (const Span& shadow : shadows[a][j]) {
         if (range.t_s < shadow.from_s || range.t_s > shadow.to_s) continue;
         reply = blocking.shadow_reply;
+        blocked_share = 0.6;
         range.range_m += exponential_m(blocking.shadow_excess_mean_m);
       }
     }
     if (random.uniform() < blocking.gross_share) range.range_m += random.uniform(0.5, 4.0);
+    add_powers(blocking.powers, blocked_share, radio, range);
     if (random.uniform() < reply) kept.push_back(range);
   }
   site.ranges = std::move(kept);

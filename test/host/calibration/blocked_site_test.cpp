@@ -3,7 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <vector>
 
 #include <Eigen/Cholesky>
@@ -56,6 +58,57 @@ TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonestOverManyDrives) {
   EXPECT_GT(ok, kSites * 7);
   EXPECT_LT(error_m / ok, 0.10);
   EXPECT_GT(inside, 0.90 * biases);
+}
+
+struct Outcome {
+  double square_m2 = 0.0;  // of all anchors' errors
+  double ok_error_m = 0.0;
+  int ok = 0;
+};
+Outcome calibrate_sites(test::Blocking blocking, test::Powers powers) {
+  blocking.powers = powers;
+  Outcome out;
+  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    const test::SimulatedSite site = test::blocked_site(
+        test::polled_settings(test::kRoutes[seed % test::kRoutes.size()], kDrive_s), blocking, seed);
+    const model::Calibration found = calibrate(site.drive()).calibration;
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+      const double error_m = (found.anchors[a].position_m - site.anchors[a].position_m).norm();
+      out.square_m2 += error_m * error_m;
+      if (found.anchors[a].verdict != AnchorVerdict::kOk) continue;
+      out.ok_error_m += error_m;
+      ++out.ok;
+    }
+  }
+  out.ok_error_m /= std::max(1, out.ok);
+  return out;
+}
+
+// Racks that lose no reply: what comes through them for a third of the drive passes for a bias and a place.
+TEST(BlockedSite, PowersTellOfRacksThatLoseNoReplyOverMany) {
+  test::Blocking racks = hall();
+  racks.walls.push_back({{3.0, 6.0}, {18.0, 6.0}});
+  racks.wall_reply = racks.shadow_reply = racks.reply_in_sight;
+  const Outcome without = calibrate_sites(racks, test::Powers::kNone);
+  const Outcome with = calibrate_sites(racks, test::Powers::kTrue);
+  const Outcome opposite = calibrate_sites(racks, test::Powers::kOpposite);
+  const Outcome nothing = calibrate_sites(racks, test::Powers::kNothing);
+  EXPECT_LT(with.square_m2, 0.25 * without.square_m2);
+  EXPECT_GT(with.ok, without.ok + 4);
+  EXPECT_LT(with.ok_error_m, 0.5 * without.ok_error_m);
+  // What powers mean is learnt.
+  EXPECT_LT(opposite.square_m2, 0.25 * without.square_m2);
+  EXPECT_LT(nothing.square_m2, 1.7 * without.square_m2);
+  EXPECT_LT(nothing.ok_error_m, 1.3 * without.ok_error_m);
+}
+
+TEST(BlockedSite, PowersThatLieCostLittleWhereRepliesTellOverMany) {
+  const Outcome without = calibrate_sites(hall(), test::Powers::kNone);
+  for (const test::Powers powers : {test::Powers::kTrue, test::Powers::kOpposite, test::Powers::kNothing}) {
+    const Outcome with = calibrate_sites(hall(), powers);
+    EXPECT_LT(with.ok_error_m, 1.1 * without.ok_error_m) << static_cast<int>(powers);
+    EXPECT_GE(with.ok, without.ok - 1) << static_cast<int>(powers);
+  }
 }
 
 // What the ranges' noise is, they tell themselves.

@@ -4,14 +4,17 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
 #include <vector>
 
 #include <Eigen/Cholesky>
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/moved.hpp"
+#include "host/calibration/power_hints.hpp"
 #include "host/calibration/sight_solver.hpp"
 #include "test/host/calibration/blocked_site.hpp"
 #include "test/support/numerical_jacobian.hpp"
@@ -31,7 +34,7 @@ struct Enumeration {
 };
 
 Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
-                      const std::vector<SightVector>& likelihoods) {
+                      const std::vector<SightVector>& likelihoods, const std::vector<double>& hints) {
   Enumeration out;
   out.prior.assign(likelihoods.size(), SightVector::Zero());
   out.posterior.assign(likelihoods.size(), SightVector::Zero());
@@ -48,7 +51,9 @@ Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
     for (std::size_t n = 0; n < polls.size(); ++n) {
       if (polls[n] == kMissed) probability *= 1.0 - chain.reply(states[n]);
       if (polls[n] == kReplied) probability *= chain.reply(states[n]);
-      if (polls[n] >= 0) probability *= chain.reply(states[n]) * likelihoods[answer++](states[n]);
+      if (polls[n] < 0) continue;
+      if (!hints.empty() && states[n] != kInSight) probability *= hints[answer];
+      probability *= chain.reply(states[n]) * likelihoods[answer++](states[n]);
     }
     out.total += probability;
     answer = 0;
@@ -81,8 +86,12 @@ TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
     for (SightVector& likelihood : likelihoods) {
       for (double& density : likelihood) density = random.uniform(0.01, 4.0);
     }
-    infer_sight(chain, polls, likelihoods, found);
-    const Enumeration expected = enumerate(chain, polls, likelihoods);
+    std::vector<double> hints;
+    if (draw % 2 == 0) {
+      for (std::size_t i = 0; i < likelihoods.size(); ++i) hints.push_back(random.uniform(0.1, 10.0));
+    }
+    infer_sight(chain, polls, likelihoods, hints, found);
+    const Enumeration expected = enumerate(chain, polls, likelihoods, hints);
     EXPECT_NEAR(found.log_evidence, std::log(expected.total), 1e-9);
     EXPECT_TRUE(found.answered.isApprox(expected.answered, 1e-9));
     EXPECT_TRUE(found.missed.isApprox(expected.missed, 1e-9));
@@ -91,6 +100,65 @@ TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
       EXPECT_TRUE(found.prior[i].isApprox(expected.prior[i], 1e-9)) << i;
       EXPECT_TRUE(found.posterior[i].isApprox(expected.posterior[i], 1e-9)) << i;
     }
+  }
+}
+
+// Likelihood ratios of classes from every range by itself.
+TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
+  struct Told {
+    model::PowerClass of;
+    double in_sight;
+  };
+  test::Random random(8);
+  std::array<double, model::kPowerClasses> ranges{};
+  constexpr double kInterval_s = 0.05;
+  constexpr std::size_t kUsual = 12;  // strength of those in sight
+  ranges[kUsual] = 100.0;
+  ranges[kUsual - 3] = 150.0;
+  ranges[2 * model::kStrengthClasses + 5] = 50.0;
+  ranges[kUsual + 2] = 5.0;
+  PowerHints hints(ranges, kInterval_s);
+  EXPECT_EQ(hints.ratio(model::kNoPowerClass), 1.0);
+  const auto expect = [&](const std::vector<Told>& all) {
+    constexpr std::array kSeen{0.8, 0.15, 0.05};
+    constexpr std::array kHidden{0.4, 0.3, 0.3};
+    double near_all = 0.0;
+    for (int i = 0; i < 16; ++i) near_all += std::exp(-std::abs(i - static_cast<int>(kUsual)));
+    for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
+      const std::size_t hidden = i / 17;
+      const int strength = static_cast<int>(i % 17);
+      double seen = 30.0 * kSeen[hidden] / 17.0;
+      if (strength < 16) {
+        seen = 30.0 * kSeen[hidden] * 16.0 / 17.0 * std::exp(-std::abs(strength - static_cast<int>(kUsual))) /
+               near_all;
+      }
+      double blocked = 30.0 * kHidden[hidden] / 17.0;
+      double all_seen = 30.0;
+      double all_blocked = 30.0;
+      for (const Told& told : all) {
+        all_seen += 0.25 * told.in_sight;
+        all_blocked += 0.25 * (1.0 - told.in_sight);
+        if (told.of != i) continue;
+        seen += 0.25 * told.in_sight;
+        blocked += 0.25 * (1.0 - told.in_sight);
+      }
+      const double ratio = std::clamp(blocked / all_blocked / (seen / all_seen), 0.1, 10.0);
+      EXPECT_NEAR(hints.ratio(static_cast<model::PowerClass>(i)), ratio, 1e-9 * ratio) << i;
+    }
+  };
+  expect({});
+  // Twice: what was learnt before does not count.
+  for (int round = 0; round < 2; ++round) {
+    std::vector<Told> all;
+    PowerCounts counts;
+    for (int i = 0; i < 500; ++i) {
+      all.push_back(
+          {.of = static_cast<model::PowerClass>(random.uniform(0.0, 52.0)), .in_sight = random.uniform()});
+      counts.add(all.back().of, all.back().in_sight);
+      if (all.back().of == model::kNoPowerClass) all.pop_back();
+    }
+    hints.learn(counts);
+    expect(all);
   }
 }
 

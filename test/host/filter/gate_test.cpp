@@ -208,12 +208,12 @@ model::RangeSample with_powers(double strength_dbm, double hidden_db) {
   return range;
 }
 
-SightHint::Class class_of(double strength_dbm, double hidden_db) {
-  return SightHint::class_of(with_powers(strength_dbm, hidden_db));
+model::PowerClass class_of(double strength_dbm, double hidden_db) {
+  return model::power_class(with_powers(strength_dbm, hidden_db));
 }
 
 TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
-  const auto hidden = [](SightHint::Class of) { return of / SightHint::kStrengthClasses; };
+  const auto hidden = [](model::PowerClass of) { return model::hidden_class(of); };
   EXPECT_EQ(hidden(class_of(-60.0, 0.0)), 0U);
   EXPECT_EQ(hidden(class_of(-60.0, 5.9)), 0U);
   EXPECT_EQ(hidden(class_of(-60.0, 6.1)), 1U);
@@ -228,35 +228,35 @@ TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
   far.range_m = 20.0;
   far.first_path_power_dbm -= 6.02F;
   far.receive_power_dbm -= 6.02F;
-  EXPECT_EQ(SightHint::class_of(far), class_of(-58.0, 1.0));
+  EXPECT_EQ(model::power_class(far), class_of(-58.0, 1.0));
 
   model::RangeSample told;
   told.range_m = 10.0;
-  EXPECT_EQ(SightHint::class_of(told), SightHint::kNoClass);
+  EXPECT_EQ(model::power_class(told), model::kNoPowerClass);
   told.first_path_power_dbm = -80.0F;
-  EXPECT_EQ(SightHint::class_of(told), SightHint::kNoClass);
+  EXPECT_EQ(model::power_class(told), model::kNoPowerClass);
   told.first_path_power_dbm = model::kUnknown;
   told.line_of_sight = model::LineOfSight::kUnlikely;
-  EXPECT_EQ(hidden(SightHint::class_of(told)), 2U);
-  EXPECT_EQ(SightHint::class_of(told) % SightHint::kStrengthClasses, SightHint::kStrengthClasses - 1);
+  EXPECT_EQ(hidden(model::power_class(told)), 2U);
+  EXPECT_EQ(model::power_class(told) % model::kStrengthClasses, model::kStrengthClasses - 1);
   told.line_of_sight = model::LineOfSight::kLikely;
-  EXPECT_EQ(hidden(SightHint::class_of(told)), 0U);
+  EXPECT_EQ(hidden(model::power_class(told)), 0U);
 }
 
 // What a hint says from all that was learnt, each by itself.
 struct Learnt {
-  SightHint::Class of = 0;
+  model::PowerClass of = 0;
   double t_s = 0.0;
   double blocked = 0.0;
   double in_sight = 0.0;
 };
-double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, SightHint::Class of, double t_s,
+double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model::PowerClass of, double t_s,
                     const GateConfig& config) {
   constexpr double kInSight[] = {0.8, 0.15, 0.05};
   constexpr double kBlocked[] = {0.4, 0.3, 0.3};
-  const std::size_t hidden = of / SightHint::kStrengthClasses;
+  const std::size_t hidden = of / model::kStrengthClasses;
   const double believed = (state == &Learnt::blocked ? kBlocked[hidden] : kInSight[hidden]) /
-                          static_cast<double>(SightHint::kStrengthClasses);
+                          static_cast<double>(model::kStrengthClasses);
   double of_class = config.hint_prior_count * believed;
   double sum = config.hint_prior_count;
   for (const Learnt& one : all) {
@@ -274,23 +274,24 @@ TEST(SightHint, IsTheFadingCountOfWhatItWasTold) {
   SightHint hint(config);
   EXPECT_NEAR(hint.likelihood_ratio(class_of(-60.0, 12.0)), 0.3 / 0.05, 1e-12);
   EXPECT_NEAR(hint.likelihood_ratio(class_of(-70.0, 1.0)), 0.4 / 0.8, 1e-12);
-  EXPECT_EQ(hint.likelihood_ratio(SightHint::kNoClass), 1.0);
+  EXPECT_EQ(hint.likelihood_ratio(model::kNoPowerClass), 1.0);
   Random random(31);
   std::vector<Learnt> all;
   double t_s = 0.0;
   for (int i = 0; i < 3000; ++i) {
     t_s += 0.05 * random.uniform();
     const double blocked = random.uniform();
-    all.push_back({random.next() % SightHint::kNoClass, t_s, blocked, (1.0 - blocked) * random.uniform()});
+    all.push_back({static_cast<model::PowerClass>(random.next() % model::kNoPowerClass), t_s, blocked,
+                   (1.0 - blocked) * random.uniform()});
     hint.learn(all.back().of, t_s, all.back().blocked, all.back().in_sight);
     if (i % 500 != 499) continue;
-    for (SightHint::Class of = 0; of < SightHint::kNoClass; ++of) {
+    for (model::PowerClass of = 0; of < model::kNoPowerClass; ++of) {
       const double expected = share_of_all(all, &Learnt::blocked, of, t_s, config) /
                               share_of_all(all, &Learnt::in_sight, of, t_s, config);
       EXPECT_NEAR(hint.likelihood_ratio(of), expected, 1e-9 * expected) << of;
     }
   }
-  const SightHint::Class rare = class_of(-60.0, 12.0);
+  const model::PowerClass rare = class_of(-60.0, 12.0);
   for (int i = 0; i < 1000; ++i) hint.learn(rare, t_s + 100.0, 1.0, 0.0);
   EXPECT_EQ(hint.likelihood_ratio(rare), config.hint_most);
 }
@@ -322,9 +323,9 @@ TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
     const bool behind_wall = i / 20 % 2 == 1;
     const double e_m = kSigma_m * random.gaussian() + (behind_wall ? 0.3 : 0.0);
     const bool seen = random.uniform() < 0.8;
-    const SightHint::Class of = i % 7 == 3            ? SightHint::kNoClass
-                                : behind_wall == seen ? class_of(-70.0, 11.0)
-                                                      : class_of(-58.0, 1.0);
+    const model::PowerClass of = i % 7 == 3            ? model::kNoPowerClass
+                                 : behind_wall == seen ? class_of(-70.0, 11.0)
+                                                       : class_of(-58.0, 1.0);
     const auto densities = [&](double share) {
       const double in_sight = (1.0 - share) * (1.0 - config.garbage_share) *
                               std::exp(-0.5 * e_m * e_m / kVariance_m2) /
@@ -343,7 +344,7 @@ TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
     const double knees = std::max(std::abs(e_m) / (kSigma_m * config.knee), 1.0);
     const double weight = gate.weigh(2, 1, t_s, e_m, kVariance_m2, of);
     double expected = in_sight / total;
-    if (of != SightHint::kNoClass) {
+    if (of != model::kNoPowerClass) {
       const double ratio = twin.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
       if (!gate.doubts(t_s)) twin.learn(of, t_s, count * blocked / total, count * in_sight / total);
@@ -373,7 +374,7 @@ TEST(Gate, WithoutPowersOrWithNoUseOfThemIsTheSameToTheBit) {
     t_s += 0.02 * random.uniform();
     const int anchor = static_cast<int>(random.next() % 6);
     const double e_m = 0.15 * random.gaussian() + (anchor == 2 ? 0.4 : 0.0);
-    const SightHint::Class of = random.next() % SightHint::kNoClass;
+    const model::PowerClass of = static_cast<model::PowerClass>(random.next() % model::kNoPowerClass);
     ASSERT_EQ(plain.weigh(anchor, 0, t_s, e_m, kVariance_m2),
               unused.weigh(anchor, 0, t_s, e_m, kVariance_m2, of));
     ASSERT_EQ(plain.blocked(anchor, 0), unused.blocked(anchor, 0));
@@ -418,7 +419,7 @@ TEST(Gate, DoesNotLockOutAPairWhosePowersLie) {
   Gate gate{GateConfig{}};
   Random random(35);
   teach(gate, true, random);
-  const SightHint::Class weak = class_of(-70.0, 1.0);
+  const model::PowerClass weak = class_of(-70.0, 1.0);
   EXPECT_GT(gate.hint().likelihood_ratio(weak), 5.0);
   double t_s = 60.0;
   for (; t_s < 180.0; t_s += 0.05)
