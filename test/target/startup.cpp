@@ -56,6 +56,7 @@ struct Vectors {
 std::array<char, 1024> command_line;
 std::array<char*, 32> arguments;
 
+// A word such as GTEST_SHARD_INDEX=1 goes to the environment, which bare metal lacks.
 int read_arguments() {
   struct {
     char* text;
@@ -65,7 +66,11 @@ int read_arguments() {
   std::size_t count = 0;
   for (char* word = std::strtok(command_line.data(), " "); word != nullptr && count + 1 < arguments.size();
        word = std::strtok(nullptr, " ")) {
-    arguments[count++] = word;
+    if (word[0] != '-' && std::strchr(word, '=') != nullptr) {
+      putenv(word);
+    } else {
+      arguments[count++] = word;
+    }
   }
   return static_cast<int>(count);
 }
