@@ -13,7 +13,7 @@ namespace groma::calibration {
 namespace {
 
 // Ranges of one pair agree no better than this however many there are.
-constexpr double kLeastSigma_m = 0.01;
+constexpr double kLinkSigmaFloor_m = 0.01;
 constexpr int kFusingSteps = 8;
 constexpr int kLookingRounds = 3;
 constexpr int kFlippingRounds = 4;
@@ -182,7 +182,7 @@ std::vector<AnchorLink> gather_links(std::span<const model::AnchorRange> ranges,
     out.push_back({.from = pair.first,
                    .to = pair.second,
                    .range_m = range_m,
-                   .variance_m2 = 1.0 / sum.weight + square(kLeastSigma_m) + square(priors.beta_m.sigma) +
+                   .variance_m2 = 1.0 / sum.weight + square(kLinkSigmaFloor_m) + square(priors.beta_m.sigma) +
                                   square(priors.gamma.sigma * range_m)});
   }
   return out;

@@ -37,7 +37,7 @@ constexpr double kReachFactor = 2.0;
 constexpr double kHangingTogether = 1.5;
 // Square sigmas between the heights by the drive's beginning and by all of it: chi square with one degree of
 // freedom, 99.9 %.
-constexpr double kContradiction = 10.8;
+constexpr double kHeightChiSquare = 10.8;
 // Poses may be off by so much an axis where moves are looked for.
 constexpr double kMovePose_m = 0.5 * kMinMove_m;
 // Residuals that neither a wall nor a shadow makes.
@@ -203,7 +203,7 @@ void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
 // either may be as wrong as they are apart.
 void admit_shift(double shift_m, double first_variance_m2, Eigen::MatrixXd& covariance) {
   const double variance_m2 = std::max(2.0 * covariance(2, 2), first_variance_m2);
-  if (shift_m * shift_m > kContradiction * variance_m2) covariance(2, 2) += shift_m * shift_m;
+  if (shift_m * shift_m > kHeightChiSquare * variance_m2) covariance(2, 2) += shift_m * shift_m;
 }
 
 // Whether the one is about as far below the tags as the other is above: what decides between sides tells so.

@@ -16,7 +16,8 @@ constexpr std::size_t kRowsPerTag = 40;
 constexpr int kIterations = 6;
 // An excess of the few rows' below this is looked at again with all rows.
 constexpr double kCloseExcess = 10.0;
-constexpr double kMoved_m = 0.3;
+// A fit that moved by more than this is compared again with all rows.
+constexpr double kRefitMove_m = 0.3;
 // At most, of a place that is not the earlier one: anchors do get moved.
 constexpr double kMovedCost = 10.0;
 // Starts this close to each other are in one valley.
@@ -109,7 +110,7 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   Contest result =
       contest(sketch, fit.kernels, fit.anchor, starts_around(sketch, fit.anchor, spread, axis), spread, axis);
   double scale = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
-  const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kMoved_m;
+  const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kRefitMove_m;
   if (moved || (result.there.cost - result.here.cost) * scale < kCloseExcess) {
     std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor, fit.anchor};
     // The few rows may have but one valley, between the two that all of them have.

@@ -9,8 +9,8 @@
 namespace groma::calibration {
 namespace {
 
-constexpr double kLeastSigma_m = 1e-6;
-constexpr double kLeastSigma_rad = 1e-7;
+constexpr double kMinPoseSigma_m = 1e-6;
+constexpr double kMinPoseSigma_rad = 1e-7;
 
 constexpr double inverse_square(double x) noexcept {
   return 1.0 / (x * x);
@@ -113,8 +113,8 @@ std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads) 
     std::nth_element(values.begin(), at, values.end());
     return *at;
   };
-  return PoseQuality{.sigma_m = std::max(std::sqrt(middle(place_m2)), kLeastSigma_m),
-                     .sigma_yaw_rad = std::max(std::sqrt(middle(yaw_rad2)), kLeastSigma_rad)};
+  return PoseQuality{.sigma_m = std::max(std::sqrt(middle(place_m2)), kMinPoseSigma_m),
+                     .sigma_yaw_rad = std::max(std::sqrt(middle(yaw_rad2)), kMinPoseSigma_rad)};
 }
 
 std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const PoseSpread> spreads,
@@ -191,8 +191,8 @@ void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const
 Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPrior& prior) {
   const Knots& knots = unknowns.knots;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size());
-  const double shift = inverse_square(std::max(prior.wander.sigma_m, kLeastSigma_m));
-  const double turn = inverse_square(std::max(prior.wander.sigma_yaw_rad, kLeastSigma_rad));
+  const double shift = inverse_square(std::max(prior.wander.sigma_m, kMinPoseSigma_m));
+  const double turn = inverse_square(std::max(prior.wander.sigma_yaw_rad, kMinPoseSigma_rad));
   const Eigen::Vector3d inverse(shift, shift, turn);
   std::vector<Eigen::Matrix3d> inverse_scale;
   inverse_scale.reserve(unknowns.knot_scale.size());

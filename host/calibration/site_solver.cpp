@@ -26,7 +26,7 @@ constexpr double kPairShareWeight = 1000.0;
 constexpr double kRestingSigmas = 0.1;
 // By so much do rows that a solution did not see cost more than those it did, each, if they contradict it: a
 // third of them, or fewer that are far off.
-constexpr double kContradiction = 1.0;
+constexpr double kContradictionCost = 1.0;
 constexpr int kStartingSteps = 6;
 // Far outside any site: only keeps an anchor finite where ranges leave it open.
 constexpr double kUnknownSigma_m = 300.0;
@@ -194,7 +194,7 @@ bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows
   later.rows = rows.subspan(seen);
   const double later_cost = robust_cost(later, earlier.kernels, earlier.anchor);
   return later_cost / static_cast<double>(rows.size() - seen) >
-         earlier.cost / static_cast<double>(seen) + kContradiction;
+         earlier.cost / static_cast<double>(seen) + kContradictionCost;
 }
 
 // Searches, and keeps what it finds unless the earlier solution leads to a cheaper one.

@@ -19,7 +19,7 @@ namespace groma::filter {
 
 namespace {
 
-constexpr double kNever = -std::numeric_limits<double>::infinity();
+constexpr double kNoAnswerYet_s = -std::numeric_limits<double>::infinity();
 using model::square;
 
 Learning learning(Model model) noexcept {
@@ -84,7 +84,7 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
     config_.range_delay_s = here.range_delay_s;
     config_.range_delay_sigma_s = here.range_delay_sigma_s;
   }
-  now_.last_answer_s.fill(kNever);
+  now_.last_answer_s.fill(kNoAnswerYet_s);
   slots_.assign(static_cast<std::size_t>(site_.anchor_count()), -1);
   find_slots();
   if (site_.anchor_count() > now_.parameters.anchor_count()) {
@@ -144,7 +144,7 @@ void Filter::begin_on(int chart) noexcept {
   now_.slip.reset();
   now_.tuning.reset();
   now_.sensors.reset();
-  now_.last_answer_s.fill(kNever);
+  now_.last_answer_s.fill(kNoAnswerYet_s);
   now_.started = true;
 }
 

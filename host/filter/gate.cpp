@@ -10,7 +10,7 @@ namespace groma::filter {
 namespace {
 
 // Fewer ranges than this within the window say nothing about the state.
-constexpr double kFewRanges = 4.0;
+constexpr double kMinRangesToDoubt = 4.0;
 // A weight below this turns the range away.
 constexpr double kNoWeight = 1e-3;
 // The median gap between a pair's ranges is followed by this share of itself a range.
@@ -147,7 +147,7 @@ void Gate::Tally::add(double innovation_m, double weight) noexcept {
 }
 
 bool Gate::Tally::refuses(double share) const noexcept {
-  return seen >= kFewRanges && refused > share * seen;
+  return seen >= kMinRangesToDoubt && refused > share * seen;
 }
 
 void Gate::observe(int anchor, double t_s, double innovation_m, double weight) noexcept {
@@ -173,7 +173,7 @@ bool Gate::anchors_refuse(double t_s) const noexcept {
   int agreeing = 0;
   int refusing = 0;
   for (const Tally& anchor : anchors_) {
-    if (anchor.seen < kFewRanges || t_s - anchor.t_s > config_.window_s) continue;
+    if (anchor.seen < kMinRangesToDoubt || t_s - anchor.t_s > config_.window_s) continue;
     if (!anchor.refuses(config_.doubt_share)) {
       ++agreeing;
     } else if (anchor.refused_m > config_.far_m * anchor.refused) {

@@ -76,9 +76,9 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;
     if (options.on_range) options.on_range(*tracker, sample, update);
   };
-  constexpr double kNever = std::numeric_limits<double>::infinity();
+  constexpr double kNoneLeft_s = std::numeric_limits<double>::infinity();
   const auto time_of = [&](const auto& at, const auto& samples) {
-    return at != samples.end() ? at->t_s : kNever;
+    return at != samples.end() ? at->t_s : kNoneLeft_s;
   };
   const auto take_up_to = [&](double t_s) {
     while (true) {
@@ -108,7 +108,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   };
 
   for (; row != run.odometry.end() && row->t_s <= to_s; ++row) {
-    take_up_to(std::nextafter(row->t_s, -kNever));
+    take_up_to(std::nextafter(row->t_s, -std::numeric_limits<double>::infinity()));
     timed(propagate_ns, *row);
     take_up_to(row->t_s);
     if (options.on_row) options.on_row(*tracker, *row);

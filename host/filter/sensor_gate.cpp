@@ -20,8 +20,8 @@ double SensorGate::weigh(Sensor sensor, double t_s, double mean_square) noexcept
 }
 
 void SensorGate::reset() noexcept {
-  seen_s_.fill(kNever);
-  heard_s_.fill(kNever);
+  seen_s_.fill(kNotYet_s);
+  heard_s_.fill(kNotYet_s);
 }
 
 }  // namespace groma::filter

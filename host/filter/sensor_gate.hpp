@@ -25,7 +25,7 @@ class SensorGate {
   void reset() noexcept;
 
  private:
-  static constexpr double kNever = -std::numeric_limits<double>::infinity();
+  static constexpr double kNotYet_s = -std::numeric_limits<double>::infinity();
 
   SensorConfig config_;
   std::array<double, kSensors> seen_s_;

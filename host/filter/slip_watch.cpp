@@ -16,8 +16,8 @@ constexpr double kAlongside = 0.03;
 // By which an anchor agrees with a displacement, in deviations.
 constexpr double kAgrees = 2.0;
 constexpr int kFewestAgreeing = 3;
-// What is left of an anchor's ranges below this is no witness.
-constexpr double kFewRanges = 0.3;
+// An anchor whose faded count of ranges is below this is no witness.
+constexpr double kMinFadedRanges = 0.3;
 
 }  // namespace
 
@@ -80,7 +80,7 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
   for (Sums& anchor : anchors_) {
     if (!(anchor.n > 0.0)) continue;
     fade(anchor, t_s);
-    if (anchor.n < kFewRanges) continue;
+    if (anchor.n < kMinFadedRanges) continue;
     const double root = std::sqrt(anchor.w);
     views.of[views.count++] = {anchor.x / root, anchor.y / root, anchor.off / root};
   }
