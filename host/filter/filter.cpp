@@ -265,8 +265,10 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.innovation_m = range.range_m - measurement.range_m;
   result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  result.weight = now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2,
-                                  model::power_class(range));
+  const model::PowerClass powers = model::power_class(range);
+  result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // weigh() then learns from this range
+  result.weight =
+      now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2, powers);
   if (whole) watch_slip(slot, tag, result, measurement.d_core.head<2>());
   result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();

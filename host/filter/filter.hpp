@@ -72,7 +72,7 @@ struct RangeResult {
   double nis = 0.0;                     // innovation^2 / S
   double weight = 0.0;                  // 0 gated, 1 full
   double blocked = 0.0;                 // probability that the pair is, from its past and this range
-  double hint_ratio = 1.0;              // of its powers: how much likelier blocked than in sight
+  double hint_ratio = 1.0;              // likelihood of its powers if blocked, over that if in sight
   Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // what x, y, theta were moved by
 };
 

@@ -12,7 +12,7 @@ constexpr double kMaxUnit = 1e6;
 }  // namespace
 
 SightHint::SightHint(const GateConfig& config) noexcept
-    : most_(config.hint_most),
+    : most_(std::max(config.hint_most, 1.0)),
       memory_s_(config.hint_memory_s),
       prior_count_(config.hint_prior_count),
       prior_blocked_share_(config.blocked_share) {}

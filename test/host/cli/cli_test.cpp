@@ -251,6 +251,46 @@ TEST_F(CliTest, ExplainNamesABlockedPairAtItsMoment) {
   EXPECT_EQ(groma({"explain", data_, "--surveyed"}).exit_code, 2);
 }
 
+TEST_F(CliTest, ExplainNamesARangeRefusedByItsPowers) {
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
+  const model::NodeId anchor = data.ranges.front().anchor_id;
+  // Walls add 2 m to a third of the ranges, and their first path is weak. At the moment nothing is blocked,
+  // but the first path of one anchor is as weak.
+  for (model::RangeSample& range : data.ranges) {
+    const bool near = std::abs(range.t_s - at_s) < 5.0;
+    const bool blocked = !near && (static_cast<int>(range.t_s / 4.0) + range.anchor_id) % 3 == 0;
+    const bool weak = blocked || (range.anchor_id == anchor && std::abs(range.t_s - at_s) < 0.1);
+    if (blocked) range.range_m += 2.0;
+    range.first_path_power_dbm =
+        static_cast<float>((weak ? -68.0 : -59.0) - 20.0 * std::log10(range.range_m));
+    range.receive_power_dbm = range.first_path_power_dbm + (weak ? 11.0F : 2.0F);
+  }
+  io::write_dataset(data_, data);
+  const std::vector<std::string> command{"explain",  data_, "--surveyed", "--at", std::to_string(at_s),
+                                         "--window", "0.1"};
+  EXPECT_THAT(groma(command).out, HasSubstr("by-powers"));
+  std::vector<std::string> with_json = command;
+  with_json.emplace_back("--json");
+  const json story = json::parse(groma(with_json).out);
+  std::size_t by_powers = 0;
+  for (const json& pair : story["pairs"]) {
+    for (const json& range : pair["ranges"]) {
+      if (pair["anchor"] != anchor) {
+        EXPECT_LT(range["hint_ratio"], 1.0);
+        EXPECT_NE(range["why"], "by-powers");
+        continue;
+      }
+      EXPECT_NE(range["hint_ratio"], 1.0);
+      if (range["why"] != "by-powers") continue;
+      EXPECT_GT(range["hint_ratio"], 1.5);
+      EXPECT_LT(range["weight"], 0.5);
+      ++by_powers;
+    }
+  }
+  EXPECT_GT(by_powers, 0U);
+}
+
 TEST_F(CliTest, ExplainNamesASlip) {
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);

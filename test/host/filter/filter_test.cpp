@@ -110,6 +110,35 @@ TEST(Filter, SaysWhatBecameOfEachInputAndCountsIt) {
   EXPECT_EQ(counters.odometry_bad_value, 2U);
 }
 
+TEST(Filter, ReportsTheLikelihoodRatioOfARangesPowers) {
+  const auto filter = make_filter(Model::kJoint);
+  filter->process(model::OdometrySample{0.0, 0.0, 0.0, 0.0});
+  filter->start({.t_s = 0.0});
+  model::RangeSample range{0.1, 1, 11, 15.0};
+  const RangeResult unknown = filter->process(range);
+  EXPECT_EQ(unknown.hint_ratio, 1.0) << "it has no powers";
+
+  // The first path is 11 dB below the whole power: by the chip's figures 0.3/0.05 for a blocked pair.
+  range.t_s = 0.5;
+  range.range_m -= unknown.innovation_m;
+  range.first_path_power_dbm = -90.0F;
+  range.receive_power_dbm = -79.0F;
+  const RangeResult hidden = filter->process(range);
+  EXPECT_NEAR(hidden.hint_ratio, 6.0, 1e-12);
+  // The range fitted, so the next one of its class is less of a hint.
+  range.t_s = 1.0;
+  EXPECT_LT(filter->process(range).hint_ratio, hidden.hint_ratio);
+  // Only 2 dB below: 0.4/0.8.
+  range.receive_power_dbm = -88.0F;
+  EXPECT_NEAR(filter->process(range).hint_ratio, 0.5, 0.1);
+
+  Config config = testing::config_of(Model::kJoint);
+  config.gate.hint_most = 1.0;
+  Filter unhinted(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), config);
+  unhinted.start({.t_s = 0.0});
+  EXPECT_EQ(unhinted.process(range).hint_ratio, 1.0) << "powers are not used";
+}
+
 TEST(Filter, AnInputThatIsRefusedChangesNothing) {
   const auto filter = make_filter(Model::kJoint);
   filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.1});
