@@ -77,7 +77,7 @@ class Listener : public link::NodeSink {
           "line_of_sight,corrections,network_time_dtu\n");
     }
   }
-  void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
+  void on_range(const model::RangeSample& range) override {
     pairs[{range.tag_id, range.anchor_id}].add(range);
     if (!rows_) return;
     const std::string network_time =

@@ -32,7 +32,7 @@ Overloaded(Handlers...) -> Overloaded<Handlers...>;
 Session::Node::Node(Session& session, std::string name, unsigned baud)
     : session_(session), name_(std::move(name)), decoder_(baud) {}
 
-void Session::Node::on_range(const model::RangeSample& range, double /*time_sigma_s*/) {
+void Session::Node::on_range(const model::RangeSample& range) {
   session_.take(range);
 }
 

@@ -80,7 +80,7 @@ class Session {
 
    private:
     friend class Session;
-    void on_range(const model::RangeSample& range, double time_sigma_s) override;
+    void on_range(const model::RangeSample& range) override;
     void on_hello(const groma_Hello& hello) override;
     void on_network_status(const groma_NetworkStatus& status) override { status_ = status; }
     void on_counters(const groma_Counters& counters) override { counters_ = counters; }

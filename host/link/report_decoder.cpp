@@ -127,9 +127,8 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
       ++counters_.ranges_bad_instant;
     } else {
       ++counters_.ranges;
-      const clock::HostInstant instant = *time_.to_host(ticks + range.instant_offset_dtu);
       sink.on_range(
-          {.t_s = instant.t_s,
+          {.t_s = time_.to_host(ticks + range.instant_offset_dtu)->t_s,
            .tag_id = static_cast<model::NodeId>(report.tag_id),
            .anchor_id = static_cast<model::NodeId>(range.anchor_id),
            .range_m = range_m,
@@ -141,8 +140,7 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
            .noise = range.noise != 0 ? static_cast<float>(range.noise) : model::kUnknown,
            .line_of_sight = static_cast<model::LineOfSight>(range.flags & 3),
            .corrections = static_cast<std::uint8_t>(range.flags & ~3),
-           .network_time_dtu = network_time_dtu(report, range)},
-          instant.sigma_s);
+           .network_time_dtu = network_time_dtu(report, range)});
     }
   }
 }

@@ -31,8 +31,8 @@ class NodeSink {
   NodeSink& operator=(const NodeSink&) = delete;
   virtual ~NodeSink() = default;
 
-  // range.t_s is the range's own instant in host time, known to time_sigma_s.
-  virtual void on_range(const model::RangeSample& range, double time_sigma_s) = 0;
+  // range.t_s is the range's own instant in host time.
+  virtual void on_range(const model::RangeSample& range) = 0;
   virtual void on_hello(const groma_Hello& /*hello*/) {}
   virtual void on_network_status(const groma_NetworkStatus& /*status*/) {}
   virtual void on_counters(const groma_Counters& /*counters*/) {}

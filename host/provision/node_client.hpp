@@ -62,7 +62,7 @@ class NodeClient : private link::NodeSink {
   [[nodiscard]] std::string silence() const;
 
  private:
-  void on_range(const model::RangeSample& /*range*/, double /*time_sigma_s*/) override {}
+  void on_range(const model::RangeSample& /*range*/) override {}
   void on_hello(const groma_Hello& hello) override;
   void on_counters(const groma_Counters& counters) override;
   void on_reply(const groma_Reply& reply) override;

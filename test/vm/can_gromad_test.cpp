@@ -77,7 +77,7 @@ std::map<double, Position> truth() {
 // What the recording holds for the daemon.
 link::ReportCounters recorded(const std::string& name) {
   class Ignored : public link::NodeSink {
-    void on_range(const model::RangeSample& /*range*/, double /*time_sigma_s*/) override {}
+    void on_range(const model::RangeSample& /*range*/) override {}
   } sink;
   link::ReportCounters all;
   for (const unsigned tag : kTags) {

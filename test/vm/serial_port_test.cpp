@@ -189,9 +189,7 @@ TEST_F(SerialPort, IsGoneWhenUnpluggedAndComesBackWhenPluggedIn) {
   ReportDecoder decoder(kBaud);
   class Collected : public NodeSink {
    public:
-    void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
-      ranges.push_back(range);
-    }
+    void on_range(const model::RangeSample& range) override { ranges.push_back(range); }
     std::vector<model::RangeSample> ranges;
   } got;
   const auto start = std::chrono::steady_clock::now();

@@ -32,9 +32,7 @@ using wire::CanFormat;
 // What the sink of a ReportDecoder was given.
 class Collected : public NodeSink {
  public:
-  void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
-    ranges.push_back(range);
-  }
+  void on_range(const model::RangeSample& range) override { ranges.push_back(range); }
   void on_log(const groma_Log& log) override { logs.emplace_back(log.text); }
 
   std::vector<model::RangeSample> ranges;

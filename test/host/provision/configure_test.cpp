@@ -48,9 +48,7 @@ ConfigureOptions recording(std::vector<std::string>& steps) {
 // ---- simulated nodes --------------------------------------------------------------------------------------
 
 struct HeardAnchors : link::NodeSink {
-  void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
-    ids.insert(range.anchor_id);
-  }
+  void on_range(const model::RangeSample& range) override { ids.insert(range.anchor_id); }
   std::set<model::NodeId> ids;
 };
 

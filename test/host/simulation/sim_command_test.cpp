@@ -146,7 +146,7 @@ struct Instant {
 
 class Instants : public link::NodeSink {
  public:
-  void on_range(const model::RangeSample& range, double /*time_sigma_s*/) override {
+  void on_range(const model::RangeSample& range) override {
     if (range.network_time_dtu == 0) return;
     seen.push_back({range.t_s, static_cast<double>(range.network_time_dtu) / 63.8976e9, now_s - range.t_s});
   }

@@ -17,19 +17,16 @@ constexpr double kStep_s = 0.0005;
 
 class Instants : public link::NodeSink {
  public:
-  void on_range(const model::RangeSample& range, double time_sigma_s) override {
+  void on_range(const model::RangeSample& range) override {
     last = range;
-    sigma_s = time_sigma_s;
     ++count;
   }
   model::RangeSample last;
-  double sigma_s = 0.0;
   int count = 0;
 };
 
 struct Outcome {
   model::RangeSample last;
-  double sigma_s = 0.0;  // of its instant
   double round_trip_s = 0.0;
   std::uint64_t replies = 0;
 };
@@ -63,7 +60,6 @@ Outcome over_a_line(double to_host_s, double to_node_s) {
   }
   EXPECT_GT(seen.count, 200);
   return {.last = seen.last,
-          .sigma_s = seen.sigma_s,
           .round_trip_s = decoder.time().round_trip_s().value_or(-1.0),
           .replies = decoder.counters().time_replies};
 }
@@ -83,7 +79,7 @@ TEST(TimeExchange, TellsTheDelayOfASimulatedTagsLine) {
     ASSERT_EQ(out.last.network_time_dtu, none.last.network_time_dtu) << "the same range";
     const double late_s = out.last.t_s - none.last.t_s;
     EXPECT_NEAR(late_s, 0.5 * (line.to_host_s - line.to_node_s), 1.5 * kStep_s);
-    EXPECT_LT(std::abs(late_s), 2.0 * out.sigma_s);
+    EXPECT_LE(std::abs(late_s), 0.5 * out.round_trip_s);
   }
 }
 
