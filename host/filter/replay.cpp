@@ -24,21 +24,13 @@ Percentiles percentiles(std::vector<double>& values) {
 
 }  // namespace
 
-bool is_chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
-  return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
-}
-
 ReplayResult replay(const Run& run, const ReplayOptions& options) {
-  std::vector<model::Tag> tags;
-  for (const model::Tag& tag : run.tags) {
-    if (is_chosen(options.tags, tag.id)) tags.push_back(tag);
-  }
   TrackerConfig config;
   config.relocates = options.relocates || !options.knows_start;
   // A run's times are in order: where they jump, nothing was recorded.
   config.clock_step_s = std::numeric_limits<double>::infinity();
   const auto tracker =
-      std::make_unique<Tracker>(*run.surface, tags, *run.calibration, options.config, config);
+      std::make_unique<Tracker>(*run.surface, run.tags, *run.calibration, options.config, config);
 
   const double from_s = options.start.t_s;
   const double to_s = options.to_s.value_or(std::numeric_limits<double>::infinity());
@@ -70,7 +62,6 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   };
 
   const auto take_range = [&](const model::RangeSample& sample) {
-    if (!is_chosen(options.tags, sample.tag_id) || !is_chosen(options.anchors, sample.anchor_id)) return;
     ++result.ranges_seen;
     const RangeResult update = timed(update_ns, sample);
     if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;

@@ -40,8 +40,6 @@ struct ReplayOptions {
   // Goes on from another place where the ranges tell of one, as Tracker does; so it does without a start.
   bool relocates = false;
   std::optional<double> to_s;
-  std::vector<model::NodeId> tags;     // empty: all
-  std::vector<model::NodeId> anchors;  // empty: all
   // Is told of each range and what became of it, and of each row.
   std::function<void(const Tracker&, const model::RangeSample&, const RangeResult&)> on_range;
   std::function<void(const Tracker&, const model::OdometrySample&)> on_row;
@@ -65,7 +63,7 @@ struct ReplayResult {
   std::vector<RowState> states;  // of each row
   std::size_t relocations = 0;
   std::vector<model::SpatialEstimate> spatial;  // of each row
-  std::size_t ranges_seen = 0;                  // of the chosen tags and anchors, within the time
+  std::size_t ranges_seen = 0;                  // within the time
   Counters counters;
   double nis_mean = 0.0;  // over the ranges used
   // Wall times of one call each: of an odometry row (propagation to it), and of a range (propagation to
@@ -73,9 +71,6 @@ struct ReplayResult {
   Percentiles propagate_ns;
   Percentiles update_ns;
 };
-
-// Whether the options' tags or anchors have that one: none named are all.
-[[nodiscard]] bool is_chosen(const std::vector<model::NodeId>& ids, model::NodeId id);
 
 [[nodiscard]] ReplayResult replay(const Run& run, const ReplayOptions& options);
 

@@ -169,12 +169,12 @@ struct Sighting {
 
 class Smoother {
  public:
-  Smoother(const filter::Run& run, const filter::ReplayOptions& options, std::vector<model::Tag> tags,
+  Smoother(const filter::Run& run, const filter::ReplayOptions& options,
            std::vector<model::OdometrySample> rows)
       : surface_(*run.surface),
         config_(options.config),
         start_(options.start),
-        tags_(std::move(tags)),
+        tags_(run.tags.begin(), run.tags.end()),
         rows_(std::move(rows)),
         shared_(tags_, *run.calibration, config_),
         patterns_m_(tags_.size(), model::PatternTerms::Zero()),
@@ -557,16 +557,11 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
     rows.push_back(row);
   }
   if (rows.size() < 2) return {};
-  std::vector<model::Tag> tags;
-  for (const model::Tag& tag : run.tags) {
-    if (filter::is_chosen(options.tags, tag.id)) tags.push_back(tag);
-  }
-  Smoother smoother(run, options, std::move(tags), std::move(rows));
+  Smoother smoother(run, options, std::move(rows));
   smoother.begin(beginning);
   for (const model::RangeSample& range : run.ranges) {
     if (range.t_s < options.start.t_s || range.t_s > end_s) continue;
-    if (filter::is_chosen(options.tags, range.tag_id) && filter::is_chosen(options.anchors, range.anchor_id))
-      smoother.take(range);
+    smoother.take(range);
   }
   return smoother.solve();
 }

@@ -199,6 +199,25 @@ TEST_F(CliTest, SurveyedAnchorsServeInPlaceOfACalibration) {
   EXPECT_EQ(replay({"--surveyed"}).exit_code, 65);
 }
 
+TEST_F(CliTest, ReplayAndSmoothUseTheTagsAndAnchorsThatAreChosen) {
+  const io::Dataset data = io::read_dataset(data_);
+  const auto of_choice =
+      std::count_if(data.ranges.begin(), data.ranges.end(), [](const model::RangeSample& range) {
+        return range.tag_id == 2 && (range.anchor_id == 4 || range.anchor_id == 6 || range.anchor_id == 8);
+      });
+  const std::vector<std::string> choice{"--surveyed", "--tags", "2", "--anchors", "4,6,8", "--json"};
+  const ChildResult replayed = replay(choice);
+  ASSERT_EQ(replayed.exit_code, 0) << replayed.err;
+  const json summary = json::parse(replayed.out);
+  EXPECT_EQ(summary["ranges_seen"], of_choice);
+  EXPECT_EQ(summary["ranges_used"].get<int>() + summary["ranges_gated"].get<int>(), of_choice);
+  std::vector<std::string> smooth{"smooth", data_, "-o", estimate_};
+  smooth.insert(smooth.end(), choice.begin(), choice.end());
+  const ChildResult smoothed = groma(smooth);
+  ASSERT_EQ(smoothed.exit_code, 0) << smoothed.err;
+  EXPECT_EQ(json::parse(smoothed.out)["ranges_seen"], of_choice);
+}
+
 TEST_F(CliTest, WithoutAPosePriorReplayFindsThePoseAndTellsItsState) {
   std::filesystem::remove(data_ / "pose_prior.csv");
   std::filesystem::rename(data_ / "groundtruth.csv", folder_ / "truth.csv");
