@@ -74,7 +74,7 @@ std::string format_description(const Dataset& dataset) {
     add(text, "gnss: {{lever_arm_m: [{}, {}, {}]}}\n", arm_m.x(), arm_m.y(), arm_m.z());
   }
   const std::vector<model::Chart>& charts = dataset.surface.charts();
-  if (charts.size() == 1) {
+  if (charts.size() == 1 && charts.front().name.empty()) {
     add(text, "surface: {}\n", format_chart(charts.front(), spline_file(dataset.surface, 0)));
     return text;
   }
@@ -143,18 +143,22 @@ std::string format_ranges(std::span<const model::RangeSample> ranges) {
   return text;
 }
 
-std::string format_poses(std::span<const model::PoseSample> poses) {
+enum class Height { kWritten, kLeftOut };
+
+std::string format_poses(std::span<const model::PoseSample> poses, Height height) {
   const bool attitude = std::any_of(poses.begin(), poses.end(), [](const model::PoseSample& pose) {
     return std::isfinite(pose.roll_rad) || std::isfinite(pose.pitch_rad);
   });
   const bool covariance = std::any_of(
       poses.begin(), poses.end(), [](const model::PoseSample& pose) { return pose.covariance.has_value(); });
-  std::string text = "t_s,x_m,y_m,z_m,yaw_rad";
+  std::string text = height == Height::kWritten ? "t_s,x_m,y_m,z_m,yaw_rad" : "t_s,x_m,y_m,yaw_rad";
   if (attitude) text += ",roll_rad,pitch_rad";
   if (covariance) text += ",p_xx,p_xy,p_xt,p_yy,p_yt,p_tt";
   text += '\n';
   for (const model::PoseSample& pose : poses) {
-    add(text, "{},{},{},{},{}", pose.t_s, pose.x_m, pose.y_m, pose.z_m, pose.yaw_rad);
+    add(text, "{},{},{}", pose.t_s, pose.x_m, pose.y_m);
+    if (height == Height::kWritten) add(text, ",{}", pose.z_m);
+    add(text, ",{}", pose.yaw_rad);
     if (attitude) {
       for (const double angle_rad : {pose.roll_rad, pose.pitch_rad}) {
         text += ',';
@@ -176,6 +180,27 @@ std::string format_odometry(std::span<const model::OdometrySample> rows) {
   for (const model::OdometrySample& row : rows) {
     add(text, "{},{},{},{}\n", row.t_s, row.vx_mps, row.vy_mps, row.omega_radps);
   }
+  return text;
+}
+
+std::string format_yaw_rates(std::span<const model::YawRateSample> rates) {
+  std::string text = "t_s,omega_radps\n";
+  for (const model::YawRateSample& rate : rates) add(text, "{},{}\n", rate.t_s, rate.omega_radps);
+  return text;
+}
+
+std::string format_positions(std::span<const model::PositionSample> positions) {
+  std::string text = "t_s,x_m,y_m,p_xx,p_xy,p_yy\n";
+  for (const model::PositionSample& position : positions) {
+    const auto& [xx, xy, yy] = position.covariance_m2;
+    add(text, "{},{},{},{},{},{}\n", position.t_s, position.x_m, position.y_m, xx, xy, yy);
+  }
+  return text;
+}
+
+std::string format_zero_velocities(std::span<const model::ZeroVelocitySample> samples) {
+  std::string text = "t_s\n";
+  for (const model::ZeroVelocitySample& sample : samples) add(text, "{}\n", sample.t_s);
   return text;
 }
 
@@ -209,9 +234,21 @@ void write_dataset(const std::filesystem::path& folder, const Dataset& dataset) 
   }
   write_file(folder / "ranges.csv", format_ranges(dataset.ranges));
   write_file(folder / "odometry.csv", format_odometry(dataset.odometry));
-  if (!dataset.ground_truth.empty())
-    write_file(folder / "groundtruth.csv", format_poses(dataset.ground_truth));
-  if (!dataset.pose_prior.empty()) write_file(folder / "pose_prior.csv", format_poses(dataset.pose_prior));
+  const auto write_some = [&folder](const char* name, const auto& rows, const auto& format) {
+    if (!rows.empty()) write_file(folder / name, format(rows));
+  };
+  const auto format_whole = [](std::span<const model::PoseSample> poses) {
+    return format_poses(poses, Height::kWritten);
+  };
+  const auto format_planar = [](std::span<const model::PoseSample> poses) {
+    return format_poses(poses, Height::kLeftOut);
+  };
+  write_some("groundtruth.csv", dataset.ground_truth, format_whole);
+  write_some("pose_prior.csv", dataset.pose_prior, format_whole);
+  write_some("imu.csv", dataset.yaw_rates, format_yaw_rates);
+  write_some("gnss.csv", dataset.positions, format_positions);
+  write_some("absolute_pose.csv", dataset.absolute_poses, format_planar);
+  write_some("zero_velocity.csv", dataset.zero_velocities, format_zero_velocities);
   for (const DescriptionFile& file : describe(dataset)) write_file(folder / file.name, file.text);
 }
 

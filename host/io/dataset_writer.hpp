@@ -17,9 +17,11 @@ namespace groma::io {
 // The file of a spline surface.
 [[nodiscard]] std::string format_spline(const model::BSpline& spline);
 
-// Writes the folder's files, each whole or not at all, numbers as short as they read back exactly. Files for
-// which the data set has nothing are left out: anchors.csv, groundtruth.csv, pose_prior.csv. Its name and
-// origin are written plain: no line ends in them. Throws as write_file().
+// Writes the folder's files, each whole or not at all, numbers as short as they read back exactly. From a
+// folder that was empty read_dataset() reads an equal data set, except what describes the reading: `dropped`,
+// `log` and `sha256`. A table without rows has no file, except ranges.csv and odometry.csv: without
+// pose_prior.csv the ground truth is read in its place. Name and origin contain no line ends. Throws as
+// write_file().
 void write_dataset(const std::filesystem::path& folder, const Dataset& dataset);
 
 }  // namespace groma::io
