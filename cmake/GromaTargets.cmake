@@ -84,13 +84,15 @@ function(groma_executable)
 endfunction()
 
 # groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [SHARDS n] [TIMEOUT s] [STATISTICS]
-#            [LONG pattern] [SLOW]): a GoogleTest program. Each of its shards is one CTest test: one process that runs
+#            [LONG pattern] [SLOW] [UNSANITIZED]): a GoogleTest program. Each of its shards is one CTest test: one process that runs
 # every n-th case. A program with the label "long" exists with GROMA_LONG_TESTS only; so do the cases that match LONG
 # (a GoogleTest filter), as a CTest test of their own. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the
 # program does not run under a sanitizer, nor do cases named OverMany: many drives execute no other code than one.
+# UNSANITIZED: it does so with GROMA_LONG_TESTS only, as do the cases that match GROMA_UNSANITIZED.
 function(groma_test)
-  cmake_parse_arguments(arg "STATISTICS;SLOW" "NAME;TIMEOUT;SHARDS;LONG" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
-  if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE))
+  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED" "NAME;TIMEOUT;SHARDS;LONG" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
+  if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE)
+     OR (arg_UNSANITIZED AND GROMA_SANITIZE AND NOT GROMA_LONG_TESTS))
     return()
   endif()
   if(NOT arg_TIMEOUT)
@@ -119,6 +121,9 @@ function(groma_test)
   set(left_out "")
   if(GROMA_SANITIZE)
     string(APPEND left_out ":*OverMany*")
+    if(NOT GROMA_LONG_TESTS)
+      string(APPEND left_out ":${GROMA_UNSANITIZED}")
+    endif()
   endif()
   if(arg_LONG)
     string(APPEND left_out ":${arg_LONG}")
