@@ -23,31 +23,57 @@ double TimeMapper::seconds_since_reference(std::int64_t ticks) const noexcept {
   return static_cast<double>(ticks - reference_ticks_) / ticks_per_second_;
 }
 
-void TimeMapper::observe(std::int64_t ticks, double arrival_s, double transmission_s) noexcept {
+Observation TimeMapper::observe(std::int64_t ticks, double arrival_s, double transmission_s) noexcept {
   ++counters_.observations;
   const double sent_s = arrival_s - transmission_s;
   if (size_ == 0) {
     start(ticks, sent_s);
-    return;
+    return Observation::kTaken;
   }
   if (ticks < last_ticks_) {
     ++counters_.counter_restarts;
     start(ticks, sent_s);
-    return;
+    return Observation::kRestarted;
   }
-  last_ticks_ = ticks;
   const double x_s = seconds_since_reference(ticks);
   const Point added{x_s, sent_s - reference_s_ - x_s};
-  const double delay_s = added.y_s - line_at(x_s);
-  const bool early = delay_s < -(kEarlySigmas * sigma_at(x_s) + kEarlyMargin_s);
+  const bool early = is_early(added);
+  if (early && !completes_early_run(added)) {
+    ++counters_.early;
+    return Observation::kEarly;
+  }
   if (early || arrives_late_for_long(added)) {
     ++counters_.host_jumps;
     start(ticks, sent_s);
-    return;
+    taken_ = early ? std::min(early_alike_, kJumpMessages) : kJumpMessages;
+    return Observation::kRestarted;
   }
+  early_messages_ = 0;
+  last_ticks_ = ticks;
+  taken_ = std::min(taken_ + 1, kJumpMessages);
   insert(added);
   fit();
   measure_round_trip();
+  return Observation::kTaken;
+}
+
+bool TimeMapper::is_early(const Point& added) const noexcept {
+  const double delay_s = added.y_s - line_at(added.x_s);
+  return delay_s < -(kEarlySigmas * sigma_at(added.x_s) + kEarlyMargin_s);
+}
+
+bool TimeMapper::completes_early_run(const Point& added) noexcept {
+  const double by_s = line_at(added.x_s) - added.y_s;
+  const double host_s = added.x_s + added.y_s;
+  if (early_messages_++ == 0) early_since_s_ = host_s;
+  if (early_messages_ == 1 || std::abs(by_s - early_by_s_) > kAgree_s) {
+    early_by_s_ = by_s;
+    early_alike_ = 0;
+  }
+  ++early_alike_;
+  // Where few were taken, the first of them may be the wrong ones.
+  return early_alike_ >= taken_ ||
+         (early_messages_ >= kJumpMessages && host_s - early_since_s_ >= kJumpDuration_s);
 }
 
 void TimeMapper::observe_request(std::int64_t ticks, double sent_s) noexcept {
@@ -110,6 +136,8 @@ void TimeMapper::start(std::int64_t ticks, double sent_s) noexcept {
   first_ = 0;
   size_ = 0;
   late_messages_ = 0;
+  early_messages_ = 0;
+  taken_ = 1;
   last_stamp_.reset();
   request_count_ = 0;
   round_trip_s_.reset();

@@ -13,6 +13,10 @@
 // points and the line from above is what both ways together delay at least. Half of it is taken off (as NTP
 // does, at the least round trip): right where both ways delay alike, off by half of what they differ by, and
 // by no more than that half itself.
+//
+// A message below the line by more than its fluctuation is early: no delay makes that. One early message has
+// a wrong counter; it is left out and moves nothing. Only some in a row that agree with each other show that
+// a clock was set.
 #pragma once
 
 #include <array>
@@ -35,6 +39,14 @@ struct TimeMapperCounters {
   std::uint32_t observations = 0;
   std::uint32_t counter_restarts = 0;  // the counter fell back: the other side was restarted
   std::uint32_t host_jumps = 0;        // arrivals no longer fit the counter: one of the clocks was set
+  std::uint32_t early = 0;             // left out
+};
+
+// What became of a message.
+enum class Observation : std::uint8_t {
+  kTaken,
+  kEarly,      // left out: its counter is ahead of the line
+  kRestarted,  // the fit starts again with it
 };
 
 // Memory is fixed, nothing is allocated, no clock is read. Deterministic.
@@ -48,6 +60,7 @@ class TimeMapper {
   static constexpr double kJumpDelay_s = 0.020;   // arrivals later than this ...
   static constexpr double kJumpDuration_s = 2.0;  // ... all of them, for so long, are a jump and no jitter
   static constexpr std::uint32_t kJumpMessages = 8;
+  static constexpr double kAgree_s = 0.010;         // early messages of one set clock differ by no more
   static constexpr std::size_t kRequests = 32;      // the last ones count ...
   static constexpr double kRequestWindow_s = 60.0;  // ... for so long
 
@@ -55,9 +68,10 @@ class TimeMapper {
   explicit TimeMapper(double ticks_per_second) noexcept : ticks_per_second_(ticks_per_second) {}
 
   // A message that was handed to the link at `ticks` has arrived at `arrival_s` of the host's clock, of which
-  // its transmission took `transmission_s`. A counter that falls back, and arrivals that fit no longer, start
-  // the fit anew.
-  void observe(std::int64_t ticks, double arrival_s, double transmission_s) noexcept;
+  // its transmission took `transmission_s`. A counter that falls back, and arrivals that no longer fit, start
+  // the fit again. kJumpMessages early ones in a row that agree do so, fewer while fewer were taken; or early
+  // ones alone for kJumpDuration_s.
+  Observation observe(std::int64_t ticks, double arrival_s, double transmission_s) noexcept;
 
   // A request that had left this host, its transmission included, at `sent_s` was there when the counter
   // showed `ticks`. Without effect before the first message.
@@ -103,6 +117,9 @@ class TimeMapper {
   void start(std::int64_t ticks, double sent_s) noexcept;
   void insert(const Point& added) noexcept;
   void fit() noexcept;
+  [[nodiscard]] bool is_early(const Point& added) const noexcept;
+  // Whether the early message completes a run that shows a set clock.
+  [[nodiscard]] bool completes_early_run(const Point& added) noexcept;
   [[nodiscard]] bool arrives_late_for_long(const Point& added) noexcept;
   void measure_round_trip() noexcept;
   [[nodiscard]] double shared_delay_s() const noexcept { return 0.5 * round_trip_s_.value_or(0.0); }
@@ -129,6 +146,12 @@ class TimeMapper {
 
   std::uint32_t late_messages_ = 0;  // in a row
   Point late_since_;
+
+  std::uint32_t taken_ = 0;           // since the fit started
+  std::uint32_t early_messages_ = 0;  // in a row
+  std::uint32_t early_alike_ = 0;     // the last ones of these, which agree
+  double early_by_s_ = 0.0;           // of the first of those
+  double early_since_s_ = 0.0;        // host time, since reference_s_
 
   std::optional<Stamp> last_stamp_;
   std::uint32_t epoch_ = 0;

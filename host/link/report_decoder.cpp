@@ -113,7 +113,12 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
   }
   count_lost(report);
   const auto ticks = static_cast<std::int64_t>(report.device_time_dtu);
-  time_.observe(ticks, arrival_s, transmission_s(frames_.encoded_size()));
+  const double transmitted_s = transmission_s(frames_.encoded_size());
+  // The instants of its ranges are as wrong as its own.
+  if (time_.observe(ticks, arrival_s, transmitted_s) == clock::Observation::kEarly) {
+    counters_.ranges_bad_instant += report.ranges_count;
+    return;
+  }
 
   for (pb_size_t i = 0; i < report.ranges_count; ++i) {
     const groma_Range& range = report.ranges[i];

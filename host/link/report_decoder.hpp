@@ -54,9 +54,10 @@ struct ReportCounters {
   std::uint64_t ranges = 0;                // delivered
   std::uint64_t ranges_not_ok = 0;         // with another status than RANGE_OK
   std::uint64_t ranges_out_of_bounds = 0;  // not finite, or not within (0, kMaxRange_m]
-  std::uint64_t ranges_bad_instant = 0;    // further from their report than kMaxInstantOffset_s
-  std::uint64_t time_replies = 0;          // to time_request()
-  std::uint64_t time_replies_odd = 0;      // to none of this host's clock, or after more than kMaxRoundTrip_s
+  // Further from their report than kMaxInstantOffset_s, or of a report whose own time is early.
+  std::uint64_t ranges_bad_instant = 0;
+  std::uint64_t time_replies = 0;      // to time_request()
+  std::uint64_t time_replies_odd = 0;  // to none of this host's clock, or after more than kMaxRoundTrip_s
 };
 
 // A frame that asks a node for its time, as it is handed to the link at now_s (from 0) of the clock that

@@ -200,6 +200,53 @@ TEST(TimeMapper, FindsASetClockAndFollowsIt) {
   }
 }
 
+TEST(TimeMapper, LeavesASingleEarlyMessageOut) {
+  for (const double early_s : {0.05, 0.3, 0.95, 10.0, 100.0}) {
+    Random random(12);
+    TimeMapper mapper(kDeviceTicksPerSecond);
+    Node node{.skew = 20e-6};
+    run(mapper, node, random, 1001.0, 1010.0, [](double, const HostInstant&) {});
+    const std::uint32_t epoch = mapper.epoch();
+    for (double t_s = 1010.0; t_s < 1030.0; t_s += kPeriod_s) {
+      const bool odd = std::fmod(t_s, 5.0) < kPeriod_s;
+      if (odd) {
+        EXPECT_EQ(mapper.observe(node.ticks(t_s + early_s), t_s, 0.0), Observation::kEarly) << early_s;
+      }
+      EXPECT_EQ(mapper.observe(node.ticks(t_s), node.arrival(t_s, random), 0.0), Observation::kTaken);
+      EXPECT_NEAR(mapper.to_host(node.ticks(t_s))->t_s, t_s, 2e-3) << early_s;
+    }
+    EXPECT_EQ(mapper.epoch(), epoch);
+    EXPECT_EQ(mapper.counters().counter_restarts, 0U);
+    EXPECT_EQ(mapper.counters().host_jumps, 0U);
+    EXPECT_GE(mapper.counters().early, 4U);
+  }
+}
+
+TEST(TimeMapper, FollowsEarlyMessagesOnceEnoughOfThemAgree) {
+  TimeMapper mapper(kDeviceTicksPerSecond);
+  const Node node{};
+  double t_s = 1001.0;
+  for (; t_s < 1010.0; t_s += kPeriod_s) mapper.observe(node.ticks(t_s), t_s, 0.0);
+  // They do not agree.
+  for (int i = 0; i < 20; ++i, t_s += kPeriod_s) {
+    EXPECT_EQ(mapper.observe(node.ticks(t_s + 0.1 + 0.02 * i), t_s, 0.0), Observation::kEarly);
+  }
+  EXPECT_EQ(mapper.observe(node.ticks(t_s), t_s, 0.0), Observation::kTaken);
+  for (std::uint32_t i = 1; i < TimeMapper::kJumpMessages; ++i, t_s += kPeriod_s) {
+    EXPECT_EQ(mapper.observe(node.ticks(t_s + 0.3), t_s, 0.0), Observation::kEarly);
+  }
+  EXPECT_EQ(mapper.observe(node.ticks(t_s + 0.3), t_s, 0.0), Observation::kRestarted);
+  EXPECT_NEAR(mapper.to_host(node.ticks(t_s + 0.3))->t_s, t_s, 1e-6);
+}
+
+TEST(TimeMapper, AFirstMessageThatIsLateDoesNotHoldUpTheNext) {
+  TimeMapper mapper(kDeviceTicksPerSecond);
+  const Node node{};
+  mapper.observe(node.ticks(1001.0), 1003.0, 0.0);
+  EXPECT_EQ(mapper.observe(node.ticks(1003.0), 1003.0, 0.0), Observation::kRestarted);
+  EXPECT_NEAR(mapper.to_host(node.ticks(1003.0))->t_s, 1003.0, 1e-6);
+}
+
 TEST(TimeMapper, TakesAStalledReaderForNoJump) {
   Random random(9);
   TimeMapper mapper(kDeviceTicksPerSecond);
