@@ -498,22 +498,29 @@ Estimate Filter::estimate() const noexcept {
 }
 
 Estimate Filter::predict(std::span<const MotionInput> ahead) const noexcept {
-  MotionState then = now_;
-  CoreCovariance covariance(now_.covariance.core(), now_.covariance.ground_cross(),
-                            now_.covariance.ground_variances());
-  DeadReckoning<CoreCovariance> motion(surface_, config_, slow_time_s_, now_.gate, then, covariance);
-  for (const MotionInput& input : ahead) {
-    if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
-      if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) continue;
-      if (row->t_s > then.t_s) motion.advance_to(row->t_s);
-      motion.hold(*row);
-    } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
-      if (!std::isfinite(rate->omega_radps) || !(rate->t_s >= then.t_s)) continue;
-      if (rate->t_s > then.t_s) motion.advance_to(rate->t_s);
-      motion.turn(*rate);
-    }
+  Prediction then = prediction();
+  for (const MotionInput& input : ahead) carry(then, input);
+  return estimate(then);
+}
+
+Filter::Prediction Filter::prediction() const noexcept {
+  return {now_, CoreCovariance(now_.covariance.core(), now_.covariance.ground_cross(),
+                               now_.covariance.ground_variances())};
+}
+
+void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
+  MotionState& then = prediction.motion;
+  DeadReckoning<CoreCovariance> motion(surface_, config_, slow_time_s_, now_.gate, then,
+                                       prediction.covariance);
+  if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
+    if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) return;
+    if (row->t_s > then.t_s) motion.advance_to(row->t_s);
+    motion.hold(*row);
+  } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
+    if (!std::isfinite(rate->omega_radps) || !(rate->t_s >= then.t_s)) return;
+    if (rate->t_s > then.t_s) motion.advance_to(rate->t_s);
+    motion.turn(*rate);
   }
-  return estimate_of(then, covariance);
 }
 
 template <class Covariance>

@@ -20,6 +20,7 @@
 #include <Eigen/Core>
 
 #include "host/filter/config.hpp"
+#include "host/filter/core_covariance.hpp"
 #include "host/filter/core_measurement.hpp"
 #include "host/filter/dead_reckoning.hpp"
 #include "host/filter/gate.hpp"
@@ -191,6 +192,16 @@ class Filter {
   // given to process() in turn; the filter stays as it is. Inputs that it would refuse are passed over. For a
   // filter that has started.
   [[nodiscard]] Estimate predict(std::span<const MotionInput> ahead) const noexcept;
+  // The same step by step: the state as it is now, carried on by one input after the other.
+  struct Prediction {
+    MotionState motion;
+    CoreCovariance covariance;
+  };
+  [[nodiscard]] Prediction prediction() const noexcept;
+  void carry(Prediction& prediction, const MotionInput& input) const noexcept;
+  [[nodiscard]] Estimate estimate(const Prediction& prediction) const noexcept {
+    return estimate_of(prediction.motion, prediction.covariance);
+  }
   // Beyond what the surface tells of: what it tells there is a guess.
   [[nodiscard]] bool is_off_surface() const noexcept {
     return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
