@@ -56,9 +56,11 @@ std::string_view reason_name(Reason reason) noexcept {
     case Reason::kUncertain:
       return "uncertain";
     case Reason::kOffSurface:
+      return "off-surface";
+    case Reason::kOdometryTimes:
       break;
   }
-  return "off-surface";
+  return "odometry-times";
 }
 
 Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
@@ -77,6 +79,7 @@ bool Tracker::start(const Start& start, State state) noexcept {
   if (!filter_.start(start)) return false;
   state_ = state;
   reason_ = Reason::kNone;
+  proven_ = state == State::kTracking;
   newest_s_ = std::max(newest_s_, start.t_s);
   last_used_s_ = newest_s_;
   judge_anew();
@@ -87,6 +90,7 @@ void Tracker::resume(const Tracker& other) noexcept {
   filter_.resume(other.filter_);
   state_ = other.state_;
   reason_ = other.reason_;
+  proven_ = other.proven_;
   newest_s_ = other.newest_s_;
   last_row_s_ = other.last_row_s_;
   last_used_s_ = other.last_used_s_;
@@ -110,6 +114,8 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
   search_.process(row);
   newest_s_ = std::max(newest_s_, row.t_s);
+  // What went on meanwhile is a guess, which the ranges have to confirm as they do a start.
+  if (row.t_s - last_row_s_ > config_.silent_s && last_row_s_ != kNotYet_s) prove_again(true);
   last_row_s_ = std::max(last_row_s_, row.t_s);
   assess();
   return outcome;
@@ -170,8 +176,11 @@ void Tracker::set_back(double t_s) noexcept {
     tag.last_s = kNotYet_s;
     tag.heard = false;
   }
-  if (!known) return;
   // The robot is about where it was, though nobody knows how long ago that was.
+  if (known) start_near(before, t_s);
+}
+
+void Tracker::start_near(const Estimate& before, double t_s) noexcept {
   const Eigen::Matrix3d& covariance = before.covariance;
   start({.t_s = t_s,
          .pose = before.pose,
@@ -202,15 +211,33 @@ void Tracker::watch(const model::RangeSample& range, const RangeResult& result) 
   if (!disagrees) disagrees_since_s_ = kNotNow;
 }
 
+void Tracker::prove_again(bool widens) noexcept {
+  proven_ = false;
+  agrees_since_s_ = kNotNow;
+  if (state_ != State::kTracking && state_ != State::kDegraded) return;
+  state_ = State::kConverging;
+  if (!widens) return judge_anew();
+  const Estimate now = filter_.estimate();
+  if (!config_.relocates || largest_variance(now.covariance) < square(config_.unknown_sigma_m)) {
+    return start_near(now, now.t_s);
+  }
+  // As good as nothing is known of it: ranges linearized there would mislead.
+  filter_.stop();
+  search_.clear();
+  state_ = State::kUninitialized;
+  reason_ = Reason::kNone;
+}
+
+bool Tracker::is_certain(const Eigen::Matrix3d& covariance) const noexcept {
+  return largest_variance(covariance) < square(config_.position_sigma_m) &&
+         covariance(2, 2) < square(config_.heading_sigma_rad);
+}
+
 Reason Tracker::find_reason() const noexcept {
   if (!std::isnan(disagrees_since_s_)) return Reason::kRangesDisagree;
   if (newest_s_ - last_used_s_ > config_.silent_s) return Reason::kNoRanges;
   if (newest_s_ - last_row_s_ > config_.silent_s) return Reason::kNoOdometry;
-  const Eigen::Matrix3d& covariance = filter_.filter().covariance().core().topLeftCorner<3, 3>();
-  if (!(largest_variance(covariance) < square(config_.position_sigma_m)) ||
-      !(covariance(2, 2) < square(config_.heading_sigma_rad))) {
-    return Reason::kUncertain;
-  }
+  if (!is_certain(filter_.filter().covariance().core().topLeftCorner<3, 3>())) return Reason::kUncertain;
   for (const TagWatch& tag : std::span(tags_).first(tag_count_)) {
     if (tag.heard && newest_s_ - tag.last_s > config_.tag_silent_s) return Reason::kTagSilent;
   }
@@ -233,13 +260,20 @@ void Tracker::assess() noexcept {
       agrees_since_s_ = newest_s_;
     }
     const bool agreed = newest_s_ - agrees_since_s_ >= config_.agree_s;
-    if (agreed && reason_ != Reason::kUncertain) state_ = State::kTracking;
+    if (agreed && reason_ != Reason::kUncertain) {
+      state_ = State::kTracking;
+      proven_ = true;
+    }
     if (reason_ == Reason::kNoRanges) state_ = State::kDegraded;
   }
-  if (state_ == State::kTracking || state_ == State::kDegraded)
-    state_ = reason_ == Reason::kNone ? State::kTracking : State::kDegraded;
+  if (state_ == State::kTracking || state_ == State::kDegraded) {
+    const State good = proven_ ? State::kTracking : State::kConverging;
+    state_ = reason_ == Reason::kNone ? good : State::kDegraded;
+    if (state_ == State::kConverging) agrees_since_s_ = kNotNow;
+  }
   if (state_ == State::kLost && !disagrees) {
     state_ = State::kConverging;
+    proven_ = false;
     agrees_since_s_ = kNotNow;
   }
   // Walls may hide most anchors for a while, and what passes them agrees with a place some way off.

@@ -3,6 +3,7 @@
 //
 //   UNINITIALIZED --ranges--> CONVERGING --one hypothesis, ranges agree--> TRACKING
 //   TRACKING <--> DEGRADED (with a reason) --> LOST --another place found--> CONVERGING
+//   DEGRADED (no-odometry) --odometry, ranges agree--> TRACKING, by way of CONVERGING
 //
 // No clock, no allocation after construction. Inputs may come late as OrderedFilter allows.
 #pragma once
@@ -42,11 +43,13 @@ enum class Reason : std::uint8_t {
   kTagSilent,       // a tag that ranged gives no ranges, while others do
   kUncertain,       // the covariance is too large
   kOffSurface,      // beyond what the surface tells of
+  kOdometryTimes,   // odometry's timestamps are wrong or late; given by the daemon, not by Tracker
 };
 
 // "UNINITIALIZED", "CONVERGING", "TRACKING", "DEGRADED", "LOST".
 [[nodiscard]] std::string_view state_name(State state) noexcept;
-// "", "no-ranges", "ranges-disagree", "no-odometry", "tag-silent", "uncertain", "off-surface".
+// "", "no-ranges", "ranges-disagree", "no-odometry", "tag-silent", "uncertain", "off-surface",
+// "odometry-times".
 [[nodiscard]] std::string_view reason_name(Reason reason) noexcept;
 
 struct TrackerConfig {
@@ -63,6 +66,7 @@ struct TrackerConfig {
   double floor_share = 0.1;
   double position_sigma_m = 1.0;  // from which the pose is uncertain
   double heading_sigma_rad = 0.3;
+  double unknown_sigma_m = 3.0;  // from which, after a pause of odometry, the pose is searched for
   // A hypothesis is another place from so many sigmas and so much likelier, ln of the odds, by cautious cost:
   // of all places that the robot may have been carried to, that one is one of some ten thousand.
   double other_sigmas = 5.0;
@@ -76,7 +80,8 @@ struct TrackerConfig {
   std::size_t clock_step_inputs = 5;
   // Whether another pose than the one told is looked for at all; without, it waits for a start.
   bool relocates = true;
-  // Where the clock was set back the robot is within this of where it was.
+  // Where the clock was set back, or odometry paused, the robot is within this of where it was, beside what
+  // the covariance of its pose has.
   double set_back_position_m = 0.5;
   double set_back_heading_rad = 0.2;
 };
@@ -93,6 +98,9 @@ class Tracker {
   // Goes on where another one is that has started, by another calibration, in its state; see Filter. How well
   // ranges agree is judged anew.
   void resume(const Tracker& other) noexcept;
+  // The pose goes on, but is not tracked until the ranges have agreed with it again, as after a start.
+  // widens: what moved it may have been wrong, so it is known less well.
+  void prove_again(bool widens) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   SensorResult process(const model::YawRateSample& sample) noexcept { return process_sensor(sample); }
@@ -103,6 +111,10 @@ class Tracker {
 
   [[nodiscard]] State state() const noexcept { return state_; }
   [[nodiscard]] Reason reason() const noexcept { return reason_; }
+  // Whether a pose with that covariance (of x_m, y_m, theta_rad) is not `uncertain`.
+  [[nodiscard]] bool is_certain(const Eigen::Matrix3d& covariance) const noexcept;
+  // Of the newest odometry that was processed; -infinity before any.
+  [[nodiscard]] double last_odometry_s() const noexcept { return last_row_s_; }
   // Whether there is an estimate; it is to be used in the states TRACKING and DEGRADED.
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
@@ -127,6 +139,8 @@ class Tracker {
   // False where the input is of a time that cannot be believed yet.
   bool believe(double t_s) noexcept;
   void set_back(double t_s) noexcept;
+  // Begins where it was, known less well.
+  void start_near(const Estimate& before, double t_s) noexcept;
   void watch(const model::RangeSample& range, const RangeResult& result) noexcept;
   void assess() noexcept;
   void search_when_due() noexcept;
@@ -154,6 +168,7 @@ class Tracker {
   double last_search_s_ = -std::numeric_limits<double>::infinity();
   double disagrees_since_s_ = std::numeric_limits<double>::quiet_NaN();  // NaN: ranges agree
   double agrees_since_s_ = std::numeric_limits<double>::quiet_NaN();     // NaN: tracked, or not begun
+  bool proven_ = false;  // the ranges have agreed for agree_s since the start, or since odometry paused
   double judged_s_ = 0.0;
   double refused_ = 0.0;  // fading sums over window_s
   double judged_ = 0.0;

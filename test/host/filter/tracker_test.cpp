@@ -183,6 +183,35 @@ TEST_P(TrackerTest, SaysThatRangesAreLostAndComesBack) {
   EXPECT_FALSE(lied());
 }
 
+// Of the rows none come for a while; ranges go on, or pause too.
+TEST_P(TrackerTest, AfterAPauseOfOdometryTheRangesAgreeBeforeItTracks) {
+  for (const bool ranges : {true, false}) {
+    SCOPED_TRACE(ranges);
+    moments_.clear();
+    elapsed_s_ = 0.0;
+    Config config;
+    config.odometry = {0.03, 0.03, 0.01};
+    tracker_ = std::make_unique<Tracker>(surface_, testing::three_tags(), calibration_, config);
+    tracker_->start({.t_s = 0.0, .pose = kHere});
+    testing::Drive paused = drive(kHere, {.duration_s = 40.0, .range_s = 0.01});
+    const auto in_pause = [](double t_s) { return t_s >= 20.0 && t_s < 25.0; };
+    testing::Drive left = paused;
+    left.odometry.clear();
+    left.truth.clear();
+    for (std::size_t i = 0; i < paused.odometry.size(); ++i) {
+      if (in_pause(paused.odometry[i].t_s)) continue;
+      left.odometry.push_back(paused.odometry[i]);
+      left.truth.push_back(paused.truth[i]);
+    }
+    run(left, 0.0, [&](const model::RangeSample& range) { return ranges || !in_pause(range.t_s); });
+    // The first inputs after such a jump in time are not taken yet, and change nothing.
+    EXPECT_FALSE(was(State::kTracking, 25.04, 25.5));
+    EXPECT_LT(tracks_from_s(), 35.0);
+    EXPECT_FALSE(lied());
+    EXPECT_LT(moments_.back().error_m, 0.5);
+  }
+}
+
 TEST_P(TrackerTest, SaysThatATagIsSilentAndGoesOn) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   run(drive(kHere), 0.0, [](const model::RangeSample& range) {
