@@ -341,7 +341,11 @@ std::string_view Daemon::state() const {
   if (solution_.valid()) return "CALIBRATING";
   if (!localizer_) return "CALIBRATION_DRIVE";
   if (!localizer_->started()) return filter::state_name(localizer_->state());
-  if (!pose_state_ || now_s() - last_pose_s_ > kStatusPeriod_s) return "WAITING_FOR_ODOMETRY";
+  if (!pose_state_ || now_s() - last_pose_s_ > kStatusPeriod_s) {
+    const auto fault = session_.timestamp_fault(now_s());
+    const bool comes = fault && now_s() - fault->last_s < kStatusPeriod_s;
+    return comes ? "ODOMETRY_TIMES_WRONG" : "WAITING_FOR_ODOMETRY";
+  }
   return filter::state_name(pose_state_->first);
 }
 
@@ -352,8 +356,15 @@ Status Daemon::status() const {
   status.odometry = counters.odometry;
   status.ranges = counters.ranges;
   status.frames_lost = session_.frames_lost();
-  status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.robot_time_wrong +
-                   counters.without_odometry + session_.robot_counters().dropped();
+  status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.sensors_out_of_order +
+                   counters.robot_time_wrong + counters.robot_time_early + counters.without_odometry +
+                   session_.robot_counters().dropped();
+  if (const auto fault = session_.timestamp_fault(now_s())) {
+    status.diagnosis.push_back({.cause = cause_name(fault->cause),
+                                .evidence = evidence(*fault),
+                                .remedy = std::string(remedy(*fault)),
+                                .value = fault->value});
+  }
   for (std::size_t i = 0; i < session_.node_count(); ++i) {
     const link::ReportCounters& node = session_.node(i).decoder().counters();
     status.dropped +=

@@ -1,6 +1,7 @@
 #include "host/daemon/localizer.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <span>
@@ -53,65 +54,116 @@ Localizer::Localizer(Setup setup, OnPose on_pose, OnPose on_settled)
 
 void Localizer::adopt(model::Calibration calibration) {
   setup_.calibration = std::move(calibration);
+  prediction_.reset();
   const std::unique_ptr<filter::Tracker> before = std::move(tracker_);
   renew();
   if (before->started()) tracker_->resume(*before);
 }
 
 void Localizer::start(const filter::Start& start) {
+  begin(in_own_time(start));
+}
+
+void Localizer::begin(const filter::Start& start) {
+  prediction_.reset();
   tracker_->start(start);
 }
 
-void Localizer::on_odometry(const model::OdometrySample& row) {
+void Localizer::on_odometry(const model::OdometrySample& sample) {
+  const model::OdometrySample row = in_own_time(sample);
   arrived(row);
   const filter::OdometryOutcome outcome = tracker_->process(row);
   const bool has_waited = row.t_s <= last_row_s_;
-  last_row_s_ = std::max(last_row_s_, row.t_s);
+  came_in(row.t_s);
   if (!tracker_->started() || outcome != filter::OdometryOutcome::kUsed) return;
   if (!has_waited) on_pose_(pose_of(tracker_->filter().row_estimate()));
   if (on_settled_) on_settled_(pose_of(tracker_->estimate()));
 }
 
-void Localizer::on_odometry_ahead(const model::OdometrySample& row) {
+void Localizer::on_odometry_ahead(const model::OdometrySample& sample) {
+  const model::OdometrySample row = in_own_time(sample);
   const auto end = await(row);
-  last_row_s_ = std::max(last_row_s_, row.t_s);
-  if (tracker_->started()) on_pose_(pose_of(filter().predict({ahead_.cbegin(), end})));
+  came_in(row.t_s);
+  if (tracker_->started()) on_pose_(pose_of(predict(row.t_s, end)));
+}
+
+filter::Estimate Localizer::predict(double t_s, Ahead::const_iterator end) {
+  auto next = ahead_.cbegin();
+  if (prediction_ && t_s - predicted_since_s_ < kPredictionLasts_s) {
+    next = std::upper_bound(next, end, carried_, comes_before);
+  } else {
+    prediction_ = filter().prediction();
+    predicted_since_s_ = t_s;
+  }
+  for (; next != end; ++next) filter().carry(*prediction_, *next);
+  carried_ = *std::prev(end);
+  return filter().estimate(*prediction_);
+}
+
+void Localizer::came_in(double t_s) noexcept {
+  if (last_row_s_ != kNothingYet_s && t_s - last_row_s_ > setup_.tracker.silent_s) paused_until_s_ = t_s;
+  last_row_s_ = std::max(last_row_s_, t_s);
 }
 
 void Localizer::on_range(const model::RangeSample& range) {
-  tracker_->process(range);
+  tracker_->process(in_own_time(range));
 }
 
-void Localizer::on_pose_prior(const model::PoseSample& pose) {
+void Localizer::on_pose_prior(const model::PoseSample& sample) {
   if (tracker_->started()) return;
-  if (const auto prior = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface))
-    start(*prior);
+  const model::PoseSample pose = in_own_time(sample);
+  const auto prior = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface);
+  if (prior) begin(*prior);
 }
 
 void Localizer::on_sensor(const model::SensorSample& sample) {
-  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) arrived(*rate);
-  std::visit([this](const auto& of) { tracker_->process(of); }, sample);
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) arrived(in_own_time(*rate));
+  std::visit([this](const auto& of) { tracker_->process(in_own_time(of)); }, sample);
 }
 
 void Localizer::on_sensor_ahead(const model::SensorSample& sample) {
-  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) await(*rate);
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) await(in_own_time(*rate));
 }
 
 void Localizer::on_clock_set() {
-  ahead_.clear();
-  last_row_s_ = kNothingYet_s;
+  forget_times();
   renew();
+}
+
+void Localizer::on_clock_step(double step_s, bool found_late) {
+  clock_s_ += step_s;
+  tracker_->prove_again(found_late);
+  prediction_.reset();
+}
+
+void Localizer::forget_times() noexcept {
+  ahead_.clear();
+  prediction_.reset();
+  clock_s_ = 0.0;
+  last_row_s_ = kNothingYet_s;
+  paused_until_s_ = kNothingYet_s;
 }
 
 PoseEstimate Localizer::pose_of(const filter::Estimate& estimate) const {
   PoseEstimate pose = pose_on(setup_.surface, estimate);
+  pose.t_s += clock_s_;
   pose.state = tracker_->state();
   pose.reason = tracker_->reason();
+  if (pose.state != filter::State::kTracking) return pose;
+  if (times_doubtful_) {
+    pose.reason = filter::Reason::kOdometryTimes;
+  } else if (tracker_->last_odometry_s() < paused_until_s_) {
+    pose.reason = filter::Reason::kNoOdometry;
+  } else if (!tracker_->is_certain(estimate.covariance)) {
+    pose.reason = filter::Reason::kUncertain;
+  }
+  if (pose.reason != filter::Reason::kNone) pose.state = filter::State::kDegraded;
   return pose;
 }
 
 Localizer::Ahead::const_iterator Localizer::await(const filter::MotionInput& input) {
   if (ahead_.size() == kMaxAhead) ahead_.erase(ahead_.begin());
+  if (prediction_ && comes_before(input, carried_)) prediction_.reset();
   const auto place = std::upper_bound(ahead_.begin(), ahead_.end(), input, comes_before);
   return ahead_.insert(place, input) + 1;
 }

@@ -8,7 +8,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
+#include <optional>
 #include <string_view>
 #include <vector>
 
@@ -60,11 +62,15 @@ class Localizer : public MeasurementSink {
 
   // Rows and yaw rates that are carried over; of more that wait the oldest are left out.
   static constexpr std::size_t kMaxAhead = 1024;
+  // A prediction is carried on from row to row for so long, then it begins at the filter's state again: what
+  // a row costs does not grow with their rate. At 50 Hz and below it begins there with each row.
+  static constexpr double kPredictionLasts_s = 0.018;
 
   // Once started, for each row of odometry:
   //   on_pose:     when it comes in, at its time, by the measurements that were passed on and by odometry and
-  //                yaw rates since. State and reason are those of the measurements that were passed on. Times
-  //                increase.
+  //                yaw rates since. State and reason are those of the measurements that were passed on, but
+  //                TRACKING only where this very pose is certain and its odometry neither paused nor is in
+  //                doubt. Times increase.
   //   on_settled:  when it is passed on and used, by all until then, at the time of the newest.
   Localizer(Setup setup, OnPose on_pose, OnPose on_settled = {});
 
@@ -74,13 +80,15 @@ class Localizer : public MeasurementSink {
   // Starts, or starts anew, at a known pose instead of the first pose prior.
   void start(const filter::Start& start);
 
-  void on_odometry(const model::OdometrySample& row) override;
+  void on_odometry(const model::OdometrySample& sample) override;
   void on_range(const model::RangeSample& range) override;
-  void on_pose_prior(const model::PoseSample& pose) override;
+  void on_pose_prior(const model::PoseSample& sample) override;
   void on_sensor(const model::SensorSample& sample) override;
-  void on_odometry_ahead(const model::OdometrySample& row) override;
+  void on_odometry_ahead(const model::OdometrySample& sample) override;
   void on_sensor_ahead(const model::SensorSample& sample) override;
-  void on_clock_set() override;  // begins anew
+  void on_clock_set() override;                                 // begins anew
+  void on_clock_step(double step_s, bool found_late) override;  // goes on, and proves its pose again
+  void on_odometry_times(bool doubtful) override { times_doubtful_ = doubtful; }
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
   [[nodiscard]] filter::State state() const noexcept { return tracker_->state(); }
@@ -89,8 +97,20 @@ class Localizer : public MeasurementSink {
  private:
   using Ahead = std::vector<filter::MotionInput>;
 
+  // The filter's own time goes on evenly while the robot's clock is set.
+  template <typename Sample>
+  [[nodiscard]] Sample in_own_time(Sample sample) const noexcept {
+    sample.t_s -= clock_s_;
+    return sample;
+  }
+  void begin(const filter::Start& start);
   void renew();
+  void forget_times() noexcept;
+  // A row of that time, late or not.
+  void came_in(double t_s) noexcept;
   [[nodiscard]] PoseEstimate pose_of(const filter::Estimate& estimate) const;
+  // The estimate at `end` of what waits, by the prediction kept or by a new one.
+  [[nodiscard]] filter::Estimate predict(double t_s, Ahead::const_iterator end);
   // Puts it in its place among what waits; returns the place behind it.
   Ahead::const_iterator await(const filter::MotionInput& input);
   // It was passed on, and with it all before it.
@@ -102,6 +122,12 @@ class Localizer : public MeasurementSink {
   std::unique_ptr<filter::Tracker> tracker_;
   Ahead ahead_;        // in order; never grows beyond what is reserved
   double last_row_s_;  // of the rows that came in
+  double paused_until_s_ = -std::numeric_limits<double>::infinity();  // the row that ended a pause
+  double clock_s_ = 0.0;                                              // the robot's time less the filter's
+  bool times_doubtful_ = false;
+  std::optional<filter::Filter::Prediction> prediction_;
+  double predicted_since_s_ = 0.0;  // the row that it began with
+  filter::MotionInput carried_;     // the last input that it has
 };
 
 }  // namespace groma::daemon

@@ -25,6 +25,12 @@ class MeasurementSink {
   virtual void on_sensor_ahead(const model::SensorSample& /*sample*/) {}
   // The robot's clock was set or the robot restarted: times before and after do not compare.
   virtual void on_clock_set() = 0;
+  // The robot's clock was set by no more than SessionConfig::max_clock_error_s: its times before, plus that
+  // step, are its times now. found_late: measurements with the new times were passed on before that.
+  virtual void on_clock_step(double /*step_s*/, bool /*found_late*/) { on_clock_set(); }
+  // Whether the times of odometry are in doubt from now on: its clock seems to have been set, or it arrives
+  // late.
+  virtual void on_odometry_times(bool /*doubtful*/) {}
 
  protected:
   MeasurementSink() = default;

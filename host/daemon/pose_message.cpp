@@ -66,13 +66,21 @@ std::string status_line(const Status& status) {
     links.push_back(Json{{"link", link.link},
                          {"round_trip_s", link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr)}});
   }
+  Json diagnosis = Json::array();
+  for (const StatusFault& fault : status.diagnosis) {
+    diagnosis.push_back(Json{{"cause", fault.cause},
+                             {"evidence", fault.evidence},
+                             {"remedy", fault.remedy},
+                             {"value", fault.value}});
+  }
   return line({{"class", "STATUS"},
                {"state", status.state},
                {"odometry", status.odometry},
                {"ranges", status.ranges},
                {"frames_lost", status.frames_lost},
                {"dropped", status.dropped},
-               {"links", std::move(links)}});
+               {"links", std::move(links)},
+               {"diagnosis", std::move(diagnosis)}});
 }
 
 }  // namespace groma::daemon

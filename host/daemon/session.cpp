@@ -10,15 +10,19 @@
 namespace groma::daemon {
 namespace {
 
-// The robot's clock as a counter.
-constexpr double kRobotTicksPerSecond = 1e9;
+// So long all odometry is dropped until the log says so.
+constexpr double kDropReported_s = 1.0;
+// That odometry is late is reported no more often.
+constexpr double kLateReported_s = 10.0;
 
-std::int64_t robot_ticks(double t_s) {
-  return std::llround(t_s * kRobotTicksPerSecond);
+template <typename Sample>
+void move_in_time(Sample& sample, double by_s) {
+  sample.t_s += by_s;
 }
-
-// Beyond this a t_s has no nanoseconds in 64 bits.
-constexpr double kMaxRobotTime_s = 9e9;
+template <typename... Samples>
+void move_in_time(std::variant<Samples...>& sample, double by_s) {
+  std::visit([by_s](auto& of) { move_in_time(of, by_s); }, sample);
+}
 
 template <typename... Handlers>
 struct Overloaded : Handlers... {
@@ -47,7 +51,9 @@ void Session::Node::on_log(const groma_Log& log) {
   session_.say(fmt::format("{}: {}", name_, log.text));
 }
 
-Session::Session(SessionConfig config) : config_(std::move(config)), robot_clock_(kRobotTicksPerSecond) {}
+Session::Session(SessionConfig config)
+    : config_(std::move(config)),
+      robot_clock_({.max_error_s = config_.max_clock_error_s, .set_after_s = config_.clock_set_after_s}) {}
 
 std::size_t Session::add_node(std::string name, unsigned baud) {
   nodes_.emplace_back(*this, std::move(name), baud);
@@ -56,6 +62,7 @@ std::size_t Session::add_node(std::string name, unsigned baud) {
 
 void Session::attach(MeasurementSink& sink) {
   sinks_.push_back(&sink);
+  if (times_doubtful_) sink.on_odometry_times(true);
 }
 
 void Session::detach(MeasurementSink& sink) {
@@ -94,6 +101,7 @@ void Session::advance(double now_s) {
   now_s_ = now_s;
   const auto robot_now_s = robot_time_s(now_s);
   if (!robot_now_s) return;
+  pass_merged(merger_.flush_until(*robot_now_s));
   const double until_s = *robot_now_s - config_.reorder_lag_s;
   while (!waiting_.empty() && waiting_.top().t_s <= until_s) {
     const Waiting next = waiting_.top();
@@ -104,6 +112,7 @@ void Session::advance(double now_s) {
 }
 
 void Session::flush() {
+  pass_merged(merger_.flush());
   while (!waiting_.empty()) {
     const Waiting next = waiting_.top();
     waiting_.pop();
@@ -112,10 +121,10 @@ void Session::flush() {
   }
 }
 
-std::optional<double> Session::robot_time_s(double host_s) const {
-  const auto ticks = robot_clock_.to_ticks(host_s);
-  if (!ticks) return std::nullopt;
-  return static_cast<double>(*ticks) / kRobotTicksPerSecond;
+std::optional<TimestampFault> Session::timestamp_fault(double now_s) const {
+  const auto& fault = robot_clock_.fault();
+  if (!fault || now_s - fault->last_s > kFaultShown_s) return std::nullopt;
+  return fault;
 }
 
 std::uint64_t Session::frames_lost() const noexcept {
@@ -137,51 +146,85 @@ bool Session::Later::operator()(const Waiting& a, const Waiting& b) const noexce
   return a.serial > b.serial;
 }
 
-bool Session::clock_is_wrong(double t_s, double now_s) {
-  if (std::abs(t_s) > kMaxRobotTime_s) return true;
-  const auto expected_s = robot_time_s(now_s);
-  return expected_s && std::abs(t_s - *expected_s) > config_.max_clock_error_s;
-}
-
 void Session::take(const model::OdometrySample& row, double now_s) {
-  if (clock_is_wrong(row.t_s, now_s)) {
-    if (!wrong_since_s_) wrong_since_s_ = now_s;
-    if (now_s - *wrong_since_s_ < config_.clock_set_after_s || std::abs(row.t_s) > kMaxRobotTime_s) {
-      ++counters_.robot_time_wrong;
-      return;
-    }
-    clock_was_set();
-  }
-  wrong_since_s_.reset();
+  const Timestamp timestamp = robot_clock_.judge(row.t_s, now_s);
+  if (timestamp == Timestamp::kSet) clock_was_set(now_s);
+  if (timestamp == Timestamp::kStepped) clock_stepped();
+  report_doubt();
+  if (timestamp == Timestamp::kWrong) return drop_odometry(counters_.robot_time_wrong, now_s);
+  if (timestamp == Timestamp::kEarly) return drop_odometry(counters_.robot_time_early, now_s);
+  if (timestamp == Timestamp::kFallenBack) return drop_odometry(counters_.odometry_out_of_order, now_s);
   if (last_odometry_s_ && row.t_s <= *last_odometry_s_) {
     ++counters_.odometry_out_of_order;
     return;
   }
+  dropped_since_s_.reset();
   last_odometry_s_ = row.t_s;
-  robot_clock_.observe(robot_ticks(row.t_s), now_s, 0.0);
-  enqueue(row.t_s, row);
+  const std::span<const model::OdometrySample> merged = merger_.take(row);
+  pass_merged(merged);
 }
 
-bool Session::accepts(double t_s, double now_s) {
+void Session::pass_merged(std::span<const model::OdometrySample> rows) {
+  for (const model::OdometrySample& row : rows) enqueue(row.t_s, row);
+  counters_.odometry_merged = merger_.merged();
+}
+
+// The 1st, 2nd, 4th, 8th ... sample that is dropped is reported, and that all are.
+void Session::drop_odometry(std::uint64_t& counter, double now_s) {
+  ++counter;
+  if (!dropped_since_s_) {
+    dropped_since_s_ = now_s;
+    drop_reported_ = false;
+  }
+  const auto fault = timestamp_fault(now_s);
+  // A repeated sample is dropped, and its clock is right.
+  if (!fault || fault->last_s != now_s) return;
+  const std::uint64_t before = timestamps_dropped_++;
+  const bool all = odometry_dropped_for_s(now_s) >= kDropReported_s && !drop_reported_;
+  if (!all && std::bit_width(before) == std::bit_width(timestamps_dropped_)) return;
+  drop_reported_ = drop_reported_ || all;
+  const std::string what =
+      all ? fmt::format("all odometry was dropped for {:.1f} s", kDropReported_s)
+          : fmt::format("{} odometry samples dropped so far for their t_s", timestamps_dropped_);
+  say(fmt::format("robot: {}: {}: {}; {}", what, cause_name(fault->cause), evidence(*fault), remedy(*fault)));
+}
+
+bool Session::accepts(SensorTimes& times, double t_s, double now_s) {
   const auto robot_now_s = robot_time_s(now_s);
   if (!robot_now_s) {
     ++counters_.without_odometry;
     return false;
   }
-  if (t_s - *robot_now_s > config_.max_clock_error_s) {
+  const double offset_s = t_s - *robot_now_s;
+  if (offset_s > config_.max_clock_error_s) {
     ++counters_.robot_time_wrong;
     return false;
   }
+  if (offset_s > RobotClock::kSlack_s) {
+    ++counters_.robot_time_early;
+    return false;
+  }
+  // As of odometry: one that falls back is wrong, and so are those after it that are late alike.
+  const bool falls_back = times.last_s && t_s <= *times.last_s;
+  if (falls_back) times.offset_s = offset_s;
+  if (times.offset_s && std::abs(offset_s - *times.offset_s) <= RobotClock::kConsistent_s) {
+    ++counters_.sensors_out_of_order;
+    return false;
+  }
+  times = {.last_s = std::min(t_s, *robot_now_s), .offset_s = std::nullopt};
   return true;
 }
 
 void Session::take(const model::PoseSample& pose, double now_s) {
-  if (accepts(pose.t_s, now_s)) enqueue(pose.t_s, pose);
+  if (accepts(pose_times_, pose.t_s, now_s)) enqueue(pose.t_s, pose);
 }
 
 void Session::take(const model::SensorSample& sample, double now_s) {
   const double t_s = model::time_of(sample);
-  if (accepts(t_s, now_s)) enqueue(t_s, sample);
+  // That the robot stands may be known of any time.
+  SensorTimes any;
+  const bool stands = std::holds_alternative<model::ZeroVelocitySample>(sample);
+  if (accepts(stands ? any : sensor_times_.at(sample.index()), t_s, now_s)) enqueue(t_s, sample);
 }
 
 void Session::take(model::RangeSample range) {
@@ -245,14 +288,55 @@ void Session::tell_ahead(const Sample& sample) {
   }
 }
 
-void Session::clock_was_set() {
+void Session::clock_was_set(double now_s) {
+  say(fmt::format("robot: its clock was set, or it restarted (clock-offset: {:.3f} s); starting again",
+                  timestamp_fault(now_s).value_or(TimestampFault{}).value));
+  forget_times();
+  for (MeasurementSink* sink : sinks_) sink->on_clock_set();
+}
+
+void Session::clock_stepped() {
+  const double step_s = robot_clock_.step_s();
+  say(fmt::format("robot: its clock was set {} by {:.3f} s (clock-offset)", step_s > 0.0 ? "forward" : "back",
+                  std::abs(step_s)));
   ++counters_.robot_clock_set;
-  say("robot: its clock was set, or it restarted; starting anew");
-  robot_clock_.reset();
+  for (MeasurementSink* sink : sinks_) sink->on_clock_step(step_s, robot_clock_.step_found_late());
+  // What waits is of the old clock.
+  const auto held = merger_.flush();
+  for (model::OdometrySample row : held) waiting_.push({row.t_s, serial_++, row});
+  merger_.reset();
+  std::vector<Waiting> all;
+  for (; !waiting_.empty(); waiting_.pop()) all.push_back(waiting_.top());
+  for (Waiting& one : all) {
+    one.t_s += step_s;
+    move_in_time(one.sample, step_s);
+    waiting_.push(one);
+  }
+  if (passed_until_s_) *passed_until_s_ += step_s;
+  if (last_odometry_s_) *last_odometry_s_ += step_s;
+  pose_times_ = {};
+  sensor_times_ = {};
+}
+
+void Session::forget_times() {
+  ++counters_.robot_clock_set;
   last_odometry_s_.reset();
   passed_until_s_.reset();
   waiting_ = {};
-  for (MeasurementSink* sink : sinks_) sink->on_clock_set();
+  merger_.reset();
+  pose_times_ = {};
+  sensor_times_ = {};
+}
+
+void Session::report_doubt() {
+  const bool doubtful = robot_clock_.suspected();
+  if (doubtful == times_doubtful_) return;
+  times_doubtful_ = doubtful;
+  if (doubtful && robot_clock_.is_late() && now_s_ >= next_late_report_s_) {
+    next_late_report_s_ = now_s_ + kLateReported_s;
+    say(fmt::format("robot: odometry arrives {:.2f} s late; poses are degraded", robot_clock_.lateness_s()));
+  }
+  for (MeasurementSink* sink : sinks_) sink->on_odometry_times(doubtful);
 }
 
 void Session::say(std::string_view text) const {

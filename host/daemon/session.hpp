@@ -10,13 +10,16 @@
 //
 // Three clocks meet here: each node's counter, the host's (now_s: monotonic, any origin) and the robot's. The
 // robot's is the base of everything that comes out: a node's counter is related to the host's clock, and that
-// to the t_s of the robot's odometry, each by the messages with the least delay.
+// to the t_s of the robot's odometry, each by the messages with the least delay. What a single wrong
+// timestamp costs is its own message: see RobotClock.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <queue>
 #include <span>
@@ -25,8 +28,9 @@
 #include <variant>
 #include <vector>
 
-#include "host/clock/time_mapper.hpp"
 #include "host/daemon/measurement_sink.hpp"
+#include "host/daemon/odometry_merger.hpp"
+#include "host/daemon/robot_clock.hpp"
 #include "host/daemon/robot_input.hpp"
 #include "host/link/report_decoder.hpp"
 #include "host/model/types.hpp"
@@ -55,8 +59,11 @@ struct SessionCounters {
   std::uint64_t sensors = 0;                // of other sensors
   std::uint64_t passed_late = 0;            // of those, out of order
   std::uint64_t dropped_late = 0;           // more than max_lateness_s behind
-  std::uint64_t odometry_out_of_order = 0;  // not newer than the row before: dropped
+  std::uint64_t odometry_out_of_order = 0;  // not newer than the row before, or fallen back: dropped
+  std::uint64_t odometry_merged = 0;        // rows that came too fast: into one with others
+  std::uint64_t sensors_out_of_order = 0;   // poses, too: fallen back, and dropped
   std::uint64_t robot_time_wrong = 0;       // dropped
+  std::uint64_t robot_time_early = 0;       // dropped
   std::uint64_t robot_clock_set = 0;        // times
   std::uint64_t without_odometry = 0;   // what else came before the first row told the robot's time: dropped
   std::uint64_t waiting_overflows = 0;  // went out before their wait was over
@@ -121,7 +128,16 @@ class Session {
   void flush();
 
   // The robot's time at a time of the host; nothing before its first odometry.
-  [[nodiscard]] std::optional<double> robot_time_s(double host_s) const;
+  [[nodiscard]] std::optional<double> robot_time_s(double host_s) const {
+    return robot_clock_.robot_time_s(host_s);
+  }
+  // What was wrong with the robot's timestamps within kFaultShown_s; and for how long all odometry has been
+  // dropped for that, 0 where some was taken.
+  static constexpr double kFaultShown_s = 10.0;
+  [[nodiscard]] std::optional<TimestampFault> timestamp_fault(double now_s) const;
+  [[nodiscard]] double odometry_dropped_for_s(double now_s) const {
+    return dropped_since_s_ ? now_s - *dropped_since_s_ : 0.0;
+  }
 
   [[nodiscard]] std::size_t node_count() const noexcept { return nodes_.size(); }
   [[nodiscard]] const Node& node(std::size_t index) const { return nodes_.at(index); }
@@ -144,28 +160,46 @@ class Session {
     bool operator()(const Waiting& a, const Waiting& b) const noexcept;
   };
 
+  // Of one kind of message beside odometry.
+  struct SensorTimes {
+    std::optional<double> last_s;    // robot time
+    std::optional<double> offset_s;  // of the last one that fell back
+  };
+
   void take(const model::OdometrySample& row, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(const model::SensorSample& sample, double now_s);
   void take(model::RangeSample range);
   // Whether a pose or a sensor's sample of that time is taken; counts why not.
-  [[nodiscard]] bool accepts(double t_s, double now_s);
+  [[nodiscard]] bool accepts(SensorTimes& times, double t_s, double now_s);
   // Puts a sample in its place among those that wait, or passes it on if that place is gone. The robot's time
   // is known.
   void enqueue(double t_s, const Sample& sample);
   void deliver(const Sample& sample);
   void tell_ahead(const Sample& sample);
-  void clock_was_set();
-  [[nodiscard]] bool clock_is_wrong(double t_s, double now_s);
+  void pass_merged(std::span<const model::OdometrySample> rows);
+  void drop_odometry(std::uint64_t& counter, double now_s);
+  // What waits and what was seen of the old clock is forgotten; after a step it is taken over.
+  void clock_was_set(double now_s);
+  void clock_stepped();
+  void forget_times();
+  void report_doubt();
   void say(std::string_view text) const;
 
   SessionConfig config_;
   std::deque<Node> nodes_;
   RobotInput robot_;
   std::uint64_t robot_lines_dropped_ = 0;  // that were told of
-  clock::TimeMapper robot_clock_;
+  RobotClock robot_clock_;
+  OdometryMerger merger_;
   std::optional<double> last_odometry_s_;
-  std::optional<double> wrong_since_s_;  // host time
+  SensorTimes pose_times_;
+  std::array<SensorTimes, std::variant_size_v<model::SensorSample>> sensor_times_{};
+  bool times_doubtful_ = false;            // as reported
+  std::uint64_t timestamps_dropped_ = 0;   // of odometry
+  std::optional<double> dropped_since_s_;  // host time, without one taken since
+  bool drop_reported_ = false;
+  double next_late_report_s_ = -std::numeric_limits<double>::infinity();  // host time
   std::priority_queue<Waiting, std::vector<Waiting>, Later> waiting_;
   std::uint64_t serial_ = 0;
   double now_s_ = 0.0;

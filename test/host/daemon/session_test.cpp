@@ -266,7 +266,7 @@ TEST(Session, TellsOfBadRobotLinesWithoutFillingTheLog) {
 
 TEST(Session, HoldsNoMoreThanItsBound) {
   Site site({.max_waiting = 100});
-  for (int i = 0; i < 1000; ++i) site.odometry(10.0 + 1e-5 * i);
+  for (int i = 0; i < 1000; ++i) site.odometry(10.0 + 5e-3 * i);
   EXPECT_EQ(site.sink.odometry.size(), 900U);
   EXPECT_EQ(site.session.counters().waiting_overflows, 900U);
   EXPECT_TRUE(std::is_sorted(site.sink.times_s.begin(), site.sink.times_s.end()));

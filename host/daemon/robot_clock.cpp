@@ -1,0 +1,160 @@
+#include "host/daemon/robot_clock.hpp"
+
+#include <fmt/format.h>
+
+#include <cmath>
+
+namespace groma::daemon {
+namespace {
+
+// The robot's clock as a counter.
+constexpr double kTicksPerSecond = 1e9;
+// Beyond this a t_s has no nanoseconds in 64 bits.
+constexpr double kMaxTime_s = 9e9;
+
+std::int64_t ticks_at(double t_s) noexcept {
+  return std::llround(t_s * kTicksPerSecond);
+}
+
+}  // namespace
+
+const char* cause_name(TimestampFault::Cause cause) noexcept {
+  return cause == TimestampFault::Cause::kTimeUnit ? "time-unit" : "clock-offset";
+}
+
+std::string evidence(const TimestampFault& fault) {
+  if (fault.cause == TimestampFault::Cause::kTimeUnit) {
+    return fmt::format("t_s of odometry runs {:.3g} times as fast as this computer's clock", fault.value);
+  }
+  return fmt::format("t_s of odometry was {:.3f} s {} the robot's clock", std::abs(fault.value),
+                     fault.value > 0.0 ? "ahead of" : "behind");
+}
+
+std::string_view remedy(const TimestampFault& fault) noexcept {
+  if (fault.cause == TimestampFault::Cause::kTimeUnit) return "send t_s in seconds";
+  return "take t_s of all messages from one clock that is not set while it runs";
+}
+
+RobotClock::RobotClock(const RobotClockConfig& config) : config_(config), mapper_(kTicksPerSecond) {}
+
+std::optional<double> RobotClock::robot_time_s(double host_s) const noexcept {
+  const auto ticks = mapper_.to_ticks(host_s);
+  if (!ticks) return std::nullopt;
+  return static_cast<double>(*ticks) / kTicksPerSecond;
+}
+
+bool RobotClock::suspected() const noexcept {
+  return run_.alike >= kSuspectRun || run_.samples >= kRun || early_ >= kSuspectRun ||
+         far_.samples >= kSuspectRun || is_late();
+}
+
+Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
+  // Also what is not a number.
+  if (!(std::abs(t_s) <= kMaxTime_s)) return Timestamp::kWrong;
+  const std::optional<double> expected_s = robot_time_s(now_s);
+  if (!expected_s) {
+    begin(t_s, now_s);
+    return Timestamp::kGood;
+  }
+  const double offset_s = t_s - *expected_s;
+  if (std::abs(offset_s) > config_.max_error_s) return judge_far(t_s, now_s, offset_s);
+  far_ = {};
+
+  if (last_s_ && t_s <= *last_s_) return judge_fallen_back(t_s, now_s, offset_s);
+  const bool continues_run = run_.samples > 0 && std::abs(offset_s - run_.offset_s) <= kAgree_s;
+  if (offset_s < -kConsistent_s && continues_run) return judge_fallen_back(t_s, now_s, offset_s);
+
+  switch (mapper_.observe(ticks_at(t_s), now_s, 0.0)) {
+    case clock::Observation::kRestarted:
+      return step(t_s, now_s, offset_s);
+    case clock::Observation::kEarly:
+      if (offset_s <= kSlack_s) return Timestamp::kGood;
+      ++early_;
+      fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
+      return Timestamp::kEarly;
+    case clock::Observation::kTaken:
+      break;
+  }
+  early_ = 0;
+  last_s_ = t_s;
+  if (offset_s >= -kConsistent_s) run_ = {};
+  watch_lateness(now_s, offset_s);
+  return Timestamp::kGood;
+}
+
+void RobotClock::begin(double t_s, double now_s) noexcept {
+  mapper_.reset();
+  mapper_.observe(ticks_at(t_s), now_s, 0.0);
+  last_s_ = t_s;
+  run_ = {};
+  far_ = {};
+  early_ = 0;
+  late_alike_ = 0;
+  on_time_s_ = now_s;
+  behind_ = false;
+}
+
+Timestamp RobotClock::judge_far(double t_s, double now_s, double offset_s) noexcept {
+  if (far_.samples++ == 0) {
+    far_.t_s = t_s;
+    far_.since_s = now_s;
+  }
+  if (!fault_ || fault_->cause != TimestampFault::Cause::kTimeUnit || far_.samples == 1) {
+    fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
+  }
+  fault_->last_s = now_s;
+  const double for_s = now_s - far_.since_s;
+  if (for_s < config_.set_after_s || far_.samples < kRun) return Timestamp::kWrong;
+  const double rate = (t_s - far_.t_s) / for_s;
+  if (rate > 1.0 / kUnitRate && rate < kUnitRate) {
+    fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
+    begin(t_s, now_s);
+    return Timestamp::kSet;
+  }
+  // No clock runs like this: to follow it would be of no use.
+  fault_ = {TimestampFault::Cause::kTimeUnit, rate, now_s};
+  far_ = {.samples = kRun, .t_s = t_s, .since_s = now_s};
+  return Timestamp::kWrong;
+}
+
+Timestamp RobotClock::judge_fallen_back(double t_s, double now_s, double offset_s) noexcept {
+  // A repeated sample, or one that was overtaken: the clock is as before.
+  if (offset_s >= -kConsistent_s) return Timestamp::kFallenBack;
+  if (run_.samples++ == 0) run_.since_s = now_s;
+  if (run_.samples == 1 || std::abs(offset_s - run_.offset_s) > kAgree_s) {
+    run_.alike = 0;
+    run_.offset_s = offset_s;
+  }
+  ++run_.alike;
+  fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
+  // Samples that arrive in bursts do not agree, but the last of each burst would fit the clock.
+  const bool lasts = run_.samples >= kRun && now_s - run_.since_s >= config_.set_after_s;
+  if (run_.alike < kRun && !lasts) return Timestamp::kFallenBack;
+  return step(t_s, now_s, offset_s);
+}
+
+Timestamp RobotClock::step(double t_s, double now_s, double by_s) noexcept {
+  step_s_ = by_s;
+  // Otherwise a run of those that were dropped has shown it.
+  step_found_late_ = by_s < 0.0 && run_.alike < kRun;
+  fault_ = {TimestampFault::Cause::kClockOffset, by_s, now_s};
+  begin(t_s, now_s);
+  return Timestamp::kStepped;
+}
+
+void RobotClock::watch_lateness(double now_s, double offset_s) noexcept {
+  lateness_s_ = -offset_s;
+  if (offset_s >= -kLateAlike_s) {
+    late_alike_ = 0;
+  } else if (late_alike_ == 0 || std::abs(-offset_s - late_by_s_) > kAgree_s) {
+    late_alike_ = 1;
+    late_by_s_ = -offset_s;
+  } else {
+    ++late_alike_;
+  }
+  if (offset_s >= -kBehind_s) on_time_s_ = now_s;
+  behind_ = now_s - on_time_s_ > kBehindFor_s;
+  if (is_late()) fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
+}
+
+}  // namespace groma::daemon
