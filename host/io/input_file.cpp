@@ -30,14 +30,20 @@ namespace {
   throw DataError({path}, fmt::format("cannot be read ({})", reason), "give a readable file");
 }
 
+// Of what is no regular file, and may never end: pipes, /dev/zero.
+constexpr std::size_t kMaxStreamBytes = std::size_t{64} << 20U;
+
 }  // namespace
 
 std::string read_file(const std::filesystem::path& path) {
-  const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  // To open a FIFO would wait for a writer.
+  const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
   if (file.get() < 0) throw_unreadable(path, errno);
   struct stat status {};
   if (::fstat(file.get(), &status) != 0) throw_unreadable(path, errno);
   if (S_ISDIR(status.st_mode)) throw_unreadable(path, EISDIR);
+  if (::fcntl(file.get(), F_SETFL, 0) != 0) throw_unreadable(path, errno);
+  const bool regular = S_ISREG(status.st_mode);
 
   // The size is a hint only: pipes have none, and a file may grow.
   std::string text(static_cast<std::size_t>(status.st_size) + 1, '\0');
@@ -49,6 +55,15 @@ std::string read_file(const std::filesystem::path& path) {
     if (count < 0) throw_unreadable(path, errno);
     if (count == 0) break;
     size += static_cast<std::size_t>(count);
+    if (!regular && size > kMaxStreamBytes) {
+      throw DataError({path},
+                      fmt::format("is no regular file, and goes on beyond {} MiB", kMaxStreamBytes >> 20U),
+                      "give a regular file");
+    }
+  }
+  if (S_ISFIFO(status.st_mode) && size == 0) {
+    throw DataError({path}, "is no regular file but a pipe, and nobody writes to it",
+                    "give a regular file, or start its writer first");
   }
   text.resize(size);
   return text;

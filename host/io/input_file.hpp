@@ -8,7 +8,8 @@
 
 namespace groma::io {
 
-// Throws DataError (missing, a folder, unreadable) or PermissionError.
+// A pipe is read to its end, too. Throws DataError (missing, a folder, unreadable, a pipe that nobody writes
+// to, no regular file and longer than 64 MiB) or PermissionError.
 [[nodiscard]] std::string read_file(const std::filesystem::path& path);
 
 // Hexadecimal SHA-256.

@@ -15,6 +15,7 @@
 
 #include "host/io/csv.hpp"
 #include "host/io/error.hpp"
+#include "host/model/plausible.hpp"
 
 namespace groma::io {
 
@@ -25,6 +26,18 @@ constexpr int kMaxFloors = 100;
 constexpr int kMaxSurfaceCells = 10'000;  // along one axis
 
 constexpr std::string_view kGridHeader = "x0_m,y0_m,dx_m,dy_m,nx,ny";
+constexpr std::string_view kOnEarth = "give metres; nothing on the ground is beyond 8e7 m";
+
+void check_coordinate(double value_m, const FilePlace& place) {
+  if (!(std::abs(value_m) <= model::kMaxCoordinate_m))
+    throw DataError(place, fmt::format("{:.3g} m is no height or position", value_m), kOnEarth);
+}
+
+double parse_coordinate(std::string_view field, const FilePlace& place) {
+  const double value_m = parse_number(field, place);
+  check_coordinate(value_m, place);
+  return value_m;
+}
 
 // A file with the line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny heights.
 struct HeightGrid {
@@ -49,7 +62,8 @@ HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, 
                       bool with_gaps) {
   LineReader lines(text);
   // All fields of the line as numbers.
-  const auto numbers = [&](std::size_t count, std::string_view meaning, bool gaps, std::vector<double>& out) {
+  const auto numbers = [&](std::size_t count, std::string_view meaning, bool gaps, auto parse,
+                           std::vector<double>& out) {
     const std::vector<std::string_view> fields = fields_of(lines.line());
     for (std::size_t i = 0; i < std::min(count, fields.size()); ++i) {
       const std::string_view field = fields[i];
@@ -60,7 +74,7 @@ HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, 
         continue;
       }
       const auto column = static_cast<std::size_t>(field.data() - lines.line().data()) + 1;
-      out.push_back(parse_number(field, {path, lines.number(), column}));
+      out.push_back(parse(field, FilePlace{path, lines.number(), column}));
     }
     if (fields.size() != count) {
       throw DataError({path, lines.number()}, fmt::format("the row has {} numbers", fields.size()),
@@ -71,7 +85,7 @@ HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, 
   if (!lines.next())
     throw DataError({path, 1}, "the file is empty", fmt::format("its first line is {}", kGridHeader));
   std::vector<double> header;
-  numbers(6, kGridHeader, false, header);
+  numbers(6, kGridHeader, false, parse_number, header);
   const FilePlace header_place{path, lines.number()};
   if (!(header[2] > 0.0) || !(header[3] > 0.0)) {
     throw DataError(header_place, "dx_m and dy_m have to be above 0", "give the grid's steps in metres");
@@ -85,13 +99,20 @@ HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, 
   };
   HeightGrid out;
   out.grid = {header[0], header[1], header[2], header[3], count(header[4], "nx"), count(header[5], "ny")};
+  const model::BSpline::Grid& grid = out.grid;
+  const double reach_m =
+      std::max(std::abs(grid.x0_m) + grid.dx_m * grid.nx, std::abs(grid.y0_m) + grid.dy_m * grid.ny);
+  if (!(reach_m <= model::kMaxCoordinate_m)) {
+    throw DataError(header_place, fmt::format("the grid reaches to {:.3g} m", reach_m), kOnEarth);
+  }
   int rows = 0;
   while (lines.next()) {
     if (rows == out.grid.nx) {
       throw DataError({path, lines.number()}, fmt::format("there are more than nx = {} rows", out.grid.nx),
                       "take the rest out, or mend nx");
     }
-    numbers(static_cast<std::size_t>(out.grid.ny), "the ny heights of the row", with_gaps, out.heights_m);
+    numbers(static_cast<std::size_t>(out.grid.ny), "the ny heights of the row", with_gaps, parse_coordinate,
+            out.heights_m);
     ++rows;
   }
   if (rows != out.grid.nx) {
@@ -208,7 +229,12 @@ std::vector<Eigen::Vector3d> parse_heights(const std::filesystem::path& path, st
     points = points_of(parse_grid(path, text, 1.0, true));
   } else {
     CsvReader csv(path, text, {{"x_m"}, {"y_m"}, {"z_m"}});
-    while (csv.next()) points.emplace_back(csv.number(0), csv.number(1), csv.number(2));
+    const auto coordinate = [&csv](std::size_t column) {
+      const double value_m = csv.number(column);
+      check_coordinate(value_m, csv.place(column));
+      return value_m;
+    };
+    while (csv.next()) points.emplace_back(coordinate(0), coordinate(1), coordinate(2));
   }
   if (points.size() < model::kMinSurfacePoints) {
     throw DataError({path}, fmt::format("has {} heights", points.size()),

@@ -336,6 +336,7 @@ double slope_sigma(double sigma_m, double length_m) noexcept {
 std::optional<SurfaceFit> fit_surface(std::span<const Eigen::Vector3d> points,
                                       const SurfaceFitOptions& options) {
   const Extent extent = extent_of(points);
+  if (!extent.size.allFinite()) return std::nullopt;
   const double longer_m = std::max(extent.size.maxCoeff(), 1e-3);
   const double block_m = longer_m / kBlocks;
   const std::vector<Eigen::Vector3d> validated = thinned(points, kValidated);

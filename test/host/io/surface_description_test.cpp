@@ -73,6 +73,27 @@ TEST(SurfaceDescription, WhatIsWrongInThemIsToldByLine) {
             std::string::npos);
 }
 
+TEST(SurfaceDescription, NoHeightAndNoGridIsFartherThanTheEarthIsLarge) {
+  const std::string kGrid = "{type: grid, file: heights.csv}";
+  const std::string kRows = "0,0,0,0\n0,0,0,0\n0,0,0,0\n0,0,0,0\n";
+  for (const std::string header :
+       {"0,0,1e308,1,4,4\n", "0,0,1,1e9,4,4\n", "-1e308,0,1,1,4,4\n", "0,1e300,1,1,4,4\n"}) {
+    EXPECT_NE(complaint<DataError>(kGrid, header + kRows).find("heights.csv:1: the grid reaches to"),
+              std::string::npos)
+        << header;
+    EXPECT_NE(
+        complaint<DataError>("{type: bspline, file: heights.csv}", header + kRows).find("heights.csv:1: "),
+        std::string::npos)
+        << header;
+  }
+  EXPECT_NE(complaint<DataError>(kGrid, "0,0,1,1,4,4\n0,0,1e308,0\n").find("heights.csv:2:5: 1e+308 m"),
+            std::string::npos);
+  EXPECT_NE(
+      complaint<DataError>("{type: points, file: heights.csv}", "x_m,y_m,z_m\n0,0,0\n1,-1e308,0\n1,1,0\n")
+          .find("heights.csv:3:3: -1e+308 m"),
+      std::string::npos);
+}
+
 TEST(SurfaceDescription, AMismatchWithoutSlopeHasThatOfItsLength) {
   const model::Surface surface =
       read("{type: plane, z_m: 0, normal: [0, 0, 1], mismatch: {sigma_m: 0.03, length_m: 4}}");
