@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <optional>
 #include <string_view>
 
@@ -69,6 +70,18 @@ struct GateConfig {
   // The covariance then grows by these rates (per sqrt(s)) until ranges are accepted again.
   double doubt_position_m = 0.7;
   double doubt_heading_rad = 0.2;
+};
+
+// Which odometry samples no robot can do, from one to the next: see odometry_gate.hpp. The bounds are twice
+// the largest change from sample to sample of a robot in the recorded drives, 3.5 m/s (plaza1, 5 Hz) and 3.9
+// rad/s (labyrinth, 8 Hz); simulated ones have 0.15 m/s and 0.07 rad/s. A rig that was held in a hand has 4.9
+// m/s and 7.4 rad/s (inrol_env1, 50 Hz).
+struct OdometryGateConfig {
+  double jump_mps = 7.0;
+  double jump_radps = 8.0;
+  // Dropped samples that follow each other for so long, and are more than so many, are believed.
+  double agreeing_s = 0.5;
+  std::size_t agreeing_samples = 20;
 };
 
 // When a row of odometry is not believed: see odometry_watch.hpp.
@@ -182,6 +195,7 @@ struct Config {
   double max_range_m = 1000.0;
 
   GateConfig gate;
+  OdometryGateConfig odometry_gate;
   OdometryWatchConfig watch;
   SlipWatchConfig slip;
   SelfTuningConfig tuning;

@@ -6,16 +6,22 @@
 #include "host/filter/core_covariance.hpp"
 #include "host/filter/joint_covariance.hpp"
 #include "host/filter/propagation.hpp"
+#include "host/model/plausible.hpp"
 
 namespace groma::filter {
 
 namespace {
 
-// A jump in time is crossed in so many steps at most.
+// A jump in time is crossed in so many steps at most, and a longer one than this, more than a day, as this
+// one.
 constexpr double kMaxSteps = 400.0;
+constexpr double kMaxJump_s = 1e5;
 // Doubt does not widen the pose beyond these.
 constexpr double kMaxDoubt_m = 10.0;
 constexpr double kMaxDoubt_rad = 1.0;
+// Nothing is known of a pose from these sigmas on: they grow no further, and numbers stay finite.
+constexpr double kUnknown_m = 1e6;
+constexpr double kUnknown_rad = 1e3;
 
 using model::square;
 
@@ -23,7 +29,7 @@ using model::square;
 
 template <class Covariance>
 void DeadReckoning<Covariance>::advance_to(double t_s) noexcept {
-  const double dt_s = t_s - now_.t_s;
+  const double dt_s = std::min(t_s - now_.t_s, kMaxJump_s);
   const double steps = std::clamp(std::ceil(dt_s / kMaxStep_s), 1.0, kMaxSteps);
   for (int i = 0; i < static_cast<int>(steps); ++i) step(dt_s / steps);
   now_.t_s = t_s;
@@ -46,7 +52,8 @@ void DeadReckoning<Covariance>::renew(CoreIndex index, double variance) noexcept
 }
 
 template <class Covariance>
-void DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept {
+bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept {
+  if (!now_.odometry_gate.accepts(row)) return false;
   if (now_.gyro.holds() && now_.gyro.is_silent(row.t_s)) {
     now_.gyro.give_up();
     renew(kYawBias, square(config_.yaw_rate_bias_radps));
@@ -87,6 +94,7 @@ void DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     covariance_.grow(kY, doubt.position_m2);
   }
   if (doubt.heading_rad2 > 0.0) covariance_.grow(kTheta, doubt.heading_rad2);
+  return true;
 }
 
 template <class Covariance>
@@ -139,6 +147,23 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
       covariance_.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
     }
   }
+  bound_pose();
+}
+
+template <class Covariance>
+void DeadReckoning<Covariance>::bound_pose() noexcept {
+  const CoreMatrix& core = covariance_.core();
+  const bool is_known = core(kX, kX) < square(kUnknown_m) && core(kY, kY) < square(kUnknown_m) &&
+                        core(kTheta, kTheta) < square(kUnknown_rad);
+  if (is_known) return;
+  const CoreVector at = now_.core;
+  renew(kX, square(kUnknown_m));
+  renew(kY, square(kUnknown_m));
+  renew(kTheta, square(kUnknown_rad));
+  for (const CoreIndex index : {kX, kY}) {
+    if (std::abs(at(index)) <= model::kMaxCoordinate_m) now_.core(index) = at(index);
+  }
+  if (std::isfinite(at(kTheta))) now_.core(kTheta) = at(kTheta);
 }
 
 template <class Covariance>

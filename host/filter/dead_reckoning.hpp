@@ -7,6 +7,7 @@
 #include "host/filter/config.hpp"
 #include "host/filter/gate.hpp"
 #include "host/filter/gyro.hpp"
+#include "host/filter/odometry_gate.hpp"
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/self_tuning.hpp"
 #include "host/filter/slip_watch.hpp"
@@ -19,6 +20,7 @@ namespace groma::filter {
 
 // All that motion changes, but for the covariance.
 struct MotionState {
+  OdometryGate odometry_gate;
   OdometryWatch watch;
   SlipDoubt slip;
   Gyro gyro;
@@ -53,8 +55,8 @@ class DeadReckoning {
 
   // To a later time, by the row held.
   void advance_to(double t_s) noexcept;
-  // The row holds from now on.
-  void hold(const model::OdometrySample& row) noexcept;
+  // The row holds from now on; false, and the one before goes on holding, where no robot can do it.
+  bool hold(const model::OdometrySample& row) noexcept;
   // The yaw rate does, in the place of the row's; false, and nothing done, where it cannot follow the one
   // before it.
   bool turn(const model::YawRateSample& sample) noexcept;
@@ -65,6 +67,8 @@ class DeadReckoning {
 
  private:
   void step(double dt_s) noexcept;
+  // Where nothing is known of the pose any more, its variances stay as they are.
+  void bound_pose() noexcept;
   // The state is unknown anew, but for that variance.
   void renew(CoreIndex index, double variance) noexcept;
 

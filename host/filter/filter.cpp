@@ -14,6 +14,7 @@
 #include "host/filter/present_pose.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/filter/zero_velocity_measurement.hpp"
+#include "host/model/plausible.hpp"
 
 namespace groma::filter {
 
@@ -44,7 +45,8 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
 Filter::Snapshot begin(const Site& site, const Config& config, double white_sigma_m) {
   const Parameters parameters(site, config.active_anchors);
   JointCovariance covariance(site, parameters, learning(config.model));
-  const MotionState motion{.watch = OdometryWatch(config.watch),
+  const MotionState motion{.odometry_gate = OdometryGate(config.odometry_gate),
+                           .watch = OdometryWatch(config.watch),
                            .slip = SlipDoubt(config.slip),
                            .gyro = Gyro(config.sensors),
                            .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
@@ -152,6 +154,7 @@ void Filter::stop() noexcept {
   now_.started = false;
   now_.has_row = false;
   now_.row = {};
+  now_.odometry_gate.reset();
   now_.gyro = Gyro(config_.sensors);
 }
 
@@ -172,6 +175,9 @@ OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
       break;
     case OdometryOutcome::kBadValue:
       ++now_.counters.odometry_bad_value;
+      break;
+    case OdometryOutcome::kImplausible:
+      ++now_.counters.odometry_implausible;
       break;
   }
   return outcome;
@@ -215,13 +221,14 @@ OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
   if (!model::is_finite(row)) return OdometryOutcome::kBadValue;
   if (now_.has_row && !(row.t_s > now_.row.t_s)) return OdometryOutcome::kOutOfOrder;
   if (!now_.started) {
+    if (!now_.odometry_gate.accepts(row)) return OdometryOutcome::kImplausible;
     now_.row = row;
     now_.has_row = true;
     return OdometryOutcome::kStored;
   }
   const bool late = row.t_s < now_.t_s;
   advance_to(row.t_s);
-  motion().hold(row);
+  if (!motion().hold(row)) return OdometryOutcome::kImplausible;
   return late ? OdometryOutcome::kUsedLate : OdometryOutcome::kUsed;
 }
 
@@ -321,9 +328,7 @@ SensorResult Filter::process(const model::YawRateSample& sample) noexcept {
 }
 
 SensorResult Filter::process(const model::PositionSample& sample) noexcept {
-  if (!std::isfinite(sample.t_s + sample.x_m + sample.y_m) || !model::is_covariance(sample.covariance_m2)) {
-    return count(Sensor::kPosition, {.outcome = SensorOutcome::kBadValue});
-  }
+  if (!model::is_plausible(sample)) return count(Sensor::kPosition, {.outcome = SensorOutcome::kBadValue});
   const SensorOutcome outcome = await(sample.t_s);
   if (outcome != SensorOutcome::kUsed) return count(Sensor::kPosition, {.outcome = outcome});
   const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_), now_.chart);

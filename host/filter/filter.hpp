@@ -47,10 +47,11 @@ struct Start {
 
 enum class OdometryOutcome {
   kUsed,
-  kUsedLate,    // older than the state, newer than the row held: holds from the state's time on
-  kStored,      // before the start: held for it
-  kOutOfOrder,  // not newer than the row held: refused
-  kBadValue,    // not finite: refused
+  kUsedLate,     // older than the state, newer than the row held: holds from the state's time on
+  kStored,       // before the start: held for it
+  kOutOfOrder,   // not newer than the row held: refused
+  kBadValue,     // not finite: refused
+  kImplausible,  // no robot can do it: dropped, the row before holds on to its time
 };
 
 enum class RangeOutcome {
@@ -81,7 +82,7 @@ enum class SensorOutcome {
   kUsed,
   kGated,       // too far from what is known
   kJumped,      // a yaw rate that cannot follow the one before it
-  kBadValue,    // not finite, or with a covariance that can be none
+  kBadValue,    // not finite, beyond what can be, or with a covariance that can be none
   kOutOfOrder,  // older than the state: refused
   kNotStarted,
 };
@@ -117,6 +118,7 @@ struct Counters {
   std::size_t odometry_stored = 0;
   std::size_t odometry_out_of_order = 0;
   std::size_t odometry_bad_value = 0;
+  std::size_t odometry_implausible = 0;
   std::array<SensorCounters, kSensors> sensors{};
   std::size_t doubts = 0;            // times the gate began to doubt the state
   std::size_t slips = 0;             // times that ranges showed odometry to be wrong

@@ -12,9 +12,10 @@ class Gyro {
  public:
   explicit Gyro(const SensorConfig& config) : config_(config) {}
 
-  // Whether the sample can follow the one before it, or after a gap what odometry told last: no robot turns
-  // that much faster within that time. Takes note of it in any case.
-  [[nodiscard]] bool follows(const model::YawRateSample& sample, double odometry_radps) noexcept;
+  // Whether the sample can follow the last one that was used, or after a gap the rate that holds in its
+  // place: no robot turns that much faster within that time. A rate that jumped away does not become right by
+  // lasting: after the gap it has to be near odometry's.
+  [[nodiscard]] bool follows(const model::YawRateSample& sample, double odometry_radps) const noexcept;
   // Whether the rate that holds is the gyro's, and since when.
   [[nodiscard]] bool holds() const noexcept { return holds_; }
   [[nodiscard]] bool is_silent(double t_s) const noexcept { return t_s - used_s_ > config_.gyro_hold_s; }
@@ -25,8 +26,7 @@ class Gyro {
 
  private:
   SensorConfig config_;
-  model::YawRateSample last_{.t_s = -std::numeric_limits<double>::infinity()};
-  double used_s_ = 0.0;
+  double used_s_ = -std::numeric_limits<double>::infinity();
   double used_radps_ = 0.0;
   bool holds_ = false;
 };

@@ -40,7 +40,7 @@ OdometryDoubt OdometryWatch::judge(const model::OdometrySample& before, const mo
   turn_excess_rad2ps2_ = std::max(turn_excess_rad2ps2_, square(turn_excess_radps));
 
   // The error lasts; drawn anew with each row it has to be larger for the same way.
-  const double rows = gap_s > 0.0 ? std::max(config_.lasts_s / gap_s, 1.0) : 1.0;
+  const double rows = gap_s > 0.0 ? std::max(config_.lasts_s / std::max(gap_s, kLeastGap_s), 1.0) : 1.0;
   return {.velocity_m2ps2 = rows * excess_m2ps2_,
           .turn_rad2ps2 = rows * turn_excess_rad2ps2_,
           .position_m2 = square(excess_mps * config_.lasts_s),

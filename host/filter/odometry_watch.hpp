@@ -17,6 +17,9 @@ struct OdometryDoubt {
   double heading_rad2 = 0.0;
 };
 
+// Between two rows at least, where their noise is by their number a second.
+inline constexpr double kLeastGap_s = 1e-6;
+
 class OdometryWatch {
  public:
   explicit OdometryWatch(const OdometryWatchConfig& config) : config_(config) {}

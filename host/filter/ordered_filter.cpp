@@ -7,6 +7,8 @@
 #include <limits>
 #include <utility>
 
+#include "host/model/plausible.hpp"
+
 namespace groma::filter {
 
 namespace {
@@ -86,8 +88,9 @@ OrderedFilter::OrderedFilter(model::Surface surface, std::span<const model::Tag>
 }
 
 bool OrderedFilter::start(const Start& start) noexcept {
-  const bool finite = std::isfinite(start.t_s + start.pose.x_m + start.pose.y_m + start.pose.theta_rad);
-  return finite && insert(start).taken;
+  const bool plausible = model::is_plausible(model::PoseSample{
+      .t_s = start.t_s, .x_m = start.pose.x_m, .y_m = start.pose.y_m, .yaw_rad = start.pose.theta_rad});
+  return plausible && insert(start).taken;
 }
 
 void OrderedFilter::resume(const OrderedFilter& other) noexcept {

@@ -2,13 +2,13 @@
 
 #include <cmath>
 
+#include "host/model/plausible.hpp"
 #include "host/model/pose.hpp"
 
 namespace groma::filter {
 
 bool tells_pose(const model::PoseSample& sample) noexcept {
-  return std::isfinite(sample.t_s + sample.x_m + sample.y_m + sample.yaw_rad) && sample.covariance &&
-         model::is_covariance(*sample.covariance);
+  return sample.covariance && model::is_plausible(sample);
 }
 
 CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,

@@ -145,7 +145,7 @@ OdometryDoubt SlipDoubt::judge(double gap_s) noexcept {
     return {};
   }
   // As of OdometryWatch: drawn anew with each row it has to be larger for the same way.
-  const double rows = gap_s > 0.0 ? std::max(lasts_s_ / gap_s, 1.0) : 1.0;
+  const double rows = gap_s > 0.0 ? std::max(lasts_s_ / std::max(gap_s, kLeastGap_s), 1.0) : 1.0;
   const double turn_radps = std::min(excess_mps_ * config_.turn_per_m, config_.most_turn_radps);
   return {.velocity_m2ps2 = rows * square(excess_mps_), .turn_rad2ps2 = rows * square(turn_radps)};
 }

@@ -112,11 +112,13 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   if (std::isfinite(row.t_s) && !believe(row.t_s)) return OdometryOutcome::kOutOfOrder;
   const OdometryOutcome outcome = filter_.process(row);
   if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
-  search_.process(row);
   newest_s_ = std::max(newest_s_, row.t_s);
-  // What went on meanwhile is a guess, which the ranges have to confirm as they do a start.
-  if (row.t_s - last_row_s_ > config_.silent_s && last_row_s_ != kNotYet_s) prove_again(true);
-  last_row_s_ = std::max(last_row_s_, row.t_s);
+  if (outcome != OdometryOutcome::kImplausible) {
+    search_.process(row);
+    // What went on meanwhile is a guess, which the ranges have to confirm as they do a start.
+    if (row.t_s - last_row_s_ > config_.silent_s && last_row_s_ != kNotYet_s) prove_again(true);
+    last_row_s_ = std::max(last_row_s_, row.t_s);
+  }
   assess();
   return outcome;
 }

@@ -1,0 +1,36 @@
+#include "host/filter/odometry_gate.hpp"
+
+#include <cmath>
+
+#include "host/model/plausible.hpp"
+
+namespace groma::filter {
+
+bool OdometryGate::follows(const model::OdometrySample& before,
+                           const model::OdometrySample& sample) const noexcept {
+  return std::hypot(sample.vx_mps - before.vx_mps, sample.vy_mps - before.vy_mps) <= config_.jump_mps &&
+         std::abs(sample.omega_radps - before.omega_radps) <= config_.jump_radps;
+}
+
+bool OdometryGate::accepts(const model::OdometrySample& sample) noexcept {
+  if (!model::is_plausible(sample)) {
+    dropped_count_ = 0;
+    return false;
+  }
+  if (!follows(accepted_, sample)) {
+    if (dropped_count_ == 0 || !follows(dropped_, sample)) {
+      dropped_count_ = 0;
+      dropped_since_s_ = sample.t_s;
+    }
+    dropped_ = sample;
+    ++dropped_count_;
+    const bool is_believed =
+        dropped_count_ > config_.agreeing_samples && sample.t_s - dropped_since_s_ >= config_.agreeing_s;
+    if (!is_believed) return false;
+  }
+  accepted_ = sample;
+  dropped_count_ = 0;
+  return true;
+}
+
+}  // namespace groma::filter
