@@ -5,6 +5,7 @@
 #include <poll.h>
 
 #include <array>
+#include <bit>
 #include <cerrno>
 #include <chrono>
 #include <filesystem>
@@ -333,8 +334,22 @@ void Daemon::record() {
 void Daemon::tell_status() {
   if (now_s() < next_status_s_) return;
   next_status_s_ = now_s() + kStatusPeriod_s;
+  report_implausible();
   server_->broadcast(status_line(status()));
   if (learner_) server_->broadcast(calibration_line(learner_->live().verdict, learner_->progress()));
+}
+
+// The 1st, 2nd, 4th, 8th ...: a robot that goes on does not fill the log.
+void Daemon::report_implausible() {
+  if (!localizer_) return;
+  const std::uint64_t implausible = localizer_->implausible();
+  if (std::bit_width(implausible) != std::bit_width(reported_implausible_)) {
+    log_(fmt::format(
+        "robot: {} samples dropped so far that no robot can do; check the source of its odometry, "
+        "IMU, GNSS and poses",
+        implausible));
+  }
+  reported_implausible_ = implausible;
 }
 
 std::string_view Daemon::state() const {
@@ -358,7 +373,7 @@ Status Daemon::status() const {
   status.frames_lost = session_.frames_lost();
   status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.sensors_out_of_order +
                    counters.robot_time_wrong + counters.robot_time_early + counters.without_odometry +
-                   session_.robot_counters().dropped();
+                   session_.robot_counters().dropped() + (localizer_ ? localizer_->implausible() : 0);
   if (const auto fault = session_.timestamp_fault(now_s())) {
     status.diagnosis.push_back({.cause = cause_name(fault->cause),
                                 .evidence = evidence(*fault),

@@ -69,6 +69,7 @@ class Daemon {
   void ask_for_time();
   void record();
   void tell_status();
+  void report_implausible();
   [[nodiscard]] std::string_view state() const;
   [[nodiscard]] Status status() const;
 
@@ -87,7 +88,8 @@ class Daemon {
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";
   std::optional<std::pair<filter::State, filter::Reason>> pose_state_;
-  double last_pose_s_ = 0.0;  // of this computer
+  std::uint64_t reported_implausible_ = 0;  // samples
+  double last_pose_s_ = 0.0;                // of this computer
   double next_time_request_s_ = 0.0;
   double next_status_s_ = 0.0;  // of this computer
 };

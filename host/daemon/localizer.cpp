@@ -75,7 +75,9 @@ void Localizer::on_odometry(const model::OdometrySample& sample) {
   const filter::OdometryOutcome outcome = tracker_->process(row);
   const bool has_waited = row.t_s <= last_row_s_;
   came_in(row.t_s);
-  if (!tracker_->started() || outcome != filter::OdometryOutcome::kUsed) return;
+  const bool implausible = outcome == filter::OdometryOutcome::kImplausible;
+  if (implausible) ++implausible_;
+  if (!tracker_->started() || !(outcome == filter::OdometryOutcome::kUsed || implausible)) return;
   if (!has_waited) on_pose_(pose_of(tracker_->filter().row_estimate()));
   if (on_settled_) on_settled_(pose_of(tracker_->estimate()));
 }
@@ -118,7 +120,11 @@ void Localizer::on_pose_prior(const model::PoseSample& sample) {
 
 void Localizer::on_sensor(const model::SensorSample& sample) {
   if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) arrived(in_own_time(*rate));
-  std::visit([this](const auto& of) { tracker_->process(in_own_time(of)); }, sample);
+  const filter::SensorResult result =
+      std::visit([this](const auto& of) { return tracker_->process(in_own_time(of)); }, sample);
+  const bool implausible =
+      result.outcome == filter::SensorOutcome::kJumped || result.outcome == filter::SensorOutcome::kBadValue;
+  if (implausible) ++implausible_;
 }
 
 void Localizer::on_sensor_ahead(const model::SensorSample& sample) {

@@ -92,6 +92,8 @@ class Localizer : public MeasurementSink {
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
   [[nodiscard]] filter::State state() const noexcept { return tracker_->state(); }
+  // Samples of odometry and other sensors that were dropped, for no robot can do what they say.
+  [[nodiscard]] std::uint64_t implausible() const noexcept { return implausible_; }
   [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }
 
  private:
@@ -128,6 +130,7 @@ class Localizer : public MeasurementSink {
   std::optional<filter::Filter::Prediction> prediction_;
   double predicted_since_s_ = 0.0;  // the row that it began with
   filter::MotionInput carried_;     // the last input that it has
+  std::uint64_t implausible_ = 0;
 };
 
 }  // namespace groma::daemon

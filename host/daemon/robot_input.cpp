@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include "host/io/error.hpp"
+#include "host/model/plausible.hpp"
 #include "host/model/pose.hpp"
 
 namespace groma::daemon {
@@ -73,13 +74,14 @@ bool read_pose(const InputJson& object, model::PoseSample& out) {
 
 std::optional<RobotMessage> read_pose_prior(const InputJson& object) {
   model::PoseSample pose;
-  if (!read_pose(object, pose) || !read_number(object, "z_m", pose.z_m)) return std::nullopt;
+  if (!read_pose(object, pose) || !read_number(object, "z_m", pose.z_m) || !model::is_plausible(pose))
+    return std::nullopt;
   return pose;
 }
 
 std::optional<RobotMessage> read_absolute_pose(const InputJson& object) {
   model::PoseSample pose;
-  if (!read_pose(object, pose) || !pose.covariance) return std::nullopt;
+  if (!read_pose(object, pose) || !pose.covariance || !model::is_plausible(pose)) return std::nullopt;
   return model::SensorSample(pose);
 }
 
@@ -104,7 +106,7 @@ std::optional<RobotMessage> read_gnss(const InputJson& object) {
     if (!term.is_number()) return std::nullopt;
   }
   sample.covariance_m2 = {terms[0].get<double>(), terms[1].get<double>(), terms[3].get<double>()};
-  if (terms[1] != terms[2] || !model::is_covariance(sample.covariance_m2)) return std::nullopt;
+  if (terms[1] != terms[2] || !model::is_plausible(sample)) return std::nullopt;
   return model::SensorSample(sample);
 }
 
@@ -124,12 +126,12 @@ struct MessageClass {
 constexpr std::array<MessageClass, 6> kClasses{{
     {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps", &RobotInputCounters::odometry, read_odometry},
     {"POSE_PRIOR",
-     "finite t_s, x_m, y_m, z_m, yaw_rad; its covariance, if any, is of 36 terms that can be one",
+     "plausible t_s, x_m, y_m, z_m, yaw_rad; its covariance, if any, is of 36 terms that can be one",
      &RobotInputCounters::pose_priors, read_pose_prior},
     {"IMU", "finite t_s, omega_radps", &RobotInputCounters::sensors, read_imu},
-    {"GNSS", "finite t_s, x_m, y_m, and a covariance of 4 terms that can be one",
+    {"GNSS", "plausible t_s, x_m, y_m, and a covariance of 4 terms that can be one",
      &RobotInputCounters::sensors, read_gnss},
-    {"ABSOLUTE_POSE", "finite t_s, x_m, y_m, yaw_rad, and a covariance of 36 terms that can be one",
+    {"ABSOLUTE_POSE", "plausible t_s, x_m, y_m, yaw_rad, and a covariance of 36 terms that can be one",
      &RobotInputCounters::sensors, read_absolute_pose},
     {"ZERO_VELOCITY", "a finite t_s", &RobotInputCounters::sensors, read_zero_velocity},
 }};

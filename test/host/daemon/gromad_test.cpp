@@ -124,6 +124,48 @@ speed: {}
   std::optional<StreamClient> client_;
 };
 
+TEST_F(GromadTest, DropsSamplesThatNoRobotCanDoAndCountsThem) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 250; })) << gromad.log();
+  const auto dropped = [&] {
+    std::uint64_t count = 0;
+    for (const json& object : objects_) {
+      if (object.at("class") == "STATUS") count = object.at("dropped");
+    }
+    return count;
+  };
+  const std::uint64_t before = dropped();
+  const std::size_t first = objects_.size();
+  std::uint64_t sent = 0;
+  for (const std::string wrong :
+       {R"("vx_mps":1e308,"vy_mps":0,"omega_radps":0)", R"("vx_mps":-1e12,"vy_mps":0,"omega_radps":0)",
+        R"("vx_mps":0,"vy_mps":31,"omega_radps":0)", R"("vx_mps":0,"vy_mps":0,"omega_radps":1e300)"}) {
+    site.send_to_robot_socket(R"({"class":"ODOMETRY","t_s":)" +
+                              std::to_string(site.site_time_s() + SimulatedSite::kRobotOrigin_s) + "," +
+                              wrong + "}\n");
+    ++sent;
+    const std::size_t poses_before = poses("TRACKING");
+    ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= poses_before + 100; }))
+        << gromad.log();
+  }
+  ASSERT_TRUE(run_until(site, gromad, [&] { return dropped() > before; })) << gromad.log();
+  EXPECT_GE(dropped(), before + sent - 1);
+  EXPECT_NE(gromad.log().find("samples dropped so far that no robot can do"), std::string::npos)
+      << gromad.log();
+  for (std::size_t i = first; i < objects_.size(); ++i) {
+    const json& object = objects_[i];
+    if (object.at("class") != "POSE") continue;
+    EXPECT_EQ(object.at("state"), "TRACKING");
+    EXPECT_TRUE(object.at("covariance")[0].is_number());
+    const auto truth = SimulatedSite::truth(object.at("t_s"));
+    EXPECT_LT(
+        std::hypot(object.at("x_m").get<double>() - truth.x_m, object.at("y_m").get<double>() - truth.y_m),
+        0.3);
+  }
+}
+
 TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   SimulatedSite site(folder_.path(), kSpeed);
   write_surveyed(site);

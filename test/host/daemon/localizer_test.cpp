@@ -127,6 +127,34 @@ class Circle : public ::testing::Test {
   double carried_s_ = 0.0;  // to where it would have been so much later
 };
 
+TEST_F(Circle, GivesAPoseForEachSampleThatNoRobotCanDoAndCountsIt) {
+  for (const bool ahead : {false, true}) {
+    std::vector<PoseEstimate> poses;
+    Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
+    localizer.on_odometry(row(0.0));
+    localizer.on_pose_prior(prior(0.0));
+    drive(localizer, 0.02, 5.0, true);
+    for (int i = 250; i < 260; ++i) {
+      const double t_s = 0.02 * i;
+      model::OdometrySample sample = row(t_s);
+      if (i == 252) sample.vx_mps = 1e308;
+      if (i == 254) sample.omega_radps = -1e12;
+      if (ahead) localizer.on_odometry_ahead(sample);
+      localizer.on_odometry(sample);
+      EXPECT_EQ(poses.back().t_s, t_s);
+      EXPECT_NEAR(poses.back().x_m, truth(t_s).x_m, 0.1);
+      EXPECT_TRUE(poses.back().covariance.allFinite());
+      EXPECT_EQ(poses.back().state, filter::State::kTracking);
+    }
+    EXPECT_EQ(localizer.implausible(), 2U);
+    localizer.on_sensor(model::YawRateSample{5.2, 1e308});
+    localizer.on_sensor(model::PositionSample{5.2, 1e300, 0.0, {1.0, 0.0, 1.0}});
+    EXPECT_EQ(localizer.implausible(), 4U);
+    localizer.on_clock_set();
+    EXPECT_EQ(localizer.implausible(), 4U) << "of the whole run";
+  }
+}
+
 TEST_F(Circle, GoesOnByAnotherCalibrationFromWhereItIs) {
   std::vector<PoseEstimate> poses;
   const model::Calibration whole = setup_.calibration;

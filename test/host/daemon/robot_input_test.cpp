@@ -96,6 +96,23 @@ TEST(RobotInput, DropsAPoseWhoseCovarianceIsNone) {
   EXPECT_THAT(input.last_problem(), testing::HasSubstr("covariance"));
 }
 
+TEST(RobotInput, DropsPosesThatNoRobotHas) {
+  RobotInput input;
+  for (const std::string line : {
+           R"({"class":"POSE_PRIOR","t_s":1,"x_m":1e9,"y_m":0,"z_m":0,"yaw_rad":0})",
+           R"({"class":"POSE_PRIOR","t_s":1,"x_m":0,"y_m":0,"z_m":-1e308,"yaw_rad":0})",
+           R"({"class":"POSE_PRIOR","t_s":1,"x_m":0,"y_m":0,"z_m":0,"yaw_rad":1e7})",
+           R"({"class":"POSE_PRIOR","t_s":1,"x_m":0,"y_m":0,"z_m":0,"yaw_rad":0,"roll_rad":3})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":-1e300,"covariance":[1,0,0,1]})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[1e-300,0,0,1]})",
+           R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[1,0,0,1e300]})",
+       }) {
+    push(input, line + "\n");
+    EXPECT_TRUE(take_all(input).empty()) << line;
+  }
+  EXPECT_EQ(input.counters().bad_value, 7U);
+}
+
 TEST(RobotInput, ReadsOtherSensors) {
   RobotInput input;
   push(input, R"({"class":"IMU","t_s":1,"omega_radps":0.25}
