@@ -85,7 +85,8 @@ Json to_json(const io::DroppedRows& dropped) {
           {"unknown_tag", dropped.unknown_tag},
           {"unknown_anchor", dropped.unknown_anchor},
           {"late", dropped.late},
-          {"repeated", dropped.repeated}};
+          {"repeated", dropped.repeated},
+          {"implausible", dropped.implausible}};
 }
 
 void say_json(const Json& json) {

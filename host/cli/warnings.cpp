@@ -21,6 +21,7 @@ void Warnings::add(const io::DroppedRows& dropped) {
   count(dropped.unknown_anchor, "of an unknown anchor");
   count(dropped.late, fmt::format("out of order by over {} s", io::kMaxLateness_s));
   count(dropped.repeated, "repeated");
+  count(dropped.implausible, "with a pose that no robot has, or a covariance that is none");
   if (!list.empty()) add(fmt::format("{} rows dropped: {}", dropped.total(), list));
 }
 

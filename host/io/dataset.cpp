@@ -17,6 +17,7 @@
 #include "host/io/log_file.hpp"
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/model/plausible.hpp"
 #include "host/model/pose.hpp"
 
 namespace groma::io {
@@ -187,6 +188,26 @@ std::vector<model::OdometrySample> parse_odometry(const std::filesystem::path& p
   return odometry;
 }
 
+// Rows that are implausible are dropped; where they are half of all or more, it is the file that is wrong.
+class ImplausibleRows {
+ public:
+  void add(const CsvReader& csv, const char* problem, const char* remedy) {
+    if (count_++ == 0) first_ = DataError(csv.row_place(), problem, remedy);
+  }
+  // kept: the rows that were not.
+  void finish(std::size_t kept, DroppedRows& dropped) const {
+    if (first_ && count_ >= kept) throw DataError(*first_);
+    dropped.implausible += count_;
+  }
+
+ private:
+  std::size_t count_ = 0;
+  std::optional<DataError> first_;
+};
+
+constexpr const char* kNoRobot = "no ground robot is there, or is held so";
+constexpr const char* kNoRobotRemedy = "metres and radians are wanted; take the row out";
+
 // The six fields from `first` on; none where all are empty.
 std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, std::size_t first) {
   model::PoseCovariance terms{};
@@ -199,13 +220,23 @@ std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, s
   if (given == 0) return std::nullopt;
   constexpr const char* kWhole = "give p_xx, p_xy, p_xt, p_yy, p_yt and p_tt of a row, or none of them";
   if (given < terms.size()) throw DataError(csv.row_place(), "the pose's covariance is not whole", kWhole);
-  if (!model::is_covariance(terms)) {
-    throw DataError(
-        csv.row_place(), "p_xx to p_tt are no covariance of x, y and yaw",
+  return terms;
+}
+
+// Whether the row is to be kept.
+bool check(const CsvReader& csv, const model::PoseSample& pose, ImplausibleRows& implausible) {
+  if (pose.covariance && !model::is_covariance(*pose.covariance)) {
+    implausible.add(
+        csv, "p_xx to p_tt are no covariance of x, y and yaw",
         "variances are above zero, and no correlation is beyond one; leave the fields empty where "
         "nothing is known");
+    return false;
   }
-  return terms;
+  if (!model::is_plausible(pose)) {
+    implausible.add(csv, kNoRobot, kNoRobotRemedy);
+    return false;
+  }
+  return true;
 }
 
 std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, std::string_view text,
@@ -226,11 +257,19 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
                  {"p_tt", Presence::kOptional}});
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   std::vector<model::PoseSample> poses;
+  ImplausibleRows implausible;
   while (csv.next()) {
-    poses.push_back({csv.number(0), csv.number(1), csv.number(2), csv.number(3), csv.number(4),
-                     csv.optional_number(5).value_or(kNone), csv.optional_number(6).value_or(kNone),
-                     optional_covariance(csv, 7)});
+    const model::PoseSample pose{csv.number(0),
+                                 csv.number(1),
+                                 csv.number(2),
+                                 csv.number(3),
+                                 csv.number(4),
+                                 csv.optional_number(5).value_or(kNone),
+                                 csv.optional_number(6).value_or(kNone),
+                                 optional_covariance(csv, 7)};
+    if (check(csv, pose, implausible)) poses.push_back(pose);
   }
+  implausible.finish(poses.size(), dropped);
   put_in_order(poses, dropped);
   return poses;
 }
@@ -248,14 +287,20 @@ std::vector<model::PositionSample> parse_positions(const std::filesystem::path& 
                                                    DroppedRows& dropped) {
   CsvReader csv(path, text, {{"t_s"}, {"x_m"}, {"y_m"}, {"p_xx"}, {"p_xy"}, {"p_yy"}});
   std::vector<model::PositionSample> positions;
+  ImplausibleRows implausible;
   while (csv.next()) {
-    const std::array<double, 3> covariance{csv.number(3), csv.number(4), csv.number(5)};
-    if (!model::is_covariance(covariance)) {
-      throw DataError(csv.row_place(), "p_xx, p_xy and p_yy are no covariance of x and y",
+    const model::PositionSample position{
+        csv.number(0), csv.number(1), csv.number(2), {csv.number(3), csv.number(4), csv.number(5)}};
+    if (!model::is_covariance(position.covariance_m2)) {
+      implausible.add(csv, "p_xx, p_xy and p_yy are no covariance of x and y",
                       "variances are above zero, and no correlation reaches one");
+    } else if (!model::is_plausible(position)) {
+      implausible.add(csv, kNoRobot, kNoRobotRemedy);
+    } else {
+      positions.push_back(position);
     }
-    positions.push_back({csv.number(0), csv.number(1), csv.number(2), covariance});
   }
+  implausible.finish(positions.size(), dropped);
   put_in_order(positions, dropped);
   return positions;
 }
@@ -278,14 +323,22 @@ std::vector<model::PoseSample> parse_absolute_poses(const std::filesystem::path&
                  {"pitch_rad", Presence::kOptional}});
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   std::vector<model::PoseSample> poses;
+  ImplausibleRows implausible;
   while (csv.next()) {
     const std::optional<model::PoseCovariance> covariance = optional_covariance(csv, 4);
     if (!covariance)
       throw DataError(csv.row_place(), "the pose has no covariance", "give p_xx to p_tt in each row");
-    poses.push_back({csv.number(0), csv.number(1), csv.number(2), 0.0, csv.number(3),
-                     csv.optional_number(10).value_or(kNone), csv.optional_number(11).value_or(kNone),
-                     covariance});
+    const model::PoseSample pose{csv.number(0),
+                                 csv.number(1),
+                                 csv.number(2),
+                                 0.0,
+                                 csv.number(3),
+                                 csv.optional_number(10).value_or(kNone),
+                                 csv.optional_number(11).value_or(kNone),
+                                 covariance};
+    if (check(csv, pose, implausible)) poses.push_back(pose);
   }
+  implausible.finish(poses.size(), dropped);
   put_in_order(poses, dropped);
   return poses;
 }

@@ -21,9 +21,10 @@ struct DroppedRows {
   std::size_t unknown_anchor = 0;       // no 16-bit id, or not in anchors.csv where that is read
   std::size_t late = 0;                 // of any file: more than kMaxLateness_s behind the rows around it
   std::size_t repeated = 0;             // same instant; of ranges, the same pair and range too
+  std::size_t implausible = 0;          // poses and positions that no robot has, or whose covariance is none
 
   [[nodiscard]] std::size_t total() const {
-    return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated;
+    return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated + implausible;
   }
 };
 
