@@ -3,14 +3,20 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstddef>
 #include <limits>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
 
 #include "host/io/calibration_file.hpp"
+#include "host/io/csv.hpp"
 #include "host/io/error.hpp"
+#include "host/io/input_file.hpp"
+#include "host/model/plausible.hpp"
 
 namespace groma::cli {
 
@@ -37,6 +43,9 @@ void FilterInput::add_options(CLI::App& command) {
           [this](const std::string& text) {
             const std::vector<double> values = parse_numbers("--start", text, 3);
             start_ = {values[0], values[1], values[2]};
+            if (!model::is_plausible(
+                    model::PoseSample{.x_m = values[0], .y_m = values[1], .yaw_rad = values[2]}))
+              throw CLI::ValidationError("--start", "no robot is there; give metres and radians");
           },
           "Start from this pose (m, rad) in the place of the first pose prior at or after --from")
       ->type_name("X,Y,YAW");
@@ -119,6 +128,61 @@ FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warning
   }
   drive.options.to_s = selection_.to_s();
   return drive;
+}
+
+io::FilePlace FilterInput::odometry_place(double t_s) const {
+  if (!std::filesystem::is_directory(dataset_)) return {dataset_};
+  const std::filesystem::path path = dataset_ / "odometry.csv";
+  const std::string text = io::read_file(path);
+  io::CsvReader csv(path, text, {{"t_s"}});
+  while (csv.next()) {
+    if (csv.number(0) == t_s) return csv.row_place();
+  }
+  return {path};
+}
+
+void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
+                                std::span<const model::SpatialEstimate> spatial) const {
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const model::PlanarEstimate& row = rows[i];
+    bool finite = std::isfinite(row.x_m) && std::isfinite(row.y_m) && std::isfinite(row.yaw_rad) &&
+                  row.covariance.allFinite();
+    if (i < spatial.size()) {
+      const model::SpatialEstimate& at = spatial[i];
+      finite = finite && std::isfinite(at.z_m) && std::isfinite(at.roll_rad) && std::isfinite(at.pitch_rad) &&
+               at.covariance.allFinite();
+    }
+    if (finite) continue;
+    throw io::DataError(
+        odometry_place(row.t_s),
+        fmt::format("the estimate is not finite from t_s = {} on; nothing was written", row.t_s),
+        "check the calibration, the surface and the samples there, or end before by --to");
+  }
+}
+
+void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& warnings) {
+  if (counters.odometry_implausible > 0) {
+    warnings.add(
+        fmt::format("{} odometry samples were dropped: no robot moves so, or changes its velocity so fast",
+                    counters.odometry_implausible));
+  }
+  for (const auto& [sensor, samples] : {std::pair{filter::Sensor::kYawRate, "IMU samples"},
+                                        {filter::Sensor::kPosition, "GNSS positions"},
+                                        {filter::Sensor::kPose, "absolute poses"}}) {
+    const filter::SensorCounters& of = counters.sensors.at(static_cast<std::size_t>(sensor));
+    if (of.jumped + of.bad_value == 0) continue;
+    warnings.add(
+        fmt::format("{} {} were dropped: no robot can do what they say", of.jumped + of.bad_value, samples));
+  }
+}
+
+void FilterInput::warn_without_ranges(std::size_t ranges_seen, Warnings& warnings) {
+  warnings.add(
+      ranges_seen == 0
+          ? "there are no ranges of the chosen tags, anchors and time: the poses are by odometry alone"
+          : fmt::format("none of the {} ranges was used: the poses are by odometry alone; check the "
+                        "calibration and the start",
+                        ranges_seen));
 }
 
 }  // namespace groma::cli

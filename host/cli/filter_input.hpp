@@ -4,6 +4,7 @@
 #include <array>
 #include <filesystem>
 #include <optional>
+#include <span>
 
 #include <CLI/App.hpp>
 
@@ -11,6 +12,7 @@
 #include "host/cli/warnings.hpp"
 #include "host/filter/replay.hpp"
 #include "host/io/dataset.hpp"
+#include "host/io/error.hpp"
 #include "host/model/calibration.hpp"
 
 namespace groma::cli {
@@ -42,6 +44,13 @@ class FilterInput {
   enum class StartIs { kNeeded, kFoundOtherwise };
   [[nodiscard]] Drive read(const char* command, StartIs start, Warnings& warnings) const;
 
+  // Throws DataError, which names the odometry sample, where a pose or covariance is not finite.
+  void expect_finite(std::span<const model::PlanarEstimate> rows,
+                     std::span<const model::SpatialEstimate> spatial = {}) const;
+  // Warns of samples that no robot can do, and where no range was used.
+  static void warn_of_samples(const filter::Counters& counters, Warnings& warnings);
+  static void warn_without_ranges(std::size_t ranges_seen, Warnings& warnings);
+
   [[nodiscard]] const std::filesystem::path& dataset() const noexcept { return dataset_; }
   [[nodiscard]] const std::filesystem::path& output() const noexcept { return output_; }
   [[nodiscard]] bool json() const noexcept { return json_; }
@@ -49,6 +58,8 @@ class FilterInput {
  private:
   [[nodiscard]] model::Calibration load_calibration(const io::Dataset& dataset, Warnings& warnings) const;
   [[nodiscard]] std::optional<filter::Start> find_start(const io::Dataset& dataset) const;
+  // Of the odometry sample of that time, with its line in a folder's file.
+  [[nodiscard]] io::FilePlace odometry_place(double t_s) const;
 
   std::filesystem::path dataset_;
   std::optional<std::filesystem::path> calibration_;

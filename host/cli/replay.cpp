@@ -88,6 +88,7 @@ int run(const ReplayOptions& options) {
                         "ranges and motion",
                         "choose another --from and --to, or give --start X,Y,YAW");
   }
+  options.input.expect_finite(result.rows, result.spatial);
   std::vector<io::RowWords> words;
   words.reserve(result.states.size());
   for (const auto& [state, reason] : result.states)
@@ -100,6 +101,9 @@ int run(const ReplayOptions& options) {
     warnings.add(fmt::format("{} ranges to anchors, or of pairs, that the calibration lacks were ignored",
                              counters.ranges_unknown_anchor));
   }
+  FilterInput::warn_of_samples(counters, warnings);
+  if (counters.ranges_used == 0 && replay.config.model != filter::Model::kOdometry)
+    FilterInput::warn_without_ranges(result.ranges_seen, warnings);
   const double duration_s = result.rows.back().t_s - begin_s(drive);
   const double realtime_factor = wall_s > 0.0 ? duration_s / wall_s : 0.0;
   if (options.input.json()) {
@@ -112,6 +116,7 @@ int run(const ReplayOptions& options) {
                   {"anchor_exchanges", counters.anchor_exchanges},
                   {"relocations", result.relocations},
                   {"slips", counters.slips},
+                  {"odometry_implausible", counters.odometry_implausible},
                   {"state", words.back().state},
                   {"sensors", sensors_json(counters)},
                   {"dropped", cli::to_json(drive.dataset.dropped)},

@@ -44,7 +44,11 @@ int run(const SmoothOptions& options) {
     warnings.add(fmt::format("{}: still moving after {} rounds; is the start right?",
                              options.input.dataset().string(), result.rounds));
   }
+  options.input.expect_finite(result.rows);
   io::write_file(options.input.output(), io::format_estimate(result.rows));
+  FilterInput::warn_of_samples(result.counters, warnings);
+  // Less than one in sight, all of them together.
+  if (result.ranges_in_sight < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
   if (options.input.json()) {
     say_json(Json{{"ranges_seen", result.ranges_seen},
                   {"ranges_in_sight", result.ranges_in_sight},
@@ -54,6 +58,7 @@ int run(const SmoothOptions& options) {
                   {"yaw_rate_bias_radps", result.yaw_rate_bias_radps},
                   {"range_delay_s", result.range_delay_s},
                   {"odometry_delay_s", result.odometry_delay_s},
+                  {"odometry_implausible", result.counters.odometry_implausible},
                   {"dropped", cli::to_json(drive.dataset.dropped)}});
   } else {
     say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,

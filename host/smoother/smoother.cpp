@@ -12,6 +12,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "host/filter/link_delay.hpp"
+#include "host/filter/odometry_gate.hpp"
 #include "host/filter/present_pose.hpp"
 #include "host/filter/propagation.hpp"
 #include "host/model/antenna_pattern.hpp"
@@ -549,9 +550,17 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   if (beginning.rows.empty()) return {};
   const double end_s = beginning.rows.back().t_s;
 
-  // The rows of the beginning, and the one that holds at the start.
+  // The rows of the beginning, and the one that holds at the start. What no robot can do is left out, as the
+  // filter does: the velocity before it holds on.
+  filter::OdometryGate gate(options.config.odometry_gate);
+  model::OdometrySample held;
   std::vector<model::OdometrySample> rows;
-  for (const model::OdometrySample& row : odometry) {
+  for (model::OdometrySample row : odometry) {
+    if (gate.accepts(row)) {
+      held = row;
+    } else {
+      row = {row.t_s, held.vx_mps, held.vy_mps, held.omega_radps};
+    }
     if (row.t_s > end_s) break;
     if (row.t_s <= options.start.t_s) rows.clear();
     rows.push_back(row);
@@ -563,7 +572,9 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
     if (range.t_s < options.start.t_s || range.t_s > end_s) continue;
     smoother.take(range);
   }
-  return smoother.solve();
+  Result result = smoother.solve();
+  result.counters = beginning.counters;
+  return result;
 }
 
 }  // namespace groma::smoother

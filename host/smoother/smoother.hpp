@@ -26,6 +26,7 @@ struct Result {
   double odometry_delay_s = 0.0;
   std::size_t ranges_seen = 0;
   double ranges_in_sight = 0.0;  // sum of their probabilities
+  filter::Counters counters;     // of the filter that it begins with
   int rounds = 0;
   bool converged = false;  // the last round moved no pose by more than a millimetre
 };

@@ -67,6 +67,14 @@ class CliTest : public testing::Test {
     EXPECT_EQ(result.exit_code, 0) << result.err;
     return json::parse(result.out);
   }
+  // A file of the data set with other text in one of its lines, from 1.
+  void replace_line(const std::string& file, std::size_t number, const std::string& line) const {
+    std::istringstream in(read_text(data_ / file));
+    std::string text;
+    std::string of;
+    for (std::size_t i = 1; std::getline(in, of); ++i) text += (i == number ? line : of) + "\n";
+    folder_.write("data/" + file, text);
+  }
   // A file of the data set with a line of its own at the end.
   void append(const std::string& file, const std::string& line) const {
     folder_.write("data/" + file, read_text(data_ / file) + line + "\n");
@@ -597,6 +605,69 @@ TEST_F(CliTest, DataThatCannotBeReadEndsWith65AndItsPlace) {
   std::filesystem::remove(data_ / "odometry.csv");
   EXPECT_THAT(replay_calibrated().err, HasSubstr("odometry.csv: does not exist"));
   EXPECT_EQ(groma({"calibrate", folder_ / "nowhere", "-o", calibration_}).exit_code, 65);
+}
+
+// 40 s is at line 802 of odometry.csv.
+TEST_F(CliTest, SamplesThatNoRobotCanDoAreDroppedCountedAndEndWith3) {
+  ASSERT_EQ(replay({"--surveyed"}).exit_code, 0);
+  const double without_m = evaluate().at("ate_m").at("mean");
+  for (const std::string wrong : {"40,1e308,0,0", "40,0.5,-1e12,0", "40,0.5,0,1e300", "40,-60,0,0"}) {
+    replace_line("odometry.csv", 802, wrong);
+    const ChildResult result = replay({"--surveyed", "--json"});
+    EXPECT_EQ(result.exit_code, 3) << wrong;
+    EXPECT_THAT(result.err, HasSubstr("warning: 1 odometry samples were dropped")) << wrong;
+    EXPECT_EQ(json::parse(result.out).at("odometry_implausible"), 1) << wrong;
+    EXPECT_LT(evaluate().at("ate_m").at("mean").get<double>(), 1.2 * without_m) << wrong;
+    const std::string smoothed = folder_ / "smoothed.csv";
+    const ChildResult smooth =
+        groma({"smooth", data_, "--surveyed", "-o", smoothed, "--from", "35", "--to", "45", "--json"});
+    EXPECT_EQ(smooth.exit_code, 3) << wrong << smooth.err;
+    EXPECT_EQ(json::parse(smooth.out).at("odometry_implausible"), 1) << wrong;
+    EXPECT_TRUE(json::parse(smooth.out).at("converged").get<bool>()) << wrong;
+    const std::vector<model::PlanarEstimate> rows = io::read_estimate(smoothed);
+    EXPECT_EQ(rows.size(), 201U) << wrong;
+  }
+}
+
+TEST_F(CliTest, PosesThatNoRobotHasAreDroppedCountedAndEndWith3) {
+  replace_line("pose_prior.csv", 2, "0,1e300,0,0.25,0.8");
+  const ChildResult result = replay({"--surveyed", "--json"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_THAT(result.err, HasSubstr("1 with a pose that no robot has"));
+  EXPECT_EQ(json::parse(result.out).at("dropped").at("implausible"), 1);
+  EXPECT_LT(evaluate().at("ate_m").at("mean").get<double>(), 0.1);
+  folder_.write("data/imu.csv", "t_s,omega_radps\n0,0.1\n0.01,0.1\n0.02,1e308\n0.03,0.1\n");
+  folder_.write("data/gnss.csv", "t_s,x_m,y_m,p_xx,p_xy,p_yy\n0,5,0,1,0,1\n1,5,0,1,0,1\n2,5,0,1,1e9,1\n");
+  const ChildResult sensors = replay({"--surveyed", "--json"});
+  EXPECT_EQ(sensors.exit_code, 3);
+  EXPECT_THAT(sensors.err, HasSubstr("warning: 1 IMU samples were dropped"));
+  EXPECT_EQ(json::parse(sensors.out).at("dropped").at("implausible"), 2);
+  EXPECT_EQ(json::parse(sensors.out).at("sensors").at("imu").at("jumped"), 1);
+}
+
+TEST_F(CliTest, AResultThatIsNotFiniteEndsWith65AndWritesNothing) {
+  const std::string description = read_text(data_ / "dataset.yaml");
+  const std::size_t at = description.find("surface:");
+  ASSERT_NE(at, std::string::npos);
+  folder_.write("data/dataset.yaml",
+                description.substr(0, at) + "surface: {type: plane, z_m: 0, normal: [1e300, 0, 1e-300]}\n");
+  for (const std::string command : {"replay", "smooth"}) {
+    const ChildResult result = groma({command, data_, "--surveyed", "-o", estimate_});
+    EXPECT_EQ(result.exit_code, 65) << command;
+    EXPECT_THAT(result.err, HasSubstr("odometry.csv:2: the estimate is not finite")) << command;
+    EXPECT_FALSE(std::filesystem::exists(estimate_)) << command;
+  }
+}
+
+TEST_F(CliTest, ARunThatUsesNoRangeEndsWith3) {
+  for (const std::string command : {"replay", "smooth"}) {
+    const ChildResult result = groma({command, data_, "--surveyed", "-o", estimate_, "--from", "10", "--to",
+                                      "15", "--start", "5000,5000,0"});
+    EXPECT_EQ(result.exit_code, 3) << command;
+    EXPECT_THAT(result.err, AllOf(HasSubstr("none of the "), HasSubstr(" ranges was used"))) << command;
+  }
+  EXPECT_EQ(replay({"--surveyed", "--model", "odometry"}).exit_code, 0);
+  EXPECT_EQ(replay({"--surveyed", "--start", "1e300,0,0"}).exit_code, 2);
 }
 
 TEST_F(CliTest, BadConfigurationEndsWith78AndItsPlace) {
