@@ -43,14 +43,12 @@ if(GROMA_LLD AND NOT CMAKE_CROSSCOMPILING)
   target_link_options(groma_build_options INTERFACE -fuse-ld=lld)
 endif()
 
-# Of tests: their build takes longer than their run. At -O1 GCC 12 takes Eigen's dynamic matrices for null, and
-# its forward propagation miscompiles smoother_test's reference (InSight).
+# Of tests: their build takes longer than their run. At -O1 GCC 12 takes Eigen's dynamic matrices for null.
 add_library(groma_test_options INTERFACE)
 target_compile_options(
   groma_test_options
   INTERFACE
     "$<$<CONFIG:Release>:-O1;-g0>"
-    $<$<CXX_COMPILER_ID:GNU>:-fno-tree-forwprop>
     -Wno-null-dereference
 )
 

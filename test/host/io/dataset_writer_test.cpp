@@ -91,8 +91,8 @@ auto members(const model::SensorDescription& of) {
   return std::tie(gyro_sigma, gyro_bias_sigma, lever_arm);
 }
 auto members(const DroppedRows& of) {
-  const auto& [range_out_of_bounds, unknown_tag, unknown_anchor, late, repeated] = of;
-  return std::tie(range_out_of_bounds, unknown_tag, unknown_anchor, late, repeated);
+  const auto& [range_out_of_bounds, unknown_tag, unknown_anchor, late, repeated, implausible] = of;
+  return std::tie(range_out_of_bounds, unknown_tag, unknown_anchor, late, repeated, implausible);
 }
 auto members(const LogInfo& of) {
   const auto& [sections, section, damaged_bytes] = of;
