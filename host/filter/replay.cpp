@@ -23,25 +23,6 @@ Percentiles percentiles(std::vector<double>& values) {
   return {at(0.50), at(0.99)};
 }
 
-// Whether a robot gets from one pose to the next. Priors are good to a few decimetres.
-bool follows(const model::PoseSample& before, const model::PoseSample& pose) {
-  constexpr double kSpeed_mps = 5.0;
-  constexpr double kTurn_radps = 3.0;
-  constexpr double kError_m = 1.0;
-  constexpr double kError_rad = 0.5;
-  const double gap_s = pose.t_s - before.t_s;
-  const double way_m = std::hypot(pose.x_m - before.x_m, pose.y_m - before.y_m, pose.z_m - before.z_m);
-  const double turn_rad = std::abs(model::wrap_angle(pose.yaw_rad - before.yaw_rad));
-  return way_m <= kError_m + kSpeed_mps * gap_s && turn_rad <= kError_rad + kTurn_radps * gap_s;
-}
-
-// Whether one of the two poses after the first agrees with it.
-bool is_confirmed(std::span<const model::PoseSample> poses) {
-  const auto next = poses.subspan(1, std::min<std::size_t>(poses.size() - 1, 2));
-  return std::any_of(next.begin(), next.end(),
-                     [&](const model::PoseSample& pose) { return follows(poses.front(), pose); });
-}
-
 }  // namespace
 
 ReplayResult replay(const Run& run, const ReplayOptions& options) {
@@ -146,16 +127,11 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
 
 std::optional<Start> start_from_prior(std::span<const model::PoseSample> priors, double from_s,
                                       const model::Surface& surface) {
-  const auto is_in_time = [from_s](const model::PoseSample& pose) {
+  const auto prior = std::find_if(priors.begin(), priors.end(), [from_s](const model::PoseSample& pose) {
     return pose.t_s >= from_s && model::is_plausible(pose);
-  };
-  const auto first = std::find_if(priors.begin(), priors.end(), is_in_time);
-  if (first == priors.end()) return std::nullopt;
-  const auto confirmed = std::find_if(first, priors.end(), [&](const model::PoseSample& pose) {
-    return is_in_time(pose) && is_confirmed(priors.subspan(static_cast<std::size_t>(&pose - priors.data())));
   });
-  const model::PoseSample& prior = confirmed != priors.end() ? *confirmed : *first;
-  return Start{.t_s = prior.t_s, .pose = place_on(surface, prior)};
+  if (prior == priors.end()) return std::nullopt;
+  return Start{.t_s = prior->t_s, .pose = place_on(surface, *prior)};
 }
 
 }  // namespace groma::filter

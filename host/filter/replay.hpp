@@ -75,7 +75,7 @@ struct ReplayResult {
 [[nodiscard]] ReplayResult replay(const Run& run, const ReplayOptions& options);
 
 // The first pose prior at or after from_s as a start, on the chart that is nearest to its height; none when
-// there is none. One that a robot cannot get from to either of the next two is passed over. Where a pose
+// there is none. One that no robot has is passed over. Where a pose
 // tells roll and pitch, its heading on the surface is taken from its attitude.
 [[nodiscard]] std::optional<Start> start_from_prior(std::span<const model::PoseSample> priors, double from_s,
                                                     const model::Surface& surface);

@@ -636,7 +636,7 @@ TEST_F(CliTest, PosesThatNoRobotHasAreDroppedCountedAndEndWith3) {
   EXPECT_THAT(result.err, HasSubstr("1 with a pose that no robot has"));
   EXPECT_EQ(json::parse(result.out).at("dropped").at("implausible"), 1);
   EXPECT_LT(evaluate().at("ate_m").at("mean").get<double>(), 0.1);
-  folder_.write("data/imu.csv", "t_s,omega_radps\n0,0.1\n0.01,0.1\n0.02,1e308\n0.03,0.1\n");
+  folder_.write("data/imu.csv", "t_s,omega_radps\n10,0.1\n10.01,0.1\n10.02,1e308\n10.03,0.1\n");
   folder_.write("data/gnss.csv", "t_s,x_m,y_m,p_xx,p_xy,p_yy\n0,5,0,1,0,1\n1,5,0,1,0,1\n2,5,0,1,1e9,1\n");
   const ChildResult sensors = replay({"--surveyed", "--json"});
   EXPECT_EQ(sensors.exit_code, 3);
