@@ -185,7 +185,7 @@ void Session::drop_odometry(std::uint64_t& counter, double now_s) {
   drop_reported_ = drop_reported_ || all;
   const std::string what =
       all ? fmt::format("all odometry was dropped for {:.1f} s", kDropReported_s)
-          : fmt::format("{} odometry samples dropped so far for their t_s", timestamps_dropped_);
+          : fmt::format("odometry samples dropped for their t_s so far: {}", timestamps_dropped_);
   say(fmt::format("robot: {}: {}: {}; {}", what, cause_name(fault->cause), evidence(*fault), remedy(*fault)));
 }
 

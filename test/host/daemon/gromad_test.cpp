@@ -216,6 +216,31 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
 }
 
+// Its timestamp is 0.95 s ahead; the robot's clock and the poses go on.
+TEST_F(GromadTest, NamesAWrongTimestampAndGoesOn) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 250; })) << gromad.log();
+  const double odd_s = site.site_time_s() + SimulatedSite::kRobotOrigin_s + 0.95;
+  site.send_to_robot_socket(fmt::format(
+      "{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":1,\"vy_mps\":0,\"omega_radps\":0.25}}\n", odd_s));
+  const auto named = [&] {
+    return std::find_if(objects_.begin(), objects_.end(), [](const json& object) {
+      return object.at("class") == "STATUS" && !object.at("diagnosis").empty();
+    });
+  };
+  ASSERT_TRUE(run_until(site, gromad, [&] { return named() != objects_.end(); })) << gromad.log();
+  const json fault = named()->at("diagnosis")[0];
+  EXPECT_EQ(fault.at("cause"), "clock-offset");
+  EXPECT_NEAR(fault.at("value"), 0.95, 0.2);
+  EXPECT_THAT(gromad.log(), HasSubstr("odometry samples dropped for their t_s so far: 1: clock-offset"));
+  const std::size_t before = poses("TRACKING");
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
+  EXPECT_LT(largest_error_m(50), 0.3);
+  EXPECT_EQ(gromad.log().find("its clock was set"), std::string::npos) << gromad.log();
+}
+
 // A pose does not wait with its row. The lag is long so that no busy machine takes a pose for a late one.
 TEST_F(GromadTest, TellsAPoseBeforeItsRowsTurnHasCome) {
   constexpr double kLag_s = 0.5;
