@@ -16,6 +16,15 @@ std::int64_t ticks_at(double t_s) noexcept {
   return std::llround(t_s * kTicksPerSecond);
 }
 
+// ms, us or ns in the place of seconds, or the other way round: a power of 1000.
+bool is_unit(double rate) noexcept {
+  if (!(rate > 0.0)) return false;
+  constexpr double kNear = 0.2;  // decades
+  const double decades = std::log10(rate);
+  const double power = 3.0 * std::round(decades / 3.0);
+  return power != 0.0 && std::abs(decades - power) < kNear;
+}
+
 }  // namespace
 
 const char* cause_name(TimestampFault::Cause cause) noexcept {
@@ -106,13 +115,13 @@ Timestamp RobotClock::judge_far(double t_s, double now_s, double offset_s) noexc
   const double for_s = now_s - far_.since_s;
   if (for_s < config_.set_after_s || far_.samples < kRun) return Timestamp::kWrong;
   const double rate = (t_s - far_.t_s) / for_s;
-  if (rate > 1.0 / kUnitRate && rate < kUnitRate) {
+  if (rate > 1.0 / kMaxRate && rate < kMaxRate) {
     fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
     begin(t_s, now_s);
     return Timestamp::kSet;
   }
-  // No clock runs like this: to follow it would be of no use.
-  fault_ = {TimestampFault::Cause::kTimeUnit, rate, now_s};
+  // No clock runs like this: to follow it would be of no use. A stalled link looks so too, but for the unit.
+  if (is_unit(rate)) fault_ = {TimestampFault::Cause::kTimeUnit, rate, now_s};
   far_ = {.samples = kRun, .t_s = t_s, .since_s = now_s};
   return Timestamp::kWrong;
 }

@@ -61,7 +61,7 @@ class RobotClock {
   static constexpr double kLateAlike_s = 0.05;  // kRun samples that are this late alike raise suspicion
   static constexpr double kBehind_s = 0.2;      // no sample less late than this ...
   static constexpr double kBehindFor_s = 1.0;   // ... for so long: the input is behind
-  static constexpr double kUnitRate = 4.0;      // a t_s that runs this much faster or slower has another unit
+  static constexpr double kMaxRate = 4.0;       // a t_s that runs this much faster or slower is no clock's
 
   explicit RobotClock(const RobotClockConfig& config = {});
 

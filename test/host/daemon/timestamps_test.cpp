@@ -241,6 +241,17 @@ TEST(Timestamps, AnotherUnitIsNamedAndCostsNoClockStep) {
   }
 }
 
+TEST(RobotClock, AStalledLinkIsNoUnit) {
+  RobotClock clock;
+  double now_s = 10.0;
+  for (; now_s < 12.0; now_s += 0.02) EXPECT_EQ(clock.judge(now_s, now_s), Timestamp::kGood);
+  // What was sent at 50 Hz arrives at 2 Hz, ever later.
+  for (int i = 0; i < 40; ++i) clock.judge(12.0 + 0.02 * i, now_s += 0.5);
+  ASSERT_TRUE(clock.fault());
+  EXPECT_EQ(clock.fault()->cause, TimestampFault::Cause::kClockOffset);
+  EXPECT_TRUE(clock.suspected());
+}
+
 // Odometry pauses, with the ranges (a daemon that was stopped) or without.
 TEST(Timestamps, AfterAPauseTheRangesHaveToAgreeFirst) {
   for (const double pause_s : {1.3, 2.5, 5.0, 20.0}) {
