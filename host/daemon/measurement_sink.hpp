@@ -27,7 +27,11 @@ class MeasurementSink {
   virtual void on_clock_set() = 0;
   // The robot's clock was set by no more than SessionConfig::max_clock_error_s: its times before, plus that
   // step, are its times now. found_late: measurements with the new times were passed on before that.
-  virtual void on_clock_step(double /*step_s*/, bool /*found_late*/) { on_clock_set(); }
+  // Times fall back only where a step back was found at once; otherwise a link that delays for a while looks
+  // the same, and what was collected stays.
+  virtual void on_clock_step(double step_s, bool found_late) {
+    if (step_s < 0.0 && !found_late) on_clock_set();
+  }
   // Whether the times of odometry are in doubt from now on: its clock seems to have been set, or it arrives
   // late.
   virtual void on_odometry_times(bool /*doubtful*/) {}

@@ -301,19 +301,22 @@ void Session::clock_stepped() {
                   std::abs(step_s)));
   ++counters_.robot_clock_set;
   for (MeasurementSink* sink : sinks_) sink->on_clock_step(step_s, robot_clock_.step_found_late());
-  // What waits is of the old clock.
-  const auto held = merger_.flush();
-  for (model::OdometrySample row : held) waiting_.push({row.t_s, serial_++, row});
+  // What waits is of the old clock; but the robot's own times, where the step was found late, are of the new
+  // one.
+  const bool found_late = robot_clock_.step_found_late();
+  for (const model::OdometrySample& row : merger_.flush()) waiting_.push({row.t_s, serial_++, row});
   merger_.reset();
   std::vector<Waiting> all;
   for (; !waiting_.empty(); waiting_.pop()) all.push_back(waiting_.top());
   for (Waiting& one : all) {
-    one.t_s += step_s;
-    move_in_time(one.sample, step_s);
+    if (!found_late || std::holds_alternative<model::RangeSample>(one.sample)) {
+      one.t_s += step_s;
+      move_in_time(one.sample, step_s);
+    }
     waiting_.push(one);
   }
   if (passed_until_s_) *passed_until_s_ += step_s;
-  if (last_odometry_s_) *last_odometry_s_ += step_s;
+  if (last_odometry_s_ && !found_late) *last_odometry_s_ += step_s;
   pose_times_ = {};
   sensor_times_ = {};
 }

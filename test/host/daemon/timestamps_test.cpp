@@ -293,6 +293,62 @@ TEST(Timestamps, ALateInputIsDegradedWithItsCause) {
   EXPECT_THAT(drive.log(), Contains(HasSubstr("late")));
 }
 
+class ClockSets : public MeasurementSink {
+ public:
+  void on_odometry(const model::OdometrySample& row) override {
+    falls_back_ = falls_back_ || row.t_s <= last_s_;
+    last_s_ = row.t_s;
+  }
+  void on_range(const model::RangeSample& /*range*/) override {}
+  void on_pose_prior(const model::PoseSample& /*pose*/) override {}
+  void on_clock_set() override {
+    ++count;
+    last_s_ = -1e300;
+  }
+  [[nodiscard]] bool falls_back() const { return falls_back_; }
+  int count = 0;
+
+ private:
+  bool falls_back_ = false;
+  double last_s_ = -1e300;
+};
+
+// A recording and a calibration drive do not begin again for that, nor for a step forward.
+TEST(Timestamps, ALinkThatDelaysForAWhileCostsNoRecording) {
+  LockStepDrive drive;
+  ClockSets recorder;
+  drive.session().attach(recorder);
+  std::vector<Sent> queue;
+  drive.timestamps = [&](Kind kind, double t_s) -> std::vector<Sent> {
+    if (kind != Kind::kOdometry || t_s < kEvent_s) return {t_s};
+    queue.emplace_back(t_s, t_s);
+    if (t_s >= kEvent_s + 4.0) return std::exchange(queue, {});
+    if (queue.size() <= 5) return {};
+    const Sent first = queue.front();
+    queue.erase(queue.begin());
+    return {first};
+  };
+  drive.run(kEnd_s);
+  EXPECT_EQ(drive.session().counters().robot_clock_set, 2U);
+  EXPECT_EQ(recorder.count, 0);
+  EXPECT_FALSE(recorder.falls_back());
+  EXPECT_EQ(drive.wrong_tracking(), 0);
+  EXPECT_EQ(drive.tracking_share(kEvent_s + 6.0), 1.0);
+
+  for (const double by_s : {0.3, -0.3}) {
+    SCOPED_TRACE(by_s);
+    LockStepDrive stepped;
+    ClockSets other;
+    stepped.session().attach(other);
+    stepped.timestamps = [&](Kind, double t_s) {
+      return std::vector<Sent>{t_s < kEvent_s ? t_s : t_s + by_s};
+    };
+    stepped.run(kEnd_s);
+    EXPECT_EQ(other.count, by_s < 0.0 ? 1 : 0);
+    EXPECT_FALSE(other.falls_back());
+  }
+}
+
 TEST(Timestamps, AnUncertainPoseIsNotTracked) {
   // Between a pause and the row's turn the state is of before the pause, the pose of after it.
   LockStepDrive drive;
