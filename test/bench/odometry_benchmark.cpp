@@ -16,6 +16,7 @@ namespace {
 
 std::unique_ptr<Localizer> localizer(std::uint64_t& poses) {
   std::vector<model::Anchor> anchors;
+  anchors.reserve(6);
   for (int i = 0; i < 6; ++i) {
     anchors.push_back({static_cast<model::NodeId>(100 + i), {8.0 * (i % 2), 8.0 * (i % 3), 2.0}});
   }

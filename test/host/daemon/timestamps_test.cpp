@@ -416,6 +416,7 @@ std::array<double, 3> integral(const std::vector<model::OdometrySample>& samples
 TEST(OdometryMerger, LeavesSlowOdometryAsItIs) {
   for (const double period_s : {0.1, 0.02, 0.005}) {
     std::vector<model::OdometrySample> samples;
+    samples.reserve(100);
     for (int i = 0; i < 100; ++i) samples.push_back({period_s * i, 0.1 * i, -0.2 * i, 0.3 * i});
     OdometryMerger merger;
     for (const auto& sample : samples) {
