@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <numeric>
 #include <optional>
 #include <tuple>
@@ -198,7 +199,8 @@ Dataset sample() {
                         {0.1, 1.03, 2.02, 0.5, 3.0, 0.01, -0.02, covariance}};
   dataset.yaw_rates = {{0.003, 0.11}, {0.013, -1.0 / 9.0}};
   dataset.positions = {{0.2, 5.5, -6.25, {0.5, 0.0, 0.4}}, {0.3, 5.6, -1.0 / 11.0, {0.6, 0.1, 0.45}}};
-  dataset.absolute_poses = {{0.4, 7.5, -8.25, 0.0, 1.5, model::kUnknown, model::kUnknown, covariance},
+  constexpr double kNoTilt = std::numeric_limits<double>::quiet_NaN();
+  dataset.absolute_poses = {{0.4, 7.5, -8.25, 0.0, 1.5, kNoTilt, kNoTilt, covariance},
                             {0.5, 1.0 / 13.0, -8.5, 0.0, 1.25, 0.015, -0.025, covariance}};
   dataset.zero_velocities = {{0.6}, {2.0 / 3.0}};
   dataset.sensors = {.gyro_sigma_radps = 0.0031,
