@@ -552,7 +552,9 @@ class Crowd {
   }
   [[nodiscard]] ClockTime now() const { return ClockTime(t_ * kDuration.count()); }
   [[nodiscard]] std::uint32_t number(const Member& m) const {
-    return static_cast<std::uint32_t>(std::floor(static_cast<double>(t_) + m.base));
+    // Modulo 2^32, also where it is negative.
+    return static_cast<std::uint32_t>(
+        static_cast<std::int64_t>(std::floor(static_cast<double>(t_) + m.base)));
   }
   double uniform() { return static_cast<double>(random_() >> 11) * 0x1p-53; }
   [[nodiscard]] std::size_t timelines() const {

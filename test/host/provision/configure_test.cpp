@@ -149,8 +149,8 @@ INSTANTIATE_TEST_SUITE_P(ConfigureNode, InterruptedAfter,
                          ::testing::Combine(::testing::Range(0, 5), ::testing::Bool()));
 
 TEST(ConfigureNode, NoiseOnTheLineOnlyTakesTime) {
-  LiveSite site;
   std::minstd_rand random(7);
+  LiveSite site;
   site.set_line([&](std::vector<std::uint8_t>& bytes) {
     std::vector<std::uint8_t> through;
     for (const std::uint8_t byte : bytes) {
