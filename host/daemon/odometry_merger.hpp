@@ -2,13 +2,15 @@
 //
 // A sample holds until the next. So a merged one carries the time of its first sample and the mean of the
 // velocities over the time that they held, up to the sample that ends it: the displacement is exact, and the
-// merged sample goes out when that time is over. Samples that come slower go through as they are, at once.
+// merged sample goes out when that time is over. Samples that come slower go through as they are, at once; so
+// does a jump that no robot can do, for the filter's gate to see.
 #pragma once
 
 #include <array>
 #include <cstdint>
 #include <span>
 
+#include "host/filter/config.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
@@ -32,6 +34,7 @@ class OdometryMerger {
   [[nodiscard]] std::uint64_t merged() const noexcept { return merged_; }
 
  private:
+  static constexpr filter::OdometryGateConfig gate_{};
   void add_held_until(double t_s) noexcept;
   [[nodiscard]] model::OdometrySample mean() const noexcept;
 

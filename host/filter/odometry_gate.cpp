@@ -6,10 +6,10 @@
 
 namespace groma::filter {
 
-bool OdometryGate::follows(const model::OdometrySample& before,
-                           const model::OdometrySample& sample) const noexcept {
-  return std::hypot(sample.vx_mps - before.vx_mps, sample.vy_mps - before.vy_mps) <= config_.jump_mps &&
-         std::abs(sample.omega_radps - before.omega_radps) <= config_.jump_radps;
+bool follows(const OdometryGateConfig& config, const model::OdometrySample& before,
+             const model::OdometrySample& sample) noexcept {
+  return std::hypot(sample.vx_mps - before.vx_mps, sample.vy_mps - before.vy_mps) <= config.jump_mps &&
+         std::abs(sample.omega_radps - before.omega_radps) <= config.jump_radps;
 }
 
 bool OdometryGate::accepts(const model::OdometrySample& sample) noexcept {
@@ -17,8 +17,8 @@ bool OdometryGate::accepts(const model::OdometrySample& sample) noexcept {
     dropped_count_ = 0;
     return false;
   }
-  if (!follows(accepted_, sample)) {
-    if (dropped_count_ == 0 || !follows(dropped_, sample)) {
+  if (!follows(config_, accepted_, sample)) {
+    if (dropped_count_ == 0 || !follows(config_, dropped_, sample)) {
       dropped_count_ = 0;
       dropped_since_s_ = sample.t_s;
     }

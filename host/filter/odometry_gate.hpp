@@ -10,6 +10,10 @@
 
 namespace groma::filter {
 
+// Whether a robot can change from one sample's velocities to the other's, whatever the time between them.
+[[nodiscard]] bool follows(const OdometryGateConfig& config, const model::OdometrySample& before,
+                           const model::OdometrySample& sample) noexcept;
+
 class OdometryGate {
  public:
   explicit OdometryGate(const OdometryGateConfig& config) : config_(config) {}
@@ -21,9 +25,6 @@ class OdometryGate {
   void reset() noexcept { *this = OdometryGate(config_); }
 
  private:
-  [[nodiscard]] bool follows(const model::OdometrySample& before,
-                             const model::OdometrySample& sample) const noexcept;
-
   OdometryGateConfig config_;
   model::OdometrySample accepted_{};
   // The last of those that were dropped since, which follow each other, their number, and the first one's

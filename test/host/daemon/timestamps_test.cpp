@@ -446,6 +446,22 @@ TEST(OdometryMerger, KeepsTheDisplacementOfUnevenSamples) {
   for (std::size_t i = 1; i < out.size(); ++i) EXPECT_GT(out[i].t_s, out[i - 1].t_s);
 }
 
+TEST(OdometryMerger, LeavesWhatNoRobotCanDoApart) {
+  // At 1 kHz: a mean of five would hide it from the filter's gate.
+  for (const double wrong : {15.0, 60.0, 1e300}) {
+    std::vector<model::OdometrySample> samples;
+    for (int i = 0; i < 100; ++i) samples.push_back({0.001 * i, i == 42 ? wrong : 1.0, 0.0, 0.0});
+    int alone = 0;
+    for (const model::OdometrySample& sample : merged(samples)) {
+      if (sample.vx_mps == wrong) ++alone;
+      if (sample.vx_mps != wrong) {
+        EXPECT_DOUBLE_EQ(sample.vx_mps, 1.0);
+      }
+    }
+    EXPECT_EQ(alone, 1);
+  }
+}
+
 TEST(OdometryMerger, LetsTheLastSampleGoWhenNoneFollows) {
   OdometryMerger merger;
   static_cast<void>(merger.take({1.000, 1.0, 0.0, 0.0}));
