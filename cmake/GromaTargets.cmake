@@ -126,6 +126,11 @@ function(groma_test)
   if(arg_LONG)
     string(APPEND left_out ":${arg_LONG}")
   endif()
+  # The longest begin first, so that none runs on alone at the end.
+  set(cost ${arg_SHARDS})
+  if(arg_SLOW)
+    math(EXPR cost "${cost} + 10")
+  endif()
   math(EXPR last "${arg_SHARDS} - 1")
   foreach(shard RANGE ${last})
     set(environment GTEST_TOTAL_SHARDS=${arg_SHARDS} GTEST_SHARD_INDEX=${shard} GTEST_FILTER=-${left_out})
@@ -142,7 +147,7 @@ function(groma_test)
       ${arg_NAME}.${shard}
       PROPERTIES
         ENVIRONMENT "${environment}"
-        COST ${arg_SHARDS}
+        COST ${cost}
         LABELS "${arg_LABELS}"
         TIMEOUT ${arg_TIMEOUT}
     )

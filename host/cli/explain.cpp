@@ -204,7 +204,7 @@ std::string words(const StateAt& at) {
                         : fmt::format("{} ({})", filter::state_name(at.state), reason);
 }
 
-Json to_json(const Eigen::Vector3d& pose) {
+Json pose_json(const Eigen::Vector3d& pose) {
   return {{"x_m", pose.x()}, {"y_m", pose.y()}, {"yaw_rad", pose.z()}};
 }
 
@@ -228,7 +228,7 @@ Json to_json(const Heard& heard) {
   json["pair_in_sight"] = 1.0 - heard.result.blocked;
   json["hint_ratio"] = heard.result.hint_ratio;
   json["heard_again_sigma_m"] = heard.regained_sigma_m;
-  json["pull"] = to_json(heard.result.pull);
+  json["pull"] = pose_json(heard.result.pull);
   return json;
 }
 
@@ -253,13 +253,13 @@ Json to_json(const ExplainOptions& options, const Story& story) {
                      {"seen", ranges.size()},
                      {"used", used(ranges)},
                      {"why", why(nearest(ranges, options.at_s))},
-                     {"pull", to_json(by)},
+                     {"pull", pose_json(by)},
                      {"ranges", std::move(list)}});
   }
   Json json = to_json(moment.state);
   json["model"] = options.model;
   json["window_s"] = options.window_s;
-  json["pose"] = to_json(Eigen::Vector3d(estimate.pose.x_m, estimate.pose.y_m, estimate.pose.theta_rad));
+  json["pose"] = pose_json(Eigen::Vector3d(estimate.pose.x_m, estimate.pose.y_m, estimate.pose.theta_rad));
   json["pose"]["covariance"] = std::move(covariance);
   json["state_doubted"] = moment.doubts;
   json["states"] = std::move(states);
@@ -275,7 +275,7 @@ Json to_json(const ExplainOptions& options, const Story& story) {
   json["ranges"] = {{"white_sigma_m", moment.white_sigma_m},
                     {"slow_error_sigma_m", moment.slow_sigma_m},
                     {"delay_s", estimate.range_delay_s}};
-  json["pull"] = to_json(moved);
+  json["pull"] = pose_json(moved);
   json["pairs"] = std::move(pairs);
   return json;
 }

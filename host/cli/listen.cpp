@@ -39,7 +39,7 @@ struct ListenOptions {
 };
 
 // Mean and spread of one pair's ranges (Welford).
-struct Pair {
+struct PairRanges {
   std::uint64_t count = 0;
   double mean_m = 0.0;
   double squares_m2 = 0.0;
@@ -89,7 +89,7 @@ class Listener : public link::NodeSink {
   }
   void on_network_status(const groma_NetworkStatus& said) override { status = said; }
 
-  std::map<std::pair<model::NodeId, model::NodeId>, Pair> pairs;  // tag, anchor
+  std::map<std::pair<model::NodeId, model::NodeId>, PairRanges> pairs;  // tag, anchor
   std::optional<groma_NetworkStatus> status;
 
  private:
