@@ -1,8 +1,10 @@
 #include "test/host/provision/emulated_part.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstring>
+#include <thread>
 
 namespace groma::provision::test {
 
@@ -109,6 +111,7 @@ bool EmulatedPart::write_flash(std::vector<std::uint8_t>& memory, std::uint32_t 
   const bool broken = &memory == &flash_ && broken_ == offset;
   if (!broken) set_word(memory, offset, word_at(memory, offset) & value);  // bits only fall
   ++words_written_;
+  while (words_written_ >= hold_at_) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   return true;
 }
 

@@ -6,6 +6,7 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <optional>
 #include <vector>
@@ -39,6 +40,8 @@ class EmulatedPart {
   [[nodiscard]] int pages_erased() const noexcept { return pages_erased_; }
   [[nodiscard]] int mass_erases() const noexcept { return mass_erases_; }
   [[nodiscard]] int words_written() const noexcept { return words_written_; }
+  // The debugger waits at that number of words written, until another is given here.
+  void hold_at(int words) noexcept { hold_at_ = words; }
 
  private:
   void reset();
@@ -66,6 +69,7 @@ class EmulatedPart {
   std::atomic<int> pages_erased_ = 0;
   std::atomic<int> mass_erases_ = 0;
   std::atomic<int> words_written_ = 0;
+  std::atomic<int> hold_at_ = std::numeric_limits<int>::max();
 };
 
 }  // namespace groma::provision::test

@@ -14,6 +14,7 @@
 #include <csignal>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <thread>
@@ -142,7 +143,9 @@ TEST_F(CommandTest, FlashWithAPlanGoesThroughAllNodes) {
 TEST_F(CommandTest, KilledAtEachNodeItGoesOnWhereItStopped) {
   for (std::size_t i = 0; i < parts_.size(); ++i) {
     const int half = static_cast<int>(image_.size() / 4 / 2);
-    EXPECT_TRUE(kill_when(flash_all(), [&] { return parts_[i]->words_written() > half; })) << i;
+    parts_[i]->hold_at(half);
+    EXPECT_TRUE(kill_when(flash_all(), [&] { return parts_[i]->words_written() >= half; })) << i;
+    parts_[i]->hold_at(std::numeric_limits<int>::max());
     EXPECT_FALSE(std::equal(image_.begin(), image_.end(), parts_[i]->flash().begin())) << i;
     for (std::size_t done = 0; done < i; ++done) {
       EXPECT_TRUE(std::equal(image_.begin(), image_.end(), parts_[done]->flash().begin())) << done;
