@@ -34,7 +34,7 @@ class OdometryMerger {
   [[nodiscard]] std::uint64_t merged() const noexcept { return merged_; }
 
  private:
-  static constexpr filter::OdometryGateConfig gate_{};
+  static constexpr filter::OdometryGateConfig kGate{};
   void add_held_until(double t_s) noexcept;
   [[nodiscard]] model::OdometrySample mean() const noexcept;
 
