@@ -18,7 +18,7 @@ constexpr double kMaxSteps = 400.0;
 constexpr double kMaxJump_s = 1e5;
 // Doubt does not widen the pose beyond these.
 constexpr double kMaxDoubt_m = 10.0;
-constexpr double kMaxDoubt_rad = 1.0;
+constexpr double kMaxDoubt_rad = 0.5;
 // Nothing is known of a pose from these sigmas on: they grow no further, and numbers stay finite.
 constexpr double kUnknown_m = 1e6;
 constexpr double kUnknown_rad = 1e3;
@@ -53,7 +53,10 @@ void DeadReckoning<Covariance>::renew(CoreIndex index, double variance) noexcept
 
 template <class Covariance>
 bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept {
-  if (!now_.odometry_gate.accepts(row)) return false;
+  if (!now_.odometry_gate.accepts(row)) {
+    now_.hold_s = std::min(now_.hold_s, std::max(row.t_s - now_.row.t_s, 0.0));
+    return false;
+  }
   if (now_.gyro.holds() && now_.gyro.is_silent(row.t_s)) {
     now_.gyro.give_up();
     renew(kYawBias, square(config_.yaw_rate_bias_radps));
@@ -86,6 +89,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   }
   now_.row = held;
   now_.has_row = true;
+  now_.hold_s = config_.max_hold_s;
   // Wheels that slip turn the robot no more.
   if (now_.gyro.holds()) doubt.heading_rad2 = 0.0;
   renew_row(noise, doubt);
@@ -93,7 +97,9 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     covariance_.grow(kX, doubt.position_m2);
     covariance_.grow(kY, doubt.position_m2);
   }
-  if (doubt.heading_rad2 > 0.0) covariance_.grow(kTheta, doubt.heading_rad2);
+  // Of a heading that is more uncertain, a linearized update would take a wrong position from the lever arms.
+  const double most_rad2 = std::max(square(kMaxDoubt_rad) - covariance_.core()(kTheta, kTheta), 0.0);
+  if (doubt.heading_rad2 > 0.0) covariance_.grow(kTheta, std::min(doubt.heading_rad2, most_rad2));
   return true;
 }
 
@@ -129,7 +135,7 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   covariance_.grow(kScale, square(config_.scale_walk) * dt_s);
   covariance_.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
   // A row older than it may be tells less and less of the velocity.
-  const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - config_.max_hold_s, 0.0, dt_s);
+  const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - now_.hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {
     covariance_.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
     covariance_.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);

@@ -29,6 +29,8 @@ struct MotionState {
   CoreVector core = CoreVector::Zero();
   model::OdometrySample row{};
   bool has_row = false;
+  double hold_s = 0.0;  // for how long the velocity of row is trusted: max_hold_s, or to the first
+                        // implausible sample after it
   model::OdometrySample told_row{};  // that, where row is of a robot that stands
   bool stands = false;
   double t_s = 0.0;

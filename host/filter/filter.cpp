@@ -50,7 +50,8 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
                            .slip = SlipDoubt(config.slip),
                            .gyro = Gyro(config.sensors),
                            .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
-                           .standstill = Standstill(config.standstill)};
+                           .standstill = Standstill(config.standstill),
+                           .hold_s = config.max_hold_s};
   return {motion,
           parameters,
           Gate(config.gate),
@@ -154,6 +155,7 @@ void Filter::stop() noexcept {
   now_.started = false;
   now_.has_row = false;
   now_.row = {};
+  now_.hold_s = config_.max_hold_s;
   now_.odometry_gate.reset();
   now_.gyro = Gyro(config_.sensors);
 }
@@ -224,6 +226,7 @@ OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
     if (!now_.odometry_gate.accepts(row)) return OdometryOutcome::kImplausible;
     now_.row = row;
     now_.has_row = true;
+    now_.hold_s = config_.max_hold_s;
     return OdometryOutcome::kStored;
   }
   const bool late = row.t_s < now_.t_s;

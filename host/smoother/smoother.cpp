@@ -171,12 +171,13 @@ struct Sighting {
 class Smoother {
  public:
   Smoother(const filter::Run& run, const filter::ReplayOptions& options,
-           std::vector<model::OdometrySample> rows)
+           std::vector<model::OdometrySample> rows, std::vector<double> stale_s)
       : surface_(*run.surface),
         config_(options.config),
         start_(options.start),
         tags_(run.tags.begin(), run.tags.end()),
         rows_(std::move(rows)),
+        stale_s_(std::move(stale_s)),
         shared_(tags_, *run.calibration, config_),
         patterns_m_(tags_.size(), model::PatternTerms::Zero()),
         noise_(
@@ -450,7 +451,10 @@ class Smoother {
                               square(config_.odometry.sigma_omega_radps));
     // Of a row that holds for too long, the velocity walks: as one error that moves it as far.
     const double overdue_s = std::max(row_s - config_.max_hold_s, 0.0);
-    const double walk = overdue_s * overdue_s * overdue_s / (3.0 * row_s * row_s);
+    double walk = overdue_s * overdue_s * overdue_s / (3.0 * row_s * row_s);
+    // And so it does where rows were dropped: together they are as uncertain as by a walk since the last that
+    // held.
+    if (stale_s_[k] > 0.0) walk += (stale_s_[k] * (stale_s_[k] - row_s) + square(row_s) / 3.0) / row_s;
     variances += walk * Eigen::Vector3d(square(config_.hold_walk_mps), square(config_.hold_walk_mps),
                                         square(config_.hold_walk_radps));
     const Eigen::Matrix3d by_noise = by_core.block<3, 3>(0, filter::kRowVx);
@@ -524,6 +528,7 @@ class Smoother {
   filter::Start start_;
   std::vector<model::Tag> tags_;
   std::vector<model::OdometrySample> rows_;
+  std::vector<double> stale_s_;  // of each row, where it was dropped: the age of the one that holds on
   Shared shared_;
   std::vector<model::PatternTerms> patterns_m_;
   model::RangeNoise noise_;
@@ -554,19 +559,25 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   // filter does: the velocity before it holds on.
   filter::OdometryGate gate(options.config.odometry_gate);
   model::OdometrySample held;
+  std::vector<double> stale_s;
   std::vector<model::OdometrySample> rows;
   for (model::OdometrySample row : odometry) {
     if (gate.accepts(row)) {
       held = row;
     } else {
+      if (rows.empty()) held.t_s = row.t_s;
       row = {row.t_s, held.vx_mps, held.vy_mps, held.omega_radps};
     }
     if (row.t_s > end_s) break;
-    if (row.t_s <= options.start.t_s) rows.clear();
+    if (row.t_s <= options.start.t_s) {
+      rows.clear();
+      stale_s.clear();
+    }
     rows.push_back(row);
+    stale_s.push_back(row.t_s - held.t_s);
   }
   if (rows.size() < 2) return {};
-  Smoother smoother(run, options, std::move(rows));
+  Smoother smoother(run, options, std::move(rows), std::move(stale_s));
   smoother.begin(beginning);
   for (const model::RangeSample& range : run.ranges) {
     if (range.t_s < options.start.t_s || range.t_s > end_s) continue;

@@ -6,7 +6,10 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
+#include <initializer_list>
 #include <limits>
+#include <map>
 #include <span>
 #include <string>
 #include <vector>
@@ -40,9 +43,9 @@ struct Samples {
   std::vector<model::PoseSample> poses;
 };
 
-Samples make_samples(bool with_sensors) {
+Samples make_samples(bool with_sensors, std::uint64_t seed = 31) {
   Samples out;
-  Random random(31);
+  Random random(seed);
   out.drive = testing::drive(model::Surface(), testing::six_anchors(0.1), kStart,
                              {.duration_s = kDuration_s, .row_s = kRow_s, .range_s = 0.01}, random);
   if (!with_sensors) return out;
@@ -97,11 +100,10 @@ Outcome run(const Samples& samples, const std::vector<model::PlanarPose>& truth)
   return out;
 }
 
-// As good as the run without, one pose for each odometry sample, and none called TRACKING beyond 5 sigma.
-void expect_good(const Outcome& with, const Outcome& without, const std::vector<model::PlanarPose>& truth,
-                 const std::string& what) {
+// One pose for each odometry sample, all finite, and none called TRACKING beyond 5 sigma.
+void expect_honest(const Outcome& with, const std::vector<model::PlanarPose>& truth,
+                   const std::string& what) {
   ASSERT_EQ(with.result.rows.size(), truth.size()) << what;
-  EXPECT_LE(with.mean_m, 1.2 * without.mean_m) << what;
   double worst = 0.0;
   for (std::size_t i = 0; i < truth.size(); ++i) {
     const model::PlanarEstimate& row = with.result.rows[i];
@@ -127,37 +129,52 @@ bool is_wrong(Pattern pattern, std::size_t i, double t_s, double every_s) {
   return t_s > 4.0 && since_s < every_s - 1e-9;
 }
 
-// Each size, either way, in each pattern, in the column that `at` gives of a sample.
+// Each size, either way, in each pattern, in the column that `at` gives of a sample. As good as the run
+// without: in the mean over `seeds`, since the error of a single drive of 16 s is a matter of chance.
 template <class Sample>
 void expect_good_of_all(const std::string& column, const std::vector<double>& sizes, double every_s,
-                        std::vector<Sample>& (*of)(Samples&), double& (*at)(Sample&), bool with_sensors) {
-  const Samples right = make_samples(with_sensors);
-  const std::vector<model::PlanarPose>& truth = right.drive.truth;
-  for (const Pattern pattern : kPatterns) {
-    // Without the wrong samples: as they should have been or, where a sensor is missed, left out.
-    Samples wrong = right;
-    Samples left_out = right;
-    of(left_out).clear();
-    std::vector<std::size_t> spoilt;
-    for (std::size_t i = 0; i < of(wrong).size(); ++i) {
-      const Sample& sample = of(wrong)[i];
-      if (is_wrong(pattern, i, sample.t_s, every_s)) {
-        spoilt.push_back(i);
-      } else {
-        of(left_out).push_back(sample);
+                        std::vector<Sample>& (*of)(Samples&), double& (*at)(Sample&), bool with_sensors,
+                        std::initializer_list<std::uint64_t> seeds = {31}) {
+  struct Means {
+    double with_m = 0.0;
+    double without_m = 0.0;
+  };
+  std::map<std::string, Means> all_means;
+  for (const std::uint64_t seed : seeds) {
+    const Samples right = make_samples(with_sensors, seed);
+    const std::vector<model::PlanarPose>& truth = right.drive.truth;
+    const Outcome as_it_should_be = run(right, truth);
+    for (const Pattern pattern : kPatterns) {
+      // Without the wrong samples: as they should have been or, where a sensor is missed, left out.
+      Samples wrong = right;
+      Samples left_out = right;
+      of(left_out).clear();
+      std::vector<std::size_t> spoilt;
+      for (std::size_t i = 0; i < of(wrong).size(); ++i) {
+        const Sample& sample = of(wrong)[i];
+        if (is_wrong(pattern, i, sample.t_s, every_s)) {
+          spoilt.push_back(i);
+        } else {
+          of(left_out).push_back(sample);
+        }
       }
-    }
-    Outcome without = run(right, truth);
-    if (with_sensors) without.mean_m = std::max(without.mean_m, run(left_out, truth).mean_m);
-    for (const double size : sizes) {
-      for (const double value : {size, -size}) {
-        for (const std::size_t i : spoilt) at(of(wrong)[i]) = value;
-        expect_good(run(wrong, truth), without, truth,
-                    column + " " + std::to_string(static_cast<int>(pattern)) + " " +
-                        (::testing::Message() << value).GetString());
+      double without_m = as_it_should_be.mean_m;
+      if (with_sensors) without_m = std::max(without_m, run(left_out, truth).mean_m);
+      for (const double size : sizes) {
+        for (const double value : {size, -size}) {
+          for (const std::size_t i : spoilt) at(of(wrong)[i]) = value;
+          const std::string what = column + " " + std::to_string(static_cast<int>(pattern)) + " " +
+                                   (::testing::Message() << value).GetString();
+          const Outcome with = run(wrong, truth);
+          expect_honest(with, truth, what);
+          Means& means = all_means[what];
+          means.with_m += with.mean_m;
+          means.without_m += without_m;
+        }
       }
     }
   }
+  for (const auto& [what, means] : all_means) EXPECT_LE(means.with_m, 1.2 * means.without_m) << what;
 }
 
 template <class Sizes>
@@ -181,7 +198,7 @@ std::vector<model::PoseSample>& poses_of(Samples& of) {
 TEST(Implausible, OdometryOfAnySizeCostsNothing) {
   using Row = model::OdometrySample;
   const auto good = [](const char* column, const auto& sizes, double& (*at)(Row&)) {
-    expect_good_of_all<Row>(column, all(sizes), kRow_s, odometry_of, at, false);
+    expect_good_of_all<Row>(column, all(sizes), kRow_s, odometry_of, at, false, {31, 32, 33, 34});
   };
   good("vx_mps", kSizes, [](Row& row) -> double& { return row.vx_mps; });
   good("vy_mps", kSizes, [](Row& row) -> double& { return row.vy_mps; });
@@ -245,6 +262,29 @@ TEST(Implausible, SamplesAreCountedAndTheirTimeStillPasses) {
   EXPECT_EQ(at.t_s, samples.drive.odometry[300].t_s);
   EXPECT_NEAR(std::hypot(at.x_m - before.x_m, at.y_m - before.y_m),
               kRow_s * samples.drive.odometry[299].vx_mps, 0.02);
+}
+
+TEST(Implausible, WhatWasMissedMeanwhileIsInTheCovariance) {
+  Filter filter(model::Surface(), testing::three_tags(), testing::six_anchors(),
+                testing::config_of(Model::kSchmidt));
+  filter.process(model::OdometrySample{0.0, 1.2, 0.0, 1.0});
+  filter.start({.t_s = 0.0, .position_sigma_m = 0.001, .heading_sigma_rad = 0.001});
+  // For 0.4 s the robot brakes and turns less and less, and its odometry is wrong.
+  model::PlanarPose truth;
+  for (int i = 1; i <= 21; ++i) {
+    const double share = 1.0 - 0.05 * (i - 0.5);
+    truth =
+        testing::integrate(model::Surface(), truth, {0.7 + 0.5 * share, 0.0, 0.4 + 0.6 * share}, kRow_s, 4);
+    const bool is_last = i == 21;
+    EXPECT_EQ(filter.process(model::OdometrySample{kRow_s * i, is_last ? 0.7 : 1e308, 0.0, 0.4}),
+              is_last ? OdometryOutcome::kUsed : OdometryOutcome::kImplausible);
+  }
+  const Estimate estimate = filter.estimate();
+  EXPECT_GT(std::abs(estimate.pose.theta_rad - truth.theta_rad), 0.1);
+  EXPECT_LT(testing::squared_error(estimate, truth), 16.0) << "within 4 sigma";
+  // Right samples since then are as sure as ever.
+  const double variance = filter.covariance().core()(kRowVx, kRowVx);
+  EXPECT_LT(variance, 2.0 * 0.03 * 0.03);
 }
 
 TEST(Implausible, OdometryThatStaysWrongIsNoOdometry) {
