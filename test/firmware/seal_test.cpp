@@ -130,6 +130,25 @@ TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
   }
 }
 
+TEST_F(SealTest, ForgetsWhatItPrecomputedForTheSessionBefore) {
+  for (const Body& body : bodies()) {
+    const auto plain = signed_bytes(frame_with(body), place);
+    for (const FrameType type : {FrameType::kBeacon, FrameType::kPoll, FrameType::kResponse,
+                                 FrameType::kFinal, FrameType::kJoin, FrameType::kData}) {
+      Seal node(&cipher, kKey);
+      node.enter(kSession + 1);
+      node.expect_sent(101, type, place);
+      node.expect_received(101, type, place);
+      node.enter(kSession);
+      FrameBytes bytes = serialize(frame_with(body));
+      node.begin_signing(bytes, place);
+      node.finish_signing(bytes);
+      EXPECT_TRUE(std::equal(plain.begin(), plain.end(), bytes.bytes().begin(), bytes.bytes().end()));
+      EXPECT_TRUE(node.fits(plain, place));
+    }
+  }
+}
+
 TEST_F(SealTest, SeesAForgeryAtAGlanceToo) {
   seal.expect_received(101, FrameType::kPoll, place);
   const auto good = signed_bytes(frame_with(bodies()[1]), place);
