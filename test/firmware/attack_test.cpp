@@ -309,6 +309,30 @@ INSTANTIATE_TEST_SUITE_P(EachKind, Replaced,
                          [](const auto& one) { return one.param.name; });
 
 // Anchor 104's answer is kept from the tag, and 103's, of this very slot, comes in its window.
+// The genuine RESPONSE after it closes the exchange that the forged one was of.
+TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
+  come_up();
+  run_superframes(20);
+  for (const std::uint16_t anchor : std::array<std::uint16_t, 4>{101, 102, 103, 104}) {
+    for (const Forgery forgery : kForgeries) {
+      SCOPED_TRACE(static_cast<int>(forgery));
+      attacked.clear();
+      ghosts_sent = ghosts_heard = 0;
+      replace(kResponse, anchor, forgery);
+      while (attacked.empty()) air->run(0.0001);
+      run_superframes(0.5);
+      cease();
+      EXPECT_GE(ghosts_heard, 1U);
+      run_superframes(6);
+      EXPECT_TRUE(std::none_of(air->ranges.begin(), air->ranges.end(), [&](const RangeSeen& seen) {
+        return seen.range.status == mac::RangeStatus::kOk && seen.anchor == anchor &&
+               attacked.count({seen.tag, seen.superframe}) != 0;
+      }));
+      air->ranges.clear();
+    }
+  }
+}
+
 TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
   come_up();
   std::optional<Air::Frame> of_103;
