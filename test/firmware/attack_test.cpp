@@ -106,6 +106,12 @@ class AttackTest : public ::testing::Test {
       EXPECT_NEAR(static_cast<double>(seen.range.flight.distance_m()), seen.truth_m, 0.1);
     }
   }
+  void expect_no_forged_range(std::uint16_t anchor) const {
+    EXPECT_TRUE(std::none_of(air->ranges.begin(), air->ranges.end(), [&](const RangeSeen& seen) {
+      return seen.range.status == mac::RangeStatus::kOk && seen.anchor == anchor &&
+             attacked.count({seen.tag, seen.superframe}) != 0;
+    }));
+  }
   [[nodiscard]] bool all_fresh() const {
     for (std::size_t i = 0; i < air->size(); ++i) {
       if (!air->station(i).fresh() || air->station(i).sync().state() == mac::SyncState::kSearching)
@@ -292,10 +298,7 @@ TEST_P(Replaced, FramesAreDroppedAndCountedWhateverTheyAreMadeOf) {
     run_superframes(4);
     if (kind == kResponse) {
       // Nor does what comes later make a range of them.
-      EXPECT_TRUE(std::none_of(air->ranges.begin(), air->ranges.end(), [&](const RangeSeen& seen) {
-        return seen.range.status == mac::RangeStatus::kOk && seen.anchor == sender &&
-               attacked.count({seen.tag, seen.superframe}) != 0;
-      }));
+      expect_no_forged_range(sender);
     }
     expect_full_rate();
   }
@@ -308,7 +311,6 @@ INSTANTIATE_TEST_SUITE_P(EachKind, Replaced,
                                            Replacement{kData, 104, "Data"}),
                          [](const auto& one) { return one.param.name; });
 
-// Anchor 104's answer is kept from the tag, and 103's, of this very slot, comes in its window.
 // The genuine RESPONSE after it closes the exchange that the forged one was of.
 TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
   come_up();
@@ -324,15 +326,13 @@ TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
       cease();
       EXPECT_GE(ghosts_heard, 1U);
       run_superframes(6);
-      EXPECT_TRUE(std::none_of(air->ranges.begin(), air->ranges.end(), [&](const RangeSeen& seen) {
-        return seen.range.status == mac::RangeStatus::kOk && seen.anchor == anchor &&
-               attacked.count({seen.tag, seen.superframe}) != 0;
-      }));
+      expect_no_forged_range(anchor);
       air->ranges.clear();
     }
   }
 }
 
+// Anchor 104's answer is kept from the tag, and 103's, of this very slot, comes in its window.
 TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
   come_up();
   std::optional<Air::Frame> of_103;

@@ -17,6 +17,9 @@ constexpr security::Key kKey = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 1
 constexpr security::Key kOtherKey = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 17};
 constexpr std::uint64_t kSession = 0x0065'0000'0007'0001;
 
+constexpr std::array kTypes = {FrameType::kBeacon, FrameType::kPoll, FrameType::kResponse,
+                               FrameType::kFinal,  FrameType::kJoin, FrameType::kData};
+
 class FailingCipher final : public security::BlockCipher {
  public:
   bool encrypt(const security::Key& key, security::Block& block) noexcept override {
@@ -106,11 +109,9 @@ TEST_F(SealTest, SeesEachBitThatIsChanged) {
 
 // What is made ahead is the same code, for each kind of frame and wherever it was expected.
 TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
-  const std::array types = {FrameType::kBeacon, FrameType::kPoll, FrameType::kResponse,
-                            FrameType::kFinal,  FrameType::kJoin, FrameType::kData};
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
-    for (const FrameType type : types) {
+    for (const FrameType type : kTypes) {
       Seal ahead(&cipher, kKey);
       ahead.enter(kSession);
       ahead.expect_sent(101, type, place);
@@ -133,8 +134,7 @@ TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
 TEST_F(SealTest, ForgetsWhatItPrecomputedForTheSessionBefore) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
-    for (const FrameType type : {FrameType::kBeacon, FrameType::kPoll, FrameType::kResponse,
-                                 FrameType::kFinal, FrameType::kJoin, FrameType::kData}) {
+    for (const FrameType type : kTypes) {
       Seal node(&cipher, kKey);
       node.enter(kSession + 1);
       node.expect_sent(101, type, place);
