@@ -426,6 +426,36 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
   }
 }
 
+// A tag coasts until its clock is too uncertain, then hears the beacons that it missed, replayed. The slot
+// that it had is valid by their count, but the tag must not poll before a challenge was answered.
+TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollByBeaconsThatItMissed) {
+  come_up();
+  for (const auto& one : chatter) one->talks = false;
+  std::size_t tag = 0;
+  while (air->id(tag) != 1) ++tag;
+  heard.clear();
+  air->lost = [tag](const Air::Frame& frame, std::size_t receiver) {
+    return receiver == tag && frame.source != Air::kGhost;
+  };
+  run_superframes(mac::kTableGoodFor - 4.0);
+  const std::vector<Air::Frame> missed = heard[kBeacon];
+  for (int i = 0; i < 200 && air->station(tag).sync().state() != mac::SyncState::kSearching; ++i)
+    run_superframes(1);
+  ASSERT_EQ(air->station(tag).sync().state(), mac::SyncState::kSearching);
+  for (std::size_t i = 0; i < air->size(); ++i) {
+    if (i != tag) air->stop(i);
+  }
+
+  heard.clear();
+  const double later = air->now() - missed.front().rmarker + duration();
+  for (const Air::Frame& frame : missed) air->inject(frame.rmarker + later, frame.x_m, frame.bytes);
+  const std::uint32_t beacons = air->counters(tag).beacons_received;
+  run_superframes(mac::kTableGoodFor);
+  EXPECT_GT(air->counters(tag).beacons_received, beacons + 10);
+  EXPECT_GE(heard[kJoin].size(), 1U) << "it asks whether the beacons are of now";
+  EXPECT_TRUE(heard[kPoll].empty());
+}
+
 // A whole session of former times, said again to the network that runs: as one that is older than it, which
 // an honest one would give way to, and as one that is younger. In shared slots, where all hear it.
 class OldSession : public AttackTest, public ::testing::WithParamInterface<bool> {};

@@ -151,6 +151,24 @@ TEST(Mastership, WhoIsNoBackUpNeverTakesOver) {
   EXPECT_EQ(node.silent_until_takeover(100), 1'001U);
 }
 
+TEST(Mastership, AnOrphanWithNothingToDisturbListensAllAlong) {
+  constexpr std::uint32_t kLast = 100;
+  for (const bool idle : {true, false}) {
+    for (const std::uint16_t id : {std::uint16_t{1}, std::uint16_t{103}}) {
+      Node node(id);
+      node.enter(kLast);
+      int listening = 0;
+      for (std::uint32_t n = 1; n <= Mastership::kPatience + 8; ++n) {
+        node->on_lack(false, idle);
+        const bool listens = node->begin(kLast + n) == Duty::kHushLong;
+        EXPECT_TRUE(!listens || n > Mastership::kPatience) << n;
+        listening += listens ? 1 : 0;
+      }
+      EXPECT_EQ(listening, idle && id == 1 ? 8 : 0) << id << (idle ? ", idle" : "");
+    }
+  }
+}
+
 TEST(Mastership, ASessionThatOneBeaconToldOfIsLedOnByNobodyAndSoonGivenUp) {
   Node node(102);
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);

@@ -424,7 +424,7 @@ bool Mastership::may_invite(std::uint32_t number) const noexcept {
 Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   if (last_beacons_ != 0) return Duty::kGoOn;
   quiet_ = hushed_ != 0;
-  if (std::exchange(listens_next_, false)) return Duty::kHushLong;
+  if (std::exchange(listens_next_, false) || orphaned(number)) return Duty::kHushLong;
   if (hushed_ != 0) {
     --hushed_;
     return leads() ? Duty::kScan : Duty::kHush;

@@ -161,6 +161,10 @@ class Mastership {
   [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(hop_); }
   [[nodiscard]] bool is_news(const Beacon& beacon) const noexcept;
   [[nodiscard]] Duty scan_duty(std::uint32_t number) noexcept;
+  // Hears no beacon of its network, neither polls nor is polled, and can never lead: listening costs nothing.
+  [[nodiscard]] bool orphaned(std::uint32_t number) const noexcept {
+    return role_ == Role::kFollowing && !rank_ && idle_ && age(number) > kPatience;
+  }
   [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
   [[nodiscard]] ranging::Ticks listening_time() const noexcept;
 

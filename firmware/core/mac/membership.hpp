@@ -31,6 +31,8 @@ class TagMembership final : public ControlChannel {
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
     return leaving_ ? std::nullopt : tenure_.slot(number);
   }
+  // Its last table of slots is too old to poll by in superframe `number`.
+  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return tenure_.outdated(number); }
   // Polls no more, and says so. For good.
   void leave() noexcept;
 

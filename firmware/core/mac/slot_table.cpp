@@ -217,7 +217,7 @@ void Tenure::take(const Beacon& beacon) noexcept {
 }
 
 std::optional<std::size_t> Tenure::slot(std::uint32_t number) const noexcept {
-  if (!known_ || number - told_ > kTableGoodFor) return std::nullopt;
+  if (!known_ || outdated(number)) return std::nullopt;
   return slot_;
 }
 

@@ -127,6 +127,10 @@ class Tenure {
 
   // Nothing where it has none, or where its table is too old for superframe `number`.
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept;
+  // It has a table, too old for superframe `number`.
+  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept {
+    return known_ && number - told_ > kTableGoodFor;
+  }
   // It has a table, and no slot by it.
   [[nodiscard]] bool homeless() const noexcept { return known_ && !slot_; }
 

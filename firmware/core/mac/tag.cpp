@@ -34,6 +34,7 @@ Action Tag::plan(ClockTime now) noexcept {
     if (const auto action = station_.control(now)) return *action;
     const std::uint32_t superframe = station_.superframe_number();
     station_.end_superframe();
+    if (membership_.outdated(superframe)) station_.on_lack(false, true);
     const auto slot = lent_ ? std::nullopt : membership_.slot(superframe);
     if (slot && station_.ahead(station_.poll_due(superframe, *slot), now) && station_.sure(superframe)) {
       phase_ = Phase::kPoll;
