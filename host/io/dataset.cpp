@@ -68,6 +68,30 @@ void put_in_order(std::vector<Sample>& samples, DroppedRows& dropped) {
       samples, [](const Sample& sample) { return sample.t_s; }, dropped);
 }
 
+// Odometry comes from one source, in order. A sample that is out of order by more than a few others has a
+// wrong timestamp: its velocity is of another time, and the samples around it give that time's.
+void put_in_order(std::vector<model::OdometrySample>& odometry, DroppedRows& dropped) {
+  std::vector<model::OdometrySample> kept;
+  kept.reserve(odometry.size());
+  for (auto row = odometry.begin(); row != odometry.end(); ++row) {
+    const auto few = static_cast<std::ptrdiff_t>(kMaxOdometryOutOfOrder);
+    const bool late =
+        std::ssize(kept) > few && std::all_of(kept.end() - few - 1, kept.end(),
+                                              [&](const auto& other) { return row->t_s < other.t_s; });
+    const auto next = row + 1;
+    const bool early =
+        odometry.end() - next > few &&
+        std::all_of(next, next + few + 1, [&](const auto& other) { return row->t_s > other.t_s; });
+    if (late || early) {
+      ++dropped.late;
+    } else {
+      kept.push_back(*row);
+    }
+  }
+  odometry = std::move(kept);
+  put_in_order<model::OdometrySample>(odometry, dropped);
+}
+
 constexpr auto kRangeKey = [](const model::RangeSample& range) {
   return std::tuple(range.t_s, range.tag_id, range.anchor_id, range.range_m);
 };

@@ -19,9 +19,9 @@ struct DroppedRows {
   std::size_t range_out_of_bounds = 0;  // not within (0, kMaxRange_m]
   std::size_t unknown_tag = 0;          // not in tags.csv
   std::size_t unknown_anchor = 0;       // no 16-bit id, or not in anchors.csv where that is read
-  std::size_t late = 0;                 // of any file: more than kMaxLateness_s behind the rows around it
-  std::size_t repeated = 0;             // same instant; of ranges, the same pair and range too
-  std::size_t implausible = 0;          // poses and positions that no robot has, or whose covariance is none
+  std::size_t late = 0;         // of any file: out of order, see kMaxLateness_s and kMaxOdometryOutOfOrder
+  std::size_t repeated = 0;     // same instant; of ranges, the same pair and range too
+  std::size_t implausible = 0;  // poses and positions that no robot has, or whose covariance is none
 
   [[nodiscard]] std::size_t total() const {
     return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated + implausible;
@@ -30,6 +30,9 @@ struct DroppedRows {
 
 inline constexpr double kMaxRange_m = 1000.0;
 inline constexpr double kMaxLateness_s = 0.5;
+// An odometry sample may be behind as many others that came before it, or ahead of as many that came after
+// it.
+inline constexpr std::size_t kMaxOdometryOutOfOrder = 4;
 
 // A file that tells of the site, as a data set folder has it.
 struct DescriptionFile {

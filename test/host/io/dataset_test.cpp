@@ -242,6 +242,30 @@ TEST_F(DatasetTest, ARowFromTheFutureDoesNotMakeAllOthersLate) {
   EXPECT_NEAR(data.odometry.back().t_s, 4.9, 1e-9);
 }
 
+// 50 Hz, and one sample (20) at another place in time: by up to four samples it is sorted, by more it is
+// dropped.
+TEST_F(DatasetTest, AnOdometrySampleWithAWrongTimestampIsDropped) {
+  for (const int shift : {-12, -5, -4, -1, 1, 4, 5, 12, 25}) {
+    std::string text = "t_s,vx_mps,vy_mps,omega_radps\n";
+    for (int i = 0; i < 50; ++i) {
+      const double t_s = 0.02 * i + (i == 20 ? 0.02 * shift + 0.01 : 0.0);
+      text += std::to_string(t_s) + "," + (i == 20 ? "2" : "1") + ",0,0\n";
+    }
+    folder_.write("odometry.csv", text);
+    const Dataset data = read();
+    // Half a period later: -5 is behind four samples, 5 is ahead of five.
+    const bool kept = shift >= -5 && shift <= 4;
+    EXPECT_EQ(data.odometry.size(), kept ? 50U : 49U) << shift;
+    EXPECT_EQ(data.dropped.late, kept ? 0U : 1U) << shift;
+    EXPECT_TRUE(std::is_sorted(data.odometry.begin(), data.odometry.end(),
+                               [](const auto& a, const auto& b) { return a.t_s < b.t_s; }));
+    EXPECT_EQ(std::count_if(data.odometry.begin(), data.odometry.end(),
+                            [](const auto& o) { return o.vx_mps > 1.5; }),
+              kept ? 1 : 0)
+        << shift;
+  }
+}
+
 TEST_F(DatasetTest, AGapIsNoFault) {
   folder_.write("odometry.csv",
                 "t_s,vx_mps,vy_mps,omega_radps\n0,1,0,0\n0.1,1,0,0\n1000,1,0,0\n1000.1,1,0,0\n");
