@@ -151,20 +151,23 @@ TEST(Mastership, WhoIsNoBackUpNeverTakesOver) {
   EXPECT_EQ(node.silent_until_takeover(100), 1'001U);
 }
 
-TEST(Mastership, AnOrphanWithNothingToDisturbListensAllAlong) {
+TEST(Mastership, AnOrphanWithNothingToDisturbListensMostOfTheTime) {
   constexpr std::uint32_t kLast = 100;
+  constexpr std::uint32_t kOrphaned = 64;
   for (const bool idle : {true, false}) {
     for (const std::uint16_t id : {std::uint16_t{1}, std::uint16_t{103}}) {
       Node node(id);
       node.enter(kLast);
       int listening = 0;
-      for (std::uint32_t n = 1; n <= Mastership::kPatience + 8; ++n) {
+      for (std::uint32_t n = 1; n <= Mastership::kPatience + kOrphaned; ++n) {
         node->on_lack(false, idle);
         const bool listens = node->begin(kLast + n) == Duty::kHushLong;
         EXPECT_TRUE(!listens || n > Mastership::kPatience) << n;
         listening += listens ? 1 : 0;
       }
-      EXPECT_EQ(listening, idle && id == 1 ? 8 : 0) << id << (idle ? ", idle" : "");
+      // In five of eight superframes: in the others it listens where its own network's beacon is due.
+      const int expected = idle && id == 1 ? kOrphaned * 5 / 8 : 0;
+      EXPECT_NEAR(listening, expected, expected / 4) << id << (idle ? ", idle" : "");
     }
   }
 }

@@ -424,17 +424,18 @@ bool Mastership::may_invite(std::uint32_t number) const noexcept {
 Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   if (last_beacons_ != 0) return Duty::kGoOn;
   quiet_ = hushed_ != 0;
-  if (std::exchange(listens_next_, false) || orphaned(number)) return Duty::kHushLong;
+  const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
+  const bool may_scan = chance % 8 < 5;
+  if (std::exchange(listens_next_, false) || (may_scan && orphaned(number))) return Duty::kHushLong;
   if (hushed_ != 0) {
     --hushed_;
     return leads() ? Duty::kScan : Duty::kHush;
   }
-  const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
   const bool rumoured = rumoured_ != 0;
   if (rumoured) --rumoured_;
   constexpr std::int32_t kNews = 4;
   if (since(number, suspected_) > kNews) suspicious_ = false;
-  if (chance % 8 >= 5 || has_shared_turn(number)) return Duty::kGoOn;
+  if (!may_scan || has_shared_turn(number)) return Duty::kGoOn;
   if (suspicious_ && scans_.over(number)) {
     scans_.begin(number);
     suspicious_ = false;

@@ -161,7 +161,7 @@ class Mastership {
   [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(hop_); }
   [[nodiscard]] bool is_news(const Beacon& beacon) const noexcept;
   [[nodiscard]] Duty scan_duty(std::uint32_t number) noexcept;
-  // Hears no beacon of its network, neither polls nor is polled, and can never lead: listening costs nothing.
+  // It hears no beacon of its network, neither polls nor is polled, and can never lead: a scan costs nothing.
   [[nodiscard]] bool orphaned(std::uint32_t number) const noexcept {
     return role_ == Role::kFollowing && !rank_ && idle_ && age(number) > kPatience;
   }
