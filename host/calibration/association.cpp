@@ -8,6 +8,7 @@
 #include <optional>
 #include <utility>
 
+#include "host/model/ablation.hpp"
 #include "host/model/samples.hpp"
 
 namespace groma::calibration {
@@ -32,6 +33,7 @@ std::vector<model::PoseSample> clean_poses(std::span<const model::PoseSample> po
   model::sort_poses(out);
   for (model::PoseSample& pose : out) {
     if (pose.covariance && !model::is_covariance(*pose.covariance)) pose.covariance.reset();
+    if (model::is_ablated(model::Mechanism::kCalibrationKnots)) pose.covariance.reset();
   }
   return out;
 }

@@ -20,6 +20,7 @@
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/uncertainty.hpp"
 #include "host/calibration/verdict.hpp"
+#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -192,6 +193,7 @@ double flicker_m(std::span<const FittedRange> rows) {
 // goes on for ever; but no anchor is further off than its ranges are long. As one more observation of where
 // it is, with that sigma an axis.
 void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
+  if (model::is_ablated(model::Mechanism::kCalibrationReach)) return;
   const Eigen::Matrix3d sum =
       covariance.topLeftCorner<3, 3>() + sigma_m * sigma_m * Eigen::Matrix3d::Identity();
   const Eigen::MatrixXd by_position = covariance.leftCols<3>();
@@ -202,6 +204,7 @@ void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
 // The first part of the drive by itself gave another height than all of it: where they contradict each other,
 // either may be as wrong as they are apart.
 void admit_shift(double shift_m, double first_variance_m2, Eigen::MatrixXd& covariance) {
+  if (model::is_ablated(model::Mechanism::kCalibrationShift)) return;
   const double variance_m2 = std::max(2.0 * covariance(2, 2), first_variance_m2);
   if (shift_m * shift_m > kHeightChiSquare * variance_m2) covariance(2, 2) += shift_m * shift_m;
 }
@@ -301,6 +304,7 @@ void explore(Site& site, const model::Calibration* earlier) {
 
 // Poses that say of themselves that they may be off by as much as a move is long show none.
 bool can_tell_moves(const Association& association) {
+  if (model::is_ablated(model::Mechanism::kCalibrationMoves)) return false;
   return std::all_of(
       association.pose_spreads.begin(), association.pose_spreads.end(), [](const PoseSpread& spread) {
         return spread.covariance.topLeftCorner<2, 2>().trace() < 2.0 * kMovePose_m * kMovePose_m;
@@ -348,6 +352,7 @@ bool has_moves(const Site& site) {
 // What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
 void look_again(Site& site, const model::RangePriors& priors, const model::Calibration* earlier) {
   if (!is_within_reach(site.fits) || has_moves(site)) return;
+  if (model::is_ablated(model::Mechanism::kCalibrationAgain)) return;
   for (AnchorFit& fit : site.fits) {
     fit.problem.sight = nullptr;
     fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
@@ -364,6 +369,7 @@ void look_again(Site& site, const model::RangePriors& priors, const model::Calib
 Site solve_at_best_height(const Drive& drive, const Options& options, Moves moves) {
   Site site = solve_at_height(drive, options, HeightSource::kPose, moves);
   if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
+  if (model::is_ablated(model::Mechanism::kCalibrationHeights)) return site;
   Site other = solve_at_height(drive, options, HeightSource::kSurface, moves);
   return total_cost(other.fits) < total_cost(site.fits) ? std::move(other) : std::move(site);
 }

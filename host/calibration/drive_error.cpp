@@ -12,6 +12,7 @@
 #include <Eigen/Cholesky>
 
 #include "host/calibration/joint_equations.hpp"
+#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -58,6 +59,10 @@ constexpr double kNoDelaySigma_s = 1e-7;
 constexpr double kDriveFrameSigma_m = 0.002;
 constexpr double kFrameSigma_rad = 0.0002;
 
+double delay_sigma_s() noexcept {
+  return model::is_ablated(model::Mechanism::kCalibrationDelay) ? kNoDelaySigma_s : kDelaySigma_s;
+}
+
 double log_determinant(const Eigen::LLT<Eigen::MatrixXd>& factors) {
   return 2.0 * Eigen::MatrixXd(factors.matrixL()).diagonal().array().log().sum();
 }
@@ -90,6 +95,7 @@ struct Question {
 // The likeliest wander beside what is believed already; that itself where none makes the ranges likelier by
 // enough.
 Belief believe_wander(const JointEquations& equations, const Question& question, const Belief& before) {
+  if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
   const SharedUnknowns& unknowns = question.unknowns;
   Belief best = before;
   best.evidence += kMinWanderEvidence;
@@ -136,6 +142,7 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
 // by enough. Knots far apart do not tell one from the other: to be asked on fine ones.
 SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknowns& unknowns,
                             const SharedPrior& rough) {
+  if (model::is_ablated(model::Mechanism::kCalibrationSmoothDrift)) return rough;
   Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
   const auto consider = [&](const WanderPrior& wander, double min_gain) {
     SharedPrior prior = rough;
@@ -169,6 +176,7 @@ SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknown
 
 Belief believe_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
                     double min_evidence) {
+  if (model::is_ablated(model::Mechanism::kCalibrationBody)) return before;
   SharedPrior prior = before.prior;
   prior.body = true;
   const Belief found{.prior = prior, .evidence = evidence(equations, unknowns, prior)};
@@ -180,7 +188,7 @@ Belief believe_body(const JointEquations& equations, const SharedUnknowns& unkno
 template <typename Slow>
 SharedPrior likeliest_prior(const JointEquations& equations, const Question& question, const Slow& slow) {
   const SharedUnknowns& unknowns = question.unknowns;
-  Belief nothing{.prior = {.wander = {}, .delay_sigma_s = kDelaySigma_s}};
+  Belief nothing{.prior = {.wander = {}, .delay_sigma_s = delay_sigma_s()}};
   nothing.evidence = evidence(equations, unknowns, nothing.prior);
   Belief wander = believe_wander(equations, question, nothing);
   Belief body = believe_body(equations, unknowns, nothing, kMinBodyEvidence);
@@ -206,7 +214,7 @@ bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& u
                         const SharedPrior& prior) {
   if (prior.wander.sigma_m > 0.0 || prior.body) return false;
   const Eigen::Index delay = unknowns.delay();
-  const double information = equations.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
+  const double information = equations.information(delay, delay) + 1.0 / (delay_sigma_s() * delay_sigma_s());
   return std::abs(equations.descent(delay)) < kMinDelaySigmas * std::sqrt(information);
 }
 
@@ -290,6 +298,7 @@ void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span
   Eigen::Matrix4d about_center = Eigen::Matrix4d::Zero();
   about_center.topLeftCorner<2, 2>() = mean.topLeftCorner<2, 2>();
   about_center(3, 3) = mean(2, 2);
+  if (model::is_ablated(model::Mechanism::kCalibrationFrame)) return;
   const double square_m2 = kDriveFrameSigma_m * kDriveFrameSigma_m;
   const Eigen::Vector4d unseen(square_m2, square_m2, square_m2, kFrameSigma_rad * kFrameSigma_rad);
   // A turn about the center is a turn about the origin and the shift that takes the center back.
@@ -410,7 +419,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
     const AnchorPart& part = equations.anchors[i];
     out.shared_gain.push_back(part.gain);
     out.added_covariance[i] = part.gain * covariance * part.gain.transpose();
-    if (!(out.pattern_m > 0.0)) continue;
+    if (!(out.pattern_m > 0.0) || model::is_ablated(model::Mechanism::kCalibrationOwnPattern)) continue;
     const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
     out.added_covariance[i] += out.pattern_m * out.pattern_m * response * response.transpose();
   }
@@ -448,7 +457,7 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
                          std::accumulate(lasting.begin(), lasting.end(), 0.0);
     const Eigen::Index delay = unknowns.delay();
     const double information =
-        share * equations.information(delay, delay) + 1.0 / (kDelaySigma_s * kDelaySigma_s);
+        share * equations.information(delay, delay) + 1.0 / (delay_sigma_s() * delay_sigma_s());
     out.range_delay_s = share * equations.descent(delay) / information;
     out.range_delay_sigma_s = 1.0 / std::sqrt(information);
     tell_frame(unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), fits, out);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "host/calibration/median.hpp"
+#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -99,6 +100,7 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits, st
     }
   }
   if (pairs.variance_m2.size() < kFewPairs) return std::nullopt;
+  if (model::is_ablated(model::Mechanism::kCalibrationRangeNoise)) return std::nullopt;
   const double whole_m2 = median(pairs.variance_m2);
 
   // variance exp(-lag / time) through the medians, by least squares: for each time the best variance.

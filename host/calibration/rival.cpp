@@ -9,6 +9,8 @@
 
 #include <Eigen/Cholesky>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -50,7 +52,7 @@ std::vector<AnchorVector> starts_around(const AnchorProblem& problem, const Anch
   const double height_m = height_above(spread, axis, anchor);
   std::vector<AnchorVector> out(1, anchor);
   out.back().head<3>() = spread.mirror(anchor.head<3>(), axis);
-  if (axis != kAcrossPlane) return out;
+  if (axis != kAcrossPlane || model::is_ablated(model::Mechanism::kCalibrationProbes)) return out;
   const double nearest_m = nearest_antenna_m(problem, anchor.head<3>());
   for (const double share : kProbes) {
     out.push_back(anchor);
@@ -147,6 +149,7 @@ void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& 
 }
 
 Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation) {
+  if (model::is_ablated(model::Mechanism::kCalibrationMirror)) return Eigen::Matrix3d::Zero();
   const double odds = std::exp(-rival.cost_excess / std::max(1.0, inflation));
   const Eigen::Vector3d offset_m = rival.anchor.head<3>() - fit.anchor.head<3>();
   return odds / (1.0 + odds) * offset_m * offset_m.transpose();

@@ -7,6 +7,7 @@
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/median.hpp"
 #include "host/calibration/rival.hpp"
+#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -286,7 +287,7 @@ AnchorPass SightSolver::look(std::size_t a) const {
       ++i;
     }
     const auto close = [&] {
-      if (inside < kEpisodeRows ||
+      if (inside < kEpisodeRows || model::is_ablated(model::Mechanism::kCalibrationEpisodes) ||
           rows[of_row[last] - first_row].t_s - rows[of_row[first] - first_row].t_s < kEpisode_s) {
         inside = 0;
         return;
@@ -446,7 +447,7 @@ SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> 
       with_powers += row.power_class != model::kNoPowerClass ? 1.0 : 0.0;
     }
   }
-  if (with_powers > 0.0) {
+  if (with_powers > 0.0 && !model::is_ablated(model::Mechanism::kCalibrationPowers)) {
     out.powers.emplace(std::span(ranges).first<model::kPowerClasses>(), table.interval_s);
   }
   out.chain.transition = sight_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
@@ -465,6 +466,7 @@ bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
 }
 
 bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits) {
+  if (model::is_ablated(model::Mechanism::kCalibrationNlos)) return false;
   const SightChain chain = first_sight_model(table, {}).chain;
   const auto tell = [&](const std::vector<std::vector<Poll>>& pairs) {
     return replies_tell_of_blocking(chain, pairs);

@@ -4,6 +4,7 @@
 
 #include "host/calibration/initial_guess.hpp"
 #include "host/calibration/measurement_choice.hpp"
+#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -95,7 +96,9 @@ void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& prior
                                   .scale_weight = kPairScaleWeight,
                                   .share_weight = kPairShareWeight};
       for (std::size_t tag = 0; tag < fits[i].kernels.size(); ++tag) {
-        fits[i].kernels[tag] = RobustKernel(likeliest_shape(pairs[i][tag], of_anchor));
+        fits[i].kernels[tag] = RobustKernel(model::is_ablated(model::Mechanism::kCalibrationKernels)
+                                                ? of_site.shape
+                                                : likeliest_shape(pairs[i][tag], of_anchor));
       }
     }
   }
@@ -189,7 +192,7 @@ namespace {
 // then.
 bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows) {
   const std::size_t seen = earlier.problem.rows.size();
-  if (rows.size() == seen) return false;
+  if (rows.size() == seen || model::is_ablated(model::Mechanism::kCalibrationContradict)) return false;
   AnchorProblem later = earlier.problem;
   later.rows = rows.subspan(seen);
   const double later_cost = robust_cost(later, earlier.kernels, earlier.anchor);

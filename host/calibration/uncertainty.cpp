@@ -7,6 +7,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -88,6 +90,7 @@ double ratio(const Scatter& scatter) {
 
 // The largest significant ratio among block lengths, at least 1.
 double significant_ratio(std::span<const Scatter> levels, double dimensions) {
+  if (model::is_ablated(model::Mechanism::kCalibrationInflation)) return 1.0;
   double largest = 1.0;
   for (const Scatter& scatter : levels) {
     if (scatter.blocks < kMinBlocks) continue;
@@ -149,7 +152,9 @@ Evidence gather_evidence(const AnchorFit& fit) {
   for (std::size_t tag = 0; tag < tags; ++tag) {
     const PairMoments& pair = pairs[tag];
     if (!(pair.weight > 0.0)) continue;
-    const double curvature = std::clamp(pair.curvature / pair.weight, kMinCurvatureShare, 1.0);
+    const double curvature = model::is_ablated(model::Mechanism::kCalibrationCurvature)
+                                 ? 1.0
+                                 : std::clamp(pair.curvature / pair.weight, kMinCurvatureShare, 1.0);
     const PairBlock weighted = pair.weighted.selfadjointView<Eigen::Lower>();
     add_pair(weighted, curvature, tag, tags, out.information);
     add_pair(weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
@@ -189,6 +194,7 @@ double inflation_within(const Evidence& evidence, double duration_s) {
 std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit) {
   const std::span<const Observation> rows = fit.problem.rows;
   if (rows.size() < kMinJackknifeRows || fit.problem.position.surveyed) return std::nullopt;
+  if (model::is_ablated(model::Mechanism::kCalibrationJackknife)) return std::nullopt;
   const double begin_s = rows.front().t_s;
   const double part_s = (rows.back().t_s - begin_s) / kParts;
   Eigen::Matrix3d sum = Eigen::Matrix3d::Zero();

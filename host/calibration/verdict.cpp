@@ -11,6 +11,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::calibration {
 namespace {
 
@@ -114,7 +116,7 @@ bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
 }
 
 void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance) {
-  if (tag_count == 0) return;
+  if (tag_count == 0 || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return;
   if (!evidence.sight) {
     if (is_never_in_sight(evidence)) add_common_bias(kWallSigma_m, kWallVariation_m, tag_count, covariance);
     return;

@@ -2,6 +2,8 @@
 
 #include <cstddef>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::filter {
 
 namespace {
@@ -26,6 +28,18 @@ SensorConfig::SensorConfig(const model::SensorDescription& told) {
   gyro_sigma_radps = told.gyro_sigma_radps.value_or(gyro_sigma_radps);
   gyro_bias_radps = told.gyro_bias_sigma_radps.value_or(gyro_bias_radps);
   position_lever_arm_m = told.gnss_lever_arm_m.value_or(position_lever_arm_m);
+}
+
+Config ablated(Config config) noexcept {
+  using model::is_ablated;
+  using model::Mechanism;
+  if (is_ablated(Mechanism::kOdometryScale)) config.scale_sigma = config.scale_walk = 0.0;
+  if (is_ablated(Mechanism::kYawRateBias)) config.yaw_rate_bias_radps = config.yaw_rate_bias_walk = 0.0;
+  if (is_ablated(Mechanism::kScaleWalk)) config.scale_walk = config.yaw_rate_bias_walk = 0.0;
+  if (is_ablated(Mechanism::kRangeDelay)) config.range_delay_sigma_s = config.odometry_delay_sigma_s = 0.0;
+  if (is_ablated(Mechanism::kOdometryDelay)) config.odometry_delay_sigma_s = 0.0;
+  if (is_ablated(Mechanism::kHold)) config.hold_walk_mps = config.hold_walk_radps = 0.0;
+  return config;
 }
 
 }  // namespace groma::filter

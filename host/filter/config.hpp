@@ -204,6 +204,9 @@ struct Config {
   StandstillConfig standstill;
 };
 
+// As given, but for what scripts/ablation leaves out.
+[[nodiscard]] Config ablated(Config config) noexcept;
+
 // What is not known of the clocks of a robot's links where nobody told.
 inline constexpr double kRangeDelaySigma_s = 0.01;
 inline constexpr double kOdometryDelaySigma_s = 0.015;

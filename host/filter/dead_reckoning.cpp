@@ -6,6 +6,7 @@
 #include "host/filter/core_covariance.hpp"
 #include "host/filter/joint_covariance.hpp"
 #include "host/filter/propagation.hpp"
+#include "host/model/ablation.hpp"
 #include "host/model/plausible.hpp"
 
 namespace groma::filter {
@@ -65,10 +66,12 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
   model::OdometryNoise noise = now_.odometry_tuning.noise();
   OdometryDoubt doubt;
-  if (now_.has_row) doubt = now_.watch.judge(now_.row, held, noise);
+  if (now_.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
+    doubt = now_.watch.judge(now_.row, held, noise);
   now_.stands = false;
   if (is_tuned(config_.model)) {
-    const bool wheels_stand = now_.standstill.observe(row, noise);
+    const bool wheels_stand =
+        now_.standstill.observe(row, noise) && !model::is_ablated(model::Mechanism::kStandstill);
     // Wheels that stand tell nothing of their noise in motion.
     if (wheels_stand) {
       now_.odometry_tuning.reset();
@@ -175,6 +178,7 @@ void DeadReckoning<Covariance>::bound_pose() noexcept {
 template <class Covariance>
 void DeadReckoning<Covariance>::stand_on(int chart) noexcept {
   now_.chart = chart;
+  if (model::is_ablated(model::Mechanism::kGroundMismatch)) return;
   const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
   covariance_.renew_ground(
       {square(mismatch.sigma_m), square(mismatch.slope_sigma), square(mismatch.slope_sigma)});

@@ -14,6 +14,7 @@
 #include "host/filter/present_pose.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/filter/zero_velocity_measurement.hpp"
+#include "host/model/ablation.hpp"
 #include "host/model/plausible.hpp"
 
 namespace groma::filter {
@@ -21,6 +22,7 @@ namespace groma::filter {
 namespace {
 
 constexpr double kNoAnswerYet_s = -std::numeric_limits<double>::infinity();
+using model::Mechanism;
 using model::square;
 
 Learning learning(Model model) noexcept {
@@ -31,6 +33,13 @@ Learning learning(Model model) noexcept {
 
 // The calibration as it holds on another drive than its own.
 model::Calibration on_another_drive(model::Calibration calibration, const Config& config) {
+  if (model::is_ablated(Mechanism::kRangeBias) && calibration.range_noise) {
+    model::RangeNoise& noise = *calibration.range_noise;
+    noise.white_sigma_m = std::hypot(noise.white_sigma_m, noise.slow_sigma_m);
+    noise.slow_sigma_m = 0.0;
+  }
+  if (model::is_ablated(Mechanism::kRangeDelay)) calibration.range_delay_sigma_s = 0.0;
+  if (model::is_ablated(Mechanism::kOtherDrive)) return calibration;
   if (calibration.range_noise) {
     calibration.range_noise->slow_sigma_m *= config.slow_error_growth;
     calibration.range_noise->slow_time_s *= config.slow_time_growth;
@@ -78,9 +87,10 @@ LinkDelays delays(const Config& config) noexcept {
 Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
                const model::Calibration& calibration, const Config& config)
     : surface_(std::move(surface)),
-      site_(tags, on_another_drive(calibration, config), config.lever_arm_sigma_m),
-      config_(config),
-      now_(begin(site_, config, white_sigma_m(calibration, config))) {
+      site_(tags, on_another_drive(calibration, config),
+            model::is_ablated(Mechanism::kLeverArm) ? 0.0 : config.lever_arm_sigma_m),
+      config_(ablated(config)),
+      now_(begin(site_, config, white_sigma_m(on_another_drive(calibration, config), config))) {
   const model::Calibration here = on_another_drive(calibration, config);
   if (here.range_noise && here.range_noise->slow_sigma_m > 0.0) slow_time_s_ = here.range_noise->slow_time_s;
   if (here.range_delay_sigma_s > 0.0) {
@@ -279,6 +289,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // weigh() then learns from this range
   result.weight =
       now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2, powers);
+  if (model::is_ablated(Mechanism::kGate)) result.weight = result.weight >= 0.0 ? 1.0 : 0.0;
   if (whole) watch_slip(slot, tag, result, measurement.d_core.head<2>());
   result.blocked = now_.gate.blocked(slot, tag);
   now_.counters.doubts = now_.gate.doubts_begun();
@@ -311,6 +322,7 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
 
 void Filter::watch_slip(int slot, int tag, const RangeResult& range,
                         const Eigen::RowVector2d& by_position) noexcept {
+  if (model::is_ablated(Mechanism::kSlip)) return;
   const auto displacement_m = now_.slip_watch.observe(
       slot, tag, now_.t_s, range.innovation_m, range.innovation_variance_m2, range.weight, by_position);
   if (!displacement_m) return;

@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "host/model/ablation.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::filter {
 
 namespace {
+
+using model::Mechanism;
 
 // Fewer ranges than this within the window say nothing about the state.
 constexpr double kMinRangesToDoubt = 4.0;
@@ -21,7 +24,8 @@ constexpr double kReceptionPolls = 10.0;
 
 // Less by what lies beyond the knee.
 double weight_of(double in_sight, double knees) noexcept {
-  const double weight = knees > 1.0 ? in_sight / (knees * knees) : in_sight;
+  const double weight =
+      knees > 1.0 && !model::is_ablated(Mechanism::kGateHuber) ? in_sight / (knees * knees) : in_sight;
   return weight >= kNoWeight ? weight : 0.0;
 }
 
@@ -53,6 +57,7 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   pair.t_s = t_s;
   pair.reception *= std::exp(-gap_s / config_.reception_s);
   pair.reception = std::min(pair.reception + poll_interval_s_ / config_.reception_s, 1.0);
+  if (model::is_ablated(Mechanism::kGateReception)) return {};
   const double polls = poll_interval_s_ > 0.0 ? config_.reception_s / poll_interval_s_ : 0.0;
   if (polls < kReceptionPolls) return {};
   const double expected = 1.0 - config_.reception_slack;
@@ -67,7 +72,9 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
 
 double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept {
   const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
+  if (model::is_ablated(Mechanism::kGateMemory)) return config_.blocked_share;
   double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
+  if (model::is_ablated(Mechanism::kGateTags)) return out;
   // What hides an anchor from one tag hides it from the next.
   for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
     const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
@@ -116,6 +123,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   chain.blocked = unhinted.pair_blocked;
   observe(anchor, t_s, innovation_m, weight);
   if (hint == model::kNoPowerClass || !(config_.hint_most > 1.0)) return weight;
+  if (model::is_ablated(Mechanism::kGatePowers)) return weight;
 
   const double ratio = hint_.likelihood_ratio(hint);
   if (!doubts_) {
@@ -164,8 +172,10 @@ void Gate::observe(int anchor, double t_s, double innovation_m, double weight) n
   t_s_ = t_s;
 
   const bool before = doubts_;
-  doubts_ =
-      too_short_.refuses(config_.doubt_share) || all_.refuses(config_.doubt_share) || anchors_refuse(t_s);
+  doubts_ = (too_short_.refuses(config_.doubt_share) && !model::is_ablated(Mechanism::kDivergenceShort)) ||
+            (all_.refuses(config_.doubt_share) && !model::is_ablated(Mechanism::kDivergenceLasting)) ||
+            (anchors_refuse(t_s) && !model::is_ablated(Mechanism::kDivergenceAnchors));
+  if (model::is_ablated(Mechanism::kDivergence)) doubts_ = false;
   if (doubts_ && !before) ++doubts_begun_;
 }
 

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "host/model/ablation.hpp"
 #include "host/model/plausible.hpp"
 
 namespace groma::filter {
@@ -17,7 +18,7 @@ bool OdometryGate::accepts(const model::OdometrySample& sample) noexcept {
     dropped_count_ = 0;
     return false;
   }
-  if (!follows(config_, accepted_, sample)) {
+  if (!follows(config_, accepted_, sample) && !model::is_ablated(model::Mechanism::kOdometryGate)) {
     if (dropped_count_ == 0 || !follows(config_, dropped_, sample)) {
       dropped_count_ = 0;
       dropped_since_s_ = sample.t_s;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "host/model/ablation.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::filter {
@@ -42,10 +43,11 @@ double excess_square(double error_m, double sigma_m, double mean_m) noexcept {
 
 RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
                                double missed) noexcept {
+  const double short_share = model::is_ablated(model::Mechanism::kGateShort) ? 0.0 : config.short_share;
   const double far_share = std::min(missed / kFarMissed, 1.0);
   const double garbage_share = config.garbage_share + config.regained_garbage * missed;
-  const double near = (1.0 - config.short_share) * excess_density(error_m, sigma_m, config.excess_m) +
-                      config.short_share * excess_density(-error_m, sigma_m, config.excess_m);
+  const double near = (1.0 - short_share) * excess_density(error_m, sigma_m, config.excess_m) +
+                      short_share * excess_density(-error_m, sigma_m, config.excess_m);
   const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, config.regained_m) : 0.0;
   return {.in_sight = gaussian_density(error_m, sigma_m),
           .blocked = (1.0 - far_share) * near + far,

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::filter {
 
 namespace {
@@ -40,7 +42,8 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   Last& last = last_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
   const double gap_s = t_s - last.t_s;
   // What lasts is in both, and their difference is white.
-  if (last.heard && gap_s > 0.0 && gap_s < config_.difference_s) {
+  if (last.heard && gap_s > 0.0 && gap_s < config_.difference_s &&
+      !model::is_ablated(model::Mechanism::kRangeNoise)) {
     differences_ += 1.0;
     const double step =
         std::max(config_.step, config_.first_step / (1.0 + differences_ / config_.first_draws));
@@ -50,7 +53,7 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   }
   last = {.t_s = t_s, .innovation_m = innovation_m, .heard = true};
   // All that lasts, from ranges that are too short: walls make none of these.
-  if (innovation_m < 0.0) {
+  if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
     const double change =
         innovation_m * innovation_m > kShown * kShown * kHalfWithin * kHalfWithin * variance_m2 ? 1.0 : -1.0;
     slow_scale_ = std::clamp(slow_scale_ * (1.0 + config_.slow_step * change), 1.0 / config_.slow_most_factor,
@@ -85,6 +88,7 @@ void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
 }
 
 void OdometryTuning::adjust(Factor& factor, double difference, double told) const noexcept {
+  if (model::is_ablated(model::Mechanism::kOdometryNoise)) return;
   // Of an axis that is not measured there is nothing to see.
   if (difference == 0.0 || !(told > 0.0)) return;
   factor.differences += 1.0;

@@ -2,11 +2,15 @@
 
 #include <algorithm>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::filter {
 
 Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibration, double lever_arm_sigma_m)
     : lever_arm_variance_m2_(lever_arm_sigma_m * lever_arm_sigma_m),
-      frame_covariance_(calibration.common_frame_covariance) {
+      frame_covariance_(model::is_ablated(model::Mechanism::kCommonFrame)
+                            ? Eigen::Matrix4d::Zero()
+                            : calibration.common_frame_covariance) {
   lever_arms_m_.fill(Eigen::Vector3d::Zero());
   patterns_m_.fill(model::PatternTerms::Zero());
   for (const model::Tag& tag : tags) {
@@ -19,7 +23,8 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     const int tag = tag_slot(told.id);
     if (tag < 0) continue;
     if (told.lever_arm) lever_arms_m_[static_cast<std::size_t>(tag)] = told.lever_arm->position_m;
-    if (told.pattern_m) patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
+    if (told.pattern_m && !model::is_ablated(model::Mechanism::kAntennaPattern))
+      patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
   }
   if (calibration.range_noise) {
     slow_variance_m2_ = calibration.range_noise->slow_sigma_m * calibration.range_noise->slow_sigma_m;

@@ -9,6 +9,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "host/model/ablation.hpp"
+
 namespace groma::filter {
 
 namespace {
@@ -509,6 +511,10 @@ double StartSearch::cautious_cost(const model::PlanarPose& pose) noexcept {
         share() * robust_cost(r.e_m / std::sqrt(variance_m2(term, r.predicted, chart)), search_);
   });
   double sum = 0.0;
+  if (model::is_ablated(model::Mechanism::kCautiousCost)) {
+    for (const double cost : anchor_costs_) sum += cost;
+    return sum;
+  }
   for (const double cost : anchor_costs_) sum += search_.anchor_say * std::log1p(cost / search_.anchor_say);
   return sum;
 }

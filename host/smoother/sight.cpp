@@ -5,6 +5,7 @@
 #include <cstddef>
 
 #include "host/filter/range_density.hpp"
+#include "host/model/ablation.hpp"
 
 namespace groma::smoother {
 namespace {
@@ -33,7 +34,8 @@ struct Change {
 };
 
 Change change(double dt_s, const filter::GateConfig& config) {
-  const double forgotten = 1.0 - std::exp(-dt_s / config.sticky_s);
+  const double forgotten =
+      model::is_ablated(model::Mechanism::kSmootherNlos) ? 1.0 : 1.0 - std::exp(-dt_s / config.sticky_s);
   return {.into_blocked = config.blocked_share * forgotten,
           .out_of_blocked = (1.0 - config.blocked_share) * forgotten};
 }

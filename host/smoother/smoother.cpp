@@ -15,6 +15,7 @@
 #include "host/filter/odometry_gate.hpp"
 #include "host/filter/present_pose.hpp"
 #include "host/filter/propagation.hpp"
+#include "host/model/ablation.hpp"
 #include "host/model/antenna_pattern.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/range_model.hpp"
@@ -186,6 +187,10 @@ class Smoother {
     if (run.calibration->range_noise) {
       noise_.slow_sigma_m *= config_.slow_error_growth;
       noise_.slow_time_s *= config_.slow_time_growth;
+    }
+    if (model::is_ablated(model::Mechanism::kSmootherRangeBias)) {
+      noise_.white_sigma_m = std::hypot(noise_.white_sigma_m, noise_.slow_sigma_m);
+      noise_.slow_sigma_m = 0.0;
     }
     block_ =
         kPose + (noise_.slow_sigma_m > 0.0 ? shared_.anchors() * static_cast<Eigen::Index>(tags_.size()) : 0);

@@ -1,0 +1,43 @@
+#include "host/model/ablation.hpp"
+
+#ifdef GROMA_ABLATION
+
+#include <bitset>
+#include <cstddef>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+#include <string_view>
+
+namespace groma::model {
+namespace {
+
+constexpr auto kCount = static_cast<std::size_t>(Mechanism::kCount);
+
+// scripts/ablation numbers the names as ablation.hpp lists them.
+std::bitset<kCount> read() {
+  std::bitset<kCount> out;
+  const char* text = std::getenv("GROMA_ABLATE");
+  for (std::string_view left = text == nullptr ? "" : text; !left.empty();) {
+    const std::size_t end = left.find(',');
+    const auto number = static_cast<std::size_t>(std::atoi(std::string(left.substr(0, end)).c_str()));
+    if (number >= kCount) {
+      std::fputs("GROMA_ABLATE: no such mechanism\n", stderr);
+      std::exit(2);
+    }
+    out.set(number);
+    left = end == std::string_view::npos ? "" : left.substr(end + 1);
+  }
+  return out;
+}
+
+}  // namespace
+
+bool is_ablated(Mechanism mechanism) noexcept {
+  static const std::bitset<kCount> kAblated = read();
+  return kAblated[static_cast<std::size_t>(mechanism)];
+}
+
+}  // namespace groma::model
+
+#endif
