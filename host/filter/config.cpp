@@ -33,9 +33,8 @@ SensorConfig::SensorConfig(const model::SensorDescription& told) {
 Config ablated(Config config) noexcept {
   using model::is_ablated;
   using model::Mechanism;
-  if (is_ablated(Mechanism::kOdometryScale)) config.scale_sigma = config.scale_walk = 0.0;
-  if (is_ablated(Mechanism::kYawRateBias)) config.yaw_rate_bias_radps = config.yaw_rate_bias_walk = 0.0;
-  if (is_ablated(Mechanism::kScaleWalk)) config.scale_walk = config.yaw_rate_bias_walk = 0.0;
+  if (is_ablated(Mechanism::kOdometryScale)) config.scale_sigma = 0.0;
+  if (is_ablated(Mechanism::kYawRateBias)) config.yaw_rate_bias_radps = 0.0;
   if (is_ablated(Mechanism::kRangeDelay)) config.range_delay_sigma_s = config.odometry_delay_sigma_s = 0.0;
   if (is_ablated(Mechanism::kOdometryDelay)) config.odometry_delay_sigma_s = 0.0;
   if (is_ablated(Mechanism::kHold)) config.hold_walk_mps = config.hold_walk_radps = 0.0;

@@ -53,18 +53,11 @@ struct GateConfig {
   double hint_memory_s = 600.0;  // what was learnt fades over this time
   double hint_prior_count = 30.0;  // of ranges, that what is believed beforehand is worth
 
-  // Beyond so many sigmas the weight falls with the square, too: calibrations may be wrong. The chain's own
-  // weight sees to what is nearer.
-  double knee = 3.0;
-
-  // When it is the state that is doubted, not the ranges. Blocked ranges are too long, a wrong state makes as
-  // many too short: so of late (window_s) the share of those used that stays behind those that are too short
-  // tells, and of those that are too long only what lasts (patience_s).
+  // The state is suspected to be wrong, not the ranges, where within window_s at least two anchors and as
+  // many as agree refuse more than doubt_share of their ranges, by more than a way around an obstacle adds
+  // (twice excess_m); and those that agree are fewer than a position and a check of it take.
   double doubt_share = 0.7;
   double window_s = 1.0;
-  double patience_s = 5.0;
-  // Or as many anchors refuse, by more than a way around an obstacle adds (twice excess_m), as agree; and
-  // those are fewer than a position and a check of it take.
   double far_m = 1.0;
   int fixing_anchors = 3;
   // The covariance then grows by these rates (per sqrt(s)) until ranges are accepted again.
@@ -156,23 +149,12 @@ struct OdometryTuningConfig {
   double first_draws = 100.0;
 };
 
-// When the robot stands: see standstill.hpp.
-struct StandstillConfig {
-  double window_s = 0.5;
-  double sigmas = 3.0;          // of the mean
-  double row_sigmas = 4.0;      // of one row
-  double velocity_mps = 0.003;  // what wheels that stand may show
-  double turn_radps = 0.002;    // and a gyro: its bias
-};
-
 struct Config {
   Model model = Model::kSchmidt;
 
   model::OdometryNoise odometry;       // white, a row, constant over it
   double scale_sigma = 0.01;           // of the constant odometry scale error
   double yaw_rate_bias_radps = 0.002;  // sigma of the constant yaw-rate bias
-  double scale_walk = 1e-4;            // per sqrt(s): how constant the scale is
-  double yaw_rate_bias_walk = 2e-5;    // rad/s per sqrt(s)
   double max_hold_s = 0.5;             // an odometry row holds so long at most; then its velocity walks:
   double hold_walk_mps = 1.0;          // m/s per sqrt(s)
   double hold_walk_radps = 0.5;        // rad/s per sqrt(s)
@@ -201,7 +183,6 @@ struct Config {
   SelfTuningConfig tuning;
   SensorConfig sensors;
   OdometryTuningConfig odometry_tuning;
-  StandstillConfig standstill;
 };
 
 // As given, but for what scripts/ablation leaves out.

@@ -64,31 +64,15 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   }
   model::OdometrySample held = row;
   if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
-  model::OdometryNoise noise = now_.odometry_tuning.noise();
+  const model::OdometryNoise noise = now_.odometry_tuning.noise();
   OdometryDoubt doubt;
   if (now_.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
     doubt = now_.watch.judge(now_.row, held, noise);
-  now_.stands = false;
   if (is_tuned(config_.model)) {
-    const bool wheels_stand =
-        now_.standstill.observe(row, noise) && !model::is_ablated(model::Mechanism::kStandstill);
-    // Wheels that stand tell nothing of their noise in motion.
-    if (wheels_stand) {
-      now_.odometry_tuning.reset();
-    } else {
-      now_.odometry_tuning.observe(row);
-    }
+    now_.odometry_tuning.observe(row);
     const OdometryDoubt slip = now_.slip.judge(std::max(row.t_s - now_.row.t_s, 0.0));
     doubt.velocity_m2ps2 += slip.velocity_m2ps2;
     doubt.turn_rad2ps2 += slip.turn_rad2ps2;
-    now_.stands = wheels_stand && !gate_.doubts(now_.t_s) && !now_.slip.is_open();
-  }
-  now_.told_row = held;
-  if (now_.stands) {
-    noise = now_.standstill.noise();
-    held.vx_mps = 0.0;
-    held.vy_mps = 0.0;
-    if (!now_.gyro.holds()) held.omega_radps = now_.core(kYawBias);
   }
   now_.row = held;
   now_.has_row = true;
@@ -122,9 +106,7 @@ void DeadReckoning<Covariance>::renew_row(const model::OdometryNoise& noise,
 
 template <class Covariance>
 void DeadReckoning<Covariance>::step(double dt_s) noexcept {
-  Motion motion = move(surface_, now_.core, now_.row, dt_s, now_.chart);
-  // Of one that stands, the heading does not depend on what a gyro is off by.
-  if (now_.stands && !now_.gyro.holds()) motion.d_core.col(kYawBias).setZero();
+  const Motion motion = move(surface_, now_.core, now_.row, dt_s, now_.chart);
   const model::SurfaceMismatch& mismatch = surface_.mismatch(now_.chart);
   const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now_.core.head<2>()).norm() : 0.0;
   now_.core.segment<3>(kX) = motion.pose;
@@ -135,8 +117,6 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   if (way_m > 0.0) covariance_.fade_ground(std::exp(-way_m / mismatch.length_m));
   follow_chart();
 
-  covariance_.grow(kScale, square(config_.scale_walk) * dt_s);
-  covariance_.grow(kYawBias, square(config_.yaw_rate_bias_walk) * dt_s);
   // A row older than it may be tells less and less of the velocity.
   const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - now_.hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {

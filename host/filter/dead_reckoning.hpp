@@ -11,7 +11,6 @@
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/self_tuning.hpp"
 #include "host/filter/slip_watch.hpp"
-#include "host/filter/standstill.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
@@ -25,14 +24,11 @@ struct MotionState {
   SlipDoubt slip;
   Gyro gyro;
   OdometryTuning odometry_tuning;
-  Standstill standstill;
   CoreVector core = CoreVector::Zero();
   model::OdometrySample row{};
   bool has_row = false;
   double hold_s = 0.0;  // for how long the velocity of row is trusted: max_hold_s, or to the first
                         // implausible sample after it
-  model::OdometrySample told_row{};  // that, where row is of a robot that stands
-  bool stands = false;
   double t_s = 0.0;
   int chart = 0;  // of the surface
 };

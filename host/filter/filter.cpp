@@ -59,7 +59,6 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
                            .slip = SlipDoubt(config.slip),
                            .gyro = Gyro(config.sensors),
                            .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
-                           .standstill = Standstill(config.standstill),
                            .hold_s = config.max_hold_s};
   return {motion,
           parameters,
@@ -139,8 +138,6 @@ void Filter::start(const Start& start) noexcept {
   }
   now_.covariance.reset_core(variances.asDiagonal());
   now_.odometry_tuning.reset();
-  now_.standstill.reset();
-  now_.stands = false;
   begin_on(std::clamp(start.pose.chart, 0, surface_.chart_count() - 1));
 }
 
@@ -363,13 +360,6 @@ SensorResult Filter::process(const model::ZeroVelocitySample& sample) noexcept {
   if (!std::isfinite(sample.t_s)) return count(Sensor::kZeroVelocity, {.outcome = SensorOutcome::kBadValue});
   const SensorOutcome outcome = await(sample.t_s);
   if (outcome != SensorOutcome::kUsed) return count(Sensor::kZeroVelocity, {.outcome = outcome});
-  // The row as it came shows the yaw rate's bias, now that it is told that the robot stands.
-  if (now_.stands) {
-    now_.stands = false;
-    if (now_.gyro.holds()) now_.told_row.omega_radps = now_.row.omega_radps;
-    now_.row = now_.told_row;
-    motion().renew_row(now_.odometry_tuning.noise(), {});
-  }
   return count(Sensor::kZeroVelocity,
                correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors)));
 }

@@ -185,9 +185,6 @@ class Filter {
   // Moves the state to t_s by the row held. False, and nothing done, when t_s is not a later time.
   bool advance_to(double t_s) noexcept;
 
-  // Whether the robot stands, by the last row of odometry.
-  [[nodiscard]] bool stands() const noexcept { return now_.stands; }
-
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
   // As it would be after these inputs too, to the last bit (what the ground adds: to rounding), were each

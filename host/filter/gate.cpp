@@ -22,11 +22,8 @@ constexpr double kLongGaps = 0.9;
 // Fewer polls than this within the window, and a silence tells nothing.
 constexpr double kReceptionPolls = 10.0;
 
-// Less by what lies beyond the knee.
-double weight_of(double in_sight, double knees) noexcept {
-  const double weight =
-      knees > 1.0 && !model::is_ablated(Mechanism::kGateHuber) ? in_sight / (knees * knees) : in_sight;
-  return weight >= kNoWeight ? weight : 0.0;
+double weight_of(double in_sight) noexcept {
+  return in_sight >= kNoWeight ? in_sight : 0.0;
 }
 
 }  // namespace
@@ -70,16 +67,17 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   return {.missed = std::max(expected - pair.reception, 0.0) / expected, .alike = polls * tags};
 }
 
-double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept {
-  const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
+double Gate::expect_blocked(const Pair& pair, double t_s) const noexcept {
   if (model::is_ablated(Mechanism::kGateMemory)) return config_.blocked_share;
-  double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
+  const double kept = std::exp(-std::max(t_s - pair.t_s, 0.0) / config_.sticky_s);
+  double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * kept;
   if (model::is_ablated(Mechanism::kGateTags)) return out;
   // What hides an anchor from one tag hides it from the next.
+  const std::size_t first = static_cast<std::size_t>(&pair - pairs_.data()) / kMaxTags * kMaxTags;
   for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
-    const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
-    if (other.unhinted > std::max(out, config_.blocked_share))
-      out = std::max(out, other.unhinted * fade(other));
+    const Pair& other = pairs_[first + tag];
+    if (other.unhinted <= std::max(out, config_.blocked_share)) continue;
+    out = std::max(out, other.unhinted * std::exp(-std::max(t_s - other.t_s, 0.0) / config_.sticky_s));
   }
   return out;
 }
@@ -103,15 +101,14 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   Pair& chain = pair(anchor, tag);
 
   const double gap_s = std::max(t_s - chain.t_s, 0.0);
-  double prior = expect_blocked(anchor, chain, t_s);
+  double prior = expect_blocked(chain, t_s);
   const Reception reception = listen(anchor, chain, t_s);
   prior += std::max(config_.regained_share - prior, 0.0) * reception.missed;
   const RangeDensities density = range_densities(innovation_m, sigma, config_, reception.missed);
-  const double knees = std::abs(innovation_m) / (sigma * config_.knee);
 
   // What powers tell makes neither itself nor a doubt of the state.
   const Posterior unhinted = judge(density, prior);
-  const double weight = weight_of(unhinted.in_sight, knees);
+  const double weight = weight_of(unhinted.in_sight);
   chain.regained_m2 = 0.0;
   if (reception.missed > 0.0) {
     const double garbage = 1.0 - unhinted.in_sight - unhinted.blocked;
@@ -137,7 +134,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   chain.blocked = hinted.pair_blocked;
   // And so do those of one class that fit: where most are blocked the state follows them.
   const double trust = 1.0 - with_hint(hint_.blocked_share());
-  return weight_of(hinted.in_sight * trust * trust, knees);
+  return weight_of(hinted.in_sight * trust * trust);
 }
 
 void Gate::Tally::fade(double until_s, double window_s) noexcept {
@@ -164,18 +161,9 @@ void Gate::observe(int anchor, double t_s, double innovation_m, double weight) n
   Tally& own = anchors_[static_cast<std::size_t>(anchor)];
   own.fade(t_s, config_.window_s);
   own.add(off_m, weight);
-  all_.fade(t_s, config_.patience_s);
-  all_.add(off_m, weight);
-  too_short_.fade(t_s, config_.window_s);
-  too_short_.seen += off_m < 0.0 ? 1.0 : weight;
-  too_short_.refused += off_m < 0.0 ? 1.0 - weight : 0.0;
   t_s_ = t_s;
-
   const bool before = doubts_;
-  doubts_ = (too_short_.refuses(config_.doubt_share) && !model::is_ablated(Mechanism::kDivergenceShort)) ||
-            (all_.refuses(config_.doubt_share) && !model::is_ablated(Mechanism::kDivergenceLasting)) ||
-            (anchors_refuse(t_s) && !model::is_ablated(Mechanism::kDivergenceAnchors));
-  if (model::is_ablated(Mechanism::kDivergence)) doubts_ = false;
+  doubts_ = anchors_refuse(t_s) && !model::is_ablated(Mechanism::kDivergence);
   if (doubts_ && !before) ++doubts_begun_;
 }
 
@@ -209,8 +197,6 @@ void Gate::renew(int anchor, double t_s) noexcept {
 void Gate::reset(double t_s) noexcept {
   pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share});
   t_s_ = t_s;
-  too_short_ = {.t_s = t_s};
-  all_ = {.t_s = t_s};
   anchors_.fill({.t_s = t_s});
   doubts_ = false;
 }

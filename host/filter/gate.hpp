@@ -84,7 +84,7 @@ class Gate {
   // Takes note that the pair was heard.
   Reception listen(int anchor, Pair& pair, double t_s) noexcept;
   // Probability that the pair is blocked, before its range is seen.
-  [[nodiscard]] double expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept;
+  [[nodiscard]] double expect_blocked(const Pair& pair, double t_s) const noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 
@@ -93,8 +93,6 @@ class Gate {
   std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
   double poll_interval_s_ = 0.0;  // median of the gaps between a pair's ranges; 0: not known yet
   double t_s_ = 0.0;
-  Tally too_short_;  // and those used
-  Tally all_;
   std::array<Tally, kMaxAnchors> anchors_{};
   bool doubts_ = false;
   std::size_t doubts_begun_ = 0;

@@ -19,24 +19,18 @@ enum class Mechanism : std::uint8_t {
   kCommonFrame,     // error of the frame that all anchors share
   kGroundMismatch,  // height and slope that the surface lacks
   kAntennaPattern,  // of a tag, by direction
-  kScaleWalk,       // random walk of the odometry's scale and yaw-rate bias
   // filter: weights of ranges
   kGate,           // weights at all
   kGateMemory,     // a pair that was blocked is expected to be
   kGateTags,       // what blocks one tag of an anchor blocks the others
   kGateReception,  // missed polls
   kGatePowers,     // received powers
-  kGateHuber,      // weight beyond the Huber threshold
   kGateShort,      // ranges that are too short
   kDivergence,     // divergence flag: the covariance grows while ranges are refused
-  kDivergenceShort,
-  kDivergenceLasting,
-  kDivergenceAnchors,
   // filter: noise and faults of odometry
   kRangeNoise,      // white range noise by innovations
   kRangeBiasNoise,  // sigma of the Gauss-Markov range bias by innovations
   kOdometryNoise,   // white odometry noise by its samples
-  kStandstill,      // zero-velocity by odometry
   kOdometryGate,    // samples that no robot can do
   kOdometryWatch,   // samples that wheels cannot follow
   kSlip,            // slip by the ranges of several anchors

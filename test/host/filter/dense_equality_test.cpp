@@ -25,7 +25,6 @@ Config plain_config(Model model) {
   // No weights: the reference has none.
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
-  config.gate.knee = 1e9;
   config.tuning = {.step = 0.0, .first_step = 0.0, .slow_step = 0.0};
   config.odometry_tuning = {.step = 0.0, .first_step = 0.0};
   config.slow_error_growth = 1.0;
@@ -93,8 +92,6 @@ class DenseFilter {
         const int slow = kCoreSize + parameters_.slow_error(anchor);
         p_(slow, slow) += (1.0 - fade * fade) * std::pow(noise_.slow_sigma_m, 2);
       }
-      p_(kScale, kScale) += std::pow(config_.scale_walk, 2) * dt_s / steps;
-      p_(kYawBias, kYawBias) += std::pow(config_.yaw_rate_bias_walk, 2) * dt_s / steps;
     }
   }
 

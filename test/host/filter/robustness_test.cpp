@@ -15,7 +15,6 @@
 #include "host/filter/link_delay.hpp"
 #include "host/filter/odometry_watch.hpp"
 #include "host/filter/self_tuning.hpp"
-#include "host/filter/standstill.hpp"
 #include "test/host/filter/small_site.hpp"
 
 namespace groma::filter {
@@ -217,73 +216,6 @@ TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   expect_little_cost(0.05, 2.0, [](Config& config, double factor) {
     config.odometry = {0.03 * factor, 0.03 * factor, 0.01 * factor};
   });
-}
-
-TEST(Standstill, IsSeenInNoiseAndNotInSlowMotion) {
-  constexpr model::OdometryNoise kNoise{0.03, 0.03, 0.01};
-  Random random(12);
-  const auto row = [&](double t_s, double vx_mps) {
-    return model::OdometrySample{t_s, vx_mps + kNoise.sigma_vx_mps * random.gaussian(),
-                                 kNoise.sigma_vy_mps * random.gaussian(),
-                                 kNoise.sigma_omega_radps * random.gaussian()};
-  };
-  int standing = 0;
-  int crawling = 0;
-  double left_s = 0.0;
-  Standstill still{StandstillConfig{}};
-  Standstill crawl{StandstillConfig{}};
-  for (int i = 0; i < 4000; ++i) {
-    standing += still.observe(row(0.02 * i, 0.0), kNoise) ? 1 : 0;
-    crawling += crawl.observe(row(0.02 * i, 0.1), kNoise) ? 1 : 0;
-  }
-  // From there it moves off, by 1 m/s^2.
-  for (int i = 1; i < 50 && left_s == 0.0; ++i) {
-    if (!still.observe(row(80.0 + 0.02 * i, 0.02 * i), kNoise)) left_s = 0.02 * i;
-  }
-  EXPECT_GT(standing, 3800);
-  EXPECT_EQ(crawling, 0);
-  EXPECT_GT(left_s, 0.0);
-  EXPECT_LE(left_s, 0.2);
-}
-
-TEST(Standstill, SwitchesTheNoiseOffAndStaysHonest) {
-  const model::Surface flat;
-  const model::Calibration site = testing::six_anchors(0.2);
-  Config config = matching_config();
-  Config blind = config;
-  blind.standstill.sigmas = 0.0;
-  double nees = 0.0;
-  double variance_m2 = 0.0;
-  double blind_m2 = 0.0;
-  constexpr int kRuns = 40;
-  int standing = 0;
-  for (unsigned seed = 1; seed <= kRuns; ++seed) {
-    Random random(seed);
-    const double bias_radps = config.yaw_rate_bias_radps * random.gaussian();
-    const model::PlanarPose truth{1.0, 2.0, 0.5};
-    const Start start{.t_s = 0.0,
-                      .pose = {truth.x_m + 0.01 * random.gaussian(), truth.y_m + 0.01 * random.gaussian(),
-                               truth.theta_rad + 0.01 * random.gaussian()},
-                      .position_sigma_m = 0.01,
-                      .heading_sigma_rad = 0.01};
-    Filter filter(flat, testing::three_tags(), site, config);
-    Filter other(flat, testing::three_tags(), site, blind);
-    filter.start(start);
-    other.start(start);
-    for (int i = 0; i < 1200; ++i) {
-      const model::OdometrySample row{0.05 * i, 0.03 * random.gaussian(), 0.03 * random.gaussian(),
-                                      bias_radps + 0.01 * random.gaussian()};
-      filter.process(row);
-      other.process(row);
-    }
-    standing += filter.stands() ? 1 : 0;
-    nees += testing::squared_error(filter.estimate(), truth) / (3.0 * kRuns);
-    variance_m2 += filter.estimate().covariance(0, 0) / kRuns;
-    blind_m2 += other.estimate().covariance(0, 0) / kRuns;
-  }
-  EXPECT_GE(standing, kRuns - 4);
-  EXPECT_LT(nees, 1.0 + 4.0 * std::sqrt(2.0 / (3.0 * kRuns)));
-  EXPECT_LT(variance_m2, 0.5 * blind_m2);
 }
 
 TEST(RangeTuning, FindsTheWhiteSigmaBesideWhatLastsAndWhatIsBlocked) {
