@@ -31,6 +31,8 @@ constexpr std::size_t kMinHeldOut = 10;
 // A solution that leaves the plane open by more than this says nothing of ranges that it has not seen: over
 // such ways spheres leave their tangents.
 constexpr double kOpenSigma_m = 0.5;
+// An anchor is not further off than so many times its nearest range.
+constexpr double kReachFactor = 2.0;
 // Where the score scatters so much more than independent residuals make it, parts of the drive are set
 // against each other.
 constexpr double kHangingTogether = 1.5;
@@ -187,6 +189,18 @@ double flicker_m(std::span<const FittedRange> rows) {
   return kSigmaOfMad * median(std::move(differences_m)) / std::numbers::sqrt2;
 }
 
+// Where the information hardly sees a direction, as z of an anchor at the tags' own height, the covariance
+// goes on for ever; but no anchor is further off than its ranges are long. As one more observation of where
+// it is, with that sigma an axis.
+void stay_within(double sigma_m, Eigen::MatrixXd& covariance) {
+  if (model::is_ablated(model::Mechanism::kCalibrationReach)) return;
+  const Eigen::Matrix3d sum =
+      covariance.topLeftCorner<3, 3>() + sigma_m * sigma_m * Eigen::Matrix3d::Identity();
+  const Eigen::MatrixXd by_position = covariance.leftCols<3>();
+  const Eigen::MatrixXd less = by_position * sum.ldlt().solve(by_position.transpose());
+  if (less.allFinite()) covariance -= 0.5 * (less + less.transpose());
+}
+
 // The first part of the drive by itself gave another height than all of it: where they contradict each other,
 // either may be as wrong as they are apart.
 void admit_shift(double shift_m, double first_variance_m2, Eigen::MatrixXd& covariance) {
@@ -335,6 +349,22 @@ bool has_moves(const Site& site) {
                      [](const AnchorPath& path) { return !path.moves.empty(); });
 }
 
+// What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
+void look_again(Site& site, const model::RangePriors& priors, const model::Calibration* earlier) {
+  if (!is_within_reach(site.fits) || has_moves(site)) return;
+  if (model::is_ablated(model::Mechanism::kCalibrationAgain)) return;
+  for (AnchorFit& fit : site.fits) {
+    fit.problem.sight = nullptr;
+    fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
+  }
+  site.sight = {};
+  refine_site(site.fits, priors, kLastRounds);
+  find_sight(site, priors);
+  site.evidence.clear();
+  explore(site, earlier);
+  refine_site(site.fits, priors, kLastRounds);
+}
+
 // The robot's height is its own or that of the ground: whichever explains the ranges better.
 Site solve_at_best_height(const Drive& drive, const Options& options, Moves moves) {
   Site site = solve_at_height(drive, options, HeightSource::kPose, moves);
@@ -421,6 +451,10 @@ Result calibrate(const Drive& drive, const Options& options) {
   solve(Moves::kLookedFor);
   // Where poses wander by as much as a move is long, anchors that seem to have moved have not.
   if (has_moves(site) && drive_error.wander.sigma_m > kMovePose_m) solve(Moves::kNone);
+  if (!drive_error.body.empty() && !site.sight.anchors.empty()) {
+    look_again(site, priors, options.earlier);
+    correct_further(site.association, site.fits, priors, drive_error);
+  }
   const Association& association = site.association;
   const std::vector<double> inflation = score_inflation(drive_error.evidence);
 
@@ -478,6 +512,8 @@ Result calibrate(const Drive& drive, const Options& options) {
     if (median_scale_m > 0.0) known.flicker = flicker_m(result.fitted[i]) / median_scale_m;
     known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
     known.count_ratio = median_rows > 0.0 ? heard(data) / median_rows : 1.0;
+    if (!fit.problem.rows.empty() && !fit.problem.position.surveyed)
+      stay_within(kReachFactor * known.nearest_m, anchor.covariance);
     admit_blocking(known, association.tags.size(), anchor.covariance);
     for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
       if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);

@@ -370,7 +370,7 @@ std::vector<double> inflations(std::span<const Evidence> evidence, double durati
 // Solves for all that is believed, from what has been taken off already, until it rests; and what follows of
 // it. An open delay is held at zero where it does not show clearly.
 void settle(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
-            std::vector<double> inflation, DriveError& out) {
+            bool is_delay_open, std::vector<double> inflation, DriveError& out) {
   const SharedUnknowns& unknowns = out.unknowns;
   SharedPrior& prior = out.prior;
   Eigen::VectorXd& error = out.shared_mean;
@@ -385,7 +385,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
       return Eigen::VectorXd(posterior.solve(equations.descent - believed * error));
     };
     Eigen::VectorXd step = solve();
-    if (round == 0) {
+    if (round == 0 && is_delay_open) {
       const double sigma_s = std::sqrt(std::max(0.0, covariance(unknowns.delay(), unknowns.delay())));
       if (std::abs(step(unknowns.delay())) < kMinDelaySigmas * sigma_s) {
         out.range_delay_s = step(unknowns.delay());
@@ -475,8 +475,20 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
       for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
     }
   }
-  settle(association, fits, priors, inflation, out);
+  settle(association, fits, priors, /*is_delay_open=*/true, inflation, out);
   return out;
+}
+
+void correct_further(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
+                     DriveError& drive_error) {
+  for (std::size_t i = 0; i < fits.size(); ++i) {
+    const Eigen::Index size = fits[i].anchor.size();
+    drive_error.added_covariance[i] = Eigen::MatrixXd::Zero(size, size);
+  }
+  drive_error.evidence = evidence_of(fits);
+  if (drive_error.shared_gain.empty()) return;
+  settle(association, fits, priors, /*is_delay_open=*/false, inflations(drive_error.evidence, kWhile_s),
+         drive_error);
 }
 
 }  // namespace groma::calibration

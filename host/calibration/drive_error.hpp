@@ -48,5 +48,8 @@ struct DriveError {
 // were by it and takes their patterns off the ranges, and moves the fits with them.
 [[nodiscard]] DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
                                        const model::RangePriors& priors);
+// The same from where that ended, after the fits' rows have been looked at anew: what is believed stays.
+void correct_further(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
+                     DriveError& drive_error);
 
 }  // namespace groma::calibration

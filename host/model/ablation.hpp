@@ -50,13 +50,15 @@ enum class Mechanism : std::uint8_t {
   kCalibrationKnots,        // drift and noise of poses by their covariance
   kCalibrationBody,         // lever arms and antenna patterns
   kCalibrationDelay,        // range delay
+  kCalibrationAgain,        // LOS once more after the body terms
   kCalibrationJackknife,    // covariance: jackknife
   kCalibrationInflation,    // covariance: scatter of scores
-  kCalibrationBlocking,     // covariance: what walls may add
   kCalibrationCurvature,    // covariance: mean curvature of the kernel
   kCalibrationOwnPattern,   // covariance: antenna pattern of the anchor
+  kCalibrationBlocking,     // covariance: what walls may add
   kCalibrationMirror,       // covariance: mirror side
   kCalibrationShift,        // covariance: height by the drive's beginning
+  kCalibrationReach,        // covariance: no further than ranges are long
   kCalibrationFrame,        // covariance: frame of the drive
   kCalibrationHeights,      // both heights of poses
   kCalibrationRangeNoise,   // white and Gauss-Markov range noise
