@@ -56,8 +56,10 @@ struct GateConfig {
   // The state is suspected to be wrong, not the ranges, where within window_s at least two anchors and as
   // many as agree refuse more than doubt_share of their ranges, by more than a way around an obstacle adds
   // (twice excess_m); and those that agree are fewer than a position and a check of it take.
+  // Or where over patience_s all anchors together refuse as many.
   double doubt_share = 0.7;
   double window_s = 1.0;
+  double patience_s = 5.0;
   double far_m = 1.0;
   int fixing_anchors = 3;
   // The covariance then grows by these rates (per sqrt(s)) until ranges are accepted again.

@@ -161,9 +161,12 @@ void Gate::observe(int anchor, double t_s, double innovation_m, double weight) n
   Tally& own = anchors_[static_cast<std::size_t>(anchor)];
   own.fade(t_s, config_.window_s);
   own.add(off_m, weight);
+  all_.fade(t_s, config_.patience_s);
+  all_.add(off_m, weight);
   t_s_ = t_s;
   const bool before = doubts_;
-  doubts_ = anchors_refuse(t_s) && !model::is_ablated(Mechanism::kDivergence);
+  const bool lasts = all_.refuses(config_.doubt_share) && !model::is_ablated(Mechanism::kDivergenceLasting);
+  doubts_ = (lasts || anchors_refuse(t_s)) && !model::is_ablated(Mechanism::kDivergence);
   if (doubts_ && !before) ++doubts_begun_;
 }
 
@@ -197,6 +200,7 @@ void Gate::renew(int anchor, double t_s) noexcept {
 void Gate::reset(double t_s) noexcept {
   pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share});
   t_s_ = t_s;
+  all_ = {.t_s = t_s};
   anchors_.fill({.t_s = t_s});
   doubts_ = false;
 }

@@ -93,6 +93,7 @@ class Gate {
   std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
   double poll_interval_s_ = 0.0;  // median of the gaps between a pair's ranges; 0: not known yet
   double t_s_ = 0.0;
+  Tally all_;
   std::array<Tally, kMaxAnchors> anchors_{};
   bool doubts_ = false;
   std::size_t doubts_begun_ = 0;

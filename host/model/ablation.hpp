@@ -20,13 +20,14 @@ enum class Mechanism : std::uint8_t {
   kGroundMismatch,  // height and slope that the surface lacks
   kAntennaPattern,  // of a tag, by direction
   // filter: weights of ranges
-  kGate,           // weights at all
-  kGateMemory,     // a pair that was blocked is expected to be
-  kGateTags,       // what blocks one tag of an anchor blocks the others
-  kGateReception,  // missed polls
-  kGatePowers,     // received powers
-  kGateShort,      // ranges that are too short
-  kDivergence,     // divergence flag: the covariance grows while ranges are refused
+  kGate,               // weights at all
+  kGateMemory,         // a pair that was blocked is expected to be
+  kGateTags,           // what blocks one tag of an anchor blocks the others
+  kGateReception,      // missed polls
+  kGatePowers,         // received powers
+  kGateShort,          // ranges that are too short
+  kDivergence,         // divergence flag: the covariance grows while ranges are refused
+  kDivergenceLasting,  // by most ranges for 5 s
   // filter: noise and faults of odometry
   kRangeNoise,      // white range noise by innovations
   kRangeBiasNoise,  // sigma of the Gauss-Markov range bias by innovations
