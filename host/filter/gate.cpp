@@ -67,17 +67,16 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   return {.missed = std::max(expected - pair.reception, 0.0) / expected, .alike = polls * tags};
 }
 
-double Gate::expect_blocked(const Pair& pair, double t_s) const noexcept {
+double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept {
   if (model::is_ablated(Mechanism::kGateMemory)) return config_.blocked_share;
-  const double kept = std::exp(-std::max(t_s - pair.t_s, 0.0) / config_.sticky_s);
-  double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * kept;
+  const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
+  double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
   if (model::is_ablated(Mechanism::kGateTags)) return out;
   // What hides an anchor from one tag hides it from the next.
-  const std::size_t first = static_cast<std::size_t>(&pair - pairs_.data()) / kMaxTags * kMaxTags;
   for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
-    const Pair& other = pairs_[first + tag];
-    if (other.unhinted <= std::max(out, config_.blocked_share)) continue;
-    out = std::max(out, other.unhinted * std::exp(-std::max(t_s - other.t_s, 0.0) / config_.sticky_s));
+    const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
+    if (other.unhinted > std::max(out, config_.blocked_share))
+      out = std::max(out, other.unhinted * fade(other));
   }
   return out;
 }
@@ -101,7 +100,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   Pair& chain = pair(anchor, tag);
 
   const double gap_s = std::max(t_s - chain.t_s, 0.0);
-  double prior = expect_blocked(chain, t_s);
+  double prior = expect_blocked(anchor, chain, t_s);
   const Reception reception = listen(anchor, chain, t_s);
   prior += std::max(config_.regained_share - prior, 0.0) * reception.missed;
   const RangeDensities density = range_densities(innovation_m, sigma, config_, reception.missed);

@@ -84,7 +84,7 @@ class Gate {
   // Takes note that the pair was heard.
   Reception listen(int anchor, Pair& pair, double t_s) noexcept;
   // Probability that the pair is blocked, before its range is seen.
-  [[nodiscard]] double expect_blocked(const Pair& pair, double t_s) const noexcept;
+  [[nodiscard]] double expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 

@@ -12,7 +12,8 @@ namespace groma::filter {
 // And the mean square of the excess, given such an error, m^2.
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
-// The kinds of error that the gate separates, 1/m. The first two: of a range that is not garbage.
+// The kinds of error that the gate separates, 1/m. The first two: of a range that is not garbage; blocked
+// ones are too long, or by short_share too short.
 struct RangeDensities {
   double in_sight = 0.0;
   double blocked = 0.0;

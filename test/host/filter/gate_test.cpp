@@ -94,6 +94,25 @@ TEST(Gate, RemembersABlockedPairForAWhileAndNoOtherAnchor) {
   EXPECT_GT(gate.weigh(3, 1, t_s, 0.0, kVariance_m2), 0.95);
 }
 
+TEST(Gate, ExpectsAnAnchorThatIsBlockedForOneTagToBeSoForTheNext) {
+  Gate gate{GateConfig{}};
+  for (double t_s = 0.0; t_s < 2.0; t_s += 0.1) {
+    static_cast<void>(gate.weigh(3, 1, t_s, 5.0 * kSigma_m, kVariance_m2));
+    static_cast<void>(gate.weigh(4, 1, t_s, 0.0, kVariance_m2));
+  }
+  // An innovation that by itself would pass: of another tag at the blocked anchor, and at one in sight.
+  const double next = gate.weigh(3, 2, 2.0, 1.5 * kSigma_m, kVariance_m2);
+  EXPECT_LT(next, gate.weigh(4, 2, 2.0, 1.5 * kSigma_m, kVariance_m2) - 0.1);
+  EXPECT_LT(next, fresh_weight(1.5 * kSigma_m) - 0.1);
+  // That the first is in sight again is no reason to forget what the second shows.
+  for (double t_s = 2.1; t_s < 4.0; t_s += 0.1) {
+    static_cast<void>(gate.weigh(3, 2, t_s, 5.0 * kSigma_m, kVariance_m2));
+    static_cast<void>(gate.weigh(3, 1, t_s, 0.0, kVariance_m2));
+  }
+  EXPECT_GT(gate.blocked(3, 2), 0.4);
+}
+
+// E(x^2 | e) of e = x + n, x exponential and n Gaussian, by Simpson's rule.
 TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
   for (const double mean_m : {0.5, 3.0}) {
     for (const double sigma_m : {0.05, 0.3, 2.0, 6.0}) {
@@ -152,6 +171,17 @@ double feed(Gate& gate, double begin_s, double duration_s, int anchors, int off,
     static_cast<void>(gate.weigh(i % anchors, 0, t_s, i % anchors < off ? off_m : 0.0, kVariance_m2));
   }
   return t_s;
+}
+
+TEST(Gate, TakesManyThatAreOffForBlockedUntilItLasts) {
+  for (const double off_m : {5.0 * kSigma_m, -5.0 * kSigma_m}) {
+    Gate gate{GateConfig{}};
+    double t_s = feed(gate, 0.0, 10.0, 12, 0, 0.0);
+    t_s = feed(gate, t_s, 3.0, 12, 10, off_m);
+    EXPECT_FALSE(gate.doubts(t_s));
+    t_s = feed(gate, t_s, 10.0, 12, 10, off_m);
+    EXPECT_TRUE(gate.doubts(t_s));
+  }
 }
 
 TEST(Gate, DoubtsWhereAsManyAnchorsAreFarOffAsAgreeButForThreeThatAgree) {
