@@ -22,18 +22,18 @@ constexpr KnotGrid kCoarseKnots{.spacing_s = 8.0, .max_count = 48.0};
 constexpr KnotGrid kFineKnots{.spacing_s = 4.0, .max_count = 96.0};
 constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};
 constexpr int kDriveRounds = 4;
-// Wanders to choose from, by the likelihood of the ranges: first the size of the shift, then all three by
-// turns.
+// Shifts to begin with. The likelihood of the ranges decides between them, then refines shift, yaw and time:
+// by these factors, until none makes them likelier by kMinDriftGain.
 constexpr std::array kWander_m{0.02, 0.06, 0.2, 0.6};
+constexpr double kFirstDriftFactor = 2.0;
+constexpr double kLastDriftFactor = 1.15;
+constexpr double kMinDriftGain = 0.01;
 constexpr WanderPrior kFirstWander{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
-constexpr std::array kCorrelations_s{5.0, 20.0, 60.0};
 constexpr std::array kYawFactors{0.4, 2.5};
-constexpr std::array kShiftFactors{0.7, 1.4};
 // And then whether it is smooth, and how fast: natural frequencies' inverses and damping ratios.
 constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
 constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
 constexpr std::array kSmoothFactors{1.0, 0.7};
-constexpr int kDriveSweeps = 2;
 constexpr int kFollowingSteps = 3;
 // A step that is shorter than this, in sigmas, is the last.
 constexpr double kRestingSigmas = 0.1;
@@ -53,7 +53,7 @@ constexpr double kMinLastingBody = 2.0;
 constexpr double kMoment_s = 1.0;
 constexpr double kWhile_s = 8.0;
 constexpr double kDelaySigma_s = 0.03;
-constexpr double kMinDelaySigmas = 6.0;
+constexpr double kMinDelaySigmas = 4.0;
 constexpr double kNoDelaySigma_s = 1e-7;
 // No localization knows its map better than this; shared by all poses and never seen by ranges.
 constexpr double kDriveFrameSigma_m = 0.002;
@@ -103,9 +103,7 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
     SharedPrior prior = before.prior;
     prior.wander = wander;
     const double found = evidence(equations, unknowns, prior);
-    if (found <= best.evidence) return false;
-    best = {.prior = prior, .evidence = found};
-    return true;
+    if (found > best.evidence) best = {.prior = prior, .evidence = found};
   };
   for (const double sigma_m : kWander_m) {
     WanderPrior wander = kFirstWander;
@@ -118,24 +116,33 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
     wander.sigma_yaw_rad = question.typical->sigma_yaw_rad;
     consider(wander);
   }
-  if (!(best.prior.wander.sigma_m > 0.0)) return before;
-  const auto scale = [&](double WanderPrior::*sigma, double factor) {
-    WanderPrior wander = best.prior.wander;
-    wander.*sigma *= factor;
-    return consider(wander);
-  };
-  for (int sweep = 0; sweep < kDriveSweeps; ++sweep) {
-    for (const double correlation_s : kCorrelations_s) {
-      WanderPrior wander = best.prior.wander;
-      wander.correlation_s = correlation_s;
-      consider(wander);
+  return best.prior.wander.sigma_m > 0.0 ? best : before;
+}
+
+// The first-order drift that maximizes the evidence. Knots that are far apart do not show its time: use fine
+// ones.
+SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& unknowns,
+                         const SharedPrior& rough) {
+  Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
+  for (double step = kFirstDriftFactor; step > kLastDriftFactor;) {
+    const Belief before = best;
+    const auto consider = [&](double correlation, double shift, double turn) {
+      SharedPrior prior = before.prior;
+      prior.wander.correlation_s *= correlation;
+      prior.wander.sigma_m *= shift;
+      prior.wander.sigma_yaw_rad *= turn;
+      const double found = evidence(equations, unknowns, prior);
+      if (found > best.evidence) best = {.prior = prior, .evidence = found};
+    };
+    for (const double factor : {step, 1.0 / step}) {
+      // Ranges show sigma^2 / time, the rate of a first-order process, better than either: sigmas go along.
+      consider(factor, std::sqrt(factor), std::sqrt(factor));
+      consider(1.0, factor, 1.0);
+      consider(1.0, 1.0, factor);
     }
-    for (const double factor : kYawFactors) {
-      if (scale(&WanderPrior::sigma_yaw_rad, factor)) scale(&WanderPrior::sigma_yaw_rad, factor);
-    }
-    for (const double factor : kShiftFactors) scale(&WanderPrior::sigma_m, factor);
+    if (best.evidence < before.evidence + kMinDriftGain) step = std::sqrt(step);
   }
-  return best;
+  return best.prior;
 }
 
 // The wander that is believed as a smooth one, or as one that oscillates, if that makes the ranges likelier
@@ -464,8 +471,10 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
     return out;
   }
   out.unknowns = arrange(fits, association.pose_spreads, question, prior);
-  if (prior.wander.sigma_m > 0.0)
-    prior = likeliest_shape(eliminate_anchors(fits, inflation, out.unknowns), out.unknowns, prior);
+  if (prior.wander.sigma_m > 0.0) {
+    equations = eliminate_anchors(fits, inflation, out.unknowns);
+    prior = likeliest_shape(equations, out.unknowns, refine_drift(equations, out.unknowns, prior));
+  }
   out.prior = prior;
   out.wander = prior.wander;
   out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());

@@ -73,9 +73,14 @@ void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen
   anchor.covariance.topLeftCorner<3, 3>() += frame * covariance * frame.transpose();
 }
 
-// Of an anchor, without what it shares with the others.
+// Takes the frame that all anchors share from the anchor's covariance, but for kKeptShare of the whole: else
+// an anchor that owes all to the frame along some axis is known exactly there, and outweighs every other
+// drive.
 void keep_own(AnchorCalibration& anchor, const model::Calibration& of) {
-  if (has_position(anchor)) anchor.covariance = model::own_covariance(anchor, of.common_frame_covariance);
+  constexpr double kKeptShare = 0.01;
+  if (!has_position(anchor)) return;
+  anchor.covariance = (1.0 - kKeptShare) * model::own_covariance(anchor, of.common_frame_covariance) +
+                      kKeptShare * anchor.covariance;
 }
 
 // The parameters of several calibrations' blocks, each tag once.
