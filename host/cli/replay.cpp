@@ -9,8 +9,12 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
+#include <optional>
+#include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -21,6 +25,7 @@
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/diagnosis/finding.hpp"
 #include "host/io/error.hpp"
 #include "host/io/estimate_file.hpp"
 #include "host/io/output_file.hpp"
@@ -66,6 +71,13 @@ Json sensors_json(const filter::Counters& counters) {
   return json;
 }
 
+Json state_shares(std::span<const filter::ReplayResult::RowState> states) {
+  std::map<std::string_view, double> shares;
+  for (const auto& of : states)
+    shares[filter::state_name(of.state)] += 1.0 / static_cast<double>(states.size());
+  return shares;
+}
+
 int run(const ReplayOptions& options) {
   io::expect_writable(options.input.output());
   Warnings warnings;
@@ -78,10 +90,22 @@ int run(const ReplayOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   const filter::ReplayResult result = filter::replay(drive.run(), replay);
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  std::vector<diagnosis::Finding> findings;
+  if (const auto& mismatch = result.map_mismatch) {
+    const bool is_placed = !result.rows.empty() && result.rows.front().t_s <= mismatch->t_s;
+    findings.push_back(diagnosis::map_mismatch(is_placed ? std::optional(mismatch->share) : std::nullopt));
+    warnings.add(findings.back());
+  }
   if (result.rows.empty()) {
     if (replay.knows_start) {
       throw io::DataError({options.input.dataset() / "odometry.csv"},
                           "there is no odometry in the chosen time", "choose another --from and --to");
+    }
+    if (options.input.json() && !findings.empty()) {
+      say_json(Json{{"model", options.model},
+                    {"ranges_seen", result.ranges_seen},
+                    {"state", nullptr},
+                    {"diagnosis", cli::to_json(findings)}});
     }
     throw io::DataError({options.input.dataset()},
                         "there is no pose prior to start from in the chosen time, and none was found from "
@@ -118,6 +142,8 @@ int run(const ReplayOptions& options) {
                   {"slips", counters.slips},
                   {"odometry_implausible", counters.odometry_implausible},
                   {"state", words.back().state},
+                  {"state_shares", state_shares(result.states)},
+                  {"diagnosis", cli::to_json(findings)},
                   {"sensors", sensors_json(counters)},
                   {"dropped", cli::to_json(drive.dataset.dropped)},
                   {"wall_s", wall_s},

@@ -11,6 +11,10 @@ void Warnings::add(const std::string& text) {
   any_ = true;
 }
 
+void Warnings::add(const diagnosis::Finding& finding) {
+  add(fmt::format("{}: {}\n  {}", finding.cause, finding.evidence, finding.remedy));
+}
+
 void Warnings::add(const io::DroppedRows& dropped) {
   std::string list;
   const auto count = [&](std::size_t rows, const std::string& what) {

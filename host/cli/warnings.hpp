@@ -4,6 +4,7 @@
 #include <string>
 
 #include "host/cli/exit_code.hpp"
+#include "host/diagnosis/finding.hpp"
 #include "host/io/dataset.hpp"
 
 namespace groma::cli {
@@ -11,6 +12,8 @@ namespace groma::cli {
 class Warnings {
  public:
   void add(const std::string& text);
+  // Two lines: what is wrong, and what to do.
+  void add(const diagnosis::Finding& finding);
   // One warning for all dropped rows together; none if there are none.
   void add(const io::DroppedRows& dropped);
   // The same, and one for what is damaged in a log.

@@ -335,8 +335,17 @@ void Daemon::tell_status() {
   if (now_s() < next_status_s_) return;
   next_status_s_ = now_s() + kStatusPeriod_s;
   report_implausible();
+  report_finding();
   server_->broadcast(status_line(status()));
   if (learner_) server_->broadcast(calibration_line(learner_->live().verdict, learner_->progress()));
+}
+
+// Once, until it is gone.
+void Daemon::report_finding() {
+  const auto finding = localizer_ ? localizer_->finding() : std::nullopt;
+  if (finding && !has_finding_)
+    log_(fmt::format("{}: {}; {}", finding->cause, finding->evidence, finding->remedy));
+  has_finding_ = finding.has_value();
 }
 
 // The 1st, 2nd, 4th, 8th ...: a robot that goes on does not fill the log.
@@ -379,6 +388,9 @@ Status Daemon::status() const {
                                 .evidence = evidence(*fault),
                                 .remedy = std::string(remedy(*fault)),
                                 .value = fault->value});
+  }
+  if (localizer_) {
+    if (auto finding = localizer_->finding()) status.diagnosis.push_back(*std::move(finding));
   }
   for (std::size_t i = 0; i < session_.node_count(); ++i) {
     const link::ReportCounters& node = session_.node(i).decoder().counters();

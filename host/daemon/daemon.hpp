@@ -70,6 +70,7 @@ class Daemon {
   void record();
   void tell_status();
   void report_implausible();
+  void report_finding();
   [[nodiscard]] std::string_view state() const;
   [[nodiscard]] Status status() const;
 
@@ -89,7 +90,8 @@ class Daemon {
   std::string frame_ = "map";
   std::optional<std::pair<filter::State, filter::Reason>> pose_state_;
   std::uint64_t reported_implausible_ = 0;  // samples
-  double last_pose_s_ = 0.0;                // of this computer
+  bool has_finding_ = false;
+  double last_pose_s_ = 0.0;  // of this computer
   double next_time_request_s_ = 0.0;
   double next_status_s_ = 0.0;  // of this computer
 };

@@ -78,7 +78,7 @@ void Localizer::on_odometry(const model::OdometrySample& sample) {
   const bool implausible = outcome == filter::OdometryOutcome::kImplausible;
   if (implausible) ++implausible_;
   if (!tracker_->started() || !(outcome == filter::OdometryOutcome::kUsed || implausible)) return;
-  if (!has_waited) on_pose_(pose_of(tracker_->filter().row_estimate()));
+  if (!has_waited) on_pose_(pose_of(tracker_->row_estimate()));
   if (on_settled_) on_settled_(pose_of(tracker_->estimate()));
 }
 
@@ -94,7 +94,7 @@ filter::Estimate Localizer::predict(double t_s, Ahead::const_iterator end) {
   if (prediction_ && t_s - predicted_since_s_ < kPredictionLasts_s) {
     next = std::upper_bound(next, end, carried_, comes_before);
   } else {
-    prediction_ = filter().prediction();
+    prediction_ = tracker_->prediction();
     predicted_since_s_ = t_s;
   }
   for (; next != end; ++next) filter().carry(*prediction_, *next);
@@ -105,6 +105,12 @@ filter::Estimate Localizer::predict(double t_s, Ahead::const_iterator end) {
 void Localizer::came_in(double t_s) noexcept {
   if (last_row_s_ != kNothingYet_s && t_s - last_row_s_ > setup_.tracker.silent_s) paused_until_s_ = t_s;
   last_row_s_ = std::max(last_row_s_, t_s);
+}
+
+std::optional<diagnosis::Finding> Localizer::finding() const {
+  if (tracker_->reason() != filter::Reason::kMapMismatch) return std::nullopt;
+  if (!tracker_->started()) return diagnosis::map_mismatch({});
+  return diagnosis::map_mismatch(tracker_->map_watch().share());
 }
 
 void Localizer::on_range(const model::RangeSample& range) {

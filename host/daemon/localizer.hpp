@@ -17,6 +17,7 @@
 #include <Eigen/Core>
 
 #include "host/daemon/measurement_sink.hpp"
+#include "host/diagnosis/finding.hpp"
 #include "host/filter/config.hpp"
 #include "host/filter/filter.hpp"
 #include "host/filter/tracker.hpp"
@@ -92,6 +93,8 @@ class Localizer : public MeasurementSink {
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
   [[nodiscard]] filter::State state() const noexcept { return tracker_->state(); }
+  // What the ranges show to be wrong with the setup, if anything.
+  [[nodiscard]] std::optional<diagnosis::Finding> finding() const;
   // Samples of odometry and other sensors that were dropped, for no robot can do what they say.
   [[nodiscard]] std::uint64_t implausible() const noexcept { return implausible_; }
   [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }

@@ -67,11 +67,10 @@ std::string status_line(const Status& status) {
                          {"round_trip_s", link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr)}});
   }
   Json diagnosis = Json::array();
-  for (const StatusFault& fault : status.diagnosis) {
-    diagnosis.push_back(Json{{"cause", fault.cause},
-                             {"evidence", fault.evidence},
-                             {"remedy", fault.remedy},
-                             {"value", fault.value}});
+  for (const diagnosis::Finding& finding : status.diagnosis) {
+    Json& json = diagnosis.emplace_back(
+        Json{{"cause", finding.cause}, {"evidence", finding.evidence}, {"remedy", finding.remedy}});
+    if (finding.value) json["value"] = *finding.value;
   }
   return line({{"class", "STATUS"},
                {"state", status.state},

@@ -10,6 +10,7 @@
 
 #include "host/daemon/anchor_learner.hpp"
 #include "host/daemon/localizer.hpp"
+#include "host/diagnosis/finding.hpp"
 
 namespace groma::daemon {
 
@@ -20,14 +21,6 @@ struct LinkDelay {
   std::optional<double> round_trip_s{};
 };
 
-// What is wrong with the input, by a cause of a diagnosis.
-struct StatusFault {
-  std::string_view cause;
-  std::string evidence;
-  std::string remedy;
-  double value = 0.0;
-};
-
 // What a stream tells beside poses, about once a second.
 struct Status {
   std::string_view state;  // see state_word() and Daemon
@@ -36,7 +29,7 @@ struct Status {
   std::uint64_t frames_lost = 0;
   std::uint64_t dropped = 0;  // measurements and lines, of all causes
   std::vector<LinkDelay> links{};
-  std::vector<StatusFault> diagnosis{};
+  std::vector<diagnosis::Finding> diagnosis{};
 };
 
 // {"class":"VERSION","program":"gromad","version":...,"protocol":1}

@@ -126,7 +126,7 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
       covariance_.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
     }
   }
-  if (gate_.doubts(now_.t_s)) {
+  if (gate_ != nullptr && gate_->doubts(now_.t_s)) {
     const CoreMatrix& core = covariance_.core();
     if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
       covariance_.grow(kX, square(config_.gate.doubt_position_m) * dt_s);

@@ -41,8 +41,9 @@ using MotionInput = std::variant<model::OdometrySample, model::YawRateSample>;
 template <class Covariance>
 class DeadReckoning {
  public:
-  // slow_time_s: of the ranges' slow errors, 0 where there are none. The gate tells when it doubts the state.
-  DeadReckoning(const model::Surface& surface, const Config& config, double slow_time_s, const Gate& gate,
+  // slow_time_s: of the ranges' slow errors, 0 where there are none. While the gate doubts the state, the
+  // covariance of the pose grows; without a gate by odometry's noise alone.
+  DeadReckoning(const model::Surface& surface, const Config& config, double slow_time_s, const Gate* gate,
                 MotionState& now, Covariance& covariance) noexcept
       : surface_(surface),
         config_(config),
@@ -73,7 +74,7 @@ class DeadReckoning {
   const model::Surface& surface_;
   const Config& config_;
   double slow_time_s_;
-  const Gate& gate_;
+  const Gate* gate_;
   MotionState& now_;
   Covariance& covariance_;
 };

@@ -282,6 +282,11 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
   result.innovation_m = range.range_m - measurement.range_m;
   result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
+  const Eigen::RowVector3d by_pose = measurement.d_core.head<3>();
+  const double pose_variance_m2 =
+      by_pose.lazyProduct(now_.covariance.core().topLeftCorner<3, 3>()).dot(by_pose);
+  result.map_variance_m2 =
+      std::max(result.innovation_variance_m2 - pose_variance_m2, square(now_.tuning.white_sigma_m()));
   const model::PowerClass powers = model::power_class(range);
   result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // weigh() then learns from this range
   result.weight =
@@ -520,7 +525,8 @@ Filter::Prediction Filter::prediction() const noexcept {
 
 void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
   MotionState& then = prediction.motion;
-  DeadReckoning<CoreCovariance> motion(surface_, config_, slow_time_s_, now_.gate, then,
+  DeadReckoning<CoreCovariance> motion(surface_, config_, slow_time_s_,
+                                       prediction.by_odometry_alone ? nullptr : &now_.gate, then,
                                        prediction.covariance);
   if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
     if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) return;

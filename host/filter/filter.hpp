@@ -72,6 +72,7 @@ struct RangeResult {
   double innovation_m = 0.0;            // measured less predicted
   double innovation_variance_m2 = 0.0;  // S, before any weight
   double nis = 0.0;                     // innovation^2 / S
+  double map_variance_m2 = 0.0;         // of S, what is not by the pose: noise, biases, anchors
   double weight = 0.0;                  // 0 gated, 1 full
   double blocked = 0.0;                 // probability that the pair is, from its past and this range
   double hint_ratio = 1.0;              // likelihood of its powers if blocked, over that if in sight
@@ -195,6 +196,7 @@ class Filter {
   struct Prediction {
     MotionState motion;
     CoreCovariance covariance;
+    bool by_odometry_alone = false;  // refused ranges do not count: see DeadReckoning
   };
   [[nodiscard]] Prediction prediction() const noexcept;
   void carry(Prediction& prediction, const MotionInput& input) const noexcept;
@@ -241,7 +243,7 @@ class Filter {
   SensorResult correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept;
   SensorResult count(Sensor sensor, SensorResult result) noexcept;
   [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
-    return {surface_, config_, slow_time_s_, now_.gate, now_, now_.covariance};
+    return {surface_, config_, slow_time_s_, &now_.gate, now_, now_.covariance};
   }
   template <class Covariance>
   [[nodiscard]] Estimate estimate_of(const MotionState& now, const Covariance& covariance) const noexcept;

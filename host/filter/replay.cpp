@@ -67,6 +67,8 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     const RangeResult update = timed(update_ns, sample);
     if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;
     if (options.on_range) options.on_range(*tracker, sample, update);
+    if (tracker->reason() == Reason::kMapMismatch && !result.map_mismatch)
+      result.map_mismatch = {.t_s = sample.t_s, .share = tracker->map_watch().share()};
   };
   constexpr double kNoneLeft_s = std::numeric_limits<double>::infinity();
   const auto time_of = [&](const auto& at, const auto& samples) {
@@ -116,6 +118,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
         model::on_surface(*run.surface, estimate.pose, estimate.covariance_with_ground()));
   }
 
+  if (result.map_mismatch) result.map_mismatch->is_lasting = tracker->reason() == Reason::kMapMismatch;
   result.relocations = tracker->relocations();
   result.counters = tracker->filter().counters();
   if (result.counters.ranges_used > 0) nis_sum /= static_cast<double>(result.counters.ranges_used);

@@ -26,11 +26,15 @@ constexpr int kSteps = 25;
 // A step smaller than this is the last one: far below what a start is asked to be sure of.
 constexpr double kLastStep_m = 1e-3;
 constexpr double kLastStep_rad = 1e-4;
+// Nor is one that makes the ranges likelier by less (ln), or that has to be as small as this damping makes
+// it.
+constexpr double kLeastGain = 1e-3;
+constexpr double kMostDamping = 1e3;
 // A part of the ranges gives no hypothesis up that all of them might keep.
 constexpr double kRoughOdds = 3.0;
 // The coarse judgement looks at so many ranges, and the rough refinement at these.
 constexpr std::size_t kCoarseRanges = 48;
-constexpr std::size_t kRoughRanges = 96;
+constexpr std::size_t kRoughRanges = 64;
 // Weak priors about where a hypothesis starts keep the steps finite in a direction that nothing tells of.
 constexpr double kFarStart_m = 1000.0;
 constexpr double kAnyHeading_rad = 10.0;
@@ -297,12 +301,14 @@ StartSearch::Hypothesis StartSearch::refine(const model::PlanarPose& start, std:
     const Sums next = look(pose + change, start.chart, every, false);
     if (!(next.cost < sums.cost)) {
       damping = std::max(damping * 8.0, 1e-3);
-      if (damping > 1e6) break;
+      if (damping > kMostDamping) break;
       continue;
     }
+    const double gain = sums.cost - next.cost;
     pose += change;
     sums = next;
     damping *= 0.1;
+    if (gain < kLeastGain) break;
     if (change.head<2>().norm() < kLastStep_m && std::abs(change.z()) < kLastStep_rad) break;
   }
   sums = look(pose, start.chart, every, true);

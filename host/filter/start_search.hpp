@@ -77,6 +77,8 @@ class StartSearch {
   // wall is in the way of all its ranges, to all tags, for as long as the robot is behind it.
   [[nodiscard]] double cautious_cost(const model::PlanarPose& pose) noexcept;
 
+  // The mean weight of a hypothesis from which it explains the ranges.
+  [[nodiscard]] double explained_share() const noexcept { return search_.weight_share; }
   [[nodiscard]] double t_s() const noexcept { return t_s_; }
   [[nodiscard]] std::size_t ranges() const noexcept { return count_; }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -16,6 +17,17 @@ constexpr double kNotYet_s = -std::numeric_limits<double>::infinity();
 constexpr double kNotNow = std::numeric_limits<double>::quiet_NaN();
 
 using model::square;
+
+double reach_m(const model::Calibration& calibration) noexcept {
+  double out = 0.0;
+  for (const model::AnchorCalibration& a : calibration.anchors) {
+    for (const model::AnchorCalibration& b : calibration.anchors) {
+      if (!model::has_position(a) || !model::has_position(b)) continue;
+      out = std::max(out, (a.position_m - b.position_m).norm());
+    }
+  }
+  return out;
+}
 
 double largest_variance(const Eigen::Matrix3d& covariance) noexcept {
   const double a = covariance(0, 0);
@@ -57,6 +69,8 @@ std::string_view reason_name(Reason reason) noexcept {
       return "uncertain";
     case Reason::kOffSurface:
       return "off-surface";
+    case Reason::kMapMismatch:
+      return "map-mismatch";
     case Reason::kOdometryTimes:
       break;
   }
@@ -69,13 +83,22 @@ Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
     : config_(tracker),
       surface_(surface),
       filter_(surface, tags, calibration, config),
-      search_(std::move(surface), tags, calibration, config, search) {
+      search_(std::move(surface), tags, calibration, config, search),
+      reach_m_(reach_m(calibration)),
+      searches_left_(tracker.most_searches) {
   for (const model::Tag& tag : tags) {
     if (tag_count_ < tags_.size()) tags_[tag_count_++].id = tag.id;
   }
 }
 
 bool Tracker::start(const Start& start, State state) noexcept {
+  if (!begin(start, state)) return false;
+  by_odometry_ = filter_.filter().prediction();
+  by_odometry_->by_odometry_alone = true;
+  return true;
+}
+
+bool Tracker::begin(const Start& start, State state) noexcept {
   if (!filter_.start(start)) return false;
   state_ = state;
   reason_ = Reason::kNone;
@@ -95,6 +118,8 @@ void Tracker::resume(const Tracker& other) noexcept {
   last_row_s_ = other.last_row_s_;
   last_used_s_ = other.last_used_s_;
   tags_ = other.tags_;
+  by_odometry_ = other.prediction();
+  by_odometry_->by_odometry_alone = true;
   relocations_ = other.relocations_;
   clock_steps_ = other.clock_steps_;
   judge_anew();
@@ -119,6 +144,7 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
     if (row.t_s - last_row_s_ > config_.silent_s && last_row_s_ != kNotYet_s) prove_again(true);
     last_row_s_ = std::max(last_row_s_, row.t_s);
   }
+  carry_on(row);
   assess();
   return outcome;
 }
@@ -148,6 +174,53 @@ SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
   return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
 }
 
+SensorResult Tracker::process(const model::YawRateSample& sample) noexcept {
+  const SensorResult result = process_sensor(sample);
+  carry_on(sample);
+  return result;
+}
+
+Estimate Tracker::estimate() const noexcept {
+  return is_on_wrong_map() ? filter_.filter().estimate(*by_odometry_) : filter_.estimate();
+}
+
+Estimate Tracker::row_estimate() const noexcept {
+  return is_on_wrong_map() ? estimate() : filter_.row_estimate();
+}
+
+Filter::Prediction Tracker::prediction() const noexcept {
+  return is_on_wrong_map() ? *by_odometry_ : filter_.filter().prediction();
+}
+
+void Tracker::carry_on(const MotionInput& input) noexcept {
+  if (!filter_.started()) return;
+  if (map_watch_.fits()) {
+    by_odometry_ = filter_.filter().prediction();
+    by_odometry_->by_odometry_alone = true;
+  } else if (by_odometry_) {
+    filter_.filter().carry(*by_odometry_, input);
+  }
+}
+
+void Tracker::name_wrong_map() noexcept {
+  if (!by_odometry_) {
+    // Ranges alone told where the robot is: it may be anywhere.
+    by_odometry_ = filter_.filter().prediction();
+    by_odometry_->by_odometry_alone = true;
+    by_odometry_->covariance.grow(kX, square(reach_m_));
+    by_odometry_->covariance.grow(kY, square(reach_m_));
+    by_odometry_->covariance.grow(kTheta, square(std::numbers::pi) / 3.0);
+  }
+  reason_ = Reason::kMapMismatch;
+  state_ = is_certain(filter_.filter().estimate(*by_odometry_).covariance) ? State::kDegraded : State::kLost;
+  proven_ = false;
+  agrees_since_s_ = kNotNow;
+}
+
+bool Tracker::finds_no_place() const noexcept {
+  return newest_s_ - no_place_since_s_ >= config_.no_place_s && no_place_ranges_ >= config_.no_place_ranges;
+}
+
 bool Tracker::believe(double t_s) noexcept {
   if (newest_s_ == kNotYet_s || std::abs(t_s - newest_s_) < config_.clock_step_s) {
     strange_ = 0;
@@ -166,8 +239,11 @@ bool Tracker::believe(double t_s) noexcept {
 
 void Tracker::set_back(double t_s) noexcept {
   const bool known = state_ == State::kTracking || state_ == State::kDegraded;
-  const Estimate before = filter_.estimate();
+  const Estimate before = estimate();
   filter_.stop();
+  by_odometry_.reset();
+  map_watch_ = {};
+  no_place_since_s_ = kNotNow;
   search_.stop();
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
@@ -196,7 +272,11 @@ void Tracker::watch(const model::RangeSample& range, const RangeResult& result) 
     tag.last_s = std::max(tag.last_s, range.t_s);
     tag.heard = true;
   }
-  if (result.outcome == RangeOutcome::kNotStarted) return;
+  if (result.outcome == RangeOutcome::kNotStarted) {
+    no_place_ranges_ += 1.0;
+    return;
+  }
+  map_watch_.observe(range.t_s, result.innovation_m, result.map_variance_m2);
   if (result.outcome == RangeOutcome::kUsed) last_used_s_ = std::max(last_used_s_, range.t_s);
   const double fade = std::exp(-std::max(newest_s_ - judged_s_, 0.0) / config_.window_s);
   judged_s_ = newest_s_;
@@ -219,12 +299,13 @@ void Tracker::prove_again(bool widens) noexcept {
   if (state_ != State::kTracking && state_ != State::kDegraded) return;
   state_ = State::kConverging;
   if (!widens) return judge_anew();
-  const Estimate now = filter_.estimate();
+  const Estimate now = estimate();
   if (!config_.relocates || largest_variance(now.covariance) < square(config_.unknown_sigma_m)) {
     return start_near(now, now.t_s);
   }
   // As good as nothing is known of it: ranges linearized there would mislead.
   filter_.stop();
+  by_odometry_.reset();
   search_.clear();
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
@@ -236,7 +317,7 @@ bool Tracker::is_certain(const Eigen::Matrix3d& covariance) const noexcept {
 }
 
 Reason Tracker::find_reason() const noexcept {
-  if (!std::isnan(disagrees_since_s_)) return Reason::kRangesDisagree;
+  if (!std::isnan(disagrees_since_s_) || map_watch_.is_doubtful()) return Reason::kRangesDisagree;
   if (newest_s_ - last_used_s_ > config_.silent_s) return Reason::kNoRanges;
   if (newest_s_ - last_row_s_ > config_.silent_s) return Reason::kNoOdometry;
   if (!is_certain(filter_.filter().covariance().core().topLeftCorner<3, 3>())) return Reason::kUncertain;
@@ -250,8 +331,17 @@ Reason Tracker::find_reason() const noexcept {
 void Tracker::assess() noexcept {
   if (!filter_.started()) {
     state_ = config_.relocates && search_.ranges() > 0 ? State::kConverging : State::kUninitialized;
+    reason_ = Reason::kNone;
+    if (finds_no_place()) {
+      state_ = State::kLost;
+      reason_ = Reason::kMapMismatch;
+    }
     search_when_due();
     return;
+  }
+  if (map_watch_.is_wrong()) {
+    name_wrong_map();
+    return search_when_due();
   }
   reason_ = find_reason();
   const bool disagrees = reason_ == Reason::kRangesDisagree;
@@ -288,19 +378,41 @@ void Tracker::assess() noexcept {
 }
 
 bool Tracker::search_is_due() noexcept {
-  if (newest_s_ - last_search_s_ < config_.search_every_s) return false;
+  const bool is_map_doubtful = map_watch_.is_doubtful() || !std::isnan(no_place_since_s_);
+  const double every_s = (is_map_doubtful ? 2.0 : 1.0) * config_.search_every_s;
+  if (newest_s_ - last_search_s_ < every_s) return false;
   last_search_s_ = newest_s_;
   return true;
 }
 
+bool Tracker::earns_search() noexcept {
+  const bool is_wrong = reason_ == Reason::kMapMismatch;
+  const double earned_in_s = is_wrong ? config_.search_earned_on_wrong_map_s : config_.search_earned_s;
+  const double most = is_wrong ? 1.0 : config_.most_searches;
+  searches_left_ = std::min(searches_left_ + std::max(newest_s_ - earned_s_, 0.0) / earned_in_s, most);
+  earned_s_ = newest_s_;
+  if (searches_left_ < 1.0) return false;
+  searches_left_ -= 1.0;
+  return true;
+}
+
 void Tracker::search_when_due() noexcept {
-  if (!filter_.started() && !config_.relocates) return;
-  if (!search_is_due()) return;
+  const bool is_known = filter_.started() && !map_watch_.is_wrong();
+  if (!is_known && !config_.relocates) return;
+  if (!search_is_due() || !earns_search()) return;
   const auto hypotheses = search_.search();
   double doubt = 0.0;
   if (filter_.started() && !hypotheses.empty()) {
     doubt = likelier(hypotheses.front());
-    state_ = doubt > config_.lost_odds ? State::kLost : State::kDegraded;
+    if (is_known) state_ = doubt > config_.lost_odds ? State::kLost : State::kDegraded;
+  }
+  if (!filter_.started() && !hypotheses.empty()) {
+    if (hypotheses.front().mean_weight > search_.explained_share()) {
+      no_place_since_s_ = kNotNow;
+    } else if (std::isnan(no_place_since_s_)) {
+      no_place_since_s_ = newest_s_;
+      no_place_ranges_ = 0.0;
+    }
   }
   if (!search_.settled() || !config_.relocates) return;
   const StartSearch::Hypothesis& found = hypotheses.front();
@@ -344,10 +456,13 @@ bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noex
 }
 
 void Tracker::begin_at(const StartSearch::Hypothesis& hypothesis) noexcept {
-  start({.t_s = search_.t_s(),
+  begin({.t_s = search_.t_s(),
          .pose = hypothesis.pose,
          .position_sigma_m = std::sqrt(largest_variance(hypothesis.covariance)),
-         .heading_sigma_rad = std::sqrt(hypothesis.covariance(2, 2))});
+         .heading_sigma_rad = std::sqrt(hypothesis.covariance(2, 2))},
+        State::kConverging);
+  map_watch_.begin_anew();
+  if (map_watch_.is_wrong()) name_wrong_map();
   search_.clear();
 }
 

@@ -14,11 +14,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <span>
 #include <string_view>
 
 #include "host/filter/config.hpp"
 #include "host/filter/filter.hpp"
+#include "host/filter/map_watch.hpp"
 #include "host/filter/ordered_filter.hpp"
 #include "host/filter/start_search.hpp"
 #include "host/model/calibration.hpp"
@@ -43,13 +45,14 @@ enum class Reason : std::uint8_t {
   kTagSilent,       // a tag that ranged gives no ranges, while others do
   kUncertain,       // the covariance is too large
   kOffSurface,      // beyond what the surface tells of
+  kMapMismatch,     // the calibration is not of this site, or no more: the pose goes on by odometry alone
   kOdometryTimes,   // odometry's timestamps are wrong or late; given by the daemon, not by Tracker
 };
 
 // "UNINITIALIZED", "CONVERGING", "TRACKING", "DEGRADED", "LOST".
 [[nodiscard]] std::string_view state_name(State state) noexcept;
 // "", "no-ranges", "ranges-disagree", "no-odometry", "tag-silent", "uncertain", "off-surface",
-// "odometry-times".
+// "map-mismatch", "odometry-times".
 [[nodiscard]] std::string_view reason_name(Reason reason) noexcept;
 
 struct TrackerConfig {
@@ -60,7 +63,12 @@ struct TrackerConfig {
   double tag_silent_s = 2.0;    // without a range of one tag
   double lost_s = 3.0;          // of disagreement, until another place is looked for
   double agree_s = 0.5;         // of agreement, until a begun pose is tracked
+  // A search costs some 10 ms: so many at this interval (twice of it where the map is in doubt), then one
+  // each time that another is earned.
   double search_every_s = 0.5;
+  double most_searches = 40.0;
+  double search_earned_s = 5.0;
+  double search_earned_on_wrong_map_s = 30.0;
   // From this share on other floors at the same place are looked at: a floor above differs by ranges to some
   // anchors only, and the position makes up for others.
   double floor_share = 0.1;
@@ -80,6 +88,9 @@ struct TrackerConfig {
   std::size_t clock_step_inputs = 5;
   // Whether another pose than the one told is looked for at all; without, it waits for a start.
   bool relocates = true;
+  // Searches of which none explains half of the ranges, for so long and so many ranges: the map is wrong.
+  double no_place_s = 25.0;
+  double no_place_ranges = 150.0;
   // Where the clock was set back, or odometry paused, the robot is within this of where it was, beside what
   // the covariance of its pose has.
   double set_back_position_m = 0.5;
@@ -103,7 +114,7 @@ class Tracker {
   void prove_again(bool widens) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
-  SensorResult process(const model::YawRateSample& sample) noexcept { return process_sensor(sample); }
+  SensorResult process(const model::YawRateSample& sample) noexcept;
   SensorResult process(const model::PositionSample& sample) noexcept { return process_fix(sample); }
   // Begins there, if nothing has begun.
   SensorResult process(const model::PoseSample& sample) noexcept;
@@ -117,7 +128,13 @@ class Tracker {
   [[nodiscard]] double last_odometry_s() const noexcept { return last_row_s_; }
   // Whether there is an estimate; it is to be used in the states TRACKING and DEGRADED.
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
-  [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
+  [[nodiscard]] Estimate estimate() const noexcept;
+  // As OrderedFilter's.
+  [[nodiscard]] Estimate row_estimate() const noexcept;
+  // The state to be carried on by inputs ahead.
+  [[nodiscard]] Filter::Prediction prediction() const noexcept;
+  // How well the ranges fit the calibration.
+  [[nodiscard]] const MapWatch& map_watch() const noexcept { return map_watch_; }
   [[nodiscard]] const OrderedFilter& filter() const noexcept { return filter_; }
   // Times that another place was found than the filter's.
   [[nodiscard]] std::size_t relocations() const noexcept { return relocations_; }
@@ -131,6 +148,14 @@ class Tracker {
     bool heard = false;
   };
 
+  // As start(), by ranges alone.
+  bool begin(const Start& start, State state) noexcept;
+  [[nodiscard]] bool is_on_wrong_map() const noexcept { return map_watch_.is_wrong() && by_odometry_; }
+  // The pose by odometry since the map last fitted, for where it turns out to be wrong.
+  void carry_on(const MotionInput& input) noexcept;
+  void name_wrong_map() noexcept;
+  // Nothing has begun, and no pose explains the ranges since then.
+  [[nodiscard]] bool finds_no_place() const noexcept;
   template <class Sample>
   SensorResult process_sensor(const Sample& sample) noexcept;
   // Of a sensor that tells where the robot is, as ranges do.
@@ -147,6 +172,8 @@ class Tracker {
   void compare_floors_when_due() noexcept;
   // Whether enough time went by since the last search, which it is then taken to begin.
   bool search_is_due() noexcept;
+  // Whether there is a search left; takes it.
+  bool earns_search() noexcept;
   // ln of the odds, by cautious cost, of the hypothesis against the estimate.
   [[nodiscard]] double likelier(const StartSearch::Hypothesis& hypothesis) noexcept;
   [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
@@ -159,6 +186,9 @@ class Tracker {
   model::Surface surface_;
   OrderedFilter filter_;
   StartSearch search_;
+  MapWatch map_watch_;
+  std::optional<Filter::Prediction> by_odometry_;  // none: the pose was never known but by ranges
+  double reach_m_ = 0.0;                           // between the anchors that are farthest apart
   State state_ = State::kUninitialized;
   Reason reason_ = Reason::kNone;
 
@@ -166,6 +196,10 @@ class Tracker {
   double last_row_s_ = -std::numeric_limits<double>::infinity();
   double last_used_s_ = -std::numeric_limits<double>::infinity();
   double last_search_s_ = -std::numeric_limits<double>::infinity();
+  double searches_left_ = 0.0;
+  double earned_s_ = 0.0;                                                // until when searches were earned
+  double no_place_since_s_ = std::numeric_limits<double>::quiet_NaN();   // NaN: there may be one
+  double no_place_ranges_ = 0.0;                                         // since then
   double disagrees_since_s_ = std::numeric_limits<double>::quiet_NaN();  // NaN: ranges agree
   double agrees_since_s_ = std::numeric_limits<double>::quiet_NaN();     // NaN: tracked, or not begun
   bool proven_ = false;  // the ranges have agreed for agree_s since the start, or since odometry paused

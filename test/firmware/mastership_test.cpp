@@ -167,7 +167,7 @@ TEST(Mastership, AnOrphanWithNothingToDisturbListensMostOfTheTime) {
       }
       // In five of eight superframes: in the others it listens where its own network's beacon is due.
       const int expected = idle && id == 1 ? kOrphaned * 5 / 8 : 0;
-      EXPECT_NEAR(listening, expected, expected / 4) << id << (idle ? ", idle" : "");
+      EXPECT_NEAR(listening, expected, 0.25 * expected) << id << (idle ? ", idle" : "");
     }
   }
 }

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstddef>
 #include <filesystem>
+#include <set>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -236,6 +237,26 @@ TEST_F(CliTest, WithoutAPosePriorReplayFindsThePoseAndTellsItsState) {
   const ChildResult scored = groma({"evaluate", estimate_, folder_ / "truth.csv", "--json"});
   EXPECT_EQ(scored.exit_code, 0) << scored.err;
   EXPECT_LT(json::parse(scored.out)["ate_m"]["mean"], 0.5);
+}
+
+TEST_F(CliTest, ReplayNamesAMapOfRenumberedAnchors) {
+  ASSERT_THAT(calibrate().exit_code, testing::AnyOf(0, 3));
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  std::set<model::NodeId> ids;
+  for (const model::RangeSample& range : data.ranges) ids.insert(range.anchor_id);
+  for (model::RangeSample& range : data.ranges) {
+    const auto next = ids.upper_bound(range.anchor_id);
+    range.anchor_id = next == ids.end() ? *ids.begin() : *next;
+  }
+  io::write_dataset(data_, data);
+  const ChildResult result = replay_calibrated({"--json"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_THAT(result.err,
+              AllOf(HasSubstr("map-mismatch: "), HasSubstr("\n  load the calibration of this site")));
+  const json summary = json::parse(result.out);
+  EXPECT_EQ(summary["diagnosis"][0]["cause"], "map-mismatch");
+  EXPECT_LT(summary["state_shares"].value("TRACKING", 0.0), 0.05);
+  EXPECT_THAT(read_text(estimate_), HasSubstr(",map-mismatch,"));
 }
 
 TEST_F(CliTest, ExplainNamesABlockedPairAtItsMoment) {
@@ -486,7 +507,7 @@ TEST_F(CliTest, ReplayIsCausal) {
   for (std::size_t i = 1; i < other.ground_truth.size(); ++i) other.ground_truth[i].x_m += 100.0;
   for (std::size_t i = 1; i < other.pose_prior.size(); ++i) other.pose_prior[i].x_m += 100.0;
   io::write_dataset(data_, other);
-  ASSERT_EQ(replay_calibrated().exit_code, 0);
+  ASSERT_EQ(replay_calibrated().exit_code, 3) << "ranges that are 3 m too long contradict the map";
   const std::string changed = read_text(estimate_);
   const std::size_t until = whole.find("\n40.05");
   ASSERT_NE(until, std::string::npos);

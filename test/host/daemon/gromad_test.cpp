@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <functional>
 #include <map>
@@ -103,12 +104,17 @@ speed: {}
     return worst_m;
   }
 
-  void write_surveyed(const SimulatedSite& site) const {
+  // `renumbered`: anchors have exchanged their ids.
+  void write_surveyed(const SimulatedSite& site, bool renumbered = false) const {
     const std::vector<model::Tag> tags{{1, {0.0, 0.0, SimulatedSite::kTagHeight_m}}};
     model::RangePriors priors;
     priors.beta_m = {0.0, 0.05};
     model::Calibration calibration = model::surveyed_calibration(site.anchors, tags, priors, 0.02);
     calibration.verdict = model::Verdict::kUsable;
+    // No turn and no mirror image of the ring: those are as good a map.
+    constexpr std::array<std::size_t, 6> kExchanged{0, 2, 4, 1, 3, 5};
+    for (std::size_t i = 0; renumbered && i < kExchanged.size(); ++i)
+      calibration.anchors[i].position_m = site.anchors[kExchanged.at(i)].position_m;
     folder_.write("calibration.yaml", io::format_calibration(calibration));
   }
 
@@ -239,6 +245,29 @@ TEST_F(GromadTest, NamesAWrongTimestampAndGoesOn) {
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
   EXPECT_LT(largest_error_m(50), 0.3);
   EXPECT_EQ(gromad.log().find("its clock was set"), std::string::npos) << gromad.log();
+}
+
+TEST_F(GromadTest, NamesAWrongMapInPosesStatusAndLog) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site, /*renumbered=*/true);
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  const auto named = [&] {
+    return std::find_if(objects_.begin(), objects_.end(), [](const json& object) {
+      return object.at("class") == "STATUS" && !object.at("diagnosis").empty();
+    });
+  };
+  ASSERT_TRUE(run_until(site, gromad, [&] { return named() != objects_.end(); })) << gromad.log();
+  const json finding = named()->at("diagnosis")[0];
+  EXPECT_EQ(finding.at("cause"), "map-mismatch");
+  EXPECT_THAT(finding.at("remedy").get<std::string>(), HasSubstr("calibrate again"));
+  EXPECT_THAT(gromad.log(), HasSubstr("map-mismatch: "));
+  EXPECT_LT(poses("TRACKING"), objects_.size() / 20);
+  EXPECT_EQ(std::count_if(named(), objects_.end(),
+                          [](const json& object) {
+                            return object.at("class") == "POSE" &&
+                                   object.value("reason", "") != "map-mismatch";
+                          }),
+            0);
 }
 
 // A pose does not wait with its row. The lag is long so that no busy machine takes a pose for a late one.

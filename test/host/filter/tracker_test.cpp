@@ -18,6 +18,7 @@
 namespace groma::filter {
 namespace {
 
+using model::square;
 using test::Random;
 
 constexpr testing::DriveOptions kMinute{.duration_s = 60.0, .range_s = 0.01};
@@ -268,6 +269,80 @@ TEST_P(TrackerTest, TakesInputsOutOfOrder) {
     }
   }
   EXPECT_LT(tracks_from_s(), 12.0);
+  EXPECT_FALSE(lied());
+}
+
+// Ids exchanged in a circle: metres off at any pose.
+std::vector<model::RangeSample> renumbered(std::vector<model::RangeSample> ranges, double until_s) {
+  for (model::RangeSample& range : ranges) {
+    if (range.t_s < until_s)
+      range.anchor_id = static_cast<model::NodeId>(11 + (range.anchor_id - 11 + 2) % 6);
+  }
+  return ranges;
+}
+
+constexpr double kNamedWithin_s = 30.0;
+
+TEST_P(TrackerTest, NamesAWrongMapAndGoesOnByOdometryAlone) {
+  testing::Drive two_minutes = drive(kHere, {.duration_s = 120.0, .range_s = 0.01});
+  two_minutes.ranges = renumbered(two_minutes.ranges, 120.0);
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(two_minutes);
+  std::size_t tracking = 0;
+  double squared = 0.0;
+  for (const Moment& moment : moments_) {
+    if (moment.state == State::kTracking) ++tracking;
+    if (moment.t_s < kNamedWithin_s) continue;
+    EXPECT_EQ(moment.reason, Reason::kMapMismatch);
+    EXPECT_TRUE(moment.state == State::kDegraded || moment.state == State::kLost);
+    squared += moment.squared;
+  }
+  EXPECT_LT(tracking, moments_.size() / 20);
+  // As good as the same odometry without any range.
+  Config config;
+  config.model = Model::kOdometry;
+  config.odometry = {0.03, 0.03, 0.01};
+  Filter alone(surface_, testing::three_tags(), calibration_, config);
+  alone.start({.t_s = 0.0, .pose = kHere});
+  double squared_alone = 0.0;
+  for (std::size_t i = 0; i < two_minutes.odometry.size(); ++i) {
+    alone.process(two_minutes.odometry[i]);
+    if (moments_[i].t_s >= kNamedWithin_s)
+      squared_alone += testing::squared_error(alone.estimate(), two_minutes.truth[i]);
+  }
+  EXPECT_NEAR(squared, squared_alone, 0.1 * squared_alone);
+}
+
+TEST_P(TrackerTest, ClaimsNothingOnAWrongMapWithoutAPrior) {
+  testing::Drive minute = drive(kHere);
+  minute.ranges = renumbered(minute.ranges, 60.0);
+  run(minute);
+  EXPECT_EQ(tracker_->reason(), Reason::kMapMismatch);
+  EXPECT_EQ(tracker_->state(), State::kLost);
+  EXPECT_FALSE(lied());
+  if (!tracker_->started()) return;
+  EXPECT_LT(moments_.back().squared / 3.0, 4.0);
+}
+
+TEST_P(TrackerTest, TracksAgainWhenTheMapIsRightAgain) {
+  testing::Drive long_one = drive(kHere, {.duration_s = 240.0, .range_s = 0.01});
+  long_one.ranges = renumbered(long_one.ranges, 40.0);
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(long_one);
+  EXPECT_TRUE(was(Reason::kMapMismatch, 30.0, 40.0) || was(State::kLost, 30.0, 40.0));
+  EXPECT_LT(tracks_from_s(), 180.0);
+  EXPECT_LT(moments_.back().error_m, 0.5);
+  EXPECT_FALSE(lied());
+}
+
+TEST_P(TrackerTest, TakesOneMovedAnchorForNoWrongMap) {
+  testing::Drive minute = drive(kHere);
+  for (model::RangeSample& range : minute.ranges) {
+    if (range.anchor_id == 12) range.range_m += 2.5;
+  }
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(minute);
+  EXPECT_FALSE(was(Reason::kMapMismatch, 0.0, 60.0));
   EXPECT_FALSE(lied());
 }
 

@@ -1,0 +1,45 @@
+// Whether the ranges fit the calibration: on the map of another site, or of this one before its anchors were
+// moved or their ids exchanged, most of them contradict it at any pose.
+//
+// A range contradicts the map if its innovation is beyond what noise, biases and the anchors' covariances
+// explain at a pose that is known to kPoseSigma_m. The pose's own covariance does not count: it grows while
+// ranges are refused. NLOS, slipping wheels, a robot that was carried away or one moved anchor make few
+// ranges contradict, or for a short time.
+#pragma once
+
+#include <limits>
+
+namespace groma::filter {
+
+class MapWatch {
+ public:
+  // innovation_m: measured less predicted; variance_m2: of the innovation without what the pose adds.
+  void observe(double t_s, double innovation_m, double variance_m2) noexcept;
+  // The pose was found anew: what contradicted the one before counts no more.
+  void begin_anew() noexcept;
+
+  // Share of ranges that contradict, fading over kWindow_s.
+  [[nodiscard]] double share() const noexcept;
+  // The map has explained the ranges for a while: the pose by them is to be believed.
+  [[nodiscard]] bool fits() const noexcept;
+  // Many ranges contradict it.
+  [[nodiscard]] bool is_doubtful() const noexcept { return is_doubtful_; }
+  // They have for long; until they fit for 30 s.
+  [[nodiscard]] bool is_wrong() const noexcept { return is_wrong_; }
+
+ private:
+  static constexpr double kNever_s = std::numeric_limits<double>::infinity();
+
+  double t_s_ = -kNever_s;
+  double judged_ = 0.0;  // fading sums
+  double contradicting_ = 0.0;
+  bool is_doubtful_ = false;
+  bool is_wrong_ = false;
+  double doubtful_since_s_ = kNever_s;
+  double doubtful_ranges_ = 0.0;  // since then
+  double clear_since_s_ = kNever_s;
+  double fits_since_s_ = kNever_s;
+  double fitting_ranges_ = 0.0;  // since then
+};
+
+}  // namespace groma::filter
