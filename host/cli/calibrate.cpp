@@ -19,7 +19,6 @@
 
 #include "host/calibration/update.hpp"
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
@@ -27,6 +26,7 @@
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset.hpp"
 #include "host/io/error.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/io/output_file.hpp"
 #include "host/io/version.hpp"
 #include "host/report/calibration_report.hpp"
@@ -192,7 +192,7 @@ int run(const CalibrateOptions& options) {
       complain(fmt::format(
           "{}: the calibration is not usable; see the anchors' verdicts and advice, and drive again",
           options.output.string()));
-      return kBadData;
+      return io::kBadData;
   }
   return warnings.exit_code();
 }

@@ -12,11 +12,11 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/nodes.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/provision/air_plan.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -62,12 +62,12 @@ int run(const ConfigureOptions& options) {
   }
   Table table({"node", "role", "port", "result", "firmware"});
   Json json{{"plan", plan.path.string()}, {"nodes", Json::array()}};
-  int first_failure = kGood;
+  int first_failure = io::kGood;
   const auto outcomes = provision::configure_nodes(nodes, plan.baud, configuring);
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     const provision::PlannedNode* node = nodes[i];
     const provision::NodeOutcome& outcome = outcomes[i];
-    if (const int code = tell(outcome, warnings); first_failure == kGood) first_failure = code;
+    if (const int code = tell(outcome, warnings); first_failure == io::kGood) first_failure = code;
     const bool over_air = provision::is_reached_by_air(*node);
     table.add({fmt::format("{}", node->id), provision::role_word(node->role),
                over_air ? "via " + outcome.port : outcome.port, result_word(outcome),
@@ -81,7 +81,7 @@ int run(const ConfigureOptions& options) {
   } else {
     say(table.format(true));
   }
-  return first_failure != kGood ? first_failure : warnings.exit_code();
+  return first_failure != io::kGood ? first_failure : warnings.exit_code();
 }
 
 }  // namespace

@@ -19,13 +19,13 @@
 #include "host/cli/command.hpp"
 #include "host/cli/demo_report.hpp"
 #include "host/cli/emulation_option.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset_writer.hpp"
 #include "host/io/error.hpp"
 #include "host/io/estimate_file.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/io/output_file.hpp"
 
 namespace groma::cli {
@@ -156,7 +156,7 @@ int run(const DemoOptions& options) {
     say(format_text(result));
     if (options.report) say(fmt::format("report: {}\n", (*options.report / "report.html").string()));
   }
-  return result.calibration.calibration.verdict == model::Verdict::kUnusable ? kBadData : kGood;
+  return result.calibration.calibration.verdict == model::Verdict::kUnusable ? io::kBadData : io::kGood;
 }
 
 }  // namespace

@@ -11,11 +11,11 @@
 
 #include "host/calibration/comparison.hpp"
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/error.hpp"
+#include "host/io/exit_code.hpp"
 
 namespace groma::cli {
 
@@ -141,7 +141,7 @@ int run(const DiffOptions& options) {
     say(format_text(comparison, a, b));
     say(is_same(comparison) ? "the same within their errors\n" : "they differ\n");
   }
-  return is_same(comparison) ? kGood : kDoneWithWarnings;
+  return is_same(comparison) ? io::kGood : io::kDoneWithWarnings;
 }
 
 }  // namespace

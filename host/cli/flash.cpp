@@ -14,11 +14,11 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/nodes.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/debug_probe.hpp"
 #include "host/provision/image.hpp"
@@ -88,13 +88,13 @@ const char* word(FlashFault fault) {
 int exit_code_of(FlashFault fault) {
   switch (fault) {
     case FlashFault::kNone:
-      return kGood;
+      return io::kGood;
     case FlashFault::kManyProbes:
-      return kUsage;
+      return io::kUsage;
     case FlashFault::kPermission:
-      return kNoPermission;
+      return io::kNoPermission;
     default:
-      return kUnavailable;
+      return io::kUnavailable;
   }
 }
 
@@ -127,11 +127,11 @@ int list_probes(bool json) {
                          {"ports", ports}});
     }
     say_json({{"probes", entries}});
-    return kGood;
+    return io::kGood;
   }
   if (probes.empty()) {
     complain("no debug probe (J-Link or CMSIS-DAP) on USB; plug it in, the DWM1001-DEV has one on board");
-    return kGood;
+    return io::kGood;
   }
   Table table({"probe", "adapter", "product", "ports"});
   for (const DebugProbe& probe : probes) {
@@ -145,7 +145,7 @@ int list_probes(bool json) {
     }
   }
   say(table.format(true));
-  return kGood;
+  return io::kGood;
 }
 
 // One line on the terminal that is written over.
@@ -244,11 +244,11 @@ int flash_probes(const FlashOptions& options) {
   }
   Table table({"probe", "result", "image"});
   Json json{{"image", to_json(flashing.image())}, {"probes", Json::array()}};
-  int first_failure = kGood;
+  int first_failure = io::kGood;
   for (const std::string& serial : serials) {
     const FlashOutcome outcome =
         flashing.flash(serial.empty() ? "" : fmt::format("probe {}: ", serial), serial);
-    if (first_failure == kGood) first_failure = exit_code_of(outcome.fault);
+    if (first_failure == io::kGood) first_failure = exit_code_of(outcome.fault);
     table.add({serial.empty() ? "-" : serial, result_word(outcome), flashing.image().version});
     Json entry{{"probe", serial.empty() ? Json(nullptr) : Json(serial)}};
     entry.update(to_json(outcome));
@@ -274,7 +274,7 @@ int flash_plan(const FlashOptions& options) {
             "{}: names no probe for node {}; add 'probe:' to it ('groma flash --list'), or go from "
             "node to node by --node",
             plan.path.string(), node->id));
-        return kBadConfiguration;
+        return io::kBadConfiguration;
       }
     }
   }
@@ -286,14 +286,14 @@ int flash_plan(const FlashOptions& options) {
   Warnings warnings;
   Table table({"node", "role", "probe", "flash", "port", "configuration"});
   Json json{{"plan", plan.path.string()}, {"image", to_json(flashing.image())}, {"nodes", Json::array()}};
-  int first_failure = kGood;
+  int first_failure = io::kGood;
   for (const provision::PlannedNode* planned : nodes) {
     provision::PlannedNode node = *planned;
     const std::string serial = options.probe.empty() ? node.probe : options.probe;
     std::string probe_port;
     const std::string who = fmt::format("node {}: ", node.id);
     const FlashOutcome flashed = flashing.flash(who, serial, &probe_port);
-    if (first_failure == kGood) first_failure = exit_code_of(flashed.fault);
+    if (first_failure == io::kGood) first_failure = exit_code_of(flashed.fault);
     if (node.port.empty()) node.port = probe_port;
     const bool reachable = !node.port.empty() || !node.can_link.empty();
     std::optional<provision::NodeOutcome> configured;
@@ -301,7 +301,7 @@ int flash_plan(const FlashOptions& options) {
       show_phase(who, "configuring");
       configured = provision::configure_node(node, plan.baud, configuring);
       clear_phase();
-      if (const int code = tell(*configured, warnings); first_failure == kGood) first_failure = code;
+      if (const int code = tell(*configured, warnings); first_failure == io::kGood) first_failure = code;
     } else if (flashed.fault == FlashFault::kNone) {
       warnings.add(
           fmt::format("node {} is flashed but not configured: the plan names no port for it", node.id));
@@ -319,13 +319,13 @@ int flash_plan(const FlashOptions& options) {
   } else {
     say(table.format(true));
   }
-  return first_failure != kGood ? first_failure : warnings.exit_code();
+  return first_failure != io::kGood ? first_failure : warnings.exit_code();
 }
 
 int run(const FlashOptions& options) {
   if (options.udev_rules) {
     say(provision::udev_rules());
-    return kGood;
+    return io::kGood;
   }
   if (options.list) return list_probes(options.json);
   if (options.all && (!options.plan.empty() || !options.probe.empty())) {

@@ -10,11 +10,11 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/nodes.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -56,7 +56,7 @@ int run(IdentifyOptions options) {
     if (options.link.empty()) {
       complain(fmt::format("{}: names no port for node {}; add 'port:' or 'via:' to it", plan.path.string(),
                            node.id));
-      return kBadConfiguration;
+      return io::kBadConfiguration;
     }
   }
   const provision::NodeOutcome outcome =
@@ -73,7 +73,7 @@ int run(IdentifyOptions options) {
               {"role", known ? Json(role) : Json(nullptr)},
               {"id", known ? Json(outcome.hello->id) : Json(nullptr)},
               {"network_id", known ? Json(outcome.hello->network_id) : Json(nullptr)}});
-    return kGood;
+    return io::kGood;
   }
   const bool configured = known && outcome.hello->role != groma_Role_ROLE_UNCONFIGURED;
   const std::string who =
@@ -81,7 +81,7 @@ int run(IdentifyOptions options) {
                  : "an unconfigured node";
   say(fmt::format("{}: {} blinks for {} s{}\n", outcome.port, known ? who : "the node", options.for_s,
                   target == 0 ? "" : ", told over the air"));
-  return kGood;
+  return io::kGood;
 }
 
 }  // namespace

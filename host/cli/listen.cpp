@@ -18,10 +18,10 @@
 
 #include "groma.pb.h"
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/stop_signal.hpp"
 #include "host/cli/terminal.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/link/byte_link.hpp"
 #include "host/link/report_decoder.hpp"
 #include "host/model/types.hpp"
@@ -108,7 +108,7 @@ const char* word(groma_SyncState state) {
 }
 
 int exit_code_of(link::LinkFault fault) {
-  return fault == link::LinkFault::kPermission ? kNoPermission : kUnavailable;
+  return fault == link::LinkFault::kPermission ? io::kNoPermission : io::kUnavailable;
 }
 
 Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double for_s) {
@@ -156,25 +156,25 @@ std::string told_of_itself(const Listener& heard) {
 int complain_of_nothing(const ListenOptions& options, const Listener& heard, std::uint64_t bytes) {
   if (bytes == 0) {
     complain(fmt::format("{}: not a byte came; 'groma identify {}' tells more", options.link, options.link));
-    return kUnavailable;
+    return io::kUnavailable;
   }
   if (!heard.status) {
     complain(fmt::format(
         "{}: no range came, and no status; check that it is a configured node ('groma identify {}')",
         options.link, options.link));
-    return kDoneWithWarnings;
+    return io::kDoneWithWarnings;
   }
   if (heard.status->state == groma_SyncState_SYNC_SEARCHING) {
     complain(fmt::format(
         "{}: no range came, for the node hears no beacon; check that the master is configured with the "
         "same plan, has power, and is in reach",
         options.link));
-    return kDoneWithWarnings;
+    return io::kDoneWithWarnings;
   }
   complain(fmt::format(
       "{}: in step with the master {}, but no range came; is it a tag, and are there anchors in reach?",
       options.link, heard.status->master_id));
-  return kDoneWithWarnings;
+  return io::kDoneWithWarnings;
 }
 
 int run(const ListenOptions& options) {
@@ -218,9 +218,9 @@ int run(const ListenOptions& options) {
   }
   if (gone) {
     complain(fmt::format("{}: the port went away; plug it in again", options.link));
-    return kUnavailable;
+    return io::kUnavailable;
   }
-  return heard.pairs.empty() ? complain_of_nothing(options, heard, bytes) : kGood;
+  return heard.pairs.empty() ? complain_of_nothing(options, heard, bytes) : io::kGood;
 }
 
 }  // namespace

@@ -7,9 +7,9 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/error.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/io/version.hpp"
 
 namespace groma::cli {
@@ -47,7 +47,7 @@ int run(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? kGood : kUsage;
+    return app.exit(error) == 0 ? io::kGood : io::kUsage;
   }
   return action();
 }
@@ -59,22 +59,22 @@ int guarded_run(int argc, char** argv) {
     return code;
   } catch (const CLI::Error& error) {
     complain(error.what());
-    return kUsage;
+    return io::kUsage;
   } catch (const io::DataError& error) {
     complain(error.what());
-    return kBadData;
+    return io::kBadData;
   } catch (const io::ConfigError& error) {
     complain(error.what());
-    return kBadConfiguration;
+    return io::kBadConfiguration;
   } catch (const io::PermissionError& error) {
     complain(error.what());
-    return kNoPermission;
+    return io::kNoPermission;
   } catch (const io::PathError& error) {
     complain(error.what());
-    return kUsage;
+    return io::kUsage;
   } catch (const std::exception& error) {
     complain(error.what());
-    return kUnavailable;
+    return io::kUnavailable;
   }
 }
 

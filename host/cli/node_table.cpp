@@ -14,12 +14,12 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/nodes.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -156,7 +156,7 @@ int run(NodeTableOptions options) {
   Warnings warnings;
   Table table({"node", "role", "port", "firmware", "schedule", "boots", "frames", "beacons missed", "late"});
   Json list = Json::array();
-  int first_failure = kGood;
+  int first_failure = io::kGood;
   for (const Place& place : places_of(options, orders)) {
     provision::NodeReport report;
     if (place.port.empty()) {
@@ -170,7 +170,7 @@ int run(NodeTableOptions options) {
         report = provision::ask_node(place.port, options.baud, target);
       }
     }
-    if (const int code = tell(report.outcome, warnings); first_failure == kGood) first_failure = code;
+    if (const int code = tell(report.outcome, warnings); first_failure == io::kGood) first_failure = code;
     Json entry{{"id", place.id}, {"over_air", place.over_air}};
     entry.update(cli::to_json(report.outcome));
     entry.erase("result");
@@ -202,7 +202,7 @@ int run(NodeTableOptions options) {
   } else {
     say(table.format(true));
   }
-  return first_failure != kGood ? first_failure : warnings.exit_code();
+  return first_failure != io::kGood ? first_failure : warnings.exit_code();
 }
 
 }  // namespace

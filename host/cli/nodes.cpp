@@ -6,9 +6,9 @@
 
 #include <CLI/CLI.hpp>
 
-#include "host/cli/exit_code.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
+#include "host/io/exit_code.hpp"
 
 namespace groma::cli {
 
@@ -88,16 +88,16 @@ std::vector<const provision::PlannedNode*> select_nodes(const provision::SitePla
 int exit_code_of(NodeFault fault) {
   switch (fault) {
     case NodeFault::kNone:
-      return kGood;
+      return io::kGood;
     case NodeFault::kPermission:
-      return kNoPermission;
+      return io::kNoPermission;
     case NodeFault::kNotInPlan:
     case NodeFault::kOtherBuild:
     case NodeFault::kWrongNode:
     case NodeFault::kRefused:
-      return kBadConfiguration;
+      return io::kBadConfiguration;
     default:
-      return kUnavailable;
+      return io::kUnavailable;
   }
 }
 

@@ -11,11 +11,11 @@
 
 #include "firmware/core/node/config.hpp"
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/io/error.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/provision/air_plan.hpp"
 #include "host/provision/site_plan.hpp"
 

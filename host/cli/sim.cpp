@@ -11,9 +11,9 @@
 #include "firmware/sim/world/scenario_file.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/emulation_option.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/stop_signal.hpp"
 #include "host/cli/terminal.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/simulation/site_server.hpp"
 
 namespace groma::cli {
@@ -41,9 +41,9 @@ int run(SimOptions options) {
     complain(fmt::format(
         "this machine was too slow: {:.1f} s behind after {:.1f} simulated seconds; give a lower --speed",
         server.behind_s(), server.now_s()));
-    return kDoneWithWarnings;
+    return io::kDoneWithWarnings;
   }
-  return kGood;
+  return io::kGood;
 }
 
 }  // namespace

@@ -7,7 +7,6 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/filter_input.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
@@ -15,6 +14,7 @@
 #include "host/filter/config.hpp"
 #include "host/io/error.hpp"
 #include "host/io/estimate_file.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/io/output_file.hpp"
 #include "host/smoother/smoother.hpp"
 

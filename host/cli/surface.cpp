@@ -8,10 +8,10 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/dataset_writer.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/output_file.hpp"
 #include "host/io/site_description.hpp"
@@ -50,7 +50,7 @@ int run(const FitCommand& options) {
                    {{"sigma_m", mismatch.sigma_m},
                     {"slope_sigma", mismatch.slope_sigma},
                     {"length_m", mismatch.length_m}}}});
-    return kGood;
+    return io::kGood;
   }
   say(fmt::format("{} heights, a knot every {:.2f} m, smoothing {:g}: {} x {} control heights in {}\n",
                   fit.points, fit.spacing_m, fit.smoothing, fit.spline.grid().nx, fit.spline.grid().ny,
@@ -63,7 +63,7 @@ int run(const FitCommand& options) {
       fmt::format("surface: {{type: bspline, file: {}, mismatch: {{sigma_m: {:.4f}, slope_sigma: {:.4f}, "
                   "length_m: {:.2f}}}}}\n",
                   options.output, mismatch.sigma_m, mismatch.slope_sigma, mismatch.length_m));
-  return kGood;
+  return io::kGood;
 }
 
 }  // namespace

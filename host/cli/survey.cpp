@@ -8,12 +8,12 @@
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
-#include "host/cli/exit_code.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/nodes.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/provision/configure.hpp"
 
 namespace groma::cli {
@@ -31,12 +31,12 @@ struct SurveyOptions {
 int run(const SurveyOptions& options) {
   Warnings warnings;
   Json pairs = Json::array();
-  int first_failure = kGood;
+  int first_failure = io::kGood;
   if (!options.json) say("anchor_id,other_id,range_m,sigma_m,count\n");
   for (const model::NodeId anchor : parse_ids("--node", options.nodes)) {
     const provision::SurveyOutcome surveyed =
         provision::survey_from(options.link, options.baud, anchor, options.exchanges);
-    if (const int code = tell(surveyed.outcome, warnings); first_failure == kGood) first_failure = code;
+    if (const int code = tell(surveyed.outcome, warnings); first_failure == io::kGood) first_failure = code;
     for (const provision::SurveyedPair& pair : surveyed.pairs) {
       if (options.json) {
         pairs.push_back({{"anchor", pair.from},
@@ -51,7 +51,7 @@ int run(const SurveyOptions& options) {
     }
   }
   if (options.json) say_json({{"pairs", pairs}});
-  return first_failure != kGood ? first_failure : warnings.exit_code();
+  return first_failure != io::kGood ? first_failure : warnings.exit_code();
 }
 
 }  // namespace

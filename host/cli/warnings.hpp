@@ -3,9 +3,9 @@
 
 #include <string>
 
-#include "host/cli/exit_code.hpp"
 #include "host/diagnosis/finding.hpp"
 #include "host/io/dataset.hpp"
+#include "host/io/exit_code.hpp"
 
 namespace groma::cli {
 
@@ -18,7 +18,7 @@ class Warnings {
   void add(const io::DroppedRows& dropped);
   // The same, and one for what is damaged in a log.
   void add(const io::Dataset& dataset);
-  [[nodiscard]] int exit_code() const { return any_ ? kDoneWithWarnings : kGood; }
+  [[nodiscard]] int exit_code() const { return any_ ? io::kDoneWithWarnings : io::kGood; }
 
  private:
   bool any_ = false;

@@ -12,12 +12,12 @@
 
 #include <CLI/CLI.hpp>
 
-#include "host/cli/exit_code.hpp"
 #include "host/daemon/config.hpp"
 #include "host/daemon/daemon.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/descriptor.hpp"
 #include "host/io/error.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/io/output_file.hpp"
 #include "host/io/version.hpp"
 
@@ -52,7 +52,7 @@ int run(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? cli::kGood : cli::kUsage;
+    return app.exit(error) == 0 ? io::kGood : io::kUsage;
   }
 
   const io::Descriptor stop = stop_signals();
@@ -69,18 +69,18 @@ int run(int argc, char** argv) {
   if (calibration && calibration->verdict == model::Verdict::kUnusable) {
     log(fmt::format("{}: its verdict is 'unusable'; drive and calibrate again",
                     config.calibration.file->string()));
-    return cli::kBadData;
+    return io::kBadData;
   }
   if (config.calibration.output) io::expect_writable(*config.calibration.output);
 
   Daemon daemon(std::move(config), std::move(calibration), log);
   if (const link::LinkError error = daemon.open(); error.fault != link::LinkFault::kNone) {
     log(error.message);
-    return error.fault == link::LinkFault::kPermission ? cli::kNoPermission : cli::kUnavailable;
+    return error.fault == link::LinkFault::kPermission ? io::kNoPermission : io::kUnavailable;
   }
-  if (!daemon.run(stop.get())) return cli::kBadData;
+  if (!daemon.run(stop.get())) return io::kBadData;
   log("stopped");
-  return cli::kGood;
+  return io::kGood;
 }
 
 int guarded_run(int argc, char** argv) {
@@ -88,19 +88,19 @@ int guarded_run(int argc, char** argv) {
     return run(argc, argv);
   } catch (const io::DataError& error) {
     log(error.what());
-    return cli::kBadData;
+    return io::kBadData;
   } catch (const io::ConfigError& error) {
     log(error.what());
-    return cli::kBadConfiguration;
+    return io::kBadConfiguration;
   } catch (const io::PermissionError& error) {
     log(error.what());
-    return cli::kNoPermission;
+    return io::kNoPermission;
   } catch (const io::PathError& error) {
     log(error.what());
-    return cli::kBadConfiguration;
+    return io::kBadConfiguration;
   } catch (const std::exception& error) {
     log(error.what());
-    return cli::kUnavailable;
+    return io::kUnavailable;
   }
 }
 

@@ -3,17 +3,19 @@
 #include <algorithm>
 #include <cmath>
 
-#include "firmware/core/dw1000/receive_quality.hpp"
-
 namespace groma::model {
 
 PowerClass power_class(const RangeSample& range) noexcept {
   constexpr double kWeakest_dbm = -99.0;
+  // Received power over that of the first path: below 6 dB LOS is likely, above 10 dB NLOS (user
+  // manual 4.7.3, as the firmware has it).
+  constexpr double kLikelyHidden_cdb = 600.0;
+  constexpr double kUnlikelyHidden_cdb = 1000.0;
   const auto first_path_dbm = static_cast<double>(range.first_path_power_dbm);
   const double hidden_cdb = 100.0 * (static_cast<double>(range.receive_power_dbm) - first_path_dbm);
   std::size_t hidden = 0;
   if (std::isfinite(hidden_cdb)) {
-    hidden = hidden_cdb < dw1000::kLikelyHidden_cdb ? 0 : hidden_cdb <= dw1000::kUnlikelyHidden_cdb ? 1 : 2;
+    hidden = hidden_cdb < kLikelyHidden_cdb ? 0 : hidden_cdb <= kUnlikelyHidden_cdb ? 1 : 2;
   } else if (range.line_of_sight != LineOfSight::kNotKnown) {
     hidden = static_cast<std::size_t>(range.line_of_sight) - 1;
   } else {

@@ -17,7 +17,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "host/cli/exit_code.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/link/byte_link.hpp"
 #include "host/link/can_log.hpp"
 #include "host/link/report_decoder.hpp"
@@ -191,7 +191,7 @@ class GromadOnCan : public ::testing::Test {
     }
     EXPECT_LT(worst_m, 0.3);
     gromad.terminate();
-    EXPECT_EQ(gromad.exit_code(), cli::kGood);
+    EXPECT_EQ(gromad.exit_code(), io::kGood);
     RecordProperty("ranges", static_cast<int>(expected.ranges));
     fmt::print("{} reports, {} ranges, worst error {:.3f} m\n", expected.reports, expected.ranges, worst_m);
   }
@@ -249,7 +249,7 @@ TEST_F(GromadOnCan, AsksTheNodesWhoTheyAreAndSurvivesTheBusGoingDown) {
     return gromad.log().find("can:bus0/3: open again") != std::string::npos;
   })) << gromad.log();
   gromad.terminate();
-  EXPECT_EQ(gromad.exit_code(), cli::kGood);
+  EXPECT_EQ(gromad.exit_code(), io::kGood);
 }
 
 TEST_F(GromadOnCan, EndsWhereThereIsNoSuchInterface) {
@@ -257,7 +257,7 @@ TEST_F(GromadOnCan, EndsWhereThereIsNoSuchInterface) {
                 "schema: 1\nnodes: [{path: can:can7/1}]\nrobot_socket: robot.sock\npose_stream: {port: 0}\n" +
                     read_text(kRecording / "site.yaml"));
   Gromad gromad({"--config", (folder_ / "gromad.yaml").string()});
-  EXPECT_EQ(gromad.exit_code(), cli::kUnavailable);
+  EXPECT_EQ(gromad.exit_code(), io::kUnavailable);
   EXPECT_THAT(gromad.log(), HasSubstr("can:can7/1: there is no interface can7"));
 }
 

@@ -17,10 +17,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include "host/cli/exit_code.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset.hpp"
 #include "host/io/descriptor.hpp"
+#include "host/io/exit_code.hpp"
 #include "host/model/calibration.hpp"
 #include "proto/frame_codec.hpp"
 #include "test/host/daemon/gromad_process.hpp"
@@ -219,7 +219,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_LT(largest_error_m(50), 0.5);
 
   gromad.terminate();
-  EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+  EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
 }
 
 // Its timestamp is 0.95 s ahead; the robot's clock and the poses go on.
@@ -304,7 +304,7 @@ TEST_F(GromadTest, CalibratesOnADriveThenLocalizes) {
   }
   EXPECT_TRUE(drove);
   gromad.terminate();
-  EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+  EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
 
   const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
   EXPECT_EQ(learnt.anchors.size(), site.anchors.size());
@@ -322,7 +322,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
     ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
     EXPECT_THAT(gromad.log(), HasSubstr("drive.glog"));
     Gromad second({"--config", config.string()});
-    EXPECT_EQ(second.exit_code(), cli::kUnavailable) << second.log();
+    EXPECT_EQ(second.exit_code(), io::kUnavailable) << second.log();
   }  // killed
   const std::string log = (folder_ / "drive.glog").string();
   const auto groma = [](const std::vector<std::string>& arguments) {
@@ -338,7 +338,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   const double begin_s = recorded.pose_prior.front().t_s;
   const auto calibrated = groma({"calibrate", log, "--to", fmt::format("{}", begin_s + 26.0), "-o",
                                  (folder_ / "again.yaml").string(), "--json"});
-  ASSERT_EQ(calibrated.exit_code, cli::kDoneWithWarnings) << calibrated.err;
+  ASSERT_EQ(calibrated.exit_code, io::kDoneWithWarnings) << calibrated.err;
   const model::Calibration again = io::read_calibration(folder_ / "again.yaml");
   ASSERT_EQ(again.anchors.size(), learnt.anchors.size());
   for (std::size_t i = 0; i < again.anchors.size(); ++i) {
@@ -347,7 +347,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
 
   const auto replayed = groma({"replay", log, "--calibration", (folder_ / "learnt.yaml").string(), "-o",
                                (folder_ / "estimate.csv").string(), "--json"});
-  EXPECT_THAT(replayed.exit_code, ::testing::AnyOf(cli::kGood, cli::kDoneWithWarnings)) << replayed.err;
+  EXPECT_THAT(replayed.exit_code, ::testing::AnyOf(io::kGood, io::kDoneWithWarnings)) << replayed.err;
   EXPECT_GT(json::parse(replayed.out).at("ranges_used"), 500);
 
   // Poses of a file in the place of those of the log: the same world turned by half a turn.
@@ -358,7 +358,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   const std::string poses_file = folder_.write("turned.csv", turned).string();
   ASSERT_EQ(
       groma({"calibrate", log, "--poses", poses_file, "-o", (folder_ / "turned.yaml").string()}).exit_code,
-      cli::kDoneWithWarnings);
+      io::kDoneWithWarnings);
   const model::Calibration other = io::read_calibration(folder_ / "turned.yaml");
   for (std::size_t i = 0; i < other.anchors.size(); ++i) {
     EXPECT_LT((other.anchors[i].position_m + site.anchors[i].position_m).head<2>().norm(), 0.3);
@@ -371,7 +371,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
     ASSERT_TRUE(
         run_until(site, gromad, [&] { return gromad.log().find("calibrates from") != std::string::npos; }));
     gromad.terminate();
-    EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+    EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
   }
   io::ReadOptions first;
   first.log_section = 1;
@@ -410,7 +410,7 @@ TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
   EXPECT_LT(largest_error_m(50), 0.4);
   gromad.terminate();
-  EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+  EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
 
   const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
   ASSERT_EQ(learnt.anchors.size(), 6U);
@@ -430,7 +430,7 @@ TEST_F(GromadTest, LearnsASiteFromNothingAndTakesItUpAgain) {
     ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
     EXPECT_THAT(gromad.log(), HasSubstr("by the pose priors"));
     gromad.terminate();
-    EXPECT_EQ(gromad.exit_code(), cli::kGood) << gromad.log();
+    EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
   }
   const model::Calibration learnt = io::read_calibration(folder_ / "site.yaml");
   EXPECT_GE(learnt.anchors.size(), 3U);
@@ -443,12 +443,12 @@ TEST_F(GromadTest, LearnsASiteFromNothingAndTakesItUpAgain) {
 TEST_F(GromadTest, EndsWithTheExitCodeOfWhatIsWrong) {
   {
     Gromad gromad({});
-    EXPECT_EQ(gromad.exit_code(), cli::kUsage);
+    EXPECT_EQ(gromad.exit_code(), io::kUsage);
     EXPECT_THAT(gromad.log(), HasSubstr("--config"));
   }
   {
     Gromad gromad({"--version"});
-    EXPECT_EQ(gromad.exit_code(), cli::kGood);
+    EXPECT_EQ(gromad.exit_code(), io::kGood);
   }
   const auto code_of = [&](const std::string& text, std::string& log) {
     Gromad gromad({"--config", folder_.write("bad.yaml", text).string()});
@@ -457,12 +457,12 @@ TEST_F(GromadTest, EndsWithTheExitCodeOfWhatIsWrong) {
     return code;
   };
   std::string log;
-  EXPECT_EQ(code_of(config_text("{drive_s: 100}") + "sped: 3\n", log), cli::kBadConfiguration);
+  EXPECT_EQ(code_of(config_text("{drive_s: 100}") + "sped: 3\n", log), io::kBadConfiguration);
   EXPECT_THAT(log, HasSubstr((folder_ / "bad.yaml").string() + ":13:1: "));
-  EXPECT_EQ(code_of(config_text("{file: none.yaml}"), log), cli::kBadData);
+  EXPECT_EQ(code_of(config_text("{file: none.yaml}"), log), io::kBadData);
   EXPECT_THAT(log, HasSubstr("none.yaml"));
-  EXPECT_EQ(code_of(config_text("{drive_s: 100, output: no/such/folder.yaml}"), log), cli::kBadConfiguration);
-  EXPECT_EQ(code_of(config_text("{drive_s: 100}"), log), cli::kUnavailable);
+  EXPECT_EQ(code_of(config_text("{drive_s: 100, output: no/such/folder.yaml}"), log), io::kBadConfiguration);
+  EXPECT_EQ(code_of(config_text("{drive_s: 100}"), log), io::kUnavailable);
   EXPECT_THAT(log, HasSubstr((folder_ / "tag-1").string() + ": no such device"));
 }
 
@@ -475,7 +475,7 @@ TEST_F(GromadTest, TellsOfAPortItMayNotOpen) {
                 /*as_nobody=*/true);
   const int code = gromad.exit_code().value_or(-1);
   if (code == 126 || code == 127) GTEST_SKIP() << "gromad cannot be run by another user here";
-  EXPECT_EQ(code, cli::kNoPermission) << gromad.log();
+  EXPECT_EQ(code, io::kNoPermission) << gromad.log();
   EXPECT_THAT(gromad.log(), HasSubstr("usermod -aG"));
 }
 
@@ -485,7 +485,7 @@ TEST_F(GromadTest, RefusesACalibrationThatIsNotUsable) {
   calibration.verdict = model::Verdict::kUnusable;
   folder_.write("calibration.yaml", io::format_calibration(calibration));
   Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
-  EXPECT_EQ(gromad.exit_code(), cli::kBadData) << gromad.log();
+  EXPECT_EQ(gromad.exit_code(), io::kBadData) << gromad.log();
 }
 
 }  // namespace

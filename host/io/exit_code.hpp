@@ -1,7 +1,7 @@
 // How each command ends; scripts rely on the numbers.
 #pragma once
 
-namespace groma::cli {
+namespace groma::io {
 
 enum ExitCode : int {
   kGood = 0,
@@ -13,4 +13,4 @@ enum ExitCode : int {
   kBadConfiguration = 78,
 };
 
-}  // namespace groma::cli
+}  // namespace groma::io
