@@ -23,6 +23,7 @@ target_compile_options(
     $<$<COMPILE_LANGUAGE:CXX>:-Wold-style-cast>
     $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor>
     -ffp-contract=off
+    -fno-math-errno
 )
 # Warnings are the release build's: through instrumentation a compiler sees ghosts.
 if(GROMA_SANITIZE)

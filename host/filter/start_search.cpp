@@ -18,7 +18,6 @@ namespace {
 constexpr int kRings = 3;
 constexpr int kRingPoints = 16;
 constexpr int kHeadings = 12;
-constexpr std::size_t kStarts = static_cast<std::size_t>(kRings) * kRingPoints * kHeadings;
 // Of them, so many of each chart are refined: roughly, and in so many steps more where they end apart.
 constexpr std::size_t kRefined = 24;
 constexpr int kRoughSteps = 10;
@@ -34,6 +33,9 @@ constexpr double kMostDamping = 1e3;
 constexpr double kRoughOdds = 3.0;
 // The coarse judgement looks at so many ranges, and the rough refinement at these.
 constexpr std::size_t kCoarseRanges = 48;
+// A start that is worse than kRefined others is given up on the way.
+constexpr int kLooksPerCheck = 8;
+constexpr double kAnyCost = std::numeric_limits<double>::infinity();
 constexpr std::size_t kRoughRanges = 64;
 // Weak priors about where a hypothesis starts keep the steps finite in a direction that nothing tells of.
 constexpr double kFarStart_m = 1000.0;
@@ -44,10 +46,36 @@ constexpr double kSameHeading_rad = 0.1;
 
 using model::square;
 
-// Redescending: -ln of a Cauchy density with that knee, zero and with unit curvature at e = 0.
+// Sum of robust costs of residuals e in sigmas, each -ln of a Cauchy density with that knee: redescending,
+// zero and with unit curvature at e = 0. Logarithms cost most of a search, so factors are collected first.
+class RobustCost {
+ public:
+  explicit RobustCost(const StartSearchConfig& search) : knees_{search.excess_knee, search.shortfall_knee} {}
+  void add(double e) noexcept {
+    const std::size_t side = e > 0.0 ? 0 : 1;
+    factors_[side] *= 1.0 + square(e / knees_[side]);
+    if (factors_[side] < kMost) return;
+    logarithms_[side] += std::log(factors_[side]);
+    factors_[side] = 1.0;
+  }
+  [[nodiscard]] double sum() const noexcept {
+    double out = 0.0;
+    for (std::size_t side = 0; side < 2; ++side)
+      out += 0.5 * square(knees_[side]) * (logarithms_[side] + std::log(factors_[side]));
+    return out;
+  }
+
+ private:
+  static constexpr double kMost = 1e150;  // the next factor does not overflow
+  std::array<double, 2> knees_;
+  std::array<double, 2> factors_{1.0, 1.0};
+  std::array<double, 2> logarithms_{};
+};
+
 double robust_cost(double e, const StartSearchConfig& search) noexcept {
-  const double knee = e > 0.0 ? search.excess_knee : search.shortfall_knee;
-  return 0.5 * knee * knee * std::log1p(square(e / knee));
+  RobustCost cost(search);
+  cost.add(e);
+  return cost.sum();
 }
 
 double robust_weight(double e, const StartSearchConfig& search) noexcept {
@@ -55,13 +83,25 @@ double robust_weight(double e, const StartSearchConfig& search) noexcept {
   return 1.0 / (1.0 + square(e / knee));
 }
 
-// The pose `step` (x, y, theta in the frame of `pose`) away from it.
-Eigen::Vector3d compose(const Eigen::Vector3d& pose, const Eigen::Vector3d& step) noexcept {
-  const double c = std::cos(pose.z());
-  const double s = std::sin(pose.z());
-  return {pose.x() + c * step.x() - s * step.y(), pose.y() + s * step.x() + c * step.y(),
-          pose.z() + step.z()};
-}
+// A pose as a frame, to look at many steps from it.
+class Frame {
+ public:
+  explicit Frame(const Eigen::Vector3d& pose) noexcept
+      : pose_(pose), cos_(std::cos(pose.z())), sin_(std::sin(pose.z())) {}
+
+  // The pose `step` (x, y, theta in this frame) away.
+  [[nodiscard]] Eigen::Vector3d compose(const Eigen::Vector3d& step) const noexcept {
+    return {pose_.x() + cos_ * step.x() - sin_ * step.y(), pose_.y() + sin_ * step.x() + cos_ * step.y(),
+            pose_.z() + step.z()};
+  }
+  [[nodiscard]] double cos() const noexcept { return cos_; }
+  [[nodiscard]] double sin() const noexcept { return sin_; }
+
+ private:
+  Eigen::Vector3d pose_;
+  double cos_;
+  double sin_;
+};
 
 Eigen::Vector3d vector_of(const model::PlanarPose& pose) noexcept {
   return {pose.x_m, pose.y_m, pose.theta_rad};
@@ -177,7 +217,7 @@ void StartSearch::process(const model::RangeSample& range) noexcept {
   const double back_s = t_s_ - range.t_s + config_.range_delay_s;
   if (back_s != 0.0) {
     const Eigen::Vector3d step(-row.vx_mps * back_s, -row.vy_mps * back_s, -row.omega_radps * back_s);
-    at.pose = compose(at.pose, step);
+    at.pose = Frame(at.pose).compose(step);
     at.path_m -= step.head<2>().norm();
   }
   seen(count_++) = {
@@ -189,8 +229,11 @@ StartSearch::Term StartSearch::term_of(const Seen& seen) const noexcept {
   const double age_s = t_s_ - seen.t_s;
   const double heading_variance = now_.heading_variance_rad2 - seen.at.heading_variance_rad2 +
                                   square(config_.yaw_rate_bias_radps * age_s);
+  const Eigen::Vector3d back = between(now_.pose, seen.at.pose);
   return {.seen = &seen,
-          .back = between(now_.pose, seen.at.pose),
+          .back = back,
+          .cos_back = std::cos(back.z()),
+          .sin_back = std::sin(back.z()),
           .drift_variance_m2 = now_.position_variance_m2 - seen.at.position_variance_m2 +
                                square(config_.scale_sigma * path_m) +
                                heading_variance * square(path_m) / 3.0};
@@ -216,18 +259,19 @@ void StartSearch::walk_back(const Eigen::Vector3d& pose, int chart, std::size_t 
     return;
   }
   chart = surface_.follow(chart, pose.x(), pose.y());
+  const Frame now(pose);
   for (std::size_t i = count_; i-- > 0;) {
-    const Eigen::Vector3d then = compose(pose, terms_[i].back);
+    const Eigen::Vector3d then = now.compose(terms_[i].back);
     chart = surface_.follow(chart, then.x(), then.y());
     if (i % every == first) each(i, chart);
   }
 }
 
 StartSearch::Residual StartSearch::residual(const Term& term, const Eigen::Vector3d& pose,
-                                            int chart) const noexcept {
+                                            const Eigen::Vector3d& then, int chart) const noexcept {
   const Seen& seen = *term.seen;
   CoreVector core = CoreVector::Zero();
-  core.segment<3>(kX) = compose(pose, term.back);
+  core.segment<3>(kX) = then;
   Residual out;
   out.predicted = measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag), chart);
   out.e_m = seen.range_m - out.predicted.range_m;
@@ -249,23 +293,29 @@ double StartSearch::variance_m2(const Term& term, const RangeMeasurement& predic
          square(mismatch.slope_sigma) * pair.by_ground.tail<2>().squaredNorm();
 }
 
-double StartSearch::coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m) const noexcept {
+double StartSearch::coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m,
+                                double most) const noexcept {
   const std::size_t every = std::max<std::size_t>(1, count_ / kCoarseRanges);
-  double sum = 0.0;
+  RobustCost sum(search_);
+  const Frame now(pose);
+  int looked_at = 0;
+  bool is_given_up = false;
   walk_back(pose, chart, every, [&](std::size_t i, int on) {
+    if (is_given_up) return;
+    if (++looked_at % kLooksPerCheck == 0 && sum.sum() > most) is_given_up = true;
     const Term& term = terms_[i];
-    const Eigen::Vector3d then = compose(pose, term.back);
+    const Eigen::Vector3d then = now.compose(term.back);
     const PairParameters pair = site_.pair(term.seen->anchor, term.seen->tag);
     const Eigen::Vector3d& lever = pair.lever_arm_m;
-    const double c = std::cos(then.z());
-    const double s = std::sin(then.z());
+    const double c = now.cos() * term.cos_back - now.sin() * term.sin_back;
+    const double s = now.sin() * term.cos_back + now.cos() * term.sin_back;
     const Eigen::Vector3d antenna(then.x() + c * lever.x() - s * lever.y(),
                                   then.y() + s * lever.x() + c * lever.y(),
-                                  surface_.at(then.x(), then.y(), on).z_m + lever.z());
+                                  surface_.height_m(then.x(), then.y(), on) + lever.z());
     const double predicted_m = pair.gamma * (antenna - pair.position_m).norm() + pair.beta_m;
-    sum += robust_cost((term.seen->range_m - predicted_m) / width_m, search_);
+    sum.add((term.seen->range_m - predicted_m) / width_m);
   });
-  return sum;
+  return sum.sum();
 }
 
 StartSearch::Sums StartSearch::look(const Eigen::Vector3d& pose, int chart, std::size_t every,
@@ -273,17 +323,20 @@ StartSearch::Sums StartSearch::look(const Eigen::Vector3d& pose, int chart, std:
   Sums out;
   out.information.diagonal() << 1.0 / square(kFarStart_m), 1.0 / square(kFarStart_m),
       1.0 / square(kAnyHeading_rad);
+  RobustCost cost(search_);
+  const Frame now(pose);
   walk_back(pose, chart, every, [&](std::size_t i, int on) {
-    const Residual r = residual(terms_[i], pose, on);
+    const Residual r = residual(terms_[i], pose, now.compose(terms_[i].back), on);
     if (anew) variances_m2_[i] = variance_m2(terms_[i], r.predicted, on);
     const double e = r.e_m / std::sqrt(variances_m2_[i]);
     const double weight = robust_weight(e, search_);
-    out.cost += share() * robust_cost(e, search_);
+    cost.add(e);
     out.weights += weight;
     const double w = share() * weight / variances_m2_[i];
     out.information.noalias() += w * r.d_pose.transpose() * r.d_pose;
     out.gradient.noalias() += w * r.e_m * r.d_pose.transpose();
   });
+  out.cost = share() * cost.sum();
   return out;
 }
 
@@ -349,10 +402,11 @@ void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
   by_lever_arm.fill(Eigen::Matrix3d::Zero());
   Eigen::Matrix<double, 3, kFrameSize> by_frame = Eigen::Matrix<double, 3, kFrameSize>::Zero();
   const Eigen::Vector3d pose = vector_of(hypothesis.pose);
+  const Frame now(pose);
   walk_back(pose, hypothesis.pose.chart, 1, [&](std::size_t i, int chart) {
     const Term& term = terms_[i];
     const Seen& seen = *term.seen;
-    const Residual r = residual(term, pose, chart);
+    const Residual r = residual(term, pose, now.compose(term.back), chart);
     const double variance = variance_m2(term, r.predicted, chart);
     const double weight = share() * robust_weight(r.e_m / std::sqrt(variance), search_) / variance;
     const PairOf pair(site_, seen.tag, r.predicted);
@@ -400,8 +454,9 @@ void StartSearch::keep(const Hypothesis& hypothesis) noexcept {
 }
 
 void StartSearch::try_chart(int chart, std::ptrdiff_t rings) noexcept {
-  std::array<std::pair<double, Eigen::Vector3d>, kStarts> starts;
+  std::array<std::pair<double, Eigen::Vector3d>, kRefined> starts;
   std::size_t start_count = 0;
+  const auto is_less = [](const auto& a, const auto& b) { return a.first < b.first; };
   for (std::ptrdiff_t ring = 0; ring < rings; ++ring) {
     const Term& term = *shortest_[static_cast<std::size_t>(ring)];
     const Eigen::Vector3d anchor = site_.anchor(term.seen->anchor).values.head<3>();
@@ -416,14 +471,20 @@ void StartSearch::try_chart(int chart, std::ptrdiff_t rings) noexcept {
         const double heading = 2.0 * std::numbers::pi * (j + 0.5 * (i % 2)) / kHeadings;
         const Eigen::Vector3d then(anchor.x() + radius_m * std::cos(angle),
                                    anchor.y() + radius_m * std::sin(angle), heading);
-        const Eigen::Vector3d pose = compose(then, between(term.back, Eigen::Vector3d::Zero()));
-        starts[start_count++] = {coarse_cost(pose, chart, width_m), pose};
+        const Eigen::Vector3d pose = Frame(then).compose(between(term.back, Eigen::Vector3d::Zero()));
+        // The best so far are a heap, the worst of them on top.
+        const double most = start_count < kRefined ? kAnyCost : starts[0].first;
+        const double cost = coarse_cost(pose, chart, width_m, most);
+        if (!(cost < most)) continue;
+        if (start_count == kRefined) std::pop_heap(starts.begin(), starts.end(), is_less);
+        start_count = std::min(start_count + 1, kRefined);
+        starts[start_count - 1] = {cost, pose};
+        std::push_heap(starts.begin(), starts.begin() + static_cast<std::ptrdiff_t>(start_count), is_less);
       }
     }
   }
-  const auto chosen = starts.begin() + static_cast<std::ptrdiff_t>(std::min(kRefined, start_count));
-  std::partial_sort(starts.begin(), chosen, starts.begin() + static_cast<std::ptrdiff_t>(start_count),
-                    [](const auto& a, const auto& b) { return a.first < b.first; });
+  const auto chosen = starts.begin() + static_cast<std::ptrdiff_t>(start_count);
+  std::sort_heap(starts.begin(), chosen, is_less);
   std::array<model::PlanarPose, kRefined> likely;
   std::transform(starts.begin(), chosen, likely.begin(), [chart](const auto& start) {
     return model::PlanarPose{start.second.x(), start.second.y(), start.second.z(), chart};
@@ -510,9 +571,10 @@ double StartSearch::cautious_cost(const model::PlanarPose& pose) noexcept {
   std::fill(anchor_costs_.begin(), anchor_costs_.end(), 0.0);
   for (std::size_t i = 0; i < count_; ++i) terms_[i] = term_of(seen(i));
   const Eigen::Vector3d at = vector_of(pose);
+  const Frame now(at);
   walk_back(at, pose.chart, 1, [&](std::size_t i, int chart) {
     const Term& term = terms_[i];
-    const Residual r = residual(term, at, chart);
+    const Residual r = residual(term, at, now.compose(term.back), chart);
     anchor_costs_[static_cast<std::size_t>(term.seen->anchor)] +=
         share() * robust_cost(r.e_m / std::sqrt(variance_m2(term, r.predicted, chart)), search_);
   });

@@ -102,6 +102,8 @@ class StartSearch {
   struct Term {
     const Seen* seen = nullptr;
     Eigen::Vector3d back = Eigen::Vector3d::Zero();  // pose then, from the newest one's frame
+    double cos_back = 1.0;                           // of its heading
+    double sin_back = 0.0;
     double drift_variance_m2 = 0.0;
   };
   struct Residual {
@@ -131,11 +133,15 @@ class StartSearch {
   // pose on `chart` now.
   template <class Each>
   void walk_back(const Eigen::Vector3d& pose, int chart, std::size_t every, const Each& each) const noexcept;
-  [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose, int chart) const noexcept;
+  // `then`: the robot's pose at the term's time, if `pose` is the one now.
+  [[nodiscard]] Residual residual(const Term& term, const Eigen::Vector3d& pose, const Eigen::Vector3d& then,
+                                  int chart) const noexcept;
   // Variance of all that is not the pose, m^2.
   [[nodiscard]] double variance_m2(const Term& term, const RangeMeasurement& predicted,
                                    int chart) const noexcept;
-  [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m) const noexcept;
+  // Above `most`: of some of the ranges only.
+  [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m,
+                                   double most) const noexcept;
   // Of every n-th range at a pose; with new variances, or with those of the last time.
   Sums look(const Eigen::Vector3d& pose, int chart, std::size_t every, bool anew) noexcept;
   Hypothesis refine(const model::PlanarPose& start, std::size_t every, int steps) noexcept;

@@ -103,6 +103,20 @@ SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
   return point;
 }
 
+double BSpline::height_m(double x_m, double y_m) const noexcept {
+  if (!std::isfinite(x_m) || !std::isfinite(y_m)) return std::numeric_limits<double>::quiet_NaN();
+  const Cell cx = locate(x_m, grid_.x0_m, grid_.dx_m, grid_.nx);
+  const Cell cy = locate(y_m, grid_.y0_m, grid_.dy_m, grid_.ny);
+  const Eigen::Vector4d along_x = basis(cx.t).value;
+  const double* row = heights_m_.data() +
+                      static_cast<std::size_t>(cx.index) * static_cast<std::size_t>(grid_.ny) +
+                      static_cast<std::size_t>(cy.index);
+  Eigen::Vector4d value = Eigen::Vector4d::Zero();
+  for (Eigen::Index i = 0; i < 4; ++i, row += grid_.ny)
+    value += along_x(i) * Eigen::Map<const Eigen::Vector4d>(row);
+  return value.dot(basis(cy.t).value);
+}
+
 bool Surface::covers(double x_m, double y_m, int chart) const noexcept {
   if (!std::isfinite(x_m) || !std::isfinite(y_m)) return false;
   const Chart& at = charts_[static_cast<std::size_t>(chart)];

@@ -50,6 +50,8 @@ class BSpline {
   BSpline(const Grid& grid, std::vector<double> heights_m);
 
   [[nodiscard]] SurfacePoint at(double x_m, double y_m) const noexcept;
+  // at().z_m, in a third of its time.
+  [[nodiscard]] double height_m(double x_m, double y_m) const noexcept;
   [[nodiscard]] const Grid& grid() const noexcept { return grid_; }
   [[nodiscard]] const std::vector<double>& heights_m() const noexcept { return heights_m_; }
 
@@ -94,6 +96,11 @@ class Surface {
   explicit Surface(std::vector<Chart> charts) : charts_(std::move(charts)) {}
 
   // Defined everywhere, outside the chart's domain and grid as each shape tells.
+  [[nodiscard]] double height_m(double x_m, double y_m, int chart) const noexcept {
+    const auto& shape = charts_[static_cast<std::size_t>(chart)].shape;
+    if (const auto* plane = std::get_if<Plane>(&shape)) return plane->at(x_m, y_m).z_m;
+    return std::get_if<BSpline>(&shape)->height_m(x_m, y_m);
+  }
   [[nodiscard]] SurfacePoint at(double x_m, double y_m, int chart = 0) const noexcept {
     const auto& shape = this->shape(chart);
     if (const auto* plane = std::get_if<Plane>(&shape)) return plane->at(x_m, y_m);
