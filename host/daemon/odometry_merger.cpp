@@ -5,7 +5,7 @@
 namespace groma::daemon {
 
 std::span<const model::OdometrySample> OdometryMerger::take(const model::OdometrySample& sample) noexcept {
-  const bool fast = has_last_ && sample.t_s - last_.t_s < kFast_s && filter::follows(kGate, last_, sample);
+  const bool fast = has_last_ && sample.t_s - last_.t_s < kFast_s && filter::follows(last_, sample);
   std::size_t count = 0;
   if (holds_) {
     add_held_until(sample.t_s);

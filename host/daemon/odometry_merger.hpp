@@ -10,7 +10,6 @@
 #include <cstdint>
 #include <span>
 
-#include "host/filter/config.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
@@ -34,7 +33,6 @@ class OdometryMerger {
   [[nodiscard]] std::uint64_t merged() const noexcept { return merged_; }
 
  private:
-  static constexpr filter::OdometryGateConfig kGate{};
   void add_held_until(double t_s) noexcept;
   [[nodiscard]] model::OdometrySample mean() const noexcept;
 

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "host/filter/core_covariance.hpp"
 #include "host/filter/joint_covariance.hpp"
 #include "host/filter/propagation.hpp"
 #include "host/model/ablation.hpp"
@@ -23,10 +22,69 @@ constexpr double kMaxDoubt_rad = 0.5;
 // Nothing is known of a pose from these sigmas on: they grow no further, and numbers stay finite.
 constexpr double kUnknown_m = 1e6;
 constexpr double kUnknown_rad = 1e3;
+// While the gate suspects divergence, the covariance grows by these, per sqrt(s).
+constexpr double kDoubtPosition_m = 0.7;
+constexpr double kDoubtHeading_rad = 0.2;
+// Two samples of a gyro may differ by so many sigmas for their noise, and with time for turning.
+constexpr double kGyroNoiseSigmas = 6.0;
+constexpr double kGyroAcceleration_radps2 = 20.0;
+// When it is silent for longer, odometry's yaw rate holds again.
+constexpr double kGyroHold_s = 0.2;
 
 using model::square;
 
 }  // namespace
+
+bool Gyro::follows(const model::YawRateSample& sample, double odometry_radps,
+                   double sigma_radps) const noexcept {
+  if (!model::is_plausible(sample)) return false;
+  const double gap_s = std::min(sample.t_s - used_s, kGyroHold_s);
+  const double before_radps = gap_s < kGyroHold_s ? radps : odometry_radps;
+  return std::abs(sample.omega_radps - before_radps) <=
+         kGyroAcceleration_radps2 * gap_s + kGyroNoiseSigmas * sigma_radps;
+}
+
+bool Gyro::is_silent(double t_s) const noexcept {
+  return t_s - used_s > kGyroHold_s;
+}
+
+double LinkDelays::difference_variance_s2() const noexcept {
+  return square(range_sigma_s) + square(odometry_sigma_s);
+}
+
+double LinkDelays::odometry_share() const noexcept {
+  const double variance_s2 = difference_variance_s2();
+  return variance_s2 > 0.0 ? square(odometry_sigma_s) / variance_s2 : 0.0;
+}
+
+double LinkDelays::odometry_s(double difference_s) const noexcept {
+  return odometry_share() * (range_s - difference_s);
+}
+
+double LinkDelays::odometry_variance_s2() const noexcept {
+  return odometry_share() * range_sigma_s * range_sigma_s;
+}
+
+PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
+                         const model::OdometrySample& row, const LinkDelays& delays, int chart) noexcept {
+  PresentPose out{.pose = core.segment<3>(kX),
+                  .d_core = PoseRows::Identity(),
+                  .noise = Eigen::Matrix3d::Zero(),
+                  .chart = chart};
+  const double share = delays.odometry_share();
+  if (!(share > 0.0)) return out;
+  const Motion motion = move(surface, core, row, delays.odometry_s(core(kDelay)), chart);
+  CoreVector now = core;
+  now.segment<3>(kX) = motion.pose;
+  const model::SurfacePose there =
+      model::pose_on_surface(surface, {motion.pose.x(), motion.pose.y(), motion.pose.z(), chart});
+  const Eigen::Vector3d rate = pose_rate(there.pose.rotation.topLeftCorner<2, 2>(), now, row);
+  out.pose = motion.pose;
+  out.d_core = motion.d_core;
+  out.d_core.col(kDelay) -= share * rate;
+  out.noise = delays.odometry_variance_s2() * rate * rate.transpose();
+  return out;
+}
 
 template <class Covariance>
 void DeadReckoning<Covariance>::advance_to(double t_s) noexcept {
@@ -38,9 +96,9 @@ void DeadReckoning<Covariance>::advance_to(double t_s) noexcept {
 
 template <class Covariance>
 bool DeadReckoning<Covariance>::turn(const model::YawRateSample& sample) noexcept {
-  if (!now_.gyro.follows(sample, now_.row.omega_radps)) return false;
-  if (!now_.gyro.holds()) renew(kYawBias, square(config_.sensors.gyro_bias_radps));
-  now_.gyro.use(sample);
+  if (!now_.gyro.follows(sample, now_.row.omega_radps, config_.sensors.gyro_sigma_radps)) return false;
+  if (!now_.gyro.holds) renew(kYawBias, square(config_.sensors.gyro_bias_radps));
+  now_.gyro = {.used_s = sample.t_s, .radps = sample.omega_radps, .holds = true};
   now_.row.omega_radps = sample.omega_radps;
   renew(kRowOmega, square(config_.sensors.gyro_sigma_radps));
   return true;
@@ -58,18 +116,18 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     now_.hold_s = std::min(now_.hold_s, std::max(row.t_s - now_.row.t_s, 0.0));
     return false;
   }
-  if (now_.gyro.holds() && now_.gyro.is_silent(row.t_s)) {
-    now_.gyro.give_up();
+  if (now_.gyro.holds && now_.gyro.is_silent(row.t_s)) {
+    now_.gyro.holds = false;
     renew(kYawBias, square(config_.yaw_rate_bias_radps));
   }
   model::OdometrySample held = row;
-  if (now_.gyro.holds()) held.omega_radps = now_.gyro.radps();
+  if (now_.gyro.holds) held.omega_radps = now_.gyro.radps;
   const model::OdometryNoise noise = now_.odometry_tuning.noise();
   OdometryDoubt doubt;
   if (now_.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
     doubt = now_.watch.judge(now_.row, held, noise);
   if (is_tuned(config_.model)) {
-    now_.odometry_tuning.observe(row);
+    if (config_.tunes_noise) now_.odometry_tuning.observe(row);
     const OdometryDoubt slip = now_.slip.judge(std::max(row.t_s - now_.row.t_s, 0.0));
     doubt.velocity_m2ps2 += slip.velocity_m2ps2;
     doubt.turn_rad2ps2 += slip.turn_rad2ps2;
@@ -78,7 +136,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   now_.has_row = true;
   now_.hold_s = config_.max_hold_s;
   // Wheels that slip turn the robot no more.
-  if (now_.gyro.holds()) doubt.heading_rad2 = 0.0;
+  if (now_.gyro.holds) doubt.heading_rad2 = 0.0;
   renew_row(noise, doubt);
   if (doubt.position_m2 > 0.0) {
     covariance_.grow(kX, doubt.position_m2);
@@ -95,7 +153,7 @@ void DeadReckoning<Covariance>::renew_row(const model::OdometryNoise& noise,
                                           const OdometryDoubt& doubt) noexcept {
   const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
   const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
-  if (now_.gyro.holds()) {
+  if (now_.gyro.holds) {
     renew(kRowVx, variance_vx);
     renew(kRowVy, variance_vy);
   } else {
@@ -122,18 +180,18 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   if (overdue_s > 0.0) {
     covariance_.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
     covariance_.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
-    if (!now_.gyro.holds() || now_.gyro.is_silent(now_.t_s)) {
+    if (!now_.gyro.holds || now_.gyro.is_silent(now_.t_s)) {
       covariance_.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
     }
   }
   if (gate_ != nullptr && gate_->doubts(now_.t_s)) {
     const CoreMatrix& core = covariance_.core();
     if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
-      covariance_.grow(kX, square(config_.gate.doubt_position_m) * dt_s);
-      covariance_.grow(kY, square(config_.gate.doubt_position_m) * dt_s);
+      covariance_.grow(kX, square(kDoubtPosition_m) * dt_s);
+      covariance_.grow(kY, square(kDoubtPosition_m) * dt_s);
     }
     if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
-      covariance_.grow(kTheta, square(config_.gate.doubt_heading_rad) * dt_s);
+      covariance_.grow(kTheta, square(kDoubtHeading_rad) * dt_s);
     }
   }
   bound_pose();

@@ -2,13 +2,14 @@
 // own, or a copy of it that looks ahead.
 #pragma once
 
+#include <limits>
 #include <variant>
+
+#include <Eigen/Core>
 
 #include "host/filter/config.hpp"
 #include "host/filter/gate.hpp"
-#include "host/filter/gyro.hpp"
 #include "host/filter/odometry_gate.hpp"
-#include "host/filter/odometry_watch.hpp"
 #include "host/filter/self_tuning.hpp"
 #include "host/filter/slip_watch.hpp"
 #include "host/filter/state.hpp"
@@ -17,8 +18,55 @@
 
 namespace groma::filter {
 
+// The yaw rate of an IMU in the place of odometry's: wheels slip, gyros do not.
+struct Gyro {
+  double used_s = -std::numeric_limits<double>::infinity();  // time of the last sample that was used
+  double radps = 0.0;
+  bool holds = false;  // in the place of odometry's
+
+  // Whether the sample can follow the last one that was used, or after a gap the rate that holds in its
+  // place: no robot turns that much faster within that time. A rate that jumped away does not become right by
+  // lasting: after the gap it has to be near odometry's.
+  [[nodiscard]] bool follows(const model::YawRateSample& sample, double odometry_radps,
+                             double sigma_radps) const noexcept;
+  [[nodiscard]] bool is_silent(double t_s) const noexcept;
+};
+
+// Ranges and odometry each come late by a time of their own. The motion shows only the difference; their
+// independent priors separate it: of the ranges' delay a mean and sigma, of the odometry's a sigma about
+// zero.
+struct LinkDelays {
+  double range_s = 0.0;
+  double range_sigma_s = 0.0;
+  double odometry_sigma_s = 0.0;
+
+  // Variance of the difference, ranges' less odometry's, whose mean is range_s.
+  [[nodiscard]] double difference_variance_s2() const noexcept;
+  // How much of a surprise in the difference is the odometry's, 0 .. 1: by that share its delay is shorter
+  // where the difference is larger.
+  [[nodiscard]] double odometry_share() const noexcept;
+  // The odometry's delay by a difference, and its variance were that difference known.
+  [[nodiscard]] double odometry_s(double difference_s) const noexcept;
+  [[nodiscard]] double odometry_variance_s2() const noexcept;
+};
+
+// The pose now. The core state's is where the robot was when its odometry was true: where odometry comes
+// late, some way behind.
+struct PresentPose {
+  Eigen::Vector3d pose;  // x, y, theta, not wrapped
+  PoseRows d_core;
+  Eigen::Matrix3d noise;  // covariance by what the core does not tell of the odometry's delay
+  int chart = 0;
+};
+[[nodiscard]] PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
+                                       const model::OdometrySample& row, const LinkDelays& delays,
+                                       int chart = 0) noexcept;
+
 // All that motion changes, but for the covariance.
 struct MotionState {
+  explicit MotionState(const Config& config)
+      : watch(config.max_acceleration_mps2), odometry_tuning(config.odometry), hold_s(config.max_hold_s) {}
+
   OdometryGate odometry_gate;
   OdometryWatch watch;
   SlipDoubt slip;
@@ -27,8 +75,8 @@ struct MotionState {
   CoreVector core = CoreVector::Zero();
   model::OdometrySample row{};
   bool has_row = false;
-  double hold_s = 0.0;  // for how long the velocity of row is trusted: max_hold_s, or to the first
-                        // implausible sample after it
+  double hold_s;  // for how long the velocity of row is trusted: max_hold_s, or to the first implausible
+                  // sample after it
   double t_s = 0.0;
   int chart = 0;  // of the surface
 };

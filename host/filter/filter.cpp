@@ -7,13 +7,7 @@
 
 #include <Eigen/Cholesky>
 
-#include "host/filter/core_covariance.hpp"
-#include "host/filter/link_delay.hpp"
-#include "host/filter/pose_measurement.hpp"
-#include "host/filter/position_measurement.hpp"
-#include "host/filter/present_pose.hpp"
 #include "host/filter/range_measurement.hpp"
-#include "host/filter/zero_velocity_measurement.hpp"
 #include "host/model/ablation.hpp"
 #include "host/model/plausible.hpp"
 
@@ -45,79 +39,72 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
     calibration.range_noise->slow_time_s *= config.slow_time_growth;
   }
   if (calibration.range_delay_sigma_s > 0.0) {
-    calibration.range_delay_sigma_s =
-        std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s);
+    calibration.range_delay_sigma_s = std::hypot(calibration.range_delay_sigma_s, kRangeDelayChange_s);
   }
   return calibration;
 }
 
-Filter::Snapshot begin(const Site& site, const Config& config, double white_sigma_m) {
-  const Parameters parameters(site, config.active_anchors);
-  JointCovariance covariance(site, parameters, learning(config.model));
-  const MotionState motion{.odometry_gate = OdometryGate(config.odometry_gate),
-                           .watch = OdometryWatch(config.watch),
-                           .slip = SlipDoubt(config.slip),
-                           .gyro = Gyro(config.sensors),
-                           .odometry_tuning = OdometryTuning(config.odometry_tuning, config.odometry),
-                           .hold_s = config.max_hold_s};
-  return {motion,
-          parameters,
-          Gate(config.gate),
-          SlipWatch(config.slip),
-          RangeTuning(config.tuning, white_sigma_m),
-          SensorGate(config.sensors),
-          std::move(covariance)};
-}
-
-// The original model knows of no calibration but positions: its noise is the one that it is told.
+// The original model knows of no calibration but positions: its noise is as configured.
 double white_sigma_m(const model::Calibration& calibration, const Config& config) noexcept {
   if (!calibration.range_noise || config.model == Model::kOriginal) return config.range_sigma_m;
   return calibration.range_noise->white_sigma_m;
 }
 
-LinkDelays delays(const Config& config) noexcept {
-  return {.range_s = config.range_delay_s,
-          .range_sigma_s = config.range_delay_sigma_s,
-          .odometry_sigma_s = config.odometry_delay_sigma_s};
+Filter::Snapshot begin(const Site& site, const Config& config, double white_sigma_m) {
+  const Parameters parameters(site, config.active_anchors);
+  return {MotionState(config),
+          parameters,
+          Gate(config.gate),
+          SlipWatch(config.slip_odds),
+          RangeTuning(white_sigma_m),
+          SensorGate(),
+          JointCovariance(site, parameters, learning(config.model))};
 }
+
+// By outcome.
+constexpr std::array kOdometryCounters{&Counters::odometry_used,      &Counters::odometry_used_late,
+                                       &Counters::odometry_stored,    &Counters::odometry_out_of_order,
+                                       &Counters::odometry_bad_value, &Counters::odometry_implausible};
+constexpr std::array kRangeCounters{
+    &Counters::ranges_used,           &Counters::ranges_gated,      &Counters::ranges_unknown_tag,
+    &Counters::ranges_unknown_anchor, &Counters::ranges_bad_value,  &Counters::ranges_out_of_order,
+    &Counters::ranges_not_started,    &Counters::ranges_not_active, &Counters::ranges_not_modelled};
+constexpr std::array kSensorCounters{&SensorCounters::used,         &SensorCounters::gated,
+                                     &SensorCounters::jumped,       &SensorCounters::bad_value,
+                                     &SensorCounters::out_of_order, &SensorCounters::not_started};
 
 }  // namespace
 
 Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
                const model::Calibration& calibration, const Config& config)
+    : Filter(std::move(surface), tags, ablated(config), on_another_drive(calibration, config)) {}
+
+Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const Config& config,
+               const model::Calibration& here)
     : surface_(std::move(surface)),
-      site_(tags, on_another_drive(calibration, config),
-            model::is_ablated(Mechanism::kLeverArm) ? 0.0 : config.lever_arm_sigma_m),
-      config_(ablated(config)),
-      now_(begin(site_, config, white_sigma_m(on_another_drive(calibration, config), config))) {
-  const model::Calibration here = on_another_drive(calibration, config);
+      site_(tags, here, model::is_ablated(Mechanism::kLeverArm) ? 0.0 : config.lever_arm_sigma_m),
+      config_(config),
+      delays_{config.range_delay_s, config.range_delay_sigma_s, config.odometry_delay_sigma_s},
+      now_(begin(site_, config, white_sigma_m(here, config))),
+      slots_(static_cast<std::size_t>(site_.anchor_count()), -1) {
   if (here.range_noise && here.range_noise->slow_sigma_m > 0.0) slow_time_s_ = here.range_noise->slow_time_s;
   if (here.range_delay_sigma_s > 0.0) {
-    config_.range_delay_s = here.range_delay_s;
-    config_.range_delay_sigma_s = here.range_delay_sigma_s;
+    delays_.range_s = here.range_delay_s;
+    delays_.range_sigma_s = here.range_delay_sigma_s;
   }
   now_.last_answer_s.fill(kNoAnswerYet_s);
-  slots_.assign(static_cast<std::size_t>(site_.anchor_count()), -1);
   find_slots();
   if (site_.anchor_count() > now_.parameters.anchor_count()) {
-    memories_.resize(static_cast<std::size_t>(site_.anchor_count()));
+    memories_.resize(slots_.size());
     exchanges_.resize(kMaxExchanges);
   }
-}
-
-std::size_t Filter::anchors() const noexcept {
-  return static_cast<std::size_t>(site_.anchor_count());
-}
-
-std::size_t Filter::tags() const noexcept {
-  return static_cast<std::size_t>(site_.tag_count());
 }
 
 void Filter::start(const Start& start) noexcept {
   now_.t_s = start.t_s;
   now_.core.setZero();
   now_.core.segment<3>(kX) << start.pose.x_m, start.pose.y_m, model::wrap_angle(start.pose.theta_rad);
-  now_.core(kDelay) = config_.range_delay_s;
+  now_.core(kDelay) = delays_.range_s;
 
   // Without a row, nothing is known of the velocity but what a robot may do.
   if (!now_.has_row) now_.row = {.t_s = start.t_s};
@@ -127,12 +114,12 @@ void Filter::start(const Start& start) noexcept {
   variances(kTheta) = square(start.heading_sigma_rad);
   variances(kScale) = square(config_.scale_sigma);
   variances(kYawBias) = square(config_.yaw_rate_bias_radps);
-  variances(kDelay) = delays(config_).difference_variance_s2();
+  variances(kDelay) = delays_.difference_variance_s2();
   const model::OdometryNoise noise = now_.odometry_tuning.noise();
   variances(kRowVx) = square(now_.has_row ? noise.sigma_vx_mps : config_.hold_walk_mps);
   variances(kRowVy) = square(now_.has_row ? noise.sigma_vy_mps : config_.hold_walk_mps);
   variances(kRowOmega) = square(now_.has_row ? noise.sigma_omega_radps : config_.hold_walk_radps);
-  if (now_.gyro.holds()) {
+  if (now_.gyro.holds) {
     variances(kYawBias) = square(config_.sensors.gyro_bias_radps);
     variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
   }
@@ -150,10 +137,10 @@ void Filter::resume(const Filter& other) noexcept {
 void Filter::begin_on(int chart) noexcept {
   motion().stand_on(chart);
   now_.gate.reset(now_.t_s);
-  now_.slip_watch.reset();
-  now_.slip.reset();
+  now_.slip_watch = SlipWatch(config_.slip_odds);
+  now_.slip = {};
   now_.tuning.reset();
-  now_.sensors.reset();
+  now_.sensors = {};
   now_.last_answer_s.fill(kNoAnswerYet_s);
   now_.started = true;
 }
@@ -163,67 +150,14 @@ void Filter::stop() noexcept {
   now_.has_row = false;
   now_.row = {};
   now_.hold_s = config_.max_hold_s;
-  now_.odometry_gate.reset();
-  now_.gyro = Gyro(config_.sensors);
+  now_.odometry_gate = {};
+  now_.gyro = {};
 }
 
 OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
   const OdometryOutcome outcome = take(row);
-  switch (outcome) {
-    case OdometryOutcome::kUsed:
-      ++now_.counters.odometry_used;
-      break;
-    case OdometryOutcome::kUsedLate:
-      ++now_.counters.odometry_used_late;
-      break;
-    case OdometryOutcome::kStored:
-      ++now_.counters.odometry_stored;
-      break;
-    case OdometryOutcome::kOutOfOrder:
-      ++now_.counters.odometry_out_of_order;
-      break;
-    case OdometryOutcome::kBadValue:
-      ++now_.counters.odometry_bad_value;
-      break;
-    case OdometryOutcome::kImplausible:
-      ++now_.counters.odometry_implausible;
-      break;
-  }
+  ++(now_.counters.*kOdometryCounters[static_cast<std::size_t>(outcome)]);
   return outcome;
-}
-
-RangeResult Filter::process(const model::RangeSample& range) noexcept {
-  RangeResult result = take(range);
-  switch (result.outcome) {
-    case RangeOutcome::kUsed:
-      ++now_.counters.ranges_used;
-      break;
-    case RangeOutcome::kGated:
-      ++now_.counters.ranges_gated;
-      break;
-    case RangeOutcome::kUnknownTag:
-      ++now_.counters.ranges_unknown_tag;
-      break;
-    case RangeOutcome::kUnknownAnchor:
-      ++now_.counters.ranges_unknown_anchor;
-      break;
-    case RangeOutcome::kBadValue:
-      ++now_.counters.ranges_bad_value;
-      break;
-    case RangeOutcome::kOutOfOrder:
-      ++now_.counters.ranges_out_of_order;
-      break;
-    case RangeOutcome::kNotStarted:
-      ++now_.counters.ranges_not_started;
-      break;
-    case RangeOutcome::kNotActive:
-      ++now_.counters.ranges_not_active;
-      break;
-    case RangeOutcome::kNotModelled:
-      ++now_.counters.ranges_not_modelled;
-      break;
-  }
-  return result;
 }
 
 OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
@@ -242,33 +176,42 @@ OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
   return late ? OdometryOutcome::kUsedLate : OdometryOutcome::kUsed;
 }
 
-RangeResult Filter::take(const model::RangeSample& range) noexcept {
+RangeResult Filter::process(const model::RangeSample& range) noexcept {
+  PairPlace pair;
+  RangeResult result{.outcome = admit(range, pair)};
+  if (result.outcome == RangeOutcome::kUsed) result = correct(range, pair);
+  ++(now_.counters.*kRangeCounters[static_cast<std::size_t>(result.outcome)]);
+  return result;
+}
+
+RangeOutcome Filter::admit(const model::RangeSample& range, PairPlace& pair) noexcept {
   if (!std::isfinite(range.t_s) || !(range.range_m > config_.min_range_m) ||
       !(range.range_m <= config_.max_range_m)) {
-    return {.outcome = RangeOutcome::kBadValue};
+    return RangeOutcome::kBadValue;
   }
-  if (config_.model == Model::kOdometry) return {.outcome = RangeOutcome::kNotModelled};
-  const int tag = site_.tag_slot(range.tag_id);
-  if (tag < 0) return {.outcome = RangeOutcome::kUnknownTag};
+  if (config_.model == Model::kOdometry) return RangeOutcome::kNotModelled;
+  pair.tag = site_.tag_slot(range.tag_id);
+  if (pair.tag < 0) return RangeOutcome::kUnknownTag;
   const int anchor = site_.anchor_index(range.anchor_id);
-  if (anchor < 0 || !site_.knows_pair(anchor, tag)) return {.outcome = RangeOutcome::kUnknownAnchor};
-  if (!now_.started) return {.outcome = RangeOutcome::kNotStarted};
-  if (range.t_s < now_.t_s) return {.outcome = RangeOutcome::kOutOfOrder};
-  int slot = slot_of(anchor);
-  const bool is_active = slot >= 0;
-  if (!is_active) slot = free_slot(range.t_s);
-  if (slot < 0) return {.outcome = RangeOutcome::kNotActive};
+  if (anchor < 0 || !site_.knows_pair(anchor, pair.tag)) return RangeOutcome::kUnknownAnchor;
+  if (!now_.started) return RangeOutcome::kNotStarted;
+  if (range.t_s < now_.t_s) return RangeOutcome::kOutOfOrder;
+  pair.anchor = &site_.anchor(anchor);
+  pair.slot = slot_of(anchor);
+  const bool is_active = pair.slot >= 0;
+  if (!is_active) pair.slot = free_slot(range.t_s);
+  if (pair.slot < 0) return RangeOutcome::kNotActive;
   advance_to(range.t_s);
-  if (!is_active) exchange(slot, anchor);
-  now_.last_answer_s[static_cast<std::size_t>(slot)] = now_.t_s;
+  if (!is_active) exchange(pair.slot, anchor);
+  now_.last_answer_s[static_cast<std::size_t>(pair.slot)] = now_.t_s;
+  return RangeOutcome::kUsed;
+}
 
+RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pair) noexcept {
   const bool whole = is_tuned(config_.model);
-  const PairParameters parameters = now_.parameters.pair(site_, slot, tag);
-  const PairPlace pair{.slot = slot, .tag = tag, .anchor = &site_.anchor(anchor)};
-  const RangeMeasurement measurement =
-      config_.model == Model::kOriginal
-          ? measure_distance(surface_, now_.core, now_.row, parameters, now_.chart)
-          : measure_range(surface_, now_.core, now_.row, parameters, now_.chart);
+  const PairParameters parameters = now_.parameters.pair(site_, pair.slot, pair.tag);
+  const auto measure = config_.model == Model::kOriginal ? measure_distance : measure_range;
+  const RangeMeasurement measurement = measure(surface_, now_.core, now_.row, parameters, now_.chart);
   Projected projected;
   if (whole) {
     now_.covariance.project(measurement, pair, projected);
@@ -289,44 +232,42 @@ RangeResult Filter::take(const model::RangeSample& range) noexcept {
       std::max(result.innovation_variance_m2 - pose_variance_m2, square(now_.tuning.white_sigma_m()));
   const model::PowerClass powers = model::power_class(range);
   result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // weigh() then learns from this range
-  result.weight =
-      now_.gate.weigh(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2, powers);
+  result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,
+                                  result.innovation_variance_m2, powers);
   if (model::is_ablated(Mechanism::kGate)) result.weight = result.weight >= 0.0 ? 1.0 : 0.0;
-  if (whole) watch_slip(slot, tag, result, measurement.d_core.head<2>());
-  result.blocked = now_.gate.blocked(slot, tag);
+  if (whole) watch_slip(pair, result, measurement.d_core.head<2>());
+  result.blocked = now_.gate.blocked(pair.slot, pair.tag);
   now_.counters.doubts = now_.gate.doubts_begun();
   const double slow_before = now_.tuning.slow_scale();
-  if (whole) now_.tuning.observe(slot, tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
-  const double slow_change = now_.tuning.slow_scale() / slow_before;
-  if (!(result.weight > 0.0)) {
-    if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
-    result.outcome = RangeOutcome::kGated;
-    return result;
+  if (whole && config_.tunes_noise) {
+    now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   }
-
-  // A weight below one stands for that much more noise: S / weight in place of S.
-  const double variance =
-      result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(slot, tag);
-  result.pull = projected.core.head<3>() * (result.innovation_m / variance);
-  now_.core += projected.core * (result.innovation_m / variance);
-  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
-  if (!whole) {
-    now_.covariance.correct_core(projected.core, variance);
-  } else {
-    now_.covariance.correct(measurement.d_core, projected, variance, result.innovation_m,
-                            now_.parameters.values());
+  const double slow_change = now_.tuning.slow_scale() / slow_before;
+  result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
+  if (result.outcome == RangeOutcome::kUsed) {
+    // A weight below one stands for that much more noise: S / weight in place of S.
+    const double variance =
+        result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
+    result.pull = projected.core.head<3>() * (result.innovation_m / variance);
+    add(projected.core * (result.innovation_m / variance));
+    if (!whole) {
+      now_.covariance.correct_core(projected.core, variance);
+    } else {
+      now_.covariance.correct(measurement.d_core, projected, variance, result.innovation_m,
+                              now_.parameters.values());
+    }
   }
   if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
-  motion().follow_chart();
-  result.outcome = RangeOutcome::kUsed;
+  if (result.outcome == RangeOutcome::kUsed) motion().follow_chart();
   return result;
 }
 
-void Filter::watch_slip(int slot, int tag, const RangeResult& range,
+void Filter::watch_slip(const PairPlace& pair, const RangeResult& range,
                         const Eigen::RowVector2d& by_position) noexcept {
   if (model::is_ablated(Mechanism::kSlip)) return;
-  const auto displacement_m = now_.slip_watch.observe(
-      slot, tag, now_.t_s, range.innovation_m, range.innovation_variance_m2, range.weight, by_position);
+  const auto displacement_m =
+      now_.slip_watch.observe(pair.slot, pair.tag, now_.t_s, range.innovation_m, range.innovation_variance_m2,
+                              range.weight, by_position);
   if (!displacement_m) return;
   ++now_.counters.slips;
   now_.slip.begin(displacement_m->norm(), now_.t_s);
@@ -334,46 +275,49 @@ void Filter::watch_slip(int slot, int tag, const RangeResult& range,
   now_.covariance.grow(kY, displacement_m->squaredNorm());
 }
 
+void Filter::add(const CoreVector& change) noexcept {
+  now_.core += change;
+  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
+}
+
+template <class Use>
+SensorResult Filter::take(Sensor sensor, double t_s, bool is_plausible, const Use& use) noexcept {
+  SensorResult result;
+  if (!is_plausible) {
+    result.outcome = SensorOutcome::kBadValue;
+  } else if (now_.started && t_s < now_.t_s) {
+    result.outcome = SensorOutcome::kOutOfOrder;
+  } else if (now_.started) {
+    advance_to(t_s);
+    result = use();
+  }
+  SensorCounters& counters = now_.counters.sensors[static_cast<std::size_t>(sensor)];
+  ++(counters.*kSensorCounters[static_cast<std::size_t>(result.outcome)]);
+  return result;
+}
+
 SensorResult Filter::process(const model::YawRateSample& sample) noexcept {
-  if (!std::isfinite(sample.t_s + sample.omega_radps))
-    return count(Sensor::kYawRate, {.outcome = SensorOutcome::kBadValue});
-  SensorResult result{.outcome = await(sample.t_s)};
-  if (result.outcome != SensorOutcome::kUsed) return count(Sensor::kYawRate, result);
-  if (!motion().turn(sample)) return count(Sensor::kYawRate, {.outcome = SensorOutcome::kJumped});
-  result.weight = 1.0;
-  return count(Sensor::kYawRate, result);
+  return take(Sensor::kYawRate, sample.t_s, std::isfinite(sample.t_s + sample.omega_radps), [&] {
+    if (!motion().turn(sample)) return SensorResult{.outcome = SensorOutcome::kJumped};
+    return SensorResult{.outcome = SensorOutcome::kUsed, .weight = 1.0};
+  });
 }
 
 SensorResult Filter::process(const model::PositionSample& sample) noexcept {
-  if (!model::is_plausible(sample)) return count(Sensor::kPosition, {.outcome = SensorOutcome::kBadValue});
-  const SensorOutcome outcome = await(sample.t_s);
-  if (outcome != SensorOutcome::kUsed) return count(Sensor::kPosition, {.outcome = outcome});
-  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_), now_.chart);
-  return count(Sensor::kPosition,
-               correct(Sensor::kPosition, measure_position(surface_, now, config_.sensors, sample)));
+  return take(Sensor::kPosition, sample.t_s, model::is_plausible(sample), [&] {
+    return correct(Sensor::kPosition, measure_position(surface_, present(), config_.sensors, sample));
+  });
 }
 
 SensorResult Filter::process(const model::PoseSample& sample) noexcept {
-  if (!tells_pose(sample)) return count(Sensor::kPose, {.outcome = SensorOutcome::kBadValue});
-  const SensorOutcome outcome = await(sample.t_s);
-  if (outcome != SensorOutcome::kUsed) return count(Sensor::kPose, {.outcome = outcome});
-  const PresentPose now = present_pose(surface_, now_.core, now_.row, delays(config_), now_.chart);
-  return count(Sensor::kPose, correct(Sensor::kPose, measure_pose(surface_, now, sample)));
+  return take(Sensor::kPose, sample.t_s, tells_pose(sample),
+              [&] { return correct(Sensor::kPose, measure_pose(surface_, present(), sample)); });
 }
 
 SensorResult Filter::process(const model::ZeroVelocitySample& sample) noexcept {
-  if (!std::isfinite(sample.t_s)) return count(Sensor::kZeroVelocity, {.outcome = SensorOutcome::kBadValue});
-  const SensorOutcome outcome = await(sample.t_s);
-  if (outcome != SensorOutcome::kUsed) return count(Sensor::kZeroVelocity, {.outcome = outcome});
-  return count(Sensor::kZeroVelocity,
-               correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors)));
-}
-
-SensorOutcome Filter::await(double t_s) noexcept {
-  if (!now_.started) return SensorOutcome::kNotStarted;
-  if (t_s < now_.t_s) return SensorOutcome::kOutOfOrder;
-  advance_to(t_s);
-  return SensorOutcome::kUsed;
+  return take(Sensor::kZeroVelocity, sample.t_s, std::isfinite(sample.t_s), [&] {
+    return correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors));
+  });
 }
 
 template <int kSize>
@@ -409,34 +353,8 @@ SensorResult Filter::correct(Sensor sensor, const CoreMeasurement<kSize>& measur
     change += projected.core * (left / (projected.variance + 1.0));
     now_.covariance.correct(row, projected, projected.variance + 1.0, left, now_.parameters.values());
   }
-  now_.core += change;
-  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
+  add(change);
   result.outcome = SensorOutcome::kUsed;
-  return result;
-}
-
-SensorResult Filter::count(Sensor sensor, SensorResult result) noexcept {
-  SensorCounters& counters = now_.counters.sensors[static_cast<std::size_t>(sensor)];
-  switch (result.outcome) {
-    case SensorOutcome::kUsed:
-      ++counters.used;
-      break;
-    case SensorOutcome::kGated:
-      ++counters.gated;
-      break;
-    case SensorOutcome::kJumped:
-      ++counters.jumped;
-      break;
-    case SensorOutcome::kBadValue:
-      ++counters.bad_value;
-      break;
-    case SensorOutcome::kOutOfOrder:
-      ++counters.out_of_order;
-      break;
-    case SensorOutcome::kNotStarted:
-      ++counters.not_started;
-      break;
-  }
   return result;
 }
 
@@ -550,13 +468,12 @@ Estimate Filter::estimate_of(const MotionState& now, const Covariance& covarianc
                .ground_variances = covariance.ground_variances()};
   const GroundRows& ground_cross = covariance.ground_cross();
   out.ground_cross = ground_cross.leftCols<3>();
-  const LinkDelays prior = delays(config_);
-  if (!(prior.odometry_share() > 0.0)) return out;
+  if (!(delays_.odometry_share() > 0.0)) return out;
 
   // The core tells of where the robot was when its odometry was true.
-  out.odometry_delay_s = prior.odometry_s(now.core(kDelay));
+  out.odometry_delay_s = delays_.odometry_s(now.core(kDelay));
   out.range_delay_s += out.odometry_delay_s;
-  const PresentPose present = present_pose(surface_, now.core, now.row, prior, now.chart);
+  const PresentPose present = present_pose(surface_, now.core, now.row, delays_, now.chart);
   out.pose = {present.pose.x(), present.pose.y(), model::wrap_angle(present.pose.z()), now.chart};
   out.ground_cross = ground_cross.lazyProduct(present.d_core.transpose());
   const Eigen::Matrix3d moved = present.d_core * covariance.core() * present.d_core.transpose();

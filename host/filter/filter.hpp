@@ -20,14 +20,11 @@
 #include <Eigen/Core>
 
 #include "host/filter/config.hpp"
-#include "host/filter/core_covariance.hpp"
-#include "host/filter/core_measurement.hpp"
 #include "host/filter/dead_reckoning.hpp"
 #include "host/filter/gate.hpp"
 #include "host/filter/joint_covariance.hpp"
-#include "host/filter/parameters.hpp"
 #include "host/filter/self_tuning.hpp"
-#include "host/filter/sensor_gate.hpp"
+#include "host/filter/sensors.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/slip_watch.hpp"
 #include "host/filter/state.hpp"
@@ -208,8 +205,8 @@ class Filter {
     return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
   }
   [[nodiscard]] const Counters& counters() const noexcept { return now_.counters; }
-  [[nodiscard]] std::size_t anchors() const noexcept;
-  [[nodiscard]] std::size_t tags() const noexcept;
+  [[nodiscard]] std::size_t anchors() const noexcept { return slots_.size(); }
+  [[nodiscard]] std::size_t tags() const noexcept { return static_cast<std::size_t>(site_.tag_count()); }
 
   // What restore() brings back: all inputs since are as if they had never been. Of this filter, and from its
   // past; of anchors that are not active it holds nothing but how many exchanges there were. can_restore():
@@ -230,18 +227,27 @@ class Filter {
   [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 
  private:
+  // here: the calibration as it holds on this drive.
+  Filter(model::Surface surface, std::span<const model::Tag> tags, const Config& config,
+         const model::Calibration& here);
   // On that floor, and nothing is known of ranges and other sensors yet.
   void begin_on(int chart) noexcept;
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
-  RangeResult take(const model::RangeSample& range) noexcept;
+  // The range's pair; kUsed where it can be taken: the state is then of its time, the anchor active.
+  RangeOutcome admit(const model::RangeSample& range, PairPlace& pair) noexcept;
+  RangeResult correct(const model::RangeSample& range, const PairPlace& pair) noexcept;
   // The range's innovation, before it is used, for what it shows of the odometry.
-  void watch_slip(int slot, int tag, const RangeResult& range,
+  void watch_slip(const PairPlace& pair, const RangeResult& range,
                   const Eigen::RowVector2d& by_position) noexcept;
-  // kUsed where a sensor's sample of that time can be taken; the state is then of that time.
-  SensorOutcome await(double t_s) noexcept;
+  // A sample of t_s: `use` is called where it can be taken, when the state is of that time.
+  template <class Use>
+  SensorResult take(Sensor sensor, double t_s, bool is_plausible, const Use& use) noexcept;
   template <int kSize>
   SensorResult correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept;
-  SensorResult count(Sensor sensor, SensorResult result) noexcept;
+  void add(const CoreVector& change) noexcept;
+  [[nodiscard]] PresentPose present() const noexcept {
+    return present_pose(surface_, now_.core, now_.row, delays_, now_.chart);
+  }
   [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
     return {surface_, config_, slow_time_s_, &now_.gate, now_, now_.covariance};
   }
@@ -265,6 +271,7 @@ class Filter {
   model::Surface surface_;
   Site site_;
   Config config_;
+  LinkDelays delays_;
   double slow_time_s_ = 0.0;  // 0: there is no slow error
   Snapshot now_;
   std::vector<int> slots_;              // of each anchor of the site, -1 where it is not active

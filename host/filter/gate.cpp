@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "host/model/ablation.hpp"
 #include "host/model/types.hpp"
@@ -11,6 +12,7 @@ namespace groma::filter {
 namespace {
 
 using model::Mechanism;
+using model::square;
 
 // Fewer ranges than this within the window say nothing about the state.
 constexpr double kMinRangesToDoubt = 4.0;
@@ -21,6 +23,22 @@ constexpr double kGapStep = 0.02;
 constexpr double kLongGaps = 0.9;
 // Fewer polls than this within the window, and a silence tells nothing.
 constexpr double kReceptionPolls = 10.0;
+// A pair that misses more than the slack of its polls, over kReception_s, is likely blocked: see GateConfig.
+constexpr double kReception_s = 2.0;
+constexpr double kReceptionSlack = 0.2;
+// Mean excess of a pair that misses polls, all of it from this share of polls missed on.
+constexpr double kRegained_m = 3.0;
+constexpr double kFarMissed = 0.5;
+// Divergence is suspected where at least two anchors and as many as agree refuse more than this share of
+// their ranges within window_s, by more than a way around an obstacle adds (twice excess_m), and those that
+// agree are fewer than a position and a check of it take; or where over kPatience_s all anchors together
+// refuse as many.
+constexpr double kDoubtShare = 0.7;
+constexpr double kPatience_s = 5.0;
+constexpr double kFar_m = 1.0;
+constexpr int kFixingAnchors = 3;
+constexpr double kExponentialTail = 8.0;
+constexpr double kMaxUnit = 1e6;
 
 double weight_of(double in_sight) noexcept {
   return in_sight >= kNoWeight ? in_sight : 0.0;
@@ -28,20 +46,84 @@ double weight_of(double in_sight) noexcept {
 
 }  // namespace
 
+double gaussian_density(double error_m, double sigma_m) noexcept {
+  const double e = error_m / sigma_m;
+  return std::exp(-0.5 * e * e) / (sigma_m * std::sqrt(2.0 * std::numbers::pi));
+}
+
+double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
+  const double ratio = sigma_m / mean_m;
+  // For a wide sigma the product of a huge and a tiny factor; it then is the Gaussian's own.
+  if (ratio > 8.0) return gaussian_density(error_m, sigma_m);
+  const double below = 0.5 * std::erfc((ratio - error_m / sigma_m) * std::numbers::sqrt2 / 2.0);
+  if (!(below > 0.0)) return 0.0;
+  return std::exp(0.5 * ratio * ratio - error_m / mean_m) * below / mean_m;
+}
+
+double excess_square(double error_m, double sigma_m, double mean_m) noexcept {
+  // Given the error, the excess is a Gaussian's part above zero.
+  const double sigmas = error_m / sigma_m - sigma_m / mean_m;
+  // So far below, what is left of it falls like an exponential.
+  if (sigmas < -kExponentialTail) return 2.0 * square(sigma_m / sigmas);
+  const double below = 0.5 * std::erfc(-sigmas * std::numbers::sqrt2 / 2.0);
+  const double at_zero = gaussian_density(sigmas, 1.0) / below;
+  return std::max(square(sigma_m) * (1.0 + sigmas * (sigmas + at_zero)), 0.0);
+}
+
+RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
+                               double missed) noexcept {
+  const double far_share = std::min(missed / kFarMissed, 1.0);
+  const double garbage_share = config.garbage_share + config.regained_garbage * missed;
+  const double short_share = model::is_ablated(Mechanism::kGateShort) ? 0.0 : config.short_share;
+  const double near = (1.0 - short_share) * excess_density(error_m, sigma_m, config.excess_m) +
+                      short_share * excess_density(-error_m, sigma_m, config.excess_m);
+  const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, kRegained_m) : 0.0;
+  return {.in_sight = gaussian_density(error_m, sigma_m),
+          .blocked = (1.0 - far_share) * near + far,
+          .far = far,
+          .garbage = garbage_share / config.garbage_width_m,
+          .garbage_share = garbage_share};
+}
+
+double SightHint::share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
+                        model::PowerClass of) const noexcept {
+  const double before = believed[model::hidden_class(of)] / static_cast<double>(model::kStrengthClasses);
+  const double prior = config_.hint_prior_count * unit_;
+  return (counts.of[of] + prior * before) / (counts.all + prior);
+}
+
+double SightHint::likelihood_ratio(model::PowerClass of) const noexcept {
+  if (of >= model::kNoPowerClass) return 1.0;
+  const double ratio =
+      share(blocked_, model::kBelievedBlocked, of) / share(in_sight_, model::kBelievedInSight, of);
+  const double most = std::max(config_.hint_most, 1.0);
+  return std::clamp(ratio, 1.0 / most, most);
+}
+
+double SightHint::blocked_share() const noexcept {
+  const double prior = config_.hint_prior_count * unit_;
+  return (blocked_.all + prior * config_.blocked_share) / (blocked_.all + in_sight_.all + prior);
+}
+
+void SightHint::learn(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept {
+  if (of >= model::kNoPowerClass) return;
+  const double passed_s = std::clamp(t_s - t_s_, 0.0, config_.hint_memory_s);
+  unit_ *= std::exp(passed_s / config_.hint_memory_s);
+  t_s_ = t_s;
+  blocked_.of[of] += blocked * unit_;
+  blocked_.all += blocked * unit_;
+  in_sight_.of[of] += in_sight * unit_;
+  in_sight_.all += in_sight * unit_;
+  if (unit_ < kMaxUnit) return;
+  for (Counts* counts : {&blocked_, &in_sight_}) {
+    for (double& count : counts->of) count /= unit_;
+    counts->all /= unit_;
+  }
+  unit_ = 1.0;
+}
+
 Gate::Gate(const GateConfig& config) : config_(config), hint_(config) {
   reset(0.0);
-}
-
-Gate::Pair& Gate::pair(int anchor, int tag) noexcept {
-  return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
-}
-
-double Gate::blocked(int anchor, int tag) const noexcept {
-  return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].blocked;
-}
-
-double Gate::regained_variance_m2(int anchor, int tag) const noexcept {
-  return pairs_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)].regained_m2;
 }
 
 Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
@@ -52,17 +134,17 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   }
   pair.heard = true;
   pair.t_s = t_s;
-  pair.reception *= std::exp(-gap_s / config_.reception_s);
-  pair.reception = std::min(pair.reception + poll_interval_s_ / config_.reception_s, 1.0);
+  pair.reception *= std::exp(-gap_s / kReception_s);
+  pair.reception = std::min(pair.reception + poll_interval_s_ / kReception_s, 1.0);
   if (model::is_ablated(Mechanism::kGateReception)) return {};
-  const double polls = poll_interval_s_ > 0.0 ? config_.reception_s / poll_interval_s_ : 0.0;
+  const double polls = poll_interval_s_ > 0.0 ? kReception_s / poll_interval_s_ : 0.0;
   if (polls < kReceptionPolls) return {};
-  const double expected = 1.0 - config_.reception_slack;
+  const double expected = 1.0 - kReceptionSlack;
   // All of the anchor's in the window together count as one range.
   double tags = 0.0;
-  for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
-    const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
-    if (other.heard && t_s - other.t_s < config_.reception_s) tags += 1.0;
+  for (int tag = 0; tag < kMaxTags; ++tag) {
+    const Pair& other = pairs_[pair_at(anchor, tag)];
+    if (other.heard && t_s - other.t_s < kReception_s) tags += 1.0;
   }
   return {.missed = std::max(expected - pair.reception, 0.0) / expected, .alike = polls * tags};
 }
@@ -73,8 +155,8 @@ double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noex
   double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
   if (model::is_ablated(Mechanism::kGateTags)) return out;
   // What hides an anchor from one tag hides it from the next.
-  for (std::size_t tag = 0; tag < kMaxTags; ++tag) {
-    const Pair& other = pairs_[static_cast<std::size_t>(anchor) * kMaxTags + tag];
+  for (int tag = 0; tag < kMaxTags; ++tag) {
+    const Pair& other = pairs_[pair_at(anchor, tag)];
     if (other.unhinted > std::max(out, config_.blocked_share))
       out = std::max(out, other.unhinted * fade(other));
   }
@@ -97,7 +179,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
                    model::PowerClass hint) noexcept {
   if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2) || !(variance_m2 > 0.0)) return 0.0;
   const double sigma = std::sqrt(variance_m2);
-  Pair& chain = pair(anchor, tag);
+  Pair& chain = pairs_[pair_at(anchor, tag)];
 
   const double gap_s = std::max(t_s - chain.t_s, 0.0);
   double prior = expect_blocked(anchor, chain, t_s);
@@ -111,9 +193,8 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   chain.regained_m2 = 0.0;
   if (reception.missed > 0.0) {
     const double garbage = 1.0 - unhinted.in_sight - unhinted.blocked;
-    chain.regained_m2 =
-        reception.alike * (unhinted.far * excess_square(innovation_m, sigma, config_.regained_m) +
-                           garbage * model::square(innovation_m));
+    chain.regained_m2 = reception.alike * (unhinted.far * excess_square(innovation_m, sigma, kRegained_m) +
+                                           garbage * square(innovation_m));
   }
   chain.unhinted = unhinted.pair_blocked;
   chain.blocked = unhinted.pair_blocked;
@@ -160,11 +241,11 @@ void Gate::observe(int anchor, double t_s, double innovation_m, double weight) n
   Tally& own = anchors_[static_cast<std::size_t>(anchor)];
   own.fade(t_s, config_.window_s);
   own.add(off_m, weight);
-  all_.fade(t_s, config_.patience_s);
+  all_.fade(t_s, kPatience_s);
   all_.add(off_m, weight);
   t_s_ = t_s;
   const bool before = doubts_;
-  const bool lasts = all_.refuses(config_.doubt_share) && !model::is_ablated(Mechanism::kDivergenceLasting);
+  const bool lasts = all_.refuses(kDoubtShare) && !model::is_ablated(Mechanism::kDivergenceLasting);
   doubts_ = (lasts || anchors_refuse(t_s)) && !model::is_ablated(Mechanism::kDivergence);
   if (doubts_ && !before) ++doubts_begun_;
 }
@@ -174,14 +255,14 @@ bool Gate::anchors_refuse(double t_s) const noexcept {
   int refusing = 0;
   for (const Tally& anchor : anchors_) {
     if (anchor.seen < kMinRangesToDoubt || t_s - anchor.t_s > config_.window_s) continue;
-    if (!anchor.refuses(config_.doubt_share)) {
+    if (!anchor.refuses(kDoubtShare)) {
       ++agreeing;
-    } else if (anchor.refused_m > config_.far_m * anchor.refused) {
+    } else if (anchor.refused_m > kFar_m * anchor.refused) {
       ++refusing;
     }
   }
   // One alone may have any reason.
-  return refusing >= 2 && refusing >= agreeing && agreeing < config_.fixing_anchors;
+  return refusing >= 2 && refusing >= agreeing && agreeing < kFixingAnchors;
 }
 
 bool Gate::doubts(double t_s) const noexcept {
@@ -190,7 +271,7 @@ bool Gate::doubts(double t_s) const noexcept {
 
 void Gate::renew(int anchor, double t_s) noexcept {
   for (int tag = 0; tag < kMaxTags; ++tag) {
-    pair(anchor, tag) = {
+    pairs_[pair_at(anchor, tag)] = {
         .t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share, .reception = 0.0};
   }
   anchors_[static_cast<std::size_t>(anchor)] = {.t_s = t_s};

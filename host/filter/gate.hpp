@@ -11,11 +11,62 @@
 #include <cstddef>
 
 #include "host/filter/config.hpp"
-#include "host/filter/range_density.hpp"
-#include "host/filter/sight_hint.hpp"
 #include "host/filter/state.hpp"
+#include "host/model/power_class.hpp"
 
 namespace groma::filter {
+
+// Of a Gaussian of that sigma, 1/m.
+[[nodiscard]] double gaussian_density(double error_m, double sigma_m) noexcept;
+// Of a Gaussian of that sigma plus an exponential excess of that mean, 1/m.
+[[nodiscard]] double excess_density(double error_m, double sigma_m, double mean_m) noexcept;
+// And the mean square of the excess, given such an error, m^2.
+[[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
+
+// The kinds of error that the gate separates, 1/m. The first two: of a range that is not garbage; blocked
+// ones are too long, or by short_share too short.
+struct RangeDensities {
+  double in_sight = 0.0;
+  double blocked = 0.0;
+  double far = 0.0;            // the part of blocked with the larger excess of a pair that misses polls
+  double garbage = 0.0;        // with its share,
+  double garbage_share = 0.0;  // which is this
+};
+// missed: the share of its polls that the pair missed of late.
+[[nodiscard]] RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
+                                             double missed = 0.0) noexcept;
+
+// What the powers of a range tell of its pair's sight: learnt on the site itself, by what innovations say. A
+// range falls into one class, and how often either state gives the class is counted. The counts begin with
+// what the chip's maker tells of the first and with nothing of the second: a hint that is wrong here, or
+// tells nothing, soon has a likelihood ratio of 1.
+class SightHint {
+ public:
+  explicit SightHint(const GateConfig& config) noexcept : config_(config) {}
+
+  // Of a blocked pair over one in sight, from 1/hint_most to hint_most; 1 of kNoPowerClass.
+  [[nodiscard]] double likelihood_ratio(model::PowerClass of) const noexcept;
+  // Of all ranges that were learnt from.
+  [[nodiscard]] double blocked_share() const noexcept;
+  // Takes note of a range of that class at t_s, held for blocked and for in sight by those shares.
+  void learn(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept;
+
+ private:
+  struct Counts {
+    std::array<double, model::kPowerClasses> of{};
+    double all = 0.0;
+  };
+  // Of a class in a state.
+  [[nodiscard]] double share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
+                             model::PowerClass of) const noexcept;
+
+  GateConfig config_;
+  // Counts fade: in place of all that were, what one more is worth grows with time.
+  Counts blocked_;
+  Counts in_sight_;
+  double unit_ = 1.0;
+  double t_s_ = 0.0;
+};
 
 class Gate {
  public:
@@ -28,9 +79,13 @@ class Gate {
 
   // Variance to be added to the noise of the pair's last range: a pair that was silent is often still blocked
   // when it is heard again, and all its anchor's ranges of that while are off together.
-  [[nodiscard]] double regained_variance_m2(int anchor, int tag) const noexcept;
+  [[nodiscard]] double regained_variance_m2(int anchor, int tag) const noexcept {
+    return pairs_[pair_at(anchor, tag)].regained_m2;
+  }
   // Probability that the pair is blocked, as of its last range.
-  [[nodiscard]] double blocked(int anchor, int tag) const noexcept;
+  [[nodiscard]] double blocked(int anchor, int tag) const noexcept {
+    return pairs_[pair_at(anchor, tag)].blocked;
+  }
 
   // What powers tell here.
   [[nodiscard]] const SightHint& hint() const noexcept { return hint_; }
@@ -80,7 +135,6 @@ class Gate {
   };
   [[nodiscard]] Posterior judge(const RangeDensities& density, double prior) const noexcept;
 
-  Pair& pair(int anchor, int tag) noexcept;
   // Takes note that the pair was heard.
   Reception listen(int anchor, Pair& pair, double t_s) noexcept;
   // Probability that the pair is blocked, before its range is seen.
@@ -90,7 +144,7 @@ class Gate {
 
   GateConfig config_;
   SightHint hint_;
-  std::array<Pair, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> pairs_{};
+  std::array<Pair, kMaxPairs> pairs_{};
   double poll_interval_s_ = 0.0;  // median of the gaps between a pair's ranges; 0: not known yet
   double t_s_ = 0.0;
   Tally all_;

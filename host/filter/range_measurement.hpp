@@ -4,7 +4,6 @@
 
 #include <Eigen/Core>
 
-#include "host/filter/parameters.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/surface.hpp"

@@ -6,7 +6,7 @@
 #include <limits>
 #include <memory>
 
-#include "host/filter/pose_measurement.hpp"
+#include "host/filter/sensors.hpp"
 #include "host/model/plausible.hpp"
 
 namespace groma::filter {

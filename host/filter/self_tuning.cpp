@@ -19,6 +19,20 @@ constexpr double kTooLong = 2.0;
 constexpr double kShown = 0.7;
 // Of rows x0 to x3, x0 - 3 x1 + 3 x2 - x3 has the variance (1 + 9 + 9 + 1) sigma^2.
 constexpr double kThirdDifference = 4.47213595499958;
+// Ranges of a pair that are closer tell of white noise.
+constexpr double kDifference_s = 3.0;
+constexpr double kSlowStep = 0.002;
+constexpr double kSlowMostFactor = 3.0;
+constexpr double kMaxGap_s = 0.3;     // rows that are further apart tell of motion, not of noise
+constexpr double kUneven = 0.3;       // by which gaps may differ
+constexpr double kMostFactor = 10.0;  // upon the sigma that was told, and below it
+
+// The factor 1 + step or 1 - step upon a sigma after so many differences, of which half should be larger than
+// half.
+double adjustment(double differences, double difference, double half) noexcept {
+  const double step = std::max(0.003, 0.05 / (1.0 + differences / 100.0));
+  return 1.0 + (std::abs(difference) > half ? step : -step);
+}
 
 }  // namespace
 
@@ -26,51 +40,37 @@ bool is_tuned(Model model) noexcept {
   return model == Model::kSchmidt || model == Model::kAnchorStates || model == Model::kJoint;
 }
 
-RangeTuning::RangeTuning(const SelfTuningConfig& config, double white_sigma_m)
-    : config_(config),
-      least_sigma_m_(white_sigma_m / config.most_factor),
-      most_sigma_m_(white_sigma_m * config.most_factor),
-      white_sigma_m_(white_sigma_m) {}
-
-void RangeTuning::reset() noexcept {
-  last_.fill({});
-}
-
 void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept {
   if (!std::isfinite(innovation_m) || !(variance_m2 > 0.0)) return;
   if (innovation_m > kTooLong * std::sqrt(variance_m2)) return;
-  Last& last = last_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
+  Last& last = last_[pair_at(anchor, tag)];
   const double gap_s = t_s - last.t_s;
   // What lasts is in both, and their difference is white.
-  if (last.heard && gap_s > 0.0 && gap_s < config_.difference_s &&
+  if (last.heard && gap_s > 0.0 && gap_s < kDifference_s &&
       !model::is_ablated(model::Mechanism::kRangeNoise)) {
     differences_ += 1.0;
-    const double step =
-        std::max(config_.step, config_.first_step / (1.0 + differences_ / config_.first_draws));
     const double half_m = kHalfWithin * std::numbers::sqrt2 * white_sigma_m_;
-    const double change = std::abs(innovation_m - last.innovation_m) > half_m ? step : -step;
-    white_sigma_m_ = std::clamp(white_sigma_m_ * (1.0 + change), least_sigma_m_, most_sigma_m_);
+    white_sigma_m_ =
+        std::clamp(white_sigma_m_ * adjustment(differences_, innovation_m - last.innovation_m, half_m),
+                   told_sigma_m_ / kMostFactor, told_sigma_m_ * kMostFactor);
   }
   last = {.t_s = t_s, .innovation_m = innovation_m, .heard = true};
   // All that lasts, from ranges that are too short: walls make none of these.
   if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
     const double change =
         innovation_m * innovation_m > kShown * kShown * kHalfWithin * kHalfWithin * variance_m2 ? 1.0 : -1.0;
-    slow_scale_ = std::clamp(slow_scale_ * (1.0 + config_.slow_step * change), 1.0 / config_.slow_most_factor,
-                             config_.slow_most_factor);
+    slow_scale_ =
+        std::clamp(slow_scale_ * (1.0 + kSlowStep * change), 1.0 / kSlowMostFactor, kSlowMostFactor);
   }
 }
-
-OdometryTuning::OdometryTuning(const OdometryTuningConfig& config, const model::OdometryNoise& told)
-    : config_(config), told_(told) {}
 
 void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
   const Row now{.t_s = row.t_s, .values = {row.vx_mps, row.vy_mps, row.omega_radps}};
   const double gap_s = rows_ > 0 ? now.t_s - last_[0].t_s : 0.0;
-  bool even = rows_ == last_.size() && gap_s <= config_.max_gap_s;
+  bool even = rows_ == last_.size() && gap_s <= kMaxGap_s;
   for (std::size_t i = 0; even && i + 1 < last_.size(); ++i) {
     const double other_s = last_[i].t_s - last_[i + 1].t_s;
-    even = std::abs(other_s - gap_s) <= config_.uneven * gap_s;
+    even = std::abs(other_s - gap_s) <= kUneven * gap_s;
   }
   if (even) {
     const auto difference = [&](std::size_t axis) {
@@ -87,16 +87,14 @@ void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
   rows_ = std::min(rows_ + 1, last_.size());
 }
 
-void OdometryTuning::adjust(Factor& factor, double difference, double told) const noexcept {
+void OdometryTuning::adjust(Factor& factor, double difference, double told) noexcept {
   if (model::is_ablated(model::Mechanism::kOdometryNoise)) return;
   // Of an axis that is not measured there is nothing to see.
   if (difference == 0.0 || !(told > 0.0)) return;
   factor.differences += 1.0;
-  const double step =
-      std::max(config_.step, config_.first_step / (1.0 + factor.differences / config_.first_draws));
   const double half = kHalfWithin * kThirdDifference * told * factor.value;
-  const double change = std::abs(difference) > half ? step : -step;
-  factor.value = std::clamp(factor.value * (1.0 + change), 1.0 / config_.most_factor, config_.most_factor);
+  factor.value = std::clamp(factor.value * adjustment(factor.differences, difference, half),
+                            1.0 / kMostFactor, kMostFactor);
 }
 
 model::OdometryNoise OdometryTuning::noise() const noexcept {

@@ -16,12 +16,12 @@ namespace groma::filter {
 
 class RangeTuning {
  public:
-  RangeTuning(const SelfTuningConfig& config, double white_sigma_m);
+  explicit RangeTuning(double white_sigma_m) : told_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}
 
   // Takes note of an innovation of a pair of slots, of that variance, white noise and all.
   void observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept;
   // The pairs' past is forgotten, what was learnt of the noise stays.
-  void reset() noexcept;
+  void reset() noexcept { last_.fill({}); }
 
   [[nodiscard]] double white_sigma_m() const noexcept { return white_sigma_m_; }
   // Factor upon the sigma of the slow error.
@@ -34,13 +34,11 @@ class RangeTuning {
     bool heard = false;
   };
 
-  SelfTuningConfig config_;
-  double least_sigma_m_ = 0.0;
-  double most_sigma_m_ = 0.0;
-  double white_sigma_m_ = 0.0;
+  double told_sigma_m_;
+  double white_sigma_m_;
   double slow_scale_ = 1.0;
   double differences_ = 0.0;  // seen
-  std::array<Last, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> last_{};
+  std::array<Last, kMaxPairs> last_{};
 };
 
 // The white noise of odometry rows. No robot changes its acceleration much from one row to the next: of
@@ -48,7 +46,7 @@ class RangeTuning {
 // upon what was told, as many robots measure one alone; omega has its own.
 class OdometryTuning {
  public:
-  OdometryTuning(const OdometryTuningConfig& config, const model::OdometryNoise& told);
+  explicit OdometryTuning(const model::OdometryNoise& told) : told_(told) {}
 
   // Takes note of the next row.
   void observe(const model::OdometrySample& row) noexcept;
@@ -68,9 +66,8 @@ class OdometryTuning {
     double differences = 0.0;  // seen
   };
 
-  void adjust(Factor& factor, double difference, double told) const noexcept;
+  static void adjust(Factor& factor, double difference, double told) noexcept;
 
-  OdometryTuningConfig config_;
   model::OdometryNoise told_;
   Factor velocity_;
   Factor turn_;

@@ -9,6 +9,18 @@ namespace {
 
 using model::square;
 
+constexpr double kUsual_s = 3.0;     // over which a pair's innovations are usual
+constexpr double kMostSigmas = 3.0;  // by which one range counts at most
+constexpr double kNearSigmas = 2.5;  // by which an anchor's mean is too near to be looked into
+constexpr double kTooFarCost = 2.0;  // ln of how unlikely another reason is: NLOS
+constexpr double kTooNearCost = 7.0;
+constexpr double kExplainedShare = 0.65;  // of all cost
+constexpr double kLeast_m = 0.04;         // a smaller displacement is none
+constexpr double kLeast_mps = 0.3;        // by which odometry is then off
+constexpr double kMost_mps = 2.0;
+constexpr double kAgain_s = 3.0;  // a slip that shows again within this lasts twice as long
+constexpr double kMostLasts_s = 2.0;
+constexpr double kMostTurn_radps = 0.5;
 // What is left of a doubt below this share of the least one is none.
 constexpr double kOver = 0.1;
 // Of two anchors' directions, the sine of the angle between them squared, below which they fix no place.
@@ -21,8 +33,8 @@ constexpr double kMinFadedRanges = 0.3;
 
 }  // namespace
 
-void SlipWatch::fade(Sums& sums, double until_s) const noexcept {
-  const double left = std::exp(-std::max(until_s - sums.t_s, 0.0) / config_.window_s);
+void SlipWatch::fade(Sums& sums, double until_s) noexcept {
+  const double left = std::exp(-std::max(until_s - sums.t_s, 0.0) / kWindow_s);
   sums.t_s = until_s;
   sums.n *= left;
   sums.w *= left;
@@ -35,17 +47,17 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
                                                   double variance_m2, double weight,
                                                   const Eigen::RowVector2d& by_position) noexcept {
   if (!std::isfinite(innovation_m) || !(variance_m2 > 0.0)) return std::nullopt;
-  Usual& usual = usual_[static_cast<std::size_t>(anchor) * kMaxTags + static_cast<std::size_t>(tag)];
+  Usual& usual = usual_[pair_at(anchor, tag)];
   const double gap_s = t_s - usual.t_s;
   usual.t_s = t_s;
-  const double most_m = config_.most_sigmas * std::sqrt(variance_m2);
-  if (!usual.heard || gap_s > config_.usual_s) {
+  const double most_m = kMostSigmas * std::sqrt(variance_m2);
+  if (!usual.heard || gap_s > kUsual_s) {
     usual.heard = true;
     usual.innovation_m = 0.0;
     return std::nullopt;
   }
   const double off_m = std::clamp(innovation_m - usual.innovation_m, -most_m, most_m);
-  usual.innovation_m += weight * off_m * (gap_s / (gap_s + config_.usual_s));
+  usual.innovation_m += weight * off_m * (gap_s / (gap_s + kUsual_s));
 
   Sums& own = anchors_[static_cast<std::size_t>(anchor)];
   fade(own, t_s);
@@ -56,21 +68,18 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
   own.x += w * by_position.x();
   own.y += w * by_position.y();
   // Nothing else but a displacement makes an anchor come too near; without one, there is nothing to look for.
-  if (!(own.off < 0.0) || square(own.off) < square(config_.near_sigmas) * own.w) return std::nullopt;
+  if (!(own.off < 0.0) || square(own.off) < square(kNearSigmas) * own.w) return std::nullopt;
   std::optional<Eigen::Vector2d> displacement_m = find_displacement(t_s);
   if (displacement_m) anchors_.fill({.t_s = t_s});
   return displacement_m;
 }
 
-double SlipWatch::cost(double deviations) const noexcept {
-  return std::min(0.5 * square(deviations), deviations > 0.0 ? config_.too_far_cost : config_.too_near_cost);
-}
-
-double SlipWatch::cost(const Views& views, const Eigen::Vector2d& displacement_m) const noexcept {
+double SlipWatch::cost(const Views& views, const Eigen::Vector2d& displacement_m) noexcept {
   double sum = 0.0;
   for (std::size_t i = 0; i < views.count; ++i) {
     const View& view = views.of[i];
-    sum += cost(view.off - view.x * displacement_m.x() - view.y * displacement_m.y());
+    const double off = view.off - view.x * displacement_m.x() - view.y * displacement_m.y();
+    sum += std::min(0.5 * square(off), off > 0.0 ? kTooFarCost : kTooNearCost);
   }
   return sum;
 }
@@ -85,10 +94,10 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
     views.of[views.count++] = {anchor.x / root, anchor.y / root, anchor.off / root};
   }
   const double without = cost(views, Eigen::Vector2d::Zero());
-  if (without < config_.odds) return std::nullopt;
+  if (without < odds_) return std::nullopt;
   Eigen::Vector2d best = Eigen::Vector2d::Zero();
   // What leaves much unexplained is something else: a wrong surface, a wrong calibration.
-  double least = std::min(without - config_.odds, (1.0 - config_.explained_share) * without);
+  double least = std::min(without - odds_, (1.0 - kExplainedShare) * without);
   bool found = false;
   for (std::size_t i = 0; i < views.count; ++i) {
     for (std::size_t k = 0; k < i; ++k) {
@@ -106,7 +115,7 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
       found = true;
     }
   }
-  if (!found || best.norm() < config_.least_m) return std::nullopt;
+  if (!found || best.norm() < kLeast_m) return std::nullopt;
   int agreeing = 0;
   int against = 0;
   for (std::size_t i = 0; i < views.count; ++i) {
@@ -120,39 +129,27 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
 
 void SlipWatch::renew(int anchor) noexcept {
   anchors_[static_cast<std::size_t>(anchor)] = {};
-  for (std::size_t tag = 0; tag < kMaxTags; ++tag)
-    usual_[static_cast<std::size_t>(anchor) * kMaxTags + tag] = {};
-}
-
-void SlipWatch::reset() noexcept {
-  anchors_.fill({});
-  usual_.fill({});
+  for (int tag = 0; tag < kMaxTags; ++tag) usual_[pair_at(anchor, tag)] = {};
 }
 
 void SlipDoubt::begin(double displacement_m, double t_s) noexcept {
-  const double excess_mps = 2.0 * displacement_m / config_.window_s;
-  excess_mps_ = std::max(excess_mps_, std::clamp(excess_mps, config_.least_mps, config_.most_mps));
-  const bool goes_on = t_s - last_s_ < config_.again_s;
-  lasts_s_ = goes_on ? std::min(2.0 * lasts_s_, config_.most_lasts_s) : config_.lasts_s;
+  const double excess_mps = 2.0 * displacement_m / SlipWatch::kWindow_s;
+  excess_mps_ = std::max(excess_mps_, std::clamp(excess_mps, kLeast_mps, kMost_mps));
+  const bool goes_on = t_s - last_s_ < kAgain_s;
+  lasts_s_ = goes_on ? std::min(2.0 * lasts_s_, kMostLasts_s) : kLasts_s;
   last_s_ = t_s;
 }
 
 OdometryDoubt SlipDoubt::judge(double gap_s) noexcept {
   if (!is_open()) return {};
   excess_mps_ *= std::exp(-gap_s / lasts_s_);
-  if (excess_mps_ < kOver * config_.least_mps) {
+  if (excess_mps_ < kOver * kLeast_mps) {
     excess_mps_ = 0.0;
     return {};
   }
-  // As of OdometryWatch: drawn anew with each row it has to be larger for the same way.
-  const double rows = gap_s > 0.0 ? std::max(lasts_s_ / std::max(gap_s, kLeastGap_s), 1.0) : 1.0;
-  const double turn_radps = std::min(excess_mps_ * config_.turn_per_m, config_.most_turn_radps);
+  const double rows = white_factor(lasts_s_, gap_s);
+  const double turn_radps = std::min(excess_mps_ * kTurnPer_m, kMostTurn_radps);
   return {.velocity_m2ps2 = rows * square(excess_mps_), .turn_rad2ps2 = rows * square(turn_radps)};
-}
-
-void SlipDoubt::reset() noexcept {
-  excess_mps_ = 0.0;
-  last_s_ = -std::numeric_limits<double>::infinity();
 }
 
 }  // namespace groma::filter

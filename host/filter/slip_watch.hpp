@@ -20,15 +20,17 @@
 
 #include <Eigen/Core>
 
-#include "host/filter/config.hpp"
-#include "host/filter/odometry_watch.hpp"
+#include "host/filter/odometry_gate.hpp"
 #include "host/filter/state.hpp"
 
 namespace groma::filter {
 
 class SlipWatch {
  public:
-  explicit SlipWatch(const SlipWatchConfig& config) : config_(config) { reset(); }
+  static constexpr double kWindow_s = 0.4;
+
+  // odds: ln of how unlikely a slip is.
+  explicit SlipWatch(double odds) : odds_(odds) {}
 
   // Of a pair of slots, before the range is used: innovation and its variance, the gate's weight, and the
   // derivative of the range by x and y. The displacement (m, map) by which the pose is wrong, where that
@@ -39,8 +41,6 @@ class SlipWatch {
 
   // Another anchor comes into a slot.
   void renew(int anchor) noexcept;
-  // Forgets everything.
-  void reset() noexcept;
 
  private:
   struct Sums {
@@ -67,30 +67,28 @@ class SlipWatch {
     bool heard = false;
   };
 
-  void fade(Sums& sums, double until_s) const noexcept;
-  [[nodiscard]] double cost(double deviations) const noexcept;
-  [[nodiscard]] double cost(const Views& views, const Eigen::Vector2d& displacement_m) const noexcept;
+  static void fade(Sums& sums, double until_s) noexcept;
+  [[nodiscard]] static double cost(const Views& views, const Eigen::Vector2d& displacement_m) noexcept;
   [[nodiscard]] std::optional<Eigen::Vector2d> find_displacement(double t_s) noexcept;
 
-  SlipWatchConfig config_;
+  double odds_;
   std::array<Sums, kMaxAnchors> anchors_{};
-  std::array<Usual, static_cast<std::size_t>(kMaxAnchors) * kMaxTags> usual_{};
+  std::array<Usual, kMaxPairs> usual_{};
 };
 
 // How far odometry is to be believed since a slip showed: not for a while, and longer where it shows again.
 class SlipDoubt {
  public:
-  explicit SlipDoubt(const SlipWatchConfig& config) : config_(config) {}
+  static constexpr double kLasts_s = 0.5;    // at first; twice as long each time that it shows again
+  static constexpr double kTurnPer_m = 0.5;  // rad/s of the yaw rate's doubt for each m/s
 
   // A displacement by so much showed.
   void begin(double displacement_m, double t_s) noexcept;
   // Of a row, gap_s after the one before.
   OdometryDoubt judge(double gap_s) noexcept;
   [[nodiscard]] bool is_open() const noexcept { return excess_mps_ > 0.0; }
-  void reset() noexcept;
 
  private:
-  SlipWatchConfig config_;
   double excess_mps_ = 0.0;
   double lasts_s_ = 0.0;
   double last_s_ = -std::numeric_limits<double>::infinity();

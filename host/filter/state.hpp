@@ -1,6 +1,8 @@
 // The filter's state: a small core that is always estimated, and the parameters of the site.
 #pragma once
 
+#include <cstddef>
+
 #include <Eigen/Core>
 
 namespace groma::filter {
@@ -13,6 +15,12 @@ inline constexpr int kMaxTags = GROMA_TAGS;
 inline constexpr int kMaxAnchors = 16;
 inline constexpr int kMaxTags = 4;
 #endif
+
+// For what is kept of each pair of an active anchor's slot and a tag.
+inline constexpr std::size_t kMaxPairs = static_cast<std::size_t>(kMaxAnchors) * kMaxTags;
+[[nodiscard]] constexpr std::size_t pair_at(int slot, int tag) noexcept {
+  return static_cast<std::size_t>(slot) * kMaxTags + static_cast<std::size_t>(tag);
+}
 
 // Core error state. The last three are the errors of the odometry row that is held now: a row's noise is
 // one draw, constant over the row, so that steps within the row share it.

@@ -7,7 +7,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
-#include "host/filter/pose_measurement.hpp"
+#include "host/filter/sensors.hpp"
 
 namespace groma::filter {
 

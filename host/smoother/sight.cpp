@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstddef>
 
-#include "host/filter/range_density.hpp"
+#include "host/filter/gate.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::smoother {

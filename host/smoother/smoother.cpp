@@ -11,9 +11,8 @@
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
 
-#include "host/filter/link_delay.hpp"
+#include "host/filter/dead_reckoning.hpp"
 #include "host/filter/odometry_gate.hpp"
-#include "host/filter/present_pose.hpp"
 #include "host/filter/propagation.hpp"
 #include "host/model/ablation.hpp"
 #include "host/model/antenna_pattern.hpp"
@@ -56,7 +55,7 @@ class Shared {
     const bool delay_is_observed = calibration.range_delay_sigma_s > 0.0;
     delays_ = {.range_s = delay_is_observed ? calibration.range_delay_s : config.range_delay_s,
                .range_sigma_s = delay_is_observed
-                                    ? std::hypot(calibration.range_delay_sigma_s, config.range_delay_change_s)
+                                    ? std::hypot(calibration.range_delay_sigma_s, filter::kRangeDelayChange_s)
                                     : config.range_delay_sigma_s,
                .odometry_sigma_s = config.odometry_delay_sigma_s};
     mean_(kDelay) = delays_.range_s;
@@ -562,7 +561,7 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
 
   // The rows of the beginning, and the one that holds at the start. What no robot can do is left out, as the
   // filter does: the velocity before it holds on.
-  filter::OdometryGate gate(options.config.odometry_gate);
+  filter::OdometryGate gate;
   model::OdometrySample held;
   std::vector<double> stale_s;
   std::vector<model::OdometrySample> rows;

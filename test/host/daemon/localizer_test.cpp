@@ -472,7 +472,7 @@ TEST_F(Live, AClockThatWasSetBeginsAnew) {
 
 TEST_F(Live, GoesOnThroughARelocation) {
   // The watch for slips finds the way back by itself, too.
-  setup_.filter.slip.odds = 1e9;
+  setup_.filter.slip_odds = 1e9;
   begin(0.2);
   drive(kBegin_s, 14.0);
   carried_s_ = 3.14 / kOmega;  // across its circle, and turned

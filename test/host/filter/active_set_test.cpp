@@ -119,8 +119,7 @@ Config config_with(Model model, int active) {
   // The chain of blocked pairs would count what an anchor said before it left: here all are in sight.
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
-  config.tuning = {.step = 0.0, .first_step = 0.0, .slow_step = 0.0};
-  config.odometry_tuning = {.step = 0.0, .first_step = 0.0};
+  config.tunes_noise = false;
   return config;
 }
 

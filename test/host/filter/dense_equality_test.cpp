@@ -25,8 +25,7 @@ Config plain_config(Model model) {
   // No weights: the reference has none.
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
-  config.tuning = {.step = 0.0, .first_step = 0.0, .slow_step = 0.0};
-  config.odometry_tuning = {.step = 0.0, .first_step = 0.0};
+  config.tunes_noise = false;
   config.slow_error_growth = 1.0;
   config.slow_time_growth = 1.0;
   return config;

@@ -8,7 +8,6 @@
 #include <numbers>
 #include <vector>
 
-#include "host/filter/range_density.hpp"
 #include "test/host/filter/small_site.hpp"
 #include "test/support/random.hpp"
 

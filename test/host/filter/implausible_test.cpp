@@ -14,8 +14,8 @@
 #include <string>
 #include <vector>
 
+#include "host/filter/dead_reckoning.hpp"
 #include "host/filter/filter.hpp"
-#include "host/filter/gyro.hpp"
 #include "host/filter/odometry_gate.hpp"
 #include "host/filter/replay.hpp"
 #include "host/filter/tracker.hpp"
@@ -313,7 +313,7 @@ TEST(Implausible, WhatLooksAheadDropsTheSame) {
 }
 
 TEST(OdometryGate, BelievesSamplesThatAgreeForHalfASecondButNoneThatNoRobotDoes) {
-  OdometryGate gate{OdometryGateConfig{}};
+  OdometryGate gate;
   EXPECT_FALSE(gate.accepts({0.0, 25.0, 0.0, 0.0})) << "a robot begins at rest";
   EXPECT_TRUE(gate.accepts({0.02, 2.0, 0.0, 0.0}));
   double believed_s = 0.0;
@@ -334,10 +334,10 @@ TEST(OdometryGate, BelievesSamplesThatAgreeForHalfASecondButNoneThatNoRobotDoes)
 }
 
 TEST(Gyro, DoesNotBelieveARateThatJumpedForItLasts) {
-  Gyro gyro{SensorConfig{}};
+  Gyro gyro;
   const auto take = [&](double t_s, double omega_radps) {
-    const bool follows = gyro.follows({t_s, omega_radps}, 0.1);
-    if (follows) gyro.use({t_s, omega_radps});
+    const bool follows = gyro.follows({t_s, omega_radps}, 0.1, SensorConfig{}.gyro_sigma_radps);
+    if (follows) gyro = {t_s, omega_radps, true};
     return follows;
   };
   EXPECT_TRUE(take(0.0, 0.1));

@@ -10,10 +10,10 @@
 
 #include <Eigen/Cholesky>
 
+#include "host/filter/dead_reckoning.hpp"
 #include "host/filter/filter.hpp"
 #include "host/filter/gate.hpp"
-#include "host/filter/link_delay.hpp"
-#include "host/filter/odometry_watch.hpp"
+#include "host/filter/odometry_gate.hpp"
 #include "host/filter/self_tuning.hpp"
 #include "test/host/filter/small_site.hpp"
 
@@ -105,9 +105,9 @@ TEST(LateLinks, OdometryAndRangesAreEachTakenForAsLateAsTheyAre) {
 }
 
 TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
-  const OdometryWatchConfig config;
+  const Config config;
   const model::OdometryNoise noise{0.03, 0.03, 0.01};
-  OdometryWatch watch(config);
+  OdometryWatch watch(config.max_acceleration_mps2);
   const model::OdometrySample before{1.0, 2.0, 0.0, 0.1};
   const OdometryDoubt none = watch.judge(before, {1.05, 2.3, 0.05, 0.4}, noise);
   EXPECT_EQ(none.velocity_m2ps2, 0.0);
@@ -137,7 +137,7 @@ TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
   }
   std::erase_if(drive.ranges, [](const auto& range) { return range.t_s > 20.0 && range.t_s < 22.0; });
   Config blind = matching_config();
-  blind.watch.max_acceleration_mps2 = 1e9;
+  blind.max_acceleration_mps2 = 1e9;
   const Errors without = replay(flat, calibration, blind, drive, 19.0);
   const Errors with = replay(flat, calibration, matching_config(), drive, 19.0);
   EXPECT_GT(without.nees, 20.0);
@@ -148,8 +148,8 @@ TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
 TEST(OdometryTuning, FindsTheWhiteSigmaOfARobotThatDrives) {
   constexpr model::OdometryNoise kTrue{0.03, 0.03, 0.01};
   for (const double factor : {0.12, 1.0 / 3.0, 1.0, 3.0, 8.0}) {
-    OdometryTuning tuning(OdometryTuningConfig{}, {kTrue.sigma_vx_mps * factor, kTrue.sigma_vy_mps * factor,
-                                                   kTrue.sigma_omega_radps * factor});
+    OdometryTuning tuning(
+        {kTrue.sigma_vx_mps * factor, kTrue.sigma_vy_mps * factor, kTrue.sigma_omega_radps * factor});
     Random random(10);
     double velocity_mps = 0.0;
     double turn_radps = 0.0;
@@ -170,7 +170,7 @@ TEST(OdometryTuning, FindsTheWhiteSigmaOfARobotThatDrives) {
 }
 
 TEST(OdometryTuning, StaysWithinItsBoundsAndLearnsNothingOfRowsFarApart) {
-  OdometryTuning tuning(OdometryTuningConfig{}, {0.03, 0.03, 0.01});
+  OdometryTuning tuning({0.03, 0.03, 0.01});
   Random random(11);
   for (int i = 0; i < 2000; ++i) {
     const double t_s = 0.5 * i;
@@ -221,7 +221,7 @@ TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
 TEST(RangeTuning, FindsTheWhiteSigmaBesideWhatLastsAndWhatIsBlocked) {
   constexpr double kSigma_m = 0.1;
   for (const double told_m : {0.03, 0.1, 0.3}) {
-    RangeTuning tuning(SelfTuningConfig{}, told_m);
+    RangeTuning tuning(told_m);
     Random random(9);
     double mean_m = 0.0;
     for (int i = 0; i < 20000; ++i) {

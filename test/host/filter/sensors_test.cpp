@@ -1,4 +1,6 @@
 // What a gyro, GNSS, another localization and a robot that is known to stand tell.
+#include "host/filter/sensors.hpp"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -8,13 +10,8 @@
 #include <vector>
 
 #include "host/filter/filter.hpp"
-#include "host/filter/gyro.hpp"
 #include "host/filter/ordered_filter.hpp"
-#include "host/filter/pose_measurement.hpp"
-#include "host/filter/position_measurement.hpp"
-#include "host/filter/present_pose.hpp"
 #include "host/filter/tracker.hpp"
-#include "host/filter/zero_velocity_measurement.hpp"
 #include "test/host/filter/small_site.hpp"
 #include "test/support/allocations.hpp"
 #include "test/support/numerical_jacobian.hpp"

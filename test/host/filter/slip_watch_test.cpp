@@ -45,7 +45,7 @@ struct Circle {
     return std::nullopt;
   }
 
-  SlipWatch watch{SlipWatchConfig{}};
+  SlipWatch watch{Config{}.slip_odds};
   Random random;
   double t_s = 0.0;
 };
@@ -126,13 +126,12 @@ TEST(SlipWatch, IgnoresWhatIsNoNumberAndForgets) {
   EXPECT_FALSE(circle.watch.observe(0, 0, circle.t_s, 0.1, none, 1.0, {1.0, 0.0}));
   // Half of a displacement's evidence, and then nothing of it.
   EXPECT_FALSE(circle.hear(0.08, {0.3, 0.0}, kInSight));
-  circle.watch.reset();
+  circle.watch = SlipWatch(Config{}.slip_odds);
   EXPECT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
 }
 
 TEST(SlipDoubt, LastsLongerWhereASlipGoesOn) {
-  const SlipWatchConfig config;
-  SlipDoubt doubt(config);
+  SlipDoubt doubt;
   EXPECT_FALSE(doubt.is_open());
   EXPECT_EQ(doubt.judge(0.05).velocity_m2ps2, 0.0);
   const auto open_s = [&](double t_s) {
@@ -143,15 +142,16 @@ TEST(SlipDoubt, LastsLongerWhereASlipGoesOn) {
   };
   doubt.begin(0.2, 1.0);
   const OdometryDoubt first = doubt.judge(0.05);
-  const double excess_mps = 2.0 * 0.2 / config.window_s * std::exp(-0.05 / config.lasts_s);
-  EXPECT_NEAR(first.velocity_m2ps2, config.lasts_s / 0.05 * excess_mps * excess_mps, 1e-9);
-  EXPECT_NEAR(first.turn_rad2ps2, config.lasts_s / 0.05 * std::pow(config.turn_per_m * excess_mps, 2), 1e-9);
+  const double excess_mps = 2.0 * 0.2 / SlipWatch::kWindow_s * std::exp(-0.05 / SlipDoubt::kLasts_s);
+  EXPECT_NEAR(first.velocity_m2ps2, SlipDoubt::kLasts_s / 0.05 * excess_mps * excess_mps, 1e-9);
+  EXPECT_NEAR(first.turn_rad2ps2,
+              SlipDoubt::kLasts_s / 0.05 * std::pow(SlipDoubt::kTurnPer_m * excess_mps, 2), 1e-9);
   const double once_s = open_s(100.0);
   const double twice_s = open_s(101.0);
   EXPECT_NEAR(twice_s, 2.0 * once_s, 0.1);
   EXPECT_NEAR(open_s(200.0), once_s, 0.1);
   doubt.begin(0.2, 300.0);
-  doubt.reset();
+  doubt = {};
   EXPECT_FALSE(doubt.is_open());
 }
 
@@ -226,7 +226,7 @@ Config told_truly() {
 
 TEST(Slip, IsFoundAndCostsLittle) {
   Config blind = told_truly();
-  blind.slip.odds = 1e9;
+  blind.slip_odds = 1e9;
   for (const double slip_mps : {-1.0, 0.5, 1.0, 2.0}) {
     for (const double length_s : {1.0, 3.0, 8.0}) {
       const Disturbance slip{.slip_mps = slip_mps, .length_s = length_s};
@@ -259,7 +259,7 @@ TEST(Slip, IsFoundAndCostsLittle) {
 
 TEST(Slip, ARobotThatIsCarriedDoesNotStand) {
   Config blind = told_truly();
-  blind.slip.odds = 1e9;
+  blind.slip_odds = 1e9;
   for (const double length_s : {2.0, 5.0}) {
     const Disturbance carried{.carried = true, .length_s = length_s};
     const Slipped with = drive_with(carried, 6, told_truly());

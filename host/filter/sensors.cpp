@@ -1,0 +1,98 @@
+#include "host/filter/sensors.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "host/model/plausible.hpp"
+
+namespace groma::filter {
+
+namespace {
+
+using model::square;
+
+// Beyond so many sigmas a sample's weight falls with the square.
+constexpr double kHuberThreshold = 3.0;
+// Beyond so many it is refused, unless none of its sensor was used for so long.
+constexpr double kGateSigmas = 10.0;
+constexpr double kSensorPatience_s = 2.0;
+
+}  // namespace
+
+CoreMeasurement<2> measure_position(const model::Surface& surface, const PresentPose& now,
+                                    const SensorConfig& config,
+                                    const model::PositionSample& sample) noexcept {
+  const Eigen::Vector3d& lever_arm = config.position_lever_arm_m;
+  const model::SurfacePose pose =
+      model::pose_on_surface(surface, {now.pose.x(), now.pose.y(), now.pose.z(), now.chart});
+  const Eigen::Vector3d antenna = pose.pose.rotation * lever_arm;
+  Eigen::Matrix3d d_antenna;
+  d_antenna << pose.d_rotation_d_x * lever_arm, pose.d_rotation_d_y * lever_arm,
+      pose.d_rotation_d_theta * lever_arm;
+  Eigen::Matrix<double, 2, 3> d_pose = d_antenna.topRows<2>();
+  d_pose.leftCols<2>() += Eigen::Matrix2d::Identity();
+  const auto& [xx, xy, yy] = sample.covariance_m2;
+
+  CoreMeasurement<2> out;
+  out.innovation << sample.x_m - now.pose.x() - antenna.x(), sample.y_m - now.pose.y() - antenna.y();
+  out.d_core = d_pose.lazyProduct(now.d_core);
+  out.noise << xx, xy, xy, yy;
+  out.noise += (d_pose * now.noise).lazyProduct(d_pose.transpose());
+  return out;
+}
+
+bool tells_pose(const model::PoseSample& sample) noexcept {
+  return sample.covariance && model::is_plausible(sample);
+}
+
+CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
+                                const model::PoseSample& sample) noexcept {
+  CoreMeasurement<3> out;
+  out.innovation << sample.x_m - now.pose.x(), sample.y_m - now.pose.y(),
+      model::wrap_angle(place_on(surface, sample).theta_rad - now.pose.z());
+  out.d_core = now.d_core;
+  out.noise = model::to_matrix(*sample.covariance) + now.noise;
+  return out;
+}
+
+model::PlanarPose place_on(const model::Surface& surface, const model::PoseSample& pose) noexcept {
+  model::PlanarPose out{pose.x_m, pose.y_m, pose.yaw_rad, surface.nearest(pose.x_m, pose.y_m, pose.z_m)};
+  if (!std::isfinite(pose.roll_rad) || !std::isfinite(pose.pitch_rad)) return out;
+  const Eigen::Matrix3d tilt = model::surface_rotation(surface.at(pose.x_m, pose.y_m, out.chart).gradient);
+  const Eigen::Matrix3d turn =
+      tilt.transpose() * model::rotation_from_zyx(pose.yaw_rad, pose.pitch_rad, pose.roll_rad);
+  out.theta_rad = std::atan2(turn(1, 0), turn(0, 0));
+  return out;
+}
+
+CoreMeasurement<3> measure_zero_velocity(const CoreVector& core, const model::OdometrySample& row,
+                                         const SensorConfig& config) noexcept {
+  const double scale = 1.0 + core(kScale);
+  CoreMeasurement<3> out;
+  out.innovation << core(kRowVx) - scale * row.vx_mps, core(kRowVy) - scale * row.vy_mps,
+      core(kYawBias) + core(kRowOmega) - row.omega_radps;
+  out.d_core.setZero();
+  out.d_core(0, kScale) = row.vx_mps;
+  out.d_core(1, kScale) = row.vy_mps;
+  out.d_core(2, kYawBias) = -1.0;
+  out.d_core.rightCols<3>().diagonal().setConstant(-1.0);
+  const double variance_m2ps2 = square(config.standing_sigma_mps);
+  out.noise =
+      Eigen::Vector3d(variance_m2ps2, variance_m2ps2, square(config.standing_sigma_radps)).asDiagonal();
+  return out;
+}
+
+double SensorGate::weigh(Sensor sensor, double t_s, double mean_square) noexcept {
+  if (!std::isfinite(mean_square)) return 0.0;
+  Times& times = times_[static_cast<std::size_t>(sensor)];
+  if (t_s - times.seen_s > kSensorPatience_s) times.heard_s = t_s;
+  times.seen_s = t_s;
+  if (!(mean_square > square(kGateSigmas))) {
+    times.heard_s = t_s;
+  } else if (t_s - times.heard_s < kSensorPatience_s) {
+    return 0.0;
+  }
+  return std::min(square(kHuberThreshold) / mean_square, 1.0);
+}
+
+}  // namespace groma::filter
