@@ -43,7 +43,7 @@ struct GateConfig {
   double garbage_share = 0.01;  // of ranges
   double garbage_width_m = 50.0;
 
-  // What the powers of ranges tell beside their innovations, as it is learnt: see sight_hint.hpp.
+  // What the powers of ranges tell beside their innovations, as it is learnt: see SightHint.
   double hint_most = 10.0;       // the likelihood ratio of one range at most; 1: they are not used
   double hint_s = 0.2;           // ranges of a pair that are closer come by the same walls: one to learn from
   double hint_memory_s = 600.0;  // what was learnt fades over this time

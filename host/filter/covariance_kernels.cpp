@@ -21,65 +21,41 @@ double* aligned(double* at) noexcept {
 
 }  // namespace
 
-GROMA_CLONES void move_cross(double* cross, int rows, const PoseRows& f) noexcept {
+GROMA_CLONES void move_cross(double* cross, int rows, const PoseRows& pose_rows) noexcept {
   double* const c = aligned(cross);
-  double* const __restrict x = c + kX * kCrossStride;
-  double* const __restrict y = c + kY * kCrossStride;
-  double* const __restrict theta = c + kTheta * kCrossStride;
-  const double* const __restrict scale = c + kScale * kCrossStride;
-  const double* const __restrict bias = c + kYawBias * kCrossStride;
-  const double* const __restrict row_vx = c + kRowVx * kCrossStride;
-  const double* const __restrict row_vy = c + kRowVy * kCrossStride;
-  const double* const __restrict row_omega = c + kRowOmega * kCrossStride;
+  const PoseRows f = pose_rows;
   const int end = padded(rows);
-  const double xx = f(0, kX), xy = f(0, kY), xt = f(0, kTheta), xs = f(0, kScale), xb = f(0, kYawBias);
-  const double xu = f(0, kRowVx), xv = f(0, kRowVy), xo = f(0, kRowOmega);
-  const double yx = f(1, kX), yy = f(1, kY), yt = f(1, kTheta), ys = f(1, kScale), yb = f(1, kYawBias);
-  const double yu = f(1, kRowVx), yv = f(1, kRowVy), yo = f(1, kRowOmega);
-  const double tt = f(2, kTheta), tb = f(2, kYawBias), to = f(2, kRowOmega);
   for (int i = 0; i < end; ++i) {
-    const double cx = x[i], cy = y[i], ct = theta[i], cs = scale[i], cb = bias[i];
-    const double cu = row_vx[i], cv = row_vy[i], co = row_omega[i];
-    x[i] = xx * cx + xy * cy + xt * ct + xs * cs + xb * cb + xu * cu + xv * cv + xo * co;
-    y[i] = yx * cx + yy * cy + yt * ct + ys * cs + yb * cb + yu * cu + yv * cv + yo * co;
-    theta[i] = tt * ct + tb * cb + to * co;
+    const auto at = [=](CoreIndex k) -> double& { return c[i + k * kCrossStride]; };
+    const double x = at(kX), y = at(kY), theta = at(kTheta), scale = at(kScale), bias = at(kYawBias);
+    const double vx = at(kRowVx), vy = at(kRowVy), omega = at(kRowOmega);
+    const auto position = [&](int row) {
+      return f(row, kX) * x + f(row, kY) * y + f(row, kTheta) * theta + f(row, kScale) * scale +
+             f(row, kYawBias) * bias + f(row, kRowVx) * vx + f(row, kRowVy) * vy + f(row, kRowOmega) * omega;
+    };
+    at(kX) = position(kX);
+    at(kY) = position(kY);
+    at(kTheta) = f(kTheta, kTheta) * theta + f(kTheta, kYawBias) * bias + f(kTheta, kRowOmega) * omega;
   }
 }
 
-GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d, const CoreVector& gain,
+GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d_core, const CoreVector& gain_of,
                                 double* q) noexcept {
   static_assert(kCoreSize == 9);
   double* const c = aligned(cross);
   double* const __restrict out = aligned(q);
-  double* const __restrict c0 = c;
-  double* const __restrict c1 = c + 1 * kCrossStride;
-  double* const __restrict c2 = c + 2 * kCrossStride;
-  double* const __restrict c3 = c + 3 * kCrossStride;
-  double* const __restrict c4 = c + 4 * kCrossStride;
-  double* const __restrict c5 = c + 5 * kCrossStride;
-  double* const __restrict c6 = c + 6 * kCrossStride;
-  double* const __restrict c7 = c + 7 * kCrossStride;
-  double* const __restrict c8 = c + 8 * kCrossStride;
-  const double d0 = d(0), d1 = d(1), d2 = d(2), d3 = d(3), d4 = d(4), d5 = d(5), d6 = d(6), d7 = d(7),
-               d8 = d(8);
-  const double g0 = gain(0), g1 = gain(1), g2 = gain(2), g3 = gain(3), g4 = gain(4), g5 = gain(5),
-               g6 = gain(6), g7 = gain(7), g8 = gain(8);
+  const CoreVector d = d_core;
+  const CoreVector gain = gain_of;
   const int end = padded(rows);
   for (int i = 0; i < end; ++i) {
-    const double v0 = c0[i], v1 = c1[i], v2 = c2[i], v3 = c3[i], v4 = c4[i], v5 = c5[i], v6 = c6[i],
-                 v7 = c7[i], v8 = c8[i];
-    const double sum = ((out[i] + v0 * d0) + (v1 * d1 + v2 * d2)) +
-                       ((v3 * d3 + v4 * d4) + (v5 * d5 + v6 * d6)) + (v7 * d7 + v8 * d8);
+    std::array<double, kCoreSize> v;
+    for (std::size_t k = 0; k < kCoreSize; ++k) v[k] = c[i + static_cast<std::ptrdiff_t>(k) * kCrossStride];
+    const double sum = ((out[i] + v[0] * d(0)) + (v[1] * d(1) + v[2] * d(2))) +
+                       ((v[3] * d(3) + v[4] * d(4)) + (v[5] * d(5) + v[6] * d(6))) +
+                       (v[7] * d(7) + v[8] * d(8));
     out[i] = sum;
-    c0[i] = v0 - sum * g0;
-    c1[i] = v1 - sum * g1;
-    c2[i] = v2 - sum * g2;
-    c3[i] = v3 - sum * g3;
-    c4[i] = v4 - sum * g4;
-    c5[i] = v5 - sum * g5;
-    c6[i] = v6 - sum * g6;
-    c7[i] = v7 - sum * g7;
-    c8[i] = v8 - sum * g8;
+    for (std::size_t k = 0; k < kCoreSize; ++k)
+      c[i + static_cast<std::ptrdiff_t>(k) * kCrossStride] = v[k] - sum * gain[static_cast<Eigen::Index>(k)];
   }
 }
 

@@ -13,10 +13,17 @@ namespace {
 // Slow errors are brought to their own scale when they have faded so far.
 constexpr double kFaded = 1e-3;
 
-using Rows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, kCoreSize>, Eigen::Aligned16,
-                        Eigen::OuterStride<kCrossStride>>;
-using ConstRows = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, kCoreSize>, Eigen::Aligned16,
-                             Eigen::OuterStride<kCrossStride>>;
+template <class Block>
+using RowsMap = Eigen::Map<Block, Eigen::Aligned16, Eigen::OuterStride<kCrossStride>>;
+using CrossBlock = Eigen::Matrix<double, Eigen::Dynamic, kCoreSize>;
+
+RowsMap<CrossBlock> rows_of(double* cross, int rows = kCrossStride) noexcept {
+  return {cross, rows, kCoreSize, {}};
+}
+
+RowsMap<const CrossBlock> rows_of(const double* cross) noexcept {
+  return {cross, kCrossStride, kCoreSize, {}};
+}
 
 // Positions of the parts within d_parameters.
 constexpr int kOfPosition = 0;
@@ -87,17 +94,23 @@ JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
     return;
   }
   lower_.resize(static_cast<std::size_t>(stride_ / kKernelStep) * static_cast<std::size_t>(stride_));
-  Eigen::Map<Eigen::MatrixXd> all(lower_data(), stride_, stride_);
+  set_prior(site, parameters, Eigen::Map<Eigen::MatrixXd>(lower_data(), stride_, stride_));
+  if (learning == Learning::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
+  for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
+    learn(slot, site.anchor(parameters.anchor_in(slot)).is_learnt);
+  }
+}
+
+void JointCovariance::set_prior(const Site& site, const Parameters& parameters,
+                                Eigen::Ref<Eigen::MatrixXd> all) const {
   all.block<kFrameSize, kFrameSize>(layout_.frame(), layout_.frame()) = frame_covariance_;
   for (int tag = 0; tag < layout_.tag_count(); ++tag) {
     all.diagonal().segment<3>(layout_.lever_arm(tag)).setConstant(lever_arm_variance_m2_);
   }
   const int size = layout_.anchor_size();
-  if (learning == Learning::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-    const SiteAnchor& anchor = site.anchor(parameters.anchor_in(slot));
-    all.block(layout_.position(slot), layout_.position(slot), size, size) = anchor.covariance;
-    learn(slot, anchor.is_learnt);
+    all.block(layout_.position(slot), layout_.position(slot), size, size) =
+        site.anchor(parameters.anchor_in(slot)).covariance;
   }
 }
 
@@ -176,7 +189,7 @@ void JointCovariance::fade_ground(double factor) noexcept {
 }
 
 void JointCovariance::settle_ground() noexcept {
-  Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  RowsMap<CrossBlock> cross = rows_of(cross_.data());
   const int ground = layout_.ground();
   cross.middleRows<kGroundSize>(ground) *= ground_scale_;
   if (learning_ != Learning::kNothing) {
@@ -188,11 +201,9 @@ void JointCovariance::settle_ground() noexcept {
 }
 
 GroundRows JointCovariance::ground_cross() const noexcept {
-  GroundRows before = ConstRows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
-                          .middleRows<kGroundSize>(layout_.ground()) *
-                      ground_scale_;
-  if (!moved_) return before;
+  const GroundRows before = rows_of(cross_.data()).middleRows<kGroundSize>(layout_.ground()) * ground_scale_;
   GroundRows out = before;
+  if (!moved_) return out;
   out.leftCols<3>() = before.lazyProduct(motion_.transpose());
   if (!same_row_) out.rightCols<3>().setZero();
   return out;
@@ -206,7 +217,7 @@ void JointCovariance::scale_slow_errors(double factor) noexcept {
 }
 
 void JointCovariance::settle_slow_errors() noexcept {
-  Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  RowsMap<CrossBlock> cross = rows_of(cross_.data());
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
     const int slow = layout_.slow_error(slot);
     cross.row(slow) *= slow_scale_;
@@ -247,16 +258,13 @@ void JointCovariance::own_of_considered(const RangeMeasurement& measurement, con
 
 void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const PairPlace& pair,
                                     double* own) const noexcept {
-  const auto& d = measurement.d_parameters;
+  const auto d = stored(measurement);
   std::array<double, kMaxAnchorSize> of_anchor{};
-  for (int i = 0; i < 3; ++i) of_anchor[static_cast<std::size_t>(i)] = d(kOfPosition + i);
+  std::copy_n(d.data() + kOfPosition, 3, of_anchor.begin());
   const auto at_beta = std::size_t{3} + static_cast<std::size_t>(pair.tag);
   of_anchor[at_beta] = d(kOfBeta);
   of_anchor[at_beta + static_cast<std::size_t>(layout_.tag_count())] = d(kOfGamma);
-  of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = slow_scale_ * d(kOfSlowError);
-  std::array<double, 3> of_lever_arm{d(kOfLeverArm), d(kOfLeverArm + 1), d(kOfLeverArm + 2)};
-  std::array<double, kFrameSize> of_frame{};
-  for (int i = 0; i < kFrameSize; ++i) of_frame[static_cast<std::size_t>(i)] = d(kOfFrame + i);
+  of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = d(kOfSlowError);
   const auto add = [&](int first, int count, const double* w) {
     add_columns(lower_data(), stride_, size_, first, count, w, own);
     for (int i = 0; i < count; ++i) {
@@ -265,17 +273,16 @@ void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const P
       }
     }
   };
-  add(layout_.frame(), kFrameSize, of_frame.data());
-  add(layout_.lever_arm(pair.tag), 3, of_lever_arm.data());
+  add(layout_.frame(), kFrameSize, d.data() + kOfFrame);
+  add(layout_.lever_arm(pair.tag), 3, d.data() + kOfLeverArm);
   add(layout_.position(pair.slot), layout_.anchor_size(), of_anchor.data());
-  own[layout_.slow_error(pair.slot)] += slow_variance_m2_ * d(kOfSlowError) / slow_scale_;
+  own[layout_.slow_error(pair.slot)] +=
+      slow_variance_m2_ * measurement.d_parameters(kOfSlowError) / slow_scale_;
   if (!has_ground()) return;
-  std::array<double, kGroundSize> of_ground{};
-  for (int i = 0; i < kGroundSize; ++i)
-    of_ground[static_cast<std::size_t>(i)] = ground_scale_ * d(kOfGround + i);
-  add(layout_.ground(), kGroundSize, of_ground.data());
+  add(layout_.ground(), kGroundSize, d.data() + kOfGround);
   for (int i = 0; i < kGroundSize; ++i) {
-    own[layout_.ground() + i] += ground_variances_(i) * d(kOfGround + i) / ground_scale_;
+    own[layout_.ground() + i] +=
+        ground_variances_(i) * measurement.d_parameters(kOfGround + i) / ground_scale_;
   }
 }
 
@@ -347,8 +354,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   const double gain = innovation / variance;
   const double root = 1.0 / std::sqrt(variance);
   for (int i = 0; i < size_; ++i) {
-    const auto at = static_cast<std::size_t>(i);
-    values(i) += learns_[at] * q[i] * gain;
+    values(i) += learns_[static_cast<std::size_t>(i)] * q[i] * gain;
     q[i] *= root;
   }
   if (!considered_) {
@@ -368,10 +374,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
     return;
   }
   std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
-  for (int i = 0; i < size_; ++i) {
-    const auto at = static_cast<std::size_t>(i);
-    masked[at] = learns_[at] * q[i];
-  }
+  for (std::size_t i = 0; i < static_cast<std::size_t>(size_); ++i) masked[i] = learns_[i] * q[i];
   for (int j = 0; j < size_; ++j) {
     // A pair of considered parameters keeps its covariance.
     const bool learnt = learns_[static_cast<std::size_t>(j)] != 0.0;
@@ -381,22 +384,14 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
 
 CoreMatrix JointCovariance::absence() noexcept {
   settle_motion();
-  return ConstRows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
-      .middleRows<kCoreSize>(size_);
+  return rows_of(cross_.data()).middleRows<kCoreSize>(size_);
 }
 
 void JointCovariance::begin_absence() noexcept {
-  if (absent_rows_ == 0) return;
-  Rows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
-      .middleRows<kCoreSize>(size_)
-      .setIdentity();
+  if (absent_rows_ > 0) rows_of(cross_.data()).middleRows<kCoreSize>(size_).setIdentity();
 }
 
-void JointCovariance::set(int i, int j, double value) noexcept {
-  lower(std::max(i, j), std::min(i, j)) = value;
-}
-
-double JointCovariance::get(int i, int j) const noexcept {
+double& JointCovariance::at(int i, int j) noexcept {
   return lower(std::max(i, j), std::min(i, j));
 }
 
@@ -408,8 +403,7 @@ void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory
   const int common = layout_.common_size();
   memory.was_active = true;
   if (learning_ == Learning::kNothing) {
-    memory.cross = Rows(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>())
-                       .middleRows(first, size);
+    memory.cross = rows_of(cross_.data()).middleRows(first, size);
     return;
   }
   // The anchor given what all share, and how it depends on that.
@@ -417,16 +411,16 @@ void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory
       Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxCommon, kMaxCommon>;
   CommonMatrix shared(common, common);
   CommonVector sigma(common);
-  for (int i = 0; i < common; ++i) sigma(i) = get(i, i) > 0.0 ? std::sqrt(get(i, i)) : 1.0;
+  for (int i = 0; i < common; ++i) sigma(i) = at(i, i) > 0.0 ? std::sqrt(at(i, i)) : 1.0;
   for (int i = 0; i < common; ++i) {
-    for (int j = 0; j < common; ++j) shared(i, j) = get(i, j) / (sigma(i) * sigma(j));
+    for (int j = 0; j < common; ++j) shared(i, j) = at(i, j) / (sigma(i) * sigma(j));
   }
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxCommon, kMaxAnchorSize>
       to_shared(common, size);
   memory.covariance.resize(size, size);
   for (int j = 0; j < size; ++j) {
-    for (int i = 0; i < common; ++i) to_shared(i, j) = get(i, first + j) / sigma(i);
-    for (int i = 0; i < size; ++i) memory.covariance(i, j) = get(first + i, first + j);
+    for (int i = 0; i < common; ++i) to_shared(i, j) = at(i, first + j) / sigma(i);
+    for (int i = 0; i < size; ++i) memory.covariance(i, j) = at(first + i, first + j);
   }
   // The slow error forgets.
   to_shared.col(size - 1).setZero();
@@ -449,7 +443,7 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
   const int first = layout_.position(slot);
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
-  Rows cross(cross_.data(), kCrossStride, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  RowsMap<CrossBlock> cross = rows_of(cross_.data());
   if (learning_ == Learning::kNothing) {
     if (memory.was_active) {
       cross.middleRows(first, size) = memory.cross;
@@ -460,12 +454,12 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
     return;
   }
   for (int i = 0; i < size; ++i) {
-    for (int j = 0; j < size_; ++j) set(first + i, j, 0.0);
+    for (int j = 0; j < size_; ++j) at(first + i, j) = 0.0;
   }
   cross.middleRows(first, size).setZero();
   const AnchorMatrix& own = memory.was_active ? memory.covariance : anchor.covariance;
   for (int i = 0; i < size; ++i) {
-    for (int j = 0; j <= i; ++j) set(first + i, first + j, own(i, j));
+    for (int j = 0; j <= i; ++j) at(first + i, first + j) = own(i, j);
   }
   if (memory.was_active) {
     const auto& by = memory.by_common;
@@ -476,14 +470,14 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
     // What it has in common with the others comes by what all share; last its own, by its own row of that.
     std::array<double, kMaxCommon> column{};
     const auto relate = [&](int j) {
-      for (int k = 0; k < common; ++k) column[static_cast<std::size_t>(k)] = get(k, j);
+      for (int k = 0; k < common; ++k) column[static_cast<std::size_t>(k)] = at(k, j);
       for (int i = 0; i < size; ++i) {
         double sum = 0.0;
         for (int k = 0; k < common; ++k) sum += by(i, k) * column[static_cast<std::size_t>(k)];
         if (j < first || j >= first + size) {
-          set(first + i, j, sum);
+          at(first + i, j) = sum;
         } else if (first + i >= j) {
-          set(first + i, j, get(first + i, j) + sum);
+          at(first + i, j) = at(first + i, j) + sum;
         }
       }
     };
@@ -500,32 +494,23 @@ Eigen::MatrixXd JointCovariance::cross() const {
   settled.settle_motion();
   settled.settle_slow_errors();
   settled.settle_ground();
-  return ConstRows(settled.cross_.data(), size_, kCoreSize, Eigen::OuterStride<kCrossStride>());
+  return rows_of(settled.cross_.data(), size_);
 }
 
 Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& parameters) const {
   Eigen::MatrixXd all = Eigen::MatrixXd::Zero(size_, size_);
   if (learning_ == Learning::kNothing) {
-    all.block<kFrameSize, kFrameSize>(layout_.frame(), layout_.frame()) = frame_covariance_;
-    for (int tag = 0; tag < layout_.tag_count(); ++tag) {
-      all.diagonal().segment<3>(layout_.lever_arm(tag)).setConstant(lever_arm_variance_m2_);
+    set_prior(site, parameters, all);
+  } else {
+    JointCovariance settled = *this;
+    settled.settle_slow_errors();
+    settled.settle_ground();
+    for (int j = 0; j < size_; ++j) {
+      for (int i = j; i < size_; ++i) all(i, j) = all(j, i) = settled.lower(i, j);
     }
-    const int size = layout_.anchor_size();
     for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-      all.block(layout_.position(slot), layout_.position(slot), size, size) =
-          site.anchor(parameters.anchor_in(slot)).covariance;
+      all(layout_.slow_error(slot), layout_.slow_error(slot)) = slow_variance_m2_;
     }
-    all.diagonal().segment<kGroundSize>(layout_.ground()) = ground_variances_;
-    return all;
-  }
-  JointCovariance settled = *this;
-  settled.settle_slow_errors();
-  settled.settle_ground();
-  for (int j = 0; j < size_; ++j) {
-    for (int i = j; i < size_; ++i) all(i, j) = all(j, i) = settled.lower(i, j);
-  }
-  for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-    all(layout_.slow_error(slot), layout_.slow_error(slot)) = slow_variance_m2_;
   }
   all.diagonal().segment<kGroundSize>(layout_.ground()) = ground_variances_;
   return all;

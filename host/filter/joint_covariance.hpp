@@ -159,8 +159,9 @@ class JointCovariance {
   [[nodiscard]] const double* lower_data() const noexcept { return lower_.data()->data(); }
   // Rows of the cross-covariance.
   [[nodiscard]] int rows() const noexcept { return size_ + absent_rows_; }
-  [[nodiscard]] double get(int i, int j) const noexcept;
-  void set(int i, int j, double value) noexcept;
+  [[nodiscard]] double& at(int i, int j) noexcept;  // of either triangle
+  // What the calibration gives, but for slow errors and ground.
+  void set_prior(const Site& site, const Parameters& parameters, Eigen::Ref<Eigen::MatrixXd> all) const;
   void learn(int slot, bool learnt) noexcept;
   void settle_motion() noexcept;
   void settle_slow_errors() noexcept;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
+#include <type_traits>
 #include <utility>
 
 #include "host/model/plausible.hpp"
@@ -22,57 +23,43 @@ constexpr double kPerWindow = 4.0;
 // Inputs from one checkpoint to the next at most: so many are taken again for one that comes late.
 constexpr std::uint64_t kMostAgain = OrderedFilter::kMaxInputs / 8;
 
-// What inputs are sorted by: time, kind, and what else they say.
-struct Place {
-  std::size_t kind = 0;
-  std::array<double, 4> values{};
-  friend bool operator<(const Place& a, const Place& b) noexcept {
-    if (a.values[0] != b.values[0]) return a.values[0] < b.values[0];
-    return a.kind != b.kind ? a.kind < b.kind : a.values < b.values;
+// std::visit for functions that must not throw.
+template <std::size_t kAt = 0, class Input, class Use>
+auto visit(const Input& input, const Use& use) noexcept {
+  if constexpr (kAt + 1 < std::variant_size_v<Input>) {
+    if (input.index() != kAt) return visit<kAt + 1>(input, use);
   }
+  return use(*std::get_if<kAt>(&input));
+}
+
+// What inputs of one kind are sorted by: time, and what else they say.
+using Values = std::array<double, 4>;
+struct ValuesOf {
+  Values operator()(const Start& s) const { return {s.t_s, s.pose.x_m, s.pose.y_m, s.pose.theta_rad}; }
+  Values operator()(const OdometrySample& s) const { return {s.t_s, s.vx_mps, s.vy_mps, s.omega_radps}; }
+  Values operator()(const RangeSample& s) const {
+    return {s.t_s, static_cast<double>(s.tag_id), static_cast<double>(s.anchor_id), s.range_m};
+  }
+  Values operator()(const model::YawRateSample& s) const { return {s.t_s, s.omega_radps}; }
+  Values operator()(const model::PositionSample& s) const {
+    return {s.t_s, s.x_m, s.y_m, s.covariance_m2[0]};
+  }
+  Values operator()(const model::PoseSample& s) const { return {s.t_s, s.x_m, s.y_m, s.yaw_rad}; }
+  Values operator()(const model::ZeroVelocitySample& s) const { return {s.t_s}; }
 };
 
-Place place_of(const Start& start) noexcept {
-  return {0, {start.t_s, start.pose.x_m, start.pose.y_m, start.pose.theta_rad}};
-}
-
-Place place_of(const OdometrySample& row) noexcept {
-  return {1, {row.t_s, row.vx_mps, row.vy_mps, row.omega_radps}};
-}
-
-Place place_of(const RangeSample& range) noexcept {
-  return {
-      2, {range.t_s, static_cast<double>(range.tag_id), static_cast<double>(range.anchor_id), range.range_m}};
-}
-
-Place place_of(const model::YawRateSample& sample) noexcept {
-  return {3, {sample.t_s, sample.omega_radps}};
-}
-
-Place place_of(const model::PositionSample& sample) noexcept {
-  return {4, {sample.t_s, sample.x_m, sample.y_m, sample.covariance_m2[0]}};
-}
-
-Place place_of(const model::PoseSample& sample) noexcept {
-  return {5, {sample.t_s, sample.x_m, sample.y_m, sample.yaw_rad}};
-}
-
-Place place_of(const model::ZeroVelocitySample& sample) noexcept {
-  return {6, {sample.t_s}};
-}
-
-template <class Input, std::size_t kAt = 0>
-Place place_of(const Input& input) noexcept {
-  if constexpr (kAt < std::variant_size_v<Input>) {
-    const auto* held = std::get_if<kAt>(&input);
-    return held != nullptr ? place_of(*held) : place_of<Input, kAt + 1>(input);
-  }
-  return {};
+// By time, kind, and what else they say.
+template <class Input>
+bool is_before(const Input& a, const Input& b) noexcept {
+  const Values of_a = visit(a, ValuesOf());
+  const Values of_b = visit(b, ValuesOf());
+  if (of_a[0] != of_b[0]) return of_a[0] < of_b[0];
+  return a.index() != b.index() ? a.index() < b.index() : of_a < of_b;
 }
 
 template <class Input>
 double time_of(const Input& input) noexcept {
-  return place_of(input).values[0];
+  return visit(input, [](const auto& held) { return held.t_s; });
 }
 
 }  // namespace
@@ -133,33 +120,16 @@ RangeResult OrderedFilter::process(const RangeSample& range) noexcept {
   return outcome.range;
 }
 
-template <class Sample>
-SensorResult OrderedFilter::process_sensor(Sensor sensor, const Sample& sample) noexcept {
+SensorResult OrderedFilter::process(Sensor sensor, const Input& sample) noexcept {
   SensorCounters& refused = refused_.sensors[static_cast<std::size_t>(sensor)];
-  const auto place = place_of(sample).values;
-  if (!std::all_of(place.begin(), place.end(), [](double value) { return std::isfinite(value); })) {
+  const Values values = visit(sample, ValuesOf());
+  if (!std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); })) {
     ++refused.bad_value;
     return {.outcome = SensorOutcome::kBadValue};
   }
   const Outcome outcome = insert(sample);
   if (!outcome.taken) ++refused.out_of_order;
   return outcome.sensor;
-}
-
-SensorResult OrderedFilter::process(const model::YawRateSample& sample) noexcept {
-  return process_sensor(Sensor::kYawRate, sample);
-}
-
-SensorResult OrderedFilter::process(const model::PositionSample& sample) noexcept {
-  return process_sensor(Sensor::kPosition, sample);
-}
-
-SensorResult OrderedFilter::process(const model::PoseSample& sample) noexcept {
-  return process_sensor(Sensor::kPose, sample);
-}
-
-SensorResult OrderedFilter::process(const model::ZeroVelocitySample& sample) noexcept {
-  return process_sensor(Sensor::kZeroVelocity, sample);
 }
 
 Counters OrderedFilter::counters() const noexcept {
@@ -184,8 +154,7 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
     while (checkpoint_count_ > 1 && checkpoint(0).next < first_ + kMaxInputs / 2) drop_checkpoint();
     forget();
   }
-  const auto place = std::upper_bound(inputs_.begin(), inputs_.end(), place_of(input),
-                                      [](const Place& a, const Input& b) { return a < place_of(b); });
+  const auto place = std::upper_bound(inputs_.begin(), inputs_.end(), input, is_before<Input>);
   const std::uint64_t number = first_ + static_cast<std::uint64_t>(std::distance(inputs_.begin(), place));
   // Anchors came and went too often to go back that far.
   while (checkpoint_count_ > 1 && !filter_.can_restore(checkpoint(0).filter)) drop_checkpoint();
@@ -223,21 +192,18 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
 
 OrderedFilter::Outcome OrderedFilter::apply(const Input& input) noexcept {
   Outcome outcome;
-  if (const auto* start = std::get_if<Start>(&input)) {
-    filter_.start(*start);
-  } else if (const auto* row = std::get_if<OdometrySample>(&input)) {
-    outcome.odometry = filter_.process(*row);
-  } else if (const auto* range = std::get_if<RangeSample>(&input)) {
-    outcome.range = filter_.process(*range);
-  } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
-    outcome.sensor = filter_.process(*rate);
-  } else if (const auto* position = std::get_if<model::PositionSample>(&input)) {
-    outcome.sensor = filter_.process(*position);
-  } else if (const auto* pose = std::get_if<model::PoseSample>(&input)) {
-    outcome.sensor = filter_.process(*pose);
-  } else if (const auto* standing = std::get_if<model::ZeroVelocitySample>(&input)) {
-    outcome.sensor = filter_.process(*standing);
-  }
+  visit(input, [&](const auto& held) {
+    using Held = std::decay_t<decltype(held)>;
+    if constexpr (std::is_same_v<Held, Start>) {
+      filter_.start(held);
+    } else if constexpr (std::is_same_v<Held, OdometrySample>) {
+      outcome.odometry = filter_.process(held);
+    } else if constexpr (std::is_same_v<Held, RangeSample>) {
+      outcome.range = filter_.process(held);
+    } else {
+      outcome.sensor = filter_.process(held);
+    }
+  });
   return outcome;
 }
 

@@ -41,10 +41,12 @@ class OrderedFilter {
   // kOutOfOrder: too late, and refused.
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
-  SensorResult process(const model::YawRateSample& sample) noexcept;
-  SensorResult process(const model::PositionSample& sample) noexcept;
-  SensorResult process(const model::PoseSample& sample) noexcept;
-  SensorResult process(const model::ZeroVelocitySample& sample) noexcept;
+  SensorResult process(const model::YawRateSample& s) noexcept { return process(Sensor::kYawRate, s); }
+  SensorResult process(const model::PositionSample& s) noexcept { return process(Sensor::kPosition, s); }
+  SensorResult process(const model::PoseSample& s) noexcept { return process(Sensor::kPose, s); }
+  SensorResult process(const model::ZeroVelocitySample& s) noexcept {
+    return process(Sensor::kZeroVelocity, s);
+  }
 
   // As of the newest input.
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
@@ -73,8 +75,7 @@ class OrderedFilter {
     SensorResult sensor{.outcome = SensorOutcome::kOutOfOrder};
   };
 
-  template <class Sample>
-  SensorResult process_sensor(Sensor sensor, const Sample& sample) noexcept;
+  SensorResult process(Sensor sensor, const Input& sample) noexcept;
   Outcome insert(const Input& input) noexcept;
   Outcome apply(const Input& input) noexcept;
   void check_in_when_due(std::uint64_t next, double t_s) noexcept;

@@ -82,22 +82,12 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
           time_of(absolute_pose, run.absolute_poses), time_of(standing, run.zero_velocities)};
       const auto first = std::min_element(next_s.begin(), next_s.end());
       if (!(*first <= t_s)) return;
-      switch (first - next_s.begin()) {
-        case 0:
-          take_range(*range++);
-          break;
-        case 1:
-          tracker->process(*yaw_rate++);
-          break;
-        case 2:
-          tracker->process(*position++);
-          break;
-        case 3:
-          tracker->process(*absolute_pose++);
-          break;
-        default:
-          tracker->process(*standing++);
-      }
+      const auto kind = first - next_s.begin();
+      if (kind == 0) take_range(*range++);
+      if (kind == 1) tracker->process(*yaw_rate++);
+      if (kind == 2) tracker->process(*position++);
+      if (kind == 3) tracker->process(*absolute_pose++);
+      if (kind == 4) tracker->process(*standing++);
     }
   };
 
