@@ -48,23 +48,6 @@ bool Gyro::is_silent(double t_s) const noexcept {
   return t_s - used_s > kGyroHold_s;
 }
 
-double LinkDelays::difference_variance_s2() const noexcept {
-  return square(range_sigma_s) + square(odometry_sigma_s);
-}
-
-double LinkDelays::odometry_share() const noexcept {
-  const double variance_s2 = difference_variance_s2();
-  return variance_s2 > 0.0 ? square(odometry_sigma_s) / variance_s2 : 0.0;
-}
-
-double LinkDelays::odometry_s(double difference_s) const noexcept {
-  return odometry_share() * (range_s - difference_s);
-}
-
-double LinkDelays::odometry_variance_s2() const noexcept {
-  return odometry_share() * range_sigma_s * range_sigma_s;
-}
-
 PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
                          const model::OdometrySample& row, const LinkDelays& delays, int chart) noexcept {
   PresentPose out{.pose = core.segment<3>(kX),
@@ -88,110 +71,106 @@ PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
 
 template <class Covariance>
 void DeadReckoning<Covariance>::advance_to(double t_s) noexcept {
-  const double dt_s = std::min(t_s - now_.t_s, kMaxJump_s);
+  const double dt_s = std::min(t_s - now.t_s, kMaxJump_s);
   const double steps = std::clamp(std::ceil(dt_s / kMaxStep_s), 1.0, kMaxSteps);
   for (int i = 0; i < static_cast<int>(steps); ++i) step(dt_s / steps);
-  now_.t_s = t_s;
+  now.t_s = t_s;
 }
 
 template <class Covariance>
 bool DeadReckoning<Covariance>::turn(const model::YawRateSample& sample) noexcept {
-  if (!now_.gyro.follows(sample, now_.row.omega_radps, config_.sensors.gyro_sigma_radps)) return false;
-  if (!now_.gyro.holds) renew(kYawBias, square(config_.sensors.gyro_bias_radps));
-  now_.gyro = {.used_s = sample.t_s, .radps = sample.omega_radps, .holds = true};
-  now_.row.omega_radps = sample.omega_radps;
-  renew(kRowOmega, square(config_.sensors.gyro_sigma_radps));
+  if (!now.gyro.follows(sample, now.row.omega_radps, config.sensors.gyro_sigma_radps)) return false;
+  if (!now.gyro.holds) renew(kYawBias, square(config.sensors.gyro_bias_radps));
+  now.gyro = {.used_s = sample.t_s, .radps = sample.omega_radps, .holds = true};
+  now.row.omega_radps = sample.omega_radps;
+  renew(kRowOmega, square(config.sensors.gyro_sigma_radps));
   return true;
 }
 
 template <class Covariance>
 void DeadReckoning<Covariance>::renew(CoreIndex index, double variance) noexcept {
-  now_.core(index) = 0.0;
-  covariance_.renew(index, variance);
+  now.core(index) = 0.0;
+  covariance.renew(index, variance);
 }
 
 template <class Covariance>
 bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept {
-  if (!now_.odometry_gate.accepts(row)) {
-    now_.hold_s = std::min(now_.hold_s, std::max(row.t_s - now_.row.t_s, 0.0));
+  if (!now.odometry_gate.accepts(row)) {
+    now.hold_s = std::min(now.hold_s, std::max(row.t_s - now.row.t_s, 0.0));
     return false;
   }
-  if (now_.gyro.holds && now_.gyro.is_silent(row.t_s)) {
-    now_.gyro.holds = false;
-    renew(kYawBias, square(config_.yaw_rate_bias_radps));
+  if (now.gyro.holds && now.gyro.is_silent(row.t_s)) {
+    now.gyro.holds = false;
+    renew(kYawBias, square(config.yaw_rate_bias_radps));
   }
   model::OdometrySample held = row;
-  if (now_.gyro.holds) held.omega_radps = now_.gyro.radps;
-  const model::OdometryNoise noise = now_.odometry_tuning.noise();
+  if (now.gyro.holds) held.omega_radps = now.gyro.radps;
+  const model::OdometryNoise noise = now.odometry_tuning.noise();
   OdometryDoubt doubt;
-  if (now_.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
-    doubt = now_.watch.judge(now_.row, held, noise);
-  if (is_tuned(config_.model)) {
-    if (config_.tunes_noise) now_.odometry_tuning.observe(row);
-    const OdometryDoubt slip = now_.slip.judge(std::max(row.t_s - now_.row.t_s, 0.0));
+  if (now.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
+    doubt = now.watch.judge(now.row, held, noise);
+  if (is_tuned(config.model)) {
+    if (config.tunes_noise) now.odometry_tuning.observe(row);
+    const OdometryDoubt slip = now.slip.judge(std::max(row.t_s - now.row.t_s, 0.0));
     doubt.velocity_m2ps2 += slip.velocity_m2ps2;
     doubt.turn_rad2ps2 += slip.turn_rad2ps2;
   }
-  now_.row = held;
-  now_.has_row = true;
-  now_.hold_s = config_.max_hold_s;
+  now.row = held;
+  now.has_row = true;
+  now.hold_s = config.max_hold_s;
   // Wheels that slip turn the robot no more.
-  if (now_.gyro.holds) doubt.heading_rad2 = 0.0;
-  renew_row(noise, doubt);
-  if (doubt.position_m2 > 0.0) {
-    covariance_.grow(kX, doubt.position_m2);
-    covariance_.grow(kY, doubt.position_m2);
+  if (now.gyro.holds) doubt.heading_rad2 = 0.0;
+  const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
+  const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
+  if (now.gyro.holds) {
+    renew(kRowVx, variance_vx);
+    renew(kRowVy, variance_vy);
+  } else {
+    now.core.segment<3>(kRowVx).setZero();
+    covariance.renew_row({variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
   }
+  if (doubt.position_m2 > 0.0) grow_position(doubt.position_m2);
   // Of a heading that is more uncertain, a linearized update would take a wrong position from the lever arms.
-  const double most_rad2 = std::max(square(kMaxDoubt_rad) - covariance_.core()(kTheta, kTheta), 0.0);
-  if (doubt.heading_rad2 > 0.0) covariance_.grow(kTheta, std::min(doubt.heading_rad2, most_rad2));
+  const double most_rad2 = std::max(square(kMaxDoubt_rad) - covariance.core()(kTheta, kTheta), 0.0);
+  if (doubt.heading_rad2 > 0.0) covariance.grow(kTheta, std::min(doubt.heading_rad2, most_rad2));
   return true;
 }
 
 template <class Covariance>
-void DeadReckoning<Covariance>::renew_row(const model::OdometryNoise& noise,
-                                          const OdometryDoubt& doubt) noexcept {
-  const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
-  const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
-  if (now_.gyro.holds) {
-    renew(kRowVx, variance_vx);
-    renew(kRowVy, variance_vy);
-  } else {
-    now_.core.segment<3>(kRowVx).setZero();
-    covariance_.renew_row({variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
-  }
+void DeadReckoning<Covariance>::grow_position(double variance_m2) noexcept {
+  covariance.grow(kX, variance_m2);
+  covariance.grow(kY, variance_m2);
 }
 
 template <class Covariance>
 void DeadReckoning<Covariance>::step(double dt_s) noexcept {
-  const Motion motion = move(surface_, now_.core, now_.row, dt_s, now_.chart);
-  const model::SurfaceMismatch& mismatch = surface_.mismatch(now_.chart);
-  const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now_.core.head<2>()).norm() : 0.0;
-  now_.core.segment<3>(kX) = motion.pose;
-  now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
-  covariance_.propagate(motion.d_core);
-  now_.t_s += dt_s;
-  if (slow_time_s_ > 0.0) covariance_.fade_slow_errors(std::exp(-dt_s / slow_time_s_));
-  if (way_m > 0.0) covariance_.fade_ground(std::exp(-way_m / mismatch.length_m));
+  const Motion motion = move(surface, now.core, now.row, dt_s, now.chart);
+  const model::SurfaceMismatch& mismatch = surface.mismatch(now.chart);
+  const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now.core.head<2>()).norm() : 0.0;
+  now.core.segment<3>(kX) = motion.pose;
+  now.core(kTheta) = model::wrap_angle(now.core(kTheta));
+  covariance.propagate(motion.d_core);
+  now.t_s += dt_s;
+  if (slow_time_s > 0.0) covariance.fade_slow_errors(std::exp(-dt_s / slow_time_s));
+  if (way_m > 0.0) covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
   follow_chart();
 
   // A row older than it may be tells less and less of the velocity.
-  const double overdue_s = std::clamp(now_.t_s - now_.row.t_s - now_.hold_s, 0.0, dt_s);
+  const double overdue_s = std::clamp(now.t_s - now.row.t_s - now.hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {
-    covariance_.grow(kRowVx, square(config_.hold_walk_mps) * overdue_s);
-    covariance_.grow(kRowVy, square(config_.hold_walk_mps) * overdue_s);
-    if (!now_.gyro.holds || now_.gyro.is_silent(now_.t_s)) {
-      covariance_.grow(kRowOmega, square(config_.hold_walk_radps) * overdue_s);
+    covariance.grow(kRowVx, square(config.hold_walk_mps) * overdue_s);
+    covariance.grow(kRowVy, square(config.hold_walk_mps) * overdue_s);
+    if (!now.gyro.holds || now.gyro.is_silent(now.t_s)) {
+      covariance.grow(kRowOmega, square(config.hold_walk_radps) * overdue_s);
     }
   }
-  if (gate_ != nullptr && gate_->doubts(now_.t_s)) {
-    const CoreMatrix& core = covariance_.core();
+  if (gate != nullptr && gate->doubts(now.t_s)) {
+    const CoreMatrix& core = covariance.core();
     if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
-      covariance_.grow(kX, square(kDoubtPosition_m) * dt_s);
-      covariance_.grow(kY, square(kDoubtPosition_m) * dt_s);
+      grow_position(square(kDoubtPosition_m) * dt_s);
     }
     if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
-      covariance_.grow(kTheta, square(kDoubtHeading_rad) * dt_s);
+      covariance.grow(kTheta, square(kDoubtHeading_rad) * dt_s);
     }
   }
   bound_pose();
@@ -199,37 +178,37 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
 
 template <class Covariance>
 void DeadReckoning<Covariance>::bound_pose() noexcept {
-  const CoreMatrix& core = covariance_.core();
+  const CoreMatrix& core = covariance.core();
   const bool is_known = core(kX, kX) < square(kUnknown_m) && core(kY, kY) < square(kUnknown_m) &&
                         core(kTheta, kTheta) < square(kUnknown_rad);
   if (is_known) return;
-  const CoreVector at = now_.core;
+  const CoreVector at = now.core;
   renew(kX, square(kUnknown_m));
   renew(kY, square(kUnknown_m));
   renew(kTheta, square(kUnknown_rad));
   for (const CoreIndex index : {kX, kY}) {
-    if (std::abs(at(index)) <= model::kMaxCoordinate_m) now_.core(index) = at(index);
+    if (std::abs(at(index)) <= model::kMaxCoordinate_m) now.core(index) = at(index);
   }
-  if (std::isfinite(at(kTheta))) now_.core(kTheta) = at(kTheta);
+  if (std::isfinite(at(kTheta))) now.core(kTheta) = at(kTheta);
 }
 
 template <class Covariance>
 void DeadReckoning<Covariance>::stand_on(int chart) noexcept {
-  now_.chart = chart;
+  now.chart = chart;
   if (model::is_ablated(model::Mechanism::kGroundMismatch)) return;
-  const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
-  covariance_.renew_ground(
+  const model::SurfaceMismatch& mismatch = surface.mismatch(chart);
+  covariance.renew_ground(
       {square(mismatch.sigma_m), square(mismatch.slope_sigma), square(mismatch.slope_sigma)});
 }
 
 template <class Covariance>
 void DeadReckoning<Covariance>::follow_chart() noexcept {
-  if (surface_.chart_count() == 1) return;
-  const int chart = surface_.follow(now_.chart, now_.core(kX), now_.core(kY));
-  if (chart != now_.chart) stand_on(chart);
+  if (surface.chart_count() == 1) return;
+  const int chart = surface.follow(now.chart, now.core(kX), now.core(kY));
+  if (chart != now.chart) stand_on(chart);
 }
 
-template class DeadReckoning<JointCovariance>;
-template class DeadReckoning<CoreCovariance>;
+template struct DeadReckoning<JointCovariance>;
+template struct DeadReckoning<CoreCovariance>;
 
 }  // namespace groma::filter

@@ -41,13 +41,22 @@ struct LinkDelays {
   double odometry_sigma_s = 0.0;
 
   // Variance of the difference, ranges' less odometry's, whose mean is range_s.
-  [[nodiscard]] double difference_variance_s2() const noexcept;
+  [[nodiscard]] double difference_variance_s2() const noexcept {
+    return model::square(range_sigma_s) + model::square(odometry_sigma_s);
+  }
   // How much of a surprise in the difference is the odometry's, 0 .. 1: by that share its delay is shorter
   // where the difference is larger.
-  [[nodiscard]] double odometry_share() const noexcept;
+  [[nodiscard]] double odometry_share() const noexcept {
+    const double variance_s2 = difference_variance_s2();
+    return variance_s2 > 0.0 ? model::square(odometry_sigma_s) / variance_s2 : 0.0;
+  }
   // The odometry's delay by a difference, and its variance were that difference known.
-  [[nodiscard]] double odometry_s(double difference_s) const noexcept;
-  [[nodiscard]] double odometry_variance_s2() const noexcept;
+  [[nodiscard]] double odometry_s(double difference_s) const noexcept {
+    return odometry_share() * (range_s - difference_s);
+  }
+  [[nodiscard]] double odometry_variance_s2() const noexcept {
+    return odometry_share() * range_sigma_s * range_sigma_s;
+  }
 };
 
 // The pose now. The core state's is where the robot was when its odometry was true: where odometry comes
@@ -87,18 +96,13 @@ using MotionInput = std::variant<model::OdometrySample, model::YawRateSample>;
 // Works on a state and its covariance that live elsewhere. Covariance: JointCovariance, or CoreCovariance
 // where nothing is to be corrected.
 template <class Covariance>
-class DeadReckoning {
- public:
-  // slow_time_s: of the ranges' slow errors, 0 where there are none. While the gate doubts the state, the
-  // covariance of the pose grows; without a gate by odometry's noise alone.
-  DeadReckoning(const model::Surface& surface, const Config& config, double slow_time_s, const Gate* gate,
-                MotionState& now, Covariance& covariance) noexcept
-      : surface_(surface),
-        config_(config),
-        slow_time_s_(slow_time_s),
-        gate_(gate),
-        now_(now),
-        covariance_(covariance) {}
+struct DeadReckoning {
+  const model::Surface& surface;
+  const Config& config;
+  double slow_time_s;  // of the ranges' slow errors, 0 where there are none
+  const Gate* gate;    // while it suspects divergence the pose's covariance grows; without, by odometry alone
+  MotionState& now;
+  Covariance& covariance;
 
   // To a later time, by the row held.
   void advance_to(double t_s) noexcept;
@@ -107,24 +111,16 @@ class DeadReckoning {
   // The yaw rate does, in the place of the row's; false, and nothing done, where it cannot follow the one
   // before it.
   bool turn(const model::YawRateSample& sample) noexcept;
-  // The errors of the row begin anew.
-  void renew_row(const model::OdometryNoise& noise, const OdometryDoubt& doubt) noexcept;
   void stand_on(int chart) noexcept;
   void follow_chart() noexcept;
 
  private:
   void step(double dt_s) noexcept;
+  void grow_position(double variance_m2) noexcept;
   // Where nothing is known of the pose any more, its variances stay as they are.
   void bound_pose() noexcept;
   // The state is unknown anew, but for that variance.
   void renew(CoreIndex index, double variance) noexcept;
-
-  const model::Surface& surface_;
-  const Config& config_;
-  double slow_time_s_;
-  const Gate* gate_;
-  MotionState& now_;
-  Covariance& covariance_;
 };
 
 }  // namespace groma::filter

@@ -108,17 +108,15 @@ void Filter::start(const Start& start) noexcept {
 
   // Without a row, nothing is known of the velocity but what a robot may do.
   if (!now_.has_row) now_.row = {.t_s = start.t_s};
+  const model::OdometryNoise noise =
+      now_.has_row
+          ? now_.odometry_tuning.noise()
+          : model::OdometryNoise{config_.hold_walk_mps, config_.hold_walk_mps, config_.hold_walk_radps};
   CoreVector variances;
-  variances(kX) = square(start.position_sigma_m);
-  variances(kY) = square(start.position_sigma_m);
-  variances(kTheta) = square(start.heading_sigma_rad);
-  variances(kScale) = square(config_.scale_sigma);
-  variances(kYawBias) = square(config_.yaw_rate_bias_radps);
-  variances(kDelay) = delays_.difference_variance_s2();
-  const model::OdometryNoise noise = now_.odometry_tuning.noise();
-  variances(kRowVx) = square(now_.has_row ? noise.sigma_vx_mps : config_.hold_walk_mps);
-  variances(kRowVy) = square(now_.has_row ? noise.sigma_vy_mps : config_.hold_walk_mps);
-  variances(kRowOmega) = square(now_.has_row ? noise.sigma_omega_radps : config_.hold_walk_radps);
+  variances << square(start.position_sigma_m), square(start.position_sigma_m),
+      square(start.heading_sigma_rad), square(config_.scale_sigma), square(config_.yaw_rate_bias_radps),
+      delays_.difference_variance_s2(), square(noise.sigma_vx_mps), square(noise.sigma_vy_mps),
+      square(noise.sigma_omega_radps);
   if (now_.gyro.holds) {
     variances(kYawBias) = square(config_.sensors.gyro_bias_radps);
     variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
@@ -365,14 +363,9 @@ bool Filter::advance_to(double t_s) noexcept {
 }
 
 int Filter::free_slot(double t_s) const noexcept {
-  int longest = 0;
-  for (int slot = 1; slot < now_.parameters.anchor_count(); ++slot) {
-    if (now_.last_answer_s[static_cast<std::size_t>(slot)] <
-        now_.last_answer_s[static_cast<std::size_t>(longest)]) {
-      longest = slot;
-    }
-  }
-  return t_s - now_.last_answer_s[static_cast<std::size_t>(longest)] >= config_.silent_s ? longest : -1;
+  const auto first = now_.last_answer_s.begin();
+  const auto longest = std::min_element(first, first + now_.parameters.anchor_count());
+  return t_s - *longest >= config_.silent_s ? static_cast<int>(longest - first) : -1;
 }
 
 void Filter::exchange(int slot, int anchor) noexcept {
@@ -430,12 +423,6 @@ Estimate Filter::estimate() const noexcept {
   return estimate_of(now_, now_.covariance);
 }
 
-Estimate Filter::predict(std::span<const MotionInput> ahead) const noexcept {
-  Prediction then = prediction();
-  for (const MotionInput& input : ahead) carry(then, input);
-  return estimate(then);
-}
-
 Filter::Prediction Filter::prediction() const noexcept {
   return {now_, CoreCovariance(now_.covariance.core(), now_.covariance.ground_cross(),
                                now_.covariance.ground_variances())};
@@ -443,9 +430,9 @@ Filter::Prediction Filter::prediction() const noexcept {
 
 void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
   MotionState& then = prediction.motion;
-  DeadReckoning<CoreCovariance> motion(surface_, config_, slow_time_s_,
-                                       prediction.by_odometry_alone ? nullptr : &now_.gate, then,
-                                       prediction.covariance);
+  DeadReckoning<CoreCovariance> motion{surface_,     config_,
+                                       slow_time_s_, prediction.by_odometry_alone ? nullptr : &now_.gate,
+                                       then,         prediction.covariance};
   if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
     if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) return;
     if (row->t_s > then.t_s) motion.advance_to(row->t_s);

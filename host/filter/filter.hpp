@@ -185,11 +185,9 @@ class Filter {
 
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
-  // As it would be after these inputs too, to the last bit (what the ground adds: to rounding), were each
-  // given to process() in turn; the filter stays as it is. Inputs that it would refuse are passed over. For a
-  // filter that has started.
-  [[nodiscard]] Estimate predict(std::span<const MotionInput> ahead) const noexcept;
-  // The same step by step: the state as it is now, carried on by one input after the other.
+  // The state as it is now, carried on by one input after the other as process() would, to the last bit (what
+  // the ground adds: to rounding); the filter stays as it is. Inputs that it would refuse are passed over.
+  // For a filter that has started.
   struct Prediction {
     MotionState motion;
     CoreCovariance covariance;
@@ -206,7 +204,6 @@ class Filter {
   }
   [[nodiscard]] const Counters& counters() const noexcept { return now_.counters; }
   [[nodiscard]] std::size_t anchors() const noexcept { return slots_.size(); }
-  [[nodiscard]] std::size_t tags() const noexcept { return static_cast<std::size_t>(site_.tag_count()); }
 
   // What restore() brings back: all inputs since are as if they had never been. Of this filter, and from its
   // past; of anchors that are not active it holds nothing but how many exchanges there were. can_restore():
@@ -222,7 +219,6 @@ class Filter {
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
   [[nodiscard]] const Site& site() const noexcept { return site_; }
-  [[nodiscard]] const Config& config() const noexcept { return config_; }
   // Of an anchor of the site, -1 where it is not active.
   [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 

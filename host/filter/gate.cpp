@@ -40,17 +40,13 @@ constexpr int kFixingAnchors = 3;
 constexpr double kExponentialTail = 8.0;
 constexpr double kMaxUnit = 1e6;
 
-double weight_of(double in_sight) noexcept {
-  return in_sight >= kNoWeight ? in_sight : 0.0;
-}
-
-}  // namespace
-
+// Of a Gaussian, 1/m.
 double gaussian_density(double error_m, double sigma_m) noexcept {
   const double e = error_m / sigma_m;
   return std::exp(-0.5 * e * e) / (sigma_m * std::sqrt(2.0 * std::numbers::pi));
 }
 
+// Of a Gaussian plus an exponential excess of that mean, 1/m.
 double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   const double ratio = sigma_m / mean_m;
   // For a wide sigma the product of a huge and a tiny factor; it then is the Gaussian's own.
@@ -59,6 +55,12 @@ double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   if (!(below > 0.0)) return 0.0;
   return std::exp(0.5 * ratio * ratio - error_m / mean_m) * below / mean_m;
 }
+
+double weight_of(double in_sight) noexcept {
+  return in_sight >= kNoWeight ? in_sight : 0.0;
+}
+
+}  // namespace
 
 double excess_square(double error_m, double sigma_m, double mean_m) noexcept {
   // Given the error, the excess is a Gaussian's part above zero.
@@ -217,35 +219,26 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   return weight_of(hinted.in_sight * trust * trust);
 }
 
-void Gate::Tally::fade(double until_s, double window_s) noexcept {
-  const double fade = std::exp(-std::max(until_s - t_s, 0.0) / window_s);
-  t_s = until_s;
-  seen *= fade;
-  refused *= fade;
-  refused_m *= fade;
+void Gate::Tally::add(double at_s, double window_s, double innovation_m, double weight) noexcept {
+  const double fade = std::exp(-std::max(at_s - t_s, 0.0) / window_s);
+  t_s = at_s;
+  seen = seen * fade + 1.0;
+  refused = refused * fade + (1.0 - weight);
+  refused_m = refused_m * fade + (1.0 - weight) * std::abs(innovation_m);
 }
 
-void Gate::Tally::add(double innovation_m, double weight) noexcept {
-  seen += 1.0;
-  refused += 1.0 - weight;
-  refused_m += (1.0 - weight) * std::abs(innovation_m);
-}
-
-bool Gate::Tally::refuses(double share) const noexcept {
-  return seen >= kMinRangesToDoubt && refused > share * seen;
+bool Gate::Tally::refuses() const noexcept {
+  return seen >= kMinRangesToDoubt && refused > kDoubtShare * seen;
 }
 
 void Gate::observe(int anchor, double t_s, double innovation_m, double weight) noexcept {
   // Garbage is off by anything; what lasts is not.
   const double off_m = std::clamp(innovation_m, -config_.garbage_width_m, config_.garbage_width_m);
-  Tally& own = anchors_[static_cast<std::size_t>(anchor)];
-  own.fade(t_s, config_.window_s);
-  own.add(off_m, weight);
-  all_.fade(t_s, kPatience_s);
-  all_.add(off_m, weight);
+  anchors_[static_cast<std::size_t>(anchor)].add(t_s, config_.window_s, off_m, weight);
+  all_.add(t_s, kPatience_s, off_m, weight);
   t_s_ = t_s;
   const bool before = doubts_;
-  const bool lasts = all_.refuses(kDoubtShare) && !model::is_ablated(Mechanism::kDivergenceLasting);
+  const bool lasts = all_.refuses() && !model::is_ablated(Mechanism::kDivergenceLasting);
   doubts_ = (lasts || anchors_refuse(t_s)) && !model::is_ablated(Mechanism::kDivergence);
   if (doubts_ && !before) ++doubts_begun_;
 }
@@ -255,7 +248,7 @@ bool Gate::anchors_refuse(double t_s) const noexcept {
   int refusing = 0;
   for (const Tally& anchor : anchors_) {
     if (anchor.seen < kMinRangesToDoubt || t_s - anchor.t_s > config_.window_s) continue;
-    if (!anchor.refuses(kDoubtShare)) {
+    if (!anchor.refuses()) {
       ++agreeing;
     } else if (anchor.refused_m > kFar_m * anchor.refused) {
       ++refusing;

@@ -16,11 +16,8 @@
 
 namespace groma::filter {
 
-// Of a Gaussian of that sigma, 1/m.
-[[nodiscard]] double gaussian_density(double error_m, double sigma_m) noexcept;
-// Of a Gaussian of that sigma plus an exponential excess of that mean, 1/m.
-[[nodiscard]] double excess_density(double error_m, double sigma_m, double mean_m) noexcept;
-// And the mean square of the excess, given such an error, m^2.
+// Of a Gaussian plus an exponential excess of that mean, the mean square of the excess, given such an error,
+// m^2.
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
 // The kinds of error that the gate separates, 1/m. The first two: of a range that is not garbage; blocked
@@ -121,9 +118,8 @@ class Gate {
     double refused = 0.0;
     double refused_m = 0.0;  // refused times the innovation's size
 
-    void fade(double until_s, double window_s) noexcept;
-    void add(double innovation_m, double weight) noexcept;
-    [[nodiscard]] bool refuses(double share) const noexcept;
+    void add(double at_s, double window_s, double innovation_m, double weight) noexcept;
+    [[nodiscard]] bool refuses() const noexcept;
   };
 
   // What a range is, by the probability that its pair was blocked before it.

@@ -188,15 +188,15 @@ void JointCovariance::fade_ground(double factor) noexcept {
   if (ground_scale_ < kFaded) settle_ground();
 }
 
+void JointCovariance::scale_cross(int parameter, double factor) noexcept {
+  rows_of(cross_.data()).row(parameter) *= factor;
+  if (learning_ == Learning::kNothing) return;
+  for (int i = 0; i < parameter; ++i) lower(parameter, i) *= factor;
+  for (int i = parameter + 1; i < size_; ++i) lower(i, parameter) *= factor;
+}
+
 void JointCovariance::settle_ground() noexcept {
-  RowsMap<CrossBlock> cross = rows_of(cross_.data());
-  const int ground = layout_.ground();
-  cross.middleRows<kGroundSize>(ground) *= ground_scale_;
-  if (learning_ != Learning::kNothing) {
-    for (int i = ground; i < ground + kGroundSize; ++i) {
-      for (int j = 0; j < ground; ++j) lower(i, j) *= ground_scale_;
-    }
-  }
+  for (int i = layout_.ground(); i < size_; ++i) scale_cross(i, ground_scale_);
   ground_scale_ = 1.0;
 }
 
@@ -217,13 +217,8 @@ void JointCovariance::scale_slow_errors(double factor) noexcept {
 }
 
 void JointCovariance::settle_slow_errors() noexcept {
-  RowsMap<CrossBlock> cross = rows_of(cross_.data());
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-    const int slow = layout_.slow_error(slot);
-    cross.row(slow) *= slow_scale_;
-    if (learning_ == Learning::kNothing) continue;
-    for (int i = 0; i < slow; ++i) lower(slow, i) *= slow_scale_;
-    for (int i = slow + 1; i < size_; ++i) lower(i, slow) *= slow_scale_;
+    scale_cross(layout_.slow_error(slot), slow_scale_);
   }
   slow_scale_ = 1.0;
 }

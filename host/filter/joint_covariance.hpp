@@ -164,6 +164,7 @@ class JointCovariance {
   void set_prior(const Site& site, const Parameters& parameters, Eigen::Ref<Eigen::MatrixXd> all) const;
   void learn(int slot, bool learnt) noexcept;
   void settle_motion() noexcept;
+  void scale_cross(int parameter, double factor) noexcept;
   void settle_slow_errors() noexcept;
   void settle_ground() noexcept;
   [[nodiscard]] bool has_ground() const noexcept { return !ground_variances_.isZero(0.0); }

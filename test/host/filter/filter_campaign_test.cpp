@@ -217,7 +217,7 @@ Campaign run(Model model) {
       if (row + kAhead == instant) {
         const auto first = drive.odometry.begin() + static_cast<std::ptrdiff_t>(row);
         const std::vector<MotionInput> ahead(first, first + kAhead + 1);
-        const Estimate foreseen = filter.predict(ahead);
+        const Estimate foreseen = testing::predict(filter, ahead);
         const double error = testing::squared_error(foreseen, drive.truth[instant]);
         out.foreseen_nees += error;
         out.foreseen_inside_95 += error <= 7.815 ? 1 : 0;

@@ -404,7 +404,7 @@ TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
     }
     ASSERT_GE(ahead.size(), 3U);
     const Eigen::MatrixXd before = testing::whole(*filter);
-    const Estimate predicted = filter->predict(ahead);
+    const Estimate predicted = testing::predict(*filter, ahead);
     const Estimate expected = twin->estimate();
     EXPECT_EQ(predicted.t_s, expected.t_s);
     EXPECT_EQ(predicted.pose.x_m, expected.pose.x_m);
@@ -436,13 +436,13 @@ TEST(Filter, PredictsOverWhatItWouldRefuse) {
                                      model::YawRateSample{testing::kNan, 0.0},
                                      model::YawRateSample{0.06, 90.0},
                                      good[2]};
-  const Estimate expected = filter->predict(good);
-  const Estimate predicted = filter->predict(all);
+  const Estimate expected = testing::predict(*filter, good);
+  const Estimate predicted = testing::predict(*filter, all);
   EXPECT_EQ(predicted.t_s, 0.1);
   EXPECT_NEAR(predicted.pose.x_m, expected.pose.x_m, 1e-12);
   EXPECT_NEAR(predicted.pose.theta_rad, expected.pose.theta_rad, 1e-12);
   EXPECT_LT((predicted.covariance - expected.covariance).cwiseAbs().maxCoeff(), 1e-12);
-  EXPECT_EQ(filter->predict({}).covariance, filter->estimate().covariance);
+  EXPECT_EQ(testing::predict(*filter, {}).covariance, filter->estimate().covariance);
 }
 
 TEST_P(EveryModel, ResumesWhereAnotherOneIs) {
@@ -465,7 +465,7 @@ TEST_P(EveryModel, ResumesWhereAnotherOneIs) {
   EXPECT_EQ(after.estimate().t_s, before->estimate().t_s);
   // Of odometry alone both go on alike.
   const std::vector<MotionInput> row{model::OdometrySample{15.05, 1.0, 0.0, 0.1}};
-  EXPECT_EQ(after.predict(row).covariance, before->predict(row).covariance);
+  EXPECT_EQ(testing::predict(after, row).covariance, testing::predict(*before, row).covariance);
   const double end_s = drive.odometry.back().t_s;
   feeder.until(end_s, after);
   after.advance_to(end_s);
@@ -488,7 +488,7 @@ TEST_P(EveryModel, NeverAllocatesOnceItStands) {
   const std::array<MotionInput, 2> ahead{model::OdometrySample{2.05, 1.0, 0.0, 0.1},
                                          model::YawRateSample{2.06, 0.1}};
   static_cast<void>(filter->estimate());
-  static_cast<void>(filter->predict(ahead));
+  static_cast<void>(testing::predict(*filter, ahead));
   EXPECT_EQ(test::allocations(), before);
   EXPECT_GT(filter->counters().ranges_used + filter->counters().ranges_not_modelled, 150U);
 }

@@ -304,7 +304,7 @@ TEST(Implausible, WhatLooksAheadDropsTheSame) {
   const std::vector<MotionInput> ahead{
       model::OdometrySample{0.02, 1e308, 0.0, 0.1}, model::YawRateSample{0.03, 1e308},
       model::OdometrySample{0.04, 1.1, 0.0, 0.1}, model::OdometrySample{0.06, 1.1, 1e12, 0.1}};
-  const Estimate predicted = filter.predict(ahead);
+  const Estimate predicted = testing::predict(filter, ahead);
   for (const MotionInput& input : ahead) std::visit([&](const auto& of) { filter.process(of); }, input);
   EXPECT_EQ(predicted.t_s, 0.06);
   EXPECT_EQ(predicted.pose.x_m, filter.estimate().pose.x_m);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <span>
 #include <vector>
 
 #include <Eigen/LU>
@@ -219,6 +220,13 @@ inline Eigen::MatrixXd whole(const Filter& filter) {
   p << filter.covariance().core(), cross.transpose(), cross,
       filter.covariance().parameters(filter.site(), filter.parameters());
   return p;
+}
+
+// As the filter's estimate would be after these inputs too.
+inline Estimate predict(const Filter& filter, std::span<const MotionInput> ahead) {
+  Filter::Prediction then = filter.prediction();
+  for (const MotionInput& input : ahead) filter.carry(then, input);
+  return filter.estimate(then);
 }
 
 // e' P^-1 e of an estimate.
