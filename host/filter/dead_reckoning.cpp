@@ -182,14 +182,12 @@ void DeadReckoning<Covariance>::bound_pose() noexcept {
   const bool is_known = core(kX, kX) < square(kUnknown_m) && core(kY, kY) < square(kUnknown_m) &&
                         core(kTheta, kTheta) < square(kUnknown_rad);
   if (is_known) return;
-  const CoreVector at = now.core;
-  renew(kX, square(kUnknown_m));
-  renew(kY, square(kUnknown_m));
-  renew(kTheta, square(kUnknown_rad));
   for (const CoreIndex index : {kX, kY}) {
-    if (std::abs(at(index)) <= model::kMaxCoordinate_m) now.core(index) = at(index);
+    covariance.renew(index, square(kUnknown_m));
+    if (!(std::abs(now.core(index)) <= model::kMaxCoordinate_m)) now.core(index) = 0.0;
   }
-  if (std::isfinite(at(kTheta))) now.core(kTheta) = at(kTheta);
+  covariance.renew(kTheta, square(kUnknown_rad));
+  if (!std::isfinite(now.core(kTheta))) now.core(kTheta) = 0.0;
 }
 
 template <class Covariance>

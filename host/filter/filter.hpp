@@ -159,7 +159,7 @@ class Filter {
   static constexpr std::size_t kMaxExchanges = 64;
 
   // Tags beyond kMaxTags are left out, and so are anchors without a finite position and covariance; anchors()
-  // and tags() tell how many are in.
+  // is how many are in.
   Filter(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
          const Config& config);
 

@@ -35,8 +35,7 @@ constexpr int kOfSlowError = 12;
 constexpr int kOfGround = 13;
 static_assert(kOfGround + kGroundSize == kPairParameters);
 
-}  // namespace
-
+// P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
 void propagate_core(CoreMatrix& core, const PoseRows& f) noexcept {
   // The heading's row has three terms. lazyProduct: Eigen would go through its kernels for large matrices.
   PoseRows fp;
@@ -54,6 +53,8 @@ void propagate_core(CoreMatrix& core, const PoseRows& f) noexcept {
   core(kY, kTheta) = core(kTheta, kY);
   core(kTheta, kTheta) = heading;
 }
+
+}  // namespace
 
 void CoreCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
   core_.bottomRows<3>().setZero();

@@ -21,9 +21,6 @@ namespace groma::filter {
 
 using GroundRows = Eigen::Matrix<double, kGroundSize, kCoreSize>;
 
-// P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
-void propagate_core(CoreMatrix& core, const PoseRows& pose_rows) noexcept;
-
 // The covariance of the core, and what the ground is to it, apart from the site's parameters: all that a look
 // ahead by odometry needs, which corrects nothing. As JointCovariance's functions of the same names. Slow
 // errors of ranges are not in it: they fade for nothing.
@@ -102,7 +99,7 @@ class JointCovariance {
   void renew(CoreIndex index, double variance) noexcept;
   // White noise upon a core state.
   void grow(CoreIndex index, double variance) noexcept { core_(index, index) += variance; }
-  // As propagate_core, and the cross-covariance with it.
+  // P <- F P F^T, of the core and its cross-covariance.
   void propagate(const PoseRows& pose_rows) noexcept;
 
   // What the ground differs by from the surface is new, with these variances (of height, dS/dx, dS/dy):

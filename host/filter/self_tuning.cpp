@@ -65,25 +65,21 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
 }
 
 void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
-  const Row now{.t_s = row.t_s, .values = {row.vx_mps, row.vy_mps, row.omega_radps}};
-  const double gap_s = rows_ > 0 ? now.t_s - last_[0].t_s : 0.0;
+  const double gap_s = rows_ > 0 ? row.t_s - last_[0].t_s : 0.0;
   bool even = rows_ == last_.size() && gap_s <= kMaxGap_s;
   for (std::size_t i = 0; even && i + 1 < last_.size(); ++i) {
     const double other_s = last_[i].t_s - last_[i + 1].t_s;
     even = std::abs(other_s - gap_s) <= kUneven * gap_s;
   }
   if (even) {
-    const auto difference = [&](std::size_t axis) {
-      return now.values[axis] - 3.0 * last_[0].values[axis] + 3.0 * last_[1].values[axis] -
-             last_[2].values[axis];
+    const auto difference = [&](double model::OdometrySample::*axis) {
+      return row.*axis - 3.0 * last_[0].*axis + 3.0 * last_[1].*axis - last_[2].*axis;
     };
-    adjust(velocity_, difference(0), told_.sigma_vx_mps);
-    adjust(velocity_, difference(1), told_.sigma_vy_mps);
-    adjust(turn_, difference(2), told_.sigma_omega_radps);
+    adjust(velocity_, difference(&model::OdometrySample::vx_mps), told_.sigma_vx_mps);
+    adjust(velocity_, difference(&model::OdometrySample::vy_mps), told_.sigma_vy_mps);
+    adjust(turn_, difference(&model::OdometrySample::omega_radps), told_.sigma_omega_radps);
   }
-  last_[2] = last_[1];
-  last_[1] = last_[0];
-  last_[0] = now;
+  last_ = {row, last_[0], last_[1]};
   rows_ = std::min(rows_ + 1, last_.size());
 }
 

@@ -57,10 +57,6 @@ class OdometryTuning {
   [[nodiscard]] model::OdometryNoise noise() const noexcept;
 
  private:
-  struct Row {
-    double t_s = 0.0;
-    std::array<double, 3> values{};  // vx, vy, omega
-  };
   struct Factor {
     double value = 1.0;
     double differences = 0.0;  // seen
@@ -71,8 +67,8 @@ class OdometryTuning {
   model::OdometryNoise told_;
   Factor velocity_;
   Factor turn_;
-  std::array<Row, 3> last_{};  // newest first
-  std::size_t rows_ = 0;       // of last_ that hold one
+  std::array<model::OdometrySample, 3> last_{};  // newest first
+  std::size_t rows_ = 0;                         // of last_ that hold one
 };
 
 }  // namespace groma::filter

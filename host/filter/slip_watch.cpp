@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <span>
 
 namespace groma::filter {
 
@@ -30,6 +32,26 @@ constexpr double kAgrees = 2.0;
 constexpr int kFewestAgreeing = 3;
 // An anchor whose faded count of ranges is below this is no witness.
 constexpr double kMinFadedRanges = 0.3;
+
+// What an anchor saw of late, as an equation: direction d = off, each in deviations of its mean.
+struct View {
+  double x = 0.0;
+  double y = 0.0;
+  double off = 0.0;
+
+  [[nodiscard]] double unexplained(const Eigen::Vector2d& displacement_m) const noexcept {
+    return off - x * displacement_m.x() - y * displacement_m.y();
+  }
+};
+
+double cost(std::span<const View> views, const Eigen::Vector2d& displacement_m) noexcept {
+  double sum = 0.0;
+  for (const View& view : views) {
+    const double off = view.unexplained(displacement_m);
+    sum += std::min(0.5 * square(off), off > 0.0 ? kTooFarCost : kTooNearCost);
+  }
+  return sum;
+}
 
 }  // namespace
 
@@ -74,35 +96,25 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
   return displacement_m;
 }
 
-double SlipWatch::cost(const Views& views, const Eigen::Vector2d& displacement_m) noexcept {
-  double sum = 0.0;
-  for (std::size_t i = 0; i < views.count; ++i) {
-    const View& view = views.of[i];
-    const double off = view.off - view.x * displacement_m.x() - view.y * displacement_m.y();
-    sum += std::min(0.5 * square(off), off > 0.0 ? kTooFarCost : kTooNearCost);
-  }
-  return sum;
-}
-
 std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept {
-  Views views;
+  std::array<View, kMaxAnchors> all;
+  std::size_t count = 0;
   for (Sums& anchor : anchors_) {
     if (!(anchor.n > 0.0)) continue;
     fade(anchor, t_s);
     if (anchor.n < kMinFadedRanges) continue;
     const double root = std::sqrt(anchor.w);
-    views.of[views.count++] = {anchor.x / root, anchor.y / root, anchor.off / root};
+    all[count++] = {anchor.x / root, anchor.y / root, anchor.off / root};
   }
+  const std::span<const View> views(all.data(), count);
   const double without = cost(views, Eigen::Vector2d::Zero());
   if (without < odds_) return std::nullopt;
-  Eigen::Vector2d best = Eigen::Vector2d::Zero();
+  std::optional<Eigen::Vector2d> best_m;
   // What leaves much unexplained is something else: a wrong surface, a wrong calibration.
   double least = std::min(without - odds_, (1.0 - kExplainedShare) * without);
-  bool found = false;
-  for (std::size_t i = 0; i < views.count; ++i) {
-    for (std::size_t k = 0; k < i; ++k) {
-      const View& a = views.of[i];
-      const View& b = views.of[k];
+  for (std::size_t i = 0; i < count; ++i) {
+    const View& a = views[i];
+    for (const View& b : views.first(i)) {
       const double determinant = a.x * b.y - a.y * b.x;
       if (square(determinant) < kAlongside * (square(a.x) + square(a.y)) * (square(b.x) + square(b.y)))
         continue;
@@ -111,20 +123,15 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
       const double now = cost(views, place_m);
       if (!(now < least)) continue;
       least = now;
-      best = place_m;
-      found = true;
+      best_m = place_m;
     }
   }
-  if (!found || best.norm() < kLeast_m) return std::nullopt;
-  int agreeing = 0;
-  int against = 0;
-  for (std::size_t i = 0; i < views.count; ++i) {
-    const View& view = views.of[i];
-    const bool agrees = std::abs(view.off - view.x * best.x() - view.y * best.y()) < kAgrees;
-    ++(agrees ? agreeing : against);
-  }
-  if (agreeing < kFewestAgreeing || agreeing <= against) return std::nullopt;
-  return best;
+  if (!best_m || best_m->norm() < kLeast_m) return std::nullopt;
+  const auto agreeing = std::count_if(views.begin(), views.end(), [&](const View& view) {
+    return std::abs(view.unexplained(*best_m)) < kAgrees;
+  });
+  if (agreeing < kFewestAgreeing || 2 * agreeing <= std::ssize(views)) return std::nullopt;
+  return best_m;
 }
 
 void SlipWatch::renew(int anchor) noexcept {

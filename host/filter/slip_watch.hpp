@@ -51,16 +51,6 @@ class SlipWatch {
     double x = 0.0;    // sum h/S
     double y = 0.0;
   };
-  // What an anchor saw of late, as equations: direction d = off, each in deviations of its mean.
-  struct View {
-    double x = 0.0;
-    double y = 0.0;
-    double off = 0.0;
-  };
-  struct Views {
-    std::array<View, kMaxAnchors> of{};
-    std::size_t count = 0;
-  };
   struct Usual {
     double t_s = 0.0;
     double innovation_m = 0.0;
@@ -68,7 +58,6 @@ class SlipWatch {
   };
 
   static void fade(Sums& sums, double until_s) noexcept;
-  [[nodiscard]] static double cost(const Views& views, const Eigen::Vector2d& displacement_m) noexcept;
   [[nodiscard]] std::optional<Eigen::Vector2d> find_displacement(double t_s) noexcept;
 
   double odds_;
