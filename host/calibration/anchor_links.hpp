@@ -8,7 +8,7 @@
 
 #include <Eigen/Core>
 
-#include "host/calibration/rival.hpp"
+#include "host/calibration/initial_guess.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/uncertainty.hpp"
 #include "host/model/types.hpp"

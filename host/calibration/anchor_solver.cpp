@@ -1,11 +1,6 @@
 #include "host/calibration/anchor_solver.hpp"
 
-#include <algorithm>
-#include <array>
-#include <cmath>
 #include <utility>
-
-#include "host/calibration/row_columns.hpp"
 
 namespace groma::calibration {
 namespace {

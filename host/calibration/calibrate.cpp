@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <map>
 #include <numbers>
 #include <utility>
@@ -12,10 +11,8 @@
 #include "host/calibration/comparison.hpp"
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/initial_guess.hpp"
-#include "host/calibration/median.hpp"
 #include "host/calibration/moved.hpp"
-#include "host/calibration/range_noise.hpp"
-#include "host/calibration/rival.hpp"
+#include "host/calibration/robust_kernel.hpp"
 #include "host/calibration/sight_solver.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/uncertainty.hpp"

@@ -66,4 +66,18 @@ struct Comparison {
 [[nodiscard]] double chi2_beyond(const Eigen::Vector3d& displacement_m, const Eigen::Matrix3d& covariance_m2,
                                  double radius_m);
 
+struct Update {
+  model::Calibration calibration;    // anchors of both, by id; in the earlier one's frame
+  Comparison comparison;             // of the later against the earlier
+  std::vector<model::NodeId> moved;  // more than Comparison::kMoved_m
+  std::vector<model::NodeId> added;
+  std::vector<model::NodeId> kept;  // as they were: the later drive tells nothing of them
+};
+
+// `later` was found without `earlier`; `priors` are those that both had of each pair, and count once.
+// A moved anchor is where the later drive found it, if that is any good, else without a position; its verdict
+// is `moved` in both cases.
+[[nodiscard]] Update update(const model::Calibration& earlier, const model::Calibration& later,
+                            const model::RangePriors& priors);
+
 }  // namespace groma::calibration

@@ -11,7 +11,6 @@
 
 #include <Eigen/Cholesky>
 
-#include "host/calibration/joint_equations.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {
@@ -36,7 +35,7 @@ constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
 constexpr std::array kSmoothFactors{1.0, 0.7};
 constexpr int kFollowingSteps = 3;
 // A step that is shorter than this, in sigmas, is the last.
-constexpr double kRestingSigmas = 0.1;
+constexpr double kLastStepSigmas = 0.1;
 // What makes the ranges likelier by so much (natural logarithm) is believed: a wander; body terms, and those
 // beside a wander.
 constexpr double kMinWanderEvidence = 4.0;
@@ -408,7 +407,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
     // What is explained by now hangs together no more; what still does is of places.
     out.evidence = evidence_of(fits);
     inflation = inflations(out.evidence, kWhile_s);
-    if (step.dot((equations.information + believed) * step) < kRestingSigmas * kRestingSigmas) break;
+    if (step.dot((equations.information + believed) * step) < kLastStepSigmas * kLastStepSigmas) break;
   }
   if (prior.delay_sigma_s > kNoDelaySigma_s) {
     out.range_delay_s = error(unknowns.delay());

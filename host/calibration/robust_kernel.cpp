@@ -1,6 +1,5 @@
 #include "host/calibration/robust_kernel.hpp"
 
-#include <algorithm>
 #include <numbers>
 #include <numeric>
 

@@ -2,10 +2,12 @@
 // residuals themselves, and too long is not treated as too short.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
 #include <span>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -239,5 +241,16 @@ struct KernelPrior {
 // Expectation maximization from prior.shape over the residuals.
 [[nodiscard]] KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelPrior& prior,
                                      int iterations) noexcept;
+
+// Standard deviation of a normal over the median of its absolute deviation from its middle.
+inline constexpr double kSigmaOfMad = 1.482602218505602;
+
+// The upper one of two middles; zero of nothing.
+[[nodiscard]] inline double median(std::vector<double> values) {
+  if (values.empty()) return 0.0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
 
 }  // namespace groma::calibration

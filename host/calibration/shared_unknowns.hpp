@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
 #include "host/calibration/association.hpp"
@@ -116,5 +117,23 @@ struct SharedPrior {
 [[nodiscard]] Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPrior& prior);
 // Of those unknowns that are not zero for sure, but for a constant.
 [[nodiscard]] double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& prior);
+
+// One anchor's part, solved for the anchor: its step is information^-1 descent - gain times the shared step.
+struct AnchorPart {
+  Eigen::LLT<Eigen::MatrixXd> information;
+  Eigen::VectorXd descent;
+  Eigen::MatrixXd gain;  // information^-1 times the cross information with the shared unknowns
+};
+
+struct JointEquations {
+  std::vector<AnchorPart> anchors;
+  Eigen::MatrixXd information;  // of the shared unknowns (Schur complement), their prior left out
+  Eigen::VectorXd descent;
+};
+
+// `inflation` of each anchor: its ranges carry so many times less than were they independent.
+[[nodiscard]] JointEquations eliminate_anchors(std::span<const AnchorFit> fits,
+                                               std::span<const double> inflation,
+                                               const SharedUnknowns& unknowns);
 
 }  // namespace groma::calibration

@@ -5,8 +5,7 @@
 #include <cmath>
 
 #include "host/calibration/initial_guess.hpp"
-#include "host/calibration/median.hpp"
-#include "host/calibration/rival.hpp"
+#include "host/calibration/robust_kernel.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {

@@ -5,9 +5,8 @@
 #include <span>
 #include <vector>
 
+#include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
-#include "host/calibration/power_hints.hpp"
-#include "host/calibration/sight.hpp"
 #include "host/calibration/sight_chain.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/model/types.hpp"

@@ -16,14 +16,6 @@
 
 namespace groma::calibration {
 
-// One anchor's solution, with what made it.
-struct AnchorFit {
-  AnchorProblem problem;  // its rows belong to the association
-  AnchorVector anchor;
-  std::vector<RobustKernel> kernels;  // one a tag
-  double cost = 0.0;
-};
-
 struct SiteProblem {
   const Association* association = nullptr;
   model::RangePriors priors;

@@ -11,6 +11,7 @@
 #include <Eigen/Core>
 
 #include "host/calibration/site_solver.hpp"
+#include "host/model/calibration.hpp"
 
 namespace groma::calibration {
 
@@ -64,5 +65,10 @@ struct Evidence {
 // What the anchor's covariance leaves open of a range, m: the standard deviation of its prediction.
 [[nodiscard]] double prediction_sigma_m(const Observation& row, const AnchorVector& anchor,
                                         std::size_t tag_count, const Eigen::MatrixXd& covariance) noexcept;
+
+// From the residuals of every pair at the solution; each pair counts alike and the median decides, so that a
+// few anchors behind walls do not. None where fewer than three pairs have rows enough.
+[[nodiscard]] std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits,
+                                                           std::size_t tag_count);
 
 }  // namespace groma::calibration

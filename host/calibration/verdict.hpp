@@ -9,7 +9,6 @@
 #include <Eigen/Core>
 
 #include "host/calibration/initial_guess.hpp"
-#include "host/calibration/rival.hpp"
 #include "host/calibration/sight_chain.hpp"
 #include "host/model/calibration.hpp"
 

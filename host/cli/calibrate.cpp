@@ -17,7 +17,7 @@
 
 #include <CLI/CLI.hpp>
 
-#include "host/calibration/update.hpp"
+#include "host/calibration/comparison.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/selection.hpp"

@@ -11,7 +11,6 @@
 #include <string_view>
 #include <vector>
 
-#include "host/calibration/drive_store.hpp"
 #include "host/calibration/learning.hpp"
 #include "host/daemon/measurement_sink.hpp"
 #include "host/model/calibration.hpp"

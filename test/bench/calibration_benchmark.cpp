@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "host/calibration/calibrate.hpp"
-#include "host/calibration/drive_store.hpp"
 #include "host/calibration/learning.hpp"
 #include "test/host/calibration/blocked_site.hpp"
 #include "test/host/calibration/site_simulation.hpp"

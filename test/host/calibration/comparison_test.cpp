@@ -12,7 +12,6 @@
 #include <Eigen/LU>
 
 #include "host/calibration/calibrate.hpp"
-#include "host/calibration/update.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 #include "test/support/random.hpp"
 

@@ -12,7 +12,6 @@
 #include <Eigen/Cholesky>
 
 #include "host/calibration/calibrate.hpp"
-#include "host/calibration/second_place.hpp"
 #include "test/host/calibration/blocked_site.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 #include "test/support/random.hpp"

@@ -8,7 +8,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 
-#include "host/calibration/joint_equations.hpp"
 #include "host/model/antenna_pattern.hpp"
 #include "test/support/numerical_jacobian.hpp"
 #include "test/support/random.hpp"

@@ -14,7 +14,6 @@
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/moved.hpp"
-#include "host/calibration/power_hints.hpp"
 #include "host/calibration/sight_solver.hpp"
 #include "test/host/calibration/blocked_site.hpp"
 #include "test/support/numerical_jacobian.hpp"
