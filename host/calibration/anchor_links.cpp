@@ -61,7 +61,7 @@ AnchorBelief believe(const LinkedSite& site) {
     const AnchorFit& fit = site.fits[a];
     AnchorVector mean = fit.anchor;
     if (!fit.problem.rows.empty() && !fit.problem.position.surveyed) {
-      const NormalEquations here = linearize(fit.problem, fit.kernels, fit.anchor);
+      const NormalEquations here = linearize(fit);
       mean -= here.information.ldlt().solve(here.gradient);
     }
     out.mean.push_back(std::move(mean));

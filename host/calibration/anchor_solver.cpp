@@ -40,205 +40,175 @@ double length_in_sigmas(const NormalEquations& equations, const Eigen::VectorXd&
   return std::sqrt(std::max(0.0, sum));
 }
 
-// What the rows of one tag in sight say: sums of weight times the products of (direction, 1, distance), the
-// derivative of their ranges but for gamma and its sign, and of slope times them.
-struct PairSums {
-  Eigen::Matrix3d direction_square = Eigen::Matrix3d::Zero();  // its lower triangle
-  Eigen::Vector3d direction = Eigen::Vector3d::Zero();
-  Eigen::Vector3d direction_distance = Eigen::Vector3d::Zero();
-  double weight = 0.0;
-  double distance = 0.0;
-  double distance_square = 0.0;
-  Eigen::Vector3d slope_direction = Eigen::Vector3d::Zero();
-  double slope = 0.0;
-  double slope_distance = 0.0;
-
-  void add(const std::array<Lanes, 3>& towards, const Lanes& distance_m, const Lanes& slopes,
-           const Lanes& weights) noexcept {
-    for (std::size_t column = 0; column < 3; ++column) {
-      const auto c = static_cast<Eigen::Index>(column);
-      const Lanes weighted = weights * towards[column];
-      for (std::size_t row = column; row < 3; ++row) {
-        direction_square(static_cast<Eigen::Index>(row), c) += (weighted * towards[row]).sum();
-      }
-      direction(c) += weighted.sum();
-      direction_distance(c) += (weighted * distance_m).sum();
-      slope_direction(c) += (slopes * towards[column]).sum();
-    }
-    const Lanes weighted = weights * distance_m;
-    weight += weights.sum();
-    distance += weighted.sum();
-    distance_square += (weighted * distance_m).sum();
-    slope += slopes.sum();
-    slope_distance += (slopes * distance_m).sum();
-  }
-
-  void add_to(std::size_t tag, std::size_t tag_count, double by_gamma, NormalEquations& out) const {
-    const Eigen::Index beta = beta_index(tag);
-    const Eigen::Index gamma = gamma_index(tag, tag_count);
-    Eigen::MatrixXd& information = out.information;
-    for (Eigen::Index column = 0; column < 3; ++column) {
-      out.gradient(column) += by_gamma * slope_direction(column);
-      for (Eigen::Index row = column; row < 3; ++row) {
-        information(row, column) += by_gamma * by_gamma * direction_square(row, column);
-      }
-      information(beta, column) -= by_gamma * direction(column);
-      information(gamma, column) -= by_gamma * direction_distance(column);
-    }
-    information(beta, beta) += weight;
-    information(gamma, beta) += distance;
-    information(gamma, gamma) += distance_square;
-    out.gradient(beta) -= slope;
-    out.gradient(gamma) -= slope_distance;
-  }
-};
-
-void add_priors(const AnchorProblem& problem, const AnchorVector& anchor, NormalEquations& out) {
-  const std::size_t tags = problem.tag_count;
-  const Eigen::Vector3d offset_m = anchor.head<3>() - problem.position.mean_m;
-  out.gradient.head<3>() += problem.position.information * offset_m;
-  out.information.topLeftCorner<3, 3>() += problem.position.information;
-  const double by_beta = 1.0 / square(problem.priors.beta_m.sigma);
-  const double by_gamma = 1.0 / square(problem.priors.gamma.sigma);
-  for (std::size_t tag = 0; tag < tags; ++tag) {
-    const Eigen::Index beta = beta_index(tag);
-    const Eigen::Index gamma = gamma_index(tag, tags);
-    out.gradient(beta) += by_beta * (anchor(beta) - problem.priors.beta_m.mean);
-    out.gradient(gamma) += by_gamma * (anchor(gamma) - problem.priors.gamma.mean);
-    out.information(beta, beta) += by_beta;
-    out.information(gamma, gamma) += by_gamma;
-  }
-  if (problem.sight == nullptr || !problem.sight->behind_wall) return;
-  const WallPrior& wall = problem.sight->prior;
-  const Eigen::Index common = wall_index(tags);
-  const Eigen::Index episodes = anchor.size() - common - 1;
-  out.gradient(common) += (anchor(common) - wall.mean_m) / square(wall.sigma_m);
-  out.gradient.tail(episodes) += anchor.tail(episodes) / square(wall.episode_sigma_m);
-  out.information(common, common) += 1.0 / square(wall.sigma_m);
-  out.information.diagonal().tail(episodes).array() += 1.0 / square(wall.episode_sigma_m);
-}
-
-// As of one row; towards: unit vectors from anchor to antenna.
-Lanes pose_variance_m2(const RowColumns& columns, std::size_t tag, Eigen::Index block, double gamma,
-                       const std::array<Lanes, 3>& towards) {
-  const Lanes x = gamma * towards[0];
-  const Lanes y = gamma * towards[1];
-  const Lanes variance_m2 = x * x * columns.spread_m2(tag, block, 0) +
-                            2.0 * x * y * columns.spread_m2(tag, block, 1) +
-                            y * y * columns.spread_m2(tag, block, 2);
-  return variance_m2.max(0.0);
-}
-
-// `columns`: of the problem's rows. The result's memory is used again.
-void linearize(const AnchorProblem& problem, const RowColumns& columns, std::span<const RobustKernel> kernels,
-               const AnchorVector& anchor, NormalEquations& out) {
-  const std::size_t tags = problem.tag_count;
-  out.gradient.setZero(anchor.size());
-  out.information.setZero(anchor.size(), anchor.size());
-  CostSum cost;
-  for (std::size_t tag = 0; tag < tags; ++tag) {
-    const double beta_m = anchor(beta_index(tag));
-    const double gamma = anchor(gamma_index(tag, tags));
-    PairSums sums;
-    for (Eigen::Index block = 0; block < columns.blocks(tag); ++block) {
-      std::array<Lanes, 3> towards;  // unit vectors from anchor to antenna
-      for (Eigen::Index axis = 0; axis < 3; ++axis) {
-        towards[static_cast<std::size_t>(axis)] = columns.antenna_m(tag, block, axis) - anchor(axis);
-      }
-      const Lanes distance_m = (towards[0].square() + towards[1].square() + towards[2].square()).sqrt();
-      const Lanes inverse = (distance_m > model::kMinDistance_m).select(1.0 / distance_m, 0.0);
-      for (Lanes& axis : towards) axis *= inverse;
-      const Lanes residual_m = columns.range_m(tag, block) - (gamma * distance_m + beta_m);
-      Lanes variance_m2 = Lanes::Zero();
-      Lanes share = Lanes::Ones();
-      if (columns.tells_spread()) {
-        variance_m2 = pose_variance_m2(columns, tag, block, gamma, towards);
-        const double scale_m = kernels[tag].shape().scale_m;
-        share = scale_m / (scale_m * scale_m + variance_m2).sqrt();
-      }
-      KernelLanes value = kernels[tag].at(share * residual_m);
-      if (columns.tells_spread()) {
-        value.density *= share;
-        value.slope *= share;
-        value.weight *= share.square();
-      }
-      const Eigen::Index count = columns.rows_in(tag, block);
-      for (Eigen::Index lane = 0; problem.sight != nullptr && lane < count; ++lane) {
-        const RowSight& sight = problem.sight->rows[columns.index(tag, block, lane)];
-        const RowValue whole = value_of(
-            *problem.sight, sight,
-            {.density = value.density(lane), .slope = value.slope(lane), .weight = value.weight(lane)},
-            residual_m(lane), anchor, tags, variance_m2(lane));
-        value.density(lane) = whole.seen.density;
-        value.slope(lane) = whole.seen.slope;
-        value.weight(lane) = whole.seen.weight;
-        if (!(whole.wall_weight > 0.0)) continue;
-        const PairRow j{-gamma * towards[0](lane), -gamma * towards[1](lane), -gamma * towards[2](lane), 1.0,
-                        distance_m(lane)};
-        const WallRow walled = wall_row(j, sight, tag, tags);
-        add(walled, -whole.wall_slope, out.gradient);
-        add_square(walled, whole.wall_weight, out.information);
-      }
-      cost.add(value.density, count);
-      sums.add(towards, distance_m, value.slope, value.weight);
-    }
-    sums.add_to(tag, tags, gamma, out);
-  }
-  add_priors(problem, anchor, out);
-  out.cost = prior_cost(problem, anchor) + cost.cost();
-  out.information.triangularView<Eigen::StrictlyUpper>() = out.information.transpose();
-  if (!problem.position.surveyed) return;
-  out.gradient.head<3>().setZero();
-  out.information.topRows<3>().setZero();
-  out.information.leftCols<3>().setZero();
-  out.information.topLeftCorner<3, 3>() = problem.position.information;
-}
-
-// Steps of the damped equations. Cholesky in place: of so few unknowns, a library's setting out takes longer
-// than the way.
-class DampedStep {
+// The normal equations of one problem at any of its solutions.
+class Linearizer {
  public:
-  // False where the information, so damped, is not positive.
-  [[nodiscard]] bool solve(const NormalEquations& equations, double damping) {
-    const Eigen::Index size = equations.gradient.size();
-    factor_ = equations.information;
-    step_ = -equations.gradient;
-    for (Eigen::Index column = 0; column < size; ++column) {
-      double pivot = (1.0 + damping) * factor_(column, column);
-      for (Eigen::Index k = 0; k < column; ++k) pivot -= square(factor_(column, k));
-      if (!(pivot > 0.0)) return false;
-      const double inverse = 1.0 / std::sqrt(pivot);
-      factor_(column, column) = inverse;
-      for (Eigen::Index row = column + 1; row < size; ++row) {
-        double sum = factor_(row, column);
-        for (Eigen::Index k = 0; k < column; ++k) sum -= factor_(row, k) * factor_(column, k);
-        factor_(row, column) = sum * inverse;
-      }
-    }
-    for (Eigen::Index row = 0; row < size; ++row) {
-      for (Eigen::Index k = 0; k < row; ++k) step_(row) -= factor_(row, k) * step_(k);
-      step_(row) *= factor_(row, row);
-    }
-    for (Eigen::Index row = size; row-- > 0;) {
-      for (Eigen::Index k = row + 1; k < size; ++k) step_(row) -= factor_(k, row) * step_(k);
-      step_(row) *= factor_(row, row);
-    }
-    return step_.allFinite();
+  Linearizer(const AnchorProblem& problem, std::span<const RobustKernel> kernels)
+      : problem_(problem),
+        kernels_(kernels),
+        columns_(problem.rows, problem.tag_count),
+        prior_(information_of_priors(problem)) {}
+
+  // The result's memory is used again.
+  void linearize(const AnchorVector& anchor, NormalEquations& out) const {
+    out.gradient.setZero(anchor.size());
+    out.information.setZero(anchor.size(), anchor.size());
+    CostSum cost;
+    for (std::size_t tag = 0; tag < problem_.tag_count; ++tag) add_rows(tag, anchor, cost, out);
+    out.cost = prior_cost(problem_, anchor) + cost.cost();
+    out.information += prior_;
+    add_prior_gradient(anchor, out.gradient);
+    out.information.triangularView<Eigen::StrictlyUpper>() = out.information.transpose();
+    if (!problem_.position.surveyed) return;
+    out.gradient.head<3>().setZero();
+    out.information.topRows<3>().setZero();
+    out.information.leftCols<3>().setZero();
+    out.information.topLeftCorner<3, 3>() = problem_.position.information;
   }
-  [[nodiscard]] const Eigen::VectorXd& step() const noexcept { return step_; }
 
  private:
-  Eigen::MatrixXd factor_;  // lower triangle, its diagonal inverted
-  Eigen::VectorXd step_;
+  void add_rows(std::size_t tag, const AnchorVector& anchor, CostSum& cost, NormalEquations& out) const {
+    const double beta_m = anchor(beta_index(tag));
+    const double gamma = anchor(gamma_index(tag, problem_.tag_count));
+    // Sums over the rows of weight x x^T, its lower triangle, and of slope x, with x = (direction, 1,
+    // distance): the derivative of a range but for gamma and its sign.
+    PairBlock square = PairBlock::Zero();
+    PairRow slope = PairRow::Zero();
+    for (Eigen::Index block = 0; block < columns_.blocks(tag); ++block) {
+      std::array<Lanes, 5> x;
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        const auto column = static_cast<Eigen::Index>(axis);
+        x[axis] = columns_.at(tag, block, RowColumns::kAntenna + column) - anchor(column);
+      }
+      x[3] = Lanes::Ones();
+      x[4] = (x[0].square() + x[1].square() + x[2].square()).sqrt();
+      const Lanes inverse = (x[4] > model::kMinDistance_m).select(1.0 / x[4], 0.0);
+      for (std::size_t axis = 0; axis < 3; ++axis) x[axis] *= inverse;
+      const Lanes residual_m = columns_.at(tag, block, RowColumns::kRange) - (gamma * x[4] + beta_m);
+      const KernelLanes value = value_at(tag, block, gamma, x, residual_m, anchor, out);
+      cost.add(value.density, columns_.rows_in(tag, block));
+      for (Eigen::Index column = 0; column < 5; ++column) {
+        const Lanes& by = x[static_cast<std::size_t>(column)];
+        const Lanes weighted = value.weight * by;
+        for (Eigen::Index row = column; row < 5; ++row) {
+          square(row, column) += (weighted * x[static_cast<std::size_t>(row)]).sum();
+        }
+        slope(column) += (value.slope * by).sum();
+      }
+    }
+    const PairRow factor{-gamma, -gamma, -gamma, 1.0, 1.0};
+    const std::array<Eigen::Index, 5> index = pair_index(tag, problem_.tag_count);
+    for (Eigen::Index column = 0; column < 5; ++column) {
+      const Eigen::Index to = index[static_cast<std::size_t>(column)];
+      out.gradient(to) -= factor(column) * slope(column);
+      for (Eigen::Index row = column; row < 5; ++row) {
+        out.information(index[static_cast<std::size_t>(row)], to) +=
+            factor(row) * factor(column) * square(row, column);
+      }
+    }
+  }
+
+  // The values of one block of rows; the parts behind walls are added to the equations.
+  [[nodiscard]] KernelLanes value_at(std::size_t tag, Eigen::Index block, double gamma,
+                                     const std::array<Lanes, 5>& x, const Lanes& residual_m,
+                                     const AnchorVector& anchor, NormalEquations& out) const {
+    Lanes variance_m2 = Lanes::Zero();
+    Lanes share = Lanes::Ones();
+    if (columns_.has_spread()) {
+      const auto spread_m2 = [&](Eigen::Index term) {
+        return columns_.at(tag, block, RowColumns::kSpread + term);
+      };
+      const Lanes j_x = gamma * x[0];
+      const Lanes j_y = gamma * x[1];
+      variance_m2 =
+          (j_x * j_x * spread_m2(0) + 2.0 * j_x * j_y * spread_m2(1) + j_y * j_y * spread_m2(2)).max(0.0);
+      const double scale_m = kernels_[tag].shape().scale_m;
+      share = scale_m / (scale_m * scale_m + variance_m2).sqrt();
+    }
+    KernelLanes value = kernels_[tag].at(share * residual_m);
+    if (columns_.has_spread()) {
+      value.density *= share;
+      value.slope *= share;
+      value.weight *= share.square();
+    }
+    if (problem_.sight == nullptr) return value;
+    for (Eigen::Index lane = 0; lane < columns_.rows_in(tag, block); ++lane) {
+      const std::uint32_t row = columns_.index(tag, block, lane);
+      const RowValue whole =
+          value_of(problem_, row,
+                   {.density = value.density(lane), .slope = value.slope(lane), .weight = value.weight(lane)},
+                   residual_m(lane), anchor, variance_m2(lane));
+      value.density(lane) = whole.seen.density;
+      value.slope(lane) = whole.seen.slope;
+      value.weight(lane) = whole.seen.weight;
+      if (!(whole.wall_weight > 0.0)) continue;
+      const PairRow j{-gamma * x[0](lane), -gamma * x[1](lane), -gamma * x[2](lane), 1.0, x[4](lane)};
+      const WallRow walled(j, problem_.sight->rows[row], tag, problem_.tag_count);
+      walled.add(-whole.wall_slope, out.gradient);
+      walled.add_square(whole.wall_weight, out.information);
+    }
+    return value;
+  }
+
+  void add_prior_gradient(const AnchorVector& anchor, Eigen::VectorXd& gradient) const {
+    const auto tags = static_cast<Eigen::Index>(problem_.tag_count);
+    const model::RangePriors& priors = problem_.priors;
+    gradient.head<3>() += problem_.position.information * (anchor.head<3>() - problem_.position.mean_m);
+    gradient.segment(3, tags).array() +=
+        1.0 / square(priors.beta_m.sigma) * (anchor.segment(3, tags).array() - priors.beta_m.mean);
+    gradient.segment(3 + tags, tags).array() +=
+        1.0 / square(priors.gamma.sigma) * (anchor.segment(3 + tags, tags).array() - priors.gamma.mean);
+    if (problem_.sight == nullptr || !problem_.sight->behind_wall) return;
+    const WallPrior& wall = problem_.sight->prior;
+    const Eigen::Index common = wall_index(problem_.tag_count);
+    const Eigen::Index episodes = anchor.size() - common - 1;
+    gradient(common) += (anchor(common) - wall.mean_m) / square(wall.sigma_m);
+    gradient.tail(episodes) += anchor.tail(episodes) / square(wall.episode_sigma_m);
+  }
+
+  const AnchorProblem& problem_;
+  std::span<const RobustKernel> kernels_;
+  RowColumns columns_;
+  Eigen::MatrixXd prior_;
 };
+
+// Solves the damped equations; false where the information, so damped, is not positive. Cholesky in place: of
+// so few unknowns, a library's set-up takes longer than the solution. `factor`: memory for the lower
+// triangle, its diagonal inverted.
+bool solve_damped(const NormalEquations& equations, double damping, Eigen::MatrixXd& factor,
+                  Eigen::VectorXd& step) {
+  const Eigen::Index size = equations.gradient.size();
+  factor = equations.information;
+  step = -equations.gradient;
+  for (Eigen::Index column = 0; column < size; ++column) {
+    double pivot = (1.0 + damping) * factor(column, column);
+    for (Eigen::Index k = 0; k < column; ++k) pivot -= square(factor(column, k));
+    if (!(pivot > 0.0)) return false;
+    const double inverse = 1.0 / std::sqrt(pivot);
+    factor(column, column) = inverse;
+    for (Eigen::Index row = column + 1; row < size; ++row) {
+      double sum = factor(row, column);
+      for (Eigen::Index k = 0; k < column; ++k) sum -= factor(row, k) * factor(column, k);
+      factor(row, column) = sum * inverse;
+    }
+  }
+  for (Eigen::Index row = 0; row < size; ++row) {
+    for (Eigen::Index k = 0; k < row; ++k) step(row) -= factor(row, k) * step(k);
+    step(row) *= factor(row, row);
+  }
+  for (Eigen::Index row = size; row-- > 0;) {
+    for (Eigen::Index k = row + 1; k < size; ++k) step(row) -= factor(k, row) * step(k);
+    step(row) *= factor(row, row);
+  }
+  return step.allFinite();
+}
 
 }  // namespace
 
 Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
   const auto tags = static_cast<Eigen::Index>(problem.tag_count);
   const Eigen::Index common = wall_index(problem.tag_count);
-  const Eigen::Index extra =
-      problem.sight != nullptr ? static_cast<Eigen::Index>(problem.sight->extra_unknowns()) : 0;
+  const Eigen::Index extra = problem.sight != nullptr ? problem.sight->extra_unknowns() : 0;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(common + extra, common + extra);
   out.topLeftCorner<3, 3>() = problem.position.information;
   out.diagonal().segment(3, tags).setConstant(1.0 / square(problem.priors.beta_m.sigma));
@@ -249,48 +219,43 @@ Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
   return out;
 }
 
-NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                          const AnchorVector& anchor) {
+NormalEquations linearize(const AnchorFit& fit) {
   NormalEquations out;
-  linearize(problem, RowColumns(problem.rows, problem.tag_count), kernels, anchor, out);
+  Linearizer(fit.problem, fit.kernels).linearize(fit.anchor, out);
   return out;
 }
 
-double robust_cost(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                   const AnchorVector& anchor) {
+double robust_cost(const AnchorFit& fit) {
   CostSum cost;
-  for (const Observation& row : problem.rows) {
-    cost.add(value_of(problem, kernels, row, residual_m(row, anchor, problem.tag_count), anchor).seen);
-  }
-  return prior_cost(problem, anchor) + cost.cost();
+  for (const Observation& row : fit.problem.rows) cost.add(row_at(fit, row).value.seen);
+  return prior_cost(fit.problem, fit.anchor) + cost.cost();
 }
 
 AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                             const AnchorVector& start, int max_iterations) {
-  const RowColumns columns(problem.rows, problem.tag_count);
+  const Linearizer linearizer(problem, kernels);
   AnchorSolution out{.anchor = start};
   NormalEquations here;
   NormalEquations there;
-  linearize(problem, columns, kernels, start, here);
+  linearizer.linearize(start, here);
   out.cost = here.cost;
-  DampedStep damped;
+  Eigen::MatrixXd factor;
+  Eigen::VectorXd step;
   AnchorVector candidate;
   double damping = kFirstDamping;
   for (int taken = 0; taken < max_iterations && damping < kMaxDamping;) {
-    if (!damped.solve(here, damping)) {
+    if (!solve_damped(here, damping, factor, step)) {
       damping = std::max(10.0 * damping, kFeltDamping);
       continue;
     }
-    const Eigen::VectorXd& step = damped.step();
     candidate = out.anchor + step;
     if (length_in_sigmas(here, step) < kConvergedSigmas) {
       // The information's parabola lies above the cost: so short a step needs no look.
       out.anchor = candidate;
       out.cost += 0.5 * here.gradient.dot(step);
-      out.converged = true;
       break;
     }
-    linearize(problem, columns, kernels, candidate, there);
+    linearizer.linearize(candidate, there);
     if (!(there.cost <= out.cost)) {
       damping = std::max(10.0 * damping, kFeltDamping);
       continue;

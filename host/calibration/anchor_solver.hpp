@@ -21,26 +21,25 @@ namespace groma::calibration {
 
 inline constexpr std::int32_t kNoEpisode = -1;
 
-// The belief in one row's sight, from all but its own residual.
+// Prior probability of one row's state (LOS, short NLOS, long NLOS), from all but its own residual.
 struct RowSight {
   float in_sight = 1.0F;
   float wall = 0.0F;
-  // Of the rest, density of the row as it is, 1/m: a range through a shadow says nothing of where the anchor
-  // is, so it does not change with the residual.
+  // Of the rest, density of the row as it is, 1/m: short NLOS says nothing of where the anchor is, so it does
+  // not change with the residual.
   float other_density = 0.0F;
   std::int32_t episode = kNoEpisode;  // of the anchor's stays behind a wall
 };
 
-// The belief in what walls add to an anchor's ranges: a part that all have in common, and one of each
-// episode.
+// Prior of the excess of long NLOS: a part that all ranges have in common, and one of each episode.
 struct WallPrior {
   double mean_m = 0.4;
   double sigma_m = 0.2;
   double episode_sigma_m = 0.2;
 };
 
-// All rows of an anchor. Its unknowns then are position, beta and gamma of each tag, and, where there are
-// rows behind walls, what those add: the common part, then the episodes' own.
+// All rows of an anchor. Where some are behind walls, the common part of the excess and those of the episodes
+// are unknowns too.
 struct AnchorSight {
   std::vector<RowSight> rows;  // by Observation::index
   bool behind_wall = false;    // in some of them
@@ -49,92 +48,13 @@ struct AnchorSight {
   RobustKernel wall;  // of what is left of a residual behind a wall
 
   // Unknowns beside position, beta and gamma.
-  [[nodiscard]] std::size_t extra_unknowns() const noexcept { return behind_wall ? 1 + episodes : 0; }
+  [[nodiscard]] Eigen::Index extra_unknowns() const noexcept {
+    return behind_wall ? 1 + static_cast<Eigen::Index>(episodes) : 0;
+  }
 };
 
-// A copy: rows that change later are not seen.
-class RowColumns {
- public:
-  RowColumns(std::span<const Observation> rows, std::size_t tag_count) : tags_(tag_count) {
-    for (const Observation& row : rows) ++tags_[row.tag].count;
-    Eigen::Index size = 0;
-    for (Tag& tag : tags_) {
-      tag.first = size;
-      size += (tag.count + kLanes - 1) / kLanes * kLanes;
-    }
-    columns_.resize(size, kColumns);
-    index_.resize(static_cast<std::size_t>(size));
-    std::vector<Eigen::Index> next;
-    next.reserve(tag_count);
-    for (const Tag& tag : tags_) next.push_back(tag.first);
-    for (const Observation& row : rows) {
-      const Eigen::Index at = next[row.tag]++;
-      columns_(at, 0) = row.tag_m.x();
-      columns_(at, 1) = row.tag_m.y();
-      columns_(at, 2) = row.tag_m.z();
-      columns_(at, kRange) = row.range_m;
-      index_[static_cast<std::size_t>(at)] = row.index;
-    }
-    const auto is_told = [](const Observation& row) { return !row.pose_spread_m2.isZero(0.0F); };
-    if (std::any_of(rows.begin(), rows.end(), is_told)) {
-      spread_m2_.setZero(size, 3);
-      std::vector<Eigen::Index> again;
-      again.reserve(tag_count);
-      for (const Tag& tag : tags_) again.push_back(tag.first);
-      for (const Observation& row : rows) {
-        spread_m2_.row(again[row.tag]++) = row.pose_spread_m2.transpose().cast<double>().array();
-      }
-    }
-    // What fills the last lanes up is no range: it has no weight.
-    for (std::size_t tag = 0; tag < tag_count; ++tag) {
-      const Eigen::Index filled = tags_[tag].first + blocks(tag) * kLanes;
-      for (Eigen::Index at = next[tag]; at < filled; ++at) {
-        columns_.row(at).setZero();
-        columns_(at, kRange) = std::numeric_limits<double>::quiet_NaN();
-      }
-    }
-  }
-
-  // kLanes rows of a tag, the last of them filled up with ranges that are no number.
-  [[nodiscard]] Eigen::Index blocks(std::size_t tag) const noexcept {
-    return (tags_[tag].count + kLanes - 1) / kLanes;
-  }
-  [[nodiscard]] Eigen::Index rows_in(std::size_t tag, Eigen::Index block) const noexcept {
-    return std::min(kLanes, tags_[tag].count - block * kLanes);
-  }
-  // axis 0..2 of the antenna's place, m
-  [[nodiscard]] auto antenna_m(std::size_t tag, Eigen::Index block, Eigen::Index axis) const noexcept {
-    return columns_.col(axis).segment<kLanes>(tags_[tag].first + block * kLanes);
-  }
-  [[nodiscard]] auto range_m(std::size_t tag, Eigen::Index block) const noexcept {
-    return columns_.col(kRange).segment<kLanes>(tags_[tag].first + block * kLanes);
-  }
-  // Whether some row has a spread; term 0..2 of it, m^2.
-  [[nodiscard]] bool tells_spread() const noexcept { return spread_m2_.rows() > 0; }
-  [[nodiscard]] auto spread_m2(std::size_t tag, Eigen::Index block, Eigen::Index term) const noexcept {
-    return spread_m2_.col(term).segment<kLanes>(tags_[tag].first + block * kLanes);
-  }
-  // Observation::index
-  [[nodiscard]] std::uint32_t index(std::size_t tag, Eigen::Index block, Eigen::Index lane) const noexcept {
-    return index_[static_cast<std::size_t>(tags_[tag].first + block * kLanes + lane)];
-  }
-
- private:
-  struct Tag {
-    Eigen::Index first = 0;
-    Eigen::Index count = 0;
-  };
-  static constexpr Eigen::Index kRange = 3;
-  static constexpr Eigen::Index kColumns = 4;
-
-  std::vector<Tag> tags_;
-  Eigen::Array<double, Eigen::Dynamic, kColumns> columns_;
-  Eigen::Array<double, Eigen::Dynamic, 3> spread_m2_;  // of the antennas; empty where none is told
-  std::vector<std::uint32_t> index_;
-};
-
-// The unknowns of one anchor: position, then beta of each tag, then gamma of each tag: 3 + 2T; then what
-// walls add, as AnchorSight has it.
+// The unknowns of one anchor: position, then beta of each tag, then gamma of each tag: 3 + 2T; then the
+// excess that all walls have in common and that of each episode, as AnchorSight has it.
 using AnchorVector = Eigen::VectorXd;
 
 [[nodiscard]] inline Eigen::Index beta_index(std::size_t tag) noexcept {
@@ -143,19 +63,22 @@ using AnchorVector = Eigen::VectorXd;
 [[nodiscard]] inline Eigen::Index gamma_index(std::size_t tag, std::size_t tag_count) noexcept {
   return 3 + static_cast<Eigen::Index>(tag_count + tag);
 }
-// Of what all walls add, and of what one episode's wall adds to that.
 [[nodiscard]] inline Eigen::Index wall_index(std::size_t tag_count) noexcept {
   return 3 + 2 * static_cast<Eigen::Index>(tag_count);
 }
 [[nodiscard]] inline Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept {
   return wall_index(tag_count) + 1 + episode;
 }
+// Position, beta and gamma of one pair.
+[[nodiscard]] inline std::array<Eigen::Index, 5> pair_index(std::size_t tag, std::size_t tag_count) noexcept {
+  return {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count)};
+}
 
-// Gaussian belief in the position; a zero eigenvalue leaves a direction open.
+// Gaussian prior of the position; a zero eigenvalue leaves a direction open.
 struct PositionPrior {
   Eigen::Vector3d mean_m = Eigen::Vector3d::Zero();
   Eigen::Matrix3d information = Eigen::Matrix3d::Zero();  // 1/m^2
-  bool surveyed = false;  // known beforehand: held fixed, biases alone are learnt
+  bool surveyed = false;                                  // held fixed: biases alone are estimated
 };
 
 struct AnchorProblem {
@@ -174,19 +97,19 @@ struct AnchorFit {
   double cost = 0.0;
 };
 
-// The range an observation should have shown.
 [[nodiscard]] inline model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
                                                       std::size_t tag_count) noexcept {
   return model::predict_antenna_range(row.tag_m, anchor.head<3>(), anchor(beta_index(row.tag)),
                                       anchor(gamma_index(row.tag, tag_count)));
 }
+// Measured minus predicted.
 [[nodiscard]] inline double residual_m(const Observation& row, const AnchorVector& anchor,
                                        std::size_t tag_count) noexcept {
   return row.range_m - predict(row, anchor, tag_count).range_m;
 }
 
-// What the pose's own error does to a range: J C J^T with C the spread of the antenna, m^2; zero where
-// nothing is told of the pose.
+// Variance of a range by the pose's own error: J C J^T with C that of the antenna, m^2; zero where the poses
+// have no covariance.
 [[nodiscard]] inline double pose_variance_m2(const Observation& row, const AnchorVector& anchor,
                                              std::size_t tag_count) noexcept {
   const Eigen::Vector3d spread_m2 = row.pose_spread_m2.cast<double>();
@@ -198,17 +121,13 @@ struct AnchorFit {
       j.x() * j.x() * spread_m2(0) + 2.0 * j.x() * j.y() * spread_m2(1) + j.y() * j.y() * spread_m2(2);
   return std::max(0.0, variance_m2);
 }
-// A range's noise is the kernel's and that: the kernel's scale as a share of both.
+// The kernel's scale over the standard deviation of kernel and pose together.
 [[nodiscard]] inline double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept {
   if (!(pose_variance_m2 > 0.0)) return 1.0;
   const double scale_m = kernel.shape().scale_m;
   return scale_m / std::sqrt(scale_m * scale_m + pose_variance_m2);
 }
-[[nodiscard]] inline double noise_share(const RobustKernel& kernel, const Observation& row,
-                                        const AnchorVector& anchor, std::size_t tag_count) noexcept {
-  return noise_share(kernel, pose_variance_m2(row, anchor, tag_count));
-}
-// The kernel stretched by so much.
+// The kernel with its scale over that share.
 [[nodiscard]] inline KernelValue stretched(const RobustKernel& kernel, double share,
                                            double residual_m) noexcept {
   KernelValue out = kernel.at(share * residual_m);
@@ -218,14 +137,14 @@ struct AnchorFit {
   return out;
 }
 
-// What a wall adds to this row, by the solution.
+// What walls add to this row at the solution.
 [[nodiscard]] inline double wall_excess_m(const RowSight& sight, const AnchorVector& anchor,
                                           std::size_t tag_count) noexcept {
   const double common_m = anchor(wall_index(tag_count));
   return sight.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(sight.episode, tag_count));
 }
 
-// One row at one solution: the density of the whole, slope and weight of its part in sight, and those of its
+// One row at one solution: the density of the whole, slope and weight of its part in LOS, and those of its
 // part behind a wall.
 struct RowValue {
   KernelValue seen;
@@ -233,19 +152,22 @@ struct RowValue {
   double wall_slope = 0.0;   // 1/m
   double wall_weight = 0.0;  // 1/m^2
 };
-[[nodiscard]] inline RowValue value_of(const AnchorSight& sight, const RowSight& row, const KernelValue& seen,
-                                       double residual_m, const AnchorVector& anchor, std::size_t tag_count,
+// `seen`: the value of the pair's kernel; `row`: Observation::index.
+[[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::uint32_t row,
+                                       const KernelValue& seen, double residual_m, const AnchorVector& anchor,
                                        double pose_variance_m2) noexcept {
   RowValue out{.seen = seen};
-  const double in_sight = static_cast<double>(row.in_sight) * seen.density;
+  if (problem.sight == nullptr) return out;
+  const RowSight& sight = problem.sight->rows[row];
+  const double in_sight = static_cast<double>(sight.in_sight) * seen.density;
   KernelValue through;
   double walled = 0.0;
-  if (row.wall > 0.0F) {
-    through = stretched(sight.wall, noise_share(sight.wall, pose_variance_m2),
-                        residual_m - wall_excess_m(row, anchor, tag_count));
-    walled = static_cast<double>(row.wall) * through.density;
+  if (sight.wall > 0.0F) {
+    through = stretched(problem.sight->wall, noise_share(problem.sight->wall, pose_variance_m2),
+                        residual_m - wall_excess_m(sight, anchor, problem.tag_count));
+    walled = static_cast<double>(sight.wall) * through.density;
   }
-  out.seen.density = in_sight + walled + static_cast<double>(row.other_density);
+  out.seen.density = in_sight + walled + static_cast<double>(sight.other_density);
   out.seen_share = in_sight / out.seen.density;
   out.seen.slope *= out.seen_share;
   out.seen.weight *= out.seen_share;
@@ -253,18 +175,7 @@ struct RowValue {
   out.wall_weight = walled / out.seen.density * through.weight;
   return out;
 }
-[[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                                       const Observation& row, double residual_m,
-                                       const AnchorVector& anchor) noexcept {
-  const double variance_m2 = pose_variance_m2(row, anchor, problem.tag_count);
-  const RobustKernel& kernel = kernels[row.tag];
-  const KernelValue seen = stretched(kernel, noise_share(kernel, variance_m2), residual_m);
-  if (problem.sight == nullptr) return {.seen = seen};
-  return value_of(*problem.sight, problem.sight->rows[row.index], seen, residual_m, anchor, problem.tag_count,
-                  variance_m2);
-}
 
-// Derivative of the predicted range by position, beta and gamma of the one pair that it sees.
 using PairRow = Eigen::Matrix<double, 5, 1>;
 using PairBlock = Eigen::Matrix<double, 5, 5>;
 // Adds weight J J^T to a lower triangle.
@@ -274,42 +185,115 @@ inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexce
     for (Eigen::Index row = column; row < 5; ++row) lower(row, column) += weighted * j(row);
   }
 }
-[[nodiscard]] inline PairRow pair_jacobian(const model::AntennaPrediction& predicted, double gamma) noexcept {
-  return {-gamma * predicted.direction.x(), -gamma * predicted.direction.y(),
-          -gamma * predicted.direction.z(), 1.0, predicted.distance_m};
+
+// One row at a fit's solution.
+struct RowAt {
+  model::AntennaPrediction predicted;
+  double residual_m = 0.0;
+  double gamma = 1.0;
+  double noise_share = 1.0;
+  RowValue value;
+  PairRow j;  // derivative of the predicted range by position, beta and gamma of its pair
+};
+[[nodiscard]] inline RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
+  const std::size_t tags = fit.problem.tag_count;
+  RowAt out{.predicted = predict(row, fit.anchor, tags)};
+  out.residual_m = row.range_m - out.predicted.range_m;
+  out.gamma = fit.anchor(gamma_index(row.tag, tags));
+  const RobustKernel& kernel = fit.kernels[row.tag];
+  const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
+  out.noise_share = noise_share(kernel, variance_m2);
+  out.value = value_of(fit.problem, row.index, stretched(kernel, out.noise_share, out.residual_m),
+                       out.residual_m, fit.anchor, variance_m2);
+  out.j << -out.gamma * out.predicted.direction, 1.0, out.predicted.distance_m;
+  return out;
 }
 
-// Of a range behind a wall: also by the two parts of its excess.
+// Derivative of a range behind a wall: also by the two parts of its excess.
 struct WallRow {
   Eigen::Matrix<double, 7, 1> derivative;
   std::array<Eigen::Index, 7> index{};  // of the anchor's unknowns
-  Eigen::Index size = 6;                // 7 in an episode
-};
-[[nodiscard]] inline WallRow wall_row(const PairRow& j, const RowSight& sight, std::size_t tag,
-                                      std::size_t tag_count) noexcept {
-  WallRow out;
-  out.derivative << j, 1.0, 1.0;
-  out.index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), wall_index(tag_count), 0};
-  if (sight.episode != kNoEpisode) {
-    out.index[6] = episode_index(sight.episode, tag_count);
-    out.size = 7;
+  std::size_t size = 6;                 // 7 in an episode
+
+  WallRow(const PairRow& j, const RowSight& sight, std::size_t tag, std::size_t tag_count) noexcept {
+    derivative << j, 1.0, 1.0;
+    index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), wall_index(tag_count), 0};
+    if (sight.episode == kNoEpisode) return;
+    index[6] = episode_index(sight.episode, tag_count);
+    size = 7;
   }
-  return out;
-}
-// Adds weight J J^T to a symmetric matrix.
-inline void add_square(const WallRow& row, double weight, Eigen::MatrixXd& out) noexcept {
-  for (Eigen::Index i = 0; i < row.size; ++i) {
-    for (Eigen::Index k = 0; k < row.size; ++k) {
-      out(row.index[static_cast<std::size_t>(i)], row.index[static_cast<std::size_t>(k)]) +=
-          weight * row.derivative(i) * row.derivative(k);
+  // Adds weight J J^T.
+  void add_square(double weight, Eigen::MatrixXd& out) const noexcept {
+    for (std::size_t i = 0; i < size; ++i) {
+      for (std::size_t k = 0; k < size; ++k) out(index[i], index[k]) += weight * by(i) * by(k);
     }
   }
-}
-template <typename Vector>
-void add(const WallRow& row, double factor, Vector&& out) noexcept {
-  for (Eigen::Index i = 0; i < row.size; ++i)
-    out(row.index[static_cast<std::size_t>(i)]) += factor * row.derivative(i);
-}
+  // Adds factor J.
+  template <typename Vector>
+  void add(double factor, Vector&& out) const noexcept {
+    for (std::size_t i = 0; i < size; ++i) out(index[i]) += factor * by(i);
+  }
+
+ private:
+  [[nodiscard]] double by(std::size_t i) const noexcept { return derivative(static_cast<Eigen::Index>(i)); }
+};
+
+// A copy of an anchor's rows as inner loops read them: tag by tag in blocks of kLanes, column by column. The
+// last block of a tag is filled up with ranges that are no number: they have no weight.
+class RowColumns {
+ public:
+  static constexpr Eigen::Index kAntenna = 0;  // x, y, z, m
+  static constexpr Eigen::Index kRange = 3;    // m
+  static constexpr Eigen::Index kSpread = 4;   // Observation::pose_spread_m2
+
+  RowColumns(std::span<const Observation> rows, std::size_t tag_count) : tags_(tag_count) {
+    for (const Observation& row : rows) ++tags_[row.tag].count;
+    std::vector<Eigen::Index> next;
+    Eigen::Index size = 0;
+    for (std::size_t tag = 0; tag < tag_count; ++tag) {
+      tags_[tag].first = size;
+      next.push_back(size);
+      size += blocks(tag) * kLanes;
+    }
+    columns_.setZero(size, kSpread + 3);
+    columns_.col(kRange).setConstant(std::numeric_limits<double>::quiet_NaN());
+    index_.resize(static_cast<std::size_t>(size));
+    for (const Observation& row : rows) {
+      const Eigen::Index at = next[row.tag]++;
+      columns_.row(at) << row.tag_m.transpose().array(), row.range_m,
+          row.pose_spread_m2.transpose().cast<double>().array();
+      index_[static_cast<std::size_t>(at)] = row.index;
+      has_spread_ = has_spread_ || !row.pose_spread_m2.isZero(0.0F);
+    }
+  }
+
+  [[nodiscard]] Eigen::Index blocks(std::size_t tag) const noexcept {
+    return (tags_[tag].count + kLanes - 1) / kLanes;
+  }
+  [[nodiscard]] Eigen::Index rows_in(std::size_t tag, Eigen::Index block) const noexcept {
+    return std::min(kLanes, tags_[tag].count - block * kLanes);
+  }
+  [[nodiscard]] auto at(std::size_t tag, Eigen::Index block, Eigen::Index column) const noexcept {
+    return columns_.col(column).segment<kLanes>(tags_[tag].first + block * kLanes);
+  }
+  // Whether some row has a spread.
+  [[nodiscard]] bool has_spread() const noexcept { return has_spread_; }
+  // Observation::index
+  [[nodiscard]] std::uint32_t index(std::size_t tag, Eigen::Index block, Eigen::Index lane) const noexcept {
+    return index_[static_cast<std::size_t>(tags_[tag].first + block * kLanes + lane)];
+  }
+
+ private:
+  struct Tag {
+    Eigen::Index first = 0;
+    Eigen::Index count = 0;
+  };
+
+  std::vector<Tag> tags_;
+  Eigen::Array<double, Eigen::Dynamic, kSpread + 3> columns_;
+  bool has_spread_ = false;
+  std::vector<std::uint32_t> index_;
+};
 
 // Information of all priors, for all of the anchor's unknowns.
 [[nodiscard]] Eigen::MatrixXd information_of_priors(const AnchorProblem& problem);
@@ -321,21 +305,17 @@ struct NormalEquations {
   Eigen::VectorXd gradient;
   Eigen::MatrixXd information;
 };
-
-// One kernel a tag.
-[[nodiscard]] NormalEquations linearize(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                                        const AnchorVector& anchor);
-[[nodiscard]] double robust_cost(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                                 const AnchorVector& anchor);
+[[nodiscard]] NormalEquations linearize(const AnchorFit& fit);
+[[nodiscard]] double robust_cost(const AnchorFit& fit);
 
 struct AnchorSolution {
   AnchorVector anchor;
   double cost = 0.0;
   double moved_sigmas = 0.0;  // from the start: the length in the metric of the information
-  bool converged = false;
 };
 
-// Levenberg-Marquardt from a start. The result is never worse than the start and always finite.
+// Levenberg-Marquardt from a start, with one kernel a tag. The result is never worse than the start and
+// always finite.
 [[nodiscard]] AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                                           const AnchorVector& start, int max_iterations);
 

@@ -95,18 +95,16 @@ HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows
   std::vector<double> absolute_m;
   double square_m2 = 0.0;
   double scale_m = 0.0;
-  const std::size_t tags = first.problem.tag_count;
   const Eigen::MatrixXd covariance = first.problem.position.surveyed
                                          ? anchor_covariance(gather_evidence(first), 1.0)
                                          : rough_covariance(first);
   for (const Observation& row : rows) {
     if (row.t_s <= from_s) continue;
-    const double r = residual_m(row, first.anchor, tags);
-    square_m2 += r * r;
-    const RobustKernel& kernel = first.kernels[row.tag];
-    const double noise_m = kernel.shape().scale_m / noise_share(kernel, row, first.anchor, tags);
-    scale_m += std::hypot(noise_m, prediction_sigma_m(row, first.anchor, tags, covariance));
-    absolute_m.push_back(std::abs(r));
+    const RowAt at = row_at(first, row);
+    square_m2 += at.residual_m * at.residual_m;
+    const double noise_m = first.kernels[row.tag].shape().scale_m / at.noise_share;
+    scale_m += std::hypot(noise_m, prediction_sigma_m(at.j, row.tag, covariance));
+    absolute_m.push_back(std::abs(at.residual_m));
   }
   HeldOut out;
   if (absolute_m.size() < kMinHeldOut) return out;
@@ -130,16 +128,14 @@ std::vector<FittedRange> look_at_rows(const AnchorFit& fit, std::span<const mode
   std::vector<FittedRange> out;
   out.reserve(fit.problem.rows.size());
   for (const Observation& row : fit.problem.rows) {
-    const model::AntennaPrediction predicted = predict(row, fit.anchor, fit.problem.tag_count);
-    const double residual_m = row.range_m - predicted.range_m;
-    const double share = noise_share(fit.kernels[row.tag], row, fit.anchor, fit.problem.tag_count);
+    const RowAt at = row_at(fit, row);
     out.push_back({.t_s = row.t_s,
                    .tag_id = tags[row.tag].id,
                    .antenna_m = row.tag_m.head<2>(),
-                   .distance_m = predicted.distance_m,
-                   .residual_m = residual_m,
-                   .in_sight = fit.kernels[row.tag].shares(share * residual_m).in_sight() *
-                               value_of(fit.problem, fit.kernels, row, residual_m, fit.anchor).seen_share});
+                   .distance_m = at.predicted.distance_m,
+                   .residual_m = at.residual_m,
+                   .in_sight = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).in_sight() *
+                               at.value.seen_share});
   }
   return out;
 }
@@ -286,7 +282,7 @@ void explore(Site& site, const model::Calibration* earlier) {
     if (fit.problem.position.surveyed) continue;
     // Where it was moved meanwhile, its earlier place is not that of the rows.
     std::optional<EarlierPlace> place;
-    if (earlier != nullptr && site.paths[i].moves.empty()) {
+    if (earlier != nullptr && site.paths[i].moved_at_s.empty()) {
       place = earlier_place(*earlier, site.association.anchors[i].id);
     }
     for (const auto& [axis, rival] :
@@ -309,9 +305,9 @@ bool can_tell_moves(const Association& association) {
 }
 
 // Each range's sight, where the data ask for it.
-void find_sight(Site& site, const model::RangePriors& priors) {
+void find_sight(Site& site) {
   if (is_sight_wanted(site.polls, site.fits))
-    site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits, priors);
+    site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
 }
 
 enum class Moves { kLookedFor, kNone };
@@ -332,22 +328,22 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   site.fits = solve_site(problem, site.beginning);
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
-    find_sight(site, problem.priors);
+    find_sight(site);
     if (moves == Moves::kLookedFor && can_tell_moves(site.association))
-      site.paths = find_moved(site.polls, site.sight, site.fits, problem.priors);
+      site.paths = find_moved(site.polls, site.sight, site.fits);
   }
   explore(site, options.earlier);
-  refine_site(site.fits, problem.priors, kLastRounds);
+  refine_site(site.fits, kLastRounds);
   return site;
 }
 
 bool has_moves(const Site& site) {
   return std::any_of(site.paths.begin(), site.paths.end(),
-                     [](const AnchorPath& path) { return !path.moves.empty(); });
+                     [](const AnchorPath& path) { return !path.moved_at_s.empty(); });
 }
 
 // What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
-void look_again(Site& site, const model::RangePriors& priors, const model::Calibration* earlier) {
+void look_again(Site& site, const model::Calibration* earlier) {
   if (!is_within_reach(site.fits) || has_moves(site)) return;
   if (model::is_ablated(model::Mechanism::kCalibrationAgain)) return;
   for (AnchorFit& fit : site.fits) {
@@ -355,11 +351,11 @@ void look_again(Site& site, const model::RangePriors& priors, const model::Calib
     fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
   }
   site.sight = {};
-  refine_site(site.fits, priors, kLastRounds);
-  find_sight(site, priors);
+  refine_site(site.fits, kLastRounds);
+  find_sight(site);
   site.evidence.clear();
   explore(site, earlier);
-  refine_site(site.fits, priors, kLastRounds);
+  refine_site(site.fits, kLastRounds);
 }
 
 // The robot's height is its own or that of the ground: whichever explains the ranges better.
@@ -396,10 +392,8 @@ std::optional<model::NodeId> find_stand_in(const Site& site, std::size_t anchor)
 
 std::optional<MoveEvidence> tell_moves(const Site& site, std::size_t anchor) {
   const AnchorPath& path = site.paths[anchor];
-  if (path.moves.empty()) return std::nullopt;
-  MoveEvidence out;
-  for (const Move& move : path.moves) out.at_s.push_back(move.t_s);
-  out.by_m = path.moves.back().shift.by_m;
+  if (path.moved_at_s.empty()) return std::nullopt;
+  MoveEvidence out{.at_s = path.moved_at_s, .by_m = path.last_move_m};
   out.is_back = (path.places_m.back() - path.places_m.front()).norm() < kSamePlace_m;
   out.stand_in = find_stand_in(site, anchor);
   return out;
@@ -431,7 +425,6 @@ std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::sp
 }  // namespace
 
 Result calibrate(const Drive& drive, const Options& options) {
-  const model::RangePriors priors = usable_priors(drive.priors);
   Site site;
   std::vector<HeldOut> held_out;
   DriveError drive_error;
@@ -443,14 +436,14 @@ Result calibrate(const Drive& drive, const Options& options) {
       held_out.push_back(
           score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
     }
-    drive_error = correct_drive(site.association, site.fits, priors);
+    drive_error = correct_drive(site.association, site.fits);
   };
   solve(Moves::kLookedFor);
   // Where poses wander by as much as a move is long, anchors that seem to have moved have not.
   if (has_moves(site) && drive_error.wander.sigma_m > kMovePose_m) solve(Moves::kNone);
   if (!drive_error.body.empty() && !site.sight.anchors.empty()) {
-    look_again(site, priors, options.earlier);
-    correct_further(site.association, site.fits, priors, drive_error);
+    look_again(site, options.earlier);
+    correct_further(site.association, site.fits, drive_error);
   }
   const Association& association = site.association;
   const std::vector<double> inflation = score_inflation(drive_error.evidence);
@@ -496,7 +489,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     known.moved = tell_moves(site, i);
     known.twin_m = site.paths[i].twin_m;
     if (!site.sight.anchors.empty()) {
-      known.sight = SightEvidence{.polls = site.sight.shares[i].polls,
+      known.sight = SightEvidence{.polls = site.sight.poll_shares[i],
                                   .polls_are_told = site.polls.regular,
                                   .wall_excess_m = site.sight.model.wall_prior.mean_m,
                                   .far_share = sight.far_share,
@@ -536,7 +529,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   result.calibration.common_frame_covariance = drive_error.frame_covariance;
   result.calibration.range_delay_s = drive_error.range_delay_s;
   result.calibration.range_delay_sigma_s = drive_error.range_delay_sigma_s;
-  result.calibration.range_noise = range_noise(site.fits, association.tags.size());
+  result.calibration.range_noise = range_noise(site.fits);
   result.calibration.verdict = judge_site(result.calibration.anchors);
   return result;
 }

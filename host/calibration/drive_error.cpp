@@ -344,25 +344,16 @@ Eigen::MatrixXd pull_of_own_pattern(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(fit.anchor.size(), model::kPatternTerms + kThirdDegreeTerms);
   for (const Observation& row : fit.problem.rows) {
-    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-    const double weight =
-        value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor).seen.weight;
-    const PairRow j = weight * pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
+    const RowAt at = row_at(fit, row);
+    const PairRow j = at.value.seen.weight * at.j;
     Eigen::Matrix<double, 1, model::kPatternTerms + kThirdDegreeTerms> terms;
-    terms << model::pattern_terms(predicted.direction).transpose(),
-        third_degree_terms(predicted.direction).transpose();
+    terms << model::pattern_terms(at.predicted.direction).transpose(),
+        third_degree_terms(at.predicted.direction).transpose();
     out.topRows<3>() += j.head<3>() * terms;
     out.row(beta_index(row.tag)) += j(3) * terms;
     out.row(gamma_index(row.tag, tags)) += j(4) * terms;
   }
   if (fit.problem.position.surveyed) out.topRows<3>().setZero();
-  return out;
-}
-
-std::vector<Evidence> evidence_of(std::span<const AnchorFit> fits) {
-  std::vector<Evidence> out;
-  out.reserve(fits.size());
-  for (const AnchorFit& fit : fits) out.push_back(gather_evidence(fit));
   return out;
 }
 
@@ -375,8 +366,8 @@ std::vector<double> inflations(std::span<const Evidence> evidence, double durati
 
 // Solves for all that is believed, from what has been taken off already, until it rests; and what follows of
 // it. An open delay is held at zero where it does not show clearly.
-void settle(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
-            bool is_delay_open, std::vector<double> inflation, DriveError& out) {
+void settle(Association& association, std::vector<AnchorFit>& fits, bool is_delay_open,
+            std::vector<double> inflation, DriveError& out) {
   const SharedUnknowns& unknowns = out.unknowns;
   SharedPrior& prior = out.prior;
   Eigen::VectorXd& error = out.shared_mean;
@@ -403,9 +394,9 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
     }
     if (!step.allFinite() || !covariance.allFinite()) return;
     if (!take_step(association, fits, inflation, unknowns, believed, step, error)) break;
-    refine_site(fits, priors, 1);
+    refine_site(fits, 1);
     // What is explained by now hangs together no more; what still does is of places.
-    out.evidence = evidence_of(fits);
+    out.evidence = gather_evidence(std::span<const AnchorFit>(fits));
     inflation = inflations(out.evidence, kWhile_s);
     if (step.dot((equations.information + believed) * step) < kLastStepSigmas * kLastStepSigmas) break;
   }
@@ -435,13 +426,12 @@ void settle(Association& association, std::vector<AnchorFit>& fits, const model:
 
 }  // namespace
 
-DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
-                         const model::RangePriors& priors) {
+DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits) {
   DriveError out;
   for (const AnchorFit& fit : fits) {
     out.added_covariance.push_back(Eigen::MatrixXd::Zero(fit.anchor.size(), fit.anchor.size()));
   }
-  out.evidence = evidence_of(fits);
+  out.evidence = gather_evidence(std::span<const AnchorFit>(fits));
   const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
   if (!placed) return out;
   Question question;
@@ -483,20 +473,18 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
       for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
     }
   }
-  settle(association, fits, priors, /*is_delay_open=*/true, inflation, out);
+  settle(association, fits, /*is_delay_open=*/true, inflation, out);
   return out;
 }
 
-void correct_further(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
-                     DriveError& drive_error) {
+void correct_further(Association& association, std::vector<AnchorFit>& fits, DriveError& drive_error) {
   for (std::size_t i = 0; i < fits.size(); ++i) {
     const Eigen::Index size = fits[i].anchor.size();
     drive_error.added_covariance[i] = Eigen::MatrixXd::Zero(size, size);
   }
-  drive_error.evidence = evidence_of(fits);
+  drive_error.evidence = gather_evidence(std::span<const AnchorFit>(fits));
   if (drive_error.shared_gain.empty()) return;
-  settle(association, fits, priors, /*is_delay_open=*/false, inflations(drive_error.evidence, kWhile_s),
-         drive_error);
+  settle(association, fits, /*is_delay_open=*/false, inflations(drive_error.evidence, kWhile_s), drive_error);
 }
 
 }  // namespace groma::calibration

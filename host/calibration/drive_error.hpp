@@ -46,10 +46,8 @@ struct DriveError {
 
 // Estimates the error, moves the antennas of the association's rows (which the fits refer to) to where they
 // were by it and takes their patterns off the ranges, and moves the fits with them.
-[[nodiscard]] DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits,
-                                       const model::RangePriors& priors);
+[[nodiscard]] DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits);
 // The same from where that ended, after the fits' rows have been looked at anew: what is believed stays.
-void correct_further(Association& association, std::vector<AnchorFit>& fits, const model::RangePriors& priors,
-                     DriveError& drive_error);
+void correct_further(Association& association, std::vector<AnchorFit>& fits, DriveError& drive_error);
 
 }  // namespace groma::calibration

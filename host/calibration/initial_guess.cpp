@@ -212,7 +212,6 @@ TagSpread tag_spread(std::span<const Observation> rows) {
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scatter);
   out.axes = eigen.eigenvectors().rowwise().reverse();
-  out.deviation_m = eigen.eigenvalues().reverse().cwiseMax(0.0).cwiseSqrt();
   return out;
 }
 
@@ -248,10 +247,10 @@ Candidate search(const AnchorProblem& problem) {
     for (Eigen::Index block = 0; block < columns.blocks(0); ++block) {
       Lanes square_m2 = Lanes::Zero();
       for (Eigen::Index axis = 0; axis < 3; ++axis) {
-        square_m2 += (columns.antenna_m(0, block, axis) - start.position_m(axis)).square();
+        square_m2 += (columns.at(0, block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
       }
       const Lanes expected_m = priors.gamma.mean * square_m2.sqrt() + priors.beta_m.mean;
-      const Lanes square = ((columns.range_m(0, block) - expected_m) / width_m).square();
+      const Lanes square = ((columns.at(0, block, RowColumns::kRange) - expected_m) / width_m).square();
       start.score += (square / (1.0 + square)).head(columns.rows_in(0, block)).sum();
     }
   }
@@ -307,6 +306,11 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   return rival;
 }
 
+void challenge_both(AnchorFit& fit) {
+  const TagSpread spread = tag_spread(fit.problem.rows);
+  for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(challenge(fit, spread, axis));
+}
+
 void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival) {
   const Eigen::LDLT<Eigen::Matrix3d> factors(earlier.covariance_m2);
   const auto cost = [&](const AnchorVector& anchor) {
@@ -316,7 +320,7 @@ void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& 
   rival.cost_excess += inflation * (cost(rival.anchor) - cost(fit.anchor));
   if (rival.cost_excess >= 0.0) return;
   std::swap(fit.anchor, rival.anchor);
-  fit.cost = robust_cost(fit.problem, fit.kernels, fit.anchor);
+  fit.cost = robust_cost(fit);
   rival.cost_excess = -rival.cost_excess;
 }
 

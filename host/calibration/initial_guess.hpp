@@ -26,8 +26,7 @@ inline constexpr int kAcrossPlane = 2;
 // The principal frame of the antennas' positions.
 struct TagSpread {
   Eigen::Vector3d center_m = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();     // columns: most spread first
-  Eigen::Vector3d deviation_m = Eigen::Vector3d::Zero();  // standard deviation along each
+  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();  // columns: most spread first
 
   // The point on the other side of the tags along one axis, 0..2.
   [[nodiscard]] Eigen::Vector3d mirror(const Eigen::Vector3d& point_m, int axis) const noexcept;
@@ -56,6 +55,9 @@ struct Rival {
 // Looks for the other side along one axis; where it explains the ranges better, the fit moves there and its
 // former place is the rival. The fit must have rows.
 [[nodiscard]] Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis);
+
+// Across the line and across the plane of the tags; the rivals themselves are not of interest.
+void challenge_both(AnchorFit& fit);
 
 // Where an anchor was by an earlier calibration.
 struct EarlierPlace {

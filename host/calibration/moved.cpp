@@ -29,9 +29,6 @@ constexpr double kGammaAgain = 5e-4;
 constexpr double kOpenShift_m = 10.0;
 // A stretch that gains less is not looked at.
 constexpr double kLeastGain = 30.0;
-// Two places are apart by this in the plane, and by as much in the ranges of the stretch: a robot that stood
-// there tells of the one direction alone, and any place in the others would do.
-constexpr double kApart_m = 0.15;
 constexpr int kPlaceRounds = 4;
 constexpr int kRefinements = 3;
 // A row prefers its own place by this, on average.
@@ -49,6 +46,18 @@ struct Stretch {
   std::size_t last = 0;
   friend bool operator==(const Stretch&, const Stretch&) = default;
 };
+
+// A stretch of the rows in which an anchor was elsewhere, in which it has this many rows at least.
+constexpr std::size_t kLeastStretchRows = 60;
+struct SecondPlace {
+  Stretch stretch;
+  Eigen::Vector3d place_m = Eigen::Vector3d::Zero();        // there
+  Eigen::Vector3d usual_place_m = Eigen::Vector3d::Zero();  // outside of the stretch
+  // Of the rows that clearly prefer one of the places: those that no time separates from those of the other.
+  double torn_share = 0.0;
+};
+// Beyond this no time separates the places: the anchor is at both.
+constexpr double kTornShare = 0.2;
 
 // Enough rows and time for a place of their own; where there is less, other things than a move make it.
 bool is_enough(std::span<const Observation> rows, const Stretch& stretch) noexcept {
@@ -71,10 +80,6 @@ Stretch widened(std::span<const Observation> rows, Stretch stretch) noexcept {
   if (!is_enough(rows, {.first = 0, .last = stretch.first})) stretch.first = 0;
   if (!is_enough(rows, {.first = stretch.last, .last = rows.size()})) stretch.last = rows.size();
   return stretch;
-}
-
-AnchorVector without_walls(const AnchorFit& fit) {
-  return fit.anchor.head(wall_index(fit.problem.tag_count));
 }
 
 // With the largest sum.
@@ -110,6 +115,17 @@ std::vector<double> preferences(std::span<const Observation> rows, const AnchorF
   return out;
 }
 
+// Solves some rows by themselves: searched for, and without NLOS states.
+AnchorFit solve_alone(const AnchorProblem& problem, std::span<const Observation> rows, int rounds) {
+  AnchorFit out;
+  out.problem = problem;
+  out.problem.rows = rows;
+  out.problem.sight = nullptr;
+  find_start(out);
+  refine_site({&out, 1}, rounds);
+  return out;
+}
+
 // The place that the rows have with the biases of `here`.
 AnchorFit place_of_stretch(const AnchorFit& here, std::span<const Observation> stretch) {
   const std::size_t tags = here.problem.tag_count;
@@ -117,14 +133,11 @@ AnchorFit place_of_stretch(const AnchorFit& here, std::span<const Observation> s
   for (Observation& row : rows) {
     row.range_m = (row.range_m - here.anchor(beta_index(row.tag))) / here.anchor(gamma_index(row.tag, tags));
   }
-  std::vector<AnchorFit> there(1, here);
-  there.front().problem.rows = rows;
-  there.front().problem.priors.beta_m = {.mean = 0.0, .sigma = kBetaAgain_m};
-  there.front().problem.priors.gamma = {.mean = 1.0, .sigma = kGammaAgain};
-  find_start(there.front());
-  refine_site(there, there.front().problem.priors, kRefinements);
+  AnchorProblem problem = here.problem;
+  problem.priors.beta_m = {.mean = 0.0, .sigma = kBetaAgain_m};
+  problem.priors.gamma = {.mean = 1.0, .sigma = kGammaAgain};
   AnchorFit out = here;
-  for (Eigen::Index i = 0; i < 3; ++i) out.anchor(i) = there.front().anchor(i);
+  out.anchor.head<3>() = solve_alone(problem, rows, kRefinements).anchor.head<3>();
   return out;
 }
 
@@ -174,29 +187,22 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
   double apart_m = 0.0;
   for (int round = 0; round < kPlaceRounds; ++round) {
     if (!is_parted(rows, stretch)) return std::nullopt;
-    std::vector<Observation> outside(rows.begin(), rows.begin() + static_cast<std::ptrdiff_t>(stretch.first));
-    outside.insert(outside.end(), rows.begin() + static_cast<std::ptrdiff_t>(stretch.last), rows.end());
-    std::vector<AnchorFit> here(1);
-    here.front().problem = problem;
-    here.front().problem.sight = nullptr;
-    here.front().problem.rows = outside;
-    find_start(here.front());
-    refine_site(here, problem.priors, kRefinements);
-    const AnchorFit there =
-        place_of_stretch(here.front(), rows.subspan(stretch.first, stretch.last - stretch.first));
-    apart_m =
-        apart_in_range_m(rows.subspan(stretch.first, stretch.last - stretch.first), here.front(), there);
-    out.usual_place_m = here.front().anchor.head<3>();
+    const auto inside = rows.subspan(stretch.first, stretch.last - stretch.first);
+    std::vector<Observation> outside(rows.begin(), inside.begin());
+    outside.insert(outside.end(), inside.end(), rows.end());
+    const AnchorFit here = solve_alone(problem, outside, kRefinements);
+    const AnchorFit there = place_of_stretch(here, inside);
+    apart_m = apart_in_range_m(inside, here, there);
+    out.usual_place_m = here.anchor.head<3>();
     out.place_m = there.anchor.head<3>();
-    prefer_there = preferences(rows, here.front(), there);
+    prefer_there = preferences(rows, here, there);
     const Stretch before = std::exchange(stretch, widened(rows, largest_stretch(prefer_there)));
     if (stretch == before) break;
   }
   if (!is_parted(rows, stretch)) return std::nullopt;
-  if ((out.place_m - out.usual_place_m).head<2>().norm() < kApart_m || apart_m < kApart_m)
-    return std::nullopt;
-  out.first = stretch.first;
-  out.last = stretch.last;
+  // Apart in the ranges too: a robot that stood there measured one direction alone.
+  if (std::min((out.place_m - out.usual_place_m).head<2>().norm(), apart_m) < kMinMove_m) return std::nullopt;
+  out.stretch = stretch;
   out.torn_share = torn_share(prefer_there, stretch);
   return prefers_each(prefer_there, stretch) ? std::optional(out) : std::nullopt;
 }
@@ -227,15 +233,54 @@ std::optional<AnchorFit> find_far_place(const AnchorFit& fit) {
   return far;
 }
 
+// None where one place explains the rows as well. The fit's kernels and solution are a start and a scale.
+std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
+  const std::size_t rows = fit.problem.rows.size();
+  if (rows < 2 * kLeastStretchRows) return std::nullopt;
+  if (const std::optional<AnchorFit> far = find_far_place(fit)) {
+    std::vector<double> prefer = preferences(fit.problem.rows, fit, *far);
+    Stretch stretch = largest_stretch(prefer);
+    double torn = torn_share(prefer, stretch);
+    // The stretch may be that of the fit's own place, in the midst of the other's.
+    for (double& value : prefer) value = -value;
+    const Stretch own = largest_stretch(prefer);
+    if (const double torn_own = torn_share(prefer, own); torn_own < torn) {
+      torn = torn_own;
+      stretch = own;
+    }
+    if (torn > kTornShare) {
+      return SecondPlace{.stretch = stretch,
+                         .place_m = far->anchor.head<3>(),
+                         .usual_place_m = fit.anchor.head<3>(),
+                         .torn_share = torn};
+    }
+    if (auto parted = part(fit.problem, widened(fit.problem.rows, stretch))) return parted;
+  }
+  const StretchGains gains(fit, std::min(kBins, rows / kRowsPerBin));
+  Stretch best;
+  double largest = kLeastGain;
+  for (std::size_t from = 0; from < gains.bins(); ++from) {
+    for (std::size_t to = from + 1; to <= gains.bins(); ++to) {
+      const Stretch stretch{.first = gains.first_row(from), .last = gains.first_row(to)};
+      if (!is_parted(fit.problem.rows, stretch)) continue;
+      const double gain = gains.gain(from, to);
+      if (gain <= largest) continue;
+      largest = gain;
+      best = stretch;
+    }
+  }
+  return part(fit.problem, best);
+}
+
 constexpr int kMovedRounds = 4;
 constexpr int kLooks = 3;
 constexpr int kPieceSteps = 6;
 constexpr int kJoiningSteps = 20;
 // A move is so far outside of what the two solutions can differ by.
 constexpr double kMinSquareSigmas = 40.0;
-// As many rows, each by itself, does a piece want as it tells unknowns of three tags, twice over.
+// A piece needs at least twice as many independent rows as it has unknowns (three tags).
 constexpr double kLeastRowsByThemselves = 20.0;
-// Share of polls in sight that each piece wants.
+// Share of polls in LOS that each piece needs.
 constexpr double kMinInSight = 0.2;
 
 // The polls of a table that belong to rows from `first` on, up to `last`.
@@ -258,59 +303,30 @@ struct Suspicion {
   std::optional<Eigen::Vector3d> twin_m;
 };
 
-// The rows at which the anchor was in sight, as replies and powers alone have it: behind walls a bias and a
-// move are one, and what a move makes of residuals passes for a wall.
-std::vector<Observation> rows_in_sight(std::span<const Observation> rows,
-                                       std::span<const std::vector<Poll>> pairs, const SightModel& model) {
-  if (rows.empty()) return {};
-  const std::size_t first = rows.front().index;
-  std::vector<bool> seen(rows.size(), false);
-  SightPosterior posterior;
-  std::vector<SightVector> likelihoods;
-  for (const std::vector<Poll>& polls : pairs) {
-    const auto with_row = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
-    likelihoods.assign(static_cast<std::size_t>(with_row), SightVector::Ones());
-    infer_sight(model.chain, polls, likelihoods, hints_of(classes_of(polls, rows), model.powers), posterior);
-    std::size_t i = 0;
-    for (const Poll poll : polls) {
-      if (poll < 0) continue;
-      seen[static_cast<std::size_t>(poll) - first] = posterior.posterior[i++](kInSight) > 0.5;
-    }
-  }
-  std::vector<Observation> out;
-  out.reserve(rows.size());
-  std::copy_if(rows.begin(), rows.end(), std::back_inserter(out),
-               [&](const Observation& row) { return seen[row.index - first]; });
-  return out;
-}
-
-// `rows`: those of the fit that are to be looked at.
-Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows, const model::RangePriors& priors) {
+// `rows`: those of the fit that are examined.
+Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
   Suspicion out;
-  std::vector<AnchorFit> rest(1, fit);
-  rest.front().problem.rows = rows;
+  AnchorFit rest = fit;
+  rest.problem.rows = rows;
   for (int look = 0; look < kLooks; ++look) {
-    const std::optional<SecondPlace> second = find_second_place(rest.front());
+    const std::optional<SecondPlace> second = find_second_place(rest);
     if (!second) break;
     if (second->torn_share > kTornShare) {
       if (look == 0) out.twin_m = second->place_m;
       break;
     }
     out.places_m.insert(out.places_m.end(), {second->usual_place_m, second->place_m});
-    for (const std::size_t change : {second->first, second->last}) {
+    for (const std::size_t change : {second->stretch.first, second->stretch.last}) {
       if (change == 0 || change == rows.size()) continue;
       out.changes.push_back(rows[change].index - fit.problem.rows.front().index);
     }
-    rows = rows.subspan(second->last < rows.size() ? second->last : second->first);
-    rest.front().problem.rows = rows;
-    rest.front().problem.sight = nullptr;
-    find_start(rest.front());
-    refine_site(rest, priors, kMovedRounds);
+    rows = rows.subspan(second->stretch.last < rows.size() ? second->stretch.last : second->stretch.first);
+    rest = solve_alone(fit.problem, rows, kMovedRounds);
   }
   return out;
 }
 
-// One anchor's rows between two changes, and what they tell by themselves.
+// One anchor's rows between two changes.
 struct Piece {
   std::size_t anchor = 0;
   std::size_t begin = 0;  // row
@@ -329,9 +345,8 @@ struct Pieces {
 void start_at_best(AnchorFit& fit, std::span<const Eigen::Vector3d> places_m) {
   double least = std::numeric_limits<double>::infinity();
   for (const Eigen::Vector3d& place_m : places_m) {
-    AnchorSolution solution =
-        solve_anchor(fit.problem, fit.kernels, anchor_at(place_m, fit.problem.tag_count, fit.problem.priors),
-                     kPieceSteps);
+    AnchorSolution solution = solve_anchor(
+        fit.problem, fit.kernels, anchor_at(place_m, fit.problem.tag_count, fit.problem.priors), kPieceSteps);
     if (solution.cost >= least) continue;
     least = solution.cost;
     fit.anchor = std::move(solution.anchor);
@@ -339,21 +354,20 @@ void start_at_best(AnchorFit& fit, std::span<const Eigen::Vector3d> places_m) {
 }
 
 Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& table, const SiteSight& sight,
-                    std::span<const AnchorFit> fits, const model::RangePriors& priors) {
+                    std::span<const AnchorFit> fits) {
   Pieces out;
-  PollTable piece_table{.interval_s = table.interval_s, .regular = table.regular, .polls = {}};
+  PollTable piece_table{.interval_s = table.interval_s, .regular = table.regular};
   for (std::size_t a = 0; a < fits.size(); ++a) {
     if (suspicions[a].changes.empty()) continue;
     const std::span<const Observation> rows = fits[a].problem.rows;
-    for (std::size_t k = 0; k <= suspicions[a].changes.size(); ++k) {
-      const std::size_t begin = k == 0 ? 0 : suspicions[a].changes[k - 1];
-      const bool last = k == suspicions[a].changes.size();
-      const std::size_t end = last ? rows.size() : suspicions[a].changes[k];
-      AnchorFit& piece = out.fits.emplace_back();
-      piece.problem = fits[a].problem;
+    const std::vector<std::size_t>& changes = suspicions[a].changes;
+    for (std::size_t k = 0; k <= changes.size(); ++k) {
+      const std::size_t begin = k == 0 ? 0 : changes[k - 1];
+      const bool last = k == changes.size();
+      const std::size_t end = last ? rows.size() : changes[k];
+      AnchorFit& piece = out.fits.emplace_back(fits[a]);
       piece.problem.sight = nullptr;
       piece.problem.rows = rows.subspan(begin, end - begin);
-      piece.kernels = fits[a].kernels;
       start_at_best(piece, suspicions[a].places_m);
       out.places.push_back({.anchor = a, .begin = begin});
       piece_table.polls.push_back(
@@ -362,16 +376,16 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
     }
   }
   if (out.fits.empty()) return out;
-  refine_site(out.fits, priors, kMovedRounds);
-  if (!sight.anchors.empty()) out.sight = solve_sight(piece_table, sight.model, out.fits, priors);
-  for (const AnchorFit& piece : out.fits) out.evidence.push_back(gather_evidence(piece));
+  refine_site(out.fits, kMovedRounds);
+  if (!sight.anchors.empty()) out.sight = solve_sight(piece_table, sight.model, out.fits);
+  out.evidence = gather_evidence(std::span<const AnchorFit>(out.fits));
   out.inflation = score_inflation(out.evidence);
   return out;
 }
 
 Shift shift_to_next(const Pieces& pieces, std::size_t piece) {
   const Eigen::Index size = wall_index(pieces.fits[piece].problem.tag_count);
-  // What hangs together in one piece does so in the other, though it may be too short to show it.
+  // Residuals that are correlated in one piece are so in the other, though it may be too short to show it.
   const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
   const auto covariance = [&](std::size_t i) -> Eigen::MatrixXd {
     return anchor_covariance(pieces.evidence[i], inflation).topLeftCorner(size, size);
@@ -411,14 +425,10 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
 
 // Between a piece and the next of the same anchor, if there was one.
 std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
-  // Behind walls a bias and a move are one.
   for (const std::size_t i : {piece, piece + 1}) {
-    if (!pieces.sight.shares.empty() && pieces.sight.shares[i].polls(kInSight) <= kMinInSight)
+    // Behind walls a bias and a move are one.
+    if (!pieces.sight.poll_shares.empty() && pieces.sight.poll_shares[i](kInSight) <= kMinInSight)
       return std::nullopt;
-  }
-  // Nor do a few rows tell of a place, or many that hang together as walls make them: of so many a piece has
-  // to tell as if each were by itself.
-  for (const std::size_t i : {piece, piece + 1}) {
     const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
     if (rows < kLeastRowsByThemselves * pieces.inflation[i]) return std::nullopt;
   }
@@ -426,10 +436,7 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   if (!is_move(shift)) return std::nullopt;
   // Not so where one of the two has but settled on another side of the tags.
   for (const std::size_t i : {piece, piece + 1}) {
-    const TagSpread spread = tag_spread(pieces.fits[i].problem.rows);
-    for (const int axis : {kAcrossLine, kAcrossPlane}) {
-      static_cast<void>(challenge(pieces.fits[i], spread, axis));
-    }
+    challenge_both(pieces.fits[i]);
     pieces.evidence[i] = gather_evidence(pieces.fits[i]);
   }
   shift = shift_to_next(pieces, piece);
@@ -441,25 +448,18 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
 
 }  // namespace
 
-StretchGains::StretchGains(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                           const AnchorVector& anchor, std::size_t bins) {
-  const std::size_t tags = problem.tag_count;
+StretchGains::StretchGains(const AnchorFit& fit, std::size_t bins) {
+  const std::size_t tags = fit.problem.tag_count;
   const Eigen::Index size = wall_index(tags);
-  const std::span<const Observation> rows = problem.rows;
+  const std::span<const Observation> rows = fit.problem.rows;
+  const AnchorVector anchor = fit.anchor.head(size);
   std::vector<Columns> cross;
-  AnchorProblem alone = problem;
+  AnchorProblem alone = fit.problem;
   alone.sight = nullptr;
   Eigen::MatrixXd all = information_of_priors(alone);
-  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(size);
-  const Eigen::Vector3d by_prior =
-      problem.position.information * (anchor.head<3>() - problem.position.mean_m);
-  for (Eigen::Index i = 0; i < 3; ++i) gradient(i) = by_prior(i);
-  for (std::size_t tag = 0; tag < tags; ++tag) {
-    const Eigen::Index beta = beta_index(tag);
-    const Eigen::Index gamma = gamma_index(tag, tags);
-    gradient(beta) = all(beta, beta) * (anchor(beta) - problem.priors.beta_m.mean);
-    gradient(gamma) = all(gamma, gamma) * (anchor(gamma) - problem.priors.gamma.mean);
-  }
+  const AnchorVector offset = anchor - anchor_at(alone.position.mean_m, tags, alone.priors);
+  Eigen::VectorXd gradient = all.diagonal().cwiseProduct(offset);
+  gradient.head<3>() = alone.position.information * offset.head<3>();
   information_.assign(bins + 1, Eigen::Matrix3d::Zero());
   gradient_.assign(bins + 1, Eigen::Vector3d::Zero());
   first_row_.reserve(bins + 1);
@@ -472,13 +472,12 @@ StretchGains::StretchGains(const AnchorProblem& problem, std::span<const RobustK
     std::fill(slopes.begin(), slopes.end(), PairRow::Zero());
     for (const Observation& row :
          rows.subspan(first_row_.back(), (bin + 1) * rows.size() / bins - first_row_.back())) {
-      const model::AntennaPrediction predicted = predict(row, anchor, tags);
-      const double scale_m = kernels[row.tag].shape().scale_m;
-      const double u = (row.range_m - predicted.range_m) / scale_m;
+      const RowAt at = row_at(fit, row);
+      const double scale_m = fit.kernels[row.tag].shape().scale_m;
+      const double u = at.residual_m / scale_m;
       const double share = std::min(1.0, kHuberScales / std::max(std::abs(u), 1e-9));
-      const PairRow j = pair_jacobian(predicted, anchor(gamma_index(row.tag, tags)));
-      add_square(j, share / (scale_m * scale_m), blocks[row.tag]);
-      slopes[row.tag] -= share * u / scale_m * j;
+      add_square(at.j, share / (scale_m * scale_m), blocks[row.tag]);
+      slopes[row.tag] -= share * u / scale_m * at.j;
     }
     information_[bin + 1] = information_[bin];
     gradient_[bin + 1] = gradient_[bin];
@@ -486,13 +485,10 @@ StretchGains::StretchGains(const AnchorProblem& problem, std::span<const RobustK
     by_position.setZero();
     for (std::size_t tag = 0; tag < tags; ++tag) {
       const PairBlock block = blocks[tag].selfadjointView<Eigen::Lower>();
-      const std::array<Eigen::Index, 5> index{0, 1, 2, beta_index(tag), gamma_index(tag, tags)};
-      for (Eigen::Index i = 0; i < 5; ++i) {
-        const Eigen::Index at = index[static_cast<std::size_t>(i)];
-        gradient(at) += slopes[tag](i);
-        for (Eigen::Index k = 0; k < 3; ++k) by_position(at, k) += block(i, k);
-        for (Eigen::Index k = 0; k < 5; ++k) all(at, index[static_cast<std::size_t>(k)]) += block(i, k);
-      }
+      const std::array<Eigen::Index, 5> index = pair_index(tag, tags);
+      gradient(index) += slopes[tag];
+      by_position(index, Eigen::all) += block.leftCols<3>();
+      all(index, index) += block;
       information_[bin + 1] += block.topLeftCorner<3, 3>();
       gradient_[bin + 1] += slopes[tag].head<3>();
     }
@@ -517,45 +513,6 @@ double StretchGains::gain(std::size_t from, std::size_t to) const {
   return 0.5 * gradient.dot(information.ldlt().solve(gradient));
 }
 
-std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
-  const std::size_t rows = fit.problem.rows.size();
-  if (rows < 2 * kLeastStretchRows) return std::nullopt;
-  if (const std::optional<AnchorFit> far = find_far_place(fit)) {
-    std::vector<double> prefer = preferences(fit.problem.rows, fit, *far);
-    Stretch stretch = largest_stretch(prefer);
-    double torn = torn_share(prefer, stretch);
-    // The stretch may be that of the fit's own place, in the midst of the other's.
-    for (double& value : prefer) value = -value;
-    const Stretch own = largest_stretch(prefer);
-    if (const double torn_own = torn_share(prefer, own); torn_own < torn) {
-      torn = torn_own;
-      stretch = own;
-    }
-    if (torn > kTornShare) {
-      return SecondPlace{.first = stretch.first,
-                         .last = stretch.last,
-                         .place_m = far->anchor.head<3>(),
-                         .usual_place_m = fit.anchor.head<3>(),
-                         .torn_share = torn};
-    }
-    if (auto parted = part(fit.problem, widened(fit.problem.rows, stretch))) return parted;
-  }
-  const StretchGains gains(fit.problem, fit.kernels, without_walls(fit), std::min(kBins, rows / kRowsPerBin));
-  Stretch best;
-  double largest = kLeastGain;
-  for (std::size_t from = 0; from < gains.bins(); ++from) {
-    for (std::size_t to = from + 1; to <= gains.bins(); ++to) {
-      const Stretch stretch{.first = gains.first_row(from), .last = gains.first_row(to)};
-      if (!is_parted(fit.problem.rows, stretch)) continue;
-      const double gain = gains.gain(from, to);
-      if (gain <= largest) continue;
-      largest = gain;
-      best = stretch;
-    }
-  }
-  return part(fit.problem, best);
-}
-
 Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_covariance,
                     const AnchorVector& later, const Eigen::MatrixXd& later_covariance) {
   const Eigen::VectorXd difference = later - earlier;
@@ -571,26 +528,29 @@ Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_
   return shift;
 }
 
-std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std::vector<AnchorFit>& fits,
-                                   const model::RangePriors& priors) {
+std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std::vector<AnchorFit>& fits) {
   std::vector<AnchorPath> out(fits.size());
   std::vector<Suspicion> suspicions(fits.size());
   for (std::size_t a = 0; a < fits.size(); ++a) {
     if (fits[a].problem.rows.empty() || fits[a].problem.position.surveyed) continue;
-    // Without replies that were missed nothing tells of walls but residuals.
     const std::span<const Observation> rows = fits[a].problem.rows;
-    suspicions[a] = (table.regular || sight.model.powers) && !sight.anchors.empty()
-                        ? suspect(fits[a], rows_in_sight(rows, table.polls[a], sight.model), priors)
-                        : suspect(fits[a], rows, priors);
+    // The rows in LOS by replies and powers alone: behind walls a bias and a move are one, and what a move
+    // does to residuals passes for a wall. Without missed replies and powers there are but residuals.
+    std::vector<Observation> examined(rows.begin(), rows.end());
+    if ((table.regular || sight.model.powers) && !sight.anchors.empty()) {
+      const std::vector<bool> seen = rows_in_sight(sight.model, table.polls[a], rows);
+      std::erase_if(examined, [&](const Observation& row) { return !seen[row.index - rows.front().index]; });
+    }
+    suspicions[a] = suspect(fits[a], examined);
     out[a].twin_m = suspicions[a].twin_m;
   }
-  // A change that is none goes, and what it parted is solved as one.
+  // A change that is none goes, and what it separated is solved as one.
   Pieces pieces;
   for (bool all_are_moves = false; !all_are_moves;) {
     all_are_moves = true;
-    pieces = solve_pieces(suspicions, table, sight, fits, priors);
+    pieces = solve_pieces(suspicions, table, sight, fits);
     for (std::size_t a = 0; a < fits.size(); ++a) {
-      out[a].moves.clear();
+      out[a].moved_at_s.clear();
       out[a].places_m.clear();
     }
     for (std::size_t i = 0; i < pieces.places.size(); ++i) {
@@ -598,7 +558,8 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
       if (i + 1 < pieces.places.size() && pieces.places[i + 1].anchor == a) {
         const std::size_t row = pieces.places[i + 1].begin;
         if (const std::optional<Shift> shift = move_to_next(pieces, i)) {
-          out[a].moves.push_back({.t_s = fits[a].problem.rows[row].t_s, .shift = *shift});
+          out[a].moved_at_s.push_back(fits[a].problem.rows[row].t_s);
+          out[a].last_move_m = shift->by_m;
         } else {
           std::erase(suspicions[a].changes, row);
           all_are_moves = false;
@@ -613,7 +574,7 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
     fits[a] = std::move(pieces.fits[i]);
     if (sight.anchors.empty()) continue;
     sight.anchors[a] = std::move(pieces.sight.anchors[i]);
-    sight.shares[a] = pieces.sight.shares[i];
+    sight.poll_shares[a] = pieces.sight.poll_shares[i];
     fits[a].problem.sight = &sight.anchors[a];
   }
   return out;

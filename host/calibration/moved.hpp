@@ -20,9 +20,8 @@ namespace groma::calibration {
 // about one solution: made once, in one pass over the rows, for all stretches.
 class StretchGains {
  public:
-  // The rows in so many bins of about the same number. `anchor`: position and biases alone.
-  StretchGains(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-               const AnchorVector& anchor, std::size_t bins);
+  // The fit's rows in so many bins of about the same number; without NLOS states.
+  StretchGains(const AnchorFit& fit, std::size_t bins);
 
   [[nodiscard]] std::size_t bins() const noexcept { return first_row_.size() - 1; }
   // Bin i holds the rows [first_row(i), first_row(i + 1)).
@@ -41,22 +40,6 @@ class StretchGains {
   Eigen::VectorXd half_gradient_;
 };
 
-struct SecondPlace {
-  std::size_t first = 0;  // the stretch of rows in which the anchor was elsewhere: [first, last)
-  std::size_t last = 0;
-  Eigen::Vector3d place_m = Eigen::Vector3d::Zero();        // there
-  Eigen::Vector3d usual_place_m = Eigen::Vector3d::Zero();  // outside of the stretch
-  // Of the rows that are clearly of one of the places: those that no time parts from those of the other.
-  double torn_share = 0.0;
-};
-
-// A stretch of this many rows at least, beside as many; none where one place explains the rows as well. The
-// fit's rows, kernels and solution are a start and a scale, its sight is not looked at.
-inline constexpr std::size_t kLeastStretchRows = 60;
-// Beyond this no time parts the places: the anchor is at both.
-inline constexpr double kTornShare = 0.2;
-[[nodiscard]] std::optional<SecondPlace> find_second_place(const AnchorFit& fit);
-
 // A move is one of at least this length in the plane.
 inline constexpr double kMinMove_m = 0.15;
 
@@ -69,22 +52,17 @@ struct Shift {
 [[nodiscard]] Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_covariance,
                                   const AnchorVector& later, const Eigen::MatrixXd& later_covariance);
 
-struct Move {
-  double t_s = 0.0;
-  Shift shift;
-};
-
-// What one anchor's ranges tell of where it was.
+// Where one anchor was.
 struct AnchorPath {
-  std::vector<Move> moves;                // by time; empty: it stayed
+  std::vector<double> moved_at_s;  // ascending; empty: it stayed
+  Eigen::Vector3d last_move_m = Eigen::Vector3d::Zero();
   std::vector<Eigen::Vector3d> places_m;  // before the first move, after it, and so on; where there are moves
-  std::optional<Eigen::Vector3d> twin_m;  // another place that no time parts from its own
+  std::optional<Eigen::Vector3d> twin_m;  // another place that no time separates from its own
 };
 
 // Where an anchor was moved, its fit becomes that of the rows after its last move, and so does its sight,
 // where the site has one. The result: of each anchor.
 [[nodiscard]] std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight,
-                                                 std::vector<AnchorFit>& fits,
-                                                 const model::RangePriors& priors);
+                                                 std::vector<AnchorFit>& fits);
 
 }  // namespace groma::calibration

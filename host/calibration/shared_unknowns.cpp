@@ -182,27 +182,27 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
     for (Tag& tag : of_tag) tag.moments.leave_knots(first, tag.places, sums);
   };
   for (const Observation& row : fit.problem.rows) {
-    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-    const RowValue value =
-        value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor);
-    const double gamma = fit.anchor(gamma_index(row.tag, tags));
+    const RowAt at = row_at(fit, row);
+    const RowValue& value = at.value;
     const KnotShare share = knot_share(unknowns.knots, row.t_s);
     if (share.first != first) leave_knots();
     first = share.first;
     typename Sums::Row j;
-    j.template head<Sums::kPair>() = pair_jacobian(predicted, gamma).array().transpose();
-    j.template tail<Shared>() =
-        shared_jacobian(row, predicted, gamma, share.fraction).template head<Shared>().array().transpose();
+    j.template head<Sums::kPair>() = at.j.array().transpose();
+    j.template tail<Shared>() = shared_jacobian(row, at.predicted, at.gamma, share.fraction)
+                                    .template head<Shared>()
+                                    .array()
+                                    .transpose();
     // Ranges through walls too: they hold the anchor to the poses, and a shift of all of them shows in none.
     of_tag[row.tag].moments.add(j, value.seen.slope + value.wall_slope,
                                 value.seen.weight + value.wall_weight);
     if (value.wall_weight == 0.0) continue;
     const RowSight& sight = fit.problem.sight->rows[row.index];
     const Eigen::Matrix<double, 1, Shared> by_wall = value.wall_weight * j.template tail<Shared>().matrix();
-    const auto add_wall = [&](Eigen::Index at) {
-      sums.cross.template block<1, Sums::kKnots>(at, first) += by_wall.template head<Sums::kKnots>();
+    const auto add_wall = [&](Eigen::Index to) {
+      sums.cross.template block<1, Sums::kKnots>(to, first) += by_wall.template head<Sums::kKnots>();
       for (Eigen::Index k = Sums::kKnots; k < Shared; ++k) {
-        sums.cross(at, of_tag[row.tag].places(Sums::kPair + k)) += by_wall(k);
+        sums.cross(to, of_tag[row.tag].places(Sums::kPair + k)) += by_wall(k);
       }
     };
     add_wall(wall_index(tags));
@@ -391,7 +391,7 @@ JointEquations eliminate_anchors(std::span<const AnchorFit> fits, std::span<cons
       add_rows<kMotionTerms>(fit, unknowns, sums);
     }
     if (fit.problem.position.surveyed) sums.cross.topRows<3>().setZero();
-    const NormalEquations alone = linearize(fit.problem, fit.kernels, fit.anchor);
+    const NormalEquations alone = linearize(fit);
     AnchorPart& part = out.anchors.emplace_back();
     part.information.compute(alone.information);
     part.descent = -alone.gradient;

@@ -47,9 +47,7 @@ constexpr double kWallShapeWeight = 50.0;
 constexpr double kShadowScale_m = 0.08;
 
 KernelShape shadow_shape(double scale_m) {
-  KernelShape shape{
-      .scale_m = scale_m, .wide = 0.15, .bumps = {0.38, 0.2, 0.08, 0.02, 0.01, 0.005}, .gross = 0.005};
-  return shape;
+  return {.scale_m = scale_m, .wide = 0.15, .bumps = {0.38, 0.2, 0.08, 0.02, 0.01, 0.005}, .gross = 0.005};
 }
 KernelShape wall_shape() {
   return {.scale_m = 0.15, .wide = 0.1, .bumps = {0.1, 0.03, 0.01, 0.01, 0.005, 0.005}, .gross = 0.005};
@@ -58,8 +56,6 @@ KernelShape wall_shape() {
 // What one pass over an anchor's rows finds.
 struct AnchorPass {
   AnchorSight sight;
-  SightShares shares;
-  double log_evidence = 0.0;
   SightVector answered = SightVector::Zero();
   SightVector missed = SightVector::Zero();
   PowerCounts powers;  // by residuals and replies alone
@@ -82,10 +78,25 @@ std::size_t rows_until(const AnchorFit& fit) {
   return fit.problem.rows.empty() ? 0 : fit.problem.rows.back().index + std::size_t{1};
 }
 
-SightShares shares_of(const SightVector& answered, const SightVector& missed) {
-  SightShares out;
-  out.polls = (answered + missed) / std::max(1e-9, (answered + missed).sum());
-  out.rows = answered / std::max(1e-9, answered.sum());
+SightVector poll_shares(const SightVector& answered, const SightVector& missed) {
+  return (answered + missed) / std::max(1e-9, (answered + missed).sum());
+}
+
+// Of each poll that has a row, in order.
+std::vector<model::PowerClass> classes_of(std::span<const Poll> polls, std::span<const Observation> rows) {
+  std::vector<model::PowerClass> out;
+  for (const Poll poll : polls) {
+    if (poll >= 0) out.push_back(rows[static_cast<std::size_t>(poll) - rows.front().index].power_class);
+  }
+  return out;
+}
+
+// Empty where ranges carry no powers.
+std::vector<double> hints_of(std::span<const model::PowerClass> classes,
+                             const std::optional<PowerHints>& powers) {
+  std::vector<double> out;
+  if (!powers) return out;
+  for (const model::PowerClass of : classes) out.push_back(powers->ratio(of));
   return out;
 }
 
@@ -94,7 +105,7 @@ std::size_t count_rows(std::span<const Poll> polls) {
 }
 
 // Ranges too long that come one after the other, and are not as often too short.
-bool long_residuals_hang_together(const AnchorFit& fit) {
+bool long_residuals_are_correlated(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
   double rows = 0.0;
   double neighbours = 0.0;
@@ -104,13 +115,12 @@ bool long_residuals_hang_together(const AnchorFit& fit) {
   constexpr int kNone = -1;
   std::vector<int> last(tags, kNone);
   for (const Observation& row : fit.problem.rows) {
-    const double r = residual_m(row, fit.anchor, tags);
-    const RobustKernel& kernel = fit.kernels[row.tag];
-    const double limit_m = kLong * kernel.shape().scale_m / noise_share(kernel, row, fit.anchor, tags);
-    const int is_long = r > limit_m ? 1 : 0;
+    const RowAt at = row_at(fit, row);
+    const double limit_m = kLong * fit.kernels[row.tag].shape().scale_m / at.noise_share;
+    const int is_long = at.residual_m > limit_m ? 1 : 0;
     rows += 1.0;
     too_long += is_long;
-    too_short += r < -limit_m ? 1.0 : 0.0;
+    too_short += at.residual_m < -limit_m ? 1.0 : 0.0;
     if (last[row.tag] != kNone) {
       neighbours += 1.0;
       both += is_long * last[row.tag];
@@ -145,7 +155,7 @@ bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll
     likelihoods.assign(count_rows(polls), SightVector::Ones());
     chain.reply = believed;
     infer_sight(chain, polls, likelihoods, {}, posterior);
-    if (shares_of(posterior.answered, posterior.missed).polls(kInSight) >= 1.0 - kBlockedByReplies) continue;
+    if (poll_shares(posterior.answered, posterior.missed)(kInSight) >= 1.0 - kBlockedByReplies) continue;
     double log_evidence = posterior.log_evidence;
     for (const double lost : kLossesInSight) {
       chain.reply(kInSight) = 1.0 - lost;
@@ -157,11 +167,18 @@ bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll
   return false;
 }
 
+// What one pair's polls that have a row say, in order.
+struct PairPass {
+  std::vector<const Observation*> rows;
+  std::vector<double> residuals_m;
+  std::vector<SightVector> likelihoods;
+  SightPosterior posterior;
+};
+
 class SightSolver {
  public:
-  SightSolver(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits,
-              const model::RangePriors& priors)
-      : table_(table), fits_(fits), priors_(priors) {
+  SightSolver(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits)
+      : table_(table), fits_(fits) {
     out_.model = start;
   }
 
@@ -169,170 +186,164 @@ class SightSolver {
 
  private:
   void label_first();
-  [[nodiscard]] AnchorPass look(std::size_t anchor) const;
+  [[nodiscard]] AnchorPass infer(std::size_t anchor) const;
+  void weigh(std::size_t anchor, const std::vector<Poll>& polls, PairPass& pair) const;
+  void add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const;
+  void add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
+                   AnchorPass& out) const;
   void learn(const std::vector<AnchorPass>& passes);
-  void learn_shadow();
   void apply(std::size_t anchor, AnchorPass pass);
+
+  [[nodiscard]] static bool has_wall(const AnchorFit& fit) {
+    return fit.problem.sight != nullptr && fit.problem.sight->behind_wall;
+  }
+  // The excess that all walls about the anchor have in common.
+  [[nodiscard]] double common_excess_m(const AnchorFit& fit) const {
+    return has_wall(fit) ? fit.anchor(wall_index(fit.problem.tag_count)) : out_.model.wall_prior.mean_m;
+  }
+  // Of residuals behind a wall outside of episodes.
+  [[nodiscard]] KernelShape anywhere_shape() const {
+    KernelShape out = out_.model.wall;
+    out.scale_m = std::hypot(out_.model.wall.scale_m, out_.model.wall_prior.episode_sigma_m);
+    return out;
+  }
 
   const PollTable& table_;
   std::vector<AnchorFit>& fits_;
-  const model::RangePriors& priors_;
   SiteSight out_;
 };
 
-// From replies and powers alone: rows in sight are taken as such, the others not at all or, where
-// there are few in sight, as through a wall.
+// From replies and powers alone: rows in LOS are taken as such, the others not at all or, where few are in
+// LOS, as behind a wall.
 void SightSolver::label_first() {
-  SightPosterior posterior;
-  std::vector<SightVector> likelihoods;
   for (std::size_t a = 0; a < fits_.size(); ++a) {
-    AnchorSight sight;
-    sight.rows.resize(rows_until(fits_[a]));
-    sight.prior = out_.model.wall_prior;
-    sight.wall = RobustKernel(out_.model.wall);
-    double seen = 0.0;
-    for (const std::vector<Poll>& polls : table_.polls[a]) {
-      likelihoods.assign(count_rows(polls), SightVector::Ones());
-      infer_sight(out_.model.chain, polls, likelihoods,
-                  hints_of(classes_of(polls, fits_[a].problem.rows), out_.model.powers), posterior);
-      std::size_t i = 0;
-      for (const Poll poll : polls) {
-        if (poll < 0) continue;
-        const bool in_sight = posterior.posterior[i++](kInSight) > 0.5;
-        RowSight& row = sight.rows[static_cast<std::size_t>(poll)];
-        row = {.in_sight = in_sight ? 1.0F : 0.0F, .wall = 0.0F, .other_density = in_sight ? 0.0F : 1.0F};
-        seen += in_sight ? 1.0 : 0.0;
-      }
-    }
-    if (seen < kEnoughInSight * static_cast<double>(sight.rows.size())) {
-      sight.behind_wall = true;
-      for (RowSight& row : sight.rows) {
-        if (row.in_sight == 0.0F) row = {.in_sight = 0.0F, .wall = 1.0F, .other_density = 0.0F};
-      }
-    }
+    const std::span<const Observation> rows = fits_[a].problem.rows;
+    const std::vector<bool> seen = rows_in_sight(out_.model, table_.polls[a], rows);
     AnchorPass pass;
-    pass.sight = std::move(sight);
+    pass.sight.rows.resize(rows_until(fits_[a]));
+    pass.sight.behind_wall = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
+                             kEnoughInSight * static_cast<double>(pass.sight.rows.size());
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+      if (seen[i]) continue;
+      pass.sight.rows[rows[i].index] = pass.sight.behind_wall
+                                           ? RowSight{.in_sight = 0.0F, .wall = 1.0F}
+                                           : RowSight{.in_sight = 0.0F, .other_density = 1.0F};
+    }
     apply(a, std::move(pass));
   }
 }
 
-AnchorPass SightSolver::look(std::size_t a) const {
+// Residuals of one pair and their likelihoods in each state.
+void SightSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& pair) const {
   const AnchorFit& fit = fits_[a];
   const std::size_t tags = fit.problem.tag_count;
-  const std::span<const Observation> rows = fit.problem.rows;
+  const double common_m = common_excess_m(fit);
+  const RobustKernel anywhere(anywhere_shape());
+  for (const Poll poll : polls) {
+    if (poll < 0) continue;
+    const Observation& row =
+        fit.problem.rows[static_cast<std::size_t>(poll) - fit.problem.rows.front().index];
+    const double r = residual_m(row, fit.anchor, tags);
+    const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
+    const auto density = [&](const RobustKernel& kernel, double excess_m) {
+      return stretched(kernel, noise_share(kernel, variance_m2), r - excess_m).density;
+    };
+    const AnchorSight* before = has_wall(fit) ? fit.problem.sight : nullptr;
+    const bool in_episode = before != nullptr && before->rows[row.index].episode != kNoEpisode;
+    const double walled =
+        in_episode ? density(before->wall, wall_excess_m(before->rows[row.index], fit.anchor, tags))
+                   : density(anywhere, common_m);
+    pair.rows.push_back(&row);
+    pair.residuals_m.push_back(r);
+    pair.likelihoods.emplace_back(density(fit.kernels[row.tag], 0.0), density(out_.model.shadow, 0.0),
+                                  walled);
+  }
+}
+
+AnchorPass SightSolver::infer(std::size_t a) const {
+  const std::span<const Observation> rows = fits_[a].problem.rows;
   AnchorPass out;
   if (rows.empty()) return out;
-  const std::size_t first_row = rows.front().index;
-  out.sight.rows.resize(rows_until(fit));
-  out.sight.prior = out_.model.wall_prior;
-  out.sight.wall = RobustKernel(out_.model.wall);
-  const AnchorSight* before = fit.problem.sight;
-  const bool had_wall = before != nullptr && before->behind_wall;
-  const double common_m = had_wall ? fit.anchor(wall_index(tags)) : out_.model.wall_prior.mean_m;
-  KernelShape anywhere_shape = out_.model.wall;
-  anywhere_shape.scale_m = std::hypot(out_.model.wall.scale_m, out_.model.wall_prior.episode_sigma_m);
-  const RobustKernel anywhere(anywhere_shape);
-
-  SightPosterior posterior;
-  std::vector<SightVector> likelihoods;
-  std::vector<double> residuals_m;
-  for (std::size_t tag = 0; tag < tags; ++tag) {
-    const std::vector<Poll>& polls = table_.polls[a][tag];
-    likelihoods.clear();
-    residuals_m.clear();
-    for (const Poll poll : polls) {
-      if (poll < 0) continue;
-      const Observation& row = rows[static_cast<std::size_t>(poll) - first_row];
-      const double r = residual_m(row, fit.anchor, tags);
-      residuals_m.push_back(r);
-      double walled = 0.0;
-      const auto density = [&](const RobustKernel& kernel, double excess_m) {
-        return stretched(kernel, noise_share(kernel, row, fit.anchor, tags), r - excess_m).density;
-      };
-      if (had_wall && before->rows[row.index].episode != kNoEpisode) {
-        walled = density(before->wall, wall_excess_m(before->rows[row.index], fit.anchor, tags));
-      } else {
-        walled = density(anywhere, common_m);
-      }
-      likelihoods.emplace_back(density(fit.kernels[tag], 0.0), density(out_.model.shadow, 0.0), walled);
-    }
+  out.sight.rows.resize(rows_until(fits_[a]));
+  for (const std::vector<Poll>& polls : table_.polls[a]) {
+    PairPass pair;
+    weigh(a, polls, pair);
+    SightPosterior& posterior = pair.posterior;
     const std::vector<model::PowerClass> classes = classes_of(polls, rows);
     if (out_.model.powers) {
-      // What powers tell makes not itself.
-      infer_sight(out_.model.chain, polls, likelihoods, {}, posterior);
+      // Powers are not learnt from what they say themselves.
+      infer_sight(out_.model.chain, polls, pair.likelihoods, {}, posterior);
       for (std::size_t i = 0; i < classes.size(); ++i) {
         out.powers.add(classes[i], posterior.posterior[i](kInSight));
       }
     }
-    infer_sight(out_.model.chain, polls, likelihoods, hints_of(classes, out_.model.powers), posterior);
-    out.log_evidence += posterior.log_evidence;
+    infer_sight(out_.model.chain, polls, pair.likelihoods, hints_of(classes, out_.model.powers), posterior);
     out.answered += posterior.answered;
     out.missed += posterior.missed;
-
-    // Rows and, of those behind a wall, episodes.
-    std::size_t i = 0;
-    std::size_t first = 0;
-    std::size_t last = 0;
-    std::size_t inside = 0;
-    std::vector<std::size_t> of_row;
-    for (const Poll poll : polls) {
-      if (poll < 0) continue;
-      of_row.push_back(static_cast<std::size_t>(poll));
-      RowSight& row = out.sight.rows[of_row.back()];
-      const SightVector& prior = posterior.prior[i];
-      row.in_sight = static_cast<float>(prior(kInSight));
-      row.wall = static_cast<float>(prior(kWall));
-      row.other_density = static_cast<float>(prior(kShadow) * likelihoods[i](kShadow));
-      ++i;
+    for (std::size_t i = 0; i < pair.rows.size(); ++i) {
+      RowSight& row = out.sight.rows[pair.rows[i]->index];
+      row.in_sight = static_cast<float>(posterior.prior[i](kInSight));
+      row.wall = static_cast<float>(posterior.prior[i](kWall));
+      row.other_density = static_cast<float>(posterior.prior[i](kShadow) * pair.likelihoods[i](kShadow));
     }
-    const auto close = [&] {
-      if (inside < kEpisodeRows || model::is_ablated(model::Mechanism::kCalibrationEpisodes) ||
-          rows[of_row[last] - first_row].t_s - rows[of_row[first] - first_row].t_s < kEpisode_s) {
-        inside = 0;
-        return;
-      }
-      const auto episode = static_cast<std::int32_t>(out.sight.episodes++);
-      double sum_m = 0.0;
-      double weight = 0.0;
-      for (std::size_t k = first; k <= last; ++k) {
-        RowSight& row = out.sight.rows[of_row[k]];
-        row.episode = episode;
-        const double share = posterior.posterior[k](kWall);
-        const double r = residuals_m[k] - common_m;
-        if (std::abs(r) > 4.0 * anywhere_shape.scale_m) continue;
-        sum_m += share * r;
-        weight += share;
-      }
-      const double believed = std::pow(out_.model.wall.scale_m / out_.model.wall_prior.episode_sigma_m, 2);
-      const double start_m = sum_m / (weight + believed);
-      out.start_excess_m.push_back(start_m);
-      for (std::size_t k = first; k <= last; ++k) {
-        out.walled.push_back(
-            {.residual_m = residuals_m[k] - common_m - start_m, .weight = posterior.posterior[k](kWall)});
-      }
-      inside = 0;
-    };
-    for (std::size_t k = 0; k < i; ++k) {
-      if (posterior.posterior[k](kWall) > 0.5) {
-        if (inside == 0) first = k;
-        ++inside;
-        last = k;
-      } else if (inside > 0 && k - last >= kEpisodeBreak) {
-        close();
-      }
-    }
-    if (inside > 0) close();
-    // Outside of episodes what a wall adds is too uncertain to be of use.
-    for (std::size_t k = 0; k < i; ++k) {
-      RowSight& row = out.sight.rows[of_row[k]];
+    add_episodes(pair, common_excess_m(fits_[a]), out);
+    // Outside of episodes the excess of a wall is too uncertain to be of use.
+    for (std::size_t i = 0; i < pair.rows.size(); ++i) {
+      RowSight& row = out.sight.rows[pair.rows[i]->index];
       if (row.episode != kNoEpisode) continue;
-      row.other_density += row.wall * static_cast<float>(likelihoods[k](kWall));
+      row.other_density += row.wall * static_cast<float>(pair.likelihoods[i](kWall));
       row.wall = 0.0F;
     }
   }
   out.sight.behind_wall = out.sight.episodes > 0;
-  out.shares = shares_of(out.answered, out.missed);
   return out;
+}
+
+// Stretches of rows behind a wall that no more than a few others interrupt.
+void SightSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const {
+  std::size_t first = 0;
+  std::size_t last = 0;
+  std::size_t inside = 0;
+  const auto close = [&] {
+    if (inside >= kEpisodeRows && pair.rows[last]->t_s - pair.rows[first]->t_s >= kEpisode_s &&
+        !model::is_ablated(model::Mechanism::kCalibrationEpisodes)) {
+      add_episode(pair, first, last, common_m, out);
+    }
+    inside = 0;
+  };
+  for (std::size_t k = 0; k < pair.rows.size(); ++k) {
+    if (pair.posterior.posterior[k](kWall) > 0.5) {
+      if (inside == 0) first = k;
+      ++inside;
+      last = k;
+    } else if (inside > 0 && k - last >= kEpisodeBreak) {
+      close();
+    }
+  }
+  if (inside > 0) close();
+}
+
+void SightSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
+                              AnchorPass& out) const {
+  const auto episode = static_cast<std::int32_t>(out.sight.episodes++);
+  const double limit_m = 4.0 * anywhere_shape().scale_m;
+  double sum_m = 0.0;
+  double weight = 0.0;
+  for (std::size_t k = first; k <= last; ++k) {
+    out.sight.rows[pair.rows[k]->index].episode = episode;
+    const double share = pair.posterior.posterior[k](kWall);
+    const double r = pair.residuals_m[k] - common_m;
+    if (std::abs(r) > limit_m) continue;
+    sum_m += share * r;
+    weight += share;
+  }
+  const double prior_weight = std::pow(out_.model.wall.scale_m / out_.model.wall_prior.episode_sigma_m, 2);
+  const double start_m = sum_m / (weight + prior_weight);
+  out.start_excess_m.push_back(start_m);
+  for (std::size_t k = first; k <= last; ++k) {
+    out.walled.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
+                          .weight = pair.posterior.posterior[k](kWall)});
+  }
 }
 
 void SightSolver::learn(const std::vector<AnchorPass>& passes) {
@@ -348,13 +359,12 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
     missed += pass.missed;
     powers.add(pass.powers, 1.0);
     walled.insert(walled.end(), pass.walled.begin(), pass.walled.end());
-    const AnchorFit& fit = fits_[a];
-    if (fit.problem.sight == nullptr || !fit.problem.sight->behind_wall || !pass.sight.behind_wall) continue;
-    // Only where it is seen as well can a wall be told from a bias.
-    if (pass.shares.polls(kInSight) < 0.3) continue;
+    if (!has_wall(fits_[a]) || !pass.sight.behind_wall) continue;
+    // Only where the anchor is in LOS as well does a wall differ from a bias.
+    if (poll_shares(pass.answered, pass.missed)(kInSight) < 0.3) continue;
     const double weight = 1.0 / (kKnownWall_m * kKnownWall_m + kWallSpread_m * kWallSpread_m);
     information += weight;
-    weighted_m += weight * fit.anchor(wall_index(fit.problem.tag_count));
+    weighted_m += weight * common_excess_m(fits_[a]);
   }
   if (out_.model.powers) out_.model.powers->learn(powers);
   const SightVector believed = SightChain{}.reply;
@@ -371,68 +381,56 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
       walled, {.shape = wall_shape(), .scale_weight = kWallShapeWeight, .share_weight = kWallShapeWeight}, 3);
 }
 
-void SightSolver::learn_shadow() {
-  out_.model.shadow = RobustKernel(shadow_shape(std::max(kShadowScale_m, typical_scale_m(fits_))));
-}
-
 void SightSolver::apply(std::size_t a, AnchorPass pass) {
   AnchorFit& fit = fits_[a];
-  const std::size_t tags = fit.problem.tag_count;
-  const bool had_wall = fit.problem.sight != nullptr && fit.problem.sight->behind_wall;
-  const double common_m = had_wall ? fit.anchor(wall_index(tags)) : out_.model.wall_prior.mean_m;
-  AnchorVector anchor(wall_index(tags) + static_cast<Eigen::Index>(pass.sight.extra_unknowns()));
-  anchor.head(wall_index(tags)) = fit.anchor.head(wall_index(tags));
-  if (pass.sight.behind_wall) {
-    anchor(wall_index(tags)) = common_m;
-    for (std::size_t k = 0; k < pass.sight.episodes; ++k) {
-      anchor(episode_index(static_cast<std::int32_t>(k), tags)) = pass.start_excess_m[k];
-    }
+  pass.sight.prior = out_.model.wall_prior;
+  pass.sight.wall = RobustKernel(out_.model.wall);
+  const Eigen::Index common = wall_index(fit.problem.tag_count);
+  AnchorVector anchor = AnchorVector::Zero(common + pass.sight.extra_unknowns());
+  anchor.head(common) = fit.anchor.head(common);
+  if (pass.sight.behind_wall) anchor(common) = common_excess_m(fit);
+  for (std::size_t k = 0; k < pass.sight.episodes; ++k) {
+    anchor(episode_index(static_cast<std::int32_t>(k), fit.problem.tag_count)) = pass.start_excess_m[k];
   }
   fit.anchor = std::move(anchor);
   out_.anchors[a] = std::move(pass.sight);
-  out_.shares[a] = pass.shares;
+  out_.poll_shares[a] = poll_shares(pass.answered, pass.missed);
   fit.problem.sight = &out_.anchors[a];
 }
 
 SiteSight SightSolver::solve() {
   out_.anchors.resize(fits_.size());
-  out_.shares.resize(fits_.size());
+  out_.poll_shares.resize(fits_.size(), SightVector::Zero());
   if (table_.regular || out_.model.powers) {
     label_first();
-    refine_site(fits_, priors_, kLabelRounds);
+    refine_site(fits_, kLabelRounds);
   }
   for (int round = 0; round < kSightRounds; ++round) {
-    learn_shadow();
+    out_.model.shadow = RobustKernel(shadow_shape(std::max(kShadowScale_m, typical_scale_m(fits_))));
     std::vector<AnchorPass> passes;
-    for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(look(a));
+    for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(infer(a));
     learn(passes);
-    for (std::size_t a = 0; a < fits_.size(); ++a) {
-      passes[a].sight.prior = out_.model.wall_prior;
-      passes[a].sight.wall = RobustKernel(out_.model.wall);
-      apply(a, std::move(passes[a]));
-    }
-    refine_site(fits_, priors_, 1);
+    for (std::size_t a = 0; a < fits_.size(); ++a) apply(a, std::move(passes[a]));
+    refine_site(fits_, 1);
   }
   return std::move(out_);
 }
 
 }  // namespace
 
-std::vector<model::PowerClass> classes_of(std::span<const Poll> polls, std::span<const Observation> rows) {
-  std::vector<model::PowerClass> out;
-  out.reserve(polls.size());
-  for (const Poll poll : polls) {
-    if (poll >= 0) out.push_back(rows[static_cast<std::size_t>(poll) - rows.front().index].power_class);
+std::vector<bool> rows_in_sight(const SightModel& model, std::span<const std::vector<Poll>> pairs,
+                                std::span<const Observation> rows) {
+  std::vector<bool> out(rows.size(), false);
+  SightPosterior posterior;
+  for (const std::vector<Poll>& polls : pairs) {
+    const std::vector<SightVector> likelihoods(count_rows(polls), SightVector::Ones());
+    infer_sight(model.chain, polls, likelihoods, hints_of(classes_of(polls, rows), model.powers), posterior);
+    std::size_t i = 0;
+    for (const Poll poll : polls) {
+      if (poll < 0) continue;
+      out[static_cast<std::size_t>(poll) - rows.front().index] = posterior.posterior[i++](kInSight) > 0.5;
+    }
   }
-  return out;
-}
-
-std::vector<double> hints_of(std::span<const model::PowerClass> classes,
-                             const std::optional<PowerHints>& powers) {
-  std::vector<double> out;
-  if (!powers) return out;
-  out.reserve(classes.size());
-  for (const model::PowerClass of : classes) out.push_back(powers->ratio(of));
   return out;
 }
 
@@ -472,18 +470,16 @@ bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits) {
   };
   if (table.regular && std::any_of(table.polls.begin(), table.polls.end(), tell)) return true;
   for (AnchorFit& fit : fits) {
-    if (!long_residuals_hang_together(fit)) continue;
+    if (!long_residuals_are_correlated(fit)) continue;
     if (fit.problem.position.surveyed) return true;
-    const TagSpread spread = tag_spread(fit.problem.rows);
-    for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(challenge(fit, spread, axis));
-    if (long_residuals_hang_together(fit)) return true;
+    challenge_both(fit);
+    if (long_residuals_are_correlated(fit)) return true;
   }
   return false;
 }
 
-SiteSight solve_sight(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits,
-                      const model::RangePriors& priors) {
-  return SightSolver(table, start, fits, priors).solve();
+SiteSight solve_sight(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits) {
+  return SightSolver(table, start, fits).solve();
 }
 
 }  // namespace groma::calibration

@@ -13,12 +13,6 @@
 
 namespace groma::calibration {
 
-// How an anchor was seen.
-struct SightShares {
-  SightVector polls = SightVector::Zero();  // share of its polls in each state
-  SightVector rows = SightVector::Zero();   // of its ranges
-};
-
 // What all pairs of a site have in common.
 struct SightModel {
   SightChain chain;
@@ -29,17 +23,15 @@ struct SightModel {
 };
 [[nodiscard]] SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits);
 
-// Of each poll that has a row, in order: its class, by the rows of its anchor; and what powers tell, nothing
-// without them.
-[[nodiscard]] std::vector<model::PowerClass> classes_of(std::span<const Poll> polls,
-                                                        std::span<const Observation> rows);
-[[nodiscard]] std::vector<double> hints_of(std::span<const model::PowerClass> classes,
-                                           const std::optional<PowerHints>& powers);
+// Of each of one anchor's rows, whether replies and powers alone put it in LOS.
+[[nodiscard]] std::vector<bool> rows_in_sight(const SightModel& model,
+                                              std::span<const std::vector<Poll>> pairs,
+                                              std::span<const Observation> rows);
 
 struct SiteSight {
-  std::vector<AnchorSight> anchors;  // empty: nothing asks for it; the fits point here
-  std::vector<SightShares> shares;   // of each anchor
-  SightModel model;                  // as learnt
+  std::vector<AnchorSight> anchors;      // empty: nothing asks for it; the fits point here
+  std::vector<SightVector> poll_shares;  // of each anchor: share of its polls in each state
+  SightModel model;                      // as estimated
 };
 
 // Whether nearly all ranges are those of a hall or a yard. On longer ones replies are lost for weakness,
@@ -53,6 +45,6 @@ struct SiteSight {
 
 // Finds each row's sight and solves the fits with it. The table: of the same rows.
 [[nodiscard]] SiteSight solve_sight(const PollTable& table, const SightModel& start,
-                                    std::vector<AnchorFit>& fits, const model::RangePriors& priors);
+                                    std::vector<AnchorFit>& fits);
 
 }  // namespace groma::calibration

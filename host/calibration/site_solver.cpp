@@ -58,19 +58,18 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
-    const double r = residual_m(row, fit.anchor, tags);
-    // A range that the pose blurs tells as much less of the kernel's variance.
-    const double share = noise_share(fit.kernels[row.tag], row, fit.anchor, tags);
-    double weight = share * share * share * share;
-    if (fit.problem.sight != nullptr)
-      weight *= value_of(fit.problem, fit.kernels, row, r, fit.anchor).seen_share;
-    out[row.tag].push_back({.residual_m = share * r, .weight = weight});
+    const RowAt at = row_at(fit, row);
+    // The more a range is blurred by its pose, the less it says of the kernel's variance.
+    const double share = at.noise_share;
+    out[row.tag].push_back(
+        {.residual_m = share * at.residual_m, .weight = share * share * share * share * at.value.seen_share});
   }
   return out;
 }
 
 // Site, anchor, pair: each kernel leans on the one above.
-void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& priors) {
+void learn_kernels(std::span<AnchorFit> fits) {
+  if (fits.empty()) return;
   std::vector<std::vector<std::vector<WeighedResidual>>> residuals;
   residuals.reserve(fits.size());
   for (const AnchorFit& fit : fits) residuals.push_back(sample_residuals(fit));
@@ -86,8 +85,9 @@ void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& prior
       }
       site += anchors[i];
     }
-    const KernelPrior of_data_set{
-        .shape = {.scale_m = priors.sigma_m}, .scale_weight = kSiteWeight, .share_weight = kSiteWeight};
+    const KernelPrior of_data_set{.shape = {.scale_m = fits.front().problem.priors.sigma_m},
+                                  .scale_weight = kSiteWeight,
+                                  .share_weight = kSiteWeight};
     const KernelPrior of_site{.shape = likeliest_shape(site, of_data_set),
                               .scale_weight = kAnchorScaleWeight,
                               .share_weight = kAnchorShareWeight};
@@ -106,10 +106,10 @@ void learn_kernels(std::vector<AnchorFit>& fits, const model::RangePriors& prior
 
 }  // namespace
 
-void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int max_rounds) {
+void refine_site(std::span<AnchorFit> fits, int max_rounds) {
   bool resting = false;
   for (int round = 0; round < max_rounds && !resting; ++round) {
-    learn_kernels(fits, priors);
+    learn_kernels(fits);
     resting = true;
     for (AnchorFit& fit : fits) {
       if (fit.problem.rows.empty()) continue;
@@ -193,10 +193,9 @@ namespace {
 bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows) {
   const std::size_t seen = earlier.problem.rows.size();
   if (rows.size() == seen || model::is_ablated(model::Mechanism::kCalibrationContradict)) return false;
-  AnchorProblem later = earlier.problem;
-  later.rows = rows.subspan(seen);
-  const double later_cost = robust_cost(later, earlier.kernels, earlier.anchor);
-  return later_cost / static_cast<double>(rows.size() - seen) >
+  AnchorFit later = earlier;
+  later.problem.rows = rows.subspan(seen);
+  return robust_cost(later) / static_cast<double>(rows.size() - seen) >
          earlier.cost / static_cast<double>(seen) + kContradictionCost;
 }
 
@@ -239,7 +238,7 @@ std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const Ancho
     }
     find_start(fit);
   }
-  refine_site(fits, site.priors, earlier.empty() ? kFirstRounds : kWarmRounds);
+  refine_site(fits, earlier.empty() ? kFirstRounds : kWarmRounds);
   return fits;
 }
 

@@ -46,6 +46,6 @@ void find_start(AnchorFit& fit);
 
 // Learns the kernels and solves each anchor anew from where it is, until a round moves none of them by a
 // share of its sigma that counts.
-void refine_site(std::vector<AnchorFit>& fits, const model::RangePriors& priors, int max_rounds);
+void refine_site(std::span<AnchorFit> fits, int max_rounds);
 
 }  // namespace groma::calibration

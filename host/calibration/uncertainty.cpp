@@ -38,12 +38,12 @@ struct PairMoments {
   double square_slope = 0.0;
 };
 
-void add_pair(const PairBlock& block, double factor, std::size_t tag, std::size_t tag_count,
+// Adds factor times the symmetric matrix of which the block is the lower triangle.
+void add_pair(const PairBlock& lower, double factor, std::size_t tag, std::size_t tag_count,
               Eigen::MatrixXd& out) {
-  const Eigen::Index index[5] = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count)};
-  for (int i = 0; i < 5; ++i) {
-    for (int j = 0; j < 5; ++j) out(index[i], index[j]) += factor * block(i, j);
-  }
+  const PairBlock block = lower.selfadjointView<Eigen::Lower>();
+  const std::array<Eigen::Index, 5> index = pair_index(tag, tag_count);
+  out(index, index) += factor * block;
 }
 
 // `scores`: a row for each of the shortest blocks.
@@ -122,13 +122,12 @@ struct Residual {
   double value_m = 0.0;
 };
 
-std::vector<Residual> residuals_in_sight(const AnchorFit& fit, std::size_t tag, std::size_t tag_count) {
+std::vector<Residual> residuals_in_sight(const AnchorFit& fit, std::size_t tag) {
   std::vector<Residual> out;
   for (const Observation& row : fit.problem.rows) {
     if (row.tag != tag) continue;
-    const double value_m = residual_m(row, fit.anchor, tag_count);
-    if (value_of(fit.problem, fit.kernels, row, value_m, fit.anchor).seen_share < 0.5) continue;
-    out.push_back({row.t_s, value_m});
+    const RowAt at = row_at(fit, row);
+    if (at.value.seen_share >= 0.5) out.push_back({row.t_s, at.residual_m});
   }
   if (out.size() < kFewRows) return {};
   std::vector<double> values;
@@ -199,18 +198,15 @@ Evidence gather_evidence(const AnchorFit& fit) {
   Eigen::MatrixXd scores = Eigen::MatrixXd::Zero(blocks, size);
   std::vector<PairMoments> pairs(tags);
   for (const Observation& row : problem.rows) {
-    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-    const double residual_m = row.range_m - predicted.range_m;
-    const RobustKernel& kernel = fit.kernels[row.tag];
-    const RowValue whole = value_of(problem, fit.kernels, row, residual_m, fit.anchor);
+    const RowAt at = row_at(fit, row);
+    const RowValue& whole = at.value;
     const KernelValue& value = whole.seen;
-    const PairRow j = pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags)));
     PairMoments& pair = pairs[row.tag];
-    add_square(j, value.weight, pair.weighted);
+    add_square(at.j, value.weight, pair.weighted);
     pair.weight += value.weight;
     // Of the mixture: the variance of the slope between what is in sight and what is not counts too.
-    const double share = noise_share(kernel, row, fit.anchor, tags);
-    pair.curvature += whole.seen_share * share * share * kernel.curvature(share * residual_m);
+    pair.curvature += whole.seen_share * at.noise_share * at.noise_share *
+                      fit.kernels[row.tag].curvature(at.noise_share * at.residual_m);
     if (whole.seen_share > 0.0) {
       pair.curvature -= (1.0 / whole.seen_share - 1.0) * value.slope * value.slope;
     }
@@ -218,14 +214,14 @@ Evidence gather_evidence(const AnchorFit& fit) {
 
     const double elapsed_s = std::max(0.0, row.t_s - begin_s);
     auto score = scores.row(std::min(blocks - 1, static_cast<Eigen::Index>(elapsed_s / block_s)));
-    for (Eigen::Index axis = 0; axis < 3; ++axis) score(axis) += value.slope * j(axis);
+    for (Eigen::Index axis = 0; axis < 3; ++axis) score(axis) += value.slope * at.j(axis);
     score(beta_index(row.tag)) += value.slope;
-    score(gamma_index(row.tag, tags)) += value.slope * j(4);
+    score(gamma_index(row.tag, tags)) += value.slope * at.j(4);
     if (!(whole.wall_weight > 0.0)) continue;
-    const WallRow walled = wall_row(j, problem.sight->rows[row.index], row.tag, tags);
-    add(walled, whole.wall_slope, score.transpose());
-    add_square(walled, whole.wall_weight, out.information);
-    add_square(walled, whole.wall_slope * whole.wall_slope, out.score_variance);
+    const WallRow walled(at.j, problem.sight->rows[row.index], row.tag, tags);
+    walled.add(whole.wall_slope, score.transpose());
+    walled.add_square(whole.wall_weight, out.information);
+    walled.add_square(whole.wall_slope * whole.wall_slope, out.score_variance);
   }
   for (std::size_t tag = 0; tag < tags; ++tag) {
     const PairMoments& pair = pairs[tag];
@@ -233,11 +229,16 @@ Evidence gather_evidence(const AnchorFit& fit) {
     const double curvature = model::is_ablated(model::Mechanism::kCalibrationCurvature)
                                  ? 1.0
                                  : std::clamp(pair.curvature / pair.weight, kMinCurvatureShare, 1.0);
-    const PairBlock weighted = pair.weighted.selfadjointView<Eigen::Lower>();
-    add_pair(weighted, curvature, tag, tags, out.information);
-    add_pair(weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
+    add_pair(pair.weighted, curvature, tag, tags, out.information);
+    add_pair(pair.weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
   }
   out.scatter = scatter_by_block_length(out.information, out.score_variance, scores);
+  return out;
+}
+
+std::vector<Evidence> gather_evidence(std::span<const AnchorFit> fits) {
+  std::vector<Evidence> out;
+  for (const AnchorFit& fit : fits) out.push_back(gather_evidence(fit));
   return out;
 }
 
@@ -344,25 +345,19 @@ Eigen::MatrixXd rough_covariance(const AnchorFit& fit) {
   const std::size_t step = 1 + problem.rows.size() / kRows;
   std::vector<PairBlock> pairs(tags, PairBlock::Zero());
   for (std::size_t i = 0; i < problem.rows.size(); i += step) {
-    const Observation& row = problem.rows[i];
-    const model::AntennaPrediction predicted = predict(row, fit.anchor, tags);
-    const RowValue value = value_of(problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor);
-    add_square(pair_jacobian(predicted, fit.anchor(gamma_index(row.tag, tags))), value.seen.weight,
-               pairs[row.tag]);
+    const RowAt at = row_at(fit, problem.rows[i]);
+    add_square(at.j, at.value.seen.weight, pairs[problem.rows[i].tag]);
   }
   Eigen::MatrixXd information = information_of_priors(problem);
   for (std::size_t tag = 0; tag < tags; ++tag) {
-    const PairBlock whole = pairs[tag].selfadjointView<Eigen::Lower>();
-    add_pair(whole, static_cast<double>(step), tag, tags, information);
+    add_pair(pairs[tag], static_cast<double>(step), tag, tags, information);
   }
   return information.ldlt().solve(Eigen::MatrixXd::Identity(information.rows(), information.cols()));
 }
 
-double prediction_sigma_m(const Observation& row, const AnchorVector& anchor, std::size_t tag_count,
-                          const Eigen::MatrixXd& covariance) noexcept {
-  const double gamma = anchor(gamma_index(row.tag, tag_count));
-  const PairRow j = pair_jacobian(predict(row, anchor, tag_count), gamma);
-  const std::array<Eigen::Index, 5> index{0, 1, 2, beta_index(row.tag), gamma_index(row.tag, tag_count)};
+double prediction_sigma_m(const PairRow& j, std::size_t tag, const Eigen::MatrixXd& covariance) noexcept {
+  const auto tags = static_cast<std::size_t>(covariance.rows() - 3) / 2;
+  const std::array<Eigen::Index, 5> index = pair_index(tag, tags);
   double variance_m2 = 0.0;
   for (std::size_t i = 0; i < index.size(); ++i) {
     for (std::size_t k = 0; k < index.size(); ++k) {
@@ -373,11 +368,11 @@ double prediction_sigma_m(const Observation& row, const AnchorVector& anchor, st
   return std::sqrt(std::max(0.0, variance_m2));
 }
 
-std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits, std::size_t tag_count) {
+std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
   Covariances pairs;
   for (const AnchorFit& fit : fits) {
-    for (std::size_t tag = 0; tag < tag_count; ++tag) {
-      const std::vector<Residual> residuals = residuals_in_sight(fit, tag, tag_count);
+    for (std::size_t tag = 0; tag < fit.problem.tag_count; ++tag) {
+      const std::vector<Residual> residuals = residuals_in_sight(fit, tag);
       if (residuals.size() >= kFewRows) add(residuals, pairs);
     }
   }

@@ -33,6 +33,7 @@ struct Evidence {
   bool surveyed = false;                      // the position was held fixed
 };
 [[nodiscard]] Evidence gather_evidence(const AnchorFit& fit);
+[[nodiscard]] std::vector<Evidence> gather_evidence(std::span<const AnchorFit> fits);
 
 // How much more the score scatters than independent residuals would make it: 1 for white residuals, else
 // about the number of ranges that together carry one range's information. One figure an anchor: the site's
@@ -62,13 +63,13 @@ struct Evidence {
 // surveyed.
 [[nodiscard]] Eigen::MatrixXd rough_covariance(const AnchorFit& fit);
 
-// What the anchor's covariance leaves open of a range, m: the standard deviation of its prediction.
-[[nodiscard]] double prediction_sigma_m(const Observation& row, const AnchorVector& anchor,
-                                        std::size_t tag_count, const Eigen::MatrixXd& covariance) noexcept;
+// Standard deviation of a predicted range by the covariance of the anchor's position and biases, m; `j`: as
+// RowAt has it.
+[[nodiscard]] double prediction_sigma_m(const PairRow& j, std::size_t tag,
+                                        const Eigen::MatrixXd& covariance) noexcept;
 
 // From the residuals of every pair at the solution; each pair counts alike and the median decides, so that a
 // few anchors behind walls do not. None where fewer than three pairs have rows enough.
-[[nodiscard]] std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits,
-                                                           std::size_t tag_count);
+[[nodiscard]] std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits);
 
 }  // namespace groma::calibration

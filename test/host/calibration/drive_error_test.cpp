@@ -30,8 +30,8 @@ void solve(const test::SimulatedSite& site, Solved& out) {
                          .known_anchors = {},
                          .end_s = std::numeric_limits<double>::infinity()},
                         {});
-  refine_site(out.fits, drive.priors, 5);
-  out.error = correct_drive(out.association, out.fits, drive.priors);
+  refine_site(out.fits, 5);
+  out.error = correct_drive(out.association, out.fits);
 }
 
 // Of the antennas' places.

@@ -77,7 +77,7 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
   problem.position.mean_m = {3.0, 3.0, 1.0};
   problem.position.information = Eigen::Matrix3d::Identity() / 900.0;
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.1}));
-  const StretchGains gains(problem, kernels, anchor, 12);
+  const StretchGains gains({.problem = problem, .anchor = anchor, .kernels = kernels}, 12);
   ASSERT_EQ(gains.bins(), 12U);
 
   const Eigen::Index size = anchor.size();

@@ -45,7 +45,7 @@ std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
     fits[i].anchor(gamma_index(0, 1)) = 1.0;
     fits[i].kernels.resize(1);
   }
-  return range_noise(fits, 1);
+  return range_noise(fits);
 }
 
 TEST(RangeNoise, FindsWhatIsWhiteWhatIsSlowAndForHowLong) {

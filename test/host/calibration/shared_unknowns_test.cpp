@@ -258,18 +258,16 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
 
     const Eigen::Index at = static_cast<Eigen::Index>(a) * kOwn;
     const double share = 1.0 / inflation[a];
-    const NormalEquations alone = linearize(fit.problem, fit.kernels, fit.anchor);
+    const NormalEquations alone = linearize(fit);
     const Eigen::Index size = fit.anchor.size();
     dense.block(at, at, size, size) = share * alone.information;
     descent.segment(at, size) = -share * alone.gradient;
     for (const Observation& row : rows[a]) {
-      const model::AntennaPrediction predicted = predict(row, fit.anchor, kSharingTags);
-      const RowValue value =
-          value_of(fit.problem, fit.kernels, row, row.range_m - predicted.range_m, fit.anchor);
-      const double gamma = fit.anchor(gamma_index(row.tag, kSharingTags));
-      const PairRow pair = pair_jacobian(predicted, gamma);
+      const RowAt at_solution = row_at(fit, row);
+      const RowValue& value = at_solution.value;
+      const PairRow& pair = at_solution.j;
       const KnotShare knot = knot_share(unknowns.knots, row.t_s);
-      const SharedRow terms = shared_jacobian(row, predicted, gamma, knot.fraction);
+      const SharedRow terms = shared_jacobian(row, at_solution.predicted, at_solution.gamma, knot.fraction);
       Eigen::VectorXd own = Eigen::VectorXd::Zero(dense.rows());
       own.segment<3>(at) = pair.head<3>();
       own(at + beta_index(row.tag)) = pair(3);

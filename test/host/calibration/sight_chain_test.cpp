@@ -254,11 +254,12 @@ TEST(AnchorSolver, GradientWithASightIsThatOfTheCost) {
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.15}));
   AnchorVector anchor(wall_index(kTags) + 3);
   anchor << 9.7, 5.2, 2.5, 0.1, 0.3, 1.01, 0.99, 0.35, 0.1, -0.15;
-  const NormalEquations equations = linearize(problem, kernels, anchor);
-  EXPECT_NEAR(equations.cost, robust_cost(problem, kernels, anchor), 1e-9);
+  const NormalEquations equations = linearize({.problem = problem, .anchor = anchor, .kernels = kernels});
+  EXPECT_NEAR(equations.cost, robust_cost({.problem = problem, .anchor = anchor, .kernels = kernels}), 1e-9);
   const Eigen::MatrixXd numerical = test::numerical_jacobian(
       [&](const Eigen::VectorXd& x) {
-        return Eigen::VectorXd::Constant(1, robust_cost(problem, kernels, x));
+        return Eigen::VectorXd::Constant(1,
+                                         robust_cost({.problem = problem, .anchor = x, .kernels = kernels}));
       },
       anchor, 1e-4);
   // The kernels' tables are linear between their nodes: the slope is off by what they are.

@@ -89,7 +89,7 @@ double mean_ratio(const test::SiteSettings& settings) {
                                               .known_anchors = {},
                                               .end_s = std::numeric_limits<double>::infinity()},
                                              {});
-    refine_site(fits, drive.priors, 5);
+    refine_site(fits, 5);
     for (const AnchorFit& fit : fits) {
       const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(fit);
       if (!jackknife) continue;
