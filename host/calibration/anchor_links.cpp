@@ -52,7 +52,8 @@ double cost_of(const AnchorLink& link, const Eigen::VectorXd& positions_m, const
 }
 
 Eigen::MatrixXd covariance_before_links(const LinkedSite& site, std::size_t anchor) {
-  return anchor_covariance(site.evidence[anchor], site.inflation[anchor]) + site.added_covariance[anchor];
+  return anchor_covariance(site.error.evidence[anchor], site.inflation[anchor]) +
+         site.error.added_covariance[anchor];
 }
 
 AnchorBelief believe(const LinkedSite& site) {
@@ -67,87 +68,64 @@ AnchorBelief believe(const LinkedSite& site) {
     out.mean.push_back(std::move(mean));
     out.covariance.push_back(covariance_before_links(site, a));
   }
-  out.gain.assign(site.gain.begin(), site.gain.end());
-  if (site.shared != nullptr) out.shared = *site.shared;
+  out.gain = site.error.shared_gain;
+  out.shared = site.error.shared_covariance;
   return out;
 }
 
-// Which anchors had better be at their rivals' places, by the links and by what that costs the drive's
-// ranges. One flip or two at a time.
-class SideChooser {
- public:
-  SideChooser(const LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors)
-      : site_(site), links_(links), priors_(priors), belief_(believe(site)), flipped_(site.fits.size()) {}
-
-  [[nodiscard]] double cost() const {
-    Eigen::VectorXd positions_m(position_of(flipped_.size()));
+// Moves anchors to their rivals' places, one or two at a time, as long as that lowers the cost of the links
+// and of the drive's ranges together.
+void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
+  const std::size_t anchors = site.fits.size();
+  const AnchorBelief belief = believe(site);
+  std::vector<bool> flipped(anchors, false);
+  const auto cost = [&] {
+    Eigen::VectorXd positions_m(position_of(anchors));
     double sum = 0.0;
-    for (std::size_t a = 0; a < flipped_.size(); ++a) {
-      const AnchorVector& anchor = flipped_[a] ? site_.mirrors[a]->anchor : site_.fits[a].anchor;
+    for (std::size_t a = 0; a < anchors; ++a) {
+      const AnchorVector& anchor = flipped[a] ? site.known[a].mirror->anchor : site.fits[a].anchor;
       positions_m.segment<3>(position_of(a)) = anchor.head<3>();
-      if (flipped_[a]) sum += site_.mirrors[a]->cost_excess / site_.inflation[a];
+      if (flipped[a]) sum += site.known[a].mirror->cost_excess / site.inflation[a];
     }
-    for (const AnchorLink& link : links_) sum += cost_of(link, positions_m, belief_, priors_);
+    for (const AnchorLink& link : links) sum += cost_of(link, positions_m, belief, priors);
     return sum;
-  }
-
-  void choose() {
-    double best = cost();
-    for (int round = 0; round < kFlippingRounds; ++round) {
-      bool better = false;
-      for (std::size_t a = 0; a < flipped_.size(); ++a) {
-        for (std::size_t b = a; b < flipped_.size(); ++b) {
-          if (!site_.mirrors[a] || !site_.mirrors[b]) continue;
+  };
+  const auto flip = [&](std::size_t a, std::size_t b) {
+    flipped[a] = !flipped[a];
+    if (b != a) flipped[b] = !flipped[b];
+  };
+  double best = cost();
+  bool better = true;
+  for (int round = 0; round < kFlippingRounds && better; ++round) {
+    better = false;
+    for (std::size_t a = 0; a < anchors; ++a) {
+      for (std::size_t b = a; b < anchors; ++b) {
+        if (!site.known[a].mirror || !site.known[b].mirror) continue;
+        flip(a, b);
+        const double found = cost();
+        if (found < best) {
+          best = found;
+          better = true;
+        } else {
           flip(a, b);
-          const double found = cost();
-          if (found < best) {
-            best = found;
-            better = true;
-          } else {
-            flip(a, b);
-          }
         }
       }
-      if (!better) break;
     }
   }
-
-  // What it costs to flip this one from here.
-  [[nodiscard]] double excess(std::size_t anchor) {
+  std::vector<double> excess(anchors, 0.0);
+  for (std::size_t a = 0; a < anchors; ++a) {
+    if (!site.known[a].mirror) continue;
     const double here = cost();
-    flip(anchor, anchor);
-    const double there = cost();
-    flip(anchor, anchor);
-    return std::max(0.0, there - here);
+    flip(a, a);
+    excess[a] = std::max(0.0, cost() - here) * site.inflation[a];
+    flip(a, a);
   }
-  [[nodiscard]] bool is_flipped(std::size_t anchor) const { return flipped_[anchor]; }
-
- private:
-  void flip(std::size_t a, std::size_t b) {
-    flipped_[a] = !flipped_[a];
-    if (b != a) flipped_[b] = !flipped_[b];
-  }
-
-  const LinkedSite& site_;
-  std::span<const AnchorLink> links_;
-  const model::RangePriors& priors_;
-  AnchorBelief belief_;
-  std::vector<bool> flipped_;
-};
-
-void take_sides(LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
-  SideChooser chooser(site, links, priors);
-  chooser.choose();
-  std::vector<double> excess(site.fits.size(), 0.0);
-  for (std::size_t a = 0; a < site.fits.size(); ++a) {
-    if (site.mirrors[a]) excess[a] = chooser.excess(a) * site.inflation[a];
-  }
-  for (std::size_t a = 0; a < site.fits.size(); ++a) {
-    if (!site.mirrors[a]) continue;
-    site.mirrors[a]->cost_excess = excess[a];
-    if (!chooser.is_flipped(a)) continue;
-    std::swap(site.fits[a].anchor, site.mirrors[a]->anchor);
-    site.evidence[a] = gather_evidence(site.fits[a]);
+  for (std::size_t a = 0; a < anchors; ++a) {
+    if (!site.known[a].mirror) continue;
+    site.known[a].mirror->cost_excess = excess[a];
+    if (!flipped[a]) continue;
+    std::swap(site.fits[a].anchor, site.known[a].mirror->anchor);
+    site.error.evidence[a] = gather_evidence(site.fits[a]);
   }
 }
 
@@ -257,7 +235,7 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
   return out;
 }
 
-std::vector<Eigen::MatrixXd> join_links(LinkedSite site, std::span<const AnchorLink> links,
+std::vector<Eigen::MatrixXd> join_links(const LinkedSite& site, std::span<const AnchorLink> links,
                                         const model::RangePriors& priors) {
   if (links.empty()) {
     std::vector<Eigen::MatrixXd> covariance;
@@ -271,7 +249,7 @@ std::vector<Eigen::MatrixXd> join_links(LinkedSite site, std::span<const AnchorL
     belief = fuse_links(believe(site), links, priors);
     for (std::size_t a = 0; a < site.fits.size(); ++a) {
       site.fits[a].anchor = belief.mean[a];
-      site.evidence[a] = gather_evidence(site.fits[a]);
+      site.error.evidence[a] = gather_evidence(site.fits[a]);
     }
   }
   return belief.covariance;

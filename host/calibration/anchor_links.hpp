@@ -2,15 +2,13 @@
 #pragma once
 
 #include <cstddef>
-#include <optional>
 #include <span>
 #include <vector>
 
 #include <Eigen/Core>
 
-#include "host/calibration/initial_guess.hpp"
-#include "host/calibration/site_solver.hpp"
-#include "host/calibration/uncertainty.hpp"
+#include "host/calibration/drive_error.hpp"
+#include "host/calibration/verdict.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {
@@ -42,19 +40,17 @@ struct AnchorBelief {
 [[nodiscard]] AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> links,
                                       const model::RangePriors& priors);
 
-// Joins the links to the drive's solutions: picks the side of each anchor, fuses, and looks at the drive's
-// ranges anew from there. Moves the fits; their evidence, their rivals and the covariances follow.
+// Joins the links to the drive's solutions: picks the side of each anchor, fuses, and linearizes the drive's
+// ranges again from there. Moves the fits; their evidence and their rivals across the tags' plane follow.
 struct LinkedSite {
   std::span<AnchorFit> fits;
-  std::span<Evidence> evidence;
   std::span<const double> inflation;
-  std::span<std::optional<Rival>> mirrors;  // of each anchor, across the tags' plane
-  std::span<const Eigen::MatrixXd> added_covariance;
-  std::span<const Eigen::MatrixXd> gain;  // empty: nothing shared
-  const Eigen::MatrixXd* shared = nullptr;
+  std::span<AnchorEvidence> known;
+  DriveError& error;
 };
 // Covariance of each anchor's unknowns.
-[[nodiscard]] std::vector<Eigen::MatrixXd> join_links(LinkedSite site, std::span<const AnchorLink> links,
+[[nodiscard]] std::vector<Eigen::MatrixXd> join_links(const LinkedSite& site,
+                                                      std::span<const AnchorLink> links,
                                                       const model::RangePriors& priors);
 
 }  // namespace groma::calibration

@@ -16,6 +16,7 @@ namespace {
 
 // A two-way range beyond this is a wrapped stamp, not a distance.
 constexpr double kMaxRange_m = 1000.0;
+constexpr double kMaxPoseGap_s = 0.3;
 
 bool is_finite(const model::PoseSample& pose) noexcept {
   return std::isfinite(pose.t_s) && std::isfinite(pose.x_m) && std::isfinite(pose.y_m) &&
@@ -51,13 +52,6 @@ struct Motion {
   std::optional<Eigen::Matrix3d> covariance;  // of the pose's x, y and yaw
 };
 
-std::optional<Eigen::Matrix3d> interpolate_covariance(const model::PoseSample& from,
-                                                      const model::PoseSample& to, double fraction) noexcept {
-  if (!from.covariance || !to.covariance) return std::nullopt;
-  return Eigen::Matrix3d((1.0 - fraction) * model::to_matrix(*from.covariance) +
-                         fraction * model::to_matrix(*to.covariance));
-}
-
 // Of x and y of an antenna, as Observation has it: M C M^T with M = [I, yaw_arm].
 Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::Vector2d& yaw_arm_m) noexcept {
   Eigen::Matrix<double, 2, 3> by_pose;
@@ -69,9 +63,8 @@ Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::V
 // Walks along the poses as ranges come in time; a step back costs what it has to.
 class PoseCursor {
  public:
-  PoseCursor(std::vector<model::PoseSample> poses, const model::Surface& surface, double max_gap_s,
-             HeightSource height)
-      : poses_(std::move(poses)), surface_(surface), max_gap_s_(max_gap_s), height_(height) {}
+  PoseCursor(std::vector<model::PoseSample> poses, const model::Surface& surface, HeightSource height)
+      : poses_(std::move(poses)), surface_(surface), height_(height) {}
 
   // Nothing outside the poses or within a longer gap of them. The result holds until the next call.
   [[nodiscard]] const Motion* at(double t_s) {
@@ -85,13 +78,17 @@ class PoseCursor {
     const model::PoseSample& to = poses_[next_];
     if (t_s < from.t_s || t_s > to.t_s) return nullptr;
     const double gap_s = to.t_s - from.t_s;
-    if (gap_s > max_gap_s_) return nullptr;
+    if (gap_s > kMaxPoseGap_s) return nullptr;
     const double fraction = (t_s - from.t_s) / gap_s;
     motion_.pose = interpolate_pose(from, to, fraction, surface_, height_);
     motion_.attitude = Eigen::Quaterniond(motion_.pose.rotation).cast<float>();
     motion_.velocity_mps = Eigen::Vector3d(to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m) / gap_s;
     motion_.yaw_rate_radps = model::wrap_angle(to.yaw_rad - from.yaw_rad) / gap_s;
-    motion_.covariance = interpolate_covariance(from, to, fraction);
+    motion_.covariance.reset();
+    if (from.covariance && to.covariance) {
+      motion_.covariance =
+          (1.0 - fraction) * model::to_matrix(*from.covariance) + fraction * model::to_matrix(*to.covariance);
+    }
     found_ = true;
     return &motion_;
   }
@@ -99,7 +96,6 @@ class PoseCursor {
  private:
   std::vector<model::PoseSample> poses_;
   const model::Surface& surface_;
-  double max_gap_s_;
   HeightSource height_;
   std::size_t next_ = 1;
   double last_t_s_ = std::numeric_limits<double>::quiet_NaN();
@@ -146,7 +142,7 @@ model::RigidPose interpolate_pose(const model::PoseSample& from, const model::Po
   return pose;
 }
 
-Association associate(const Drive& drive, double max_pose_gap_s, double range_delay_s, HeightSource height) {
+Association associate(const Drive& drive, HeightSource height) {
   Association out;
   out.tags.assign(drive.tags.begin(), drive.tags.end());
   std::erase_if(out.tags, [](const model::Tag& tag) { return !tag.lever_arm_m.allFinite(); });
@@ -160,7 +156,7 @@ Association associate(const Drive& drive, double max_pose_gap_s, double range_de
   std::map<model::NodeId, std::size_t> index;
   for (const auto& [id, n] : count) {
     index[id] = out.anchors.size();
-    out.anchors.push_back({.id = id, .rows = {}, .rejected = 0});
+    out.anchors.push_back({.id = id});
     out.anchors.back().rows.reserve(n);
   }
 
@@ -170,14 +166,13 @@ Association associate(const Drive& drive, double max_pose_gap_s, double range_de
     if (pose.covariance)
       out.pose_spreads.push_back({.t_s = pose.t_s, .covariance = model::to_matrix(*pose.covariance)});
   }
-  PoseCursor cursor(std::move(poses), drive.surface != nullptr ? *drive.surface : flat, max_pose_gap_s,
-                    height);
+  PoseCursor cursor(std::move(poses), drive.surface != nullptr ? *drive.surface : flat, height);
   for (const model::RangeSample& sample : drive.ranges) {
     AnchorObservations& anchor = out.anchors[index.at(sample.anchor_id)];
     const auto tag = std::lower_bound(out.tags.begin(), out.tags.end(), sample.tag_id,
                                       [](const model::Tag& a, model::NodeId id) { return a.id < id; });
     const bool known_tag = tag != out.tags.end() && tag->id == sample.tag_id;
-    const Motion* motion = known_tag && is_range(sample) ? cursor.at(sample.t_s - range_delay_s) : nullptr;
+    const Motion* motion = known_tag && is_range(sample) ? cursor.at(sample.t_s) : nullptr;
     if (motion == nullptr) {
       ++anchor.rejected;
       continue;

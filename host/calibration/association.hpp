@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <span>
 #include <vector>
 
 #include <Eigen/Core>
@@ -59,9 +58,7 @@ enum class HeightSource { kPose, kSurface };
                                                 double fraction, const model::Surface& surface,
                                                 HeightSource height = HeightSource::kPose) noexcept;
 
-// range_delay_s: a range stamped t was measured at t - range_delay_s.
-[[nodiscard]] Association associate(const Drive& drive, double max_pose_gap_s, double range_delay_s,
-                                    HeightSource height);
+[[nodiscard]] Association associate(const Drive& drive, HeightSource height);
 
 // Root mean square of pose height minus surface height; zero without poses.
 [[nodiscard]] double height_disagreement_m(const Drive& drive) noexcept;

@@ -4,13 +4,13 @@
 #include <cmath>
 #include <map>
 #include <numbers>
+#include <numeric>
 #include <utility>
 
 #include "host/calibration/anchor_links.hpp"
 #include "host/calibration/association.hpp"
 #include "host/calibration/comparison.hpp"
 #include "host/calibration/drive_error.hpp"
-#include "host/calibration/initial_guess.hpp"
 #include "host/calibration/moved.hpp"
 #include "host/calibration/robust_kernel.hpp"
 #include "host/calibration/sight_solver.hpp"
@@ -24,6 +24,7 @@ namespace {
 
 // Poses whose height differs from the ground's by more than this are tried at both heights.
 constexpr double kHeightDisagreement_m = 0.1;
+constexpr double kHeldOutShare = 0.2;
 constexpr std::size_t kMinHeldOut = 10;
 // A solution that leaves the plane open by more than this says nothing of ranges that it has not seen: over
 // such ways spheres leave their tangents.
@@ -48,7 +49,6 @@ double finite_or(double value, double fallback) {
   return std::isfinite(value) ? value : fallback;
 }
 
-// Priors that no arithmetic trips over.
 model::RangePriors usable_priors(const model::RangePriors& given) {
   const model::RangePriors fallback;
   const auto sigma = [](double value, double instead) {
@@ -64,14 +64,7 @@ model::RangePriors usable_priors(const model::RangePriors& given) {
   return out;
 }
 
-double total_cost(std::span<const AnchorFit> fits) {
-  double cost = 0.0;
-  for (const AnchorFit& fit : fits) cost += fit.cost;
-  return cost;
-}
-
-// The instant that parts the drive from its held-out end.
-double held_out_from(const Association& association, double fraction) {
+double held_out_from(const Association& association) {
   double begin_s = std::numeric_limits<double>::infinity();
   double end_s = -std::numeric_limits<double>::infinity();
   for (const AnchorObservations& anchor : association.anchors) {
@@ -79,7 +72,7 @@ double held_out_from(const Association& association, double fraction) {
     begin_s = std::min(begin_s, anchor.rows.front().t_s);
     end_s = std::max(end_s, anchor.rows.back().t_s);
   }
-  return end_s - std::clamp(fraction, 0.0, 0.9) * (end_s - begin_s);
+  return end_s - kHeldOutShare * (end_s - begin_s);
 }
 
 struct HeldOut {
@@ -137,32 +130,6 @@ std::vector<FittedRange> look_at_rows(const AnchorFit& fit, std::span<const mode
                    .in_sight = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).in_sight() *
                                at.value.seen_share});
   }
-  return out;
-}
-
-struct Sight {
-  double share = 0.0;        // in sight
-  std::size_t rejected = 0;  // rows that are more likely blocked or gross
-  double nearest_m = 0.0;    // closest antenna
-  double far_share = 0.0;    // of rows that are too long, or too short, by more than walls and shadows make
-  double short_share = 0.0;  // them
-};
-
-Sight sum_up(std::span<const FittedRange> rows) {
-  Sight out;
-  if (rows.empty()) return out;
-  out.nearest_m = std::numeric_limits<double>::infinity();
-  for (const FittedRange& row : rows) {
-    out.share += row.in_sight;
-    if (row.in_sight < 0.5) ++out.rejected;
-    out.nearest_m = std::min(out.nearest_m, row.distance_m);
-    if (row.residual_m > kFar_m) out.far_share += 1.0;
-    if (row.residual_m < -kShort_m) out.short_share += 1.0;
-  }
-  const double n = static_cast<double>(rows.size());
-  out.share /= n;
-  out.far_share /= n;
-  out.short_share /= n;
   return out;
 }
 
@@ -256,6 +223,8 @@ struct Site {
   PollTable polls;
   std::vector<AnchorPath> paths;         // of each anchor
   std::vector<AnchorEvidence> evidence;  // of each anchor
+  std::vector<HeldOut> held_out;         // of each anchor
+  DriveError error;
 };
 
 // What the poses of two drives can be off by, beside what the earlier calibration tells of its own.
@@ -296,7 +265,7 @@ void explore(Site& site, const model::Calibration* earlier) {
 }
 
 // Poses that say of themselves that they may be off by as much as a move is long show none.
-bool can_tell_moves(const Association& association) {
+bool poses_show_moves(const Association& association) {
   if (model::is_ablated(model::Mechanism::kCalibrationMoves)) return false;
   return std::all_of(
       association.pose_spreads.begin(), association.pose_spreads.end(), [](const PoseSpread& spread) {
@@ -304,24 +273,20 @@ bool can_tell_moves(const Association& association) {
       });
 }
 
-// Each range's sight, where the data ask for it.
 void find_sight(Site& site) {
   if (is_sight_wanted(site.polls, site.fits))
     site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
 }
 
-enum class Moves { kLookedFor, kNone };
-
-Site solve_at_height(const Drive& drive, const Options& options, HeightSource height, Moves moves) {
+Site solve_at_height(const Drive& drive, const Options& options, HeightSource height, bool find_moves) {
   Site site;
-  site.association = associate(drive, options.max_pose_gap_s, 0.0, height);
+  site.association = associate(drive, height);
   SiteProblem problem{.association = &site.association,
                       .priors = usable_priors(drive.priors),
-                      .known_anchors = drive.known_anchors,
-                      .known_anchor_sigma_m = options.known_anchor_sigma_m};
+                      .known_anchors = drive.known_anchors};
   site.polls = tabulate_polls(site.association);
   bound_rows(site.association, site.polls, problem, options.most_anchor_ranges);
-  site.held_out_from_s = held_out_from(site.association, options.held_out_fraction);
+  site.held_out_from_s = held_out_from(site.association);
   problem.end_s = site.held_out_from_s;
   site.beginning = solve_site(problem, {});
   problem.end_s = std::numeric_limits<double>::infinity();
@@ -329,7 +294,7 @@ Site solve_at_height(const Drive& drive, const Options& options, HeightSource he
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
     find_sight(site);
-    if (moves == Moves::kLookedFor && can_tell_moves(site.association))
+    if (find_moves && poses_show_moves(site.association))
       site.paths = find_moved(site.polls, site.sight, site.fits);
   }
   explore(site, options.earlier);
@@ -342,7 +307,6 @@ bool has_moves(const Site& site) {
                      [](const AnchorPath& path) { return !path.moved_at_s.empty(); });
 }
 
-// What antennas do to ranges can pass for what walls do: with it taken off, the sight is found anew.
 void look_again(Site& site, const model::Calibration* earlier) {
   if (!is_within_reach(site.fits) || has_moves(site)) return;
   if (model::is_ablated(model::Mechanism::kCalibrationAgain)) return;
@@ -359,12 +323,27 @@ void look_again(Site& site, const model::Calibration* earlier) {
 }
 
 // The robot's height is its own or that of the ground: whichever explains the ranges better.
-Site solve_at_best_height(const Drive& drive, const Options& options, Moves moves) {
-  Site site = solve_at_height(drive, options, HeightSource::kPose, moves);
+Site solve_at_best_height(const Drive& drive, const Options& options, bool find_moves) {
+  Site site = solve_at_height(drive, options, HeightSource::kPose, find_moves);
   if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
   if (model::is_ablated(model::Mechanism::kCalibrationHeights)) return site;
-  Site other = solve_at_height(drive, options, HeightSource::kSurface, moves);
-  return total_cost(other.fits) < total_cost(site.fits) ? std::move(other) : std::move(site);
+  Site other = solve_at_height(drive, options, HeightSource::kSurface, find_moves);
+  const auto cost = [](const Site& of) {
+    return std::accumulate(of.fits.begin(), of.fits.end(), 0.0,
+                           [](double sum, const AnchorFit& fit) { return sum + fit.cost; });
+  };
+  return cost(other) < cost(site) ? std::move(other) : std::move(site);
+}
+
+Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
+  Site site = solve_at_best_height(drive, options, find_moves);
+  // Before the poses are corrected by all ranges: what is held out stays so.
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    site.held_out.push_back(
+        score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
+  }
+  site.error = correct_drive(site.association, site.fits);
+  return site;
 }
 
 // An anchor that goes so far and ends so near to another's place has its id.
@@ -400,132 +379,141 @@ std::optional<MoveEvidence> tell_moves(const Site& site, std::size_t anchor) {
 }
 
 // With the survey's ranges between anchors, where there are any: moves the fits and their rivals.
-std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::span<const double> inflation,
-                                         DriveError& drive_error) {
+std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::span<const double> inflation) {
   std::vector<model::NodeId> ids;
-  std::vector<std::optional<Rival>> mirrors;
-  for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    ids.push_back(site.association.anchors[i].id);
-    mirrors.push_back(site.evidence[i].mirror);
-  }
+  for (const AnchorObservations& anchor : site.association.anchors) ids.push_back(anchor.id);
   const model::RangePriors priors = usable_priors(drive.priors);
-  const std::vector<AnchorLink> links = gather_links(drive.anchor_ranges, ids, priors);
-  std::vector<Eigen::MatrixXd> covariance = join_links({.fits = site.fits,
-                                                        .evidence = drive_error.evidence,
-                                                        .inflation = inflation,
-                                                        .mirrors = mirrors,
-                                                        .added_covariance = drive_error.added_covariance,
-                                                        .gain = drive_error.shared_gain,
-                                                        .shared = &drive_error.shared_covariance},
-                                                       links, priors);
-  for (std::size_t i = 0; i < site.fits.size(); ++i) site.evidence[i].mirror = mirrors[i];
-  return covariance;
+  return join_links({site.fits, inflation, site.evidence, site.error},
+                    gather_links(drive.anchor_ranges, ids, priors), priors);
+}
+
+// Those that were not chosen count too.
+double count_ranges(const AnchorObservations& data) {
+  return static_cast<double>(data.rows.size() + data.left_out);
+}
+
+// Medians of the anchors that have ranges.
+struct Typical {
+  double scale_m = 0.0;
+  double ranges = 0.0;
+};
+
+Typical typical_anchor(const Site& site) {
+  std::vector<double> scales_m;
+  std::vector<double> ranges;
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    if (site.fits[i].problem.rows.empty()) continue;
+    scales_m.push_back(mean_scale_m(site.fits[i]));
+    ranges.push_back(count_ranges(site.association.anchors[i]));
+  }
+  return {.scale_m = median(std::move(scales_m)), .ranges = median(std::move(ranges))};
+}
+
+// Of one anchor, what its ranges say beside the solution.
+void complete_evidence(const Site& site, std::size_t i, std::span<const FittedRange> fitted,
+                       const Typical& typical, AnchorEvidence& out) {
+  const AnchorFit& fit = site.fits[i];
+  out.moved = tell_moves(site, i);
+  out.twin_m = site.paths[i].twin_m;
+  out.rows = fit.problem.rows.size();
+  out.held_out_z = site.held_out[i].share_of_scale;
+  double far = 0.0;
+  double too_short = 0.0;
+  if (!fitted.empty()) out.nearest_m = std::numeric_limits<double>::infinity();
+  for (const FittedRange& row : fitted) {
+    out.in_sight_share += row.in_sight;
+    out.nearest_m = std::min(out.nearest_m, row.distance_m);
+    if (row.residual_m > kFar_m) far += 1.0;
+    if (row.residual_m < -kShort_m) too_short += 1.0;
+  }
+  const double n = std::max(1.0, static_cast<double>(fitted.size()));
+  out.in_sight_share /= n;
+  if (!site.sight.anchors.empty()) {
+    out.sight = SightEvidence{.polls = site.sight.poll_shares[i],
+                              .polls_are_told = site.polls.regular,
+                              .wall_excess_m = site.sight.model.wall_prior.mean_m,
+                              .far_share = far / n,
+                              .short_share = too_short / n};
+  }
+  if (typical.scale_m > 0.0) {
+    out.flicker = flicker_m(fitted) / typical.scale_m;
+    out.scale_ratio = mean_scale_m(fit) / typical.scale_m;
+  }
+  if (typical.ranges > 0.0) out.count_ratio = count_ranges(site.association.anchors[i]) / typical.ranges;
+}
+
+// Of one anchor, `solved` with all that may be wrong beside it.
+Eigen::MatrixXd widened_covariance(const Site& site, std::size_t i, const Eigen::MatrixXd& solved) {
+  const AnchorFit& fit = site.fits[i];
+  const AnchorEvidence& known = site.evidence[i];
+  const std::size_t tags = fit.problem.tag_count;
+  // The excess of walls is no part of the anchor.
+  const Eigen::Index size = wall_index(tags);
+  Eigen::MatrixXd out = solved.topLeftCorner(size, size);
+  if (!site.sight.anchors.empty() || known.inflation > kHangingTogether) {
+    if (const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(fit)) {
+      out += excess_of_jackknife(
+          *jackknife, anchor_covariance(site.error.evidence[i], known.inflation).topLeftCorner(size, size));
+    }
+  }
+  if (!fit.problem.rows.empty() && !fit.problem.position.surveyed)
+    stay_within(kReachFactor * known.nearest_m, out);
+  admit_blocking(known, tags, out);
+  for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
+    if (rival) out.topLeftCorner<3, 3>() += rival_spread(*rival, fit, known.inflation);
+  }
+  const AnchorFit& first = site.beginning[i];
+  if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed &&
+      2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit, known.spread)) {
+    admit_shift(fit.anchor(2) - first.anchor(2), site.held_out[i].height_variance_m2, out);
+  }
+  return out;
 }
 
 }  // namespace
 
 Result calibrate(const Drive& drive, const Options& options) {
-  Site site;
-  std::vector<HeldOut> held_out;
-  DriveError drive_error;
-  const auto solve = [&](Moves moves) {
-    site = solve_at_best_height(drive, options, moves);
-    // Before the poses are corrected by all ranges: what is held out stays so.
-    held_out.clear();
-    for (std::size_t i = 0; i < site.fits.size(); ++i) {
-      held_out.push_back(
-          score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
-    }
-    drive_error = correct_drive(site.association, site.fits);
-  };
-  solve(Moves::kLookedFor);
-  // Where poses wander by as much as a move is long, anchors that seem to have moved have not.
-  if (has_moves(site) && drive_error.wander.sigma_m > kMovePose_m) solve(Moves::kNone);
+  Site site = solve_drive(drive, options, true);
+  // Where the poses drift by as much as a move is long, anchors that seem to have moved have not.
+  if (has_moves(site) && site.error.prior.wander.sigma_m > kMovePose_m)
+    site = solve_drive(drive, options, false);
+  DriveError& drive_error = site.error;
   if (!drive_error.body.empty() && !site.sight.anchors.empty()) {
     look_again(site, options.earlier);
     correct_further(site.association, site.fits, drive_error);
   }
-  const Association& association = site.association;
   const std::vector<double> inflation = score_inflation(drive_error.evidence);
-
-  const std::vector<Eigen::MatrixXd> covariance = join_survey(drive, site, inflation, drive_error);
-
-  std::vector<double> scales_m;
-  std::vector<double> rows;
-  const auto heard = [](const AnchorObservations& data) {
-    return static_cast<double>(data.rows.size() + data.left_out);
-  };
-  for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    if (site.fits[i].problem.rows.empty()) continue;
-    scales_m.push_back(mean_scale_m(site.fits[i]));
-    rows.push_back(heard(association.anchors[i]));
-  }
-  const double median_scale_m = median(scales_m);
-  const double median_rows = median(rows);
+  const std::vector<Eigen::MatrixXd> covariance = join_survey(drive, site, inflation);
+  const Typical typical = typical_anchor(site);
 
   Result result;
+  const std::vector<model::Tag>& tags = site.association.tags;
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     const AnchorFit& fit = site.fits[i];
-    const AnchorObservations& data = association.anchors[i];
-    model::AnchorCalibration anchor;
+    const AnchorObservations& data = site.association.anchors[i];
+    const std::vector<FittedRange>& fitted = result.fitted.emplace_back(look_at_rows(fit, tags));
+    AnchorEvidence& known = site.evidence[i];
+    known.inflation = inflation[i];
+    complete_evidence(site, i, fitted, typical, known);
+
+    model::AnchorCalibration& anchor = result.calibration.anchors.emplace_back();
     anchor.id = data.id;
     anchor.position_m = fit.anchor.head<3>();
-    // Without what walls add: that is told with each wall, not with the anchor.
-    const Eigen::Index size = wall_index(association.tags.size());
-    anchor.covariance = covariance[i].topLeftCorner(size, size);
-    if (!site.sight.anchors.empty() || inflation[i] > kHangingTogether) {
-      if (const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(fit)) {
-        const Eigen::MatrixXd expected =
-            anchor_covariance(drive_error.evidence[i], inflation[i]).topLeftCorner(size, size);
-        anchor.covariance += excess_of_jackknife(*jackknife, expected);
-      }
-    }
-    const Sight sight = sum_up(result.fitted.emplace_back(look_at_rows(fit, association.tags)));
-    // Where an anchor was moved, what came before counts as rejected.
-    anchor.ranges_used = fit.problem.rows.size() - sight.rejected;
-    anchor.ranges_rejected = data.rejected + data.rows.size() - anchor.ranges_used;
-
-    AnchorEvidence& known = site.evidence[i];
-    known.moved = tell_moves(site, i);
-    known.twin_m = site.paths[i].twin_m;
-    if (!site.sight.anchors.empty()) {
-      known.sight = SightEvidence{.polls = site.sight.poll_shares[i],
-                                  .polls_are_told = site.polls.regular,
-                                  .wall_excess_m = site.sight.model.wall_prior.mean_m,
-                                  .far_share = sight.far_share,
-                                  .short_share = sight.short_share};
-    }
-    known.rows = fit.problem.rows.size();
-    known.nearest_m = sight.nearest_m;
-    known.in_sight_share = sight.share;
-    known.inflation = inflation[i];
-    if (median_scale_m > 0.0) known.flicker = flicker_m(result.fitted[i]) / median_scale_m;
-    known.scale_ratio = median_scale_m > 0.0 ? mean_scale_m(fit) / median_scale_m : 1.0;
-    known.count_ratio = median_rows > 0.0 ? heard(data) / median_rows : 1.0;
-    if (!fit.problem.rows.empty() && !fit.problem.position.surveyed)
-      stay_within(kReachFactor * known.nearest_m, anchor.covariance);
-    admit_blocking(known, association.tags.size(), anchor.covariance);
-    for (const std::optional<Rival>& rival : {known.mirror, known.side}) {
-      if (rival) anchor.covariance.topLeftCorner<3, 3>() += rival_spread(*rival, fit, inflation[i]);
-    }
-    const AnchorFit& first = site.beginning[i];
-    if (site.sight.anchors.empty() && !known.moved && !fit.problem.position.surveyed &&
-        2 * first.problem.rows.size() > fit.problem.rows.size() && !is_mirrored(first, fit, known.spread)) {
-      admit_shift(fit.anchor(2) - first.anchor(2), held_out[i].height_variance_m2, anchor.covariance);
-    }
+    anchor.covariance = widened_covariance(site, i, covariance[i]);
     model::add_common_frame(anchor, drive_error.unseen_frame_covariance);
+    anchor.pairs = pair_biases(fit.anchor, anchor.covariance, tags);
+    // Ranges before the last move count as rejected, and those that are likelier NLOS than LOS.
+    anchor.ranges_used = static_cast<std::size_t>(std::count_if(
+        fitted.begin(), fitted.end(), [](const FittedRange& row) { return !(row.in_sight < 0.5); }));
+    anchor.ranges_rejected = data.rejected + data.rows.size() - anchor.ranges_used;
     if (known.mirror) anchor.mirror_ratio = known.mirror->cost_ratio;
-    anchor.held_out_rms_m = held_out[i].rms_m;
-    anchor.held_out_robust_rms_m = held_out[i].robust_rms_m;
-    known.held_out_z = held_out[i].share_of_scale;
-
-    anchor.pairs = pair_biases(fit.anchor, anchor.covariance, association.tags);
+    anchor.held_out_rms_m = site.held_out[i].rms_m;
+    anchor.held_out_robust_rms_m = site.held_out[i].robust_rms_m;
     judge_anchor(known, anchor);
     result.ranges_used += anchor.ranges_used;
     result.ranges_rejected += anchor.ranges_rejected;
-    result.calibration.anchors.push_back(std::move(anchor));
   }
-  result.calibration.tags = tag_calibrations(drive_error.body, association.tags);
+  result.calibration.tags = tag_calibrations(drive_error.body, tags);
   result.calibration.common_frame_covariance = drive_error.frame_covariance;
   result.calibration.range_delay_s = drive_error.range_delay_s;
   result.calibration.range_delay_sigma_s = drive_error.range_delay_sigma_s;

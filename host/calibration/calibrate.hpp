@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <limits>
-#include <optional>
 #include <span>
 #include <vector>
 
@@ -24,19 +23,15 @@ struct Drive {
   const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
   model::RangePriors priors;
   std::span<const model::AnchorRange> anchor_ranges;  // of a survey, in any order; may be empty
-  std::span<const model::Anchor>
-      known_anchors;  // not empty: their positions are surveyed, biases alone are learnt
+  std::span<const model::Anchor> known_anchors;       // surveyed: their biases alone are estimated
 };
 
 struct Options {
-  double known_anchor_sigma_m = 0.02;
-  double max_pose_gap_s = 0.3;     // a range within a longer gap of the poses is not used
-  double held_out_fraction = 0.2;  // the last contiguous part of the drive, for the verdict
   // An earlier calibration of the site; outlives the call. Where the drive leaves open on which side of the
   // tags an anchor is, the one decides on which it was; nothing else of it goes into the solution.
   const model::Calibration* earlier = nullptr;
-  // Of one anchor at most so many ranges are looked at, chosen by where they were measured (see
-  // measurement_choice.hpp). Of the others it still counts that they came.
+  // Of one anchor at most so many ranges are used, chosen by choose_measurements(). Of the others it still
+  // counts that they came.
   std::size_t most_anchor_ranges = std::numeric_limits<std::size_t>::max();
 };
 

@@ -1,15 +1,14 @@
 #include "host/calibration/comparison.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
-#include <iterator>
 #include <limits>
 #include <map>
 #include <numbers>
 #include <optional>
 #include <set>
-#include <string>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -23,7 +22,6 @@ namespace {
 
 using Frame = Eigen::Matrix<double, 3, 4>;
 
-// 95 % of the chi-square distribution with three degrees of freedom.
 constexpr double kClear = 7.815;
 // Keeps what is told as exact invertible.
 constexpr double kLeastVariance_m2 = 1e-12;
@@ -40,10 +38,9 @@ struct Shared {
   bool outlier = false;
 };
 
-// What an anchor's position has for itself, beside the frame.
-Eigen::Matrix3d own_position_covariance(const model::AnchorCalibration& anchor,
-                                        const model::Calibration& calibration) {
-  return model::own_covariance(anchor, calibration.common_frame_covariance).topLeftCorner<3, 3>();
+// A height that is not trusted may be on the other side of the tags.
+bool is_height_weak(const model::AnchorCalibration& anchor) {
+  return anchor.verdict == model::AnchorVerdict::kWeakZ || anchor.verdict == model::AnchorVerdict::kWeak;
 }
 
 Shared make_shared(const model::Calibration& of_a, const model::AnchorCalibration& a,
@@ -53,14 +50,10 @@ Shared make_shared(const model::Calibration& of_a, const model::AnchorCalibratio
   out.b = &b;
   out.frame = model::place_by_frame(a.position_m);
   out.difference_m = b.position_m - a.position_m;
-  out.covariance_m2 = own_position_covariance(a, of_a) + own_position_covariance(b, of_b);
+  out.covariance_m2 = model::own_covariance(a, of_a.common_frame_covariance).topLeftCorner<3, 3>() +
+                      model::own_covariance(b, of_b.common_frame_covariance).topLeftCorner<3, 3>();
   out.covariance_m2.diagonal().array() += kLeastVariance_m2;
-  const auto is_height_weak = [](const model::AnchorCalibration& anchor) {
-    return anchor.verdict == model::AnchorVerdict::kWeakZ || anchor.verdict == model::AnchorVerdict::kWeak;
-  };
-  if (is_height_weak(a) || is_height_weak(b)) {
-    out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
-  }
+  if (is_height_weak(a) || is_height_weak(b)) out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
   const Eigen::LDLT<Eigen::Matrix3d> factors(out.covariance_m2);
   out.information = out.frame.transpose() * factors.solve(out.frame);
   out.right_side = out.frame.transpose() * factors.solve(out.difference_m);
@@ -156,22 +149,10 @@ using model::has_position;
 constexpr double kLeastVariance = 1e-12;
 
 // How far a verdict can be trusted: less is better.
-int rank(AnchorVerdict verdict) {
-  switch (verdict) {
-    case AnchorVerdict::kOk:
-      return 0;
-    case AnchorVerdict::kWeakZ:
-      return 1;
-    case AnchorVerdict::kWeak:
-      return 2;
-    case AnchorVerdict::kNeverInSight:
-      return 3;
-    case AnchorVerdict::kMoved:
-      return 4;
-    case AnchorVerdict::kNoData:
-      return 5;
-  }
-  return 5;
+std::ptrdiff_t rank(AnchorVerdict verdict) {
+  constexpr std::array kOrder{AnchorVerdict::kOk,           AnchorVerdict::kWeakZ, AnchorVerdict::kWeak,
+                              AnchorVerdict::kNeverInSight, AnchorVerdict::kMoved, AnchorVerdict::kNoData};
+  return std::find(kOrder.begin(), kOrder.end(), verdict) - kOrder.begin();
 }
 
 // An anchor's whole block of parameters as a vector: position, then beta of each pair, then gamma.
@@ -214,32 +195,25 @@ void keep_own(AnchorCalibration& anchor, const model::Calibration& of) {
                       kKeptShare * anchor.covariance;
 }
 
-// The parameters of several calibrations' blocks, each tag once.
-class Parameters {
- public:
-  Parameters(const AnchorCalibration& a, const AnchorCalibration& b) {
-    std::set<model::NodeId> tags;
-    for (const AnchorCalibration* anchor : {&a, &b}) {
-      for (const model::PairBias& pair : anchor->pairs) tags.insert(pair.tag_id);
-    }
-    tags_.assign(tags.begin(), tags.end());
+// The tags that either anchor has a pair with, ascending.
+std::vector<model::NodeId> tags_of(const AnchorCalibration& a, const AnchorCalibration& b) {
+  std::set<model::NodeId> tags;
+  for (const AnchorCalibration* anchor : {&a, &b}) {
+    for (const model::PairBias& pair : anchor->pairs) tags.insert(pair.tag_id);
   }
-  [[nodiscard]] const std::vector<model::NodeId>& tags() const noexcept { return tags_; }
-  [[nodiscard]] Eigen::Index size() const noexcept { return 3 + 2 * static_cast<Eigen::Index>(tags_.size()); }
-  // Where each of the anchor's own parameters stands.
-  [[nodiscard]] std::vector<Eigen::Index> places(const AnchorCalibration& anchor) const {
-    std::vector<Eigen::Index> out{0, 1, 2};
-    for (const Eigen::Index begin : {Eigen::Index{3}, 3 + static_cast<Eigen::Index>(tags_.size())}) {
-      for (const model::PairBias& pair : anchor.pairs) {
-        out.push_back(begin + (std::lower_bound(tags_.begin(), tags_.end(), pair.tag_id) - tags_.begin()));
-      }
-    }
-    return out;
-  }
+  return {tags.begin(), tags.end()};
+}
 
- private:
-  std::vector<model::NodeId> tags_;
-};
+// Where each of the anchor's own parameters stands in a block with these tags.
+std::vector<Eigen::Index> places_in(const std::vector<model::NodeId>& tags, const AnchorCalibration& anchor) {
+  std::vector<Eigen::Index> out{0, 1, 2};
+  for (const Eigen::Index begin : {Eigen::Index{3}, 3 + static_cast<Eigen::Index>(tags.size())}) {
+    for (const model::PairBias& pair : anchor.pairs) {
+      out.push_back(begin + (std::lower_bound(tags.begin(), tags.end(), pair.tag_id) - tags.begin()));
+    }
+  }
+  return out;
+}
 
 Eigen::MatrixXd inverse(Eigen::MatrixXd matrix) {
   matrix.diagonal().array() += kLeastVariance;
@@ -267,9 +241,7 @@ void settle_heights(AnchorCalibration& earlier, AnchorCalibration& later) {
   const bool disagree = difference_m * difference_m > kHeightsDisagree * variance_m2;
   if (!disagree && earlier.verdict != AnchorVerdict::kOk && later.verdict != AnchorVerdict::kOk) return;
   for (AnchorCalibration* anchor : {&earlier, &later}) {
-    if (anchor->verdict == AnchorVerdict::kWeakZ || anchor->verdict == AnchorVerdict::kWeak) {
-      anchor->covariance(2, 2) += kWeakHeight_m * kWeakHeight_m;
-    }
+    if (is_height_weak(*anchor)) anchor->covariance(2, 2) += kWeakHeight_m * kWeakHeight_m;
   }
 }
 
@@ -289,9 +261,10 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
           ? earlier
           : later;
   weaker.covariance.diagonal().head<3>().array() += bend_m * bend_m;
-  const Parameters parameters(earlier, later);
-  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(parameters.size(), parameters.size());
-  Eigen::VectorXd right_side = Eigen::VectorXd::Zero(parameters.size());
+  const std::vector<model::NodeId> tags = tags_of(earlier, later);
+  const Eigen::Index size = 3 + 2 * static_cast<Eigen::Index>(tags.size());
+  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
+  Eigen::VectorXd right_side = Eigen::VectorXd::Zero(size);
   for (const AnchorCalibration* anchor : {&earlier, &later}) {
     Eigen::MatrixXd own = inverse(anchor->covariance);
     Eigen::VectorXd own_side = own * values_of(*anchor);
@@ -305,20 +278,15 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
       own_side -= taken * means;
       own = reduced;
     }
-    const std::vector<Eigen::Index> places = parameters.places(*anchor);
-    for (std::size_t i = 0; i < places.size(); ++i) {
-      right_side(places[i]) += own_side(static_cast<Eigen::Index>(i));
-      for (std::size_t j = 0; j < places.size(); ++j) {
-        information(places[i], places[j]) += own(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
-      }
-    }
+    const std::vector<Eigen::Index> places = places_in(tags, *anchor);
+    right_side(places) += own_side;
+    information(places, places) += own;
   }
   AnchorCalibration out = later;
   out.pairs.clear();
-  for (const model::NodeId tag : parameters.tags()) out.pairs.push_back({.tag_id = tag});
+  for (const model::NodeId tag : tags) out.pairs.push_back({.tag_id = tag});
   const Eigen::LDLT<Eigen::MatrixXd> factors(information);
-  set_values(out, factors.solve(right_side),
-             factors.solve(Eigen::MatrixXd::Identity(information.rows(), information.cols())));
+  set_values(out, factors.solve(right_side), factors.solve(Eigen::MatrixXd::Identity(size, size)));
   if (rank(earlier.verdict) < rank(later.verdict)) {
     out.verdict = earlier.verdict;
     out.advice = earlier.advice;
@@ -326,19 +294,15 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
   return out;
 }
 
-std::string moved_advice(const AnchorChange& change, bool solved) {
-  char text[160];
-  std::snprintf(text, sizeof text, "moved by %.2f m since it was calibrated; %s",
-                change.displacement_m.norm(),
-                solved ? "its new place is learnt" : "drive past it to learn its new place");
-  return text;
-}
-
 AnchorCalibration moved_anchor(const AnchorCalibration& later, const AnchorChange& change) {
   AnchorCalibration out = later;
   const bool solved = has_position(later) && model::is_usable(later.verdict);
   out.verdict = AnchorVerdict::kMoved;
-  out.advice = moved_advice(change, solved);
+  char text[160];
+  std::snprintf(text, sizeof text, "moved by %.2f m since it was calibrated; %s",
+                change.displacement_m.norm(),
+                solved ? "its new place is learnt" : "drive past it to learn its new place");
+  out.advice = text;
   if (!solved) {
     out.position_m.setConstant(std::numeric_limits<double>::quiet_NaN());
     out.covariance.resize(0, 0);

@@ -1,8 +1,6 @@
 // Two calibrations of one site, set against each other: what changed by more than both are uncertain.
 #pragma once
 
-#include <cstddef>
-#include <span>
 #include <vector>
 
 #include <Eigen/Core>

@@ -34,7 +34,6 @@ constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
 constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
 constexpr std::array kSmoothFactors{1.0, 0.7};
 constexpr int kFollowingSteps = 3;
-// A step that is shorter than this, in sigmas, is the last.
 constexpr double kLastStepSigmas = 0.1;
 // What makes the ranges likelier by so much (natural logarithm) is believed: a wander; body terms, and those
 // beside a wander.
@@ -62,10 +61,6 @@ double delay_sigma_s() noexcept {
   return model::is_ablated(model::Mechanism::kCalibrationDelay) ? kNoDelaySigma_s : kDelaySigma_s;
 }
 
-double log_determinant(const Eigen::LLT<Eigen::MatrixXd>& factors) {
-  return 2.0 * Eigen::MatrixXd(factors.matrixL()).diagonal().array().log().sum();
-}
-
 // Log likelihood of the ranges with the drive's error integrated out, but for a constant.
 double evidence(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior) {
   // Those that are not zero for sure are neighbours in the unknowns' order.
@@ -76,14 +71,22 @@ double evidence(const JointEquations& equations, const SharedUnknowns& unknowns,
       prior_information(unknowns, prior).block(first, first, size, size));
   if (posterior.info() != Eigen::Success) return -std::numeric_limits<double>::infinity();
   const auto descent = equations.descent.segment(first, size);
+  const double log_determinant = 2.0 * posterior.matrixLLT().diagonal().array().log().sum();
   return 0.5 * descent.dot(posterior.solve(descent)) -
-         0.5 * (log_determinant(posterior) - prior_log_determinant(unknowns, prior));
+         0.5 * (log_determinant - prior_log_determinant(unknowns, prior));
 }
 
 struct Belief {
   SharedPrior prior;
   double evidence = 0.0;
 };
+
+// Takes the prior instead where the ranges are likelier by more than `min_gain` with it.
+void consider(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
+              double min_gain, Belief& best) {
+  const double found = evidence(equations, unknowns, prior) - min_gain;
+  if (found > best.evidence) best = {.prior = prior, .evidence = found};
+}
 
 // What is asked of the drive, and how: `typical` where the poses tell of their error.
 struct Question {
@@ -95,25 +98,18 @@ struct Question {
 // enough.
 Belief believe_wander(const JointEquations& equations, const Question& question, const Belief& before) {
   if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
-  const SharedUnknowns& unknowns = question.unknowns;
   Belief best = before;
   best.evidence += kMinWanderEvidence;
-  const auto consider = [&](const WanderPrior& wander) {
-    SharedPrior prior = before.prior;
-    prior.wander = wander;
-    const double found = evidence(equations, unknowns, prior);
-    if (found > best.evidence) best = {.prior = prior, .evidence = found};
-  };
+  SharedPrior prior = before.prior;
+  prior.wander = kFirstWander;
   for (const double sigma_m : kWander_m) {
-    WanderPrior wander = kFirstWander;
-    wander.sigma_m = sigma_m;
-    consider(wander);
+    prior.wander.sigma_m = sigma_m;
+    consider(equations, question.unknowns, prior, 0.0, best);
   }
   if (question.typical) {
-    WanderPrior wander = kFirstWander;
-    wander.sigma_m = question.typical->sigma_m;
-    wander.sigma_yaw_rad = question.typical->sigma_yaw_rad;
-    consider(wander);
+    prior.wander.sigma_m = question.typical->sigma_m;
+    prior.wander.sigma_yaw_rad = question.typical->sigma_yaw_rad;
+    consider(equations, question.unknowns, prior, 0.0, best);
   }
   return best.prior.wander.sigma_m > 0.0 ? best : before;
 }
@@ -125,19 +121,18 @@ SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& 
   Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
   for (double step = kFirstDriftFactor; step > kLastDriftFactor;) {
     const Belief before = best;
-    const auto consider = [&](double correlation, double shift, double turn) {
+    const auto scale = [&](double correlation, double shift, double turn) {
       SharedPrior prior = before.prior;
       prior.wander.correlation_s *= correlation;
       prior.wander.sigma_m *= shift;
       prior.wander.sigma_yaw_rad *= turn;
-      const double found = evidence(equations, unknowns, prior);
-      if (found > best.evidence) best = {.prior = prior, .evidence = found};
+      consider(equations, unknowns, prior, 0.0, best);
     };
     for (const double factor : {step, 1.0 / step}) {
       // Ranges show sigma^2 / time, the rate of a first-order process, better than either: sigmas go along.
-      consider(factor, std::sqrt(factor), std::sqrt(factor));
-      consider(1.0, factor, 1.0);
-      consider(1.0, 1.0, factor);
+      scale(factor, std::sqrt(factor), std::sqrt(factor));
+      scale(1.0, factor, 1.0);
+      scale(1.0, 1.0, factor);
     }
     if (best.evidence < before.evidence + kMinDriftGain) step = std::sqrt(step);
   }
@@ -150,32 +145,25 @@ SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknown
                             const SharedPrior& rough) {
   if (model::is_ablated(model::Mechanism::kCalibrationSmoothDrift)) return rough;
   Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
-  const auto consider = [&](const WanderPrior& wander, double min_gain) {
-    SharedPrior prior = rough;
-    prior.wander = wander;
-    const double found = evidence(equations, unknowns, prior) - min_gain;
-    if (found > best.evidence) best = {.prior = prior, .evidence = found};
-  };
   const auto least_gain = [](double damping_ratio) {
     return kMinSmoothEvidence + (damping_ratio < 1.0 ? kMinOscillationEvidence : 0.0);
   };
   for (const double factor : kSmoothFactors) {
     for (const double damping_ratio : kDampingRatios) {
       for (const double time_s : kSmoothTimes_s) {
-        WanderPrior wander = rough.wander;
-        wander.sigma_m *= factor;
-        wander.correlation_s = time_s;
-        wander.damping_ratio = damping_ratio;
-        consider(wander, least_gain(damping_ratio));
+        SharedPrior prior = rough;
+        prior.wander.sigma_m *= factor;
+        prior.wander.correlation_s = time_s;
+        prior.wander.damping_ratio = damping_ratio;
+        consider(equations, unknowns, prior, least_gain(damping_ratio), best);
       }
     }
   }
   if (!best.prior.wander.damping_ratio) return rough;
-  const double gain = least_gain(*best.prior.wander.damping_ratio);
   for (const double factor : kYawFactors) {
-    WanderPrior wander = best.prior.wander;
-    wander.sigma_yaw_rad *= factor;
-    consider(wander, gain);
+    SharedPrior prior = best.prior;
+    prior.wander.sigma_yaw_rad *= factor;
+    consider(equations, unknowns, prior, least_gain(*prior.wander.damping_ratio), best);
   }
   return best.prior;
 }
@@ -215,7 +203,6 @@ SharedPrior likeliest_prior(const JointEquations& equations, const Question& que
   return gain(wander, body) < kMinLastingWander ? body.prior : wander.prior;
 }
 
-// No wander, no body terms, and a delay that the ranges do not show: all is right as it is.
 bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& unknowns,
                         const SharedPrior& prior) {
   if (prior.wander.sigma_m > 0.0 || prior.body) return false;
@@ -224,7 +211,6 @@ bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& u
   return std::abs(equations.descent(delay)) < kMinDelaySigmas * std::sqrt(information);
 }
 
-// As far apart as this prior wants them.
 SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpread> spreads,
                        const Question& question, const SharedPrior& prior) {
   const SharedUnknowns& coarse = question.unknowns;
@@ -234,14 +220,6 @@ SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpre
   out.body_tags = prior.body ? coarse.body_tags : 0;
   if (question.typical) out.knot_scale = scale_knots(out.knots, spreads, *question.typical);
   return out;
-}
-
-void move_rows(Association& association, std::span<const AnchorFit> fits, const SharedUnknowns& unknowns,
-               const Eigen::VectorXd& step) {
-  for (std::size_t i = 0; i < fits.size(); ++i) {
-    const Eigen::Vector3d anchor_m = fits[i].anchor.head<3>();
-    for (Observation& row : association.anchors[i].rows) move_row(unknowns, step, anchor_m, row);
-  }
 }
 
 // Takes the step, or as much of it as lowers the cost; false: none of it does.
@@ -263,7 +241,11 @@ bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span
   const double cost_before = follow().first + 0.5 * error.dot(prior * error);
   double taken = 0.0;
   for (const double share : {1.0, 0.5, 0.25, 0.125, 0.0}) {
-    move_rows(association, fits, unknowns, (share - taken) * step);
+    const Eigen::VectorXd more = (share - taken) * step;
+    for (std::size_t i = 0; i < fits.size(); ++i) {
+      const Eigen::Vector3d anchor_m = fits[i].anchor.head<3>();
+      for (Observation& row : association.anchors[i].rows) move_row(unknowns, more, anchor_m, row);
+    }
     taken = share;
     if (share == 0.0) break;
     const Eigen::VectorXd moved = error + share * step;
@@ -315,7 +297,6 @@ void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span
   out.frame_covariance = about_origin * about_center * about_origin.transpose() + out.unseen_frame_covariance;
 }
 
-// How large the patterns of the tags' antennas are, a coefficient: zero where they are not known.
 double pattern_size_m(std::span<const BodyError> body) {
   double square_m2 = 0.0;
   for (const BodyError& tag : body) {
@@ -410,15 +391,15 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     out.body.push_back({.mean = error.segment<kBodyTerms>(at),
                         .covariance = covariance.block<kBodyTerms, kBodyTerms>(at, at)});
   }
-  out.pattern_m = pattern_size_m(out.body);
+  const double pattern_m = pattern_size_m(out.body);
   out.shared_gain.clear();
   for (std::size_t i = 0; i < fits.size(); ++i) {
     const AnchorPart& part = equations.anchors[i];
     out.shared_gain.push_back(part.gain);
     out.added_covariance[i] = part.gain * covariance * part.gain.transpose();
-    if (!(out.pattern_m > 0.0) || model::is_ablated(model::Mechanism::kCalibrationOwnPattern)) continue;
+    if (!(pattern_m > 0.0) || model::is_ablated(model::Mechanism::kCalibrationOwnPattern)) continue;
     const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
-    out.added_covariance[i] += out.pattern_m * out.pattern_m * response * response.transpose();
+    out.added_covariance[i] += pattern_m * pattern_m * response * response.transpose();
   }
   tell_frame(unknowns.knots, covariance, fits, out);
   out.shared_covariance = std::move(covariance);
@@ -465,7 +446,6 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
     prior = likeliest_shape(equations, out.unknowns, refine_drift(equations, out.unknowns, prior));
   }
   out.prior = prior;
-  out.wander = prior.wander;
   out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());
   if (question.typical && prior.wander.sigma_m > 0.0) {
     const double share = white_share(prior.wander, *question.typical, out.unknowns.knots.spacing_s);

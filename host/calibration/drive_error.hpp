@@ -21,11 +21,9 @@ struct BodyError {
 };
 
 struct DriveError {
-  WanderPrior wander;          // as the ranges make it likeliest
   double range_delay_s = 0.0;  // taken off where the ranges show it clearly; told in any case
   double range_delay_sigma_s = 0.0;
   std::vector<BodyError> body;     // of each tag; empty where the ranges do not show it clearly
-  double pattern_m = 0.0;          // size of the tags' antenna patterns, a coefficient; zero where not known
   std::vector<Evidence> evidence;  // of each fit as it comes back
   // What the error's remaining uncertainty adds to each anchor's covariance, in the order of the fits.
   std::vector<Eigen::MatrixXd> added_covariance;

@@ -11,11 +11,6 @@
 namespace groma::calibration {
 namespace {
 
-bool earlier(const model::PoseSample& a, const model::PoseSample& b) noexcept {
-  return a.t_s < b.t_s;
-}
-
-// At most so many of a list, evenly spread.
 template <typename Sample>
 void thin(std::vector<Sample>& samples, std::size_t most) {
   if (samples.size() <= most) return;
@@ -25,11 +20,9 @@ void thin(std::vector<Sample>& samples, std::size_t most) {
   samples = std::move(kept);
 }
 
-using PairKey = std::pair<model::NodeId, model::NodeId>;
-
 // At most so many of each pair, evenly spread in time; where pairs are many, fewer.
 void thin_pairs(std::vector<model::RangeSample>& ranges, std::size_t pair_most, std::size_t most) {
-  std::map<PairKey, std::vector<model::RangeSample>> pairs;
+  std::map<std::pair<model::NodeId, model::NodeId>, std::vector<model::RangeSample>> pairs;
   for (const model::RangeSample& range : ranges) pairs[{range.tag_id, range.anchor_id}].push_back(range);
   if (pairs.empty()) return;
   const std::size_t share = std::clamp<std::size_t>(most / pairs.size(), 1, pair_most);
@@ -54,13 +47,11 @@ constexpr double kAlmost = 0.99;
 constexpr std::size_t kMostAnchorRanges = 4000;
 
 Drive drive_of(const DriveStore::Samples& samples, const LearningInput& input) {
-  Drive drive;
-  drive.ranges = samples.ranges;
-  drive.poses = samples.poses;
-  drive.tags = input.tags;
-  drive.surface = &input.surface;
-  drive.priors = input.priors;
-  return drive;
+  return {.ranges = samples.ranges,
+          .poses = samples.poses,
+          .tags = input.tags,
+          .surface = &input.surface,
+          .priors = input.priors};
 }
 
 }  // namespace
@@ -119,6 +110,7 @@ void DriveStore::close_first() {
 
   const double begin_s = static_cast<double>(segment.index) * limits_.segment_s;
   const double end_s = begin_s + limits_.segment_s;
+  const auto earlier = [](const model::PoseSample& a, const model::PoseSample& b) { return a.t_s < b.t_s; };
   std::stable_sort(poses_.begin(), poses_.end(), earlier);
   auto from = std::lower_bound(poses_.begin(), poses_.end(), model::PoseSample{.t_s = begin_s}, earlier);
   auto to = std::lower_bound(poses_.begin(), poses_.end(), model::PoseSample{.t_s = end_s}, earlier);

@@ -13,7 +13,6 @@ namespace {
 
 // Of the budget, one part in so many is spread over time.
 constexpr std::size_t kTimeShare = 4;
-// So loose that any range is worth more.
 constexpr double kBareSigma_m = 100.0;
 // Ranges from the same tag are of one kind whose direction, and distance but for a factor, differ by no more
 // than this: then it hardly matters which of them are taken.
@@ -42,7 +41,6 @@ class Dilution {
     covariance_(side(), side()) = 1.0;
   }
 
-  // By how much the range lowers it.
   [[nodiscard]] double gain(const RangeGeometry& range) const {
     const Row row = row_of(range);
     Figures response{};
@@ -57,14 +55,14 @@ class Dilution {
             offset_square_m2_ * square(response[kFigures - 1])) /
            (square(range.sigma_m) + own);
   }
-  void add(const RangeGeometry& range) {
-    const double own = respond(range);
-    covariance_.noalias() -= response_ * response_.transpose() / (square(range.sigma_m) + own);
-  }
-  // Takes back one that was added.
-  void remove(const RangeGeometry& range) {
-    const double own = respond(range);
-    covariance_.noalias() += response_ * response_.transpose() / (square(range.sigma_m) - own);
+  // sign 1 adds a range, -1 takes back one that was added.
+  void change(const RangeGeometry& range, double sign) {
+    const Row row = row_of(range);
+    response_.setZero(covariance_.rows());
+    for (std::size_t k = 0; k < kFigures; ++k) response_ += row.derivative[k] * covariance_.col(row.index[k]);
+    double own = 0.0;
+    for (std::size_t k = 0; k < kFigures; ++k) own += row.derivative[k] * response_(row.index[k]);
+    covariance_.noalias() -= response_ * response_.transpose() / (sign * square(range.sigma_m) + own);
   }
 
  private:
@@ -82,16 +80,6 @@ class Dilution {
     return {{-range.direction.x(), -range.direction.y(), -range.direction.z(), 1.0, range.distance_m,
              range.mirrored_m - range.distance_m},
             {0, 1, 2, beta, beta + tags_, side()}};
-  }
-
-  // The covariance of all with the range's prediction, and the variance of that.
-  double respond(const RangeGeometry& range) {
-    const Row row = row_of(range);
-    response_.setZero(covariance_.rows());
-    for (std::size_t k = 0; k < kFigures; ++k) response_ += row.derivative[k] * covariance_.col(row.index[k]);
-    double own = 0.0;
-    for (std::size_t k = 0; k < kFigures; ++k) own += row.derivative[k] * response_(row.index[k]);
-    return own;
   }
 
   Eigen::Index tags_;
@@ -142,7 +130,6 @@ class Choice {
   explicit Choice(const AnchorGeometry& anchor)
       : anchor_(anchor), dilution_(anchor), is_taken_(anchor.ranges.size(), false) {}
 
-  // Of each tag, at even steps of time.
   void spread_over_time(std::size_t count) {
     std::vector<std::vector<std::size_t>> of_tag(anchor_.tag_count);
     for (std::size_t i = 0; i < anchor_.ranges.size(); ++i) of_tag[anchor_.ranges[i].tag].push_back(i);
@@ -198,7 +185,7 @@ class Choice {
       changed = false;
       for (std::size_t place = of_time_; place < taken_.size(); ++place) {
         const std::size_t before = taken_[place];
-        dilution_.remove(anchor_.ranges[before]);
+        dilution_.change(anchor_.ranges[before], -1.0);
         std::size_t best = before;
         double most = gain(before) * (1.0 + 1e-9);
         for (std::size_t i = 0; i < anchor_.ranges.size(); ++i) {
@@ -211,7 +198,7 @@ class Choice {
         is_taken_[before] = false;
         is_taken_[best] = true;
         taken_[place] = best;
-        dilution_.add(anchor_.ranges[best]);
+        dilution_.change(anchor_.ranges[best], 1.0);
         changed = changed || best != before;
       }
     }
@@ -227,7 +214,7 @@ class Choice {
   void take(std::size_t range) {
     is_taken_[range] = true;
     taken_.push_back(range);
-    dilution_.add(anchor_.ranges[range]);
+    dilution_.change(anchor_.ranges[range], 1.0);
   }
 
   const AnchorGeometry& anchor_;

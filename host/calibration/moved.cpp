@@ -10,7 +10,6 @@
 
 #include <Eigen/Cholesky>
 
-#include "host/calibration/initial_guess.hpp"
 #include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {
@@ -31,7 +30,6 @@ constexpr double kOpenShift_m = 10.0;
 constexpr double kLeastGain = 30.0;
 constexpr int kPlaceRounds = 4;
 constexpr int kRefinements = 3;
-// A row prefers its own place by this, on average.
 constexpr double kPreference = 0.5;
 // A row is clearly of one place where its cost there is less by this.
 constexpr double kClearlyBetter = 3.0;
@@ -82,7 +80,6 @@ Stretch widened(std::span<const Observation> rows, Stretch stretch) noexcept {
   return stretch;
 }
 
-// With the largest sum.
 Stretch largest_stretch(std::span<const double> values) {
   Stretch best;
   double largest = 0.0;
@@ -101,7 +98,6 @@ Stretch largest_stretch(std::span<const double> values) {
   return best;
 }
 
-// Of each row, how much cheaper it is where the anchor is there than where it is here.
 std::vector<double> preferences(std::span<const Observation> rows, const AnchorFit& here,
                                 const AnchorFit& there) {
   const std::size_t tags = here.problem.tag_count;
@@ -166,7 +162,6 @@ bool prefers_each(std::span<const double> prefer_there, const Stretch& stretch) 
   return inside > kPreference * rows_inside && -outside > kPreference * rows_outside;
 }
 
-// Root mean square of what the ranges differ by between the places.
 double apart_in_range_m(std::span<const Observation> rows, const AnchorFit& here, const AnchorFit& there) {
   const std::size_t tags = here.problem.tag_count;
   double sum_m2 = 0.0;
@@ -259,9 +254,9 @@ std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
   const StretchGains gains(fit, std::min(kBins, rows / kRowsPerBin));
   Stretch best;
   double largest = kLeastGain;
-  for (std::size_t from = 0; from < gains.bins(); ++from) {
-    for (std::size_t to = from + 1; to <= gains.bins(); ++to) {
-      const Stretch stretch{.first = gains.first_row(from), .last = gains.first_row(to)};
+  for (std::size_t from = 0; from + 1 < gains.first_row.size(); ++from) {
+    for (std::size_t to = from + 1; to < gains.first_row.size(); ++to) {
+      const Stretch stretch{.first = gains.first_row[from], .last = gains.first_row[to]};
       if (!is_parted(fit.problem.rows, stretch)) continue;
       const double gain = gains.gain(from, to);
       if (gain <= largest) continue;
@@ -280,10 +275,8 @@ constexpr int kJoiningSteps = 20;
 constexpr double kMinSquareSigmas = 40.0;
 // A piece needs at least twice as many independent rows as it has unknowns (three tags).
 constexpr double kLeastRowsByThemselves = 20.0;
-// Share of polls in LOS that each piece needs.
 constexpr double kMinInSight = 0.2;
 
-// The polls of a table that belong to rows from `first` on, up to `last`.
 std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Poll first, Poll last) {
   std::vector<std::vector<Poll>> out;
   for (const std::vector<Poll>& polls : pairs) {
@@ -303,7 +296,6 @@ struct Suspicion {
   std::optional<Eigen::Vector3d> twin_m;
 };
 
-// `rows`: those of the fit that are examined.
 Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
   Suspicion out;
   AnchorFit rest = fit;
@@ -326,13 +318,11 @@ Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
   return out;
 }
 
-// One anchor's rows between two changes.
 struct Piece {
   std::size_t anchor = 0;
   std::size_t begin = 0;  // row
 };
 
-// The pieces of all suspects, solved.
 struct Pieces {
   std::vector<Piece> places;
   std::vector<AnchorFit> fits;
@@ -423,7 +413,6 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
   return 2.0 * (joined.cost - solve(own, here, joined.anchor).cost - solve(nexts, there, joined.anchor).cost);
 }
 
-// Between a piece and the next of the same anchor, if there was one.
 std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   for (const std::size_t i : {piece, piece + 1}) {
     // Behind walls a bias and a move are one.
@@ -462,16 +451,16 @@ StretchGains::StretchGains(const AnchorFit& fit, std::size_t bins) {
   gradient.head<3>() = alone.position.information * offset.head<3>();
   information_.assign(bins + 1, Eigen::Matrix3d::Zero());
   gradient_.assign(bins + 1, Eigen::Vector3d::Zero());
-  first_row_.reserve(bins + 1);
+  first_row.reserve(bins + 1);
   cross.reserve(bins);
   std::vector<PairBlock> blocks(tags);
   std::vector<PairRow> slopes(tags);
   for (std::size_t bin = 0; bin < bins; ++bin) {
-    first_row_.push_back(bin * rows.size() / bins);
+    first_row.push_back(bin * rows.size() / bins);
     std::fill(blocks.begin(), blocks.end(), PairBlock::Zero());
     std::fill(slopes.begin(), slopes.end(), PairRow::Zero());
     for (const Observation& row :
-         rows.subspan(first_row_.back(), (bin + 1) * rows.size() / bins - first_row_.back())) {
+         rows.subspan(first_row.back(), (bin + 1) * rows.size() / bins - first_row.back())) {
       const RowAt at = row_at(fit, row);
       const double scale_m = fit.kernels[row.tag].shape().scale_m;
       const double u = at.residual_m / scale_m;
@@ -493,7 +482,7 @@ StretchGains::StretchGains(const AnchorFit& fit, std::size_t bins) {
       gradient_[bin + 1] += slopes[tag].head<3>();
     }
   }
-  first_row_.push_back(rows.size());
+  first_row.push_back(rows.size());
   const Eigen::LLT<Eigen::MatrixXd> factors(all);
   half_gradient_ = factors.matrixL().solve(gradient);
   half_cross_.reserve(bins + 1);

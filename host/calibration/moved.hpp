@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <optional>
-#include <span>
 #include <vector>
 
 #include <Eigen/Core>
@@ -23,15 +22,13 @@ class StretchGains {
   // The fit's rows in so many bins of about the same number; without NLOS states.
   StretchGains(const AnchorFit& fit, std::size_t bins);
 
-  [[nodiscard]] std::size_t bins() const noexcept { return first_row_.size() - 1; }
-  // Bin i holds the rows [first_row(i), first_row(i + 1)).
-  [[nodiscard]] std::size_t first_row(std::size_t bin) const noexcept { return first_row_[bin]; }
+  // Bin i holds the rows [first_row[i], first_row[i + 1]).
+  std::vector<std::size_t> first_row;
   // What the cost falls by, all other unknowns solved for, where the anchor is elsewhere in bins [from, to).
   [[nodiscard]] double gain(std::size_t from, std::size_t to) const;
 
  private:
   using Columns = Eigen::Matrix<double, Eigen::Dynamic, 3>;
-  std::vector<std::size_t> first_row_;
   // Sums over all bins before: information of the position, gradient by it, and L^-1 times the cross
   // information with all unknowns, L L^T that of all rows.
   std::vector<Eigen::Matrix3d> information_;

@@ -83,20 +83,25 @@ KernelShares RobustKernel::shares(double residual_m) const noexcept {
   return out;
 }
 
-void RobustKernel::add_to(KernelStatistics& statistics, double residual_m, double weight) const noexcept {
-  statistics.count += weight;
-  KindFloats densities;
-  if (!table_->at(residual_m * inverse_scale_, densities)) {
-    statistics.gross += weight;
-    return;
+KernelStatistics RobustKernel::statistics(std::span<const WeighedResidual> residuals,
+                                          double parameters_used) const noexcept {
+  KernelStatistics out{.parameters = parameters_used};
+  for (const auto& [residual_m, weight] : residuals) {
+    out.count += weight;
+    KindFloats densities;
+    if (!table_->at(residual_m * inverse_scale_, densities)) {
+      out.gross += weight;
+      continue;
+    }
+    densities.array() *= factor_.array();
+    const double share = weight / (gross_density_ + static_cast<double>(densities.sum()));
+    out.kinds += share * densities.cast<double>();
+    out.gross += share * gross_density_;
+    const double in_sight =
+        static_cast<double>(densities(0)) + static_cast<double>(densities(1)) / kWideVariance;
+    out.square_m2 += share * in_sight * residual_m * residual_m;
   }
-  densities.array() *= factor_.array();
-  const double share = weight / (gross_density_ + static_cast<double>(densities.sum()));
-  statistics.kinds += share * densities.cast<double>();
-  statistics.gross += share * gross_density_;
-  const double in_sight =
-      static_cast<double>(densities(0)) + static_cast<double>(densities(1)) / kWideVariance;
-  statistics.square_m2 += share * in_sight * residual_m * residual_m;
+  return out;
 }
 
 KernelStatistics& KernelStatistics::operator+=(const KernelStatistics& other) noexcept {
@@ -106,14 +111,6 @@ KernelStatistics& KernelStatistics::operator+=(const KernelStatistics& other) no
   gross += other.gross;
   square_m2 += other.square_m2;
   return *this;
-}
-
-KernelStatistics kernel_statistics(const RobustKernel& kernel, std::span<const WeighedResidual> residuals,
-                                   double parameters_used) noexcept {
-  KernelStatistics out;
-  out.parameters = parameters_used;
-  for (const auto& [r, weight] : residuals) kernel.add_to(out, r, weight);
-  return out;
 }
 
 KernelShape likeliest_shape(const KernelStatistics& statistics, const KernelPrior& prior) noexcept {
@@ -140,7 +137,7 @@ KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelP
                        int iterations) noexcept {
   KernelShape shape = prior.shape;
   for (int i = 0; i < iterations; ++i) {
-    shape = likeliest_shape(kernel_statistics(RobustKernel(shape), residuals, 0.0), prior);
+    shape = likeliest_shape(RobustKernel(shape).statistics(residuals, 0.0), prior);
   }
   return shape;
 }

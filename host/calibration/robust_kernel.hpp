@@ -105,7 +105,13 @@ struct KernelLanes {
   Lanes weight;
 };
 
-// What residuals tell of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
+// A residual, and how much of it counts.
+struct WeighedResidual {
+  double residual_m = 0.0;
+  double weight = 1.0;
+};
+
+// What residuals say of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
 struct KernelStatistics {
   double count = 0.0;
   double parameters = 0.0;                // degrees of freedom that the fit behind the residuals took
@@ -171,8 +177,8 @@ class RobustKernel {
     return (inverse - square + mean * mean) * inverse_scale_ * inverse_scale_;
   }
   [[nodiscard]] KernelShares shares(double residual_m) const noexcept;
-  // Sums of the expectation step: with another residual, that counts for so much.
-  void add_to(KernelStatistics& statistics, double residual_m, double weight) const noexcept;
+  [[nodiscard]] KernelStatistics statistics(std::span<const WeighedResidual> residuals,
+                                            double parameters_used) const noexcept;
   [[nodiscard]] const KernelShape& shape() const noexcept { return shape_; }
 
  private:
@@ -217,15 +223,6 @@ class CostSum {
   double cost_ = 0.0;
   double product_ = 1.0;
 };
-
-// A residual, and how much of it counts.
-struct WeighedResidual {
-  double residual_m = 0.0;
-  double weight = 1.0;
-};
-[[nodiscard]] KernelStatistics kernel_statistics(const RobustKernel& kernel,
-                                                 std::span<const WeighedResidual> residuals,
-                                                 double parameters_used) noexcept;
 
 // What is believed of a kernel before its residuals are seen: as much as so many residuals would tell.
 struct KernelPrior {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include <Eigen/LU>
@@ -19,11 +20,6 @@ constexpr double inverse_square(double x) noexcept {
 // Added to the variance of one at each knot: smooth processes at near times are alike to the last digit.
 constexpr double kLeastFresh = 1e-6;
 
-// What a knot keeps of the error at the one before.
-double kept_share(const Knots& knots, const WanderPrior& wander) noexcept {
-  return wander_correlation(wander, knots.spacing_s);
-}
-
 // Of one axis at all knots, of variance one.
 Eigen::MatrixXd knot_correlation(const Knots& knots, const WanderPrior& wander) {
   Eigen::MatrixXd out(knots.count, knots.count);
@@ -35,13 +31,11 @@ Eigen::MatrixXd knot_correlation(const Knots& knots, const WanderPrior& wander) 
   return out;
 }
 
-// Inverse of knot_correlation.
 Eigen::MatrixXd knot_information(const Knots& knots, const WanderPrior& wander) {
   if (wander.damping_ratio) {
     return knot_correlation(knots, wander).llt().solve(Eigen::MatrixXd::Identity(knots.count, knots.count));
   }
-  // Of a first-order process at equal steps: tridiagonal.
-  const double keep = kept_share(knots, wander);
+  const double keep = wander_correlation(wander, knots.spacing_s);
   const double fresh = 1.0 / (1.0 - keep * keep);
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(knots.count, knots.count);
   for (Eigen::Index k = 0; k < knots.count; ++k) {
@@ -60,7 +54,7 @@ double knot_log_determinant(const Knots& knots, const WanderPrior& wander) {
     return 2.0 * factors.matrixLLT().diagonal().array().log().sum();
   }
   // A first-order process is a product of its steps.
-  const double keep = kept_share(knots, wander);
+  const double keep = wander_correlation(wander, knots.spacing_s);
   return (static_cast<double>(knots.count) - 1.0) * std::log1p(-keep * keep);
 }
 
@@ -90,8 +84,7 @@ class Moments {
   static constexpr Eigen::Index kKnots = 6;
   static constexpr Eigen::Index kRest = kPair + kKnots;
   using Row = Eigen::Array<double, 1, kSize>;
-  // Where each term stands: those by the pair among the anchor's unknowns, those after the knots among the
-  // shared ones.
+  // Where each term stands: those by the pair among the anchor's unknowns, the others among the shared ones.
   using Places = Eigen::Array<Eigen::Index, kSize, 1>;
 
   void add(const Row& j, double slope, double weight) noexcept {
@@ -100,30 +93,13 @@ class Moments {
     slope_(waiting_) = slope;
     if (++waiting_ == kLanes) sum_up();
   }
-  // Gives away what rows between the knots from index `first` on say of these: the next are between others.
-  void leave_knots(Eigen::Index first, const Places& places, AnchorSums& sums) noexcept {
+  // Moves the sums of the terms [begin, end) to where they stand.
+  void move_to(const Places& places, Eigen::Index begin, Eigen::Index end, AnchorSums& sums) noexcept {
     sum_up();
-    for (Eigen::Index column = 0; column < kKnots; ++column) {
-      const Eigen::Index from = kPair + column;
-      const Eigen::Index to = first + column;
-      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
-      for (Eigen::Index row = column; row < kKnots; ++row) {
-        take(sums.own(first + row, to), square_(kPair + row, from));
-      }
-      for (Eigen::Index row = kRest; row < kSize; ++row) {
-        take(sums.own(places(row), to), square_(row, from));
-      }
-      take(sums.descent(to), descent_(column));
-    }
-  }
-  // The same of all other terms, in the end.
-  void leave(const Places& places, AnchorSums& sums) noexcept {
-    for (Eigen::Index from = kRest; from < kSize; ++from) {
+    for (Eigen::Index from = begin; from < end; ++from) {
       const Eigen::Index to = places(from);
       for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
-      for (Eigen::Index row = from; row < kSize; ++row) {
-        take(sums.own(places(row), to), square_(row, from));
-      }
+      for (Eigen::Index row = from; row < kSize; ++row) take(sums.own(places(row), to), square_(row, from));
       take(sums.descent(to), descent_(from - kPair));
     }
   }
@@ -170,16 +146,20 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
   std::vector<Tag> of_tag(tags);
   for (std::size_t tag = 0; tag < tags; ++tag) {
     typename Sums::Places& places = of_tag[tag].places;
-    places.setZero();
-    places.template head<Sums::kPair>() << 0, 1, 2, beta_index(tag), gamma_index(tag, tags);
+    const std::array<Eigen::Index, 5> pair = pair_index(tag, tags);
+    std::copy(pair.begin(), pair.end(), places.data());
     places(Sums::kRest) = unknowns.delay();
     for (Eigen::Index k = 0; Sums::kRest + 1 + k < Sums::kSize; ++k) {
       places(Sums::kRest + 1 + k) = unknowns.body(tag) + k;
     }
   }
   Eigen::Index first = 0;
+  // The next rows are between other knots.
   const auto leave_knots = [&] {
-    for (Tag& tag : of_tag) tag.moments.leave_knots(first, tag.places, sums);
+    for (auto& [moments, places] : of_tag) {
+      for (Eigen::Index k = 0; k < Sums::kKnots; ++k) places(Sums::kPair + k) = first + k;
+      moments.move_to(places, Sums::kPair, Sums::kRest, sums);
+    }
   };
   for (const Observation& row : fit.problem.rows) {
     const RowAt at = row_at(fit, row);
@@ -209,7 +189,7 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
     if (sight.episode != kNoEpisode) add_wall(episode_index(sight.episode, tags));
   }
   leave_knots();
-  for (Tag& tag : of_tag) tag.moments.leave(tag.places, sums);
+  for (auto& [moments, places] : of_tag) moments.move_to(places, Sums::kRest, Sums::kSize, sums);
 }
 
 }  // namespace
@@ -224,11 +204,16 @@ double wander_correlation(const WanderPrior& wander, double apart_s) noexcept {
 }
 
 std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid) {
-  const RowSpan span = row_span(fits);
-  const double duration_s = span.end_s - span.begin_s;
+  double begin_s = std::numeric_limits<double>::infinity();
+  double end_s = -begin_s;
+  for (const AnchorFit& fit : fits) {
+    if (fit.problem.rows.empty()) continue;
+    begin_s = std::min(begin_s, fit.problem.rows.front().t_s);
+    end_s = std::max(end_s, fit.problem.rows.back().t_s);
+  }
+  const double duration_s = end_s - begin_s;
   if (!(duration_s > 0.0)) return std::nullopt;
-  Knots knots;
-  knots.begin_s = span.begin_s;
+  Knots knots{.begin_s = begin_s};
   knots.spacing_s = std::max(grid.spacing_s, duration_s / (grid.max_count - 1.0));
   knots.count = 2 + static_cast<Eigen::Index>(duration_s / knots.spacing_s);
   return knots;
@@ -249,13 +234,8 @@ std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads) 
     place_m2.push_back(0.5 * (spread.covariance(0, 0) + spread.covariance(1, 1)));
     yaw_rad2.push_back(spread.covariance(2, 2));
   }
-  const auto middle = [](std::vector<double>& values) {
-    const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-    std::nth_element(values.begin(), at, values.end());
-    return *at;
-  };
-  return PoseQuality{.sigma_m = std::max(std::sqrt(middle(place_m2)), kMinPoseSigma_m),
-                     .sigma_yaw_rad = std::max(std::sqrt(middle(yaw_rad2)), kMinPoseSigma_rad)};
+  return PoseQuality{.sigma_m = std::max(std::sqrt(median(std::move(place_m2))), kMinPoseSigma_m),
+                     .sigma_yaw_rad = std::max(std::sqrt(median(std::move(yaw_rad2))), kMinPoseSigma_rad)};
 }
 
 std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const PoseSpread> spreads,

@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 namespace groma::calibration {
 namespace {
 
 // Rates between the states, 1/s: a shadow lasts some 3 s, a wall some 10 s; in sight some 12 s.
 constexpr double kRound_s = 0.12;
-// Polls missed in a row beyond so many say no more.
 constexpr std::int64_t kMaxMissed = 32;
 // Polls are regular where so large a share of all intervals is a multiple of the shortest but for so much.
 constexpr double kRegularShare = 0.9;
@@ -20,28 +20,18 @@ constexpr double kShortest = 0.1;
 // A residual is no better evidence than this against a state.
 constexpr double kMinLikelihood = 6e-6;
 
-double round_count(double interval_s, double step_s) noexcept {
-  return std::round(interval_s / step_s);
-}
-
-// Of the pairs' intervals between replies.
-struct Step {
-  double interval_s = 0.0;
-  bool regular = false;
-};
-Step find_step(const Association& association) {
+// Interval and regularity of the polls, from the pairs' intervals between replies.
+PollTable empty_table(const Association& association) {
   std::vector<double> intervals_s;
   for (const AnchorObservations& anchor : association.anchors) {
-    std::vector<double> last_s(association.tags.size(), -1.0);
-    std::vector<bool> seen(association.tags.size(), false);
+    std::vector<const Observation*> last(association.tags.size(), nullptr);
     for (const Observation& row : anchor.rows) {
-      if (seen[row.tag] && row.t_s > last_s[row.tag]) intervals_s.push_back(row.t_s - last_s[row.tag]);
-      seen[row.tag] = true;
-      last_s[row.tag] = row.t_s;
+      const Observation* before = std::exchange(last[row.tag], &row);
+      if (before != nullptr && row.t_s > before->t_s) intervals_s.push_back(row.t_s - before->t_s);
     }
   }
-  Step step;
-  if (intervals_s.size() < kMinIntervals) return step;
+  PollTable table;
+  if (intervals_s.size() < kMinIntervals) return table;
   const double n = static_cast<double>(intervals_s.size());
   const auto smallest = [&](double share) {
     const auto at = intervals_s.begin() + static_cast<std::ptrdiff_t>(share * n);
@@ -56,14 +46,14 @@ Step find_step(const Association& association) {
     sum_s += interval_s;
     steps += 1.0;
   }
-  step.interval_s = sum_s / steps;
+  table.interval_s = sum_s / steps;
   const auto fits = std::count_if(intervals_s.begin(), intervals_s.end(), [&](double interval_s) {
-    const double count = round_count(interval_s, step.interval_s);
-    return count >= 1.0 && std::abs(interval_s / step.interval_s - count) < kRegularDeviation;
+    const double count = std::round(interval_s / table.interval_s);
+    return count >= 1.0 && std::abs(interval_s / table.interval_s - count) < kRegularDeviation;
   });
-  step.regular = static_cast<double>(fits) > kRegularShare * n;
-  if (!step.regular) step.interval_s = smallest(0.5);
-  return step;
+  table.regular = static_cast<double>(fits) > kRegularShare * n;
+  if (!table.regular) table.interval_s = smallest(0.5);
+  return table;
 }
 
 std::vector<std::vector<double>> reply_times_by_tag(const Association& association) {
@@ -75,7 +65,6 @@ std::vector<std::vector<double>> reply_times_by_tag(const Association& associati
   return out;
 }
 
-// One range tells at most so much.
 constexpr double kMost = 10.0;
 // Those of so long come by the same walls: one to learn from.
 constexpr double kTogether_s = 0.2;
@@ -105,10 +94,7 @@ Eigen::Matrix3d sight_transition(double interval_s) noexcept {
 }
 
 PollTable tabulate_polls(const Association& association) {
-  const Step step = find_step(association);
-  PollTable table;
-  table.interval_s = step.interval_s;
-  table.regular = step.regular;
+  PollTable table = empty_table(association);
   const std::size_t tags = association.tags.size();
   const std::vector<std::vector<double>> replies_s = reply_times_by_tag(association);
   for (const AnchorObservations& anchor : association.anchors) {
@@ -116,21 +102,21 @@ PollTable tabulate_polls(const Association& association) {
     std::vector<const Observation*> last(tags, nullptr);
     for (const Observation& row : anchor.rows) {
       std::vector<Poll>& polls = pairs[row.tag];
-      if (last[row.tag] != nullptr && step.interval_s > 0.0) {
-        const double from_s = last[row.tag]->t_s;
+      const Observation* before = std::exchange(last[row.tag], &row);
+      if (before != nullptr && table.interval_s > 0.0) {
+        const double from_s = before->t_s;
         const auto gap = static_cast<std::int64_t>(
-            std::min(1.0 + kMaxMissed, round_count(row.t_s - from_s, step.interval_s)));
+            std::min(1.0 + kMaxMissed, std::round((row.t_s - from_s) / table.interval_s)));
         for (std::int64_t k = 1; k < gap; ++k) {
           // A tag that nobody answered may not have asked.
-          const double begin_s = from_s + (static_cast<double>(k) - 0.5) * step.interval_s;
+          const double begin_s = from_s + (static_cast<double>(k) - 0.5) * table.interval_s;
           const std::vector<double>& times_s = replies_s[row.tag];
           const auto next = std::lower_bound(times_s.begin(), times_s.end(), begin_s);
-          const bool asked = step.regular && next != times_s.end() && *next < begin_s + step.interval_s;
+          const bool asked = table.regular && next != times_s.end() && *next < begin_s + table.interval_s;
           polls.push_back(asked ? kMissed : kNotTold);
         }
       }
       polls.push_back(static_cast<Poll>(row.index));
-      last[row.tag] = &row;
     }
   }
   return table;
@@ -156,18 +142,17 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
   out.answered.setZero();
   out.missed.setZero();
   const Eigen::Matrix3d forth = chain.transition.transpose();
-  const SightVector no_reply = SightVector::Ones() - chain.reply;
-  // What a poll says of the state, its residual included.
-  std::size_t answer = 0;
-  const auto floored = [&](std::size_t i) -> SightVector {
-    const SightVector& given = likelihoods[i];
-    return given.cwiseMax(kMinLikelihood * given.maxCoeff());
+  // Likelihood of a poll but for its residual, and of that; `row`: of those that have one.
+  const auto reply = [&](Poll poll, std::size_t row) -> SightVector {
+    if (poll == kMissed) return SightVector::Ones() - chain.reply;
+    if (poll < 0 || hints.empty()) return chain.reply;
+    return chain.reply.cwiseProduct(SightVector(1.0, hints[row], hints[row]));
   };
-  // Of a reply that has a row, but for its residual.
-  const auto replied = [&](std::size_t i) -> SightVector {
-    if (hints.empty()) return chain.reply;
-    return chain.reply.cwiseProduct(SightVector(1.0, hints[i], hints[i]));
+  const auto residual = [&](Poll poll, std::size_t row) -> SightVector {
+    if (poll < 0) return SightVector::Ones();
+    return likelihoods[row].cwiseMax(kMinLikelihood * likelihoods[row].maxCoeff());
   };
+  std::size_t row = 0;
   std::vector<SightVector> forward;  // of each poll, from those before it
   forward.reserve(polls.size());
   SightVector state = chain.start;
@@ -175,42 +160,29 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
     if (n > 0) state = SightVector(forth * state);
     forward.push_back(state);
     if (polls[n] == kNotTold) continue;
-    if (polls[n] == kMissed) {
-      state = state.cwiseProduct(no_reply);
-    } else if (polls[n] == kReplied) {
-      state = state.cwiseProduct(chain.reply);
-    } else {
-      state = state.cwiseProduct(replied(answer)).cwiseProduct(floored(answer));
-      ++answer;
-    }
+    state = state.cwiseProduct(reply(polls[n], row)).cwiseProduct(residual(polls[n], row));
+    if (polls[n] >= 0) ++row;
     const double total = state.sum();
     out.log_evidence += std::log(total);
     state /= total;
   }
   SightVector backward = SightVector::Ones();  // from those after it
   for (std::size_t n = polls.size(); n-- > 0;) {
-    const SightVector both = forward[n].cwiseProduct(backward);
-    SightVector here = backward;
-    if (polls[n] == kMissed) {
-      const SightVector share = both.cwiseProduct(no_reply);
-      out.missed += share / share.sum();
-      here = backward.cwiseProduct(no_reply);
-    } else if (polls[n] == kReplied) {
-      const SightVector share = both.cwiseProduct(chain.reply);
-      out.answered += share / share.sum();
-      here = backward.cwiseProduct(chain.reply);
-    } else if (polls[n] >= 0) {
-      --answer;
-      const SightVector likelihood = floored(answer);
-      const SightVector reply = replied(answer);
-      SightVector share = both.cwiseProduct(reply);
-      out.prior[answer] = share / share.sum();
-      share = share.cwiseProduct(likelihood);
-      out.posterior[answer] = share / share.sum();
-      out.answered += out.posterior[answer];
-      here = backward.cwiseProduct(reply).cwiseProduct(likelihood);
+    if (polls[n] >= 0) --row;
+    if (polls[n] != kNotTold) {
+      const SightVector by_reply = reply(polls[n], row);
+      const SightVector by_residual = residual(polls[n], row);
+      const SightVector prior = forward[n].cwiseProduct(backward).cwiseProduct(by_reply);
+      const SightVector both = prior.cwiseProduct(by_residual);
+      const SightVector posterior = both / both.sum();
+      (polls[n] == kMissed ? out.missed : out.answered) += posterior;
+      if (polls[n] >= 0) {
+        out.prior[row] = prior / prior.sum();
+        out.posterior[row] = posterior;
+      }
+      backward = backward.cwiseProduct(by_reply).cwiseProduct(by_residual).eval();
     }
-    backward = chain.transition * here;
+    backward = (chain.transition * backward).eval();
     backward /= backward.sum();
   }
 }

@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 
-#include "host/calibration/initial_guess.hpp"
 #include "host/calibration/robust_kernel.hpp"
 #include "host/model/ablation.hpp"
 
@@ -33,7 +32,6 @@ constexpr int kSightRounds = 7;
 constexpr int kLabelRounds = 2;
 // Rows in sight that solve an anchor alone in the first round.
 constexpr double kEnoughInSight = 0.25;
-// An episode behind a wall.
 constexpr double kEpisode_s = 4.0;
 constexpr std::size_t kEpisodeRows = 8;
 constexpr std::size_t kEpisodeBreak = 3;
@@ -53,7 +51,6 @@ KernelShape wall_shape() {
   return {.scale_m = 0.15, .wide = 0.1, .bumps = {0.1, 0.03, 0.01, 0.01, 0.005, 0.005}, .gross = 0.005};
 }
 
-// What one pass over an anchor's rows finds.
 struct AnchorPass {
   AnchorSight sight;
   SightVector answered = SightVector::Zero();
@@ -73,7 +70,6 @@ double typical_scale_m(std::span<const AnchorFit> fits) {
   return median(std::move(scales_m));
 }
 
-// Indices of a fit's rows end here.
 std::size_t rows_until(const AnchorFit& fit) {
   return fit.problem.rows.empty() ? 0 : fit.problem.rows.back().index + std::size_t{1};
 }
@@ -233,7 +229,6 @@ void SightSolver::label_first() {
   }
 }
 
-// Residuals of one pair and their likelihoods in each state.
 void SightSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& pair) const {
   const AnchorFit& fit = fits_[a];
   const std::size_t tags = fit.problem.tag_count;

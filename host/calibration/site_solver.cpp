@@ -1,13 +1,153 @@
 #include "host/calibration/site_solver.hpp"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <utility>
 
-#include "host/calibration/initial_guess.hpp"
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
 #include "host/calibration/measurement_choice.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
+
+constexpr std::size_t kReferences = 3;
+constexpr int kAzimuths = 16;
+constexpr std::array<double, 5> kElevations_rad{0.0, 0.45, -0.45, 1.05, -1.05};
+constexpr std::size_t kScoredRows = 24;
+constexpr std::size_t kRefined = 2;
+constexpr int kSearchRounds = 4;
+constexpr int kSearchIterations = 4;
+
+struct Start {
+  Eigen::Vector3d position_m;
+  double score = 0.0;
+};
+
+std::vector<const Observation*> sample(std::span<const Observation> rows, std::size_t count) {
+  std::vector<const Observation*> out;
+  const std::size_t stride = std::max<std::size_t>(1, rows.size() / count);
+  for (std::size_t i = stride / 2; i < rows.size(); i += stride) out.push_back(&rows[i]);
+  return out;
+}
+
+// Points on the spheres of ranges taken far apart on the drive: one of them is near the anchor.
+std::vector<Start> sphere_points(const AnchorProblem& problem) {
+  std::vector<Start> out;
+  for (const Observation* row : sample(problem.rows, kReferences)) {
+    const double distance_m =
+        std::max(0.1, (row->range_m - problem.priors.beta_m.mean) / problem.priors.gamma.mean);
+    for (const double elevation_rad : kElevations_rad) {
+      for (int k = 0; k < kAzimuths; ++k) {
+        const double azimuth_rad = 2.0 * std::numbers::pi * k / kAzimuths;
+        const Eigen::Vector3d direction(std::cos(elevation_rad) * std::cos(azimuth_rad),
+                                        std::cos(elevation_rad) * std::sin(azimuth_rad),
+                                        std::sin(elevation_rad));
+        out.push_back({.position_m = row->tag_m + distance_m * direction, .score = 0.0});
+      }
+    }
+  }
+  return out;
+}
+
+// So wide that neither the biases nor a coarse grid of starts hide the valley.
+double valley_width_m(const AnchorProblem& problem) {
+  const std::vector<const Observation*> rows = sample(problem.rows, kScoredRows);
+  double mean_range_m = 0.0;
+  for (const Observation* row : rows) mean_range_m += row->range_m / static_cast<double>(rows.size());
+  const model::RangePriors& priors = problem.priors;
+  return 0.3 + priors.beta_m.sigma + (priors.gamma.sigma + 0.03) * mean_range_m;
+}
+
+constexpr std::size_t kRowsPerTag = 40;
+constexpr int kIterations = 6;
+// An excess of the few rows' below this is looked at again with all rows.
+constexpr double kCloseExcess = 10.0;
+// A fit that moved by more than this is compared again with all rows.
+constexpr double kRefitMove_m = 0.3;
+// At most, of a place that is not the earlier one: anchors do get moved.
+constexpr double kMovedCost = 10.0;
+// Starts this close to each other are in one valley.
+constexpr double kSameRival_m = 0.1;
+// Heights over the tags' plane to try, as shares of the distance to the nearest antenna.
+constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
+// Holds the anchor at a distance from the tags while the rest of it is solved.
+constexpr double kHoldSigma_m = 0.01;
+
+double height_above(const TagSpread& spread, int axis, const AnchorVector& anchor) {
+  return spread.axes.col(axis).dot(anchor.head<3>() - spread.center_m);
+}
+
+struct Contest {
+  AnchorSolution here;   // the best of all
+  AnchorSolution there;  // the best on its other side
+};
+
+// Where the other side, and a further valley on either, may be: the mirror point, and across a plane also
+// places well above and below it. Between two valleys the cost is flat and a solver comes to rest.
+std::vector<AnchorVector> starts_around(const AnchorProblem& problem, const AnchorVector& anchor,
+                                        const TagSpread& spread, int axis) {
+  const Eigen::Vector3d normal = spread.axes.col(axis);
+  const double height_m = height_above(spread, axis, anchor);
+  std::vector<AnchorVector> out(1, anchor);
+  out.back().head<3>() = spread.mirror(anchor.head<3>(), axis);
+  if (axis != kAcrossPlane || model::is_ablated(model::Mechanism::kCalibrationProbes)) return out;
+  double nearest_m = std::numeric_limits<double>::infinity();
+  for (const Observation& row : problem.rows) {
+    nearest_m = std::min(nearest_m, (row.tag_m - anchor.head<3>()).norm());
+  }
+  for (const double share : kProbes) {
+    out.push_back(anchor);
+    out.back().head<3>() += (share * nearest_m - height_m) * normal;
+  }
+  return out;
+}
+
+void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts) {
+  std::vector<Eigen::Vector3d> tried_m{anchor.head<3>()};
+  std::erase_if(starts, [&](const AnchorVector& start) {
+    const Eigen::Vector3d place_m = start.head<3>();
+    const bool tried = std::any_of(tried_m.begin(), tried_m.end(), [&](const Eigen::Vector3d& other_m) {
+      return (place_m - other_m).norm() < kSameRival_m;
+    });
+    if (!tried) tried_m.push_back(place_m);
+    return tried;
+  });
+}
+
+Contest contest(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
+                const AnchorVector& anchor, std::span<const AnchorVector> starts, const TagSpread& spread,
+                int axis) {
+  std::vector<AnchorSolution> found;
+  found.push_back(solve_anchor(problem, kernels, anchor, kIterations));
+  for (const AnchorVector& start : starts)
+    found.push_back(solve_anchor(problem, kernels, start, kIterations));
+  const auto cheaper = [](const AnchorSolution& a, const AnchorSolution& b) { return a.cost < b.cost; };
+  Contest out;
+  out.here = *std::min_element(found.begin(), found.end(), cheaper);
+  const double height_m = height_above(spread, axis, out.here.anchor);
+  std::erase_if(found, [&](const AnchorSolution& solution) {
+    return height_above(spread, axis, solution.anchor) * height_m > 0.0;
+  });
+  if (!found.empty()) {
+    out.there = *std::min_element(found.begin(), found.end(), cheaper);
+    return out;
+  }
+  // No valley over there: the cost at the mirrored distance from the tags has to speak for it.
+  AnchorVector mirrored = out.here.anchor;
+  mirrored.head<3>() = spread.mirror(out.here.anchor.head<3>(), axis);
+  const Eigen::Vector3d normal = spread.axes.col(axis);
+  AnchorProblem held = problem;
+  held.position.mean_m = mirrored.head<3>();
+  held.position.information += normal * normal.transpose() / (kHoldSigma_m * kHoldSigma_m);
+  out.there = solve_anchor(held, kernels, mirrored, kIterations);
+  return out;
+}
 
 constexpr std::size_t kSearchRowsPerTag = 30;
 constexpr std::size_t kPairResiduals = 250;
@@ -31,6 +171,7 @@ constexpr double kContradictionCost = 1.0;
 constexpr int kStartingSteps = 6;
 // Far outside any site: only keeps an anchor finite where ranges leave it open.
 constexpr double kUnknownSigma_m = 300.0;
+constexpr double kKnownAnchorSigma_m = 0.02;
 
 PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& data,
                              std::span<const Observation> rows) {
@@ -39,8 +180,7 @@ PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& 
   PositionPrior prior;
   if (known != site.known_anchors.end() && known->position_m.allFinite()) {
     prior.mean_m = known->position_m;
-    const double sigma_m = std::max(site.known_anchor_sigma_m, 1e-4);
-    prior.information = Eigen::Matrix3d::Identity() / (sigma_m * sigma_m);
+    prior.information = Eigen::Matrix3d::Identity() / (kKnownAnchorSigma_m * kKnownAnchorSigma_m);
     prior.surveyed = true;
     return prior;
   }
@@ -80,7 +220,7 @@ void learn_kernels(std::span<AnchorFit> fits) {
     KernelStatistics site;
     for (std::size_t i = 0; i < fits.size(); ++i) {
       for (std::size_t tag = 0; tag < fits[i].kernels.size(); ++tag) {
-        pairs[i].push_back(kernel_statistics(fits[i].kernels[tag], residuals[i][tag], 2.0));
+        pairs[i].push_back(fits[i].kernels[tag].statistics(residuals[i][tag], 2.0));
         anchors[i] += pairs[i].back();
       }
       site += anchors[i];
@@ -104,7 +244,198 @@ void learn_kernels(std::span<AnchorFit> fits) {
   }
 }
 
+// Whether rows that the earlier solution did not see contradict it, as where the robot had hardly moved till
+// then.
+bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows) {
+  const std::size_t seen = earlier.problem.rows.size();
+  if (rows.size() == seen || model::is_ablated(model::Mechanism::kCalibrationContradict)) return false;
+  AnchorFit later = earlier;
+  later.problem.rows = rows.subspan(seen);
+  return robust_cost(later) / static_cast<double>(rows.size() - seen) >
+         earlier.cost / static_cast<double>(seen) + kContradictionCost;
+}
+
+void find_start_beside(const AnchorFit& earlier, AnchorFit& fit) {
+  find_start(fit);
+  const AnchorSolution found = solve_anchor(fit.problem, fit.kernels, fit.anchor, kStartingSteps);
+  const AnchorSolution known = solve_anchor(fit.problem, fit.kernels, earlier.anchor, kStartingSteps);
+  if (found.cost <= known.cost) return;
+  fit.anchor = earlier.anchor;
+  fit.kernels = earlier.kernels;
+}
+
 }  // namespace
+
+std::vector<Observation> spread_along_the_way(std::span<const Observation> rows, std::size_t tag_count,
+                                              std::size_t max_rows_per_tag) {
+  struct Way {
+    std::size_t rows = 0;
+    double length_m = 0.0;
+    const Observation* last = nullptr;
+    double walked_m = 0.0;  // and how much of it is spent by the rows taken
+    double spent_m = 0.0;
+  };
+  std::vector<Way> ways(tag_count);
+  // A millimetre for each row, so that a stationary robot has a way too.
+  const auto step_to = [](const Observation& row, Way& way) {
+    const Observation* last = std::exchange(way.last, &row);
+    return 1e-3 + (last != nullptr ? (row.tag_m - last->tag_m).norm() : 0.0);
+  };
+  for (const Observation& row : rows) {
+    ++ways[row.tag].rows;
+    ways[row.tag].length_m += step_to(row, ways[row.tag]);
+  }
+  for (Way& way : ways) way.last = nullptr;
+  std::vector<Observation> out;
+  out.reserve(std::min(rows.size(), tag_count * max_rows_per_tag));
+  for (const Observation& row : rows) {
+    Way& way = ways[row.tag];
+    way.walked_m += step_to(row, way);
+    const double step_m = way.length_m / static_cast<double>(max_rows_per_tag);
+    if (way.rows > max_rows_per_tag && way.walked_m < way.spent_m + step_m) continue;
+    way.spent_m = std::max(way.spent_m + step_m, way.walked_m - step_m);
+    out.push_back(row);
+  }
+  return out;
+}
+
+Eigen::Vector3d TagSpread::mirror(const Eigen::Vector3d& point_m, int axis) const noexcept {
+  const Eigen::Vector3d normal = axes.col(axis);
+  return point_m - 2.0 * normal.dot(point_m - center_m) * normal;
+}
+
+TagSpread tag_spread(std::span<const Observation> rows) {
+  TagSpread out;
+  if (rows.empty()) return out;
+  const double n = static_cast<double>(rows.size());
+  for (const Observation& row : rows) out.center_m += row.tag_m / n;
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const Observation& row : rows) {
+    const Eigen::Vector3d offset_m = row.tag_m - out.center_m;
+    scatter += offset_m * offset_m.transpose() / n;
+  }
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scatter);
+  out.axes = eigen.eigenvectors().rowwise().reverse();
+  return out;
+}
+
+AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start) {
+  AnchorFit out{.problem = problem, .anchor = start};
+  // The scale falls from the valley's width to what the residuals show: the basin is wide at first.
+  KernelShape shape = KernelShape{.scale_m = valley_width_m(problem)}.with_blocked(0.1);
+  std::vector<WeighedResidual> residuals(problem.rows.size());
+  for (int round = 0; round < kSearchRounds; ++round) {
+    if (round > 0) {
+      for (std::size_t i = 0; i < residuals.size(); ++i) {
+        residuals[i].residual_m = residual_m(problem.rows[i], out.anchor, problem.tag_count);
+      }
+      KernelPrior prior{.shape = shape, .scale_weight = 3.0, .share_weight = 3.0};
+      prior.shape.scale_m = std::max(problem.priors.sigma_m, shape.scale_m / 2.0);
+      shape = fit_kernel(residuals, prior, 3);
+    }
+    out.kernels.assign(problem.tag_count, RobustKernel(shape));
+    AnchorSolution solution = solve_anchor(problem, out.kernels, out.anchor, kSearchIterations);
+    out.anchor = std::move(solution.anchor);
+    out.cost = solution.cost;
+  }
+  return out;
+}
+
+AnchorFit search(const AnchorProblem& problem) {
+  const model::RangePriors& priors = problem.priors;
+  const double width_m = valley_width_m(problem);
+
+  std::vector<Start> starts = sphere_points(problem);
+  // Before the biases are known all tags are as one.
+  std::vector<Observation> of_one_tag;
+  for (const Observation* row : sample(problem.rows, kScoredRows)) of_one_tag.emplace_back(*row).tag = 0;
+  const RowColumns columns(of_one_tag, 1);
+  for (Start& start : starts) {
+    for (Eigen::Index block = 0; block < columns.blocks(0); ++block) {
+      Lanes square_m2 = Lanes::Zero();
+      for (Eigen::Index axis = 0; axis < 3; ++axis) {
+        square_m2 += (columns.at(0, block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
+      }
+      const Lanes expected_m = priors.gamma.mean * square_m2.sqrt() + priors.beta_m.mean;
+      const Lanes square = ((columns.at(0, block, RowColumns::kRange) - expected_m) / width_m).square();
+      start.score += (square / (1.0 + square)).head(columns.rows_in(0, block)).sum();
+    }
+  }
+  std::stable_sort(starts.begin(), starts.end(),
+                   [](const Start& a, const Start& b) { return a.score < b.score; });
+
+  AnchorFit best{.anchor = anchor_at(problem.position.mean_m, problem.tag_count, priors),
+                 .kernels = std::vector<RobustKernel>(problem.tag_count),
+                 .cost = std::numeric_limits<double>::infinity()};
+  std::vector<Eigen::Vector3d> tried;
+  for (const Start& start : starts) {
+    if (tried.size() == kRefined) break;
+    const auto is_near = [&](const Eigen::Vector3d& p) {
+      return (p - start.position_m).norm() < 2.0 * width_m;
+    };
+    if (std::any_of(tried.begin(), tried.end(), is_near)) continue;
+    tried.push_back(start.position_m);
+
+    AnchorFit candidate = descend(problem, anchor_at(start.position_m, problem.tag_count, priors));
+    if (tried.size() == 1 || candidate.cost < best.cost) best = std::move(candidate);
+  }
+  return best;
+}
+
+Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
+  AnchorProblem sketch = fit.problem;
+  const std::vector<Observation> few = spread_along_the_way(sketch.rows, sketch.tag_count, kRowsPerTag);
+  sketch.rows = few;
+  Contest result =
+      contest(sketch, fit.kernels, fit.anchor, starts_around(sketch, fit.anchor, spread, axis), spread, axis);
+  double scale = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
+  const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kRefitMove_m;
+  if (moved || (result.there.cost - result.here.cost) * scale < kCloseExcess) {
+    std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor, fit.anchor};
+    // The few rows may have but one valley, between the two that all of them have.
+    starts.back().head<3>() = spread.mirror(fit.anchor.head<3>(), axis);
+    drop_doubles(fit.anchor, starts);
+    result = contest(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);
+    sketch.rows = fit.problem.rows;
+    scale = 1.0;
+    fit.anchor = result.here.anchor;
+    fit.cost = result.here.cost;
+  }
+  CostSum of_perfect;
+  for (const Observation& row : sketch.rows) of_perfect.add(fit.kernels[row.tag].at(0.0));
+  const double perfect = of_perfect.cost();
+  Rival rival;
+  rival.anchor = result.there.anchor;
+  rival.cost_excess = scale * std::max(0.0, result.there.cost - result.here.cost);
+  rival.cost_ratio =
+      std::clamp((result.here.cost - perfect) / std::max(result.there.cost - perfect, 1e-9), 0.0, 1.0);
+  return rival;
+}
+
+void challenge_both(AnchorFit& fit) {
+  const TagSpread spread = tag_spread(fit.problem.rows);
+  for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(challenge(fit, spread, axis));
+}
+
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival) {
+  const Eigen::LDLT<Eigen::Matrix3d> factors(earlier.covariance_m2);
+  const auto cost = [&](const AnchorVector& anchor) {
+    const Eigen::Vector3d offset_m = anchor.head<3>() - earlier.position_m;
+    return std::min(kMovedCost, 0.5 * offset_m.dot(factors.solve(offset_m)));
+  };
+  rival.cost_excess += inflation * (cost(rival.anchor) - cost(fit.anchor));
+  if (rival.cost_excess >= 0.0) return;
+  std::swap(fit.anchor, rival.anchor);
+  fit.cost = robust_cost(fit);
+  rival.cost_excess = -rival.cost_excess;
+}
+
+Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation) {
+  if (model::is_ablated(model::Mechanism::kCalibrationMirror)) return Eigen::Matrix3d::Zero();
+  const double odds = std::exp(-rival.cost_excess / std::max(1.0, inflation));
+  const Eigen::Vector3d offset_m = rival.anchor.head<3>() - fit.anchor.head<3>();
+  return odds / (1.0 + odds) * offset_m * offset_m.transpose();
+}
 
 void refine_site(std::span<AnchorFit> fits, int max_rounds) {
   bool resting = false;
@@ -121,28 +452,18 @@ void refine_site(std::span<AnchorFit> fits, int max_rounds) {
   }
 }
 
-RowSpan row_span(std::span<const AnchorFit> fits) noexcept {
-  RowSpan out;
-  for (const AnchorFit& fit : fits) {
-    if (fit.problem.rows.empty()) continue;
-    out.begin_s = std::min(out.begin_s, fit.problem.rows.front().t_s);
-    out.end_s = std::max(out.end_s, fit.problem.rows.back().t_s);
-  }
-  return out;
-}
-
 void find_start(AnchorFit& fit) {
   const AnchorProblem& problem = fit.problem;
   const std::vector<Observation> few =
       spread_along_the_way(problem.rows, problem.tag_count, kSearchRowsPerTag);
   AnchorProblem sketch = problem;
   sketch.rows = few;
-  Candidate best =
+  const AnchorFit best =
       problem.position.surveyed
           ? descend(sketch, anchor_at(problem.position.mean_m, problem.tag_count, problem.priors))
           : search(sketch);
-  fit.anchor = best.solution.anchor;
-  fit.kernels.assign(problem.tag_count, RobustKernel(best.kernel));
+  fit.anchor = best.anchor;
+  fit.kernels = best.kernels;
 }
 
 void bound_rows(Association& association, PollTable& polls, const SiteProblem& problem, std::size_t most) {
@@ -185,31 +506,6 @@ void bound_rows(Association& association, PollTable& polls, const SiteProblem& p
     keep_rows(polls, a, chosen);
   }
 }
-
-namespace {
-
-// Whether rows that the earlier solution did not see contradict it, as where the robot had hardly moved till
-// then.
-bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows) {
-  const std::size_t seen = earlier.problem.rows.size();
-  if (rows.size() == seen || model::is_ablated(model::Mechanism::kCalibrationContradict)) return false;
-  AnchorFit later = earlier;
-  later.problem.rows = rows.subspan(seen);
-  return robust_cost(later) / static_cast<double>(rows.size() - seen) >
-         earlier.cost / static_cast<double>(seen) + kContradictionCost;
-}
-
-// Searches, and keeps what it finds unless the earlier solution leads to a cheaper one.
-void find_start_beside(const AnchorFit& earlier, AnchorFit& fit) {
-  find_start(fit);
-  const AnchorSolution found = solve_anchor(fit.problem, fit.kernels, fit.anchor, kStartingSteps);
-  const AnchorSolution known = solve_anchor(fit.problem, fit.kernels, earlier.anchor, kStartingSteps);
-  if (found.cost <= known.cost) return;
-  fit.anchor = earlier.anchor;
-  fit.kernels = earlier.kernels;
-}
-
-}  // namespace
 
 std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const AnchorFit> earlier) {
   const std::size_t tags = site.association->tags.size();

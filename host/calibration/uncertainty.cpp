@@ -30,7 +30,6 @@ constexpr double kLargestByChance = 5.5;
 // Variance of Student's t with 4 degrees of freedom.
 constexpr double kStudent = 2.0;
 
-// What one pair's rows say together.
 struct PairMoments {
   PairBlock weighted = PairBlock::Zero();  // sum of weight J J^T, its lower triangle
   double weight = 0.0;

@@ -21,7 +21,6 @@ constexpr std::size_t kMinRanges = 30;
 // Sigmas that a filter can live with; beyond them the position is a hint and no more.
 constexpr double kWeakSigma_m = 0.30;
 constexpr double kWeakSigmaZ_m = 0.20;
-// The same where ranges come through something.
 constexpr double kBlockedWeakSigmaZ_m = 0.15;
 // Sigmas also grow with the site: a sixtieth of the distance at which the anchor is used.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
@@ -47,7 +46,6 @@ constexpr double kMisjudgedBeta = 0.4;
 constexpr double kTornSigma_m = 0.3;
 constexpr double kFarLimit = 0.06;
 constexpr double kShortLimit = 0.03;
-// More of them than reflections make.
 constexpr double kTwoAnchors = 0.4;
 // More answers than the others', that differ from one to the next by more than noise.
 constexpr double kTwinFlicker = 2.5;
@@ -107,8 +105,8 @@ void add_common_bias(double sigma_m, double position_sigma_m, std::size_t tag_co
   covariance.diagonal().head<3>().array() += position_sigma_m * position_sigma_m;
 }
 
-}  // namespace
-
+// Whether its ranges, all or nearly all, are NLOS: they are then noisier than the others' and fewer get
+// through, while the excess that they have in common passes for a bias.
 bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
   if (evidence.sight && evidence.sight->polls_are_told) {
     return evidence.sight->polls(kInSight) < kNeverInSight;
@@ -117,27 +115,6 @@ bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
   return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
 }
 
-void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance) {
-  if (tag_count == 0 || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return;
-  if (!evidence.sight) {
-    if (is_never_in_sight(evidence)) add_common_bias(kWallSigma_m, kWallVariation_m, tag_count, covariance);
-    return;
-  }
-  const double misjudged_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - evidence.in_sight_share));
-  covariance.diagonal().head<3>().array() += model::square(misjudged_m);
-  covariance.diagonal().segment(3, static_cast<Eigen::Index>(tag_count)).array() +=
-      model::square(kMisjudgedBeta * misjudged_m);
-  if (contradicts_itself(evidence)) add_common_bias(kTornSigma_m, kTornSigma_m, tag_count, covariance);
-  if (is_never_in_sight(evidence) || is_hardly_in_sight(evidence)) {
-    // What its own walls add is in the covariance already, unless they passed for shadows.
-    const double sigma_m = kWallDiffers_m + evidence.sight->wall_excess_m * evidence.sight->polls(kShadow);
-    add_common_bias(sigma_m, kWallPlaces_m, tag_count, covariance);
-  }
-}
-
-namespace {
-
-// What is said of an anchor because of how its ranges came, if anything.
 struct Opinion {
   AnchorVerdict verdict = AnchorVerdict::kOk;
   std::string advice;
@@ -174,6 +151,7 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
                                      ", and drive again" + unplaced};
 }
 
+// By how its ranges came, if that says anything.
 std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
   const std::size_t all = anchor.ranges_used + anchor.ranges_rejected;
   const bool never_in_sight = evidence.rows >= kMinRanges && is_never_in_sight(evidence);
@@ -208,52 +186,65 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
   return std::nullopt;
 }
 
+Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
+  const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
+  const double by_distance_m = kWeakSigmaShare * evidence.nearest_m;
+  const double sigma_xy_m = std::sqrt(
+      std::max(0.0, covariance.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1)));
+  const double sigma_z_m = std::sqrt(std::max(0.0, covariance(2, 2)));
+  const std::string advice = drive_advice(evidence, anchor.position_m);
+  if (sigma_xy_m > std::max(kWeakSigma_m, by_distance_m) || is_plausible(evidence.side, evidence.inflation)) {
+    return {AnchorVerdict::kWeak, advice};
+  }
+  if (evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
+    return {AnchorVerdict::kWeak,
+            "the end of the drive contradicts its beginning: drive again, and look whether the anchor moved"};
+  }
+  if (is_plausible(evidence.mirror, evidence.inflation)) {
+    return {AnchorVerdict::kWeakZ,
+            "above or below the tags cannot be told: measure its height, or " + advice};
+  }
+  if (sigma_z_m > std::max(evidence.sight ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
+    return {AnchorVerdict::kWeakZ, "height uncertain: " + advice};
+  }
+  return {};
+}
+
 }  // namespace
 
+void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance) {
+  if (tag_count == 0 || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return;
+  if (!evidence.sight) {
+    if (is_never_in_sight(evidence)) add_common_bias(kWallSigma_m, kWallVariation_m, tag_count, covariance);
+    return;
+  }
+  const double misjudged_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - evidence.in_sight_share));
+  covariance.diagonal().head<3>().array() += model::square(misjudged_m);
+  covariance.diagonal().segment(3, static_cast<Eigen::Index>(tag_count)).array() +=
+      model::square(kMisjudgedBeta * misjudged_m);
+  if (contradicts_itself(evidence)) add_common_bias(kTornSigma_m, kTornSigma_m, tag_count, covariance);
+  if (is_never_in_sight(evidence) || is_hardly_in_sight(evidence)) {
+    // What its own walls add is in the covariance already, unless they passed for shadows.
+    const double sigma_m = kWallDiffers_m + evidence.sight->wall_excess_m * evidence.sight->polls(kShadow);
+    add_common_bias(sigma_m, kWallPlaces_m, tag_count, covariance);
+  }
+}
+
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {
-  anchor.advice.clear();
+  std::optional<Opinion> opinion;
   if (evidence.moved) {
     AnchorEvidence since = evidence;
     since.moved.reset();
     since.held_out_z.reset();
     judge_anchor(since, anchor);
     if (anchor.verdict == AnchorVerdict::kNoData) return;
-    Opinion opinion = judge_move(*evidence.moved, model::is_usable(anchor.verdict));
-    anchor.verdict = opinion.verdict;
-    anchor.advice = std::move(opinion.advice);
-    return;
+    opinion = judge_move(*evidence.moved, model::is_usable(anchor.verdict));
+  } else {
+    opinion = judge_ranges(evidence, anchor);
+    if (!opinion) opinion = judge_position(evidence, anchor);
   }
-  if (std::optional<Opinion> opinion = judge_ranges(evidence, anchor)) {
-    anchor.verdict = opinion->verdict;
-    anchor.advice = std::move(opinion->advice);
-    return;
-  }
-  const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
-  const double by_distance_m = kWeakSigmaShare * evidence.nearest_m;
-  const double sigma_xy_m = std::sqrt(
-      std::max(0.0, covariance.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1)));
-  const double sigma_z_m = std::sqrt(std::max(0.0, covariance(2, 2)));
-  if (sigma_xy_m > std::max(kWeakSigma_m, by_distance_m) || is_plausible(evidence.side, evidence.inflation)) {
-    anchor.verdict = AnchorVerdict::kWeak;
-    anchor.advice = drive_advice(evidence, anchor.position_m);
-    return;
-  }
-  if (evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
-    anchor.verdict = AnchorVerdict::kWeak;
-    anchor.advice =
-        "the end of the drive contradicts its beginning: drive again, and look whether the anchor moved";
-    return;
-  }
-  if (sigma_z_m > std::max(evidence.sight ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m) ||
-      is_plausible(evidence.mirror, evidence.inflation)) {
-    anchor.verdict = AnchorVerdict::kWeakZ;
-    anchor.advice = is_plausible(evidence.mirror, evidence.inflation)
-                        ? "above or below the tags cannot be told: measure its height, or " +
-                              drive_advice(evidence, anchor.position_m)
-                        : "height uncertain: " + drive_advice(evidence, anchor.position_m);
-    return;
-  }
-  anchor.verdict = AnchorVerdict::kOk;
+  anchor.verdict = opinion->verdict;
+  anchor.advice = std::move(opinion->advice);
 }
 
 model::Verdict judge_site(std::span<const model::AnchorCalibration> anchors) {

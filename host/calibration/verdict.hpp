@@ -8,8 +8,8 @@
 
 #include <Eigen/Core>
 
-#include "host/calibration/initial_guess.hpp"
 #include "host/calibration/sight_chain.hpp"
+#include "host/calibration/site_solver.hpp"
 #include "host/model/calibration.hpp"
 
 namespace groma::calibration {
@@ -48,10 +48,6 @@ struct AnchorEvidence {
   std::optional<Eigen::Vector3d> twin_m;  // another place that it answers from
   std::optional<SightEvidence> sight;
 };
-
-// Whether its ranges, all or nearly all, come through something: they are then noisier than the others' and
-// fewer get through, while the excess that they have in common passes for a bias.
-[[nodiscard]] bool is_never_in_sight(const AnchorEvidence& evidence) noexcept;
 
 // What walls can add to each bias of an anchor that is never or hardly in sight, and what follows of it for
 // position and range-dependent biases; and what remains of rows whose sight was misjudged. The covariance:

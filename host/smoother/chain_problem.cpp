@@ -12,26 +12,19 @@ ChainProblem::Term::Term(Eigen::Index block_size, Eigen::Index residual_size, Ei
 
 ChainProblem::ChainProblem(std::size_t blocks, Eigen::Index block_size, Eigen::Index shared_size,
                            Eigen::Index considered)
-    : blocks_(blocks), considered_(considered) {
-  for (Block& block : blocks_) {
-    block.own.resize(block_size, block_size);
-    block.next.resize(block_size, block_size);
-    block.shared.resize(block_size, shared_size);
-    block.right.resize(block_size);
-  }
-  shared_.resize(shared_size, shared_size);
-  shared_right_.resize(shared_size);
+    : blocks_(blocks), block_size_(block_size), shared_size_(shared_size), considered_(considered) {
+  clear();
 }
 
 void ChainProblem::clear() {
   for (Block& block : blocks_) {
-    block.own.setZero();
-    block.next.setZero();
-    block.shared.setZero();
-    block.right.setZero();
+    block.own.setZero(block_size_, block_size_);
+    block.next.setZero(block_size_, block_size_);
+    block.shared.setZero(block_size_, shared_size_);
+    block.right.setZero(block_size_);
   }
-  shared_.setZero();
-  shared_right_.setZero();
+  shared_.setZero(shared_size_, shared_size_);
+  shared_right_.setZero(shared_size_);
 }
 
 void ChainProblem::add_shared_prior(const Eigen::VectorXd& unknowns) {

@@ -65,7 +65,9 @@ class ChainProblem {
   std::vector<Block> blocks_;
   Eigen::MatrixXd shared_;
   Eigen::VectorXd shared_right_;
-  Eigen::Index considered_ = 0;
+  Eigen::Index block_size_;
+  Eigen::Index shared_size_;
+  Eigen::Index considered_;
   Eigen::LLT<Eigen::MatrixXd> shared_root_;  // of what is solved for
   Eigen::MatrixXd by_considered_;            // what of it is off by each of those considered, negative
 };

@@ -6,7 +6,6 @@
 #include <map>
 #include <utility>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
 
@@ -47,30 +46,34 @@ class Shared {
         [](const model::AnchorCalibration* anchor) { return anchor->verdict != model::AnchorVerdict::kOk; });
     not_trusted_ = first_trusted - anchors_.begin();
     const Eigen::Index size = frame() + filter::kFrameSize;
-    mean_.setZero(size);
-    root_.setZero(size, size);
-    root_(0, 0) = config.scale_sigma;
-    root_(1, 1) = config.yaw_rate_bias_radps;
+    mean.setZero(size);
+    root.setZero(size, size);
+    root(0, 0) = config.scale_sigma;
+    root(1, 1) = config.yaw_rate_bias_radps;
     const bool delay_is_observed = calibration.range_delay_sigma_s > 0.0;
-    delays_ = {.range_s = delay_is_observed ? calibration.range_delay_s : config.range_delay_s,
-               .range_sigma_s = delay_is_observed
-                                    ? std::hypot(calibration.range_delay_sigma_s, filter::kRangeDelayChange_s)
-                                    : config.range_delay_sigma_s,
-               .odometry_sigma_s = config.odometry_delay_sigma_s};
-    mean_(kDelay) = delays_.range_s;
-    root_(kDelay, kDelay) = std::sqrt(delays_.difference_variance_s2());
+    delays = {.range_s = delay_is_observed ? calibration.range_delay_s : config.range_delay_s,
+              .range_sigma_s = delay_is_observed
+                                   ? std::hypot(calibration.range_delay_sigma_s, filter::kRangeDelayChange_s)
+                                   : config.range_delay_sigma_s,
+              .odometry_sigma_s = config.odometry_delay_sigma_s};
+    mean(kDelay) = delays.range_s;
+    root(kDelay, kDelay) = std::sqrt(delays.difference_variance_s2());
     for (std::size_t slot = 0; slot < anchors_.size(); ++slot)
       add_anchor(slot, tags, calibration.common_frame_covariance);
     for (Eigen::Index tag = 0; tag < tags_; ++tag) {
-      mean_.segment<3>(lever_arm(tag)) = tags[static_cast<std::size_t>(tag)].lever_arm_m;
-      root_.diagonal().segment<3>(lever_arm(tag)).setConstant(config.lever_arm_sigma_m);
+      mean.segment<3>(lever_arm(tag)) = tags[static_cast<std::size_t>(tag)].lever_arm_m;
+      root.diagonal().segment<3>(lever_arm(tag)).setConstant(config.lever_arm_sigma_m);
     }
     for (const model::TagCalibration& told : calibration.tags) {
       const Eigen::Index tag = tag_slot(tags, told.id);
-      if (tag >= 0 && told.lever_arm) mean_.segment<3>(lever_arm(tag)) = told.lever_arm->position_m;
+      if (tag >= 0 && told.lever_arm) mean.segment<3>(lever_arm(tag)) = told.lever_arm->position_m;
     }
     set_root(frame(), calibration.common_frame_covariance);
   }
+
+  Eigen::VectorXd mean;
+  Eigen::MatrixXd root;
+  filter::LinkDelays delays;  // kDelay is the ranges' less the odometry's
 
   static constexpr Eigen::Index kScale = 0;
   static constexpr Eigen::Index kYawBias = 1;
@@ -92,11 +95,6 @@ class Shared {
     return position(anchors()) + 3 * tag;
   }
   [[nodiscard]] Eigen::Index frame() const noexcept { return lever_arm(tags_); }
-  [[nodiscard]] const Eigen::VectorXd& mean() const noexcept { return mean_; }
-  [[nodiscard]] const Eigen::MatrixXd& root() const noexcept { return root_; }
-  // The delay is the ranges' less the odometry's.
-  [[nodiscard]] const filter::LinkDelays& delays() const noexcept { return delays_; }
-
   // -1 where there is none, or none with that tag.
   [[nodiscard]] Eigen::Index anchor_slot(model::NodeId id, model::NodeId tag_id) const noexcept {
     for (std::size_t slot = 0; slot < anchors_.size(); ++slot) {
@@ -119,7 +117,7 @@ class Shared {
   // A root of a covariance that may have directions of none.
   void set_root(Eigen::Index at, const Eigen::MatrixXd& covariance) {
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(covariance);
-    root_.block(at, at, covariance.rows(), covariance.cols()) =
+    root.block(at, at, covariance.rows(), covariance.cols()) =
         eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal();
   }
 
@@ -128,34 +126,28 @@ class Shared {
     const model::AnchorCalibration& anchor = *anchors_[slot];
     const Eigen::MatrixXd own = model::own_covariance(anchor, frame_covariance);
     const auto a = static_cast<Eigen::Index>(slot);
-    mean_.segment<3>(position(a)) = anchor.position_m;
+    mean.segment<3>(position(a)) = anchor.position_m;
     const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
     // Rows of the calibration's block that are ours, and where they go.
-    std::vector<std::pair<Eigen::Index, Eigen::Index>> rows{{0, 0}, {1, 1}, {2, 2}};
+    std::vector<Eigen::Index> from{0, 1, 2};
+    std::vector<Eigen::Index> to = from;
     for (Eigen::Index pair = 0; pair < pairs; ++pair) {
       const model::PairBias& bias = anchor.pairs[static_cast<std::size_t>(pair)];
       const Eigen::Index tag = tag_slot(tags, bias.tag_id);
       if (tag < 0) continue;
-      mean_(beta(a, tag)) = bias.beta_m;
-      mean_(gamma(a, tag)) = bias.gamma;
-      rows.emplace_back(3 + pair, 3 + tag);
-      rows.emplace_back(3 + pairs + pair, 3 + tags_ + tag);
+      mean(beta(a, tag)) = bias.beta_m;
+      mean(gamma(a, tag)) = bias.gamma;
+      from.insert(from.end(), {3 + pair, 3 + pairs + pair});
+      to.insert(to.end(), {3 + tag, 3 + tags_ + tag});
     }
     Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags_, 3 + 2 * tags_);
-    for (const auto& [from_row, to_row] : rows) {
-      for (const auto& [from_column, to_column] : rows) {
-        block(to_row, to_column) = own(from_row, from_column);
-      }
-    }
+    block(to, to) = own(from, from);
     set_root(position(a), block);
   }
 
   std::vector<const model::AnchorCalibration*> anchors_;
   Eigen::Index tags_;
   Eigen::Index not_trusted_ = 0;
-  filter::LinkDelays delays_;
-  Eigen::VectorXd mean_;
-  Eigen::MatrixXd root_;
 };
 
 // A range between the rows `row` and `row + 1`.
@@ -181,7 +173,7 @@ class Smoother {
         patterns_m_(tags_.size(), model::PatternTerms::Zero()),
         noise_(
             run.calibration->range_noise.value_or(model::RangeNoise{.white_sigma_m = config_.range_sigma_m})),
-        unknowns_(Eigen::VectorXd::Zero(shared_.mean().size())) {
+        unknowns_(Eigen::VectorXd::Zero(shared_.mean.size())) {
     if (run.calibration->range_noise) {
       noise_.slow_sigma_m *= config_.slow_error_growth;
       noise_.slow_time_s *= config_.slow_time_growth;
@@ -231,7 +223,7 @@ class Smoother {
 
   Result solve() {
     Result result;
-    const Eigen::Index shared = shared_.mean().size();
+    const Eigen::Index shared = shared_.mean.size();
     ChainProblem problem(rows_.size(), block_, shared,
                          config_.model == filter::Model::kJoint ? 0 : shared - shared_.considered());
     std::vector<Eigen::MatrixXd> covariances;
@@ -256,7 +248,7 @@ class Smoother {
     const Eigen::VectorXd values = shared_values();
     result.scale_error = values(Shared::kScale);
     result.yaw_rate_bias_radps = values(Shared::kYawBias);
-    result.odometry_delay_s = shared_.delays().odometry_s(values(Shared::kDelay));
+    result.odometry_delay_s = shared_.delays.odometry_s(values(Shared::kDelay));
     result.range_delay_s = values(Shared::kDelay) + result.odometry_delay_s;
     result.ranges_seen = sightings_.size();
     for (const Sighting& sighting : sightings_) result.ranges_in_sight += sighting.weight;
@@ -280,10 +272,10 @@ class Smoother {
     for (Eigen::Index i = 0; i < 3; ++i) {
       const filter::CoreIndex at = kShared[static_cast<std::size_t>(i)];
       core(at) = values(i);
-      from(at, block_ + i) = shared_.root()(i, i);
+      from(at, block_ + i) = shared_.root(i, i);
     }
     const filter::PresentPose now =
-        filter::present_pose(surface_, core, rows_[k], shared_.delays(), charts_[k]);
+        filter::present_pose(surface_, core, rows_[k], shared_.delays, charts_[k]);
     const Eigen::MatrixXd by = now.d_core * from;
     const Eigen::Matrix3d moved = by * covariance * by.transpose();
     return {rows_[k].t_s, now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z()),
@@ -304,7 +296,7 @@ class Smoother {
     return kPose + sighting.anchor * static_cast<Eigen::Index>(tags_.size()) + sighting.tag;
   }
 
-  [[nodiscard]] Eigen::VectorXd shared_values() const { return shared_.mean() + shared_.root() * unknowns_; }
+  [[nodiscard]] Eigen::VectorXd shared_values() const { return shared_.mean + shared_.root * unknowns_; }
 
   [[nodiscard]] Eigen::Vector3d pose_between(std::size_t row, double share) const {
     const Eigen::Vector3d first = states_[row].head<kPose>();
@@ -467,14 +459,14 @@ class Smoother {
     term.by_first.leftCols<kPose>() = by_core.topLeftCorner<3, 3>();
     term.by_second.leftCols<kPose>() = -Eigen::Matrix3d::Identity();
     term.shared = {Shared::kScale, Shared::kYawBias};
-    term.by_shared.col(0) = by_core.block<3, 1>(0, filter::kScale) * shared_.root()(0, 0);
-    term.by_shared.col(1) = by_core.block<3, 1>(0, filter::kYawBias) * shared_.root()(1, 1);
+    term.by_shared.col(0) = by_core.block<3, 1>(0, filter::kScale) * shared_.root(0, 0);
+    term.by_shared.col(1) = by_core.block<3, 1>(0, filter::kYawBias) * shared_.root(1, 1);
     term.residual = states_[k + 1].head<kPose>() - core.head<kPose>();
     term.information = covariance.inverse();
     problem.add(k, term);
   }
 
-  // Derivative of a prediction by the unknowns that it depends on, and which these are.
+  // Derivative of a prediction by the shared unknowns that it depends on.
   struct ByShared {
     std::vector<Eigen::Index> at;
     Eigen::RowVectorXd by;
@@ -498,7 +490,7 @@ class Smoother {
     out.by.resize(1 + anchor_size + 3 + filter::kFrameSize);
     const auto add = [&](Eigen::Index at, const Eigen::RowVectorXd& by) {
       const auto column = static_cast<Eigen::Index>(out.at.size());
-      out.by.segment(column, by.size()) = by * shared_.root().block(at, at, by.size(), by.size());
+      out.by.segment(column, by.size()) = by * shared_.root.block(at, at, by.size(), by.size());
       for (Eigen::Index i = 0; i < by.size(); ++i) out.at.push_back(at + i);
     };
     add(Shared::kDelay, Eigen::RowVectorXd::Constant(1, predicted.by_delay));

@@ -6,7 +6,7 @@
 #include <numbers>
 #include <vector>
 
-#include "host/calibration/initial_guess.hpp"
+#include "host/calibration/site_solver.hpp"
 #include "test/host/calibration/exact_kernel.hpp"
 #include "test/support/numerical_jacobian.hpp"
 #include "test/support/random.hpp"
@@ -156,8 +156,8 @@ TEST(AnchorSolver, StaysFiniteWhenTheAnchorIsAtTheAntenna) {
 TEST(Search, FindsTheAnchorWithoutAStart) {
   for (std::uint64_t seed = 10; seed < 30; ++seed) {
     const Scene scene = make_scene(seed, 0.1, 0.3);
-    const Candidate found = search(scene.problem);
-    EXPECT_LT((found.solution.anchor - scene.truth).head<2>().norm(), 0.4) << "seed " << seed;
+    const AnchorFit found = search(scene.problem);
+    EXPECT_LT((found.anchor - scene.truth).head<2>().norm(), 0.4) << "seed " << seed;
   }
 }
 

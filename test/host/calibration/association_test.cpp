@@ -18,7 +18,7 @@ using model::RangeSample;
 
 // One range at t_s with a robot that goes from pose to pose.
 Observation only_row(const std::vector<PoseSample>& poses, double t_s, const model::Surface& surface,
-                     double delay_s = 0.0, HeightSource height = HeightSource::kPose) {
+                     HeightSource height = HeightSource::kPose) {
   const std::vector<RangeSample> ranges{{.t_s = t_s, .tag_id = 1, .anchor_id = 9, .range_m = 5.0}};
   const std::vector<model::Tag> tags{{1, {1.0, 0.5, 2.0}}};
   Drive drive;
@@ -26,7 +26,7 @@ Observation only_row(const std::vector<PoseSample>& poses, double t_s, const mod
   drive.poses = poses;
   drive.tags = tags;
   drive.surface = &surface;
-  const Association association = associate(drive, 0.3, delay_s, height);
+  const Association association = associate(drive, height);
   EXPECT_EQ(association.anchors.size(), 1U);
   EXPECT_EQ(association.anchors[0].rows.size(), 1U);
   return association.anchors[0].rows.empty() ? Observation{} : association.anchors[0].rows[0];
@@ -95,11 +95,6 @@ TEST(Association, TellsHowThePosesErrorMovesTheAntenna) {
       << "no covariance at all";
 }
 
-TEST(Association, MovesARangeBackByItsDelay) {
-  const std::vector<PoseSample> poses{{.t_s = 0.0}, {.t_s = 0.2, .x_m = 1.0}};
-  EXPECT_NEAR(only_row(poses, 0.15, model::Surface(), 0.05).tag_m.x(), 0.5 + 1.0, 1e-9);
-}
-
 TEST(Association, StandsOnTheSurfaceWhereAttitudeIsUnknown) {
   const model::Surface slope(model::Plane(1.0, Eigen::Vector3d(-0.2, 0.1, 1.0)));
   const model::PlanarPose planar{.x_m = 3.0, .y_m = -2.0, .theta_rad = 1.1};
@@ -158,7 +153,7 @@ TEST(Association, LeavesOutWhatHasNoPoseOrIsNoRange) {
   drive.ranges = ranges;
   drive.poses = poses;
   drive.tags = tags;
-  const Association association = associate(drive, 0.3, 0.0, HeightSource::kPose);
+  const Association association = associate(drive, HeightSource::kPose);
   ASSERT_EQ(association.anchors.size(), 1U);
   EXPECT_EQ(association.anchors[0].rows.size(), 3U);
   EXPECT_EQ(association.anchors[0].rejected, 9U);

@@ -24,7 +24,7 @@ struct Solved {
 // The fits refer to the association: not to be copied.
 void solve(const test::SimulatedSite& site, Solved& out) {
   const Drive drive = site.drive();
-  out.association = associate(drive, 0.3, 0.0, HeightSource::kPose);
+  out.association = associate(drive, HeightSource::kPose);
   out.fits = solve_site({.association = &out.association,
                          .priors = drive.priors,
                          .known_anchors = {},
@@ -54,8 +54,8 @@ TEST(DriveError, TellsHowFarAndHowSlowlyPosesWander) {
                                                          4);
     Solved solved;
     solve(site, solved);
-    EXPECT_NEAR(std::log(solved.error.wander.correlation_s / correlation_s), 0.0, std::log(1.5));
-    EXPECT_NEAR(std::log(solved.error.wander.sigma_m / 0.05), 0.0, std::log(2.0)) << correlation_s;
+    EXPECT_NEAR(std::log(solved.error.prior.wander.correlation_s / correlation_s), 0.0, std::log(1.5));
+    EXPECT_NEAR(std::log(solved.error.prior.wander.sigma_m / 0.05), 0.0, std::log(2.0)) << correlation_s;
   }
 }
 
@@ -74,8 +74,8 @@ TEST(DriveError, TellsASmoothWanderFromARoughOne) {
     const test::SimulatedSite site = test::simulate_site(settings, seed);
     Solved smooth;
     solve(site, smooth);
-    ASSERT_TRUE(smooth.error.wander.damping_ratio.has_value()) << seed;
-    EXPECT_LT(*smooth.error.wander.damping_ratio, 1.0) << seed;
+    ASSERT_TRUE(smooth.error.prior.wander.damping_ratio.has_value()) << seed;
+    EXPECT_LT(*smooth.error.prior.wander.damping_ratio, 1.0) << seed;
     Eigen::Vector2d shift_m = Eigen::Vector2d::Zero();
     for (std::size_t i = 0; i < site.poses.size(); ++i) {
       shift_m +=
@@ -94,7 +94,7 @@ TEST(DriveError, TellsASmoothWanderFromARoughOne) {
     settings.pose_damping_ratio.reset();
     Solved rough;
     solve(test::simulate_site(settings, seed), rough);
-    EXPECT_FALSE(rough.error.wander.damping_ratio.has_value()) << seed;
+    EXPECT_FALSE(rough.error.prior.wander.damping_ratio.has_value()) << seed;
   }
   // 16 degrees of freedom, 99 %.
   EXPECT_GT(nees, 5.14);
@@ -109,7 +109,7 @@ TEST(DriveError, MovesTheAntennasTowardsTheTruth) {
       5);
   Solved solved;
   solve(site, solved);
-  const Association before = associate(site.drive(), 0.3, 0.0, HeightSource::kPose);
+  const Association before = associate(site.drive(), HeightSource::kPose);
   double square_before_m2 = 0.0;
   double square_after_m2 = 0.0;
   for (std::size_t a = 0; a < before.anchors.size(); ++a) {
@@ -128,11 +128,11 @@ TEST(DriveError, LeavesExactPosesAsTheyAre) {
   const test::SimulatedSite site = test::simulate_site({}, 6);
   Solved solved;
   solve(site, solved);
-  EXPECT_EQ(solved.error.wander.sigma_m, 0.0);
+  EXPECT_EQ(solved.error.prior.wander.sigma_m, 0.0);
   EXPECT_NEAR(solved.error.range_delay_s, 0.0, 3.0 * solved.error.range_delay_sigma_s);
   EXPECT_LT(solved.error.range_delay_sigma_s, 0.01);
   EXPECT_TRUE(solved.error.body.empty());
-  const Association before = associate(site.drive(), 0.3, 0.0, HeightSource::kPose);
+  const Association before = associate(site.drive(), HeightSource::kPose);
   for (std::size_t a = 0; a < before.anchors.size(); ++a) {
     EXPECT_TRUE(solved.error.added_covariance[a].isZero(0.0));
     EXPECT_EQ(solved.association.anchors[a].rows.back().tag_m, before.anchors[a].rows.back().tag_m);
@@ -178,7 +178,7 @@ TEST(DriveError, BelievesNeitherWanderNorBodyOfWhatPlacesDo) {
         test::simulate_site({.ranges_per_pair = 600, .place_error_m = 0.08}, seed);
     Solved solved;
     solve(site, solved);
-    EXPECT_EQ(solved.error.wander.sigma_m, 0.0) << seed;
+    EXPECT_EQ(solved.error.prior.wander.sigma_m, 0.0) << seed;
     EXPECT_TRUE(solved.error.body.empty()) << seed;
   }
 }

@@ -78,7 +78,7 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
   problem.position.information = Eigen::Matrix3d::Identity() / 900.0;
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.1}));
   const StretchGains gains({.problem = problem, .anchor = anchor, .kernels = kernels}, 12);
-  ASSERT_EQ(gains.bins(), 12U);
+  ASSERT_EQ(gains.first_row.size(), 13U);
 
   const Eigen::Index size = anchor.size();
   const Eigen::VectorXd prior_mean = anchor_at(problem.position.mean_m, kTags, problem.priors);
@@ -96,7 +96,7 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
       j.head<3>() = to_anchor_m.normalized();
       j(3 + static_cast<Eigen::Index>(rows[i].tag)) = 1.0;
       j(3 + static_cast<Eigen::Index>(kTags + rows[i].tag)) = to_anchor_m.norm();
-      if (i >= gains.first_row(from) && i < gains.first_row(to)) j.tail<3>() = j.head<3>();
+      if (i >= gains.first_row[from] && i < gains.first_row[to]) j.tail<3>() = j.head<3>();
       const double r = rows[i].range_m - to_anchor_m.norm();
       const double weight = std::min(1.0, 0.3 / std::abs(r)) / 0.01;
       information += weight * j * j.transpose();

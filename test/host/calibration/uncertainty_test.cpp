@@ -83,7 +83,7 @@ double mean_ratio(const test::SiteSettings& settings) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     const test::SimulatedSite site = test::simulate_site(settings, seed);
     const Drive drive = site.drive();
-    const Association association = associate(drive, 0.3, 0.0, HeightSource::kPose);
+    const Association association = associate(drive, HeightSource::kPose);
     std::vector<AnchorFit> fits = solve_site({.association = &association,
                                               .priors = drive.priors,
                                               .known_anchors = {},
