@@ -89,16 +89,6 @@ Json to_json(const io::DroppedRows& dropped) {
           {"implausible", dropped.implausible}};
 }
 
-Json to_json(std::span<const diagnosis::Finding> findings) {
-  Json out = Json::array();
-  for (const diagnosis::Finding& finding : findings) {
-    Json& json = out.emplace_back(
-        Json{{"cause", finding.cause}, {"evidence", finding.evidence}, {"remedy", finding.remedy}});
-    if (finding.value) json["value"] = *finding.value;
-  }
-  return out;
-}
-
 void say_json(const Json& json) {
   say(json.dump(2) + '\n');
 }

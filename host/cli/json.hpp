@@ -1,12 +1,9 @@
 // Results as the JSON objects that scripts read; what is unknown is null.
 #pragma once
 
-#include <span>
-
 #include <nlohmann/json.hpp>
 
 #include "host/calibration/calibrate.hpp"
-#include "host/diagnosis/finding.hpp"
 #include "host/evaluation/evaluation.hpp"
 #include "host/io/dataset.hpp"
 
@@ -19,8 +16,6 @@ using Json = nlohmann::ordered_json;
 // samples, ate_m, ate_rad and nees.
 [[nodiscard]] Json to_json(const evaluation::Evaluation& evaluation);
 [[nodiscard]] Json to_json(const io::DroppedRows& dropped);
-// A list of cause, evidence, remedy and, where it is known, value.
-[[nodiscard]] Json to_json(std::span<const diagnosis::Finding> findings);
 
 // The object, on lines of its own, to standard output.
 void say_json(const Json& json);

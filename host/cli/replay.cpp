@@ -105,7 +105,7 @@ int run(const ReplayOptions& options) {
       say_json(Json{{"model", options.model},
                     {"ranges_seen", result.ranges_seen},
                     {"state", nullptr},
-                    {"diagnosis", cli::to_json(findings)}});
+                    {"diagnosis", diagnosis::to_json(findings)}});
     }
     throw io::DataError({options.input.dataset()},
                         "there is no pose prior to start from in the chosen time, and none was found from "
@@ -143,7 +143,7 @@ int run(const ReplayOptions& options) {
                   {"odometry_implausible", counters.odometry_implausible},
                   {"state", words.back().state},
                   {"state_shares", state_shares(result.states)},
-                  {"diagnosis", cli::to_json(findings)},
+                  {"diagnosis", diagnosis::to_json(findings)},
                   {"sensors", sensors_json(counters)},
                   {"dropped", cli::to_json(drive.dataset.dropped)},
                   {"wall_s", wall_s},

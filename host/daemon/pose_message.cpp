@@ -66,12 +66,6 @@ std::string status_line(const Status& status) {
     links.push_back(Json{{"link", link.link},
                          {"round_trip_s", link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr)}});
   }
-  Json diagnosis = Json::array();
-  for (const diagnosis::Finding& finding : status.diagnosis) {
-    Json& json = diagnosis.emplace_back(
-        Json{{"cause", finding.cause}, {"evidence", finding.evidence}, {"remedy", finding.remedy}});
-    if (finding.value) json["value"] = *finding.value;
-  }
   return line({{"class", "STATUS"},
                {"state", status.state},
                {"odometry", status.odometry},
@@ -79,7 +73,7 @@ std::string status_line(const Status& status) {
                {"frames_lost", status.frames_lost},
                {"dropped", status.dropped},
                {"links", std::move(links)},
-               {"diagnosis", std::move(diagnosis)}});
+               {"diagnosis", diagnosis::to_json(status.diagnosis)}});
 }
 
 }  // namespace groma::daemon

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <nlohmann/json.hpp>
+
 namespace groma::diagnosis {
 
 Finding map_mismatch(std::optional<double> share) {
@@ -12,6 +14,16 @@ Finding map_mismatch(std::optional<double> share) {
           .remedy =
               "load the calibration of this site; if anchors were moved or renumbered since, drive and "
               "calibrate again (groma calibrate --update)"};
+}
+
+nlohmann::ordered_json to_json(std::span<const Finding> findings) {
+  auto out = nlohmann::ordered_json::array();
+  for (const Finding& finding : findings) {
+    nlohmann::ordered_json& json = out.emplace_back(nlohmann::ordered_json{
+        {"cause", finding.cause}, {"evidence", finding.evidence}, {"remedy", finding.remedy}});
+    if (finding.value) json["value"] = *finding.value;
+  }
+  return out;
 }
 
 }  // namespace groma::diagnosis

@@ -55,7 +55,7 @@ void MapWatch::observe(double t_s, double innovation_m, double variance_m2) noex
   if (t_s_ - fits_since_s_ >= kFitsFor_s && fitting_ranges_ >= kFitsForRanges) is_wrong_ = false;
 }
 
-void MapWatch::begin_anew() noexcept {
+void MapWatch::restart() noexcept {
   judged_ = 0.0;
   contradicting_ = 0.0;
   is_doubtful_ = false;

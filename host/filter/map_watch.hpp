@@ -15,8 +15,8 @@ class MapWatch {
  public:
   // innovation_m: measured less predicted; variance_m2: of the innovation without what the pose adds.
   void observe(double t_s, double innovation_m, double variance_m2) noexcept;
-  // The pose was found anew: what contradicted the one before counts no more.
-  void begin_anew() noexcept;
+  // Another pose was found: what contradicted the one before counts no more.
+  void restart() noexcept;
 
   // Share of ranges that contradict, fading over kWindow_s.
   [[nodiscard]] double share() const noexcept;

@@ -108,7 +108,6 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
         model::on_surface(*run.surface, estimate.pose, estimate.covariance_with_ground()));
   }
 
-  if (result.map_mismatch) result.map_mismatch->is_lasting = tracker->reason() == Reason::kMapMismatch;
   result.relocations = tracker->relocations();
   result.counters = tracker->filter().counters();
   if (result.counters.ranges_used > 0) nis_sum /= static_cast<double>(result.counters.ranges_used);

@@ -62,12 +62,11 @@ struct ReplayResult {
   };
   std::vector<RowState> states;  // of each row
   std::size_t relocations = 0;
-  // When the tracker first named a map mismatch, the share of ranges that contradicted the calibration then,
-  // and whether it did at the end; of a run for which no pose was found no row says so.
+  // When the tracker first named a map mismatch, and the share of ranges that contradicted the calibration
+  // then. Of a run for which no pose was found no row says so.
   struct MapMismatch {
     double t_s = 0.0;
     double share = 0.0;
-    bool is_lasting = false;
   };
   std::optional<MapMismatch> map_mismatch;
   std::vector<model::SpatialEstimate> spatial;  // of each row

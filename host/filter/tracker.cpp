@@ -93,8 +93,7 @@ Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
 
 bool Tracker::start(const Start& start, State state) noexcept {
   if (!begin(start, state)) return false;
-  by_odometry_ = filter_.filter().prediction();
-  by_odometry_->by_odometry_alone = true;
+  go_on_alone_from(filter_.filter().prediction());
   return true;
 }
 
@@ -118,8 +117,7 @@ void Tracker::resume(const Tracker& other) noexcept {
   last_row_s_ = other.last_row_s_;
   last_used_s_ = other.last_used_s_;
   tags_ = other.tags_;
-  by_odometry_ = other.prediction();
-  by_odometry_->by_odometry_alone = true;
+  go_on_alone_from(other.prediction());
   relocations_ = other.relocations_;
   clock_steps_ = other.clock_steps_;
   judge_anew();
@@ -192,11 +190,15 @@ Filter::Prediction Tracker::prediction() const noexcept {
   return is_on_wrong_map() ? *by_odometry_ : filter_.filter().prediction();
 }
 
+void Tracker::go_on_alone_from(const Filter::Prediction& prediction) noexcept {
+  by_odometry_ = prediction;
+  by_odometry_->by_odometry_alone = true;
+}
+
 void Tracker::carry_on(const MotionInput& input) noexcept {
   if (!filter_.started()) return;
   if (map_watch_.fits()) {
-    by_odometry_ = filter_.filter().prediction();
-    by_odometry_->by_odometry_alone = true;
+    go_on_alone_from(filter_.filter().prediction());
   } else if (by_odometry_) {
     filter_.filter().carry(*by_odometry_, input);
   }
@@ -205,8 +207,7 @@ void Tracker::carry_on(const MotionInput& input) noexcept {
 void Tracker::name_wrong_map() noexcept {
   if (!by_odometry_) {
     // Ranges alone told where the robot is: it may be anywhere.
-    by_odometry_ = filter_.filter().prediction();
-    by_odometry_->by_odometry_alone = true;
+    go_on_alone_from(filter_.filter().prediction());
     by_odometry_->covariance.grow(kX, square(reach_m_));
     by_odometry_->covariance.grow(kY, square(reach_m_));
     by_odometry_->covariance.grow(kTheta, square(std::numbers::pi) / 3.0);
@@ -461,7 +462,7 @@ void Tracker::begin_at(const StartSearch::Hypothesis& hypothesis) noexcept {
          .position_sigma_m = std::sqrt(largest_variance(hypothesis.covariance)),
          .heading_sigma_rad = std::sqrt(hypothesis.covariance(2, 2))},
         State::kConverging);
-  map_watch_.begin_anew();
+  map_watch_.restart();
   if (map_watch_.is_wrong()) name_wrong_map();
   search_.clear();
 }

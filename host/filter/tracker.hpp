@@ -153,6 +153,7 @@ class Tracker {
   [[nodiscard]] bool is_on_wrong_map() const noexcept { return map_watch_.is_wrong() && by_odometry_; }
   // The pose by odometry since the map last fitted, for where it turns out to be wrong.
   void carry_on(const MotionInput& input) noexcept;
+  void go_on_alone_from(const Filter::Prediction& prediction) noexcept;
   void name_wrong_map() noexcept;
   // Nothing has begun, and no pose explains the ranges since then.
   [[nodiscard]] bool finds_no_place() const noexcept;

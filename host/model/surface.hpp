@@ -97,7 +97,7 @@ class Surface {
 
   // Defined everywhere, outside the chart's domain and grid as each shape tells.
   [[nodiscard]] double height_m(double x_m, double y_m, int chart) const noexcept {
-    const auto& shape = charts_[static_cast<std::size_t>(chart)].shape;
+    const auto& shape = this->shape(chart);
     if (const auto* plane = std::get_if<Plane>(&shape)) return plane->at(x_m, y_m).z_m;
     return std::get_if<BSpline>(&shape)->height_m(x_m, y_m);
   }

@@ -67,17 +67,17 @@ TEST(MapWatch, TakesAKidnappedRobotForNoWrongMap) {
   Feed feed;
   feed.ranges(60.0, 0.02);
   feed.ranges(10.0, 0.9);
-  feed.watch.begin_anew();
+  feed.watch.restart();
   feed.ranges(30.0, 0.02);
   EXPECT_FALSE(feed.watch.is_wrong());
   EXPECT_TRUE(feed.watch.fits());
 }
 
-TEST(MapWatch, APoseFoundAnewDoesNotHideAWrongMap) {
+TEST(MapWatch, AnotherPoseDoesNotHideAWrongMap) {
   Feed feed;
   for (int i = 0; i < 6; ++i) {
     feed.ranges(4.0, 0.6);
-    feed.watch.begin_anew();
+    feed.watch.restart();
   }
   EXPECT_TRUE(feed.watch.is_wrong());
 }
