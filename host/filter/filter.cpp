@@ -223,11 +223,13 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
   result.innovation_m = range.range_m - measurement.range_m;
   result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  const Eigen::RowVector3d by_pose = measurement.d_core.head<3>();
-  const double pose_variance_m2 =
-      by_pose.lazyProduct(now_.covariance.core().topLeftCorner<3, 3>()).dot(by_pose);
-  result.map_variance_m2 =
-      std::max(result.innovation_variance_m2 - pose_variance_m2, square(now_.tuning.white_sigma_m()));
+  if (config_.model != Model::kOriginal) {
+    const Eigen::RowVector3d by_pose = measurement.d_core.head<3>();
+    const double pose_variance_m2 =
+        by_pose.lazyProduct(now_.covariance.core().topLeftCorner<3, 3>()).dot(by_pose);
+    result.map_variance_m2 =
+        std::max(result.innovation_variance_m2 - pose_variance_m2, square(now_.tuning.white_sigma_m()));
+  }
   const model::PowerClass powers = model::power_class(range);
   result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // weigh() then learns from this range
   result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,

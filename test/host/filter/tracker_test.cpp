@@ -346,6 +346,20 @@ TEST_P(TrackerTest, TakesOneMovedAnchorForNoWrongMap) {
   EXPECT_FALSE(lied());
 }
 
+// The source paper's model without biases: what they make of the ranges is not the map's fault.
+TEST_P(TrackerTest, BlamesNoMapForBiasesThatTheModelLeavesOut) {
+  Config config;
+  config.model = Model::kOriginal;
+  config.odometry = {0.03, 0.03, 0.01};
+  for (model::AnchorCalibration& anchor : calibration_.anchors) {
+    for (model::PairBias& pair : anchor.pairs) pair.beta_m += anchor.id % 2 == 0 ? 1.2 : 0.2;
+  }
+  tracker_ = std::make_unique<Tracker>(surface_, testing::three_tags(), calibration_, config);
+  tracker_->start({.t_s = 0.0, .pose = kHere});
+  run(drive(kHere));
+  for (const Moment& moment : moments_) EXPECT_NE(moment.reason, Reason::kMapMismatch);
+}
+
 TEST_P(TrackerTest, AllocatesNothing) {
   const testing::Drive first = drive(kHere, {.duration_s = 5.0, .range_s = 0.01});
   const testing::Drive second = drive({-6.0, 5.0, -2.0}, {.duration_s = 10.0, .range_s = 0.01});
