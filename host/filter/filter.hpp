@@ -69,12 +69,12 @@ struct RangeResult {
   double innovation_m = 0.0;            // measured less predicted
   double innovation_variance_m2 = 0.0;  // S, before any weight
   double nis = 0.0;                     // innovation^2 / S
-  // Of S, what is not by the pose: noise, biases, anchors. NaN with the original model: without biases, ranges
-  // say nothing of the map.
+  // Of S, what is not by the pose: noise, biases, anchors. NaN with the original model: without biases,
+  // ranges say nothing of the map.
   double map_variance_m2 = std::numeric_limits<double>::quiet_NaN();
-  double weight = 0.0;                  // 0 gated, 1 full
-  double blocked = 0.0;                 // probability that the pair is, from its past and this range
-  double hint_ratio = 1.0;              // likelihood of its powers if blocked, over that if in sight
+  double weight = 0.0;      // 0 gated, 1 full
+  double blocked = 0.0;     // probability that the pair is, from its past and this range
+  double hint_ratio = 1.0;  // likelihood of its powers if blocked, over that if in sight
   Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // what x, y, theta were moved by
 };
 
