@@ -45,28 +45,25 @@ constexpr double kShort_m = 0.3;
 // At most, from where every anchor is on its better side until all of them rest.
 constexpr int kLastRounds = 10;
 
-double finite_or(double value, double fallback) {
-  return std::isfinite(value) ? value : fallback;
-}
-
 model::RangePriors usable_priors(const model::RangePriors& given) {
   const model::RangePriors fallback;
   const auto sigma = [](double value, double instead) {
     return std::max(std::isfinite(value) && value > 0.0 ? value : instead, 1e-6);
   };
-  model::RangePriors out;
-  out.sigma_m = std::max(sigma(given.sigma_m, fallback.sigma_m), 1e-3);
-  out.beta_m = {finite_or(given.beta_m.mean, fallback.beta_m.mean),
-                sigma(given.beta_m.sigma, fallback.beta_m.sigma)};
-  out.gamma = {finite_or(given.gamma.mean, fallback.gamma.mean),
-               sigma(given.gamma.sigma, fallback.gamma.sigma)};
+  const auto usable = [&](const model::ScalarPrior& prior, const model::ScalarPrior& instead) {
+    return model::ScalarPrior{std::isfinite(prior.mean) ? prior.mean : instead.mean,
+                              sigma(prior.sigma, instead.sigma)};
+  };
+  model::RangePriors out{.sigma_m = std::max(sigma(given.sigma_m, fallback.sigma_m), 1e-3),
+                         .beta_m = usable(given.beta_m, fallback.beta_m),
+                         .gamma = usable(given.gamma, fallback.gamma)};
   if (!(out.gamma.mean > 0.1)) out.gamma.mean = fallback.gamma.mean;
   return out;
 }
 
 double held_out_from(const Association& association) {
   double begin_s = std::numeric_limits<double>::infinity();
-  double end_s = -std::numeric_limits<double>::infinity();
+  double end_s = -begin_s;
   for (const AnchorObservations& anchor : association.anchors) {
     if (anchor.rows.empty()) continue;
     begin_s = std::min(begin_s, anchor.rows.front().t_s);
@@ -274,8 +271,8 @@ bool poses_show_moves(const Association& association) {
 }
 
 void find_sight(Site& site) {
-  if (is_sight_wanted(site.polls, site.fits))
-    site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
+  if (!is_sight_wanted(site.polls, site.fits)) return;
+  site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
 }
 
 Site solve_at_height(const Drive& drive, const Options& options, HeightSource height, bool find_moves) {

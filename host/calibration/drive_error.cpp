@@ -259,16 +259,6 @@ bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span
   return false;
 }
 
-Eigen::Vector2d mean_antenna_m(std::span<const AnchorFit> fits) {
-  Eigen::Vector2d sum_m = Eigen::Vector2d::Zero();
-  double n = 0.0;
-  for (const AnchorFit& fit : fits) {
-    for (const Observation& row : fit.problem.rows) sum_m += row.tag_m.head<2>();
-    n += static_cast<double>(fit.problem.rows.size());
-  }
-  return n > 0.0 ? Eigen::Vector2d(sum_m / n) : sum_m;
-}
-
 // Covariance of the mean of all knots, and what no range can tell, about the map's origin.
 void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span<const AnchorFit> fits,
                 DriveError& out) {
@@ -276,7 +266,14 @@ void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span
                   [](const AnchorFit& fit) { return fit.problem.position.surveyed; })) {
     return;
   }
-  const Eigen::Vector2d center_m = mean_antenna_m(fits);
+  if (model::is_ablated(model::Mechanism::kCalibrationFrame)) return;
+  Eigen::Vector2d center_m = Eigen::Vector2d::Zero();
+  double rows = 0.0;
+  for (const AnchorFit& fit : fits) {
+    for (const Observation& row : fit.problem.rows) center_m += row.tag_m.head<2>();
+    rows += static_cast<double>(fit.problem.rows.size());
+  }
+  if (rows > 0.0) center_m /= rows;
   Eigen::Matrix3d mean = Eigen::Matrix3d::Zero();
   const double knots_squared = static_cast<double>(knots.count * knots.count);
   for (Eigen::Index i = 0; i < knots.count; ++i) {
@@ -286,7 +283,6 @@ void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span
   Eigen::Matrix4d about_center = Eigen::Matrix4d::Zero();
   about_center.topLeftCorner<2, 2>() = mean.topLeftCorner<2, 2>();
   about_center(3, 3) = mean(2, 2);
-  if (model::is_ablated(model::Mechanism::kCalibrationFrame)) return;
   const double square_m2 = kDriveFrameSigma_m * kDriveFrameSigma_m;
   const Eigen::Vector4d unseen(square_m2, square_m2, square_m2, kFrameSigma_rad * kFrameSigma_rad);
   // A turn about the center is a turn about the origin and the shift that takes the center back.
@@ -330,9 +326,7 @@ Eigen::MatrixXd pull_of_own_pattern(const AnchorFit& fit) {
     Eigen::Matrix<double, 1, model::kPatternTerms + kThirdDegreeTerms> terms;
     terms << model::pattern_terms(at.predicted.direction).transpose(),
         third_degree_terms(at.predicted.direction).transpose();
-    out.topRows<3>() += j.head<3>() * terms;
-    out.row(beta_index(row.tag)) += j(3) * terms;
-    out.row(gamma_index(row.tag, tags)) += j(4) * terms;
+    out(pair_index(row.tag, tags), Eigen::all) += j * terms;
   }
   if (fit.problem.position.surveyed) out.topRows<3>().setZero();
   return out;

@@ -373,19 +373,18 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
   return out;
 }
 
-Shift shift_to_next(const Pieces& pieces, std::size_t piece) {
+// To the next piece; none where that is no move.
+std::optional<Shift> clear_shift(const Pieces& pieces, std::size_t piece) {
   const Eigen::Index size = wall_index(pieces.fits[piece].problem.tag_count);
   // Residuals that are correlated in one piece are so in the other, though it may be too short to show it.
   const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
   const auto covariance = [&](std::size_t i) -> Eigen::MatrixXd {
     return anchor_covariance(pieces.evidence[i], inflation).topLeftCorner(size, size);
   };
-  return shift_between(pieces.fits[piece].anchor.head(size), covariance(piece),
-                       pieces.fits[piece + 1].anchor.head(size), covariance(piece + 1));
-}
-
-bool is_move(const Shift& shift) {
-  return shift.square_sigmas > kMinSquareSigmas && shift.by_m.head<2>().norm() > kMinMove_m;
+  const Shift shift = shift_between(pieces.fits[piece].anchor.head(size), covariance(piece),
+                                    pieces.fits[piece + 1].anchor.head(size), covariance(piece + 1));
+  const bool moved = shift.square_sigmas > kMinSquareSigmas && shift.by_m.head<2>().norm() > kMinMove_m;
+  return moved ? std::optional(shift) : std::nullopt;
 }
 
 // By how much more one place for both pieces costs than each its own, twice, as chi square has it:
@@ -421,17 +420,15 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
     const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
     if (rows < kLeastRowsByThemselves * pieces.inflation[i]) return std::nullopt;
   }
-  Shift shift = shift_to_next(pieces, piece);
-  if (!is_move(shift)) return std::nullopt;
+  if (!clear_shift(pieces, piece)) return std::nullopt;
   // Not so where one of the two has but settled on another side of the tags.
   for (const std::size_t i : {piece, piece + 1}) {
     challenge_both(pieces.fits[i]);
     pieces.evidence[i] = gather_evidence(pieces.fits[i]);
   }
-  shift = shift_to_next(pieces, piece);
-  if (!is_move(shift)) return std::nullopt;
+  std::optional<Shift> shift = clear_shift(pieces, piece);
   const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
-  if (excess_of_one_place(pieces, piece) < kMinSquareSigmas * inflation) return std::nullopt;
+  if (shift && excess_of_one_place(pieces, piece) < kMinSquareSigmas * inflation) return std::nullopt;
   return shift;
 }
 

@@ -96,8 +96,10 @@ std::vector<double> hints_of(std::span<const model::PowerClass> classes,
   return out;
 }
 
-std::size_t count_rows(std::span<const Poll> polls) {
-  return static_cast<std::size_t>(std::count_if(polls.begin(), polls.end(), [](Poll p) { return p >= 0; }));
+// Of each poll that has a row, were its residual not known.
+std::vector<SightVector> no_residuals(std::span<const Poll> polls) {
+  const auto rows = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
+  return std::vector<SightVector>(static_cast<std::size_t>(rows), SightVector::Ones());
 }
 
 // Ranges too long that come one after the other, and are not as often too short.
@@ -142,13 +144,12 @@ double log_evidence_of_losses(std::span<const Poll> polls) {
 // Replies that are missing here and there are lost by chance: blocking has to tell better why they are.
 bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll>> pairs) {
   SightPosterior posterior;
-  std::vector<SightVector> likelihoods;
   const SightVector believed = chain.reply;
   for (const std::vector<Poll>& polls : pairs) {
     if (polls.size() < kMinPolls) continue;
     const auto is_answered = [](Poll poll) { return poll >= 0 || poll == kReplied; };
     if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
-    likelihoods.assign(count_rows(polls), SightVector::Ones());
+    const std::vector<SightVector> likelihoods = no_residuals(polls);
     chain.reply = believed;
     infer_sight(chain, polls, likelihoods, {}, posterior);
     if (poll_shares(posterior.answered, posterior.missed)(kInSight) >= 1.0 - kBlockedByReplies) continue;
@@ -418,8 +419,8 @@ std::vector<bool> rows_in_sight(const SightModel& model, std::span<const std::ve
   std::vector<bool> out(rows.size(), false);
   SightPosterior posterior;
   for (const std::vector<Poll>& polls : pairs) {
-    const std::vector<SightVector> likelihoods(count_rows(polls), SightVector::Ones());
-    infer_sight(model.chain, polls, likelihoods, hints_of(classes_of(polls, rows), model.powers), posterior);
+    infer_sight(model.chain, polls, no_residuals(polls), hints_of(classes_of(polls, rows), model.powers),
+                posterior);
     std::size_t i = 0;
     for (const Poll poll : polls) {
       if (poll < 0) continue;

@@ -198,11 +198,12 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
-    const RowAt at = row_at(fit, row);
+    const double r = residual_m(row, fit.anchor, tags);
     // The more a range is blurred by its pose, the less it says of the kernel's variance.
-    const double share = at.noise_share;
-    out[row.tag].push_back(
-        {.residual_m = share * at.residual_m, .weight = share * share * share * share * at.value.seen_share});
+    const double share = noise_share(fit.kernels[row.tag], pose_variance_m2(row, fit.anchor, tags));
+    double weight = share * share * share * share;
+    if (fit.problem.sight != nullptr) weight *= row_at(fit, row).value.seen_share;
+    out[row.tag].push_back({.residual_m = share * r, .weight = weight});
   }
   return out;
 }
@@ -523,16 +524,14 @@ std::vector<AnchorFit> solve_site(const SiteProblem& site, std::span<const Ancho
 
     const std::size_t index = fits.size() - 1;
     const bool was_solved = index < earlier.size() && 2 * earlier[index].problem.rows.size() > rows.size();
-    if (was_solved && !fit.problem.position.surveyed) {
-      if (is_contradicted(earlier[index], rows)) {
-        find_start_beside(earlier[index], fit);
-        continue;
-      }
+    if (!was_solved || fit.problem.position.surveyed) {
+      find_start(fit);
+    } else if (is_contradicted(earlier[index], rows)) {
+      find_start_beside(earlier[index], fit);
+    } else {
       fit.anchor = earlier[index].anchor;
       fit.kernels = earlier[index].kernels;
-      continue;
     }
-    find_start(fit);
   }
   refine_site(fits, earlier.empty() ? kFirstRounds : kWarmRounds);
   return fits;

@@ -212,13 +212,11 @@ Evidence gather_evidence(const AnchorFit& fit) {
     pair.square_slope += value.slope * value.slope;
 
     const double elapsed_s = std::max(0.0, row.t_s - begin_s);
-    auto score = scores.row(std::min(blocks - 1, static_cast<Eigen::Index>(elapsed_s / block_s)));
-    for (Eigen::Index axis = 0; axis < 3; ++axis) score(axis) += value.slope * at.j(axis);
-    score(beta_index(row.tag)) += value.slope;
-    score(gamma_index(row.tag, tags)) += value.slope * at.j(4);
+    const Eigen::Index block = std::min(blocks - 1, static_cast<Eigen::Index>(elapsed_s / block_s));
+    scores(block, pair_index(row.tag, tags)) += value.slope * at.j.transpose();
     if (!(whole.wall_weight > 0.0)) continue;
     const WallRow walled(at.j, problem.sight->rows[row.index], row.tag, tags);
-    walled.add(whole.wall_slope, score.transpose());
+    walled.add(whole.wall_slope, scores.row(block).transpose());
     walled.add_square(whole.wall_weight, out.information);
     walled.add_square(whole.wall_slope * whole.wall_slope, out.score_variance);
   }
