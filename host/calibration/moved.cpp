@@ -98,14 +98,15 @@ Stretch largest_stretch(std::span<const double> values) {
   return best;
 }
 
+// By how much each row prefers the anchor `there`, in cost with the kernels of `here`.
 std::vector<double> preferences(std::span<const Observation> rows, const AnchorFit& here,
-                                const AnchorFit& there) {
+                                const AnchorVector& there) {
   const std::size_t tags = here.problem.tag_count;
   std::vector<double> out;
   out.reserve(rows.size());
   for (const Observation& row : rows) {
     const RobustKernel& kernel = here.kernels[row.tag];
-    out.push_back(std::log(kernel.at(residual_m(row, there.anchor, tags)).density /
+    out.push_back(std::log(kernel.at(residual_m(row, there, tags)).density /
                            kernel.at(residual_m(row, here.anchor, tags)).density));
   }
   return out;
@@ -190,7 +191,7 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
     apart_m = apart_in_range_m(inside, here, there);
     out.usual_place_m = here.anchor.head<3>();
     out.place_m = there.anchor.head<3>();
-    prefer_there = preferences(rows, here, there);
+    prefer_there = preferences(rows, here, there.anchor);
     const Stretch before = std::exchange(stretch, widened(rows, largest_stretch(prefer_there)));
     if (stretch == before) break;
   }
@@ -202,8 +203,8 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
   return prefers_each(prefer_there, stretch) ? std::optional(out) : std::nullopt;
 }
 
-// Where the rows that the fit rejects have a place in common, far from the fit's.
-std::optional<AnchorFit> find_far_place(const AnchorFit& fit) {
+// The solution of the rows that the fit rejects, where these have a place in common far from the fit's.
+std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   AnchorFit far;
   far.problem = fit.problem;
   far.problem.sight = nullptr;
@@ -225,14 +226,14 @@ std::optional<AnchorFit> find_far_place(const AnchorFit& fit) {
   });
   if (static_cast<double>(explained) < kExplainedShare * static_cast<double>(rejected.size()))
     return std::nullopt;
-  return far;
+  return far.anchor;
 }
 
 // None where one place explains the rows as well. The fit's kernels and solution are a start and a scale.
 std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
   const std::size_t rows = fit.problem.rows.size();
   if (rows < 2 * kLeastStretchRows) return std::nullopt;
-  if (const std::optional<AnchorFit> far = find_far_place(fit)) {
+  if (const std::optional<AnchorVector> far = find_far_place(fit)) {
     std::vector<double> prefer = preferences(fit.problem.rows, fit, *far);
     Stretch stretch = largest_stretch(prefer);
     double torn = torn_share(prefer, stretch);
@@ -245,7 +246,7 @@ std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
     }
     if (torn > kTornShare) {
       return SecondPlace{.stretch = stretch,
-                         .place_m = far->anchor.head<3>(),
+                         .place_m = far->head<3>(),
                          .usual_place_m = fit.anchor.head<3>(),
                          .torn_share = torn};
     }
