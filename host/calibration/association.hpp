@@ -8,7 +8,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-#include "host/calibration/calibrate.hpp"
+#include "host/calibration/drive.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/power_class.hpp"
 

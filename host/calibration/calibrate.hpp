@@ -4,27 +4,15 @@
 
 #include <cstddef>
 #include <limits>
-#include <span>
 #include <vector>
 
 #include <Eigen/Core>
 
+#include "host/calibration/drive.hpp"
 #include "host/model/calibration.hpp"
-#include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {
-
-// The drive. All spans are sorted by time and outlive the call.
-struct Drive {
-  std::span<const model::RangeSample> ranges;
-  std::span<const model::PoseSample> poses;
-  std::span<const model::Tag> tags;
-  const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
-  model::RangePriors priors;
-  std::span<const model::AnchorRange> anchor_ranges;  // of a survey, in any order; may be empty
-  std::span<const model::Anchor> known_anchors;       // surveyed: their biases alone are estimated
-};
 
 struct Options {
   // An earlier calibration of the site; outlives the call. Where the drive leaves open on which side of the

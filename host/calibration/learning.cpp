@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "host/calibration/verdict.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/samples.hpp"
 
@@ -39,9 +40,7 @@ bool is_usable(double t_s) noexcept {
   return std::abs(t_s) < 1e12;  // false for what is no number
 }
 
-// What the verdict asks for (verdict.cpp), at least.
-constexpr double kNeededRanges = 30.0;
-constexpr double kNeededSigma_m = 0.30;
+// The coverage of an anchor whose verdict does not let it be used, at most.
 constexpr double kAlmost = 0.99;
 // Of one anchor in a step: of those that a robot measures where it stands for long, most tell nothing new.
 constexpr std::size_t kMostAnchorRanges = 4000;
@@ -218,9 +217,9 @@ bool carries(const model::AnchorCalibration& anchor) noexcept {
 double coverage(const model::AnchorCalibration& anchor) {
   if (carries(anchor)) return 1.0;
   if (!model::has_position(anchor)) return 0.0;
-  double share = std::min(kAlmost, static_cast<double>(anchor.ranges_used) / kNeededRanges);
+  double share = std::min(kAlmost, static_cast<double>(anchor.ranges_used) / static_cast<double>(kMinRanges));
   const double variance_m2 = std::max(anchor.covariance(0, 0), anchor.covariance(1, 1));
-  if (variance_m2 > 0.0) share = std::min(share, kNeededSigma_m * kNeededSigma_m / variance_m2);
+  if (variance_m2 > 0.0) share = std::min(share, kWeakSigma_m * kWeakSigma_m / variance_m2);
   return share;
 }
 

@@ -7,19 +7,13 @@
 #include <string>
 #include <utility>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
-
-#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
 
 using model::AnchorVerdict;
 
-constexpr std::size_t kMinRanges = 30;
-// Sigmas that a filter can live with; beyond them the position is a hint and no more.
-constexpr double kWeakSigma_m = 0.30;
 constexpr double kWeakSigmaZ_m = 0.20;
 constexpr double kBlockedWeakSigmaZ_m = 0.15;
 // Sigmas also grow with the site: a sixtieth of the distance at which the anchor is used.
@@ -27,23 +21,10 @@ constexpr double kWeakSigmaShare = 1.0 / 60.0;
 constexpr double kMinInSightShare = 0.3;
 constexpr double kBlockedScaleRatio = 1.2;
 constexpr double kBlockedCountRatio = 0.75;
-// Excess that walls between an anchor and all of a drive share, and how it differs from place to place.
-constexpr double kWallSigma_m = 0.5;
-constexpr double kWallVariation_m = 0.25;
 // Of the polls; below it an anchor is never, or hardly, in sight.
 constexpr double kNeverInSight = 0.10;
 constexpr double kHardlyInSight = 0.30;
-// By how much the excess of walls that are known as such differs, in common and from place to place.
-constexpr double kWallDiffers_m = 0.15;
-constexpr double kWallPlaces_m = 0.10;
-// NLOS ranges that pass for LOS move the position by kMisjudged_m times the share of NLOS ranges, by
-// kMostMisjudged_m at most; a beta by a share of that. From seeds 1 to 20 of the demonstration: with 0.12 m
-// the NEES of the anchors in sight is 1.0.
-constexpr double kMisjudged_m = 0.12;
-constexpr double kMostMisjudged_m = 0.012;
-constexpr double kMisjudgedBeta = 0.4;
 // Shares of ranges that no wall explains: the anchor's geometry is not what the ranges say.
-constexpr double kTornSigma_m = 0.3;
 constexpr double kFarLimit = 0.06;
 constexpr double kShortLimit = 0.03;
 constexpr double kTwoAnchors = 0.4;
@@ -83,36 +64,6 @@ constexpr double kPlausibleExcess = 6.0;
 
 bool is_plausible(const std::optional<Rival>& rival, double inflation) {
   return rival && rival->cost_excess < kPlausibleExcess * inflation;
-}
-
-bool is_hardly_in_sight(const AnchorEvidence& evidence) {
-  return evidence.sight && evidence.sight->polls_are_told && evidence.sight->polls(kInSight) < kHardlyInSight;
-}
-
-bool contradicts_itself(const AnchorEvidence& evidence) {
-  return evidence.sight &&
-         (evidence.sight->far_share > kFarLimit || evidence.sight->short_share > kShortLimit);
-}
-
-// A bias of all betas at once, of this sigma, and what follows of it for the rest.
-void add_common_bias(double sigma_m, double position_sigma_m, std::size_t tag_count,
-                     Eigen::MatrixXd& covariance) {
-  const auto tags = static_cast<Eigen::Index>(tag_count);
-  const Eigen::LDLT<Eigen::MatrixXd> biases(covariance.block(3, 3, tags, tags));
-  const Eigen::VectorXd response =
-      sigma_m * covariance.middleCols(3, tags) * biases.solve(Eigen::VectorXd::Ones(tags));
-  if (response.allFinite()) covariance += response * response.transpose();
-  covariance.diagonal().head<3>().array() += position_sigma_m * position_sigma_m;
-}
-
-// Whether its ranges, all or nearly all, are NLOS: they are then noisier than the others' and fewer get
-// through, while the excess that they have in common passes for a bias.
-bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
-  if (evidence.sight && evidence.sight->polls_are_told) {
-    return evidence.sight->polls(kInSight) < kNeverInSight;
-  }
-  if (evidence.in_sight_share < kMinInSightShare) return true;
-  return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
 }
 
 struct Opinion {
@@ -212,22 +163,21 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
 
 }  // namespace
 
-void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance) {
-  if (tag_count == 0 || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return;
-  if (!evidence.sight) {
-    if (is_never_in_sight(evidence)) add_common_bias(kWallSigma_m, kWallVariation_m, tag_count, covariance);
-    return;
+bool is_hardly_in_sight(const AnchorEvidence& evidence) noexcept {
+  return evidence.sight && evidence.sight->polls_are_told && evidence.sight->polls(kInSight) < kHardlyInSight;
+}
+
+bool contradicts_itself(const AnchorEvidence& evidence) noexcept {
+  return evidence.sight &&
+         (evidence.sight->far_share > kFarLimit || evidence.sight->short_share > kShortLimit);
+}
+
+bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
+  if (evidence.sight && evidence.sight->polls_are_told) {
+    return evidence.sight->polls(kInSight) < kNeverInSight;
   }
-  const double misjudged_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - evidence.in_sight_share));
-  covariance.diagonal().head<3>().array() += model::square(misjudged_m);
-  covariance.diagonal().segment(3, static_cast<Eigen::Index>(tag_count)).array() +=
-      model::square(kMisjudgedBeta * misjudged_m);
-  if (contradicts_itself(evidence)) add_common_bias(kTornSigma_m, kTornSigma_m, tag_count, covariance);
-  if (is_never_in_sight(evidence) || is_hardly_in_sight(evidence)) {
-    // What its own walls add is in the covariance already, unless they passed for shadows.
-    const double sigma_m = kWallDiffers_m + evidence.sight->wall_excess_m * evidence.sight->polls(kShadow);
-    add_common_bias(sigma_m, kWallPlaces_m, tag_count, covariance);
-  }
+  if (evidence.in_sight_share < kMinInSightShare) return true;
+  return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
 }
 
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {

@@ -14,6 +14,11 @@
 
 namespace groma::calibration {
 
+// Fewer ranges say nothing of an anchor.
+inline constexpr std::size_t kMinRanges = 30;
+// Horizontal sigma that a filter can live with; beyond it the position is a hint and no more.
+inline constexpr double kWeakSigma_m = 0.30;
+
 // How an anchor was seen, where the site was solved with each row's sight.
 struct SightEvidence {
   SightVector polls = SightVector::Zero();  // share of its polls in each state
@@ -49,10 +54,12 @@ struct AnchorEvidence {
   std::optional<SightEvidence> sight;
 };
 
-// What walls can add to each bias of an anchor that is never or hardly in sight, and what follows of it for
-// position and range-dependent biases; and what remains of rows whose sight was misjudged. The covariance:
-// (position, beta, gamma) of tag_count tags.
-void admit_blocking(const AnchorEvidence& evidence, std::size_t tag_count, Eigen::MatrixXd& covariance);
+// Whether its ranges, all or nearly all, are NLOS: they are then noisier than the others' and fewer get
+// through, while the excess that they have in common passes for a bias.
+[[nodiscard]] bool is_never_in_sight(const AnchorEvidence& evidence) noexcept;
+[[nodiscard]] bool is_hardly_in_sight(const AnchorEvidence& evidence) noexcept;
+// Whether more of its ranges are too long, or too short, than NLOS explains, as reflections are.
+[[nodiscard]] bool contradicts_itself(const AnchorEvidence& evidence) noexcept;
 
 // Fills verdict and advice from the anchor's covariance and the evidence.
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor);

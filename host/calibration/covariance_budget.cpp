@@ -1,0 +1,232 @@
+#include "host/calibration/covariance_budget.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include <Eigen/Cholesky>
+
+#include "host/calibration/uncertainty.hpp"
+#include "host/model/ablation.hpp"
+#include "host/model/calibration.hpp"
+
+namespace groma::calibration {
+namespace {
+
+using model::square;
+
+// The jackknife is asked where the score scatters so many times more than independent residuals make it.
+constexpr double kCorrelatedInflation = 1.5;
+// An anchor is not further off than so many times its nearest range.
+constexpr double kReachFactor = 2.0;
+// NLOS ranges that pass for LOS move the position by kMisjudged_m times the share of NLOS ranges, by
+// kMostMisjudged_m at most; a beta by a share of that. From seeds 1 to 20 of the demonstration: with 0.12 m
+// the NEES of the anchors in sight is 1.0.
+constexpr double kMisjudged_m = 0.12;
+constexpr double kMostMisjudged_m = 0.012;
+constexpr double kMisjudgedBeta = 0.4;
+// Of ranges that contradict each other.
+constexpr double kTornSigma_m = 0.3;
+// Excess that walls between an anchor and all of a drive share, and how it differs from place to place: where
+// nothing is known of the walls, and where their excess was estimated.
+constexpr double kWallSigma_m = 0.5;
+constexpr double kWallVariation_m = 0.25;
+constexpr double kWallDiffers_m = 0.15;
+constexpr double kWallPlaces_m = 0.10;
+// Square sigmas between the heights by the drive's beginning and by all of it: chi square with one degree of
+// freedom, 99.9 %.
+constexpr double kHeightChiSquare = 10.8;
+
+// What the terms of one anchor are made from.
+struct Anchor {
+  const Site& site;
+  std::size_t index;
+  const AnchorFit& fit;
+  const AnchorEvidence& known;
+  Eigen::Index tags;
+  Eigen::MatrixXd so_far;  // sum of the terms before
+
+  [[nodiscard]] bool surveyed() const noexcept { return fit.problem.position.surveyed; }
+  [[nodiscard]] Eigen::MatrixXd nothing() const {
+    return Eigen::MatrixXd::Zero(so_far.rows(), so_far.cols());
+  }
+  [[nodiscard]] Eigen::MatrixXd of_position(const Eigen::Matrix3d& covariance_m2) const {
+    Eigen::MatrixXd out = nothing();
+    out.topLeftCorner<3, 3>() = covariance_m2;
+    return out;
+  }
+};
+// Empty where the term does not apply.
+using Adds = Eigen::MatrixXd;
+
+// A bias of all betas at once, of this sigma, and what follows of it for the rest.
+Adds common_bias(const Anchor& anchor, double sigma_m) {
+  if (anchor.tags == 0) return {};
+  const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.so_far.block(3, 3, anchor.tags, anchor.tags));
+  const Eigen::VectorXd response =
+      sigma_m * anchor.so_far.middleCols(3, anchor.tags) * biases.solve(Eigen::VectorXd::Ones(anchor.tags));
+  if (!response.allFinite()) return {};
+  return response * response.transpose();
+}
+
+Adds place_to_place(const Anchor& anchor, double sigma_m) {
+  return anchor.of_position(square(sigma_m) * Eigen::Matrix3d::Identity());
+}
+
+// Which part of the drive the anchor was solved from.
+Adds parts_of_drive(const Anchor& anchor) {
+  if (!anchor.site.has_sight() && anchor.known.inflation <= kCorrelatedInflation) return {};
+  const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(anchor.fit);
+  if (!jackknife) return {};
+  const Eigen::Index size = anchor.so_far.rows();
+  const Evidence& evidence = anchor.site.error.evidence[anchor.index];
+  return excess_of_jackknife(*jackknife,
+                             anchor_covariance(evidence, anchor.known.inflation).topLeftCorner(size, size));
+}
+
+// Negative. Where ranges leave a direction open, as z of an anchor at the tags' own height, the covariance
+// has no bound; but no anchor is further off than its ranges are long. As one more observation of where it
+// is.
+Adds reach(const Anchor& anchor) {
+  if (model::is_ablated(model::Mechanism::kCalibrationReach)) return {};
+  if (anchor.fit.problem.rows.empty() || anchor.surveyed()) return {};
+  const double sigma_m = kReachFactor * anchor.known.nearest_m;
+  const Eigen::Matrix3d sum =
+      anchor.so_far.topLeftCorner<3, 3>() + square(sigma_m) * Eigen::Matrix3d::Identity();
+  const Eigen::MatrixXd by_position = anchor.so_far.leftCols<3>();
+  const Eigen::MatrixXd less = by_position * sum.ldlt().solve(by_position.transpose());
+  if (!less.allFinite()) return {};
+  return -0.5 * (less + less.transpose());
+}
+
+Adds misjudged_sight(const Anchor& anchor) {
+  if (!anchor.known.sight || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return {};
+  const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - anchor.known.in_sight_share));
+  Adds out = anchor.nothing();
+  out.diagonal().head<3>().setConstant(square(sigma_m));
+  out.diagonal().segment(3, anchor.tags).setConstant(square(kMisjudgedBeta * sigma_m));
+  return out;
+}
+
+bool is_contradiction(const Anchor& anchor) {
+  return anchor.tags > 0 && contradicts_itself(anchor.known) &&
+         !model::is_ablated(model::Mechanism::kCalibrationBlocking);
+}
+
+Adds contradiction(const Anchor& anchor) {
+  return is_contradiction(anchor) ? common_bias(anchor, kTornSigma_m) : Adds();
+}
+
+Adds contradiction_by_place(const Anchor& anchor) {
+  return is_contradiction(anchor) ? place_to_place(anchor, kTornSigma_m) : Adds();
+}
+
+// Whether all or nearly all ranges come through walls.
+bool is_behind_walls(const Anchor& anchor) {
+  return anchor.tags > 0 && (is_never_in_sight(anchor.known) || is_hardly_in_sight(anchor.known)) &&
+         !model::is_ablated(model::Mechanism::kCalibrationBlocking);
+}
+
+Adds walls(const Anchor& anchor) {
+  if (!is_behind_walls(anchor)) return {};
+  const std::optional<SightEvidence>& sight = anchor.known.sight;
+  if (!sight) return common_bias(anchor, kWallSigma_m);
+  // What its own walls add is in the covariance already, unless they passed for shadows.
+  return common_bias(anchor, kWallDiffers_m + sight->wall_excess_m * sight->polls(kShadow));
+}
+
+Adds walls_by_place(const Anchor& anchor) {
+  if (!is_behind_walls(anchor)) return {};
+  return place_to_place(anchor, anchor.known.sight ? kWallPlaces_m : kWallVariation_m);
+}
+
+Adds across_plane(const Anchor& anchor) {
+  if (!anchor.known.mirror) return {};
+  return anchor.of_position(rival_spread(*anchor.known.mirror, anchor.fit, anchor.known.inflation));
+}
+
+Adds across_line(const Anchor& anchor) {
+  if (!anchor.known.side) return {};
+  return anchor.of_position(rival_spread(*anchor.known.side, anchor.fit, anchor.known.inflation));
+}
+
+// Whether the one is about as far below the tags as the other is above: the mirror test decides then.
+bool is_mirrored(const AnchorFit& first, const AnchorFit& whole, const TagSpread& spread) {
+  const double mirrored_m = 2.0 * spread.center_m.z() - whole.anchor(2);
+  return std::abs(first.anchor(2) - mirrored_m) < 0.5 * std::abs(mirrored_m - whole.anchor(2));
+}
+
+// The first part of the drive by itself gave another height than all of it: where they contradict each other,
+// either may be as wrong as they are apart.
+Adds height_of_beginning(const Anchor& anchor) {
+  if (model::is_ablated(model::Mechanism::kCalibrationShift)) return {};
+  const AnchorFit& first = anchor.site.beginning[anchor.index];
+  if (anchor.site.has_sight() || anchor.known.moved || anchor.surveyed() ||
+      2 * first.problem.rows.size() <= anchor.fit.problem.rows.size() ||
+      is_mirrored(first, anchor.fit, anchor.known.spread)) {
+    return {};
+  }
+  const double shift_m = anchor.fit.anchor(2) - first.anchor(2);
+  const double variance_m2 =
+      std::max(2.0 * anchor.so_far(2, 2), anchor.site.held_out[anchor.index].height_variance_m2);
+  if (!(square(shift_m) > kHeightChiSquare * variance_m2)) return {};
+  return anchor.of_position(Eigen::Vector3d(0.0, 0.0, square(shift_m)).asDiagonal());
+}
+
+// What all anchors have in common and no range can tell.
+Adds frame(const Anchor& anchor) {
+  const Eigen::Matrix<double, 3, 4> by_frame = model::place_by_frame(anchor.fit.anchor.head<3>());
+  const Eigen::Matrix3d shared = by_frame * anchor.site.error.unseen_frame_covariance * by_frame.transpose();
+  return anchor.of_position(0.5 * (shared + shared.transpose()));
+}
+
+struct Rule {
+  const char* name;
+  Adds (*adds)(const Anchor& anchor);
+};
+// In this order: reach, walls and heights depend on the sum of those before.
+constexpr std::array kRules{
+    Rule{"parts of the drive (jackknife)", parts_of_drive},
+    Rule{"reach of the ranges", reach},
+    Rule{"misjudged sight", misjudged_sight},
+    Rule{"ranges that contradict each other: biases", contradiction},
+    Rule{"ranges that contradict each other: position", contradiction_by_place},
+    Rule{"walls: their common excess", walls},
+    Rule{"walls: excess from place to place", walls_by_place},
+    Rule{"mirror side across the plane", across_plane},
+    Rule{"mirror side across the line", across_line},
+    Rule{"height by the drive's beginning", height_of_beginning},
+    Rule{"frame of the poses", frame},
+};
+
+}  // namespace
+
+std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t anchor,
+                                          const Eigen::MatrixXd& solved) {
+  const AnchorFit& fit = site.fits[anchor];
+  const Eigen::Index size = wall_index(fit.problem.tag_count);
+  Anchor inputs{.site = site,
+                .index = anchor,
+                .fit = fit,
+                .known = site.evidence[anchor],
+                .tags = static_cast<Eigen::Index>(fit.problem.tag_count),
+                .so_far = solved.topLeftCorner(size, size)};
+  std::vector<BudgetTerm> out{{.name = "ranges", .adds = inputs.so_far}};
+  for (const Rule& rule : kRules) {
+    Eigen::MatrixXd adds = rule.adds(inputs);
+    if (adds.size() == 0) continue;
+    inputs.so_far += adds;
+    out.push_back({.name = rule.name, .adds = std::move(adds)});
+  }
+  return out;
+}
+
+Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget) {
+  Eigen::MatrixXd out = budget.front().adds;
+  for (std::size_t i = 1; i < budget.size(); ++i) out += budget[i].adds;
+  return out;
+}
+
+}  // namespace groma::calibration
