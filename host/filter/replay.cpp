@@ -23,6 +23,18 @@ Percentiles percentiles(std::vector<double>& values) {
   return {at(0.50), at(0.99)};
 }
 
+// The state of the row at t_s.
+void record(const Tracker& tracker, const model::Surface& surface, double t_s, ReplayResult& result) {
+  const Estimate estimate = tracker.estimate();
+  result.rows.push_back({.t_s = t_s,
+                         .x_m = estimate.pose.x_m,
+                         .y_m = estimate.pose.y_m,
+                         .yaw_rad = estimate.pose.theta_rad,
+                         .covariance = estimate.covariance});
+  result.states.push_back({tracker.state(), tracker.reason()});
+  result.spatial.push_back(model::on_surface(surface, estimate.pose, estimate.covariance_with_ground()));
+}
+
 }  // namespace
 
 ReplayResult replay(const Run& run, const ReplayOptions& options) {
@@ -96,16 +108,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     timed(propagate_ns, *row);
     take_up_to(row->t_s);
     if (options.on_row) options.on_row(*tracker, *row);
-    if (!tracker->started()) continue;
-    const Estimate estimate = tracker->estimate();
-    result.rows.push_back({.t_s = row->t_s,
-                           .x_m = estimate.pose.x_m,
-                           .y_m = estimate.pose.y_m,
-                           .yaw_rad = estimate.pose.theta_rad,
-                           .covariance = estimate.covariance});
-    result.states.push_back({tracker->state(), tracker->reason()});
-    result.spatial.push_back(
-        model::on_surface(*run.surface, estimate.pose, estimate.covariance_with_ground()));
+    if (tracker->started()) record(*tracker, *run.surface, row->t_s, result);
   }
 
   result.relocations = tracker->relocations();
