@@ -391,6 +391,15 @@ double& JointCovariance::at(int i, int j) noexcept {
   return lower(std::max(i, j), std::min(i, j));
 }
 
+template <class Block>
+void JointCovariance::read(int row, int column, Block& out) const noexcept {
+  for (int j = 0; j < out.cols(); ++j) {
+    for (int i = 0; i < out.rows(); ++i) {
+      out(i, j) = lower(std::max(row + i, column + j), std::min(row + i, column + j));
+    }
+  }
+}
+
 void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept {
   settle_motion();
   settle_slow_errors();
@@ -402,32 +411,25 @@ void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory
     memory.cross = rows_of(cross_.data()).middleRows(first, size);
     return;
   }
-  // The anchor given what all share, and how it depends on that.
-  using CommonMatrix =
-      Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxCommon, kMaxCommon>;
+  // The anchor given what all share, and how it depends on that, at unit variances.
   CommonMatrix shared(common, common);
-  CommonVector sigma(common);
-  for (int i = 0; i < common; ++i) sigma(i) = at(i, i) > 0.0 ? std::sqrt(at(i, i)) : 1.0;
-  for (int i = 0; i < common; ++i) {
-    for (int j = 0; j < common; ++j) shared(i, j) = at(i, j) / (sigma(i) * sigma(j));
-  }
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxCommon, kMaxAnchorSize>
-      to_shared(common, size);
+  read(0, 0, shared);
+  const CommonVector unit = shared.diagonal().unaryExpr(
+      [](double variance) { return variance > 0.0 ? std::sqrt(1.0 / variance) : 1.0; });
+  shared = unit.asDiagonal() * shared * unit.asDiagonal();
+  CommonToAnchor to_shared(common, size);
+  read(0, first, to_shared);
+  to_shared = unit.asDiagonal() * to_shared;
   memory.covariance.resize(size, size);
-  for (int j = 0; j < size; ++j) {
-    for (int i = 0; i < common; ++i) to_shared(i, j) = at(i, first + j) / sigma(i);
-    for (int i = 0; i < size; ++i) memory.covariance(i, j) = at(first + i, first + j);
-  }
+  read(first, first, memory.covariance);
   // The slow error forgets.
   to_shared.col(size - 1).setZero();
   memory.covariance.row(size - 1).setZero();
   memory.covariance.col(size - 1).setZero();
-  const Eigen::LDLT<CommonMatrix> solver(shared);
-  const auto by_scaled = solver.solve(to_shared).eval();
-  const AnchorMatrix explained = to_shared.transpose().lazyProduct(by_scaled);
+  const CommonToAnchor by_unit = Eigen::LDLT<CommonMatrix>(shared).solve(to_shared);
+  const AnchorMatrix explained = to_shared.transpose().lazyProduct(by_unit);
   memory.covariance -= 0.5 * (explained + explained.transpose());
-  memory.by_common.resize(size, common);
-  for (int j = 0; j < common; ++j) memory.by_common.col(j) = by_scaled.row(j).transpose() / sigma(j);
+  memory.by_common = by_unit.transpose() * unit.asDiagonal();
   memory.common = parameters.values().head(common);
   memory.values = parameters.values().segment(first, size);
 }
@@ -440,47 +442,35 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
   RowsMap<CrossBlock> cross = rows_of(cross_.data());
+  auto own_cross = cross.middleRows(first, size);
+  own_cross.setZero();
   if (learning_ == Learning::kNothing) {
-    if (memory.was_active) {
-      cross.middleRows(first, size) = memory.cross;
-      cross.row(first + size - 1) *= faded;
-    } else {
-      cross.middleRows(first, size).setZero();
-    }
+    if (memory.was_active) own_cross = memory.cross;
+    cross.row(first + size - 1) *= faded;
     return;
   }
-  for (int i = 0; i < size; ++i) {
-    for (int j = 0; j < size_; ++j) at(first + i, j) = 0.0;
-  }
-  cross.middleRows(first, size).setZero();
-  const AnchorMatrix& own = memory.was_active ? memory.covariance : anchor.covariance;
-  for (int i = 0; i < size; ++i) {
-    for (int j = 0; j <= i; ++j) at(first + i, first + j) = own(i, j);
-  }
+  const auto write = [&](int j, const AnchorVector& column) {
+    for (int i = 0; i < size; ++i) at(first + i, j) = column(i);
+  };
+  for (int j = 0; j < size_; ++j) write(j, AnchorVector::Zero(size));
+  AnchorMatrix own = memory.was_active ? memory.covariance : anchor.covariance;
   if (memory.was_active) {
+    // What it has in common with the others comes by what all share.
     const auto& by = memory.by_common;
     parameters.values().segment(first, size) += by * (parameters.values().head(common) - memory.common);
-    for (int k = 0; k < kCoreSize; ++k) {
-      cross.col(k).segment(first, size) = by.lazyProduct(cross.col(k).head(common));
-    }
-    // What it has in common with the others comes by what all share; last its own, by its own row of that.
-    std::array<double, kMaxCommon> column{};
-    const auto relate = [&](int j) {
-      for (int k = 0; k < common; ++k) column[static_cast<std::size_t>(k)] = at(k, j);
-      for (int i = 0; i < size; ++i) {
-        double sum = 0.0;
-        for (int k = 0; k < common; ++k) sum += by(i, k) * column[static_cast<std::size_t>(k)];
-        if (j < first || j >= first + size) {
-          at(first + i, j) = sum;
-        } else if (first + i >= j) {
-          at(first + i, j) = at(first + i, j) + sum;
-        }
-      }
-    };
+    own_cross = by.lazyProduct(cross.topRows(common));
+    CommonVector column(common);
     for (int j = 0; j < size_; ++j) {
-      if (j < first || j >= first + size) relate(j);
+      if (j >= first && j < first + size) continue;
+      read(0, j, column);
+      write(j, by.lazyProduct(column));
     }
-    for (int j = first; j < first + size; ++j) relate(j);
+    CommonToAnchor to_shared(common, size);
+    read(0, first, to_shared);
+    own += by.lazyProduct(to_shared);
+  }
+  for (int j = 0; j < size; ++j) {
+    for (int i = j; i < size; ++i) lower(first + i, first + j) = own(i, j);
   }
   learn(slot, anchor.is_learnt);
 }

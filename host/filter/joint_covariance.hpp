@@ -82,8 +82,7 @@ struct AnchorMemory {
   // covariance given them.
   AnchorVector values;
   CommonVector common;
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxAnchorSize, kMaxCommon>
-      by_common;
+  AnchorByCommon by_common;
   AnchorMatrix covariance;
 };
 
@@ -157,6 +156,9 @@ class JointCovariance {
   // Rows of the cross-covariance.
   [[nodiscard]] int rows() const noexcept { return size_ + absent_rows_; }
   [[nodiscard]] double& at(int i, int j) noexcept;  // of either triangle
+  // The block of the parameters' covariance that begins there.
+  template <class Block>
+  void read(int row, int column, Block& out) const noexcept;
   // What the calibration gives, but for slow errors and ground.
   void set_prior(const Site& site, const Parameters& parameters, Eigen::Ref<Eigen::MatrixXd> all) const;
   void learn(int slot, bool learnt) noexcept;

@@ -87,7 +87,7 @@ class Site {
   double slow_variance_m2_ = 0.0;
 };
 
-using ParameterVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxParameters, 1>;
+using ParameterVector = Bounded<kMaxParameters, 1>;
 
 // Position, beta, gamma, lever arm, frame, slow error, ground.
 inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1 + kGroundSize;

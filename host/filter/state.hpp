@@ -1,6 +1,8 @@
 // The filter's state: a small core that is always estimated, and the parameters of the site.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 
 #include <Eigen/Core>
@@ -20,6 +22,11 @@ inline constexpr int kMaxTags = 4;
 inline constexpr std::size_t kMaxPairs = static_cast<std::size_t>(kMaxAnchors) * kMaxTags;
 [[nodiscard]] constexpr std::size_t pair_at(int slot, int tag) noexcept {
   return static_cast<std::size_t>(slot) * kMaxTags + static_cast<std::size_t>(tag);
+}
+
+// What is left of a sum that fades over `over_s`, from one time to a later one.
+[[nodiscard]] inline double fading(double from_s, double to_s, double over_s) noexcept {
+  return std::exp(-std::max(to_s - from_s, 0.0) / over_s);
 }
 
 // Core error state. The last three are the errors of the odometry row that is held now: a row's noise is
@@ -50,11 +57,16 @@ using CoreVector = Eigen::Matrix<double, kCoreSize, 1>;
 using CoreMatrix = Eigen::Matrix<double, kCoreSize, kCoreSize>;
 using CoreRow = Eigen::Matrix<double, 1, kCoreSize>;
 using PoseRows = Eigen::Matrix<double, 3, kCoreSize>;  // derivatives of x, y, theta by the core state
+template <int kMaxRows, int kMaxColumns>
+using Bounded = Eigen::Matrix<double, Eigen::Dynamic, kMaxColumns == 1 ? 1 : Eigen::Dynamic, Eigen::ColMajor,
+                              kMaxRows, kMaxColumns>;
 // Of what all anchors share: frame, lever arms.
-using CommonVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxCommon, 1>;
+using CommonVector = Bounded<kMaxCommon, 1>;
+using CommonMatrix = Bounded<kMaxCommon, kMaxCommon>;
 // Of one anchor: position, beta of each tag, gamma of each tag, slow error.
-using AnchorVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxAnchorSize, 1>;
-using AnchorMatrix =
-    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxAnchorSize, kMaxAnchorSize>;
+using AnchorVector = Bounded<kMaxAnchorSize, 1>;
+using AnchorMatrix = Bounded<kMaxAnchorSize, kMaxAnchorSize>;
+using AnchorByCommon = Bounded<kMaxAnchorSize, kMaxCommon>;
+using CommonToAnchor = Bounded<kMaxCommon, kMaxAnchorSize>;
 
 }  // namespace groma::filter
