@@ -161,18 +161,18 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
 }
 
 void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& warnings) {
-  if (counters.odometry_implausible > 0) {
+  if (counters.odometry[filter::OdometryOutcome::kImplausible] > 0) {
     warnings.add(
         fmt::format("{} odometry samples were dropped: no robot moves so, or changes its velocity so fast",
-                    counters.odometry_implausible));
+                    counters.odometry[filter::OdometryOutcome::kImplausible]));
   }
   for (const auto& [sensor, samples] : {std::pair{filter::Sensor::kYawRate, "IMU samples"},
                                         {filter::Sensor::kPosition, "GNSS positions"},
                                         {filter::Sensor::kPose, "absolute poses"}}) {
-    const filter::SensorCounters& of = counters.sensors.at(static_cast<std::size_t>(sensor));
-    if (of.jumped + of.bad_value == 0) continue;
-    warnings.add(
-        fmt::format("{} {} were dropped: no robot can do what they say", of.jumped + of.bad_value, samples));
+    const auto& of = counters.sensors.at(static_cast<std::size_t>(sensor));
+    const std::size_t dropped = of[filter::SensorOutcome::kJumped] + of[filter::SensorOutcome::kBadValue];
+    if (dropped == 0) continue;
+    warnings.add(fmt::format("{} {} were dropped: no robot can do what they say", dropped, samples));
   }
 }
 

@@ -57,16 +57,17 @@ double begin_s(const FilterInput::Drive& drive) {
 }
 
 Json sensors_json(const filter::Counters& counters) {
+  using Outcome = filter::SensorOutcome;
   constexpr std::array<const char*, filter::kSensors> kNames{"imu", "gnss", "absolute_pose", "zero_velocity"};
   Json json = Json::object();
   for (std::size_t i = 0; i < kNames.size(); ++i) {
-    const filter::SensorCounters& of = counters.sensors.at(i);
-    json[kNames.at(i)] = {{"used", of.used},
-                          {"gated", of.gated},
-                          {"jumped", of.jumped},
-                          {"bad_value", of.bad_value},
-                          {"out_of_order", of.out_of_order},
-                          {"not_started", of.not_started}};
+    const auto& of = counters.sensors.at(i);
+    json[kNames.at(i)] = {{"used", of[Outcome::kUsed]},
+                          {"gated", of[Outcome::kGated]},
+                          {"jumped", of[Outcome::kJumped]},
+                          {"bad_value", of[Outcome::kBadValue]},
+                          {"out_of_order", of[Outcome::kOutOfOrder]},
+                          {"not_started", of[Outcome::kNotStarted]}};
   }
   return json;
 }
@@ -121,26 +122,26 @@ int run(const ReplayOptions& options) {
                  io::format_estimate(result.rows, result.spatial, drive.dataset.surface, words));
 
   const filter::Counters& counters = result.counters;
-  if (counters.ranges_unknown_anchor > 0) {
+  if (counters.ranges[filter::RangeOutcome::kUnknownAnchor] > 0) {
     warnings.add(fmt::format("{} ranges to anchors, or of pairs, that the calibration lacks were ignored",
-                             counters.ranges_unknown_anchor));
+                             counters.ranges[filter::RangeOutcome::kUnknownAnchor]));
   }
   FilterInput::warn_of_samples(counters, warnings);
-  if (counters.ranges_used == 0 && replay.config.model != filter::Model::kOdometry)
+  if (counters.ranges[filter::RangeOutcome::kUsed] == 0 && replay.config.model != filter::Model::kOdometry)
     FilterInput::warn_without_ranges(result.ranges_seen, warnings);
   const double duration_s = result.rows.back().t_s - begin_s(drive);
   const double realtime_factor = wall_s > 0.0 ? duration_s / wall_s : 0.0;
   if (options.input.json()) {
     say_json(Json{{"model", options.model},
                   {"ranges_seen", result.ranges_seen},
-                  {"ranges_used", counters.ranges_used},
-                  {"ranges_gated", counters.ranges_gated},
-                  {"ranges_unknown_anchor", counters.ranges_unknown_anchor},
-                  {"ranges_not_active", counters.ranges_not_active},
+                  {"ranges_used", counters.ranges[filter::RangeOutcome::kUsed]},
+                  {"ranges_gated", counters.ranges[filter::RangeOutcome::kGated]},
+                  {"ranges_unknown_anchor", counters.ranges[filter::RangeOutcome::kUnknownAnchor]},
+                  {"ranges_not_active", counters.ranges[filter::RangeOutcome::kNotActive]},
                   {"anchor_exchanges", counters.anchor_exchanges},
                   {"relocations", result.relocations},
                   {"slips", counters.slips},
-                  {"odometry_implausible", counters.odometry_implausible},
+                  {"odometry_implausible", counters.odometry[filter::OdometryOutcome::kImplausible]},
                   {"state", words.back().state},
                   {"state_shares", state_shares(result.states)},
                   {"diagnosis", diagnosis::to_json(findings)},
@@ -154,7 +155,8 @@ int run(const ReplayOptions& options) {
     say(fmt::format("{}: {} poses over {:.1f} s, written to {}\n", options.model, result.rows.size(),
                     duration_s, options.input.output().string()));
     say(fmt::format("{} ranges seen, {} used, {} gated; {:.0f} times real time\n", result.ranges_seen,
-                    counters.ranges_used, counters.ranges_gated, realtime_factor));
+                    counters.ranges[filter::RangeOutcome::kUsed],
+                    counters.ranges[filter::RangeOutcome::kGated], realtime_factor));
   }
   return warnings.exit_code();
 }

@@ -58,7 +58,7 @@ int run(const SmoothOptions& options) {
                   {"yaw_rate_bias_radps", result.yaw_rate_bias_radps},
                   {"range_delay_s", result.range_delay_s},
                   {"odometry_delay_s", result.odometry_delay_s},
-                  {"odometry_implausible", result.counters.odometry_implausible},
+                  {"odometry_implausible", result.counters.odometry[filter::OdometryOutcome::kImplausible]},
                   {"dropped", cli::to_json(drive.dataset.dropped)}});
   } else {
     say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,

@@ -25,6 +25,12 @@ enum class Model {
 inline constexpr std::array kModels{Model::kOdometry, Model::kOriginal,     Model::kInflated,
                                     Model::kSchmidt,  Model::kAnchorStates, Model::kJoint};
 
+// Whether the covariance of core and parameters is kept. The other models are comparisons, whose noise stays
+// as configured: what their innovations show is their own error.
+[[nodiscard]] constexpr bool keeps_cross(Model model) noexcept {
+  return model == Model::kSchmidt || model == Model::kAnchorStates || model == Model::kJoint;
+}
+
 // "odometry", "original", "inflated", "schmidt", "anchor-states", "joint".
 [[nodiscard]] std::string_view model_name(Model model) noexcept;
 [[nodiscard]] std::optional<Model> model_from_name(std::string_view name) noexcept;

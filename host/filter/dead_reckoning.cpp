@@ -109,7 +109,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   OdometryDoubt doubt;
   if (now.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
     doubt = now.watch.judge(now.row, held, noise);
-  if (is_tuned(config.model)) {
+  if (keeps_cross(config.model)) {
     if (config.tunes_noise) now.odometry_tuning.observe(row);
     const OdometryDoubt slip = now.slip.judge(std::max(row.t_s - now.row.t_s, 0.0));
     doubt.velocity_m2ps2 += slip.velocity_m2ps2;

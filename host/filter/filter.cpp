@@ -61,18 +61,6 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
           JointCovariance(site, parameters, learning(config.model))};
 }
 
-// By outcome.
-constexpr std::array kOdometryCounters{&Counters::odometry_used,      &Counters::odometry_used_late,
-                                       &Counters::odometry_stored,    &Counters::odometry_out_of_order,
-                                       &Counters::odometry_bad_value, &Counters::odometry_implausible};
-constexpr std::array kRangeCounters{
-    &Counters::ranges_used,           &Counters::ranges_gated,      &Counters::ranges_unknown_tag,
-    &Counters::ranges_unknown_anchor, &Counters::ranges_bad_value,  &Counters::ranges_out_of_order,
-    &Counters::ranges_not_started,    &Counters::ranges_not_active, &Counters::ranges_not_modelled};
-constexpr std::array kSensorCounters{&SensorCounters::used,         &SensorCounters::gated,
-                                     &SensorCounters::jumped,       &SensorCounters::bad_value,
-                                     &SensorCounters::out_of_order, &SensorCounters::not_started};
-
 }  // namespace
 
 Filter::Filter(model::Surface surface, std::span<const model::Tag> tags,
@@ -154,7 +142,7 @@ void Filter::stop() noexcept {
 
 OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
   const OdometryOutcome outcome = take(row);
-  ++(now_.counters.*kOdometryCounters[static_cast<std::size_t>(outcome)]);
+  ++now_.counters.odometry[outcome];
   return outcome;
 }
 
@@ -178,7 +166,7 @@ RangeResult Filter::process(const model::RangeSample& range) noexcept {
   PairPlace pair;
   RangeResult result{.outcome = admit(range, pair)};
   if (result.outcome == RangeOutcome::kUsed) result = correct(range, pair);
-  ++(now_.counters.*kRangeCounters[static_cast<std::size_t>(result.outcome)]);
+  ++now_.counters.ranges[result.outcome];
   return result;
 }
 
@@ -205,74 +193,88 @@ RangeOutcome Filter::admit(const model::RangeSample& range, PairPlace& pair) noe
   return RangeOutcome::kUsed;
 }
 
+// The algorithm of the source paper, with its equations' numbers; propagation (1)-(3) is advance_to().
 RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pair) noexcept {
-  const bool whole = is_tuned(config_.model);
-  const PairParameters parameters = now_.parameters.pair(site_, pair.slot, pair.tag);
-  const auto measure = config_.model == Model::kOriginal ? measure_distance : measure_range;
-  const RangeMeasurement measurement = measure(surface_, now_.core, now_.row, parameters, now_.chart);
+  const RangeMeasurement predicted = predict(pair);  // z_n by (12); H and J of (16)
   Projected projected;
-  if (whole) {
-    now_.covariance.project(measurement, pair, projected);
-  } else {
-    projected.variance = now_.covariance.project_core(measurement.d_core, projected.core);
-    if (config_.model == Model::kInflated)
-      projected.variance += now_.covariance.parameter_variance(measurement, pair);
-  }
-
-  RangeResult result;
-  result.innovation_m = range.range_m - measurement.range_m;
-  result.innovation_variance_m2 = projected.variance + square(now_.tuning.white_sigma_m());
-  result.nis = square(result.innovation_m) / result.innovation_variance_m2;
-  if (config_.model != Model::kOriginal) {
-    const Eigen::RowVector3d by_pose = measurement.d_core.head<3>();
-    const double pose_variance_m2 =
-        by_pose.lazyProduct(now_.covariance.core().topLeftCorner<3, 3>()).dot(by_pose);
-    result.map_variance_m2 =
-        std::max(result.innovation_variance_m2 - pose_variance_m2, square(now_.tuning.white_sigma_m()));
-  }
-  const model::PowerClass powers = model::power_class(range);
-  result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // weigh() then learns from this range
-  result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,
-                                  result.innovation_variance_m2, powers);
-  if (model::is_ablated(Mechanism::kGate)) result.weight = result.weight >= 0.0 ? 1.0 : 0.0;
-  if (whole) watch_slip(pair, result, measurement.d_core.head<2>());
-  result.blocked = now_.gate.blocked(pair.slot, pair.tag);
-  now_.counters.doubts = now_.gate.doubts_begun();
-  const double slow_before = now_.tuning.slow_scale();
-  if (whole && config_.tunes_noise) {
-    now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
-  }
-  const double slow_change = now_.tuning.slow_scale() / slow_before;
-  result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
-  if (result.outcome == RangeOutcome::kUsed) {
-    // A weight below one stands for that much more noise: S / weight in place of S.
-    const double variance =
-        result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
-    result.pull = projected.core.head<3>() * (result.innovation_m / variance);
-    add(projected.core * (result.innovation_m / variance));
-    if (!whole) {
-      now_.covariance.correct_core(projected.core, variance);
-    } else {
-      now_.covariance.correct(measurement.d_core, projected, variance, result.innovation_m,
-                              now_.parameters.values());
-    }
-  }
-  if (slow_time_s_ > 0.0 && slow_change != 1.0) now_.covariance.scale_slow_errors(slow_change);
-  if (result.outcome == RangeOutcome::kUsed) motion().follow_chart();
+  project(predicted, pair, projected);  // P Hᵀ and H P Hᵀ; where P_pc is not kept, H P Hᵀ + J P_c Jᵀ of (18)
+  RangeResult result = innovation(range.range_m, predicted, projected.variance);  // z - z_n of (17), and S
+  weigh(range, pair, result);
+  watch_slip(pair, predicted, result);
+  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x + K (z - z_n), Schmidt's P
+  tune(pair, result);
+  if (result.weight > 0.0) motion().follow_chart();
   return result;
 }
 
-void Filter::watch_slip(const PairPlace& pair, const RangeResult& range,
-                        const Eigen::RowVector2d& by_position) noexcept {
-  if (model::is_ablated(Mechanism::kSlip)) return;
+RangeMeasurement Filter::predict(const PairPlace& pair) const noexcept {
+  const auto measure = config_.model == Model::kOriginal ? measure_distance : measure_range;
+  return measure(surface_, now_.core, now_.row, now_.parameters.pair(site_, pair.slot, pair.tag), now_.chart);
+}
+
+void Filter::project(const RangeMeasurement& predicted, const PairPlace& pair, Projected& out) noexcept {
+  if (keeps_cross(config_.model)) return now_.covariance.project(predicted, pair, out);
+  out.variance = now_.covariance.project_core(predicted.d_core, out.core);
+  if (config_.model == Model::kInflated) out.variance += now_.covariance.parameter_variance(predicted, pair);
+}
+
+RangeResult Filter::innovation(double range_m, const RangeMeasurement& predicted,
+                               double variance_m2) const noexcept {
+  const double white_m2 = square(now_.tuning.white_sigma_m());
+  RangeResult result{.innovation_m = range_m - predicted.range_m,
+                     .innovation_variance_m2 = variance_m2 + white_m2};
+  result.nis = square(result.innovation_m) / result.innovation_variance_m2;
+  if (config_.model == Model::kOriginal) return result;
+  const Eigen::RowVector3d by_pose = predicted.d_core.head<3>();
+  const double pose_variance_m2 =
+      by_pose.lazyProduct(now_.covariance.core().topLeftCorner<3, 3>()).dot(by_pose);
+  result.map_variance_m2 = std::max(result.innovation_variance_m2 - pose_variance_m2, white_m2);
+  return result;
+}
+
+void Filter::update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
+                    RangeResult& result) noexcept {
+  // A weight below one is that much more noise: S / weight in place of S.
+  const double variance =
+      result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
+  const CoreVector change = projected.core * (result.innovation_m / variance);
+  result.pull = change.head<3>();
+  add(change);
+  if (!keeps_cross(config_.model)) return now_.covariance.correct_core(projected.core, variance);
+  now_.covariance.correct(predicted.d_core, projected, variance, result.innovation_m,
+                          now_.parameters.values());
+}
+
+void Filter::weigh(const model::RangeSample& range, const PairPlace& pair, RangeResult& result) noexcept {
+  const model::PowerClass powers = model::power_class(range);
+  result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // before the gate learns from this range
+  result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,
+                                  result.innovation_variance_m2, powers);
+  if (model::is_ablated(Mechanism::kGate)) result.weight = result.weight >= 0.0 ? 1.0 : 0.0;
+  result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
+  result.blocked = now_.gate.blocked(pair.slot, pair.tag);
+  now_.counters.doubts = now_.gate.doubts_begun();
+}
+
+void Filter::watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,
+                        const RangeResult& result) noexcept {
+  if (!keeps_cross(config_.model) || model::is_ablated(Mechanism::kSlip)) return;
   const auto displacement_m =
-      now_.slip_watch.observe(pair.slot, pair.tag, now_.t_s, range.innovation_m, range.innovation_variance_m2,
-                              range.weight, by_position);
+      now_.slip_watch.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m,
+                              result.innovation_variance_m2, result.weight, predicted.d_core.head<2>());
   if (!displacement_m) return;
   ++now_.counters.slips;
   now_.slip.begin(displacement_m->norm(), now_.t_s);
   now_.covariance.grow(kX, displacement_m->squaredNorm());
   now_.covariance.grow(kY, displacement_m->squaredNorm());
+}
+
+void Filter::tune(const PairPlace& pair, const RangeResult& result) noexcept {
+  if (!keeps_cross(config_.model) || !config_.tunes_noise) return;
+  const double before = now_.tuning.slow_scale();
+  now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  const double change = now_.tuning.slow_scale() / before;
+  if (slow_time_s_ > 0.0 && change != 1.0) now_.covariance.scale_slow_errors(change);
 }
 
 void Filter::add(const CoreVector& change) noexcept {
@@ -291,8 +293,7 @@ SensorResult Filter::take(Sensor sensor, double t_s, bool is_plausible, const Us
     advance_to(t_s);
     result = use();
   }
-  SensorCounters& counters = now_.counters.sensors[static_cast<std::size_t>(sensor)];
-  ++(counters.*kSensorCounters[static_cast<std::size_t>(result.outcome)]);
+  ++now_.counters.sensors[static_cast<std::size_t>(sensor)][result.outcome];
   return result;
 }
 

@@ -11,27 +11,11 @@
 // what came of each is returned.
 #pragma once
 
-#include <array>
-#include <cstddef>
-#include <cstdint>
-#include <span>
 #include <vector>
 
-#include <Eigen/Core>
-
-#include "host/filter/config.hpp"
 #include "host/filter/dead_reckoning.hpp"
-#include "host/filter/gate.hpp"
 #include "host/filter/joint_covariance.hpp"
-#include "host/filter/self_tuning.hpp"
 #include "host/filter/sensors.hpp"
-#include "host/filter/site.hpp"
-#include "host/filter/slip_watch.hpp"
-#include "host/filter/state.hpp"
-#include "host/model/calibration.hpp"
-#include "host/model/pose.hpp"
-#include "host/model/surface.hpp"
-#include "host/model/types.hpp"
 
 namespace groma::filter {
 
@@ -93,36 +77,29 @@ struct SensorResult {
   double weight = 0.0;
 };
 
-struct SensorCounters {
-  std::size_t used = 0;
-  std::size_t gated = 0;
-  std::size_t jumped = 0;
-  std::size_t bad_value = 0;
-  std::size_t out_of_order = 0;
-  std::size_t not_started = 0;
+// How many inputs had each outcome.
+template <class Outcome, std::size_t kOutcomes>
+class CountBy {
+ public:
+  std::size_t& operator[](Outcome of) noexcept { return counts_[static_cast<std::size_t>(of)]; }
+  const std::size_t& operator[](Outcome of) const noexcept { return counts_[static_cast<std::size_t>(of)]; }
+  CountBy& operator+=(const CountBy& other) noexcept {
+    for (std::size_t i = 0; i < kOutcomes; ++i) counts_[i] += other.counts_[i];
+    return *this;
+  }
+
+ private:
+  std::array<std::size_t, kOutcomes> counts_{};
 };
 
-// Everything that was given to the filter is counted in exactly one of these.
+// Each input of the filter is counted once.
 struct Counters {
-  std::size_t ranges_used = 0;
-  std::size_t ranges_gated = 0;
-  std::size_t ranges_unknown_tag = 0;
-  std::size_t ranges_unknown_anchor = 0;
-  std::size_t ranges_bad_value = 0;
-  std::size_t ranges_out_of_order = 0;
-  std::size_t ranges_not_started = 0;
-  std::size_t ranges_not_active = 0;
-  std::size_t ranges_not_modelled = 0;
-  std::size_t odometry_used = 0;
-  std::size_t odometry_used_late = 0;
-  std::size_t odometry_stored = 0;
-  std::size_t odometry_out_of_order = 0;
-  std::size_t odometry_bad_value = 0;
-  std::size_t odometry_implausible = 0;
-  std::array<SensorCounters, kSensors> sensors{};
-  std::size_t doubts = 0;            // times the gate began to doubt the state
-  std::size_t slips = 0;             // times that ranges showed odometry to be wrong
-  std::size_t anchor_exchanges = 0;  // times an anchor took the place of another one
+  CountBy<OdometryOutcome, 6> odometry;
+  CountBy<RangeOutcome, 9> ranges;
+  std::array<CountBy<SensorOutcome, 6>, kSensors> sensors;  // by Sensor
+  std::size_t doubts = 0;                                   // times that divergence was suspected
+  std::size_t slips = 0;                                    // times that ranges showed odometry to be wrong
+  std::size_t anchor_exchanges = 0;                         // times an anchor took the place of another one
 };
 
 struct Estimate {
@@ -234,9 +211,18 @@ class Filter {
   // The range's pair; kUsed where it can be taken: the state is then of its time, the anchor active.
   RangeOutcome admit(const model::RangeSample& range, PairPlace& pair) noexcept;
   RangeResult correct(const model::RangeSample& range, const PairPlace& pair) noexcept;
-  // The range's innovation, before it is used, for what it shows of the odometry.
-  void watch_slip(const PairPlace& pair, const RangeResult& range,
-                  const Eigen::RowVector2d& by_position) noexcept;
+  // Arithmetic of the update.
+  [[nodiscard]] RangeMeasurement predict(const PairPlace& pair) const noexcept;
+  void project(const RangeMeasurement& predicted, const PairPlace& pair, Projected& out) noexcept;
+  [[nodiscard]] RangeResult innovation(double range_m, const RangeMeasurement& predicted,
+                                       double variance_m2) const noexcept;
+  void update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
+              RangeResult& result) noexcept;
+  // Policy: the range's weight; what it shows of the odometry, before it is used, and of its noise, after it.
+  void weigh(const model::RangeSample& range, const PairPlace& pair, RangeResult& result) noexcept;
+  void watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,
+                  const RangeResult& result) noexcept;
+  void tune(const PairPlace& pair, const RangeResult& result) noexcept;
   // A sample of t_s: `use` is called where it can be taken, when the state is of that time.
   template <class Use>
   SensorResult take(Sensor sensor, double t_s, bool is_plausible, const Use& use) noexcept;

@@ -102,46 +102,41 @@ void OrderedFilter::begin(double newest_s) noexcept {
 OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
   // What is not a number has no place in any order.
   if (!model::is_finite(row)) {
-    ++refused_.odometry_bad_value;
+    ++refused_.odometry[OdometryOutcome::kBadValue];
     return OdometryOutcome::kBadValue;
   }
   const Outcome outcome = insert(row);
-  if (!outcome.taken) ++refused_.odometry_out_of_order;
+  if (!outcome.taken) ++refused_.odometry[OdometryOutcome::kOutOfOrder];
   return outcome.odometry;
 }
 
 RangeResult OrderedFilter::process(const RangeSample& range) noexcept {
   if (!std::isfinite(range.t_s + range.range_m)) {
-    ++refused_.ranges_bad_value;
+    ++refused_.ranges[RangeOutcome::kBadValue];
     return {.outcome = RangeOutcome::kBadValue};
   }
   const Outcome outcome = insert(range);
-  if (!outcome.taken) ++refused_.ranges_out_of_order;
+  if (!outcome.taken) ++refused_.ranges[RangeOutcome::kOutOfOrder];
   return outcome.range;
 }
 
 SensorResult OrderedFilter::process(Sensor sensor, const Input& sample) noexcept {
-  SensorCounters& refused = refused_.sensors[static_cast<std::size_t>(sensor)];
+  auto& refused = refused_.sensors[static_cast<std::size_t>(sensor)];
   const Values values = visit(sample, ValuesOf());
   if (!std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); })) {
-    ++refused.bad_value;
+    ++refused[SensorOutcome::kBadValue];
     return {.outcome = SensorOutcome::kBadValue};
   }
   const Outcome outcome = insert(sample);
-  if (!outcome.taken) ++refused.out_of_order;
+  if (!outcome.taken) ++refused[SensorOutcome::kOutOfOrder];
   return outcome.sensor;
 }
 
 Counters OrderedFilter::counters() const noexcept {
   Counters sum = filter_.counters();
-  sum.odometry_bad_value += refused_.odometry_bad_value;
-  sum.odometry_out_of_order += refused_.odometry_out_of_order;
-  sum.ranges_bad_value += refused_.ranges_bad_value;
-  sum.ranges_out_of_order += refused_.ranges_out_of_order;
-  for (std::size_t i = 0; i < kSensors; ++i) {
-    sum.sensors[i].bad_value += refused_.sensors[i].bad_value;
-    sum.sensors[i].out_of_order += refused_.sensors[i].out_of_order;
-  }
+  sum.odometry += refused_.odometry;
+  sum.ranges += refused_.ranges;
+  for (std::size_t i = 0; i < kSensors; ++i) sum.sensors[i] += refused_.sensors[i];
   return sum;
 }
 

@@ -113,8 +113,8 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
 
   result.relocations = tracker->relocations();
   result.counters = tracker->filter().counters();
-  if (result.counters.ranges_used > 0) nis_sum /= static_cast<double>(result.counters.ranges_used);
-  result.nis_mean = nis_sum;
+  const std::size_t used = result.counters.ranges[RangeOutcome::kUsed];
+  result.nis_mean = nis_sum / static_cast<double>(std::max<std::size_t>(used, 1));
   result.propagate_ns = percentiles(propagate_ns);
   result.update_ns = percentiles(update_ns);
   return result;

@@ -36,10 +36,6 @@ double adjustment(double differences, double difference, double half) noexcept {
 
 }  // namespace
 
-bool is_tuned(Model model) noexcept {
-  return model == Model::kSchmidt || model == Model::kAnchorStates || model == Model::kJoint;
-}
-
 void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept {
   if (!std::isfinite(innovation_m) || !(variance_m2 > 0.0)) return;
   if (innovation_m > kTooLong * std::sqrt(variance_m2)) return;

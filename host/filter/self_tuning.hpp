@@ -11,9 +11,6 @@
 
 namespace groma::filter {
 
-// The comparisons keep the noise that they were told: what their innovations show is their own error.
-[[nodiscard]] bool is_tuned(Model model) noexcept;
-
 class RangeTuning {
  public:
   explicit RangeTuning(double white_sigma_m) : told_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}

@@ -172,8 +172,8 @@ TEST(ActiveSet, ConsideredAnchorsComeAndGoWithoutATrace) {
   EXPECT_LT(largest_covariance, 1e-9);
   EXPECT_EQ(twin->counters().anchor_exchanges, 0U);
   EXPECT_GT(filter->counters().anchor_exchanges, 24U);
-  EXPECT_EQ(filter->counters().ranges_not_active, 0U);
-  EXPECT_EQ(filter->counters().ranges_used, twin->counters().ranges_used);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive], 0U);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], twin->counters().ranges[RangeOutcome::kUsed]);
 }
 
 struct Drives {
@@ -199,7 +199,7 @@ Drives drive_many(Model model, int anchors, int active, int trips, int corridors
     out.error_m += std::hypot(estimate.pose.x_m - truth.poses[instant].x_m,
                               estimate.pose.y_m - truth.poses[instant].y_m) /
                    corridors;
-    EXPECT_EQ(filter->counters().ranges_not_active, 0U);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive], 0U);
     EXPECT_EQ(filter->counters().anchor_exchanges > 0, active < anchors);
   }
   return out;
@@ -256,8 +256,8 @@ TEST_P(ActiveSetModels, AThousandAnchorsFromEndToEnd) {
   EXPECT_LT(nees, 1.5);
   EXPECT_LT(worst_m, 0.4);
   EXPECT_EQ(filter->counters().anchor_exchanges, 1000U - kMaxAnchors);
-  EXPECT_EQ(filter->counters().ranges_not_active, 0U);
-  EXPECT_EQ(filter->counters().ranges_used, truth.ranges.size());
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive], 0U);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], truth.ranges.size());
 }
 
 // Badly surveyed anchors are learnt on the way out, forgotten by the active set, and there again on the way
@@ -332,10 +332,11 @@ TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
       filter->process(truth.odometry[row - 1]);
   }
   EXPECT_EQ(test::allocations(), before);
-  EXPECT_EQ(filter->counters().ranges_out_of_order, 0U);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);
   EXPECT_GT(twin->counters().anchor_exchanges, 90U);
   EXPECT_EQ(filter->counters().anchor_exchanges, twin->counters().anchor_exchanges);
-  EXPECT_EQ(filter->counters().ranges_not_active, twin->counters().ranges_not_active);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive],
+            twin->counters().ranges[RangeOutcome::kNotActive]);
   EXPECT_EQ(filter->filter().core(), twin->core());
   EXPECT_EQ(testing::whole(filter->filter()), testing::whole(*twin));
   EXPECT_EQ(filter->filter().parameters().values(), twin->parameters().values());
@@ -350,8 +351,9 @@ TEST(ActiveSet, TurnsAwayWhatFindsNoPlace) {
   begin(truth, *filter);
   feed(truth, 0, truth.odometry.size(), *filter, kNothing);
   const Counters& counters = filter->counters();
-  EXPECT_GT(counters.ranges_not_active, 100U);
-  EXPECT_EQ(counters.ranges_used + counters.ranges_not_active, truth.ranges.size());
+  EXPECT_GT(counters.ranges[RangeOutcome::kNotActive], 100U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kUsed] + counters.ranges[RangeOutcome::kNotActive],
+            truth.ranges.size());
   EXPECT_LT(std::abs(filter->estimate().pose.y_m - truth.poses.back().y_m), 0.5);
 }
 

@@ -253,8 +253,8 @@ Campaign run(Model model) {
     out.nis += nis;
     out.square_m2 += square_m2(estimate, truth);
     out.square_rad2 += std::pow(model::wrap_angle(estimate.pose.theta_rad - truth.theta_rad), 2);
-    out.used += filter.counters().ranges_used;
-    out.gated += filter.counters().ranges_gated;
+    out.used += filter.counters().ranges[RangeOutcome::kUsed];
+    out.gated += filter.counters().ranges[RangeOutcome::kGated];
     out.bound_m2 += bound.position_m2();
     out.bound_rad2 += bound.heading_rad2();
   }

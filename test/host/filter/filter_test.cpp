@@ -97,17 +97,17 @@ TEST(Filter, SaysWhatBecameOfEachInputAndCountsIt) {
   EXPECT_EQ(filter->estimate().t_s, 1.5);
 
   const Counters& counters = filter->counters();
-  EXPECT_EQ(counters.ranges_not_started, 1U);
-  EXPECT_EQ(counters.ranges_unknown_tag, 1U);
-  EXPECT_EQ(counters.ranges_unknown_anchor, 1U);
-  EXPECT_EQ(counters.ranges_bad_value, 7U);
-  EXPECT_EQ(counters.ranges_out_of_order, 1U);
-  EXPECT_EQ(counters.ranges_used + counters.ranges_gated, 3U);
-  EXPECT_EQ(counters.odometry_used, 1U);
-  EXPECT_EQ(counters.odometry_used_late, 1U);
-  EXPECT_EQ(counters.odometry_stored, 1U);
-  EXPECT_EQ(counters.odometry_out_of_order, 2U);
-  EXPECT_EQ(counters.odometry_bad_value, 2U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kNotStarted], 1U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kUnknownTag], 1U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kUnknownAnchor], 1U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kBadValue], 7U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kOutOfOrder], 1U);
+  EXPECT_EQ(counters.ranges[RangeOutcome::kUsed] + counters.ranges[RangeOutcome::kGated], 3U);
+  EXPECT_EQ(counters.odometry[OdometryOutcome::kUsed], 1U);
+  EXPECT_EQ(counters.odometry[OdometryOutcome::kUsedLate], 1U);
+  EXPECT_EQ(counters.odometry[OdometryOutcome::kStored], 1U);
+  EXPECT_EQ(counters.odometry[OdometryOutcome::kOutOfOrder], 2U);
+  EXPECT_EQ(counters.odometry[OdometryOutcome::kBadValue], 2U);
 }
 
 TEST(Filter, ReportsTheLikelihoodRatioOfARangesPowers) {
@@ -245,7 +245,7 @@ Nees nees_over_sites(int sites, const model::Calibration& calibration, const mod
     const double error = testing::squared_error(filter->estimate(), drive.truth[instant]);
     sum += error;
     inside += error <= 7.815 ? 1 : 0;
-    nis += static_cast<double>(filter->counters().ranges_gated);
+    nis += static_cast<double>(filter->counters().ranges[RangeOutcome::kGated]);
   }
   EXPECT_LE(nis, 5.0 * sites);
   return {sum / (3.0 * sites), inside};
@@ -490,7 +490,9 @@ TEST_P(EveryModel, NeverAllocatesOnceItStands) {
   static_cast<void>(filter->estimate());
   static_cast<void>(testing::predict(*filter, ahead));
   EXPECT_EQ(test::allocations(), before);
-  EXPECT_GT(filter->counters().ranges_used + filter->counters().ranges_not_modelled, 150U);
+  EXPECT_GT(
+      filter->counters().ranges[RangeOutcome::kUsed] + filter->counters().ranges[RangeOutcome::kNotModelled],
+      150U);
 }
 
 class Enduring : public ::testing::TestWithParam<Model> {};

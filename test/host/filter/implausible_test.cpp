@@ -251,10 +251,13 @@ TEST(Implausible, SamplesAreCountedAndTheirTimeStillPasses) {
   samples.positions[20].covariance_m2 = {1e300, 0.0, 1e300};
   samples.poses[20].x_m = -1e9;
   const Outcome out = run(samples, samples.drive.truth);
-  EXPECT_EQ(out.result.counters.odometry_implausible, 2U);
-  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kYawRate)].jumped, 1U);
-  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)].bad_value, 1U);
-  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kPose)].bad_value, 1U);
+  EXPECT_EQ(out.result.counters.odometry[OdometryOutcome::kImplausible], 2U);
+  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kYawRate)][SensorOutcome::kJumped],
+            1U);
+  EXPECT_EQ(
+      out.result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)][SensorOutcome::kBadValue], 1U);
+  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kPose)][SensorOutcome::kBadValue],
+            1U);
   EXPECT_EQ(out.result.rows.size(), samples.drive.odometry.size());
   // The robot moves on by the sample that holds.
   const model::PlanarEstimate& before = out.result.rows[299];

@@ -99,11 +99,12 @@ TEST_P(OrderedModels, ShuffledWithinTheWindowIsAsInOrder) {
     feed(shuffled(inputs, most_s, 3), *filter);
     EXPECT_GT(filter->reordered(), inputs.size() * 2 / 5) << most_s;
     expect_same(filter->filter(), *twin);
-    EXPECT_EQ(filter->counters().ranges_used, twin->counters().ranges_used);
-    EXPECT_EQ(filter->counters().ranges_gated, twin->counters().ranges_gated);
-    EXPECT_EQ(filter->counters().odometry_used, twin->counters().odometry_used);
-    EXPECT_EQ(filter->counters().ranges_out_of_order, 0U);
-    EXPECT_EQ(filter->counters().odometry_out_of_order, 0U);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], twin->counters().ranges[RangeOutcome::kUsed]);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kGated], twin->counters().ranges[RangeOutcome::kGated]);
+    EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kUsed],
+              twin->counters().odometry[OdometryOutcome::kUsed]);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);
+    EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kOutOfOrder], 0U);
   }
 }
 
@@ -120,8 +121,8 @@ TEST(OrderedFilter, WhatComesLaterThanTheWindowIsRefusedAndChangesNothing) {
   EXPECT_EQ(filter->process(model::OdometrySample{newest_s - 2.0, 1.0, 0.0, 0.0}),
             OdometryOutcome::kOutOfOrder);
   EXPECT_FALSE(filter->start({.t_s = newest_s - 2.0}));
-  EXPECT_EQ(filter->counters().ranges_out_of_order, 1U);
-  EXPECT_EQ(filter->counters().odometry_out_of_order, 1U);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 1U);
+  EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kOutOfOrder], 1U);
   EXPECT_EQ(filter->filter().core(), before->core);
   EXPECT_EQ(filter->filter().covariance().core(), before->covariance.core());
   // One that is just in time is taken.
@@ -141,8 +142,8 @@ TEST(OrderedFilter, WhatIsNotANumberIsRefused) {
             RangeOutcome::kBadValue);
   EXPECT_EQ(filter->process({.t_s = testing::kNan, .tag_id = 1, .anchor_id = 11, .range_m = 5.0}).outcome,
             RangeOutcome::kBadValue);
-  EXPECT_EQ(filter->counters().odometry_bad_value, 2U);
-  EXPECT_EQ(filter->counters().ranges_bad_value, 2U);
+  EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kBadValue], 2U);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kBadValue], 2U);
   EXPECT_EQ(filter->estimate().t_s, 0.0);
 }
 
@@ -237,7 +238,7 @@ TEST(OrderedFilter, AFloodOfInputsShortensTheWindow) {
   feed(inputs, *filter);
   for (std::size_t i = 0; i + 1 < inputs.size(); i += 16) std::swap(inputs[i], inputs[i + 1]);
   feed(inputs, *twin);
-  EXPECT_EQ(filter->counters().ranges_out_of_order, 0U);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);
   expect_same(filter->filter(), *twin);
   EXPECT_EQ(filter->process({.t_s = 0.1, .tag_id = 1, .anchor_id = 11, .range_m = 17.0}).outcome,
             RangeOutcome::kOutOfOrder);

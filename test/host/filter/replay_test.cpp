@@ -47,7 +47,8 @@ TEST_F(ReplayTest, GivesOneRowForEachOdometryRowAtItsTime) {
   for (const model::RangeSample& range : drive_.ranges)
     before += range.t_s <= drive_.odometry.back().t_s ? 1U : 0U;
   EXPECT_EQ(result.ranges_seen, before);
-  EXPECT_EQ(result.counters.ranges_used + result.counters.ranges_gated, before);
+  EXPECT_EQ(result.counters.ranges[RangeOutcome::kUsed] + result.counters.ranges[RangeOutcome::kGated],
+            before);
   double sum = 0.0;
   for (std::size_t i = 0; i < result.rows.size(); ++i) {
     sum += std::hypot(result.rows[i].x_m - drive_.truth[i].x_m, result.rows[i].y_m - drive_.truth[i].y_m);
@@ -93,18 +94,19 @@ TEST_F(ReplayTest, KeepsWithinItsTimes) {
     expected += range.t_s >= 3.02 && range.t_s <= result.rows.back().t_s ? 1U : 0U;
   }
   EXPECT_EQ(result.ranges_seen, expected);
-  EXPECT_EQ(result.counters.ranges_used + result.counters.ranges_gated, expected);
+  EXPECT_EQ(result.counters.ranges[RangeOutcome::kUsed] + result.counters.ranges[RangeOutcome::kGated],
+            expected);
   // The row before the start holds at it.
-  EXPECT_EQ(result.counters.odometry_stored, 1U);
+  EXPECT_EQ(result.counters.odometry[OdometryOutcome::kStored], 1U);
 }
 
 TEST_F(ReplayTest, CountsRangesToAnchorsThatTheCalibrationLacks) {
   calibration_.anchors.erase(calibration_.anchors.begin() + 2);
   const ReplayResult result = run();
-  EXPECT_GT(result.counters.ranges_unknown_anchor, 100U);
-  EXPECT_EQ(
-      result.counters.ranges_unknown_anchor + result.counters.ranges_used + result.counters.ranges_gated,
-      result.ranges_seen);
+  EXPECT_GT(result.counters.ranges[RangeOutcome::kUnknownAnchor], 100U);
+  EXPECT_EQ(result.counters.ranges[RangeOutcome::kUnknownAnchor] +
+                result.counters.ranges[RangeOutcome::kUsed] + result.counters.ranges[RangeOutcome::kGated],
+            result.ranges_seen);
 }
 
 TEST_F(ReplayTest, TimesEachCallByTheClockThatIsGiven) {
@@ -196,9 +198,9 @@ TEST_F(ReplayTest, OtherSensorsAreTakenInTheirOrder) {
                                       .calibration = &calibration_,
                                       .positions = positions},
                                      options_);
-  const SensorCounters& counters = result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)];
-  EXPECT_EQ(counters.used, positions.size());
-  EXPECT_EQ(counters.out_of_order, 0U);
+  const auto& counters = result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)];
+  EXPECT_EQ(counters[SensorOutcome::kUsed], positions.size());
+  EXPECT_EQ(counters[SensorOutcome::kOutOfOrder], 0U);
   EXPECT_LT(std::hypot(result.rows.back().x_m - drive_.truth.back().x_m,
                        result.rows.back().y_m - drive_.truth.back().y_m),
             0.1);
