@@ -103,7 +103,7 @@ filter::Estimate Localizer::predict(double t_s, Ahead::const_iterator end) {
 }
 
 void Localizer::came_in(double t_s) noexcept {
-  if (last_row_s_ != kNothingYet_s && t_s - last_row_s_ > setup_.tracker.silent_s) paused_until_s_ = t_s;
+  if (last_row_s_ != kNothingYet_s && t_s - last_row_s_ > filter::Tracker::kSilent_s) paused_until_s_ = t_s;
   last_row_s_ = std::max(last_row_s_, t_s);
 }
 

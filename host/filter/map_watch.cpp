@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "host/filter/state.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::filter {
@@ -31,35 +32,33 @@ constexpr double kFitsForRanges = 150.0;
 
 void MapWatch::observe(double t_s, double innovation_m, double variance_m2) noexcept {
   if (!std::isfinite(innovation_m) || !std::isfinite(variance_m2)) return;
-  const double fade = std::exp(-std::max(t_s - t_s_, 0.0) / kWindow_s);
+  const double fade = fading(t_s_, t_s, kWindow_s);
   t_s_ = std::max(t_s, t_s_);
   const double bound_m2 = model::square(kSigmas) * (variance_m2 + model::square(kPoseSigma_m));
   judged_ = fade * judged_ + 1.0;
   contradicting_ = fade * contradicting_ + (model::square(innovation_m) > bound_m2 ? 1.0 : 0.0);
 
-  const double share = this->share();
-  if (share > kDoubtfulShare) is_doubtful_ = true;
-  if (share < kClearShare) is_doubtful_ = false;
-  clear_since_s_ = is_doubtful_ ? kNever_s : std::min(clear_since_s_, t_s_);
-  if (t_s_ - clear_since_s_ > kClearFor_s) doubtful_since_s_ = kNever_s;
-  if (is_doubtful_ && doubtful_since_s_ == kNever_s) {
-    doubtful_since_s_ = t_s_;
+  if (share() > kDoubtfulShare) is_doubtful_ = true;
+  if (share() < kClearShare) is_doubtful_ = false;
+  clear_.update(!is_doubtful_, t_s_);
+  if (clear_.lasted_s(t_s_) > kClearFor_s) doubtful_.reset();
+  if (is_doubtful_ && !doubtful_.holds()) {
+    doubtful_.update(true, t_s_);
     doubtful_ranges_ = 0.0;
   }
   doubtful_ranges_ += 1.0;
-  if (is_doubtful_ && t_s_ - doubtful_since_s_ >= kWrongAfter_s && doubtful_ranges_ >= kWrongAfterRanges)
+  if (is_doubtful_ && doubtful_.lasted_s(t_s_) >= kWrongAfter_s && doubtful_ranges_ >= kWrongAfterRanges)
     is_wrong_ = true;
-  const bool fits = share < kFitShare;
-  fits_since_s_ = fits ? std::min(fits_since_s_, t_s_) : kNever_s;
+  const bool fits = share() < kFitShare;
+  fits_.update(fits, t_s_);
   fitting_ranges_ = fits ? fitting_ranges_ + 1.0 : 0.0;
-  if (t_s_ - fits_since_s_ >= kFitsFor_s && fitting_ranges_ >= kFitsForRanges) is_wrong_ = false;
+  if (fits_.lasted_s(t_s_) >= kFitsFor_s && fitting_ranges_ >= kFitsForRanges) is_wrong_ = false;
 }
 
 void MapWatch::restart() noexcept {
-  judged_ = 0.0;
-  contradicting_ = 0.0;
+  judged_ = contradicting_ = 0.0;
   is_doubtful_ = false;
-  fits_since_s_ = kNever_s;
+  fits_.reset();
 }
 
 double MapWatch::share() const noexcept {
@@ -67,7 +66,7 @@ double MapWatch::share() const noexcept {
 }
 
 bool MapWatch::fits() const noexcept {
-  return t_s_ - clear_since_s_ > kClearFor_s && share() < kGoodShare && !is_wrong_;
+  return clear_.lasted_s(t_s_) > kClearFor_s && share() < kGoodShare && !is_wrong_;
 }
 
 }  // namespace groma::filter

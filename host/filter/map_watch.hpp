@@ -8,14 +8,29 @@
 #pragma once
 
 #include <limits>
+#include <optional>
 
 namespace groma::filter {
+
+// Since when a condition has held without a break.
+class Since {
+ public:
+  void update(bool holds, double now_s) noexcept { since_s_ = holds ? since_s_.value_or(now_s) : Time(); }
+  void reset() noexcept { since_s_.reset(); }
+  [[nodiscard]] bool holds() const noexcept { return since_s_.has_value(); }
+  // For how long; 0 where it does not hold.
+  [[nodiscard]] double lasted_s(double now_s) const noexcept { return since_s_ ? now_s - *since_s_ : 0.0; }
+
+ private:
+  using Time = std::optional<double>;
+  Time since_s_;
+};
 
 class MapWatch {
  public:
   // innovation_m: measured less predicted; variance_m2: of the innovation without what the pose adds.
   void observe(double t_s, double innovation_m, double variance_m2) noexcept;
-  // Another pose was found: what contradicted the one before counts no more.
+  // Another pose was found: what contradicted the one before no longer counts.
   void restart() noexcept;
 
   // Share of ranges that contradict, fading over kWindow_s.
@@ -28,17 +43,15 @@ class MapWatch {
   [[nodiscard]] bool is_wrong() const noexcept { return is_wrong_; }
 
  private:
-  static constexpr double kNever_s = std::numeric_limits<double>::infinity();
-
-  double t_s_ = -kNever_s;
+  double t_s_ = -std::numeric_limits<double>::infinity();
   double judged_ = 0.0;  // fading sums
   double contradicting_ = 0.0;
   bool is_doubtful_ = false;
   bool is_wrong_ = false;
-  double doubtful_since_s_ = kNever_s;
+  Since doubtful_;                // ends when clear for a while
   double doubtful_ranges_ = 0.0;  // since then
-  double clear_since_s_ = kNever_s;
-  double fits_since_s_ = kNever_s;
+  Since clear_;
+  Since fits_;
   double fitting_ranges_ = 0.0;  // since then
 };
 

@@ -13,10 +13,46 @@ namespace groma::filter {
 
 namespace {
 
-constexpr double kNotYet_s = -std::numeric_limits<double>::infinity();
-constexpr double kNotNow = std::numeric_limits<double>::quiet_NaN();
+constexpr double kAgreement_s = 1.0;     // over which agreement is judged
+constexpr double kDisagreeShare = 0.5;   // of the weight of ranges that is refused
+constexpr double kFewRanges = 4.0;       // within the window: too few to judge by
+constexpr double kTagSilent_s = 2.0;     // without a range of one tag
+constexpr double kLostAfter_s = 3.0;     // of disagreement, until another place is searched for
+constexpr double kAgreeFor_s = 0.5;      // of agreement, until a started pose is tracked
+constexpr std::size_t kClockInputs = 5;  // see TrackerConfig::clock_step_s
+// A search costs some 10 ms: so many at this interval (twice of it where the map is in doubt), then one
+// each time that another is earned.
+constexpr double kSearchEvery_s = 0.5;
+constexpr double kMostSearches = 40.0;
+constexpr double kSearchEarned_s = 5.0;
+constexpr double kSearchEarnedOnWrongMap_s = 30.0;
+// From this share on, other floors at the same place are searched: a floor above differs by ranges to some
+// anchors only, and the position makes up for others.
+constexpr double kFloorShare = 0.1;
+constexpr double kUncertain_m = 1.0;  // sigmas from which the pose is uncertain
+constexpr double kUncertain_rad = 0.3;
+constexpr double kUnknownAfterPause_m =
+    3.0;  // from which, after a pause of odometry, the pose is searched for
+// A hypothesis is another place from so many sigmas and so much likelier, ln of the odds, by cautious cost:
+// of all places that the robot may have been carried to, that one is one of some ten thousand.
+constexpr double kOtherSigmas = 5.0;
+constexpr double kOtherOdds = 25.0;
+constexpr double kLostOdds = 20.0;   // from which the robot is lost, settled or not
+constexpr double kFloorOdds = 15.0;  // of floors at the same place there are few
+// Searches of which none explains half of the ranges, for so long and so many ranges: the map is wrong.
+constexpr double kNoPlace_s = 25.0;
+constexpr double kNoPlaceRanges = 150.0;
+// Where the clock was set back, or odometry paused, the pose has these sigmas more.
+constexpr double kSetBack_m = 0.5;
+constexpr double kSetBack_rad = 0.2;
 
 using model::square;
+
+constexpr std::array<std::string_view, 5> kStateNames{"UNINITIALIZED", "CONVERGING", "TRACKING", "DEGRADED",
+                                                      "LOST"};
+constexpr std::array<std::string_view, 9> kReasonNames{
+    "",          "no-ranges",   "ranges-disagree", "no-odometry",   "tag-silent",
+    "uncertain", "off-surface", "map-mismatch",    "odometry-times"};
 
 double reach_m(const model::Calibration& calibration) noexcept {
   double out = 0.0;
@@ -35,60 +71,34 @@ double largest_variance(const Eigen::Matrix3d& covariance) noexcept {
   return 0.5 * (a + b) + std::hypot(0.5 * (a - b), covariance(0, 1));
 }
 
+// A start at a pose of that covariance of x_m, y_m, theta_rad, and of these sigmas beside it.
+Start start_of(double t_s, const model::PlanarPose& pose, const Eigen::Matrix3d& covariance,
+               double position_sigma_m = 0.0, double heading_sigma_rad = 0.0) noexcept {
+  return {.t_s = t_s,
+          .pose = pose,
+          .position_sigma_m = std::hypot(std::sqrt(largest_variance(covariance)), position_sigma_m),
+          .heading_sigma_rad = std::hypot(std::sqrt(covariance(2, 2)), heading_sigma_rad)};
+}
+
 }  // namespace
 
 std::string_view state_name(State state) noexcept {
-  switch (state) {
-    case State::kUninitialized:
-      return "UNINITIALIZED";
-    case State::kConverging:
-      return "CONVERGING";
-    case State::kTracking:
-      return "TRACKING";
-    case State::kDegraded:
-      return "DEGRADED";
-    case State::kLost:
-      break;
-  }
-  return "LOST";
+  return kStateNames[static_cast<std::size_t>(state)];
 }
 
 std::string_view reason_name(Reason reason) noexcept {
-  switch (reason) {
-    case Reason::kNone:
-      return "";
-    case Reason::kNoRanges:
-      return "no-ranges";
-    case Reason::kRangesDisagree:
-      return "ranges-disagree";
-    case Reason::kNoOdometry:
-      return "no-odometry";
-    case Reason::kTagSilent:
-      return "tag-silent";
-    case Reason::kUncertain:
-      return "uncertain";
-    case Reason::kOffSurface:
-      return "off-surface";
-    case Reason::kMapMismatch:
-      return "map-mismatch";
-    case Reason::kOdometryTimes:
-      break;
-  }
-  return "odometry-times";
+  return kReasonNames[static_cast<std::size_t>(reason)];
 }
 
 Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
-                 const model::Calibration& calibration, const Config& config, const TrackerConfig& tracker,
-                 const StartSearchConfig& search)
+                 const model::Calibration& calibration, const Config& config, const TrackerConfig& tracker)
     : config_(tracker),
       surface_(surface),
       filter_(surface, tags, calibration, config),
-      search_(std::move(surface), tags, calibration, config, search),
+      search_(std::move(surface), tags, calibration, config),
       reach_m_(reach_m(calibration)),
-      searches_left_(tracker.most_searches) {
-  for (const model::Tag& tag : tags) {
-    if (tag_count_ < tags_.size()) tags_[tag_count_++].id = tag.id;
-  }
+      searches_left_(kMostSearches) {
+  for (const model::Tag& tag : tags) tags_.push_back({.id = tag.id});
 }
 
 bool Tracker::start(const Start& start, State state) noexcept {
@@ -104,7 +114,7 @@ bool Tracker::begin(const Start& start, State state) noexcept {
   proven_ = state == State::kTracking;
   newest_s_ = std::max(newest_s_, start.t_s);
   last_used_s_ = newest_s_;
-  judge_anew();
+  judge_again();
   return true;
 }
 
@@ -120,15 +130,14 @@ void Tracker::resume(const Tracker& other) noexcept {
   go_on_alone_from(other.prediction());
   relocations_ = other.relocations_;
   clock_steps_ = other.clock_steps_;
-  judge_anew();
+  judge_again();
 }
 
-void Tracker::judge_anew() noexcept {
+void Tracker::judge_again() noexcept {
   judged_s_ = newest_s_;
-  refused_ = 0.0;
-  judged_ = 0.0;
-  disagrees_since_s_ = kNotNow;
-  agrees_since_s_ = kNotNow;
+  refused_ = judged_ = 0.0;
+  disagrees_.reset();
+  agrees_.reset();
 }
 
 OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
@@ -139,7 +148,7 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   if (outcome != OdometryOutcome::kImplausible) {
     search_.process(row);
     // What went on meanwhile is a guess, which the ranges have to confirm as they do a start.
-    if (row.t_s - last_row_s_ > config_.silent_s && last_row_s_ != kNotYet_s) prove_again(true);
+    if (row.t_s - last_row_s_ > kSilent_s && last_row_s_ != kNotYet_s) prove_again(true);
     last_row_s_ = std::max(last_row_s_, row.t_s);
   }
   carry_on(row);
@@ -150,9 +159,10 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
 RangeResult Tracker::process(const model::RangeSample& range) noexcept {
   if (std::isfinite(range.t_s) && !believe(range.t_s)) return {.outcome = RangeOutcome::kOutOfOrder};
   RangeResult result = filter_.process(range);
-  const bool of_use = result.outcome == RangeOutcome::kUsed || result.outcome == RangeOutcome::kGated ||
-                      result.outcome == RangeOutcome::kNotStarted;
-  if (!of_use) return result;
+  if (result.outcome != RangeOutcome::kUsed && result.outcome != RangeOutcome::kGated &&
+      result.outcome != RangeOutcome::kNotStarted) {
+    return result;
+  }
   search_.process(range);
   newest_s_ = std::max(newest_s_, range.t_s);
   watch(range, result);
@@ -163,12 +173,8 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
 SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
   if (filter_.started() || !tells_pose(sample)) return process_fix(sample);
   if (!believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
-  const Eigen::Matrix3d covariance = model::to_matrix(*sample.covariance);
-  const bool begun = start({.t_s = sample.t_s,
-                            .pose = place_on(surface_, sample),
-                            .position_sigma_m = std::sqrt(largest_variance(covariance)),
-                            .heading_sigma_rad = std::sqrt(covariance(2, 2))});
-  if (!begun) return {.outcome = SensorOutcome::kOutOfOrder};
+  if (!start(start_of(sample.t_s, place_on(surface_, sample), model::to_matrix(*sample.covariance))))
+    return {.outcome = SensorOutcome::kOutOfOrder};
   return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
 }
 
@@ -206,7 +212,7 @@ void Tracker::carry_on(const MotionInput& input) noexcept {
 
 void Tracker::name_wrong_map() noexcept {
   if (!by_odometry_) {
-    // Ranges alone told where the robot is: it may be anywhere.
+    // The pose is known by ranges alone: it may be anywhere.
     go_on_alone_from(filter_.filter().prediction());
     by_odometry_->covariance.grow(kX, square(reach_m_));
     by_odometry_->covariance.grow(kY, square(reach_m_));
@@ -215,11 +221,7 @@ void Tracker::name_wrong_map() noexcept {
   reason_ = Reason::kMapMismatch;
   state_ = is_certain(filter_.filter().estimate(*by_odometry_).covariance) ? State::kDegraded : State::kLost;
   proven_ = false;
-  agrees_since_s_ = kNotNow;
-}
-
-bool Tracker::finds_no_place() const noexcept {
-  return newest_s_ - no_place_since_s_ >= config_.no_place_s && no_place_ranges_ >= config_.no_place_ranges;
+  agrees_.reset();
 }
 
 bool Tracker::believe(double t_s) noexcept {
@@ -231,7 +233,7 @@ bool Tracker::believe(double t_s) noexcept {
   // for a while: forwards both are the same.
   strange_ = strange_ > 0 && std::abs(t_s - strange_s_) < config_.clock_step_s ? strange_ + 1 : 1;
   strange_s_ = t_s;
-  if (strange_ < config_.clock_step_inputs) return false;
+  if (strange_ < kClockInputs) return false;
   strange_ = 0;
   ++clock_steps_;
   if (t_s < newest_s_) set_back(t_s);
@@ -244,34 +246,24 @@ void Tracker::set_back(double t_s) noexcept {
   filter_.stop();
   by_odometry_.reset();
   map_watch_ = {};
-  no_place_since_s_ = kNotNow;
+  no_place_.reset();
   search_.stop();
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
   newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNotYet_s;
-  disagrees_since_s_ = agrees_since_s_ = kNotNow;
-  refused_ = judged_ = 0.0;
-  for (TagWatch& tag : tags_) {
-    tag.last_s = kNotYet_s;
-    tag.heard = false;
-  }
+  judge_again();
+  for (TagWatch& tag : tags_) tag.last_s = kNotYet_s;
   // The robot is about where it was, though nobody knows how long ago that was.
   if (known) start_near(before, t_s);
 }
 
 void Tracker::start_near(const Estimate& before, double t_s) noexcept {
-  const Eigen::Matrix3d& covariance = before.covariance;
-  start({.t_s = t_s,
-         .pose = before.pose,
-         .position_sigma_m = std::hypot(std::sqrt(largest_variance(covariance)), config_.set_back_position_m),
-         .heading_sigma_rad = std::hypot(std::sqrt(covariance(2, 2)), config_.set_back_heading_rad)});
+  start(start_of(t_s, before.pose, before.covariance, kSetBack_m, kSetBack_rad));
 }
 
 void Tracker::watch(const model::RangeSample& range, const RangeResult& result) noexcept {
-  for (TagWatch& tag : std::span(tags_).first(tag_count_)) {
-    if (tag.id != range.tag_id) continue;
-    tag.last_s = std::max(tag.last_s, range.t_s);
-    tag.heard = true;
+  for (TagWatch& tag : tags_) {
+    if (tag.id == range.tag_id) tag.last_s = std::max(tag.last_s, range.t_s);
   }
   if (result.outcome == RangeOutcome::kNotStarted) {
     no_place_ranges_ += 1.0;
@@ -279,31 +271,29 @@ void Tracker::watch(const model::RangeSample& range, const RangeResult& result) 
   }
   map_watch_.observe(range.t_s, result.innovation_m, result.map_variance_m2);
   if (result.outcome == RangeOutcome::kUsed) last_used_s_ = std::max(last_used_s_, range.t_s);
-  const double fade = std::exp(-std::max(newest_s_ - judged_s_, 0.0) / config_.window_s);
+  const double fade = fading(judged_s_, newest_s_, kAgreement_s);
   judged_s_ = newest_s_;
   judged_ = judged_ * fade + 1.0;
   refused_ = refused_ * fade + (1.0 - result.weight);
-  if (judged_ < config_.few_ranges) return;
-  const bool disagrees = refused_ > config_.disagree_share * judged_;
-  if (disagrees && std::isnan(disagrees_since_s_)) {
-    disagrees_since_s_ = newest_s_;
+  if (judged_ < kFewRanges) return;
+  const bool disagrees = refused_ > kDisagreeShare * judged_;
+  if (disagrees && !disagrees_.holds()) {
     // What came before may be of another place.
     search_.clear();
     last_search_s_ = newest_s_;
   }
-  if (!disagrees) disagrees_since_s_ = kNotNow;
+  disagrees_.update(disagrees, newest_s_);
 }
 
 void Tracker::prove_again(bool widens) noexcept {
   proven_ = false;
-  agrees_since_s_ = kNotNow;
+  agrees_.reset();
   if (state_ != State::kTracking && state_ != State::kDegraded) return;
   state_ = State::kConverging;
-  if (!widens) return judge_anew();
+  if (!widens) return judge_again();
   const Estimate now = estimate();
-  if (!config_.relocates || largest_variance(now.covariance) < square(config_.unknown_sigma_m)) {
+  if (!config_.relocates || largest_variance(now.covariance) < square(kUnknownAfterPause_m))
     return start_near(now, now.t_s);
-  }
   // As good as nothing is known of it: ranges linearized there would mislead.
   filter_.stop();
   by_odometry_.reset();
@@ -313,17 +303,16 @@ void Tracker::prove_again(bool widens) noexcept {
 }
 
 bool Tracker::is_certain(const Eigen::Matrix3d& covariance) const noexcept {
-  return largest_variance(covariance) < square(config_.position_sigma_m) &&
-         covariance(2, 2) < square(config_.heading_sigma_rad);
+  return largest_variance(covariance) < square(kUncertain_m) && covariance(2, 2) < square(kUncertain_rad);
 }
 
 Reason Tracker::find_reason() const noexcept {
-  if (!std::isnan(disagrees_since_s_) || map_watch_.is_doubtful()) return Reason::kRangesDisagree;
-  if (newest_s_ - last_used_s_ > config_.silent_s) return Reason::kNoRanges;
-  if (newest_s_ - last_row_s_ > config_.silent_s) return Reason::kNoOdometry;
+  if (disagrees_.holds() || map_watch_.is_doubtful()) return Reason::kRangesDisagree;
+  if (newest_s_ - last_used_s_ > kSilent_s) return Reason::kNoRanges;
+  if (newest_s_ - last_row_s_ > kSilent_s) return Reason::kNoOdometry;
   if (!is_certain(filter_.filter().covariance().core().topLeftCorner<3, 3>())) return Reason::kUncertain;
-  for (const TagWatch& tag : std::span(tags_).first(tag_count_)) {
-    if (tag.heard && newest_s_ - tag.last_s > config_.tag_silent_s) return Reason::kTagSilent;
+  for (const TagWatch& tag : tags_) {
+    if (tag.last_s != kNotYet_s && newest_s_ - tag.last_s > kTagSilent_s) return Reason::kTagSilent;
   }
   if (filter_.filter().is_off_surface()) return Reason::kOffSurface;
   return Reason::kNone;
@@ -333,12 +322,11 @@ void Tracker::assess() noexcept {
   if (!filter_.started()) {
     state_ = config_.relocates && search_.ranges() > 0 ? State::kConverging : State::kUninitialized;
     reason_ = Reason::kNone;
-    if (finds_no_place()) {
+    if (no_place_.lasted_s(newest_s_) >= kNoPlace_s && no_place_ranges_ >= kNoPlaceRanges) {
       state_ = State::kLost;
       reason_ = Reason::kMapMismatch;
     }
-    search_when_due();
-    return;
+    return search_when_due();
   }
   if (map_watch_.is_wrong()) {
     name_wrong_map();
@@ -347,13 +335,8 @@ void Tracker::assess() noexcept {
   reason_ = find_reason();
   const bool disagrees = reason_ == Reason::kRangesDisagree;
   if (state_ == State::kConverging) {
-    if (disagrees || judged_ < config_.few_ranges) {
-      agrees_since_s_ = kNotNow;
-    } else if (std::isnan(agrees_since_s_)) {
-      agrees_since_s_ = newest_s_;
-    }
-    const bool agreed = newest_s_ - agrees_since_s_ >= config_.agree_s;
-    if (agreed && reason_ != Reason::kUncertain) {
+    agrees_.update(!disagrees && judged_ >= kFewRanges, newest_s_);
+    if (agrees_.lasted_s(newest_s_) >= kAgreeFor_s && reason_ != Reason::kUncertain) {
       state_ = State::kTracking;
       proven_ = true;
     }
@@ -362,34 +345,32 @@ void Tracker::assess() noexcept {
   if (state_ == State::kTracking || state_ == State::kDegraded) {
     const State good = proven_ ? State::kTracking : State::kConverging;
     state_ = reason_ == Reason::kNone ? good : State::kDegraded;
-    if (state_ == State::kConverging) agrees_since_s_ = kNotNow;
+    if (state_ == State::kConverging) agrees_.reset();
   }
   if (state_ == State::kLost && !disagrees) {
     state_ = State::kConverging;
     proven_ = false;
-    agrees_since_s_ = kNotNow;
+    agrees_.reset();
   }
   // Walls may hide most anchors for a while, and what passes them agrees with a place some way off.
-  if (disagrees && newest_s_ - disagrees_since_s_ > config_.lost_s) {
+  if (disagrees && disagrees_.lasted_s(newest_s_) > kLostAfter_s) {
     search_when_due();
-  } else if (surface_.chart_count() > 1 && judged_ >= config_.few_ranges &&
-             refused_ > config_.floor_share * judged_) {
+  } else if (surface_.chart_count() > 1 && judged_ >= kFewRanges && refused_ > kFloorShare * judged_) {
     compare_floors_when_due();
   }
 }
 
 bool Tracker::search_is_due() noexcept {
-  const bool is_map_doubtful = map_watch_.is_doubtful() || !std::isnan(no_place_since_s_);
-  const double every_s = (is_map_doubtful ? 2.0 : 1.0) * config_.search_every_s;
-  if (newest_s_ - last_search_s_ < every_s) return false;
+  const bool is_map_doubtful = map_watch_.is_doubtful() || no_place_.holds();
+  if (newest_s_ - last_search_s_ < (is_map_doubtful ? 2.0 : 1.0) * kSearchEvery_s) return false;
   last_search_s_ = newest_s_;
   return true;
 }
 
 bool Tracker::earns_search() noexcept {
   const bool is_wrong = reason_ == Reason::kMapMismatch;
-  const double earned_in_s = is_wrong ? config_.search_earned_on_wrong_map_s : config_.search_earned_s;
-  const double most = is_wrong ? 1.0 : config_.most_searches;
+  const double earned_in_s = is_wrong ? kSearchEarnedOnWrongMap_s : kSearchEarned_s;
+  const double most = is_wrong ? 1.0 : kMostSearches;
   searches_left_ = std::min(searches_left_ + std::max(newest_s_ - earned_s_, 0.0) / earned_in_s, most);
   earned_s_ = newest_s_;
   if (searches_left_ < 1.0) return false;
@@ -402,26 +383,20 @@ void Tracker::search_when_due() noexcept {
   if (!is_known && !config_.relocates) return;
   if (!search_is_due() || !earns_search()) return;
   const auto hypotheses = search_.search();
-  double doubt = 0.0;
-  if (filter_.started() && !hypotheses.empty()) {
-    doubt = likelier(hypotheses.front());
-    if (is_known) state_ = doubt > config_.lost_odds ? State::kLost : State::kDegraded;
+  if (hypotheses.empty()) return;
+  const StartSearch::Hypothesis& best = hypotheses.front();
+  if (!filter_.started()) {
+    const bool is_explained = best.mean_weight > StartSearch::kExplainedShare;
+    if (!is_explained && !no_place_.holds()) no_place_ranges_ = 0.0;
+    no_place_.update(!is_explained, newest_s_);
+    if (search_.settled() && config_.relocates) begin_at(best);
+    return;
   }
-  if (!filter_.started() && !hypotheses.empty()) {
-    if (hypotheses.front().mean_weight > search_.explained_share()) {
-      no_place_since_s_ = kNotNow;
-    } else if (std::isnan(no_place_since_s_)) {
-      no_place_since_s_ = newest_s_;
-      no_place_ranges_ = 0.0;
-    }
-  }
-  if (!search_.settled() || !config_.relocates) return;
-  const StartSearch::Hypothesis& found = hypotheses.front();
-  if (filter_.started()) {
-    if (doubt < config_.other_odds || !is_elsewhere(found)) return;
-    ++relocations_;
-  }
-  begin_at(found);
+  const double odds = this->odds(best);
+  if (is_known) state_ = odds > kLostOdds ? State::kLost : State::kDegraded;
+  if (!search_.settled() || !config_.relocates || odds < kOtherOdds || !is_elsewhere(best)) return;
+  ++relocations_;
+  begin_at(best);
 }
 
 void Tracker::compare_floors_when_due() noexcept {
@@ -429,12 +404,12 @@ void Tracker::compare_floors_when_due() noexcept {
   const auto hypotheses = search_.search_floors(filter_.estimate().pose);
   if (!search_.settled()) return;
   const StartSearch::Hypothesis& found = hypotheses.front();
-  if (!is_on_other_floor(found) || likelier(found) < config_.floor_odds) return;
+  if (!is_on_other_floor(found) || odds(found) < kFloorOdds) return;
   ++relocations_;
   begin_at(found);
 }
 
-double Tracker::likelier(const StartSearch::Hypothesis& hypothesis) noexcept {
+double Tracker::odds(const StartSearch::Hypothesis& hypothesis) noexcept {
   return search_.cautious_cost(filter_.estimate().pose) - search_.cautious_cost(hypothesis.pose);
 }
 
@@ -451,17 +426,13 @@ bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noex
   const Estimate now = filter_.estimate();
   const Eigen::Vector3d apart(hypothesis.pose.x_m - now.pose.x_m, hypothesis.pose.y_m - now.pose.y_m,
                               model::wrap_angle(hypothesis.pose.theta_rad - now.pose.theta_rad));
-  // The filter's own covariance grows while it doubts; that the ranges refuse it is held against it already.
+  // By the hypothesis's covariance alone: the filter's grows while ranges are refused.
   const double distance2 = apart.dot(hypothesis.covariance.ldlt().solve(apart));
-  return distance2 > square(config_.other_sigmas);
+  return distance2 > square(kOtherSigmas);
 }
 
 void Tracker::begin_at(const StartSearch::Hypothesis& hypothesis) noexcept {
-  begin({.t_s = search_.t_s(),
-         .pose = hypothesis.pose,
-         .position_sigma_m = std::sqrt(largest_variance(hypothesis.covariance)),
-         .heading_sigma_rad = std::sqrt(hypothesis.covariance(2, 2))},
-        State::kConverging);
+  begin(start_of(search_.t_s(), hypothesis.pose, hypothesis.covariance), State::kConverging);
   map_watch_.restart();
   if (map_watch_.is_wrong()) name_wrong_map();
   search_.clear();
