@@ -166,13 +166,12 @@ void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& wa
         fmt::format("{} odometry samples were dropped: no robot moves so, or changes its velocity so fast",
                     counters.odometry[filter::OdometryOutcome::kImplausible]));
   }
-  for (const auto& [sensor, samples] : {std::pair{filter::Sensor::kYawRate, "IMU samples"},
-                                        {filter::Sensor::kPosition, "GNSS positions"},
-                                        {filter::Sensor::kPose, "absolute poses"}}) {
-    const auto& of = counters.sensors.at(static_cast<std::size_t>(sensor));
+  for (std::size_t sensor = 0; sensor < model::kSensors; ++sensor) {
+    const auto& of = counters.sensors.at(sensor);
     const std::size_t dropped = of[filter::SensorOutcome::kJumped] + of[filter::SensorOutcome::kBadValue];
     if (dropped == 0) continue;
-    warnings.add(fmt::format("{} {} were dropped: no robot can do what they say", dropped, samples));
+    warnings.add(fmt::format("{} samples of {} were dropped: no robot can do what they say", dropped,
+                             model::kSensorNames.at(sensor)));
   }
 }
 

@@ -35,9 +35,8 @@ class FilterInput {
     filter::ReplayOptions options;  // the run's own sigmas, start and end; the default model
 
     [[nodiscard]] filter::Run run() const {
-      return {dataset.odometry,  dataset.ranges,         dataset.tags,
-              &dataset.surface,  &calibration,           dataset.yaw_rates,
-              dataset.positions, dataset.absolute_poses, dataset.zero_velocities};
+      return {dataset.odometry, dataset.ranges, dataset.tags,
+              &dataset.surface, &calibration,   &dataset.sensor_samples};
     }
   };
   // Throws what reading throws, and, where a start is needed, DataError if there is none.

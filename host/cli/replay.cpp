@@ -58,16 +58,15 @@ double begin_s(const FilterInput::Drive& drive) {
 
 Json sensors_json(const filter::Counters& counters) {
   using Outcome = filter::SensorOutcome;
-  constexpr std::array<const char*, filter::kSensors> kNames{"imu", "gnss", "absolute_pose", "zero_velocity"};
   Json json = Json::object();
-  for (std::size_t i = 0; i < kNames.size(); ++i) {
+  for (std::size_t i = 0; i < model::kSensors; ++i) {
     const auto& of = counters.sensors.at(i);
-    json[kNames.at(i)] = {{"used", of[Outcome::kUsed]},
-                          {"gated", of[Outcome::kGated]},
-                          {"jumped", of[Outcome::kJumped]},
-                          {"bad_value", of[Outcome::kBadValue]},
-                          {"out_of_order", of[Outcome::kOutOfOrder]},
-                          {"not_started", of[Outcome::kNotStarted]}};
+    json[model::kSensorNames.at(i)] = {{"used", of[Outcome::kUsed]},
+                                       {"gated", of[Outcome::kGated]},
+                                       {"jumped", of[Outcome::kJumped]},
+                                       {"bad_value", of[Outcome::kBadValue]},
+                                       {"out_of_order", of[Outcome::kOutOfOrder]},
+                                       {"not_started", of[Outcome::kNotStarted]}};
   }
   return json;
 }

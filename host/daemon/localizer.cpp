@@ -126,8 +126,8 @@ void Localizer::on_pose_prior(const model::PoseSample& sample) {
 
 void Localizer::on_sensor(const model::SensorSample& sample) {
   if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) arrived(in_own_time(*rate));
-  const filter::SensorResult result =
-      std::visit([this](const auto& of) { return tracker_->process(in_own_time(of)); }, sample);
+  const filter::SensorResult result = tracker_->process(
+      model::visit(sample, [this](const auto& of) { return model::SensorSample(in_own_time(of)); }));
   const bool implausible =
       result.outcome == filter::SensorOutcome::kJumped || result.outcome == filter::SensorOutcome::kBadValue;
   if (implausible) ++implausible_;

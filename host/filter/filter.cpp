@@ -282,47 +282,34 @@ void Filter::add(const CoreVector& change) noexcept {
   now_.core(kTheta) = model::wrap_angle(now_.core(kTheta));
 }
 
-template <class Use>
-SensorResult Filter::take(Sensor sensor, double t_s, bool is_plausible, const Use& use) noexcept {
-  SensorResult result;
-  if (!is_plausible) {
-    result.outcome = SensorOutcome::kBadValue;
-  } else if (now_.started && t_s < now_.t_s) {
-    result.outcome = SensorOutcome::kOutOfOrder;
-  } else if (now_.started) {
-    advance_to(t_s);
-    result = use();
-  }
-  ++now_.counters.sensors[static_cast<std::size_t>(sensor)][result.outcome];
+SensorResult Filter::process(const model::SensorSample& sample) noexcept {
+  const SensorResult result = model::visit(sample, [this](const auto& of) { return take(of); });
+  ++now_.counters.sensors[sample.index()][result.outcome];
   return result;
 }
 
-SensorResult Filter::process(const model::YawRateSample& sample) noexcept {
-  return take(Sensor::kYawRate, sample.t_s, std::isfinite(sample.t_s + sample.omega_radps), [&] {
-    if (!motion().turn(sample)) return SensorResult{.outcome = SensorOutcome::kJumped};
-    return SensorResult{.outcome = SensorOutcome::kUsed, .weight = 1.0};
-  });
+template <class Sample>
+SensorResult Filter::take(const Sample& sample) noexcept {
+  if (!is_usable(sample)) return {.outcome = SensorOutcome::kBadValue};
+  if (!now_.started) return {};
+  if (sample.t_s < now_.t_s) return {.outcome = SensorOutcome::kOutOfOrder};
+  advance_to(sample.t_s);
+  return use(sample);
 }
 
-SensorResult Filter::process(const model::PositionSample& sample) noexcept {
-  return take(Sensor::kPosition, sample.t_s, model::is_plausible(sample), [&] {
-    return correct(Sensor::kPosition, measure_position(surface_, present(), config_.sensors, sample));
-  });
+SensorResult Filter::use(const model::YawRateSample& sample) noexcept {
+  if (!motion().turn(sample)) return {.outcome = SensorOutcome::kJumped};
+  return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
 }
 
-SensorResult Filter::process(const model::PoseSample& sample) noexcept {
-  return take(Sensor::kPose, sample.t_s, tells_pose(sample),
-              [&] { return correct(Sensor::kPose, measure_pose(surface_, present(), sample)); });
-}
-
-SensorResult Filter::process(const model::ZeroVelocitySample& sample) noexcept {
-  return take(Sensor::kZeroVelocity, sample.t_s, std::isfinite(sample.t_s), [&] {
-    return correct(Sensor::kZeroVelocity, measure_zero_velocity(now_.core, now_.row, config_.sensors));
-  });
+template <class Sample>
+SensorResult Filter::use(const Sample& sample) noexcept {
+  const SensorView view{surface_, config_.sensors, now_.core, now_.row, present()};
+  return correct(model::kSensorOf<Sample>, measure(view, sample));
 }
 
 template <int kSize>
-SensorResult Filter::correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept {
+SensorResult Filter::correct(std::size_t sensor, const CoreMeasurement<kSize>& measurement) noexcept {
   using Square = Eigen::Matrix<double, kSize, kSize>;
   const auto& d_core = measurement.d_core;
   const Square by_core = d_core.lazyProduct(now_.covariance.core().lazyProduct(d_core.transpose()).eval());

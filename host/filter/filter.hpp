@@ -96,10 +96,10 @@ class CountBy {
 struct Counters {
   CountBy<OdometryOutcome, 6> odometry;
   CountBy<RangeOutcome, 9> ranges;
-  std::array<CountBy<SensorOutcome, 6>, kSensors> sensors;  // by Sensor
-  std::size_t doubts = 0;                                   // times that divergence was suspected
-  std::size_t slips = 0;                                    // times that ranges showed odometry to be wrong
-  std::size_t anchor_exchanges = 0;                         // times an anchor took the place of another one
+  std::array<CountBy<SensorOutcome, 6>, model::kSensors> sensors;  // in the order of SensorSample
+  std::size_t doubts = 0;                                          // times that divergence was suspected
+  std::size_t slips = 0;             // times that ranges showed odometry to be wrong
+  std::size_t anchor_exchanges = 0;  // times an anchor took the place of another one
 };
 
 struct Estimate {
@@ -154,11 +154,8 @@ class Filter {
 
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
-  // What is told beside odometry and ranges, with any model.
-  SensorResult process(const model::YawRateSample& sample) noexcept;
-  SensorResult process(const model::PositionSample& sample) noexcept;
-  SensorResult process(const model::PoseSample& sample) noexcept;
-  SensorResult process(const model::ZeroVelocitySample& sample) noexcept;
+  // With any model.
+  SensorResult process(const model::SensorSample& sample) noexcept;
   // Moves the state to t_s by the row held. False, and nothing done, when t_s is not a later time.
   bool advance_to(double t_s) noexcept;
 
@@ -223,11 +220,13 @@ class Filter {
   void watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,
                   const RangeResult& result) noexcept;
   void tune(const PairPlace& pair, const RangeResult& result) noexcept;
-  // A sample of t_s: `use` is called where it can be taken, when the state is of that time.
-  template <class Use>
-  SensorResult take(Sensor sensor, double t_s, bool is_plausible, const Use& use) noexcept;
+  template <class Sample>
+  SensorResult take(const Sample& sample) noexcept;
+  SensorResult use(const model::YawRateSample& sample) noexcept;
+  template <class Sample>
+  SensorResult use(const Sample& sample) noexcept;
   template <int kSize>
-  SensorResult correct(Sensor sensor, const CoreMeasurement<kSize>& measurement) noexcept;
+  SensorResult correct(std::size_t sensor, const CoreMeasurement<kSize>& measurement) noexcept;
   void add(const CoreVector& change) noexcept;
   [[nodiscard]] PresentPose present() const noexcept {
     return present_pose(surface_, now_.core, now_.row, delays_, now_.chart);

@@ -23,43 +23,35 @@ constexpr double kPerWindow = 4.0;
 // Inputs from one checkpoint to the next at most: so many are taken again for one that comes late.
 constexpr std::uint64_t kMostAgain = OrderedFilter::kMaxInputs / 8;
 
-// std::visit for functions that must not throw.
-template <std::size_t kAt = 0, class Input, class Use>
-auto visit(const Input& input, const Use& use) noexcept {
-  if constexpr (kAt + 1 < std::variant_size_v<Input>) {
-    if (input.index() != kAt) return visit<kAt + 1>(input, use);
-  }
-  return use(*std::get_if<kAt>(&input));
+// What inputs of one kind are sorted by: which sensor's, time, and values.
+using Key = std::pair<std::size_t, SampleKey>;
+Key key_of(const Start& s) noexcept {
+  return {0, {s.t_s, s.pose.x_m, s.pose.y_m, s.pose.theta_rad}};
 }
-
-// What inputs of one kind are sorted by: time, and what else they say.
-using Values = std::array<double, 4>;
-struct ValuesOf {
-  Values operator()(const Start& s) const { return {s.t_s, s.pose.x_m, s.pose.y_m, s.pose.theta_rad}; }
-  Values operator()(const OdometrySample& s) const { return {s.t_s, s.vx_mps, s.vy_mps, s.omega_radps}; }
-  Values operator()(const RangeSample& s) const {
-    return {s.t_s, static_cast<double>(s.tag_id), static_cast<double>(s.anchor_id), s.range_m};
-  }
-  Values operator()(const model::YawRateSample& s) const { return {s.t_s, s.omega_radps}; }
-  Values operator()(const model::PositionSample& s) const {
-    return {s.t_s, s.x_m, s.y_m, s.covariance_m2[0]};
-  }
-  Values operator()(const model::PoseSample& s) const { return {s.t_s, s.x_m, s.y_m, s.yaw_rad}; }
-  Values operator()(const model::ZeroVelocitySample& s) const { return {s.t_s}; }
-};
-
-// By time, kind, and what else they say.
-template <class Input>
-bool is_before(const Input& a, const Input& b) noexcept {
-  const Values of_a = visit(a, ValuesOf());
-  const Values of_b = visit(b, ValuesOf());
-  if (of_a[0] != of_b[0]) return of_a[0] < of_b[0];
-  return a.index() != b.index() ? a.index() < b.index() : of_a < of_b;
+Key key_of(const OdometrySample& s) noexcept {
+  return {0, {s.t_s, s.vx_mps, s.vy_mps, s.omega_radps}};
+}
+Key key_of(const RangeSample& s) noexcept {
+  return {0, {s.t_s, static_cast<double>(s.tag_id), static_cast<double>(s.anchor_id), s.range_m}};
+}
+Key key_of(const model::SensorSample& s) noexcept {
+  return {s.index(), model::visit(s, [](const auto& of) { return filter::key_of(of); })};
 }
 
 template <class Input>
 double time_of(const Input& input) noexcept {
-  return visit(input, [](const auto& held) { return held.t_s; });
+  return model::visit(input, [](const auto& held) { return key_of(held).second[0]; });
+}
+
+// By time, kind, and what else they say.
+template <class Input>
+bool is_before(const Input& a, const Input& b) noexcept {
+  const double a_s = time_of(a);
+  const double b_s = time_of(b);
+  if (a_s != b_s) return a_s < b_s;
+  if (a.index() != b.index()) return a.index() < b.index();
+  const auto key = [](const auto& held) { return key_of(held); };
+  return model::visit(a, key) < model::visit(b, key);
 }
 
 }  // namespace
@@ -120,10 +112,10 @@ RangeResult OrderedFilter::process(const RangeSample& range) noexcept {
   return outcome.range;
 }
 
-SensorResult OrderedFilter::process(Sensor sensor, const Input& sample) noexcept {
-  auto& refused = refused_.sensors[static_cast<std::size_t>(sensor)];
-  const Values values = visit(sample, ValuesOf());
-  if (!std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); })) {
+SensorResult OrderedFilter::process(const model::SensorSample& sample) noexcept {
+  auto& refused = refused_.sensors[sample.index()];
+  const SampleKey key = key_of(sample).second;
+  if (!std::all_of(key.begin(), key.end(), [](double value) { return std::isfinite(value); })) {
     ++refused[SensorOutcome::kBadValue];
     return {.outcome = SensorOutcome::kBadValue};
   }
@@ -136,7 +128,7 @@ Counters OrderedFilter::counters() const noexcept {
   Counters sum = filter_.counters();
   sum.odometry += refused_.odometry;
   sum.ranges += refused_.ranges;
-  for (std::size_t i = 0; i < kSensors; ++i) sum.sensors[i] += refused_.sensors[i];
+  for (std::size_t i = 0; i < model::kSensors; ++i) sum.sensors[i] += refused_.sensors[i];
   return sum;
 }
 
@@ -187,7 +179,7 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
 
 OrderedFilter::Outcome OrderedFilter::apply(const Input& input) noexcept {
   Outcome outcome;
-  visit(input, [&](const auto& held) {
+  model::visit(input, [&](const auto& held) {
     using Held = std::decay_t<decltype(held)>;
     if constexpr (std::is_same_v<Held, Start>) {
       filter_.start(held);

@@ -3,7 +3,7 @@
 //
 // Inputs of the window are kept, and the filter as it was at some instants of it. A late one is put in its
 // place, and the filter goes on from the instant before it. Inputs of one time are taken in an order of their
-// own: starts, odometry, ranges by tag, anchor and value, then what other sensors tell.
+// own: starts, odometry, ranges by tag, anchor and value, then those of other sensors.
 #pragma once
 
 #include <array>
@@ -41,12 +41,7 @@ class OrderedFilter {
   // kOutOfOrder: too late, and refused.
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
-  SensorResult process(const model::YawRateSample& s) noexcept { return process(Sensor::kYawRate, s); }
-  SensorResult process(const model::PositionSample& s) noexcept { return process(Sensor::kPosition, s); }
-  SensorResult process(const model::PoseSample& s) noexcept { return process(Sensor::kPose, s); }
-  SensorResult process(const model::ZeroVelocitySample& s) noexcept {
-    return process(Sensor::kZeroVelocity, s);
-  }
+  SensorResult process(const model::SensorSample& sample) noexcept;
 
   // As of the newest input.
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
@@ -60,8 +55,7 @@ class OrderedFilter {
   [[nodiscard]] const Filter& filter() const noexcept { return filter_; }
 
  private:
-  using Input = std::variant<Start, model::OdometrySample, model::RangeSample, model::YawRateSample,
-                             model::PositionSample, model::PoseSample, model::ZeroVelocitySample>;
+  using Input = std::variant<Start, model::OdometrySample, model::RangeSample, model::SensorSample>;
   // The filter before the input of that number; inputs are numbered in their order.
   struct Checkpoint {
     Filter::Snapshot filter;
@@ -75,7 +69,6 @@ class OrderedFilter {
     SensorResult sensor{.outcome = SensorOutcome::kOutOfOrder};
   };
 
-  SensorResult process(Sensor sensor, const Input& sample) noexcept;
   Outcome insert(const Input& input) noexcept;
   Outcome apply(const Input& input) noexcept;
   void check_in_when_due(std::uint64_t next, double t_s) noexcept;

@@ -1,7 +1,6 @@
 #include "host/filter/replay.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -21,6 +20,19 @@ Percentiles percentiles(std::vector<double>& values) {
     return values[static_cast<std::size_t>(rank)];
   };
   return {at(0.50), at(0.99)};
+}
+
+constexpr double kNoneLeft_s = std::numeric_limits<double>::infinity();
+
+// All sensors' samples by time; at one time in the order of the sensors.
+std::vector<model::SensorSample> merged(const model::SensorTables* tables) {
+  std::vector<model::SensorSample> out;
+  if (tables == nullptr) return out;
+  std::apply([&](const auto&... table) { (out.insert(out.end(), table.begin(), table.end()), ...); },
+             *tables);
+  std::stable_sort(out.begin(), out.end(),
+                   [](const auto& a, const auto& b) { return model::time_of(a) < model::time_of(b); });
+  return out;
 }
 
 // The state of the row at t_s.
@@ -53,10 +65,9 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   };
   auto row = from(run.odometry);
   auto range = from(run.ranges);
-  auto yaw_rate = from(run.yaw_rates);
-  auto position = from(run.positions);
-  auto absolute_pose = from(run.absolute_poses);
-  auto standing = from(run.zero_velocities);
+  const std::vector<model::SensorSample> sensor_samples = merged(run.sensors);
+  auto sensor = std::lower_bound(sensor_samples.begin(), sensor_samples.end(), from_s,
+                                 [](const auto& sample, double t_s) { return model::time_of(sample) < t_s; });
   // The row that holds at the start.
   if (row != run.odometry.begin() && (row == run.odometry.end() || row->t_s > from_s)) {
     tracker->process(*std::prev(row));
@@ -82,24 +93,17 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     if (tracker->reason() == Reason::kMapMismatch && !result.map_mismatch)
       result.map_mismatch = {.t_s = sample.t_s, .share = tracker->map_watch().share()};
   };
-  constexpr double kNoneLeft_s = std::numeric_limits<double>::infinity();
-  const auto time_of = [&](const auto& at, const auto& samples) {
-    return at != samples.end() ? at->t_s : kNoneLeft_s;
-  };
   const auto take_up_to = [&](double t_s) {
     while (true) {
-      // The earliest; at one time in OrderedFilter's order.
-      const std::array<double, 5> next_s{
-          time_of(range, run.ranges), time_of(yaw_rate, run.yaw_rates), time_of(position, run.positions),
-          time_of(absolute_pose, run.absolute_poses), time_of(standing, run.zero_velocities)};
-      const auto first = std::min_element(next_s.begin(), next_s.end());
-      if (!(*first <= t_s)) return;
-      const auto kind = first - next_s.begin();
-      if (kind == 0) take_range(*range++);
-      if (kind == 1) tracker->process(*yaw_rate++);
-      if (kind == 2) tracker->process(*position++);
-      if (kind == 3) tracker->process(*absolute_pose++);
-      if (kind == 4) tracker->process(*standing++);
+      // The earliest; at one time ranges first, as in OrderedFilter's order.
+      const double range_s = range != run.ranges.end() ? range->t_s : kNoneLeft_s;
+      const double sensor_s = sensor != sensor_samples.end() ? model::time_of(*sensor) : kNoneLeft_s;
+      if (!(std::min(range_s, sensor_s) <= t_s)) return;
+      if (range_s <= sensor_s) {
+        take_range(*range++);
+      } else {
+        tracker->process(*sensor++);
+      }
     }
   };
 

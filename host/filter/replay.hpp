@@ -25,11 +25,7 @@ struct Run {
   std::span<const model::Tag> tags;
   const model::Surface* surface = nullptr;
   const model::Calibration* calibration = nullptr;
-  // Other sensors', where there are any.
-  std::span<const model::YawRateSample> yaw_rates = {};
-  std::span<const model::PositionSample> positions = {};
-  std::span<const model::PoseSample> absolute_poses = {};
-  std::span<const model::ZeroVelocitySample> zero_velocities = {};
+  const model::SensorTables* sensors = nullptr;  // other sensors', where there are any
 };
 
 struct ReplayOptions {

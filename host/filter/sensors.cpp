@@ -19,12 +19,11 @@ constexpr double kSensorPatience_s = 2.0;
 
 }  // namespace
 
-CoreMeasurement<2> measure_position(const model::Surface& surface, const PresentPose& now,
-                                    const SensorConfig& config,
-                                    const model::PositionSample& sample) noexcept {
-  const Eigen::Vector3d& lever_arm = config.position_lever_arm_m;
+CoreMeasurement<2> measure(const SensorView& state, const model::PositionSample& sample) noexcept {
+  const PresentPose& now = state.now;
+  const Eigen::Vector3d& lever_arm = state.config.position_lever_arm_m;
   const model::SurfacePose pose =
-      model::pose_on_surface(surface, {now.pose.x(), now.pose.y(), now.pose.z(), now.chart});
+      model::pose_on_surface(state.surface, {now.pose.x(), now.pose.y(), now.pose.z(), now.chart});
   const Eigen::Vector3d antenna = pose.pose.rotation * lever_arm;
   Eigen::Matrix3d d_antenna;
   d_antenna << pose.d_rotation_d_x * lever_arm, pose.d_rotation_d_y * lever_arm,
@@ -41,15 +40,11 @@ CoreMeasurement<2> measure_position(const model::Surface& surface, const Present
   return out;
 }
 
-bool tells_pose(const model::PoseSample& sample) noexcept {
-  return sample.covariance && model::is_plausible(sample);
-}
-
-CoreMeasurement<3> measure_pose(const model::Surface& surface, const PresentPose& now,
-                                const model::PoseSample& sample) noexcept {
+CoreMeasurement<3> measure(const SensorView& state, const model::PoseSample& sample) noexcept {
+  const PresentPose& now = state.now;
   CoreMeasurement<3> out;
   out.innovation << sample.x_m - now.pose.x(), sample.y_m - now.pose.y(),
-      model::wrap_angle(place_on(surface, sample).theta_rad - now.pose.z());
+      model::wrap_angle(place_on(state.surface, sample).theta_rad - now.pose.z());
   out.d_core = now.d_core;
   out.noise = model::to_matrix(*sample.covariance) + now.noise;
   return out;
@@ -65,8 +60,9 @@ model::PlanarPose place_on(const model::Surface& surface, const model::PoseSampl
   return out;
 }
 
-CoreMeasurement<3> measure_zero_velocity(const CoreVector& core, const model::OdometrySample& row,
-                                         const SensorConfig& config) noexcept {
+CoreMeasurement<3> measure(const SensorView& state, const model::ZeroVelocitySample& /*sample*/) noexcept {
+  const CoreVector& core = state.core;
+  const model::OdometrySample& row = state.row;
   const double scale = 1.0 + core(kScale);
   CoreMeasurement<3> out;
   out.innovation << core(kRowVx) - scale * row.vx_mps, core(kRowVy) - scale * row.vy_mps,
@@ -76,15 +72,41 @@ CoreMeasurement<3> measure_zero_velocity(const CoreVector& core, const model::Od
   out.d_core(1, kScale) = row.vy_mps;
   out.d_core(2, kYawBias) = -1.0;
   out.d_core.rightCols<3>().diagonal().setConstant(-1.0);
-  const double variance_m2ps2 = square(config.standing_sigma_mps);
+  const double variance_m2ps2 = square(state.config.standing_sigma_mps);
   out.noise =
-      Eigen::Vector3d(variance_m2ps2, variance_m2ps2, square(config.standing_sigma_radps)).asDiagonal();
+      Eigen::Vector3d(variance_m2ps2, variance_m2ps2, square(state.config.standing_sigma_radps)).asDiagonal();
   return out;
 }
 
-double SensorGate::weigh(Sensor sensor, double t_s, double mean_square) noexcept {
+bool is_usable(const model::YawRateSample& sample) noexcept {
+  return std::isfinite(sample.t_s + sample.omega_radps);
+}
+bool is_usable(const model::PositionSample& sample) noexcept {
+  return model::is_plausible(sample);
+}
+bool is_usable(const model::PoseSample& sample) noexcept {
+  return sample.covariance && model::is_plausible(sample);
+}
+bool is_usable(const model::ZeroVelocitySample& sample) noexcept {
+  return std::isfinite(sample.t_s);
+}
+
+SampleKey key_of(const model::YawRateSample& sample) noexcept {
+  return {sample.t_s, sample.omega_radps};
+}
+SampleKey key_of(const model::PositionSample& sample) noexcept {
+  return {sample.t_s, sample.x_m, sample.y_m, sample.covariance_m2[0]};
+}
+SampleKey key_of(const model::PoseSample& sample) noexcept {
+  return {sample.t_s, sample.x_m, sample.y_m, sample.yaw_rad};
+}
+SampleKey key_of(const model::ZeroVelocitySample& sample) noexcept {
+  return {sample.t_s};
+}
+
+double SensorGate::weigh(std::size_t sensor, double t_s, double mean_square) noexcept {
   if (!std::isfinite(mean_square)) return 0.0;
-  Times& times = times_[static_cast<std::size_t>(sensor)];
+  Times& times = times_[sensor];
   if (t_s - times.seen_s > kSensorPatience_s) times.heard_s = t_s;
   times.seen_s = t_s;
   if (!(mean_square > square(kGateSigmas))) {

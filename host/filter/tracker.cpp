@@ -170,18 +170,24 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
   return result;
 }
 
-SensorResult Tracker::process(const model::PoseSample& sample) noexcept {
-  if (filter_.started() || !tells_pose(sample)) return process_fix(sample);
-  if (!believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
+SensorResult Tracker::process(const model::SensorSample& sample) noexcept {
+  const double t_s = model::time_of(sample);
+  if (std::isfinite(t_s) && !believe(t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
+  const auto* pose = std::get_if<model::PoseSample>(&sample);
+  if (pose != nullptr && !filter_.started() && is_usable(*pose)) return start_at(*pose);
+  const SensorResult result = filter_.process(sample);
+  if (result.outcome == SensorOutcome::kUsed || result.outcome == SensorOutcome::kGated)
+    newest_s_ = std::max(newest_s_, t_s);
+  const bool is_fix = pose != nullptr || std::holds_alternative<model::PositionSample>(sample);
+  if (is_fix && result.outcome == SensorOutcome::kUsed) last_used_s_ = std::max(last_used_s_, t_s);
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) carry_on(*rate);
+  return result;
+}
+
+SensorResult Tracker::start_at(const model::PoseSample& sample) noexcept {
   if (!start(start_of(sample.t_s, place_on(surface_, sample), model::to_matrix(*sample.covariance))))
     return {.outcome = SensorOutcome::kOutOfOrder};
   return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
-}
-
-SensorResult Tracker::process(const model::YawRateSample& sample) noexcept {
-  const SensorResult result = process_sensor(sample);
-  carry_on(sample);
-  return result;
 }
 
 Estimate Tracker::estimate() const noexcept {

@@ -67,11 +67,8 @@ class Tracker {
   void prove_again(bool widens) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
-  SensorResult process(const model::YawRateSample& sample) noexcept;
-  SensorResult process(const model::PositionSample& sample) noexcept { return process_fix(sample); }
-  // Starts there, if nothing has started.
-  SensorResult process(const model::PoseSample& sample) noexcept;
-  SensorResult process(const model::ZeroVelocitySample& sample) noexcept { return process_sensor(sample); }
+  // A pose is the start, if nothing has started.
+  SensorResult process(const model::SensorSample& sample) noexcept;
 
   [[nodiscard]] State state() const noexcept { return state_; }
   [[nodiscard]] Reason reason() const noexcept { return reason_; }
@@ -108,11 +105,7 @@ class Tracker {
   void carry_on(const MotionInput& input) noexcept;
   void go_on_alone_from(const Filter::Prediction& prediction) noexcept;
   void name_wrong_map() noexcept;
-  template <class Sample>
-  SensorResult process_sensor(const Sample& sample) noexcept;
-  // Of a sensor that measures where the robot is, as ranges do.
-  template <class Sample>
-  SensorResult process_fix(const Sample& sample) noexcept;
+  SensorResult start_at(const model::PoseSample& sample) noexcept;
   // False where the input is of a time that cannot be believed yet.
   bool believe(double t_s) noexcept;
   void set_back(double t_s) noexcept;
@@ -164,21 +157,5 @@ class Tracker {
   std::size_t relocations_ = 0;
   std::size_t clock_steps_ = 0;
 };
-
-template <class Sample>
-SensorResult Tracker::process_sensor(const Sample& sample) noexcept {
-  if (std::isfinite(sample.t_s) && !believe(sample.t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
-  const SensorResult result = filter_.process(sample);
-  if (result.outcome == SensorOutcome::kUsed || result.outcome == SensorOutcome::kGated)
-    newest_s_ = std::max(newest_s_, sample.t_s);
-  return result;
-}
-
-template <class Sample>
-SensorResult Tracker::process_fix(const Sample& sample) noexcept {
-  const SensorResult result = process_sensor(sample);
-  if (result.outcome == SensorOutcome::kUsed) last_used_s_ = std::max(last_used_s_, sample.t_s);
-  return result;
-}
 
 }  // namespace groma::filter

@@ -298,19 +298,16 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
   return poses;
 }
 
-std::vector<model::YawRateSample> parse_yaw_rates(const std::filesystem::path& path, std::string_view text,
-                                                  DroppedRows& dropped) {
+void parse(const std::filesystem::path& path, std::string_view text, std::vector<model::YawRateSample>& out,
+           DroppedRows& dropped) {
   CsvReader csv(path, text, {{"t_s"}, {"omega_radps"}});
-  std::vector<model::YawRateSample> rates;
-  while (csv.next()) rates.push_back({csv.number(0), csv.number(1)});
-  put_in_order(rates, dropped);
-  return rates;
+  while (csv.next()) out.push_back({csv.number(0), csv.number(1)});
+  put_in_order(out, dropped);
 }
 
-std::vector<model::PositionSample> parse_positions(const std::filesystem::path& path, std::string_view text,
-                                                   DroppedRows& dropped) {
+void parse(const std::filesystem::path& path, std::string_view text,
+           std::vector<model::PositionSample>& positions, DroppedRows& dropped) {
   CsvReader csv(path, text, {{"t_s"}, {"x_m"}, {"y_m"}, {"p_xx"}, {"p_xy"}, {"p_yy"}});
-  std::vector<model::PositionSample> positions;
   ImplausibleRows implausible;
   while (csv.next()) {
     const model::PositionSample position{
@@ -326,12 +323,11 @@ std::vector<model::PositionSample> parse_positions(const std::filesystem::path& 
   }
   implausible.finish(positions.size(), dropped);
   put_in_order(positions, dropped);
-  return positions;
 }
 
 // As parse_poses() reads them, without a height and each with its covariance.
-std::vector<model::PoseSample> parse_absolute_poses(const std::filesystem::path& path, std::string_view text,
-                                                    DroppedRows& dropped) {
+void parse(const std::filesystem::path& path, std::string_view text, std::vector<model::PoseSample>& poses,
+           DroppedRows& dropped) {
   CsvReader csv(path, text,
                 {{"t_s"},
                  {"x_m"},
@@ -346,7 +342,6 @@ std::vector<model::PoseSample> parse_absolute_poses(const std::filesystem::path&
                  {"roll_rad", Presence::kOptional},
                  {"pitch_rad", Presence::kOptional}});
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-  std::vector<model::PoseSample> poses;
   ImplausibleRows implausible;
   while (csv.next()) {
     const std::optional<model::PoseCovariance> covariance = optional_covariance(csv, 4);
@@ -364,27 +359,22 @@ std::vector<model::PoseSample> parse_absolute_poses(const std::filesystem::path&
   }
   implausible.finish(poses.size(), dropped);
   put_in_order(poses, dropped);
-  return poses;
 }
 
-std::vector<model::ZeroVelocitySample> parse_zero_velocities(const std::filesystem::path& path,
-                                                             std::string_view text, DroppedRows& dropped) {
+void parse(const std::filesystem::path& path, std::string_view text,
+           std::vector<model::ZeroVelocitySample>& out, DroppedRows& dropped) {
   CsvReader csv(path, text, {{"t_s"}});
-  std::vector<model::ZeroVelocitySample> samples;
-  while (csv.next()) samples.push_back({csv.number(0)});
-  put_in_order(samples, dropped);
-  return samples;
+  while (csv.next()) out.push_back({csv.number(0)});
+  put_in_order(out, dropped);
 }
 
 void read_sensors(const std::filesystem::path& folder, InputFiles& files, Dataset& dataset) {
-  const auto read = [&](const char* name, const auto& parse, auto& out) {
-    const std::filesystem::path path = folder / name;
-    if (std::filesystem::exists(path)) out = parse(path, files.read(path), dataset.dropped);
+  const auto read = [&]<class Sample>(std::vector<Sample>& out) {
+    const std::string_view name = model::kSensorNames.at(model::kSensorOf<Sample>);
+    const std::filesystem::path path = folder / fmt::format("{}.csv", name);
+    if (std::filesystem::exists(path)) parse(path, files.read(path), out, dataset.dropped);
   };
-  read("imu.csv", parse_yaw_rates, dataset.yaw_rates);
-  read("gnss.csv", parse_positions, dataset.positions);
-  read("absolute_pose.csv", parse_absolute_poses, dataset.absolute_poses);
-  read("zero_velocity.csv", parse_zero_velocities, dataset.zero_velocities);
+  std::apply([&](auto&... tables) { (read(tables), ...); }, dataset.sensor_samples);
 }
 
 void parse_description(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files,
@@ -460,14 +450,9 @@ Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) 
     put_in_order(dataset.pose_prior, dataset.dropped);
   }
   if (options.sensors) {
-    const auto keep = [&](auto& samples, auto& out) {
-      out = std::move(samples);
-      put_in_order(out, dataset.dropped);
-    };
-    keep(section.samples.yaw_rates, dataset.yaw_rates);
-    keep(section.samples.positions, dataset.positions);
-    keep(section.samples.absolute_poses, dataset.absolute_poses);
-    keep(section.samples.zero_velocities, dataset.zero_velocities);
+    dataset.sensor_samples = std::move(section.samples.sensors);
+    std::apply([&](auto&... tables) { (put_in_order(tables, dataset.dropped), ...); },
+               dataset.sensor_samples);
   }
   dataset.sha256 = files.digest();
   return dataset;

@@ -61,10 +61,8 @@ struct Dataset {
   std::vector<model::PoseSample> ground_truth;  // empty where the file is absent
   std::vector<model::PoseSample> pose_prior;    // ground truth where pose_prior.csv is absent
   // Other sensors': by time, strictly ascending; empty where their file is absent.
-  std::vector<model::YawRateSample> yaw_rates;
-  std::vector<model::PositionSample> positions;
-  std::vector<model::PoseSample> absolute_poses;  // each with its covariance
-  std::vector<model::ZeroVelocitySample> zero_velocities;
+  // Absolute poses have a covariance each.
+  model::SensorTables sensor_samples;
   model::SensorDescription sensors;
   DroppedRows dropped;
   std::optional<LogInfo> log;  // none: from a folder
@@ -75,9 +73,9 @@ struct Dataset {
 struct ReadOptions {
   bool surveyed_anchors = true;  // anchors.csv, where it is there; ranges to other anchors are then dropped
   bool odometry = true;          // odometry.csv
-  bool sensors = false;      // imu.csv, gnss.csv, absolute_pose.csv, zero_velocity.csv where they are there
-  bool ground_truth = true;  // groundtruth.csv, where it is there
-  bool pose_prior = true;    // pose_prior.csv, or groundtruth.csv in its place
+  bool sensors = false;          // imu.csv and those of the other sensors, where they are there
+  bool ground_truth = true;      // groundtruth.csv, where it is there
+  bool pose_prior = true;        // pose_prior.csv, or groundtruth.csv in its place
   bool needs_pose_prior = true;  // an error where neither is there; else it is empty
   std::optional<std::filesystem::path> pose_file = std::nullopt;  // in the place of both
   std::optional<std::size_t> log_section = std::nullopt;          // from 1; none: a log's last

@@ -183,13 +183,13 @@ std::string format_odometry(std::span<const model::OdometrySample> rows) {
   return text;
 }
 
-std::string format_yaw_rates(std::span<const model::YawRateSample> rates) {
+std::string format(std::span<const model::YawRateSample> rates) {
   std::string text = "t_s,omega_radps\n";
   for (const model::YawRateSample& rate : rates) add(text, "{},{}\n", rate.t_s, rate.omega_radps);
   return text;
 }
 
-std::string format_positions(std::span<const model::PositionSample> positions) {
+std::string format(std::span<const model::PositionSample> positions) {
   std::string text = "t_s,x_m,y_m,p_xx,p_xy,p_yy\n";
   for (const model::PositionSample& position : positions) {
     const auto& [xx, xy, yy] = position.covariance_m2;
@@ -198,7 +198,11 @@ std::string format_positions(std::span<const model::PositionSample> positions) {
   return text;
 }
 
-std::string format_zero_velocities(std::span<const model::ZeroVelocitySample> samples) {
+std::string format(std::span<const model::PoseSample> poses) {
+  return format_poses(poses, Height::kLeftOut);
+}
+
+std::string format(std::span<const model::ZeroVelocitySample> samples) {
   std::string text = "t_s\n";
   for (const model::ZeroVelocitySample& sample : samples) add(text, "{}\n", sample.t_s);
   return text;
@@ -234,21 +238,17 @@ void write_dataset(const std::filesystem::path& folder, const Dataset& dataset) 
   }
   write_file(folder / "ranges.csv", format_ranges(dataset.ranges));
   write_file(folder / "odometry.csv", format_odometry(dataset.odometry));
-  const auto write_some = [&folder](const char* name, const auto& rows, const auto& format) {
-    if (!rows.empty()) write_file(folder / name, format(rows));
+  const auto write_poses = [&](const char* name, std::span<const model::PoseSample> poses) {
+    if (!poses.empty()) write_file(folder / name, format_poses(poses, Height::kWritten));
   };
-  const auto format_whole = [](std::span<const model::PoseSample> poses) {
-    return format_poses(poses, Height::kWritten);
+  write_poses("groundtruth.csv", dataset.ground_truth);
+  write_poses("pose_prior.csv", dataset.pose_prior);
+  const auto write_sensor = [&]<class Sample>(const std::vector<Sample>& samples) {
+    const std::string_view name = model::kSensorNames.at(model::kSensorOf<Sample>);
+    if (!samples.empty())
+      write_file(folder / fmt::format("{}.csv", name), format(std::span<const Sample>(samples)));
   };
-  const auto format_planar = [](std::span<const model::PoseSample> poses) {
-    return format_poses(poses, Height::kLeftOut);
-  };
-  write_some("groundtruth.csv", dataset.ground_truth, format_whole);
-  write_some("pose_prior.csv", dataset.pose_prior, format_whole);
-  write_some("imu.csv", dataset.yaw_rates, format_yaw_rates);
-  write_some("gnss.csv", dataset.positions, format_positions);
-  write_some("absolute_pose.csv", dataset.absolute_poses, format_planar);
-  write_some("zero_velocity.csv", dataset.zero_velocities, format_zero_velocities);
+  std::apply([&](const auto&... tables) { (write_sensor(tables), ...); }, dataset.sensor_samples);
   for (const DescriptionFile& file : describe(dataset)) write_file(folder / file.name, file.text);
 }
 

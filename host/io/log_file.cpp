@@ -76,6 +76,30 @@ void add(groma_LogPoses& out, const model::PoseSample& pose) {
     out.covariance[out.covariance_count++] = static_cast<float>(term);
 }
 
+void add(groma_LogOdometry& out, const model::OdometrySample& row) {
+  out.t_s[out.t_s_count++] = row.t_s;
+  out.vx_mps[out.vx_mps_count++] = row.vx_mps;
+  out.vy_mps[out.vy_mps_count++] = row.vy_mps;
+  out.omega_radps[out.omega_radps_count++] = row.omega_radps;
+}
+
+void add(groma_LogYawRates& out, const model::YawRateSample& sample) {
+  out.t_s[out.t_s_count++] = sample.t_s;
+  out.omega_radps[out.omega_radps_count++] = sample.omega_radps;
+}
+
+void add(groma_LogPositions& out, const model::PositionSample& sample) {
+  out.t_s[out.t_s_count++] = sample.t_s;
+  out.x_m[out.x_m_count++] = sample.x_m;
+  out.y_m[out.y_m_count++] = sample.y_m;
+  for (const double term : sample.covariance_m2)
+    out.covariance[out.covariance_count++] = static_cast<float>(term);
+}
+
+void add(groma_LogTimes& out, const model::ZeroVelocitySample& sample) {
+  out.t_s[out.t_s_count++] = sample.t_s;
+}
+
 // Columns that nothing is known in are left out.
 template <typename Value>
 void drop_if_all(pb_size_t& count, const Value* values, Value unknown) {
@@ -265,13 +289,17 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
     case groma_LogRecord_poses_tag:
       return !with_samples || take(record.body.poses, section.samples.poses);
     case groma_LogRecord_yaw_rates_tag:
-      return !with_samples || take(record.body.yaw_rates, section.samples.yaw_rates);
+      return !with_samples ||
+             take(record.body.yaw_rates, model::samples_of<model::YawRateSample>(section.samples.sensors));
     case groma_LogRecord_positions_tag:
-      return !with_samples || take(record.body.positions, section.samples.positions);
+      return !with_samples ||
+             take(record.body.positions, model::samples_of<model::PositionSample>(section.samples.sensors));
     case groma_LogRecord_absolute_poses_tag:
-      return !with_samples || take(record.body.absolute_poses, section.samples.absolute_poses);
+      return !with_samples ||
+             take(record.body.absolute_poses, model::samples_of<model::PoseSample>(section.samples.sensors));
     case groma_LogRecord_zero_velocities_tag:
-      return !with_samples || take(record.body.zero_velocities, section.samples.zero_velocities);
+      return !with_samples || take(record.body.zero_velocities,
+                                   model::samples_of<model::ZeroVelocitySample>(section.samples.sensors));
     default:
       return false;
   }
@@ -281,80 +309,59 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
 
 // The records that are being filled, and room to encode one.
 struct LogEncoder::Records {
-  // One record of columns, which begins anew each time it was appended.
+  using Body = decltype(groma_LogRecord::body);
+  // One record of columns, which is empty again each time it was appended.
   template <typename Columns>
   struct Filling {
-    Filling(pb_size_t tag, Columns& (*columns_of)(groma_LogRecord& of))
-        : columns(columns_of(record)), which(tag) {
-      clear();
-    }
+    Filling(pb_size_t tag, Columns Body::*of_body) : which(tag), member(of_body) { clear(); }
     void clear() {
       record = groma_LogRecord_init_zero;
       record.which_body = which;
     }
+    Columns& columns() { return record.body.*member; }
 
     groma_LogRecord record = groma_LogRecord_init_zero;
-    Columns& columns;
     pb_size_t which;
+    Columns Body::*member;
   };
 
-  Filling<groma_LogRanges> ranges{groma_LogRecord_ranges_tag,
-                                  [](groma_LogRecord& of) -> auto& {return of.body.ranges;
-}
-};  // namespace groma::io
-Filling<groma_LogOdometry> odometry{groma_LogRecord_odometry_tag,
-                                    [](groma_LogRecord& of) -> auto& {return of.body.odometry;
-}
-}
-;
-Filling<groma_LogPoses> poses{groma_LogRecord_poses_tag,
-                              [](groma_LogRecord& of) -> auto& {return of.body.poses;
-}
-}
-;
-Filling<groma_LogYawRates> yaw_rates{groma_LogRecord_yaw_rates_tag,
-                                     [](groma_LogRecord& of) -> auto& {return of.body.yaw_rates;
-}
-}
-;
-Filling<groma_LogPositions> positions{groma_LogRecord_positions_tag,
-                                      [](groma_LogRecord& of) -> auto& {return of.body.positions;
-}
-}
-;
-Filling<groma_LogPoses> absolute_poses{groma_LogRecord_absolute_poses_tag,
-                                       [](groma_LogRecord& of) -> auto& {return of.body.absolute_poses;
-}
-}
-;
-Filling<groma_LogTimes> zero_velocities{groma_LogRecord_zero_velocities_tag,
-                                        [](groma_LogRecord& of) -> auto& {return of.body.zero_velocities;
-}
-}
-;
-std::int64_t network_time_dtu = 0;  // of the last range of the record
-std::array<std::uint8_t, groma_LogRecord_size> payload{};
-std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
+  Filling<groma_LogRanges> ranges{groma_LogRecord_ranges_tag, &Body::ranges};
+  Filling<groma_LogOdometry> odometry{groma_LogRecord_odometry_tag, &Body::odometry};
+  Filling<groma_LogPoses> poses{groma_LogRecord_poses_tag, &Body::poses};
+  // In the order of model::SensorSample.
+  std::tuple<Filling<groma_LogYawRates>, Filling<groma_LogPositions>, Filling<groma_LogPoses>,
+             Filling<groma_LogTimes>>
+      sensors{{groma_LogRecord_yaw_rates_tag, &Body::yaw_rates},
+              {groma_LogRecord_positions_tag, &Body::positions},
+              {groma_LogRecord_absolute_poses_tag, &Body::absolute_poses},
+              {groma_LogRecord_zero_velocities_tag, &Body::zero_velocities}};
+  std::int64_t network_time_dtu = 0;  // of the last range of the record
+  std::array<std::uint8_t, groma_LogRecord_size> payload{};
+  std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
 
-template <typename Columns>
-void finish(Filling<Columns>& filling, std::string& out) {
-  if (filling.columns.t_s_count == 0) return;
-  drop_unknown_columns(filling.columns);
-  append(filling.record, out);
-  filling.clear();
-}
-template <typename Columns>
-void finish_if_full(Filling<Columns>& filling, std::string& out) {
-  if (filling.columns.t_s_count == std::size(filling.columns.t_s)) finish(filling, out);
-}
-void append(const groma_LogRecord& record, std::string& out) {
-  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
-  if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
-  const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
-  out.append(reinterpret_cast<const char*>(frame.data()), size);
-}
-}
-;
+  template <typename Columns, typename Sample>
+  void put(Filling<Columns>& filling, const Sample& sample, std::string& out) {
+    add(filling.columns(), sample);
+    finish_if_full(filling, out);
+  }
+  template <typename Columns>
+  void finish(Filling<Columns>& filling, std::string& out) {
+    if (filling.columns().t_s_count == 0) return;
+    drop_unknown_columns(filling.columns());
+    append(filling.record, out);
+    filling.clear();
+  }
+  template <typename Columns>
+  void finish_if_full(Filling<Columns>& filling, std::string& out) {
+    if (filling.columns().t_s_count == std::size(filling.columns().t_s)) finish(filling, out);
+  }
+  void append(const groma_LogRecord& record, std::string& out) {
+    pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
+    if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
+    const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
+    out.append(reinterpret_cast<const char*>(frame.data()), size);
+  }
+};
 
 LogEncoder::LogEncoder() : records_(std::make_unique<Records>()) {}
 LogEncoder::~LogEncoder() = default;
@@ -380,66 +387,33 @@ void LogEncoder::begin_section(std::span<const DescriptionFile> description, std
 }
 
 void LogEncoder::put(const model::RangeSample& range) {
-  groma_LogRanges& ranges = records_->ranges.columns;
+  groma_LogRanges& ranges = records_->ranges.columns();
   add(ranges, range, ranges.t_s_count > 0 ? records_->network_time_dtu : 0);
   records_->network_time_dtu = range.network_time_dtu;
   records_->finish_if_full(records_->ranges, bytes_);
 }
 
 void LogEncoder::put(const model::OdometrySample& row) {
-  groma_LogOdometry& odometry = records_->odometry.columns;
-  odometry.t_s[odometry.t_s_count++] = row.t_s;
-  odometry.vx_mps[odometry.vx_mps_count++] = row.vx_mps;
-  odometry.vy_mps[odometry.vy_mps_count++] = row.vy_mps;
-  odometry.omega_radps[odometry.omega_radps_count++] = row.omega_radps;
-  records_->finish_if_full(records_->odometry, bytes_);
+  records_->put(records_->odometry, row, bytes_);
 }
 
 void LogEncoder::put(const model::PoseSample& pose) {
-  add(records_->poses.columns, pose);
-  records_->finish_if_full(records_->poses, bytes_);
+  records_->put(records_->poses, pose, bytes_);
 }
 
 void LogEncoder::put(const model::SensorSample& sample) {
-  std::visit([this](const auto& of) { put_sensor(of); }, sample);
-}
-
-void LogEncoder::put_sensor(const model::YawRateSample& sample) {
-  groma_LogYawRates& rates = records_->yaw_rates.columns;
-  rates.t_s[rates.t_s_count++] = sample.t_s;
-  rates.omega_radps[rates.omega_radps_count++] = sample.omega_radps;
-  records_->finish_if_full(records_->yaw_rates, bytes_);
-}
-
-void LogEncoder::put_sensor(const model::PositionSample& sample) {
-  groma_LogPositions& positions = records_->positions.columns;
-  positions.t_s[positions.t_s_count++] = sample.t_s;
-  positions.x_m[positions.x_m_count++] = sample.x_m;
-  positions.y_m[positions.y_m_count++] = sample.y_m;
-  for (const double term : sample.covariance_m2)
-    positions.covariance[positions.covariance_count++] = static_cast<float>(term);
-  records_->finish_if_full(records_->positions, bytes_);
-}
-
-void LogEncoder::put_sensor(const model::PoseSample& sample) {
-  add(records_->absolute_poses.columns, sample);
-  records_->finish_if_full(records_->absolute_poses, bytes_);
-}
-
-void LogEncoder::put_sensor(const model::ZeroVelocitySample& sample) {
-  groma_LogTimes& times = records_->zero_velocities.columns;
-  times.t_s[times.t_s_count++] = sample.t_s;
-  records_->finish_if_full(records_->zero_velocities, bytes_);
+  std::visit(
+      [this]<class Sample>(const Sample& of) {
+        records_->put(std::get<model::kSensorOf<Sample>>(records_->sensors), of, bytes_);
+      },
+      sample);
 }
 
 void LogEncoder::flush() {
   records_->finish(records_->ranges, bytes_);
   records_->finish(records_->odometry, bytes_);
   records_->finish(records_->poses, bytes_);
-  records_->finish(records_->yaw_rates, bytes_);
-  records_->finish(records_->positions, bytes_);
-  records_->finish(records_->absolute_poses, bytes_);
-  records_->finish(records_->zero_velocities, bytes_);
+  std::apply([this](auto&... sensors) { (records_->finish(sensors, bytes_), ...); }, records_->sensors);
 }
 
 std::string LogEncoder::take() {

@@ -39,10 +39,6 @@ class LogEncoder {
 
  private:
   struct Records;
-  void put_sensor(const model::YawRateSample& sample);
-  void put_sensor(const model::PositionSample& sample);
-  void put_sensor(const model::PoseSample& sample);
-  void put_sensor(const model::ZeroVelocitySample& sample);
 
   std::string bytes_;
   std::unique_ptr<Records> records_;
@@ -53,10 +49,7 @@ struct LogSamples {
   std::vector<model::RangeSample> ranges;
   std::vector<model::OdometrySample> odometry;
   std::vector<model::PoseSample> poses;  // priors
-  std::vector<model::YawRateSample> yaw_rates;
-  std::vector<model::PositionSample> positions;
-  std::vector<model::PoseSample> absolute_poses;
-  std::vector<model::ZeroVelocitySample> zero_velocities;
+  model::SensorTables sensors;
 };
 
 struct LogSection {

@@ -7,7 +7,11 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <string_view>
+#include <tuple>
+#include <type_traits>
 #include <variant>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -105,11 +109,51 @@ struct ZeroVelocitySample {
   double t_s = 0.0;
 };
 
-// What a sensor beside odometry and ranges tells; the pose is another localization's, with its covariance.
+// A sample of a sensor beside odometry and ranges; the pose is another localization's, with its covariance.
+// Each sensor is registered here, and its name in files and reports in the same place below.
 using SensorSample = std::variant<YawRateSample, PositionSample, PoseSample, ZeroVelocitySample>;
+inline constexpr std::size_t kSensors = std::variant_size_v<SensorSample>;
+inline constexpr std::array<std::string_view, kSensors> kSensorNames{"imu", "gnss", "absolute_pose",
+                                                                     "zero_velocity"};
 
-[[nodiscard]] inline double time_of(const SensorSample& sample) {
-  return std::visit([](const auto& of) { return of.t_s; }, sample);
+// Where a sensor stands in that order.
+template <class Sample>
+inline constexpr std::size_t kSensorOf = [] {
+  return []<class... Each>(const std::variant<Each...>* /*samples*/) {
+    std::size_t at = 0;
+    static_cast<void>((... || (std::is_same_v<Each, Sample> || (++at, false))));
+    return at;
+  }(static_cast<const SensorSample*>(nullptr));
+}();
+
+// The samples of each sensor: a tuple of vectors, in that order.
+template <class Samples>
+struct TablesOf;
+template <class... Each>
+struct TablesOf<std::variant<Each...>> {
+  using Type = std::tuple<std::vector<Each>...>;
+};
+using SensorTables = TablesOf<SensorSample>::Type;
+template <class Sample>
+[[nodiscard]] const std::vector<Sample>& samples_of(const SensorTables& tables) noexcept {
+  return std::get<kSensorOf<Sample>>(tables);
+}
+template <class Sample>
+[[nodiscard]] std::vector<Sample>& samples_of(SensorTables& tables) noexcept {
+  return std::get<kSensorOf<Sample>>(tables);
+}
+
+// std::visit for functions that must not throw.
+template <std::size_t kAt = 0, class Variant, class Use>
+auto visit(const Variant& variant, const Use& use) noexcept {
+  if constexpr (kAt + 1 < std::variant_size_v<Variant>) {
+    if (variant.index() != kAt) return visit<kAt + 1>(variant, use);
+  }
+  return use(*std::get_if<kAt>(&variant));
+}
+
+[[nodiscard]] inline double time_of(const SensorSample& sample) noexcept {
+  return model::visit(sample, [](const auto& of) { return of.t_s; });
 }
 
 // What is told of such sensors beforehand; none: not told.

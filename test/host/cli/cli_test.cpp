@@ -661,7 +661,7 @@ TEST_F(CliTest, PosesThatNoRobotHasAreDroppedCountedAndEndWith3) {
   folder_.write("data/gnss.csv", "t_s,x_m,y_m,p_xx,p_xy,p_yy\n0,5,0,1,0,1\n1,5,0,1,0,1\n2,5,0,1,1e9,1\n");
   const ChildResult sensors = replay({"--surveyed", "--json"});
   EXPECT_EQ(sensors.exit_code, 3);
-  EXPECT_THAT(sensors.err, HasSubstr("warning: 1 IMU samples were dropped"));
+  EXPECT_THAT(sensors.err, HasSubstr("warning: 1 samples of imu were dropped"));
   EXPECT_EQ(json::parse(sensors.out).at("dropped").at("implausible"), 2);
   EXPECT_EQ(json::parse(sensors.out).at("sensors").at("imu").at("jumped"), 1);
 }

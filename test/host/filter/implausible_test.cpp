@@ -38,9 +38,7 @@ const model::PlanarPose kStart{1.0, -2.0, 0.4};
 // A drive with all sensors, as they are told.
 struct Samples {
   testing::Drive drive;
-  std::vector<model::YawRateSample> yaw_rates;
-  std::vector<model::PositionSample> positions;
-  std::vector<model::PoseSample> poses;
+  model::SensorTables sensors;
 };
 
 Samples make_samples(bool with_sensors, std::uint64_t seed = 31) {
@@ -52,17 +50,20 @@ Samples make_samples(bool with_sensors, std::uint64_t seed = 31) {
   for (std::size_t i = 0; i < out.drive.odometry.size(); ++i) {
     const double t_s = out.drive.odometry[i].t_s;
     const model::PlanarPose& at = out.drive.truth[i];
-    out.yaw_rates.push_back({t_s, testing::true_velocity(t_s).z() + 0.004 + 0.005 * random.gaussian()});
+    model::samples_of<model::YawRateSample>(out.sensors)
+        .push_back({t_s, testing::true_velocity(t_s).z() + 0.004 + 0.005 * random.gaussian()});
     if (i % 10 == 0) {
-      out.positions.push_back(
-          {t_s, at.x_m + 0.5 * random.gaussian(), at.y_m + 0.5 * random.gaussian(), {0.25, 0.0, 0.25}});
+      model::samples_of<model::PositionSample>(out.sensors)
+          .push_back(
+              {t_s, at.x_m + 0.5 * random.gaussian(), at.y_m + 0.5 * random.gaussian(), {0.25, 0.0, 0.25}});
     }
     if (i % 5 == 2) {
-      out.poses.push_back({.t_s = t_s,
-                           .x_m = at.x_m + 0.1 * random.gaussian(),
-                           .y_m = at.y_m + 0.1 * random.gaussian(),
-                           .yaw_rad = at.theta_rad + 0.02 * random.gaussian(),
-                           .covariance = model::PoseCovariance{0.01, 0.0, 0.0, 0.01, 0.0, 4e-4}});
+      model::samples_of<model::PoseSample>(out.sensors)
+          .push_back({.t_s = t_s,
+                      .x_m = at.x_m + 0.1 * random.gaussian(),
+                      .y_m = at.y_m + 0.1 * random.gaussian(),
+                      .yaw_rad = at.theta_rad + 0.02 * random.gaussian(),
+                      .covariance = model::PoseCovariance{0.01, 0.0, 0.0, 0.01, 0.0, 4e-4}});
     }
   }
   return out;
@@ -88,9 +89,7 @@ Outcome run(const Samples& samples, const std::vector<model::PlanarPose>& truth)
                        .tags = tags,
                        .surface = &surface,
                        .calibration = &calibration,
-                       .yaw_rates = samples.yaw_rates,
-                       .positions = samples.positions,
-                       .absolute_poses = samples.poses},
+                       .sensors = &samples.sensors},
                       options);
   for (std::size_t i = 0; i < out.result.rows.size(); ++i) {
     const model::PlanarEstimate& row = out.result.rows[i];
@@ -186,13 +185,13 @@ std::vector<model::OdometrySample>& odometry_of(Samples& of) {
   return of.drive.odometry;
 }
 std::vector<model::YawRateSample>& yaw_rates_of(Samples& of) {
-  return of.yaw_rates;
+  return model::samples_of<model::YawRateSample>(of.sensors);
 }
 std::vector<model::PositionSample>& positions_of(Samples& of) {
-  return of.positions;
+  return model::samples_of<model::PositionSample>(of.sensors);
 }
 std::vector<model::PoseSample>& poses_of(Samples& of) {
-  return of.poses;
+  return model::samples_of<model::PoseSample>(of.sensors);
 }
 
 TEST(Implausible, OdometryOfAnySizeCostsNothing) {
@@ -247,17 +246,15 @@ TEST(Implausible, SamplesAreCountedAndTheirTimeStillPasses) {
   Samples samples = make_samples(true);
   samples.drive.odometry[300].vx_mps = 1e308;
   samples.drive.odometry[301].omega_radps = -31.0;
-  samples.yaw_rates[400].omega_radps = 1e308;
-  samples.positions[20].covariance_m2 = {1e300, 0.0, 1e300};
-  samples.poses[20].x_m = -1e9;
+  model::samples_of<model::YawRateSample>(samples.sensors)[400].omega_radps = 1e308;
+  model::samples_of<model::PositionSample>(samples.sensors)[20].covariance_m2 = {1e300, 0.0, 1e300};
+  model::samples_of<model::PoseSample>(samples.sensors)[20].x_m = -1e9;
   const Outcome out = run(samples, samples.drive.truth);
   EXPECT_EQ(out.result.counters.odometry[OdometryOutcome::kImplausible], 2U);
-  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kYawRate)][SensorOutcome::kJumped],
+  EXPECT_EQ(out.result.counters.sensors[model::kSensorOf<model::YawRateSample>][SensorOutcome::kJumped], 1U);
+  EXPECT_EQ(out.result.counters.sensors[model::kSensorOf<model::PositionSample>][SensorOutcome::kBadValue],
             1U);
-  EXPECT_EQ(
-      out.result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)][SensorOutcome::kBadValue], 1U);
-  EXPECT_EQ(out.result.counters.sensors[static_cast<std::size_t>(Sensor::kPose)][SensorOutcome::kBadValue],
-            1U);
+  EXPECT_EQ(out.result.counters.sensors[model::kSensorOf<model::PoseSample>][SensorOutcome::kBadValue], 1U);
   EXPECT_EQ(out.result.rows.size(), samples.drive.odometry.size());
   // The robot moves on by the sample that holds.
   const model::PlanarEstimate& before = out.result.rows[299];

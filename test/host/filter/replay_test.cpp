@@ -186,7 +186,8 @@ TEST_F(ReplayTest, AnObserverSeesABlockedPairWhenItIsAndChangesNothing) {
 
 TEST_F(ReplayTest, OtherSensorsAreTakenInTheirOrder) {
   drive_.ranges.clear();
-  std::vector<model::PositionSample> positions;
+  model::SensorTables sensors;
+  std::vector<model::PositionSample>& positions = model::samples_of<model::PositionSample>(sensors);
   for (std::size_t i = 0; i < drive_.truth.size(); i += 4) {
     positions.push_back(
         {drive_.odometry[i].t_s, drive_.truth[i].x_m, drive_.truth[i].y_m, {0.01, 0.0, 0.01}});
@@ -196,9 +197,9 @@ TEST_F(ReplayTest, OtherSensorsAreTakenInTheirOrder) {
                                       .tags = tags_,
                                       .surface = &surface_,
                                       .calibration = &calibration_,
-                                      .positions = positions},
+                                      .sensors = &sensors},
                                      options_);
-  const auto& counters = result.counters.sensors[static_cast<std::size_t>(Sensor::kPosition)];
+  const auto& counters = result.counters.sensors[model::kSensorOf<model::PositionSample>];
   EXPECT_EQ(counters[SensorOutcome::kUsed], positions.size());
   EXPECT_EQ(counters[SensorOutcome::kOutOfOrder], 0U);
   EXPECT_LT(std::hypot(result.rows.back().x_m - drive_.truth.back().x_m,

@@ -22,10 +22,10 @@ namespace {
 using test::numerical_jacobian;
 using test::Random;
 
-constexpr std::size_t kGyroAt = static_cast<std::size_t>(Sensor::kYawRate);
-constexpr std::size_t kPositionAt = static_cast<std::size_t>(Sensor::kPosition);
-constexpr std::size_t kPoseAt = static_cast<std::size_t>(Sensor::kPose);
-constexpr std::size_t kStandingAt = static_cast<std::size_t>(Sensor::kZeroVelocity);
+constexpr std::size_t kGyroAt = model::kSensorOf<model::YawRateSample>;
+constexpr std::size_t kPositionAt = model::kSensorOf<model::PositionSample>;
+constexpr std::size_t kPoseAt = model::kSensorOf<model::PoseSample>;
+constexpr std::size_t kStandingAt = model::kSensorOf<model::ZeroVelocitySample>;
 
 const Eigen::Vector3d kLeverArm(0.4, -0.3, 1.5);
 
@@ -59,16 +59,16 @@ TEST(Sensors, JacobiansEqualNumericalOnes) {
   for (int i = 0; i < 20; ++i) {
     const CoreVector core = any_core(random);
     const model::OdometrySample row{0.0, 2.0 * random.gaussian(), random.gaussian(), random.gaussian()};
-    const auto position = [&](const CoreVector& at) {
-      return measure_position(surface, present_pose(surface, at, row, delays), config,
-                              {.x_m = 1.0, .y_m = 2.0, .covariance_m2 = {0.04, 0.01, 0.09}});
+    const auto measured = [&](const auto& sample) {
+      return [&, sample](const CoreVector& at) {
+        return measure(SensorView{surface, config, at, row, present_pose(surface, at, row, delays)}, sample);
+      };
     };
-    const auto pose = [&](const CoreVector& at) {
-      return measure_pose(
-          surface, present_pose(surface, at, row, delays),
-          {.yaw_rad = core(kTheta), .covariance = model::PoseCovariance{0.04, 0.01, 0.0, 0.09, 0.0, 0.01}});
-    };
-    const auto standing = [&](const CoreVector& at) { return measure_zero_velocity(at, row, config); };
+    const auto position =
+        measured(model::PositionSample{.x_m = 1.0, .y_m = 2.0, .covariance_m2 = {0.04, 0.01, 0.09}});
+    const auto pose = measured(model::PoseSample{
+        .yaw_rad = core(kTheta), .covariance = model::PoseCovariance{0.04, 0.01, 0.0, 0.09, 0.0, 0.01}});
+    const auto standing = measured(model::ZeroVelocitySample{});
     expect_jacobian(position, core, 3e-7);
     expect_jacobian(pose, core, 3e-7);
     expect_jacobian(standing, core, 1e-8);
@@ -163,7 +163,7 @@ TEST_P(SensorModels, UpdateEqualsADenseOne) {
                                        .covariance_m2 = {0.09, 0.03, 0.04}};
   auto after = driven(config);
   ASSERT_EQ(after->process(position).outcome, SensorOutcome::kUsed);
-  expect_update(*before, measure_position(surface, present, config.sensors, position), *after);
+  expect_update(*before, measure({surface, config.sensors, before->core(), row, present}, position), *after);
 
   const model::PoseSample pose{.t_s = now.t_s,
                                .x_m = now.pose.x_m + 0.1,
@@ -172,7 +172,7 @@ TEST_P(SensorModels, UpdateEqualsADenseOne) {
                                .covariance = model::PoseCovariance{0.01, 0.003, 0.001, 0.02, 0.0, 0.001}};
   after = driven(config);
   ASSERT_EQ(after->process(pose).outcome, SensorOutcome::kUsed);
-  expect_update(*before, measure_pose(surface, present, pose), *after);
+  expect_update(*before, measure({surface, config.sensors, before->core(), row, present}, pose), *after);
 
   Config slow = config;
   slow.sensors.standing_sigma_mps = 1.0;
@@ -180,7 +180,10 @@ TEST_P(SensorModels, UpdateEqualsADenseOne) {
   const auto standing_before = driven(slow);
   after = driven(slow);
   ASSERT_EQ(after->process(model::ZeroVelocitySample{now.t_s}).outcome, SensorOutcome::kUsed);
-  expect_update(*standing_before, measure_zero_velocity(standing_before->core(), row, slow.sensors), *after);
+  expect_update(
+      *standing_before,
+      measure({surface, slow.sensors, standing_before->core(), row, present}, model::ZeroVelocitySample{}),
+      *after);
 }
 
 // Of drives with all errors drawn from their sigmas, e' P^-1 e / 3 at the end, with a gyro and one other
@@ -371,7 +374,7 @@ TEST(Sensors, OutOfOrderTheyCountAsInOrder) {
   }
   EXPECT_EQ(filter.filter().core(), twin->core());
   EXPECT_EQ(testing::whole(filter.filter()), testing::whole(*twin));
-  for (std::size_t i = 0; i < kSensors; ++i) {
+  for (std::size_t i = 0; i < model::kSensors; ++i) {
     EXPECT_EQ(filter.counters().sensors[i][SensorOutcome::kUsed],
               twin->counters().sensors[i][SensorOutcome::kUsed])
         << i;

@@ -48,23 +48,25 @@ class DatasetTest : public testing::Test {
 };
 
 TEST_F(DatasetTest, ReadsOtherSensorsWhereTheyAreThere) {
-  EXPECT_TRUE(read({.sensors = true}).yaw_rates.empty());
+  EXPECT_TRUE(model::samples_of<model::YawRateSample>(read({.sensors = true}).sensor_samples).empty());
   folder_.write("imu.csv", "t_s,omega_radps\n0.2,0.5\n0.1,0.25\n");
   folder_.write("gnss.csv", "t_s,x_m,y_m,p_xx,p_xy,p_yy\n0.1,1,2,0.04,0.01,0.09\n");
   folder_.write("absolute_pose.csv",
                 "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n0.1,1,2,3,0.04,0.01,0,0.09,0,0.001\n");
   folder_.write("zero_velocity.csv", "t_s\n0.1\n0.2\n");
-  EXPECT_TRUE(read().yaw_rates.empty());
+  EXPECT_TRUE(model::samples_of<model::YawRateSample>(read().sensor_samples).empty());
   const Dataset data = read({.sensors = true});
-  ASSERT_EQ(data.yaw_rates.size(), 2U);
-  EXPECT_EQ(data.yaw_rates[0].omega_radps, 0.25);
-  ASSERT_EQ(data.positions.size(), 1U);
-  EXPECT_THAT(data.positions[0].covariance_m2, ElementsAre(0.04, 0.01, 0.09));
-  ASSERT_EQ(data.absolute_poses.size(), 1U);
-  EXPECT_EQ(data.absolute_poses[0].yaw_rad, 3.0);
-  EXPECT_TRUE(std::isnan(data.absolute_poses[0].roll_rad));
-  EXPECT_THAT(*data.absolute_poses[0].covariance, ElementsAre(0.04, 0.01, 0.0, 0.09, 0.0, 0.001));
-  EXPECT_EQ(data.zero_velocities.size(), 2U);
+  ASSERT_EQ(model::samples_of<model::YawRateSample>(data.sensor_samples).size(), 2U);
+  EXPECT_EQ(model::samples_of<model::YawRateSample>(data.sensor_samples)[0].omega_radps, 0.25);
+  ASSERT_EQ(model::samples_of<model::PositionSample>(data.sensor_samples).size(), 1U);
+  EXPECT_THAT(model::samples_of<model::PositionSample>(data.sensor_samples)[0].covariance_m2,
+              ElementsAre(0.04, 0.01, 0.09));
+  ASSERT_EQ(model::samples_of<model::PoseSample>(data.sensor_samples).size(), 1U);
+  EXPECT_EQ(model::samples_of<model::PoseSample>(data.sensor_samples)[0].yaw_rad, 3.0);
+  EXPECT_TRUE(std::isnan(model::samples_of<model::PoseSample>(data.sensor_samples)[0].roll_rad));
+  EXPECT_THAT(*model::samples_of<model::PoseSample>(data.sensor_samples)[0].covariance,
+              ElementsAre(0.04, 0.01, 0.0, 0.09, 0.0, 0.001));
+  EXPECT_EQ(model::samples_of<model::ZeroVelocitySample>(data.sensor_samples).size(), 2U);
 
   folder_.write("gnss.csv", "t_s,x_m,y_m,p_xx,p_xy,p_yy\n0.1,1,2,0.04,0.06,0.09\n");
   EXPECT_THAT(failure<DataError>(folder_, {.sensors = true}), HasSubstr("gnss.csv:2"));

@@ -23,11 +23,9 @@ namespace {
 // compiling: it then has to be named here, set in sample(), and written.
 auto members(const Dataset& of) {
   const auto& [name, origin, odometry_noise, range_priors, surface, surveyed_anchors, tags, ranges, odometry,
-               ground_truth, pose_prior, yaw_rates, positions, absolute_poses, zero_velocities, sensors,
-               dropped, log, sha256] = of;
+               ground_truth, pose_prior, sensor_samples, sensors, dropped, log, sha256] = of;
   return std::tie(name, origin, odometry_noise, range_priors, surface, surveyed_anchors, tags, ranges,
-                  odometry, ground_truth, pose_prior, yaw_rates, positions, absolute_poses, zero_velocities,
-                  sensors, dropped, log, sha256);
+                  odometry, ground_truth, pose_prior, sensor_samples, sensors, dropped, log, sha256);
 }
 auto members(const model::OdometryNoise& of) {
   const auto& [vx, vy, omega] = of;
@@ -126,6 +124,10 @@ bool same(const std::vector<T>& a, const std::vector<T>& b) {
   }
   return true;
 }
+template <typename... T>
+bool same(const std::tuple<T...>& a, const std::tuple<T...>& b) {
+  return (same(std::get<T>(a), std::get<T>(b)) && ...);
+}
 template <typename T>
 bool same(const std::optional<T>& a, const std::optional<T>& b) {
   return a.has_value() == b.has_value() && (!a || same(*a, *b));
@@ -197,12 +199,14 @@ Dataset sample() {
                           {0.05, 1.0 / 7.0, 2.0, 0.5, -3.1, 0.03, -0.04, covariance}};
   dataset.pose_prior = {{0.0, 1.01, 2.02, 0.5, 3.0, 0.01, -0.02},
                         {0.1, 1.03, 2.02, 0.5, 3.0, 0.01, -0.02, covariance}};
-  dataset.yaw_rates = {{0.003, 0.11}, {0.013, -1.0 / 9.0}};
-  dataset.positions = {{0.2, 5.5, -6.25, {0.5, 0.0, 0.4}}, {0.3, 5.6, -1.0 / 11.0, {0.6, 0.1, 0.45}}};
+  model::samples_of<model::YawRateSample>(dataset.sensor_samples) = {{0.003, 0.11}, {0.013, -1.0 / 9.0}};
+  model::samples_of<model::PositionSample>(dataset.sensor_samples) = {
+      {0.2, 5.5, -6.25, {0.5, 0.0, 0.4}}, {0.3, 5.6, -1.0 / 11.0, {0.6, 0.1, 0.45}}};
   constexpr double kNoTilt = std::numeric_limits<double>::quiet_NaN();
-  dataset.absolute_poses = {{0.4, 7.5, -8.25, 0.0, 1.5, kNoTilt, kNoTilt, covariance},
-                            {0.5, 1.0 / 13.0, -8.5, 0.0, 1.25, 0.015, -0.025, covariance}};
-  dataset.zero_velocities = {{0.6}, {2.0 / 3.0}};
+  model::samples_of<model::PoseSample>(dataset.sensor_samples) = {
+      {0.4, 7.5, -8.25, 0.0, 1.5, kNoTilt, kNoTilt, covariance},
+      {0.5, 1.0 / 13.0, -8.5, 0.0, 1.25, 0.015, -0.025, covariance}};
+  model::samples_of<model::ZeroVelocitySample>(dataset.sensor_samples) = {{0.6}, {2.0 / 3.0}};
   dataset.sensors = {.gyro_sigma_radps = 0.0031,
                      .gyro_bias_sigma_radps = 0.0017,
                      .gnss_lever_arm_m = Eigen::Vector3d(0.125, -0.25, 1.0 / 17.0)};
@@ -216,9 +220,9 @@ ReadOptions everything() {
 }
 
 // The last members of Dataset describe the reading.
-constexpr std::size_t kDropped = 16;
-constexpr std::size_t kLog = 17;
-constexpr std::size_t kSha256 = 18;
+constexpr std::size_t kDropped = 13;
+constexpr std::size_t kLog = 14;
+constexpr std::size_t kSha256 = 15;
 
 TEST(DatasetWriter, EachMemberOfTheSampleIsSet) {
   const Dataset set = sample();
@@ -235,10 +239,12 @@ TEST(DatasetWriter, EachMemberOfTheSampleIsSet) {
   EXPECT_EQ(same_members(set.odometry.back(), {}), none);
   EXPECT_EQ(same_members(set.ground_truth.back(), {}), none);
   EXPECT_EQ(same_members(set.pose_prior.back(), {}), none);
-  EXPECT_EQ(same_members(set.yaw_rates.back(), {}), none);
-  EXPECT_EQ(same_members(set.positions.back(), {}), none);
-  EXPECT_EQ(same_members(set.absolute_poses.back(), {}), (std::vector<std::size_t>{3})) << "it has no height";
-  EXPECT_EQ(same_members(set.zero_velocities.back(), {}), none);
+  EXPECT_EQ(same_members(model::samples_of<model::YawRateSample>(set.sensor_samples).back(), {}), none);
+  EXPECT_EQ(same_members(model::samples_of<model::PositionSample>(set.sensor_samples).back(), {}), none);
+  EXPECT_EQ(same_members(model::samples_of<model::PoseSample>(set.sensor_samples).back(), {}),
+            (std::vector<std::size_t>{3}))
+      << "it has no height";
+  EXPECT_EQ(same_members(model::samples_of<model::ZeroVelocitySample>(set.sensor_samples).back(), {}), none);
   for (const model::Chart& chart : set.surface.charts()) {
     EXPECT_EQ(same_members(chart, {}), none);
     EXPECT_EQ(same_members(chart.mismatch, {}), none);
@@ -282,10 +288,7 @@ TEST(DatasetWriter, LeavesOutWhatThereIsNot) {
   Dataset written = sample();
   written.surveyed_anchors.clear();
   written.ground_truth.clear();
-  written.yaw_rates.clear();
-  written.positions.clear();
-  written.absolute_poses.clear();
-  written.zero_velocities.clear();
+  written.sensor_samples = {};
   write_dataset(scratch.path(), written);
   EXPECT_FALSE(std::filesystem::exists(scratch / "anchors.csv"));
   EXPECT_FALSE(std::filesystem::exists(scratch / "groundtruth.csv"));

@@ -42,10 +42,15 @@ void put(LogEncoder& log, const Dataset& run) {
   for (const model::OdometrySample& row : run.odometry) log.put(row);
   for (const model::PoseSample& pose : run.pose_prior) log.put(pose);
   for (const model::RangeSample& range : run.ranges) log.put(range);
-  for (const model::YawRateSample& sample : run.yaw_rates) log.put(sample);
-  for (const model::PositionSample& sample : run.positions) log.put(sample);
-  for (const model::PoseSample& sample : run.absolute_poses) log.put(model::SensorSample(sample));
-  for (const model::ZeroVelocitySample& sample : run.zero_velocities) log.put(sample);
+  for (const model::YawRateSample& sample : model::samples_of<model::YawRateSample>(run.sensor_samples))
+    log.put(sample);
+  for (const model::PositionSample& sample : model::samples_of<model::PositionSample>(run.sensor_samples))
+    log.put(sample);
+  for (const model::PoseSample& sample : model::samples_of<model::PoseSample>(run.sensor_samples))
+    log.put(model::SensorSample(sample));
+  for (const model::ZeroVelocitySample& sample :
+       model::samples_of<model::ZeroVelocitySample>(run.sensor_samples))
+    log.put(sample);
   log.flush();
 }
 
@@ -113,11 +118,12 @@ TEST(Log, GivesBackOtherSensors) {
   Dataset run = as_recorded(1.0);
   for (int i = 0; i < 200; ++i) {
     const double t_s = 0.01 * i;
-    run.yaw_rates.push_back({t_s, 0.125 * i});
-    run.positions.push_back({t_s, 0.5 * i, -0.25 * i, {0.5, 0.125, 0.25}});
-    run.absolute_poses.push_back(
-        {.t_s = t_s, .x_m = 1.5 * i, .covariance = model::PoseCovariance{1, 0, 0, 2, 0, 3}});
-    run.zero_velocities.push_back({t_s});
+    model::samples_of<model::YawRateSample>(run.sensor_samples).push_back({t_s, 0.125 * i});
+    model::samples_of<model::PositionSample>(run.sensor_samples)
+        .push_back({t_s, 0.5 * i, -0.25 * i, {0.5, 0.125, 0.25}});
+    model::samples_of<model::PoseSample>(run.sensor_samples)
+        .push_back({.t_s = t_s, .x_m = 1.5 * i, .covariance = model::PoseCovariance{1, 0, 0, 2, 0, 3}});
+    model::samples_of<model::ZeroVelocitySample>(run.sensor_samples).push_back({t_s});
   }
   run.sensors.gyro_bias_sigma_radps = 0.02;
   run.sensors.gnss_lever_arm_m = Eigen::Vector3d(0.5, -0.25, 1.5);
@@ -126,23 +132,30 @@ TEST(Log, GivesBackOtherSensors) {
   ReadOptions options;
   options.sensors = true;
   const Dataset back = read_dataset(folder / "drive.glog", options);
-  ASSERT_EQ(back.yaw_rates.size(), 200U);
-  ASSERT_EQ(back.positions.size(), 200U);
-  ASSERT_EQ(back.absolute_poses.size(), 200U);
-  ASSERT_EQ(back.zero_velocities.size(), 200U);
+  ASSERT_EQ(model::samples_of<model::YawRateSample>(back.sensor_samples).size(), 200U);
+  ASSERT_EQ(model::samples_of<model::PositionSample>(back.sensor_samples).size(), 200U);
+  ASSERT_EQ(model::samples_of<model::PoseSample>(back.sensor_samples).size(), 200U);
+  ASSERT_EQ(model::samples_of<model::ZeroVelocitySample>(back.sensor_samples).size(), 200U);
   for (std::size_t i = 0; i < 200; ++i) {
-    EXPECT_EQ(back.yaw_rates[i].omega_radps, run.yaw_rates[i].omega_radps);
-    EXPECT_EQ(back.positions[i].y_m, run.positions[i].y_m);
-    EXPECT_EQ(back.positions[i].covariance_m2, run.positions[i].covariance_m2);
-    EXPECT_EQ(back.absolute_poses[i].x_m, run.absolute_poses[i].x_m);
-    EXPECT_EQ(back.absolute_poses[i].covariance, run.absolute_poses[i].covariance);
-    EXPECT_EQ(back.zero_velocities[i].t_s, run.zero_velocities[i].t_s);
+    EXPECT_EQ(model::samples_of<model::YawRateSample>(back.sensor_samples)[i].omega_radps,
+              model::samples_of<model::YawRateSample>(run.sensor_samples)[i].omega_radps);
+    EXPECT_EQ(model::samples_of<model::PositionSample>(back.sensor_samples)[i].y_m,
+              model::samples_of<model::PositionSample>(run.sensor_samples)[i].y_m);
+    EXPECT_EQ(model::samples_of<model::PositionSample>(back.sensor_samples)[i].covariance_m2,
+              model::samples_of<model::PositionSample>(run.sensor_samples)[i].covariance_m2);
+    EXPECT_EQ(model::samples_of<model::PoseSample>(back.sensor_samples)[i].x_m,
+              model::samples_of<model::PoseSample>(run.sensor_samples)[i].x_m);
+    EXPECT_EQ(model::samples_of<model::PoseSample>(back.sensor_samples)[i].covariance,
+              model::samples_of<model::PoseSample>(run.sensor_samples)[i].covariance);
+    EXPECT_EQ(model::samples_of<model::ZeroVelocitySample>(back.sensor_samples)[i].t_s,
+              model::samples_of<model::ZeroVelocitySample>(run.sensor_samples)[i].t_s);
   }
   EXPECT_EQ(back.sensors.gyro_bias_sigma_radps, 0.02);
   EXPECT_FALSE(back.sensors.gyro_sigma_radps.has_value());
   EXPECT_EQ(back.sensors.gnss_lever_arm_m, run.sensors.gnss_lever_arm_m);
   EXPECT_EQ(back.dropped.total(), 0U);
-  EXPECT_TRUE(read_dataset(folder / "drive.glog").yaw_rates.empty());
+  EXPECT_TRUE(
+      model::samples_of<model::YawRateSample>(read_dataset(folder / "drive.glog").sensor_samples).empty());
 }
 
 TEST(Log, CarriesASurfaceOfManyPieces) {
@@ -242,15 +255,15 @@ TEST(Log, NeverHoldsWhatIsNoNumber) {
   run.ranges[5].range_m = std::nan("");
   run.odometry[2].vx_mps = std::nan("");
   run.pose_prior[1].x_m = std::nan("");
-  run.yaw_rates = {{0.1, std::nan("")}};
-  run.positions = {{0.1, 1.0, 2.0, {-1.0, 0.0, 1.0}}};
-  run.zero_velocities = {{std::nan("")}};
+  model::samples_of<model::YawRateSample>(run.sensor_samples) = {{0.1, std::nan("")}};
+  model::samples_of<model::PositionSample>(run.sensor_samples) = {{0.1, 1.0, 2.0, {-1.0, 0.0, 1.0}}};
+  model::samples_of<model::ZeroVelocitySample>(run.sensor_samples) = {{std::nan("")}};
   run.pose_prior.back().covariance = {-1.0, 0.0, 0.0, 1.0, 0.0, 1.0};
   const LogContent content = parse_log(log_of(run));
   EXPECT_GT(content.damaged_bytes, 0U);
-  EXPECT_TRUE(content.sections[0].samples.yaw_rates.empty());
-  EXPECT_TRUE(content.sections[0].samples.positions.empty());
-  EXPECT_TRUE(content.sections[0].samples.zero_velocities.empty());
+  EXPECT_TRUE(model::samples_of<model::YawRateSample>(content.sections[0].samples.sensors).empty());
+  EXPECT_TRUE(model::samples_of<model::PositionSample>(content.sections[0].samples.sensors).empty());
+  EXPECT_TRUE(model::samples_of<model::ZeroVelocitySample>(content.sections[0].samples.sensors).empty());
   for (const auto& range : content.sections[0].samples.ranges) EXPECT_TRUE(std::isfinite(range.range_m));
   for (const auto& row : content.sections[0].samples.odometry) EXPECT_TRUE(std::isfinite(row.vx_mps));
   for (const auto& pose : content.sections[0].samples.poses) {
