@@ -91,9 +91,9 @@ struct AnchorProblem {
 
 // One anchor's solution, with what made it.
 struct AnchorFit {
-  AnchorProblem problem;  // its rows belong to the association
+  AnchorProblem problem = {};  // its rows belong to the association
   AnchorVector anchor;
-  std::vector<RobustKernel> kernels;  // one a tag
+  std::vector<RobustKernel> kernels = {};  // one a tag
   double cost = 0.0;
 };
 
@@ -192,8 +192,8 @@ struct RowAt {
   double residual_m = 0.0;
   double gamma = 1.0;
   double noise_share = 1.0;
-  RowValue value;
-  PairRow j;  // derivative of the predicted range by position, beta and gamma of its pair
+  RowValue value = {};
+  PairRow j = PairRow::Zero();  // derivative of the predicted range by position, beta and gamma of its pair
 };
 [[nodiscard]] inline RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
   const std::size_t tags = fit.problem.tag_count;

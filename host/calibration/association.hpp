@@ -32,9 +32,9 @@ struct Observation {
 
 struct AnchorObservations {
   model::NodeId id = 0;
-  std::vector<Observation> rows;  // by time
-  std::size_t rejected = 0;       // not a range at all, or no pose near it
-  std::size_t left_out = 0;       // ranges with a pose that were not chosen
+  std::vector<Observation> rows = {};  // by time
+  std::size_t rejected = 0;            // not a range at all, or no pose near it
+  std::size_t left_out = 0;            // ranges with a pose that were not chosen
 };
 
 // What a pose tells of its own error.

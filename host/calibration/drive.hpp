@@ -15,8 +15,8 @@ struct Drive {
   std::span<const model::Tag> tags;
   const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
   model::RangePriors priors;
-  std::span<const model::AnchorRange> anchor_ranges;  // of a survey, in any order; may be empty
-  std::span<const model::Anchor> known_anchors;       // surveyed: their biases alone are estimated
+  std::span<const model::AnchorRange> anchor_ranges = {};  // of a survey, in any order; may be empty
+  std::span<const model::Anchor> known_anchors = {};       // surveyed: their biases alone are estimated
 };
 
 }  // namespace groma::calibration

@@ -37,7 +37,7 @@ inline constexpr Poll kReplied = -3;  // a reply whose range is not among the ro
 struct PollTable {
   double interval_s = 0.0;
   bool regular = false;  // polls come at equal steps: then it can be told which of them were missed
-  std::vector<std::vector<std::vector<Poll>>> polls;  // [anchor][tag]
+  std::vector<std::vector<std::vector<Poll>>> polls = {};  // [anchor][tag]
 };
 [[nodiscard]] PollTable tabulate_polls(const Association& association);
 // Of all rows of one anchor those are left, by their indices so far, ascending, and numbered anew: the

@@ -30,10 +30,10 @@ struct SightEvidence {
 
 // That it was not in one place all the time.
 struct MoveEvidence {
-  std::vector<double> at_s;                        // of each move
-  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();  // the last one
-  bool is_back = false;                            // where it was at first
-  std::optional<model::NodeId> stand_in;           // an anchor whose place it had meanwhile or has now
+  std::vector<double> at_s;                              // of each move
+  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();        // the last one
+  bool is_back = false;                                  // where it was at first
+  std::optional<model::NodeId> stand_in = std::nullopt;  // an anchor whose place it had meanwhile or has now
 };
 
 // What is known of one anchor beside its solution.

@@ -143,13 +143,15 @@ template <class Sample>
   return std::get<kSensorOf<Sample>>(tables);
 }
 
-// std::visit for functions that must not throw.
+// std::visit for functions that must not throw; the variant holds a value.
 template <std::size_t kAt = 0, class Variant, class Use>
 auto visit(const Variant& variant, const Use& use) noexcept {
   if constexpr (kAt + 1 < std::variant_size_v<Variant>) {
     if (variant.index() != kAt) return visit<kAt + 1>(variant, use);
   }
-  return use(*std::get_if<kAt>(&variant));
+  const auto* held = std::get_if<kAt>(&variant);
+  if (held == nullptr) __builtin_unreachable();  // GCC 12 warns of a null pointer
+  return use(*held);
 }
 
 [[nodiscard]] inline double time_of(const SensorSample& sample) noexcept {
