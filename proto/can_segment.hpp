@@ -1,17 +1,18 @@
-// The framed byte stream of frame_codec.hpp over CAN, classic and FD: which id a node's payloads carry, and
-// how the stream is cut into them.
+// The byte stream of frame_codec.hpp over classic CAN and CAN FD: the ids of the CAN frames, and how the
+// stream is divided into payloads.
 //
 // All ids are 29 bits:
 //
-//   28..24  0b10110, this protocol's
+//   28..24  0b10110, marks this protocol
 //   23..17  0
 //   16      0: from the node to its host, 1: from the host to the node
 //   15..0   the node's id
 //
 // A payload holds the next bytes of the stream and nothing else: at most 8 on classic CAN, at most 64 on CAN
-// FD, there filled up with zeros to the next length that FD has. A zero ends a frame of frame_codec.hpp, and
-// further ones mean nothing, so that filling is allowed where a frame has just ended, and only there. CAN
-// keeps the order of one id's payloads; one that is lost damages the frame it belongs to, whose CRC tells.
+// FD. On CAN FD a payload is padded with zeros to the next valid length. A zero ends a frame of
+// frame_codec.hpp and further zeros are ignored, so padding is allowed directly after the end of a frame and
+// nowhere else. CAN keeps the order of payloads with one id. A lost payload damages its frame, which the
+// frame's CRC detects.
 //
 // Freestanding: no heap, no exceptions, no library calls.
 #pragma once
@@ -35,7 +36,7 @@ struct CanFrame {
   std::uint32_t id = 0;
   CanFormat format = CanFormat::kClassic;
   bool bit_rate_switch = false;  // FD: the data phase at the data bit rate
-  std::uint8_t size = 0;         // of the payload in bytes; one that the format has
+  std::uint8_t size = 0;         // of the payload, in bytes; a valid length of the format
   std::array<std::uint8_t, kMaxFdPayload> data{};
 
   [[nodiscard]] std::span<const std::uint8_t> payload() const noexcept {
@@ -49,8 +50,7 @@ struct CanAddress {
   friend constexpr bool operator==(const CanAddress&, const CanAddress&) noexcept = default;
 };
 
-// The bits that tell whose an id is: what a receiver's filter has to compare, apart from those of the
-// address.
+// The fixed bits of an id. A receive filter compares these and the bits of the address.
 inline constexpr std::uint32_t kCanIdBits = 0x1FFF'FFFF;
 inline constexpr std::uint32_t kCanProtocol = 0b10110U << 24;
 inline constexpr std::uint32_t kCanToNode = 1U << 16;
@@ -59,7 +59,7 @@ inline constexpr std::uint32_t kCanToNode = 1U << 16;
   return kCanProtocol | (address.direction == CanDirection::kToNode ? kCanToNode : 0U) | address.node;
 }
 
-// Nothing where the id is not this protocol's.
+// Returns nothing if the id does not belong to this protocol.
 [[nodiscard]] constexpr std::optional<CanAddress> can_address(std::uint32_t id) noexcept {
   if ((id & ~(kCanToNode | 0xFFFFU)) != kCanProtocol) return std::nullopt;
   return CanAddress{(id & kCanToNode) != 0 ? CanDirection::kToNode : CanDirection::kToHost,
@@ -81,13 +81,12 @@ inline constexpr std::array<std::uint8_t, 16> kCanLengths{0, 1,  2,  3,  4,  5, 
   return code;
 }
 
-// Cuts the next payload off the stream's start, as long as the format bears, and says how many of the
-// stream's bytes it took; 0 where there are none. `stream` ends where a frame does, or has at least
-// max_can_payload(format) bytes: a payload is filled up behind its last byte.
+// Moves the next payload, as long as the format allows, from the start of `stream` to `out`. Returns how many
+// bytes of the stream it took; 0 if the stream is empty. `stream` must end with a frame or have at least
+// max_can_payload(format) bytes, because padding follows its last byte.
 std::size_t cut_can_payload(std::span<const std::uint8_t> stream, CanFormat format, CanFrame& out) noexcept;
 
-// The stream's bytes in a CAN frame: the payload where it is a data frame between this node and its host in
-// this direction, otherwise nothing.
+// The stream's bytes in a CAN frame: its payload if the frame's id is that of `address`, otherwise nothing.
 [[nodiscard]] inline std::span<const std::uint8_t> stream_in(const CanFrame& frame,
                                                              CanAddress address) noexcept {
   if (frame.id != can_id(address)) return {};

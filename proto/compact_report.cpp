@@ -8,7 +8,7 @@
 namespace groma::wire {
 namespace {
 
-// 1/(499.2 MHz x 128): 63897.6 ticks a microsecond.
+// 1/(499.2 MHz x 128): 63897.6 ticks per microsecond.
 constexpr std::int64_t kTicksPer10us = 638'976;
 constexpr float kStepsPerMetre = 10'000.0F;
 constexpr std::uint32_t kLargest24 = 0xFF'FFFF;
@@ -104,7 +104,7 @@ bool expand_report(const groma_CompactReport& report, groma_SlotReport& out) noe
     const std::uint8_t* record = report.ranges.bytes + i * kCompactRangeBytes;
     groma_Range& range = out.ranges[i];
     range.anchor_id = static_cast<std::uint16_t>(load(record, 2));
-    // Whatever number came: who reads it has to expect any, as from the wire.
+    // Copied unchecked: a reader has to expect any number, as from the wire.
     const std::uint32_t status = record[2];
     static_assert(sizeof(range.status) == sizeof(status));
     std::memcpy(&range.status, &status, sizeof(status));

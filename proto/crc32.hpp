@@ -1,5 +1,5 @@
-// The CRC of IEEE 802.3 (polynomial 0x04C11DB7 reflected, initial value and final XOR all ones; its published
-// check value for "123456789" is 0xCBF43926): of frames on the wire and of records in flash.
+// The CRC-32 of IEEE 802.3 for frames on the wire and records in flash. Polynomial 0x04C11DB7 reflected,
+// initial value and final XOR all ones; the published check value for "123456789" is 0xCBF43926.
 #pragma once
 
 #include <array>
@@ -8,17 +8,17 @@
 
 namespace groma::wire {
 
-// What a byte does to the CRC.
+// The change of the CRC state for each byte value.
 extern const std::array<std::uint32_t, 256> kCrc32Table;
 
 class Crc32 {
  public:
   void add(std::uint8_t byte) noexcept { state_ = state_ >> 8 ^ kCrc32Table[(state_ ^ byte) & 0xFFU]; }
-  // Its bytes from the lowest to the highest.
+  // Adds the word's bytes, lowest first.
   void add_word(std::uint32_t word) noexcept {
     for (unsigned shift = 0; shift < 32; shift += 8) add(static_cast<std::uint8_t>(word >> shift));
   }
-  // Of all that was added so far.
+  // The CRC of all bytes added so far.
   [[nodiscard]] std::uint32_t value() const noexcept { return ~state_; }
 
  private:

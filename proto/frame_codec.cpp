@@ -3,7 +3,7 @@
 namespace groma::wire {
 namespace {
 
-constexpr std::uint8_t kFullBlock = 0xFF;  // 254 bytes without a zero behind them
+constexpr std::uint8_t kFullBlock = 0xFF;  // 254 bytes, not followed by a zero
 
 std::uint32_t load_little_endian(const std::uint8_t* bytes) noexcept {
   return static_cast<std::uint32_t>(bytes[0]) | static_cast<std::uint32_t>(bytes[1]) << 8 |

@@ -6,17 +6,17 @@
 namespace groma::wire {
 namespace {
 
-// All the fields that are written below; a new one in the schema changes these.
+// put() below encodes these messages by hand. A new field in the schema changes these sizes.
 static_assert(groma_RawStamps_size == 34 && groma_Range_size == 79 && groma_SlotReport_size == 1348,
               "groma.proto: a field of SlotReport has been added that is not encoded here");
 
 enum class WireType : std::uint32_t { kVarint = 0, kLength = 2, kFixed32 = 5 };
 
-// Protocol Buffers from the last byte to the first: a message's length is known when it has to be written.
-// Fields are put in the reverse of their order.
+// Writes Protocol Buffers from the last byte to the first, so that a message's length is known before it is
+// written. Put the fields in reverse order.
 class BackwardWriter {
  public:
-  // What lies from `at` on is written already.
+  // The bytes of `out` from `at` on have been written already.
   BackwardWriter(std::span<std::uint8_t> out, std::size_t at, bool overflow) noexcept
       : begin_(out.data()), at_(out.data() + at), end_(out.data() + out.size()), overflow_(overflow) {}
 
@@ -27,7 +27,7 @@ class BackwardWriter {
   [[nodiscard]] std::size_t size() const noexcept { return static_cast<std::size_t>(end_ - at_); }
   [[nodiscard]] bool overflow() const noexcept { return overflow_; }
 
-  // A field of its type's default value is left out.
+  // Omits a field that has its type's default value.
   template <class T>
   void number(std::uint32_t field, T value) noexcept {
     if (value != 0) put_number(field, value);
@@ -73,7 +73,7 @@ class BackwardWriter {
     for (; value >= 0x80; value >>= 7) *byte++ = static_cast<std::uint8_t>(value | 0x80);
     *byte = static_cast<std::uint8_t>(value);
   }
-  // Room for so many bytes before those written; nothing where there is none.
+  // Reserves `bytes` before those already written; returns nullptr on overflow.
   std::uint8_t* take(std::size_t bytes) noexcept {
     if (overflow_ || static_cast<std::size_t>(at_ - begin_) < bytes) {
       overflow_ = true;
