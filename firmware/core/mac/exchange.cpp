@@ -6,12 +6,13 @@ namespace groma::mac {
 namespace {
 
 constexpr std::int32_t kClockTolerance_ppb = 100'000;
-// The carrier's offset has some 0.1 ppm of noise; drift within an exchange adds less.
+// The carrier's offset has about 0.1 ppm of noise; drift within an exchange adds less.
 constexpr std::int32_t kCarrierTolerance_ppb = 5'000;
 constexpr ranging::FlightTime kShortest{std::int64_t{-2131} * 256};   // -10 m
 constexpr ranging::FlightTime kLongest{std::int64_t{213'140} * 256};  // 1 km
 
-// Two stamps' noise in a short exchange looks like an offset: half a nanosecond over its length.
+// The noise of two timestamps in a short exchange looks like a clock offset: half a nanosecond over its
+// length.
 std::int32_t stamp_tolerance_ppb(ranging::Ticks length) noexcept {
   constexpr std::int64_t kNoise_ticks = 32;
   return static_cast<std::int32_t>(kNoise_ticks * 1'000'000'000 / length.count());

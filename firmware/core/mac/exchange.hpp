@@ -1,4 +1,4 @@
-// One exchange of a tag with the anchors it polled, and the ranges that follow from it.
+// One exchange of a tag with the anchors it polled, and the ranges computed from it.
 #pragma once
 
 #include <array>
@@ -16,12 +16,12 @@ namespace groma::mac {
 enum class RangeStatus : std::uint8_t {
   kOk,
   kNoResponse,      // the anchor's RESPONSE was not received
-  kNoClosingStamp,  // the anchor did not hear the closing frame, or its next RESPONSE was not received
-  kStale,           // the closing stamp that it holds is another exchange's
-  kBadStamp,        // a stamp was not valid, or the four intervals contradict each other
+  kNoClosingStamp,  // the anchor missed the closing frame, or its next RESPONSE was not received
+  kStale,           // the closing interval that the anchor returned belongs to another exchange
+  kBadStamp,        // a timestamp was invalid, or the four intervals contradict each other
 };
 
-// The part of one anchor.
+// One anchor's share of the exchange.
 struct Leg {
   std::uint16_t anchor = 0;
   bool answered = false;
@@ -42,22 +42,23 @@ struct Exchange {
   std::uint8_t count = 0;
   std::array<Leg, kMaxAnchors> legs{};
   ranging::ClockTime poll_sent{};                    // T1
-  std::optional<ranging::ClockTime> closing_sent{};  // T3: of the FINAL, or of the next POLL
+  std::optional<ranging::ClockTime> closing_sent{};  // T3: transmission of the FINAL or of the next POLL
 };
 
 struct Range {
   RangeStatus status = RangeStatus::kNoResponse;
   ranging::DoubleSidedIntervals intervals{};  // for kOk
-  ranging::FlightTime flight{};               // for kOk: at the leg's `received`
-  std::int32_t clock_offset_ppb = 0;          // for kOk: anchor's clock against the tag's, by the intervals
+  ranging::FlightTime flight{};               // for kOk: valid at the leg's `received`
+  std::int32_t clock_offset_ppb = 0;          // for kOk: anchor's clock against the tag's, from the intervals
 };
 
 // Longest time between a RESPONSE and the frame that closes its exchange: far below the 17.2 s at which the
-// anchor's interval would wrap unseen.
+// anchor's interval would wrap unnoticed.
 inline constexpr ranging::Ticks kMaxClosing = ranging::Ticks::from_us(4'000'000);
 
-// A range is good only if both clocks agree about the exchange's length to 100 ppm and, to 5 ppm, about what
-// the carrier says of them, and its flight time is within -10 m and 1 km: a stamp of the wrong frame fails.
+// A range is kOk only if both clocks agree on the exchange's length to 100 ppm, their offset agrees with the
+// carrier's to 5 ppm plus timestamp noise, and the flight time corresponds to -10 m to 1 km. A timestamp of
+// the wrong frame fails these tests.
 [[nodiscard]] Range evaluate(const Exchange& exchange, const Leg& leg) noexcept;
 
 }  // namespace groma::mac

@@ -1,10 +1,10 @@
-// What goes over the air: IEEE 802.15.4 data frames with short addresses, one type byte, and a body,
-// little-endian. The frame check is the chip's.
+// The frames on the air: IEEE 802.15.4 data frames with short addresses, one type byte and a body,
+// little-endian. The chip appends the frame check.
 //
-//   FCF 0x8841 (2)  sequence (1)  network (2)  destination (2)  source (2)  type (1)  body  [code (8)]
+//   FCF 0x8841 (2)  sequence (1)  network (2)  destination (2)  source (2)  type (1)  body  [MIC (8)]
 //
 //   BEACON    superframe (4)  session (8)  epoch (4)  schedule hash (4)  master (2)  hop (1)  age (1)
-//             lateness (2)  flags (1)  slots (1)  holders (2 each)  [welcomed (2)  nonce (8)]
+//             tx offset (2)  flags (1)  slots (1)  slot owners (2 each)  [challenger (2)  nonce (8)]
 //   POLL      exchange (2)  superframe (4)  slot (1)  count (1)  anchor ids in the order of answers (2 each)
 //   RESPONSE  exchange (2)  reply interval (4)  flags (1)  closed exchange (2)  closing interval (5)
 //             temperature (1)  supply (1)
@@ -12,8 +12,8 @@
 //   JOIN      origin (2)  nonce (8)  flags (1)
 //   DATA      origin (2)  target (2)  message (1)  fragment (1)  fragments (1)  flags (1)  payload
 //
-// BEACON, JOIN and DATA fit the control slots (kMaxControlBytes). The type byte's top bit says that a code
-// follows the body: see security.hpp.
+// BEACON, JOIN and DATA fit the control slots (kMaxControlBytes). The type byte's top bit says that a MIC
+// follows the body: see seal.hpp.
 #pragma once
 
 #include <array>
@@ -44,43 +44,44 @@ enum class FrameType : std::uint8_t {
 };
 inline constexpr std::uint8_t kSecuredFlag = 0x80;  // of the type byte
 
-// In answer to a JOIN: whoever sent that nonce knows now that this frame is fresh.
+// Response to the challenge in a JOIN: repeats the nonce, which proves to its sender that this frame is no
+// replay.
 struct Welcome {
   std::uint16_t id = kNobody;
   std::uint64_t nonce = 0;
   friend bool operator==(const Welcome&, const Welcome&) = default;
 };
 
-// The master's, at the start of a superframe, and the ranked back-ups' that relay it.
+// Sent by the master at the start of a superframe, and relayed by the back-ups.
 struct Beacon {
   std::uint32_t superframe = 0;
   std::uint64_t session =
       0;  // unique to each time that a master began to count: its id, its boots, its starts
   std::uint32_t epoch = 0;
   std::uint32_t schedule_hash = 0;
-  std::uint16_t master = kNobody;  // who leads now
+  std::uint16_t master = kNobody;  // the acting master
   std::uint8_t hop = 0;            // 0: the master's own
-  std::uint8_t age = 0;            // superframes since what this tells left the master; saturates
-  // How much later than its place in the superframe the RMARKER leaves the antenna, ticks of the network's
-  // time: the transmit grid's and the relay's rounding.
+  std::uint8_t age = 0;            // superframes since the master sent this information; saturates at 255
+  // Offset of the RMARKER from its nominal place in the superframe, in ticks of network time. It results from
+  // rounding to the transmit grid, so it is -511 to 0.
   std::int16_t lateness_dtu = 0;
-  // The network dissolves: its nodes look for another one.
+  // The master gives up this session: its nodes search for another one.
   bool dissolving = false;
-  bool shared = false;  // sent in the shared slot: its place is there, not in the beacon's
-  // The master's: its nodes are to be quiet for the rest of this superframe, and to listen for others. A
-  // relay's, in the shared slot: asks the master for such a superframe.
+  bool shared = false;  // sent in the shared slot, not in the beacon slot
+  // From the master: its nodes stop transmitting for the rest of this superframe and listen for other
+  // networks. From a relay in the shared slot: requests such a superframe from the master.
   bool quiet = false;
-  // With `shared`: sent in the shared slot of another session, whose nodes are to come over. `place` tells
-  // where in its own superframe that is, ticks of the network's time.
+  // With `shared`: a merge request, sent in the shared slot of another session, whose nodes should join this
+  // one. `place` is the RMARKER's place in this session's superframe, in ticks of network time.
   bool invitation = false;
   ranging::Ticks place{};  // 0 to 2^40 - 1
   std::uint8_t slots = 0;
-  std::array<std::uint16_t, kMaxTags> holders{};  // who may poll in each slot; kNobody: free
+  std::array<std::uint16_t, kMaxTags> holders{};  // of each slot; kNobody: free
   std::optional<Welcome> welcome{};
   friend bool operator==(const Beacon&, const Beacon&) = default;
 };
 
-// A tag's, to all anchors that it names.
+// Sent by a tag to all anchors that it names.
 struct Poll {
   std::uint16_t exchange = 0;
   std::uint32_t superframe = 0;
@@ -90,7 +91,7 @@ struct Poll {
   friend bool operator==(const Poll&, const Poll&) = default;
 };
 
-// Of a node's chip: what its SAR converter shows, as signed degrees C and in 1/64 V. Nothing: not known.
+// The readings of a node's SAR converter, rounded to degrees C and 1/64 V.
 struct Health {
   std::int8_t temperature_c = kUnknown;
   std::uint8_t supply_64ths_v = 0;  // 0: not known
@@ -98,11 +99,11 @@ struct Health {
   friend bool operator==(const Health&, const Health&) = default;
 };
 
-// An anchor's, to the tag that polled it.
+// Sent by an anchor to the tag that polled it.
 struct Response {
   std::uint16_t exchange = 0;
   ranging::Ticks reply{};  // A2 - A1 of this exchange, known before the frame is sent; 0 to 2^32 - 1
-  // A3 - A2 of the exchange before with this tag, where the anchor holds all that it takes; 0 to 2^40 - 1.
+  // A3 - A2 of the previous exchange with this tag, if the anchor has all of its timestamps; 0 to 2^40 - 1.
   bool closing_valid = false;
   std::uint16_t closed_exchange = 0;
   ranging::Ticks closing{};
@@ -110,24 +111,24 @@ struct Response {
   friend bool operator==(const Response&, const Response&) = default;
 };
 
-// A tag's, to the anchors that it polled.
+// Sent by a tag to the anchors that it polled.
 struct Final {
   std::uint16_t exchange = 0;
   friend bool operator==(const Final&, const Final&) = default;
 };
 
-// In a shared slot: a node that is new makes itself known, and asks for a slot or for a Welcome.
+// Sent in a shared slot by a new node: announces it, and requests a slot or a Welcome.
 struct Join {
-  std::uint16_t origin = 0;  // who joins; another than the frame's source where it was passed on
-  std::uint64_t nonce = 0;   // unlike all before
+  std::uint16_t origin = 0;  // the joining node; differs from the frame's source if relayed
+  std::uint64_t nonce = 0;   // never used before
   bool tag = false;
   bool wants_slot = false;
   bool wants_welcome = false;
-  bool leaving = false;  // gives its slot back
+  bool leaving = false;  // gives up its slot
   friend bool operator==(const Join&, const Join&) = default;
 };
 
-// In a shared slot: a piece of a message of the host link's protocol, or the word that one has come.
+// Sent in a shared slot: a fragment of a message of the host link's protocol, or an acknowledgement.
 struct Data {
   std::uint16_t origin = 0;
   std::uint16_t target = 0;
@@ -136,9 +137,9 @@ struct Data {
   std::uint8_t fragments = 0;
   bool acknowledgement = false;
   bool to_host = false;
-  bool asks = false;           // for an acknowledgement now
-  std::uint8_t hops_left = 0;  // how often it may still be passed on, 0 to 3
-  std::uint8_t round = 0;      // counts how often this was sent, modulo 8: each is passed on once
+  bool asks = false;           // requests an acknowledgement now
+  std::uint8_t hops_left = 0;  // remaining relay hops, 0 to 3
+  std::uint8_t round = 0;      // counts transmissions, modulo 8: a relay forwards each one once
   std::uint8_t size = 0;
   std::array<std::uint8_t, kMaxDataBytes> payload{};
   friend bool operator==(const Data&, const Data&) = default;
@@ -151,34 +152,35 @@ struct Frame {
   std::uint16_t network = 0;
   std::uint16_t destination = 0;
   std::uint16_t source = 0;
-  bool secured = false;  // the body was or will be followed by a code
+  bool secured = false;  // a MIC follows the body
   Body body{};
   friend bool operator==(const Frame&, const Frame&) = default;
 };
 
 enum class ParseError : std::uint8_t {
-  kForeign,    // no data frame of this kind: another system's
-  kMalformed,  // ours by its header, but not by its type, length or content
+  kForeign,    // not a data frame of this kind: another system's
+  kMalformed,  // this protocol's header, but a wrong type, length or content
 };
 
 struct ParseResult {
   std::optional<Frame> frame{};
-  ParseError error = ParseError::kForeign;  // where there is no frame
+  ParseError error = ParseError::kForeign;  // if there is no frame
 };
 
-// Of a secured frame the code is skipped, not checked.
+// Skips the MIC of a secured frame without checking it.
 [[nodiscard]] ParseResult parse(std::span<const std::uint8_t> bytes) noexcept;
-// The same without a copy; nothing: `frame`, a new one, holds it. Otherwise it holds anything.
+// Parses into `frame`, which must be default-constructed. Returns nothing on success; on an error `frame` is
+// unspecified.
 [[nodiscard]] std::optional<ParseError> parse(std::span<const std::uint8_t> bytes, Frame& frame) noexcept;
 
-// As far as its type byte tells: for who has no time to parse.
+// Checks the type byte only, for callers without time to parse.
 [[nodiscard]] bool looks_like_poll(std::span<const std::uint8_t> bytes) noexcept;
 
 // A frame's bytes, without the frame check.
 class FrameBytes {
  public:
   [[nodiscard]] std::span<const std::uint8_t> bytes() const noexcept { return std::span(data_).first(size_); }
-  // The last kCodeBytes of a secured frame, zeros after serialize().
+  // The MIC of a secured frame, its last kCodeBytes; serialize() sets it to zeros.
   [[nodiscard]] std::span<std::uint8_t> code() noexcept;
 
  private:
@@ -187,19 +189,19 @@ class FrameBytes {
   std::size_t size_ = 0;
 };
 
-// A POLL's count is at most kMaxAnchors, a DATA's size at most kMaxDataBytes, and intervals are within their
+// A POLL's count must be at most kMaxAnchors, a DATA's size at most kMaxDataBytes, and intervals within their
 // bounds.
 [[nodiscard]] FrameBytes serialize(const Frame& frame) noexcept;
-// The same without a copy.
+// Serializes into `out`, without a copy.
 void serialize(const Frame& frame, FrameBytes& out) noexcept;
 
-// Bytes on the air, frame check included; a code of a secured frame comes on top.
+// Bytes on the air, including the frame check but not the MIC of a secured frame.
 inline constexpr std::size_t kCodeBytes = 8;
 inline constexpr std::size_t kHeaderBytes = 10;
 [[nodiscard]] constexpr std::size_t beacon_bytes(std::size_t slots, bool welcome) noexcept {
   return kHeaderBytes + 28 + 2 * slots + (welcome ? 10 : 0) + dw1000::kFrameCheckBytes;
 }
-// The largest of what is sent in a beacon's or a shared slot.
+// The largest frame in a beacon slot or a shared slot.
 inline constexpr std::size_t kMaxControlBytes = beacon_bytes(kMaxTags, true);
 inline constexpr std::size_t kResponseBytes = kHeaderBytes + 16 + dw1000::kFrameCheckBytes;
 inline constexpr std::size_t kFinalBytes = kHeaderBytes + 2 + dw1000::kFrameCheckBytes;

@@ -10,10 +10,10 @@ void Freshness::forget() noexcept {
 }
 
 std::optional<ControlChannel::Outgoing> Freshness::open_slot(std::uint32_t number) noexcept {
-  // A boot that could not be counted has no nonce of its own.
+  // A boot that could not be counted has no unique nonce.
   if (fresh_ || settings_.nonces == nullptr || settings_.boot_count == 0) return std::nullopt;
-  // At once, and from then on in turn; the turns' order rotates, so as not to meet the same other sender for
-  // ever.
+  // Send the first challenge at once, the others in turn. The order of turns rotates, so that two senders do
+  // not collide forever.
   const std::uint32_t slot = number / (settings_.relays + 1);
   const std::uint32_t round = slot / settings_.turns;
   if (asked_ != 0 && (slot + round) % settings_.turns != settings_.turn) return std::nullopt;

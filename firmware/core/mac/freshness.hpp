@@ -1,9 +1,10 @@
-// Whether what a node hears of its keyed network is of now. A code tells who made a frame, not when.
+// Protects a node of a keyed network against replay. A MIC proves who made a frame, not when.
 //
-// A node that begins to listen could be shown a recording. Before it believes the time that beacons tell it
-// sends a nonce that it never sent before, in a JOIN, and waits for a beacon that brings it back (a Welcome).
-// The JOIN's own code holds in its superframe alone: who answers it is in step with this node. From then on
-// the node's clock is the witness: a beacon that does not fit to it is not believed.
+// A node that starts to listen could receive a recording. Before it trusts the time in beacons it sends a
+// challenge, a nonce that it never used before, in a JOIN, and waits for a beacon that returns the nonce (a
+// Welcome). The JOIN's own MIC is valid in its superframe only, so a node that answers it is synchronized
+// with this node. From then on the node compares beacons with its own clock and rejects those that do not
+// fit.
 #pragma once
 
 #include <cstdint>
@@ -16,10 +17,10 @@ namespace groma::mac {
 
 class Freshness final : public ControlChannel {
  public:
-  // `required`: the network has a key; without it all is fresh. `boot_count`: this boot's, as it was never
-  // before; `nonces`: those made in this boot, outlives it. `turn` of `turns`: the open slots are taken in
-  // turns by the nodes that the schedule names, so that those that start together do not collide for ever.
-  // `relays`: as Schedule.backup_ids.
+  // `required`: the network has a key; without one every frame is trusted. `boot_count`: this boot's number,
+  // never used before; `nonces`: how many were made in this boot, outlives this object. `turn` of `turns`:
+  // the nodes that the schedule names take turns in the open slots, so that nodes that start together do not
+  // collide forever. `relays`: the size of Schedule.backup_ids.
   struct Settings {
     std::uint16_t id = kNobody;
     bool tag = false;
@@ -32,13 +33,14 @@ class Freshness final : public ControlChannel {
   };
   explicit Freshness(const Settings& settings) noexcept : settings_(settings), fresh_(!settings.required) {}
 
-  // What was heard counts for nothing any more: the node searches.
+  // Discards all trust: the node searches.
   void forget() noexcept;
-  // The node itself has begun the session.
+  // The node itself has started the session.
   void found() noexcept { fresh_ = true; }
 
   [[nodiscard]] bool fresh() const noexcept { return fresh_; }
-  // It has asked for so long that whoever it hears may be a recording: it looks for somebody else.
+  // The node has sent too many challenges without an answer. It may be hearing a recording, so it should
+  // search again.
   [[nodiscard]] bool hopeless() const noexcept { return !fresh_ && asked_ > kMostAsked; }
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
@@ -54,7 +56,7 @@ class Freshness final : public ControlChannel {
   bool fresh_;
   std::uint64_t nonce_ = 0;  // 0: none made yet
   std::uint32_t asked_ = 0;
-  Welcome owed_{};  // to whoever asked this node last
+  Welcome owed_{};  // the response to the last challenge received
 };
 
 }  // namespace groma::mac

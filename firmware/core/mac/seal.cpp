@@ -7,7 +7,7 @@ namespace {
 
 using security::Key;
 
-// In a frame's bytes.
+// Offsets in a frame's bytes.
 constexpr std::size_t kSource = 7;
 constexpr std::size_t kType = 9;
 static_assert(kType + 1 == kHeaderBytes);
@@ -17,7 +17,7 @@ constexpr std::uint64_t nonce_of(std::uint16_t source, std::uint8_t type, Place 
          std::uint64_t{type} << 56;
 }
 
-// Of a frame with a whole header.
+// The frame must have a whole header.
 std::uint64_t nonce_of(std::span<const std::uint8_t> frame, Place place) noexcept {
   return nonce_of(static_cast<std::uint16_t>(frame[kSource] | frame[kSource + 1] << 8), frame[kType], place);
 }

@@ -1,24 +1,24 @@
-// The codes of a keyed network's frames: signs what goes out and tells what somebody else made, or sent
-// before.
+// Computes and verifies the MICs of a keyed network's frames.
 //
-// A frame's code is CCM*'s over all its bytes, under the session's own key,
+// A frame's MIC is that of CCM* over all its bytes, under the session's own key:
 //
 //   session key = AES(network key, session (8) | "groma" | 0 0 0)
 //   nonce       = source (2)  superframe (4)  place (1)  type byte (1)  0 0 0 0 0       little-endian
 //
-// A receiver takes superframe and place from its own count, not from the frame: in any other superframe, slot
-// or session the code is another one. A beacon alone tells its own session and superframe; that those lie
-// ahead of what has been is for its receiver to see (freshness.hpp). No node sends two frames of one type in
-// one place, so no nonce comes twice.
+// A receiver takes superframe and place from its own count, not from the frame, so a frame replayed in
+// another superframe, slot or session fails. A beacon is the exception: it carries its own session and
+// superframe. Its receiver decides whether those are current (freshness.hpp). No node sends two frames of one
+// type in one place, so no nonce is used twice.
 //
-// A call is the beacon that tells the nodes of another session of this one, in a shared slot of theirs. Who
-// has just heard them made it, and for that slot alone: its key is
+// A call is a merge request: a beacon that announces this session to the nodes of another one, in their
+// shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key
+// is
 //
 //   call key    = AES(caller's session key, callees' session (8) | "call" | callees' superframe (4))
 //
-// Where time is short a code is made in three steps, the second of which goes on by itself: expect_...() as
-// soon as it is known which frame comes next, glance() or begin_signing() with its bytes, fits() or
-// finish_signing(). A frame that was not expected costs time alone.
+// If time is short, a MIC is computed in three steps, of which the second runs in the background:
+// expect_...() when the next frame is known, glance() or begin_signing() with its bytes, then fits() or
+// finish_signing(). A frame that was not expected only takes longer.
 #pragma once
 
 #include <cstdint>
@@ -30,7 +30,7 @@
 
 namespace groma::mac {
 
-// Where in the network's time a frame is sent: a superframe's slot, counted from 0, or one of these.
+// A frame's place in network time: a superframe and a slot in it, counted from 0, or one of these constants.
 struct Place {
   static constexpr std::uint8_t kBeacon = 0xFE;
   static constexpr std::uint8_t kShared = 0xFF;
@@ -42,7 +42,7 @@ struct Place {
   return {beacon.superframe, beacon.shared ? Place::kShared : Place::kBeacon};
 }
 
-// Those to whom a call goes: a session, and which of its superframes it is sent in.
+// Receivers of a merge request: their session, and the superframe of theirs in which it is sent.
 struct Callees {
   std::uint64_t session = 0;
   std::uint32_t superframe = 0;
@@ -50,38 +50,38 @@ struct Callees {
 
 class Seal {
  public:
-  // Of an open network: frames carry no code.
+  // For an open network: frames carry no MIC.
   Seal() noexcept = default;
-  // Both outlive it; a key of no bytes: an open network.
+  // Both arguments outlive this object. An empty key: an open network.
   Seal(security::BlockCipher* cipher, std::span<const std::uint8_t> network_key) noexcept
       : cipher_(network_key.size() == security::kBlockBytes ? cipher : nullptr), network_key_(network_key) {}
 
   // The network has a key.
   [[nodiscard]] bool on() const noexcept { return cipher_ != nullptr; }
 
-  // Frames are of this session from now on.
+  // Makes this the session of all frames from now on.
   void enter(std::uint64_t session) noexcept;
 
-  // In idle time: which frame is received, and which one is sent, next but for others that are not expected.
-  // Secured ones.
+  // Precomputes cipher blocks for the secured frame that will most likely be received, or sent, next. Call in
+  // idle time.
   void expect_received(std::uint16_t source, FrameType type, Place place) noexcept;
   void expect_sent(std::uint16_t source, FrameType type, Place place) noexcept;
 
-  // For each frame received, before fits(): begins what fits(frame, place) will ask for if that frame was
-  // expected, and forgets what was begun for another. The frame's bytes stay as they are until then: what has
-  // changed meanwhile would not be seen.
+  // Call for each frame received, before fits(). Starts the computation that fits(frame, place) needs if the
+  // frame was expected, and discards any other that is in progress. The frame's bytes must not change until
+  // fits(): a change would not be detected.
   void glance(std::span<const std::uint8_t> frame, Place place) noexcept;
-  // Whether the code of a secured frame fits, in the session entered.
+  // Whether the MIC of a secured frame is valid in the present session.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place) noexcept;
-  // The same by what the beacon says of itself, whatever its session.
+  // Whether the MIC is valid in the session, superframe and place that the beacon itself states.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept;
 
-  // The same of a call, which holds for those callees alone.
+  // Whether the MIC of a merge request to these receivers is valid.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
                           const Callees& callees) noexcept;
 
-  // Puts the code into a secured frame's end. Where the cipher fails it stays as it is: nobody will take it.
-  // The frame stays as it is in between.
+  // Writes the MIC to the end of a secured frame. If the cipher fails, the frame is left without a valid MIC
+  // and all receivers reject it. The frame must not change between begin and finish.
   void begin_signing(const FrameBytes& frame, Place place) noexcept;
   void begin_signing(const FrameBytes& frame, Place place, const Callees& callees) noexcept;
   void finish_signing(FrameBytes& frame) noexcept;
@@ -96,7 +96,7 @@ class Seal {
     security::Prepared prepared{};
   };
 
-  // What was begun is not asked for any more: the cipher is wanted for something else.
+  // Discards the computations in progress: the cipher is needed for another one.
   void abandon() noexcept {
     checking_.reset();
     signing_mask_.reset();
@@ -107,7 +107,7 @@ class Seal {
                           const std::optional<security::Key>& key) noexcept;
   void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;
   void begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept;
-  // Begins a code, in the session entered or under another key, and returns what masks it.
+  // Starts a MIC, with the session's key or with `key`, and returns its mask.
   [[nodiscard]] std::optional<security::Block> begin(std::uint64_t nonce,
                                                      std::span<const std::uint8_t> bytes) noexcept;
   [[nodiscard]] std::optional<security::Block> begin(const security::Key& key, std::uint64_t nonce,
@@ -117,12 +117,12 @@ class Seal {
   std::span<const std::uint8_t> network_key_{};
   std::uint64_t session_ = 0;
   std::optional<security::Key> session_key_{};
-  // Of another session, whose beacon was heard last.
+  // Of the other session whose beacon was heard last.
   std::uint64_t other_session_ = 0;
   std::optional<security::Key> other_key_{};
   std::optional<Expected> received_{};
   std::optional<Expected> sent_{};
-  // Under way.
+  // In progress.
   struct Check {
     std::span<const std::uint8_t> frame{};
     std::uint64_t nonce = 0;

@@ -10,19 +10,19 @@
 
 namespace groma::mac {
 
-// A node's place in its site.
+// A node's identity, schedule and network key.
 struct Site {
   std::uint16_t id = 0;
   std::uint16_t network_id = 0;
   dw1000::Preamble preamble = dw1000::Preamble::k128;
-  const groma_Schedule* schedule = nullptr;  // one that check() has passed; outlives who goes by it
+  const groma_Schedule* schedule = nullptr;  // passed check(); outlives its users
   ranging::Ticks transmit_antenna_delay{};
-  std::uint32_t boot_count = 0;  // of this boot: together with `sessions` it makes a session's name unique
-  bool on_trial = false;         // its schedule, which came over the air
-  // Sessions that this node has founded in this boot; outlives who goes by it. Nothing: none before.
+  std::uint32_t boot_count = 0;  // number of this boot; with `sessions` it makes a session id unique
+  bool on_trial = false;         // the schedule came over the air and is on trial
+  // Sessions that this node has started in this boot; outlives its users. Null: none before.
   std::uint16_t* sessions = nullptr;
-  // Of a network with a key: 16 bytes, the cipher that they are for, and the nonces made in this boot; all
-  // outlive who goes by it. No bytes: an open network.
+  // In a network with a key: the 16 bytes of the key, the cipher, and the number of nonces made in this boot;
+  // all outlive their users. An empty key: an open network.
   std::span<const std::uint8_t> network_key{};
   security::BlockCipher* cipher = nullptr;
   std::uint32_t* nonces = nullptr;

@@ -1,16 +1,16 @@
-// What goes in and out of the tag's and the anchor's state machines.
+// Inputs and outputs of the tag's and the anchor's state machines.
 //
-// Each event returns a Step: what the radio is to do next, and an exchange if one is complete. The machine
-// expects exactly one event for each action but kNone: on_transmitted() or on_late() for a transmission;
-// on_received(), on_timeout() or on_error() for a reception. A listening that could not be armed in time
-// starts at once instead, or counts as a time-out when its end has passed. Or resume() instead of any, where
-// the radio was stopped.
+// Each event returns a Step: the radio's next action, and an exchange if one is complete. Each action except
+// kNone leads to exactly one event: on_transmitted() or on_late() for a transmission; on_received(),
+// on_timeout() or on_error() for a reception. A reception that could not be armed in time starts at once
+// instead, or counts as a time-out if its end has passed. If the radio was stopped, call resume() instead of
+// the event.
 //
-// Beside that it is told at three moments, so that codes are made and checked while the radio's bus or the
-// air is busy: glance(frame) once a frame's bytes are there, before on_received() with them; complete() where
-// a transmission's frame is about to be handed over, which it is not whole before; and prepare() once what a
-// Step asked for is armed, which tells how many bytes are on the air of the frame that it will most likely
-// send next; 0: open.
+// The caller also calls three functions while the radio or its bus is busy, so that MICs are computed and
+// verified then: glance(frame) when a frame's bytes have been read, before on_received() with them, starts
+// the verification; complete() just before a transmission's frame is written to the chip finishes the frame;
+// prepare() after the Step's action is armed precomputes cipher blocks and returns the size on the air of the
+// most likely next frame to send, 0 if not known.
 #pragma once
 
 #include <cstdint>
@@ -40,15 +40,15 @@ struct Action {
   Kind kind = Kind::kNone;
   ranging::ClockTime at{};
   ranging::ClockTime until{};
-  // A preamble that has not come by then will not come.
+  // The latest instant for a preamble; the listening may end then.
   std::optional<ranging::ClockTime> preamble_until{};
-  // Whole after complete(); stays valid until the machine's next event.
+  // Complete after complete(); valid until the machine's next event.
   std::span<const std::uint8_t> frame{};
 };
 
 struct Step {
   Action action;
-  // To be evaluated after the action is armed; stays valid until the next one is complete.
+  // Evaluate after the action is armed; valid until the next exchange is complete.
   const Exchange* completed = nullptr;
 };
 
