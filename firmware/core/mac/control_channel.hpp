@@ -1,8 +1,7 @@
-// What travels in the shared slots and rides on beacons beside the beat itself: joining, and messages.
+// Users of the shared slots and of free space in beacons: joining, replay protection, and messages.
 //
-// A station asks its channels, in the order in which they were attached, and the first that has something to
-// send gets the open slot. What a channel decides is its own: when to back off, what to repeat, what to pass
-// on.
+// The station asks its channels in the order in which they were attached; the first with something to send
+// gets the open slot. Each channel decides itself when to back off, what to repeat and what to relay.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +11,7 @@
 
 namespace groma::mac {
 
-// All calls come between two events of the station's node, in its context.
+// The station makes all calls between two of its events, in their context.
 class ControlChannel {
  public:
   struct Outgoing {
@@ -20,29 +19,29 @@ class ControlChannel {
     Body body{};  // a Join or a Data
   };
 
-  // The shared slot of superframe `number` is the next thing to do, it is open to all, and this node knows
-  // the time well enough to send. Nothing: it listens. Called once for each such slot.
+  // The next action is the shared slot of superframe `number`, which is open to all, and this node knows the
+  // time well enough to send. Returns nothing to listen. Called once for each such slot.
   [[nodiscard]] virtual std::optional<Outgoing> open_slot(std::uint32_t number) noexcept = 0;
-  // This back-up's own turn in the shared slot of superframe `number` is the next thing to do. What comes is
-  // sent in the place of the beacon that it would relay, at most every other turn of its; nothing: it relays.
+  // The next action is this back-up's own turn in the shared slot of superframe `number`. A returned frame
+  // replaces the beacon that it would relay, in at most every other turn; nothing: it relays.
   [[nodiscard]] virtual std::optional<Outgoing> own_turn(std::uint32_t /*number*/) noexcept {
     return std::nullopt;
   }
-  // It may well send in the next open slot: to arm the listening there ahead of time would only cost time.
+  // The channel may send in the next open slot, so arming its listening ahead would waste time.
   [[nodiscard]] virtual bool wants_slot() const noexcept { return false; }
-  // What open_slot() or own_turn() gave has left the antenna, or was too late for it. Whether anybody heard
-  // it is not known.
+  // The frame of open_slot() or own_turn() has been sent, or was too late. Whether another node received it
+  // is not known.
   virtual void on_sent(std::uint32_t number, bool sent) noexcept = 0;
 
-  // A JOIN or a DATA of this network, whatever its destination, heard in superframe `number`. `leading`: this
-  // node is the acting master.
+  // A JOIN or a DATA of this network to any destination, heard in superframe `number`. `leading`: this node
+  // is the acting master.
   virtual void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept = 0;
 
-  // A beacon of the network that this node is in step with, the master's or a relayed one.
+  // A beacon of the followed network, from the master or a relay.
   virtual void on_beacon(const Frame& frame, const Beacon& beacon) noexcept = 0;
 
-  // This node is about to send a beacon: its own as the acting master's (`leading`), whose holders it may
-  // change, or one that it relays; either may carry a welcome.
+  // This node is about to send a beacon. As acting master (`leading`) it may change `holders`; otherwise it
+  // relays. Either may add a welcome.
   virtual void on_beacon_out(Beacon& beacon, bool leading) noexcept = 0;
 
  protected:

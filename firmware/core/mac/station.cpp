@@ -12,7 +12,7 @@ using ranging::Ticks;
 
 namespace {
 
-// The nodes that the schedule names take turns, those that it does not know go by their ids.
+// Nodes that the schedule names have a turn each; other nodes derive theirs from their ids.
 Freshness::Settings freshness_of(const Site& site) noexcept {
   const groma_Schedule& schedule = *site.schedule;
   const auto anchors = std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
@@ -56,7 +56,7 @@ void Station::attach(ControlChannel& channel) noexcept {
   }
 }
 
-// ---- the superframe's course
+// ---- the sequence of a superframe
 
 void Station::start(ClockTime now) noexcept {
   sync_.search();
@@ -147,7 +147,7 @@ bool Station::found_if_time(ClockTime now) noexcept {
   freshness_.forget();
   const auto lead_at = mastership_.lead_at();
   if (!lead_at || now < *lead_at) return false;
-  // The session of a boot that could not be counted may have been there before.
+  // A session of an uncounted boot may have the id of an earlier one.
   if (seal_.on() && site_.boot_count == 0) return false;
   constexpr Ticks kHead = Ticks::from_us(2'000);
   mastership_.found();
@@ -158,7 +158,7 @@ bool Station::found_if_time(ClockTime now) noexcept {
   number_ = 0;
   next_ = Next::kBeacon;
   phase_ = Phase::kBeacon;
-  // It takes two words of a newer schedule.
+  // Nodes obey a newer schedule only after two beacons with it.
   if (others_) call(Callees(others_->callees), others_->shared, 2);
   return true;
 }
@@ -195,7 +195,7 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   return listen(due, superframe_.control_bytes(), sync_.margin(number_));
 }
 
-// Until the end of the superframe, or of a later one.
+// Listens until the end of this superframe, or of a later one.
 std::optional<Action> Station::scan(ClockTime now, std::uint32_t superframes) noexcept {
   scanning_ = false;
   for (std::uint32_t i = 0; i < superframes; ++i) end_superframe();
@@ -258,8 +258,8 @@ Beacon Station::make_beacon(Ticks lateness, bool shared) noexcept {
           .holders = holders_};
 }
 
-// In the shared slots of a session that is to come over, where it is this node's turn and all of its own are
-// quiet; until its next slot that is open to all is over.
+// Sends merge requests in the shared slots of the other session, in this node's turns, while all of its own
+// session are silent; until the other session's next open slot is over.
 std::optional<Action> Station::invite(ClockTime now) noexcept {
   const bool quiet = phase_ == Phase::kScanning || phase_ == Phase::kInviting;
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
@@ -281,7 +281,7 @@ std::optional<Action> Station::invite(ClockTime now) noexcept {
   return std::nullopt;
 }
 
-// A beacon then leaves no time for it.
+// A merge request this close to the beacon leaves no time for the beacon.
 bool Station::invites_beside(ClockTime due) const noexcept {
   const Ticks room = superframe_.phy().before_rmarker() +
                      dw1000::Phy::after_rmarker(superframe_.control_bytes()) + kToGetReady;
@@ -316,9 +316,9 @@ Action Station::invitation(ClockTime stamp, const Callees& callees) noexcept {
   return transmit(stamp, kBroadcast, beacon, place_of(beacon), &callees);
 }
 
-// All that heard it are quiet until one of them has had its turn to call: from the next superframe on, or
-// where they are already, at once. Where it may be a recording and nothing is amiss, only who calls is quiet,
-// and only then.
+// All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:
+// from the next superframe on, or at once if they are scanning. If the beacon may be a recording and no
+// expected frames are missing, only the requesting node stays silent, and only in that superframe.
 void Station::call(const Callees& callees, ClockTime shared, std::uint32_t rounds) noexcept {
   const Ticks duration = superframe_.duration();
   const auto number_at = [&](ClockTime at) {
@@ -335,8 +335,8 @@ void Station::call(const Callees& callees, ClockTime shared, std::uint32_t round
     return;
   }
   const std::uint32_t to_open = (turns - others_->callees.superframe % turns) % turns;
-  // The first time not all may know yet that they are to be quiet. Who has a turn of its own may be the only
-  // one that hears them.
+  // In the first slot some nodes may not know yet that they have to be silent. A node with a turn of its own
+  // may be the only one in range of the others.
   constexpr std::uint32_t kMore = 1;
   std::uint32_t last = to_open + (rounds - 1) * turns + kMore;
   while (!mastership_.leads() && mastership_.rank() && last < 2 * turns &&
@@ -471,7 +471,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     case Verdict::kAdopt:
       break;
   }
-  // Not all may have heard the call.
+  // Some nodes may have missed the merge request.
   std::optional<Others> former;
   if (called && verdict == Verdict::kAdopt) {
     const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
@@ -479,7 +479,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                     .callees = {session, next},
                     .left = site_.schedule->backup_ids_count + 1U};
   }
-  // A beacon that is late for its place may have been held up by somebody.
+  // A beacon later than its place may have been delayed by an attacker.
   if (!take_stamp(stamp, beacon.session, verdict, !seal_.on() || ahead >= Ticks(0))) {
     ++counters_.bad_stamps;
     return false;
@@ -555,7 +555,7 @@ std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
 // ---- frames
 
 std::optional<Frame> Station::accept(const Reception& reception, Place place, Check check) noexcept {
-  // Returned without a copy.
+  // One named object, so that it is returned without a copy.
   std::optional<Frame> frame(std::in_place);
   if (const auto error = parse(reception.frame, *frame)) {
     ++(*error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
@@ -586,7 +586,7 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
   if (const auto* beacon = std::get_if<Beacon>(&frame.body)) {
     return authentic(*beacon, reception);
   }
-  // Who does not know the place cannot tell; but somebody is there.
+  // Without knowing the place this node cannot verify the MIC; but another node is there.
   if (phase_ == Phase::kSearching) mastership_.on_traffic(reception.stamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
   const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
@@ -610,8 +610,8 @@ Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
   return sync_.start(beacon.superframe) + place_in_superframe(beacon) - heard;
 }
 
-// Once this node knows the time, a recording of its own network gives itself away: it comes later than what
-// it tells. What is of another timeline may be a recording, unless it calls this one.
+// Once this node knows the time, a replayed beacon of its own session is late against this node's clock. A
+// beacon of another timeline may be a replay, unless it is a merge request to this session.
 bool Station::authentic(const Beacon& beacon, const Reception& reception) noexcept {
   hearsay_ = false;
   bool good = false;
@@ -637,7 +637,7 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
   return good || hearsay_;
 }
 
-// Heard in a shared slot of this node's own, and made for that one.
+// The beacon came in this node's own shared slot, and its MIC was made for that slot.
 bool Station::is_called(const Beacon& beacon, const Reception& reception) noexcept {
   const auto number = static_cast<std::uint32_t>(sync_.network_time(reception.stamp).count() /
                                                  superframe_.duration().count());
