@@ -11,15 +11,15 @@ namespace {
 using ranging::ClockTime;
 using ranging::Ticks;
 
-// How much later than `b` superframe `a` is; right over the number's wrap.
+// The number of superframes from `b` to `a`; correct across the number's wrap.
 constexpr std::int32_t since(std::uint32_t a, std::uint32_t b) noexcept {
   return static_cast<std::int32_t>(a - b);
 }
 
-// Superframes in which a new session's nodes have better things to do than to look for others.
+// Superframes in which the nodes of a new session do not scan for missing frames.
 constexpr std::uint32_t kSettling = 16;
 
-// The same at each node of a session, another in each superframe and session. The finalizer of MurmurHash3.
+// Equal at all nodes of a session, different in each superframe and session. The finalizer of MurmurHash3.
 std::uint32_t chance_of(std::uint64_t session, std::uint32_t number) noexcept {
   std::uint32_t h = static_cast<std::uint32_t>(session >> 32) * 0x9E37'79B9U ^
                     static_cast<std::uint32_t>(session) * 0x85EB'CA6BU ^ number;
@@ -41,7 +41,8 @@ Mastership::Mastership(const Site& site, Ticks duration, Ticks guard, std::uint3
       beaconers_(site.schedule->backup_ids_count + 1U),
       calls_(site.network_key.empty() ? Pause(4, 8, 8) : Pause(1, 2, 8)) {}
 
-// Long enough to hear a running network at five lost beacons, and for each rank to hear the one before it.
+// Long enough to hear a running network in spite of five lost beacons, and for each rank to hear the one
+// before.
 Ticks Mastership::listening_time() const noexcept {
   const auto rank = static_cast<std::int64_t>(rank_.value_or(0));
   return std::max(Ticks::from_us(100'000), 5 * duration_) +
@@ -103,8 +104,8 @@ void Mastership::dissolve() noexcept {
   if (last_beacons_ == 0) last_beacons_ = kLastBeacons;
 }
 
-// That one's next relay may be two rounds away, and more where it is the schedule's master, which has every
-// second turn of another one.
+// The next relay of the other session may be two rounds away, and more if it is the schedule's master, which
+// has only every second turn of another rank.
 void Mastership::go_over(ClockTime now) noexcept {
   shunned_ = session_;
   shunned_master_ = master_;
@@ -114,7 +115,8 @@ void Mastership::go_over(ClockTime now) noexcept {
   lead_at_ = lead_at_ + 4 * std::int64_t{beaconers_} * duration_;
 }
 
-// A master that has given up does not go on: whose word is younger than its last one has not said that.
+// A master that resigned does not continue: newer information than its last beacon's shows that its farewell
+// was not genuine.
 bool Mastership::is_shunned(const Beacon& beacon, ClockTime now) const noexcept {
   if (beacon.session != shunned_ || now >= shunned_until_) return false;
   return beacon.master != shunned_master_ || since(beacon.superframe - beacon.age, shunned_at_) <= 0;
@@ -170,8 +172,8 @@ bool Mastership::is_credible(std::uint16_t source, const Beacon& beacon) const n
          own_word == (source == beacon.master) && (!own_word || beacon.age == 0);
 }
 
-// Of another master of this session: it may be alive, as far as its way tells; and it is not what was known
-// when it was given up.
+// Of a beacon with another master of this session: that master may be alive, given its path's delay, and the
+// information is newer than what was known when that master was replaced.
 bool Mastership::is_news(const Beacon& beacon) const noexcept {
   const std::uint32_t told = beacon.superframe - beacon.age;
   return beacon.age <= patience_at(beacon.hop) && (!former_ || since(told, *former_) > 0);
@@ -204,8 +206,8 @@ Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahea
   return leads() ? judge_as_master(source, beacon, ahead) : judge_as_follower(source, beacon, ahead);
 }
 
-// What is far from its place is an echo of former times; unless it comes again and again from who leads: then
-// it is this node that has the wrong count.
+// A beacon far from its place is outdated. But if the acting master repeats such a count several times in a
+// row, this node's own count is wrong.
 Verdict Mastership::judge_echo(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
   constexpr std::uint8_t kBelieved = 3;
   if (beacon.hop != 0 || beacon.invitation || ++echoes_ < kBelieved) return Verdict::kIgnore;
@@ -218,9 +220,10 @@ Verdict Mastership::judge_echo(const Beacon& beacon, Ticks ahead, ClockTime now)
   return Verdict::kLeave;
 }
 
-// Nodes of two schedules would collide. The newer schedule is right: who has the older one falls silent, and
-// who leads with the newer one sees to it that the others hear of it. A node whose schedule is on trial lets
-// the older network be, over which others have theirs, unless it is the master and so the last to get it.
+// Nodes with two different schedules would collide. The newer schedule wins: a node with the older one stops
+// transmitting, and a node with the newer one informs the others. A node whose schedule is on trial leaves
+// the older network alone, because other nodes receive their schedule over it; the master receives it last
+// and is the exception.
 Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept {
   const std::uint32_t epoch = site_.schedule->epoch;
   const bool newer = beacon.epoch != epoch ? beacon.epoch > epoch : beacon.schedule_hash > hash_;
@@ -233,7 +236,7 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
     return Verdict::kCall;
   }
   if (beacon.dissolving) return Verdict::kStale;
-  // One frame alone may be anybody's mistake: it takes another one that tells the same.
+  // A single frame may be damaged or forged: require a second one with the same content.
   const std::uint32_t told = beacon.epoch ^ beacon.schedule_hash;
   if (std::exchange(newer ? newer_schedule_ : older_schedule_, told) != told) {
     suspect();
@@ -249,8 +252,8 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
   return Verdict::kLeave;
 }
 
-// Not in one session where the two are apart: there the one that is ahead stays, so that nobody's count goes
-// back.
+// Aligned parts of one session: judge() decides by rank. Parts that have drifted apart: the one ahead stays,
+// so that no count goes back.
 Verdict Mastership::judge_call(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (!is_credible(source, beacon)) return Verdict::kStale;
   if (beacon.session == session_ && ahead <= guard_ && ahead >= -guard_) return Verdict::kIgnore;
@@ -313,17 +316,17 @@ Verdict Mastership::judge_as_master(std::uint16_t source, const Beacon& beacon, 
 }
 
 Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
-  if (beacon.master == site_.id) return Verdict::kIgnore;  // of the time when it led itself
+  if (beacon.master == site_.id) return Verdict::kIgnore;  // outdated: this node was the master
   const bool aligned = ahead <= guard_ && ahead >= -guard_;
   const std::int32_t newer = since(beacon.superframe - beacon.age, fresh_);
   if (beacon.master != master_) {
     const bool better = rank_of_id(beacon.master) < rank_of_id(master_) && is_news(beacon);
-    // What comes from its own master may be as old as its own way there is long.
+    // Information from its own master may be as old as this node's own path to it allows.
     if (!better && newer <= static_cast<std::int32_t>(patience() - kPatience / 2)) return Verdict::kIgnore;
     follow(source, beacon);
     return aligned ? Verdict::kSwitch : Verdict::kAdopt;
   }
-  if (!aligned) return Verdict::kMeasure;  // the clock filter knows when to believe it
+  if (!aligned) return Verdict::kMeasure;  // the clock filter decides whether to use it
   heard_[rank_of_id(source)] = beacon.superframe;
   echoes_ = 0;
   if (newer > 0) proven_ = true;
@@ -331,7 +334,7 @@ Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon
   if (newer > 0) fresh_ = told;
   const auto hop = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
   if (source == parent_) {
-    // A relay that has heard nothing itself knows no better than this node.
+    // A relay that has not heard news itself knows no more than this node.
     if (since(told, parent_told_) <= 0) return Verdict::kKnown;
     hop_ = hop;
     parent_told_ = told;
@@ -349,8 +352,8 @@ Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon
   return Verdict::kSwitch;
 }
 
-// A master that is heard in one shared slot after the other and never in the beacon's: somebody else's
-// beacons may lie on its own. Then only in its silence they can be heard.
+// If the master is heard in successive shared slots but never in the beacon slot, beacons of another session
+// may collide with its own. They can be heard only while the master is silent.
 void Mastership::watch_place(const Beacon& beacon) noexcept {
   const bool next = beacon.shared && beacon.master == displaced_ &&
                     since(beacon.superframe, displaced_at_) <= static_cast<std::int32_t>(4 * beaconers_);
@@ -364,7 +367,7 @@ bool Mastership::ask_for_silence() noexcept {
   return listens_next_;
 }
 
-// The ranks that have a better claim and were heard lately.
+// Counts better ranks that were heard recently, except the present master.
 std::uint32_t Mastership::better_ranks_alive(std::uint32_t number) const noexcept {
   const auto recent = static_cast<std::int32_t>(kPatience + 4 * beaconers_);
   std::uint32_t count = 0;
@@ -407,8 +410,8 @@ void Mastership::on_silence() noexcept {
   hushed_ = std::max(hushed_, std::uint32_t{1});
 }
 
-// A rank that is in this session has no one in that one: its turn is free there. An acting master shares its
-// own with the schedule's master, as has_shared_turn().
+// A rank exists once in a site, so its turn is free in the other session. An acting master shares its turn
+// with the schedule's master, as in has_shared_turn().
 bool Mastership::may_invite(std::uint32_t number) const noexcept {
   if (!rank_ || last_beacons_ != 0) return false;
   const std::uint32_t turn = number % beaconers_;
@@ -418,9 +421,9 @@ bool Mastership::may_invite(std::uint32_t number) const noexcept {
   return *rank_ == 0 && !leads() && turn == rank_of_id(master_) && !even;
 }
 
-// All nodes of a session do it in the same superframes: so that they do not drown what they listen for. A
-// master does it mostly without its beacon: of two that send at one time each is deaf to the other. And not
-// in each superframe, nor always: who listens to one that listens hears nothing.
+// All nodes of a session scan in the same superframes, so that they do not drown out what they listen for. A
+// master mostly omits its beacon then, because two nodes that send at once do not hear each other. Scans are
+// random, because two sessions that scan at once do not hear each other either.
 Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   if (last_beacons_ != 0) return Duty::kGoOn;
   quiet_ = hushed_ != 0;
@@ -448,7 +451,7 @@ Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   } else {
     return Duty::kGoOn;
   }
-  // Its own nodes live by its beacons.
+  // Its own nodes need its beacons.
   constexpr std::int32_t kLongestSilence = 3;
   const bool may_hush = since(number, led_) < kLongestSilence;
   return may_hush && chance / 8 % 4 != 0 ? Duty::kHush : Duty::kScan;
@@ -482,8 +485,8 @@ void Mastership::on_absence(std::uint32_t number) noexcept {
   fresh_ = number - kPatience + kToHearOthers;
 }
 
-// The ranks beyond the first have a turn each. That of an acting master is its own every second time and else
-// the schedule's master's, who has none: so any two of them hear each other.
+// The ranks beyond the first have one turn each. An acting master of such a rank uses every second one of its
+// turns; the schedule's master, which has no turn, uses the others. So any two of them can hear each other.
 bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
   if (!rank_ || role_ == Role::kSearching || last_beacons_ != 0) return false;
   const std::uint32_t turn = number % beaconers_;

@@ -1,18 +1,19 @@
-// Who leads the network, and by which path this node follows: pure decisions, no radio and no clock filter.
+// Master election and the choice of the path that this node follows: pure decisions, without radio and clock
+// filter.
 //
-//   searching --beacon--> following --nothing of the master for long, and next in rank--> leading
-//       ^  \--nobody heard for long, and in the ranks--> leading (a new session)             |
+//   searching --beacon--> following --master silent for long, and next in rank--> leading
+//       ^  \--no node heard for long, and ranked--> leading (a new session)                |
 //       |                                                                                    |
-//       +-------- dissolved, or a newer schedule heard ---------------------------------------+
+//       +-------- dissolved, or a newer schedule heard ------------------------------------+
 //
-// A session is a count of superframes that somebody began; it goes on under whoever leads it. Its name is
+// A session is a count of superframes that some node started; it continues under changing masters. Its id is
 // unique. Of two masters of one session the better rank stays. Of two sessions the older one stays, by its
-// count; within the guard the smaller name. The loser says so in its last beacon
-// (`dissolving`), so that its nodes come over. A loser that does not know of it is told: who has heard its
-// beacon sends an `invitation` where its nodes listen.
+// count; within the guard, the one with the smaller id. The losing master marks its last beacon `dissolving`,
+// so that its nodes join the other session. If the losing session does not know of the other one, a node that
+// hears its beacon sends an `invitation`, a merge request, in the slot where its nodes listen.
 //
-// What a beacon tells left the master `age` superframes ago: a relay can pass it on but not make it younger,
-// so that relays cannot keep a dead master alive among each other.
+// The content of a beacon left the master `age` superframes ago. A relay passes the age on and cannot reduce
+// it, so relays cannot keep a dead master alive among themselves.
 #pragma once
 
 #include <array>
@@ -28,62 +29,62 @@ namespace groma::mac {
 
 enum class Role : std::uint8_t { kSearching, kFollowing, kLeading };
 
-// What a beacon is to this node.
+// How this node uses a beacon.
 enum class Verdict : std::uint8_t {
-  kIgnore,   // of no use
+  kIgnore,   // not at all
   kStale,    // of another schedule
-  kKnown,    // of the network followed, but by another path than the clock filter's
-  kMeasure,  // a stamp for the clock filter
-  kSwitch,   // the same, the first by another path
-  kAdopt,    // from now on this timeline is followed: the clock filter starts with it
-  kLeave,    // fall silent and search
-  kCall,     // of another session, which is to come over or to fall silent: its nodes are to be told
+  kKnown,    // of the followed network, but by another path than the clock filter's
+  kMeasure,  // as a measurement for the clock filter
+  kSwitch,   // as kMeasure, the first by another path
+  kAdopt,    // to follow this timeline from now on: the clock filter restarts with it
+  kLeave,    // to stop transmitting and search
+  kCall,     // to send merge requests to its session, which has to join this one or fall silent
 };
 
-// What to do in a superframe that begins.
+// What this node does in the superframe that begins.
 enum class Duty : std::uint8_t {
   kGoOn,
-  kTakeOver,  // lead from now on, with the time as it is known
-  kScan,      // listen for another timeline; a master's own beacon still goes out
-  kHush,      // the same, without it: two that send at one time do not hear each other
-  kHushLong,  // the same, for two superframes: what lies over their border is heard, too
+  kTakeOver,  // lead from now on, and keep the present time
+  kScan,      // listen for another timeline; a master still sends its own beacon
+  kHush,      // as kScan, without that beacon: two nodes that send at once do not hear each other
+  kHushLong,  // as kHush, for two superframes: hears also what crosses their boundary
 };
 
 class Mastership {
  public:
-  // `duration`: of a superframe. `hash`: schedule_hash(). `guard`: two timelines that differ by less are one.
+  // `duration`: of a superframe. `hash`: schedule_hash(). `guard`: timelines that differ by less count as
+  // aligned.
   Mastership(const Site& site, ranging::Ticks duration, ranging::Ticks guard, std::uint32_t hash) noexcept;
 
-  // Begins to search, at start or when the time is lost.
+  // Starts the search, at power-up or when the time is lost.
   void search(ranging::ClockTime now) noexcept;
-  // While searching: a frame of this network that is no beacon. Somebody is there; it is not yet time to
-  // lead.
+  // While searching, reports a frame of this network that is not a beacon. Another node is there, so this one
+  // waits longer before it leads.
   void on_traffic(ranging::ClockTime now) noexcept;
-  // While searching: when to found a session where nobody is heard until then; nothing: never.
+  // While searching: when to start a session if no node has been heard until then; nothing: never.
   [[nodiscard]] std::optional<ranging::ClockTime> lead_at() const noexcept;
-  // Founds a session: leads, from superframe 0 on.
+  // Starts a session: leads, from superframe 0 on.
   void found() noexcept;
 
-  // A beacon of this network, sent by `source`. `ahead`: by how much its timeline is ahead of this node's;
-  // of no meaning while searching.
+  // Judges a beacon of this network, sent by `source`. `ahead`: how far its timeline is ahead of this node's;
+  // ignored while searching.
   [[nodiscard]] Verdict judge(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead,
                               ranging::ClockTime now) noexcept;
-  // In a network with a key, while not searching: a beacon of another timeline, said now or long ago. Nobody
-  // goes over; but if it is of now, its nodes are to be told of this timeline.
+  // In a network with a key, while not searching: judges an unverified beacon of another timeline, which may
+  // be a recording. This node does not join that timeline, but may send merge requests to it.
   [[nodiscard]] Verdict judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept;
-  // The same: a call, from a timeline that is there.
+  // In a network with a key, while not searching: judges a verified merge request.
   [[nodiscard]] Verdict judge_call(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead) noexcept;
-  // A frame of this network that has no place in the timeline, or frames that should have come did not: there
-  // may be another one.
+  // Reports a frame of this network that does not fit the timeline: another session may be near.
   void suspect() noexcept {
     suspicious_ = true;
     suspected_ = number_;
   }
-  // In a network with a key: a frame that has no place and whose code does not fit. Of another session, or of
-  // nobody.
+  // In a network with a key: reports an unverified POLL, one that does not fit the timeline and whose MIC is
+  // wrong. It may belong to another session.
   void on_rumour() noexcept { rumoured_ = 2; }
-  // Frames that should have come did not: until the contrary is told. `idle`: none came, so that there is
-  // nothing that a scan could disturb.
+  // Reports whether expected frames are missing; holds until the next report. `idle`: no frame came at all,
+  // so a scan would disturb nothing.
   void on_lack(bool lacking, bool idle) noexcept {
     lacking_ = lacking;
     idle_ = idle;
@@ -91,34 +92,36 @@ class Mastership {
 
   [[nodiscard]] bool lacking() const noexcept { return lacking_; }
 
-  // Not while searching: superframe `number` begins, the one after the last one asked for or a later one.
+  // While not searching: superframe `number` begins. `number` increases from call to call.
   [[nodiscard]] Duty begin(std::uint32_t number) noexcept;
-  // The others may be quiet for a reason.
+  // No node is heard: the others may keep radio silence on purpose.
   void on_silence() noexcept;
-  // To be quiet from the next superframe on, up to `until`: another session is called over.
+  // Keeps radio silence from the next superframe to `until`, while merge requests are sent to another
+  // session.
   void hush(std::uint32_t until) noexcept;
-  // The superframe's kScan is for all of the session: the master's beacon says so.
+  // The present kScan is for all nodes of the session: the master's beacon says so.
   [[nodiscard]] bool quiet() const noexcept { return quiet_; }
-  // What this node follows has been told by one beacon alone, and by none for so long that it may have been
-  // anybody's.
+  // The followed session is known from one beacon only, and has not been confirmed for too long: the beacon
+  // may have been forged or damaged.
   [[nodiscard]] bool forsaken_at_once(std::uint32_t number) const noexcept;
-  // This node may call a session over in the shared slot of that one's superframe `number`.
+  // This node may send a merge request in the shared slot of the other session's superframe `number`.
   [[nodiscard]] bool may_invite(std::uint32_t number) const noexcept;
-  // In that one or one of the next so many.
+  // This node may do so in superframe `number` or one of the `more` that follow.
   [[nodiscard]] bool may_invite_within(std::uint32_t number, std::uint32_t more) const noexcept {
     for (std::uint32_t i = 0; i <= more; ++i) {
       if (may_invite(number + i)) return true;
     }
     return false;
   }
-  // A relay's beacon leaves: true where it asks the master to be silent in the next two superframes and to
-  // listen, as this node will.
+  // Call when a relayed beacon is sent. Returns true if the beacon requests radio silence from the master for
+  // the next two superframes, in which this node listens too.
   [[nodiscard]] bool ask_for_silence() noexcept;
-  // The radio was off: what this node knew last as a master may be old.
+  // The radio was off: the knowledge of an acting master may be outdated.
   void on_absence(std::uint32_t number) noexcept;
   // This node sends a beacon in the shared slot of superframe `number`.
   [[nodiscard]] bool has_shared_turn(std::uint32_t number) const noexcept;
-  // A beacon of its own has left: true where that was the last one, and it searches.
+  // Call after a beacon of this master was sent. Returns true if it was the last one; this node then
+  // searches.
   [[nodiscard]] bool on_led(ranging::ClockTime now) noexcept;
 
   [[nodiscard]] Role role() const noexcept { return role_; }
@@ -128,12 +131,12 @@ class Mastership {
   [[nodiscard]] std::uint16_t master() const noexcept { return master_; }  // kNobody while searching
   [[nodiscard]] std::uint8_t hop() const noexcept { return hop_; }         // 0: leads
   [[nodiscard]] bool dissolving() const noexcept { return last_beacons_ != 0; }
-  // Superframes since what this node knows left the master.
+  // Superframes since the master sent what this node knows.
   [[nodiscard]] std::uint32_t age(std::uint32_t number) const noexcept;
-  // The beacon of the path that this node follows is due in superframe `number`, in the shared slot or not.
+  // In superframe `number` a beacon of the followed path is due, in the shared slot or in the beacon slot.
   [[nodiscard]] bool parent_due(std::uint32_t number, bool shared) const noexcept;
 
-  // Superframes without word from the master, beyond what relays take, after which it counts as gone.
+  // Superframes without news of the master, beyond the delay of relays, after which it counts as gone.
   static constexpr std::uint32_t kPatience = 12;
 
  private:
@@ -153,15 +156,16 @@ class Mastership {
   void follow(std::uint16_t source, const Beacon& beacon) noexcept;
   void lead() noexcept;
   void dissolve() noexcept;
-  // Its session has dissolved: begins to search for the one that it gave way to.
+  // Its session has dissolved: starts to search for the other session.
   void go_over(ranging::ClockTime now) noexcept;
   [[nodiscard]] bool is_shunned(const Beacon& beacon, ranging::ClockTime now) const noexcept;
-  [[nodiscard]] std::size_t rank_of_id(std::uint16_t id) const noexcept;  // beaconers_: none
+  [[nodiscard]] std::size_t rank_of_id(std::uint16_t id) const noexcept;  // beaconers_ if it has none
   [[nodiscard]] std::uint32_t patience_at(std::uint8_t hop) const noexcept;
   [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(hop_); }
   [[nodiscard]] bool is_news(const Beacon& beacon) const noexcept;
   [[nodiscard]] Duty scan_duty(std::uint32_t number) noexcept;
-  // It hears no beacon of its network, neither polls nor is polled, and can never lead: a scan costs nothing.
+  // This node hears no beacon of its network, does not poll, is not polled, and can never lead: a scan costs
+  // nothing.
   [[nodiscard]] bool orphaned(std::uint32_t number) const noexcept {
     return role_ == Role::kFollowing && !rank_ && idle_ && age(number) > kPatience;
   }
@@ -170,9 +174,9 @@ class Mastership {
 
   static constexpr std::size_t kMaxBeaconers = 8;
 
-  // Between things that cost ranges: the first few times at once, then ever longer, each twice the one
-  // before. After that of 2^burst_log2 superframes it goes on at 64: what lasts so long is no network to come
-  // to terms with.
+  // Back-off between actions that cost ranges: the first `at_once` follow directly, then each interval is
+  // twice the one before. After an interval of 2^burst_log2 superframes the next is 64: a disturbance that
+  // lasts this long is probably not a network to merge with.
   class Pause {
    public:
     constexpr Pause(std::uint8_t at_once, std::uint8_t burst_log2, std::uint8_t longest_log2) noexcept
@@ -197,26 +201,26 @@ class Mastership {
   std::uint32_t beaconers_;
 
   Role role_ = Role::kSearching;
-  std::uint8_t last_beacons_ = 0;  // still to be sent by a master that gives up
+  std::uint8_t last_beacons_ = 0;  // still to be sent by a master that resigns
   bool suspicious_ = false;
   std::uint32_t suspected_ = 0;  // superframe
-  std::uint8_t rumoured_ = 0;    // superframes for which it counts
+  std::uint8_t rumoured_ = 0;    // superframes for which the report counts
   bool lacking_ = false;
   bool idle_ = false;
   std::uint8_t hop_ = 0;
   std::uint16_t master_ = kNobody;
   std::uint16_t parent_ = kNobody;  // whose beacons the clock follows
   std::uint32_t number_ = 0;        // superframe under way
-  std::uint32_t fresh_ = 0;         // superframe in which what is known left the master
-  std::uint32_t parent_told_ = 0;   // the same, of what the parent told
-  // The same, of the last that was known of the masters that were given up for this one, of this session.
+  std::uint32_t fresh_ = 0;         // superframe in which the master sent what is known
+  std::uint32_t parent_told_ = 0;   // as fresh_, of what the parent reported
+  // As fresh_, the latest known of former masters of this session.
   std::optional<std::uint32_t> former_;
   std::uint64_t session_ = 0;
-  bool proven_ = false;      // more than one beacon has told of the session
-  std::uint8_t echoes_ = 0;  // masters' own beacons of this session in a row that count other superframes
-  // Superframe in which each rank was last heard itself, where it has been.
+  bool proven_ = false;      // more than one beacon has confirmed the session
+  std::uint8_t echoes_ = 0;  // consecutive beacons of masters of this session with a wrong count
+  // Superframe in which each rank was last heard directly.
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
-  std::size_t rival_ = 0;  // rank of a worse master of this session; 0: none
+  std::size_t rival_ = 0;  // rank of a competing, worse master of this session; 0: none
   std::uint32_t rival_until_ = 0;
   Pause scans_{4, 5, 5};
   Pause rumours_{2, 2, 8};
@@ -226,16 +230,16 @@ class Mastership {
   Pause silences_{1, 1, 8};
   std::uint32_t hushed_ = 0;  // superframes
   bool quiet_ = false;
-  // The master whose last word came in a shared slot, and when it did.
+  // The master whose last beacon came in a shared slot, and when.
   std::uint16_t displaced_ = kNobody;
   std::uint32_t displaced_at_ = 0;
   bool asks_for_silence_ = false;
   bool listens_next_ = false;
-  std::uint32_t led_ = 0;             // superframe of its last beacon as a master
-  std::uint32_t newer_schedule_ = 0;  // that the last beacon of a newer one told of
+  std::uint32_t led_ = 0;             // superframe of its last beacon as master
+  std::uint32_t newer_schedule_ = 0;  // fingerprint of the newer schedule in the last beacon that had one
   std::uint32_t older_schedule_ = 0;
-  bool drives_off_ = false;         // while searching: those who are there have an older schedule
-  ranging::ClockTime stale_until_;  // founds nothing: a newer schedule is there
+  bool drives_off_ = false;         // while searching: a network with an older schedule is near
+  ranging::ClockTime stale_until_;  // starts no session until then: a newer schedule is near
 
   ranging::ClockTime search_start_;
   ranging::ClockTime lead_at_;

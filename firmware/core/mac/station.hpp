@@ -57,7 +57,7 @@ class Station {
     return sync_.network_time(local);
   }
 
-  // ---- the sequence of a superframe -------------------------------------------------------------------------
+  // ---- the sequence of a superframe ----------------------------------------------------------------------
 
   // Starts the search.
   void start(ranging::ClockTime now) noexcept;
