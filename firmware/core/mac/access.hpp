@@ -1,9 +1,9 @@
-// When a node sends in the shared slots that are open to all.
+// Back-off in the shared slots that are open to all.
 //
-// Nobody knows who else wants the slot, and nobody hears a collision. So each draws its turn: after each
-// sending, one of the next open slots, of twice as many as before, until what it sent is seen to have come
-// through or has been repeated often enough. The draw is a hash of the node, the purpose and the superframe:
-// it needs no source of chance, differs between nodes, and is the same in each replay.
+// A node does not know which others want the slot, and cannot hear a collision. After each transmission it
+// therefore draws one of the next open slots, from a window twice as large as before, until it knows that its
+// frame came through or has repeated it often enough. The draw is a hash of the node, the purpose and the
+// superframe: it needs no source of randomness, differs between nodes, and is equal in each replay.
 #pragma once
 
 #include <array>
@@ -13,31 +13,31 @@
 
 namespace groma::mac {
 
-// What a node may have pending in the open slots, one of each; the first comes first.
+// Purposes for which a node may have a frame pending, at most one each, in order of priority.
 enum class Purpose : std::uint8_t { kLeave, kJoin, kPassOn, kAnnounce };
 inline constexpr std::size_t kPurposes = 4;
 
 struct Persistence {
-  std::uint8_t first_window_log2 = 0;  // the first sending is in one of so many open slots
+  std::uint8_t first_window_log2 = 0;  // the first transmission is in one of 2^this open slots
   std::uint8_t last_window_log2 = 4;   // up to 15
-  std::uint8_t times = 0;              // it is sent at most; 0: until it is settled
+  std::uint8_t times = 0;              // most transmissions; 0: until settle()
 };
 
 class Access {
  public:
   explicit Access(std::uint16_t id) noexcept : id_(id) {}
 
-  // From superframe `number` on. Nothing where that is pending already.
+  // Requests transmissions from superframe `number` on. Does nothing if the purpose is pending already.
   void want(Purpose purpose, const Persistence& persistence, std::uint32_t number) noexcept;
-  // It came through, or is not wanted any more.
+  // The frame came through, or is not needed any more.
   void settle(Purpose purpose) noexcept { at(purpose).pending = false; }
   [[nodiscard]] bool pending(Purpose purpose) const noexcept {
     return pending_[static_cast<std::size_t>(purpose)].pending;
   }
 
-  // The next open slot is that of superframe `number`: what this node sends in it. Called once for each.
+  // Call once for each superframe `number` whose open slot comes next. Returns what this node sends in it.
   [[nodiscard]] std::optional<Purpose> turn(std::uint32_t number) noexcept;
-  // What turn() gave was too late for its slot: the next one is its turn again.
+  // The frame that turn() chose was too late for its slot: it gets the next one.
   void missed(Purpose purpose) noexcept;
 
  private:
@@ -46,7 +46,7 @@ class Access {
     std::uint8_t window_log2 = 0;
     std::uint8_t last_window_log2 = 0;
     std::uint8_t times_left = 0;  // 0: no bound
-    std::uint16_t wait = 0;       // open slots to be left to others
+    std::uint16_t wait = 0;       // open slots to skip
   };
 
   [[nodiscard]] Pending& at(Purpose purpose) noexcept { return pending_[static_cast<std::size_t>(purpose)]; }

@@ -9,7 +9,7 @@ using ranging::Ticks;
 
 namespace {
 
-constexpr int kSilent = 4;  // superframes without a POLL after which a slot counts as not in use
+constexpr int kSilent = 4;  // superframes without a POLL after which a slot counts as unused
 
 }  // namespace
 
@@ -57,14 +57,14 @@ Action Anchor::plan(ClockTime now) noexcept {
   }
 }
 
-// A slot that nobody polls in is listened to all along, and on into the next one's POLL: what is heard there
-// tells of other networks.
+// Listens to an unused slot for its whole length and into the next slot's POLL, because a frame there shows
+// that another network is near.
 Action Anchor::listen_in_slot(ClockTime due) const noexcept {
   const Superframe& superframe = station_.superframe();
   Action action = station_.listen(due, superframe.on_air(poll_bytes(superframe.responses())),
                                   station_.sync().margin(slots_of_));
   if (silent_[slot_] < kSilent) return action;
-  // The next thing to do is a slot's length after this: to listen for a POLL, or a beacon.
+  // The next action, listening for a POLL or a beacon, is one slot length later.
   const bool last = next_slot_ >= superframe.slot_count();
   action.until = last ? std::max(action.until, action.at + superframe.tag_slot() - Station::kToGetReady)
                       : action.until + superframe.tag_slot();
@@ -72,7 +72,7 @@ Action Anchor::listen_in_slot(ClockTime due) const noexcept {
   return action;
 }
 
-// What a listening brings that has gone on over a slot's end is of the next one.
+// Assigns a frame that came after the end of a slot to the next slot.
 void Anchor::go_on_to(ClockTime now) noexcept {
   const Ticks early = station_.superframe().guard() + station_.sync().margin(slots_of_);
   while (next_slot_ < station_.superframe().slot_count() &&
@@ -171,7 +171,7 @@ std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
       body.closing_valid = record.closing_valid;
       body.closing = record.closing;
     } else {
-      // This POLL closes the exchange before, if it follows it directly.
+      // This POLL closes the previous exchange if it directly follows it.
       const auto following = static_cast<std::uint16_t>(record.exchange + 1);
       body.closing = reception.stamp - record.responded;
       body.closing_valid = poll.exchange == following && body.closing <= kMaxClosing;
@@ -201,7 +201,7 @@ std::size_t Anchor::prepare() noexcept {
   return station_.superframe().on_air(kResponseBytes);
 }
 
-// The slot's owner; of those that share it the one that was answered last.
+// The slot's owner; if several tags share it, the one answered last.
 std::uint16_t Anchor::expected_tag() const noexcept {
   const Record* last = nullptr;
   for (const Record& record : records_) {
@@ -247,7 +247,7 @@ Step Anchor::resume(ClockTime now) noexcept {
   return doing(plan(now));
 }
 
-// After a frame of no use.
+// Continues after an unusable frame.
 Step Anchor::listen_on_or(ClockTime now) noexcept {
   if (const auto rest = Station::listen_on(doing_, now)) return doing(*rest);
   return on_timeout(now);

@@ -1,11 +1,11 @@
-// The anchor: keeps in step with the network, or leads it, and answers the tags that poll it.
+// The anchor: follows the network's time or leads it, and answers the tags that poll it.
 //
-//   the station's part (searching, beacon, shared slot) / slot 0 / slot 1 / ... in turn;
+//   the station's part (search, beacon, shared slot) / slot 0 / slot 1 / ... in turn;
 //   in a slot: POLL --> RESPONSE --> [FINAL]
 //
-// The RESPONSE tells the interval A2 - A1 that it will itself have ended, for a delayed transmission's stamp
-// is known beforehand, and the closing interval A3 - A2 of the exchange before with this tag. Should the
-// RESPONSE not leave at the stamp that it claims, its exchange is never closed and so gives no range.
+// The RESPONSE carries the interval A2 - A1 that ends with itself, because a delayed transmission's timestamp
+// is known beforehand, and the closing interval A3 - A2 of the previous exchange with this tag. If the
+// RESPONSE does not leave at its timestamp, its exchange is never closed and gives no range.
 #pragma once
 
 #include <array>
@@ -29,11 +29,11 @@ class Anchor {
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
   [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
   [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
-  // The radio was stopped, whatever it was at, and is there again: goes on with what lies ahead, in step as
-  // far as the clock filter carries. A master that was away for a while listens before it leads on.
+  // Call after the radio was stopped and restarted: continues with the next action, with the time of the
+  // clock filter. A master that was away for a while listens before it leads again.
   [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
 
-  // What can be done beside other things, see step.hpp.
+  // Run in the background of other work, see step.hpp.
   void glance(std::span<const std::uint8_t> frame) noexcept {
     station_.glance(frame, phase_ == Phase::kControl ? station_.control_place() : place());
   }
@@ -42,13 +42,13 @@ class Anchor {
 
   void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
   [[nodiscard]] const AnchorMembership& membership() const noexcept { return membership_; }
-  // As the tag's.
+  // As Tag::ahead().
   [[nodiscard]] std::optional<Action> ahead() const noexcept {
     return phase_ == Phase::kControl ? station_.control_ahead() : std::nullopt;
   }
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   void set_health(const Health& health) noexcept { station_.set_health(health); }
-  // The one under way.
+  // The superframe in progress.
   [[nodiscard]] std::uint32_t superframe_number() const noexcept { return station_.superframe_number(); }
 
  private:
@@ -59,28 +59,28 @@ class Anchor {
     std::uint16_t tag = kNobody;
     std::uint16_t exchange = 0;
     std::uint32_t superframe = 0;
-    bool valid = false;              // its RESPONSE left, at `responded`
-    bool closing_valid = false;      // a FINAL told
+    bool valid = false;              // the RESPONSE was sent at `responded`
+    bool closing_valid = false;      // a FINAL came in
     ranging::ClockTime responded{};  // A2
     ranging::Ticks closing{};        // A3 - A2
   };
 
   Action plan(ranging::ClockTime now) noexcept;
-  // The answer to a POLL heard in this slot, if it asks for one.
+  // The answer to a POLL heard in this slot, if the POLL asks for one.
   [[nodiscard]] std::optional<Action> answer(const Frame& frame, const Poll& poll,
                                              const Reception& reception) noexcept;
-  // Listens for the slot's POLL; where none has come for a while, on to the slot's end: what is sent there
-  // is another network's.
+  // Listens for the slot's POLL. If none has come for a while, listens to the end of the slot: a frame there
+  // belongs to another network.
   [[nodiscard]] Action listen_in_slot(ranging::ClockTime due) const noexcept;
   void go_on_to(ranging::ClockTime now) noexcept;
-  // Where the POLL of the slot under way is due.
+  // The reception is where the POLL of the present slot is due.
   [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
-  // Of the slot under way, by who may poll in it.
+  // The POLL is in the present slot and its sender may poll there.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,
                                 const Reception& reception) const noexcept;
-  // In the slot under way.
+  // The sender of the next POLL in the present slot.
   [[nodiscard]] std::uint16_t expected_tag() const noexcept;
-  // The record of that tag, or the one to be given up for it.
+  // The record of that tag, or the oldest one, cleared for it.
   [[nodiscard]] Record& record_of(std::uint16_t tag) noexcept;
   void close(const Frame& frame, const Final& final, const Reception& reception) noexcept;
   Step listen_on_or(ranging::ClockTime now) noexcept;
@@ -94,12 +94,12 @@ class Anchor {
   [[nodiscard]] Place place() const noexcept { return {slots_of_, static_cast<std::uint8_t>(slot_)}; }
 
   std::uint32_t slots_of_ = 0;                   // superframe
-  std::size_t next_slot_ = 0;                    // in it
-  std::size_t slot_ = 0;                         // under way
-  std::array<std::uint8_t, kMaxTags> silent_{};  // superframes in which no POLL came, of each slot
+  std::size_t next_slot_ = 0;                    // index of the next slot
+  std::size_t slot_ = 0;                         // index of the present slot
+  std::array<std::uint8_t, kMaxTags> silent_{};  // of each slot: superframes without a POLL
   std::uint32_t polls_missing_ = 0;              // superframes without a POLL that names this anchor
   ranging::ClockTime poll_heard_{};
-  std::size_t polled_ = 0;      // anchors that the POLL named
+  std::size_t polled_ = 0;      // number of anchors in the POLL
   Record* answered_ = nullptr;  // of the POLL's sender
   std::array<Record, kMaxTags> records_{};
 };

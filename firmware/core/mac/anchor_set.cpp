@@ -6,7 +6,7 @@
 namespace groma::mac {
 namespace {
 
-// Moves by 1/2^shift of the way, at least by 1.
+// Moves by 1/2^shift of the difference, at least by 1.
 std::uint8_t approach(std::uint8_t value, std::uint8_t target, int shift) noexcept {
   const int way = int{target} - int{value};
   const int round_up = (1 << shift) - 1;
@@ -20,26 +20,29 @@ constexpr std::uint64_t square(std::uint16_t value) noexcept {
 
 }  // namespace
 
-// User manual 4.7: the powers of the first path and of the whole are these sums by the count's square.
+// User manual 4.7: the powers of the first path and of the total are these sums divided by the square of the
+// preamble count.
 std::uint8_t link_quality(const dw1000::ReceiveQuality& q) noexcept {
   const std::uint64_t first_path = square(q.amplitude1) + square(q.amplitude2) + square(q.amplitude3);
   const std::uint64_t total = std::uint64_t{q.channel_power} << 17;
   if (q.preamble_count == 0 || total == 0) return 0;
-  // 3 dB a bit: 8 bits are -100 dBm, 14 are -80 dBm.
+  // 3 dB per bit: 8 bits are -100 dBm, 14 are -80 dBm.
   const auto bits = static_cast<int>(std::bit_width(total / square(q.preamble_count)));
   const int strength = std::clamp(16 * (bits - 6), 0, 127);
   const int sight = total <= 4 * first_path ? 128 : total <= 10 * first_path ? 64 : 0;
   return static_cast<std::uint8_t>(strength + sight);
 }
 
-// One that is in keeps its place against others that are up to a quarter better: each change costs a range.
+// A polled candidate keeps its place against others that are up to a quarter better, because each change
+// costs a range.
 std::uint32_t AnchorSet::Candidate::worth() const noexcept {
   const std::uint32_t value = (rate + 1U) * (128U + quality / 2U) * weight;
   return chosen ? value + value / 4 : value;
 }
 
 std::uint32_t AnchorSet::Candidate::urgency() const noexcept {
-  // One that used to answer is more likely to come back than one that never did; one that answers is there.
+  // A candidate that used to answer is more likely to return than one that never did; one that answers needs
+  // no trial.
   const std::uint32_t hope = missed > 0 ? 8U + rate / 32U : 1U;
   return (untried + 1U) * (weight + 1U) * hope + (eager != 0 ? std::uint32_t{1} << 31 : 0U);
 }
@@ -94,7 +97,7 @@ void AnchorSet::prefer_none() noexcept {
   for (Candidate& c : candidates_) c.weight = kNeutralWeight;
 }
 
-// How many places of this POLL the others have earned.
+// The number of places in this POLL that the candidates not chosen have earned.
 std::size_t AnchorSet::trials(std::size_t places) noexcept {
   std::size_t eager = 0;
   std::size_t earned = credit_;
@@ -113,7 +116,7 @@ std::size_t AnchorSet::trials(std::size_t places) noexcept {
 std::size_t AnchorSet::choose(std::span<std::uint16_t> out) noexcept {
   const std::size_t places = std::min<std::size_t>(out.size(), size_);
   if (places == 0) return 0;
-  std::array<std::uint32_t, kCapacity> keys{};  // 0: not in the running
+  std::array<std::uint32_t, kCapacity> keys{};  // 0: excluded
   std::uint64_t in = 0;
   std::size_t taken = 0;
   const auto take_best = [&](std::size_t up_to) {
@@ -158,12 +161,12 @@ std::size_t AnchorSet::choose(std::span<std::uint16_t> out) noexcept {
 }
 
 void AnchorSet::on_answer(std::uint16_t id, std::uint8_t quality) noexcept {
-  // A new one is taken at its best until it shows otherwise.
+  // A newly found anchor starts with a good rate and its first quality.
   constexpr std::uint8_t kFirstRate = 192;
   Candidate* c = find(id);
   if (c == nullptr) return;
   const bool found = c->silent();
-  c->eager = c->missed > 0 && !c->chosen ? 1 : 0;  // a range takes two POLLs in a row
+  c->eager = c->missed > 0 && !c->chosen ? 1 : 0;  // a range needs two POLLs in a row
   c->rate = approach(c->rate, 255, 4);
   if (found) c->rate = std::max(c->rate, kFirstRate);
   c->quality = found ? quality : approach(c->quality, quality, 3);
@@ -175,7 +178,7 @@ void AnchorSet::on_silence(std::uint16_t id) noexcept {
   if (c == nullptr) return;
   c->rate = approach(c->rate, 0, 4);
   if (c->missed < kMostMissed) ++c->missed;
-  // Whoever said that it is there is not. One that is comes again, for it says so now and then.
+  // Remove an announced anchor that does not answer. If it is there, it announces itself again.
   const bool nobody = c->rate == 0 && c->missed == kMostMissed;
   if (nobody && !c->configured && c->weight == kNeutralWeight) *c = candidates_[--size_];
 }

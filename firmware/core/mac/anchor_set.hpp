@@ -1,10 +1,10 @@
-// Which anchors a tag polls: a few of all that it knows, those that answer well, and in turn the others, so
-// that one that comes into reach or back to life is found.
+// Selects the anchors that a tag polls: a few of all known ones, those that answer well, and the others in
+// turn, so that it finds an anchor that comes into range or starts again.
 //
-// A place in a POLL is worth most where the anchor answers often, its frames are strong and come straight,
-// and the host's hint speaks for it. Where there are more candidates than places, one or two places go to the
-// others, the longer untried the sooner; where few anchors answer, all places that are left over do. An
-// anchor that never answers is thus tried now and then and takes nobody's place for good.
+// A place in a POLL goes first to anchors that answer often, with strong first paths, and that the host
+// prefers. If there are more candidates than places, one or two places serve to try the other candidates, in
+// order of the time since their last trial; if few anchors answer, all remaining places do. So an anchor that
+// never answers is tried periodically and does not block a place.
 #pragma once
 
 #include <array>
@@ -17,20 +17,21 @@
 
 namespace groma::mac {
 
-// How good a RESPONSE came in: 0 to 255. Up to 127 for its power, 128 more where the first path holds most of
-// it (sight is likely: within 6 dB), 64 more where that may be (within 10 dB). Without a logarithm.
+// Quality of a received RESPONSE: 0 to 255. Up to 127 for its power, plus 128 if the first path is within 6
+// dB of the total power (LOS likely), or plus 64 if it is within 10 dB (LOS possible). Computed without a
+// logarithm.
 [[nodiscard]] std::uint8_t link_quality(const dw1000::ReceiveQuality& quality) noexcept;
 
 class AnchorSet {
  public:
   static constexpr std::size_t kCapacity = 64;
   static constexpr std::uint8_t kNeutralWeight = 100;
-  // An anchor that missed so many POLLs in a row counts as silent.
+  // An anchor that missed this many POLLs in a row counts as silent.
   static constexpr std::uint8_t kSilentAfter = 7;
 
-  // Places of each POLL that may go to trials while enough anchors answer to fill it. Each choice that leaves
-  // a candidate out earns it a share of such a place, by whether it answered its last trial; a place costs so
-  // many shares. Until the bound is reached: 5/32 of a place, or 1/32.
+  // Most places of a POLL for trials while enough anchors answer to fill it. Each choice that omits a
+  // candidate earns it shares of a trial place, by whether it answered its last trial; a place costs price()
+  // shares. With three or more places a candidate earns 5/32 or 1/32 of a place.
   [[nodiscard]] static constexpr std::size_t most_trials(std::size_t places) noexcept {
     return places >= 3 ? 2 : 1;
   }
@@ -40,39 +41,41 @@ class AnchorSet {
   }
 
   AnchorSet() = default;
-  // The schedule's, tried in this order at first, and never forgotten. What is beyond kCapacity is left out.
+  // The schedule's anchors, tried in this order at first, and never removed. Those beyond kCapacity are
+  // ignored.
   explicit AnchorSet(std::span<const std::uint16_t> configured) noexcept;
 
-  // An anchor says that it has come up: it is tried next. Where all room is taken, a new one replaces a
-  // silent one that had announced itself too, the one that answered least; false where there is none such.
-  // One that answers none of its first eight trials is forgotten, unless the host has given it a weight.
+  // An anchor announced that it has started: it is tried next. If the table is full, a new anchor replaces a
+  // silent one that had announced itself, the one that answered least; returns false if there is none. An
+  // announced anchor that answers none of its first eight trials is removed, unless the host has given it a
+  // weight.
   bool announce(std::uint16_t id) noexcept;
-  // A frame of this anchor came in, so it is worth a trial. Nothing where it is no candidate.
+  // A frame of this anchor was received: it gets a trial. Does nothing if it is not a candidate.
   void hear(std::uint16_t id) noexcept;
 
   [[nodiscard]] bool knows(std::uint16_t id) const noexcept { return find(id) != nullptr; }
 
-  // Host's hint: what a place for this anchor is worth, against kNeutralWeight; at 0 it gets only places that
-  // nobody else wants. Nothing where it is no candidate.
+  // The host's hint: the value of a place for this anchor, relative to kNeutralWeight; with 0 it gets only
+  // places that are left over. Does nothing if it is not a candidate.
   void prefer(std::uint16_t id, std::uint8_t weight) noexcept;
-  // All at kNeutralWeight.
+  // Sets all weights to kNeutralWeight.
   void prefer_none() noexcept;
 
-  // The anchors of the next POLL, as many as fit into `out` or there are. Returns how many.
+  // Writes the anchors of the next POLL to `out`, as many as fit or are known. Returns their number.
   std::size_t choose(std::span<std::uint16_t> out) noexcept;
 
-  // What became of it.
+  // The result of polling an anchor.
   void on_answer(std::uint16_t id, std::uint8_t quality) noexcept;
   void on_silence(std::uint16_t id) noexcept;
 
   [[nodiscard]] std::size_t size() const noexcept { return size_; }
-  // Candidates that are not silent.
+  // Number of candidates that are not silent.
   [[nodiscard]] std::size_t answering() const noexcept;
 
   struct View {
     std::uint16_t id = 0;
-    std::uint8_t rate_256ths = 0;  // share of POLLs answered, over about 16
-    std::uint8_t quality = 0;      // link_quality(), over about 8
+    std::uint8_t rate_256ths = 0;  // share of POLLs answered, averaged over about 16
+    std::uint8_t quality = 0;      // link_quality(), averaged over about 8
     std::uint8_t weight = 0;
     bool silent = false;
   };
@@ -86,9 +89,9 @@ class AnchorSet {
     std::uint8_t rate = 0;
     std::uint8_t quality = 0;
     std::uint8_t weight = kNeutralWeight;
-    std::uint8_t missed : 4 = kMostMissed;  // in a row, saturates
-    std::uint8_t eager : 2 = 0;             // trials that come before all others'
-    bool chosen : 1 = false;                // at the last choice for its usefulness
+    std::uint8_t missed : 4 = kMostMissed;  // POLLs missed in a row, saturates
+    std::uint8_t eager : 2 = 0;             // trials with priority over all others
+    bool chosen : 1 = false;                // in the last POLL, and not as a trial
     bool configured : 1 = false;
 
     [[nodiscard]] bool silent() const noexcept { return missed >= kSilentAfter; }
@@ -109,7 +112,7 @@ class AnchorSet {
 
   std::array<Candidate, kCapacity> candidates_{};
   std::uint8_t size_ = 0;
-  std::uint16_t credit_ = 0;  // of the others, for a trial
+  std::uint16_t credit_ = 0;  // shares of the candidates not chosen, for trials
 };
 
 }  // namespace groma::mac

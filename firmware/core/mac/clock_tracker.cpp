@@ -11,12 +11,12 @@ using ranging::Ticks;
 constexpr auto kTicksPerSecond = static_cast<float>(Ticks::kPerSecond);
 constexpr float kTicksPerSecondPerPpb = kTicksPerSecond * 1e-9F;
 
-// A receive stamp with its reflections: 0.2 ns.
+// Standard deviation of a receive timestamp, including reflections: 0.2 ns.
 constexpr float kStampSigma_ticks = 13.0F;
-// The rate's random walk, in ticks a second (tps): 0.1 ppm in a second, so that a ramp of 1 ppm a second is
-// followed as well.
+// Random walk of the rate, in ticks per second (tps): 0.1 ppm in one second, enough to follow a ramp of 1
+// ppm/s.
 constexpr float kWalk_tps = 100.0F * kTicksPerSecondPerPpb;
-// A stamp this far off can still be honest: the filter's own idea of its accuracy is not to lock it out.
+// A timestamp this far off may still be valid: an overconfident filter must not reject it.
 constexpr float kGateFloor_ticks = 5e-6F * kTicksPerSecond;
 constexpr float kGateSigmas = 6.0F;
 
@@ -48,7 +48,7 @@ ClockTracker::Covariance ClockTracker::predicted(float dt) const noexcept {
 }
 
 ClockTime ClockTracker::local(Ticks master) const noexcept {
-  // The whole ticks stay whole; only the correction, a few millionths of them, is a float.
+  // Whole ticks stay integers; only the correction, a few millionths of them, is a float.
   const float correction = fraction_ticks_ + rate_ticks_per_s_ * seconds_since_reference(master);
   return reference_local_ + (master - reference_master_) + Ticks(std::llround(correction));
 }
@@ -64,7 +64,7 @@ std::int32_t ClockTracker::skew_ppb() const noexcept {
 Ticks ClockTracker::master(ClockTime local_stamp) const noexcept {
   const Ticks elapsed = local_stamp - reference_local_;
   const float seconds = static_cast<float>(elapsed.count()) / kTicksPerSecond;
-  // The rate squared, over 20 s, is 8 ns.
+  // The neglected term, the rate squared, amounts to 8 ns over 20 s.
   const float relative = rate_ticks_per_s_ / kTicksPerSecond;
   const float correction = (fraction_ticks_ + rate_ticks_per_s_ * seconds) * (1.0F - relative);
   return reference_master_ + elapsed - Ticks(std::llround(correction));
@@ -97,12 +97,12 @@ bool ClockTracker::update(Ticks master, ClockTime local_stamp, float path_sigma_
 
   const float gain_offset = prior.offset / variance;
   const float gain_rate = prior.cross / variance;
-  // The stamp is the new reference, so that the fraction stays small and exact.
+  // The timestamp becomes the reference, so that the fraction stays small and exact.
   reference_master_ = master;
   reference_local_ = local_stamp;
   fraction_ticks_ = (gain_offset - 1.0F) * innovation;
   rate_ticks_per_s_ += gain_rate * innovation;
-  // Joseph's form: stays positive in single precision.
+  // Joseph form: stays positive in single precision.
   const float keep = 1.0F - gain_offset;
   covariance_ = {keep * keep * prior.offset + gain_offset * gain_offset * noise,
                  keep * (prior.cross - gain_rate * prior.offset) + gain_offset * gain_rate * noise,

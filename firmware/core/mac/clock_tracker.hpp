@@ -1,8 +1,8 @@
-// Follows the master's clock through the stamps of its beacons.
+// Tracks the master's clock by the timestamps of its beacons.
 //
-// Two states, a Kalman filter: when this node's clock shows the master's reference instant, and by how much
-// it runs faster. The first beacon's carrier offset seeds the rate, so that one beacon is enough to meet the
-// next. Between beacons the rate walks at random, as crystals with temperature do.
+// A Kalman filter with two states: this node's clock at the master's reference instant, and its rate against
+// the master's clock. The first beacon's carrier offset initializes the rate, so that one beacon is enough to
+// receive the next. Between beacons the rate follows a random walk, as crystals do with temperature.
 #pragma once
 
 #include <cstdint>
@@ -14,41 +14,40 @@ namespace groma::mac {
 
 class ClockTracker {
  public:
-  // Starts anew: a master's instant (in ticks of its clock since any origin of its own) was seen at `local`.
-  // `master_offset_ppb`: the master's clock against this one's, from the carrier, with its standard
-  // deviation.
+  // Initializes the filter: this node's clock showed `local` at the instant `master` (in ticks of the
+  // master's clock, any origin). `master_offset_ppb`: the master's clock against this one's, from the
+  // carrier, with standard deviation `offset_sigma_ppb`.
   void seed(ranging::Ticks master, ranging::ClockTime local, std::int32_t master_offset_ppb,
             std::int32_t offset_sigma_ppb = 1'000) noexcept;
 
-  // A further instant, later than the one before, whose standard deviation beside the stamp's own is
-  // `path_sigma_ticks`. Returns false and leaves the state alone if the stamp is further from its prediction
-  // than 5 us and 6 sigma: a reflection, another master, or a clock that jumped.
+  // Updates with a later instant. `path_sigma_ticks`: standard deviation in addition to the timestamp's own.
+  // Returns false and leaves the state unchanged if the innovation exceeds 5 us plus 6 sigma: a reflection,
+  // another master, or a clock that jumped.
   bool update(ranging::Ticks master, ranging::ClockTime local, float path_sigma_ticks = 0.0F) noexcept;
 
-  // The instants to come arrive by another path: what is known of the offset is known that much less well,
-  // and of the rate as well as before.
+  // The following instants arrive by another path: increases the offset's variance and leaves the rate's.
   void widen(float offset_sigma_ticks) noexcept;
 
-  // Counts from `master` on without any change to what is predicted: so that a clock that is not updated any
-  // more stays exact however long it runs.
+  // Moves the reference to `master` without changing predictions, so that a clock without further updates
+  // stays exact.
   void rebase(ranging::Ticks master) noexcept;
 
-  // Nothing before the first seed().
+  // False before the first seed().
   [[nodiscard]] bool seeded() const noexcept { return seeded_; }
 
-  // When this node's clock shows the master's instant, rounded to a tick; up to 20 s from the last update.
+  // This node's clock at the master's instant, rounded to a tick; valid up to 20 s from the last update.
   [[nodiscard]] ranging::ClockTime local(ranging::Ticks master) const noexcept;
-  // The standard deviation of that, rounded up.
+  // The standard deviation of local(), rounded up.
   [[nodiscard]] ranging::Ticks sigma(ranging::Ticks master) const noexcept;
 
-  // The inverse: the master's instant at which this node's clock shows `local`, to a few ticks.
+  // Inverse of local(): the master's instant when this node's clock shows `local`, to a few ticks.
   [[nodiscard]] ranging::Ticks master(ranging::ClockTime local) const noexcept;
 
   // This node's clock against the master's, in parts per 10^9; positive: this one is fast.
   [[nodiscard]] std::int32_t skew_ppb() const noexcept;
 
  private:
-  // Covariance over (offset, rate), in ticks and ticks a second.
+  // Covariance of (offset, rate), in ticks and ticks per second.
   struct Covariance {
     float offset = 0.0F;
     float cross = 0.0F;
@@ -58,7 +57,7 @@ class ClockTracker {
   [[nodiscard]] Covariance predicted(float dt_s) const noexcept;
 
   bool seeded_ = false;
-  // The clock shows reference_local_ + fraction_ at the master's instant reference_master_.
+  // The clock shows reference_local_ + fraction_ticks_ at the master's instant reference_master_.
   ranging::Ticks reference_master_;
   ranging::ClockTime reference_local_;
   float fraction_ticks_ = 0.0F;

@@ -36,7 +36,7 @@ class Reader {
  public:
   explicit Reader(std::span<const std::uint8_t> bytes) noexcept : rest_(bytes) {}
 
-  // Zero, and not good() any more, where the bytes have run out.
+  // Returns 0 and clears good() if the bytes have run out.
   std::uint64_t take(std::size_t count) noexcept {
     if (rest_.size() < count) {
       good_ = false;
@@ -56,7 +56,7 @@ class Reader {
   }
 
   std::uint64_t take64() noexcept { return take(8); }
-  // No other than the known flags are set.
+  // Clears good() if an unknown flag is set.
   std::uint8_t take_flags(std::uint8_t known) noexcept {
     const std::uint8_t flags = take8();
     if ((flags & ~known) != 0) good_ = false;
@@ -158,10 +158,10 @@ bool read(Reader& in, Data& data) noexcept {
   return true;
 }
 
-// In place: a body is large, and read between two frames.
+// Reads in place: a body is large, and is read between two frames.
 template <class T>
 bool read_body(Reader& in, Body& body) noexcept {
-  body = Body(T{});  // to assign a T could throw, for all the compiler knows
+  body = Body(T{});  // assigning a T could throw, as far as the compiler knows
   T* const place = std::get_if<T>(&body);
   return place != nullptr && read(in, *place);
 }
@@ -336,7 +336,7 @@ FrameBytes serialize(const Frame& frame) noexcept {
   return out;
 }
 
-// std::visit could throw, for all the compiler knows.
+// Avoids std::visit, which could throw, as far as the compiler knows.
 void serialize(const Frame& frame, FrameBytes& out) noexcept {
   (void)(write_if<Response>(Type::kResponse, frame, out) || write_if<Poll>(Type::kPoll, frame, out) ||
          write_if<Beacon>(Type::kBeacon, frame, out) || write_if<Final>(Type::kFinal, frame, out) ||

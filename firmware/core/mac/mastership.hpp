@@ -2,9 +2,9 @@
 // filter.
 //
 //   searching --beacon--> following --master silent for long, and next in rank--> leading
-//       ^  \--no node heard for long, and ranked--> leading (a new session)                |
-//       |                                                                                    |
-//       +-------- dissolved, or a newer schedule heard ------------------------------------+
+//       ^  \--no node heard for long, and ranked--> leading (a new session)          |
+//       |                                                                            |
+//       +-------- dissolved, or a newer schedule heard ------------------------------+
 //
 // A session is a count of superframes that some node started; it continues under changing masters. Its id is
 // unique. Of two masters of one session the better rank stays. Of two sessions the older one stays, by its

@@ -8,10 +8,10 @@
 namespace groma::mac {
 namespace {
 
-// A tag without a slot asks at once, then ever more rarely until it has one.
+// A tag without a slot asks at once, then ever less often, until it has one.
 constexpr Persistence kAsk{.first_window_log2 = 0, .last_window_log2 = 4};
 constexpr Persistence kTellLeaving{.first_window_log2 = 0, .last_window_log2 = 4, .times = 4};
-// Anchors may all start at once, and most are polled before their turn comes.
+// All anchors may start at once, and most are polled before their turn comes.
 constexpr std::uint32_t kBeforeAnnouncing = 3;  // superframes
 constexpr Persistence kAnnounce{.first_window_log2 = 2, .last_window_log2 = 5, .times = 3};
 constexpr Persistence kPassOn{.first_window_log2 = 1, .last_window_log2 = 4, .times = 2};
@@ -19,10 +19,10 @@ constexpr Persistence kPassOn{.first_window_log2 = 1, .last_window_log2 = 4, .ti
 constexpr Persistence kRemind{.first_window_log2 = 4, .last_window_log2 = 4, .times = 1};
 constexpr std::uint32_t kRemindEach = 256;  // superframes
 
-// Superframes until what was asked has been asked again.
+// In superframes: after this time the tag has repeated its request itself.
 constexpr std::uint32_t kPassedOnWithin = 32;
 
-// Differs each time, and between nodes.
+// Unique for each request and node.
 constexpr std::uint64_t nonce_of(std::uint16_t id, std::uint32_t number) noexcept {
   return std::uint64_t{id} << 32 | number;
 }
@@ -61,7 +61,7 @@ void TagMembership::on_sent(std::uint32_t /*number*/, bool sent) noexcept {
 }
 
 void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, bool /*leading*/) noexcept {
-  // Passed on it is no sign that the anchor is in reach.
+  // Only a JOIN heard directly shows that the anchor is in range.
   const auto* join = std::get_if<Join>(&frame.body);
   if (join == nullptr || join->tag || join->leaving || join->origin != frame.source) return;
   (void)anchors_.announce(join->origin);
@@ -90,7 +90,7 @@ AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& sched
 
 void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept {
   slots_.hear(tag, slot);
-  // Whoever polls it knows it; others in reach of the same open slots do as well, soon.
+  // The polling tag knows this anchor. Other tags in range will soon learn of it as well.
   if (!named || !listed_) return;
   announcing_ = Announcing::kDone;
   access_.settle(Purpose::kAnnounce);
@@ -128,7 +128,7 @@ std::optional<ControlChannel::Outgoing> AnchorMembership::open_slot(std::uint32_
 std::optional<ControlChannel::Outgoing> AnchorMembership::own_turn(std::uint32_t number) noexcept {
   if (!access_.pending(Purpose::kPassOn) || number - pending_since_ > kPassedOnWithin) return std::nullopt;
   under_way_ = Purpose::kPassOn;
-  access_.settle(Purpose::kPassOn);  // nobody else sends in that slot
+  access_.settle(Purpose::kPassOn);  // no other node sends in that slot
   return passed_on();
 }
 
@@ -153,7 +153,8 @@ void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool
   }
 }
 
-// Once each; what another relay passes on needs no third to do it from the same place.
+// Relays each request once. If another relay has forwarded it already, a third transmission from the same
+// area is not needed.
 void AnchorMembership::consider_passing_on(const Frame& frame, const Join& join,
                                            std::uint32_t number) noexcept {
   const auto low = static_cast<std::uint32_t>(join.nonce);

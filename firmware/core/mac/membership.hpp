@@ -1,12 +1,12 @@
-// How nodes come into the network and go while it runs, by what they say in the shared slots and what the
-// beacons say: the tag's side and the anchor's.
+// How nodes join and leave the running network, by messages in the shared slots and by beacons: the tag's
+// side and the anchor's.
 //
-//   tag:    in step, no slot --> JOIN (repeated, each time more rarely) --> a beacon names it: it polls
-//           leave() --> silent, JOIN "leaving" --> its slot is nobody's
-//   anchor: in step after its start --> JOIN, a few times: tags that hear it try it at once; where the
-//           schedule does not name it now and then again, for tags that come later
-//           leads: gives slots to those who ask; follows: keeps a copy of the table
-//           relays the beacon: passes on what tags ask, towards the master
+//   tag:    synchronized, no slot --> JOIN (repeated, ever less often) --> a beacon assigns a slot: it polls
+//           leave() --> silent, JOIN "leaving" --> its slot is free
+//   anchor: synchronized after its start --> JOIN, a few times: tags that hear it try it at once; repeated
+//           periodically if the schedule does not name the anchor, for tags that join later
+//           leads: assigns slots to tags that ask; follows: keeps a copy of the table
+//           relays the beacon: relays the tags' requests towards the master
 #pragma once
 
 #include <array>
@@ -27,13 +27,13 @@ class TagMembership final : public ControlChannel {
  public:
   TagMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept;
 
-  // Where it may poll in superframe `number`.
+  // The slot in which the tag may poll in superframe `number`.
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
     return leaving_ ? std::nullopt : tenure_.slot(number);
   }
-  // Its last table of slots is too old to poll by in superframe `number`.
+  // The last slot table received is too old for polling in superframe `number`.
   [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return tenure_.outdated(number); }
-  // Polls no more, and says so. For good.
+  // Stops polling permanently and announces it.
   void leave() noexcept;
 
   [[nodiscard]] AnchorSet& anchors() noexcept { return anchors_; }
@@ -56,11 +56,11 @@ class TagMembership final : public ControlChannel {
 
 class AnchorMembership final : public ControlChannel {
  public:
-  // The schedule outlives it.
+  // The schedule outlives this object.
   AnchorMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept;
 
   [[nodiscard]] const SlotTable& slots() const noexcept { return slots_; }
-  // A POLL heard in its slot; `named`: it asks for this anchor's answer.
+  // A POLL was heard in its slot; `named`: it asks for this anchor's answer.
   void on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept;
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
@@ -81,15 +81,15 @@ class AnchorMembership final : public ControlChannel {
   [[nodiscard]] Outgoing passed_on() const noexcept { return {.body = pending_}; }
 
   std::uint16_t id_;
-  bool beaconer_;  // it relays beacons
-  bool listed_;    // among the schedule's anchors: all tags know it
+  bool beaconer_;  // this node relays beacons
+  bool listed_;    // among the schedule's anchors, which all tags know
   std::uint32_t next_announcement_ = 0;
   enum class Announcing : std::uint8_t { kNotYet, kSoon, kDone };
   Announcing announcing_ = Announcing::kNotYet;
   SlotTable slots_;
   Access access_;
   std::optional<Purpose> under_way_;
-  Join pending_;  // to be passed on, where access_ has kPassOn pending
+  Join pending_;  // to be relayed, while access_ has kPassOn pending
   std::uint32_t pending_since_ = 0;
   std::array<Passed, 4> passed_{};
   std::size_t next_passed_ = 0;

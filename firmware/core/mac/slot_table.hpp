@@ -1,22 +1,21 @@
-// Who may poll in which slot: the master's table, the copies of it that all others keep, and the rule by
-// which a tag goes.
+// The slot owners: the master's table, its copies at all other nodes, and the rule that a tag follows.
 //
-// The table travels in each beacon. A node may have an old one: it missed beacons, or what it heard was
-// relayed. Two rules keep two tags out of one slot all the same. A tag goes by the newest table that it heard
-// and polls only while that is at most kTableGoodFor superframes old. And a slot that was somebody's is
-// nobody's for longer than that before it is given to another one. (Only a tag that says itself that it
-// leaves is succeeded at once: it has fallen silent before.)
+// Each beacon carries the table. A node may have an outdated one, because it missed beacons or heard a relay.
+// Two rules still keep two tags out of one slot. A tag follows the newest table that it heard, and polls only
+// while that table is at most kTableGoodFor superframes old. A slot that had an owner stays free for longer
+// than that before it gets another one. (If a tag announces that it leaves, its slot is free at once, because
+// the tag is silent already.)
 //
-// A new master goes on with its copy. What is nobody's in it may have been given away by the one before in a
-// beacon that the copy missed: so it, too, waits.
+// A new master continues with its copy. A slot that is free in the copy may have been assigned in a beacon
+// that the copy missed, so it has to stay free for the same time.
 //
-// A slot is called back where its tag was heard and then not for kLease superframes, or, when someone asks
-// and nothing is free, where it was not heard for so long by this master (it may be out of its reach). Called
-// back it is nobody's; a tag that is still there joins anew and has it again, as long as it was not given
-// away.
+// The master revokes a slot if it heard the slot's tag before and then not for kLease superframes. If a tag
+// asks and no slot is free, it also revokes a slot whose tag it has not heard for as long (that tag may be
+// out of its range). A revoked slot is free. A tag that is still there joins again and gets its slot back,
+// unless it has been reassigned.
 //
-// What remains: a tag that left and is back within kTableGoodFor, while a new master has missed both its
-// leaving and its successor. So a tag that left stays away for longer.
+// One gap remains: a tag leaves and returns within kTableGoodFor, and a new master has missed both its
+// leaving and the new owner. A tag that left therefore has to stay away for longer.
 #pragma once
 
 #include <array>
@@ -34,52 +33,52 @@ namespace groma::mac {
 // All in superframes.
 inline constexpr std::uint32_t kTableGoodFor = 32;
 inline constexpr std::uint32_t kLease = 64;
-// The same, where somebody else asks, for one that has never polled since it was given its slot.
+// The lease of a slot whose tag has never polled in it, if another tag asks.
 inline constexpr std::uint32_t kFirstLease = 16;
-// A master that hears no tag at all for so long is itself out of reach: it calls back no slot, and counts
-// anew when it hears one.
+// A master that hears no tag at all for this long is itself out of range. It revokes no slot, and restarts
+// the leases when it hears a tag.
 inline constexpr std::uint32_t kDeaf = 8;
 
-// Superframe of the master's own beacon that a beacon, relayed or not, tells of.
+// The superframe in which the master sent the content of a beacon, direct or relayed.
 [[nodiscard]] constexpr std::uint32_t told_at(const Beacon& beacon) noexcept {
   return beacon.superframe - beacon.age;
 }
 
-// An anchor's.
+// An anchor's slot table.
 class SlotTable {
  public:
-  // As the schedule says, and what it does not give away is free. The schedule outlives it.
+  // Starts with the schedule's owners; all other slots are free. The schedule outlives this object.
   explicit SlotTable(const groma_Schedule& schedule) noexcept;
 
-  // Superframe `number` begins. Any step is taken; a step back only moves the count.
+  // Superframe `number` begins. Steps of any size are allowed; a step back only changes the count.
   void advance(std::uint32_t number) noexcept;
 
-  // Not the master: the table that a beacon tells, unless a newer one of the same session is known.
+  // At a follower: copies the table of a beacon, unless a newer one of the same session is known.
   void copy(const Beacon& beacon) noexcept;
-  // This node is the master of that session now: it goes on with its copy, or begins anew. Nothing where it
-  // was before.
+  // This node is now the master of `session`. It continues with its copy of that session, or starts with a
+  // new table. Does nothing if it was the master already.
   void lead(std::uint64_t session) noexcept;
 
-  // As the table says.
+  // According to the table.
   [[nodiscard]] bool may_poll(std::uint16_t tag, std::size_t slot) const noexcept;
   [[nodiscard]] std::optional<std::size_t> slot_of(std::uint16_t tag) const noexcept;
-  // lead() came last, not copy().
+  // The last call was lead(), not copy().
   [[nodiscard]] bool leads() const noexcept { return leads_; }
-  // A POLL of this tag in this slot.
+  // This tag's POLL was heard in this slot.
   void hear(std::uint16_t tag, std::size_t slot) noexcept;
 
   enum class Claim : std::uint8_t {
-    kHeld,     // it has a slot, now or again
-    kGranted,  // it has one from the next beacon on
-    kWait,     // perhaps later: it has to ask again
+    kHeld,     // it has a slot, still or again
+    kGranted,  // it has a slot from the next beacon on
+    kWait,     // it has to ask again later
   };
-  // The master: this tag asks for a slot, or says that it is there.
+  // At the master: this tag asks for a slot, or reports its presence.
   Claim claim(std::uint16_t tag) noexcept;
-  // The master, once a superframe: calls back the slots of tags that it heard and then lost, and where one
-  // waits for a slot those of tags that asked and then never came.
+  // At the master, once per superframe: revokes the slots of tags that were heard and then lost. If a tag
+  // waits for a slot, also revokes those of tags that asked and never polled.
   void reclaim() noexcept;
-  // The master: this tag has gone silent and gives back what it held. Nothing where others of the schedule
-  // share its slot.
+  // At the master: this tag has stopped polling and gives up its slot. Does nothing if other tags of the
+  // schedule share the slot.
   void leave(std::uint16_t tag) noexcept;
 
   void fill(Beacon& beacon) const noexcept;
@@ -89,11 +88,11 @@ class SlotTable {
 
  private:
   struct Use {
-    std::uint16_t before = kNobody;  // whom it was called back from; it may have it again
-    std::uint16_t unheard = 0;       // superframes since its tag was heard, or since it was given; saturates
-    std::uint16_t vacant = 0;        // superframes since it is nobody's; saturates
-    bool heard = false;              // its tag, by this node
-    bool awaited = false;            // given to who asked; has not polled yet that this node knows of
+    std::uint16_t before = kNobody;  // the owner before it was revoked, which may have it back
+    std::uint16_t unheard = 0;       // superframes since its tag was heard or it was assigned; saturates
+    std::uint16_t vacant = 0;        // superframes since it became free; saturates
+    bool heard = false;              // this node has heard its tag
+    bool awaited = false;            // assigned on request; this node has not heard a POLL in it yet
   };
 
   void begin() noexcept;

@@ -15,10 +15,10 @@ using ranging::round_up_to_grid;
 using ranging::Ticks;
 
 constexpr std::uint16_t kLargestId = 65534;
-// A beacon is taken into the clock filter before a relay's own, or the POLL after it, is made: so much longer
-// than an answer to a POLL. One code is checked and made in it, too.
+// A node feeds a beacon to its clock filter before it makes a relayed beacon or a POLL, so it needs more time
+// than to answer a POLL. This includes verifying and making one MIC.
 constexpr Ticks kToTakeIn = round_up_to_grid(Ticks::from_us(100));
-// To check and make another code: an nRF52832 takes some 100 us.
+// For verifying and making another MIC: about 100 us on an nRF52832.
 constexpr Ticks kForCode = round_up_to_grid(Ticks::from_us(100));
 
 constexpr bool outside(std::uint32_t value, std::uint32_t low, std::uint32_t high) noexcept {
@@ -60,7 +60,7 @@ ScheduleFault check_ids(const groma_Schedule& schedule) noexcept {
   std::array<std::uint16_t, kMaxTags + std::extent_v<decltype(schedule.anchor_ids)>> room;
   const auto begin = room.begin();
   const auto end = std::copy(anchors.begin(), anchors.end(), std::copy(tags.begin(), tags.end(), begin));
-  // Most sites count up. Sorted by a heap, for std::sort is long.
+  // Most sites number their nodes in order. The heap sort is there because std::sort needs more flash.
   if (!std::is_sorted(begin, end)) {
     std::make_heap(begin, end);
     std::sort_heap(begin, end);
@@ -195,7 +195,7 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
-      // A message in a beacon's stead takes a second code.
+      // A message instead of a relayed beacon takes a second MIC.
       control_slot_(
           round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turn_round_)) +
           kToTakeIn + (secured ? kForCode : Ticks(0))),

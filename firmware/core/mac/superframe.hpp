@@ -1,26 +1,26 @@
-// When each frame of a site's superframe is due, computed from the schedule and the air times of the frames.
+// The place of each frame in a site's superframe, computed from the schedule and the frames' air times.
 //
 //   | BEACON | shared | slot 0 | slot 1 | ...
 //
-//   BEACON: | guard BEACON turn-round 100 us |     shared: | guard BEACON, JOIN or DATA turn-round 100 us |
-//   slot:   | guard POLL turn-round RESPONSE gap RESPONSE gap ... RESPONSE gap | [turn-round FINAL
-//   turn-round] |
+//   BEACON: | guard BEACON turnaround 100 us |     shared: | guard BEACON, JOIN or DATA turnaround 100 us |
+//   slot:   | guard POLL turnaround RESPONSE gap RESPONSE gap ... RESPONSE gap |
+//           [turnaround FINAL turnaround] |
 //
-// The first BEACON is the master's. The shared slot is taken in turns, by the superframe's number: one
-// superframe it is open to all, in the next ones the back-ups, by rank, relay the beacon. All instants are in
-// ticks of the network's time, multiples of 512 (the transmit grid), and are those of RMARKERs. In a slot
-// everything follows from the POLL as it was sent or heard; a POLL that names fewer anchors than the schedule
+// The master sends the first BEACON. The superframe's number decides whose turn the shared slot is: in one
+// superframe it is open to all, in the next ones the back-ups relay the beacon, in order of rank. All
+// instants are those of RMARKERs, in ticks of network time, and multiples of 512 (the transmit grid). All
+// instants in a slot follow from the POLL as sent or heard. A POLL that names fewer anchors than the schedule
 // allows only ends earlier.
 //
-// After the beacon and after the shared slot there are the turn-round (or the gap, where that is longer) and
-// 100 us for whoever takes a beacon into the clock filter before making the next frame. In a network with a
-// key a frame's code is checked before another is made, which takes an nRF52832 some 100 us for both: the
-// beacon is followed by as much again, for a message in the shared slot, and so is the last slot, for the
-// next beacon. Within a tag's slot the schedule's turn-round has room for it, or has not.
+// The beacon and the shared slot are each followed by the turnaround (the beacon by the gap, if longer) and
+// 100 us, in which a node feeds the beacon to its clock filter before it makes the next frame. In a network
+// with a key a node first verifies one MIC and then makes another, which takes an nRF52832 about 100 us for
+// both. Another 100 us therefore follow the beacon, for a message in the shared slot, and the last slot, for
+// the next beacon. In a tag's slot the schedule's turnaround has to be long enough.
 //
-// Whoever heard a FINAL out has the next POLL to listen for, or a beacon to make: it is followed by the
-// turn-round, or the gap where that is longer. A slot that RESPONSEs end needs no more than the gap: an
-// anchor that was asked has sent.
+// A node that received a FINAL has to listen for the next POLL or to make a beacon next, so the turnaround,
+// or the gap if longer, follows a FINAL. After a last RESPONSE the gap is enough, because the polled anchors
+// have sent.
 #pragma once
 
 #include <cstddef>
@@ -38,31 +38,31 @@ enum class ScheduleFault : std::uint8_t {
   kNone,
   kNoTags,
   kNoAnchors,
-  kBadId,         // 0 or 65535 is no id, and ids are up to 65534
+  kBadId,         // ids are 1 to 65534
   kRepeatedId,    // tags and anchors share one number space
   kBadMaster,     // the master is not among the anchors
-  kBadMethod,     // not a method this node knows
+  kBadMethod,     // this node does not know the method
   kBadTurnRound,  // outside of 150 to 5000 us
   kBadGap,        // outside of 50 to 2000 us
   kBadGuard,      // outside of 5 to 1000 us
   kBadBackup,     // a back-up is not among the anchors, or is the master
-  kBadSlots,      // outside of 0 to 16, or a tag's slot beyond them
+  kBadSlots,      // outside of 0 to 16, or a tag's slot is beyond them
   kBadResponses,  // outside of 0 to 16
 };
 
-// What is wrong and what would be right, at most 63 characters; empty for kNone.
+// The field and its valid values, at most 63 characters; empty for kNone.
 [[nodiscard]] const char* describe(ScheduleFault fault) noexcept;
 
 [[nodiscard]] ScheduleFault check(const groma_Schedule& schedule) noexcept;
 
-// A hash over all that has to be equal at each node: the schedule with its epoch, the network and the
-// preamble. Nodes that disagree about it stay silent rather than collide.
+// A hash of everything that has to be equal at all nodes: the schedule with its epoch, the network and the
+// preamble. Nodes that disagree stay silent instead of colliding.
 [[nodiscard]] std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t network_id,
                                           dw1000::Preamble preamble) noexcept;
 
 class Superframe {
  public:
-  // The schedule is one that check() has passed. `secured`: each frame carries a code.
+  // `schedule` must have passed check(). `secured`: each frame carries a MIC.
   Superframe(const groma_Schedule& schedule, dw1000::Phy phy, bool secured = false) noexcept;
 
   [[nodiscard]] ranging::Ticks duration() const noexcept {
@@ -70,22 +70,22 @@ class Superframe {
   }
   [[nodiscard]] std::size_t slot_count() const noexcept { return slot_count_; }
   [[nodiscard]] ranging::Ticks tag_slot() const noexcept { return tag_slot_; }
-  // Anchors that a POLL may name.
+  // Most anchors that a POLL may name.
   [[nodiscard]] std::size_t responses() const noexcept { return responses_; }
 
-  // From the superframe's start, to the RMARKER.
+  // From the superframe's start to the RMARKER.
   [[nodiscard]] ranging::Ticks beacon() const noexcept { return first_frame_; }
   [[nodiscard]] ranging::Ticks shared() const noexcept { return control_slot_ + first_frame_; }
   [[nodiscard]] ranging::Ticks poll(std::size_t slot) const noexcept {
     return slots_start_ + static_cast<std::int64_t>(slot) * tag_slot_ + first_frame_;
   }
 
-  // Whose the shared slot is: 0: open to all; n: of the back-up of rank n, from 1.
+  // The turn of the shared slot: 0: open to all; n: of the back-up of rank n, from 1.
   [[nodiscard]] std::size_t shared_turn(std::uint32_t superframe) const noexcept {
     return superframe % (backups_ + 1);
   }
 
-  // From the RMARKER of a POLL that names `count` anchors: to the RESPONSE of the one at `index`, and to the
+  // From the RMARKER of a POLL that names `count` anchors to that of the RESPONSE at `index`, or of the
   // FINAL.
   [[nodiscard]] ranging::Ticks response(std::size_t index, std::size_t count) const noexcept;
   [[nodiscard]] ranging::Ticks final(std::size_t count) const noexcept;
@@ -93,9 +93,9 @@ class Superframe {
   [[nodiscard]] bool has_final() const noexcept { return has_final_; }
   [[nodiscard]] ranging::Ticks guard() const noexcept { return guard_; }
   [[nodiscard]] dw1000::Phy phy() const noexcept { return phy_; }
-  // On the air, of a frame with so many bytes but for its code.
+  // Size on the air of a frame of `bytes` bytes without MIC.
   [[nodiscard]] std::size_t on_air(std::size_t bytes) const noexcept { return bytes + code_bytes_; }
-  // The largest frame of a beacon's or a shared slot, with its code.
+  // The largest frame in a beacon slot or a shared slot, including its MIC.
   [[nodiscard]] std::size_t control_bytes() const noexcept { return control_bytes_; }
 
  private:
@@ -111,17 +111,17 @@ class Superframe {
   ranging::Ticks gap_;
   ranging::Ticks first_frame_;       // from a slot's start to the RMARKER of its first frame
   ranging::Ticks response_spacing_;  // from RMARKER to RMARKER
-  ranging::Ticks control_slot_;      // the beacon's
+  ranging::Ticks control_slot_;      // length of the beacon slot
   ranging::Ticks slots_start_;
   ranging::Ticks tag_slot_;
   ranging::Ticks end_time_{};  // after the last slot
 };
 
-// The slot that the schedule gives to a tag; nothing where it does not name the tag.
+// The slot that the schedule assigns to a tag; nothing if it does not name the tag.
 [[nodiscard]] std::optional<std::size_t> configured_slot(const groma_Schedule& schedule,
                                                          std::uint16_t tag) noexcept;
 
-// The rank of an anchor: 0 is the master's, 1 and up the back-ups'; nothing for others.
+// The rank of an anchor: 0 for the master, from 1 for the back-ups; nothing for others.
 [[nodiscard]] std::optional<std::size_t> rank_of(const groma_Schedule& schedule,
                                                  std::uint16_t anchor) noexcept;
 

@@ -8,13 +8,13 @@ namespace {
 using ranging::ClockTime;
 using ranging::Ticks;
 
-// Two senders' flight times differ by some 50 m, and a relay's idea of the time by as much: 0.2 us.
+// Flight times of two senders differ by about 50 m, and a relay's time by as much: 0.2 us.
 constexpr float kPathSigma_ticks = 12'800.0F;
-// A master that has gone on by itself for long, against another one's time.
+// Difference to another master's time, of a master that has led by itself for long.
 constexpr float kFormerMasterSigma_ticks = 320'000.0F;
 
-// What a relay adds to its beacon's error: its own stamp's at each hop, and the walk of its clock (as the
-// tracker's: 0.1 ppm in a second) since it heard.
+// The error that a relay adds to a beacon: its receive timestamp's at each hop, and its clock's random walk
+// (as the tracker's: 0.1 ppm in a second) since it received the beacon.
 float relay_sigma_ticks(const BeaconStamp& beacon, Ticks duration) noexcept {
   constexpr float kBeaconSigma_ticks = 13.0F;
   constexpr float kWalk_ticks = 6'390.0F / 1.732F;
@@ -52,7 +52,7 @@ void Synchronizer::search() noexcept {
   misfits_ = 0;
 }
 
-// Since superframe `base_`: the difference survives the number's wrap.
+// The time since superframe `base_`; correct across the number's wrap.
 Ticks Synchronizer::master_time(std::uint32_t number) const noexcept {
   return std::int64_t{static_cast<std::int32_t>(number - base_)} * superframe_.duration();
 }
@@ -60,7 +60,7 @@ Ticks Synchronizer::master_time(std::uint32_t number) const noexcept {
 void Synchronizer::adopt(const BeaconStamp& beacon) noexcept {
   leading_ = false;
   base_ = last_heard_ = beacon.superframe;
-  // A relay's crystal tells of the master's only that both were made alike: the best guess lies half way.
+  // A relay's crystal is similar to the master's, no more: the best estimate is half the relay's offset.
   constexpr std::int32_t kCarrierSigma_ppb = 1'000;
   constexpr std::int32_t kRelaySigma_ppb = 15'000;
   const bool relayed = beacon.hop != 0;

@@ -1,4 +1,4 @@
-// Where the superframes lie on this node's clock.
+// Maps superframes to this node's clock.
 #pragma once
 
 #include <cstdint>
@@ -10,57 +10,57 @@
 namespace groma::mac {
 
 enum class SyncState : std::uint8_t {
-  kSearching,  // no idea
+  kSearching,  // time not known
   kLocked,     // the last beacon was heard
-  kCoasting,   // going on by the filter alone
+  kCoasting,   // predicted by the clock filter alone
 };
 
-// A beacon as it was heard.
+// A received beacon.
 struct BeaconStamp {
   std::uint32_t superframe = 0;
-  ranging::Ticks place{};  // of its RMARKER from the superframe's start, by the network's time
+  ranging::Ticks place{};  // of its RMARKER from the superframe's start, in network time
   ranging::ClockTime heard{};
-  std::int32_t offset_ppb = 0;  // the sender's clock against this node's, as the carrier tells
-  // Of what the sender knows of the network's time.
+  std::int32_t offset_ppb = 0;  // the sender's clock against this node's, from the carrier
+  // Of the sender's knowledge of the network time.
   std::uint8_t hop = 0;
   std::uint8_t age = 0;
 };
 
 class Synchronizer {
  public:
-  // Keeps a reference.
+  // Keeps a reference to the superframe.
   explicit Synchronizer(const Superframe& superframe) noexcept : superframe_(superframe) {}
 
-  // This node founds a session: superframe 0 starts at `start`.
+  // This node starts a session: superframe 0 starts at `start`.
   void found(ranging::ClockTime start) noexcept;
-  // This node is the master from now on, or is it no more; the time goes on as it is known.
+  // This node becomes the master, or stops being it; the time continues.
   void lead() noexcept;
   void follow() noexcept;
-  // Forgets everything.
+  // Discards the time.
   void search() noexcept;
 
-  // Takes the first beacon of a timeline. Its sender need not be the master: the carrier tells of the
-  // sender's clock, which may be off by some ppm against the network's.
+  // Initializes the time from the first beacon of a timeline. Its sender may be a relay: the carrier then
+  // gives the relay's clock, which may be some ppm off the network's.
   void adopt(const BeaconStamp& beacon) noexcept;
-  // Takes a further one. `other_path`: from another sender than those before, so that its flight time is
-  // another. False where it does not fit to those before: then it is not used, unless it is the third such in
-  // a row and `persuasive`.
+  // Updates with a further beacon. `other_path`: its sender, and so its flight time, differs from those
+  // before. Returns false and ignores the beacon if it does not fit; but a `persuasive` third misfit in a row
+  // re-initializes the time.
   bool on_beacon(const BeaconStamp& beacon, bool other_path, bool persuasive = true) noexcept;
-  // The beacon due in superframe `number` did not come.
+  // The beacon due in the present superframe did not come.
   void on_beacon_missed() noexcept;
-  // Superframe `number` begins. Ends the coasting when its time is not known within the guard any more, or
-  // nothing was heard for 100 superframes.
+  // Superframe `number` begins. Gives up coasting if the uncertainty exceeds the guard, or after 100
+  // superframes without a beacon.
   void begin(std::uint32_t number) noexcept;
 
   [[nodiscard]] SyncState state() const noexcept { return state_; }
   [[nodiscard]] std::uint32_t missed_in_a_row() const noexcept { return missed_; }
   [[nodiscard]] std::int32_t skew_ppb() const noexcept { return leading_ ? 0 : tracker_.skew_ppb(); }
 
-  // Not while searching: the start of superframe `number` on this node's clock, and how far off it may be (5
+  // Not while searching: the start of superframe `number` on this node's clock, and its uncertainty (5
   // sigma).
   [[nodiscard]] ranging::ClockTime start(std::uint32_t number) const noexcept;
   [[nodiscard]] ranging::Ticks margin(std::uint32_t number) const noexcept;
-  // The network's time, counted from the start of superframe 0, that it is at `local`. Continuous over a
+  // The network time when this node's clock shows `local`, since the start of superframe 0. Continuous over a
   // change of master.
   [[nodiscard]] ranging::Ticks network_time(ranging::ClockTime local) const noexcept;
 
@@ -71,7 +71,7 @@ class Synchronizer {
   ClockTracker tracker_;
   SyncState state_ = SyncState::kSearching;
   bool leading_ = false;
-  std::uint32_t base_ = 0;        // superframe at which the tracker takes the network's time as 0
+  std::uint32_t base_ = 0;        // superframe at which the tracker's master time is 0
   std::uint32_t last_heard_ = 0;  // superframe
   std::uint32_t missed_ = 0;
   std::uint32_t misfits_ = 0;

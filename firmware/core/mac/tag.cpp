@@ -58,7 +58,7 @@ void Tag::choose_anchors() noexcept {
   next_count_ = static_cast<std::uint8_t>(anchors.choose(std::span(next_anchors_).first(places)));
 }
 
-// A number is used once, whether or not its POLL gets out, so that no anchor can close one exchange with
+// Uses each number once, even if its POLL is not sent, so that no anchor can close one exchange with
 // another's frame.
 Action Tag::poll(std::uint32_t superframe, std::size_t slot) noexcept {
   choose_anchors();
@@ -92,7 +92,7 @@ Step Tag::on_transmitted(ClockTime stamp) noexcept {
   }
   Exchange& exchange = current();
   exchange.poll_sent = stamp;
-  // Later the clocks' drift since would bend the range: at 2 ppm a second by 0.7 m for each second of it.
+  // If the closing frame is later, clock drift distorts the range: at 2 ppm/s by 0.7 m for each second.
   constexpr std::uint32_t kLatestClosing = 2;
   if (previous_valid_ && !station_.superframe().has_final() &&
       exchange.superframe - previous().superframe <= kLatestClosing) {
@@ -132,7 +132,7 @@ Step Tag::on_received(const Reception& reception) noexcept {
     if (const auto rest = station_.on_control_received(reception)) return {*rest, nullptr};
     return {plan(reception.stamp), nullptr};
   }
-  // There is time for its code once the receiver is on for the next one.
+  // There is time to verify the MIC once the receiver is on for the next RESPONSE.
   const bool last = window_ + 1U >= current().count;
   const auto check = last ? Station::Check::kNow : Station::Check::kResponseLater;
   if (const auto frame = station_.accept(reception, place_of(current()), check)) {
@@ -223,7 +223,7 @@ Step Tag::next_window(ClockTime now) noexcept {
   return {station_.transmit(stamp, kBroadcast, Final{exchange.number}, place_of(exchange)), nullptr};
 }
 
-// Twice in a row not half of what is usual: something else is on the air.
+// Reports interference if the answers are less than half of the usual twice in a row.
 void Tag::watch_answers() noexcept {
   const Exchange& exchange = current();
   const auto answers =
@@ -239,7 +239,7 @@ void Tag::watch_answers() noexcept {
   usual_answers_ = std::max<std::uint8_t>(answers, usual_answers_ == 0 ? 0 : usual_answers_ - 1);
 }
 
-// The exchange before has had its chance to be closed by each anchor.
+// Each anchor has had its chance to close the previous exchange.
 Step Tag::finish(ClockTime now) noexcept {
   watch_answers();
   const Exchange* completed = previous_valid_ ? &previous() : nullptr;

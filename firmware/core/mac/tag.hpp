@@ -1,11 +1,10 @@
-// The tag: keeps in step with the network, polls its anchors in its slot, and collects what they answer.
+// The tag: follows the network's time, polls its anchors in its slot, and collects their answers.
 //
-//   the station's part (searching, beacon, shared slot) --> POLL --> RESPONSE windows --> [FINAL] --> the
+//   the station's part (search, beacon, shared slot) --> POLL --> RESPONSE windows --> [FINAL] --> the
 //   station's part
 //
-// Each RESPONSE window is timed from the POLL: an anchor that does not answer costs its own range and nothing
-// else. A RESPONSE counts only in its own window, from the anchor whose turn it is, and for the exchange
-// under way.
+// Each RESPONSE window is timed from the POLL: an anchor that does not answer costs only its own range. A
+// RESPONSE counts only in its own window, from the anchor whose turn it is, and for the exchange in progress.
 #pragma once
 
 #include <array>
@@ -20,7 +19,7 @@ namespace groma::mac {
 
 class Tag {
  public:
-  // `counters` outlives the tag. Polls once the schedule or a beacon gives it a slot.
+  // `counters` outlives the tag. The tag polls once the schedule or a beacon assigns it a slot.
   Tag(const Site& site, groma_Counters& counters) noexcept;
 
   [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
@@ -29,45 +28,45 @@ class Tag {
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
   [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
   [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
-  // What can be done beside other things, see step.hpp.
+  // Run in the background of other work, see step.hpp.
   void glance(std::span<const std::uint8_t> frame) noexcept;
   void complete() noexcept { station_.complete(); }
   std::size_t prepare() noexcept;
-  // After what a Step asked for is armed: takes back what the last frame brought where its code does not fit.
-  // Its bytes are still there.
+  // Call after the Step's action is armed: discards the last RESPONSE if its MIC is wrong. The frame's bytes
+  // must still be valid.
   void check() noexcept;
-  // The radio was stopped, whatever it was at, and is there again: goes on with what lies ahead, in step as
-  // far as the clock filter carries.
+  // Call after the radio was stopped and restarted: continues with the next action, with the time of the
+  // clock filter.
   [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
 
-  // What follows the listening under way, whatever comes of it: so that it can be armed before it is known
-  // what came. Nothing where that depends.
+  // The action that follows the listening in progress whatever it brings, so that it can be armed before its
+  // result is known. Nothing if it depends on the result.
   [[nodiscard]] std::optional<Action> ahead() const noexcept;
 
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   void set_health(const Health& health) noexcept { station_.set_health(health); }
   void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
-  // While it is lent somebody else polls in its slot and in its name.
+  // While the slot is lent, another node polls in it and in this tag's name.
   void lend(bool lent) noexcept { lent_ = lent; }
 
-  // Learns from the last exchange and chooses the next one's anchors: where there is time for it. It is done
-  // with the POLL otherwise.
+  // Evaluates the last exchange and chooses the anchors of the next one. Call when there is time; otherwise
+  // the POLL does it.
   void choose_anchors() noexcept;
   [[nodiscard]] TagMembership& membership() noexcept { return membership_; }
   [[nodiscard]] const TagMembership& membership() const noexcept { return membership_; }
 
-  // The one under way, or after its slot the next one.
+  // The superframe in progress; after the tag's slot the next one.
   [[nodiscard]] std::uint32_t superframe_number() const noexcept { return station_.superframe_number(); }
 
  private:
   enum class Phase : std::uint8_t { kControl, kPoll, kResponses, kFinal };
 
-  // What comes next outside of an exchange, its preamble after `now`.
+  // The next action outside of an exchange, with its preamble after `now`.
   Action plan(ranging::ClockTime now) noexcept;
   Action poll(std::uint32_t superframe, std::size_t slot) noexcept;
   [[nodiscard]] Action response_window(std::size_t index) const noexcept;
   void take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept;
-  // Of the exchange before; nothing: it did not poll that anchor.
+  // The anchor's leg in the previous exchange; null: the anchor was not polled in it.
   [[nodiscard]] Leg* previous_leg(std::uint16_t anchor) noexcept;
   void watch_answers() noexcept;
   Step next_window(ranging::ClockTime now) noexcept;
@@ -85,21 +84,22 @@ class Tag {
   std::uint8_t unanswered_ = 0;  // exchanges in a row
   std::uint16_t next_number_ = 0;
   std::size_t window_ = 0;
-  // Under way, the one before that waits for its closing stamps, and the one before that, just complete.
+  // The exchange in progress, the one before, which waits for its closing timestamps, and the completed one
+  // before that.
   std::array<Exchange, 3> exchanges_{};
   std::size_t current_ = 0;
   bool previous_valid_ = false;
   bool lent_ = false;
-  // The RESPONSE taken last, until check(): where it is from, and what it filled in.
+  // The last RESPONSE, until check() has verified its MIC, and the legs that it filled in.
   struct Unchecked {
     std::span<const std::uint8_t> frame{};
     Place place{};
     Leg* leg = nullptr;
-    Leg* closed = nullptr;  // of the exchange before; nothing: it did not poll that anchor
+    Leg* closed = nullptr;  // of the previous exchange; null: the anchor was not polled in it
   };
   Unchecked unchecked_;
-  std::uint8_t windows_over_ = 0;  // of the exchange before: what became of them is to be learnt from
-  std::uint8_t next_count_ = 0;    // chosen for the next POLL; 0: still to be done
+  std::uint8_t windows_over_ = 0;  // windows of the last exchange that choose_anchors() has not evaluated
+  std::uint8_t next_count_ = 0;    // chosen for the next POLL; 0: not chosen yet
   std::array<std::uint16_t, kMaxAnchors> next_anchors_{};
 };
 

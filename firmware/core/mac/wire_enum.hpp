@@ -6,8 +6,8 @@
 
 namespace groma::mac {
 
-// The number behind an enumeration that was decoded from the wire. It may be none of the enumerators, and
-// then even to look at it as an enumeration is undefined.
+// The number of an enumeration that was decoded from the wire. It may be none of the enumerators, and reading
+// it as an enumeration is then undefined behaviour.
 template <class E>
 [[nodiscard]] std::uint32_t number_of(const E& value) noexcept {
   std::underlying_type_t<E> number{};
