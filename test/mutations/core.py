@@ -193,7 +193,7 @@ MUTATIONS = [
     ("CAN driver: no data bit time", CAN_DRIVER, "    if (fd) set_data_timing(*data);\n", "", CAN_TEST),
     ("CAN driver: an overrun's flag left standing", CAN_DRIVER, "      write_byte<reg::ReceiveSta>(0, Value<reg::ReceiveSta>());\n", "", CAN_TEST),
     ("CAN driver: half a FIFO taken for all of it", CAN_DRIVER, "room_ = transmit_depth() / 2;", "room_ = transmit_depth();", CAN_TEST),
-    ("CAN driver: room reckoned on after bus-off", CAN_DRIVER, "    room_ = 0;\n  }\n\n  // A transmission", "  }\n\n  // A transmission", CAN_TEST),
+    ("CAN driver: room reckoned on after bus-off", CAN_DRIVER, "    room_ = 0;\n  }\n\n  // After a transmission", "  }\n\n  // After a transmission", CAN_TEST),
     ("CAN driver: listens to the other direction", CAN_DRIVER, "wire::CanDirection::kToNode, settings.node", "wire::CanDirection::kToHost, settings.node", CAN_TEST),
     ("CAN driver: does not ask for room", CAN_DRIVER, "      ask_for_room(true);\n", "", CAN_TEST),
     ("CAN driver: asks for room for ever", CAN_DRIVER, "      ask_for_room(false);\n", "", CAN_TEST),

@@ -1,16 +1,15 @@
-// The DW1000 behind its SPI bus: brings it up, arms one delayed transmission or one reception at a time, and
-// tells what came of it.
+// Driver of the DW1000 on its SPI bus: brings the chip up, arms one delayed transmission or one reception at
+// a time, and reports the result.
 //
 //        bring_up()            transmit_at() / receive_at() / receive_now()
 //   kDown --------> kIdle --------------------------------------------> kTransmitting / kReceiving
 //                     ^                                                        |
-//                     +------------ take_event() says it is over, or stop() ---+
+//                     +------------ take_event() reports the end, or stop() ---+
 //
-// An operation asked for in any other state than kIdle is refused (Start::kNotIdle) and touches nothing, so
-// that a frame in flight cannot be trampled. The receiver never re-enables itself: one buffer, one frame.
-// Where time is short the next listening is armed, by receive_at(), between look() and read_frame(): the chip
-// is idle until that listening begins (user manual 4.2), and until then keeps what it has of the frame
-// before.
+// An operation requested in any state other than kIdle is refused (Start::kNotIdle) without access to the
+// chip, so it cannot disturb a frame in progress. The receiver does not re-enable itself: one buffer, one
+// frame. If time is short, receive_at() may arm the next listening between look() and read_frame(): the chip
+// is idle until that listening begins (user manual 4.2), and until then keeps the data of the last frame.
 #pragma once
 
 #include <array>
@@ -32,8 +31,9 @@ inline constexpr std::uint32_t kDefaultTransmitPower = 0x8585'8585;
 
 struct RadioSettings {
   Preamble preamble = Preamble::k128;
-  std::uint32_t transmit_power = kDefaultTransmitPower;  // TX_POWER, the same for all parts of a frame
-  // Nothing: what the chip's maker wrote into its OTP memory, or else kDefaultAntennaDelay_dtu.
+  std::uint32_t transmit_power = kDefaultTransmitPower;  // TX_POWER, equal for all parts of a frame
+  // Nothing: the value that the manufacturer wrote to the OTP memory, or kDefaultAntennaDelay_dtu if there is
+  // none.
   std::optional<std::uint16_t> transmit_antenna_delay_dtu{};
   std::optional<std::uint16_t> receive_antenna_delay_dtu{};
 };
@@ -42,10 +42,10 @@ enum class BringUp : std::uint8_t {
   kOk,
   kNoChip,       // no DW1000 answers on the bus
   kNoLock,       // its clock PLL did not lock
-  kNoFastBus,    // it answers at 2 MHz, but not at 8
+  kNoFastBus,    // it answers at 2 MHz, but not at 8 MHz
   kNotWritable,  // a register did not keep what was written
-  kNoTrim,       // nor the crystal's trim
-  kNoStamps,     // nor the leading edge detector's settings, or it is not on
+  kNoTrim,       // the crystal trim register did not keep its value
+  kNoStamps,     // the leading edge detector's registers did not keep their values, or it is off
 };
 
 // At most 31 characters; empty for kOk.
@@ -73,7 +73,7 @@ enum class State : std::uint8_t { kDown, kIdle, kTransmitting, kReceiving };
 
 enum class Start : std::uint8_t {
   kStarted,
-  kLate,  // the instant had passed: nothing is on the air, the chip is idle
+  kLate,  // the instant had passed: nothing is sent or received, the chip is idle
   kNotIdle,
   kTooLong,  // the frame does not fit
 };
@@ -93,15 +93,15 @@ enum class EventKind : std::uint8_t {
 struct Event {
   EventKind kind = EventKind::kNone;
   ranging::DeviceTime stamp{};            // of the RMARKER at the antenna, for kTransmitted and kReceived
-  bool stamp_valid = false;               // for kReceived: the leading edge was found and stamped
-  std::span<const std::uint8_t> frame{};  // for kReceived: without its check; valid until the next operation
+  bool stamp_valid = false;               // for kReceived: the leading edge was found and timestamped
+  std::span<const std::uint8_t> frame{};  // for kReceived: no frame check; valid until the next operation
   ReceiveQuality quality{};               // for kReceived
 };
 
-// What the chip's own converter shows, by the calibration that its maker wrote into the OTP memory.
+// The readings of the chip's own converter, with the manufacturer's calibration from the OTP memory.
 struct Ambient {
   std::int16_t temperature_cdegc = 0;  // of the chip; in steps of 1.14 degrees
-  std::uint16_t supply_mv = 0;         // in steps of 6
+  std::uint16_t supply_mv = 0;         // in steps of 6 mV
 };
 
 template <Spi S>
@@ -110,7 +110,7 @@ class Dw1000 {
   explicit Dw1000(S& spi) noexcept : spi_(spi) {}
 
   // Resets and configures the chip; `reset()` pulls its reset line, `delay_us(n)` waits. Afterwards the bus
-  // is fast, and the driver kIdle or, if the result is not kOk, kDown.
+  // is fast and the driver is kIdle; if the result is not kOk, the driver is kDown.
   template <class Reset, class Delay>
   [[nodiscard]] BringUp bring_up(const RadioSettings& settings, Reset&& reset, Delay&& delay_us) noexcept {
     state_ = State::kDown;
@@ -138,8 +138,8 @@ class Dw1000 {
       return BringUp::kNotWritable;
     }
     if (read<reg::FsXtalt>() != crystal_trim_) return BringUp::kNoTrim;
-    // Its microcode cannot be read back; should it be missing, no stamp is valid, and counters.bad_stamps
-    // tells.
+    // The microcode cannot be read back. If it is missing, no timestamp is valid, which counters.bad_stamps
+    // shows.
     if (read<reg::LdeCfg1>() != kLdeNoiseThreshold || read<reg::LdeRepc>() != kLdeReplicaCode ||
         !read<reg::PmscCtrl1>().has(reg::pmsc_ctrl1::kLeadingEdge)) {
       return BringUp::kNoStamps;
@@ -149,7 +149,7 @@ class Dw1000 {
   }
 
   [[nodiscard]] State state() const noexcept { return state_; }
-  // In force since the last bring-up.
+  // Since the last bring-up.
   [[nodiscard]] ranging::Ticks transmit_antenna_delay() const noexcept {
     return ranging::Ticks(transmit_antenna_delay_dtu_);
   }
@@ -158,8 +158,8 @@ class Dw1000 {
     return ranging::DeviceTime(read<reg::SysTime>().word());
   }
 
-  // In idle time, whatever the chip is at but a transmission: the next frame to be sent has so many bytes
-  // without its check, or time is lost.
+  // Sets the length of the next frame to be sent, in bytes without frame check, which saves time later if it
+  // is right. Call in idle time, in any state except during a transmission.
   void expect_length(std::size_t bytes) noexcept {
     if ((state_ == State::kIdle || state_ == State::kReceiving) &&
         bytes + kFrameCheckBytes <= kMaxFrameBytes) {
@@ -167,12 +167,12 @@ class Dw1000 {
     }
   }
 
-  // Sends `frame` (without its check) so that its RMARKER leaves the antenna at `stamp`, which is
-  // transmit_stamp_not_after() of something and less than 8.6 s ahead.
+  // Sends `frame` (without frame check) so that its RMARKER leaves the antenna at `stamp`. `stamp` must be a
+  // result of transmit_stamp_not_after() and less than 8.6 s ahead.
   [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame) noexcept {
     return transmit_at(stamp, frame, [] {});
   }
-  // The same for a frame whose bytes are not complete before `complete()`, which is called as late as can be.
+  // For a frame whose bytes are complete only after `complete()`, which is called as late as possible.
   template <class Complete>
   [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame,
                                   Complete&& complete) noexcept {
@@ -182,7 +182,7 @@ class Dw1000 {
     set_length(frame.size());
     complete();
     spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
-    // Erratum TX-1: without this clock the end of a delayed transmission is not told.
+    // Erratum TX-1: without this clock the chip does not report the end of a delayed transmission.
     write<reg::PmscClock>(kTransmitClockForced);
     command(kTransmitDelayed);
     state_ = State::kTransmitting;
@@ -195,9 +195,9 @@ class Dw1000 {
     return Start::kStarted;
   }
 
-  // Listens from `from` on, less than 8.6 s ahead, until a frame came, `frame_timeout` passed (rounded up to
-  // 1.03 us, at most 67 ms), or no preamble was found within `preamble_timeout` (rounded up to a chunk of
-  // symbols; nothing: not supervised).
+  // Listens from `from`, less than 8.6 s ahead, until a frame has come, `frame_timeout` has passed (rounded
+  // up to 1.03 us, at most 67 ms), or no preamble was found within `preamble_timeout` (rounded up to a chunk
+  // of symbols; nothing: no preamble time-out).
   [[nodiscard]] Start receive_at(ranging::DeviceTime from, ranging::Ticks frame_timeout,
                                  std::optional<ranging::Ticks> preamble_timeout) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
@@ -205,7 +205,7 @@ class Dw1000 {
     write(Value<reg::DxTime>(from.count()));
     command(kReceiveDelayed);
     if (read_part<reg::SysStatus, 3, 1>().has(reg::sys_status::kHalfPeriod)) {
-      // It has not been on, and so needs no reset.
+      // The receiver was not on, so it needs no reset.
       command(kOff);
       write(kAllEvents);
       return Start::kLate;
@@ -214,7 +214,7 @@ class Dw1000 {
     return Start::kStarted;
   }
 
-  // The same, from now on.
+  // As receive_at(), from now on.
   [[nodiscard]] Start receive_now(ranging::Ticks frame_timeout,
                                   std::optional<ranging::Ticks> preamble_timeout) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
@@ -224,7 +224,7 @@ class Dw1000 {
     return Start::kStarted;
   }
 
-  // What ended the operation under way; kNone if nothing has. The interrupt line is low afterwards.
+  // The event that ended the present operation; kNone if there is none. The interrupt line is low afterwards.
   [[nodiscard]] Event take_event() noexcept {
     Event event = look();
     if (event.kind == EventKind::kReceived) {
@@ -233,7 +233,7 @@ class Dw1000 {
     return event;
   }
 
-  // The same, but that a frame received is left in the chip until read_frame().
+  // As take_event(), but leaves a received frame in the chip until read_frame().
   [[nodiscard]] Event look() noexcept {
     namespace st = reg::sys_status;
     if (state_ == State::kDown) return {};
@@ -246,7 +246,7 @@ class Dw1000 {
     if (state_ == State::kTransmitting && status.has(st::kTransmitted)) return take_transmitted();
     if (state_ == State::kReceiving) {
       if (status.has(st::kReceived)) {
-        // The frame may be whole before its leading edge is found.
+        // The frame may be complete before its leading edge is found.
         for (int i = 0; i < kStampTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
           status = read_part<reg::SysStatus, 0, 4>();
         }
@@ -266,11 +266,12 @@ class Dw1000 {
     return {};
   }
 
-  // Completes what look() said of a frame; its quality only where `glance`(its bytes), called as soon as they
-  // are there, returns true. Before the next listening begins, which may be armed already.
+  // Completes the event of a received frame after look(). Calls `glance`(bytes) as soon as the frame's bytes
+  // are read, and reads the quality only if that returns true. Must end before the next listening begins,
+  // which may be armed already.
   template <class Glance>
   void read_frame(Event& event, Glance&& glance) noexcept {
-    // With the next listening armed, first what the receiver overwrites first.
+    // If the next listening is armed, read first what the receiver overwrites first.
     Value<reg::DrxResults> results;
     const bool armed = state_ == State::kReceiving;
     if (armed) results = read<reg::DrxResults>();
@@ -304,8 +305,8 @@ class Dw1000 {
     };
   }
 
-  // Has the chip measure its temperature and supply, whatever else it is at; the result is there
-  // kSampling_us later. User manual 6.4, with the sensors switched on step by step as its maker's driver
+  // Starts to measure the chip's temperature and supply, in any operation; the result is available
+  // kSampling_us later. User manual 6.4; switches the sensors on step by step as the manufacturer's driver
   // does.
   static constexpr std::uint32_t kSampling_us = 1'000;
   void start_sampling() noexcept {
@@ -321,15 +322,15 @@ class Dw1000 {
     const auto supply = static_cast<std::int32_t>(read<reg::TcSarSupply>().word());
     const auto temperature = static_cast<std::int32_t>(read<reg::TcSarTemperature>().word());
     write<reg::TcSarc>(kConverterOff);
-    // Temperature = (reading - that at 23 degrees C) 1.14 + 23, supply = (reading - that at 3.3 V) / 173
-    // + 3.3.
+    // Temperature = (reading - reading at 23 degrees C) 1.14 + 23, supply = (reading - reading at 3.3 V) /
+    // 173 + 3.3.
     return Ambient{
         .temperature_cdegc =
             static_cast<std::int16_t>((temperature - temperature_at_reference_) * 114 + 2'300),
         .supply_mv = static_cast<std::uint16_t>((supply - supply_at_reference_) * 1'000 / 173 + 3'300)};
   }
 
-  // Ends the operation under way, whatever its state; the driver is kIdle again.
+  // Ends the present operation; the driver is kIdle afterwards, unless it is kDown.
   void stop() noexcept {
     if (state_ == State::kDown) return;
     command(kOff);
@@ -361,7 +362,7 @@ class Dw1000 {
   static constexpr std::uint8_t kTypicalTemperatureReading = 120;
   static constexpr std::uint16_t kOtpLdoTune = 0x04;
   static constexpr std::uint16_t kOtpSupply = 0x08;       // the converter's reading at 3.3 V
-  static constexpr std::uint16_t kOtpTemperature = 0x09;  // and at 23 degrees C
+  static constexpr std::uint16_t kOtpTemperature = 0x09;  // the converter's reading at 23 degrees C
   static constexpr std::uint16_t kOtpAntennaDelay = 0x1C;
   static constexpr std::uint16_t kOtpCrystalTrim = 0x1E;
 
@@ -372,7 +373,7 @@ class Dw1000 {
   static constexpr auto kReceiveNow = Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive);
   static constexpr auto kOff = Value<reg::SysCtrl>().set(reg::sys_ctrl::kOff);
 
-  // What may raise the interrupt line: each end of an operation, and the loss of a PLL.
+  // The events that raise the interrupt line: each end of an operation, and the loss of a PLL.
   static constexpr Value<reg::SysMask> kInterrupts = [] {
     namespace st = reg::sys_status;
     const auto bits = Value<reg::SysStatus>()
@@ -390,7 +391,7 @@ class Dw1000 {
   }();
   static constexpr Value<reg::SysStatus> kAllEvents{0x07'FFFF'FFFF};
 
-  // What depends on the preamble's length.
+  // Register values that depend on the preamble length.
   struct Tuning {
     Value<reg::DrxTune1b> tune1b;
     Value<reg::DrxTune2> tune2;
@@ -426,7 +427,7 @@ class Dw1000 {
     spi_.write(TransactionHeader(true, R::kId, R::kSub).bytes(), value.bytes());
   }
 
-  // `Count` bytes of it from `First` on; the others are zero.
+  // Reads bytes `First` to `First + Count - 1` of the register; the others are zero.
   template <class R, std::size_t First, std::size_t Count>
   [[nodiscard]] Value<R> read_part() noexcept {
     static_assert(R::kReadable, "a register that cannot be read");
@@ -441,12 +442,12 @@ class Dw1000 {
     spi_.write(TransactionHeader(true, R::kId, R::kSub + First).bytes(),
                value.bytes().template subspan<First, Count>());
   }
-  // All commands in use lie in its low half.
+  // All commands in use are in the low half of the register.
   void command(const Value<reg::SysCtrl>& bits) noexcept { write_part<reg::SysCtrl, 0, 2>(bits); }
-  // All that ends an operation, late transmissions aside.
+  // Clears all events that end an operation, except late transmissions.
   void clear_events() noexcept { write_part<reg::SysStatus, 0, 4>(kAllEvents); }
 
-  // User manual 6.3.3; on the crystal's clock, for the words read at the PLL's are not reliable.
+  // User manual 6.3.3. Needs the crystal's clock: words read at the PLL's clock are not reliable.
   [[nodiscard]] std::uint32_t read_otp(std::uint16_t address) noexcept {
     write(Value<reg::OtpAddr>(address));
     write(Value<reg::OtpCtrl>().set(reg::otp_ctrl::kReadEnable).set(reg::otp_ctrl::kRead));
@@ -471,13 +472,13 @@ class Dw1000 {
     write(Value<reg::LdeRxantd>(settings.receive_antenna_delay_dtu.value_or(fallback)));
   }
 
-  // Of the converter, as its maker saw it at the reference.
+  // The converter's reading at the reference, from the manufacturer's calibration.
   [[nodiscard]] static std::uint8_t reading_of(std::uint32_t otp_word, std::uint8_t fallback) noexcept {
     const auto reading = static_cast<std::uint8_t>(otp_word);
     return reading == 0 || reading == 0xFF ? fallback : reading;
   }
 
-  // User manual 2.5.5.10. Without its microcode the leading edge detector's stamps are junk.
+  // User manual 2.5.5.10. Without microcode the leading edge detector's timestamps are invalid.
   template <class Delay>
   void load_leading_edge_microcode(Delay& delay_us) noexcept {
     constexpr std::uint32_t kLoad_us = 200;
@@ -506,7 +507,7 @@ class Dw1000 {
     write(tuning.tune1b);
     write(tuning.tune2);
     write(tuning.tune4h);
-    // The longest preamble that can still become a frame: all of it, the SFD, and one symbol of doubt.
+    // The longest search for an SFD: the whole preamble, the SFD, and one symbol of margin.
     write(Value<reg::DrxSfdtoc>(static_cast<std::uint64_t>(phy.preamble_symbols() + 1 + Phy::kSfdSymbols -
                                                            phy.acquisition_chunk_symbols())));
     write(Value<reg::DrxPretoc>());
@@ -537,7 +538,7 @@ class Dw1000 {
     constexpr std::uint32_t kTry_us = 100;
     for (int i = 0; i < kTries; ++i) {
       if (read<reg::SysStatus>().has(reg::sys_status::kPllLocked)) {
-        // What the flags said while the PLL was settling does not count.
+        // The flags set while the PLL was settling are not valid.
         write(kAllEvents);
         const auto status = read<reg::SysStatus>();
         return !status.has(reg::sys_status::kClockPllLosing) && !status.has(reg::sys_status::kRfPllLosing);
@@ -548,7 +549,7 @@ class Dw1000 {
   }
 
   void set_timeouts(ranging::Ticks frame_timeout, std::optional<ranging::Ticks> preamble_timeout) noexcept {
-    // As a rule a listening lasts as long as the one before, and 64-bit divisions are long.
+    // A listening is usually as long as the one before, and 64-bit divisions take long.
     if (frame_timeout == frame_timeout_ && preamble_timeout == preamble_timeout_) return;
     frame_timeout_ = frame_timeout;
     preamble_timeout_ = preamble_timeout;
@@ -563,7 +564,7 @@ class Dw1000 {
     write(Value<reg::DrxPretoc>(chunks));
   }
 
-  // In units, at least 1, saturated at 16 bits.
+  // In units, rounded up, from 1 to 65535.
   [[nodiscard]] static std::uint16_t rounded_up(ranging::Ticks t, ranging::Ticks unit) noexcept {
     const std::int64_t units = (t.count() + unit.count() - 1) / unit.count();
     return static_cast<std::uint16_t>(units < 1 ? 1 : units > 0xFFFF ? 0xFFFF : units);
@@ -587,19 +588,19 @@ class Dw1000 {
     return EventKind::kNone;
   }
 
-  // Of a frame without its check.
+  // Length of a frame without frame check.
   void set_length(std::size_t bytes) noexcept {
     const std::size_t length = bytes + kFrameCheckBytes;
     if (length == format_length_) return;
     format_length_ = length;
-    // Its low byte alone: Value::set() goes bit by bit, and time may be short.
+    // Only the low byte: Value::set() works bit by bit, and time may be short.
     static_assert(reg::tx_fctrl::kLength.kLsb == 0 && reg::tx_fctrl::kLength.kWidth >= 8);
     static_assert(kMaxFrameBytes <= 0xFF);
     frame_format_.bytes()[0] = static_cast<std::uint8_t>(length);
     write(frame_format_);
   }
 
-  // User manual 4.1.6: after an error or a time-out the next stamp would be wrong.
+  // User manual 4.1.6: after an error or a time-out the next timestamp would be wrong.
   void reset_receiver() noexcept {
     write(kReceiverReset);
     write(kNoReset);
@@ -613,10 +614,10 @@ class Dw1000 {
   std::uint8_t supply_at_reference_ = kTypicalSupplyReading;
   std::uint8_t temperature_at_reference_ = kTypicalTemperatureReading;
   Value<reg::FsXtalt> crystal_trim_;
-  // What the chip holds; 0: not known, but for the first.
+  // Cached register values of the chip; 0: not known, except for the first one.
   std::uint16_t preamble_timeout_chunks_ = 0;
   std::uint16_t frame_timeout_units_ = 0;
-  ranging::Ticks frame_timeout_{-1};  // asked for last
+  ranging::Ticks frame_timeout_{-1};  // the last one requested
   std::optional<ranging::Ticks> preamble_timeout_{};
   std::size_t format_length_ = 0;
   ranging::Ticks chunk_{1};

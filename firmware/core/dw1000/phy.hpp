@@ -1,5 +1,5 @@
-// The one air interface in use: channel 5, PRF 64 MHz, 6.8 Mbit/s, preamble code 9, standard SFD of 8
-// symbols, at three preamble lengths. Every duration is exact in ticks.
+// The only PHY configuration in use: channel 5, PRF 64 MHz, 6.8 Mbit/s, preamble code 9, standard SFD of 8
+// symbols, with three preamble lengths. All durations are exact in ticks.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@ namespace groma::dw1000 {
 
 enum class Preamble : std::uint8_t { k64, k128, k256 };
 
-// IEEE 802.15.4 frames with the two bytes of the frame check.
+// Sizes of IEEE 802.15.4 frames, including the two bytes of the frame check.
 inline constexpr std::size_t kMaxFrameBytes = 127;
 inline constexpr std::size_t kFrameCheckBytes = 2;
 
@@ -23,17 +23,17 @@ class Phy {
   [[nodiscard]] constexpr int preamble_symbols() const noexcept {
     return preamble_ == Preamble::k64 ? 64 : preamble_ == Preamble::k128 ? 128 : 256;
   }
-  // Symbols that the receiver correlates at once.
+  // Symbols that the receiver correlates at a time.
   [[nodiscard]] constexpr int acquisition_chunk_symbols() const noexcept {
     return preamble_ == Preamble::k256 ? 16 : 8;
   }
 
-  // From the start of the preamble to the RMARKER, the instant that stamps refer to.
+  // From the start of the preamble to the RMARKER, the instant that timestamps refer to.
   [[nodiscard]] constexpr ranging::Ticks before_rmarker() const noexcept {
     return (preamble_symbols() + kSfdSymbols) * kPreambleSymbol;
   }
-  // From the RMARKER to the end of a frame of `bytes` with its frame check. Reed-Solomon adds 48 bits to each
-  // 330 begun.
+  // From the RMARKER to the end of a frame of `bytes`, frame check included. Reed-Solomon adds 48 bits for
+  // each 330 begun.
   [[nodiscard]] static constexpr ranging::Ticks after_rmarker(std::size_t bytes) noexcept {
     const std::int64_t bits = 8 * static_cast<std::int64_t>(bytes);
     return kHeaderSymbols * kHeaderSymbol + (bits + 48 * ((bits + 329) / 330)) * kDataBit;

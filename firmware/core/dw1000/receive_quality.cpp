@@ -57,7 +57,7 @@ LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
 }
 
 std::int32_t clock_offset_ppb(std::int32_t carrier_integral) noexcept {
-  // -5.7312e-4 ppm each: 998.4 MHz / 2 / 1024 / 2^17 over the carrier of 6489.6 MHz.
+  // -5.7312e-4 ppm per count: 998.4 MHz / 2 / 1024 / 2^17 over the carrier of 6489.6 MHz.
   return static_cast<std::int32_t>(std::int64_t{carrier_integral} * -57312 / 100'000);
 }
 

@@ -5,7 +5,7 @@
 
 namespace groma::dw1000 {
 
-// What the chip says of a frame's reception, as its registers have it.
+// The chip's raw register values about the reception of a frame.
 struct ReceiveQuality {
   std::uint16_t amplitude1 = 0;  // of the first path, at its index plus 1, 2 and 3 samples
   std::uint16_t amplitude2 = 0;
@@ -18,34 +18,34 @@ struct ReceiveQuality {
   std::int32_t carrier_integral = 0;
 };
 
-// RXPACC counts up to 5 symbols of the SFD where it equals its unsaturated twin (user manual 7.2.18, for the
-// SFD of 8 symbols).
+// RXPACC includes up to 5 symbols of the SFD if it equals its unsaturated counterpart (user manual 7.2.18,
+// for the SFD of 8 symbols).
 [[nodiscard]] std::uint16_t corrected_preamble_count(std::uint16_t count, std::uint16_t unsaturated) noexcept;
 
-// Power of the first path and of the whole frame in 1/100 dBm (user manual 4.7.1 and 4.7.2, PRF 64 MHz).
-// Nothing where a register of the formula is 0.
+// Power of the first path and total receive power in 1/100 dBm (user manual 4.7.1 and 4.7.2, PRF 64 MHz).
+// Nothing if a register of the formula is 0.
 [[nodiscard]] std::optional<std::int32_t> first_path_power_cdbm(const ReceiveQuality& quality) noexcept;
 [[nodiscard]] std::optional<std::int32_t> receive_power_cdbm(const ReceiveQuality& quality) noexcept;
 
-// From the first path to the strongest, either way.
+// Distance from the first path to the strongest one, in 1/64 samples, never negative.
 [[nodiscard]] std::int32_t peak_distance_64ths(const ReceiveQuality& quality) noexcept;
 
-// The straight path is likely the first one where that is less than so far below the whole power, unlikely
-// where it is further below (user manual 4.7.3); 1/100 dB.
+// LOS is likely if the first path's power is less than this below the total power, and unlikely if it is
+// further below (user manual 4.7.3); 1/100 dB.
 inline constexpr std::int32_t kLikelyHidden_cdb = 600;
 inline constexpr std::int32_t kUnlikelyHidden_cdb = 1'000;
 
-// Whether the first path is likely the straight one. By what part of the power it holds, as above; and by how
-// far the strongest path is from it: up to 3.3 samples is line of sight, more than 6 is not (APS006 part 3).
-// Likely is what both call so, unlikely what one does. A hint: a wall of one material attenuates all paths
-// alike.
+// Whether the first path is likely the LOS path, by two tests: the first path's share of the power, as above;
+// and its distance to the strongest path: up to 3.3 samples is LOS, more than 6 is NLOS (APS006 part 3).
+// Likely if both tests say so, unlikely if one does. Only a hint: a homogeneous wall attenuates all paths
+// equally.
 enum class LineOfSight : std::uint8_t { kUnknown, kLikely, kUncertain, kUnlikely };
 [[nodiscard]] LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
                                         std::optional<std::int32_t> receive_power_cdbm,
                                         std::int32_t peak_distance_64ths) noexcept;
 
-// The transmitter's clock against the receiver's, parts per 10^9; positive: the transmitter's is fast
-// (channel 5, 6.8 Mbit/s). The integral's sign is the other way round.
+// The transmitter's clock against the receiver's, in parts per 10^9; positive: the transmitter is fast
+// (channel 5, 6.8 Mbit/s). The integral has the opposite sign.
 [[nodiscard]] std::int32_t clock_offset_ppb(std::int32_t carrier_integral) noexcept;
 
 }  // namespace groma::dw1000

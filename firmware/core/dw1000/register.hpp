@@ -1,4 +1,4 @@
-// What a register and its fields are, so that registers.hpp can be a table.
+// Types for registers and their fields, so that registers.hpp can be a table.
 #pragma once
 
 #include <array>
@@ -11,8 +11,8 @@ namespace groma::dw1000 {
 
 enum class Access : std::uint8_t { kRead, kWrite, kReadWrite };
 
-// A register, or the part of a register file that is read or written in one transfer. `sub` is its first
-// byte's place in the file. Little-endian.
+// A register, or the part of a register file that is read or written in one transfer. `Sub` is the offset of
+// its first byte in the file. Little-endian.
 template <std::uint8_t Id, std::uint16_t Sub, std::size_t Length, Access Mode>
 struct Register {
   static_assert(Id < 0x40 && Sub < 0x8000 && Length > 0);
@@ -23,7 +23,7 @@ struct Register {
   static constexpr bool kWritable = Mode != Access::kRead;
 };
 
-// Bits of register `R`: `Width` of them (at most 64) from bit `Lsb` on.
+// A field of register `R`: `Width` bits (at most 64) from bit `Lsb` on.
 template <class R, unsigned Lsb, unsigned Width = 1>
 struct Field {
   static_assert(Width >= 1 && Width <= 64 && Lsb + Width <= 8 * R::kLength, "the field leaves its register");
@@ -32,12 +32,12 @@ struct Field {
   static constexpr unsigned kWidth = Width;
 };
 
-// The bytes of register `R`, with its fields by name. Only fields of R are taken.
+// The bytes of register `R`, with access to its fields by name. Accepts only fields of R.
 template <class R>
 class Value {
  public:
   constexpr Value() noexcept = default;
-  // The low bytes of `word`; for registers of up to 8 bytes.
+  // From the low bytes of `word`; for registers of up to 8 bytes.
   constexpr explicit Value(std::uint64_t word) noexcept requires(R::kLength <= 8) {
     for (std::size_t i = 0; i < R::kLength; ++i) bytes_[i] = static_cast<std::uint8_t>(word >> (8 * i));
   }
@@ -60,7 +60,7 @@ class Value {
     }
     return value & mask(F::kWidth);
   }
-  // Two's complement.
+  // The field as a two's complement number.
   template <class F>
   [[nodiscard]] constexpr std::int64_t get_signed(F field) const noexcept {
     const std::uint64_t value = get(field);
@@ -72,7 +72,7 @@ class Value {
     static_assert(F::kWidth == 1);
     return get(field) != 0;
   }
-  // The low bits of `value`.
+  // Sets the field to the low bits of `value`.
   template <class F>
   constexpr Value& set(F, std::uint64_t value = mask(F::kWidth)) noexcept {
     static_assert(std::is_same_v<typename F::Of, R>, "a field of another register");

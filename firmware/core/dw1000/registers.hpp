@@ -22,9 +22,9 @@ using SysStatus    = Register<0x0F, 0x0000,  5, kReadWrite>;  // what happened; 
 using RxFinfo      = Register<0x10, 0x0000,  4, kRead>;       // length and preamble count of the frame
 using RxBuffer     = Register<0x11, 0x0000, 1024, kRead>;     // the frame received
 using RxFqual      = Register<0x12, 0x0000,  8, kRead>;       // quality of the frame
-using RxTime       = Register<0x15, 0x0000, 14, kRead>;       // receive stamp and first path
-using TxTime       = Register<0x17, 0x0000,  5, kRead>;       // transmit stamp, antenna delay added
-using TxAntd       = Register<0x18, 0x0000,  2, kReadWrite>;  // added to the transmit stamp; lost in sleep
+using RxTime       = Register<0x15, 0x0000, 14, kRead>;       // receive timestamp and first path
+using TxTime       = Register<0x17, 0x0000,  5, kRead>;       // transmit timestamp, antenna delay added
+using TxAntd       = Register<0x18, 0x0000,  2, kReadWrite>;  // added to transmit timestamps; lost in sleep
 using TxPower      = Register<0x1E, 0x0000,  4, kReadWrite>;  // amplifier gains
 using ChanCtrl     = Register<0x1F, 0x0000,  4, kReadWrite>;  // channel, PRF, preamble code, SFD
 using AgcTune1     = Register<0x23, 0x0004,  2, kReadWrite>;  // gain control, by PRF
@@ -40,14 +40,14 @@ using DrxPretoc    = Register<0x27, 0x0024,  2, kReadWrite>;  // preamble time-o
 using DrxTune4h    = Register<0x27, 0x0026,  2, kReadWrite>;  // receiver, by preamble length
 using DrxCarInt    = Register<0x27, 0x0028,  3, kRead>;       // carrier recovery integrator
 using RxpaccNosat  = Register<0x27, 0x002C,  2, kRead>;       // preamble count, not saturated
-using DrxResults   = Register<0x27, 0x0028,  6, kRead>;       // the two above, and a byte of no use between
+using DrxResults   = Register<0x27, 0x0028,  6, kRead>;       // the two above, and an unused byte between
 using RfRxctrlh    = Register<0x28, 0x000B,  1, kReadWrite>;  // receiver, by channel
 using RfTxctrl     = Register<0x28, 0x000C,  4, kReadWrite>;  // transmitter, by channel
 using RfBias       = Register<0x28, 0x0011,  1, kReadWrite>;  // bias of the temperature and supply sensors
 using RfSensors    = Register<0x28, 0x0012,  1, kReadWrite>;  // bias and outputs of the sensors and their converter
 using TcSarc       = Register<0x2A, 0x0000,  1, kReadWrite>;  // starts the converter
 using TcSarSupply  = Register<0x2A, 0x0003,  1, kRead>;       // its last reading of the supply
-using TcSarTemperature = Register<0x2A, 0x0004, 1, kRead>;    // and of the temperature
+using TcSarTemperature = Register<0x2A, 0x0004, 1, kRead>;    // its last reading of the temperature
 using TcPgdelay    = Register<0x2A, 0x000B,  1, kReadWrite>;  // pulse width, by channel
 using FsPllcfg     = Register<0x2B, 0x0007,  4, kReadWrite>;  // synthesizer, by channel
 using FsPlltune    = Register<0x2B, 0x000B,  1, kReadWrite>;  // synthesizer, by channel
@@ -58,7 +58,7 @@ using OtpRdat      = Register<0x2D, 0x000A,  4, kRead>;       // the word read
 using OtpSf        = Register<0x2D, 0x0012,  1, kReadWrite>;  // special functions: LDO tune
 using LdeCfg1      = Register<0x2E, 0x0806,  1, kReadWrite>;  // leading edge: noise threshold
 using LdePpindx    = Register<0x2E, 0x1000,  2, kRead>;       // sample of the strongest path
-using LdeRxantd    = Register<0x2E, 0x1804,  2, kReadWrite>;  // subtracted from the receive stamp
+using LdeRxantd    = Register<0x2E, 0x1804,  2, kReadWrite>;  // subtracted from the receive timestamp
 using LdeCfg2      = Register<0x2E, 0x1806,  2, kReadWrite>;  // leading edge, by PRF
 using LdeRepc      = Register<0x2E, 0x2804,  2, kReadWrite>;  // leading edge, by preamble code
 using PmscCtrl0    = Register<0x36, 0x0000,  2, kReadWrite>;  // clocks (its low half)
@@ -91,7 +91,7 @@ inline constexpr Field<SysCtrl, 9> kDelayedReceive{};   // RXDLYE
 }  // namespace sys_ctrl
 
 namespace sys_status {
-inline constexpr Field<SysStatus, 0> kInterrupt{};         // IRQS: some unmasked bit is set
+inline constexpr Field<SysStatus, 0> kInterrupt{};         // IRQS: an unmasked bit is set
 inline constexpr Field<SysStatus, 1> kPllLocked{};         // CPLOCK
 inline constexpr Field<SysStatus, 7> kTransmitted{};       // TXFRS
 inline constexpr Field<SysStatus, 10> kStamped{};          // LDEDONE
@@ -132,7 +132,7 @@ inline constexpr Field<TxTime, 0, 40> kStamp{};
 }  // namespace tx_time
 
 namespace ec_ctrl {
-inline constexpr Field<EcCtrl, 2> kLockDetect{};  // PLLLDT: without it the lock flags are not to be trusted
+inline constexpr Field<EcCtrl, 2> kLockDetect{};  // PLLLDT: without it the lock flags are not reliable
 }  // namespace ec_ctrl
 
 namespace drx_car_int {
@@ -156,7 +156,7 @@ inline constexpr Field<FsXtalt, 5, 3> kFixed{};  // always 3
 }  // namespace fs_xtalt
 
 namespace pmsc_ctrl1 {
-inline constexpr Field<PmscCtrl1, 17> kLeadingEdge{};  // LDERUNE: detect it in each frame received
+inline constexpr Field<PmscCtrl1, 17> kLeadingEdge{};  // LDERUNE: detects it in each received frame
 }  // namespace pmsc_ctrl1
 
 }  // namespace groma::dw1000::reg

@@ -6,13 +6,13 @@
 
 namespace groma::dw1000 {
 
-// kSlow: at most 3 MHz, until the chip's PLL has locked and for OTP, LDE and crystal trim. kFast: at most 20
+// kSlow: at most 3 MHz, until the chip's PLL has locked, and for OTP, LDE and crystal trim. kFast: at most 20
 // MHz.
 enum class SpiSpeed : std::uint8_t { kSlow, kFast };
 
 // The bus to one DW1000: mode 0, most significant bit first. Each call is one chip-select window and returns
-// when the transfer is over. `header` is the chip's transaction header, 1 to 3 bytes, as it goes over the
-// wire (user manual 2.2.1); the payload follows in the same window.
+// when the transfer is over. `header` is the chip's transaction header as sent, 1 to 3 bytes (user manual
+// 2.2.1); the payload follows in the same window.
 template <class S>
 concept Spi = requires(S& spi, std::span<const std::uint8_t> header, std::span<const std::uint8_t> out,
                        std::span<std::uint8_t> in, SpiSpeed speed) {

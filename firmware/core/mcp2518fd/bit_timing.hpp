@@ -1,5 +1,4 @@
-// How long a bit is on the bus, in the MCP2518FD's terms (data sheet DS20006027, 3.4: CiNBTCFG, CiDBTCFG,
-// CiTDC).
+// Bit timing on the bus, in the MCP2518FD's terms (data sheet DS20006027, 3.4: CiNBTCFG, CiDBTCFG, CiTDC).
 //
 // A bit is one quantum of synchronization, then segment 1, the sample point, then segment 2. A quantum is
 // `prescaler` cycles of the controller's clock.
@@ -29,15 +28,15 @@ struct BitTiming {
   friend constexpr bool operator==(const BitTiming&, const BitTiming&) noexcept = default;
 };
 
-// The timing of exactly this bit rate with its sample point at 80 % of the bit, or as close below that as
-// quanta allow, but not below 75 %; as many quanta as fit. Nothing where there is none.
+// The timing of exactly this bit rate, with as many quanta as possible and its sample point at 80 % of the
+// bit or as close below as the quanta allow, but at least 75 %. Nothing if there is none.
 [[nodiscard]] std::optional<BitTiming> nominal_timing(std::uint32_t bit_per_s,
                                                       std::uint32_t clock_hz = kClock_hz) noexcept;
 [[nodiscard]] std::optional<BitTiming> data_timing(std::uint32_t bit_per_s,
                                                    std::uint32_t clock_hz = kClock_hz) noexcept;
 
-// Where a transmitter looks at its own bit in the data phase: so many cycles of the clock after the delay
-// that it measured, which is where a receiver samples. At most 63.
+// The position at which a transmitter samples its own bit in the data phase, in clock cycles after the
+// measured delay, which is where a receiver samples. At most 63.
 [[nodiscard]] std::uint8_t transmitter_delay_offset(const BitTiming& data) noexcept;
 
 }  // namespace groma::mcp2518fd

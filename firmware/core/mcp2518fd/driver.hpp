@@ -1,22 +1,20 @@
-// The MCP2518FD behind its SPI bus: brings it up as one node of this protocol, and moves frames to and from
-// its two FIFOs.
+// Driver of the MCP2518FD on its SPI bus: brings the chip up as one node of this protocol, and moves frames
+// to and from its two FIFOs.
 //
-//         bring_up()                     the bus is gone
+//         bring_up()                     bus-off
 //   kDown ----------> kOnBus <----------------------------------> kBusOff
 //     ^                 |          128 x 11 recessive bits
-//     +--- a chip that lost its settings
+//     +--- the chip lost its settings
 //
-// No call waits for the bus. What each takes of SPI is stated, so that a caller who has slots to keep can
-// plan.
+// No call waits for the bus. Each call's SPI traffic is stated, so that a caller with time slots can plan.
 //
-// Errata DS80000789 that are lived with here:
-//   - FIFOCI in a FIFO's status can be read wrong: it is not used, only the flags beside it.
-//   - A read that meets a change in the same register can give a wrong top bit of its first byte: no such bit
-//   is
-//     acted upon.
-//   - IOCON is to be written byte by byte: it is not written.
-//   - SPI above kMaxSpi_hz can spoil the RAM: the board stays below.
-//   - Single-bit correction of the RAM cannot be trusted: any RAM error restarts the chip.
+// Workarounds for errata DS80000789:
+// - FIFOCI in a FIFO's status can be read wrong: it is not used, only the flags beside it.
+// - A read during a change of the same register can return a wrong top bit of the first byte: no such bit is
+//   used.
+// - IOCON must be written byte by byte: it is not written.
+// - SPI above kMaxSpi_hz can corrupt the RAM: the board stays below.
+// - Single-bit error correction of the RAM is unreliable: any RAM error restarts the chip.
 #pragma once
 
 #include <array>
@@ -33,7 +31,7 @@
 namespace groma::mcp2518fd {
 
 struct Settings {
-  std::uint16_t node = 0;  // receives what the host sends to it, and nothing else
+  std::uint16_t node = 0;  // id of this node; it receives only what the host sends to it
   wire::CanFormat format = wire::CanFormat::kClassic;
   std::uint32_t nominal_bit_per_s = 1'000'000;
   std::uint32_t data_bit_per_s = 2'000'000;  // for kFd
@@ -42,13 +40,13 @@ struct Settings {
 
 enum class BringUp : std::uint8_t {
   kOk,
-  kNoChip,       // nothing answers on the bus
+  kNoChip,       // no answer on SPI
   kNoClock,      // its oscillator does not start
-  kKeepsMode,    // it does not change its mode
-  kOtherChip,    // what answers is no MCP2518FD
+  kKeepsMode,    // its mode does not change
+  kOtherChip,    // the chip that answers is not an MCP2518FD
   kNotWritable,  // registers or RAM did not keep what was written
-  kNoBitRate,    // not to be had from 40 MHz
-  kBusNotIdle,   // 11 recessive bits in a row were not seen
+  kNoBitRate,    // not available from 40 MHz
+  kBusNotIdle,   // no sequence of 11 recessive bits was seen
 };
 
 // At most 31 characters; empty for kOk.
@@ -77,13 +75,13 @@ enum class BringUp : std::uint8_t {
 enum class State : std::uint8_t { kDown, kOnBus, kBusOff };
 
 struct Events {
-  bool received = false;  // a frame waits
-  bool room = false;      // the transmit FIFO is at least half empty, after it had been full
-  bool bus_off = false;   // just now; the frames in the transmit FIFO are lost
-  bool on_bus = false;    // back just now
-  bool overrun = false;   // frames found the receive FIFO full and are lost
-  bool any = false;       // a flag was up, one of these or another
-  bool lost = false;      // the chip is not as it was set up: bring it up again
+  bool received = false;  // a frame is waiting
+  bool room = false;      // the transmit FIFO is at least half empty, after it was full
+  bool bus_off = false;   // entered just now; the frames in the transmit FIFO are lost
+  bool on_bus = false;    // returned to the bus just now
+  bool overrun = false;   // the receive FIFO was full, and frames were lost
+  bool any = false;       // a flag was set, one of these or another
+  bool lost = false;      // the chip has lost its settings: bring it up again
 };
 
 struct ErrorCounters {
@@ -96,8 +94,8 @@ class Mcp2518fd {
  public:
   explicit constexpr Mcp2518fd(S& spi) noexcept : spi_(spi) {}
 
-  // Resets the chip and puts it on the bus; `delay_us(n)` waits. Some 3 ms of SPI at 8 MHz, and up to 40 ms
-  // of waiting where it fails.
+  // Resets the chip and puts it on the bus; `delay_us(n)` waits. Takes about 3 ms of SPI at 8 MHz, and up to
+  // 40 ms of waiting if it fails.
   template <class Delay>
   [[nodiscard]] BringUp bring_up(const Settings& settings, Delay&& delay_us) noexcept {
     state_ = State::kDown;
@@ -125,14 +123,14 @@ class Mcp2518fd {
     return BringUp::kOk;
   }
 
-  // Hands a frame with an id of 29 bits to the chip, which sends it after those before and repeats it until
-  // it is acknowledged. False: there is no room, which an event will tell of, or the chip is not on the bus.
-  // At most 4 transfers with 17 bytes more than the payload, filled up to a multiple of 4.
+  // Hands a frame with a 29-bit id to the chip, which sends it after earlier ones and repeats it until it is
+  // acknowledged. Returns false if there is no room, which an event reports later, or if the chip is not on
+  // the bus. At most 4 transfers with 17 bytes in addition to the payload, padded to a multiple of 4.
   bool send(const wire::CanFrame& frame) noexcept {
     if (state_ != State::kOnBus || frame.size > payload_) return false;
     if (room_ == 0 && !look_for_room()) return false;
     write_object(frame);
-    // The frame is counted in and its transmission asked for in one byte.
+    // One byte adds the frame to the FIFO and requests its transmission.
     write_byte<reg::TransmitCon>(
         1, Value<reg::TransmitCon>().set(reg::transmit_con::kAdvance).set(reg::transmit_con::kRequest));
     --room_;
@@ -141,7 +139,7 @@ class Mcp2518fd {
     return true;
   }
 
-  // The oldest frame that waits. False: none does. At most 3 transfers with 95 bytes.
+  // Reads the oldest waiting frame; returns false if there is none. At most 3 transfers with 95 bytes.
   bool receive(wire::CanFrame& out) noexcept {
     if (state_ == State::kDown) return false;
     const auto [status, address] = read_pair<reg::ReceiveSta, reg::ReceiveUa>();
@@ -151,7 +149,7 @@ class Mcp2518fd {
     return true;
   }
 
-  // Whatever pulled the interrupt line, or nothing; to be asked for again until the line is high. At most 6
+  // Reads and clears the causes of the interrupt, if any; call again until the line is high. At most 6
   // transfers with 32 bytes.
   [[nodiscard]] Events take_events() noexcept {
     Events events;
@@ -167,7 +165,7 @@ class Mcp2518fd {
     events.any = (flags.word() & (flags.word() >> 16) & 0xFFFFU) != 0;
     constexpr std::uint32_t kCleared =
         flag::kModeChanged.kMask | flag::kSystemError.kMask | flag::kErrorState.kMask;
-    // A flag is cleared by a zero, and not touched by a one.
+    // Writing a zero clears a flag, writing a one does not change it.
     if ((flags.word() & kCleared) != 0)
       write_bytes<reg::Int>(0, 2, Value<reg::Int>(~(flags.word() & kCleared)));
     if (flags.has(flag::kErrorState)) follow_errors(events);
@@ -214,8 +212,7 @@ class Mcp2518fd {
                                        .set(reg::interrupt::kOnSystemError)
                                        .set(reg::interrupt::kOnErrorState);
 
-  // ---- the objects: 2 KB hold 32 and 32 of 8 bytes, or 20 and 8 of 64
-  // --------------------------------------
+  // ---- message objects: 2 KB hold 32 + 32 with 8 bytes, or 20 + 8 with 64 ---------------------------------
 
   [[nodiscard]] bool fd() const noexcept { return payload_ == wire::kMaxFdPayload; }
   [[nodiscard]] unsigned object_bytes() const noexcept { return kObjectHeaderBytes + payload_; }
@@ -237,7 +234,7 @@ class Mcp2518fd {
     for (std::size_t i = 0; i < frame.size; ++i) {
       buffer[kHeaderBytes + kObjectHeaderBytes + i] = frame.data[i];
     }
-    // The RAM takes whole words.
+    // The RAM accepts whole words only.
     const unsigned size = (frame.size + 3U) / 4U * 4U;
     spi_.transfer(std::span(buffer).first(kHeaderBytes + kObjectHeaderBytes + size));
   }
@@ -254,13 +251,13 @@ class Mcp2518fd {
     const std::uint8_t longest = out.format == wire::CanFormat::kFd ? payload_ : wire::kMaxClassicPayload;
     const std::uint8_t length = wire::kCanLengths[control.get(object::kLength)];
     out.size = length < longest ? length : longest;
-    // A request for data has a length, but no data.
+    // A remote frame has a length, but no data.
     if (control.has(object::kRemote)) out.size = 0;
     for (std::size_t i = 0; i < out.size; ++i) out.data[i] = buffer[kHeaderBytes + kObjectHeaderBytes + i];
   }
 
-  // Room is reckoned from the flags: with each frame of it one transfer is spared. A FIFO that is more than
-  // half full can wait: the bus has enough to do.
+  // Counts the free room from the flags, which saves one transfer for each frame that fits. Waits while the
+  // FIFO is more than half full: the bus has enough to send.
   bool look_for_room() noexcept {
     const auto [status, address] = read_pair<reg::TransmitSta, reg::TransmitUa>();
     if (status.has(reg::transmit_sta::kEmpty)) {
@@ -292,7 +289,7 @@ class Mcp2518fd {
     room_ = 0;
   }
 
-  // A transmission that found the RAM too slow takes the chip off the bus until it is asked back.
+  // After a transmission for which the RAM was too slow, the chip leaves the bus until it is requested back.
   bool mode_held() noexcept {
     const auto mode = static_cast<Mode>(read<reg::Con>().get(reg::con::kMode));
     if (mode == Mode::kConfiguration) return false;
@@ -300,14 +297,13 @@ class Mcp2518fd {
     return true;
   }
 
-  // ---- bringing up
-  // -----------------------------------------------------------------------------------------
+  // ---- bring-up -------------------------------------------------------------------------------------------
 
   template <class Delay>
   BringUp reset(Delay& delay_us) noexcept {
     write_byte<reg::Osc>(0, kClock);
     if (const BringUp result = await_clock(delay_us); result != BringUp::kOk) return result;
-    // A reset is for the configuration mode alone. What it was about to send is given up.
+    // A reset is allowed in configuration mode only. Pending transmissions are aborted.
     write_byte<reg::Con>(3, Value<reg::Con>(kModes).set(reg::con::kAbort));
     if (!await_mode(Mode::kConfiguration, delay_us)) return BringUp::kKeepsMode;
     std::array<std::uint8_t, kHeaderBytes> instruction{};
@@ -347,7 +343,7 @@ class Mcp2518fd {
     return false;
   }
 
-  // With error correction on, a word must have been written before it is read.
+  // With error correction on, each word must be written before it is read.
   bool clear_ram() noexcept {
     write_byte<reg::Ecccon>(0, Value<reg::Ecccon>()
                                    .set(reg::ecccon::kEnable)
@@ -423,8 +419,7 @@ class Mcp2518fd {
     write_byte<reg::Con>(3, Value<reg::Con>().set(reg::con::kRequest, static_cast<std::uint32_t>(mode)));
   }
 
-  // ---- transfers
-  // -------------------------------------------------------------------------------------------
+  // ---- transfers ------------------------------------------------------------------------------------------
 
   static void put_header(std::span<std::uint8_t> out, Instruction instruction,
                          std::uint16_t address) noexcept {
@@ -463,7 +458,7 @@ class Mcp2518fd {
     Value<A> first;
     Value<B> second;
   };
-  // Two registers, one behind the other, at one instant.
+  // Reads two adjacent registers at one instant.
   template <class A, class B>
   Pair<A, B> read_pair() noexcept {
     static_assert(B::kAddress == A::kAddress + 4);
@@ -478,7 +473,7 @@ class Mcp2518fd {
   void write(const Value<R>& value) noexcept {
     write_word(R::kAddress, value.word());
   }
-  // `count` bytes of the register from byte `first` on.
+  // Writes `count` bytes of the register from byte `first` on.
   template <class R>
   void write_bytes(unsigned first, unsigned count, const Value<R>& value) noexcept {
     std::array<std::uint8_t, kHeaderBytes + 4> buffer{};
@@ -496,8 +491,8 @@ class Mcp2518fd {
   Mode normal_ = Mode::kNormalClassic;
   std::uint8_t payload_ = wire::kMaxClassicPayload;
   Value<reg::Int> enables_;
-  unsigned room_ = 0;                      // frames that fit for certain
-  std::uint16_t next_object_ = kRamBegin;  // where the next one goes
+  unsigned room_ = 0;                      // frames that certainly fit
+  std::uint16_t next_object_ = kRamBegin;  // address of the next object
 };
 
 }  // namespace groma::mcp2518fd

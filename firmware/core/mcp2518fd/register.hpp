@@ -1,4 +1,4 @@
-// What a register of the MCP2518FD and its fields are, so that registers.hpp can be a table.
+// Types for the MCP2518FD's registers and their fields, so that registers.hpp can be a table.
 #pragma once
 
 #include <cstdint>
@@ -6,7 +6,7 @@
 
 namespace groma::mcp2518fd {
 
-// 32 bits, little-endian; each of its bytes can be written alone.
+// A register of 32 bits, little-endian; each of its bytes can be written alone.
 template <std::uint16_t Address>
 struct Register {
   static_assert(Address < 0x1000 && Address % 4 == 0);
@@ -23,7 +23,7 @@ struct Field {
   static constexpr std::uint32_t kMask = kLargest << Lsb;
 };
 
-// A register's content, with its fields by name. Only fields of R are taken.
+// The content of a register, with access to its fields by name. Accepts only fields of R.
 template <class R>
 class Value {
  public:
@@ -45,7 +45,7 @@ class Value {
     static_assert(std::is_same_v<typename F::Of, R>, "a field of another register");
     return (word_ & F::kMask) != 0;
   }
-  // The low bits of `value`.
+  // Sets the field to the low bits of `value`.
   template <class F>
   constexpr Value& set(F, std::uint32_t value = F::kLargest) noexcept {
     static_assert(std::is_same_v<typename F::Of, R>, "a field of another register");

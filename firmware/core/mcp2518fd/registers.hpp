@@ -6,7 +6,7 @@
 
 namespace groma::mcp2518fd {
 
-// The first four bits of a transfer; twelve of the address follow.
+// The first four bits of a transfer; twelve address bits follow.
 enum class Instruction : std::uint8_t { kReset = 0x0, kWrite = 0x2, kRead = 0x3 };
 
 enum class Mode : std::uint8_t {
@@ -26,7 +26,7 @@ using Con          = Register<0x000>;  // CiCON: modes
 using Nbtcfg       = Register<0x004>;  // CiNBTCFG: nominal bit time
 using Dbtcfg       = Register<0x008>;  // CiDBTCFG: data bit time
 using Tdc          = Register<0x00C>;  // CiTDC: transmitter delay compensation
-using Int          = Register<0x01C>;  // CiINT: interrupt flags and which of them pull the line
+using Int          = Register<0x01C>;  // CiINT: interrupt flags and enables
 using Trec         = Register<0x034>;  // CiTREC: error counters and states
 using TransmitCon  = Register<0x050 + 12 * kTransmitFifo>;  // CiFIFOCON1: control
 using TransmitSta  = Register<0x054 + 12 * kTransmitFifo>;  // CiFIFOSTA1: status
@@ -35,15 +35,15 @@ using ReceiveCon   = Register<0x050 + 12 * kReceiveFifo>;
 using ReceiveSta   = Register<0x054 + 12 * kReceiveFifo>;
 using ReceiveUa    = Register<0x058 + 12 * kReceiveFifo>;
 using Fltcon0      = Register<0x1D0>;  // CiFLTCON0: filters 0 to 3
-using Fltobj0      = Register<0x1F0>;  // CiFLTOBJ0: what filter 0 compares with
-using Mask0        = Register<0x1F4>;  // CiMASK0: which bits of that count
+using Fltobj0      = Register<0x1F0>;  // CiFLTOBJ0: id for filter 0
+using Mask0        = Register<0x1F4>;  // CiMASK0: the bits of it that are compared
 using Osc          = Register<0xE00>;  // clock
 using Ecccon       = Register<0xE0C>;  // error correction of the message RAM
 // clang-format on
 
 namespace con {
 inline constexpr Field<Con, 24, 3> kRequest{};      // REQOP
-inline constexpr Field<Con, 27> kAbort{};           // ABAT: give up all transmissions
+inline constexpr Field<Con, 27> kAbort{};           // ABAT: abort all transmissions
 inline constexpr Field<Con, 21, 3> kMode{};         // OPMOD
 inline constexpr Field<Con, 9, 2> kWakeUpFilter{};  // WFT
 inline constexpr Field<Con, 8> kWakeUpFiltered{};   // WAKFIL
@@ -52,14 +52,14 @@ inline constexpr Field<Con, 5> kIsoCrc{};           // ISOCRCEN
 }  // namespace con
 
 namespace nbtcfg {
-inline constexpr Field<Nbtcfg, 24, 8> kPrescaler{};  // each of these less one
+inline constexpr Field<Nbtcfg, 24, 8> kPrescaler{};  // each field of this register holds its value less one
 inline constexpr Field<Nbtcfg, 16, 8> kSegment1{};
 inline constexpr Field<Nbtcfg, 8, 7> kSegment2{};
 inline constexpr Field<Nbtcfg, 0, 7> kJumpWidth{};
 }  // namespace nbtcfg
 
 namespace dbtcfg {
-inline constexpr Field<Dbtcfg, 24, 8> kPrescaler{};  // each of these less one
+inline constexpr Field<Dbtcfg, 24, 8> kPrescaler{};  // each field of this register holds its value less one
 inline constexpr Field<Dbtcfg, 16, 5> kSegment1{};
 inline constexpr Field<Dbtcfg, 8, 4> kSegment2{};
 inline constexpr Field<Dbtcfg, 0, 4> kJumpWidth{};
@@ -97,7 +97,7 @@ inline constexpr Field<Trec, 21> kBusOff{};  // TXBO
 namespace transmit_con {
 inline constexpr Field<TransmitCon, 29, 3> kPayloadSize{};  // PLSIZE
 inline constexpr Field<TransmitCon, 24, 5> kDepth{};        // FSIZE, less one
-inline constexpr Field<TransmitCon, 21, 2> kAttempts{};     // TXAT: 3, without end
+inline constexpr Field<TransmitCon, 21, 2> kAttempts{};     // TXAT: 3: no limit
 inline constexpr Field<TransmitCon, 9> kRequest{};          // TXREQ
 inline constexpr Field<TransmitCon, 8> kAdvance{};          // UINC
 inline constexpr Field<TransmitCon, 7> kTransmit{};         // TXEN: a FIFO to transmit from
@@ -141,7 +141,7 @@ inline constexpr Field<Mask0, 0, 11> kHighId{};  // MSID
 
 namespace osc {
 inline constexpr Field<Osc, 10> kReady{};     // OSCRDY
-inline constexpr Field<Osc, 5, 2> kOutput{};  // CLKODIV: 3, a tenth, as after a reset
+inline constexpr Field<Osc, 5, 2> kOutput{};  // CLKODIV: 3: a tenth, as after a reset
 inline constexpr Field<Osc, 3> kLowPower{};   // LPMEN: not in the MCP2517FD
 }  // namespace osc
 
@@ -153,7 +153,7 @@ inline constexpr Field<Ecccon, 2> kOnDouble{};  // DEDIE
 
 }  // namespace reg
 
-// The first two words of an object in the message RAM, the same to transmit and received. The payload
+// The first two words of an object in the message RAM, equal for transmission and reception. The payload
 // follows.
 struct ObjectId : Register<0x000> {};
 struct ObjectControl : Register<0x004> {};
