@@ -1,13 +1,12 @@
-// A node's link to its host over CAN: whole frames of frame_codec.hpp in, CAN payloads out, and the bytes
-// from the host the other way.
+// A node's link to its host over CAN: splits frames of frame_codec.hpp into CAN payloads, and passes on the
+// bytes received from the host.
 //
-// All of it is done in steps that the platform takes while the radio wants nothing: one of them moves one CAN
-// frame at most. What it costs differs much, and small steps fit between two frames on the air: see
-// step_us().
+// The platform runs it in steps while the radio does not need the processor; each step moves at most one CAN
+// frame. The cost of steps differs, and short ones fit between two frames on the air: see step_us().
 //
-// What the queue holds when the controller goes bus-off stays; what was in the controller is lost, and the
-// host sees one damaged frame. Before the next try it waits 10 ms, then twice as long each time, up to a
-// second, until a second has gone well.
+// When the controller goes bus-off, the queue is kept; the frames in the controller are lost, and the host
+// sees one damaged frame. The link waits 10 ms before it sends again, and twice as long after each further
+// bus-off, up to one second; after one second without bus-off it starts from 10 ms again.
 #pragma once
 
 #include <algorithm>
@@ -28,21 +27,22 @@ struct CanLinkCounters {
   std::uint32_t frames_received = 0;
   std::uint32_t receive_overruns = 0;
   std::uint32_t bus_offs = 0;
-  std::uint32_t restarts = 0;  // the controller had lost its settings, and was brought up again
+  std::uint32_t restarts = 0;  // the controller had lost its settings and was brought up again
   mcp2518fd::ErrorCounters errors{};
 };
 
 template <mcp2518fd::Spi S>
 class CanLink {
  public:
-  // Room for the largest frame, a report of 16 ranges with raw stamps; four without, eight compact ones.
+  // Holds the largest frame, a report of 16 ranges with raw timestamps; or four without, or eight compact
+  // ones.
   static constexpr std::size_t kQueueBytes = 1536;
   static_assert(kQueueBytes >= wire::max_encoded_size(groma_NodeToHost_size));
 
   explicit constexpr CanLink(S& spi) noexcept : chip_(spi) {}
 
-  // Brings the controller up with an empty queue, as Mcp2518fd::bring_up(). Where that fails, it is tried
-  // again from time to time, but for a bit rate that cannot be.
+  // Brings the controller up with an empty queue, as Mcp2518fd::bring_up(). If that fails, retries
+  // periodically, unless the bit rate is impossible.
   template <class Delay>
   mcp2518fd::BringUp start(const mcp2518fd::Settings& settings, std::uint64_t now_us,
                            Delay&& delay_us) noexcept {
@@ -59,16 +59,17 @@ class CanLink {
 
   void stop() noexcept { wanted_ = false; }
 
-  // Queues a whole frame or nothing.
+  // Queues a whole frame, or nothing and returns false.
   bool write(std::span<const std::uint8_t> frame) noexcept {
     if (!up() || frame.size() > kQueueBytes - size_) return false;
     for (const std::uint8_t byte : frame) queue_[(begin_ + size_++) % kQueueBytes] = byte;
     return true;
   }
 
-  // One step, to be taken when the controller pulls its line low (`interrupt`), when a frame was written, at
-  // next_deadline_us(), and harmlessly at any other time. `sink(bytes)` takes what came from the host;
-  // `delay_us(n)` waits, where the controller has to be brought up again. True: there is more to do at once.
+  // Runs one step. Call it when the controller pulls its line low (`interrupt`), when a frame was written,
+  // and at next_deadline_us(); extra calls are harmless. `sink(bytes)` receives the bytes from the host;
+  // `delay_us(n)` waits if the controller has to be brought up again. Returns true if there is more to do at
+  // once.
   template <class Sink, class Delay>
   bool service(bool interrupt, std::uint64_t now_us, Sink&& sink, Delay&& delay_us) noexcept {
     if (!wanted_) return false;
@@ -77,30 +78,30 @@ class CanLink {
       const Look seen = look(interrupt, now_us, delay_us);
       if (seen == Look::kDown) return false;
       if (seen == Look::kReceived) receive(sink);
-      // A line that stays low for no reason that the controller tells is left alone until the next check.
+      // If the line stays low without a reported cause, leave it until the next check.
       again = interrupt && seen != Look::kNothing;
     }
     if (size_ != 0 && !blocked_ && now_us >= resume_at_us_) again = send_one() || again;
     return again;
   }
 
-  // The longest that service() would take now at 8 MHz: with classic CAN and CAN FD at most 2 or 3 SPI
-  // transfers with 31 or 87 bytes where it only sends; 14 with 119 or 231 where there may be events, and a
-  // frame to be received, too.
+  // The longest time that service() would take now at 8 MHz. Classic CAN and CAN FD: 2 or 3 SPI transfers
+  // with 31 or 87 bytes if it only sends; 14 with 119 or 231 if there may be events and a frame to receive,
+  // too.
   [[nodiscard]] std::uint32_t step_us(bool interrupt, std::uint64_t now_us) const noexcept {
     const bool fd = settings_.format == wire::CanFormat::kFd;
     if (interrupt || now_us >= next_check_us_) return fd ? kLongestStep_us : kLongestStep_us * 2 / 3;
     return fd ? kLongestStep_us / 2 : kLongestStep_us / 4;
   }
 
-  // When service() wants to be called though no interrupt comes; the maximum: never.
+  // When service() has to be called without an interrupt; the maximum: never.
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
     if (!wanted_) return ~std::uint64_t{0};
     const bool held = size_ != 0 && !blocked_ && chip_.state() == mcp2518fd::State::kOnBus;
     return held ? std::min(next_check_us_, resume_at_us_) : next_check_us_;
   }
 
-  // Started, and the controller answers; bus-off or not.
+  // Started, and the controller answers; it may be bus-off.
   [[nodiscard]] bool up() const noexcept { return wanted_ && chip_.state() != mcp2518fd::State::kDown; }
   [[nodiscard]] bool started() const noexcept { return wanted_; }
   [[nodiscard]] bool empty() const noexcept { return size_ == 0; }
@@ -112,7 +113,7 @@ class CanLink {
   static constexpr std::uint64_t kCheckPeriod_us = 100'000;
   static constexpr std::uint64_t kShortestBackOff_us = 10'000;
   static constexpr std::uint64_t kLongestBackOff_us = 1'000'000;
-  // A failing try keeps the processor for 10 ms and more.
+  // A failing attempt blocks the processor for 10 ms or more.
   static constexpr std::uint64_t kRetryPeriod_us = 10'000'000;
 
   enum class Look : std::uint8_t { kDown, kNothing, kSomething, kReceived };
@@ -132,7 +133,7 @@ class CanLink {
       back_off_us_ = soon ? std::min(2 * back_off_us_, kLongestBackOff_us) : kShortestBackOff_us;
       resume_at_us_ = now_us + back_off_us_;
     }
-    // Whatever changed, the next frame finds out whether there is room.
+    // After any change the next frame checks whether there is room.
     if (events.room || events.bus_off || events.on_bus) blocked_ = false;
     if (!interrupt) counters_.errors = chip_.error_counters();
     if (events.received) return Look::kReceived;
@@ -181,7 +182,7 @@ class CanLink {
   std::size_t begin_ = 0;
   std::size_t size_ = 0;
   bool wanted_ = false;
-  bool blocked_ = false;  // the controller had no room; an event will tell
+  bool blocked_ = false;  // the controller had no room; an event reports when it has
   std::uint64_t resume_at_us_ = 0;
   std::uint64_t back_off_us_ = kShortestBackOff_us;
   std::uint64_t next_check_us_ = 0;

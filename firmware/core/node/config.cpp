@@ -28,7 +28,7 @@ dw1000::Preamble preamble_of(groma_Preamble preamble) noexcept {
   }
 }
 
-// The schedule need not list it, but not as of the other role.
+// The schedule need not list the id, but must not list it for the other role.
 bool id_fits(const groma_Config& config) noexcept {
   if (config.id == mac::kNobody || config.id >= mac::kBroadcast) return false;
   const groma_Schedule& schedule = config.schedule;
@@ -154,7 +154,7 @@ groma_Config without_key(const groma_Config& config) noexcept {
 
 std::uint32_t config_hash_of(const groma_Config& config) noexcept {
   wire::Crc32 crc;
-  // Straight into the check: the stack has no room for the bytes.
+  // Feeds the CRC directly: the stack has no room for the encoded bytes.
   pb_ostream_t stream = {.callback =
                              [](pb_ostream_t* to, const pb_byte_t* bytes, std::size_t count) {
                                auto& check = *static_cast<wire::Crc32*>(to->state);

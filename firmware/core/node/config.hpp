@@ -1,4 +1,4 @@
-// A node's configuration: what makes it valid, and its form in storage.
+// A node's configuration: validation, and its stored form.
 #pragma once
 
 #include <cstddef>
@@ -15,17 +15,18 @@
 
 namespace groma::node {
 
-// Bytes that a configuration takes at most, and in storage, where the one before may follow it.
+// Largest size of an encoded configuration, and of a stored one, which may include the configuration before
+// it.
 inline constexpr std::size_t kMaxConfigBytes = groma_Config_size;
 inline constexpr std::size_t kMaxStoredBytes = storage::kMaxRecordBytes;
 
-// What keeps a node from working by this configuration, and what would be right: at most 63 characters, empty
-// where nothing does.
+// The first fault that prevents operation with this configuration, as field and valid values: at most 63
+// characters, empty if there is none.
 [[nodiscard]] const char* fault_of(const groma_Config& config) noexcept;
 
-// The bytes written to the start of `out`; 0 where they do not fit.
+// Encodes to the start of `out` and returns the size; 0: it does not fit.
 [[nodiscard]] std::size_t encode_config(const groma_Config& config, std::span<std::uint8_t> out) noexcept;
-// False where the bytes are no configuration. What may follow it in storage is skipped.
+// Returns false if the bytes are not a configuration. Skips a stored configuration before it.
 [[nodiscard]] bool decode_config(std::span<const std::uint8_t> bytes, groma_Config& out) noexcept;
 [[nodiscard]] inline std::optional<groma_Config> decode_config(std::span<const std::uint8_t> bytes) noexcept {
   std::optional<groma_Config> config(std::in_place);
@@ -33,25 +34,25 @@ inline constexpr std::size_t kMaxStoredBytes = storage::kMaxRecordBytes;
   return config;
 }
 
-// The stored form of a configuration on trial: followed by the one that comes back if it does not prove
-// itself, as a field that a Config does not have. 0 where they do not fit.
+// The stored form of a configuration on trial: the configuration, followed by the one to revert to, in a
+// field that Config does not have. Returns 0 if they do not fit.
 [[nodiscard]] std::size_t encode_on_trial(const groma_Config& config, const groma_Config& before,
                                           std::span<std::uint8_t> out) noexcept;
-// The one before; empty where there is none.
+// The configuration before the trial, encoded; empty if there is none.
 [[nodiscard]] std::span<const std::uint8_t> before_trial(std::span<const std::uint8_t> stored) noexcept;
-// Cuts out of a stored configuration, in place, what is nobody's business: the network's key, and the one
-// before. The bytes that remain, at its start, are the encoded form of without_key().
+// Removes the network key and the configuration before the trial from a stored configuration, in place. The
+// bytes that remain at its start are the encoded form of without_key().
 [[nodiscard]] std::span<const std::uint8_t> shown(std::span<std::uint8_t> stored) noexcept;
 
-// A delay or a power of 0 means the chip's own: see groma.proto.
+// A delay or a power of 0 selects the chip's own: see groma.proto.
 [[nodiscard]] dw1000::RadioSettings radio_settings(const groma_Config& config) noexcept;
 
-// Of a configuration without fault, which outlives it.
+// `config` must have no fault and outlive the site.
 [[nodiscard]] mac::Site site_of(const groma_Config& config, ranging::Ticks transmit_antenna_delay) noexcept;
 [[nodiscard]] std::uint32_t schedule_hash_of(const groma_Config& config) noexcept;
-// Without the network's key, which no node tells: its hash stands for it.
+// The configuration without the network key, which no node reveals; the key's hash remains.
 [[nodiscard]] groma_Config without_key(const groma_Config& config) noexcept;
-// Over all of it but the key: CRC-32 of its encoded form.
+// CRC-32 of the encoded configuration without its key.
 [[nodiscard]] std::uint32_t config_hash_of(const groma_Config& config) noexcept;
 
 }  // namespace groma::node

@@ -1,5 +1,5 @@
-// What an image says of itself before it runs. It stands in flash behind the vector table, and is found there
-// by its mark: whoever flashes tells by it whether a file is an image of ours, and of which build.
+// The identity of an image, readable without running it. It is in flash after the vector table and is found
+// by its mark. A flashing tool reads from it whether a file is an image of this project, and which build.
 #pragma once
 
 #include <array>
@@ -10,10 +10,10 @@ namespace groma::node {
 
 struct ImageIdentity {
   static constexpr std::array<char, 8> kMark{'G', 'R', 'O', 'M', 'A', 'I', 'M', 'G'};
-  // Within so many bytes of the start of flash.
+  // The mark is within this many bytes of the start of flash.
   static constexpr std::size_t kSearched_bytes = 1024;
 
-  // A version longer than there is room is cut.
+  // A longer version is truncated.
   constexpr ImageIdentity(const char* text, std::uint32_t hash) noexcept : git_hash(hash) {
     for (std::size_t i = 0; i + 1 < version.size() && text[i] != '\0'; ++i) version[i] = text[i];
   }

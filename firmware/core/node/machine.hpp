@@ -1,5 +1,5 @@
-// The tag or the anchor that a node is while it is on the air, whichever its role asks for; neither before
-// and after.
+// The tag or the anchor that a node runs while it is on the air, according to its role; neither before and
+// after.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +17,7 @@ namespace groma::node {
 
 class Machine {
  public:
-  // What the arguments refer to outlives it.
+  // All arguments must outlive the machine.
   void become_tag(const mac::Site& site, groma_Counters& counters) noexcept {
     tag_ = std::construct_at(&room_.tag, site, counters);
   }
@@ -29,13 +29,13 @@ class Machine {
     anchor_ = nullptr;
   }
 
-  // Nothing: it is not one.
+  // Null if it is not one.
   [[nodiscard]] mac::Tag* tag() noexcept { return tag_; }
   [[nodiscard]] const mac::Tag* tag() const noexcept { return tag_; }
   [[nodiscard]] mac::Anchor* anchor() noexcept { return anchor_; }
   [[nodiscard]] const mac::Anchor* anchor() const noexcept { return anchor_; }
 
-  // An event: what it wants done. Nothing wants anything where there is neither.
+  // Passes an event to the machine and returns its Step; an empty Step if there is no machine.
   template <class F>
   mac::Step tell(F&& f) noexcept {
     if (tag_) return f(*tag_);
@@ -47,7 +47,7 @@ class Machine {
     if (anchor_) return anchor_->ahead();
     return std::nullopt;
   }
-  // What it is told beside its events, see step.hpp.
+  // The calls besides events, see step.hpp.
   void glance(std::span<const std::uint8_t> frame) noexcept {
     if (tag_) tag_->glance(frame);
     if (anchor_) anchor_->glance(frame);
@@ -75,12 +75,12 @@ class Machine {
     if (anchor_) return &anchor_->station();
     return nullptr;
   }
-  // On the air, and not in search of its network: it knows what comes when.
+  // On the air and synchronized with its network.
   [[nodiscard]] bool in_step() const noexcept {
     const mac::Station* member = station();
     return member != nullptr && member->sync().state() != mac::SyncState::kSearching;
   }
-  // The one under way; 0 where there is neither.
+  // The superframe in progress; 0 if there is no machine.
   [[nodiscard]] std::uint32_t superframe() const noexcept {
     if (tag_) return tag_->superframe_number();
     if (anchor_) return anchor_->superframe_number();

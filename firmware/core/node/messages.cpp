@@ -40,7 +40,7 @@ void set(bool& has, T& field, std::optional<std::int32_t> value) noexcept {
 
 static_assert(static_cast<int>(dw1000::LineOfSight::kUnlikely) == groma_LineOfSight_LINE_OF_SIGHT_UNLIKELY);
 
-// What is known to bend this range, taken out as far as it is asked for and known; `flags` say what was.
+// Applies the corrections that are requested and for which the data is known; sets `flags` accordingly.
 ranging::FlightTime corrected(ranging::FlightTime flight, const mac::Leg& leg, const Ranging& ranging,
                               std::optional<std::int32_t> receive_power_cdbm, std::uint8_t& flags) noexcept {
   if (ranging.correct_temperature && ranging.ambient) {
@@ -68,7 +68,7 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
   groma_Range out = groma_Range_init_zero;
   out.anchor_id = leg.anchor;
   out.status = status_of(range.status);
-  // Where there is no range, the instant is that of the POLL, so that the report can be placed in time.
+  // Without a RESPONSE the instant is that of the POLL, so that the report has a time.
   const ranging::ClockTime instant = leg.answered ? leg.received : exchange.poll_sent;
   out.instant_offset_dtu = (instant - device_time).count();
   std::optional<std::int32_t> receive_power_cdbm;
@@ -177,7 +177,7 @@ groma_SyncState sync_state_of(mac::SyncState state) noexcept {
 
 std::span<const std::uint8_t> MessageEncoder::encode_of(std::span<const std::uint8_t> message,
                                                         std::uint16_t source) noexcept {
-  // The last of a field's values counts.
+  // A decoder uses the last value of a field.
   pb_ostream_t stream = pb_ostream_from_buffer(buffer_.data(), groma_NodeToHost_size);
   const bool fits = pb_write(&stream, message.data(), message.size()) &&
                     pb_encode_tag(&stream, PB_WT_VARINT, groma_NodeToHost_source_id_tag) &&
@@ -196,7 +196,7 @@ std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& c
   pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
   if (!config) return pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0;
   const groma_Reply& reply = message.body.reply;
-  // The configuration is the reply's last field, and the reply the message's.
+  // The configuration is the last field of the reply, and the reply the only field of the message.
   static_assert(groma_Reply_config_tag == 4 && groma_NodeToHost_reply_tag == 6);
   pb_ostream_t size = PB_OSTREAM_SIZING;
   const bool fits = pb_encode(&size, groma_Reply_fields, &reply) &&

@@ -1,4 +1,4 @@
-// The configuration that a node keeps in flash, and how it is read back from there.
+// The configuration that a node keeps in flash, and how it is read back.
 #pragma once
 
 #include <array>
@@ -23,7 +23,7 @@ class StoredConfig {
     std::optional<groma_Config> config;
     bool on_trial = false;
   };
-  // What is stored, or with `before` the one that it would give way to, if it is a configuration to work by.
+  // The stored configuration, or with `before` the one to revert to; nothing if it is not valid.
   [[nodiscard, gnu::noinline]] Stored load(bool before = false) noexcept {
     Stored stored;
     size_ = platform_.load_config(blob_);
@@ -36,13 +36,13 @@ class StoredConfig {
     if (!good || fault_of(*stored.config)[0] != '\0') stored.config.reset();
     return stored;
   }
-  // What load() has read, encoded, as it may be told; once after each load().
+  // The encoded configuration of the last load(), without secrets; call once after each load().
   [[nodiscard]] std::span<const std::uint8_t> shown() noexcept {
     return node::shown(std::span(blob_).first(size_));
   }
 
-  // With the one before beside it where it is on trial. False: not stored, or it reads back otherwise. An
-  // erase stalls the processor for 85 ms: off the air.
+  // Stores `config`, and if it is on trial the one `before` it. Returns false if it was not stored or reads
+  // back differently. An erase stalls the processor for 85 ms, so the node must be off the air.
   [[nodiscard, gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
     const std::size_t size =
         before == nullptr ? encode_config(config, blob_) : encode_on_trial(config, *before, blob_);
@@ -50,15 +50,15 @@ class StoredConfig {
     if (size == 0 || !platform_.store_config(std::span(blob_).first(size))) return false;
     return platform_.load_config(blob_) == size && wire::crc32(std::span(blob_).first(size)) == check;
   }
-  // False: not erased. Off the air, as keep().
+  // Returns false if the flash was not erased. Off the air, as keep().
   [[nodiscard]] bool erase() noexcept {
     return platform_.store_config({}) && platform_.load_config(blob_) == 0;
   }
 
  private:
   P& platform_;
-  std::array<std::uint8_t, kMaxStoredBytes> blob_{};  // what is read from or goes to storage
-  std::size_t size_ = 0;                              // of what was read last
+  std::array<std::uint8_t, kMaxStoredBytes> blob_{};  // buffer for reading and writing storage
+  std::size_t size_ = 0;                              // of the last read
 };
 
 }  // namespace groma::node

@@ -8,7 +8,7 @@ namespace {
 
 using Sum = SurveySums::Sum;
 
-// The bytes need not be aligned for it.
+// The bytes need not be aligned.
 Sum sum_at(std::span<const std::uint8_t> room, std::size_t i) noexcept {
   Sum sum;
   std::memcpy(&sum, room.subspan(i * sizeof(Sum)).data(), sizeof(Sum));

@@ -1,4 +1,4 @@
-// What an anchor that surveys has found: mean and spread of its ranges to each of the others.
+// The results of an anchor's survey: mean and standard deviation of its ranges to each other anchor.
 #pragma once
 
 #include <cstddef>
@@ -10,18 +10,18 @@
 
 namespace groma::node {
 
-// Keeps its sums in somebody else's bytes, `room` of each call, which nobody else writes meanwhile.
+// Keeps its sums in a borrowed buffer, the `room` of each call, which must not change between calls.
 class SurveySums {
  public:
   static constexpr std::size_t kMaxPairs = sizeof(groma_SurveyReport::pairs) / sizeof(groma_SurveyPair);
 
   void clear() noexcept { count_ = 0; }
-  // Anchors beyond kMaxPairs are left out.
+  // Ignores anchors beyond kMaxPairs.
   void add(std::uint16_t anchor, float range_m, std::span<std::uint8_t> room) noexcept;
-  // An empty one is filled.
+  // Fills an empty report.
   void fill(groma_SurveyReport& report, std::span<const std::uint8_t> room) const noexcept;
 
-  // By Welford's recurrence.
+  // Mean and squares by Welford's recurrence.
   struct Sum {
     std::uint16_t anchor = mac::kNobody;
     std::uint16_t count = 0;

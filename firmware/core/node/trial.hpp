@@ -1,5 +1,5 @@
-// A configuration on trial: its time runs, and when it is over the other one has its turn, as long, until one
-// of the two is settled on.
+// Timing of a configuration on trial: when its time is over, the previous configuration gets as long, and so
+// on in turn until one of the two is confirmed.
 #pragma once
 
 #include <cstdint>
@@ -21,9 +21,10 @@ class Trial {
 
   [[nodiscard]] bool under_way() const noexcept { return end_us_ != kNever_us; }
   [[nodiscard]] bool is_over(std::uint64_t now_us) const noexcept { return now_us >= end_us_; }
-  // In the first round it proves itself by an answer that arrived; from then on being in step is enough.
+  // In the first round an acknowledged answer confirms the configuration; in later rounds synchronization is
+  // enough.
   [[nodiscard]] bool in_first_round() const noexcept { return round_ == 0; }
-  // True: it is the turn of the configuration before.
+  // Returns true if it is the turn of the previous configuration.
   [[nodiscard]] bool next_round() noexcept { return ++round_ % 2 != 0; }
 
  private:

@@ -13,7 +13,7 @@ constexpr FlightTime flight_of_um(double distance_um) noexcept {
   return FlightTime(static_cast<std::int64_t>(in_256ths + (in_256ths < 0.0 ? -0.5 : 0.5)));
 }
 
-// `rate` a unit of the deviation, which is in units of 1/scale; in 1/256 tick.
+// `deviation` is in units of 1/scale, `rate` per unit; the result is in 1/256 tick.
 constexpr FlightTime drift(std::int64_t deviation, FlightTime rate, std::int64_t scale) noexcept {
   const std::int64_t product = deviation * rate.in_256ths();
   return FlightTime((product + (product < 0 ? -scale : scale) / 2) / scale);
@@ -27,7 +27,7 @@ constexpr std::array<std::int16_t, 17> kBias_mm = {81,  76,  71,  62,  49,  42, 
 }  // namespace
 
 FlightTime temperature_drift(std::int32_t temperature_cdegc) noexcept {
-  // A thousand degrees at once, so that the rate does not round.
+  // Per 1000 degrees, so that rounding of the rate is negligible.
   constexpr FlightTime kPer1000 = flight_of_um(1000.0 * kTemperatureDrift_um);
   return drift(std::int64_t{temperature_cdegc} - kReferenceTemperature_cdegc, kPer1000,
                std::int64_t{100} * 1000);

@@ -1,12 +1,13 @@
-// Time as the DW1000 counts it: ticks of 1/(128 x 499.2 MHz) = 15.65 ps, 40 bits, wrapping each 17.2 s.
+// Time in the DW1000's units: ticks of 1/(128 x 499.2 MHz) = 15.65 ps. The chip's counter has 40 bits and
+// wraps each 17.2 s.
 //
-//   Ticks       a signed length of time
+//   Ticks       a signed duration
 //   DeviceTime  an instant of the chip's counter, modulo 2^40
 //   ClockTime   an instant of the node's clock in 64 bits, which does not wrap (9 years)
-//   Unwrapper   from one to the other
+//   Unwrapper   converts between the two
 //
-// None of them converts to or from a number, or a length to an instant, unless asked by name: microseconds
-// cannot be taken for ticks.
+// All conversions to and from numbers, and from durations to instants, are explicit, so that microseconds
+// cannot be mistaken for ticks.
 #pragma once
 
 #include <compare>
@@ -66,7 +67,7 @@ class DeviceTime {
   static constexpr std::uint64_t kMask = (std::uint64_t{1} << 40) - 1;
 
   constexpr DeviceTime() noexcept = default;
-  // The low 40 bits of `count`.
+  // From the low 40 bits of `count`.
   constexpr explicit DeviceTime(std::uint64_t count) noexcept : count_(count & kMask) {}
 
   [[nodiscard]] constexpr std::uint64_t count() const noexcept { return count_; }
@@ -75,7 +76,7 @@ class DeviceTime {
     return DeviceTime(t.count_ + static_cast<std::uint64_t>(d.count()));
   }
   friend constexpr DeviceTime operator-(DeviceTime t, Ticks d) noexcept { return t + -d; }
-  // The shorter way round: -2^39 to 2^39 - 1 ticks, that is +-8.6 s.
+  // The shorter difference modulo 2^40: -2^39 to 2^39 - 1 ticks, that is +-8.6 s.
   friend constexpr Ticks operator-(DeviceTime later, DeviceTime earlier) noexcept {
     const std::uint64_t modular = (later.count_ - earlier.count_) & kMask;
     const auto signed_ticks = static_cast<std::int64_t>(modular);
@@ -124,30 +125,30 @@ inline constexpr Ticks kTransmitGrid{512};
   return Ticks((t.count() + kTransmitGrid.count() - 1) & ~(kTransmitGrid.count() - 1));
 }
 
-// The stamp of the last transmission that can leave the antenna not after `latest`, the grid and the antenna
-// delay taken into account: both ends of the chain know it before the frame is sent.
+// The timestamp of the last transmission that can leave the antenna not after `latest`, given the grid and
+// the antenna delay. It is known before the frame is sent.
 [[nodiscard]] constexpr ClockTime transmit_stamp_not_after(ClockTime latest, Ticks antenna_delay) noexcept {
   const std::int64_t at_chip = (latest - antenna_delay).count() & ~(kTransmitGrid.count() - 1);
   return ClockTime(at_chip) + antenna_delay;
 }
 
-// Follows the 40-bit counter over its wraps. It must see an instant at least each 8 s. A ClockTime's low 9
-// bits are the counter's, so that the transmit grid is the same in both.
+// Extends the 40-bit counter over its wraps. It must process an instant at least each 8 s. A ClockTime's low
+// 9 bits equal the counter's, so that both have the same transmit grid.
 class Unwrapper {
  public:
   [[nodiscard]] constexpr DeviceTime wrap(ClockTime t) const noexcept {
     return DeviceTime(static_cast<std::uint64_t>((t - offset_).count()));
   }
 
-  // The instant nearest to the latest one seen; later ones become the latest.
+  // The instant nearest to the latest one so far; a later one becomes the latest.
   constexpr ClockTime unwrap(DeviceTime t) noexcept {
     const ClockTime result = latest_ + (t - wrap(latest_));
     if (result > latest_) latest_ = result;
     return result;
   }
 
-  // The counter started anew and reads `counter` now, `elapsed` (not negative) after the latest instant seen:
-  // the clock goes on from there without a step back.
+  // The counter has restarted and now reads `counter`, `elapsed` (not negative) after the latest instant. The
+  // clock continues without a step back.
   constexpr void restart(DeviceTime counter, Ticks elapsed) noexcept {
     const ClockTime now = latest_ + elapsed;
     offset_ = round_up_to_grid(Ticks((now - Ticks(static_cast<std::int64_t>(counter.count()))).count()));

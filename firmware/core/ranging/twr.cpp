@@ -5,7 +5,7 @@
 namespace groma::ranging {
 namespace {
 
-// The products of two intervals have 80 bits, and a Cortex-M4 has no 128-bit integer.
+// The product of two intervals has 80 bits, and a Cortex-M4 has no 128-bit integer.
 struct Wide {
   std::uint64_t high = 0;
   std::uint64_t low = 0;
@@ -38,15 +38,15 @@ constexpr Wide shift_left(const Wide& a, int bits) noexcept {
   return {(a.high << bits) | (a.low >> (64 - bits)), a.low << bits};
 }
 
-// The quotient's low 64 bits, rounded down. The divisor is below 2^48, so that a digit of 16 bits fits
-// beside each remainder.
+// The quotient's low 64 bits, rounded down. The divisor must be below 2^48, so that the remainder and a digit
+// of 16 bits fit into 64 bits.
 constexpr std::uint64_t divide(const Wide& numerator, std::uint64_t divisor) noexcept {
   std::uint64_t quotient = 0;
   std::uint64_t remainder = 0;
   for (int digit = 7; digit >= 0; --digit) {
     const std::uint64_t word = digit >= 4 ? numerator.high : numerator.low;
     const std::uint64_t chunk = (remainder << 16) | ((word >> (16 * (digit % 4))) & 0xFFFF);
-    // Most digits are zero, and a division costs a Cortex-M4 a hundred instructions.
+    // Most digits are zero, and a division takes a Cortex-M4 a hundred instructions.
     const std::uint64_t value = chunk < divisor ? 0 : chunk / divisor;
     quotient = (quotient << 16) | value;
     remainder = chunk - value * divisor;
@@ -85,7 +85,7 @@ std::optional<FlightTime> double_sided(const DoubleSidedIntervals& i) noexcept {
 
 std::optional<FlightTime> single_sided(Ticks round, Ticks reply, std::int32_t offset_ppb) noexcept {
   if (!in_bounds(round) || !in_bounds(reply)) return std::nullopt;
-  // 256 ((round - reply) + reply e / 10^9) / 2, the correction in 256ths: 40 + 20 + 8 bits before the
+  // 256 ((round - reply) + reply e / 10^9) / 2, with the correction in 256ths: 40 + 20 + 8 bits before the
   // division.
   constexpr std::uint64_t kBillion = 1'000'000'000;
   const bool slow = offset_ppb < 0;
@@ -104,7 +104,7 @@ std::int32_t clock_offset_ppb(const DoubleSidedIntervals& i) noexcept {
   const std::int64_t difference = (by_anchor - by_tag).count();
   const bool slow = difference < 0;
   const auto magnitude = static_cast<std::uint64_t>(slow ? -difference : difference);
-  // Beyond the limit the quotient could leave 64 bits.
+  // Beyond the limit the quotient could exceed 64 bits.
   if (by_tag.count() <= 0 || magnitude > positive(by_tag) / 1000) {
     return static_cast<std::int32_t>(slow ? -kLimit_ppb : kLimit_ppb);
   }

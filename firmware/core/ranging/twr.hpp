@@ -1,4 +1,4 @@
-// Two-way ranging: flight times from intervals that two free-running clocks measured.
+// Two-way ranging: times of flight from intervals measured by two free-running clocks.
 #pragma once
 
 #include <compare>
@@ -11,7 +11,7 @@ namespace groma::ranging {
 
 inline constexpr double kSpeedOfLight_mps = 299'792'458.0;
 
-// A time of flight in 1/256 tick (0.018 mm), so that the arithmetic does not round to whole ticks (4.7 mm).
+// A time of flight in 1/256 tick (0.018 mm), which avoids rounding to whole ticks (4.7 mm).
 class FlightTime {
  public:
   static constexpr int kFractionBits = 8;
@@ -40,9 +40,9 @@ class FlightTime {
   std::int64_t in_256ths_ = 0;
 };
 
-// One double-sided exchange. The tag sends at T1, hears the answer at T2 and sends again at T3; the anchor
-// hears at A1, answers at A2 and hears again at A3. The tag's clock measures the two tag intervals, the
-// anchor's the others.
+// The intervals of one double-sided exchange. The tag sends at T1, receives the answer at T2 and sends again
+// at T3. The anchor receives at A1, answers at A2 and receives again at A3. The tag's clock measures the two
+// tag intervals, the anchor's clock the others.
 struct DoubleSidedIntervals {
   Ticks tag_round;     // T2 - T1
   Ticks anchor_reply;  // A2 - A1
@@ -51,19 +51,19 @@ struct DoubleSidedIntervals {
 };
 
 // tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), rounded to the nearest 1/256 tick: the asymmetric double-sided
-// form, whose error is about tof times the clocks' offset, whatever the delays. With the two ends in uniform
-// motion it is the flight time of the answer, at A2 to T2. Nothing where an interval is not within 1 and
-// 2^40 - 1 ticks.
+// formula. Its error is about tof times the clocks' offset, for any delays. If the distance changes
+// uniformly, the result is the time of flight of the answer, from A2 to T2. Nothing if an interval is not
+// within 1 and 2^40 - 1 ticks.
 [[nodiscard]] std::optional<FlightTime> double_sided(const DoubleSidedIntervals& intervals) noexcept;
 
-// tof = (Tround - Treply (1 - e)) / 2 with e the responder's clock against the initiator's, in parts per
-// 10^9 (fast is positive, |e| up to 10^6), to within 1/256 tick. Its error is Treply / 2 times that of e.
-// Nothing where an interval is not within 1 and 2^40 - 1 ticks.
+// tof = (Tround - Treply (1 - e)) / 2 to within 1/256 tick. e is the responder's clock against the
+// initiator's, in parts per 10^9 (positive: fast; |e| up to 10^6). Its error is Treply / 2 times that of e.
+// Nothing if an interval is not within 1 and 2^40 - 1 ticks.
 [[nodiscard]] std::optional<FlightTime> single_sided(Ticks round, Ticks reply,
                                                      std::int32_t clock_offset_ppb) noexcept;
 
-// How much faster the anchor's clock runs than the tag's by the four intervals, which both clocks measured
-// from T1 (A1) to T3 (A3), in parts per 10^9; rounded, saturated at +-10^6. Intervals as in double_sided().
+// The anchor's clock against the tag's in parts per 10^9, positive if the anchor is fast, from the intervals
+// T1 to T3 and A1 to A3; rounded, saturated at +-10^6. Intervals as in double_sided().
 [[nodiscard]] std::int32_t clock_offset_ppb(const DoubleSidedIntervals& intervals) noexcept;
 
 }  // namespace groma::ranging

@@ -1,5 +1,5 @@
-// The one thing that authentication asks of the hardware: AES-128, a block at a time, or a chain of blocks
-// beside what the processor is at.
+// The hardware interface for authentication: AES-128 for one block, or for a chain of blocks in the
+// background.
 #pragma once
 
 #include <array>
@@ -14,14 +14,14 @@ inline constexpr std::size_t kBlockBytes = 16;
 using Block = std::array<std::uint8_t, kBlockBytes>;
 using Key = std::array<std::uint8_t, kBlockBytes>;
 
-// What is still to be added in a CBC-MAC (NIST SP 800-38C, 6.1 step 3): to each block of it, which the one
-// before has become, the next bytes.
+// The remaining input of a CBC-MAC (NIST SP 800-38C, 6.1 step 3): each output block is XORed with the next
+// bytes and encrypted again.
 struct Chain {
-  std::size_t filled = 0;                // bytes of the next block that have theirs already
-  std::span<const std::uint8_t> rest{};  // zeros after its end, up to a whole block
+  std::size_t filled = 0;                // bytes of the next block that have been XORed already
+  std::span<const std::uint8_t> rest{};  // padded with zeros to a whole block
 
-  // Adds to `state` what the next block takes of the rest. Word by word, for it is an interrupt's work; the
-  // built-in, for a freestanding compiler calls the function.
+  // XORs the next bytes into `state`. Works word by word because it runs in an interrupt, and with the
+  // built-in because a freestanding compiler calls the memcpy function.
   void absorb(Block& state) noexcept {
     const std::size_t room = kBlockBytes - filled;
     const std::size_t taken = room < rest.size() ? room : rest.size();
@@ -46,11 +46,12 @@ struct Chain {
 
 class BlockCipher {
  public:
-  // The block encrypted in place, bytes in FIPS 197's order. False: it was not, and the block holds anything.
+  // Encrypts the block in place, bytes in FIPS 197's order. Returns false on failure; the block is then
+  // unspecified.
   [[nodiscard]] virtual bool encrypt(const Key& key, Block& block) noexcept = 0;
 
-  // Begins a chain of at least one block, from `state` on. Its bytes stay as they are until finish(), or
-  // until something else is asked of the cipher, which then waits for it.
+  // Starts a chain of at least one block, from `state`. The chain's bytes must not change until finish(), or
+  // until another call to the cipher, which then waits for the chain.
   virtual void begin(const Key& key, const Block& state, Chain chain) noexcept {
     Block block = state;
     bool good = true;
@@ -60,7 +61,7 @@ class BlockCipher {
     } while (good && !chain.rest.empty());
     result_ = good ? std::optional<Block>(block) : std::nullopt;
   }
-  // What the last block of the chain begun last has become; nothing where the cipher failed.
+  // The last output block of the chain started last; nothing if the cipher failed.
   [[nodiscard]] virtual std::optional<Block> finish() noexcept { return result_; }
 
  protected:

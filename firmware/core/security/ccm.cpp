@@ -5,12 +5,12 @@
 namespace groma::security {
 namespace {
 
-constexpr std::uint8_t kLengthBytes = 2;  // of the message's length: L
+constexpr std::uint8_t kLengthBytes = 2;  // L: size of the message's length field
 constexpr std::uint8_t kCounterFlags = kLengthBytes - 1;
-constexpr std::uint8_t kAuthenticated = 0x40;  // there are bytes beside the (empty) message
+constexpr std::uint8_t kAuthenticated = 0x40;  // there is authenticated data besides the (empty) message
 constexpr std::uint8_t kFirstFlags = kAuthenticated | (std::tuple_size_v<Code> - 2) / 2 << 3 | kCounterFlags;
 
-// B0 and A0: flags, nonce, and a message's length or a counter, both 0.
+// B0 and A0: flags, nonce, and the message's length or a counter, both 0.
 Block block_of(std::uint8_t flags, const Nonce& nonce) noexcept {
   Block block{flags};
   std::copy(nonce.begin(), nonce.end(), block.begin() + 1);
@@ -51,7 +51,7 @@ std::optional<Code> code_of(BlockCipher& cipher, const Key& key, const Nonce& no
 
 bool equal(std::span<const std::uint8_t> a, std::span<const std::uint8_t> b) noexcept {
   if (a.size() != b.size()) return false;
-  // Looked at whole: the compiler may not leave the loop at a difference.
+  // Always compares all bytes: with a volatile the compiler cannot leave the loop at a difference.
   volatile std::uint8_t difference = 0;
   for (std::size_t i = 0; i < a.size(); ++i) difference = difference | (a[i] ^ b[i]);
   return difference == 0;

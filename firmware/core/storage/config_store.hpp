@@ -4,14 +4,13 @@
 
 namespace groma::storage {
 
-// A node's configuration in flash: what a platform's load_config() and store_config() stand on (see
-// node/platform.hpp).
+// A node's configuration in flash, for a platform's load_config() and store_config() (see node/platform.hpp).
 template <Flash F>
 class ConfigStore {
  public:
   explicit constexpr ConfigStore(F& flash) noexcept : records_(flash) {}
 
-  // As RecordStore::load() and store() say.
+  // As RecordStore::load() and store().
   [[nodiscard]] std::size_t load(std::span<std::uint8_t> out) const noexcept {
     return records_.load(Key::kConfig, out);
   }

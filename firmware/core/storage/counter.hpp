@@ -8,9 +8,9 @@
 
 namespace groma::storage {
 
-// A counter that never gives a value twice, whatever resets and power cuts come between: it keeps in flash
-// where the values that may have been given end, and reserves a block ahead. The values of a block that a
-// reset cut short are lost. At some 250 boots an erase and 10^4 erases a page, flash bears 5 million boots.
+// A counter that never returns a value twice, in spite of resets and power cuts. It stores in flash the end
+// of the values that may have been returned, and reserves a block in advance. A reset discards the rest of a
+// block. At about 250 boots per erase and 10^4 erases per page, flash lasts for 5 million boots.
 template <Flash F>
 class Counter {
  public:
@@ -18,11 +18,12 @@ class Counter {
 
   explicit Counter(F& flash) noexcept : records_(flash) {}
 
-  // Once while booting, for it may take an erase: reserves the first block. Its number, 1 for the first ever,
-  // is the boot's own; 0: the flash failed.
+  // Call once while booting, because it may take an erase: reserves the first block. Returns the block's
+  // number as the number of this boot, 1 for the first ever; 0: the flash failed.
   std::uint32_t open_block() noexcept { return reserve() ? static_cast<std::uint32_t>(end_ / kBlock) : 0; }
 
-  // Writes to flash where no block is open or it is used up. Nothing: the flash failed; no value may be used.
+  // Writes to flash if no block is open or the block is used up. Nothing: the flash failed, and no value may
+  // be used.
   [[nodiscard]] std::optional<std::uint64_t> next() noexcept {
     if (next_ == end_ && !reserve()) return std::nullopt;
     return next_++;

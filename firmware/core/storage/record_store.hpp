@@ -1,26 +1,24 @@
-// Small things that outlive resets and power cuts, in two pages of flash: the newest record of each key.
+// Small records that survive resets and power cuts, in two pages of flash: the newest record of each key.
 //
 //   page    0  "GROM"      u32 0x4D4F5247
 //           4  u32         format version
-//           8  u32         sequence number, one more than the other page's when this one took over; it may
-//           wrap
+//           8  u32         sequence number, one more than the other page's when this one took over; may wrap
 //          12  u32         CRC-32 of the 12 bytes before
-//          16  records, one behind the other
+//          16  records, one after the other
 //
 //   record  0  u8 0xA5, u8 key, u16 length of the payload
 //           4  payload, padded with zeros to a multiple of 4
-//           .  u32         CRC-32 of the page's sequence number and of all before
+//           .  u32         CRC-32 of the page's sequence number and of all bytes of the record before it
 //
-// All little-endian. In force is the valid page with the newer sequence number, and there the last record of
-// a key, up to the first one that is not valid. An empty record says that there is nothing of that key any
-// more.
+// All numbers are little-endian. The active page is the valid page with the newer sequence number. The value
+// of a key is its last record there, before the first invalid record. An empty record deletes its key.
 //
-// A record is appended to the page in force while there is blank room. Else the other page is erased and gets
-// the newest record of each other key, then the new one, and its head last of all, with which it takes over:
-// until then the page in force is not touched. So a power cut at any instant leaves either the old state or
-// the new. Each word is written once between two erases.
+// A record is appended to the active page while there is blank room. Otherwise the other page is erased and
+// gets the newest record of each other key, then the new record, and its header last, which activates it.
+// Until then the active page is not changed, so a power cut at any instant leaves either the old state or the
+// new. Each word is written once between two erases.
 //
-// Nothing is kept in RAM: each call reads the flash anew, some 8 KiB at most.
+// Nothing is cached in RAM: each call reads the flash again, about 8 KiB at most.
 #pragma once
 
 #include <array>
@@ -48,7 +46,8 @@ class RecordStore {
  public:
   explicit constexpr RecordStore(F& flash) noexcept : flash_(flash) {}
 
-  // The newest record's payload to the start of `out`, and its length; 0: there is none, or it does not fit.
+  // Copies the newest record's payload to the start of `out` and returns its length; 0: there is none, or it
+  // does not fit.
   [[nodiscard]] std::size_t load(Key key, std::span<std::uint8_t> out) const noexcept {
     const std::optional<Record> record = newest(key);
     if (!record || record->bytes > out.size()) return 0;
@@ -56,9 +55,9 @@ class RecordStore {
     return record->bytes;
   }
 
-  // Keeps `payload` in place of the one before; an empty one erases it. True: it is in flash and was read
-  // back. False: too long, or the flash failed; the one before is then still in force. Takes an erase (see
-  // flash.hpp) where the page is full.
+  // Replaces the record of `key`; an empty payload deletes it. Returns true if the record is in flash and was
+  // read back. Returns false if it is too long or the flash failed; the old record then stays valid. Takes an
+  // erase (see flash.hpp) if the page is full.
   [[nodiscard]] bool store(Key key, std::span<const std::uint8_t> payload) noexcept {
     if (payload.size() > kMaxRecordBytes) return false;
     if (holds(key, payload)) return true;
@@ -76,7 +75,7 @@ class RecordStore {
   struct Record {
     Key key{};
     std::uint32_t bytes = 0;    // of the payload
-    std::uint32_t payload = 0;  // where it is
+    std::uint32_t payload = 0;  // offset of the payload
     std::uint32_t end = 0;
   };
   struct Page {
@@ -126,7 +125,7 @@ class RecordStore {
                   .end = check_at + 4};
   }
 
-  // Calls f(record) for each valid one; returns where the first that is not valid, or blank room, begins.
+  // Calls f(record) for each valid record; returns the offset of the first invalid one, or of the blank room.
   template <class Function>
   std::uint32_t each_record(const Page& page, Function&& f) const noexcept {
     std::uint32_t offset = start_of(page.index) + kHeadBytes;
@@ -169,7 +168,7 @@ class RecordStore {
 
   // ---- writing -------------------------------------------------------------------------------------------
 
-  // Writes words in order and checks each; once one has failed it writes no more.
+  // Writes words in order and verifies each; writes no more after a failure.
   class Writer {
    public:
     Writer(F& flash, std::uint32_t offset) noexcept : flash_(flash), offset_(offset) {}
@@ -219,7 +218,7 @@ class RecordStore {
     return writer.good();
   }
 
-  // To the page that is not in force, which it erases.
+  // Writes to the inactive page, after erasing it.
   bool move(Key key, std::span<const std::uint8_t> payload) noexcept {
     const std::optional<Page> from = page_in_force();
     const std::size_t to = from ? 1 - from->index : 0;
