@@ -139,7 +139,7 @@ struct Data {
   bool to_host = false;
   bool asks = false;           // requests an acknowledgement now
   std::uint8_t hops_left = 0;  // remaining relay hops, 0 to 3
-  std::uint8_t round = 0;      // counts transmissions, modulo 8: a relay forwards each one once
+  std::uint8_t round = 0;      // counts transmissions modulo 8, so that a relay recognizes each
   std::uint8_t size = 0;
   std::array<std::uint8_t, kMaxDataBytes> payload{};
   friend bool operator==(const Data&, const Data&) = default;

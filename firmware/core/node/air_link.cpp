@@ -10,13 +10,13 @@ using mac::kMaxDataBytes;
 
 namespace {
 
-// By then nothing of what went before is on its way any more.
+// Open slots after which no older frame is in transit any more.
 constexpr std::uint8_t kForgotten = 64;
 constexpr std::uint8_t kPassings = 2;
 constexpr std::uint8_t kSilent_s = 5;
 constexpr std::size_t kLengthBytes = 2;
 
-// Tells one frame from another, and from its repetition.
+// Identifies a frame and its repetition number.
 std::uint32_t key_of(const Data& data) noexcept {
   return std::uint32_t{data.origin} << 16U | std::uint32_t{data.message} << 8U | (data.fragment & 7U) << 5U |
          (data.acknowledgement ? 0x10U : 0U) | (data.to_host ? 0x08U : 0U) | (data.round & 7U);
@@ -133,7 +133,7 @@ std::optional<Data> AirLink::next() noexcept {
   if (idle_ < kForgotten) ++idle_;
   if (wait_ > 0) --wait_;
   if (passing_wait_ > 0) --passing_wait_;
-  // Whoever joins, and other messages, need a slot now and then.
+  // Leave slots free for nodes that join and for other messages.
   if (random() % 4 == 0) return std::nullopt;
   if (std::exchange(acknowledge_, false)) return acknowledgement();
   if (passing_ != 0 && passing_wait_ == 0) {
@@ -159,7 +159,7 @@ std::optional<Data> AirLink::next_fragment() noexcept {
   const std::uint8_t index = std::min(next_, last);
   round_over_ = index == last;
   next_ = static_cast<std::uint8_t>(index + 1U);
-  // A frame that is passed on needs the next open slot, should the master be among those who do.
+  // A frame with hops left needs one more open slot if the master is one of the relays.
   wait_ = round_over_ ? reply_wait() : static_cast<std::uint8_t>(hops_ > 0 ? 2 : 0);
   return fragment(index, round_over_);
 }
@@ -241,7 +241,8 @@ void AirLink::pass_on(const Data& data) noexcept {
   passed_ = data;
   --passed_.hops_left;
   passing_ = kPassings;
-  // The others have a turn of their own before; should the station be short of those, they use open slots.
+  // The master relays in an open slot soon. Back-ups relay in their own turns, and in an open slot only if
+  // they get none.
   passing_wait_ = leading_ ? 1 : static_cast<std::uint8_t>(3 + random() % 4);
 }
 
@@ -256,7 +257,7 @@ void AirLink::take_command(const Data& data, bool direct) noexcept {
   if (asking()) return;
   const bool same = asked() && data.origin == peer_ && data.message == message_;
   if (!same) {
-    // Nothing takes the place of a command that is being carried out.
+    // Do not replace a command that is being executed.
     if (phase_ == Phase::kTaken) return;
     const bool serving = asked() && phase_ != Phase::kAnswered && data.origin != peer_;
     if (stale(data) || (serving && idle_ < kForgotten) || data.fragments > kMaxFragments) return;
@@ -283,7 +284,7 @@ void AirLink::take_command(const Data& data, bool direct) noexcept {
       acknowledge_ = data.asks;
       break;
     case Phase::kAnswered:
-      // The other one has begun anew, or an answer was never acknowledged.
+      // The peer has started again, or never acknowledged the answer.
       begin_sending(Phase::kAnswering);
       next_ = last_missing();
       break;
@@ -322,7 +323,7 @@ bool AirLink::store(const Data& data) noexcept {
 
 void AirLink::take_acknowledgement(const Data& data) noexcept {
   if (data.origin != peer_ || data.message != message_ || data.size != 1) return;
-  // Asked how far it is, a node that is still carrying the command out says that it has it.
+  // A node that is still executing the command acknowledges it when asked for progress.
   if (data.to_host && phase_ == Phase::kTaken) acknowledge_ = true;
   if (!data.to_host && phase_ == Phase::kAwaiting) tries_ = 0;
   const bool mine =
@@ -334,7 +335,7 @@ void AirLink::take_acknowledgement(const Data& data) noexcept {
     begin_sending(Phase::kAnswering);
   }
   idle_ = 0;
-  if (phase_ == Phase::kAnswering && held == 0 && have_ == 0 && !round_over_) return;  // asks how far it is
+  if (phase_ == Phase::kAnswering && held == 0 && have_ == 0 && !round_over_) return;  // a progress request
   tries_ = 0;
   have_ = static_cast<std::uint8_t>(have_ | held);
   if (have_ == all()) {
@@ -348,7 +349,7 @@ void AirLink::take_acknowledgement(const Data& data) noexcept {
     wait_ = reply_wait();
     return;
   }
-  // A new round with what is missing.
+  // Start a new round with the missing fragments.
   round_over_ = false;
   next_ = 0;
   wait_ = 0;

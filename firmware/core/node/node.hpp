@@ -1,13 +1,13 @@
-// A node: the radio's driver, the tag or the anchor that uses it, and the link to the host.
+// A node: the radio driver, the tag or anchor that uses it, and the link to the host.
 //
-// The order of work after each radio interrupt: take the event, let the state machine decide, arm the radio
-// for what is next; what the exchange gave is evaluated and reported afterwards, in pieces for which the
-// radio has no use of the processor (on_timer()). The slots run on the DW1000's clock alone. The processor's
-// clock paces telemetry and stands by with a deadline for each operation of the radio: should its interrupt
-// stay away, the chip is brought up again and the node joins anew.
+// After each radio interrupt the node takes the event, lets the state machine decide, and arms the radio for
+// the next action. After that it evaluates and reports a completed exchange, in steps that fit into the time
+// in which the radio does not need the processor (on_timer()). The slots depend on the DW1000's clock only.
+// The processor's clock times the telemetry and a deadline for each operation of the radio. If the interrupt
+// does not come by then, the node brings the chip up and joins again.
 //
-// An unconfigured node sends nothing and listens for 20 ms each second, so that it, too, can prove that
-// radio, bus, interrupt and loop are alive (platform.hpp, proof_of_life()).
+// An unconfigured node sends nothing. It listens for 20 ms each second, to prove that radio, bus, interrupt
+// and loop are alive (platform.hpp, proof_of_life()).
 #pragma once
 
 #include <pb_decode.h>
@@ -36,11 +36,12 @@ namespace groma::node {
 template <Platform P>
 class Node {
  public:
-  // Keeps a reference to the platform; build.version is a string that lives as long.
+  // Keeps a reference to the platform; the string build.version outlives the node.
   Node(P& platform, const Build& build) noexcept
       : platform_(platform), build_(build), radio_(platform.spi()), stored_(platform) {}
 
-  // Once after boot: loads the configuration, brings the radio up, says hello, and joins if configured.
+  // Call once after boot: loads the configuration, brings the radio up, sends a hello, and joins the network
+  // if configured.
   void start() noexcept {
     platform_.set_indicator(Indicator::kUnconfigured);
     telemetry_due_us_ = next_telemetry_us_ = platform_.now_us() + kTelemetryPeriod_us;
@@ -52,7 +53,7 @@ class Node {
     send_hello();
   }
 
-  // While the radio's interrupt line is high, again until it is low.
+  // Call while the radio's interrupt line is high, until it is low.
   void on_radio_interrupt() noexcept {
     const std::uint32_t recoveries = counters_.radio_recoveries;
     if (!handle_event()) return;
@@ -61,7 +62,7 @@ class Node {
     if (counters_.radio_recoveries == recoveries) prove_life();
   }
 
-  // Bytes from the host, in any pieces.
+  // Bytes from the host, split in any way.
   void on_link_bytes(std::span<const std::uint8_t> bytes) noexcept {
     for (const std::uint8_t byte : bytes) {
       const bool complete = decoder_.push(byte);
@@ -79,7 +80,7 @@ class Node {
         {radio_deadline_us_, next_listening_us_, next_telemetry_us_, identify_until_us_, piece_us});
   }
 
-  // At or after next_deadline_us(); harmless before.
+  // Call at or after next_deadline_us(); earlier calls are harmless.
   void on_timer() noexcept {
     const std::uint64_t now_us = platform_.now_us();
     if (now_us >= radio_deadline_us_) on_radio_deadline();
@@ -102,9 +103,8 @@ class Node {
     }
   }
 
-  // Up to then the radio wants nothing of the processor, on the clock of now_us(): the time for what else
-  // there is to do. 0 while it may want something any time; the maximum where nothing hangs on how soon it is
-  // served.
+  // Until this time, on the clock of now_us(), the radio does not need the processor, so other work may run.
+  // 0: the radio may need it at any time; the maximum: timing does not matter.
   [[nodiscard]] std::uint64_t quiet_until_us() const noexcept {
     if (!machine_.in_step()) return kNever_us;
     return event_due_us_ != 0 ? event_due_us_ : quiet_until_us_;
@@ -115,13 +115,13 @@ class Node {
  private:
   static constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::max();
   static constexpr std::uint64_t kTelemetryPeriod_us = 1'000'000;
-  // It waits until the radio leaves it so much time, but not for ever.
+  // Telemetry waits for this much idle time, up to kTelemetryPatience_us.
   static constexpr std::uint64_t kTelemetry_us = 1'200;
   static constexpr std::uint64_t kTelemetryRetry_us = 250;
   static constexpr std::uint64_t kTelemetryPatience_us = 100'000;
-  // The longest piece of a report.
+  // The longest step of a report.
   static constexpr std::uint64_t kPiece_us = 60;
-  // How long after its due end an operation of the radio is given up.
+  // Time after its due end until an operation of the radio is aborted.
   static constexpr std::uint64_t kRadioGrace_us = 5'000;
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
   static constexpr std::uint64_t kUnconfiguredPeriod_us = 1'000'000;
@@ -129,10 +129,10 @@ class Node {
   static constexpr std::uint32_t kMaxIdentify_s = 3'600;
   static constexpr const char* kOffTheAir = "off the air to write flash";
   static constexpr std::uint64_t kLongestSurvey_us = 60'000'000;
-  // After a survey of which nothing was heard any more.
+  // After a survey that was not answered.
   static constexpr std::uint64_t kLentOn_us = 5'000'000;
   static constexpr std::uint64_t kAmbientPeriod_us = 1'000'000;
-  // What either half of a sampling may take of the time in which the radio wants nothing.
+  // Processor time for each half of a sampling.
   static constexpr std::uint64_t kAmbientWork_us = 100;
 
   // ---- the radio -----------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ class Node {
     join();
   }
 
-  // Enters the network from the beginning, by the configuration in force.
+  // Joins the network from the beginning, with the configuration in force.
   void join() noexcept {
     next_listening_us_ = kNever_us;
     if (bring_up_ != dw1000::BringUp::kOk) return indicate();
@@ -195,15 +195,15 @@ class Node {
     supervise({.kind = mac::Action::Kind::kListenNow, .until = now + kUnconfiguredListening});
   }
 
-  // After an interrupt that the radio went on from as it should.
+  // Call after an interrupt that the radio handled without recovery.
   void prove_life() noexcept {
     if (machine_.in_step() && machine_.superframe() == proven_superframe_) return;
     proven_superframe_ = machine_.superframe();
     platform_.proof_of_life();
   }
 
-  // The chip's temperature and supply, in two halves between which the chip needs its time; each where the
-  // radio is armed for later, so that it costs no slot.
+  // Samples the chip's temperature and supply, in two halves with the chip's conversion time between. Each
+  // half runs when the radio is armed for later, so it costs no slot.
   void sample_ambient() noexcept {
     const std::uint64_t now_us = platform_.now_us();
     const bool armed_soon = machine_.in_step() && now_us + kAmbientWork_us > quiet_until_us_;
@@ -219,7 +219,7 @@ class Node {
     sampling_ = !sampling_;
   }
 
-  // Off the air until resume(), join() or bring_radio_up().
+  // Goes off the air until resume(), join() or bring_radio_up().
   void leave() noexcept {
     radio_.stop();
     event_due_us_ = 0;
@@ -227,8 +227,8 @@ class Node {
     if (bring_up_ == dw1000::BringUp::kOk) radio_deadline_us_ = kNever_us;
   }
 
-  // Back where leave() left: the DW1000's clock has gone on, so a master's beacons come when the others,
-  // coasting meanwhile, expect them.
+  // Continues after leave(). The DW1000's clock has continued, so a master's beacons come when the other
+  // nodes, which have coasted meanwhile, expect them.
   void resume() noexcept {
     if (machine_.station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();
     const ranging::ClockTime now = read_clock();
@@ -244,7 +244,7 @@ class Node {
     event_due_us_ = 0;
   }
 
-  // False where nothing had happened.
+  // Returns false if there was no event.
   bool handle_event() noexcept {
     using dw1000::EventKind;
     dw1000::Event event = radio_.look();
@@ -260,7 +260,7 @@ class Node {
       case EventKind::kReceived: {
         ++counters_.frames_received;
         arm_ahead();
-        // The answer to a POLL is urgent, and nobody asks how well it came.
+        // The answer to a POLL is urgent, and a POLL's quality is not needed.
         radio_.read_frame(event, [this](std::span<const std::uint8_t> frame) {
           machine_.glance(frame);
           return !mac::looks_like_poll(frame);
@@ -295,13 +295,13 @@ class Node {
     return true;
   }
 
-  // The radio is armed: what there is to do may be done ahead.
+  // The radio is armed: precompute for the next frames.
   void prepare() noexcept {
     const std::size_t on_air_bytes = machine_.prepare();
     if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - dw1000::kFrameCheckBytes);
   }
 
-  // Between two RESPONSEs each microsecond counts: the next window is armed before the frame is read.
+  // Time is short between two RESPONSEs: arm the next window before reading the frame.
   void arm_ahead() noexcept {
     armed_.reset();
     const std::optional<mac::Action> next = machine_.ahead();
@@ -317,7 +317,7 @@ class Node {
     if (start == dw1000::Start::kStarted) armed_ = next->at;
   }
 
-  // True for a reception that failed, false for one that did not come.
+  // Returns true for a failed reception, false for a missing one.
   bool count_failure(dw1000::EventKind kind) noexcept {
     switch (kind) {
       case dw1000::EventKind::kPreambleTimeout:
@@ -338,11 +338,11 @@ class Node {
     }
   }
 
-  // Arms the radio for the step's action. What is too late is told to the machine, which then goes on to what
-  // lies ahead; a chip that finds everything late is broken.
+  // Arms the radio for the step's action. If the action is too late, informs the machine, which continues
+  // with the next one. If all actions are too late, the chip is broken.
   void perform(mac::Step step) noexcept {
     constexpr int kTries = 100;
-    // What a beacon changes of the time of the next listening.
+    // The most by which a beacon moves the next listening.
     constexpr ranging::Ticks kSame = ranging::Ticks::from_us(1);
     for (int i = 0; i < kTries; ++i) {
       if (step.completed != nullptr) {
@@ -411,7 +411,7 @@ class Node {
     quiet_until_us_ = later ? reference_us_ + rough_us(action.at - reference_) : 0;
     event_due_us_ = quiet_until_us_;
     if (later && action.kind == Kind::kListen) {
-      // Of the shortest frame the end, or that none came.
+      // An event comes after the shortest frame, or when the preamble search ends.
       constexpr std::size_t kShortest_bytes = 12;
       const mac::Station* member = machine_.station();
       const ranging::Ticks until_out = action.preamble_until.value_or(action.until) - action.at;
@@ -423,14 +423,14 @@ class Node {
     radio_deadline_us_ = reference_us_ + rough_us(end - reference_) + kRadioGrace_us;
   }
 
-  // 1 us too short at most, and no 64-bit division: 65536 ticks are 40/39 us. 0 for what is past.
+  // At most 1 us too short, without 64-bit division: 65536 ticks are 40/39 us. 0 for times that have passed.
   [[nodiscard]] static std::uint64_t rough_us(ranging::Ticks t) noexcept {
     if (t.count() <= 0) return 0;
     const auto uus = static_cast<std::uint32_t>(t.count() >> 16);
     return std::uint64_t{uus} + uus / 39;
   }
 
-  // The radio wants nothing of the processor for so long.
+  // The radio does not need the processor for this long.
   [[nodiscard]] bool spare(std::uint64_t now_us, std::uint64_t needed_us) const noexcept {
     return event_due_us_ == 0 || now_us + needed_us <= event_due_us_;
   }
@@ -441,7 +441,7 @@ class Node {
       if (bring_up_ == dw1000::BringUp::kOk) send_hello();
       return;
     }
-    // An interrupt that nobody told of is as good as one that was.
+    // Handle an event whose interrupt was lost like any other.
     if (!handle_event()) recover();
   }
 
@@ -453,7 +453,7 @@ class Node {
 
   [[nodiscard]] ranging::ClockTime read_clock() noexcept { return clock_.unwrap(radio_.now()); }
 
-  // The radio's clock shows `now` as the processor's does.
+  // Records that the radio's clock shows `now` at the processor's present time.
   void refer(ranging::ClockTime now) noexcept {
     reference_ = now;
     reference_us_ = platform_.now_us();
@@ -492,10 +492,10 @@ class Node {
 
   // ---- to the host ---------------------------------------------------------------------------------------
 
-  // kAsker: over the link from which the command came that is being carried out.
+  // kAsker: over the link on which the present command came.
   enum class To : std::uint8_t { kHost, kAsker };
 
-  // By the configuration in force; without one, what the platform has for that.
+  // Configures the link of the configuration in force, or the platform's default without one.
   void choose_link() noexcept {
     if constexpr (ChoosesLink<P>) {
       link_error_ = platform_.configure_link(config_.value_or(groma_Config groma_Config_init_zero));
@@ -526,8 +526,8 @@ class Node {
     return platform_.link_write(frame);
   }
 
-  // The report of completed_ in pieces of 30 us at 64 MHz, its ranges from the last to the first. Returns
-  // when it wants to be called next.
+  // Reports completed_ in steps of 30 us at 64 MHz, its ranges from the last to the first. Returns the time
+  // of the next step.
   std::uint64_t report_piece() noexcept {
     groma_SlotReport& report = message_.body.slot_report;
     switch (reporting_) {
@@ -627,7 +627,7 @@ class Node {
   }
 
   void send_telemetry() noexcept {
-    // The clock's wraps are followed even where nothing is on the air.
+    // Reading the clock at least this often extends it over its wraps, even off the air.
     if (bring_up_ == dw1000::BringUp::kOk) (void)read_clock();
     if (const mac::Station* member = machine_.station()) {
       send(groma_NodeToHost_network_status_tag, [&](auto& body) {
@@ -662,7 +662,7 @@ class Node {
 
   // ---- from the host -------------------------------------------------------------------------------------
 
-  // Into command_; false where it is none.
+  // Decodes into command_; returns false if it is not a command.
   bool read_command(std::span<const std::uint8_t> payload) noexcept {
     command_ = groma_HostToNode_init_zero;
     pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
@@ -770,7 +770,7 @@ class Node {
     reply(groma_Result_RESULT_OK, "", good ? stored_.shown() : std::span<const std::uint8_t>());
   }
 
-  // Without a key but with its hash: the key that the node has.
+  // If the key is missing but its hash is there, inserts the node's present key if the hash matches.
   [[gnu::noinline]] void complete_key(groma_Config& config) noexcept {
     if (config.network_key.size != 0 || config.network_key_hash == 0) return;
     const auto stored = stored_.load();
@@ -786,7 +786,7 @@ class Node {
     if (const char* fault = fault_of(config); fault[0] != '\0') {
       return refuse(groma_Result_RESULT_INVALID, fault);
     }
-    // One that came over the air may cut the node off: the one in force stays beside it.
+    // A configuration that came over the air may cut the node off, so the present one is stored with it.
     const bool trial = by_air_ && config_;
     if (keep(config, trial ? &*config_ : nullptr)) {
       trial_.end();
@@ -797,7 +797,7 @@ class Node {
     resume();
   }
 
-  // Leaves the air, and tells so. False: as StoredConfig says.
+  // Leaves the air and logs it. Returns false as StoredConfig::keep().
   [[gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
     log(groma_LogLevel_LOG_INFO, kOffTheAir);
     leave();
@@ -817,7 +817,7 @@ class Node {
       return;
     }
     work_by(stored.config);
-    if (stored.on_trial) settle();  // whoever is at the cable needs no trial
+    if (stored.on_trial) settle();  // a host at the cable needs no trial
   }
 
   void work_by(const std::optional<groma_Config>& config) noexcept {
@@ -845,7 +845,7 @@ class Node {
 
   // ---- over the air --------------------------------------------------------------------------------------
 
-  // What would cut off the answer to a command that came by air waits until that has arrived.
+  // Actions that would cut off the answer to a command over the air are delayed until the answer has arrived.
   enum class After : std::uint8_t { kNothing, kApply, kReboot };
 
   void do_after() noexcept {
@@ -857,7 +857,7 @@ class Node {
     if (stored.on_trial) trial_.begin(platform_.now_us(), trial_s_);
   }
 
-  // A command for another node.
+  // Forwards a command for another node.
   void ask_by_air(std::span<const std::uint8_t> payload) noexcept {
     if (!machine_.in_step()) {
       return refuse(groma_Result_RESULT_UNREACHABLE, "the wired node is not in step with its network");
@@ -873,7 +873,7 @@ class Node {
     }
   }
 
-  // What came over the air since the last time.
+  // Handles what came over the air since the last call.
   void serve_air() noexcept {
     if (survey_as_ != mac::kNobody && survey_left_ == 0) end_survey();
     switch (air_.take_event()) {
@@ -890,18 +890,19 @@ class Node {
         if (trial_.under_way()) settle();
         return;
       case AirLink::Event::kUndelivered:
-        // Whoever asked may have had it and left the air himself; a trial mends what this spoils.
+        // The asking node may have received the answer and then left the air; a trial repairs a wrong guess.
         return do_after();
     }
   }
 
   void carry_out_by_air() noexcept {
-    // The one before has its answer, or there would be no next one.
+    // A new command shows that the answer to the one before has arrived.
     do_after();
     const bool whole = read_command(air_.message());
     by_air_ = true;
     air_.begin_answer();
-    // A node that is reset could not be found again; the time that a frame waits for its slot says nothing.
+    // A node that is reset could not be found again. A time request is useless over the air, because frames
+    // wait for their slots.
     const bool by_cable_alone = command_.which_body == groma_HostToNode_factory_reset_tag ||
                                 command_.which_body == groma_HostToNode_time_request_tag;
     if (whole && by_cable_alone) {
@@ -946,9 +947,9 @@ class Node {
 
   // ---- ranges between anchors ----------------------------------------------------------------------------
   //
-  // An anchor that surveys is a tag for that while: it polls the other anchors in the slot, and in the name,
-  // of the tag through which it was asked, and that one keeps silent. What it has is kept where its answer
-  // goes.
+  // An anchor that surveys acts as a tag meanwhile: it polls the other anchors in the slot and in the name of
+  // the tag that forwarded the command, while that tag is silent. The sums are kept in the buffer of the
+  // answer.
 
   void lend(std::uint64_t duration_us) noexcept {
     lent_until_us_ = duration_us == 0 ? kNever_us : platform_.now_us() + duration_us;
@@ -984,7 +985,7 @@ class Node {
         survey_sums_.add(leg.anchor, range.flight.distance_m(), air_.scratch());
       }
     }
-    --survey_left_;  // the last one is told of by serve_air(), where the machine may be changed
+    --survey_left_;  // serve_air() ends the survey after the last one, where the machine may be changed
   }
 
   void end_survey() noexcept {
@@ -1017,7 +1018,7 @@ class Node {
     work_by(stored.config);
   }
 
-  // The configuration in force is the only one.
+  // Confirms the configuration in force, and discards the one before.
   void settle() noexcept {
     trial_.end();
     if (config_ && !keep(*config_, nullptr)) trial_.go_on(platform_.now_us());
@@ -1056,7 +1057,7 @@ class Node {
   std::optional<groma_Config> config_;  // in force
   Machine machine_;
   mac::SyncState sync_state_ = mac::SyncState::kSearching;
-  // To be reported, and how far that has come.
+  // The completed exchange, and the progress of its report.
   enum class Reporting : std::uint8_t { kChoosing, kBegin, kRanges, kFraming };
   const mac::Exchange* completed_ = nullptr;
   Reporting reporting_ = Reporting::kChoosing;
@@ -1064,17 +1065,17 @@ class Node {
   ranging::ClockTime report_time_;
   std::uint64_t next_piece_us_ = 0;
   std::optional<ranging::ClockTime>
-      armed_;                            // a listening from then on, that the machine has not asked for yet
-  std::uint32_t proven_superframe_ = 0;  // the one under way at the last proof of life
+      armed_;                            // start of a listening armed before the machine asked for it
+  std::uint32_t proven_superframe_ = 0;  // superframe at the last proof of life
   std::uint32_t report_sequence_ = 0;
   std::optional<dw1000::Ambient> ambient_;
   bool sampling_ = false;
   std::uint64_t next_ambient_us_ = 0;
-  std::uint16_t sessions_ = 0;  // founded in this boot
+  std::uint16_t sessions_ = 0;  // started in this boot
   std::uint32_t nonces_ = 0;    // made in this boot
   const char* link_error_ = "";
   groma_Counters counters_ = groma_Counters_init_zero;
-  std::uint32_t undecodable_ = 0;  // whole frames from the host that held no message
+  std::uint32_t undecodable_ = 0;  // whole frames from the host that contained no command
 
   wire::FrameDecoder decoder_;
   MessageEncoder encoder_;
@@ -1082,22 +1083,22 @@ class Node {
   groma_HostToNode command_ = groma_HostToNode_init_zero;
 
   AirLink air_;
-  bool by_air_ = false;  // the command that is being carried out came over the air
+  bool by_air_ = false;  // the present command came over the air
   After after_ = After::kNothing;
-  std::uint16_t survey_as_ = mac::kNobody;  // the tag in whose place it ranges
-  std::uint16_t survey_left_ = 0;           // exchanges
+  std::uint16_t survey_as_ = mac::kNobody;  // the tag in whose name this anchor ranges
+  std::uint16_t survey_left_ = 0;           // exchanges left
   SurveySums survey_sums_;
   std::uint32_t survey_request_ = 0;
   std::uint64_t survey_until_us_ = 0;
-  std::uint64_t lent_until_us_ = kNever_us;  // the slot
+  std::uint64_t lent_until_us_ = kNever_us;  // of this tag's slot
   Trial trial_;
-  std::uint32_t trial_s_ = Trial::kUsual_s;  // of the next one
+  std::uint32_t trial_s_ = Trial::kUsual_s;  // duration of the next trial
 
   StoredConfig<P> stored_;
 
   std::uint64_t radio_deadline_us_ = kNever_us;
-  std::uint64_t quiet_until_us_ = 0;             // the radio is armed for then
-  std::uint64_t event_due_us_ = 0;               // the radio's next interrupt is not before; 0: not known
+  std::uint64_t quiet_until_us_ = 0;             // the radio is armed for this time
+  std::uint64_t event_due_us_ = 0;               // the next radio interrupt is not before; 0: not known
   std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured
   std::uint64_t next_telemetry_us_ = kNever_us;
   std::uint64_t telemetry_due_us_ = kNever_us;
