@@ -1,6 +1,6 @@
 // The anchor: follows the network's time or leads it, and answers the tags that poll it.
 //
-//   the station's part (search, beacon, shared slot) / slot 0 / slot 1 / ... in turn;
+//   Station (search, beacon, shared slot) / slot 0 / slot 1 / ... in turn;
 //   in a slot: POLL --> RESPONSE --> [FINAL]
 //
 // The RESPONSE carries the interval A2 - A1 that ends with itself, because a delayed transmission's timestamp

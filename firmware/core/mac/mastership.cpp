@@ -272,7 +272,7 @@ Verdict Mastership::judge_hearsay(std::uint16_t source, const Beacon& beacon) no
   return Verdict::kCall;
 }
 
-// Before that session.
+// This node's session gives way to the beacon's session.
 bool Mastership::gives_way(const Beacon& beacon, Ticks ahead) const noexcept {
   const bool older = ahead > guard_ || (ahead >= -guard_ && beacon.session < session_);
   const bool forsaken = role_ == Role::kFollowing && age(number_) > patience();

@@ -209,8 +209,8 @@ class Mastership {
   bool idle_ = false;
   std::uint8_t hop_ = 0;
   std::uint16_t master_ = kNobody;
-  std::uint16_t parent_ = kNobody;  // whose beacons the clock follows
-  std::uint32_t number_ = 0;        // superframe under way
+  std::uint16_t parent_ = kNobody;  // the sender whose beacons the clock filter uses
+  std::uint32_t number_ = 0;        // superframe in progress
   std::uint32_t fresh_ = 0;         // superframe in which the master sent what is known
   std::uint32_t parent_told_ = 0;   // as fresh_, of what the parent reported
   // As fresh_, the latest known of former masters of this session.

@@ -7,15 +7,15 @@ namespace groma::mac {
 namespace {
 
 constexpr std::uint16_t kLong = std::numeric_limits<std::uint16_t>::max();
-// A slot that was somebody's is nobody's for longer than that.
+// A revoked slot stays free for longer than a table is valid.
 constexpr std::uint16_t kVacantFor = kTableGoodFor + 1;
 
 void age(std::uint16_t& superframes, std::uint32_t by) noexcept {
   superframes = static_cast<std::uint16_t>(std::min<std::uint32_t>(superframes + by, kLong));
 }
 
-// What a relay tells may be as old as its `age` can say. What seems older than that is not: the count of
-// superframes that was known before was wrong.
+// A beacon's content may be up to 255 superframes old, the largest `age`. If it seems older, the previously
+// known superframe count was wrong.
 bool is_late(std::uint32_t told, std::uint32_t known) noexcept {
   constexpr std::uint32_t kOldest = 255;
   const std::uint32_t by = known - told;
@@ -52,7 +52,7 @@ void SlotTable::set(std::size_t slot, std::uint16_t holder) noexcept {
   uses_[slot] = Use{};
 }
 
-// The schedule's tags of this slot may have it again as such.
+// The slot's former owner, or the schedule's tags, may have it back.
 void SlotTable::call_back(std::size_t slot) noexcept {
   const std::uint16_t before = holders_[slot];
   set(slot, kNobody);
@@ -145,7 +145,7 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
     set(slot, before);
     return Claim::kHeld;
   }
-  // What the schedule gives to nobody comes first.
+  // Prefer slots that the schedule assigns to no tag.
   std::optional<std::size_t> free;
   bool coming = false;
   for (std::size_t slot = 0; slot < count_; ++slot) {

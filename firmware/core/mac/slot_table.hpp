@@ -107,30 +107,30 @@ class SlotTable {
   std::array<Use, kMaxTags> uses_{};
   std::uint32_t now_ = 0;
   std::uint16_t quiet_ = 0;    // superframes since any tag was heard; saturates
-  std::uint16_t unasked_ = 0;  // since one asked that there was no slot for; saturates
+  std::uint16_t unasked_ = 0;  // superframes since a tag asked and no slot was free; saturates
   std::uint64_t session_ = 0;
-  std::uint32_t told_ = 0;  // the superframe that the copy is of
+  std::uint32_t told_ = 0;  // superframe in which the master sent the copied table
   bool copied_ = false;
   bool leads_ = false;
 };
 
-// A tag's: the slot that it may use.
+// A tag's slot lease: the slot that it may use.
 class Tenure {
  public:
-  // `configured`: the slot that the schedule gives it.
+  // `configured`: the slot that the schedule assigns to the tag.
   Tenure(std::uint16_t tag, std::optional<std::size_t> configured) noexcept
       : tag_(tag), configured_(configured) {}
 
-  // Of the network that the tag is in step with.
+  // A beacon of the followed network.
   void take(const Beacon& beacon) noexcept;
 
-  // Nothing where it has none, or where its table is too old for superframe `number`.
+  // Nothing if the tag has no slot, or if its table is too old for superframe `number`.
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept;
-  // It has a table, too old for superframe `number`.
+  // The tag has a table, but it is too old for superframe `number`.
   [[nodiscard]] bool outdated(std::uint32_t number) const noexcept {
     return known_ && number - told_ > kTableGoodFor;
   }
-  // It has a table, and no slot by it.
+  // The tag has a table, which gives it no slot.
   [[nodiscard]] bool homeless() const noexcept { return known_ && !slot_; }
 
  private:

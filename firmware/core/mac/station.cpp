@@ -619,7 +619,7 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
     good = !beacon.invitation && seal_.fits(reception.frame, beacon);
   } else if (beacon.invitation) {
     if (is_called(beacon, reception)) return true;
-    if (beacon.session == mastership_.session()) {  // one of its own calls others
+    if (beacon.session == mastership_.session()) {  // a merge request of this session to another one
       ++counters_.stale_frames;
       return false;
     }

@@ -1,7 +1,6 @@
 // The tag: follows the network's time, polls its anchors in its slot, and collects their answers.
 //
-//   the station's part (search, beacon, shared slot) --> POLL --> RESPONSE windows --> [FINAL] --> the
-//   station's part
+//   Station (search, beacon, shared slot) --> POLL --> RESPONSE windows --> [FINAL] --> Station
 //
 // Each RESPONSE window is timed from the POLL: an anchor that does not answer costs only its own range. A
 // RESPONSE counts only in its own window, from the anchor whose turn it is, and for the exchange in progress.
