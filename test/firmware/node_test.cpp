@@ -422,7 +422,7 @@ TEST_F(NodeTest, KeepsItsKeyWhereTheHashAloneIsWritten) {
   const auto replies = messages(groma_NodeToHost_reply_tag);
   ASSERT_EQ(replies.size(), 4U);
   EXPECT_EQ(replies[1].body.reply.result, groma_Result_RESULT_OK);
-  EXPECT_STREQ(replies[2].body.reply.text, "network_key: missing, and not the one that this node has");
+  EXPECT_STREQ(replies[2].body.reply.text, "network_key: missing, and this node has a different one");
   EXPECT_STREQ(replies[3].body.reply.text, "network_key: 16 bytes, or none");
 }
 

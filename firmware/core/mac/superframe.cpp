@@ -109,7 +109,7 @@ const char* describe(ScheduleFault fault) noexcept {
     case ScheduleFault::kBadId:
       return "schedule: ids are 1 to 65534";
     case ScheduleFault::kRepeatedId:
-      return "schedule: each id once, tags and anchors share the numbers";
+      return "schedule: each id once, over tags and anchors together";
     case ScheduleFault::kBadMaster:
       return "schedule.master_id: one of anchor_ids";
     case ScheduleFault::kBadMethod:
@@ -123,7 +123,7 @@ const char* describe(ScheduleFault fault) noexcept {
     case ScheduleFault::kBadBackup:
       return "schedule.backup_ids: anchors, each once, not the master";
     case ScheduleFault::kBadSlots:
-      return "schedule.slots: 1 to 16, and each of tag_slots below it";
+      return "schedule.slots: 1 to 16, and above each of tag_slots";
     case ScheduleFault::kBadResponses:
       return "schedule.responses: 1 to 16";
   }

@@ -59,11 +59,11 @@ enum class BringUp : std::uint8_t {
     case BringUp::kNoClock:
       return "CAN oscillator does not start";
     case BringUp::kKeepsMode:
-      return "CAN controller keeps its mode";
+      return "CAN mode does not change";
     case BringUp::kOtherChip:
-      return "CAN controller: no MCP2518FD";
+      return "CAN controller is no MCP2518FD";
     case BringUp::kNotWritable:
-      return "CAN controller keeps no values";
+      return "CAN registers keep no values";
     case BringUp::kNoBitRate:
       return "CAN bit rate is not possible";
     case BringUp::kBusNotIdle:

@@ -53,7 +53,7 @@ const char* fault_of(const groma_Config& config) noexcept {
   if (const auto fault = mac::check(config.schedule); fault != mac::ScheduleFault::kNone) {
     return mac::describe(fault);
   }
-  if (!id_fits(config)) return "id: 1 to 65534, and not among the schedule's of the other role";
+  if (!id_fits(config)) return "id: 1 to 65534, not in the schedule for the other role";
   if (mac::number_of(config.preamble) > _groma_Preamble_MAX) return "preamble: 64, 128 or 256";
   if (config.transmit_antenna_delay_dtu > kLargest16) return "transmit_antenna_delay_dtu: 0 to 65535";
   if (config.receive_antenna_delay_dtu > kLargest16) return "receive_antenna_delay_dtu: 0 to 65535";
@@ -62,7 +62,7 @@ const char* fault_of(const groma_Config& config) noexcept {
     return "network_key: 16 bytes, or none";
   }
   if (config.network_key_hash != 0 && config.network_key.size == 0) {
-    return "network_key: missing, and not the one that this node has";
+    return "network_key: missing, and this node has a different one";
   }
   if (config.can_nominal_bit_per_s != 0 && !mcp2518fd::nominal_timing(config.can_nominal_bit_per_s)) {
     return "can_nominal_bit_per_s: such as 1000000, 500000, 250000, 125000";

@@ -780,7 +780,7 @@ class Node {
 
   [[gnu::noinline]] void write_config(groma_Config& config) noexcept {
     if (by_air_ && config.network_key.size != 0) {
-      return refuse(groma_Result_RESULT_INVALID, "network_key: not over the air, where all can read it");
+      return refuse(groma_Result_RESULT_INVALID, "network_key: not over the air, where anyone can read it");
     }
     complete_key(config);
     if (const char* fault = fault_of(config); fault[0] != '\0') {
@@ -860,7 +860,7 @@ class Node {
   // Forwards a command for another node.
   void ask_by_air(std::span<const std::uint8_t> payload) noexcept {
     if (!machine_.in_step()) {
-      return refuse(groma_Result_RESULT_UNREACHABLE, "the wired node is not in step with its network");
+      return refuse(groma_Result_RESULT_UNREACHABLE, "the wired node is not synchronized with its network");
     }
     switch (air_.ask(command_.target_id, command_.request_id, payload)) {
       case AirLink::Asked::kTooLong:
@@ -869,7 +869,7 @@ class Node {
         lend(command_.which_body == groma_HostToNode_survey_tag ? kLongestSurvey_us : 0);
         return reply(groma_Result_RESULT_PENDING, "");
       case AirLink::Asked::kBusy:
-        return reply(groma_Result_RESULT_PENDING, "after another command");
+        return reply(groma_Result_RESULT_PENDING, "waiting for another command");
     }
   }
 
@@ -962,10 +962,10 @@ class Node {
       return refuse(groma_Result_RESULT_INVALID, "survey.exchanges: 1 to 200");
     }
     if (!by_air_ || !machine_.anchor() || machine_.station()->mastership().leads()) {
-      return refuse(groma_Result_RESULT_UNSUPPORTED, "an anchor's that does not lead, asked over the air");
+      return refuse(groma_Result_RESULT_UNSUPPORTED, "only over the air, to an anchor that does not lead");
     }
     if (!mac::configured_slot(config_->schedule, air_.peer())) {
-      return refuse(groma_Result_RESULT_INVALID, "ask through a tag of the schedule: it lends its slot");
+      return refuse(groma_Result_RESULT_INVALID, "ask through a tag of the schedule, which lends its slot");
     }
     survey_as_ = air_.peer();
     survey_request_ = command_.request_id;
@@ -1014,7 +1014,7 @@ class Node {
     trial_.go_on(platform_.now_us());
     if (!stored.config) return;
     log(groma_LogLevel_LOG_WARNING,
-        before ? "on trial: back to the configuration before" : "on trial: once more");
+        before ? "on trial: back to the previous configuration" : "on trial: trying again");
     work_by(stored.config);
   }
 

@@ -353,7 +353,7 @@ TEST_F(OverTheAir, AWiredNodeOutOfStepSaysSo) {
   ASSERT_EQ(configure_node(lone, kBaud).fault, NodeFault::kNone);
   const NodeOutcome outcome = identify_node(plan.nodes[0].port, kBaud, 2, link::open_link, 12);
   EXPECT_EQ(outcome.fault, NodeFault::kNoAnswer);
-  EXPECT_THAT(outcome.message, HasSubstr("the wired node is not in step with its network"));
+  EXPECT_THAT(outcome.message, HasSubstr("the wired node is not synchronized with its network"));
 }
 
 // ---- scripted nodes ---------------------------------------------------------------------------------------
