@@ -93,7 +93,7 @@ class Anchor {
   Action doing_;
   [[nodiscard]] Place place() const noexcept { return {slots_of_, static_cast<std::uint8_t>(slot_)}; }
 
-  std::uint32_t slots_of_ = 0;                   // superframe
+  std::uint32_t slots_of_ = 0;                   // superframe that the slot indices refer to
   std::size_t next_slot_ = 0;                    // index of the next slot
   std::size_t slot_ = 0;                         // index of the present slot
   std::array<std::uint8_t, kMaxTags> silent_{};  // of each slot: superframes without a POLL

@@ -56,7 +56,7 @@ struct Welcome {
 struct Beacon {
   std::uint32_t superframe = 0;
   std::uint64_t session =
-      0;  // unique to each time that a master began to count: its id, its boots, its starts
+      0;  // unique: id and boot count of the node that started it, and a count within the boot
   std::uint32_t epoch = 0;
   std::uint32_t schedule_hash = 0;
   std::uint16_t master = kNobody;  // the acting master

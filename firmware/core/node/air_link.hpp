@@ -83,7 +83,7 @@ class AirLink final : public mac::ControlChannel {
   [[nodiscard]] static std::optional<std::span<const std::uint8_t>> next_message(
       std::span<const std::uint8_t>& answer) noexcept;
 
-  // ---- the station's -------------------------------------------------------------------------------------
+  // ---- mac::ControlChannel, called by the station --------------------------------------------------------
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
   [[nodiscard]] std::optional<Outgoing> own_turn(std::uint32_t number) noexcept override;
