@@ -8,8 +8,9 @@
 //
 // An operation requested in any state other than kIdle is refused (Start::kNotIdle) without access to the
 // chip, so it cannot disturb a frame in progress. The receiver does not re-enable itself: one buffer, one
-// frame. If time is short, receive_at() may arm the next listening between look() and read_frame(): the chip
-// is idle until that listening begins (user manual 4.2), and until then keeps the data of the last frame.
+// frame. If time is short, receive_at() may arm the next listening between poll_event() and read_frame(): the
+// chip is idle until that listening begins (user manual 4.2), and until then keeps the data of the last
+// frame.
 #pragma once
 
 #include <array>
@@ -226,7 +227,7 @@ class Dw1000 {
 
   // The event that ended the present operation; kNone if there is none. The interrupt line is low afterwards.
   [[nodiscard]] Event take_event() noexcept {
-    Event event = look();
+    Event event = poll_event();
     if (event.kind == EventKind::kReceived) {
       read_frame(event, [](std::span<const std::uint8_t>) { return true; });
     }
@@ -234,7 +235,7 @@ class Dw1000 {
   }
 
   // As take_event(), but leaves a received frame in the chip until read_frame().
-  [[nodiscard]] Event look() noexcept {
+  [[nodiscard]] Event poll_event() noexcept {
     namespace st = reg::sys_status;
     if (state_ == State::kDown) return {};
     auto status = read_part<reg::SysStatus, 0, 4>();
@@ -247,7 +248,7 @@ class Dw1000 {
     if (state_ == State::kReceiving) {
       if (status.has(st::kReceived)) {
         // The frame may be complete before its leading edge is found.
-        for (int i = 0; i < kStampTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
+        for (int i = 0; i < kLdeTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
           status = read_part<reg::SysStatus, 0, 4>();
         }
         clear_events();
@@ -266,11 +267,11 @@ class Dw1000 {
     return {};
   }
 
-  // Completes the event of a received frame after look(). Calls `glance`(bytes) as soon as the frame's bytes
-  // are read, and reads the quality only if that returns true. Must end before the next listening begins,
-  // which may be armed already.
-  template <class Glance>
-  void read_frame(Event& event, Glance&& glance) noexcept {
+  // Completes the event of a received frame after poll_event(). Calls `on_bytes`(bytes) as soon as the
+  // frame's bytes are read, and reads the quality only if that returns true. Must end before the next
+  // listening begins, which may be armed already.
+  template <class OnBytes>
+  void read_frame(Event& event, OnBytes&& on_bytes) noexcept {
     // If the next listening is armed, read first what the receiver overwrites first.
     Value<reg::DrxResults> results;
     const bool armed = state_ == State::kReceiving;
@@ -281,7 +282,7 @@ class Dw1000 {
     const std::span<std::uint8_t> frame =
         std::span(frame_).first(size < frame_.size() ? size : frame_.size());
     spi_.read(TransactionHeader(false, reg::RxBuffer::kId, reg::RxBuffer::kSub).bytes(), frame);
-    const bool quality_wanted = glance(std::span<const std::uint8_t>(frame));
+    const bool quality_wanted = on_bytes(std::span<const std::uint8_t>(frame));
     const auto time = read_part<reg::RxTime, 0, 9>();
     event.stamp = ranging::DeviceTime(time.get(reg::rx_time::kStamp));
     event.frame = frame;
@@ -606,7 +607,7 @@ class Dw1000 {
     write(kNoReset);
   }
 
-  static constexpr int kStampTries = 8;
+  static constexpr int kLdeTries = 8;
 
   S& spi_;
   State state_ = State::kDown;

@@ -29,8 +29,8 @@ std::uint8_t link_quality(const dw1000::ReceiveQuality& q) noexcept {
   // 3 dB per bit: 8 bits are -100 dBm, 14 are -80 dBm.
   const auto bits = static_cast<int>(std::bit_width(total / square(q.preamble_count)));
   const int strength = std::clamp(16 * (bits - 6), 0, 127);
-  const int sight = total <= 4 * first_path ? 128 : total <= 10 * first_path ? 64 : 0;
-  return static_cast<std::uint8_t>(strength + sight);
+  const int los = total <= 4 * first_path ? 128 : total <= 10 * first_path ? 64 : 0;
+  return static_cast<std::uint8_t>(strength + los);
 }
 
 // A polled candidate keeps its place against others that are up to a quarter better, because each change
@@ -43,8 +43,8 @@ std::uint32_t AnchorSet::Candidate::worth() const noexcept {
 std::uint32_t AnchorSet::Candidate::urgency() const noexcept {
   // A candidate that used to answer is more likely to return than one that never did; one that answers needs
   // no trial.
-  const std::uint32_t hope = missed > 0 ? 8U + rate / 32U : 1U;
-  return (untried + 1U) * (weight + 1U) * hope + (eager != 0 ? std::uint32_t{1} << 31 : 0U);
+  const std::uint32_t chance = missed > 0 ? 8U + rate / 32U : 1U;
+  return (untried + 1U) * (weight + 1U) * chance + (eager != 0 ? std::uint32_t{1} << 31 : 0U);
 }
 
 AnchorSet::AnchorSet(std::span<const std::uint16_t> configured) noexcept {

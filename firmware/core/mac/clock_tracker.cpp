@@ -12,7 +12,7 @@ constexpr auto kTicksPerSecond = static_cast<float>(Ticks::kPerSecond);
 constexpr float kTicksPerSecondPerPpb = kTicksPerSecond * 1e-9F;
 
 // Standard deviation of a receive timestamp, including reflections: 0.2 ns.
-constexpr float kStampSigma_ticks = 13.0F;
+constexpr float kTimestampSigma_ticks = 13.0F;
 // Random walk of the rate, in ticks per second (tps): 0.1 ppm in one second, enough to follow a ramp of 1
 // ppm/s.
 constexpr float kWalk_tps = 100.0F * kTicksPerSecondPerPpb;
@@ -30,7 +30,7 @@ void ClockTracker::seed(Ticks master, ClockTime local, std::int32_t master_offse
   reference_local_ = local;
   fraction_ticks_ = 0.0F;
   rate_ticks_per_s_ = -static_cast<float>(master_offset_ppb) * kTicksPerSecondPerPpb;
-  covariance_ = {kStampSigma_ticks * kStampSigma_ticks, 0.0F, rate_sigma_tps * rate_sigma_tps};
+  covariance_ = {kTimestampSigma_ticks * kTimestampSigma_ticks, 0.0F, rate_sigma_tps * rate_sigma_tps};
 }
 
 float ClockTracker::seconds_since_reference(Ticks master) const noexcept {
@@ -61,8 +61,8 @@ std::int32_t ClockTracker::skew_ppb() const noexcept {
   return static_cast<std::int32_t>(std::lround(rate_ticks_per_s_ / kTicksPerSecondPerPpb));
 }
 
-Ticks ClockTracker::master(ClockTime local_stamp) const noexcept {
-  const Ticks elapsed = local_stamp - reference_local_;
+Ticks ClockTracker::master(ClockTime local_time) const noexcept {
+  const Ticks elapsed = local_time - reference_local_;
   const float seconds = static_cast<float>(elapsed.count()) / kTicksPerSecond;
   // The neglected term, the rate squared, amounts to 8 ns over 20 s.
   const float relative = rate_ticks_per_s_ / kTicksPerSecond;
@@ -84,14 +84,14 @@ void ClockTracker::rebase(Ticks master) noexcept {
   fraction_ticks_ = correction - static_cast<float>(whole.count());
 }
 
-bool ClockTracker::update(Ticks master, ClockTime local_stamp, float path_sigma_ticks) noexcept {
+bool ClockTracker::update(Ticks master, ClockTime local_time, float path_sigma_ticks) noexcept {
   const float dt = seconds_since_reference(master);
   const Covariance prior = predicted(dt);
   const float correction = fraction_ticks_ + rate_ticks_per_s_ * dt;
-  const Ticks whole = local_stamp - (reference_local_ + (master - reference_master_));
+  const Ticks whole = local_time - (reference_local_ + (master - reference_master_));
   const float innovation = static_cast<float>(whole.count()) - correction;
 
-  const float noise = kStampSigma_ticks * kStampSigma_ticks + path_sigma_ticks * path_sigma_ticks;
+  const float noise = kTimestampSigma_ticks * kTimestampSigma_ticks + path_sigma_ticks * path_sigma_ticks;
   const float variance = prior.offset + noise;
   if (std::fabs(innovation) > kGateFloor_ticks + kGateSigmas * std::sqrt(variance)) return false;
 
@@ -99,7 +99,7 @@ bool ClockTracker::update(Ticks master, ClockTime local_stamp, float path_sigma_
   const float gain_rate = prior.cross / variance;
   // The timestamp becomes the reference, so that the fraction stays small and exact.
   reference_master_ = master;
-  reference_local_ = local_stamp;
+  reference_local_ = local_time;
   fraction_ticks_ = (gain_offset - 1.0F) * innovation;
   rate_ticks_per_s_ += gain_rate * innovation;
   // Joseph form: stays positive in single precision.

@@ -6,7 +6,7 @@ void Freshness::forget() noexcept {
   fresh_ = !settings_.required;
   nonce_ = 0;
   asked_ = 0;
-  owed_ = {};
+  pending_answer_ = {};
 }
 
 std::optional<ControlChannel::Outgoing> Freshness::open_slot(std::uint32_t number) noexcept {
@@ -28,7 +28,9 @@ void Freshness::on_sent(std::uint32_t, bool sent) noexcept {
 
 void Freshness::on_control(const Frame& frame, std::uint32_t, bool) noexcept {
   const auto* join = std::get_if<Join>(&frame.body);
-  if (join != nullptr && join->wants_welcome && fresh_) owed_ = {.id = join->origin, .nonce = join->nonce};
+  if (join != nullptr && join->wants_welcome && fresh_) {
+    pending_answer_ = {.id = join->origin, .nonce = join->nonce};
+  }
 }
 
 void Freshness::on_beacon(const Frame&, const Beacon& beacon) noexcept {
@@ -37,9 +39,9 @@ void Freshness::on_beacon(const Frame&, const Beacon& beacon) noexcept {
 }
 
 void Freshness::on_beacon_out(Beacon& beacon, bool) noexcept {
-  if (owed_.id == kNobody || beacon.welcome || !fresh_) return;
-  beacon.welcome = owed_;
-  owed_ = {};
+  if (pending_answer_.id == kNobody || beacon.welcome || !fresh_) return;
+  beacon.welcome = pending_answer_;
+  pending_answer_ = {};
 }
 
 }  // namespace groma::mac

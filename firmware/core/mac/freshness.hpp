@@ -56,7 +56,7 @@ class Freshness final : public ControlChannel {
   bool fresh_;
   std::uint64_t nonce_ = 0;  // 0: none made yet
   std::uint32_t asked_ = 0;
-  Welcome owed_{};  // the response to the last challenge received
+  Welcome pending_answer_{};  // the response to the last challenge received
 };
 
 }  // namespace groma::mac

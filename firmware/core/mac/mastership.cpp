@@ -39,7 +39,7 @@ Mastership::Mastership(const Site& site, Ticks duration, Ticks guard, std::uint3
       hash_(hash),
       rank_(rank_of(*site.schedule, site.id)),
       beaconers_(site.schedule->backup_ids_count + 1U),
-      calls_(site.network_key.empty() ? Pause(4, 8, 8) : Pause(1, 2, 8)) {}
+      merge_requests_(site.network_key.empty() ? Pause(4, 8, 8) : Pause(1, 2, 8)) {}
 
 // Long enough to hear a running network in spite of five lost beacons, and for each rank to hear the one
 // before.
@@ -53,16 +53,16 @@ void Mastership::search(ClockTime now) noexcept {
   role_ = Role::kSearching;
   master_ = parent_ = kNobody;
   last_beacons_ = 0;
-  rival_ = 0;
-  suspicious_ = lacking_ = drives_off_ = false;
-  rumoured_ = 0;
-  hushed_ = 0;
+  competitor_ = 0;
+  suspicious_ = lacking_ = displaces_older_ = false;
+  unverified_polls_ = 0;
+  silent_left_ = 0;
   search_start_ = now;
   lead_at_ = std::max(now + listening_time(), stale_until_);
 }
 
 void Mastership::on_traffic(ClockTime now) noexcept {
-  if (drives_off_) return;
+  if (displaces_older_) return;
   constexpr std::int64_t kMostListenings = 20;
   const ClockTime latest = search_start_ + kMostListenings * listening_time();
   lead_at_ = std::max(lead_at_, std::min(now + listening_time(), latest));
@@ -80,10 +80,10 @@ void Mastership::found() noexcept {
   former_.reset();
   fresh_ = number_ = 0;
   scans_.restart(0);
-  rumours_.restart(0);
+  unverified_scans_.restart(0);
   lacks_.restart(kSettling);
   idles_.restart(kSettling);
-  calls_.restart(0);
+  merge_requests_.restart(0);
   lead();
 }
 
@@ -94,9 +94,9 @@ void Mastership::lead() noexcept {
   parent_ = kNobody;
   hop_ = 0;
   last_beacons_ = 0;
-  rival_ = 0;
+  competitor_ = 0;
   proven_ = true;
-  echoes_ = 0;
+  misplaced_ = 0;
 }
 
 void Mastership::dissolve() noexcept {
@@ -106,31 +106,31 @@ void Mastership::dissolve() noexcept {
 
 // The next relay of the other session may be two rounds away, and more if it is the schedule's master, which
 // has only every second turn of another rank.
-void Mastership::go_over(ClockTime now) noexcept {
-  shunned_ = session_;
-  shunned_master_ = master_;
-  shunned_at_ = number_;
-  shunned_until_ = now + Ticks::from_us(2'000'000);
+void Mastership::leave_session(ClockTime now) noexcept {
+  avoided_ = session_;
+  avoided_master_ = master_;
+  avoided_at_ = number_;
+  avoided_until_ = now + Ticks::from_us(2'000'000);
   search(now);
   lead_at_ = lead_at_ + 4 * std::int64_t{beaconers_} * duration_;
 }
 
 // A master that resigned does not continue: newer information than its last beacon's shows that its farewell
 // was not genuine.
-bool Mastership::is_shunned(const Beacon& beacon, ClockTime now) const noexcept {
-  if (beacon.session != shunned_ || now >= shunned_until_) return false;
-  return beacon.master != shunned_master_ || since(beacon.superframe - beacon.age, shunned_at_) <= 0;
+bool Mastership::is_avoided(const Beacon& beacon, ClockTime now) const noexcept {
+  if (beacon.session != avoided_ || now >= avoided_until_) return false;
+  return beacon.master != avoided_master_ || since(beacon.superframe - beacon.age, avoided_at_) <= 0;
 }
 
 void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
   if (role_ == Role::kSearching || session_ != beacon.session) {
     heard_ = {};
-    hushed_ = 0;
+    silent_left_ = 0;
     scans_.restart(beacon.superframe);
-    rumours_.restart(beacon.superframe);
+    unverified_scans_.restart(beacon.superframe);
     lacks_.restart(beacon.superframe + kSettling);
     idles_.restart(beacon.superframe + kSettling);
-    calls_.restart(beacon.superframe);
+    merge_requests_.restart(beacon.superframe);
     silences_.restart(beacon.superframe);
     proven_ = false;
     former_.reset();
@@ -144,11 +144,11 @@ void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
   number_ = beacon.superframe;
   master_ = beacon.master;
   parent_ = source;
-  parent_told_ = beacon.superframe - beacon.age;
+  parent_origin_ = beacon.superframe - beacon.age;
   hop_ = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
   fresh_ = beacon.superframe - beacon.age;
   last_beacons_ = 0;
-  echoes_ = 0;
+  misplaced_ = 0;
 }
 
 std::size_t Mastership::rank_of_id(std::uint16_t id) const noexcept {
@@ -175,8 +175,8 @@ bool Mastership::is_credible(std::uint16_t source, const Beacon& beacon) const n
 // Of a beacon with another master of this session: that master may be alive, given its path's delay, and the
 // information is newer than what was known when that master was replaced.
 bool Mastership::is_news(const Beacon& beacon) const noexcept {
-  const std::uint32_t told = beacon.superframe - beacon.age;
-  return beacon.age <= patience_at(beacon.hop) && (!former_ || since(told, *former_) > 0);
+  const std::uint32_t origin = beacon.superframe - beacon.age;
+  return beacon.age <= patience_at(beacon.hop) && (!former_ || since(origin, *former_) > 0);
 }
 
 Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
@@ -192,26 +192,26 @@ Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahea
     const bool of_own = beacon.session == session_ && beacon.master == master_ && own_word && !far;
     if (role_ != Role::kFollowing || !of_own) return Verdict::kIgnore;
     number_ = beacon.superframe;
-    go_over(now);
+    leave_session(now);
     return Verdict::kLeave;
   }
   if (role_ == Role::kSearching) {
-    if (is_shunned(beacon, now)) return Verdict::kIgnore;
+    if (is_avoided(beacon, now)) return Verdict::kIgnore;
     follow(source, beacon);
     return Verdict::kAdopt;
   }
   if (beacon.session != session_) return judge_other_session(source, beacon, ahead);
-  if (far) return judge_echo(beacon, ahead, now);
+  if (far) return judge_misplaced(beacon, ahead, now);
   if (own_word && !beacon.invitation) watch_place(beacon);
   return leads() ? judge_as_master(source, beacon, ahead) : judge_as_follower(source, beacon, ahead);
 }
 
 // A beacon far from its place is outdated. But if the acting master repeats such a count several times in a
 // row, this node's own count is wrong.
-Verdict Mastership::judge_echo(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
+Verdict Mastership::judge_misplaced(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
   constexpr std::uint8_t kBelieved = 3;
-  if (beacon.hop != 0 || beacon.invitation || ++echoes_ < kBelieved) return Verdict::kIgnore;
-  echoes_ = 0;
+  if (beacon.hop != 0 || beacon.invitation || ++misplaced_ < kBelieved) return Verdict::kIgnore;
+  misplaced_ = 0;
   if (leads()) {
     if (ahead > Ticks(0)) dissolve();
     return Verdict::kIgnore;
@@ -232,17 +232,17 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
     const bool waits = newer || (site_.on_trial && rank_ != std::size_t{0});
     if (waits) lead_at_ = std::max(lead_at_, now + kQuiet);
     if (waits || !rank_) return Verdict::kStale;
-    if (!std::exchange(drives_off_, true)) lead_at_ = std::max(now + listening_time(), stale_until_);
+    if (!std::exchange(displaces_older_, true)) lead_at_ = std::max(now + listening_time(), stale_until_);
     return Verdict::kCall;
   }
   if (beacon.dissolving) return Verdict::kStale;
   // A single frame may be damaged or forged: require a second one with the same content.
-  const std::uint32_t told = beacon.epoch ^ beacon.schedule_hash;
-  if (std::exchange(newer ? newer_schedule_ : older_schedule_, told) != told) {
+  const std::uint32_t fingerprint = beacon.epoch ^ beacon.schedule_hash;
+  if (std::exchange(newer ? newer_schedule_ : older_schedule_, fingerprint) != fingerprint) {
     suspect();
     return Verdict::kStale;
   }
-  if (!newer) return call_over();
+  if (!newer) return request_merge();
   stale_until_ = now + kQuiet;
   if (leads()) {
     dissolve();
@@ -261,26 +261,26 @@ Verdict Mastership::judge_call(std::uint16_t source, const Beacon& beacon, Ticks
     follow(source, beacon);
     return Verdict::kAdopt;
   }
-  return hushed_ != 0 ? Verdict::kIgnore : Verdict::kCall;
+  return silent_left_ != 0 ? Verdict::kIgnore : Verdict::kCall;
 }
 
 Verdict Mastership::judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept {
   if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_ || !is_credible(source, beacon))
     return Verdict::kIgnore;
-  if (hushed_ != 0 || !calls_.over(number_)) return Verdict::kIgnore;
-  calls_.begin(number_);
+  if (silent_left_ != 0 || !merge_requests_.over(number_)) return Verdict::kIgnore;
+  merge_requests_.begin(number_);
   return Verdict::kCall;
 }
 
 // This node's session gives way to the beacon's session.
 bool Mastership::gives_way(const Beacon& beacon, Ticks ahead) const noexcept {
   const bool older = ahead > guard_ || (ahead >= -guard_ && beacon.session < session_);
-  const bool forsaken = role_ == Role::kFollowing && age(number_) > patience();
-  return older || forsaken;
+  const bool lost_master = role_ == Role::kFollowing && age(number_) > patience();
+  return older || lost_master;
 }
 
 Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
-  if (!gives_way(beacon, ahead)) return call_over();
+  if (!gives_way(beacon, ahead)) return request_merge();
   if (leads()) {
     dissolve();
     return Verdict::kIgnore;
@@ -289,9 +289,11 @@ Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beac
   return Verdict::kAdopt;
 }
 
-Verdict Mastership::call_over() noexcept {
-  if (!proven_ || hushed_ != 0 || last_beacons_ != 0 || !calls_.over(number_)) return Verdict::kIgnore;
-  calls_.begin(number_);
+Verdict Mastership::request_merge() noexcept {
+  if (!proven_ || silent_left_ != 0 || last_beacons_ != 0 || !merge_requests_.over(number_)) {
+    return Verdict::kIgnore;
+  }
+  merge_requests_.begin(number_);
   return Verdict::kCall;
 }
 
@@ -302,8 +304,8 @@ Verdict Mastership::judge_as_master(std::uint16_t source, const Beacon& beacon, 
   }
   const std::size_t theirs = rank_of_id(beacon.master);
   if (theirs > *rank_) {
-    rival_ = theirs;
-    rival_until_ = beacon.superframe + 8 * beaconers_;
+    competitor_ = theirs;
+    competitor_until_ = beacon.superframe + 8 * beaconers_;
     return Verdict::kIgnore;
   }
   if (!is_news(beacon)) return Verdict::kIgnore;
@@ -328,26 +330,26 @@ Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon
   }
   if (!aligned) return Verdict::kMeasure;  // the clock filter decides whether to use it
   heard_[rank_of_id(source)] = beacon.superframe;
-  echoes_ = 0;
+  misplaced_ = 0;
   if (newer > 0) proven_ = true;
-  const std::uint32_t told = beacon.superframe - beacon.age;
-  if (newer > 0) fresh_ = told;
+  const std::uint32_t origin = beacon.superframe - beacon.age;
+  if (newer > 0) fresh_ = origin;
   const auto hop = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
   if (source == parent_) {
     // A relay that has not heard news itself knows no more than this node.
-    if (since(told, parent_told_) <= 0) return Verdict::kKnown;
+    if (since(origin, parent_origin_) <= 0) return Verdict::kKnown;
     hop_ = hop;
-    parent_told_ = told;
+    parent_origin_ = origin;
     return Verdict::kMeasure;
   }
-  const auto silent = since(beacon.superframe, parent_told_);
+  const auto silent = since(beacon.superframe, parent_origin_);
   const auto turns = static_cast<std::int32_t>(beaconers_);
   constexpr std::int32_t kMissesOfMaster = 6;
   const bool lost = silent > (hop_ == 1 ? kMissesOfMaster : 3 * turns + beacon.age);
   const bool better = hop < hop_ || lost || newer > 2 * turns;
   if (newer <= 0 || !better) return Verdict::kKnown;
   parent_ = source;
-  parent_told_ = told;
+  parent_origin_ = origin;
   hop_ = hop;
   return Verdict::kSwitch;
 }
@@ -380,7 +382,7 @@ std::uint32_t Mastership::better_ranks_alive(std::uint32_t number) const noexcep
 
 Duty Mastership::begin(std::uint32_t number) noexcept {
   number_ = number;
-  if (rival_ != 0 && since(number, rival_until_) > 0) rival_ = 0;
+  if (competitor_ != 0 && since(number, competitor_until_) > 0) competitor_ = 0;
   if (leads()) {
     fresh_ = number;
   } else {
@@ -399,15 +401,15 @@ bool Mastership::forsaken_at_once(std::uint32_t number) const noexcept {
   return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
 }
 
-void Mastership::hush(std::uint32_t until) noexcept {
-  hushed_ = static_cast<std::uint32_t>(
+void Mastership::keep_silence(std::uint32_t until) noexcept {
+  silent_left_ = static_cast<std::uint32_t>(
       std::clamp<std::int32_t>(since(until, number_), 0, static_cast<std::int32_t>(2 * beaconers_ + 1)));
 }
 
 void Mastership::on_silence() noexcept {
   if (!silences_.over(number_)) return;
   silences_.begin(number_);
-  hushed_ = std::max(hushed_, std::uint32_t{1});
+  silent_left_ = std::max(silent_left_, std::uint32_t{1});
 }
 
 // A rank exists once in a site, so its turn is free in the other session. An acting master shares its turn
@@ -426,16 +428,16 @@ bool Mastership::may_invite(std::uint32_t number) const noexcept {
 // random, because two sessions that scan at once do not hear each other either.
 Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   if (last_beacons_ != 0) return Duty::kGoOn;
-  quiet_ = hushed_ != 0;
+  quiet_ = silent_left_ != 0;
   const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
   const bool may_scan = chance % 8 < 5;
   if (std::exchange(listens_next_, false) || (may_scan && orphaned(number))) return Duty::kHushLong;
-  if (hushed_ != 0) {
-    --hushed_;
+  if (silent_left_ != 0) {
+    --silent_left_;
     return leads() ? Duty::kScan : Duty::kHush;
   }
-  const bool rumoured = rumoured_ != 0;
-  if (rumoured) --rumoured_;
+  const bool unverified_poll = unverified_polls_ != 0;
+  if (unverified_poll) --unverified_polls_;
   constexpr std::int32_t kNews = 4;
   if (since(number, suspected_) > kNews) suspicious_ = false;
   if (!may_scan || has_shared_turn(number)) return Duty::kGoOn;
@@ -443,8 +445,8 @@ Duty Mastership::scan_duty(std::uint32_t number) noexcept {
     scans_.begin(number);
     suspicious_ = false;
     quiet_ = true;
-  } else if (rumoured && rumours_.over(number)) {
-    rumours_.begin(number);
+  } else if (unverified_poll && unverified_scans_.over(number)) {
+    unverified_scans_.begin(number);
     quiet_ = true;
   } else if (Pause& pause = idle_ ? idles_ : lacks_; lacking_ && pause.over(number)) {
     pause.begin(number);
@@ -453,8 +455,8 @@ Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   }
   // Its own nodes need its beacons.
   constexpr std::int32_t kLongestSilence = 3;
-  const bool may_hush = since(number, led_) < kLongestSilence;
-  return may_hush && chance / 8 % 4 != 0 ? Duty::kHush : Duty::kScan;
+  const bool may_be_silent = since(number, led_) < kLongestSilence;
+  return may_be_silent && chance / 8 % 4 != 0 ? Duty::kHush : Duty::kScan;
 }
 
 void Mastership::Pause::restart(std::uint32_t number) noexcept {
@@ -493,7 +495,7 @@ bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
   const bool even = number / beaconers_ % 2 == 0;
   if (leads()) {
     if (*rank_ != 0) return turn == *rank_ && even;
-    return rival_ != 0 && turn == rival_ && !even;
+    return competitor_ != 0 && turn == competitor_ && !even;
   }
   if (age(number) > patience()) return false;
   if (*rank_ != 0) return turn == *rank_;
@@ -503,7 +505,7 @@ bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
 bool Mastership::on_led(ClockTime now) noexcept {
   led_ = number_;
   if (last_beacons_ == 0 || --last_beacons_ != 0) return false;
-  go_over(now);
+  leave_session(now);
   return true;
 }
 

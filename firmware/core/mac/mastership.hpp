@@ -82,7 +82,7 @@ class Mastership {
   }
   // In a network with a key: reports an unverified POLL, one that does not fit the timeline and whose MIC is
   // wrong. It may belong to another session.
-  void on_rumour() noexcept { rumoured_ = 2; }
+  void on_unverified_poll() noexcept { unverified_polls_ = 2; }
   // Reports whether expected frames are missing; holds until the next report. `idle`: no frame came at all,
   // so a scan would disturb nothing.
   void on_lack(bool lacking, bool idle) noexcept {
@@ -98,7 +98,7 @@ class Mastership {
   void on_silence() noexcept;
   // Keeps radio silence from the next superframe to `until`, while merge requests are sent to another
   // session.
-  void hush(std::uint32_t until) noexcept;
+  void keep_silence(std::uint32_t until) noexcept;
   // The present kScan is for all nodes of the session: the master's beacon says so.
   [[nodiscard]] bool quiet() const noexcept { return quiet_; }
   // The followed session is known from one beacon only, and has not been confirmed for too long: the beacon
@@ -143,9 +143,9 @@ class Mastership {
   [[nodiscard]] Verdict judge_schedule(const Beacon& beacon, ranging::ClockTime now) noexcept;
   [[nodiscard]] bool is_credible(std::uint16_t source, const Beacon& beacon) const noexcept;
   [[nodiscard]] bool gives_way(const Beacon& beacon, ranging::Ticks ahead) const noexcept;
-  [[nodiscard]] Verdict judge_echo(const Beacon& beacon, ranging::Ticks ahead,
+  [[nodiscard]] Verdict judge_misplaced(const Beacon& beacon, ranging::Ticks ahead,
                                    ranging::ClockTime now) noexcept;
-  [[nodiscard]] Verdict call_over() noexcept;
+  [[nodiscard]] Verdict request_merge() noexcept;
   [[nodiscard]] Verdict judge_other_session(std::uint16_t source, const Beacon& beacon,
                                             ranging::Ticks ahead) noexcept;
   [[nodiscard]] Verdict judge_as_master(std::uint16_t source, const Beacon& beacon,
@@ -157,8 +157,8 @@ class Mastership {
   void lead() noexcept;
   void dissolve() noexcept;
   // Its session has dissolved: starts to search for the other session.
-  void go_over(ranging::ClockTime now) noexcept;
-  [[nodiscard]] bool is_shunned(const Beacon& beacon, ranging::ClockTime now) const noexcept;
+  void leave_session(ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool is_avoided(const Beacon& beacon, ranging::ClockTime now) const noexcept;
   [[nodiscard]] std::size_t rank_of_id(std::uint16_t id) const noexcept;  // beaconers_ if it has none
   [[nodiscard]] std::uint32_t patience_at(std::uint8_t hop) const noexcept;
   [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(hop_); }
@@ -204,7 +204,7 @@ class Mastership {
   std::uint8_t last_beacons_ = 0;  // still to be sent by a master that resigns
   bool suspicious_ = false;
   std::uint32_t suspected_ = 0;  // superframe
-  std::uint8_t rumoured_ = 0;    // superframes for which the report counts
+  std::uint8_t unverified_polls_ = 0;    // superframes for which the report counts
   bool lacking_ = false;
   bool idle_ = false;
   std::uint8_t hop_ = 0;
@@ -212,23 +212,23 @@ class Mastership {
   std::uint16_t parent_ = kNobody;  // the sender whose beacons the clock filter uses
   std::uint32_t number_ = 0;        // superframe in progress
   std::uint32_t fresh_ = 0;         // superframe in which the master sent what is known
-  std::uint32_t parent_told_ = 0;   // as fresh_, of what the parent reported
+  std::uint32_t parent_origin_ = 0;   // as fresh_, of what the parent reported
   // As fresh_, the latest known of former masters of this session.
   std::optional<std::uint32_t> former_;
   std::uint64_t session_ = 0;
   bool proven_ = false;      // more than one beacon has confirmed the session
-  std::uint8_t echoes_ = 0;  // consecutive beacons of masters of this session with a wrong count
+  std::uint8_t misplaced_ = 0;  // consecutive beacons of masters of this session with a wrong count
   // Superframe in which each rank was last heard directly.
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
-  std::size_t rival_ = 0;  // rank of a competing, worse master of this session; 0: none
-  std::uint32_t rival_until_ = 0;
+  std::size_t competitor_ = 0;  // rank of a competing, worse master of this session; 0: none
+  std::uint32_t competitor_until_ = 0;
   Pause scans_{4, 5, 5};
-  Pause rumours_{2, 2, 8};
+  Pause unverified_scans_{2, 2, 8};
   Pause lacks_{1, 2, 8};
   Pause idles_{0, 2, 2};
-  Pause calls_;
+  Pause merge_requests_;
   Pause silences_{1, 1, 8};
-  std::uint32_t hushed_ = 0;  // superframes
+  std::uint32_t silent_left_ = 0;  // superframes
   bool quiet_ = false;
   // The master whose last beacon came in a shared slot, and when.
   std::uint16_t displaced_ = kNobody;
@@ -238,15 +238,15 @@ class Mastership {
   std::uint32_t led_ = 0;             // superframe of its last beacon as master
   std::uint32_t newer_schedule_ = 0;  // fingerprint of the newer schedule in the last beacon that had one
   std::uint32_t older_schedule_ = 0;
-  bool drives_off_ = false;         // while searching: a network with an older schedule is near
+  bool displaces_older_ = false;         // while searching: a network with an older schedule is near
   ranging::ClockTime stale_until_;  // starts no session until then: a newer schedule is near
 
   ranging::ClockTime search_start_;
   ranging::ClockTime lead_at_;
-  std::uint64_t shunned_ = 0;  // session
-  std::uint16_t shunned_master_ = kNobody;
-  std::uint32_t shunned_at_ = 0;  // superframe of its master's last beacon
-  ranging::ClockTime shunned_until_;
+  std::uint64_t avoided_ = 0;  // session
+  std::uint16_t avoided_master_ = kNobody;
+  std::uint32_t avoided_at_ = 0;  // superframe of its master's last beacon
+  ranging::ClockTime avoided_until_;
 };
 
 }  // namespace groma::mac

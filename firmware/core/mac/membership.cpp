@@ -10,7 +10,7 @@ namespace {
 
 // A tag without a slot asks at once, then ever less often, until it has one.
 constexpr Persistence kAsk{.first_window_log2 = 0, .last_window_log2 = 4};
-constexpr Persistence kTellLeaving{.first_window_log2 = 0, .last_window_log2 = 4, .times = 4};
+constexpr Persistence kAnnounceLeaving{.first_window_log2 = 0, .last_window_log2 = 4, .times = 4};
 // All anchors may start at once, and most are polled before their turn comes.
 constexpr std::uint32_t kBeforeAnnouncing = 3;  // superframes
 constexpr Persistence kAnnounce{.first_window_log2 = 2, .last_window_log2 = 5, .times = 3};
@@ -33,7 +33,7 @@ constexpr std::uint64_t nonce_of(std::uint16_t id, std::uint32_t number) noexcep
 
 TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept
     : id_(id),
-      tenure_(id, configured_slot(schedule, id)),
+      lease_(id, configured_slot(schedule, id)),
       anchors_(std::span(schedule.anchor_ids).first(schedule.anchor_ids_count)),
       access_(id) {}
 
@@ -41,7 +41,7 @@ void TagMembership::leave() noexcept {
   if (leaving_) return;
   leaving_ = true;
   access_.settle(Purpose::kJoin);
-  access_.want(Purpose::kLeave, kTellLeaving, 0);
+  access_.want(Purpose::kLeave, kAnnounceLeaving, 0);
 }
 
 std::optional<ControlChannel::Outgoing> TagMembership::open_slot(std::uint32_t number) noexcept {
@@ -68,11 +68,11 @@ void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, boo
 }
 
 void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept {
-  tenure_.take(beacon);
+  lease_.take(beacon);
   anchors_.hear(frame.source);
   if (leaving_) {
-    if (tenure_.homeless()) access_.settle(Purpose::kLeave);
-  } else if (tenure_.homeless()) {
+    if (lease_.homeless()) access_.settle(Purpose::kLeave);
+  } else if (lease_.homeless()) {
     access_.want(Purpose::kJoin, kAsk, beacon.superframe);
   } else {
     access_.settle(Purpose::kJoin);

@@ -29,10 +29,10 @@ class TagMembership final : public ControlChannel {
 
   // The slot in which the tag may poll in superframe `number`.
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
-    return leaving_ ? std::nullopt : tenure_.slot(number);
+    return leaving_ ? std::nullopt : lease_.slot(number);
   }
   // The last slot table received is too old for polling in superframe `number`.
-  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return tenure_.outdated(number); }
+  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return lease_.outdated(number); }
   // Stops polling permanently and announces it.
   void leave() noexcept;
 
@@ -47,7 +47,7 @@ class TagMembership final : public ControlChannel {
 
  private:
   std::uint16_t id_;
-  Tenure tenure_;
+  Tenure lease_;
   AnchorSet anchors_;
   Access access_;
   bool leaving_ = false;

@@ -16,9 +16,9 @@ void age(std::uint16_t& superframes, std::uint32_t by) noexcept {
 
 // A beacon's content may be up to 255 superframes old, the largest `age`. If it seems older, the previously
 // known superframe count was wrong.
-bool is_late(std::uint32_t told, std::uint32_t known) noexcept {
+bool is_late(std::uint32_t origin, std::uint32_t known) noexcept {
   constexpr std::uint32_t kOldest = 255;
-  const std::uint32_t by = known - told;
+  const std::uint32_t by = known - origin;
   return by != 0 && by <= kOldest;
 }
 
@@ -53,7 +53,7 @@ void SlotTable::set(std::size_t slot, std::uint16_t holder) noexcept {
 }
 
 // The slot's former owner, or the schedule's tags, may have it back.
-void SlotTable::call_back(std::size_t slot) noexcept {
+void SlotTable::revoke(std::size_t slot) noexcept {
   const std::uint16_t before = holders_[slot];
   set(slot, kNobody);
   uses_[slot].before = before;
@@ -72,19 +72,19 @@ void SlotTable::advance(std::uint32_t number) noexcept {
 }
 
 void SlotTable::copy(const Beacon& beacon) noexcept {
-  const std::uint32_t told = told_at(beacon);
+  const std::uint32_t origin = origin_of(beacon);
   const bool same_session = copied_ && beacon.session == session_;
-  if (same_session && is_late(told, told_)) return;
+  if (same_session && is_late(origin, origin_)) return;
   if (!same_session) begin();
   copied_ = true;
   leads_ = false;
   session_ = beacon.session;
-  told_ = told;
+  origin_ = origin;
   for (std::size_t slot = 0; slot < std::min<std::size_t>(count_, beacon.slots); ++slot) {
     const std::uint16_t holder = beacon.holders[slot];
     if (holder == holders_[slot]) continue;
     if (holder == kNobody) {
-      call_back(slot);
+      revoke(slot);
     } else {
       set(slot, holder);
     }
@@ -166,7 +166,7 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
   const auto unheard = [](const Use& a, const Use& b) { return a.unheard < b.unheard; };
   const auto longest = std::max_element(uses_.begin(), uses_.begin() + count_, unheard);
   if (longest != uses_.begin() + count_ && longest->unheard >= kLease) {
-    call_back(static_cast<std::size_t>(longest - uses_.begin()));
+    revoke(static_cast<std::size_t>(longest - uses_.begin()));
   }
   return Claim::kWait;
 }
@@ -174,12 +174,12 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
 void SlotTable::reclaim() noexcept {
   if (unasked_ <= kLease) {
     for (std::size_t slot = 0; slot < count_; ++slot) {
-      if (uses_[slot].awaited && uses_[slot].unheard >= kFirstLease) call_back(slot);
+      if (uses_[slot].awaited && uses_[slot].unheard >= kFirstLease) revoke(slot);
     }
   }
   if (quiet_ >= kDeaf) return;
   for (std::size_t slot = 0; slot < count_; ++slot) {
-    if (uses_[slot].heard && uses_[slot].unheard >= kLease) call_back(slot);
+    if (uses_[slot].heard && uses_[slot].unheard >= kLease) revoke(slot);
   }
 }
 
@@ -193,7 +193,7 @@ void SlotTable::leave(std::uint16_t tag) noexcept {
       }
       if (sharing > 1) continue;
     }
-    call_back(slot);
+    revoke(slot);
     uses_[slot].vacant = kLong;
   }
 }
@@ -204,11 +204,11 @@ void SlotTable::fill(Beacon& beacon) const noexcept {
 }
 
 void Tenure::take(const Beacon& beacon) noexcept {
-  const std::uint32_t told = told_at(beacon);
-  if (known_ && beacon.session == session_ && is_late(told, told_)) return;
+  const std::uint32_t origin = origin_of(beacon);
+  if (known_ && beacon.session == session_ && is_late(origin, origin_)) return;
   known_ = true;
   session_ = beacon.session;
-  told_ = told;
+  origin_ = origin;
   slot_.reset();
   for (std::size_t slot = 0; slot < std::min<std::size_t>(beacon.slots, kMaxTags); ++slot) {
     const std::uint16_t holder = beacon.holders[slot];

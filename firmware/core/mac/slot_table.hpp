@@ -40,7 +40,7 @@ inline constexpr std::uint32_t kFirstLease = 16;
 inline constexpr std::uint32_t kDeaf = 8;
 
 // The superframe in which the master sent the content of a beacon, direct or relayed.
-[[nodiscard]] constexpr std::uint32_t told_at(const Beacon& beacon) noexcept {
+[[nodiscard]] constexpr std::uint32_t origin_of(const Beacon& beacon) noexcept {
   return beacon.superframe - beacon.age;
 }
 
@@ -97,7 +97,7 @@ class SlotTable {
 
   void begin() noexcept;
   void set(std::size_t slot, std::uint16_t holder) noexcept;
-  void call_back(std::size_t slot) noexcept;
+  void revoke(std::size_t slot) noexcept;
   [[nodiscard]] bool belongs_to(std::uint16_t holder, std::size_t slot, std::uint16_t tag) const noexcept;
   [[nodiscard]] std::uint16_t by_schedule(std::size_t slot) const noexcept;
 
@@ -109,7 +109,7 @@ class SlotTable {
   std::uint16_t quiet_ = 0;    // superframes since any tag was heard; saturates
   std::uint16_t unasked_ = 0;  // superframes since a tag asked and no slot was free; saturates
   std::uint64_t session_ = 0;
-  std::uint32_t told_ = 0;  // superframe in which the master sent the copied table
+  std::uint32_t origin_ = 0;  // superframe in which the master sent the copied table
   bool copied_ = false;
   bool leads_ = false;
 };
@@ -128,7 +128,7 @@ class Tenure {
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept;
   // The tag has a table, but it is too old for superframe `number`.
   [[nodiscard]] bool outdated(std::uint32_t number) const noexcept {
-    return known_ && number - told_ > kTableGoodFor;
+    return known_ && number - origin_ > kTableGoodFor;
   }
   // The tag has a table, which gives it no slot.
   [[nodiscard]] bool homeless() const noexcept { return known_ && !slot_; }
@@ -138,7 +138,7 @@ class Tenure {
   std::optional<std::size_t> configured_;
   std::optional<std::size_t> slot_;
   bool known_ = false;
-  std::uint32_t told_ = 0;
+  std::uint32_t origin_ = 0;
   std::uint64_t session_ = 0;
 };
 

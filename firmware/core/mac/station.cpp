@@ -95,8 +95,8 @@ std::optional<Action> Station::control(ClockTime now) noexcept {
   for (;;) {
     if (!fresh() && (freshness_.hopeless() || sync_.missed_in_a_row() > Mastership::kPatience))
       sync_.search();
-    if (sync_.state() == SyncState::kSearching && !found_if_time(now)) return search(now);
-    std::optional<Action> action = invite(now);
+    if (sync_.state() == SyncState::kSearching && !start_session_if_due(now)) return search(now);
+    std::optional<Action> action = request_in_turn(now);
     if (action) {
       listening_ = *action;
       return action;
@@ -139,7 +139,7 @@ std::optional<Action> Station::control_ahead() const noexcept {
   return listen(sync_.start(number_) + place, superframe_.control_bytes(), sync_.margin(number_));
 }
 
-bool Station::found_if_time(ClockTime now) noexcept {
+bool Station::start_session_if_due(ClockTime now) noexcept {
   if (mastership_.role() != Role::kSearching) {
     mastership_.search(now);
     others_.reset();
@@ -159,7 +159,7 @@ bool Station::found_if_time(ClockTime now) noexcept {
   next_ = Next::kBeacon;
   phase_ = Phase::kBeacon;
   // Nodes obey a newer schedule only after two beacons with it.
-  if (others_) call(Callees(others_->callees), others_->shared, 2);
+  if (others_) send_merge_requests(Callees(others_->callees), others_->shared, 2);
   return true;
 }
 
@@ -181,11 +181,11 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   }
   if (duty == Duty::kTakeOver) sync_.lead();
   scanning_ =
-      duty == Duty::kScan || (keyed() && calls_within(sync_.start(number_), sync_.start(number_ + 1)));
+      duty == Duty::kScan || (keyed() && requests_within(sync_.start(number_), sync_.start(number_ + 1)));
   if (duty == Duty::kHush || (scanning_ && !mastership_.leads())) return scan(now);
   if (duty == Duty::kHushLong) return scan(now, 2);
   const ClockTime due = sync_.start(number_) + superframe_.beacon();
-  if (scanning_ && invites_beside(due)) return scan(now);
+  if (scanning_ && requests_beside(due)) return scan(now);
   if (!ahead(due, now)) {
     if (mastership_.parent_due(number_, false)) miss();
     return std::nullopt;
@@ -200,7 +200,7 @@ std::optional<Action> Station::scan(ClockTime now, std::uint32_t superframes) no
   scanning_ = false;
   for (std::uint32_t i = 0; i < superframes; ++i) end_superframe();
   phase_ = Phase::kScanning;
-  if (const auto action = invite(now)) return action;
+  if (const auto action = request_in_turn(now)) return action;
   const ClockTime end = sync_.start(number_);
   if (end <= now) return std::nullopt;
   return Action{.kind = Action::Kind::kListenNow, .until = end};
@@ -243,7 +243,7 @@ std::optional<Action> Station::from_channels(ClockTime stamp, bool own_turn) noe
   return std::nullopt;
 }
 
-Beacon Station::make_beacon(Ticks lateness, bool shared) noexcept {
+Beacon Station::make_beacon(Ticks tx_offset, bool shared) noexcept {
   return {.superframe = number_,
           .session = mastership_.session(),
           .epoch = site_.schedule->epoch,
@@ -251,7 +251,7 @@ Beacon Station::make_beacon(Ticks lateness, bool shared) noexcept {
           .master = mastership_.master(),
           .hop = mastership_.hop(),
           .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(mastership_.age(number_), 255)),
-          .lateness_dtu = static_cast<std::int16_t>(lateness.count()),
+          .lateness_dtu = static_cast<std::int16_t>(tx_offset.count()),
           .dissolving = mastership_.dissolving(),
           .shared = shared,
           .slots = static_cast<std::uint8_t>(superframe_.slot_count()),
@@ -260,8 +260,8 @@ Beacon Station::make_beacon(Ticks lateness, bool shared) noexcept {
 
 // Sends merge requests in the shared slots of the other session, in this node's turns, while all of its own
 // session are silent; until the other session's next open slot is over.
-std::optional<Action> Station::invite(ClockTime now) noexcept {
-  const bool quiet = phase_ == Phase::kScanning || phase_ == Phase::kInviting;
+std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
+  const bool quiet = phase_ == Phase::kScanning || phase_ == Phase::kRequesting;
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
   while (others_) {
     const ClockTime stamp = stamp_not_after(others_->shared);
@@ -274,7 +274,7 @@ std::optional<Action> Station::invite(ClockTime now) noexcept {
       }
       const Callees callees = others_->callees;
       next_of_others();
-      return invitation(stamp, callees);
+      return merge_request(stamp, callees);
     }
     next_of_others();
   }
@@ -282,13 +282,13 @@ std::optional<Action> Station::invite(ClockTime now) noexcept {
 }
 
 // A merge request this close to the beacon leaves no time for the beacon.
-bool Station::invites_beside(ClockTime due) const noexcept {
+bool Station::requests_beside(ClockTime due) const noexcept {
   const Ticks room = superframe_.phy().before_rmarker() +
                      dw1000::Phy::after_rmarker(superframe_.control_bytes()) + kToGetReady;
-  return calls_within(due - room, due + room);
+  return requests_within(due - room, due + room);
 }
 
-bool Station::calls_within(ClockTime from, ClockTime to) const noexcept {
+bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
   if (!others_) return false;
   for (std::uint32_t i = 0; i < others_->left; ++i) {
     const ClockTime shared = others_->shared + std::int64_t{i} * superframe_.duration();
@@ -303,14 +303,14 @@ void Station::next_of_others() noexcept {
   ++others_->callees.superframe;
 }
 
-Action Station::invitation(ClockTime stamp, const Callees& callees) noexcept {
+Action Station::merge_request(ClockTime stamp, const Callees& callees) noexcept {
   const std::int64_t duration = superframe_.duration().count();
   const std::int64_t time = sync_.network_time(stamp).count();
   Beacon beacon = make_beacon(Ticks(0), true);
   beacon.superframe = static_cast<std::uint32_t>(time / duration);
   beacon.place = Ticks(time % duration);
   beacon.invitation = true;
-  phase_ = Phase::kInviting;
+  phase_ = Phase::kRequesting;
   sender_ = nullptr;
   own_beacon_ = true;
   return transmit(stamp, kBroadcast, beacon, place_of(beacon), &callees);
@@ -319,7 +319,7 @@ Action Station::invitation(ClockTime stamp, const Callees& callees) noexcept {
 // All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:
 // from the next superframe on, or at once if they are scanning. If the beacon may be a recording and no
 // expected frames are missing, only the requesting node stays silent, and only in that superframe.
-void Station::call(const Callees& callees, ClockTime shared, std::uint32_t rounds) noexcept {
+void Station::send_merge_requests(const Callees& callees, ClockTime shared, std::uint32_t rounds) noexcept {
   const Ticks duration = superframe_.duration();
   const auto number_at = [&](ClockTime at) {
     return static_cast<std::uint32_t>(sync_.network_time(at).count() / duration.count());
@@ -330,7 +330,7 @@ void Station::call(const Callees& callees, ClockTime shared, std::uint32_t round
     ++others_->callees.superframe;
   }
   const std::uint32_t turns = site_.schedule->backup_ids_count + 1U;
-  if (discreet()) {
+  if (only_requester_silent()) {
     others_->left = turns;  // each once
     return;
   }
@@ -344,7 +344,7 @@ void Station::call(const Callees& callees, ClockTime shared, std::uint32_t round
     ++last;
   }
   others_->left = last + 1;
-  mastership_.hush(number_at(others_->shared + std::int64_t{last} * duration));
+  mastership_.keep_silence(number_at(others_->shared + std::int64_t{last} * duration));
 }
 
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
@@ -356,7 +356,7 @@ Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   }
   if (mastership_.leads()) {
     holders_ = beacon.holders;
-    holders_told_ = number_;
+    holders_origin_ = number_;
   }
   sender_ = nullptr;
   own_beacon_ = true;
@@ -432,7 +432,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     ++counters_.stale_frames;
     return false;
   }
-  const BeaconStamp stamp{.superframe = beacon.superframe,
+  const BeaconReception stamp{.superframe = beacon.superframe,
                           .place = place_in_superframe(beacon),
                           .heard = reception.stamp,
                           .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
@@ -440,10 +440,10 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                           .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
-  const bool called = seal_.on() && beacon.invitation;
+  const bool requested = seal_.on() && beacon.invitation;
   const std::uint64_t session = mastership_.session();
-  const Verdict verdict = hearsay_ ? mastership_.judge_hearsay(frame.source, beacon)
-                          : called ? mastership_.judge_call(frame.source, beacon, ahead)
+  const Verdict verdict = unverified_ ? mastership_.judge_hearsay(frame.source, beacon)
+                          : requested ? mastership_.judge_call(frame.source, beacon, ahead)
                                    : mastership_.judge(frame.source, beacon, ahead, reception.stamp);
   switch (verdict) {
     case Verdict::kStale:
@@ -457,9 +457,10 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                          .callees = {beacon.session, beacon.superframe}};
         return false;
       }
-      call({beacon.session, beacon.superframe}, reception.stamp - stamp.place + superframe_.shared(), 1);
+      send_merge_requests({beacon.session, beacon.superframe},
+                          reception.stamp - stamp.place + superframe_.shared(), 1);
       return phase_ == Phase::kScanning &&
-             (!discreet() || calls_within(reception.stamp, sync_.start(number_)));
+             (!only_requester_silent() || requests_within(reception.stamp, sync_.start(number_)));
     case Verdict::kLeave:
       sync_.search();
       return true;
@@ -473,21 +474,21 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   }
   // Some nodes may have missed the merge request.
   std::optional<Others> former;
-  if (called && verdict == Verdict::kAdopt) {
+  if (requested && verdict == Verdict::kAdopt) {
     const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
     former = Others{.shared = sync_.start(next) + superframe_.shared(),
                     .callees = {session, next},
                     .left = site_.schedule->backup_ids_count + 1U};
   }
   // A beacon later than its place may have been delayed by an attacker.
-  if (!take_stamp(stamp, beacon.session, verdict, !seal_.on() || ahead >= Ticks(0))) {
+  if (!take_time(stamp, beacon.session, verdict, !seal_.on() || ahead >= Ticks(0))) {
     ++counters_.bad_stamps;
     return false;
   }
   ++counters_.beacons_received;
   if (verdict == Verdict::kAdopt) {
     others_ = former;
-    holders_told_ = beacon.superframe - beacon.age;
+    holders_origin_ = beacon.superframe - beacon.age;
   }
   take_content(frame, beacon);
   if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
@@ -497,7 +498,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   return true;
 }
 
-bool Station::take_stamp(const BeaconStamp& stamp, std::uint64_t session, Verdict verdict,
+bool Station::take_time(const BeaconReception& stamp, std::uint64_t session, Verdict verdict,
                          bool persuasive) noexcept {
   if (verdict == Verdict::kAdopt) {
     if (!fresh()) freshness_.forget();
@@ -510,9 +511,9 @@ bool Station::take_stamp(const BeaconStamp& stamp, std::uint64_t session, Verdic
 }
 
 void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
-  const std::uint32_t told = beacon.superframe - beacon.age;
-  if (static_cast<std::int32_t>(told - holders_told_) >= 0) {
-    holders_told_ = told;
+  const std::uint32_t origin = beacon.superframe - beacon.age;
+  if (static_cast<std::int32_t>(origin - holders_origin_) >= 0) {
+    holders_origin_ = origin;
     holders_ = beacon.holders;
   }
   for (ControlChannel* channel : channels_) {
@@ -528,7 +529,7 @@ void Station::forget_holders() noexcept {
     const auto slot = configured_slot(*site_.schedule, site_.schedule->tag_ids[i]);
     if (slot && *slot < kMaxTags) holders_[*slot] = kBroadcast;
   }
-  holders_told_ = 0;
+  holders_origin_ = 0;
 }
 
 bool Station::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
@@ -591,7 +592,9 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
   const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
   if (later || is_genuine(reception.frame, place)) return true;
-  if (check == Check::kNobodysSlot && std::holds_alternative<Poll>(frame.body)) mastership_.on_rumour();
+  if (check == Check::kNobodysSlot && std::holds_alternative<Poll>(frame.body)) {
+    mastership_.on_unverified_poll();
+  }
   return false;
 }
 
@@ -613,12 +616,12 @@ Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
 // Once this node knows the time, a replayed beacon of its own session is late against this node's clock. A
 // beacon of another timeline may be a replay, unless it is a merge request to this session.
 bool Station::authentic(const Beacon& beacon, const Reception& reception) noexcept {
-  hearsay_ = false;
+  unverified_ = false;
   bool good = false;
   if (sync_.state() == SyncState::kSearching || !fresh()) {
     good = !beacon.invitation && seal_.fits(reception.frame, beacon);
   } else if (beacon.invitation) {
-    if (is_called(beacon, reception)) return true;
+    if (is_merge_request(beacon, reception)) return true;
     if (beacon.session == mastership_.session()) {  // a merge request of this session to another one
       ++counters_.stale_frames;
       return false;
@@ -630,15 +633,15 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
     if (beacon.session == mastership_.session() && (aligned || beacon.master == mastership_.master())) {
       good = ahead >= -most && seal_.fits(reception.frame, beacon);
     } else {
-      hearsay_ = seal_.fits(reception.frame, beacon);
+      unverified_ = seal_.fits(reception.frame, beacon);
     }
   }
   counters_.forged_frames += good ? 0U : 1U;
-  return good || hearsay_;
+  return good || unverified_;
 }
 
 // The beacon came in this node's own shared slot, and its MIC was made for that slot.
-bool Station::is_called(const Beacon& beacon, const Reception& reception) noexcept {
+bool Station::is_merge_request(const Beacon& beacon, const Reception& reception) noexcept {
   const auto number = static_cast<std::uint32_t>(sync_.network_time(reception.stamp).count() /
                                                  superframe_.duration().count());
   const Ticks late = reception.stamp - (sync_.start(number) + superframe_.shared());

@@ -162,32 +162,33 @@ class Station {
   [[nodiscard]] bool fresh() const noexcept { return freshness_.fresh(); }
 
  private:
-  enum class Phase : std::uint8_t { kSearching, kScanning, kInviting, kBeacon, kShared, kSlots };
+  enum class Phase : std::uint8_t { kSearching, kScanning, kRequesting, kBeacon, kShared, kSlots };
   enum class Next : std::uint8_t { kBeacon, kShared, kSlots };
 
   [[nodiscard]] Action search(ranging::ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> beacon_slot(ranging::ClockTime now) noexcept;
-  [[nodiscard]] std::optional<Action> invite(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> request_in_turn(ranging::ClockTime now) noexcept;
   // A shared slot of the others in which this node may send a merge request begins between these instants.
-  [[nodiscard]] bool calls_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
-  [[nodiscard]] bool invites_beside(ranging::ClockTime due) const noexcept;
+  [[nodiscard]] bool requests_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
+  [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
   void next_of_others() noexcept;
-  [[nodiscard]] Action invitation(ranging::ClockTime stamp, const Callees& callees) noexcept;
-  void call(const Callees& callees, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
+  [[nodiscard]] Action merge_request(ranging::ClockTime stamp, const Callees& callees) noexcept;
+  void send_merge_requests(const Callees& callees, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
   // The other session may be a recording, and no expected frames are missing.
-  [[nodiscard]] bool discreet() const noexcept { return hearsay_ && !mastership_.lacking(); }
+  [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !mastership_.lacking(); }
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA for the shared slot, of the first channel that has one.
   [[nodiscard]] std::optional<Action> from_channels(ranging::ClockTime stamp, bool own_turn) noexcept;
-  [[nodiscard]] Beacon make_beacon(ranging::Ticks lateness, bool shared) noexcept;
+  [[nodiscard]] Beacon make_beacon(ranging::Ticks tx_offset, bool shared) noexcept;
   [[nodiscard]] Action send_beacon(ranging::ClockTime due, bool shared) noexcept;
   // Returns false while there is no session to follow or start.
-  [[nodiscard]] bool found_if_time(ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool start_session_if_due(ranging::ClockTime now) noexcept;
 
   // Returns true if the place in the timeline changed or was lost.
   bool take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept;
-  bool take_stamp(const BeaconStamp& stamp, std::uint64_t session, Verdict verdict, bool persuasive) noexcept;
+  bool take_time(const BeaconReception& stamp, std::uint64_t session, Verdict verdict,
+                 bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon) noexcept;
   [[nodiscard]] bool timed(std::uint32_t number) const noexcept {
     return sync_.margin(number) <= superframe_.guard();
@@ -197,7 +198,7 @@ class Station {
                                Check check) noexcept;
   [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
   [[nodiscard]] bool authentic(const Beacon& beacon, const Reception& reception) noexcept;
-  [[nodiscard]] bool is_called(const Beacon& beacon, const Reception& reception) noexcept;
+  [[nodiscard]] bool is_merge_request(const Beacon& beacon, const Reception& reception) noexcept;
   // How far the beacon's timeline is ahead of this node's.
   [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   void take_poll(const Poll& poll) noexcept;
@@ -225,11 +226,11 @@ class Station {
     std::uint32_t left = 0;  // how many of its shared slots this session's nodes stay silent for
   };
   std::optional<Others> others_;  // while searching: of an older schedule
-  bool hearsay_ = false;          // the last beacon is unverified: its MIC is valid, but it may be replayed
+  bool unverified_ = false;          // the last beacon: its MIC is valid, but it may be a replay
   bool scanning_ = false;         // after the own beacon has been sent
   std::uint32_t number_ = 0;
   Action listening_;
-  std::uint32_t holders_told_ = 0;  // superframe in which the master sent them
+  std::uint32_t holders_origin_ = 0;  // superframe in which the master sent them
   std::array<std::uint16_t, kMaxTags> holders_{};
   std::uint8_t sequence_ = 0;
   Health health_{};

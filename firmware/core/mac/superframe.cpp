@@ -17,9 +17,9 @@ using ranging::Ticks;
 constexpr std::uint16_t kLargestId = 65534;
 // A node feeds a beacon to its clock filter before it makes a relayed beacon or a POLL, so it needs more time
 // than to answer a POLL. This includes verifying and making one MIC.
-constexpr Ticks kToTakeIn = round_up_to_grid(Ticks::from_us(100));
+constexpr Ticks kBeaconProcessing = round_up_to_grid(Ticks::from_us(100));
 // For verifying and making another MIC: about 100 us on an nRF52832.
-constexpr Ticks kForCode = round_up_to_grid(Ticks::from_us(100));
+constexpr Ticks kForMic = round_up_to_grid(Ticks::from_us(100));
 
 constexpr bool outside(std::uint32_t value, std::uint32_t low, std::uint32_t high) noexcept {
   return value < low || value > high;
@@ -184,41 +184,41 @@ std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t networ
 Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) noexcept
     : phy_(phy),
       has_final_(schedule.method == groma_RangingMethod_METHOD_DS_FINAL),
-      code_bytes_(secured ? kCodeBytes : 0),
+      mic_bytes_(secured ? kCodeBytes : 0),
       slot_count_(slot_count_of(schedule)),
       responses_(schedule.responses != 0 ? schedule.responses
                                          : std::min<std::size_t>(schedule.anchor_ids_count, kMaxAnchors)),
       backups_(schedule.backup_ids_count),
       control_bytes_(on_air(std::max(beacon_bytes(slot_count_, true), data_bytes(kMaxDataBytes)))),
       guard_(Ticks::from_us(schedule.guard_us)),
-      turn_round_(Ticks::from_us(schedule.turn_round_us)),
+      turnaround_(Ticks::from_us(schedule.turn_round_us)),
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
       // A message instead of a relayed beacon takes a second MIC.
       control_slot_(
-          round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turn_round_)) +
-          kToTakeIn + (secured ? kForCode : Ticks(0))),
+          round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turnaround_)) +
+          kBeaconProcessing + (secured ? kForMic : Ticks(0))),
       slots_start_(control_slot_ +
-                   round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turn_round_) +
-                   kToTakeIn) {
+                   round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turnaround_) +
+                   kBeaconProcessing) {
   const Ticks last_frame =
-      has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turn_round_)
+      has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turnaround_)
                  : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes)) + gap_;
   tag_slot_ = round_up_to_grid(first_frame_ + last_frame);
-  if (secured) end_time_ = kForCode;
+  if (secured) end_time_ = kForMic;
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {
   const Ticks first =
-      round_up_to_grid(Phy::after_rmarker(on_air(poll_bytes(count))) + turn_round_ + phy_.before_rmarker());
+      round_up_to_grid(Phy::after_rmarker(on_air(poll_bytes(count))) + turnaround_ + phy_.before_rmarker());
   return first + static_cast<std::int64_t>(index) * response_spacing_;
 }
 
 Ticks Superframe::final(std::size_t count) const noexcept {
   const std::size_t last = count == 0 ? 0 : count - 1;
   return response(last, count) +
-         round_up_to_grid(Phy::after_rmarker(on_air(kResponseBytes)) + turn_round_ + phy_.before_rmarker());
+         round_up_to_grid(Phy::after_rmarker(on_air(kResponseBytes)) + turnaround_ + phy_.before_rmarker());
 }
 
 }  // namespace groma::mac

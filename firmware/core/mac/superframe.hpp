@@ -94,20 +94,20 @@ class Superframe {
   [[nodiscard]] ranging::Ticks guard() const noexcept { return guard_; }
   [[nodiscard]] dw1000::Phy phy() const noexcept { return phy_; }
   // Size on the air of a frame of `bytes` bytes without MIC.
-  [[nodiscard]] std::size_t on_air(std::size_t bytes) const noexcept { return bytes + code_bytes_; }
+  [[nodiscard]] std::size_t on_air(std::size_t bytes) const noexcept { return bytes + mic_bytes_; }
   // The largest frame in a beacon slot or a shared slot, including its MIC.
   [[nodiscard]] std::size_t control_bytes() const noexcept { return control_bytes_; }
 
  private:
   dw1000::Phy phy_;
   bool has_final_;
-  std::size_t code_bytes_;
+  std::size_t mic_bytes_;
   std::size_t slot_count_;
   std::size_t responses_;
   std::uint32_t backups_;
   std::size_t control_bytes_;
   ranging::Ticks guard_;
-  ranging::Ticks turn_round_;
+  ranging::Ticks turnaround_;
   ranging::Ticks gap_;
   ranging::Ticks first_frame_;       // from a slot's start to the RMARKER of its first frame
   ranging::Ticks response_spacing_;  // from RMARKER to RMARKER

@@ -15,7 +15,7 @@ constexpr float kFormerMasterSigma_ticks = 320'000.0F;
 
 // The error that a relay adds to a beacon: its receive timestamp's at each hop, and its clock's random walk
 // (as the tracker's: 0.1 ppm in a second) since it received the beacon.
-float relay_sigma_ticks(const BeaconStamp& beacon, Ticks duration) noexcept {
+float relay_sigma_ticks(const BeaconReception& beacon, Ticks duration) noexcept {
   constexpr float kBeaconSigma_ticks = 13.0F;
   constexpr float kWalk_ticks = 6'390.0F / 1.732F;
   const float silent_s = static_cast<float>(beacon.age) * static_cast<float>(duration.count()) /
@@ -57,7 +57,7 @@ Ticks Synchronizer::master_time(std::uint32_t number) const noexcept {
   return std::int64_t{static_cast<std::int32_t>(number - base_)} * superframe_.duration();
 }
 
-void Synchronizer::adopt(const BeaconStamp& beacon) noexcept {
+void Synchronizer::adopt(const BeaconReception& beacon) noexcept {
   leading_ = false;
   base_ = last_heard_ = beacon.superframe;
   // A relay's crystal is similar to the master's, no more: the best estimate is half the relay's offset.
@@ -71,7 +71,7 @@ void Synchronizer::adopt(const BeaconStamp& beacon) noexcept {
   state_ = SyncState::kLocked;
 }
 
-bool Synchronizer::on_beacon(const BeaconStamp& beacon, bool other_path, bool persuasive) noexcept {
+bool Synchronizer::on_beacon(const BeaconReception& beacon, bool other_path, bool persuasive) noexcept {
   constexpr std::uint32_t kMisfitsBelieved = 3;
   if (other_path) tracker_.widen(kPathSigma_ticks);
   const float sigma = relay_sigma_ticks(beacon, superframe_.duration());

@@ -16,7 +16,7 @@ enum class SyncState : std::uint8_t {
 };
 
 // A received beacon.
-struct BeaconStamp {
+struct BeaconReception {
   std::uint32_t superframe = 0;
   ranging::Ticks place{};  // of its RMARKER from the superframe's start, in network time
   ranging::ClockTime heard{};
@@ -41,11 +41,11 @@ class Synchronizer {
 
   // Initializes the time from the first beacon of a timeline. Its sender may be a relay: the carrier then
   // gives the relay's clock, which may be some ppm off the network's.
-  void adopt(const BeaconStamp& beacon) noexcept;
+  void adopt(const BeaconReception& beacon) noexcept;
   // Updates with a further beacon. `other_path`: its sender, and so its flight time, differs from those
   // before. Returns false and ignores the beacon if it does not fit; but a `persuasive` third misfit in a row
   // re-initializes the time.
-  bool on_beacon(const BeaconStamp& beacon, bool other_path, bool persuasive = true) noexcept;
+  bool on_beacon(const BeaconReception& beacon, bool other_path, bool persuasive = true) noexcept;
   // The beacon due in the present superframe did not come.
   void on_beacon_missed() noexcept;
   // Superframe `number` begins. Gives up coasting if the uncertainty exceeds the guard, or after 100

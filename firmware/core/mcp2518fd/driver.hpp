@@ -128,7 +128,7 @@ class Mcp2518fd {
   // the bus. At most 4 transfers with 17 bytes in addition to the payload, padded to a multiple of 4.
   bool send(const wire::CanFrame& frame) noexcept {
     if (state_ != State::kOnBus || frame.size > payload_) return false;
-    if (room_ == 0 && !look_for_room()) return false;
+    if (room_ == 0 && !check_room()) return false;
     write_object(frame);
     // One byte adds the frame to the FIFO and requests its transmission.
     write_byte<reg::TransmitCon>(
@@ -258,7 +258,7 @@ class Mcp2518fd {
 
   // Counts the free room from the flags, which saves one transfer for each frame that fits. Waits while the
   // FIFO is more than half full: the bus has enough to send.
-  bool look_for_room() noexcept {
+  bool check_room() noexcept {
     const auto [status, address] = read_pair<reg::TransmitSta, reg::TransmitUa>();
     if (status.has(reg::transmit_sta::kEmpty)) {
       room_ = transmit_depth();

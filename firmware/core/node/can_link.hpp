@@ -75,11 +75,11 @@ class CanLink {
     if (!wanted_) return false;
     bool again = false;
     if (interrupt || now_us >= next_check_us_) {
-      const Look seen = look(interrupt, now_us, delay_us);
-      if (seen == Look::kDown) return false;
-      if (seen == Look::kReceived) receive(sink);
+      const Poll seen = poll(interrupt, now_us, delay_us);
+      if (seen == Poll::kDown) return false;
+      if (seen == Poll::kReceived) receive(sink);
       // If the line stays low without a reported cause, leave it until the next check.
-      again = interrupt && seen != Look::kNothing;
+      again = interrupt && seen != Poll::kNothing;
     }
     if (size_ != 0 && !blocked_ && now_us >= resume_at_us_) again = send_one() || again;
     return again;
@@ -116,12 +116,12 @@ class CanLink {
   // A failing attempt blocks the processor for 10 ms or more.
   static constexpr std::uint64_t kRetryPeriod_us = 10'000'000;
 
-  enum class Look : std::uint8_t { kDown, kNothing, kSomething, kReceived };
+  enum class Poll : std::uint8_t { kDown, kNothing, kSomething, kReceived };
 
   template <class Delay>
-  Look look(bool interrupt, std::uint64_t now_us, Delay& delay_us) noexcept {
+  Poll poll(bool interrupt, std::uint64_t now_us, Delay& delay_us) noexcept {
     if (chip_.state() == mcp2518fd::State::kDown) {
-      return now_us < next_check_us_ ? Look::kDown : restart(now_us, delay_us);
+      return now_us < next_check_us_ ? Poll::kDown : restart(now_us, delay_us);
     }
     if (!interrupt) next_check_us_ = now_us + kCheckPeriod_us;
     const mcp2518fd::Events events = chip_.take_events();
@@ -136,17 +136,17 @@ class CanLink {
     // After any change the next frame checks whether there is room.
     if (events.room || events.bus_off || events.on_bus) blocked_ = false;
     if (!interrupt) counters_.errors = chip_.error_counters();
-    if (events.received) return Look::kReceived;
-    return events.any ? Look::kSomething : Look::kNothing;
+    if (events.received) return Poll::kReceived;
+    return events.any ? Poll::kSomething : Poll::kNothing;
   }
 
   template <class Delay>
-  Look restart(std::uint64_t now_us, Delay& delay_us) noexcept {
+  Poll restart(std::uint64_t now_us, Delay& delay_us) noexcept {
     ++counters_.restarts;
     blocked_ = false;
     const bool success = chip_.bring_up(settings_, delay_us) == mcp2518fd::BringUp::kOk;
     next_check_us_ = now_us + (success ? kCheckPeriod_us : kRetryPeriod_us);
-    return success ? Look::kNothing : Look::kDown;
+    return success ? Poll::kNothing : Poll::kDown;
   }
 
   template <class Sink>

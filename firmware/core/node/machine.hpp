@@ -37,7 +37,7 @@ class Machine {
 
   // Passes an event to the machine and returns its Step; an empty Step if there is no machine.
   template <class F>
-  mac::Step tell(F&& f) noexcept {
+  mac::Step dispatch(F&& f) noexcept {
     if (tag_) return f(*tag_);
     if (anchor_) return f(*anchor_);
     return {};

@@ -91,9 +91,9 @@ class Node {
     }
     if (completed_ != nullptr) {
       if (now_us >= next_piece_us_)
-        next_piece_us_ = spare(now_us, kPiece_us) ? report_piece() : now_us + kPiece_us;
+        next_piece_us_ = has_idle_time(now_us, kPiece_us) ? report_piece() : now_us + kPiece_us;
     } else if (now_us >= next_telemetry_us_) {
-      if (spare(now_us, kTelemetry_us) || now_us >= telemetry_due_us_ + kTelemetryPatience_us) {
+      if (has_idle_time(now_us, kTelemetry_us) || now_us >= telemetry_due_us_ + kTelemetryPatience_us) {
         telemetry_due_us_ = next_telemetry_us_ = now_us + kTelemetryPeriod_us;
         send_telemetry();
         watch_air(now_us);
@@ -182,7 +182,7 @@ class Node {
     air_.start(own_id, mac::rank_of(*site.schedule, own_id).has_value(), platform_.boot_count());
     machine_.attach(air_);
     const ranging::ClockTime now = read_clock();
-    perform(machine_.tell([now](auto& machine) { return machine.start(now); }));
+    perform(machine_.dispatch([now](auto& machine) { return machine.start(now); }));
     proven_superframe_ = machine_.superframe();
     indicate();
   }
@@ -233,7 +233,7 @@ class Node {
     if (machine_.station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();
     const ranging::ClockTime now = read_clock();
     refer(now);
-    perform(machine_.tell([now](auto& machine) { return machine.resume(now); }));
+    perform(machine_.dispatch([now](auto& machine) { return machine.resume(now); }));
     watch_sync();
   }
 
@@ -247,14 +247,14 @@ class Node {
   // Returns false if there was no event.
   bool handle_event() noexcept {
     using dw1000::EventKind;
-    dw1000::Event event = radio_.look();
+    dw1000::Event event = radio_.poll_event();
     switch (event.kind) {
       case EventKind::kNone:
         return false;
       case EventKind::kTransmitted: {
         const ranging::ClockTime stamp = clock_.unwrap(event.stamp);
         refer(stamp);
-        perform(machine_.tell([&](auto& machine) { return machine.on_transmitted(stamp); }));
+        perform(machine_.dispatch([&](auto& machine) { return machine.on_transmitted(stamp); }));
         break;
       }
       case EventKind::kReceived: {
@@ -269,7 +269,7 @@ class Node {
         refer(stamp);
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{stamp, event.stamp_valid, event.frame, event.quality};
-        perform(machine_.tell([&](auto& machine) { return machine.on_received(reception); }));
+        perform(machine_.dispatch([&](auto& machine) { return machine.on_received(reception); }));
         if (machine_.tag()) machine_.tag()->check();
         break;
       }
@@ -282,7 +282,7 @@ class Node {
         const bool error = count_failure(event.kind);
         const ranging::ClockTime now = read_clock();
         refer(now);
-        perform(machine_.tell(
+        perform(machine_.dispatch(
             [&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }));
         break;
       }
@@ -383,12 +383,12 @@ class Node {
       const ranging::ClockTime now = read_clock();
       refer(now);
       if (action.kind == mac::Action::Kind::kTransmit) {
-        step = machine_.tell([&](auto& machine) { return machine.on_late(now); });
+        step = machine_.dispatch([&](auto& machine) { return machine.on_late(now); });
         continue;
       }
       if (action.kind == mac::Action::Kind::kListen) ++counters_.late_receives;
       if (now >= action.preamble_until.value_or(action.until)) {
-        step = machine_.tell([&](auto& machine) { return machine.on_timeout(now); });
+        step = machine_.dispatch([&](auto& machine) { return machine.on_timeout(now); });
         continue;
       }
       if (radio_.receive_now(action.until - now, preamble_timeout(action, now)) != dw1000::Start::kStarted) {
@@ -431,7 +431,7 @@ class Node {
   }
 
   // The radio does not need the processor for this long.
-  [[nodiscard]] bool spare(std::uint64_t now_us, std::uint64_t needed_us) const noexcept {
+  [[nodiscard]] bool has_idle_time(std::uint64_t now_us, std::uint64_t needed_us) const noexcept {
     return event_due_us_ == 0 || now_us + needed_us <= event_due_us_;
   }
 
@@ -611,7 +611,7 @@ class Node {
         groma_NodeToHost_counters_tag, [&](auto& body) { body.counters = counters_; }, to);
   }
 
-  void tell_membership(groma_NetworkStatus& status) const noexcept {
+  void fill_membership(groma_NetworkStatus& status) const noexcept {
     if (const mac::Tag* tag = machine_.tag()) {
       const mac::TagMembership& membership = tag->membership();
       const auto slot = membership.slot(machine_.superframe());
@@ -640,7 +640,7 @@ class Node {
           body.network_status.temperature_cdegc = ambient_->temperature_cdegc;
           body.network_status.supply_mv = ambient_->supply_mv;
         }
-        tell_membership(body.network_status);
+        fill_membership(body.network_status);
         if (!machine_.in_step()) return;
         const mac::Mastership& mastership = member->mastership();
         body.network_status.master_id = mastership.master();
@@ -726,7 +726,7 @@ class Node {
         begin_survey(command_.body.survey.exchanges);
         break;
       case groma_HostToNode_time_request_tag:
-        tell_time();
+        send_time();
         break;
       default:
         refuse(groma_Result_RESULT_UNSUPPORTED, "not a command of this protocol version");
@@ -745,7 +745,7 @@ class Node {
         To::kAsker, config);
   }
 
-  void tell_time() noexcept {
+  void send_time() noexcept {
     if (bring_up_ != dw1000::BringUp::kOk) {
       return refuse(groma_Result_RESULT_UNSUPPORTED, "no clock: the radio is down");
     }
