@@ -10,9 +10,8 @@
 // superframe. Its receiver decides whether those are current (freshness.hpp). No node sends two frames of one
 // type in one place, so no nonce is used twice.
 //
-// A call is a merge request: a beacon that announces this session to the nodes of another one, in their
-// shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key
-// is
+// A merge request ("call") is a beacon that announces this session to the nodes of another one, in their
+// shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key:
 //
 //   call key    = AES(caller's session key, callees' session (8) | "call" | callees' superframe (4))
 //

@@ -118,8 +118,8 @@ class Station {
 
   // Frames carry MICs.
   [[nodiscard]] bool keyed() const noexcept { return seal_.on(); }
-  // Precomputes for the frame most likely received, or sent, next. Call in idle time. prepare_control() does
-  // so for the beacon slot and the shared slot.
+  // Precomputes cipher blocks for the frame most likely received, or sent, next. Call in idle time.
+  // prepare_control() does so for the beacon slot and the shared slot.
   void expect_heard(std::uint16_t source, FrameType type, Place place) noexcept {
     seal_.expect_received(source, type, place);
   }

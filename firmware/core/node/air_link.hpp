@@ -28,8 +28,8 @@ class AirLink final : public mac::ControlChannel {
   static constexpr std::size_t kMaxFragments = 8;
   static constexpr std::size_t kMaxMessageBytes = kMaxFragments * mac::kMaxDataBytes;
   static constexpr std::uint8_t kMaxHops = 3;
-  // Consecutive rounds without an answer from the peer. Over two hops with 30 % loss each, so many fail in
-  // 0.1 % of cases.
+  // Consecutive rounds without an answer from the peer. Over two hops with 30 % loss each, all of them fail
+  // with a probability of 0.1 %.
   static constexpr std::uint8_t kMaxTries = 24;
 
   // Call after boot and with each configuration. `passes_on`: this node relays the beacon. `seed`: differs

@@ -196,7 +196,7 @@ std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& c
   pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
   if (!config) return pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0;
   const groma_Reply& reply = message.body.reply;
-  // The configuration is the last field of the reply, and the reply the only field of the message.
+  // The configuration is the last field of the reply, and the reply the last one set in the message.
   static_assert(groma_Reply_config_tag == 4 && groma_NodeToHost_reply_tag == 6);
   pb_ostream_t size = PB_OSTREAM_SIZING;
   const bool fits = pb_encode(&size, groma_Reply_fields, &reply) &&
