@@ -18,7 +18,8 @@ constexpr std::uint8_t twice(std::uint8_t a) {
   return static_cast<std::uint8_t>(a << 1 ^ (a >= 0x80 ? 0x1B : 0));
 }
 
-// FIPS 197, 5.1.1: the inverse, and an affine map. 3 generates the field's units, 1/3 is 0xF6.
+// The S-box (FIPS 197, 5.1.1): the multiplicative inverse, then an affine map. 3 generates the multiplicative
+// group; 1/3 is 0xF6.
 constexpr std::array<std::uint8_t, 256> substitutions() {
   std::array<std::uint8_t, 256> box{};
   std::uint8_t a = 1;
@@ -42,14 +43,14 @@ void add(Block& state, const Block& key) {
   for (std::size_t i = 0; i < state.size(); ++i) state[i] ^= key[i];
 }
 
-// 5.2, in place: a round's key from the one before.
+// 5.2, in place: the next round key from the previous one.
 void expand(Block& key, std::uint8_t constant) {
   for (std::size_t i = 0; i < 4; ++i) key[i] ^= kBox[key[12 + (i + 1) % 4]];
   key[0] ^= constant;
   for (std::size_t i = 4; i < key.size(); ++i) key[i] ^= key[i - 4];
 }
 
-// 5.1.1 and 5.1.2: column c's row r comes from column c + r.
+// 5.1.1 and 5.1.2: row r of column c comes from column c + r.
 Block substitute_and_shift(const Block& state) {
   Block out;
   for (std::size_t c = 0; c < 4; ++c)

@@ -1,4 +1,4 @@
-// AES-128 (FIPS 197) for simulated nodes: what stands in for the nRF52832's own.
+// AES-128 (FIPS 197) for simulated nodes. It replaces the nRF52832's ECB peripheral.
 #pragma once
 
 #include "firmware/core/security/block_cipher.hpp"

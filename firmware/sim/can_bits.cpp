@@ -8,7 +8,7 @@ constexpr unsigned kRunToStuff = 5;
 constexpr std::uint32_t kCrc15Polynomial = 0x4599;
 constexpr unsigned kCrc15Bits = 15;
 constexpr unsigned kStuffCountBits = 4;
-// CRC delimiter apart: acknowledge slot and delimiter, end of frame.
+// Acknowledge slot and delimiter, end of frame; without the CRC delimiter.
 constexpr unsigned kEndBits = 9;
 
 class Coder {
@@ -37,7 +37,7 @@ class Coder {
   [[nodiscard]] const CanBits& bits() const noexcept { return bits_; }
 
  private:
-  // At the rate of the bit behind it: the rate changes with the bit before.
+  // A stuff bit has the rate of the bit that follows it: the rate changes with the bit before it.
   void stuff() noexcept {
     ++bits_.stuff;
     emit(!last_);
@@ -78,8 +78,8 @@ CanBits can_bits(const wire::CanFrame& frame, bool error_passive) noexcept {
   coder.put(wire::can_length_code(frame.size), 4);
   for (const std::uint8_t byte : frame.payload()) coder.put(byte, 8);
   if (fd) {
-    // A stuff bit at fixed places: before the stuff count and after each four bits from there on. The one in
-    // front stands for what the data's last bits may have asked for.
+    // Fixed stuff bits: one before the stuff count and one after every four bits from there. The first one
+    // replaces the stuff bit that the last data bits may have required.
     const unsigned crc_bits = frame.size <= 16 ? 17 : 21;
     const unsigned field_bits = kStuffCountBits + crc_bits;
     coder.put_plain(field_bits);

@@ -9,12 +9,13 @@ namespace groma::sim {
 
 namespace {
 
-// Error flags of both sides one behind the other at worst, and the delimiter.
+// The error flags of both sides one after the other (the worst case), and the delimiter.
 constexpr unsigned kErrorFrameBits = 12 + 8;
-// Where a classic controller meets FDF, and where foreign bit rates break the stuffing at the latest.
+// The bit at which a classic controller reads FDF, and at which wrong bit rates violate the stuffing at the
+// latest.
 constexpr unsigned kBitsToObjection = 34;
 
-// Bit times within what resynchronization follows.
+// The two bit times differ by no more than resynchronization can correct.
 bool close(SimTime a, SimTime b) noexcept {
   constexpr SimTime kTolerance = 100;  // a hundredth
   return std::abs(a - b) <= std::max(a, b) / kTolerance;
@@ -136,7 +137,7 @@ void CanBus::finish() {
     return;
   }
   ++counters_.frames;
-  // Receivers first: what they do about the frame cannot meet the sender's next one.
+  // Receivers first: their reaction to this frame must not collide with the sender's next one.
   for (CanStation* station : stations_) {
     if (station == done.sender || !station->takes_part()) continue;
     if (understands(*station, done)) {

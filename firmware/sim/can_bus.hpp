@@ -6,13 +6,13 @@
 //   bus.advance(t);
 //   for (const TimedCanFrame& frame : host.received()) ...
 //
-// Stations live in different threads of time: one may post a frame for an instant that another has already
-// been advanced beyond. A frame's start is therefore decided kLookahead after it, which is less than the
-// shortest frame takes, so that nothing is decided too late to be seen; a frame posted later still than that
-// begins as soon as the bus is free after its own instant. The same calls give the same run.
+// Stations are not advanced in step: one may post a frame for an instant that another has already passed.
+// The bus therefore decides who starts a frame kLookahead after the start. kLookahead is shorter than the
+// shortest frame, so the decision is made before the frame's end. A frame that is posted even later starts
+// when the bus is free after the frame's own instant. The same calls give the same run.
 //
-// Bit rates are enforced: a frame takes its bits at its sender's rates, and a receiver whose rates are
-// others, or that does not know CAN FD, destroys it with an error frame, as on a real bus.
+// Bit rates are enforced: a frame is sent at its sender's rates. A receiver with other rates, or without CAN
+// FD, destroys it with an error frame, as on a real bus.
 #pragma once
 
 #include <cstdint>
@@ -31,14 +31,14 @@ namespace groma::sim {
 }
 
 struct CanRates {
-  SimTime nominal = can_bit_time(1'000'000);  // a bit's time
+  SimTime nominal = can_bit_time(1'000'000);  // bit time
   SimTime data = can_bit_time(2'000'000);
-  bool fd = true;  // understands CAN FD
+  bool fd = true;  // supports CAN FD
 };
 
 enum class CanError : std::uint8_t {
-  kAcknowledge,  // nobody acknowledged
-  kBit,          // the bus showed another bit than was sent
+  kAcknowledge,  // no station acknowledged
+  kBit,          // the bit on the bus differs from the bit sent
 };
 
 class CanStation {
@@ -49,21 +49,21 @@ class CanStation {
   virtual ~CanStation() = default;
 
   struct Offer {
-    SimTime since = 0;  // it may begin from then on
+    SimTime since = 0;  // the earliest start
     const wire::CanFrame* frame = nullptr;
     bool error_passive = false;
-    bool sees_itself = true;  // with the frame's rates and the transceiver's delay it can check its own bits
+    bool sees_itself = true;  // it can check its own bits at these rates despite the transceiver's delay
   };
 
-  // The frame that it would send next. The frame lives until sent() or send_failed().
+  // The frame that the station would send next. The frame must live until sent() or send_failed().
   [[nodiscard]] virtual std::optional<Offer> offer() const = 0;
-  // It receives, acknowledges and objects.
+  // The station receives, acknowledges and sends error flags.
   [[nodiscard]] virtual bool takes_part() const = 0;
-  // Its error flags are recessive: it cannot destroy a frame.
+  // The station's error flags are recessive: it cannot destroy a frame.
   [[nodiscard]] virtual bool error_passive() const = 0;
   [[nodiscard]] virtual const CanRates& rates() const = 0;
 
-  // A frame begins at t, its own or another's: the bus is no longer recessive.
+  // A frame of any station begins at t: the bus is no longer recessive.
   virtual void frame_begins(SimTime t) = 0;
   virtual void sent(SimTime end) = 0;
   virtual void send_failed(SimTime t, CanError error) = 0;
@@ -73,8 +73,8 @@ class CanStation {
 
 struct CanBusCounters {
   std::uint64_t frames = 0;
-  std::uint64_t errors = 0;  // frames that did not come to their end
-  SimTime busy = 0;          // frames and error frames with the intermission behind them
+  std::uint64_t errors = 0;  // frames that an error frame destroyed
+  SimTime busy = 0;          // frames and error frames, each with the intermission after it
 };
 
 class CanBus {
@@ -85,22 +85,22 @@ class CanBus {
   CanBus(const CanBus&) = delete;
   CanBus& operator=(const CanBus&) = delete;
 
-  // The station must outlive the bus's last advance().
+  // The station must outlive the last call of advance().
   void attach(CanStation& station) { stations_.push_back(&station); }
 
   void advance(SimTime t);
   [[nodiscard]] SimTime next_event() const;
   [[nodiscard]] SimTime now() const noexcept { return now_; }
 
-  // Error frames are injected: each frame that is on the bus between the two instants is damaged.
+  // Injects error frames: every frame on the bus between the two instants is destroyed.
   void damage(SimTime from, SimTime until) { disturbances_.push_back({from, until, false}); }
-  // As a short circuit does: what is on the bus is damaged, and it is never idle.
+  // Models a short circuit: frames on the bus are destroyed, and the bus is never idle.
   void hold_dominant(SimTime from, SimTime until) { disturbances_.push_back({from, until, true}); }
-  // Since when the bus has been recessive; nothing while it is not.
+  // The time since which the bus has been recessive; nullopt while it is not.
   [[nodiscard]] std::optional<SimTime> recessive_since(SimTime t) const;
 
   [[nodiscard]] const CanBusCounters& counters() const noexcept { return counters_; }
-  // Empty while all is well: two stations that send the same id at once, and the like.
+  // The first misuse of the bus, for example two stations that send the same id at once; empty without one.
   [[nodiscard]] const std::string& fault() const noexcept { return fault_; }
 
  private:
@@ -108,7 +108,7 @@ class CanBus {
     CanStation* sender = nullptr;
     wire::CanFrame frame;
     SimTime begin = 0;
-    SimTime end = 0;  // of frame, or of the error frame
+    SimTime end = 0;  // of the frame, or of the error frame
     SimTime fails_at = kNever;
     CanError error = CanError::kBit;
   };
@@ -127,7 +127,7 @@ class CanBus {
   std::vector<Disturbance> disturbances_;
   std::optional<Transmission> transmission_;
   SimTime now_ = 0;
-  SimTime free_at_ = 0;  // the intermission is over
+  SimTime free_at_ = 0;  // end of the intermission
   SimTime recessive_since_ = 0;
   CanBusCounters counters_;
   std::string fault_;
@@ -138,16 +138,16 @@ struct TimedCanFrame {
   wire::CanFrame frame;
 };
 
-// A controller without faults, whose host is the caller.
+// An ideal controller that the caller drives.
 class CanTap final : public CanStation {
  public:
   CanTap(CanBus& bus, const CanRates& rates);
 
-  // Queues a frame that may begin at t.
+  // Queues a frame that may start at t or later.
   void send(SimTime t, const wire::CanFrame& frame) { queue_.push_back({t, frame}); }
-  // Takes the frames that ended by t. The bus must have been advanced there.
+  // Takes the received frames that ended by t. The bus must have been advanced to t.
   [[nodiscard]] std::vector<TimedCanFrame> take(SimTime t);
-  // Unplugged, it neither hears nor acknowledges.
+  // While disconnected it neither sends, receives nor acknowledges.
   void set_connected(bool on) noexcept { connected_ = on; }
   [[nodiscard]] std::uint64_t failures() const noexcept { return failures_; }
   [[nodiscard]] std::size_t waiting() const noexcept { return queue_.size(); }

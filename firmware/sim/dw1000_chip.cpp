@@ -15,7 +15,7 @@ constexpr std::uint64_t kCounterMask = (std::uint64_t{1} << 40) - 1;
 constexpr std::uint64_t kCoarseMask = kCounterMask & ~std::uint64_t{0x1FF};
 constexpr std::uint32_t kSlowSpi_hz = 3'000'000;
 constexpr std::uint32_t kFastSpi_hz = 20'000'000;
-// A frame is made known to the receivers when it is as near as this.
+// A frame is announced to the receivers this long before it starts.
 constexpr SimTime kAnnounceAhead = 10 * kUnitsPerMillisecond;
 
 // PMSC_CTRL0
@@ -30,7 +30,7 @@ constexpr std::uint32_t kHirqPol = 1U << 9;
 constexpr std::uint32_t kDisDrxb = 1U << 12;
 constexpr std::uint32_t kDisStxp = 1U << 18;
 constexpr std::uint32_t kRxwtoe = 1U << 28;
-constexpr std::uint32_t kFilterRules = 0x1FE;  // of no effect without FFE
+constexpr std::uint32_t kFilterRules = 0x1FE;  // no effect without FFE
 
 struct Header {
   bool valid = false;
@@ -203,7 +203,7 @@ void Dw1000Chip::read(SimTime t, std::span<const std::uint8_t> header_bytes, std
   std::fill(in.begin(), in.end(), std::uint8_t{0});
   const std::uint64_t garbled = garbled_transfers_;
   if (!spi_answers(hz)) {
-    // Garbage that is no one's reset value.
+    // Garbage that is no register's reset value.
     if (garbled_transfers_ != garbled) std::fill(in.begin(), in.end(), std::uint8_t{0xA5});
     return;
   }
@@ -382,8 +382,8 @@ void Dw1000Chip::otp_control_written() {
   }
 }
 
-// User manual 6.4, and as its maker's driver does it: the sensors and the converter need their bias and their
-// outputs on before they are started, and take their time.
+// User manual 6.4 and Decawave's driver: the sensors' bias and outputs must be on before a conversion starts.
+// The conversion takes kConversionTime.
 void Dw1000Chip::converter_written() {
   const bool on = (registers_.get(Reg::kTcSarc) & 1) != 0;
   const bool biased =
@@ -567,7 +567,7 @@ void Dw1000Chip::start_transmit(bool delayed, bool wait_for_response) {
   sending.at = {time_of(sending.start_tick),
                 time_of(sending.rmarker_tick - kSfdSymbols * kPreambleSymbolTicks), time_of(data),
                 time_of(data + data_ticks(length))};
-  // What the antenna radiates comes later than what the chip counts, by the antenna's delay.
+  // The antenna radiates later than the chip's counter says, by the antenna delay.
   const SimTime rmarker = time_of(sending.rmarker_tick);
   frame->rmarker = time_of(sending.rmarker_tick + spec_.transmit_antenna_delay_ticks);
   const SimTime antenna = frame->rmarker - rmarker;
@@ -608,7 +608,7 @@ void Dw1000Chip::transmission_step() {
       break;
     }
     default: {
-      // Erratum TX-1: after a delayed transmit TXFRS comes only if the transmitter's clock was forced on.
+      // Erratum TX-1: after a delayed transmit TXFRS is set only if the transmitter's clock was forced on.
       if (!sending.delayed || (registers_.get(Reg::kPmscCtrl0) & kTxclks) == kTxclksPll)
         status_ |= status::kTxfrs;
       count_event(Reg::kEvcTxfs);
@@ -653,7 +653,7 @@ void Dw1000Chip::update_next_event() noexcept {
     next = std::min(
         next, transmission_.announced ? transmission_.at[transmission_.stage] : transmission_.announce_at);
   if (!arrivals_.empty()) {
-    // Started ones stand first.
+    // The frames that have started come first.
     const auto first = std::find_if(arrivals_.begin(), arrivals_.end(),
                                     [](const Arrival& arrival) { return !arrival.started; });
     if (first != arrivals_.end()) next = std::min(next, first->frame->preamble_start);

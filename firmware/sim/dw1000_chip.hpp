@@ -1,22 +1,24 @@
-// A DW1000 down to its registers: SPI on one side, the medium on the other, an interrupt line.
+// A register-level model of the DW1000: SPI on one side, the medium on the other, an interrupt line.
 //
-// Time is given to it: advance(t), or an SPI transfer that ends at t. What happens inside between two calls
-// happens at its own instant, not at the call's. It may be ahead of its neighbours by less than the time from
-// a frame's first symbol to what a receiver shows of it (one PAC, 8 us and more); a frame that is announced
-// later than that is still heard as it should be, as long as the receiver did not change its state in
-// between: late_announcements() counts those that came too late for that.
+// The caller advances its time: advance(t), or an SPI transfer that ends at t. Internal events between two
+// calls take effect at their own instants. A chip may be ahead of its neighbours by less than the time from a
+// frame's first symbol to the first effect at a receiver (one PAC, 8 us or more). A frame that is announced
+// later than that is still received correctly if the receiver did not change its state in between;
+// late_announcements() counts the others.
 //
 // How receptions end:
-//   - The receiver has to be on when a frame's preamble begins; switched on in mid-preamble it hears nothing.
-//   - Two frames overlap at a receiver that listens to the first. If the first is stronger by capture_db it
+//   - The receiver has to be on when a frame's preamble begins. Switched on during the preamble, it does not
+//     detect the frame.
+//   - Two frames overlap at a receiver that is locked to the first. If the first is stronger by capture_db it
 //     is received. If the second is stronger by capture_db and begins before the first's RMARKER it is
 //     received instead. Otherwise the first is damaged from where the second begins (no SFD, then header
-//     error, then frame-check error) and the second is not heard.
-//   - A receiver that is switched on amid a frame hears a later one if that is stronger by capture_db.
-//   - After a header or Reed-Solomon error or a time-out, stamps are wrong until the receiver is reset.
+//     error, then frame-check error) and the second is not detected.
+//   - A receiver that is switched on during a frame receives a later frame that is stronger by capture_db.
+//   - After a header error, a Reed-Solomon error or a time-out, timestamps are wrong until the receiver is
+//     reset.
 //
-// It is strict: an access to a register that is not modelled, a mode that is not, or a command that the real
-// chip would not bear leaves a message in fault().
+// The model is strict: an access to a register that is not modelled, a mode that is not modelled, or a
+// command that the real chip does not support leaves a message in fault().
 #pragma once
 
 #include <array>
@@ -42,29 +44,29 @@ struct OtpWords {
   std::uint32_t part_id = 0x10000001;
   std::uint32_t lot_id = 0x0D0D0001;
   std::uint32_t supply = 0x000000A9;       // the converter's reading at 3.3 V
-  std::uint32_t temperature = 0x0000007D;  // and at 23 degrees C
+  std::uint32_t temperature = 0x0000007D;  // the converter's reading at 23 degrees C
   std::uint32_t antenna_delay = 0;
   std::uint32_t crystal_trim = 0x10;
 };
 
-// What the chip stands in.
+// The chip's operating conditions.
 struct Ambient {
   double temperature_c = 23.0;
   double supply_v = 3.3;
 };
 
-// How its surroundings bend what it stamps. All of it is in the receive stamps, half of it from each end of a
-// two-way range.
+// Biases of the timestamps. The model applies them to the receive timestamps alone; each end of a two-way
+// range contributes half.
 struct StampBias {
-  bool drift = false;  // 2.15 mm a degree C from 23, and 5.35 cm a volt from 3.3, of range for each end
-  bool power = false;  // by receive power: APS011, table 2, for PRF 64 MHz
+  bool drift = false;  // range per end: 2.15 mm per degree C from 23, and 5.35 cm per volt from 3.3
+  bool power = false;  // depends on receive power: APS011, table 2, for PRF 64 MHz
 };
 
 struct ChipSpec {
   std::uint16_t id = 0;  // names the antenna to the propagation model
   ClockSpec clock{};
   OtpWords otp{};
-  // What the antennas really delay; registers set to the same values give true ranges.
+  // The antennas' true delays; registers with the same values give unbiased ranges.
   std::uint32_t transmit_antenna_delay_ticks = 16436;
   std::uint32_t receive_antenna_delay_ticks = 16436;
   Ambient ambient{};
@@ -73,27 +75,27 @@ struct ChipSpec {
 
 class Dw1000Chip {
  public:
-  // From the reset line's release, or power, to the first SPI access that is answered, and to the clock PLL's
-  // lock.
+  // From the release of the reset line, or from power-on, to the first SPI access that succeeds, and to the
+  // lock of the clock PLL.
   static constexpr SimTime kSpiReadyAfterReset = 1500 * kUnitsPerMicrosecond;
   static constexpr SimTime kPllLockAfterReset = 2100 * kUnitsPerMicrosecond;
   static constexpr SimTime kPllLockAfterSoftReset = 10 * kUnitsPerMicrosecond;
-  // Of the converter for temperature and supply, on the PLL's clock.
+  // One conversion of temperature and supply, with the PLL's clock.
   static constexpr SimTime kConversionTime = 900 * kUnitsPerMicrosecond;
   static constexpr SimTime kLdeLoadTime = 120 * kUnitsPerMicrosecond;
   static constexpr std::int64_t kTransmitterPowerUpTicks = 5 * kTicksPerUus;
 
-  // Attaches itself to the medium, which it must not outlive. Without power until set_power().
+  // Attaches itself to the medium, which must outlive it. Unpowered until set_power().
   Dw1000Chip(const ChipSpec& spec, Medium& medium);
   Dw1000Chip(const Dw1000Chip&) = delete;
   Dw1000Chip& operator=(const Dw1000Chip&) = delete;
   ~Dw1000Chip() = default;
 
   void set_power(bool on, SimTime t);
-  // The reset line is released at t. The 40-bit counter starts anew at the clock's first_tick.
+  // The reset line is released at t. The 40-bit counter restarts at the clock's first_tick.
   void reset(SimTime t);
 
-  // One chip-select window that ends at t: a header of 1 to 3 bytes, then the payload.
+  // One chip-select window that ends at t: a header of 1 to 3 bytes, then the payload. hz: the SPI clock.
   void write(SimTime t, std::span<const std::uint8_t> header, std::span<const std::uint8_t> out,
              std::uint32_t hz);
   void read(SimTime t, std::span<const std::uint8_t> header, std::span<std::uint8_t> in, std::uint32_t hz);
@@ -102,7 +104,7 @@ class Dw1000Chip {
                 std::uint32_t hz);
 
   void advance(SimTime t);
-  // The next instant at which something changes by itself.
+  // The next internal event, or kNever.
   [[nodiscard]] SimTime next_event() const noexcept { return next_event_; }
   [[nodiscard]] SimTime now() const noexcept { return now_; }
   void set_ambient(const Ambient& ambient) noexcept { spec_.ambient = ambient; }
@@ -110,19 +112,19 @@ class Dw1000Chip {
   // The interrupt line, active high, at now().
   [[nodiscard]] bool irq() const noexcept;
 
-  // Empty while all is well; otherwise what was done to the chip first that should not have been.
+  // The first misuse of the chip; empty without one.
   [[nodiscard]] const std::string& fault() const noexcept { return fault_; }
   [[nodiscard]] std::uint64_t late_announcements() const noexcept { return late_announcements_; }
-  // SPI transfers that were too fast for the clock at the time and so had no effect or gave garbage.
+  // SPI transfers that were too fast for the system clock: writes had no effect, reads returned garbage.
   [[nodiscard]] std::uint64_t garbled_transfers() const noexcept { return garbled_transfers_; }
   [[nodiscard]] std::uint16_t id() const noexcept { return spec_.id; }
   [[nodiscard]] bool powered() const noexcept { return powered_; }
   [[nodiscard]] const NodeClock& clock() const noexcept { return clock_; }
-  // SYS_TIME with all its bits, not wrapped.
+  // SYS_TIME with all its bits, unwrapped.
   [[nodiscard]] std::int64_t ticks(SimTime t) const noexcept { return clock_.ticks(t) - counter_base_; }
   [[nodiscard]] std::uint64_t register_value(Reg reg) const noexcept { return registers_.get(reg); }
 
-  // From the medium.
+  // Called by the medium.
   void incoming(std::shared_ptr<const AirFrame> frame);
   void withdraw(const AirFrame& frame);
 
@@ -135,7 +137,7 @@ class Dw1000Chip {
     std::int64_t start_tick = 0;
     std::int64_t rmarker_tick = 0;  // without antenna delay: TX_RAWST
     SimTime announce_at = 0;
-    // Preamble, SFD, data, end: when each of TXFRB, TXPRS, TXPHS and TXFRS comes.
+    // Starts of preamble, SFD and data, and the end: when TXFRB, TXPRS, TXPHS and TXFRS are set.
     std::array<SimTime, 4> at{};
     std::size_t stage = 0;
   };
@@ -220,24 +222,24 @@ class Dw1000Chip {
   Tuning tuning_;
   bool tuning_valid_ = false;
 
-  Transmission transmission_;  // with a frame while one is pending or on its way
+  Transmission transmission_;  // has a frame while one is pending or being sent
   std::uint32_t frames_sent_ = 0;
 
   Receiver receiver_ = Receiver::kOff;
   bool receiver_needs_reset_ = false;
   std::int64_t receive_start_tick_ = 0;  // delayed
   SimTime receiver_on_at_ = 0;
-  SimTime last_on_at_ = kNever;  // of the listening before the present one
+  SimTime last_on_at_ = kNever;  // of the previous listening period
   SimTime last_off_at_ = 0;
   SimTime preamble_timeout_at_ = kNever;
   SimTime frame_timeout_at_ = kNever;
   SimTime sfd_timeout_at_ = kNever;
-  Arrival current_;  // with a frame while one is being received
+  Arrival current_;  // has a frame while one is being received
   Loss damage_ = Loss::kNone;
   bool header_done_ = false;
   SimTime detected_at_ = kNever;
   std::int64_t accumulated_symbols_ = 0;
-  std::vector<Arrival> arrivals_;  // by (start, source), those that matter yet
+  std::vector<Arrival> arrivals_;  // sorted by (start, source); past frames are removed
 
   std::uint64_t late_announcements_ = 0;
   std::uint64_t garbled_transfers_ = 0;

@@ -1,4 +1,4 @@
-// The receiving half of the chip: from a frame's preamble to the registers that tell of it.
+// The receiver of the chip: from a frame's preamble to the registers that describe its reception.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -12,16 +12,16 @@ namespace {
 constexpr std::uint64_t kStampMask = (std::uint64_t{1} << 40) - 1;
 constexpr std::uint64_t kWaitTimeout = 1U << 28;
 constexpr std::uint64_t kLderune = 1U << 17;
-// No frame is heard longer than this after its last symbol was sent (30 km).
+// The longest time of flight (30 km): no frame arrives later than this after its last symbol was sent.
 constexpr SimTime kLongestFlight = 100 * kUnitsPerMicrosecond;
 
 // User manual 4.7: power = 10 log10(sum 2^k / N^2) - A at PRF 64 MHz.
 constexpr double kPowerConstant_db = 121.74;
-// RXPACC counts symbols of the SFD too while it is not saturated: 5 with the 8-symbol SFD (table 18).
+// RXPACC also counts symbols of the SFD while it is not saturated: 5 with the 8-symbol SFD (table 18).
 constexpr std::int64_t kSfdAccumulation = 5;
-constexpr double kCarIntPpm = -5.7312e-4;  // ppm a unit of DRX_CAR_INT on channel 5 at 6.8 Mbit/s
+constexpr double kCarIntPpm = -5.7312e-4;  // ppm per unit of DRX_CAR_INT on channel 5 at 6.8 Mbit/s
 constexpr std::int64_t kTrackingInterval = 0x01FC0000;  // RX_TTCKI at PRF 64 MHz
-constexpr double kNoisePower_dbm = -120.0;              // what STD_NOISE stands for
+constexpr double kNoisePower_dbm = -120.0;              // reported in STD_NOISE
 
 std::uint64_t to_register(double value, std::uint64_t largest) {
   if (!(value > 0.0)) return 0;
@@ -62,7 +62,7 @@ void Dw1000Chip::withdraw(const AirFrame& frame) {
   update_next_event();
 }
 
-// ---- the receiver's course ------------------------------------------------------------------------
+// ---- receiver states ------------------------------------------------------------------------------
 
 SimTime Dw1000Chip::next_receiver_event() const noexcept {
   const SimTime rmarker = current_.frame ? current_.frame->rmarker + current_.reception.delay : kNever;
@@ -145,12 +145,12 @@ void Dw1000Chip::receiver_on(SimTime at) {
   current_ = {};
   detected_at_ = kNever;
   sfd_timeout_at_ = kNever;
-  // The demodulator's own registers are the next frame's from here on.
+  // From here on the demodulator's registers belong to the next frame.
   registers_.set(Reg::kDrxCarInt, 0);
   registers_.set(Reg::kRxpaccNosat, 0);
   const std::int64_t on = ticks(at);
   const auto chunks = static_cast<std::int64_t>(registers_.get(Reg::kDrxPretoc));
-  // The counter adds one by itself (user manual 7.2.40.9).
+  // The chip adds one to the counter (user manual 7.2.40.9).
   preamble_timeout_at_ =
       chunks == 0 ? kNever : time_of(on + (chunks + 1) * tuning().pac_symbols * kPreambleSymbolTicks);
   const bool limited = (registers_.get(Reg::kSysCfg) & kWaitTimeout) != 0;
@@ -206,8 +206,8 @@ void Dw1000Chip::preamble_begins(Arrival& arrival) {
   lock(arrival);
 }
 
-// The preamble is found in the first whole chunk of PAC symbols, counted from the receiver's start, that lies
-// in it.
+// The preamble is detected at the end of the first chunk of PAC symbols that lies wholly within it. Chunks
+// are counted from the start of the receiver.
 void Dw1000Chip::lock(const Arrival& arrival) {
   current_ = arrival;
   damage_ = arrival.reception.loss;
@@ -241,14 +241,14 @@ void Dw1000Chip::tell_of_overlap(const AirFrame& lost, const AirFrame& by) const
   if (Witness* const witness = medium_.witness(); witness != nullptr) witness->overlapped(lost, by, spec_.id);
 }
 
-// `at`: in the frame's own time, as it is sent.
+// `at`: in the time at the transmitter's antenna.
 void Dw1000Chip::damage_from(SimTime at) {
   const Loss damage = at < current_.frame->rmarker      ? Loss::kSfd
                       : at < current_.frame->data_start ? Loss::kHeader
                       : at < current_.frame->end        ? Loss::kData
                                                         : Loss::kNone;
   if (damage == Loss::kNone) return;
-  // Once past, a part is past.
+  // Of two damages the one to the earlier part of the frame counts.
   if (damage_ == Loss::kNone || damage < damage_) damage_ = damage;
 }
 
@@ -274,7 +274,7 @@ void Dw1000Chip::frame_ends() {
   receiver_ends(damaged ? status::kRxfce : status::kRxfcg, damaged ? Reg::kEvcFce : Reg::kEvcFcg, false);
 }
 
-// Drops what can neither be received nor disturb any more.
+// Drops frames that can no longer be received or disturb others.
 void Dw1000Chip::forget_past_frames() {
   std::erase_if(arrivals_, [&](const Arrival& arrival) {
     if (!arrival.started) return false;
@@ -284,12 +284,12 @@ void Dw1000Chip::forget_past_frames() {
   });
 }
 
-// A receive stamp late by b at each end makes a range longer by c b.
+// A receive timestamp that is late by b at each end lengthens a range by c b.
 double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
   constexpr double kTicksPerMetre = 63.8976e9 / 299'792'458.0;
   double bias_m = 0.0;
   if (spec_.bias.drift) {
-    // Each end's own, all of it in its own stamps: they enter by half.
+    // The bias is per end, and an end's receive timestamps enter the range by half: hence the factor 2.
     bias_m +=
         2.0 * (0.00215 * (spec_.ambient.temperature_c - 23.0) + 0.0535 * (spec_.ambient.supply_v - 3.3));
   }
@@ -305,10 +305,10 @@ double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
   return bias_m * kTicksPerMetre;
 }
 
-// ---- what the registers tell of a frame -----------------------------------------------------------
+// ---- registers that describe a received frame -----------------------------------------------------
 
-// With one buffer the next frame comes over the last one. The chip does so bit by bit until the new one is
-// whole; here all is lost as soon as that has begun, so that who reads too late is found out.
+// With a single buffer the next frame overwrites the last one. The chip does so gradually; the model spoils
+// the registers as soon as the new frame has begun, so that a test finds a driver that reads too late.
 void Dw1000Chip::spoil_last_frame() {
   for (const Reg reg : {Reg::kRxFinfo, Reg::kRxBuffer, Reg::kRxFqual, Reg::kRxTime, Reg::kLdePpIndx}) {
     const std::span<std::uint8_t> bytes = registers_.bytes(reg);
@@ -335,7 +335,7 @@ void Dw1000Chip::write_reception(bool damaged) {
                                     accumulated << 20);
   registers_.set(Reg::kRxpaccNosat, accumulated);
 
-  // The instant at which the RMARKER reached the antenna, as the chip counts it.
+  // When the RMARKER reached the antenna, in the chip's ticks.
   const Reception& reception = current_.reception;
   const std::int64_t rmarker =
       clock_.nearest_tick(frame.rmarker + reception.delay,
@@ -348,7 +348,7 @@ void Dw1000Chip::write_reception(bool damaged) {
   if (!lde_runs) {
     stamp = reception.junk;
   } else if (receiver_needs_reset_ || !tuning().stamps_true) {
-    // Off by 1 to 16 ns either way.
+    // An error of 1 to 16 ns of either sign.
     const std::uint64_t error = 64 + ((reception.junk >> 16) & 0x3BF);
     stamp = (reception.junk & 1) != 0 ? stamp + error : stamp - error;
   }
@@ -369,14 +369,14 @@ void Dw1000Chip::write_measurements() {
   const double received = amplitude_squared(reception.receive_power_dbm);
   const std::span<std::uint8_t> quality = registers_.bytes(Reg::kRxFqual);
   put(quality, 0, 2, to_register(std::sqrt(amplitude_squared(kNoisePower_dbm)), 0xFFFF));
-  // The three points of the first path share its power unevenly, so that none passes for another.
+  // The three first-path amplitudes get unequal shares of the power, so that a test notices a mix-up.
   put(quality, 2, 2, to_register(std::sqrt(0.45 * first_path), 0xFFFF));
   put(quality, 4, 2, to_register(std::sqrt(0.30 * first_path), 0xFFFF));
   put(quality, 6, 2, to_register(received / 131072.0, 0xFFFF));
   const std::span<std::uint8_t> time = registers_.bytes(Reg::kRxTime);
   put(time, 7, 2, to_register(std::sqrt(0.25 * first_path), 0xFFFF));
 
-  // The first path lies near sample 746; the more of the power comes later, the later the peak.
+  // The first path is near sample 746. The more power arrives after it, the later is the peak.
   const double hidden_db = std::max(reception.receive_power_dbm - reception.first_path_power_dbm, 0.0);
   const double first_index = 746.0 + static_cast<double>(reception.junk >> 56) / 64.0;
   put(time, 5, 2, to_register(first_index * 64.0, 0xFFFF));
@@ -384,7 +384,7 @@ void Dw1000Chip::write_measurements() {
   registers_.set(Reg::kLdePpAmpl, to_register(std::sqrt(0.5 * received), 0xFFFF));
   registers_.set(Reg::kLdeThresh, to_register(13.0 * std::sqrt(amplitude_squared(kNoisePower_dbm)), 0xFFFF));
 
-  // Both registers tell the transmitter's frequency against the receiver's.
+  // Both registers report the transmitter's frequency relative to the receiver's.
   const double ratio = (1.0 + frame.clock_offset) / (1.0 + clock_.offset(frame.rmarker)) - 1.0;
   const double ppm = ratio * 1e6 + reception.carrier_noise_ppm;
   registers_.set(Reg::kDrxCarInt, static_cast<std::uint64_t>(std::llround(ppm / kCarIntPpm)) & 0x1FFFFF);
