@@ -11,8 +11,8 @@ namespace {
 constexpr auto kRo = Access::kReadOnly;
 constexpr auto kRw = Access::kReadWrite;
 
-// In order of file and offset. A reset value of 0 stands, too, where the manual's default serves no
-// configuration: the driver has to write those.
+// Sorted by file and offset. Registers whose default in the manual suits no configuration reset to 0 here:
+// the driver has to write them.
 constexpr std::array<RegisterInfo, static_cast<std::size_t>(Reg::kCount)> kRegisters{{
     {Reg::kDevId, "DEV_ID", 0x00, 0x00, 4, kRo, 0xDECA0130},
     {Reg::kEui, "EUI", 0x01, 0x00, 8, kRw, 0xFFFFFFFF00000000},
@@ -50,7 +50,7 @@ constexpr std::array<RegisterInfo, static_cast<std::size_t>(Reg::kCount)> kRegis
     {Reg::kDrxSfdtoc, "DRX_SFDTOC", 0x27, 0x20, 2, kRw, 4096 + 64 + 1},
     {Reg::kDrxPretoc, "DRX_PRETOC", 0x27, 0x24, 2, kRw, 0},
     {Reg::kDrxTune4h, "DRX_TUNE4H", 0x27, 0x26, 2, kRw, 0},
-    // Three bytes and a reserved one.
+    // Three bytes and a reserved byte.
     {Reg::kDrxCarInt, "DRX_CAR_INT", 0x27, 0x28, 4, kRo, 0},
     {Reg::kRxpaccNosat, "RXPACC_NOSAT", 0x27, 0x2C, 2, kRo, 0},
     {Reg::kRfConf, "RF_CONF", 0x28, 0x00, 4, kRw, 0},

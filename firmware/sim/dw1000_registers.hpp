@@ -1,6 +1,6 @@
-// The DW1000's registers as its user manual (2.12, chapter 7) has them: what is where, what it holds after a
-// reset, and who may write it. Written from the manual and not shared with the driver, so that neither can
-// hide the other's mistake.
+// The DW1000's registers according to its user manual (2.12, chapter 7): address, reset value and access of
+// each. The table is written from the manual and not shared with the driver, so that neither hides the
+// other's mistakes.
 #pragma once
 
 #include <array>
@@ -100,7 +100,7 @@ enum class Access : std::uint8_t {
   kReadOnly,
   kReadWrite,
   kWriteOneToClear,
-  kCommand,  // writing acts, reading gives 0
+  kCommand,  // a write executes commands; reads give 0
 };
 
 struct RegisterInfo {
@@ -113,7 +113,7 @@ struct RegisterInfo {
   std::uint64_t reset;  // of the first 8 bytes; the rest is 0
 };
 
-// The register that holds the byte at this place, or null.
+// The register that contains the byte at this offset of this register file; null without one.
 [[nodiscard]] const RegisterInfo* find_register(std::uint8_t file, std::uint16_t offset) noexcept;
 [[nodiscard]] const RegisterInfo& register_info(Reg reg) noexcept;
 

@@ -1,6 +1,6 @@
-// Which frames a DW1000 can send and hear with the register values that it holds. The manual's tables are
-// taken at their word: with any other value the model's radio neither sends nor hears. Modelled: channel 5,
-// PRF 64 MHz, preamble codes 9 to 12.
+// Which frames a DW1000 can send and receive with its present register values. The values must be those of
+// the manual's tables: with any other value the model neither sends nor receives. Modelled: channel 5, PRF 64
+// MHz, preamble codes 9 to 12.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ struct Tuning {
   std::uint8_t transmit_code = 0;
   std::uint8_t receive_code = 0;
   std::uint16_t pac_symbols = 8;
-  std::uint16_t shortest_preamble = 0;  // that the receiver is set up for
+  std::uint16_t shortest_preamble = 0;  // symbols; the range that the receiver is set up for
   std::uint16_t longest_preamble = 0;
 
   [[nodiscard]] bool hears(const AirFormat& format) const noexcept {

@@ -1,4 +1,4 @@
-// The frame check of IEEE 802.15.4: CRC-16 of the ITU-T, least significant bit first, from 0.
+// The frame check sequence of IEEE 802.15.4: the ITU-T CRC-16, least significant bit first, initial value 0.
 #pragma once
 
 #include <cstdint>

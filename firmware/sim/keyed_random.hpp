@@ -1,5 +1,5 @@
-// Random numbers that depend on what is drawn and never on when: each is a hash of the seed and of its keys,
-// so that two simulations that ask in another order, or ask for more, agree on all that they share.
+// Random numbers that do not depend on the order of the draws: each is a hash of the seed and of its keys.
+// Two simulations that draw in different orders, or draw more, get the same values for the same keys.
 #pragma once
 
 #include <cmath>
@@ -8,7 +8,7 @@
 
 namespace groma::sim {
 
-// One seed's draws. A key names what is drawn: a purpose, then ids, counters.
+// The draws of one seed. The keys identify a draw: a purpose, then ids and counters.
 class KeyedRandom {
  public:
   explicit constexpr KeyedRandom(std::uint64_t seed) noexcept : state_(mix(seed ^ 0x6A09E667F3BCC908ULL)) {}
@@ -27,7 +27,7 @@ class KeyedRandom {
 
   [[nodiscard]] constexpr std::uint64_t bits() const noexcept { return mix(state_ ^ 0xBB67AE8584CAA73BULL); }
 
-  // In (0, 1), 53 bits.
+  // Uniform in (0, 1), 53 bits.
   [[nodiscard]] constexpr double uniform() const noexcept {
     return (static_cast<double>(bits() >> 11) + 0.5) * 0x1.0p-53;
   }

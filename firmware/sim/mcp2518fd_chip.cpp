@@ -244,7 +244,7 @@ std::uint32_t Mcp2518fdChip::read_register(unsigned address) {
   return 0;
 }
 
-// `protected_bits` of the register can be changed in configuration mode alone.
+// `protected_bits` of the register can be changed in configuration mode only.
 void Mcp2518fdChip::config_only(const char* name, unsigned address, std::uint32_t value, std::uint32_t mask,
                                 std::uint32_t writable, std::uint32_t protected_bits) {
   const std::uint32_t before = word(address);
@@ -268,7 +268,7 @@ void Mcp2518fdChip::write_register(unsigned address, std::uint32_t value, std::u
     case kTdc:
       return config_only("CiTDC", address, value, mask, 0x0303'7F3F, ~0U);
     case kInt:
-      // A flag is cleared by a zero; a one leaves it.
+      // Writing 0 clears a flag; writing 1 has no effect.
       word(kInt) &= ~(kClearable & mask & ~value);
       word(kInt) = (word(kInt) & ~(kEnableBits & mask)) | (value & mask & kEnableBits);
       return;
@@ -323,7 +323,7 @@ void Mcp2518fdChip::write_con(std::uint32_t value, std::uint32_t mask) {
       if (!fifo.transmits) continue;
       fifo.requested = false;
     }
-    // What is on the bus comes to its end.
+    // A frame that is on the bus is sent to its end.
     if (bus_.recessive_since(now_)) next_frame_.reset();
   }
   if ((mask & (7U << 24)) != 0) request_mode(request);
@@ -500,7 +500,7 @@ void Mcp2518fdChip::load_bit_timing() {
   check("data", d_before, d_quanta);
   rates_.data = time_of(d_prescaler * d_quanta);
 
-  // Where the transmitter looks at its own data bits, against when they come back.
+  // The transmitter must sample its own data bits within the bit time after they come back.
   const SimTime delay = SimTime{spec_.transceiver_delay_ns} * kUnitsPerMicrosecond / 1'000;
   const std::uint32_t t = word(kTdc);
   constexpr unsigned kAutomatic = 2;
@@ -573,7 +573,7 @@ std::optional<CanStation::Offer> Mcp2518fdChip::offer() const {
                .sees_itself = sees_itself_ || !next_frame_->bit_rate_switch};
 }
 
-// The transmit FIFO with the lowest number goes first: priorities are not modelled.
+// Takes the frame of the transmit FIFO with the lowest number: priorities are not modelled.
 void Mcp2518fdChip::load_next_frame(SimTime t) {
   next_frame_.reset();
   for (unsigned i = 1; i < kFifos && !next_frame_; ++i) {
@@ -614,7 +614,7 @@ void Mcp2518fdChip::frame_begins(SimTime t) {
 }
 
 void Mcp2518fdChip::sent(SimTime end) {
-  if (!next_frame_) return;  // it lost its power meanwhile
+  if (!next_frame_) return;  // the chip lost its power meanwhile
   const ErrorState before = error_state();
   if (transmit_errors_ > 0) --transmit_errors_;
   Fifo& fifo = fifos_[sending_];
@@ -629,7 +629,7 @@ void Mcp2518fdChip::sent(SimTime end) {
 void Mcp2518fdChip::send_failed(SimTime t, CanError error) {
   if (!next_frame_) return;
   const ErrorState before = error_state();
-  // Alone on the bus it tries for ever, but does not leave it (ISO 11898-1, 12.1.4.2, exception 1).
+  // Alone on the bus a station retries for ever but does not go bus-off (ISO 11898-1, 12.1.4.2, exception 1).
   if (error != CanError::kAcknowledge || before < ErrorState::kPassive) transmit_errors_ += 8;
   const unsigned pause = kIntermissionBits + (error_passive() ? kSuspendBits : 0);
   offer_since_ = t + pause * rates_.nominal;
@@ -701,7 +701,7 @@ Mcp2518fdChip::ErrorState Mcp2518fdChip::error_state() const noexcept {
   return worst >= 96 ? ErrorState::kWarning : ErrorState::kActive;
 }
 
-// From warning back to active it says nothing.
+// The return from warning to active raises no interrupt.
 void Mcp2518fdChip::errors_changed(ErrorState before) {
   const ErrorState after = error_state();
   if (after > before || (before == ErrorState::kPassive && after < before)) word(kInt) |= kErrorStateIf;

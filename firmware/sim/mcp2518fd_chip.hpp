@@ -1,14 +1,14 @@
-// An MCP2518FD down to its registers and its message RAM: SPI on one side, a CanBus on the other, an
+// A model of the MCP2518FD with its registers and message RAM: SPI on one side, a CanBus on the other, an
 // interrupt line (data sheet DS20006027, family reference manual DS20005678).
 //
 // Modelled: reset, oscillator, the modes configuration, normal CAN FD and normal CAN 2.0; bit timing; the 31
 // FIFOs and 32 filters; interrupts; error counters, error states, bus-off and its recovery after 128 times 11
-// recessive bits, with the transmit FIFOs emptied; RAM error detection, in that a word which was never
-// written is in error. FIFOCI reads wrong all the time, as erratum 6 of DS80000789 lets it at times.
+// recessive bits, with the transmit FIFOs emptied; RAM error detection, which reports words that were never
+// written. FIFOCI always reads wrong, as it sometimes does by erratum 6 of DS80000789.
 //
-// It is strict: an access to a register that is not modelled (the transmit queue, the event FIFO, time
-// stamps, CRC commands, GPIO and others), or a use that the real chip would not bear, leaves a message in
-// fault().
+// The model is strict: an access to a register that is not modelled (the transmit queue, the event FIFO,
+// timestamps, CRC commands, GPIO and others), or a use that the real chip does not support, leaves a message
+// in fault().
 #pragma once
 
 #include <array>
@@ -27,7 +27,7 @@ struct Mcp2518fdSpec {
   std::uint32_t clock_hz = 40'000'000;
   bool oscillates = true;                    // false: a dead crystal
   bool is_mcp2517fd = false;                 // the predecessor, which has no low-power mode
-  bool keeps_ram = true;                     // false: each bit of its RAM reads as zero
+  bool keeps_ram = true;                     // false: all bits of the RAM read as zero
   std::uint32_t transceiver_delay_ns = 220;  // from its transmit pin to its receive pin
 };
 
@@ -35,7 +35,7 @@ class Mcp2518fdChip final : public SpiDevice, public CanStation {
  public:
   static constexpr SimTime kOscillatorStart = 2 * kUnitsPerMillisecond;
 
-  // Attaches itself to the bus. Without power until set_power().
+  // Attaches itself to the bus. Unpowered until set_power().
   Mcp2518fdChip(CanBus& bus, const Mcp2518fdSpec& spec);
 
   void set_power(bool on, SimTime t);
@@ -47,7 +47,7 @@ class Mcp2518fdChip final : public SpiDevice, public CanStation {
   [[nodiscard]] SimTime next_event() const override;
   [[nodiscard]] bool irq() const override;
 
-  // Empty while all is well; otherwise what was done to the chip first that should not have been.
+  // The first misuse of the chip; empty without one.
   [[nodiscard]] const std::string& fault() const noexcept { return fault_; }
   [[nodiscard]] bool bus_off() const noexcept { return bus_off_; }
   [[nodiscard]] unsigned transmit_errors() const noexcept { return transmit_errors_; }

@@ -12,7 +12,7 @@ namespace {
 constexpr double kSpeedOfLight_mps = 299'792'458.0;
 constexpr double kTicksPerSecond = 63.8976e9;
 
-// A receiver asks for a frame while it lasts, at the latest: none is longer.
+// An upper bound of a frame's duration. Receivers ask for a frame's reception before its end.
 constexpr SimTime kLongestFrame = 10 * kUnitsPerMillisecond;
 
 // Purposes of draws.
@@ -123,7 +123,7 @@ void Medium::add_fade(Fade fade, SimTime now) {
   fades_.push_back({std::move(fade), fades_added_++});
 }
 
-// The worst of what all of them do.
+// The worst loss of all fades that affect the frame.
 void Medium::fade(const AirFrame& frame, std::uint16_t from, std::uint16_t to, Reception& reception) const {
   for (const auto& [fade, number] : fades_) {
     if (frame.rmarker < fade.from || frame.rmarker >= fade.until) continue;

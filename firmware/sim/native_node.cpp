@@ -24,12 +24,12 @@ SimTime from_us(double t_us) {
   return from_seconds(t_us * 1e-6);
 }
 
-// As fast as the nRF52832's.
+// Takes as long as the nRF52832's ECB peripheral.
 class TimedAes final : public security::BlockCipher {
  public:
   explicit TimedAes(SimTime& now) noexcept : now_(now) {}
   bool encrypt(const security::Key& key, security::Block& block) noexcept override {
-    constexpr SimTime kBlockTime = 8 * kUnitsPerMicrosecond;  // 7.2 us, and the looks at it
+    constexpr SimTime kBlockTime = 8 * kUnitsPerMicrosecond;  // 7.2 us, and polling
     now_ += kBlockTime;
     return aes_.encrypt(key, block);
   }
@@ -39,7 +39,7 @@ class TimedAes final : public security::BlockCipher {
   Aes aes_;
 };
 
-// One node's hardware as its firmware sees it. Its own time runs ahead of the network's by the work it does.
+// One node's hardware as its firmware sees it. Its time runs ahead of the network's by the work it does.
 class NativePlatform {
  public:
   class Spi {
@@ -76,7 +76,7 @@ class NativePlatform {
     }
   }
 
-  // ---- what the firmware asks for (firmware/core/node/platform.hpp) --------------------------------------
+  // ---- interface to the firmware (firmware/core/node/platform.hpp) ---------------------------------------
   Spi& spi() noexcept { return spi_; }
   void reset_radio() noexcept {
     chip.reset(now);
@@ -101,7 +101,7 @@ class NativePlatform {
   void proof_of_life() noexcept {}
   [[nodiscard]] node::StackUse stack_use() const noexcept { return {}; }
 
-  // ---- what the host of the node needs -------------------------------------------------------------------
+  // ---- interface to NativeNode ---------------------------------------------------------------------------
   void boot(SimTime t, node::ResetReason reason) {
     now = t;
     boot_us_ = local_us(t);
@@ -112,7 +112,7 @@ class NativePlatform {
     boot_count_ = storage::Counter(flash_).open_block();
     now += flash_.busy_time() - busy_before;
   }
-  // When the processor's clock shows that.
+  // When the processor's clock reaches t_us.
   [[nodiscard]] SimTime time_of_us(std::uint64_t t_us) const {
     constexpr std::uint64_t kLast =
         static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max() / kUnitsPerMicrosecond / 2);
@@ -123,7 +123,7 @@ class NativePlatform {
   Dw1000Chip chip;
   UartLine uart_out;
   UartLine uart_in;
-  SimTime now = 0;  // the node's own: up to here its processor is busy
+  SimTime now = 0;  // the node's local time: its processor is busy until then
   bool restart_asked = false;
 
  private:
@@ -208,7 +208,7 @@ class NativeNode final : public NodeHost {
 
  private:
   void boot(SimTime now) {
-    // Power on a chip that has it already is a reset of the processor alone.
+    // If the radio chip is already powered, only the processor restarts.
     platform_.boot(now + kBootTime, restarting_ ? node::ResetReason::kSoftware : node::ResetReason::kPowerOn);
     restarting_ = false;
     boots_at_ = kNever;

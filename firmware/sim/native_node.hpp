@@ -1,4 +1,4 @@
-// A node whose firmware runs compiled in: the platform it asks for, made of the chip model and a clock.
+// A node whose firmware is compiled for the host. Its platform consists of the chip model and a clock.
 #pragma once
 
 #include <memory>
@@ -7,7 +7,7 @@
 
 namespace groma::sim {
 
-// Attached to the medium, without power until spec.power_on.
+// Attaches the node to the medium; unpowered until spec.power_on.
 [[nodiscard]] std::unique_ptr<NodeHost> make_native_node(const NodeSpec& spec, Medium& medium);
 
 }  // namespace groma::sim

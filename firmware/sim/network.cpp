@@ -62,7 +62,7 @@ void Network::run_in_order(SimTime t) {
       }
     }
     if (next > t) return;
-    // A node that has fallen due since it last ran (a frame announced to it late) runs now.
+    // A node whose next event is already past (a frame was announced to it late) runs now.
     if (next > now_) now_ = next;
     run_node(who, now_);
   }

@@ -1,13 +1,12 @@
-// Many nodes on one medium, run in order of time.
+// Nodes on one medium, run in order of time.
 //
 //   Network network(world, MediumSettings{.loss_probability = 0.02}, seed);
 //   const std::size_t tag = network.add_native({.chip = {.id = 1, .clock = {.offset_ppm = 12.0}}});
 //   network.send(tag, bytes);                 // host to node, over the serial line
 //   network.run_until(from_seconds(1.0));
-//   network.take(tag, received);              // node to host: the bytes that left by then, each with its
-//   time
+//   network.take(tag, received);              // node to host: the bytes sent by then, with their times
 //
-// The same nodes, settings, seed and bytes sent at the same times give the same run, whatever the steps of
+// The same nodes, settings, seed and bytes sent at the same times give the same run for any steps of
 // run_until().
 #pragma once
 
@@ -30,24 +29,24 @@
 
 namespace groma::sim {
 
-// How fast a native node's processor gets its work done. Computing itself costs nothing.
+// The speed of a native node's processor. Computation itself takes no time.
 struct CpuSettings {
-  double interrupt_us = 4.0;        // from the interrupt line to the first instruction of the handler's work
-  double spi_transaction_us = 2.5;  // set-up, chip select and end-of-transfer interrupt of each transaction
+  double interrupt_us = 4.0;        // from the interrupt line to the handler's first useful instruction
+  double spi_transaction_us = 2.5;  // per transaction: set-up, chip select, end-of-transfer interrupt
   std::uint32_t spi_slow_hz = 2'000'000;
   std::uint32_t spi_fast_hz = 8'000'000;
 };
 
 struct NodeSpec {
-  ChipSpec chip{};                       // the node's id on the medium, the DW1000's crystal, its antennas
-  std::optional<ClockSpec> cpu_clock{};  // without it the processor shares the DW1000's crystal
+  ChipSpec chip{};                       // the node's id on the medium, the DW1000's crystal and antennas
+  std::optional<ClockSpec> cpu_clock{};  // nullopt: the processor shares the DW1000's crystal
   CpuSettings cpu{};
   UartSettings uart{};
   SimTime power_on = 0;
-  std::vector<std::uint8_t> stored_config{};  // what store_config() kept in an earlier life
+  std::vector<std::uint8_t> stored_config{};  // the configuration in flash before power-on
 };
 
-// A node as the network runs it: native firmware, a processor emulator, a test's script.
+// A node as the network runs it: native firmware, a processor emulator or a test script.
 class NodeHost {
  public:
   NodeHost() = default;
@@ -56,18 +55,18 @@ class NodeHost {
   virtual ~NodeHost() = default;
 
   [[nodiscard]] virtual Dw1000Chip& chip() noexcept = 0;
-  // To the host and from it.
+  // The serial lines to the host and from it.
   [[nodiscard]] virtual UartLine& uart_out() noexcept = 0;
   [[nodiscard]] virtual UartLine& uart_in() noexcept = 0;
 
-  // When run() has to be called next, beside the chip's own next_event(); kNever: not at all. Changes only by
-  // run(), set_power() and bytes on uart_in().
+  // When run() has to be called next, in addition to the chip's next_event(); kNever: not at all. Only run(),
+  // set_power() and bytes on uart_in() change it.
   [[nodiscard]] virtual SimTime next_work() = 0;
-  // What other nodes do on a bus that they share changes it too.
+  // True: other nodes' actions on a shared bus also change next_work().
   [[nodiscard]] virtual bool shares_bus() const noexcept { return false; }
-  // Does what is due at `now`. May reach ahead of it by the time that the work takes.
+  // Does the work due at `now`. The node may run ahead of `now` by the time that the work takes.
   virtual void run(SimTime now) = 0;
-  // Brown-out, and power back: volatile state is lost.
+  // Switches the node's power. Without power it loses its volatile state.
   virtual void set_power(bool on, SimTime now) = 0;
 };
 
@@ -77,25 +76,25 @@ class Network {
   Network(const PropagationModel& propagation, const MediumSettings& settings, std::uint64_t seed);
   ~Network();
 
-  // The node's index. Nodes are added before time passes their power_on.
+  // Returns the node's index. Add a node before the network's time passes its power_on.
   std::size_t add_native(const NodeSpec& spec);
   // For hosts that are built on medium(); the host's chip must be attached to it.
   std::size_t add(std::unique_ptr<NodeHost> host);
 
-  // From here on nodes that work at the same time are run by that many threads. They do the same whatever the
-  // number, as long as no node acts upon another sooner than kWindow and its run's reach after it decides to:
-  // the chips count where it was not so (late_announcements()). Nodes that share a bus
-  // are run by one thread all the same.
+  // From now on this many threads run the nodes that have work at the same time. The run does not depend on
+  // the number if every effect on another node comes later than kWindow plus the lead of the node's run()
+  // after the decision; the chips count the exceptions (late_announcements()). If any node shares a bus, one
+  // thread runs all nodes.
   void set_threads(unsigned threads);
   static constexpr SimTime kWindow = 10 * kUnitsPerMicrosecond;
 
-  // Throws SimulationError that names node and cause.
+  // Throws a SimulationError that names the node, the time and the cause.
   void run_until(SimTime t);
   [[nodiscard]] SimTime now() const noexcept { return now_; }
 
-  // Bytes from the host: on the line from now() on, at its bit rate. False: the line's queue is full.
+  // Sends bytes from the host, from now() on at the line's bit rate. False: the line's queue is full.
   bool send(std::size_t node, std::span<const std::uint8_t> bytes);
-  // Appends the bytes from the node that were through the line by now().
+  // Appends the bytes from the node whose transmission ended by now().
   void take(std::size_t node, std::vector<TimedByte>& out);
 
   void set_power(std::size_t node, bool on);
@@ -107,7 +106,7 @@ class Network {
  private:
   struct Due {
     const Dw1000Chip* chip;
-    SimTime work;  // the host's next_work(), unless it shares a bus: that is asked each time
+    SimTime work;  // the host's next_work(); not used for hosts that share a bus
     bool shares_bus;
   };
 
@@ -118,8 +117,8 @@ class Network {
 
   Medium medium_;
   std::vector<std::unique_ptr<NodeHost>> nodes_;
-  std::vector<Due> due_;                 // the same order
-  std::unique_ptr<WorkerPool> workers_;  // without: one node after the other
+  std::vector<Due> due_;                 // in the order of nodes_
+  std::unique_ptr<WorkerPool> workers_;  // null: a single thread runs all nodes
   bool shared_bus_ = false;
   std::vector<std::size_t> at_work_;
   std::vector<std::exception_ptr> failures_;

@@ -53,8 +53,8 @@ NodeClock::Phase NodeClock::phase(SimTime t) const noexcept {
   Wide excess = static_cast<Wide>(t) * offset_;
   const std::int64_t piece = t >> kPieceBits;
   for (const Ramp& ramp : ramps_) {
-    // The steps of all whole pieces before this one, summed: none, then one more each piece, then all of
-    // them.
+    // The sum of the ramp's steps over all whole pieces before this one. The steps are none before the ramp,
+    // one more in each of its pieces, and all of them after it.
     const std::int64_t grown = std::clamp<std::int64_t>(piece - ramp.first, 0, ramp.pieces);
     const Wide steps =
         static_cast<Wide>(grown) * (grown - 1) / 2 +
@@ -84,8 +84,8 @@ std::int64_t NodeClock::nearest_tick(SimTime t, double plus_ticks) const noexcep
 
 SimTime NodeClock::time_of_local(std::int64_t units) const noexcept {
   if (units <= 0) return 0;
-  // The offset is below 1e-3, so that each step leaves at most a thousandth of the error before it; after the
-  // first few the last unit is found by trying.
+  // The offset is below 1e-3, so each step reduces the error to at most a thousandth. The last unit is found
+  // by trying.
   SimTime t = units;
   for (std::int64_t missing = 2; missing > 1 || missing < -1;) {
     missing = units - phase(t).units;

@@ -1,4 +1,4 @@
-// A crystal as it is: started at some phase, off by some parts in a million, drifting with temperature.
+// A crystal clock with an initial phase, a frequency offset and a frequency drift.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace groma::sim {
 
-// A stretch of world time over which the offset grows, and stays at what it has grown to.
+// The frequency offset grows from from_s to until_s (world time) and stays at the value reached.
 struct DriftRamp {
   double ppm_per_s = 0.0;
   double from_s = 0.0;
@@ -16,33 +16,33 @@ struct DriftRamp {
 };
 
 struct ClockSpec {
-  double offset_ppm = 0.0;       // fast is positive
+  double offset_ppm = 0.0;       // positive: fast
   double drift_ppm_per_s = 0.0;  // added to the offset from drift_from_s to drift_until_s of world time
   double drift_from_s = 0.0;
   double drift_until_s = 0.0;
   std::uint64_t first_tick = 0;         // the 40-bit DW1000 counter's value at time 0
-  std::vector<DriftRamp> more_ramps{};  // they add up, with each other and with drift_ppm_per_s
+  std::vector<DriftRamp> more_ramps{};  // added to each other and to drift_ppm_per_s
 };
 
-// Up and down at ppm_per_s, a triangle between 0 and `height_ppm` (of the slope's sign) from from_s until
-// until_s at the latest; back at 0 after the last whole one.
+// A triangle wave of the offset with slope ppm_per_s, between 0 and |height_ppm| with the sign of the slope.
+// It lasts from from_s until until_s at the latest; the offset is 0 after the last whole triangle.
 [[nodiscard]] std::vector<DriftRamp> up_and_down(double ppm_per_s, double height_ppm, double from_s,
                                                  double until_s);
 
-// Maps world time to the clock's own and back, in whole numbers: the frequency is constant over pieces of
-// 2^30 units (3.4 ms) and a whole number of 2^-48 parts there, so that both ways are exact, strictly in order
-// and free of history.
+// Maps world time to local time and back in integers. The frequency is constant over pieces of 2^30 units
+// (3.4 ms), and its offset is a multiple of 2^-48. Both maps are therefore exact, monotonic and independent
+// of earlier calls.
 class NodeClock {
  public:
   NodeClock() noexcept : NodeClock(ClockSpec{}) {}
-  // Offsets stay within +-1000 ppm over the drift.
+  // The offset must stay within +-1000 ppm, drift included.
   explicit NodeClock(const ClockSpec& spec) noexcept;
 
-  // Units of this clock since time 0 (of 1/5 nominal tick, as SimTime), rounded down. t not negative.
+  // Units of this clock since time 0 (1/5 of a nominal tick, as SimTime), rounded down. t must be >= 0.
   [[nodiscard]] std::int64_t local_units(SimTime t) const noexcept;
-  // Ticks since time 0 plus first_tick, not wrapped, rounded down.
+  // Ticks since time 0 plus first_tick, unwrapped, rounded down.
   [[nodiscard]] std::int64_t ticks(SimTime t) const noexcept;
-  // The same with a real number of ticks added before it is rounded to the nearest tick.
+  // The same plus `plus_ticks`, rounded to the nearest tick.
   [[nodiscard]] std::int64_t nearest_tick(SimTime t, double plus_ticks) const noexcept;
 
   // The first instant at which ticks() reaches the given value; 0 if it was before the beginning.
@@ -54,7 +54,7 @@ class NodeClock {
   [[nodiscard]] double offset(SimTime t) const noexcept;
 
  private:
-  // Units and their fraction in 2^-48.
+  // Whole units, and their fraction in units of 2^-48.
   struct Phase {
     std::int64_t units;
     std::uint64_t fraction;

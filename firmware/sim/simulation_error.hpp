@@ -1,11 +1,11 @@
-// What ends a simulation: the firmware did what its hardware would not bear.
+// The error that ends a simulation: the firmware misused its hardware.
 #pragma once
 
 #include <stdexcept>
 
 namespace groma::sim {
 
-// An access to a register that is not modelled, and the like. The text names the place.
+// For example an access to a register that is not modelled. The text names the address or register.
 struct SimulationError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };

@@ -1,4 +1,4 @@
-// A chip at the end of an SPI bus, as the master's model drives it.
+// A chip on an SPI bus, driven by the model of the bus master.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace groma::sim {
 
-// World time throughout.
+// All times are world time.
 class SpiDevice {
  public:
   SpiDevice() = default;
@@ -16,13 +16,13 @@ class SpiDevice {
   SpiDevice& operator=(const SpiDevice&) = delete;
   virtual ~SpiDevice() = default;
 
-  // One chip-select window whose last bit passed at `end`; both spans have the same size.
+  // One chip-select window whose last bit ends at `end`. Both spans have the same size. hz: the SPI clock.
   virtual void transfer(SimTime end, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
                         std::uint32_t hz) = 0;
   virtual void advance(SimTime t) = 0;
-  // The next instant at which something changes by itself.
+  // The next internal event, or kNever.
   [[nodiscard]] virtual SimTime next_event() const = 0;
-  // The interrupt is asserted, whatever level that is on the line.
+  // The interrupt is asserted; the line's level depends on its polarity.
   [[nodiscard]] virtual bool irq() const = 0;
 };
 

@@ -1,4 +1,5 @@
-// The simulation's time: whole numbers in which a DW1000 tick and a 64 MHz processor cycle are both exact.
+// The simulation's time in integers. A DW1000 tick and a 64 MHz processor cycle are whole numbers of its
+// units.
 #pragma once
 
 #include <cstdint>
@@ -6,7 +7,7 @@
 
 namespace groma::sim {
 
-// Units of 1/(5 x 63.8976 GHz), 3.13 ps, since the world began. 63 bits last 334 days.
+// Units of 1/(5 x 63.8976 GHz), 3.13 ps, since the start of the simulation. 63 bits last 334 days.
 using SimTime = std::int64_t;
 
 inline constexpr SimTime kUnitsPerSecond = 319'488'000'000;

@@ -1,4 +1,4 @@
-// A sender that is no node: any bytes at any instant, for other systems on the channel, attacks and rubbish.
+// A sender that is not a node. It sends any bytes at any instant: other systems' frames, attacks, garbage.
 #pragma once
 
 #include <cstdint>
@@ -11,12 +11,12 @@ namespace groma::sim {
 
 class Transmitter {
  public:
-  // Takes its place on the medium, which it must not outlive, under that id for the propagation model.
+  // Attaches itself to the medium, which must outlive it. The propagation model knows it by `id`.
   Transmitter(std::uint16_t id, Medium& medium) : medium_(medium), station_(medium.attach_sender(id)) {}
 
-  // A frame of 0 to 125 bytes, to which the frame check is added, whose preamble starts at `at`. Its clock is
-  // nominal. Announced at once: not while the network runs, and `at` is later than any node has come by the
-  // work that it does (1 ms).
+  // Sends a frame of 0 to 125 bytes plus frame check whose preamble starts at `at`, with a nominal clock. The
+  // frame is announced at once: do not call it while the network runs, and choose `at` later than any node's
+  // local time (1 ms ahead is enough). Throws SimulationError for more than 125 bytes.
   void send(SimTime at, std::span<const std::uint8_t> bytes, const AirFormat& format = {});
 
   [[nodiscard]] std::uint32_t frames_sent() const noexcept { return frames_sent_; }

@@ -1,4 +1,4 @@
-// The serial line between a node and its host: a queue of fixed size, emptied at the line's bit rate.
+// The serial line between a node and its host: a queue of fixed size that empties at the line's bit rate.
 #pragma once
 
 #include <cstddef>
@@ -17,30 +17,30 @@ struct UartSettings {
 };
 
 struct TimedByte {
-  SimTime t = 0;  // when its stop bit had passed
+  SimTime t = 0;  // end of the stop bit
   std::uint8_t value = 0;
 };
 
-// One direction of the line. 10 bits a byte.
+// One direction of the line, with 10 bits per byte.
 class UartLine {
  public:
   explicit UartLine(const UartSettings& settings = {});
 
-  // Queues all the bytes or, if they do not fit beside those still waiting, none. Calls come in order of
-  // time.
+  // Queues all bytes. Returns false and queues none if they do not fit beside the waiting ones. `now` must
+  // not decrease between calls.
   bool write(SimTime now, std::span<const std::uint8_t> bytes);
 
-  // Appends the bytes that were through by `until`, and forgets them.
+  // Moves the bytes whose transmission ended by `until` to the end of `out`.
   void take(SimTime until, std::vector<TimedByte>& out);
-  // The time of the first byte not yet taken.
+  // The time of the first byte not yet taken, or kNever.
   [[nodiscard]] SimTime next_byte() const noexcept { return queue_.empty() ? kNever : queue_.front().t; }
 
-  // Bytes refused so far, and writes that were.
+  // Bytes and writes refused so far.
   [[nodiscard]] std::uint64_t overflow_bytes() const noexcept { return overflow_bytes_; }
   [[nodiscard]] std::uint64_t overflow_writes() const noexcept { return overflow_writes_; }
   [[nodiscard]] std::uint64_t accepted_bytes() const noexcept { return accepted_bytes_; }
 
-  // The line falls silent: what is not yet through is lost.
+  // Stops the line: bytes whose transmission has not ended by `now` are lost.
   void clear(SimTime now);
 
  private:

@@ -4,8 +4,8 @@ namespace groma::sim {
 
 namespace {
 
-// Rounds come thick and fast or not at all: how often a thread looks for the next one before it sleeps, and
-// for a round's end before it lets another thread run in its place.
+// Rounds follow each other quickly or not at all. A thread polls this often for the next round before it
+// sleeps, and for the end of a round before it yields.
 constexpr int kLooks = 500;
 
 constexpr std::uint32_t round_of(std::uint64_t ticket) noexcept {
@@ -60,7 +60,7 @@ void WorkerPool::take_part(std::uint32_t round) {
   while (round_of(ticket) == round) {
     const auto piece = static_cast<std::uint16_t>(ticket);
     if (piece >= static_cast<std::uint16_t>(ticket >> 16)) return;
-    // The round goes on until this piece is done, if it is taken.
+    // Once this thread has taken a piece, the round cannot end before the piece is done.
     if (!ticket_.compare_exchange_weak(ticket, ticket + 1)) continue;
     (*work_)(piece);
     ++done_;
