@@ -1,4 +1,4 @@
-// The scenario of the demonstration, carried within the program: scenarios/paper_hall.yaml.
+// The scenario of `groma demo`, compiled into the program: scenarios/paper_hall.yaml.
 #pragma once
 
 #include "firmware/sim/world/scenario.hpp"

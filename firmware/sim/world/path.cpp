@@ -13,7 +13,7 @@ namespace groma::sim {
 namespace {
 
 constexpr double kKnot_s = 0.1;
-constexpr double kStep_m = 0.01;  // of the geometric path
+constexpr double kStep_m = 0.01;  // between points of the geometric path
 constexpr double kStandAtEnds_s = 1.0;
 
 struct Point {
@@ -28,7 +28,7 @@ double wrapped(double angle_rad) {
   return std::remainder(angle_rad, 2.0 * std::numbers::pi);
 }
 
-// Legs and arcs, and where on them each waypoint is.
+// The points of all legs and arcs, and the index of each waypoint's point.
 struct Geometry {
   std::vector<Point> points;
   std::vector<std::size_t> waypoints;
@@ -47,7 +47,7 @@ void go_straight(std::vector<Point>& points, const Eigen::Vector2d& to) {
   }
 }
 
-// An arc of `turn` from the end of `points`, which heads by `tangent`; `at_half` is its middle.
+// Appends an arc of turn_rad that starts with the heading tangent_rad. `at_half`: the index of its middle.
 void go_round(std::vector<Point>& points, double tangent_rad, double turn_rad, double radius_m,
               std::size_t& at_half) {
   const Point start = points.back();
@@ -95,7 +95,7 @@ Geometry round_corners(const std::vector<Waypoint>& stations, double radius_m) {
   return out;
 }
 
-// Headings along the path: unwrapped tangents, or smooth steps between the waypoints that name one.
+// Headings along the path: unwrapped tangents, or smooth steps between the waypoints that have a yaw_rad.
 std::vector<double> headings(const Geometry& path, const std::vector<Waypoint>& waypoints, Drive drive) {
   const std::vector<Point>& points = path.points;
   std::vector<double> theta(points.size());
@@ -127,8 +127,7 @@ std::vector<double> headings(const Geometry& path, const std::vector<Waypoint>& 
   return theta;
 }
 
-// The stations of a loop: it starts and ends in the middle of the first leg, where the heading is the same
-// both times.
+// The stations of a loop. It starts and ends in the middle of the first leg, where both headings agree.
 std::vector<Waypoint> closed(const std::vector<Waypoint>& waypoints, Drive drive) {
   Waypoint middle;
   middle.x_m = 0.5 * (waypoints[0].x_m + waypoints[1].x_m);
@@ -143,7 +142,7 @@ std::vector<Waypoint> closed(const std::vector<Waypoint>& waypoints, Drive drive
   return stations;
 }
 
-// Capped by curvature and turning, then by what the acceleration allows from both sides.
+// Speeds limited by curvature and yaw rate, then by the acceleration forwards and backwards along the path.
 std::vector<double> speeds(const Geometry& path, const std::vector<double>& theta,
                            const std::vector<Waypoint>& stations, const PathOptions& options) {
   const std::vector<Point>& points = path.points;
@@ -169,7 +168,7 @@ std::vector<double> speeds(const Geometry& path, const std::vector<double>& thet
   return speed;
 }
 
-// When the robot is at each point; it leaves later than it arrives where it stops.
+// The robot's arrival and departure at each point; they differ where it stops.
 struct Timing {
   std::vector<double> arrives_s;
   std::vector<double> leaves_s;
@@ -228,7 +227,7 @@ Path::Path(const std::vector<Waypoint>& waypoints, const PathOptions& options) :
     while (i + 1 < points.size() && time.arrives_s[i + 1] <= t) ++i;
     double fraction = 0.0;
     if (i + 1 < points.size() && t > time.leaves_s[i]) {
-      // Constant acceleration between two points.
+      // The acceleration between two points is constant.
       const double dt = t - time.leaves_s[i];
       const double acceleration = (speed[i + 1] - speed[i]) / (time.arrives_s[i + 1] - time.leaves_s[i]);
       fraction = (speed[i] * dt + 0.5 * acceleration * dt * dt) / (points[i + 1].s_m - points[i].s_m);

@@ -12,7 +12,7 @@ namespace {
 
 enum Purpose : std::uint64_t { kScale, kYawRateBias, kOdometryRow, kPriorRow, kPriorX, kPriorY, kPriorYaw };
 
-// Gauss and Legendre, three points on (0, 1).
+// Gauss-Legendre quadrature, three points on (0, 1).
 constexpr std::array<double, 3> kNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
 constexpr std::array<double, 3> kWeights = {5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0};
 
@@ -75,7 +75,7 @@ model::OdometrySample Robot::odometry(std::uint64_t k) const {
 
 model::PoseSample Robot::pose_prior(std::uint64_t k) const {
   model::PoseSample row = truth(static_cast<double>(k) / prior_.rate_hz);
-  // A cubic B-spline over independent draws falls to half its correlation after 1.4 knots.
+  // The correlation of a cubic B-spline over independent draws falls to one half after 1.4 knots.
   const double u = row.t_s / (0.5 * prior_.correlation_s);
   const KeyedRandom white = random_.of(kPriorRow, k);
   row.x_m += prior_.correlated_sigma_m * smooth_noise(random_.of(kPriorX), u) +

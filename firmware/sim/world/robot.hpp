@@ -1,4 +1,4 @@
-// The simulated robot: a body that follows a path over the ground, and what its sensors tell of it.
+// The simulated robot: a body that follows a path on the ground, with odometry and pose priors.
 #pragma once
 
 #include <cstdint>
@@ -14,20 +14,20 @@ namespace groma::sim {
 struct OdometryOptions {
   double rate_hz = 50.0;
   model::OdometryNoise noise{0.02, 0.02, 0.006};
-  double scale_sigma = 0.01;                 // of one factor for both velocities, constant
-  double yaw_rate_bias_sigma_radps = 0.001;  // constant
+  double scale_sigma = 0.01;                 // of the constant factor on both velocities
+  double yaw_rate_bias_sigma_radps = 0.001;  // of the constant bias
 };
 
 struct PosePriorOptions {
   double rate_hz = 10.0;
-  double correlated_sigma_m = 0.02;  // in x and in y, over correlation_s
+  double correlated_sigma_m = 0.02;  // in x and in y, with the correlation time correlation_s
   double correlated_sigma_rad = 0.003;
   double correlation_s = 10.0;
   double white_sigma_m = 0.01;
   double white_sigma_rad = 0.002;
 };
 
-// Velocity of base_link in its own axes: the tangent plane's, and about its normal.
+// Velocity of base_link in its own axes: linear in the tangent plane, angular about its normal.
 struct BodyVelocity {
   double vx_mps = 0.0;
   double vy_mps = 0.0;
@@ -41,13 +41,13 @@ class Robot {
 
   [[nodiscard]] model::SurfacePose pose(double t_s) const noexcept;
   [[nodiscard]] BodyVelocity velocity(double t_s) const noexcept;
-  // yaw_rad is the heading on the surface; roll and pitch are left unknown.
+  // The ground truth. yaw_rad is the heading on the surface; roll and pitch are not set.
   [[nodiscard]] model::PoseSample truth(double t_s) const noexcept;
 
-  // Row k holds from k / rate to (k + 1) / rate: the mean velocity over its interval, with noise, scale and
-  // bias.
+  // Sample k holds from k / rate to (k + 1) / rate: the mean velocity over its interval, with noise, scale
+  // and bias.
   [[nodiscard]] model::OdometrySample odometry(std::uint64_t k) const;
-  // Row k is of k / rate: what the robot's own localization tells.
+  // Sample k is the pose at k / rate with the noise of PosePriorOptions, as from another localization system.
   [[nodiscard]] model::PoseSample pose_prior(std::uint64_t k) const;
 
   [[nodiscard]] const OdometryOptions& odometry_options() const noexcept { return odometry_; }

@@ -1,4 +1,4 @@
-// What a simulated run is made of: the site, the nodes, the robot's drives, the radio's faults and the links.
+// The configuration of a simulated run: site, nodes, drives, radio errors and links.
 #pragma once
 
 #include <cstdint>
@@ -14,13 +14,14 @@
 
 namespace groma::sim {
 
-// A part of the robot's way; the next begins where it ends, with a stop between.
+// One drive of the robot. The next one begins where it ends, after a stop.
 struct DriveLeg {
   std::string name;
   std::vector<Waypoint> waypoints;
 };
 
-// How the biases z = gamma d + beta of each pair of tag and anchor are drawn: Gaussian, within bounds.
+// The distribution of the biases z = gamma d + beta of each pair of tag and anchor: Gaussian; beta is
+// truncated.
 struct BiasOptions {
   model::ScalarPrior beta_m{0.0, 0.0};
   double beta_min_m = -1.0;
@@ -29,16 +30,16 @@ struct BiasOptions {
 };
 
 struct RadioOptions {
-  double clock_ppm = 20.0;      // of each node's crystal, uniform within +-
-  double stamp_sigma_ns = 0.1;  // of each receive stamp
+  double clock_ppm = 20.0;      // offset of each node's crystal, uniform within +-clock_ppm
+  double stamp_sigma_ns = 0.1;  // of each receive timestamp
   double loss = 0.02;           // of each frame at each receiver
 };
 
 // The superframe and the physical layer, as the nodes are configured.
 struct ScheduleOptions {
   enum class Method { kFinal, kNextPoll };
-  model::NodeId master_id = 0;                             // the anchor whose beacon leads
-  std::optional<std::vector<model::NodeId>> backup_ids{};  // by rank; nothing: as a site plan has it
+  model::NodeId master_id = 0;                             // the anchor that sends the master beacon
+  std::optional<std::vector<model::NodeId>> backup_ids{};  // by rank; nullopt: the default of a site plan
   Method method = Method::kNextPoll;
   unsigned preamble = 128;         // symbols: 64, 128 or 256
   unsigned turn_round_us = 300;    // end of a received frame to the preamble of the answer
@@ -47,7 +48,7 @@ struct ScheduleOptions {
 };
 
 struct LinkOptions {
-  unsigned bit_per_s = 1'000'000;  // 8N1: ten bits a byte
+  unsigned bit_per_s = 1'000'000;  // 8N1: ten bits per byte
 };
 
 struct Scenario {
@@ -66,7 +67,7 @@ struct Scenario {
   RadioOptions radio;
   ScheduleOptions schedule;
   LinkOptions link;
-  double range_sigma_m = 0.08;  // what estimators are told of the noise of a range
+  double range_sigma_m = 0.08;  // the nominal range noise given to the estimators
 };
 
 }  // namespace groma::sim

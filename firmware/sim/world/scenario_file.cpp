@@ -22,7 +22,7 @@ namespace {
 using io::YamlValue;
 
 constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
-constexpr std::size_t kMaxNodesOfARole = 16;  // as many as a schedule holds
+constexpr std::size_t kMaxNodesOfARole = 16;  // the capacity of a schedule
 constexpr double kShortestLeg_m = 0.1;
 
 double number(const YamlValue& map, std::string_view key, double otherwise) {
@@ -192,7 +192,7 @@ RadioClimate parse_climate(const YamlValue& map) {
   return climate;
 }
 
-// Nodes of one role, by id; `ids` are those that are taken.
+// Nodes of one role, sorted by id. `ids`: the ids in use; parse_nodes adds to it.
 template <typename Node>
 std::vector<Node> parse_nodes(const YamlValue& list, std::string_view place_key,
                               std::set<model::NodeId>& ids) {

@@ -1,4 +1,4 @@
-// Scenarios as YAML files: docs/reference/files.md tells the keys.
+// Scenarios as YAML files; docs/reference/files.md documents the keys.
 #pragma once
 
 #include <filesystem>
@@ -8,10 +8,10 @@
 
 namespace groma::sim {
 
-// Throws io::ConfigError with line and column of what is not as it has to be. `path` only names the text.
+// Throws io::ConfigError with line and column of an invalid entry. `path` only names the text in messages.
 [[nodiscard]] Scenario parse_scenario(const std::filesystem::path& path, const std::string& text);
 
-// Throws also io::DataError (missing) and io::PermissionError.
+// As parse_scenario(). Also throws io::DataError (file missing) and io::PermissionError.
 [[nodiscard]] Scenario read_scenario(const std::filesystem::path& path);
 
 }  // namespace groma::sim

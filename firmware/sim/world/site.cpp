@@ -13,10 +13,10 @@ namespace {
 
 constexpr double kWavelength_m = 299'792'458.0 / 6489.6e6;  // channel 5
 constexpr std::size_t kNoWall = static_cast<std::size_t>(-1);
-constexpr double kAroundEdge_m = 0.02;    // a bent ray passes an edge at this distance
-constexpr double kTextureLength_m = 0.8;  // over which the inside of a wall changes
-constexpr double kTextureSigma = 0.3;     // relative
-// A reflection this much later than the first path still disturbs its leading edge (1 ns).
+constexpr double kAroundEdge_m = 0.02;    // a diffracted ray passes an edge at this distance
+constexpr double kTextureLength_m = 0.8;  // length scale of the variation of delay within a wall
+constexpr double kTextureSigma = 0.3;     // relative standard deviation of that delay
+// A path this much longer than the first one still disturbs its leading edge (1 ns).
 constexpr double kLeadingEdge_m = 0.3;
 constexpr double kLeadingEdgeGain = 0.5;
 
@@ -31,13 +31,13 @@ double from_db(double db) {
   return std::pow(10.0, db / 10.0);
 }
 
-// One way of the pulse, relative to the straight line of sight.
+// One propagation path. excess_m: its length minus the straight line.
 struct Way {
   double excess_m;
   double power_dbm;
 };
 
-// Mirror image of p in the wall's plane.
+// The mirror image of p in the wall's plane.
 Eigen::Vector3d mirrored(const Wall& wall, const Eigen::Vector3d& p) {
   const Eigen::Vector2d along = (wall.to_m - wall.from_m).normalized();
   const Eigen::Vector2d normal(-along.y(), along.x());
@@ -47,7 +47,7 @@ Eigen::Vector3d mirrored(const Wall& wall, const Eigen::Vector3d& p) {
   return image;
 }
 
-// Where the shortest way from a to b around the vertical line through `edge` touches that line.
+// Where the shortest path from a to b by the vertical line through `edge` touches that line.
 Eigen::Vector3d around(const Eigen::Vector2d& edge, const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   const double before = (edge - a.head<2>()).norm();
   const double after = (b.head<2>() - edge).norm();
@@ -114,7 +114,8 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
     return climate_.power_at_1m_dbm - climate_.path_exponent * to_db(std::max(length_m, 0.1)) - loss_db;
   };
 
-  // Ways too weak to be seen are not kept; what is seen depends on the strongest, so all come first.
+  // Collects all paths but those too weak to be detected. The detection threshold depends on the strongest
+  // one.
   std::vector<Way> ways;
   const auto keep = [&](double length_m, double loss_db, double excess_m) {
     if (loss_db >= kOpaqueLoss_db) return;
@@ -177,7 +178,7 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
   }
   if (first == nullptr) return arrival;
 
-  // What comes within the leading edge pulls the stamp by its phase.
+  // Paths within the leading edge shift the timestamp, depending on their phase.
   double pull_m = 0.0;
   for (const Way& way : ways) {
     const double late_m = way.excess_m - first->excess_m;

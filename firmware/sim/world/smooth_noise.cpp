@@ -8,7 +8,7 @@ namespace groma::sim {
 
 namespace {
 
-// Sum over the four weights squared, averaged over the cell: 151/315.
+// The sum of the squares of the four weights, averaged over a cell.
 constexpr double kMeanSquare = 151.0 / 315.0;
 
 struct Cell {

@@ -1,5 +1,5 @@
-// Noise that varies smoothly along one or two coordinates: what is slow in the world (floors, errors of a
-// localization, the inside of a wall) without a state that would tie it to the order of the questions.
+// Noise that varies smoothly along one or two coordinates: ground heights, slow errors of a pose prior, the
+// delay within a wall. It has no state and does not depend on the order of the calls.
 #pragma once
 
 #include "firmware/sim/keyed_random.hpp"

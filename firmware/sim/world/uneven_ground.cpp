@@ -10,7 +10,7 @@ namespace groma::sim {
 
 namespace {
 
-// 0 on the border of the rectangle and outside, 1 from edge_m within.
+// 0 on the border of the rectangle and outside, 1 at edge_m inside and beyond.
 double weight(const UnevenArea& area, double x_m, double y_m) {
   const double inside_m =
       std::min({x_m - area.from_m.x(), area.to_m.x() - x_m, y_m - area.from_m.y(), area.to_m.y() - y_m});
@@ -27,7 +27,7 @@ model::BSpline uneven_ground(const model::BSpline::Grid& grid, const std::vector
   const KeyedRandom random(seed);
   for (int i = 0; i < grid.nx; ++i) {
     for (int j = 0; j < grid.ny; ++j) {
-      // Control point i, j pulls most where the basis function over it has its middle.
+      // Control point i, j has most influence at the centre of its basis function.
       const double x = grid.x0_m + (i - 1) * grid.dx_m;
       const double y = grid.y0_m + (j - 1) * grid.dy_m;
       double z = 0.0;

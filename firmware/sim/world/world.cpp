@@ -12,7 +12,7 @@ enum WorldPurpose : std::uint64_t { kRobot = 0x576F, kBeta, kGamma, kTexture };
 
 constexpr double kShortestFlight_m = 0.05;
 
-// All drives as one way. The robot stops between two drives, to be told apart.
+// All drives as one path. The robot stops between two drives, so that they can be distinguished.
 constexpr double kStopBetweenDrives_s = 2.0;
 
 std::vector<Waypoint> joined(const std::vector<DriveLeg>& drives) {
@@ -24,7 +24,7 @@ std::vector<Waypoint> joined(const std::vector<DriveLeg>& drives) {
   return all;
 }
 
-// A key that does not tell who asks first.
+// A key that does not depend on the order of the two ids.
 std::uint32_t pair_key(std::uint16_t a, std::uint16_t b) {
   return (static_cast<std::uint32_t>(std::min(a, b)) << 16) | std::max(a, b);
 }
@@ -96,7 +96,7 @@ TrueBias World::bias(std::uint16_t a, std::uint16_t b) const {
 }
 
 Propagation World::between(std::uint16_t transmitter, std::uint16_t receiver, double t_s) const {
-  // Always from the lower id to the higher: the same to the last bit in both directions.
+  // Computed from the lower id to the higher: both directions get bit-identical results.
   const Node* first = find(std::min(transmitter, receiver));
   const Node* second = find(std::max(transmitter, receiver));
   if (first == nullptr || second == nullptr || first == second) return {};

@@ -1,4 +1,4 @@
-// A scenario set in motion: where everything is at any time, and how a frame gets from one node to another.
+// A running scenario: the positions of all nodes at any time, and how a frame propagates between two nodes.
 #pragma once
 
 #include <cstddef>
@@ -15,29 +15,29 @@
 
 namespace groma::sim {
 
-// The bias of one unordered pair of a tag and an anchor.
+// The true bias of one unordered pair of a tag and an anchor.
 struct TrueBias {
   double beta_m = 0.0;
   double gamma = 1.0;
 };
 
-// The time over which one of the scenario's drives takes place.
+// The time interval of one of the scenario's drives.
 struct DriveTime {
   std::string name;
   double begin_s = 0.0;
   double end_s = 0.0;
 };
 
-// One thread at a time: answers for the same instant share the robot's pose.
+// Not thread-safe: calls for the same instant share the robot's pose.
 class World final : public PropagationModel {
  public:
   World(const Scenario& scenario, std::uint64_t seed);
 
   [[nodiscard]] Propagation between(std::uint16_t transmitter, std::uint16_t receiver,
                                     double t_s) const override;
-  // Nothing stands between the two nodes.
+  // LOS between the two nodes; false for an unknown id.
   [[nodiscard]] bool in_sight(std::uint16_t a, std::uint16_t b, double t_s) const;
-  // Of an antenna, map frame; none: the scenario has no such node.
+  // An antenna's position in the map frame; nullopt: the scenario has no such node.
   [[nodiscard]] std::optional<Eigen::Vector3d> antenna_m(std::uint16_t id, double t_s) const;
   [[nodiscard]] TrueBias bias(std::uint16_t a, std::uint16_t b) const;
 
@@ -48,7 +48,7 @@ class World final : public PropagationModel {
  private:
   struct Node {
     bool on_robot;
-    Eigen::Vector3d place_m;  // lever arm of a tag, position of an anchor
+    Eigen::Vector3d place_m;  // lever arm of a tag (base_link), position of an anchor (map)
   };
   [[nodiscard]] const Node* find(std::uint16_t id) const;
   [[nodiscard]] Eigen::Vector3d antenna_m(const Node& node, double t_s) const;
@@ -61,7 +61,7 @@ class World final : public PropagationModel {
   std::vector<DriveTime> drives_;
   mutable double pose_t_s_;
   mutable model::RigidPose pose_;
-  mutable std::map<std::uint32_t, Propagation> between_anchors_;  // they stand still
+  mutable std::map<std::uint32_t, Propagation> between_anchors_;  // a cache: anchors are stationary
 };
 
 }  // namespace groma::sim
