@@ -22,9 +22,9 @@ enum : std::uint32_t {
   kGpregret = 0x51C,
   kGpregret2 = 0x520,
   kLfclksrc = 0x518,
-  kApprotectDisable = 0x558,  // of the revisions that open the debug port by firmware
+  kApprotectDisable = 0x558,  // only in silicon revisions whose firmware opens the debug port
   kDcdcen = 0x578,
-  kErratum108 = 0xEE4,  // RAM is not to be trusted after sleep before FICR's value is copied there
+  kErratum108 = 0xEE4,  // RAM may lose its content in sleep unless FICR's value is copied here
 };
 
 constexpr std::uint32_t kStateRunning = 1U << 16;
@@ -49,7 +49,7 @@ std::optional<std::uint32_t> ClockPower::read(SimTime, std::uint32_t offset) {
     case kHfclkrun:
       return hfxo_asked_ ? 1 : 0;
     case kHfclkstat:
-      // The internal oscillator runs whenever the crystal does not.
+      // The internal oscillator runs when the crystal does not.
       return hfxo_runs_ ? kStateRunning | kSourceCrystal : kStateRunning;
     case kLfclkrun:
       return lfclk_asked_ ? 1 : 0;

@@ -7,7 +7,7 @@
 
 namespace groma::sim {
 
-// RESETREAS (product specification 18.9.10). A power-on leaves none.
+// RESETREAS (product specification 18.9.10). A power-on sets no bit.
 enum class ResetCause : std::uint32_t {
   kPowerOn = 0,
   kPin = 1U << 0,
@@ -22,7 +22,7 @@ class ClockPower final : public Peripheral {
   static constexpr SimTime kLfxoStart = 250 * kUnitsPerMillisecond;
   static constexpr SimTime kLfrcStart = 600 * kUnitsPerMicrosecond;
 
-  // The registers that outlive a soft reset are those of the peripheral before; RESETREAS adds up.
+  // Registers that survive a soft reset keep their values; RESETREAS accumulates causes.
   void reset(ResetCause cause);
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
@@ -31,7 +31,7 @@ class ClockPower final : public Peripheral {
   void advance(SimTime t) override;
   [[nodiscard]] bool irq() const noexcept override { return events_.irq(); }
 
-  // The high-frequency crystal runs: timers and baud rates are exact.
+  // The high-frequency crystal runs, so timers and baud rates are exact.
   [[nodiscard]] bool crystal_runs() const noexcept { return hfxo_runs_; }
 
  private:
@@ -46,7 +46,7 @@ class ClockPower final : public Peripheral {
   bool lfclk_asked_ = false;
   bool lfclk_runs_ = false;
   std::uint32_t lfclk_source_ = 0;       // LFCLKSRC
-  std::uint32_t lfclk_source_copy_ = 0;  // as it was at the start
+  std::uint32_t lfclk_source_copy_ = 0;  // LFCLKSRC when the clock was started
   std::uint32_t reset_reason_ = 0;
   std::uint32_t dcdc_ = 0;
   std::array<std::uint32_t, 2> retained_{};  // GPREGRET

@@ -25,9 +25,9 @@ constexpr std::uint32_t kPage = 4096;
 constexpr SimTime kStopNow = std::numeric_limits<SimTime>::min();
 constexpr std::uint32_t kThumb = 1U << 24;
 
-// Numbers that Unicorn gives its interrupt callback.
+// Numbers that Unicorn passes to its interrupt callback.
 constexpr int kSupervisorCall = 2;
-constexpr int kPrefetchAbort = 3;  // by the default memory map
+constexpr int kPrefetchAbort = 3;  // a violation of the default memory map
 constexpr int kBreakpoint = 7;
 constexpr int kExceptionReturn = 8;
 constexpr int kNoCoprocessor = 17;
@@ -58,7 +58,7 @@ CortexM4::Core::Core(std::span<std::uint8_t> flash, std::span<std::uint8_t> ram,
     throw SimulationError("processor emulator: flash and RAM are multiples of 4096 bytes");
   }
   engine_.map_read_only(0, flash, UC_PROT_EXEC);
-  // Unicorn's own store to RAM allocates memory to look for code there, which is four times as slow.
+  // A hook handles stores to RAM: Unicorn's own store checks for code there, which is four times as slow.
   engine_.map_read_only(kRam, ram, UC_PROT_NONE);
   engine_.map_io(kFactory, kFactoryBytes, &on_bus_read<kFactory>, &on_bus_write<kFactory>, this);
   engine_.map_io(kPeripherals, kPeripheralBytes, &on_bus_read<kPeripherals>, &on_bus_write<kPeripherals>,
@@ -147,7 +147,7 @@ SimTime CortexM4::Core::next_wake() const {
   return sleeping() ? std::max(ready, sys_tick_.next_interrupt()) : ready;
 }
 
-// B1.5.17 and B1.5.18: PRIMASK does not keep an interrupt from waking.
+// B1.5.17 and B1.5.18: an interrupt wakes the CPU even if PRIMASK is set.
 bool CortexM4::Core::wakes() const {
   if (sleep_ == Sleep::kForEvent && event_) return true;
   const unsigned best = nvic_.best_pending();
@@ -168,7 +168,7 @@ void CortexM4::Core::pend(unsigned exception) {
   look_again();
 }
 
-// After whatever may have made an exception pending or takable.
+// Called after any change that may make an exception pending or allow it to be taken.
 void CortexM4::Core::look_again() {
   const std::uint64_t pending = nvic_.pending_bits();
   if (control_.pending_sends_event() && (pending & ~pending_before_) != 0) event_ = true;
@@ -179,7 +179,7 @@ void CortexM4::Core::look_again() {
   if (nvic_.any_enabled_pending() || control_.reset_requested()) limit_ = kStopNow;
 }
 
-// Which blocks need more than to be counted.
+// Selects the blocks that need more than counting.
 void CortexM4::Core::look_out() {
   attention_ = thumb::kSendsEvent;
   if (nvic_.any_enabled_pending()) attention_ |= thumb::kWritesSpecialRegister;
@@ -191,7 +191,7 @@ void CortexM4::Core::flash_changed(std::uint32_t address, std::size_t bytes) {
   const auto begin = std::min<std::size_t>(address, flash_.size());
   const auto end = std::min(begin + bytes, flash_.size());
   if (begin == end) return;
-  // A block is no longer than a page.
+  // A block is at most a page long.
   const std::size_t first = begin > kPage ? begin - kPage : 0;
   std::fill(facts_.begin() + static_cast<std::ptrdiff_t>(first / 2),
             facts_.begin() + static_cast<std::ptrdiff_t>((end + 1) / 2), Facts{});
@@ -257,7 +257,7 @@ void CortexM4::Core::stop_before(const CodeBlock& block) {
   engine_.stop();
 }
 
-// False: the block does not run yet.
+// False: the block must not run yet.
 bool CortexM4::Core::attend(unsigned traits, const CodeBlock& block) {
   constexpr unsigned kWatchable = thumb::kFloatingPoint | thumb::kDivides;
   if ((traits & kWatchable) != 0 && !watched_blocks_.contains({block.address, block.bytes})) {
@@ -270,7 +270,7 @@ bool CortexM4::Core::attend(unsigned traits, const CodeBlock& block) {
   return true;
 }
 
-// Floating point while there is none, and divisions while they trap, are looked at one by one.
+// Adds a hook to each floating-point instruction and division of the block.
 void CortexM4::Core::watch_instructions_of(const CodeBlock& block) {
   const std::span<const std::uint8_t> code = memory_at(block.address, block.bytes);
   for (std::size_t at = 0; at + 1 < code.size();) {
@@ -297,12 +297,13 @@ void CortexM4::Core::on_watched(uc_engine*, std::uint64_t address, std::uint32_t
   }
 }
 
-// --- accesses to what is no memory
+// --- accesses other than to memory
 
-// Runs the call, which tells whether something is there. An exception may not pass through Unicorn's frames.
+// Makes the call, which returns false if nothing is mapped there. Stores exceptions, which must not pass
+// through Unicorn's frames.
 template <typename Call>
 bool CortexM4::Core::guarded(const Access& access, Call call) {
-  if (error_ || stopped_) return true;  // in an IT block, the way out is not immediate
+  if (error_ || stopped_) return true;  // in an IT block Unicorn does not stop immediately
   access_ = access;
   try {
     if (!call()) stop_for_bus_fault(access);
@@ -399,7 +400,7 @@ bool CortexM4::Core::on_ram_store(uc_engine*, int, std::uint64_t address, int by
   return true;
 }
 
-// True: done, and Unicorn leaves the flash alone.
+// True: done; Unicorn itself does not change the flash.
 bool CortexM4::Core::on_flash_store(uc_engine*, int, std::uint64_t address, int bytes, std::int64_t value,
                                     void* user) {
   Core& self = *static_cast<Core*>(user);
@@ -419,9 +420,9 @@ void CortexM4::Core::on_interrupt(uc_engine*, std::uint32_t number, void* user) 
   self.engine_.stop();
 }
 
-// --- the instruction that does it
+// --- the instruction that makes an access
 
-// Unicorn does not know the PC within a block, but the registers are those before the access.
+// Unicorn does not know the PC within a block, but its registers are those before the access.
 CortexM4::Core::Place CortexM4::Core::place_of(const Access& access) const {
   const std::span<const std::uint8_t> code = memory_at(block_.address, block_.bytes);
   thumb::Registers registers = engine_.core_registers();
@@ -435,7 +436,7 @@ CortexM4::Core::Place CortexM4::Core::place_of(const Access& access) const {
     if (memory && memory->store == access.store && access.address - memory->address < memory->bytes &&
         place.it.condition_holds(flags)) {
       found = place;
-      // Another one further on may do the same; it is meant if this one shows to have been through.
+      // A later instruction may make the same access; it is the one if this one is already complete.
       if (!was_completed(*memory, registers)) break;
     }
     place.it.after(i);
@@ -445,7 +446,8 @@ CortexM4::Core::Place CortexM4::Core::place_of(const Access& access) const {
   return found.value_or(Place{.address = block_.address});
 }
 
-// Whether an instruction with write-back left what it leaves, its base register as it is now.
+// Whether an instruction with write-back is complete: the registers it loads or stores equal memory, at the
+// address that follows from its present base register.
 bool CortexM4::Core::was_completed(const thumb::MemoryAccess& access, const thumb::Registers& now) const {
   if (access.base_moves == 0 || access.core_registers == 0) return false;
   std::uint32_t address = access.address - static_cast<std::uint32_t>(access.base_moves);
@@ -565,7 +567,7 @@ void CortexM4::Core::after_event(uc_err result) {
         fault(exception::kUsageFault, fault_status::kInvalidState, pc);
         return;
       }
-      // A hint ends its block; what is undefined does not.
+      // A hint ends its block; an undefined instruction does not.
       const bool hint = pc == block_.address + block_.bytes;
       if (!hint) {
         fault(exception::kUsageFault, fault_status::kUndefined, pc);
@@ -586,7 +588,7 @@ thumb::Instruction CortexM4::Core::last_instruction() const {
   return i;
 }
 
-// --- registers from outside
+// --- access to registers from outside
 
 namespace {
 

@@ -1,4 +1,4 @@
-// The inside of CortexM4: Unicorn executes, this decides what is executed next.
+// The implementation of CortexM4: Unicorn executes code; this class decides what it executes next.
 #pragma once
 
 #include <array>
@@ -58,21 +58,21 @@ class CortexM4::Core {
     std::uint32_t bytes = 0;
   };
 
-  // What is remembered of a block, in two bytes: nodes that take turns find little of theirs in the host's
-  // cache.
+  // Cached facts of a block, packed into two bytes: nodes alternate, and the host's cache holds little of
+  // each.
   struct Facts {
-    std::uint16_t instructions : 10 = 0;  // 0: nothing is
-    std::uint16_t length : 2 = 0;         // in half-words, its last bits: Unicorn may come with another block
+    std::uint16_t instructions : 10 = 0;  // 0: not cached
+    std::uint16_t length : 2 = 0;         // half-words, low bits: detects another block at the same address
     std::uint16_t traits : 4 = 0;
   };
 
-  // An access that the CPU is making to something other than memory.
+  // The CPU's present access to something other than memory.
   struct Access {
     std::uint32_t address = 0;
     bool store = false;
   };
 
-  // What stopped an instruction, with the registers as they were before it.
+  // The exception that an instruction raised, and the registers before that instruction.
   struct Stopped {
     unsigned exception = 0;
     std::uint32_t fault_bits = 0;
@@ -81,7 +81,7 @@ class CortexM4::Core {
     std::uint32_t xpsr = 0;
   };
 
-  // An instruction of the present block and the IT state that it begins with.
+  // An instruction of the present block and its IT state.
   struct Place {
     std::uint32_t address = 0;
     thumb::ItState it{};
@@ -118,7 +118,7 @@ class CortexM4::Core {
   void count_ticks();
   void trace_point(std::uint64_t what);
 
-  // The way an access goes, and what becomes of a wrong one.
+  // Bus accesses and their faults.
   template <typename Call>
   bool guarded(const Access& access, Call call);
   void stop_instruction(unsigned exception, std::uint32_t fault_bits, const Place& place);
@@ -148,13 +148,13 @@ class CortexM4::Core {
   [[nodiscard]] bool load_word(std::uint32_t address, std::uint32_t& value) const;
   void add_cycles(std::uint32_t cycles) { now_ += static_cast<SimTime>(cycles) * timing_.cycle; }
 
-  // What each block needs, in a line of the cache.
+  // The members that every block uses, in one cache line.
   alignas(64) SimTime now_ = 0;
-  SimTime limit_ = 0;  // blocks begin before it
+  SimTime limit_ = 0;  // no block begins at or after it
   SimTime instruction_time_;
   std::uint64_t instructions_ = 0;
   CodeBlock block_;
-  unsigned attention_ = 0;  // traits that matter now
+  unsigned attention_ = 0;  // traits that need attend() now
   bool tracing_ = false;
   std::vector<Facts> facts_;  // of the blocks that begin at each half-word of the flash
 
@@ -167,12 +167,12 @@ class CortexM4::Core {
   SysTick sys_tick_;
   SystemControl control_;
 
-  SimTime until_ = 0;  // of this run
+  SimTime until_ = 0;  // end of this run()
   SimTime stalled_until_ = 0;
   std::uint32_t next_pc_ = 0;  // between executions; bit 0 is the T bit
   Sleep sleep_ = Sleep::kAwake;
   bool event_ = false;
-  bool look_again_ = false;  // an exception may have become takable
+  bool look_again_ = false;  // an exception may now be taken
   bool lockup_ = false;
   std::uint64_t pending_before_ = 0;
 

@@ -1,4 +1,4 @@
-// Entry and return of exceptions, B1.5.6 to B1.5.15.
+// Exception entry and return, B1.5.6 to B1.5.15.
 #include <array>
 #include <cstring>
 
@@ -56,7 +56,7 @@ bool CortexM4::Core::take_pending() {
   return true;
 }
 
-// A synchronous exception at an instruction: if it cannot be taken it becomes a HardFault (B1.5.10 to 13).
+// A synchronous exception of an instruction. If it cannot be taken it becomes a HardFault (B1.5.10 to 13).
 void CortexM4::Core::fault(unsigned exception, std::uint32_t fault_bits, std::uint32_t return_pc) {
   next_pc_ = return_pc | (engine_.xpsr() >> 24 & 1U);
   control_.record_fault(fault_bits);
@@ -94,7 +94,7 @@ void CortexM4::Core::breakpoint() {
   hard_fault(hard_fault_status::kDebugEvent);
 }
 
-// A fault in the course of an entry or a return (B1.5.11). What was to be taken stays pending beside it.
+// A fault during an exception entry or return (B1.5.11). The original exception stays pending.
 void CortexM4::Core::pend_derived(unsigned exception) {
   const int running = nvic_.execution_priority(engine_.masks());
   if (nvic_.group_priority(exception) >= running || !nvic_.enabled(exception)) {
@@ -105,7 +105,7 @@ void CortexM4::Core::pend_derived(unsigned exception) {
   nvic_.pend(exception);
 }
 
-// PushStack(). The EXC_RETURN value for LR. Floating-point registers are stored at once.
+// PushStack(). Returns the EXC_RETURN value for LR. Floating-point registers are stored immediately.
 std::uint32_t CortexM4::Core::push_frame() {
   const std::uint32_t xpsr = engine_.xpsr();
   const std::uint32_t control = engine_.read(UC_ARM_REG_CONTROL);
@@ -144,7 +144,7 @@ std::uint32_t CortexM4::Core::push_frame() {
          (process_stack ? kReturnProcessStack : 0U);
 }
 
-// ExceptionTaken() for the best that is pending.
+// ExceptionTaken() for the pending exception of the highest priority.
 void CortexM4::Core::take(std::uint32_t exc_return, std::uint32_t cycles) {
   if (lockup_) return;
   unsigned number = nvic_.best_pending();

@@ -1,4 +1,4 @@
-// EasyDMA: the memory that it reaches, RAM and nothing else, and its registers in a serial peripheral.
+// EasyDMA: access to RAM, the only memory that it reaches, and its registers in a serial peripheral.
 #pragma once
 
 #include <cstdint>
@@ -11,8 +11,8 @@ class EasyDma {
  public:
   explicit EasyDma(std::span<std::uint8_t> ram) noexcept : ram_(ram) {}
 
-  // `count` bytes of RAM at `address`. Throws SimulationError that names the register where they are not all
-  // in RAM, or more than the 8 bits of a MAXCNT register can say.
+  // `count` bytes of RAM at `address`. Throws a SimulationError that names the register if they are not all
+  // in RAM, or are more than the 255 of an 8-bit MAXCNT register.
   [[nodiscard]] std::span<std::uint8_t> at(std::uint32_t address, std::uint32_t count,
                                            const char* name) const;
 
@@ -26,12 +26,12 @@ struct DmaBuffer {
   std::uint32_t amount = 0;
 };
 
-// RXD and TXD with PTR, MAXCNT and AMOUNT, which SPIM and UARTE have at the same offsets.
+// RXD and TXD with PTR, MAXCNT and AMOUNT; SPIM and UARTE have them at the same offsets.
 struct DmaRegisters {
   DmaBuffer receive;
   DmaBuffer transmit;
 
-  // Nothing, or false: none of these registers. AMOUNT cannot be written.
+  // nullopt, or false: not one of these registers. AMOUNT cannot be written.
   [[nodiscard]] std::optional<std::uint32_t> read(std::uint32_t offset) const noexcept;
   [[nodiscard]] bool write(std::uint32_t offset, std::uint32_t value) noexcept;
 };

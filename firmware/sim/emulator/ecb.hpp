@@ -1,4 +1,4 @@
-// ECB (0x4000E000): AES-128, a block at a time, on 48 bytes of RAM: key, clear block, encrypted block.
+// ECB (0x4000E000): AES-128 of one block at a time, on 48 bytes of RAM: key, clear block, encrypted block.
 #pragma once
 
 #include <array>
@@ -12,14 +12,14 @@ namespace groma::sim {
 
 class Ecb final : public Peripheral {
  public:
-  // Product specification 28 (ECB), electrical specification: run time of a block.
+  // The run time of a block (product specification 28, ECB, electrical specification).
   static constexpr SimTime kBlockTime = 72 * kUnitsPerMicrosecond / 10;
 
   explicit Ecb(EasyDma dma) noexcept : dma_(dma) {}
 
   void reset();
 
-  // Blocks that were encrypted.
+  // Number of blocks encrypted.
   [[nodiscard]] std::uint64_t blocks() const noexcept { return blocks_; }
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
@@ -40,7 +40,7 @@ class Ecb final : public Peripheral {
   EventRegisters events_{0x3};
   std::uint32_t pointer_ = 0;
   SimTime end_at_ = kNever;
-  std::array<std::uint8_t, 32> taken_{};  // key and clear block at the start
+  std::array<std::uint8_t, 32> taken_{};  // copy of key and clear block at the start
   std::uint64_t blocks_ = 0;
 };
 

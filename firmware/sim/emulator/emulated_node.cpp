@@ -18,7 +18,7 @@ constexpr std::uint32_t kStoragePages = kFlashBytes - storage::kPages * storage:
 // Purposes of draws.
 enum : std::uint64_t { kDeviceId = 0xE001, kRamAtPowerOn };
 
-// The storage's pages of a flash image, before anything runs.
+// The storage pages of a flash image, before the image runs.
 class ImageFlash {
  public:
   explicit ImageFlash(std::span<std::uint8_t> pages) : pages_(pages) {}
@@ -93,8 +93,8 @@ class EmulatedNode::Machine final : private Processor {
     const SimTime here = clock_.local_units(now);
     const SimTime ahead = clock_.local_units(now + quantum_);
     for (;;) {
-      // A change of the flash is done when the network has come to its end, so that a power cut before can
-      // still tear it.
+      // A flash operation must not complete ahead of the network, so that an earlier power cut can interrupt
+      // it.
       const SimTime horizon = soc.nvmc().busy() ? here : ahead;
       const SimTime event = soc.next_event();
       const SimTime wake = cpu.next_wake();
@@ -169,7 +169,7 @@ class EmulatedNode::Machine final : private Processor {
   const bool shares_bus;
 
  private:
-  // ---- what the peripherals ask for
+  // ---- interface to the peripherals (Processor)
   [[nodiscard]] SimTime now() const override { return cpu.now(); }
   [[nodiscard]] std::uint32_t pc() const override { return cpu.pc(); }
   void limit(SimTime t) override { cpu.limit(t); }
@@ -185,7 +185,7 @@ class EmulatedNode::Machine final : private Processor {
   void power_on(SimTime now) {
     boots_at_ = kNever;
     powered_ = true;
-    // What RAM holds after a while without power is anyone's guess.
+    // The content of RAM is undefined after a loss of power.
     KeyedRandom noise = random_.of(kRamAtPowerOn);
     for (std::size_t i = 0; i < ram.size(); ++i)
       ram[i] = static_cast<std::uint8_t>(noise.of(i / 8).bits() >> (8 * (i % 8)));
@@ -221,10 +221,10 @@ class EmulatedNode::Machine final : private Processor {
  private:
   bool powered_ = false;
   SimTime boots_at_;
-  SimTime powered_since_ = 0;  // local, as the others
-  SimTime powered_time_ = 0;
-  SimTime idle_time_ = 0;  // since then, asleep, halted or in reset
-  SimTime busy_time_ = 0;  // of what was before
+  SimTime powered_since_ = 0;  // local time, as are the following ones
+  SimTime powered_time_ = 0;   // of earlier power cycles
+  SimTime idle_time_ = 0;      // since powered_since_: asleep, halted or in reset
+  SimTime busy_time_ = 0;      // of earlier power cycles
   std::uint64_t resets_ = 0;
 };
 

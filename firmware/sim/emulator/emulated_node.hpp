@@ -1,11 +1,11 @@
-// A node that runs the shipped image, instruction by instruction, on the medium.
+// A node on the medium that runs the shipped image in the processor emulator.
 //
 //   const FirmwareImage image = read_firmware_image("build/dwm1001/groma-node.hex");
 //   network.add(make_emulated_node({.chip = {.id = 1}}, image, network.medium()));
 //
-// The processor may run ahead of the network by a quantum; what it does to the world has its own time all the
-// same, so that stamps and bytes do not depend on the quantum. In its spec, `cpu` is of no effect and
-// `uart.bits_per_s` is what the image has to send at.
+// The processor may run ahead of the network by a quantum. Its actions still have their exact times, so
+// timestamps and bytes do not depend on the quantum. In its NodeSpec, `cpu` has no effect, and the image has
+// to send at `uart.bits_per_s`.
 #pragma once
 
 #include <cstdint>
@@ -20,30 +20,30 @@
 namespace groma::sim {
 
 struct EmulatorOptions {
-  // Below both the look-ahead of the medium (dw1000_chip.hpp) and the delay of the host's bytes.
+  // Must be below both the look-ahead of the medium (dw1000_chip.hpp) and the delay of the host's bytes.
   SimTime quantum = 40 * kUnitsPerMicrosecond;
   CpuTiming timing{};
-  // The CAN controller on the header's SPI, in world time; outlives the node.
+  // The CAN controller on the header's SPI, in world time; it must outlive the node.
   SpiDevice* can = nullptr;
 };
 
-// Sums since power first came.
+// Totals since the first power-on.
 struct EmulatorUsage {
   double powered_s = 0.0;
-  double cpu_load = 0.0;  // of that, with the processor neither asleep nor halted by the flash
+  double cpu_load = 0.0;  // share of powered_s without sleep, flash stalls and resets
   double radio_spi_s = 0.0;
   double can_spi_s = 0.0;
   std::uint64_t radio_transfers = 0;
   std::uint64_t instructions = 0;
-  std::uint64_t interrupts = 0;  // and other exceptions
+  std::uint64_t interrupts = 0;  // with other exceptions
   std::uint64_t resets = 0;
 };
 
 class EmulatedNode final : public NodeHost {
  public:
-  // Attaches itself to the medium; without power until spec.power_on. spec.stored_config is placed in the
-  // flash's last two pages as the firmware would store it. Throws SimulationError for a quantum that is too
-  // long or a configuration that does not fit.
+  // Attaches itself to the medium; unpowered until spec.power_on. spec.stored_config is placed in the flash's
+  // last two pages as the firmware would store it. Throws SimulationError for a quantum that is too long or a
+  // configuration that does not fit.
   EmulatedNode(const NodeSpec& spec, const FirmwareImage& image, Medium& medium,
                const EmulatorOptions& options);
   ~EmulatedNode() override;
@@ -59,13 +59,13 @@ class EmulatedNode final : public NodeHost {
   // The reset pin is pulled low and released.
   void press_reset(SimTime now);
 
-  // For faults and their tests: change registers and memory between the network's runs only.
+  // For fault injection in tests. Change registers and memory only between runs of the network.
   [[nodiscard]] CortexM4& cpu() noexcept;
   [[nodiscard]] const Nrf52832& soc() const noexcept;
-  [[nodiscard]] std::span<std::uint8_t> flash() noexcept;  // then cpu().flash_changed()
+  [[nodiscard]] std::span<std::uint8_t> flash() noexcept;  // after a change call cpu().flash_changed()
   [[nodiscard]] std::span<std::uint8_t> ram() noexcept;
 
-  // Up to the network's time.
+  // Up to `now`, the network's time.
   [[nodiscard]] EmulatorUsage usage(SimTime now) const;
 
  private:

@@ -1,4 +1,4 @@
-// The image as it is flashed: what the shipped .hex puts into flash and UICR.
+// The image as it is flashed: the contents of flash and UICR in the shipped .hex.
 #pragma once
 
 #include <cstddef>
@@ -22,10 +22,10 @@ struct FirmwareImage {
   std::vector<std::uint8_t> uicr = std::vector<std::uint8_t>(kUicrBytes, 0xFF);
 };
 
-// Of Intel HEX. Throws SimulationError where the text is wrong or reaches beyond flash and UICR.
+// Parses Intel HEX. Throws SimulationError if the text is invalid or has data outside flash and UICR.
 [[nodiscard]] FirmwareImage firmware_image_of_hex(std::string_view text);
 
-// The same of a file. Throws SimulationError that names it and tells how it is built if it is not there.
+// The same for a file. Throws a SimulationError that names the file; if it is missing, also how to build it.
 [[nodiscard]] FirmwareImage read_firmware_image(const std::filesystem::path& path);
 
 }  // namespace groma::sim

@@ -1,4 +1,4 @@
-// P0 (0x50000000), its 32 pins and what hangs on them.
+// P0 (0x50000000) with its 32 pins and the signals on them.
 #pragma once
 
 #include <array>
@@ -14,20 +14,20 @@ class Gpio final : public Peripheral {
  public:
   static constexpr unsigned kPins = 32;
 
-  // Who is told when the chip drives a pin otherwise, and when a pin's level as an input changes.
+  // Callbacks for a change of the chip's drive of a pin, and of a pin's level as an input.
   using OnDrive = std::function<void(SimTime t, unsigned pin, PinDrive drive)>;
   using OnLevel = std::function<void(SimTime t, unsigned pin, bool high)>;
 
   Gpio(OnDrive on_drive, OnLevel on_level);
 
-  // All pins float, as inputs without a buffer.
+  // All pins become floating inputs with the input buffer disconnected.
   void reset(SimTime t);
 
-  // What drives the pin from outside.
+  // Sets the external drive of the pin.
   void drive_from_outside(SimTime t, unsigned pin, PinDrive drive);
 
   [[nodiscard]] PinDrive drive(unsigned pin) const noexcept { return pins_[pin].drive; }
-  // Of the wire: driven, else pulled, else low.
+  // The level on the wire: driven, else pulled, else low.
   [[nodiscard]] bool level(unsigned pin) const noexcept;
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;

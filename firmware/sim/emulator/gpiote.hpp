@@ -1,4 +1,4 @@
-// GPIOTE (0x40006000): its eight channels as events of edges. Channels as tasks, and PORT, are not modelled.
+// GPIOTE (0x40006000): eight channels in event mode (edges). Task mode and PORT are not modelled.
 #pragma once
 
 #include <array>

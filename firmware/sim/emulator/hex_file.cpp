@@ -108,7 +108,7 @@ std::vector<HexSegment> parse_hex(std::string_view text) {
         break;
       case Record::kStartSegment:
       case Record::kStartLinear:
-        // The processor starts by its vector table.
+        // Ignored: the processor starts from its vector table.
         expect_length(data, 4, line);
         break;
       default:

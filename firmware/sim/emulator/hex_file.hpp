@@ -1,4 +1,4 @@
-// Intel HEX, as linkers and flashing tools exchange it.
+// A parser for Intel HEX.
 #pragma once
 
 #include <cstdint>
@@ -14,8 +14,8 @@ struct HexSegment {
 };
 
 // Reads data (00), end of file (01), extended segment (02), extended linear (04) and start address (03, 05)
-// records. Segments come in the file's order; what follows without a gap is one. Throws SimulationError that
-// names the line and what is wrong with it; a file without its end record is cut short, and so wrong too.
+// records. Segments are in the file's order; consecutive records without a gap form one segment. Throws a
+// SimulationError that names the line and the error. A file without an end-of-file record is an error.
 [[nodiscard]] std::vector<HexSegment> parse_hex(std::string_view text);
 
 }  // namespace groma::sim

@@ -31,7 +31,7 @@ std::optional<std::uint32_t> read_factory_information(const ChipIdentity& identi
       return 64;
     case 0x110:  // INFO.FLASH, KiB
       return 512;
-    case 0x130:  // part and revision as the maker's start-up code knows them: nRF52832, revision 2
+    case 0x130:  // part and revision as Nordic's start-up code reads them: nRF52832, revision 2
       return 6;
     case 0x134:
       return 5;

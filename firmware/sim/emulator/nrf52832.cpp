@@ -14,7 +14,7 @@ constexpr UartePins kHostPins{5, 11};
 
 constexpr std::uint32_t kFicr = 0x10000000;
 constexpr std::uint32_t kBlockBytes = 0x1000;
-// Peripherals of the chip (product specification, instantiation): by ids 0 to 38, and P0 on the AHB.
+// Peripherals of the chip (product specification, instantiation): ids 0 to 38, and P0 on the AHB.
 constexpr std::uint32_t kPeripherals = 0x40000000;
 constexpr std::uint32_t kPeripheralsEnd = 0x40027000;
 constexpr std::uint32_t kP0 = 0x50000000;
@@ -52,7 +52,7 @@ Nrf52832::Nrf52832(const Parts& parts)
       nvmc_(
           parts.flash, parts.uicr,
           [this](SimTime duration) {
-            // What is written is settled before the processor runs on.
+            // The processor continues only after the write has taken effect.
             parts_.processor.stall(duration);
             parts_.processor.limit(parts_.processor.now());
           },
@@ -95,7 +95,7 @@ void Nrf52832::power_cut(SimTime t) {
 
 // ---- time -----------------------------------------------------------------------------------------------
 
-// What other nodes and the host did, or a transfer or a pin to a device.
+// Polls the devices and the host's line: other nodes, the host, transfers or pins may have changed them.
 void Nrf52832::look_outside() {
   for (Slot& slot : slots_) {
     if (slot.device == nullptr) continue;
@@ -142,7 +142,7 @@ void Nrf52832::advance(SimTime t) {
   while (next_ <= t) step(next_);
 }
 
-// All that is due at t, the devices first.
+// Handles all events due at t, the devices' first.
 void Nrf52832::step(SimTime t) {
   for (Slot& slot : slots_) {
     if (slot.event_local > t) continue;

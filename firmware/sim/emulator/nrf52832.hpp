@@ -1,15 +1,15 @@
-// The nRF52832 around its processor, on a DWM1001: the peripherals that the board's image uses, strictly.
+// The nRF52832 without its processor, on a DWM1001: a strict model of the peripherals that the image uses.
 //
 // 0x40000000 CLOCK, POWER   0x40002000 UARTE0   0x40004000 SPIM1    0x40006000 GPIOTE   0x40008000 TIMER0
 // 0x4000E000 ECB            0x40010000 WDT      0x4001E000 NVMC     0x40023000 SPIM2    0x50000000 P0
 // 0x10000000 FICR           0x10001000 UICR
 //
-// An access to any other register of these, or to any other peripheral of the chip, fails the run; one to
-// where the chip has nothing is a bus fault. Registers are read and written as words alone.
+// An access to a register that is not modelled, or to any other peripheral of the chip, fails the run; an
+// access to an address without a peripheral is a bus fault. Registers can only be read and written as words.
 //
-// What it does not do: the internal oscillators are as exact as the crystals; a GPIO that a serial peripheral
-// uses is not checked against its PIN_CNF; erratum 109 (EasyDMA out of sleep) does not concern tasks that the
-// processor starts.
+// Limits of the model: the internal oscillators are as exact as the crystals; the PIN_CNF of a GPIO that a
+// serial peripheral uses is not checked; erratum 109 (EasyDMA out of sleep) is not modelled, since it does
+// not affect tasks that the processor starts.
 #pragma once
 
 #include <array>
@@ -47,7 +47,7 @@ inline constexpr unsigned kCanInterrupt = 27;
 inline constexpr std::array<unsigned, 4> kLights = {14, 22, 30, 31};  // red, red, green, blue; lit when low
 }  // namespace dwm1001
 
-// What the peripherals ask of the processor, beside what it asks of them as a bus.
+// The interface from the peripherals to the processor; Bus is the opposite direction.
 class Processor {
  public:
   Processor() = default;
@@ -55,7 +55,7 @@ class Processor {
   Processor& operator=(const Processor&) = delete;
   virtual ~Processor() = default;
 
-  // As CortexM4's; local time.
+  // As the same functions of CortexM4; local time.
   [[nodiscard]] virtual SimTime now() const = 0;
   [[nodiscard]] virtual std::uint32_t pc() const = 0;
   virtual void limit(SimTime t) = 0;
@@ -66,7 +66,7 @@ class Processor {
 
 class Nrf52832 final : public Bus {
  public:
-  // What the peripherals are made of and connected to; all of it outlives them.
+  // The memories and devices that the peripherals are connected to. All must outlive Nrf52832.
   struct Parts {
     Processor& processor;
     const NodeClock& clock;  // the processor's crystal
@@ -75,24 +75,24 @@ class Nrf52832 final : public Bus {
     std::span<std::uint8_t> uicr;
     ChipIdentity identity;
     RadioDevice& radio;
-    SpiDevice* can = nullptr;  // nothing on the header's SPI: reads give zeros
+    SpiDevice* can = nullptr;  // null: nothing on the header's SPI; reads give zeros
     UartLine& to_host;
     UartLine& from_host;
     std::uint32_t bits_per_s = 1'000'000;
   };
 
-  // Bytes from the host reach the UARTE this much later than they are through its line, so that a processor
-  // that has run ahead of the world by no more never misses one.
+  // The UARTE receives bytes from the host this much later than the end of their stop bits, so that a
+  // processor that runs ahead of the network by at most this time misses none.
   static constexpr SimTime kHostDelay = 50 * kUnitsPerMicrosecond;
 
   explicit Nrf52832(const Parts& parts);
 
-  // Local time from here on, but for the devices' own.
+  // Times from here on are local, except those of the devices.
   void reset(ResetCause cause, SimTime t);
   void power_cut(SimTime t);
-  // Does all that is due by t, each at its own time.
+  // Handles all events due by t, each at its own time.
   void advance(SimTime t);
-  // When the next is due, told anew after what other nodes did.
+  // The next event. Polls the devices first, since other nodes may have changed them.
   [[nodiscard]] SimTime next_event();
 
   bool read(std::uint32_t address, unsigned bytes, std::uint32_t& value) override;
@@ -106,7 +106,7 @@ class Nrf52832 final : public Bus {
   [[nodiscard]] const Spim& can_spi() const noexcept { return spim1_; }
   [[nodiscard]] const Ecb& ecb() const noexcept { return ecb_; }
   [[nodiscard]] const Watchdog& watchdog() const noexcept { return watchdog_; }
-  // One of the module's lights.
+  // Whether the LED with this index in kLights is lit.
   [[nodiscard]] bool lit(std::size_t light) const noexcept {
     return gpio_.drive(dwm1001::kLights[light]) == PinDrive::kLow;
   }
@@ -127,8 +127,8 @@ class Nrf52832 final : public Bus {
     unsigned interrupt_pin;
     bool active_high;
     unsigned transfers_in_window = 0;
-    SimTime event = kNever;        // the device's
-    SimTime event_local = kNever;  // the same by the processor's crystal
+    SimTime event = kNever;        // the device's next event, world time
+    SimTime event_local = kNever;  // the same in local time
   };
 
   [[nodiscard]] Block* find(std::uint32_t address);
@@ -161,8 +161,8 @@ class Nrf52832 final : public Bus {
   Watchdog watchdog_;
   std::array<Block, 10> blocks_;
 
-  // The least of the blocks', the slots' and the host's next instants, as last looked at. Between two calls
-  // from outside only accesses and steps change them.
+  // The earliest event of blocks, slots and host when last polled. Between two calls from outside only
+  // accesses and steps change it.
   SimTime next_ = kNever;
   SimTime host_byte_ = kNever;
   SimTime host_byte_local_ = kNever;

@@ -6,7 +6,7 @@
 namespace groma::sim {
 namespace {
 
-// Those that no register disables.
+// Exceptions that no register disables.
 constexpr std::uint64_t kAlwaysEnabled = 1ULL << exception::kNmi | 1ULL << exception::kHardFault |
                                          1ULL << exception::kSvCall | 1ULL << exception::kPendSv |
                                          1ULL << exception::kSysTick;

@@ -1,5 +1,5 @@
-// The interrupt controller's state: what is pending, active and enabled, and who goes before whom.
-// Numbers of exceptions are those of the ARMv7-M Architecture Reference Manual (DDI 0403E), table B1-4.
+// The interrupt controller's state: pending, active and enabled exceptions, and their priorities.
+// Exception numbers are those of the ARMv7-M Architecture Reference Manual (DDI 0403E), table B1-4.
 #pragma once
 
 #include <array>
@@ -50,7 +50,7 @@ class Nvic {
   [[nodiscard]] unsigned active_count() const noexcept;
   [[nodiscard]] bool interrupt_pending() const noexcept { return (pending_ >> exception::kFirstIrq) != 0; }
   [[nodiscard]] bool any_enabled_pending() const noexcept { return (pending_ & enabled_) != 0; }
-  // Counts what became pending, for SCR.SEVONPEND.
+  // For SCR.SEVONPEND, which needs newly pending exceptions.
   [[nodiscard]] std::uint64_t pending_bits() const noexcept { return pending_; }
 
   // Three bits are implemented (bits 7 to 5).
@@ -63,7 +63,7 @@ class Nvic {
 
   // The enabled pending exception of the highest priority, 0 if there is none.
   [[nodiscard]] unsigned best_pending() const noexcept;
-  // Of preemption: -2 for NMI, -1 for HardFault, else the priority without its subpriority.
+  // The priority for preemption: -2 for NMI, -1 for HardFault, else the priority without its subpriority.
   [[nodiscard]] int group_priority(unsigned exception) const noexcept;
   // B1.5.4, ExecutionPriority().
   [[nodiscard]] int execution_priority(const ExceptionMasks& masks) const noexcept;

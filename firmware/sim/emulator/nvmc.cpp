@@ -123,7 +123,7 @@ bool Nvmc::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       begin(t, kEraseTime);
       return true;
     case kIcachecnf:
-      // The cache changes time alone; profiling it is not modelled.
+      // The cache would only change timing; its profiling is not modelled.
       if (value > 1) throw SimulationError("NVMC: ICACHECNF " + hexadecimal(value) + " is not modelled");
       cache_ = value;
       return true;

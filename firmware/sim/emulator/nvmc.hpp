@@ -1,8 +1,8 @@
-// NVMC (0x4001E000): flash and UICR as the firmware may change them.
+// NVMC (0x4001E000): the firmware's writes and erases of flash and UICR.
 //
-// A write clears bits and never sets one; an erase sets a whole page. Both take their time, in which the
-// processor stands still, and take effect at its end. Where power goes amid one, the first part is done: of a
-// word its lower half once half of the time has passed; of a page that share of its words.
+// A write only clears bits; an erase sets a whole page to ones. Both halt the processor for their duration
+// and take effect at its end. A power cut during an operation leaves it partly done: a word's lower half is
+// written after half of the time; the share of a page's words that is erased equals the share of the time.
 #pragma once
 
 #include <cstdint>
@@ -19,26 +19,26 @@ class Nvmc final : public Peripheral {
   // Product specification 11.4, electrical specification.
   static constexpr SimTime kEraseTime = 85 * kUnitsPerMillisecond;
   static constexpr SimTime kWriteTime = 41 * kUnitsPerMicrosecond;
-  // Writes to a block that it bears between two erases (nWRITE,BLOCK); one more fails the run.
+  // The limit of writes to a block between two erases (nWRITE,BLOCK); one more fails the run.
   static constexpr std::uint32_t kBlockBytes = 512;
   static constexpr std::uint8_t kMostWrites = 181;
 
-  // `stall`: halts the processor for that long. `changed`: these bytes of the flash are no longer what they
-  // were.
+  // `stall`: halts the processor for a duration. `changed`: reports that these bytes of the flash changed.
   using Stall = std::function<void(SimTime duration)>;
   using Changed = std::function<void(std::uint32_t address, std::uint32_t bytes)>;
   Nvmc(std::span<std::uint8_t> flash, std::span<std::uint8_t> uicr, Stall stall, Changed changed);
 
-  // What is under way is finished: resets wait for it.
+  // Completes a pending operation: resets wait for it.
   void reset();
-  // Power is gone at t, and with it what is under way.
+  // Power fails at t, which interrupts a pending operation.
   void power_cut(SimTime t);
 
-  // A store to flash or UICR. False: a bus fault, since it is not enabled, or no aligned word.
+  // A store to flash or UICR. False: a bus fault, since writing is not enabled or the store is not an aligned
+  // word.
   [[nodiscard]] bool store(SimTime t, std::uint32_t address, unsigned bytes, std::uint32_t value);
 
   [[nodiscard]] bool busy() const noexcept { return end_at_ != kNever; }
-  // Writes of words and erases of pages that were begun.
+  // Number of word writes and page erases begun.
   [[nodiscard]] std::uint64_t operations() const noexcept { return operations_; }
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
@@ -48,14 +48,14 @@ class Nvmc final : public Peripheral {
 
  private:
   void begin(SimTime t, SimTime duration);
-  // The four bytes there; empty where neither memory has them.
+  // The four bytes at the address; empty if neither memory has them.
   [[nodiscard]] std::span<std::uint8_t> word(std::uint32_t address) const;
-  // The operation as far as it came: `share` of 4096.
+  // Applies the operation's first `share` of 4096 parts.
   void apply(std::uint32_t share);
 
   std::span<std::uint8_t> flash_;
   std::span<std::uint8_t> uicr_;
-  std::vector<std::uint8_t> writes_;  // to each block of the flash since its erase
+  std::vector<std::uint8_t> writes_;  // number of writes to each block of the flash since its erase
   Stall stall_;
   Changed changed_;
   std::uint32_t mode_ = 0;  // CONFIG

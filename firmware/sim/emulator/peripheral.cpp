@@ -43,7 +43,7 @@ bool EventRegisters::write(std::uint32_t offset, std::uint32_t value) noexcept {
       enabled |= value;
       break;
     case kIntenclr:
-      // Clearing all bits is how drivers begin.
+      // Drivers clear all bits first, those of events that are not modelled too.
       enabled &= ~value;
       break;
     default:

@@ -1,7 +1,7 @@
-// What all peripherals of the nRF52832 have in common (product specification, peripheral interface).
+// The common interface of the nRF52832's peripherals (product specification, peripheral interface).
 //
-// Time is that of the processor's crystal, in its units (as SimTime, but local). A register that is not
-// modelled is told apart from one that is: the access fails the run.
+// Times are local: those of the processor's crystal, in units of SimTime. An access to a register that is not
+// modelled fails the run.
 #pragma once
 
 #include <cstdint>
@@ -22,22 +22,23 @@ class Peripheral {
   Peripheral& operator=(const Peripheral&) = delete;
   virtual ~Peripheral() = default;
 
-  // Offsets are those within the peripheral, multiples of 4; everything due by `t` has been done. Nothing,
-  // or false: no such register is modelled. Throw SimulationError for what the hardware would not bear.
+  // `offset`: within the peripheral, a multiple of 4. All events due by `t` have been handled. nullopt, or
+  // false: no such register is modelled. Both throw SimulationError for a misuse of the hardware.
   [[nodiscard]] virtual std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) = 0;
   [[nodiscard]] virtual bool write(SimTime t, std::uint32_t offset, std::uint32_t value) = 0;
 
-  // When something happens by itself, and doing it. Called with each such instant, in order.
+  // The next internal event, and its handling. advance() is called for each event's instant, in order.
   [[nodiscard]] virtual SimTime next_event() const noexcept { return kNever; }
   virtual void advance(SimTime t) { (void)t; }
 
   [[nodiscard]] virtual bool irq() const noexcept { return false; }
 };
 
-// The events at 0x100, one bit of INTEN each, in the order of their offsets, with INTENSET and INTENCLR.
+// The events from offset 0x100, each with a bit of INTEN in the order of their offsets; INTENSET and
+// INTENCLR.
 class EventRegisters {
  public:
-  // `modelled`: the events there are. Those of `polled_only` cannot raise an interrupt here.
+  // `modelled`: the events that exist. Interrupts of those in `polled_only` cannot be enabled.
   explicit constexpr EventRegisters(std::uint32_t modelled, std::uint32_t polled_only = 0) noexcept
       : modelled_(modelled), polled_only_(polled_only) {}
 

@@ -1,4 +1,4 @@
-// The DW1000 behind an SPI master and its reset line.
+// The DW1000 as an SPI device with a reset line.
 #pragma once
 
 #include "firmware/sim/dw1000_chip.hpp"
@@ -16,7 +16,7 @@ class RadioDevice final : public SpiDevice {
   [[nodiscard]] SimTime next_event() const override { return chip_.next_event(); }
   [[nodiscard]] bool irq() const override { return !held_ && chip_.irq(); }
 
-  // The reset line is pulled low, and let go.
+  // The reset line is pulled low, and released.
   void hold_in_reset(SimTime t);
   void release_reset(SimTime t);
 

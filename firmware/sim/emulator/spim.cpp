@@ -162,7 +162,7 @@ bool Spim::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     case kRxdList:
     case kTxdList:
     case kConfig:
-      // Mode 0, most significant bit first, no list, no shorts: what all its chips take.
+      // Mode 0, most significant bit first, no list, no shorts: all devices here use these.
       if (value != 0)
         throw SimulationError(name_ + ": " + hexadecimal(value) + " at offset " + hexadecimal(offset) +
                               " is not modelled");

@@ -1,7 +1,7 @@
-// SPIM1 (0x40004000) and SPIM2 (0x40023000): an SPI master with EasyDMA, and the chips on its lines.
+// SPIM1 (0x40004000) and SPIM2 (0x40023000): an SPI master with EasyDMA.
 //
-// A transfer takes bytes x 8 / f and a start-up time; it takes effect on the chip, and in RAM, at its end.
-// The chip select is a GPIO: one transfer a window, as all drivers here do it, is what is modelled.
+// A transfer takes bytes x 8 / f plus kOverhead. It takes effect on the device and in RAM at its end. The
+// chip select is a GPIO; only one transfer per chip-select window is modelled, as all drivers here use it.
 #pragma once
 
 #include <array>
@@ -24,19 +24,19 @@ struct SpimPins {
 
 class Spim final : public Peripheral {
  public:
-  // From START to the first clock, and from the last to END: an estimate.
+  // From START to the first clock edge plus from the last edge to END: an estimate.
   static constexpr SimTime kOverhead = kUnitsPerMicrosecond / 2;
 
-  // Does the transfer on the selected chip; `end` is local time. False: no chip is selected.
+  // Makes the transfer with the selected device; `end` is local time. False: no device is selected.
   using Exchange = std::function<bool(SimTime end, std::span<const std::uint8_t> mosi,
                                       std::span<std::uint8_t> miso, std::uint32_t hz)>;
 
-  // `wired`: the pins that lead to the chip; a transfer over others fails the run.
+  // `wired`: the pins that lead to the device; a transfer over others fails the run.
   Spim(std::string name, const SpimPins& wired, EasyDma dma, Exchange exchange);
 
   void reset();
   [[nodiscard]] bool busy() const noexcept { return end_at_ != kNever; }
-  // Time that transfers took since the beginning, and how many there were.
+  // Total duration and number of transfers since construction.
   [[nodiscard]] SimTime busy_time() const noexcept { return busy_time_; }
   [[nodiscard]] std::uint64_t transfers() const noexcept { return transfers_; }
 

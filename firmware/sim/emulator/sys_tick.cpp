@@ -15,7 +15,7 @@ void SysTick::reset() noexcept {
 }
 
 void SysTick::start(SimTime now, std::uint32_t from) noexcept {
-  // From zero the next cycle loads the reload value; with zero there it stays.
+  // At zero the next cycle loads the reload value; a reload value of zero stops the counter.
   const std::uint32_t cycles = from != 0 ? from : (reload_ != 0 ? reload_ + 1 : 0);
   zero_at_ = cycles != 0 ? now + static_cast<SimTime>(cycles) * cycle_ : kNever;
 }

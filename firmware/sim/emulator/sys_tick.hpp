@@ -12,9 +12,9 @@ class SysTick {
   explicit SysTick(SimTime cycle) noexcept : cycle_(cycle) {}
 
   void reset() noexcept;
-  // Counts up to `now`; true if it reached zero and is to interrupt.
+  // Advances the counter to `now`; true if it reached zero and its interrupt is enabled.
   bool advance(SimTime now) noexcept;
-  // When it next interrupts; kNever.
+  // The time of the next interrupt, or kNever.
   [[nodiscard]] SimTime next_interrupt() const noexcept;
 
   // CSR, RVR, CVR and CALIB. Reading CSR clears COUNTFLAG. Call advance() first.
@@ -32,7 +32,7 @@ class SysTick {
   SimTime cycle_;
   std::uint32_t reload_ = 0;
   std::uint32_t stopped_at_ = 0;  // the counter's value while it is not enabled
-  SimTime zero_at_ = kNever;      // when it next reaches zero
+  SimTime zero_at_ = kNever;      // when the counter next reaches zero
   bool enabled_ = false;
   bool interrupts_ = false;
   bool count_flag_ = false;

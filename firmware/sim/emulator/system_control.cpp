@@ -67,7 +67,7 @@ constexpr bool within(std::uint32_t offset, std::uint32_t first, std::uint32_t e
   return offset >= first && offset < end;
 }
 
-// Calls with (exception, position) for each interrupt of a word of ISER and its like.
+// Calls visit(exception, position) for each interrupt of a word of ISER or a similar register.
 template <typename Visit>
 void for_each_of_word(std::uint32_t word, Visit visit) {
   for (unsigned position = 0; position < 32 && 32 * word + position < kInterrupts; ++position) {
@@ -328,7 +328,7 @@ bool SystemControl::write_reset_control(std::uint32_t value) noexcept {
   if (value >> 16 != kVectKey) return true;  // ignored without the key (B3.2.6)
   nvic_.set_priority_grouping(value >> 8 & 7U);
   if ((value & 1U << 2) != 0) reset_requested_ = true;
-  return (value & 3U) == 0;  // VECTRESET and VECTCLRACTIVE are a debugger's
+  return (value & 3U) == 0;  // VECTRESET and VECTCLRACTIVE are for debuggers
 }
 
 std::uint32_t SystemControl::handler_state() const noexcept {

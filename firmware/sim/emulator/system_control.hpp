@@ -39,8 +39,8 @@ class SystemControl {
 
   void reset() noexcept;
 
-  // By offset within the space, `bytes` 1, 2 or 4 and the offset a multiple of it. False: the register, or
-  // what is written to it, is not modelled.
+  // `offset`: within the space, a multiple of `bytes`, which is 1, 2 or 4. False: the register, or the value
+  // written to it, is not modelled.
   [[nodiscard]] bool read(std::uint32_t offset, unsigned bytes, SimTime now, std::uint32_t& value) noexcept;
   [[nodiscard]] bool write(std::uint32_t offset, unsigned bytes, SimTime now, std::uint32_t value) noexcept;
 
@@ -62,7 +62,7 @@ class SystemControl {
   void record_fault(std::uint32_t cfsr_bits) noexcept { cfsr_ |= cfsr_bits; }
   void record_bus_address(std::uint32_t address) noexcept;
   void record_hard_fault(std::uint32_t hfsr_bits) noexcept { hfsr_ |= hfsr_bits; }
-  // FPCAR: where S0 of the last extended frame lies.
+  // FPCAR: the address of S0 in the last extended frame.
   void record_floating_point_frame(std::uint32_t address) noexcept { fpcar_ = address; }
 
  private:

@@ -17,7 +17,7 @@ constexpr std::uint32_t signed_offset(std::uint32_t magnitude, bool add) noexcep
   return add ? magnitude : 0U - magnitude;
 }
 
-// PC as an operand of an address: that of the instruction plus 4, aligned (A4.2.1).
+// The PC as base of an address: the instruction's address plus 4, aligned (A4.2.1).
 constexpr std::uint32_t literal_base(const Registers& r) noexcept {
   return (r[kPc] + 4) & ~3U;
 }

@@ -54,13 +54,13 @@ void Timer::hold(SimTime t, std::uint64_t count) noexcept {
   schedule_all(t);
 }
 
-// A compare register that equals the counter already matches when it comes round again.
+// A compare register that equals the counter matches only after the counter has wrapped around.
 void Timer::schedule(SimTime t, unsigned channel) noexcept {
   match_at_[channel] = kNever;
   if (running_) {
     const std::uint64_t now = count(t);
     const std::uint64_t ahead = (compare_[channel] + period() - now - 1) % period() + 1;
-    // In whole ticks from when the present one began.
+    // Whole ticks from the start of the present tick.
     const SimTime began = since_ + (t - since_) / tick() * tick();
     if (compare_[channel] < period()) match_at_[channel] = began + static_cast<SimTime>(ahead) * tick();
   }

@@ -1,4 +1,4 @@
-// TIMER0 (0x40008000) as a timer, six compare registers. Counter mode is not modelled.
+// TIMER0 (0x40008000) in timer mode, with six compare registers. Counter mode is not modelled.
 #pragma once
 
 #include <array>
@@ -35,7 +35,7 @@ class Timer final : public Peripheral {
   std::array<SimTime, kChannels> match_at_ = {kNever, kNever, kNever, kNever, kNever, kNever};
   SimTime next_match_ = kNever;
   bool running_ = false;
-  SimTime since_ = 0;  // the counter was count_ then
+  SimTime since_ = 0;  // when the counter was count_
   std::uint64_t count_ = 0;
   std::uint32_t shorts_ = 0;
   std::uint32_t bit_mode_ = 0;

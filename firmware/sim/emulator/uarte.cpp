@@ -62,7 +62,7 @@ SimTime Uarte::byte_time() const noexcept {
 void Uarte::check_ready(const char* task) const {
   const std::string what = std::string("UARTE0: ") + task;
   if (!enabled_) throw SimulationError(what + " while it is not enabled");
-  // BAUDRATE counts 16 MHz / 2^32; its low 12 bits are not used.
+  // BAUDRATE has units of 16 MHz / 2^32; its low 12 bits are not used.
   const std::uint64_t bits_per_s =
       (std::uint64_t{baud_rate_ & 0xFFFFF000U} * 16'000'000 + (1ULL << 31)) >> 32;
   if (bits_per_s != line_.bits_per_s) {
@@ -127,7 +127,7 @@ void Uarte::end_receive() {
   buffers_.receive.amount = in_.amount;
   events_.raise(kEndRx);
   if ((shorts_ & kEndrxStartrx) != 0) {
-    // What remains of the FIFO is moved by whoever moves it now.
+    // The caller moves the bytes that remain in the FIFO.
     receiving_ = true;
     in_ = {buffers_.receive.pointer, buffers_.receive.maximum, 0};
     (void)dma_.at(in_.pointer, in_.maximum, "UARTE0 RXD");
@@ -140,7 +140,7 @@ void Uarte::end_receive() {
 
 void Uarte::stop_receive(SimTime t) {
   if (receiver_ != Receiver::kOn) return;
-  // Up to four bytes that are on their way are still taken.
+  // Up to four bytes in transit are still received.
   receiver_ = Receiver::kStopping;
   timeout_at_ = t + static_cast<SimTime>(kFifoBytes) * byte_time();
   if (!receiving_) return;
@@ -165,7 +165,7 @@ void Uarte::start_transmit(SimTime t) {
   line_.send(t, sending_);
 }
 
-// The byte that is on the line is finished.
+// The byte on the line is completed.
 void Uarte::stop_transmit(SimTime t) {
   if (sent_at_ == kNever) {
     events_.raise(kTxStopped);

@@ -1,7 +1,8 @@
 // UARTE0 (0x40002000): transmitter and receiver with EasyDMA, 8 data bits, no parity, no flow control.
 //
-// The transmitter's bytes go to the host's line when the transfer starts, which gives each its time; a buffer
-// that is changed before the transfer ends fails the run. The receiver takes each byte at its own time.
+// The transmitter passes its bytes to the host's line when the transfer starts; the line computes the time of
+// each byte. A change of the buffer before the transfer ends fails the run. The receiver takes each byte at
+// its own time.
 #pragma once
 
 #include <array>
@@ -22,7 +23,7 @@ struct UartePins {
 
 class Uarte final : public Peripheral {
  public:
-  // The line to the host, in local time: bytes on it from `t` on, and what is not through by `t` cut off.
+  // The line to the host, in local time. send: bytes from `t` on. cut: bytes not complete by `t` are lost.
   struct Line {
     std::uint32_t bits_per_s;
     std::function<void(SimTime t, std::span<const std::uint8_t> bytes)> send;
@@ -31,7 +32,7 @@ class Uarte final : public Peripheral {
 
   Uarte(const UartePins& wired, Line line, EasyDma dma);
 
-  // What is on the line is cut off.
+  // Cuts off a transfer to the host.
   void reset(SimTime t);
   // A byte from the host whose stop bit ends at t.
   void receive(SimTime t, std::uint8_t byte);
@@ -42,7 +43,7 @@ class Uarte final : public Peripheral {
   void advance(SimTime t) override;
   [[nodiscard]] bool irq() const noexcept override { return events_.irq(); }
 
-  // Bytes from the host that nobody took: the receiver was off, or its FIFO full.
+  // Bytes from the host that were lost because the receiver was off or its FIFO full.
   [[nodiscard]] std::uint64_t lost_bytes() const noexcept { return lost_bytes_; }
 
  private:
@@ -89,7 +90,7 @@ class Uarte final : public Peripheral {
   std::vector<std::uint8_t> fifo_;
   SimTime timeout_at_ = kNever;
 
-  SimTime sent_at_ = kNever;  // the transfer's end
+  SimTime sent_at_ = kNever;  // end of the transfer
   SimTime sending_since_ = 0;
   bool stopping_ = false;
   DmaBuffer out_;

@@ -22,11 +22,11 @@ void check(uc_err error, const char* what) {
 }  // namespace
 
 UnicornEngine::UnicornEngine() {
-  // Not UC_MODE_MCLASS: with it Unicorn takes a Cortex-M33, whatever is asked for.
+  // Not UC_MODE_MCLASS: with it Unicorn always emulates a Cortex-M33.
   check(uc_open(UC_ARCH_ARM, UC_MODE_THUMB, &engine_), "open");
   try {
     check(uc_ctl_set_cpu_model(engine_, UC_CPU_ARM_CORTEX_M4), "model");
-    // Without an end address no code is thrown away when a run ends.
+    // Without an end address Unicorn keeps its translated code when a run ends.
     check(uc_ctl_exits_enable(engine_), "exits");
   } catch (...) {
     uc_close(engine_);
@@ -80,7 +80,7 @@ std::array<std::uint32_t, 16> UnicornEngine::core_registers() const {
 
 void UnicornEngine::set_xpsr(std::uint32_t value) {
   write(UC_ARM_REG_XPSR_NZCVQG, value);
-  // This one's side effect is wanted: the translator learns of the new mode.
+  // For the side effect: it updates the translator's state to the new mode.
   write(UC_ARM_REG_APSR_NZCV, value & 0xF0000000U);
 }
 
@@ -89,7 +89,7 @@ bool UnicornEngine::unprivileged() const {
 }
 
 ExceptionMasks UnicornEngine::masks() {
-  // Unprivileged code reads zeros, and so does Unicorn on its behalf.
+  // In unprivileged mode these registers read as zero, for Unicorn's API too.
   const bool lift = unprivileged();
   const std::uint32_t saved = lift ? xpsr() : 0;
   if (lift) write(UC_ARM_REG_XPSR_NZCVQG, saved | exception::kHardFault);
@@ -105,7 +105,7 @@ void UnicornEngine::enter_handler(unsigned exception, bool thumb) {
   const std::uint32_t control = read(UC_ARM_REG_CONTROL);
   const bool thread = (xpsr() & kExceptionNumber) == 0;
   if (thread) {
-    // SPSEL is written in thread mode only, and only with privilege; a handler may give it.
+    // SPSEL can only be written in privileged thread mode, and only handler mode can grant the privilege.
     write(UC_ARM_REG_XPSR_NZCVQG, state);
     write(UC_ARM_REG_CONTROL, control & ~kUnprivileged);
     write(UC_ARM_REG_XPSR_NZCVQG, kThumb);

@@ -1,4 +1,4 @@
-// Unicorn 2.0's ARM engine set up as a Cortex-M4, and what it takes to change its state from outside.
+// Unicorn 2.0's ARM engine configured as a Cortex-M4, with functions to change its state from outside.
 #pragma once
 
 #include <unicorn/unicorn.h>
@@ -12,7 +12,7 @@
 
 namespace groma::sim {
 
-// Unicorn's name for r0 to r15, which it does not count through.
+// Unicorn's numbers for r0 to r15, which are not consecutive.
 [[nodiscard]] constexpr int core_register(unsigned index) noexcept {
   constexpr std::array kHigh{UC_ARM_REG_R13, UC_ARM_REG_R14, UC_ARM_REG_R15};
   return index < 13 ? UC_ARM_REG_R0 + static_cast<int>(index) : static_cast<int>(kHigh[(index - 13) % 3]);
@@ -26,18 +26,18 @@ class UnicornEngine {
   UnicornEngine& operator=(const UnicornEngine&) = delete;
   ~UnicornEngine();
 
-  // To be read, and what the permissions add. Stores go to hooks of UC_HOOK_MEM_WRITE_PROT alone, which do
-  // what is to be done.
+  // Maps memory as readable, with the additional permissions. Stores go only to hooks of
+  // UC_HOOK_MEM_WRITE_PROT, which have to perform them.
   void map_read_only(std::uint32_t address, std::span<std::uint8_t> memory, unsigned permissions);
-  // The callbacks' addresses count from `address`.
+  // The callbacks get offsets from `address`.
   void map_io(std::uint32_t address, std::size_t bytes, uc_cb_mmio_read_t on_read,
               uc_cb_mmio_write_t on_write, void* user);
-  // From `begin` to `end`, both included; all addresses if end is below begin.
+  // For addresses from `begin` to `end` inclusive; all addresses if end < begin. Throws SimulationError.
   void add_hook(int type, void* callback, void* user, std::uint64_t begin = 1, std::uint64_t end = 0);
-  // Forgets what was translated there. Not while it runs.
+  // Discards the translated code there. Not while the engine runs.
   void drop_code(std::uint32_t begin, std::uint32_t end);
 
-  // Runs from `pc`, bit 0 of which is the T bit, until stop() or an event.
+  // Runs from `pc`, whose bit 0 is the T bit, until stop() or an event.
   uc_err start(std::uint32_t pc) { return uc_emu_start(engine_, pc, 0, 0, 0); }
   // From within a callback.
   void stop() { uc_emu_stop(engine_); }
@@ -48,13 +48,13 @@ class UnicornEngine {
   [[nodiscard]] std::array<std::uint32_t, 16> core_registers() const;
 
   [[nodiscard]] std::uint32_t xpsr() const { return read(UC_ARM_REG_XPSR); }
-  // Switches between the stacks as the change of mode demands.
+  // Switches the stack if the mode changes.
   void set_xpsr(std::uint32_t value);
   [[nodiscard]] bool unprivileged() const;
   [[nodiscard]] ExceptionMasks masks();
-  // As an exception's entry does (B1.5.6): from any mode into the handler's, on the main stack.
+  // As exception entry does (B1.5.6): from any mode to handler mode, on the main stack.
   void enter_handler(unsigned exception, bool thumb);
-  // As its return does: from handler mode into a thread, with these bits of CONTROL (nPRIV stays).
+  // As exception return does: from handler mode to thread mode, with these bits of CONTROL (nPRIV is kept).
   void leave_to_thread(bool process_stack, bool floating_point);
   void set_floating_point_active(bool on);  // CONTROL.FPCA, in handler mode
   void reset();

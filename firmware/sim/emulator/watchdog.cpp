@@ -83,7 +83,7 @@ bool Watchdog::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       running_ = true;
       reload(t);
       return true;
-    // Locked while it runs.
+    // These registers are locked while the watchdog runs.
     case kCrv:
       if (value < 0xF) throw SimulationError("WDT: CRV is at least 15");
       if (!running_) reload_value_ = value;

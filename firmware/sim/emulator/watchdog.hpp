@@ -1,4 +1,4 @@
-// WDT (0x40010000): once started nothing but a reset that includes it stops it.
+// WDT (0x40010000): once started, only a reset that includes it stops it.
 #pragma once
 
 #include <cstdint>
@@ -9,13 +9,13 @@ namespace groma::sim {
 
 class Watchdog final : public Peripheral {
  public:
-  // A tick of the 32.768 kHz clock, which is taken to run by the processor's crystal.
+  // A tick of the 32.768 kHz clock, which the model derives from the processor's crystal.
   static constexpr SimTime kTick = kUnitsPerSecond / 32'768;
 
-  // By a power-on, pin or watchdog reset; a soft reset or a lockup leaves it running.
+  // Called for a power-on, pin or watchdog reset; a soft reset or a lockup does not stop the watchdog.
   void reset();
   [[nodiscard]] bool running() const noexcept { return running_; }
-  // The reset has come: two ticks after TIMEOUT where its interrupt is enabled, else with it.
+  // The reset is due: two ticks after TIMEOUT if its interrupt is enabled, else with TIMEOUT.
   [[nodiscard]] bool bites() const noexcept { return bites_; }
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
