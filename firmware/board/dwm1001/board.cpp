@@ -27,7 +27,7 @@ void Board::start() noexcept {
   ecb_.start();
   boot_count_ = storage::Counter(flash_).open_block();
 
-  // Low also while the radio is in reset and drives nothing.
+  // Pulled down, so that the line is low also while the radio is in reset and does not drive it.
   pin::configure(pin::kRadioInterrupt, gpio::kInputPulledDown);
   gpiote::kBlock[gpiote::kConfig] =
       gpiote::kEventMode | pin::kRadioInterrupt << gpiote::kPinShift | gpiote::kRising;
@@ -36,8 +36,8 @@ void Board::start() noexcept {
   enable_interrupt(nrf52832::Irq::kGpiote, Priority::kPeripheral);
 }
 
-// DW1000 datasheet 5.6.1: low for 50 ns at least, then left alone; the chip drives the line itself. Its
-// crystal runs and SPI answers 2 ms later at most (user manual 2.3).
+// DW1000 datasheet 5.6.1: low for at least 50 ns, then not driven; the chip drives the line itself. Its
+// crystal runs and SPI answers at most 2 ms later (user manual 2.3).
 void Board::reset_radio() noexcept {
   constexpr std::uint32_t kLow_us = 10;
   constexpr std::uint32_t kWakeUp_us = 5'000;
@@ -56,7 +56,8 @@ std::uint64_t Board::now_us() noexcept {
   return clock::now_us();
 }
 
-// What is queued for the host goes out first: the last word may be the reply to the command that led here.
+// Sends the bytes queued for the host first: they may hold the reply to the command that requested the
+// restart.
 void Board::restart() noexcept {
   constexpr std::uint32_t kStep_us = 100;
   constexpr int kSteps = 1'000;

@@ -20,10 +20,10 @@ namespace groma::dwm1001 {
 
 class Board {
  public:
-  // Once after boot.
+  // Call once after boot.
   void start() noexcept;
 
-  // ---- what the node asks for ----------------------------------------------------------------------------
+  // ---- interface to the node -----------------------------------------------------------------------------
   RadioBus& spi() noexcept { return radio_; }
   void reset_radio() noexcept;
   void delay_us(std::uint32_t duration_us) noexcept;
@@ -50,13 +50,13 @@ class Board {
   void proof_of_life() noexcept;
   node::StackUse stack_use() noexcept;
 
-  // ---- what main() asks for ------------------------------------------------------------------------------
+  // ---- interface to main() -------------------------------------------------------------------------------
   [[nodiscard]] bool radio_interrupt() const noexcept;
   Uarte& uart() noexcept { return uart_; }
   RadioBus& radio() noexcept { return radio_; }
   CanPort& can() noexcept { return can_; }
   Ecb& ecb() noexcept { return ecb_; }
-  // Where link_answer() goes, until the next call.
+  // Selects the link for link_answer() until the next call.
   void set_asked_over_can(bool over_can) noexcept { asked_over_can_ = over_can; }
   void update_leds(std::uint64_t now_us) noexcept { leds_.update(now_us); }
   // Sleeps until `t_us` or until there is something to do.

@@ -9,7 +9,7 @@ namespace {
 namespace gpio = nrf52832::gpio;
 namespace gpiote = nrf52832::gpiote;
 
-// The second channel: the first is the radio's.
+// The second GPIOTE channel; the radio uses the first.
 constexpr std::uint32_t kChannel = 1;
 
 mcp2518fd::Settings settings_of(const groma_Config& config) noexcept {
@@ -33,7 +33,7 @@ const char* CanPort::configure(const groma_Config& config) noexcept {
   if (!connected_) {
     connected_ = true;
     spi_.start();
-    // Pulled up, so that without a controller there is no interrupt.
+    // Pulled up, so that no interrupt occurs without a controller.
     pin::configure(pin::kCanInterrupt, gpio::kInputPulledUp);
     gpiote::kBlock[gpiote::kConfig + 4 * kChannel] =
         gpiote::kEventMode | pin::kCanInterrupt << gpiote::kPinShift | gpiote::kFalling;
@@ -45,7 +45,7 @@ const char* CanPort::configure(const groma_Config& config) noexcept {
 
 void CanPort::drain() noexcept {
   constexpr std::uint64_t kLongest_us = 20'000;
-  // What the controller's own FIFO may still hold, a few frames at the lowest rates.
+  // The controller's own FIFO may still hold a few frames; enough time for them at the lowest bit rate.
   constexpr std::uint32_t kTail_us = 5'000;
   if (!link_.up()) return;
   const std::uint64_t end_us = now_us() + kLongest_us;

@@ -1,5 +1,5 @@
 // The MCP2518FD on the header: SPIM1 at 8 MHz, its interrupt on P0.27, and the link to the host over it.
-// Without a configuration that asks for it, none of its pins is touched.
+// Its pins are used only if the configuration selects a CAN link.
 #pragma once
 
 #include <cstdint>
@@ -32,17 +32,17 @@ static_assert(mcp2518fd::Spi<CanSpi>);
 
 class CanPort {
  public:
-  // Brings the link up that the configuration asks for, or none; what was queued before goes out first, as
-  // far as 20 ms allow. What failed, in at most 31 characters.
+  // Starts the link that the configuration selects, or none. Queued bytes are sent first, for at most 20 ms.
+  // Returns the error in at most 31 characters; empty: none.
   const char* configure(const groma_Config& config) noexcept;
 
-  // Queues all of it, or nothing and returns false.
+  // Queues the whole frame, or nothing and returns false.
   bool write(std::span<const std::uint8_t> frame) noexcept { return link_.write(frame); }
   [[nodiscard]] bool up() const noexcept { return link_.up(); }
 
-  // One bounded step (can_link.hpp), where it is over before the radio may want the processor at
-  // `quiet_until_us`; for a link that has waited for that for long, in any case. `sink(bytes)` takes what
-  // came from the host. True: there is more to do.
+  // Makes one bounded step (can_link.hpp) if it ends before the radio may need the processor at
+  // `quiet_until_us`; a step that was postponed for kPatience_us is made in any case. `sink(bytes)` takes
+  // bytes from the host. True: there is more to do.
   template <class Sink>
   bool service(std::uint64_t now_us, std::uint64_t quiet_until_us, Sink&& sink) noexcept {
     if (!link_.started()) return false;
@@ -55,10 +55,10 @@ class CanPort {
     return more;
   }
 
-  // Gives what is queued time to go out, at most 20 ms.
+  // Sends queued bytes for at most 20 ms.
   void drain() noexcept;
 
-  // For the sleep: the controller waits for service(), and when that is due in any case.
+  // For sleep_until(): whether the controller waits for service(), and when service() is due at the latest.
   [[nodiscard]] bool waiting() const noexcept {
     return link_.started() && !held_ && !left_alone_ && line_is_low();
   }
@@ -68,11 +68,11 @@ class CanPort {
 
   void count(groma_Counters& counters) const noexcept;
 
-  // For its vector.
+  // SPIM1's interrupt handler.
   void on_interrupt() noexcept { spi_.on_interrupt(); }
 
  private:
-  // How long a step is put off at most.
+  // A step is postponed for at most this time.
   static constexpr std::uint64_t kPatience_us = 20'000;
 
   [[nodiscard]] static bool line_is_low() noexcept { return !pin::is_high(pin::kCanInterrupt); }
@@ -82,9 +82,9 @@ class CanPort {
   CanSpi spi_;
   node::CanLink<CanSpi> link_{spi_};
   std::uint64_t patient_until_us_ = 0;
-  bool held_ = false;        // for the radio
+  bool held_ = false;        // a step is postponed for the radio
   bool connected_ = false;   // the pins are set up
-  bool left_alone_ = false;  // the line is low, and the controller says nothing to it
+  bool left_alone_ = false;  // the line is low although service() found nothing to do
 };
 
 }  // namespace groma::dwm1001

@@ -14,15 +14,15 @@ namespace timer = nrf52832::timer;
 constexpr std::uint32_t kDeadlineChannel = 0;
 constexpr std::uint32_t kNowChannel = 1;
 
-// Ahead of now by less than half the timer's range, so that it is not behind.
+// At most half the timer's range, so that the compare value is not taken for a past time.
 constexpr std::uint64_t kLongestSleep_us = std::uint64_t{1} << 31;
 
 std::uint32_t last_count_us = 0;
 std::uint32_t wraps = 0;
 
 constexpr std::uint64_t kNothing = 0;
-// What the compare register waits for; kNothing after its interrupt.
-std::uint64_t awaited_us = kNothing;  // changed under an InterruptLock or by the interrupt
+// The time that the compare register is set to; kNothing after its interrupt.
+std::uint64_t awaited_us = kNothing;  // changed only under an InterruptLock or by the interrupt
 
 }  // namespace
 
@@ -58,7 +58,7 @@ bool wake_at(std::uint64_t t_us) noexcept {
   timer::kBlock0[timer::kCompare + 4 * kDeadlineChannel] =
       static_cast<std::uint32_t>(std::min(t_us, latest_us));
   awaited_us = t_us;
-  // The count may have passed it before it was set.
+  // The counter may have passed the value before it was set.
   if (now_us() < t_us) return true;
   awaited_us = kNothing;
   return false;
@@ -70,7 +70,7 @@ void on_interrupt() noexcept {
 }
 
 void delay_us(std::uint32_t duration_us) noexcept {
-  // One more for the part of a microsecond that has passed already.
+  // One more for the elapsed part of the present microsecond.
   const std::uint64_t end_us = now_us() + duration_us + 1;
   while (now_us() < end_us) {
     const InterruptLock lock;

@@ -1,4 +1,4 @@
-// The processor's own: interrupts, sleep, reset.
+// Functions of the processor: interrupts, sleep, reset.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@
 
 namespace groma::dwm1001 {
 
-// Smaller is more urgent; the four upper levels of eight are enough. Faults come before all.
+// Smaller is more urgent; four of the eight levels are enough. Faults preempt all interrupts.
 enum class Priority : std::uint8_t {
   kWatchdog = 0,
   kPeripheral = 2,
@@ -29,7 +29,7 @@ inline void clear_pending_interrupt(nrf52832::Irq irq) noexcept {
   scb::kBlock[scb::kNvicClearPending + number / 32 * 4] = 1U << (number % 32);
 }
 
-// No interrupt is taken while one lives; faults are. For thread mode, not nested.
+// Masks interrupts, but not faults, during its lifetime. For thread mode; must not be nested.
 class InterruptLock {
  public:
   InterruptLock() noexcept { asm volatile("cpsid i" ::: "memory"); }
@@ -38,8 +38,8 @@ class InterruptLock {
   InterruptLock& operator=(const InterruptLock&) = delete;
 };
 
-// Until an interrupt is pending. Under an InterruptLock it is taken when the lock goes, so that what was
-// checked under the lock before cannot change unseen.
+// Sleeps until an interrupt is pending. Under an InterruptLock the interrupt is taken when the lock ends, so
+// a condition checked under the lock cannot change unnoticed before the sleep.
 inline void sleep() noexcept {
   asm volatile("dsb\n wfi" ::: "memory");
 }

@@ -55,7 +55,7 @@ void Ecb::on_interrupt() noexcept {
 }
 
 std::optional<security::Block> Ecb::finish() noexcept {
-  // A frame of 127 bytes takes some thousand looks; far more of them mean that it will not come.
+  // A frame of 127 bytes takes about a thousand polls; far more mean that the result will not come.
   constexpr int kLooks = 50'000;
   int looks = 0;
   while (state_ == State::kBusy) {

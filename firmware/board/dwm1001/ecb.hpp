@@ -1,4 +1,4 @@
-// The nRF52832's AES-128 (ECB), which works on a buffer in RAM.
+// The nRF52832's AES-128 peripheral (ECB), which works on a buffer in RAM.
 #pragma once
 
 #include <atomic>
@@ -11,15 +11,15 @@ namespace groma::dwm1001 {
 
 class Ecb final : public security::BlockCipher {
  public:
-  // 7.2 us a block (nRF52832 PS v1.4, 28), each of a chain begun by the interrupt of the one before. Nothing
-  // else on this board uses the AES engine that ECB, CCM and AAR share.
+  // A block takes 7.2 us (nRF52832 PS v1.4, 28). In a chain the interrupt of each block starts the next one.
+  // The image does not use CCM and AAR, which share the AES engine with ECB.
   void start() noexcept;
 
   [[nodiscard]] bool encrypt(const security::Key& key, security::Block& block) noexcept override;
   void begin(const security::Key& key, const security::Block& state, security::Chain chain) noexcept override;
   [[nodiscard]] std::optional<security::Block> finish() noexcept override;
 
-  // For its vector.
+  // ECB's interrupt handler.
   void on_interrupt() noexcept;
 
  private:
@@ -27,7 +27,7 @@ class Ecb final : public security::BlockCipher {
 
   void encrypt_next() noexcept;
 
-  // As the peripheral wants it.
+  // The peripheral's data structure.
   struct Data {
     security::Key key{};
     security::Block clear{};

@@ -12,19 +12,19 @@
 namespace groma::dwm1001 {
 namespace {
 
-// All words, so that it has no gaps.
+// All members are words, so that the record has no padding.
 struct Record {
   std::uint32_t magic;
   std::uint32_t cause;
   std::uint32_t pc;
   std::uint32_t lr;
   std::uint32_t cfsr;
-  std::uint32_t crc;  // of all before
+  std::uint32_t crc;  // over the members before it
 };
 
 constexpr std::uint32_t kMagic = 0x4752'4D46;
 
-// Its bytes after power-on are chance; the CRC tells.
+// Its bytes after power-on are random, which the CRC detects.
 [[gnu::section(".noinit")]] Record record;
 
 std::uint32_t crc_of(const Record& r) noexcept {
@@ -41,10 +41,10 @@ void keep(FaultCause cause, const node::Fault& fault) noexcept {
   record.crc = crc_of(record);
 }
 
-// What the processor stacks at an exception (ARM DDI 0403E, B1.5.6).
+// The words that the processor stacks at an exception (ARM DDI 0403E, B1.5.6).
 enum StackedWord : std::size_t { kStackedLr = 5, kStackedPc = 6, kStackedWords = 8 };
 
-// CFSR: the frame could not be stacked, for the memory protection's or the bus's fault.
+// CFSR: the frame could not be stacked because of a memory protection or bus fault.
 constexpr std::uint32_t kMstkerr = 1U << 4;
 constexpr std::uint32_t kStkerr = 1U << 12;
 
@@ -52,8 +52,8 @@ constexpr std::uint32_t kStkerr = 1U << 12;
   return frame >= groma_stack_begin && frame + kStackedWords <= groma_stack_end;
 }
 
-// Where the stack has overflowed there is no frame. The innermost return address that it still holds, or
-// rather the nearest word to its end that looks like one, is as near as one can get.
+// After a stack overflow there is no frame. The best estimate is the innermost return address on the stack:
+// the lowest word on the stack that looks like one.
 [[nodiscard]] std::uint32_t innermost_return_address() noexcept {
   for (const std::uint32_t* word = groma_stack_begin; word != groma_stack_end; ++word) {
     const bool thumb = (*word & 1U) != 0;
@@ -77,7 +77,7 @@ std::optional<KeptFault> take_kept_fault() noexcept {
 
 extern "C" {
 
-// Called on the fault handlers' own stack; `frame` is the stack pointer at the exception, perhaps a wild one.
+// Runs on the fault handlers' own stack. `frame`: the stack pointer at the exception, which may be invalid.
 [[noreturn, gnu::used]] void keep_fault_and_reset(const std::uint32_t* frame) {
   using namespace groma::dwm1001;
   namespace scb = groma::nrf52832::scb;
@@ -92,7 +92,7 @@ extern "C" {
   reset_processor();
 }
 
-// The watchdog resets in 61 us.
+// The watchdog resets the processor 61 us later.
 [[noreturn, gnu::used]] void keep_place_until_reset(const std::uint32_t* frame) {
   using namespace groma::dwm1001;
   groma::node::Fault place;

@@ -1,4 +1,4 @@
-// What ended the run before, kept over the reset in RAM that start-up leaves alone.
+// The fault that ended the previous run, preserved over the reset in RAM that start-up does not initialize.
 #pragma once
 
 #include <cstdint>
@@ -9,8 +9,8 @@
 namespace groma::dwm1001 {
 
 enum class FaultCause : std::uint32_t {
-  kFault = 1,     // hard fault, memory management, bus or usage fault, or an interrupt that nobody serves
-  kWatchdog = 2,  // pc and lr are where the program was when the watchdog ran out
+  kFault = 1,     // hard fault, memory management, bus or usage fault, or an interrupt without a handler
+  kWatchdog = 2,  // the watchdog expired; pc and lr are the program's at that time
 };
 
 struct KeptFault {
@@ -18,7 +18,7 @@ struct KeptFault {
   node::Fault fault;
 };
 
-// The record of the run before, or nothing; forgotten by this call.
+// Returns the record of the previous run, or nullopt, and clears it.
 [[nodiscard]] std::optional<KeptFault> take_kept_fault() noexcept;
 
 }  // namespace groma::dwm1001

@@ -1,4 +1,4 @@
-// The module's lights: what the node is doing, as a blink pattern in time.
+// The module's LEDs. Each indicator is a blink pattern.
 //
 //   kRadioFault    both red, fast        kSearching  green, slow
 //   kUnconfigured  blue, slow            kRanging    green, a short flash each second
@@ -15,7 +15,7 @@ class Leds {
  public:
   void start() noexcept;
   void show(node::Indicator indicator, std::uint64_t now_us) noexcept;
-  // At or after next_change_us().
+  // Call at or after next_change_us().
   void update(std::uint64_t now_us) noexcept;
   [[nodiscard]] std::uint64_t next_change_us() const noexcept { return next_change_us_; }
 

@@ -1,4 +1,4 @@
-// The image: one node on this board, for ever.
+// The image: runs one node on this board.
 #include "firmware/board/dwm1001/board.hpp"
 #include "firmware/board/dwm1001/nrf52832.hpp"
 #include "firmware/core/node/image_identity.hpp"
@@ -13,13 +13,13 @@ using groma::node::Node;
 
 constinit Board board;
 
-// For who flashes: see image_identity.hpp.
+// For tools that flash the image: see image_identity.hpp.
 [[gnu::used, gnu::section(".identity")]] constexpr groma::node::ImageIdentity kIdentity(groma::kVersion,
                                                                                         groma::kGitHash);
 
 }  // namespace
 
-// Interrupts note and wake; the work is done below.
+// Interrupt handlers only record events and wake the processor; main() does the work.
 extern "C" {
 
 void uarte0_entry() {
@@ -38,7 +38,7 @@ void ecb_entry() {
   board.ecb().on_interrupt();
 }
 
-// The lines themselves tell: their level is looked at before each sleep.
+// The event itself needs no record: the lines' levels are read before each sleep.
 void gpiote_entry() {
   namespace gpiote = groma::nrf52832::gpiote;
   groma::nrf52832::clear_event(gpiote::kBlock[gpiote::kEventIn]);
@@ -55,7 +55,7 @@ int main() {
     const std::uint64_t now_us = board.now_us();
     if (now_us >= node.next_deadline_us()) {
       node.on_timer();
-      // A report is made in pieces, and between them the radio is looked at.
+      // A report is made in several steps; the radio is polled between them.
       if (board.radio_interrupt()) continue;
     }
     if (const auto bytes = board.uart().received(now_us); !bytes.empty()) {

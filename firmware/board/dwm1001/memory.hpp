@@ -1,4 +1,4 @@
-// What the linker script says of the memory (dwm1001.ld).
+// The symbols of the linker script (dwm1001.ld).
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@ extern void (*const groma_constructors_end[])();
 
 namespace groma::dwm1001 {
 
-// What the stack is filled with before it is used.
+// The pattern that start-up fills the stack with.
 inline constexpr std::uint32_t kStackPaint = 0xC5C5'C5C5;
 
 [[nodiscard]] inline std::uint32_t address_of(const void* p) noexcept {

@@ -1,6 +1,6 @@
-// The three that compilers call by themselves. Those of the small C library go byte by byte; a tag that
-// reports a thousand ranges a second spends a tenth of its time there. The processor takes words at any
-// address.
+// The three functions that compilers call implicitly. Those of the small C library copy byte by byte; a tag
+// that reports a thousand ranges a second would spend a tenth of its time there. The processor can access
+// words at any address.
 #include <cstddef>
 #include <cstdint>
 
@@ -16,7 +16,7 @@ using Word = std::uint32_t;
 
 void store(std::uint8_t* to, Word word) noexcept {
   __builtin_memcpy(to, &word, sizeof(word));
-  // Otherwise the compiler would see in a loop of these what it is, and call the function from within itself.
+  // Otherwise the compiler would recognize the loop as memcpy or memset and call the function recursively.
   asm volatile("" ::: "memory");
 }
 

@@ -1,5 +1,5 @@
-// The registers of the nRF52832 that the image uses (nRF52832 Product Specification v1.4, its section is
-// beside each block) and those of the Cortex-M4 (ARM DDI 0403E, B3).
+// The registers that the image uses: the nRF52832's (nRF52832 Product Specification v1.4, with the section at
+// each block) and the Cortex-M4's (ARM DDI 0403E, B3).
 #pragma once
 
 #include <cstddef>
@@ -7,7 +7,6 @@
 
 namespace groma::nrf52832 {
 
-// One register.
 using Register = volatile std::uint32_t;
 
 [[nodiscard]] inline Register& at(std::uint32_t address) noexcept {
@@ -24,8 +23,8 @@ class Block {
   std::uint32_t base_;
 };
 
-// Waits until what was written to the register's peripheral has arrived there, so that its interrupt is not
-// taken again at the handler's return (6.1.8).
+// Waits until a write has reached the register's peripheral, so that its interrupt is not taken again at the
+// handler's return (6.1.8).
 inline void settle(const Register& reg) noexcept {
   [[maybe_unused]] const std::uint32_t read_back = reg;
 }
@@ -49,7 +48,7 @@ enum class Irq : std::uint8_t {
 // ---- FICR (13) and UICR (14) -----------------------------------------------------------------------------
 namespace ficr {
 inline constexpr Block kBlock{0x1000'0000};
-// Not in the product specification: its maker's start-up code reads part and revision there.
+// Not in the product specification: Nordic's start-up code reads part and revision there.
 inline constexpr std::uint32_t kPart = 0x130;
 inline constexpr std::uint32_t kNrf52832 = 6;
 inline constexpr std::uint32_t kRevision = 0x134;
@@ -89,8 +88,8 @@ inline constexpr std::uint32_t kOutClear = 0x50C;
 inline constexpr std::uint32_t kIn = 0x510;
 inline constexpr std::uint32_t kDirectionSet = 0x518;
 inline constexpr std::uint32_t kDirectionClear = 0x51C;
-inline constexpr std::uint32_t kPinConfig = 0x700;  // and four more a pin
-// Pin configurations: output; input alone and pulled.
+inline constexpr std::uint32_t kPinConfig = 0x700;  // plus 4 per pin
+// Pin configurations: output; input without and with a pull.
 inline constexpr std::uint32_t kOutput = 0x3;
 inline constexpr std::uint32_t kInput = 0x0;
 inline constexpr std::uint32_t kInputPulledDown = 0x4;
@@ -99,9 +98,9 @@ inline constexpr std::uint32_t kInputPulledUp = 0xC;
 
 namespace gpiote {
 inline constexpr Block kBlock{0x4000'6000};
-inline constexpr std::uint32_t kEventIn = 0x100;  // and four more a channel
+inline constexpr std::uint32_t kEventIn = 0x100;  // plus 4 per channel
 inline constexpr std::uint32_t kInterruptSet = 0x304;
-inline constexpr std::uint32_t kConfig = 0x510;  // and four more a channel
+inline constexpr std::uint32_t kConfig = 0x510;  // plus 4 per channel
 inline constexpr std::uint32_t kEventMode = 1;
 inline constexpr std::uint32_t kPinShift = 8;
 inline constexpr std::uint32_t kRising = 1U << 16;
@@ -163,8 +162,8 @@ namespace timer {
 inline constexpr Block kBlock0{0x4000'8000};
 inline constexpr std::uint32_t kStart = 0x000;
 inline constexpr std::uint32_t kClear = 0x00C;
-inline constexpr std::uint32_t kCapture = 0x040;       // and four more a channel
-inline constexpr std::uint32_t kEventCompare = 0x140;  // and four more a channel
+inline constexpr std::uint32_t kCapture = 0x040;       // plus 4 per channel
+inline constexpr std::uint32_t kEventCompare = 0x140;  // plus 4 per channel
 inline constexpr std::uint32_t kInterruptSet = 0x304;
 inline constexpr std::uint32_t kInterruptCompare0 = 1U << 16;
 inline constexpr std::uint32_t kMode = 0x504;
@@ -173,7 +172,7 @@ inline constexpr std::uint32_t kBitMode = 0x508;
 inline constexpr std::uint32_t k32Bits = 3;
 inline constexpr std::uint32_t kPrescaler = 0x510;
 inline constexpr std::uint32_t k1MHz = 4;
-inline constexpr std::uint32_t kCompare = 0x540;  // and four more a channel
+inline constexpr std::uint32_t kCompare = 0x540;  // plus 4 per channel
 }  // namespace timer
 
 // ---- ECB (28) --------------------------------------------------------------------------------------------
@@ -220,9 +219,9 @@ inline constexpr std::uint32_t kCacheEnabled = 1;
 // ---- Cortex-M4 -------------------------------------------------------------------------------------------
 namespace scb {
 inline constexpr Block kBlock{0xE000'E000};
-inline constexpr std::uint32_t kNvicEnable = 0x100;        // and four more each 32 interrupts
-inline constexpr std::uint32_t kNvicClearPending = 0x280;  // the same
-inline constexpr std::uint32_t kNvicPriority = 0x400;      // a byte an interrupt
+inline constexpr std::uint32_t kNvicEnable = 0x100;        // plus 4 per 32 interrupts
+inline constexpr std::uint32_t kNvicClearPending = 0x280;  // plus 4 per 32 interrupts
+inline constexpr std::uint32_t kNvicPriority = 0x400;      // one byte per interrupt
 inline constexpr std::uint32_t kResetControl = 0xD0C;
 inline constexpr std::uint32_t kResetRequest = 0x05FA'0004;
 inline constexpr std::uint32_t kConfigControl = 0xD14;

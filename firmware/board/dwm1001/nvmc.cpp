@@ -14,7 +14,7 @@ void await_ready() noexcept {
   }
 }
 
-// Lets the flash be changed in one way for as long as it lives.
+// Enables one kind of flash operation (`mode`) during its lifetime.
 class Unlocked {
  public:
   explicit Unlocked(std::uint32_t mode) noexcept { nvmc::kBlock[nvmc::kConfig] = mode; }

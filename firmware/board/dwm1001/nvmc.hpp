@@ -1,4 +1,4 @@
-// The two flash pages that hold the configuration, 0x7E000 to the end.
+// The two flash pages for the configuration, from 0x7E000 to the end.
 #pragma once
 
 #include <cstddef>
@@ -8,20 +8,20 @@
 
 namespace groma::dwm1001 {
 
-// Offsets count from the first of the two pages. The processor stands still while the flash works: 85 ms for
-// a page's erase, 338 us for a word (nRF52832 PS v1.4, 11.2).
+// Offsets are from the start of the first page. An operation halts the processor: 85 ms for the erase of a
+// page, 338 us for a word (nRF52832 PS v1.4, 11.2).
 class Nvmc {
  public:
   static constexpr std::size_t kPages = 2;
   static constexpr std::uint32_t kPageBytes = 4096;
 
-  // True if the page reads as erased, or the word as written, afterwards.
+  // True if the page then reads as erased, or the word as written.
   bool erase(std::size_t page) noexcept;
   bool write(std::uint32_t offset, std::uint32_t word) noexcept;
   [[nodiscard]] std::uint32_t read(std::uint32_t offset) const noexcept;
 };
 
-// A word of flash or of UICR: its bits can only be cleared.
+// Writes a word of flash or UICR; a write can only clear bits.
 void write_flash_word(nrf52832::Register& word, std::uint32_t value) noexcept;
 
 }  // namespace groma::dwm1001

@@ -14,7 +14,7 @@ inline constexpr std::uint32_t kRadioSelect = 17;
 inline constexpr std::uint32_t kRadioIn = 18;
 inline constexpr std::uint32_t kRadioOut = 20;
 inline constexpr std::uint32_t kRadioInterrupt = 19;  // active high
-inline constexpr std::uint32_t kRadioReset = 24;      // pulled low or left alone, never driven high
+inline constexpr std::uint32_t kRadioReset = 24;      // driven low or not at all, never high
 
 // UART to the on-board debugger's virtual serial port
 inline constexpr std::uint32_t kUartTransmit = 5;
@@ -49,7 +49,7 @@ inline void clear(std::uint32_t pin) noexcept {
   return (nrf52832::gpio::kBlock[nrf52832::gpio::kIn] & mask(pin)) != 0;
 }
 
-// One of gpio::kOutput, kInput, ...
+// `configuration`: gpio::kOutput, kInput, ...
 inline void configure(std::uint32_t pin, std::uint32_t configuration) noexcept {
   nrf52832::gpio::kBlock[nrf52832::gpio::kPinConfig + 4 * pin] = configuration;
 }

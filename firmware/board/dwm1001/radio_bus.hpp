@@ -1,4 +1,4 @@
-// The DW1000 on SPIM2, as the driver wants its bus (firmware/core/dw1000/spi.hpp).
+// The DW1000 on SPIM2. Implements the driver's SPI interface (firmware/core/dw1000/spi.hpp).
 #pragma once
 
 #include <array>
@@ -37,7 +37,8 @@ class RadioBus {
   void on_interrupt() noexcept { spim_.on_interrupt(); }
 
  private:
-  // Header and body go as one piece in RAM: EasyDMA reads no flash, and erratum 58 forbids a lone byte.
+  // Header and body are copied to one buffer in RAM: EasyDMA cannot read flash, and erratum 58 forbids
+  // transfers of one byte.
   void put(std::span<const std::uint8_t> header) noexcept {
     buffer_[0] = header[0];
     if (header.size() > 1) buffer_[1] = header[1];

@@ -9,7 +9,7 @@ Reset take_reset() noexcept {
   namespace power = nrf52832::power;
   using node::ResetReason;
   const std::uint32_t bits = power::kBlock[power::kResetReason];
-  // Bits gather until they are written back.
+  // Bits accumulate until they are cleared by writing them back.
   power::kBlock[power::kResetReason] = bits;
   const auto kept = take_kept_fault();
   // Erratum 136: after a pin reset other bits may be set too.

@@ -1,4 +1,4 @@
-// Why the processor began anew.
+// The reason of the last reset.
 #pragma once
 
 #include <optional>
@@ -12,7 +12,7 @@ struct Reset {
   std::optional<node::Fault> fault{};
 };
 
-// Once after boot: what it was is forgotten by this call.
+// Returns the reason and clears it. Call once after boot.
 [[nodiscard]] Reset take_reset() noexcept;
 
 }  // namespace groma::dwm1001

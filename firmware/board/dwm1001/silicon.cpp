@@ -10,14 +10,14 @@ namespace ficr = nrf52832::ficr;
 namespace power = nrf52832::power;
 namespace uicr = nrf52832::uicr;
 
-// Erratum 108: without this the RAM is not to be trusted after a sleep.
+// Erratum 108: without this the RAM may lose its content in sleep.
 void trust_ram() noexcept {
   power::kBlock[power::kErratum108] = ficr::kBlock[ficr::kErratum108] & 0x4F;
 }
 
-// From revision 3 on the debug port closes at each reset, unless UICR.APPROTECT and the firmware both say
-// that it is to be open (configuration 249). It is: else a module could be flashed anew only by erasing its
-// configuration, too. An UICR that somebody has closed on purpose stays as it is.
+// From revision 3 the debug port is closed at each reset unless both UICR.APPROTECT and the firmware open it
+// (configuration 249). The firmware opens it: otherwise reflashing a module would also erase its
+// configuration. An UICR.APPROTECT that was closed deliberately is not changed.
 void open_debug_port() noexcept {
   const bool closes =
       ficr::kBlock[ficr::kPart] == ficr::kNrf52832 && ficr::kBlock[ficr::kRevision] >= ficr::kRevision3;

@@ -2,7 +2,7 @@
 
 namespace groma::dwm1001 {
 
-// Early in start-up: what the chip's revisions want from firmware before anything else.
+// Applies the workarounds and settings that the chip's revisions require early in start-up.
 void prepare_silicon() noexcept;
 
 }  // namespace groma::dwm1001

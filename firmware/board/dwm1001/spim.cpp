@@ -8,7 +8,7 @@ namespace groma::dwm1001 {
 namespace gpio = nrf52832::gpio;
 namespace spim = nrf52832::spim;
 
-// One processor: what its interrupts see is in the program's order.
+// There is one processor, and its interrupt handlers see memory in program order.
 constexpr auto kRelaxed = std::memory_order_relaxed;
 
 void Spim::start(SpiFrequency frequency) noexcept {
@@ -46,10 +46,10 @@ void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> i
   registers_[spim::kStart] = 1;
   for (bool over = false; !over;) {
     const InterruptLock lock;
-    // Its interrupt may have come while another was served.
+    // The interrupt may have come while another one was served.
     if (!over_.load(kRelaxed)) sleep();
     if (registers_[spim::kEventEnd] != 0) {
-      // To take the interrupt now would only cost time.
+      // Clears the interrupt: taking it now would only cost time.
       nrf52832::clear_event(registers_[spim::kEventEnd]);
       clear_pending_interrupt(wiring_.irq);
       over = true;

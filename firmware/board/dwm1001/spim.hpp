@@ -1,4 +1,4 @@
-// One SPI master with EasyDMA: mode 0, most significant bit first, chip select by GPIO.
+// An SPI master with EasyDMA: mode 0, most significant bit first, chip select by GPIO.
 #pragma once
 
 #include <atomic>
@@ -15,7 +15,7 @@ enum class SpiFrequency : std::uint32_t { k2MHz = 0x2000'0000, k4MHz = 0x4000'00
 
 class Spim {
  public:
-  // What EasyDMA moves at most in one transfer.
+  // EasyDMA's limit for one transfer, bytes.
   static constexpr std::size_t kMaxTransfer = 255;
 
   struct Wiring {
@@ -26,17 +26,17 @@ class Spim {
 
   explicit constexpr Spim(const Wiring& wiring) noexcept : wiring_(wiring), registers_(wiring.base) {}
 
-  // Configures pins and controller, deselects the chip.
+  // Configures pins and controller and deselects the chip.
   void start(SpiFrequency frequency) noexcept;
   void set_frequency(SpiFrequency frequency) noexcept;
 
-  // One chip-select window of the longer of the two sizes: `out` goes out, and zeros after its end; `in` is
-  // received from the first byte on. Returns when it is over; sleeps meanwhile, interrupts are served. Both
-  // lie in RAM, may be the same bytes, and hold at most kMaxTransfer; together never a single received byte,
-  // for which the chip clocks two (erratum 58).
+  // One chip-select window of the longer of the two sizes. Sends `out`, then zeros; receives `in` from the
+  // first byte on. Sleeps until the end; interrupts are served. Both spans are in RAM, may be the same bytes,
+  // and have at most kMaxTransfer bytes. Not for a single received byte, for which the chip clocks two
+  // (erratum 58).
   void transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> in) noexcept;
 
-  // For its vector.
+  // The SPIM's interrupt handler.
   void on_interrupt() noexcept;
 
  private:

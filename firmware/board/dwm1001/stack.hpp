@@ -4,7 +4,7 @@
 
 namespace groma::dwm1001 {
 
-// How much of the stack has been used since the reset: what is no longer painted.
+// The stack's size and its use since the reset: the part that no longer holds kStackPaint.
 [[nodiscard]] node::StackUse stack_use() noexcept;
 
 }  // namespace groma::dwm1001

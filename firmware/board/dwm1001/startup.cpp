@@ -1,4 +1,4 @@
-// The vector table, and what happens between the reset and main().
+// The vector table and the code between reset and main().
 #include <algorithm>
 #include <array>
 #include <cstdint>
@@ -22,8 +22,8 @@ void spim1_entry();
 void spim2_entry();
 void ecb_entry();
 
-// Paints the stack, which is not in use yet, and sets its pointer: a debugger may begin here without the
-// vector table.
+// Fills the stack, which is not in use yet, with kStackPaint and sets the stack pointer: a debugger may start
+// here without the vector table.
 [[gnu::naked]] void reset_entry() {
   asm volatile(
       "ldr r0, =groma_stack_begin\n"
@@ -43,7 +43,8 @@ void ecb_entry();
   auto& access = scb::kBlock[scb::kCoprocessorAccess];
   access = access | scb::kFpuAccess;
   asm volatile("dsb\n isb" ::: "memory");
-  // Memory management, bus and usage faults stay hard faults, which come before all interrupts.
+  // Memory management, bus and usage faults stay disabled: they escalate to hard faults, which preempt all
+  // interrupts.
   auto& control = scb::kBlock[scb::kConfigControl];
   control = control | scb::kTrapDivideByZero;
   nvmc::kBlock[nvmc::kCacheConfig] = nvmc::kCacheEnabled;
@@ -72,7 +73,7 @@ struct VectorTable {
 
 consteval std::array<Handler, kExceptions + kInterrupts> handlers() {
   std::array<Handler, kExceptions + kInterrupts> table{};
-  // What nobody serves, interrupts included, is a fault.
+  // An exception or interrupt without a handler is a fault.
   table.fill(fault_entry);
   table[0] = reset_entry;
   const auto set = [&table](groma::nrf52832::Irq irq, Handler handler) {

@@ -15,7 +15,7 @@ namespace uarte = nrf52832::uarte;
 void Uarte::start() noexcept {
   pin::set(pin::kUartTransmit);
   pin::configure(pin::kUartTransmit, gpio::kOutput);
-  // With nothing plugged in the line stays high, which is silence.
+  // Pulled up, so that an unconnected line is silent.
   pin::configure(pin::kUartReceive, gpio::kInputPulledUp);
   const auto& registers = uarte::kBlock;
   registers[uarte::kPinTransmit] = pin::kUartTransmit;
@@ -31,7 +31,7 @@ void Uarte::start() noexcept {
       uarte::kInterruptByteReceived | uarte::kInterruptReceiveEnd | uarte::kInterruptTransmitEnd;
   enable_interrupt(nrf52832::Irq::kUarte0, Priority::kPeripheral);
   registers[uarte::kStartReceive] = 1;
-  // The pointer is latched at the start: the next chunk's may follow.
+  // The pointer is latched at the start: now the next chunk's can be written.
   while (registers[uarte::kEventReceiveStarted] == 0) {
   }
   receive_into(1);
@@ -89,11 +89,11 @@ std::span<const std::uint8_t> Uarte::received(std::uint64_t now_us) noexcept {
 std::uint32_t Uarte::certain_end() noexcept {
   const std::uint32_t whole = filled_ * static_cast<std::uint32_t>(kChunk);
   const auto behind = static_cast<std::int32_t>(whole - taken_);
-  // The DMA has come around and overwritten what was not taken: begin anew with the chunk it is in.
+  // The DMA has wrapped around and overwritten bytes that were not taken: restart with its present chunk.
   if (behind > static_cast<std::int32_t>(kReceiveRing - kChunk)) {
     lost_ += whole - taken_;
     taken_ = whole;
-    // No zero of before may pass for one that has just come.
+    // An old zero must not be taken for one just received.
     receive_.fill(kNotYet);
   }
   const std::uint32_t begin = behind < 0 ? taken_ : whole;
@@ -116,7 +116,7 @@ void Uarte::on_interrupt() noexcept {
   const auto& registers = uarte::kBlock;
   if (registers[uarte::kEventReceiveEnd] != 0) {
     nrf52832::clear_event(registers[uarte::kEventReceiveEnd]);
-    // The chunk after this one is being filled already.
+    // The DMA already fills the chunk after this one.
     const std::uint32_t filled = filled_ + 1;
     filled_ = filled;
     receive_into(filled + 1);

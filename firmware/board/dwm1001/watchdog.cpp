@@ -15,7 +15,7 @@ void start() noexcept {
   wdt::kBlock[wdt::kInterruptSet] = wdt::kInterruptTimeout;
   enable_interrupt(nrf52832::Irq::kWatchdog, Priority::kWatchdog);
   wdt::kBlock[wdt::kStart] = 1;
-  // A reset by software leaves it running, with what was left of its period.
+  // A software reset does not stop the watchdog: without this it would keep the rest of its period.
   feed();
 }
 
