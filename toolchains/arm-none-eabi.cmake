@@ -1,4 +1,4 @@
-# Debian's gcc-arm-none-eabi for a Cortex-M4 with its single-precision FPU.
+# Debian's gcc-arm-none-eabi for a Cortex-M4 with single-precision FPU.
 set(CMAKE_SYSTEM_NAME Generic)
 set(CMAKE_SYSTEM_PROCESSOR cortex-m4)
 set(CMAKE_C_COMPILER arm-none-eabi-gcc)

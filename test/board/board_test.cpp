@@ -1,4 +1,4 @@
-// What the board's own code promises, tried on the shipped image in the emulator.
+// Tests of the board's own code, with the shipped image in the emulator.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -43,7 +43,7 @@ class Board : public testing::Test {
     listener.take(bytes);
   }
   void send(const groma_HostToNode& command) { ASSERT_TRUE(network_.send(0, frame_of(command))); }
-  // The processor goes on at `pc`, with interrupts as they are outside of a lock.
+  // Continues at `pc`, with interrupts unmasked.
   void jump(std::uint32_t pc) {
     node().cpu().set_register(Register::kPrimask, 0);
     node().cpu().set_register(Register::kPc, pc);
@@ -53,7 +53,7 @@ class Board : public testing::Test {
       node().ram()[address - kRamAddress + i] = static_cast<std::uint8_t>(word >> (8 * i));
     }
   }
-  // Samples of one light, 10 ms apart.
+  // Samples of one LED, 10 ms apart.
   std::vector<bool> watch(std::size_t light, double from_s, double until_s) {
     std::vector<bool> lit;
     for (double t_s = from_s; t_s < until_s; t_s += 0.01) {
@@ -92,7 +92,7 @@ TEST_F(Board, AnswersCommandsThatComeWithoutAPauseWhileItRanges) {
 }
 
 TEST_F(Board, RefusesWholeFramesWhereTheLineIsFull) {
-  // One tag alone, with raw stamps: more than the line carries.
+  // A single tag with raw timestamps reports more than the line can carry.
   SiteBench site(emulating(
       {.tags = 1, .anchors = 12, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL, .response_gap_us = 155},
       {}, [](std::uint16_t id) { return id == nth_tag(0); }));
@@ -101,7 +101,7 @@ TEST_F(Board, RefusesWholeFramesWhereTheLineIsFull) {
   ASSERT_FALSE(heard.reports.empty());
   const std::uint32_t lost = heard.reports.back().body.sequence - heard.reports.front().body.sequence + 1 -
                              static_cast<std::uint32_t>(heard.reports.size());
-  // What came is whole, and what was dropped is counted: by the last counters, a second ago at most.
+  // Received frames are whole, and dropped ones are counted, as of the last counters at most a second ago.
   EXPECT_EQ(heard.undecodable, 0);
   EXPECT_EQ(heard.frames().bytes_discarded, 0U);
   EXPECT_GT(lost, 0U);
@@ -143,7 +143,7 @@ TEST_F(Board, TellsOfAFaultOnce) {
 TEST_F(Board, DoesNotBelieveARecordWithAWrongCheck) {
   run_until(1.5);
   jump(0x0030'0000);
-  // Until the record is kept and the processor reset, but not until it is read.
+  // Run until the record is written, but not until the firmware reads it.
   const auto kept = test::ElfFile(test::shipped_image(".elf")).section(".noinit");
   const std::span<std::uint8_t> record = node().ram().subspan(kept.address - kRamAddress, kept.bytes);
   const std::vector<std::uint8_t> before(record.begin(), record.end());
@@ -158,7 +158,7 @@ TEST_F(Board, DoesNotBelieveARecordWithAWrongCheck) {
 
 TEST_F(Board, IsResetFromALoopThatLetsNoInterruptThrough) {
   run_until(1.5);
-  // A jump to itself, in flash that the image does not use.
+  // A branch to itself, in flash that the image does not use.
   constexpr std::uint32_t kLoop = 0x7'0000;
   node().flash()[kLoop] = 0xFE;
   node().flash()[kLoop + 1] = 0xE7;
@@ -168,11 +168,11 @@ TEST_F(Board, IsResetFromALoopThatLetsNoInterruptThrough) {
   run_until(11.0);
   ASSERT_EQ(listener.hellos.size(), 2U);
   EXPECT_EQ(listener.hellos[1].reset_reason, groma_ResetReason_RESET_WATCHDOG);
-  // Nobody could look where it was.
+  // With interrupts masked the watchdog's handler could not record the position.
   EXPECT_FALSE(listener.hellos[1].has_last_fault);
 }
 
-// ---- the rest ---------------------------------------------------------------------------------------------
+// ---- identity, LEDs, timing, stack ------------------------------------------------------------------------
 
 TEST_F(Board, SaysOfItselfWhatItsImageDoes) {
   using node::ImageIdentity;
@@ -197,7 +197,7 @@ TEST_F(Board, ShowsByItsLightsWhatItDoes) {
     for (std::size_t i = 1; i < lit.size(); ++i) count += lit[i] != lit[i - 1] ? 1 : 0;
     return count;
   };
-  // Not configured: blue, half a second each.
+  // Not configured: blue, half a second on, half a second off.
   EXPECT_NEAR(changes(watch(kBlue, 1.0, 5.0)), 8, 1);
   EXPECT_EQ(changes(watch(0, 5.0, 6.0)), 0);
   groma_HostToNode identify = command_of(1, groma_HostToNode_identify_s_tag);
@@ -212,7 +212,7 @@ TEST_F(Board, ShowsByItsLightsWhatItDoes) {
   EXPECT_EQ(changes(watch(0, 8.5, 9.5)), 0);
 }
 
-// The emulator's 1.25 cycles an instruction are a guess; a board's flash may make it more.
+// The emulator's 1.25 cycles per instruction are an estimate; with a real board's flash it may be more.
 TEST_F(Board, KeepsItsSlotsAtTwoCyclesAnInstruction) {
   EmulatorOptions slow;
   slow.timing.instruction = 2 * slow.timing.cycle;
@@ -224,7 +224,7 @@ TEST_F(Board, KeepsItsSlotsAtTwoCyclesAnInstruction) {
   for (std::size_t i = 0; i < 3; ++i) {
     const groma_Counters& counters = site.listeners[i].counters;
     EXPECT_EQ(counters.late_transmits, 0U) << "tag " << i;
-    // A window that begins while a tag finds its way into the network may be late.
+    // A receive window that begins while a tag joins the network may be late.
     EXPECT_LE(joined[i].late_receives, 2U) << "tag " << i;
     EXPECT_EQ(counters.late_receives, joined[i].late_receives) << "tag " << i;
     EXPECT_GT(counters.ranges_completed, joined[i].ranges_completed) << "tag " << i;

@@ -1,4 +1,4 @@
-// What the shipped image is made of, and that the linker refuses one made of anything else.
+// The contents of the shipped image, and the linker's rejection of forbidden contents.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -86,12 +86,12 @@ TEST_F(Image, HasNoHeapNoExceptionsAndNoFiles) {
                                         "_write"};
   for (const auto& [name, value] : elf_->symbols()) {
     EXPECT_FALSE(forbidden.contains(name)) << name;
-    // operator new, new[], delete and delete[] in all their forms.
+    // All forms of operator new, new[], delete and delete[].
     for (const char* prefix : {"_Znw", "_Zna", "_Zdl", "_Zda"})
       EXPECT_FALSE(name.starts_with(prefix)) << name;
   }
   EXPECT_EQ(elf_->section(".ARM.extab").bytes, 0U);
-  // The compiler's own 64-bit division brings one.
+  // The compiler's 64-bit division has one entry.
   EXPECT_LE(elf_->section(".ARM.exidx").bytes, 16U);
   EXPECT_EQ(elf_->section(".eh_frame").bytes, 0U);
 }
@@ -144,7 +144,7 @@ TEST_F(Image, IsTheSameInBothItsFiles) {
   EXPECT_EQ(flashed, elf_->loaded());
 }
 
-// ---- what the linker refuses ------------------------------------------------------------------------------
+// ---- checks of the linker script --------------------------------------------------------------------------
 
 test::ChildResult link(const std::string& source) {
   const test::ScratchFolder folder;

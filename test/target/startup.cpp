@@ -1,10 +1,10 @@
-// From reset to main() on QEMU's mps2-an386, with the arguments that semihosting gives.
+// Start-up code from reset to main() on QEMU's mps2-an386. The arguments come through semihosting.
 #include <array>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
 
-// The tests'; ISO C++ forbids a call of it under its own name.
+// The tests' main(). ISO C++ forbids calling main() by its own name.
 int tests_main(int argc, char** argv) asm("main");
 
 extern "C" {
@@ -56,7 +56,7 @@ struct Vectors {
 std::array<char, 1024> command_line;
 std::array<char*, 32> arguments;
 
-// A word such as GTEST_SHARD_INDEX=1 goes to the environment, which bare metal lacks.
+// A word such as GTEST_SHARD_INDEX=1 becomes an environment variable, since bare metal has no environment.
 int read_arguments() {
   struct {
     char* text;

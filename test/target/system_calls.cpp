@@ -1,4 +1,4 @@
-// What newlib and GoogleTest ask of a system and semihosting does not give.
+// Stubs for system calls that newlib and GoogleTest need and semihosting does not provide.
 #include <sys/stat.h>
 
 #include <cerrno>

@@ -1,5 +1,5 @@
-// Interrupts in many constellations: which are pended where, at which priorities and under which masks, is
-// drawn from a generator that all handlers share, so that one difference changes all that follows.
+// Random interrupts: a generator that all handlers share decides which interrupts are pended where, at which
+// priorities and under which masks. Any difference therefore changes all later output.
 #include <array>
 
 #include "test/torture/image.hpp"
@@ -65,7 +65,7 @@ void test_chance() {
     if (masked) unmask_interrupts();
     tell(word(kIcsr));
     tell(__builtin_bit_cast(std::uint32_t, sum));
-    // The first ones are told in full, so that a difference can be read.
+    // The first rounds are printed in full, so that a difference can be analysed.
     if (round < 20) print_log("round");
     if (round % 100 == 0) print_line("trace", trace);
     forget_log();

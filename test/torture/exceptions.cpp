@@ -1,4 +1,4 @@
-// Nesting, order, masks, stacks, and what must survive.
+// Exceptions: nesting, order, masks, stacks, and registers that must be preserved.
 #include <array>
 
 #include "test/torture/image.hpp"
@@ -183,7 +183,7 @@ void system_handlers() {
 
 // --- stacks
 
-// Where the frame lies, EXC_RETURN, and the frame itself.
+// Records the frame's address, EXC_RETURN and the frame in torture_frame.
 [[gnu::naked]] void look_at_frame() {
   asm volatile(
       "tst lr, #4\n"
@@ -222,7 +222,7 @@ void stacks() {
           : "r0", "r1", "r2", "r3", "r12", "cc", "memory");
   print_frame("main stack");
 
-  // Aligned to four bytes only: one word is left out and put back.
+  // A stack aligned to four bytes only: entry skips one word, and return restores it.
   std::uint32_t before = 0;
   std::uint32_t after = 0;
   asm volatile(
@@ -264,7 +264,7 @@ void stacks() {
              reinterpret_cast<std::uint32_t>(process_stack.data() + process_stack.size()) - psp());
   print_frame("process stack");
 
-  // Without privilege: masks and the main stack are out of reach, the supervisor is not.
+  // Unprivileged: masks and the main stack pointer are not accessible; a supervisor call is.
   set_handler(kSvCall, [] {
     note('s');
     seen[0] = control();
@@ -309,7 +309,7 @@ void stacks() {
       ".ltorg");
 }
 
-// One bit a register that changed over an interrupt; the flags with the DSP ones before and after.
+// One bit per register that an interrupt changed; the flags, with the DSP ones, before and after.
 void survival() {
   start_over();
   set_handler(kIrq0, clobber);
@@ -356,7 +356,7 @@ void survival() {
   print_line("flags before", flags_before);
   print_line("flags after", flags_after);
 
-  // A supervisor call within an IT block: its condition state goes into the frame and comes back.
+  // A supervisor call within an IT block: the IT state is saved in the frame and restored.
   set_handler(kSvCall, look_at_frame);
   std::uint32_t path = 0;
   asm volatile(

@@ -1,10 +1,10 @@
-// Faults, their status, the address that is stacked, and going on behind them.
+// Faults: their status, the stacked address, and continuing after them.
 #include <array>
 
 #include "test/torture/image.hpp"
 
 extern "C" {
-std::uint32_t torture_resume;  // where the next fault's handler goes on
+std::uint32_t torture_resume;  // where the program continues after the next fault
 std::uint32_t torture_fault[8];
 void torture_record(const std::uint32_t* frame, std::uint32_t exc_return);
 }
@@ -15,7 +15,7 @@ namespace {
 constexpr std::uint32_t kNowhere = 0x30000000;
 constexpr std::uint32_t kAllFaultsEnabled = 7U << 16;
 
-// The frame's address and EXC_RETURN as arguments.
+// Calls torture_record() with the frame's address and EXC_RETURN.
 [[gnu::naked]] void fault_handler() {
   asm volatile(
       "tst lr, #4\n"
@@ -49,7 +49,7 @@ void torture_record(const std::uint32_t* frame, std::uint32_t exc_return) {
 namespace torture {
 namespace {
 
-// The stacked PC is told from the fault's own place.
+// Prints the stacked PC relative to the faulting instruction.
 #define TORTURE_FAULT(name, code)                                                              \
   do {                                                                                         \
     std::uint32_t place;                                                                       \
@@ -87,7 +87,7 @@ void tell(const char* name, std::uint32_t place) {
       "bx lr\n");
 }
 
-// EXC_RETURN as it came would be refused again; the thread is meant.
+// Returning with the original EXC_RETURN would fault again; this handler returns to the thread.
 [[gnu::naked]] void return_handler() {
   asm volatile(
       "mrs r0, msp\n"
@@ -170,7 +170,7 @@ void test_faults() {
 
   word(kShcsr) = 0;
   word(kCcr) = word(kCcr) & ~(1U << 4);
-  // From here on there is floating point.
+  // From here on the FPU is enabled.
   word(kCpacr) = word(kCpacr) | 0xFU << 20;
   barrier();
   start_over();

@@ -1,4 +1,4 @@
-// The floating-point context over exceptions: what is stacked, what EXC_RETURN tells, what survives.
+// The floating-point context in exceptions: what is stacked, the value of EXC_RETURN, and what is preserved.
 #include <array>
 
 #include "test/torture/image.hpp"
@@ -69,7 +69,7 @@ void nested_floats() {
 void inner_floats() {
   note('[');
   value = value * 4.0F + 5.0F;
-  pend(1U << 2);  // alike: follows as a tail
+  pend(1U << 2);  // the same priority: tail-chained
   note(']');
 }
 
@@ -79,7 +79,7 @@ void tail_floats() {
   note('}');
 }
 
-// Uses floats, is interrupted twice with none used in between, and looks at what it has left.
+// Uses floats, is interrupted twice without using any in between, and records what is left.
 [[gnu::naked]] void interrupted_twice() {
   asm volatile(
       "vmov.f32 s0, #2.0\n"
@@ -167,7 +167,7 @@ void test_floating_point() {
   pend_and_tell("forgotten");
   survival();
 
-  // A thread without floats, a handler with them: they leave no trace in the thread's frames.
+  // A thread without floats and a handler with them: the handler does not affect the thread's frames.
   forget_floats();
   pend(1U);
   print_line("handler's own", control() & kFloatingPointActive);

@@ -1,5 +1,5 @@
-// What the parts of the torture image share: the processor's own registers, handlers that can be changed, a
-// log that handlers write letters to, and a console through semihosting.
+// Common declarations of the torture image: the processor's registers, replaceable handlers, a log that
+// handlers write letters to, and a console through semihosting.
 #pragma once
 
 #include <cstddef>
@@ -88,7 +88,7 @@ inline void unmask_interrupts() {
 
 // Handlers live in a vector table in RAM.
 void set_handler(unsigned exception, Handler handler);
-// Every handler, priority, mask and enable as at the beginning: interrupts 0 to 7 write their letters a to h.
+// Resets handlers, priorities, masks and enables: interrupts 0 to 7 write their letters a to h.
 void start_over();
 
 inline void set_priority(unsigned exception, unsigned level) {
@@ -106,12 +106,12 @@ inline void pend(std::uint32_t interrupts) {
 void note(char letter);
 void print(const char* text);
 void print_line(const char* name, std::uint32_t value);
-// Prints the log behind the name, and empties it.
+// Prints the name and the log, and clears the log.
 void print_log(const char* name);
 void forget_log();
 [[noreturn]] void leave(std::uint32_t code);
 
-// The parts.
+// The tests.
 void test_exceptions();
 void test_floating_point();
 void test_faults();

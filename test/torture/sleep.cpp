@@ -1,4 +1,4 @@
-// WFI, WFE, SEV and the event register, SysTick. QEMU knows no sleep on exit: cpu_time_test has it.
+// WFI, WFE, SEV and the event register, SysTick. QEMU does not support sleep-on-exit: cpu_time_test tests it.
 #include "test/torture/image.hpp"
 
 namespace torture {
@@ -41,7 +41,7 @@ void send_event() {
 void test_sleep() {
   print("sleep\n");
   start_over();
-  // Pending under the mask: awake at once, taken after it.
+  // Pending while masked: wakes immediately, and is taken after unmasking.
   mask_interrupts();
   pend(1U);
   wait_for_interrupt();
@@ -69,11 +69,11 @@ void test_sleep() {
   send_event();
   wait_for_event();
   note('.');
-  // An interrupt leaves an event behind.
+  // An interrupt sets the event register.
   pend(1U);
   wait_for_event();
   note('.');
-  // What is disabled does so by its becoming pending alone.
+  // A disabled interrupt sets it when it becomes pending, with SEVONPEND.
   word(kIcer) = 1U << 1;
   word(kScr) = kSendEventOnPending;
   barrier();
@@ -84,7 +84,7 @@ void test_sleep() {
   word(kScr) = 0;
   print_log("events");
 
-  // An event that waits is used up; the next wait ends with the tick.
+  // WFE consumes a waiting event; the next WFE ends with the tick.
   set_handler(kSysTick, tick);
   start_ticks(40'000);
   send_event();

@@ -42,7 +42,7 @@ void unexpected() {
 [[gnu::section(".vectors"), gnu::used]] const Vectors kFirst{&stack_top,
                                                              {reset_handler, unexpected, unexpected}};
 
-// Aligned to its size's next power of two (B3.2.5).
+// Aligned to the next power of two of its size (B3.2.5).
 alignas(256) Vectors vectors;
 
 std::array<char, 512> log;

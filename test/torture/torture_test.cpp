@@ -1,4 +1,4 @@
-// The torture image on QEMU's Cortex-M4, whose interrupt controller others wrote, and on ours.
+// Runs the torture image on QEMU's Cortex-M4, an independent implementation, and in the project's emulator.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -19,7 +19,7 @@ constexpr const char* kImage = TORTURE_IMAGE;
 constexpr const char* kQemu = "/usr/bin/qemu-system-arm";
 constexpr std::uint32_t kRam = 0x20000000;
 
-// Nothing is there, as far as the image goes.
+// A bus without peripherals: the image uses none.
 class NoBus final : public sim::Bus {
  public:
   bool read(std::uint32_t, unsigned, std::uint32_t&) override { return false; }
@@ -39,7 +39,7 @@ Outcome run_on_qemu() {
   return {.text = result.out + result.err, .exit_code = result.exit_code};
 }
 
-// cut: how long a run goes.
+// cut: the duration of each run().
 Outcome run_on_ours(sim::SimTime cut) {
   constexpr std::uint32_t kWrite0 = 0x04;
   constexpr std::uint32_t kExitExtended = 0x20;

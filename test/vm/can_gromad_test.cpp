@@ -1,5 +1,5 @@
-// The daemon on a CAN bus: what three tags said (record_can_site) comes at its recorded times over real
-// sockets.
+// The daemon on a CAN bus: the recorded frames of three tags (record_can_site) arrive at their recorded times
+// over real sockets.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -47,7 +47,7 @@ link::CanLog bus_log(const std::string& name) {
   return log;
 }
 
-// The robot's lines by their times.
+// The robot's lines, sorted by time.
 std::multimap<double, std::string> robot_lines() {
   std::multimap<double, std::string> lines;
   std::istringstream all(read_text(kRecording / "robot.jsonl"));
@@ -74,7 +74,7 @@ std::map<double, Position> truth() {
   return rows;
 }
 
-// What the recording holds for the daemon.
+// The counters that the daemon should reach with the recording.
 link::ReportCounters recorded(const std::string& name) {
   class Ignored : public link::NodeSink {
     void on_range(const model::RangeSample& /*range*/) override {}
@@ -102,7 +102,8 @@ class GromadOnCan : public ::testing::Test {
   void SetUp() override {
     if (!std::filesystem::exists(kRecording / "fd.log"))
       GTEST_SKIP() << "record_can_site has recorded nothing";
-    // Into memory with it: a page that comes late over the virtual machine's file system would make it late.
+    // Loads the executable into the page cache: a late page from the virtual machine's file system would
+    // delay it.
     static_cast<void>(read_text(GROMAD_PATH));
   }
 
@@ -110,7 +111,7 @@ class GromadOnCan : public ::testing::Test {
     std::string text = "schema: 1\nnodes:\n";
     for (const unsigned tag : kTags)
       text += fmt::format("  - {{path: {}:{}/{}}}\n", scheme, bus_.name(), tag);
-    // Patient: a busy machine translates this one slowly, and what is tried here is not the delay.
+    // A long lag: on a busy machine the virtual machine is slow, and this test is not about delay.
     text += "robot_socket: robot.sock\npose_stream: {port: 0}\nreorder_lag_s: 0.5\n";
     folder_.write("gromad.yaml", text + read_text(kRecording / "site.yaml"));
     return (folder_ / "gromad.yaml").string();
@@ -138,7 +139,7 @@ class GromadOnCan : public ::testing::Test {
     return true;
   }
 
-  // Everything recorded, each at its time.
+  // Plays all recorded frames and lines, each at its time.
   void play(const link::CanLog& log, Gromad& gromad) {
     const CanParticipant tags(bus_.name());
     const auto lines = robot_lines();
@@ -221,7 +222,7 @@ TEST_F(GromadOnCan, LosesNothingOfThreeTagsInFdFrames) {
 TEST_F(GromadOnCan, CountsWhatTheModulesLoseWhileTheyAreOffTheBusAndGoesOn) {
   replay("canfd", "bus_off.log");
   EXPECT_GT(frames_lost_, 0U);
-  // What had waited in a module for longer than the daemon looks back.
+  // Ranges that had waited in a module for longer than reorder_lag_s.
   EXPECT_LT(dropped_late_, 100U);
 }
 

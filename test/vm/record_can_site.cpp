@@ -1,12 +1,12 @@
 // Records a simulated site for can_gromad_test: record_can_site SCENARIO IMAGE FOLDER. The scenario's tags
-// run the shipped image, each with an MCP2518FD on one bus; its anchors run natively; all stand in the open.
+// run the shipped image, each with an MCP2518FD on one bus; its anchors run natively; the site has no walls.
 //
-// - classic.log, fd.log: the bus as candump writes it, in the site's time
-// - bus_off.log: the same with CAN FD and each frame damaged for a while, until the controllers leave the bus
+// - classic.log, fd.log: the bus in candump's format, in the site's time
+// - bus_off.log: the same with CAN FD; for a while each frame is destroyed, until the controllers go bus-off
 // - robot.jsonl: the robot's lines
 // - truth.csv: t_s,x_m,y_m,yaw_rad
-// - calibration.yaml: of the site as surveyed
-// - site.yaml: what a configuration of gromad needs beside its links
+// - calibration.yaml: the surveyed positions
+// - site.yaml: a configuration of gromad without its links
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -73,7 +73,7 @@ class SiteOnCan {
 
   void damage() { bus_.damage(sim::from_seconds(kDamageBegin_s), sim::from_seconds(kDamageEnd_s)); }
 
-  // Throws where a recording would prove nothing: a controller at fault, or a tag that hardly ranged.
+  // Throws if the recording is unusable: a faulty controller, or a tag with too few ranges.
   void write_log(const std::filesystem::path& path) {
     site_->run_until(kDuration_s);
     const sim::SimTime end = sim::from_seconds(kDuration_s);

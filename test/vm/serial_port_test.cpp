@@ -1,5 +1,5 @@
-// A USB serial converter through libserialport: opened, used, unplugged and plugged in again. The converter
-// is the virtual machine's (test/vm/run --usb), as the kernel's own driver for FTDI's chips sees it.
+// A USB serial converter through libserialport: opened, used, unplugged and plugged in again. The virtual
+// machine emulates the converter (test/vm/run --usb); the kernel's driver for FTDI's chips serves it.
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <grp.h>
@@ -41,7 +41,7 @@ bool eventually(const std::function<bool()>& done) {
   return true;
 }
 
-// The converter's far end: what a node's UART would be.
+// The converter's far end, in place of a node's UART.
 class FarEnd {
  public:
   FarEnd() : fd_(::open("/dev/groma-usb-far-end", O_RDWR | O_NONBLOCK | O_CLOEXEC)) {

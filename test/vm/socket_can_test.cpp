@@ -1,4 +1,4 @@
-// Nodes on a real CAN interface, through the kernel's own sockets.
+// Nodes on a CAN interface, through the kernel's sockets.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <linux/can/error.h>
@@ -29,7 +29,7 @@ using ::testing::IsEmpty;
 using wire::CanDirection;
 using wire::CanFormat;
 
-// What the sink of a ReportDecoder was given.
+// Collects what a ReportDecoder passes to its sink.
 class Collected : public NodeSink {
  public:
   void on_range(const model::RangeSample& range) override { ranges.push_back(range); }
@@ -45,7 +45,7 @@ class SocketCan : public ::testing::Test {
     return scheme + ":" + bus_.name() + "/" + std::to_string(node);
   }
 
-  // Opens what must open.
+  // Opens a link; throws if that fails.
   static std::unique_ptr<ByteLink> open(const std::string& path) {
     OpenedLink opened = open_link(path, 0);
     if (!opened.link) throw std::runtime_error(opened.error.message);
@@ -55,7 +55,7 @@ class SocketCan : public ::testing::Test {
     return dynamic_cast<const SocketCanLink&>(link).counters();
   }
 
-  // Everything there is to read now. A virtual bus has delivered a frame when its sender goes on.
+  // Reads everything available. A virtual bus has delivered a frame when its sender continues.
   static std::vector<std::uint8_t> read_all(ByteLink& link, std::size_t chunk = 512) {
     std::vector<std::uint8_t> all;
     std::vector<std::uint8_t> buffer(chunk);
@@ -135,7 +135,7 @@ TEST_F(SocketCan, KeepsTwoNodesOfOneBusApart) {
   const auto fourth = open(path(4));
   const auto of_third = report_of(7, 3);
   const auto of_fourth = report_of(9, 4);
-  // Frame by frame in turn, as two nodes share a bus.
+  // The frames of both nodes alternate, as on a shared bus.
   for (std::size_t at = 0; at < std::max(of_third.size(), of_fourth.size()); at += 8) {
     const auto part = [&](const std::vector<std::uint8_t>& all) {
       return std::span(all)
@@ -289,7 +289,7 @@ TEST_F(SocketCan, CountsWhatAFullQueueLoses) {
   const std::size_t frames_each = (report.size() + 7) / 8;
   std::size_t sent = 0;
   for (; sent < 20'000; sent += frames_each) send_from(3, report);
-  // The socket tells of the loss with the first frame that it had room for again.
+  // The socket reports the loss with the first frame that fits again.
   static_cast<void>(read_all(*link));
   send_from(3, report);
   sent += frames_each;
@@ -368,7 +368,7 @@ TEST_F(SocketCan, ALogOfCandumpIsReadAsItWasSent) {
   constexpr const char* kCandump = "/usr/bin/candump";
   if (::access(kCandump, X_OK) != 0) GTEST_SKIP() << "no can-utils here";
   const auto stream = report_of(5, 3);
-  // It hears nothing before it has opened its socket, so it is told until it has heard.
+  // candump receives nothing before it has opened its socket: wait before sending.
   groma::test::ChildResult dumped;
   std::thread candump([&] { dumped = groma::test::run_child({kCandump, "-L", "-T", "1000", bus_.name()}); });
   std::this_thread::sleep_for(std::chrono::milliseconds(700));

@@ -1,4 +1,4 @@
-// The virtual machine keeps what test/vm/run promises.
+// Tests that the virtual machine is as documented in test/vm/run.
 #include <gtest/gtest.h>
 #include <net/if.h>
 #include <sys/stat.h>
