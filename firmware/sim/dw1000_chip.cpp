@@ -178,7 +178,7 @@ void Dw1000Chip::write(SimTime t, std::span<const std::uint8_t> header_bytes,
   if (!spi_answers(hz)) return;
   const Header header = decode_header(header_bytes);
   if (!header.valid || !header.write || header.size != header_bytes.size()) {
-    complain("SPI: not the header of a write");
+    complain("SPI: invalid header of a write");
     return;
   }
   std::size_t offset = header.offset;
@@ -209,7 +209,7 @@ void Dw1000Chip::read(SimTime t, std::span<const std::uint8_t> header_bytes, std
   }
   const Header header = decode_header(header_bytes);
   if (!header.valid || header.write || header.size != header_bytes.size()) {
-    complain("SPI: not the header of a read");
+    complain("SPI: invalid header of a read");
     return;
   }
   std::size_t offset = header.offset;
@@ -332,7 +332,7 @@ void Dw1000Chip::system_configuration_written() {
   const auto value = static_cast<std::uint32_t>(registers_.get(Reg::kSysCfg));
   const std::uint32_t modelled = kHirqPol | kDisDrxb | kDisStxp | kRxwtoe | kFilterRules;
   if ((value & ~modelled) != 0) {
-    complain("SYS_CFG: of the bits in " + place(0x04, value & ~modelled) + " none is modelled");
+    complain("SYS_CFG: bits that are not modelled are set: " + place(0x04, value & ~modelled));
   } else if ((value & kHirqPol) == 0) {
     complain("SYS_CFG: the interrupt line is wired active high (HIRQ_POL)");
   } else if ((value & kDisDrxb) == 0) {
@@ -432,7 +432,7 @@ void Dw1000Chip::power_management_written(std::uint32_t before) {
       }
       break;
     default:
-      complain("PMSC_CTRL0: no such reset is modelled");
+      complain("PMSC_CTRL0: this reset is not modelled");
       break;
   }
 }
@@ -527,7 +527,7 @@ void Dw1000Chip::start_transmit(bool delayed, bool wait_for_response) {
     return;
   }
   if (symbols == 0 || ((fctrl >> 13) & 3) != 2) {
-    complain("TX_FCTRL: of the data rates only 6.8 Mbit/s is modelled, and no reserved preamble length");
+    complain("TX_FCTRL: only 6.8 Mbit/s and valid preamble lengths are modelled");
     return;
   }
   const Tuning& tuned = tuning();

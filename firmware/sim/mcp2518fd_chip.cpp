@@ -253,7 +253,7 @@ void Mcp2518fdChip::config_only(const char* name, unsigned address, std::uint32_
     complain(std::string(name) + " changed outside the configuration mode");
     return;
   }
-  if ((value & mask & ~writable) != 0) complain(std::string(name) + ": a bit that is not there is set");
+  if ((value & mask & ~writable) != 0) complain(std::string(name) + ": an unimplemented bit is set");
   word(address) = after;
 }
 
@@ -273,8 +273,8 @@ void Mcp2518fdChip::write_register(unsigned address, std::uint32_t value, std::u
       word(kInt) = (word(kInt) & ~(kEnableBits & mask)) | (value & mask & kEnableBits);
       return;
     case kOsc:
-      if ((value & mask & kOscPll) != 0) complain("the PLL is turned on, with a clock that needs none");
-      if ((value & mask & kOscDisable) != 0) complain("its oscillator is turned off: not modelled");
+      if ((value & mask & kOscPll) != 0) complain("the PLL is turned on, which this clock does not need");
+      if ((value & mask & kOscDisable) != 0) complain("turning off the oscillator is not modelled");
       osc_ = (osc_ & ~mask) | (value & mask & 0x7F);
       if (spec_.is_mcp2517fd) osc_ &= ~kOscLowPower;
       return;
@@ -346,16 +346,16 @@ void Mcp2518fdChip::write_fifo_con(unsigned index, std::uint32_t value, std::uin
   if ((commands & kFifoReset) != 0) return complain("the reset of a single FIFO is not modelled");
   if ((commands & kFifoAdvance) != 0) {
     if (fifo.transmits) {
-      if (fifo.count == fifo.depth) return complain(name + " is full and advanced");
+      if (fifo.count == fifo.depth) return complain(name + " is advanced while it is full");
       ++fifo.count;
     } else {
-      if (fifo.count == 0) return complain(name + " is empty and advanced");
+      if (fifo.count == 0) return complain(name + " is advanced while it is empty");
       fifo.tail = (fifo.tail + 1) % fifo.depth;
       --fifo.count;
     }
   }
   if ((commands & kFifoRequest) != 0) {
-    if (!fifo.transmits) return complain(name + " receives and is asked to transmit");
+    if (!fifo.transmits) return complain(name + " receives, but a transmission is requested");
     fifo.requested = fifo.count != 0;
     if (!next_frame_) load_next_frame(now_ + kAssemblyTime);
   }
@@ -465,7 +465,7 @@ void Mcp2518fdChip::lay_out_fifos() {
   for (unsigned i = 1; i < kFifos; ++i) {
     std::uint32_t& control = word(kFifoBegin + (i - 1) * kFifoStride);
     control &= ~kFifoReset;
-    if ((control & kFifoTimeStamp) != 0) complain("time stamps are not modelled");
+    if ((control & kFifoTimeStamp) != 0) complain("timestamps are not modelled");
     Fifo& fifo = fifos_[i];
     fifo.payload_bytes = kPayloadSizes[bits(control, 29, 3)];
     fifo.object_bytes = 8 + fifo.payload_bytes;
@@ -474,7 +474,7 @@ void Mcp2518fdChip::lay_out_fifos() {
     fifo.base = at;
     at += fifo.depth * fifo.object_bytes;
     const bool set_up = (control & ~kFifoReset) != (kFifoConReset & ~kFifoReset);
-    if (set_up && at > kRamBytes) complain("FIFO " + std::to_string(i) + " leaves the RAM");
+    if (set_up && at > kRamBytes) complain("FIFO " + std::to_string(i) + " exceeds the RAM");
   }
 }
 
@@ -528,7 +528,7 @@ void Mcp2518fdChip::settle(SimTime t) {
       if (mode == Mode::kConfiguration) {
         enter_configuration();
       } else {
-        complain("from one normal mode to another without the configuration mode between");
+        complain("a change of normal modes without the configuration mode in between");
       }
     } else if (t >= std::max(*recessive_since, requested_at_) + kRecessiveBits * rates_.nominal) {
       const Mode mode = *requested_mode_;
@@ -582,8 +582,8 @@ void Mcp2518fdChip::load_next_frame(SimTime t) {
     const unsigned at = fifo.address(fifo.tail);
     const std::uint32_t id = ram_word(at);
     const std::uint32_t control = ram_word(at + 4);
-    if (bits(control, 4, 1) == 0) complain("a frame with an id of 11 bits: not modelled");
-    if (bits(control, 5, 1) != 0) complain("a remote frame: not modelled");
+    if (bits(control, 4, 1) == 0) complain("frames with ids of 11 bits are not modelled");
+    if (bits(control, 5, 1) != 0) complain("remote frames are not modelled");
     wire::CanFrame frame;
     frame.id = id_of_object(id);
     const bool fd = bits(control, 7, 1) != 0;

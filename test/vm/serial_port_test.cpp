@@ -45,7 +45,7 @@ bool eventually(const std::function<bool()>& done) {
 class FarEnd {
  public:
   FarEnd() : fd_(::open("/dev/groma-usb-far-end", O_RDWR | O_NONBLOCK | O_CLOEXEC)) {
-    if (!fd_.valid()) throw std::runtime_error("no far end; run by test/vm/run --usb");
+    if (!fd_.valid()) throw std::runtime_error("no far end; run this with test/vm/run --usb");
   }
 
   void send(std::span<const std::uint8_t> bytes) const {
@@ -53,7 +53,7 @@ class FarEnd {
       const ssize_t n = ::write(fd_.get(), bytes.data(), bytes.size());
       if (n > 0) bytes = bytes.subspan(static_cast<std::size_t>(n));
       pollfd entry{fd_.get(), POLLOUT, 0};
-      if (n <= 0 && ::poll(&entry, 1, 2000) <= 0) throw std::runtime_error("the far end takes nothing");
+      if (n <= 0 && ::poll(&entry, 1, 2000) <= 0) throw std::runtime_error("the far end accepts no bytes");
     }
   }
 
@@ -84,7 +84,7 @@ class Socket {
   void say(const std::string& command) const {
     const std::string line = command + "\n";
     if (::write(monitor_.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) {
-      throw std::runtime_error("the monitor does not listen");
+      throw std::runtime_error("QEMU's monitor accepts no commands");
     }
   }
 

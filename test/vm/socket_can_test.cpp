@@ -237,7 +237,7 @@ TEST_F(SocketCan, SurvivesTheInterfaceGoingDownAndComingUp) {
   send_from(3, last_words);
 
   bus_.down();
-  EXPECT_EQ(link.read(buffer, now_s).bytes, last_words.size()) << "what came before is not lost";
+  EXPECT_EQ(link.read(buffer, now_s).bytes, last_words.size()) << "earlier frames are not lost";
   EXPECT_TRUE(link.read(buffer, now_s).gone);
   EXPECT_EQ(link.counters().lost, 1U);
   now_s = link.next_attempt_s();
@@ -298,7 +298,7 @@ TEST_F(SocketCan, CountsWhatAFullQueueLoses) {
   EXPECT_GT(counters(*link).frames_overrun, 0U);
   EXPECT_EQ(counters(*link).frames + counters(*link).frames_overrun, sent);
   EXPECT_THAT(link->take_news(), HasSubstr("the computer is too busy"));
-  EXPECT_THAT(link->take_news(), IsEmpty()) << "told once";
+  EXPECT_THAT(link->take_news(), IsEmpty()) << "reported once";
 }
 
 TEST_F(SocketCan, TellsOfTheBusGettingIllAndWell) {
@@ -328,7 +328,7 @@ TEST_F(SocketCan, TellsOfTheBusGettingIllAndWell) {
   EXPECT_THAT(read_all(*link), IsEmpty());
   EXPECT_THAT(link->take_news(), HasSubstr("the controller's own buffer was full"));
 
-  EXPECT_EQ(counters(*link).error_frames, 7U) << "a lost arbitration is none";
+  EXPECT_EQ(counters(*link).error_frames, 7U) << "a lost arbitration does not count";
   EXPECT_EQ(counters(*link).error_passive, 1U);
   EXPECT_EQ(counters(*link).bus_off, 1U);
   EXPECT_EQ(counters(*link).restarts, 1U);

@@ -120,7 +120,7 @@ bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       return true;
     case kErratum108:
       if (value != 0x4F)
-        throw SimulationError("POWER: erratum 108 wants bits of FICR 0x258, not " + hexadecimal(value));
+        throw SimulationError("POWER: erratum 108 needs the bits of FICR 0x258, not " + hexadecimal(value));
       return true;
     default:
       return events_.write(offset, value);

@@ -48,7 +48,7 @@ bool Ecb::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kTasksStartecb: {
       if (value == 0) return true;
-      if (busy()) throw SimulationError("ECB: STARTECB while a block is under way");
+      if (busy()) throw SimulationError("ECB: STARTECB while a block is being encrypted");
       const std::span<std::uint8_t> data = dma_.at(pointer_, kDataBytes, "ECBDATAPTR");
       std::copy_n(data.begin(), taken_.size(), taken_.begin());
       end_at_ = t + kBlockTime;
@@ -60,7 +60,7 @@ bool Ecb::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       events_.raise(kError);
       return true;
     case kEcbdataptr:
-      if (busy()) throw SimulationError("ECB: ECBDATAPTR written while a block is under way");
+      if (busy()) throw SimulationError("ECB: ECBDATAPTR written while a block is being encrypted");
       pointer_ = value;
       return true;
     default:

@@ -72,7 +72,7 @@ class EmulatedNode::Machine final : private Processor {
         cpu(flash, ram, soc, options.timing),
         boots_at_(spec.power_on) {
     if (quantum_ <= 0 || quantum_ > Nrf52832::kHostDelay)
-      throw SimulationError("an emulated node runs ahead by more than 0 and at most 50 us");
+      throw SimulationError("the quantum of an emulated node must be above 0 and at most 50 us");
     ImageFlash pages{std::span<std::uint8_t>(flash).subspan(kStoragePages)};
     if (!spec.stored_config.empty() && !storage::ConfigStore(pages).store(spec.stored_config))
       throw SimulationError("stored_config: at most " + std::to_string(storage::kMaxRecordBytes) + " bytes");

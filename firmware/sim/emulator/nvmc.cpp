@@ -48,7 +48,7 @@ void Nvmc::power_cut(SimTime t) {
 }
 
 void Nvmc::begin(SimTime t, SimTime duration) {
-  if (busy()) throw SimulationError("NVMC: an operation while another is under way");
+  if (busy()) throw SimulationError("NVMC: an operation while another is in progress");
   begun_at_ = t;
   end_at_ = t + duration;
   ++operations_;
@@ -115,7 +115,7 @@ bool Nvmc::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     case kErasepage:
       if (mode_ != kEraseEnabled) throw SimulationError("NVMC: ERASEPAGE while erasing is not enabled");
       if (value % kFlashPageBytes != 0 || value >= flash_.size())
-        throw SimulationError("NVMC: ERASEPAGE of " + hexadecimal(value) + ", where no page begins");
+        throw SimulationError("NVMC: ERASEPAGE of " + hexadecimal(value) + ", not the start of a page");
       erasing_ = true;
       address_ = value;
       std::fill_n(writes_.begin() + static_cast<std::ptrdiff_t>(value / kBlockBytes),

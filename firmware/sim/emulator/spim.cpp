@@ -65,13 +65,13 @@ std::uint32_t Spim::clock_hz() const {
     case 0x80000000:
       return 8'000'000;
     default:
-      throw SimulationError(name_ + ": FREQUENCY " + hexadecimal(frequency_) + " is none of the master's");
+      throw SimulationError(name_ + ": FREQUENCY " + hexadecimal(frequency_) + " is invalid");
   }
 }
 
 void Spim::start(SimTime t) {
   if (!enabled_) throw SimulationError(name_ + ": START while it is not enabled");
-  if (busy()) throw SimulationError(name_ + ": START while a transfer is on its way");
+  if (busy()) throw SimulationError(name_ + ": START while a transfer is in progress");
   if (pins_ != std::array{wired_.sck, wired_.mosi, wired_.miso})
     throw SimulationError(name_ + ": SCK, MOSI and MISO are not the pins that lead to its chip");
   // Erratum 58.
@@ -141,14 +141,14 @@ bool Spim::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       return true;
     case kTasksStop:
       if (value == 0) return true;
-      if (busy()) throw SimulationError(name_ + ": STOP amid a transfer is not modelled");
+      if (busy()) throw SimulationError(name_ + ": STOP during a transfer is not modelled");
       events_.raise(kStopped);
       return true;
     case kEnable:
       if (value != 0 && value != kEnabled)
         throw SimulationError(name_ + ": ENABLE " + hexadecimal(value) +
                               " is not the SPI master with EasyDMA");
-      if (busy()) throw SimulationError(name_ + ": ENABLE written amid a transfer");
+      if (busy()) throw SimulationError(name_ + ": ENABLE written during a transfer");
       enabled_ = value == kEnabled;
       return true;
     case kFrequency:

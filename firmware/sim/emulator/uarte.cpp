@@ -153,7 +153,7 @@ void Uarte::stop_receive(SimTime t) {
 
 void Uarte::start_transmit(SimTime t) {
   check_ready("STARTTX");
-  if (sent_at_ != kNever) throw SimulationError("UARTE0: STARTTX while a transfer is on its way");
+  if (sent_at_ != kNever) throw SimulationError("UARTE0: STARTTX while a transfer is in progress");
   const std::span<const std::uint8_t> bytes =
       dma_.at(buffers_.transmit.pointer, buffers_.transmit.maximum, "UARTE0 TXD");
   sending_.assign(bytes.begin(), bytes.end());

@@ -39,7 +39,7 @@ double not_negative(const YamlValue& map, std::string_view key, double otherwise
   const std::optional<YamlValue> value = map.find(key);
   if (!value) return otherwise;
   const double read = value->number();
-  if (read < 0.0) value->fail(fmt::format("is {}", read), "it has to be 0 or more");
+  if (read < 0.0) value->fail(fmt::format("is {}", read), "it must be 0 or more");
   return read;
 }
 
@@ -62,7 +62,7 @@ Eigen::Vector3d point3(const YamlValue& value) {
 // [mean, sigma]
 model::ScalarPrior prior(const YamlValue& value) {
   const std::vector<double> p = value.numbers(2);
-  if (p[1] < 0.0) value.fail(fmt::format("has the sigma {}", p[1]), "it has to be 0 or more");
+  if (p[1] < 0.0) value.fail(fmt::format("has the sigma {}", p[1]), "it must be 0 or more");
   return {p[0], p[1]};
 }
 
@@ -71,7 +71,7 @@ model::BSpline::Grid grid(const YamlValue& map, int nx, int ny) {
   const Eigen::Vector2d origin = point2(map.at("origin_m"));
   const Eigen::Vector2d step = point2(map.at("step_m"));
   if (!(step.minCoeff() > 0.0))
-    map.at("step_m").fail("is not above 0", "write the distance of control heights");
+    map.at("step_m").fail("is not above 0", "write the distance between control heights");
   out.x0_m = origin.x();
   out.y0_m = origin.y();
   out.dx_m = step.x();
@@ -143,7 +143,7 @@ std::vector<Material> parse_materials(const YamlValue& list) {
     if (entry.find("reflection_loss_db"))
       material.reflection_loss_db = not_negative(entry, "reflection_loss_db", 0.0);
     for (const Material& other : materials) {
-      if (other.name == material.name) entry.at("name").fail("is there twice", "keep one of the materials");
+      if (other.name == material.name) entry.at("name").fail("occurs twice", "remove one of the materials");
     }
     materials.push_back(std::move(material));
   }
@@ -167,12 +167,13 @@ std::vector<Wall> parse_walls(const YamlValue& list, const std::vector<Material>
     if (wall.top_m <= wall.bottom_m)
       entry.at("top_m").fail("is not above bottom_m", "write the height of its upper edge");
     const std::vector<YamlValue> corners = entry.at("along_m").list();
-    if (corners.size() < 2) entry.at("along_m").fail("has no two points", "write [[x, y], [x, y], ...]");
+    if (corners.size() < 2)
+      entry.at("along_m").fail("has fewer than two points", "write [[x, y], [x, y], ...]");
     for (std::size_t i = 1; i < corners.size(); ++i) {
       wall.from_m = point2(corners[i - 1]);
       wall.to_m = point2(corners[i]);
       if ((wall.to_m - wall.from_m).norm() < 1e-3)
-        corners[i].fail("is where the point before it is", "take it out");
+        corners[i].fail("equals the point before it", "remove it");
       walls.push_back(wall);
     }
   }
@@ -206,7 +207,7 @@ std::vector<Node> parse_nodes(const YamlValue& list, std::string_view place_key,
     entry.expect_keys({{"id", place_key}});
     const auto id = static_cast<model::NodeId>(entry.at("id").integer(1, kMaxId - 1));
     if (!ids.insert(id).second)
-      entry.at("id").fail(fmt::format("{} is taken", id), "give each tag and anchor an own id");
+      entry.at("id").fail(fmt::format("{} is taken", id), "give each tag and anchor its own id");
     nodes.push_back({id, point3(entry.at(place_key))});
   }
   std::sort(nodes.begin(), nodes.end(), [](const Node& a, const Node& b) { return a.id < b.id; });
@@ -260,14 +261,14 @@ std::vector<DriveLeg> parse_drives(const YamlValue& list, const PathOptions& rob
       Waypoint waypoint;
       const Eigen::Vector2d at = point2(point.at("at_m"));
       if (last && (at - *last).norm() < kShortestLeg_m)
-        point.at("at_m").fail("is where the waypoint before it is", "take it out, or set stop_s there");
+        point.at("at_m").fail("equals the waypoint before it", "remove it, or set stop_s there");
       last = at;
       waypoint.x_m = at.x();
       waypoint.y_m = at.y();
       if (const auto yaw = point.find("yaw_rad")) {
         if (robot.drive == Drive::kDifferential)
           yaw->fail("is given, but the robot follows its path",
-                    "set robot.drive to omnidirectional, or take it out");
+                    "set robot.drive to omnidirectional, or remove it");
         waypoint.yaw_rad = yaw->number();
       }
       waypoint.stop_s = not_negative(point, "stop_s", 0.0);
@@ -280,7 +281,7 @@ std::vector<DriveLeg> parse_drives(const YamlValue& list, const PathOptions& rob
   if (robot.loop) {
     const Waypoint& first = drives.front().waypoints.front();
     if (std::hypot(first.x_m - last->x(), first.y_m - last->y()) < kShortestLeg_m)
-      list.fail("ends where it begins", "take the last waypoint out: a loop closes itself");
+      list.fail("ends where it begins", "remove the last waypoint: a loop closes itself");
   }
   return drives;
 }
