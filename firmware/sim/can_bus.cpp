@@ -13,7 +13,7 @@ namespace {
 constexpr unsigned kErrorFrameBits = 12 + 8;
 // The bit at which a classic controller reads FDF, and at which wrong bit rates violate the stuffing at the
 // latest.
-constexpr unsigned kBitsToObjection = 34;
+constexpr unsigned kBitsToErrorFlag = 34;
 
 // The two bit times differ by no more than resynchronization can correct.
 bool close(SimTime a, SimTime b) noexcept {
@@ -99,14 +99,14 @@ void CanBus::begin(SimTime start) {
   };
   bool acknowledged = false;
   for (const CanStation* station : stations_) {
-    if (station == transmission.sender || !station->takes_part()) continue;
+    if (station == transmission.sender || !station->participates()) continue;
     if (understands(*station, transmission)) {
       acknowledged = true;
     } else if (!station->error_passive()) {
-      fails(start + kBitsToObjection * rates.nominal, CanError::kBit);
+      fails(start + kBitsToErrorFlag * rates.nominal, CanError::kBit);
     }
   }
-  if (!winner.sees_itself) fails(start + kBitsToObjection * rates.nominal, CanError::kBit);
+  if (!winner.can_check_own_bits) fails(start + kBitsToErrorFlag * rates.nominal, CanError::kBit);
   if (!acknowledged) fails(transmission.end - kRecessiveEndBits * rates.nominal, CanError::kAcknowledge);
   for (const Disturbance& d : disturbances_) {
     if (d.from < transmission.end && d.until > start) {
@@ -132,14 +132,14 @@ void CanBus::finish() {
     ++counters_.errors;
     done.sender->send_failed(done.end, done.error);
     for (CanStation* station : stations_) {
-      if (station != done.sender && station->takes_part()) station->receive_failed(done.end);
+      if (station != done.sender && station->participates()) station->receive_failed(done.end);
     }
     return;
   }
   ++counters_.frames;
   // Receivers first: their reaction to this frame must not collide with the sender's next one.
   for (CanStation* station : stations_) {
-    if (station == done.sender || !station->takes_part()) continue;
+    if (station == done.sender || !station->participates()) continue;
     if (understands(*station, done)) {
       station->received(done.frame, done.end);
     } else {

@@ -52,13 +52,13 @@ class CanStation {
     SimTime since = 0;  // the earliest start
     const wire::CanFrame* frame = nullptr;
     bool error_passive = false;
-    bool sees_itself = true;  // it can check its own bits at these rates despite the transceiver's delay
+    bool can_check_own_bits = true;  // at the frame's rates, despite the transceiver's delay
   };
 
   // The frame that the station would send next. The frame must live until sent() or send_failed().
   [[nodiscard]] virtual std::optional<Offer> offer() const = 0;
   // The station receives, acknowledges and sends error flags.
-  [[nodiscard]] virtual bool takes_part() const = 0;
+  [[nodiscard]] virtual bool participates() const = 0;
   // The station's error flags are recessive: it cannot destroy a frame.
   [[nodiscard]] virtual bool error_passive() const = 0;
   [[nodiscard]] virtual const CanRates& rates() const = 0;
@@ -153,7 +153,7 @@ class CanTap final : public CanStation {
   [[nodiscard]] std::size_t waiting() const noexcept { return queue_.size(); }
 
   [[nodiscard]] std::optional<Offer> offer() const override;
-  [[nodiscard]] bool takes_part() const override { return connected_; }
+  [[nodiscard]] bool participates() const override { return connected_; }
   [[nodiscard]] bool error_passive() const override { return false; }
   [[nodiscard]] const CanRates& rates() const override { return rates_; }
   void frame_begins(SimTime) override {}

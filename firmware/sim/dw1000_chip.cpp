@@ -599,10 +599,10 @@ void Dw1000Chip::transmission_step() {
     case 2: {
       status_ |= status::kTxphs;
       const auto raw = static_cast<std::uint64_t>(sending.rmarker_tick);
-      const std::uint64_t stamp = (raw + registers_.get(Reg::kTxAntd)) & kCounterMask;
+      const std::uint64_t timestamp = (raw + registers_.get(Reg::kTxAntd)) & kCounterMask;
       const std::span<std::uint8_t> bytes = registers_.bytes(Reg::kTxTime);
       for (unsigned i = 0; i < 5; ++i) {
-        bytes[i] = static_cast<std::uint8_t>(stamp >> (8 * i));
+        bytes[i] = static_cast<std::uint8_t>(timestamp >> (8 * i));
         bytes[5 + i] = static_cast<std::uint8_t>((raw & kCounterMask) >> (8 * i));
       }
       break;

@@ -57,7 +57,7 @@ struct Ambient {
 
 // Biases of the timestamps. The model applies them to the receive timestamps alone; each end of a two-way
 // range contributes half.
-struct StampBias {
+struct TimestampBias {
   bool drift = false;  // range per end: 2.15 mm per degree C from 23, and 5.35 cm per volt from 3.3
   bool power = false;  // depends on receive power: APS011, table 2, for PRF 64 MHz
 };
@@ -70,7 +70,7 @@ struct ChipSpec {
   std::uint32_t transmit_antenna_delay_ticks = 16436;
   std::uint32_t receive_antenna_delay_ticks = 16436;
   Ambient ambient{};
-  StampBias bias{};
+  TimestampBias bias{};
 };
 
 class Dw1000Chip {
@@ -175,7 +175,7 @@ class Dw1000Chip {
     return clock_.time_of_tick(tick + counter_base_);
   }
   [[nodiscard]] std::uint64_t live_status() const noexcept;
-  [[nodiscard]] double stamp_bias_ticks(double receive_power_dbm) const noexcept;
+  [[nodiscard]] double timestamp_bias_ticks(double receive_power_dbm) const noexcept;
   // The absolute tick at which the counter's low 40 bits next are `value`.
   [[nodiscard]] std::int64_t next_tick_with(std::uint64_t value) const noexcept;
   void count_event(Reg counter);
@@ -189,16 +189,16 @@ class Dw1000Chip {
   void preamble_begins(Arrival& arrival);
   void lock(const Arrival& arrival);
   void overlap(const Arrival& later);
-  void tell_of_overlap(const AirFrame& lost, const AirFrame& by) const;
+  void report_overlap(const AirFrame& lost, const AirFrame& by) const;
   void damage_from(SimTime at);
   void header_ends();
   void frame_ends();
-  void spoil_last_frame();
+  void invalidate_last_frame();
   void write_reception(bool damaged);
   void write_measurements();
   void receiver_off();
   void resolve(Arrival& arrival);
-  void forget_past_frames();
+  void drop_past_frames();
   const Tuning& tuning();
   [[nodiscard]] bool listening() const noexcept { return receiver_ >= Receiver::kHunting; }
 

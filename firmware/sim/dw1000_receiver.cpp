@@ -9,11 +9,11 @@ namespace groma::sim {
 
 namespace {
 
-constexpr std::uint64_t kStampMask = (std::uint64_t{1} << 40) - 1;
+constexpr std::uint64_t kTimestampMask = (std::uint64_t{1} << 40) - 1;
 constexpr std::uint64_t kWaitTimeout = 1U << 28;
 constexpr std::uint64_t kLderune = 1U << 17;
 // The longest time of flight (30 km): no frame arrives later than this after its last symbol was sent.
-constexpr SimTime kLongestFlight = 100 * kUnitsPerMicrosecond;
+constexpr SimTime kMaxFlight = 100 * kUnitsPerMicrosecond;
 
 // User manual 4.7: power = 10 log10(sum 2^k / N^2) - A at PRF 64 MHz.
 constexpr double kPowerConstant_db = 121.74;
@@ -89,7 +89,7 @@ void Dw1000Chip::receiver_step(SimTime at) {
                                     [](const Arrival& arrival) { return !arrival.started; });
     first->started = true;
     preamble_begins(*first);
-    forget_past_frames();
+    drop_past_frames();
     return;
   }
   const SimTime cut_at = current_.frame && current_.frame->cut_at != kNever ? current_.frame->cut_at : kNever;
@@ -118,7 +118,7 @@ void Dw1000Chip::receiver_step(SimTime at) {
       if (damage_ != Loss::kSfd && current_.frame->rmarker + current_.reception.delay <= at) {
         status_ |= status::kRxsfdd;
         receiver_ = Receiver::kFrame;
-        spoil_last_frame();
+        invalidate_last_frame();
         header_done_ = false;
       } else if (sfd_timeout_at_ <= at) {
         receiver_ends(status::kRxsfdto, Reg::kEvcSto, true);
@@ -184,7 +184,7 @@ void Dw1000Chip::resolve(Arrival& arrival) {
 
 void Dw1000Chip::preamble_begins(Arrival& arrival) {
   if (!listening() || receiver_on_at_ > arrival.frame->preamble_start) return;
-  if (!tuning().hears(arrival.frame->format)) return;
+  if (!tuning().can_receive(arrival.frame->format)) return;
   resolve(arrival);
   if (!arrival.reception.audible || arrival.reception.loss == Loss::kUnheard) return;
   if (current_.frame) {
@@ -192,14 +192,14 @@ void Dw1000Chip::preamble_begins(Arrival& arrival) {
     return;
   }
   for (Arrival& other : arrivals_) {
-    if (&other == &arrival || !other.started || !tuning().hears(other.frame->format)) continue;
+    if (&other == &arrival || !other.started || !tuning().can_receive(other.frame->format)) continue;
     resolve(other);
     const bool over = std::min(other.frame->end, other.frame->cut_at) + other.reception.delay <=
                       arrival.frame->preamble_start + arrival.reception.delay;
     if (!over && other.reception.audible && other.reception.loss != Loss::kUnheard &&
         arrival.reception.receive_power_dbm <
             other.reception.receive_power_dbm + medium_.settings().capture_db) {
-      tell_of_overlap(*arrival.frame, *other.frame);
+      report_overlap(*arrival.frame, *other.frame);
       return;
     }
   }
@@ -227,17 +227,17 @@ void Dw1000Chip::overlap(const Arrival& later) {
   const double capture_db = medium_.settings().capture_db;
   const SimTime begins = later.frame->preamble_start + later.reception.delay;
   if (stronger_db >= capture_db && begins < current_.frame->rmarker + current_.reception.delay) {
-    tell_of_overlap(*current_.frame, *later.frame);
+    report_overlap(*current_.frame, *later.frame);
     lock(later);
     return;
   }
-  tell_of_overlap(*later.frame, *current_.frame);
+  report_overlap(*later.frame, *current_.frame);
   if (stronger_db <= -capture_db || begins >= current_.frame->end + current_.reception.delay) return;
-  tell_of_overlap(*current_.frame, *later.frame);
+  report_overlap(*current_.frame, *later.frame);
   damage_from(begins - current_.reception.delay);
 }
 
-void Dw1000Chip::tell_of_overlap(const AirFrame& lost, const AirFrame& by) const {
+void Dw1000Chip::report_overlap(const AirFrame& lost, const AirFrame& by) const {
   if (Witness* const witness = medium_.witness(); witness != nullptr) witness->overlapped(lost, by, spec_.id);
 }
 
@@ -275,17 +275,17 @@ void Dw1000Chip::frame_ends() {
 }
 
 // Drops frames that can no longer be received or disturb others.
-void Dw1000Chip::forget_past_frames() {
+void Dw1000Chip::drop_past_frames() {
   std::erase_if(arrivals_, [&](const Arrival& arrival) {
     if (!arrival.started) return false;
     if (arrival.resolved && (!arrival.reception.audible || arrival.reception.loss == Loss::kUnheard))
       return true;
-    return arrival.frame->end + kLongestFlight < now_;
+    return arrival.frame->end + kMaxFlight < now_;
   });
 }
 
 // A receive timestamp that is late by b at each end lengthens a range by c b.
-double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
+double Dw1000Chip::timestamp_bias_ticks(double receive_power_dbm) const noexcept {
   constexpr double kTicksPerMetre = 63.8976e9 / 299'792'458.0;
   double bias_m = 0.0;
   if (spec_.bias.drift) {
@@ -309,7 +309,7 @@ double Dw1000Chip::stamp_bias_ticks(double receive_power_dbm) const noexcept {
 
 // With a single buffer the next frame overwrites the last one. The chip does so gradually; the model spoils
 // the registers as soon as the new frame has begun, so that a test finds a driver that reads too late.
-void Dw1000Chip::spoil_last_frame() {
+void Dw1000Chip::invalidate_last_frame() {
   for (const Reg reg : {Reg::kRxFinfo, Reg::kRxBuffer, Reg::kRxFqual, Reg::kRxTime, Reg::kLdePpIndx}) {
     const std::span<std::uint8_t> bytes = registers_.bytes(reg);
     std::fill(bytes.begin(),
@@ -341,20 +341,20 @@ void Dw1000Chip::write_reception(bool damaged) {
       clock_.nearest_tick(frame.rmarker + reception.delay,
                           static_cast<double>(spec_.receive_antenna_delay_ticks) +
                               reception.delay_residue_ticks + reception.stamp_noise_ticks +
-                              stamp_bias_ticks(reception.receive_power_dbm)) -
+                              timestamp_bias_ticks(reception.receive_power_dbm)) -
       counter_base_;
-  std::uint64_t stamp = static_cast<std::uint64_t>(rmarker) - registers_.get(Reg::kLdeRxAntd);
+  std::uint64_t timestamp = static_cast<std::uint64_t>(rmarker) - registers_.get(Reg::kLdeRxAntd);
   const bool lde_runs = lde_loaded_ && (registers_.get(Reg::kPmscCtrl1) & kLderune) != 0;
   if (!lde_runs) {
-    stamp = reception.junk;
-  } else if (receiver_needs_reset_ || !tuning().stamps_true) {
+    timestamp = reception.junk;
+  } else if (receiver_needs_reset_ || !tuning().timestamps_valid) {
     // An error of 1 to 16 ns of either sign.
     const std::uint64_t error = 64 + ((reception.junk >> 16) & 0x3BF);
-    stamp = (reception.junk & 1) != 0 ? stamp + error : stamp - error;
+    timestamp = (reception.junk & 1) != 0 ? timestamp + error : timestamp - error;
   }
   const std::span<std::uint8_t> time = registers_.bytes(Reg::kRxTime);
-  put(time, 0, 5, stamp & kStampMask);
-  put(time, 9, 5, static_cast<std::uint64_t>(rmarker) & kStampMask & ~std::uint64_t{0x1FF});
+  put(time, 0, 5, timestamp & kTimestampMask);
+  put(time, 9, 5, static_cast<std::uint64_t>(rmarker) & kTimestampMask & ~std::uint64_t{0x1FF});
 }
 
 void Dw1000Chip::write_measurements() {

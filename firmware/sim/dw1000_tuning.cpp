@@ -92,7 +92,7 @@ Tuning read_tuning(const Dw1000Registers& registers) noexcept {
   tuning.shortest_preamble = std::max(by_pac.shortest, by_tune.shortest);
   tuning.longest_preamble = std::min(by_pac.longest, by_tune.longest);
 
-  tuning.stamps_true = holds(Reg::kLdeCfg1, 0x6D) && holds(Reg::kLdeCfg2, 0x0607) &&
+  tuning.timestamps_valid = holds(Reg::kLdeCfg1, 0x6D) && holds(Reg::kLdeCfg2, 0x0607) &&
                        registers.get(Reg::kLdeRepc) == replica_coefficient(tuning.receive_code);
   return tuning;
 }

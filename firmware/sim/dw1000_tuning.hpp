@@ -13,14 +13,14 @@ namespace groma::sim {
 struct Tuning {
   bool transmits = false;
   bool receives = false;
-  bool stamps_true = false;  // the leading-edge detection is set up for the code in use
+  bool timestamps_valid = false;  // the leading-edge detection is set up for the code in use
   std::uint8_t transmit_code = 0;
   std::uint8_t receive_code = 0;
   std::uint16_t pac_symbols = 8;
   std::uint16_t shortest_preamble = 0;  // symbols; the range that the receiver is set up for
   std::uint16_t longest_preamble = 0;
 
-  [[nodiscard]] bool hears(const AirFormat& format) const noexcept {
+  [[nodiscard]] bool can_receive(const AirFormat& format) const noexcept {
     return receives && format.channel == 5 && format.prf_mhz == 64 && format.preamble_code == receive_code &&
            format.preamble_symbols >= shortest_preamble && format.preamble_symbols <= longest_preamble;
   }

@@ -506,9 +506,9 @@ void Mcp2518fdChip::load_bit_timing() {
   constexpr unsigned kAutomatic = 2;
   if (bits(t, 16, 2) == kAutomatic) {
     const SimTime offset = time_of(bits(t, 8, 7));
-    sees_itself_ = offset * 2 > rates_.data && offset < rates_.data;
+    can_check_own_bits_ = offset * 2 > rates_.data && offset < rates_.data;
   } else {
-    sees_itself_ = delay < time_of(d_prescaler * d_before);
+    can_check_own_bits_ = delay < time_of(d_prescaler * d_before);
   }
 }
 
@@ -566,11 +566,11 @@ SimTime Mcp2518fdChip::next_event() const {
 // -------------------------------------------------------------------------------------------------
 
 std::optional<CanStation::Offer> Mcp2518fdChip::offer() const {
-  if (!takes_part() || !next_frame_ || requested_mode_) return std::nullopt;
+  if (!participates() || !next_frame_ || requested_mode_) return std::nullopt;
   return Offer{.since = offer_since_,
                .frame = &*next_frame_,
                .error_passive = error_passive(),
-               .sees_itself = sees_itself_ || !next_frame_->bit_rate_switch};
+               .can_check_own_bits = can_check_own_bits_ || !next_frame_->bit_rate_switch};
 }
 
 // Takes the frame of the transmit FIFO with the lowest number: priorities are not modelled.

@@ -55,7 +55,7 @@ class Mcp2518fdChip final : public SpiDevice, public CanStation {
 
   // ---- CanStation
   [[nodiscard]] std::optional<Offer> offer() const override;
-  [[nodiscard]] bool takes_part() const override { return on_bus() && !bus_off_; }
+  [[nodiscard]] bool participates() const override { return on_bus() && !bus_off_; }
   [[nodiscard]] bool error_passive() const override;
   [[nodiscard]] const CanRates& rates() const override { return rates_; }
   void frame_begins(SimTime t) override;
@@ -143,7 +143,7 @@ class Mcp2518fdChip final : public SpiDevice, public CanStation {
   std::optional<Mode> requested_mode_;
   SimTime requested_at_ = 0;
   CanRates rates_{};
-  bool sees_itself_ = true;
+  bool can_check_own_bits_ = true;
 
   unsigned sending_ = 0;  // the FIFO whose object is next_frame_
   std::optional<wire::CanFrame> next_frame_;

@@ -16,7 +16,7 @@ constexpr double kTicksPerSecond = 63.8976e9;
 constexpr SimTime kLongestFrame = 10 * kUnitsPerMillisecond;
 
 // Purposes of draws.
-enum : std::uint64_t { kStampNoise = 0x5A01, kCarrierNoise, kLossDraw, kLossKind, kJunk, kFade };
+enum : std::uint64_t { kTimestampNoise = 0x5A01, kCarrierNoise, kLossDraw, kLossKind, kJunk, kFade };
 
 Loss kind_of_loss(double uniform) {
   if (uniform < 0.50) return Loss::kUnheard;
@@ -42,36 +42,36 @@ std::size_t Medium::attach_sender(std::uint16_t id) {
 
 void Medium::announce(const std::shared_ptr<const AirFrame>& frame) {
   if (witness_ != nullptr) witness_->announced(*frame);
-  tell(frame->source, {News::Kind::kAnnounced, frame, nullptr, 0});
+  post(frame->source, {Notice::Kind::kAnnounced, frame, nullptr, 0});
 }
 
 void Medium::retract(const std::shared_ptr<const AirFrame>& frame) {
-  tell(frame->source, {News::Kind::kRetracted, frame, nullptr, 0});
+  post(frame->source, {Notice::Kind::kRetracted, frame, nullptr, 0});
 }
 
 void Medium::cut(const std::shared_ptr<AirFrame>& frame, SimTime at) {
-  tell(frame->source, {News::Kind::kCut, nullptr, frame, at});
+  post(frame->source, {Notice::Kind::kCut, nullptr, frame, at});
 }
 
-void Medium::tell(std::size_t source, const News& news) {
+void Medium::post(std::size_t source, const Notice& notice) {
   if (holding_) {
-    stations_[source].held.push_back(news);
+    stations_[source].pending.push_back(notice);
   } else {
-    spread(source, news);
+    deliver(source, notice);
   }
 }
 
-void Medium::spread(std::size_t source, const News& news) {
-  if (news.kind == News::Kind::kCut) {
-    news.cut_frame->cut_at = news.at;
+void Medium::deliver(std::size_t source, const Notice& notice) {
+  if (notice.kind == Notice::Kind::kCut) {
+    notice.cut_frame->cut_at = notice.at;
     return;
   }
   for (std::size_t i = 0; i < stations_.size(); ++i) {
     if (i == source || stations_[i].chip == nullptr) continue;
-    if (news.kind == News::Kind::kAnnounced) {
-      stations_[i].chip->incoming(news.frame);
+    if (notice.kind == Notice::Kind::kAnnounced) {
+      stations_[i].chip->incoming(notice.frame);
     } else {
-      stations_[i].chip->withdraw(*news.frame);
+      stations_[i].chip->withdraw(*notice.frame);
     }
   }
 }
@@ -83,8 +83,8 @@ void Medium::hold() {
 void Medium::release() {
   holding_ = false;
   for (std::size_t source = 0; source < stations_.size(); ++source) {
-    for (const News& news : stations_[source].held) spread(source, news);
-    stations_[source].held.clear();
+    for (const Notice& notice : stations_[source].pending) deliver(source, notice);
+    stations_[source].pending.clear();
   }
 }
 
@@ -109,7 +109,7 @@ Reception Medium::reception(const AirFrame& frame, std::size_t receiver) const {
   const auto draw = [&](std::uint64_t purpose) { return random_.of(purpose, from, to, frame.number); };
   reception.junk = draw(kJunk).bits();
   if (settings_.stamp_noise_s > 0.0)
-    reception.stamp_noise_ticks = draw(kStampNoise).normal() * settings_.stamp_noise_s * kTicksPerSecond;
+    reception.stamp_noise_ticks = draw(kTimestampNoise).normal() * settings_.stamp_noise_s * kTicksPerSecond;
   if (settings_.carrier_noise_ppm > 0.0)
     reception.carrier_noise_ppm = draw(kCarrierNoise).normal() * settings_.carrier_noise_ppm;
   if (settings_.loss_probability > 0.0 && draw(kLossDraw).uniform() < settings_.loss_probability)

@@ -136,7 +136,7 @@ class Medium {
 
  private:
   // An action of a chip that other chips are notified of.
-  struct News {
+  struct Notice {
     enum class Kind : std::uint8_t { kAnnounced, kRetracted, kCut };
     Kind kind;
     std::shared_ptr<const AirFrame> frame;
@@ -146,10 +146,10 @@ class Medium {
   struct Station {
     Dw1000Chip* chip;  // null for a station that only sends
     std::uint16_t id;
-    std::vector<News> held;
+    std::vector<Notice> pending;
   };
-  void tell(std::size_t source, const News& news);
-  void spread(std::size_t source, const News& news);
+  void post(std::size_t source, const Notice& notice);
+  void deliver(std::size_t source, const Notice& notice);
   void fade(const AirFrame& frame, std::uint16_t from, std::uint16_t to, Reception& reception) const;
 
   const PropagationModel& propagation_;

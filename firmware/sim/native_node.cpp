@@ -94,7 +94,7 @@ class NativePlatform {
   std::size_t load_config(std::span<std::uint8_t> out) noexcept { return config_.load(out); }
   security::BlockCipher& cipher() noexcept { return cipher_; }
   void set_indicator(node::Indicator indicator) noexcept { indicator_ = indicator; }
-  void restart() noexcept { restart_asked = true; }
+  void restart() noexcept { restart_requested = true; }
   [[nodiscard]] node::ResetReason reset_reason() const noexcept { return reset_reason_; }
   [[nodiscard]] std::optional<node::Fault> last_fault() const noexcept { return std::nullopt; }
   [[nodiscard]] std::uint32_t boot_count() const noexcept { return boot_count_; }
@@ -106,7 +106,7 @@ class NativePlatform {
     now = t;
     boot_us_ = local_us(t);
     reset_reason_ = reason;
-    restart_asked = false;
+    restart_requested = false;
     spi_hz_ = spec_.cpu.spi_slow_hz;
     const SimTime busy_before = flash_.busy_time();
     boot_count_ = storage::Counter(flash_).open_block();
@@ -124,7 +124,7 @@ class NativePlatform {
   UartLine uart_out;
   UartLine uart_in;
   SimTime now = 0;  // the node's local time: its processor is busy until then
-  bool restart_asked = false;
+  bool restart_requested = false;
 
  private:
   SimTime spend(std::size_t bytes) noexcept {
@@ -219,7 +219,7 @@ class NativeNode final : public NodeHost {
   }
 
   void after_work() {
-    if (platform_.restart_asked) {
+    if (platform_.restart_requested) {
       firmware_.reset();
       restarting_ = true;
       boots_at_ = platform_.now;

@@ -53,18 +53,18 @@ void Network::run_node(std::size_t node, SimTime now) {
 void Network::run_in_order(SimTime t) {
   for (;;) {
     SimTime next = kNever;
-    std::size_t who = 0;
+    std::size_t node = 0;
     for (std::size_t i = 0; i < due_.size(); ++i) {
       const SimTime event = next_of(i);
       if (event < next) {
         next = event;
-        who = i;
+        node = i;
       }
     }
     if (next > t) return;
     // A node whose next event is already past (a frame was announced to it late) runs now.
     if (next > now_) now_ = next;
-    run_node(who, now_);
+    run_node(node, now_);
   }
 }
 

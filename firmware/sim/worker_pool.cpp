@@ -6,7 +6,7 @@ namespace {
 
 // Rounds follow each other quickly or not at all. A thread polls this often for the next round before it
 // sleeps, and for the end of a round before it yields.
-constexpr int kLooks = 500;
+constexpr int kPolls = 500;
 
 constexpr std::uint32_t round_of(std::uint64_t ticket) noexcept {
   return static_cast<std::uint32_t>(ticket >> 32);
@@ -46,8 +46,8 @@ void WorkerPool::run(std::uint16_t count, const std::function<void(std::uint16_t
   ticket_ = ticket_of(round, count);
   ticket_.notify_all();
   take_part(round);
-  for (int look = 0; done_ != count; ++look) {
-    if (look < kLooks) {
+  for (int poll = 0; done_ != count; ++poll) {
+    if (poll < kPolls) {
       pause();
     } else {
       std::this_thread::yield();
@@ -72,7 +72,7 @@ void WorkerPool::serve(const std::stop_token& stop) {
   std::uint64_t seen = 0;
   while (!stop.stop_requested()) {
     std::uint64_t ticket = ticket_;
-    for (int look = 0; round_of(ticket) == round_of(seen) && look < kLooks; ++look) {
+    for (int poll = 0; round_of(ticket) == round_of(seen) && poll < kPolls; ++poll) {
       pause();
       ticket = ticket_;
     }

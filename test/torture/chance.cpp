@@ -19,14 +19,14 @@ std::uint32_t draw(std::uint32_t below) {
   return (state >> 16) % below;
 }
 
-void tell(std::uint32_t what) {
+void add_to_trace(std::uint32_t what) {
   trace = (trace ^ what) * 16777619U;
 }
 
 template <unsigned number>
 void handler() {
   ++depth;
-  tell(number | depth << 8);
+  add_to_trace(number | depth << 8);
   note(static_cast<char>('a' + number));
   if (draw(3) == 0) sum = sum * 0.5F + static_cast<float>(number);
   if (draw(2) == 0) pend(1U << draw(kInterrupts));
@@ -41,7 +41,7 @@ void handler() {
     pend(1U << draw(kInterrupts));
     unmask_interrupts();
   }
-  tell(ipsr());
+  add_to_trace(ipsr());
   note(static_cast<char>('A' + number));
   --depth;
 }
@@ -50,7 +50,7 @@ void handler() {
 
 void test_chance() {
   print("chance\n");
-  start_over();
+  reset_state();
   constexpr std::array<Handler, kInterrupts> kHandlers{handler<0>, handler<1>, handler<2>, handler<3>,
                                                        handler<4>, handler<5>, handler<6>, handler<7>};
   for (unsigned i = 0; i < kInterrupts; ++i) set_handler(kIrq0 + i, kHandlers[i]);
@@ -63,12 +63,12 @@ void test_chance() {
     pend(draw(256));
     if (draw(2) == 0) pend(1U << draw(kInterrupts));
     if (masked) unmask_interrupts();
-    tell(word(kIcsr));
-    tell(__builtin_bit_cast(std::uint32_t, sum));
+    add_to_trace(word(kIcsr));
+    add_to_trace(__builtin_bit_cast(std::uint32_t, sum));
     // The first rounds are printed in full, so that a difference can be analysed.
     if (round < 20) print_log("round");
     if (round % 100 == 0) print_line("trace", trace);
-    forget_log();
+    clear_log();
   }
   print_line("trace", trace);
   print_line("sum", __builtin_bit_cast(std::uint32_t, sum));

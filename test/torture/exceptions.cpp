@@ -35,7 +35,7 @@ void middle() {
 }
 
 void nesting() {
-  start_over();
+  reset_state();
   seen = {};
   set_handler(kIrq0 + 0, low);
   set_handler(kIrq0 + 1, middle);
@@ -51,7 +51,7 @@ void nesting() {
 // --- order and masks
 
 void order() {
-  start_over();
+  reset_state();
   for (unsigned i = 0; i < kInterrupts; ++i) set_priority(kIrq0 + i, 7 - i);
   mask_interrupts();
   pend(0xFF);
@@ -61,13 +61,13 @@ void order() {
   unmask_interrupts();
   print_log("by priority");
 
-  start_over();
+  reset_state();
   mask_interrupts();
   pend(0xFF);
   unmask_interrupts();
   print_log("by number");
 
-  start_over();
+  reset_state();
   for (unsigned i = 0; i < kInterrupts; ++i) set_priority(kIrq0 + i, i);
   set_basepri(4U << 5);
   pend(0xFF);
@@ -82,7 +82,7 @@ void order() {
   set_basepri(0);
   print_log("basepri");
 
-  start_over();
+  reset_state();
   word(kIcer) = 0x0F;
   pend(0xFF);
   note('.');
@@ -101,7 +101,7 @@ void masked_handler() {
 }
 
 void fault_mask() {
-  start_over();
+  reset_state();
   set_priority(kIrq0 + 0, 4);
   set_priority(kIrq0 + 1, 2);
   set_handler(kIrq0 + 0, masked_handler);
@@ -109,7 +109,7 @@ void fault_mask() {
   print_line("faultmask after", faultmask());
   print_log("faultmask");
 
-  start_over();
+  reset_state();
   asm volatile("cpsid f" ::: "memory");
   pend(1U);
   note('.');
@@ -119,7 +119,7 @@ void fault_mask() {
 
 void grouping() {
   for (unsigned group = 4; group < 8; ++group) {
-    start_over();
+    reset_state();
     word(kAircr) = 0x05FA0000 | group << 8;
     print_line("aircr", word(kAircr));
     set_handler(kIrq0 + 0, [] {
@@ -137,11 +137,11 @@ void grouping() {
     set_basepri(0);
     print_log("basepri and grouping");
   }
-  start_over();
+  reset_state();
 }
 
 void system_handlers() {
-  start_over();
+  reset_state();
   set_handler(kNmi, [] {
     note('n');
     pend(1U);
@@ -184,7 +184,7 @@ void system_handlers() {
 // --- stacks
 
 // Records the frame's address, EXC_RETURN and the frame in torture_frame.
-[[gnu::naked]] void look_at_frame() {
+[[gnu::naked]] void record_frame() {
   asm volatile(
       "tst lr, #4\n"
       "ite eq\n"
@@ -208,8 +208,8 @@ void print_frame(const char* name) {
 }
 
 void stacks() {
-  start_over();
-  set_handler(kIrq0, look_at_frame);
+  reset_state();
+  set_handler(kIrq0, record_frame);
   asm volatile(
       "movs r2, #0x12\n"
       "movs r3, #0x13\n"
@@ -311,7 +311,7 @@ void stacks() {
 
 // One bit per register that an interrupt changed; the flags, with the DSP ones, before and after.
 void survival() {
-  start_over();
+  reset_state();
   set_handler(kIrq0, clobber);
   std::uint32_t changed = 0;
   std::uint32_t flags_before = 0;
@@ -357,7 +357,7 @@ void survival() {
   print_line("flags after", flags_after);
 
   // A supervisor call within an IT block: the IT state is saved in the frame and restored.
-  set_handler(kSvCall, look_at_frame);
+  set_handler(kSvCall, record_frame);
   std::uint32_t path = 0;
   asm volatile(
       "movs %0, #0\n"
@@ -383,7 +383,7 @@ void test_exceptions() {
   system_handlers();
   stacks();
   survival();
-  start_over();
+  reset_state();
 }
 
 }  // namespace torture

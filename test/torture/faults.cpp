@@ -65,10 +65,10 @@ namespace {
         ".thumb_func\n"                                                                        \
         "1: mov %0, r4\n"                                                                      \
         : "=r"(place)::"r0", "r1", "r2", "r3", "r4", "r5", "r6", "r12", "lr", "cc", "memory"); \
-    tell(name, place);                                                                         \
+    print_fault(name, place);                                                                  \
   } while (false)
 
-void tell(const char* name, std::uint32_t place) {
+void print_fault(const char* name, std::uint32_t place) {
   print(name);
   print("\n");
   print_line("  exception", torture_fault[0]);
@@ -123,7 +123,7 @@ void each() {
 
 void test_faults() {
   print("faults\n");
-  start_over();
+  reset_state();
   word(kCcr) = word(kCcr) | 1U << 4;  // divisions by zero
   barrier();
   for (const unsigned exception : {kHardFault, kMemManage, kBusFault, kUsageFault}) {
@@ -173,7 +173,7 @@ void test_faults() {
   // From here on the FPU is enabled.
   word(kCpacr) = word(kCpacr) | 0xFU << 20;
   barrier();
-  start_over();
+  reset_state();
 }
 
 }  // namespace torture

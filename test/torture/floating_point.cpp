@@ -102,7 +102,7 @@ void tail_floats() {
       ".ltorg");
 }
 
-void pend_and_tell(const char* name) {
+void pend_and_print(const char* name) {
   std::uint32_t stack = 0;
   asm volatile("mov %0, sp" : "=r"(stack));
   pend(1U);
@@ -111,7 +111,7 @@ void pend_and_tell(const char* name) {
   print_line("  control", control() & kFloatingPointActive);
 }
 
-void forget_floats() {
+void clear_fp_active() {
   set_control(control() & ~kFloatingPointActive);
 }
 
@@ -157,18 +157,18 @@ std::uint32_t bits_of(float number) {
 
 void test_floating_point() {
   print("floating point\n");
-  start_over();
-  forget_floats();
+  reset_state();
+  clear_fp_active();
   set_handler(kIrq0, without_floats);
-  pend_and_tell("never used");
+  pend_and_print("never used");
   asm volatile("vmov.f32 s0, #1.0" ::: "s0");
-  pend_and_tell("used");
-  forget_floats();
-  pend_and_tell("forgotten");
+  pend_and_print("used");
+  clear_fp_active();
+  pend_and_print("forgotten");
   survival();
 
   // A thread without floats and a handler with them: the handler does not affect the thread's frames.
-  forget_floats();
+  clear_fp_active();
   pend(1U);
   print_line("handler's own", control() & kFloatingPointActive);
   print_line("its return", torture_return);

@@ -89,7 +89,7 @@ inline void unmask_interrupts() {
 // Handlers live in a vector table in RAM.
 void set_handler(unsigned exception, Handler handler);
 // Resets handlers, priorities, masks and enables: interrupts 0 to 7 write their letters a to h.
-void start_over();
+void reset_state();
 
 inline void set_priority(unsigned exception, unsigned level) {
   byte((exception < kIrq0 ? kShpr - 4 : kIpr - kIrq0) + exception) = static_cast<std::uint8_t>(level << 5);
@@ -108,7 +108,7 @@ void print(const char* text);
 void print_line(const char* name, std::uint32_t value);
 // Prints the name and the log, and clears the log.
 void print_log(const char* name);
-void forget_log();
+void clear_log();
 [[noreturn]] void leave(std::uint32_t code);
 
 // The tests.

@@ -40,7 +40,7 @@ void send_event() {
 
 void test_sleep() {
   print("sleep\n");
-  start_over();
+  reset_state();
   // Pending while masked: wakes immediately, and is taken after unmasking.
   mask_interrupts();
   pend(1U);
@@ -105,7 +105,7 @@ void test_sleep() {
   word(kSystCsr) = 4;
   word(kSystCvr) = 12345;
   print_line("cleared by a write", word(kSystCvr));
-  start_over();
+  reset_state();
 }
 
 }  // namespace torture

@@ -84,10 +84,10 @@ void print_log(const char* name) {
   print(name);
   print(" ");
   print(log.data());
-  forget_log();
+  clear_log();
 }
 
-void forget_log() {
+void clear_log() {
   logged = 0;
 }
 
@@ -98,7 +98,7 @@ void leave(std::uint32_t code) {
   }
 }
 
-void start_over() {
+void reset_state() {
   unmask_interrupts();
   set_basepri(0);
   word(kIcer) = ~0U;

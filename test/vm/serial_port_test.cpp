@@ -77,11 +77,11 @@ class Socket {
  public:
   Socket() : monitor_(::open("/dev/groma-monitor", O_RDWR | O_CLOEXEC)) {}
 
-  void pull() const { say("device_del converter"); }
-  void plug_in() const { say("device_add usb-serial,chardev=usb,id=converter,bus=xhci.0"); }
+  void unplug() const { send("device_del converter"); }
+  void plug_in() const { send("device_add usb-serial,chardev=usb,id=converter,bus=xhci.0"); }
 
  private:
-  void say(const std::string& command) const {
+  void send(const std::string& command) const {
     const std::string line = command + "\n";
     if (::write(monitor_.get(), line.data(), line.size()) != static_cast<ssize_t>(line.size())) {
       throw std::runtime_error("QEMU's monitor accepts no commands");
@@ -224,7 +224,7 @@ TEST_F(SerialPort, IsGoneWhenUnpluggedAndComesBackWhenPluggedIn) {
     EXPECT_TRUE(served_until([&] { return got.ranges.size() >= before + 10; })) << "round " << round;
 
     gone = false;
-    socket_.pull();
+    socket_.unplug();
     ASSERT_TRUE(served_until([&] { return gone; })) << "round " << round;
     EXPECT_EQ(link.counters().lost, round + 1);
     const auto failed = link.counters().attempts_failed;
@@ -240,7 +240,7 @@ TEST_F(SerialPort, IsGoneWhenUnpluggedAndComesBackWhenPluggedIn) {
 
 TEST_F(SerialPort, TakesNothingWhenUnplugged) {
   const auto link = open();
-  socket_.pull();
+  socket_.unplug();
   EXPECT_TRUE(eventually([&] {
     std::uint8_t byte = 0;
     return link->read({&byte, 1}).gone;

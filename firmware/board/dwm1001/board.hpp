@@ -33,7 +33,7 @@ class Board {
   }
   const char* configure_link(const groma_Config& config) noexcept { return can_.configure(config); }
   bool link_answer(std::span<const std::uint8_t> frame) noexcept {
-    return asked_over_can_ ? can_.write(frame) : uart_.write(frame);
+    return command_over_can_ ? can_.write(frame) : uart_.write(frame);
   }
   void count_link(groma_Counters& counters) noexcept {
     can_.count(counters);
@@ -57,7 +57,7 @@ class Board {
   CanPort& can() noexcept { return can_; }
   Ecb& ecb() noexcept { return ecb_; }
   // Selects the link for link_answer() until the next call.
-  void set_asked_over_can(bool over_can) noexcept { asked_over_can_ = over_can; }
+  void set_command_over_can(bool over_can) noexcept { command_over_can_ = over_can; }
   void update_leds(std::uint64_t now_us) noexcept { leds_.update(now_us); }
   // Sleeps until `t_us` or until there is something to do.
   void sleep_until(std::uint64_t t_us) noexcept;
@@ -66,7 +66,7 @@ class Board {
   RadioBus radio_;
   Uarte uart_;
   CanPort can_;
-  bool asked_over_can_ = false;
+  bool command_over_can_ = false;
   Leds leds_;
   Ecb ecb_;
   Nvmc flash_;

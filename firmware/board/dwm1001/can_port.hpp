@@ -41,17 +41,17 @@ class CanPort {
   [[nodiscard]] bool up() const noexcept { return link_.up(); }
 
   // Makes one bounded step (can_link.hpp) if it ends before the radio may need the processor at
-  // `quiet_until_us`; a step that was postponed for kPatience_us is made in any case. `sink(bytes)` takes
-  // bytes from the host. True: there is more to do.
+  // `quiet_until_us`; a step that was postponed for kMaxPostponement_us is made in any case. `sink(bytes)`
+  // takes bytes from the host. True: there is more to do.
   template <class Sink>
   bool service(std::uint64_t now_us, std::uint64_t quiet_until_us, Sink&& sink) noexcept {
     if (!link_.started()) return false;
     const bool low = line_is_low();
-    held_ = now_us + link_.step_us(low, now_us) > quiet_until_us && now_us < patient_until_us_;
-    if (held_) return false;
-    patient_until_us_ = now_us + kPatience_us;
+    postponed_ = now_us + link_.step_us(low, now_us) > quiet_until_us && now_us < postpone_until_us_;
+    if (postponed_) return false;
+    postpone_until_us_ = now_us + kMaxPostponement_us;
     const bool more = link_.service(low, now_us, sink, delay);
-    left_alone_ = low && !more;
+    ignore_low_line_ = low && !more;
     return more;
   }
 
@@ -60,10 +60,10 @@ class CanPort {
 
   // For sleep_until(): whether the controller waits for service(), and when service() is due at the latest.
   [[nodiscard]] bool waiting() const noexcept {
-    return link_.started() && !held_ && !left_alone_ && line_is_low();
+    return link_.started() && !postponed_ && !ignore_low_line_ && line_is_low();
   }
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
-    return link_.started() && held_ ? patient_until_us_ : link_.next_deadline_us();
+    return link_.started() && postponed_ ? postpone_until_us_ : link_.next_deadline_us();
   }
 
   void count(groma_Counters& counters) const noexcept;
@@ -73,7 +73,7 @@ class CanPort {
 
  private:
   // A step is postponed for at most this time.
-  static constexpr std::uint64_t kPatience_us = 20'000;
+  static constexpr std::uint64_t kMaxPostponement_us = 20'000;
 
   [[nodiscard]] static bool line_is_low() noexcept { return !pin::is_high(pin::kCanInterrupt); }
   [[nodiscard]] static std::uint64_t now_us() noexcept;
@@ -81,10 +81,10 @@ class CanPort {
 
   CanSpi spi_;
   node::CanLink<CanSpi> link_{spi_};
-  std::uint64_t patient_until_us_ = 0;
-  bool held_ = false;        // a step is postponed for the radio
-  bool connected_ = false;   // the pins are set up
-  bool left_alone_ = false;  // the line is low although service() found nothing to do
+  std::uint64_t postpone_until_us_ = 0;
+  bool postponed_ = false;        // a step is postponed for the radio
+  bool connected_ = false;        // the pins are set up
+  bool ignore_low_line_ = false;  // the line is low although service() found nothing to do
 };
 
 }  // namespace groma::dwm1001

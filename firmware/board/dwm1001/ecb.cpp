@@ -56,10 +56,10 @@ void Ecb::on_interrupt() noexcept {
 
 std::optional<security::Block> Ecb::finish() noexcept {
   // A frame of 127 bytes takes about a thousand polls; far more mean that the result will not come.
-  constexpr int kLooks = 50'000;
-  int looks = 0;
+  constexpr int kPolls = 50'000;
+  int polls = 0;
   while (state_ == State::kBusy) {
-    if (++looks > kLooks) {
+    if (++polls > kPolls) {
       ecb::kBlock[ecb::kStop] = 1;
       state_ = State::kFailed;
     }

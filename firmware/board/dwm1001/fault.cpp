@@ -31,7 +31,7 @@ std::uint32_t crc_of(const Record& r) noexcept {
   return wire::crc32({reinterpret_cast<const std::uint8_t*>(&r), offsetof(Record, crc)});
 }
 
-void keep(FaultCause cause, const node::Fault& fault) noexcept {
+void save(FaultCause cause, const node::Fault& fault) noexcept {
   record = {.magic = kMagic,
             .cause = static_cast<std::uint32_t>(cause),
             .pc = fault.pc,
@@ -65,12 +65,12 @@ constexpr std::uint32_t kStkerr = 1U << 12;
 
 }  // namespace
 
-std::optional<KeptFault> take_kept_fault() noexcept {
-  const Record kept = record;
+std::optional<SavedFault> take_saved_fault() noexcept {
+  const Record saved = record;
   record.magic = 0;
-  if (kept.magic != kMagic || kept.crc != crc_of(kept)) return std::nullopt;
-  return KeptFault{.cause = static_cast<FaultCause>(kept.cause),
-                   .fault = {.pc = kept.pc, .lr = kept.lr, .cfsr = kept.cfsr}};
+  if (saved.magic != kMagic || saved.crc != crc_of(saved)) return std::nullopt;
+  return SavedFault{.cause = static_cast<FaultCause>(saved.cause),
+                   .fault = {.pc = saved.pc, .lr = saved.lr, .cfsr = saved.cfsr}};
 }
 
 }  // namespace groma::dwm1001
@@ -78,7 +78,7 @@ std::optional<KeptFault> take_kept_fault() noexcept {
 extern "C" {
 
 // Runs on the fault handlers' own stack. `frame`: the stack pointer at the exception, which may be invalid.
-[[noreturn, gnu::used]] void keep_fault_and_reset(const std::uint32_t* frame) {
+[[noreturn, gnu::used]] void save_fault_and_reset(const std::uint32_t* frame) {
   using namespace groma::dwm1001;
   namespace scb = groma::nrf52832::scb;
   groma::node::Fault fault{.cfsr = scb::kBlock[scb::kFaultStatus]};
@@ -88,16 +88,16 @@ extern "C" {
   } else {
     fault.pc = innermost_return_address();
   }
-  keep(FaultCause::kFault, fault);
+  save(FaultCause::kFault, fault);
   reset_processor();
 }
 
 // The watchdog resets the processor 61 us later.
-[[noreturn, gnu::used]] void keep_place_until_reset(const std::uint32_t* frame) {
+[[noreturn, gnu::used]] void save_place_until_reset(const std::uint32_t* frame) {
   using namespace groma::dwm1001;
   groma::node::Fault place;
   if (in_stack(frame)) place = {.pc = frame[kStackedPc], .lr = frame[kStackedLr]};
-  keep(FaultCause::kWatchdog, place);
+  save(FaultCause::kWatchdog, place);
   for (;;) sleep();
 }
 
@@ -105,7 +105,7 @@ extern "C" {
   asm volatile(
       "mov r0, sp\n"
       "ldr sp, =groma_fault_stack_end\n"
-      "b keep_fault_and_reset\n"
+      "b save_fault_and_reset\n"
       ".ltorg");
 }
 
@@ -113,7 +113,7 @@ extern "C" {
   asm volatile(
       "mov r0, sp\n"
       "ldr sp, =groma_fault_stack_end\n"
-      "b keep_place_until_reset\n"
+      "b save_place_until_reset\n"
       ".ltorg");
 }
 }

@@ -13,12 +13,12 @@ enum class FaultCause : std::uint32_t {
   kWatchdog = 2,  // the watchdog expired; pc and lr are the program's at that time
 };
 
-struct KeptFault {
+struct SavedFault {
   FaultCause cause;
   node::Fault fault;
 };
 
 // Returns the record of the previous run, or nullopt, and clears it.
-[[nodiscard]] std::optional<KeptFault> take_kept_fault() noexcept;
+[[nodiscard]] std::optional<SavedFault> take_saved_fault() noexcept;
 
 }  // namespace groma::dwm1001

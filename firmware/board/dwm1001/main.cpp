@@ -59,13 +59,13 @@ int main() {
       if (board.radio_interrupt()) continue;
     }
     if (const auto bytes = board.uart().received(now_us); !bytes.empty()) {
-      board.set_asked_over_can(false);
+      board.set_command_over_can(false);
       node.on_link_bytes(bytes);
       board.uart().release(bytes.size());
       continue;
     }
     const auto from_can = [](std::span<const std::uint8_t> in) {
-      board.set_asked_over_can(true);
+      board.set_command_over_can(true);
       node.on_link_bytes(in);
     };
     if (board.can().service(now_us, node.quiet_until_us(), from_can)) continue;

@@ -11,12 +11,12 @@ Reset take_reset() noexcept {
   const std::uint32_t bits = power::kBlock[power::kResetReason];
   // Bits accumulate until they are cleared by writing them back.
   power::kBlock[power::kResetReason] = bits;
-  const auto kept = take_kept_fault();
+  const auto saved = take_saved_fault();
   // Erratum 136: after a pin reset other bits may be set too.
   if ((bits & power::kResetPin) != 0) return {.reason = ResetReason::kPin};
-  if (kept && kept->cause == FaultCause::kFault) return {ResetReason::kFault, kept->fault};
+  if (saved && saved->cause == FaultCause::kFault) return {ResetReason::kFault, saved->fault};
   if ((bits & power::kResetWatchdog) != 0) {
-    return {ResetReason::kWatchdog, kept ? std::optional(kept->fault) : std::nullopt};
+    return {ResetReason::kWatchdog, saved ? std::optional(saved->fault) : std::nullopt};
   }
   if ((bits & power::kResetLockup) != 0) return {.reason = ResetReason::kLockup};
   if ((bits & power::kResetSoftware) != 0) return {.reason = ResetReason::kSoftware};

@@ -11,7 +11,7 @@ namespace power = nrf52832::power;
 namespace uicr = nrf52832::uicr;
 
 // Erratum 108: without this the RAM may lose its content in sleep.
-void trust_ram() noexcept {
+void apply_erratum_108() noexcept {
   power::kBlock[power::kErratum108] = ficr::kBlock[ficr::kErratum108] & 0x4F;
 }
 
@@ -31,7 +31,7 @@ void open_debug_port() noexcept {
 }  // namespace
 
 void prepare_silicon() noexcept {
-  trust_ram();
+  apply_erratum_108();
   open_debug_port();
 }
 

@@ -70,7 +70,7 @@ void Uarte::receive_into(std::uint32_t chunk) noexcept {
 
 std::span<const std::uint8_t> Uarte::received(std::uint64_t now_us) noexcept {
   if (silent_) return {};
-  const std::uint32_t end = certain_end();
+  const std::uint32_t end = received_end();
   if (end != taken_) {
     const std::size_t at = taken_ % kReceiveRing;
     return std::span(receive_).subspan(at, std::min<std::size_t>(end - taken_, kReceiveRing - at));
@@ -86,7 +86,7 @@ std::span<const std::uint8_t> Uarte::received(std::uint64_t now_us) noexcept {
   return {};
 }
 
-std::uint32_t Uarte::certain_end() noexcept {
+std::uint32_t Uarte::received_end() noexcept {
   const std::uint32_t whole = filled_ * static_cast<std::uint32_t>(kChunk);
   const auto behind = static_cast<std::int32_t>(whole - taken_);
   // The DMA has wrapped around and overwritten bytes that were not taken: restart with its present chunk.

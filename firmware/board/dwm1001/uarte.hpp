@@ -46,7 +46,7 @@ class Uarte {
 
   void send_next() noexcept;
   // The end of the bytes that have certainly been received, in the count of taken_.
-  [[nodiscard]] std::uint32_t certain_end() noexcept;
+  [[nodiscard]] std::uint32_t received_end() noexcept;
   void receive_into(std::uint32_t chunk) noexcept;
 
   // Static, so that they take no flash; there is only one UARTE.

@@ -35,7 +35,7 @@ constexpr std::uint32_t kSourceCrystal = 1;
 void ClockPower::reset(ResetCause cause) {
   events_ = EventRegisters{1U << kHfclkStarted | 1U << kLfclkStarted};
   hfxo_at_ = lfclk_at_ = kNever;
-  hfxo_asked_ = hfxo_runs_ = lfclk_asked_ = lfclk_runs_ = false;
+  hfxo_requested_ = hfxo_runs_ = lfclk_requested_ = lfclk_runs_ = false;
   lfclk_source_ = lfclk_source_copy_ = 0;
   dcdc_ = 0;
   approtect_ = 0;
@@ -47,12 +47,12 @@ void ClockPower::reset(ResetCause cause) {
 std::optional<std::uint32_t> ClockPower::read(SimTime, std::uint32_t offset) {
   switch (offset) {
     case kHfclkrun:
-      return hfxo_asked_ ? 1 : 0;
+      return hfxo_requested_ ? 1 : 0;
     case kHfclkstat:
       // The internal oscillator runs when the crystal does not.
       return hfxo_runs_ ? kStateRunning | kSourceCrystal : kStateRunning;
     case kLfclkrun:
-      return lfclk_asked_ ? 1 : 0;
+      return lfclk_requested_ ? 1 : 0;
     case kLfclkstat:
       return lfclk_runs_ ? kStateRunning | lfclk_source_copy_ : 0;
     case kLfclksrccopy:
@@ -77,30 +77,30 @@ std::optional<std::uint32_t> ClockPower::read(SimTime, std::uint32_t offset) {
 bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kTasksHfclkstart:
-      if (value == 0 || hfxo_asked_) return true;
-      hfxo_asked_ = true;
+      if (value == 0 || hfxo_requested_) return true;
+      hfxo_requested_ = true;
       hfxo_at_ = t + kHfxoStart;
       return true;
     case kTasksHfclkstop:
       if (value == 0) return true;
-      hfxo_asked_ = hfxo_runs_ = false;
+      hfxo_requested_ = hfxo_runs_ = false;
       hfxo_at_ = kNever;
       return true;
     case kTasksLfclkstart:
-      if (value == 0 || lfclk_asked_) return true;
-      lfclk_asked_ = true;
+      if (value == 0 || lfclk_requested_) return true;
+      lfclk_requested_ = true;
       lfclk_source_copy_ = lfclk_source_;
       lfclk_at_ = t + (lfclk_source_ == kSourceCrystal ? kLfxoStart : kLfrcStart);
       return true;
     case kTasksLfclkstop:
       if (value == 0) return true;
-      lfclk_asked_ = lfclk_runs_ = false;
+      lfclk_requested_ = lfclk_runs_ = false;
       lfclk_at_ = kNever;
       return true;
     case kLfclksrc:
       if (value > kSourceCrystal)
         throw SimulationError("CLOCK: LFCLKSRC " + hexadecimal(value) + " is not modelled");
-      if (lfclk_asked_) throw SimulationError("CLOCK: LFCLKSRC written while the clock runs");
+      if (lfclk_requested_) throw SimulationError("CLOCK: LFCLKSRC written while the clock runs");
       lfclk_source_ = value;
       return true;
     case kResetreas:

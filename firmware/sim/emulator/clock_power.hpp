@@ -41,9 +41,9 @@ class ClockPower final : public Peripheral {
   EventRegisters events_{1U << kHfclkStarted | 1U << kLfclkStarted};
   SimTime hfxo_at_ = kNever;
   SimTime lfclk_at_ = kNever;
-  bool hfxo_asked_ = false;
+  bool hfxo_requested_ = false;
   bool hfxo_runs_ = false;
-  bool lfclk_asked_ = false;
+  bool lfclk_requested_ = false;
   bool lfclk_runs_ = false;
   std::uint32_t lfclk_source_ = 0;       // LFCLKSRC
   std::uint32_t lfclk_source_copy_ = 0;  // LFCLKSRC when the clock was started

@@ -85,7 +85,7 @@ void CortexM4::Core::reset(SimTime t) {
   sleep_ = Sleep::kAwake;
   event_ = false;
   lockup_ = false;
-  look_again_ = true;
+  recheck_exceptions_ = true;
   pending_before_ = nvic_.pending_bits();
   std::uint32_t stack = 0;
   std::uint32_t entry = 0;
@@ -104,7 +104,7 @@ void CortexM4::Core::run(SimTime until) {
       continue;
     }
     count_ticks();
-    if (look_again_ && take_pending()) continue;
+    if (recheck_exceptions_ && take_pending()) continue;
     if (sleep_ != Sleep::kAwake) {
       if (!wakes()) {
         const SimTime tick = sys_tick_.next_interrupt();
@@ -160,27 +160,27 @@ bool CortexM4::Core::wakes() const {
 void CortexM4::Core::set_line(unsigned exception, bool level) {
   const std::uint64_t pending = nvic_.pending_bits();
   nvic_.set_line(exception, level);
-  if (nvic_.pending_bits() != pending) look_again();
+  if (nvic_.pending_bits() != pending) exceptions_changed();
 }
 
 void CortexM4::Core::pend(unsigned exception) {
   nvic_.pend(exception);
-  look_again();
+  exceptions_changed();
 }
 
 // Called after any change that may make an exception pending or allow it to be taken.
-void CortexM4::Core::look_again() {
+void CortexM4::Core::exceptions_changed() {
   const std::uint64_t pending = nvic_.pending_bits();
   if (control_.pending_sends_event() && (pending & ~pending_before_) != 0) event_ = true;
   pending_before_ = pending;
-  look_again_ = true;
-  look_out();
+  recheck_exceptions_ = true;
+  update_attention();
   limit_ = std::min(limit_, sys_tick_.next_interrupt());
   if (nvic_.any_enabled_pending() || control_.reset_requested()) limit_ = kStopNow;
 }
 
 // Selects the blocks that need more than counting.
-void CortexM4::Core::look_out() {
+void CortexM4::Core::update_attention() {
   attention_ = thumb::kSendsEvent;
   if (nvic_.any_enabled_pending()) attention_ |= thumb::kWritesSpecialRegister;
   if (!control_.floating_point_enabled()) attention_ |= thumb::kFloatingPoint;
@@ -219,11 +219,11 @@ std::span<const std::uint8_t> CortexM4::Core::memory_at(std::uint32_t address, s
 inline CortexM4::Core::Facts CortexM4::Core::facts_of(const CodeBlock& block) {
   Facts& facts = facts_[block.address / 2];
   if (facts.instructions == 0 || facts.length != (block.bytes / 2 & 3U)) [[unlikely]]
-    facts = learn(block);
+    facts = analyse(block);
   return facts;
 }
 
-CortexM4::Core::Facts CortexM4::Core::learn(const CodeBlock& block) const {
+CortexM4::Core::Facts CortexM4::Core::analyse(const CodeBlock& block) const {
   const thumb::BlockFacts found = thumb::facts_of_block(memory_at(block.address, block.bytes));
   Facts facts;
   facts.instructions = found.instructions & 0x3FFU;  // Unicorn's blocks have 512 at most
@@ -266,7 +266,7 @@ bool CortexM4::Core::attend(unsigned traits, const CodeBlock& block) {
     return false;
   }
   if ((traits & thumb::kSendsEvent) != 0) event_ = true;
-  if ((traits & thumb::kWritesSpecialRegister) != 0) look_again();
+  if ((traits & thumb::kWritesSpecialRegister) != 0) exceptions_changed();
   return true;
 }
 
@@ -364,7 +364,7 @@ void CortexM4::Core::on_private_write(uc_engine*, std::uint64_t offset, unsigned
           fmt::format("a write of {:#x} ({} bytes) to {:#010x}, which is not modelled (PC {:#010x})", value,
                       bytes, address, self.pc()));
     }
-    self.look_again();
+    self.exceptions_changed();
     return true;
   });
 }
@@ -498,7 +498,7 @@ void CortexM4::Core::execute() {
   }
   changed_code_.clear();
   limit_ = std::min(until_, sys_tick_.next_interrupt());
-  look_out();
+  update_attention();
   stopped_before_block_ = false;
   interrupt_ = -1;
   const uc_err result = engine_.start(next_pc_);
@@ -639,7 +639,7 @@ void CortexM4::Core::set_register(Register which, std::uint32_t value) {
       engine_.write(unicorn_register(which), value);
       break;
   }
-  look_again_ = true;
+  recheck_exceptions_ = true;
 }
 
 }  // namespace groma::sim

@@ -109,12 +109,12 @@ class CortexM4::Core {
   // Blocks of code (cortex_m4_core.cpp).
   [[nodiscard]] std::span<const std::uint8_t> memory_at(std::uint32_t address, std::size_t bytes) const;
   [[nodiscard]] Facts facts_of(const CodeBlock& block);
-  [[nodiscard]] Facts learn(const CodeBlock& block) const;
+  [[nodiscard]] Facts analyse(const CodeBlock& block) const;
   [[nodiscard]] bool attend(unsigned traits, const CodeBlock& block);
   void watch_instructions_of(const CodeBlock& block);
   void stop_before(const CodeBlock& block);
-  void look_again();
-  void look_out();
+  void exceptions_changed();
+  void update_attention();
   void count_ticks();
   void trace_point(std::uint64_t what);
 
@@ -172,7 +172,7 @@ class CortexM4::Core {
   std::uint32_t next_pc_ = 0;  // between executions; bit 0 is the T bit
   Sleep sleep_ = Sleep::kAwake;
   bool event_ = false;
-  bool look_again_ = false;  // an exception may now be taken
+  bool recheck_exceptions_ = false;  // an exception may now be taken
   bool lockup_ = false;
   std::uint64_t pending_before_ = 0;
 

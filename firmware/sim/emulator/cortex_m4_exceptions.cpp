@@ -49,7 +49,7 @@ bool CortexM4::Core::store_word(std::uint32_t address, std::uint32_t value) {
 }
 
 bool CortexM4::Core::take_pending() {
-  look_again_ = false;
+  recheck_exceptions_ = false;
   const unsigned best = nvic_.best_pending();
   if (best == 0 || nvic_.group_priority(best) >= nvic_.execution_priority(engine_.masks())) return false;
   take(push_frame(), timing_.entry_cycles);
@@ -169,7 +169,7 @@ void CortexM4::Core::take(std::uint32_t exc_return, std::uint32_t cycles) {
   add_cycles(cycles);
   ++exceptions_;
   if (tracing_) trace_point(number);
-  look_again_ = true;
+  recheck_exceptions_ = true;
 }
 
 void CortexM4::Core::return_from_exception(std::uint32_t exc_return) {
@@ -181,7 +181,7 @@ void CortexM4::Core::return_from_exception(std::uint32_t exc_return) {
   nvic_.deactivate(returning);
   if (returning != exception::kNmi) engine_.write(UC_ARM_REG_FAULTMASK, 0);
   event_ = true;
-  look_again();
+  exceptions_changed();
   if (!was_active || !valid_return(exc_return) || !consistent) {
     invalid_return(exc_return);
     return;

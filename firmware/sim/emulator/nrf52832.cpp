@@ -85,18 +85,18 @@ void Nrf52832::reset(ResetCause cause, SimTime t) {
   clock_power_.reset(cause);
   if (cause != ResetCause::kSoftware && cause != ResetCause::kLockup) watchdog_.reset();
   for (const Slot& slot : slots_) update_interrupt_pin(t, slot);
-  look_at_all();
+  refresh_all();
 }
 
 void Nrf52832::power_cut(SimTime t) {
   nvmc_.power_cut(t);
-  look_at_all();
+  refresh_all();
 }
 
 // ---- time -----------------------------------------------------------------------------------------------
 
 // Polls the devices and the host's line: other nodes, the host, transfers or pins may have changed them.
-void Nrf52832::look_outside() {
+void Nrf52832::poll_devices() {
   for (Slot& slot : slots_) {
     if (slot.device == nullptr) continue;
     const SimTime event = slot.device->next_event();
@@ -118,7 +118,7 @@ void Nrf52832::settle() {
   for (const Block& block : blocks_) next_ = std::min(next_, block.next);
 }
 
-void Nrf52832::look_at(Block& block) {
+void Nrf52832::refresh(Block& block) {
   block.next = block.peripheral->next_event();
   if (block.irq < 0) return;
   const bool level = block.peripheral->irq();
@@ -127,18 +127,18 @@ void Nrf52832::look_at(Block& block) {
   parts_.processor.set_irq(static_cast<unsigned>(block.irq), level);
 }
 
-void Nrf52832::look_at_all() {
-  for (Block& block : blocks_) look_at(block);
-  look_outside();
+void Nrf52832::refresh_all() {
+  for (Block& block : blocks_) refresh(block);
+  poll_devices();
 }
 
 SimTime Nrf52832::next_event() {
-  look_outside();
+  poll_devices();
   return next_;
 }
 
 void Nrf52832::advance(SimTime t) {
-  look_outside();
+  poll_devices();
   while (next_ <= t) step(next_);
 }
 
@@ -156,7 +156,7 @@ void Nrf52832::step(SimTime t) {
   }
   for (const Block& block : blocks_)
     if (block.next <= t) block.peripheral->advance(t);
-  look_at_all();
+  refresh_all();
 }
 
 void Nrf52832::update_interrupt_pin(SimTime t, const Slot& slot) {
@@ -260,9 +260,9 @@ bool Nrf52832::write(std::uint32_t address, unsigned bytes, std::uint32_t value)
   }
   if (!known) fail("write of " + hexadecimal(value) + " where no register is modelled", address);
   if (block->peripheral == &gpio_) {
-    look_at_all();
+    refresh_all();
   } else {
-    look_at(*block);
+    refresh(*block);
     settle();
   }
   parts_.processor.limit(next_);
@@ -277,7 +277,7 @@ bool Nrf52832::flash_write(std::uint32_t address, unsigned bytes, std::uint32_t 
   } catch (const SimulationError& error) {
     fail(error.what(), address);
   }
-  look_at_all();
+  refresh_all();
   return true;
 }
 

@@ -136,9 +136,9 @@ class Nrf52832 final : public Bus {
   [[nodiscard]] SimTime local(SimTime world) const noexcept {
     return world == kNever ? kNever : parts_.clock.local_units(world);
   }
-  void look_outside();
-  void look_at(Block& block);
-  void look_at_all();
+  void poll_devices();
+  void refresh(Block& block);
+  void refresh_all();
   void settle();
   void step(SimTime t);
   void update_interrupt_pin(SimTime t, const Slot& slot);

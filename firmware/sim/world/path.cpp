@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kKnot_s = 0.1;
 constexpr double kStep_m = 0.01;  // between points of the geometric path
-constexpr double kStandAtEnds_s = 1.0;
+constexpr double kStopAtEnds_s = 1.0;
 
 struct Point {
   double x_m;
@@ -34,7 +34,7 @@ struct Geometry {
   std::vector<std::size_t> waypoints;
 };
 
-void go_straight(std::vector<Point>& points, const Eigen::Vector2d& to) {
+void append_leg(std::vector<Point>& points, const Eigen::Vector2d& to) {
   const Eigen::Vector2d from(points.back().x_m, points.back().y_m);
   const double s0 = points.back().s_m;
   const double length_m = (to - from).norm();
@@ -48,7 +48,7 @@ void go_straight(std::vector<Point>& points, const Eigen::Vector2d& to) {
 }
 
 // Appends an arc of turn_rad that starts with the heading tangent_rad. `at_half`: the index of its middle.
-void go_round(std::vector<Point>& points, double tangent_rad, double turn_rad, double radius_m,
+void append_arc(std::vector<Point>& points, double tangent_rad, double turn_rad, double radius_m,
               std::size_t& at_half) {
   const Point start = points.back();
   const double side = turn_rad > 0.0 ? 1.0 : -1.0;
@@ -76,7 +76,7 @@ Geometry round_corners(const std::vector<Waypoint>& stations, double radius_m) {
   out.waypoints.push_back(0);
   for (std::size_t i = 1; i < corners.size(); ++i) {
     if (i + 1 == corners.size()) {
-      go_straight(out.points, corners[i]);
+      append_leg(out.points, corners[i]);
       out.waypoints.push_back(out.points.size() - 1);
       break;
     }
@@ -87,9 +87,9 @@ Geometry round_corners(const std::vector<Waypoint>& stations, double radius_m) {
     const double cut_per_radius = std::tan(std::min(std::abs(turn), 0.99 * std::numbers::pi) / 2.0);
     const double most_m = 0.499 * std::min(in.norm(), on.norm());
     const double cut_m = std::min(radius_m * cut_per_radius, most_m);
-    go_straight(out.points, corners[i] - cut_m * in.normalized());
+    append_leg(out.points, corners[i] - cut_m * in.normalized());
     std::size_t at = out.points.size() - 1;
-    if (cut_per_radius > 1e-6) go_round(out.points, tangent, turn, cut_m / cut_per_radius, at);
+    if (cut_per_radius > 1e-6) append_arc(out.points, tangent, turn, cut_m / cut_per_radius, at);
     out.waypoints.push_back(at);
   }
   return out;
@@ -183,7 +183,7 @@ Timing timing(const Geometry& path, const std::vector<double>& speed, const std:
       out.arrives_s[i] =
           out.leaves_s[i - 1] + 2.0 * (points[i].s_m - points[i - 1].s_m) / (speed[i] + speed[i - 1]);
     }
-    out.leaves_s[i] = out.arrives_s[i] + (i == 0 ? kStandAtEnds_s : 0.0);
+    out.leaves_s[i] = out.arrives_s[i] + (i == 0 ? kStopAtEnds_s : 0.0);
     for (; station < stations.size() && path.waypoints[station] == i; ++station) {
       out.leaves_s[i] += stations[station].stop_s;
     }
@@ -219,7 +219,7 @@ Path::Path(const std::vector<Waypoint>& waypoints, const PathOptions& options) :
     waypoint_times_s_.push_back(t_s - kKnot_s);  // the spline at a knot is about at the next control point
   }
 
-  const double end_s = time.leaves_s.back() + kStandAtEnds_s;
+  const double end_s = time.leaves_s.back() + kStopAtEnds_s;
   const auto count = static_cast<std::size_t>(std::ceil(end_s / kKnot_s)) + 1;
   std::size_t i = 0;
   for (std::size_t knot = 0; knot < count; ++knot) {
@@ -247,7 +247,7 @@ PlanarMotion Path::at(double t_s) const noexcept {
   const double cells = static_cast<double>(knots_.size() - 3);
   double u = t_s / kKnot_s;
   if (loop_ && u > cells) u = std::fmod(u, cells);
-  const bool standing = u <= 0.0 || u >= cells;
+  const bool stationary = u <= 0.0 || u >= cells;
   u = std::clamp(u, 0.0, cells);
   const auto first = std::min(static_cast<std::size_t>(u), knots_.size() - 4);
   const Basis b = basis(u - static_cast<double>(first));
@@ -257,7 +257,7 @@ PlanarMotion Path::at(double t_s) const noexcept {
     out.x_m += b.value[i] * knot.x_m;
     out.y_m += b.value[i] * knot.y_m;
     out.theta_rad += b.value[i] * knot.theta_rad;
-    if (standing) continue;
+    if (stationary) continue;
     out.vx_mps += b.first[i] / kKnot_s * knot.x_m;
     out.vy_mps += b.first[i] / kKnot_s * knot.y_m;
     out.theta_radps += b.first[i] / kKnot_s * knot.theta_rad;

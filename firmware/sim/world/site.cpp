@@ -32,7 +32,7 @@ double from_db(double db) {
 }
 
 // One propagation path. excess_m: its length minus the straight line.
-struct Way {
+struct Ray {
   double excess_m;
   double power_dbm;
 };
@@ -60,12 +60,12 @@ Eigen::Vector3d around(const Eigen::Vector2d& edge, const Eigen::Vector3d& a, co
 std::optional<double> crossing(const Wall& wall, const Eigen::Vector3d& a,
                                const Eigen::Vector3d& b) noexcept {
   const Eigen::Vector2d along = wall.to_m - wall.from_m;
-  const Eigen::Vector2d way = b.head<2>() - a.head<2>();
-  const double determinant = cross(way, along);
+  const Eigen::Vector2d ray = b.head<2>() - a.head<2>();
+  const double determinant = cross(ray, along);
   if (determinant == 0.0) return std::nullopt;
   const Eigen::Vector2d to_wall = wall.from_m - a.head<2>();
   const double fraction = cross(to_wall, along) / determinant;
-  const double along_wall = cross(to_wall, way) / determinant;
+  const double along_wall = cross(to_wall, ray) / determinant;
   if (!(fraction > 0.0 && fraction < 1.0 && along_wall >= 0.0 && along_wall <= 1.0)) return std::nullopt;
   const double z = a.z() + fraction * (b.z() - a.z());
   if (z < wall.bottom_m || z > wall.top_m) return std::nullopt;
@@ -86,11 +86,11 @@ bool Site::in_sight(const Eigen::Vector3d& a, const Eigen::Vector3d& b) const no
                       [&](const Wall& wall) { return crossing(wall, a, b).has_value(); });
 }
 
-Site::Through Site::through(const Eigen::Vector3d& a, const Eigen::Vector3d& b, std::size_t but_wall,
+Site::Through Site::through(const Eigen::Vector3d& a, const Eigen::Vector3d& b, std::size_t except_wall,
                             const KeyedRandom& texture) const {
   Through sum;
   for (std::size_t i = 0; i < walls_.size(); ++i) {
-    if (i == but_wall) continue;
+    if (i == except_wall) continue;
     const std::optional<double> fraction = crossing(walls_[i], a, b);
     if (!fraction) continue;
     const Material& material = materials_[walls_[i].material];
@@ -116,14 +116,14 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
 
   // Collects all paths but those too weak to be detected. The detection threshold depends on the strongest
   // one.
-  std::vector<Way> ways;
+  std::vector<Ray> rays;
   const auto keep = [&](double length_m, double loss_db, double excess_m) {
     if (loss_db >= kOpaqueLoss_db) return;
     const double power = power_after(length_m, loss_db);
     if (power < climate_.first_path_floor_dbm - 10.0) return;
-    ways.push_back({length_m - straight_m + excess_m, power});
+    rays.push_back({length_m - straight_m + excess_m, power});
   };
-  const auto keep_by = [&](const Eigen::Vector3d& by, double loss_db, std::size_t wall) {
+  const auto keep_via = [&](const Eigen::Vector3d& by, double loss_db, std::size_t wall) {
     const double length_m = (by - a).norm() + (b - by).norm();
     if (power_after(length_m, loss_db) < climate_.first_path_floor_dbm - 10.0) return;
     const Through first = through(a, by, wall, texture);
@@ -145,7 +145,7 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
       const double d2 = straight_m - d1;
       const Eigen::Vector2d along = (wall.to_m - wall.from_m).normalized();
       const auto bend = [&](const Eigen::Vector3d& by) {
-        keep_by(by, knife_edge_loss_db((by - at).norm(), d1, d2), i);
+        keep_via(by, knife_edge_loss_db((by - at).norm(), d1, d2), i);
       };
       bend(around(wall.from_m - kAroundEdge_m * along, a, b));
       bend(around(wall.to_m + kAroundEdge_m * along, a, b));
@@ -153,7 +153,7 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
     } else if (const auto& reflection_loss_db = materials_[wall.material].reflection_loss_db) {
       const Eigen::Vector3d image = mirrored(wall, b);
       if (const std::optional<double> reflected = crossing(wall, a, image)) {
-        keep_by(a + *reflected * (image - a), *reflection_loss_db, i);
+        keep_via(a + *reflected * (image - a), *reflection_loss_db, i);
       }
     }
   }
@@ -161,36 +161,36 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
     const double fraction = (a.z() - floor_m) / (a.z() + b.z() - 2.0 * floor_m);
     Eigen::Vector3d by = a + fraction * (b - a);
     by.z() = floor_m;
-    keep_by(by, *climate_.floor_reflection_loss_db, kNoWall);
+    keep_via(by, *climate_.floor_reflection_loss_db, kNoWall);
   }
 
   double strongest_dbm = -1e9;
   double total = 0.0;
-  for (const Way& way : ways) {
-    strongest_dbm = std::max(strongest_dbm, way.power_dbm);
-    total += from_db(way.power_dbm);
+  for (const Ray& ray : rays) {
+    strongest_dbm = std::max(strongest_dbm, ray.power_dbm);
+    total += from_db(ray.power_dbm);
   }
-  const double seen_dbm =
+  const double threshold_dbm =
       std::max(climate_.first_path_floor_dbm, strongest_dbm - climate_.first_path_dynamic_db);
-  const Way* first = nullptr;
-  for (const Way& way : ways) {
-    if (way.power_dbm >= seen_dbm && (first == nullptr || way.excess_m < first->excess_m)) first = &way;
+  const Ray* first = nullptr;
+  for (const Ray& ray : rays) {
+    if (ray.power_dbm >= threshold_dbm && (first == nullptr || ray.excess_m < first->excess_m)) first = &ray;
   }
   if (first == nullptr) return arrival;
 
   // Paths within the leading edge shift the timestamp, depending on their phase.
-  double pull_m = 0.0;
-  for (const Way& way : ways) {
-    const double late_m = way.excess_m - first->excess_m;
-    if (&way == first || late_m <= 0.0 || late_m > 3.0 * kLeadingEdge_m) continue;
-    const double amplitude = std::min(std::sqrt(from_db(way.power_dbm - first->power_dbm)), 1.0);
+  double shift_m = 0.0;
+  for (const Ray& ray : rays) {
+    const double late_m = ray.excess_m - first->excess_m;
+    if (&ray == first || late_m <= 0.0 || late_m > 3.0 * kLeadingEdge_m) continue;
+    const double amplitude = std::min(std::sqrt(from_db(ray.power_dbm - first->power_dbm)), 1.0);
     const double overlap = std::exp(-(late_m / kLeadingEdge_m) * (late_m / kLeadingEdge_m));
-    pull_m += kLeadingEdgeGain * amplitude * late_m * overlap *
+    shift_m += kLeadingEdgeGain * amplitude * late_m * overlap *
               std::cos(2.0 * std::numbers::pi * late_m / kWavelength_m);
   }
   arrival.receive_power_dbm = to_db(total);
   arrival.first_path_power_dbm = first->power_dbm;
-  arrival.excess_m = first->excess_m + pull_m;
+  arrival.excess_m = first->excess_m + shift_m;
   arrival.audible = arrival.receive_power_dbm >= climate_.sensitivity_dbm;
   return arrival;
 }

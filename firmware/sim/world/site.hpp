@@ -81,7 +81,7 @@ class Site {
     double loss_db = 0.0;
     double excess_m = 0.0;
   };
-  [[nodiscard]] Through through(const Eigen::Vector3d& a, const Eigen::Vector3d& b, std::size_t but_wall,
+  [[nodiscard]] Through through(const Eigen::Vector3d& a, const Eigen::Vector3d& b, std::size_t except_wall,
                                 const KeyedRandom& texture) const;
 
   std::vector<Material> materials_;
