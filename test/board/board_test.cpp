@@ -72,7 +72,7 @@ class Board : public testing::Test {
 
 // ---- the link ---------------------------------------------------------------------------------------------
 
-TEST_F(Board, AnswersCommandsThatComeWithoutAPauseWhileItRanges) {
+TEST_F(Board, AnswersABurstOfCommandsWhileRanging) {
   SiteBench site(emulating({.tags = 1, .anchors = 3}, {}, [](std::uint16_t id) { return id == nth_tag(0); }));
   site.run_until(1.0);
   constexpr std::uint32_t kCommands = 60;
@@ -91,7 +91,7 @@ TEST_F(Board, AnswersCommandsThatComeWithoutAPauseWhileItRanges) {
   EXPECT_EQ(site.listeners[0].counters.reports_dropped, 0U);
 }
 
-TEST_F(Board, RefusesWholeFramesWhereTheLineIsFull) {
+TEST_F(Board, DropsWholeFramesIfTheLineIsFull) {
   // A single tag with raw timestamps reports more than the line can carry.
   SiteBench site(emulating(
       {.tags = 1, .anchors = 12, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL, .response_gap_us = 155},
@@ -111,7 +111,7 @@ TEST_F(Board, RefusesWholeFramesWhereTheLineIsFull) {
 
 // ---- faults -----------------------------------------------------------------------------------------------
 
-TEST_F(Board, NamesWhoseCallOverflowedTheStack) {
+TEST_F(Board, ReportsTheCallerAfterAStackOverflow) {
   run_until(1.5);
   const std::uint32_t caller = test::ElfFile(test::shipped_image(".elf")).symbol("groma_text_begin") + 0x100;
   put_word(kRamAddress + 8, caller | 1U);
@@ -126,7 +126,7 @@ TEST_F(Board, NamesWhoseCallOverflowedTheStack) {
   EXPECT_EQ(hello.last_fault.pc, caller);
 }
 
-TEST_F(Board, TellsOfAFaultOnce) {
+TEST_F(Board, ReportsAFaultOnce) {
   run_until(1.5);
   jump(0x0030'0000);
   run_until(3.0);
@@ -140,7 +140,7 @@ TEST_F(Board, TellsOfAFaultOnce) {
   EXPECT_FALSE(listener.hellos[2].has_last_fault);
 }
 
-TEST_F(Board, DoesNotBelieveARecordWithAWrongCheck) {
+TEST_F(Board, IgnoresAFaultRecordWithAWrongCrc) {
   run_until(1.5);
   jump(0x0030'0000);
   // Run until the record is written, but not until the firmware reads it.
@@ -156,7 +156,7 @@ TEST_F(Board, DoesNotBelieveARecordWithAWrongCheck) {
   EXPECT_FALSE(listener.hellos[1].has_last_fault);
 }
 
-TEST_F(Board, IsResetFromALoopThatLetsNoInterruptThrough) {
+TEST_F(Board, IsResetByTheWatchdogFromALoopWithInterruptsMasked) {
   run_until(1.5);
   // A branch to itself, in flash that the image does not use.
   constexpr std::uint32_t kLoop = 0x7'0000;
@@ -174,7 +174,7 @@ TEST_F(Board, IsResetFromALoopThatLetsNoInterruptThrough) {
 
 // ---- identity, LEDs, timing, stack ------------------------------------------------------------------------
 
-TEST_F(Board, SaysOfItselfWhatItsImageDoes) {
+TEST_F(Board, ReportsTheIdentityOfItsImage) {
   using node::ImageIdentity;
   const auto begin = shipped().flash.begin();
   const auto end = begin + ImageIdentity::kSearched_bytes;
@@ -190,7 +190,7 @@ TEST_F(Board, SaysOfItselfWhatItsImageDoes) {
   EXPECT_EQ(listener.hellos[0].role, groma_Role_ROLE_UNCONFIGURED);
 }
 
-TEST_F(Board, ShowsByItsLightsWhatItDoes) {
+TEST_F(Board, ShowsItsStateByItsLeds) {
   constexpr std::size_t kBlue = 3;
   const auto changes = [](const std::vector<bool>& lit) {
     int count = 0;
@@ -213,7 +213,7 @@ TEST_F(Board, ShowsByItsLightsWhatItDoes) {
 }
 
 // The emulator's 1.25 cycles per instruction are an estimate; with a real board's flash it may be more.
-TEST_F(Board, KeepsItsSlotsAtTwoCyclesAnInstruction) {
+TEST_F(Board, KeepsItsSlotsAtTwoCyclesPerInstruction) {
   EmulatorOptions slow;
   slow.timing.instruction = 2 * slow.timing.cycle;
   SiteBench site(emulating({.tags = 3, .anchors = 6}, slow));
@@ -233,7 +233,7 @@ TEST_F(Board, KeepsItsSlotsAtTwoCyclesAnInstruction) {
   EXPECT_GT(site.good_ranges(1.3), 0.94 * 3 * 6 / superframe_s);
 }
 
-TEST_F(Board, LeavesHalfOfItsStackUntouched) {
+TEST_F(Board, UsesAtMostHalfOfItsStack) {
   SiteBench site(emulating({.tags = 1, .anchors = 3}));
   site.run_until(1.0);
   for (std::size_t i = 0; i < site.network.size(); ++i) {

@@ -96,7 +96,7 @@ TEST_F(Image, HasNoHeapNoExceptionsAndNoFiles) {
   EXPECT_EQ(elf_->section(".eh_frame").bytes, 0U);
 }
 
-TEST_F(Image, BeginsWithAVectorTableThatLeadsToItsHandlers) {
+TEST_F(Image, BeginsWithAVectorTableOfItsHandlers) {
   EXPECT_EQ(elf_->section(".vectors").address, 0U);
   const auto handler = [this](const char* name) { return elf_->symbol(name) | kThumb; };
   EXPECT_EQ(elf_->loaded_word(0), elf_->symbol("groma_stack_end"));
@@ -121,7 +121,7 @@ TEST_F(Image, BeginsWithAVectorTableThatLeadsToItsHandlers) {
   }
 }
 
-TEST_F(Image, LeavesItsFaultRecordAloneAtStartUp) {
+TEST_F(Image, KeepsItsFaultRecordAtStartUp) {
   const ElfFile::Section kept = elf_->section(".noinit");
   EXPECT_GT(kept.bytes, 0U);
   EXPECT_FALSE(kept.has_content);
@@ -133,7 +133,7 @@ TEST_F(Image, LeavesItsFaultRecordAloneAtStartUp) {
   EXPECT_FALSE(inside(elf_->symbol("groma_stack_begin"), elf_->symbol("groma_fault_stack_end")));
 }
 
-TEST_F(Image, IsTheSameInBothItsFiles) {
+TEST_F(Image, HasTheSameContentInBothFiles) {
   std::ifstream file(test::shipped_image(".hex"));
   std::ostringstream text;
   text << file.rdbuf();
@@ -162,7 +162,7 @@ class Linker : public testing::Test {
   void SetUp() override { GROMA_NEEDS_SHIPPED_IMAGE(); }
 };
 
-TEST_F(Linker, TakesAnImageThatKeepsTheRules) {
+TEST_F(Linker, AcceptsAValidImage) {
   const auto result = link("void reset_entry(void) {}");
   EXPECT_EQ(result.exit_code, 0) << result.err;
 }

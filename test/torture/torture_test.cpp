@@ -92,7 +92,7 @@ std::vector<std::string> lines_of(const std::string& text) {
   return lines;
 }
 
-TEST_F(Torture, SaysTheSameOnQemuAndOnOurs) {
+TEST_F(Torture, GivesTheSameOutputOnQemuAndInTheEmulator) {
   const Outcome theirs = run_on_qemu();
   EXPECT_EQ(theirs.exit_code, 0) << theirs.text;
   const Outcome ours = run_on_ours(sim::kUnitsPerMillisecond);
@@ -106,7 +106,7 @@ TEST_F(Torture, SaysTheSameOnQemuAndOnOurs) {
   }
 }
 
-TEST_F(Torture, SaysTheSameHoweverItsRunIsCut) {
+TEST_F(Torture, GivesTheSameOutputForAnyDivisionIntoRuns) {
   const Outcome whole = run_on_ours(sim::kUnitsPerSecond);
   EXPECT_EQ(whole.exit_code, 0);
   EXPECT_EQ(run_on_ours(700 * sim::kUnitsPerMicrosecond / 1000).text, whole.text);

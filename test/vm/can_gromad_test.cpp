@@ -207,26 +207,26 @@ class GromadOnCan : public ::testing::Test {
   std::uint64_t dropped_late_ = 0;
 };
 
-TEST_F(GromadOnCan, LosesNothingOfThreeTagsInClassicFrames) {
+TEST_F(GromadOnCan, LosesNoRangeOfThreeTagsInClassicFrames) {
   replay("can", "classic.log");
   EXPECT_EQ(frames_lost_, 0U);
   EXPECT_EQ(dropped_late_, 0U);
 }
 
-TEST_F(GromadOnCan, LosesNothingOfThreeTagsInFdFrames) {
+TEST_F(GromadOnCan, LosesNoRangeOfThreeTagsInFdFrames) {
   replay("canfd", "fd.log");
   EXPECT_EQ(frames_lost_, 0U);
   EXPECT_EQ(dropped_late_, 0U);
 }
 
-TEST_F(GromadOnCan, CountsWhatTheModulesLoseWhileTheyAreOffTheBusAndGoesOn) {
+TEST_F(GromadOnCan, CountsFramesThatModulesLoseWhileBusOffAndContinues) {
   replay("canfd", "bus_off.log");
   EXPECT_GT(frames_lost_, 0U);
   // Ranges that had waited in a module for longer than reorder_lag_s.
   EXPECT_LT(dropped_late_, 100U);
 }
 
-TEST_F(GromadOnCan, AsksTheNodesWhoTheyAreAndSurvivesTheBusGoingDown) {
+TEST_F(GromadOnCan, RequestsNodeIdentitiesAndSurvivesTheBusGoingDown) {
   const CanParticipant tags(bus_.name());
   Gromad gromad({"--config", config("can")});
   ASSERT_TRUE(listen_until(gromad, [&] { return client_ && robot_.clients() == 1; })) << gromad.log();
@@ -253,7 +253,7 @@ TEST_F(GromadOnCan, AsksTheNodesWhoTheyAreAndSurvivesTheBusGoingDown) {
   EXPECT_EQ(gromad.exit_code(), io::kGood);
 }
 
-TEST_F(GromadOnCan, EndsWhereThereIsNoSuchInterface) {
+TEST_F(GromadOnCan, ExitsIfTheInterfaceDoesNotExist) {
   folder_.write("gromad.yaml",
                 "schema: 1\nnodes: [{path: can:can7/1}]\nrobot_socket: robot.sock\npose_stream: {port: 0}\n" +
                     read_text(kRecording / "site.yaml"));

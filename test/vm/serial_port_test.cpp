@@ -151,7 +151,7 @@ TEST_F(SerialPort, IsSetRawAndToTheBitRate) {
   EXPECT_EQ(settings.c_cflag & static_cast<tcflag_t>(PARENB | CSTOPB | CRTSCTS), 0U);
 }
 
-TEST_F(SerialPort, ReadsWithoutWaitingAndPolls) {
+TEST_F(SerialPort, ReadsWithoutBlockingAndSupportsPoll) {
   const auto link = open();
   std::uint8_t buffer[16];
   const ReadResult nothing = link->read(buffer);
@@ -163,7 +163,7 @@ TEST_F(SerialPort, ReadsWithoutWaitingAndPolls) {
   EXPECT_EQ(read_until(*link, 3).size(), 3U);
 }
 
-TEST_F(SerialPort, KeepsASecondReaderOut) {
+TEST_F(SerialPort, RejectsASecondReader) {
   const auto link = open();
   const OpenedLink second = open_link(kPort, kBaud);
   EXPECT_FALSE(second.link);
@@ -171,7 +171,7 @@ TEST_F(SerialPort, KeepsASecondReaderOut) {
   EXPECT_THAT(second.error.message, HasSubstr(kPort));
 }
 
-TEST_F(SerialPort, SaysWhichGroupMayOpenIt) {
+TEST_F(SerialPort, NamesTheGroupThatMayOpenIt) {
   const group* dialout = ::getgrnam("dialout");
   ASSERT_NE(dialout, nullptr);
   ASSERT_EQ(::chown(kPort, 0, dialout->gr_gid), 0);
@@ -238,7 +238,7 @@ TEST_F(SerialPort, IsGoneWhenUnpluggedAndComesBackWhenPluggedIn) {
   EXPECT_EQ(decoder.counters().frames_lost, 0U);
 }
 
-TEST_F(SerialPort, TakesNothingWhenUnplugged) {
+TEST_F(SerialPort, AcceptsNoBytesWhenUnplugged) {
   const auto link = open();
   socket_.unplug();
   EXPECT_TRUE(eventually([&] {

@@ -111,7 +111,7 @@ TEST_F(SocketCan, CarriesReportsInClassicFrames) {
   EXPECT_THAT(link->take_news(), IsEmpty());
 }
 
-TEST_F(SocketCan, CarriesReportsInFdFramesAndInClassicOnesBetween) {
+TEST_F(SocketCan, CarriesReportsInFdFramesMixedWithClassicOnes) {
   const auto link = open(path(3, "canfd"));
   ReportDecoder decoder(equivalent_baud(CanFormat::kFd));
   Collected got;
@@ -124,13 +124,13 @@ TEST_F(SocketCan, CarriesReportsInFdFramesAndInClassicOnesBetween) {
   EXPECT_EQ(got.ranges.size(), 500U);
 }
 
-TEST_F(SocketCan, OfClassicFramesOnlyHearsNoFdFrames) {
+TEST_F(SocketCan, ReceivesNoFdFramesOnAClassicLink) {
   const auto link = open(path(3));
   send_from(3, report_of(0, 3), CanFormat::kFd);
   EXPECT_THAT(read_all(*link), IsEmpty());
 }
 
-TEST_F(SocketCan, KeepsTwoNodesOfOneBusApart) {
+TEST_F(SocketCan, SeparatesTwoNodesOnOneBus) {
   const auto third = open(path(3));
   const auto fourth = open(path(4));
   const auto of_third = report_of(7, 3);
@@ -149,7 +149,7 @@ TEST_F(SocketCan, KeepsTwoNodesOfOneBusApart) {
   EXPECT_EQ(read_all(*fourth), of_fourth);
 }
 
-TEST_F(SocketCan, ReadsInWhateverPieces) {
+TEST_F(SocketCan, ReadsInPiecesOfAnySize) {
   const auto link = open(path(3, "canfd"));
   std::vector<std::uint8_t> stream(1000);
   std::iota(stream.begin(), stream.end(), std::uint8_t{1});
@@ -163,7 +163,7 @@ TEST_F(SocketCan, ReadsInWhateverPieces) {
   }
 }
 
-TEST_F(SocketCan, IgnoresWhatIsNotItsNodes) {
+TEST_F(SocketCan, IgnoresFramesThatAreNotFromItsNode) {
   const auto link = open(path(3, "canfd"));
   wire::CanFrame frame;
   frame.size = 2;
@@ -208,7 +208,7 @@ TEST_F(SocketCan, WritesToItsNode) {
   EXPECT_THAT(read_all(*link), IsEmpty()) << "its own frames do not come back";
 }
 
-TEST_F(SocketCan, WritesFdFramesFilledUpBehindAFramesEndOnly) {
+TEST_F(SocketCan, PadsFdFramesOnlyAfterTheEndOfAFrame) {
   const auto link = open(path(3, "canfd"));
   const std::vector<std::uint8_t> ended{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 0};
   EXPECT_EQ(link->write(ended), ended.size());
@@ -253,7 +253,7 @@ TEST_F(SocketCan, SurvivesTheInterfaceGoingDownAndComingUp) {
   EXPECT_EQ(link.read(buffer, now_s).bytes, last_words.size());
 }
 
-TEST_F(SocketCan, IsGoneAlsoWhereAWriteFindsTheInterfaceDown) {
+TEST_F(SocketCan, IsGoneIfAWriteFindsTheInterfaceDown) {
   const auto link = open(path(3));
   bus_.down();
   const std::vector<std::uint8_t> stream{1, 0};
@@ -283,7 +283,7 @@ TEST_F(SocketCan, SurvivesTheAdapterBeingUnplugged) {
   EXPECT_EQ(link.read(buffer, now_s).bytes, 2U);
 }
 
-TEST_F(SocketCan, CountsWhatAFullQueueLoses) {
+TEST_F(SocketCan, CountsFramesThatAFullQueueLoses) {
   const auto link = open(path(3));
   const auto report = report_of(0, 3);
   const std::size_t frames_each = (report.size() + 7) / 8;
@@ -301,7 +301,7 @@ TEST_F(SocketCan, CountsWhatAFullQueueLoses) {
   EXPECT_THAT(link->take_news(), IsEmpty()) << "reported once";
 }
 
-TEST_F(SocketCan, TellsOfTheBusGettingIllAndWell) {
+TEST_F(SocketCan, ReportsBusErrorsAndRecovery) {
   const auto link = open(path(3));
   send_error(CAN_ERR_CRTL, CAN_ERR_CRTL_TX_WARNING);
   send_error(CAN_ERR_CRTL, CAN_ERR_CRTL_TX_PASSIVE);
@@ -354,7 +354,7 @@ TEST_F(SocketCan, SaysWhyAnInterfaceCannotBeUsed) {
   EXPECT_TRUE(open_link("can:classic0/3", 0).link);
 }
 
-TEST_F(SocketCan, NeedsNoRightsOfItsOwn) {
+TEST_F(SocketCan, NeedsNoPrivileges) {
   if (::geteuid() != 0 || ::seteuid(65534) != 0) GTEST_SKIP() << "cannot become another user";
   OpenedLink opened = open_link(path(3), 0);
   ASSERT_EQ(::seteuid(0), 0);
@@ -364,7 +364,7 @@ TEST_F(SocketCan, NeedsNoRightsOfItsOwn) {
   EXPECT_EQ(read_all(*opened.link), bytes);
 }
 
-TEST_F(SocketCan, ALogOfCandumpIsReadAsItWasSent) {
+TEST_F(SocketCan, ReadsALogOfCandumpUnchanged) {
   constexpr const char* kCandump = "/usr/bin/candump";
   if (::access(kCandump, X_OK) != 0) GTEST_SKIP() << "no can-utils here";
   const auto stream = report_of(5, 3);

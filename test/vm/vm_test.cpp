@@ -19,7 +19,7 @@ TEST(VirtualMachine, RunsDebiansKernel) {
   EXPECT_NE(std::string(name.version).find("Debian"), std::string::npos) << name.version;
 }
 
-TEST(VirtualMachine, HasACanInterfaceThatTakesFdFrames) {
+TEST(VirtualMachine, HasACanInterfaceWithFdFrames) {
   ASSERT_NE(::if_nametoindex("vcan0"), 0U);
   std::ifstream file("/sys/class/net/vcan0/mtu");
   int mtu = 0;
@@ -27,7 +27,7 @@ TEST(VirtualMachine, HasACanInterfaceThatTakesFdFrames) {
   EXPECT_EQ(mtu, 72);
 }
 
-TEST(VirtualMachine, LetsWriteToTheTemporaryFolderAlone) {
+TEST(VirtualMachine, AllowsWritesOnlyToTheTemporaryFolder) {
   const std::filesystem::path scratch = std::filesystem::temp_directory_path() / "scratch";
   std::ofstream(scratch) << "x";
   EXPECT_TRUE(std::filesystem::exists(scratch));
