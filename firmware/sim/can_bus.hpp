@@ -1,15 +1,15 @@
 // One CAN bus: arbitration, exact bit lengths, acknowledgement, error frames.
 //
 //   CanBus bus;
-//   CanTap host(bus, {.nominal = bit_time(1'000'000), .data = bit_time(2'000'000), .fd = true});
-//   Mcp2518fdChip chip(bus, {.id = 3});
+//   CanTap host(bus, {.nominal = can_bit_time(1'000'000), .data = can_bit_time(2'000'000), .fd = true});
+//   Mcp2518fdChip chip(bus, {});
 //   bus.advance(t);
-//   for (const TimedCanFrame& frame : host.received()) ...
+//   for (const TimedCanFrame& frame : host.take(t)) ...
 //
 // Stations are not advanced in step: one may post a frame for an instant that another has already passed.
-// The bus therefore decides who starts a frame kLookahead after the start. kLookahead is shorter than the
-// shortest frame, so the decision is made before the frame's end. A frame that is posted even later starts
-// when the bus is free after the frame's own instant. The same calls give the same run.
+// The bus therefore decides which frame starts only kLookahead after the start. kLookahead is shorter than
+// the shortest frame, so the decision is made before the frame's end. A frame that is posted even later
+// starts when the bus is free after the frame's own instant. The same calls give the same run.
 //
 // Bit rates are enforced: a frame is sent at its sender's rates. A receiver with other rates, or without CAN
 // FD, destroys it with an error frame, as on a real bus.

@@ -35,7 +35,7 @@ class KeyedRandom {
     return low + (high - low) * uniform();
   }
 
-  // Mean 0, standard deviation 1 (Box and Muller).
+  // Mean 0, standard deviation 1 (Box-Muller).
   [[nodiscard]] double normal() const noexcept {
     const double radius = std::sqrt(-2.0 * std::log(of(0x52).uniform()));
     return radius * std::cos(2.0 * std::numbers::pi * of(0x41).uniform());

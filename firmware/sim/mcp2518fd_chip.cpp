@@ -500,7 +500,8 @@ void Mcp2518fdChip::load_bit_timing() {
   check("data", d_before, d_quanta);
   rates_.data = time_of(d_prescaler * d_quanta);
 
-  // The transmitter must sample its own data bits within the bit time after they come back.
+  // Whether the transmitter can check its own data bits. With delay compensation its sample point must be in
+  // the second half of a bit; without it a bit must come back before the sample point.
   const SimTime delay = SimTime{spec_.transceiver_delay_ns} * kUnitsPerMicrosecond / 1'000;
   const std::uint32_t t = word(kTdc);
   constexpr unsigned kAutomatic = 2;

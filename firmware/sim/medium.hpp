@@ -112,7 +112,7 @@ class Medium {
   // Announces a frame to all other chips. It will be sent unless it is retracted. Its data may still change
   // until it starts.
   void announce(const std::shared_ptr<const AirFrame>& frame);
-  // Takes back a frame that has not started.
+  // Retracts a frame that has not started.
   void retract(const std::shared_ptr<const AirFrame>& frame);
   // The transmitter is switched off during its frame.
   void cut(const std::shared_ptr<AirFrame>& frame, SimTime at);

@@ -45,7 +45,7 @@ class NodeClock {
   // The same plus `plus_ticks`, rounded to the nearest tick.
   [[nodiscard]] std::int64_t nearest_tick(SimTime t, double plus_ticks) const noexcept;
 
-  // The first instant at which ticks() reaches the given value; 0 if it was before the beginning.
+  // The first instant at which ticks() reaches the given value; 0 if that was before time 0.
   [[nodiscard]] SimTime time_of_tick(std::int64_t tick) const noexcept;
   // The first instant at which local_units() reaches the given value.
   [[nodiscard]] SimTime time_of_local(std::int64_t units) const noexcept;

@@ -216,7 +216,7 @@ Path::Path(const std::vector<Waypoint>& waypoints, const PathOptions& options) :
   for (std::size_t i = 0; i < stations.size(); ++i) {
     const std::size_t at = geometry.waypoints[i];
     const double t_s = i + 1 == stations.size() ? time.arrives_s[at] : time.leaves_s[at];
-    waypoint_times_s_.push_back(t_s - kKnot_s);  // the spline at a knot is about at the next control point
+    waypoint_times_s_.push_back(t_s - kKnot_s);  // at a knot the spline is near the next control point
   }
 
   const double end_s = time.leaves_s.back() + kStopAtEnds_s;

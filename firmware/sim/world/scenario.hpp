@@ -42,8 +42,8 @@ struct ScheduleOptions {
   std::optional<std::vector<model::NodeId>> backup_ids{};  // by rank; nullopt: the default of a site plan
   Method method = Method::kNextPoll;
   unsigned preamble = 128;         // symbols: 64, 128 or 256
-  unsigned turn_round_us = 300;    // end of a received frame to the preamble of the answer
-  unsigned response_gap_us = 160;  // end of one answer to the preamble of the next
+  unsigned turn_round_us = 300;    // turnaround: end of a received frame to the preamble of the reply
+  unsigned response_gap_us = 160;  // end of a RESPONSE to the preamble of the next
   unsigned guard_us = 30;
 };
 

@@ -114,7 +114,7 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
     return climate_.power_at_1m_dbm - climate_.path_exponent * to_db(std::max(length_m, 0.1)) - loss_db;
   };
 
-  // Collects all paths but those too weak to be detected. The detection threshold depends on the strongest
+  // Collects all paths except those too weak to be detected. The detection threshold depends on the strongest
   // one.
   std::vector<Ray> rays;
   const auto keep = [&](double length_m, double loss_db, double excess_m) {
