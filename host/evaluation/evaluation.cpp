@@ -20,7 +20,7 @@ std::optional<double> nees(const Eigen::Vector3d& error, const Eigen::Matrix3d& 
   return std::isfinite(value) ? std::optional(value) : std::nullopt;
 }
 
-// The estimate at t_s, between the row at or before it and the next.
+// The estimate at t_s, interpolated between the row at or before it and the next.
 std::optional<model::PlanarEstimate> estimate_at(std::span<const model::PlanarEstimate> rows, double t_s) {
   const auto after = std::upper_bound(rows.begin(), rows.end(), t_s,
                                       [](double t, const model::PlanarEstimate& row) { return t < row.t_s; });
@@ -92,7 +92,7 @@ std::vector<FrozenSpan> frozen_spans(std::span<const model::PoseSample> truth) {
         truth[i].yaw_rad != truth[first].yaw_rad) {
       first = i;
     }
-    // Rows i and i + 1 are where it may end, first - 1 and i + 2 about it.
+    // The span may end with row i and jump to row i + 1; rows first - 1 and i + 2 enclose it.
     if (first == 0 || i + 1 < first + kFewRepeats) continue;
     if (truth[i].t_s - truth[first].t_s > kMaxFrozen_s || step_m(i) < kLeastJump_m) continue;
     if (speed_mps(i) <= kJumpFactor * std::max(speed_mps(first - 1), speed_mps(i + 1))) continue;

@@ -1,6 +1,6 @@
-// Accuracy and consistency of an estimate against the truth, as the source paper defines them: at sample k
-// ATE^t_k = ||e_t,k||, ATE^theta_k = |e_theta,k|, NEES_k = e_k' P_k^-1 e_k / 3, without alignment of any
-// kind.
+// Accuracy and consistency of an estimate against the ground truth, as the source paper defines them: at
+// sample k ATE^t_k = ||e_t,k||, ATE^theta_k = |e_theta,k|, NEES_k = e_k' P_k^-1 e_k / 3, without any
+// alignment.
 #pragma once
 
 #include <cstddef>
@@ -12,12 +12,12 @@
 
 namespace groma::evaluation {
 
-// An estimate is interpolated over no longer gap.
+// The longest gap over which an estimate is interpolated.
 inline constexpr double kMaxGap_s = 0.3;
-// 95 % of a chi-square with 3 degrees of freedom.
+// 95 % quantile of the chi-square distribution with 3 degrees of freedom.
 inline constexpr double kChiSquare95 = 7.815;
 
-// Estimate less truth at one of the truth's times; the heading's difference in (-pi, pi].
+// Estimate minus truth at one of the truth's times; the heading's difference is in (-pi, pi].
 struct PoseError {
   double t_s = 0.0;
   double x_m = 0.0;
@@ -26,15 +26,16 @@ struct PoseError {
   std::optional<double> nees;  // e' P^-1 e / 3; none where P is not positive definite
 };
 
-// One for each of the truth's times at which there is an estimate: its own row at that time, or between two
-// rows at most kMaxGap_s apart, position and heading interpolated and the covariance that of the earlier
-// row. Both are by time, strictly ascending.
+// One error for each of the truth's times at which there is an estimate: the row at that time, or two rows at
+// most kMaxGap_s apart, with interpolated position and heading and the earlier row's covariance. The times of
+// both inputs are strictly ascending.
 [[nodiscard]] std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estimate,
                                                  std::span<const model::PoseSample> truth);
 
-// Where the truth repeats one pose and then jumps, as that of a tracker that has lost sight: at least
-// kFewRepeats rows, within kMaxFrozen_s, and a step at their end of kLeastJump_m or more that is faster than
-// kJumpFactor times both the step before and the one after. What stands and moves off does not.
+// Spans where the truth repeats one pose and then jumps, as the output of a motion-capture system that lost
+// the robot: at least kFewRepeats equal rows within kMaxFrozen_s, followed by a step of kLeastJump_m or more
+// at over kJumpFactor times the speed of the step before the span and of the step after the jump. A
+// stationary robot that moves off does not match.
 inline constexpr std::size_t kFewRepeats = 5;
 inline constexpr double kMaxFrozen_s = 1.0;
 inline constexpr double kLeastJump_m = 0.05;
@@ -65,10 +66,10 @@ struct Evaluation {
   std::size_t samples_without_covariance = 0;  // P not positive definite: left out of `nees`
   Statistics ate_m;
   Statistics ate_rad;
-  std::optional<Consistency> nees;  // none without a sample for it
+  std::optional<Consistency> nees;  // none if no sample has a valid covariance
 };
 
-// None without a sample.
+// None if there are no errors.
 [[nodiscard]] std::optional<Evaluation> evaluate(std::span<const PoseError> errors);
 
 }  // namespace groma::evaluation

@@ -1,6 +1,5 @@
-// Switches that leave out one mechanism each which goes beyond the source paper's equations. They are
-// compiled in with the CMake option GROMA_ABLATION alone, for scripts/ablation; without it nothing is left
-// out.
+// Switches that each disable one mechanism beyond the source paper's equations. They are compiled in only
+// with the CMake option GROMA_ABLATION, for scripts/ablation; without it every mechanism is enabled.
 #pragma once
 
 #include <cstdint>
@@ -12,35 +11,35 @@ enum class Mechanism : std::uint8_t {
   kOdometryScale,   // constant scale error of odometry
   kYawRateBias,     // constant yaw-rate bias of odometry
   kRangeDelay,      // delay of ranges against odometry
-  kOdometryDelay,   // the odometry's share in that delay
+  kOdometryDelay,   // delay of odometry, as its share of that delay
   kRangeBias,       // Gauss-Markov range bias of each anchor
-  kOtherDrive,      // that the calibration's drive shows it too small
+  kOtherDrive,      // larger range noise and delay on drives other than the calibration's
   kLeverArm,        // uncertain lever arms
   kCommonFrame,     // error of the frame that all anchors share
-  kGroundMismatch,  // height and slope that the surface lacks
+  kGroundMismatch,  // height and slope errors of the surface model
   kAntennaPattern,  // of a tag, by direction
   // filter: weights of ranges
-  kGate,               // weights at all
-  kGateMemory,         // a pair that was blocked is expected to be
-  kGateTags,           // what blocks one tag of an anchor blocks the others
+  kGate,               // soft gate as a whole
+  kGateMemory,         // a pair that was NLOS is expected to stay NLOS
+  kGateTags,           // NLOS of one tag of an anchor makes NLOS of the others likelier
   kGateReception,      // missed polls
   kGatePowers,         // received powers
   kGateShort,          // ranges that are too short
-  kDivergence,         // divergence flag: the covariance grows while ranges are refused
-  kDivergenceLasting,  // by most ranges for 5 s
+  kDivergence,         // divergence flag: the covariance grows while ranges are rejected
+  kDivergenceLasting,  // also raised where most ranges are rejected for 5 s
   // filter: noise and faults of odometry
-  kRangeNoise,      // white range noise by innovations
-  kRangeBiasNoise,  // sigma of the Gauss-Markov range bias by innovations
-  kOdometryNoise,   // white odometry noise by its samples
-  kOdometryGate,    // samples that no robot can do
-  kOdometryWatch,   // samples that wheels cannot follow
-  kSlip,            // slip by the ranges of several anchors
+  kRangeNoise,      // white range noise, tuned by innovations
+  kRangeBiasNoise,  // sigma of the Gauss-Markov range bias, tuned by innovations
+  kOdometryNoise,   // white odometry noise, tuned by the samples
+  kOdometryGate,    // rejects samples that no robot can perform
+  kOdometryWatch,   // detects samples that the wheels cannot follow
+  kSlip,            // detects slip by the ranges of several anchors
   kHold,            // growth while odometry is late
   // tracker
-  kCautiousCost,  // an anchor's say in a search is bounded
+  kCautiousCost,  // bound on the cost of one anchor in a start search
   // calibration
-  kCalibrationKernels,      // kernels of anchors and pairs, not of the site alone
-  kCalibrationContradict,   // a start that later ranges contradict is searched again
+  kCalibrationKernels,      // kernel scales per anchor and pair, not only per site
+  kCalibrationContradict,   // repeat a start search that later ranges contradict
   kCalibrationProbes,       // further starts beside the mirror point
   kCalibrationNlos,         // LOS of each range
   kCalibrationPowers,       // received powers in it
@@ -48,30 +47,30 @@ enum class Mechanism : std::uint8_t {
   kCalibrationMoves,        // anchors that were moved
   kCalibrationDrift,        // pose drift
   kCalibrationSmoothDrift,  // of second order
-  kCalibrationKnots,        // drift and noise of poses by their covariance
+  kCalibrationKnots,        // drift and noise of poses from the poses' covariance
   kCalibrationBody,         // lever arms and antenna patterns
   kCalibrationDelay,        // range delay
-  kCalibrationAgain,        // LOS once more after the body terms
+  kCalibrationAgain,        // LOS estimated again after the body terms
   kCalibrationJackknife,    // covariance: jackknife
   kCalibrationInflation,    // covariance: scatter of scores
   kCalibrationCurvature,    // covariance: mean curvature of the kernel
   kCalibrationOwnPattern,   // covariance: antenna pattern of the anchor
-  kCalibrationBlocking,     // covariance: what walls may add
-  kCalibrationMirror,       // covariance: mirror side
-  kCalibrationShift,        // covariance: height by the drive's beginning
-  kCalibrationReach,        // covariance: no further than ranges are long
+  kCalibrationBlocking,     // covariance: NLOS biases
+  kCalibrationMirror,       // covariance: mirror hypothesis
+  kCalibrationShift,        // covariance: different height from the drive's first part
+  kCalibrationReach,        // covariance: an anchor lies within the length of its ranges
   kCalibrationFrame,        // covariance: frame of the drive
-  kCalibrationHeights,      // both heights of poses
+  kCalibrationHeights,      // heights of poses from the poses or from the surface, the better of both
   kCalibrationRangeNoise,   // white and Gauss-Markov range noise
   // smoother
-  kSmootherNlos,       // LOS of each range by all of its pair
+  kSmootherNlos,       // LOS of each range, from all ranges of its pair
   kSmootherRangeBias,  // Gauss-Markov range bias
   kCount,
 };
 
 #ifdef GROMA_ABLATION
-// Whether the environment variable GROMA_ABLATE has its number in the list above: numbers from 0, separated
-// by commas. Ends the program where there is no such number.
+// Whether the environment variable GROMA_ABLATE disables the mechanism. The variable holds numbers in the
+// list above, from 0, separated by commas. An unknown number ends the program with exit code 2.
 [[nodiscard]] bool is_ablated(Mechanism mechanism) noexcept;
 #else
 [[nodiscard]] constexpr bool is_ablated(Mechanism /*mechanism*/) noexcept {

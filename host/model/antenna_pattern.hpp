@@ -1,5 +1,5 @@
-// How an antenna's own delay varies with direction: the quadrupole terms, the lowest that differ neither in
-// sign from a lever arm's error nor between the two ends of a line.
+// How an antenna's delay varies with direction, by quadrupole terms: they are even in the direction, unlike
+// the effect of a lever-arm error, which is a dipole.
 #pragma once
 
 #include <Eigen/Core>
@@ -9,8 +9,8 @@ namespace groma::model {
 inline constexpr int kPatternTerms = 5;
 using PatternTerms = Eigen::Matrix<double, kPatternTerms, 1>;
 
-// What each coefficient (m) adds to a range, by the line of sight's unit vector in the frame that the antenna
-// is fixed to. Either sense of the line gives the same.
+// d(range)/d(coefficient in m) for a unit vector along the line of sight, in the frame that the antenna is
+// fixed to. The vector's sign does not matter.
 [[nodiscard]] inline PatternTerms pattern_terms(const Eigen::Vector3d& direction) noexcept {
   const double x = direction.x();
   const double y = direction.y();

@@ -29,7 +29,7 @@ Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexc
 
 namespace {
 
-// What the frame's covariance is to a place.
+// The common frame's covariance, projected onto a place.
 Eigen::Matrix3d frame_at(const Eigen::Vector3d& place_m, const Eigen::Matrix4d& common_frame_covariance) {
   const Eigen::Matrix<double, 3, 4> frame = place_by_frame(place_m);
   return frame * common_frame_covariance * frame.transpose();
@@ -42,7 +42,7 @@ Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
   Eigen::MatrixXd own = anchor.covariance;
   if (common_frame_covariance.isZero(0.0)) return own;
   const Eigen::Matrix3d shared = frame_at(anchor.position_m, common_frame_covariance);
-  // The frame has nothing to do with biases: what the position has room for is its covariance given them.
+  // The frame is independent of the biases: its covariance must not exceed that of the position given them.
   const Eigen::Index biases = own.rows() - 3;
   Eigen::Matrix3d room = own.topLeftCorner<3, 3>();
   if (biases > 0) {
@@ -52,7 +52,7 @@ Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(0.5 * (room + room.transpose()));
   const Eigen::Vector3d sigmas = axes.eigenvalues().cwiseMax(0.0).cwiseSqrt();
   const Eigen::Vector3d inverse = (sigmas.array() > 0.0).select(sigmas.cwiseInverse(), 0.0);
-  // In units of the room: at most one of it is taken along each axis.
+  // Whitened by `room`: at most the unit variance is subtracted along each axis.
   const Eigen::Matrix3d to_room = inverse.asDiagonal() * axes.eigenvectors().transpose();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> shares(to_room * shared * to_room.transpose());
   const Eigen::Matrix3d from_room = axes.eigenvectors() * sigmas.asDiagonal() * shares.eigenvectors();

@@ -9,7 +9,7 @@ namespace groma::model {
 
 namespace {
 
-// All are false of NaN.
+// is_coordinate, is_angle and is_variance are false for NaN.
 bool is_coordinate(double value_m) noexcept {
   return std::abs(value_m) <= kMaxCoordinate_m;
 }

@@ -28,7 +28,7 @@ struct RigidPose {
 // R_WT: the smallest rotation that takes the world's z to the surface normal (-gx, -gy, 1)/norm.
 [[nodiscard]] Eigen::Matrix3d surface_rotation(const Eigen::Vector2d& gradient) noexcept;
 
-// The same with its derivatives with respect to both gradient components.
+// R_WT with its derivatives with respect to both gradient components.
 struct SurfaceRotation {
   Eigen::Matrix3d rotation;
   Eigen::Matrix3d d_gx;
@@ -68,10 +68,10 @@ struct SpatialEstimate {
                                          const Eigen::Matrix<double, 6, 6>& covariance) noexcept;
 
 [[nodiscard]] Eigen::Matrix3d to_matrix(const PoseCovariance& covariance) noexcept;
-// Whether it can be one: finite, each variance positive, no direction with a negative one, but for
-// the rounding of floats.
+// Whether the matrix is a covariance: finite, each variance positive, positive semidefinite up to the
+// rounding of floats.
 [[nodiscard]] bool is_covariance(const PoseCovariance& covariance) noexcept;
-// The same of x and y alone: xx, xy, yy.
+// Covariance of x and y: xx, xy, yy; it has to be positive definite.
 [[nodiscard]] bool is_covariance(const std::array<double, 3>& covariance_m2) noexcept;
 
 }  // namespace groma::model

@@ -7,8 +7,8 @@ namespace groma::model {
 
 PowerClass power_class(const RangeSample& range) noexcept {
   constexpr double kWeakest_dbm = -99.0;
-  // Received power over that of the first path: below 6 dB LOS is likely, above 10 dB NLOS (user
-  // manual 4.7.3, as the firmware has it).
+  // Received power over first-path power: LOS is likely below 6 dB, NLOS above 10 dB (user manual 4.7.3, as
+  // in the firmware).
   constexpr double kLikelyHidden_cdb = 600.0;
   constexpr double kUnlikelyHidden_cdb = 1000.0;
   const auto first_path_dbm = static_cast<double>(range.first_path_power_dbm);

@@ -1,4 +1,4 @@
-// What the powers of a range say of its way, as a class.
+// A class for a range, by its received powers, as evidence of LOS or NLOS.
 #pragma once
 
 #include <array>
@@ -9,16 +9,17 @@
 
 namespace groma::model {
 
-// By how far the first path is below the whole power, and by how strong that path is for its length.
+// Combines how far the first path's power is below the total received power, and how strong the first path is
+// for its length.
 using PowerClass = std::uint8_t;
-inline constexpr std::size_t kHiddenClasses = 3;     // of the power beside the first path
-inline constexpr std::size_t kStrengthClasses = 17;  // of the first path's strength; the last: not known
+inline constexpr std::size_t kHiddenClasses = 3;     // of total power over first-path power
+inline constexpr std::size_t kStrengthClasses = 17;  // of the first path's strength; the last: unknown
 inline constexpr std::size_t kPowerClasses = kHiddenClasses * kStrengthClasses;
 inline constexpr PowerClass kNoPowerClass = kPowerClasses;
-// Of one strength class: the first path's power, brought to a length of 1 m as in free space.
+// Width of a strength class. Strength is the first path's power, scaled to 1 m by the free-space path loss.
 inline constexpr double kStrengthStep_db = 3.0;
 
-// A range's class; kNoPowerClass where it carries nothing.
+// A range's class; kNoPowerClass if the range carries neither powers nor a line-of-sight hint.
 [[nodiscard]] PowerClass power_class(const RangeSample& range) noexcept;
 [[nodiscard]] constexpr std::size_t hidden_class(PowerClass of) noexcept {
   return of / kStrengthClasses;
@@ -27,7 +28,8 @@ inline constexpr double kStrengthStep_db = 3.0;
   return of % kStrengthClasses;
 }
 
-// Shares of the hidden classes as the chip's maker tells them: likely in sight, uncertain, unlikely.
+// Assumed shares of the hidden classes (LOS likely, uncertain, unlikely by the chip maker's rule), for LOS
+// ranges and for NLOS ranges.
 inline constexpr std::array<double, kHiddenClasses> kBelievedInSight{0.8, 0.15, 0.05};
 inline constexpr std::array<double, kHiddenClasses> kBelievedBlocked{0.4, 0.3, 0.3};
 

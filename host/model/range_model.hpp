@@ -1,5 +1,5 @@
 // The bias-aware range model z = gamma ||p + R l - a|| + beta (eq. z_dist_new of the source paper), with
-// its Jacobians. Calibration and filter both use this file and no other.
+// its Jacobians. Calibration and filter both use this model.
 #pragma once
 
 #include <Eigen/Core>
@@ -8,10 +8,10 @@
 
 namespace groma::model {
 
-// Shorter distances have no usable direction; the Jacobians by position are then zero.
+// A shorter distance has no usable direction: the Jacobians by position are zero.
 inline constexpr double kMinDistance_m = 1e-6;
 
-// Predicted range of an antenna at a place in the map.
+// Predicted range of an antenna at a position in the map frame.
 struct AntennaPrediction {
   double range_m = 0.0;
   double distance_m = 0.0;
@@ -28,7 +28,7 @@ struct AntennaPrediction {
   return out;
 }
 
-// Predicted range of a tag on a rigid body. d_beta is 1 and left out; d_gamma is distance_m.
+// Predicted range of a tag on a rigid body. d_beta is 1 and is omitted; d_gamma is distance_m.
 struct RangePrediction {
   double range_m = 0.0;
   double distance_m = 0.0;         // ||p + R l - a||
@@ -46,8 +46,8 @@ struct RangePrediction {
                                                       const SurfacePose& pose,
                                                       const Eigen::Vector3d& lever_arm_m) noexcept;
 
-// Both together, of a pose on ground that is told there, without the matrices between them; and what else the
-// filter asks for.
+// predict_range() and range_by_planar_pose() in one, for a pose on known ground, without intermediate
+// matrices; with the further Jacobians that the filter uses.
 struct SurfaceRange {
   double range_m = 0.0;
   double distance_m = 0.0;
@@ -55,7 +55,7 @@ struct SurfaceRange {
   Eigen::RowVector3d d_anchor;
   Eigen::RowVector3d d_lever_arm;
   Eigen::RowVector3d d_pose;      // by x, y, theta
-  Eigen::RowVector2d d_gradient;  // by the ground's own
+  Eigen::RowVector2d d_gradient;  // by the ground's gradient
   Eigen::Vector3d in_body;        // unit vector from anchor to tag, base_link
   Eigen::Matrix2d sideways;       // of R_WR: velocity in base_link to x', y'
 };

@@ -1,4 +1,4 @@
-// Samples in the order that estimators take them in.
+// Sorts samples into the order that the estimators require.
 #pragma once
 
 #include <vector>
@@ -10,7 +10,7 @@ namespace groma::model {
 // By time, then tag, then anchor.
 void sort_ranges(std::vector<RangeSample>& ranges);
 
-// By time. Of poses of one instant the first is kept: an interval of no length could not be interpolated.
+// By time. Of poses with equal times the first is kept: an empty interval could not be interpolated.
 void sort_poses(std::vector<PoseSample>& poses);
 
 }  // namespace groma::model

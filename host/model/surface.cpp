@@ -70,7 +70,7 @@ BSpline::BSpline(const Grid& grid, std::vector<double> heights_m)
     : grid_(grid), per_m_(1.0 / grid.dx_m, 1.0 / grid.dy_m), heights_m_(std::move(heights_m)) {}
 
 SurfacePoint BSpline::at(double x_m, double y_m) const noexcept {
-  // A position that is not a number must not become an index.
+  // A non-finite position must not become an index.
   if (!std::isfinite(x_m) || !std::isfinite(y_m)) {
     constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
     return {kNone, Eigen::Vector2d::Constant(kNone), Eigen::Matrix2d::Constant(kNone)};

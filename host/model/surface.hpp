@@ -32,9 +32,9 @@ class Plane {
   Eigen::Vector2d gradient_ = Eigen::Vector2d::Zero();
 };
 
-// Uniform cubic tensor-product B-spline: with u = (x - x0)/dx and i = floor(u), the same for y,
-// z = sum over a, b in 0..3 of c[i + a][j + b] B_a(u - i) B_b(v - j). Outside the grid u and v are
-// clamped to it, so that the height goes on flat.
+// Uniform cubic tensor-product B-spline: with u = (x - x0)/dx, i = floor(u) and likewise v, j for y,
+// z = sum over a, b in 0..3 of c[i + a][j + b] B_a(u - i) B_b(v - j). Outside the grid u and v are clamped to
+// it, so that the height continues at the border's value.
 class BSpline {
  public:
   struct Grid {
@@ -50,7 +50,7 @@ class BSpline {
   BSpline(const Grid& grid, std::vector<double> heights_m);
 
   [[nodiscard]] SurfacePoint at(double x_m, double y_m) const noexcept;
-  // at().z_m, in a third of its time.
+  // at().z_m, in a third of the time.
   [[nodiscard]] double height_m(double x_m, double y_m) const noexcept;
   [[nodiscard]] const Grid& grid() const noexcept { return grid_; }
   [[nodiscard]] const std::vector<double>& heights_m() const noexcept { return heights_m_; }
@@ -61,12 +61,12 @@ class BSpline {
   std::vector<double> heights_m_;
 };
 
-// By how much the ground may differ from its model: errors of height and slope, zero on the whole, that
-// change along the way. All zero: it does not.
+// How far the ground may differ from its model: zero-mean errors of height and slope that vary along the
+// path. Both sigmas zero: the model is exact.
 struct SurfaceMismatch {
   double sigma_m = 0.0;
   double slope_sigma = 0.0;  // of the gradient's error along each axis
-  double length_m = 1.0;     // way after which they are forgotten but for 1/e; > 0
+  double length_m = 1.0;     // correlation length: path after which the correlation is 1/e; > 0
 
   [[nodiscard]] bool is_any() const noexcept { return sigma_m > 0.0 || slope_sigma > 0.0; }
 };
@@ -75,27 +75,27 @@ struct SurfaceMismatch {
 struct Chart {
   std::string name;  // empty where it is the only one
   std::variant<Plane, BSpline> shape;
-  // The polygon (x, y in the map) that it is the ground of, its corners in order; empty: a plane's is
-  // everywhere, a spline's is its grid.
+  // The chart's domain as a polygon (x, y in the map frame), corners in order. Empty: everywhere for a plane,
+  // the grid for a spline.
   std::vector<Eigen::Vector2d> domain_m;
   SurfaceMismatch mismatch;
 };
 
-// The ground: one chart, or several that may lie above each other. A place on it is x, y and the chart.
-// Evaluation allocates nothing.
+// The ground: one chart, or several that may overlap at different heights. A place on it is x, y and the
+// chart. Evaluation allocates no memory.
 class Surface {
  public:
-  // A chart goes over into another one where their heights differ by less.
+  // A robot can cross from one chart to another where their heights differ by less than this.
   static constexpr double kStep_m = 0.3;
 
   Surface() : charts_(1) {}                                    // the plane z = 0
   Surface(Plane plane) : charts_{Chart{{}, plane, {}, {}}} {}  // NOLINT(google-explicit-constructor)
   Surface(BSpline spline)                                      // NOLINT(google-explicit-constructor)
       : charts_{Chart{{}, std::move(spline), {}, {}}} {}
-  // At least one.
+  // At least one chart.
   explicit Surface(std::vector<Chart> charts) : charts_(std::move(charts)) {}
 
-  // Defined everywhere, outside the chart's domain and grid as each shape tells.
+  // Defined everywhere; each shape defines its height outside the chart's domain and grid.
   [[nodiscard]] double height_m(double x_m, double y_m, int chart) const noexcept {
     const auto& shape = this->shape(chart);
     if (const auto* plane = std::get_if<Plane>(&shape)) return plane->at(x_m, y_m).z_m;
@@ -115,13 +115,13 @@ class Surface {
     return charts_[static_cast<std::size_t>(chart)].mismatch;
   }
 
-  // Whether the chart tells of the ground there: within its domain, and a spline's grid.
+  // Whether (x, y) is within the chart's domain and, for a spline, within its grid.
   [[nodiscard]] bool covers(double x_m, double y_m, int chart = 0) const noexcept;
-  // The chart of a robot that was on `chart` and has moved to (x, y) since: the same one within its domain,
-  // beyond that the one at whose height it is. Where there is none, it stays.
+  // The chart of a robot that was on `chart` and has moved to (x, y): `chart` where it covers (x, y), else
+  // the covering chart nearest in height, if within kStep_m, else `chart`.
   [[nodiscard]] int follow(int chart, double x_m, double y_m) const noexcept;
-  // The chart of a place whose height is known: of those that cover it the nearest in height. A height of
-  // NaN: the first that covers it. Where none does, all are asked.
+  // The chart of a place whose height is known: the nearest in height among those that cover it. A height of
+  // NaN: the first that covers it. If none covers it, all charts are candidates.
   [[nodiscard]] int nearest(double x_m, double y_m, double z_m) const noexcept;
 
  private:

@@ -19,22 +19,22 @@ namespace {
 constexpr std::size_t kFolds = 5;
 // Blocks of points that are held out together, along the longer side.
 constexpr double kBlocks = 19.0;
-// Cross-validation looks at so many points, the covariance of residuals at so many.
+// Upper bounds on the points of the cross-validation, and on those of the residuals' covariance.
 constexpr std::size_t kValidated = 100'000;
 constexpr std::size_t kPaired = 4'000;
 constexpr double kCoarsestCells = 4.0;
 constexpr double kFinestCells = 64.0;
 constexpr double kSpacingStep = 1.5;
 constexpr std::array kSmoothings{1e-4, 1e-2, 1.0, 100.0};
-// Beside the bending, what lies beside a single line of points is held level.
+// Weight of first differences relative to bending: it keeps the ground level beside a single line of points.
 constexpr double kLevel = 1e-6;
-// Lags of the residuals' covariance, to a spacing's parts.
+// Lags of the residuals' covariance, in fractions of the spacing.
 constexpr std::size_t kLags = 16;
 constexpr double kLagsPerSpacing = 4.0;
 
 using Control = std::array<std::pair<Eigen::Index, double>, 16>;
 
-// The control heights that a place depends on, with their weights: the spline of each basis function alone.
+// The control heights that a place depends on, with their weights (products of basis functions).
 class GridWeights {
  public:
   explicit GridWeights(const BSpline::Grid& grid) : grid_(grid) {}
@@ -66,8 +66,8 @@ class GridWeights {
   BSpline::Grid grid_;
 };
 
-// Sums of w wᵀ and w z over points, w the weights of the control heights: of each control height those with
-// the ones up to three rows and columns on.
+// Sums of w wᵀ and w z over points, w the weights of the control heights. w wᵀ is banded: each control height
+// is paired only with those up to three rows and columns further.
 class Sums {
  public:
   explicit Sums(const BSpline::Grid& grid)
@@ -87,7 +87,7 @@ class Sums {
     for (std::size_t i = 0; i < heights_.size(); ++i) heights_[i] += sign * other.heights_[i];
   }
 
-  // With the bending weighed so; empty where there is no solution.
+  // Control heights for this weight of the bending; empty if there is no solution.
   [[nodiscard]] std::vector<double> solve(double bending) const {
     const auto n = static_cast<Eigen::Index>(size());
     std::vector<Eigen::Triplet<double>> terms;
@@ -98,7 +98,7 @@ class Sums {
         if (value != 0.0) terms.emplace_back(k + column(o), k, value);
       }
     }
-    // Differences of neighbours; the mixed one stands twice in the bending.
+    // Differences of neighbours; the mixed one counts twice in the bending.
     const auto penalize = [&](double weight, std::initializer_list<std::pair<Eigen::Index, double>> stencil) {
       for (const auto& [k, wk] : stencil) {
         for (const auto& [l, wl] : stencil) {
@@ -141,7 +141,7 @@ class Sums {
     return (1 + o / 7) * grid_.ny + o % 7 - 3;
   }
   [[nodiscard]] std::size_t offset(Eigen::Index ahead) const {
-    // On a narrow grid two offsets are one: it is the difference that counts.
+    // On a narrow grid two offsets may have the same index difference; only the difference matters.
     const Eigen::Index row = std::min<Eigen::Index>((ahead + 3) / grid_.ny, 3);
     if (row == 0) return static_cast<std::size_t>(ahead);
     return static_cast<std::size_t>(4 + (row - 1) * 7 + ahead - row * grid_.ny + 3);
@@ -170,7 +170,7 @@ Extent extent_of(std::span<const Eigen::Vector3d> points) {
 std::optional<BSpline::Grid> grid_over(const Extent& extent, double spacing_m) {
   const Eigen::Array2d cells = (extent.size.array() / spacing_m).ceil().max(1.0);
   if (!((cells.x() + 3.0) * (cells.y() + 3.0) <= kMaxControlHeights)) return std::nullopt;
-  // In the middle of its cells.
+  // The extent is centred in the cells.
   const Eigen::Array2d low = extent.low.array() - 0.5 * (cells * spacing_m - extent.size.array());
   return BSpline::Grid{low.x(),
                        low.y(),
@@ -180,7 +180,7 @@ std::optional<BSpline::Grid> grid_over(const Extent& extent, double spacing_m) {
                        static_cast<int>(cells.y()) + 3};
 }
 
-// Which fold a point is held out in: neighbouring blocks are of different ones.
+// The fold in which a point is held out: neighbouring blocks are in different folds.
 std::size_t fold_of(const Eigen::Vector3d& point, const Extent& extent, double block_m) {
   const Eigen::Vector2d block = ((point.head<2>() - extent.low) / block_m).array().floor();
   return static_cast<std::size_t>(block.x() + 2.0 * block.y()) % kFolds;
@@ -192,7 +192,7 @@ struct Validation {
   std::vector<double> residuals_m;                             // of each point
 };
 
-// The best of the smoothings at this grid.
+// The best of the smoothings for this grid, by cross-validation.
 Validation validate(std::span<const Eigen::Vector3d> points, const Extent& extent, const BSpline::Grid& grid,
                     std::span<const double> smoothings, double block_m) {
   const GridWeights grid_weights(grid);
@@ -255,7 +255,7 @@ SurfaceMismatch mismatch_of(std::span<const Eigen::Vector3d> points, std::span<c
       ++counts[lag];
     }
   }
-  // Of too few pairs the covariance is a guess.
+  // Fewer pairs do not determine a covariance.
   constexpr std::size_t kFewPairs = 30;
   SurfaceMismatch out;
   double first_m2 = 0.0;
@@ -263,7 +263,7 @@ SurfaceMismatch mismatch_of(std::span<const Eigen::Vector3d> points, std::span<c
     if (counts[lag] < kFewPairs) continue;
     const double covariance_m2 = sums[lag] / static_cast<double>(counts[lag]);
     if (first_m2 == 0.0) {
-      // Nothing in common: no mismatch shows.
+      // Neighbouring residuals are uncorrelated: no mismatch is visible.
       if (!(covariance_m2 > 0.0)) return {.length_m = spacing_m};
       first_m2 = covariance_m2;
       out.sigma_m = std::sqrt(first_m2);
@@ -298,7 +298,7 @@ void find_gaps(std::span<const Eigen::Vector3d> points, SurfaceFit& fit) {
   fit.empty_share =
       static_cast<double>(std::count_if(apart.begin(), apart.end(), [](double d) { return d > 0.0; })) /
       static_cast<double>(apart.size());
-  // Distances to the nearest cell with a point, in cells, by a sweep each way.
+  // Distances to the nearest cell with a point, in cells, by one sweep in each direction.
   const auto sweep = [&](int sign) {
     for (int a = 0; a < nx; ++a) {
       for (int b = 0; b < ny; ++b) {
@@ -346,7 +346,7 @@ std::optional<SurfaceFit> fit_surface(std::span<const Eigen::Vector3d> points,
   if (options.spacing_m) {
     spacings_m = {*options.spacing_m};
   } else {
-    // Finer than points lie, there is nothing to tell.
+    // A spacing below that of the points is not determined by them.
     const double least_m =
         std::max(longer_m / kFinestCells, 2.0 * longer_m / std::sqrt(static_cast<double>(points.size())));
     for (double at_m = longer_m / kCoarsestCells; at_m >= least_m || spacings_m.empty(); at_m /= kSpacingStep)

@@ -1,4 +1,4 @@
-// What both estimators take in: plain values, SI units, radians, REP-103 axes.
+// Inputs of the estimators: plain values, SI units, radians, REP-103 axes.
 #pragma once
 
 #include <array>
@@ -26,11 +26,11 @@ using NodeId = std::uint16_t;
 
 inline constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
 
-// A hint, by how far the first path's power is below all of it and the strongest path from it; the numbers
-// are those of the wire and of files.
+// A hint from the first path's power relative to the total power and from the distance between the first and
+// the strongest path. The wire and files use these numbers.
 enum class LineOfSight : std::uint8_t { kNotKnown, kLikely, kUncertain, kUnlikely };
 
-// What was applied to a range, once: bits, of the wire and of files.
+// Corrections that were applied to a range: bits, as on the wire and in files.
 inline constexpr std::uint8_t kAntennaDelaysApplied = 4;
 inline constexpr std::uint8_t kTemperatureCorrected = 8;
 inline constexpr std::uint8_t kSupplyCorrected = 16;
@@ -38,26 +38,26 @@ inline constexpr std::uint8_t kPowerBiasCorrected = 32;
 
 // One two-way range between an onboard tag and an anchor.
 struct RangeSample {
-  double t_s = 0.0;  // instant of the range itself, not of its arrival
+  double t_s = 0.0;  // time of the measurement, not of its arrival
   NodeId tag_id = 0;
   NodeId anchor_id = 0;
-  double range_m = 0.0;  // as measured: antenna delays applied, pair bias not
+  double range_m = 0.0;  // antenna delays applied, pair bias not
   float first_path_power_dbm = kUnknown;
   float receive_power_dbm = kUnknown;
   float clock_offset_ppm = kUnknown;  // the anchor's clock against the tag's; positive: the anchor's is fast
   float noise = kUnknown;  // standard deviation of the channel's impulse response, the chip's units
   LineOfSight line_of_sight = LineOfSight::kNotKnown;
   std::uint8_t corrections = 0;
-  // The range's instant in the network's time, ticks of 1/63.8976 GHz of the master's clock; 0: unknown.
+  // Time of the measurement in network time: ticks of 1/63.8976 GHz of the master's clock; 0: unknown.
   std::int64_t network_time_dtu = 0;
 };
 
-// Two-way ranges between two anchors, the mean of some: antenna delays applied, pair bias not.
+// Mean of two-way ranges between two anchors: antenna delays applied, pair bias not.
 struct AnchorRange {
   NodeId anchor_id = 0;
   NodeId other_id = 0;
   double range_m = 0.0;
-  double sigma_m = 0.0;  // of one of them
+  double sigma_m = 0.0;  // of a single range
   std::size_t count = 1;
 };
 
@@ -74,11 +74,11 @@ struct OdometrySample {
          std::isfinite(row.omega_radps);
 }
 
-// The covariance of x, y and yaw (m, rad), its upper triangle: xx, xy, xt, yy, yt, tt.
+// The upper triangle of the covariance of x, y and yaw (m, rad): xx, xy, xt, yy, yt, tt.
 using PoseCovariance = std::array<double, 6>;
 
-// A pose of base_link in the map frame. Where roll and pitch are unknown (NaN), yaw is the heading
-// on the surface, R_WR = R_WT(x, y) R_z(yaw); where they are known it is the ZYX yaw.
+// A pose of base_link in the map frame. If roll and pitch are unknown (NaN), yaw is the heading on the
+// surface, R_WR = R_WT(x, y) R_z(yaw); if they are known, it is the ZYX yaw.
 struct PoseSample {
   double t_s = 0.0;
   double x_m = 0.0;
@@ -87,16 +87,16 @@ struct PoseSample {
   double yaw_rad = 0.0;
   double roll_rad = std::numeric_limits<double>::quiet_NaN();
   double pitch_rad = std::numeric_limits<double>::quiet_NaN();
-  std::optional<PoseCovariance> covariance = std::nullopt;  // none: not known
+  std::optional<PoseCovariance> covariance = std::nullopt;  // none: unknown
 };
 
-// Turn about base_link's z axis, as a gyro tells it.
+// A gyro's rate about base_link's z axis.
 struct YawRateSample {
   double t_s = 0.0;
   double omega_radps = 0.0;
 };
 
-// Where an antenna is in the map frame (GNSS); of its height nothing is told, which the surface knows better.
+// An antenna's position in the map frame (GNSS), without height: the surface is more accurate.
 struct PositionSample {
   double t_s = 0.0;
   double x_m = 0.0;
@@ -104,19 +104,19 @@ struct PositionSample {
   std::array<double, 3> covariance_m2{};  // xx, xy, yy
 };
 
-// The robot stands.
+// The robot is stationary.
 struct ZeroVelocitySample {
   double t_s = 0.0;
 };
 
-// A sample of a sensor beside odometry and ranges; the pose is another localization's, with its covariance.
-// Each sensor is registered here, and its name in files and reports in the same place below.
+// A sample of a sensor other than odometry and ranges; a pose comes from another localization system, with
+// its covariance. Each sensor is registered here, and its name in files and reports below, in the same order.
 using SensorSample = std::variant<YawRateSample, PositionSample, PoseSample, ZeroVelocitySample>;
 inline constexpr std::size_t kSensors = std::variant_size_v<SensorSample>;
 inline constexpr std::array<std::string_view, kSensors> kSensorNames{"imu", "gnss", "absolute_pose",
                                                                      "zero_velocity"};
 
-// Where a sensor stands in that order.
+// A sensor's index in that order.
 template <class Sample>
 inline constexpr std::size_t kSensorOf = [] {
   return []<class... Each>(const std::variant<Each...>* /*samples*/) {
@@ -158,14 +158,14 @@ auto visit(const Variant& variant, const Use& use) noexcept {
   return model::visit(sample, [](const auto& of) { return of.t_s; });
 }
 
-// What is told of such sensors beforehand; none: not told.
+// Configured properties of these sensors; none: not configured.
 struct SensorDescription {
-  std::optional<double> gyro_sigma_radps;  // white, a sample
+  std::optional<double> gyro_sigma_radps;  // white, per sample
   std::optional<double> gyro_bias_sigma_radps;
   std::optional<Eigen::Vector3d> gnss_lever_arm_m;  // of the antenna, in base_link
 };
 
-// An estimated planar pose: x, y and heading in the map frame with their covariance, in that order.
+// An estimated planar pose: x, y and heading in the map frame, with their covariance in this order.
 struct PlanarEstimate {
   double t_s = 0.0;
   double x_m = 0.0;
@@ -192,14 +192,14 @@ struct ScalarPrior {
   double sigma = 0.0;
 };
 
-// Priors of z = gamma d + beta + noise, the same for each pair, independent.
+// Priors of z = gamma d + beta + noise: the same for each pair, independent between pairs.
 struct RangePriors {
   double sigma_m = 0.1;
   ScalarPrior beta_m{0.0, 0.5};
   ScalarPrior gamma{1.0, 0.005};
 };
 
-// White noise of one odometry row, constant over its interval. Scale and yaw-rate bias are not in it.
+// White noise of one odometry sample, constant over its interval. It excludes scale and yaw-rate bias.
 struct OdometryNoise {
   double sigma_vx_mps = 0.05;
   double sigma_vy_mps = 0.05;

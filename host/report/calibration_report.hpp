@@ -1,4 +1,4 @@
-// What a calibration found, for the one who has to decide whether to trust it.
+// A calibration's results, for a user who has to decide whether to trust it.
 #pragma once
 
 #include <string>
@@ -8,7 +8,7 @@
 
 namespace groma::report {
 
-// Verdict, map with 95 % ellipses, anchors, biases, and residuals over time.
+// Adds verdict, map with 95 % ellipses, anchors, biases, and residuals over time.
 void add_calibration(Page& page, const calibration::Drive& drive, const calibration::Result& result);
 
 [[nodiscard]] Tone tone(model::AnchorVerdict verdict);

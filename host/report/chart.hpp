@@ -1,5 +1,5 @@
-// Charts as SVG: a map in metres or a quantity over another, with axes, grid and legend. Colours are the
-// style sheet's (page.hpp), so that a chart follows the reader's light or dark theme.
+// Charts as SVG: a map in metres or one quantity over another, with axes, grid and legend. Colours come from
+// the style sheet (page.hpp), so that a chart follows the reader's light or dark theme.
 #pragma once
 
 #include <optional>
@@ -10,7 +10,7 @@
 
 namespace groma::report {
 
-// What a thing is drawn in.
+// The role of an element, which determines its colour.
 enum class Ink {
   kTruth,
   kEstimate,
@@ -27,7 +27,7 @@ enum class Ink {
   kSeries4
 };
 
-// The ink of the n-th of several equal series, from 0.
+// The ink of the n-th of several equivalent series, from 0.
 [[nodiscard]] Ink series_ink(std::size_t n);
 
 struct Ellipse {
@@ -37,9 +37,9 @@ struct Ellipse {
 
 struct Mark {
   Eigen::Vector2d at = Eigen::Vector2d::Zero();
-  std::string label;   // beside it; may be empty
-  std::string hint{};  // shown where the pointer rests on it
-  std::string link{};  // id of the place on the page that it leads to
+  std::string label;   // drawn beside the mark; may be empty
+  std::string hint{};  // tooltip
+  std::string link{};  // id of the element on the page that a click leads to
 };
 
 class Chart {
@@ -48,30 +48,30 @@ class Chart {
     std::string title{};
     std::string x_label{};
     std::string y_label{};
-    bool same_scale = false;  // a map: one metre is as long on both axes
+    bool same_scale = false;  // a map: both axes have the same scale
     double width_px = 1040.0;
-    double height_px = 320.0;  // of a map: at most
+    double height_px = 320.0;  // upper bound for a map
     bool legend = true;
-    std::optional<Eigen::Vector2d> y_range{};  // lower and upper end; none: what is drawn
+    std::optional<Eigen::Vector2d> y_range{};  // lower and upper end; none: fitted to the data
   };
   explicit Chart(Axes axes) : axes_(std::move(axes)) {}
 
-  // All coordinates are the axes' own. A name goes into the legend, once; an empty one does not. What is not
-  // finite is left out; in a line it makes a break.
+  // All coordinates are in the axes' units. A name is listed once in the legend; an empty one is not listed.
+  // Non-finite points are omitted; in a line they make a break.
   void add_line(const std::string& name, Ink ink, std::vector<Eigen::Vector2d> points, bool dashed = false);
   // Separate strokes, such as walls.
   void add_strokes(const std::string& name, Ink ink,
                    std::vector<std::pair<Eigen::Vector2d, Eigen::Vector2d>> strokes);
   void add_marks(const std::string& name, Ink ink, std::vector<Mark> marks);
-  // Dots, however many: of those that fall on one spot the first is drawn.
+  // Any number of dots: of those at the same pixel only the first is drawn.
   void add_points(const std::string& name, Ink ink, std::vector<Eigen::Vector2d> points);
-  // A vertical bar from low to high at each point, which is marked too.
+  // A marked point with a vertical bar of half_heights above and below it.
   void add_intervals(const std::string& name, Ink ink, std::vector<Eigen::Vector2d> points,
                      std::vector<double> half_heights);
-  // 95 % ellipses. Those of a chart are enlarged alike by 1, 2, 5, 10 and so on until they can be seen; the
-  // legend then says so.
+  // 95 % ellipses. All ellipses of a chart are enlarged by the same factor of 1, 2, 5, 10 and so on until
+  // they are visible; the legend states a factor above 1.
   void add_ellipses(const std::string& name, Ink ink, std::vector<Ellipse> ellipses);
-  // Names in the place of numbers along x, at 0, 1, 2 and so on.
+  // Names instead of numbers along x, at 0, 1, 2 and so on.
   void name_x(std::vector<std::string> names) { x_names_ = std::move(names); }
 
   [[nodiscard]] std::string svg() const;
@@ -113,7 +113,7 @@ class Chart {
   struct View;
 
   void add_to_legend(Symbol symbol, Ink ink, const std::string& name);
-  // Ellipses are `enlarged` so many times.
+  // `enlarged`: the factor of the ellipses.
   [[nodiscard]] Box extent(double enlarged) const;
   [[nodiscard]] View view(double enlarged) const;
   [[nodiscard]] double magnification(const View& view) const;

@@ -1,5 +1,5 @@
-// A report as one HTML file that opens offline: nothing is fetched, and it follows the reader's light or dark
-// theme.
+// A report as a single HTML file that opens offline: it loads no other resource and follows the reader's
+// light or dark theme.
 #pragma once
 
 #include <string>
@@ -11,7 +11,7 @@ namespace groma::report {
 
 enum class Tone { kPlain, kGood, kWarning, kBad };
 
-// A figure in large print with what it is.
+// A figure in large print with its name.
 struct Fact {
   std::string value;
   std::string name;
@@ -21,27 +21,27 @@ struct Fact {
 struct Cell {
   std::string text;
   Tone tone = Tone::kPlain;
-  bool words = false;  // left-aligned and wrapped, unlike numbers
+  bool words = false;  // text: left-aligned and wrapped, unlike numbers
 };
 
 class Page {
  public:
   Page(std::string title, std::string subtitle) : title_(std::move(title)), subtitle_(std::move(subtitle)) {}
 
-  // In the order of the calls; text is escaped.
+  // Elements appear in the order of the calls; text is escaped.
   void add_facts(const std::vector<Fact>& facts);
   void add_heading(const std::string& text);
-  // A part that the reader opens and closes, begun and ended; `id` is what a mark's link leads to.
+  // A part that the reader can open and close; `id` is the target of a mark's link.
   void begin_part(const std::string& id, const std::string& title, const std::string& remark, Tone tone,
                   bool open);
   void end_part();
   void add_text(const std::string& text);
-  // Something that the reader has to know of `what`.
+  // A notice about `what`.
   void add_notice(const std::string& what, const std::string& text, Tone tone);
   void add_chart(const Chart& chart, const std::string& caption);
-  // Several small ones side by side.
+  // Several small charts side by side.
   void add_charts(const std::vector<Chart>& charts, const std::string& caption);
-  // As many cells a row as there are titles.
+  // Each row has as many cells as there are titles.
   void add_table(const std::vector<std::string>& titles, const std::vector<std::vector<Cell>>& rows);
 
   [[nodiscard]] std::string html() const;

@@ -26,7 +26,7 @@ double seconds_since(std::chrono::steady_clock::time_point begin) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 }
 
-// Keeps what the session gives as a data set.
+// Stores the session's measurements in a data set.
 class Recorder : public daemon::MeasurementSink {
  public:
   explicit Recorder(io::Dataset& dataset) : dataset_(dataset) {}
@@ -52,7 +52,7 @@ io::Dataset empty_dataset(const sim::Scenario& scenario, const std::string& driv
   return dataset;
 }
 
-// Measurements that came late stand where they belong; the truth is added.
+// Sorts measurements that arrived late by time, and adds the truth.
 void complete(io::Dataset& dataset, const sim::World& world, const sim::DriveTime& time) {
   model::sort_ranges(dataset.ranges);
   const auto by_time = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };

@@ -1,5 +1,5 @@
-// The whole path at work: simulated tags and anchors run the firmware, a first drive calibrates the anchors,
-// a second is localized by every model, and all is scored against the truth.
+// The complete system in simulation: simulated tags and anchors run the firmware, a first drive calibrates
+// the anchors, every model localizes a second drive, and all results are scored against the truth.
 #pragma once
 
 #include <cstddef>
@@ -19,10 +19,10 @@
 
 namespace groma::simulation {
 
-// One model's way through the second drive.
+// One model's estimate of the second drive.
 struct ModelRun {
   filter::Model model = filter::Model::kOdometry;
-  std::vector<model::PlanarEstimate> estimate;  // a row for each odometry row
+  std::vector<model::PlanarEstimate> estimate;  // one per odometry sample
   evaluation::Evaluation evaluation;
 };
 
@@ -31,11 +31,11 @@ struct DemoResult {
   double calibration_wall_s = 0.0;
   std::vector<double> anchor_errors_m;  // of calibration.anchors, in their order
   std::vector<ModelRun> models;
-  io::Dataset first_drive;  // what was measured, with the truth
+  io::Dataset first_drive;  // measurements and truth
   io::Dataset second_drive;
-  double ranges_per_s = 0.0;      // delivered to the estimators, over both drives
-  double without_sight = 0.0;     // share of these whose straight way was blocked
-  std::uint64_t frames_lost = 0;  // reports, in the nodes' queues and on the links together
+  double ranges_per_s = 0.0;      // delivered to the estimators, mean over both drives
+  double without_sight = 0.0;     // NLOS share of these ranges
+  std::uint64_t frames_lost = 0;  // reports lost in the nodes' queues and on the links together
   double simulated_s = 0.0;
   double wall_s = 0.0;
 };
@@ -43,12 +43,12 @@ struct DemoResult {
 struct DemoOptions {
   SiteOptions site{};
   std::span<const filter::Model> models = filter::kModels;
-  // Told now and then: what goes on, and the share of the whole that is done. May be empty.
+  // Called regularly with the current phase and the completed share, 0..1. May be empty.
   std::function<void(std::string_view phase, double done)> progress;
 };
 
-// The scenario has two drives or more; what comes after the second is left out. Throws io::DeviceError and
-// sim::SimulationError as LockStep does, and io::DataError where a model gave no estimate.
+// The scenario has at least two drives; further drives are ignored. Throws io::DeviceError and
+// sim::SimulationError as LockStep does, and io::DataError if a model gave no estimate.
 [[nodiscard]] DemoResult run_demo(const sim::Scenario& scenario, const DemoOptions& options);
 
 }  // namespace groma::simulation

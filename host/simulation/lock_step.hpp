@@ -1,6 +1,6 @@
-// A simulated site and the daemon's input path, coupled by real pseudo-terminals on the site's clock: the
-// simulation goes on only when every byte that left a tag has been read, so that a seed gives one result on
-// any machine.
+// A simulated site and the daemon's input path, coupled by real pseudo-terminals and driven by the site's
+// clock. The simulation continues only after every byte that a tag sent has been read, so that a seed gives
+// the same result on any machine.
 #pragma once
 
 #include <cstddef>
@@ -21,13 +21,13 @@ namespace groma::simulation {
 
 class LockStep {
  public:
-  // As a host polls that has other work to do: bytes reach the session up to this much late.
+  // Polling interval of a host with other work to do: bytes reach the session with up to this delay.
   static constexpr double kStep_s = 0.002;
 
   // Throws io::DeviceError or sim::SimulationError.
   LockStep(const sim::Scenario& scenario, const SiteOptions& options);
 
-  // Throws io::DeviceError where bytes get lost in the system, and sim::SimulationError.
+  // Throws io::DeviceError if the operating system loses bytes, and sim::SimulationError.
   void run_until(double t_s);
 
   [[nodiscard]] SimulatedSite& site() noexcept { return site_; }
@@ -37,7 +37,7 @@ class LockStep {
   struct Tag {
     PtyPort port;
     std::unique_ptr<link::ByteLink> link;
-    std::size_t node = 0;  // of the session
+    std::size_t node = 0;  // index in the session
   };
   void pass_through(Tag& tag, double now_s);
 

@@ -31,8 +31,8 @@ PtyPort::PtyPort() : master_(::posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC)) {
   std::array<char, 64> name{};
   if (::ptsname_r(master_.get(), name.data(), name.size()) != 0) fail("the pseudo-terminal has no name");
   path_ = name.data();
-  // Raw from the start: else the terminal would echo our bytes back at us. Opening and closing the other
-  // side once makes the system tell from then on whether anybody has it open.
+  // Set raw mode first: otherwise the terminal would echo our bytes back. Opening and closing the slave side
+  // once makes poll() report POLLHUP from then on while no program has it open.
   const io::Descriptor slave(::open(path_.c_str(), O_RDWR | O_NOCTTY | O_CLOEXEC));
   termios settings{};
   if (slave.get() < 0 || ::tcgetattr(slave.get(), &settings) != 0)

@@ -1,4 +1,4 @@
-// A serial port for others to open: the master's side of a pseudo-terminal.
+// A simulated serial port that other programs can open: the master side of a pseudo-terminal.
 #pragma once
 
 #include <cstddef>
@@ -12,16 +12,17 @@ namespace groma::simulation {
 
 class PtyPort {
  public:
-  // Throws io::DeviceError where the system gives none.
+  // Throws io::DeviceError if the system cannot provide a pseudo-terminal.
   PtyPort();
 
-  // What a reader opens: /dev/pts/N.
+  // The path that a reader opens: /dev/pts/N.
   [[nodiscard]] const std::string& path() const noexcept { return path_; }
-  // Somebody has it open.
+  // Whether a program has it open.
   [[nodiscard]] bool listened() const noexcept;
 
-  // Never block. What nobody listens to is lost, as on a wire; so is what a reader leaves unread for longer
-  // than the system's buffer lasts: written then is less than given.
+  // write() and read() never block and return the number of bytes. Without a listener, write() drops the
+  // bytes, as on a wire; it also drops what does not fit into the system's buffer, and then returns less than
+  // given.
   std::size_t write(std::span<const std::uint8_t> bytes);
   [[nodiscard]] std::size_t read(std::span<std::uint8_t> out);
 

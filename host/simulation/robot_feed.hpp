@@ -1,4 +1,4 @@
-// What the simulated robot tells of itself: odometry and pose priors as JSON lines, in the order of time.
+// The simulated robot's odometry and pose priors as JSON lines, in order of time.
 #pragma once
 
 #include <cstdint>
@@ -10,11 +10,11 @@ namespace groma::simulation {
 
 class RobotFeed {
  public:
-  // Keeps a reference to the robot. The first rows are those at or after from_s.
+  // Keeps a reference to the robot. The first samples are those at or after from_s.
   explicit RobotFeed(const sim::Robot& robot, double from_s = 0.0);
 
-  // Appends the lines due up to and at t_s. An odometry row goes out when it begins to hold: the robot's
-  // drives keep to it for that long.
+  // Appends the lines due up to and including t_s. An odometry sample is sent at the start of its interval,
+  // over which the robot's drives keep its velocity.
   void lines_until(double t_s, std::string& out);
 
  private:

@@ -1,5 +1,5 @@
-// A scenario's nodes at work in its world: each runs the firmware on a modelled DW1000, configured and joined
-// by one schedule, and its serial line is read and written here.
+// A scenario's nodes running in its world: each runs the firmware on a modelled DW1000 and is configured for
+// the scenario's schedule. This class reads and writes the nodes' serial lines.
 #pragma once
 
 #include <cstddef>
@@ -20,32 +20,32 @@
 namespace groma::simulation {
 
 struct SiteOptions {
-  std::uint64_t seed = 1;  // crystals, counters and power-on times are drawn from it
-  // What each node runs, instruction by instruction; none: the firmware compiled in.
+  std::uint64_t seed = 1;  // determines the world, crystals, counters, power-on times and the radio's noise
+  // The image that each node runs on an emulated processor; none: the firmware compiled in.
   std::shared_ptr<const sim::FirmwareImage> image{};
   sim::EmulatorOptions emulator{};
-  // Nodes as they come out of the box: flashed, not configured; then anchors have ports, too.
+  // Nodes are flashed but not configured, as new ones; then anchors have ports, too.
   bool unconfigured = false;
-  // In the place of both kinds of node, what runs one of this specification; empty: see above.
+  // Creates the host of a node with this specification, instead of both kinds above; may be empty.
   std::function<std::unique_ptr<sim::NodeHost>(const sim::NodeSpec& spec, sim::Medium& medium)> make_node{};
 };
 
-// Throws sim::SimulationError where the firmware would refuse the scenario's schedule, or where a node does
-// what its hardware would not bear.
+// Throws sim::SimulationError if the firmware would reject the scenario's schedule, or if a node does
+// something that its hardware does not allow.
 class SimulatedSite {
  public:
   SimulatedSite(const sim::Scenario& scenario, const SiteOptions& options);
 
-  // To t_s, the world's time. Returns early never.
+  // Runs to t_s, the world's time. Never returns early.
   void run_until(double t_s);
   [[nodiscard]] double now_s() const noexcept { return sim::to_seconds(network_.now()); }
 
   // Serial ports in the order of the scenario, tags first: "tag-1" and so on.
   [[nodiscard]] std::size_t port_count() const noexcept { return ports_.size(); }
   [[nodiscard]] const std::string& port_name(std::size_t port) const { return ports_.at(port).name; }
-  // Appends the bytes that have left the node's UART by now, at the line's bit rate.
+  // Appends the bytes that the node's UART has sent up to now_s(), at the line's bit rate.
   void take(std::size_t port, std::vector<std::uint8_t>& bytes);
-  // From the host to the node. False: more than its line's queue holds; nothing was sent.
+  // Sends bytes from the host to the node. False: they exceed the line's queue, and nothing was sent.
   bool send(std::size_t port, std::span<const std::uint8_t> bytes);
 
   [[nodiscard]] const sim::World& world() const noexcept { return world_; }

@@ -23,7 +23,7 @@ namespace groma::simulation {
 namespace {
 
 constexpr double kStep_s = 0.002;      // of the simulation
-constexpr double kMaxBehind_s = 0.25;  // of the wall clock: more than that is given up
+constexpr double kMaxBehind_s = 0.25;  // wall-clock delay; beyond it, the schedule is shifted
 
 [[noreturn]] void fail(const std::filesystem::path& path, const char* what) {
   const int error = errno;
@@ -49,7 +49,7 @@ const sockaddr* generic(const sockaddr_un& address) {
   return reinterpret_cast<const sockaddr*>(&address);
 }
 
-// Somebody serves the socket at that path.
+// Whether a program serves the socket at this address.
 bool is_served(const sockaddr_un& address) {
   const io::Descriptor client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
   return client.get() >= 0 && ::connect(client.get(), generic(address), sizeof address) == 0;
@@ -85,7 +85,7 @@ void LineServer::give(const std::string& lines) {
     clients_.push_back(std::move(client));
   }
   if (lines.empty()) return;
-  // Part of a line would leave the client with a torn one: it is cut off, and may come again.
+  // After a partial send the client's last line is incomplete: disconnect it; it may reconnect.
   const auto gone = std::remove_if(clients_.begin(), clients_.end(), [&](const io::Descriptor& client) {
     return ::send(client.get(), lines.data(), lines.size(), MSG_NOSIGNAL) !=
            static_cast<ssize_t>(lines.size());
@@ -104,7 +104,7 @@ SiteServer::SiteServer(const sim::Scenario& scenario, const Options& options)
     for (std::size_t i = 0; i < site_.port_count(); ++i) {
       ports_.emplace_back();
       const std::filesystem::path link = folder_ / site_.port_name(i);
-      if (std::filesystem::is_symlink(link)) ::unlink(link.c_str());  // a run's that was killed
+      if (std::filesystem::is_symlink(link)) ::unlink(link.c_str());  // left by a killed run
       if (::symlink(ports_.back().path().c_str(), link.c_str()) != 0) fail(link, "cannot be made");
       links_.push_back(link);
     }
@@ -117,7 +117,7 @@ SiteServer::SiteServer(const sim::Scenario& scenario, const Options& options)
 SiteServer::~SiteServer() {
   for (const std::filesystem::path& link : links_) ::unlink(link.c_str());
   ::unlink((folder_ / "robot.sock").c_str());
-  if (made_folder_) ::rmdir(folder_.c_str());  // unless others have put something there
+  if (made_folder_) ::rmdir(folder_.c_str());  // fails if other files are in it
 }
 
 void SiteServer::step(double t_s) {
@@ -125,7 +125,7 @@ void SiteServer::step(double t_s) {
   for (std::size_t i = 0; i < ports_.size(); ++i) {
     const std::size_t size = ports_[i].read(chunk);
     if (size > 0)
-      (void)site_.send(i, std::span(chunk).first(size));  // more than the line holds is lost, as there
+      (void)site_.send(i, std::span(chunk).first(size));  // what exceeds the line's queue is lost
   }
   site_.run_until(t_s);
   for (std::size_t i = 0; i < ports_.size(); ++i) {

@@ -1,6 +1,6 @@
-// A simulated site that runs in real time, or faster, for others to connect to: in a folder, a serial port
-// for each tag (tag-1 and so on; and anchors, if they come unconfigured) and a socket with the robot's
-// odometry and pose priors (robot.sock).
+// A simulated site that runs in real time, or faster, for other programs to connect to. In a folder it
+// provides a serial port for each tag (tag-1 and so on; also for anchors, if nodes are unconfigured) and a
+// socket with the robot's odometry and pose priors (robot.sock).
 #pragma once
 
 #include <csignal>
@@ -17,17 +17,17 @@
 
 namespace groma::simulation {
 
-// A Unix socket that gives every client the same lines, from when it connects on.
+// A Unix socket that sends the same lines to every client from when it connects.
 class LineServer {
  public:
-  // Throws io::DeviceError or io::PermissionError. A socket that is there already and that nobody serves is
-  // replaced.
+  // Throws io::DeviceError, io::PermissionError or, if the path is too long, io::PathError. An existing
+  // socket that no program serves is replaced.
   explicit LineServer(std::filesystem::path path);
   ~LineServer();
   LineServer(const LineServer&) = delete;
   LineServer& operator=(const LineServer&) = delete;
 
-  // Takes in who waits, and gives the lines to all. A client that does not read is cut off.
+  // Accepts waiting clients and sends the lines to all clients. A client that does not read is disconnected.
   void give(const std::string& lines);
 
   [[nodiscard]] std::size_t clients() const noexcept { return clients_.size(); }
@@ -42,25 +42,25 @@ class SiteServer {
  public:
   struct Options {
     SiteOptions site{};
-    double speed = 1.0;  // simulated seconds a second
+    double speed = 1.0;  // simulated seconds per second
     std::filesystem::path folder;
   };
 
-  // Makes the folder and its files; the destructor removes what it made. Throws what SimulatedSite and
-  // PtyPort throw, io::PathError and io::PermissionError where the folder cannot be had.
+  // Creates the folder and its files; the destructor removes them. Throws what SimulatedSite, PtyPort and
+  // LineServer throw, and io::PathError or io::PermissionError if the folder cannot be created.
   SiteServer(const sim::Scenario& scenario, const Options& options);
   ~SiteServer();
   SiteServer(const SiteServer&) = delete;
   SiteServer& operator=(const SiteServer&) = delete;
 
-  // Until `stop` is set, or for simulated_s if that is above 0. Where the machine is too slow it falls behind
-  // and says so by behind_s().
+  // Runs until `stop` is set, or for simulated_s seconds if that is above 0. If the machine is too slow, the
+  // site falls behind by behind_s().
   void run(const volatile std::sig_atomic_t& stop, double simulated_s = 0.0);
 
-  // The serial ports that it serves.
+  // Paths of the serial ports.
   [[nodiscard]] const std::vector<std::filesystem::path>& ports() const noexcept { return links_; }
   [[nodiscard]] double now_s() const noexcept { return site_.now_s(); }
-  // How much later than asked for it went, all together.
+  // Total delay against the requested speed, in wall-clock seconds.
   [[nodiscard]] double behind_s() const noexcept { return behind_s_; }
 
  private:
