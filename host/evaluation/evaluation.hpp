@@ -32,7 +32,7 @@ struct PoseError {
 [[nodiscard]] std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estimate,
                                                  std::span<const model::PoseSample> truth);
 
-// Spans where the truth repeats one pose and then jumps, as the output of a motion-capture system that lost
+// Spans where the truth repeats one pose and then jumps, as the output of a tracking system that lost
 // the robot: at least kFewRepeats equal rows within kMaxFrozen_s, followed by a step of kLeastJump_m or more
 // at over kJumpFactor times the speed of the step before the span and of the step after the jump. A
 // stationary robot that moves off does not match.

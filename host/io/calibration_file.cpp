@@ -26,7 +26,7 @@ constexpr std::array<std::string_view, 6> kAnchorVerdicts{"ok",    "weak-z", "we
                                                           "moved", "no-data"};
 constexpr std::array<std::string_view, 3> kVerdicts{"usable", "warnings", "unusable"};
 
-// A file that was mended by hand may disagree with itself by rounding.
+// Relative tolerance: a file edited by hand may be inconsistent by rounding.
 constexpr double kAgreement = 1e-6;
 
 using Output = std::back_insert_iterator<std::string>;
@@ -35,7 +35,7 @@ bool all_finite(const Eigen::MatrixXd& matrix) {
   return matrix.array().isFinite().all();
 }
 
-// JSON's strings are YAML 1.2's double-quoted ones.
+// A JSON string is a valid double-quoted YAML 1.2 string.
 std::string yaml_text(std::string_view text) {
   return nlohmann::json(text).dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
 }
@@ -176,7 +176,8 @@ model::TagCalibration parse_tag(const YamlValue& yaml) {
   return tag;
 }
 
-// The block that position and pair variances make where the file has none of its own.
+// The anchor's block from the position's covariance and the pairs' variances, for a file without
+// block_covariance.
 Eigen::MatrixXd block_of(const Eigen::MatrixXd& position, const std::vector<model::PairBias>& pairs) {
   const auto tags = static_cast<Eigen::Index>(pairs.size());
   Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags, 3 + 2 * tags);

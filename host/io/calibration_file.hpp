@@ -1,4 +1,4 @@
-// The calibration file: YAML 1.2, schema 1, which people may read and mend.
+// The calibration file: YAML 1.2, schema 1; users may read and edit it.
 #pragma once
 
 #include <filesystem>
@@ -9,16 +9,16 @@
 
 namespace groma::io {
 
-// Words of the verdicts, as files and JSON have them: ok, weak-z, weak, never-in-sight, moved, no-data; and
-// usable, warnings, unusable.
+// Names of the verdicts in files and JSON: ok, weak-z, weak, never-in-sight, moved, no-data; and usable,
+// warnings, unusable.
 [[nodiscard]] std::string_view word(model::AnchorVerdict verdict);
 [[nodiscard]] std::string_view word(model::Verdict verdict);
 
-// Numbers are as short as they read back exactly. What is not finite cannot stand in the file: the anchor's
-// entry then says `null` for its position and covariance.
+// Numbers have the shortest form that reads back exactly. If an anchor's position or covariance is not
+// finite, its entry has `null` for both and no pairs.
 [[nodiscard]] std::string format_calibration(const model::Calibration& calibration);
 
-// The reverse, strict. `path` is for the messages. Throws ConfigError.
+// Strict inverse of format_calibration(). `path` is used in error messages. Throws ConfigError.
 [[nodiscard]] model::Calibration parse_calibration(const std::filesystem::path& path,
                                                    const std::string& text);
 

@@ -21,7 +21,7 @@ std::string_view trimmed(std::string_view text) {
   return text;
 }
 
-// The first field of a line; takes it and its comma off. `more` tells whether another follows.
+// Removes the first field and its comma from a line, and returns the field. `more`: whether another follows.
 std::string_view take_field(std::string_view& line, bool& more) {
   const std::size_t comma = line.find(',');
   more = comma != std::string_view::npos;
@@ -38,7 +38,7 @@ std::errc parse_whole(std::string_view field, Number& value) {
   return last == end ? std::errc() : std::errc::invalid_argument;
 }
 
-// from_chars knows no leading plus.
+// from_chars does not accept a leading plus.
 std::string_view without_plus(std::string_view field) {
   return field.size() > 1 && field.front() == '+' && field[1] != '-' ? field.substr(1) : field;
 }
@@ -156,7 +156,7 @@ bool CsvReader::next() {
 double CsvReader::number(std::size_t column) const {
   const std::string_view field = fields_[column];
   double value = 0.0;
-  // The common case without a place, which costs an allocation.
+  // Common case first: constructing the place would allocate.
   if (parse_whole(field, value) == std::errc() && std::isfinite(value)) return value;
   return parse_number(field, place(column));
 }

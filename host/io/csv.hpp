@@ -1,5 +1,6 @@
-// Strict, fast reading of comma-separated tables: columns by header name in any order, further columns
-// allowed, CRLF and a byte order mark tolerated, blank lines and lines that begin with # left out.
+// Strict, fast reader of comma-separated tables. Columns are found by header name in any order; further
+// columns are allowed, CRLF and a byte order mark are tolerated, blank lines and lines that begin with # are
+// skipped.
 #pragma once
 
 #include <cstddef>
@@ -15,12 +16,12 @@
 
 namespace groma::io {
 
-// Lines of a text, one by one, with what is blank or a comment left out.
+// Iterates over the lines of a text; skips blank lines and comments.
 class LineReader {
  public:
   explicit LineReader(std::string_view text) : rest_(text) {}
 
-  // Goes to the next line, without its end; false when there is none.
+  // Advances to the next line, which excludes its line end; false at the end of the text.
   bool next();
   [[nodiscard]] std::string_view line() const { return line_; }
   [[nodiscard]] std::size_t number() const { return number_; }  // from 1
@@ -31,9 +32,9 @@ class LineReader {
   std::size_t number_ = 0;
 };
 
-// Number in a field; throws DataError at `place` unless the whole field is one finite number.
+// The number in a field. Throws DataError at `place` unless the whole field is one finite number.
 [[nodiscard]] double parse_number(std::string_view field, const FilePlace& place);
-// The same for a whole number.
+// The whole number in a field. Throws DataError at `place` unless the field is one.
 [[nodiscard]] std::int64_t parse_integer(std::string_view field, const FilePlace& place);
 
 class CsvReader {
@@ -44,22 +45,23 @@ class CsvReader {
     Presence presence = Presence::kRequired;
   };
 
-  // Reads the header; `text` outlives the reader. Throws DataError if the text is empty or the header lacks
-  // a required column or has a wanted one twice.
+  // Reads the header; `text` has to outlive the reader. Throws DataError if the text is empty, if the header
+  // lacks a required column, or if one of `columns` occurs twice.
   CsvReader(std::filesystem::path path, std::string_view text, std::initializer_list<Column> columns);
 
-  // Goes to the next row; false at the end. Throws DataError if its number of fields is not the header's.
+  // Advances to the next row; false at the end. Throws DataError if its number of fields differs from the
+  // header's.
   bool next();
 
-  // Fields of this row, by the column's index in the constructor's list. Text, NaN and infinity throw
+  // A field of the current row; `column` is the index in the constructor's list. Text, NaN and infinity throw
   // DataError with line and column.
   [[nodiscard]] double number(std::size_t column) const;
   [[nodiscard]] std::int64_t integer(std::size_t column) const;
-  // None where the column is absent, or its field is empty or NaN: unknown.
+  // None (unknown) if the column is absent or its field is empty; optional_number() also for NaN.
   [[nodiscard]] std::optional<double> optional_number(std::size_t column) const;
   [[nodiscard]] std::optional<std::int64_t> optional_integer(std::size_t column) const;
 
-  // False where the column is absent or its field is empty.
+  // False if the column is absent or its field is empty.
   [[nodiscard]] bool has(std::size_t column) const;
 
   // Place of the row, or of one of its fields.
@@ -75,7 +77,7 @@ class CsvReader {
   std::size_t header_fields_ = 0;
   std::vector<std::size_t> wanted_of_field_;  // index into fields_, or kAbsent
   std::vector<std::size_t> field_of_wanted_;  // index into the row, or kAbsent
-  std::vector<std::string_view> fields_;      // of this row, in the order of the constructor's list
+  std::vector<std::string_view> fields_;      // of the current row, in the order of the constructor's list
 };
 
 }  // namespace groma::io

@@ -29,8 +29,8 @@ using Presence = CsvReader::Presence;
 constexpr std::array<std::string_view, 2> kOrigins{"recorded", "simulated"};
 constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
 
-// Rows in the order of time. A row more than kMaxLateness_s behind the latest before it is dropped; so is one
-// that has jumped ahead of most rows that follow, which else would make all of those late.
+// Sorts rows by time. A row more than kMaxLateness_s behind the latest row before it is dropped. So is a row
+// ahead of most of the following rows: it would make all of them late.
 template <typename Sample, typename Key>
 void put_in_order(std::vector<Sample>& samples, const Key& key, DroppedRows& dropped) {
   constexpr std::ptrdiff_t kRowsAhead = 16;
@@ -68,8 +68,9 @@ void put_in_order(std::vector<Sample>& samples, DroppedRows& dropped) {
       samples, [](const Sample& sample) { return sample.t_s; }, dropped);
 }
 
-// Odometry comes from one source, in order. A sample that is out of order by more than a few others has a
-// wrong timestamp: its velocity is of another time, and the samples around it give that time's.
+// Odometry comes from one source, in order. A sample that is out of order by more than a few samples has a
+// wrong timestamp: its velocity belongs to another time, and sorting it in would contradict the samples
+// there.
 void put_in_order(std::vector<model::OdometrySample>& odometry, DroppedRows& dropped) {
   std::vector<model::OdometrySample> kept;
   kept.reserve(odometry.size());
@@ -96,14 +97,14 @@ constexpr auto kRangeKey = [](const model::RangeSample& range) {
   return std::tuple(range.t_s, range.tag_id, range.anchor_id, range.range_m);
 };
 
-// An id that may be wrong: none where it is no 16-bit number.
+// The id in a field; none if it is not a 16-bit number.
 std::optional<model::NodeId> node_id(const CsvReader& csv, std::size_t column) {
   const std::int64_t id = csv.integer(column);
   if (id < 0 || id > kMaxId) return std::nullopt;
   return static_cast<model::NodeId>(id);
 }
 
-// The rows id,x_m,y_m,z_m of tags.csv and anchors.csv, by id.
+// The rows id,x_m,y_m,z_m of tags.csv or anchors.csv, sorted by id.
 std::vector<std::pair<model::NodeId, Eigen::Vector3d>> parse_points(const std::filesystem::path& path,
                                                                     std::string_view text,
                                                                     std::string_view id_column) {
@@ -149,13 +150,13 @@ float optional_float(const CsvReader& csv, std::size_t column) {
   return value ? static_cast<float>(*value) : model::kUnknown;
 }
 
-// A field that holds one of 0 to `largest`, or else nothing is known.
+// A field's whole number; 0 (unknown) unless it is within 0 to `largest`.
 std::uint8_t optional_code(const CsvReader& csv, std::size_t column, std::uint8_t largest) {
   const std::int64_t code = csv.optional_integer(column).value_or(0);
   return code >= 0 && code <= largest ? static_cast<std::uint8_t>(code) : std::uint8_t{0};
 }
 
-// `anchors` is null where any anchor may answer.
+// `anchors` is null if every anchor is accepted.
 std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, std::string_view text,
                                              const std::vector<model::Tag>& tags,
                                              const std::vector<model::Anchor>* anchors,
@@ -212,13 +213,13 @@ std::vector<model::OdometrySample> parse_odometry(const std::filesystem::path& p
   return odometry;
 }
 
-// Rows that are implausible are dropped; where they are half of all or more, it is the file that is wrong.
+// Implausible rows are dropped; if they are half of all rows or more, the file is wrong: finish() throws.
 class ImplausibleRows {
  public:
   void add(const CsvReader& csv, const char* problem, const char* remedy) {
     if (count_++ == 0) first_ = DataError(csv.row_place(), problem, remedy);
   }
-  // kept: the rows that were not.
+  // kept: the number of plausible rows.
   void finish(std::size_t kept, DroppedRows& dropped) const {
     if (first_ && count_ >= kept) throw DataError(*first_);
     dropped.implausible += count_;
@@ -232,7 +233,7 @@ class ImplausibleRows {
 constexpr const char* kNoRobot = "no ground robot is there, or is held so";
 constexpr const char* kNoRobotRemedy = "metres and radians are wanted; take the row out";
 
-// The six fields from `first` on; none where all are empty.
+// The six fields from `first` on; none if all are empty.
 std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, std::size_t first) {
   model::PoseCovariance terms{};
   std::size_t given = 0;
@@ -247,7 +248,7 @@ std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, s
   return terms;
 }
 
-// Whether the row is to be kept.
+// Whether to keep the row.
 bool check(const CsvReader& csv, const model::PoseSample& pose, ImplausibleRows& implausible) {
   if (pose.covariance && !model::is_covariance(*pose.covariance)) {
     implausible.add(
@@ -325,7 +326,7 @@ void parse(const std::filesystem::path& path, std::string_view text,
   put_in_order(positions, dropped);
 }
 
-// As parse_poses() reads them, without a height and each with its covariance.
+// Like parse_poses(), but without a height, and with a covariance in each row.
 void parse(const std::filesystem::path& path, std::string_view text, std::vector<model::PoseSample>& poses,
            DroppedRows& dropped) {
   CsvReader csv(path, text,
@@ -392,7 +393,7 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
 }
 
-// Drops what read_dataset() would drop of a folder's ranges.
+// Drops the ranges that read_dataset() would drop from a folder.
 std::vector<model::RangeSample> keep_good(const std::vector<model::RangeSample>& ranges,
                                           const std::vector<model::Tag>& tags, DroppedRows& dropped) {
   const std::vector<bool> known_tags = known_ids(tags);

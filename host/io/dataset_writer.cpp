@@ -107,7 +107,7 @@ std::string format_spline(const model::BSpline& spline) {
 
 namespace {
 
-// Of the optional columns after the powers those that some row knows.
+// Writes an optional column after the powers only if at least one row has a value for it.
 std::string format_ranges(std::span<const model::RangeSample> ranges) {
   using model::RangeSample;
   const auto some = [&](const auto& knows) { return std::any_of(ranges.begin(), ranges.end(), knows); };

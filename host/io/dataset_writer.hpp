@@ -1,4 +1,4 @@
-// Data sets out: what dataset.hpp reads.
+// Writes the data sets that dataset.hpp reads.
 #pragma once
 
 #include <filesystem>
@@ -9,19 +9,17 @@
 
 namespace groma::io {
 
-// What tells of the site and the robot: tags.csv, surface.csv (of a spline; of the i-th of several
-// floors surface_i.csv), and last dataset.yaml, with
-// which a folder is whole.
+// The files that describe the site and the robot: tags.csv, surface.csv (for a spline; surface_i.csv for the
+// i-th of several floors), and last dataset.yaml, which completes a folder.
 [[nodiscard]] std::vector<DescriptionFile> describe(const Dataset& dataset);
 
-// The file of a spline surface.
+// The text of a spline surface's file.
 [[nodiscard]] std::string format_spline(const model::BSpline& spline);
 
-// Writes the folder's files, each whole or not at all, numbers as short as they read back exactly. From a
-// folder that was empty read_dataset() reads an equal data set, except what describes the reading: `dropped`,
-// `log` and `sha256`. A table without rows has no file, except ranges.csv and odometry.csv: without
-// pose_prior.csv the ground truth is read in its place. Name and origin contain no line ends. Throws as
-// write_file().
+// Writes the folder's files, each atomically; numbers have the shortest form that reads back exactly. If the
+// folder was empty, read_dataset() then reads an equal data set, except `dropped`, `log` and `sha256`. A
+// table without rows has no file, except ranges.csv and odometry.csv; without pose_prior.csv, read_dataset()
+// takes the ground truth instead. Name and origin must not contain line ends. Throws as write_file().
 void write_dataset(const std::filesystem::path& folder, const Dataset& dataset);
 
 }  // namespace groma::io

@@ -1,4 +1,4 @@
-// An open file descriptor, closed with its owner.
+// An owned file descriptor, closed by the destructor.
 #pragma once
 
 #include <unistd.h>
@@ -25,7 +25,7 @@ class Descriptor {
 
   [[nodiscard]] int get() const noexcept { return fd_; }
   [[nodiscard]] bool valid() const noexcept { return fd_ >= 0; }
-  // As ::close(); 0 if it is closed already.
+  // Like ::close(); 0 if it is already closed.
   int close() noexcept {
     const int fd = std::exchange(fd_, -1);
     return fd >= 0 ? ::close(fd) : 0;

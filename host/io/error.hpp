@@ -1,5 +1,4 @@
-// What can go wrong at a file: each kind is an exception of its own, and each message names the place and
-// says what to do.
+// Errors of files. Each kind has its own exception; each message names the place and says what to do.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +16,7 @@ struct FilePlace {
   std::size_t column = 0;
 };
 
-// "path:line:column", as compilers print it, without the parts that are unknown.
+// "path:line:column", as compilers print it, without unknown parts.
 [[nodiscard]] std::string to_string(const FilePlace& place);
 
 class Error : public std::runtime_error {
@@ -31,17 +30,17 @@ class DataError : public Error {
   using Error::Error;
 };
 
-// A configuration, or another YAML file, that is not as it has to be.
+// A configuration or another YAML file with invalid content.
 class ConfigError : public Error {
   using Error::Error;
 };
 
-// A file that may not be read or written.
+// A file that this user may not read or write.
 class PermissionError : public Error {
   using Error::Error;
 };
 
-// A place to write to that does not exist, or is no file.
+// An output path whose folder does not exist, or that is not a file.
 class PathError : public Error {
   using Error::Error;
 };
@@ -51,7 +50,7 @@ class DeviceError : public Error {
   using Error::Error;
 };
 
-// Text of a file as it may stand in a message: short, and printable whatever it holds.
+// Text of a file, quoted for a message: at most 40 characters, with non-printable ones escaped.
 [[nodiscard]] std::string shown(std::string_view text);
 
 }  // namespace groma::io

@@ -1,14 +1,14 @@
-// How each command ends; scripts rely on the numbers.
+// Exit codes of the commands; scripts rely on the numbers.
 #pragma once
 
 namespace groma::io {
 
 enum ExitCode : int {
   kGood = 0,
-  kUsage = 2,  // also a path to write to that makes no sense
+  kUsage = 2,  // also an output path that is not usable
   kDoneWithWarnings = 3,
-  kBadData = 65,      // or a result that is not usable
-  kUnavailable = 69,  // a device or service
+  kBadData = 65,      // also a result that is not usable
+  kUnavailable = 69,  // device or service
   kNoPermission = 77,
   kBadConfiguration = 78,
 };

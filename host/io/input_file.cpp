@@ -30,13 +30,13 @@ namespace {
   throw DataError({path}, fmt::format("cannot be read ({})", reason), "give a readable file");
 }
 
-// Of what is no regular file, and may never end: pipes, /dev/zero.
+// Limit for non-regular files, which may never end: pipes, /dev/zero.
 constexpr std::size_t kMaxStreamBytes = std::size_t{64} << 20U;
 
 }  // namespace
 
 std::string read_file(const std::filesystem::path& path) {
-  // To open a FIFO would wait for a writer.
+  // O_NONBLOCK: otherwise opening a FIFO would wait for a writer.
   const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
   if (file.get() < 0) throw_unreadable(path, errno);
   struct stat status {};
@@ -45,7 +45,7 @@ std::string read_file(const std::filesystem::path& path) {
   if (::fcntl(file.get(), F_SETFL, 0) != 0) throw_unreadable(path, errno);
   const bool regular = S_ISREG(status.st_mode);
 
-  // The size is a hint only: pipes have none, and a file may grow.
+  // The size is only a hint: pipes have none, and a file may grow.
   std::string text(static_cast<std::size_t>(status.st_size) + 1, '\0');
   std::size_t size = 0;
   for (;;) {

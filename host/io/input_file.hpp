@@ -1,4 +1,4 @@
-// Whole files into memory, and the digest that tells later which files they were.
+// Reads whole files into memory, and computes a digest that identifies them.
 #pragma once
 
 #include <filesystem>
@@ -8,24 +8,24 @@
 
 namespace groma::io {
 
-// A pipe is read to its end, too. Throws DataError (missing, a folder, unreadable, a pipe that nobody writes
-// to, no regular file and longer than 64 MiB) or PermissionError.
+// Also reads a pipe, up to its end. Throws DataError (missing, a folder, unreadable, a pipe without a writer,
+// or a non-regular file longer than 64 MiB) or PermissionError.
 [[nodiscard]] std::string read_file(const std::filesystem::path& path);
 
 // Hexadecimal SHA-256.
 [[nodiscard]] std::string sha256(std::string_view bytes);
 
-// Reads files and remembers their digests.
+// Reads files and stores their digests.
 class InputFiles {
  public:
-  // As read_file(); a file that was provided is taken from there.
+  // Like read_file(); a provided text takes precedence over the disk.
   [[nodiscard]] std::string read(const std::filesystem::path& path);
 
-  // The text of a file that is not on the disk by itself.
+  // Sets the text of a file that does not exist on the disk.
   void provide(const std::filesystem::path& path, std::string text);
 
-  // One digest of all files read so far: what `sha256sum FILES | sha256sum` prints, with the files' bare
-  // names in alphabetical order. Files of the same name count once.
+  // One digest of all files read so far, equal to that of `sha256sum FILES | sha256sum` with the bare file
+  // names in alphabetical order. Files with the same name count once.
   [[nodiscard]] std::string digest() const;
 
  private:

@@ -100,13 +100,13 @@ void add(groma_LogTimes& out, const model::ZeroVelocitySample& sample) {
   out.t_s[out.t_s_count++] = sample.t_s;
 }
 
-// Columns that nothing is known in are left out.
+// Omits a column in which all values are unknown.
 template <typename Value>
 void drop_if_all(pb_size_t& count, const Value* values, Value unknown) {
   if (std::all_of(values, values + count, [&](Value value) { return value == unknown; })) count = 0;
 }
 
-// Most columns are there in each record.
+// Most records have no optional columns.
 template <typename Columns>
 void drop_unknown_columns(Columns& /*columns*/) {}
 
@@ -133,7 +133,7 @@ void drop_unknown_columns(groma_LogPoses& poses) {
 
 constexpr pb_size_t kTerms{model::PoseCovariance{}.size()};
 
-// Of one pose: true where nothing is known of it, or what is known can be a covariance.
+// The covariance of one pose: true if it is unknown (all NaN) or valid.
 bool take_covariance(const float* terms, std::optional<model::PoseCovariance>& out) {
   model::PoseCovariance wide{};
   std::copy(terms, terms + kTerms, wide.begin());
@@ -146,7 +146,7 @@ bool all_finite(const double* values, pb_size_t count) {
   return std::all_of(values, values + count, [](double value) { return std::isfinite(value); });
 }
 
-// False, and nothing taken, where the columns do not belong together or hold what no measurement can.
+// Returns false, and takes nothing, if the columns differ in length or hold values that no measurement has.
 bool take(const groma_LogRanges& in, std::vector<model::RangeSample>& out) {
   const pb_size_t n = in.t_s_count;
   const auto whole = [n](pb_size_t count) { return count == n; };
@@ -268,7 +268,7 @@ void take(const groma_LogFile& in, std::vector<DescriptionFile>& out) {
   out.back().text.append(reinterpret_cast<const char*>(in.content.bytes), in.content.size);
 }
 
-// False where the record cannot be one of ours.
+// False if the record is invalid.
 bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSection>& sections) {
   if (record.which_body == groma_LogRecord_start_tag) {
     LogSection& section = sections.emplace_back();
@@ -307,10 +307,10 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
 
 }  // namespace
 
-// The records that are being filled, and room to encode one.
+// The records being filled, and buffers to encode one.
 struct LogEncoder::Records {
   using Body = decltype(groma_LogRecord::body);
-  // One record of columns, which is empty again each time it was appended.
+  // One record of columns; it is cleared after it is appended.
   template <typename Columns>
   struct Filling {
     Filling(pb_size_t tag, Columns Body::*of_body) : which(tag), member(of_body) { clear(); }
@@ -335,7 +335,7 @@ struct LogEncoder::Records {
               {groma_LogRecord_positions_tag, &Body::positions},
               {groma_LogRecord_absolute_poses_tag, &Body::absolute_poses},
               {groma_LogRecord_zero_velocities_tag, &Body::zero_velocities}};
-  std::int64_t network_time_dtu = 0;  // of the last range of the record
+  std::int64_t network_time_dtu = 0;  // of the record's last range
   std::array<std::uint8_t, groma_LogRecord_size> payload{};
   std::array<std::uint8_t, wire::max_encoded_size(groma_LogRecord_size)> frame{};
 
@@ -357,7 +357,7 @@ struct LogEncoder::Records {
   }
   void append(const groma_LogRecord& record, std::string& out) {
     pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
-    if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot be: there is room for any
+    if (!pb_encode(&stream, groma_LogRecord_fields, &record)) return;  // cannot happen: the buffer fits
     const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
     out.append(reinterpret_cast<const char*>(frame.data()), size);
   }
@@ -424,7 +424,7 @@ LogContent parse_log(std::string_view bytes, std::optional<std::size_t> only) {
   LogContent content;
   const auto decoder = std::make_unique<wire::FrameDecoder>();
   groma_LogRecord record = groma_LogRecord_init_zero;
-  std::size_t section = 0;  // that the frame belongs to
+  std::size_t section = 0;  // of the current frame, from 1
   for (const char byte : bytes) {
     if (!decoder->push(static_cast<std::uint8_t>(byte))) continue;
     const std::span<const std::uint8_t> payload = decoder->payload();
@@ -432,7 +432,7 @@ LogContent parse_log(std::string_view bytes, std::optional<std::size_t> only) {
     record = groma_LogRecord_init_zero;
     const bool understood = pb_decode(&stream, groma_LogRecord_fields, &record);
     if (understood && record.which_body == groma_LogRecord_start_tag) {
-      // What comes last is not known yet: what an earlier section had is let go when the next begins.
+      // The last section is not known in advance: drop a section's samples when the next one begins.
       if (!only && !content.sections.empty()) {
         content.sections.back().samples = {};
       }

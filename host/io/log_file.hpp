@@ -1,5 +1,5 @@
-// The log of a drive: measurements as they came, one record a frame (proto/log.proto), appended and never
-// changed. Whatever part of a file is lost or torn, the other frames are read.
+// The log of a drive: measurements in order of arrival, one record per frame (proto/log.proto), append-only.
+// If parts of a file are lost or damaged, the remaining frames can still be read.
 #pragma once
 
 #include <cstddef>
@@ -16,7 +16,7 @@
 
 namespace groma::io {
 
-// Measurements to bytes. What was put stays here until a record is full, or flush() is called.
+// Encodes measurements to bytes. Samples are buffered until a record is full or flush() is called.
 class LogEncoder {
  public:
   LogEncoder();
@@ -24,7 +24,7 @@ class LogEncoder {
   LogEncoder(const LogEncoder&) = delete;
   LogEncoder& operator=(const LogEncoder&) = delete;
 
-  // Begins a section with the site's description; times before and after do not compare.
+  // Begins a section with the site's description. Times of different sections are not comparable.
   void begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns);
 
   void put(const model::RangeSample& range);
@@ -33,7 +33,7 @@ class LogEncoder {
   void put(const model::SensorSample& sample);
   void flush();
 
-  // The bytes of whole frames so far, which are then forgotten.
+  // Returns the bytes of the complete frames and clears them.
   [[nodiscard]] std::string take();
   [[nodiscard]] std::size_t size() const noexcept { return bytes_.size(); }
 
@@ -44,7 +44,7 @@ class LogEncoder {
   std::unique_ptr<Records> records_;
 };
 
-// As they came: late ones out of order.
+// In order of arrival: late samples are out of order.
 struct LogSamples {
   std::vector<model::RangeSample> ranges;
   std::vector<model::OdometrySample> odometry;
@@ -54,17 +54,18 @@ struct LogSamples {
 
 struct LogSection {
   std::string program_version;
-  std::uint64_t unix_time_ns = 0;  // of the computer, when it began
+  std::uint64_t unix_time_ns = 0;  // the computer's time at the section's start
   std::vector<DescriptionFile> description;
   LogSamples samples;
 };
 
 struct LogContent {
   std::vector<LogSection> sections;
-  std::size_t damaged_bytes = 0;  // of frames that are torn or not understood
+  std::size_t damaged_bytes = 0;  // in frames that are damaged or not understood
 };
 
-// `only`: the samples of this section alone, from 1; the others are then empty. None: of the last.
+// `only`: read the samples of this section only, from 1; the other sections have none. None: the last
+// section.
 [[nodiscard]] LogContent parse_log(std::string_view bytes, std::optional<std::size_t> only = std::nullopt);
 
 }  // namespace groma::io

@@ -53,7 +53,7 @@ std::filesystem::path folder_of(const std::filesystem::path& path) {
   return folder.empty() ? "." : folder;
 }
 
-// What a link points to: renaming would replace the link itself.
+// The target of a symbolic link: renaming would replace the link itself.
 std::filesystem::path target_of(const std::filesystem::path& path) {
   std::error_code error;
   if (!std::filesystem::is_symlink(path, error)) return path;
@@ -68,7 +68,7 @@ bool is_special(const std::filesystem::path& path) {
          !std::filesystem::is_directory(status);
 }
 
-// A file beside the target that is gone again unless it took the target's place.
+// A file beside the target; the destructor removes it unless it has replaced the target.
 class TemporaryFile {
  public:
   explicit TemporaryFile(const std::filesystem::path& target) : target_(target) {
@@ -100,8 +100,8 @@ class TemporaryFile {
   void replace_target() {
     if (std::rename(path_.c_str(), target_.c_str()) != 0) throw_unwritable(target_, errno);
     kept_ = true;
-    // The new name lasts once the folder is on the disk; where that cannot be asked for, the file is whole
-    // still.
+    // The rename is durable once the folder is flushed; if the folder cannot be opened, the file is still
+    // complete.
     const Descriptor folder(::open(folder_of(target_).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
     if (folder.get() >= 0) ::fsync(folder.get());
   }

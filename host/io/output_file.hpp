@@ -1,4 +1,4 @@
-// Files out: whole, or not at all.
+// Atomic output files.
 #pragma once
 
 #include <filesystem>
@@ -6,16 +6,16 @@
 
 namespace groma::io {
 
-// Throws as write_file() would if it is plain already that it will fail: for before the long work.
+// Throws as write_file() if writing would certainly fail. Call it before long computations.
 void expect_writable(const std::filesystem::path& path);
 
-// Replaces the file in one step: a temporary file beside it, flushed to the disk, then renamed, so that a
-// reader, a crash or a full disk never meets half a file. What is no regular file (/dev/stdout) is written
-// directly. Throws PathError (no such folder, or a folder itself), PermissionError or DeviceError; the old
-// content is then untouched.
+// Replaces the file atomically: writes a temporary file beside it, flushes it to the disk and renames it, so
+// that neither a reader nor a crash nor a full disk leaves a partial file. A non-regular file (/dev/stdout)
+// is written directly. Throws PathError (no such folder, or a folder itself), PermissionError or DeviceError;
+// the old content then remains.
 void write_file(const std::filesystem::path& path, std::string_view content);
 
-// Makes the folder, and those above it, unless it is there. Throws as write_file().
+// Creates the folder and its parents if they do not exist. Throws as write_file().
 void make_folder(const std::filesystem::path& path);
 
 }  // namespace groma::io

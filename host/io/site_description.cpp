@@ -42,7 +42,7 @@ double parse_coordinate(std::string_view field, const FilePlace& place) {
 // A file with the line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny heights.
 struct HeightGrid {
   model::BSpline::Grid grid;
-  std::vector<double> heights_m;  // NaN: not known
+  std::vector<double> heights_m;  // NaN: unknown
 };
 
 // The fields of a line.
@@ -57,7 +57,7 @@ std::vector<std::string_view> fields_of(std::string_view line) {
   return fields;
 }
 
-// least: of nx and ny; with_gaps: a height may be empty or nan.
+// least: lower bound of nx and ny; with_gaps: a height may be empty or nan.
 HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, double least,
                       bool with_gaps) {
   LineReader lines(text);
@@ -127,7 +127,7 @@ model::BSpline parse_spline(const std::filesystem::path& path, std::string_view 
   return {parsed.grid, std::move(parsed.heights_m)};
 }
 
-// Where the file begins with a number it is a grid.
+// A file that begins with a number is a grid.
 bool begins_with_number(std::string_view text) {
   LineReader lines(text);
   if (!lines.next()) return false;
@@ -186,7 +186,7 @@ std::vector<Eigen::Vector2d> parse_domain(const YamlValue& yaml) {
   return corners;
 }
 
-// Of one sheet; name and domain are the caller's.
+// Parses one chart; the caller sets its name and domain.
 model::Chart parse_chart(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
   model::Chart chart;
   const std::size_t type = yaml.find("type").has_value() ? yaml.at("type").one_of(kSurfaceTypes) : 0;

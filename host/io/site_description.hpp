@@ -1,5 +1,5 @@
-// Parts of YAML files that data sets and the daemon's configuration have in common: what is known of a site
-// and a robot beforehand.
+// Parts of YAML files shared by data sets and the daemon's configuration: the description of a site and a
+// robot.
 #pragma once
 
 #include <filesystem>
@@ -16,28 +16,31 @@
 
 namespace groma::io {
 
-// {type: plane, z_m: ..., normal: [x, y, z]}; {type: bspline, file: ...}, the file relative to `folder`: a
-// line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny control heights; {type: points, file: ...} or {type:
-// grid, file: ...}, heights that a spline is fitted to here; each perhaps with its mismatch; or {type:
-// floors, floors: [...]} of these. Throws ConfigError, DataError or PermissionError.
+// Accepts
+//   {type: plane, z_m: ..., normal: [x, y, z]};
+//   {type: bspline, file: ...}: the file, relative to `folder`, has a line x0_m,y0_m,dx_m,dy_m,nx,ny, then nx
+//   rows of ny control heights;
+//   {type: points, file: ...} or {type: grid, file: ...}: heights, to which this function fits a spline;
+//   {type: floors, floors: [...]} of these.
+// Each but the last may have a mismatch. Throws ConfigError, DataError or PermissionError.
 [[nodiscard]] model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder,
                                            InputFiles& files);
 
 // {sigma_vx_mps: ..., sigma_vy_mps: ..., sigma_omega_radps: ...}. Throws ConfigError.
 [[nodiscard]] model::OdometryNoise parse_odometry_noise(const YamlValue& yaml);
 
-// imu: {sigma_omega_radps: ..., bias_sigma_radps: ...} and gnss: {lever_arm_m: [x, y, z]} of a map, where
-// they are there. Throws ConfigError.
+// The optional keys imu: {sigma_omega_radps: ..., bias_sigma_radps: ...} and gnss: {lever_arm_m: [x, y, z]}
+// of a map. Throws ConfigError.
 [[nodiscard]] model::SensorDescription parse_sensors(const YamlValue& yaml);
 
-// {sigma_m: ...}, and perhaps beta_m and gamma, each [mean, sigma]. Throws ConfigError.
+// {sigma_m: ...} with optional beta_m and gamma, each [mean, sigma]. Throws ConfigError.
 [[nodiscard]] model::RangePriors parse_range_priors(const YamlValue& yaml);
 
-// Points (x, y, z) of a table with the columns x_m, y_m and z_m, or of a grid as a spline's file has it, its
-// heights those of the ground itself, empty or nan where they are not known. Throws DataError.
+// Points (x, y, z) from a table with the columns x_m, y_m and z_m, or from a grid in the format of a spline's
+// file whose heights are those of the ground; unknown heights are empty or nan. Throws DataError.
 [[nodiscard]] std::vector<Eigen::Vector3d> parse_heights(const std::filesystem::path& path,
                                                          std::string_view text);
-// A surface through them. Throws DataError.
+// Fits a surface to these points. Throws DataError.
 [[nodiscard]] model::SurfaceFit fit_heights(const std::filesystem::path& path, std::string_view text,
                                             const model::SurfaceFitOptions& options);
 

@@ -1,4 +1,4 @@
-// Version of this program, as files and streams carry it.
+// Version of this program, as in files and streams.
 #pragma once
 
 #include <string_view>

@@ -123,7 +123,7 @@ std::vector<double> YamlValue::numbers(std::size_t size) const {
 }
 
 std::string YamlValue::plain_scalar(std::string_view wanted) const {
-  // A quoted scalar carries the tag "!": it is text, whatever it looks like.
+  // A quoted scalar has the tag "!": it is text, even if it looks like a number.
   if (!node_.IsScalar() || node_.Tag() == "!")
     fail(fmt::format("is not {}", wanted), fmt::format("write {}", wanted));
   return node_.Scalar();

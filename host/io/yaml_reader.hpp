@@ -1,5 +1,4 @@
-// Strict reading of YAML: each key is known, there once and of its type, or the message names the line and
-// column where it is not.
+// Strict reader of YAML: unknown keys, repeated keys and wrong types are errors with line and column.
 #pragma once
 
 #include <yaml-cpp/yaml.h>
@@ -19,10 +18,10 @@
 
 namespace groma::io {
 
-// A value in a YAML file. Each access throws ConfigError at the value's place unless it is as asked for.
+// A value in a YAML file. Each access throws ConfigError at the value's place if the value does not match.
 class YamlValue {
  public:
-  // Parses a document of one map.
+  // Parses a document that is a map.
   static YamlValue parse(const std::filesystem::path& path, const std::string& text);
 
   // A map with these keys and no others.
@@ -31,19 +30,19 @@ class YamlValue {
     std::initializer_list<std::string_view> optional = {};
   };
   void expect_keys(const Keys& keys) const;
-  [[nodiscard]] YamlValue at(std::string_view key) const;  // a required key that expect_keys() has seen
+  [[nodiscard]] YamlValue at(std::string_view key) const;  // a required key
   [[nodiscard]] std::optional<YamlValue> find(std::string_view key) const;
 
   [[nodiscard]] std::vector<YamlValue> list() const;
   [[nodiscard]] std::vector<YamlValue> list_of(std::size_t size) const;
-  [[nodiscard]] std::vector<double> numbers(std::size_t size) const;  // a list of that many finite numbers
+  [[nodiscard]] std::vector<double> numbers(std::size_t size) const;  // a list of `size` finite numbers
 
   [[nodiscard]] bool is_null() const { return node_.IsNull(); }
   [[nodiscard]] std::string text() const;
   [[nodiscard]] double number() const;           // finite
   [[nodiscard]] double positive_number() const;  // finite, > 0
   [[nodiscard]] std::int64_t integer(std::int64_t min, std::int64_t max) const;
-  // One of these words, as its index.
+  // The index of the value in `words`.
   [[nodiscard]] std::size_t one_of(std::span<const std::string_view> words) const;
 
   [[nodiscard]] FilePlace place() const;

@@ -62,7 +62,7 @@ void add_summary(Page& page, const calibration::Drive& drive, const calibration:
        {fmt::format("{:.0f} m", way_m), fmt::format("driven in {:.0f} s", duration_s)}});
 }
 
-// Median of each of `bins` equal stretches along x; a break where there is nothing.
+// Median of each of `bins` equal intervals along x; a break where an interval is empty.
 std::vector<Vector2d> medians(const std::vector<Vector2d>& values, double from, double to, std::size_t bins) {
   std::vector<std::vector<double>> binned(bins);
   for (const Vector2d& value : values) {
@@ -87,7 +87,7 @@ std::vector<Vector2d> medians(const std::vector<Vector2d>& values, double from, 
   return points;
 }
 
-// What all anchors' charts have in common.
+// Scales shared by all anchors' charts.
 struct Scales {
   double from_s = 0.0;
   double to_s = 1.0;
@@ -118,7 +118,7 @@ Chart::Axes small(std::string title, std::string x_label, std::string y_label) {
           .legend = false};
 }
 
-// From where the anchor was in sight, and from where not.
+// Where the anchor's ranges were LOS, and where NLOS.
 Chart sight_map(const model::AnchorCalibration& anchor, std::span<const calibration::FittedRange> rows) {
   Chart::Axes axes = small("Seen from", "x (m)", "y (m)");
   axes.same_scale = true;
@@ -138,7 +138,7 @@ Chart sight_map(const model::AnchorCalibration& anchor, std::span<const calibrat
   return map;
 }
 
-// Each pair's residuals over `x` of a row: dots, and a line of medians.
+// Each pair's residuals over `x` of a range: dots, and a line of medians.
 template <class Of>
 Chart residual_chart(Chart::Axes axes, std::span<const calibration::FittedRange> rows, const Scales& scales,
                      double from, double to, const Of& x) {
@@ -229,7 +229,7 @@ void add_each_anchor(Page& page, const calibration::Drive& drive, const calibrat
   }
 }
 
-// Anchors in sight about each second of the drive.
+// Anchors with a LOS range in each second of the drive.
 std::map<long, std::set<model::NodeId>> anchors_in_sight(const calibration::Result& result) {
   std::map<long, std::set<model::NodeId>> out;
   for (std::size_t i = 0; i < result.fitted.size(); ++i) {
@@ -240,7 +240,7 @@ std::map<long, std::set<model::NodeId>> anchors_in_sight(const calibration::Resu
   return out;
 }
 
-// The path, coloured by how many anchors are in sight.
+// The path, coloured by the number of LOS anchors.
 void add_path(Chart& map, const calibration::Drive& drive, const calibration::Result& result) {
   const std::map<long, std::set<model::NodeId>> seen = anchors_in_sight(result);
   struct Part {
@@ -271,7 +271,7 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
   }
 }
 
-// What there is to do, once for all anchors that share it.
+// The anchors' advice; anchors with equal advice share one notice.
 void add_advice(Page& page, const model::Calibration& calibration) {
   struct Notice {
     std::vector<model::NodeId> anchors;

@@ -27,7 +27,7 @@ constexpr double kRight_px = 14.0;
 constexpr double kBottom_px = 44.0;
 constexpr double kLegendLine_px = 22.0;
 constexpr double kTitle_px = 24.0;
-constexpr double kCharacter_px = 6.6;   // mean width at 12 px, for what has to fit
+constexpr double kCharacter_px = 6.6;   // mean width at 12 px, for the layout of texts
 constexpr double kChiSquare95 = 5.991;  // 2 degrees of freedom
 
 std::string_view css_class(Ink ink) {
@@ -40,7 +40,7 @@ bool finite(const Vector2d& point) {
   return std::isfinite(point.x()) && std::isfinite(point.y());
 }
 
-// 1, 2 or 5 times a power of ten, about `wanted` of them in the span.
+// 1, 2 or 5 times a power of ten, such that about `wanted` steps fit into the span.
 double nice_step(double span, double wanted) {
   const double raw = span / wanted;
   const double power = std::pow(10.0, std::floor(std::log10(raw)));
@@ -53,7 +53,7 @@ double nice_step(double span, double wanted) {
 std::string tick_text(double value, double step) {
   const int digits = std::max(0, static_cast<int>(std::ceil(-std::log10(step) - 1e-9)));
   const std::string text = fmt::format("{:.{}f}", value, digits);
-  // No minus before zero.
+  // "0", not "-0".
   return text.find_first_of("123456789") == std::string::npos && text.front() == '-' ? text.substr(1) : text;
 }
 
@@ -85,7 +85,7 @@ struct Chart::Box {
   }
 };
 
-// Where it comes to lie on the picture.
+// The mapping from axes to pixels.
 struct Chart::View {
   Box box;
   Rectangle frame{};  // of the axes
@@ -166,7 +166,7 @@ Chart::Box Chart::extent(double enlarged) const {
   for (const Ellipses& ellipses : ellipses_) {
     for (const Ellipse& ellipse : ellipses.ellipses) box.include(ellipse.center);
   }
-  // Ellipses too, but for those that would leave little room for all else.
+  // Ellipses count up to a limit, so that a large one does not shrink everything else.
   const Box points = box;
   for (const Ellipses& ellipses : ellipses_) {
     for (const Ellipse& ellipse : ellipses.ellipses) {
@@ -196,7 +196,7 @@ Chart::View Chart::view(double enlarged) const {
   View view;
   view.box = extent(enlarged);
   view.width_px = axes_.width_px;
-  // As many lines as the legend needs.
+  // The top margin holds as many lines as the legend needs.
   double top_px = 10.0 + (axes_.title.empty() ? 0.0 : kTitle_px);
   if (axes_.legend && !legend_.empty()) {
     double x_px = kLeft_px;
@@ -216,7 +216,7 @@ Chart::View Chart::view(double enlarged) const {
     const Vector2d span = view.box.high - view.box.low;
     const double per_metre = std::min(inner_width / span.x(), inner_height / span.y());
     inner_height = std::clamp(per_metre * span.y(), 160.0, inner_height);
-    // What is left over on either axis shows more of the plane.
+    // Extend the shorter axis to fill the frame.
     const Vector2d wanted(inner_width / per_metre, inner_height / per_metre);
     const Vector2d middle = 0.5 * (view.box.low + view.box.high);
     view.box = {middle - 0.5 * wanted, middle + 0.5 * wanted};
@@ -251,7 +251,7 @@ double Chart::magnification(const View& view) const {
 
 namespace {
 
-// Points closer than half a pixel to the last one drawn add nothing but bytes.
+// Skips points closer than half a pixel to the last drawn one: they would only enlarge the file.
 void draw_line(Output out, const std::vector<Vector2d>& points_px, std::string_view css, bool dashed) {
   std::string path;
   bool pen_down = false;
@@ -273,7 +273,7 @@ void draw_line(Output out, const std::vector<Vector2d>& points_px, std::string_v
   }
 }
 
-// All dots of one ink are one path of strokes without length, whose round ends are the dots.
+// All dots of one ink are one path of zero-length strokes; their round caps are the dots.
 void draw_points(Output out, const std::vector<Vector2d>& points_px, std::string_view css) {
   constexpr double kSpot_px = 2.0;
   std::set<std::pair<int, int>> drawn;
@@ -287,7 +287,7 @@ void draw_points(Output out, const std::vector<Vector2d>& points_px, std::string
   if (!path.empty()) fmt::format_to(out, "<path class=\"points {}\" d=\"{}\"/>\n", css, path);
 }
 
-// An anchor's mark: a triangle about the point.
+// An anchor's mark is a triangle around the point, any other a circle.
 void draw_mark(Output out, const Vector2d& at, std::string_view css) {
   if (css == "anchor" || css == "warn" || css == "bad") {
     fmt::format_to(out, "<path class=\"mark {}\" d=\"M{:.1f} {:.1f}l5.2 9h-10.4z\"/>\n", css, at.x(),
@@ -310,7 +310,7 @@ void draw_ellipse(Output out, const Vector2d& at, const Eigen::Matrix2d& covaria
                  css, radii.y(), radii.x(), at.x(), at.y(), turn_deg);
 }
 
-// A label beside its mark, where it covers least of what is there already.
+// Places a label beside its mark, where it overlaps the least area of earlier marks and labels.
 void draw_label(Output out, const Mark& mark, const Vector2d& at, std::vector<Rectangle>& taken) {
   const double width = kCharacter_px * static_cast<double>(mark.label.size()) + 2.0;
   constexpr double kHeight = 13.0;
@@ -385,7 +385,7 @@ std::string Chart::svg() const {
                  "13 {0:.1f})\">{1}</text>\n",
                  middle, escaped(axes_.y_label));
 
-  // What is drawn stays within the axes. Charts of one page that share a name share the shape too.
+  // Clip to the axes. The id is derived from the shape, so that equal ids on one page have equal shapes.
   const std::string clip =
       fmt::format("clip-{:.0f}-{:.0f}-{:.0f}-{:.0f}", frame.left, frame.top, frame.right, frame.bottom);
   fmt::format_to(

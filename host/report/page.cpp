@@ -72,7 +72,7 @@ details:target { border-color: var(--estimate); }
 .ellipse { fill-opacity: 0.16; stroke-width: 1.2; stroke-opacity: 0.9; }
 )css";
 
-// Each ink strokes lines and fills marks in its own colour.
+// One style per ink: it colours the strokes of lines and the fill of marks.
 std::string ink_style() {
   std::string style;
   for (const std::string_view ink : {"truth", "estimate", "path", "other", "wall", "anchor", "warn", "bad",
