@@ -79,7 +79,7 @@ void write_report(const std::filesystem::path& folder, const io::Dataset& datase
   io::write_file(folder / kReportName, page.html());
 }
 
-// The fitted ranges follow the anchors' order; those that were only kept have none.
+// Takes over the updated calibration and reorders the fitted ranges; anchors that were only kept have none.
 void adopt(const calibration::Update& update, calibration::Result& result) {
   std::map<model::NodeId, std::vector<calibration::FittedRange>> fitted;
   for (std::size_t i = 0; i < result.fitted.size(); ++i) {

@@ -1,5 +1,5 @@
-// What a subcommand is: a function that declares its options and sets what to do when it is chosen. Each is
-// a file of its own; main() turns what they throw into exit codes.
+// The subcommands. Each add_...() declares the options of one subcommand and sets the action to run if it is
+// chosen. Each is in a file of its own; main() turns exceptions into exit codes.
 #pragma once
 
 #include <functional>

@@ -1,4 +1,4 @@
-// groma configure: a site plan's configurations into its nodes.
+// groma configure: writes a site plan's configurations into its nodes.
 #include "host/provision/configure.hpp"
 
 #include <fmt/format.h>

@@ -1,4 +1,4 @@
-// groma demo: the whole path on a simulated site.
+// groma demo: the complete system on a simulated site.
 #include "host/simulation/demo.hpp"
 
 #include <fmt/format.h>
@@ -117,7 +117,7 @@ void write_report(const std::filesystem::path& folder, const sim::Scenario& scen
   io::write_file(folder / "report.html", format_demo_report(scenario, result, seed));
 }
 
-// One line on the terminal that is written over, and gone in the end.
+// One line on the terminal that is overwritten, and cleared at the end.
 class Progress {
  public:
   void show(std::string_view phase, double done) const {

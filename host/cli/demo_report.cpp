@@ -23,7 +23,7 @@ using report::Page;
 constexpr double kEllipseEvery_s = 4.0;
 constexpr double kPointEvery_s = 0.1;
 constexpr double kLowestError_m = 1e-3;
-constexpr double kOverhead_m = 2.0;  // what begins higher is no wall on a plan: the lintel of a gate
+constexpr double kOverhead_m = 2.0;  // walls with a higher bottom (lintels) are not drawn
 
 const simulation::ModelRun* run_of(const simulation::DemoResult& result, filter::Model model) {
   const auto found = std::find_if(result.models.begin(), result.models.end(),

@@ -1,4 +1,4 @@
-// The demonstration as one page of HTML that needs nothing else: a map, the errors over time, the tables.
+// The demonstration as one self-contained HTML page: a map, the errors over time, the tables.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// groma diff: what changed from one calibration of a site to another.
+// groma diff: compares two calibrations of a site.
 #include <fmt/format.h>
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// --emulated and --image, the same for each command that simulates nodes.
+// --emulated and --image, shared by the commands that simulate nodes.
 #pragma once
 
 #include <filesystem>
@@ -16,10 +16,10 @@ struct EmulationChoice {
   std::optional<std::filesystem::path> image;
 };
 
-// `choice` outlives the parsing.
+// `choice` has to outlive the parsing.
 void add_emulation_options(CLI::App& command, EmulationChoice& choice);
 
-// The image to emulate, or nothing for native nodes. Throws sim::SimulationError where it cannot be read.
+// The image to emulate, or null for native nodes. Throws sim::SimulationError if it cannot be read.
 [[nodiscard]] std::shared_ptr<const sim::FirmwareImage> chosen_image(const EmulationChoice& choice);
 
 }  // namespace groma::cli

@@ -1,4 +1,4 @@
-// groma evaluate: an estimate scored against the truth.
+// groma evaluate: scores an estimate against the truth.
 #include <fmt/format.h>
 
 #include <memory>

@@ -31,13 +31,13 @@ struct ExplainOptions {
   double window_s = 0.5;
 };
 
-// A range and what the filter made of it.
+// A range and the filter's result for it.
 struct Heard {
   double t_s = 0.0;
   double range_m = 0.0;
   filter::RangeResult result;
   double regained_sigma_m = 0.0;  // see Gate::regained_variance_m2()
-  bool doubts = false;            // it is the state that the gate doubts
+  bool doubts = false;            // the gate's divergence flag is set
 };
 
 struct StateAt {
@@ -46,22 +46,23 @@ struct StateAt {
   filter::Reason reason = filter::Reason::kNone;
 };
 
-// As of one odometry row.
+// The filter after one odometry sample.
 struct Moment {
   StateAt state;
   filter::Estimate estimate;
   double white_sigma_m = 0.0;
   double slow_sigma_m = 0.0;
-  Eigen::Vector3d row_sigmas = Eigen::Vector3d::Zero();  // of the row's vx, vy, yaw rate
-  bool doubts = false;
-  std::size_t jumps = 0;        // rows that jumped, until then
-  std::size_t slips = 0;        // until then: ranges showed that the robot went another way
-  std::size_t relocations = 0;  // until then
+  Eigen::Vector3d row_sigmas = Eigen::Vector3d::Zero();  // of the sample's vx, vy, yaw rate
+  bool doubts = false;                                   // the gate's divergence flag
+  // Counts up to this sample:
+  std::size_t jumps = 0;  // samples that jumped
+  std::size_t slips = 0;  // slips that the ranges showed
+  std::size_t relocations = 0;
 };
 
 using Pair = std::pair<model::NodeId, model::NodeId>;  // tag, anchor
 
-// What was seen within the window.
+// All samples and ranges within the window.
 struct Story {
   std::vector<Moment> rows;
   std::map<Pair, std::vector<Heard>> pairs;
@@ -97,12 +98,12 @@ bool was_judged(const Heard& heard) {
          heard.result.outcome == filter::RangeOutcome::kGated;
 }
 
-// An innovation of fewer sigmas is no reason to refuse a range; powers this much likelier of a blocked one
-// are.
+// An innovation within kNear sigmas is no reason to reject a range; received powers that are kTelling times
+// as likely under NLOS as under LOS are.
 constexpr double kNear = 2.0;
 constexpr double kTelling = 1.5;
 
-// Why a range was believed or not.
+// Why the gate accepted or rejected a range.
 const char* why(const Heard& heard) {
   if (!was_judged(heard)) return outcome_word(heard.result.outcome);
   const double sigma_m = std::sqrt(heard.result.innovation_variance_m2);
@@ -131,7 +132,7 @@ const Heard& nearest(const std::vector<Heard>& ranges, double t_s) {
   });
 }
 
-// The last row at or before the time, or else the first.
+// The last moment at or before t_s, else the first.
 const Moment& moment_at(const Story& story, double t_s) {
   auto after = std::find_if(story.rows.begin(), story.rows.end(),
                             [t_s](const Moment& row) { return row.state.t_s > t_s; });
@@ -280,7 +281,7 @@ Json to_json(const ExplainOptions& options, const Story& story) {
   return json;
 }
 
-// The pairs that pulled most come first, those that were not believed last.
+// The pairs in order of their correction, the largest first.
 std::string table_of(const ExplainOptions& options, const Story& story) {
   using Entry = std::pair<Pair, const std::vector<Heard>*>;
   std::vector<Entry> entries;

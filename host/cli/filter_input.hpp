@@ -1,4 +1,4 @@
-// What a filter or smoother of a recorded drive is given: the drive, a calibration, a start.
+// Input of a filter or smoother for a recorded drive: the drive, a calibration, a start.
 #pragma once
 
 #include <array>
@@ -19,34 +19,35 @@ namespace groma::cli {
 
 class FilterInput {
  public:
-  // DATASET_OR_LOG, --calibration, --surveyed, --start and those of a selection.
+  // DATASET_OR_LOG, --calibration, --surveyed, --start and the options of Selection.
   void add_options(CLI::App& command);
 
-  // --relocate: of a filter that may begin anew elsewhere.
+  // --relocate, for a filter that may re-initialize elsewhere.
   void add_relocation(CLI::App& command);
-  // --json alone.
+  // --json.
   void add_json(CLI::App& command);
-  // -o and --json: of the table that comes of it, and of what is printed.
+  // -o and --json.
   void add_output(CLI::App& command);
 
   struct Drive {
-    io::Dataset dataset;  // the selection of it
+    io::Dataset dataset;  // after the selection
     model::Calibration calibration;
-    filter::ReplayOptions options;  // the run's own sigmas, start and end; the default model
+    filter::ReplayOptions options;  // the run's sigmas, start and end; the default model
 
     [[nodiscard]] filter::Run run() const {
       return {dataset.odometry, dataset.ranges, dataset.tags,
               &dataset.surface, &calibration,   &dataset.sensor_samples};
     }
   };
-  // Throws what reading throws, and, where a start is needed, DataError if there is none.
+  // Throws as the readers do, CLI::ValidationError for contradicting options and, if a start is needed and
+  // there is none, DataError.
   enum class StartIs { kNeeded, kFoundOtherwise };
   [[nodiscard]] Drive read(const char* command, StartIs start, Warnings& warnings) const;
 
-  // Throws DataError, which names the odometry sample, where a pose or covariance is not finite.
+  // Throws DataError, which names the odometry sample, if a pose or covariance is not finite.
   void expect_finite(std::span<const model::PlanarEstimate> rows,
                      std::span<const model::SpatialEstimate> spatial = {}) const;
-  // Warns of samples that no robot can do, and where no range was used.
+  // Warns of dropped odometry and sensor samples that no robot can perform.
   static void warn_of_samples(const filter::Counters& counters, Warnings& warnings);
   static void warn_without_ranges(std::size_t ranges_seen, Warnings& warnings);
 
@@ -57,7 +58,7 @@ class FilterInput {
  private:
   [[nodiscard]] model::Calibration load_calibration(const io::Dataset& dataset, Warnings& warnings) const;
   [[nodiscard]] std::optional<filter::Start> find_start(const io::Dataset& dataset) const;
-  // Of the odometry sample of that time, with its line in a folder's file.
+  // The place of the odometry sample at t_s: its line in a folder's odometry.csv, else the log.
   [[nodiscard]] io::FilePlace odometry_place(double t_s) const;
 
   std::filesystem::path dataset_;

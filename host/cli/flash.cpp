@@ -1,4 +1,4 @@
-// groma flash: the image into nodes by a debug probe, and with a plan their configuration after it.
+// groma flash: writes the image into nodes by a debug probe, and with a plan configures them.
 #include "host/provision/flash.hpp"
 
 #include <fmt/format.h>
@@ -148,7 +148,7 @@ int list_probes(bool json) {
   return io::kGood;
 }
 
-// One line on the terminal that is written over.
+// One line on the terminal that is overwritten.
 void show_phase(const std::string& who, const char* phase) {
   if (::isatty(STDERR_FILENO) == 1) fmt::print(stderr, "\r\033[K{}{}", who, phase);
 }
@@ -173,7 +173,7 @@ class Flashing {
   [[nodiscard]] const provision::NodeImage& image() const { return image_; }
   [[nodiscard]] const std::vector<DebugProbe>& probes() const { return probes_; }
 
-  // `who` begins its messages, and its port is set where the probe has one.
+  // `who` is the prefix of messages; sets `port` if the probe has a serial port.
   FlashOutcome flash(const std::string& who, const std::string& serial, std::string* port = nullptr) const {
     FlashOutcome outcome = try_flash(who, serial, port);
     clear_phase();
@@ -233,14 +233,14 @@ Json to_json(const provision::NodeImage& image) {
           {"bytes", image.bytes}};
 }
 
-// One probe, or with --all each that there is.
+// Flashes by one probe, or with --all by every connected one.
 int flash_probes(const FlashOptions& options) {
   const Flashing flashing(options);
   std::vector<std::string> serials{options.probe};
   if (options.all) {
     serials.clear();
     for (const DebugProbe& probe : flashing.probes()) serials.push_back(probe.serial);
-    if (serials.empty()) serials.emplace_back();  // which tells that there is none
+    if (serials.empty()) serials.emplace_back();  // fails with "no probe"
   }
   Table table({"probe", "result", "image"});
   Json json{{"image", to_json(flashing.image())}, {"probes", Json::array()}};
@@ -262,7 +262,7 @@ int flash_probes(const FlashOptions& options) {
   return first_failure;
 }
 
-// A plan's nodes, each by its own probe, and then configured over its port.
+// Flashes a plan's nodes, each by its own probe, and configures each over its port.
 int flash_plan(const FlashOptions& options) {
   const provision::SitePlan plan = provision::read_site_plan(options.plan);
   const std::vector<const provision::PlannedNode*> nodes = select_nodes(plan, options.nodes);

@@ -1,4 +1,4 @@
-// groma identify: which of them is it?
+// groma identify: makes a node blink.
 #include <fmt/format.h>
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Results as the JSON objects that scripts read; what is unknown is null.
+// Results as JSON objects for scripts; unknown values are null.
 #pragma once
 
 #include <nlohmann/json.hpp>
@@ -17,7 +17,7 @@ using Json = nlohmann::ordered_json;
 [[nodiscard]] Json to_json(const evaluation::Evaluation& evaluation);
 [[nodiscard]] Json to_json(const io::DroppedRows& dropped);
 
-// The object, on lines of its own, to standard output.
+// Prints the object to standard output, indented, with a final line end.
 void say_json(const Json& json);
 
 }  // namespace groma::cli

@@ -1,4 +1,4 @@
-// groma listen: what a tag measures, as it comes.
+// groma listen: shows a tag's ranges live.
 #include <fmt/format.h>
 #include <poll.h>
 
@@ -44,8 +44,8 @@ struct PairRanges {
   double mean_m = 0.0;
   double squares_m2 = 0.0;
   double power_dbm = 0.0;
-  std::uint64_t sight_known = 0;   // ranges with a hint
-  std::uint64_t sight_likely = 0;  // of those
+  std::uint64_t sight_known = 0;   // ranges with a line-of-sight hint
+  std::uint64_t sight_likely = 0;  // ranges whose hint says that LOS is likely
 
   void add(const model::RangeSample& range) {
     ++count;
@@ -56,7 +56,7 @@ struct PairRanges {
     sight_known += range.line_of_sight != model::LineOfSight::kNotKnown ? 1 : 0;
     sight_likely += range.line_of_sight == model::LineOfSight::kLikely ? 1 : 0;
   }
-  // Share of the ranges with a hint that say it is likely; not a number: none has one.
+  // Share of the ranges with a hint for which LOS is likely; NaN if no range has a hint.
   [[nodiscard]] double sight() const {
     return static_cast<double>(sight_likely) / static_cast<double>(sight_known);
   }
@@ -140,7 +140,7 @@ Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double f
           {"pairs", pairs}};
 }
 
-// One line of what the tag's status tells; empty where it told none.
+// The tag's status as one line; empty if no status was received.
 std::string told_of_itself(const Listener& heard) {
   if (!heard.status) return {};
   const groma_NetworkStatus& status = *heard.status;
@@ -152,7 +152,7 @@ std::string told_of_itself(const Listener& heard) {
   return line + "\n";
 }
 
-// Why there was no range, and what to do.
+// Prints why there was no range and what to do; returns the exit code.
 int complain_of_nothing(const ListenOptions& options, const Listener& heard, std::uint64_t bytes) {
   if (bytes == 0) {
     complain(fmt::format("{}: not a byte came; 'groma identify {}' tells more", options.link, options.link));

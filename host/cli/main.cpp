@@ -83,7 +83,7 @@ int guarded_run(int argc, char** argv) {
 }  // namespace groma::cli
 
 int main(int argc, char** argv) {
-  // A full disk or a closed pipe comes back as an error of the write, which cleans up and tells.
+  // A full disk or a closed pipe then makes the write fail, so that the program can clean up and report it.
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   return groma::cli::guarded_run(argc, argv);

@@ -1,4 +1,4 @@
-// groma nodes: what each node of a site is and has counted, also of those without a cable.
+// groma nodes: role, firmware and counters of each node of a site, also of nodes reached over the air.
 #include <fmt/format.h>
 
 #include <charconv>
@@ -37,7 +37,7 @@ struct NodeTableOptions {
   bool json = false;
 };
 
-// What they are told beside: nothing, to leave, or hints.
+// Optional orders for the nodes: leave the network, or anchor hints.
 struct Orders {
   bool leave = false;
   std::optional<std::vector<provision::AnchorHint>> hints;
@@ -88,7 +88,7 @@ Orders orders_of(NodeTableOptions& options) {
 }
 
 struct Place {
-  model::NodeId id = 0;  // 0: whoever is at the port
+  model::NodeId id = 0;  // 0: the node at the port
   std::string port;
   bool over_air = false;
 };
@@ -114,7 +114,7 @@ std::vector<Place> places_of(NodeTableOptions& options, const Orders& orders) {
   return places;
 }
 
-// Without orders there is nothing to do.
+// Without orders it does nothing and succeeds.
 provision::NodeOutcome carry_out(const Orders& orders, const std::string& port, unsigned baud,
                                  model::NodeId target) {
   if (orders.leave) return provision::let_leave(port, baud, target);

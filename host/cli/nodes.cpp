@@ -54,7 +54,7 @@ const char* word(NodeFault fault) {
   return "";
 }
 
-// What a hello tells that a user should look after; empty: nothing.
+// A firmware fault that the hello reports; empty if there is none.
 std::string trouble_in(const provision::NodeOutcome& outcome) {
   if (!outcome.hello || !outcome.hello->has_last_fault) return {};
   const groma_Fault& fault = outcome.hello->last_fault;

@@ -1,4 +1,4 @@
-// What the commands that go through a plan's nodes share.
+// Helpers of the commands that process a plan's nodes.
 #pragma once
 
 #include <string>
@@ -11,7 +11,7 @@
 
 namespace groma::cli {
 
-// The nodes of these ids, between commas, in the plan's order; all where the text is empty. Throws
+// The nodes with these comma-separated ids, in the plan's order; all nodes if `ids` is empty. Throws
 // CLI::ValidationError for an id that the plan lacks.
 [[nodiscard]] std::vector<const provision::PlannedNode*> select_nodes(const provision::SitePlan& plan,
                                                                       const std::string& ids);
@@ -24,8 +24,8 @@ namespace groma::cli {
 // result, fault, message, port, version, git_hash.
 [[nodiscard]] Json to_json(const provision::NodeOutcome& outcome);
 
-// Complains of a failure and warns of what the hello tells that a user should look after; returns the exit
-// code that the fault asks for.
+// Reports a failure, and warns of a firmware fault that the hello reports; returns the exit code for the
+// fault.
 [[nodiscard]] int tell(const provision::NodeOutcome& outcome, Warnings& warnings);
 
 }  // namespace groma::cli

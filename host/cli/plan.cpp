@@ -1,4 +1,4 @@
-// groma plan: what a schedule gives, before it is written into a node.
+// groma plan: predicts the figures of a schedule before it is written into a node.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -36,7 +36,7 @@ struct PlanOptions {
   bool json = false;
 };
 
-// Of a site that no file describes: its numbers alone count.
+// The configuration of a site that is given by numbers only, without a plan file.
 groma_Config made_up(const PlanOptions& options) {
   provision::SiteSettings site = options.site;
   for (unsigned i = 0; i < options.tags; ++i) site.tag_ids.push_back(static_cast<model::NodeId>(1 + i));

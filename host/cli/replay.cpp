@@ -1,4 +1,4 @@
-// groma replay: a recorded drive through the filter, as it would have gone on the robot.
+// groma replay: runs the filter over a recorded drive, causally, as on the robot.
 #include "host/filter/replay.hpp"
 
 #include <fmt/format.h>

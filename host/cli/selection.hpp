@@ -1,4 +1,4 @@
-// The part of a run that a command works on: a stretch of time, some tags, some anchors.
+// The part of a run that a command uses: a time interval, tags, anchors.
 #pragma once
 
 #include <cstddef>
@@ -18,8 +18,9 @@ class Selection {
   // Declares --from, --to, --tags, --anchors and --section.
   void add_options(CLI::App& command);
 
-  // Takes the rest out of the data set: ranges by all four, poses by time, tags by id. Throws
-  // CLI::ValidationError for a tag that the data set lacks, or an empty stretch.
+  // Removes the rest from the data set: ranges by time, tag and anchor, pose priors by time, tags by id.
+  // Throws CLI::ValidationError for a tag that the data set lacks, an empty time interval, or --section with
+  // a folder.
   void apply(io::Dataset& dataset) const;
 
   [[nodiscard]] std::optional<double> from_s() const { return from_s_; }
@@ -34,7 +35,7 @@ class Selection {
   std::vector<model::NodeId> anchors_;  // empty: all
 };
 
-// Values between commas, such as "1,2" or "0.5,-2,3.1". Throws CLI::ValidationError, naming the option.
+// Comma-separated values, such as "1,2" or "0.5,-2,3.1". Throws CLI::ValidationError, which names the option.
 [[nodiscard]] std::vector<model::NodeId> parse_ids(const std::string& option, const std::string& text);
 [[nodiscard]] std::vector<double> parse_numbers(const std::string& option, const std::string& text,
                                                 std::size_t count);

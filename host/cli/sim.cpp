@@ -1,4 +1,4 @@
-// groma sim: a simulated site for others to connect to.
+// groma sim: a simulated site for other programs to connect to.
 #include <fmt/format.h>
 
 #include <csignal>
@@ -29,7 +29,7 @@ struct SimOptions {
 int run(SimOptions options) {
   const sim::Scenario scenario = sim::read_scenario(options.scenario);
   options.server.site.image = chosen_image(options.emulation);
-  // Before anything is made that an early end would leave behind.
+  // Before any file is created that an early end would leave behind.
   const volatile std::sig_atomic_t& stop = stop_on_signals();
   simulation::SiteServer server(scenario, options.server);
   for (const std::filesystem::path& port : server.ports()) say(port.string() + '\n');

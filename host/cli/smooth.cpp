@@ -1,4 +1,4 @@
-// groma smooth: a recorded drive in the light of all of it.
+// groma smooth: smooths a recorded drive, using all of its samples for each pose.
 #include <fmt/format.h>
 
 #include <memory>
@@ -47,7 +47,7 @@ int run(const SmoothOptions& options) {
   options.input.expect_finite(result.rows);
   io::write_file(options.input.output(), io::format_estimate(result.rows));
   FilterInput::warn_of_samples(result.counters, warnings);
-  // Less than one in sight, all of them together.
+  // The sum of the LOS probabilities is below one.
   if (result.ranges_in_sight < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
   if (options.input.json()) {
     say_json(Json{{"ranges_seen", result.ranges_seen},

@@ -1,4 +1,4 @@
-// groma surface fit: measured heights as the surface of a site.
+// groma surface fit: fits the surface of a site to measured heights.
 #include <fmt/format.h>
 
 #include <memory>

@@ -1,4 +1,4 @@
-// groma survey: how far the anchors are from each other.
+// groma survey: measures the ranges between anchors.
 #include <fmt/format.h>
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// What commands say: results to standard output, complaints and warnings to standard error.
+// Output of the commands: results to standard output, errors and warnings to standard error.
 #pragma once
 
 #include <cstddef>
@@ -8,21 +8,21 @@
 
 namespace groma::cli {
 
-// To standard output as it is.
+// Writes the text unchanged to standard output. Throws io::DeviceError if it cannot be written.
 void say(std::string_view text);
-// Throws io::DeviceError if what was said cannot be written.
+// Throws io::DeviceError if the output of say() cannot be written.
 void flush_output();
 
-// "groma: text" to standard error.
+// Writes "groma: text" to standard error.
 void complain(std::string_view text);
 
-// Columns of text, right-aligned but for the first, with a line of titles.
+// Columns of text with a line of titles; all but the first are right-aligned.
 class Table {
  public:
   explicit Table(std::vector<std::string> titles) : rows_{std::move(titles)} {}
-  // As many cells as there are titles.
+  // `cells` has one entry per title.
   void add(std::vector<std::string> cells) { rows_.push_back(std::move(cells)); }
-  // Ends with a new line; the last column is left-aligned if `text_last`.
+  // The text ends with a line end; `text_last`: the last column is left-aligned.
   [[nodiscard]] std::string format(bool text_last = false) const;
 
  private:

@@ -1,4 +1,4 @@
-// What went less than well but did not stop the work: told at once, and remembered for the exit code.
+// Problems that did not stop the command: printed at once, and remembered for the exit code.
 #pragma once
 
 #include <string>
@@ -14,9 +14,9 @@ class Warnings {
   void add(const std::string& text);
   // Two lines: what is wrong, and what to do.
   void add(const diagnosis::Finding& finding);
-  // One warning for all dropped rows together; none if there are none.
+  // One warning for all dropped rows; none if no row was dropped.
   void add(const io::DroppedRows& dropped);
-  // The same, and one for what is damaged in a log.
+  // The data set's dropped rows, and damaged bytes of its log.
   void add(const io::Dataset& dataset);
   [[nodiscard]] int exit_code() const { return any_ ? io::kDoneWithWarnings : io::kGood; }
 
