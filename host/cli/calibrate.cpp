@@ -73,7 +73,7 @@ std::string format_table(const model::Calibration& calibration) {
 void write_report(const std::filesystem::path& folder, const io::Dataset& dataset,
                   const calibration::Drive& drive, const calibration::Result& result) {
   report::Page page(fmt::format("Calibration from {}", dataset.name),
-                    fmt::format("Anchor positions and range biases, found from one {} drive. Input {}.",
+                    fmt::format("Anchor positions and range biases, estimated from one {} drive. Input {}.",
                                 dataset.origin, dataset.sha256.substr(0, 12)));
   report::add_calibration(page, drive, result);
   io::write_file(folder / kReportName, page.html());
@@ -203,9 +203,9 @@ void add_calibrate(CLI::App& app, Action& action) {
   const auto options = std::make_shared<CalibrateOptions>();
   CLI::App* command = app.add_subcommand(
       "calibrate",
-      "Find the anchors' positions and the ranges' biases from one drive of a robot that knows its own "
-      "poses. The last "
-      "fifth of the drive is held out for the verdict; the final solution uses all of it.");
+      "Estimate the anchors' positions and the pairs' range biases from one drive of a robot that knows its "
+      "own poses. The last fifth of the drive is held out for the verdict; the final solution uses all of "
+      "it.");
   command
       ->add_option(
           "DATASET_OR_LOG", options->dataset,
@@ -213,21 +213,21 @@ void add_calibrate(CLI::App& app, Action& action) {
       ->required();
   command->add_option(
       "--poses", options->poses,
-      "Poses to calibrate from, in the place of pose_prior.csv (or, without it, groundtruth.csv)");
+      "Poses to calibrate from, instead of pose_prior.csv (or, without it, groundtruth.csv)");
   command->add_option("--survey", options->survey,
-                      "Ranges between the anchors, as groma survey prints them: they join the anchors in one "
-                      "problem");
+                      "Ranges between the anchors, as groma survey prints them: all anchors are then solved "
+                      "in one problem");
   options->selection.add_options(*command);
   command->add_flag(
       "--known-anchors", options->known_anchors,
-      "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and learn the biases alone");
+      "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and estimate only the biases");
   command->add_option(
       "--update", options->update,
-      "Bring this earlier calibration up to date: its anchors are looked for where they were, moved ones are "
-      "named, new ones added");
+      "Update this earlier calibration: anchors that did not move are combined with it, moved ones are "
+      "reported, new ones added");
   command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")->required();
   command->add_option("--report", options->report,
-                      "Folder to write a report to, report.html, which a browser opens");
+                      "Folder for a report, report.html, to open in a browser");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

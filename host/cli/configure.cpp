@@ -90,13 +90,13 @@ void add_configure(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ConfigureOptions>();
   CLI::App* command = app.add_subcommand(
       "configure",
-      "Write a site plan's configuration into each node, read it back and apply it. A node that works by it "
-      "already is left alone: after an interruption repeat the command.");
+      "Write a site plan's configuration into each node, read it back and apply it. A node that already has "
+      "it is skipped: after an interruption repeat the command.");
   command->add_option("--plan", options->plan, "The site plan")->required();
-  command->add_option("--node", options->nodes, "These nodes alone, such as 1,5");
-  command->add_option("--link", options->link, "Port in the place of the plan's; with one --node");
+  command->add_option("--node", options->nodes, "Only these nodes, such as 1,5");
+  command->add_option("--link", options->link, "Port instead of the plan's; with one --node");
   command->add_option("--via", options->via,
-                      "Port of a node that passes on over the air what is for the nodes that have no port");
+                      "Port of a node that relays over the air to the nodes that have no port");
   command->add_flag("--reassign", options->reassign, "Also nodes that are configured under another id");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -97,7 +97,7 @@ std::string format_text(const simulation::DemoResult& result) {
                   result.second_drive.ground_truth.back().t_s - result.second_drive.ground_truth.front().t_s);
   text += models.format();
   text += fmt::format(
-      "\n{:.0f} ranges/s, {:.0f} % of them without sight; {} frames lost\n"
+      "\n{:.0f} ranges/s, {:.0f} % of them NLOS; {} frames lost\n"
       "{:.0f} s simulated in {:.1f} s: {:.1f} times real time\n",
       result.ranges_per_s, 100.0 * result.without_sight, result.frames_lost, result.simulated_s,
       result.wall_s, result.simulated_s / result.wall_s);
@@ -164,11 +164,13 @@ int run(const DemoOptions& options) {
 void add_demo(CLI::App& app, Action& action) {
   const auto options = std::make_shared<DemoOptions>();
   CLI::App* command = app.add_subcommand("demo",
-                                         "Show the whole path on a simulated site: tags and anchors run the "
+                                         "Run the complete system on a simulated site: tags and anchors run "
+                                         "the "
                                          "firmware on a modelled radio and stream "
                                          "over pseudo-terminals; a first drive calibrates the anchors, a "
                                          "second is localized by every model and scored.");
-  command->add_option("--seed", options->seed, "Fixes all but wall times")->capture_default_str();
+  command->add_option("--seed", options->seed, "Determines every result except wall times")
+      ->capture_default_str();
   command->add_option(
       "--scenario", options->scenario,
       "Site, nodes, robot and radio as YAML, with two drives. Default: the source paper's hall");

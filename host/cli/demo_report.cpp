@@ -37,10 +37,10 @@ void add_summary(Page& page, const simulation::DemoResult& result) {
     facts.push_back({fmt::format("{:.3f} m", run->evaluation.ate_m.mean), "mean position error, schmidt"});
   }
   if (const auto* run = run_of(result, filter::Model::kOriginal)) {
-    facts.push_back({fmt::format("{:.3f} m", run->evaluation.ate_m.mean), "the same, original"});
+    facts.push_back({fmt::format("{:.3f} m", run->evaluation.ate_m.mean), "mean position error, original"});
   }
-  facts.push_back({fmt::format("{:.0f}", result.ranges_per_s), "ranges a second"});
-  facts.push_back({fmt::format("{:.0f} %", 100.0 * result.without_sight), "of them without sight"});
+  facts.push_back({fmt::format("{:.0f}", result.ranges_per_s), "ranges per second"});
+  facts.push_back({fmt::format("{:.0f} %", 100.0 * result.without_sight), "NLOS ranges"});
   facts.push_back({fmt::format("{}", result.frames_lost), "frames lost",
                    result.frames_lost == 0 ? report::Tone::kGood : report::Tone::kWarning});
   page.add_facts(facts);
@@ -95,8 +95,8 @@ void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoRe
   map.add_marks("anchor, calibrated", Ink::kAnchor, std::move(calibrated));
   page.add_chart(
       map,
-      "The hall, its yard and both drives; the estimate is that of the model schmidt, calibrated from the "
-      "first drive alone.");
+      "The hall, its yard and both drives. The estimate is that of the model schmidt, calibrated from only "
+      "the first drive.");
 }
 
 void add_models(Page& page, const simulation::DemoResult& result) {
@@ -152,7 +152,7 @@ void add_calibration_errors(Page& page, const simulation::DemoResult& result) {
   chart.name_x(std::move(names));
   chart.add_marks("distance of the calibrated position from the truth", Ink::kAnchor, std::move(marks));
   page.add_heading("Calibration from the first drive");
-  page.add_chart(chart, "How far off each anchor was found.");
+  page.add_chart(chart, "Position error of each calibrated anchor.");
 }
 
 }  // namespace

@@ -51,7 +51,7 @@ std::string format_text(const calibration::Comparison& comparison, const model::
   std::string text = fmt::format(
       "common frame: shift {:.3f}, {:.3f}, {:.3f} m (sigma {:.3f}, {:.3f}, {:.3f}), turn {:.4f} rad "
       "({:.4f}); "
-      "taken out below\n\n",
+      "removed below\n\n",
       mean(0), mean(1), mean(2), sigma(0), sigma(1), sigma(2), mean(3), sigma(3));
   Table table({"anchor", "dx m", "dy m", "dz m", "distance m", "sigma xy m", "sigma z m", "chi2", "chance",
                "verdicts", ""});
@@ -150,8 +150,8 @@ void add_diff(CLI::App& app, Action& action) {
   const auto options = std::make_shared<DiffOptions>();
   CLI::App* command = app.add_subcommand(
       "diff",
-      "Compare two calibrations of one site: how far each anchor is from where it was, against what both "
-      "are uncertain. Ends with 0 if they are the same within their errors, with 3 if they differ.");
+      "Compare two calibrations of one site: the displacement of each anchor against the uncertainty of "
+      "both. Ends with 0 if they are the same within their errors, with 3 if they differ.");
   command->add_option("A", options->a, "Calibration file, the earlier one")->required();
   command->add_option("B", options->b, "Calibration file, the later one")->required();
   command->add_flag("--json", options->json, "Print one JSON object");

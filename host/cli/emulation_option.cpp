@@ -6,11 +6,11 @@ namespace groma::cli {
 
 void add_emulation_options(CLI::App& command, EmulationChoice& choice) {
   command.add_flag("--emulated", choice.emulated,
-                   "Each node runs the DWM1001's image, instruction by instruction, in place of the firmware "
+                   "Each node runs the DWM1001's image on an emulated processor, instead of the firmware "
                    "compiled in");
   command
       .add_option("--image", choice.image,
-                  "The image as Intel HEX, with --emulated; else the one that the preset dwm1001 builds")
+                  "The image as Intel HEX, with --emulated. Default: the one that the preset dwm1001 builds")
       ->needs("--emulated");
 }
 

@@ -66,8 +66,8 @@ int run(const EvaluateOptions& options) {
   }
   for (const evaluation::FrozenSpan& span : evaluation::frozen_spans(truth)) {
     warnings.add(fmt::format(
-        "{}: repeats one pose from {:.3f} to {:.3f} s, then jumps by {:.3f} m; errors there count, "
-        "and are the truth's",
+        "{}: repeats one pose from {:.3f} to {:.3f} s, then jumps by {:.3f} m; errors there count, but "
+        "they are errors of the truth",
         options.truth, span.from_s, span.to_s, span.jump_m));
   }
   if (options.json) {

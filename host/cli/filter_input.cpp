@@ -32,10 +32,10 @@ void FilterInput::add_options(CLI::App& command) {
                   "Folder of the drive (dataset.yaml, ranges.csv, odometry.csv, ...), or the log that "
                   "gromad recorded")
       ->required();
-  command.add_option("--calibration", calibration_, "Calibration file that groma calibrate has written");
+  command.add_option("--calibration", calibration_, "Calibration file that groma calibrate wrote");
   command.add_flag(
       "--surveyed", surveyed_,
-      "In its place: the positions of anchors.csv with sigma 0.02 m, biases at the data set's priors");
+      "Instead of it: the positions of anchors.csv with sigma 0.02 m, biases at the data set's priors");
   selection_.add_options(command);
   command
       .add_option_function<std::string>(
@@ -47,19 +47,19 @@ void FilterInput::add_options(CLI::App& command) {
                     model::PoseSample{.x_m = values[0], .y_m = values[1], .yaw_rad = values[2]}))
               throw CLI::ValidationError("--start", "no robot is there; give metres and radians");
           },
-          "Start from this pose (m, rad) in the place of the first pose prior at or after --from")
+          "Start from this pose (m, rad) instead of the first pose prior at or after --from")
       ->type_name("X,Y,YAW");
 }
 
 void FilterInput::add_output(CLI::App& command) {
-  command.add_option("-o,--output", output_, "Table to write, one row for each odometry row")->required();
+  command.add_option("-o,--output", output_, "Table to write, one row per odometry sample")->required();
   add_json(command);
 }
 
 void FilterInput::add_relocation(CLI::App& command) {
   command.add_flag("--relocate", relocates_,
-                   "Where the ranges tell of another place, begin anew there, as gromad does; without a pose "
-                   "to start from it is always so");
+                   "Re-initialize elsewhere if the ranges show another place, as gromad does; always on "
+                   "without a pose to start from");
 }
 
 void FilterInput::add_json(CLI::App& command) {
@@ -78,7 +78,8 @@ model::Calibration FilterInput::load_calibration(const io::Dataset& dataset, War
   model::Calibration calibration = io::read_calibration(*calibration_);
   if (calibration.verdict == model::Verdict::kUnusable) {
     warnings.add(
-        fmt::format("{}: its verdict is 'unusable'; trust no estimate made with it", calibration_->string()));
+        fmt::format("{}: its verdict is 'unusable'; do not trust estimates made with it",
+                    calibration_->string()));
   }
   return calibration;
 }
@@ -156,21 +157,21 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
     throw io::DataError(
         odometry_place(row.t_s),
         fmt::format("the estimate is not finite from t_s = {} on; nothing was written", row.t_s),
-        "check the calibration, the surface and the samples there, or end before by --to");
+        "check the calibration, the surface and the samples there, or end before it with --to");
   }
 }
 
 void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& warnings) {
   if (counters.odometry[filter::OdometryOutcome::kImplausible] > 0) {
     warnings.add(
-        fmt::format("{} odometry samples were dropped: no robot moves so, or changes its velocity so fast",
+        fmt::format("{} odometry samples were dropped: no robot moves or accelerates like that",
                     counters.odometry[filter::OdometryOutcome::kImplausible]));
   }
   for (std::size_t sensor = 0; sensor < model::kSensors; ++sensor) {
     const auto& of = counters.sensors.at(sensor);
     const std::size_t dropped = of[filter::SensorOutcome::kJumped] + of[filter::SensorOutcome::kBadValue];
     if (dropped == 0) continue;
-    warnings.add(fmt::format("{} samples of {} were dropped: no robot can do what they say", dropped,
+    warnings.add(fmt::format("{} samples of {} were dropped: no robot can move like that", dropped,
                              model::kSensorNames.at(sensor)));
   }
 }
@@ -178,8 +179,8 @@ void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& wa
 void FilterInput::warn_without_ranges(std::size_t ranges_seen, Warnings& warnings) {
   warnings.add(
       ranges_seen == 0
-          ? "there are no ranges of the chosen tags, anchors and time: the poses are by odometry alone"
-          : fmt::format("none of the {} ranges was used: the poses are by odometry alone; check the "
+          ? "there are no ranges of the chosen tags, anchors and time: the poses are from odometry only"
+          : fmt::format("none of the {} ranges was used: the poses are from odometry only; check the "
                         "calibration and the start",
                         ranges_seen));
 }

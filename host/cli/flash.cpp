@@ -164,7 +164,7 @@ class Flashing {
     if (own_interface_ && !std::filesystem::is_regular_file(options.adapter)) {
       throw CLI::ValidationError(
           "--adapter",
-          fmt::format("'{}' is neither jlink nor cmsis-dap nor a file of OpenOCD's", options.adapter));
+          fmt::format("'{}' is neither jlink nor cmsis-dap nor a file of OpenOCD", options.adapter));
     }
     openocd_ = provision::find_program(options.openocd);
     if (!own_interface_) probes_ = provision::find_debug_probes();
@@ -344,23 +344,23 @@ void add_flash(CLI::App& app, Action& action) {
       app.add_subcommand("flash",
                          "Write the firmware into nodes by a debug probe, with OpenOCD, and verify it; with "
                          "a plan also configure them. "
-                         "What is there already is left alone: after an interruption repeat the command.");
+                         "A node that already has it is skipped: after an interruption repeat the command.");
   command->add_option("--image", options->image, "Intel HEX file")->capture_default_str();
   command->add_option("--probe", options->probe, "Serial number of the probe");
   command->add_option(
       "--adapter", options->adapter,
-      "jlink, cmsis-dap, or OpenOCD's configuration file of another; by default what is there");
+      "jlink, cmsis-dap, or OpenOCD's configuration file of another. Default: the connected one");
   command->add_option("--openocd", options->openocd, "OpenOCD, version 0.12 or later")->capture_default_str();
   command->add_option("--plan", options->plan, "The site plan: all its nodes, each by its own probe");
-  command->add_option("--node", options->nodes, "These nodes of the plan alone, such as 1,5");
-  command->add_flag("--all", options->all, "Each probe there is");
-  command->add_flag("--recover", options->recover, "Unlock a locked part, which erases all that is in it");
+  command->add_option("--node", options->nodes, "Only these nodes of the plan, such as 1,5");
+  command->add_flag("--all", options->all, "Flash by every connected probe");
+  command->add_flag("--recover", options->recover, "Unlock a locked part, which erases its whole flash");
   command->add_flag("--reassign", options->reassign,
                     "Also configure nodes that are configured under another id");
-  command->add_flag("--list", options->list, "Show the probes there are, and end");
+  command->add_flag("--list", options->list, "Show the connected probes, and end");
   command->add_flag("--udev-rules", options->udev_rules,
                     "Print the udev rules for probes and ports, and end");
-  command->add_flag("--verbose", options->verbose, "Show what OpenOCD says");
+  command->add_flag("--verbose", options->verbose, "Show OpenOCD's output");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

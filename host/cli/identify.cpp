@@ -80,7 +80,7 @@ int run(IdentifyOptions options) {
       configured ? fmt::format("{} {} of network {}", role, outcome.hello->id, outcome.hello->network_id)
                  : "an unconfigured node";
   say(fmt::format("{}: {} blinks for {} s{}\n", outcome.port, known ? who : "the node", options.for_s,
-                  target == 0 ? "" : ", told over the air"));
+                  target == 0 ? "" : ", over the air"));
   return io::kGood;
 }
 
@@ -88,14 +88,14 @@ int run(IdentifyOptions options) {
 
 void add_identify(CLI::App& app, Action& action) {
   const auto options = std::make_shared<IdentifyOptions>();
-  CLI::App* command = app.add_subcommand("identify", "Let a node blink, and tell which it is.");
+  CLI::App* command = app.add_subcommand("identify", "Make a node blink, and print its role and id.");
   command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3");
-  command->add_option("--plan", options->plan, "The site plan, in the place of a port");
+  command->add_option("--plan", options->plan, "The site plan, instead of a port");
   command->add_option(
       "--node", options->node,
-      "The node of the plan; with a port: the node that the one there passes it on to over the air");
+      "The node of the plan; with a port: the node to which the node there relays over the air");
   command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
-  command->add_option("--for", options->for_s, "So many seconds; 0 ends it")
+  command->add_option("--for", options->for_s, "Duration in seconds; 0 ends it")
       ->check(CLI::Range(0U, kMaxIdentify_s))
       ->capture_default_str();
   command->add_flag("--json", options->json, "Print one JSON object");

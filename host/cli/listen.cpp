@@ -155,24 +155,25 @@ std::string told_of_itself(const Listener& heard) {
 // Prints why there was no range and what to do; returns the exit code.
 int complain_of_nothing(const ListenOptions& options, const Listener& heard, std::uint64_t bytes) {
   if (bytes == 0) {
-    complain(fmt::format("{}: not a byte came; 'groma identify {}' tells more", options.link, options.link));
+    complain(fmt::format("{}: no byte received; run 'groma identify {}' for the reason", options.link,
+                         options.link));
     return io::kUnavailable;
   }
   if (!heard.status) {
     complain(fmt::format(
-        "{}: no range came, and no status; check that it is a configured node ('groma identify {}')",
+        "{}: no range received, and no status; check that it is a configured node ('groma identify {}')",
         options.link, options.link));
     return io::kDoneWithWarnings;
   }
   if (heard.status->state == groma_SyncState_SYNC_SEARCHING) {
     complain(fmt::format(
-        "{}: no range came, for the node hears no beacon; check that the master is configured with the "
-        "same plan, has power, and is in reach",
+        "{}: no range received, because the node hears no beacon; check that the master is configured with "
+        "the same plan, has power, and is in reach",
         options.link));
     return io::kDoneWithWarnings;
   }
   complain(fmt::format(
-      "{}: in step with the master {}, but no range came; is it a tag, and are there anchors in reach?",
+      "{}: synchronized to master {}, but no range received; is it a tag, and are there anchors in reach?",
       options.link, heard.status->master_id));
   return io::kDoneWithWarnings;
 }
@@ -206,7 +207,7 @@ int run(const ListenOptions& options) {
   if (options.json) {
     say_json(to_json(heard, decoder, elapsed_s));
   } else if (!options.rows) {
-    Table table({"tag", "anchor", "ranges", "per s", "mean m", "std m", "power dBm", "sight"});
+    Table table({"tag", "anchor", "ranges", "per s", "mean m", "std m", "power dBm", "LOS"});
     for (const auto& [ids, pair] : heard.pairs) {
       table.add({fmt::format("{}", ids.first), fmt::format("{}", ids.second), fmt::format("{}", pair.count),
                  fmt::format("{:.0f}", static_cast<double>(pair.count) / elapsed_s),
@@ -227,13 +228,13 @@ int run(const ListenOptions& options) {
 
 void add_listen(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ListenOptions>();
-  CLI::App* command = app.add_subcommand("listen", "Show what a tag measures: ranges by anchor.");
+  CLI::App* command = app.add_subcommand("listen", "Show the ranges that a tag measures, by anchor.");
   command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3")->required();
   command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
-  command->add_option("--for", options->for_s, "So many seconds")
+  command->add_option("--for", options->for_s, "Duration in seconds")
       ->check(CLI::Range(0.1, 86'400.0))
       ->capture_default_str();
-  command->add_flag("--rows", options->rows, "Each range as it comes, as ranges.csv of a data set has them");
+  command->add_flag("--rows", options->rows, "Print each range live, in the format of ranges.csv");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

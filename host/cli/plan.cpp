@@ -151,9 +151,9 @@ int run(const PlanOptions& options) {
 void add_plan(CLI::App& app, Action& action) {
   const auto options = std::make_shared<PlanOptions>();
   CLI::App* command = app.add_subcommand("plan",
-                                         "Foretell what a schedule gives: slots, air use, ranges per second, "
-                                         "and what each link carries. Of a site "
-                                         "plan's file, or of the numbers of tags and anchors.");
+                                         "Predict the figures of a schedule: slots, air use, ranges per "
+                                         "second, and the load of each link, for a site "
+                                         "plan's file or for numbers of tags and anchors.");
   CLI::Option* file = command->add_option("plan", options->plan, "The site plan");
   const auto number = [&](const char* name, auto& value, const char* text, unsigned first, unsigned last) {
     command->add_option(name, value, text)
@@ -163,27 +163,29 @@ void add_plan(CLI::App& app, Action& action) {
   };
   number("--tags", options->tags, "Tags", 1, 16);
   number("--anchors", options->anchors, "Anchors", 1, 64);
-  number("--backups", options->backups, "Back-ups of the master among them", 0, 7);
+  number("--backups", options->backups, "Anchors that back up the master", 0, 7);
   number("--responses", options->site.responses, "Anchors that a tag polls at once; 0: all, up to 16", 0, 16);
-  number("--turn-round", options->site.turn_round_us, "End of a frame to the answer's preamble, us", 150,
-         5'000);
-  number("--gap", options->site.response_gap_us, "Between answers, us", 50, 2'000);
-  number("--guard", options->site.guard_us, "A receiver is on so much before a frame is due, us", 5, 1'000);
-  command->add_option("--preamble", options->site.preamble_symbols, "Symbols")
+  number("--turn-round", options->site.turn_round_us,
+         "Turnaround: end of a frame to the preamble of the answer, us", 150, 5'000);
+  number("--gap", options->site.response_gap_us, "Time between answers, us", 50, 2'000);
+  number("--guard", options->site.guard_us, "A receiver turns on this long before a frame is due, us", 5,
+         1'000);
+  command->add_option("--preamble", options->site.preamble_symbols, "Length of the preamble, symbols")
       ->check(CLI::IsMember({64U, 128U, 256U}))
       ->excludes(file)
       ->capture_default_str();
-  command->add_option("--method", options->method, "How an exchange is closed")
+  command->add_option("--method", options->method, "Frame that completes an exchange: FINAL or the next POLL")
       ->check(CLI::IsMember({"final", "next-poll"}))
       ->excludes(file)
       ->capture_default_str();
-  command->add_option("--link", options->link, "How tags report")
+  command->add_option("--link", options->link, "Link over which tags report")
       ->check(CLI::IsMember({"uart", "can", "can-fd"}))
       ->excludes(file)
       ->capture_default_str();
-  command->add_flag("--raw-stamps", options->site.report_raw_stamps, "Each range with its four intervals")
+  command->add_flag("--raw-stamps", options->site.report_raw_stamps,
+                    "Report each range with its four time intervals")
       ->excludes(file);
-  command->add_flag("--authenticated", options->authenticated, "With a code in each frame")->excludes(file);
+  command->add_flag("--authenticated", options->authenticated, "With a MIC in each frame")->excludes(file);
   command->add_option("--loss", options->loss, "Share of the frames that are not received")
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();

@@ -108,8 +108,8 @@ int run(const ReplayOptions& options) {
                     {"diagnosis", diagnosis::to_json(findings)}});
     }
     throw io::DataError({options.input.dataset()},
-                        "there is no pose prior to start from in the chosen time, and none was found from "
-                        "ranges and motion",
+                        "there is no pose prior to start from in the chosen time, and no start was found "
+                        "from ranges and motion",
                         "choose another --from and --to, or give --start X,Y,YAW");
   }
   options.input.expect_finite(result.rows, result.spatial);
@@ -166,10 +166,9 @@ void add_replay(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ReplayOptions>();
   CLI::App* command =
       app.add_subcommand("replay",
-                         "Run the filter over a recorded drive. It sees no range, odometry "
-                         "row or pose before its time, and of the poses "
-                         "none but the first, from which it starts (sigma 0.1 m, 0.05 rad). Where "
-                         "there is none, the pose is found from ranges and motion.");
+                         "Run the filter over a recorded drive, causally. Of the poses it uses only the "
+                         "first, from which it starts (sigma 0.1 m, 0.05 rad). Without "
+                         "a pose, it finds the start from ranges and motion.");
   options->input.add_options(*command);
   options->input.add_relocation(*command);
   command

@@ -74,9 +74,9 @@ void Selection::add_options(CLI::App& command) {
             name, [&ids, name](const std::string& text) { ids = parse_ids(name, text); }, help)
         ->type_name("IDS");
   };
-  add_ids("--tags", tags_, "Use the ranges of these tags alone, such as 1,2");
-  add_ids("--anchors", anchors_, "Use the ranges to these anchors alone, such as 5,8,12,14");
-  command.add_option("--section", section_, "Section of a log, from 1; without it the last")->type_name("N");
+  add_ids("--tags", tags_, "Use only the ranges of these tags, such as 1,2");
+  add_ids("--anchors", anchors_, "Use only the ranges to these anchors, such as 5,8,12,14");
+  command.add_option("--section", section_, "Section of a log, from 1. Default: the last")->type_name("N");
 }
 
 void Selection::apply(io::Dataset& dataset) const {

@@ -52,19 +52,19 @@ void add_sim(CLI::App& app, Action& action) {
   const auto options = std::make_shared<SimOptions>();
   CLI::App* command =
       app.add_subcommand("sim",
-                         "Keep a simulated site running: for each tag a pseudo-terminal that behaves as a "
-                         "flashed tag's serial port "
-                         "does, and a socket that gives the robot's odometry and pose priors as JSON lines.");
+                         "Keep a simulated site running: for each tag a pseudo-terminal that behaves like a "
+                         "flashed tag's serial port, "
+                         "and a socket that sends the robot's odometry and pose priors as JSON lines.");
   command->add_option("--scenario", options->scenario, "Site, nodes, robot and radio as YAML")->required();
-  command->add_option("--seed", options->server.site.seed, "Fixes what happens in the simulation")
+  command->add_option("--seed", options->server.site.seed, "Determines all randomness of the simulation")
       ->capture_default_str();
-  command->add_option("--speed", options->server.speed, "So many times real time")
+  command->add_option("--speed", options->server.speed, "Speed as a multiple of real time")
       ->check(CLI::Range(0.01, 100.0))
       ->capture_default_str();
   add_emulation_options(*command, options->emulation);
   command->add_flag(
       "--unconfigured", options->server.site.unconfigured,
-      "Nodes as out of the box, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
+      "Unconfigured nodes, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
       ->required();
   command->callback([options, &action] { action = [options] { return run(*options); }; });

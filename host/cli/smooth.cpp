@@ -37,11 +37,11 @@ int run(const SmoothOptions& options) {
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
   if (result.rows.empty()) {
     throw io::DataError({options.input.dataset() / "odometry.csv"},
-                        "there are fewer than two rows of odometry in the chosen time",
+                        "there are fewer than two odometry samples in the chosen time",
                         "choose another --from and --to");
   }
   if (!result.converged) {
-    warnings.add(fmt::format("{}: still moving after {} rounds; is the start right?",
+    warnings.add(fmt::format("{}: not converged after {} iterations; is the start right?",
                              options.input.dataset().string(), result.rounds));
   }
   options.input.expect_finite(result.rows);
@@ -61,11 +61,10 @@ int run(const SmoothOptions& options) {
                   {"odometry_implausible", result.counters.odometry[filter::OdometryOutcome::kImplausible]},
                   {"dropped", cli::to_json(drive.dataset.dropped)}});
   } else {
-    say(fmt::format("{} poses after {} rounds, written to {}\n", result.rows.size(), result.rounds,
+    say(fmt::format("{} poses after {} iterations, written to {}\n", result.rows.size(), result.rounds,
                     options.input.output().string()));
     say(fmt::format(
-        "{} ranges, {:.0f} % of them in sight; odometry's scale off by {:.4f}, its yaw rate by "
-        "{:.5f} rad/s\n",
+        "{} ranges, {:.0f} % of them LOS; odometry scale error {:.4f}, yaw-rate bias {:.5f} rad/s\n",
         result.ranges_seen,
         result.ranges_seen > 0 ? 100.0 * result.ranges_in_sight / static_cast<double>(result.ranges_seen)
                                : 0.0,
@@ -80,13 +79,13 @@ void add_smooth(CLI::App& app, Action& action) {
   const auto options = std::make_shared<SmoothOptions>();
   CLI::App* command = app.add_subcommand(
       "smooth",
-      "The poses that all of a recorded drive makes most likely: each is told by what came later, too, "
-      "which no filter can have. It shows what the data allows.");
+      "Estimate the most likely poses of a recorded drive. Each pose also uses later samples, which no "
+      "filter can; the result shows what the data allows.");
   options->input.add_options(*command);
   command
       ->add_option(
           "--model", options->model,
-          fmt::format("What becomes of the calibration: schmidt (its errors are allowed for and stay), "
+          fmt::format("How the calibration is used: schmidt (its errors are considered, not estimated), "
                       "joint (it is estimated too). Default: {}",
                       options->model))
       ->check(CLI::IsMember({std::string(filter::model_name(filter::Model::kSchmidt)),

@@ -75,7 +75,7 @@ void add_surface(CLI::App& app, Action& action) {
   CLI::App* fit = surface->add_subcommand("fit",
                                           "Fit a smooth surface to heights that were measured, by a survey, "
                                           "a LiDAR or the robot's own poses, and "
-                                          "tell how far they differ from it.");
+                                          "print how far they differ from it.");
   fit->add_option("HEIGHTS", options->heights,
                   "Table with the columns x_m,y_m,z_m (such as groundtruth.csv), or a grid: a line "
                   "x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny heights")
@@ -84,9 +84,10 @@ void add_surface(CLI::App& app, Action& action) {
                   "Spline to write, for 'surface: {type: bspline, file: ...}'")
       ->required();
   fit->add_option("--spacing", options->spacing_m,
-                  "Metres between knots; chosen by cross-validation without it")
+                  "Metres between knots. Default: chosen by cross-validation")
       ->check(CLI::PositiveNumber);
-  fit->add_option("--smoothing", options->smoothing, "Weight of the bending; chosen likewise without it")
+  fit->add_option("--smoothing", options->smoothing,
+                  "Weight of the bending. Default: chosen by cross-validation")
       ->check(CLI::PositiveNumber);
   fit->add_flag("--json", options->json, "Print one JSON object");
   fit->callback([options, &action] { action = [options] { return run(*options); }; });

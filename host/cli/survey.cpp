@@ -60,12 +60,12 @@ void add_survey(CLI::App& app, Action& action) {
   const auto options = std::make_shared<SurveyOptions>();
   CLI::App* command = app.add_subcommand(
       "survey",
-      "Let anchors range to the anchors around them, in the slot of a tag that does not range meanwhile. "
-      "Prints CSV.");
+      "Make anchors range to their neighbour anchors, in the slot of a tag, which pauses meanwhile. Prints "
+      "CSV.");
   command->add_option("link", options->link, "The tag's port, such as /dev/ttyACM0 or can:can0/3")
       ->required();
-  command->add_option("--node", options->nodes, "These anchors, such as 10,11; not the master")->required();
-  command->add_option("--exchanges", options->exchanges, "So many of each")
+  command->add_option("--node", options->nodes, "The anchors, such as 10,11; not the master")->required();
+  command->add_option("--exchanges", options->exchanges, "Exchanges per pair of anchors")
       ->check(CLI::Range(1, 200))
       ->capture_default_str();
   command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();

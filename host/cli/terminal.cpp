@@ -16,7 +16,7 @@ namespace {
 [[noreturn]] void throw_output_error(int error) {
   throw io::DeviceError({"standard output"},
                         fmt::format("cannot be written ({})", std::generic_category().message(error)),
-                        "check where it goes to");
+                        "check its destination");
 }
 
 }  // namespace

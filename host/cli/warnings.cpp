@@ -23,17 +23,17 @@ void Warnings::add(const io::DroppedRows& dropped) {
   count(dropped.range_out_of_bounds, fmt::format("with a range not within 0 to {} m", io::kMaxRange_m));
   count(dropped.unknown_tag, "of an unknown tag");
   count(dropped.unknown_anchor, "of an unknown anchor");
-  count(dropped.late, fmt::format("out of order by over {} s (odometry: over {} rows)", io::kMaxLateness_s,
+  count(dropped.late, fmt::format("out of order by over {} s (odometry: over {} samples)", io::kMaxLateness_s,
                                   io::kMaxOdometryOutOfOrder));
   count(dropped.repeated, "repeated");
-  count(dropped.implausible, "with a pose that no robot has, or a covariance that is none");
+  count(dropped.implausible, "with a pose that no robot has, or an invalid covariance");
   if (!list.empty()) add(fmt::format("{} rows dropped: {}", dropped.total(), list));
 }
 
 void Warnings::add(const io::Dataset& dataset) {
   add(dataset.dropped);
   if (dataset.log && dataset.log->damaged_bytes > 0) {
-    add(fmt::format("{} bytes of the log are damaged and were left out", dataset.log->damaged_bytes));
+    add(fmt::format("{} bytes of the log are damaged and were skipped", dataset.log->damaged_bytes));
   }
 }
 

@@ -427,7 +427,7 @@ Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) 
   LogSection& section = content.sections[chosen - 1];
   if (section.description.empty() || section.description.back().name != "dataset.yaml") {
     throw DataError({path},
-                    fmt::format("section {} does not tell of its site: its beginning is damaged", chosen),
+                    fmt::format("section {} has no site description: its beginning is damaged", chosen),
                     count > 1 ? "choose another by --section" : "record another");
   }
   Dataset dataset;

@@ -56,7 +56,7 @@ std::string format_description(const Dataset& dataset) {
   std::string text = "schema: 1\n";
   add(text, "name: {}\norigin: {}\n", double_quoted(dataset.name), double_quoted(dataset.origin));
   const model::OdometryNoise& odometry = dataset.odometry_noise;
-  add(text, "odometry: {{sigma_vx_mps: {}, sigma_vy_mps: {}, sigma_omega_radps: {}}}  # white, a row\n",
+  add(text, "odometry: {{sigma_vx_mps: {}, sigma_vy_mps: {}, sigma_omega_radps: {}}}  # white\n",
       odometry.sigma_vx_mps, odometry.sigma_vy_mps, odometry.sigma_omega_radps);
   const model::RangePriors& range = dataset.range_priors;
   add(text, "range: {{sigma_m: {}, beta_m: [{}, {}], gamma: [{}, {}]}}\n", range.sigma_m, range.beta_m.mean,

@@ -26,7 +26,7 @@ LockStep::LockStep(const sim::Scenario& scenario, const SiteOptions& options)
   for (std::size_t i = 0; i < site_.port_count(); ++i) {
     Tag tag;
     link::OpenedLink opened = link::open_link(tag.port.path(), scenario.link.bit_per_s);
-    if (!opened.link) throw io::DeviceError({tag.port.path()}, opened.error.message, "see there");
+    if (!opened.link) throw io::DeviceError({tag.port.path()}, opened.error.message, "start again");
     tag.link = std::move(opened.link);
     tag.node = session_.add_node(site_.port_name(i), scenario.link.bit_per_s);
     tags_.push_back(std::move(tag));
@@ -53,14 +53,14 @@ void LockStep::run_until(double t_s) {
 
 void LockStep::pass_through(Tag& tag, double now_s) {
   if (tag.port.write(bytes_) != bytes_.size()) {
-    throw io::DeviceError({tag.port.path()}, "does not take all bytes",
+    throw io::DeviceError({tag.port.path()}, "does not accept all bytes",
                           "end what else has this terminal open");
   }
   std::array<std::uint8_t, 512> chunk{};
   for (std::size_t left = bytes_.size(); left > 0;) {
     pollfd waiting{tag.link->poll_fd(), POLLIN, 0};
     if (::poll(&waiting, 1, kReadTimeout_ms) == 0) {
-      throw io::DeviceError({tag.port.path()}, "has not given back all bytes",
+      throw io::DeviceError({tag.port.path()}, "did not return all bytes",
                             "end what else reads this terminal");
     }
     const link::ReadResult read = tag.link->read(chunk);

@@ -294,7 +294,7 @@ TEST(Log, IsToldFromOtherFiles) {
     static_cast<void>(read_dataset(folder / "torn"));
     ADD_FAILURE();
   } catch (const DataError& error) {
-    EXPECT_THAT(error.what(), HasSubstr("section 1 does not tell of its site"));
+    EXPECT_THAT(error.what(), HasSubstr("section 1 has no site description"));
   }
 }
 

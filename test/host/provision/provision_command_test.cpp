@@ -256,7 +256,7 @@ TEST_F(CommandTest, NodesWithoutACableAreReachedThroughATag) {
 
   const ChildResult blinking = groma_run({"identify", nodes_[0].port, "--node", "12", "--for", "1"});
   EXPECT_EQ(blinking.exit_code, 0) << blinking.err;
-  EXPECT_EQ(blinking.out, nodes_[0].port + ": anchor 12 of network 77 blinks for 1 s, told over the air\n");
+  EXPECT_EQ(blinking.out, nodes_[0].port + ": anchor 12 of network 77 blinks for 1 s, over the air\n");
 
   const ChildResult asked = groma_run({"nodes", "--plan", path("hung.yaml"), "--node", "1,10,11", "--json"});
   EXPECT_EQ(asked.exit_code, 0) << asked.err;
@@ -273,7 +273,7 @@ TEST_F(CommandTest, NodesWithoutACableAreReachedThroughATag) {
 TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
   const ChildResult before = groma_run({"listen", nodes_[0].port, "--for", "1.5"});
   EXPECT_EQ(before.exit_code, 3);
-  EXPECT_THAT(before.err, HasSubstr("no range came"));
+  EXPECT_THAT(before.err, HasSubstr("no range received"));
   ASSERT_EQ(groma_run(configure_all()).exit_code, 0);
   const ChildResult after = groma_run({"listen", nodes_[0].port, "--for", "2.5", "--json"});
   EXPECT_EQ(after.exit_code, 0) << after.err;
