@@ -290,8 +290,8 @@ std::string table_of(const ExplainOptions& options, const Story& story) {
   std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
     return pull(*a.second).head<2>().norm() > pull(*b.second).head<2>().norm();
   });
-  Table table({"tag", "anchor", "used", "range m", "predicted", "off", "sigma", "weight", "in sight", "hint",
-               "pull x cm", "y cm", "heading mrad", "why"});
+  Table table({"tag", "anchor", "used", "range m", "predicted", "innovation", "sigma", "weight", "LOS",
+               "hint", "correction x cm", "y cm", "heading mrad", "why"});
   for (const auto& [pair, ranges] : entries) {
     const Heard& heard = nearest(*ranges, options.at_s);
     const Eigen::Vector3d by = pull(*ranges);
@@ -315,35 +315,35 @@ std::string text_of(const ExplainOptions& options, const Story& story) {
   const Moment& moment = moment_at(story, options.at_s);
   const filter::Estimate& estimate = moment.estimate;
   const auto sigma = [&](int i) { return std::sqrt(estimate.covariance(i, i)); };
-  std::string out = fmt::format("{} s, {}: {}{}\n", moment.state.t_s, options.model, words(moment.state),
-                                moment.doubts ? "; the ranges refuse the pose, its covariance grows" : "");
+  std::string out =
+      fmt::format("{} s, {}: {}{}\n", moment.state.t_s, options.model, words(moment.state),
+                  moment.doubts ? "; the ranges contradict the pose, its covariance grows" : "");
   out += fmt::format("pose      x {:.3f} +- {:.3f} m, y {:.3f} +- {:.3f} m, heading {:.4f} +- {:.4f} rad\n",
                      estimate.pose.x_m, sigma(0), estimate.pose.y_m, sigma(1), estimate.pose.theta_rad,
                      sigma(2));
   const std::size_t jumps = story.rows.back().jumps - story.rows.front().jumps;
   out += fmt::format(
-      "odometry  row +- {:.3f} m/s (told {:.3f}), +- {:.4f} rad/s (told {:.4f}); scale {:+.4f}, yaw rate "
-      "{:+.5f} rad/s, {:.0f} ms late{}\n",
+      "odometry  sample +- {:.3f} m/s (configured {:.3f}), +- {:.4f} rad/s (configured {:.4f}); scale error "
+      "{:+.4f}, yaw-rate bias {:+.5f} rad/s, delay {:.0f} ms{}\n",
       moment.row_sigmas.head<2>().maxCoeff(),
       std::max(story.told.odometry.sigma_vx_mps, story.told.odometry.sigma_vy_mps), moment.row_sigmas.z(),
       story.told.odometry.sigma_omega_radps, estimate.scale_error, estimate.yaw_rate_bias_radps,
       1000.0 * estimate.odometry_delay_s,
-      jumps > 0 ? fmt::format("; {} rows jumped, and are doubted", jumps) : "");
+      jumps > 0 ? fmt::format("; {} samples jumped, their sigma is increased", jumps) : "");
   const std::size_t slips = story.rows.back().slips - story.rows.front().slips;
   if (slips > 0) {
     out += fmt::format(
-        "          the ranges of several anchors show another way than it tells ({} times): its wheels slip, "
-        "or the "
-        "robot is carried\n",
+        "          the ranges of several anchors contradict it ({} times): the wheels slip, or the robot is "
+        "carried\n",
         slips);
   }
-  out += fmt::format("ranges    white +- {:.3f} m, slow +- {:.3f} m, {:.0f} ms late\n", moment.white_sigma_m,
-                     moment.slow_sigma_m, 1000.0 * estimate.range_delay_s);
+  out += fmt::format("ranges    white noise +- {:.3f} m, Gauss-Markov bias +- {:.3f} m, delay {:.0f} ms\n",
+                     moment.white_sigma_m, moment.slow_sigma_m, 1000.0 * estimate.range_delay_s);
   const std::vector<StateAt> states = changes(story);
   for (std::size_t i = 1; i < states.size(); ++i)
     out += fmt::format("state     {} from {} s on\n", words(states[i]), states[i].t_s);
   if (story.rows.back().relocations > story.rows.front().relocations)
-    out += "state     another place was found, and the filter began anew there\n";
+    out += "state     another place was found, and the filter re-initialized there\n";
 
   std::size_t seen = 0;
   std::size_t taken = 0;
@@ -354,11 +354,11 @@ std::string text_of(const ExplainOptions& options, const Story& story) {
     moved += pull(ranges);
   }
   out += fmt::format(
-      "\nWithin {} s of {}: {} ranges, {} used; they pulled the pose by x {:+.1f} cm, y {:+.1f} cm, heading "
-      "{:+.1f} mrad.\n",
+      "\nWithin {} s of {}: {} ranges, {} used; they corrected the pose by x {:+.1f} cm, y {:+.1f} cm, "
+      "heading {:+.1f} mrad.\n",
       options.window_s, options.at_s, seen, taken, 100.0 * moved.x(), 100.0 * moved.y(), 1000.0 * moved.z());
   if (seen == 0) return out;
-  out += "Of each pair the range nearest in time, and what all of its ranges pulled:\n";
+  out += "For each pair, the range nearest in time and the correction by all of its ranges:\n";
   return out + table_of(options, story);
 }
 
@@ -380,12 +380,12 @@ void add_explain(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ExplainOptions>();
   CLI::App* command = app.add_subcommand(
       "explain",
-      "What happened at a moment of a recorded drive: the filter's state, and of each tag and anchor what "
-      "was measured, what was expected, how far it was believed and where it pulled the pose.");
+      "Show what happened at a moment of a recorded drive: the filter's state and, for each tag and anchor, "
+      "the measured and predicted range, its weight and its correction of the pose.");
   options->input.add_options(*command);
   options->input.add_relocation(*command);
   command->add_option("--at", options->at_s, "The moment, t_s of the drive")->required()->type_name("S");
-  command->add_option("--window", options->window_s, "So far around it ranges are looked at. Default: 0.5")
+  command->add_option("--window", options->window_s, "Use ranges within this time of it. Default: 0.5")
       ->check(CLI::PositiveNumber)
       ->type_name("S");
   std::vector<std::string> names;

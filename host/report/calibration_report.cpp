@@ -120,7 +120,7 @@ Chart::Axes small(std::string title, std::string x_label, std::string y_label) {
 
 // Where the anchor's ranges were LOS, and where NLOS.
 Chart sight_map(const model::AnchorCalibration& anchor, std::span<const calibration::FittedRange> rows) {
-  Chart::Axes axes = small("Seen from", "x (m)", "y (m)");
+  Chart::Axes axes = small("Line of sight", "x (m)", "y (m)");
   axes.same_scale = true;
   axes.legend = true;
   Chart map(axes);
@@ -128,8 +128,8 @@ Chart sight_map(const model::AnchorCalibration& anchor, std::span<const calibrat
   std::vector<Vector2d> blocked;
   for (const calibration::FittedRange& row : rows)
     (row.in_sight < 0.5 ? blocked : in_sight).push_back(row.antenna_m);
-  map.add_points("in sight", Ink::kGood, std::move(in_sight));
-  map.add_points("blocked or gross", Ink::kBad, std::move(blocked));
+  map.add_points("LOS", Ink::kGood, std::move(in_sight));
+  map.add_points("NLOS or outlier", Ink::kBad, std::move(blocked));
   if (is_known(anchor)) {
     const Vector2d at = anchor.position_m.head<2>();
     map.add_ellipses("", anchor_ink(anchor), {{at, anchor.covariance.topLeftCorner<2, 2>()}});
@@ -176,7 +176,7 @@ void add_pairs(Page& page, const model::AnchorCalibration& anchor,
                      number(pair.gamma, "{:.4f}"),
                      number(pair.gamma_sigma, "{:.4f}")});
   }
-  page.add_table({"tag", "ranges", "not in sight", "rms in sight m", "β m", "σ β m", "γ", "σ γ"}, cells);
+  page.add_table({"tag", "ranges", "NLOS", "rms LOS m", "β m", "σ β m", "γ", "σ γ"}, cells);
 }
 
 double in_sight_share(std::span<const calibration::FittedRange> rows) {
@@ -200,10 +200,10 @@ void add_each_anchor(Page& page, const calibration::Drive& drive, const calibrat
   const Scales scales = scales_of(drive);
   page.add_heading("Each anchor");
   page.add_text(
-      "Where it was ranged from, and what each of its pairs measured less what the solution predicts, over "
-      "time and over distance: dots are ranges, lines their medians, colours the tags. Long stretches above "
-      "zero are blocked sight; a slope over distance is a wrong scale; a step in time is an anchor that was "
-      "moved.");
+      "For each anchor, where its ranges were measured, and each pair's residuals (measured minus predicted) "
+      "over time and over distance: dots are ranges, lines their medians, colours the tags. A long time "
+      "above zero is a blocked line of sight (NLOS); a slope over distance is a wrong scale; a step in time "
+      "is an anchor that was moved.");
   const std::vector<model::AnchorCalibration>& anchors = result.calibration.anchors;
   for (std::size_t i = 0; i < anchors.size() && i < result.fitted.size(); ++i) {
     const model::AnchorCalibration& anchor = anchors[i];
@@ -248,7 +248,7 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
     Ink ink;
     std::vector<Vector2d> line{};
   };
-  std::array<Part, 3> parts{Part{"path, 5 anchors or more in sight", Ink::kGood},
+  std::array<Part, 3> parts{Part{"path, LOS to 5 anchors or more", Ink::kGood},
                             Part{"3 or 4", Ink::kSeries2}, Part{"fewer", Ink::kOther}};
   std::size_t last_part = parts.size();
   std::optional<model::PoseSample> last;
@@ -321,7 +321,7 @@ void add_map(Page& page, const calibration::Drive& drive, const calibration::Res
     map.add_marks(group.name, ink, std::move(group.marks));
   }
   page.add_chart(
-      map, "The drive from above, and where the anchors were found. An anchor leads to what is known of it.");
+      map, "The drive and the estimated anchor positions from above. Click an anchor for its details.");
 }
 
 void add_anchors(Page& page, const calibration::Result& result) {
@@ -348,12 +348,12 @@ void add_anchors(Page& page, const calibration::Result& result) {
          {std::string(io::word(anchor.verdict)), tone(anchor.verdict)}});
   }
   page.add_heading("Anchors");
-  page.add_table({"anchor", "x m", "y m", "z m", "σ xy m", "σ z m", "used", "rejected", "in sight",
-                  "held out m", "mirror", "verdict"},
+  page.add_table({"anchor", "x m", "y m", "z m", "σ xy m", "σ z m", "used", "rejected", "LOS", "held out m",
+                  "mirror", "verdict"},
                  rows);
   page.add_text(
-      "Held out: root mean square of the residuals over the last fifth of the drive, which that solution had "
-      "not seen. "
+      "Held out: root mean square of the residuals over the last fifth of the drive, for a solution from the "
+      "rest. "
       "Mirror: how well the best position on the other side of the tags explains the ranges, from 0 (not at "
       "all) to 1 "
       "(as well).");
@@ -385,7 +385,7 @@ void add_biases(Page& page, const model::Calibration& calibration) {
                         std::move(values.second));
   }
   page.add_heading("Range biases");
-  page.add_chart(chart, "What each pair of tag and anchor measures too long, with its 95 % interval.");
+  page.add_chart(chart, "Constant range bias β of each pair of tag and anchor, with its 95 % interval.");
 }
 
 }  // namespace
