@@ -1,4 +1,4 @@
-// What the commands reach on recorded and simulated runs that are no part of the project. Skipped where these
+// Accuracy of the commands on recorded and simulated runs that are not part of the project. Skipped if these
 // are absent.
 #include <gtest/gtest.h>
 
@@ -23,7 +23,7 @@ using Arguments = std::vector<std::string>;
 
 class RecordedRunsTest : public testing::Test {
  protected:
-  // Prints what a command prints with --json, and checks that it ended with a result.
+  // Runs a command with --json, checks that it ended with a result, and returns its JSON output.
   static json groma(const Arguments& arguments) {
     Arguments command{GROMA_EXECUTABLE, "--json"};
     command.insert(std::next(command.begin()), arguments.begin(), arguments.end());
@@ -38,7 +38,7 @@ class RecordedRunsTest : public testing::Test {
     return groma(arguments);
   }
 
-  // The score of a replay with the calibration made before.
+  // The score of a replay with the calibration by calibrate().
   json score(const std::filesystem::path& data, const Arguments& more = {}) const {
     Arguments arguments{"replay", data, "--calibration", calibration_, "-o", estimate_};
     arguments.insert(arguments.end(), more.begin(), more.end());
@@ -64,7 +64,7 @@ class RecordedRunsTest : public testing::Test {
     return sum_m / static_cast<double>(anchors.size());
   }
 
-  // The middle of a run, by its ranges.
+  // The middle of a run's ranges in time.
   static std::string half_time_s(const std::filesystem::path& data) {
     const auto ranges = io::read_dataset(data).ranges;
     return std::to_string(0.5 * (ranges.front().t_s + ranges.back().t_s));

@@ -1,4 +1,4 @@
-// Wall time of a calibration by the number of ranges a pair: 12 anchors, 3 tags. It has to grow linearly.
+// Wall time of a calibration over the number of ranges per pair: 12 anchors, 3 tags. It has to grow linearly.
 #include <benchmark/benchmark.h>
 
 #include <cmath>
@@ -19,7 +19,8 @@ void BM_Calibrate(benchmark::State& state) {
 }
 BENCHMARK(BM_Calibrate)->Arg(200)->Arg(1000)->Arg(4000)->Unit(benchmark::kMillisecond)->Complexity();
 
-// Ten times the ranges of the drive above, all of them and a choice (0: all). rmse_m: of the positions.
+// A drive with 2000 ranges per pair, solved with all ranges (0) or with a limit per anchor. rmse_m: of the
+// positions.
 void BM_CalibrateChosen(benchmark::State& state) {
   const groma::test::SimulatedSite site =
       groma::test::simulate_site({.ranges_per_pair = 2000, .outlier_share = 0.15}, 1);
@@ -36,7 +37,7 @@ void BM_CalibrateChosen(benchmark::State& state) {
 }
 BENCHMARK(BM_CalibrateChosen)->Arg(0)->Arg(600)->Arg(1500)->Arg(3000)->Unit(benchmark::kMillisecond);
 
-// The same where walls stand in the way, 2000 polls a pair.
+// As BM_CalibrateChosen, with walls that block the line of sight, 2000 polls per pair.
 void BM_CalibrateChosenBehindWalls(benchmark::State& state) {
   groma::test::Blocking blocking;
   blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}, {{7.0, 1.0}, {7.0, 5.0}}, {{12.0, 9.0}, {16.0, 9.0}}};
@@ -49,8 +50,8 @@ void BM_CalibrateChosenBehindWalls(benchmark::State& state) {
 }
 BENCHMARK(BM_CalibrateChosenBehindWalls)->Arg(0)->Arg(1000)->Arg(2000)->Unit(benchmark::kMillisecond);
 
-// One step of learning while driving: all places, and the anchors in use looked for in the last minute. After
-// the store's full time of a drive it holds all that it may; longer drives make no longer steps.
+// One step of the calibration while driving: solves all stored places, and checks the anchors in use against
+// the last minute. The store is bounded: beyond its capacity, longer drives do not make a step longer.
 void BM_LearningStep(benchmark::State& state) {
   const groma::calibration::DriveStoreLimits limits;
   const auto duration_s = static_cast<double>(state.range(0));

@@ -1,7 +1,6 @@
-// What one call of the filter costs, at a site of 12 anchors with 3 tags on hilly ground unless said
-// otherwise. Beside the mean: the median and the 99th percentile of single calls (p50_ns, p99_ns, the clock's
-// own cost taken off), and the time that the covariance's multiply-adds would take at the speed that this
-// machine reaches with nothing else to do (bound_ns).
+// Cost of one call of the filter, by default at a site of 12 anchors with 3 tags on hilly ground. Besides the
+// mean: the median and the 99th percentile of single calls (p50_ns, p99_ns, without the clock's cost), and a
+// lower bound from the covariance's multiply-adds at this machine's peak rate (bound_ns).
 #include <benchmark/benchmark.h>
 
 #include <algorithm>
@@ -56,7 +55,7 @@ std::unique_ptr<Filter> started(Model model, int anchors, const model::SurfaceMi
   return filter;
 }
 
-// As long as they should be where the robot starts, to the anchors that are active then; each tag in turn.
+// Exact ranges at the robot's start, from each tag in turn to the anchors that are then active.
 std::vector<model::RangeSample> ranges_at_start(int anchors) {
   const model::Calibration calibration = ring_of(anchors);
   const model::SurfacePose pose = model::pose_on_surface(testing::hills(0.2), {});
@@ -83,7 +82,7 @@ double percentile(std::vector<double>& values, double share) {
   return *at;
 }
 
-// Of single calls, apart from the loop that Google Benchmark times.
+// Percentiles of single calls, measured outside of Google Benchmark's timed loop.
 template <class Call>
 void report_percentiles(benchmark::State& state, const Call& call) {
   constexpr std::size_t kCalls = 200'000;
@@ -100,7 +99,7 @@ void report_percentiles(benchmark::State& state, const Call& call) {
   state.counters["p99_ns"] = percentile(call_ns, 0.99) - clock;
 }
 
-// As the filter's own loops: by two doubles at a time, or four where the machine has AVX2.
+// Vectorized like the filter's loops: two doubles at a time, or four if the machine has AVX2.
 #if defined(__x86_64__) && defined(__linux__)
 __attribute__((target_clones("default", "avx2")))
 #endif
@@ -114,7 +113,7 @@ void multiply_and_add(int rounds, double factor, double term, double* out) {
   for (int i = 0; i < kChains; ++i) out[i] = sums[i][0] + sums[i][1] + sums[i][2] + sums[i][3];
 }
 
-// Multiply-adds a nanosecond, multiplied and added apart, as everything is here.
+// Multiply-adds per nanosecond, with separate multiplication and addition (no FMA), as in the filter.
 double peak_per_ns() {
   double factor = 0.999;
   double term = 1e-3;
@@ -137,27 +136,27 @@ double peak() {
   return per_ns;
 }
 
-// Multiply-adds that the covariance takes; surface, gate and the range itself are not in them.
+// Multiply-adds of the covariance only, without surface, gate and range prediction.
 struct Work {
   double core = kCoreSize;
-  double pair = kPairParameters - kGroundSize;  // exact ground's are left out
+  double pair = kPairParameters - kGroundSize;  // without ground states: the ground is exact
   double parameters;
 
   explicit Work(int anchors) : parameters(Layout(std::min(anchors, kMaxAnchors), 3).size()) {}
 
-  // F P F^T: two full rows and the heading's three terms, of the core and of the motion gathered.
+  // F P F^T: two full rows and the heading's three terms, for the core and for the accumulated motion.
   [[nodiscard]] double propagation() const { return 2.0 * (2.0 * 8.0 * core + 2.0 * core) + 2.0 * 8.0 + 4.0; }
-  // q = C d and C - q g^T, before that the pair's rows and its blocks, and the core.
+  // q = C d and C - q g^T, preceded by the pair's rows and blocks, and the core.
   [[nodiscard]] double consider() const {
     return 2.0 * core * parameters + 2.0 * core * pair + 9.0 * 6.0 + 3.0 + 4.0 * 4.0 + 1.5 * core * core;
   }
-  // And P J^T of the pair's columns, and P - q q^T of one triangle.
+  // Also P J^T of the pair's columns, and P - q q^T of one triangle.
   [[nodiscard]] double joint() const {
     return consider() + pair * parameters + 0.5 * parameters * (parameters + 1.0);
   }
 };
 
-// A row every 3.3 ms, as between the ranges of 300 a second.
+// An odometry sample every 3.3 ms, like the propagation between 300 ranges per second.
 void propagate(benchmark::State& state, Model model, const model::SurfaceMismatch& mismatch = kExact) {
   const auto filter = started(model, static_cast<int>(state.range(0)), mismatch);
   double t_s = 0.0;
@@ -174,7 +173,7 @@ double work_of(Model model, int anchors) {
   return model == Model::kJoint ? Work(anchors).joint() : Work(anchors).consider();
 }
 
-// The update alone: all ranges at one instant.
+// The update only: all ranges have the same time.
 void update(benchmark::State& state, Model model, const model::SurfaceMismatch& mismatch = kExact) {
   const int anchors = static_cast<int>(state.range(0));
   const std::vector<model::RangeSample> ranges = ranges_at_start(anchors);
@@ -191,8 +190,8 @@ void update(benchmark::State& state, Model model, const model::SurfaceMismatch& 
   }
 }
 
-// What a range costs that comes 3.3 ms after the last one: the motion up to it, what was put off of that, and
-// the update. The robot stands.
+// Cost of a range 3.3 ms after the last one: the propagation up to it, its deferred part, and the update. The
+// robot is stationary.
 void move_and_update(benchmark::State& state, Model model) {
   const int anchors = static_cast<int>(state.range(0));
   std::vector<model::RangeSample> ranges = ranges_at_start(anchors);
@@ -213,7 +212,7 @@ void move_and_update(benchmark::State& state, Model model) {
   report_percentiles(state, call);
 }
 
-// A pose now, from a state that is so many rows behind.
+// A predicted pose now, from a state that lags by `state.range(0)` odometry samples.
 void predict(benchmark::State& state, Model model, const model::SurfaceMismatch& mismatch = kExact) {
   const auto filter = started(model, 12, mismatch);
   std::vector<MotionInput> ahead;
@@ -228,7 +227,7 @@ void predict(benchmark::State& state, Model model, const model::SurfaceMismatch&
   report_percentiles(state, call);
 }
 
-// An anchor that comes into the active set for another one: on top of its range's update.
+// An anchor that replaces another one in the active set, including the update by its range.
 void exchange(benchmark::State& state, Model model) {
   const int anchors = static_cast<int>(state.range(0));
   Config config;
@@ -252,7 +251,7 @@ void exchange(benchmark::State& state, Model model) {
   report_percentiles(state, call);
 }
 
-// 60 s of 300 ranges and 20 rows a second: how many times faster than they came.
+// Speed relative to real time for 60 s with 300 ranges and 20 odometry samples per second.
 void replay_at_300(benchmark::State& state, Model model) {
   const model::Surface surface = testing::hills(0.2);
   const model::Calibration calibration = ring_of(12);
@@ -269,8 +268,8 @@ void replay_at_300(benchmark::State& state, Model model) {
       benchmark::Counter(kDuration_s * static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
 }
 
-// A search for the start over 6 s of ranges, which come by 300 a second; agreeing: or from no place at all,
-// as of a robot that is lost for good and looks twice a second.
+// A start search over 6 s with 300 ranges per second. agreeing: false for random ranges that fit no pose, as
+// for a lost robot, which searches twice per second.
 void search(benchmark::State& state, bool agreeing) {
   const model::Surface surface = testing::hills(0.2);
   const model::Calibration calibration = ring_of(12);

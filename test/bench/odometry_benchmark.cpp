@@ -1,4 +1,4 @@
-// What one sample of odometry costs from its line to its pose, at rates from 50 Hz on: session and localizer,
+// Cost of one odometry sample from its JSON line to its pose, at rates from 50 Hz: session and localizer,
 // without ranges. It should not grow with the rate.
 #include <benchmark/benchmark.h>
 #include <fmt/format.h>
@@ -44,7 +44,7 @@ void sample(benchmark::State& state) {
     session.robot_bytes({reinterpret_cast<const std::uint8_t*>(line.data()), line.size()}, t_s);
     session.advance(t_s);
   };
-  // Until what waits is as long as it gets.
+  // Fill the queues to their steady length.
   while (static_cast<double>(index) < rate_hz) next();
   for (auto _ : state) next();
   state.counters["poses"] = benchmark::Counter(static_cast<double>(poses) / static_cast<double>(index));

@@ -1,4 +1,4 @@
-// Ranges a second over preambles, tags and anchors, measured on simulated sites:
+// Ranges per second over preambles, tags and anchors, measured on simulated sites:
 //   rates             the tables of docs/results.md, as Markdown
 //   rates NAME VALUE ...   one site; names: tags, anchors, preamble, backups, turn_round_us, gap_us,
 //                     guard_us, seconds, emulated (0, 1), instruction (units, 6240 is 1.25 cycles), raw (0,

@@ -50,7 +50,7 @@ TEST(CanId, IsAsDocumentedAndFindsItsWayBack) {
 }
 
 TEST(CanId, OfAnotherProtocolIsNone) {
-  // Any one bit of the fixed ones flipped, and what lies beyond 29 bits, as SocketCAN's flags do.
+  // Flips each fixed bit, and each bit beyond the 29 bits, where SocketCAN has its flags.
   for (unsigned bit = 17; bit < 32; ++bit) {
     EXPECT_FALSE(can_address(can_id({CanDirection::kToHost, 3}) ^ (1U << bit))) << bit;
     EXPECT_FALSE(can_address(can_id({CanDirection::kToNode, 3}) ^ (1U << bit))) << bit;

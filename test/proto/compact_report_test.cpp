@@ -129,7 +129,7 @@ TEST(CompactReport, HoldsWhatLiesOutsideAtTheEnd) {
   EXPECT_EQ(back.ranges[1].receive_power_cdbm, -12'700);
 }
 
-// A node from before there were traits sends none.
+// A node with older firmware sends no traits.
 TEST(CompactReport, IsReadWithoutTraitsToo) {
   groma_CompactReport compact = groma_CompactReport_init_zero;
   compact_report(full_report(5), compact);

@@ -16,7 +16,7 @@ namespace {
 
 using Bytes = std::vector<std::uint8_t>;
 
-// SplitMix64: the same numbers everywhere.
+// SplitMix64: identical numbers on every machine.
 class Random {
  public:
   explicit Random(std::uint64_t seed) : state_(seed) {}
@@ -58,7 +58,7 @@ std::vector<Bytes> decode(const Bytes& bytes) {
   return push_all(decoder, bytes);
 }
 
-// The definition, a bit at a time, as long division by x^32 + x^26 + ... with reflected bytes.
+// The definition: bitwise long division by x^32 + x^26 + ..., with reflected bytes.
 std::uint32_t crc32_bit_by_bit(const Bytes& bytes) {
   std::uint32_t remainder = 0xFFFFFFFFU;
   for (const std::uint8_t byte : bytes) {
@@ -74,7 +74,7 @@ std::uint32_t crc32_bit_by_bit(const Bytes& bytes) {
   return ~reflected;
 }
 
-// COBS by its definition: cut at zeros, then at 254 bytes.
+// COBS by its definition: split at zeros and after 254 bytes.
 Bytes cobs_by_definition(Bytes plain) {
   plain.push_back(0);
   Bytes out;
@@ -159,7 +159,7 @@ TEST(FrameCodec, RoundTripsEachSizeWithAndWithoutZeros) {
 }
 
 TEST(FrameCodec, WorstCaseFillsTheStatedSizeAndNoMore) {
-  // Without a zero in all of version, payload and CRC each 254 bytes cost one.
+  // If version, payload and CRC contain no zero, each 254 bytes need one byte more.
   Random random(4);
   for (const std::size_t n : {249U, 503U, 1265U}) {
     Bytes frame;
@@ -187,7 +187,7 @@ TEST(FrameCodec, RefusesWhatDoesNotFit) {
 }
 
 TEST(FrameDecoder, KnowsAFrameOfAnotherVersion) {
-  // Version 2, payload {9}, a right CRC.
+  // Version 2, payload {9}, a valid CRC.
   Bytes plain{2, 9};
   const std::uint32_t crc = crc32(plain);
   for (unsigned shift = 0; shift < 32; shift += 8) plain.push_back(static_cast<std::uint8_t>(crc >> shift));
@@ -226,8 +226,8 @@ TEST(FrameDecoder, ResetForgetsAFrameBegun) {
   EXPECT_EQ(push_all(decoder, frame).size(), 1U);
 }
 
-// A frame with one or two bits flipped anywhere yields nothing, except that a bit flipped in the leading
-// or closing zero can leave the frame itself whole.
+// A frame with one or two flipped bits yields nothing, except that a flipped bit in the leading or closing
+// zero may leave the frame itself intact.
 TEST(FrameDecoder, AcceptsNoFrameWithOneOrTwoBitsFlipped) {
   Random random(5);
   for (const std::size_t n : {0U, 1U, 7U, 24U, 60U}) {
@@ -282,14 +282,15 @@ TEST(FrameDecoder, LosesOnlyTheTruncatedFrame) {
     const Bytes frame = encode(first);
     const Bytes next = encode(second);
     for (std::size_t cut = 0; cut < frame.size(); ++cut) {
-      // The end is missing, then the beginning is.
+      // First the end is missing, then the beginning.
       Bytes stream(frame.begin(), frame.begin() + static_cast<std::ptrdiff_t>(cut));
       stream.insert(stream.end(), next.begin(), next.end());
       const auto without_end = decode(stream);
       stream.assign(frame.begin() + static_cast<std::ptrdiff_t>(cut), frame.end());
       stream.insert(stream.end(), next.begin(), next.end());
       const auto without_begin = decode(stream);
-      // Without its own zero a frame is still ended by the next frame's; without its first zero it is whole.
+      // Without its closing zero, the next frame's zero ends a frame; without its leading zero it is
+      // complete.
       const bool whole_without_end = cut == frame.size() - 1;
       const bool whole_without_begin = cut <= 1;
       ASSERT_EQ(without_end,
@@ -322,8 +323,8 @@ TEST(FrameDecoder, LosesNoWholeFrameAmidGarbage) {
   EXPECT_EQ(decoder.counters().frames, kFrames);
 }
 
-// Ten million tries, of the three kinds that come closest to a frame: well-formed COBS of random content, so
-// that the CRC alone stands against it; frames damaged in a few bytes; bytes at random.
+// Ten million tries of three kinds: well-formed COBS with random content, which only the CRC can reject;
+// frames with a few damaged bytes; random bytes.
 TEST(FrameDecoder, InventsNoFrameInTenMillionTries) {
   Random random(9);
   FrameDecoder decoder;
@@ -371,7 +372,7 @@ TEST(FrameDecoder, InventsNoFrameInTenMillionTries) {
     ++tries;
   }
   EXPECT_EQ(decoder.counters().frames, 0U);
-  // Most of them came as far as the CRC.
+  // Many tries reach the CRC.
   EXPECT_GT(decoder.counters().crc_errors, 4'000'000U);
   EXPECT_EQ(decoder.counters().version_errors, 0U);
 }

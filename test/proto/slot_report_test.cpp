@@ -33,7 +33,7 @@ Bytes by_hand(const groma_SlotReport& report) {
   return {bytes.begin(), bytes.end()};
 }
 
-// Numbers of every length, the ends of each type among them.
+// Random numbers of every encoded length, including the limits of each type.
 class Draw {
  public:
   explicit Draw(unsigned seed) : generator_(seed) {}

@@ -8,7 +8,7 @@ namespace {
 
 std::atomic<std::size_t> count{0};
 
-// Null where there is none.
+// Null if there is no memory.
 void* ask_for(std::size_t size, std::size_t alignment) noexcept {
   ++count;
   void* memory = nullptr;

@@ -1,4 +1,4 @@
-// A program run to its end: exit code and what it wrote.
+// Runs a program to its end and captures its exit code and output.
 #pragma once
 
 #include <fcntl.h>
@@ -18,8 +18,8 @@
 namespace groma::test {
 
 struct ChildOptions {
-  std::optional<rlim_t> max_file_bytes{};   // as if the disk were full beyond
-  std::string stdout_path{};                // in the place of being read
+  std::optional<rlim_t> max_file_bytes{};   // file size limit: simulates a full disk
+  std::string stdout_path{};                // redirects standard output; ChildResult::out is then empty
   std::optional<unsigned> kill_after_us{};  // by SIGKILL
 };
 
@@ -29,7 +29,7 @@ struct ChildResult {
   std::string err;
 };
 
-// arguments[0] is the program's path. For a few minutes at most: the test's own time-out ends it otherwise.
+// arguments[0] is the program's path. There is no timeout except the test's own.
 inline ChildResult run_child(const std::vector<std::string>& arguments, const ChildOptions& options = {}) {
   std::array<int, 2> out{};
   std::array<int, 2> err{};

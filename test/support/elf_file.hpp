@@ -1,4 +1,4 @@
-// A 32-bit little-endian ELF file for ARM as a linker leaves it: sections, symbols, what is loaded.
+// Reader of a linked 32-bit little-endian ELF file for ARM: sections, symbols, loaded bytes.
 #pragma once
 
 #include <elf.h>
@@ -20,11 +20,11 @@ class ElfFile {
   struct Section {
     std::uint32_t address = 0;
     std::uint32_t bytes = 0;
-    bool in_memory = false;    // while the program runs
-    bool has_content = false;  // in the file
+    bool in_memory = false;    // occupies memory while the program runs
+    bool has_content = false;  // has bytes in the file
   };
 
-  // Throws std::runtime_error where it is no such file.
+  // Throws std::runtime_error if it is not such a file.
   explicit ElfFile(const std::filesystem::path& path) {
     std::ifstream file(path, std::ios::binary);
     std::ostringstream content;
@@ -56,15 +56,15 @@ class ElfFile {
   }
 
   [[nodiscard]] const std::map<std::string, Section>& sections() const { return sections_; }
-  // Empty where there is none of that name.
+  // An empty Section if there is none with this name.
   [[nodiscard]] Section section(const std::string& name) const {
     const auto found = sections_.find(name);
     return found == sections_.end() ? Section{} : found->second;
   }
-  // Defined ones, by value.
+  // Defined symbols: name to value.
   [[nodiscard]] const std::map<std::string, std::uint32_t>& symbols() const { return symbols_; }
   [[nodiscard]] std::uint32_t symbol(const std::string& name) const { return symbols_.at(name); }
-  // What a flashing tool writes, by address.
+  // The bytes that a flashing tool writes, by address.
   [[nodiscard]] const std::map<std::uint32_t, std::uint8_t>& loaded() const { return loaded_; }
   [[nodiscard]] std::uint32_t loaded_word(std::uint32_t address) const {
     std::uint32_t word = 0;
@@ -84,7 +84,7 @@ class ElfFile {
   [[nodiscard]] std::string text(std::size_t offset) const {
     return offset < bytes_.size() ? std::string(bytes_.data() + offset) : std::string();
   }
-  // The sections in it: what lies between them is nobody's.
+  // Loads the sections in the segment; gaps between them are skipped.
   void load(const Elf32_Phdr& segment, const std::vector<Elf32_Shdr>& sections) {
     for (const Elf32_Shdr& section : sections) {
       const bool inside = section.sh_offset >= segment.p_offset &&

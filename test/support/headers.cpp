@@ -1,1 +1,1 @@
-// The precompiled headers of the tests need a source to be compiled for.
+// The tests' precompiled headers need a source file to be compiled with.

@@ -1,5 +1,5 @@
-// Signed integers of 128 bits for exact reference results: the compiler's own, or where it has none (32-bit
-// targets) plain arithmetic of two's complement words and long division bit by bit.
+// Signed 128-bit integers for exact reference results: the compiler's type or, if it has none (32-bit
+// targets), two's complement arithmetic on words with bitwise long division.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +14,7 @@ __extension__ using Int128 = __int128;
 
 class Int128 {
  public:
-  constexpr Int128(std::int64_t value) noexcept  // as an integer converts
+  constexpr Int128(std::int64_t value) noexcept  // implicit, like integer conversions
       : high_(value < 0 ? ~std::uint64_t{0} : 0), low_(static_cast<std::uint64_t>(value)) {}
 
   constexpr explicit operator std::int64_t() const noexcept { return static_cast<std::int64_t>(low_); }
@@ -28,7 +28,7 @@ class Int128 {
   }
   friend constexpr Int128 operator-(const Int128& a, const Int128& b) noexcept { return a + -b; }
   friend constexpr Int128 operator*(const Int128& a, const Int128& b) noexcept {
-    // Modulo 2^128 as the words are, in limbs of 32 bits.
+    // Modulo 2^128, in limbs of 32 bits.
     std::uint32_t limbs[4] = {};
     for (int i = 0; i < 4; ++i) {
       std::uint64_t carry = 0;
@@ -59,7 +59,7 @@ class Int128 {
   }
   [[nodiscard]] constexpr bool negative() const noexcept { return bit(127); }
   [[nodiscard]] constexpr Int128 magnitude() const noexcept { return negative() ? -*this : *this; }
-  // Of magnitudes, b not 0.
+  // Divides magnitudes; b is not 0.
   static constexpr Int128 divide(const Int128& a, const Int128& b) noexcept {
     Int128 quotient = 0;
     Int128 remainder = 0;

@@ -26,7 +26,7 @@ void given_back(void* memory) noexcept {
 
 }  // namespace
 
-// The linker's names.
+// Names given by the linker's --wrap.
 // NOLINTBEGIN(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp,readability-identifier-naming)
 extern "C" {
 void* __real_malloc(std::size_t size);

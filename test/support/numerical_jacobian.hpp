@@ -1,4 +1,4 @@
-// Derivatives by central differences, for checking written-out ones against.
+// Derivatives by central differences, to check analytical ones.
 #pragma once
 
 #include <functional>
@@ -7,7 +7,7 @@
 
 namespace groma::test {
 
-// d f / d x at x, one column for each component of x; step is that of the difference.
+// d f / d x at x, one column per component of x; step: the perturbation to each side.
 inline Eigen::MatrixXd numerical_jacobian(const std::function<Eigen::VectorXd(const Eigen::VectorXd&)>& f,
                                           const Eigen::VectorXd& x, double step = 1e-5) {
   const Eigen::Index rows = f(x).size();

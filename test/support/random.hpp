@@ -1,4 +1,4 @@
-// Random numbers for tests: the same on every machine, from integer hashes.
+// Random numbers for tests, identical on every machine (SplitMix64).
 #pragma once
 
 #include <cmath>
@@ -31,7 +31,7 @@ class Random {
   Eigen::VectorXd gaussians(Eigen::Index size) {
     return Eigen::VectorXd::NullaryExpr(size, [this](Eigen::Index) { return gaussian(); });
   }
-  // A draw with that covariance (positive semidefinite).
+  // A zero-mean draw with this covariance (positive semidefinite).
   Eigen::VectorXd gaussians(const Eigen::MatrixXd& covariance) {
     const Eigen::LDLT<Eigen::MatrixXd> ldlt(covariance);
     Eigen::VectorXd draw = gaussians(covariance.rows());

@@ -1,4 +1,4 @@
-// Bodies of frames with any content that can be sent, from a seed.
+// Random frame bodies, from a seed, with any content that can be sent.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@ class RandomBodies {
   T word() {
     return static_cast<T>(random_());
   }
-  // An id wherever one is due.
+  // Draws every id in the bodies.
   virtual std::uint16_t somebody() { return word<std::uint16_t>(); }
 
   Beacon beacon() {

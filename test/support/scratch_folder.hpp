@@ -1,4 +1,4 @@
-// A folder of a test's own, gone with it; and files in it.
+// A temporary folder of a test, removed by the destructor, and its files.
 #pragma once
 
 #include <cstdlib>

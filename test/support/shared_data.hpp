@@ -1,5 +1,5 @@
-// Where the recorded and simulated runs lie that are no part of the project: GROMA_SHARED, or a folder
-// `shared` beside the repository. Tests skip where it is absent.
+// Locates the recorded and simulated runs that are not part of the project: in GROMA_SHARED, or in a folder
+// `shared` beside the repository. Tests skip if it is absent.
 #pragma once
 
 #include <cstdlib>
@@ -9,7 +9,7 @@
 
 namespace groma::test {
 
-// A path under shared/data, such as "real/plaza1"; none where it is absent.
+// A path under shared/data, such as "real/plaza1"; none if it is absent.
 inline std::optional<std::filesystem::path> shared_data(const std::string& name) {
   const char* const given = std::getenv("GROMA_SHARED");
   const std::filesystem::path shared = given != nullptr
@@ -22,8 +22,8 @@ inline std::optional<std::filesystem::path> shared_data(const std::string& name)
 
 }  // namespace groma::test
 
-// Skips the test unless the run is there; afterwards `variable` is its path.
-// A name that is declared cannot stand in parentheses. NOLINTBEGIN(bugprone-macro-parentheses)
+// Skips the test if the run is absent; otherwise `variable` is its path.
+// A declared name cannot be in parentheses. NOLINTBEGIN(bugprone-macro-parentheses)
 #define GROMA_SHARED_OR_SKIP(variable, name)                                               \
   const auto variable##_found = ::groma::test::shared_data(name);                          \
   if (!variable##_found) GTEST_SKIP() << "no data " << (name) << " beside the repository"; \

@@ -1,4 +1,4 @@
-// The image of the DWM1001 that the preset dwm1001 builds: its files, for tests that cannot do without.
+// Files of the DWM1001 image that the preset dwm1001 builds, for tests that need it.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -9,14 +9,14 @@
 
 namespace groma::test {
 
-// GROMA_SOURCE_DIR is the test program's definition. extension: ".elf" or ".hex".
+// The test program has to define GROMA_SOURCE_DIR. extension: ".elf" or ".hex".
 inline std::filesystem::path shipped_image(const std::string& extension) {
   return std::filesystem::path(GROMA_SOURCE_DIR) / "build/dwm1001" / ("groma-node" + extension);
 }
 
 }  // namespace groma::test
 
-// At a test's beginning: without the image the test is skipped, or fails where GROMA_REQUIRE_IMAGE is set.
+// At the start of a test: skips the test if there is no image, or fails if GROMA_REQUIRE_IMAGE is set.
 #define GROMA_NEEDS_SHIPPED_IMAGE()                                                                    \
   do {                                                                                                 \
     if (std::filesystem::exists(groma::test::shipped_image(".elf")) &&                                 \

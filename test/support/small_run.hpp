@@ -1,4 +1,4 @@
-// A short simulated drive for tests that need only the clone: a figure of eight among six anchors, two tags,
+// A short simulated drive for tests without shared data: a figure of eight among six anchors, two tags,
 // biased ranges, odometry with a scale error.
 #pragma once
 
@@ -13,7 +13,7 @@
 
 namespace groma::test {
 
-// Standard normal, from counters alone.
+// Standard normal, identical on every machine.
 class SmallNoise {
  public:
   explicit SmallNoise(std::uint64_t seed) : state_(seed) {}
@@ -37,7 +37,7 @@ inline double small_run_beta_m(model::NodeId tag, model::NodeId anchor) {
   return 0.3 + 0.15 * std::sin(3.0 * tag + 1.3 * anchor);
 }
 
-// `duration_s` of it; the noise follows from the seed.
+// The drive's first `duration_s` seconds; the seed determines the noise.
 inline io::Dataset make_small_run(double duration_s, std::uint64_t seed) {
   io::Dataset run;
   run.name = "small";
@@ -50,7 +50,7 @@ inline io::Dataset make_small_run(double duration_s, std::uint64_t seed) {
                           {7, {12.0, 4.0, 0.4}},  {8, {5.0, 5.5, 2.6}},  {9, {-1.5, 3.0, 0.9}}};
   SmallNoise noise(seed);
   const auto pose_at = [](double t_s) {
-    // Speed and heading are those of the way x = 5 + 5 sin(w t), y = 2 sin(2 w t).
+    // The path is x = 5 + 5 sin(w t), y = 2 sin(2 w t); the heading is tangential.
     constexpr double kW = 2.0 * std::numbers::pi / 40.0;
     const double dx = 5.0 * kW * std::cos(kW * t_s);
     const double dy = 4.0 * kW * std::cos(2.0 * kW * t_s);

@@ -1,5 +1,5 @@
-// A virtual CAN interface of a test's own (vcan), made and gone with it, and what else is on its bus. Needs a
-// kernel with vcan and the right to make interfaces: test/vm/with-can.
+// A virtual CAN interface (vcan) that exists as long as its object, and other participants of its bus. Needs
+// a kernel with vcan and the permission to create interfaces: test/vm/with-can.
 #pragma once
 
 #include <linux/can.h>
@@ -34,7 +34,7 @@ class VirtualCan {
     try {
       if (there_) remove();
     } catch (const std::exception&) {
-      // It goes with the test's network or machine.
+      // The interface disappears with the test's network namespace or machine.
       there_ = false;
     }
   }
@@ -68,7 +68,7 @@ class VirtualCan {
   bool there_ = false;
 };
 
-// Another participant of the bus, that hears everything and says what it likes.
+// Another participant of the bus, which receives and can send any frame.
 class CanParticipant {
  public:
   explicit CanParticipant(const std::string& interface)
@@ -84,7 +84,7 @@ class CanParticipant {
     }
   }
 
-  // As it stands, flags in its id included.
+  // Sends the frame unchanged, including the flags in its id.
   void send_raw(const can_frame& frame) const { send_bytes(&frame, CAN_MTU); }
 
   void send(const wire::CanFrame& frame) const {
@@ -96,7 +96,7 @@ class CanParticipant {
     send_bytes(&raw, frame.format == wire::CanFormat::kFd ? CANFD_MTU : CAN_MTU);
   }
 
-  // A frame of the protocol's byte stream, cut.
+  // Cuts the protocol's byte stream into CAN frames and sends them.
   void send_stream(std::span<const std::uint8_t> stream, wire::CanFormat format,
                    wire::CanAddress from) const {
     while (!stream.empty()) {
@@ -107,7 +107,7 @@ class CanParticipant {
     }
   }
 
-  // The next frame with an id of 29 bits, waited for up to two seconds.
+  // The next frame with a 29-bit id; waits up to two seconds for each frame.
   [[nodiscard]] std::optional<wire::CanFrame> receive() const {
     pollfd entry{fd_.get(), POLLIN, 0};
     canfd_frame raw{};

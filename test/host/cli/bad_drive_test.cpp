@@ -1,4 +1,5 @@
-// groma calibrate on drives that are no good: a verdict and advice, never a confident lie.
+// groma calibrate on unsuitable drives: it gives a verdict and advice, never a wrong result with small
+// covariance.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -92,7 +93,7 @@ struct BadDrive {
   const char* name;
   void (*spoil)(SimulatedSite& site);
   std::vector<int> exit_codes;
-  // Anchors whose id stands for more than one place.
+  // Ids that belong to more than one place.
   std::vector<model::NodeId> ambiguous{};
 };
 
@@ -148,7 +149,7 @@ TEST_P(BadDriveTest, GivesAVerdictAndAdviceAndNoConfidentLie) {
                   .get<double>();
         }
       }
-      // 99.99 %, for some 500 anchors; of three degrees of freedom, or of two where the height is not
+      // 99.99 % quantile, for some 500 anchors; three degrees of freedom, or two if the height is not
       // trusted.
       if (word == "weak-z") {
         error_m.z() = 0.0;

@@ -1,4 +1,4 @@
-// The command groma from the outside: what it writes, says and ends with.
+// The program groma as a child process: its files, output and exit codes.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -68,7 +68,7 @@ class CliTest : public testing::Test {
     EXPECT_EQ(result.exit_code, 0) << result.err;
     return json::parse(result.out);
   }
-  // A file of the data set with other text in one of its lines, from 1.
+  // Replaces line `number`, from 1, of a file of the data set.
   void replace_line(const std::string& file, std::size_t number, const std::string& line) const {
     std::istringstream in(read_text(data_ / file));
     std::string text;
@@ -76,7 +76,7 @@ class CliTest : public testing::Test {
     for (std::size_t i = 1; std::getline(in, of); ++i) text += (i == number ? line : of) + "\n";
     folder_.write("data/" + file, text);
   }
-  // A file of the data set with a line of its own at the end.
+  // Appends a line to a file of the data set.
   void append(const std::string& file, const std::string& line) const {
     folder_.write("data/" + file, read_text(data_ / file) + line + "\n");
   }
@@ -90,7 +90,7 @@ class CliTest : public testing::Test {
   std::filesystem::path estimate_ = folder_ / "estimate.csv";
 };
 
-// A quarter of the drive leaves anchors open; ranges between them join what it tells of each.
+// A quarter of the drive determines the anchors poorly; ranges between anchors combine the information.
 TEST_F(CliTest, JoinsAnchorsByTheRangesOfASurvey) {
   const std::vector<model::Anchor> truth = io::read_dataset(data_).surveyed_anchors;
   std::string survey = "anchor_id,other_id,range_m,sigma_m,count\n";
@@ -98,7 +98,7 @@ TEST_F(CliTest, JoinsAnchorsByTheRangesOfASurvey) {
   for (const model::Anchor& from : truth) {
     for (const model::Anchor& to : truth) {
       if (from.id == to.id) continue;
-      // The mean of what pairs are off by, as tags and anchors are.
+      // With the pairs' mean bias, like ranges between tags and anchors.
       const double range_m = (from.position_m - to.position_m).norm() + 0.2 + 0.02 * noise();
       survey += std::to_string(from.id) + ',' + std::to_string(to.id) + ',' + std::to_string(range_m) +
                 ",0.05,20\n";
@@ -132,7 +132,7 @@ TEST_F(CliTest, JoinsAnchorsByTheRangesOfASurvey) {
   EXPECT_LT(together.variance_m2, 0.8 * alone.variance_m2);
   EXPECT_LT(together.square_error_m2, alone.square_error_m2);
 
-  // Rows that are no range of two anchors are told, and left out.
+  // Rows that are not a range of two anchors are reported and dropped.
   folder_.write("survey.csv", survey + "4,4,5.0,0.05,20\n4,5,-1.0,0.05,20\n");
   const ChildResult with_garbage = calibrate({"--to", "20", "--survey", folder_ / "survey.csv"});
   EXPECT_EQ(with_garbage.exit_code, 3);
@@ -303,8 +303,8 @@ TEST_F(CliTest, ExplainNamesARangeRefusedByItsPowers) {
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
   const model::NodeId anchor = data.ranges.front().anchor_id;
-  // Walls add 2 m to a third of the ranges, and their first path is weak. At the moment nothing is blocked,
-  // but the first path of one anchor is as weak.
+  // A third of the ranges is NLOS: 2 m too long, with a weak first path. At at_s all ranges are LOS, but the
+  // first path of one anchor is equally weak.
   for (model::RangeSample& range : data.ranges) {
     const bool near = std::abs(range.t_s - at_s) < 5.0;
     const bool blocked = !near && (static_cast<int>(range.t_s / 4.0) + range.anchor_id) % 3 == 0;
@@ -347,7 +347,7 @@ TEST_F(CliTest, ExplainNamesASlip) {
     return groma({"explain", data_, "--surveyed", "--at", std::to_string(at_s), "--window", "3", "--json"});
   };
   EXPECT_EQ(json::parse(explain().out)["odometry"]["slips"], 0);
-  // Spun up and down within a second each, which a robot could.
+  // The speed rises and falls within one second each, which a robot could do.
   for (model::OdometrySample& row : data.odometry)
     row.vx_mps += 3.0 * std::clamp(2.0 - std::abs(row.t_s - at_s), 0.0, 1.0);
   const ChildResult told = explain();
@@ -441,7 +441,7 @@ TEST_F(CliTest, UpdateKeepsAddsAndNamesWhatMoved) {
               old.anchors[i].covariance.topLeftCorner(2, 2).trace());
   }
 
-  // As if it had stood there once: anchor 6 elsewhere, 8 not yet, and one more that is gone.
+  // An earlier state of the site: anchor 6 elsewhere, without 8, and with one anchor more.
   old.anchors[2].position_m.x() += 0.9;
   old.anchors.erase(old.anchors.begin() + 4);
   old.anchors.push_back(old.anchors.front());
@@ -500,7 +500,7 @@ TEST_F(CliTest, ReplayIsCausal) {
   static_cast<void>(calibrate());
   ASSERT_EQ(replay_calibrated().exit_code, 0);
   const std::string whole = read_text(estimate_);
-  // What comes after 40 s is another world.
+  // All data after 40 s is different.
   io::Dataset other = test::make_small_run(kDrive_s, 1);
   for (model::RangeSample& range : other.ranges) range.range_m += range.t_s > 40.0 ? 3.0 : 0.0;
   for (model::OdometrySample& row : other.odometry) row.vx_mps += row.t_s > 40.0 ? 1.0 : 0.0;
@@ -531,7 +531,7 @@ TEST_F(CliTest, ReplayOfAPartStartsWhereItIsTold) {
   };
   std::filesystem::remove(data_ / "pose_prior.csv");
   std::filesystem::remove(data_ / "groundtruth.csv");
-  // Without a pose to start from it is found.
+  // Without a pose to start from, the start is found.
   ASSERT_EQ(replay_calibrated({"--from", "20"}).exit_code, 0);
   rows = io::read_estimate(estimate_);
   const model::PoseSample end = test::make_small_run(kDrive_s, 1).ground_truth.back();
@@ -628,7 +628,7 @@ TEST_F(CliTest, DataThatCannotBeReadEndsWith65AndItsPlace) {
   EXPECT_EQ(groma({"calibrate", folder_ / "nowhere", "-o", calibration_}).exit_code, 65);
 }
 
-// 40 s is at line 802 of odometry.csv.
+// Line 802 of odometry.csv has t_s = 40.
 TEST_F(CliTest, SamplesThatNoRobotCanDoAreDroppedCountedAndEndWith3) {
   ASSERT_EQ(replay({"--surveyed"}).exit_code, 0);
   const double without_m = evaluate().at("ate_m").at("mean");
@@ -888,7 +888,7 @@ TEST_F(CliTest, ADeviceThatFailsEndsWith69) {
 }
 
 TEST_F(CliTest, NoPermissionEndsWith77) {
-  // The kernel's own folders may not be written to even by root.
+  // Even root may not write to the kernel's own folders.
   const ChildResult result = groma({"replay", data_, "-o", "/sys/kernel/estimate.csv", "--surveyed"});
   EXPECT_EQ(result.exit_code, 77);
   EXPECT_THAT(result.err, HasSubstr("/sys/kernel/estimate.csv: cannot be written"));

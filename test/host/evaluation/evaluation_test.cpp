@@ -20,7 +20,7 @@ model::PoseSample pose(double t_s, double x_m, double y_m, double yaw_rad) {
   return {t_s, x_m, y_m, 0.0, yaw_rad};
 }
 
-// At 0.5 m/s, 50 rows a second, standing still from row 40 on for some rows.
+// At 0.5 m/s, 50 rows per second; the pose repeats from row 40 for `rows_still` rows.
 std::vector<model::PoseSample> halting(int rows_still, bool goes_on_meanwhile) {
   std::vector<model::PoseSample> out;
   double x_m = 0.0;
@@ -38,7 +38,7 @@ TEST(EvaluationTest, TruthThatRepeatsItselfAndJumpsIsNamed) {
   EXPECT_NEAR(spans[0].from_s, 0.78, 1e-9);
   EXPECT_NEAR(spans[0].to_s, 1.18, 1e-9);
   EXPECT_NEAR(spans[0].jump_m, 0.21, 1e-9);
-  // Who stands and moves off does not jump; who stands for long may be carried.
+  // A robot that stops and moves off does not jump; one that is stationary for long may have been carried.
   EXPECT_TRUE(frozen_spans(halting(20, false)).empty());
   EXPECT_TRUE(frozen_spans(halting(70, true)).empty());
   EXPECT_TRUE(frozen_spans(halting(0, false)).empty());
@@ -132,7 +132,7 @@ TEST(EvaluationTest, NothingInCommonIsNoResult) {
   EXPECT_FALSE(evaluate({}));
 }
 
-// The contract's words once more, by plain search and Cramer's rule, on random runs.
+// Independent implementation of the contract's definitions, by linear search and Cramer's rule.
 struct Twin {
   double ate_sum = 0.0;
   double yaw_sum = 0.0;

@@ -152,7 +152,7 @@ TEST(CalibrationFileTest, NoAnchorsIsACalibrationToo) {
   EXPECT_TRUE(round_trip(calibration).anchors.empty());
 }
 
-// A file as a person would write it.
+// A file as a user would write it.
 const std::string kByHand =
     "schema: 1\n"
     "frame: map\n"

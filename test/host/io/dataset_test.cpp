@@ -21,7 +21,7 @@ using test::ScratchFolder;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-// The message of the exception of that type which reading the folder throws.
+// The message of the ExpectedError that reading the folder throws.
 template <typename ExpectedError>
 std::string failure(const ScratchFolder& folder, const ReadOptions& options = {}) {
   try {
@@ -203,7 +203,7 @@ TEST_F(DatasetTest, WrongRowsAreDroppedAndCounted) {
                 "10.0,1,4,5\n"
                 "10.1,1,4,0\n"       // no reply
                 "10.1,1,4,-1\n"      //
-                "10.1,1,4,300000\n"  // a wrapped stamp
+                "10.1,1,4,300000\n"  // a wrapped timestamp
                 "10.2,9,4,5\n"       // unknown tag
                 "10.2,70000,4,5\n"   //
                 "10.2,1,9,5\n"       // unknown anchor
@@ -212,7 +212,7 @@ TEST_F(DatasetTest, WrongRowsAreDroppedAndCounted) {
                 "10.0,2,5,5.1\n"     // out of order by 0.3 s: sorted
                 "9.7,2,4,5.2\n"      // late by 0.6 s
                 "10.3,1,5,5.5\n"     // repeated
-                "10.3,1,5,5.6\n"     // another measurement of the same stamp
+                "10.3,1,5,5.6\n"     // another measurement with the same time
                 "10.4,1,4,1000\n");  // the bound itself
   const Dataset data = read();
   EXPECT_EQ(data.dropped.range_out_of_bounds, 3U);
@@ -244,8 +244,7 @@ TEST_F(DatasetTest, ARowFromTheFutureDoesNotMakeAllOthersLate) {
   EXPECT_NEAR(data.odometry.back().t_s, 4.9, 1e-9);
 }
 
-// 50 Hz, and one sample (20) at another place in time: by up to four samples it is sorted, by more it is
-// dropped.
+// 50 Hz, and sample 20 with a shifted time: it is sorted if shifted by up to four samples, otherwise dropped.
 TEST_F(DatasetTest, AnOdometrySampleWithAWrongTimestampIsDropped) {
   for (const int shift : {-12, -5, -4, -1, 1, 4, 5, 12, 25}) {
     std::string text = "t_s,vx_mps,vy_mps,omega_radps\n";
@@ -284,7 +283,7 @@ TEST_F(DatasetTest, DigestIsWhatSha256sumPrints) {
   EXPECT_NE(read().sha256, before);
 }
 
-// One way to spoil a file, and where the message has to point.
+// A corrupted file, and the place that the message has to name.
 struct RowFault {
   std::string name;
   std::string file;
@@ -419,7 +418,7 @@ TEST_P(ConfigFaultTest, IsAConfigErrorWithItsPlace) {
   EXPECT_THAT(message, HasSubstr("; "));
 }
 
-// The description with one line in the place of another.
+// The description with the line of `key` replaced by `line`.
 std::string with(const std::string& key, const std::string& line) {
   std::string text;
   for (const std::string& given :

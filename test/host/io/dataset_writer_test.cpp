@@ -19,8 +19,8 @@
 namespace groma::io {
 namespace {
 
-// The members of a struct as a tuple. A member that is added to one of these structs stops its line from
-// compiling: it then has to be named here, set in sample(), and written.
+// The members of a struct as a tuple. A new member of one of these structs breaks the compilation here: add
+// it here, set it in sample(), and write it in write_dataset().
 auto members(const Dataset& of) {
   const auto& [name, origin, odometry_noise, range_priors, surface, surveyed_anchors, tags, ranges, odometry,
                ground_truth, pose_prior, sensor_samples, sensors, dropped, log, sha256] = of;
@@ -137,7 +137,7 @@ bool same(const std::variant<T...>& a, const std::variant<T...>& b) {
   return a.index() == b.index() &&
          std::visit([&b](const auto& of) { return same(of, std::get<std::decay_t<decltype(of)>>(b)); }, a);
 }
-// Equal to the bit, but that all numbers that are none are the same.
+// Equal to the bit, except that all NaNs are equal.
 template <typename T>
 bool same(const T& a, const T& b) {
   if constexpr (Structure<T>) {
@@ -153,7 +153,7 @@ bool same(const T& a, const T& b) {
   }
 }
 
-// The numbers, from 0, of the members that are the same in both.
+// The indices of the members that are equal in both.
 template <typename T>
 std::vector<std::size_t> same_members(const T& a, const T& b) {
   std::vector<std::size_t> out;
@@ -166,8 +166,8 @@ std::vector<std::size_t> same_members(const T& a, const T& b) {
   return out;
 }
 
-// Each member differs from that of an empty data set, and in the last row of each table from that of an empty
-// row, but for what describes the reading.
+// Each member differs from that of an empty data set, and each member of the last row of each table from that
+// of an empty row, except the members that describe the reading.
 Dataset sample() {
   Dataset dataset;
   dataset.name = "a \"quoted\" \\ name: 1";
@@ -261,7 +261,7 @@ TEST(DatasetWriter, WhatIsWrittenReadsBackTheSame) {
   EXPECT_EQ(same_members(read, written), as_written);
   EXPECT_EQ(read.sha256.size(), 64U);
 
-  // Written again the files are the same, and so is all that is read of them.
+  // A second write gives the same files and the same data set.
   write_dataset(scratch / "again", read);
   EXPECT_TRUE(same(read_dataset(scratch / "again", everything()), read));
 }

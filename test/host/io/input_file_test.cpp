@@ -1,4 +1,4 @@
-// Whole files into memory, and what is no file.
+// Reading whole files, and paths that are not regular files.
 #include "host/io/input_file.hpp"
 
 #include <gmock/gmock.h>
@@ -45,7 +45,7 @@ TEST(ReadFile, ReadsAPipeToItsEnd) {
   const std::string text(300'000, 'x');
   std::array<int, 2> ends{};
   ASSERT_EQ(::pipe(ends.data()), 0);
-  // As a shell's <(...): the writer is slow, and gone in the end.
+  // Like a shell's <(...): the writer is slow and closes the pipe at the end.
   std::thread writer([&] {
     ::usleep(50'000);
     std::size_t sent = 0;
@@ -63,7 +63,7 @@ TEST(ReadFile, ReadsAPipeToItsEnd) {
   const test::ScratchFolder folder;
   const std::filesystem::path fifo = folder / "fifo";
   ASSERT_EQ(::mkfifo(fifo.c_str(), 0600), 0);
-  // Both ways, so that it does not wait for us.
+  // Opened for reading and writing, so that opening does not wait for the reader.
   std::fstream named(fifo);
   std::thread slow([&] {
     ::usleep(50'000);

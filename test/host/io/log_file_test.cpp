@@ -1,4 +1,4 @@
-// Logs: what is put comes back, and damage costs the frames that it hits and no others.
+// Logs: all samples are read back, and damage loses only the damaged frames.
 #include "host/io/log_file.hpp"
 
 #include <gmock/gmock.h>
@@ -20,13 +20,13 @@ namespace {
 using test::ScratchFolder;
 using testing::HasSubstr;
 
-// As the wire brings them: ranges are floats.
+// As received from the wire: ranges are floats.
 Dataset as_recorded(double duration_s) {
   Dataset run = test::make_small_run(duration_s, 1);
   test::Random random(2);
   for (model::RangeSample& range : run.ranges) {
     range.range_m = static_cast<double>(static_cast<float>(range.range_m));
-    if (range.anchor_id == 5) continue;  // tells nothing but the range
+    if (range.anchor_id == 5) continue;  // has only the range
     range.first_path_power_dbm = std::round(static_cast<float>(random.uniform(-11000.0, -7000.0))) / 100.0F;
     range.receive_power_dbm = std::round(static_cast<float>(random.uniform(-11000.0, -7000.0))) / 100.0F;
     range.clock_offset_ppm = std::round(static_cast<float>(random.uniform(-20e3, 20e3))) / 1000.0F;
@@ -178,7 +178,7 @@ TEST(Log, TakesAboutThirtyBytesARange) {
   EXPECT_LT(static_cast<double>(log_of(run).size()) / static_cast<double>(run.ranges.size()), 35.0);
 }
 
-// Cut anywhere, the log still gives all that was written whole before.
+// Wherever the log is cut, all frames before the cut are read.
 TEST(Log, LosesOnlyItsTornTail) {
   const Dataset run = as_recorded(1.0);
   const std::string whole = log_of(run);
@@ -207,7 +207,7 @@ TEST(Log, LosesOnlyTheFramesThatAreDamaged) {
     const LogContent content = parse_log(damaged);
     ASSERT_EQ(content.sections.size(), 1U);
     EXPECT_GT(content.damaged_bytes, 0U);
-    // A bit that parts a frame, or joins two, costs both.
+    // A bit error that splits a frame or joins two loses both.
     EXPECT_GE(content.sections[0].samples.ranges.size() + 48U, run.ranges.size());
   }
 }
@@ -284,7 +284,7 @@ TEST(Log, IsToldFromOtherFiles) {
       EXPECT_THAT(error.what(), HasSubstr("is no log"));
     }
   }
-  // The description's last frame is torn off.
+  // The description's last frame is truncated.
   const Dataset run = as_recorded(1.0);
   LogEncoder log;
   log.begin_section(describe(run), 1);

@@ -1,4 +1,4 @@
-// Files spoiled at random: each is read, or refused with a message; nothing else happens.
+// Randomly corrupted files: each is read, or rejected with a message; nothing else happens.
 #include <gtest/gtest.h>
 
 #include <cstdint>
@@ -29,7 +29,8 @@ class Random {
   std::uint64_t state_;
 };
 
-// One to four edits: a byte or a word in, out or over, a piece doubled, the end cut off.
+// One to four edits: insert a byte or a word, erase or replace a piece, duplicate a piece, or truncate the
+// text.
 std::string spoiled(std::string text, Random& random) {
   static const std::vector<std::string> kWords{"nan",
                                                "-inf",
@@ -117,7 +118,7 @@ TEST(MutationTest, DataSets) {
     }
     folder.write(file, text);
   }
-  // Both happen, or the mutations are no test.
+  // Both have to happen, otherwise the mutations test nothing.
   EXPECT_GT(read, 100U);
   EXPECT_GT(refused, 1000U);
 }

@@ -70,7 +70,7 @@ TEST_F(OutputFileTest, APlaceThatIsNone) {
 
 TEST_F(OutputFileTest, AFolderThatMayNotBeWrittenTo) {
   if (::geteuid() == 0) {
-    // Root may write anywhere but into the kernel's own folders.
+    // Root may write everywhere except to the kernel's own folders.
     EXPECT_THROW(write_file("/sys/kernel/a.csv", "x"), PermissionError);
     return;
   }

@@ -1,4 +1,4 @@
-// A data set of a few rows, for tests that spoil it.
+// A data set of a few rows, for tests that corrupt it.
 #pragma once
 
 #include "test/support/scratch_folder.hpp"

@@ -10,7 +10,7 @@
 namespace groma::io {
 namespace {
 
-// The surface of a document, with heights.csv beside it.
+// The surface of a description, with heights.csv beside it.
 model::Surface read(const std::string& surface, const std::string& heights = "") {
   InputFiles files;
   files.provide("site/heights.csv", heights);

@@ -44,7 +44,7 @@ double least_eigenvalue(const Eigen::MatrixXd& matrix) {
   return Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(matrix, Eigen::EigenvaluesOnly).eigenvalues()(0);
 }
 
-// Draws of a block's own error and of a frame's make what the whole block says, and no less can be its own.
+// The block is the sum of its own covariance and the frame's, and own_covariance() recovers the former.
 TEST(OwnCovariance, IsTheBlockLessTheFrameWhereItHasRoom) {
   test::Random random(1);
   for (int i = 0; i < 50; ++i) {
@@ -54,7 +54,7 @@ TEST(OwnCovariance, IsTheBlockLessTheFrameWhereItHasRoom) {
     const Eigen::Matrix4d frame = drawn_covariance(random, 4, 0.03);
     anchor.covariance = own;
     add_common_frame(anchor, frame);
-    // By the shift itself: a small one of a point, linear in what shifts it.
+    // The displacement of the anchor by a small shift and yaw of the frame.
     const auto moved = [&](const Eigen::Vector4d& by) -> Eigen::Vector3d {
       return by.head<3>() + by(3) * Eigen::Vector3d::UnitZ().cross(anchor.position_m);
     };
@@ -73,7 +73,7 @@ TEST(OwnCovariance, StaysACovarianceHoweverLargeTheFrame) {
     AnchorCalibration anchor;
     anchor.position_m = 10.0 * random.gaussians(3);
     anchor.covariance = drawn_covariance(random, 5, 0.05);
-    // Larger than the block along some directions, and none at all along others.
+    // Larger than the block along some directions, zero along others.
     Eigen::Matrix4d frame = Eigen::Matrix4d::Zero();
     frame.diagonal() << 1.0, 1e-8, 0.0, 1e-6;
     const Eigen::MatrixXd own = own_covariance(anchor, frame);
@@ -86,7 +86,7 @@ TEST(OwnCovariance, StaysACovarianceHoweverLargeTheFrame) {
     EXPECT_GT(least_eigenvalue(again.covariance - anchor.covariance), -1e-12) << "both together say no less";
     EXPECT_EQ(own.rightCols<2>(), anchor.covariance.rightCols<2>());
   }
-  // Biases that are known exactly leave all of the position's room.
+  // With exactly known biases, the whole covariance of the position is available.
   AnchorCalibration exact;
   exact.covariance = Eigen::MatrixXd::Zero(5, 5);
   exact.covariance.topLeftCorner<3, 3>() = drawn_covariance(random, 3, 0.1);

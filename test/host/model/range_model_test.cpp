@@ -37,7 +37,7 @@ struct Scene {
 
 TEST(PredictRange, IsScaledDistancePlusBias) {
   const RigidPose pose{{1.0, 2.0, 3.0}, rotation_from_zyx(std::numbers::pi / 2.0, 0.0, 0.0)};
-  // The lever arm of (1, 0, 2) points along y: the tag stands at (1, 3, 5), 3-4-12 away from the anchor.
+  // The lever arm (1, 0, 2) points along y: the tag is at (1, 3, 5), (3, 4, 12) away from the anchor.
   const RangePrediction prediction = predict_range(pose, {1.0, 0.0, 2.0}, {4.0, 7.0, 17.0}, 0.5, 1.02);
   EXPECT_NEAR(prediction.distance_m, 13.0, 1e-12);
   EXPECT_NEAR(prediction.range_m, 1.02 * 13.0 + 0.5, 1e-12);

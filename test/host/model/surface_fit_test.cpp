@@ -42,7 +42,7 @@ TEST(SurfaceFit, IsNearerToTheGroundThanTheHeightsAre) {
     square_m2 += std::pow(fit->spline.at(x_m, y_m).z_m - hill(x_m, y_m), 2) / 1000.0;
   }
   EXPECT_LT(std::sqrt(square_m2), 0.01);
-  // What each point errs by on its own is no mismatch.
+  // Independent errors of the points are not mismatch.
   EXPECT_LT(fit->mismatch.sigma_m, 0.015);
   EXPECT_LT(fit->gap_m, 2.0 * fit->spacing_m);
 }
@@ -50,7 +50,7 @@ TEST(SurfaceFit, IsNearerToTheGroundThanTheHeightsAre) {
 TEST(SurfaceFit, WhatTheKnotsAreTooFarApartForIsMismatch) {
   Random random(2);
   std::vector<Eigen::Vector3d> points = drawn(3000, 0.005, random);
-  // Waves that a knot every 5 m cannot follow.
+  // Waves that knots 5 m apart cannot follow.
   for (Eigen::Vector3d& point : points)
     point.z() += 0.05 * std::sin(2.5 * point.x()) * std::sin(2.5 * point.y());
   const std::optional<SurfaceFit> fit = fit_surface(points, {.spacing_m = 5.0, .smoothing = {}});
@@ -122,15 +122,15 @@ TEST(Charts, ARobotFollowsTheOneAtItsHeight) {
   Chart ramp = floor_at(-1.0, 9.5, 30.5);
   ramp.shape = Plane(-1.0, {-0.1, 0.0, 1.0});
   const Surface surface({floor_at(0.0, -10.0, 10.0), ramp, floor_at(2.0, 0.0, 50.0)});
-  EXPECT_EQ(surface.follow(0, 5.0, 0.0), 0);   // within its own
+  EXPECT_EQ(surface.follow(0, 5.0, 0.0), 0);   // within its own domain
   EXPECT_EQ(surface.follow(0, 10.5, 0.0), 1);  // the ramp begins; the floor above is 2 m up
   EXPECT_EQ(surface.follow(1, 30.6, 0.0), 2);  // and ends
-  EXPECT_EQ(surface.follow(2, -0.5, 0.0), 2);  // nothing at that height: it stays
-  EXPECT_EQ(surface.follow(0, 20.0, 0.0), 0);  // in the ramp's side, as it were
+  EXPECT_EQ(surface.follow(2, -0.5, 0.0), 2);  // no chart at that height: it stays
+  EXPECT_EQ(surface.follow(0, 20.0, 0.0), 0);  // under the ramp: it stays
   EXPECT_EQ(surface.nearest(5.0, 0.0, 1.8), 2);
   EXPECT_EQ(surface.nearest(5.0, 0.0, 0.3), 0);
   EXPECT_EQ(surface.nearest(5.0, 0.0, std::nan("")), 0);
-  EXPECT_EQ(surface.nearest(60.0, 0.0, 2.1), 2);  // covered by none
+  EXPECT_EQ(surface.nearest(60.0, 0.0, 2.1), 2);  // no chart covers it
   EXPECT_FALSE(surface.covers(60.0, 0.0, 2));
   EXPECT_TRUE(surface.covers(49.0, 4.9, 2));
   EXPECT_FALSE(surface.covers(std::nan(""), 0.0, 0));

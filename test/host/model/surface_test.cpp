@@ -15,7 +15,7 @@ namespace {
 using test::numerical_jacobian;
 using test::Random;
 
-// Cox-de Boor on uniform knots 0, 1, 2, ...: the i-th basis function of that degree, by its definition.
+// Cox-de Boor recursion on uniform knots 0, 1, 2, ...: the i-th basis function of this degree.
 double cox_de_boor(int i, int degree, double u) {
   if (degree == 0) return u >= i && u < i + 1 ? 1.0 : 0.0;
   return (u - i) / degree * cox_de_boor(i, degree - 1, u) +
@@ -74,7 +74,7 @@ TEST(BSpline, EqualsItOnKnotsAndAtTheBorders) {
   const Spline spline(3);
   for (int i = 0; i <= spline.grid.nx - 3; ++i) {
     for (int j = 0; j <= spline.grid.ny - 3; ++j) {
-      // A hair inside, where the half-open definition of the basis leaves the last knot out.
+      // Slightly inside, because the half-open definition of the basis excludes the last knot.
       const double x = spline.grid.x0_m + spline.grid.dx_m * (i == spline.grid.nx - 3 ? i - 1e-13 : i);
       const double y = spline.grid.y0_m + spline.grid.dy_m * (j == spline.grid.ny - 3 ? j - 1e-13 : j);
       EXPECT_NEAR(spline.surface.at(x, y).z_m, spline.brute_force(x, y), 1e-11) << i << " " << j;

@@ -1,4 +1,4 @@
-// What `groma demo` promises of the paper's hall, whatever runs its nodes.
+// Bounds on `groma demo` in the paper's hall, for native and emulated nodes.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -7,7 +7,7 @@
 
 namespace groma::simulation {
 
-// `json`: what `groma demo --json` prints.
+// `json`: the output of `groma demo --json`.
 inline void expect_demo_bounds(const nlohmann::json& json) {
   EXPECT_GE(json.at("ranges_per_s").get<double>(), 300.0);
   EXPECT_EQ(json.at("frames_lost"), 0);

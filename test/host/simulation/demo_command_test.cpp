@@ -1,4 +1,4 @@
-// groma demo as a whole: what it promises of the paper's hall, and that its report holds together.
+// groma demo as a child process: its bounds in the paper's hall, and the consistency of its report.
 #include <gtest/gtest.h>
 
 #include <filesystem>
@@ -32,7 +32,7 @@ TEST(DemoCommand, KeepsItsBoundsAndItsReportHoldsTogether) {
     return Json::parse(result.out).at("ate_m").at("mean").get<double>();
   };
   EXPECT_DOUBLE_EQ(score(scratch / "report/estimate_schmidt.csv"), schmidt_m);
-  // The drives that it wrote can be replayed, from the calibration that it wrote.
+  // The written drives can be replayed with the written calibration.
   const auto replay = test::run_child({GROMA_EXECUTABLE, "replay", scratch / "report/second_drive",
                                        "--calibration", scratch / "report/calibration.yaml", "--model",
                                        "schmidt", "-o", scratch / "estimate.csv"});

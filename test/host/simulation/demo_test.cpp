@@ -47,7 +47,7 @@ TEST(Demo, TheDrivesAreDataSetsWithTheirTruth) {
   EXPECT_GT(result.first_drive.ranges.size(), 500U);
   EXPECT_FALSE(result.second_drive.odometry.empty());
   EXPECT_FALSE(result.second_drive.pose_prior.empty());
-  // What waited for its order when the first drive ended belongs to the second.
+  // Samples that were still queued at the end of the first drive belong to the second.
   EXPECT_NEAR(result.first_drive.odometry.back().t_s, result.second_drive.odometry.front().t_s, 0.021);
   EXPECT_LE(result.first_drive.ground_truth.back().t_s, result.second_drive.ground_truth.front().t_s);
 }

@@ -1,4 +1,4 @@
-// groma demo --emulated as a whole.
+// groma demo --emulated as a child process.
 #include <gtest/gtest.h>
 
 #include <nlohmann/json.hpp>

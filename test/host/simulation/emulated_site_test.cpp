@@ -1,4 +1,4 @@
-// A whole site of shipped images on real pseudo-terminals.
+// A site of emulated nodes that run the shipped image, on real pseudo-terminals.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -35,7 +35,7 @@ class EmulatedSite : public ::testing::Test {
   std::shared_ptr<const sim::FirmwareImage> image_;
 };
 
-// What each tag's serial port gives.
+// The bytes of each tag's serial port.
 std::vector<std::vector<std::uint8_t>> bytes_of(const sim::Scenario& scenario, const SiteOptions& options) {
   SimulatedSite site(scenario, options);
   std::vector<std::vector<std::uint8_t>> bytes(site.port_count());

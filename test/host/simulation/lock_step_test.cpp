@@ -67,7 +67,7 @@ TEST(LockStep, RangesThatArriveAreThoseOfTheWorld) {
   EXPECT_LT(std::sqrt(squares / count), 0.035);
 }
 
-// Squares of the error: of the position, and in units of what the pose says of it.
+// Sums of the squared position error and of the NEES.
 struct Squares {
   double position_m2 = 0.0;
   double nees = 0.0;
@@ -80,8 +80,8 @@ struct Squares {
   }
 };
 
-// What the robot is told at once is hardly worse than what its ranges tell of the same instant later, and
-// says so.
+// A live pose is hardly less accurate than the later pose in measurement order, and its covariance is
+// consistent.
 TEST(LockStep, PosesLeaveWithTheirRowsAndAreAsGoodAsThoseInOrder) {
   const sim::Scenario site = small_site();
   LockStep run(site, {.seed = 5});

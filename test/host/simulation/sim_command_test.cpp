@@ -1,4 +1,4 @@
-// groma sim as others meet it: a process, a folder with ports and a socket, signals.
+// groma sim as a child process: a folder with ports and a socket, signals.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -47,7 +47,7 @@ bool wait_for(const std::function<bool()>& condition, double most_s) {
   return true;
 }
 
-// A child process, killed at the latest with the test.
+// A child process, killed by the destructor if it still runs.
 class Child {
  public:
   Child(const std::vector<std::string>& arguments, const std::filesystem::path& errors) {
@@ -136,12 +136,12 @@ TEST(SimCommand, RunsUntilTerminated) {
   runs_until(SIGTERM);
 }
 
-// ---- the exchange of time stamps over a real port ---------------------------------------------------------
+// ---- the exchange of timestamps over a real port ----------------------------------------------------------
 
 struct Instant {
   double t_s = 0.0;        // of the range, as mapped to the host's clock
-  double network_s = 0.0;  // the same, in the network's time
-  double delay_s = 0.0;    // from there to where its report was read
+  double network_s = 0.0;  // the same instant in network time
+  double delay_s = 0.0;    // from this instant to the reading of its report
 };
 
 class Instants : public link::NodeSink {
@@ -154,7 +154,7 @@ class Instants : public link::NodeSink {
   double now_s = 0.0;
 };
 
-// How far host and network time are apart beside a line, at the most.
+// The largest residual of a line fit of host time over network time.
 double largest_residual_s(const std::vector<Instant>& seen, double& slope) {
   double x_mean = 0.0;
   double y_mean = 0.0;
@@ -228,12 +228,12 @@ TEST(SimCommand, RangesAreStampedWithAConstantDelayOverARealPort) {
   for (const Instant& i : instants.seen) least_delay_s = std::min(least_delay_s, i.delay_s);
   fmt::print("round trip {:.2f} ms, instants within {:.2f} ms, the least delay {:.2f} ms\n",
              1e3 * round_trip_s, 1e3 * residual_s, 1e3 * least_delay_s);
-  // The simulation takes steps of some milliseconds, and answers in the next one.
+  // The simulation runs in steps of a few milliseconds, and answers in the next step.
   EXPECT_GE(round_trip_s, 0.0);
   EXPECT_LT(round_trip_s, 0.05);
   EXPECT_NEAR(slope, 1.0, 1e-3);
   EXPECT_LT(residual_s, 0.01);
-  // Later than it was measured, by a report's way to the host.
+  // A report is read after its measurement, by the report's delay to the host.
   EXPECT_GT(least_delay_s, -0.5 * round_trip_s);
   EXPECT_LT(least_delay_s, 0.1);
 }

@@ -1,4 +1,4 @@
-// A site of few nodes in the open, for tests that want it fast.
+// A site of few nodes without walls, for fast tests.
 #pragma once
 
 #include "firmware/sim/world/scenario.hpp"

@@ -1,4 +1,4 @@
-// Host and node exchange time stamps: the firmware's answers, over a line that delays.
+// Host and node exchange timestamps: the firmware's answers over a line with delay.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -31,7 +31,7 @@ struct Outcome {
   std::uint64_t replies = 0;
 };
 
-// Eight seconds of tag 1, its line held up by so much each way beside its bit rate.
+// Eight seconds of tag 1, with these delays of its line in addition to the bit rate.
 Outcome over_a_line(double to_host_s, double to_node_s) {
   SimulatedSite site(small_site(), {.seed = 3});
   link::ReportDecoder decoder(kBaud);
