@@ -67,7 +67,7 @@ int run(const ConfigureOptions& options) {
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     const provision::PlannedNode* node = nodes[i];
     const provision::NodeOutcome& outcome = outcomes[i];
-    if (const int code = tell(outcome, warnings); first_failure == io::kGood) first_failure = code;
+    if (const int code = report_outcome(outcome, warnings); first_failure == io::kGood) first_failure = code;
     const bool over_air = provision::is_reached_by_air(*node);
     table.add({fmt::format("{}", node->id), provision::role_word(node->role),
                over_air ? "via " + outcome.port : outcome.port, result_word(outcome),

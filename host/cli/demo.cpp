@@ -53,7 +53,7 @@ Json to_json(const simulation::DemoResult& result, std::uint64_t seed) {
     json["evaluation"][std::string(filter::model_name(run.model))] = cli::to_json(run.evaluation);
   }
   json["ranges_per_s"] = result.ranges_per_s;
-  json["without_sight"] = result.without_sight;
+  json["without_sight"] = result.nlos_share;
   json["frames_lost"] = result.frames_lost;
   json["simulated_s"] = result.simulated_s;
   json["wall_s"] = result.wall_s;
@@ -99,7 +99,7 @@ std::string format_text(const simulation::DemoResult& result) {
   text += fmt::format(
       "\n{:.0f} ranges/s, {:.0f} % of them NLOS; {} frames lost\n"
       "{:.0f} s simulated in {:.1f} s: {:.1f} times real time\n",
-      result.ranges_per_s, 100.0 * result.without_sight, result.frames_lost, result.simulated_s,
+      result.ranges_per_s, 100.0 * result.nlos_share, result.frames_lost, result.simulated_s,
       result.wall_s, result.simulated_s / result.wall_s);
   return text;
 }

@@ -40,7 +40,7 @@ void add_summary(Page& page, const simulation::DemoResult& result) {
     facts.push_back({fmt::format("{:.3f} m", run->evaluation.ate_m.mean), "mean position error, original"});
   }
   facts.push_back({fmt::format("{:.0f}", result.ranges_per_s), "ranges per second"});
-  facts.push_back({fmt::format("{:.0f} %", 100.0 * result.without_sight), "NLOS ranges"});
+  facts.push_back({fmt::format("{:.0f} %", 100.0 * result.nlos_share), "NLOS ranges"});
   facts.push_back({fmt::format("{}", result.frames_lost), "frames lost",
                    result.frames_lost == 0 ? report::Tone::kGood : report::Tone::kWarning});
   page.add_facts(facts);

@@ -32,12 +32,12 @@ struct ExplainOptions {
 };
 
 // A range and the filter's result for it.
-struct Heard {
+struct RangeRecord {
   double t_s = 0.0;
   double range_m = 0.0;
   filter::RangeResult result;
   double regained_sigma_m = 0.0;  // see Gate::regained_variance_m2()
-  bool doubts = false;            // the gate's divergence flag is set
+  bool diverged = false;            // the gate's divergence flag is set
 };
 
 struct StateAt {
@@ -51,9 +51,9 @@ struct Moment {
   StateAt state;
   filter::Estimate estimate;
   double white_sigma_m = 0.0;
-  double slow_sigma_m = 0.0;
-  Eigen::Vector3d row_sigmas = Eigen::Vector3d::Zero();  // of the sample's vx, vy, yaw rate
-  bool doubts = false;                                   // the gate's divergence flag
+  double bias_sigma_m = 0.0;
+  Eigen::Vector3d sample_sigmas = Eigen::Vector3d::Zero();  // of the sample's vx, vy, yaw rate
+  bool diverged = false;                                   // the gate's divergence flag
   // Counts up to this sample:
   std::size_t jumps = 0;  // samples that jumped
   std::size_t slips = 0;  // slips that the ranges showed
@@ -63,10 +63,10 @@ struct Moment {
 using Pair = std::pair<model::NodeId, model::NodeId>;  // tag, anchor
 
 // All samples and ranges within the window.
-struct Story {
-  std::vector<Moment> rows;
-  std::map<Pair, std::vector<Heard>> pairs;
-  filter::Config told;
+struct History {
+  std::vector<Moment> moments;
+  std::map<Pair, std::vector<RangeRecord>> pairs;
+  filter::Config configured;
 };
 
 const char* outcome_word(filter::RangeOutcome outcome) {
@@ -93,70 +93,71 @@ const char* outcome_word(filter::RangeOutcome outcome) {
   return "not-modelled";
 }
 
-bool was_judged(const Heard& heard) {
-  return heard.result.outcome == filter::RangeOutcome::kUsed ||
-         heard.result.outcome == filter::RangeOutcome::kGated;
+bool reached_gate(const RangeRecord& record) {
+  return record.result.outcome == filter::RangeOutcome::kUsed ||
+         record.result.outcome == filter::RangeOutcome::kGated;
 }
 
-// An innovation within kNear sigmas is no reason to reject a range; received powers that are kTelling times
-// as likely under NLOS as under LOS are.
-constexpr double kNear = 2.0;
-constexpr double kTelling = 1.5;
+// An innovation within kNearSigmas sigmas is no reason to reject a range; received powers that are
+// kNlosHintRatio times as likely under NLOS as under LOS are.
+constexpr double kNearSigmas = 2.0;
+constexpr double kNlosHintRatio = 1.5;
 
 // Why the gate accepted or rejected a range.
-const char* why(const Heard& heard) {
-  if (!was_judged(heard)) return outcome_word(heard.result.outcome);
-  const double sigma_m = std::sqrt(heard.result.innovation_variance_m2);
-  if (heard.result.weight >= 0.5) return heard.regained_sigma_m > sigma_m ? "heard-again" : "in-sight";
-  if (heard.doubts) return "state-doubted";
-  if (heard.result.hint_ratio > kTelling && std::abs(heard.result.innovation_m) < kNear * sigma_m)
+const char* why(const RangeRecord& record) {
+  if (!reached_gate(record)) return outcome_word(record.result.outcome);
+  const double sigma_m = std::sqrt(record.result.innovation_variance_m2);
+  if (record.result.weight >= 0.5) return record.regained_sigma_m > sigma_m ? "heard-again" : "in-sight";
+  if (record.diverged) return "state-doubted";
+  if (record.result.hint_ratio > kNlosHintRatio &&
+      std::abs(record.result.innovation_m) < kNearSigmas * sigma_m)
     return "by-powers";
-  return heard.result.innovation_m > 0.0 ? "blocked" : "too-short";
+  return record.result.innovation_m > 0.0 ? "blocked" : "too-short";
 }
 
-Eigen::Vector3d pull(const std::vector<Heard>& ranges) {
+Eigen::Vector3d correction(const std::vector<RangeRecord>& ranges) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const Heard& heard : ranges) sum += heard.result.pull;
+  for (const RangeRecord& record : ranges) sum += record.result.pull;
   return sum;
 }
 
-std::size_t used(const std::vector<Heard>& ranges) {
-  return static_cast<std::size_t>(std::count_if(ranges.begin(), ranges.end(), [](const Heard& heard) {
-    return heard.result.outcome == filter::RangeOutcome::kUsed;
+std::size_t used(const std::vector<RangeRecord>& ranges) {
+  return static_cast<std::size_t>(std::count_if(ranges.begin(), ranges.end(), [](const RangeRecord& record) {
+    return record.result.outcome == filter::RangeOutcome::kUsed;
   }));
 }
 
-const Heard& nearest(const std::vector<Heard>& ranges, double t_s) {
-  return *std::min_element(ranges.begin(), ranges.end(), [t_s](const Heard& a, const Heard& b) {
+const RangeRecord& nearest(const std::vector<RangeRecord>& ranges, double t_s) {
+  return *std::min_element(ranges.begin(), ranges.end(), [t_s](const RangeRecord& a, const RangeRecord& b) {
     return std::abs(a.t_s - t_s) < std::abs(b.t_s - t_s);
   });
 }
 
 // The last moment at or before t_s, else the first.
-const Moment& moment_at(const Story& story, double t_s) {
-  auto after = std::find_if(story.rows.begin(), story.rows.end(),
-                            [t_s](const Moment& row) { return row.state.t_s > t_s; });
-  return after == story.rows.begin() ? *after : *std::prev(after);
+const Moment& moment_at(const History& history, double t_s) {
+  auto after = std::find_if(history.moments.begin(), history.moments.end(),
+                            [t_s](const Moment& moment) { return moment.state.t_s > t_s; });
+  return after == history.moments.begin() ? *after : *std::prev(after);
 }
 
-Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& row) {
+Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& sample) {
   const filter::Filter& filter = tracker.filter().filter();
   const filter::Filter::Snapshot& now = filter.snapshot();
-  return {.state = {row.t_s, tracker.state(), tracker.reason()},
+  return {.state = {sample.t_s, tracker.state(), tracker.reason()},
           .estimate = filter.estimate(),
           .white_sigma_m = now.tuning.white_sigma_m(),
-          .slow_sigma_m = std::sqrt(filter.site().slow_variance_m2()) * now.tuning.slow_scale(),
-          .row_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kRowVx).cwiseSqrt(),
-          .doubts = now.gate.doubts(now.t_s),
+          .bias_sigma_m = std::sqrt(filter.site().slow_variance_m2()) * now.tuning.slow_scale(),
+          .sample_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kRowVx).cwiseSqrt(),
+          .diverged = now.gate.doubts(now.t_s),
           .jumps = now.watch.jumps(),
           .slips = now.counters.slips,
           .relocations = tracker.relocations()};
 }
 
-Story replay(const ExplainOptions& options, FilterInput::Drive& drive) {
+History replay(const ExplainOptions& options, FilterInput::Drive& drive) {
   const double from_s = options.at_s - options.window_s;
   const double to_s = options.at_s + options.window_s;
-  Story story;
+  History history;
   filter::ReplayOptions& replay = drive.options;
   replay.config.model = *filter::model_from_name(options.model);
   replay.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
@@ -165,36 +166,36 @@ Story replay(const ExplainOptions& options, FilterInput::Drive& drive) {
   replay.on_range = [&](const filter::Tracker& tracker, const model::RangeSample& range,
                         const filter::RangeResult& result) {
     if (range.t_s < from_s) return;
-    Heard heard{.t_s = range.t_s, .range_m = range.range_m, .result = result};
+    RangeRecord record{.t_s = range.t_s, .range_m = range.range_m, .result = result};
     const filter::Filter& filter = tracker.filter().filter();
     const int anchor = filter.site().anchor_index(range.anchor_id);
-    if (was_judged(heard) && filter.slot_of(anchor) >= 0) {
+    if (reached_gate(record) && filter.slot_of(anchor) >= 0) {
       const filter::Gate& gate = filter.snapshot().gate;
-      heard.regained_sigma_m =
+      record.regained_sigma_m =
           std::sqrt(gate.regained_variance_m2(filter.slot_of(anchor), filter.site().tag_slot(range.tag_id)));
-      heard.doubts = gate.doubts(range.t_s);
+      record.diverged = gate.doubts(range.t_s);
     }
-    story.pairs[{range.tag_id, range.anchor_id}].push_back(heard);
+    history.pairs[{range.tag_id, range.anchor_id}].push_back(record);
   };
-  replay.on_row = [&](const filter::Tracker& tracker, const model::OdometrySample& row) {
-    if (row.t_s >= from_s && tracker.started()) story.rows.push_back(moment_of(tracker, row));
+  replay.on_row = [&](const filter::Tracker& tracker, const model::OdometrySample& sample) {
+    if (sample.t_s >= from_s && tracker.started()) history.moments.push_back(moment_of(tracker, sample));
   };
-  story.told = replay.config;
-  if (filter::replay(drive.run(), replay).rows.empty() || story.rows.empty()) {
+  history.configured = replay.config;
+  if (filter::replay(drive.run(), replay).rows.empty() || history.moments.empty()) {
     throw io::DataError({options.input.dataset()},
                         fmt::format("there is no odometry, or no pose was known yet, within {} s of {}",
                                     options.window_s, options.at_s),
                         "choose another --at, or a wider --window");
   }
-  return story;
+  return history;
 }
 
-std::vector<StateAt> changes(const Story& story) {
+std::vector<StateAt> changes(const History& history) {
   std::vector<StateAt> out;
-  for (const Moment& row : story.rows) {
-    if (!out.empty() && out.back().state == row.state.state && out.back().reason == row.state.reason)
+  for (const Moment& moment : history.moments) {
+    if (!out.empty() && out.back().state == moment.state.state && out.back().reason == moment.state.reason)
       continue;
-    out.push_back(row.state);
+    out.push_back(moment.state);
   }
   return out;
 }
@@ -216,38 +217,38 @@ Json to_json(const StateAt& at) {
           {"reason", reason.empty() ? Json(nullptr) : Json(reason)}};
 }
 
-Json to_json(const Heard& heard) {
-  Json json{{"t_s", heard.t_s},
-            {"range_m", heard.range_m},
-            {"outcome", outcome_word(heard.result.outcome)},
-            {"why", why(heard)}};
-  if (!was_judged(heard)) return json;
-  json["predicted_m"] = heard.range_m - heard.result.innovation_m;
-  json["innovation_m"] = heard.result.innovation_m;
-  json["innovation_sigma_m"] = std::sqrt(heard.result.innovation_variance_m2);
-  json["weight"] = heard.result.weight;
-  json["pair_in_sight"] = 1.0 - heard.result.blocked;
-  json["hint_ratio"] = heard.result.hint_ratio;
-  json["heard_again_sigma_m"] = heard.regained_sigma_m;
-  json["pull"] = pose_json(heard.result.pull);
+Json to_json(const RangeRecord& record) {
+  Json json{{"t_s", record.t_s},
+            {"range_m", record.range_m},
+            {"outcome", outcome_word(record.result.outcome)},
+            {"why", why(record)}};
+  if (!reached_gate(record)) return json;
+  json["predicted_m"] = record.range_m - record.result.innovation_m;
+  json["innovation_m"] = record.result.innovation_m;
+  json["innovation_sigma_m"] = std::sqrt(record.result.innovation_variance_m2);
+  json["weight"] = record.result.weight;
+  json["pair_in_sight"] = 1.0 - record.result.blocked;
+  json["hint_ratio"] = record.result.hint_ratio;
+  json["heard_again_sigma_m"] = record.regained_sigma_m;
+  json["pull"] = pose_json(record.result.pull);
   return json;
 }
 
-Json to_json(const ExplainOptions& options, const Story& story) {
-  const Moment& moment = moment_at(story, options.at_s);
+Json to_json(const ExplainOptions& options, const History& history) {
+  const Moment& moment = moment_at(history, options.at_s);
   const filter::Estimate& estimate = moment.estimate;
   Json covariance = Json::array();
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) covariance.push_back(estimate.covariance(i, j));
   }
   Json states = Json::array();
-  for (const StateAt& at : changes(story)) states.push_back(to_json(at));
+  for (const StateAt& at : changes(history)) states.push_back(to_json(at));
   Json pairs = Json::array();
   Eigen::Vector3d moved = Eigen::Vector3d::Zero();
-  for (const auto& [pair, ranges] : story.pairs) {
+  for (const auto& [pair, ranges] : history.pairs) {
     Json list = Json::array();
-    for (const Heard& heard : ranges) list.push_back(to_json(heard));
-    const Eigen::Vector3d by = pull(ranges);
+    for (const RangeRecord& record : ranges) list.push_back(to_json(record));
+    const Eigen::Vector3d by = correction(ranges);
     moved += by;
     pairs.push_back({{"tag", pair.first},
                      {"anchor", pair.second},
@@ -262,19 +263,19 @@ Json to_json(const ExplainOptions& options, const Story& story) {
   json["window_s"] = options.window_s;
   json["pose"] = pose_json(Eigen::Vector3d(estimate.pose.x_m, estimate.pose.y_m, estimate.pose.theta_rad));
   json["pose"]["covariance"] = std::move(covariance);
-  json["state_doubted"] = moment.doubts;
+  json["state_doubted"] = moment.diverged;
   json["states"] = std::move(states);
-  json["relocations"] = story.rows.back().relocations - story.rows.front().relocations;
+  json["relocations"] = history.moments.back().relocations - history.moments.front().relocations;
   json["odometry"] = {{"scale_error", estimate.scale_error},
                       {"yaw_rate_bias_radps", estimate.yaw_rate_bias_radps},
                       {"delay_s", estimate.odometry_delay_s},
-                      {"jumps", story.rows.back().jumps - story.rows.front().jumps},
-                      {"slips", story.rows.back().slips - story.rows.front().slips},
-                      {"row_sigma_vx_mps", moment.row_sigmas.x()},
-                      {"row_sigma_vy_mps", moment.row_sigmas.y()},
-                      {"row_sigma_omega_radps", moment.row_sigmas.z()}};
+                      {"jumps", history.moments.back().jumps - history.moments.front().jumps},
+                      {"slips", history.moments.back().slips - history.moments.front().slips},
+                      {"row_sigma_vx_mps", moment.sample_sigmas.x()},
+                      {"row_sigma_vy_mps", moment.sample_sigmas.y()},
+                      {"row_sigma_omega_radps", moment.sample_sigmas.z()}};
   json["ranges"] = {{"white_sigma_m", moment.white_sigma_m},
-                    {"slow_error_sigma_m", moment.slow_sigma_m},
+                    {"slow_error_sigma_m", moment.bias_sigma_m},
                     {"delay_s", estimate.range_delay_s}};
   json["pull"] = pose_json(moved);
   json["pairs"] = std::move(pairs);
@@ -282,55 +283,56 @@ Json to_json(const ExplainOptions& options, const Story& story) {
 }
 
 // The pairs in order of their correction, the largest first.
-std::string table_of(const ExplainOptions& options, const Story& story) {
-  using Entry = std::pair<Pair, const std::vector<Heard>*>;
+std::string table_of(const ExplainOptions& options, const History& history) {
+  using Entry = std::pair<Pair, const std::vector<RangeRecord>*>;
   std::vector<Entry> entries;
-  entries.reserve(story.pairs.size());
-  for (const auto& [pair, ranges] : story.pairs) entries.emplace_back(pair, &ranges);
+  entries.reserve(history.pairs.size());
+  for (const auto& [pair, ranges] : history.pairs) entries.emplace_back(pair, &ranges);
   std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
-    return pull(*a.second).head<2>().norm() > pull(*b.second).head<2>().norm();
+    return correction(*a.second).head<2>().norm() > correction(*b.second).head<2>().norm();
   });
   Table table({"tag", "anchor", "used", "range m", "predicted", "innovation", "sigma", "weight", "LOS",
                "hint", "correction x cm", "y cm", "heading mrad", "why"});
   for (const auto& [pair, ranges] : entries) {
-    const Heard& heard = nearest(*ranges, options.at_s);
-    const Eigen::Vector3d by = pull(*ranges);
-    const bool judged = was_judged(heard);
+    const RangeRecord& record = nearest(*ranges, options.at_s);
+    const Eigen::Vector3d by = correction(*ranges);
+    const bool judged = reached_gate(record);
     const auto number = [judged](const char* format, double value) {
       return judged ? fmt::format(fmt::runtime(format), value) : std::string("-");
     };
     table.add({fmt::format("{}", pair.first), fmt::format("{}", pair.second),
-               fmt::format("{}/{}", used(*ranges), ranges->size()), fmt::format("{:.3f}", heard.range_m),
-               number("{:.3f}", heard.range_m - heard.result.innovation_m),
-               number("{:+.3f}", heard.result.innovation_m),
-               number("{:.3f}", std::sqrt(heard.result.innovation_variance_m2)),
-               number("{:.2f}", heard.result.weight), number("{:.2f}", 1.0 - heard.result.blocked),
-               number("{:.1f}", heard.result.hint_ratio), fmt::format("{:+.1f}", 100.0 * by.x()),
-               fmt::format("{:+.1f}", 100.0 * by.y()), fmt::format("{:+.1f}", 1000.0 * by.z()), why(heard)});
+               fmt::format("{}/{}", used(*ranges), ranges->size()), fmt::format("{:.3f}", record.range_m),
+               number("{:.3f}", record.range_m - record.result.innovation_m),
+               number("{:+.3f}", record.result.innovation_m),
+               number("{:.3f}", std::sqrt(record.result.innovation_variance_m2)),
+               number("{:.2f}", record.result.weight), number("{:.2f}", 1.0 - record.result.blocked),
+               number("{:.1f}", record.result.hint_ratio), fmt::format("{:+.1f}", 100.0 * by.x()),
+               fmt::format("{:+.1f}", 100.0 * by.y()), fmt::format("{:+.1f}", 1000.0 * by.z()), why(record)});
   }
   return table.format(true);
 }
 
-std::string text_of(const ExplainOptions& options, const Story& story) {
-  const Moment& moment = moment_at(story, options.at_s);
+std::string text_of(const ExplainOptions& options, const History& history) {
+  const Moment& moment = moment_at(history, options.at_s);
   const filter::Estimate& estimate = moment.estimate;
   const auto sigma = [&](int i) { return std::sqrt(estimate.covariance(i, i)); };
   std::string out =
       fmt::format("{} s, {}: {}{}\n", moment.state.t_s, options.model, words(moment.state),
-                  moment.doubts ? "; the ranges contradict the pose, its covariance grows" : "");
+                  moment.diverged ? "; the ranges contradict the pose, its covariance grows" : "");
   out += fmt::format("pose      x {:.3f} +- {:.3f} m, y {:.3f} +- {:.3f} m, heading {:.4f} +- {:.4f} rad\n",
                      estimate.pose.x_m, sigma(0), estimate.pose.y_m, sigma(1), estimate.pose.theta_rad,
                      sigma(2));
-  const std::size_t jumps = story.rows.back().jumps - story.rows.front().jumps;
+  const model::OdometryNoise& configured = history.configured.odometry;
+  const std::size_t jumps = history.moments.back().jumps - history.moments.front().jumps;
   out += fmt::format(
       "odometry  sample +- {:.3f} m/s (configured {:.3f}), +- {:.4f} rad/s (configured {:.4f}); scale error "
       "{:+.4f}, yaw-rate bias {:+.5f} rad/s, delay {:.0f} ms{}\n",
-      moment.row_sigmas.head<2>().maxCoeff(),
-      std::max(story.told.odometry.sigma_vx_mps, story.told.odometry.sigma_vy_mps), moment.row_sigmas.z(),
-      story.told.odometry.sigma_omega_radps, estimate.scale_error, estimate.yaw_rate_bias_radps,
+      moment.sample_sigmas.head<2>().maxCoeff(),
+      std::max(configured.sigma_vx_mps, configured.sigma_vy_mps), moment.sample_sigmas.z(),
+      configured.sigma_omega_radps, estimate.scale_error, estimate.yaw_rate_bias_radps,
       1000.0 * estimate.odometry_delay_s,
       jumps > 0 ? fmt::format("; {} samples jumped, their sigma is increased", jumps) : "");
-  const std::size_t slips = story.rows.back().slips - story.rows.front().slips;
+  const std::size_t slips = history.moments.back().slips - history.moments.front().slips;
   if (slips > 0) {
     out += fmt::format(
         "          the ranges of several anchors contradict it ({} times): the wheels slip, or the robot is "
@@ -338,20 +340,20 @@ std::string text_of(const ExplainOptions& options, const Story& story) {
         slips);
   }
   out += fmt::format("ranges    white noise +- {:.3f} m, Gauss-Markov bias +- {:.3f} m, delay {:.0f} ms\n",
-                     moment.white_sigma_m, moment.slow_sigma_m, 1000.0 * estimate.range_delay_s);
-  const std::vector<StateAt> states = changes(story);
+                     moment.white_sigma_m, moment.bias_sigma_m, 1000.0 * estimate.range_delay_s);
+  const std::vector<StateAt> states = changes(history);
   for (std::size_t i = 1; i < states.size(); ++i)
     out += fmt::format("state     {} from {} s on\n", words(states[i]), states[i].t_s);
-  if (story.rows.back().relocations > story.rows.front().relocations)
+  if (history.moments.back().relocations > history.moments.front().relocations)
     out += "state     another place was found, and the filter re-initialized there\n";
 
   std::size_t seen = 0;
   std::size_t taken = 0;
   Eigen::Vector3d moved = Eigen::Vector3d::Zero();
-  for (const auto& [pair, ranges] : story.pairs) {
+  for (const auto& [pair, ranges] : history.pairs) {
     seen += ranges.size();
     taken += used(ranges);
-    moved += pull(ranges);
+    moved += correction(ranges);
   }
   out += fmt::format(
       "\nWithin {} s of {}: {} ranges, {} used; they corrected the pose by x {:+.1f} cm, y {:+.1f} cm, "
@@ -359,17 +361,17 @@ std::string text_of(const ExplainOptions& options, const Story& story) {
       options.window_s, options.at_s, seen, taken, 100.0 * moved.x(), 100.0 * moved.y(), 1000.0 * moved.z());
   if (seen == 0) return out;
   out += "For each pair, the range nearest in time and the correction by all of its ranges:\n";
-  return out + table_of(options, story);
+  return out + table_of(options, history);
 }
 
 int run(const ExplainOptions& options) {
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("explain", FilterInput::StartIs::kFoundOtherwise, warnings);
-  const Story story = replay(options, drive);
+  const History history = replay(options, drive);
   if (options.input.json()) {
-    say_json(to_json(options, story));
+    say_json(to_json(options, history));
   } else {
-    say(text_of(options, story));
+    say(text_of(options, history));
   }
   return warnings.exit_code();
 }

@@ -301,7 +301,8 @@ int flash_plan(const FlashOptions& options) {
       show_phase(who, "configuring");
       configured = provision::configure_node(node, plan.baud, configuring);
       clear_phase();
-      if (const int code = tell(*configured, warnings); first_failure == io::kGood) first_failure = code;
+      if (const int code = report_outcome(*configured, warnings); first_failure == io::kGood)
+        first_failure = code;
     } else if (flashed.fault == FlashFault::kNone) {
       warnings.add(
           fmt::format("node {} is flashed but not configured: the plan names no port for it", node.id));

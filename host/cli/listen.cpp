@@ -44,8 +44,8 @@ struct PairRanges {
   double mean_m = 0.0;
   double squares_m2 = 0.0;
   double power_dbm = 0.0;
-  std::uint64_t sight_known = 0;   // ranges with a line-of-sight hint
-  std::uint64_t sight_likely = 0;  // ranges whose hint says that LOS is likely
+  std::uint64_t los_known = 0;   // ranges with a line-of-sight hint
+  std::uint64_t los_likely = 0;  // ranges whose hint says that LOS is likely
 
   void add(const model::RangeSample& range) {
     ++count;
@@ -53,12 +53,12 @@ struct PairRanges {
     mean_m += off_m / static_cast<double>(count);
     squares_m2 += off_m * (range.range_m - mean_m);
     power_dbm += (static_cast<double>(range.receive_power_dbm) - power_dbm) / static_cast<double>(count);
-    sight_known += range.line_of_sight != model::LineOfSight::kNotKnown ? 1 : 0;
-    sight_likely += range.line_of_sight == model::LineOfSight::kLikely ? 1 : 0;
+    los_known += range.line_of_sight != model::LineOfSight::kNotKnown ? 1 : 0;
+    los_likely += range.line_of_sight == model::LineOfSight::kLikely ? 1 : 0;
   }
   // Share of the ranges with a hint for which LOS is likely; NaN if no range has a hint.
-  [[nodiscard]] double sight() const {
-    return static_cast<double>(sight_likely) / static_cast<double>(sight_known);
+  [[nodiscard]] double los_share() const {
+    return static_cast<double>(los_likely) / static_cast<double>(los_known);
   }
   [[nodiscard]] double std_m() const {
     return count > 1 ? std::sqrt(squares_m2 / static_cast<double>(count - 1)) : 0.0;
@@ -87,7 +87,7 @@ class Listener : public link::NodeSink {
                     known(range.clock_offset_ppm, 3), known(range.noise, 0),
                     static_cast<unsigned>(range.line_of_sight), range.corrections, network_time));
   }
-  void on_network_status(const groma_NetworkStatus& said) override { status = said; }
+  void on_network_status(const groma_NetworkStatus& received) override { status = received; }
 
   std::map<std::pair<model::NodeId, model::NodeId>, PairRanges> pairs;  // tag, anchor
   std::optional<groma_NetworkStatus> status;
@@ -111,9 +111,9 @@ int exit_code_of(link::LinkFault fault) {
   return fault == link::LinkFault::kPermission ? io::kNoPermission : io::kUnavailable;
 }
 
-Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double for_s) {
+Json to_json(const Listener& listener, const link::ReportDecoder& decoder, double for_s) {
   Json pairs = Json::array();
-  for (const auto& [ids, pair] : heard.pairs) {
+  for (const auto& [ids, pair] : listener.pairs) {
     pairs.push_back(
         {{"tag", ids.first},
          {"anchor", ids.second},
@@ -121,19 +121,19 @@ Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double f
          {"mean_m", pair.mean_m},
          {"std_m", pair.std_m()},
          {"receive_power_dbm", std::isfinite(pair.power_dbm) ? Json(pair.power_dbm) : Json(nullptr)},
-         {"sight", std::isfinite(pair.sight()) ? Json(pair.sight()) : Json(nullptr)}});
+         {"sight", std::isfinite(pair.los_share()) ? Json(pair.los_share()) : Json(nullptr)}});
   }
-  const auto& status = heard.status;
-  const bool warm = status && status->has_temperature_cdegc;
-  const bool fed = status && status->has_supply_mv;
+  const auto& status = listener.status;
+  const bool has_temperature = status && status->has_temperature_cdegc;
+  const bool has_supply = status && status->has_supply_mv;
   return {{"for_s", for_s},
-          {"sync", heard.status ? Json(word(heard.status->state)) : Json(nullptr)},
-          {"master", heard.status ? Json(heard.status->master_id) : Json(nullptr)},
+          {"sync", listener.status ? Json(word(listener.status->state)) : Json(nullptr)},
+          {"master", listener.status ? Json(listener.status->master_id) : Json(nullptr)},
           {"slot", status && status->has_slot ? Json(status->slot) : Json(nullptr)},
           {"candidates", status ? Json(status->candidates) : Json(nullptr)},
           {"answering", status ? Json(status->answering) : Json(nullptr)},
-          {"temperature_c", warm ? Json(status->temperature_cdegc / 100.0) : Json(nullptr)},
-          {"supply_v", fed ? Json(status->supply_mv / 1000.0) : Json(nullptr)},
+          {"temperature_c", has_temperature ? Json(status->temperature_cdegc / 100.0) : Json(nullptr)},
+          {"supply_v", has_supply ? Json(status->supply_mv / 1000.0) : Json(nullptr)},
           {"ranges", decoder.counters().ranges},
           {"ranges_failed", decoder.counters().ranges_not_ok},
           {"frames_lost", decoder.counters().frames_lost},
@@ -141,9 +141,9 @@ Json to_json(const Listener& heard, const link::ReportDecoder& decoder, double f
 }
 
 // The tag's status as one line; empty if no status was received.
-std::string told_of_itself(const Listener& heard) {
-  if (!heard.status) return {};
-  const groma_NetworkStatus& status = *heard.status;
+std::string status_line(const Listener& listener) {
+  if (!listener.status) return {};
+  const groma_NetworkStatus& status = *listener.status;
   std::string line = status.has_slot ? fmt::format("slot {}", status.slot) : "no slot";
   line += fmt::format(", {} of {} anchors answer", status.answering, status.candidates);
   if (status.has_temperature_cdegc)
@@ -153,19 +153,19 @@ std::string told_of_itself(const Listener& heard) {
 }
 
 // Prints why there was no range and what to do; returns the exit code.
-int complain_of_nothing(const ListenOptions& options, const Listener& heard, std::uint64_t bytes) {
+int complain_of_no_ranges(const ListenOptions& options, const Listener& listener, std::uint64_t bytes) {
   if (bytes == 0) {
     complain(fmt::format("{}: no byte received; run 'groma identify {}' for the reason", options.link,
                          options.link));
     return io::kUnavailable;
   }
-  if (!heard.status) {
+  if (!listener.status) {
     complain(fmt::format(
         "{}: no range received, and no status; check that it is a configured node ('groma identify {}')",
         options.link, options.link));
     return io::kDoneWithWarnings;
   }
-  if (heard.status->state == groma_SyncState_SYNC_SEARCHING) {
+  if (listener.status->state == groma_SyncState_SYNC_SEARCHING) {
     complain(fmt::format(
         "{}: no range received, because the node hears no beacon; check that the master is configured with "
         "the same plan, has power, and is in reach",
@@ -174,7 +174,7 @@ int complain_of_nothing(const ListenOptions& options, const Listener& heard, std
   }
   complain(fmt::format(
       "{}: synchronized to master {}, but no range received; is it a tag, and are there anchors in reach?",
-      options.link, heard.status->master_id));
+      options.link, listener.status->master_id));
   return io::kDoneWithWarnings;
 }
 
@@ -186,7 +186,7 @@ int run(const ListenOptions& options) {
     return exit_code_of(opened.error.fault);
   }
   const volatile std::sig_atomic_t& stop = stop_on_signals();
-  Listener heard(options.rows && !options.json);
+  Listener listener(options.rows && !options.json);
   link::ReportDecoder decoder(options.baud);
   std::uint64_t bytes = 0;
   bool gone = false;
@@ -199,29 +199,29 @@ int run(const ListenOptions& options) {
     const link::ReadResult read = opened.link->read(chunk);
     const double now_s =
         std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
-    decoder.take(std::span(chunk).first(read.bytes), now_s, heard);
+    decoder.take(std::span(chunk).first(read.bytes), now_s, listener);
     bytes += read.bytes;
     gone = read.gone;
     elapsed_s = std::chrono::duration<double>(Clock::now() - begin).count();
   }
   if (options.json) {
-    say_json(to_json(heard, decoder, elapsed_s));
+    say_json(to_json(listener, decoder, elapsed_s));
   } else if (!options.rows) {
     Table table({"tag", "anchor", "ranges", "per s", "mean m", "std m", "power dBm", "LOS"});
-    for (const auto& [ids, pair] : heard.pairs) {
+    for (const auto& [ids, pair] : listener.pairs) {
       table.add({fmt::format("{}", ids.first), fmt::format("{}", ids.second), fmt::format("{}", pair.count),
                  fmt::format("{:.0f}", static_cast<double>(pair.count) / elapsed_s),
                  fmt::format("{:.3f}", pair.mean_m), fmt::format("{:.3f}", pair.std_m()),
                  known(static_cast<float>(pair.power_dbm), 1),
-                 std::isfinite(pair.sight()) ? fmt::format("{:.0f} %", 100.0 * pair.sight()) : "-"});
+                 std::isfinite(pair.los_share()) ? fmt::format("{:.0f} %", 100.0 * pair.los_share()) : "-"});
     }
-    if (!heard.pairs.empty()) say(table.format() + told_of_itself(heard));
+    if (!listener.pairs.empty()) say(table.format() + status_line(listener));
   }
   if (gone) {
     complain(fmt::format("{}: the port went away; plug it in again", options.link));
     return io::kUnavailable;
   }
-  return heard.pairs.empty() ? complain_of_nothing(options, heard, bytes) : io::kGood;
+  return listener.pairs.empty() ? complain_of_no_ranges(options, listener, bytes) : io::kGood;
 }
 
 }  // namespace

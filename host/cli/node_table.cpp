@@ -170,7 +170,8 @@ int run(NodeTableOptions options) {
         report = provision::ask_node(place.port, options.baud, target);
       }
     }
-    if (const int code = tell(report.outcome, warnings); first_failure == io::kGood) first_failure = code;
+    if (const int code = report_outcome(report.outcome, warnings); first_failure == io::kGood)
+      first_failure = code;
     Json entry{{"id", place.id}, {"over_air", place.over_air}};
     entry.update(cli::to_json(report.outcome));
     entry.erase("result");

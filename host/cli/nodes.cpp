@@ -55,7 +55,7 @@ const char* word(NodeFault fault) {
 }
 
 // A firmware fault that the hello reports; empty if there is none.
-std::string trouble_in(const provision::NodeOutcome& outcome) {
+std::string firmware_fault_in(const provision::NodeOutcome& outcome) {
   if (!outcome.hello || !outcome.hello->has_last_fault) return {};
   const groma_Fault& fault = outcome.hello->last_fault;
   return fmt::format(
@@ -121,9 +121,9 @@ Json to_json(const provision::NodeOutcome& outcome) {
   return json;
 }
 
-int tell(const provision::NodeOutcome& outcome, Warnings& warnings) {
+int report_outcome(const provision::NodeOutcome& outcome, Warnings& warnings) {
   if (outcome.fault != NodeFault::kNone) complain(outcome.message);
-  if (const std::string trouble = trouble_in(outcome); !trouble.empty()) warnings.add(trouble);
+  if (const std::string fault = firmware_fault_in(outcome); !fault.empty()) warnings.add(fault);
   return exit_code_of(outcome.fault);
 }
 

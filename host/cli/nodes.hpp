@@ -26,6 +26,6 @@ namespace groma::cli {
 
 // Reports a failure, and warns of a firmware fault that the hello reports; returns the exit code for the
 // fault.
-[[nodiscard]] int tell(const provision::NodeOutcome& outcome, Warnings& warnings);
+[[nodiscard]] int report_outcome(const provision::NodeOutcome& outcome, Warnings& warnings);
 
 }  // namespace groma::cli

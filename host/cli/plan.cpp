@@ -37,7 +37,7 @@ struct PlanOptions {
 };
 
 // The configuration of a site that is given by numbers only, without a plan file.
-groma_Config made_up(const PlanOptions& options) {
+groma_Config config_from_numbers(const PlanOptions& options) {
   provision::SiteSettings site = options.site;
   for (unsigned i = 0; i < options.tags; ++i) site.tag_ids.push_back(static_cast<model::NodeId>(1 + i));
   for (unsigned i = 0; i < options.anchors; ++i)
@@ -124,7 +124,7 @@ int run(const PlanOptions& options) {
   unsigned baud = 1'000'000;
   groma_Config config = groma_Config_init_zero;
   if (options.plan.empty()) {
-    config = made_up(options);
+    config = config_from_numbers(options);
   } else {
     const provision::SitePlan site = provision::read_site_plan(options.plan);
     const auto tag = std::find_if(site.nodes.begin(), site.nodes.end(),

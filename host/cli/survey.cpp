@@ -36,7 +36,8 @@ int run(const SurveyOptions& options) {
   for (const model::NodeId anchor : parse_ids("--node", options.nodes)) {
     const provision::SurveyOutcome surveyed =
         provision::survey_from(options.link, options.baud, anchor, options.exchanges);
-    if (const int code = tell(surveyed.outcome, warnings); first_failure == io::kGood) first_failure = code;
+    if (const int code = report_outcome(surveyed.outcome, warnings); first_failure == io::kGood)
+      first_failure = code;
     for (const provision::SurveyedPair& pair : surveyed.pairs) {
       if (options.json) {
         pairs.push_back({{"anchor", pair.from},

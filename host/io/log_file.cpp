@@ -43,7 +43,7 @@ std::uint8_t flags_of(const model::RangeSample& range) {
   return static_cast<std::uint8_t>(static_cast<unsigned>(range.line_of_sight) | range.corrections);
 }
 
-constexpr std::uint8_t kSightMask = 3;
+constexpr std::uint8_t kLineOfSightMask = 3;
 
 void add(groma_LogRanges& out, const model::RangeSample& range, std::int64_t network_time_before_dtu) {
   out.t_s[out.t_s_count++] = range.t_s;
@@ -76,11 +76,11 @@ void add(groma_LogPoses& out, const model::PoseSample& pose) {
     out.covariance[out.covariance_count++] = static_cast<float>(term);
 }
 
-void add(groma_LogOdometry& out, const model::OdometrySample& row) {
-  out.t_s[out.t_s_count++] = row.t_s;
-  out.vx_mps[out.vx_mps_count++] = row.vx_mps;
-  out.vy_mps[out.vy_mps_count++] = row.vy_mps;
-  out.omega_radps[out.omega_radps_count++] = row.omega_radps;
+void add(groma_LogOdometry& out, const model::OdometrySample& sample) {
+  out.t_s[out.t_s_count++] = sample.t_s;
+  out.vx_mps[out.vx_mps_count++] = sample.vx_mps;
+  out.vy_mps[out.vy_mps_count++] = sample.vy_mps;
+  out.omega_radps[out.omega_radps_count++] = sample.omega_radps;
 }
 
 void add(groma_LogYawRates& out, const model::YawRateSample& sample) {
@@ -177,8 +177,8 @@ bool take(const groma_LogRanges& in, std::vector<model::RangeSample>& out) {
     }
     if (in.noise_count > 0 && in.noise[i] != 0) range.noise = static_cast<float>(in.noise[i]);
     if (in.flags_count > 0) {
-      range.line_of_sight = static_cast<model::LineOfSight>(in.flags[i] & kSightMask);
-      range.corrections = static_cast<std::uint8_t>(in.flags[i] & ~kSightMask);
+      range.line_of_sight = static_cast<model::LineOfSight>(in.flags[i] & kLineOfSightMask);
+      range.corrections = static_cast<std::uint8_t>(in.flags[i] & ~kLineOfSightMask);
     }
     if (in.network_time_dtu_count > 0) {
       network_time_dtu += in.network_time_dtu[i];
@@ -393,8 +393,8 @@ void LogEncoder::put(const model::RangeSample& range) {
   records_->finish_if_full(records_->ranges, bytes_);
 }
 
-void LogEncoder::put(const model::OdometrySample& row) {
-  records_->put(records_->odometry, row, bytes_);
+void LogEncoder::put(const model::OdometrySample& sample) {
+  records_->put(records_->odometry, sample, bytes_);
 }
 
 void LogEncoder::put(const model::PoseSample& pose) {

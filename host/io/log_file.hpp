@@ -28,7 +28,7 @@ class LogEncoder {
   void begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns);
 
   void put(const model::RangeSample& range);
-  void put(const model::OdometrySample& row);
+  void put(const model::OdometrySample& sample);
   void put(const model::PoseSample& pose);  // a prior
   void put(const model::SensorSample& sample);
   void flush();

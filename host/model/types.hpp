@@ -69,9 +69,9 @@ struct OdometrySample {
   double omega_radps = 0.0;
 };
 
-[[nodiscard]] inline bool is_finite(const OdometrySample& row) noexcept {
-  return std::isfinite(row.t_s) && std::isfinite(row.vx_mps) && std::isfinite(row.vy_mps) &&
-         std::isfinite(row.omega_radps);
+[[nodiscard]] inline bool is_finite(const OdometrySample& sample) noexcept {
+  return std::isfinite(sample.t_s) && std::isfinite(sample.vx_mps) && std::isfinite(sample.vy_mps) &&
+         std::isfinite(sample.omega_radps);
 }
 
 // The upper triangle of the covariance of x, y and yaw (m, rad): xx, xy, xt, yy, yt, tt.

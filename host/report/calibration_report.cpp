@@ -119,17 +119,17 @@ Chart::Axes small(std::string title, std::string x_label, std::string y_label) {
 }
 
 // Where the anchor's ranges were LOS, and where NLOS.
-Chart sight_map(const model::AnchorCalibration& anchor, std::span<const calibration::FittedRange> rows) {
+Chart los_map(const model::AnchorCalibration& anchor, std::span<const calibration::FittedRange> rows) {
   Chart::Axes axes = small("Line of sight", "x (m)", "y (m)");
   axes.same_scale = true;
   axes.legend = true;
   Chart map(axes);
-  std::vector<Vector2d> in_sight;
-  std::vector<Vector2d> blocked;
+  std::vector<Vector2d> los;
+  std::vector<Vector2d> nlos;
   for (const calibration::FittedRange& row : rows)
-    (row.in_sight < 0.5 ? blocked : in_sight).push_back(row.antenna_m);
-  map.add_points("LOS", Ink::kGood, std::move(in_sight));
-  map.add_points("NLOS or outlier", Ink::kBad, std::move(blocked));
+    (row.in_sight < 0.5 ? nlos : los).push_back(row.antenna_m);
+  map.add_points("LOS", Ink::kGood, std::move(los));
+  map.add_points("NLOS or outlier", Ink::kBad, std::move(nlos));
   if (is_known(anchor)) {
     const Vector2d at = anchor.position_m.head<2>();
     map.add_ellipses("", anchor_ink(anchor), {{at, anchor.covariance.topLeftCorner<2, 2>()}});
@@ -158,19 +158,19 @@ void add_pairs(Page& page, const model::AnchorCalibration& anchor,
   std::vector<std::vector<Cell>> cells;
   for (const model::PairBias& pair : anchor.pairs) {
     std::size_t count = 0;
-    double in_sight = 0.0;
+    double los = 0.0;
     double square_m2 = 0.0;
     for (const calibration::FittedRange& row : rows) {
       if (row.tag_id != pair.tag_id) continue;
       ++count;
-      in_sight += row.in_sight;
+      los += row.in_sight;
       square_m2 += row.in_sight * row.residual_m * row.residual_m;
     }
     const double all = static_cast<double>(count);
     cells.push_back({{fmt::format("{}", pair.tag_id)},
                      {fmt::format("{}", count)},
-                     number(100.0 * (1.0 - in_sight / all), "{:.0f} %"),
-                     number(std::sqrt(square_m2 / in_sight)),
+                     number(100.0 * (1.0 - los / all), "{:.0f} %"),
+                     number(std::sqrt(square_m2 / los)),
                      number(pair.beta_m),
                      number(pair.beta_sigma_m),
                      number(pair.gamma, "{:.4f}"),
@@ -179,7 +179,7 @@ void add_pairs(Page& page, const model::AnchorCalibration& anchor,
   page.add_table({"tag", "ranges", "NLOS", "rms LOS m", "β m", "σ β m", "γ", "σ γ"}, cells);
 }
 
-double in_sight_share(std::span<const calibration::FittedRange> rows) {
+double los_share(std::span<const calibration::FittedRange> rows) {
   double sum = 0.0;
   for (const calibration::FittedRange& row : rows) sum += row.in_sight;
   return rows.empty() ? kNone : sum / static_cast<double>(rows.size());
@@ -217,7 +217,7 @@ void add_each_anchor(Page& page, const calibration::Drive& drive, const calibrat
       double farthest_m = 1.0;
       for (const calibration::FittedRange& row : rows) farthest_m = std::max(farthest_m, row.distance_m);
       page.add_charts(
-          {sight_map(anchor, rows),
+          {los_map(anchor, rows),
            residual_chart(small("Residual over time", "time (s)", "residual (m)"), rows, scales,
                           scales.from_s, scales.to_s,
                           [](const calibration::FittedRange& row) { return row.t_s; }),
@@ -230,7 +230,7 @@ void add_each_anchor(Page& page, const calibration::Drive& drive, const calibrat
 }
 
 // Anchors with a LOS range in each second of the drive.
-std::map<long, std::set<model::NodeId>> anchors_in_sight(const calibration::Result& result) {
+std::map<long, std::set<model::NodeId>> los_anchors(const calibration::Result& result) {
   std::map<long, std::set<model::NodeId>> out;
   for (std::size_t i = 0; i < result.fitted.size(); ++i) {
     for (const calibration::FittedRange& row : result.fitted[i]) {
@@ -242,7 +242,7 @@ std::map<long, std::set<model::NodeId>> anchors_in_sight(const calibration::Resu
 
 // The path, coloured by the number of LOS anchors.
 void add_path(Chart& map, const calibration::Drive& drive, const calibration::Result& result) {
-  const std::map<long, std::set<model::NodeId>> seen = anchors_in_sight(result);
+  const std::map<long, std::set<model::NodeId>> seen = los_anchors(result);
   struct Part {
     std::string name;
     Ink ink;
@@ -342,7 +342,7 @@ void add_anchors(Page& page, const calibration::Result& result) {
          sigma(covariance(2, 2)),
          {fmt::format("{}", anchor.ranges_used)},
          {fmt::format("{}", anchor.ranges_rejected)},
-         number(n < result.fitted.size() ? 100.0 * in_sight_share(result.fitted[n]) : kNone, "{:.0f} %"),
+         number(n < result.fitted.size() ? 100.0 * los_share(result.fitted[n]) : kNone, "{:.0f} %"),
          number(anchor.held_out_rms_m.value_or(kNone)),
          number(anchor.mirror_ratio.value_or(kNone), "{:.2f}"),
          {std::string(io::word(anchor.verdict)), tone(anchor.verdict)}});

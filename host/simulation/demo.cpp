@@ -31,7 +31,7 @@ class Recorder : public daemon::MeasurementSink {
  public:
   explicit Recorder(io::Dataset& dataset) : dataset_(dataset) {}
 
-  void on_odometry(const model::OdometrySample& row) override { dataset_.odometry.push_back(row); }
+  void on_odometry(const model::OdometrySample& sample) override { dataset_.odometry.push_back(sample); }
   void on_range(const model::RangeSample& range) override { dataset_.ranges.push_back(range); }
   void on_pose_prior(const model::PoseSample& pose) override { dataset_.pose_prior.push_back(pose); }
   void on_clock_set() override {}
@@ -78,16 +78,16 @@ std::vector<double> errors_of(const model::Calibration& calibration,
   return errors;
 }
 
-double share_without_sight(const sim::World& world, const std::vector<model::RangeSample>& first,
+double nlos_share(const sim::World& world, const std::vector<model::RangeSample>& first,
                            const std::vector<model::RangeSample>& second) {
-  std::size_t blocked = 0;
+  std::size_t nlos = 0;
   for (const auto* ranges : {&first, &second}) {
     for (const model::RangeSample& range : *ranges) {
-      blocked += world.in_sight(range.tag_id, range.anchor_id, range.t_s) ? 0U : 1U;
+      nlos += world.in_sight(range.tag_id, range.anchor_id, range.t_s) ? 0U : 1U;
     }
   }
   const std::size_t all = first.size() + second.size();
-  return all == 0 ? 0.0 : static_cast<double>(blocked) / static_cast<double>(all);
+  return all == 0 ? 0.0 : static_cast<double>(nlos) / static_cast<double>(all);
 }
 
 }  // namespace
@@ -160,7 +160,7 @@ DemoResult run_demo(const sim::Scenario& scenario, const DemoOptions& options) {
   const std::vector<model::RangeSample>& second_ranges = result.second_drive.ranges;
   result.simulated_s = second.end_s;
   result.ranges_per_s = static_cast<double>(first_ranges.size() + second_ranges.size()) / second.end_s;
-  result.without_sight = share_without_sight(world, first_ranges, second_ranges);
+  result.nlos_share = nlos_share(world, first_ranges, second_ranges);
   result.frames_lost = site.session().frames_lost();
   result.wall_s = seconds_since(begin);
   return result;
