@@ -36,7 +36,7 @@ Bytes encoded(std::size_t size, std::uint8_t seed) {
   return frame;
 }
 
-TEST(CanId, IsAsDocumentedAndFindsItsWayBack) {
+TEST(CanId, IsAsDocumentedAndDecodesToTheAddress) {
   EXPECT_EQ(can_id({CanDirection::kToHost, 3}), 0x16000003U);
   EXPECT_EQ(can_id({CanDirection::kToNode, 3}), 0x16010003U);
   EXPECT_EQ(can_id({CanDirection::kToNode, 0xFFFF}), 0x1601FFFFU);
@@ -49,7 +49,7 @@ TEST(CanId, IsAsDocumentedAndFindsItsWayBack) {
   }
 }
 
-TEST(CanId, OfAnotherProtocolIsNone) {
+TEST(CanId, OfAnotherProtocolIsRejected) {
   // Flips each fixed bit, and each bit beyond the 29 bits, where SocketCAN has its flags.
   for (unsigned bit = 17; bit < 32; ++bit) {
     EXPECT_FALSE(can_address(can_id({CanDirection::kToHost, 3}) ^ (1U << bit))) << bit;
@@ -57,7 +57,7 @@ TEST(CanId, OfAnotherProtocolIsNone) {
   }
 }
 
-TEST(CanLength, HasEachOfTheFormatsLengths) {
+TEST(CanLength, HasEachLengthOfTheFormat) {
   for (std::size_t size = 0; size <= 8; ++size) EXPECT_EQ(can_length_code(size), size);
   EXPECT_EQ(can_length_code(9), 9U);
   EXPECT_EQ(can_length_code(12), 9U);
@@ -69,7 +69,7 @@ TEST(CanLength, HasEachOfTheFormatsLengths) {
   EXPECT_EQ(can_length_code(64), 15U);
 }
 
-TEST(CanSegment, ClassicPayloadsHoldTheStreamAsItIs) {
+TEST(CanSegment, ClassicPayloadsHoldTheStreamUnchanged) {
   for (std::size_t size = 0; size < 100; ++size) {
     const Bytes stream = encoded(size, 1);
     const auto frames = cut(stream, CanFormat::kClassic);
@@ -85,7 +85,7 @@ TEST(CanSegment, ClassicPayloadsHoldTheStreamAsItIs) {
   }
 }
 
-TEST(CanSegment, FdPayloadsAreFilledWithZerosThatTheDecoderPassesOver) {
+TEST(CanSegment, FdPayloadsArePaddedWithZerosThatTheDecoderSkips) {
   FrameDecoder decoder;
   std::uint32_t sent = 0;
   for (std::size_t size = 0; size < 300; ++size) {
@@ -125,14 +125,14 @@ TEST(CanSegment, ALostPayloadLosesOneFrameAndIsCounted) {
   }
 }
 
-TEST(CanSegment, TakesOnlyItsOwnNodesPayloadsOfItsDirection) {
+TEST(CanSegment, TakesOnlyPayloadsOfItsNodeAndDirection) {
   const CanFrame frame = cut(encoded(20, 1), CanFormat::kFd).front();
   EXPECT_EQ(stream_in(frame, {CanDirection::kToHost, 3}).size(), frame.size);
   EXPECT_TRUE(stream_in(frame, {CanDirection::kToHost, 4}).empty());
   EXPECT_TRUE(stream_in(frame, {CanDirection::kToNode, 3}).empty());
 }
 
-TEST(CanSegment, CutsNothingOffNothing) {
+TEST(CanSegment, CutsNothingFromAnEmptyStream) {
   CanFrame frame;
   EXPECT_EQ(cut_can_payload({}, CanFormat::kClassic, frame), 0U);
   EXPECT_EQ(frame.size, 0U);

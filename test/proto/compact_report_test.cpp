@@ -83,7 +83,7 @@ TEST(CompactReport, KeepsWhatAMeasurementNeeds) {
   }
 }
 
-TEST(CompactReport, KeepsEachStatusAndThatNothingIsKnown) {
+TEST(CompactReport, KeepsEachStatusAndUnknownValues) {
   groma_SlotReport report = groma_SlotReport_init_zero;
   for (int status = 0; status <= _groma_RangeStatus_MAX; ++status) {
     groma_Range range = range_of(0xFFFF, 5.0F, 1'000.0);
@@ -100,7 +100,7 @@ TEST(CompactReport, KeepsEachStatusAndThatNothingIsKnown) {
   }
 }
 
-TEST(CompactReport, HoldsWhatLiesOutsideAtTheEnd) {
+TEST(CompactReport, ClampsValuesOutOfRange) {
   groma_SlotReport report = groma_SlotReport_init_zero;
   for (const float range_m :
        {-0.3F, 0.0F, 1'677.7F, 1'700.0F, 300'000.0F, std::numeric_limits<float>::quiet_NaN(),
@@ -130,7 +130,7 @@ TEST(CompactReport, HoldsWhatLiesOutsideAtTheEnd) {
 }
 
 // A node with older firmware sends no traits.
-TEST(CompactReport, IsReadWithoutTraitsToo) {
+TEST(CompactReport, IsReadWithoutTraits) {
   groma_CompactReport compact = groma_CompactReport_init_zero;
   compact_report(full_report(5), compact);
   compact.traits.size = 0;
@@ -144,7 +144,7 @@ TEST(CompactReport, IsReadWithoutTraitsToo) {
   }
 }
 
-TEST(CompactReport, RefusesATornRecord) {
+TEST(CompactReport, RejectsATruncatedRecord) {
   groma_CompactReport compact = groma_CompactReport_init_zero;
   compact_report(full_report(3), compact);
   groma_SlotReport back = groma_SlotReport_init_zero;
@@ -155,7 +155,7 @@ TEST(CompactReport, RefusesATornRecord) {
   EXPECT_EQ(back.ranges_count, 0U);
 }
 
-TEST(CompactReport, TakesAtMost14BytesARangeAndLittleMoreThanHalfOfTheFullOne) {
+TEST(CompactReport, TakesAtMost14BytesPerRangeAndUnder56PercentOfAFullReport) {
   const auto encoded = [](const groma_NodeToHost& message) {
     std::array<std::uint8_t, groma_NodeToHost_size> payload{};
     std::array<std::uint8_t, max_encoded_size(groma_NodeToHost_size)> frame{};

@@ -111,7 +111,7 @@ TEST(FrameCodec, HoldsTheLargestMessageOfTheSchema) {
   EXPECT_LE(sizeof(FrameDecoder), kMaxPayload + 96);
 }
 
-TEST(FrameCodec, WritesWhatItsDefinitionSays) {
+TEST(FrameCodec, EncodesAsDefined) {
   Random random(2);
   for (const std::size_t n : {0U, 1U, 5U, 248U, 249U, 250U, 253U, 254U, 255U, 503U, 504U, 1472U}) {
     for (int fill = 0; fill < 3; ++fill) {
@@ -158,7 +158,7 @@ TEST(FrameCodec, RoundTripsEachSizeWithAndWithoutZeros) {
   EXPECT_EQ(decoder.counters().bytes_discarded, 0U);
 }
 
-TEST(FrameCodec, WorstCaseFillsTheStatedSizeAndNoMore) {
+TEST(FrameCodec, TheWorstCaseFillsExactlyTheStatedSize) {
   // If version, payload and CRC contain no zero, each 254 bytes need one byte more.
   Random random(4);
   for (const std::size_t n : {249U, 503U, 1265U}) {
@@ -172,7 +172,7 @@ TEST(FrameCodec, WorstCaseFillsTheStatedSizeAndNoMore) {
   }
 }
 
-TEST(FrameCodec, RefusesWhatDoesNotFit) {
+TEST(FrameCodec, RejectsWhatDoesNotFit) {
   Bytes out(max_encoded_size(kMaxPayload + 1));
   EXPECT_EQ(encode_frame(Bytes(kMaxPayload + 1, 1), out), 0U);
   for (const std::size_t n : {0U, 10U, 300U}) {
@@ -186,7 +186,7 @@ TEST(FrameCodec, RefusesWhatDoesNotFit) {
   }
 }
 
-TEST(FrameDecoder, KnowsAFrameOfAnotherVersion) {
+TEST(FrameDecoder, CountsAFrameOfAnotherVersion) {
   // Version 2, payload {9}, a valid CRC.
   Bytes plain{2, 9};
   const std::uint32_t crc = crc32(plain);
@@ -199,7 +199,7 @@ TEST(FrameDecoder, KnowsAFrameOfAnotherVersion) {
   EXPECT_EQ(decoder.counters().bytes_discarded, stream.size() - 1);
 }
 
-TEST(FrameDecoder, SortsWhatItDrops) {
+TEST(FrameDecoder, CountsDroppedBytesByCause) {
   FrameDecoder decoder;
   EXPECT_TRUE(push_all(decoder, {5, 1, 2, 0}).empty());
   EXPECT_EQ(decoder.counters().cobs_errors, 1U);
@@ -216,7 +216,7 @@ TEST(FrameDecoder, SortsWhatItDrops) {
   EXPECT_EQ(decoder.counters().bytes_discarded, 100'014U);
 }
 
-TEST(FrameDecoder, ResetForgetsAFrameBegun) {
+TEST(FrameDecoder, ResetDiscardsAPartialFrame) {
   const Bytes frame = encode({1, 2, 3, 4});
   FrameDecoder decoder;
   push_all(decoder, Bytes(frame.begin(), frame.begin() + 5));
@@ -325,7 +325,7 @@ TEST(FrameDecoder, LosesNoWholeFrameAmidGarbage) {
 
 // Ten million tries of three kinds: well-formed COBS with random content, which only the CRC can reject;
 // frames with a few damaged bytes; random bytes.
-TEST(FrameDecoder, InventsNoFrameInTenMillionTries) {
+TEST(FrameDecoder, AcceptsNoFalseFrameInTenMillionTries) {
   Random random(9);
   FrameDecoder decoder;
   std::vector<Bytes> frames;

@@ -102,13 +102,13 @@ TEST(SlotReport, IsWrittenAsNanopbWritesIt) {
   }
 }
 
-TEST(SlotReport, AnEmptyOneIsStillAReport) {
+TEST(SlotReport, AnEmptyReportIsEncoded) {
   const groma_SlotReport report = groma_SlotReport_init_zero;
   EXPECT_THAT(by_hand(report), testing::ElementsAreArray(by_nanopb(report)));
   EXPECT_THAT(by_hand(report), testing::ElementsAre(groma_NodeToHost_slot_report_tag << 3 | 2, 0));
 }
 
-TEST(SlotReport, TheLargestFitsAndAByteLessIsRefused) {
+TEST(SlotReport, TheLargestReportFitsAndOneByteLessIsRejected) {
   groma_SlotReport report = groma_SlotReport_init_zero;
   report.sequence = report.superframe = report.slot = report.tag_id =
       std::numeric_limits<std::uint32_t>::max();

@@ -103,7 +103,7 @@ std::ostream& operator<<(std::ostream& out, const BadDrive& drive) {
 
 class BadDriveTest : public testing::TestWithParam<BadDrive> {};
 
-TEST_P(BadDriveTest, GivesAVerdictAndAdviceAndNoConfidentLie) {
+TEST_P(BadDriveTest, GivesAVerdictAndAdviceAndNoOverconfidentResult) {
   for (const std::uint64_t seed : {1U, 2U, 3U}) {
     SimulatedSite site = test::simulate_site({}, seed);
     GetParam().spoil(site);

@@ -91,7 +91,7 @@ class CliTest : public testing::Test {
 };
 
 // A quarter of the drive determines the anchors poorly; ranges between anchors combine the information.
-TEST_F(CliTest, JoinsAnchorsByTheRangesOfASurvey) {
+TEST_F(CliTest, SolvesAnchorsTogetherWithTheRangesOfASurvey) {
   const std::vector<model::Anchor> truth = io::read_dataset(data_).surveyed_anchors;
   std::string survey = "anchor_id,other_id,range_m,sigma_m,count\n";
   test::SmallNoise noise(5);
@@ -200,7 +200,7 @@ TEST_F(CliTest, FromADriveToAScore) {
   EXPECT_LT(ate_m["schmidt"], ate_m["odometry"]);
 }
 
-TEST_F(CliTest, SurveyedAnchorsServeInPlaceOfACalibration) {
+TEST_F(CliTest, ReplaysWithSurveyedAnchorsInsteadOfACalibration) {
   const ChildResult replayed = replay({"--surveyed", "--json"});
   ASSERT_EQ(replayed.exit_code, 0) << replayed.err;
   EXPECT_LT(evaluate()["ate_m"]["mean"], 0.3);
@@ -208,7 +208,7 @@ TEST_F(CliTest, SurveyedAnchorsServeInPlaceOfACalibration) {
   EXPECT_EQ(replay({"--surveyed"}).exit_code, 65);
 }
 
-TEST_F(CliTest, ReplayAndSmoothUseTheTagsAndAnchorsThatAreChosen) {
+TEST_F(CliTest, ReplayAndSmoothUseTheChosenTagsAndAnchors) {
   const io::Dataset data = io::read_dataset(data_);
   const auto of_choice =
       std::count_if(data.ranges.begin(), data.ranges.end(), [](const model::RangeSample& range) {
@@ -227,7 +227,7 @@ TEST_F(CliTest, ReplayAndSmoothUseTheTagsAndAnchorsThatAreChosen) {
   EXPECT_EQ(json::parse(smoothed.out)["ranges_seen"], of_choice);
 }
 
-TEST_F(CliTest, WithoutAPosePriorReplayFindsThePoseAndTellsItsState) {
+TEST_F(CliTest, ReplayFindsThePoseAndReportsItsStateWithoutAPosePrior) {
   std::filesystem::remove(data_ / "pose_prior.csv");
   std::filesystem::rename(data_ / "groundtruth.csv", folder_ / "truth.csv");
   const ChildResult replayed = replay({"--surveyed", "--json"});
@@ -239,7 +239,7 @@ TEST_F(CliTest, WithoutAPosePriorReplayFindsThePoseAndTellsItsState) {
   EXPECT_LT(json::parse(scored.out)["ate_m"]["mean"], 0.5);
 }
 
-TEST_F(CliTest, ReplayNamesAMapOfRenumberedAnchors) {
+TEST_F(CliTest, ReplayReportsMapMismatchOfRenumberedAnchors) {
   ASSERT_THAT(calibrate().exit_code, testing::AnyOf(0, 3));
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   std::set<model::NodeId> ids;
@@ -259,7 +259,7 @@ TEST_F(CliTest, ReplayNamesAMapOfRenumberedAnchors) {
   EXPECT_THAT(read_text(estimate_), HasSubstr(",map-mismatch,"));
 }
 
-TEST_F(CliTest, ExplainNamesABlockedPairAtItsMoment) {
+TEST_F(CliTest, ExplainReportsANlosPair) {
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
   const model::NodeId anchor = data.ranges.front().anchor_id;
@@ -299,7 +299,7 @@ TEST_F(CliTest, ExplainNamesABlockedPairAtItsMoment) {
   EXPECT_EQ(groma({"explain", data_, "--surveyed"}).exit_code, 2);
 }
 
-TEST_F(CliTest, ExplainNamesARangeRefusedByItsPowers) {
+TEST_F(CliTest, ExplainReportsARangeRejectedByItsPowers) {
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
   const model::NodeId anchor = data.ranges.front().anchor_id;
@@ -339,7 +339,7 @@ TEST_F(CliTest, ExplainNamesARangeRefusedByItsPowers) {
   EXPECT_GT(by_powers, 0U);
 }
 
-TEST_F(CliTest, ExplainNamesASlip) {
+TEST_F(CliTest, ExplainReportsASlip) {
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   const double at_s = 0.5 * (data.odometry.front().t_s + data.odometry.back().t_s);
   const auto explain = [&] {
@@ -357,7 +357,7 @@ TEST_F(CliTest, ExplainNamesASlip) {
   EXPECT_EQ(story["odometry"]["jumps"], 0);
 }
 
-TEST_F(CliTest, KnownAnchorsStayWhereTheyAre) {
+TEST_F(CliTest, KnownAnchorsKeepTheirSurveyedPositions) {
   const ChildResult result = calibrate({"--known-anchors", "--json"});
   ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
   EXPECT_NEAR(json::parse(result.out)["anchors"][0]["position_m"][0], -1.0, 0.06);
@@ -375,7 +375,7 @@ TEST_F(CliTest, CalibrationNeverReadsAnchorsTruthOrOdometry) {
   EXPECT_EQ(read_text(calibration_), before);
 }
 
-TEST_F(CliTest, OtherPosesAndPartsOfADriveCanBeChosen) {
+TEST_F(CliTest, CalibratesFromOtherPosesAndPartsOfADrive) {
   std::filesystem::rename(data_ / "pose_prior.csv", folder_ / "slam.csv");
   std::filesystem::remove(data_ / "groundtruth.csv");
   EXPECT_EQ(calibrate().exit_code, 65) << "there are no poses";
@@ -390,7 +390,7 @@ TEST_F(CliTest, OtherPosesAndPartsOfADriveCanBeChosen) {
             50 * 100 / 4 + 50);
 }
 
-TEST_F(CliTest, DiffTellsWhatMoved) {
+TEST_F(CliTest, DiffReportsMovedAnchors) {
   ASSERT_THAT(calibrate({"--to", "60"}).exit_code, testing::AnyOf(0, 3));
   const std::filesystem::path other = folder_ / "other.yaml";
   ASSERT_THAT(groma({"calibrate", data_, "--from", "20", "-o", other}).exit_code, testing::AnyOf(0, 3));
@@ -424,7 +424,7 @@ TEST_F(CliTest, DiffTellsWhatMoved) {
   EXPECT_EQ(groma({"diff", calibration_, folder_ / "none.yaml"}).exit_code, 65);
 }
 
-TEST_F(CliTest, UpdateKeepsAddsAndNamesWhatMoved) {
+TEST_F(CliTest, UpdateKeepsAndAddsAnchorsAndReportsMovedOnes) {
   ASSERT_THAT(calibrate({"--to", "60"}).exit_code, testing::AnyOf(0, 3));
   model::Calibration old = io::read_calibration(calibration_);
   const std::filesystem::path updated = folder_ / "updated.yaml";
@@ -463,7 +463,7 @@ TEST_F(CliTest, UpdateKeepsAddsAndNamesWhatMoved) {
   EXPECT_EQ(groma({"calibrate", data_, "--update", folder_ / "none.yaml", "-o", updated}).exit_code, 65);
 }
 
-TEST_F(CliTest, ALogStandsForAFolder) {
+TEST_F(CliTest, ALogIsReadLikeAFolder) {
   const io::Dataset run = io::read_dataset(data_);
   io::LogEncoder log;
   log.begin_section(io::describe(run), 1);
@@ -515,7 +515,7 @@ TEST_F(CliTest, ReplayIsCausal) {
   EXPECT_NE(changed, whole);
 }
 
-TEST_F(CliTest, ReplayOfAPartStartsWhereItIsTold) {
+TEST_F(CliTest, ReplayOfAPartStartsAtTheGivenTimeAndPose) {
   static_cast<void>(calibrate());
   ASSERT_EQ(replay_calibrated({"--from", "20", "--to", "30"}).exit_code, 0);
   std::vector<model::PlanarEstimate> rows = io::read_estimate(estimate_);
@@ -557,7 +557,7 @@ TEST_F(CliTest, TheSameInputGivesTheSameFiles) {
   EXPECT_EQ(read_text(estimate_), estimate);
 }
 
-TEST_F(CliTest, TheReportIsOnePageThatNeedsNothingElse) {
+TEST_F(CliTest, TheReportIsOneSelfContainedPage) {
   const ChildResult result = calibrate({"--report", folder_ / "deep/report"});
   ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
   const std::string html = read_text(folder_ / "deep/report/report.html");
@@ -596,7 +596,7 @@ TEST_F(CliTest, AnchorsThatTheCalibrationLacksAreIgnoredAndCounted) {
               50.0);
 }
 
-TEST_F(CliTest, DataThatCannotBeReadEndsWith65AndItsPlace) {
+TEST_F(CliTest, UnreadableDataEndsWith65AndItsPlace) {
   static_cast<void>(calibrate());
   struct Fault {
     const char* file;
@@ -629,7 +629,7 @@ TEST_F(CliTest, DataThatCannotBeReadEndsWith65AndItsPlace) {
 }
 
 // Line 802 of odometry.csv has t_s = 40.
-TEST_F(CliTest, SamplesThatNoRobotCanDoAreDroppedCountedAndEndWith3) {
+TEST_F(CliTest, ImplausibleOdometryIsDroppedCountedAndEndsWith3) {
   ASSERT_EQ(replay({"--surveyed"}).exit_code, 0);
   const double without_m = evaluate().at("ate_m").at("mean");
   for (const std::string wrong : {"40,1e308,0,0", "40,0.5,-1e12,0", "40,0.5,0,1e300", "40,-60,0,0"}) {
@@ -650,7 +650,7 @@ TEST_F(CliTest, SamplesThatNoRobotCanDoAreDroppedCountedAndEndWith3) {
   }
 }
 
-TEST_F(CliTest, PosesThatNoRobotHasAreDroppedCountedAndEndWith3) {
+TEST_F(CliTest, ImplausiblePosesAreDroppedCountedAndEndWith3) {
   replace_line("pose_prior.csv", 2, "0,1e300,0,0.25,0.8");
   const ChildResult result = replay({"--surveyed", "--json"});
   EXPECT_EQ(result.exit_code, 3);
@@ -666,7 +666,7 @@ TEST_F(CliTest, PosesThatNoRobotHasAreDroppedCountedAndEndWith3) {
   EXPECT_EQ(json::parse(sensors.out).at("sensors").at("imu").at("jumped"), 1);
 }
 
-TEST_F(CliTest, AResultThatIsNotFiniteEndsWith65AndWritesNothing) {
+TEST_F(CliTest, ANonFiniteResultEndsWith65AndWritesNothing) {
   const std::string description = read_text(data_ / "dataset.yaml");
   const std::size_t at = description.find("surface:");
   ASSERT_NE(at, std::string::npos);
@@ -734,7 +734,7 @@ TEST_F(CliTest, UsageEndsWith2) {
   EXPECT_EQ(files(), 1U);
 }
 
-TEST_F(CliTest, PlanForetellsWhatAScheduleGives) {
+TEST_F(CliTest, PlanPredictsTheFiguresOfASchedule) {
   const ChildResult result =
       groma({"plan", "--tags", "3", "--anchors", "12", "--gap", "160", "--loss", "0.3", "--json"});
   EXPECT_EQ(result.exit_code, 0) << result.err;
@@ -757,7 +757,7 @@ TEST_F(CliTest, PlanForetellsWhatAScheduleGives) {
   EXPECT_EQ(groma({"plan", "--method", "aloha"}).exit_code, 2);
 }
 
-TEST_F(CliTest, HelpTellsTheDefaultModel) {
+TEST_F(CliTest, HelpNamesTheDefaultModel) {
   const ChildResult help = groma({"replay", "--help"});
   EXPECT_EQ(help.exit_code, 0);
   EXPECT_THAT(help.out, AllOf(HasSubstr("Default: "), HasSubstr("measures best")));
@@ -842,7 +842,7 @@ TEST_F(CliTest, FitsASurfaceAndReplaysOnIt) {
   EXPECT_FALSE(std::filesystem::exists(folder_ / "s.csv"));
 }
 
-TEST_F(CliTest, AFullDiskLeavesWhatWasThere) {
+TEST_F(CliTest, AFullDiskKeepsTheOldFiles) {
   static_cast<void>(calibrate());
   static_cast<void>(replay_calibrated());
   const std::string calibration = read_text(calibration_);
@@ -862,7 +862,7 @@ TEST_F(CliTest, AFullDiskLeavesWhatWasThere) {
   EXPECT_EQ(files(), before) << "no temporary file stays";
 }
 
-TEST_F(CliTest, KilledAtAnyMomentItLeavesAWholeFileOrNone) {
+TEST_F(CliTest, AKilledCommandLeavesACompleteFileOrNone) {
   static_cast<void>(calibrate());
   ASSERT_EQ(replay_calibrated().exit_code, 0);
   const std::string whole = read_text(estimate_);

@@ -32,7 +32,7 @@ std::vector<model::PoseSample> halting(int rows_still, bool goes_on_meanwhile) {
   return out;
 }
 
-TEST(EvaluationTest, TruthThatRepeatsItselfAndJumpsIsNamed) {
+TEST(EvaluationTest, FindsTruthThatRepeatsAPoseAndJumps) {
   const auto spans = frozen_spans(halting(20, true));
   ASSERT_EQ(spans.size(), 1U);
   EXPECT_NEAR(spans[0].from_s, 0.78, 1e-9);
@@ -74,7 +74,7 @@ TEST(EvaluationTest, TheBoundOf95PercentIsInside) {
   EXPECT_EQ(evaluate(pose_errors(outside, truth))->nees->inside_95, 0.0);
 }
 
-TEST(EvaluationTest, BetweenRowsPoseIsInterpolatedAndCovarianceTheEarlierOnes) {
+TEST(EvaluationTest, InterpolatesThePoseAndTakesTheEarlierCovariance) {
   const std::array estimate{estimate_row(0.0, 0.0, 0.0, 0.0, {1.0, 1.0, 1.0}),
                             estimate_row(0.2, 2.0, -4.0, 0.4, {9.0, 9.0, 9.0})};
   const std::array truth{pose(0.05, 0.0, 0.0, 0.0)};
@@ -86,7 +86,7 @@ TEST(EvaluationTest, BetweenRowsPoseIsInterpolatedAndCovarianceTheEarlierOnes) {
   EXPECT_NEAR(*errors[0].nees, (0.25 + 1.0 + 0.01) / 3.0, 1e-12);
 }
 
-TEST(EvaluationTest, HeadingsAcrossTheWrapAreNear) {
+TEST(EvaluationTest, HeadingErrorsAreWrapped) {
   constexpr double kPi = std::numbers::pi;
   const std::array estimate{estimate_row(0.0, 0.0, 0.0, kPi - 0.1), estimate_row(0.2, 0.0, 0.0, -kPi + 0.1)};
   const std::array truth{pose(0.0, 0.0, 0.0, -kPi + 0.1), pose(0.1, 0.0, 0.0, -kPi),
@@ -99,7 +99,7 @@ TEST(EvaluationTest, HeadingsAcrossTheWrapAreNear) {
   EXPECT_NEAR(errors[3].yaw_rad, -0.1, 1e-12);
 }
 
-TEST(EvaluationTest, NothingIsScoredInAGapOrOutside) {
+TEST(EvaluationTest, ScoresNothingInAGapOrOutside) {
   const std::array estimate{estimate_row(1.0, 0.0, 0.0, 0.0), estimate_row(1.25, 0.0, 0.0, 0.0),
                             estimate_row(1.75, 0.0, 0.0, 0.0), estimate_row(2.0, 0.0, 0.0, 0.0)};
   std::array<model::PoseSample, 8> truth{};
@@ -110,7 +110,7 @@ TEST(EvaluationTest, NothingIsScoredInAGapOrOutside) {
   EXPECT_EQ(scored, (std::vector{1.0, 1.1, 1.25, 1.75, 2.0})) << "not in the gap of 0.5 s, but at its ends";
 }
 
-TEST(EvaluationTest, ASingularCovarianceIsCountedAndLeftOut) {
+TEST(EvaluationTest, ASingularCovarianceIsCountedAndExcluded) {
   const std::array estimate{estimate_row(0.0, 1.0, 0.0, 0.0),
                             estimate_row(0.1, 1.0, 0.0, 0.0, {0.0, 1.0, 1.0}),
                             estimate_row(0.2, 1.0, 0.0, 0.0, {-1.0, 1.0, 1.0})};
@@ -124,7 +124,7 @@ TEST(EvaluationTest, ASingularCovarianceIsCountedAndLeftOut) {
   EXPECT_FALSE(evaluate(pose_errors(std::span(estimate).subspan(1), truth))->nees);
 }
 
-TEST(EvaluationTest, NothingInCommonIsNoResult) {
+TEST(EvaluationTest, DisjointTimesGiveNoResult) {
   const std::array estimate{estimate_row(0.0, 1.0, 0.0, 0.0)};
   const std::array truth{pose(5.0, 0.0, 0.0, 0.0)};
   EXPECT_FALSE(evaluate(pose_errors(estimate, truth)));
@@ -183,7 +183,7 @@ Twin twin(const std::vector<model::PlanarEstimate>& estimate, const std::vector<
   return twin;
 }
 
-TEST(EvaluationTest, AgreesWithAnIndependentTwin) {
+TEST(EvaluationTest, AgreesWithAnIndependentImplementation) {
   std::uint32_t state = 12345;
   const auto uniform = [&] {
     state = 1664525U * state + 1013904223U;

@@ -121,7 +121,7 @@ TEST(CalibrationFileTest, EveryNumberSurvivesExactly) {
   EXPECT_EQ(format_calibration(after), format_calibration(before));
 }
 
-TEST(CalibrationFileTest, AllVerdictsHaveTheirWord) {
+TEST(CalibrationFileTest, EveryVerdictHasAName) {
   for (int i = 0; i <= static_cast<int>(model::AnchorVerdict::kNoData); ++i) {
     model::Calibration calibration = make_calibration();
     calibration.anchors[0].verdict = static_cast<model::AnchorVerdict>(i);
@@ -134,7 +134,7 @@ TEST(CalibrationFileTest, AllVerdictsHaveTheirWord) {
   }
 }
 
-TEST(CalibrationFileTest, AnAnchorWithoutAPositionSaysNull) {
+TEST(CalibrationFileTest, AnAnchorWithoutAPositionIsWrittenAsNull) {
   model::Calibration calibration = make_calibration();
   calibration.anchors[0].covariance(2, 2) = std::numeric_limits<double>::infinity();
   calibration.anchors[1].covariance.resize(0, 0);
@@ -146,7 +146,7 @@ TEST(CalibrationFileTest, AnAnchorWithoutAPositionSaysNull) {
   }
 }
 
-TEST(CalibrationFileTest, NoAnchorsIsACalibrationToo) {
+TEST(CalibrationFileTest, ACalibrationMayHaveNoAnchors) {
   model::Calibration calibration = make_calibration();
   calibration.anchors.clear();
   EXPECT_TRUE(round_trip(calibration).anchors.empty());
@@ -163,7 +163,7 @@ const std::string kByHand =
     "    covariance_m2: [[0.04, 0, 0], [0, 0.04, 0], [0, 0, 0.09]]\n"
     "    pairs: [{tag: 1, beta_m: 0.2, beta_variance_m2: 0.25, gamma: 1, gamma_variance: 0.0001}]\n";
 
-TEST(CalibrationFileTest, TheBlockMayBeLeftOut) {
+TEST(CalibrationFileTest, TheBlockIsOptional) {
   const model::Calibration calibration = parse_calibration("c.yaml", kByHand);
   ASSERT_EQ(calibration.anchors.size(), 1U);
   const Eigen::VectorXd diagonal = calibration.anchors[0].covariance.diagonal();
@@ -238,7 +238,7 @@ INSTANTIATE_TEST_SUITE_P(
         Fault{"CovarianceAlone", "position_m: [1, 2, 3]", "position_m: null", "7:20", "without a position"}),
     [](const auto& fault) { return fault.param.name; });
 
-TEST(CalibrationFileTest, AFileThatIsNotThereIsADataError) {
+TEST(CalibrationFileTest, AMissingFileIsADataError) {
   EXPECT_THROW(static_cast<void>(read_calibration("/nowhere/c.yaml")), DataError);
 }
 

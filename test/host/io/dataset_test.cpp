@@ -47,7 +47,7 @@ class DatasetTest : public testing::Test {
   ScratchFolder folder_;
 };
 
-TEST_F(DatasetTest, ReadsOtherSensorsWhereTheyAreThere) {
+TEST_F(DatasetTest, ReadsOtherSensorsIfPresent) {
   EXPECT_TRUE(model::samples_of<model::YawRateSample>(read({.sensors = true}).sensor_samples).empty());
   folder_.write("imu.csv", "t_s,omega_radps\n0.2,0.5\n0.1,0.25\n");
   folder_.write("gnss.csv", "t_s,x_m,y_m,p_xx,p_xy,p_yy\n0.1,1,2,0.04,0.01,0.09\n");
@@ -121,7 +121,7 @@ TEST_F(DatasetTest, ReadsEveryColumnIntoItsPlace) {
   EXPECT_EQ(spline.heights_m().back(), 1.5);
 }
 
-TEST_F(DatasetTest, ColumnsComeInAnyOrderWithOthersBetween) {
+TEST_F(DatasetTest, ColumnsMayBeInAnyOrderWithOthersBetween) {
   folder_.write("ranges.csv",
                 "\xef\xbb\xbf# made by a script\r\n"
                 "\r\n"
@@ -159,7 +159,7 @@ TEST_F(DatasetTest, PriorsOfThePairsHaveDefaults) {
   EXPECT_DOUBLE_EQ(data.surface.at(3.0, 4.0).z_m, 1.5 + 4.0 * 0.05);
 }
 
-TEST_F(DatasetTest, GroundTruthServesWhereThereIsNoPosePrior) {
+TEST_F(DatasetTest, GroundTruthReplacesAMissingPosePrior) {
   std::filesystem::remove(folder_ / "pose_prior.csv");
   const Dataset data = read();
   ASSERT_EQ(data.pose_prior.size(), 2U);
@@ -183,7 +183,7 @@ TEST_F(DatasetTest, OtherPosesReplaceThePrior) {
   EXPECT_THAT(failure<DataError>(folder_, options), HasSubstr("none.csv: does not exist"));
 }
 
-TEST_F(DatasetTest, ReadsNothingThatItIsToldNotTo) {
+TEST_F(DatasetTest, ReadsNoFileThatTheOptionsExclude) {
   folder_.write("anchors.csv", "nonsense");
   folder_.write("odometry.csv", "nonsense");
   folder_.write("groundtruth.csv", "nonsense");
@@ -226,7 +226,7 @@ TEST_F(DatasetTest, WrongRowsAreDroppedAndCounted) {
   EXPECT_THAT(ranges_m, ElementsAre(5.0, 5.1, 5.5, 5.6, 1000.0));
 }
 
-TEST_F(DatasetTest, UnknownAnchorsStayWhereNoSurveyIsRead) {
+TEST_F(DatasetTest, UnknownAnchorsAreKeptIfNoSurveyIsRead) {
   folder_.write("ranges.csv", "t_s,tag_id,anchor_id,range_m\n10.0,1,77,5\n");
   ReadOptions options;
   options.surveyed_anchors = false;
@@ -267,7 +267,7 @@ TEST_F(DatasetTest, AnOdometrySampleWithAWrongTimestampIsDropped) {
   }
 }
 
-TEST_F(DatasetTest, AGapIsNoFault) {
+TEST_F(DatasetTest, AGapIsNotAnError) {
   folder_.write("odometry.csv",
                 "t_s,vx_mps,vy_mps,omega_radps\n0,1,0,0\n0.1,1,0,0\n1000,1,0,0\n1000.1,1,0,0\n");
   EXPECT_EQ(read().odometry.size(), 4U);
@@ -397,7 +397,7 @@ TEST_F(DatasetTest, EachMissingFileIsNamed) {
   }
 }
 
-TEST_F(DatasetTest, TheFolderHasToBeOne) {
+TEST_F(DatasetTest, AnInvalidFolderIsADataError) {
   EXPECT_THROW(static_cast<void>(read_dataset(folder_ / "none")), DataError);
   EXPECT_THROW(static_cast<void>(read_dataset(folder_ / "tags.csv")), DataError);
   std::filesystem::remove(folder_ / "tags.csv");
@@ -483,7 +483,7 @@ INSTANTIATE_TEST_SUITE_P(
                  "has 2 entries"}),
     [](const auto& fault) { return fault.param.name; });
 
-TEST(SharedDataTest, EveryRunReadsWithoutALoss) {
+TEST(SharedDataTest, EveryRunReadsWithoutDroppedRows) {
   GROMA_SHARED_OR_SKIP(data, ".");
   std::size_t runs = 0;
   for (const std::string kind : {"real", "simulated"}) {
@@ -503,7 +503,7 @@ TEST(SharedDataTest, EveryRunReadsWithoutALoss) {
   EXPECT_GE(runs, 16U);
 }
 
-TEST(Survey, ReadsRangesBetweenAnchorsAndCountsWhatIsNone) {
+TEST(Survey, ReadsRangesBetweenAnchorsAndCountsInvalidRows) {
   const ScratchFolder folder;
   folder.write("survey.csv",
                "anchor_id,other_id,range_m,sigma_m,count\n10,11,5.25,0.04,50\n10,10,1,0.1,5\n"

@@ -251,7 +251,7 @@ TEST(DatasetWriter, EachMemberOfTheSampleIsSet) {
   }
 }
 
-TEST(DatasetWriter, WhatIsWrittenReadsBackTheSame) {
+TEST(DatasetWriter, AWrittenDataSetReadsBackEqual) {
   const test::ScratchFolder scratch;
   const Dataset written = sample();
   write_dataset(scratch / "run", written);
@@ -266,7 +266,7 @@ TEST(DatasetWriter, WhatIsWrittenReadsBackTheSame) {
   EXPECT_TRUE(same(read_dataset(scratch / "again", everything()), read));
 }
 
-TEST(DatasetWriter, AFloorByItselfKeepsItsNameAndDomain) {
+TEST(DatasetWriter, ASingleFloorKeepsItsNameAndDomain) {
   const test::ScratchFolder scratch;
   Dataset written = sample();
   written.surface = model::Surface({written.surface.charts().front()});
@@ -274,7 +274,7 @@ TEST(DatasetWriter, AFloorByItselfKeepsItsNameAndDomain) {
   EXPECT_TRUE(same(read_dataset(scratch.path()).surface, written.surface));
 }
 
-TEST(DatasetWriter, APlaneStandsInTheDescription) {
+TEST(DatasetWriter, APlaneIsWrittenIntoTheDescription) {
   const test::ScratchFolder scratch;
   Dataset written = sample();
   written.surface = model::Plane(0.25, {-0.02, 0.01, 2.0});
@@ -283,7 +283,7 @@ TEST(DatasetWriter, APlaneStandsInTheDescription) {
   EXPECT_TRUE(same(read_dataset(scratch.path()).surface, written.surface));
 }
 
-TEST(DatasetWriter, LeavesOutWhatThereIsNot) {
+TEST(DatasetWriter, OmitsFilesOfEmptyTables) {
   const test::ScratchFolder scratch;
   Dataset written = sample();
   written.surveyed_anchors.clear();
@@ -297,7 +297,7 @@ TEST(DatasetWriter, LeavesOutWhatThereIsNot) {
   EXPECT_TRUE(read_dataset(scratch.path()).surveyed_anchors.empty());
 }
 
-TEST(DatasetWriter, LeavesOutColumnsOfRangesThatNoRowKnows) {
+TEST(DatasetWriter, OmitsRangeColumnsWithoutAnyValue) {
   const test::ScratchFolder scratch;
   Dataset written = sample();
   written.ranges.resize(1);
@@ -312,7 +312,7 @@ TEST(DatasetWriter, LeavesOutColumnsOfRangesThatNoRowKnows) {
             "0.2,1,4,5.5,,,57\n");
 }
 
-TEST(DatasetWriter, SaysWhereItCannotWrite) {
+TEST(DatasetWriter, ThrowsWhereItCannotWrite) {
   const test::ScratchFolder scratch;
   scratch.write("file", "");
   EXPECT_THROW(write_dataset(scratch / "file", sample()), Error);

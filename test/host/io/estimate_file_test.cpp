@@ -37,11 +37,11 @@ TEST(EstimateFileTest, EveryNumberSurvivesExactly) {
   }
 }
 
-TEST(EstimateFileTest, HeaderIsTheContracts) {
+TEST(EstimateFileTest, TheHeaderIsThatOfTheContract) {
   EXPECT_EQ(format_estimate({}), "t_s,x_m,y_m,yaw_rad,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt\n");
 }
 
-TEST(EstimateFileTest, WhatIsToldBesideTheContractsColumnsComesAfterThem) {
+TEST(EstimateFileTest, FurtherColumnsFollowThoseOfTheContract) {
   model::PlanarEstimate row;
   row.t_s = 2.0;
   row.covariance = Eigen::Matrix3d::Identity();

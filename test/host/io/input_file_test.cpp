@@ -28,7 +28,7 @@ std::string complaint(const std::filesystem::path& path) {
   return "none";
 }
 
-TEST(ReadFile, EndsAtABoundWhereNoFileEnds) {
+TEST(ReadFile, StopsAtABoundForAnEndlessFile) {
   EXPECT_THAT(complaint("/dev/zero"),
               HasSubstr("/dev/zero: is no regular file, and goes on beyond 64 MiB; give"));
   EXPECT_EQ(read_file("/dev/null"), "");

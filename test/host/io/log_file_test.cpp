@@ -76,7 +76,7 @@ void expect_same(const model::RangeSample& a, const model::RangeSample& b) {
   EXPECT_EQ(a.network_time_dtu, b.network_time_dtu);
 }
 
-TEST(Log, GivesBackWhatWasPut) {
+TEST(Log, ReadsBackWhatWasWritten) {
   Dataset run = as_recorded(20.0);
   run.pose_prior[3].roll_rad = 0.02;
   run.pose_prior[3].pitch_rad = -0.01;
@@ -114,7 +114,7 @@ TEST(Log, GivesBackWhatWasPut) {
   EXPECT_EQ(back.sha256.size(), 64U);
 }
 
-TEST(Log, GivesBackOtherSensors) {
+TEST(Log, ReadsBackOtherSensors) {
   Dataset run = as_recorded(1.0);
   for (int i = 0; i < 200; ++i) {
     const double t_s = 0.01 * i;
@@ -171,7 +171,7 @@ TEST(Log, CarriesASurfaceOfManyPieces) {
     EXPECT_EQ(back.surface.at(x_m, 2.0).z_m, run.surface.at(x_m, 2.0).z_m);
 }
 
-TEST(Log, TakesAboutThirtyBytesARange) {
+TEST(Log, TakesAboutThirtyBytesPerRange) {
   Dataset run = as_recorded(20.0);
   run.odometry.clear();
   run.pose_prior.clear();
@@ -179,7 +179,7 @@ TEST(Log, TakesAboutThirtyBytesARange) {
 }
 
 // Wherever the log is cut, all frames before the cut are read.
-TEST(Log, LosesOnlyItsTornTail) {
+TEST(Log, LosesOnlyItsTruncatedEnd) {
   const Dataset run = as_recorded(1.0);
   const std::string whole = log_of(run);
   std::size_t before = 0;
@@ -196,7 +196,7 @@ TEST(Log, LosesOnlyItsTornTail) {
   EXPECT_EQ(before, run.ranges.size() + run.odometry.size() + run.pose_prior.size());
 }
 
-TEST(Log, LosesOnlyTheFramesThatAreDamaged) {
+TEST(Log, LosesOnlyDamagedFrames) {
   const Dataset run = as_recorded(5.0);
   const std::string whole = log_of(run);
   test::Random random(3);
@@ -212,7 +212,7 @@ TEST(Log, LosesOnlyTheFramesThatAreDamaged) {
   }
 }
 
-TEST(Log, IsAppendedToAfterATornTail) {
+TEST(Log, IsAppendedToAfterATruncatedEnd) {
   const Dataset first = as_recorded(4.0);
   Dataset second = as_recorded(2.0);
   for (model::RangeSample& range : second.ranges) range.t_s += 1000.0;
@@ -237,7 +237,7 @@ TEST(Log, IsAppendedToAfterATornTail) {
   EXPECT_THROW(static_cast<void>(read_dataset(folder / "drive.glog", options)), DataError);
 }
 
-TEST(Log, DropsAndCountsWhatIsWrong) {
+TEST(Log, DropsAndCountsWrongRanges) {
   Dataset run = as_recorded(2.0);
   run.ranges[5].range_m = 0.0;
   run.ranges[9].range_m = 300e3;
@@ -250,7 +250,7 @@ TEST(Log, DropsAndCountsWhatIsWrong) {
   EXPECT_EQ(back.ranges.size(), run.ranges.size() - 3);
 }
 
-TEST(Log, NeverHoldsWhatIsNoNumber) {
+TEST(Log, NeverReturnsNonFiniteValues) {
   Dataset run = as_recorded(2.0);
   run.ranges[5].range_m = std::nan("");
   run.odometry[2].vx_mps = std::nan("");
@@ -272,7 +272,7 @@ TEST(Log, NeverHoldsWhatIsNoNumber) {
   }
 }
 
-TEST(Log, IsToldFromOtherFiles) {
+TEST(Log, IsDistinguishedFromOtherFiles) {
   const ScratchFolder folder;
   folder.write("notes.txt", "no log at all\n");
   folder.write("empty", "");

@@ -33,7 +33,7 @@ TEST_F(OutputFileTest, WritesAndReplaces) {
   EXPECT_EQ(files(), 1U) << "no temporary file stays";
 }
 
-TEST_F(OutputFileTest, TheModeIsTheUsersOwn) {
+TEST_F(OutputFileTest, TheModeFollowsTheUmask) {
   const mode_t mask = ::umask(027);
   write_file(folder_ / "a.csv", "one");
   ::umask(mask);
@@ -58,7 +58,7 @@ TEST_F(OutputFileTest, ALinkStaysALink) {
   EXPECT_EQ(read_text(folder_ / "deep/target.csv"), "new");
 }
 
-TEST_F(OutputFileTest, APlaceThatIsNone) {
+TEST_F(OutputFileTest, AnInvalidPath) {
   EXPECT_THROW(write_file(folder_ / "none/a.csv", "x"), PathError);
   EXPECT_THROW(expect_writable(folder_ / "none/a.csv"), PathError);
   EXPECT_THROW(write_file(folder_.path(), "x"), PathError);
@@ -68,7 +68,7 @@ TEST_F(OutputFileTest, APlaceThatIsNone) {
   EXPECT_EQ(files(), 1U);
 }
 
-TEST_F(OutputFileTest, AFolderThatMayNotBeWrittenTo) {
+TEST_F(OutputFileTest, AFolderWithoutWritePermission) {
   if (::geteuid() == 0) {
     // Root may write everywhere except to the kernel's own folders.
     EXPECT_THROW(write_file("/sys/kernel/a.csv", "x"), PermissionError);
@@ -85,7 +85,7 @@ TEST_F(OutputFileTest, AFullDevice) {
   EXPECT_THROW(write_file("/dev/full", "x"), DeviceError);
 }
 
-TEST_F(OutputFileTest, AFullDiskLeavesTheOldFileWhole) {
+TEST_F(OutputFileTest, AFullDiskKeepsTheOldFile) {
   write_file(folder_ / "a.csv", "old");
   std::signal(SIGXFSZ, SIG_IGN);
   rlimit before{};
@@ -100,7 +100,7 @@ TEST_F(OutputFileTest, AFullDiskLeavesTheOldFileWhole) {
   EXPECT_EQ(files(), 1U) << "neither half a file nor a temporary one";
 }
 
-TEST_F(OutputFileTest, AFolderIsMadeWithThoseAboveIt) {
+TEST_F(OutputFileTest, AFolderIsCreatedWithItsParents) {
   make_folder(folder_ / "a/b");
   make_folder(folder_ / "a/b");
   EXPECT_TRUE(std::filesystem::is_directory(folder_ / "a/b"));

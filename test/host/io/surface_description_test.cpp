@@ -43,7 +43,7 @@ TEST(SurfaceDescription, HeightsOfAListAreFitted) {
   EXPECT_NEAR(surface.at(4.5, 4.5).gradient.x(), 0.1, 0.01);
 }
 
-TEST(SurfaceDescription, HeightsOfAGridAreFittedPastTheirGaps) {
+TEST(SurfaceDescription, HeightsOfAGridWithGapsAreFitted) {
   std::string grid = "0,0,1,1,8,6\n";
   for (int i = 0; i < 8; ++i)
     grid += i == 4
@@ -54,7 +54,7 @@ TEST(SurfaceDescription, HeightsOfAGridAreFittedPastTheirGaps) {
   EXPECT_NEAR(surface.at(4.0, 1.5).z_m, 0.4, 0.01);
 }
 
-TEST(SurfaceDescription, WhatIsWrongInThemIsToldByLine) {
+TEST(SurfaceDescription, ErrorsInHeightsNameTheLine) {
   const std::string kPoints = "{type: points, file: heights.csv}";
   EXPECT_NE(complaint<DataError>(kPoints, "x_m,y_m,z_m\n0,0,0\n1,tall,0\n").find("heights.csv:3:3"),
             std::string::npos);
@@ -73,7 +73,7 @@ TEST(SurfaceDescription, WhatIsWrongInThemIsToldByLine) {
             std::string::npos);
 }
 
-TEST(SurfaceDescription, NoHeightAndNoGridIsFartherThanTheEarthIsLarge) {
+TEST(SurfaceDescription, RejectsHeightsAndGridsLargerThanTheEarth) {
   const std::string kGrid = "{type: grid, file: heights.csv}";
   const std::string kRows = "0,0,0,0\n0,0,0,0\n0,0,0,0\n0,0,0,0\n";
   for (const std::string header :
@@ -94,7 +94,7 @@ TEST(SurfaceDescription, NoHeightAndNoGridIsFartherThanTheEarthIsLarge) {
       std::string::npos);
 }
 
-TEST(SurfaceDescription, AMismatchWithoutSlopeHasThatOfItsLength) {
+TEST(SurfaceDescription, AMismatchWithoutSlopeDerivesItFromItsLength) {
   const model::Surface surface =
       read("{type: plane, z_m: 0, normal: [0, 0, 1], mismatch: {sigma_m: 0.03, length_m: 4}}");
   EXPECT_EQ(surface.mismatch(0).sigma_m, 0.03);
@@ -105,7 +105,7 @@ TEST(SurfaceDescription, AMismatchWithoutSlopeHasThatOfItsLength) {
       std::string::npos);
 }
 
-TEST(SurfaceDescription, FloorsAreWrittenAsTheyAreRead) {
+TEST(SurfaceDescription, FloorsAreWrittenAndReadBackEqual) {
   const std::string floors =
       "{type: floors, floors: [{name: hall, surface: {type: plane, z_m: 0, normal: [0, 0, 1], mismatch: "
       "{sigma_m: "

@@ -11,7 +11,7 @@
 namespace groma::model {
 namespace {
 
-TEST(SurveyedCalibration, TakesPositionsAsSurveyedAndBiasesAsExpected) {
+TEST(SurveyedCalibration, HasSurveyedPositionsAndPriorBiases) {
   const std::vector<Anchor> anchors{{9, {1.0, 2.0, 3.0}}, {4, {-5.0, 6.0, 0.5}}};
   const std::vector<Tag> tags{{2, Eigen::Vector3d::Zero()}, {1, Eigen::Vector3d::Ones()}};
   const RangePriors priors{.sigma_m = 0.1, .beta_m = {0.2, 0.3}, .gamma = {1.01, 0.005}};
@@ -45,7 +45,7 @@ double least_eigenvalue(const Eigen::MatrixXd& matrix) {
 }
 
 // The block is the sum of its own covariance and the frame's, and own_covariance() recovers the former.
-TEST(OwnCovariance, IsTheBlockLessTheFrameWhereItHasRoom) {
+TEST(OwnCovariance, IsTheBlockWithoutTheFrame) {
   test::Random random(1);
   for (int i = 0; i < 50; ++i) {
     AnchorCalibration anchor;
@@ -67,7 +67,7 @@ TEST(OwnCovariance, IsTheBlockLessTheFrameWhereItHasRoom) {
   }
 }
 
-TEST(OwnCovariance, StaysACovarianceHoweverLargeTheFrame) {
+TEST(OwnCovariance, StaysPositiveSemidefiniteForALargeFrameCovariance) {
   test::Random random(2);
   for (int i = 0; i < 50; ++i) {
     AnchorCalibration anchor;

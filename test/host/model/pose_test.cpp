@@ -31,7 +31,7 @@ Surface hills() {
   return BSpline(grid, heights);
 }
 
-TEST(WrapAngle, LandsInTheHalfOpenCircleAndTurnsByWholeCircles) {
+TEST(WrapAngle, WrapsToMinusPiToPiByWholeTurns) {
   for (const double angle : {0.0, 1.0, -1.0, kPi, -kPi, 3.0 * kPi, -3.0 * kPi, 1000.0, -1000.0,
                              std::nextafter(kPi, 4.0), std::nextafter(-kPi, -4.0)}) {
     const double wrapped = wrap_angle(angle);
@@ -43,7 +43,7 @@ TEST(WrapAngle, LandsInTheHalfOpenCircleAndTurnsByWholeCircles) {
   EXPECT_TRUE(std::isnan(wrap_angle(std::nan(""))));
 }
 
-TEST(SurfaceRotation, IsTheSmallestThatTakesUpToTheNormal) {
+TEST(SurfaceRotation, IsTheSmallestRotationFromUpToTheNormal) {
   Random random(12);
   for (int i = 0; i < 200; ++i) {
     const Eigen::Vector2d gradient(2.0 * random.gaussian(), 2.0 * random.gaussian());
@@ -81,7 +81,7 @@ TEST(RotationFromZyx, TurnsAboutZThenYThenX) {
   }
 }
 
-TEST(PoseOnSurface, StandsOnTheGroundUprightToItAndTurnedByItsHeading) {
+TEST(PoseOnSurface, IsOnTheGroundNormalToItAndRotatedByTheHeading) {
   const Surface surface = hills();
   Random random(15);
   for (int i = 0; i < 100; ++i) {

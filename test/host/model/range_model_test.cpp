@@ -63,7 +63,7 @@ TEST(PredictRange, DerivativesEqualNumericalOnes) {
   }
 }
 
-TEST(PredictRange, HasNoDirectionWhereTagAndAnchorMeet) {
+TEST(PredictRange, HasNoDirectionIfTagAndAnchorCoincide) {
   const RangePrediction prediction = predict_range({}, {1.0, 2.0, 3.0}, {1.0, 2.0, 3.0}, 0.25, 1.0);
   EXPECT_EQ(prediction.range_m, 0.25);
   EXPECT_EQ(prediction.d_position, Eigen::RowVector3d::Zero());

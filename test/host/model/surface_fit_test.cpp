@@ -27,7 +27,7 @@ std::vector<Eigen::Vector3d> drawn(std::size_t count, double noise_m, Random& ra
   return points;
 }
 
-TEST(SurfaceFit, IsNearerToTheGroundThanTheHeightsAre) {
+TEST(SurfaceFit, IsMoreAccurateThanTheHeights) {
   Random random(1);
   const std::vector<Eigen::Vector3d> points = drawn(2000, 0.03, random);
   const std::optional<SurfaceFit> fit = fit_surface(points);
@@ -47,7 +47,7 @@ TEST(SurfaceFit, IsNearerToTheGroundThanTheHeightsAre) {
   EXPECT_LT(fit->gap_m, 2.0 * fit->spacing_m);
 }
 
-TEST(SurfaceFit, WhatTheKnotsAreTooFarApartForIsMismatch) {
+TEST(SurfaceFit, UnresolvedDetailBecomesMismatch) {
   Random random(2);
   std::vector<Eigen::Vector3d> points = drawn(3000, 0.005, random);
   // Waves that knots 5 m apart cannot follow.
@@ -62,7 +62,7 @@ TEST(SurfaceFit, WhatTheKnotsAreTooFarApartForIsMismatch) {
   EXPECT_EQ(fit->mismatch.slope_sigma, slope_sigma(fit->mismatch.sigma_m, fit->mismatch.length_m));
 }
 
-TEST(SurfaceFit, APlaneStaysOneAcrossAGap) {
+TEST(SurfaceFit, APlaneContinuesAcrossAGap) {
   std::vector<Eigen::Vector3d> points;
   for (double x_m = 0.0; x_m <= 30.0; x_m += 0.5) {
     for (double y_m = 0.0; y_m <= 20.0; y_m += 0.5) {
@@ -79,7 +79,7 @@ TEST(SurfaceFit, APlaneStaysOneAcrossAGap) {
   EXPECT_NEAR(fit->gap_at_m.x(), 15.0, 2.0);
 }
 
-TEST(SurfaceFit, GoesThroughTheHeightsOfASplineOfItsOwn) {
+TEST(SurfaceFit, RecoversASplineOfTheSameGrid) {
   Random random(3);
   const BSpline::Grid grid{0.0, 0.0, 1.5, 1.5, 9, 7};
   std::vector<double> heights_m(std::size_t{9} * 7);
@@ -100,7 +100,7 @@ TEST(SurfaceFit, GoesThroughTheHeightsOfASplineOfItsOwn) {
     EXPECT_NEAR(fit->spline.heights_m()[i], heights_m[i], 1e-4);
 }
 
-TEST(SurfaceFit, ALineOfPointsIsHeldLevelBesideItAndTooFineASpacingHasNone) {
+TEST(SurfaceFit, ALineOfPointsIsLevelBesideItAndATooFineSpacingHasNoFit) {
   std::vector<Eigen::Vector3d> line;
   line.reserve(50);
   for (int i = 0; i < 50; ++i) line.emplace_back(0.4 * i, 3.0, 0.02 * i);
@@ -118,7 +118,7 @@ Chart floor_at(double z_m, double from_m, double to_m) {
   return chart;
 }
 
-TEST(Charts, ARobotFollowsTheOneAtItsHeight) {
+TEST(Charts, ARobotFollowsTheChartAtItsHeight) {
   Chart ramp = floor_at(-1.0, 9.5, 30.5);
   ramp.shape = Plane(-1.0, {-0.1, 0.0, 1.0});
   const Surface surface({floor_at(0.0, -10.0, 10.0), ramp, floor_at(2.0, 0.0, 50.0)});

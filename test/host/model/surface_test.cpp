@@ -70,7 +70,7 @@ TEST(BSpline, EqualsTheSumOverAllControlPoints) {
   }
 }
 
-TEST(BSpline, EqualsItOnKnotsAndAtTheBorders) {
+TEST(BSpline, EqualsTheSumOnKnotsAndAtTheBorders) {
   const Spline spline(3);
   for (int i = 0; i <= spline.grid.nx - 3; ++i) {
     for (int j = 0; j <= spline.grid.ny - 3; ++j) {
@@ -82,7 +82,7 @@ TEST(BSpline, EqualsItOnKnotsAndAtTheBorders) {
   }
 }
 
-TEST(BSpline, GoesOnFlatOutside) {
+TEST(BSpline, ContinuesFlatOutside) {
   const Spline spline(4);
   const double middle_x = 0.5 * (spline.grid.x0_m + spline.x_end());
   const double middle_y = 0.5 * (spline.grid.y0_m + spline.y_end());
@@ -107,7 +107,7 @@ TEST(BSpline, GoesOnFlatOutside) {
   }
 }
 
-TEST(BSpline, DerivativesEqualNumericalOnesInsideAndBeside) {
+TEST(BSpline, DerivativesEqualNumericalOnesInsideAndOutside) {
   const Spline spline(5);
   Random random(6);
   int outside = 0;
@@ -132,7 +132,7 @@ TEST(BSpline, SmallestGridIsOneCell) {
   for (const double at : {-1.0, 0.0, 0.5, 1.0, 7.0}) EXPECT_NEAR(surface.at(at, at).z_m, 2.5, 1e-15);
 }
 
-TEST(BSpline, APositionThatIsNoNumberHasNoHeight) {
+TEST(BSpline, ANonFinitePositionHasNoHeight) {
   const Spline spline(7);
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
@@ -144,7 +144,7 @@ TEST(BSpline, APositionThatIsNoNumberHasNoHeight) {
   }
 }
 
-TEST(Plane, HoldsEveryPointThatIsPerpendicularToItsNormal) {
+TEST(Plane, ContainsEveryPointPerpendicularToItsNormal) {
   const Eigen::Vector3d normal(0.3, -0.2, 1.7);
   const Plane plane(1.25, normal);
   Random random(8);
@@ -158,7 +158,7 @@ TEST(Plane, HoldsEveryPointThatIsPerpendicularToItsNormal) {
   }
 }
 
-TEST(Surface, IsFlatGroundUnlessToldOtherwise) {
+TEST(Surface, IsFlatGroundByDefault) {
   const SurfacePoint point = Surface().at(12.0, -7.0);
   EXPECT_EQ(point.z_m, 0.0);
   EXPECT_EQ(point.gradient, Eigen::Vector2d::Zero());

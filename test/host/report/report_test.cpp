@@ -36,7 +36,7 @@ Chart make_map() {
   return Chart({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 600.0});
 }
 
-TEST(ChartTest, AMetreIsAsLongOnBothAxesOfAMap) {
+TEST(ChartTest, BothAxesOfAMapHaveTheSameScale) {
   Chart map = make_map();
   map.add_line("way", Ink::kPath, {{0.0, 0.0}, {10.0, 0.0}, {10.0, 10.0}});
   const std::vector<double> p =
@@ -48,7 +48,7 @@ TEST(ChartTest, AMetreIsAsLongOnBothAxesOfAMap) {
   EXPECT_NEAR(p[1], p[3], 0.11);
 }
 
-TEST(ChartTest, ALineBreaksWhereThereIsNothing) {
+TEST(ChartTest, ALineBreaksAtNonFinitePoints) {
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   Chart map = make_map();
   map.add_line("", Ink::kPath, {{0.0, 0.0}, {5.0, 5.0}, {kNone, kNone}, {7.0, 2.0}, {9.0, 1.0}});
@@ -60,7 +60,7 @@ TEST(ChartTest, ALineBreaksWhereThereIsNothing) {
   EXPECT_EQ(svg.find("nan"), std::string::npos);
 }
 
-TEST(ChartTest, PointsThatNobodyCanTellApartAreLeftOut) {
+TEST(ChartTest, IndistinguishablePointsAreOmitted) {
   std::vector<Vector2d> points;
   for (int i = 0; i <= 100'000; ++i) points.emplace_back(i * 1e-4, std::sin(i * 1e-4));
   Chart chart({.x_label = "t (s)", .y_label = "v"});
@@ -69,7 +69,7 @@ TEST(ChartTest, PointsThatNobodyCanTellApartAreLeftOut) {
 }
 
 // The long axis of an ellipse points up to the right where x and y grow together.
-TEST(ChartTest, AnEllipseLiesAsItsCovariance) {
+TEST(ChartTest, AnEllipseIsOrientedLikeItsCovariance) {
   Chart map = make_map();
   map.add_line("", Ink::kPath, {{0.0, 0.0}, {20.0, 10.0}});
   const double turn = std::numbers::pi / 6.0;
@@ -91,7 +91,7 @@ TEST(ChartTest, AnEllipseLiesAsItsCovariance) {
   EXPECT_EQ(svg.find("×"), std::string::npos);
 }
 
-TEST(ChartTest, EllipsesTooSmallToSeeAreEnlargedAndSaySo) {
+TEST(ChartTest, EllipsesTooSmallToSeeAreEnlargedAndLabelled) {
   Chart map = make_map();
   map.add_line("", Ink::kPath, {{0.0, 0.0}, {100.0, 50.0}});
   map.add_ellipses("95 % ellipse", Ink::kAnchor, {{{50.0, 25.0}, 4e-4 * Eigen::Matrix2d::Identity()}});
@@ -99,7 +99,7 @@ TEST(ChartTest, EllipsesTooSmallToSeeAreEnlargedAndSaySo) {
   EXPECT_NE(svg.find("95 % ellipse (× 20)"), std::string::npos);
 }
 
-TEST(ChartTest, AsManyDotsAsCanBeToldApart) {
+TEST(ChartTest, DrawsOnlyDistinguishableDots) {
   std::vector<Vector2d> points{{0.0, 0.0}, {1.0, 1.0}};
   for (int i = 0; i < 100'000; ++i) points.emplace_back(0.5, 0.5);
   Chart chart({.x_label = "x", .y_label = "y"});
@@ -110,7 +110,7 @@ TEST(ChartTest, AsManyDotsAsCanBeToldApart) {
   EXPECT_EQ(count(svg.substr(at, svg.find("/>", at) - at), "h0"), 3U);
 }
 
-TEST(ChartTest, NothingOrOnePointIsAChartToo) {
+TEST(ChartTest, AChartMayHaveNoPointOrOne) {
   for (const std::vector<Vector2d>& points : {std::vector<Vector2d>{}, std::vector<Vector2d>{{1e9, -1e9}},
                                               std::vector<Vector2d>{{3.0, 3.0}, {3.0, 3.0}}}) {
     Chart map = make_map();
@@ -144,7 +144,7 @@ TEST(PageTest, TextIsEscapedEverywhere) {
   EXPECT_GT(count(html, escaped(evil)), 10U);
 }
 
-TEST(PageTest, EveryElementThatOpensCloses) {
+TEST(PageTest, EveryOpenedElementIsClosed) {
   Page page("title", "subtitle");
   page.add_facts({{"1", "one"}});
   page.add_table({"a", "b"}, {{{"1"}, {"2"}}, {{"3"}, {"4"}}});

@@ -15,7 +15,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-TEST(DemoCommand, KeepsItsBoundsAndItsReportHoldsTogether) {
+TEST(DemoCommand, KeepsItsBoundsAndItsReportIsConsistent) {
   const test::ScratchFolder scratch;
   const test::ChildResult demo =
       test::run_child({GROMA_EXECUTABLE, "demo", "--seed", "1", "--json", "--report", scratch / "report"});

@@ -54,7 +54,7 @@ class Counter : public daemon::MeasurementSink {
   int ranges_late = 0;  // in the last second
 };
 
-TEST_F(EmulatedSite, FifteenImagesRangeAndLoseNothing) {
+TEST_F(EmulatedSite, FifteenImagesRangeWithoutLosses) {
   LockStep run(sim::paper_hall(), emulated(1));
   Counter counter;
   run.session().attach(counter);

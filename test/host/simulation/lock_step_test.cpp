@@ -39,7 +39,7 @@ std::vector<model::RangeSample> ranges_of(const sim::Scenario& site, std::uint64
   return keeper.ranges;
 }
 
-TEST(LockStep, RangesThatArriveAreThoseOfTheWorld) {
+TEST(LockStep, ReceivedRangesMatchTheWorld) {
   sim::Scenario site = small_site();
   LockStep run(site, {.seed = 5});
   Keeper keeper;
@@ -82,7 +82,7 @@ struct Squares {
 
 // A live pose is hardly less accurate than the later pose in measurement order, and its covariance is
 // consistent.
-TEST(LockStep, PosesLeaveWithTheirRowsAndAreAsGoodAsThoseInOrder) {
+TEST(LockStep, LivePosesArePromptAndAsAccurateAsSettledOnes) {
   const sim::Scenario site = small_site();
   LockStep run(site, {.seed = 5});
   daemon::Localizer::Setup setup;
@@ -143,7 +143,7 @@ TEST(LockStep, ASeedGivesOneResult) {
   EXPECT_NE(once.front().range_m, other.front().range_m);
 }
 
-TEST(LockStep, AScheduleThatTheFirmwareRefusesIsAnError) {
+TEST(LockStep, AScheduleThatTheFirmwareRejectsIsAnError) {
   sim::Scenario site = small_site();
   site.schedule.master_id = 99;
   EXPECT_THROW(LockStep(site, {.seed = 1}), sim::SimulationError);

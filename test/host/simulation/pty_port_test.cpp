@@ -45,7 +45,7 @@ TEST(PtyPort, PassesEveryByteValueBothWays) {
   EXPECT_EQ(back, all);
 }
 
-TEST(PtyPort, WhatNobodyListensToIsLost) {
+TEST(PtyPort, BytesWithoutAListenerAreLost) {
   PtyPort port;
   const std::vector<std::uint8_t> early(100, 0x11);
   const std::vector<std::uint8_t> late(50, 0x22);

@@ -12,7 +12,7 @@
 namespace groma::simulation {
 namespace {
 
-TEST(RobotFeed, GivesEveryRowOnceInTheOrderOfTimeAndExactly) {
+TEST(RobotFeed, SendsEverySampleOnceExactlyAndInOrderOfTime) {
   const sim::World world(small_site(), 1);
   const sim::Robot& robot = world.robot();
   RobotFeed feed(robot);
@@ -50,7 +50,7 @@ TEST(RobotFeed, GivesEveryRowOnceInTheOrderOfTimeAndExactly) {
   EXPECT_EQ(input.counters().dropped(), 0U);
 }
 
-TEST(RobotFeed, BeginsWhereItIsTold) {
+TEST(RobotFeed, StartsAtTheGivenTime) {
   const sim::World world(small_site(), 1);
   RobotFeed feed(world.robot(), 2.0);
   std::string lines;

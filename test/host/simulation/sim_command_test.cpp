@@ -178,7 +178,7 @@ double largest_residual_s(const std::vector<Instant>& seen, double& slope) {
   return worst_s;
 }
 
-TEST(SimCommand, RangesAreStampedWithAConstantDelayOverARealPort) {
+TEST(SimCommand, RangesHaveTimestampsWithAConstantDelayOverARealPort) {
   const test::ScratchFolder scratch;
   const std::filesystem::path ports = scratch / "ports";
   Child child({"sim", "--scenario", scenario("open_field.yaml"), "--ports", ports.string()},
@@ -238,7 +238,7 @@ TEST(SimCommand, RangesAreStampedWithAConstantDelayOverARealPort) {
   EXPECT_LT(least_delay_s, 0.1);
 }
 
-TEST(SimCommand, GromadTellsTheRoundTripOfASimulatedTagsPort) {
+TEST(SimCommand, GromadReportsTheRoundTripOfASimulatedTagsPort) {
   const test::ScratchFolder scratch;
   const std::filesystem::path ports = scratch / "ports";
   Child child({"sim", "--scenario", scenario("open_field.yaml"), "--ports", ports.string()},

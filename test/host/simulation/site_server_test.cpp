@@ -64,7 +64,7 @@ TEST(SiteServer, ServesTagsAndRobotAndLeavesNothingBehind) {
   EXPECT_FALSE(std::filesystem::exists(folder));
 }
 
-TEST(SiteServer, TakesOverWhatAKilledRunLeftButNothingThatIsServed) {
+TEST(SiteServer, ReplacesFilesOfAKilledRunButNotOfARunningOne) {
   const test::ScratchFolder scratch;
   std::filesystem::create_symlink("/dev/pts/9999", scratch / "tag-1");
   const auto first = std::make_unique<SiteServer>(small_site(), serving_at(scratch.path()));
@@ -73,7 +73,7 @@ TEST(SiteServer, TakesOverWhatAKilledRunLeftButNothingThatIsServed) {
   EXPECT_TRUE(std::filesystem::is_socket(scratch / "robot.sock")) << "the first still serves";
 }
 
-TEST(SiteServer, StopsWhenTold) {
+TEST(SiteServer, StopsWhenTheFlagIsSet) {
   const test::ScratchFolder scratch;
   volatile std::sig_atomic_t stop = 1;
   SiteServer server(small_site(), serving_at(scratch.path()));

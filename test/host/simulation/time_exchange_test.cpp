@@ -64,7 +64,7 @@ Outcome over_a_line(double to_host_s, double to_node_s) {
           .replies = decoder.counters().time_replies};
 }
 
-TEST(TimeExchange, TellsTheDelayOfASimulatedTagsLine) {
+TEST(TimeExchange, EstimatesTheDelayOfASimulatedTagsLine) {
   const Outcome none = over_a_line(0.0, 0.0);
   EXPECT_NEAR(none.round_trip_s, 0.0, 1.5 * kStep_s);
   struct Line {
