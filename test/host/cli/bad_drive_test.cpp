@@ -91,7 +91,7 @@ void a_clock_ten_seconds_off(SimulatedSite& site) {
 
 struct BadDrive {
   const char* name;
-  void (*spoil)(SimulatedSite& site);
+  void (*corrupt)(SimulatedSite& site);
   std::vector<int> exit_codes;
   // Ids that belong to more than one place.
   std::vector<model::NodeId> ambiguous{};
@@ -106,7 +106,7 @@ class BadDriveTest : public testing::TestWithParam<BadDrive> {};
 TEST_P(BadDriveTest, GivesAVerdictAndAdviceAndNoOverconfidentResult) {
   for (const std::uint64_t seed : {1U, 2U, 3U}) {
     SimulatedSite site = test::simulate_site({}, seed);
-    GetParam().spoil(site);
+    GetParam().corrupt(site);
     io::Dataset dataset;
     dataset.name = GetParam().name;
     dataset.origin = "simulated";
@@ -129,10 +129,10 @@ TEST_P(BadDriveTest, GivesAVerdictAndAdviceAndNoOverconfidentResult) {
         << "seed " << seed << ": " << result.err;
     EXPECT_EQ(result.err.empty(), result.exit_code == 0) << "something is to be said";
     ASSERT_FALSE(result.out.empty());
-    const json told = json::parse(result.out);
-    const std::string verdict = told.at("verdict");
+    const json output = json::parse(result.out);
+    const std::string verdict = output.at("verdict");
     EXPECT_EQ(result.exit_code, verdict == "unusable" ? 65 : verdict == "warnings" ? 3 : 0);
-    for (const json& anchor : told.at("anchors")) {
+    for (const json& anchor : output.at("anchors")) {
       const std::string word = anchor.at("verdict");
       EXPECT_EQ(word == "ok", anchor.at("advice").get<std::string>().empty());
       const model::NodeId id = anchor.at("id");

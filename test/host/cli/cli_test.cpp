@@ -269,18 +269,18 @@ TEST_F(CliTest, ExplainReportsANlosPair) {
   io::write_dataset(data_, data);
   const std::vector<std::string> command{"explain",  data_, "--surveyed", "--at", std::to_string(at_s),
                                          "--window", "1"};
-  const ChildResult told = groma(command);
-  ASSERT_EQ(told.exit_code, 0) << told.err;
-  EXPECT_THAT(told.out, AllOf(HasSubstr("TRACKING"), HasSubstr("blocked")));
+  const ChildResult output = groma(command);
+  ASSERT_EQ(output.exit_code, 0) << output.err;
+  EXPECT_THAT(output.out, AllOf(HasSubstr("TRACKING"), HasSubstr("blocked")));
 
   std::vector<std::string> with_json = command;
   with_json.emplace_back("--json");
-  const json story = json::parse(groma(with_json).out);
-  EXPECT_EQ(story["state"], "TRACKING");
-  EXPECT_NEAR(story["t_s"], at_s, 0.2);
+  const json explained = json::parse(groma(with_json).out);
+  EXPECT_EQ(explained["state"], "TRACKING");
+  EXPECT_NEAR(explained["t_s"], at_s, 0.2);
   std::size_t blocked = 0;
   double moved_m = 0.0;
-  for (const json& pair : story["pairs"]) {
+  for (const json& pair : explained["pairs"]) {
     moved_m += pair["pull"]["x_m"].get<double>();
     if (pair["anchor"] != anchor) continue;
     EXPECT_EQ(pair["why"], "blocked");
@@ -293,7 +293,7 @@ TEST_F(CliTest, ExplainReportsANlosPair) {
     }
   }
   EXPECT_GT(blocked, 0U);
-  EXPECT_NEAR(story["pull"]["x_m"], moved_m, 1e-12);
+  EXPECT_NEAR(explained["pull"]["x_m"], moved_m, 1e-12);
 
   EXPECT_EQ(groma({"explain", data_, "--surveyed", "--at", "1e6"}).exit_code, 65);
   EXPECT_EQ(groma({"explain", data_, "--surveyed"}).exit_code, 2);
@@ -320,9 +320,9 @@ TEST_F(CliTest, ExplainReportsARangeRejectedByItsPowers) {
   EXPECT_THAT(groma(command).out, HasSubstr("by-powers"));
   std::vector<std::string> with_json = command;
   with_json.emplace_back("--json");
-  const json story = json::parse(groma(with_json).out);
+  const json explained = json::parse(groma(with_json).out);
   std::size_t by_powers = 0;
-  for (const json& pair : story["pairs"]) {
+  for (const json& pair : explained["pairs"]) {
     for (const json& range : pair["ranges"]) {
       if (pair["anchor"] != anchor) {
         EXPECT_LT(range["hint_ratio"], 1.0);
@@ -350,11 +350,11 @@ TEST_F(CliTest, ExplainReportsASlip) {
   // The speed rises and falls within one second each, which a robot could do.
   for (model::OdometrySample& row : data.odometry)
     row.vx_mps += 3.0 * std::clamp(2.0 - std::abs(row.t_s - at_s), 0.0, 1.0);
-  const ChildResult told = explain();
-  ASSERT_EQ(told.exit_code, 0) << told.err;
-  const json story = json::parse(told.out);
-  EXPECT_GE(story["odometry"]["slips"], 1);
-  EXPECT_EQ(story["odometry"]["jumps"], 0);
+  const ChildResult output = explain();
+  ASSERT_EQ(output.exit_code, 0) << output.err;
+  const json explained = json::parse(output.out);
+  EXPECT_GE(explained["odometry"]["slips"], 1);
+  EXPECT_EQ(explained["odometry"]["jumps"], 0);
 }
 
 TEST_F(CliTest, KnownAnchorsKeepTheirSurveyedPositions) {
@@ -396,12 +396,12 @@ TEST_F(CliTest, DiffReportsMovedAnchors) {
   ASSERT_THAT(groma({"calibrate", data_, "--from", "20", "-o", other}).exit_code, testing::AnyOf(0, 3));
   const ChildResult same = groma({"diff", calibration_, other, "--json"});
   EXPECT_EQ(same.exit_code, 0) << same.out << same.err;
-  const json told = json::parse(same.out);
-  EXPECT_EQ(told.at("same"), true);
-  ASSERT_EQ(told.at("anchors").size(), 6U);
-  EXPECT_EQ(told.at("pairs").size(), 12U);
-  for (const json& anchor : told.at("anchors")) EXPECT_EQ(anchor.at("change"), "same");
-  for (const char* key : {"verdicts", "frame", "missing", "new"}) EXPECT_TRUE(told.contains(key));
+  const json output = json::parse(same.out);
+  EXPECT_EQ(output.at("same"), true);
+  ASSERT_EQ(output.at("anchors").size(), 6U);
+  EXPECT_EQ(output.at("pairs").size(), 12U);
+  for (const json& anchor : output.at("anchors")) EXPECT_EQ(anchor.at("change"), "same");
+  for (const char* key : {"verdicts", "frame", "missing", "new"}) EXPECT_TRUE(output.contains(key));
 
   model::Calibration changed = io::read_calibration(other);
   changed.anchors[2].position_m.x() += 0.9;
@@ -433,8 +433,8 @@ TEST_F(CliTest, UpdateKeepsAndAddsAnchorsAndReportsMovedOnes) {
   };
   ChildResult result = update();
   ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
-  json told = json::parse(result.out).at("update");
-  for (const char* key : {"moved", "added", "kept"}) EXPECT_THAT(told.at(key), IsEmpty()) << key;
+  json output = json::parse(result.out).at("update");
+  for (const char* key : {"moved", "added", "kept"}) EXPECT_THAT(output.at(key), IsEmpty()) << key;
   const model::Calibration both = io::read_calibration(updated);
   for (std::size_t i = 0; i < both.anchors.size(); ++i) {
     EXPECT_LT(both.anchors[i].covariance.topLeftCorner(2, 2).trace(),
@@ -449,15 +449,15 @@ TEST_F(CliTest, UpdateKeepsAndAddsAnchorsAndReportsMovedOnes) {
   folder_.write("calibration.yaml", io::format_calibration(old));
   result = update();
   EXPECT_EQ(result.exit_code, 3);
-  told = json::parse(result.out);
-  ASSERT_EQ(told.at("update").at("moved").size(), 1U) << result.out;
-  EXPECT_EQ(told.at("update").at("moved")[0].at("id"), 6);
-  EXPECT_NEAR(told.at("update").at("moved")[0].at("distance_m"), 0.9, 0.3);
-  EXPECT_EQ(told.at("update").at("added"), json::array({8}));
-  EXPECT_EQ(told.at("update").at("kept"), json::array({20}));
-  ASSERT_EQ(told.at("anchors").size(), 7U);
-  EXPECT_EQ(told.at("anchors")[2].at("verdict"), "moved");
-  EXPECT_THAT(told.at("anchors")[2].at("advice"), HasSubstr("moved by 0."));
+  output = json::parse(result.out);
+  ASSERT_EQ(output.at("update").at("moved").size(), 1U) << result.out;
+  EXPECT_EQ(output.at("update").at("moved")[0].at("id"), 6);
+  EXPECT_NEAR(output.at("update").at("moved")[0].at("distance_m"), 0.9, 0.3);
+  EXPECT_EQ(output.at("update").at("added"), json::array({8}));
+  EXPECT_EQ(output.at("update").at("kept"), json::array({20}));
+  ASSERT_EQ(output.at("anchors").size(), 7U);
+  EXPECT_EQ(output.at("anchors")[2].at("verdict"), "moved");
+  EXPECT_THAT(output.at("anchors")[2].at("advice"), HasSubstr("moved by 0."));
   EXPECT_EQ(groma({"calibrate", data_, "--update", calibration_, "--known-anchors", "-o", updated}).exit_code,
             2);
   EXPECT_EQ(groma({"calibrate", data_, "--update", folder_ / "none.yaml", "-o", updated}).exit_code, 65);
@@ -801,11 +801,11 @@ TEST_F(CliTest, FitsASurfaceAndReplaysOnIt) {
   const ChildResult fit =
       groma({"surface", "fit", folder_ / "heights.csv", "-o", data_ / "ground.csv", "--json"});
   ASSERT_EQ(fit.exit_code, 0) << fit.err;
-  const json told = json::parse(fit.out);
-  EXPECT_EQ(told["points"], 21 * 21);
-  EXPECT_LT(told["max_m"], 0.005);
-  EXPECT_GT(told["mismatch"]["length_m"], 0.0);
-  EXPECT_EQ(told["empty_share"], 0.0);
+  const json output = json::parse(fit.out);
+  EXPECT_EQ(output["points"], 21 * 21);
+  EXPECT_LT(output["max_m"], 0.005);
+  EXPECT_GT(output["mismatch"]["length_m"], 0.0);
+  EXPECT_EQ(output["empty_share"], 0.0);
 
   const std::string before = read_text(data_ / "dataset.yaml");
   const std::size_t line = before.find("surface:");

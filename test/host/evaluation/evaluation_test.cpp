@@ -133,7 +133,7 @@ TEST(EvaluationTest, DisjointTimesGiveNoResult) {
 }
 
 // Independent implementation of the contract's definitions, by linear search and Cramer's rule.
-struct Twin {
+struct Reference {
   double ate_sum = 0.0;
   double yaw_sum = 0.0;
   double nees_sum = 0.0;
@@ -148,8 +148,9 @@ double determinant(const std::array<std::array<double, 3>, 3>& m) {
          m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
 }
 
-Twin twin(const std::vector<model::PlanarEstimate>& estimate, const std::vector<model::PoseSample>& truth) {
-  Twin twin;
+Reference reference(const std::vector<model::PlanarEstimate>& estimate,
+                    const std::vector<model::PoseSample>& truth) {
+  Reference reference;
   for (const model::PoseSample& p : truth) {
     for (std::size_t i = 0; i + 1 < estimate.size(); ++i) {
       const model::PlanarEstimate& a = estimate[i];
@@ -172,15 +173,15 @@ Twin twin(const std::vector<model::PlanarEstimate>& estimate, const std::vector<
         for (std::size_t r = 0; r < 3; ++r) replaced.at(r).at(k) = e.at(r);
         product += e.at(k) * determinant(replaced) / determinant(m);
       }
-      twin.ate_sum += std::sqrt(e[0] * e[0] + e[1] * e[1]);
-      twin.yaw_sum += std::abs(e[2]);
-      twin.nees_sum += product / 3.0;
-      twin.nees_max = std::max(twin.nees_max, product / 3.0);
-      twin.inside += product <= 7.815 ? 1 : 0;
-      ++twin.samples;
+      reference.ate_sum += std::sqrt(e[0] * e[0] + e[1] * e[1]);
+      reference.yaw_sum += std::abs(e[2]);
+      reference.nees_sum += product / 3.0;
+      reference.nees_max = std::max(reference.nees_max, product / 3.0);
+      reference.inside += product <= 7.815 ? 1 : 0;
+      ++reference.samples;
     }
   }
-  return twin;
+  return reference;
 }
 
 TEST(EvaluationTest, AgreesWithAnIndependentImplementation) {
@@ -207,7 +208,7 @@ TEST(EvaluationTest, AgreesWithAnIndependentImplementation) {
       time_s += 0.02 + 0.1 * uniform();
     }
     const auto result = evaluate(pose_errors(estimate, truth));
-    const Twin expected = twin(estimate, truth);
+    const Reference expected = reference(estimate, truth);
     ASSERT_TRUE(result);
     ASSERT_EQ(result->samples, static_cast<std::size_t>(expected.samples));
     ASSERT_EQ(result->samples_without_covariance, 0U);

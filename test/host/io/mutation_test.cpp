@@ -31,7 +31,7 @@ class Random {
 
 // One to four edits: insert a byte or a word, erase or replace a piece, duplicate a piece, or truncate the
 // text.
-std::string spoiled(std::string text, Random& random) {
+std::string corrupted(std::string text, Random& random) {
   static const std::vector<std::string> kWords{"nan",
                                                "-inf",
                                                "1e400",
@@ -98,12 +98,12 @@ TEST(MutationTest, DataSets) {
   test::write_small_dataset(folder);
   Random random(1);
   std::size_t read = 0;
-  std::size_t refused = 0;
+  std::size_t rejected = 0;
   for (const std::string file : {"dataset.yaml", "tags.csv", "anchors.csv", "ranges.csv", "odometry.csv",
                                  "groundtruth.csv", "pose_prior.csv", "surface.csv"}) {
     const std::string text = test::read_text(folder / file);
     for (int i = 0; i < 250; ++i) {
-      folder.write(file, spoiled(text, random));
+      folder.write(file, corrupted(text, random));
       try {
         const Dataset data = read_dataset(folder.path());
         for (const model::RangeSample& range : data.ranges) EXPECT_LE(range.range_m, kMaxRange_m);
@@ -113,14 +113,14 @@ TEST(MutationTest, DataSets) {
         ++read;
       } catch (const Error& error) {
         EXPECT_NE(std::string(error.what()).find(folder.path().string()), std::string::npos) << error.what();
-        ++refused;
+        ++rejected;
       }
     }
     folder.write(file, text);
   }
   // Both have to happen, otherwise the mutations test nothing.
   EXPECT_GT(read, 100U);
-  EXPECT_GT(refused, 1000U);
+  EXPECT_GT(rejected, 1000U);
 }
 
 TEST(MutationTest, Calibrations) {
@@ -136,20 +136,20 @@ TEST(MutationTest, Calibrations) {
   const std::string text = format_calibration(calibration);
   Random random(2);
   std::size_t read = 0;
-  std::size_t refused = 0;
+  std::size_t rejected = 0;
   for (int i = 0; i < 3000; ++i) {
     try {
-      const model::Calibration result = parse_calibration("c.yaml", spoiled(text, random));
+      const model::Calibration result = parse_calibration("c.yaml", corrupted(text, random));
       for (const model::AnchorCalibration& anchor : result.anchors)
         EXPECT_TRUE(anchor.covariance.array().isFinite().all());
       ++read;
     } catch (const ConfigError& error) {
       EXPECT_EQ(std::string(error.what()).find("c.yaml:"), 0U) << error.what();
-      ++refused;
+      ++rejected;
     }
   }
   EXPECT_GT(read, 100U);
-  EXPECT_GT(refused, 1000U);
+  EXPECT_GT(rejected, 1000U);
 }
 
 }  // namespace

@@ -16,9 +16,9 @@
 namespace groma::simulation {
 namespace {
 
-class Keeper : public daemon::MeasurementSink {
+class RecordingSink : public daemon::MeasurementSink {
  public:
-  void on_odometry(const model::OdometrySample& row) override { odometry.push_back(row); }
+  void on_odometry(const model::OdometrySample& sample) override { odometry.push_back(sample); }
   void on_range(const model::RangeSample& range) override { ranges.push_back(range); }
   void on_pose_prior(const model::PoseSample& /*pose*/) override { ++priors; }
   void on_clock_set() override { ++clock_sets; }
@@ -31,38 +31,38 @@ class Keeper : public daemon::MeasurementSink {
 
 std::vector<model::RangeSample> ranges_of(const sim::Scenario& site, std::uint64_t seed, double step_s) {
   LockStep run(site, {.seed = seed});
-  Keeper keeper;
-  run.session().attach(keeper);
+  RecordingSink sink;
+  run.session().attach(sink);
   for (double t_s = step_s; t_s < 3.0; t_s += step_s) run.run_until(t_s);
   run.run_until(3.0);
   run.session().flush();
-  return keeper.ranges;
+  return sink.ranges;
 }
 
 TEST(LockStep, ReceivedRangesMatchTheWorld) {
   sim::Scenario site = small_site();
   LockStep run(site, {.seed = 5});
-  Keeper keeper;
-  run.session().attach(keeper);
+  RecordingSink sink;
+  run.session().attach(sink);
   run.run_until(6.0);
   run.session().flush();
 
-  ASSERT_GT(keeper.ranges.size(), 1000U);
-  EXPECT_EQ(keeper.odometry.size(), 301U);
-  EXPECT_EQ(keeper.priors, 61);
-  EXPECT_EQ(keeper.clock_sets, 0);
+  ASSERT_GT(sink.ranges.size(), 1000U);
+  EXPECT_EQ(sink.odometry.size(), 301U);
+  EXPECT_EQ(sink.priors, 61);
+  EXPECT_EQ(sink.clock_sets, 0);
   EXPECT_EQ(run.session().frames_lost(), 0U);
   double sum = 0.0;
   double squares = 0.0;
-  for (const model::RangeSample& range : keeper.ranges) {
-    const sim::Propagation true_way = run.site().world().between(range.tag_id, range.anchor_id, range.t_s);
-    const double error_m = range.range_m - true_way.flight_m;
+  for (const model::RangeSample& range : sink.ranges) {
+    const sim::Propagation propagation = run.site().world().between(range.tag_id, range.anchor_id, range.t_s);
+    const double error_m = range.range_m - propagation.flight_m;
     EXPECT_LT(std::abs(error_m), 0.15);
-    EXPECT_NEAR(range.first_path_power_dbm, true_way.first_path_power_dbm, 1.0);
+    EXPECT_NEAR(range.first_path_power_dbm, propagation.first_path_power_dbm, 1.0);
     sum += error_m;
     squares += error_m * error_m;
   }
-  const auto count = static_cast<double>(keeper.ranges.size());
+  const auto count = static_cast<double>(sink.ranges.size());
   EXPECT_LT(std::abs(sum / count), 0.005) << "no antenna delay is left over, nor is one taken off twice";
   EXPECT_LT(std::sqrt(squares / count), 0.035);
 }

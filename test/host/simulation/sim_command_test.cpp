@@ -258,7 +258,7 @@ pose_stream: {port: 0}
   daemon::test::Gromad gromad({"--config", scratch / "gromad.yaml"});
   std::optional<daemon::test::StreamClient> client;
   std::vector<double> round_trips_s;
-  const bool told = wait_for(
+  const bool received = wait_for(
       [&] {
         if (!client) {
           if (const auto port = daemon::test::pose_stream_port(gromad)) client.emplace(*port);
@@ -272,7 +272,7 @@ pose_stream: {port: 0}
         return round_trips_s.size() >= 5 || !gromad.running();
       },
       40.0);
-  ASSERT_TRUE(told && gromad.running()) << gromad.log();
+  ASSERT_TRUE(received && gromad.running()) << gromad.log();
   for (const double round_trip_s : round_trips_s) {
     EXPECT_GE(round_trip_s, 0.0);
     EXPECT_LT(round_trip_s, 0.05);
