@@ -127,7 +127,7 @@ TEST_P(BadDriveTest, GivesAVerdictAndAdviceAndNoOverconfidentResult) {
         {GROMA_EXECUTABLE, "calibrate", folder / "drive", "-o", folder / "out.yaml", "--json"});
     EXPECT_THAT(GetParam().exit_codes, testing::Contains(result.exit_code))
         << "seed " << seed << ": " << result.err;
-    EXPECT_EQ(result.err.empty(), result.exit_code == 0) << "something is to be said";
+    EXPECT_EQ(result.err.empty(), result.exit_code == 0) << "a failure has a message";
     ASSERT_FALSE(result.out.empty());
     const json output = json::parse(result.out);
     const std::string verdict = output.at("verdict");

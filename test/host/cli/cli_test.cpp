@@ -185,7 +185,7 @@ TEST_F(CliTest, FromADriveToAScore) {
     EXPECT_GT(summary["propagate_ns"]["p50"], 0.0);
     EXPECT_LE(summary["propagate_ns"]["p50"], summary["propagate_ns"]["p99"]);
     EXPECT_EQ(summary["update_ns"].size(), 2U);
-    EXPECT_EQ(io::read_estimate(estimate_).size(), data.odometry.size()) << "one row for each odometry row";
+    EXPECT_EQ(io::read_estimate(estimate_).size(), data.odometry.size()) << "one row per odometry sample";
     const json score = evaluate();
     EXPECT_GT(score["samples"], 1500);
     for (const char* quantity : {"ate_m", "ate_rad"}) {
@@ -543,7 +543,7 @@ TEST_F(CliTest, ReplayOfAPartStartsAtTheGivenTimeAndPose) {
   ASSERT_EQ(started.exit_code, 0) << started.err;
   rows = io::read_estimate(estimate_);
   EXPECT_NEAR(rows.front().x_m, truth.x_m, 0.3);
-  EXPECT_EQ(replay_calibrated({"--start", "-1,-2,-0.5"}).exit_code, 0) << "a minus is no option";
+  EXPECT_EQ(replay_calibrated({"--start", "-1,-2,-0.5"}).exit_code, 0) << "a minus does not begin an option";
 }
 
 TEST_F(CliTest, TheSameInputGivesTheSameFiles) {
@@ -859,7 +859,7 @@ TEST_F(CliTest, AFullDiskKeepsTheOldFiles) {
   }
   EXPECT_EQ(read_text(calibration_), calibration);
   EXPECT_EQ(read_text(estimate_), estimate);
-  EXPECT_EQ(files(), before) << "no temporary file stays";
+  EXPECT_EQ(files(), before) << "no temporary file is left";
 }
 
 TEST_F(CliTest, AKilledCommandLeavesACompleteFileOrNone) {

@@ -30,7 +30,7 @@ TEST_F(OutputFileTest, WritesAndReplaces) {
   const std::string long_text(1'000'000, 'x');
   write_file(folder_ / "a.csv", long_text);
   EXPECT_EQ(read_text(folder_ / "a.csv"), long_text);
-  EXPECT_EQ(files(), 1U) << "no temporary file stays";
+  EXPECT_EQ(files(), 1U) << "no temporary file is left";
 }
 
 TEST_F(OutputFileTest, TheModeFollowsTheUmask) {
@@ -97,7 +97,7 @@ TEST_F(OutputFileTest, AFullDiskKeepsTheOldFile) {
   EXPECT_THROW(write_file(folder_ / "b.csv", std::string(5000, 'x')), DeviceError);
   ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
   EXPECT_EQ(read_text(folder_ / "a.csv"), "old");
-  EXPECT_EQ(files(), 1U) << "neither half a file nor a temporary one";
+  EXPECT_EQ(files(), 1U) << "neither a partial nor a temporary file";
 }
 
 TEST_F(OutputFileTest, AFolderIsCreatedWithItsParents) {

@@ -87,7 +87,7 @@ TEST(ChartTest, AnEllipseIsOrientedLikeItsCovariance) {
   const std::vector<double> line = numbers(svg, "d=\"M([-0-9.]+) ([-0-9.]+)L([-0-9.]+) ([-0-9.]+)\"");
   ASSERT_EQ(line.size(), 4U);
   const double px_per_m = (line[2] - line[0]) / 20.0;
-  EXPECT_NEAR(e[0], std::sqrt(5.991) * px_per_m, 0.2) << "large enough to be drawn as it is";
+  EXPECT_NEAR(e[0], std::sqrt(5.991) * px_per_m, 0.2) << "large enough to be drawn without enlargement";
   EXPECT_EQ(svg.find("×"), std::string::npos);
 }
 

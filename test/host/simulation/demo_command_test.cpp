@@ -41,9 +41,9 @@ TEST(DemoCommand, KeepsItsBoundsAndItsReportIsConsistent) {
 
   const std::string page = test::read_text(scratch / "report/report.html");
   EXPECT_NE(page.find("<svg"), std::string::npos);
-  EXPECT_EQ(page.find("src="), std::string::npos) << "it fetches nothing";
+  EXPECT_EQ(page.find("src="), std::string::npos) << "it loads no other resource";
   for (std::size_t at = page.find("href="); at != std::string::npos; at = page.find("href=", at + 1))
-    EXPECT_EQ(page.substr(at, 7), "href=\"#") << "a link leads to a place on the page";
+    EXPECT_EQ(page.substr(at, 7), "href=\"#") << "links stay on the page";
 }
 
 }  // namespace

@@ -63,7 +63,7 @@ TEST(LockStep, ReceivedRangesMatchTheWorld) {
     squares += error_m * error_m;
   }
   const auto count = static_cast<double>(sink.ranges.size());
-  EXPECT_LT(std::abs(sum / count), 0.005) << "no antenna delay is left over, nor is one taken off twice";
+  EXPECT_LT(std::abs(sum / count), 0.005) << "antenna delays are applied exactly once";
   EXPECT_LT(std::sqrt(squares / count), 0.035);
 }
 
@@ -107,7 +107,7 @@ TEST(LockStep, LivePosesArePromptAndAsAccurateAsSettledOnes) {
   run.run_until(20.0);
   run.session().flush();
 
-  EXPECT_LT(oldest_s, 0.02) << "the robot's own delay and a step of the host";
+  EXPECT_LT(oldest_s, 0.02) << "the robot's delay plus a step of the host";
   const double settles_s = live.front().t_s + 2.0;
   Squares at_once;
   Squares in_order;

@@ -59,7 +59,7 @@ TEST(PtyPort, BytesWithoutAListenerAreLost) {
   }
   EXPECT_FALSE(port.listened()) << "the reader is gone";
   EXPECT_EQ(port.write(early), 0U);
-  EXPECT_TRUE(link::open_link(port.path(), 1'000'000).link) << "and may come again";
+  EXPECT_TRUE(link::open_link(port.path(), 1'000'000).link) << "a reader may reconnect";
 }
 
 TEST(PtyPort, AReaderThatSleepsLosesBytesButDoesNotBlock) {

@@ -120,7 +120,7 @@ void runs_until(int signal_number) {
                session.node(node).decoder().counters().ranges >= 50;
       },
       30.0);
-  EXPECT_TRUE(enough) << session.robot_counters().odometry << " rows, "
+  EXPECT_TRUE(enough) << session.robot_counters().odometry << " odometry samples, "
                       << session.node(node).decoder().counters().ranges << " ranges";
   EXPECT_EQ(session.robot_counters().dropped(), 0U);
   child.signal(signal_number);
