@@ -119,7 +119,7 @@ std::string format_update(const calibration::Update& update) {
 int run(const CalibrateOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   if (options.update && options.known_anchors) {
-    throw CLI::ValidationError("--update", "does not go with --known-anchors");
+    throw CLI::ValidationError("--update", "cannot be combined with --known-anchors");
   }
   io::expect_writable(options.output);
   if (options.report) {

@@ -48,7 +48,7 @@ int run(const ConfigureOptions& options) {
   }
   provision::PlannedNode relinked;
   if (!options.link.empty()) {
-    if (nodes.size() != 1) throw CLI::ValidationError("--link", "goes with one --node");
+    if (nodes.size() != 1) throw CLI::ValidationError("--link", "requires one --node");
     relinked = *nodes.front();
     relinked.port = options.link;
     nodes.front() = &relinked;

@@ -190,7 +190,7 @@ class Flashing {
     if (!openocd_) {
       outcome.fault = FlashFault::kNoOpenocd;
       outcome.message =
-          options_.openocd + ": not installed; 'sudo apt-get install openocd', or name it by --openocd";
+          options_.openocd + ": not installed; 'sudo apt-get install openocd', or name it with --openocd";
       return outcome;
     }
     provision::FlashRequest request;
@@ -267,12 +267,12 @@ int flash_plan(const FlashOptions& options) {
   const provision::SitePlan plan = provision::read_site_plan(options.plan);
   const std::vector<const provision::PlannedNode*> nodes = select_nodes(plan, options.nodes);
   if (nodes.size() > 1) {
-    if (!options.probe.empty()) throw CLI::ValidationError("--probe", "goes with one --node");
+    if (!options.probe.empty()) throw CLI::ValidationError("--probe", "requires one --node");
     for (const provision::PlannedNode* node : nodes) {
       if (node->probe.empty()) {
         complain(fmt::format(
-            "{}: names no probe for node {}; add 'probe:' to it ('groma flash --list'), or go from "
-            "node to node by --node",
+            "{}: names no probe for node {}; add 'probe:' to it ('groma flash --list'), or flash the "
+            "nodes one by one with --node",
             plan.path.string(), node->id));
         return io::kBadConfiguration;
       }
@@ -330,10 +330,10 @@ int run(const FlashOptions& options) {
   }
   if (options.list) return list_probes(options.json);
   if (options.all && (!options.plan.empty() || !options.probe.empty())) {
-    throw CLI::ValidationError("--all", "goes with neither --plan nor --probe");
+    throw CLI::ValidationError("--all", "cannot be combined with --plan or --probe");
   }
   if (!options.plan.empty()) return flash_plan(options);
-  if (!options.nodes.empty()) throw CLI::ValidationError("--node", "goes with --plan");
+  if (!options.nodes.empty()) throw CLI::ValidationError("--node", "requires --plan");
   return flash_probes(options);
 }
 

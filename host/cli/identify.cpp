@@ -37,7 +37,7 @@ int run(IdentifyOptions options) {
   model::NodeId target = 0;
   if (options.plan.empty() && !options.node.empty()) {
     const std::vector<model::NodeId> ids = parse_ids("--node", options.node);
-    if (ids.size() != 1) throw CLI::ValidationError("--node", "name one");
+    if (ids.size() != 1) throw CLI::ValidationError("--node", "give exactly one id");
     target = ids.front();
   }
   if (options.link.empty() == options.plan.empty()) {
@@ -47,7 +47,7 @@ int run(IdentifyOptions options) {
     const provision::SitePlan plan = provision::read_site_plan(options.plan);
     const auto nodes = select_nodes(plan, options.node);
     if (options.node.empty() || nodes.size() != 1)
-      throw CLI::ValidationError("--node", "name one of the plan");
+      throw CLI::ValidationError("--node", "give exactly one node of the plan");
     const provision::PlannedNode& node = *nodes.front();
     const bool over_air = provision::is_reached_by_air(node);
     if (over_air) target = node.id;

@@ -59,7 +59,7 @@ std::vector<provision::AnchorHint> parse_hints(const std::string& text) {
                                                 : std::from_chars(part.data() + at + 1, end, weight);
     if (parsed.ptr != end || parsed.ec != std::errc{}) {
       throw CLI::ValidationError("--prefer",
-                                 fmt::format("'{}' is no ANCHOR=WEIGHT with a weight of 0 to 255", part));
+                                 fmt::format("'{}' is not ANCHOR=WEIGHT with a weight of 0 to 255", part));
     }
     hints.push_back({parse_ids("--prefer", part.substr(0, at)).front(), weight});
   }
@@ -74,14 +74,14 @@ Orders orders_of(NodeTableOptions& options) {
   Orders orders;
   if (!options.leave.empty()) {
     if (!options.prefer.empty() || !options.nodes.empty()) {
-      throw CLI::ValidationError("--leave", "goes without --prefer and --node");
+      throw CLI::ValidationError("--leave", "cannot be combined with --prefer or --node");
     }
-    if (parse_ids("--leave", options.leave).size() != 1) throw CLI::ValidationError("--leave", "name one");
+    if (parse_ids("--leave", options.leave).size() != 1) throw CLI::ValidationError("--leave", "give exactly one id");
     orders.leave = true;
     options.nodes = options.leave;
   }
   if (!options.prefer.empty()) {
-    if (options.nodes.empty()) throw CLI::ValidationError("--prefer", "name the tags by --node");
+    if (options.nodes.empty()) throw CLI::ValidationError("--prefer", "name the tags with --node");
     orders.hints = parse_hints(options.prefer);
   }
   return orders;

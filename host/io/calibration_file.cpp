@@ -104,11 +104,11 @@ Eigen::MatrixXd parse_covariance(const YamlValue& yaml, std::size_t size) {
   }
   const double scale = matrix.cwiseAbs().maxCoeff();
   if (!((matrix - matrix.transpose()).cwiseAbs().maxCoeff() <= kAgreement * scale)) {
-    yaml.fail("is not symmetric", "mend the entries that differ across the diagonal");
+    yaml.fail("is not symmetric", "make the entries across the diagonal equal");
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(matrix, Eigen::EigenvaluesOnly);
   if (!(eigen.eigenvalues().minCoeff() >= -kAgreement * scale)) {
-    yaml.fail("is no covariance: a variance would be negative", "mend its entries, or calibrate again");
+    yaml.fail("is not a covariance: a variance would be negative", "correct its entries, or calibrate again");
   }
   return matrix;
 }
@@ -167,7 +167,7 @@ model::TagCalibration parse_tag(const YamlValue& yaml) {
       ++axis;
     }
   } else if (const auto variance = yaml.find("lever_arm_variance_m2")) {
-    variance->fail("is there without lever_arm_m", "write both, or neither");
+    variance->fail("is given without lever_arm_m", "write both, or neither");
   }
   if (const auto pattern_m = yaml.find("antenna_pattern_m")) {
     const std::vector<double> values = pattern_m->numbers(model::kPatternTerms);
@@ -219,7 +219,7 @@ model::AnchorCalibration parse_anchor(const YamlValue& yaml) {
   if (yaml.at("position_m").is_null()) {
     anchor.position_m.setConstant(std::numeric_limits<double>::quiet_NaN());
     if (!yaml.at("covariance_m2").is_null()) {
-      yaml.at("covariance_m2").fail("is there without a position", "write both, or null for both");
+      yaml.at("covariance_m2").fail("is given without a position", "write both, or null for both");
     }
     return anchor;
   }
@@ -234,7 +234,7 @@ model::AnchorCalibration parse_anchor(const YamlValue& yaml) {
                       agree(own.diagonal(), anchor.covariance.diagonal());
     if (!same) {
       block->fail("disagrees with covariance_m2 or the pairs' variances",
-                  "change both alike, or leave block_covariance out");
+                  "change both consistently, or omit block_covariance");
     }
   }
   return anchor;

@@ -65,15 +65,16 @@ double parse_number(std::string_view field, const FilePlace& place) {
   double value = 0.0;
   const std::errc error = parse_whole(text, value);
   if (error == std::errc::result_out_of_range) {
-    throw DataError(place, fmt::format("{} is out of range", shown(text)), "write a number of sane size");
+    throw DataError(place, fmt::format("{} is out of range", shown(text)),
+                    "write a number that fits a double");
   }
   if (error != std::errc()) {
     throw DataError(place,
                     text.empty() ? "the field is empty" : fmt::format("{} is not a number", shown(text)),
-                    "write a number such as 1.25, or take the row out");
+                    "write a number such as 1.25, or remove the row");
   }
   if (!std::isfinite(value)) {
-    throw DataError(place, fmt::format("{} is not a finite number", shown(text)), "take the row out");
+    throw DataError(place, fmt::format("{} is not a finite number", shown(text)), "remove the row");
   }
   return value;
 }
@@ -84,7 +85,7 @@ std::int64_t parse_integer(std::string_view field, const FilePlace& place) {
   if (parse_whole(text, value) != std::errc()) {
     throw DataError(
         place, text.empty() ? "the field is empty" : fmt::format("{} is not a whole number", shown(text)),
-        "write a whole number, or take the row out");
+        "write a whole number, or remove the row");
   }
   return value;
 }
@@ -116,7 +117,7 @@ CsvReader::CsvReader(std::filesystem::path path, std::string_view text, std::ini
       index = static_cast<std::size_t>(found - names_.begin());
       if (field_of_wanted_[index] != kAbsent) {
         throw DataError({path_, lines_.number(), static_cast<std::size_t>(begin - lines_.line().data()) + 1},
-                        fmt::format("column {} is there twice", name), "keep one of them");
+                        fmt::format("column {} occurs twice", name), "keep one of them");
       }
       field_of_wanted_[index] = header_fields_;
     }
@@ -148,7 +149,7 @@ bool CsvReader::next() {
   if (count != header_fields_) {
     throw DataError({path_, lines_.number(), lines_.line().size() + 1},
                     fmt::format("the row has {} fields, the header {}", count, header_fields_),
-                    "complete the row, or take it out");
+                    "complete the row, or remove it");
   }
   return true;
 }

@@ -116,7 +116,7 @@ std::vector<std::pair<model::NodeId, Eigen::Vector3d>> parse_points(const std::f
     if (!id)
       throw DataError(csv.place(0), "the id is out of range", fmt::format("it has to be 0 to {}", kMaxId));
     if (!seen.insert(*id).second) {
-      throw DataError(csv.place(0), fmt::format("id {} is there twice", *id), "keep one of the rows");
+      throw DataError(csv.place(0), fmt::format("id {} occurs twice", *id), "keep one of the rows");
     }
     points.emplace_back(*id, Eigen::Vector3d(csv.number(1), csv.number(2), csv.number(3)));
   }
@@ -230,8 +230,8 @@ class ImplausibleRows {
   std::optional<DataError> first_;
 };
 
-constexpr const char* kNoRobot = "no ground robot is there, or is held so";
-constexpr const char* kNoRobotRemedy = "metres and radians are wanted; take the row out";
+constexpr const char* kNoRobot = "no ground robot has such a position or attitude";
+constexpr const char* kNoRobotRemedy = "give metres and radians, or remove the row";
 
 // The six fields from `first` on; none if all are empty.
 std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, std::size_t first) {
@@ -244,7 +244,7 @@ std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, s
   }
   if (given == 0) return std::nullopt;
   constexpr const char* kWhole = "give p_xx, p_xy, p_xt, p_yy, p_yt and p_tt of a row, or none of them";
-  if (given < terms.size()) throw DataError(csv.row_place(), "the pose's covariance is not whole", kWhole);
+  if (given < terms.size()) throw DataError(csv.row_place(), "the pose's covariance is incomplete", kWhole);
   return terms;
 }
 
@@ -252,9 +252,9 @@ std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, s
 bool check(const CsvReader& csv, const model::PoseSample& pose, ImplausibleRows& implausible) {
   if (pose.covariance && !model::is_covariance(*pose.covariance)) {
     implausible.add(
-        csv, "p_xx to p_tt are no covariance of x, y and yaw",
-        "variances are above zero, and no correlation is beyond one; leave the fields empty where "
-        "nothing is known");
+        csv, "p_xx to p_tt are not a covariance of x, y and yaw",
+        "variances have to be above zero and correlations within -1 to 1; leave the fields empty if they "
+        "are unknown");
     return false;
   }
   if (!model::is_plausible(pose)) {
@@ -314,8 +314,8 @@ void parse(const std::filesystem::path& path, std::string_view text,
     const model::PositionSample position{
         csv.number(0), csv.number(1), csv.number(2), {csv.number(3), csv.number(4), csv.number(5)}};
     if (!model::is_covariance(position.covariance_m2)) {
-      implausible.add(csv, "p_xx, p_xy and p_yy are no covariance of x and y",
-                      "variances are above zero, and no correlation reaches one");
+      implausible.add(csv, "p_xx, p_xy and p_yy are not a covariance of x and y",
+                      "variances have to be above zero and the correlation between -1 and 1");
     } else if (!model::is_plausible(position)) {
       implausible.add(csv, kNoRobot, kNoRobotRemedy);
     } else {
@@ -416,7 +416,7 @@ Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) 
   InputFiles files;
   LogContent content = parse_log(files.read(path), options.log_section);
   if (content.sections.empty()) {
-    throw DataError({path}, "is no log", "give a data set folder, or a log that gromad has recorded");
+    throw DataError({path}, "is not a log", "give a data set folder, or a log that gromad recorded");
   }
   const std::size_t count = content.sections.size();
   const std::size_t chosen = options.log_section.value_or(count);
@@ -428,7 +428,7 @@ Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) 
   if (section.description.empty() || section.description.back().name != "dataset.yaml") {
     throw DataError({path},
                     fmt::format("section {} has no site description: its beginning is damaged", chosen),
-                    count > 1 ? "choose another by --section" : "record another");
+                    count > 1 ? "choose another with --section" : "record another");
   }
   Dataset dataset;
   dataset.log = {.sections = count, .section = chosen, .damaged_bytes = content.damaged_bytes};

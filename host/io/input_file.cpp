@@ -57,12 +57,12 @@ std::string read_file(const std::filesystem::path& path) {
     size += static_cast<std::size_t>(count);
     if (!regular && size > kMaxStreamBytes) {
       throw DataError({path},
-                      fmt::format("is no regular file, and goes on beyond {} MiB", kMaxStreamBytes >> 20U),
+                      fmt::format("is not a regular file, and is longer than {} MiB", kMaxStreamBytes >> 20U),
                       "give a regular file");
     }
   }
   if (S_ISFIFO(status.st_mode) && size == 0) {
-    throw DataError({path}, "is no regular file but a pipe, and nobody writes to it",
+    throw DataError({path}, "is a pipe without a writer",
                     "give a regular file, or start its writer first");
   }
   text.resize(size);

@@ -30,7 +30,7 @@ constexpr std::string_view kOnEarth = "give metres; nothing on the ground is bey
 
 void check_coordinate(double value_m, const FilePlace& place) {
   if (!(std::abs(value_m) <= model::kMaxCoordinate_m))
-    throw DataError(place, fmt::format("{:.3g} m is no height or position", value_m), kOnEarth);
+    throw DataError(place, fmt::format("{:.3g} m is not a possible height or position", value_m), kOnEarth);
 }
 
 double parse_coordinate(std::string_view field, const FilePlace& place) {
@@ -109,7 +109,7 @@ HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, 
   while (lines.next()) {
     if (rows == out.grid.nx) {
       throw DataError({path, lines.number()}, fmt::format("there are more than nx = {} rows", out.grid.nx),
-                      "take the rest out, or mend nx");
+                      "remove the other rows, or correct nx");
     }
     numbers(static_cast<std::size_t>(out.grid.ny), "the ny heights of the row", with_gaps, parse_coordinate,
             out.heights_m);
@@ -117,7 +117,7 @@ HeightGrid parse_grid(const std::filesystem::path& path, std::string_view text, 
   }
   if (rows != out.grid.nx) {
     throw DataError({path, lines.number()}, fmt::format("there are {} rows of heights", rows),
-                    fmt::format("nx asks for {}", out.grid.nx));
+                    fmt::format("nx requires {}", out.grid.nx));
   }
   return out;
 }
@@ -199,13 +199,13 @@ model::Chart parse_chart(const YamlValue& yaml, const std::filesystem::path& fol
     const std::filesystem::path path = parse_file(yaml.at("file"), folder);
     const std::string text = files.read(path);
     if (type == 3 && !begins_with_number(text)) {
-      throw DataError({path, 1}, "is no grid", fmt::format("its first line is {}", kGridHeader));
+      throw DataError({path, 1}, "is not a grid", fmt::format("its first line is {}", kGridHeader));
     }
     const model::SurfaceFit fit = fit_heights(path, text, parse_fit_options(yaml));
     chart.shape = fit.spline;
     chart.mismatch = fit.mismatch;
   } else if (type == 4) {
-    yaml.fail("has floors within a floor", "list all floors and ramps beside each other");
+    yaml.fail("has floors within a floor", "list all floors and ramps at one level");
   } else {
     yaml.expect_keys({{"type", "z_m", "normal"}, {"mismatch"}});
     const std::vector<double> normal = yaml.at("normal").numbers(3);
@@ -238,7 +238,7 @@ std::vector<Eigen::Vector3d> parse_heights(const std::filesystem::path& path, st
   }
   if (points.size() < model::kMinSurfacePoints) {
     throw DataError({path}, fmt::format("has {} heights", points.size()),
-                    fmt::format("a surface takes {} or more", model::kMinSurfacePoints));
+                    fmt::format("a surface needs {} or more", model::kMinSurfacePoints));
   }
   return points;
 }
@@ -248,9 +248,9 @@ model::SurfaceFit fit_heights(const std::filesystem::path& path, std::string_vie
   std::optional<model::SurfaceFit> fit = model::fit_surface(parse_heights(path, text), options);
   if (!fit) {
     throw DataError({path},
-                    fmt::format("takes more than {} control heights at that spacing, or has no solution",
+                    fmt::format("needs more than {} control heights at this spacing, or has no solution",
                                 model::kMaxControlHeights),
-                    "choose a larger spacing_m, and look for points that lie far from all others");
+                    "choose a larger spacing_m, and check for points far from all others");
   }
   return *std::move(fit);
 }
@@ -267,10 +267,10 @@ model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path&
     model::Chart chart = parse_chart(floor.at("surface"), folder, files);
     chart.name = floor.at("name").text();
     if (chart.name.empty() || chart.name.find_first_of(",\"\r\n") != std::string::npos) {
-      floor.at("name").fail("is no name", "name the floor, without commas, quotes and line ends");
+      floor.at("name").fail("is not a valid name", "name the floor, without commas, quotes and line ends");
     }
     for (const model::Chart& other : charts) {
-      if (other.name == chart.name) floor.at("name").fail("is there twice", "name each floor once");
+      if (other.name == chart.name) floor.at("name").fail("occurs twice", "name each floor once");
     }
     if (const auto domain = floor.find("domain_m")) chart.domain_m = parse_domain(*domain);
     charts.push_back(std::move(chart));

@@ -32,11 +32,11 @@ YamlValue YamlValue::parse(const std::filesystem::path& path, const std::string&
   try {
     node = YAML::Load(text);
   } catch (const YAML::Exception& error) {
-    throw ConfigError(place_of(path, error.mark), fmt::format("no YAML ({})", error.msg),
-                      "mend the syntax at this place");
+    throw ConfigError(place_of(path, error.mark), fmt::format("invalid YAML ({})", error.msg),
+                      "correct the syntax at this place");
   }
   if (!node.IsMap()) {
-    throw ConfigError({path, 1, 1}, node.IsNull() ? "the file is empty" : "the document is no map",
+    throw ConfigError({path, 1, 1}, node.IsNull() ? "the file is empty" : "the document is not a map",
                       "write lines such as 'schema: 1'");
   }
   return {std::make_shared<const std::filesystem::path>(path), "", node};
@@ -63,10 +63,10 @@ void YamlValue::expect_keys(const Keys& keys) const {
       std::vector<std::string_view> all(keys.required);
       all.insert(all.end(), keys.optional.begin(), keys.optional.end());
       throw ConfigError(key_place, fmt::format("unknown key {}", shown(key)),
-                        fmt::format("take it out; known here: {}", joined(all)));
+                        fmt::format("remove it; known here: {}", joined(all)));
     }
     if (!seen.insert(key).second) {
-      throw ConfigError(key_place, fmt::format("key {} is there twice", key), "keep one of them");
+      throw ConfigError(key_place, fmt::format("key {} occurs twice", key), "keep one of them");
     }
   }
   for (const std::string_view key : keys.required) {

@@ -45,7 +45,7 @@ provision::SiteSettings settings_of(const sim::Scenario& scenario) {
 sim::NodeSpec spec_of(const sim::Scenario& scenario, const groma_Config& config,
                       const sim::KeyedRandom& random) {
   if (const char* fault = node::fault_of(config); *fault != '\0') {
-    throw sim::SimulationError(fmt::format("node {} refuses its configuration: {}", config.id, fault));
+    throw sim::SimulationError(fmt::format("node {} rejects its configuration: {}", config.id, fault));
   }
   sim::NodeSpec spec;
   spec.chip.id = static_cast<std::uint16_t>(config.id);

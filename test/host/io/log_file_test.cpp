@@ -281,7 +281,7 @@ TEST(Log, IsDistinguishedFromOtherFiles) {
       static_cast<void>(read_dataset(folder / name));
       ADD_FAILURE() << name;
     } catch (const DataError& error) {
-      EXPECT_THAT(error.what(), HasSubstr("is no log"));
+      EXPECT_THAT(error.what(), HasSubstr("is not a log"));
     }
   }
   // The description's last frame is truncated.

@@ -63,7 +63,7 @@ TEST(SurfaceDescription, ErrorsInHeightsNameTheLine) {
   EXPECT_NE(
       complaint<DataError>("{type: grid, file: heights.csv}", "0,0,1,1,2,2\n0,0\n0\n").find("heights.csv:3"),
       std::string::npos);
-  EXPECT_NE(complaint<DataError>("{type: grid, file: heights.csv}", "x_m,y_m,z_m\n").find("is no grid"),
+  EXPECT_NE(complaint<DataError>("{type: grid, file: heights.csv}", "x_m,y_m,z_m\n").find("is not a grid"),
             std::string::npos);
   EXPECT_NE(complaint<ConfigError>("{type: points, file: heights.csv, spacing_m: 0}", tilted_points())
                 .find("dataset.yaml:1"),
@@ -135,7 +135,7 @@ TEST(SurfaceDescription, FloorsAreWrittenAndReadBackEqual) {
   EXPECT_NE(complaint<ConfigError>(
                 "{type: floors, floors: [{name: 'a,b', surface: {type: plane, z_m: 0, normal: [0, 0, "
                 "1]}}]}")
-                .find("is no name"),
+                .find("is not a valid name"),
             std::string::npos);
 }
 
