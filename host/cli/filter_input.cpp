@@ -89,7 +89,7 @@ std::optional<filter::Start> FilterInput::find_start(const io::Dataset& dataset)
   const double from_s = selection_.from_s().value_or(kFirst);
   if (!start_) return filter::start_from_prior(dataset.pose_prior, from_s, dataset.surface);
   const auto first = std::find_if(dataset.odometry.begin(), dataset.odometry.end(),
-                                  [&](const model::OdometrySample& row) { return row.t_s >= from_s; });
+                                  [&](const model::OdometrySample& sample) { return sample.t_s >= from_s; });
   if (first == dataset.odometry.end()) return filter::Start{};
   const auto [x_m, y_m, yaw_rad] = *start_;
   filter::Start start;

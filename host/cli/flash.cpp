@@ -149,8 +149,8 @@ int list_probes(bool json) {
 }
 
 // One line on the terminal that is overwritten.
-void show_phase(const std::string& who, const char* phase) {
-  if (::isatty(STDERR_FILENO) == 1) fmt::print(stderr, "\r\033[K{}{}", who, phase);
+void show_phase(const std::string& prefix, const char* phase) {
+  if (::isatty(STDERR_FILENO) == 1) fmt::print(stderr, "\r\033[K{}{}", prefix, phase);
 }
 void clear_phase() {
   if (::isatty(STDERR_FILENO) == 1) fmt::print(stderr, "\r\033[K");
@@ -173,19 +173,20 @@ class Flashing {
   [[nodiscard]] const provision::NodeImage& image() const { return image_; }
   [[nodiscard]] const std::vector<DebugProbe>& probes() const { return probes_; }
 
-  // `who` is the prefix of messages; sets `port` if the probe has a serial port.
-  FlashOutcome flash(const std::string& who, const std::string& serial, std::string* port = nullptr) const {
-    FlashOutcome outcome = try_flash(who, serial, port);
+  // `prefix`: of the messages; sets `port` if the probe has a serial port.
+  FlashOutcome flash(const std::string& prefix, const std::string& serial,
+                     std::string* port = nullptr) const {
+    FlashOutcome outcome = try_flash(prefix, serial, port);
     clear_phase();
     if (outcome.fault != FlashFault::kNone) {
-      outcome.message = who + outcome.message;
+      outcome.message = prefix + outcome.message;
       complain(outcome.message);
     }
     return outcome;
   }
 
  private:
-  FlashOutcome try_flash(const std::string& who, const std::string& serial, std::string* port) const {
+  FlashOutcome try_flash(const std::string& prefix, const std::string& serial, std::string* port) const {
     FlashOutcome outcome;
     if (!openocd_) {
       outcome.fault = FlashFault::kNoOpenocd;
@@ -214,7 +215,7 @@ class Flashing {
       if (port != nullptr && !chosen.probe->serial_ports.empty())
         *port = chosen.probe->serial_ports.front().string();
     }
-    outcome = provision::flash(request, [&](const char* phase) { show_phase(who, phase); });
+    outcome = provision::flash(request, [&](const char* phase) { show_phase(prefix, phase); });
     if (options_.verbose) fmt::print(stderr, "{}", outcome.output);
     return outcome;
   }
@@ -291,14 +292,14 @@ int flash_plan(const FlashOptions& options) {
     provision::PlannedNode node = *planned;
     const std::string serial = options.probe.empty() ? node.probe : options.probe;
     std::string probe_port;
-    const std::string who = fmt::format("node {}: ", node.id);
-    const FlashOutcome flashed = flashing.flash(who, serial, &probe_port);
+    const std::string prefix = fmt::format("node {}: ", node.id);
+    const FlashOutcome flashed = flashing.flash(prefix, serial, &probe_port);
     if (first_failure == io::kGood) first_failure = exit_code_of(flashed.fault);
     if (node.port.empty()) node.port = probe_port;
     const bool reachable = !node.port.empty() || !node.can_link.empty();
     std::optional<provision::NodeOutcome> configured;
     if (flashed.fault == FlashFault::kNone && reachable) {
-      show_phase(who, "configuring");
+      show_phase(prefix, "configuring");
       configured = provision::configure_node(node, plan.baud, configuring);
       clear_phase();
       if (const int code = report_outcome(*configured, warnings); first_failure == io::kGood)

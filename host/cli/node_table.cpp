@@ -76,7 +76,8 @@ Orders orders_of(NodeTableOptions& options) {
     if (!options.prefer.empty() || !options.nodes.empty()) {
       throw CLI::ValidationError("--leave", "cannot be combined with --prefer or --node");
     }
-    if (parse_ids("--leave", options.leave).size() != 1) throw CLI::ValidationError("--leave", "give exactly one id");
+    if (parse_ids("--leave", options.leave).size() != 1)
+      throw CLI::ValidationError("--leave", "give exactly one id");
     orders.leave = true;
     options.nodes = options.leave;
   }

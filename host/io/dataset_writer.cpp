@@ -113,14 +113,14 @@ std::string format_ranges(std::span<const model::RangeSample> ranges) {
   const auto some = [&](const auto& knows) { return std::any_of(ranges.begin(), ranges.end(), knows); };
   const bool offset = some([](const RangeSample& range) { return std::isfinite(range.clock_offset_ppm); });
   const bool noise = some([](const RangeSample& range) { return std::isfinite(range.noise); });
-  const bool sight =
+  const bool line_of_sight =
       some([](const RangeSample& range) { return range.line_of_sight != model::LineOfSight::kNotKnown; });
   const bool corrections = some([](const RangeSample& range) { return range.corrections != 0; });
   const bool network_time = some([](const RangeSample& range) { return range.network_time_dtu != 0; });
   std::string text = "t_s,tag_id,anchor_id,range_m,first_path_power_dbm,receive_power_dbm";
   if (offset) text += ",clock_offset_ppm";
   if (noise) text += ",noise";
-  if (sight) text += ",line_of_sight";
+  if (line_of_sight) text += ",line_of_sight";
   if (corrections) text += ",corrections";
   if (network_time) text += ",network_time_dtu";
   text += '\n';
@@ -134,7 +134,7 @@ std::string format_ranges(std::span<const model::RangeSample> ranges) {
     add_known(range.receive_power_dbm);
     if (offset) add_known(range.clock_offset_ppm);
     if (noise) add_known(range.noise);
-    if (sight) add(text, ",{}", static_cast<unsigned>(range.line_of_sight));
+    if (line_of_sight) add(text, ",{}", static_cast<unsigned>(range.line_of_sight));
     if (corrections) add(text, ",{}", range.corrections);
     if (network_time) text += ',';
     if (network_time && range.network_time_dtu != 0) add(text, "{}", range.network_time_dtu);
@@ -175,10 +175,10 @@ std::string format_poses(std::span<const model::PoseSample> poses, Height height
   return text;
 }
 
-std::string format_odometry(std::span<const model::OdometrySample> rows) {
+std::string format_odometry(std::span<const model::OdometrySample> samples) {
   std::string text = "t_s,vx_mps,vy_mps,omega_radps\n";
-  for (const model::OdometrySample& row : rows) {
-    add(text, "{},{},{},{}\n", row.t_s, row.vx_mps, row.vy_mps, row.omega_radps);
+  for (const model::OdometrySample& sample : samples) {
+    add(text, "{},{},{},{}\n", sample.t_s, sample.vx_mps, sample.vy_mps, sample.omega_radps);
   }
   return text;
 }

@@ -13,8 +13,8 @@ std::uint64_t first_at_or_after(double t_s, double rate_hz) {
   return static_cast<std::uint64_t>(std::ceil(t_s * rate_hz - 1e-6));
 }
 
-double time_of(std::uint64_t row, double rate_hz) {
-  return static_cast<double>(row) / rate_hz;
+double time_of(std::uint64_t index, double rate_hz) {
+  return static_cast<double>(index) / rate_hz;
 }
 
 }  // namespace
@@ -30,16 +30,16 @@ void RobotFeed::lines_until(double t_s, std::string& out) {
     const double prior_s = time_of(next_prior_, robot_.pose_prior_options().rate_hz);
     if (odometry_s > t_s && prior_s > t_s) return;
     if (odometry_s <= prior_s) {
-      const model::OdometrySample row = robot_.odometry(next_odometry_++);
+      const model::OdometrySample sample = robot_.odometry(next_odometry_++);
       fmt::format_to(std::back_inserter(out),
                      "{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":{},\"vy_mps\":{},\"omega_radps\":{}}}\n",
-                     row.t_s, row.vx_mps, row.vy_mps, row.omega_radps);
+                     sample.t_s, sample.vx_mps, sample.vy_mps, sample.omega_radps);
     } else {
-      const model::PoseSample row = robot_.pose_prior(next_prior_++);
+      const model::PoseSample pose = robot_.pose_prior(next_prior_++);
       fmt::format_to(
           std::back_inserter(out),
           "{{\"class\":\"POSE_PRIOR\",\"t_s\":{},\"x_m\":{},\"y_m\":{},\"z_m\":{},\"yaw_rad\":{}}}\n",
-          row.t_s, row.x_m, row.y_m, row.z_m, row.yaw_rad);
+          pose.t_s, pose.x_m, pose.y_m, pose.z_m, pose.yaw_rad);
     }
   }
 }

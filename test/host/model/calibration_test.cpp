@@ -83,7 +83,8 @@ TEST(OwnCovariance, StaysPositiveSemidefiniteForALargeFrameCovariance) {
     AnchorCalibration again = anchor;
     again.covariance = own;
     add_common_frame(again, frame);
-    EXPECT_GT(least_eigenvalue(again.covariance - anchor.covariance), -1e-12) << "the sum is not smaller than the block";
+    EXPECT_GT(least_eigenvalue(again.covariance - anchor.covariance), -1e-12)
+        << "the sum is not smaller than the block";
     EXPECT_EQ(own.rightCols<2>(), anchor.covariance.rightCols<2>());
   }
   // With exactly known biases, the whole covariance of the position is available.
