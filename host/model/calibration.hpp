@@ -80,7 +80,7 @@ struct Calibration {
   // between the positions a and b of two anchors is place_by_frame(a) F place_by_frame(b)^T, and
   // own_covariance() is a block without it. Zero: errors of anchors are independent.
   Eigen::Matrix4d common_frame_covariance = Eigen::Matrix4d::Zero();
-  // Range timestamps lag the poses' clock by this delay; both zero: not observed.
+  // Range timestamps are late by this delay, relative to the poses' timestamps; both zero: not observed.
   double range_delay_s = 0.0;
   double range_delay_sigma_s = 0.0;
   std::optional<RangeNoise> range_noise;  // none: not observed
@@ -100,7 +100,7 @@ struct Calibration {
 // subtracted, so that the result stays positive semidefinite.
 [[nodiscard]] Eigen::MatrixXd own_covariance(const AnchorCalibration& anchor,
                                              const Eigen::Matrix4d& common_frame_covariance);
-// Inverse of own_covariance(): adds the common frame's covariance to the anchor's block.
+// Adds the common frame's covariance to an anchor whose block is its own covariance.
 void add_common_frame(AnchorCalibration& anchor, const Eigen::Matrix4d& common_frame_covariance);
 
 // Positions as surveyed, with position_sigma_m on each axis; beta and gamma of each pair at their priors; no
