@@ -16,16 +16,16 @@
 namespace groma::calibration {
 namespace {
 
-// Poses whose height differs from the ground's by more than this are tried at both heights.
+// If pose heights differ from the surface by more than this (rms), both heights are tried.
 constexpr double kHeightDisagreement_m = 0.1;
 constexpr double kHeldOutShare = 0.2;
-// Poses may be off by so much an axis where moves are looked for.
+// Largest pose sigma per axis with which moves are searched for.
 constexpr double kMovePose_m = 0.5 * kMinMove_m;
-// At most, from where every anchor is on its better side until all of them rest.
+// Most rounds of the final refinement.
 constexpr int kLastRounds = 10;
-// What the poses of two drives can be off by, beside what the earlier calibration knows of its own.
+// Sigma per axis between the frames of two drives, in addition to the earlier calibration's covariance.
 constexpr double kFrameSigma_m = 0.1;
-// A lever arm is reported where it is known so much better than by hand.
+// An axis of a lever arm is reported if its sigma is below this share of kLeverArmSigma_m.
 constexpr double kRefinedShare = 0.5;
 
 model::RangePriors usable_priors(const model::RangePriors& given) {
@@ -60,7 +60,7 @@ void find_sight(Site& site) {
   site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
 }
 
-// Poses that may be off by as much as a move is long, by their own covariance, show none.
+// Poses whose own covariance is as large as a move cannot show one.
 bool poses_show_moves(const Association& association) {
   if (model::is_ablated(model::Mechanism::kCalibrationMoves)) return false;
   return std::all_of(
@@ -74,7 +74,8 @@ bool has_moves(const Site& site) {
                      [](const AnchorPath& path) { return !path.moved_at_s.empty(); });
 }
 
-// None where it has none; a height that is not trusted decides nothing.
+// None if the earlier calibration has no position for the anchor. A height that is not trusted gets so large
+// a variance that it decides nothing.
 std::optional<EarlierPlace> earlier_place(const model::Calibration& earlier, model::NodeId id) {
   const model::AnchorCalibration* anchor = model::find_anchor(earlier, id);
   if (anchor == nullptr || !model::has_position(*anchor)) return std::nullopt;
@@ -85,8 +86,8 @@ std::optional<EarlierPlace> earlier_place(const model::Calibration& earlier, mod
   return out;
 }
 
-// Both other sides of each anchor: the fit moves where one is better, or where the earlier calibration says
-// so. Then all anchors are solved until they rest.
+// Tests both mirror positions of each anchor. The fit moves to one that explains the ranges better, or that
+// the earlier calibration prefers. Then all anchors are refined.
 void test_mirrors(Site& site, const model::Calibration* earlier) {
   site.evidence.clear();
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
@@ -95,7 +96,7 @@ void test_mirrors(Site& site, const model::Calibration* earlier) {
     if (fit.problem.rows.empty()) continue;
     evidence.spread = tag_spread(fit.problem.rows);
     if (fit.problem.position.surveyed) continue;
-    // Where it was moved meanwhile, its earlier place is not that of the rows.
+    // The ranges of an anchor that moved during the drive are not from its earlier place.
     std::optional<EarlierPlace> place;
     if (earlier != nullptr && site.paths[i].moved_at_s.empty()) {
       place = earlier_place(*earlier, site.association.anchors[i].id);
@@ -111,7 +112,7 @@ void test_mirrors(Site& site, const model::Calibration* earlier) {
   refine_site(site.fits, kLastRounds);
 }
 
-// The anchors one by one, with the poses as they are.
+// Solves the anchors one by one, with uncorrected poses.
 Site solve_anchors(const Drive& drive, const Options& options, HeightSource height, bool find_moves) {
   Site site;
   site.association = associate(drive, height);
@@ -122,9 +123,9 @@ Site solve_anchors(const Drive& drive, const Options& options, HeightSource heig
   bound_rows(site.association, site.polls, problem, options.most_anchor_ranges);
   site.held_out_from_s = held_out_from(site.association);
   problem.end_s = site.held_out_from_s;
-  site.beginning = solve_site(problem, {});  // initial guess: a search without a start
+  site.beginning = solve_site(problem, {});  // search and solve without the held-out part
   problem.end_s = std::numeric_limits<double>::infinity();
-  site.fits = solve_site(problem, site.beginning);  // robust least squares over eq. (12), anchor by anchor
+  site.fits = solve_site(problem, site.beginning);  // robust least squares on eq. (12), per anchor
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
     find_sight(site);
@@ -135,7 +136,7 @@ Site solve_anchors(const Drive& drive, const Options& options, HeightSource heig
   return site;
 }
 
-// The robot's height is its own or that of the ground: whichever explains the ranges better.
+// Takes either the poses' own height or the surface's, whichever explains the ranges better.
 Site solve_at_best_height(const Drive& drive, const Options& options, bool find_moves) {
   Site site = solve_anchors(drive, options, HeightSource::kPose, find_moves);
   if (height_disagreement_m(drive) < kHeightDisagreement_m) return site;
@@ -148,10 +149,11 @@ Site solve_at_best_height(const Drive& drive, const Options& options, bool find_
   return cost(other) < cost(site) ? std::move(other) : std::move(site);
 }
 
-// The anchors, then what the drive itself has wrong.
+// Solves the anchors, then the errors common to the drive: pose drift, range delay, lever arms, antenna
+// patterns.
 Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
   Site site = solve_at_best_height(drive, options, find_moves);
-  // Before the poses are corrected by all ranges: what is held out stays so.
+  // Score before correct_drive(): that uses all ranges, including those held out.
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     site.held_out.push_back(
         score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
@@ -160,7 +162,7 @@ Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
   return site;
 }
 
-// With the lever arms and antenna patterns corrected, each range's sight is found once more.
+// Classifies each range as LOS or NLOS again, now that lever arms and antenna patterns are corrected.
 void find_sight_again(Site& site, const model::Calibration* earlier) {
   if (is_within_reach(site.fits) && !has_moves(site) &&
       !model::is_ablated(model::Mechanism::kCalibrationAgain)) {
@@ -176,8 +178,8 @@ void find_sight_again(Site& site, const model::Calibration* earlier) {
   correct_further(site.association, site.fits, site.error);
 }
 
-// Covariance of each anchor by ranges, drive error and the survey's ranges between anchors, which move the
-// fits and their rivals.
+// Adds the survey's ranges between anchors, which move the fits and their mirror hypotheses. Returns each
+// anchor's covariance by ranges, drive error and survey.
 std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::span<const double> inflation) {
   std::vector<model::NodeId> ids;
   for (const AnchorObservations& anchor : site.association.anchors) ids.push_back(anchor.id);
@@ -229,7 +231,7 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
   out.position_m = fit.anchor.head<3>();
   out.covariance = covariance;
   out.pairs = pair_biases(fit.anchor, covariance, site.association.tags);
-  // Ranges before the last move count as rejected, and those that are likelier NLOS than LOS.
+  // Ranges before the anchor's last move count as rejected, and so do those more likely NLOS than LOS.
   out.ranges_used = static_cast<std::size_t>(std::count_if(
       fitted.begin(), fitted.end(), [](const FittedRange& row) { return !(row.in_sight < 0.5); }));
   out.ranges_rejected = data.rejected + data.rows.size() - out.ranges_used;
@@ -241,10 +243,11 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
 
 }  // namespace
 
-// The first stage of the source paper (its section on real-time initialization; the range model is eq. 12).
+// The source paper's section "Real-Time Initialization": anchor positions r_A and biases beta, gamma of the
+// range model, eq. (12), by robust non-linear least squares from pose priors, tag offsets r_RS and ranges.
 Result calibrate(const Drive& drive, const Options& options) {
   Site site = solve_drive(drive, options, true);
-  // Where the poses drift by as much as a move is long, anchors that seem to have moved have not.
+  // If the poses drift by as much as a move, apparent moves of anchors are not real.
   if (has_moves(site) && site.error.prior.wander.sigma_m > kMovePose_m)
     site = solve_drive(drive, options, false);
   if (!site.error.body.empty() && site.has_sight()) find_sight_again(site, options.earlier);

@@ -1,5 +1,5 @@
-// Anchor calibration from one drive: positions, pair biases and their covariance from ranges and the
-// robot's own poses.
+// Anchor calibration from one drive, the first stage of the source paper: estimates anchor positions and pair
+// biases (beta, gamma) with their covariance from ranges and the robot's own poses.
 #pragma once
 
 #include <cstddef>
@@ -15,34 +15,33 @@
 namespace groma::calibration {
 
 struct Options {
-  // An earlier calibration of the site; outlives the call. Where the drive leaves open on which side of the
-  // tags an anchor is, the one decides on which it was; nothing else of it goes into the solution.
+  // An earlier calibration of the site; must outlive the call. It only decides on which side of the tags an
+  // anchor is where the drive leaves that open; nothing else of it enters the solution.
   const model::Calibration* earlier = nullptr;
-  // Of one anchor at most so many ranges are used, chosen by choose_measurements(). Of the others it still
-  // counts that they came.
+  // Most ranges used per anchor; choose_measurements() selects them. The others still count as received.
   std::size_t most_anchor_ranges = std::numeric_limits<std::size_t>::max();
 };
 
-// A range as the solution sees it.
+// One range at the solution.
 struct FittedRange {
   double t_s = 0.0;
   model::NodeId tag_id = 0;
   Eigen::Vector2d antenna_m = Eigen::Vector2d::Zero();  // x and y, map
   double distance_m = 0.0;                              // antenna to anchor
-  double residual_m = 0.0;                              // measured less predicted
-  double in_sight = 0.0;                                // probability that nothing stood between
+  double residual_m = 0.0;                              // measured - predicted
+  double in_sight = 0.0;                                // probability of LOS
 };
 
 struct Result {
-  model::Calibration calibration;  // input_sha256 and program_version left to the caller
+  model::Calibration calibration;  // the caller fills in input_sha256 and program_version
   std::size_t ranges_used = 0;
   std::size_t ranges_rejected = 0;
-  // In the order of the calibration's anchors, each anchor's by time.
+  // One vector per anchor, in the order of calibration.anchors; each sorted by time.
   std::vector<std::vector<FittedRange>> fitted;
 };
 
-// Deterministic; allocates in proportion to the number of ranges; throws nothing on data: what cannot be
-// calibrated comes back marked so.
+// Deterministic. Memory grows in proportion to the number of ranges. Bad data raises no exception: an anchor
+// that cannot be calibrated comes back with a verdict that says so.
 [[nodiscard]] Result calibrate(const Drive& drive, const Options& options = {});
 
 }  // namespace groma::calibration

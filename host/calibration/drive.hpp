@@ -1,4 +1,4 @@
-// What a calibration is made from: one drive's ranges and poses, and what is known beforehand.
+// Input of a calibration: the ranges and poses of one drive, and prior knowledge.
 #pragma once
 
 #include <span>
@@ -8,15 +8,15 @@
 
 namespace groma::calibration {
 
-// All spans are sorted by time and outlive the calibration.
+// Samples are sorted by time. All spans must outlive the calibration.
 struct Drive {
   std::span<const model::RangeSample> ranges;
   std::span<const model::PoseSample> poses;
   std::span<const model::Tag> tags;
   const model::Surface* surface = nullptr;  // attitude of poses without roll and pitch
   model::RangePriors priors;
-  std::span<const model::AnchorRange> anchor_ranges = {};  // of a survey, in any order; may be empty
-  std::span<const model::Anchor> known_anchors = {};       // surveyed: their biases alone are estimated
+  std::span<const model::AnchorRange> anchor_ranges = {};  // between anchors, in any order; may be empty
+  std::span<const model::Anchor> known_anchors = {};       // surveyed: only their biases are estimated
 };
 
 }  // namespace groma::calibration

@@ -21,7 +21,7 @@ void thin(std::vector<Sample>& samples, std::size_t most) {
   samples = std::move(kept);
 }
 
-// At most so many of each pair, evenly spread in time; where pairs are many, fewer.
+// Keeps at most `pair_most` ranges of each pair, spread evenly in time, and `most` of all pairs.
 void thin_pairs(std::vector<model::RangeSample>& ranges, std::size_t pair_most, std::size_t most) {
   std::map<std::pair<model::NodeId, model::NodeId>, std::vector<model::RangeSample>> pairs;
   for (const model::RangeSample& range : ranges) pairs[{range.tag_id, range.anchor_id}].push_back(range);
@@ -37,12 +37,12 @@ void thin_pairs(std::vector<model::RangeSample>& ranges, std::size_t pair_most, 
 }
 
 bool is_usable(double t_s) noexcept {
-  return std::abs(t_s) < 1e12;  // false for what is no number
+  return std::abs(t_s) < 1e12;  // false for NaN
 }
 
-// The coverage of an anchor whose verdict does not let it be used, at most.
+// Largest coverage of an anchor whose verdict does not allow use.
 constexpr double kAlmost = 0.99;
-// Of one anchor in a step: of those that a robot measures where it stands for long, most tell nothing new.
+// Ranges per anchor and step. Most ranges of a robot that is stationary for long are redundant.
 constexpr std::size_t kMostAnchorRanges = 4000;
 
 Drive drive_of(const DriveStore::Samples& samples, const LearningInput& input) {
@@ -63,7 +63,7 @@ void DriveStore::add(const model::RangeSample& range) {
   if (!is_usable(range.t_s)) return;
   reach(range.t_s);
   const auto open = open_.try_emplace(index_of(range.t_s)).first;
-  // Many more than are kept: where they come from does not matter any more.
+  // Far more than are kept: further ones add nothing.
   if (open->second.ranges.size() < 16 * limits_.segment_ranges) open->second.ranges.push_back(range);
 }
 
@@ -75,7 +75,7 @@ void DriveStore::add(const model::PoseSample& pose) {
 
 void DriveStore::reach(double t_s) {
   if (any_ && t_s < last_s_ - kLateness_s) {
-    return;  // its segment opens anew, and closes with the next
+    return;  // reopens its segment, which closes with the next one
   }
   last_s_ = any_ ? std::max(last_s_, t_s) : t_s;
   any_ = true;
@@ -131,7 +131,7 @@ void DriveStore::close_first() {
   if (kept_.size() > limits_.segments) make_room();
 }
 
-// Of the two segments that are closest to each other, the older one is let go of.
+// Drops the older of the two segments whose places are closest to each other.
 void DriveStore::make_room() {
   std::size_t redundant = 0;
   double least = std::numeric_limits<double>::infinity();
@@ -186,7 +186,7 @@ DriveStore::Samples DriveStore::Snapshot::samples() const {
       out.poses.push_back(pose);
     }
   }
-  // Neighbours share the poses between them.
+  // Neighbouring segments have poses in common.
   model::sort_poses(out.poses);
   return out;
 }
@@ -201,7 +201,7 @@ LearningStep learn(const LearningInput& input) {
   if (input.live.anchors.empty() || input.recent.segments() < kMinRecheckSegments) return step;
   const DriveStore::Samples samples = input.recent.samples();
   model::Calibration recent = calibrate(drive_of(samples, input), {.earlier = &input.live}).calibration;
-  // What is hardly heard, or through a wall, says nothing of where the anchor is.
+  // Too few ranges, or NLOS ranges alone, do not show where the anchor is.
   std::erase_if(recent.anchors, [](const model::AnchorCalibration& anchor) {
     return anchor.verdict == model::AnchorVerdict::kNoData ||
            anchor.verdict == model::AnchorVerdict::kNeverInSight;

@@ -1,5 +1,5 @@
-// Calibration while driving: the whole of what the store kept is solved as one drive, and the anchors in use
-// are looked for where they are said to be.
+// Calibration while driving: solves all that the drive store holds as one drive, and checks whether the
+// anchors in use are still where the live calibration has them.
 #pragma once
 
 #include <cstddef>
@@ -20,11 +20,11 @@
 namespace groma::calibration {
 
 struct DriveStoreLimits {
-  double segment_s = 1.0;            // the drive is kept and let go of in pieces of this length
-  std::size_t segments = 600;        // that are kept for their places
-  std::size_t recent_segments = 60;  // the last ones, whatever their places
-  std::size_t pair_ranges = 4;       // of one pair in a segment
-  std::size_t segment_ranges = 256;  // of all pairs in a segment
+  double segment_s = 1.0;            // the drive is stored and dropped in segments of this length
+  std::size_t segments = 600;        // kept for the places they cover
+  std::size_t recent_segments = 60;  // the latest ones, wherever they are
+  std::size_t pair_ranges = 4;       // per pair and segment
+  std::size_t segment_ranges = 256;  // per segment
   std::size_t segment_poses = 100;
 };
 
@@ -32,26 +32,26 @@ class DriveStore {
  public:
   explicit DriveStore(const DriveStoreLimits& limits = {}) : limits_(limits) {}
 
-  // In the order of time, late ones by kLateness_s at most.
+  // Samples come in time order; one may be late by kLateness_s at most.
   static constexpr double kLateness_s = 1.0;
   void add(const model::RangeSample& range);
   void add(const model::PoseSample& pose);
-  // Takes in what is still open: the drive is over, or what is there has to do.
+  // Closes all open segments: at the end of the drive, or when the samples so far have to do.
   void close();
   void clear();
 
-  // Ranges to this anchor before t_s no longer count: it was moved.
+  // Ignores ranges to this anchor before `before_s`, because it was moved.
   void forget(model::NodeId anchor, double before_s);
 
-  // Samples by time, as calibrate() takes them. Where a stretch of the drive was let go of, the times after
-  // it are moved up to kGap_s behind it: poses before and after hang together no more than that.
+  // Samples sorted by time, as calibrate() takes them. Where segments were dropped, the later times are
+  // shifted so that a gap of kGap_s remains: pose errors before and after it count as that far apart.
   static constexpr double kGap_s = 5.0;
   struct Samples {
     std::vector<model::RangeSample> ranges;
     std::vector<model::PoseSample> poses;
   };
 
-  // What the store has at one instant; cheap to take and to copy, and untouched by what comes later.
+  // Content of the store at one instant. Cheap to take and to copy; later samples do not change it.
   class Snapshot {
    public:
     [[nodiscard]] Samples samples() const;
@@ -60,19 +60,19 @@ class DriveStore {
    private:
     friend class DriveStore;
     struct Segment {
-      std::int64_t index = 0;                           // t_s over segment_s
-      Eigen::Vector4d place = Eigen::Vector4d::Zero();  // x, y, z in m; a metre a radian of yaw
+      std::int64_t index = 0;                           // floor(t_s / segment_s)
+      Eigen::Vector4d place = Eigen::Vector4d::Zero();  // x, y, z in m, yaw in rad
       std::vector<model::RangeSample> ranges;
-      std::vector<model::PoseSample> poses;  // and the one before, and the one after
+      std::vector<model::PoseSample> poses;  // with one before and one after the segment
     };
     double segment_s_ = 1.0;
-    std::vector<std::shared_ptr<const Segment>> segments_;  // by index
+    std::vector<std::shared_ptr<const Segment>> segments_;  // ascending by index
     std::map<model::NodeId, double> forgotten_;
   };
   [[nodiscard]] Snapshot places() const;
   [[nodiscard]] Snapshot recent() const;
 
-  // Closed segments so far, since the last clear(): a measure of how much came.
+  // Segments with ranges and poses closed since the last clear().
   [[nodiscard]] std::size_t closed() const noexcept { return closed_; }
   [[nodiscard]] double last_s() const noexcept { return last_s_; }
 
@@ -86,7 +86,7 @@ class DriveStore {
 
   DriveStoreLimits limits_;
   std::map<std::int64_t, Segment> open_;
-  std::vector<model::PoseSample> poses_;  // of the last few seconds, as they came
+  std::vector<model::PoseSample> poses_;  // of the last few seconds, in order of arrival
   std::vector<std::shared_ptr<const Segment>> kept_;
   std::vector<std::shared_ptr<const Segment>> recent_;
   std::map<model::NodeId, double> forgotten_;
@@ -96,7 +96,7 @@ class DriveStore {
 };
 
 struct LearningInput {
-  std::optional<DriveStore::Snapshot> places;  // none: nothing is learnt in this step
+  std::optional<DriveStore::Snapshot> places;  // none: this step does not calibrate
   DriveStore::Snapshot recent;
   model::Calibration live;  // anchors in use
   std::vector<model::Tag> tags;
@@ -105,20 +105,20 @@ struct LearningInput {
 };
 
 struct LearningStep {
-  std::optional<Result> learnt;  // from all places, where they were given; its fitted ranges are left out
-  DriveStore::Samples samples;   // that it was learnt from
+  std::optional<Result> learnt;  // calibration from `places`, if given; `fitted` is empty
+  DriveStore::Samples samples;   // that `learnt` was estimated from
   std::vector<AnchorChange>
-      rechecked;  // anchors in use against the last of the drive; none as long as it is short
+      rechecked;  // anchors in use against the recent drive; empty while that is short
 };
 
-// Fewer segments do not tell whether an anchor was moved.
+// Fewest recent segments that can show whether an anchor was moved.
 inline constexpr std::size_t kMinRecheckSegments = 20;
 
-// As calibrate() of the samples that the store has. Its time and memory are bounded by the store's limits.
+// Runs calibrate() on the store's samples. Time and memory are bounded by the store's limits.
 [[nodiscard]] LearningStep learn(const LearningInput& input);
 
-// How much of what an anchor needs is there, 0 to 1: 1 once its verdict lets it be used; until then the least
-// of its share of ranges and of the information (1/sigma^2) that the verdict asks for.
+// Progress of an anchor, 0 to 1. It is 1 once the verdict allows use. Before that it is the smaller of two
+// shares of what the verdict requires: of ranges, and of horizontal information (1/sigma^2).
 [[nodiscard]] double coverage(const model::AnchorCalibration& anchor);
 
 // Whether a filter may use the anchor.

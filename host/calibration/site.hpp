@@ -1,4 +1,4 @@
-// What is known of a drive while calibrate() works: each step fills in its part.
+// Working state of calibrate(): each step fills in its part.
 #pragma once
 
 #include <limits>
@@ -15,22 +15,22 @@
 
 namespace groma::calibration {
 
-// The last part of the drive, scored with the solution of what was before.
+// Score of the last part of the drive against the solution of the part before it.
 struct HeldOut {
   std::optional<double> rms_m;
   std::optional<double> robust_rms_m;
-  std::optional<double> share_of_scale;  // robust rms over what the fit expects; none where it cannot tell
-  double height_variance_m2 = std::numeric_limits<double>::infinity();  // that the fit expects
+  std::optional<double> share_of_scale;  // robust rms over its prediction; none if the fit cannot predict it
+  double height_variance_m2 = std::numeric_limits<double>::infinity();  // of the fit's height
 };
 
-// All vectors but the association's are in the order of the association's anchors.
+// Vectors outside `association` are in the order of association.anchors.
 struct Site {
   Association association;
   PollTable polls;
   double held_out_from_s = 0.0;
-  std::vector<AnchorFit> beginning;  // solved without what is held out
-  std::vector<AnchorFit> fits;       // solved from all of the drive
-  SiteSight sight;                   // empty where no range is NLOS for longer than a moment
+  std::vector<AnchorFit> beginning;  // solved without the held-out part
+  std::vector<AnchorFit> fits;       // solved from the whole drive
+  SiteSight sight;                   // empty if no pair is NLOS for longer than a moment
   std::vector<AnchorPath> paths;
   std::vector<AnchorEvidence> evidence;
   std::vector<HeldOut> held_out;

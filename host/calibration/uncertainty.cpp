@@ -16,16 +16,17 @@ namespace {
 constexpr double kMinBlocks = 8.0;
 constexpr double kScoreBlock_s = 0.5;
 constexpr double kMaxScoreBlocks = 4096.0;
-// An excess of the scatter counts from so many of its own standard deviations on.
+// Excess scatter counts if it is above this many of its own standard deviations.
 constexpr double kSignificance = 2.5;
-// The mean curvature of a kernel is believed no further below its majorizer than this.
+// Lower limit of a kernel's mean curvature, as a share of its majorizer's.
 constexpr double kMinCurvatureShare = 0.3;
 
-// Of the jackknife: parts of the drive, solver steps for each.
+// Jackknife: parts of the drive, solver steps for each.
 constexpr int kParts = 5;
 constexpr int kJackknifeSteps = 6;
 constexpr std::size_t kMinJackknifeRows = 50;
-// Largest eigenvalue of a Wishart matrix of 3 dimensions and 4 degrees of freedom over those: 99.7 %.
+// 99.7 % quantile of the largest eigenvalue of a Wishart matrix of 3 dimensions and 4 degrees of freedom,
+// divided by the latter.
 constexpr double kLargestByChance = 5.5;
 // Variance of Student's t with 4 degrees of freedom.
 constexpr double kStudent = 2.0;
@@ -37,7 +38,7 @@ struct PairMoments {
   double square_slope = 0.0;
 };
 
-// Adds factor times the symmetric matrix of which the block is the lower triangle.
+// Adds factor times the symmetric matrix whose lower triangle is given.
 void add_pair(const PairBlock& lower, double factor, std::size_t tag, std::size_t tag_count,
               Eigen::MatrixXd& out) {
   const PairBlock block = lower.selfadjointView<Eigen::Lower>();
@@ -45,11 +46,11 @@ void add_pair(const PairBlock& lower, double factor, std::size_t tag, std::size_
   out(index, index) += factor * block;
 }
 
-// `scores`: a row for each of the shortest blocks.
+// `scores`: one row per block of the shortest length.
 std::array<Scatter, kBlockLevels> scatter_by_block_length(const Eigen::MatrixXd& information,
                                                           const Eigen::MatrixXd& score_variance,
                                                           const Eigen::MatrixXd& scores) {
-  // With L L^T the information: in its metric a score s has the square |L^-1 s|^2.
+  // With L L^T the information, the square of a score s in its metric is |L^-1 s|^2.
   const Eigen::LLT<Eigen::MatrixXd> factors(information);
   const Eigen::MatrixXd inverse =
       factors.matrixL().solve(Eigen::MatrixXd::Identity(information.rows(), information.cols()));
@@ -78,7 +79,7 @@ std::array<Scatter, kBlockLevels> scatter_by_block_length(const Eigen::MatrixXd&
     Scatter& scatter = out[level];
     scatter.observed = squares[level].sum();
     scatter.blocks = static_cast<double>((squares[level].array() > 0.0).count());
-    // The scores of all blocks sum to nearly nothing at the solution: one block's worth is missing.
+    // The scores of all blocks sum to nearly zero at the solution: one block's worth is missing.
     if (scatter.blocks > 1.0) scatter.expected = independent * (1.0 - 1.0 / scatter.blocks);
   }
   return out;
@@ -88,7 +89,7 @@ double ratio(const Scatter& scatter) {
   return scatter.expected > 0.0 ? scatter.observed / scatter.expected : 1.0;
 }
 
-// The largest significant ratio among block lengths, at least 1.
+// Largest significant ratio among block lengths, at least 1.
 double significant_ratio(std::span<const Scatter> levels, double dimensions) {
   if (model::is_ablated(model::Mechanism::kCalibrationInflation)) return 1.0;
   double largest = 1.0;
@@ -101,19 +102,19 @@ double significant_ratio(std::span<const Scatter> levels, double dimensions) {
   return largest;
 }
 
-// Lags, each from its own figure to the next.
+// Lag bins, each from its own value to the next.
 constexpr std::array kLags_s{0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8};
 constexpr std::size_t kLags = kLags_s.size() - 1;
 constexpr std::size_t kFewPairs = 3;
 constexpr std::size_t kFewRows = 50;
 constexpr double kFewProducts = 30.0;
-// A residual beyond so many robust sigmas of its pair is none of a range in sight.
+// Residuals beyond this many robust sigmas of their pair are not LOS.
 constexpr double kWithin = 4.0;
-// Correlation times that are tried: each longer than the one before by this factor.
+// Correlation times to try, each longer than the one before by the factor kLonger.
 constexpr double kShortest_s = 0.2;
 constexpr double kLongest_s = 20.0;
 constexpr double kLonger = 1.1;
-// Less than this share of the whole variance is not told from white noise.
+// A correlated or white part below this share of the whole variance cannot be distinguished from none.
 constexpr double kLeastShare = 0.05;
 
 struct Residual {
@@ -144,11 +145,11 @@ std::vector<Residual> residuals_in_sight(const AnchorFit& fit, std::size_t tag) 
   return out;
 }
 
-// Variance and covariance by lag of all pairs, a list each.
+// Variance and covariance by lag: one value per pair.
 struct Covariances {
   std::vector<double> variance_m2;
   std::array<std::vector<double>, kLags> by_lag_m2;
-  std::array<std::vector<double>, kLags> lag_s;  // that was had, in the mean
+  std::array<std::vector<double>, kLags> lag_s;  // mean lag in the bin
 };
 
 void add(const std::vector<Residual>& residuals, Covariances& out) {
@@ -158,7 +159,7 @@ void add(const std::vector<Residual>& residuals, Covariances& out) {
   std::array<double, kLags> counts{};
   for (std::size_t i = 0; i < residuals.size(); ++i) {
     variance += residuals[i].value_m * residuals[i].value_m;
-    // One partner a lag, the first within it: as much for each row.
+    // One partner per lag bin, the first in it: each residual counts the same.
     std::size_t j = i + 1;
     for (std::size_t lag = 0; lag < kLags; ++lag) {
       while (j < residuals.size() && residuals[j].t_s - residuals[i].t_s < kLags_s[lag]) ++j;
@@ -203,7 +204,7 @@ Evidence gather_evidence(const AnchorFit& fit) {
     PairMoments& pair = pairs[row.tag];
     add_square(at.j, value.weight, pair.weighted);
     pair.weight += value.weight;
-    // Of the mixture: the variance of the slope between what is in sight and what is not counts too.
+    // Curvature of the mixture: the variance of the slope between LOS and NLOS counts too.
     pair.curvature += whole.seen_share * at.noise_share * at.noise_share *
                       fit.kernels[row.tag].curvature(at.noise_share * at.residual_m);
     if (whole.seen_share > 0.0) {
@@ -248,7 +249,7 @@ std::vector<double> score_inflation(std::span<const Evidence> evidence) {
     for (std::size_t level = 0; level < kBlockLevels; ++level) {
       const Scatter& scatter = anchor.scatter[level];
       if (!(scatter.expected > 0.0)) continue;
-      // Normalized, so that no anchor speaks louder for having more ranges.
+      // Normalized, so that anchors with more ranges do not dominate.
       site[level].observed += scatter.blocks * ratio(scatter);
       site[level].expected += scatter.blocks;
       site[level].blocks += scatter.blocks;
@@ -314,7 +315,7 @@ Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {
   if (evidence.surveyed) {
     const Eigen::Index biases = size - 3;
     const Eigen::LDLT<Eigen::MatrixXd> information(evidence.information.bottomRightCorner(biases, biases));
-    // Biases move by this where the position moves by one.
+    // Change of the biases by the change of the position.
     const Eigen::MatrixXd by_position = -information.solve(evidence.information.bottomLeftCorner(biases, 3));
     const Eigen::Matrix3d position =
         evidence.prior_information.topLeftCorner<3, 3>().ldlt().solve(Eigen::Matrix3d::Identity());
@@ -377,7 +378,7 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
   if (model::is_ablated(model::Mechanism::kCalibrationRangeNoise)) return std::nullopt;
   const double whole_m2 = median(pairs.variance_m2);
 
-  // variance exp(-lag / time) through the medians, by least squares: for each time the best variance.
+  // Least-squares fit of variance exp(-lag / time) to the medians: for each time the best variance.
   std::vector<std::array<double, 2>> points;
   for (std::size_t lag = 0; lag < kLags; ++lag) {
     if (pairs.by_lag_m2[lag].size() < kFewPairs) continue;
@@ -394,7 +395,7 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
       product += shape * covariance_m2;
       square += shape * shape;
     }
-    // The sum of squares falls by product^2 / square.
+    // The fit lowers the sum of squares by product^2 / square.
     if (product > 0.0 && product * product / square > best) {
       best = product * product / square;
       slow_m2 = product / square;

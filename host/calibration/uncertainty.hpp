@@ -1,5 +1,5 @@
-// How far an anchor's solution can be trusted: covariance from the undamped information, corrected for
-// residuals that hang together in time.
+// Covariance of an anchor's solution from the undamped information, corrected for residuals that are
+// correlated in time.
 #pragma once
 
 #include <array>
@@ -15,61 +15,61 @@
 
 namespace groma::calibration {
 
-// Scatter of the score, the data's gradient, summed over blocks of one length of the drive: in the metric of
-// the information, what is seen and what independent residuals would give.
+// Scatter of the score (the gradient of the data's cost), summed over blocks of the drive of one length, in
+// the metric of the information: as observed, and as expected if residuals were independent.
 struct Scatter {
   double observed = 0.0;
   double expected = 0.0;
   double blocks = 0.0;
 };
-inline constexpr std::size_t kBlockLevels = 9;  // each twice as long as the one before: up to 128 s
+inline constexpr std::size_t kBlockLevels = 9;  // 0.5 s, each twice as long as the one before: up to 128 s
 
-// The statistics of one anchor's rows at its solution.
+// Statistics of one anchor's ranges at its solution.
 struct Evidence {
   Eigen::MatrixXd information;  // of priors and data, at the kernels' mean curvature
   Eigen::MatrixXd prior_information;
-  Eigen::MatrixXd score_variance;             // of the score, were residuals independent
-  std::array<Scatter, kBlockLevels> scatter;  // by the length of its blocks
+  Eigen::MatrixXd score_variance;             // of the score, if residuals were independent
+  std::array<Scatter, kBlockLevels> scatter;  // by block length
   bool surveyed = false;                      // the position was held fixed
 };
 [[nodiscard]] Evidence gather_evidence(const AnchorFit& fit);
 [[nodiscard]] std::vector<Evidence> gather_evidence(std::span<const AnchorFit> fits);
 
-// How much more the score scatters than independent residuals would make it: 1 for white residuals, else
-// about the number of ranges that together carry one range's information. One figure an anchor: the site's
-// mean, or its own where that is clearly larger.
+// Scatter of the score over that of independent residuals: 1 for white residuals, else about the number of
+// ranges that together carry one range's information. One value per anchor: the site's mean, or its own where
+// that is clearly larger.
 [[nodiscard]] std::vector<double> score_inflation(std::span<const Evidence> evidence);
 
-// The same of one anchor alone, over blocks no longer than this.
+// The same of one anchor alone, over blocks of at most `duration_s`.
 [[nodiscard]] double inflation_within(const Evidence& evidence, double duration_s);
 
-// How the position scatters with which part of the drive it was solved from: the delete-a-fifth jackknife,
-// m^2. Unlike scores it sees what hangs together for as long as that, and where the cost is no parabola. None
-// where there are too few rows, or the position was held fixed.
+// Delete-a-fifth jackknife covariance of the position, m^2: how the position depends on the part of the drive
+// that is left out. Unlike scores it shows correlations as long as that and a cost that is not quadratic.
+// None if there are too few ranges, or if the position was held fixed.
 [[nodiscard]] std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit);
 
-// What the jackknife has more than the covariance expected, in those directions where that is no chance, on
-// the position; the biases follow by regression. `expected`: of the ranges alone, (position, beta, gamma
-// ...).
+// Covariance to add where the jackknife exceeds the expected position covariance; only in directions in which
+// that is significant. The biases follow by regression. `expected`: of the ranges alone, (position, beta,
+// gamma ...).
 [[nodiscard]] Eigen::MatrixXd excess_of_jackknife(const Eigen::Matrix3d& jackknife,
                                                   const Eigen::MatrixXd& expected);
 
-// Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1. A surveyed position keeps its
-// prior's covariance, and its error goes on into the biases that were learnt with it held fixed.
+// Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1, with H the information and G the
+// score's variance. A surveyed position keeps its prior's covariance, which propagates into the biases: they
+// were estimated with the position held fixed.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
 
-// The inverse of the information that some hundreds of the rows, spread over all of them, have for all: what
-// the drive's way leaves open, without what the residuals tell of the noise. The position must not be
-// surveyed.
+// Inverse information from about 200 ranges evenly spaced among all, scaled to all: what the geometry of the
+// drive leaves open, without what the residuals show of the noise. The position must not be surveyed.
 [[nodiscard]] Eigen::MatrixXd rough_covariance(const AnchorFit& fit);
 
-// Standard deviation of a predicted range by the covariance of the anchor's position and biases, m; `j`: as
-// RowAt has it.
+// Standard deviation of a predicted range by the covariance of the anchor's position and biases, m; `j` as in
+// RowAt.
 [[nodiscard]] double prediction_sigma_m(const PairRow& j, std::size_t tag,
                                         const Eigen::MatrixXd& covariance) noexcept;
 
-// From the residuals of every pair at the solution; each pair counts alike and the median decides, so that a
-// few anchors behind walls do not. None where fewer than three pairs have rows enough.
+// White noise and Gauss-Markov bias of the ranges, from the residuals of every pair at the solution. Medians
+// over pairs keep a few NLOS anchors from biasing them. None if fewer than three pairs have enough ranges.
 [[nodiscard]] std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits);
 
 }  // namespace groma::calibration

@@ -16,27 +16,29 @@ using model::AnchorVerdict;
 
 constexpr double kWeakSigmaZ_m = 0.20;
 constexpr double kBlockedWeakSigmaZ_m = 0.15;
-// Sigmas also grow with the site: a sixtieth of the distance at which the anchor is used.
+// Limits of the sigmas grow with the distance to the nearest antenna: a sixtieth of it.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
 constexpr double kMinInSightShare = 0.3;
 constexpr double kBlockedScaleRatio = 1.2;
 constexpr double kBlockedCountRatio = 0.75;
-// Of the polls; below it an anchor is never, or hardly, in sight.
+// LOS share of the polls below which an anchor is never, or hardly ever, in LOS.
 constexpr double kNeverInSight = 0.10;
 constexpr double kHardlyInSight = 0.30;
-// Shares of ranges that no wall explains: the anchor's geometry is not what the ranges say.
+// Shares of ranges too long or too short for NLOS, above which the ranges contradict each other; above
+// kTwoAnchors (both together) two anchors may have one id.
 constexpr double kFarLimit = 0.06;
 constexpr double kShortLimit = 0.03;
 constexpr double kTwoAnchors = 0.4;
-// More answers than the others', that differ from one to the next by more than noise.
+// A duplicate id: more ranges than the site's median, with more scatter from one to the next than noise.
 constexpr double kTwinFlicker = 2.5;
 constexpr double kTwinCountRatio = 1.3;
 constexpr double kHeldOutLimit = 3.0;
-// Few anchors are carried this far while a robot drives by.
+// A longer move suggests a duplicate id: few anchors are carried this far while a robot drives by.
 constexpr double kFarMove_m = 3.0;
 constexpr std::ptrdiff_t kMinAnchors = 3;
 
-// The compass side on which the anchor sees the drive least: towards it, but never there.
+// Octant of the direction from one point to the other. From the drive's center to the anchor: the side that
+// the drive covers least.
 std::string side_of(const Eigen::Vector3d& from_m, const Eigen::Vector3d& to_m) {
   static constexpr const char* kSides[] = {"+x", "+x+y", "+y", "-x+y", "-x", "-x-y", "-y", "+x-y"};
   const double angle_rad = std::atan2(to_m.y() - from_m.y(), to_m.x() - from_m.x());
@@ -50,7 +52,7 @@ std::string metres(double value_m) {
   return text;
 }
 
-// Where to drive to learn what is missing: near the anchor, and around it.
+// Where to drive to improve the estimate: near the anchor, on its far side.
 std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& anchor_m) {
   const double pass_m = std::max(2.0, std::min(3.0, 0.5 * evidence.nearest_m));
   char place[48];
@@ -59,7 +61,7 @@ std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& 
          side_of(evidence.spread.center_m, anchor_m) + " side, and turn there";
 }
 
-// Rivals within this of the best solution's negative log likelihood cannot be ruled out.
+// A mirror hypothesis within this of the best solution's negative log likelihood cannot be ruled out.
 constexpr double kPlausibleExcess = 6.0;
 
 bool is_plausible(const std::optional<Rival>& rival, double inflation) {
@@ -81,7 +83,7 @@ std::string times_of(const MoveEvidence& moved) {
   return out;
 }
 
-// `is_placed`: what came after the last move tells where it is now.
+// `is_placed`: the ranges after the last move determine where it is now.
 Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
   const std::string unplaced = is_placed ? "" : "; its ranges since do not tell well where it is";
   if (moved.stand_in) {
@@ -102,7 +104,7 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
                                      ", and drive again" + unplaced};
 }
 
-// By how its ranges came, if that says anything.
+// From number and quality of the ranges; none if these are in order.
 std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
   const std::size_t all = anchor.ranges_used + anchor.ranges_rejected;
   const bool never_in_sight = evidence.rows >= kMinRanges && is_never_in_sight(evidence);

@@ -1,4 +1,4 @@
-// What a driver is told of each anchor, and of the whole.
+// Verdict and advice for each anchor, and the verdict on the site.
 #pragma once
 
 #include <cstddef>
@@ -14,51 +14,51 @@
 
 namespace groma::calibration {
 
-// Fewer ranges say nothing of an anchor.
+// With fewer ranges an anchor has no data.
 inline constexpr std::size_t kMinRanges = 30;
-// Horizontal sigma that a filter can live with; beyond it the position is a hint and no more.
+// Largest horizontal sigma, m, of a position that is good enough for a filter.
 inline constexpr double kWeakSigma_m = 0.30;
 
-// How an anchor was seen, where the site was solved with each row's sight.
+// LOS and NLOS of one anchor, if the site was solved with NLOS states.
 struct SightEvidence {
   SightVector polls = SightVector::Zero();  // share of its polls in each state
-  bool polls_are_told = false;              // replies that are missing count in it
-  double wall_excess_m = 0.0;               // that walls add, as the site has it
-  double far_share = 0.0;    // of its ranges that are too long, or too short, by more than walls and
-  double short_share = 0.0;  // shadows make them
+  bool polls_are_told = false;              // `polls` includes missed replies
+  double wall_excess_m = 0.0;               // mean excess of long NLOS at the site
+  double far_share = 0.0;    // ranges that are longer than NLOS explains
+  double short_share = 0.0;  // ranges that are shorter than NLOS explains
 };
 
-// That it was not in one place all the time.
+// Evidence that an anchor moved during the drive.
 struct MoveEvidence {
   std::vector<double> at_s;                              // of each move
-  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();        // the last one
-  bool is_back = false;                                  // where it was at first
-  std::optional<model::NodeId> stand_in = std::nullopt;  // an anchor whose place it had meanwhile or has now
+  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();        // the last move
+  bool is_back = false;                                  // it ended at its first place
+  std::optional<model::NodeId> stand_in = std::nullopt;  // an anchor whose place it took
 };
 
-// What is known of one anchor beside its solution.
+// Statistics of one anchor beside its solution.
 struct AnchorEvidence {
-  TagSpread spread;                       // of the antennas while they ranged to it
+  TagSpread spread;                       // of the antennas that ranged to it
   std::size_t rows = 0;                   // ranges with a pose
   double nearest_m = 0.0;                 // closest antenna
   std::optional<Rival> mirror;            // across the plane of the tags
   std::optional<Rival> side;              // across the line of the drive
-  double in_sight_share = 0.0;            // of its ranges, by the kernel
+  double in_sight_share = 0.0;            // LOS share of its ranges
   std::optional<double> held_out_z;       // held-out residuals' scale over what the fit expects
   double scale_ratio = 1.0;               // its noise over the site's median
   double count_ratio = 1.0;               // its ranges over the site's median
-  double inflation = 1.0;                 // of the score's scatter, by correlation in time
-  double flicker = 1.0;                   // scatter from one range to the next over the site's noise
+  double inflation = 1.0;                 // score_inflation(): residuals correlated in time
+  double flicker = 1.0;                   // range-to-range scatter over the site's noise
   std::optional<MoveEvidence> moved;      // during the drive
-  std::optional<Eigen::Vector3d> twin_m;  // another place that it answers from
+  std::optional<Eigen::Vector3d> twin_m;  // a second place with its id
   std::optional<SightEvidence> sight;
 };
 
-// Whether its ranges, all or nearly all, are NLOS: they are then noisier than the others' and fewer get
-// through, while the excess that they have in common passes for a bias.
+// Whether all or nearly all of its ranges are NLOS. Such ranges are noisier and fewer than those of other
+// anchors, and their common excess looks like a bias.
 [[nodiscard]] bool is_never_in_sight(const AnchorEvidence& evidence) noexcept;
 [[nodiscard]] bool is_hardly_in_sight(const AnchorEvidence& evidence) noexcept;
-// Whether more of its ranges are too long, or too short, than NLOS explains, as reflections are.
+// Whether more of its ranges are too long or too short than NLOS explains, as with reflections.
 [[nodiscard]] bool contradicts_itself(const AnchorEvidence& evidence) noexcept;
 
 // Fills verdict and advice from the anchor's covariance and the evidence.
