@@ -13,13 +13,13 @@ namespace groma::calibration {
 namespace {
 
 constexpr std::size_t kMinHeldOut = 10;
-// A solution that leaves the plane open by more than this says nothing of ranges that it has not seen: over
-// such ways spheres leave their tangents.
+// A solution with a larger horizontal sigma does not predict new ranges: over such distances its
+// linearization fails.
 constexpr double kOpenSigma_m = 0.5;
-// Residuals that neither short nor long NLOS makes.
+// Residuals beyond what short and long NLOS explain.
 constexpr double kFar_m = 1.5;
 constexpr double kShort_m = 0.3;
-// An anchor that goes so far and ends so near to another's place has its id.
+// An anchor that moves at least this far, to this close to another's place, has swapped ids with it.
 constexpr double kJump_m = 2.0;
 constexpr double kSamePlace_m = 0.5;
 
@@ -29,13 +29,13 @@ double mean_scale_m(const AnchorFit& fit) {
   return sum_m / std::max<double>(1.0, static_cast<double>(fit.kernels.size()));
 }
 
-// Those that were left out count too.
+// Includes ranges that choose_measurements() left out.
 double count_ranges(const AnchorObservations& data) {
   return static_cast<double>(data.rows.size() + data.left_out);
 }
 
-// Standard deviation of a range, from the differences of residuals that follow each other within kNext_s:
-// what blocks a range for longer is not in it. Zero where there are none.
+// Standard deviation of a range, m, from differences of consecutive residuals within kNext_s: NLOS that lasts
+// longer does not count. Zero if there are none.
 double flicker_m(std::span<const FittedRange> rows) {
   constexpr double kNext_s = 2.0;
   std::map<model::NodeId, const FittedRange*> before;
@@ -50,7 +50,7 @@ double flicker_m(std::span<const FittedRange> rows) {
   return kSigmaOfMad * median(std::move(differences_m)) / std::numbers::sqrt2;
 }
 
-// The other anchor that was, or is, where this one has been since one of its moves.
+// Another anchor whose place, at any time, this one took by one of its moves.
 std::optional<model::NodeId> find_stand_in(const Site& site, std::size_t anchor) {
   const std::vector<Eigen::Vector3d>& places_m = site.paths[anchor].places_m;
   for (std::size_t k = 1; k < places_m.size(); ++k) {
@@ -78,7 +78,7 @@ std::optional<MoveEvidence> move_evidence(const Site& site, std::size_t anchor) 
   return out;
 }
 
-// Distances, LOS and long residuals of one anchor's rows.
+// Distances, LOS share and out-of-bounds residuals of one anchor's ranges.
 void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fitted, AnchorEvidence& out) {
   double far = 0.0;
   double too_short = 0.0;
@@ -146,7 +146,7 @@ std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const mod
 
 void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted,
                             std::span<const double> inflation) {
-  // A typical anchor: medians of those that have ranges.
+  // Medians over the anchors that have ranges.
   std::vector<double> scales_m;
   std::vector<double> ranges;
   for (std::size_t i = 0; i < site.fits.size(); ++i) {

@@ -1,4 +1,4 @@
-// What the ranges of each anchor say beside its solution: the grounds of its verdict.
+// Evidence for each anchor's verdict, from its ranges at the solution.
 #pragma once
 
 #include <span>
@@ -9,15 +9,15 @@
 
 namespace groma::calibration {
 
-// The rows later than `from_s`, scored with the solution of what was before. Residuals count by what that
-// solution knows of them: of places where the robot had not been till then, not much.
+// Scores the ranges after `from_s` with the solution of those before. A residual counts relative to its
+// predicted sigma, which is large at places that the robot had not visited by then.
 [[nodiscard]] HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> rows,
                                      double from_s);
 
-// Of each row of a solution its residual and how likely it is LOS.
+// Residual and LOS probability of each range at a solution.
 [[nodiscard]] std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const model::Tag> tags);
 
-// Completes the evidence of all anchors, which holds the mirror test's by then.
+// Completes the evidence of all anchors; the mirror tests have filled in theirs already.
 void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted,
                             std::span<const double> inflation);
 

@@ -12,7 +12,7 @@
 namespace groma::calibration {
 namespace {
 
-// Ranges of one pair agree no better than this however many there are.
+// Lower limit of the sigma of a pair's mean range, however many ranges it has.
 constexpr double kLinkSigmaFloor_m = 0.01;
 constexpr int kFusingSteps = 8;
 constexpr int kLookingRounds = 3;
@@ -40,7 +40,7 @@ Eigen::MatrixXd with_position(const AnchorBelief& belief, std::size_t a, std::si
   return belief.gain[a] * belief.shared * belief.gain[b].topRows<3>().transpose();
 }
 
-// Negative log likelihood of a link whose anchors are known with these covariances.
+// Negative log likelihood of a link, given the covariances of its anchors.
 double cost_of(const AnchorLink& link, const Eigen::VectorXd& positions_m, const AnchorBelief& belief,
                const model::RangePriors& priors) {
   const Eigen::Vector3d direction = between(link, positions_m).normalized();
@@ -73,8 +73,8 @@ AnchorBelief believe(const LinkedSite& site) {
   return out;
 }
 
-// Moves anchors to their rivals' places, one or two at a time, as long as that lowers the cost of the links
-// and of the drive's ranges together.
+// Moves anchors to their mirror hypotheses, one or two at a time, as long as that lowers the cost of links
+// and drive together.
 void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
   const std::size_t anchors = site.fits.size();
   const AnchorBelief belief = believe(site);
@@ -192,7 +192,7 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
       const Eigen::Index a = position_of(link.from);
       const Eigen::Index b = position_of(link.to);
       double variance_m2 = link.variance_m2;
-      // At first a link is no outlier for where its anchors are not yet.
+      // In the first step the anchors' own spread may explain a large residual: then the link is no outlier.
       if (step == 0) {
         const Eigen::Matrix3d spread = covariance.block<3, 3>(a, a) + covariance.block<3, 3>(b, b) -
                                        covariance.block<3, 3>(a, b) - covariance.block<3, 3>(b, a);
@@ -201,7 +201,7 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
       const RobustKernel kernel(KernelShape{.scale_m = std::sqrt(variance_m2)});
       KernelValue value = kernel.at(residual_m(link, found, priors));
       if (step == 0) {
-        // The spread makes the link no weaker: the prior has it already.
+        // The spread must not weaken the link: the prior contains it already.
         value.weight *= variance_m2 / link.variance_m2;
         value.slope *= variance_m2 / link.variance_m2;
       }
@@ -220,7 +220,7 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
 
   AnchorBelief out = belief;
   if (!found.allFinite() || !after.allFinite()) return out;
-  // The links tell of the rest what the positions tell of it.
+  // The other unknowns follow from their covariance with the positions.
   const Eigen::VectorXd moved = information * (found - mean);
   const Eigen::MatrixXd gained = information * (covariance - after) * information;
   for (std::size_t a = 0; a < anchors; ++a) {

@@ -1,4 +1,4 @@
-// Ranges between anchors, joined with what the drive told of each: one problem of all positions.
+// Ranges between anchors, fused with the drive's solution: one problem of all positions.
 #pragma once
 
 #include <cstddef>
@@ -13,35 +13,36 @@
 
 namespace groma::calibration {
 
-// All ranges between two anchors, as one.
+// Mean of all ranges between two anchors.
 struct AnchorLink {
   std::size_t from = 0;  // indices of the anchors
   std::size_t to = 0;
   double range_m = 0.0;
-  double variance_m2 = 0.0;  // of the mean, with what is believed of beta and gamma of such a pair
+  double variance_m2 = 0.0;  // of the mean, including the priors of beta and gamma of such a pair
 };
 
-// Ranges that name anchors which are not among these, or an anchor twice, or are no ranges, are left out.
+// Leaves out ranges that are invalid, name an unknown anchor, or name one anchor twice.
 [[nodiscard]] std::vector<AnchorLink> gather_links(std::span<const model::AnchorRange> ranges,
                                                    std::span<const model::NodeId> anchor_ids,
                                                    const model::RangePriors& priors);
 
-// Gaussian belief in all anchors: of each its unknowns, position first; between two of them what they share
-// of the drive's error, gain_a shared gain_b^T.
+// Gaussian estimate of all anchors. Each has its unknowns, position first; two anchors are correlated by the
+// drive's error that they share: gain_a shared gain_b^T.
 struct AnchorBelief {
   std::vector<AnchorVector> mean;
-  std::vector<Eigen::MatrixXd> covariance;  // of each alone, the shared part included
+  std::vector<Eigen::MatrixXd> covariance;  // of each anchor, shared part included
   std::vector<Eigen::MatrixXd> gain;        // empty: nothing shared
   Eigen::MatrixXd shared;                   // covariance
 };
 
-// The belief after the links, which bend with the anchors' places and may be blocked: linearized at the
-// result. Dense in the positions, 3 an anchor; the rest follows by regression.
+// The estimate after the links, robust against NLOS links and linearized at the result. Dense in the
+// positions, 3 per anchor; the other unknowns follow by regression.
 [[nodiscard]] AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> links,
                                       const model::RangePriors& priors);
 
-// Joins the links to the drive's solutions: picks the side of each anchor, fuses, and linearizes the drive's
-// ranges again from there. Moves the fits; their evidence and their rivals across the tags' plane follow.
+// Fuses the links with the drive's solutions: picks the side of each anchor, fuses, and linearizes the
+// drive's ranges again from there. Moves the fits; updates their evidence and their mirror hypotheses across
+// the tags' plane.
 struct LinkedSite {
   std::span<AnchorFit> fits;
   std::span<const double> inflation;

@@ -7,9 +7,9 @@ namespace {
 
 constexpr double kFirstDamping = 1e-4;
 constexpr double kMaxDamping = 1e10;
-// Less than this hardly changes a step.
+// Smaller damping hardly changes a step.
 constexpr double kFeltDamping = 0.1;
-// A step this small in every parameter, as a share of its own sigma, ends the search.
+// Converged if no parameter changes by more than this share of its sigma.
 constexpr double kConvergedSigmas = 2e-2;
 
 using model::square;
@@ -31,7 +31,7 @@ double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
   return cost;
 }
 
-// A step's length in units of the information: a bound on every parameter's share of its sigma.
+// Length of a step in the metric of the information: bounds every parameter's step over its sigma.
 double length_in_sigmas(const NormalEquations& equations, const Eigen::VectorXd& step) {
   double sum = 0.0;
   for (Eigen::Index column = 0; column < step.size(); ++column) {
@@ -49,7 +49,7 @@ class Linearizer {
         columns_(problem.rows, problem.tag_count),
         prior_(information_of_priors(problem)) {}
 
-  // The result's memory is used again.
+  // Reuses the memory of `out`.
   void linearize(const AnchorVector& anchor, NormalEquations& out) const {
     out.gradient.setZero(anchor.size());
     out.information.setZero(anchor.size(), anchor.size());
@@ -70,8 +70,8 @@ class Linearizer {
   void add_rows(std::size_t tag, const AnchorVector& anchor, CostSum& cost, NormalEquations& out) const {
     const double beta_m = anchor(beta_index(tag));
     const double gamma = anchor(gamma_index(tag, problem_.tag_count));
-    // Sums over the rows of weight x x^T, its lower triangle, and of slope x, with x = (direction, 1,
-    // distance): the derivative of a range but for gamma and its sign.
+    // Sums over the ranges of weight x x^T (lower triangle) and of slope x, with x = (direction, 1,
+    // distance): the derivative of eq. (12) except for gamma and sign.
     PairBlock square = PairBlock::Zero();
     PairRow slope = PairRow::Zero();
     for (Eigen::Index block = 0; block < columns_.blocks(tag); ++block) {
@@ -108,7 +108,7 @@ class Linearizer {
     }
   }
 
-  // The values of one block of rows; the parts behind walls are added to the equations.
+  // Kernel values of one block; adds its long NLOS parts to the equations.
   [[nodiscard]] KernelLanes value_at(std::size_t tag, Eigen::Index block, double gamma,
                                      const std::array<Lanes, 5>& x, const Lanes& residual_m,
                                      const AnchorVector& anchor, NormalEquations& out) const {
@@ -172,9 +172,9 @@ class Linearizer {
   Eigen::MatrixXd prior_;
 };
 
-// Solves the damped equations; false where the information, so damped, is not positive. Cholesky in place: of
-// so few unknowns, a library's set-up takes longer than the solution. `factor`: memory for the lower
-// triangle, its diagonal inverted.
+// Solves the damped equations; false if the damped information is not positive definite. Cholesky in place:
+// for so few unknowns a library's setup takes longer than the solution. `factor`: memory for the lower
+// triangle, with its diagonal inverted.
 bool solve_damped(const NormalEquations& equations, double damping, Eigen::MatrixXd& factor,
                   Eigen::VectorXd& step) {
   const Eigen::Index size = equations.gradient.size();
@@ -250,7 +250,7 @@ AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const Robust
     }
     candidate = out.anchor + step;
     if (length_in_sigmas(here, step) < kConvergedSigmas) {
-      // The information's parabola lies above the cost: so short a step needs no look.
+      // The quadratic model bounds the cost from above: so short a step needs no check.
       out.anchor = candidate;
       out.cost += 0.5 * here.gradient.dot(step);
       break;

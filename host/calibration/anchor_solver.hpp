@@ -1,4 +1,4 @@
-// Position and pair biases of one anchor from its ranges: robust non-linear least squares.
+// Position and pair biases of one anchor from its ranges: robust non-linear least squares on eq. (12).
 #pragma once
 
 #include <algorithm>
@@ -21,31 +21,31 @@ namespace groma::calibration {
 
 inline constexpr std::int32_t kNoEpisode = -1;
 
-// Prior probability of one row's state (LOS, short NLOS, long NLOS), from all but its own residual.
+// Prior probability of one range's state (LOS, short NLOS, long NLOS), from all data except its own residual.
 struct RowSight {
   float in_sight = 1.0F;
   float wall = 0.0F;
-  // Of the rest, density of the row as it is, 1/m: short NLOS says nothing of where the anchor is, so it does
-  // not change with the residual.
+  // Density of the range in the other states times their probability, 1/m. Short NLOS says nothing about the
+  // anchor's position: constant in the residual.
   float other_density = 0.0F;
-  std::int32_t episode = kNoEpisode;  // of the anchor's stays behind a wall
+  std::int32_t episode = kNoEpisode;  // index of the anchor's long NLOS episode
 };
 
-// Prior of the excess of long NLOS: a part that all ranges have in common, and one of each episode.
+// Prior of the excess of long NLOS: a part common to all ranges, and one per episode.
 struct WallPrior {
   double mean_m = 0.4;
   double sigma_m = 0.2;
   double episode_sigma_m = 0.2;
 };
 
-// All rows of an anchor. Where some are behind walls, the common part of the excess and those of the episodes
+// NLOS states of all ranges of an anchor. If some are long NLOS, the common excess and those of the episodes
 // are unknowns too.
 struct AnchorSight {
   std::vector<RowSight> rows;  // by Observation::index
-  bool behind_wall = false;    // in some of them
+  bool behind_wall = false;    // some ranges are long NLOS
   std::size_t episodes = 0;
   WallPrior prior;
-  RobustKernel wall;  // of what is left of a residual behind a wall
+  RobustKernel wall;  // of a long NLOS residual without its excess
 
   // Unknowns beside position, beta and gamma.
   [[nodiscard]] Eigen::Index extra_unknowns() const noexcept {
@@ -53,8 +53,8 @@ struct AnchorSight {
   }
 };
 
-// The unknowns of one anchor: position, then beta of each tag, then gamma of each tag: 3 + 2T; then the
-// excess that all walls have in common and that of each episode, as AnchorSight has it.
+// Unknowns of one anchor: position (m, map), beta of each tag (m), gamma of each tag: 3 + 2T. With long NLOS,
+// then the common excess and that of each episode (m), as in AnchorSight.
 using AnchorVector = Eigen::VectorXd;
 
 [[nodiscard]] inline Eigen::Index beta_index(std::size_t tag) noexcept {
@@ -78,7 +78,7 @@ using AnchorVector = Eigen::VectorXd;
 struct PositionPrior {
   Eigen::Vector3d mean_m = Eigen::Vector3d::Zero();
   Eigen::Matrix3d information = Eigen::Matrix3d::Zero();  // 1/m^2
-  bool surveyed = false;                                  // held fixed: biases alone are estimated
+  bool surveyed = false;                                  // held fixed: only biases are estimated
 };
 
 struct AnchorProblem {
@@ -86,14 +86,14 @@ struct AnchorProblem {
   std::size_t tag_count = 0;
   model::RangePriors priors;
   PositionPrior position;
-  const AnchorSight* sight = nullptr;  // none: every row is taken as the kernels take it
+  const AnchorSight* sight = nullptr;  // none: no NLOS states beyond the kernels'
 };
 
-// One anchor's solution, with what made it.
+// One anchor's solution with its problem and kernels.
 struct AnchorFit {
   AnchorProblem problem = {};  // its rows belong to the association
   AnchorVector anchor;
-  std::vector<RobustKernel> kernels = {};  // one a tag
+  std::vector<RobustKernel> kernels = {};  // one per tag
   double cost = 0.0;
 };
 
@@ -108,7 +108,7 @@ struct AnchorFit {
   return row.range_m - predict(row, anchor, tag_count).range_m;
 }
 
-// Variance of a range by the pose's own error: J C J^T with C that of the antenna, m^2; zero where the poses
+// Variance of a range due to the pose's own error: J C J^T with C that of the antenna, m^2; zero if the poses
 // have no covariance.
 [[nodiscard]] inline double pose_variance_m2(const Observation& row, const AnchorVector& anchor,
                                              std::size_t tag_count) noexcept {
@@ -121,13 +121,13 @@ struct AnchorFit {
       j.x() * j.x() * spread_m2(0) + 2.0 * j.x() * j.y() * spread_m2(1) + j.y() * j.y() * spread_m2(2);
   return std::max(0.0, variance_m2);
 }
-// The kernel's scale over the standard deviation of kernel and pose together.
+// Scale of the kernel over the standard deviation of kernel and pose together.
 [[nodiscard]] inline double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept {
   if (!(pose_variance_m2 > 0.0)) return 1.0;
   const double scale_m = kernel.shape().scale_m;
   return scale_m / std::sqrt(scale_m * scale_m + pose_variance_m2);
 }
-// The kernel with its scale over that share.
+// Value of the kernel with its scale divided by `share`.
 [[nodiscard]] inline KernelValue stretched(const RobustKernel& kernel, double share,
                                            double residual_m) noexcept {
   KernelValue out = kernel.at(share * residual_m);
@@ -137,15 +137,15 @@ struct AnchorFit {
   return out;
 }
 
-// What walls add to this row at the solution.
+// Excess of this range if it is long NLOS, m.
 [[nodiscard]] inline double wall_excess_m(const RowSight& sight, const AnchorVector& anchor,
                                           std::size_t tag_count) noexcept {
   const double common_m = anchor(wall_index(tag_count));
   return sight.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(sight.episode, tag_count));
 }
 
-// One row at one solution: the density of the whole, slope and weight of its part in LOS, and those of its
-// part behind a wall.
+// One range at one solution: `seen` has the density of the whole mixture and slope and weight of its LOS
+// part; wall_slope and wall_weight are of its long NLOS part.
 struct RowValue {
   KernelValue seen;
   double seen_share = 1.0;   // posterior
@@ -186,14 +186,14 @@ inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexce
   }
 }
 
-// One row at a fit's solution.
+// One range at a fit's solution.
 struct RowAt {
   model::AntennaPrediction predicted;
   double residual_m = 0.0;
   double gamma = 1.0;
   double noise_share = 1.0;
   RowValue value = {};
-  PairRow j = PairRow::Zero();  // derivative of the predicted range by position, beta and gamma of its pair
+  PairRow j = PairRow::Zero();  // derivative of eq. (12) by position, beta and gamma of its pair
 };
 [[nodiscard]] inline RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
   const std::size_t tags = fit.problem.tag_count;
@@ -209,7 +209,7 @@ struct RowAt {
   return out;
 }
 
-// Derivative of a range behind a wall: also by the two parts of its excess.
+// Derivative of a long NLOS range: also by the two parts of its excess.
 struct WallRow {
   Eigen::Matrix<double, 7, 1> derivative;
   std::array<Eigen::Index, 7> index{};  // of the anchor's unknowns
@@ -238,8 +238,8 @@ struct WallRow {
   [[nodiscard]] double by(std::size_t i) const noexcept { return derivative(static_cast<Eigen::Index>(i)); }
 };
 
-// A copy of an anchor's rows as inner loops read them: tag by tag in blocks of kLanes, column by column. The
-// last block of a tag is filled up with ranges that are no number: they have no weight.
+// An anchor's observations as inner loops read them: tag by tag in blocks of kLanes, column by column. The
+// last block of a tag is padded with NaN ranges, which have no weight.
 class RowColumns {
  public:
   static constexpr Eigen::Index kAntenna = 0;  // x, y, z, m
@@ -276,7 +276,7 @@ class RowColumns {
   [[nodiscard]] auto at(std::size_t tag, Eigen::Index block, Eigen::Index column) const noexcept {
     return columns_.col(column).segment<kLanes>(tags_[tag].first + block * kLanes);
   }
-  // Whether some row has a spread.
+  // Whether any pose has a covariance.
   [[nodiscard]] bool has_spread() const noexcept { return has_spread_; }
   // Observation::index
   [[nodiscard]] std::uint32_t index(std::size_t tag, Eigen::Index block, Eigen::Index lane) const noexcept {
@@ -298,8 +298,9 @@ class RowColumns {
 // Information of all priors, for all of the anchor's unknowns.
 [[nodiscard]] Eigen::MatrixXd information_of_priors(const AnchorProblem& problem);
 
-// Quadratic model of the robust cost at one point: cost, gradient, and the information with each row's
-// weight, priors included, nothing damped. A surveyed position has no gradient and is tied to nothing.
+// Quadratic model of the robust cost at one point: cost, gradient and information with each range's weight;
+// priors included, no damping. A surveyed position has zero gradient and no information in common with the
+// biases.
 struct NormalEquations {
   double cost = 0.0;
   Eigen::VectorXd gradient;
@@ -311,15 +312,15 @@ struct NormalEquations {
 struct AnchorSolution {
   AnchorVector anchor;
   double cost = 0.0;
-  double moved_sigmas = 0.0;  // from the start: the length in the metric of the information
+  double moved_sigmas = 0.0;  // length of the way from the start, in the metric of the information
 };
 
-// Levenberg-Marquardt from a start, with one kernel a tag. The result is never worse than the start and
+// Levenberg-Marquardt from a start, with one kernel per tag. The result is never worse than the start and
 // always finite.
 [[nodiscard]] AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                                           const AnchorVector& start, int max_iterations);
 
-// Biases at the means of their priors.
+// The position given, biases at their prior means.
 [[nodiscard]] AnchorVector anchor_at(const Eigen::Vector3d& position_m, std::size_t tag_count,
                                      const model::RangePriors& priors);
 

@@ -14,7 +14,7 @@
 namespace groma::calibration {
 namespace {
 
-// A two-way range beyond this is a wrapped stamp, not a distance.
+// A longer two-way range is a wrapped timestamp, not a distance.
 constexpr double kMaxRange_m = 1000.0;
 constexpr double kMaxPoseGap_s = 0.3;
 
@@ -43,16 +43,16 @@ double blend_angle(double from_rad, double to_rad, double fraction) noexcept {
   return from_rad + fraction * model::wrap_angle(to_rad - from_rad);
 }
 
-// The robot between two neighbouring samples: pose at the range's instant and the motion across the gap.
+// The robot between two neighbouring samples: pose at the range's instant, motion over the interval.
 struct Motion {
   model::RigidPose pose;
-  Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // the pose's
+  Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // of `pose`
   Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();
   double yaw_rate_radps = 0.0;
   std::optional<Eigen::Matrix3d> covariance;  // of the pose's x, y and yaw
 };
 
-// Of x and y of an antenna, as Observation has it: M C M^T with M = [I, yaw_arm].
+// Covariance of an antenna's x and y, as in Observation: M C M^T with M = [I, yaw_arm].
 Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::Vector2d& yaw_arm_m) noexcept {
   Eigen::Matrix<double, 2, 3> by_pose;
   by_pose << Eigen::Matrix2d::Identity(), yaw_arm_m;
@@ -60,13 +60,13 @@ Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::V
   return Eigen::Vector3d(spread(0, 0), spread(0, 1), spread(1, 1)).cast<float>();
 }
 
-// Walks along the poses as ranges come in time; a step back costs what it has to.
+// Steps along the poses with the ranges' times; steps back are allowed but cost time.
 class PoseCursor {
  public:
   PoseCursor(std::vector<model::PoseSample> poses, const model::Surface& surface, HeightSource height)
       : poses_(std::move(poses)), surface_(surface), height_(height) {}
 
-  // Nothing outside the poses or within a longer gap of them. The result holds until the next call.
+  // None outside the poses or in a gap longer than kMaxPoseGap_s. The result is valid until the next call.
   [[nodiscard]] const Motion* at(double t_s) {
     if (t_s == last_t_s_) return found_ ? &motion_ : nullptr;
     last_t_s_ = t_s;

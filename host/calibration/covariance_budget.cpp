@@ -17,29 +17,29 @@ namespace {
 
 using model::square;
 
-// The jackknife is asked where the score scatters so many times more than independent residuals make it.
+// The jackknife is computed where the score's scatter is this many times that of independent residuals.
 constexpr double kCorrelatedInflation = 1.5;
-// An anchor is not further off than so many times its nearest range.
+// Sigma of the reach: this many times the distance to the nearest antenna.
 constexpr double kReachFactor = 2.0;
 // NLOS ranges that pass for LOS move the position by kMisjudged_m times the share of NLOS ranges, by
 // kMostMisjudged_m at most; a beta by a share of that. From seeds 1 to 20 of the demonstration: with 0.12 m
-// the NEES of the anchors in sight is 1.0.
+// the NEES of anchors in LOS is 1.0.
 constexpr double kMisjudged_m = 0.12;
 constexpr double kMostMisjudged_m = 0.012;
 constexpr double kMisjudgedBeta = 0.4;
-// Of ranges that contradict each other.
+// Sigma for ranges that contradict each other.
 constexpr double kTornSigma_m = 0.3;
-// Excess that walls between an anchor and all of a drive share, and how it differs from place to place: where
-// nothing is known of the walls, and where their excess was estimated.
+// Excess of an anchor that is NLOS from all of a drive: its common part and its variation from place to
+// place, without NLOS states (first two) and with an estimated excess (last two).
 constexpr double kWallSigma_m = 0.5;
 constexpr double kWallVariation_m = 0.25;
 constexpr double kWallDiffers_m = 0.15;
 constexpr double kWallPlaces_m = 0.10;
-// Square sigmas between the heights by the drive's beginning and by all of it: chi square with one degree of
-// freedom, 99.9 %.
+// Squared Mahalanobis distance of the heights by the drive's first part and by all of it: chi square with one
+// degree of freedom, 99.9 %.
 constexpr double kHeightChiSquare = 10.8;
 
-// What the terms of one anchor are made from.
+// Inputs to the terms of one anchor.
 struct Anchor {
   const Site& site;
   std::size_t index;
@@ -61,7 +61,7 @@ struct Anchor {
 // Empty where the term does not apply.
 using Adds = Eigen::MatrixXd;
 
-// A bias of all betas at once, of this sigma, and what follows of it for the rest.
+// A bias common to all betas, of this sigma, and the response of the other unknowns.
 Adds common_bias(const Anchor& anchor, double sigma_m) {
   if (anchor.tags == 0) return {};
   const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.so_far.block(3, 3, anchor.tags, anchor.tags));
@@ -75,7 +75,7 @@ Adds place_to_place(const Anchor& anchor, double sigma_m) {
   return anchor.of_position(square(sigma_m) * Eigen::Matrix3d::Identity());
 }
 
-// Which part of the drive the anchor was solved from.
+// Scatter by the part of the drive that the anchor is solved from.
 Adds parts_of_drive(const Anchor& anchor) {
   if (!anchor.site.has_sight() && anchor.known.inflation <= kCorrelatedInflation) return {};
   const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(anchor.fit);
@@ -86,9 +86,9 @@ Adds parts_of_drive(const Anchor& anchor) {
                              anchor_covariance(evidence, anchor.known.inflation).topLeftCorner(size, size));
 }
 
-// Negative. Where ranges leave a direction open, as z of an anchor at the tags' own height, the covariance
-// has no bound; but no anchor is further off than its ranges are long. As one more observation of where it
-// is.
+// Negative. Where ranges leave a direction open, such as z of an anchor at the tags' height, the covariance
+// is unbounded, yet the anchor is within reach of its ranges. That acts as one more observation of its
+// position.
 Adds reach(const Anchor& anchor) {
   if (model::is_ablated(model::Mechanism::kCalibrationReach)) return {};
   if (anchor.fit.problem.rows.empty() || anchor.surveyed()) return {};
@@ -123,7 +123,7 @@ Adds contradiction_by_place(const Anchor& anchor) {
   return is_contradiction(anchor) ? place_to_place(anchor, kTornSigma_m) : Adds();
 }
 
-// Whether all or nearly all ranges come through walls.
+// Whether all or nearly all ranges are NLOS.
 bool is_behind_walls(const Anchor& anchor) {
   return anchor.tags > 0 && (is_never_in_sight(anchor.known) || is_hardly_in_sight(anchor.known)) &&
          !model::is_ablated(model::Mechanism::kCalibrationBlocking);
@@ -133,7 +133,7 @@ Adds walls(const Anchor& anchor) {
   if (!is_behind_walls(anchor)) return {};
   const std::optional<SightEvidence>& sight = anchor.known.sight;
   if (!sight) return common_bias(anchor, kWallSigma_m);
-  // What its own walls add is in the covariance already, unless they passed for shadows.
+  // The excess of its long NLOS is in the covariance already, unless that passed for short NLOS.
   return common_bias(anchor, kWallDiffers_m + sight->wall_excess_m * sight->polls(kShadow));
 }
 
@@ -152,14 +152,14 @@ Adds across_line(const Anchor& anchor) {
   return anchor.of_position(rival_spread(*anchor.known.side, anchor.fit, anchor.known.inflation));
 }
 
-// Whether the one is about as far below the tags as the other is above: the mirror test decides then.
+// Whether one height is about as far below the tags as the other is above: then the mirror test decides.
 bool is_mirrored(const AnchorFit& first, const AnchorFit& whole, const TagSpread& spread) {
   const double mirrored_m = 2.0 * spread.center_m.z() - whole.anchor(2);
   return std::abs(first.anchor(2) - mirrored_m) < 0.5 * std::abs(mirrored_m - whole.anchor(2));
 }
 
-// The first part of the drive by itself gave another height than all of it: where they contradict each other,
-// either may be as wrong as they are apart.
+// The first part of the drive alone gave another height than all of it. If they contradict each other, either
+// may be wrong by their difference.
 Adds height_of_beginning(const Anchor& anchor) {
   if (model::is_ablated(model::Mechanism::kCalibrationShift)) return {};
   const AnchorFit& first = anchor.site.beginning[anchor.index];
@@ -175,7 +175,7 @@ Adds height_of_beginning(const Anchor& anchor) {
   return anchor.of_position(Eigen::Vector3d(0.0, 0.0, square(shift_m)).asDiagonal());
 }
 
-// What all anchors have in common and no range can tell.
+// Error that all anchors share and no range observes.
 Adds frame(const Anchor& anchor) {
   const Eigen::Matrix<double, 3, 4> by_frame = model::place_by_frame(anchor.fit.anchor.head<3>());
   const Eigen::Matrix3d shared = by_frame * anchor.site.error.unseen_frame_covariance * by_frame.transpose();
@@ -186,7 +186,7 @@ struct Rule {
   const char* name;
   Adds (*adds)(const Anchor& anchor);
 };
-// In this order: reach, walls and heights depend on the sum of those before.
+// The order matters: reach, walls and heights depend on the sum of the terms before.
 constexpr std::array kRules{
     Rule{"parts of the drive (jackknife)", parts_of_drive},
     Rule{"reach of the ranges", reach},

@@ -1,4 +1,4 @@
-// Why an anchor may be further off than its ranges say: all that its covariance is made of, term by term.
+// Covariance budget of an anchor: all terms of its covariance, with errors that its ranges do not show.
 #pragma once
 
 #include <cstddef>
@@ -16,8 +16,8 @@ struct BudgetTerm {
   Eigen::MatrixXd adds;
 };
 
-// Of one anchor; the sum of all terms is its covariance. The first is `solved`, the covariance by ranges,
-// drive error and links, without the excess of walls. A term that does not apply is left out.
+// Terms of one anchor; their sum is its covariance. The first is `solved`, the covariance by ranges, drive
+// error and links, without the NLOS excesses. A term that does not apply is left out.
 [[nodiscard]] std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t anchor,
                                                         const Eigen::MatrixXd& solved);
 [[nodiscard]] Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget);

@@ -36,7 +36,7 @@ std::vector<const Observation*> sample(std::span<const Observation> rows, std::s
   return out;
 }
 
-// Points on the spheres of ranges taken far apart on the drive: one of them is near the anchor.
+// Points on the spheres of a few ranges taken far apart on the drive: one of them is near the anchor.
 std::vector<Start> sphere_points(const AnchorProblem& problem) {
   std::vector<Start> out;
   for (const Observation* row : sample(problem.rows, kReferences)) {
@@ -55,7 +55,7 @@ std::vector<Start> sphere_points(const AnchorProblem& problem) {
   return out;
 }
 
-// So wide that neither the biases nor a coarse grid of starts hide the valley.
+// Wide enough that neither the biases nor the coarse grid of starts hide the basin.
 double valley_width_m(const AnchorProblem& problem) {
   const std::vector<const Observation*> rows = sample(problem.rows, kScoredRows);
   double mean_range_m = 0.0;
@@ -66,17 +66,17 @@ double valley_width_m(const AnchorProblem& problem) {
 
 constexpr std::size_t kRowsPerTag = 40;
 constexpr int kIterations = 6;
-// An excess of the few rows' below this is looked at again with all rows.
+// If the excess with few ranges is below this, the test is repeated with all ranges.
 constexpr double kCloseExcess = 10.0;
-// A fit that moved by more than this is compared again with all rows.
+// If the fit moved by more than this, the test is repeated with all ranges.
 constexpr double kRefitMove_m = 0.3;
-// At most, of a place that is not the earlier one: anchors do get moved.
+// Largest cost of being away from the earlier place: anchors do get moved.
 constexpr double kMovedCost = 10.0;
-// Starts this close to each other are in one valley.
+// Starts this close to each other are in one basin.
 constexpr double kSameRival_m = 0.1;
 // Heights over the tags' plane to try, as shares of the distance to the nearest antenna.
 constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
-// Holds the anchor at a distance from the tags while the rest of it is solved.
+// Holds the anchor at a distance from the tags while the other unknowns are solved.
 constexpr double kHoldSigma_m = 0.01;
 
 double height_above(const TagSpread& spread, int axis, const AnchorVector& anchor) {
@@ -84,12 +84,12 @@ double height_above(const TagSpread& spread, int axis, const AnchorVector& ancho
 }
 
 struct Contest {
-  AnchorSolution here;   // the best of all
-  AnchorSolution there;  // the best on its other side
+  AnchorSolution here;   // the best solution
+  AnchorSolution there;  // the best solution on its other side
 };
 
-// Where the other side, and a further valley on either, may be: the mirror point, and across a plane also
-// places well above and below it. Between two valleys the cost is flat and a solver comes to rest.
+// Starts on the other side, and in another basin on either side: the mirror point and, across the plane, also
+// points well above and below it. Between two basins the cost is flat and a solver stops.
 std::vector<AnchorVector> starts_around(const AnchorProblem& problem, const AnchorVector& anchor,
                                         const TagSpread& spread, int axis) {
   const Eigen::Vector3d normal = spread.axes.col(axis);
@@ -138,7 +138,7 @@ Contest contest(const AnchorProblem& problem, std::span<const RobustKernel> kern
     out.there = *std::min_element(found.begin(), found.end(), cheaper);
     return out;
   }
-  // No valley over there: the cost at the mirrored distance from the tags has to speak for it.
+  // No minimum on the other side: use the cost at the mirrored distance from the tags.
   AnchorVector mirrored = out.here.anchor;
   mirrored.head<3>() = spread.mirror(out.here.anchor.head<3>(), axis);
   const Eigen::Vector3d normal = spread.axes.col(axis);
@@ -155,21 +155,21 @@ constexpr int kLearningSteps = 2;
 constexpr int kSolvingSteps = 2;
 constexpr int kFirstRounds = 2;
 constexpr int kWarmRounds = 1;
-// So many residuals it takes to move a kernel half-way from what it inherits: the site's from the data
-// set's noise, an anchor's from the site's, a pair's from its anchor's.
+// Number of residuals that move a kernel half-way from its prior. The site's prior is the data set's noise,
+// an anchor's is the site's kernel, a pair's is its anchor's kernel.
 constexpr double kSiteWeight = 20.0;
-// Shares want far more than scales before they are a pair's own: few ranges are blocked.
+// Shares need far more residuals than scales do: few ranges are NLOS.
 constexpr double kAnchorScaleWeight = 50.0;
 constexpr double kAnchorShareWeight = 500.0;
 constexpr double kPairScaleWeight = 100.0;
 constexpr double kPairShareWeight = 1000.0;
-// An anchor rests that a round moves by less than this, in sigmas.
+// An anchor has converged if a round moves it by less than this, in sigmas.
 constexpr double kRestingSigmas = 0.1;
-// By so much do rows that a solution did not see cost more than those it did, each, if they contradict it: a
-// third of them, or fewer that are far off.
+// Later ranges contradict an earlier solution if they cost more than its own by this each: a third of them
+// are off, or fewer by far.
 constexpr double kContradictionCost = 1.0;
 constexpr int kStartingSteps = 6;
-// Far outside any site: only keeps an anchor finite where ranges leave it open.
+// Wider than any site: only keeps an anchor finite where the ranges leave it open.
 constexpr double kUnknownSigma_m = 300.0;
 constexpr double kKnownAnchorSigma_m = 0.02;
 
@@ -189,17 +189,17 @@ PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& 
   return prior;
 }
 
-// Residuals of each tag, as far as they are in sight: every n-th row.
+// Every n-th residual of each tag, weighted by its probability of LOS.
 std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
   std::vector<std::vector<WeighedResidual>> out(tags);
-  // Counted pair by pair: a stride over all rows would see but some of the tags where they take turns.
+  // Counted per tag: where tags take turns, a stride over all observations would see only some of them.
   const std::size_t stride = 1 + fit.problem.rows.size() / (tags * kPairResiduals + 1);
   std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
     const double r = residual_m(row, fit.anchor, tags);
-    // The more a range is blurred by its pose, the less it says of the kernel's variance.
+    // The larger the pose's part of a residual, the less it shows of the kernel's variance.
     const double share = noise_share(fit.kernels[row.tag], pose_variance_m2(row, fit.anchor, tags));
     double weight = share * share * share * share;
     if (fit.problem.sight != nullptr) weight *= row_at(fit, row).value.seen_share;
@@ -208,7 +208,7 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   return out;
 }
 
-// Site, anchor, pair: each kernel leans on the one above.
+// Hierarchical: the site's kernel is the prior of the anchors', an anchor's that of its pairs'.
 void learn_kernels(std::span<AnchorFit> fits) {
   if (fits.empty()) return;
   std::vector<std::vector<std::vector<WeighedResidual>>> residuals;
@@ -245,8 +245,8 @@ void learn_kernels(std::span<AnchorFit> fits) {
   }
 }
 
-// Whether rows that the earlier solution did not see contradict it, as where the robot had hardly moved till
-// then.
+// Whether ranges after those of the earlier solution contradict it, as happens if the robot had hardly moved
+// by then.
 bool is_contradicted(const AnchorFit& earlier, std::span<const Observation> rows) {
   const std::size_t seen = earlier.problem.rows.size();
   if (rows.size() == seen || model::is_ablated(model::Mechanism::kCalibrationContradict)) return false;
@@ -273,11 +273,11 @@ std::vector<Observation> spread_along_the_way(std::span<const Observation> rows,
     std::size_t rows = 0;
     double length_m = 0.0;
     const Observation* last = nullptr;
-    double walked_m = 0.0;  // and how much of it is spent by the rows taken
+    double walked_m = 0.0;  // so far; spent_m of it by the observations taken
     double spent_m = 0.0;
   };
   std::vector<Way> ways(tag_count);
-  // A millimetre for each row, so that a stationary robot has a way too.
+  // Adds a millimetre per observation, so that a stationary robot has a path too.
   const auto step_to = [](const Observation& row, Way& way) {
     const Observation* last = std::exchange(way.last, &row);
     return 1e-3 + (last != nullptr ? (row.tag_m - last->tag_m).norm() : 0.0);
@@ -322,7 +322,7 @@ TagSpread tag_spread(std::span<const Observation> rows) {
 
 AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start) {
   AnchorFit out{.problem = problem, .anchor = start};
-  // The scale falls from the valley's width to what the residuals show: the basin is wide at first.
+  // The scale shrinks from the basin's width to that of the residuals: the basin is wide at first.
   KernelShape shape = KernelShape{.scale_m = valley_width_m(problem)}.with_blocked(0.1);
   std::vector<WeighedResidual> residuals(problem.rows.size());
   for (int round = 0; round < kSearchRounds; ++round) {
@@ -347,7 +347,7 @@ AnchorFit search(const AnchorProblem& problem) {
   const double width_m = valley_width_m(problem);
 
   std::vector<Start> starts = sphere_points(problem);
-  // Before the biases are known all tags are as one.
+  // All tags count as one until the biases are known.
   std::vector<Observation> of_one_tag;
   for (const Observation* row : sample(problem.rows, kScoredRows)) of_one_tag.emplace_back(*row).tag = 0;
   const RowColumns columns(of_one_tag, 1);
@@ -393,7 +393,7 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kRefitMove_m;
   if (moved || (result.there.cost - result.here.cost) * scale < kCloseExcess) {
     std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor, fit.anchor};
-    // The few rows may have but one valley, between the two that all of them have.
+    // The few ranges may have a single basin between the two that all ranges have.
     starts.back().head<3>() = spread.mirror(fit.anchor.head<3>(), axis);
     drop_doubles(fit.anchor, starts);
     result = contest(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);

@@ -1,5 +1,5 @@
-// All anchors of a drive: each searched for and solved by itself, with kernels estimated from all of them;
-// and the mirror sides of each.
+// Solves all anchors of a drive, each by itself but with kernels estimated from all of them, and tests the
+// mirror positions of each.
 #pragma once
 
 #include <cstddef>
@@ -16,84 +16,85 @@
 
 namespace groma::calibration {
 
-// At most max_rows_per_tag of each tag's rows, spread evenly along the way that the tag went: a long stop
-// counts no more than a short one.
+// At most max_rows_per_tag observations of each tag, spread evenly along the tag's path: a long stop counts
+// no more than a short one.
 [[nodiscard]] std::vector<Observation> spread_along_the_way(std::span<const Observation> rows,
                                                             std::size_t tag_count,
                                                             std::size_t max_rows_per_tag);
 
-// Axes of TagSpread to mirror along.
+// Axes of TagSpread to mirror along: across the line of the drive, across the plane of the tags.
 inline constexpr int kAcrossLine = 1;
 inline constexpr int kAcrossPlane = 2;
 
-// The principal frame of the antennas' positions.
+// Principal axes of the antennas' positions, map frame.
 struct TagSpread {
   Eigen::Vector3d center_m = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();  // columns: most spread first
+  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();  // columns: largest spread first
 
-  // The point on the other side of the tags along one axis, 0..2.
+  // Mirror image of a point along one axis, 0..2.
   [[nodiscard]] Eigen::Vector3d mirror(const Eigen::Vector3d& point_m, int axis) const noexcept;
 };
 [[nodiscard]] TagSpread tag_spread(std::span<const Observation> rows);
 
-// The solution that lies in the same wide valley as the start, with kernels from its own residuals: nothing
-// of it depends on a first guess of the noise. The cost is a negative log likelihood: comparable between
-// kernels.
+// The solution in the basin of the start, with kernels estimated from its own residuals: it does not depend
+// on a first guess of the noise. The cost is a negative log likelihood, so costs with different kernels are
+// comparable.
 [[nodiscard]] AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start);
 
-// The best solution that the search finds, as descend() has it. The rows should be few and spread out.
+// Search without a start: the best of several descend() solutions. The observations should be few and spread
+// out.
 [[nodiscard]] AnchorFit search(const AnchorProblem& problem);
 
-// The best solution on the other side.
+// Mirror hypothesis: the best solution on the other side.
 struct Rival {
   AnchorVector anchor;
-  double cost_excess = 0.0;  // negative log likelihood over the solution's, as of independent residuals; >= 0
-  double cost_ratio = 1.0;   // the solution's cost over its, 0..1; a cost counts from that of perfect ranges
+  double cost_excess = 0.0;  // negative log likelihood above the solution's, for independent residuals; >= 0
+  double cost_ratio = 1.0;   // the solution's cost over this one's, 0..1, above those of perfect ranges
 };
 
-// Looks for the other side along one axis; where it explains the ranges better, the fit moves there and its
-// former place is the rival. The fit must have rows.
+// Tests the mirror hypothesis along one axis. If it explains the ranges better, the fit moves there and its
+// former place becomes the mirror hypothesis. The fit must have ranges.
 [[nodiscard]] Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis);
 
-// Across the line and across the plane of the tags; the rivals themselves are not of interest.
+// Tests across the line and across the plane of the tags, only for what they do to the fit.
 void challenge_both(AnchorFit& fit);
 
-// Where an anchor was by an earlier calibration.
+// An anchor's position in an earlier calibration.
 struct EarlierPlace {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d covariance_m2 = Eigen::Matrix3d::Identity();  // that of the drives' frames included
+  Eigen::Matrix3d covariance_m2 = Eigen::Matrix3d::Identity();  // includes the drives' frames
 };
-// Lets the earlier place decide between both sides, as far as an anchor that may have been moved allows: the
-// excess becomes that of ranges and place together, over `inflation` independent; below zero both change
-// parts.
+// Adds the cost of the earlier position to the hypothesis' excess; it is limited, because the anchor may have
+// been moved, and multiplied by `inflation`, because the excess is for independent residuals. If the excess
+// becomes negative, fit and hypothesis swap places.
 void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival);
 
-// The spread that a rival adds to the position's covariance: as were it the truth with the probability that
-// its excess, over `inflation`, leaves it.
+// What the mirror hypothesis adds to the position's covariance, m^2: the second moment about the fit if the
+// hypothesis is true with the probability that its excess divided by `inflation` gives.
 [[nodiscard]] Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation);
 
 struct SiteProblem {
   const Association* association = nullptr;
   model::RangePriors priors;
   std::span<const model::Anchor> known_anchors;
-  double end_s = 0.0;  // rows later than this are left out
+  double end_s = 0.0;  // later ranges are left out
 };
 
-// Of each anchor with more rows than `most`, leaves those that together see it best: choose_measurements()
-// from where few of them put it. The polls: of the association as it comes.
+// Reduces each anchor with more than `most` ranges to those that together determine it best, by
+// choose_measurements() about a position from few of them. `polls` is of the same association and follows.
 void bound_rows(Association& association, PollTable& polls, const SiteProblem& problem, std::size_t most);
 
-// In the order of the association's anchors. Each starts from `earlier`, a solution from a part of the same
-// rows, where that had enough of them and is not contradicted by the others; else it is searched for. An
-// anchor without rows stays at its prior.
+// One fit per anchor of the association, in its order. A fit starts from `earlier`, a solution from part of
+// the same ranges, if that had more than half of them and the others do not contradict it; else from a
+// search. An anchor without ranges stays at its prior.
 [[nodiscard]] std::vector<AnchorFit> solve_site(const SiteProblem& problem,
                                                 std::span<const AnchorFit> earlier);
 
-// Solution and kernels of one anchor from few of its rows, without a start: the fit's problem says all.
+// Sets solution and kernels of one anchor from few of its ranges, without a start; reads fit.problem alone.
 void find_start(AnchorFit& fit);
 
-// Learns the kernels and solves each anchor anew from where it is, until a round moves none of them by a
-// share of its sigma that counts.
+// Alternates between estimating the kernels and solving each anchor from where it is, until a round moves no
+// anchor by 0.1 sigma or more.
 void refine_site(std::span<AnchorFit> fits, int max_rounds);
 
 }  // namespace groma::calibration
