@@ -23,10 +23,10 @@ namespace {
 using Frame = Eigen::Matrix<double, 3, 4>;
 
 constexpr double kClear = 7.815;
-// Keeps what is told as exact invertible.
+// Keeps covariances of exact values invertible.
 constexpr double kLeastVariance_m2 = 1e-12;
 
-// An anchor of both, linear in the frames' offset.
+// An anchor in both, linearized in the frames' offset.
 struct Shared {
   const model::AnchorCalibration* a = nullptr;
   const model::AnchorCalibration* b = nullptr;
@@ -38,7 +38,6 @@ struct Shared {
   bool outlier = false;
 };
 
-// A height that is not trusted may be on the other side of the tags.
 bool is_height_weak(const model::AnchorCalibration& anchor) {
   return anchor.verdict == model::AnchorVerdict::kWeakZ || anchor.verdict == model::AnchorVerdict::kWeak;
 }
@@ -60,7 +59,8 @@ Shared make_shared(const model::Calibration& of_a, const model::AnchorCalibratio
   return out;
 }
 
-// By all that are no outliers but `left_out`. The prior may be singular: a frame that is known exactly.
+// Estimated from all anchors except outliers and `left_out`. The prior may be singular: a frame that is known
+// exactly.
 FrameOffset frame_offset(const std::vector<Shared>& anchors, const Eigen::Matrix4d& prior,
                          const Shared* left_out) {
   Eigen::Matrix4d information = Eigen::Matrix4d::Zero();
@@ -87,7 +87,7 @@ AnchorChange change_of(const Shared& anchor, const FrameOffset& others) {
   return out;
 }
 
-// One after the other, the one that stands out most is set apart, until none does.
+// Repeatedly marks the anchor with the largest significant change as an outlier, until there is none.
 std::vector<AnchorChange> find_changes(std::vector<Shared>& anchors, const Eigen::Matrix4d& prior) {
   const double limit = Comparison::kChance / static_cast<double>(std::max<std::size_t>(1, anchors.size()));
   std::vector<AnchorChange> changes;
@@ -148,14 +148,14 @@ using model::has_position;
 
 constexpr double kLeastVariance = 1e-12;
 
-// How far a verdict can be trusted: less is better.
+// Rank of a verdict: less is more trusted.
 std::ptrdiff_t rank(AnchorVerdict verdict) {
   constexpr std::array kOrder{AnchorVerdict::kOk,           AnchorVerdict::kWeakZ, AnchorVerdict::kWeak,
                               AnchorVerdict::kNeverInSight, AnchorVerdict::kMoved, AnchorVerdict::kNoData};
   return std::find(kOrder.begin(), kOrder.end(), verdict) - kOrder.begin();
 }
 
-// An anchor's whole block of parameters as a vector: position, then beta of each pair, then gamma.
+// An anchor's parameters as a vector: position, then beta of each pair, then gamma.
 Eigen::VectorXd values_of(const AnchorCalibration& anchor) {
   const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
   return Eigen::VectorXd::NullaryExpr(3 + 2 * pairs, [&](Eigen::Index i) {
@@ -178,16 +178,16 @@ void set_values(AnchorCalibration& anchor, const Eigen::VectorXd& values, const 
   }
 }
 
-// Shifts and turns the anchor by a small offset of the frame, and adds that offset's uncertainty.
+// Shifts and turns the anchor by a small offset of the frame, and adds the offset's uncertainty.
 void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen::Matrix4d& covariance) {
   const Eigen::Matrix<double, 3, 4> frame = model::place_by_frame(anchor.position_m);
   anchor.position_m += frame * offset;
   anchor.covariance.topLeftCorner<3, 3>() += frame * covariance * frame.transpose();
 }
 
-// Takes the frame that all anchors share from the anchor's covariance, but for kKeptShare of the whole: else
-// an anchor that owes all to the frame along some axis is known exactly there, and outweighs every other
-// drive.
+// Removes the common frame's part from the anchor's covariance but keeps kKeptShare of the whole. Otherwise
+// an anchor whose uncertainty along some axis is all the frame's counts as exact there and outweighs every
+// other drive.
 void keep_own(AnchorCalibration& anchor, const model::Calibration& of) {
   constexpr double kKeptShare = 0.01;
   if (!has_position(anchor)) return;
@@ -204,7 +204,7 @@ std::vector<model::NodeId> tags_of(const AnchorCalibration& a, const AnchorCalib
   return {tags.begin(), tags.end()};
 }
 
-// Where each of the anchor's own parameters stands in a block with these tags.
+// Index of each of the anchor's own parameters in a block with these tags.
 std::vector<Eigen::Index> places_in(const std::vector<model::NodeId>& tags, const AnchorCalibration& anchor) {
   std::vector<Eigen::Index> out{0, 1, 2};
   for (const Eigen::Index begin : {Eigen::Index{3}, 3 + static_cast<Eigen::Index>(tags.size())}) {
@@ -220,8 +220,8 @@ Eigen::MatrixXd inverse(Eigen::MatrixXd matrix) {
   return matrix.ldlt().solve(Eigen::MatrixXd::Identity(matrix.rows(), matrix.cols()));
 }
 
-// What the later drive's ranges tell, without the priors of the biases that both calibrations have: unless
-// the anchor's covariance was widened so far that nothing would be left.
+// Information of the later drive's ranges, without the priors of the biases, which both calibrations contain.
+// If the anchor's covariance was widened so far that nothing would be left, the information stays as it is.
 Eigen::MatrixXd without_priors(const Eigen::MatrixXd& information, std::size_t pairs,
                                const model::RangePriors& priors) {
   const auto n = static_cast<Eigen::Index>(pairs);
@@ -234,7 +234,7 @@ Eigen::MatrixXd without_priors(const Eigen::MatrixXd& information, std::size_t p
 // 99 % of the chi-square distribution with one degree of freedom.
 constexpr double kHeightsDisagree = 6.63;
 
-// A height that is not trusted gives way to one that is, and to any that it disagrees with.
+// A height that is not trusted yields to one that is, and to any that it disagrees with.
 void settle_heights(AnchorCalibration& earlier, AnchorCalibration& later) {
   const double difference_m = later.position_m.z() - earlier.position_m.z();
   const double variance_m2 = earlier.covariance(2, 2) + later.covariance(2, 2);
@@ -245,14 +245,14 @@ void settle_heights(AnchorCalibration& earlier, AnchorCalibration& later) {
   }
 }
 
-// By how much the spheres of ranges leave their tangent over such a way: where one solution is so far from
-// another, what its covariance says of the directions that ranges leave open is no better.
+// Deviation of the ranges' spheres from their tangent planes over `way_m`, m: a solution's covariance is no
+// better than this for another solution so far away.
 double bend_over(double way_m) noexcept {
   constexpr double kRange_m = 2.5;
   return way_m * way_m / (2.0 * kRange_m);
 }
 
-// Both are in one frame, and independent but for the priors of the biases.
+// Both are in one frame, and independent except for the priors of the biases.
 AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const model::RangePriors& priors) {
   settle_heights(earlier, later);
   const double bend_m = bend_over((later.position_m - earlier.position_m).norm());
@@ -357,7 +357,8 @@ double chi2_beyond(const Eigen::Vector3d& displacement_m, const Eigen::Matrix3d&
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(covariance_m2);
   const Eigen::Vector3d variance = axes.eigenvalues().cwiseMax(kLeastVariance_m2);
   const Eigen::Vector3d along = axes.eigenvectors().transpose() * displacement_m;
-  // The nearest point has (1/variance + k) v = along/variance, with k such that its length is the radius.
+  // The nearest point v satisfies (1/variance + k) v = along/variance, with k such that its length is the
+  // radius.
   const auto nearest = [&](double k) -> Eigen::Vector3d {
     return along.cwiseQuotient((k * variance).array().matrix() + Eigen::Vector3d::Ones());
   };
@@ -374,14 +375,15 @@ double chi2_beyond(const Eigen::Vector3d& displacement_m, const Eigen::Matrix3d&
 Update update(const model::Calibration& earlier, const model::Calibration& later,
               const model::RangePriors& priors) {
   Update out;
-  // An anchor with too few ranges on the later drive says nothing of where it is.
+  // An anchor with too few ranges on the later drive gives no information on its position.
   model::Calibration heard = later;
   std::erase_if(heard.anchors,
                 [](const AnchorCalibration& anchor) { return anchor.verdict == AnchorVerdict::kNoData; });
   out.comparison = compare(earlier, heard);
 
-  // Of the offset between the drives' frames each has its share; what remains of the earlier one's is common
-  // to all, and what remains of the offset is the later one's own.
+  // The offset between the drives' frames is divided between both by their covariances; what remains of the
+  // earlier frame's uncertainty is common to all anchors, what remains of the offset is the later drive's
+  // own.
   const Eigen::Matrix4d both = earlier.common_frame_covariance + later.common_frame_covariance;
   const Eigen::Matrix4d share = earlier.common_frame_covariance *
                                 Eigen::CompleteOrthogonalDecomposition<Eigen::Matrix4d>(both).pseudoInverse();
@@ -412,7 +414,7 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
     const auto change = std::find_if(out.comparison.anchors.begin(), out.comparison.anchors.end(),
                                      [&](const AnchorChange& c) { return c.id == anchor.id; });
     if (anchor.verdict == AnchorVerdict::kMoved) {
-      // During the drive: where it was left.
+      // Moved during the later drive: take its last position.
       out.moved.push_back(anchor.id);
       known->second = std::move(anchor);
     } else if (change != out.comparison.anchors.end() && change->moved) {
@@ -440,7 +442,7 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
     calibration.range_delay_s = earlier.range_delay_s;
     calibration.range_delay_sigma_s = earlier.range_delay_sigma_s;
   }
-  // What the robot's body does is told by one drive as by another.
+  // Lever arms and antenna patterns of either drive are valid for the robot.
   if (later.tags.empty()) calibration.tags = earlier.tags;
   calibration.verdict = judge_site(calibration.anchors);
   return out;

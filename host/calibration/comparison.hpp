@@ -1,4 +1,4 @@
-// Two calibrations of one site, set against each other: what changed by more than both are uncertain.
+// Comparison of two calibrations of one site: what changed by more than the uncertainty of both.
 #pragma once
 
 #include <vector>
@@ -10,47 +10,48 @@
 
 namespace groma::calibration {
 
-// Of B's common frame against A's: what both calibrations' anchors show of it, within what the drives' poses
+// Offset of B's common frame from A's, estimated from the anchors of both within what the drives' poses
 // allow. B's anchors are at a + offset.head<3>() + offset(3) (z axis x a) where A's are at a.
 struct FrameOffset {
   Eigen::Vector4d mean = Eigen::Vector4d::Zero();  // x, y, z in m, yaw in rad
   Eigen::Matrix4d covariance = Eigen::Matrix4d::Zero();
 };
 
-// An anchor that both know. The offset that its own difference is freed of is that of the others alone.
+// An anchor in both calibrations. The frames' offset that is removed from it is estimated from the other
+// anchors.
 struct AnchorChange {
   model::NodeId id = 0;
-  Eigen::Vector3d displacement_m = Eigen::Vector3d::Zero();  // B less A, the frames' offset taken out
+  Eigen::Vector3d displacement_m = Eigen::Vector3d::Zero();  // B minus A, without the frames' offset
   Eigen::Matrix3d covariance_m2 = Eigen::Matrix3d::Zero();   // of it
-  double chi2 = 0.0;     // squared Mahalanobis distance; 3 degrees of freedom where nothing changed
-  double chance = 1.0;   // that so much or more comes about where nothing changed
-  bool differs = false;  // even as one of so many anchors: chance times their number is below kChance
-  // It differs, and is clearly (95 %) further away than kMoved_m.
+  double chi2 = 0.0;     // squared Mahalanobis distance; 3 degrees of freedom if unchanged
+  double chance = 1.0;   // probability of this chi2 or more if unchanged
+  bool differs = false;  // chance times the number of anchors is below kChance
+  // It differs, and is more than kMoved_m away with 95 % confidence.
   bool moved = false;
 };
 
 struct PairChange {
   model::NodeId tag_id = 0;
   model::NodeId anchor_id = 0;
-  double beta_m = 0.0;  // B less A
+  double beta_m = 0.0;  // B minus A
   double beta_sigma_m = 0.0;
-  double gamma = 0.0;  // B less A
+  double gamma = 0.0;  // B minus A
   double gamma_sigma = 0.0;
-  bool differs = false;  // of all pairs, as above
+  bool differs = false;  // as above, among all pairs
 };
 
-// The height of an anchor that is `weak-z` or `weak` is not trusted: it may be on the other side of the tags.
-// It counts as this much more uncertain than its covariance says.
+// The height of an anchor with verdict `weak-z` or `weak` is not trusted: it may be on the other side of the
+// tags. This sigma is added to it.
 inline constexpr double kWeakHeight_m = 5.0;
 
 struct Comparison {
   static constexpr double kChance = 1e-3;
   static constexpr double kMoved_m = 0.15;
 
-  FrameOffset frame;                  // by all anchors that do not differ
-  std::vector<AnchorChange> anchors;  // by id; those without a position in either are left out
-  std::vector<PairChange> pairs;      // by anchor, then tag; of those anchors
-  std::vector<model::NodeId> only_a;  // that have a position there alone
+  FrameOffset frame;                  // from all anchors that do not differ
+  std::vector<AnchorChange> anchors;  // by id; only those with a position in both
+  std::vector<PairChange> pairs;      // of those anchors, by anchor, then tag
+  std::vector<model::NodeId> only_a;  // anchors with a position in A alone
   std::vector<model::NodeId> only_b;
 };
 
@@ -60,21 +61,21 @@ struct Comparison {
 [[nodiscard]] double chi2_tail_1(double chi2) noexcept;
 [[nodiscard]] double chi2_tail_3(double chi2) noexcept;
 
-// The least squared Mahalanobis distance from `displacement` to any point within `radius` of zero.
+// Least squared Mahalanobis distance from `displacement_m` to any point within `radius_m` of zero.
 [[nodiscard]] double chi2_beyond(const Eigen::Vector3d& displacement_m, const Eigen::Matrix3d& covariance_m2,
                                  double radius_m);
 
 struct Update {
-  model::Calibration calibration;    // anchors of both, by id; in the earlier one's frame
-  Comparison comparison;             // of the later against the earlier
-  std::vector<model::NodeId> moved;  // more than Comparison::kMoved_m
+  model::Calibration calibration;    // anchors of both, by id, in the earlier frame
+  Comparison comparison;             // later against earlier
+  std::vector<model::NodeId> moved;  // by more than Comparison::kMoved_m
   std::vector<model::NodeId> added;
-  std::vector<model::NodeId> kept;  // as they were: the later drive tells nothing of them
+  std::vector<model::NodeId> kept;  // unchanged: the later drive has no data on them
 };
 
-// `later` was found without `earlier`; `priors` are those that both had of each pair, and count once.
-// A moved anchor is where the later drive found it, if that is any good, else without a position; its verdict
-// is `moved` in both cases.
+// Fuses two calibrations. `later` must have been estimated independently of `earlier`; `priors` are those
+// that both had of each pair, and count once. A moved anchor takes the position of the later drive if that is
+// usable, else none; its verdict is `moved` in both cases.
 [[nodiscard]] Update update(const model::Calibration& earlier, const model::Calibration& later,
                             const model::RangePriors& priors);
 

@@ -1,6 +1,5 @@
-// What the drive itself has wrong, and all anchors share: the robot's poses wander slowly about the truth,
-// the ranges may be stamped late, and antennas are not quite where and what they are said to be. Solved
-// together with every anchor.
+// Errors of a drive that all its ranges share: slow pose drift, range delay, lever arms and antenna patterns.
+// Solved jointly with all anchors.
 #pragma once
 
 #include <vector>
@@ -14,38 +13,38 @@
 
 namespace groma::calibration {
 
-// What the robot's body does to the ranges of one tag.
+// Lever-arm error and antenna pattern of one tag.
 struct BodyError {
   BodyVector mean = BodyVector::Zero();
   BodyMatrix covariance = BodyMatrix::Zero();
 };
 
 struct DriveError {
-  double range_delay_s = 0.0;  // taken off where the ranges show it clearly; told in any case
+  double range_delay_s = 0.0;  // removed if the ranges show it clearly; reported in any case
   double range_delay_sigma_s = 0.0;
-  std::vector<BodyError> body;     // of each tag; empty where the ranges do not show it clearly
-  std::vector<Evidence> evidence;  // of each fit as it comes back
-  // What the error's remaining uncertainty adds to each anchor's covariance, in the order of the fits.
+  std::vector<BodyError> body;     // per tag; empty unless the ranges show it clearly
+  std::vector<Evidence> evidence;  // of each fit as returned
+  // Covariance that the error's remaining uncertainty adds to each anchor, in the order of the fits.
   std::vector<Eigen::MatrixXd> added_covariance;
-  // What relates the anchors: covariance of what they share, and by how much each anchor's unknowns answer to
-  // it. Empty where nothing was corrected.
+  // Correlation of the anchors: covariance of the shared unknowns, and the response of each anchor's unknowns
+  // to them. Empty if nothing was corrected.
   Eigen::MatrixXd shared_covariance;
   std::vector<Eigen::MatrixXd> shared_gain;
-  // Of the shift and turn (x, y, z, yaw about the map's origin) that all poses share, and what of it no range
-  // can tell: that is not in what is added to the anchors. Both zero where an anchor was surveyed: the survey
-  // makes the frame then.
+  // Covariance of the shift and turn (x, y, z in m, yaw in rad, about the map's origin) common to all poses,
+  // and the part of it that no range observes and added_covariance lacks. Both zero if an anchor was
+  // surveyed: the survey then defines the frame.
   Eigen::Matrix4d frame_covariance = Eigen::Matrix4d::Zero();
   Eigen::Matrix4d unseen_frame_covariance = Eigen::Matrix4d::Zero();
-  // What is believed, and what has been taken off the rows.
+  // Layout and prior of the shared unknowns, and the estimate that has been removed from the rows.
   SharedUnknowns unknowns;
   SharedPrior prior;
   Eigen::VectorXd shared_mean;
 };
 
-// Estimates the error, moves the antennas of the association's rows (which the fits refer to) to where they
-// were by it and takes their patterns off the ranges, and moves the fits with them.
+// Estimates the error, moves the antennas of the association's observations (which the fits refer to) by it,
+// subtracts the patterns from the ranges, and solves the fits again.
 [[nodiscard]] DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits);
-// The same from where that ended, after the fits' rows have been looked at anew: what is believed stays.
+// Continues from there after the fits' NLOS states have changed; the prior stays.
 void correct_further(Association& association, std::vector<AnchorFit>& fits, DriveError& drive_error);
 
 }  // namespace groma::calibration

@@ -17,10 +17,11 @@ constexpr double inverse_square(double x) noexcept {
   return 1.0 / (x * x);
 }
 
-// Added to the variance of one at each knot: smooth processes at near times are alike to the last digit.
+// Added to the unit variance at each knot: a smooth process is nearly equal at neighbouring knots, and its
+// correlation matrix would be singular.
 constexpr double kLeastFresh = 1e-6;
 
-// Of one axis at all knots, of variance one.
+// Correlation matrix of one axis over all knots.
 Eigen::MatrixXd knot_correlation(const Knots& knots, const WanderPrior& wander) {
   Eigen::MatrixXd out(knots.count, knots.count);
   for (Eigen::Index i = 0; i < knots.count; ++i) {
@@ -53,7 +54,7 @@ double knot_log_determinant(const Knots& knots, const WanderPrior& wander) {
     const Eigen::LLT<Eigen::MatrixXd> factors(knot_correlation(knots, wander));
     return 2.0 * factors.matrixLLT().diagonal().array().log().sum();
   }
-  // A first-order process is a product of its steps.
+  // A first-order process factors into its steps.
   const double keep = wander_correlation(wander, knots.spacing_s);
   return (static_cast<double>(knots.count) - 1.0) * std::log1p(-keep * keep);
 }
@@ -65,26 +66,25 @@ BodyVector body_information() noexcept {
   return out;
 }
 
-// One anchor's own sums, before it is eliminated.
+// Sums of one anchor, before its elimination.
 struct AnchorSums {
   Eigen::MatrixXd cross;  // with the shared unknowns
-  Eigen::MatrixXd own;    // of the shared unknowns, the lower triangle
+  Eigen::MatrixXd own;    // of the shared unknowns, lower triangle
   Eigen::VectorXd descent;
 };
 
-// Of one tag's rows: sums of derivatives by the pair (position, beta, gamma) and by the shared unknowns, of
-// which the first `Shared` terms are wanted. Rows are taken up side by side, and summed when there are enough
-// of them.
+// Sums over one tag's observations of the derivatives by the pair (position, beta, gamma) and by the first
+// `Shared` shared terms. Observations are buffered side by side and summed kLanes at a time.
 template <Eigen::Index Shared>
 class Moments {
  public:
   static constexpr Eigen::Index kPair = 5;
   static constexpr Eigen::Index kSize = kPair + Shared;
-  // Of the shared terms, those by the two knots.
+  // Shared terms of the two knots.
   static constexpr Eigen::Index kKnots = 6;
   static constexpr Eigen::Index kRest = kPair + kKnots;
   using Row = Eigen::Array<double, 1, kSize>;
-  // Where each term stands: those by the pair among the anchor's unknowns, the others among the shared ones.
+  // Index of each term: those by the pair among the anchor's unknowns, the others among the shared ones.
   using Places = Eigen::Array<Eigen::Index, kSize, 1>;
 
   void add(const Row& j, double slope, double weight) noexcept {
@@ -93,7 +93,7 @@ class Moments {
     slope_(waiting_) = slope;
     if (++waiting_ == kLanes) sum_up();
   }
-  // Moves the sums of the terms [begin, end) to where they stand.
+  // Adds the sums of the terms [begin, end) to `sums` at their indices, and clears them.
   void move_to(const Places& places, Eigen::Index begin, Eigen::Index end, AnchorSums& sums) noexcept {
     sum_up();
     for (Eigen::Index from = begin; from < end; ++from) {
@@ -111,7 +111,7 @@ class Moments {
   }
   void sum_up() noexcept {
     if (waiting_ == 0) return;
-    // Rows that are left of earlier ones have no weight.
+    // Lanes left over from earlier observations get no weight.
     for (Eigen::Index lane = waiting_; lane < kLanes; ++lane) {
       weight_(lane) = 0.0;
       slope_(lane) = 0.0;
@@ -154,7 +154,7 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
     }
   }
   Eigen::Index first = 0;
-  // The next rows are between other knots.
+  // The next observations are between other knots.
   const auto leave_knots = [&] {
     for (auto& [moments, places] : of_tag) {
       for (Eigen::Index k = 0; k < Sums::kKnots; ++k) places(Sums::kPair + k) = first + k;
@@ -173,7 +173,8 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
                                     .template head<Shared>()
                                     .array()
                                     .transpose();
-    // Ranges through walls too: they hold the anchor to the poses, and a shift of all of them shows in none.
+    // Long NLOS ranges count too: they tie the anchor to the poses, so that a common shift of both changes no
+    // residual.
     of_tag[row.tag].moments.add(j, value.seen.slope + value.wall_slope,
                                 value.seen.weight + value.wall_weight);
     if (value.wall_weight == 0.0) continue;
@@ -251,7 +252,7 @@ std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const Pos
     poses[k] += 1.0;
   }
   const Eigen::Vector3d unit(1.0 / typical.sigma_m, 1.0 / typical.sigma_m, 1.0 / typical.sigma_yaw_rad);
-  // No knot is held so much tighter than a typical one that its equations lose their digits.
+  // Keeps a knot from being held so much tighter than a typical one that the equations lose precision.
   constexpr double kLeastScale = 1e-3;
   std::vector<Eigen::Matrix3d> out(count, Eigen::Matrix3d::Identity());
   for (std::size_t k = 0; k < count; ++k) {
@@ -267,7 +268,7 @@ std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const Pos
 
 double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s) {
   const double slow = std::pow(wander.sigma_m / typical.sigma_m, 2);
-  // Variance of what a line misses of a process of variance one, on average over the way from knot to knot.
+  // Mean variance between two knots of the error of linear interpolation, for a process of unit variance.
   constexpr int kPlaces = 8;
   const double over_way = wander_correlation(wander, spacing_s);
   double missed = 0.0;
@@ -375,12 +376,13 @@ JointEquations eliminate_anchors(std::span<const AnchorFit> fits, std::span<cons
     AnchorPart& part = out.anchors.emplace_back();
     part.information.compute(alone.information);
     part.descent = -alone.gradient;
-    // With L L^T the anchor's information: what it takes from the shared is (L^-1 cross)^T (L^-1 cross).
+    // With L L^T the anchor's information, elimination subtracts (L^-1 cross)^T (L^-1 cross) from the shared
+    // information.
     const Eigen::MatrixXd half = part.information.matrixL().solve(sums.cross);
     part.gain = part.information.matrixU().solve(half);
     sums.own.selfadjointView<Eigen::Lower>().rankUpdate(half.transpose(), -1.0);
     sums.descent.noalias() -= part.gain.transpose() * part.descent;
-    // The anchor's own solution is the same at any inflation: its equations are scaled as one.
+    // The anchor's own solution does not depend on the inflation: all its equations are scaled alike.
     const double share_of_one = 1.0 / inflation[i];
     out.information += share_of_one * sums.own;
     out.descent += share_of_one * sums.descent;

@@ -1,5 +1,5 @@
-// What is unknown of a drive beside its anchors, and shared by all of them: how the poses wander, how late
-// ranges are stamped, and what each tag's ranges owe to its place and attitude on the robot's body.
+// Unknowns of a drive that all anchors share: pose drift, range delay, and each tag's lever-arm error and
+// antenna pattern.
 #pragma once
 
 #include <cstddef>
@@ -17,56 +17,56 @@
 
 namespace groma::calibration {
 
-// The belief in the poses' error before any range is seen: in x, in y (map) and in yaw, each a stationary
-// process; zero means that the poses are exact.
+// Prior of the pose drift: in x, y (map) and yaw, each a stationary process; sigma_m zero means that the
+// poses are exact.
 struct WanderPrior {
   double sigma_m = 0.0;
   double sigma_yaw_rad = 0.0;
   double correlation_s = 20.0;
-  // None: of first order, which is rough. Else of second order, which is smooth: white noise through an
-  // oscillator of the natural frequency 1/correlation_s with this damping ratio, in (0, 1]; far below one
-  // where the robot comes by the same places again and again.
+  // None: first order (Gauss-Markov), rough. Else second order, smooth: white noise through an oscillator
+  // with natural frequency 1/correlation_s and this damping ratio, in (0, 1]; far below one if the robot
+  // passes the same places repeatedly.
   std::optional<double> damping_ratio = {};
 };
-// Between two times so far apart, of variance one.
+// Correlation of the drift at two times `apart_s` from each other.
 [[nodiscard]] double wander_correlation(const WanderPrior& wander, double apart_s) noexcept;
 
-// Of one tag: the error of its lever arm (base_link, m), then the coefficients of its antenna's pattern (m).
+// Body terms of one tag: the error of its lever arm (base_link, m), then the coefficients of its antenna
+// pattern (m).
 inline constexpr Eigen::Index kBodyTerms = 3 + model::kPatternTerms;
 using BodyVector = Eigen::Matrix<double, kBodyTerms, 1>;
 using BodyMatrix = Eigen::Matrix<double, kBodyTerms, kBodyTerms>;
 
-// Of their prior: how well a lever arm is measured by hand, and what the pattern of a common antenna does to
-// a range.
+// Their prior sigmas: of a lever arm measured by hand, and of a common antenna's pattern coefficients.
 inline constexpr double kLeverArmSigma_m = 0.02;
 inline constexpr double kPatternSigma_m = 0.015;
 
-// Where the knots of the wander are; between them it is linear.
+// Knots of the pose drift, which is linear between them.
 struct Knots {
   double begin_s = 0.0;
   double spacing_s = 8.0;
   Eigen::Index count = 2;
 };
 
-// Knots at most this far apart where the drive is not too long for so many.
+// Largest spacing of the knots, unless the drive would need more than max_count.
 struct KnotGrid {
   double spacing_s;
   double max_count;
 };
-// None where no time passes between the rows.
+// None if no time passes between the observations.
 [[nodiscard]] std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid);
 
 struct KnotShare {
-  Eigen::Index first = 0;  // its knot's first index
-  double fraction = 0.0;   // of the way to the next
+  Eigen::Index first = 0;  // index of the knot's first unknown
+  double fraction = 0.0;   // towards the next knot
 };
 [[nodiscard]] KnotShare knot_share(const Knots& knots, double t_s) noexcept;
 
-// The order of the unknowns: x, y, yaw of each knot, the delay, the body terms of each tag or of none.
+// Order of the unknowns: x, y, yaw of each knot, the delay, the body terms of each of body_tags tags.
 struct SharedUnknowns {
   Knots knots;
-  // What the wander of each knot is multiplied by (x, y, yaw), where the poses tell how good they are; else
-  // empty, and all are alike.
+  // Factor of the drift's prior at each knot (x, y, yaw), if poses report a covariance; else empty, and all
+  // knots are alike.
   std::vector<Eigen::Matrix3d> knot_scale;
   std::size_t body_tags = 0;
 
@@ -77,48 +77,48 @@ struct SharedUnknowns {
   [[nodiscard]] Eigen::Index size() const noexcept { return body(body_tags); }
 };
 
-// What the poses of a drive tell of their error: standard deviations of the middle one.
+// Typical standard deviations that the poses of a drive report: their median.
 struct PoseQuality {
   double sigma_m = 0.0;
   double sigma_yaw_rad = 0.0;
 };
-// None where no pose tells it.
+// None if no pose reports a covariance.
 [[nodiscard]] std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads);
-// Of each knot, L D^-1: L L^T the mean covariance of the poses nearest to it, D the typical sigmas; one where
-// none of them tells it.
+// L D^-1 of each knot, with L L^T the mean covariance of the poses nearest to it and D the typical sigmas;
+// identity where no pose reports one.
 [[nodiscard]] std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots,
                                                        std::span<const PoseSpread> spreads,
                                                        const PoseQuality& typical);
-// The share of the poses' variance that is new from pose to pose, beside a wander of this size: what the
-// wander leaves of what they tell, and what a line between its knots misses.
+// White share of the poses' variance beside a drift of this size: what the drift leaves of the reported
+// variance, and what linear interpolation between knots misses.
 [[nodiscard]] double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s);
 
-// Derivative of one predicted range by the shared unknowns that it depends on: both knots about it (6), the
-// delay, the body terms of its tag.
+// Derivative of one predicted range by the shared unknowns that it depends on: the knots before and after it
+// (6), the delay, the body terms of its tag.
 inline constexpr Eigen::Index kMotionTerms = 7;
 inline constexpr Eigen::Index kSharedTerms = kMotionTerms + kBodyTerms;
 using SharedRow = Eigen::Matrix<double, kSharedTerms, 1>;
-// `fraction` is that of the row's KnotShare.
+// `fraction` is that of the observation's KnotShare.
 [[nodiscard]] SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
                                         double gamma, double fraction) noexcept;
 
-// The row as the unknowns have it changed by a step: antenna moved, pattern taken off the range. `anchor_m`
-// is where the anchor is thought to be.
+// Corrects an observation by a step of the unknowns: moves the antenna, subtracts the pattern from the range.
+// `anchor_m` is the anchor's estimated position.
 void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const Eigen::Vector3d& anchor_m,
               Observation& row) noexcept;
 
-// Which of the unknowns are not zero for sure, and what is believed of them.
+// Prior of the unknowns; those with sigma zero, or `body` false, are fixed at zero.
 struct SharedPrior {
   WanderPrior wander;
   double delay_sigma_s = 0.03;
   bool body = false;
 };
-// Information of the prior; a sigma of zero stands for one too small to matter.
+// Information matrix of the prior; a sigma of zero is replaced by a negligible one.
 [[nodiscard]] Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPrior& prior);
-// Of those unknowns that are not zero for sure, but for a constant.
+// Log determinant of the information of the unknowns that are not fixed at zero, up to a constant.
 [[nodiscard]] double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& prior);
 
-// One anchor's part, solved for the anchor: its step is information^-1 descent - gain times the shared step.
+// One anchor's equations after elimination: its step is information^-1 descent - gain times the shared step.
 struct AnchorPart {
   Eigen::LLT<Eigen::MatrixXd> information;
   Eigen::VectorXd descent;
@@ -127,11 +127,12 @@ struct AnchorPart {
 
 struct JointEquations {
   std::vector<AnchorPart> anchors;
-  Eigen::MatrixXd information;  // of the shared unknowns (Schur complement), their prior left out
+  Eigen::MatrixXd information;  // of the shared unknowns (Schur complement), without their prior
   Eigen::VectorXd descent;
 };
 
-// `inflation` of each anchor: its ranges carry so many times less than were they independent.
+// Eliminates the anchors from the joint normal equations. `inflation` of each anchor divides its information:
+// its residuals are correlated.
 [[nodiscard]] JointEquations eliminate_anchors(std::span<const AnchorFit> fits,
                                                std::span<const double> inflation,
                                                const SharedUnknowns& unknowns);
