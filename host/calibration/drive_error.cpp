@@ -16,44 +16,44 @@
 namespace groma::calibration {
 namespace {
 
-// Coarse is enough to choose a wander. What a line between knots misses of it stays in the residuals.
+// Coarse knots are enough to select a drift. What linear interpolation misses stays in the residuals.
 constexpr KnotGrid kCoarseKnots{.spacing_s = 8.0, .max_count = 48.0};
 constexpr KnotGrid kFineKnots{.spacing_s = 4.0, .max_count = 96.0};
 constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};
 constexpr int kDriveRounds = 4;
-// Shifts to begin with. The likelihood of the ranges decides between them, then refines shift, yaw and time:
-// by these factors, until none makes them likelier by kMinDriftGain.
+// First sigmas of the drift to try. The marginal likelihood of the ranges chooses one of them, then refines
+// sigma, yaw sigma and correlation time by these factors, until no factor gains kMinDriftGain.
 constexpr std::array kWander_m{0.02, 0.06, 0.2, 0.6};
 constexpr double kFirstDriftFactor = 2.0;
 constexpr double kLastDriftFactor = 1.15;
 constexpr double kMinDriftGain = 0.01;
 constexpr WanderPrior kFirstWander{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
 constexpr std::array kYawFactors{0.4, 2.5};
-// And then whether it is smooth, and how fast: natural frequencies' inverses and damping ratios.
+// Then whether the drift is smooth, and how fast: inverse natural frequencies and damping ratios to try.
 constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
 constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
 constexpr std::array kSmoothFactors{1.0, 0.7};
 constexpr int kFollowingSteps = 3;
 constexpr double kLastStepSigmas = 0.1;
-// What makes the ranges likelier by so much (natural logarithm) is believed: a wander; body terms, and those
-// beside a wander.
+// Least gain in log evidence (nats) to accept a drift, body terms, or body terms in addition to a drift; and
+// a smooth or an oscillating drift in place of a rough one.
 constexpr double kMinWanderEvidence = 4.0;
 constexpr double kMinBodyEvidence = 10.0;
 constexpr double kMinMoreBodyEvidence = 8.0;
 constexpr double kMinSmoothEvidence = 1.0;
 constexpr double kMinOscillationEvidence = 4.0;
-// And by so much where it is thought to be of places: what a place does to the ranges of each anchor can pass
-// for what they share.
+// Least gain that has to remain with the inflation of kWhile_s: errors that depend on place in each anchor's
+// own ranges can look like shared ones.
 constexpr double kMinLastingWander = 4.0;
 constexpr double kMinLastingBody = 2.0;
-// What hangs together for a moment is the ranges' own doing, as where they are filtered or repeated; for a
-// while, also that of places.
+// Correlation within kMoment_s comes from the ranges themselves, as when they are filtered or repeated;
+// within kWhile_s, also from errors that depend on place.
 constexpr double kMoment_s = 1.0;
 constexpr double kWhile_s = 8.0;
 constexpr double kDelaySigma_s = 0.03;
 constexpr double kMinDelaySigmas = 4.0;
 constexpr double kNoDelaySigma_s = 1e-7;
-// No localization knows its map better than this; shared by all poses and never seen by ranges.
+// Frame error common to all poses, which no range observes: no localization knows its map better.
 constexpr double kDriveFrameSigma_m = 0.002;
 constexpr double kFrameSigma_rad = 0.0002;
 
@@ -61,9 +61,9 @@ double delay_sigma_s() noexcept {
   return model::is_ablated(model::Mechanism::kCalibrationDelay) ? kNoDelaySigma_s : kDelaySigma_s;
 }
 
-// Log likelihood of the ranges with the drive's error integrated out, but for a constant.
+// Log evidence: log likelihood of the ranges with the drive's error marginalized, up to a constant.
 double evidence(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior) {
-  // Those that are not zero for sure are neighbours in the unknowns' order.
+  // Unknowns that are not fixed at zero are contiguous.
   const Eigen::Index first = prior.wander.sigma_m > 0.0 ? 0 : unknowns.delay();
   const Eigen::Index size = (prior.body ? unknowns.size() : unknowns.body(0)) - first;
   const Eigen::LLT<Eigen::MatrixXd> posterior(
@@ -81,21 +81,20 @@ struct Belief {
   double evidence = 0.0;
 };
 
-// Takes the prior instead where the ranges are likelier by more than `min_gain` with it.
+// Replaces `best` if the log evidence with the prior is higher by more than `min_gain`.
 void consider(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
               double min_gain, Belief& best) {
   const double found = evidence(equations, unknowns, prior) - min_gain;
   if (found > best.evidence) best = {.prior = prior, .evidence = found};
 }
 
-// What is asked of the drive, and how: `typical` where the poses tell of their error.
+// Layout of the unknowns to test, and `typical` if poses report their covariance.
 struct Question {
   SharedUnknowns unknowns;
   std::optional<PoseQuality> typical;
 };
 
-// The likeliest wander beside what is believed already; that itself where none makes the ranges likelier by
-// enough.
+// Most likely drift in addition to `before`; `before` itself if none gains enough evidence.
 Belief believe_wander(const JointEquations& equations, const Question& question, const Belief& before) {
   if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
   Belief best = before;
@@ -114,8 +113,7 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
   return best.prior.wander.sigma_m > 0.0 ? best : before;
 }
 
-// The first-order drift that maximizes the evidence. Knots that are far apart do not show its time: use fine
-// ones.
+// The first-order drift that maximizes the evidence. Needs fine knots: coarse ones do not show its time.
 SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& unknowns,
                          const SharedPrior& rough) {
   Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
@@ -129,7 +127,8 @@ SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& 
       consider(equations, unknowns, prior, 0.0, best);
     };
     for (const double factor : {step, 1.0 / step}) {
-      // Ranges show sigma^2 / time, the rate of a first-order process, better than either: sigmas go along.
+      // Ranges determine sigma^2 / time, the rate of a first-order process, better than either: scale the
+      // sigmas along with the time.
       scale(factor, std::sqrt(factor), std::sqrt(factor));
       scale(1.0, factor, 1.0);
       scale(1.0, 1.0, factor);
@@ -139,8 +138,8 @@ SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& 
   return best.prior;
 }
 
-// The wander that is believed as a smooth one, or as one that oscillates, if that makes the ranges likelier
-// by enough. Knots far apart do not tell one from the other: to be asked on fine ones.
+// Replaces the drift by a smooth or oscillating one if that gains enough evidence. Needs fine knots: coarse
+// ones do not distinguish them.
 SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknowns& unknowns,
                             const SharedPrior& rough) {
   if (model::is_ablated(model::Mechanism::kCalibrationSmoothDrift)) return rough;
@@ -177,8 +176,9 @@ Belief believe_body(const JointEquations& equations, const SharedUnknowns& unkno
   return found.evidence > before.evidence + min_evidence ? found : before;
 }
 
-// A wander, body terms, both or nothing: first what lasts better, then the other. `slow` makes the equations
-// with the inflation of a while, and is asked for where something is likely by those of a moment.
+// Selects drift, body terms, both or neither: first the one with more evidence under `slow`, then the other.
+// `slow` makes the equations with the inflation of kWhile_s; it is called only if the inflation of kMoment_s
+// accepts something.
 template <typename Slow>
 SharedPrior likeliest_prior(const JointEquations& equations, const Question& question, const Slow& slow) {
   const SharedUnknowns& unknowns = question.unknowns;
@@ -222,11 +222,11 @@ SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpre
   return out;
 }
 
-// Takes the step, or as much of it as lowers the cost; false: none of it does.
+// Takes the largest share of the step that lowers the cost; false if none does.
 bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span<const double> inflation,
                const SharedUnknowns& unknowns, const Eigen::MatrixXd& prior, const Eigen::VectorXd& step,
                Eigen::VectorXd& error) {
-  // The anchors follow by steps of their own: what is open of them is too far from linear for the joint one.
+  // The anchors follow by steps of their own: their open directions are too non-linear for the joint step.
   const auto follow = [&] {
     double cost = 0.0;
     std::vector<AnchorVector> anchors;
@@ -259,7 +259,8 @@ bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span
   return false;
 }
 
-// Covariance of the mean of all knots, and what no range can tell, about the map's origin.
+// Frame covariance: that of the mean of all knots, and the part that no range observes, about the map's
+// origin.
 void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span<const AnchorFit> fits,
                 DriveError& out) {
   if (std::any_of(fits.begin(), fits.end(),
@@ -285,7 +286,7 @@ void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span
   about_center(3, 3) = mean(2, 2);
   const double square_m2 = kDriveFrameSigma_m * kDriveFrameSigma_m;
   const Eigen::Vector4d unseen(square_m2, square_m2, square_m2, kFrameSigma_rad * kFrameSigma_rad);
-  // A turn about the center is a turn about the origin and the shift that takes the center back.
+  // A turn about the center is a turn about the origin plus the shift that keeps the center in place.
   Eigen::Matrix4d about_origin = Eigen::Matrix4d::Identity();
   about_origin(0, 3) = center_m.y();
   about_origin(1, 3) = -center_m.x();
@@ -303,7 +304,8 @@ double pattern_size_m(std::span<const BodyError> body) {
   return body.empty() ? 0.0 : std::sqrt(square_m2 / terms);
 }
 
-// A pattern does not end with the second degree; those of the third, as large in the plane and at the poles.
+// A pattern has terms beyond the second degree. Those of the third, of equal size in the plane and at the
+// poles.
 constexpr Eigen::Index kThirdDegreeTerms = 7;
 Eigen::Matrix<double, kThirdDegreeTerms, 1> third_degree_terms(const Eigen::Vector3d& b) noexcept {
   const double x = b.x();
@@ -315,8 +317,8 @@ Eigen::Matrix<double, kThirdDegreeTerms, 1> third_degree_terms(const Eigen::Vect
   return out;
 }
 
-// By how much each coefficient of a pattern of the anchor's own antenna, which stands still in the map, would
-// pull at the anchor's unknowns: sum of weight J h^T.
+// Gradient of an anchor's cost by its unknowns per coefficient of a pattern of its own antenna, which is
+// fixed in the map: sum of weight J h^T.
 Eigen::MatrixXd pull_of_own_pattern(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(fit.anchor.size(), model::kPatternTerms + kThirdDegreeTerms);
@@ -339,8 +341,8 @@ std::vector<double> inflations(std::span<const Evidence> evidence, double durati
   return out;
 }
 
-// Solves for all that is believed, from what has been taken off already, until it rests; and what follows of
-// it. An open delay is held at zero where it does not show clearly.
+// Solves for the unknowns that the prior leaves free, starting from the present estimate, until convergence;
+// then fills in covariances. A free delay is fixed at zero if it is not significant.
 void settle(Association& association, std::vector<AnchorFit>& fits, bool is_delay_open,
             std::vector<double> inflation, DriveError& out) {
   const SharedUnknowns& unknowns = out.unknowns;
@@ -370,7 +372,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     if (!step.allFinite() || !covariance.allFinite()) return;
     if (!take_step(association, fits, inflation, unknowns, believed, step, error)) break;
     refine_site(fits, 1);
-    // What is explained by now hangs together no more; what still does is of places.
+    // Residuals that the estimate explains are white now; the remaining correlation depends on place.
     out.evidence = gather_evidence(std::span<const AnchorFit>(fits));
     inflation = inflations(out.evidence, kWhile_s);
     if (step.dot((equations.information + believed) * step) < kLastStepSigmas * kLastStepSigmas) break;
@@ -422,7 +424,8 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
   const auto slow = [&] { return eliminate_anchors(fits, inflations(out.evidence, kWhile_s), unknowns); };
   SharedPrior prior = likeliest_prior(equations, question, slow);
   if (nothing_to_correct(equations, unknowns, prior)) {
-    // By so much less do rows tell of what lasts.
+    // With the inflation of kWhile_s the ranges carry this much less information about what is constant over
+    // the drive.
     const std::vector<double> lasting = inflations(out.evidence, kWhile_s);
     const double share = std::accumulate(inflation.begin(), inflation.end(), 0.0) /
                          std::accumulate(lasting.begin(), lasting.end(), 0.0);

@@ -11,22 +11,22 @@
 namespace groma::calibration {
 namespace {
 
-// Of the budget, one part in so many is spread over time.
+// One part in kTimeShare of the budget is spread over time.
 constexpr std::size_t kTimeShare = 4;
 constexpr double kBareSigma_m = 100.0;
-// Ranges from the same tag are of one kind whose direction, and distance but for a factor, differ by no more
-// than this: then it hardly matters which of them are taken.
+// Ranges of one tag are of one kind if their directions, and the logarithms of their distances, differ by no
+// more than this: then it hardly matters which of them are taken.
 constexpr double kKindSize = 0.05;
-// Chosen ranges are tried against all others where that is no more trials than this.
+// Selected ranges are exchanged with others only if that takes no more trials than this.
 constexpr std::size_t kMostTrials = 100'000;
 constexpr int kChoiceSweeps = 3;
-// A range is taken that is worth so much of what the best may be worth.
+// A range is taken if its gain is at least this share of the best possible.
 constexpr double kNearlyBest = 0.97;
 
 using model::square;
 
-// Covariance of position, each tag's beta and gamma, and of the share of the other side: a range of distance
-// d is taken for (1 - share) d + share mirrored.
+// Covariance of position, each tag's beta and gamma, and the share of the mirror position: a range of
+// distance d is modelled as (1 - share) d + share mirrored.
 class Dilution {
  public:
   explicit Dilution(const AnchorGeometry& anchor)
@@ -55,7 +55,7 @@ class Dilution {
             offset_square_m2_ * square(response[kFigures - 1])) /
            (square(range.sigma_m) + own);
   }
-  // sign 1 adds a range, -1 takes back one that was added.
+  // sign 1 adds a range, -1 removes one that was added.
   void change(const RangeGeometry& range, double sign) {
     const Row row = row_of(range);
     response_.setZero(covariance_.rows());
@@ -88,7 +88,7 @@ class Dilution {
   Eigen::VectorXd response_;
 };
 
-// Ranges in an order of which every beginning is spread over the whole: the bits of their places reversed.
+// Order in which every prefix is spread over the whole: bit-reversed positions.
 std::vector<std::size_t> spread(const std::vector<std::size_t>& ranges) {
   std::size_t bits = 0;
   while ((std::size_t{1} << bits) < ranges.size()) ++bits;
@@ -102,7 +102,7 @@ std::vector<std::size_t> spread(const std::vector<std::size_t>& ranges) {
   return out;
 }
 
-// Indices of the ranges by kind, of each kind in the order in which they are to be taken.
+// Indices of the ranges by kind, each kind in the order in which its ranges are to be taken.
 std::vector<std::vector<std::size_t>> kinds_of(std::span<const RangeGeometry> ranges) {
   using Key = std::array<std::int64_t, 5>;
   const auto cell = [](double x) { return static_cast<std::int64_t>(std::floor(x / kKindSize)); };
@@ -150,7 +150,7 @@ class Choice {
     of_time_ = taken_.size();
   }
 
-  // Those that lower the dilution most, until there are so many.
+  // Takes the ranges that lower the dilution most, up to `budget` in all.
   void lower_dilution(std::size_t budget) {
     const std::vector<std::vector<std::size_t>> kinds = kinds_of(anchor_.ranges);
     std::vector<std::size_t> next(kinds.size(), 0);
@@ -158,7 +158,7 @@ class Choice {
       while (next[kind] < kinds[kind].size() && is_taken_[kinds[kind][next[kind]]]) ++next[kind];
       return next[kind] < kinds[kind].size();
     };
-    // What a range was worth before others were taken is, but for little, a bound on what it is worth now.
+    // The gain of a range before others were taken is almost an upper bound of its gain now.
     std::priority_queue<std::pair<double, std::size_t>> by_gain;
     for (std::size_t kind = 0; kind < kinds.size(); ++kind) {
       if (skip_taken(kind)) by_gain.emplace(gain(kinds[kind][next[kind]]), kind);
@@ -177,7 +177,7 @@ class Choice {
     }
   }
 
-  // Exchanges one for another as long as that lowers the dilution, where there are few.
+  // Exchanges selected ranges for others as long as that lowers the dilution, if there are few.
   void exchange() {
     if (taken_.size() * anchor_.ranges.size() > kMostTrials) return;
     bool changed = true;

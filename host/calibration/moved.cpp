@@ -17,23 +17,23 @@ namespace {
 
 constexpr std::size_t kBins = 40;
 constexpr std::size_t kRowsPerBin = 15;
-// Beyond so many scales a residual pulls no harder.
+// Huber threshold, in scales of the kernel.
 constexpr double kHuberScales = 3.0;
 constexpr double kLeastStretch_s = 10.0;
 constexpr double kLeastStretchShare = 0.05;
-// What is left of the biases' priors where those of the other place are known.
+// Prior sigmas of the biases in a second place, given those of the first.
 constexpr double kBetaAgain_m = 0.02;
 constexpr double kGammaAgain = 5e-4;
-// How far an anchor is thought to go.
+// Prior sigma of a move, per axis.
 constexpr double kOpenShift_m = 10.0;
-// A stretch that gains less is not looked at.
+// A stretch with less gain is not tested.
 constexpr double kLeastGain = 30.0;
 constexpr int kPlaceRounds = 4;
 constexpr int kRefinements = 3;
 constexpr double kPreference = 0.5;
-// A row is clearly of one place where its cost there is less by this.
+// An observation clearly prefers a place if its cost there is less by this.
 constexpr double kClearlyBetter = 3.0;
-// Rows that the one place does not explain, of which the larger part has another in common.
+// Least share of observations that the fit rejects, and of these, least share that another place explains.
 constexpr double kRejectedShare = 0.2;
 constexpr double kExplainedShare = 0.5;
 constexpr double kExplainedScales = 3.0;
@@ -45,27 +45,26 @@ struct Stretch {
   friend bool operator==(const Stretch&, const Stretch&) = default;
 };
 
-// A stretch of the rows in which an anchor was elsewhere, in which it has this many rows at least.
+// Least number of observations in a stretch in which an anchor was elsewhere.
 constexpr std::size_t kLeastStretchRows = 60;
 struct SecondPlace {
   Stretch stretch;
-  Eigen::Vector3d place_m = Eigen::Vector3d::Zero();        // there
-  Eigen::Vector3d usual_place_m = Eigen::Vector3d::Zero();  // outside of the stretch
-  // Of the rows that clearly prefer one of the places: those that no time separates from those of the other.
+  Eigen::Vector3d place_m = Eigen::Vector3d::Zero();        // in the stretch
+  Eigen::Vector3d usual_place_m = Eigen::Vector3d::Zero();  // outside it
+  // Among observations that clearly prefer a place: share of those on the wrong side of the stretch's ends.
   double torn_share = 0.0;
 };
-// Beyond this no time separates the places: the anchor is at both.
+// Above this share no time separates the places: the id is in both.
 constexpr double kTornShare = 0.2;
 
-// Enough rows and time for a place of their own; where there is less, other things than a move make it.
+// Enough observations and time for a place of its own; with less, the cause is something other than a move.
 bool is_enough(std::span<const Observation> rows, const Stretch& stretch) noexcept {
   if (stretch.last < stretch.first + kLeastStretchRows) return false;
   const double all_s = rows.back().t_s - rows.front().t_s;
   return rows[stretch.last - 1].t_s - rows[stretch.first].t_s >=
          std::max(kLeastStretch_s, kLeastStretchShare * all_s);
 }
-// The same of what is inside and of what is outside; what is left at the drive's ends has to be either enough
-// or nothing.
+// Whether stretch and rest are each enough; the rest at either end of the drive is enough or empty.
 bool is_parted(std::span<const Observation> rows, const Stretch& stretch) noexcept {
   const Stretch before{.first = 0, .last = stretch.first};
   const Stretch after{.first = stretch.last, .last = rows.size()};
@@ -73,7 +72,7 @@ bool is_parted(std::span<const Observation> rows, const Stretch& stretch) noexce
   return is_enough(rows, stretch) && is_whole(before) && is_whole(after) &&
          (before.first < before.last || after.first < after.last);
 }
-// Up to the drive's ends where too little would be left.
+// Extends a stretch to the drive's ends where too little would remain.
 Stretch widened(std::span<const Observation> rows, Stretch stretch) noexcept {
   if (!is_enough(rows, {.first = 0, .last = stretch.first})) stretch.first = 0;
   if (!is_enough(rows, {.first = stretch.last, .last = rows.size()})) stretch.last = rows.size();
@@ -98,7 +97,8 @@ Stretch largest_stretch(std::span<const double> values) {
   return best;
 }
 
-// By how much each row prefers the anchor `there`, in cost with the kernels of `here`.
+// By how much each observation prefers the anchor at `there`, as a cost difference with the kernels of
+// `here`.
 std::vector<double> preferences(std::span<const Observation> rows, const AnchorFit& here,
                                 const AnchorVector& there) {
   const std::size_t tags = here.problem.tag_count;
@@ -112,7 +112,7 @@ std::vector<double> preferences(std::span<const Observation> rows, const AnchorF
   return out;
 }
 
-// Solves some rows by themselves: searched for, and without NLOS states.
+// Solves some observations separately: with a search and without NLOS states.
 AnchorFit solve_alone(const AnchorProblem& problem, std::span<const Observation> rows, int rounds) {
   AnchorFit out;
   out.problem = problem;
@@ -123,7 +123,7 @@ AnchorFit solve_alone(const AnchorProblem& problem, std::span<const Observation>
   return out;
 }
 
-// The place that the rows have with the biases of `here`.
+// The fit with the position of the stretch, given the biases of `here`.
 AnchorFit place_of_stretch(const AnchorFit& here, std::span<const Observation> stretch) {
   const std::size_t tags = here.problem.tag_count;
   std::vector<Observation> rows(stretch.begin(), stretch.end());
@@ -138,7 +138,7 @@ AnchorFit place_of_stretch(const AnchorFit& here, std::span<const Observation> s
   return out;
 }
 
-// Of the rows that clearly prefer a place: those on the wrong side of the stretch's ends.
+// Among observations that clearly prefer a place: share of those on the wrong side of the stretch's ends.
 double torn_share(std::span<const double> prefer_there, const Stretch& stretch) {
   double clear = 0.0;
   double torn = 0.0;
@@ -151,7 +151,7 @@ double torn_share(std::span<const double> prefer_there, const Stretch& stretch) 
   return clear > 0.0 ? torn / clear : 0.0;
 }
 
-// Whether the rows of both sides speak for their own place, each on average.
+// Whether the observations inside and outside prefer their own place, each on average.
 bool prefers_each(std::span<const double> prefer_there, const Stretch& stretch) {
   const auto begin = prefer_there.begin();
   const auto first = begin + static_cast<std::ptrdiff_t>(stretch.first);
@@ -174,8 +174,8 @@ double apart_in_range_m(std::span<const Observation> rows, const AnchorFit& here
   return std::sqrt(sum_m2 / static_cast<double>(rows.size()));
 }
 
-// The rows solved as of two places, the stretch's and that of the others; then the stretch that prefers the
-// one, and so on.
+// Alternates between solving two places, that of the stretch and that of the rest, and finding the stretch
+// that prefers its own place.
 std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
   const std::span<const Observation> rows = problem.rows;
   SecondPlace out;
@@ -196,14 +196,14 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
     if (stretch == before) break;
   }
   if (!is_parted(rows, stretch)) return std::nullopt;
-  // Apart in the ranges too: a robot that stood there measured one direction alone.
+  // The ranges have to differ too: a stationary robot measured a single direction.
   if (std::min((out.place_m - out.usual_place_m).head<2>().norm(), apart_m) < kMinMove_m) return std::nullopt;
   out.stretch = stretch;
   out.torn_share = torn_share(prefer_there, stretch);
   return prefers_each(prefer_there, stretch) ? std::optional(out) : std::nullopt;
 }
 
-// The solution of the rows that the fit rejects, where these have a place in common far from the fit's.
+// Solution of the observations that the fit rejects, if they share a place far from the fit's.
 std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   AnchorFit far;
   far.problem = fit.problem;
@@ -229,7 +229,7 @@ std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   return far.anchor;
 }
 
-// None where one place explains the rows as well. The fit's kernels and solution are a start and a scale.
+// None if one place explains the observations as well. The fit gives start and scale.
 std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
   const std::size_t rows = fit.problem.rows.size();
   if (rows < 2 * kLeastStretchRows) return std::nullopt;
@@ -237,7 +237,7 @@ std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
     std::vector<double> prefer = preferences(fit.problem.rows, fit, *far);
     Stretch stretch = largest_stretch(prefer);
     double torn = torn_share(prefer, stretch);
-    // The stretch may be that of the fit's own place, in the midst of the other's.
+    // The stretch may be that of the fit's own place, in the middle of the other's.
     for (double& value : prefer) value = -value;
     const Stretch own = largest_stretch(prefer);
     if (const double torn_own = torn_share(prefer, own); torn_own < torn) {
@@ -272,7 +272,7 @@ constexpr int kMovedRounds = 4;
 constexpr int kLooks = 3;
 constexpr int kPieceSteps = 6;
 constexpr int kJoiningSteps = 20;
-// A move is so far outside of what the two solutions can differ by.
+// A move has at least this squared Mahalanobis distance between the two solutions.
 constexpr double kMinSquareSigmas = 40.0;
 // A piece needs at least twice as many independent rows as it has unknowns (three tags).
 constexpr double kLeastRowsByThemselves = 20.0;
@@ -289,10 +289,10 @@ std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Pol
   return out;
 }
 
-// Rows at which an anchor is somewhere else than before, and its twin's place. Few: each stretch is looked at
-// once more.
+// Observations at which an anchor may have moved, and the place of a duplicate id. Only few: each stretch is
+// tested again.
 struct Suspicion {
-  std::vector<std::size_t> changes;         // by row
+  std::vector<std::size_t> changes;         // indices of observations
   std::vector<Eigen::Vector3d> places_m{};  // where it may have been
   std::optional<Eigen::Vector3d> twin_m;
 };
@@ -332,7 +332,7 @@ struct Pieces {
   SiteSight sight;
 };
 
-// Starts from the place that explains the rows best: few rows have more valleys than one.
+// Starts from the place that explains the observations best: few observations have several basins.
 void start_at_best(AnchorFit& fit, std::span<const Eigen::Vector3d> places_m) {
   double least = std::numeric_limits<double>::infinity();
   for (const Eigen::Vector3d& place_m : places_m) {
@@ -374,10 +374,10 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
   return out;
 }
 
-// To the next piece; none where that is no move.
+// Shift to the next piece; none if it is too small for a move or not significant.
 std::optional<Shift> clear_shift(const Pieces& pieces, std::size_t piece) {
   const Eigen::Index size = wall_index(pieces.fits[piece].problem.tag_count);
-  // Residuals that are correlated in one piece are so in the other, though it may be too short to show it.
+  // Residuals correlated in one piece are so in the other, even if it is too short to show it.
   const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
   const auto covariance = [&](std::size_t i) -> Eigen::MatrixXd {
     return anchor_covariance(pieces.evidence[i], inflation).topLeftCorner(size, size);
@@ -388,8 +388,8 @@ std::optional<Shift> clear_shift(const Pieces& pieces, std::size_t piece) {
   return moved ? std::optional(shift) : std::nullopt;
 }
 
-// By how much more one place for both pieces costs than each its own, twice, as chi square has it:
-// covariances know the valley's floor near a solution, but few rows or a robot that stands leave a bent one.
+// Twice the extra cost of one place for both pieces over a place for each (chi square): covariances describe
+// the basin near a solution, but few observations, or a stationary robot, leave a curved one.
 double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
   const AnchorFit& first = pieces.fits[piece];
   const AnchorFit& next = pieces.fits[piece + 1];
@@ -415,14 +415,14 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
 
 std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   for (const std::size_t i : {piece, piece + 1}) {
-    // Behind walls a bias and a move are one.
+    // A bias and a move cannot be distinguished in long NLOS.
     if (!pieces.sight.poll_shares.empty() && pieces.sight.poll_shares[i](kInSight) <= kMinInSight)
       return std::nullopt;
     const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
     if (rows < kLeastRowsByThemselves * pieces.inflation[i]) return std::nullopt;
   }
   if (!clear_shift(pieces, piece)) return std::nullopt;
-  // Not so where one of the two has but settled on another side of the tags.
+  // Not a move if one of the two only settled on another side of the tags.
   for (const std::size_t i : {piece, piece + 1}) {
     challenge_both(pieces.fits[i]);
     pieces.evidence[i] = gather_evidence(pieces.fits[i]);
@@ -521,8 +521,9 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
   for (std::size_t a = 0; a < fits.size(); ++a) {
     if (fits[a].problem.rows.empty() || fits[a].problem.position.surveyed) continue;
     const std::span<const Observation> rows = fits[a].problem.rows;
-    // The rows in LOS by replies and powers alone: behind walls a bias and a move are one, and what a move
-    // does to residuals passes for a wall. Without missed replies and powers there are but residuals.
+    // Only observations that replies and powers alone classify as LOS: in long NLOS a bias and a move cannot
+    // be distinguished, and a move looks like NLOS in the residuals. Without missed replies and powers there
+    // are only residuals.
     std::vector<Observation> examined(rows.begin(), rows.end());
     if ((table.regular || sight.model.powers) && !sight.anchors.empty()) {
       const std::vector<bool> seen = rows_in_sight(sight.model, table.polls[a], rows);
@@ -531,7 +532,7 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
     suspicions[a] = suspect(fits[a], examined);
     out[a].twin_m = suspicions[a].twin_m;
   }
-  // A change that is none goes, and what it separated is solved as one.
+  // Drops a change that is no move; what it separated is solved as one.
   Pieces pieces;
   for (bool all_are_moves = false; !all_are_moves;) {
     all_are_moves = true;

@@ -1,5 +1,5 @@
-// Anchors that did not stay where they were, or that are in two places: the stretches of the drive solved
-// apart.
+// Anchors that moved during the drive, or whose id is duplicated: the stretches of the drive are solved
+// separately.
 #pragma once
 
 #include <cstddef>
@@ -15,50 +15,50 @@
 
 namespace groma::calibration {
 
-// How much each stretch of the rows gains from a place of its own, by the normal equations of a Huber cost
-// about one solution: made once, in one pass over the rows, for all stretches.
+// How much each stretch of the drive gains from a position of its own, from the normal equations of a Huber
+// cost at one solution: made in one pass over the observations, for all stretches.
 class StretchGains {
  public:
-  // The fit's rows in so many bins of about the same number; without NLOS states.
+  // Divides the fit's observations into bins of about equal number; without NLOS states.
   StretchGains(const AnchorFit& fit, std::size_t bins);
 
-  // Bin i holds the rows [first_row[i], first_row[i + 1]).
+  // Bin i holds the observations [first_row[i], first_row[i + 1]).
   std::vector<std::size_t> first_row;
-  // What the cost falls by, all other unknowns solved for, where the anchor is elsewhere in bins [from, to).
+  // Decrease of the cost, with all other unknowns solved for, if the anchor is elsewhere in bins [from, to).
   [[nodiscard]] double gain(std::size_t from, std::size_t to) const;
 
  private:
   using Columns = Eigen::Matrix<double, Eigen::Dynamic, 3>;
-  // Sums over all bins before: information of the position, gradient by it, and L^-1 times the cross
-  // information with all unknowns, L L^T that of all rows.
+  // Prefix sums over bins: information of the position, gradient by it, and L^-1 times the cross information
+  // with all unknowns, with L L^T the information of all observations.
   std::vector<Eigen::Matrix3d> information_;
   std::vector<Eigen::Vector3d> gradient_;
   std::vector<Columns> half_cross_;
   Eigen::VectorXd half_gradient_;
 };
 
-// A move is one of at least this length in the plane.
+// Shortest move in the plane, m, that counts as one.
 inline constexpr double kMinMove_m = 0.15;
 
-// How two solutions of one anchor differ, from different rows.
+// Difference of two solutions of one anchor from different observations.
 struct Shift {
-  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();  // later minus earlier, were their biases the same
-  double square_sigmas = 0.0;                      // in the metric of its covariance; 3 degrees of freedom
+  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();  // later minus earlier, given equal biases
+  double square_sigmas = 0.0;                      // squared Mahalanobis distance; 3 degrees of freedom
 };
-// Vectors and covariances of position and biases alone.
+// Vectors and covariances are of position and biases only.
 [[nodiscard]] Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_covariance,
                                   const AnchorVector& later, const Eigen::MatrixXd& later_covariance);
 
-// Where one anchor was.
+// Positions of one anchor during the drive.
 struct AnchorPath {
-  std::vector<double> moved_at_s;  // ascending; empty: it stayed
+  std::vector<double> moved_at_s;  // ascending; empty: it did not move
   Eigen::Vector3d last_move_m = Eigen::Vector3d::Zero();
-  std::vector<Eigen::Vector3d> places_m;  // before the first move, after it, and so on; where there are moves
-  std::optional<Eigen::Vector3d> twin_m;  // another place that no time separates from its own
+  std::vector<Eigen::Vector3d> places_m;  // before the first move, after it, ...; empty without moves
+  std::optional<Eigen::Vector3d> twin_m;  // second place, not separated from the first in time: duplicate id
 };
 
-// Where an anchor was moved, its fit becomes that of the rows after its last move, and so does its sight,
-// where the site has one. The result: of each anchor.
+// Returns each anchor's path. The fit of an anchor that moved becomes that of the observations after its last
+// move, and so do its NLOS states, if the site has any.
 [[nodiscard]] std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight,
                                                  std::vector<AnchorFit>& fits);
 
