@@ -10,7 +10,7 @@ constexpr double kInverseSqrtTwoPi = std::numbers::inv_sqrtpi / std::numbers::sq
 constexpr double kMinScale_m = 0.005;
 constexpr double kWideVariance = 8.0;
 constexpr double kFirstBump = 3.0;
-// Densities below this are nothing beside gross, and their products would be slow, subnormal floats.
+// Densities below this are negligible next to gross, and their products would be slow, subnormal floats.
 constexpr double kNoDensity = 1e-30;
 
 }  // namespace
@@ -125,7 +125,7 @@ KernelShape likeliest_shape(const KernelStatistics& statistics, const KernelPrio
     shape.bumps[k] = share(statistics.kinds(2 + static_cast<Eigen::Index>(k)), prior.shape.bumps[k]);
   }
   shape.gross = share(statistics.gross, prior.shape.gross);
-  // Bumps tell nothing of the scale: where they are is the excess' doing.
+  // Bumps carry no information on the scale: the NLOS excess determines where they are.
   const double in_sight = statistics.kinds(0) + statistics.kinds(1);
   const double free = in_sight - std::min(statistics.parameters, 0.5 * in_sight) + prior.scale_weight;
   const double prior_square_m2 = prior.scale_weight * prior.shape.scale_m * prior.shape.scale_m;

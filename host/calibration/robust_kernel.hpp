@@ -1,5 +1,5 @@
-// The density of a range residual, and the robust cost that it makes: shape and scale are learnt from the
-// residuals themselves, and too long is not treated as too short.
+// Mixture density of a range residual, and the robust cost -log density. Shape and scale are estimated from
+// the residuals themselves; the density is asymmetric, because NLOS makes ranges too long.
 #pragma once
 
 #include <algorithm>
@@ -13,24 +13,24 @@
 
 namespace groma::calibration {
 
-// Kinds of range, mixed; s is the scale:
-//   core   N(0, s^2), in sight
-//   wide   N(0, 8 s^2), in sight but disturbed
-//   bumps  N(c s, ((c/3)^2 + 1) s^2) with c = 3, 6, 12 ... 96, blocked: their shares follow whatever
-//          distribution the excess has, and none has its peak where the core has
-//   gross  anything, uniform over 1000 s
+// Kinds of range in the mixture; s is the scale:
+//   core   N(0, s^2), LOS
+//   wide   N(0, 8 s^2), LOS with a disturbance
+//   bumps  N(c s, ((c/3)^2 + 1) s^2) with c = 3, 6, 12 ... 96, NLOS: their shares follow any distribution of
+//          the excess, and none has its peak at the core's
+//   gross  outliers, uniform over 1000 s
 inline constexpr std::size_t kBumps = 6;
 inline constexpr double kGrossScales = 1000.0;
 
-// Of the kinds but gross, in the order above.
+// Kinds except gross, in the order above.
 inline constexpr Eigen::Index kKinds = 2 + static_cast<Eigen::Index>(kBumps);
 using KindVector = Eigen::Matrix<double, kKinds, 1>;
-// In the inner loop: a density wants no more digits than its table has.
+// For the inner loop: a float is as precise as the table.
 using KindFloats = Eigen::Matrix<float, kKinds, 1>;
 
 struct KernelShape {
   double scale_m = 0.1;
-  double wide = 0.02;  // shares; the core has what they leave
+  double wide = 0.02;  // shares; the core has the rest
   std::array<double, kBumps> bumps{0.005, 0.005, 0.005, 0.005, 0.005, 0.005};
   double gross = 0.005;
 
@@ -40,13 +40,13 @@ struct KernelShape {
   [[nodiscard]] KernelShape with_blocked(double share) const noexcept;
 };
 
-// Densities of the kinds at u = r/s, unit scale, tabulated and linear between nodes: off by less than 5e-4
+// Densities of the kinds at u = r/s, unit scale, tabulated and linear between nodes, with an error below 5e-4
 // of each kind's peak.
 class KindTable {
  public:
   [[nodiscard]] static const KindTable& instance() noexcept;
 
-  // False: u is outside the table, where gross alone is left.
+  // False if u is outside the table, where only gross remains.
   [[nodiscard]] bool at(double u, KindFloats& densities) const noexcept {
     if (!(u > kLow && u < kHigh)) return false;
     double position = (u - kFineLow) * kNodesPerScale;
@@ -66,7 +66,7 @@ class KindTable {
  private:
   KindTable() noexcept;
 
-  // Nodes in three pieces: where the narrow kinds are, close together; then, one a scale, above and below.
+  // Nodes in three pieces: dense where the narrow kinds are, then one per scale above and below.
   static constexpr double kLow = -128.0;
   static constexpr double kFineLow = -16.0;
   static constexpr double kFineHigh = 60.0;
@@ -88,7 +88,7 @@ struct KernelValue {
   double weight = 0.0;   // curvature of the majorizing parabola, 1/m^2: never negative
 };
 
-// Shares of one residual among the kinds; they sum to one.
+// Posterior probabilities of the kinds for one residual; they sum to one.
 struct KernelShares {
   KindVector kinds = KindVector::Zero();
   double gross = 1.0;
@@ -96,7 +96,7 @@ struct KernelShares {
   [[nodiscard]] double in_sight() const noexcept { return kinds(0) + kinds(1); }
 };
 
-// The same of residuals side by side.
+// The same for kLanes residuals side by side.
 inline constexpr Eigen::Index kLanes = 8;
 using Lanes = Eigen::Array<double, kLanes, 1>;
 struct KernelLanes {
@@ -105,19 +105,19 @@ struct KernelLanes {
   Lanes weight;
 };
 
-// A residual, and how much of it counts.
+// A residual and its weight.
 struct WeighedResidual {
   double residual_m = 0.0;
   double weight = 1.0;
 };
 
-// What residuals say of a kernel's shape: sums of the expectation step. Sums of parts are the sum of all.
+// Sums of the expectation step over residuals; those of parts add up to those of all.
 struct KernelStatistics {
   double count = 0.0;
-  double parameters = 0.0;                // degrees of freedom that the fit behind the residuals took
-  KindVector kinds = KindVector::Zero();  // shares summed
+  double parameters = 0.0;                // degrees of freedom used by the fit
+  KindVector kinds = KindVector::Zero();  // sums of the posterior probabilities
   double gross = 0.0;
-  double square_m2 = 0.0;  // of core and wide residuals, each over its own variance
+  double square_m2 = 0.0;  // of core and wide residuals, each over its variance at s = 1
 
   KernelStatistics& operator+=(const KernelStatistics& other) noexcept;
 };
@@ -138,7 +138,7 @@ class RobustKernel {
     out.weight = share * inverse_scale_ * weighted;
     return out;
   }
-  // A residual that is no number has the density of gross, and neither slope nor weight.
+  // A NaN residual has the density of gross, and no slope or weight.
   [[nodiscard]] KernelLanes at(const Lanes& residual_m) const noexcept {
     Lanes u = residual_m * inverse_scale_;
     Lanes density = Lanes::Zero();
@@ -197,9 +197,9 @@ class RobustKernel {
 class CostSum {
  public:
   void add(const KernelValue& value) noexcept { multiply(value.density); }
-  // So many of the lanes, the first ones.
+  // Adds the first `count` lanes.
   void add(const Lanes& density, Eigen::Index count) noexcept {
-    // Four at a time: no product of densities is too small or too large for a double.
+    // Four at a time: the product of four densities is neither too small nor too large for a double.
     constexpr Eigen::Index kAtOnce = 4;
     if (count == kLanes) {
       multiply(density.head<kAtOnce>().prod());
@@ -224,25 +224,25 @@ class CostSum {
   double product_ = 1.0;
 };
 
-// What is believed of a kernel before its residuals are seen: as much as so many residuals would tell.
+// Prior of a kernel's shape, weighted as this many residuals.
 struct KernelPrior {
   KernelShape shape;
   double scale_weight = 10.0;
   double share_weight = 10.0;
 };
 
-// The maximization step: the shape that prior and statistics make likeliest.
+// Maximization step: the most likely shape given prior and statistics.
 [[nodiscard]] KernelShape likeliest_shape(const KernelStatistics& statistics,
                                           const KernelPrior& prior) noexcept;
 
-// Expectation maximization from prior.shape over the residuals.
+// Expectation maximization over the residuals, starting from prior.shape.
 [[nodiscard]] KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelPrior& prior,
                                      int iterations) noexcept;
 
-// Standard deviation of a normal over the median of its absolute deviation from its middle.
+// Standard deviation of a normal distribution over its median absolute deviation.
 inline constexpr double kSigmaOfMad = 1.482602218505602;
 
-// The upper one of two middles; zero of nothing.
+// Upper median; zero if empty.
 [[nodiscard]] inline double median(std::vector<double> values) {
   if (values.empty()) return 0.0;
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);

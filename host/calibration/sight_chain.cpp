@@ -8,16 +8,17 @@
 namespace groma::calibration {
 namespace {
 
-// Rates between the states, 1/s: a shadow lasts some 3 s, a wall some 10 s; in sight some 12 s.
+// Transitions are given per kRound_s. Mean durations: LOS some 12 s, short NLOS some 3 s, long NLOS some 10
+// s.
 constexpr double kRound_s = 0.12;
 constexpr std::int64_t kMaxMissed = 32;
-// Polls are regular where so large a share of all intervals is a multiple of the shortest but for so much.
+// Polls are regular if this share of all intervals are multiples of the shortest, within this fraction of it.
 constexpr double kRegularShare = 0.9;
 constexpr double kRegularDeviation = 0.2;
 constexpr std::size_t kMinIntervals = 100;
-// The shortest interval but for a few that are repeats.
+// Quantile of the intervals that counts as the shortest: a few are repeats.
 constexpr double kShortest = 0.1;
-// A residual is no better evidence than this against a state.
+// Lower limit of a state's likelihood, relative to the largest.
 constexpr double kMinLikelihood = 6e-6;
 
 // Interval and regularity of the polls, from the pairs' intervals between replies.
@@ -66,13 +67,13 @@ std::vector<std::vector<double>> reply_times_by_tag(const Association& associati
 }
 
 constexpr double kMost = 10.0;
-// Those of so long come by the same walls: one to learn from.
+// Ranges within this time pass the same obstacles: they count as one.
 constexpr double kTogether_s = 0.2;
-// As many of such is what is believed worth.
+// Weight of the prior, in such ranges.
 constexpr double kBelievedCount = 30.0;
-// So large a share of the ranges has at least the strength that those in sight have,
+// Share of the ranges that are at least as strong as a typical LOS range.
 constexpr double kStrongest = 0.2;
-// which differs by so much: Laplace.
+// Scale of the strength of LOS ranges about the typical one (Laplace distribution).
 constexpr double kStrengthScale_db = 3.0;
 
 double sum(const std::array<double, model::kPowerClasses>& counts) noexcept {
@@ -85,7 +86,7 @@ Eigen::Matrix3d sight_transition(double interval_s) noexcept {
   Eigen::Matrix3d a_round;
   a_round << 0.990, 0.005, 0.005, 0.033, 0.962, 0.005, 0.010, 0.0025, 0.9875;
   const Eigen::Matrix3d rates = (a_round - Eigen::Matrix3d::Identity()) / kRound_s;
-  // The exponential of the rates, by squaring.
+  // Matrix exponential of the rates, by squaring.
   constexpr int kSquarings = 12;
   Eigen::Matrix3d out =
       Eigen::Matrix3d::Identity() + rates * std::clamp(interval_s, 1e-3, 100.0) / std::exp2(kSquarings);
@@ -108,7 +109,7 @@ PollTable tabulate_polls(const Association& association) {
         const auto gap = static_cast<std::int64_t>(
             std::min(1.0 + kMaxMissed, std::round((row.t_s - from_s) / table.interval_s)));
         for (std::int64_t k = 1; k < gap; ++k) {
-          // A tag that nobody answered may not have asked.
+          // A tag that no anchor answered may not have polled.
           const double begin_s = from_s + (static_cast<double>(k) - 0.5) * table.interval_s;
           const std::vector<double>& times_s = replies_s[row.tag];
           const auto next = std::lower_bound(times_s.begin(), times_s.end(), begin_s);
@@ -142,7 +143,8 @@ void infer_sight(const SightChain& chain, std::span<const Poll> polls,
   out.answered.setZero();
   out.missed.setZero();
   const Eigen::Matrix3d forth = chain.transition.transpose();
-  // Likelihood of a poll but for its residual, and of that; `row`: of those that have one.
+  // Likelihoods of a poll by reply and powers, and by its residual; `row` counts the polls with an
+  // observation.
   const auto reply = [&](Poll poll, std::size_t row) -> SightVector {
     if (poll == kMissed) return SightVector::Ones() - chain.reply;
     if (poll < 0 || hints.empty()) return chain.reply;
@@ -218,7 +220,7 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
     near_usual[i] = std::exp(-apart * model::kStrengthStep_db / kStrengthScale_db);
   }
   const double near_all = std::accumulate(near_usual.begin(), near_usual.end(), 0.0);
-  // Of a strength that is not known nothing is believed.
+  // An unknown strength carries no information.
   constexpr double kAnywhere = 1.0 / static_cast<double>(model::kStrengthClasses);
   for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
     const std::size_t hidden = i / model::kStrengthClasses;

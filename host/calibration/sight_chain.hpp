@@ -1,5 +1,5 @@
-// Whether a pair sees each other, poll by poll: a hidden Markov chain whose data are the residuals of ranges
-// and the polls that went without a reply.
+// LOS or NLOS of a pair, poll by poll: a hidden Markov chain, observed by range residuals, missed replies and
+// received powers.
 #pragma once
 
 #include <array>
@@ -15,75 +15,74 @@
 
 namespace groma::calibration {
 
-// States: in sight; in a shadow, blocked for a moment by what moves; behind a wall, blocked for long.
+// States: LOS; short NLOS, blocked for a moment by something that moves; long NLOS, behind a wall.
 enum SightState : std::uint8_t { kInSight, kShadow, kWall };
-using SightVector = Eigen::Vector3d;  // one figure a state
+using SightVector = Eigen::Vector3d;  // one value per state
 
 struct SightChain {
-  Eigen::Matrix3d transition;  // from the row's state to the column's, a poll; rows sum to one
+  Eigen::Matrix3d transition;  // per poll, from the row's state to the column's; rows sum to one
   SightVector start{0.65, 0.05, 0.30};
   SightVector reply{0.95, 0.5, 0.5};  // probability that a poll is answered
 };
-// The transition over so long, between polls.
+// Transition matrix over `interval_s`.
 [[nodiscard]] Eigen::Matrix3d sight_transition(double interval_s) noexcept;
 
-// One poll of a pair: its row, or a negative value where it has none.
+// One poll of a pair: the index of its observation, or a negative value if it has none.
 using Poll = std::int32_t;
 inline constexpr Poll kMissed = -1;   // no reply
-inline constexpr Poll kNotTold = -2;  // nothing known of it
-inline constexpr Poll kReplied = -3;  // a reply whose range is not among the rows
+inline constexpr Poll kNotTold = -2;  // unknown
+inline constexpr Poll kReplied = -3;  // a reply whose range is not among the observations
 
 // The polls of each pair between its first and its last reply.
 struct PollTable {
   double interval_s = 0.0;
-  bool regular = false;  // polls come at equal steps: then it can be told which of them were missed
+  bool regular = false;  // polls are equally spaced, so that missed ones can be identified
   std::vector<std::vector<std::vector<Poll>>> polls = {};  // [anchor][tag]
 };
 [[nodiscard]] PollTable tabulate_polls(const Association& association);
-// Of all rows of one anchor those are left, by their indices so far, ascending, and numbered anew: the
-// others' replies are still told.
+// Keeps the observations `kept` (ascending indices) of one anchor and renumbers them; the others still count
+// as replies.
 void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t> kept);
 
-// Of each poll that has a row, in order, and of all polls together.
+// For each poll with an observation, in order, and for all polls together.
 struct SightPosterior {
-  std::vector<SightVector> prior;      // from all but the row's own residual
-  std::vector<SightVector> posterior;  // from all
+  std::vector<SightVector> prior;      // from all data except its own residual
+  std::vector<SightVector> posterior;  // from all data
   double log_evidence = 0.0;
-  SightVector answered = SightVector::Zero();  // polls expected in each state
+  SightVector answered = SightVector::Zero();  // expected number of polls in each state
   SightVector missed = SightVector::Zero();
 };
-// Forward-backward. `likelihoods` holds the residual's density in each state, 1/m, of each poll that has a
-// row, in order; `hints`, of the same, the likelihood of its powers where blocked over that in sight, or
-// nothing. The result's vectors are reused.
+// Forward-backward algorithm. `likelihoods` holds the density of the residual in each state, 1/m, for each
+// poll with an observation, in order; `hints` the likelihood ratio of its powers, NLOS over LOS, or nothing.
+// Reuses the vectors of `out`.
 void infer_sight(const SightChain& chain, std::span<const Poll> polls,
                  std::span<const SightVector> likelihoods, std::span<const double> hints,
                  SightPosterior& out);
 
-// Of ranges in each class, expected: those in sight, and those that are not.
+// Expected numbers of LOS and of NLOS ranges in each power class.
 struct PowerCounts {
   std::array<double, model::kPowerClasses> in_sight{};
   std::array<double, model::kPowerClasses> blocked{};
 
   void add(model::PowerClass of, double in_sight_share) noexcept;
-  // Of so many times those.
+  // Adds `times` times the other's.
   void add(const PowerCounts& other, double times) noexcept;
 };
 
 class PowerHints {
  public:
-  // As believed before any residual: `ranges` counts a site's ranges in each class. In sight the first path
-  // is about as strong, for its length, as the strongest are; blocked it is anything. `interval_s`: between
-  // ranges of a pair; those that are close are fewer to learn from.
+  // Prior before any residual; `ranges` counts a site's ranges in each class. In LOS the first path is about
+  // as strong, for its length, as the strongest are; in NLOS any strength is as likely. `interval_s`: between
+  // ranges of a pair; ranges close in time count less.
   PowerHints(std::span<const double, model::kPowerClasses> ranges, double interval_s) noexcept;
 
-  // Likelihood of a range's class for a blocked pair over that for one in sight, from 1/10 to 10; 1 of
-  // kNoPowerClass.
+  // Likelihood of a power class in NLOS over that in LOS, from 1/10 to 10; 1 for kNoPowerClass.
   [[nodiscard]] double ratio(model::PowerClass of) const noexcept { return ratios_[of]; }
-  // Counts upon what is believed, in the place of all that was learnt before.
+  // Adds the counts to the prior, in place of all earlier counts.
   void learn(const PowerCounts& counts) noexcept;
 
  private:
-  double share_ = 1.0;  // of a range in those that are one to learn from
+  double share_ = 1.0;  // weight of one range
   PowerCounts believed_;
   std::array<double, model::kPowerClasses + 1> ratios_{};
 };

@@ -10,38 +10,37 @@
 namespace groma::calibration {
 namespace {
 
-// Data ask for the chain where replies alone hold a pair for blocked for so large a share of its polls,
+// NLOS states are needed if replies alone put a pair in NLOS for this share of its polls,
 constexpr double kBlockedByReplies = 0.02;
-// and these are by so much likelier than replies lost one by one, a fifth of them at most,
+// and that has this much more log evidence than independent losses of replies, at most kMostLosses of them;
 constexpr double kBlockedEvidence = 5.0;
 constexpr double kMostLosses = 0.2;
 constexpr std::array kLossesInSight{0.02, 0.01, 0.005};
-// or where residuals longer than so many scales follow each other.
+// or if residuals longer than kLong scales are correlated in time.
 constexpr double kLong = 3.0;
 constexpr double kLongShare = 0.02;
 constexpr double kLongOverShort = 2.0;
 constexpr double kLongCorrelation = 0.2;
 constexpr double kLongSignificance = 5.0;
 constexpr std::size_t kMinPolls = 50;
-// Beyond this replies are lost for weakness, and hills and trees are no walls: the model is one of halls and
-// yards, for drives with nearly all of their ranges within it.
+// The NLOS model is for halls and yards: this share of the ranges has to be shorter than kReach_m.
 constexpr double kReach_m = 60.0;
 constexpr double kNearShare = 0.9;
 
 constexpr int kSightRounds = 7;
 constexpr int kLabelRounds = 2;
-// Rows in sight that solve an anchor alone in the first round.
+// Share of LOS ranges that is enough to solve an anchor from these alone in the first round.
 constexpr double kEnoughInSight = 0.25;
 constexpr double kEpisode_s = 4.0;
 constexpr std::size_t kEpisodeRows = 8;
 constexpr std::size_t kEpisodeBreak = 3;
-// Replies that it takes to move a state's reply probability half-way from where it starts.
+// Number of polls that moves a state's reply probability half-way from its prior.
 constexpr double kReplyWeight = 200.0;
-// Walls of a site have an excess in common, but for this.
+// Standard deviation of the anchors' common excesses about the site's.
 constexpr double kWallSpread_m = 0.1;
 constexpr double kKnownWall_m = 0.1;
 constexpr double kWallShapeWeight = 50.0;
-// What shadows add to ranges, and what the noise blurs where that is more.
+// Scale of short NLOS residuals, or that of the noise if it is larger.
 constexpr double kShadowScale_m = 0.08;
 
 KernelShape shadow_shape(double scale_m) {
@@ -57,10 +56,10 @@ struct AnchorPass {
   SightVector missed = SightVector::Zero();
   PowerCounts powers;  // by residuals and replies alone
   std::vector<WeighedResidual> walled;
-  std::vector<double> start_excess_m;  // of each episode over the common part
+  std::vector<double> start_excess_m;  // of each episode, beyond the common excess
 };
 
-// Of the pairs' noise in sight: the median of their kernels' scales.
+// Typical LOS noise of the pairs: the median of their kernels' scales, m.
 double typical_scale_m(std::span<const AnchorFit> fits) {
   std::vector<double> scales_m;
   for (const AnchorFit& fit : fits) {
@@ -78,7 +77,7 @@ SightVector poll_shares(const SightVector& answered, const SightVector& missed) 
   return (answered + missed) / std::max(1e-9, (answered + missed).sum());
 }
 
-// Of each poll that has a row, in order.
+// Power class of each poll with an observation, in order.
 std::vector<model::PowerClass> classes_of(std::span<const Poll> polls, std::span<const Observation> rows) {
   std::vector<model::PowerClass> out;
   for (const Poll poll : polls) {
@@ -87,7 +86,7 @@ std::vector<model::PowerClass> classes_of(std::span<const Poll> polls, std::span
   return out;
 }
 
-// Empty where ranges carry no powers.
+// Empty if ranges carry no powers.
 std::vector<double> hints_of(std::span<const model::PowerClass> classes,
                              const std::optional<PowerHints>& powers) {
   std::vector<double> out;
@@ -96,13 +95,13 @@ std::vector<double> hints_of(std::span<const model::PowerClass> classes,
   return out;
 }
 
-// Of each poll that has a row, were its residual not known.
+// Likelihoods of unknown residuals, for each poll with an observation.
 std::vector<SightVector> no_residuals(std::span<const Poll> polls) {
   const auto rows = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
   return std::vector<SightVector>(static_cast<std::size_t>(rows), SightVector::Ones());
 }
 
-// Ranges too long that come one after the other, and are not as often too short.
+// Whether too long ranges are correlated in time and clearly more frequent than too short ones.
 bool long_residuals_are_correlated(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
   double rows = 0.0;
@@ -132,7 +131,7 @@ bool long_residuals_are_correlated(const AnchorFit& fit) {
   return correlation > std::max(kLongCorrelation, kLongSignificance / std::sqrt(neighbours));
 }
 
-// The likeliest logarithm of the evidence of the polls, were each reply lost by itself.
+// Largest log likelihood of the polls if replies are lost independently.
 double log_evidence_of_losses(std::span<const Poll> polls) {
   const auto missed = static_cast<double>(std::count(polls.begin(), polls.end(), kMissed));
   const auto told = static_cast<double>(polls.size()) -
@@ -141,7 +140,7 @@ double log_evidence_of_losses(std::span<const Poll> polls) {
   return missed * std::log(share) + (told - missed) * std::log1p(-share);
 }
 
-// Replies that are missing here and there are lost by chance: blocking has to tell better why they are.
+// Isolated missed replies are lost by chance: NLOS has to explain them better.
 bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll>> pairs) {
   SightPosterior posterior;
   const SightVector believed = chain.reply;
@@ -164,7 +163,7 @@ bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll
   return false;
 }
 
-// What one pair's polls that have a row say, in order.
+// One pair's polls with an observation, in order.
 struct PairPass {
   std::vector<const Observation*> rows;
   std::vector<double> residuals_m;
@@ -194,11 +193,11 @@ class SightSolver {
   [[nodiscard]] static bool has_wall(const AnchorFit& fit) {
     return fit.problem.sight != nullptr && fit.problem.sight->behind_wall;
   }
-  // The excess that all walls about the anchor have in common.
+  // Common excess of the anchor's long NLOS, m.
   [[nodiscard]] double common_excess_m(const AnchorFit& fit) const {
     return has_wall(fit) ? fit.anchor(wall_index(fit.problem.tag_count)) : out_.model.wall_prior.mean_m;
   }
-  // Of residuals behind a wall outside of episodes.
+  // Shape of long NLOS residuals outside episodes.
   [[nodiscard]] KernelShape anywhere_shape() const {
     KernelShape out = out_.model.wall;
     out.scale_m = std::hypot(out_.model.wall.scale_m, out_.model.wall_prior.episode_sigma_m);
@@ -210,8 +209,8 @@ class SightSolver {
   SiteSight out_;
 };
 
-// From replies and powers alone: rows in LOS are taken as such, the others not at all or, where few are in
-// LOS, as behind a wall.
+// First classification, by replies and powers alone. Ranges that are not LOS are ignored or, if few are LOS,
+// taken as long NLOS.
 void SightSolver::label_first() {
   for (std::size_t a = 0; a < fits_.size(); ++a) {
     const std::span<const Observation> rows = fits_[a].problem.rows;
@@ -267,7 +266,7 @@ AnchorPass SightSolver::infer(std::size_t a) const {
     SightPosterior& posterior = pair.posterior;
     const std::vector<model::PowerClass> classes = classes_of(polls, rows);
     if (out_.model.powers) {
-      // Powers are not learnt from what they say themselves.
+      // Powers are estimated without what they say themselves.
       infer_sight(out_.model.chain, polls, pair.likelihoods, {}, posterior);
       for (std::size_t i = 0; i < classes.size(); ++i) {
         out.powers.add(classes[i], posterior.posterior[i](kInSight));
@@ -283,7 +282,7 @@ AnchorPass SightSolver::infer(std::size_t a) const {
       row.other_density = static_cast<float>(posterior.prior[i](kShadow) * pair.likelihoods[i](kShadow));
     }
     add_episodes(pair, common_excess_m(fits_[a]), out);
-    // Outside of episodes the excess of a wall is too uncertain to be of use.
+    // Outside episodes the excess is too uncertain for the range to be of use.
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
       RowSight& row = out.sight.rows[pair.rows[i]->index];
       if (row.episode != kNoEpisode) continue;
@@ -295,7 +294,7 @@ AnchorPass SightSolver::infer(std::size_t a) const {
   return out;
 }
 
-// Stretches of rows behind a wall that no more than a few others interrupt.
+// Adds the stretches of long NLOS ranges that no more than a few others interrupt.
 void SightSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const {
   std::size_t first = 0;
   std::size_t last = 0;
@@ -356,7 +355,7 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
     powers.add(pass.powers, 1.0);
     walled.insert(walled.end(), pass.walled.begin(), pass.walled.end());
     if (!has_wall(fits_[a]) || !pass.sight.behind_wall) continue;
-    // Only where the anchor is in LOS as well does a wall differ from a bias.
+    // An excess differs from a bias only if the anchor is in LOS as well.
     if (poll_shares(pass.answered, pass.missed)(kInSight) < 0.3) continue;
     const double weight = 1.0 / (kKnownWall_m * kKnownWall_m + kWallSpread_m * kWallSpread_m);
     information += weight;

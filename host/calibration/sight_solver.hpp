@@ -1,4 +1,4 @@
-// All anchors once more where ranges come through something: each row's sight and the anchors in turns.
+// Solves all anchors with NLOS states: classifies each range and solves the anchors, in turns.
 #pragma once
 
 #include <optional>
@@ -13,37 +13,38 @@
 
 namespace groma::calibration {
 
-// What all pairs of a site have in common.
+// NLOS model common to all pairs of a site.
 struct SightModel {
   SightChain chain;
-  RobustKernel shadow;  // of residuals in a shadow
-  KernelShape wall;     // of what is left of residuals behind a wall
+  RobustKernel shadow;  // of short NLOS residuals
+  KernelShape wall;     // of long NLOS residuals without their excess
   WallPrior wall_prior;
-  std::optional<PowerHints> powers;  // none where ranges carry none
+  std::optional<PowerHints> powers;  // none if ranges carry no powers
 };
 [[nodiscard]] SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits);
 
-// Of each of one anchor's rows, whether replies and powers alone put it in LOS.
+// For each observation of one anchor: whether replies and powers alone classify it as LOS.
 [[nodiscard]] std::vector<bool> rows_in_sight(const SightModel& model,
                                               std::span<const std::vector<Poll>> pairs,
                                               std::span<const Observation> rows);
 
 struct SiteSight {
-  std::vector<AnchorSight> anchors;      // empty: nothing asks for it; the fits point here
-  std::vector<SightVector> poll_shares;  // of each anchor: share of its polls in each state
+  std::vector<AnchorSight> anchors;      // empty: no NLOS states needed; the fits point here
+  std::vector<SightVector> poll_shares;  // per anchor: share of its polls in each state
   SightModel model;                      // as estimated
 };
 
-// Whether nearly all ranges are those of a hall or a yard. On longer ones replies are lost for weakness,
-// hills and trees are no walls, and the halves of a drive see an anchor from one side each.
+// Whether nearly all ranges are as short as in a hall or a yard, where the NLOS model holds. On longer ones
+// replies are lost to weak signals, hills and trees are no walls, and each half of a drive sees an anchor
+// from one side only.
 [[nodiscard]] bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept;
 
-// Whether ranges come through something for longer than a moment; for fits within reach. What a fit on the
-// wrong side of the tags does to residuals passes for that: fits whose residuals look so are challenged, and
-// move where their other side is better.
+// Whether ranges are NLOS for longer than a moment; for fits within reach. A fit on the wrong side of the
+// tags has similar residuals: such fits are tested against their mirror hypotheses, and move where these are
+// better.
 [[nodiscard]] bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits);
 
-// Finds each row's sight and solves the fits with it. The table: of the same rows.
+// Classifies each range and solves the fits with these states. `table` is of the same observations.
 [[nodiscard]] SiteSight solve_sight(const PollTable& table, const SightModel& start,
                                     std::vector<AnchorFit>& fits);
 
