@@ -312,7 +312,7 @@ struct NormalEquations {
 struct AnchorSolution {
   AnchorVector anchor;
   double cost = 0.0;
-  double moved_sigmas = 0.0;  // length of the way from the start, in the metric of the information
+  double moved_sigmas = 0.0;  // distance from the start, in the metric of the information
 };
 
 // Levenberg-Marquardt from a start, with one kernel per tag. The result is never worse than the start and

@@ -243,8 +243,9 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
 
 }  // namespace
 
-// The source paper's section "Real-Time Initialization": anchor positions r_A and biases beta, gamma of the
-// range model, eq. (12), by robust non-linear least squares from pose priors, tag offsets r_RS and ranges.
+// The source paper's first stage, "Real-Time Initialization": anchor positions r_A and biases beta, gamma of
+// the range model, eq. (12), by robust non-linear least squares from pose priors, tag offsets r_RS and
+// ranges. Their means and covariances initialize the sensor states x_s, eq. (9), of the second stage.
 Result calibrate(const Drive& drive, const Options& options) {
   Site site = solve_drive(drive, options, true);
   // If the poses drift by as much as a move, apparent moves of anchors are not real.

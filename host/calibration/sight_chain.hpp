@@ -15,7 +15,7 @@
 
 namespace groma::calibration {
 
-// States: LOS; short NLOS, blocked for a moment by something that moves; long NLOS, behind a wall.
+// States: LOS; short NLOS, caused by something that moves; long NLOS, caused by something fixed.
 enum SightState : std::uint8_t { kInSight, kShadow, kWall };
 using SightVector = Eigen::Vector3d;  // one value per state
 
