@@ -305,7 +305,7 @@ AnchorCalibration moved_anchor(const AnchorCalibration& later, const AnchorChang
   char text[160];
   std::snprintf(text, sizeof text, "moved by %.2f m since it was calibrated; %s",
                 change.displacement_m.norm(),
-                solved ? "its new place is learnt" : "drive past it to learn its new place");
+                solved ? "its new position is known" : "drive past it to calibrate its new position");
   out.advice = text;
   if (!solved) {
     out.position_m.setConstant(std::numeric_limits<double>::quiet_NaN());

@@ -85,18 +85,18 @@ std::string times_of(const MoveEvidence& moved) {
 
 // `is_placed`: the ranges after the last move determine where it is now.
 Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
-  const std::string unplaced = is_placed ? "" : "; its ranges since do not tell well where it is";
+  const std::string unplaced = is_placed ? "" : "; its later ranges do not determine its position well";
   if (moved.stand_in) {
     const std::string where = "the place of anchor " + std::to_string(*moved.stand_in);
     if (moved.is_back) {
       return {AnchorVerdict::kWeak, "answered from " + where + " between " + times_of(moved) +
-                                        ": look whether their ids were swapped, and drive again" + unplaced};
+                                        ": check whether their ids were swapped, and drive again" + unplaced};
     }
     return {AnchorVerdict::kMoved, "answers from " + where + " since about " + times_of(moved) +
-                                       ": look whether their ids are swapped, and drive again" + unplaced};
+                                       ": check whether their ids are swapped, and drive again" + unplaced};
   }
-  const char* doubt = moved.by_m.norm() > kFarMove_m ? "see that it is fixed and that no other has its id"
-                                                     : "see that it is fixed";
+  const char* doubt = moved.by_m.norm() > kFarMove_m ? "check that it is fixed and that no other has its id"
+                                                     : "check that it is fixed";
   return {AnchorVerdict::kMoved, "was moved during the drive, about " + times_of(moved) +
                                      (moved.at_s.size() > 1 ? ", last by " : ", by ") +
                                      metres(moved.by_m.norm()) + " to its " +
@@ -115,26 +115,27 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
   }
   if (never_in_sight) {
     return Opinion{AnchorVerdict::kNeverInSight,
-                   "its ranges come through something: drive where it is in sight, or move it"};
+                   "its line of sight is nearly always blocked: drive where it is clear, or move it"};
   }
   if (evidence.twin_m) {
     return Opinion{AnchorVerdict::kWeak, "answers from two places, " +
                                              metres((*evidence.twin_m - anchor.position_m).norm()) +
-                                             " apart: look whether two anchors have this id"};
+                                             " apart: check whether two anchors have this id"};
   }
   const std::string where = drive_advice(evidence, anchor.position_m);
-  if (is_hardly_in_sight(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in sight: " + where};
+  if (is_hardly_in_sight(evidence))
+    return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
   if (contradicts_itself(evidence)) {
     if (evidence.sight->far_share + evidence.sight->short_share > kTwoAnchors) {
       return Opinion{
           AnchorVerdict::kWeak,
-          "most of its ranges contradict the others: look whether two anchors have this id; else " + where};
+          "most of its ranges contradict the others: check whether two anchors have this id; else " + where};
     }
     return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
   }
   if (evidence.flicker > kTwinFlicker && evidence.count_ratio > kTwinCountRatio) {
     return Opinion{AnchorVerdict::kWeak,
-                   "its ranges differ from one to the next: look whether two anchors answer to this id"};
+                   "its ranges differ from one to the next: check whether two anchors answer to this id"};
   }
   return std::nullopt;
 }
@@ -151,11 +152,11 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   }
   if (evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
     return {AnchorVerdict::kWeak,
-            "the end of the drive contradicts its beginning: drive again, and look whether the anchor moved"};
+            "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }
   if (is_plausible(evidence.mirror, evidence.inflation)) {
     return {AnchorVerdict::kWeakZ,
-            "above or below the tags cannot be told: measure its height, or " + advice};
+            "it may be above or below the tags: measure its height, or " + advice};
   }
   if (sigma_z_m > std::max(evidence.sight ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
     return {AnchorVerdict::kWeakZ, "height uncertain: " + advice};
