@@ -22,8 +22,8 @@ Eigen::MatrixXd random_covariance(Eigen::Index size, double scale, test::Random&
          (root * root.transpose() / static_cast<double>(size) + 0.2 * Eigen::MatrixXd::Identity(size, size));
 }
 
-// All unknowns of all anchors in one covariance, updated by all links at once as a Kalman filter does, at the
-// place that was found.
+// Reference: one covariance of all unknowns of all anchors, updated with all links at once as in a Kalman
+// filter, linearized at the estimate.
 TEST(AnchorLinks, AreFusedAsOneDenseUpdateOfAllUnknowns) {
   test::Random random(1);
   constexpr std::size_t kAnchors = 4;
@@ -126,8 +126,8 @@ struct Errors {
   }
 };
 
-// Anchors that a short drive leaves poor, with ranges between them: heights and places gain, and the
-// covariance says by how much.
+// Anchors that a short drive leaves poorly determined, with ranges between them: positions and heights
+// improve, and the covariance stays consistent.
 TEST(AnchorLinks, SharpenWhatADriveLeavesOpen) {
   Errors without;
   Errors with;

@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::size_t kSolvedTags = 3;
 
-// Ranges along a random walk to an anchor, with biases; noise and some blocked ones on demand.
+// Ranges from random places to one anchor, with biases; with noise and NLOS ranges on demand.
 struct Scene {
   std::vector<Observation> rows;
   AnchorVector truth;
@@ -50,7 +50,7 @@ TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
   const Scene scene = make_scene(1, 0.1, 0.2);
   const KernelShape shape = KernelShape{}.with_blocked(0.2);
   const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(shape));
-  // Of the kernel by its definition, not by its table.
+  // By the kernel's definition, not its table.
   const auto exact_cost = [&](const AnchorVector& anchor) {
     const Eigen::Vector3d offset_m = anchor.head<3>() - scene.problem.position.mean_m;
     double cost = 0.5 * offset_m.dot(scene.problem.position.information * offset_m);
@@ -82,7 +82,7 @@ TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
 
 TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
   const Scene scene = make_scene(3, 0.0, 0.0);
-  // Next to pure noise: the weight is then the cost's own curvature.
+  // An almost Gaussian kernel: its weight is the cost's curvature.
   const std::vector<RobustKernel> kernels(
       kSolvedTags, RobustKernel(KernelShape{.scale_m = 0.1, .wide = 1e-9, .gross = 1e-9}.with_blocked(1e-9)));
   const auto gradient = [&](const Eigen::VectorXd& anchor) {
@@ -95,7 +95,7 @@ TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
   EXPECT_NEAR((found - expected).norm() / expected.norm(), 0.0, 1e-4);
 }
 
-// With hardly anything but the core in the kernel, a row counts as its whole variance says.
+// With an almost Gaussian kernel, a range is weighted by its whole variance.
 TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
   Scene scene = make_scene(7, 0.1, 0.0);
   KernelShape shape{.scale_m = 0.1, .wide = 0.0, .bumps = {}, .gross = 1e-9};
@@ -125,7 +125,7 @@ TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
     by_all(gamma_index(row.tag, kSolvedTags)) = (scene.truth.head<3>() - row.tag_m).norm();
     information += by_all * by_all.transpose() / variance_m2;
   }
-  // All rows side by side weigh as each by itself.
+  // All ranges together weigh as each by itself.
   const NormalEquations whole =
       linearize({.problem = scene.problem, .anchor = scene.truth, .kernels = kernels});
   EXPECT_LT((whole.information - information).norm(), 2e-3 * information.norm());
@@ -166,7 +166,7 @@ TEST(SpreadAlongTheWay, ALongStopCountsNoMoreThanAShortOne) {
   for (int i = 0; i < 10000; ++i) {
     Observation row;
     row.t_s = i;
-    // Nine tenths of the time it stands.
+    // Stationary for nine tenths of the time.
     row.tag_m.x() = i < 9000 ? 0.0 : 0.1 * (i - 9000);
     rows.push_back(row);
   }

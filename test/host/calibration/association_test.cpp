@@ -16,7 +16,7 @@ namespace {
 using model::PoseSample;
 using model::RangeSample;
 
-// One range at t_s with a robot that goes from pose to pose.
+// Observation of one range at t_s by a robot that drives through the poses.
 Observation only_row(const std::vector<PoseSample>& poses, double t_s, const model::Surface& surface,
                      HeightSource height = HeightSource::kPose) {
   const std::vector<RangeSample> ranges{{.t_s = t_s, .tag_id = 1, .anchor_id = 9, .range_m = 5.0}};
@@ -36,7 +36,7 @@ TEST(Association, TurnsTheShortWayAcrossHalfATurn) {
   const double pi = std::numbers::pi;
   const std::vector<PoseSample> poses{{.t_s = 0.0, .yaw_rad = pi - 0.1}, {.t_s = 0.2, .yaw_rad = -pi + 0.1}};
   const Observation row = only_row(poses, 0.1, model::Surface());
-  // Looking along -x: lever arm (1, 0.5, 2) becomes (-1, -0.5, 2).
+  // Heading along -x: lever arm (1, 0.5, 2) becomes (-1, -0.5, 2).
   EXPECT_NEAR(row.tag_m.x(), -1.0, 1e-9);
   EXPECT_NEAR(row.tag_m.y(), -0.5, 1e-9);
   EXPECT_NEAR(row.tag_m.z(), 2.0, 1e-9);
@@ -59,7 +59,7 @@ TEST(Association, TellsTheAntennasVelocityAndYawArm) {
   EXPECT_NEAR(by_yaw.z(), 0.0, 1e-9);
 }
 
-// How the antenna scatters where x, y and yaw do, by its definition.
+// Reference: covariance of the antenna from that of x, y and yaw, by numerical derivatives.
 TEST(Association, TellsHowThePosesErrorMovesTheAntenna) {
   test::Random random(5);
   const Eigen::Matrix3d root = Eigen::Vector3d(0.3, 0.2, 0.1).asDiagonal() *
@@ -144,7 +144,7 @@ TEST(Association, LeavesOutWhatHasNoPoseOrIsNoRange) {
       {.t_s = 0.06, .tag_id = 1, .anchor_id = 9, .range_m = nan},
       {.t_s = nan, .tag_id = 1, .anchor_id = 9, .range_m = 5.0},
       {.t_s = 0.50, .tag_id = 1, .anchor_id = 9, .range_m = 5.0},  // in the long gap
-      {.t_s = 1.15, .tag_id = 1, .anchor_id = 9, .range_m = 5.0},  // good: the NaN pose is not there
+      {.t_s = 1.15, .tag_id = 1, .anchor_id = 9, .range_m = 5.0},  // good: the NaN pose is dropped
       {.t_s = 0.07, .tag_id = 1, .anchor_id = 9, .range_m = 5.0},  // good, though late
       {.t_s = 1.30, .tag_id = 1, .anchor_id = 9, .range_m = 5.0},  // after the poses
   };

@@ -1,4 +1,4 @@
-// A site's ranges with walls and shadows in their way: replies get lost, those that come are too long.
+// A simulated site with walls and moving obstacles: replies get lost, and NLOS ranges are too long.
 #pragma once
 
 #include <algorithm>
@@ -18,23 +18,23 @@ struct PlanWall {
   Eigen::Vector2d to_m;
 };
 
-// What the powers of ranges say of walls and shadows.
+// How the powers of ranges depend on NLOS.
 enum class Powers {
   kNone,      // ranges carry none
-  kTrue,      // weaker where blocked
-  kOpposite,  // weaker in sight
-  kNothing,   // weaker or not as the robot goes
+  kTrue,      // weaker in NLOS
+  kOpposite,  // weaker in LOS
+  kNothing,   // weaker at times, independent of NLOS
 };
 
 struct Blocking {
   std::vector<PlanWall> walls;  // as high as the hall
   double reply_in_sight = 0.95;
   double wall_reply = 0.45;
-  double wall_excess_m = 0.3;        // the least that a wall adds, and the mean of what comes upon it
-  double wall_excess_mean_m = 0.15;  // exponential
+  double wall_excess_m = 0.3;        // least excess behind a wall
+  double wall_excess_mean_m = 0.15;  // mean of the exponential excess beyond it
   double shadow_reply = 0.6;
   double shadow_excess_mean_m = 0.3;
-  double shadows_per_s = 0.01;  // of each pair; lasting 1 to 10 s
+  double shadows_per_s = 0.01;  // short NLOS of each pair, lasting 1 to 10 s
   double gross_share = 0.02;    // 0.5 to 4 m too long
   Powers powers = Powers::kNone;
 };
@@ -59,7 +59,7 @@ inline SiteSettings polled_settings(Route route, double duration_s) {
   return settings;
 }
 
-// An anchor stands elsewhere for a while.
+// An anchor is somewhere else for a while.
 struct Stay {
   std::size_t anchor = 0;  // index
   Eigen::Vector3d by_m = Eigen::Vector3d::Zero();
@@ -67,7 +67,7 @@ struct Stay {
   double to_s = std::numeric_limits<double>::infinity();
 };
 
-// Of a range that comes through a wall, a shadow or nothing.
+// Sets the powers of a range that is NLOS to the given degree.
 inline void add_powers(Powers powers, double blocked_share, Random& random, model::RangeSample& range) {
   constexpr double kInSight_dbm = -60.0;  // at 1 m
   constexpr double kLoss_db = 6.0;
@@ -92,7 +92,7 @@ inline void add_powers(Powers powers, double blocked_share, Random& random, mode
   range.receive_power_dbm = static_cast<float>(first_path_dbm + 2.0 + weak);
 }
 
-// A polled site.
+// Simulates a polled site with NLOS and lost replies.
 inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& blocking, std::uint64_t seed,
                                   const std::vector<Stay>& stays = {}) {
   SimulatedSite site = simulate_site(settings, seed);
@@ -154,7 +154,7 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
   return site;
 }
 
-// Of the error of its position, against its own covariance.
+// Squared Mahalanobis distance of the error of the anchor's position.
 inline double square_sigmas(const model::AnchorCalibration& anchor, const Eigen::Vector3d& truth_m) {
   const Eigen::Vector3d error_m = anchor.position_m - truth_m;
   return error_m.dot(anchor.covariance.topLeftCorner<3, 3>().ldlt().solve(error_m));

@@ -1,4 +1,5 @@
-// Drives through halls with walls and with what moves in them: anchors right or marked, biases honest.
+// Drives through halls with walls and moving obstacles: anchors are correct or marked, and the biases' sigmas
+// are correct.
 #include "test/host/calibration/blocked_site.hpp"
 
 #include <gtest/gtest.h>
@@ -18,11 +19,11 @@ namespace {
 using model::AnchorVerdict;
 
 constexpr double kDrive_s = 160.0;
-// Of chi square with three degrees of freedom, 99.7 %.
+// Chi square with three degrees of freedom, 99.7 %.
 constexpr double kEllipsoid997 = 13.93;
-constexpr double kSameSolution = 0.1;  // square sigmas
+constexpr double kSameSolution = 0.1;  // squared Mahalanobis distance
 
-// Across the hall's gate, as seen from inside, and two walls within.
+// One wall across the hall's gate, two inside the hall.
 test::Blocking hall() {
   test::Blocking blocking;
   blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}, {{7.0, 1.0}, {7.0, 5.0}}, {{12.0, 9.0}, {16.0, 9.0}}};
@@ -84,7 +85,7 @@ Outcome calibrate_sites(test::Blocking blocking, test::Powers powers) {
   return out;
 }
 
-// Racks that lose no reply: what comes through them for a third of the drive passes for a bias and a place.
+// Racks that cost no replies: NLOS for a third of the drive looks like a bias and a shift of the anchor.
 TEST(BlockedSite, PowersTellOfRacksThatLoseNoReplyOverMany) {
   test::Blocking racks = hall();
   racks.walls.push_back({{3.0, 6.0}, {18.0, 6.0}});
@@ -96,7 +97,7 @@ TEST(BlockedSite, PowersTellOfRacksThatLoseNoReplyOverMany) {
   EXPECT_LT(with.square_m2, 0.25 * without.square_m2);
   EXPECT_GT(with.ok, without.ok + 4);
   EXPECT_LT(with.ok_error_m, 0.5 * without.ok_error_m);
-  // What powers mean is learnt.
+  // The meaning of powers is estimated.
   EXPECT_LT(opposite.square_m2, 0.25 * without.square_m2);
   EXPECT_LT(nothing.square_m2, 1.7 * without.square_m2);
   EXPECT_LT(nothing.ok_error_m, 1.3 * without.ok_error_m);
@@ -111,7 +112,7 @@ TEST(BlockedSite, PowersThatLieCostLittleWhereRepliesTellOverMany) {
   }
 }
 
-// What the ranges' noise is, they tell themselves.
+// The noise is estimated from the ranges.
 TEST(BlockedSite, IsTheSameWhateverNoiseIsTold) {
   const test::SimulatedSite site =
       test::blocked_site(test::polled_settings(test::Route::kWaves, kDrive_s), hall(), 5);
@@ -129,8 +130,7 @@ TEST(BlockedSite, IsTheSameWhateverNoiseIsTold) {
   }
 }
 
-// Replies that are lost now and then, each by itself, are no wall: ranges that are too long here and there
-// then do not contradict the others.
+// Isolated lost replies are no NLOS: isolated long ranges then do not contradict the others.
 TEST(BlockedSite, IsNotMadeOfLostReplies) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     test::SimulatedSite site = test::simulate_site({.outlier_share = 0.1}, seed);
@@ -166,7 +166,7 @@ TEST(BlockedSite, NamesBothAnchorsThatWereMovedAndNoOther) {
   for (const bool walls : {false, true}) {
     test::Blocking blocking = walls ? hall() : test::Blocking{};
     if (!walls) {
-      // Nothing in the way at all: found without the chain.
+      // No NLOS at all: moves are found without the Markov chain.
       blocking.reply_in_sight = 1.0;
       blocking.shadows_per_s = 0.0;
     }
@@ -184,7 +184,7 @@ TEST(BlockedSite, NamesBothAnchorsThatWereMovedAndNoOther) {
 }
 
 TEST(BlockedSite, OneWithoutMovesOrWallsIsNotTakenForBlocked) {
-  // Whatever comes one by one is no wall, nor are replies lost to collisions.
+  // Neither isolated outliers nor replies lost to collisions are NLOS.
   test::Blocking blocking;
   blocking.reply_in_sight = 0.98;
   blocking.shadows_per_s = 0.0;

@@ -1,4 +1,4 @@
-// The whole calibration on simulated drives; how good it is, calibration_campaign_test.cpp asks.
+// The whole calibration on simulated drives. calibration_campaign_test.cpp tests its accuracy.
 #include "host/calibration/calibrate.hpp"
 
 #include <gtest/gtest.h>
@@ -32,7 +32,7 @@ TEST(Calibrate, TellsTheFrameThatAllAnchorsShare) {
   EXPECT_LT(std::sqrt(frame(3, 3)), 0.02);
 }
 
-// Poses that are poor for a quarter of the drive, and say so where they are told to.
+// Poses that are poor for a quarter of the drive and, on demand, report their covariance.
 test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool told) {
   test::SimulatedSite site = test::simulate_site({.ranges_per_pair = 400, .beta_sigma_m = 0.3}, seed);
   test::Random random(seed + 100);
@@ -126,7 +126,7 @@ TEST(Calibrate, LearnsBiasesAloneWhereAnchorsAreKnown) {
     const model::AnchorCalibration& anchor = result.calibration.anchors[a];
     EXPECT_EQ(anchor.position_m, site.anchors[a].position_m);
     EXPECT_NEAR(std::sqrt(anchor.covariance(2, 2)), 0.02, 1e-9);
-    // What the survey has wrong along the way to the tags comes out as bias: the two hang together.
+    // An error of the survey along the line to the tags becomes a bias: the two are correlated.
     EXPECT_GT(anchor.covariance.block(0, 3, 3, 3).cwiseAbs().maxCoeff(), 1e-5);
     EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(anchor.covariance).eigenvalues().minCoeff(),
               0.0);

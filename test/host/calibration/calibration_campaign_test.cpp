@@ -1,6 +1,6 @@
-// Whether the calibration is as good as the data allows, and says how good it is: over all routes and many
-// seeds, GROMA_FIRST_SEED to GROMA_LAST_SEED, which the environment may set otherwise. Where they are few,
-// the limits are wider by GROMA_SAMPLING_SIGMAS of what the figure scatters.
+// Accuracy against the Cramer-Rao bound, and consistency, over all routes and the seeds GROMA_FIRST_SEED to
+// GROMA_LAST_SEED, which environment variables may override. With few seeds the limits are widened by
+// GROMA_SAMPLING_SIGMAS standard deviations.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -35,17 +35,17 @@ test::Campaign all_routes(double outlier_share) {
   return out;
 }
 
-// Half the width of the 99 % band of a mean NEES over 3.
+// Half the width of the 99 % band of the mean NEES over 3.
 double nees_band(const test::Campaign& campaign) {
   return 2.576 * std::sqrt(2.0 / (3.0 * static_cast<double>(campaign.anchors)));
 }
 
-// How far RMSE over bound is above its limit by luck: 0.26 from one site to the next.
+// Allowance for sampling: RMSE over bound scatters by 0.26 from one site to the next.
 double luck(const test::Campaign& campaign) {
   return GROMA_SAMPLING_SIGMAS * 0.26 * std::sqrt(kAnchors / static_cast<double>(campaign.anchors));
 }
 
-// Of 93 to 97 %, half the width.
+// Half the width of the band of the coverage, 93 to 97 % with many seeds.
 double coverage_band(const test::Campaign& campaign) {
   return 0.02 + GROMA_SAMPLING_SIGMAS * std::sqrt(0.95 * 0.05 / static_cast<double>(campaign.anchors));
 }
@@ -75,7 +75,8 @@ TEST(CalibrationCampaign, StaysNearTheBoundWithThirtyPercentTooLong) {
   EXPECT_EQ(campaign.lies, 0U);
 }
 
-// Most of these are as short as the noise: the limit is 2 % over what a kernel with just such a kind reached.
+// Most of these excesses are as short as the noise. The limit is 2 % above what a kernel with an exponential
+// kind reached.
 TEST(CalibrationCampaign, StaysNearTheBoundWhereExcessesAreExponential) {
   struct Case {
     double mean_m;

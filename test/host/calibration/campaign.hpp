@@ -1,5 +1,4 @@
-// Many simulated drives calibrated: errors against what the data allows, and against what the covariance
-// says.
+// Calibrates many simulated drives: errors relative to the Cramer-Rao bound and to the covariance.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -18,8 +17,8 @@
 
 namespace groma::test {
 
-// The bounds of all anchors' positions, and of poses that wander too: then for an estimator that knows how
-// they do. The wander is linear between knots a second apart; all anchors see the same.
+// Cramer-Rao bounds of all anchors' positions where poses drift, for an estimator that knows the drift's
+// statistics. The drift is linear between knots a second apart and common to all anchors.
 inline std::vector<Eigen::Matrix3d> bounds_with_wander(const SimulatedSite& site) {
   constexpr double kStep_s = 1.0;
   const SiteSettings& settings = site.settings;
@@ -31,7 +30,7 @@ inline std::vector<Eigen::Matrix3d> bounds_with_wander(const SimulatedSite& site
   for (Eigen::Index axis = 0; axis < 3; ++axis) {
     const double sigma = axis < 2 ? settings.pose_sigma_m : settings.pose_yaw_sigma_rad;
     wander(axis, axis) += 1.0 / (sigma * sigma);
-    // Each step is a range of its own: the error less what is kept of the one before.
+    // Each step acts as an observation: the error minus what is kept of the one before.
     const double information = 1.0 / (sigma * sigma * (1.0 - keep * keep));
     for (Eigen::Index k = axis; k + 3 < 3 * knots; k += 3) {
       wander(k + 3, k + 3) += information;
@@ -87,8 +86,8 @@ inline std::vector<Eigen::Matrix3d> bounds_with_wander(const SimulatedSite& site
   return out;
 }
 
-// Gaussian maximum likelihood of one anchor's position, with the noise that the ranges have and from the
-// truth as the start: without outliers nothing does better than by luck.
+// Gaussian maximum likelihood of one anchor's position, with the true noise and from the truth as the start:
+// without outliers, no estimator does better except by luck.
 inline Eigen::Vector3d oracle_position_m(const SimulatedSite& site, std::size_t a) {
   const SiteSettings& settings = site.settings;
   const std::size_t tags = site.tags.size();
@@ -137,7 +136,7 @@ struct Campaign {
 
   [[nodiscard]] double rmse_over_bound() const { return std::sqrt(square_m2 / bound_m2); }
   [[nodiscard]] double rmse_over_oracle() const { return std::sqrt(square_m2 / oracle_m2); }
-  // Of positions, divided by 3.
+  // Of positions, divided by 3 as in the source paper.
   [[nodiscard]] double mean_nees() const { return nees_sum / (3.0 * static_cast<double>(anchors)); }
   [[nodiscard]] double inside_95() const {
     return static_cast<double>(inside) / static_cast<double>(anchors);
@@ -155,12 +154,12 @@ struct Campaign {
   }
 };
 
-// Calibrates the settings' site with each seed; the oracle too where it is one: with neither outliers nor
-// wander.
+// Calibrates the settings' site with each seed; computes the oracle if there are neither outliers nor pose
+// drift.
 inline void add_seeds(const SiteSettings& settings, std::uint64_t first, std::uint64_t last, Campaign& out) {
   const bool wanders = settings.pose_sigma_m > 0.0;
   const bool has_oracle = !wanders && settings.outlier_share == 0.0;
-  std::vector<Eigen::Matrix3d> of_wander;  // much the same with each seed
+  std::vector<Eigen::Matrix3d> of_wander;  // nearly the same for each seed
   for (std::uint64_t seed = first; seed <= last; ++seed) {
     const SimulatedSite site = simulate_site(settings, seed);
     if (wanders && of_wander.empty()) of_wander = bounds_with_wander(site);
@@ -170,7 +169,8 @@ inline void add_seeds(const SiteSettings& settings, std::uint64_t first, std::ui
       const model::AnchorCalibration& found = result.calibration.anchors[a];
       ASSERT_EQ(found.id, site.anchors[a].id);
       const Eigen::Vector3d error_m = found.position_m - site.anchors[a].position_m;
-      // Of poses that do not wander all of the common frame is what no range can tell, and these have none.
+      // Without pose drift all of the common frame's covariance is unobservable error, and these poses have
+      // none.
       const Eigen::Matrix3d covariance =
           wanders ? Eigen::Matrix3d(found.covariance.topLeftCorner<3, 3>())
                   : Eigen::Matrix3d(model::own_covariance(found, result.calibration.common_frame_covariance)

@@ -1,5 +1,5 @@
-// Calibrations set against each other, and brought up to date: against dense algebra, by statistics, and on
-// simulated drives with anchors that were moved.
+// Comparison and update of calibrations: against dense algebra, by statistics, and on simulated drives with
+// moved anchors.
 #include "host/calibration/comparison.hpp"
 
 #include <gmock/gmock.h>
@@ -30,7 +30,7 @@ Eigen::MatrixXd drawn_covariance(test::Random& random, Eigen::Index size, double
   return sigma * sigma * out / out.diagonal().mean();
 }
 
-// A site whose two calibrations are drawn from what they say of themselves.
+// A site with two calibrations drawn from their own covariances.
 struct Pair {
   std::vector<Eigen::Vector3d> truth;
   model::Calibration a;
@@ -70,7 +70,7 @@ Pair draw_pair(std::uint64_t seed, std::size_t anchors = 12, double sigma_m = 0.
   return out;
 }
 
-// The block less what the calibration says that all anchors share.
+// The anchor's covariance without the common frame's.
 Eigen::MatrixXd own(const model::AnchorCalibration& anchor, const model::Calibration& calibration) {
   const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
   Eigen::MatrixXd out = anchor.covariance;
@@ -107,7 +107,7 @@ TEST(Chi2, BeyondARadiusIsTheLeastOfASearch) {
   }
 }
 
-// The difference of one anchor given all others, by the dense covariance of all differences.
+// Reference: the difference of one anchor given all others, from the dense covariance of all differences.
 TEST(Comparison, IsTheConditionalOfTheJointGaussian) {
   const Pair pair = draw_pair(3, 5);
   const Comparison comparison = compare(pair.a, pair.b);
@@ -150,7 +150,7 @@ TEST(Comparison, OfTheSameSiteScattersAsChiSquareAndAlarmsByChanceAlone) {
     }
     differs += any ? 1 : 0;
   }
-  // 4800 values of 3 degrees of freedom; those of one site hang together a little.
+  // 4800 values of 3 degrees of freedom; those of one site are slightly correlated.
   EXPECT_NEAR(sum / (12.0 * kSeeds), 3.0, 0.15);
   EXPECT_LE(differs, 4) << "one in a thousand is to be expected";
 }
@@ -184,7 +184,8 @@ TEST(Comparison, TellsWhatIsNewAndWhatIsMissing) {
 
 // ---- update ---------------------------------------------------------------------------------------
 
-// Both calibrations as one linear problem: all anchors, both frames, the priors of the biases once.
+// Reference: both calibrations as one linear problem, with all anchors, both frames, and the priors of the
+// biases once.
 TEST(Update, IsTheDenseSolutionOfBothDrives) {
   model::RangePriors priors;
   priors.beta_m = {0.1, 0.3};
@@ -237,7 +238,7 @@ TEST(Comparison, TrustsNoHeightThatMayBeOnTheOtherSide) {
   const Comparison comparison = compare(pair.a, pair.b);
   for (const AnchorChange& change : comparison.anchors) EXPECT_EQ(change.moved, change.id == 14) << change.id;
 
-  // The one that is trusted has its height left.
+  // The trusted height stays.
   const model::Calibration& updated = update(pair.a, pair.b, {}).calibration;
   EXPECT_NEAR(updated.anchors[2].position_m.z(), pair.a.anchors[2].position_m.z(), 0.15);
   EXPECT_EQ(updated.anchors[2].verdict, AnchorVerdict::kOk);
@@ -277,7 +278,7 @@ test::SimulatedSite drive_past(const test::SiteSettings& settings, std::uint64_t
                                std::uint64_t noise_seed) {
   test::SimulatedSite site = test::simulate_site(settings, seed);
   for (const auto& [index, way_m] : moves) site.anchors[index].position_m += way_m;
-  // Other noise and other errors of the poses; the biases are those of the site.
+  // New noise and new pose errors; the biases are those of the site.
   const test::SimulatedSite other = test::simulate_site(settings, noise_seed);
   site.poses = other.poses;
   test::Random random(noise_seed + 7000);
@@ -298,7 +299,7 @@ Eigen::Vector3d half_a_metre(double angle_rad) {
   return 0.5 * Eigen::Vector3d(std::cos(angle_rad), std::sin(angle_rad), 0.0);
 }
 
-// Two drives, two anchors moved by half a metre between them.
+// Two anchors were moved by half a metre between two drives.
 TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
   const test::SiteSettings settings{.outlier_share = 0.1, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
   for (std::uint64_t seed = 1; seed <= 12; ++seed) {
@@ -340,7 +341,7 @@ TEST(Update, NamesNoneWhereNoneMovedOverManyDrives) {
   }
 }
 
-// Of the positions of several calibrations.
+// Accuracy and consistency of the positions of several calibrations.
 struct Score {
   double square_m2 = 0.0;
   double nees = 0.0;
@@ -361,7 +362,7 @@ struct Score {
   [[nodiscard]] double mean_nees() const { return nees / anchors; }
 };
 
-// The part of a drive's time from begin to end.
+// The part of a drive from begin_s to end_s.
 test::SimulatedSite piece_of(test::SimulatedSite site, double begin_s, double end_s) {
   const auto is_outside = [&](const auto& sample) { return sample.t_s < begin_s || sample.t_s > end_s; };
   std::erase_if(site.ranges, is_outside);
@@ -369,8 +370,8 @@ test::SimulatedSite piece_of(test::SimulatedSite site, double begin_s, double en
   return site;
 }
 
-// A drive that passes the hall once, nearly straight, tells little and may find anchors on the wrong side:
-// what was known before decides, and is not spoiled.
+// A single, nearly straight pass through the hall determines little and may put anchors on the wrong side:
+// the earlier calibration decides and is not degraded.
 TEST(Update, ByAWeakDriveIsBetterThanEitherAloneOverManyDrives) {
   const test::SiteSettings settings{.outlier_share = 0.1, .pose_sigma_m = 0.01, .pose_yaw_sigma_rad = 0.002};
   for (const bool both_are_weak : {false, true}) {

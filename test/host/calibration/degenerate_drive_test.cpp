@@ -1,4 +1,4 @@
-// Drives that cannot be calibrated, or hardly: a verdict and finite figures, never a confident lie.
+// Drives that cannot be calibrated, or hardly: a verdict and finite values, never a wrong position marked ok.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -29,7 +29,7 @@ void expect_finite(const Result& result) {
   }
 }
 
-// Each anchor marked ok has to be where it is said to be.
+// Each anchor marked ok has to be within its covariance of the truth.
 void expect_no_lie(const Result& result, const test::SimulatedSite& site) {
   expect_finite(result);
   for (std::size_t a = 0; a < result.calibration.anchors.size(); ++a) {
@@ -51,7 +51,7 @@ TEST(DegenerateDrive, ThatNeverMovesIsUnusable) {
 
 TEST(DegenerateDrive, InAStraightLineDoesNotTellTheSide) {
   const test::SimulatedSite site = with_path(test::simulate_site({}, 2), test::straight_pose);
-  // With the three tags side by side the two sides differ; with one they do not.
+  // Three tags side by side distinguish the two sides; one does not.
   expect_no_lie(calibrate(site.drive()), site);
   Drive one_tag = site.drive();
   one_tag.tags = one_tag.tags.first(1);
@@ -72,7 +72,7 @@ TEST(DegenerateDrive, WithOneTagMarksHeights) {
   expect_no_lie(result, site);
   for (std::size_t a = 0; a < site.anchors.size(); ++a) {
     const model::AnchorCalibration& anchor = result.calibration.anchors[a];
-    // One height of the only antenna: above and below look the same.
+    // The only antenna has one height: above and below look the same.
     ASSERT_TRUE(anchor.mirror_ratio.has_value());
     EXPECT_GT(*anchor.mirror_ratio, 0.9);
     EXPECT_NE(anchor.verdict, AnchorVerdict::kOk);

@@ -21,7 +21,7 @@ struct Solved {
   DriveError error;
 };
 
-// The fits refer to the association: not to be copied.
+// The fits refer to the association: do not copy.
 void solve(const test::SimulatedSite& site, Solved& out) {
   const Drive drive = site.drive();
   out.association = associate(drive, HeightSource::kPose);
@@ -34,7 +34,7 @@ void solve(const test::SimulatedSite& site, Solved& out) {
   out.error = correct_drive(out.association, out.fits);
 }
 
-// Of the antennas' places.
+// Mean of the antennas' positions.
 Eigen::Vector2d center_of(const Solved& solved) {
   Eigen::Vector2d sum_m = Eigen::Vector2d::Zero();
   double rows = 0.0;
@@ -59,8 +59,8 @@ TEST(DriveError, TellsHowFarAndHowSlowlyPosesWander) {
   }
 }
 
-// An error that comes back each lap shifts the whole map by little, which a first-order process does not say:
-// found as what it is, and the frame's covariance holds the mean of what the poses had wrong.
+// An error that repeats each lap shifts the whole map by little, unlike a first-order process. The smooth
+// drift is selected, and the frame's covariance contains the mean pose error.
 TEST(DriveError, TellsASmoothWanderFromARoughOne) {
   double nees = 0.0;
   double sigma_m = 0.0;
@@ -82,7 +82,8 @@ TEST(DriveError, TellsASmoothWanderFromARoughOne) {
           Eigen::Vector2d(site.poses[i].x_m - site.truth[i].x_m, site.poses[i].y_m - site.truth[i].y_m);
     }
     shift_m /= static_cast<double>(site.poses.size());
-    // What a turn about the drive's center leaves in place is the shift; the map's origin is far from it.
+    // The shift is that of the drive's center, which a turn about it leaves in place; the map's origin is far
+    // away.
     Eigen::Matrix<double, 2, 4> at_center = Eigen::Matrix<double, 2, 4>::Zero();
     at_center.leftCols<2>().setIdentity();
     const Eigen::Vector2d center_m = center_of(smooth);
@@ -102,7 +103,7 @@ TEST(DriveError, TellsASmoothWanderFromARoughOne) {
   RecordProperty("frame_sigma_m", std::to_string(sigma_m));
 }
 
-// Rows are moved to where the antennas were by more than half of what the poses had wrong.
+// Observations move towards the true antennas by more than half of the pose error.
 TEST(DriveError, MovesTheAntennasTowardsTheTruth) {
   const test::SimulatedSite site = test::simulate_site(
       {.ranges_per_pair = 600, .pose_sigma_m = 0.1, .pose_yaw_sigma_rad = 0.02, .pose_correlation_s = 20.0},
@@ -140,7 +141,7 @@ TEST(DriveError, LeavesExactPosesAsTheyAre) {
   EXPECT_NEAR(solved.error.frame_covariance(2, 2), 0.002 * 0.002, 1e-12);
 }
 
-// Lever arms and patterns that are drawn from their priors are found, and as well as is said.
+// Lever arms and patterns drawn from their priors are estimated, consistently with their covariance.
 TEST(DriveError, FindsWhereAntennasAreAndWhatTheyAre) {
   double nees = 0.0;
   double terms = 0.0;
@@ -170,8 +171,8 @@ TEST(DriveError, FindsWhereAntennasAreAndWhatTheyAre) {
   EXPECT_LT(square_after_m2, 0.25 * square_before_m2);
 }
 
-// Errors that an anchor's ranges have in places look like a wander and like a pattern for a moment; but each
-// anchor has its own.
+// Range errors that depend on place look like pose drift or a pattern at short lags; but each anchor has its
+// own.
 TEST(DriveError, BelievesNeitherWanderNorBodyOfWhatPlacesDo) {
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
     const test::SimulatedSite site =

@@ -27,7 +27,7 @@ struct Place {
   Eigen::Vector3d antenna_m = Eigen::Vector3d::Zero();
 };
 
-// Antennas about an anchor; its other side is across the plane z = 1 m.
+// Ranges from antennas around an anchor; its mirror position is across the plane z = 1 m.
 std::vector<RangeGeometry> seen_from(const Eigen::Vector3d& anchor_m, const std::vector<Place>& places) {
   const Eigen::Vector3d mirrored_m(anchor_m.x(), anchor_m.y(), 2.0 - anchor_m.z());
   std::vector<RangeGeometry> out;
@@ -51,7 +51,7 @@ AnchorGeometry geometry_of(const std::vector<RangeGeometry>& ranges, double mirr
           .mirror_offset_m = mirror_offset_m};
 }
 
-// Written out: information of position, biases and side, its inverse, the root of the trace.
+// Reference: information of position, biases and side, its inverse, the root of the trace.
 double dilution_m(const AnchorGeometry& anchor, const std::vector<std::size_t>& chosen) {
   constexpr Eigen::Index kSize = 4 + 2 * static_cast<Eigen::Index>(kChosenTags);
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(kSize, kSize);
@@ -133,7 +133,7 @@ TEST(MeasurementChoice, IsNearlyAsGoodAsTheBestOfAllSubsets) {
   RecordProperty("worst_over_best", std::to_string(worst));
 }
 
-// A robot that stands for nine tenths of its time: what it sees on its way is not crowded out.
+// A robot that is stationary for nine tenths of its time: the ranges of its drive are not crowded out.
 TEST(MeasurementChoice, KeepsTheWayOfARobotThatMostlyStands) {
   std::vector<Place> places;
   for (std::size_t i = 0; i < 6000; ++i) {
@@ -153,7 +153,7 @@ TEST(MeasurementChoice, KeepsTheWayOfARobotThatMostlyStands) {
   EXPECT_LT(chosen_m, 1.2 * whole_m);
   EXPECT_GT(dilution_m(anchor, evenly(ranges.size(), 600)), 2.0 * whole_m);
 
-  // And no stretch of its time is left without: a move or a wall would go unseen.
+  // No stretch of time is left without ranges: a move or NLOS would go unnoticed.
   double longest_s = ranges[chosen.front()].t_s;
   for (std::size_t i = 1; i < chosen.size(); ++i) {
     longest_s = std::max(longest_s, ranges[chosen[i]].t_s - ranges[chosen[i - 1]].t_s);
@@ -161,7 +161,7 @@ TEST(MeasurementChoice, KeepsTheWayOfARobotThatMostlyStands) {
   EXPECT_LT(longest_s, 10.0);
 }
 
-// One antenna in a thousand is off the plane of the others: it alone tells z, and above from below.
+// One antenna in a thousand is off the plane of the others: it alone determines z and the side.
 TEST(MeasurementChoice, KeepsWhatAloneTellsHeightAndSide) {
   std::vector<Place> places;
   for (std::size_t i = 0; i < 4000; ++i) {
@@ -195,7 +195,7 @@ double rmse_m(const Result& result, const test::SimulatedSite& site) {
   return std::sqrt(square_m2 / static_cast<double>(site.anchors.size()));
 }
 
-// A drive of 240 s before which the robot stood for nine times as long, measuring all the while.
+// A drive of 240 s after the robot was stationary for nine times as long, with ranges all the time.
 test::SimulatedSite standing_first(std::uint64_t seed) {
   constexpr double kStanding_s = 2160.0;
   test::SimulatedSite site = test::simulate_site({.outlier_share = 0.1}, seed);
@@ -245,7 +245,7 @@ TEST(MeasurementChoice, ADriveOfTenTimesTheRangesKeepsItsAccuracyUnderTheBudgetO
     whole_m2 += std::pow(rmse_m(whole, site), 2);
     twice_m2 += std::pow(rmse_m(calibrate(site.drive(), {.most_anchor_ranges = 2 * kBudget}), site), 2);
     const Result bounded = calibrate(site.drive(), {.most_anchor_ranges = kBudget});
-    // What the robot could not tell as long as it stood is no sign of a move, nor of walls.
+    // What a stationary robot cannot observe is no sign of a move or of NLOS.
     for (const Result* result : {&whole, &bounded}) {
       for (const model::AnchorCalibration& anchor : result->calibration.anchors) {
         EXPECT_TRUE(model::is_usable(anchor.verdict))
@@ -271,7 +271,7 @@ TEST(MeasurementChoice, ADriveOfTenTimesTheRangesKeepsItsAccuracyUnderTheBudgetO
   EXPECT_LT(std::sqrt(chosen_m2), std::sqrt(evenly_m2));
 }
 
-// Polls without a reply are told by all of them: a gap between chosen ranges is no missed poll.
+// Missed polls are counted with all ranges: a gap between selected ranges is no missed poll.
 TEST(MeasurementChoice, KnowsWallsByWhatItLeavesOutTooOverManyDrives) {
   constexpr std::size_t kBudget = 2000;  // of up to 6000
   test::Blocking blocking;

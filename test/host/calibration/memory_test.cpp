@@ -1,4 +1,4 @@
-// What a calibration holds in memory at most, by the number of ranges.
+// Peak memory of a calibration by the number of ranges.
 #include <gtest/gtest.h>
 
 #include <cstddef>
@@ -12,7 +12,7 @@
 namespace groma::calibration {
 namespace {
 
-// Beside the drive itself.
+// Peak of calibrate(), without the drive itself.
 double peak_bytes(const test::SimulatedSite& site) {
   const Drive drive = site.drive();
   test::watch_heap();

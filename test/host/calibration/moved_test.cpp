@@ -1,4 +1,4 @@
-// Anchors that did not stay where they were, or whose id is not theirs alone: named, with the time, and no
+// Anchors that moved during the drive, or whose id is swapped or duplicated: named, with the time, and no
 // other.
 #include "host/calibration/moved.hpp"
 
@@ -22,10 +22,10 @@ namespace {
 using model::AnchorVerdict;
 
 constexpr double kMovedDrive_s = 160.0;
-// Of chi square with three degrees of freedom, 99.99 %.
+// Chi square with three degrees of freedom, 99.99 %.
 constexpr double kEllipsoid9999 = 21.1;
 
-// Nothing in the way, or now and then a shadow.
+// No NLOS and no lost replies.
 test::Blocking nothing_blocked() {
   test::Blocking blocking;
   blocking.reply_in_sight = 1.0;
@@ -83,7 +83,7 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
   const Eigen::Index size = anchor.size();
   const Eigen::VectorXd prior_mean = anchor_at(problem.position.mean_m, kTags, problem.priors);
   for (const auto& [from, to] : {std::pair<std::size_t, std::size_t>{0, 3}, {4, 9}, {7, 12}, {11, 12}}) {
-    // All unknowns, then the step of the place within the stretch, held by 10 m.
+    // All unknowns, then the shift of the position within the stretch, with a prior sigma of 10 m.
     Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size + 3, size + 3);
     information.topLeftCorner(size, size) = information_of_priors(problem);
     information.bottomRightCorner<3, 3>().setIdentity();
@@ -177,7 +177,7 @@ TEST(Moved, NamesNoneWhereNoneMovedOverManyDrives) {
   }
 }
 
-// Poses that wander by as much as a move is long, and do not tell so: what all anchors show is the poses'.
+// Poses that drift by as much as a move and report no covariance: all anchors show the poses' error.
 TEST(Moved, HardlyNamesAnyWherePosesWanderAsFarOverManyDrives) {
   constexpr int kSites = 10;
   int named = 0;
@@ -197,7 +197,7 @@ TEST(Moved, HardlyNamesAnyWherePosesWanderAsFarOverManyDrives) {
 
 // ---- ids that are not an anchor's own ---------------------------------------------------------------
 
-// Anchor 5 and anchor 11 answer as each other for a while.
+// Anchors 5 and 11 have each other's id for a while.
 test::SimulatedSite with_ids_swapped(test::SimulatedSite site, double from_s, double to_s) {
   for (model::RangeSample& range : site.ranges) {
     if (range.t_s < from_s || range.t_s >= to_s) continue;
@@ -250,8 +250,8 @@ TEST(SwappedIds, FromHalfWayOnAreNamedWhereTheyAreNow) {
   }
 }
 
-// Anchor 11 is set to answer as 5: where both are heard, where each is heard in its part of the hall, and
-// where one or the other answers by chance.
+// Anchor 11 is configured with id 5: both are heard, each is heard in its part of the hall, or one of them
+// answers at random.
 TEST(TwoBoxesOfOneId, AreNeverTrusted) {
   enum class Heard { kBoth, kNearest, kByChance };
   for (const Heard heard : {Heard::kBoth, Heard::kNearest, Heard::kByChance}) {

@@ -18,7 +18,7 @@ struct Truth {
   std::size_t pairs = 8;
 };
 
-// A tag that stands still before each anchor: residuals alone differ.
+// A stationary tag for each anchor: only residuals differ.
 std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
   test::Random random(seed);
   constexpr double kStep_s = 0.07;
@@ -33,7 +33,7 @@ std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
       row.t_s = kStep_s * k;
       row.tag_m = {3.0, 4.0, 0.0};
       row.range_m = 5.2 + slow_m + truth.white_sigma_m * random.gaussian();
-      // Blocked for 7 s of each 70.
+      // With a share of 0.1: NLOS for 7 s of each 70 s.
       if (k % 1000 < 1000 * truth.blocked_share) row.range_m += 1.0;
       row.index = k;
       rows[i].push_back(row);

@@ -46,7 +46,7 @@ class RecordedRun : public ::testing::Test {
     return sum_m / anchors;
   }
 
-  // By how much each anchor is off, and by how many sigmas in height.
+  // Calls `look` with each anchor, its error, and its height error in sigmas.
   template <typename Look>
   void for_each_error(const Look& look) const {
     for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
@@ -67,7 +67,7 @@ class RecordedRun : public ::testing::Test {
         });
   }
 
-  // Nor one that is outside of its ellipsoid of 99.7 %.
+  // No anchor outside its 99.7 % ellipsoid is marked ok.
   void expect_no_lie() const {
     for_each_error([&](const model::AnchorCalibration& anchor, const Eigen::Vector3d& error_m, double) {
       if (anchor.verdict != model::AnchorVerdict::kOk) return;

@@ -27,7 +27,7 @@ TEST(RobustKernel, HasTheDensityOfItsKinds) {
       const double r = u * shape.scale_m;
       const double exact = test::exact_density(shape, r);
       EXPECT_NEAR(kernel.at(r).density, exact, 2e-4 * peak) << "at " << u << " scales";
-      // The tails, too, where a residual is told from gross: in cost.
+      // The tails, too, where gross and the other kinds compete: in cost.
       EXPECT_NEAR(std::log(kernel.at(r).density), std::log(exact), 0.02) << "at " << u << " scales";
     }
   }

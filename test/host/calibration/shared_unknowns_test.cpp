@@ -18,7 +18,7 @@ namespace {
 constexpr std::size_t kSharingTags = 2;
 constexpr double kFraction = 0.3;
 
-// One range as if its robot had the errors: from the definitions, not from the code's derivatives.
+// Range of a robot with these errors: from the definitions, not from the code's derivatives.
 double range_with_errors(const Observation& row, const Eigen::Vector3d& anchor_m, double gamma,
                          const Eigen::VectorXd& error) {
   const auto at_range = [&](Eigen::Index axis) {
@@ -71,7 +71,7 @@ TEST(SharedUnknowns, AMovedRowHasTheErrorTakenOff) {
     const Eigen::VectorXd error = 0.01 * random.gaussians(unknowns.size());
     row.range_m = range_with_errors(row, anchor_m, 1.0, error);
     move_row(unknowns, error, anchor_m, row);
-    // The pattern is taken at the direction before: of second order.
+    // The pattern is evaluated at the direction before the move: a second-order error.
     EXPECT_NEAR(row.range_m, (row.tag_m - anchor_m).norm(), 5e-4);
   }
 }
@@ -95,7 +95,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
   EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
 }
 
-// The correlation of an oscillator that white noise drives obeys its equation of motion, begun at rest.
+// The correlation of an oscillator driven by white noise obeys its equation of motion, starting at rest.
 TEST(SharedUnknowns, SmoothWanderIsADrivenOscillators) {
   for (const double damping_ratio : {1.0, 0.6, 0.1, 0.03}) {
     const WanderPrior wander{
@@ -137,7 +137,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
   }
 }
 
-// By the mean over many drawn places of what a line from knot to knot misses.
+// Reference: mean error variance of linear interpolation at many points between two knots.
 TEST(SharedUnknowns, WhatALineMissesIsLessOfASmoothWander) {
   const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
   WanderPrior wander{.sigma_m = 0.3, .sigma_yaw_rad = 0.02, .correlation_s = 20.0};
@@ -147,7 +147,7 @@ TEST(SharedUnknowns, WhatALineMissesIsLessOfASmoothWander) {
   constexpr int kPlaces = 1000;
   for (int i = 0; i < kPlaces; ++i) {
     const double f = (i + 0.5) / kPlaces;
-    Eigen::Matrix3d covariance;  // of the first knot, the next, and the place between
+    Eigen::Matrix3d covariance;  // of the first knot, the next, and the point between
     const Eigen::Vector3d at(0.0, 12.0, 12.0 * f);
     for (Eigen::Index a = 0; a < 3; ++a)
       for (Eigen::Index b = 0; b < 3; ++b) covariance(a, b) = wander_correlation(wander, at(a) - at(b));
@@ -163,7 +163,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
   SharedUnknowns unknowns{.knots = {.begin_s = 1.0, .spacing_s = 3.0, .count = 4}, .knot_scale = {}};
   std::vector<PoseSpread> spreads;
   std::vector<Eigen::Matrix3d> told;
-  for (int k = 0; k < 3; ++k) {  // of the last knot nothing
+  for (int k = 0; k < 3; ++k) {  // none near the last knot
     Eigen::Matrix3d root = Eigen::Vector3d(0.3, 0.3, 0.02).asDiagonal() * Eigen::Matrix3d::Identity();
     for (Eigen::Index axis = 0; axis < 3; ++axis) root.row(axis) *= 1.0 + 0.5 * random.uniform();
     root(1, 0) = 0.1 * random.gaussian();
@@ -175,7 +175,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
   }
   const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
   unknowns.knot_scale = scale_knots(unknowns.knots, spreads, typical);
-  // Of twice the typical size: twice what the poses say.
+  // Twice the typical sigmas: twice those that the poses report.
   const SharedPrior prior{.wander = {.sigma_m = 0.6, .sigma_yaw_rad = 0.04, .correlation_s = 7.0},
                           .delay_sigma_s = 0.03};
   const Eigen::MatrixXd information = prior_information(unknowns, prior);
@@ -186,7 +186,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
   }
   EXPECT_NEAR(covariance(9, 9), 0.36, 1e-6);
   EXPECT_NEAR(covariance(11, 11), 0.0016, 1e-8);
-  // From knot to knot each keeps its share, in its own measure.
+  // Correlation from knot to knot, in the scale of each.
   const Eigen::Matrix3d one = unknowns.knot_scale[1].inverse() * covariance.block<3, 3>(3, 6) *
                               unknowns.knot_scale[2].inverse().transpose();
   EXPECT_NEAR(one(0, 0), 0.36 * std::exp(-3.0 / 7.0), 1e-6);
@@ -204,8 +204,8 @@ TEST(SharedUnknowns, TypicalQualityIsThatOfTheMiddlePose) {
   EXPECT_NEAR(typical_quality(spreads)->sigma_yaw_rad, 0.2, 1e-12);
 }
 
-// Of an anchor with one episode behind a wall: a third of its rows are in it, as many behind a wall by
-// chance.
+// An anchor with one episode of long NLOS: a third of its ranges are in it, another third are long NLOS
+// outside it.
 AnchorSight sight_of(std::size_t rows) {
   AnchorSight out;
   out.behind_wall = true;
@@ -219,12 +219,13 @@ AnchorSight sight_of(std::size_t rows) {
   return out;
 }
 
-// All anchors' and the shared unknowns in one dense system, row by row; one anchor is seen through a wall.
+// Reference: all anchors' and the shared unknowns in one dense system, range by range; one anchor has long
+// NLOS.
 TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   test::Random random(3);
   constexpr std::size_t kAnchors = 3;
   constexpr std::size_t kRows = 60;
-  constexpr Eigen::Index kOwn = 5 + 2 * kSharingTags;  // a wall's two at the end
+  constexpr Eigen::Index kOwn = 5 + 2 * kSharingTags;  // the two NLOS excesses at the end
   const AnchorSight sight = sight_of(kRows);
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kSharingTags};
@@ -234,7 +235,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   const Eigen::Index own_size = kAnchors * kOwn;
   Eigen::MatrixXd dense = Eigen::MatrixXd::Zero(own_size + unknowns.size(), own_size + unknowns.size());
   Eigen::VectorXd descent = Eigen::VectorXd::Zero(dense.rows());
-  dense.topLeftCorner(own_size, own_size).setIdentity();  // where an anchor has no wall
+  dense.topLeftCorner(own_size, own_size).setIdentity();  // for anchors without NLOS
   for (std::size_t a = 0; a < kAnchors; ++a) {
     AnchorFit& fit = fits[a];
     fit.problem.tag_count = kSharingTags;
@@ -304,8 +305,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   }
 }
 
-// No range tells where the map is: neither those in sight nor those through walls resist a shift of all
-// poses.
+// No range observes the map's frame: neither LOS nor long NLOS ranges resist a shift of all poses.
 TEST(JointEquations, HoldNoShiftOfAllPoses) {
   test::Random random(4);
   const SharedUnknowns unknowns{

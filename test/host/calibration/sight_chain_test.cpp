@@ -1,5 +1,5 @@
-// The chain of sights against sums over all ways that it can have gone, and the solver's cost with it against
-// numerical derivatives.
+// The LOS/NLOS Markov chain against sums over all state sequences, and the solver's cost with NLOS states
+// against numerical derivatives.
 #include "host/calibration/sight_chain.hpp"
 
 #include <gtest/gtest.h>
@@ -23,10 +23,10 @@ namespace {
 
 constexpr std::size_t kStates = 3;
 
-// Sums over every way through the states.
+// Sums over all state sequences.
 struct Enumeration {
   double total = 0.0;
-  std::vector<SightVector> prior;  // of each answered poll, its own likelihood left out
+  std::vector<SightVector> prior;  // of each answered poll, without its own residual
   std::vector<SightVector> posterior;
   SightVector answered = SightVector::Zero();
   SightVector missed = SightVector::Zero();
@@ -102,7 +102,7 @@ TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
   }
 }
 
-// Likelihood ratios of classes from every range by itself.
+// Reference: likelihood ratios of the classes, range by range.
 TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   struct Told {
     model::PowerClass of;
@@ -111,7 +111,7 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   test::Random random(8);
   std::array<double, model::kPowerClasses> ranges{};
   constexpr double kInterval_s = 0.05;
-  constexpr std::size_t kUsual = 12;  // strength of those in sight
+  constexpr std::size_t kUsual = 12;  // strength of LOS ranges
   ranges[kUsual] = 100.0;
   ranges[kUsual - 3] = 150.0;
   ranges[2 * model::kStrengthClasses + 5] = 50.0;
@@ -146,7 +146,7 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
     }
   };
   expect({});
-  // Twice: what was learnt before does not count.
+  // Twice: earlier counts do not count.
   for (int round = 0; round < 2; ++round) {
     std::vector<Told> all;
     PowerCounts counts;
@@ -188,7 +188,7 @@ TEST(SightChain, TellsPollsThatWereMissedFromThoseThatNobodyAnswered) {
     row.index = static_cast<std::uint32_t>(rows.size() - 1);
     row.t_s = 0.1 * poll + 0.03 * static_cast<double>(anchor);
   };
-  // The first anchor lacks 50, 70 and 90 .. 92; the second 70 alone.
+  // The first anchor misses polls 50, 70 and 90 .. 92; the second only 70.
   for (int poll = 0; poll < 120; ++poll) {
     if (poll != 50 && poll != 70 && (poll < 90 || poll > 92)) answer(0, poll);
     if (poll != 70) answer(1, poll);
@@ -262,7 +262,7 @@ TEST(AnchorSolver, GradientWithASightIsThatOfTheCost) {
                                          robust_cost({.problem = problem, .anchor = x, .kernels = kernels}));
       },
       anchor, 1e-4);
-  // The kernels' tables are linear between their nodes: the slope is off by what they are.
+  // The kernels' tables are linear between their nodes, and the slope has their error.
   EXPECT_LT((equations.gradient - numerical.transpose()).norm(), 0.02 * numerical.norm());
   EXPECT_EQ(equations.information.llt().info(), Eigen::Success);
 }

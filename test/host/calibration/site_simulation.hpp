@@ -1,5 +1,5 @@
-// A drive past the twelve anchors of the source paper's Table I, with ranges to three tags, and the bound on
-// what any estimator can make of it.
+// A simulated drive past the twelve anchors of the source paper's Table I, with ranges to three tags, and the
+// Cramer-Rao bound of its calibration.
 #pragma once
 
 #include <array>
@@ -22,7 +22,7 @@
 
 namespace groma::test {
 
-// Ways through the hall, each about the same area.
+// Routes through the hall, each over about the same area.
 enum class Route {
   kWaves,      // two slow waves that fill the hall
   kEight,      // in 120 s
@@ -37,23 +37,23 @@ struct SiteSettings {
   std::size_t ranges_per_pair = 200;
   double sigma_m = 0.1;
   double outlier_share =
-      0.0;  // too long: uniform 0.5 to 3.5 m or, where a mean is told, exponential from zero
+      0.0;  // too long: uniform 0.5 to 3.5 m or, if excess_mean_m > 0, exponential
   double excess_mean_m = 0.0;
   double beta_sigma_m = 0.3;
   double gamma_sigma = 0.005;
   double pose_sigma_m = 0.0;  // of the priors' error in x and in y, correlated over pose_correlation_s
   double pose_yaw_sigma_rad = 0.0;
   double pose_correlation_s = 20.0;
-  // Where told, the error is an oscillator's of natural frequency 1/pose_correlation_s that white noise
-  // drives.
+  // If set, the error is that of an oscillator with natural frequency 1/pose_correlation_s, driven by white
+  // noise.
   std::optional<double> pose_damping_ratio = {};
-  double range_delay_s = 0.0;      // ranges are stamped so much too late
-  double lever_arm_sigma_m = 0.0;  // an axis: what the tags' lever arms are off by
-  double pattern_sigma_m = 0.0;    // a coefficient of each tag's antenna pattern
-  double place_error_m = 0.0;      // of each anchor's ranges, its own, the same wherever the tag is the same
+  double range_delay_s = 0.0;      // of the ranges' timestamps
+  double lever_arm_sigma_m = 0.0;  // per axis, of each tag's lever arm
+  double pattern_sigma_m = 0.0;    // per coefficient of each tag's antenna pattern
+  double place_error_m = 0.0;      // of a range error that depends on anchor and place
 };
 
-// What was drawn and what came of it.
+// The drawn parameters and the simulated samples.
 struct SimulatedSite {
   SiteSettings settings;
   std::vector<model::Anchor> anchors;
@@ -91,7 +91,7 @@ inline std::vector<model::Tag> three_tags() {
   return {{1, {0.75, 0.45, 1.90}}, {2, {-0.70, -0.42, 1.25}}, {3, {0.60, -0.45, 0.35}}};
 }
 
-// Smooth in the antenna's place, and of each anchor its own: some waves of 2 to 6 m.
+// Range error of one anchor, smooth in the antenna's place: waves of 2 to 6 m.
 class PlaceError {
  public:
   PlaceError(double sigma_m, Random& random) : amplitude_m_(sigma_m * std::sqrt(2.0 / kWaves)) {
@@ -144,7 +144,7 @@ inline Eigen::Vector2d place_on(Route route, double t_s) {
   return Eigen::Vector2d::Zero();
 }
 
-// The true pose: on the route, heading along the way of 0.6 s about the instant.
+// The true pose: on the route, heading along the chord over 0.6 s about the instant.
 inline model::PoseSample true_pose(double t_s, Route route) {
   const Eigen::Vector2d place_m = place_on(route, t_s);
   const Eigen::Vector2d way_m = place_on(route, t_s + 0.3) - place_on(route, t_s - 0.3);
@@ -242,7 +242,7 @@ inline SimulatedSite simulate_site(const SiteSettings& settings, std::uint64_t s
   return site;
 }
 
-// The site's ranges made again for a robot that moves as told, with poses that are exact.
+// Simulates the site's ranges again for a robot on another path, with exact poses.
 template <typename PoseAt>
 SimulatedSite with_path(SimulatedSite site, PoseAt pose_at) {
   Random random(99);
@@ -265,9 +265,9 @@ inline model::PoseSample straight_pose(double t_s) {
   return {.t_s = t_s, .x_m = 3.0 + 0.06 * t_s, .y_m = 7.5, .yaw_rad = 0.0};
 }
 
-// The Cramer-Rao bound of one anchor's (position, beta of each tag, gamma of each tag) from all its ranges as
-// if none were an outlier, with the priors of the biases and perfect poses: the inverse of the information,
-// written out here from the range model itself.
+// Cramer-Rao bound of one anchor's (position, beta of each tag, gamma of each tag) from all its ranges
+// without outliers, with the priors of the biases and perfect poses: the inverse of the information, from the
+// range model itself, eq. (12).
 inline Eigen::MatrixXd cramer_rao_bound(const SimulatedSite& site, std::size_t a) {
   const std::size_t tags = site.tags.size();
   const auto size = static_cast<Eigen::Index>(3 + 2 * tags);

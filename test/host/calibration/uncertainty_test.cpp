@@ -33,8 +33,8 @@ TEST(Jackknife, AddsNothingToACovarianceThatItAgreesWith) {
   EXPECT_EQ(excess_of_jackknife(Eigen::Matrix3d::Zero(), expected).norm(), 0.0);
 }
 
-// One direction of the position scatters twenty times as much: it becomes 40, as if it had been observed so,
-// and what is not the position's own of the biases stays.
+// One direction of the position scatters twenty times as much: its variance becomes 40 times as large, and
+// the conditional covariance of the biases given the position stays.
 TEST(Jackknife, WidensTheDirectionThatItContradicts) {
   const Eigen::MatrixXd expected = random_covariance(2);
   const Eigen::Matrix3d position = expected.topLeftCorner<3, 3>();
@@ -54,8 +54,8 @@ TEST(Jackknife, WidensTheDirectionThatItContradicts) {
   EXPECT_NEAR((left(widened) - left(expected)).norm(), 0.0, 1e-8);
 }
 
-// What the jackknife is of a linear problem with independent residuals: leaving a part out moves the solution
-// by something with the covariance of the rest less that of the whole.
+// Expected jackknife of a linear problem with independent residuals: without a part, the solution moves with
+// the covariance of the rest minus that of the whole.
 Eigen::Matrix3d expected_jackknife(const AnchorFit& fit) {
   const auto covariance = [](const AnchorFit& of) -> Eigen::Matrix3d {
     return gather_evidence(of).information.inverse().topLeftCorner<3, 3>();
@@ -76,7 +76,7 @@ Eigen::Matrix3d expected_jackknife(const AnchorFit& fit) {
   return 0.8 * sum;
 }
 
-// Over the anchors of some sites, the mean of the jackknife in the measure of what it should be.
+// Mean ratio of the jackknife to its expectation, over the anchors of some sites.
 double mean_ratio(const test::SiteSettings& settings) {
   double sum = 0.0;
   double anchors = 0.0;
