@@ -24,7 +24,7 @@ Eigen::MatrixXd random_covariance(Eigen::Index size, double scale, test::Random&
 
 // Reference: one covariance of all unknowns of all anchors, updated with all links at once as in a Kalman
 // filter, linearized at the estimate.
-TEST(AnchorLinks, AreFusedAsOneDenseUpdateOfAllUnknowns) {
+TEST(AnchorLinks, EqualADenseUpdateOfAllUnknowns) {
   test::Random random(1);
   constexpr std::size_t kAnchors = 4;
   constexpr Eigen::Index kSize = 7;
@@ -96,7 +96,7 @@ TEST(AnchorLinks, AreFusedAsOneDenseUpdateOfAllUnknowns) {
   }
 }
 
-TEST(AnchorLinks, LeaveOutWhatIsNoRangeOfTheseAnchors) {
+TEST(AnchorLinks, LeaveOutInvalidRangesAndUnknownAnchors) {
   const std::vector<model::NodeId> ids{3, 5, 8};
   const std::vector<model::AnchorRange> ranges{
       {3, 5, 4.0, 0.1, 10}, {5, 3, 4.2, 0.1, 30}, {3, 3, 1.0, 0.1, 5},         {3, 9, 4.0, 0.1, 5},
@@ -128,7 +128,7 @@ struct Errors {
 
 // Anchors that a short drive leaves poorly determined, with ranges between them: positions and heights
 // improve, and the covariance stays consistent.
-TEST(AnchorLinks, SharpenWhatADriveLeavesOpen) {
+TEST(AnchorLinks, ImproveAPoorlyDeterminedSite) {
   Errors without;
   Errors with;
   for (std::uint64_t seed = 1; seed <= 8; ++seed) {

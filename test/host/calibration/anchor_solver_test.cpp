@@ -96,7 +96,7 @@ TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
 }
 
 // With an almost Gaussian kernel, a range is weighted by its whole variance.
-TEST(AnchorSolver, ARowWeighsAsMuchLessAsItsPoseIsWorse) {
+TEST(AnchorSolver, WeightsARangeByItsPosesCovariance) {
   Scene scene = make_scene(7, 0.1, 0.0);
   KernelShape shape{.scale_m = 0.1, .wide = 0.0, .bumps = {}, .gross = 1e-9};
   const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(shape));

@@ -32,7 +32,7 @@ Observation only_row(const std::vector<PoseSample>& poses, double t_s, const mod
   return association.anchors[0].rows.empty() ? Observation{} : association.anchors[0].rows[0];
 }
 
-TEST(Association, TurnsTheShortWayAcrossHalfATurn) {
+TEST(Association, InterpolatesYawAlongTheShorterArc) {
   const double pi = std::numbers::pi;
   const std::vector<PoseSample> poses{{.t_s = 0.0, .yaw_rad = pi - 0.1}, {.t_s = 0.2, .yaw_rad = -pi + 0.1}};
   const Observation row = only_row(poses, 0.1, model::Surface());
@@ -42,7 +42,7 @@ TEST(Association, TurnsTheShortWayAcrossHalfATurn) {
   EXPECT_NEAR(row.tag_m.z(), 2.0, 1e-9);
 }
 
-TEST(Association, TellsTheAntennasVelocityAndYawArm) {
+TEST(Association, GivesTheAntennasVelocityAndYawArm) {
   std::vector<PoseSample> poses;
   poses.reserve(5);
   const auto pose_at = [](double t_s) {
@@ -60,7 +60,7 @@ TEST(Association, TellsTheAntennasVelocityAndYawArm) {
 }
 
 // Reference: covariance of the antenna from that of x, y and yaw, by numerical derivatives.
-TEST(Association, TellsHowThePosesErrorMovesTheAntenna) {
+TEST(Association, PropagatesPoseCovarianceToTheAntenna) {
   test::Random random(5);
   const Eigen::Matrix3d root = Eigen::Vector3d(0.3, 0.2, 0.1).asDiagonal() *
                                Eigen::Matrix3d::NullaryExpr([&] { return random.gaussian(); });
@@ -95,7 +95,7 @@ TEST(Association, TellsHowThePosesErrorMovesTheAntenna) {
       << "no covariance at all";
 }
 
-TEST(Association, StandsOnTheSurfaceWhereAttitudeIsUnknown) {
+TEST(Association, TakesAMissingAttitudeFromTheSurface) {
   const model::Surface slope(model::Plane(1.0, Eigen::Vector3d(-0.2, 0.1, 1.0)));
   const model::PlanarPose planar{.x_m = 3.0, .y_m = -2.0, .theta_rad = 1.1};
   const double z_m = slope.at(3.0, -2.0).z_m;
@@ -130,7 +130,7 @@ TEST(Association, TakesZyxWhereAttitudeIsKnown) {
   EXPECT_NEAR((found.rotation - model::rotation_from_zyx(0.4, 0.3, -0.2)).norm(), 0.0, 1e-12);
 }
 
-TEST(Association, LeavesOutWhatHasNoPoseOrIsNoRange) {
+TEST(Association, RejectsInvalidRangesAndRangesWithoutAPose) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const std::vector<PoseSample> poses{
       {.t_s = 0.0}, {.t_s = 0.1}, {.t_s = 1.0}, {.t_s = 1.1, .x_m = nan}, {.t_s = 1.2}};

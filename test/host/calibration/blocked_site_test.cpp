@@ -30,7 +30,7 @@ test::Blocking hall() {
   return blocking;
 }
 
-TEST(BlockedSite, HasItsAnchorsRightOrMarkedAndBiasesHonestOverManyDrives) {
+TEST(NlosSite, AnchorsAreCorrectOrMarkedAndBiasesConsistentOverManyDrives) {
   double error_m = 0.0;
   int ok = 0;
   int biases = 0;
@@ -86,7 +86,7 @@ Outcome calibrate_sites(test::Blocking blocking, test::Powers powers) {
 }
 
 // Racks that cost no replies: NLOS for a third of the drive looks like a bias and a shift of the anchor.
-TEST(BlockedSite, PowersTellOfRacksThatLoseNoReplyOverMany) {
+TEST(NlosSite, PowersRevealNlosWithoutLostRepliesOverMany) {
   test::Blocking racks = hall();
   racks.walls.push_back({{3.0, 6.0}, {18.0, 6.0}});
   racks.wall_reply = racks.shadow_reply = racks.reply_in_sight;
@@ -103,7 +103,7 @@ TEST(BlockedSite, PowersTellOfRacksThatLoseNoReplyOverMany) {
   EXPECT_LT(nothing.ok_error_m, 1.3 * without.ok_error_m);
 }
 
-TEST(BlockedSite, PowersThatLieCostLittleWhereRepliesTellOverMany) {
+TEST(NlosSite, MisleadingPowersCostLittleWithRepliesOverMany) {
   const Outcome without = calibrate_sites(hall(), test::Powers::kNone);
   for (const test::Powers powers : {test::Powers::kTrue, test::Powers::kOpposite, test::Powers::kNothing}) {
     const Outcome with = calibrate_sites(hall(), powers);
@@ -113,7 +113,7 @@ TEST(BlockedSite, PowersThatLieCostLittleWhereRepliesTellOverMany) {
 }
 
 // The noise is estimated from the ranges.
-TEST(BlockedSite, IsTheSameWhateverNoiseIsTold) {
+TEST(NlosSite, ResultDoesNotDependOnTheConfiguredNoise) {
   const test::SimulatedSite site =
       test::blocked_site(test::polled_settings(test::Route::kWaves, kDrive_s), hall(), 5);
   Drive drive = site.drive();
@@ -131,7 +131,7 @@ TEST(BlockedSite, IsTheSameWhateverNoiseIsTold) {
 }
 
 // Isolated lost replies are no NLOS: isolated long ranges then do not contradict the others.
-TEST(BlockedSite, IsNotMadeOfLostReplies) {
+TEST(NlosSite, IsolatedLostRepliesAreNotNlos) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     test::SimulatedSite site = test::simulate_site({.outlier_share = 0.1}, seed);
     test::Random random(seed + 300);
@@ -143,7 +143,7 @@ TEST(BlockedSite, IsNotMadeOfLostReplies) {
   }
 }
 
-TEST(BlockedSite, NamesAnAnchorThatOnlyAnswersThroughAWall) {
+TEST(NlosSite, MarksAnchorsWithoutLineOfSight) {
   test::Blocking blocking;
   blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}};
   const test::SimulatedSite site =
@@ -162,7 +162,7 @@ TEST(BlockedSite, NamesAnAnchorThatOnlyAnswersThroughAWall) {
   }
 }
 
-TEST(BlockedSite, NamesBothAnchorsThatWereMovedAndNoOther) {
+TEST(NlosSite, MarksBothMovedAnchorsAndNoOther) {
   for (const bool walls : {false, true}) {
     test::Blocking blocking = walls ? hall() : test::Blocking{};
     if (!walls) {
@@ -183,7 +183,7 @@ TEST(BlockedSite, NamesBothAnchorsThatWereMovedAndNoOther) {
   }
 }
 
-TEST(BlockedSite, OneWithoutMovesOrWallsIsNotTakenForBlocked) {
+TEST(NlosSite, OutliersAndCollisionsAreNotNlos) {
   // Neither isolated outliers nor replies lost to collisions are NLOS.
   test::Blocking blocking;
   blocking.reply_in_sight = 0.98;

@@ -13,7 +13,7 @@
 namespace groma::calibration {
 namespace {
 
-TEST(Calibrate, FindsHowLateRangesAreStamped) {
+TEST(Calibrate, EstimatesTheRangeDelay) {
   const test::SimulatedSite late = test::simulate_site({.ranges_per_pair = 600, .range_delay_s = 0.05}, 9);
   const model::Calibration found = calibrate(late.drive()).calibration;
   EXPECT_NEAR(found.range_delay_s, 0.05, 0.01);
@@ -24,7 +24,7 @@ TEST(Calibrate, FindsHowLateRangesAreStamped) {
   EXPECT_NEAR(none.range_delay_s, 0.0, 3.0 * none.range_delay_sigma_s);
 }
 
-TEST(Calibrate, TellsTheFrameThatAllAnchorsShare) {
+TEST(Calibrate, ReportsTheCommonFramesCovariance) {
   const test::SimulatedSite site = test::simulate_site({.pose_sigma_m = 0.05}, 10);
   const Eigen::Matrix4d frame = calibrate(site.drive()).calibration.common_frame_covariance;
   EXPECT_EQ(frame.llt().info(), Eigen::Success);
@@ -53,7 +53,7 @@ test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool t
   return site;
 }
 
-TEST(Calibrate, TrustsPosesAsTheySayOverManyDrives) {
+TEST(Calibrate, WeightsPosesByTheirCovarianceOverManyDrives) {
   struct Score {
     double square_error_m2 = 0.0;
     double nees = 0.0;
@@ -83,7 +83,7 @@ TEST(Calibrate, TrustsPosesAsTheySayOverManyDrives) {
   }
 }
 
-TEST(Calibrate, IsTheSameEachTime) {
+TEST(Calibrate, IsDeterministic) {
   const test::SimulatedSite site = test::simulate_site({.outlier_share = 0.2}, 5);
   const Result one = calibrate(site.drive());
   const Result two = calibrate(site.drive());
@@ -93,7 +93,7 @@ TEST(Calibrate, IsTheSameEachTime) {
   }
 }
 
-TEST(Calibrate, TellsPairsHeldOutScoreAndVerdict) {
+TEST(Calibrate, ReportsPairsHeldOutScoreAndVerdict) {
   const test::SimulatedSite site = test::simulate_site({}, 6);
   const Result result = calibrate(site.drive());
   EXPECT_EQ(result.calibration.verdict, model::Verdict::kUsable);
@@ -117,7 +117,7 @@ TEST(Calibrate, TellsPairsHeldOutScoreAndVerdict) {
   }
 }
 
-TEST(Calibrate, LearnsBiasesAloneWhereAnchorsAreKnown) {
+TEST(Calibrate, EstimatesOnlyTheBiasesOfKnownAnchors) {
   const test::SimulatedSite site = test::simulate_site({.outlier_share = 0.15}, 7);
   Drive drive = site.drive();
   drive.known_anchors = site.anchors;

@@ -91,7 +91,7 @@ TEST(CalibrationCampaign, StaysNearTheBoundWhereExcessesAreExponential) {
   }
 }
 
-TEST(CalibrationCampaign, StaysHonestWhenPosesWander) {
+TEST(CalibrationCampaign, StaysConsistentWhenPosesDrift) {
   test::Campaign all;
   for (const double correlation_s : {5.0, 20.0, 60.0}) {
     const test::SiteSettings settings{

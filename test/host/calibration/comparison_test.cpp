@@ -78,7 +78,7 @@ Eigen::MatrixXd own(const model::AnchorCalibration& anchor, const model::Calibra
   return out;
 }
 
-TEST(Chi2, TailsAreThoseOfTheTables) {
+TEST(Chi2, TailsMatchTables) {
   EXPECT_NEAR(chi2_tail_1(3.841), 0.05, 1e-4);
   EXPECT_NEAR(chi2_tail_1(10.828), 0.001, 1e-5);
   EXPECT_NEAR(chi2_tail_3(7.815), 0.05, 1e-4);
@@ -86,7 +86,7 @@ TEST(Chi2, TailsAreThoseOfTheTables) {
   EXPECT_EQ(chi2_tail_3(0.0), 1.0);
 }
 
-TEST(Chi2, BeyondARadiusIsTheLeastOfASearch) {
+TEST(Chi2, BeyondARadiusMatchesAGridSearch) {
   test::Random random(5);
   for (int i = 0; i < 20; ++i) {
     const Eigen::Matrix3d covariance = drawn_covariance(random, 3, 0.1);
@@ -135,7 +135,7 @@ TEST(Comparison, IsTheConditionalOfTheJointGaussian) {
   }
 }
 
-TEST(Comparison, OfTheSameSiteScattersAsChiSquareAndAlarmsByChanceAlone) {
+TEST(Comparison, OfAnUnchangedSiteFollowsChiSquareAndAlarmsOnlyByChance) {
   constexpr int kSeeds = 400;
   double sum = 0.0;
   int differs = 0;
@@ -170,7 +170,7 @@ TEST(Comparison, FindsEachAnchorThatMovedAndNoOther) {
   }
 }
 
-TEST(Comparison, TellsWhatIsNewAndWhatIsMissing) {
+TEST(Comparison, ReportsNewAndMissingAnchors) {
   Pair pair = draw_pair(4);
   pair.a.anchors.erase(pair.a.anchors.begin() + 3);
   pair.b.anchors[5].covariance.resize(0, 0);  // null in the file
@@ -230,7 +230,7 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
   }
 }
 
-TEST(Comparison, TrustsNoHeightThatMayBeOnTheOtherSide) {
+TEST(Comparison, DoesNotTrustAnAmbiguousHeight) {
   Pair pair = draw_pair(6);
   pair.b.anchors[2].position_m.z() += 3.0;
   pair.b.anchors[2].verdict = AnchorVerdict::kWeakZ;
@@ -300,7 +300,7 @@ Eigen::Vector3d half_a_metre(double angle_rad) {
 }
 
 // Two anchors were moved by half a metre between two drives.
-TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
+TEST(Update, FindsTheMovedAnchorsAndNoOther) {
   const test::SiteSettings settings{.outlier_share = 0.1, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
   for (std::uint64_t seed = 1; seed <= 12; ++seed) {
     const test::SimulatedSite first = test::simulate_site(settings, seed);
@@ -328,7 +328,7 @@ TEST(Update, NamesTheAnchorsThatWereMovedAndNoOther) {
   }
 }
 
-TEST(Update, NamesNoneWhereNoneMovedOverManyDrives) {
+TEST(Update, FindsNoMoveWhereNoneMovedOverManyDrives) {
   const test::SiteSettings settings{.outlier_share = 0.15, .pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004};
   for (std::uint64_t seed = 21; seed <= 32; ++seed) {
     const test::SimulatedSite first = test::simulate_site(settings, seed);

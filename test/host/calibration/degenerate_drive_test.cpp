@@ -49,7 +49,7 @@ TEST(DegenerateDrive, ThatNeverMovesIsUnusable) {
   EXPECT_EQ(result.calibration.verdict, Verdict::kUnusable);
 }
 
-TEST(DegenerateDrive, InAStraightLineDoesNotTellTheSide) {
+TEST(DegenerateDrive, InAStraightLineLeavesTheSideOpen) {
   const test::SimulatedSite site = with_path(test::simulate_site({}, 2), test::straight_pose);
   // Three tags side by side distinguish the two sides; one does not.
   expect_no_lie(calibrate(site.drive()), site);

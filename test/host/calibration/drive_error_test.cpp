@@ -45,7 +45,7 @@ Eigen::Vector2d center_of(const Solved& solved) {
   return sum_m / rows;
 }
 
-TEST(DriveError, TellsHowFarAndHowSlowlyPosesWander) {
+TEST(DriveError, EstimatesSizeAndCorrelationTimeOfPoseDrift) {
   for (const double correlation_s : {5.0, 60.0}) {
     const test::SimulatedSite site = test::simulate_site({.ranges_per_pair = 600,
                                                           .pose_sigma_m = 0.05,
@@ -61,7 +61,7 @@ TEST(DriveError, TellsHowFarAndHowSlowlyPosesWander) {
 
 // An error that repeats each lap shifts the whole map by little, unlike a first-order process. The smooth
 // drift is selected, and the frame's covariance contains the mean pose error.
-TEST(DriveError, TellsASmoothWanderFromARoughOne) {
+TEST(DriveError, DistinguishesSmoothFromRoughDrift) {
   double nees = 0.0;
   double sigma_m = 0.0;
   constexpr std::uint64_t kSeeds = 8;
@@ -142,7 +142,7 @@ TEST(DriveError, LeavesExactPosesAsTheyAre) {
 }
 
 // Lever arms and patterns drawn from their priors are estimated, consistently with their covariance.
-TEST(DriveError, FindsWhereAntennasAreAndWhatTheyAre) {
+TEST(DriveError, EstimatesLeverArmsAndPatterns) {
   double nees = 0.0;
   double terms = 0.0;
   double square_before_m2 = 0.0;
@@ -173,7 +173,7 @@ TEST(DriveError, FindsWhereAntennasAreAndWhatTheyAre) {
 
 // Range errors that depend on place look like pose drift or a pattern at short lags; but each anchor has its
 // own.
-TEST(DriveError, BelievesNeitherWanderNorBodyOfWhatPlacesDo) {
+TEST(DriveError, DoesNotTakePlaceDependentErrorsForDriftOrPatterns) {
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
     const test::SimulatedSite site =
         test::simulate_site({.ranges_per_pair = 600, .place_error_m = 0.08}, seed);

@@ -134,7 +134,7 @@ TEST(MeasurementChoice, IsNearlyAsGoodAsTheBestOfAllSubsets) {
 }
 
 // A robot that is stationary for nine tenths of its time: the ranges of its drive are not crowded out.
-TEST(MeasurementChoice, KeepsTheWayOfARobotThatMostlyStands) {
+TEST(MeasurementChoice, KeepsTheDriveOfAMostlyStationaryRobot) {
   std::vector<Place> places;
   for (std::size_t i = 0; i < 6000; ++i) {
     const double way_m = i < 5400 ? 0.0 : 0.03 * static_cast<double>(i - 5400);
@@ -162,7 +162,7 @@ TEST(MeasurementChoice, KeepsTheWayOfARobotThatMostlyStands) {
 }
 
 // One antenna in a thousand is off the plane of the others: it alone determines z and the side.
-TEST(MeasurementChoice, KeepsWhatAloneTellsHeightAndSide) {
+TEST(MeasurementChoice, KeepsTheOnlyRangesThatDetermineHeightAndSide) {
   std::vector<Place> places;
   for (std::size_t i = 0; i < 4000; ++i) {
     const double angle_rad = 0.02 * static_cast<double>(i);
@@ -272,7 +272,7 @@ TEST(MeasurementChoice, ADriveOfTenTimesTheRangesKeepsItsAccuracyUnderTheBudgetO
 }
 
 // Missed polls are counted with all ranges: a gap between selected ranges is no missed poll.
-TEST(MeasurementChoice, KnowsWallsByWhatItLeavesOutTooOverManyDrives) {
+TEST(MeasurementChoice, KeepsNlosDetectionOverManyDrives) {
   constexpr std::size_t kBudget = 2000;  // of up to 6000
   test::Blocking blocking;
   blocking.walls = {{{20.6, 4.0}, {20.6, 9.0}}, {{7.0, 1.0}, {7.0, 5.0}}};

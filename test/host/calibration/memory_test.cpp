@@ -21,7 +21,7 @@ double peak_bytes(const test::SimulatedSite& site) {
   return static_cast<double>(test::peak_heap_bytes());
 }
 
-TEST(LiveHeap, SeesWhatIsHeldAtOnce) {
+TEST(LiveHeap, MeasuresThePeak) {
   test::watch_heap();
   {
     const std::vector<double> one(100'000);

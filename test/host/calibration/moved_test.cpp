@@ -58,7 +58,7 @@ TEST(LastTime, IsReadFromTheAdvice) {
   EXPECT_EQ(last_time_of("about t_s = 40, by 1 m"), 40.0);
 }
 
-TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
+TEST(StretchGains, EqualThoseOfTheDenseProblemWithASecondPlace) {
   test::Random random(3);
   constexpr std::size_t kTags = 2;
   const AnchorVector anchor = anchor_at({4.0, 6.0, 2.5}, kTags, {});
@@ -110,7 +110,7 @@ TEST(StretchGains, AreThoseOfTheDenseProblemWithAPlaceMore) {
 }
 
 // Two anchors moved by half a metre, each at its own time.
-TEST(Moved, AreBothNamedWithTheTimeAndNoOtherOverManyDrives) {
+TEST(Moved, BothMovedAnchorsAreFoundWithTheirTimesAndNoOtherOverManyDrives) {
   std::uint64_t seed = 40;
   for (const bool has_walls : {false, true}) {
     for (const auto& [one_s, two_s] : {std::pair{0.2 * kMovedDrive_s, 0.5 * kMovedDrive_s},
@@ -141,7 +141,7 @@ TEST(Moved, AreBothNamedWithTheTimeAndNoOtherOverManyDrives) {
   }
 }
 
-TEST(Moved, AndMovedBackIsNamed) {
+TEST(Moved, AnAnchorMovedBackIsFound) {
   for (std::uint64_t seed = 61; seed <= 63; ++seed) {
     const std::size_t moved = seed % 10;
     const test::SimulatedSite site = test::blocked_site(
@@ -157,7 +157,7 @@ TEST(Moved, AndMovedBackIsNamed) {
   }
 }
 
-TEST(Moved, NamesNoneWhereNoneMovedOverManyDrives) {
+TEST(Moved, FindsNoneWhereNoneMovedOverManyDrives) {
   std::uint64_t seed = 70;
   for (int i = 0; i < 24; ++i) {
     ++seed;
@@ -178,7 +178,7 @@ TEST(Moved, NamesNoneWhereNoneMovedOverManyDrives) {
 }
 
 // Poses that drift by as much as a move and report no covariance: all anchors show the poses' error.
-TEST(Moved, HardlyNamesAnyWherePosesWanderAsFarOverManyDrives) {
+TEST(Moved, FindsHardlyAnyWherePosesDriftAsFarOverManyDrives) {
   constexpr int kSites = 10;
   int named = 0;
   for (std::uint64_t seed = 101; seed < 101 + kSites; ++seed) {
@@ -195,7 +195,7 @@ TEST(Moved, HardlyNamesAnyWherePosesWanderAsFarOverManyDrives) {
   EXPECT_LE(named, 12 * kSites / 20);
 }
 
-// ---- ids that are not an anchor's own ---------------------------------------------------------------
+// ---- swapped and duplicate ids -----------------------------------------------------------------------
 
 // Anchors 5 and 11 have each other's id for a while.
 test::SimulatedSite with_ids_swapped(test::SimulatedSite site, double from_s, double to_s) {
@@ -214,7 +214,7 @@ const model::AnchorCalibration& anchor_of(const model::Calibration& calibration,
   return *model::find_anchor(calibration, id);
 }
 
-TEST(SwappedIds, ForAThirdOfTheDriveAreNamedWithEachOther) {
+TEST(SwappedIds, ForAThirdOfTheDriveAreReported) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     const test::SimulatedSite site = with_ids_swapped(test::simulate_site({}, seed), 80.0, 160.0);
     const model::Calibration found = calibrate(site.drive()).calibration;
@@ -233,7 +233,7 @@ TEST(SwappedIds, ForAThirdOfTheDriveAreNamedWithEachOther) {
   }
 }
 
-TEST(SwappedIds, FromHalfWayOnAreNamedWhereTheyAreNow) {
+TEST(SwappedIds, SinceHalfTheDriveAreReportedAtTheirNewPlaces) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     const test::SimulatedSite site = with_ids_swapped(test::simulate_site({}, seed), 120.0, 1e9);
     const model::Calibration found = calibrate(site.drive()).calibration;
@@ -252,7 +252,7 @@ TEST(SwappedIds, FromHalfWayOnAreNamedWhereTheyAreNow) {
 
 // Anchor 11 is configured with id 5: both are heard, each is heard in its part of the hall, or one of them
 // answers at random.
-TEST(TwoBoxesOfOneId, AreNeverTrusted) {
+TEST(DuplicateId, IsNeverTrusted) {
   enum class Heard { kBoth, kNearest, kByChance };
   for (const Heard heard : {Heard::kBoth, Heard::kNearest, Heard::kByChance}) {
     for (std::uint64_t seed = 1; seed <= 4; ++seed) {

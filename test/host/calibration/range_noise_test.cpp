@@ -48,7 +48,7 @@ std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
   return range_noise(fits);
 }
 
-TEST(RangeNoise, FindsWhatIsWhiteWhatIsSlowAndForHowLong) {
+TEST(RangeNoise, SeparatesWhiteNoiseFromSlowBias) {
   for (const double time_s : {0.7, 4.0}) {
     const auto noise = found({.white_sigma_m = 0.06, .slow_sigma_m = 0.1, .slow_time_s = time_s}, 5);
     ASSERT_TRUE(noise.has_value());
@@ -58,21 +58,21 @@ TEST(RangeNoise, FindsWhatIsWhiteWhatIsSlowAndForHowLong) {
   }
 }
 
-TEST(RangeNoise, WhiteAloneHasNoSlowPart) {
+TEST(RangeNoise, WhiteNoiseHasNoSlowBias) {
   const auto noise = found({.white_sigma_m = 0.08}, 6);
   ASSERT_TRUE(noise.has_value());
   EXPECT_NEAR(noise->white_sigma_m, 0.08, 0.003);
   EXPECT_EQ(noise->slow_sigma_m, 0.0);
 }
 
-TEST(RangeNoise, BlockedRangesAreNoneOfIt) {
+TEST(RangeNoise, IgnoresNlosRanges) {
   const auto noise = found({.white_sigma_m = 0.05, .blocked_share = 0.1}, 7);
   ASSERT_TRUE(noise.has_value());
   EXPECT_NEAR(noise->white_sigma_m, 0.05, 0.003);
   EXPECT_EQ(noise->slow_sigma_m, 0.0);
 }
 
-TEST(RangeNoise, OfTwoPairsNothingIsSaid) {
+TEST(RangeNoise, NeedsThreePairs) {
   EXPECT_FALSE(found({.pairs = 2}, 8).has_value());
 }
 

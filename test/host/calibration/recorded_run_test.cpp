@@ -122,7 +122,7 @@ TEST_F(RecordedRun, InrolFindsAnchorsInThreeDimensions) {
   expect_marked(kFar_m, kAny);
 }
 
-TEST_F(RecordedRun, StarlocFindsAnchorsByWhatTheRigDoesToRanges) {
+TEST_F(RecordedRun, StarlocFindsAnchorsWithLeverArmAndPattern) {
   load("real/starloc_loop2ds5");
   if (IsSkipped()) return;
   EXPECT_LE(mean_xy_error_m(), 0.18);
@@ -144,7 +144,7 @@ TEST_F(RecordedRun, StarlocWithRawRangesIsMarked) {
   expect_marked(kFar_m, kAny);
 }
 
-TEST_F(RecordedRun, IndoorSimulationNamesTheAnchorsBehindTheWall) {
+TEST_F(RecordedRun, IndoorSimulationMarksAnchorsWithoutLineOfSight) {
   load("simulated/indoor");
   if (IsSkipped()) return;
   for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {

@@ -69,7 +69,7 @@ TEST(RobustKernel, WeightMajorizesTheCost) {
   }
 }
 
-TEST(RobustKernel, TooLongIsForgivenSoonerThanTooShort) {
+TEST(RobustKernel, PenalizesTooLongLessThanTooShort) {
   const RobustKernel kernel(KernelShape{.scale_m = 0.1}.with_blocked(0.2));
   for (const double r : {0.35, 0.5, 0.8}) {
     EXPECT_GT(kernel.at(r).density, kernel.at(-r).density);
@@ -92,7 +92,7 @@ TEST(RobustKernel, StaysFiniteAtAnyResidual) {
   }
 }
 
-TEST(RobustKernel, SideBySideIsAsOneByOne) {
+TEST(RobustKernel, LanesEqualSingleValues) {
   test::Random random(11);
   for (const KernelShape& shape : shapes()) {
     const RobustKernel kernel(shape);
@@ -131,7 +131,7 @@ TEST(CostSum, IsTheSumOfTheCosts) {
   EXPECT_NEAR(sum.cost(), expected, 1e-9 * std::abs(expected));
 }
 
-TEST(RobustKernel, LearnsScaleAndShareOfWhatDrewTheResiduals) {
+TEST(RobustKernel, EstimatesScaleAndShareOfSimulatedResiduals) {
   test::Random random(7);
   std::vector<WeighedResidual> residuals;
   for (int i = 0; i < 20000; ++i) {
@@ -147,7 +147,7 @@ TEST(RobustKernel, LearnsScaleAndShareOfWhatDrewTheResiduals) {
   EXPECT_LT(shape.bumps[0], 0.005) << "no excess is as small as 3 scales";
 }
 
-TEST(RobustKernel, ScaleAndSharesLeanOnThePriorEachByItsWeight) {
+TEST(RobustKernel, ScaleAndSharesHaveSeparatePriorWeights) {
   const std::vector<WeighedResidual> residuals(100, {.residual_m = 0.0});
   const KernelPrior loose_scale{.shape = {.scale_m = 0.2}, .scale_weight = 1.0, .share_weight = 1e6};
   const KernelPrior loose_shares{.shape = {.scale_m = 0.2}, .scale_weight = 1e6, .share_weight = 1.0};

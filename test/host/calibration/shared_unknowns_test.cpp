@@ -60,7 +60,7 @@ TEST(SharedUnknowns, JacobianIsTheDerivativeOfTheRange) {
   }
 }
 
-TEST(SharedUnknowns, AMovedRowHasTheErrorTakenOff) {
+TEST(SharedUnknowns, MoveRowRemovesTheError) {
   test::Random random(2);
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 2}, .knot_scale = {}, .body_tags = 1};
@@ -96,7 +96,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
 }
 
 // The correlation of an oscillator driven by white noise obeys its equation of motion, starting at rest.
-TEST(SharedUnknowns, SmoothWanderIsADrivenOscillators) {
+TEST(SharedUnknowns, SmoothDriftIsThatOfADrivenOscillator) {
   for (const double damping_ratio : {1.0, 0.6, 0.1, 0.03}) {
     const WanderPrior wander{
         .sigma_m = 1.0, .sigma_yaw_rad = 1.0, .correlation_s = 7.0, .damping_ratio = damping_ratio};
@@ -138,7 +138,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
 }
 
 // Reference: mean error variance of linear interpolation at many points between two knots.
-TEST(SharedUnknowns, WhatALineMissesIsLessOfASmoothWander) {
+TEST(SharedUnknowns, InterpolationMissesLessOfASmoothDrift) {
   const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
   WanderPrior wander{.sigma_m = 0.3, .sigma_yaw_rad = 0.02, .correlation_s = 20.0};
   EXPECT_NEAR(white_share(wander, typical, 2.0), 2.0 / (3.0 * 20.0), 2e-3);
@@ -158,7 +158,7 @@ TEST(SharedUnknowns, WhatALineMissesIsLessOfASmoothWander) {
   EXPECT_LT(missed, 0.03);
 }
 
-TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
+TEST(SharedUnknowns, PriorOfTheKnotsFollowsThePosesCovariance) {
   test::Random random(4);
   SharedUnknowns unknowns{.knots = {.begin_s = 1.0, .spacing_s = 3.0, .count = 4}, .knot_scale = {}};
   std::vector<PoseSpread> spreads;
@@ -194,7 +194,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAsWideAsThePosesSay) {
   EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
 }
 
-TEST(SharedUnknowns, TypicalQualityIsThatOfTheMiddlePose) {
+TEST(SharedUnknowns, TypicalQualityIsTheMedian) {
   std::vector<PoseSpread> spreads;
   EXPECT_FALSE(typical_quality(spreads).has_value());
   for (const double sigma : {0.1, 0.2, 5.0}) {
@@ -306,7 +306,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
 }
 
 // No range observes the map's frame: neither LOS nor long NLOS ranges resist a shift of all poses.
-TEST(JointEquations, HoldNoShiftOfAllPoses) {
+TEST(JointEquations, LeaveAShiftOfAllPosesFree) {
   test::Random random(4);
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = 0};

@@ -73,7 +73,7 @@ Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
   return out;
 }
 
-TEST(SightChain, InfersWhatTheSumOverAllWaysGives) {
+TEST(SightChain, EqualsTheSumOverAllStateSequences) {
   test::Random random(3);
   const std::vector<Poll> polls{0, kMissed, 1, kNotTold, kReplied, 2, kMissed, kReplied, 3};
   SightPosterior found;
@@ -161,7 +161,7 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   }
 }
 
-TEST(SightChain, RepliesOfRowsThatWereLeftOutAreStillTold) {
+TEST(SightChain, LeftOutRangesStillCountAsReplies) {
   PollTable table;
   table.polls = {{{0, kMissed, 2, 3}, {1, kNotTold, 4}}, {{0, 1}}};
   keep_rows(table, 0, std::vector<std::size_t>{1, 3});
@@ -170,7 +170,7 @@ TEST(SightChain, RepliesOfRowsThatWereLeftOutAreStillTold) {
   EXPECT_EQ(table.polls[1][0], (std::vector<Poll>{0, 1}));
 }
 
-TEST(SightChain, TransitionsOverTwoTimesAreThatOverBoth) {
+TEST(SightChain, TransitionsCompose) {
   const Eigen::Matrix3d both = sight_transition(0.5);
   EXPECT_TRUE((sight_transition(0.2) * sight_transition(0.3)).isApprox(both, 1e-4));
   EXPECT_TRUE(both.rowwise().sum().isOnes(1e-9));
@@ -178,7 +178,7 @@ TEST(SightChain, TransitionsOverTwoTimesAreThatOverBoth) {
   EXPECT_TRUE(sight_transition(1e-3).isIdentity(1e-3));
 }
 
-TEST(SightChain, TellsPollsThatWereMissedFromThoseThatNobodyAnswered) {
+TEST(SightChain, DistinguishesMissedPollsFromPollsWithoutAnyReply) {
   Association association;
   association.tags.resize(1);
   association.anchors.resize(2);
@@ -209,7 +209,7 @@ TEST(SightChain, TellsPollsThatWereMissedFromThoseThatNobodyAnswered) {
   }
 }
 
-TEST(SightChain, PollsAtNoSteadyPaceAreNotMissed) {
+TEST(SightChain, IrregularPollsAreNeverMissed) {
   test::Random random(5);
   Association association;
   association.tags.resize(1);
@@ -226,7 +226,7 @@ TEST(SightChain, PollsAtNoSteadyPaceAreNotMissed) {
   for (const Poll poll : table.polls[0][0]) EXPECT_NE(poll, kMissed);
 }
 
-TEST(AnchorSolver, GradientWithASightIsThatOfTheCost) {
+TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   test::Random random(8);
   constexpr std::size_t kTags = 2;
   std::vector<Observation> rows;
@@ -267,7 +267,7 @@ TEST(AnchorSolver, GradientWithASightIsThatOfTheCost) {
   EXPECT_EQ(equations.information.llt().info(), Eigen::Success);
 }
 
-TEST(ShiftBetween, IsThatOfBothHalvesSolvedTogether) {
+TEST(ShiftBetween, EqualsTheJointSolutionOfBothHalves) {
   test::Random random(4);
   constexpr Eigen::Index kSize = 7;
   const auto covariance = [&] {

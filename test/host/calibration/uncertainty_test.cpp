@@ -107,11 +107,11 @@ TEST(Jackknife, IsThatOfALinearProblemWhereResidualsAreIndependent) {
   EXPECT_LT(ratio, 1.3);
 }
 
-TEST(Jackknife, SeesWhatPlacesDoToRanges) {
+TEST(Jackknife, DetectsPlaceDependentErrors) {
   EXPECT_GT(mean_ratio({.ranges_per_pair = 400, .place_error_m = 0.1}), 3.0);
 }
 
-TEST(Jackknife, SaysNothingOfFewRowsOrOfWhatIsHeldFixed) {
+TEST(Jackknife, NeedsEnoughRangesAndAFreePosition) {
   AnchorFit fit;
   EXPECT_FALSE(jackknife_covariance(fit).has_value());
   std::vector<Observation> rows(100);
