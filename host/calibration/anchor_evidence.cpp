@@ -93,7 +93,7 @@ void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fi
   out.in_sight_share /= n;
   if (!site.has_sight()) return;
   out.sight = SightEvidence{.polls = site.sight.poll_shares[i],
-                            .polls_are_told = site.polls.regular,
+                            .counts_missed = site.polls.regular,
                             .wall_excess_m = site.sight.model.wall_prior.mean_m,
                             .far_share = far / n,
                             .short_share = too_short / n};

@@ -15,7 +15,7 @@ namespace {
 // Lower limit of the sigma of a pair's mean range, however many ranges it has.
 constexpr double kLinkSigmaFloor_m = 0.01;
 constexpr int kFusingSteps = 8;
-constexpr int kLookingRounds = 3;
+constexpr int kFusionRounds = 3;
 constexpr int kFlippingRounds = 4;
 
 using model::square;
@@ -56,7 +56,7 @@ Eigen::MatrixXd covariance_before_links(const LinkedSite& site, std::size_t anch
          site.error.added_covariance[anchor];
 }
 
-AnchorBelief believe(const LinkedSite& site) {
+AnchorBelief belief_of(const LinkedSite& site) {
   AnchorBelief out;
   for (std::size_t a = 0; a < site.fits.size(); ++a) {
     const AnchorFit& fit = site.fits[a];
@@ -77,7 +77,7 @@ AnchorBelief believe(const LinkedSite& site) {
 // and drive together.
 void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
   const std::size_t anchors = site.fits.size();
-  const AnchorBelief belief = believe(site);
+  const AnchorBelief belief = belief_of(site);
   std::vector<bool> flipped(anchors, false);
   const auto cost = [&] {
     Eigen::VectorXd positions_m(position_of(anchors));
@@ -245,8 +245,8 @@ std::vector<Eigen::MatrixXd> join_links(const LinkedSite& site, std::span<const 
   }
   take_sides(site, links, priors);
   AnchorBelief belief;
-  for (int round = 0; round < kLookingRounds; ++round) {
-    belief = fuse_links(believe(site), links, priors);
+  for (int round = 0; round < kFusionRounds; ++round) {
+    belief = fuse_links(belief_of(site), links, priors);
     for (std::size_t a = 0; a < site.fits.size(); ++a) {
       site.fits[a].anchor = belief.mean[a];
       site.error.evidence[a] = gather_evidence(site.fits[a]);

@@ -55,8 +55,8 @@ double held_out_from(const Association& association) {
   return end_s - kHeldOutShare * (end_s - begin_s);
 }
 
-void find_sight(Site& site) {
-  if (!is_sight_wanted(site.polls, site.fits)) return;
+void find_nlos(Site& site) {
+  if (!needs_nlos_states(site.polls, site.fits)) return;
   site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
 }
 
@@ -128,7 +128,7 @@ Site solve_anchors(const Drive& drive, const Options& options, HeightSource heig
   site.fits = solve_site(problem, site.beginning);  // robust least squares on eq. (12), per anchor
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
-    find_sight(site);
+    find_nlos(site);
     if (find_moves && poses_show_moves(site.association))
       site.paths = find_moved(site.polls, site.sight, site.fits);
   }
@@ -163,7 +163,7 @@ Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
 }
 
 // Classifies each range as LOS or NLOS again, now that lever arms and antenna patterns are corrected.
-void find_sight_again(Site& site, const model::Calibration* earlier) {
+void find_nlos_again(Site& site, const model::Calibration* earlier) {
   if (is_within_reach(site.fits) && !has_moves(site) &&
       !model::is_ablated(model::Mechanism::kCalibrationAgain)) {
     for (AnchorFit& fit : site.fits) {
@@ -172,7 +172,7 @@ void find_sight_again(Site& site, const model::Calibration* earlier) {
     }
     site.sight = {};
     refine_site(site.fits, kLastRounds);
-    find_sight(site);
+    find_nlos(site);
     test_mirrors(site, earlier);
   }
   correct_further(site.association, site.fits, site.error);
@@ -251,7 +251,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   // If the poses drift by as much as a move, apparent moves of anchors are not real.
   if (has_moves(site) && site.error.prior.wander.sigma_m > kMovePose_m)
     site = solve_drive(drive, options, false);
-  if (!site.error.body.empty() && site.has_sight()) find_sight_again(site, options.earlier);
+  if (!site.error.body.empty() && site.has_sight()) find_nlos_again(site, options.earlier);
   const std::vector<double> inflation = score_inflation(site.error.evidence);
   const std::vector<Eigen::MatrixXd> solved = join_survey(drive, site, inflation);
 

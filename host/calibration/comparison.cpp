@@ -188,7 +188,7 @@ void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen
 // Removes the common frame's part from the anchor's covariance but keeps kKeptShare of the whole. Otherwise
 // an anchor whose uncertainty along some axis is all the frame's counts as exact there and outweighs every
 // other drive.
-void keep_own(AnchorCalibration& anchor, const model::Calibration& of) {
+void remove_common_frame(AnchorCalibration& anchor, const model::Calibration& of) {
   constexpr double kKeptShare = 0.01;
   if (!has_position(anchor)) return;
   anchor.covariance = (1.0 - kKeptShare) * model::own_covariance(anchor, of.common_frame_covariance) +
@@ -395,12 +395,12 @@ Update update(const model::Calibration& earlier, const model::Calibration& later
 
   std::map<model::NodeId, AnchorCalibration> anchors;
   for (AnchorCalibration anchor : earlier.anchors) {
-    keep_own(anchor, earlier);
+    remove_common_frame(anchor, earlier);
     if (has_position(anchor)) shift(anchor, earlier_shift, Eigen::Matrix4d::Zero());
     anchors.emplace(anchor.id, std::move(anchor));
   }
   for (AnchorCalibration anchor : later.anchors) {
-    keep_own(anchor, later);
+    remove_common_frame(anchor, later);
     const auto known = anchors.find(anchor.id);
     const bool was_known = known != anchors.end() && has_position(known->second);
     const bool is_heard = has_position(anchor) && anchor.verdict != AnchorVerdict::kNoData;

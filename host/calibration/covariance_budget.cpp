@@ -101,7 +101,7 @@ Adds reach(const Anchor& anchor) {
   return -0.5 * (less + less.transpose());
 }
 
-Adds misjudged_sight(const Anchor& anchor) {
+Adds nlos_taken_for_los(const Anchor& anchor) {
   if (!anchor.known.sight || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return {};
   const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - anchor.known.in_sight_share));
   Adds out = anchor.nothing();
@@ -124,21 +124,21 @@ Adds contradiction_by_place(const Anchor& anchor) {
 }
 
 // Whether all or nearly all ranges are NLOS.
-bool is_behind_walls(const Anchor& anchor) {
+bool is_always_nlos(const Anchor& anchor) {
   return anchor.tags > 0 && (is_never_in_sight(anchor.known) || is_hardly_in_sight(anchor.known)) &&
          !model::is_ablated(model::Mechanism::kCalibrationBlocking);
 }
 
-Adds walls(const Anchor& anchor) {
-  if (!is_behind_walls(anchor)) return {};
+Adds nlos_common_excess(const Anchor& anchor) {
+  if (!is_always_nlos(anchor)) return {};
   const std::optional<SightEvidence>& sight = anchor.known.sight;
   if (!sight) return common_bias(anchor, kWallSigma_m);
   // The excess of its long NLOS is in the covariance already, unless that passed for short NLOS.
   return common_bias(anchor, kWallDiffers_m + sight->wall_excess_m * sight->polls(kShadow));
 }
 
-Adds walls_by_place(const Anchor& anchor) {
-  if (!is_behind_walls(anchor)) return {};
+Adds nlos_excess_by_place(const Anchor& anchor) {
+  if (!is_always_nlos(anchor)) return {};
   return place_to_place(anchor, anchor.known.sight ? kWallPlaces_m : kWallVariation_m);
 }
 
@@ -186,15 +186,15 @@ struct Rule {
   const char* name;
   Adds (*adds)(const Anchor& anchor);
 };
-// The order matters: reach, walls and heights depend on the sum of the terms before.
+// The order matters: reach, NLOS and heights depend on the sum of the terms before.
 constexpr std::array kRules{
     Rule{"parts of the drive (jackknife)", parts_of_drive},
     Rule{"reach of the ranges", reach},
-    Rule{"NLOS ranges taken for LOS", misjudged_sight},
+    Rule{"NLOS ranges taken for LOS", nlos_taken_for_los},
     Rule{"ranges that contradict each other: biases", contradiction},
     Rule{"ranges that contradict each other: position", contradiction_by_place},
-    Rule{"NLOS: common excess", walls},
-    Rule{"NLOS: excess from place to place", walls_by_place},
+    Rule{"NLOS: common excess", nlos_common_excess},
+    Rule{"NLOS: excess from place to place", nlos_excess_by_place},
     Rule{"mirror side across the plane", across_plane},
     Rule{"mirror side across the line", across_line},
     Rule{"height by the drive's beginning", height_of_beginning},

@@ -82,20 +82,20 @@ struct Belief {
 };
 
 // Replaces `best` if the log evidence with the prior is higher by more than `min_gain`.
-void consider(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
+void keep_likelier(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
               double min_gain, Belief& best) {
   const double found = evidence(equations, unknowns, prior) - min_gain;
   if (found > best.evidence) best = {.prior = prior, .evidence = found};
 }
 
 // Layout of the unknowns to test, and `typical` if poses report their covariance.
-struct Question {
+struct DriftSetup {
   SharedUnknowns unknowns;
   std::optional<PoseQuality> typical;
 };
 
 // Most likely drift in addition to `before`; `before` itself if none gains enough evidence.
-Belief believe_wander(const JointEquations& equations, const Question& question, const Belief& before) {
+Belief select_drift(const JointEquations& equations, const DriftSetup& setup, const Belief& before) {
   if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
   Belief best = before;
   best.evidence += kMinWanderEvidence;
@@ -103,12 +103,12 @@ Belief believe_wander(const JointEquations& equations, const Question& question,
   prior.wander = kFirstWander;
   for (const double sigma_m : kWander_m) {
     prior.wander.sigma_m = sigma_m;
-    consider(equations, question.unknowns, prior, 0.0, best);
+    keep_likelier(equations, setup.unknowns, prior, 0.0, best);
   }
-  if (question.typical) {
-    prior.wander.sigma_m = question.typical->sigma_m;
-    prior.wander.sigma_yaw_rad = question.typical->sigma_yaw_rad;
-    consider(equations, question.unknowns, prior, 0.0, best);
+  if (setup.typical) {
+    prior.wander.sigma_m = setup.typical->sigma_m;
+    prior.wander.sigma_yaw_rad = setup.typical->sigma_yaw_rad;
+    keep_likelier(equations, setup.unknowns, prior, 0.0, best);
   }
   return best.prior.wander.sigma_m > 0.0 ? best : before;
 }
@@ -124,7 +124,7 @@ SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& 
       prior.wander.correlation_s *= correlation;
       prior.wander.sigma_m *= shift;
       prior.wander.sigma_yaw_rad *= turn;
-      consider(equations, unknowns, prior, 0.0, best);
+      keep_likelier(equations, unknowns, prior, 0.0, best);
     };
     for (const double factor : {step, 1.0 / step}) {
       // Ranges determine sigma^2 / time, the rate of a first-order process, better than either: scale the
@@ -154,7 +154,7 @@ SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknown
         prior.wander.sigma_m *= factor;
         prior.wander.correlation_s = time_s;
         prior.wander.damping_ratio = damping_ratio;
-        consider(equations, unknowns, prior, least_gain(damping_ratio), best);
+        keep_likelier(equations, unknowns, prior, least_gain(damping_ratio), best);
       }
     }
   }
@@ -162,12 +162,12 @@ SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknown
   for (const double factor : kYawFactors) {
     SharedPrior prior = best.prior;
     prior.wander.sigma_yaw_rad *= factor;
-    consider(equations, unknowns, prior, least_gain(*prior.wander.damping_ratio), best);
+    keep_likelier(equations, unknowns, prior, least_gain(*prior.wander.damping_ratio), best);
   }
   return best.prior;
 }
 
-Belief believe_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
+Belief select_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
                     double min_evidence) {
   if (model::is_ablated(model::Mechanism::kCalibrationBody)) return before;
   SharedPrior prior = before.prior;
@@ -180,12 +180,12 @@ Belief believe_body(const JointEquations& equations, const SharedUnknowns& unkno
 // `slow` makes the equations with the inflation of kWhile_s; it is called only if the inflation of kMoment_s
 // accepts something.
 template <typename Slow>
-SharedPrior likeliest_prior(const JointEquations& equations, const Question& question, const Slow& slow) {
-  const SharedUnknowns& unknowns = question.unknowns;
+SharedPrior likeliest_prior(const JointEquations& equations, const DriftSetup& setup, const Slow& slow) {
+  const SharedUnknowns& unknowns = setup.unknowns;
   Belief nothing{.prior = {.wander = {}, .delay_sigma_s = delay_sigma_s()}};
   nothing.evidence = evidence(equations, unknowns, nothing.prior);
-  Belief wander = believe_wander(equations, question, nothing);
-  Belief body = believe_body(equations, unknowns, nothing, kMinBodyEvidence);
+  Belief wander = select_drift(equations, setup, nothing);
+  Belief body = select_body(equations, unknowns, nothing, kMinBodyEvidence);
   if (!(wander.prior.wander.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
 
   const JointEquations lasting = slow();
@@ -195,11 +195,11 @@ SharedPrior likeliest_prior(const JointEquations& equations, const Question& que
   const double by_wander = gain(wander, nothing);
   const double by_body = gain(body, nothing);
   if (by_wander >= kMinLastingWander && by_wander >= by_body) {
-    body = believe_body(equations, unknowns, wander, kMinMoreBodyEvidence);
+    body = select_body(equations, unknowns, wander, kMinMoreBodyEvidence);
     return gain(body, wander) < kMinLastingBody ? wander.prior : body.prior;
   }
   if (by_body < kMinLastingBody) return nothing.prior;
-  wander = believe_wander(equations, question, body);
+  wander = select_drift(equations, setup, body);
   return gain(wander, body) < kMinLastingWander ? body.prior : wander.prior;
 }
 
@@ -212,13 +212,13 @@ bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& u
 }
 
 SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpread> spreads,
-                       const Question& question, const SharedPrior& prior) {
-  const SharedUnknowns& coarse = question.unknowns;
+                       const DriftSetup& setup, const SharedPrior& prior) {
+  const SharedUnknowns& coarse = setup.unknowns;
   SharedUnknowns out;
   const KnotGrid& grid = prior.wander.sigma_m > 0.0 ? kFineKnots : kNoKnots;
   out.knots = place_knots(fits, grid).value_or(coarse.knots);
   out.body_tags = prior.body ? coarse.body_tags : 0;
-  if (question.typical) out.knot_scale = scale_knots(out.knots, spreads, *question.typical);
+  if (setup.typical) out.knot_scale = scale_knots(out.knots, spreads, *setup.typical);
   return out;
 }
 
@@ -261,7 +261,7 @@ bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span
 
 // Frame covariance: that of the mean of all knots, and the part that no range observes, about the map's
 // origin.
-void tell_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span<const AnchorFit> fits,
+void report_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span<const AnchorFit> fits,
                 DriveError& out) {
   if (std::any_of(fits.begin(), fits.end(),
                   [](const AnchorFit& fit) { return fit.problem.position.surveyed; })) {
@@ -397,7 +397,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
     out.added_covariance[i] += pattern_m * pattern_m * response * response.transpose();
   }
-  tell_frame(unknowns.knots, covariance, fits, out);
+  report_frame(unknowns.knots, covariance, fits, out);
   out.shared_covariance = std::move(covariance);
 }
 
@@ -411,18 +411,18 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
   out.evidence = gather_evidence(std::span<const AnchorFit>(fits));
   const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
   if (!placed) return out;
-  Question question;
-  question.typical = typical_quality(association.pose_spreads);
-  SharedUnknowns& unknowns = question.unknowns;
+  DriftSetup setup;
+  setup.typical = typical_quality(association.pose_spreads);
+  SharedUnknowns& unknowns = setup.unknowns;
   unknowns.knots = *placed;
   unknowns.body_tags = association.tags.size();
-  if (question.typical)
-    unknowns.knot_scale = scale_knots(unknowns.knots, association.pose_spreads, *question.typical);
+  if (setup.typical)
+    unknowns.knot_scale = scale_knots(unknowns.knots, association.pose_spreads, *setup.typical);
 
   std::vector<double> inflation = inflations(out.evidence, kMoment_s);
   JointEquations equations = eliminate_anchors(fits, inflation, unknowns);
   const auto slow = [&] { return eliminate_anchors(fits, inflations(out.evidence, kWhile_s), unknowns); };
-  SharedPrior prior = likeliest_prior(equations, question, slow);
+  SharedPrior prior = likeliest_prior(equations, setup, slow);
   if (nothing_to_correct(equations, unknowns, prior)) {
     // With the inflation of kWhile_s the ranges carry this much less information about what is constant over
     // the drive.
@@ -434,18 +434,18 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
         share * equations.information(delay, delay) + 1.0 / (delay_sigma_s() * delay_sigma_s());
     out.range_delay_s = share * equations.descent(delay) / information;
     out.range_delay_sigma_s = 1.0 / std::sqrt(information);
-    tell_frame(unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), fits, out);
+    report_frame(unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), fits, out);
     return out;
   }
-  out.unknowns = arrange(fits, association.pose_spreads, question, prior);
+  out.unknowns = arrange(fits, association.pose_spreads, setup, prior);
   if (prior.wander.sigma_m > 0.0) {
     equations = eliminate_anchors(fits, inflation, out.unknowns);
     prior = likeliest_shape(equations, out.unknowns, refine_drift(equations, out.unknowns, prior));
   }
   out.prior = prior;
   out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());
-  if (question.typical && prior.wander.sigma_m > 0.0) {
-    const double share = white_share(prior.wander, *question.typical, out.unknowns.knots.spacing_s);
+  if (setup.typical && prior.wander.sigma_m > 0.0) {
+    const double share = white_share(prior.wander, *setup.typical, out.unknowns.knots.spacing_s);
     for (AnchorObservations& anchor : association.anchors) {
       for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
     }

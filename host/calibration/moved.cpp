@@ -65,7 +65,7 @@ bool is_enough(std::span<const Observation> rows, const Stretch& stretch) noexce
          std::max(kLeastStretch_s, kLeastStretchShare * all_s);
 }
 // Whether stretch and rest are each enough; the rest at either end of the drive is enough or empty.
-bool is_parted(std::span<const Observation> rows, const Stretch& stretch) noexcept {
+bool is_separable(std::span<const Observation> rows, const Stretch& stretch) noexcept {
   const Stretch before{.first = 0, .last = stretch.first};
   const Stretch after{.first = stretch.last, .last = rows.size()};
   const auto is_whole = [&](const Stretch& side) { return side.first == side.last || is_enough(rows, side); };
@@ -176,13 +176,13 @@ double apart_in_range_m(std::span<const Observation> rows, const AnchorFit& here
 
 // Alternates between solving two places, that of the stretch and that of the rest, and finding the stretch
 // that prefers its own place.
-std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
+std::optional<SecondPlace> separate(const AnchorProblem& problem, Stretch stretch) {
   const std::span<const Observation> rows = problem.rows;
   SecondPlace out;
   std::vector<double> prefer_there;
   double apart_m = 0.0;
   for (int round = 0; round < kPlaceRounds; ++round) {
-    if (!is_parted(rows, stretch)) return std::nullopt;
+    if (!is_separable(rows, stretch)) return std::nullopt;
     const auto inside = rows.subspan(stretch.first, stretch.last - stretch.first);
     std::vector<Observation> outside(rows.begin(), inside.begin());
     outside.insert(outside.end(), inside.end(), rows.end());
@@ -195,7 +195,7 @@ std::optional<SecondPlace> part(const AnchorProblem& problem, Stretch stretch) {
     const Stretch before = std::exchange(stretch, widened(rows, largest_stretch(prefer_there)));
     if (stretch == before) break;
   }
-  if (!is_parted(rows, stretch)) return std::nullopt;
+  if (!is_separable(rows, stretch)) return std::nullopt;
   // The ranges have to differ too: a stationary robot measured a single direction.
   if (std::min((out.place_m - out.usual_place_m).head<2>().norm(), apart_m) < kMinMove_m) return std::nullopt;
   out.stretch = stretch;
@@ -250,7 +250,7 @@ std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
                          .usual_place_m = fit.anchor.head<3>(),
                          .torn_share = torn};
     }
-    if (auto parted = part(fit.problem, widened(fit.problem.rows, stretch))) return parted;
+    if (auto separated = separate(fit.problem, widened(fit.problem.rows, stretch))) return separated;
   }
   const StretchGains gains(fit, std::min(kBins, rows / kRowsPerBin));
   Stretch best;
@@ -258,18 +258,18 @@ std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
   for (std::size_t from = 0; from + 1 < gains.first_row.size(); ++from) {
     for (std::size_t to = from + 1; to < gains.first_row.size(); ++to) {
       const Stretch stretch{.first = gains.first_row[from], .last = gains.first_row[to]};
-      if (!is_parted(fit.problem.rows, stretch)) continue;
+      if (!is_separable(fit.problem.rows, stretch)) continue;
       const double gain = gains.gain(from, to);
       if (gain <= largest) continue;
       largest = gain;
       best = stretch;
     }
   }
-  return part(fit.problem, best);
+  return separate(fit.problem, best);
 }
 
 constexpr int kMovedRounds = 4;
-constexpr int kLooks = 3;
+constexpr int kAttempts = 3;
 constexpr int kPieceSteps = 6;
 constexpr int kJoiningSteps = 20;
 // A move has at least this squared Mahalanobis distance between the two solutions.
@@ -301,11 +301,11 @@ Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
   Suspicion out;
   AnchorFit rest = fit;
   rest.problem.rows = rows;
-  for (int look = 0; look < kLooks; ++look) {
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
     const std::optional<SecondPlace> second = find_second_place(rest);
     if (!second) break;
     if (second->torn_share > kTornShare) {
-      if (look == 0) out.twin_m = second->place_m;
+      if (attempt == 0) out.twin_m = second->place_m;
       break;
     }
     out.places_m.insert(out.places_m.end(), {second->usual_place_m, second->place_m});
@@ -526,7 +526,7 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
     // are only residuals.
     std::vector<Observation> examined(rows.begin(), rows.end());
     if ((table.regular || sight.model.powers) && !sight.anchors.empty()) {
-      const std::vector<bool> seen = rows_in_sight(sight.model, table.polls[a], rows);
+      const std::vector<bool> seen = los_rows(sight.model, table.polls[a], rows);
       std::erase_if(examined, [&](const Observation& row) { return !seen[row.index - rows.front().index]; });
     }
     suspicions[a] = suspect(fits[a], examined);

@@ -134,7 +134,7 @@ void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t
   }
 }
 
-void infer_sight(const SightChain& chain, std::span<const Poll> polls,
+void infer_states(const SightChain& chain, std::span<const Poll> polls,
                  std::span<const SightVector> likelihoods, std::span<const double> hints,
                  SightPosterior& out) {
   out.prior.resize(likelihoods.size());
@@ -230,10 +230,10 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
     believed_.in_sight[i] = kBelievedCount * model::kBelievedInSight[hidden] * in_sight;
     believed_.blocked[i] = kBelievedCount * model::kBelievedBlocked[hidden] * kAnywhere;
   }
-  learn({});
+  estimate({});
 }
 
-void PowerHints::learn(const PowerCounts& counts) noexcept {
+void PowerHints::estimate(const PowerCounts& counts) noexcept {
   PowerCounts all = believed_;
   all.add(counts, share_);
   const double in_sight = sum(all.in_sight);

@@ -55,7 +55,7 @@ struct SightPosterior {
 // Forward-backward algorithm. `likelihoods` holds the density of the residual in each state, 1/m, for each
 // poll with an observation, in order; `hints` the likelihood ratio of its powers, NLOS over LOS, or nothing.
 // Reuses the vectors of `out`.
-void infer_sight(const SightChain& chain, std::span<const Poll> polls,
+void infer_states(const SightChain& chain, std::span<const Poll> polls,
                  std::span<const SightVector> likelihoods, std::span<const double> hints,
                  SightPosterior& out);
 
@@ -79,7 +79,7 @@ class PowerHints {
   // Likelihood of a power class in NLOS over that in LOS, from 1/10 to 10; 1 for kNoPowerClass.
   [[nodiscard]] double ratio(model::PowerClass of) const noexcept { return ratios_[of]; }
   // Adds the counts to the prior, in place of all earlier counts.
-  void learn(const PowerCounts& counts) noexcept;
+  void estimate(const PowerCounts& counts) noexcept;
 
  private:
   double share_ = 1.0;  // weight of one range

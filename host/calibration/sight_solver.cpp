@@ -141,7 +141,7 @@ double log_evidence_of_losses(std::span<const Poll> polls) {
 }
 
 // Isolated missed replies are lost by chance: NLOS has to explain them better.
-bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll>> pairs) {
+bool replies_show_nlos(SightChain chain, std::span<const std::vector<Poll>> pairs) {
   SightPosterior posterior;
   const SightVector believed = chain.reply;
   for (const std::vector<Poll>& polls : pairs) {
@@ -150,12 +150,12 @@ bool replies_tell_of_blocking(SightChain chain, std::span<const std::vector<Poll
     if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
     const std::vector<SightVector> likelihoods = no_residuals(polls);
     chain.reply = believed;
-    infer_sight(chain, polls, likelihoods, {}, posterior);
+    infer_states(chain, polls, likelihoods, {}, posterior);
     if (poll_shares(posterior.answered, posterior.missed)(kInSight) >= 1.0 - kBlockedByReplies) continue;
     double log_evidence = posterior.log_evidence;
     for (const double lost : kLossesInSight) {
       chain.reply(kInSight) = 1.0 - lost;
-      infer_sight(chain, polls, likelihoods, {}, posterior);
+      infer_states(chain, polls, likelihoods, {}, posterior);
       log_evidence = std::max(log_evidence, posterior.log_evidence);
     }
     if (log_evidence > log_evidence_of_losses(polls) + kBlockedEvidence) return true;
@@ -187,7 +187,7 @@ class SightSolver {
   void add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const;
   void add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
                    AnchorPass& out) const;
-  void learn(const std::vector<AnchorPass>& passes);
+  void estimate_model(const std::vector<AnchorPass>& passes);
   void apply(std::size_t anchor, AnchorPass pass);
 
   [[nodiscard]] static bool has_wall(const AnchorFit& fit) {
@@ -214,7 +214,7 @@ class SightSolver {
 void SightSolver::label_first() {
   for (std::size_t a = 0; a < fits_.size(); ++a) {
     const std::span<const Observation> rows = fits_[a].problem.rows;
-    const std::vector<bool> seen = rows_in_sight(out_.model, table_.polls[a], rows);
+    const std::vector<bool> seen = los_rows(out_.model, table_.polls[a], rows);
     AnchorPass pass;
     pass.sight.rows.resize(rows_until(fits_[a]));
     pass.sight.behind_wall = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
@@ -267,12 +267,12 @@ AnchorPass SightSolver::infer(std::size_t a) const {
     const std::vector<model::PowerClass> classes = classes_of(polls, rows);
     if (out_.model.powers) {
       // Powers are estimated without what they say themselves.
-      infer_sight(out_.model.chain, polls, pair.likelihoods, {}, posterior);
+      infer_states(out_.model.chain, polls, pair.likelihoods, {}, posterior);
       for (std::size_t i = 0; i < classes.size(); ++i) {
         out.powers.add(classes[i], posterior.posterior[i](kInSight));
       }
     }
-    infer_sight(out_.model.chain, polls, pair.likelihoods, hints_of(classes, out_.model.powers), posterior);
+    infer_states(out_.model.chain, polls, pair.likelihoods, hints_of(classes, out_.model.powers), posterior);
     out.answered += posterior.answered;
     out.missed += posterior.missed;
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
@@ -341,7 +341,7 @@ void SightSolver::add_episode(const PairPass& pair, std::size_t first, std::size
   }
 }
 
-void SightSolver::learn(const std::vector<AnchorPass>& passes) {
+void SightSolver::estimate_model(const std::vector<AnchorPass>& passes) {
   SightVector answered = SightVector::Zero();
   SightVector missed = SightVector::Zero();
   PowerCounts powers;
@@ -361,7 +361,7 @@ void SightSolver::learn(const std::vector<AnchorPass>& passes) {
     information += weight;
     weighted_m += weight * common_excess_m(fits_[a]);
   }
-  if (out_.model.powers) out_.model.powers->learn(powers);
+  if (out_.model.powers) out_.model.powers->estimate(powers);
   const SightVector believed = SightChain{}.reply;
   if (table_.regular) {
     out_.model.chain.reply =
@@ -404,7 +404,7 @@ SiteSight SightSolver::solve() {
     out_.model.shadow = RobustKernel(shadow_shape(std::max(kShadowScale_m, typical_scale_m(fits_))));
     std::vector<AnchorPass> passes;
     for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(infer(a));
-    learn(passes);
+    estimate_model(passes);
     for (std::size_t a = 0; a < fits_.size(); ++a) apply(a, std::move(passes[a]));
     refine_site(fits_, 1);
   }
@@ -413,12 +413,12 @@ SiteSight SightSolver::solve() {
 
 }  // namespace
 
-std::vector<bool> rows_in_sight(const SightModel& model, std::span<const std::vector<Poll>> pairs,
+std::vector<bool> los_rows(const SightModel& model, std::span<const std::vector<Poll>> pairs,
                                 std::span<const Observation> rows) {
   std::vector<bool> out(rows.size(), false);
   SightPosterior posterior;
   for (const std::vector<Poll>& polls : pairs) {
-    infer_sight(model.chain, polls, no_residuals(polls), hints_of(classes_of(polls, rows), model.powers),
+    infer_states(model.chain, polls, no_residuals(polls), hints_of(classes_of(polls, rows), model.powers),
                 posterior);
     std::size_t i = 0;
     for (const Poll poll : polls) {
@@ -457,13 +457,13 @@ bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
   return static_cast<double>(near) >= kNearShare * static_cast<double>(all);
 }
 
-bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits) {
+bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits) {
   if (model::is_ablated(model::Mechanism::kCalibrationNlos)) return false;
   const SightChain chain = first_sight_model(table, {}).chain;
-  const auto tell = [&](const std::vector<std::vector<Poll>>& pairs) {
-    return replies_tell_of_blocking(chain, pairs);
+  const auto shows_nlos = [&](const std::vector<std::vector<Poll>>& pairs) {
+    return replies_show_nlos(chain, pairs);
   };
-  if (table.regular && std::any_of(table.polls.begin(), table.polls.end(), tell)) return true;
+  if (table.regular && std::any_of(table.polls.begin(), table.polls.end(), shows_nlos)) return true;
   for (AnchorFit& fit : fits) {
     if (!long_residuals_are_correlated(fit)) continue;
     if (fit.problem.position.surveyed) return true;

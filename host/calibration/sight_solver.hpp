@@ -24,7 +24,7 @@ struct SightModel {
 [[nodiscard]] SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits);
 
 // For each observation of one anchor: whether replies and powers alone classify it as LOS.
-[[nodiscard]] std::vector<bool> rows_in_sight(const SightModel& model,
+[[nodiscard]] std::vector<bool> los_rows(const SightModel& model,
                                               std::span<const std::vector<Poll>> pairs,
                                               std::span<const Observation> rows);
 
@@ -42,7 +42,7 @@ struct SiteSight {
 // Whether ranges are NLOS for longer than a moment; for fits within reach. A fit on the wrong side of the
 // tags has similar residuals: such fits are tested against their mirror hypotheses, and move where these are
 // better.
-[[nodiscard]] bool is_sight_wanted(const PollTable& table, std::vector<AnchorFit>& fits);
+[[nodiscard]] bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits);
 
 // Classifies each range and solves the fits with these states. `table` is of the same observations.
 [[nodiscard]] SiteSight solve_sight(const PollTable& table, const SightModel& start,

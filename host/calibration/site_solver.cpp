@@ -83,7 +83,7 @@ double height_above(const TagSpread& spread, int axis, const AnchorVector& ancho
   return spread.axes.col(axis).dot(anchor.head<3>() - spread.center_m);
 }
 
-struct Contest {
+struct BothSides {
   AnchorSolution here;   // the best solution
   AnchorSolution there;  // the best solution on its other side
 };
@@ -120,7 +120,7 @@ void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts)
   });
 }
 
-Contest contest(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
+BothSides solve_both_sides(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                 const AnchorVector& anchor, std::span<const AnchorVector> starts, const TagSpread& spread,
                 int axis) {
   std::vector<AnchorSolution> found;
@@ -128,7 +128,7 @@ Contest contest(const AnchorProblem& problem, std::span<const RobustKernel> kern
   for (const AnchorVector& start : starts)
     found.push_back(solve_anchor(problem, kernels, start, kIterations));
   const auto cheaper = [](const AnchorSolution& a, const AnchorSolution& b) { return a.cost < b.cost; };
-  Contest out;
+  BothSides out;
   out.here = *std::min_element(found.begin(), found.end(), cheaper);
   const double height_m = height_above(spread, axis, out.here.anchor);
   std::erase_if(found, [&](const AnchorSolution& solution) {
@@ -151,7 +151,7 @@ Contest contest(const AnchorProblem& problem, std::span<const RobustKernel> kern
 
 constexpr std::size_t kSearchRowsPerTag = 30;
 constexpr std::size_t kPairResiduals = 250;
-constexpr int kLearningSteps = 2;
+constexpr int kKernelSteps = 2;
 constexpr int kSolvingSteps = 2;
 constexpr int kFirstRounds = 2;
 constexpr int kWarmRounds = 1;
@@ -209,13 +209,13 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
 }
 
 // Hierarchical: the site's kernel is the prior of the anchors', an anchor's that of its pairs'.
-void learn_kernels(std::span<AnchorFit> fits) {
+void estimate_kernels(std::span<AnchorFit> fits) {
   if (fits.empty()) return;
   std::vector<std::vector<std::vector<WeighedResidual>>> residuals;
   residuals.reserve(fits.size());
   for (const AnchorFit& fit : fits) residuals.push_back(sample_residuals(fit));
 
-  for (int step = 0; step < kLearningSteps; ++step) {
+  for (int step = 0; step < kKernelSteps; ++step) {
     std::vector<KernelStatistics> anchors(fits.size());
     std::vector<std::vector<KernelStatistics>> pairs(fits.size());
     KernelStatistics site;
@@ -387,8 +387,8 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   AnchorProblem sketch = fit.problem;
   const std::vector<Observation> few = spread_along_the_way(sketch.rows, sketch.tag_count, kRowsPerTag);
   sketch.rows = few;
-  Contest result =
-      contest(sketch, fit.kernels, fit.anchor, starts_around(sketch, fit.anchor, spread, axis), spread, axis);
+  BothSides result = solve_both_sides(sketch, fit.kernels, fit.anchor,
+                                      starts_around(sketch, fit.anchor, spread, axis), spread, axis);
   double scale = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
   const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kRefitMove_m;
   if (moved || (result.there.cost - result.here.cost) * scale < kCloseExcess) {
@@ -396,7 +396,7 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
     // The few ranges may have a single basin between the two that all ranges have.
     starts.back().head<3>() = spread.mirror(fit.anchor.head<3>(), axis);
     drop_doubles(fit.anchor, starts);
-    result = contest(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);
+    result = solve_both_sides(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);
     sketch.rows = fit.problem.rows;
     scale = 1.0;
     fit.anchor = result.here.anchor;
@@ -441,7 +441,7 @@ Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double in
 void refine_site(std::span<AnchorFit> fits, int max_rounds) {
   bool resting = false;
   for (int round = 0; round < max_rounds && !resting; ++round) {
-    learn_kernels(fits);
+    estimate_kernels(fits);
     resting = true;
     for (AnchorFit& fit : fits) {
       if (fit.problem.rows.empty()) continue;

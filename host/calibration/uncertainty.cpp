@@ -122,7 +122,7 @@ struct Residual {
   double value_m = 0.0;
 };
 
-std::vector<Residual> residuals_in_sight(const AnchorFit& fit, std::size_t tag) {
+std::vector<Residual> los_residuals(const AnchorFit& fit, std::size_t tag) {
   std::vector<Residual> out;
   for (const Observation& row : fit.problem.rows) {
     if (row.tag != tag) continue;
@@ -370,7 +370,7 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
   Covariances pairs;
   for (const AnchorFit& fit : fits) {
     for (std::size_t tag = 0; tag < fit.problem.tag_count; ++tag) {
-      const std::vector<Residual> residuals = residuals_in_sight(fit, tag);
+      const std::vector<Residual> residuals = los_residuals(fit, tag);
       if (residuals.size() >= kFewRows) add(residuals, pairs);
     }
   }

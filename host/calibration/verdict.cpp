@@ -95,12 +95,12 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
     return {AnchorVerdict::kMoved, "answers from " + where + " since about " + times_of(moved) +
                                        ": check whether their ids are swapped, and drive again" + unplaced};
   }
-  const char* doubt = moved.by_m.norm() > kFarMove_m ? "check that it is fixed and that no other has its id"
+  const char* request = moved.by_m.norm() > kFarMove_m ? "check that it is fixed and that no other has its id"
                                                      : "check that it is fixed";
   return {AnchorVerdict::kMoved, "was moved during the drive, about " + times_of(moved) +
                                      (moved.at_s.size() > 1 ? ", last by " : ", by ") +
                                      metres(moved.by_m.norm()) + " to its " +
-                                     side_of(Eigen::Vector3d::Zero(), moved.by_m) + " side: " + doubt +
+                                     side_of(Eigen::Vector3d::Zero(), moved.by_m) + " side: " + request +
                                      ", and drive again" + unplaced};
 }
 
@@ -167,7 +167,7 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
 }  // namespace
 
 bool is_hardly_in_sight(const AnchorEvidence& evidence) noexcept {
-  return evidence.sight && evidence.sight->polls_are_told && evidence.sight->polls(kInSight) < kHardlyInSight;
+  return evidence.sight && evidence.sight->counts_missed && evidence.sight->polls(kInSight) < kHardlyInSight;
 }
 
 bool contradicts_itself(const AnchorEvidence& evidence) noexcept {
@@ -176,7 +176,7 @@ bool contradicts_itself(const AnchorEvidence& evidence) noexcept {
 }
 
 bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
-  if (evidence.sight && evidence.sight->polls_are_told) {
+  if (evidence.sight && evidence.sight->counts_missed) {
     return evidence.sight->polls(kInSight) < kNeverInSight;
   }
   if (evidence.in_sight_share < kMinInSightShare) return true;

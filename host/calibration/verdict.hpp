@@ -22,7 +22,7 @@ inline constexpr double kWeakSigma_m = 0.30;
 // LOS and NLOS of one anchor, if the site was solved with NLOS states.
 struct SightEvidence {
   SightVector polls = SightVector::Zero();  // share of its polls in each state
-  bool polls_are_told = false;              // `polls` includes missed replies
+  bool counts_missed = false;              // `polls` includes missed replies
   double wall_excess_m = 0.0;               // mean excess of long NLOS at the site
   double far_share = 0.0;    // ranges that are longer than NLOS explains
   double short_share = 0.0;  // ranges that are shorter than NLOS explains

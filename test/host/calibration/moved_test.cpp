@@ -268,10 +268,11 @@ TEST(DuplicateId, IsNeverTrusted) {
         if (range.anchor_id == 11) range.anchor_id = 5;
       }
       const model::Calibration found = calibrate(site.drive()).calibration;
-      const model::AnchorCalibration& twin = anchor_of(found, 5);
-      EXPECT_FALSE(model::is_usable(twin.verdict))
-          << "heard " << static_cast<int>(heard) << ", seed " << seed << ": " << twin.position_m.transpose();
-      EXPECT_NE(twin.advice.find(" id"), std::string::npos) << twin.advice;
+      const model::AnchorCalibration& duplicate = anchor_of(found, 5);
+      EXPECT_FALSE(model::is_usable(duplicate.verdict))
+          << "heard " << static_cast<int>(heard) << ", seed " << seed << ": "
+          << duplicate.position_m.transpose();
+      EXPECT_NE(duplicate.advice.find(" id"), std::string::npos) << duplicate.advice;
       for (const model::AnchorCalibration& anchor : found.anchors) {
         if (anchor.id == 5) continue;
         EXPECT_EQ(anchor.advice.find(" id"), std::string::npos) << anchor.id << ": " << anchor.advice;

@@ -89,7 +89,7 @@ TEST(SightChain, EqualsTheSumOverAllStateSequences) {
     if (draw % 2 == 0) {
       for (std::size_t i = 0; i < likelihoods.size(); ++i) hints.push_back(random.uniform(0.1, 10.0));
     }
-    infer_sight(chain, polls, likelihoods, hints, found);
+    infer_states(chain, polls, likelihoods, hints, found);
     const Enumeration expected = enumerate(chain, polls, likelihoods, hints);
     EXPECT_NEAR(found.log_evidence, std::log(expected.total), 1e-9);
     EXPECT_TRUE(found.answered.isApprox(expected.answered, 1e-9));
@@ -156,7 +156,7 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
       counts.add(all.back().of, all.back().in_sight);
       if (all.back().of == model::kNoPowerClass) all.pop_back();
     }
-    hints.learn(counts);
+    hints.estimate(counts);
     expect(all);
   }
 }
