@@ -97,6 +97,7 @@ struct AnchorFit {
   double cost = 0.0;
 };
 
+// Eq. (12) at the antenna's position.
 [[nodiscard]] inline model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
                                                       std::size_t tag_count) noexcept {
   return model::predict_antenna_range(row.tag_m, anchor.head<3>(), anchor(beta_index(row.tag)),

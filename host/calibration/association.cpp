@@ -177,7 +177,7 @@ Association associate(const Drive& drive, HeightSource height) {
       ++anchor.rejected;
       continue;
     }
-    const Eigen::Vector3d arm_m = motion->pose.rotation * tag->lever_arm_m;
+    const Eigen::Vector3d arm_m = motion->pose.rotation * tag->lever_arm_m;  // R_WR r_RS of eq. (12)
     const std::size_t before = anchor.rows.size();
     Observation& row = anchor.rows.emplace_back();
     row.index = static_cast<std::uint32_t>(before);

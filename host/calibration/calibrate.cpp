@@ -115,7 +115,7 @@ void test_mirrors(Site& site, const model::Calibration* earlier) {
 // Solves the anchors one by one, with uncorrected poses.
 Site solve_anchors(const Drive& drive, const Options& options, HeightSource height, bool find_moves) {
   Site site;
-  site.association = associate(drive, height);
+  site.association = associate(drive, height);  // antenna positions of eq. (12)
   site.polls = tabulate_polls(site.association);
   SiteProblem problem{.association = &site.association,
                       .priors = usable_priors(drive.priors),
@@ -260,6 +260,7 @@ Result calibrate(const Drive& drive, const Options& options) {
     result.fitted.push_back(fitted_ranges(fit, site.association.tags));
   }
   gather_anchor_evidence(site, result.fitted, inflation);
+  // Mean and covariance of each anchor's part of x_s, and its verdict.
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     const Eigen::MatrixXd covariance = total(covariance_budget(site, i, solved[i]));
     model::AnchorCalibration& anchor =
