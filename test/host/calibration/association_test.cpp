@@ -73,7 +73,7 @@ TEST(Association, PropagatesPoseCovarianceToTheAntenna) {
   EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero());
   poses[0].covariance = told(1.0);
   EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero())
-      << "one pose does not tell it";
+      << "one pose with a covariance is not enough";
   poses[1].covariance = told(3.0);
   const Observation row = only_row(poses, 0.05, model::Surface());
   Eigen::Matrix<double, 2, 3> by_pose;
@@ -92,7 +92,7 @@ TEST(Association, PropagatesPoseCovarianceToTheAntenna) {
   EXPECT_NEAR(row.pose_spread_m2(2), expected(1, 1), 1e-5);
   poses[1].covariance = told(-1.0);
   EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero())
-      << "no covariance at all";
+      << "not a covariance";
 }
 
 TEST(Association, TakesAMissingAttitudeFromTheSurface) {

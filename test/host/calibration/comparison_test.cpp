@@ -152,7 +152,7 @@ TEST(Comparison, OfAnUnchangedSiteFollowsChiSquareAndAlarmsOnlyByChance) {
   }
   // 4800 values of 3 degrees of freedom; those of one site are slightly correlated.
   EXPECT_NEAR(sum / (12.0 * kSeeds), 3.0, 0.15);
-  EXPECT_LE(differs, 4) << "one in a thousand is to be expected";
+  EXPECT_LE(differs, 4) << "one in a thousand sites is expected";
 }
 
 TEST(Comparison, FindsEachAnchorThatMovedAndNoOther) {

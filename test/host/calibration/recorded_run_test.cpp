@@ -88,7 +88,7 @@ TEST_F(RecordedRun, Plaza1FindsAnchorsAndScale) {
   EXPECT_TRUE(result_.calibration.tags.empty());
   for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
     EXPECT_NEAR(anchor.pairs[0].gamma, 1.065, 0.02);
-    EXPECT_EQ(anchor.verdict, model::AnchorVerdict::kWeakZ) << "all in one plane: heights stay open";
+    EXPECT_EQ(anchor.verdict, model::AnchorVerdict::kWeakZ) << "all in one plane: heights are undetermined";
   }
 }
 
@@ -109,7 +109,7 @@ TEST_F(RecordedRun, McdFindsAnchorsFromTheSlamPrior) {
   EXPECT_TRUE(result_.calibration.tags.empty());
   expect_marked(kFar_m, 3.0);
   for_each_error([](const model::AnchorCalibration& anchor, const Eigen::Vector3d&, double sigmas_z) {
-    EXPECT_LT(sigmas_z, 3.0) << anchor.id << ": its height is open, and its covariance says so";
+    EXPECT_LT(sigmas_z, 3.0) << anchor.id << ": the covariance must cover the error of the height";
   });
 }
 
@@ -139,7 +139,7 @@ TEST_F(RecordedRun, StarlocWithRawRangesIsMarked) {
   for_each_error([&](const model::AnchorCalibration&, const Eigen::Vector3d& error_m, double) {
     largest_m = std::max(largest_m, error_m.norm());
   });
-  EXPECT_GT(largest_m, kFar_m) << "else this run shows nothing";
+  EXPECT_GT(largest_m, kFar_m) << "otherwise this run tests nothing";
   expect_no_lie();
   expect_marked(kFar_m, kAny);
 }

@@ -144,7 +144,7 @@ TEST(RobustKernel, EstimatesScaleAndShareOfSimulatedResiduals) {
   EXPECT_NEAR(shape.scale_m, 0.08, 0.002);
   EXPECT_NEAR(shape.blocked() + shape.gross, 0.25, 0.01);
   EXPECT_LT(shape.gross, 0.005);
-  EXPECT_LT(shape.bumps[0], 0.005) << "no excess is as small as 3 scales";
+  EXPECT_LT(shape.bumps[0], 0.005) << "no simulated excess is as small as 3 scales";
 }
 
 TEST(RobustKernel, ScaleAndSharesHaveSeparatePriorWeights) {
