@@ -83,7 +83,7 @@ struct Belief {
 
 // Replaces `best` if the log evidence with the prior is higher by more than `min_gain`.
 void keep_likelier(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
-              double min_gain, Belief& best) {
+                   double min_gain, Belief& best) {
   const double found = evidence(equations, unknowns, prior) - min_gain;
   if (found > best.evidence) best = {.prior = prior, .evidence = found};
 }
@@ -168,7 +168,7 @@ SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknown
 }
 
 Belief select_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
-                    double min_evidence) {
+                   double min_evidence) {
   if (model::is_ablated(model::Mechanism::kCalibrationBody)) return before;
   SharedPrior prior = before.prior;
   prior.body = true;
@@ -262,7 +262,7 @@ bool take_step(Association& association, std::vector<AnchorFit>& fits, std::span
 // Frame covariance: that of the mean of all knots, and the part that no range observes, about the map's
 // origin.
 void report_frame(const Knots& knots, const Eigen::MatrixXd& covariance, std::span<const AnchorFit> fits,
-                DriveError& out) {
+                  DriveError& out) {
   if (std::any_of(fits.begin(), fits.end(),
                   [](const AnchorFit& fit) { return fit.problem.position.surveyed; })) {
     return;

@@ -105,10 +105,9 @@ struct LearningInput {
 };
 
 struct LearningStep {
-  std::optional<Result> learnt;  // calibration from `places`, if given; `fitted` is empty
-  DriveStore::Samples samples;   // that `learnt` was estimated from
-  std::vector<AnchorChange>
-      rechecked;  // anchors in use against the recent drive; empty while that is short
+  std::optional<Result> learnt;         // calibration from `places`, if given; `fitted` is empty
+  DriveStore::Samples samples;          // that `learnt` was estimated from
+  std::vector<AnchorChange> rechecked;  // anchors in use against the recent drive; empty while that is short
 };
 
 // Fewest recent segments that can show whether an anchor was moved.

@@ -135,8 +135,8 @@ void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t
 }
 
 void infer_states(const SightChain& chain, std::span<const Poll> polls,
-                 std::span<const SightVector> likelihoods, std::span<const double> hints,
-                 SightPosterior& out) {
+                  std::span<const SightVector> likelihoods, std::span<const double> hints,
+                  SightPosterior& out) {
   out.prior.resize(likelihoods.size());
   out.posterior.resize(likelihoods.size());
   out.log_evidence = 0.0;

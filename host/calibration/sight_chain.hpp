@@ -56,8 +56,8 @@ struct SightPosterior {
 // poll with an observation, in order; `hints` the likelihood ratio of its powers, NLOS over LOS, or nothing.
 // Reuses the vectors of `out`.
 void infer_states(const SightChain& chain, std::span<const Poll> polls,
-                 std::span<const SightVector> likelihoods, std::span<const double> hints,
-                 SightPosterior& out);
+                  std::span<const SightVector> likelihoods, std::span<const double> hints,
+                  SightPosterior& out);
 
 // Expected numbers of LOS and of NLOS ranges in each power class.
 struct PowerCounts {

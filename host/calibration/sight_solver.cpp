@@ -414,12 +414,12 @@ SiteSight SightSolver::solve() {
 }  // namespace
 
 std::vector<bool> los_rows(const SightModel& model, std::span<const std::vector<Poll>> pairs,
-                                std::span<const Observation> rows) {
+                           std::span<const Observation> rows) {
   std::vector<bool> out(rows.size(), false);
   SightPosterior posterior;
   for (const std::vector<Poll>& polls : pairs) {
     infer_states(model.chain, polls, no_residuals(polls), hints_of(classes_of(polls, rows), model.powers),
-                posterior);
+                 posterior);
     std::size_t i = 0;
     for (const Poll poll : polls) {
       if (poll < 0) continue;

@@ -24,9 +24,8 @@ struct SightModel {
 [[nodiscard]] SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits);
 
 // For each observation of one anchor: whether replies and powers alone classify it as LOS.
-[[nodiscard]] std::vector<bool> los_rows(const SightModel& model,
-                                              std::span<const std::vector<Poll>> pairs,
-                                              std::span<const Observation> rows);
+[[nodiscard]] std::vector<bool> los_rows(const SightModel& model, std::span<const std::vector<Poll>> pairs,
+                                         std::span<const Observation> rows);
 
 struct SiteSight {
   std::vector<AnchorSight> anchors;      // empty: no NLOS states needed; the fits point here

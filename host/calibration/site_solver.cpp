@@ -121,8 +121,8 @@ void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts)
 }
 
 BothSides solve_both_sides(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                const AnchorVector& anchor, std::span<const AnchorVector> starts, const TagSpread& spread,
-                int axis) {
+                           const AnchorVector& anchor, std::span<const AnchorVector> starts,
+                           const TagSpread& spread, int axis) {
   std::vector<AnchorSolution> found;
   found.push_back(solve_anchor(problem, kernels, anchor, kIterations));
   for (const AnchorVector& start : starts)

@@ -96,7 +96,7 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
                                        ": check whether their ids are swapped, and drive again" + unplaced};
   }
   const char* request = moved.by_m.norm() > kFarMove_m ? "check that it is fixed and that no other has its id"
-                                                     : "check that it is fixed";
+                                                       : "check that it is fixed";
   return {AnchorVerdict::kMoved, "was moved during the drive, about " + times_of(moved) +
                                      (moved.at_s.size() > 1 ? ", last by " : ", by ") +
                                      metres(moved.by_m.norm()) + " to its " +
@@ -155,8 +155,7 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
             "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }
   if (is_plausible(evidence.mirror, evidence.inflation)) {
-    return {AnchorVerdict::kWeakZ,
-            "it may be above or below the tags: measure its height, or " + advice};
+    return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice};
   }
   if (sigma_z_m > std::max(evidence.sight ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
     return {AnchorVerdict::kWeakZ, "height uncertain: " + advice};

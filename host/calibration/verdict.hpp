@@ -22,10 +22,10 @@ inline constexpr double kWeakSigma_m = 0.30;
 // LOS and NLOS of one anchor, if the site was solved with NLOS states.
 struct SightEvidence {
   SightVector polls = SightVector::Zero();  // share of its polls in each state
-  bool counts_missed = false;              // `polls` includes missed replies
+  bool counts_missed = false;               // `polls` includes missed replies
   double wall_excess_m = 0.0;               // mean excess of long NLOS at the site
-  double far_share = 0.0;    // ranges that are longer than NLOS explains
-  double short_share = 0.0;  // ranges that are shorter than NLOS explains
+  double far_share = 0.0;                   // share of ranges longer than NLOS explains
+  double short_share = 0.0;                 // share of ranges shorter than NLOS explains
 };
 
 // Evidence that an anchor moved during the drive.

@@ -269,9 +269,8 @@ TEST(DuplicateId, IsNeverTrusted) {
       }
       const model::Calibration found = calibrate(site.drive()).calibration;
       const model::AnchorCalibration& duplicate = anchor_of(found, 5);
-      EXPECT_FALSE(model::is_usable(duplicate.verdict))
-          << "heard " << static_cast<int>(heard) << ", seed " << seed << ": "
-          << duplicate.position_m.transpose();
+      EXPECT_FALSE(model::is_usable(duplicate.verdict)) << "heard " << static_cast<int>(heard) << ", seed "
+                                                        << seed << ": " << duplicate.position_m.transpose();
       EXPECT_NE(duplicate.advice.find(" id"), std::string::npos) << duplicate.advice;
       for (const model::AnchorCalibration& anchor : found.anchors) {
         if (anchor.id == 5) continue;

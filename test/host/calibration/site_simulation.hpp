@@ -36,8 +36,7 @@ struct SiteSettings {
   double duration_s = 240.0;
   std::size_t ranges_per_pair = 200;
   double sigma_m = 0.1;
-  double outlier_share =
-      0.0;  // too long: uniform 0.5 to 3.5 m or, if excess_mean_m > 0, exponential
+  double outlier_share = 0.0;  // too long: uniform 0.5 to 3.5 m or, if excess_mean_m > 0, exponential
   double excess_mean_m = 0.0;
   double beta_sigma_m = 0.3;
   double gamma_sigma = 0.005;
