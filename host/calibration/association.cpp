@@ -131,7 +131,8 @@ model::RigidPose interpolate_pose(const model::PoseSample& from, const model::Po
     pose.rotation = model::surface_rotation(ground.gradient) * heading;
     return pose;
   }
-  // With a ZYX yaw, a robot on the ground pitches down by the slope ahead, and rolls by that to its left.
+  // With a ZYX yaw, the slope ahead gives the pitch and the slope to the left gives the roll of a robot on
+  // the ground.
   const double slope_ahead =
       ground.gradient.x() * std::cos(yaw_rad) + ground.gradient.y() * std::sin(yaw_rad);
   const double slope_left = ground.gradient.y() * std::cos(yaw_rad) - ground.gradient.x() * std::sin(yaw_rad);

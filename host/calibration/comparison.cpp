@@ -279,7 +279,7 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
       own = reduced;
     }
     const std::vector<Eigen::Index> places = places_in(tags, *anchor);
-    // Element by element: GCC 12 warns of a vector of indices.
+    // Element by element: GCC 12 warns about a vector of indices.
     for (std::size_t i = 0; i < places.size(); ++i) {
       right_side(places[i]) += own_side(static_cast<Eigen::Index>(i));
       for (std::size_t k = 0; k < places.size(); ++k)

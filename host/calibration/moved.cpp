@@ -274,7 +274,7 @@ constexpr int kPieceSteps = 6;
 constexpr int kJoiningSteps = 20;
 // A move has at least this squared Mahalanobis distance between the two solutions.
 constexpr double kMinSquareSigmas = 40.0;
-// A piece needs at least twice as many independent rows as it has unknowns (three tags).
+// A piece needs at least twice as many independent ranges as it has unknowns (three tags).
 constexpr double kLeastRowsByThemselves = 20.0;
 constexpr double kMinInSight = 0.2;
 

@@ -59,8 +59,8 @@ struct Evidence {
 // were estimated with the position held fixed.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
 
-// Inverse information from about 200 ranges evenly spaced among all, scaled to all: what the geometry of the
-// drive leaves open, without what the residuals show of the noise. The position must not be surveyed.
+// Inverse information from at most 200 ranges evenly spaced among all, scaled to all: what the geometry of
+// the drive leaves open, without what the residuals show of the noise. The position must not be surveyed.
 [[nodiscard]] Eigen::MatrixXd rough_covariance(const AnchorFit& fit);
 
 // Standard deviation of a predicted range by the covariance of the anchor's position and biases, m; `j` as in

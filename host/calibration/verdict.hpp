@@ -44,7 +44,7 @@ struct AnchorEvidence {
   std::optional<Rival> mirror;            // across the plane of the tags
   std::optional<Rival> side;              // across the line of the drive
   double in_sight_share = 0.0;            // LOS share of its ranges
-  std::optional<double> held_out_z;       // held-out residuals' scale over what the fit expects
+  std::optional<double> held_out_z;       // rms of held-out residuals over its prediction
   double scale_ratio = 1.0;               // its noise over the site's median
   double count_ratio = 1.0;               // its ranges over the site's median
   double inflation = 1.0;                 // score_inflation(): residuals correlated in time

@@ -25,7 +25,7 @@ TEST(LiveHeap, MeasuresThePeak) {
   test::watch_heap();
   {
     const std::vector<double> one(100'000);
-    // Through a volatile pointer, or the compiler leaves out an allocation that nothing reads.
+    // Through a volatile pointer: otherwise the compiler removes an allocation that nothing reads.
     const std::vector<double>* const volatile read = &one;
     EXPECT_GE(read->capacity(), 100'000U);
   }
