@@ -1,0 +1,33 @@
+"""What scripts/golden, scripts/replay-campaign, scripts/ablation and scripts/results share: data sets cut and changed."""
+import os
+import re
+
+
+def middle(source):
+    """The time half-way through a data set's ranges, s, as an option's value."""
+    with open(os.path.join(source, "ranges.csv")) as file:
+        rows = file.read().splitlines()
+    column = rows[0].split(",").index("t_s")
+    return repr(0.5 * (float(rows[1].split(",")[column]) + float(rows[-1].split(",")[column])))
+
+
+def with_sigmas(source, target, ranges, odometry):
+    """`source`, or a copy of it in `target` whose dataset.yaml gives the sigmas of ranges and of odometry times a factor."""
+    if ranges == 1.0 and odometry == 1.0:
+        return source
+    if os.path.isdir(target):
+        return target
+    with open(os.path.join(source, "dataset.yaml")) as file:
+        text = file.read()
+    scale = lambda factor: lambda match: f"{match[1]}{float(match[2]) * factor:.9g}"
+    text, found = re.subn(r"(range: *\{ *sigma_m: *)([0-9.e-]+)", scale(ranges), text)
+    text, axes = re.subn(r"(sigma_v[xy]_mps: *|sigma_omega_radps: *)([0-9.e-]+)", scale(odometry), text)
+    if (found, axes) != (1, 3):
+        raise SystemExit(f"{source}/dataset.yaml does not give the sigmas of ranges and odometry as expected")
+    os.makedirs(target)
+    for name in os.listdir(source):
+        if name != "dataset.yaml":
+            os.symlink(os.path.abspath(os.path.join(source, name)), os.path.join(target, name))
+    with open(os.path.join(target, "dataset.yaml"), "w") as file:
+        file.write(text)
+    return target
