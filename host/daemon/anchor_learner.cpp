@@ -19,7 +19,7 @@
 namespace groma::daemon {
 namespace {
 
-// Beside localization, which comes first.
+// Of the solver's thread; localization has priority.
 constexpr int kNiceness = 10;
 
 double sigma_xy_m(const model::AnchorCalibration& anchor) {
@@ -35,7 +35,7 @@ calibration::LearningStep learn_and_name(const calibration::LearningInput& input
 }
 
 calibration::LearningStep learn_quietly(const calibration::LearningInput& input) {
-  // Of this thread alone, on Linux.
+  // On Linux this sets the priority of the calling thread only.
   ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kNiceness);
   return learn_and_name(input);
 }
@@ -124,7 +124,7 @@ bool AnchorLearner::take(calibration::LearningStep step, bool last) {
   if (anew) learnt_ = std::move(*step.learnt);
   const bool moved = take_out_moved(step.rechecked);
   for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
-    // Moved before it was good enough to be used: what it said at its former place is of no use.
+    // The anchor moved before it was good enough to be used: discard its ranges from the former position.
     if (anchor.verdict == model::AnchorVerdict::kMoved && model::find_anchor(live_, anchor.id) == nullptr) {
       store_.forget(anchor.id, store_.last_s() - setup_.limits.segment_s *
                                                      static_cast<double>(setup_.limits.recent_segments));
@@ -162,7 +162,7 @@ bool AnchorLearner::is_earlier(model::NodeId id) const {
   return model::find_anchor(setup_.earlier, id) != nullptr;
 }
 
-// All anchors that were learnt are of one solution: they are taken in together.
+// The calibrated anchors belong to one joint solution, so they are adopted together.
 bool AnchorLearner::take_in_learnt(bool last) {
   bool wanted = false;
   std::vector<model::AnchorCalibration> learnt;
@@ -186,7 +186,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
     live_.range_noise = learnt_.calibration.range_noise;
     live_.tags = learnt_.calibration.tags;
   } else {
-    // The filter's poses wander within the frame of the anchors that it tracks by.
+    // The filter's poses share the frame error of the anchors that it tracks by.
     for (model::AnchorCalibration& anchor : learnt) {
       model::add_common_frame(anchor, live_.common_frame_covariance);
     }
@@ -194,7 +194,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
   live_.input_sha256 = learnt_.calibration.input_sha256;
   live_.program_version = io::program_version();
   live_.anchors.insert(live_.anchors.end(), learnt.begin(), learnt.end());
-  // One that was good once and is not in this solution stays as it was.
+  // An anchor in use that this solution lacks stays unchanged.
   for (const model::AnchorCalibration& anchor : before.anchors) {
     if (model::find_anchor(live_, anchor.id) == nullptr) live_.anchors.push_back(anchor);
   }

@@ -15,7 +15,7 @@ namespace groma::daemon {
 
 class CalibrationDrive : public MeasurementSink {
  public:
-  // Three hours of 300 ranges a second; what comes beyond is left out.
+  // Three hours of 300 ranges a second; later samples are ignored.
   static constexpr std::size_t kMaxRanges = 3'240'000;
   static constexpr std::size_t kMaxPoses = 1'000'000;
 
@@ -24,16 +24,16 @@ class CalibrationDrive : public MeasurementSink {
   void on_odometry(const model::OdometrySample& /*row*/) override {}
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& pose) override;
-  void on_clock_set() override;  // the drive begins anew
+  void on_clock_set() override;  // starts the drive again
 
-  // From the first pose to the last.
+  // From the first pose to the last; 0 without poses.
   [[nodiscard]] double duration_s() const noexcept;
   [[nodiscard]] std::size_t range_count() const noexcept { return ranges_.size(); }
   [[nodiscard]] std::size_t pose_count() const noexcept { return poses_.size(); }
-  // Of tags that are not the robot's.
+  // Ranges of tags that are not the robot's.
   [[nodiscard]] std::size_t unknown_tags() const noexcept { return unknown_tags_; }
 
-  // Sorts what was collected and calibrates; takes seconds. input_sha256 is the sample_digest().
+  // Sorts the collected samples and calibrates; takes seconds. input_sha256 is the sample_digest().
   [[nodiscard]] calibration::Result solve(const calibration::Options& options = {});
 
  private:

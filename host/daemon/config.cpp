@@ -22,7 +22,7 @@ using io::YamlValue;
 
 constexpr double kMinDrive_s = 10.0;
 constexpr double kMaxDrive_s = 3600.0;
-constexpr double kMaxReorderLag_s = 0.5;  // what is later is dropped anyway
+constexpr double kMaxReorderLag_s = 0.5;  // SessionConfig::max_lateness_s: later measurements are dropped
 constexpr double kMaxSpeed = 1000.0;
 constexpr std::array<std::string_view, 2> kSwitch{"false", "true"};
 
@@ -59,7 +59,7 @@ NodeLink parse_can_node(const YamlValue& entry) {
   return {path.text(), link::equivalent_baud(can->format)};
 }
 
-// What two entries must not share: a node on a bus is one in whatever format.
+// Must be unique among the entries. A CAN node's identity does not depend on the frame format.
 std::filesystem::path identity_of(const NodeLink& node) {
   const auto can = link::parse_can_path(node.path.string());
   return can ? std::filesystem::path(fmt::format("can:{}/{}", can->interface, can->node)) : node.path;

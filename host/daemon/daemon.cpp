@@ -22,15 +22,15 @@
 namespace groma::daemon {
 namespace {
 
-constexpr int kPollTimeout_ms = 10;  // measurements wait no longer than this beyond their lag
+constexpr int kPollTimeout_ms = 10;  // maximum extra wait of a measurement beyond reorder_lag_s
 constexpr double kStatusPeriod_s = 1.0;
 constexpr double kTimeRequestPeriod_s = 1.0;  // to each node
-constexpr std::size_t kMinAnchors = 3;        // that a filter needs to begin with
-constexpr double kGoodPose_m = 0.3;           // sigma of a pose that anchors are learnt from
-constexpr std::size_t kReadsPerTurn = 16;     // of one link, so that none keeps the others waiting
+constexpr std::size_t kMinAnchors = 3;        // to start localization
+constexpr double kGoodPose_m = 0.3;           // maximum sigma of a pose used to calibrate anchors
+constexpr std::size_t kReadsPerTurn = 16;     // of one link, so that no link delays the others
 
 link::OpenedLink open_input(const std::string& path, unsigned baud) {
-  std::error_code ignored;  // what cannot be looked at, open_link() explains
+  std::error_code ignored;  // open_link() explains such errors
   if (std::filesystem::is_regular_file(path, ignored)) {
     return {nullptr,
             {link::LinkFault::kUnsuitable, fmt::format("{}: a file is no live link; name a serial port, a "
@@ -40,7 +40,7 @@ link::OpenedLink open_input(const std::string& path, unsigned baud) {
   return link::open_link(path, baud);
 }
 
-// A frame that asks a node who it is.
+// A frame that requests a node's Hello.
 std::vector<std::uint8_t> hello_request() {
   groma_HostToNode message = groma_HostToNode_init_zero;
   message.request_id = 1;
@@ -203,11 +203,11 @@ void Daemon::tell_news(Input& input) {
 
 void Daemon::opened(Input& input) {
   input.told_error.clear();
-  // The answer is welcome and not waited for.
+  // Do not wait for the answer.
   if (!input.is_robot) static_cast<void>(input.link.get()->write(hello_request()));
 }
 
-// A node's answer tells what delay its link has; one that is full, or does not answer, is asked again.
+// The answers give the delay of each node's link. A request that fails is repeated in the next period.
 void Daemon::ask_for_time() {
   if (now_s() < next_time_request_s_) return;
   next_time_request_s_ = now_s() + kTimeRequestPeriod_s;
@@ -269,7 +269,7 @@ void Daemon::use_learnt() {
   }
 }
 
-// One file at a time, by a thread that may wait for the disk.
+// Writes one file at a time, in a thread that may wait for the disk.
 void Daemon::keep_learnt() {
   if (keeping_.valid()) {
     if (keeping_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
@@ -287,7 +287,7 @@ void Daemon::keep_learnt() {
   });
 }
 
-// What came since the last step is not lost.
+// Uses the samples since the last step too.
 void Daemon::finish_learning() {
   if (!learner_) return;
   to_keep_ = learner_->finish() || to_keep_;
@@ -340,7 +340,7 @@ void Daemon::tell_status() {
   if (learner_) server_->broadcast(calibration_line(learner_->live().verdict, learner_->progress()));
 }
 
-// Once, until it is gone.
+// Logs a finding once, and again only after it was gone.
 void Daemon::report_finding() {
   const auto finding = localizer_ ? localizer_->finding() : std::nullopt;
   if (finding && !has_finding_)
@@ -348,7 +348,7 @@ void Daemon::report_finding() {
   has_finding_ = finding.has_value();
 }
 
-// The 1st, 2nd, 4th, 8th ...: a robot that goes on does not fill the log.
+// Logs at the 1st, 2nd, 4th, 8th ... sample, so that a persistent fault does not fill the log.
 void Daemon::report_implausible() {
   if (!localizer_) return;
   const std::uint64_t implausible = localizer_->implausible();

@@ -1,5 +1,5 @@
-// The daemon: real links, a real clock, a session and what it feeds. One thread and one poll(2); only solving
-// a calibration and what goes to the disk run beside it, so that links do not overflow meanwhile.
+// The daemon: links, the real clock, a session and its sinks. One thread with one poll(2); only the
+// calibration solver and disk writes have threads of their own, so that links do not overflow meanwhile.
 #pragma once
 
 #include <functional>
@@ -27,18 +27,18 @@ class Daemon {
  public:
   using Log = std::function<void(std::string_view)>;
 
-  // `calibration` is that of the file the configuration names, or none where a drive is to give it.
+  // `calibration` is read from the file that the configuration names; none: a drive provides it.
   Daemon(Config config, std::optional<model::Calibration> calibration, Log log);
   ~Daemon();
   Daemon(const Daemon&) = delete;
   Daemon& operator=(const Daemon&) = delete;
 
-  // Opens all links and the pose stream; the error of the first that cannot be opened. From then on a link
-  // that is lost is opened again at growing intervals. Throws as LogRecorder, where a log is asked for.
+  // Opens the pose stream and all links; returns the error of the first that cannot be opened. Later a lost
+  // link is reopened at growing intervals. Throws as LogRecorder does if a log is configured.
   [[nodiscard]] link::LinkError open();
 
-  // Serves until stop_fd is readable. False: the drive gave no usable calibration. May throw as
-  // io::write_file() does, when the calibration is to be kept.
+  // Serves until stop_fd is readable. False: the drive gave no usable calibration. Throws as io::write_file()
+  // does if the calibration cannot be written.
   [[nodiscard]] bool run(int stop_fd);
 
  private:
@@ -46,8 +46,8 @@ class Daemon {
     std::string name;
     link::ReconnectingLink link;
     bool is_robot = false;
-    std::size_t node = 0;    // index in the session, unless it is the robot
-    std::string told_error;  // that was logged last
+    std::size_t node = 0;    // index in the session, except for the robot
+    std::string told_error;  // the error logged last
   };
 
   [[nodiscard]] double now_s() const;
@@ -56,10 +56,10 @@ class Daemon {
   void read(Input& input);
   void tell_news(Input& input);
   void opened(Input& input);
-  // False: there is no usable calibration.
+  // False: the drive gave no usable calibration.
   [[nodiscard]] bool calibrate();
   void localize(model::Calibration calibration);
-  // Takes in what was learnt while driving.
+  // Runs calibration while driving: adopts, logs and writes its results.
   void learn();
   void use_learnt();
   void keep_learnt();
@@ -84,16 +84,16 @@ class Daemon {
   std::unique_ptr<CalibrationDrive> drive_;
   std::future<calibration::Result> solution_;
   std::unique_ptr<AnchorLearner> learner_;
-  bool to_keep_ = false;              // what was learnt is not in its file yet
-  std::future<std::string> keeping_;  // the error, or nothing
+  bool to_keep_ = false;              // the current calibration is not in its file yet
+  std::future<std::string> keeping_;  // the error; empty: written
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";
   std::optional<std::pair<filter::State, filter::Reason>> pose_state_;
   std::uint64_t reported_implausible_ = 0;  // samples
   bool has_finding_ = false;
-  double last_pose_s_ = 0.0;  // of this computer
-  double next_time_request_s_ = 0.0;
-  double next_status_s_ = 0.0;  // of this computer
+  double last_pose_s_ = 0.0;          // host time
+  double next_time_request_s_ = 0.0;  // host time
+  double next_status_s_ = 0.0;        // host time
 };
 
 }  // namespace groma::daemon

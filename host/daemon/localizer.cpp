@@ -16,7 +16,7 @@ namespace {
 
 constexpr double kNothingYet_s = -std::numeric_limits<double>::infinity();
 
-// By time, odometry before yaw rates, as a session passes them on.
+// By time, then odometry before yaw rates: the order in which a session passes them on.
 bool comes_before(const filter::MotionInput& a, const filter::MotionInput& b) {
   const auto time_of = [](const auto& of) { return of.t_s; };
   const double a_s = std::visit(time_of, a);

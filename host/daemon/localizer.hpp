@@ -1,8 +1,8 @@
-// Measurements in, poses out: one filter, started at the first pose prior or where its ranges tell.
+// Measurements in, poses out: one filter, started at the first pose prior or at a pose found from its ranges.
 //
-// The filter takes measurements in their order, which a session makes them wait for. Each row of odometry is
-// answered as soon as it is there: the filter's state is carried on over what waits, up to that row, and the
-// filter stays as it is.
+// The filter processes measurements in the order of their times; a session delays them for that. Each
+// odometry sample gives a pose at once: a copy of the filter's state is propagated over the waiting
+// odometry and yaw rates up to that sample. The filter itself does not change.
 #pragma once
 
 #include <cstddef>
@@ -28,9 +28,9 @@
 
 namespace groma::daemon {
 
-// base_link in the map frame, at a time of the robot.
+// base_link in the map frame.
 struct PoseEstimate {
-  double t_s = 0.0;
+  double t_s = 0.0;  // robot time
   double x_m = 0.0;
   double y_m = 0.0;
   double z_m = 0.0;
@@ -38,10 +38,10 @@ struct PoseEstimate {
   double pitch_rad = 0.0;
   double yaw_rad = 0.0;  // heading on the surface: R_WR = R_WT(x, y) R_z(yaw)
   Eigen::Matrix3d planar_covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, yaw_rad
-  // Of x, y, z, roll, pitch, yaw. Where the surface is exact, of rank 3: z, roll and pitch then follow from
-  // x, y and yaw.
+  // Of x, y, z, roll, pitch, yaw. On an exact surface its rank is 3: z, roll and pitch follow from x, y and
+  // yaw.
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
-  std::string_view floor;  // the chart's name, as long as the surface lives; empty where there is but one
+  std::string_view floor;  // the chart's name, valid as long as the surface; empty if there is only one
   filter::State state = filter::State::kUninitialized;
   filter::Reason reason = filter::Reason::kNone;
 };
@@ -61,24 +61,24 @@ class Localizer : public MeasurementSink {
 
   using OnPose = std::function<void(const PoseEstimate&)>;
 
-  // Rows and yaw rates that are carried over; of more that wait the oldest are left out.
+  // Waiting odometry samples and yaw rates that a prediction covers at most; the oldest are left out first.
   static constexpr std::size_t kMaxAhead = 1024;
-  // A prediction is carried on from row to row for so long, then it begins at the filter's state again: what
-  // a row costs does not grow with their rate. At 50 Hz and below it begins there with each row.
+  // A prediction is continued from sample to sample for this long, then restarted from the filter's state. So
+  // the cost of a sample does not grow with the odometry rate. At 50 Hz and below each sample restarts it.
   static constexpr double kPredictionLasts_s = 0.018;
 
-  // Once started, for each row of odometry:
-  //   on_pose:     when it comes in, at its time, by the measurements that were passed on and by odometry and
-  //                yaw rates since. State and reason are those of the measurements that were passed on, but
-  //                TRACKING only where this very pose is certain and its odometry neither paused nor is in
-  //                doubt. Times increase.
-  //   on_settled:  when it is passed on and used, by all until then, at the time of the newest.
+  // Once started, for each odometry sample:
+  //   on_pose:     when the sample arrives, the pose at its time, predicted from the filter's state by the
+  //                odometry and yaw rates that wait. State and reason are the filter's, but TRACKING requires
+  //                that this pose is certain, odometry has not paused and its times are not suspect. Times
+  //                increase.
+  //   on_settled:  when the filter has used the sample, the filter's estimate at its newest time.
   Localizer(Setup setup, OnPose on_pose, OnPose on_settled = {});
 
-  // Goes on by another calibration of the same site from where it is.
+  // Continues from the present pose with another calibration of the same site.
   void adopt(model::Calibration calibration);
 
-  // Starts, or starts anew, at a known pose instead of the first pose prior.
+  // Starts or restarts at a known pose instead of the first pose prior.
   void start(const filter::Start& start);
 
   void on_odometry(const model::OdometrySample& sample) override;
@@ -87,22 +87,22 @@ class Localizer : public MeasurementSink {
   void on_sensor(const model::SensorSample& sample) override;
   void on_odometry_ahead(const model::OdometrySample& sample) override;
   void on_sensor_ahead(const model::SensorSample& sample) override;
-  void on_clock_set() override;                                 // begins anew
-  void on_clock_step(double step_s, bool found_late) override;  // goes on, and proves its pose again
+  void on_clock_set() override;                                 // restarts without a pose
+  void on_clock_step(double step_s, bool found_late) override;  // continues; CONVERGING until ranges agree
   void on_odometry_times(bool doubtful) override { times_doubtful_ = doubtful; }
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
   [[nodiscard]] filter::State state() const noexcept { return tracker_->state(); }
-  // What the ranges show to be wrong with the setup, if anything.
+  // An error of the setup that the ranges show: map-mismatch, or nothing.
   [[nodiscard]] std::optional<diagnosis::Finding> finding() const;
-  // Samples of odometry and other sensors that were dropped, for no robot can do what they say.
+  // Samples of odometry and other sensors that were dropped as physically impossible.
   [[nodiscard]] std::uint64_t implausible() const noexcept { return implausible_; }
   [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }
 
  private:
   using Ahead = std::vector<filter::MotionInput>;
 
-  // The filter's own time goes on evenly while the robot's clock is set.
+  // The filter's own time stays continuous when the robot's clock is set.
   template <typename Sample>
   [[nodiscard]] Sample in_own_time(Sample sample) const noexcept {
     sample.t_s -= clock_s_;
@@ -111,28 +111,29 @@ class Localizer : public MeasurementSink {
   void begin(const filter::Start& start);
   void renew();
   void forget_times() noexcept;
-  // A row of that time, late or not.
+  // Notes the arrival of an odometry sample of that time, late or not.
   void came_in(double t_s) noexcept;
   [[nodiscard]] PoseEstimate pose_of(const filter::Estimate& estimate) const;
-  // The estimate at `end` of what waits, by the prediction kept or by a new one.
+  // The estimate after the inputs of ahead_ before `end`; continues the stored prediction or starts a new
+  // one.
   [[nodiscard]] filter::Estimate predict(double t_s, Ahead::const_iterator end);
-  // Puts it in its place among what waits; returns the place behind it.
+  // Inserts the input in order into ahead_; returns the position after it.
   Ahead::const_iterator await(const filter::MotionInput& input);
-  // It was passed on, and with it all before it.
+  // Removes the input and all before it: the filter gets them now.
   void arrived(const filter::MotionInput& input);
 
   Setup setup_;
   OnPose on_pose_;
   OnPose on_settled_;
   std::unique_ptr<filter::Tracker> tracker_;
-  Ahead ahead_;        // in order; never grows beyond what is reserved
-  double last_row_s_;  // of the rows that came in
-  double paused_until_s_ = -std::numeric_limits<double>::infinity();  // the row that ended a pause
-  double clock_s_ = 0.0;                                              // the robot's time less the filter's
+  Ahead ahead_;        // in order; never exceeds the reserved capacity
+  double last_row_s_;  // the newest odometry sample that arrived
+  double paused_until_s_ = -std::numeric_limits<double>::infinity();  // the sample that ended a pause
+  double clock_s_ = 0.0;                                              // robot time less filter time
   bool times_doubtful_ = false;
   std::optional<filter::Filter::Prediction> prediction_;
-  double predicted_since_s_ = 0.0;  // the row that it began with
-  filter::MotionInput carried_;     // the last input that it has
+  double predicted_since_s_ = 0.0;  // the sample that started it
+  filter::MotionInput carried_;     // the last input that it includes
   std::uint64_t implausible_ = 0;
 };
 

@@ -1,5 +1,5 @@
-// Keeps what a session passes on in a log (host/io/log_file.hpp), in a thread of its own: a disk that is slow
-// or full holds up nobody.
+// Records the measurements of a session in a log (host/io/log_file.hpp). A separate thread writes, so that a
+// slow or full disk blocks nothing else.
 #pragma once
 
 #include <condition_variable>
@@ -20,13 +20,13 @@ namespace groma::daemon {
 
 class LogRecorder : public MeasurementSink {
  public:
-  // What is measured is handed to the disk after so long, and is safe from a power cut after so long again.
+  // Period of write(2), and minimum period of fdatasync(2), which protects against a power cut.
   static constexpr double kWriteEvery_s = 1.0;
   static constexpr double kSyncEvery_s = 5.0;
-  // Bytes that may wait for the disk; with more the recording ends.
+  // Bytes that may wait for the disk; beyond that the recording ends.
   static constexpr std::size_t kMaxWaiting = 16'777'216;
 
-  // Opens the file for appending, or makes it, and begins a section. Throws io::PathError,
+  // Opens or creates the file for appending and begins a section. Throws io::PathError,
   // io::PermissionError or io::DeviceError (another gromad records into it, the disk is full).
   LogRecorder(const std::filesystem::path& path, std::vector<io::DescriptionFile> description);
   ~LogRecorder() override;
@@ -39,10 +39,10 @@ class LogRecorder : public MeasurementSink {
   void on_sensor(const model::SensorSample& sample) override { encoder_.put(sample); }
   void on_clock_set() override;  // begins a section
 
-  // Hands over what is due; now_s never decreases.
+  // Hands over to the writer thread every kWriteEvery_s; now_s is host time and never decreases.
   void advance(double now_s);
 
-  // Why the recording has ended, told once; none as long as all is well.
+  // Why the recording ended, once; nothing while it works.
   [[nodiscard]] std::optional<std::string> take_failure();
 
  private:

@@ -25,11 +25,11 @@ namespace groma::daemon {
 namespace {
 
 void log(std::string_view text) {
-  // Line by line, so that the lines of a log are whole.
+  // One call for each line, so that lines of several threads do not mix.
   fmt::print(stderr, "gromad: {}\n", text);
 }
 
-// SIGTERM and SIGINT as a descriptor to poll for; inherited by threads started later.
+// SIGTERM and SIGINT as a descriptor to poll. Threads started later inherit the signal mask.
 io::Descriptor stop_signals() {
   sigset_t set;
   sigemptyset(&set);
@@ -62,7 +62,7 @@ int run(int argc, char** argv) {
   Config config = read_config(path);
   std::optional<model::Calibration> calibration;
   const CalibrationSource& source = config.calibration;
-  // One that is learnt into its own file begins without it.
+  // With `learn`, the same path for `file` and `output` need not exist at the first start.
   const bool begins =
       source.learn && source.file == source.output && source.file && !std::filesystem::exists(*source.file);
   if (source.file && !begins) calibration = io::read_calibration(*source.file);

@@ -36,7 +36,7 @@ std::span<const model::OdometrySample> OdometryMerger::flush() noexcept {
   holds_ = false;
   std::size_t count = 0;
   if (sum_s_ > 0.0) out_[count++] = mean();
-  // It holds on.
+  // The last sample still holds.
   out_[count++] = last_;
   return std::span(out_).first(count);
 }

@@ -10,7 +10,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-// Bytes that are no UTF-8 (the frame's name is an operator's text) must not end the stream.
+// Invalid UTF-8 (the user chooses the frame's name) must not throw and end the stream.
 std::string line(const Json& object) {
   return object.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
@@ -25,7 +25,7 @@ std::string version_line() {
 std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
   const std::string_view reason = filter::reason_name(pose.reason);
   Json covariance = Json::array();
-  // What is not finite, nlohmann writes as null.
+  // nlohmann writes non-finite numbers as null.
   for (Eigen::Index row = 0; row < 6; ++row) {
     for (Eigen::Index column = 0; column < 6; ++column) covariance.push_back(pose.covariance(row, column));
   }

@@ -14,20 +14,20 @@
 
 namespace groma::daemon {
 
-// A node's link, and what both its ways together delay at least; half of that is taken off each range's
-// instant, and bounds what it is wrong by. Nothing: not known, no request was answered yet.
+// A node's link and its minimum round-trip delay. Half of that is subtracted from each range's time and
+// bounds its error. None: no request was answered yet.
 struct LinkDelay {
   std::string_view link;
   std::optional<double> round_trip_s{};
 };
 
-// What a stream tells beside poses, about once a second.
+// The content of a STATUS line, about once a second.
 struct Status {
   std::string_view state;  // see state_word() and Daemon
   std::uint64_t odometry = 0;
   std::uint64_t ranges = 0;
   std::uint64_t frames_lost = 0;
-  std::uint64_t dropped = 0;  // measurements and lines, of all causes
+  std::uint64_t dropped = 0;  // measurements and lines, for any cause
   std::vector<LinkDelay> links{};
   std::vector<diagnosis::Finding> diagnosis{};
 };
@@ -35,12 +35,13 @@ struct Status {
 // {"class":"VERSION","program":"gromad","version":...,"protocol":1}
 [[nodiscard]] std::string version_line();
 
-// {"class":"POSE","t_s","frame","model","state","x_m","y_m","z_m","roll_rad","pitch_rad","yaw_rad",
-// "covariance"}: the covariance 6 x 6, row by row, of x, y, z, roll, pitch, yaw; what is unknown is null.
+// {"class":"POSE","t_s","frame","model","state","reason","x_m","y_m","z_m","roll_rad","pitch_rad","yaw_rad",
+// "covariance"}: the covariance is 6 x 6, row by row, of x, y, z, roll, pitch, yaw; null is unknown. "floor"
+// follows if the surface has several.
 [[nodiscard]] std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model);
 
 // {"class":"CALIBRATION","verdict","anchors":[{"id","state","coverage","verdict","advice","ranges_used",
-// "sigma_m"}]}: what a driver needs to see while anchors are learnt.
+// "sigma_m"}]}: the progress of calibration while driving.
 [[nodiscard]] std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors);
 
 // {"class":"STATUS","state",...}

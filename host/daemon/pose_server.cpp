@@ -43,7 +43,7 @@ std::uint16_t bound_port(int fd) {
   sockaddr_storage bound{};
   socklen_t size = sizeof(bound);
   if (::getsockname(fd, reinterpret_cast<sockaddr*>(&bound), &size) != 0) return 0;
-  // Both families have it at the same place.
+  // IPv4 and IPv6 have the port at the same offset.
   return ntohs(reinterpret_cast<const sockaddr_in*>(&bound)->sin_port);
 }
 
@@ -83,8 +83,8 @@ void PoseServer::service() {
   accept_clients();
   std::array<char, 512> ignored{};
   for (Client& client : clients_) {
-    // Clients have nothing to say; what they do say is read, so that their leaving shows. A bounded amount:
-    // one that never stops talking must not keep the others waiting.
+    // Data from clients is read and ignored, to detect a disconnect. The amount is bounded, so that a client
+    // that sends without end does not delay the others.
     const ssize_t n = ::recv(client.fd.get(), ignored.data(), ignored.size(), 0);
     if (n == 0 || (n < 0 && errno != EAGAIN && errno != EINTR)) {
       drop(client, counters_.disconnected);

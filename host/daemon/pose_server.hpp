@@ -1,4 +1,4 @@
-// Serves lines to any number of TCP clients, and waits for none of them.
+// Sends lines to TCP clients and never waits for any of them.
 #pragma once
 
 #include <poll.h>
@@ -18,8 +18,8 @@ namespace groma::daemon {
 struct PoseServerCounters {
   std::uint64_t accepted = 0;
   std::uint64_t refused = 0;       // more than kMaxClients
-  std::uint64_t disconnected = 0;  // went by themselves
-  std::uint64_t too_slow = 0;      // were dropped
+  std::uint64_t disconnected = 0;  // closed by the client
+  std::uint64_t too_slow = 0;      // dropped by the server
 };
 
 class PoseServer {
@@ -31,18 +31,18 @@ class PoseServer {
     std::unique_ptr<PoseServer> server;
     link::LinkError error;
   };
-  // address: numeric, IPv4 or IPv6; port 0: any that is free. Each client is greeted with `greeting`.
+  // address: numeric, IPv4 or IPv6; port 0: any free one. `greeting` is the first line to each client.
   [[nodiscard]] static Opened open(const std::string& address, std::uint16_t port, std::string greeting);
 
   [[nodiscard]] std::uint16_t port() const noexcept { return port_; }
   [[nodiscard]] std::size_t client_count() const noexcept { return clients_.size(); }
   [[nodiscard]] const PoseServerCounters& counters() const noexcept { return counters_; }
 
-  // Appends what is to be polled for.
+  // Appends the descriptors and events to poll for.
   void append_poll(std::vector<pollfd>& out) const;
-  // Accepts who has come, lets go who has left, sends what waits. Never blocks.
+  // Accepts new clients, removes those that left, sends waiting bytes. Never blocks.
   void service();
-  // To all clients; one that has more than kMaxBacklog waiting is dropped.
+  // Sends to all clients; drops a client with more than kMaxBacklog bytes waiting.
   void broadcast(std::string_view line);
 
  private:

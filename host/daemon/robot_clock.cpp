@@ -7,16 +7,16 @@
 namespace groma::daemon {
 namespace {
 
-// The robot's clock as a counter.
+// TimeMapper sees the robot's clock as a counter in nanoseconds.
 constexpr double kTicksPerSecond = 1e9;
-// Beyond this a t_s has no nanoseconds in 64 bits.
+// A larger t_s does not fit 64 bits in nanoseconds.
 constexpr double kMaxTime_s = 9e9;
 
 std::int64_t ticks_at(double t_s) noexcept {
   return std::llround(t_s * kTicksPerSecond);
 }
 
-// ms, us or ns in the place of seconds, or the other way round: a power of 1000.
+// Whether the rate is near a power of 1000: ms, us or ns instead of seconds, or the reverse.
 bool is_unit(double rate) noexcept {
   if (!(rate > 0.0)) return false;
   constexpr double kNear = 0.2;  // decades
@@ -58,7 +58,7 @@ bool RobotClock::suspected() const noexcept {
 }
 
 Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
-  // Also what is not a number.
+  // Also true for NaN.
   if (!(std::abs(t_s) <= kMaxTime_s)) return Timestamp::kWrong;
   const std::optional<double> expected_s = robot_time_s(now_s);
   if (!expected_s) {
@@ -120,14 +120,15 @@ Timestamp RobotClock::judge_far(double t_s, double now_s, double offset_s) noexc
     begin(t_s, now_s);
     return Timestamp::kSet;
   }
-  // No clock runs like this: to follow it would be of no use. A stalled link looks so too, but for the unit.
+  // No clock runs at this rate, so do not follow it. A stalled link looks alike, except at the rate of a unit
+  // error.
   if (is_unit(rate)) fault_ = {TimestampFault::Cause::kTimeUnit, rate, now_s};
   far_ = {.samples = kRun, .t_s = t_s, .since_s = now_s};
   return Timestamp::kWrong;
 }
 
 Timestamp RobotClock::judge_fallen_back(double t_s, double now_s, double offset_s) noexcept {
-  // A repeated sample, or one that was overtaken: the clock is as before.
+  // A repeated or overtaken sample: the clock has not changed.
   if (offset_s >= -kConsistent_s) return Timestamp::kFallenBack;
   if (run_.samples++ == 0) run_.since_s = now_s;
   if (run_.samples == 1 || std::abs(offset_s - run_.offset_s) > kAgree_s) {
@@ -136,7 +137,8 @@ Timestamp RobotClock::judge_fallen_back(double t_s, double now_s, double offset_
   }
   ++run_.alike;
   fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
-  // Samples that arrive in bursts do not agree, but the last of each burst would fit the clock.
+  // Offsets of samples that arrive in bursts do not agree. But without a clock step the last sample of each
+  // burst would fit and end the run; so a run that lasts shows a step.
   const bool lasts = run_.samples >= kRun && now_s - run_.since_s >= config_.set_after_s;
   if (run_.alike < kRun && !lasts) return Timestamp::kFallenBack;
   return step(t_s, now_s, offset_s);
@@ -144,7 +146,7 @@ Timestamp RobotClock::judge_fallen_back(double t_s, double now_s, double offset_
 
 Timestamp RobotClock::step(double t_s, double now_s, double by_s) noexcept {
   step_s_ = by_s;
-  // Otherwise a run of those that were dropped has shown it.
+  // Otherwise a run of dropped samples has shown the step.
   step_found_late_ = by_s < 0.0 && run_.alike < kRun;
   fault_ = {TimestampFault::Cause::kClockOffset, by_s, now_s};
   begin(t_s, now_s);

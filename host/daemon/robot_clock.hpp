@@ -1,9 +1,9 @@
-// The robot's clock, by the t_s of its odometry and the time at which each sample arrives. It decides which
-// timestamps fit that clock, which ones are wrong, and when the clock was set.
+// Estimates the robot's clock from the t_s of its odometry and the arrival time of each sample. It decides
+// which timestamps fit that clock, which ones are wrong, and when the clock was set.
 //
-// The link is a FIFO that delays: it makes a sample late, never early, and it does not change the order. So a
-// timestamp that is early, or that falls back, is not the link's doing. A single one is wrong; a run of them
-// that agree on their offset, without a sample that fits between them, shows a clock that was set.
+// The link is a FIFO that delays: it makes a sample late, never early, and keeps the order. So the link
+// does not explain a timestamp that is early or falls back. A single such timestamp is wrong. A run of them
+// with the same offset, without a fitting sample between them, shows that the clock was set.
 #pragma once
 
 #include <cstdint>
@@ -16,79 +16,78 @@
 namespace groma::daemon {
 
 struct RobotClockConfig {
-  // A t_s further from the clock than this is wrong, unless ...
+  // A t_s further from the clock than this is wrong ...
   double max_error_s = 1.0;
-  // ... all of them are so for this long: then the clock was set.
+  // ... unless all are, for this long: then the clock was set.
   double set_after_s = 1.0;
 };
 
-// What a sample's timestamp is.
+// The judgement of one sample's timestamp.
 enum class Timestamp : std::uint8_t {
   kGood,
   kEarly,       // ahead of the clock: drop the sample
-  kFallenBack,  // not newer than a good one before, or of a run that fell back: drop the sample
-  kWrong,       // further off than max_error_s: drop the sample
-  kStepped,     // the clock was set by step_s(), no more than max_error_s; the sample is the first of the new
-                // one
+  kFallenBack,  // not newer than a good one before, or in a run that fell back: drop the sample
+  kWrong,       // off by more than max_error_s: drop the sample
+  kStepped,     // the clock was set by step_s(), at most max_error_s; this is the first sample after it
   kSet,         // the clock was set by more, or the robot restarted
 };
 
-// What is wrong with the robot's timestamps; causes by the names of a diagnosis.
+// A fault of the robot's timestamps; causes as in a diagnosis.
 struct TimestampFault {
   enum class Cause : std::uint8_t { kClockOffset, kTimeUnit };
   Cause cause = Cause::kClockOffset;
   double value =
-      0.0;  // clock-offset: s, positive ahead of the clock; time-unit: rate of t_s by the host's clock
+      0.0;  // clock-offset: s, positive: ahead of the clock; time-unit: rate of t_s over the host's clock
   double last_s = 0.0;  // host time
 };
 
 // "clock-offset", "time-unit".
 [[nodiscard]] const char* cause_name(TimestampFault::Cause cause) noexcept;
-// For a human: what shows it, and what to do.
+// For the user: what shows the fault, and what to do.
 [[nodiscard]] std::string evidence(const TimestampFault& fault);
 [[nodiscard]] std::string_view remedy(const TimestampFault& fault) noexcept;
 
 // Reads no clock, allocates nothing.
 class RobotClock {
  public:
-  // A t_s that is ahead by no more is taken, though it does not move the clock: software stamps unevenly.
+  // A t_s that is ahead by at most this is accepted without moving the clock: software timestamps jitter.
   static constexpr double kSlack_s = 0.06;
   static constexpr std::uint32_t kRun = clock::TimeMapper::kJumpMessages;
-  static constexpr std::uint32_t kSuspectRun = 3;  // odd samples that raise suspicion
+  static constexpr std::uint32_t kSuspectRun = 3;  // misfitting samples that raise suspicion
   static constexpr double kConsistent_s =
-      0.02;  // a sample no later than this shows that the clock is as before
+      0.02;  // a sample at most this late shows that the clock was not set
   static constexpr double kAgree_s = clock::TimeMapper::kAgree_s;
-  static constexpr double kLateAlike_s = 0.05;  // kRun samples that are this late alike raise suspicion
-  static constexpr double kBehind_s = 0.2;      // no sample less late than this ...
-  static constexpr double kBehindFor_s = 1.0;   // ... for so long: the input is behind
-  static constexpr double kMaxRate = 4.0;       // a t_s that runs this much faster or slower is no clock's
+  static constexpr double kLateAlike_s = 0.05;  // kRun samples equally late by more than this: suspicion
+  static constexpr double kBehind_s = 0.2;      // every sample later than this ...
+  static constexpr double kBehindFor_s = 1.0;   // ... for this long: the input is behind
+  static constexpr double kMaxRate = 4.0;       // a t_s this many times faster or slower is not a clock
 
   explicit RobotClock(const RobotClockConfig& config = {});
 
-  // Of a sample of odometry that arrives at now_s, in the order of arrival.
+  // Judges an odometry sample that arrives at now_s (host time); call in the order of arrival.
   Timestamp judge(double t_s, double now_s) noexcept;
 
-  // The robot's time at a time of the host; nothing before the first sample.
+  // Host time to robot time; nothing before the first sample.
   [[nodiscard]] std::optional<double> robot_time_s(double host_s) const noexcept;
 
   // After kStepped: the new clock less the old one.
   [[nodiscard]] double step_s() const noexcept { return step_s_; }
-  // And whether samples of the new clock were good by the old one before it was found.
+  // After kStepped: whether samples of the new clock had been taken as good before the step was found.
   [[nodiscard]] bool step_found_late() const noexcept { return step_found_late_; }
-  // A step is likely, or the input is behind: poses are not to be relied upon.
+  // A clock step is likely, or the input is behind: do not rely on poses.
   [[nodiscard]] bool suspected() const noexcept;
   [[nodiscard]] bool is_late() const noexcept { return late_alike_ >= kRun || behind_; }
-  // How late the last good sample was; negative where it was early.
+  // How late the last good sample was; negative: early.
   [[nodiscard]] double lateness_s() const noexcept { return lateness_s_; }
-  // The last timestamp that was wrong, or the last step.
+  // The last wrong timestamp or clock step.
   [[nodiscard]] const std::optional<TimestampFault>& fault() const noexcept { return fault_; }
 
  private:
-  // Odd samples without one between them that fits.
+  // Consecutive samples that do not fit the clock.
   struct Run {
     std::uint32_t samples = 0;  // all
-    std::uint32_t alike = 0;    // the last ones, which agree
-    double offset_s = 0.0;      // of the first of those
+    std::uint32_t alike = 0;    // the last ones, whose offsets agree
+    double offset_s = 0.0;      // of the first of the latter
     double since_s = 0.0;       // host time
   };
   struct Far {
@@ -105,7 +104,7 @@ class RobotClock {
 
   RobotClockConfig config_;
   clock::TimeMapper mapper_;
-  std::optional<double> last_s_;  // robot time: the newest that fits the clock
+  std::optional<double> last_s_;  // robot time of the newest sample that fits the clock
   Run run_;
   Far far_;
   std::uint32_t early_ = 0;       // in a row

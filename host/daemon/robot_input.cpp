@@ -19,7 +19,7 @@ namespace {
 
 using InputJson = nlohmann::json;
 
-// False unless the object has a finite number of that name.
+// False if the object has no finite number of that name.
 bool read_number(const InputJson& object, const char* name, double& out) {
   const auto found = object.find(name);
   if (found == object.end() || !found->is_number()) return false;
@@ -27,7 +27,7 @@ bool read_number(const InputJson& object, const char* name, double& out) {
   return std::isfinite(out);
 }
 
-// False where it is there and cannot be one; what is null is not known.
+// False if a covariance is given but invalid. Null terms are unknown: all six or none.
 bool read_covariance(const InputJson& object, std::optional<model::PoseCovariance>& out) {
   const auto found = object.find("covariance");
   if (found == object.end() || found->is_null()) return true;
@@ -62,7 +62,7 @@ std::optional<RobotMessage> read_odometry(const InputJson& object) {
   return row;
 }
 
-// All but z_m.
+// All keys except z_m.
 bool read_pose(const InputJson& object, model::PoseSample& out) {
   for (const auto& [key, value] : {std::pair{"roll_rad", &out.roll_rad}, {"pitch_rad", &out.pitch_rad}}) {
     if (object.contains(key) && !object.at(key).is_null() && !read_number(object, key, *value)) return false;

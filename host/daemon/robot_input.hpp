@@ -1,4 +1,4 @@
-// The robot's side of the input: JSON lines with odometry, pose priors and what other sensors tell.
+// The robot's input: JSON lines with odometry, pose priors and samples of other sensors.
 //
 //   {"class":"ODOMETRY","t_s":12.02,"vx_mps":0.8,"vy_mps":0.0,"omega_radps":0.1}
 //   {"class":"POSE_PRIOR","t_s":12.0,"x_m":1.0,"y_m":2.0,"z_m":0.0,"yaw_rad":0.5}
@@ -7,10 +7,10 @@
 //   {"class":"ABSOLUTE_POSE","t_s":12.0,"x_m":1.0,"y_m":2.0,"yaw_rad":0.5,"covariance":[...]}
 //   {"class":"ZERO_VELOCITY","t_s":12.0}
 //
-// A pose may also have roll_rad and pitch_rad; yaw_rad is then the ZYX yaw. And a covariance as the pose
-// stream has it: 36 numbers, x, y, z, roll, pitch, yaw row by row, null where not known; those of x, y and
-// yaw count. An absolute pose needs one, and no z_m. A GNSS position's is that of x and y, row by row. Other
-// keys are left alone.
+// A pose may have roll_rad and pitch_rad; yaw_rad is then the ZYX yaw. It may have a covariance as in the
+// pose stream: 36 numbers, row by row, of x, y, z, roll, pitch, yaw; null is unknown. Only x, y and yaw are
+// used. An absolute pose requires a covariance and needs no z_m. The covariance of a GNSS position is that
+// of x and y, row by row. Other keys are ignored.
 #pragma once
 
 #include <cstddef>
@@ -25,7 +25,7 @@
 
 namespace groma::daemon {
 
-// A pose of its own is a prior.
+// A PoseSample is a pose prior; an absolute pose is a SensorSample.
 using RobotMessage = std::variant<model::OdometrySample, model::PoseSample, model::SensorSample>;
 
 // Each line is counted in exactly one of these.
@@ -33,9 +33,9 @@ struct RobotInputCounters {
   std::uint64_t odometry = 0;
   std::uint64_t pose_priors = 0;
   std::uint64_t sensors = 0;        // the other classes
-  std::uint64_t torn = 0;           // no JSON object, or a line of more than kMaxLine bytes
-  std::uint64_t unknown_class = 0;  // no "class", or none of these
-  std::uint64_t bad_value = 0;      // a number is missing, is none, or is not finite
+  std::uint64_t torn = 0;           // not a JSON object, or longer than kMaxLine bytes
+  std::uint64_t unknown_class = 0;  // no "class", or an unknown one
+  std::uint64_t bad_value = 0;      // a number is missing, not a number, not finite or not plausible
 
   [[nodiscard]] std::uint64_t dropped() const noexcept { return torn + unknown_class + bad_value; }
 };
@@ -44,16 +44,16 @@ class RobotInput {
  public:
   static constexpr std::size_t kMaxLine = 4096;
 
-  // Appends bytes as they arrived, then next() gives the messages of the lines they completed, until it gives
-  // none.
+  // Appends bytes as they arrived. Then call next() until it returns nothing: it gives the messages of the
+  // completed lines.
   void push(std::span<const std::uint8_t> bytes);
   [[nodiscard]] std::optional<RobotMessage> next();
 
-  // After the link was opened anew: a line begun is forgotten.
+  // Discards an incomplete line, after the link was reopened.
   void reset();
 
   [[nodiscard]] const RobotInputCounters& counters() const noexcept { return counters_; }
-  // What was wrong with the line dropped last; empty if none was.
+  // What was wrong with the last dropped line; empty if none was dropped.
   [[nodiscard]] const std::string& last_problem() const noexcept { return last_problem_; }
 
  private:
@@ -61,8 +61,8 @@ class RobotInput {
   void drop(std::uint64_t& counter, std::string problem);
 
   std::string waiting_;
-  std::size_t read_ = 0;   // of waiting_
-  bool too_long_ = false;  // the line begun is thrown away up to its end
+  std::size_t read_ = 0;   // bytes of waiting_ already parsed
+  bool too_long_ = false;  // the incomplete line is discarded up to its end
   RobotInputCounters counters_;
   std::string last_problem_;
 };

@@ -1,4 +1,4 @@
-// Which samples a calibration came from.
+// Identifies the samples that a calibration was computed from.
 #pragma once
 
 #include <span>
@@ -8,8 +8,8 @@
 
 namespace groma::daemon {
 
-// Hexadecimal SHA-256 of the samples, little-endian doubles and ids, as they are given: ranges (t_s, tag,
-// anchor, range_m), then poses (all seven numbers).
+// Hexadecimal SHA-256 of the samples in the given order, as little-endian doubles and ids: ranges (t_s, tag,
+// anchor, range_m), then poses (seven numbers, then the covariance if there is one).
 [[nodiscard]] std::string sample_digest(std::span<const model::RangeSample> ranges,
                                         std::span<const model::PoseSample> poses);
 

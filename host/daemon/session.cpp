@@ -10,9 +10,9 @@
 namespace groma::daemon {
 namespace {
 
-// So long all odometry is dropped until the log says so.
+// The log reports that all odometry is dropped after this time.
 constexpr double kDropReported_s = 1.0;
-// That odometry is late is reported no more often.
+// Minimum time between log messages about late odometry.
 constexpr double kLateReported_s = 10.0;
 
 template <typename Sample>
@@ -81,7 +81,7 @@ void Session::robot_bytes(std::span<const std::uint8_t> bytes, double now_s) {
   while (const auto message = robot_.next()) {
     std::visit([&](const auto& sample) { take(sample, now_s); }, *message);
   }
-  // A babbling robot does not fill the log: the 1st, 2nd, 4th, 8th ... line dropped is told of.
+  // Only the 1st, 2nd, 4th, 8th ... dropped line is reported, so that a faulty sender does not fill the log.
   const std::uint64_t dropped = robot_.counters().dropped();
   if (std::bit_width(dropped) != std::bit_width(robot_lines_dropped_)) {
     say(fmt::format("robot: {} lines dropped so far; the last: {}", dropped, robot_.last_problem()));
@@ -169,7 +169,7 @@ void Session::pass_merged(std::span<const model::OdometrySample> rows) {
   counters_.odometry_merged = merger_.merged();
 }
 
-// The 1st, 2nd, 4th, 8th ... sample that is dropped is reported, and that all are.
+// Reports the 1st, 2nd, 4th, 8th ... dropped sample, and once that all are dropped.
 void Session::drop_odometry(std::uint64_t& counter, double now_s) {
   ++counter;
   if (!dropped_since_s_) {
@@ -177,7 +177,7 @@ void Session::drop_odometry(std::uint64_t& counter, double now_s) {
     drop_reported_ = false;
   }
   const auto fault = timestamp_fault(now_s);
-  // A repeated sample is dropped, and its clock is right.
+  // A repeated sample is dropped without a fault of the clock.
   if (!fault || fault->last_s != now_s) return;
   const std::uint64_t before = timestamps_dropped_++;
   const bool all = odometry_dropped_for_s(now_s) >= kDropReported_s && !drop_reported_;
@@ -204,7 +204,7 @@ bool Session::accepts(SensorTimes& times, double t_s, double now_s) {
     ++counters_.robot_time_early;
     return false;
   }
-  // As of odometry: one that falls back is wrong, and so are those after it that are late alike.
+  // As for odometry: a message that falls back is wrong, and so are the following ones that are as late.
   const bool falls_back = times.last_s && t_s <= *times.last_s;
   if (falls_back) times.offset_s = offset_s;
   if (times.offset_s && std::abs(offset_s - *times.offset_s) <= RobotClock::kConsistent_s) {
@@ -221,7 +221,7 @@ void Session::take(const model::PoseSample& pose, double now_s) {
 
 void Session::take(const model::SensorSample& sample, double now_s) {
   const double t_s = model::time_of(sample);
-  // That the robot stands may be known of any time.
+  // A zero-velocity sample may be of any time.
   SensorTimes any;
   const bool stands = std::holds_alternative<model::ZeroVelocitySample>(sample);
   if (accepts(stands ? any : sensor_times_.at(sample.index()), t_s, now_s)) enqueue(t_s, sample);
@@ -301,8 +301,8 @@ void Session::clock_stepped() {
                   std::abs(step_s)));
   ++counters_.robot_clock_set;
   for (MeasurementSink* sink : sinks_) sink->on_clock_step(step_s, robot_clock_.step_found_late());
-  // What waits is of the old clock; but the robot's own times, where the step was found late, are of the new
-  // one.
+  // Waiting samples have times of the old clock. But if the step was found late, those with the robot's own
+  // timestamps are of the new clock already.
   const bool found_late = robot_clock_.step_found_late();
   for (const model::OdometrySample& row : merger_.flush()) waiting_.push({row.t_s, serial_++, row});
   merger_.reset();

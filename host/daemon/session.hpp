@@ -1,17 +1,17 @@
-// The input path: bytes of all links in, measurements in the order of their times out. It opens nothing and
-// reads no clock, so that the daemon and the demonstration run the same one, the latter on a simulated clock.
+// The input path: bytes of all links in, measurements in the order of their times out. It opens no device and
+// reads no clock, so that `groma demo` runs the same code as the daemon, on a simulated clock.
 //
 //   Session session({});
 //   const auto tag = session.add_node("tag-1", 1'000'000);
 //   session.attach(localizer);
-//   session.robot_bytes(line, now_s);  // the localizer hears of it ahead
+//   session.robot_bytes(line, now_s);  // announced to the localizer at once
 //   session.node_bytes(tag, bytes, now_s);
 //   session.advance(now_s);  // measurements reach the localizer
 //
-// Three clocks meet here: each node's counter, the host's (now_s: monotonic, any origin) and the robot's. The
-// robot's is the base of everything that comes out: a node's counter is related to the host's clock, and that
-// to the t_s of the robot's odometry, each by the messages with the least delay. What a single wrong
-// timestamp costs is its own message: see RobotClock.
+// It relates three clocks: each node's counter, the host's clock (now_s: monotonic, any origin) and the
+// robot's clock. All output is in robot time. A node's counter is mapped to host time, and host time to the
+// t_s of the robot's odometry, each by the messages with the least delay. A single wrong timestamp costs
+// only its own message: see RobotClock.
 #pragma once
 
 #include <array>
@@ -40,45 +40,45 @@ namespace groma::daemon {
 struct SessionConfig {
   // How long measurements wait for earlier ones: a range is reported a superframe after its instant.
   double reorder_lag_s = 0.2;
-  // What is further behind the robot's present is dropped.
+  // A measurement further behind the robot's present is dropped.
   double max_lateness_s = 0.5;
-  // A robot's t_s further from where its clock should be is dropped as wrong, unless ...
+  // A t_s of the robot further from the expected time is dropped as wrong ...
   double max_clock_error_s = 1.0;
-  // ... it stays so for this long: then the clock was set.
+  // ... unless all are, for this long: then the clock was set.
   double clock_set_after_s = 1.0;
-  // More measurements than this do not wait: the earliest go out at once.
+  // At most this many measurements wait; beyond that the earliest are passed on at once.
   std::size_t max_waiting = 16384;
-  // Takes one line about an event worth a human's eye; may be empty.
+  // Receives one line for each event that a user should know of; may be empty.
   std::function<void(std::string_view)> log = {};
 };
 
 struct SessionCounters {
-  std::uint64_t odometry = 0;  // passed on, as are the next three
+  std::uint64_t odometry = 0;  // passed on; the next three likewise
   std::uint64_t pose_priors = 0;
   std::uint64_t ranges = 0;
-  std::uint64_t sensors = 0;                // of other sensors
-  std::uint64_t passed_late = 0;            // of those, out of order
+  std::uint64_t sensors = 0;                // samples of other sensors
+  std::uint64_t passed_late = 0;            // passed on out of order; also counted above
   std::uint64_t dropped_late = 0;           // more than max_lateness_s behind
-  std::uint64_t odometry_out_of_order = 0;  // not newer than the row before, or fallen back: dropped
-  std::uint64_t odometry_merged = 0;        // rows that came too fast: into one with others
-  std::uint64_t sensors_out_of_order = 0;   // poses, too: fallen back, and dropped
+  std::uint64_t odometry_out_of_order = 0;  // not newer than the sample before, or fallen back: dropped
+  std::uint64_t odometry_merged = 0;        // samples saved by merging: input less output
+  std::uint64_t sensors_out_of_order = 0;   // poses and sensor samples that fell back: dropped
   std::uint64_t robot_time_wrong = 0;       // dropped
   std::uint64_t robot_time_early = 0;       // dropped
-  std::uint64_t robot_clock_set = 0;        // times
-  std::uint64_t without_odometry = 0;   // what else came before the first row told the robot's time: dropped
-  std::uint64_t waiting_overflows = 0;  // went out before their wait was over
+  std::uint64_t robot_clock_set = 0;        // clock steps and restarts
+  std::uint64_t without_odometry = 0;   // before the first odometry gave the robot's time: dropped
+  std::uint64_t waiting_overflows = 0;  // passed on before their wait was over
 };
 
 class Session {
  public:
-  // What is known of one node's link.
+  // The state of one node's link.
   class Node : public link::NodeSink {
    public:
     Node(Session& session, std::string name, unsigned baud);
 
     [[nodiscard]] const std::string& name() const noexcept { return name_; }
     [[nodiscard]] const link::ReportDecoder& decoder() const noexcept { return decoder_; }
-    // The last of each that the node sent.
+    // The last message of each kind from the node.
     [[nodiscard]] const std::optional<groma_Hello>& hello() const noexcept { return hello_; }
     [[nodiscard]] const std::optional<groma_NetworkStatus>& network_status() const noexcept {
       return status_;
@@ -106,33 +106,33 @@ class Session {
   Session& operator=(const Session&) = delete;
   ~Session() = default;
 
-  // A node's link of so many bits per second (0: takes no time); returns its index, from 0.
+  // Adds a node's link of that bit rate in bit/s (0: bytes take no time); returns its index, from 0.
   std::size_t add_node(std::string name, unsigned baud);
 
-  // Each sink gets every measurement until it is detached, which it is before it ends; neither from within a
-  // call to a sink.
+  // An attached sink gets every measurement. Detach it before it is destroyed. Do not attach or detach from
+  // within a call to a sink.
   void attach(MeasurementSink& sink);
   void detach(MeasurementSink& sink);
 
-  // Bytes as they arrived at now_s, which never decreases.
+  // Bytes that arrived at now_s (host time), which never decreases.
   void node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s);
   void robot_bytes(std::span<const std::uint8_t> bytes, double now_s);
 
-  // After a link was closed and opened anew.
+  // After a link was reopened.
   void node_reopened(std::size_t node);
   void robot_reopened();
 
-  // Passes on what has waited long enough.
+  // Passes on the measurements that have waited for reorder_lag_s.
   void advance(double now_s);
-  // Passes on everything that waits: the drive is over.
+  // Passes on all waiting measurements, at the end of a drive.
   void flush();
 
-  // The robot's time at a time of the host; nothing before its first odometry.
+  // Host time to robot time; nothing before the first odometry.
   [[nodiscard]] std::optional<double> robot_time_s(double host_s) const {
     return robot_clock_.robot_time_s(host_s);
   }
-  // What was wrong with the robot's timestamps within kFaultShown_s; and for how long all odometry has been
-  // dropped for that, 0 where some was taken.
+  // The fault of the robot's timestamps within the last kFaultShown_s; and for how long all odometry has been
+  // dropped for such faults, 0 if the last sample was accepted.
   static constexpr double kFaultShown_s = 10.0;
   [[nodiscard]] std::optional<TimestampFault> timestamp_fault(double now_s) const;
   [[nodiscard]] double odometry_dropped_for_s(double now_s) const {
@@ -143,7 +143,7 @@ class Session {
   [[nodiscard]] const Node& node(std::size_t index) const { return nodes_.at(index); }
   [[nodiscard]] const RobotInputCounters& robot_counters() const noexcept { return robot_.counters(); }
   [[nodiscard]] const SessionCounters& counters() const noexcept { return counters_; }
-  // Reports lost by nodes and links together.
+  // Reports lost in nodes and links together.
   [[nodiscard]] std::uint64_t frames_lost() const noexcept;
 
  private:
@@ -154,32 +154,32 @@ class Session {
     std::uint64_t serial = 0;
     Sample sample;
   };
-  // Earliest first; at the same time odometry, then poses, then ranges by tag and anchor, then
-  // other sensors; then as they came.
+  // Earliest first; at equal times odometry, then poses, then ranges by tag and anchor, then other sensors;
+  // then in the order of arrival.
   struct Later {
     bool operator()(const Waiting& a, const Waiting& b) const noexcept;
   };
 
-  // Of one kind of message beside odometry.
+  // Times of one kind of message other than odometry.
   struct SensorTimes {
     std::optional<double> last_s;    // robot time
-    std::optional<double> offset_s;  // of the last one that fell back
+    std::optional<double> offset_s;  // of the last message that fell back
   };
 
   void take(const model::OdometrySample& row, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(const model::SensorSample& sample, double now_s);
   void take(model::RangeSample range);
-  // Whether a pose or a sensor's sample of that time is taken; counts why not.
+  // Whether to take a pose or sensor sample of that time; counts the reason if not.
   [[nodiscard]] bool accepts(SensorTimes& times, double t_s, double now_s);
-  // Puts a sample in its place among those that wait, or passes it on if that place is gone. The robot's time
-  // is known.
+  // Queues a sample by its time, or passes it on at once if later ones were passed on already. Requires a
+  // known robot time.
   void enqueue(double t_s, const Sample& sample);
   void deliver(const Sample& sample);
   void tell_ahead(const Sample& sample);
   void pass_merged(std::span<const model::OdometrySample> rows);
   void drop_odometry(std::uint64_t& counter, double now_s);
-  // What waits and what was seen of the old clock is forgotten; after a step it is taken over.
+  // Discards the waiting samples and times of the old clock; after a step they are converted to the new one.
   void clock_was_set(double now_s);
   void clock_stepped();
   void forget_times();
@@ -189,15 +189,15 @@ class Session {
   SessionConfig config_;
   std::deque<Node> nodes_;
   RobotInput robot_;
-  std::uint64_t robot_lines_dropped_ = 0;  // that were told of
+  std::uint64_t robot_lines_dropped_ = 0;  // as of the last check
   RobotClock robot_clock_;
   OdometryMerger merger_;
   std::optional<double> last_odometry_s_;
   SensorTimes pose_times_;
   std::array<SensorTimes, std::variant_size_v<model::SensorSample>> sensor_times_{};
-  bool times_doubtful_ = false;            // as reported
+  bool times_doubtful_ = false;            // as reported to the sinks
   std::uint64_t timestamps_dropped_ = 0;   // of odometry
-  std::optional<double> dropped_since_s_;  // host time, without one taken since
+  std::optional<double> dropped_since_s_;  // host time; all odometry has been dropped since
   bool drop_reported_ = false;
   double next_late_report_s_ = -std::numeric_limits<double>::infinity();  // host time
   std::priority_queue<Waiting, std::vector<Waiting>, Later> waiting_;
