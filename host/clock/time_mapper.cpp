@@ -6,15 +6,15 @@
 namespace groma::clock {
 namespace {
 
-// A message earlier than the line by this many sigmas and this much is no fluctuation: a clock was set.
+// A message is early if it lies below the line by more than this many sigmas plus this margin.
 constexpr double kEarlySigmas = 5.0;
 constexpr double kEarlyMargin_s = 0.005;
 
-// With exponential jitter of mean s in n bins the least delay is about s/n; the line rests on two such
-// points and is used at the end of its window, not in the middle.
+// With exponential jitter of mean s in n bins the least delay is about s/n. The factor is larger than 1
+// because the line touches two such points and is used at the end of its window, not in the middle.
 constexpr double kFitFactor = 6.0;
 
-// Weight, in bins, of the jitter assumed beforehand.
+// Weight of the jitter prior, in bins.
 constexpr double kDelayPriorBins = 2.0;
 
 }  // namespace
@@ -71,7 +71,7 @@ bool TimeMapper::completes_early_run(const Point& added) noexcept {
     early_alike_ = 0;
   }
   ++early_alike_;
-  // Where few were taken, the first of them may be the wrong ones.
+  // If few messages were taken before, those may be the wrong ones.
   return early_alike_ >= taken_ ||
          (early_messages_ >= kJumpMessages && host_s - early_since_s_ >= kJumpDuration_s);
 }
@@ -90,7 +90,7 @@ void TimeMapper::measure_round_trip() noexcept {
   for (std::size_t i = 0; i < request_count_; ++i) {
     const Point& request = requests_[(next_request_ + kRequests - 1 - i) % kRequests];
     if (point(size_ - 1).x_s - request.x_s > kRequestWindow_s) break;
-    // The line has its own error: together they cannot delay by less than nothing.
+    // The line has an error, but a round trip cannot be negative.
     const double both_s = std::max(line_at(request.x_s) - request.y_s, 0.0);
     round_trip_s_ = std::min(both_s, round_trip_s_.value_or(both_s));
   }
@@ -100,7 +100,7 @@ std::optional<HostInstant> TimeMapper::to_host(std::int64_t ticks) noexcept {
   if (size_ == 0) return std::nullopt;
   const double x_s = seconds_since_reference(ticks);
   HostInstant instant{reference_s_ + x_s + line_at(x_s) - shared_delay_s(),
-                      // The error from unequal delays is anywhere within half of the round trip.
+                      // Uniform within half of the round trip either way: unequal delays.
                       std::hypot(sigma_at(x_s), shared_delay_s() / std::sqrt(3.0))};
   if (last_stamp_ && ticks >= last_stamp_->ticks) {
     const double earliest_s = last_stamp_->instant.t_s - last_stamp_->instant.sigma_s;
@@ -148,14 +148,14 @@ void TimeMapper::start(std::int64_t ticks, double sent_s) noexcept {
 
 void TimeMapper::insert(const Point& added) noexcept {
   const auto bin = static_cast<std::int64_t>(std::floor(added.x_s / kBinWidth_s));
-  // After a silence old points would tell of another temperature of the crystal.
+  // After a pause, points from another temperature of the crystal must not remain.
   while (size_ > 0 && added.x_s - point(0).x_s > kBinWidth_s * static_cast<double>(kBins)) {
     first_ = (first_ + 1) % kBins;
     --size_;
   }
   if (size_ > 0 && bin == last_bin_) {
     Point& last = points_[(first_ + size_ - 1) % kBins];
-    // The lesser delay, judged along the line.
+    // Keep the smaller delay above the line.
     if (added.y_s - line_at(added.x_s) <= last.y_s - line_at(last.x_s)) last = added;
     return;
   }
@@ -186,8 +186,8 @@ void TimeMapper::fit() noexcept {
   }
   centre_s_ = sum_x_s / static_cast<double>(size_);
 
-  // Under all points and with the least sum of distances is the line of the edge over the mean of x: the
-  // highest line at the mean. With the slope bounded, the best is the nearest bound.
+  // The line under all points with the least sum of distances is the highest one at the mean of x: that of
+  // the hull's edge there. If its slope is out of bounds, the nearest bound is the best.
   slope_ = 0.0;
   for (std::size_t i = 1; i < corners; ++i) {
     const Point& a = point(hull[i - 1]);
@@ -224,8 +224,8 @@ bool TimeMapper::arrives_late_for_long(const Point& added) noexcept {
     return false;
   }
   if (late_messages_++ == 0) late_since_ = added;
-  // Both clocks have to agree on how long: what a stalled reader finds piled up spans seconds of the
-  // counter, but arrives at once.
+  // The duration must have passed on both clocks: messages piled up for a stalled reader span seconds of the
+  // counter, but arrive at once.
   const double device_s = added.x_s - late_since_.x_s;
   const double host_s = device_s + added.y_s - late_since_.y_s;
   return late_messages_ >= kJumpMessages && device_s >= kJumpDuration_s && host_s >= kJumpDuration_s;

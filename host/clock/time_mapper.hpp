@@ -1,22 +1,22 @@
-// From the counter of another clock to this host's time, over a link that delays.
+// Maps the counter of another clock to this host's time, over a link with delay.
 //
-// Each message carries the counter's value when it was sent and arrives after a delay that is never negative:
-// the transmission time, which the caller knows, and jitter, which nobody does. The points (counter, arrival)
-// therefore lie on or above the line that relates the two clocks, and the mapper fits that line from below:
-// of all lines under all points of a sliding window it takes the one with the least sum of distances (Moon,
-// Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements", 1999), its
-// slope within kMaxSkew. Delays of any size above the line cost nothing. What no such fit can see is a delay
-// that all messages share: it stays in the result as an offset.
+// Each message carries the counter's value when it was sent and arrives after a delay that is never
+// negative: the transmission time, which is known, plus unknown jitter. The points (counter, arrival)
+// therefore lie on or above the line that relates the two clocks. The mapper fits that line from below: of
+// all lines under all points of a sliding window it takes the one with the least sum of distances (Moon,
+// Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements", 1999), with
+// its slope within kMaxSkew. Delays of any size above the line do no harm. The fit cannot observe a delay
+// common to all messages; that remains as an offset.
 //
-// Requests the other way tell of it. One that left the host at a known time was there when the counter showed
-// a known value: that point lies on or below the line of the two clocks. The least distance between those
-// points and the line from above is what both ways together delay at least. Half of it is taken off (as NTP
-// does, at the least round trip): right where both ways delay alike, off by half of what they differ by, and
-// by no more than that half itself.
+// Requests in the other direction make it observable. A request that left the host at a known time arrived
+// when the counter showed a known value: that point lies on or below the line of the two clocks. The least
+// distance between these points and the fitted line is the minimum round-trip delay. Half of it is
+// subtracted (as NTP does, at the least round trip). That is exact if both ways delay equally; otherwise
+// the error is half of their difference, at most half of the round trip.
 //
-// A message below the line by more than its fluctuation is early: no delay makes that. One early message has
-// a wrong counter; it is left out and moves nothing. Only some in a row that agree with each other show that
-// a clock was set.
+// A message below the line by more than the fit's uncertainty is early: a delay cannot explain it. A single
+// early message has a wrong counter; it is ignored. Only consecutive early messages that agree with each
+// other show that a clock was set.
 #pragma once
 
 #include <array>
@@ -32,70 +32,70 @@ inline constexpr double kDeviceTicksPerSecond = 63.8976e9;
 struct HostInstant {
   double t_s = 0.0;
   double sigma_s =
-      0.0;  // of the fit and, where requests have told of it, of the delay that all messages share
+      0.0;  // of the fit and, once a request was observed, of the delay common to all messages
 };
 
 struct TimeMapperCounters {
   std::uint32_t observations = 0;
-  std::uint32_t counter_restarts = 0;  // the counter fell back: the other side was restarted
+  std::uint32_t counter_restarts = 0;  // the counter fell back: the other side restarted
   std::uint32_t host_jumps = 0;        // arrivals no longer fit the counter: one of the clocks was set
-  std::uint32_t early = 0;             // left out
+  std::uint32_t early = 0;             // ignored
 };
 
-// What became of a message.
+// The outcome of a message.
 enum class Observation : std::uint8_t {
   kTaken,
-  kEarly,      // left out: its counter is ahead of the line
-  kRestarted,  // the fit starts again with it
+  kEarly,      // ignored: its counter is ahead of the line
+  kRestarted,  // the fit restarts with it
 };
 
-// Memory is fixed, nothing is allocated, no clock is read. Deterministic.
+// Fixed memory, no allocation, reads no clock. Deterministic.
 class TimeMapper {
  public:
   static constexpr double kMaxSkew = 100e-6;      // two crystals of 50 ppm
-  static constexpr double kBinWidth_s = 0.125;    // one point is kept for each: that with the least delay
+  static constexpr double kBinWidth_s = 0.125;    // each bin keeps the point with the least delay
   static constexpr std::size_t kBins = 240;       // a window of 30 s
-  static constexpr double kDelayPrior_s = 0.010;  // mean jitter assumed before there is any to see
-  static constexpr double kSigmaFloor_s = 20e-6;  // reading a byte is not stamped better
-  static constexpr double kJumpDelay_s = 0.020;   // arrivals later than this ...
-  static constexpr double kJumpDuration_s = 2.0;  // ... all of them, for so long, are a jump and no jitter
+  static constexpr double kDelayPrior_s = 0.010;  // prior of the mean jitter
+  static constexpr double kSigmaFloor_s = 20e-6;  // accuracy of the arrival timestamps
+  static constexpr double kJumpDelay_s = 0.020;   // if all arrivals are later than this ...
+  static constexpr double kJumpDuration_s = 2.0;  // ... for this long, it is a clock jump, not jitter
   static constexpr std::uint32_t kJumpMessages = 8;
-  static constexpr double kAgree_s = 0.010;         // early messages of one set clock differ by no more
-  static constexpr std::size_t kRequests = 32;      // the last ones count ...
-  static constexpr double kRequestWindow_s = 60.0;  // ... for so long
+  static constexpr double kAgree_s = 0.010;         // early messages agree if they differ by at most this
+  static constexpr std::size_t kRequests = 32;      // this many of the last requests are used ...
+  static constexpr double kRequestWindow_s = 60.0;  // ... for this long
 
   // ticks_per_second: the counter's nominal rate.
   explicit TimeMapper(double ticks_per_second) noexcept : ticks_per_second_(ticks_per_second) {}
 
-  // A message that was handed to the link at `ticks` has arrived at `arrival_s` of the host's clock, of which
-  // its transmission took `transmission_s`. A counter that falls back, and arrivals that no longer fit, start
-  // the fit again. kJumpMessages early ones in a row that agree do so, fewer while fewer were taken; or early
-  // ones alone for kJumpDuration_s.
+  // A message was handed to the link at `ticks` and arrived at `arrival_s` (host time); `transmission_s` of
+  // that delay is its transmission. The fit restarts if the counter falls back or arrivals no longer fit:
+  // they are late for kJumpDuration_s, or kJumpMessages consecutive early messages agree (fewer while the
+  // fit has fewer), or all messages are early for kJumpDuration_s.
   Observation observe(std::int64_t ticks, double arrival_s, double transmission_s) noexcept;
 
-  // A request that had left this host, its transmission included, at `sent_s` was there when the counter
-  // showed `ticks`. Without effect before the first message.
+  // A request left this host at `sent_s` (transmission included) and arrived when the counter showed
+  // `ticks`. No effect before the first message.
   void observe_request(std::int64_t ticks, double sent_s) noexcept;
 
-  // What both ways together delay at least, transmission aside; nothing before a request. Half of it is taken
-  // off each instant, and bounds its error from delays that differ.
+  // The minimum round-trip delay without transmission; nothing before a request. Half of it is subtracted
+  // from each host time and bounds the error from unequal delays.
   [[nodiscard]] std::optional<double> round_trip_s() const noexcept { return round_trip_s_; }
 
-  // Host time of a value of the counter; nothing before the first message. Where values come in rising order,
-  // between two restarts, each result is no earlier than the one before less the sigma stated with that.
+  // The host time of a counter value; nothing before the first message. For increasing values between two
+  // restarts, each result is no earlier than the previous one less that one's sigma.
   [[nodiscard]] std::optional<HostInstant> to_host(std::int64_t ticks) noexcept;
 
   // The counter at a host time; nothing before the first message.
   [[nodiscard]] std::optional<std::int64_t> to_ticks(double host_s) const noexcept;
 
-  // The counter's rate over its nominal one, by the host, less 1; 0 before the first message.
+  // The counter's rate by the host's clock over its nominal rate, less 1; 0 before the first message.
   [[nodiscard]] double skew() const noexcept { return 1.0 / (1.0 + slope_) - 1.0; }
 
-  // Changes whenever the fit is started anew; instants of different epochs do not compare.
+  // Changes whenever the fit restarts; times of different epochs are not comparable.
   [[nodiscard]] std::uint32_t epoch() const noexcept { return epoch_; }
   [[nodiscard]] const TimeMapperCounters& counters() const noexcept { return counters_; }
 
-  // Starts anew, as when the link was opened again.
+  // Restarts without data, as after the link was reopened.
   void reset() noexcept;
 
  private:
@@ -129,7 +129,7 @@ class TimeMapper {
   double reference_s_ = 0.0;
   std::int64_t last_ticks_ = 0;
 
-  std::array<Point, kBins> points_{};  // a ring, by x
+  std::array<Point, kBins> points_{};  // ring buffer, by x
   std::size_t first_ = 0;
   std::size_t size_ = 0;
   std::int64_t last_bin_ = 0;
@@ -139,7 +139,7 @@ class TimeMapper {
   double slope_ = 0.0;
   double fit_sigma_s_ = 0.0;
 
-  std::array<Point, kRequests> requests_{};  // a ring
+  std::array<Point, kRequests> requests_{};  // ring buffer
   std::size_t next_request_ = 0;
   std::size_t request_count_ = 0;
   std::optional<double> round_trip_s_;
@@ -147,10 +147,10 @@ class TimeMapper {
   std::uint32_t late_messages_ = 0;  // in a row
   Point late_since_;
 
-  std::uint32_t taken_ = 0;           // since the fit started
+  std::uint32_t taken_ = 0;           // since the fit started, at most kJumpMessages
   std::uint32_t early_messages_ = 0;  // in a row
-  std::uint32_t early_alike_ = 0;     // the last ones of these, which agree
-  double early_by_s_ = 0.0;           // of the first of those
+  std::uint32_t early_alike_ = 0;     // the last of these, which agree
+  double early_by_s_ = 0.0;           // of the first that agrees
   double early_since_s_ = 0.0;        // host time, since reference_s_
 
   std::optional<Stamp> last_stamp_;

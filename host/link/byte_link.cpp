@@ -39,7 +39,7 @@ OpenedLink open_unix_socket(const std::string& path) {
   std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
   Descriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
   if (!fd.valid() || ::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
-    // A full backlog says EAGAIN: as good as nobody listening, for now.
+    // EAGAIN means a full backlog; report it as no listener.
     return {nullptr, explain_open_error(path, errno == EAGAIN ? ECONNREFUSED : errno)};
   }
   return {std::make_unique<DescriptorLink>(std::move(fd)), {}};

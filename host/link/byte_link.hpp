@@ -1,5 +1,5 @@
-// Where bytes come from: a serial port, a pseudo-terminal, a node on a CAN bus, a Unix socket or a recording,
-// all read alike.
+// Byte links with one interface: a serial port, a pseudo-terminal, a node on a CAN bus, a Unix socket or a
+// recording.
 #pragma once
 
 #include <cstddef>
@@ -12,11 +12,11 @@ namespace groma::link {
 
 enum class LinkFault {
   kNone,
-  kNoDevice,    // nothing at that path, or nobody listening
-  kPermission,  // it is there, but not for this user
-  kBusy,        // another program has it
-  kUnsuitable,  // not a device of that kind, or a bit rate it cannot do
-  kGone,        // was open, and was unplugged, hung up or read to its end
+  kNoDevice,    // nothing at that path, or no listener
+  kPermission,  // it exists, but this user may not open it
+  kBusy,        // in use by another program
+  kUnsuitable,  // not a device of that kind, or an unsupported bit rate
+  kGone,        // was open, then unplugged, hung up or read to its end
 };
 
 // The message names the device, the cause and what to do, on one line.
@@ -27,10 +27,10 @@ struct LinkError {
 
 struct ReadResult {
   std::size_t bytes = 0;
-  bool gone = false;  // nothing more will come: close the link and, if wanted, open it anew
+  bool gone = false;  // the link has ended: close it and reopen it if needed
 };
 
-// An open link. Reading and writing never block; destruction closes it. Not for use by two threads at once.
+// An open link. Reading and writing never block; destruction closes it. Not thread-safe.
 class ByteLink {
  public:
   ByteLink(const ByteLink&) = delete;
@@ -40,36 +40,36 @@ class ByteLink {
   // For poll(2); owned by the link.
   [[nodiscard]] virtual int poll_fd() const noexcept = 0;
 
-  // Reads what is there, at most out.size() bytes (more than 0).
+  // Reads the available bytes, at most out.size(), which is more than 0.
   [[nodiscard]] virtual ReadResult read(std::span<std::uint8_t> out) = 0;
 
-  // Bytes taken, from the front; fewer than given where the link is full or gone.
+  // Returns how many bytes it took, from the front; fewer than given if the link is full or gone.
   [[nodiscard]] virtual std::size_t write(std::span<const std::uint8_t> bytes) = 0;
 
-  // What befell the link since the last call that a person has to know of, on one line; mostly nothing.
+  // Events of the link since the last call that a user should know of, on one line; usually empty.
   [[nodiscard]] virtual std::string take_news() { return {}; }
 
  protected:
   ByteLink() = default;
 };
 
-// An open link, or the reason why there is none.
+// An open link, or null and the error.
 struct OpenedLink {
   std::unique_ptr<ByteLink> link;
   LinkError error;
 };
 
-// Opens whatever `path` is: a pseudo-terminal by termios (libserialport 0.1.1 refuses those), another
-// character device by libserialport, a socket, or a file, which is then replayed; a node on a CAN bus, or in
-// the log of one, by a path of can_path.hpp. Terminals are set raw, 8N1, without flow control, to `baud` bits
-// per second, and locked against a second reader.
+// Opens `path` by its kind: a pseudo-terminal by termios (libserialport 0.1.1 refuses those), another
+// character device by libserialport, a Unix socket, a file (a recording, which is replayed), or a node on a
+// CAN bus or in a CAN log (see can_path.hpp). Terminals are set raw, 8N1, without flow control, to `baud`
+// bit/s, and locked against a second reader.
 [[nodiscard]] OpenedLink open_link(const std::string& path, unsigned baud);
 
 [[nodiscard]] OpenedLink open_serial_port(const std::string& path, unsigned baud);
 [[nodiscard]] OpenedLink open_pty(const std::string& path, unsigned baud);
 [[nodiscard]] OpenedLink open_unix_socket(const std::string& path);
 [[nodiscard]] OpenedLink open_recording(const std::string& path);
-// The bytes that a node of a candump log sent to its host, as can_path.hpp names them.
+// The bytes that a node of a candump log sent to its host; for the path see can_path.hpp.
 [[nodiscard]] OpenedLink open_can_log(const std::string& path);
 
 }  // namespace groma::link

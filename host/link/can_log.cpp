@@ -14,13 +14,13 @@
 namespace groma::link {
 namespace {
 
-// linux/can.h: candump prints an error frame's flag with its class.
+// CAN_ERR_FLAG of linux/can.h: candump prints it with the error class.
 constexpr std::uint32_t kErrorFrame = 0x2000'0000;
 constexpr std::size_t kExtendedIdDigits = 8;
 constexpr std::size_t kStandardIdDigits = 3;
 constexpr unsigned kBitRateSwitch = 1;
 
-// All of `text` as a number.
+// `text` as a number; nothing unless all of it is one.
 template <typename Number, typename... Base>
 std::optional<Number> number(std::string_view text, Base... base) {
   Number value{};
@@ -29,7 +29,7 @@ std::optional<Number> number(std::string_view text, Base... base) {
   return value;
 }
 
-// Up to and without the next `mark`, which is taken too; the rest where there is none.
+// Returns the text before the next `mark` and removes it with the mark; without a mark, the whole text.
 std::string_view take_until(std::string_view& text, char mark) {
   const std::size_t at = std::min(text.find(mark), text.size());
   const std::string_view taken = text.substr(0, at);

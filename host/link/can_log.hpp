@@ -1,10 +1,10 @@
-// Logs of a CAN bus as candump writes them (can-utils: `candump -l` and `candump -L`), a line a frame:
+// Reads the CAN logs that candump writes (can-utils: `candump -l` and `candump -L`), one frame a line:
 //
 //   (1436509052.249713) can0 16000003#0102030405060708
 //   (1436509052.250013) can0 16000003##1000102030405060708090A0B
 //
-// time in seconds; interface; id, of 8 digits where it has 29 bits and of 3 where it has 11; with ## a digit
-// of flags (1: the data had its own bit rate) and a payload of CAN FD.
+// Time in seconds; interface; id of 8 digits (29 bits) or 3 digits (11 bits). ## marks CAN FD: a digit of
+// flags (1: bit rate switch) and the payload follow.
 #pragma once
 
 #include <filesystem>
@@ -26,8 +26,8 @@ struct LoggedCanFrame {
 
 struct CanLogLine {
   bool intact = false;
-  // Nothing where the line is not intact, or tells of what this protocol never uses: an id of 11 bits, a
-  // remote or an error frame.
+  // None if the line is not intact, or holds a frame that this protocol never uses: an 11-bit id, a remote or
+  // an error frame.
   std::optional<LoggedCanFrame> frame;
 };
 
@@ -35,7 +35,7 @@ struct CanLogLine {
 
 struct CanLog {
   std::vector<LoggedCanFrame> frames;
-  LinkError error;  // names the file, and the line that is none
+  LinkError error;  // names the file and the invalid line
 };
 
 [[nodiscard]] CanLog read_candump_log(const std::filesystem::path& path);

@@ -85,7 +85,7 @@ std::size_t DescriptorLink::write(std::span<const std::uint8_t> bytes) {
   std::size_t sent = 0;
   while (sent < bytes.size()) {
     const auto rest = bytes.subspan(sent);
-    // A socket whose reader has left must not raise SIGPIPE.
+    // A socket without a reader must not raise SIGPIPE.
     ssize_t n = ::send(fd_.get(), rest.data(), rest.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
     if (n < 0 && errno == ENOTSOCK) n = ::write(fd_.get(), rest.data(), rest.size());
     if (n < 0 && errno == EINTR) continue;

@@ -1,4 +1,4 @@
-// What links over a file descriptor share.
+// Common parts of links over a file descriptor.
 #pragma once
 
 #include <string>
@@ -11,17 +11,16 @@ namespace groma::link {
 
 using io::Descriptor;
 
-// What open(2), connect(2) or flock(2) on `path` meant by `error_number`, with its remedy.
+// Explains `error_number` of open(2), connect(2) or flock(2) on `path`, with a remedy.
 [[nodiscard]] LinkError explain_open_error(const std::string& path, int error_number);
 
-// Takes the lock by which links keep each other off a device; false where another holds it.
+// Locks the device against other links; false if another program holds the lock.
 [[nodiscard]] bool lock_device(int fd) noexcept;
 
-// True once the device behind the terminal `fd` has gone. It then also says that it could be read, and has
-// nothing.
+// True once the device behind the terminal `fd` is gone. It then reports that it is readable, without data.
 [[nodiscard]] bool hung_up(int fd) noexcept;
 
-// A link that is nothing but a descriptor that does not block.
+// A link over a non-blocking descriptor.
 class DescriptorLink : public ByteLink {
  public:
   explicit DescriptorLink(Descriptor fd) noexcept : fd_(std::move(fd)) {}

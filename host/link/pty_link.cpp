@@ -42,7 +42,7 @@ OpenedLink open_pty(const std::string& path, unsigned baud) {
   }
   Descriptor fd(::open(path.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
   if (!fd.valid()) {
-    // A pseudo-terminal whose other end is closed, yet not gone, says EIO.
+    // EIO: the other end is closed, but the pseudo-terminal still exists.
     return {nullptr, explain_open_error(path, errno == EIO ? ENODEV : errno)};
   }
   if (!lock_device(fd.get())) return {nullptr, explain_open_error(path, errno)};

@@ -1,4 +1,4 @@
-// A link that is opened again, at growing intervals, after it was lost. Time comes in as an argument.
+// A link that is reopened, at growing intervals, after it was lost. It reads no clock.
 #pragma once
 
 #include <cstdint>
@@ -21,26 +21,25 @@ class ReconnectingLink {
  public:
   using Opener = std::function<OpenedLink()>;
 
-  // The waits between attempts double from the first to the longest; a link that delivered anything starts
-  // over with the first.
+  // The wait between attempts doubles from the first to the longest; received bytes reset it to the first.
   static constexpr double kFirstWait_s = 0.1;
   static constexpr double kLongestWait_s = 3.0;
 
   explicit ReconnectingLink(Opener open) : open_(std::move(open)) {}
 
-  // Opens the link where it is closed and an attempt is due. True: it was opened by this call.
+  // Opens the link if it is closed and an attempt is due. True: this call opened it.
   bool service(double now_s);
 
-  // Reads from the link where it is open; a link that is gone is closed, counted, and due to be opened again.
+  // Reads from the link if it is open. A link that is gone is closed, counted and scheduled for reopening.
   [[nodiscard]] ReadResult read(std::span<std::uint8_t> out, double now_s);
 
   // The open link, or null.
   [[nodiscard]] ByteLink* get() const noexcept { return link_.get(); }
 
-  // When the next attempt is due; meaningless while the link is open.
+  // Time of the next attempt; meaningless while the link is open.
   [[nodiscard]] double next_attempt_s() const noexcept { return next_attempt_s_; }
 
-  // Of the last attempt that failed.
+  // The error of the last failed attempt.
   [[nodiscard]] const LinkError& last_error() const noexcept { return last_error_; }
   [[nodiscard]] const LinkCounters& counters() const noexcept { return counters_; }
 

@@ -23,7 +23,7 @@ float power_dbm(bool known, std::int32_t cdbm) {
   return known ? 0.01F * static_cast<float>(cdbm) : model::kUnknown;
 }
 
-// Of the range's instant, in the network's time; 0: not known.
+// Time of the range in network time, in ticks; 0: unknown.
 std::int64_t network_time_dtu(const groma_SlotReport& report, const groma_Range& range) {
   if (report.network_time_dtu == 0 || report.network_time_dtu > kLargestTime_dtu) return 0;
   const double drift_dtu = static_cast<double>(range.instant_offset_dtu) * 1e-9 * report.network_rate_ppb;
@@ -98,7 +98,7 @@ void ReportDecoder::take_message(double arrival_s, NodeSink& sink) {
       sink.on_reply(message_.body.reply);
       break;
     default:
-      // Empty, or a kind that a later schema added.
+      // Empty, or a message of a newer schema.
       --counters_.messages;
       ++counters_.messages_malformed;
   }
@@ -114,7 +114,7 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
   count_lost(report);
   const auto ticks = static_cast<std::int64_t>(report.device_time_dtu);
   const double transmitted_s = transmission_s(frames_.encoded_size());
-  // The instants of its ranges are as wrong as its own.
+  // The times of its ranges share the error of the report's time.
   if (time_.observe(ticks, arrival_s, transmitted_s) == clock::Observation::kEarly) {
     counters_.ranges_bad_instant += report.ranges_count;
     return;
@@ -150,8 +150,8 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
   }
 }
 
-// How long the way back took is seen of the reports, which come in the order of their times; a reply may pass
-// one that is being written.
+// Only the request's way is observed here. The reports show the delay of the way back: they come in the
+// order of their times, while a reply may overtake a report that is being written.
 void ReportDecoder::take_time_reply(const groma_TimeReply& reply, double arrival_s) {
   const double asked_s = 1e-9 * static_cast<double>(reply.host_time_ns);
   const bool ours = asked_s <= arrival_s && arrival_s - asked_s <= kMaxRoundTrip_s;

@@ -1,5 +1,5 @@
-// From the bytes of one node's link to what they say: ranges with instants in host time, and the node's own
-// reports about itself.
+// Decodes the bytes of one node's link: ranges with their times on the host's clock, and the node's reports
+// about itself.
 #pragma once
 
 #include <cstdint>
@@ -14,8 +14,8 @@
 
 namespace groma::link {
 
-// An enumeration's field as the number that came. Read it by this: nanopb stores any number, and a number
-// that the enumeration does not have must not be loaded as one.
+// The number in an enumeration's field. Read such fields with this function: nanopb stores any received
+// number, and loading one that is not an enumerator is undefined behaviour.
 template <typename Enum>
 [[nodiscard]] std::uint32_t number_in(const Enum& field) noexcept {
   static_assert(sizeof(Enum) == sizeof(std::uint32_t));
@@ -24,45 +24,45 @@ template <typename Enum>
   return number;
 }
 
-// Takes what a ReportDecoder finds. Strings in the messages end with a zero.
+// Receives the messages of a ReportDecoder. Strings in them are zero-terminated.
 class NodeSink {
  public:
   NodeSink(const NodeSink&) = delete;
   NodeSink& operator=(const NodeSink&) = delete;
   virtual ~NodeSink() = default;
 
-  // range.t_s is the range's own instant in host time.
+  // range.t_s is the time of the range itself, in host time.
   virtual void on_range(const model::RangeSample& range) = 0;
   virtual void on_hello(const groma_Hello& /*hello*/) {}
   virtual void on_network_status(const groma_NetworkStatus& /*status*/) {}
   virtual void on_counters(const groma_Counters& /*counters*/) {}
   virtual void on_log(const groma_Log& /*log*/) {}
   virtual void on_reply(const groma_Reply& /*reply*/) {}
-  // What another node than the wired one said, over the air; nothing of that comes by the calls above.
+  // A message of another node than the wired one, received over the air; the calls above never give those.
   virtual void on_relayed(const groma_NodeToHost& /*message*/) {}
 
  protected:
   NodeSink() = default;
 };
 
-// Everything that arrived is counted; a range in exactly one of the four.
+// Each received range is counted in exactly one of the four counters of ranges.
 struct ReportCounters {
-  std::uint64_t messages = 0;              // frames with a message in them
-  std::uint64_t messages_malformed = 0;    // whole frames whose content is no message of the schema
+  std::uint64_t messages = 0;              // frames with a valid message
+  std::uint64_t messages_malformed = 0;    // intact frames whose content is not a message of the schema
   std::uint64_t reports = 0;               // SlotReports and CompactReports
-  std::uint64_t frames_lost = 0;           // reports missing in the sequence, on the node or on the link
+  std::uint64_t frames_lost = 0;           // reports missing in the sequence, lost on node or link
   std::uint64_t ranges = 0;                // delivered
   std::uint64_t ranges_not_ok = 0;         // with another status than RANGE_OK
   std::uint64_t ranges_out_of_bounds = 0;  // not finite, or not within (0, kMaxRange_m]
-  // Further from their report than kMaxInstantOffset_s, or of a report whose own time is early.
+  // Further than kMaxInstantOffset_s from their report, or in a report whose own time is early.
   std::uint64_t ranges_bad_instant = 0;
   std::uint64_t time_replies = 0;      // to time_request()
-  std::uint64_t time_replies_odd = 0;  // to none of this host's clock, or after more than kMaxRoundTrip_s
+  std::uint64_t time_replies_odd = 0;  // not to a request of this host, or later than kMaxRoundTrip_s
 };
 
-// A frame that asks a node for its time, as it is handed to the link at now_s (from 0) of the clock that
-// ReportDecoder::take() is told of; the reply tells its decoder what delay the link has. Once a second will
-// do.
+// A frame that requests a node's time, to be handed to the link at now_s: not negative, on the clock of
+// ReportDecoder::take(). The decoder estimates the link's delay from the reply. One request a second is
+// enough.
 [[nodiscard]] std::vector<std::uint8_t> time_request(double now_s);
 
 class ReportDecoder {
@@ -71,13 +71,13 @@ class ReportDecoder {
   static constexpr double kMaxInstantOffset_s = 5.0;
   static constexpr double kMaxRoundTrip_s = 1.0;
 
-  // baud: bits per second of the link, 10 to a byte, for the time that a frame takes; 0 takes none.
+  // baud: bit rate of the link in bit/s, 10 bits a byte, for the transmission time; 0: none.
   explicit ReportDecoder(unsigned baud) noexcept : baud_(baud) {}
 
-  // Bytes that arrived at arrival_s of the host's clock.
+  // Decodes bytes that arrived at arrival_s (host time).
   void take(std::span<const std::uint8_t> bytes, double arrival_s, NodeSink& sink);
 
-  // After the link was opened anew: what was begun is forgotten, and the clocks are related anew.
+  // After the link was reopened: discards an incomplete frame and restarts the clock estimate.
   void link_reopened() noexcept;
 
   [[nodiscard]] const ReportCounters& counters() const noexcept { return counters_; }

@@ -53,7 +53,7 @@ bool configure(sp_port* port, unsigned baud) noexcept {
 
 OpenedLink open_serial_port(const std::string& path, unsigned baud) {
   if (::access(path.c_str(), F_OK) != 0) return {nullptr, explain_open_error(path, errno)};
-  // libserialport looks a port up in sysfs: what is there, but not a port, is not found.
+  // libserialport looks the port up in sysfs; it does not find a path that exists but is not a port.
   sp_port* found = nullptr;
   if (sp_get_port_by_name(path.c_str(), &found) != SP_OK) return {nullptr, explain_open_error(path, ENOTTY)};
   errno = 0;

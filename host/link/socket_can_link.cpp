@@ -19,13 +19,13 @@
 namespace groma::link {
 namespace {
 
-// Some 1000 frames, a tenth of a second of a full bus, where the system's default bears a quarter of it.
+// About 1000 frames, 0.1 s of a fully loaded bus; the system's default holds a quarter of that.
 constexpr int kReceiveBuffer_bytes = 1 << 20;
 
 constexpr std::string_view kBringUpClassic = "up type can bitrate 1000000";
 constexpr std::string_view kBringUpFd = "up type can bitrate 1000000 dbitrate 2000000 fd on";
 
-// A request of netdevice(7) about an interface; false with errno set.
+// Calls an ioctl of netdevice(7) for an interface; false with errno set on failure.
 bool ask_interface(int fd, const std::string& interface, unsigned long request, ifreq& answer) noexcept {
   answer = {};
   interface.copy(answer.ifr_name, IFNAMSIZ - 1);
@@ -54,7 +54,7 @@ LinkError explain_missing(const std::string& path, const std::string& interface,
                                      : "the CAN interfaces there are: " + others)};
 }
 
-// Whether the interface is a CAN interface, up, and fit for the format.
+// Returns an error unless the interface is a CAN interface, is up and supports the format.
 LinkError check_interface(int fd, const std::string& path, const CanPath& can) {
   ifreq answer{};
   if (!ask_interface(fd, can.interface, SIOCGIFHWADDR, answer)) {
@@ -93,13 +93,13 @@ bool set_option(int fd, int level, int option, const Value& value) noexcept {
   return ::setsockopt(fd, level, option, &value, sizeof(value)) == 0;
 }
 
-// The node's frames and the controller's errors, and nothing else, reach the socket.
+// Only the node's frames and the controller's error frames reach the socket.
 bool set_filters(int fd, const CanPath& can) noexcept {
   const can_filter of_node{
       .can_id = wire::can_id({wire::CanDirection::kToHost, can.node}) | CAN_EFF_FLAG,
       .can_mask = CAN_EFF_MASK | CAN_EFF_FLAG | CAN_RTR_FLAG,
   };
-  // A lost arbitration is no error.
+  // A lost arbitration is not an error.
   const can_err_mask_t errors = CAN_ERR_MASK & ~static_cast<can_err_mask_t>(CAN_ERR_LOSTARB);
   const int on = 1;
   return set_option(fd, SOL_CAN_RAW, CAN_RAW_FILTER, of_node) &&
@@ -109,14 +109,15 @@ bool set_filters(int fd, const CanPath& can) noexcept {
 }
 
 void enlarge_queue(int fd) noexcept {
-  // Beyond the system's limit for those who may; for others up to it, and that will do.
+  // SO_RCVBUFFORCE exceeds the system's limit but requires CAP_NET_ADMIN; otherwise up to the limit is
+  // enough.
   if (!set_option(fd, SOL_SOCKET, SO_RCVBUFFORCE, kReceiveBuffer_bytes)) {
     static_cast<void>(set_option(fd, SOL_SOCKET, SO_RCVBUF, kReceiveBuffer_bytes));
   }
 }
 
-// The longest payload of this format that needs no filling, from the stream's start; all of it where it ends
-// with a frame of the protocol and so may be filled.
+// The longest prefix of the stream that fits a payload of this format without padding; the whole stream if it
+// ends with the zero of a complete frame, after which padding is allowed.
 std::span<const std::uint8_t> without_filling(std::span<const std::uint8_t> stream, wire::CanFormat format) {
   const std::size_t most = wire::max_can_payload(format);
   if (stream.size() >= most || stream.back() == 0) return stream;
@@ -197,7 +198,7 @@ ReadResult SocketCanLink::read(std::span<std::uint8_t> out) {
   return {bytes, gone_ && bytes == 0};
 }
 
-// The next frame's payload; false where there is none now.
+// Receives the next frame's payload; false if none is available.
 bool SocketCanLink::receive() {
   for (;;) {
     canfd_frame frame{};
@@ -212,7 +213,7 @@ bool SocketCanLink::receive() {
     if (n < 0) {
       if (errno == EINTR) continue;
       if (errno == EAGAIN || gone_) return false;
-      // The interface went down or away. What it had received before is still in the queue.
+      // The interface went down or was removed. Frames received before are still in the queue.
       gone_ = true;
       continue;
     }
@@ -252,10 +253,10 @@ std::size_t SocketCanLink::write(std::span<const std::uint8_t> bytes) {
     const bool fd = path_.format == wire::CanFormat::kFd;
     if (fd) frame.flags = CANFD_BRS;
     std::memcpy(frame.data, cut.data.data(), cut.size);
-    // A classic frame is the first part of the other's layout.
+    // can_frame has the layout of the first part of canfd_frame.
     const ssize_t n = ::send(socket_.get(), &frame, fd ? CANFD_MTU : CAN_MTU, MSG_DONTWAIT);
     if (n < 0 && errno == EINTR) continue;
-    // Told once, to whoever asks first.
+    // The socket reports such an error only once, so read() cannot rely on seeing it.
     if (n < 0 && (errno == ENETDOWN || errno == ENODEV || errno == ENXIO)) gone_ = true;
     if (n <= 0) break;
     sent += taken;

@@ -1,5 +1,5 @@
-// A node on a CAN bus, by a raw socket of Linux's SocketCAN (Documentation/networking/can.rst): the node's
-// stream as can_segment.hpp cuts it.
+// A node on a CAN bus, by a raw socket of Linux's SocketCAN (Documentation/networking/can.rst).
+// can_segment.hpp defines how the node's byte stream is cut into frames.
 #pragma once
 
 #include <linux/can.h>
@@ -17,26 +17,26 @@
 
 namespace groma::link {
 
-// Since the link was opened. What the controller tells of the bus, it tells each link.
+// Since the link was opened. Every link on an interface gets the controller's error frames.
 struct CanCounters {
-  std::uint64_t frames = 0;          // of the node
-  std::uint64_t frames_overrun = 0;  // lost, as they came faster than they were read
-  std::uint64_t error_frames = 0;    // of the controller, of whatever kind; those that follow among them
+  std::uint64_t frames = 0;          // from the node
+  std::uint64_t frames_overrun = 0;  // lost because they came faster than they were read
+  std::uint64_t error_frames = 0;    // from the controller, of any kind, including those counted below
   std::uint64_t controller_overruns =
-      0;                            // the controller's buffer was full: frames of whatever node are lost
-  std::uint64_t error_passive = 0;  // times that it got so far
+      0;                            // the controller's buffer was full: frames of any node are lost
+  std::uint64_t error_passive = 0;  // times the controller became error-passive
   std::uint64_t bus_off = 0;
   std::uint64_t restarts = 0;  // after bus-off
 };
 
 class SocketCanLink : public ByteLink {
  public:
-  // A socket that does not block and is bound to the path's interface, with the filters set.
+  // socket: non-blocking, bound to the path's interface, with the filters set. name: for messages.
   SocketCanLink(Descriptor socket, CanPath path, std::string name) noexcept;
 
   [[nodiscard]] int poll_fd() const noexcept override { return socket_.get(); }
   [[nodiscard]] ReadResult read(std::span<std::uint8_t> out) override;
-  // Sends frames of the link's format; takes as many bytes as the interface's queue had room for.
+  // Sends frames of the link's format; returns how many bytes fit the interface's queue.
   [[nodiscard]] std::size_t write(std::span<const std::uint8_t> bytes) override;
   [[nodiscard]] std::string take_news() override;
 
@@ -54,20 +54,20 @@ class SocketCanLink : public ByteLink {
   Descriptor socket_;
   CanPath path_;
   std::string name_;
-  std::array<std::uint8_t, CANFD_MAX_DLEN> payload_{};  // received, and not all read
+  std::array<std::uint8_t, CANFD_MAX_DLEN> payload_{};  // received, not yet read completely
   std::size_t payload_size_ = 0;
   std::size_t payload_read_ = 0;
   bool gone_ = false;
-  std::uint32_t overruns_ = 0;  // as the socket counts them
+  std::uint32_t overruns_ = 0;  // the socket's count
   BusState state_ = BusState::kActive;
   std::string news_;
   CanCounters counters_;
 };
 
-// `path` as can_path.hpp has it.
+// For `path` see can_path.hpp.
 [[nodiscard]] OpenedLink open_socket_can(const std::string& path);
 
-// What a call on a CAN socket for `path` meant by `error_number`, with its remedy.
+// Explains `error_number` of a call on a CAN socket for `path`, with a remedy.
 [[nodiscard]] LinkError explain_can_error(const std::string& path, const std::string& interface,
                                           int error_number);
 
