@@ -31,7 +31,7 @@ double seconds(Ticks ticks) {
   return static_cast<double>(ticks.count()) / static_cast<double>(Ticks::kPerSecond);
 }
 
-// A report as a tag sends it, all ranges good and its numbers as long as they get.
+// A tag's report of maximum size: all ranges good, all numbers of maximum length.
 groma_SlotReport report_of(const groma_Config& config, std::size_t ranges) {
   groma_SlotReport report = groma_SlotReport_init_zero;
   report.sequence = 1U << 30;
@@ -84,7 +84,7 @@ std::vector<std::uint8_t> compact_report(const groma_Config& config, std::size_t
   return framed(payload);
 }
 
-// On the bus, the space between the frames included.
+// Time on the bus, with the space between frames.
 double bus_time_s(std::span<const std::uint8_t> stream, wire::CanFormat format, std::uint16_t node,
                   double nominal_bit_per_s, double data_bit_per_s) {
   double time_s = 0.0;
@@ -154,14 +154,14 @@ void warn(const groma_Config& config, AirPlan& plan) {
   }
 }
 
-// Of a POLL's places those that go, in the long run, to anchors of which no range comes: one that answers its
-// trial is not asked again, unless it is better than those that are. `reached`: the anchors beyond the places
+// The long-run mean number of places in a POLL that go to trials and yield no range: an anchor that answers
+// its trial is not polled again unless it is better than those in use. `reached`: the unused anchors
 // answer.
 double trials(std::size_t places, std::size_t anchors, bool reached) {
   if (anchors <= places) return 0.0;
   const double share = mac::AnchorSet::shares(reached);
   const double price = mac::AnchorSet::price(places);
-  // Those left out are the ones beyond the places and those whose places are given to trials.
+  // Left out are the anchors beyond the places and those whose places go to trials.
   const double earned = share * static_cast<double>(anchors - places) / (price - share);
   return std::min(earned, static_cast<double>(mac::AnchorSet::most_trials(places)));
 }
@@ -169,7 +169,8 @@ double trials(std::size_t places, std::size_t anchors, bool reached) {
 }  // namespace
 
 double range_success(groma_RangingMethod method, double frame_success) {
-  // The next RESPONSE, which the next POLL asks for, brings the closing stamp; that POLL may be what closes.
+  // POLL, RESPONSE and the closing frame; the anchor returns the closing timestamp in the next RESPONSE,
+  // which needs the next POLL. With METHOD_DS_NEXT_POLL that POLL is the closing frame.
   const int frames = method == groma_RangingMethod_METHOD_DS_FINAL ? 5 : 4;
   return std::pow(frame_success, frames);
 }

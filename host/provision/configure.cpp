@@ -18,7 +18,7 @@ namespace groma::provision {
 
 namespace {
 
-// The radio is brought up anew, which is tried again after a second.
+// The node restarts its radio, and retries that after a second.
 constexpr Patience kApplyingPatience{1.0, 5};
 
 NodeFault fault_of_link(link::LinkFault fault) {
@@ -45,7 +45,7 @@ groma_HostToNode command_of(pb_size_t which) {
   return command;
 }
 
-// Throws Failure where the link cannot be opened.
+// Throws Failure if the link cannot be opened.
 std::unique_ptr<NodeClient> connect(const std::string& port, unsigned baud, const LinkOpener& open,
                                     model::NodeId target = 0) {
   link::OpenedLink opened = open(port, baud);
@@ -72,7 +72,7 @@ groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Rep
   }
 }
 
-// One node's way to its configuration.
+// Configures one node.
 class Configuring {
  public:
   Configuring(const PlannedNode& node, unsigned baud, const ConfigureOptions& options, NodeOutcome& outcome)
@@ -89,7 +89,7 @@ class Configuring {
     check_health();
   }
 
-  // The steps of run() apart, with the link closed in between; each throws Failure.
+  // The steps of run() one by one, with the link closed in between; each throws Failure.
   void write_if_needed() {
     reach();
     check_release();
@@ -105,7 +105,7 @@ class Configuring {
   [[nodiscard]] bool changes_schedule() const {
     return outcome_.hello->schedule_hash != node::schedule_hash_of(node_.config);
   }
-  // The node has `trial_s` to prove itself, which check_after_trial() lets it do.
+  // The node reverts to its old configuration unless check_after_trial() reaches it within `trial_s`.
   void apply_on_trial(std::uint32_t trial_s) {
     tell("applies");
     outcome_.changed = true;
@@ -157,7 +157,7 @@ class Configuring {
     if (options_.progress) options_.progress(step);
   }
 
-  // Over the air no key travels, for all can read it there.
+  // The key is never sent over the air, where anyone could read it.
   [[nodiscard]] groma_Config wanted() const {
     groma_Config config = node_.config;
     if (by_air()) config.network_key.size = 0;
@@ -184,7 +184,7 @@ class Configuring {
     link::OpenedLink opened = options_.open(outcome_.port, baud_);
     const bool unplugged = !opened.link && opened.error.fault == link::LinkFault::kNoDevice;
     if (unplugged && !node_.can_link.empty() && !node_.port.empty()) {
-      // Its serial port is for the first time; from then on it may be on the bus alone.
+      // The serial port is needed for the first configuration only; later the node may be on the bus alone.
       if (link::OpenedLink bus = options_.open(node_.can_link, baud_); bus.link) {
         opened = std::move(bus);
         outcome_.port = node_.can_link;
@@ -272,7 +272,7 @@ class Configuring {
                     hello.schedule_hash, node::schedule_hash_of(node_.config))};
   }
 
-  // Where this computer has the bus, the node has to be heard on it; a site is often set up from another.
+  // If this computer has the bus, the node must answer on it. A site is often set up from another computer.
   void check_bus() const {
     link::OpenedLink opened = options_.open(node_.can_link, baud_);
     if (!opened.link) return;
@@ -302,7 +302,7 @@ class Configuring {
 
 namespace {
 
-// Notes what `step` throws; true where it throws nothing.
+// Records the Failure that `step` throws; true if it throws none.
 template <typename Step>
 bool attempt(const PlannedNode& node, NodeOutcome& outcome, Step&& step) {
   try {
@@ -310,7 +310,7 @@ bool attempt(const PlannedNode& node, NodeOutcome& outcome, Step&& step) {
     return true;
   } catch (const Failure& failure) {
     outcome.fault = failure.fault;
-    // What opens links begins with the port itself.
+    // The errors of open_link() start with the port already.
     const bool names_port = !outcome.port.empty() && !failure.problem.starts_with(outcome.port);
     outcome.message =
         fmt::format("node {}: {}{}", node.id, names_port ? outcome.port + ": " : "", failure.problem);
@@ -318,7 +318,7 @@ bool attempt(const PlannedNode& node, NodeOutcome& outcome, Step&& step) {
   }
 }
 
-// As attempt(), of a node that is known by its port alone.
+// As attempt(), for a node that is known only by its port.
 template <typename Step>
 void note(NodeOutcome& outcome, Step&& step) {
   try {
@@ -331,7 +331,7 @@ void note(NodeOutcome& outcome, Step&& step) {
   }
 }
 
-// Over the air in this order: who relays goes when the others have, the master last.
+// The order over the air: nodes that relay come after the others, the master last.
 std::size_t turn_of(const PlannedNode& node) {
   const auto rank = mac::rank_of(node.config.schedule, static_cast<std::uint16_t>(node.id));
   return rank ? mac::kMaxAnchors * 2 - *rank : 0;
@@ -385,7 +385,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
       schedule_changes = schedule_changes || (written && steps[i].changes_schedule());
     }
   }
-  // A wired node that passes things on, and is not among these, stays where it is.
+  // A wired node that passes commands on but is not in the list keeps its schedule.
   const bool alone = wired.empty();
   if (schedule_changes && (!all_written || alone)) {
     for (std::size_t i = 0; i < nodes.size(); ++i) {
@@ -411,7 +411,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
     if (attempt(*nodes[i], outcomes[i], [&] { steps[i].apply_on_trial(trial_s); })) on_trial.push_back(i);
     steps[i].hang_up();
   }
-  // A wired node still has to acknowledge the last answer before it leaves for another schedule.
+  // A wired node must still acknowledge the last answer before it changes its schedule.
   if (!on_trial.empty()) std::this_thread::sleep_for(std::chrono::seconds(1));
   for (const std::size_t i : wired) {
     if (good(i)) (void)attempt(*nodes[i], outcomes[i], [&] { steps[i].run(); });
@@ -436,7 +436,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
 
 namespace {
 
-// A command that is done when it is answered, and then who answered.
+// Sends a command that is complete with its reply, then requests the hello.
 NodeOutcome tell_node(const std::string& port, unsigned baud, const groma_HostToNode& command,
                       const char* name, const LinkOpener& open, model::NodeId target) {
   NodeOutcome outcome;

@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 constexpr std::string_view kSeggerVendor = "1366";
 constexpr std::string_view kCmsisDapName = "CMSIS-DAP";
 
-// The one line of an attribute; empty where there is none.
+// The first line of a sysfs attribute; empty if it does not exist.
 std::string attribute(const fs::path& folder, const char* name) {
   std::ifstream file(folder / name);
   std::string line;
@@ -33,7 +33,7 @@ unsigned number(const std::string& text) {
   return value;
 }
 
-// A device's interfaces are folders within: 1-2:1.0 and so on.
+// A device's interfaces are subfolders: 1-2:1.0 and so on.
 std::vector<fs::path> interfaces_of(const fs::path& device) {
   std::vector<fs::path> interfaces;
   std::error_code error;
@@ -75,7 +75,7 @@ std::vector<DebugProbe> find_debug_probes(const fs::path& sysfs, const fs::path&
     probe.serial = attribute(device, "serial");
     probe.device = dev / fmt::format("bus/usb/{:03}/{:03}", number(attribute(device, "busnum")),
                                      number(attribute(device, "devnum")));
-    // Where the node is not to be seen at all, OpenOCD may tell more.
+    // If the device node does not exist, assume access; OpenOCD may report the cause.
     probe.accessible =
         ::access(probe.device.c_str(), F_OK) != 0 || ::access(probe.device.c_str(), R_OK | W_OK) == 0;
     for (const fs::path& interface : interfaces_of(device)) {

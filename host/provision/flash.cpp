@@ -13,11 +13,11 @@ namespace groma::provision {
 namespace {
 
 // Tcl for OpenOCD 0.12. APPROTECTSTATUS is register 0xC of the CTRL-AP, access port 1: 1 is open
-// (nRF52832 product specification, CTRL-AP). nrf52_recover is of OpenOCD's own target file.
+// (nRF52832 product specification, CTRL-AP). OpenOCD's own target file defines nrf52_recover.
 constexpr const char* kRecover =
     "init; if {[[[target current] cget -dap] apreg 1 0xc] != 1} { echo {groma: unlocking}; nrf52_recover }";
 
-// Braces keep Tcl from taking anything in a path for its own; a path with braces is refused beforehand.
+// Braces keep Tcl from substituting within a path; flash() rejects a path with braces.
 std::string braced(const std::string& text) {
   return fmt::format("{{{}}}", text);
 }
@@ -30,7 +30,7 @@ bool has_any(std::string_view text, std::initializer_list<std::string_view> part
   return std::any_of(parts.begin(), parts.end(), [&](std::string_view part) { return has(text, part); });
 }
 
-// The first line that OpenOCD calls an error; else its last.
+// The first line marked as an error by OpenOCD; otherwise its last line.
 std::string first_error(std::string_view output) {
   constexpr std::string_view kError = "Error: ";
   std::string_view last;
@@ -58,7 +58,7 @@ struct Cause {
   std::string message;
 };
 
-// The texts are those of OpenOCD 0.12.0 and libjaylink 0.3.1.
+// Texts of OpenOCD 0.12.0 and libjaylink 0.3.1.
 Cause cause_of_connecting(std::string_view output) {
   if (has_any(output, {"LIBUSB_ERROR_ACCESS", "Access denied (insufficient permissions)"})) {
     return {FlashFault::kPermission, "this user may not use the probe; " + permission_remedy()};

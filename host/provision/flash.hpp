@@ -1,5 +1,4 @@
-// An image into a node's flash by a debug probe, with OpenOCD; and from what OpenOCD says, why it did not
-// work.
+// Writes an image into a node's flash by a debug probe, with OpenOCD, and explains failures from its output.
 #pragma once
 
 #include <filesystem>
@@ -20,50 +19,50 @@ enum class FlashFault {
   kNoProbe,      // none on USB
   kManyProbes,   // several, and none was chosen
   kOtherSerial,  // none with that serial number
-  kPermission,   // for this user to use the probe
-  kBusy,         // another program has the probe
-  kNoTarget,     // the probe works, nothing answers behind it
-  kOtherTarget,  // what answers is no nRF52832
+  kPermission,   // this user may not use the probe
+  kBusy,         // another program uses the probe
+  kNoTarget,     // the probe works, but no target answers
+  kOtherTarget,  // the target is not an nRF52832
   kLocked,       // APPROTECT
-  kNotUnlocked,  // --recover did not help
+  kNotUnlocked,  // --recover did not unlock it
   kWriting,      // erase or write failed
-  kVerify,       // what is in flash is not the image
-  kProbeLost,    // unplugged, or the wire, in the middle
-  kOther,        // OpenOCD failed in a way that is not known here
+  kVerify,       // the flash does not hold the image
+  kProbeLost,    // probe or wires lost during the operation
+  kOther,        // an unknown failure of OpenOCD
 };
 
 struct FlashRequest {
   NodeImage image;
   std::filesystem::path openocd;
-  // "interface/jlink.cfg", "interface/cmsis-dap.cfg", or a file of one's own, which also chooses the
-  // transport and finds the serial number in the variable GROMA_PROBE.
+  // "interface/jlink.cfg", "interface/cmsis-dap.cfg" or, with own_interface, the user's own file. The latter
+  // also selects the transport and gets the serial number in the variable GROMA_PROBE.
   std::string interface;
   bool own_interface = false;
-  std::string serial;    // of the probe; empty: whichever there is
-  bool recover = false;  // a locked part is erased as a whole and unlocked
+  std::string serial;    // of the probe; empty: any
+  bool recover = false;  // unlock a locked part, which erases it completely
 };
 
 struct FlashOutcome {
   FlashFault fault = FlashFault::kNone;
   std::string message;     // of the fault: cause and remedy
-  bool changed = false;    // false: the image was there already
-  bool recovered = false;  // the part was locked, and has been erased
+  bool changed = false;    // false: the flash held the image already
+  bool recovered = false;  // the part was locked and has been erased
   std::string output;      // of OpenOCD
 };
 
-// The command line. Servers are off; a part that has the image already is not written.
+// OpenOCD's command line. Its servers are off. A part that holds the image already is not written.
 [[nodiscard]] std::vector<std::string> openocd_arguments(const FlashRequest& request);
 
-// What OpenOCD's exit code and output mean.
+// Interprets OpenOCD's exit code and output.
 [[nodiscard]] FlashOutcome read_openocd(int exit_code, std::string_view output, const FlashRequest& request);
 
-// Runs OpenOCD. `on_phase` is told "connecting", "unlocking", "writing", "verifying"; may be empty. Throws
-// io::DeviceError where it cannot be started.
+// Runs OpenOCD. `on_phase` is called with "connecting", "unlocking", "writing", "verifying"; may be empty.
+// Throws io::DeviceError if OpenOCD cannot be started.
 [[nodiscard]] FlashOutcome flash(const FlashRequest& request,
                                  const std::function<void(const char*)>& on_phase = {});
 
-// The probe to use of those there are: that with the serial number, or the only one. `adapter`: of that kind
-// alone, if given. Or the fault.
+// Chooses the probe with the serial number or, if that is empty, the only probe. `adapter`: only of that
+// kind, if given. `probe` points into the given list; null: see the fault.
 struct ChosenProbe {
   const DebugProbe* probe = nullptr;
   FlashFault fault = FlashFault::kNone;

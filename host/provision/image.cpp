@@ -36,7 +36,7 @@ std::uint32_t word_at(std::span<const std::uint8_t> bytes, std::size_t offset) {
   throw io::DataError({path}, problem, kRemedy);
 }
 
-// Stack pointer and entry, as the core loads them at reset.
+// Checks the stack pointer and entry that the core loads at reset.
 void check_vectors(const std::filesystem::path& path, std::span<const std::uint8_t> image) {
   constexpr std::size_t kVectorBytes = 8;
   if (image.size() < kVectorBytes) fail(path, "has no vector table");

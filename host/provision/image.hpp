@@ -1,4 +1,4 @@
-// The image to be flashed, looked at before anything is erased for it.
+// The image to be flashed, checked before anything is erased.
 #pragma once
 
 #include <cstddef>
@@ -15,11 +15,11 @@ struct NodeImage {
   std::size_t bytes = 0;  // of flash
 };
 
-// Reads an Intel HEX file. Throws io::DataError where it is missing, is no such file, is cut short, is no
-// image of a Groma node, or would overwrite a node's configuration; io::PermissionError.
+// Reads an Intel HEX file. Throws io::DataError if it is missing, invalid, truncated, not an image of a Groma
+// node, or would overwrite a node's configuration; io::PermissionError if it cannot be read.
 [[nodiscard]] NodeImage read_node_image(const std::filesystem::path& path);
 
-// build/dwm1001/groma-node.hex of the build tree that this program was built in.
+// build/dwm1001/groma-node.hex in the build tree of this program.
 [[nodiscard]] std::filesystem::path default_image_path();
 
 }  // namespace groma::provision

@@ -30,7 +30,7 @@ double since(Clock::time_point begin) {
 NodeClient::NodeClient(std::unique_ptr<link::ByteLink> link, model::NodeId target)
     : link_(std::move(link)), request_id_(std::random_device{}()), target_(target) {
   std::array<std::uint8_t, 4096> old{};
-  // As much as a system buffers at most: a node that never stops sending must not hold us here.
+  // At most as much as a system buffers, so that a node that sends without end cannot block here.
   for (int i = 0; i < 64; ++i) {
     const link::ReadResult result = link_->read(old);
     gone_ = result.gone;
@@ -47,7 +47,7 @@ void NodeClient::on_counters(const groma_Counters& counters) {
   if (target_ == 0 || at_link_) counters_ = counters;
 }
 
-// Of the node at the link, also about a target that it did not reach.
+// From the node at the link, also about a target that it did not reach.
 void NodeClient::on_reply(const groma_Reply& reply) {
   if (reply.request_id != request_id_) return;
   if (link::number_in(reply.result) == groma_Result_RESULT_PENDING) {
@@ -83,9 +83,9 @@ bool NodeClient::unreachable() const {
 
 bool NodeClient::repeat(const groma_HostToNode& command, const Patience& patience,
                         const std::function<bool()>& done) {
-  // Several commands may be before it, and each is given up after a while.
+  // Several commands may be queued before this one; the node gives each up after a while.
   constexpr double kMostPending_s = 120.0;
-  // The node at the link gets into step within this after it started or was configured.
+  // The node at the link synchronizes within this time after it started or was configured.
   constexpr double kMostOutOfStep_s = 10.0;
   constexpr double kLeftAlone_s = 0.2;
   const Clock::time_point begin = Clock::now();
@@ -96,7 +96,7 @@ bool NodeClient::repeat(const groma_HostToNode& command, const Patience& patienc
     if (!send(command)) continue;
     const bool over = wait(patience.answer_s, [&] { return done() || unreachable(); });
     under_way = under_way || pending_;
-    // Given up before it was tried: that node is not in step yet.
+    // Reported unreachable without an attempt: the node at the link is not synchronized yet.
     if (over && unreachable() && !under_way && since(begin) < kMostOutOfStep_s) {
       (void)wait(kLeftAlone_s, [] { return false; });
       reply_.reset();
@@ -122,7 +122,8 @@ std::optional<groma_Hello> NodeClient::ask_hello(const HelloTest& wanted, const 
   command.request_id = ++request_id_;
   const bool heard = repeat(command, patience, [&] {
     if (hello_ && wanted(*hello_)) return true;
-    // What it says next may be otherwise: the next question is a new one, not answered from memory.
+    // The next hello may differ. Use a new request_id, as the target repeats its stored answer for an old
+    // one.
     if (target_ != 0 && hello_ && reply_) {
       command.request_id = ++request_id_;
       reply_.reset();
@@ -172,7 +173,7 @@ bool NodeClient::send(const groma_HostToNode& addressed) {
 }
 
 bool NodeClient::wait(double most_s, const std::function<bool()>& done) {
-  constexpr double kStep_s = 0.02;  // how long a full line is left alone
+  constexpr double kStep_s = 0.02;  // between two calls of `done`, such as attempts to write
   const Clock::time_point begin = Clock::now();
   while (!done()) {
     const double left_s = most_s - since(begin);

@@ -1,6 +1,7 @@
-// Commands to one node over its link, and its answers. Bytes may be lost both ways, and the node's reports
-// stream in between: a command is sent again until its reply came, which its number tells. The node at the
-// link passes on what is for another one, over the air; it tells that it is at it, and when it gave up.
+// Sends commands to one node over its link and receives the answers. Bytes may be lost both ways, and the
+// node's reports arrive in between. A command is repeated until the reply with its request_id arrives. The
+// node at the link passes commands for another node on over the air, and reports RESULT_PENDING and
+// RESULT_UNREACHABLE.
 #pragma once
 
 #include <cstdint>
@@ -15,50 +16,50 @@
 
 namespace groma::provision {
 
-// How long an answer is waited for, and how often the command is sent in all.
+// How long to wait for an answer, and how often to send the command in total.
 struct Patience {
   double answer_s = 0.5;
   int tries = 5;
 };
 
-// Storing may take a node a few page erases.
+// Storing may take several page erases.
 inline constexpr Patience kStoringPatience{1.0, 6};
 
 class NodeClient : private link::NodeSink {
  public:
-  // What is waiting on the link already is thrown away: it answers nobody's question. `target`: the node that
-  // is spoken to, over the air if it is not the one at the link; 0: the one at the link, whoever it is.
+  // Discards the bytes that wait on the link already. `target`: the node to address, over the air unless it
+  // is the node at the link; 0: the node at the link, whatever its id.
   explicit NodeClient(std::unique_ptr<link::ByteLink> link, model::NodeId target = 0);
   void set_target(model::NodeId target) noexcept {
     target_ = target;
     at_link_ = false;
   }
 
-  // The command's request_id is set here. Nothing where no reply came: silence() tells why. Every command of
-  // the schema may be sent twice without harm.
+  // Sets the command's request_id. Nothing if no reply came: see silence(). Every command of the schema may
+  // be sent twice without harm.
   [[nodiscard]] std::optional<groma_Reply> ask(groma_HostToNode command, const Patience& patience = {});
 
-  // Asks for a hello until one is as wanted. Nothing where none was: last_hello() is then the last that came,
-  // if any.
+  // Requests a hello until one passes the test. Otherwise nothing; last_hello() is then the last one
+  // received, if any.
   using HelloTest = std::function<bool(const groma_Hello&)>;
   [[nodiscard]] std::optional<groma_Hello> ask_hello(const HelloTest& wanted, const Patience& patience = {});
   [[nodiscard]] std::optional<groma_Hello> ask_hello(const Patience& patience = {});
   [[nodiscard]] const std::optional<groma_Hello>& last_hello() const noexcept { return hello_; }
 
-  // Nothing where none came.
+  // Nothing if no counters came.
   [[nodiscard]] std::optional<groma_Counters> ask_counters(const Patience& patience = {});
 
   struct Survey {
     groma_Reply reply = groma_Reply_init_zero;
-    groma_SurveyReport report = groma_SurveyReport_init_zero;  // of a good reply
+    groma_SurveyReport report = groma_SurveyReport_init_zero;  // valid with a good reply
   };
-  // Nothing where no reply came.
+  // Nothing if no reply came.
   [[nodiscard]] std::optional<Survey> ask_survey(std::uint16_t exchanges, const Patience& patience = {});
 
-  // The link was unplugged or hung up: nothing more will come.
+  // The link was unplugged or hung up.
   [[nodiscard]] bool gone() const noexcept { return gone_; }
 
-  // Why no answer came and what to do, by what did come.
+  // Explains why no answer came and what to do, from the bytes that did come.
   [[nodiscard]] std::string silence() const;
 
  private:
@@ -68,11 +69,11 @@ class NodeClient : private link::NodeSink {
   void on_reply(const groma_Reply& reply) override;
   void on_relayed(const groma_NodeToHost& message) override;
 
-  // Sends it until `done` or the final reply of a target that cannot be reached.
+  // Sends the command until `done`, or until the target is reported as unreachable.
   bool repeat(const groma_HostToNode& command, const Patience& patience, const std::function<bool()>& done);
   [[nodiscard]] bool unreachable() const;
   [[nodiscard]] bool send(const groma_HostToNode& command);
-  // Reads until `done` or for so long; true: done.
+  // Reads until `done`, at most most_s; true: done.
   [[nodiscard]] bool wait(double most_s, const std::function<bool()>& done);
   void read();
 
@@ -84,8 +85,8 @@ class NodeClient : private link::NodeSink {
   std::optional<groma_Counters> counters_;
   std::optional<groma_SurveyReport> survey_;
   model::NodeId target_;
-  bool at_link_ = false;  // the target is the one at the link
-  bool pending_ = false;  // since the last sending
+  bool at_link_ = false;  // the target is the node at the link
+  bool pending_ = false;  // RESULT_PENDING came since the last send
   std::uint64_t bytes_ = 0;
   bool gone_ = false;
 };

@@ -51,13 +51,13 @@ class Comparison {
   std::string text_;
 };
 
-// Of a field of the schema: an array and how many of it count.
+// A repeated field of the schema: an array and the number of its valid elements.
 template <typename T, std::size_t N>
 std::span<const T> counted(const T (&values)[N], std::size_t count) {
   return std::span(values).first(std::min(count, N));
 }
 
-// As the schema tells it.
+// As the schema defines network_key_hash.
 std::uint32_t hash_of(const NetworkKey& key) {
   std::string bytes = "groma network key";
   bytes.append(key.begin(), key.end());

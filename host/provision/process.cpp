@@ -41,16 +41,16 @@ bool is_program(const std::filesystem::path& path) {
   return std::filesystem::is_regular_file(path, error) && ::access(path.c_str(), X_OK) == 0;
 }
 
-// In the child: only what is safe between fork and exec.
+// In the child: only calls that are safe between fork and exec.
 [[noreturn]] void become(char* const* argv, int output, int failure, pid_t parent) {
-  // OpenOCD puts a SIGTERM off until it is done: the next run would find the probe in use.
+  // OpenOCD defers SIGTERM until it is done, and the next run would find the probe in use.
   (void)::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(127);
   ::dup2(output, STDOUT_FILENO);
   ::dup2(output, STDERR_FILENO);
   const int input = ::open("/dev/null", O_RDONLY);
   if (input >= 0) ::dup2(input, STDIN_FILENO);
-  // What this program ignores would stay ignored.
+  // Ignored signals stay ignored after exec.
   (void)::signal(SIGPIPE, SIG_DFL);
   (void)::signal(SIGXFSZ, SIG_DFL);
   ::execv(argv[0], argv);

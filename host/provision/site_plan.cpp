@@ -27,18 +27,18 @@ constexpr std::int64_t kMaxId = 65'534;
 constexpr std::int64_t kMaxNetworkId = 65'534;
 constexpr std::int64_t kMaxEpoch = std::numeric_limits<std::uint32_t>::max();
 constexpr std::int64_t kMaxAntennaDelay_dtu = 65'535;
-// As many as a schedule holds: tags, anchors, back-ups of the master.
+// The capacity of a schedule: tags, anchors, slots, back-ups of the master.
 constexpr std::array<std::size_t, 2> kMaxNodesOfARole{16, 64};
 constexpr std::int64_t kMaxSlots = 16;
 constexpr std::size_t kMaxBackups = 7;
 
-// From the first to the last, where the key is there.
+// Reads an integer from `first` to `last`, if the key exists.
 void read_whole(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
                 std::uint32_t& out) {
   if (const auto value = map.find(key)) out = static_cast<std::uint32_t>(value->integer(first, last));
 }
 
-// Decimal, or hexadecimal after 0x, as manuals write registers.
+// Decimal, or hexadecimal with 0x, as manuals write registers.
 std::uint32_t parse_register(const YamlValue& value) {
   const std::string text = value.text();
   const bool hexadecimal = text.starts_with("0x");
@@ -51,7 +51,7 @@ std::uint32_t parse_register(const YamlValue& value) {
   return number;
 }
 
-// Anchors, each once, none of them the master.
+// Checks that each is an anchor, named once and not the master.
 std::vector<model::NodeId> parse_backups(const YamlValue& list, const SiteSettings& site) {
   std::vector<model::NodeId> backups;
   for (const YamlValue& entry : list.list()) {
@@ -100,7 +100,7 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
   read_whole(map, "guard_us", 5, 1'000, site.guard_us);
 }
 
-// Keys that a node may have of its own; those of the site are the default.
+// Keys that a node may have; the site's values are the default.
 constexpr std::string_view kTransmitDelayKey = "transmit_antenna_delay_dtu";
 constexpr std::string_view kReceiveDelayKey = "receive_antenna_delay_dtu";
 constexpr std::string_view kTransmitPowerKey = "transmit_power";
@@ -148,7 +148,7 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
   return link;
 }
 
-// The file holds 32 hexadecimal digits, and white space around them at most.
+// The file must hold 32 hexadecimal digits and nothing else except white space around them.
 NetworkKey read_key(const YamlValue& value, const std::filesystem::path& folder) {
   const std::filesystem::path path = folder / value.text();
   std::string text = io::read_file(path);
@@ -164,7 +164,7 @@ NetworkKey read_key(const YamlValue& value, const std::filesystem::path& folder)
     good = error == std::errc() && last == first + kDigitsOfAByte;
   }
   if (!good) {
-    // What is in the file stays untold.
+    // The message must not show the file's content.
     value.fail(fmt::format("names {}, which holds no key", path.string()),
                "write 32 hexadecimal digits into it, such as 'openssl rand -hex 16' prints");
   }
@@ -240,7 +240,7 @@ void resolve_via(const std::vector<YamlValue>& entries, SitePlan& plan) {
 
 namespace {
 
-// False where the key is absent.
+// False if the key is absent.
 bool is_true(const YamlValue& root, std::string_view key) {
   const auto value = root.find(key);
   return value && value->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
