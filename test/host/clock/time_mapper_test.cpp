@@ -10,7 +10,7 @@
 namespace groma::clock {
 namespace {
 
-// SplitMix64 and the distributions made from it: the same numbers everywhere.
+// SplitMix64 with own distributions: the same numbers on each platform.
 class Random {
  public:
   explicit Random(std::uint64_t seed) : state_(seed) {}
@@ -26,13 +26,13 @@ class Random {
   std::uint64_t state_;
 };
 
-// A node that sends 20 messages a second over a link with jitter. True time is the host's clock.
+// A node that sends 20 messages a second over a link with jitter. The host's clock gives the true time.
 struct Node {
   double skew = 0.0;
   double start_s = 1000.0;          // host time at which the counter was zero
-  double host_offset_s = 0.0;       // the host's clock was set by so much
+  double host_offset_s = 0.0;       // step of the host's clock
   double jitter_s = 0.005;          // mean
-  double burst_probability = 0.02;  // a burst holds all messages back until it ends
+  double burst_probability = 0.02;  // a burst delays all messages until it ends
   double burst_s = 0.1;
   double burst_end_s = 0.0;
 
@@ -48,7 +48,7 @@ struct Node {
 
 constexpr double kPeriod_s = 0.05;
 
-// Runs the node from `from_s` to `to_s`; calls `each(true_s, instant)` with the mapping of the present.
+// Runs the node from `from_s` to `to_s`; calls `each(true_s, instant)` with the host time of each message.
 template <typename Each>
 void run(TimeMapper& mapper, Node& node, Random& random, double from_s, double to_s, Each each) {
   for (double t_s = from_s; t_s < to_s; t_s += kPeriod_s) {
@@ -83,8 +83,8 @@ TEST(TimeMapper, IsExactWithoutJitterAndSubtractsTheTransmission) {
   EXPECT_LT(mapper.to_host(node.ticks(t_s))->sigma_s, 1e-3);
 }
 
-// 300 sites with crystals up to 50 ppm off either way: the errors after one and after ten seconds, and what
-// the mapper says of them.
+// 300 nodes with crystals up to 50 ppm off either way: the errors after 1, 10 and 60 s, and whether the
+// stated sigmas hold.
 TEST(TimeMapper, ConvergesUnderJitterAndBursts) {
   std::vector<double> after_1s;
   std::vector<double> after_10s;
@@ -227,7 +227,7 @@ TEST(TimeMapper, FollowsEarlyMessagesOnceEnoughOfThemAgree) {
   const Node node{};
   double t_s = 1001.0;
   for (; t_s < 1010.0; t_s += kPeriod_s) mapper.observe(node.ticks(t_s), t_s, 0.0);
-  // They do not agree.
+  // Early messages that do not agree.
   for (int i = 0; i < 20; ++i, t_s += kPeriod_s) {
     EXPECT_EQ(mapper.observe(node.ticks(t_s + 0.1 + 0.02 * i), t_s, 0.0), Observation::kEarly);
   }
@@ -301,18 +301,18 @@ TEST(TimeMapper, ForgetsOnReset) {
   EXPECT_DOUBLE_EQ(mapper.to_host(10)->t_s, 6.0);
 }
 
-// ---- requests: what all messages have in common ---------------------------------------------------
+// ---- requests: the delay common to all messages ---------------------------------------------------
 
-// A link whose two ways have each a constant delay beside their jitter.
+// A link with a constant delay and jitter in each direction.
 struct Link {
   double to_host_s = 0.0;
   double to_node_s = 0.0;
   double jitter_s = 0.001;
 };
 
-// Twenty messages a second and a request each second, for half a minute; the last instant less the true one.
+// Twenty messages a second and one request a second, for 30 s.
 struct Outcome {
-  double error_s = 0.0;
+  double error_s = 0.0;  // of the last message's host time
   double sigma_s = 0.0;
   double round_trip_s = 0.0;
   double counter_error_s = 0.0;  // of the inverse
@@ -356,7 +356,7 @@ TEST(TimeMapper, RequestsTellASymmetricDelay) {
   }
 }
 
-// What two clocks and a link cannot tell: half of what the two ways differ by.
+// Half of the difference between the two delays is not observable.
 TEST(TimeMapper, OfAnAsymmetricDelayHalfTheDifferenceStays) {
   for (const Link& link : {Link{0.006, 0.002}, Link{0.001, 0.009}, Link{0.010, 0.0}, Link{0.0, 0.010}}) {
     const Outcome out = over(link, 5);

@@ -1,5 +1,4 @@
-// Anchors learnt while driving: to the batch solver's result, in bounded memory, and those that were moved
-// found.
+// Calibration while driving: it agrees with the batch solver, uses bounded memory and finds moved anchors.
 #include "host/daemon/anchor_learner.hpp"
 
 #include <gmock/gmock.h>
@@ -34,7 +33,7 @@ const AnchorProgress& progress_of(const std::vector<AnchorProgress>& all, model:
                        [id](const AnchorProgress& anchor) { return anchor.id == id; });
 }
 
-// The site's measurements in the order of their times; `each_s` is called every so often with the time.
+// Feeds the site's measurements in the order of their times; calls `each_second` about once a second.
 template <typename EachSecond>
 void drive(const SimulatedSite& site, AnchorLearner& learner, const EachSecond& each_second) {
   auto pose = site.poses.begin();
@@ -113,7 +112,7 @@ TEST(AnchorLearner, ByItsThreadEndsThereToo) {
   }
 }
 
-// Half an hour round and round: what is kept stays within its bounds, and is as good as a drive.
+// Eight rounds of 240 s: the store stays within its bounds and calibrates as well as one drive.
 TEST(DriveStore, KeepsTheLatestVisitOfEachPlaceInBoundedMemory) {
   const SimulatedSite site = simulate_site({.duration_s = 240.0, .ranges_per_pair = 4000}, 3);
   calibration::DriveStoreLimits limits;
@@ -151,7 +150,7 @@ TEST(DriveStore, KeepsTheLatestVisitOfEachPlaceInBoundedMemory) {
     sum_m += (result.calibration.anchors[a].position_m - site.anchors[a].position_m).norm();
   }
   EXPECT_LT(sum_m / 12.0, 0.15);
-  // Nearly all ranges found their pose.
+  // Nearly all ranges have a pose.
   EXPECT_LT(result.ranges_rejected, samples.ranges.size() / 10);
 }
 
@@ -201,7 +200,7 @@ TEST(AnchorLearner, AddsNewAnchorsToKnownOnesAndLeavesThoseAlone) {
   }
 }
 
-// Half-way two anchors are carried off by half a metre.
+// Halfway through the drive two anchors are moved by 0.5 m.
 TEST(AnchorLearner, FindsTheAnchorsThatWereMovedAndNoOther) {
   for (const std::uint64_t seed : {1U, 2U}) {
     const groma::test::SiteSettings settings{.duration_s = 480.0,
@@ -245,7 +244,7 @@ TEST(AnchorLearner, FindsTheAnchorsThatWereMovedAndNoOther) {
     EXPECT_THAT(moved, ElementsAre(5, 11)) << "seed " << seed;
     EXPECT_LT(found_s, 420.0);
     static_cast<void>(learner.finish());
-    // Learnt anew, each is where it was carried to.
+    // Calibrated again, each is at its new position.
     for (const model::AnchorCalibration& anchor : learner.live().anchors) {
       if (anchor.id != 5 && anchor.id != 11) continue;
       const Eigen::Vector3d error_m = anchor.position_m - site.anchors[anchor.id - 4U].position_m - way_m;

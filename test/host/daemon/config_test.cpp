@@ -37,7 +37,7 @@ class ConfigFile : public ::testing::Test {
  protected:
   Config read(const std::string& text) { return read_config(folder_.write("gromad.yaml", text)); }
 
-  // The message of the error that the good file gives with one text in the place of another.
+  // The error message for the good file with one text replaced.
   std::string error_with(const std::string& from, const std::string& to) {
     std::string text = kGood;
     const std::size_t at = text.find(from);

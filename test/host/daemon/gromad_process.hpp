@@ -25,10 +25,10 @@ namespace groma::daemon::test {
 
 constexpr auto kPatience = std::chrono::seconds(40);
 
-// gromad, run with one configuration file; killed at the end if it still runs.
+// A gromad process; killed at the end if it still runs.
 class Gromad {
  public:
-  // as_nobody: without root's rights, where the test has them.
+  // as_nobody: drops root's rights if the test has them.
   explicit Gromad(const std::vector<std::string>& arguments, bool as_nobody = false) {
     int pipe_ends[2];
     if (::pipe2(pipe_ends, O_CLOEXEC) != 0) throw std::runtime_error("pipe2");
@@ -58,7 +58,7 @@ class Gromad {
 
   void terminate() const { ::kill(pid_, SIGTERM); }
 
-  // Everything said so far.
+  // Its whole output so far.
   const std::string& log() {
     char buffer[4096];
     ssize_t n = 0;
@@ -75,7 +75,7 @@ class Gromad {
     return false;
   }
 
-  // Waits for the end; none if it does not come.
+  // Waits until it exits; none after kPatience.
   std::optional<int> exit_code() {
     const auto deadline = std::chrono::steady_clock::now() + kPatience;
     while (running() && std::chrono::steady_clock::now() < deadline) {
@@ -126,7 +126,7 @@ class StreamClient {
   std::string text_;
 };
 
-// Where gromad serves its pose stream, once it has told.
+// The port of gromad's pose stream, once its log names it.
 inline std::optional<std::uint16_t> pose_stream_port(Gromad& gromad) {
   const std::string key = "pose stream on 127.0.0.1 port ";
   const std::string& log = gromad.log();

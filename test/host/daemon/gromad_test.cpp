@@ -61,7 +61,7 @@ speed: {}
                        SimulatedSite::kTagHeight_m, calibration, kSpeed);
   }
 
-  // Keeps the site going until it is so; false if that takes too long or the daemon has ended.
+  // Runs the site until `done`; false after kPatience or if the daemon has ended.
   bool run_until(SimulatedSite& site, Gromad& gromad, const std::function<bool()>& done) {
     const auto deadline = std::chrono::steady_clock::now() + kPatience;
     while (std::chrono::steady_clock::now() < deadline) {
@@ -104,14 +104,14 @@ speed: {}
     return worst_m;
   }
 
-  // `renumbered`: anchors have exchanged their ids.
+  // `renumbered`: anchors have swapped ids.
   void write_surveyed(const SimulatedSite& site, bool renumbered = false) const {
     const std::vector<model::Tag> tags{{1, {0.0, 0.0, SimulatedSite::kTagHeight_m}}};
     model::RangePriors priors;
     priors.beta_m = {0.0, 0.05};
     model::Calibration calibration = model::surveyed_calibration(site.anchors, tags, priors, 0.02);
     calibration.verdict = model::Verdict::kUsable;
-    // No turn and no mirror image of the ring: those are as good a map.
+    // Not a rotation or mirror image of the ring, which would fit the ranges as well.
     constexpr std::array<std::size_t, 6> kExchanged{0, 2, 4, 1, 3, 5};
     for (std::size_t i = 0; renumbered && i < kExchanged.size(); ++i)
       calibration.anchors[i].position_m = site.anchors[kExchanged.at(i)].position_m;
@@ -120,7 +120,7 @@ speed: {}
 
   TemporaryFolder folder_;
   std::vector<json> objects_;
-  std::vector<double> ages_s_;  // of poses, by the site's clock, as they arrived
+  std::vector<double> ages_s_;  // of poses on arrival, by the site's clock
 
  private:
   void connect(Gromad& gromad) {
@@ -189,7 +189,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_GT(pose.at("covariance")[0], 0.0);
   EXPECT_EQ(pose.at("covariance")[1], pose.at("covariance")[6]);
   EXPECT_LT(largest_error_m(50), 0.3);
-  // The tag was asked who it is, and each second for its time.
+  // The daemon requested the tag's hello and, each second, its time.
   wire::FrameDecoder decoder;
   for (const std::uint8_t byte : site.received()) decoder.push(byte);
   EXPECT_GE(decoder.counters().frames, 3U);
@@ -201,7 +201,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_GE(status->at("links")[0].at("round_trip_s"), 0.0);
   EXPECT_LT(status->at("links")[0].at("round_trip_s"), 0.2);
 
-  // Garbage on either input disturbs nothing.
+  // Garbage on either input does no harm.
   site.send_to_robot_socket("{\"class\":\"ODOMETRY\",\"t_s\":NaN}\n\xff\xfe\n{\"class\":\"LASER\"}\n");
   site.send_to_tag_link({0x01, 0x55, 0x00, 0xFF, 0x12});
   std::size_t before = poses("TRACKING");
@@ -222,7 +222,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
 }
 
-// Its timestamp is 0.95 s ahead; the robot's clock and the poses go on.
+// One timestamp is 0.95 s ahead; the robot's clock and the poses continue.
 TEST_F(GromadTest, NamesAWrongTimestampAndGoesOn) {
   SimulatedSite site(folder_.path(), kSpeed);
   write_surveyed(site);
@@ -270,7 +270,8 @@ TEST_F(GromadTest, NamesAWrongMapInPosesStatusAndLog) {
             0);
 }
 
-// A pose does not wait with its row. The lag is long so that no busy machine takes a pose for a late one.
+// A pose does not wait for reorder_lag_s as its odometry sample does. The lag is long so that the test also
+// passes on a busy machine.
 TEST_F(GromadTest, TellsAPoseBeforeItsRowsTurnHasCome) {
   constexpr double kLag_s = 0.5;
   SimulatedSite site(folder_.path(), kSpeed);
@@ -311,7 +312,7 @@ TEST_F(GromadTest, CalibratesOnADriveThenLocalizes) {
   EXPECT_EQ(learnt.input_sha256.size(), 64U);
 }
 
-// What the daemon records, the commands read: killed in the middle of it, too.
+// The commands read a log of the daemon, even if the daemon was killed while recording.
 TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   SimulatedSite site(folder_.path(), kSpeed);
   site.range_bias_m = 0.4;
@@ -332,7 +333,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   };
   const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
 
-  // The daemon's own drive is the log's first 26 s, to the sample.
+  // The daemon's calibration drive is exactly the first 26 s of the log.
   const io::Dataset recorded = io::read_dataset(log);
   ASSERT_FALSE(recorded.pose_prior.empty());
   const double begin_s = recorded.pose_prior.front().t_s;
@@ -350,7 +351,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   EXPECT_THAT(replayed.exit_code, ::testing::AnyOf(io::kGood, io::kDoneWithWarnings)) << replayed.err;
   EXPECT_GT(json::parse(replayed.out).at("ranges_used"), 500);
 
-  // Poses of a file in the place of those of the log: the same world turned by half a turn.
+  // Poses from a file instead of the log's: the same world, rotated by 180 degrees.
   std::string turned = "t_s,x_m,y_m,z_m,yaw_rad\n";
   for (const model::PoseSample& pose : recorded.pose_prior) {
     turned += fmt::format("{},{},{},0,{}\n", pose.t_s, -pose.x_m, -pose.y_m, pose.yaw_rad + 3.14159265358979);
@@ -364,7 +365,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
     EXPECT_LT((other.anchors[i].position_m + site.anchors[i].position_m).head<2>().norm(), 0.3);
   }
 
-  // A second run goes into a section of its own; the first is still there.
+  // A second run appends a section; the first stays.
   const std::size_t ranges = recorded.ranges.size();
   {
     Gromad gromad({"--config", config.string()});
@@ -379,7 +380,8 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   EXPECT_EQ(io::read_dataset(log, first).log->sections, 2U);
 }
 
-// Two of six anchors are not in the file. The daemon localizes by the others, learns them, and keeps them.
+// Two of six anchors are not in the file. The daemon localizes by the others, calibrates these two and writes
+// them.
 TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
   SimulatedSite site(folder_.path(), kSpeed);
   const std::vector<model::Anchor> all = site.anchors;
@@ -405,7 +407,7 @@ TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
   EXPECT_EQ(told[102].back().at("coverage"), 1.0);
   EXPECT_TRUE(told[102].back().at("sigma_m").is_number());
   EXPECT_THAT(gromad.log(), HasSubstr("anchor 102 is learnt"));
-  // Localization goes on through the change.
+  // Localization continues with the new anchors.
   const std::size_t before = poses("TRACKING");
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
   EXPECT_LT(largest_error_m(50), 0.4);
@@ -420,7 +422,7 @@ TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
   }
 }
 
-// With no calibration at all: by pose priors, into a file that the next start takes up.
+// Without a calibration: from pose priors into a file that the next start reads.
 TEST_F(GromadTest, LearnsASiteFromNothingAndTakesItUpAgain) {
   SimulatedSite site(folder_.path(), kSpeed);
   const std::string source = "{learn: true, file: site.yaml, output: site.yaml}";

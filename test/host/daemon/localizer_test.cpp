@@ -59,7 +59,7 @@ TEST(PoseOn, CovarianceIsThatOfTheNumericalJacobian) {
     }
     const Eigen::Matrix<double, 6, 6> expected = jacobian * planar * jacobian.transpose();
     EXPECT_LT((estimate.covariance - expected).cwiseAbs().maxCoeff(), 1e-8);
-    // Where x, y and yaw are concerned it is the filter's own.
+    // The block of x, y and yaw equals the filter's covariance.
     EXPECT_NEAR(estimate.covariance(0, 1), planar(0, 1), 1e-17);
     EXPECT_NEAR(estimate.covariance(5, 5), planar(2, 2), 1e-17);
     EXPECT_GT(std::abs(estimate.roll_rad) + std::abs(estimate.pitch_rad), 0.02);
@@ -111,7 +111,7 @@ class Circle : public ::testing::Test {
             .anchor_id = anchors_[anchor].id,
             .range_m = (tag - anchors_[anchor].position_m).norm()};
   }
-  // From one time to another, with ranges or without.
+  // Feeds odometry from one time to another, with ranges or without.
   void drive(Localizer& localizer, double from_s, double to_s, bool ranges) const {
     const auto first = static_cast<int>(std::lround(from_s / 0.02));
     const auto last = static_cast<int>(std::lround(to_s / 0.02));
@@ -124,7 +124,7 @@ class Circle : public ::testing::Test {
 
   std::vector<model::Anchor> anchors_;
   Localizer::Setup setup_;
-  double carried_s_ = 0.0;  // to where it would have been so much later
+  double carried_s_ = 0.0;  // the robot was moved to its position at this much later
 };
 
 TEST_F(Circle, GivesAPoseForEachSampleThatNoRobotCanDoAndCountsIt) {
@@ -244,7 +244,7 @@ TEST_F(Circle, GoesByOtherSensorsWhereThereAreNoRanges) {
   Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
   for (int i = 0; i < 500; ++i) {
     const double t_s = 0.02 * i;
-    // Wheels that tell of twice the turn; a gyro, and now and then a pose, that know better.
+    // The odometry's yaw rate is twice the true one; a gyro and occasional poses are right.
     model::OdometrySample turned = row(t_s);
     turned.omega_radps *= 2.0;
     localizer.on_odometry(turned);
@@ -276,8 +276,8 @@ TEST_F(Circle, TwoModelsSeeTheSameAndAnswerDifferently) {
   EXPECT_EQ(odometry.back().state, filter::State::kDegraded);
 }
 
-// That robot behind a session, whose clocks all tell the same: a row each 0.02 s, and each 0.1 s a report of
-// ranges that are 0.06 to 0.12 s old.
+// The same robot behind a session, all clocks equal: an odometry sample each 0.02 s, and each 0.1 s a
+// report of ranges 0.06 to 0.12 s old.
 class Live : public Circle {
  protected:
   static constexpr double kBegin_s = 10.0;
@@ -318,7 +318,7 @@ class Live : public Circle {
                              sequence_++, 1, static_cast<std::uint64_t>(ticks(now_s)), ranges)),
                          now_s);
   }
-  // With its odometry, or with ranges alone; robot_s: what the robot's clock shows beyond the others.
+  // rows: with odometry, otherwise ranges alone. robot_s: offset of the robot's clock from the others.
   void drive(double from_s, double to_s, bool rows = true, double robot_s = 0.0) {
     for (auto i = std::lround(from_s / 0.02); i < std::lround(to_s / 0.02); ++i) {
       const double t_s = 0.02 * static_cast<double>(i);
@@ -338,7 +338,7 @@ class Live : public Circle {
     const auto true_pose = truth(pose.t_s - robot_s + carried_s_);
     return std::hypot(pose.x_m - true_pose.x_m, pose.y_m - true_pose.y_m);
   }
-  // That what was told of each row at once is what was told of it in its turn, but for the state.
+  // The pose published at once for each odometry sample equals the settled one, except for the state.
   void expect_same_as_settled() const {
     ASSERT_FALSE(poses_.empty());
     std::size_t compared = 0;
@@ -368,7 +368,7 @@ TEST_F(Live, APoseLeavesInTheCallThatBroughtItsRow) {
   begin(0.2);
   drive(kBegin_s, 16.0);
   ASSERT_FALSE(poses_.empty());
-  // The prior began the filter once its turn had come.
+  // The prior started the filter after reorder_lag_s.
   EXPECT_NEAR(poses_.front().t_s, kBegin_s + 0.2, 0.021);
   EXPECT_EQ(poses_.size(), static_cast<std::size_t>(std::lround((16.0 - poses_.front().t_s) / 0.02)));
   EXPECT_TRUE(times_increase());
@@ -395,8 +395,8 @@ TEST_F(Live, WithoutALagItIsTheFiltersOwn) {
   EXPECT_LT(error_m(poses_.back()), 0.05);
 }
 
-// Wheels that tell of twice the turn, a gyro that knows better, and no ranges: nothing is learnt of a row
-// while it waits.
+// The odometry's yaw rate is twice the true one, a gyro is right, and there are no ranges: waiting changes no
+// pose.
 TEST_F(Live, GoesByAGyroThatStillWaits) {
   begin(0.2);
   for (int i = 0; i < 300; ++i) {
@@ -462,7 +462,7 @@ TEST_F(Live, AClockThatWasSetBeginsAnew) {
   ASSERT_GT(poses_.size(), before);
   EXPECT_TRUE(std::all_of(poses_.begin() + static_cast<std::ptrdiff_t>(before), poses_.end(),
                           [](const PoseEstimate& pose) { return pose.t_s < 0.0; }));
-  // A second until the clock is believed, the next prior, and its wait.
+  // One second until the new clock is accepted, then the next prior and its lag.
   EXPECT_GT(poses_[before].t_s, 15.2 + kSet_s);
   EXPECT_LT(poses_[before].t_s, 16.3 + kSet_s);
   poses_.erase(poses_.begin(), poses_.begin() + static_cast<std::ptrdiff_t>(before));
@@ -471,11 +471,11 @@ TEST_F(Live, AClockThatWasSetBeginsAnew) {
 }
 
 TEST_F(Live, GoesOnThroughARelocation) {
-  // The watch for slips finds the way back by itself, too.
+  // Slip detection would also recover by itself.
   setup_.filter.slip_odds = 1e9;
   begin(0.2);
   drive(kBegin_s, 14.0);
-  carried_s_ = 3.14 / kOmega;  // across its circle, and turned
+  carried_s_ = 3.14 / kOmega;  // to the opposite side of the circle, and turned
   const std::size_t before = poses_.size();
   drive(14.0, 30.0);
   EXPECT_EQ(poses_.size(), before + 800);

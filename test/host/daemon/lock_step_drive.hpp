@@ -1,5 +1,5 @@
-// A robot on a curved drive at changing speed, with one tag, in lock step with a session and a localizer: the
-// clocks are simulated and there are no sockets. A test changes the timestamps of what the robot sends.
+// A robot on a curved drive at changing speed, with one tag, in lock step with a session and a localizer, on
+// simulated clocks and without sockets. Tests change the timestamps of the robot's messages.
 #pragma once
 
 #include <fmt/format.h>
@@ -31,14 +31,14 @@ class LockStepDrive {
   static constexpr double kBegin_s = 10.0;
   static constexpr double kReportPeriod_s = 0.05;
 
-  // What is sent: the message of one time of the host, with another timestamp.
+  // A message as sent: the content of one host time, with another timestamp.
   struct Sent {
-    Sent(double timestamp_s) : t_s(timestamp_s) {}  // NOLINT: of now
+    Sent(double timestamp_s) : t_s(timestamp_s) {}  // NOLINT: content of the present
     Sent(double timestamp_s, double time_s) : t_s(timestamp_s), of_s(time_s) {}
     double t_s = 0.0;
-    std::optional<double> of_s{};  // odometry's only; none: now
+    std::optional<double> of_s{};  // only for odometry; none: the present
   };
-  // Of each message: its right t_s; returns what to send in its place, none to keep it back.
+  // Called with the correct t_s of each message; returns the messages to send instead, none to drop it.
   using Timestamps = std::function<std::vector<Sent>(Kind kind, double t_s)>;
 
   struct Options {
@@ -48,7 +48,7 @@ class LockStepDrive {
     SessionConfig session = {};
   };
 
-  // A pose as it went out.
+  // A published pose.
   struct Moment {
     double host_s = 0.0;
     PoseEstimate pose;
@@ -84,7 +84,7 @@ class LockStepDrive {
     return {5.0 * std::sin(a), 3.0 * std::sin(2.0 * a), std::atan2(vy, vx)};
   }
 
-  // Until that host time.
+  // Runs until that host time.
   void run(double to_s) {
     while (now_s_ < to_s) {
       const double odometry_s = kBegin_s + static_cast<double>(odometry_) / options_.odometry_hz;
@@ -103,13 +103,13 @@ class LockStepDrive {
   }
 
   void pause_ranges(bool pause) { options_.ranges = !pause; }
-  // From now on the robot's clock is ahead of the host's by so much: poses are compared to the truth by it.
+  // From now on the robot's clock is ahead of the host's by this; used to compare poses with the truth.
   void set_robot_clock(double ahead_s) { robot_ahead_s_ = ahead_s; }
 
   void send(const std::string& line) {
     session_.robot_bytes({reinterpret_cast<const std::uint8_t*>(line.data()), line.size()}, now_s_);
   }
-  // The odometry of a time of the host, with another timestamp.
+  // Sends the odometry of host time of_s with the timestamp t_s.
   void send_odometry_at(double t_s, double of_s) {
     groma::test::Random random = noise(1, std::lround(of_s * options_.odometry_hz));
     constexpr double kStep_s = 1e-4;
@@ -129,7 +129,7 @@ class LockStepDrive {
   [[nodiscard]] const std::vector<Moment>& moments() const { return moments_; }
   [[nodiscard]] const std::vector<std::string>& log() const { return log_; }
 
-  // Over poses that went out within that time.
+  // Mean error of the poses published in that host time.
   [[nodiscard]] double mean_error_m(double from_s, double to_s = 1e9) const {
     double sum_m = 0.0;
     std::size_t count = 0;
@@ -140,7 +140,7 @@ class LockStepDrive {
     }
     return count > 0 ? sum_m / static_cast<double>(count) : 1e9;
   }
-  // Poses that are TRACKING and beyond so many sigmas, in three dimensions.
+  // TRACKING poses whose squared Mahalanobis distance (3 dimensions) is not below the bound.
   [[nodiscard]] int wrong_tracking(double bound = kFiveSigmas) const {
     int wrong = 0;
     for (const Moment& moment : moments_) {
@@ -177,7 +177,7 @@ class LockStepDrive {
     return all > 0.0 ? tracking / all : 0.0;
   }
 
-  // The share that one Gaussian has beyond 5 sigma.
+  // Bound of chi-squared with 3 degrees of freedom, at about 5 sigma of a Gaussian.
   static constexpr double kFiveSigmas = 34.6;
   Timestamps timestamps = [](Kind, double t_s) { return std::vector<Sent>{t_s}; };
 
@@ -210,7 +210,7 @@ class LockStepDrive {
     ++odometry_;
   }
 
-  // The noise of one message is its own: it does not depend on how many others are sent.
+  // Each message has a random stream of its own, so its noise does not depend on the other messages.
   static groma::test::Random noise(std::uint64_t kind, long index) {
     return groma::test::Random(1'000'000'007U * kind + static_cast<std::uint64_t>(index));
   }

@@ -33,7 +33,7 @@ class Client {
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     connected = ::connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
   }
-  // What is there within a tenth of a second.
+  // Returns the first bytes that come within 0.1 s.
   std::string read() {
     std::string text;
     for (int i = 0; i < 20; ++i) {
@@ -95,7 +95,7 @@ TEST(PoseServer, WaitsForNobody) {
   settle(server);
   const std::string line(1000, 'x');
   std::size_t received = 0;
-  // The slow client reads nothing: what the system holds for it, and then its backlog, fill up.
+  // The slow client reads nothing: its socket buffers, then its backlog fill up.
   for (int i = 0; i < 20'000 && server.client_count() == 2; ++i) {
     server.broadcast(line + "\n");
     server.service();

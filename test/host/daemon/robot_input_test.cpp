@@ -52,7 +52,7 @@ TEST(RobotInput, ReadsBothClasses) {
   EXPECT_EQ(input.counters().dropped(), 0U);
 }
 
-// As the pose stream has it, a 6 x 6 of which those of x, y and yaw count.
+// A covariance as in the pose stream: 6 x 6, of which the terms of x, y and yaw are used.
 std::string pose_with(const std::string& covariance) {
   return R"({"class":"POSE_PRIOR","t_s":2,"x_m":1,"y_m":2,"z_m":3,"yaw_rad":0.5,"covariance":)" + covariance +
          "}\n";
@@ -87,7 +87,7 @@ TEST(RobotInput, DropsAPoseWhoseCovarianceIsNone) {
   push(input, pose_with("4"));
   push(input, pose_with(zeros + "]"));
   push(input, pose_with(text + "]"));
-  // A negative variance of yaw, one term unknown, and two that should be the same.
+  // A negative variance of yaw, one unknown term, and an asymmetric pair.
   for (const std::string last : {"0,0,0,0,0,-1]", "null,0,0,0,0,1]", "0.5,0,0,0,0,1]"}) {
     push(input, pose_with("[1,0,0,0,0,0, 0,1,0,0,0,0, 0,0,1,0,0,0, 0,0,0,1,0,0, 0,0,0,0,1,0, " + last));
   }
@@ -200,7 +200,7 @@ TEST(RobotInput, DropsAndCountsWhatItCannotUse) {
   EXPECT_EQ(input.counters().bad_value, 7U);
   EXPECT_THAT(input.last_problem(), testing::HasSubstr("POSE_PRIOR"));
 
-  // NaN, Infinity and numbers beyond a double are no JSON numbers.
+  // NaN, Infinity and numbers beyond a double are not JSON numbers.
   for (const std::string_view value : {"NaN", "-Infinity", "1e999", "nan"}) {
     push(input, R"({"class":"ODOMETRY","t_s":1,"vx_mps":)" + std::string(value) +
                     R"(,"vy_mps":0,"omega_radps":0})"

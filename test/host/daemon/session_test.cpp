@@ -49,7 +49,7 @@ class Recorded : public MeasurementSink {
   std::vector<model::OdometrySample> odometry;
   std::vector<model::RangeSample> ranges;
   std::vector<model::PoseSample> poses;
-  std::vector<double> times_s;  // of all, as they came
+  std::vector<double> times_s;  // of all measurements, in the order of delivery
   int clock_sets = 0;
 };
 
@@ -79,7 +79,7 @@ struct Site {
     const std::string line = fmt::format("{{\"class\":\"ZERO_VELOCITY\",\"t_s\":{}}}\n", t_s);
     session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
   }
-  // Arrives at once, and tells of ranges so long ago.
+  // Arrives without delay, with ranges of these ages.
   void report(double host_s, const std::vector<double>& ages_s) {
     const auto dtu = [](double s) { return std::llround(s * kDeviceTicksPerSecond * (1.0 + 20e-6)); };
     std::vector<groma_Range> ranges;
@@ -155,7 +155,7 @@ TEST(Session, TellsOfWhatWaitsAtOnceAndOfNothingElse) {
       const std::size_t before = site.sink.ahead_s.size() + site.sink.odometry.size();
       site.odometry(host_s, t_s);
       EXPECT_EQ(site.sink.ahead_s.size() + site.sink.odometry.size(), before + 1) << row;
-      // Of those that are 0.2 s old the filter is told itself.
+      // Samples 0.2 s old are passed on at once, without an announcement.
       EXPECT_EQ(!site.sink.ahead_s.empty() && site.sink.ahead_s.back() == t_s, row < 60 || row >= 70) << row;
     }
     site.stands(host_s, host_s + site.robot_offset_s - 0.1);
@@ -297,7 +297,7 @@ TEST(Session, RemembersWhatNodesSayOfThemselves) {
                                          testing::HasSubstr("tag-1: no beacon")));
 }
 
-// How bytes are cut into pieces changes nothing.
+// The result does not depend on how the bytes are cut into pieces.
 TEST(Session, SameBytesInOtherPiecesGiveTheSame) {
   std::vector<std::vector<model::RangeSample>> results;
   for (const std::size_t piece : {1U, 7U, 10'000U}) {

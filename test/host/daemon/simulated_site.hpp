@@ -1,5 +1,5 @@
-// A site for end-to-end tests of the daemon: a robot that drives a circle, with one tag on a real
-// pseudo-terminal and its odometry and pose priors on a real Unix socket.
+// A site for end-to-end tests of the daemon: a robot drives a circle. Its tag is on a real pseudo-terminal,
+// its odometry and pose priors on a real Unix socket.
 #pragma once
 
 #include <fcntl.h>
@@ -39,7 +39,7 @@ class SimulatedSite {
   static constexpr double kDeviceSkew = 15e-6;
   static constexpr double kTagHeight_m = 0.5;
 
-  // speed: of the site's clocks against the computer's. folder: takes tag-1 and robot.sock.
+  // speed: rate of the site's clocks over the computer's. folder: for tag-1 and robot.sock.
   SimulatedSite(std::filesystem::path folder, double speed)
       : folder_(std::move(folder)), speed_(speed), start_(std::chrono::steady_clock::now()) {
     for (int i = 0; i < 6; ++i) {
@@ -58,7 +58,7 @@ class SimulatedSite {
     }
   }
 
-  // tag-1 becomes a new pseudo-terminal, as a USB port that is plugged in again.
+  // tag-1 becomes a new pseudo-terminal, like a USB port that is plugged in again.
   void plug_in() {
     int master = -1;
     int slave = -1;
@@ -73,7 +73,7 @@ class SimulatedSite {
     ::tcsetattr(slave, TCSANOW, &raw);
     ::close(slave);
     ::fcntl(master, F_SETFL, O_NONBLOCK);
-    // The daemon must not keep its own port's other end open.
+    // The daemon must not inherit the other end of its port.
     ::fcntl(master, F_SETFD, FD_CLOEXEC);
     master_ = io::Descriptor(master);
     std::filesystem::remove(folder_ / "tag-1");
@@ -106,7 +106,7 @@ class SimulatedSite {
   struct Pose {
     double x_m, y_m, yaw_rad;
   };
-  // By the robot's clock.
+  // At a time of the robot's clock.
   [[nodiscard]] static Pose truth(double robot_s) {
     const double angle = kOmega * (robot_s - kRobotOrigin_s);
     return {kRadius_m * std::sin(angle), kRadius_m * (1.0 - std::cos(angle)),
@@ -115,7 +115,7 @@ class SimulatedSite {
   [[nodiscard]] double site_time_s() const {
     return speed_ * std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   }
-  // What the daemon has sent to the tag.
+  // Bytes that the daemon sent to the tag.
   [[nodiscard]] const std::vector<std::uint8_t>& received() const { return received_; }
 
   std::vector<model::Anchor> anchors;
@@ -148,7 +148,7 @@ class SimulatedSite {
       const Pose pose = truth(kRobotOrigin_s + site_s - age_s);
       const double range_m =
           (Eigen::Vector3d(pose.x_m, pose.y_m, kTagHeight_m) - anchors[i].position_m).norm();
-      // A deterministic ripple of 3 cm in the place of noise.
+      // A deterministic ripple of 3 cm instead of noise.
       const double ripple_m = 0.03 * std::sin(1.7 * reports_sent_ + 2.3 * static_cast<double>(i));
       ranges.push_back(link::test::make_range(anchors[i].id, range_m + range_bias_m + ripple_m, dtu(-age_s)));
     }
@@ -168,7 +168,7 @@ class SimulatedSite {
     }
   }
 
-  // As a node does.
+  // Answers a time request as a node does.
   void answer(std::span<const std::uint8_t> payload) {
     groma_HostToNode command = groma_HostToNode_init_zero;
     pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());

@@ -1,4 +1,4 @@
-// Wrong times, pauses and rates of what the robot sends, through a session and a localizer.
+// Wrong timestamps, pauses and rates of the robot's messages, through a session and a localizer.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -30,7 +30,7 @@ constexpr double kEvent_s = 18.0;
 constexpr double kEnd_s = 30.0;
 constexpr std::array kSizes_s{0.05, 0.12, 0.3, 0.5, 0.7, 0.95, 1.5, 3.0, 10.0, 100.0};
 
-// Poses count from here on: the filter has converged.
+// Poses are scored from here on: the filter has converged.
 constexpr double kSettled_s = 13.0;
 
 double plain_error_m(bool sensors) {
@@ -50,7 +50,7 @@ double plain_error_m(bool sensors) {
 
 enum class How { kAdded, kReplaced };
 
-// Messages of one kind that come with another timestamp, at the event or each 5 s from it on.
+// Wrong timestamps of one kind of message, once at the event or each 5 s from then on.
 LockStepDrive::Timestamps odd(Kind kind, double by_s, How how, bool repeated) {
   auto next_s = std::make_shared<double>(kEvent_s);
   return [=](Kind of, double t_s) -> std::vector<Sent> {
@@ -98,7 +98,7 @@ TEST(Timestamps, OneOddSampleOfAnotherKindCostsNothing) {
   }
 }
 
-// The clock of one sensor alone.
+// A step of one sensor's clock only.
 TEST(Timestamps, ASensorWhoseClockStepsCostsLittle) {
   for (const Kind kind : {Kind::kImu, Kind::kGnss, Kind::kAbsolutePose}) {
     for (const double by_s : {-100.0, -0.95, -0.3, -0.05, 0.05, 0.3, 0.95, 100.0}) {
@@ -108,7 +108,7 @@ TEST(Timestamps, ASensorWhoseClockStepsCostsLittle) {
         return std::vector<Sent>{of == kind && t_s >= kEvent_s ? t_s + by_s : t_s};
       };
       drive.run(kEnd_s);
-      // What is less off than the slack looks like a sensor that is read a little earlier or later.
+      // A step within the slack looks like a small delay of the sensor.
       if (std::abs(by_s) > RobotClock::kSlack_s) {
         EXPECT_LT(drive.mean_error_m(kSettled_s), 1.2 * std::max(plain_error_m(true), plain_error_m(false)));
       }
@@ -118,7 +118,7 @@ TEST(Timestamps, ASensorWhoseClockStepsCostsLittle) {
   }
 }
 
-// All the robot's messages from one instant on.
+// The clock of all the robot's messages steps.
 TEST(Timestamps, AClockThatStepsIsFollowedAndNeverTrackedWrong) {
   for (const double size_s : kSizes_s) {
     for (const double by_s : {size_s, -size_s}) {
@@ -131,7 +131,8 @@ TEST(Timestamps, AClockThatStepsIsFollowedAndNeverTrackedWrong) {
       };
       drive.run(kEnd_s);
       EXPECT_EQ(drive.session().counters().robot_clock_set, 1U);
-      // Below a second it is found at once, and the pose goes on; above, within one, and it is searched for.
+      // A step below 1 s is found at once and the pose continues; a larger one within 1 s, and the pose is
+      // searched for.
       const bool small = size_s < 1.0;
       EXPECT_LT(drive.mean_error_m(kSettled_s), (small ? 1.2 : 1.3) * plain_error_m(false));
       EXPECT_EQ(drive.wrong_tracking(), 0);
@@ -147,7 +148,7 @@ TEST(Timestamps, AClockThatStepsIsFollowedAndNeverTrackedWrong) {
 }
 
 TEST(Timestamps, WhileAStepIsSuspectedNothingIsTracked) {
-  // Fallen back, and sent in bursts, so that offsets do not agree.
+  // The clock is set back, and samples come in bursts, so that offsets do not agree.
   LockStepDrive drive;
   drive.run(kEvent_s);
   const std::size_t before = drive.moments().size();
@@ -165,7 +166,7 @@ TEST(Timestamps, WhileAStepIsSuspectedNothingIsTracked) {
   EXPECT_EQ(drive.wrong_tracking(), 0);
 }
 
-// As of queues: these are no clock steps.
+// Effects of queues, not clock steps.
 TEST(Timestamps, BurstsRepeatsAndJitterAreNoClockSteps) {
   for (const double burst_s : {0.3, 0.6, 1.0}) {
     SCOPED_TRACE(burst_s);
@@ -183,7 +184,7 @@ TEST(Timestamps, BurstsRepeatsAndJitterAreNoClockSteps) {
     EXPECT_EQ(drive.session().counters().robot_clock_set, 0U);
     EXPECT_LT(drive.worst_tracking_m(kSettled_s), 0.07);
     EXPECT_GT(drive.tracking_share(kSettled_s), 0.95);
-    // In longer bursts samples are too late to be used.
+    // In longer bursts some samples are too late to be used.
     if (burst_s > 0.5) continue;
     EXPECT_EQ(drive.wrong_tracking(), 0);
     EXPECT_LT(drive.mean_error_m(kSettled_s), 1.01 * plain_error_m(false));
@@ -245,14 +246,14 @@ TEST(RobotClock, AStalledLinkIsNoUnit) {
   RobotClock clock;
   double now_s = 10.0;
   for (; now_s < 12.0; now_s += 0.02) EXPECT_EQ(clock.judge(now_s, now_s), Timestamp::kGood);
-  // What was sent at 50 Hz arrives at 2 Hz, ever later.
+  // Sent at 50 Hz, received at 2 Hz: later and later.
   for (int i = 0; i < 40; ++i) clock.judge(12.0 + 0.02 * i, now_s += 0.5);
   ASSERT_TRUE(clock.fault());
   EXPECT_EQ(clock.fault()->cause, TimestampFault::Cause::kClockOffset);
   EXPECT_TRUE(clock.suspected());
 }
 
-// Odometry pauses, with the ranges (a daemon that was stopped) or without.
+// Odometry pauses, with the ranges (as if the daemon was stopped) or without.
 TEST(Timestamps, AfterAPauseTheRangesHaveToAgreeFirst) {
   for (const double pause_s : {1.3, 2.5, 5.0, 20.0}) {
     for (const bool all : {false, true}) {
@@ -277,7 +278,7 @@ TEST(Timestamps, AfterAPauseTheRangesHaveToAgreeFirst) {
 TEST(Timestamps, ALateInputIsDegradedWithItsCause) {
   LockStepDrive drive;
   std::vector<Sent> queue;
-  // All of odometry arrives 0.3 s late from some instant on.
+  // From the event on all odometry arrives 0.3 s late.
   drive.timestamps = [&](Kind kind, double t_s) -> std::vector<Sent> {
     if (kind != Kind::kOdometry || t_s < kEvent_s) return {t_s};
     queue.emplace_back(t_s, t_s);
@@ -313,7 +314,7 @@ class ClockSets : public MeasurementSink {
   double last_s_ = -1e300;
 };
 
-// A recording and a calibration drive do not begin again for that, nor for a step forward.
+// A recording or a calibration drive does not restart for this, nor for a step forward.
 TEST(Timestamps, ALinkThatDelaysForAWhileCostsNoRecording) {
   LockStepDrive drive;
   ClockSets recorder;
@@ -350,7 +351,8 @@ TEST(Timestamps, ALinkThatDelaysForAWhileCostsNoRecording) {
 }
 
 TEST(Timestamps, AnUncertainPoseIsNotTracked) {
-  // Between a pause and the row's turn the state is of before the pause, the pose of after it.
+  // After a pause, until the sample's lag is over, the state is that before the pause but the pose is
+  // current.
   LockStepDrive drive;
   drive.run(kEvent_s);
   drive.timestamps = [](Kind, double) { return std::vector<Sent>{}; };
@@ -400,7 +402,7 @@ std::vector<model::OdometrySample> merged(const std::vector<model::OdometrySampl
   return out;
 }
 
-// By the convention that a sample holds until the next.
+// A sample holds until the next.
 std::array<double, 3> integral(const std::vector<model::OdometrySample>& samples, double to_s) {
   std::array<double, 3> sum{};
   for (std::size_t i = 0; i < samples.size(); ++i) {
@@ -447,7 +449,7 @@ TEST(OdometryMerger, KeepsTheDisplacementOfUnevenSamples) {
 }
 
 TEST(OdometryMerger, LeavesWhatNoRobotCanDoApart) {
-  // At 1 kHz: a mean of five would hide it from the filter's gate.
+  // At 1 kHz: the mean of five samples would hide it from the filter's gate.
   for (const double wrong : {15.0, 60.0, 1e300}) {
     std::vector<model::OdometrySample> samples;
     samples.reserve(100);

@@ -26,7 +26,7 @@ namespace {
 
 using ::testing::HasSubstr;
 
-// A real pseudo-terminal: the test holds the master's end, the link opens the slave by its path.
+// A real pseudo-terminal: the test holds the master end, the link opens the slave by its path.
 class Pty {
  public:
   Pty() {

@@ -58,7 +58,7 @@ TEST(OpenSocketCan, SaysHowAPathIsWritten) {
 }
 
 TEST(OpenSocketCan, SaysWhatTheKernelOrTheBusLacks) {
-  // This machine's kernel may have CAN or not; it has no such interface.
+  // The kernel may support CAN or not; this interface does not exist.
   const OpenedLink opened = open_link("can:no-such-can/3", 0);
   EXPECT_FALSE(opened.link);
   EXPECT_THAT(opened.error.fault,

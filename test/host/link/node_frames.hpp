@@ -1,4 +1,4 @@
-// Frames as a node sends them, for tests.
+// Frames of a node, for tests.
 #pragma once
 
 #include <pb_encode.h>

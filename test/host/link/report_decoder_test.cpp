@@ -44,7 +44,7 @@ TEST(ReportDecoder, GivesEachRangeItsOwnInstantInHostTime) {
   constexpr unsigned kBaud = 1'000'000;
   ReportDecoder decoder(kBaud);
   Collected got;
-  // Fifty reports a tenth of a second apart; the node's counter began at host time 100 s.
+  // Fifty reports 0.1 s apart; the node's counter started at host time 100 s.
   for (std::uint32_t i = 0; i < 50; ++i) {
     const double handed_over_s = 105.0 + 0.1 * i;
     const auto frame =
@@ -152,7 +152,8 @@ TEST(ReportDecoder, PassesOnWhatIsKnownOfARangesTruth) {
   EXPECT_EQ(got.ranges[2].network_time_dtu, 0);
 }
 
-// The node's counter began at host time 100 s; its link takes 3 ms up and 5 ms down beside the transmission.
+// The node's counter started at host time 100 s. Beside the transmission its link delays 3 ms to the host and
+// 5 ms to the node.
 TEST(ReportDecoder, LearnsTheLinksDelayFromTimeReplies) {
   constexpr unsigned kBaud = 1'000'000;
   constexpr double kToHost_s = 0.003;
@@ -194,7 +195,7 @@ TEST(ReportDecoder, LearnsTheLinksDelayFromTimeReplies) {
   EXPECT_NEAR(got.ranges.back().t_s, 105.0 + 9.9 + 0.5 * (kToHost_s - kToNode_s), 1e-6);
 }
 
-// Such as another program's before this one, or one that came over the air from another node.
+// Replies to an earlier program, or replies of another node over the air.
 TEST(ReportDecoder, LeavesAnswersToOthersAlone) {
   ReportDecoder decoder(0);
   Collected got;
@@ -214,7 +215,7 @@ TEST(ReportDecoder, LeavesAnswersToOthersAlone) {
   take(105.0, 1'000, ~std::uint64_t{0}, 0);
   take(105.0, 1'000, 2'000, 7);
   EXPECT_EQ(decoder.counters().time_replies, 0U);
-  EXPECT_EQ(decoder.counters().time_replies_odd, 4U);  // what came over the air is passed on
+  EXPECT_EQ(decoder.counters().time_replies_odd, 4U);  // the one over the air is passed on
   EXPECT_FALSE(decoder.time().round_trip_s());
 }
 
@@ -261,7 +262,7 @@ TEST(ReportDecoder, CountsLostReportsByTheirSequence) {
   send(2);
   send(7);
   EXPECT_EQ(decoder.counters().frames_lost, 6U);
-  // The node is restarted: counter and sequence begin anew, nothing is lost by that.
+  // The node restarts: counter and sequence start again, which is not a loss.
   device_dtu = 0;
   send(0);
   send(1);
@@ -348,7 +349,7 @@ TEST(ReportDecoder, RelatesTheClocksAnewAfterReopening) {
   decoder.take(first, 100.0, got);
   decoder.take(std::span(first).first(first.size() / 2), 100.1, got);
   decoder.link_reopened();
-  // The node was restarted while it was unplugged, and has run for longer than before.
+  // The node restarted while it was unplugged, and has run for longer than before.
   decoder.take(frame_of(make_report(1, 1, static_cast<std::uint64_t>(dtu(50.0)), {make_range(1, 2.0, 0)})),
                200.0, got);
   ASSERT_EQ(got.ranges.size(), 2U);
@@ -357,8 +358,7 @@ TEST(ReportDecoder, RelatesTheClocksAnewAfterReopening) {
   EXPECT_EQ(decoder.frame_counters().crc_errors, 0U);
 }
 
-// Frames that are whole but whose messages are damaged anywhere: what comes out is within its bounds, and
-// each range that a report holds is accounted for.
+// Intact frames with damaged messages: all output is within its bounds, and each message is counted.
 TEST(ReportDecoder, StaysWithinItsBoundsWhateverAFrameHolds) {
   std::uint64_t state = 12345;
   const auto random = [&state] {

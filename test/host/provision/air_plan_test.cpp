@@ -61,7 +61,7 @@ TEST(AirPlan, TakesTheTimeThatItsFramesAndPausesTake) {
         EXPECT_NEAR(plan.tag_duty, poll_us / whole_us, 1e-5);
         EXPECT_NEAR(plan.anchor_duty, tags * response_us / whole_us, 1e-5);
         EXPECT_NEAR(plan.bound_ranges_per_s * plan.air_use, plan.ranges_per_s,
-                    0.1 * plan.ranges_per_s);  // but for the relayed beacons
+                    0.1 * plan.ranges_per_s);  // except for the relayed beacons
         EXPECT_LT(plan.ranges_per_s, plan.bound_ranges_per_s);
         EXPECT_NEAR(plan.open_slots_per_s, 0.5e6 / whole_us, 0.01);
       }
@@ -83,13 +83,14 @@ TEST(AirPlan, APlaceThatGoesToATrialBringsNoRange) {
   SiteSettings site = site_of(4, 16);
   const AirPlan enough = plan_of(site);
   EXPECT_NEAR(enough.tag_ranges_per_s * enough.superframe_s, 16.0, 1e-9);
-  // One anchor more takes a place in each 31 POLLs: 1/32 of one, and what those whose places it took take.
+  // One anchor more gets a place in one of 31 POLLs: 1/32, plus the trials of anchors that gave up their
+  // place.
   site = site_of(4, 17);
   EXPECT_NEAR(plan_of(site).tag_ranges_per_s * enough.superframe_s, 16.0 - 1.0 / 31.0, 1e-9);
   site.responses = 2;
   const AirPlan few = plan_of(site);
   EXPECT_NEAR(few.tag_ranges_per_s * few.superframe_s, 2.0 - 15.0 / 127.0, 1e-9);
-  // In three halls most of 64 anchors are out of reach, and two of the places are theirs.
+  // With several cells most of the 64 anchors are out of reach; two places go to their trials.
   site = site_of(4, 64);
   site.tag_slots = {0, 1, 0, 1};
   site.slots = 2;
@@ -105,7 +106,7 @@ TEST(AirPlan, TellsWhatEachLinkCarries) {
   const double reports_per_s = 1.0 / plan.superframe_s;
   EXPECT_NEAR(plan.links[0].busy, plan.links[0].report_bytes * 10.0 * reports_per_s / 1e6, 1e-9);
   EXPECT_NEAR(plan.links[0].busy * plan.links[0].most_ranges_per_s, plan.tag_ranges_per_s, 1e-6);
-  // Payloads of 8 bytes: 67 bits of frame and 3 of space around the 64 of data, and up to a fifth stuffed.
+  // Payloads of 8 bytes: 64 bits of data, 67 of the frame, 3 of space, and up to 20 % bit stuffing.
   const double frames = std::ceil(plan.links[1].report_bytes / 8.0);
   const double least = frames * (131.0 + 3.0) * 3.0 * reports_per_s / 1e6;
   EXPECT_GT(plan.links[1].busy, least * 0.97);

@@ -1,5 +1,5 @@
-// From the box to a ranging network, with the shipped image all the way: OpenOCD flashes it into an emulated
-// part; nodes with that part's flash run it, are configured by the command, and range.
+// From unconfigured modules to a ranging network, with the shipped image: OpenOCD flashes it into an emulated
+// part; nodes run the content of that flash, are configured by the command, and range.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,5 +1,5 @@
-// Nodes get their configuration over real pseudo-terminals: simulated ones that run the firmware, and
-// scripted ones for what the firmware does not do by itself.
+// Nodes are configured over real pseudo-terminals: simulated nodes that run the firmware, and scripted
+// nodes for behaviour that the firmware does not show.
 #include "host/provision/configure.hpp"
 
 #include <gmock/gmock.h>
@@ -98,7 +98,7 @@ TEST(ConfigureNode, AnyOtherFieldIsAChange) {
   EXPECT_EQ(outcome.hello->config_hash, node::config_hash_of(node.config));
 }
 
-// A link that dies with a command after so many: the last one still arrives at the node, or does not.
+// A link that fails after some commands; the last one still arrives at the node, or does not.
 class DyingLink : public link::ByteLink {
  public:
   DyingLink(std::unique_ptr<link::ByteLink> link, int commands, bool last_arrives)
@@ -134,7 +134,7 @@ TEST_P(InterruptedAfter, SoManyCommandsItGoesOnWhereItStopped) {
   const NodeOutcome cut = configure_node(node, kBaud, dying);
   EXPECT_EQ(cut.fault, NodeFault::kNoAnswer);
   EXPECT_THAT(cut.message, HasSubstr("node 10: " + node.port + ": the port went away"));
-  std::this_thread::sleep_for(std::chrono::milliseconds(300));  // what the node had begun
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));  // lets the node finish its work
 
   const NodeOutcome resumed = configure_node(node, kBaud);
   EXPECT_EQ(resumed.fault, NodeFault::kNone) << resumed.message;
@@ -157,7 +157,7 @@ TEST(ConfigureNode, NoiseOnTheLineOnlyTakesTime) {
       const auto draw = random() % 2000;
       if (draw == 0) continue;                                                       // lost
       through.push_back(draw < 3 ? static_cast<std::uint8_t>(byte ^ 0x10U) : byte);  // flipped
-      if (draw == 3) through.push_back(0x55);                                        // from nowhere
+      if (draw == 3) through.push_back(0x55);                                        // spurious
     }
     bytes = through;
   });
@@ -223,7 +223,7 @@ TEST(IdentifyNode, TheNodeTellsWhoItIs) {
 
 // ---- over the air -----------------------------------------------------------------------------------------
 
-// The site has been configured by its cables once; then only the tag keeps its own.
+// The site was configured by cable once; then only the tag keeps its cable.
 class OverTheAir : public ::testing::Test {
  protected:
   void SetUp() override {
@@ -237,7 +237,7 @@ class OverTheAir : public ::testing::Test {
       plan.nodes[i].via = 1;
       plan.nodes[i].via_port = plan.nodes[0].port;
     }
-    // The anchors find their master.
+    // Lets the anchors find their master.
     std::this_thread::sleep_for(std::chrono::milliseconds(500));
   }
   [[nodiscard]] std::vector<const PlannedNode*> all() const {
@@ -245,7 +245,7 @@ class OverTheAir : public ::testing::Test {
     for (const PlannedNode& node : plan.nodes) nodes.push_back(&node);
     return nodes;
   }
-  // What the nodes say at their cables.
+  // Asks each node by its cable.
   void expect_in_force() const {
     for (std::size_t i = 0; i < plan.nodes.size(); ++i) {
       const NodeReport report = ask_node(by_cable.nodes[i].port, kBaud);
@@ -330,7 +330,7 @@ TEST_F(OverTheAir, AnAnchorSurveysTheOthers) {
   std::set<model::NodeId> others;
   for (const SurveyedPair& pair : surveyed.pairs) {
     EXPECT_EQ(pair.from, 11U);
-    EXPECT_NEAR(pair.range_m, 4.03, 0.3);  // of LiveSite, and antenna delays of the chips' own
+    EXPECT_NEAR(pair.range_m, 4.03, 0.3);  // as in LiveSite; the chips' own antenna delays
     EXPECT_GT(pair.count, 10U);
     others.insert(pair.to);
   }
@@ -389,7 +389,7 @@ groma_NodeToHost with_config(groma_NodeToHost reply, const groma_Config& config)
   return reply;
 }
 
-// Good in all, but for what `change` makes of its messages.
+// Answers correctly, except that `change` may modify each message.
 ScriptedNode::Answer good_but(std::function<void(groma_NodeToHost&, const groma_HostToNode&)> change) {
   return [change = std::move(change)](const groma_HostToNode& command) {
     std::vector<groma_NodeToHost> answer{with_config(reply_of(command), some_config())};
@@ -511,7 +511,7 @@ TEST(ConfigureNode, SilenceIsToldByItsKind) {
   std::vector<std::uint8_t> body{wire::kFrameVersion + 1, 1, 2, 3};
   const std::uint32_t crc = wire::crc32(body);
   for (int i = 0; i < 4; ++i) body.push_back(static_cast<std::uint8_t>(crc >> (8 * i)));
-  ASSERT_EQ(std::count(body.begin(), body.end(), 0), 0);  // else it would have to be stuffed
+  ASSERT_EQ(std::count(body.begin(), body.end(), 0), 0);  // so that one COBS block suffices
   body.insert(body.begin(), {0, static_cast<std::uint8_t>(body.size() + 1)});
   body.push_back(0);
   const NodeOutcome other = configure_scripted(nothing, body);

@@ -16,7 +16,7 @@ using ::testing::HasSubstr;
 
 class DebugProbeTest : public ::testing::Test {
  protected:
-  // As sysfs shows a USB device.
+  // Creates the sysfs files of a USB device.
   void add(const std::string& port, const std::string& vendor, const std::string& product_id,
            const std::string& serial, const std::string& product, const std::string& interface = "",
            const std::string& tty = "") {
@@ -89,7 +89,7 @@ TEST_F(DebugProbeTest, WhyNoneIsChosenIsTold) {
 TEST_F(DebugProbeTest, WhoMayNotUseItIsToldTheRule) {
   add("1-2", "1366", "1015", "000760012345", "J-Link");
   auto probes = find();
-  EXPECT_TRUE(probes[0].accessible);  // its node is not to be seen: OpenOCD will tell
+  EXPECT_TRUE(probes[0].accessible);  // its device node does not exist: OpenOCD will report that
   probes[0].accessible = false;
   const ChosenProbe chosen = choose_probe(probes, std::nullopt, "");
   EXPECT_EQ(chosen.fault, FlashFault::kPermission);

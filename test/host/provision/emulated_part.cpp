@@ -109,7 +109,7 @@ bool EmulatedPart::write(std::uint32_t address, std::uint32_t value, std::uint32
 bool EmulatedPart::write_flash(std::vector<std::uint8_t>& memory, std::uint32_t offset, std::uint32_t value) {
   if (nvmc_config_ != kWriteEnable) return false;
   const bool broken = &memory == &flash_ && broken_ == offset;
-  if (!broken) set_word(memory, offset, word_at(memory, offset) & value);  // bits only fall
+  if (!broken) set_word(memory, offset, word_at(memory, offset) & value);  // writing only clears bits
   ++words_written_;
   while (words_written_ >= hold_at_) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   return true;
@@ -158,7 +158,7 @@ bool EmulatedPart::write_register(std::uint32_t address, std::uint32_t value) {
       std::fill(uicr_.begin(), uicr_.end(), std::uint8_t{0xFF});
       return true;
     case kDhcsr:
-      if (value >> 16 != 0xA05F) return true;  // without the key it is not for us
+      if (value >> 16 != 0xA05F) return true;  // ignored without the key
       dhcsr_ = value & 0xFFFF;
       halted_ = (value & 1U) != 0 && (value & kHalt) != 0;
       return true;

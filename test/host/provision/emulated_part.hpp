@@ -1,4 +1,4 @@
-// An nRF52832 as a debugger sees it: flash and UICR behind their NVMC, the core's halt and reset, and the
+// An nRF52832 as seen by a debugger: flash and UICR with the NVMC, the core's halt and reset, and the
 // CTRL-AP that unlocks it. It runs no program. Register names and addresses: nRF52832 product specification
 // (NVMC, UICR, FICR, CTRL-AP) and the ARMv7-M architecture reference manual (C1, debug).
 #pragma once
@@ -19,13 +19,13 @@ class EmulatedPart {
 
   EmulatedPart();
 
-  // As with UICR.APPROTECT written, and a reset since.
+  // The state after UICR.APPROTECT was written and a reset.
   void lock();
   [[nodiscard]] bool locked() const noexcept { return locked_; }
-  // This word of flash keeps its bits whatever is written.
+  // Writes to this word of flash have no effect.
   void break_flash_at(std::uint32_t address) { broken_ = address; }
 
-  // One access of the memory access port, of an aligned word; `lanes` marks the bytes that count. Nothing, or
+  // One access of the memory access port to an aligned word; `lanes` masks the bytes to write. Nothing or
   // false: a bus fault.
   [[nodiscard]] std::optional<std::uint32_t> read(std::uint32_t address);
   [[nodiscard]] bool write(std::uint32_t address, std::uint32_t value, std::uint32_t lanes);
@@ -36,11 +36,11 @@ class EmulatedPart {
 
   [[nodiscard]] const std::vector<std::uint8_t>& flash() const noexcept { return flash_; }
   [[nodiscard]] bool halted() const noexcept { return halted_; }
-  // Pages erased one by one, and mass erases, so far; these may be read while a debugger is at work.
+  // Numbers of page erases, mass erases and words so far; these may be read while a debugger works.
   [[nodiscard]] int pages_erased() const noexcept { return pages_erased_; }
   [[nodiscard]] int mass_erases() const noexcept { return mass_erases_; }
   [[nodiscard]] int words_written() const noexcept { return words_written_; }
-  // The debugger waits at that number of words written, until another is given here.
+  // Blocks the debugger once this many words are written, until a larger number is set.
   void hold_at(int words) noexcept { hold_at_ = words; }
 
  private:
@@ -54,7 +54,7 @@ class EmulatedPart {
   std::vector<std::uint8_t> flash_;
   std::vector<std::uint8_t> uicr_;
   std::vector<std::uint8_t> ram_;
-  std::map<std::uint32_t, std::uint32_t> kept_;  // registers without a life of their own
+  std::map<std::uint32_t, std::uint32_t> kept_;  // registers without side effects
   std::array<std::uint32_t, 128> core_{};        // by DCRSR.REGSEL
   std::uint32_t core_transfer_ = 0;              // DCRDR
   std::uint32_t nvmc_config_ = 0;

@@ -109,11 +109,11 @@ void JtagPort::update() {
 }
 
 void JtagPort::access_debug_port(unsigned address, bool read, std::uint32_t value) {
-  if (read && address == 0xC) return;  // RDBUFF: the result stays
+  if (read && address == 0xC) return;  // RDBUFF: keeps the result
   switch (address) {
     case 0x4:
       if (read) {
-        // Power acknowledge follows each request.
+        // Each power request is acknowledged at once.
         result_ = control_ | ((control_ & kPowerRequests) << 1) | (sticky_error_ ? kStickyError : 0);
       } else {
         if ((value & kStickyError) != 0) sticky_error_ = false;
@@ -180,7 +180,7 @@ void JtagPort::access_memory(unsigned reg, bool read, std::uint32_t value) {
       const unsigned bytes = 1U << (csw_ & 7U);
       const std::uint32_t mask = bytes >= 4 ? 0xFFFF'FFFF : ((1U << (8 * bytes)) - 1) << (8 * (tar_ & 3U));
       access(tar_, mask);
-      // The Cortex-M4's port counts within 4 KiB.
+      // The Cortex-M4's port increments the address within 4 KiB.
       if ((csw_ & 0x10U) != 0) tar_ = (tar_ & ~0xFFFU) | ((tar_ + bytes) & 0xFFFU);
       break;
     }

@@ -1,6 +1,6 @@
-// A debug probe on a socket: OpenOCD's remote_bitbang adapter moves its pins. Behind them a JTAG-DP with a
-// MEM-AP and the CTRL-AP of an emulated part. Sources: OpenOCD's manual, remote_bitbang.txt; IEEE 1149.1 (the
-// state machine); ARM IHI 0031 (debug port and access ports).
+// A debug probe on a socket: OpenOCD's remote_bitbang adapter drives its pins, which connect to a JTAG-DP
+// with a MEM-AP and the CTRL-AP of an emulated part. Sources: OpenOCD's manual, remote_bitbang.txt; IEEE
+// 1149.1 (the state machine); ARM IHI 0031 (debug port and access ports).
 #pragma once
 
 #include <atomic>
@@ -17,10 +17,10 @@
 
 namespace groma::provision::test {
 
-// Four wires.
+// The four JTAG wires.
 class JtagPort {
  public:
-  // Keeps a reference to the part; null: nothing is wired to the probe.
+  // Keeps the pointer to the part; null: nothing is wired to the probe.
   explicit JtagPort(EmulatedPart* part) : part_(part) {}
 
   void set(bool tck, bool tms, bool tdi);
@@ -60,7 +60,7 @@ class JtagPort {
   std::uint64_t shift_ = 0;
   unsigned shift_bits_ = 32;
   // Debug port
-  std::uint32_t result_ = 0;  // of the access before
+  std::uint32_t result_ = 0;  // of the previous access
   std::uint32_t select_ = 0;
   std::uint32_t control_ = 0;
   bool sticky_error_ = false;
@@ -71,13 +71,13 @@ class JtagPort {
 
 class EmulatedProbe {
  public:
-  // Listens at `socket`. After so many words in flash it falls off the bus, if that is given.
+  // Listens at `socket`. part: as for JtagPort.
   EmulatedProbe(std::filesystem::path socket, EmulatedPart* part);
   ~EmulatedProbe();
   EmulatedProbe(const EmulatedProbe&) = delete;
   EmulatedProbe& operator=(const EmulatedProbe&) = delete;
 
-  // Asked after each batch of pin changes; true: the cable is pulled.
+  // Called after each batch of pin changes; true: unplugs the probe.
   void set_pull(std::function<bool()> pull);
   [[nodiscard]] int sessions() const { return sessions_; }
 

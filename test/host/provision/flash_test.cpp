@@ -1,4 +1,4 @@
-// OpenOCD itself flashes an emulated part; its failures, and what it says of failures that need USB.
+// The real OpenOCD flashes an emulated part; tests of its failures, and of its messages for failures of USB.
 #include "host/provision/flash.hpp"
 
 #include <gmock/gmock.h>
@@ -40,7 +40,7 @@ class FlashTest : public ::testing::Test {
     request_.own_interface = true;
     request_.serial = "a";
   }
-  // nullptr: nothing is wired to it.
+  // nullptr: nothing is wired to the probe.
   void plug_in(EmulatedPart* part) { probe_ = std::make_unique<EmulatedProbe>(scratch_ / "a.sock", part); }
   void unplug() {
     probe_.reset();
@@ -110,7 +110,7 @@ TEST_F(FlashTest, RecoverUnlocksALockedPartAndOnlyThat) {
   EXPECT_FALSE(part_.locked());
   EXPECT_EQ(part_.mass_erases(), 1);
 
-  const FlashOutcome again = run();  // it is open now: what it holds stays
+  const FlashOutcome again = run();  // it is unlocked now: its content stays
   EXPECT_EQ(again.fault, FlashFault::kNone) << again.output;
   EXPECT_FALSE(again.recovered);
   EXPECT_FALSE(again.changed);
@@ -140,7 +140,7 @@ TEST_F(FlashTest, WhatIsNotKnownComesInOpenOcdsWords) {
 
 class PulledAt : public FlashTest, public ::testing::WithParamInterface<int> {};
 
-// A share of the way, in words written; 0 is before the first erase.
+// Parameter: the number of words written when the probe is unplugged; 0 is before the first erase.
 TEST_P(PulledAt, ThisWordItIsToldAndRepeatedItIsDone) {
   plug_in(&part_);
   const int word = GetParam();
@@ -160,8 +160,7 @@ TEST_P(PulledAt, ThisWordItIsToldAndRepeatedItIsDone) {
 
 INSTANTIATE_TEST_SUITE_P(FlashTest, PulledAt, ::testing::Values(0, 1, 1024, 2000));
 
-// ---- what needs USB: OpenOCD 0.12.0's and libjaylink 0.3.1's words
-// ------------------------------------------
+// ---- failures of USB: messages of OpenOCD 0.12.0 and libjaylink 0.3.1 -----------------------------------
 
 FlashFault fault_of(const std::string& output) {
   return read_openocd(1, output, {}).fault;
@@ -191,7 +190,7 @@ TEST(ReadOpenOcd, EachCauseIsKnownByItsWords) {
   EXPECT_EQ(fault_of("Error: never heard of\n"), FlashFault::kOther);
   EXPECT_THAT(read_openocd(1, "Error: Failed to open device: LIBUSB_ERROR_ACCESS\n", {}).message,
               HasSubstr("udev"));
-  // Success by the words alone is none.
+  // Success requires both the exit code and the message.
   EXPECT_EQ(fault_of("** Verified OK **\n"), FlashFault::kOther);
   EXPECT_EQ(read_openocd(0, "nothing\n", {}).fault, FlashFault::kOther);
 }
@@ -210,7 +209,7 @@ TEST(OpenOcdArguments, AKnownAdapterGoesBySwdAndSerialNumber) {
                              "-c", "program {/a b/node.hex} preverify verify reset exit"));
 }
 
-// The adapters' files and commands are as OpenOCD has them: it gets as far as to miss the probe.
+// OpenOCD accepts the adapters' files and commands: it gets as far as looking for the probe.
 TEST(OpenOcdArguments, OpenOcdTakesThemForEachAdapter) {
   const auto openocd = find_program("openocd");
   ASSERT_TRUE(openocd) << "scripts/setup test installs it";

@@ -1,4 +1,4 @@
-// Simulated nodes in free space, each on a real pseudo-terminal, running in real time beside the test.
+// Simulated nodes in free space, each on a real pseudo-terminal, running in real time in a thread.
 #pragma once
 
 #include <array>
@@ -25,11 +25,11 @@ namespace groma::provision::test {
 
 class LiveSite {
  public:
-  // What a line does to bytes on their way; called with all that come at once.
+  // Modifies the bytes on a line; called with each chunk, in both directions.
   using Line = std::function<void(std::vector<std::uint8_t>&)>;
 
-  // Nodes 1 (tag), 10, 11, 12 (anchors), none of them configured. They run the image, or without one the
-  // firmware compiled in.
+  // Nodes 1 (tag), 10, 11, 12 (anchors), all unconfigured. They run the image or, if null, the firmware
+  // compiled for the host.
   explicit LiveSite(const sim::FirmwareImage* image = nullptr) : network_(space_, {}, 1) {
     constexpr std::array<std::uint16_t, 4> kIds{1, 10, 11, 12};
     for (const std::uint16_t id : kIds) {
@@ -50,7 +50,7 @@ class LiveSite {
   LiveSite(const LiveSite&) = delete;
   LiveSite& operator=(const LiveSite&) = delete;
 
-  // The plan of all four.
+  // The plan of all four nodes.
   [[nodiscard]] SitePlan plan() {
     SitePlan plan;
     SiteSettings site;
@@ -58,7 +58,7 @@ class LiveSite {
     site.tag_ids = {1};
     site.anchor_ids = {10, 11, 12};
     site.master_id = 10;
-    site.backup_ids = {11, 12};  // whom a plan that names none gets
+    site.backup_ids = {11, 12};  // the default of a plan that names none
     for (std::size_t i = 0; i < ports_.size(); ++i) {
       PlannedNode node;
       node.id = i == 0 ? model::NodeId{1} : static_cast<model::NodeId>(9 + i);
@@ -74,7 +74,7 @@ class LiveSite {
     const std::lock_guard lock(mutex_);
     line_ = std::move(line);
   }
-  // As if the cable of the first node were pulled.
+  // Unplugs the cable of the first node.
   void unplug() {
     const std::lock_guard lock(mutex_);
     ports_.front().pty.reset();

@@ -1,4 +1,4 @@
-// groma flash, configure and identify as others meet them: processes, exit codes, killed and repeated; with
+// groma flash, configure, identify, nodes and listen as processes: exit codes, killed and repeated. With
 // OpenOCD, emulated parts behind emulated probes, and simulated nodes on real pseudo-terminals.
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -51,7 +51,7 @@ ChildResult groma_run(std::vector<std::string> arguments) {
   return run_child(arguments);
 }
 
-// Starts groma and kills it, by SIGKILL, as soon as the condition holds. True: it still ran then.
+// Starts groma and kills it by SIGKILL once the condition holds. True: it was still running.
 bool kill_when(std::vector<std::string> arguments, const std::function<bool()>& condition) {
   arguments.insert(arguments.begin(), GROMA_EXECUTABLE);
   std::vector<char*> argv;
@@ -76,7 +76,7 @@ bool kill_when(std::vector<std::string> arguments, const std::function<bool()>& 
   return WIFSIGNALED(status);
 }
 
-// Four simulated nodes, for each a part behind a probe, a plan of all, and an image.
+// Four simulated nodes, an emulated part and probe for each, a plan of all, and an image.
 class CommandTest : public ::testing::Test {
  protected:
   static constexpr std::array<const char*, 4> kProbes{"p1", "p10", "p11", "p12"};
@@ -281,7 +281,7 @@ TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
   EXPECT_EQ(out["sync"], "locked");
   EXPECT_EQ(out["master"], 10);
   ASSERT_EQ(out["pairs"].size(), 3U);
-  const double distance_m = std::hypot(3.0, 4.0 - 5.0);  // of live_site.hpp: tag 1 to anchor 10
+  const double distance_m = std::hypot(3.0, 4.0 - 5.0);  // live_site.hpp: tag 1 to anchor 10
   EXPECT_NEAR(out["pairs"][0]["mean_m"].get<double>(), distance_m, 0.1);
   EXPECT_GT(out["pairs"][0]["ranges"].get<int>(), 20);
 
@@ -305,8 +305,8 @@ TEST_F(CommandTest, ATagTakesHintsAndLeavesWhenItIsTold) {
   EXPECT_NEAR(before["supply_v"].get<double>(), 3.3, 0.5);
   EXPECT_GE(before["pairs"][0]["sight"].get<double>(), 0.9);
 
-  // An anchor that it does not know becomes a candidate; at its own port, and over the air through an
-  // anchor's.
+  // An unknown anchor becomes a candidate. The command works at the tag's port, and over the air through an
+  // anchor.
   const ChildResult hinted = groma_run({"nodes", tag, "--node", "1", "--prefer", "99=120,12=0", "--json"});
   EXPECT_EQ(hinted.exit_code, 0) << hinted.err;
   const json told = json::parse(hinted.out)["nodes"];

@@ -1,4 +1,4 @@
-// A node on a real pseudo-terminal that does what a test says.
+// A node on a real pseudo-terminal that answers as a test says.
 #pragma once
 
 #include <pb_decode.h>

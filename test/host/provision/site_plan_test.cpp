@@ -35,7 +35,7 @@ class SitePlanTest : public ::testing::Test {
     scratch_.write("plan.yaml", text);
     return read_site_plan(scratch_ / "plan.yaml");
   }
-  // The message of its ConfigError.
+  // The message of the ConfigError that this text causes, or "none".
   std::string fault_of(const std::string& text) {
     try {
       (void)read(text);
@@ -87,7 +87,7 @@ TEST_F(SitePlanTest, EachKeyReachesTheConfiguration) {
   EXPECT_EQ(schedule.guard_us, 40U);
   ASSERT_EQ(schedule.tag_ids_count, 1);
   ASSERT_EQ(schedule.anchor_ids_count, 2);
-  EXPECT_EQ(schedule.anchor_ids[0], 10);  // ascending, whatever the order of the file
+  EXPECT_EQ(schedule.anchor_ids[0], 10);  // ascending, independent of the file's order
   EXPECT_EQ(schedule.anchor_ids[1], 12);
 
   const PlannedNode* tag = plan.find(3);
@@ -116,7 +116,7 @@ TEST_F(SitePlanTest, TheLeastPlanTakesTheDefaults) {
   EXPECT_EQ(config.schedule.method, groma_RangingMethod_METHOD_DS_NEXT_POLL);
   EXPECT_EQ(config.schedule.turn_round_us, 300U);
   EXPECT_EQ(config.schedule.response_gap_us, 160U);
-  // The site goes on without its master.
+  // The site survives the loss of its master.
   ASSERT_EQ(config.schedule.backup_ids_count, 1);
   EXPECT_EQ(config.schedule.backup_ids[0], 9);
   EXPECT_EQ(config.network_key.size, 0);
@@ -145,7 +145,7 @@ TEST_F(SitePlanTest, TagsOutOfEachOthersReachMayShareASlot) {
   EXPECT_EQ(schedule.tag_slots[1], 1);
   EXPECT_EQ(schedule.tag_slots[2], 1);
   ASSERT_EQ(schedule.backup_ids_count, 2);
-  EXPECT_EQ(schedule.backup_ids[0], 13);  // by rank, as the file has them
+  EXPECT_EQ(schedule.backup_ids[0], 13);  // by rank, in the file's order
   EXPECT_EQ(schedule.backup_ids[1], 11);
 }
 

@@ -1,4 +1,4 @@
-// A small image of ours as Intel HEX, and a probe's configuration for OpenOCD.
+// A small Groma image as Intel HEX, and a probe's configuration for OpenOCD.
 #pragma once
 
 #include <fmt/format.h>
@@ -61,8 +61,9 @@ inline std::string hex_of(std::span<const std::uint8_t> image, std::uint32_t bas
 
 inline const std::string kHexEnd = ":00000001FF\n";
 
-// The probe listens at FOLDER/SERIAL.sock. The part has no work area: flash is written, and read back, by the
-// debugger itself. OpenOCD drives such pins by JTAG alone, for which nrf52.cfg names no instruction length.
+// The probe listens at FOLDER/SERIAL.sock. The part has no work area, so the debugger itself writes and
+// reads back the flash. OpenOCD drives remote_bitbang by JTAG only, for which nrf52.cfg gives no
+// instruction length.
 inline std::string probe_configuration(const std::filesystem::path& folder) {
   return fmt::format(
       "adapter driver remote_bitbang\n"
