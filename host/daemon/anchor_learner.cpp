@@ -150,8 +150,9 @@ bool AnchorLearner::take_out_moved(const std::vector<calibration::AnchorChange>&
     std::erase_if(learnt_.calibration.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
     store_.forget(change.id, store_.last_s());
     moved_m_[change.id] = change.displacement_m.norm();
-    news_.push_back(fmt::format("anchor {} moved by {:.2f} m; it is not used until its new place is learnt",
-                                change.id, moved_m_[change.id]));
+    news_.push_back(
+        fmt::format("anchor {} moved by {:.2f} m; it is not used until its new position is calibrated",
+                    change.id, moved_m_[change.id]));
     changed = true;
   }
   suspicion_ = std::move(suspicion);
@@ -171,7 +172,7 @@ bool AnchorLearner::take_in_learnt(bool last) {
     learnt.push_back(anchor);
     const model::AnchorCalibration* before = model::find_anchor(live_, anchor.id);
     if (before == nullptr) {
-      news_.push_back(fmt::format("anchor {} is learnt: verdict {}, {} ranges, sigma {:.2f} m", anchor.id,
+      news_.push_back(fmt::format("anchor {} is calibrated: verdict {}, {} ranges, sigma {:.2f} m", anchor.id,
                                   io::word(anchor.verdict), anchor.ranges_used, sigma_xy_m(anchor)));
       moved_m_.erase(anchor.id);
     }
@@ -221,7 +222,7 @@ std::vector<AnchorProgress> AnchorLearner::progress() const {
       progress.state = moved_m_.contains(id) ? AnchorState::kMoved : AnchorState::kLearning;
     }
     if (anchor == nullptr) {
-      progress.advice = "drive past it to learn its new place";
+      progress.advice = "drive past it to calibrate its new position";
       continue;
     }
     progress.coverage = live != nullptr ? 1.0 : calibration::coverage(*anchor);

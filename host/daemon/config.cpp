@@ -54,7 +54,7 @@ NodeLink parse_can_node(const YamlValue& entry) {
   const auto can = link::parse_can_path(path.text());
   if (!can) path.fail("names no node on a CAN bus", std::string(link::kCanPathAdvice));
   if (const auto baud = entry.find("baud")) {
-    baud->fail("is a serial port's", "leave it out: a CAN interface's bit rate is set with 'ip link'");
+    baud->fail("is for serial ports only", "remove it: a CAN interface's bit rate is set with 'ip link'");
   }
   return {path.text(), link::equivalent_baud(can->format)};
 }
@@ -73,7 +73,7 @@ std::vector<NodeLink> parse_nodes(const YamlValue& yaml, const std::filesystem::
     NodeLink node =
         link::is_can_path(entry.at("path").text()) ? parse_can_node(entry) : parse_serial_node(entry, folder);
     if (!seen.insert(identity_of(node)).second) {
-      entry.at("path").fail("is there twice", "name each port, or node of a bus, once");
+      entry.at("path").fail("is given twice", "name each port, or node of a bus, once");
     }
     nodes.push_back(std::move(node));
   }
@@ -89,7 +89,7 @@ std::vector<model::Tag> parse_tags(const YamlValue& yaml) {
         static_cast<model::NodeId>(entry.at("id").integer(0, std::numeric_limits<model::NodeId>::max()));
     const bool repeated =
         std::any_of(tags.begin(), tags.end(), [&](const auto& tag) { return tag.id == id; });
-    if (repeated) entry.at("id").fail("is there twice", "name each tag once");
+    if (repeated) entry.at("id").fail("is given twice", "name each tag once");
     const std::vector<double> arm_m = entry.at("lever_arm_m").numbers(3);
     tags.push_back({id, {arm_m[0], arm_m[1], arm_m[2]}});
   }
@@ -112,15 +112,15 @@ CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::fil
   if (file) source.file = parse_path(*file, folder);
   if (output) source.output = parse_path(*output, folder);
   if (source.learn) {
-    if (drive_s) drive_s->fail("does not go with 'learn'", "leave out one of them");
+    if (drive_s) drive_s->fail("cannot be combined with 'learn'", "remove one of them");
     return source;
   }
   if (file.has_value() == drive_s.has_value()) {
-    yaml.fail("has to have either 'file' or 'drive_s'",
-              "give a calibration, or the length of a drive to learn it, or 'learn: true'");
+    yaml.fail("must have either 'file' or 'drive_s'",
+              "give a calibration, the length of a calibration drive, or 'learn: true'");
   }
   if (file) {
-    if (output) output->fail("goes with 'drive_s' or 'learn' only", "leave it out: the file is not changed");
+    if (output) output->fail("requires 'drive_s' or 'learn'", "remove it: the file is not changed");
     return source;
   }
   source.drive_s = parse_between(*drive_s, kMinDrive_s, kMaxDrive_s);
@@ -135,8 +135,8 @@ void parse_pose_stream(const YamlValue& yaml, Config& config) {
     in6_addr v6{};
     if (::inet_pton(AF_INET, config.address.c_str(), &v4) != 1 &&
         ::inet_pton(AF_INET6, config.address.c_str(), &v6) != 1) {
-      address->fail("is no numeric address",
-                    "write 127.0.0.1 for this computer alone, 0.0.0.0 for the network");
+      address->fail("is not a numeric address",
+                    "write 127.0.0.1 for this computer only, 0.0.0.0 for the network");
     }
   }
   if (const auto port = yaml.find("port")) {
@@ -151,7 +151,7 @@ filter::Model parse_model(const YamlValue& yaml) {
     for (const filter::Model known : filter::kModels) {
       names += (names.empty() ? "" : ", ") + std::string(filter::model_name(known));
     }
-    yaml.fail("is no model", "choose one of " + names);
+    yaml.fail("is not a model", "choose one of " + names);
   }
   return *model;
 }

@@ -33,7 +33,7 @@ link::OpenedLink open_input(const std::string& path, unsigned baud) {
   std::error_code ignored;  // open_link() explains such errors
   if (std::filesystem::is_regular_file(path, ignored)) {
     return {nullptr,
-            {link::LinkFault::kUnsuitable, fmt::format("{}: a file is no live link; name a serial port, a "
+            {link::LinkFault::kUnsuitable, fmt::format("{}: a file is not a live link; name a serial port, a "
                                                        "pseudo-terminal, a node on a CAN bus or a socket",
                                                        path)}};
   }
@@ -101,7 +101,7 @@ link::LinkError Daemon::open() {
   if (config_.log) {
     recorder_ = std::make_unique<LogRecorder>(*config_.log, config_.description());
     session_.attach(*recorder_);
-    log_(fmt::format("records into {}", config_.log->string()));
+    log_(fmt::format("recording into {}", config_.log->string()));
   }
   return {};
 }
@@ -116,8 +116,8 @@ bool Daemon::run(int stop_fd) {
                              .earlier = calibration_.value_or(model::Calibration{}),
                              .poses = known ? AnchorLearner::Poses::kFilter : AnchorLearner::Poses::kPriors});
     session_.attach(*learner_);
-    log_(
-        fmt::format("learns anchors while driving, by {}", known ? "the filter's poses" : "the pose priors"));
+    log_(fmt::format("calibrates anchors while driving, from {}",
+                     known ? "the filter's poses" : "the pose priors"));
     if (!known) calibration_.reset();
   }
   if (calibration_) {
@@ -161,7 +161,7 @@ void Daemon::wait(int stop_fd, bool& stop) {
 
 void Daemon::service(Input& input) {
   if (input.link.service(now_s())) {
-    log_(fmt::format("{}: open again", input.name));
+    log_(fmt::format("{}: reopened", input.name));
     if (input.is_robot) {
       session_.robot_reopened();
     } else {
@@ -183,7 +183,7 @@ void Daemon::read(Input& input) {
   for (std::size_t i = 0; i < kReadsPerTurn; ++i) {
     const link::ReadResult result = input.link.read(buffer, now_s());
     if (result.gone) {
-      log_(fmt::format("{}: the link is gone; it is opened again as soon as it can be", input.name));
+      log_(fmt::format("{}: the link is lost; it will be reopened as soon as possible", input.name));
       return;
     }
     if (result.bytes == 0) return;
@@ -233,7 +233,7 @@ bool Daemon::calibrate() {
   if (calibration.verdict == model::Verdict::kUnusable) return false;
   if (config_.calibration.output) {
     io::write_file(*config_.calibration.output, io::format_calibration(calibration));
-    log_(fmt::format("calibration kept in {}", config_.calibration.output->string()));
+    log_(fmt::format("calibration written to {}", config_.calibration.output->string()));
   }
   localize(std::move(calibration));
   return true;
@@ -250,7 +250,7 @@ void Daemon::localize(model::Calibration calibration) {
       [this](const PoseEstimate& pose) { publish(pose); },
       [this](const PoseEstimate& pose) { learn_from(pose); });
   session_.attach(*localizer_);
-  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; looks for its pose",
+  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; searching for the pose",
                    filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
 }
 
@@ -354,7 +354,7 @@ void Daemon::report_implausible() {
   const std::uint64_t implausible = localizer_->implausible();
   if (std::bit_width(implausible) != std::bit_width(reported_implausible_)) {
     log_(fmt::format(
-        "robot: {} samples dropped so far that no robot can do; check the source of its odometry, "
+        "robot: {} physically impossible samples dropped so far; check the source of its odometry, "
         "IMU, GNSS and poses",
         implausible));
   }

@@ -53,7 +53,7 @@ LogRecorder::LogRecorder(const std::filesystem::path& path, std::vector<io::Desc
   }
   if (::flock(file_.get(), LOCK_EX | LOCK_NB) != 0) {
     throw io::DeviceError({path}, "another program records into it",
-                          "end that, or choose another file for `log`");
+                          "stop it, or choose another file for `log`");
   }
   encoder_.begin_section(description_, unix_time_ns());
   if (const int error = append(file_.get(), encoder_.take()); error != 0) {

@@ -31,10 +31,10 @@ link::LinkError explain(const std::string& address, std::uint16_t port, int erro
               fmt::format("{}: not permitted; set a pose_stream port above 1023", where)};
     case EADDRNOTAVAIL:
       return {link::LinkFault::kNoDevice,
-              fmt::format("{}: no address of this computer; set another pose_stream address", where)};
+              fmt::format("{}: not an address of this computer; set another pose_stream address", where)};
     default:
       return {link::LinkFault::kUnsuitable,
-              fmt::format("{}: cannot be listened on ({}); set another pose_stream", where,
+              fmt::format("{}: cannot listen ({}); set another pose_stream", where,
                           std::generic_category().message(error))};
   }
 }

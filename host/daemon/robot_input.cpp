@@ -126,12 +126,12 @@ struct MessageClass {
 constexpr std::array<MessageClass, 6> kClasses{{
     {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps", &RobotInputCounters::odometry, read_odometry},
     {"POSE_PRIOR",
-     "plausible t_s, x_m, y_m, z_m, yaw_rad; its covariance, if any, is of 36 terms that can be one",
+     "plausible t_s, x_m, y_m, z_m, yaw_rad; if given, a valid covariance of 36 terms",
      &RobotInputCounters::pose_priors, read_pose_prior},
     {"IMU", "finite t_s, omega_radps", &RobotInputCounters::sensors, read_imu},
-    {"GNSS", "plausible t_s, x_m, y_m, and a covariance of 4 terms that can be one",
+    {"GNSS", "plausible t_s, x_m, y_m, and a valid covariance of 4 terms",
      &RobotInputCounters::sensors, read_gnss},
-    {"ABSOLUTE_POSE", "plausible t_s, x_m, y_m, yaw_rad, and a covariance of 36 terms that can be one",
+    {"ABSOLUTE_POSE", "plausible t_s, x_m, y_m, yaw_rad, and a valid covariance of 36 terms",
      &RobotInputCounters::sensors, read_absolute_pose},
     {"ZERO_VELOCITY", "a finite t_s", &RobotInputCounters::sensors, read_zero_velocity},
 }};
@@ -176,7 +176,7 @@ void RobotInput::reset() {
 std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
   const InputJson object = InputJson::parse(line, nullptr, /*allow_exceptions=*/false);
   if (!object.is_object()) {
-    drop(counters_.torn, fmt::format("no JSON object: {}", io::shown(line)));
+    drop(counters_.torn, fmt::format("not a JSON object: {}", io::shown(line)));
     return std::nullopt;
   }
   const auto name = object.find("class");
@@ -184,7 +184,7 @@ std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
     return name != object.end() && *name == of.name;
   });
   if (known == kClasses.end()) {
-    drop(counters_.unknown_class, fmt::format("class is none that is known: {}", io::shown(line)));
+    drop(counters_.unknown_class, fmt::format("unknown class: {}", io::shown(line)));
     return std::nullopt;
   }
   std::optional<RobotMessage> message = known->read(object);

@@ -96,7 +96,7 @@ CanLog read_candump_log(const std::filesystem::path& path) {
     if (!parsed.intact) {
       return {{},
               {LinkFault::kUnsuitable,
-               fmt::format("{}:{}: is no line of a candump log; record one with 'candump -l can0'",
+               fmt::format("{}:{}: not a line of a candump log; record one with 'candump -l can0'",
                            path.string(), number)}};
     }
     if (parsed.frame) log.frames.push_back(std::move(*parsed.frame));

@@ -31,12 +31,12 @@ LinkError explain_open_error(const std::string& path, int error_number) {
     case ENXIO:
     case ENOTDIR:
       return {LinkFault::kNoDevice,
-              fmt::format("{}: no such device; plug it in, or see the ports there are with "
+              fmt::format("{}: no such device; plug it in, or list the ports with "
                           "'ls -l /dev/serial/by-id'",
                           path)};
     case ECONNREFUSED:
       return {LinkFault::kNoDevice,
-              fmt::format("{}: nobody listens on this socket; start the program that serves it", path)};
+              fmt::format("{}: no program listens on this socket; start the one that serves it", path)};
     case EACCES:
     case EPERM: {
       const std::string group = group_of(path);
@@ -52,7 +52,7 @@ LinkError explain_open_error(const std::string& path, int error_number) {
     case EBUSY:
     case EWOULDBLOCK:
       return {LinkFault::kBusy,
-              fmt::format("{}: in use by another program; 'fuser -v {}' tells which, stop it", path, path)};
+              fmt::format("{}: in use by another program; 'fuser -v {}' shows which; stop it", path, path)};
     default:
       return {
           LinkFault::kUnsuitable,

@@ -51,7 +51,7 @@ LinkError explain_missing(const std::string& path, const std::string& interface,
           fmt::format("{}: there is no interface {}; {}", path, interface,
                       others.empty() ? "there is no CAN interface at all: plug the adapter in and load its "
                                        "driver"
-                                     : "the CAN interfaces there are: " + others)};
+                                     : "available CAN interfaces: " + others)};
 }
 
 // Returns an error unless the interface is a CAN interface, is up and supports the format.
@@ -62,9 +62,9 @@ LinkError check_interface(int fd, const std::string& path, const CanPath& can) {
   }
   if (answer.ifr_hwaddr.sa_family != ARPHRD_CAN) {
     const std::string others = can_interfaces(fd);
-    return {LinkFault::kUnsuitable, fmt::format("{}: {} is no CAN interface; {}", path, can.interface,
+    return {LinkFault::kUnsuitable, fmt::format("{}: {} is not a CAN interface; {}", path, can.interface,
                                                 others.empty() ? "see 'ip link show type can'"
-                                                               : "the CAN interfaces there are: " + others)};
+                                                               : "available CAN interfaces: " + others)};
   }
   const bool fd_wanted = can.format == wire::CanFormat::kFd;
   if (!ask_interface(fd, can.interface, SIOCGIFFLAGS, answer)) {
@@ -140,8 +140,8 @@ LinkError explain_can_error(const std::string& path, const std::string& interfac
     case EACCES:
     case EPERM:
       return {LinkFault::kPermission,
-              fmt::format("{}: this user may open no CAN sockets; they need no rights of their own, so see "
-                          "what the container or the service manager takes away",
+              fmt::format("{}: this user may not open CAN sockets; they need no privileges, so check "
+                          "what the container or the service manager forbids",
                           path)};
     case ENODEV:
     case ENXIO:
@@ -296,22 +296,21 @@ void SocketCanLink::take_state(BusState state) {
   state_ = state;
   switch (state) {
     case BusState::kActive:
-      add_news("the bus is well again");
+      add_news("the bus works again");
       break;
     case BusState::kErrorPassive:
       ++counters_.error_passive;
       add_news(
-          "many errors on the bus (the controller is error-passive); see that bit rate, wiring and the two "
-          "terminations are right and that another node is there to acknowledge");
+          "many errors on the bus (the controller is error-passive); check bit rate, wiring and the two "
+          "terminations, and that another node acknowledges frames");
       break;
     case BusState::kOff:
       ++counters_.bus_off;
       add_news(
-          fmt::format("the controller has left the bus after too many errors (bus-off); see that bit rate, "
-                      "wiring and the "
-                      "two terminations are right; 'sudo ip link set {0} type can restart' lets it in again, "
-                      "and 'sudo ip "
-                      "link set {0} type can restart-ms 100', given while it is down, each time by itself",
+          fmt::format("the controller has left the bus after too many errors (bus-off); check bit rate, "
+                      "wiring and the two terminations; 'sudo ip link set {0} type can restart' restarts it, "
+                      "and 'sudo ip link set {0} type can restart-ms 100', given while the interface is "
+                      "down, lets it restart by itself",
                       path_.interface));
       break;
   }

@@ -132,19 +132,19 @@ void warn(const groma_Config& config, AirPlan& plan) {
   }
   if (schedule.turn_round_us < kLeastTurnRound_us) {
     say(fmt::format(
-        "schedule.turn_round_us: {} is less than the {} that the image was measured to keep; answers "
-        "will come late",
+        "schedule.turn_round_us: {} is less than {}, the minimum measured for the image; frames will be "
+        "sent late",
         schedule.turn_round_us, kLeastTurnRound_us));
   }
   if (schedule.response_gap_us < kLeastGap_us) {
     say(fmt::format(
-        "schedule.response_gap_us: {} is less than the {} that the image was measured to keep; tags will "
-        "miss answers",
+        "schedule.response_gap_us: {} is less than {}, the minimum measured for the image; tags will miss "
+        "responses",
         schedule.response_gap_us, kLeastGap_us));
   }
   if (schedule.backup_ids_count == 0 && schedule.anchor_ids_count > 1) {
     say(fmt::format(
-        "schedule.backup_ids: none, so that the site stands still without anchor {}; name one or more",
+        "schedule.backup_ids: none, so that the site stops without anchor {}; name one or more",
         schedule.master_id));
   }
   if (plan.open_slots_per_s < 1.0) {

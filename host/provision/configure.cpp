@@ -67,7 +67,7 @@ groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Rep
                                 command, reply->text)};
     default:
       throw Failure{NodeFault::kRefused,
-                    fmt::format("refuses to {}: {}; mend the plan, or flash the image of this release",
+                    fmt::format("refuses to {}: {}; correct the plan, or flash the image of this release",
                                 command, reply->text)};
   }
 }
@@ -125,7 +125,7 @@ class Configuring {
         if (client_->last_hello()) throw not_in_force(*client_->last_hello());
         throw Failure{
             NodeFault::kNoAnswer,
-            client_->silence() + "; by itself it goes back to the configuration that it had before"};
+            client_->silence() + "; it will revert to its previous configuration by itself"};
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(200));
     }
@@ -228,7 +228,7 @@ class Configuring {
     if (options_.reassign || hello.role == groma_Role_ROLE_UNCONFIGURED || hello.id == node_.id) return;
     throw Failure{
         NodeFault::kWrongNode,
-        fmt::format("is configured as {} {} of network {}; check which node hangs on this port ('groma "
+        fmt::format("is configured as {} {} of network {}; check which node is on this port ('groma "
                     "identify'), or make it {} by --reassign",
                     role_word(hello.role), hello.id, hello.network_id, node_.id)};
   }
@@ -267,7 +267,7 @@ class Configuring {
   [[nodiscard]] Failure not_in_force(const groma_Hello& hello) const {
     return {
         NodeFault::kNotInForce,
-        fmt::format("says it works by another configuration (schedule {:08x}, not {:08x}); repeat it, and "
+        fmt::format("reports another configuration in force (schedule {:08x}, not {:08x}); repeat it, and "
                     "restart the node if that does not help",
                     hello.schedule_hash, node::schedule_hash_of(node_.config))};
   }
@@ -393,9 +393,9 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
       (void)attempt(*nodes[i], outcomes[i], [&] {
         throw Failure{
             NodeFault::kHeldBack,
-            alone ? "is written, but stays at its schedule: the node that passes it on works by it too; "
+            alone ? "is written, but keeps its schedule: the node that passes commands on uses it too; "
                     "configure both together"
-                  : "is written, but stays at its schedule until all nodes are written; see to the "
+                  : "is written, but keeps its schedule until all nodes are written; fix the "
                     "others and repeat it"};
       });
     }

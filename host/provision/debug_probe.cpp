@@ -116,14 +116,14 @@ std::string permission_remedy() {
       const fs::path rules = fs::path(folder) / name;
       if (::access(rules.c_str(), F_OK) != 0) continue;
       return fmt::format(
-          "{} lets the group plugdev in: 'sudo usermod -aG plugdev $USER', log in again, and plug the probe "
-          "in anew",
+          "{} gives the group plugdev access: 'sudo usermod -aG plugdev $USER', log in again, and plug the "
+          "probe in again",
           rules.string());
     }
   }
   return "the udev rule 60-groma.rules is missing: 'groma flash --udev-rules | sudo tee "
          "/etc/udev/rules.d/60-groma.rules', then 'sudo udevadm control --reload', and plug the probe in "
-         "anew";
+         "again";
 }
 
 }  // namespace groma::provision

@@ -66,11 +66,11 @@ Cause cause_of_connecting(std::string_view output) {
   if (has_any(output, {"LIBUSB_ERROR_BUSY", "Resource busy", "maximum number of connections"})) {
     return {
         FlashFault::kBusy,
-        "another program has the probe; end it (another OpenOCD, JLinkExe, a debugger), then repeat this"};
+        "another program has the probe; stop it (another OpenOCD, JLinkExe, a debugger), then repeat this"};
   }
   if (has_any(output, {"No J-Link device found", "unable to find a matching CMSIS-DAP device"})) {
     return {FlashFault::kNoProbe,
-            "no such debug probe; plug it in, 'groma flash --list' shows those there are"};
+            "no such debug probe; plug it in, 'groma flash --list' shows the connected ones"};
   }
   if (has(output, "Multiple devices found")) {
     return {FlashFault::kManyProbes,
@@ -152,12 +152,12 @@ FlashOutcome read_openocd(int exit_code, std::string_view output, const FlashReq
   }
   if (has_any(output, {"UNEXPECTED idcode", "Unknown device", "Couldn't read part"})) {
     return fail(FlashFault::kOtherTarget,
-                fmt::format("what answers is no nRF52832 ({}); check what the probe is wired to",
+                fmt::format("the target is not an nRF52832 ({}); check what the probe is wired to",
                             first_error(output)));
   }
   return fail(
       FlashFault::kOther,
-      fmt::format("OpenOCD failed ({}); its output, with --verbose, may tell more", first_error(output)));
+      fmt::format("OpenOCD failed ({}); its output, with --verbose, may show more", first_error(output)));
 }
 
 FlashOutcome flash(const FlashRequest& request, const std::function<void(const char*)>& on_phase) {
@@ -166,7 +166,7 @@ FlashOutcome flash(const FlashRequest& request, const std::function<void(const c
       request.serial.find_first_of("{}\\") != std::string::npos) {
     FlashOutcome outcome;
     outcome.fault = FlashFault::kOther;
-    outcome.message = fmt::format("{}: OpenOCD takes no braces and backslashes; rename it", path);
+    outcome.message = fmt::format("{}: OpenOCD accepts no braces or backslashes; rename it", path);
     return outcome;
   }
   const auto on_line = [&](std::string_view line) {

@@ -82,7 +82,7 @@ NodeImage read_node_image(const std::filesystem::path& path) {
       std::search(searched.begin(), searched.end(), ImageIdentity::kMark.begin(), ImageIdentity::kMark.end());
   const auto at = static_cast<std::size_t>(mark - searched.begin());
   if (mark == searched.end() || flash.size() - at < sizeof(ImageIdentity))
-    fail(path, "is no image of a Groma node");
+    fail(path, "is not an image of a Groma node");
   NodeImage image;
   image.path = path;
   image.bytes = flash.size();

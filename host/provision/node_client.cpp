@@ -204,17 +204,15 @@ std::string NodeClient::silence() const {
   if (gone_) return "the port went away; plug it in again and repeat the command";
   if (bytes_ == 0) {
     return "no answer, not a byte; check that the node has power and is flashed ('groma flash'), that its TX "
-           "and "
-           "RX are crossed over, and the bit rate";
+           "and RX are crossed over, and the bit rate";
   }
   const wire::FrameCounters& frames = decoder_.frame_counters();
   if (frames.frames == 0 && frames.version_errors > 0) {
     return "no answer, and frames of another version; flash the image of this release ('groma flash')";
   }
   if (frames.frames == 0) {
-    return "no answer, and bytes that are no frames; check the bit rate (link.baud of the plan), and that "
-           "this "
-           "port is a node's";
+    return "no answer, and bytes that are not frames; check the bit rate (link.baud of the plan), and that "
+           "this port is a node's";
   }
   return "reports come, but no answer; check the line to the node's RX, and that no other program reads this "
          "port";

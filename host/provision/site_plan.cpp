@@ -46,7 +46,8 @@ std::uint32_t parse_register(const YamlValue& value) {
   std::uint32_t number = 0;
   const auto [last, error] = std::from_chars(first, text.data() + text.size(), number, hexadecimal ? 16 : 10);
   if (error != std::errc() || last != text.data() + text.size()) {
-    value.fail(fmt::format("is no register of 32 bits: {}", io::shown(text)), "write it as 0x85858585");
+    value.fail(fmt::format("is not a register value of 32 bits: {}", io::shown(text)),
+               "write it as 0x85858585");
   }
   return number;
 }
@@ -134,8 +135,8 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
     const bool of_fd_alone = key == "data_bit_per_s";
     if (value && (type == 0 || (of_fd_alone && type != 2))) {
       value->fail(
-          of_fd_alone ? "goes with 'type: can-fd' only" : "goes with 'type: can' and 'type: can-fd' only",
-          "take it out, or change the type");
+          of_fd_alone ? "requires 'type: can-fd'" : "requires 'type: can' or 'type: can-fd'",
+          "remove it, or change the type");
     }
   }
   read_whole(map, "nominal_bit_per_s", 10'000, 1'000'000, site.can_nominal_bit_per_s);
@@ -184,7 +185,7 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
     PlannedNode node;
     node.id = static_cast<model::NodeId>(entry.at("id").integer(1, kMaxId));
     if (!ids.insert(node.id).second) {
-      entry.at("id").fail(fmt::format("{} is taken", node.id), "give each tag and anchor an own id");
+      entry.at("id").fail(fmt::format("{} is taken", node.id), "give each tag and anchor its own id");
     }
     const std::size_t role = entry.at("role").one_of(std::array<std::string_view, 2>{"tag", "anchor"});
     node.role = role == 0 ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
@@ -194,27 +195,27 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
     }
     if (const auto slot = entry.find(kSlotKey)) {
       if (role != 0)
-        slot->fail("is a tag's", "take it out; anchors answer in the slots of the tags that poll them");
+        slot->fail("is a tag's", "remove it; anchors answer in the slots of the tags that poll them");
       node.slot = static_cast<std::uint8_t>(slot->integer(0, kMaxSlots - 1));
     }
     if (const auto port = entry.find("port")) {
       const std::string text = port->text();
-      if (text.empty()) port->fail("is empty", "name a port, such as /dev/ttyACM0, or take it out");
+      if (text.empty()) port->fail("is empty", "name a port, such as /dev/ttyACM0, or remove it");
       const bool can = link::is_can_path(text);
       if (can && !link::parse_can_path(text)) {
         port->fail("names no node on a CAN bus", std::string(link::kCanPathAdvice));
       }
       node.port = can ? text : (folder / text).string();
-      if (!ports.insert(node.port).second) port->fail("is there twice", "give each node its own port");
+      if (!ports.insert(node.port).second) port->fail("is given twice", "give each node its own port");
     }
     if (const auto via = entry.find("via")) {
-      if (entry.find("port")) via->fail("does not go with 'port:'", "take one of them out");
+      if (entry.find("port")) via->fail("cannot be combined with 'port:'", "remove one of them");
       node.via = static_cast<model::NodeId>(via->integer(1, kMaxId));
     }
     if (const auto probe = entry.find("probe")) {
       node.probe = probe->text();
-      if (node.probe.empty()) probe->fail("is empty", "'groma flash --list' tells the serial numbers");
-      if (!probes.insert(node.probe).second) probe->fail("is there twice", "give each node its own probe");
+      if (node.probe.empty()) probe->fail("is empty", "'groma flash --list' shows the serial numbers");
+      if (!probes.insert(node.probe).second) probe->fail("is given twice", "give each node its own probe");
     }
     nodes.push_back(std::move(node));
   }
@@ -229,7 +230,7 @@ void resolve_via(const std::vector<YamlValue>& entries, SitePlan& plan) {
     if (node.via == 0) continue;
     const PlannedNode* wired = plan.find(node.via);
     if (wired == nullptr || wired->port.empty()) {
-      entries[i].at("via").fail(fmt::format("{} is no node with a port", node.via),
+      entries[i].at("via").fail(fmt::format("{} is not a node with a port", node.via),
                                 "name one of the nodes that have a 'port:'");
     }
     node.via_port = wired->port;
@@ -312,7 +313,7 @@ SitePlan read_site_plan(const std::filesystem::path& path) {
       node.can_link = fmt::format("{}:{}/{}", link.can_scheme, link.can_interface, node.id);
     }
     if (const char* fault = node::fault_of(node.config); *fault != '\0') {
-      entries[i].fail(fmt::format("would be refused by the node ({})", fault), "mend that value");
+      entries[i].fail(fmt::format("would be refused by the node ({})", fault), "correct that value");
     }
   }
   return plan;

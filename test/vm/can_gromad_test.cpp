@@ -244,10 +244,10 @@ TEST_F(GromadOnCan, RequestsNodeIdentitiesAndSurvivesTheBusGoingDown) {
   EXPECT_TRUE(listen_until(gromad, [&] {
     return gromad.log().find("can:bus0/3: bus0 is down") != std::string::npos;
   })) << gromad.log();
-  EXPECT_THAT(gromad.log(), HasSubstr("can:bus0/1: the link is gone"));
+  EXPECT_THAT(gromad.log(), HasSubstr("can:bus0/1: the link is lost"));
   bus_.up();
   EXPECT_TRUE(listen_until(gromad, [&] {
-    return gromad.log().find("can:bus0/3: open again") != std::string::npos;
+    return gromad.log().find("can:bus0/3: reopened") != std::string::npos;
   })) << gromad.log();
   gromad.terminate();
   EXPECT_EQ(gromad.exit_code(), io::kGood);

@@ -320,7 +320,7 @@ TEST_F(SocketCan, ReportsBusErrorsAndRecovery) {
   send_error(CAN_ERR_RESTARTED);
   send_from(3, bytes);
   EXPECT_EQ(read_all(*link), bytes);
-  EXPECT_THAT(link->take_news(), HasSubstr("the bus is well again"));
+  EXPECT_THAT(link->take_news(), HasSubstr("the bus works again"));
 
   send_error(CAN_ERR_CRTL, CAN_ERR_CRTL_RX_OVERFLOW);
   send_error(CAN_ERR_CRTL, CAN_ERR_CRTL_RX_OVERFLOW);
@@ -337,11 +337,11 @@ TEST_F(SocketCan, ReportsBusErrorsAndRecovery) {
 
 TEST_F(SocketCan, SaysWhyAnInterfaceCannotBeUsed) {
   EXPECT_THAT(open_link("can:can9/3", 0).error.message,
-              HasSubstr("can:can9/3: there is no interface can9; the CAN interfaces there are: "));
+              HasSubstr("can:can9/3: there is no interface can9; available CAN interfaces: "));
   EXPECT_THAT(open_link("can:can9/3", 0).error.message, HasSubstr("bus0"));
   const LinkError loopback = open_link("can:lo/3", 0).error;
   EXPECT_EQ(loopback.fault, LinkFault::kUnsuitable);
-  EXPECT_THAT(loopback.message, HasSubstr("lo is no CAN interface"));
+  EXPECT_THAT(loopback.message, HasSubstr("lo is not a CAN interface"));
   bus_.down();
   EXPECT_THAT(open_link(path(3, "canfd"), 0).error.message,
               HasSubstr("up type can bitrate 1000000 dbitrate 2000000 fd on"));

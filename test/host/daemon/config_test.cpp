@@ -74,9 +74,9 @@ TEST_F(ConfigFile, CanAskToLearnAndToRecord) {
 
   const std::string line = "{drive_s: 120, output: kept.yaml}";
   EXPECT_THAT(error_with(line, "{learn: true, drive_s: 120}"),
-              HasSubstr("calibration.drive_s does not go with"));
+              HasSubstr("calibration.drive_s cannot be combined with"));
   EXPECT_THAT(error_with(line, "{learn: maybe}"), HasSubstr("calibration.learn"));
-  EXPECT_THAT(error_with(line, "{file: a.yaml, output: b.yaml}"), HasSubstr("'drive_s' or 'learn' only"));
+  EXPECT_THAT(error_with(line, "{file: a.yaml, output: b.yaml}"), HasSubstr("requires 'drive_s' or 'learn'"));
   EXPECT_THAT(error_with("speed: 4", "log: ''"), HasSubstr("log is empty"));
 }
 

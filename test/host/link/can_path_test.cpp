@@ -65,7 +65,7 @@ TEST(OpenSocketCan, SaysWhatTheKernelOrTheBusLacks) {
               AnyOf(LinkFault::kUnsuitable, LinkFault::kNoDevice, LinkFault::kPermission));
   EXPECT_THAT(opened.error.message, HasSubstr("can:no-such-can/3: "));
   EXPECT_THAT(opened.error.message, AnyOf(HasSubstr("modprobe can-raw"), HasSubstr("there is no interface"),
-                                          HasSubstr("may open no CAN sockets")));
+                                          HasSubstr("may not open CAN sockets")));
 }
 
 TEST(OpenSocketCan, ExplainsEachErrorWithItsRemedy) {

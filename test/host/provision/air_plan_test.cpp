@@ -128,7 +128,7 @@ TEST(AirPlan, WarnsOfWhatWillNotWork) {
   EXPECT_THAT(plan_of(site).warnings, ElementsAre(HasSubstr("response_gap_us: 60 is less")));
   site = site_of(3, 12);
   site.backup_ids.clear();
-  EXPECT_THAT(plan_of(site).warnings, ElementsAre(HasSubstr("stands still without anchor 100")));
+  EXPECT_THAT(plan_of(site).warnings, ElementsAre(HasSubstr("the site stops without anchor 100")));
   site = site_of(3, 12);
   site.link = groma_Link_LINK_CAN;
   site.can_nominal_bit_per_s = 500'000;

@@ -294,7 +294,7 @@ TEST_F(OverTheAir, AnotherScheduleWaitsForTheNodeThatPassesItOn) {
   plan.nodes[2].config.schedule.epoch = 8;
   const NodeOutcome outcome = configure_node(plan.nodes[2], kBaud);
   EXPECT_EQ(outcome.fault, NodeFault::kHeldBack);
-  EXPECT_THAT(outcome.message, HasSubstr("node 11: " + plan.nodes[0].port + ": is written, but stays"));
+  EXPECT_THAT(outcome.message, HasSubstr("node 11: " + plan.nodes[0].port + ": is written, but keeps"));
 }
 
 TEST_F(OverTheAir, InterruptedItGoesOnWhereItStopped) {
@@ -506,7 +506,7 @@ TEST(ConfigureNode, SilenceIsToldByItsKind) {
 
   const NodeOutcome garbage = configure_scripted(nothing, {'b', 'o', 'o', 't', '\r', '\n', 0});
   EXPECT_EQ(garbage.fault, NodeFault::kNoAnswer);
-  EXPECT_THAT(garbage.message, HasSubstr("bytes that are no frames; check the bit rate"));
+  EXPECT_THAT(garbage.message, HasSubstr("bytes that are not frames; check the bit rate"));
 
   std::vector<std::uint8_t> body{wire::kFrameVersion + 1, 1, 2, 3};
   const std::uint32_t crc = wire::crc32(body);

@@ -232,7 +232,7 @@ TEST(Flash, APathThatTclWouldTakeApartIsRefused) {
   request.image.path = "/a}b.hex";
   const FlashOutcome outcome = flash(request);
   EXPECT_EQ(outcome.fault, FlashFault::kOther);
-  EXPECT_THAT(outcome.message, HasSubstr("/a}b.hex: OpenOCD takes no braces"));
+  EXPECT_THAT(outcome.message, HasSubstr("/a}b.hex: OpenOCD accepts no braces"));
 }
 
 }  // namespace

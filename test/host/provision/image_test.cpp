@@ -54,7 +54,7 @@ TEST(NodeImage, WhatIsNoneOfOursIsRefusedBeforeAnythingIsErased) {
 
   std::vector<std::uint8_t> unmarked = good;
   unmarked[0x100] ^= 1U;
-  EXPECT_THAT(image_fault_of(hex(unmarked)), HasSubstr("is no image of a Groma node"));
+  EXPECT_THAT(image_fault_of(hex(unmarked)), HasSubstr("is not an image of a Groma node"));
   std::vector<std::uint8_t> no_stack = good;
   no_stack[3] = 0x30;
   EXPECT_THAT(image_fault_of(hex(no_stack)),

@@ -194,10 +194,11 @@ TEST_F(SitePlanTest, ANodeWithoutACableNamesTheOneThatPassesOn) {
   EXPECT_EQ(plan.nodes[1].via_port, plan.nodes[0].port);
   EXPECT_EQ(plan.nodes[1].port, "");
   EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 10}\n"),
-              HasSubstr("via 10 is no node with a port"));
-  EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 2}\n"), HasSubstr("is no node with a port"));
+              HasSubstr("via 10 is not a node with a port"));
+  EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 2}\n"),
+              HasSubstr("is not a node with a port"));
   EXPECT_THAT(fault_of(text + "  - {id: 11, role: anchor, via: 1, port: x}\n"),
-              HasSubstr("does not go with 'port:'"));
+              HasSubstr("cannot be combined with 'port:'"));
 }
 
 TEST_F(SitePlanTest, EachFaultIsToldWithItsPlaceAndRemedy) {
@@ -208,15 +209,15 @@ TEST_F(SitePlanTest, EachFaultIsToldWithItsPlaceAndRemedy) {
               HasSubstr("schedule.master_id is 3; name one of the anchors"));
   EXPECT_THAT(fault_with("guard_us: 40", "guard_us: 4"), HasSubstr("guard_us is 4; it has to be 5 to 1000"));
   EXPECT_THAT(fault_with("preamble: 64", "preamble: 65"), HasSubstr("it has to be one of 64, 128, 256"));
-  EXPECT_THAT(fault_with("0x1F1F1F1F", "0x1F1F1F1F1"), HasSubstr("is no register of 32 bits"));
-  EXPECT_THAT(fault_with("0x1F1F1F1F", "loud"), HasSubstr("is no register of 32 bits"));
+  EXPECT_THAT(fault_with("0x1F1F1F1F", "0x1F1F1F1F1"), HasSubstr("is not a register value of 32 bits"));
+  EXPECT_THAT(fault_with("0x1F1F1F1F", "loud"), HasSubstr("is not a register value of 32 bits"));
   EXPECT_THAT(fault_with("id: 3, role", "id: 12, role"), HasSubstr(":9:10: nodes[1].id 12 is taken"));
   EXPECT_THAT(fault_with("id: 3, role: tag", "id: 3, role: robot"),
               HasSubstr("it has to be one of tag, anchor"));
-  EXPECT_THAT(fault_with("ports/tag-3", "/dev/serial/by-id/x"), HasSubstr("nodes[1].port is there twice"));
+  EXPECT_THAT(fault_with("ports/tag-3", "/dev/serial/by-id/x"), HasSubstr("nodes[1].port is given twice"));
   EXPECT_THAT(fault_with("id: 3, role: tag", "id: 3, role: anchor"), HasSubstr("nodes has no tag"));
-  EXPECT_THAT(fault_with("type: can-fd", "type: uart"), HasSubstr("goes with 'type: can'"));
-  EXPECT_THAT(fault_with("type: can-fd", "type: can"), HasSubstr("goes with 'type: can-fd' only"));
+  EXPECT_THAT(fault_with("type: can-fd", "type: uart"), HasSubstr("requires 'type: can' or 'type: can-fd'"));
+  EXPECT_THAT(fault_with("type: can-fd", "type: can"), HasSubstr("requires 'type: can-fd'"));
   EXPECT_THAT(fault_with("can_interface: can0, ", ""), HasSubstr("lacks the key can_interface"));
   EXPECT_THAT(fault_with("\"000760012345\"", "\"\""), HasSubstr("'groma flash --list'"));
 }
