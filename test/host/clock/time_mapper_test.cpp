@@ -62,7 +62,7 @@ double quantile(std::vector<double> values, double q) {
   return values[static_cast<std::size_t>(q * static_cast<double>(values.size() - 1))];
 }
 
-TEST(TimeMapper, KnowsNothingBeforeTheFirstMessage) {
+TEST(TimeMapper, GivesNoTimeBeforeTheFirstMessage) {
   TimeMapper mapper(kDeviceTicksPerSecond);
   EXPECT_FALSE(mapper.to_host(0));
   EXPECT_FALSE(mapper.to_ticks(0.0));
@@ -119,7 +119,7 @@ TEST(TimeMapper, ConvergesUnderJitterAndBursts) {
   EXPECT_LT(static_cast<double>(beyond_3_sigma), 0.003 * total);
 }
 
-TEST(TimeMapper, SkewOfTwentyPpmShowsInASingleRun) {
+TEST(TimeMapper, EstimatesASkewOfTwentyPpmInASingleRun) {
   Random random(42);
   TimeMapper mapper(kDeviceTicksPerSecond);
   Node node{.skew = 20e-6};
@@ -165,7 +165,7 @@ TEST(TimeMapper, NeverRunsBackByMoreThanItStates) {
   }
 }
 
-TEST(TimeMapper, StartsAnewWhenTheCounterRestarts) {
+TEST(TimeMapper, RestartsWhenTheCounterRestarts) {
   Random random(7);
   TimeMapper mapper(kDeviceTicksPerSecond);
   Node node{.skew = 20e-6};
@@ -200,7 +200,7 @@ TEST(TimeMapper, FindsASetClockAndFollowsIt) {
   }
 }
 
-TEST(TimeMapper, LeavesASingleEarlyMessageOut) {
+TEST(TimeMapper, IgnoresASingleEarlyMessage) {
   for (const double early_s : {0.05, 0.3, 0.95, 10.0, 100.0}) {
     Random random(12);
     TimeMapper mapper(kDeviceTicksPerSecond);
@@ -222,7 +222,7 @@ TEST(TimeMapper, LeavesASingleEarlyMessageOut) {
   }
 }
 
-TEST(TimeMapper, FollowsEarlyMessagesOnceEnoughOfThemAgree) {
+TEST(TimeMapper, RestartsOnceEnoughEarlyMessagesAgree) {
   TimeMapper mapper(kDeviceTicksPerSecond);
   const Node node{};
   double t_s = 1001.0;
@@ -239,7 +239,7 @@ TEST(TimeMapper, FollowsEarlyMessagesOnceEnoughOfThemAgree) {
   EXPECT_NEAR(mapper.to_host(node.ticks(t_s + 0.3))->t_s, t_s, 1e-6);
 }
 
-TEST(TimeMapper, AFirstMessageThatIsLateDoesNotHoldUpTheNext) {
+TEST(TimeMapper, ALateFirstMessageDoesNotBlockTheNext) {
   TimeMapper mapper(kDeviceTicksPerSecond);
   const Node node{};
   mapper.observe(node.ticks(1001.0), 1003.0, 0.0);
@@ -247,7 +247,7 @@ TEST(TimeMapper, AFirstMessageThatIsLateDoesNotHoldUpTheNext) {
   EXPECT_NEAR(mapper.to_host(node.ticks(1003.0))->t_s, 1003.0, 1e-6);
 }
 
-TEST(TimeMapper, TakesAStalledReaderForNoJump) {
+TEST(TimeMapper, AStalledReaderIsNotAJump) {
   Random random(9);
   TimeMapper mapper(kDeviceTicksPerSecond);
   Node node{.skew = 20e-6};
@@ -275,7 +275,7 @@ TEST(TimeMapper, StatesMoreUncertaintyBeyondItsWindow) {
   }
 }
 
-TEST(TimeMapper, InverseIsTheInverse) {
+TEST(TimeMapper, ToTicksInvertsToHost) {
   Random random(11);
   TimeMapper mapper(1e9);
   for (int i = 0; i < 500; ++i) {
@@ -291,7 +291,7 @@ TEST(TimeMapper, InverseIsTheInverse) {
   EXPECT_NEAR(static_cast<double>(*mapper.to_ticks(60.0)) * 1e-9, 1.7e9 + 10.0, 1e-3);
 }
 
-TEST(TimeMapper, ForgetsOnReset) {
+TEST(TimeMapper, ResetDiscardsTheFit) {
   TimeMapper mapper(kDeviceTicksPerSecond);
   mapper.observe(1000, 5.0, 0.0);
   mapper.reset();
@@ -340,13 +340,13 @@ Outcome over(const Link& link, std::uint64_t seed, bool with_requests = true) {
   return out;
 }
 
-TEST(TimeMapper, WithoutRequestsTheSharedDelayStays) {
+TEST(TimeMapper, TheCommonDelayRemainsWithoutRequests) {
   const Outcome out = over({.to_host_s = 0.004, .to_node_s = 0.004}, 1, false);
   EXPECT_NEAR(out.error_s, 0.004, 2e-4);
   EXPECT_EQ(out.round_trip_s, -1.0);
 }
 
-TEST(TimeMapper, RequestsTellASymmetricDelay) {
+TEST(TimeMapper, RequestsRemoveASymmetricDelay) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     const Outcome out = over({.to_host_s = 0.004, .to_node_s = 0.004}, seed);
     EXPECT_NEAR(out.round_trip_s, 0.008, 3e-4) << seed;
@@ -357,7 +357,7 @@ TEST(TimeMapper, RequestsTellASymmetricDelay) {
 }
 
 // Half of the difference between the two delays is not observable.
-TEST(TimeMapper, OfAnAsymmetricDelayHalfTheDifferenceStays) {
+TEST(TimeMapper, HalfTheDifferenceOfAnAsymmetricDelayRemains) {
   for (const Link& link : {Link{0.006, 0.002}, Link{0.001, 0.009}, Link{0.010, 0.0}, Link{0.0, 0.010}}) {
     const Outcome out = over(link, 5);
     EXPECT_NEAR(out.round_trip_s, link.to_host_s + link.to_node_s, 4e-4);
@@ -367,7 +367,7 @@ TEST(TimeMapper, OfAnAsymmetricDelayHalfTheDifferenceStays) {
   }
 }
 
-TEST(TimeMapper, ARequestOfBeforeARestartDoesNotCount) {
+TEST(TimeMapper, ARestartDiscardsRequests) {
   TimeMapper mapper(kDeviceTicksPerSecond);
   mapper.observe_request(5'000, 1.0);
   EXPECT_FALSE(mapper.round_trip_s());

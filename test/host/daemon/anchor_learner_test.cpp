@@ -94,7 +94,7 @@ TEST(AnchorLearner, EndsWhereTheBatchSolverEnds) {
   EXPECT_EQ(learner.live().input_sha256.size(), 64U);
 }
 
-TEST(AnchorLearner, ByItsThreadEndsThereToo) {
+TEST(AnchorLearner, AgreesWithTheBatchSolverWithAThreadToo) {
   const SimulatedSite site = simulate_site({}, 2);
   AnchorLearner::Setup setup = setup_of(site);
   setup.threaded = true;
@@ -169,7 +169,7 @@ TEST(DriveStore, ForgetsAnAnchorUpToATime) {
   }
 }
 
-TEST(AnchorLearner, AddsNewAnchorsToKnownOnesAndLeavesThoseAlone) {
+TEST(AnchorLearner, AddsNewAnchorsAndKeepsTheKnownOnes) {
   const SimulatedSite site = simulate_site({.pose_sigma_m = 0.02, .pose_yaw_sigma_rad = 0.004}, 5);
   const SimulatedSite before = simulate_site({}, 5);
   AnchorLearner::Setup setup = setup_of(site);
@@ -253,7 +253,7 @@ TEST(AnchorLearner, FindsTheAnchorsThatWereMovedAndNoOther) {
   }
 }
 
-TEST(AnchorLearner, OfNothingLearnsNothing) {
+TEST(AnchorLearner, CalibratesNothingWithoutData) {
   AnchorLearner::Setup setup;
   setup.threaded = false;
   AnchorLearner learner(setup);

@@ -54,7 +54,7 @@ class ConfigFile : public ::testing::Test {
   TemporaryFolder folder_;
 };
 
-TEST_F(ConfigFile, CanAskToLearnAndToRecord) {
+TEST_F(ConfigFile, ReadsLearnAndLog) {
   const auto with = [&](const std::string& calibration, const std::string& more = "") {
     std::string text = kGood;
     const std::string line = "calibration: {drive_s: 120, output: kept.yaml}";
@@ -80,7 +80,7 @@ TEST_F(ConfigFile, CanAskToLearnAndToRecord) {
   EXPECT_THAT(error_with("speed: 4", "log: ''"), HasSubstr("log is empty"));
 }
 
-TEST_F(ConfigFile, IsReadWhole) {
+TEST_F(ConfigFile, ReadsEachKey) {
   const Config config = read(kGood);
   ASSERT_EQ(config.nodes.size(), 2U);
   EXPECT_EQ(config.nodes[0].path, folder_ / "tag-1");
@@ -106,7 +106,7 @@ TEST_F(ConfigFile, IsReadWhole) {
   EXPECT_EQ(config.filter_config().odometry.sigma_vy_mps, 0.04);
 }
 
-TEST_F(ConfigFile, StaysOnThisComputerUnlessToldOtherwise) {
+TEST_F(ConfigFile, ServesOnlyThisComputerByDefault) {
   std::string text = kGood;
   text.resize(text.find("model:"));
   const Config config = read(text);
@@ -140,7 +140,7 @@ TEST_F(ConfigFile, NamesThePlaceOfEachMistake) {
   EXPECT_THAT(error_with("  - {id: 2", "  - {id: 2\n  ]"), HasSubstr(file + ":"));
 }
 
-TEST_F(ConfigFile, TakesNodesOnACanBusAsTheyStand) {
+TEST_F(ConfigFile, KeepsThePathsOfNodesOnACanBus) {
   std::string text = kGood;
   text.replace(text.find("tag-1, baud: 115200"), 19, "can:can0/2");
   text.replace(text.find("/dev/ttyACM7"), 12, "canfd:can1/2");
@@ -157,7 +157,7 @@ TEST_F(ConfigFile, TakesNodesOnACanBusAsTheyStand) {
   EXPECT_THAT(error_with("/dev/ttyACM7}", "can:can0/1}\n  - {path: canfd:can0/1}"), HasSubstr("twice"));
 }
 
-TEST_F(ConfigFile, ReadsASplineBesideIt) {
+TEST_F(ConfigFile, ReadsASplineFromItsFolder) {
   std::string rows = "# grid\n0,0,10,10,4,4\n";
   for (int i = 0; i < 4; ++i) rows += "1.5,1.5,1.5,1.5\n";
   folder_.write("surface.csv", rows);

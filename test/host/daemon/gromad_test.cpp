@@ -130,7 +130,7 @@ speed: {}
   std::optional<StreamClient> client_;
 };
 
-TEST_F(GromadTest, DropsSamplesThatNoRobotCanDoAndCountsThem) {
+TEST_F(GromadTest, DropsAndCountsImpossibleSamples) {
   SimulatedSite site(folder_.path(), kSpeed);
   write_surveyed(site);
   Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
@@ -223,7 +223,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
 }
 
 // One timestamp is 0.95 s ahead; the robot's clock and the poses continue.
-TEST_F(GromadTest, NamesAWrongTimestampAndGoesOn) {
+TEST_F(GromadTest, NamesAWrongTimestampAndContinues) {
   SimulatedSite site(folder_.path(), kSpeed);
   write_surveyed(site);
   Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
@@ -272,7 +272,7 @@ TEST_F(GromadTest, NamesAWrongMapInPosesStatusAndLog) {
 
 // A pose does not wait for reorder_lag_s as its odometry sample does. The lag is long so that the test also
 // passes on a busy machine.
-TEST_F(GromadTest, TellsAPoseBeforeItsRowsTurnHasCome) {
+TEST_F(GromadTest, PublishesAPoseBeforeItsSampleIsPassedOn) {
   constexpr double kLag_s = 0.5;
   SimulatedSite site(folder_.path(), kSpeed);
   write_surveyed(site);
@@ -382,7 +382,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
 
 // Two of six anchors are not in the file. The daemon localizes by the others, calibrates these two and writes
 // them.
-TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
+TEST_F(GromadTest, CalibratesNewAnchorsWhileLocalizing) {
   SimulatedSite site(folder_.path(), kSpeed);
   const std::vector<model::Anchor> all = site.anchors;
   site.anchors = {all[0], all[1], all[3], all[4]};
@@ -423,7 +423,7 @@ TEST_F(GromadTest, LearnsNewAnchorsWhileItLocalizes) {
 }
 
 // Without a calibration: from pose priors into a file that the next start reads.
-TEST_F(GromadTest, LearnsASiteFromNothingAndTakesItUpAgain) {
+TEST_F(GromadTest, CalibratesASiteFromNothingAndReadsItAgain) {
   SimulatedSite site(folder_.path(), kSpeed);
   const std::string source = "{learn: true, file: site.yaml, output: site.yaml}";
   const std::filesystem::path config = folder_.write("gromad.yaml", config_text(source));
@@ -442,7 +442,7 @@ TEST_F(GromadTest, LearnsASiteFromNothingAndTakesItUpAgain) {
   EXPECT_THAT(again.log(), HasSubstr("from the filter's poses"));
 }
 
-TEST_F(GromadTest, EndsWithTheExitCodeOfWhatIsWrong) {
+TEST_F(GromadTest, EndsWithTheExitCodeOfTheFault) {
   {
     Gromad gromad({});
     EXPECT_EQ(gromad.exit_code(), io::kUsage);
@@ -468,7 +468,7 @@ TEST_F(GromadTest, EndsWithTheExitCodeOfWhatIsWrong) {
   EXPECT_THAT(log, HasSubstr((folder_ / "tag-1").string() + ": no such device"));
 }
 
-TEST_F(GromadTest, TellsOfAPortItMayNotOpen) {
+TEST_F(GromadTest, ReportsAPortItMayNotOpen) {
   SimulatedSite site(folder_.path(), kSpeed);
   const std::string pty = std::filesystem::read_symlink(folder_ / "tag-1").string();
   ASSERT_EQ(::chmod(pty.c_str(), ::geteuid() == 0 ? 0600 : 0), 0);

@@ -127,7 +127,7 @@ class Circle : public ::testing::Test {
   double carried_s_ = 0.0;  // the robot was moved to its position at this much later
 };
 
-TEST_F(Circle, GivesAPoseForEachSampleThatNoRobotCanDoAndCountsIt) {
+TEST_F(Circle, GivesAPoseForEachImpossibleSampleAndCountsIt) {
   for (const bool ahead : {false, true}) {
     std::vector<PoseEstimate> poses;
     Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
@@ -155,7 +155,7 @@ TEST_F(Circle, GivesAPoseForEachSampleThatNoRobotCanDoAndCountsIt) {
   }
 }
 
-TEST_F(Circle, GoesOnByAnotherCalibrationFromWhereItIs) {
+TEST_F(Circle, ContinuesWithAnotherCalibrationFromItsPose) {
   std::vector<PoseEstimate> poses;
   const model::Calibration whole = setup_.calibration;
   setup_.calibration.anchors.pop_back();
@@ -181,7 +181,7 @@ TEST_F(Circle, GoesOnByAnotherCalibrationFromWhereItIs) {
   }
 }
 
-TEST_F(Circle, SaysNothingBeforeAPosePriorThenTracksThenTellsThatRangesAreGone) {
+TEST_F(Circle, WaitsForAPosePriorThenTracksThenReportsNoRanges) {
   std::vector<PoseEstimate> poses;
   setup_.tracker.relocates = false;
   Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
@@ -239,7 +239,7 @@ TEST_F(Circle, WaitsForAPosePriorAgainWhenTheClockWasSet) {
   EXPECT_NEAR(poses.back().x_m, truth(2.98).x_m, 0.1);
 }
 
-TEST_F(Circle, GoesByOtherSensorsWhereThereAreNoRanges) {
+TEST_F(Circle, UsesOtherSensorsWithoutRanges) {
   std::vector<PoseEstimate> poses;
   Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
   for (int i = 0; i < 500; ++i) {
@@ -260,7 +260,7 @@ TEST_F(Circle, GoesByOtherSensorsWhereThereAreNoRanges) {
   EXPECT_NEAR(poses.back().yaw_rad, truth(9.98).theta_rad, 0.05);
 }
 
-TEST_F(Circle, TwoModelsSeeTheSameAndAnswerDifferently) {
+TEST_F(Circle, TwoModelsGiveDifferentCovariances) {
   setup_.filter.model = filter::Model::kSchmidt;
   std::vector<PoseEstimate> schmidt;
   Localizer first(setup_, [&](const PoseEstimate& pose) { schmidt.push_back(pose); });
@@ -364,7 +364,7 @@ class Live : public Circle {
   std::vector<PoseEstimate> settled_;
 };
 
-TEST_F(Live, APoseLeavesInTheCallThatBroughtItsRow) {
+TEST_F(Live, APoseIsPublishedInTheCallOfItsSample) {
   begin(0.2);
   drive(kBegin_s, 16.0);
   ASSERT_FALSE(poses_.empty());
@@ -388,7 +388,7 @@ TEST_F(Live, APoseLeavesInTheCallThatBroughtItsRow) {
   EXPECT_EQ(settled_.back().t_s, 16.0);
 }
 
-TEST_F(Live, WithoutALagItIsTheFiltersOwn) {
+TEST_F(Live, WithoutALagThePoseIsTheFilters) {
   begin(0.0);
   drive(kBegin_s, 16.0);
   expect_same_as_settled();
@@ -397,7 +397,7 @@ TEST_F(Live, WithoutALagItIsTheFiltersOwn) {
 
 // The odometry's yaw rate is twice the true one, a gyro is right, and there are no ranges: waiting changes no
 // pose.
-TEST_F(Live, GoesByAGyroThatStillWaits) {
+TEST_F(Live, UsesAWaitingGyroSample) {
   begin(0.2);
   for (int i = 0; i < 300; ++i) {
     const double t_s = kBegin_s + 0.02 * i;
@@ -412,7 +412,7 @@ TEST_F(Live, GoesByAGyroThatStillWaits) {
   EXPECT_NEAR(poses_.back().yaw_rad, model::wrap_angle(truth(poses_.back().t_s).theta_rad), 0.05);
 }
 
-TEST_F(Live, RowsThatCameLateHaveAPoseEach) {
+TEST_F(Live, EachLateSampleHasAPose) {
   begin(0.2);
   drive(kBegin_s, 14.0);
   const std::size_t before = poses_.size();
@@ -431,7 +431,7 @@ TEST_F(Live, RowsThatCameLateHaveAPoseEach) {
   EXPECT_TRUE(times_increase());
 }
 
-TEST_F(Live, ARobotWhoseCableWasPulledIsToldHowMuchIsNotKnown) {
+TEST_F(Live, ThePoseIsUncertainAfterTheRobotWasUnplugged) {
   begin(0.2);
   drive(kBegin_s, 14.0);
   const PoseEstimate before = poses_.back();
@@ -451,7 +451,7 @@ TEST_F(Live, ARobotWhoseCableWasPulledIsToldHowMuchIsNotKnown) {
   EXPECT_TRUE(times_increase());
 }
 
-TEST_F(Live, AClockThatWasSetBeginsAnew) {
+TEST_F(Live, RestartsWhenTheClockWasSet) {
   constexpr double kSet_s = -1000.0;
   setup_.tracker.relocates = false;
   begin(0.2);
@@ -470,7 +470,7 @@ TEST_F(Live, AClockThatWasSetBeginsAnew) {
   EXPECT_LT(error_m(poses_.back(), kSet_s), 0.05);
 }
 
-TEST_F(Live, GoesOnThroughARelocation) {
+TEST_F(Live, ContinuesThroughARelocation) {
   // Slip detection would also recover by itself.
   setup_.filter.slip_odds = 1e9;
   begin(0.2);
@@ -486,7 +486,7 @@ TEST_F(Live, GoesOnThroughARelocation) {
   EXPECT_LT(error_m(poses_.back()), 0.1);
 }
 
-TEST_F(Live, GoesOnByAnotherCalibrationOverWhatWaits) {
+TEST_F(Live, ContinuesWithAnotherCalibrationOverWaitingSamples) {
   const model::Calibration whole = setup_.calibration;
   setup_.calibration.anchors.pop_back();
   begin(0.2);
@@ -506,7 +506,7 @@ TEST_F(Live, GoesOnByAnotherCalibrationOverWhatWaits) {
   }
 }
 
-TEST_F(Circle, LooksAheadWithoutTheHeapAndOverNoMoreThanItsBound) {
+TEST_F(Circle, PredictsWithoutTheHeapAndWithinItsBound) {
   PoseEstimate last;
   std::size_t count = 0;
   Localizer localizer(setup_, [&](const PoseEstimate& pose) {

@@ -86,7 +86,7 @@ TEST(PoseServer, GreetsAndServesEachClient) {
   EXPECT_EQ(second.read(), "c\n");
 }
 
-TEST(PoseServer, WaitsForNobody) {
+TEST(PoseServer, DoesNotWaitForASlowClient) {
   auto opened = PoseServer::open("127.0.0.1", 0, "");
   ASSERT_TRUE(opened.server);
   PoseServer& server = *opened.server;
@@ -106,7 +106,7 @@ TEST(PoseServer, WaitsForNobody) {
   EXPECT_GT(received, PoseServer::kMaxBacklog);
 }
 
-TEST(PoseServer, SurvivesAClientThatTalks) {
+TEST(PoseServer, IgnoresDataFromAClient) {
   auto opened = PoseServer::open("127.0.0.1", 0, "");
   ASSERT_TRUE(opened.server);
   Client client(opened.server->port());
@@ -117,7 +117,7 @@ TEST(PoseServer, SurvivesAClientThatTalks) {
   EXPECT_EQ(client.read(), "still there\n");
 }
 
-TEST(PoseServer, TurnsAwayMoreClientsThanItServes) {
+TEST(PoseServer, RefusesClientsBeyondItsBound) {
   auto opened = PoseServer::open("127.0.0.1", 0, "");
   ASSERT_TRUE(opened.server);
   std::vector<std::unique_ptr<Client>> clients;
@@ -132,7 +132,7 @@ TEST(PoseServer, TurnsAwayMoreClientsThanItServes) {
   EXPECT_TRUE(clients.back()->ended);
 }
 
-TEST(PoseServer, ExplainsWhereItCannotListen) {
+TEST(PoseServer, ExplainsWhyItCannotListen) {
   auto first = PoseServer::open("127.0.0.1", 0, "");
   ASSERT_TRUE(first.server);
   const auto second = PoseServer::open("127.0.0.1", first.server->port(), "");
@@ -144,7 +144,7 @@ TEST(PoseServer, ExplainsWhereItCannotListen) {
   EXPECT_EQ(elsewhere.error.fault, link::LinkFault::kNoDevice);
 }
 
-TEST(PoseMessage, WhatIsUnknownIsNull) {
+TEST(PoseMessage, UnknownTermsAreNull) {
   PoseEstimate pose;
   pose.t_s = 1.7e9 + 0.25;
   pose.x_m = 1.5;

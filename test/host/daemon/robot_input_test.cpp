@@ -58,7 +58,7 @@ std::string pose_with(const std::string& covariance) {
          "}\n";
 }
 
-TEST(RobotInput, ReadsThePartOfACovarianceThatCounts) {
+TEST(RobotInput, ReadsThePlanarPartOfACovariance) {
   RobotInput input;
   push(input,
        pose_with("[4,1,null,null,null,0.5, 1,9,null,null,null,0.25, null,null,null,null,null,null,"
@@ -75,7 +75,7 @@ TEST(RobotInput, ReadsThePartOfACovarianceThatCounts) {
   EXPECT_FALSE(std::get<model::PoseSample>(messages[2]).covariance.has_value());
 }
 
-TEST(RobotInput, DropsAPoseWhoseCovarianceIsNone) {
+TEST(RobotInput, DropsAPoseWithAnInvalidCovariance) {
   RobotInput input;
   std::string zeros = "[0";
   std::string text = "[\"a\"";
@@ -96,7 +96,7 @@ TEST(RobotInput, DropsAPoseWhoseCovarianceIsNone) {
   EXPECT_THAT(input.last_problem(), testing::HasSubstr("covariance"));
 }
 
-TEST(RobotInput, DropsPosesThatNoRobotHas) {
+TEST(RobotInput, DropsImplausiblePoses) {
   RobotInput input;
   for (const std::string line : {
            R"({"class":"POSE_PRIOR","t_s":1,"x_m":1e9,"y_m":0,"z_m":0,"yaw_rad":0})",
@@ -139,7 +139,7 @@ TEST(RobotInput, ReadsOtherSensors) {
   EXPECT_EQ(input.counters().sensors, 4U);
 }
 
-TEST(RobotInput, DropsSensorsThatTellNotHowSureTheyAre) {
+TEST(RobotInput, DropsSensorSamplesWithoutACovariance) {
   RobotInput input;
   for (const std::string line : {
            R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4})",
@@ -157,7 +157,7 @@ TEST(RobotInput, DropsSensorsThatTellNotHowSureTheyAre) {
   EXPECT_EQ(input.counters().bad_value, 8U);
 }
 
-TEST(RobotInput, PutsLinesTogetherFromSingleBytes) {
+TEST(RobotInput, AssemblesLinesFromSingleBytes) {
   RobotInput input;
   std::size_t messages = 0;
   for (const char c : std::string(kOdometry) + "\n" + std::string(kOdometry) + "\n") {
@@ -167,7 +167,7 @@ TEST(RobotInput, PutsLinesTogetherFromSingleBytes) {
   EXPECT_EQ(messages, 2U);
 }
 
-TEST(RobotInput, DropsAndCountsWhatItCannotUse) {
+TEST(RobotInput, DropsAndCountsInvalidLines) {
   RobotInput input;
   push(input, "{\"class\":\"ODOMETRY\",\"t_s\":1.5,\"vx_m\n");
   push(input, "[1,2,3]\n");
@@ -213,7 +213,7 @@ TEST(RobotInput, DropsAndCountsWhatItCannotUse) {
   EXPECT_EQ(take_all(input).size(), 1U);
 }
 
-TEST(RobotInput, StaysSmallWhateverItIsFed) {
+TEST(RobotInput, BoundsItsMemoryForAnyInput) {
   RobotInput input;
   for (int i = 0; i < 1000; ++i) {
     push(input, std::string(10'000, 'x'));
@@ -224,7 +224,7 @@ TEST(RobotInput, StaysSmallWhateverItIsFed) {
   EXPECT_EQ(input.counters().torn, 1U);
 }
 
-TEST(RobotInput, ForgetsALineBegunWhenTheLinkBreaks) {
+TEST(RobotInput, DiscardsAnIncompleteLineWhenTheLinkBreaks) {
   RobotInput input;
   push(input, kOdometry.substr(0, 30));
   EXPECT_TRUE(take_all(input).empty());

@@ -136,7 +136,7 @@ TEST(Session, PutsOtherSensorsInOrderToo) {
   EXPECT_EQ(site.session.counters().robot_time_wrong, 1U);
 }
 
-TEST(Session, KeepsMeasurementsBackNoLongerThanItsLag) {
+TEST(Session, DelaysMeasurementsByItsLag) {
   Site site({.reorder_lag_s = 0.15});
   site.odometry(10.0);
   site.session.advance(10.149);
@@ -145,7 +145,7 @@ TEST(Session, KeepsMeasurementsBackNoLongerThanItsLag) {
   EXPECT_EQ(site.sink.odometry.size(), 1U);
 }
 
-TEST(Session, TellsOfWhatWaitsAtOnceAndOfNothingElse) {
+TEST(Session, AnnouncesWaitingSamplesAtOnceAndNoOthers) {
   Site site;
   for (int i = 0; i <= 100; ++i) {
     const double host_s = 10.0 + 0.02 * i;
@@ -174,7 +174,7 @@ TEST(Session, TellsOfWhatWaitsAtOnceAndOfNothingElse) {
   EXPECT_LT(site.sink.sensors_ahead_s.size(), 100U);
 }
 
-TEST(Session, PassesOnTheLateAndDropsTheTooLate) {
+TEST(Session, PassesOnLateRangesAndDropsTooLateOnes) {
   Site site({.reorder_lag_s = 0.15});
   for (int i = 0; i <= 100; ++i) {
     site.odometry(10.0 + 0.02 * i);
@@ -188,7 +188,7 @@ TEST(Session, PassesOnTheLateAndDropsTheTooLate) {
   EXPECT_EQ(site.sink.ranges.size(), 2U);
 }
 
-TEST(Session, WithoutOdometryThereIsNoTimeToPutAnythingAt) {
+TEST(Session, DropsEverythingBeforeTheFirstOdometry) {
   Site site;
   site.report(10.0, {0.1, 0.1});
   site.pose(10.0, -1e6);
@@ -201,7 +201,7 @@ TEST(Session, WithoutOdometryThereIsNoTimeToPutAnythingAt) {
   EXPECT_EQ(site.sink.ranges.size(), 1U);
 }
 
-TEST(Session, DropsARowThatIsNotNewer) {
+TEST(Session, DropsOdometryThatIsNotNewer) {
   Site site;
   site.odometry(10.0);
   site.odometry(10.01, 10.0 + site.robot_offset_s);
@@ -212,7 +212,7 @@ TEST(Session, DropsARowThatIsNotNewer) {
   EXPECT_EQ(site.session.counters().odometry_out_of_order, 2U);
 }
 
-TEST(Session, OneAbsurdTimeDisturbsNothing) {
+TEST(Session, OneAbsurdTimestampDoesNoHarm) {
   for (const double absurd_s : {0.0, -5.0, 1.7e9 + 4000.0, 1e18, -1e300}) {
     Site site;
     for (int i = 0; i < 100; ++i) {
@@ -254,7 +254,7 @@ TEST(Session, FollowsARobotThatRestarts) {
   }
 }
 
-TEST(Session, TellsOfBadRobotLinesWithoutFillingTheLog) {
+TEST(Session, ReportsBadRobotLinesWithoutFillingTheLog) {
   std::vector<std::string> said;
   Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
   const std::string bad = "{\"class\":\"ODOMETRY\"}\n";
@@ -264,7 +264,7 @@ TEST(Session, TellsOfBadRobotLinesWithoutFillingTheLog) {
   EXPECT_EQ(said.size(), 10U);
 }
 
-TEST(Session, HoldsNoMoreThanItsBound) {
+TEST(Session, QueuesNoMoreThanItsBound) {
   Site site({.max_waiting = 100});
   for (int i = 0; i < 1000; ++i) site.odometry(10.0 + 5e-3 * i);
   EXPECT_EQ(site.sink.odometry.size(), 900U);
@@ -285,7 +285,7 @@ TEST(Session, FeedsEachAttachedSinkAlike) {
   EXPECT_EQ(second.odometry.size(), 2U);
 }
 
-TEST(Session, RemembersWhatNodesSayOfThemselves) {
+TEST(Session, KeepsAndLogsMessagesOfNodes) {
   std::vector<std::string> said;
   Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
   site.session.node_bytes(site.tag, frame_of(link::test::make_hello(3, "0.1.0")), 1.0);
@@ -298,7 +298,7 @@ TEST(Session, RemembersWhatNodesSayOfThemselves) {
 }
 
 // The result does not depend on how the bytes are cut into pieces.
-TEST(Session, SameBytesInOtherPiecesGiveTheSame) {
+TEST(Session, TheResultDoesNotDependOnHowBytesAreCut) {
   std::vector<std::vector<model::RangeSample>> results;
   for (const std::size_t piece : {1U, 7U, 10'000U}) {
     Site site;

@@ -61,7 +61,7 @@ LockStepDrive::Timestamps odd(Kind kind, double by_s, How how, bool repeated) {
   };
 }
 
-TEST(Timestamps, OneOddSampleOfOdometryCostsNothing) {
+TEST(Timestamps, OneWrongOdometryTimestampCostsNothing) {
   for (const double size_s : kSizes_s) {
     for (const double by_s : {size_s, -size_s}) {
       for (const How how : {How::kAdded, How::kReplaced}) {
@@ -82,7 +82,7 @@ TEST(Timestamps, OneOddSampleOfOdometryCostsNothing) {
   }
 }
 
-TEST(Timestamps, OneOddSampleOfAnotherKindCostsNothing) {
+TEST(Timestamps, OneWrongTimestampOfAnotherKindCostsNothing) {
   for (const Kind kind : {Kind::kImu, Kind::kGnss, Kind::kAbsolutePose, Kind::kPosePrior}) {
     for (const double size_s : {0.05, 0.3, 0.95, 3.0, 100.0}) {
       for (const double by_s : {size_s, -size_s}) {
@@ -242,7 +242,7 @@ TEST(Timestamps, AnotherUnitIsNamedAndCostsNoClockStep) {
   }
 }
 
-TEST(RobotClock, AStalledLinkIsNoUnit) {
+TEST(RobotClock, AStalledLinkIsNotAUnitError) {
   RobotClock clock;
   double now_s = 10.0;
   for (; now_s < 12.0; now_s += 0.02) EXPECT_EQ(clock.judge(now_s, now_s), Timestamp::kGood);
@@ -415,7 +415,7 @@ std::array<double, 3> integral(const std::vector<model::OdometrySample>& samples
   return sum;
 }
 
-TEST(OdometryMerger, LeavesSlowOdometryAsItIs) {
+TEST(OdometryMerger, KeepsSlowOdometryUnchanged) {
   for (const double period_s : {0.1, 0.02, 0.005}) {
     std::vector<model::OdometrySample> samples;
     samples.reserve(100);
@@ -448,7 +448,7 @@ TEST(OdometryMerger, KeepsTheDisplacementOfUnevenSamples) {
   for (std::size_t i = 1; i < out.size(); ++i) EXPECT_GT(out[i].t_s, out[i - 1].t_s);
 }
 
-TEST(OdometryMerger, LeavesWhatNoRobotCanDoApart) {
+TEST(OdometryMerger, DoesNotMergeImpossibleSamples) {
   // At 1 kHz: the mean of five samples would hide it from the filter's gate.
   for (const double wrong : {15.0, 60.0, 1e300}) {
     std::vector<model::OdometrySample> samples;
@@ -466,7 +466,7 @@ TEST(OdometryMerger, LeavesWhatNoRobotCanDoApart) {
   }
 }
 
-TEST(OdometryMerger, LetsTheLastSampleGoWhenNoneFollows) {
+TEST(OdometryMerger, ReleasesTheLastSampleWhenNoneFollows) {
   OdometryMerger merger;
   static_cast<void>(merger.take({1.000, 1.0, 0.0, 0.0}));
   EXPECT_TRUE(merger.take({1.001, 2.0, 0.0, 0.0}).empty());

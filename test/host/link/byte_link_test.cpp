@@ -124,7 +124,7 @@ TEST(PtyLink, SetsTheBitRate) {
   }
 }
 
-TEST(PtyLink, RefusesARateThatIsNone) {
+TEST(PtyLink, RefusesAnInvalidRate) {
   const Pty pty;
   const OpenedLink opened = open_link(pty.path(), 123456);
   EXPECT_FALSE(opened.link);
@@ -156,7 +156,7 @@ TEST(PtyLink, CanBeOpenedAgainAfterClosing) {
   }
 }
 
-TEST(PtyLink, KeepsASecondReaderOut) {
+TEST(PtyLink, RefusesASecondReader) {
   const Pty pty;
   OpenedLink first = open_link(pty.path(), 115200);
   ASSERT_TRUE(first.link);
@@ -168,7 +168,7 @@ TEST(PtyLink, KeepsASecondReaderOut) {
   EXPECT_TRUE(open_link(pty.path(), 115200).link);
 }
 
-TEST(OpenLink, NamesTheDeviceThatIsNotThere) {
+TEST(OpenLink, NamesAMissingDevice) {
   for (const auto open : {open_link, open_pty, open_serial_port}) {
     const OpenedLink opened = open("/dev/ttyGroma99", 115200);
     EXPECT_FALSE(opened.link);
@@ -178,7 +178,7 @@ TEST(OpenLink, NamesTheDeviceThatIsNotThere) {
   }
 }
 
-TEST(OpenLink, RefusesWhatIsNoTerminal) {
+TEST(OpenLink, RefusesAPathThatIsNotATerminal) {
   EXPECT_EQ(open_link("/dev/null", 115200).error.fault, LinkFault::kUnsuitable);
   EXPECT_EQ(open_serial_port("/dev/null", 115200).error.fault, LinkFault::kUnsuitable);
   EXPECT_EQ(open_pty("/dev/null", 115200).error.fault, LinkFault::kUnsuitable);
@@ -187,7 +187,7 @@ TEST(OpenLink, RefusesWhatIsNoTerminal) {
   EXPECT_THAT(folder.error.message, HasSubstr("/tmp: "));
 }
 
-TEST(OpenLink, TellsWhichGroupMayOpenADevice) {
+TEST(OpenLink, NamesTheGroupThatMayOpenADevice) {
   const Pty pty;
   ASSERT_EQ(::chmod(pty.path().c_str(), 0600), 0);
   const bool root = ::geteuid() == 0;

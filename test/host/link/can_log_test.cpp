@@ -39,7 +39,7 @@ TEST(CandumpLine, ClassicAndFd) {
   EXPECT_FALSE(parse_candump_line("(0.1) can0 16010003##4").frame->frame.bit_rate_switch);
 }
 
-TEST(CandumpLine, OfNoFrameOfOursIsPassedOver) {
+TEST(CandumpLine, FramesOfOtherProtocolsAreSkipped) {
   for (const char* line : {"(1.0) can0 123#1122", "(1.0) can0 123##1AABB", "(1.0) can0 16000003#R",
                            "(1.0) can0 16000003#R8", "(1.0) can0 20000080#0000000000000000"}) {
     const CanLogLine parsed = parse_candump_line(line);
@@ -48,7 +48,7 @@ TEST(CandumpLine, OfNoFrameOfOursIsPassedOver) {
   }
 }
 
-TEST(CandumpLine, DamagedIsNotIntact) {
+TEST(CandumpLine, ADamagedLineIsNotIntact) {
   for (const char* line :
        {"", "x", "(1.0", "(1.0)", "(1.0) can0", "(1.0) can0 ", "(x) can0 16000003#11",
         "(1.0)can0 16000003#11", "(1.0) can0 1600003#11", "(1.0) can0 D6000003#11", "(1.0) can0 16000003#1",
@@ -59,7 +59,7 @@ TEST(CandumpLine, DamagedIsNotIntact) {
   }
 }
 
-TEST(CanLogFile, GivesAllFramesOrTheLineThatIsNone) {
+TEST(CanLogFile, GivesAllFramesOrTheInvalidLine) {
   const ScratchFolder folder;
   folder.write("good.log", "(1.0) can0 16000001#11\r\n\n(1.5) can0 123#22\n(2.0) can0 16000002#33\n");
   const CanLog log = read_candump_log(folder / "good.log");

@@ -26,7 +26,7 @@ TEST(CanPath, NamesFormatInterfaceAndNode) {
   EXPECT_EQ(fd->node, 65535);
 }
 
-TEST(CanPath, IsNothingElse) {
+TEST(CanPath, RefusesInvalidPaths) {
   for (const char* path :
        {"can:", "can:can0", "can:can0/", "can:/3", "can:can0/x", "can:can0/-1", "can:can0/65536",
         "can:can0/3 ", "can:can0/0x3", "can:can 0/3", "can:can0/1/3", "can:../3", "can:a-name.of_16_chr/3",
@@ -39,7 +39,7 @@ TEST(CanPath, IsNothingElse) {
   EXPECT_FALSE(is_can_path("./can:can0/3"));
 }
 
-TEST(CanPath, OfALogHasTheFilesOwnPath) {
+TEST(CanPath, ALogPathContainsTheFilesPath) {
   const auto path = parse_can_log_path("can-log:/var/log/drive 1.log/12");
   ASSERT_TRUE(path);
   EXPECT_EQ(path->file, "/var/log/drive 1.log");
@@ -49,7 +49,7 @@ TEST(CanPath, OfALogHasTheFilesOwnPath) {
   EXPECT_FALSE(parse_can_log_path("drive.log/1"));
 }
 
-TEST(OpenSocketCan, SaysHowAPathIsWritten) {
+TEST(OpenSocketCan, ExplainsTheFormOfAPath) {
   const OpenedLink opened = open_link("can:can0", 0);
   EXPECT_FALSE(opened.link);
   EXPECT_EQ(opened.error.fault, LinkFault::kUnsuitable);
@@ -57,7 +57,7 @@ TEST(OpenSocketCan, SaysHowAPathIsWritten) {
   EXPECT_THAT(opened.error.message, HasSubstr("can:can0/3"));
 }
 
-TEST(OpenSocketCan, SaysWhatTheKernelOrTheBusLacks) {
+TEST(OpenSocketCan, ExplainsAMissingKernelModuleOrInterface) {
   // The kernel may support CAN or not; this interface does not exist.
   const OpenedLink opened = open_link("can:no-such-can/3", 0);
   EXPECT_FALSE(opened.link);

@@ -40,7 +40,7 @@ std::int64_t dtu(double seconds) {
   return std::llround(seconds * kDeviceTicksPerSecond);
 }
 
-TEST(ReportDecoder, GivesEachRangeItsOwnInstantInHostTime) {
+TEST(ReportDecoder, GivesEachRangeItsOwnHostTime) {
   constexpr unsigned kBaud = 1'000'000;
   ReportDecoder decoder(kBaud);
   Collected got;
@@ -65,7 +65,7 @@ TEST(ReportDecoder, GivesEachRangeItsOwnInstantInHostTime) {
   EXPECT_EQ(decoder.counters().frames_lost, 0U);
 }
 
-TEST(ReportDecoder, TakesACompactReportForTheSameMeasurement) {
+TEST(ReportDecoder, ACompactReportGivesTheSameMeasurement) {
   std::vector<groma_Range> ranges{make_range(11, 4.5, -dtu(0.080)), make_range(12, 7.2503, -dtu(0.075))};
   ranges[0].has_first_path_power_cdbm = true;
   ranges[0].first_path_power_cdbm = -8150;
@@ -111,7 +111,7 @@ TEST(ReportDecoder, CountsATornCompactReportAsMalformed) {
   EXPECT_EQ(decoder.counters().reports, 0U);
 }
 
-TEST(ReportDecoder, PassesOnPowersWhereTheyAreKnown) {
+TEST(ReportDecoder, PassesOnKnownPowers) {
   groma_Range range = make_range(1, 2.0, 0);
   range.has_first_path_power_cdbm = true;
   range.first_path_power_cdbm = -8123;
@@ -125,7 +125,7 @@ TEST(ReportDecoder, PassesOnPowersWhereTheyAreKnown) {
   EXPECT_FLOAT_EQ(got.ranges[0].receive_power_dbm, -79.0F);
 }
 
-TEST(ReportDecoder, PassesOnWhatIsKnownOfARangesTruth) {
+TEST(ReportDecoder, PassesOnTheQualityOfARange) {
   groma_Range range = make_range(1, 2.0, -1'000'000'000);
   range.has_clock_offset_ppb = true;
   range.clock_offset_ppb = -4'321;
@@ -154,7 +154,7 @@ TEST(ReportDecoder, PassesOnWhatIsKnownOfARangesTruth) {
 
 // The node's counter started at host time 100 s. Beside the transmission its link delays 3 ms to the host and
 // 5 ms to the node.
-TEST(ReportDecoder, LearnsTheLinksDelayFromTimeReplies) {
+TEST(ReportDecoder, EstimatesTheLinksDelayFromTimeReplies) {
   constexpr unsigned kBaud = 1'000'000;
   constexpr double kToHost_s = 0.003;
   constexpr double kToNode_s = 0.005;
@@ -196,7 +196,7 @@ TEST(ReportDecoder, LearnsTheLinksDelayFromTimeReplies) {
 }
 
 // Replies to an earlier program, or replies of another node over the air.
-TEST(ReportDecoder, LeavesAnswersToOthersAlone) {
+TEST(ReportDecoder, IgnoresRepliesToOthers) {
   ReportDecoder decoder(0);
   Collected got;
   decoder.take(frame_of(make_report(0, 3, 1'000'000, {make_range(11, 4.5, 0)})), 105.0, got);
@@ -284,7 +284,7 @@ TEST(ReportDecoder, ADamagedFrameIsALostReport) {
   EXPECT_EQ(decoder.frame_counters().crc_errors + decoder.frame_counters().cobs_errors, 1U);
 }
 
-TEST(ReportDecoder, TellsTagsOnOneCableApart) {
+TEST(ReportDecoder, SeparatesTagsOnOneCable) {
   ReportDecoder decoder(0);
   Collected got;
   decoder.take(frame_of(make_report(500, 1, static_cast<std::uint64_t>(dtu(900.0)), {make_range(1, 2.0, 0)})),
@@ -298,7 +298,7 @@ TEST(ReportDecoder, TellsTagsOnOneCableApart) {
   EXPECT_EQ(decoder.counters().frames_lost, 0U);
 }
 
-TEST(ReportDecoder, HandsOnWhatNodesSayOfThemselves) {
+TEST(ReportDecoder, PassesOnMessagesAboutTheNode) {
   ReportDecoder decoder(115200);
   Collected got;
   decoder.take(frame_of(test::make_hello(7, "0.1.0")), 1.0, got);
@@ -325,7 +325,7 @@ TEST(ReportDecoder, HandsOnWhatNodesSayOfThemselves) {
   EXPECT_EQ(decoder.counters().messages, 5U);
 }
 
-TEST(ReportDecoder, CountsFramesThatHoldNoMessage) {
+TEST(ReportDecoder, CountsFramesWithoutAMessage) {
   ReportDecoder decoder(0);
   Collected got;
   for (const std::vector<std::uint8_t>& payload :
@@ -341,7 +341,7 @@ TEST(ReportDecoder, CountsFramesThatHoldNoMessage) {
   EXPECT_EQ(decoder.frame_counters().frames, 6U);
 }
 
-TEST(ReportDecoder, RelatesTheClocksAnewAfterReopening) {
+TEST(ReportDecoder, RestartsTheClockEstimateAfterReopening) {
   ReportDecoder decoder(0);
   Collected got;
   const auto first =
@@ -359,7 +359,7 @@ TEST(ReportDecoder, RelatesTheClocksAnewAfterReopening) {
 }
 
 // Intact frames with damaged messages: all output is within its bounds, and each message is counted.
-TEST(ReportDecoder, StaysWithinItsBoundsWhateverAFrameHolds) {
+TEST(ReportDecoder, StaysWithinItsBoundsForAnyFrame) {
   std::uint64_t state = 12345;
   const auto random = [&state] {
     state = state * 6364136223846793005U + 1442695040888963407U;

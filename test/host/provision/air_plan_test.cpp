@@ -40,7 +40,7 @@ double air_us(double preamble, double bytes) {
   return (preamble + 8.0) * 1.01763 + 21.0 * 1.02564 + (bits + 48.0 * std::ceil(bits / 330.0)) * 0.128205;
 }
 
-TEST(AirPlan, TakesTheTimeThatItsFramesAndPausesTake) {
+TEST(AirPlan, DurationsAreTheSumOfFramesAndPauses) {
   for (const unsigned preamble : {64U, 128U, 256U}) {
     for (const unsigned tags : {1U, 10U}) {
       for (const unsigned anchors : {4U, 12U, 16U}) {
@@ -79,7 +79,7 @@ TEST(AirPlan, TagsThatShareASlotCostNoTime) {
   EXPECT_NEAR(shared.ranges_per_s, 48.0 / shared.superframe_s, 0.1);
 }
 
-TEST(AirPlan, APlaceThatGoesToATrialBringsNoRange) {
+TEST(AirPlan, APlaceForATrialYieldsNoRange) {
   SiteSettings site = site_of(4, 16);
   const AirPlan enough = plan_of(site);
   EXPECT_NEAR(enough.tag_ranges_per_s * enough.superframe_s, 16.0, 1e-9);
@@ -99,7 +99,7 @@ TEST(AirPlan, APlaceThatGoesToATrialBringsNoRange) {
   EXPECT_EQ(halls.responses, 16U);
 }
 
-TEST(AirPlan, TellsWhatEachLinkCarries) {
+TEST(AirPlan, GivesTheLoadOfEachLink) {
   SiteSettings site = site_of(3, 12);
   const AirPlan plan = plan_of(site);
   ASSERT_EQ(plan.links.size(), 3U);
@@ -117,7 +117,7 @@ TEST(AirPlan, TellsWhatEachLinkCarries) {
   EXPECT_NEAR(plan_of(site, 500'000).links[0].busy, 2.0 * plan.links[0].busy, 1e-9);
 }
 
-TEST(AirPlan, WarnsOfWhatWillNotWork) {
+TEST(AirPlan, WarnsOfSettingsThatWillNotWork) {
   SiteSettings site = site_of(3, 12);
   EXPECT_THAT(plan_of(site).warnings, IsEmpty());
   EXPECT_THAT(plan_of(site, 115'200).warnings, ElementsAre(HasSubstr("UART would be busy")));
@@ -135,7 +135,7 @@ TEST(AirPlan, WarnsOfWhatWillNotWork) {
   EXPECT_THAT(plan_of(site).warnings, ElementsAre(HasSubstr("CAN would be busy")));
 }
 
-TEST(AirPlan, ARangeNeedsTheFramesThatMakeIt) {
+TEST(AirPlan, ARangeNeedsAllFramesOfItsExchange) {
   EXPECT_DOUBLE_EQ(range_success(groma_RangingMethod_METHOD_DS_NEXT_POLL, 1.0), 1.0);
   EXPECT_NEAR(range_success(groma_RangingMethod_METHOD_DS_NEXT_POLL, 0.7), 0.2401, 1e-9);
   EXPECT_NEAR(range_success(groma_RangingMethod_METHOD_DS_FINAL, 0.7), 0.16807, 1e-9);

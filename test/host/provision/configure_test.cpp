@@ -52,7 +52,7 @@ struct HeardAnchors : link::NodeSink {
   std::set<model::NodeId> ids;
 };
 
-TEST(ConfigureNode, NodesOutOfTheBoxBecomeASiteThatRanges) {
+TEST(ConfigureNode, UnconfiguredNodesBecomeASiteThatRanges) {
   LiveSite site;
   const SitePlan plan = site.plan();
   for (const PlannedNode& node : plan.nodes) {
@@ -76,7 +76,7 @@ TEST(ConfigureNode, NodesOutOfTheBoxBecomeASiteThatRanges) {
   EXPECT_THAT(heard.ids, ::testing::ElementsAre(10, 11, 12));
 }
 
-TEST(ConfigureNode, ANodeThatHasItsConfigurationIsLeftAlone) {
+TEST(ConfigureNode, AConfiguredNodeIsNotWritten) {
   LiveSite site;
   const PlannedNode node = site.plan().nodes[0];
   ASSERT_EQ(configure_node(node, kBaud).fault, NodeFault::kNone);
@@ -119,7 +119,7 @@ class DyingLink : public link::ByteLink {
 
 class InterruptedAfter : public ::testing::TestWithParam<std::tuple<int, bool>> {};
 
-TEST_P(InterruptedAfter, SoManyCommandsItGoesOnWhereItStopped) {
+TEST_P(InterruptedAfter, ItContinuesWhereItStopped) {
   const int commands = std::get<0>(GetParam());
   const bool last_arrives = std::get<1>(GetParam());
   LiveSite site;
@@ -148,7 +148,7 @@ TEST_P(InterruptedAfter, SoManyCommandsItGoesOnWhereItStopped) {
 INSTANTIATE_TEST_SUITE_P(ConfigureNode, InterruptedAfter,
                          ::testing::Combine(::testing::Range(0, 5), ::testing::Bool()));
 
-TEST(ConfigureNode, NoiseOnTheLineOnlyTakesTime) {
+TEST(ConfigureNode, NoiseOnTheLineOnlyDelays) {
   std::minstd_rand random(7);
   LiveSite site;
   site.set_line([&](std::vector<std::uint8_t>& bytes) {
@@ -168,7 +168,7 @@ TEST(ConfigureNode, NoiseOnTheLineOnlyTakesTime) {
   }
 }
 
-TEST(ConfigureNode, ANodeOfAnotherIdIsNotOverwrittenUnlessAskedFor) {
+TEST(ConfigureNode, ANodeOfAnotherIdIsOverwrittenOnlyOnRequest) {
   LiveSite site;
   const SitePlan plan = site.plan();
   ASSERT_EQ(configure_node(plan.nodes[2], kBaud).fault, NodeFault::kNone);
@@ -188,7 +188,7 @@ TEST(ConfigureNode, ANodeOfAnotherIdIsNotOverwrittenUnlessAskedFor) {
   EXPECT_EQ(outcome.hello->id, 10U);
 }
 
-TEST(ConfigureNode, WhatTheNodeRefusesIsToldInItsWords) {
+TEST(ConfigureNode, ARefusalIsReportedWithTheNodesText) {
   LiveSite site;
   PlannedNode node = site.plan().nodes[0];
   node.config.schedule.guard_us = 1;
@@ -197,7 +197,7 @@ TEST(ConfigureNode, WhatTheNodeRefusesIsToldInItsWords) {
   EXPECT_THAT(outcome.message, HasSubstr("refuses to write_config: schedule.guard_us: 5 to 1000"));
 }
 
-TEST(ConfigureNode, UnpluggedInTheMiddleItSaysSo) {
+TEST(ConfigureNode, ANodeUnpluggedMeanwhileIsReported) {
   LiveSite site;
   const PlannedNode node = site.plan().nodes[0];
   ConfigureOptions options;
@@ -209,7 +209,7 @@ TEST(ConfigureNode, UnpluggedInTheMiddleItSaysSo) {
   EXPECT_THAT(outcome.message, HasSubstr("the port went away; plug it in again"));
 }
 
-TEST(IdentifyNode, TheNodeTellsWhoItIs) {
+TEST(IdentifyNode, TheNodeIdentifiesItself) {
   LiveSite site;
   const SitePlan plan = site.plan();
   const NodeOutcome outcome = identify_node(plan.nodes[0].port, kBaud, 2);
@@ -259,7 +259,7 @@ class OverTheAir : public ::testing::Test {
   SitePlan plan;
 };
 
-TEST_F(OverTheAir, ANodeIsWrittenReadBackAndGoesOver) {
+TEST_F(OverTheAir, ANodeIsWrittenReadBackAndApplied) {
   plan.nodes[3].config.transmit_antenna_delay_dtu = 16'321;
   std::vector<std::string> steps;
   const NodeOutcome outcome = configure_node(plan.nodes[3], kBaud, recording(steps));
@@ -273,7 +273,7 @@ TEST_F(OverTheAir, ANodeIsWrittenReadBackAndGoesOver) {
   expect_in_force();
 }
 
-TEST_F(OverTheAir, AWholeSiteGoesOverToAnotherSchedule) {
+TEST_F(OverTheAir, AWholeSiteChangesItsSchedule) {
   for (PlannedNode& node : plan.nodes) {
     node.config.schedule.epoch = 8;
     node.config.schedule.response_gap_us += 20;
@@ -290,14 +290,14 @@ TEST_F(OverTheAir, AWholeSiteGoesOverToAnotherSchedule) {
   }
 }
 
-TEST_F(OverTheAir, AnotherScheduleWaitsForTheNodeThatPassesItOn) {
+TEST_F(OverTheAir, AScheduleChangeWaitsForTheNodeThatPassesItOn) {
   plan.nodes[2].config.schedule.epoch = 8;
   const NodeOutcome outcome = configure_node(plan.nodes[2], kBaud);
   EXPECT_EQ(outcome.fault, NodeFault::kHeldBack);
   EXPECT_THAT(outcome.message, HasSubstr("node 11: " + plan.nodes[0].port + ": is written, but keeps"));
 }
 
-TEST_F(OverTheAir, InterruptedItGoesOnWhereItStopped) {
+TEST_F(OverTheAir, AfterAnInterruptionItContinuesWhereItStopped) {
   plan.nodes[1].config.transmit_power = 0x1F1F1F1F;
   for (const int commands : {1, 3}) {
     ConfigureOptions dying;
@@ -313,7 +313,7 @@ TEST_F(OverTheAir, InterruptedItGoesOnWhereItStopped) {
   expect_in_force();
 }
 
-TEST_F(OverTheAir, IdentifyAndCountersReachIt) {
+TEST_F(OverTheAir, IdentifyAndCountersWork) {
   const NodeOutcome blinking = identify_node(plan.nodes[0].port, kBaud, 2, link::open_link, 12);
   EXPECT_EQ(blinking.fault, NodeFault::kNone) << blinking.message;
   ASSERT_TRUE(blinking.hello);
@@ -347,7 +347,7 @@ TEST_F(OverTheAir, ANodeThatDoesNotAnswerIsNamed) {
               HasSubstr("node 99: " + plan.nodes[0].port + ": no answer from node 99 over the air"));
 }
 
-TEST_F(OverTheAir, AWiredNodeOutOfStepSaysSo) {
+TEST_F(OverTheAir, AWiredNodeWithoutSynchronizationIsReported) {
   PlannedNode lone = by_cable.nodes[0];
   lone.config.schedule.epoch = 77;
   ASSERT_EQ(configure_node(lone, kBaud).fault, NodeFault::kNone);
@@ -414,11 +414,11 @@ NodeOutcome configure_scripted(ScriptedNode::Answer answer, std::vector<std::uin
   return configure_node(node_at(node.path()), kBaud);
 }
 
-TEST(ConfigureNode, TheScriptedNodeIsGoodUnlessChanged) {
+TEST(ConfigureNode, TheScriptedNodeIsConfiguredUnlessChanged) {
   EXPECT_EQ(configure_scripted(good_but([](auto&, const auto&) {})).fault, NodeFault::kNone);
 }
 
-TEST(ConfigureNode, FirmwareOfAnotherProtocolIsNotTouched) {
+TEST(ConfigureNode, FirmwareOfAnotherProtocolIsNotWritten) {
   const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto& command) {
     EXPECT_EQ(command.which_body, groma_HostToNode_get_hello_tag);
     if (message.which_body == groma_NodeToHost_hello_tag) message.body.hello.protocol_version = 2;
@@ -428,7 +428,7 @@ TEST(ConfigureNode, FirmwareOfAnotherProtocolIsNotTouched) {
               HasSubstr("its firmware 9.9 speaks protocol 2, this program 1; flash the image"));
 }
 
-TEST(ConfigureNode, WhatReadsBackDifferentlyIsToldByField) {
+TEST(ConfigureNode, ADifferentReadBackIsReportedByField) {
   const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto& command) {
     if (command.which_body == groma_HostToNode_write_config_tag)
       message.body.reply.config.schedule.guard_us = 31;
@@ -437,7 +437,7 @@ TEST(ConfigureNode, WhatReadsBackDifferentlyIsToldByField) {
   EXPECT_THAT(outcome.message, HasSubstr("reads back something else (schedule.guard_us: 31, not 30)"));
 }
 
-TEST(ConfigureNode, AStorageThatFailsIsTold) {
+TEST(ConfigureNode, AFailedStorageIsReported) {
   const NodeOutcome outcome = configure_scripted([](const groma_HostToNode& command) {
     if (command.which_body == groma_HostToNode_write_config_tag) {
       return std::vector{reply_of(command, groma_Result_RESULT_STORAGE, "not stored: write it again")};
@@ -448,7 +448,7 @@ TEST(ConfigureNode, AStorageThatFailsIsTold) {
   EXPECT_THAT(outcome.message, HasSubstr("write_config failed (not stored: write it again)"));
 }
 
-TEST(ConfigureNode, ARadioThatDoesNotComeUpIsTold) {
+TEST(ConfigureNode, ARadioThatDoesNotComeUpIsReported) {
   const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_hello_tag) {
       node::copy_text(message.body.hello.radio_error, "DW1000: no PLL lock");
@@ -458,7 +458,7 @@ TEST(ConfigureNode, ARadioThatDoesNotComeUpIsTold) {
   EXPECT_THAT(outcome.message, HasSubstr("its DW1000 did not come up (DW1000: no PLL lock)"));
 }
 
-TEST(ConfigureNode, ACanControllerThatDoesNotComeUpIsTold) {
+TEST(ConfigureNode, ACanControllerThatDoesNotComeUpIsReported) {
   const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_hello_tag) {
       node::copy_text(message.body.hello.link_error, "no MCP2518FD");
@@ -469,7 +469,7 @@ TEST(ConfigureNode, ACanControllerThatDoesNotComeUpIsTold) {
               HasSubstr("its CAN controller did not come up (no MCP2518FD); check its wiring"));
 }
 
-TEST(ConfigureNode, AHelloWithAnotherScheduleIsTold) {
+TEST(ConfigureNode, AHelloWithAnotherScheduleIsReported) {
   const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_hello_tag) {
       message.body.hello.schedule_hash = 0x1234;
@@ -480,7 +480,7 @@ TEST(ConfigureNode, AHelloWithAnotherScheduleIsTold) {
   EXPECT_THAT(outcome.message, HasSubstr("schedule 00001234, not "));
 }
 
-TEST(ConfigureNode, LostRepliesAreAskedForAgain) {
+TEST(ConfigureNode, LostRepliesAreRequestedAgain) {
   int commands = 0;
   const NodeOutcome outcome = configure_scripted([&](const groma_HostToNode& command) {
     auto answer = good_but([](auto&, const auto&) {})(command);
@@ -490,7 +490,7 @@ TEST(ConfigureNode, LostRepliesAreAskedForAgain) {
   EXPECT_EQ(outcome.fault, NodeFault::kNone) << outcome.message;
 }
 
-TEST(ConfigureNode, AReplyToAnotherCommandIsNoAnswer) {
+TEST(ConfigureNode, AReplyToAnotherCommandIsIgnored) {
   const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_reply_tag) message.body.reply.request_id ^= 1U;
   }));
@@ -498,7 +498,7 @@ TEST(ConfigureNode, AReplyToAnotherCommandIsNoAnswer) {
   EXPECT_THAT(outcome.message, HasSubstr("reports come, but no answer"));
 }
 
-TEST(ConfigureNode, SilenceIsToldByItsKind) {
+TEST(ConfigureNode, AMissingAnswerIsReportedByItsKind) {
   const NodeOutcome silent = configure_scripted(nothing);
   EXPECT_EQ(silent.fault, NodeFault::kNoAnswer);
   EXPECT_THAT(silent.message,
@@ -518,7 +518,7 @@ TEST(ConfigureNode, SilenceIsToldByItsKind) {
   EXPECT_THAT(other.message, HasSubstr("frames of another version; flash the image of this release"));
 }
 
-TEST(ConfigureNode, APortThatCannotBeOpenedIsTold) {
+TEST(ConfigureNode, APortThatCannotBeOpenedIsReported) {
   const NodeOutcome missing = configure_node(node_at("/dev/no-such-port"), kBaud);
   EXPECT_EQ(missing.fault, NodeFault::kNoPort);
   EXPECT_THAT(missing.message,
@@ -540,7 +540,7 @@ TEST(ConfigureNode, APortThatCannotBeOpenedIsTold) {
 
 // ---- nodes that report over CAN ---------------------------------------------------------------------------
 
-TEST(ConfigureNode, ANodeOnTheBusIsHeardThere) {
+TEST(ConfigureNode, ANodeOnTheBusMustAnswerThere) {
   ScriptedNode uart(good_but([](auto&, const auto&) {}));
   ScriptedNode bus(good_but([](auto&, const auto&) {}));
   PlannedNode node = node_at(uart.path());
@@ -551,7 +551,7 @@ TEST(ConfigureNode, ANodeOnTheBusIsHeardThere) {
   EXPECT_EQ(bus.commands(), 1);
 }
 
-TEST(ConfigureNode, ANodeThatIsNotHeardOnTheBusIsTold) {
+TEST(ConfigureNode, ANodeThatDoesNotAnswerOnTheBusIsReported) {
   ScriptedNode uart(good_but([](auto&, const auto&) {}));
   ScriptedNode bus([](const groma_HostToNode&) { return std::vector<groma_NodeToHost>{}; });
   PlannedNode node = node_at(uart.path());
@@ -561,14 +561,14 @@ TEST(ConfigureNode, ANodeThatIsNotHeardOnTheBusIsTold) {
   EXPECT_THAT(outcome.message, HasSubstr("does not answer at " + bus.path() + "; check the bus"));
 }
 
-TEST(ConfigureNode, AComputerWithoutTheBusConfiguresAllTheSame) {
+TEST(ConfigureNode, AComputerWithoutTheBusConfiguresToo) {
   ScriptedNode uart(good_but([](auto&, const auto&) {}));
   PlannedNode node = node_at(uart.path());
   node.can_link = "/dev/no-such-bus";
   EXPECT_EQ(configure_node(node, kBaud).fault, NodeFault::kNone);
 }
 
-TEST(ConfigureNode, WithItsSerialPortUnpluggedItIsReachedOverTheBus) {
+TEST(ConfigureNode, ANodeWithoutItsSerialPortIsReachedOverTheBus) {
   ScriptedNode bus(good_but([](auto&, const auto&) {}));
   PlannedNode node = node_at("/dev/no-such-port");
   node.can_link = bus.path();
@@ -577,7 +577,7 @@ TEST(ConfigureNode, WithItsSerialPortUnpluggedItIsReachedOverTheBus) {
   EXPECT_EQ(outcome.port, bus.path());
 }
 
-TEST(ConfigureNode, WhoIsSilentOnTheBusMayNeverHaveBeenConfigured) {
+TEST(ConfigureNode, ASilentBusSuggestsAnUnconfiguredNode) {
   ScriptedNode bus([](const groma_HostToNode&) { return std::vector<groma_NodeToHost>{}; });
   PlannedNode node = node_at("");
   node.can_link = bus.path();

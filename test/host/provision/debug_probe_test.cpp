@@ -57,7 +57,7 @@ TEST_F(DebugProbeTest, WithoutUsbThereAreNone) {
   EXPECT_TRUE(find().empty());
 }
 
-TEST_F(DebugProbeTest, TheOnlyOneIsChosen) {
+TEST_F(DebugProbeTest, TheOnlyProbeIsChosen) {
   add("1-2", "1366", "1015", "000760012345", "J-Link");
   const auto probes = find();
   EXPECT_EQ(choose_probe(probes, std::nullopt, "").probe, &probes[0]);
@@ -65,7 +65,7 @@ TEST_F(DebugProbeTest, TheOnlyOneIsChosen) {
   EXPECT_EQ(choose_probe(probes, std::nullopt, "760012345").probe, &probes[0]);  // leading zeros
 }
 
-TEST_F(DebugProbeTest, WhyNoneIsChosenIsTold) {
+TEST_F(DebugProbeTest, AFailedChoiceIsExplained) {
   const ChosenProbe none = choose_probe({}, std::nullopt, "");
   EXPECT_EQ(none.fault, FlashFault::kNoProbe);
   EXPECT_THAT(none.message, HasSubstr("no debug probe (J-Link or CMSIS-DAP) on USB; plug it in"));
@@ -86,7 +86,7 @@ TEST_F(DebugProbeTest, WhyNoneIsChosenIsTold) {
   EXPECT_EQ(choose_probe(probes, Adapter::kJlink, "0227").fault, FlashFault::kOtherSerial);
 }
 
-TEST_F(DebugProbeTest, WhoMayNotUseItIsToldTheRule) {
+TEST_F(DebugProbeTest, AMissingPermissionIsExplained) {
   add("1-2", "1366", "1015", "000760012345", "J-Link");
   auto probes = find();
   EXPECT_TRUE(probes[0].accessible);  // its device node does not exist: OpenOCD will report that

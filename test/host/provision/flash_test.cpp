@@ -76,7 +76,7 @@ TEST_F(FlashTest, AnEmptyPartGetsTheImageAndRuns) {
   EXPECT_THAT(phases_, ::testing::ElementsAre("connecting", "verifying", "writing", "verifying"));
 }
 
-TEST_F(FlashTest, WhatHasTheImageIsNotWrittenAgain) {
+TEST_F(FlashTest, APartWithTheImageIsNotWrittenAgain) {
   plug_in(&part_);
   ASSERT_EQ(run().fault, FlashFault::kNone);
   const int words = part_.words_written();
@@ -88,7 +88,7 @@ TEST_F(FlashTest, WhatHasTheImageIsNotWrittenAgain) {
   EXPECT_FALSE(part_.halted());
 }
 
-TEST_F(FlashTest, ALockedPartIsToldAndNotTouched) {
+TEST_F(FlashTest, ALockedPartIsReportedAndNotChanged) {
   part_.lock();
   plug_in(&part_);
   const FlashOutcome outcome = run();
@@ -99,7 +99,7 @@ TEST_F(FlashTest, ALockedPartIsToldAndNotTouched) {
   EXPECT_EQ(part_.mass_erases(), 0);
 }
 
-TEST_F(FlashTest, RecoverUnlocksALockedPartAndOnlyThat) {
+TEST_F(FlashTest, RecoverErasesOnlyALockedPart) {
   part_.lock();
   plug_in(&part_);
   request_.recover = true;
@@ -117,7 +117,7 @@ TEST_F(FlashTest, RecoverUnlocksALockedPartAndOnlyThat) {
   EXPECT_EQ(part_.mass_erases(), 1);
 }
 
-TEST_F(FlashTest, FlashThatDoesNotTakeTheImageIsToldByTheVerification) {
+TEST_F(FlashTest, VerificationReportsDefectiveFlash) {
   part_.break_flash_at(0x400);
   plug_in(&part_);
   const FlashOutcome outcome = run();
@@ -125,14 +125,14 @@ TEST_F(FlashTest, FlashThatDoesNotTakeTheImageIsToldByTheVerification) {
   EXPECT_THAT(outcome.message, HasSubstr("what is in flash is not the image"));
 }
 
-TEST_F(FlashTest, NothingBehindTheProbeIsTold) {
+TEST_F(FlashTest, AMissingTargetIsReported) {
   plug_in(nullptr);
   const FlashOutcome outcome = run();
   EXPECT_EQ(outcome.fault, FlashFault::kNoTarget) << outcome.output;
   EXPECT_THAT(outcome.message, HasSubstr("check that the module has power, and SWDIO, SWCLK and GND"));
 }
 
-TEST_F(FlashTest, WhatIsNotKnownComesInOpenOcdsWords) {
+TEST_F(FlashTest, AnUnknownFailureIsReportedInOpenOcdsWords) {
   const FlashOutcome outcome = run();  // no socket
   EXPECT_EQ(outcome.fault, FlashFault::kOther);
   EXPECT_THAT(outcome.message, HasSubstr("OpenOCD failed (Error on socket 'connect'"));
@@ -141,7 +141,7 @@ TEST_F(FlashTest, WhatIsNotKnownComesInOpenOcdsWords) {
 class PulledAt : public FlashTest, public ::testing::WithParamInterface<int> {};
 
 // Parameter: the number of words written when the probe is unplugged; 0 is before the first erase.
-TEST_P(PulledAt, ThisWordItIsToldAndRepeatedItIsDone) {
+TEST_P(PulledAt, ItIsReportedAndARepetitionSucceeds) {
   plug_in(&part_);
   const int word = GetParam();
   probe_->set_pull([&] { return word == 0 ? part_.halted() : part_.words_written() >= word; });
@@ -166,7 +166,7 @@ FlashFault fault_of(const std::string& output) {
   return read_openocd(1, output, {}).fault;
 }
 
-TEST(ReadOpenOcd, EachCauseIsKnownByItsWords) {
+TEST(ReadOpenOcd, EachCauseIsFoundFromTheOutput) {
   EXPECT_EQ(fault_of("swd\nError: No J-Link device found\n** OpenOCD init failed **\n"),
             FlashFault::kNoProbe);
   EXPECT_EQ(fault_of("Error: unable to find a matching CMSIS-DAP device\n** OpenOCD init failed **\n"),
@@ -195,7 +195,7 @@ TEST(ReadOpenOcd, EachCauseIsKnownByItsWords) {
   EXPECT_EQ(read_openocd(0, "nothing\n", {}).fault, FlashFault::kOther);
 }
 
-TEST(OpenOcdArguments, AKnownAdapterGoesBySwdAndSerialNumber) {
+TEST(OpenOcdArguments, AKnownAdapterUsesSwdAndTheSerialNumber) {
   FlashRequest request;
   request.openocd = "/usr/bin/openocd";
   request.image.path = "/a b/node.hex";
@@ -210,7 +210,7 @@ TEST(OpenOcdArguments, AKnownAdapterGoesBySwdAndSerialNumber) {
 }
 
 // OpenOCD accepts the adapters' files and commands: it gets as far as looking for the probe.
-TEST(OpenOcdArguments, OpenOcdTakesThemForEachAdapter) {
+TEST(OpenOcdArguments, OpenOcdAcceptsThemForEachAdapter) {
   const auto openocd = find_program("openocd");
   ASSERT_TRUE(openocd) << "scripts/setup test installs it";
   for (const Adapter adapter : {Adapter::kJlink, Adapter::kCmsisDap}) {
@@ -227,7 +227,7 @@ TEST(OpenOcdArguments, OpenOcdTakesThemForEachAdapter) {
   }
 }
 
-TEST(Flash, APathThatTclWouldTakeApartIsRefused) {
+TEST(Flash, APathWithBracesIsRefused) {
   FlashRequest request;
   request.image.path = "/a}b.hex";
   const FlashOutcome outcome = flash(request);

@@ -27,7 +27,7 @@ std::string image_fault_of(const std::string& text) {
   return "none";
 }
 
-TEST(NodeImage, SaysWhatItIs) {
+TEST(NodeImage, HasVersionHashAndSize) {
   const ScratchFolder scratch;
   scratch.write("node.hex", test::hex_of(test::small_image(5000, "1.2.3", 0xC0FFEE01)) + test::kHexEnd);
   const NodeImage image = read_node_image(scratch / "node.hex");
@@ -43,7 +43,7 @@ TEST(NodeImage, MayWriteUicr) {
       "none");
 }
 
-TEST(NodeImage, WhatIsNoneOfOursIsRefusedBeforeAnythingIsErased) {
+TEST(NodeImage, OtherFilesAreRefusedBeforeAnythingIsErased) {
   const std::vector<std::uint8_t> good = test::small_image(5000);
   const auto hex = [](const std::vector<std::uint8_t>& image) { return test::hex_of(image) + test::kHexEnd; };
   EXPECT_EQ(image_fault_of(hex(good)), "none");
@@ -70,7 +70,7 @@ TEST(NodeImage, WhatIsNoneOfOursIsRefusedBeforeAnythingIsErased) {
               HasSubstr("4 bytes at 0x20000000 lie in neither flash nor UICR"));
 }
 
-TEST(NodeImage, AMissingOneTellsHowItIsBuilt) {
+TEST(NodeImage, AMissingImageNamesTheBuildCommand) {
   try {
     (void)read_node_image("/none/node.hex");
     FAIL();

@@ -140,7 +140,7 @@ TEST_F(CommandTest, FlashWithAPlanGoesThroughAllNodes) {
   }
 }
 
-TEST_F(CommandTest, KilledAtEachNodeItGoesOnWhereItStopped) {
+TEST_F(CommandTest, FlashKilledAtEachNodeContinuesWhereItStopped) {
   for (std::size_t i = 0; i < parts_.size(); ++i) {
     const int half = static_cast<int>(image_.size() / 4 / 2);
     parts_[i]->hold_at(half);
@@ -159,7 +159,7 @@ TEST_F(CommandTest, KilledAtEachNodeItGoesOnWhereItStopped) {
   expect_all_done();
 }
 
-TEST_F(CommandTest, OneNodeThatFailsDoesNotKeepTheOthersFromTheirTurn) {
+TEST_F(CommandTest, AFailedNodeDoesNotStopTheOthers) {
   parts_[1]->lock();
   const ChildResult result = groma_run(flash_all());
   EXPECT_EQ(result.exit_code, 69);
@@ -177,7 +177,7 @@ TEST_F(CommandTest, OneNodeThatFailsDoesNotKeepTheOthersFromTheirTurn) {
   expect_all_done();
 }
 
-TEST_F(CommandTest, APortOfAnotherNodeThanTheProbeIsNoticed) {
+TEST_F(CommandTest, APortOfAnotherNodeThanTheProbesIsReported) {
   scratch_.write("node.hex", test::hex_of(test::small_image(4608, "other", 7)) + test::kHexEnd);
   std::vector<std::string> arguments = flash_all();
   arguments.insert(arguments.end(), {"--node", "10"});
@@ -189,7 +189,7 @@ TEST_F(CommandTest, APortOfAnotherNodeThanTheProbeIsNoticed) {
   EXPECT_EQ(json::parse(result.out)["nodes"][0]["configure"]["fault"], "other-build");
 }
 
-TEST_F(CommandTest, ConfigureKilledAtAnyTimeGoesOnWhereItStopped) {
+TEST_F(CommandTest, ConfigureKilledAtAnyTimeContinuesWhereItStopped) {
   int killed = 0;
   for (int after_ms = 5; after_ms < 200; after_ms += 15) {
     const auto begin = std::chrono::steady_clock::now();
@@ -207,7 +207,7 @@ TEST_F(CommandTest, ConfigureKilledAtAnyTimeGoesOnWhereItStopped) {
   }
 }
 
-TEST_F(CommandTest, ConfigureTellsEachFailureAndGoesOn) {
+TEST_F(CommandTest, ConfigureReportsEachFailureAndContinues) {
   scratch_.write("plan.yaml",
                  fmt::format("schema: 1\nnetwork_id: 77\nnodes:\n  - {{id: 1, role: tag, port: none}}\n"
                              "  - {{id: 10, role: anchor}}\n  - {{id: 11, role: anchor, port: {}}}\n",
@@ -224,7 +224,7 @@ TEST_F(CommandTest, ConfigureTellsEachFailureAndGoesOn) {
             0);
 }
 
-TEST_F(CommandTest, IdentifyTellsWhoBlinks) {
+TEST_F(CommandTest, IdentifyNamesTheBlinkingNode) {
   const ChildResult fresh = groma_run({"identify", nodes_[1].port, "--for", "1"});
   EXPECT_EQ(fresh.exit_code, 0) << fresh.err;
   EXPECT_EQ(fresh.out, nodes_[1].port + ": an unconfigured node blinks for 1 s\n");
@@ -291,7 +291,7 @@ TEST_F(CommandTest, ListenShowsTheRangesOfAConfiguredSite) {
                                     "clock_offset_ppm,noise,line_of_sight,corrections,network_time_dtu\n1"));
 }
 
-TEST_F(CommandTest, ATagTakesHintsAndLeavesWhenItIsTold) {
+TEST_F(CommandTest, ATagTakesHintsAndLeavesOnCommand) {
   ASSERT_EQ(groma_run(configure_all()).exit_code, 0);
   const std::string tag = nodes_[0].port;
   const std::string anchor = nodes_[1].port;
@@ -330,7 +330,7 @@ TEST_F(CommandTest, ATagTakesHintsAndLeavesWhenItIsTold) {
   EXPECT_EQ(json::parse(after.out)["ranges"], 0);
 }
 
-TEST_F(CommandTest, APortThatIsTakenEndsWith69) {
+TEST_F(CommandTest, APortInUseEndsWith69) {
   const link::OpenedLink other = link::open_link(nodes_[0].port, kBaud);
   ASSERT_TRUE(other.link);
   const ChildResult result = groma_run({"identify", nodes_[0].port});
@@ -359,7 +359,7 @@ TEST_F(CommandTest, MisuseEndsWith2) {
   EXPECT_EQ(groma_run({"flash", "--plan", plan, "--probe", "p1"}).exit_code, 2);
 }
 
-TEST_F(CommandTest, FlashTellsWhatIsMissing) {
+TEST_F(CommandTest, FlashNamesWhatIsMissing) {
   const std::string image = path("node.hex");
   const ChildResult no_image = groma_run({"flash", "--image", path("none.hex")});
   EXPECT_EQ(no_image.exit_code, 65);
@@ -374,7 +374,7 @@ TEST_F(CommandTest, FlashTellsWhatIsMissing) {
   EXPECT_THAT(no_probe.err, HasSubstr("few.yaml: names no probe for node 1; add 'probe:' to it"));
 }
 
-TEST_F(CommandTest, FlashWithoutAPlanLeavesTheConfigurationAlone) {
+TEST_F(CommandTest, FlashWithoutAPlanDoesNotConfigure) {
   const ChildResult result =
       groma_run({"flash", "--image", path("node.hex"), "--adapter", path("probe.cfg"), "--probe", "p11"});
   EXPECT_EQ(result.exit_code, 0) << result.err;

@@ -100,7 +100,7 @@ TEST_F(SitePlanTest, EachKeyReachesTheConfiguration) {
   EXPECT_EQ(plan.find(4), nullptr);
 }
 
-TEST_F(SitePlanTest, TheLeastPlanTakesTheDefaults) {
+TEST_F(SitePlanTest, AMinimalPlanUsesTheDefaults) {
   const SitePlan plan = read(
       "schema: 1\nnetwork_id: 5\nnodes: [{id: 9, role: anchor}, {id: 4, role: anchor}, {id: 1, role: "
       "tag}]\n");
@@ -149,7 +149,7 @@ TEST_F(SitePlanTest, TagsOutOfEachOthersReachMayShareASlot) {
   EXPECT_EQ(schedule.backup_ids[1], 11);
 }
 
-TEST_F(SitePlanTest, FaultsOfRanksAndSlotsAreTold) {
+TEST_F(SitePlanTest, FaultsOfRanksAndSlotsAreReported) {
   const auto fault = [&](const std::string& from, const std::string& to) {
     std::string text = kCells;
     const std::size_t at = text.find(from);
@@ -165,7 +165,7 @@ TEST_F(SitePlanTest, FaultsOfRanksAndSlotsAreTold) {
   EXPECT_THAT(fault("responses: 3", "responses: 17"), HasSubstr("responses is 17; it has to be 1 to 16"));
 }
 
-TEST_F(SitePlanTest, TheNetworkKeyComesFromAFileOfItsOwnAndIsNotTold) {
+TEST_F(SitePlanTest, TheNetworkKeyComesFromItsOwnFileAndIsNotShown) {
   const std::string text =
       "schema: 1\nnetwork_id: 5\nnetwork_key_file: key\nnodes: [{id: 9, role: anchor}, {id: 1, role: tag}]\n";
   scratch_.write("key", "000102030405060708090A0b0c0d0eff\n");
@@ -184,7 +184,7 @@ TEST_F(SitePlanTest, TheNetworkKeyComesFromAFileOfItsOwnAndIsNotTold) {
   }
 }
 
-TEST_F(SitePlanTest, ANodeWithoutACableNamesTheOneThatPassesOn) {
+TEST_F(SitePlanTest, ANodeWithoutACableNamesTheNodeThatPassesOn) {
   const std::string text =
       "schema: 1\nnetwork_id: 1\nnodes:\n"
       "  - {id: 1, role: tag, port: /dev/ttyACM0}\n"
@@ -201,7 +201,7 @@ TEST_F(SitePlanTest, ANodeWithoutACableNamesTheOneThatPassesOn) {
               HasSubstr("cannot be combined with 'port:'"));
 }
 
-TEST_F(SitePlanTest, EachFaultIsToldWithItsPlaceAndRemedy) {
+TEST_F(SitePlanTest, EachFaultIsReportedWithPlaceAndRemedy) {
   EXPECT_THAT(fault_with("epoch: 7", "epok: 7"), HasSubstr("plan.yaml:3:12: unknown key 'epok'"));
   EXPECT_THAT(fault_with("schema: 1", "schema: 2"), HasSubstr(":1:9: schema is not 1"));
   EXPECT_THAT(fault_with("18258", "65535"), HasSubstr(":2:13: network_id is 65535; it has to be 0 to 65534"));
@@ -238,33 +238,33 @@ TEST(Differences, EachFieldIsCompared) {
   }();
   const groma_Config config = plan.nodes[0].config;
   EXPECT_EQ(differences(config, config), "");
-  const auto expect_told = [&](auto change, const std::string& name) {
+  const auto expect_diff = [&](auto change, const std::string& name) {
     groma_Config other = config;
     change(other);
     EXPECT_THAT(differences(other, config), HasSubstr(name));
   };
-  expect_told([](auto& c) { c.role = groma_Role_ROLE_TAG; }, "role: 2, not 1");
-  expect_told([](auto& c) { c.id = 1; }, "id: 1, not 12");
-  expect_told([](auto& c) { c.network_id = 1; }, "network_id: 1, not 18258");
-  expect_told([](auto& c) { c.preamble = groma_Preamble_PREAMBLE_256; }, "preamble: 2, not 1");
-  expect_told([](auto& c) { c.transmit_antenna_delay_dtu = 1; }, "transmit_antenna_delay_dtu: 1, not 16440");
-  expect_told([](auto& c) { c.receive_antenna_delay_dtu = 1; }, "receive_antenna_delay_dtu: 1, not 16450");
-  expect_told([](auto& c) { c.transmit_power = 1; }, "transmit_power");
-  expect_told([](auto& c) { c.report_raw_stamps = false; }, "report_raw_stamps: false, not true");
-  expect_told([](auto& c) { c.correct_temperature = false; }, "correct_temperature: false, not true");
-  expect_told([](auto& c) { c.correct_power_bias = false; }, "correct_power_bias: false, not true");
-  expect_told([](auto& c) { c.link = groma_Link_LINK_UART; }, "link: 0, not 2");
-  expect_told([](auto& c) { c.can_nominal_bit_per_s = 1; }, "can_nominal_bit_per_s: 1, not 500000");
-  expect_told([](auto& c) { c.can_data_bit_per_s = 1; }, "can_data_bit_per_s: 1, not 4000000");
-  expect_told([](auto& c) { c.has_schedule = false; }, "has schedule: false, not true");
-  expect_told([](auto& c) { c.schedule.epoch = 1; }, "schedule.epoch: 1, not 7");
-  expect_told([](auto& c) { c.schedule.master_id = 10; }, "schedule.master_id: 10, not 12");
-  expect_told([](auto& c) { c.schedule.tag_ids[0] = 9; }, "schedule.tag_ids: [9], not [3]");
-  expect_told([](auto& c) { c.schedule.anchor_ids_count = 1; }, "schedule.anchor_ids: [10], not [10, 12]");
-  expect_told([](auto& c) { c.schedule.method = groma_RangingMethod_METHOD_DS_FINAL; }, "schedule.method");
-  expect_told([](auto& c) { c.schedule.turn_round_us = 1; }, "schedule.turn_round_us: 1, not 400");
-  expect_told([](auto& c) { c.schedule.response_gap_us = 1; }, "schedule.response_gap_us: 1, not 250");
-  expect_told([](auto& c) { c.schedule.guard_us = 1; }, "schedule.guard_us: 1, not 40");
+  expect_diff([](auto& c) { c.role = groma_Role_ROLE_TAG; }, "role: 2, not 1");
+  expect_diff([](auto& c) { c.id = 1; }, "id: 1, not 12");
+  expect_diff([](auto& c) { c.network_id = 1; }, "network_id: 1, not 18258");
+  expect_diff([](auto& c) { c.preamble = groma_Preamble_PREAMBLE_256; }, "preamble: 2, not 1");
+  expect_diff([](auto& c) { c.transmit_antenna_delay_dtu = 1; }, "transmit_antenna_delay_dtu: 1, not 16440");
+  expect_diff([](auto& c) { c.receive_antenna_delay_dtu = 1; }, "receive_antenna_delay_dtu: 1, not 16450");
+  expect_diff([](auto& c) { c.transmit_power = 1; }, "transmit_power");
+  expect_diff([](auto& c) { c.report_raw_stamps = false; }, "report_raw_stamps: false, not true");
+  expect_diff([](auto& c) { c.correct_temperature = false; }, "correct_temperature: false, not true");
+  expect_diff([](auto& c) { c.correct_power_bias = false; }, "correct_power_bias: false, not true");
+  expect_diff([](auto& c) { c.link = groma_Link_LINK_UART; }, "link: 0, not 2");
+  expect_diff([](auto& c) { c.can_nominal_bit_per_s = 1; }, "can_nominal_bit_per_s: 1, not 500000");
+  expect_diff([](auto& c) { c.can_data_bit_per_s = 1; }, "can_data_bit_per_s: 1, not 4000000");
+  expect_diff([](auto& c) { c.has_schedule = false; }, "has schedule: false, not true");
+  expect_diff([](auto& c) { c.schedule.epoch = 1; }, "schedule.epoch: 1, not 7");
+  expect_diff([](auto& c) { c.schedule.master_id = 10; }, "schedule.master_id: 10, not 12");
+  expect_diff([](auto& c) { c.schedule.tag_ids[0] = 9; }, "schedule.tag_ids: [9], not [3]");
+  expect_diff([](auto& c) { c.schedule.anchor_ids_count = 1; }, "schedule.anchor_ids: [10], not [10, 12]");
+  expect_diff([](auto& c) { c.schedule.method = groma_RangingMethod_METHOD_DS_FINAL; }, "schedule.method");
+  expect_diff([](auto& c) { c.schedule.turn_round_us = 1; }, "schedule.turn_round_us: 1, not 400");
+  expect_diff([](auto& c) { c.schedule.response_gap_us = 1; }, "schedule.response_gap_us: 1, not 250");
+  expect_diff([](auto& c) { c.schedule.guard_us = 1; }, "schedule.guard_us: 1, not 40");
 }
 
 }  // namespace
