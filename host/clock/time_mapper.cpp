@@ -102,14 +102,14 @@ std::optional<HostInstant> TimeMapper::to_host(std::int64_t ticks) noexcept {
   HostInstant instant{reference_s_ + x_s + line_at(x_s) - shared_delay_s(),
                       // Uniform within half of the round trip either way: unequal delays.
                       std::hypot(sigma_at(x_s), shared_delay_s() / std::sqrt(3.0))};
-  if (last_stamp_ && ticks >= last_stamp_->ticks) {
-    const double earliest_s = last_stamp_->instant.t_s - last_stamp_->instant.sigma_s;
+  if (last_converted_ && ticks >= last_converted_->ticks) {
+    const double earliest_s = last_converted_->instant.t_s - last_converted_->instant.sigma_s;
     if (instant.t_s < earliest_s) {
       instant.sigma_s += earliest_s - instant.t_s;
       instant.t_s = earliest_s;
     }
   }
-  last_stamp_ = Stamp{ticks, instant};
+  last_converted_ = Converted{ticks, instant};
   return instant;
 }
 
@@ -124,7 +124,7 @@ std::optional<std::int64_t> TimeMapper::to_ticks(double host_s) const noexcept {
 void TimeMapper::reset() noexcept {
   size_ = 0;
   slope_ = 0.0;
-  last_stamp_.reset();
+  last_converted_.reset();
   request_count_ = 0;
   round_trip_s_.reset();
 }
@@ -138,7 +138,7 @@ void TimeMapper::start(std::int64_t ticks, double sent_s) noexcept {
   late_messages_ = 0;
   early_messages_ = 0;
   taken_ = 1;
-  last_stamp_.reset();
+  last_converted_.reset();
   request_count_ = 0;
   round_trip_s_.reset();
   ++epoch_;

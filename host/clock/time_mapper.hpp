@@ -105,7 +105,7 @@ class TimeMapper {
     double x_s = 0.0;
     double y_s = 0.0;
   };
-  struct Stamp {
+  struct Converted {
     std::int64_t ticks = 0;
     HostInstant instant;
   };
@@ -153,7 +153,7 @@ class TimeMapper {
   double early_by_s_ = 0.0;           // of the first that agrees
   double early_since_s_ = 0.0;        // host time, since reference_s_
 
-  std::optional<Stamp> last_stamp_;
+  std::optional<Converted> last_converted_;
   std::uint32_t epoch_ = 0;
   TimeMapperCounters counters_;
 };

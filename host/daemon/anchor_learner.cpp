@@ -26,7 +26,7 @@ double sigma_xy_m(const model::AnchorCalibration& anchor) {
   return std::sqrt(std::max(anchor.covariance(0, 0), anchor.covariance(1, 1)));
 }
 
-calibration::LearningStep learn_and_name(const calibration::LearningInput& input) {
+calibration::LearningStep learn_with_digest(const calibration::LearningInput& input) {
   calibration::LearningStep step = calibration::learn(input);
   if (step.learnt) {
     step.learnt->calibration.input_sha256 = sample_digest(step.samples.ranges, step.samples.poses);
@@ -34,10 +34,10 @@ calibration::LearningStep learn_and_name(const calibration::LearningInput& input
   return step;
 }
 
-calibration::LearningStep learn_quietly(const calibration::LearningInput& input) {
+calibration::LearningStep learn_in_background(const calibration::LearningInput& input) {
   // On Linux this sets the priority of the calling thread only.
   ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kNiceness);
-  return learn_and_name(input);
+  return learn_with_digest(input);
 }
 
 }  // namespace
@@ -103,11 +103,12 @@ bool AnchorLearner::service() {
   const bool all_places = store_.last_s() >= next_places_s_;
   if (all_places) {
     if (std::isnan(begin_s_)) begin_s_ = store_.last_s();
-    next_places_s_ = store_.last_s() + std::clamp(kLonger * (store_.last_s() - begin_s_), setup_.step_s,
-                                                  std::max(setup_.step_s, kMostBetween_s));
+    next_places_s_ = store_.last_s() + std::clamp(kLongerShare * (store_.last_s() - begin_s_), setup_.step_s,
+                                                  std::max(setup_.step_s, kMaxBetween_s));
   }
-  if (!setup_.threaded) return take(learn_and_name(input(all_places)), false) || changed;
-  solving_ = std::async(std::launch::async, [input = input(all_places)] { return learn_quietly(input); });
+  if (!setup_.threaded) return take(learn_with_digest(input(all_places)), false) || changed;
+  solving_ =
+      std::async(std::launch::async, [input = input(all_places)] { return learn_in_background(input); });
   return changed;
 }
 
@@ -115,27 +116,27 @@ bool AnchorLearner::finish() {
   bool changed = false;
   if (solving_.valid()) changed = take(solving_.get(), false);
   store_.close();
-  return take(learn_and_name(input(true)), true) || changed;
+  return take(learn_with_digest(input(true)), true) || changed;
 }
 
 bool AnchorLearner::take(calibration::LearningStep step, bool last) {
   ++steps_;
-  const bool anew = step.learnt.has_value();
-  if (anew) learnt_ = std::move(*step.learnt);
-  const bool moved = take_out_moved(step.rechecked);
-  for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
+  const bool solved = step.learnt.has_value();
+  if (solved) calibrated_ = std::move(*step.learnt);
+  const bool moved = remove_moved(step.rechecked);
+  for (const model::AnchorCalibration& anchor : calibrated_.calibration.anchors) {
     // The anchor moved before it was good enough to be used: discard its ranges from the former position.
     if (anchor.verdict == model::AnchorVerdict::kMoved && model::find_anchor(live_, anchor.id) == nullptr) {
       store_.forget(anchor.id, store_.last_s() - setup_.limits.segment_s *
                                                      static_cast<double>(setup_.limits.recent_segments));
     }
   }
-  const bool learnt = anew && take_in_learnt(last);
-  if (moved || learnt) live_.verdict = calibration::judge_site(live_.anchors);
-  return moved || learnt;
+  const bool adopted = solved && adopt_calibrated(last);
+  if (moved || adopted) live_.verdict = calibration::judge_site(live_.anchors);
+  return moved || adopted;
 }
 
-bool AnchorLearner::take_out_moved(const std::vector<calibration::AnchorChange>& rechecked) {
+bool AnchorLearner::remove_moved(const std::vector<calibration::AnchorChange>& rechecked) {
   bool changed = false;
   std::map<model::NodeId, int> suspicion;
   for (const calibration::AnchorChange& change : rechecked) {
@@ -147,7 +148,8 @@ bool AnchorLearner::take_out_moved(const std::vector<calibration::AnchorChange>&
     }
     std::erase_if(live_.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
     std::erase_if(setup_.earlier.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
-    std::erase_if(learnt_.calibration.anchors, [&](const auto& anchor) { return anchor.id == change.id; });
+    std::erase_if(calibrated_.calibration.anchors,
+                  [&](const auto& anchor) { return anchor.id == change.id; });
     store_.forget(change.id, store_.last_s());
     moved_m_[change.id] = change.displacement_m.norm();
     news_.push_back(
@@ -164,37 +166,37 @@ bool AnchorLearner::is_earlier(model::NodeId id) const {
 }
 
 // The calibrated anchors belong to one joint solution, so they are adopted together.
-bool AnchorLearner::take_in_learnt(bool last) {
+bool AnchorLearner::adopt_calibrated(bool last) {
   bool wanted = false;
-  std::vector<model::AnchorCalibration> learnt;
-  for (const model::AnchorCalibration& anchor : learnt_.calibration.anchors) {
+  std::vector<model::AnchorCalibration> calibrated;
+  for (const model::AnchorCalibration& anchor : calibrated_.calibration.anchors) {
     if (is_earlier(anchor.id) || !calibration::carries(anchor)) continue;
-    learnt.push_back(anchor);
+    calibrated.push_back(anchor);
     const model::AnchorCalibration* before = model::find_anchor(live_, anchor.id);
     if (before == nullptr) {
       news_.push_back(fmt::format("anchor {} is calibrated: verdict {}, {} ranges, sigma {:.2f} m", anchor.id,
                                   io::word(anchor.verdict), anchor.ranges_used, sigma_xy_m(anchor)));
       moved_m_.erase(anchor.id);
     }
-    wanted = wanted || last || before == nullptr || sigma_xy_m(anchor) < kBetter * sigma_xy_m(*before);
+    wanted = wanted || last || before == nullptr || sigma_xy_m(anchor) < kBetterShare * sigma_xy_m(*before);
   }
   if (!wanted) return false;
   const model::Calibration before = std::exchange(live_, setup_.earlier);
   if (setup_.earlier.anchors.empty()) {
-    live_.common_frame_covariance = learnt_.calibration.common_frame_covariance;
-    live_.range_delay_s = learnt_.calibration.range_delay_s;
-    live_.range_delay_sigma_s = learnt_.calibration.range_delay_sigma_s;
-    live_.range_noise = learnt_.calibration.range_noise;
-    live_.tags = learnt_.calibration.tags;
+    live_.common_frame_covariance = calibrated_.calibration.common_frame_covariance;
+    live_.range_delay_s = calibrated_.calibration.range_delay_s;
+    live_.range_delay_sigma_s = calibrated_.calibration.range_delay_sigma_s;
+    live_.range_noise = calibrated_.calibration.range_noise;
+    live_.tags = calibrated_.calibration.tags;
   } else {
     // The filter's poses share the frame error of the anchors that it tracks by.
-    for (model::AnchorCalibration& anchor : learnt) {
+    for (model::AnchorCalibration& anchor : calibrated) {
       model::add_common_frame(anchor, live_.common_frame_covariance);
     }
   }
-  live_.input_sha256 = learnt_.calibration.input_sha256;
+  live_.input_sha256 = calibrated_.calibration.input_sha256;
   live_.program_version = io::program_version();
-  live_.anchors.insert(live_.anchors.end(), learnt.begin(), learnt.end());
+  live_.anchors.insert(live_.anchors.end(), calibrated.begin(), calibrated.end());
   // An anchor in use that this solution lacks stays unchanged.
   for (const model::AnchorCalibration& anchor : before.anchors) {
     if (model::find_anchor(live_, anchor.id) == nullptr) live_.anchors.push_back(anchor);
@@ -207,13 +209,13 @@ bool AnchorLearner::take_in_learnt(bool last) {
 std::vector<AnchorProgress> AnchorLearner::progress() const {
   std::set<model::NodeId> ids;
   for (const auto& anchor : live_.anchors) ids.insert(anchor.id);
-  for (const auto& anchor : learnt_.calibration.anchors) ids.insert(anchor.id);
+  for (const auto& anchor : calibrated_.calibration.anchors) ids.insert(anchor.id);
   for (const auto& [id, distance_m] : moved_m_) ids.insert(id);
   std::vector<AnchorProgress> out;
   for (const model::NodeId id : ids) {
     const model::AnchorCalibration* live = model::find_anchor(live_, id);
-    const model::AnchorCalibration* learnt = model::find_anchor(learnt_.calibration, id);
-    const model::AnchorCalibration* anchor = live != nullptr ? live : learnt;
+    const model::AnchorCalibration* calibrated = model::find_anchor(calibrated_.calibration, id);
+    const model::AnchorCalibration* anchor = live != nullptr ? live : calibrated;
     AnchorProgress& progress = out.emplace_back();
     progress.id = id;
     if (live != nullptr) {
@@ -228,7 +230,7 @@ std::vector<AnchorProgress> AnchorLearner::progress() const {
     progress.coverage = live != nullptr ? 1.0 : calibration::coverage(*anchor);
     progress.verdict = anchor->verdict;
     progress.advice = anchor->advice;
-    progress.ranges_used = learnt != nullptr ? learnt->ranges_used : 0;
+    progress.ranges_used = calibrated != nullptr ? calibrated->ranges_used : 0;
     if (model::has_position(*anchor)) progress.sigma_m = sigma_xy_m(*anchor);
   }
   return out;

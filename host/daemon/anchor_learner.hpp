@@ -58,16 +58,16 @@ class AnchorLearner : public MeasurementSink {
     bool threaded = true;  // false: service() solves in the caller's thread; results are then reproducible
   };
   // The whole drive is solved again once it has grown by this fraction, or after this time at most.
-  static constexpr double kLonger = 0.05;
-  static constexpr double kMostBetween_s = 60.0;
+  static constexpr double kLongerShare = 0.05;
+  static constexpr double kMaxBetween_s = 60.0;
   // An anchor counts as moved after this many consecutive steps that found it elsewhere.
   static constexpr int kMovedSteps = 3;
   // A new solution replaces the anchors in use once one sigma is below this fraction of its old value.
-  static constexpr double kBetter = 0.75;
+  static constexpr double kBetterShare = 0.75;
 
   explicit AnchorLearner(Setup setup);
 
-  void on_odometry(const model::OdometrySample& /*row*/) override {}
+  void on_odometry(const model::OdometrySample& /*sample*/) override {}
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& pose) override;
   void on_clock_set() override;  // discards the measurements so far; keeps the calibrated anchors
@@ -89,14 +89,14 @@ class AnchorLearner : public MeasurementSink {
  private:
   [[nodiscard]] calibration::LearningInput input(bool all_places) const;
   [[nodiscard]] bool take(calibration::LearningStep step, bool last);
-  [[nodiscard]] bool take_out_moved(const std::vector<calibration::AnchorChange>& rechecked);
-  [[nodiscard]] bool take_in_learnt(bool last);
+  [[nodiscard]] bool remove_moved(const std::vector<calibration::AnchorChange>& rechecked);
+  [[nodiscard]] bool adopt_calibrated(bool last);
   [[nodiscard]] bool is_earlier(model::NodeId id) const;
 
   Setup setup_;
   calibration::DriveStore store_;
   model::Calibration live_;
-  calibration::Result learnt_;              // of the last step that solved the whole drive
+  calibration::Result calibrated_;              // of the last step that solved the whole drive
   std::map<model::NodeId, int> suspicion_;  // consecutive steps that found the anchor elsewhere
   std::map<model::NodeId, double> moved_m_;
   std::future<calibration::LearningStep> solving_;

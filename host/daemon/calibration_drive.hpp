@@ -21,7 +21,7 @@ class CalibrationDrive : public MeasurementSink {
 
   CalibrationDrive(std::vector<model::Tag> tags, model::Surface surface, model::RangePriors priors);
 
-  void on_odometry(const model::OdometrySample& /*row*/) override {}
+  void on_odometry(const model::OdometrySample& /*sample*/) override {}
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& pose) override;
   void on_clock_set() override;  // starts the drive again

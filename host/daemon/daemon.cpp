@@ -77,14 +77,14 @@ Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log
          .link = link::ReconnectingLink([path, baud = node.baud] { return open_input(path, baud); }),
          .is_robot = false,
          .node = session_.add_node(path, node.baud),
-         .told_error = {}});
+         .logged_error = {}});
   }
   const std::string path = config_.robot_socket.string();
   inputs_.push_back({.name = path,
                      .link = link::ReconnectingLink([path] { return open_input(path, 0); }),
                      .is_robot = true,
                      .node = 0,
-                     .told_error = {}});
+                     .logged_error = {}});
 }
 
 Daemon::~Daemon() = default;
@@ -131,12 +131,12 @@ bool Daemon::run(int stop_fd) {
   while (!stop) {
     wait(stop_fd, stop);
     for (Input& input : inputs_) service(input);
-    ask_for_time();
+    request_times();
     session_.advance(now_s());
     record();
     if (drive_ && !calibrate()) return false;
     if (learner_) learn();
-    tell_status();
+    publish_status();
     server_->service();
   }
   finish_learning();
@@ -171,10 +171,10 @@ void Daemon::service(Input& input) {
   }
   if (input.link.get() != nullptr) {
     read(input);
-    tell_news(input);
-  } else if (input.told_error != input.link.last_error().message) {
-    input.told_error = input.link.last_error().message;
-    if (!input.told_error.empty()) log_(input.told_error);
+    log_news(input);
+  } else if (input.logged_error != input.link.last_error().message) {
+    input.logged_error = input.link.last_error().message;
+    if (!input.logged_error.empty()) log_(input.logged_error);
   }
 }
 
@@ -196,19 +196,19 @@ void Daemon::read(Input& input) {
   }
 }
 
-void Daemon::tell_news(Input& input) {
+void Daemon::log_news(Input& input) {
   if (input.link.get() == nullptr) return;
   if (const std::string news = input.link.get()->take_news(); !news.empty()) log_(news);
 }
 
 void Daemon::opened(Input& input) {
-  input.told_error.clear();
+  input.logged_error.clear();
   // Do not wait for the answer.
   if (!input.is_robot) static_cast<void>(input.link.get()->write(hello_request()));
 }
 
 // The answers give the delay of each node's link. A request that fails is repeated in the next period.
-void Daemon::ask_for_time() {
+void Daemon::request_times() {
   if (now_s() < next_time_request_s_) return;
   next_time_request_s_ = now_s() + kTimeRequestPeriod_s;
   for (Input& input : inputs_) {
@@ -255,13 +255,13 @@ void Daemon::localize(model::Calibration calibration) {
 }
 
 void Daemon::learn() {
-  if (learner_->service()) use_learnt();
+  if (learner_->service()) use_calibrated();
   for (const std::string& news : learner_->take_news()) log_(news);
-  keep_learnt();
+  write_calibrated();
 }
 
-void Daemon::use_learnt() {
-  to_keep_ = config_.calibration.output.has_value();
+void Daemon::use_calibrated() {
+  to_write_ = config_.calibration.output.has_value();
   if (localizer_) {
     localizer_->adopt(learner_->live());
   } else if (learner_->live().anchors.size() >= kMinAnchors) {
@@ -270,13 +270,13 @@ void Daemon::use_learnt() {
 }
 
 // Writes one file at a time, in a thread that may wait for the disk.
-void Daemon::keep_learnt() {
-  if (keeping_.valid()) {
-    if (keeping_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
-    if (const std::string error = keeping_.get(); !error.empty()) log_(error);
+void Daemon::write_calibrated() {
+  if (writing_.valid()) {
+    if (writing_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+    if (const std::string error = writing_.get(); !error.empty()) log_(error);
   }
-  if (!std::exchange(to_keep_, false)) return;
-  keeping_ = std::async(std::launch::async, [path = *config_.calibration.output,
+  if (!std::exchange(to_write_, false)) return;
+  writing_ = std::async(std::launch::async, [path = *config_.calibration.output,
                                              text = io::format_calibration(learner_->live())] {
     try {
       io::write_file(path, text);
@@ -290,13 +290,13 @@ void Daemon::keep_learnt() {
 // Uses the samples since the last step too.
 void Daemon::finish_learning() {
   if (!learner_) return;
-  to_keep_ = learner_->finish() || to_keep_;
-  to_keep_ = to_keep_ && config_.calibration.output.has_value();
+  to_write_ = learner_->finish() || to_write_;
+  to_write_ = to_write_ && config_.calibration.output.has_value();
   for (const std::string& news : learner_->take_news()) log_(news);
-  if (keeping_.valid()) keeping_.wait();
-  keep_learnt();
-  if (keeping_.valid()) keeping_.wait();
-  keep_learnt();
+  if (writing_.valid()) writing_.wait();
+  write_calibrated();
+  if (writing_.valid()) writing_.wait();
+  write_calibrated();
 }
 
 void Daemon::learn_from(const PoseEstimate& settled) {
@@ -331,7 +331,7 @@ void Daemon::record() {
   }
 }
 
-void Daemon::tell_status() {
+void Daemon::publish_status() {
   if (now_s() < next_status_s_) return;
   next_status_s_ = now_s() + kStatusPeriod_s;
   report_implausible();

@@ -47,28 +47,28 @@ class Daemon {
     link::ReconnectingLink link;
     bool is_robot = false;
     std::size_t node = 0;    // index in the session, except for the robot
-    std::string told_error;  // the error logged last
+    std::string logged_error;  // the error logged last
   };
 
   [[nodiscard]] double now_s() const;
   void wait(int stop_fd, bool& stop);
   void service(Input& input);
   void read(Input& input);
-  void tell_news(Input& input);
+  void log_news(Input& input);
   void opened(Input& input);
   // False: the drive gave no usable calibration.
   [[nodiscard]] bool calibrate();
   void localize(model::Calibration calibration);
   // Runs calibration while driving: adopts, logs and writes its results.
   void learn();
-  void use_learnt();
-  void keep_learnt();
+  void use_calibrated();
+  void write_calibrated();
   void finish_learning();
   void learn_from(const PoseEstimate& settled);
   void publish(const PoseEstimate& pose);
-  void ask_for_time();
+  void request_times();
   void record();
-  void tell_status();
+  void publish_status();
   void report_implausible();
   void report_finding();
   [[nodiscard]] std::string_view state() const;
@@ -84,8 +84,8 @@ class Daemon {
   std::unique_ptr<CalibrationDrive> drive_;
   std::future<calibration::Result> solution_;
   std::unique_ptr<AnchorLearner> learner_;
-  bool to_keep_ = false;              // the current calibration is not in its file yet
-  std::future<std::string> keeping_;  // the error; empty: written
+  bool to_write_ = false;              // the current calibration is not in its file yet
+  std::future<std::string> writing_;  // the error; empty: written
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";
   std::optional<std::pair<filter::State, filter::Reason>> pose_state_;

@@ -14,7 +14,7 @@ namespace groma::daemon {
 
 namespace {
 
-constexpr double kNothingYet_s = -std::numeric_limits<double>::infinity();
+constexpr double kNotYet_s = -std::numeric_limits<double>::infinity();
 
 // By time, then odometry before yaw rates: the order in which a session passes them on.
 bool comes_before(const filter::MotionInput& a, const filter::MotionInput& b) {
@@ -47,16 +47,16 @@ Localizer::Localizer(Setup setup, OnPose on_pose, OnPose on_settled)
     : setup_(std::move(setup)),
       on_pose_(std::move(on_pose)),
       on_settled_(std::move(on_settled)),
-      last_row_s_(kNothingYet_s) {
+      last_odometry_s_(kNotYet_s) {
   ahead_.reserve(kMaxAhead);
-  renew();
+  make_tracker();
 }
 
 void Localizer::adopt(model::Calibration calibration) {
   setup_.calibration = std::move(calibration);
   prediction_.reset();
   const std::unique_ptr<filter::Tracker> before = std::move(tracker_);
-  renew();
+  make_tracker();
   if (before->started()) tracker_->resume(*before);
 }
 
@@ -70,41 +70,42 @@ void Localizer::begin(const filter::Start& start) {
 }
 
 void Localizer::on_odometry(const model::OdometrySample& sample) {
-  const model::OdometrySample row = in_own_time(sample);
-  arrived(row);
-  const filter::OdometryOutcome outcome = tracker_->process(row);
-  const bool has_waited = row.t_s <= last_row_s_;
-  came_in(row.t_s);
+  const model::OdometrySample own = in_own_time(sample);
+  remove_waiting_until(own);
+  const filter::OdometryOutcome outcome = tracker_->process(own);
+  const bool was_announced = own.t_s <= last_odometry_s_;
+  note_odometry_time(own.t_s);
   const bool implausible = outcome == filter::OdometryOutcome::kImplausible;
   if (implausible) ++implausible_;
   if (!tracker_->started() || !(outcome == filter::OdometryOutcome::kUsed || implausible)) return;
-  if (!has_waited) on_pose_(pose_of(tracker_->row_estimate()));
+  if (!was_announced) on_pose_(pose_of(tracker_->row_estimate()));
   if (on_settled_) on_settled_(pose_of(tracker_->estimate()));
 }
 
 void Localizer::on_odometry_ahead(const model::OdometrySample& sample) {
-  const model::OdometrySample row = in_own_time(sample);
-  const auto end = await(row);
-  came_in(row.t_s);
-  if (tracker_->started()) on_pose_(pose_of(predict(row.t_s, end)));
+  const model::OdometrySample own = in_own_time(sample);
+  const auto end = insert_waiting(own);
+  note_odometry_time(own.t_s);
+  if (tracker_->started()) on_pose_(pose_of(predict(own.t_s, end)));
 }
 
 filter::Estimate Localizer::predict(double t_s, Ahead::const_iterator end) {
   auto next = ahead_.cbegin();
-  if (prediction_ && t_s - predicted_since_s_ < kPredictionLasts_s) {
-    next = std::upper_bound(next, end, carried_, comes_before);
+  if (prediction_ && t_s - predicted_since_s_ < kPredictionReuse_s) {
+    next = std::upper_bound(next, end, last_propagated_, comes_before);
   } else {
     prediction_ = tracker_->prediction();
     predicted_since_s_ = t_s;
   }
   for (; next != end; ++next) filter().carry(*prediction_, *next);
-  carried_ = *std::prev(end);
+  last_propagated_ = *std::prev(end);
   return filter().estimate(*prediction_);
 }
 
-void Localizer::came_in(double t_s) noexcept {
-  if (last_row_s_ != kNothingYet_s && t_s - last_row_s_ > filter::Tracker::kSilent_s) paused_until_s_ = t_s;
-  last_row_s_ = std::max(last_row_s_, t_s);
+void Localizer::note_odometry_time(double t_s) noexcept {
+  const bool paused = t_s - last_odometry_s_ > filter::Tracker::kSilent_s;
+  if (last_odometry_s_ != kNotYet_s && paused) paused_until_s_ = t_s;
+  last_odometry_s_ = std::max(last_odometry_s_, t_s);
 }
 
 std::optional<diagnosis::Finding> Localizer::finding() const {
@@ -125,7 +126,7 @@ void Localizer::on_pose_prior(const model::PoseSample& sample) {
 }
 
 void Localizer::on_sensor(const model::SensorSample& sample) {
-  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) arrived(in_own_time(*rate));
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) remove_waiting_until(in_own_time(*rate));
   const filter::SensorResult result = tracker_->process(
       model::visit(sample, [this](const auto& of) { return model::SensorSample(in_own_time(of)); }));
   const bool implausible =
@@ -134,12 +135,12 @@ void Localizer::on_sensor(const model::SensorSample& sample) {
 }
 
 void Localizer::on_sensor_ahead(const model::SensorSample& sample) {
-  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) await(in_own_time(*rate));
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) insert_waiting(in_own_time(*rate));
 }
 
 void Localizer::on_clock_set() {
   forget_times();
-  renew();
+  make_tracker();
 }
 
 void Localizer::on_clock_step(double step_s, bool found_late) {
@@ -152,8 +153,8 @@ void Localizer::forget_times() noexcept {
   ahead_.clear();
   prediction_.reset();
   clock_s_ = 0.0;
-  last_row_s_ = kNothingYet_s;
-  paused_until_s_ = kNothingYet_s;
+  last_odometry_s_ = kNotYet_s;
+  paused_until_s_ = kNotYet_s;
 }
 
 PoseEstimate Localizer::pose_of(const filter::Estimate& estimate) const {
@@ -162,7 +163,7 @@ PoseEstimate Localizer::pose_of(const filter::Estimate& estimate) const {
   pose.state = tracker_->state();
   pose.reason = tracker_->reason();
   if (pose.state != filter::State::kTracking) return pose;
-  if (times_doubtful_) {
+  if (times_suspect_) {
     pose.reason = filter::Reason::kOdometryTimes;
   } else if (tracker_->last_odometry_s() < paused_until_s_) {
     pose.reason = filter::Reason::kNoOdometry;
@@ -173,18 +174,18 @@ PoseEstimate Localizer::pose_of(const filter::Estimate& estimate) const {
   return pose;
 }
 
-Localizer::Ahead::const_iterator Localizer::await(const filter::MotionInput& input) {
+Localizer::Ahead::const_iterator Localizer::insert_waiting(const filter::MotionInput& input) {
   if (ahead_.size() == kMaxAhead) ahead_.erase(ahead_.begin());
-  if (prediction_ && comes_before(input, carried_)) prediction_.reset();
+  if (prediction_ && comes_before(input, last_propagated_)) prediction_.reset();
   const auto place = std::upper_bound(ahead_.begin(), ahead_.end(), input, comes_before);
   return ahead_.insert(place, input) + 1;
 }
 
-void Localizer::arrived(const filter::MotionInput& input) {
+void Localizer::remove_waiting_until(const filter::MotionInput& input) {
   ahead_.erase(ahead_.begin(), std::upper_bound(ahead_.begin(), ahead_.end(), input, comes_before));
 }
 
-void Localizer::renew() {
+void Localizer::make_tracker() {
   tracker_ = std::make_unique<filter::Tracker>(setup_.surface, setup_.tags, setup_.calibration, setup_.filter,
                                                setup_.tracker);
 }

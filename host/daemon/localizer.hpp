@@ -65,7 +65,7 @@ class Localizer : public MeasurementSink {
   static constexpr std::size_t kMaxAhead = 1024;
   // A prediction is continued from sample to sample for this long, then restarted from the filter's state. So
   // the cost of a sample does not grow with the odometry rate. At 50 Hz and below each sample restarts it.
-  static constexpr double kPredictionLasts_s = 0.018;
+  static constexpr double kPredictionReuse_s = 0.018;
 
   // Once started, for each odometry sample:
   //   on_pose:     when the sample arrives, the pose at its time, predicted from the filter's state by the
@@ -89,7 +89,7 @@ class Localizer : public MeasurementSink {
   void on_sensor_ahead(const model::SensorSample& sample) override;
   void on_clock_set() override;                                 // restarts without a pose
   void on_clock_step(double step_s, bool found_late) override;  // continues; CONVERGING until ranges agree
-  void on_odometry_times(bool doubtful) override { times_doubtful_ = doubtful; }
+  void on_odometry_times(bool suspect) override { times_suspect_ = suspect; }
 
   [[nodiscard]] bool started() const noexcept { return tracker_->started(); }
   [[nodiscard]] filter::State state() const noexcept { return tracker_->state(); }
@@ -109,31 +109,31 @@ class Localizer : public MeasurementSink {
     return sample;
   }
   void begin(const filter::Start& start);
-  void renew();
+  void make_tracker();
   void forget_times() noexcept;
   // Notes the arrival of an odometry sample of that time, late or not.
-  void came_in(double t_s) noexcept;
+  void note_odometry_time(double t_s) noexcept;
   [[nodiscard]] PoseEstimate pose_of(const filter::Estimate& estimate) const;
   // The estimate after the inputs of ahead_ before `end`; continues the stored prediction or starts a new
   // one.
   [[nodiscard]] filter::Estimate predict(double t_s, Ahead::const_iterator end);
   // Inserts the input in order into ahead_; returns the position after it.
-  Ahead::const_iterator await(const filter::MotionInput& input);
+  Ahead::const_iterator insert_waiting(const filter::MotionInput& input);
   // Removes the input and all before it: the filter gets them now.
-  void arrived(const filter::MotionInput& input);
+  void remove_waiting_until(const filter::MotionInput& input);
 
   Setup setup_;
   OnPose on_pose_;
   OnPose on_settled_;
   std::unique_ptr<filter::Tracker> tracker_;
   Ahead ahead_;        // in order; never exceeds the reserved capacity
-  double last_row_s_;  // the newest odometry sample that arrived
+  double last_odometry_s_;  // the newest odometry sample that arrived
   double paused_until_s_ = -std::numeric_limits<double>::infinity();  // the sample that ended a pause
   double clock_s_ = 0.0;                                              // robot time less filter time
-  bool times_doubtful_ = false;
+  bool times_suspect_ = false;
   std::optional<filter::Filter::Prediction> prediction_;
   double predicted_since_s_ = 0.0;  // the sample that started it
-  filter::MotionInput carried_;     // the last input that it includes
+  filter::MotionInput last_propagated_;     // the last input that it includes
   std::uint64_t implausible_ = 0;
 };
 

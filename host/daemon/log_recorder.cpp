@@ -60,7 +60,7 @@ LogRecorder::LogRecorder(const std::filesystem::path& path, std::vector<io::Desc
     throw io::DeviceError({path}, fmt::format("cannot be written ({})", reason(error)),
                           "make room, or choose another file for `log`");
   }
-  writer_ = std::thread([this] { write_on(); });
+  writer_ = std::thread([this] { write_loop(); });
 }
 
 LogRecorder::~LogRecorder() {
@@ -105,7 +105,7 @@ void LogRecorder::hand_over() {
   changed_.notify_one();
 }
 
-void LogRecorder::write_on() {
+void LogRecorder::write_loop() {
   using Clock = std::chrono::steady_clock;
   Clock::time_point next_sync = Clock::now();
   std::unique_lock lock(mutex_);

@@ -33,7 +33,7 @@ class LogRecorder : public MeasurementSink {
   LogRecorder(const LogRecorder&) = delete;
   LogRecorder& operator=(const LogRecorder&) = delete;
 
-  void on_odometry(const model::OdometrySample& row) override { encoder_.put(row); }
+  void on_odometry(const model::OdometrySample& sample) override { encoder_.put(sample); }
   void on_range(const model::RangeSample& range) override { encoder_.put(range); }
   void on_pose_prior(const model::PoseSample& pose) override { encoder_.put(pose); }
   void on_sensor(const model::SensorSample& sample) override { encoder_.put(sample); }
@@ -47,7 +47,7 @@ class LogRecorder : public MeasurementSink {
 
  private:
   void hand_over();
-  void write_on();
+  void write_loop();
 
   std::filesystem::path path_;
   std::vector<io::DescriptionFile> description_;

@@ -63,9 +63,9 @@ int run(int argc, char** argv) {
   std::optional<model::Calibration> calibration;
   const CalibrationSource& source = config.calibration;
   // With `learn`, the same path for `file` and `output` need not exist at the first start.
-  const bool begins =
+  const bool starts_without =
       source.learn && source.file == source.output && source.file && !std::filesystem::exists(*source.file);
-  if (source.file && !begins) calibration = io::read_calibration(*source.file);
+  if (source.file && !starts_without) calibration = io::read_calibration(*source.file);
   if (calibration && calibration->verdict == model::Verdict::kUnusable) {
     log(fmt::format("{}: its verdict is 'unusable'; drive and calibrate again",
                     config.calibration.file->string()));

@@ -14,14 +14,14 @@ class MeasurementSink {
   MeasurementSink& operator=(const MeasurementSink&) = delete;
   virtual ~MeasurementSink() = default;
 
-  virtual void on_odometry(const model::OdometrySample& row) = 0;
+  virtual void on_odometry(const model::OdometrySample& sample) = 0;
   virtual void on_range(const model::RangeSample& range) = 0;
   virtual void on_pose_prior(const model::PoseSample& pose) = 0;
   // A sample of a sensor other than odometry and ranges.
   virtual void on_sensor(const model::SensorSample& /*sample*/) {}
   // A sample that waits for its turn, as soon as it arrives; a late measurement, which does not wait, is not
   // announced. Odometry samples are announced in the order of their times.
-  virtual void on_odometry_ahead(const model::OdometrySample& /*row*/) {}
+  virtual void on_odometry_ahead(const model::OdometrySample& /*sample*/) {}
   virtual void on_sensor_ahead(const model::SensorSample& /*sample*/) {}
   // The robot's clock was set or the robot restarted: times before and after are not comparable.
   virtual void on_clock_set() = 0;
@@ -34,7 +34,7 @@ class MeasurementSink {
   }
   // Whether the times of odometry are suspect from now on: its clock seems to have been set, or it arrives
   // late.
-  virtual void on_odometry_times(bool /*doubtful*/) {}
+  virtual void on_odometry_times(bool /*suspect*/) {}
 
  protected:
   MeasurementSink() = default;

@@ -54,12 +54,13 @@ bool read_covariance(const InputJson& object, std::optional<model::PoseCovarianc
 }
 
 std::optional<RobotMessage> read_odometry(const InputJson& object) {
-  model::OdometrySample row;
-  if (!read_number(object, "t_s", row.t_s) || !read_number(object, "vx_mps", row.vx_mps) ||
-      !read_number(object, "vy_mps", row.vy_mps) || !read_number(object, "omega_radps", row.omega_radps)) {
+  model::OdometrySample sample;
+  if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "vx_mps", sample.vx_mps) ||
+      !read_number(object, "vy_mps", sample.vy_mps) ||
+      !read_number(object, "omega_radps", sample.omega_radps)) {
     return std::nullopt;
   }
-  return row;
+  return sample;
 }
 
 // All keys except z_m.

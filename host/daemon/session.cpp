@@ -16,12 +16,12 @@ constexpr double kDropReported_s = 1.0;
 constexpr double kLateReported_s = 10.0;
 
 template <typename Sample>
-void move_in_time(Sample& sample, double by_s) {
+void shift_time(Sample& sample, double by_s) {
   sample.t_s += by_s;
 }
 template <typename... Samples>
-void move_in_time(std::variant<Samples...>& sample, double by_s) {
-  std::visit([by_s](auto& of) { move_in_time(of, by_s); }, sample);
+void shift_time(std::variant<Samples...>& sample, double by_s) {
+  std::visit([by_s](auto& of) { shift_time(of, by_s); }, sample);
 }
 
 template <typename... Handlers>
@@ -62,7 +62,7 @@ std::size_t Session::add_node(std::string name, unsigned baud) {
 
 void Session::attach(MeasurementSink& sink) {
   sinks_.push_back(&sink);
-  if (times_doubtful_) sink.on_odometry_times(true);
+  if (times_suspect_) sink.on_odometry_times(true);
 }
 
 void Session::detach(MeasurementSink& sink) {
@@ -146,26 +146,26 @@ bool Session::Later::operator()(const Waiting& a, const Waiting& b) const noexce
   return a.serial > b.serial;
 }
 
-void Session::take(const model::OdometrySample& row, double now_s) {
-  const Timestamp timestamp = robot_clock_.judge(row.t_s, now_s);
+void Session::take(const model::OdometrySample& odometry, double now_s) {
+  const Timestamp timestamp = robot_clock_.judge(odometry.t_s, now_s);
   if (timestamp == Timestamp::kSet) clock_was_set(now_s);
   if (timestamp == Timestamp::kStepped) clock_stepped();
-  report_doubt();
+  report_suspect_times();
   if (timestamp == Timestamp::kWrong) return drop_odometry(counters_.robot_time_wrong, now_s);
   if (timestamp == Timestamp::kEarly) return drop_odometry(counters_.robot_time_early, now_s);
   if (timestamp == Timestamp::kFallenBack) return drop_odometry(counters_.odometry_out_of_order, now_s);
-  if (last_odometry_s_ && row.t_s <= *last_odometry_s_) {
+  if (last_odometry_s_ && odometry.t_s <= *last_odometry_s_) {
     ++counters_.odometry_out_of_order;
     return;
   }
   dropped_since_s_.reset();
-  last_odometry_s_ = row.t_s;
-  const std::span<const model::OdometrySample> merged = merger_.take(row);
+  last_odometry_s_ = odometry.t_s;
+  const std::span<const model::OdometrySample> merged = merger_.take(odometry);
   pass_merged(merged);
 }
 
-void Session::pass_merged(std::span<const model::OdometrySample> rows) {
-  for (const model::OdometrySample& row : rows) enqueue(row.t_s, row);
+void Session::pass_merged(std::span<const model::OdometrySample> samples) {
+  for (const model::OdometrySample& sample : samples) enqueue(sample.t_s, sample);
   counters_.odometry_merged = merger_.merged();
 }
 
@@ -223,8 +223,8 @@ void Session::take(const model::SensorSample& sample, double now_s) {
   const double t_s = model::time_of(sample);
   // A zero-velocity sample may be of any time.
   SensorTimes any;
-  const bool stands = std::holds_alternative<model::ZeroVelocitySample>(sample);
-  if (accepts(stands ? any : sensor_times_.at(sample.index()), t_s, now_s)) enqueue(t_s, sample);
+  const bool stationary = std::holds_alternative<model::ZeroVelocitySample>(sample);
+  if (accepts(stationary ? any : sensor_times_.at(sample.index()), t_s, now_s)) enqueue(t_s, sample);
 }
 
 void Session::take(model::RangeSample range) {
@@ -248,7 +248,7 @@ void Session::enqueue(double t_s, const Sample& sample) {
     return;
   }
   waiting_.push({t_s, serial_++, sample});
-  tell_ahead(sample);
+  announce(sample);
   if (waiting_.size() > config_.max_waiting) {
     ++counters_.waiting_overflows;
     const Waiting first = waiting_.top();
@@ -260,9 +260,9 @@ void Session::enqueue(double t_s, const Sample& sample) {
 
 void Session::deliver(const Sample& sample) {
   std::visit(Overloaded{
-                 [&](const model::OdometrySample& row) {
+                 [&](const model::OdometrySample& odometry) {
                    ++counters_.odometry;
-                   for (MeasurementSink* sink : sinks_) sink->on_odometry(row);
+                   for (MeasurementSink* sink : sinks_) sink->on_odometry(odometry);
                  },
                  [&](const model::PoseSample& pose) {
                    ++counters_.pose_priors;
@@ -280,9 +280,9 @@ void Session::deliver(const Sample& sample) {
              sample);
 }
 
-void Session::tell_ahead(const Sample& sample) {
-  if (const auto* row = std::get_if<model::OdometrySample>(&sample)) {
-    for (MeasurementSink* sink : sinks_) sink->on_odometry_ahead(*row);
+void Session::announce(const Sample& sample) {
+  if (const auto* odometry = std::get_if<model::OdometrySample>(&sample)) {
+    for (MeasurementSink* sink : sinks_) sink->on_odometry_ahead(*odometry);
   } else if (const auto* of = std::get_if<model::SensorSample>(&sample)) {
     for (MeasurementSink* sink : sinks_) sink->on_sensor_ahead(*of);
   }
@@ -304,14 +304,14 @@ void Session::clock_stepped() {
   // Waiting samples have times of the old clock. But if the step was found late, those with the robot's own
   // timestamps are of the new clock already.
   const bool found_late = robot_clock_.step_found_late();
-  for (const model::OdometrySample& row : merger_.flush()) waiting_.push({row.t_s, serial_++, row});
+  for (const model::OdometrySample& held : merger_.flush()) waiting_.push({held.t_s, serial_++, held});
   merger_.reset();
   std::vector<Waiting> all;
   for (; !waiting_.empty(); waiting_.pop()) all.push_back(waiting_.top());
   for (Waiting& one : all) {
     if (!found_late || std::holds_alternative<model::RangeSample>(one.sample)) {
       one.t_s += step_s;
-      move_in_time(one.sample, step_s);
+      shift_time(one.sample, step_s);
     }
     waiting_.push(one);
   }
@@ -331,15 +331,15 @@ void Session::forget_times() {
   sensor_times_ = {};
 }
 
-void Session::report_doubt() {
-  const bool doubtful = robot_clock_.suspected();
-  if (doubtful == times_doubtful_) return;
-  times_doubtful_ = doubtful;
-  if (doubtful && robot_clock_.is_late() && now_s_ >= next_late_report_s_) {
+void Session::report_suspect_times() {
+  const bool suspect = robot_clock_.suspected();
+  if (suspect == times_suspect_) return;
+  times_suspect_ = suspect;
+  if (suspect && robot_clock_.is_late() && now_s_ >= next_late_report_s_) {
     next_late_report_s_ = now_s_ + kLateReported_s;
     say(fmt::format("robot: odometry arrives {:.2f} s late; poses are degraded", robot_clock_.lateness_s()));
   }
-  for (MeasurementSink* sink : sinks_) sink->on_odometry_times(doubtful);
+  for (MeasurementSink* sink : sinks_) sink->on_odometry_times(suspect);
 }
 
 void Session::say(std::string_view text) const {

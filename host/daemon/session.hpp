@@ -166,7 +166,7 @@ class Session {
     std::optional<double> offset_s;  // of the last message that fell back
   };
 
-  void take(const model::OdometrySample& row, double now_s);
+  void take(const model::OdometrySample& odometry, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(const model::SensorSample& sample, double now_s);
   void take(model::RangeSample range);
@@ -176,14 +176,14 @@ class Session {
   // known robot time.
   void enqueue(double t_s, const Sample& sample);
   void deliver(const Sample& sample);
-  void tell_ahead(const Sample& sample);
-  void pass_merged(std::span<const model::OdometrySample> rows);
+  void announce(const Sample& sample);
+  void pass_merged(std::span<const model::OdometrySample> samples);
   void drop_odometry(std::uint64_t& counter, double now_s);
   // Discards the waiting samples and times of the old clock; after a step they are converted to the new one.
   void clock_was_set(double now_s);
   void clock_stepped();
   void forget_times();
-  void report_doubt();
+  void report_suspect_times();
   void say(std::string_view text) const;
 
   SessionConfig config_;
@@ -195,7 +195,7 @@ class Session {
   std::optional<double> last_odometry_s_;
   SensorTimes pose_times_;
   std::array<SensorTimes, std::variant_size_v<model::SensorSample>> sensor_times_{};
-  bool times_doubtful_ = false;            // as reported to the sinks
+  bool times_suspect_ = false;            // as reported to the sinks
   std::uint64_t timestamps_dropped_ = 0;   // of odometry
   std::optional<double> dropped_since_s_;  // host time; all odometry has been dropped since
   bool drop_reported_ = false;

@@ -29,7 +29,7 @@ std::optional<Target> parse_target(std::string_view text) noexcept {
 }
 
 // Linux: dev_valid_name()
-bool can_be_an_interface(std::string_view name) noexcept {
+bool is_interface_name(std::string_view name) noexcept {
   return !name.empty() && name.size() < IFNAMSIZ && name != "." && name != ".." &&
          std::none_of(name.begin(), name.end(),
                       [](char c) { return c == '/' || c == ':' || c == ' ' || (c >= '\t' && c <= '\r'); });
@@ -45,7 +45,7 @@ std::optional<CanPath> parse_can_path(std::string_view path) {
   if (!is_can_path(path)) return std::nullopt;
   const bool fd = path.starts_with(kFdScheme);
   const auto target = parse_target(path.substr((fd ? kFdScheme : kClassicScheme).size()));
-  if (!target || !can_be_an_interface(target->name)) return std::nullopt;
+  if (!target || !is_interface_name(target->name)) return std::nullopt;
   return CanPath{fd ? wire::CanFormat::kFd : wire::CanFormat::kClassic, std::string(target->name),
                  target->node};
 }

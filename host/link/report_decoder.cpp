@@ -156,7 +156,7 @@ void ReportDecoder::take_time_reply(const groma_TimeReply& reply, double arrival
   const double asked_s = 1e-9 * static_cast<double>(reply.host_time_ns);
   const bool ours = asked_s <= arrival_s && arrival_s - asked_s <= kMaxRoundTrip_s;
   if (!ours || reply.received_dtu > reply.transmitted_dtu || reply.transmitted_dtu > kLargestTime_dtu) {
-    ++counters_.time_replies_odd;
+    ++counters_.time_replies_unmatched;
     return;
   }
   ++counters_.time_replies;

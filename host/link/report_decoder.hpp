@@ -57,7 +57,7 @@ struct ReportCounters {
   // Further than kMaxInstantOffset_s from their report, or in a report whose own time is early.
   std::uint64_t ranges_bad_instant = 0;
   std::uint64_t time_replies = 0;      // to time_request()
-  std::uint64_t time_replies_odd = 0;  // not to a request of this host, or later than kMaxRoundTrip_s
+  std::uint64_t time_replies_unmatched = 0;  // not to a request of this host, or later than kMaxRoundTrip_s
 };
 
 // A frame that requests a node's time, to be handed to the link at now_s: not negative, on the clock of

@@ -26,7 +26,7 @@ constexpr std::string_view kBringUpClassic = "up type can bitrate 1000000";
 constexpr std::string_view kBringUpFd = "up type can bitrate 1000000 dbitrate 2000000 fd on";
 
 // Calls an ioctl of netdevice(7) for an interface; false with errno set on failure.
-bool ask_interface(int fd, const std::string& interface, unsigned long request, ifreq& answer) noexcept {
+bool query_interface(int fd, const std::string& interface, unsigned long request, ifreq& answer) noexcept {
   answer = {};
   interface.copy(answer.ifr_name, IFNAMSIZ - 1);
   return ::ioctl(fd, request, &answer) == 0;
@@ -37,7 +37,7 @@ std::string can_interfaces(int fd) {
   struct if_nameindex* const all = ::if_nameindex();
   for (const struct if_nameindex* entry = all; entry != nullptr && entry->if_index != 0; ++entry) {
     ifreq hardware{};
-    if (!ask_interface(fd, entry->if_name, SIOCGIFHWADDR, hardware)) continue;
+    if (!query_interface(fd, entry->if_name, SIOCGIFHWADDR, hardware)) continue;
     if (hardware.ifr_hwaddr.sa_family != ARPHRD_CAN) continue;
     names += (names.empty() ? "" : ", ") + std::string(entry->if_name);
   }
@@ -57,7 +57,7 @@ LinkError explain_missing(const std::string& path, const std::string& interface,
 // Returns an error unless the interface is a CAN interface, is up and supports the format.
 LinkError check_interface(int fd, const std::string& path, const CanPath& can) {
   ifreq answer{};
-  if (!ask_interface(fd, can.interface, SIOCGIFHWADDR, answer)) {
+  if (!query_interface(fd, can.interface, SIOCGIFHWADDR, answer)) {
     return explain_missing(path, can.interface, fd);
   }
   if (answer.ifr_hwaddr.sa_family != ARPHRD_CAN) {
@@ -67,14 +67,14 @@ LinkError check_interface(int fd, const std::string& path, const CanPath& can) {
                                                                : "available CAN interfaces: " + others)};
   }
   const bool fd_wanted = can.format == wire::CanFormat::kFd;
-  if (!ask_interface(fd, can.interface, SIOCGIFFLAGS, answer)) {
+  if (!query_interface(fd, can.interface, SIOCGIFFLAGS, answer)) {
     return explain_can_error(path, can.interface, errno);
   }
   if ((answer.ifr_flags & IFF_UP) == 0) {
     return {LinkFault::kNoDevice, fmt::format("{}: {} is down; 'sudo ip link set {} {}'", path, can.interface,
                                               can.interface, fd_wanted ? kBringUpFd : kBringUpClassic)};
   }
-  if (!ask_interface(fd, can.interface, SIOCGIFMTU, answer)) {
+  if (!query_interface(fd, can.interface, SIOCGIFMTU, answer)) {
     return explain_can_error(path, can.interface, errno);
   }
   if (fd_wanted && answer.ifr_mtu < static_cast<int>(CANFD_MTU)) {
@@ -118,7 +118,7 @@ void enlarge_queue(int fd) noexcept {
 
 // The longest prefix of the stream that fits a payload of this format without padding; the whole stream if it
 // ends with the zero of a complete frame, after which padding is allowed.
-std::span<const std::uint8_t> without_filling(std::span<const std::uint8_t> stream, wire::CanFormat format) {
+std::span<const std::uint8_t> without_padding(std::span<const std::uint8_t> stream, wire::CanFormat format) {
   const std::size_t most = wire::max_can_payload(format);
   if (stream.size() >= most || stream.back() == 0) return stream;
   std::uint8_t code = wire::can_length_code(stream.size());
@@ -172,7 +172,7 @@ OpenedLink open_socket_can(const std::string& path) {
   sockaddr_can address{};
   address.can_family = AF_CAN;
   ifreq index{};
-  if (!ask_interface(fd.get(), can->interface, SIOCGIFINDEX, index) || !set_filters(fd.get(), *can)) {
+  if (!query_interface(fd.get(), can->interface, SIOCGIFINDEX, index) || !set_filters(fd.get(), *can)) {
     return {nullptr, explain_can_error(path, can->interface, errno)};
   }
   address.can_ifindex = index.ifr_ifindex;
@@ -217,11 +217,11 @@ bool SocketCanLink::receive() {
       gone_ = true;
       continue;
     }
-    for (cmsghdr* part_of = CMSG_FIRSTHDR(&message); part_of != nullptr;
-         part_of = CMSG_NXTHDR(&message, part_of)) {
-      if (part_of->cmsg_level != SOL_SOCKET || part_of->cmsg_type != SO_RXQ_OVFL) continue;
+    for (cmsghdr* header = CMSG_FIRSTHDR(&message); header != nullptr;
+         header = CMSG_NXTHDR(&message, header)) {
+      if (header->cmsg_level != SOL_SOCKET || header->cmsg_type != SO_RXQ_OVFL) continue;
       std::uint32_t overruns = 0;
-      std::memcpy(&overruns, CMSG_DATA(part_of), sizeof(overruns));
+      std::memcpy(&overruns, CMSG_DATA(header), sizeof(overruns));
       take_overruns(overruns);
     }
     const auto size = static_cast<std::size_t>(n);
@@ -246,7 +246,7 @@ std::size_t SocketCanLink::write(std::span<const std::uint8_t> bytes) {
   while (sent < bytes.size()) {
     wire::CanFrame cut;
     const std::size_t taken =
-        wire::cut_can_payload(without_filling(bytes.subspan(sent), path_.format), path_.format, cut);
+        wire::cut_can_payload(without_padding(bytes.subspan(sent), path_.format), path_.format, cut);
     canfd_frame frame{};
     frame.can_id = wire::can_id({wire::CanDirection::kToNode, path_.node}) | CAN_EFF_FLAG;
     frame.len = cut.size;

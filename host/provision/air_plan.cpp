@@ -98,7 +98,7 @@ double bus_time_s(std::span<const std::uint8_t> stream, wire::CanFormat format, 
 }
 
 std::vector<LinkLoad> loads(const groma_Config& config, const AirPlan& plan, unsigned baud) {
-  constexpr double kBitsOfAByte = 10.0;
+  constexpr double kBitsPerByte = 10.0;
   const double reports_per_s = 1.0 / plan.superframe_s;  // of one tag
   const double ranges = static_cast<double>(plan.responses);
   const auto tags = static_cast<double>(plan.tags);
@@ -107,7 +107,7 @@ std::vector<LinkLoad> loads(const groma_Config& config, const AirPlan& plan, uns
   const auto id = config.schedule.tag_ids[0];
   const auto full = full_report(config, plan.responses);
   const auto compact = compact_report(config, plan.responses);
-  const double uart_s = static_cast<double>(full.size()) * kBitsOfAByte / baud;
+  const double uart_s = static_cast<double>(full.size()) * kBitsPerByte / baud;
   const double can_s = bus_time_s(compact, wire::CanFormat::kClassic, id, nominal, nominal);
   const double fd_s = bus_time_s(full, wire::CanFormat::kFd, id, nominal, data);
   return {{"UART", static_cast<double>(full.size()), uart_s * reports_per_s, ranges / uart_s},
@@ -130,17 +130,17 @@ void warn(const groma_Config& config, AirPlan& plan) {
         "link, or a longer response gap",
         link.name, 100.0 * link.busy, raw ? "leave raw stamps out, or " : ""));
   }
-  if (schedule.turn_round_us < kLeastTurnRound_us) {
+  if (schedule.turn_round_us < kMinTurnaround_us) {
     say(fmt::format(
         "schedule.turn_round_us: {} is less than {}, the minimum measured for the image; frames will be "
         "sent late",
-        schedule.turn_round_us, kLeastTurnRound_us));
+        schedule.turn_round_us, kMinTurnaround_us));
   }
-  if (schedule.response_gap_us < kLeastGap_us) {
+  if (schedule.response_gap_us < kMinGap_us) {
     say(fmt::format(
         "schedule.response_gap_us: {} is less than {}, the minimum measured for the image; tags will miss "
         "responses",
-        schedule.response_gap_us, kLeastGap_us));
+        schedule.response_gap_us, kMinGap_us));
   }
   if (schedule.backup_ids_count == 0 && schedule.anchor_ids_count > 1) {
     say(fmt::format(

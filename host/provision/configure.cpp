@@ -100,7 +100,7 @@ class Configuring {
         expect_reply(*client_, client_->ask(command_of(groma_HostToNode_read_config_tag)), "read_config");
     if (!stored.has_config || !differences(stored.config, wanted()).empty()) write();
   }
-  void hang_up() { client_.reset(); }
+  void close_link() { client_.reset(); }
   [[nodiscard]] bool has_to_apply() const { return !in_force(*outcome_.hello); }
   [[nodiscard]] bool changes_schedule() const {
     return outcome_.hello->schedule_hash != node::schedule_hash_of(node_.config);
@@ -114,13 +114,13 @@ class Configuring {
     command.trial_s = static_cast<std::uint16_t>(trial_s);
     (void)expect_reply(*client_, client_->ask(command, kStoringPatience), "apply_config");
   }
-  void check_after_trial(double most_s) {
+  void check_after_trial(double max_s) {
     using Clock = std::chrono::steady_clock;
     client_ = connect(outcome_.port, baud_, options_.open, node_.id);
     const Clock::time_point begin = Clock::now();
     for (;;) {
       if (client_->ask_hello([this](const groma_Hello& said) { return in_force(said); })) break;
-      const bool late = std::chrono::duration<double>(Clock::now() - begin).count() > most_s;
+      const bool late = std::chrono::duration<double>(Clock::now() - begin).count() > max_s;
       if (late || client_->gone()) {
         if (client_->last_hello()) throw not_in_force(*client_->last_hello());
         throw Failure{
@@ -332,7 +332,7 @@ void note(NodeOutcome& outcome, Step&& step) {
 }
 
 // The order over the air: nodes that relay come after the others, the master last.
-std::size_t turn_of(const PlannedNode& node) {
+std::size_t order_of(const PlannedNode& node) {
   const auto rank = mac::rank_of(node.config.schedule, static_cast<std::uint16_t>(node.id));
   return rank ? mac::kMaxAnchors * 2 - *rank : 0;
 }
@@ -372,7 +372,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
   std::vector<std::size_t> wired;
   for (std::size_t i = 0; i < nodes.size(); ++i) (is_reached_by_air(*nodes[i]) ? by_air : wired).push_back(i);
   std::stable_sort(by_air.begin(), by_air.end(),
-                   [&](std::size_t a, std::size_t b) { return turn_of(*nodes[a]) < turn_of(*nodes[b]); });
+                   [&](std::size_t a, std::size_t b) { return order_of(*nodes[a]) < order_of(*nodes[b]); });
 
   const auto good = [&](std::size_t i) { return outcomes[i].fault == NodeFault::kNone; };
   bool all_written = true;
@@ -380,7 +380,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
   for (const auto& group : {by_air, wired}) {
     for (const std::size_t i : group) {
       const bool written = attempt(*nodes[i], outcomes[i], [&] { steps[i].write_if_needed(); });
-      steps[i].hang_up();
+      steps[i].close_link();
       all_written = all_written && written;
       schedule_changes = schedule_changes || (written && steps[i].changes_schedule());
     }
@@ -409,13 +409,13 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
   for (const std::size_t i : by_air) {
     if (!good(i) || !steps[i].has_to_apply()) continue;
     if (attempt(*nodes[i], outcomes[i], [&] { steps[i].apply_on_trial(trial_s); })) on_trial.push_back(i);
-    steps[i].hang_up();
+    steps[i].close_link();
   }
   // A wired node must still acknowledge the last answer before it changes its schedule.
   if (!on_trial.empty()) std::this_thread::sleep_for(std::chrono::seconds(1));
   for (const std::size_t i : wired) {
     if (good(i)) (void)attempt(*nodes[i], outcomes[i], [&] { steps[i].run(); });
-    steps[i].hang_up();
+    steps[i].close_link();
     tell(i);
   }
   for (const std::size_t i : by_air) {
@@ -428,7 +428,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
         steps[i].check_health();
       }
     });
-    steps[i].hang_up();
+    steps[i].close_link();
     tell(i);
   }
   return outcomes;
@@ -437,7 +437,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
 namespace {
 
 // Sends a command that is complete with its reply, then requests the hello.
-NodeOutcome tell_node(const std::string& port, unsigned baud, const groma_HostToNode& command,
+NodeOutcome send_to_node(const std::string& port, unsigned baud, const groma_HostToNode& command,
                       const char* name, const LinkOpener& open, model::NodeId target) {
   NodeOutcome outcome;
   outcome.port = port;
@@ -455,11 +455,12 @@ NodeOutcome identify_node(const std::string& port, unsigned baud, std::uint32_t 
                           const LinkOpener& open, model::NodeId target) {
   groma_HostToNode command = command_of(groma_HostToNode_identify_s_tag);
   command.body.identify_s = duration_s;
-  return tell_node(port, baud, command, "identify_s", open, target);
+  return send_to_node(port, baud, command, "identify_s", open, target);
 }
 
 NodeOutcome let_leave(const std::string& port, unsigned baud, model::NodeId target, const LinkOpener& open) {
-  return tell_node(port, baud, command_of(groma_HostToNode_leave_network_tag), "leave_network", open, target);
+  return send_to_node(port, baud, command_of(groma_HostToNode_leave_network_tag), "leave_network", open,
+                      target);
 }
 
 NodeOutcome hint_anchors(const std::string& port, unsigned baud, const std::vector<AnchorHint>& hints,
@@ -471,7 +472,7 @@ NodeOutcome hint_anchors(const std::string& port, unsigned baud, const std::vect
     preference.ids[preference.ids_count++] = static_cast<std::uint16_t>(hint.anchor);
     preference.weights[preference.weights_count++] = hint.weight;
   }
-  return tell_node(port, baud, command, "prefer_anchors", open, target);
+  return send_to_node(port, baud, command, "prefer_anchors", open, target);
 }
 
 NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target, const LinkOpener& open) {

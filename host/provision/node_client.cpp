@@ -84,10 +84,10 @@ bool NodeClient::unreachable() const {
 bool NodeClient::repeat(const groma_HostToNode& command, const Patience& patience,
                         const std::function<bool()>& done) {
   // Several commands may be queued before this one; the node gives each up after a while.
-  constexpr double kMostPending_s = 120.0;
+  constexpr double kMaxPending_s = 120.0;
   // The node at the link synchronizes within this time after it started or was configured.
-  constexpr double kMostOutOfStep_s = 10.0;
-  constexpr double kLeftAlone_s = 0.2;
+  constexpr double kMaxUnsynchronized_s = 10.0;
+  constexpr double kPause_s = 0.2;
   const Clock::time_point begin = Clock::now();
   bool under_way = false;
   reply_.reset();
@@ -97,14 +97,14 @@ bool NodeClient::repeat(const groma_HostToNode& command, const Patience& patienc
     const bool over = wait(patience.answer_s, [&] { return done() || unreachable(); });
     under_way = under_way || pending_;
     // Reported unreachable without an attempt: the node at the link is not synchronized yet.
-    if (over && unreachable() && !under_way && since(begin) < kMostOutOfStep_s) {
-      (void)wait(kLeftAlone_s, [] { return false; });
+    if (over && unreachable() && !under_way && since(begin) < kMaxUnsynchronized_s) {
+      (void)wait(kPause_s, [] { return false; });
       reply_.reset();
       i = -1;
       continue;
     }
     if (over) return done();
-    if (pending_ && since(begin) < kMostPending_s) i = -1;
+    if (pending_ && since(begin) < kMaxPending_s) i = -1;
   }
   return false;
 }
@@ -165,18 +165,18 @@ bool NodeClient::send(const groma_HostToNode& addressed) {
   std::array<std::uint8_t, wire::max_encoded_size(groma_HostToNode_size)> frame{};
   const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
   std::span<const std::uint8_t> left = std::span(frame).first(size);
-  constexpr double kMost_s = 1.0;
-  return wait(kMost_s, [&] {
+  constexpr double kMaxSend_s = 1.0;
+  return wait(kMaxSend_s, [&] {
     left = left.subspan(std::min(link_->write(left), left.size()));
     return left.empty();
   });
 }
 
-bool NodeClient::wait(double most_s, const std::function<bool()>& done) {
+bool NodeClient::wait(double max_s, const std::function<bool()>& done) {
   constexpr double kStep_s = 0.02;  // between two calls of `done`, such as attempts to write
   const Clock::time_point begin = Clock::now();
   while (!done()) {
-    const double left_s = most_s - since(begin);
+    const double left_s = max_s - since(begin);
     if (gone_ || left_s <= 0.0) return false;
     pollfd entry{link_->poll_fd(), POLLIN, 0};
     (void)::poll(&entry, 1, static_cast<int>(std::ceil(std::min(left_s, kStep_s) * 1e3)));

@@ -73,8 +73,8 @@ class NodeClient : private link::NodeSink {
   bool repeat(const groma_HostToNode& command, const Patience& patience, const std::function<bool()>& done);
   [[nodiscard]] bool unreachable() const;
   [[nodiscard]] bool send(const groma_HostToNode& command);
-  // Reads until `done`, at most most_s; true: done.
-  [[nodiscard]] bool wait(double most_s, const std::function<bool()>& done);
+  // Reads until `done`, at most max_s; true: done.
+  [[nodiscard]] bool wait(double max_s, const std::function<bool()>& done);
   void read();
 
   std::unique_ptr<link::ByteLink> link_;

@@ -42,7 +42,7 @@ bool is_program(const std::filesystem::path& path) {
 }
 
 // In the child: only calls that are safe between fork and exec.
-[[noreturn]] void become(char* const* argv, int output, int failure, pid_t parent) {
+[[noreturn]] void exec_child(char* const* argv, int output, int failure, pid_t parent) {
   // OpenOCD defers SIGTERM until it is done, and the next run would find the probe in use.
   (void)::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(127);
@@ -74,20 +74,20 @@ ProcessResult run_process(const std::vector<std::string>& arguments,
   const pid_t parent = ::getpid();
   const pid_t child = ::fork();
   if (child < 0) fail(arguments.front(), errno);
-  if (child == 0) become(argv.data(), output.write.get(), failure.write.get(), parent);
+  if (child == 0) exec_child(argv.data(), output.write.get(), failure.write.get(), parent);
   output.write.close();
   failure.write.close();
 
   ProcessResult result;
   std::array<char, 4096> chunk{};
-  std::size_t told = 0;
+  std::size_t seen = 0;
   for (;;) {
     const ssize_t count = ::read(output.read.get(), chunk.data(), chunk.size());
     if (count < 0 && errno == EINTR) continue;
     if (count <= 0) break;
     result.output.append(chunk.data(), static_cast<std::size_t>(count));
-    for (std::size_t end = 0; (end = result.output.find('\n', told)) != std::string::npos; told = end + 1) {
-      if (on_line) on_line(std::string_view(result.output).substr(told, end - told));
+    for (std::size_t end = 0; (end = result.output.find('\n', seen)) != std::string::npos; seen = end + 1) {
+      if (on_line) on_line(std::string_view(result.output).substr(seen, end - seen));
     }
   }
   int status = 0;

@@ -28,12 +28,12 @@ constexpr std::int64_t kMaxNetworkId = 65'534;
 constexpr std::int64_t kMaxEpoch = std::numeric_limits<std::uint32_t>::max();
 constexpr std::int64_t kMaxAntennaDelay_dtu = 65'535;
 // The capacity of a schedule: tags, anchors, slots, back-ups of the master.
-constexpr std::array<std::size_t, 2> kMaxNodesOfARole{16, 64};
+constexpr std::array<std::size_t, 2> kMaxNodesPerRole{16, 64};
 constexpr std::int64_t kMaxSlots = 16;
 constexpr std::size_t kMaxBackups = 7;
 
 // Reads an integer from `first` to `last`, if the key exists.
-void read_whole(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
+void read_integer(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
                 std::uint32_t& out) {
   if (const auto value = map.find(key)) out = static_cast<std::uint32_t>(value->integer(first, last));
 }
@@ -76,9 +76,9 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
   map.expect_keys({{},
                    {"epoch", "master_id", "backup_ids", "method", "preamble", "slots", "responses",
                     "turn_round_us", "response_gap_us", "guard_us"}});
-  read_whole(map, "slots", 1, kMaxSlots, site.slots);
-  read_whole(map, "responses", 1, 16, site.responses);
-  read_whole(map, "epoch", 0, kMaxEpoch, site.epoch);
+  read_integer(map, "slots", 1, kMaxSlots, site.slots);
+  read_integer(map, "responses", 1, 16, site.responses);
+  read_integer(map, "epoch", 0, kMaxEpoch, site.epoch);
   if (const auto master = map.find("master_id")) {
     site.master_id = static_cast<model::NodeId>(master->integer(1, kMaxId));
     if (std::find(site.anchor_ids.begin(), site.anchor_ids.end(), site.master_id) == site.anchor_ids.end()) {
@@ -96,9 +96,9 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
     site.preamble_symbols =
         std::array{64U, 128U, 256U}.at(preamble->one_of(std::array<std::string_view, 3>{"64", "128", "256"}));
   }
-  read_whole(map, "turn_round_us", 150, 5'000, site.turn_round_us);
-  read_whole(map, "response_gap_us", 50, 2'000, site.response_gap_us);
-  read_whole(map, "guard_us", 5, 1'000, site.guard_us);
+  read_integer(map, "turn_round_us", 150, 5'000, site.turn_round_us);
+  read_integer(map, "response_gap_us", 50, 2'000, site.response_gap_us);
+  read_integer(map, "guard_us", 5, 1'000, site.guard_us);
 }
 
 // Keys that a node may have; the site's values are the default.
@@ -109,8 +109,8 @@ constexpr std::string_view kSlotKey = "slot";
 
 template <typename Settings>  // SiteSettings or groma_Config
 void parse_radio_keys(const YamlValue& map, Settings& settings) {
-  read_whole(map, kTransmitDelayKey, 0, kMaxAntennaDelay_dtu, settings.transmit_antenna_delay_dtu);
-  read_whole(map, kReceiveDelayKey, 0, kMaxAntennaDelay_dtu, settings.receive_antenna_delay_dtu);
+  read_integer(map, kTransmitDelayKey, 0, kMaxAntennaDelay_dtu, settings.transmit_antenna_delay_dtu);
+  read_integer(map, kReceiveDelayKey, 0, kMaxAntennaDelay_dtu, settings.receive_antenna_delay_dtu);
   if (const auto power = map.find(kTransmitPowerKey)) settings.transmit_power = parse_register(*power);
 }
 
@@ -132,15 +132,15 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
   if (const auto baud = map.find("baud")) link.baud = static_cast<unsigned>(baud->integer(1'200, 4'000'000));
   for (const std::string_view key : {"can_interface", "nominal_bit_per_s", "data_bit_per_s"}) {
     const auto value = map.find(key);
-    const bool of_fd_alone = key == "data_bit_per_s";
-    if (value && (type == 0 || (of_fd_alone && type != 2))) {
+    const bool fd_only = key == "data_bit_per_s";
+    if (value && (type == 0 || (fd_only && type != 2))) {
       value->fail(
-          of_fd_alone ? "requires 'type: can-fd'" : "requires 'type: can' or 'type: can-fd'",
+          fd_only ? "requires 'type: can-fd'" : "requires 'type: can' or 'type: can-fd'",
           "remove it, or change the type");
     }
   }
-  read_whole(map, "nominal_bit_per_s", 10'000, 1'000'000, site.can_nominal_bit_per_s);
-  read_whole(map, "data_bit_per_s", 10'000, 8'000'000, site.can_data_bit_per_s);
+  read_integer(map, "nominal_bit_per_s", 10'000, 1'000'000, site.can_nominal_bit_per_s);
+  read_integer(map, "data_bit_per_s", 10'000, 8'000'000, site.can_data_bit_per_s);
   if (type != 0) {
     if (!map.find("can_interface")) map.fail("lacks the key can_interface", "name it, such as can0");
     link.can_interface = map.at("can_interface").text();
@@ -157,12 +157,12 @@ NetworkKey read_key(const YamlValue& value, const std::filesystem::path& folder)
   text.erase(0, std::min(text.find_first_not_of(kSpace), text.size()));
   text.erase(text.find_last_not_of(kSpace) + 1);
   NetworkKey key{};
-  constexpr std::size_t kDigitsOfAByte = 2;
-  bool good = text.size() == kDigitsOfAByte * key.size();
+  constexpr std::size_t kDigitsPerByte = 2;
+  bool good = text.size() == kDigitsPerByte * key.size();
   for (std::size_t i = 0; good && i < key.size(); ++i) {
-    const char* first = text.data() + kDigitsOfAByte * i;
-    const auto [last, error] = std::from_chars(first, first + kDigitsOfAByte, key.at(i), 16);
-    good = error == std::errc() && last == first + kDigitsOfAByte;
+    const char* first = text.data() + kDigitsPerByte * i;
+    const auto [last, error] = std::from_chars(first, first + kDigitsPerByte, key.at(i), 16);
+    good = error == std::errc() && last == first + kDigitsPerByte;
   }
   if (!good) {
     // The message must not show the file's content.
@@ -189,9 +189,9 @@ std::vector<PlannedNode> parse_nodes(const YamlValue& list, const std::filesyste
     }
     const std::size_t role = entry.at("role").one_of(std::array<std::string_view, 2>{"tag", "anchor"});
     node.role = role == 0 ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR;
-    if (++counts.at(role) > kMaxNodesOfARole.at(role)) {
+    if (++counts.at(role) > kMaxNodesPerRole.at(role)) {
       entry.fail(fmt::format("is one {} too many", role == 0 ? "tag" : "anchor"),
-                 fmt::format("a schedule holds {}", kMaxNodesOfARole.at(role)));
+                 fmt::format("a schedule holds {}", kMaxNodesPerRole.at(role)));
     }
     if (const auto slot = entry.find(kSlotKey)) {
       if (role != 0)

@@ -75,7 +75,7 @@ struct Site {
                     t_s);
     session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
   }
-  void stands(double host_s, double t_s) {
+  void zero_velocity(double host_s, double t_s) {
     const std::string line = fmt::format("{{\"class\":\"ZERO_VELOCITY\",\"t_s\":{}}}\n", t_s);
     session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
   }
@@ -121,12 +121,12 @@ TEST(Session, PutsRangesOnTheRobotsClockAndInOrder) {
 
 TEST(Session, PutsOtherSensorsInOrderToo) {
   Site site;
-  site.stands(9.99, site.robot_offset_s + 9.99);  // the robot's time is not known yet
+  site.zero_velocity(9.99, site.robot_offset_s + 9.99);  // the robot's time is not known yet
   site.odometry(10.0);
-  site.stands(10.01, site.robot_offset_s + 10.01);
+  site.zero_velocity(10.01, site.robot_offset_s + 10.01);
   site.odometry(10.02);
-  site.stands(10.03, site.robot_offset_s + 10.005);
-  site.stands(10.03, site.robot_offset_s + 20.0);
+  site.zero_velocity(10.03, site.robot_offset_s + 10.005);
+  site.zero_velocity(10.03, site.robot_offset_s + 20.0);
   site.session.flush();
   EXPECT_TRUE(std::is_sorted(site.sink.times_s.begin(), site.sink.times_s.end()));
   ASSERT_EQ(site.sink.sensors.size(), 2U);
@@ -158,8 +158,8 @@ TEST(Session, AnnouncesWaitingSamplesAtOnceAndNoOthers) {
       // Samples 0.2 s old are passed on at once, without an announcement.
       EXPECT_EQ(!site.sink.ahead_s.empty() && site.sink.ahead_s.back() == t_s, row < 60 || row >= 70) << row;
     }
-    site.stands(host_s, host_s + site.robot_offset_s - 0.1);
-    site.stands(host_s, host_s + site.robot_offset_s - 0.3);
+    site.zero_velocity(host_s, host_s + site.robot_offset_s - 0.1);
+    site.zero_velocity(host_s, host_s + site.robot_offset_s - 0.3);
     site.report(host_s, {0.1});
     site.odometry(host_s, host_s + site.robot_offset_s - 0.01);  // not newer: dropped
     site.session.advance(host_s);

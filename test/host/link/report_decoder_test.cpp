@@ -189,7 +189,7 @@ TEST(ReportDecoder, EstimatesTheLinksDelayFromTimeReplies) {
     decoder.take(reply, received_s + 0.001 + kToHost_s + taking(reply), got);
   }
   EXPECT_EQ(decoder.counters().time_replies, 10U);
-  EXPECT_EQ(decoder.counters().time_replies_odd, 0U);
+  EXPECT_EQ(decoder.counters().time_replies_unmatched, 0U);
   ASSERT_TRUE(decoder.time().round_trip_s());
   EXPECT_NEAR(*decoder.time().round_trip_s(), kToHost_s + kToNode_s, 1e-6);
   EXPECT_NEAR(got.ranges.back().t_s, 105.0 + 9.9 + 0.5 * (kToHost_s - kToNode_s), 1e-6);
@@ -215,7 +215,7 @@ TEST(ReportDecoder, IgnoresRepliesToOthers) {
   take(105.0, 1'000, ~std::uint64_t{0}, 0);
   take(105.0, 1'000, 2'000, 7);
   EXPECT_EQ(decoder.counters().time_replies, 0U);
-  EXPECT_EQ(decoder.counters().time_replies_odd, 4U);  // the one over the air is passed on
+  EXPECT_EQ(decoder.counters().time_replies_unmatched, 4U);  // the one over the air is passed on
   EXPECT_FALSE(decoder.time().round_trip_s());
 }
 

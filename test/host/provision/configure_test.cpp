@@ -390,7 +390,7 @@ groma_NodeToHost with_config(groma_NodeToHost reply, const groma_Config& config)
 }
 
 // Answers correctly, except that `change` may modify each message.
-ScriptedNode::Answer good_but(std::function<void(groma_NodeToHost&, const groma_HostToNode&)> change) {
+ScriptedNode::Answer correct_except(std::function<void(groma_NodeToHost&, const groma_HostToNode&)> change) {
   return [change = std::move(change)](const groma_HostToNode& command) {
     std::vector<groma_NodeToHost> answer{with_config(reply_of(command), some_config())};
     if (command.which_body == groma_HostToNode_read_config_tag) {
@@ -415,11 +415,11 @@ NodeOutcome configure_scripted(ScriptedNode::Answer answer, std::vector<std::uin
 }
 
 TEST(ConfigureNode, TheScriptedNodeIsConfiguredUnlessChanged) {
-  EXPECT_EQ(configure_scripted(good_but([](auto&, const auto&) {})).fault, NodeFault::kNone);
+  EXPECT_EQ(configure_scripted(correct_except([](auto&, const auto&) {})).fault, NodeFault::kNone);
 }
 
 TEST(ConfigureNode, FirmwareOfAnotherProtocolIsNotWritten) {
-  const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto& command) {
+  const NodeOutcome outcome = configure_scripted(correct_except([](auto& message, const auto& command) {
     EXPECT_EQ(command.which_body, groma_HostToNode_get_hello_tag);
     if (message.which_body == groma_NodeToHost_hello_tag) message.body.hello.protocol_version = 2;
   }));
@@ -429,7 +429,7 @@ TEST(ConfigureNode, FirmwareOfAnotherProtocolIsNotWritten) {
 }
 
 TEST(ConfigureNode, ADifferentReadBackIsReportedByField) {
-  const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto& command) {
+  const NodeOutcome outcome = configure_scripted(correct_except([](auto& message, const auto& command) {
     if (command.which_body == groma_HostToNode_write_config_tag)
       message.body.reply.config.schedule.guard_us = 31;
   }));
@@ -442,14 +442,14 @@ TEST(ConfigureNode, AFailedStorageIsReported) {
     if (command.which_body == groma_HostToNode_write_config_tag) {
       return std::vector{reply_of(command, groma_Result_RESULT_STORAGE, "not stored: write it again")};
     }
-    return good_but([](auto&, const auto&) {})(command);
+    return correct_except([](auto&, const auto&) {})(command);
   });
   EXPECT_EQ(outcome.fault, NodeFault::kStorage);
   EXPECT_THAT(outcome.message, HasSubstr("write_config failed (not stored: write it again)"));
 }
 
 TEST(ConfigureNode, ARadioThatDoesNotComeUpIsReported) {
-  const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
+  const NodeOutcome outcome = configure_scripted(correct_except([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_hello_tag) {
       node::copy_text(message.body.hello.radio_error, "DW1000: no PLL lock");
     }
@@ -459,7 +459,7 @@ TEST(ConfigureNode, ARadioThatDoesNotComeUpIsReported) {
 }
 
 TEST(ConfigureNode, ACanControllerThatDoesNotComeUpIsReported) {
-  const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
+  const NodeOutcome outcome = configure_scripted(correct_except([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_hello_tag) {
       node::copy_text(message.body.hello.link_error, "no MCP2518FD");
     }
@@ -470,7 +470,7 @@ TEST(ConfigureNode, ACanControllerThatDoesNotComeUpIsReported) {
 }
 
 TEST(ConfigureNode, AHelloWithAnotherScheduleIsReported) {
-  const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
+  const NodeOutcome outcome = configure_scripted(correct_except([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_hello_tag) {
       message.body.hello.schedule_hash = 0x1234;
       message.body.hello.config_hash = 0x5678;
@@ -483,7 +483,7 @@ TEST(ConfigureNode, AHelloWithAnotherScheduleIsReported) {
 TEST(ConfigureNode, LostRepliesAreRequestedAgain) {
   int commands = 0;
   const NodeOutcome outcome = configure_scripted([&](const groma_HostToNode& command) {
-    auto answer = good_but([](auto&, const auto&) {})(command);
+    auto answer = correct_except([](auto&, const auto&) {})(command);
     if (++commands % 2 == 1) answer.clear();
     return answer;
   });
@@ -491,7 +491,7 @@ TEST(ConfigureNode, LostRepliesAreRequestedAgain) {
 }
 
 TEST(ConfigureNode, AReplyToAnotherCommandIsIgnored) {
-  const NodeOutcome outcome = configure_scripted(good_but([](auto& message, const auto&) {
+  const NodeOutcome outcome = configure_scripted(correct_except([](auto& message, const auto&) {
     if (message.which_body == groma_NodeToHost_reply_tag) message.body.reply.request_id ^= 1U;
   }));
   EXPECT_EQ(outcome.fault, NodeFault::kNoAnswer);
@@ -541,8 +541,8 @@ TEST(ConfigureNode, APortThatCannotBeOpenedIsReported) {
 // ---- nodes that report over CAN ---------------------------------------------------------------------------
 
 TEST(ConfigureNode, ANodeOnTheBusMustAnswerThere) {
-  ScriptedNode uart(good_but([](auto&, const auto&) {}));
-  ScriptedNode bus(good_but([](auto&, const auto&) {}));
+  ScriptedNode uart(correct_except([](auto&, const auto&) {}));
+  ScriptedNode bus(correct_except([](auto&, const auto&) {}));
   PlannedNode node = node_at(uart.path());
   node.can_link = bus.path();
   const NodeOutcome outcome = configure_node(node, kBaud);
@@ -552,7 +552,7 @@ TEST(ConfigureNode, ANodeOnTheBusMustAnswerThere) {
 }
 
 TEST(ConfigureNode, ANodeThatDoesNotAnswerOnTheBusIsReported) {
-  ScriptedNode uart(good_but([](auto&, const auto&) {}));
+  ScriptedNode uart(correct_except([](auto&, const auto&) {}));
   ScriptedNode bus([](const groma_HostToNode&) { return std::vector<groma_NodeToHost>{}; });
   PlannedNode node = node_at(uart.path());
   node.can_link = bus.path();
@@ -562,14 +562,14 @@ TEST(ConfigureNode, ANodeThatDoesNotAnswerOnTheBusIsReported) {
 }
 
 TEST(ConfigureNode, AComputerWithoutTheBusConfiguresToo) {
-  ScriptedNode uart(good_but([](auto&, const auto&) {}));
+  ScriptedNode uart(correct_except([](auto&, const auto&) {}));
   PlannedNode node = node_at(uart.path());
   node.can_link = "/dev/no-such-bus";
   EXPECT_EQ(configure_node(node, kBaud).fault, NodeFault::kNone);
 }
 
 TEST(ConfigureNode, ANodeWithoutItsSerialPortIsReachedOverTheBus) {
-  ScriptedNode bus(good_but([](auto&, const auto&) {}));
+  ScriptedNode bus(correct_except([](auto&, const auto&) {}));
   PlannedNode node = node_at("/dev/no-such-port");
   node.can_link = bus.path();
   const NodeOutcome outcome = configure_node(node, kBaud);
