@@ -208,8 +208,8 @@ TEST(TimeMapper, IgnoresASingleEarlyMessage) {
     run(mapper, node, random, 1001.0, 1010.0, [](double, const HostInstant&) {});
     const std::uint32_t epoch = mapper.epoch();
     for (double t_s = 1010.0; t_s < 1030.0; t_s += kPeriod_s) {
-      const bool odd = std::fmod(t_s, 5.0) < kPeriod_s;
-      if (odd) {
+      const bool early_too = std::fmod(t_s, 5.0) < kPeriod_s;
+      if (early_too) {
         EXPECT_EQ(mapper.observe(node.ticks(t_s + early_s), t_s, 0.0), Observation::kEarly) << early_s;
       }
       EXPECT_EQ(mapper.observe(node.ticks(t_s), node.arrival(t_s, random), 0.0), Observation::kTaken);

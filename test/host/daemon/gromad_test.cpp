@@ -296,7 +296,7 @@ TEST_F(GromadTest, CalibratesOnADriveThenLocalizes) {
   SimulatedSite site(folder_.path(), kSpeed);
   site.range_bias_m = 0.4;
   Gromad gromad(
-      {"--config", folder_.write("gromad.yaml", config_text("{drive_s: 26, output: learnt.yaml}")).string()});
+      {"--config", folder_.write("gromad.yaml", config_text("{drive_s: 26, output: solved.yaml}")).string()});
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 150; })) << gromad.log();
   EXPECT_LT(largest_error_m(50), 0.3);
   bool drove = false;
@@ -307,9 +307,9 @@ TEST_F(GromadTest, CalibratesOnADriveThenLocalizes) {
   gromad.terminate();
   EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
 
-  const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
-  EXPECT_EQ(learnt.anchors.size(), site.anchors.size());
-  EXPECT_EQ(learnt.input_sha256.size(), 64U);
+  const model::Calibration estimated = io::read_calibration(folder_ / "solved.yaml");
+  EXPECT_EQ(estimated.anchors.size(), site.anchors.size());
+  EXPECT_EQ(estimated.input_sha256.size(), 64U);
 }
 
 // The commands read a log of the daemon, even if the daemon was killed while recording.
@@ -317,7 +317,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
   SimulatedSite site(folder_.path(), kSpeed);
   site.range_bias_m = 0.4;
   const std::filesystem::path config =
-      folder_.write("gromad.yaml", config_text("{drive_s: 26, output: learnt.yaml}") + "log: drive.glog\n");
+      folder_.write("gromad.yaml", config_text("{drive_s: 26, output: solved.yaml}") + "log: drive.glog\n");
   {
     Gromad gromad({"--config", config.string()});
     ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
@@ -331,7 +331,7 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
     all.insert(all.end(), arguments.begin(), arguments.end());
     return groma::test::run_child(all);
   };
-  const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
+  const model::Calibration estimated = io::read_calibration(folder_ / "solved.yaml");
 
   // The daemon's calibration drive is exactly the first 26 s of the log.
   const io::Dataset recorded = io::read_dataset(log);
@@ -341,12 +341,12 @@ TEST_F(GromadTest, RecordsALogThatTheCommandsRead) {
                                  (folder_ / "again.yaml").string(), "--json"});
   ASSERT_EQ(calibrated.exit_code, io::kDoneWithWarnings) << calibrated.err;
   const model::Calibration again = io::read_calibration(folder_ / "again.yaml");
-  ASSERT_EQ(again.anchors.size(), learnt.anchors.size());
+  ASSERT_EQ(again.anchors.size(), estimated.anchors.size());
   for (std::size_t i = 0; i < again.anchors.size(); ++i) {
-    EXPECT_LT((again.anchors[i].position_m - learnt.anchors[i].position_m).head<2>().norm(), 0.05);
+    EXPECT_LT((again.anchors[i].position_m - estimated.anchors[i].position_m).head<2>().norm(), 0.05);
   }
 
-  const auto replayed = groma({"replay", log, "--calibration", (folder_ / "learnt.yaml").string(), "-o",
+  const auto replayed = groma({"replay", log, "--calibration", (folder_ / "solved.yaml").string(), "-o",
                                (folder_ / "estimate.csv").string(), "--json"});
   EXPECT_THAT(replayed.exit_code, ::testing::AnyOf(io::kGood, io::kDoneWithWarnings)) << replayed.err;
   EXPECT_GT(json::parse(replayed.out).at("ranges_used"), 500);
@@ -390,22 +390,22 @@ TEST_F(GromadTest, CalibratesNewAnchorsWhileLocalizing) {
   site.anchors = all;
   Gromad gromad(
       {"--config",
-       folder_.write("gromad.yaml", config_text("{learn: true, file: calibration.yaml, output: learnt.yaml}"))
+       folder_.write("gromad.yaml", config_text("{learn: true, file: calibration.yaml, output: solved.yaml}"))
            .string()});
-  std::map<int, std::vector<json>> told;
+  std::map<int, std::vector<json>> reported;
   std::size_t seen = 0;
   const auto state_of = [&](int id) {
     for (; seen < objects_.size(); ++seen) {
       if (objects_[seen].at("class") != "CALIBRATION") continue;
-      for (const json& anchor : objects_[seen].at("anchors")) told[anchor.at("id")].push_back(anchor);
+      for (const json& anchor : objects_[seen].at("anchors")) reported[anchor.at("id")].push_back(anchor);
     }
-    return told[id].empty() ? std::string() : told[id].back().at("state").get<std::string>();
+    return reported[id].empty() ? std::string() : reported[id].back().at("state").get<std::string>();
   };
   ASSERT_TRUE(run_until(site, gromad, [&] { return state_of(102) == "live" && state_of(105) == "live"; }))
       << gromad.log();
   EXPECT_EQ(state_of(100), "known");
-  EXPECT_EQ(told[102].back().at("coverage"), 1.0);
-  EXPECT_TRUE(told[102].back().at("sigma_m").is_number());
+  EXPECT_EQ(reported[102].back().at("coverage"), 1.0);
+  EXPECT_TRUE(reported[102].back().at("sigma_m").is_number());
   EXPECT_THAT(gromad.log(), HasSubstr("anchor 102 is calibrated"));
   // Localization continues with the new anchors.
   const std::size_t before = poses("TRACKING");
@@ -414,11 +414,11 @@ TEST_F(GromadTest, CalibratesNewAnchorsWhileLocalizing) {
   gromad.terminate();
   EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
 
-  const model::Calibration learnt = io::read_calibration(folder_ / "learnt.yaml");
-  ASSERT_EQ(learnt.anchors.size(), 6U);
+  const model::Calibration estimated = io::read_calibration(folder_ / "solved.yaml");
+  ASSERT_EQ(estimated.anchors.size(), 6U);
   for (std::size_t i = 0; i < 6; ++i) {
-    EXPECT_LT((learnt.anchors[i].position_m - all[i].position_m).head<2>().norm(), 0.4)
-        << learnt.anchors[i].id;
+    EXPECT_LT((estimated.anchors[i].position_m - all[i].position_m).head<2>().norm(), 0.4)
+        << estimated.anchors[i].id;
   }
 }
 
@@ -434,8 +434,8 @@ TEST_F(GromadTest, CalibratesASiteFromNothingAndReadsItAgain) {
     gromad.terminate();
     EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
   }
-  const model::Calibration learnt = io::read_calibration(folder_ / "site.yaml");
-  EXPECT_GE(learnt.anchors.size(), 3U);
+  const model::Calibration estimated = io::read_calibration(folder_ / "site.yaml");
+  EXPECT_GE(estimated.anchors.size(), 3U);
   Gromad again({"--config", config.string()});
   ASSERT_TRUE(run_until(site, again, [&] { return again.log().find("localizes with") != std::string::npos; }))
       << again.log();

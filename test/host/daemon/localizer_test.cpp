@@ -95,7 +95,7 @@ class Circle : public ::testing::Test {
   [[nodiscard]] static model::PlanarPose truth(double t_s) {
     return {kRadius_m * std::sin(kOmega * t_s), kRadius_m * (1.0 - std::cos(kOmega * t_s)), kOmega * t_s};
   }
-  [[nodiscard]] static model::OdometrySample row(double t_s) {
+  [[nodiscard]] static model::OdometrySample odometry_at(double t_s) {
     return {t_s, kRadius_m * kOmega, 0.0, kOmega};
   }
   [[nodiscard]] static model::PoseSample prior(double t_s) {
@@ -116,7 +116,7 @@ class Circle : public ::testing::Test {
     const auto first = static_cast<int>(std::lround(from_s / 0.02));
     const auto last = static_cast<int>(std::lround(to_s / 0.02));
     for (int i = first; i < last; ++i) {
-      localizer.on_odometry(row(0.02 * i));
+      localizer.on_odometry(odometry_at(0.02 * i));
       if (ranges && i % 2 == 0)
         localizer.on_range(range(0.02 * i + 0.01, static_cast<std::size_t>(i / 2 % 4)));
     }
@@ -131,12 +131,12 @@ TEST_F(Circle, GivesAPoseForEachImpossibleSampleAndCountsIt) {
   for (const bool ahead : {false, true}) {
     std::vector<PoseEstimate> poses;
     Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
-    localizer.on_odometry(row(0.0));
+    localizer.on_odometry(odometry_at(0.0));
     localizer.on_pose_prior(prior(0.0));
     drive(localizer, 0.02, 5.0, true);
     for (int i = 250; i < 260; ++i) {
       const double t_s = 0.02 * i;
-      model::OdometrySample sample = row(t_s);
+      model::OdometrySample sample = odometry_at(t_s);
       if (i == 252) sample.vx_mps = 1e308;
       if (i == 254) sample.omega_radps = -1e12;
       if (ahead) localizer.on_odometry_ahead(sample);
@@ -162,7 +162,7 @@ TEST_F(Circle, ContinuesWithAnotherCalibrationFromItsPose) {
   Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
   localizer.adopt(setup_.calibration);  // before it has started: it waits on
   EXPECT_FALSE(localizer.started());
-  localizer.on_odometry(row(0.0));
+  localizer.on_odometry(odometry_at(0.0));
   localizer.on_pose_prior(prior(0.0));
   drive(localizer, 0.02, 10.0, true);
   EXPECT_EQ(localizer.filter().anchors(), 3U);
@@ -245,7 +245,7 @@ TEST_F(Circle, UsesOtherSensorsWithoutRanges) {
   for (int i = 0; i < 500; ++i) {
     const double t_s = 0.02 * i;
     // The odometry's yaw rate is twice the true one; a gyro and occasional poses are right.
-    model::OdometrySample turned = row(t_s);
+    model::OdometrySample turned = odometry_at(t_s);
     turned.omega_radps *= 2.0;
     localizer.on_odometry(turned);
     localizer.on_sensor(model::YawRateSample{t_s, kOmega});
@@ -318,12 +318,12 @@ class Live : public Circle {
                              sequence_++, 1, static_cast<std::uint64_t>(ticks(now_s)), ranges)),
                          now_s);
   }
-  // rows: with odometry, otherwise ranges alone. robot_s: offset of the robot's clock from the others.
-  void drive(double from_s, double to_s, bool rows = true, double robot_s = 0.0) {
+  // robot_s: offset of the robot's clock from the others.
+  void drive(double from_s, double to_s, bool with_odometry = true, double robot_s = 0.0) {
     for (auto i = std::lround(from_s / 0.02); i < std::lround(to_s / 0.02); ++i) {
       const double t_s = 0.02 * static_cast<double>(i);
-      if (rows) odometry(t_s + robot_s, t_s);
-      if (rows && i % 50 == 0) pose_prior(t_s + robot_s, t_s);
+      if (with_odometry) odometry(t_s + robot_s, t_s);
+      if (with_odometry && i % 50 == 0) pose_prior(t_s + robot_s, t_s);
       session_->advance(t_s + 0.001);
       if (i % 5 == 0) report(t_s + 0.002);
       session_->advance(t_s + 0.002);
@@ -416,7 +416,7 @@ TEST_F(Live, EachLateSampleHasAPose) {
   begin(0.2);
   drive(kBegin_s, 14.0);
   const std::size_t before = poses_.size();
-  drive(14.0, 14.4, /*rows=*/false);
+  drive(14.0, 14.4, /*with_odometry=*/false);
   EXPECT_EQ(poses_.size(), before);
   for (int i = 0; i <= 20; ++i) {
     const double t_s = 14.0 + 0.02 * i;
@@ -436,7 +436,7 @@ TEST_F(Live, ThePoseIsUncertainAfterTheRobotWasUnplugged) {
   drive(kBegin_s, 14.0);
   const PoseEstimate before = poses_.back();
   const std::size_t count = poses_.size();
-  drive(14.0, 16.0, /*rows=*/false);
+  drive(14.0, 16.0, /*with_odometry=*/false);
   EXPECT_EQ(poses_.size(), count);
   session_->robot_reopened();
   drive(16.0, 16.02);
@@ -457,7 +457,7 @@ TEST_F(Live, RestartsWhenTheClockWasSet) {
   begin(0.2);
   drive(kBegin_s, 14.0);
   const std::size_t before = poses_.size();
-  drive(14.0, 18.0, /*rows=*/true, kSet_s);
+  drive(14.0, 18.0, /*with_odometry=*/true, kSet_s);
   EXPECT_EQ(session_->counters().robot_clock_set, 1U);
   ASSERT_GT(poses_.size(), before);
   EXPECT_TRUE(std::all_of(poses_.begin() + static_cast<std::ptrdiff_t>(before), poses_.end(),
@@ -492,9 +492,9 @@ TEST_F(Live, ContinuesWithAnotherCalibrationOverWaitingSamples) {
   begin(0.2);
   drive(kBegin_s, 20.0);
   const PoseEstimate before = poses_.back();
-  const filter::CoreVector learnt = localizer_->filter().core();
+  const filter::CoreVector core_before = localizer_->filter().core();
   localizer_->adopt(whole);
-  EXPECT_EQ(localizer_->filter().core(), learnt);
+  EXPECT_EQ(localizer_->filter().core(), core_before);
   const std::size_t count = poses_.size();
   drive(20.0, 21.0);
   EXPECT_EQ(poses_.size(), count + 50);
@@ -513,19 +513,19 @@ TEST_F(Circle, PredictsWithoutTheHeapAndWithinItsBound) {
     last = pose;
     ++count;
   });
-  localizer.on_odometry(row(0.0));
+  localizer.on_odometry(odometry_at(0.0));
   localizer.on_pose_prior(prior(0.0));
   drive(localizer, 0.02, 2.0, true);
   const std::size_t before = test::allocations();
-  const std::size_t told = count;
-  constexpr int kRows = 2 * static_cast<int>(Localizer::kMaxAhead);
-  for (int i = 0; i < kRows; ++i) {
-    localizer.on_odometry_ahead(row(2.0 + 1e-4 * i));
+  const std::size_t count_before = count;
+  constexpr int kSamples = 2 * static_cast<int>(Localizer::kMaxAhead);
+  for (int i = 0; i < kSamples; ++i) {
+    localizer.on_odometry_ahead(odometry_at(2.0 + 1e-4 * i));
     localizer.on_sensor_ahead(model::YawRateSample{2.0 + 1e-4 * (i + 0.5), kOmega});
   }
   EXPECT_EQ(test::allocations(), before);
-  EXPECT_EQ(count, told + kRows);
-  EXPECT_EQ(last.t_s, 2.0 + 1e-4 * (kRows - 1));
+  EXPECT_EQ(count, count_before + kSamples);
+  EXPECT_EQ(last.t_s, 2.0 + 1e-4 * (kSamples - 1));
   EXPECT_LT(std::hypot(last.x_m - truth(last.t_s).x_m, last.y_m - truth(last.t_s).y_m), 0.05);
 }
 

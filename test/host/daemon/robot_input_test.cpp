@@ -36,11 +36,11 @@ TEST(RobotInput, ReadsBothClasses) {
           "\n");
   const auto messages = take_all(input);
   ASSERT_EQ(messages.size(), 3U);
-  const auto& row = std::get<model::OdometrySample>(messages[0]);
-  EXPECT_EQ(row.t_s, 1.5);
-  EXPECT_EQ(row.vx_mps, 0.5);
-  EXPECT_EQ(row.vy_mps, -0.25);
-  EXPECT_EQ(row.omega_radps, 0.125);
+  const auto& odometry = std::get<model::OdometrySample>(messages[0]);
+  EXPECT_EQ(odometry.t_s, 1.5);
+  EXPECT_EQ(odometry.vx_mps, 0.5);
+  EXPECT_EQ(odometry.vy_mps, -0.25);
+  EXPECT_EQ(odometry.omega_radps, 0.125);
   const auto& pose = std::get<model::PoseSample>(messages[1]);
   EXPECT_EQ(pose.t_s, 2.0);
   EXPECT_EQ(pose.z_m, 3.0);

@@ -21,9 +21,9 @@ using link::test::make_report;
 
 class Recorded : public MeasurementSink {
  public:
-  void on_odometry(const model::OdometrySample& row) override {
-    odometry.push_back(row);
-    times_s.push_back(row.t_s);
+  void on_odometry(const model::OdometrySample& sample) override {
+    odometry.push_back(sample);
+    times_s.push_back(sample.t_s);
   }
   void on_range(const model::RangeSample& range) override {
     ranges.push_back(range);
@@ -38,7 +38,7 @@ class Recorded : public MeasurementSink {
     times_s.push_back(model::time_of(sample));
   }
   void on_clock_set() override { ++clock_sets; }
-  void on_odometry_ahead(const model::OdometrySample& row) override { ahead_s.push_back(row.t_s); }
+  void on_odometry_ahead(const model::OdometrySample& sample) override { ahead_s.push_back(sample.t_s); }
   void on_sensor_ahead(const model::SensorSample& sample) override {
     sensors_ahead_s.push_back(model::time_of(sample));
   }
@@ -150,13 +150,13 @@ TEST(Session, AnnouncesWaitingSamplesAtOnceAndNoOthers) {
   for (int i = 0; i <= 100; ++i) {
     const double host_s = 10.0 + 0.02 * i;
     if (i >= 60 && i < 80) continue;  // these come with the 80th
-    for (int row = i == 80 ? 60 : i; row <= i; ++row) {
-      const double t_s = 10.0 + 0.02 * row + site.robot_offset_s;
+    for (int n = i == 80 ? 60 : i; n <= i; ++n) {
+      const double t_s = 10.0 + 0.02 * n + site.robot_offset_s;
       const std::size_t before = site.sink.ahead_s.size() + site.sink.odometry.size();
       site.odometry(host_s, t_s);
-      EXPECT_EQ(site.sink.ahead_s.size() + site.sink.odometry.size(), before + 1) << row;
+      EXPECT_EQ(site.sink.ahead_s.size() + site.sink.odometry.size(), before + 1) << n;
       // Samples 0.2 s old are passed on at once, without an announcement.
-      EXPECT_EQ(!site.sink.ahead_s.empty() && site.sink.ahead_s.back() == t_s, row < 60 || row >= 70) << row;
+      EXPECT_EQ(!site.sink.ahead_s.empty() && site.sink.ahead_s.back() == t_s, n < 60 || n >= 70) << n;
     }
     site.zero_velocity(host_s, host_s + site.robot_offset_s - 0.1);
     site.zero_velocity(host_s, host_s + site.robot_offset_s - 0.3);
@@ -232,8 +232,8 @@ TEST(Session, OneAbsurdTimestampDoesNoHarm) {
 
 TEST(Session, FollowsARobotThatRestarts) {
   for (const double new_offset_s : {-12.0, 3e9}) {
-    std::vector<std::string> said;
-    Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
+    std::vector<std::string> lines;
+    Site site({.log = [&](std::string_view text) { lines.emplace_back(text); }});
     for (int i = 0; i < 100; ++i) {
       site.odometry(10.0 + 0.02 * i);
       site.session.advance(10.0 + 0.02 * i);
@@ -250,18 +250,18 @@ TEST(Session, FollowsARobotThatRestarts) {
     EXPECT_NEAR(static_cast<double>(site.session.counters().robot_time_wrong), 50.0, 2.0);
     ASSERT_EQ(site.sink.ranges.size(), 1U);
     EXPECT_NEAR(site.sink.ranges[0].t_s - new_offset_s, 13.9, 1e-3);
-    EXPECT_THAT(said, testing::Contains(testing::HasSubstr("robot")));
+    EXPECT_THAT(lines, testing::Contains(testing::HasSubstr("robot")));
   }
 }
 
 TEST(Session, ReportsBadRobotLinesWithoutFillingTheLog) {
-  std::vector<std::string> said;
-  Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
+  std::vector<std::string> lines;
+  Site site({.log = [&](std::string_view text) { lines.emplace_back(text); }});
   const std::string bad = "{\"class\":\"ODOMETRY\"}\n";
   for (int i = 0; i < 1000; ++i)
     site.session.robot_bytes(std::vector<std::uint8_t>(bad.begin(), bad.end()), 1.0);
   EXPECT_EQ(site.session.robot_counters().bad_value, 1000U);
-  EXPECT_EQ(said.size(), 10U);
+  EXPECT_EQ(lines.size(), 10U);
 }
 
 TEST(Session, QueuesNoMoreThanItsBound) {
@@ -286,14 +286,14 @@ TEST(Session, FeedsEachAttachedSinkAlike) {
 }
 
 TEST(Session, KeepsAndLogsMessagesOfNodes) {
-  std::vector<std::string> said;
-  Site site({.log = [&](std::string_view text) { said.emplace_back(text); }});
+  std::vector<std::string> lines;
+  Site site({.log = [&](std::string_view text) { lines.emplace_back(text); }});
   site.session.node_bytes(site.tag, frame_of(link::test::make_hello(3, "0.1.0")), 1.0);
   site.session.node_bytes(site.tag, frame_of(link::test::make_log(groma_LogLevel_LOG_WARNING, "no beacon")),
                           1.0);
   ASSERT_TRUE(site.session.node(site.tag).hello());
   EXPECT_EQ(site.session.node(site.tag).hello()->id, 3U);
-  EXPECT_THAT(said, testing::ElementsAre(testing::HasSubstr("tag-1: node 3 runs version 0.1.0"),
+  EXPECT_THAT(lines, testing::ElementsAre(testing::HasSubstr("tag-1: node 3 runs version 0.1.0"),
                                          testing::HasSubstr("tag-1: no beacon")));
 }
 

@@ -51,7 +51,7 @@ double plain_error_m(bool sensors) {
 enum class How { kAdded, kReplaced };
 
 // Wrong timestamps of one kind of message, once at the event or each 5 s from then on.
-LockStepDrive::Timestamps odd(Kind kind, double by_s, How how, bool repeated) {
+LockStepDrive::Timestamps wrong_timestamps(Kind kind, double by_s, How how, bool repeated) {
   auto next_s = std::make_shared<double>(kEvent_s);
   return [=](Kind of, double t_s) -> std::vector<Sent> {
     if (of != kind || t_s < *next_s) return {t_s};
@@ -69,7 +69,7 @@ TEST(Timestamps, OneWrongOdometryTimestampCostsNothing) {
           SCOPED_TRACE(fmt::format("{} s, {}{}", by_s, how == How::kAdded ? "added" : "replaced",
                                    repeated ? ", each 5 s" : ""));
           LockStepDrive drive;
-          drive.timestamps = odd(Kind::kOdometry, by_s, how, repeated);
+          drive.timestamps = wrong_timestamps(Kind::kOdometry, by_s, how, repeated);
           drive.run(kEnd_s);
           EXPECT_LT(drive.mean_error_m(kSettled_s), 1.2 * plain_error_m(false));
           EXPECT_EQ(drive.wrong_tracking(), 0);
@@ -88,7 +88,7 @@ TEST(Timestamps, OneWrongTimestampOfAnotherKindCostsNothing) {
       for (const double by_s : {size_s, -size_s}) {
         SCOPED_TRACE(fmt::format("kind {}, {} s", static_cast<int>(kind), by_s));
         LockStepDrive drive({.sensors = true});
-        drive.timestamps = odd(kind, by_s, How::kReplaced, /*repeated=*/true);
+        drive.timestamps = wrong_timestamps(kind, by_s, How::kReplaced, /*repeated=*/true);
         drive.run(kEnd_s);
         EXPECT_LT(drive.mean_error_m(kSettled_s), 1.2 * plain_error_m(true));
         EXPECT_EQ(drive.wrong_tracking(), 0);
@@ -296,9 +296,9 @@ TEST(Timestamps, ALateInputIsDegradedWithItsCause) {
 
 class ClockSets : public MeasurementSink {
  public:
-  void on_odometry(const model::OdometrySample& row) override {
-    falls_back_ = falls_back_ || row.t_s <= last_s_;
-    last_s_ = row.t_s;
+  void on_odometry(const model::OdometrySample& sample) override {
+    falls_back_ = falls_back_ || sample.t_s <= last_s_;
+    last_s_ = sample.t_s;
   }
   void on_range(const model::RangeSample& /*range*/) override {}
   void on_pose_prior(const model::PoseSample& /*pose*/) override {}
