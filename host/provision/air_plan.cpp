@@ -123,12 +123,12 @@ void warn(const groma_Config& config, AirPlan& plan) {
                                        : config.link == groma_Link_LINK_CAN_FD ? 2
                                                                                : 0);
   if (link.busy > kFull) {
-    // A compact report has no raw stamps.
+    // A compact report has no raw timestamps.
     const bool raw = config.report_raw_stamps && config.link != groma_Link_LINK_CAN;
     say(fmt::format(
         "{} would be busy {:.0f} % of the time: reports will be lost; {}take more bit/s, a faster "
         "link, or a longer response gap",
-        link.name, 100.0 * link.busy, raw ? "leave raw stamps out, or " : ""));
+        link.name, 100.0 * link.busy, raw ? "turn report_raw_stamps off, or " : ""));
   }
   if (schedule.turn_round_us < kMinTurnaround_us) {
     say(fmt::format(

@@ -225,7 +225,7 @@ TEST(UnixSocket, ConnectsCarriesAndEnds) {
   address.sun_family = AF_UNIX;
   path.copy(address.sun_path, sizeof(address.sun_path) - 1);
   ASSERT_EQ(::bind(listener.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
-  EXPECT_EQ(open_link(path, 0).error.fault, LinkFault::kNoDevice) << "nobody listens yet";
+  EXPECT_EQ(open_link(path, 0).error.fault, LinkFault::kNoDevice) << "no listener yet";
   ASSERT_EQ(::listen(listener.get(), 1), 0);
   OpenedLink opened = open_link(path, 0);
   ASSERT_TRUE(opened.link) << opened.error.message;
