@@ -95,7 +95,7 @@ class Configuring {
     check_release();
     check_build();
     check_identity();
-    tell("reads");
+    report_step("reads");
     const groma_Reply stored =
         expect_reply(*client_, client_->ask(command_of(groma_HostToNode_read_config_tag)), "read_config");
     if (!stored.has_config || !differences(stored.config, wanted()).empty()) write();
@@ -107,7 +107,7 @@ class Configuring {
   }
   // The node reverts to its old configuration unless check_after_trial() reaches it within `trial_s`.
   void apply_on_trial(std::uint32_t trial_s) {
-    tell("applies");
+    report_step("applies");
     outcome_.changed = true;
     client_ = connect(outcome_.port, baud_, options_.open, node_.id);
     groma_HostToNode command = command_of(groma_HostToNode_apply_config_tag);
@@ -153,7 +153,7 @@ class Configuring {
   }
 
  private:
-  void tell(const char* step) const {
+  void report_step(const char* step) const {
     if (options_.progress) options_.progress(step);
   }
 
@@ -175,7 +175,7 @@ class Configuring {
   }
 
   void reach() {
-    tell("asks");
+    report_step("asks");
     if (by_air()) return reach_by_air();
     outcome_.port = node_.port.empty() ? node_.can_link : node_.port;
     if (outcome_.port.empty()) {
@@ -234,7 +234,7 @@ class Configuring {
   }
 
   void write() {
-    tell("writes");
+    report_step("writes");
     groma_HostToNode command = command_of(groma_HostToNode_write_config_tag);
     command.body.write_config = wanted();
     const groma_Reply reply = expect_reply(*client_, client_->ask(command, kStoringPatience), "write_config");
@@ -251,7 +251,7 @@ class Configuring {
   }
 
   void apply() {
-    tell("applies");
+    report_step("applies");
     outcome_.changed = true;
     (void)expect_reply(*client_,
                        client_->ask(command_of(groma_HostToNode_apply_config_tag), kStoringPatience),
@@ -351,7 +351,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
                                          const ConfigureOptions& options,
                                          const std::function<void(std::size_t, const NodeOutcome&)>& done) {
   std::vector<NodeOutcome> outcomes(nodes.size());
-  const auto tell = [&](std::size_t i) {
+  const auto report = [&](std::size_t i) {
     if (done) done(i, outcomes[i]);
   };
   const bool some_by_air =
@@ -360,7 +360,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
     for (std::size_t i = 0; i < nodes.size(); ++i) {
       (void)attempt(*nodes[i], outcomes[i],
                     [&] { Configuring(*nodes[i], baud, options, outcomes[i]).run(); });
-      tell(i);
+      report(i);
     }
     return outcomes;
   }
@@ -399,7 +399,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
                     "others and repeat it"};
       });
     }
-    for (std::size_t i = 0; i < nodes.size(); ++i) tell(i);
+    for (std::size_t i = 0; i < nodes.size(); ++i) report(i);
     return outcomes;
   }
 
@@ -416,7 +416,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
   for (const std::size_t i : wired) {
     if (good(i)) (void)attempt(*nodes[i], outcomes[i], [&] { steps[i].run(); });
     steps[i].close_link();
-    tell(i);
+    report(i);
   }
   for (const std::size_t i : by_air) {
     constexpr double kComingBack_s = 30.0;
@@ -429,7 +429,7 @@ std::vector<NodeOutcome> configure_nodes(const std::vector<const PlannedNode*>& 
       }
     });
     steps[i].close_link();
-    tell(i);
+    report(i);
   }
   return outcomes;
 }

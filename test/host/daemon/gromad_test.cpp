@@ -208,7 +208,7 @@ TEST_F(GromadTest, LocalizesLosesItsTagAndFindsItAgain) {
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 50; })) << gromad.log();
   EXPECT_THAT(gromad.log(), HasSubstr("robot: "));
 
-  site.pull();
+  site.unplug();
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("DEGRADED") >= 20; })) << gromad.log();
   EXPECT_THAT(gromad.log(), HasSubstr("tag-1: the link is lost"));
 

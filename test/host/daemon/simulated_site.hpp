@@ -79,7 +79,7 @@ class SimulatedSite {
     std::filesystem::remove(folder_ / "tag-1");
     std::filesystem::create_symlink(name, folder_ / "tag-1");
   }
-  void pull() {
+  void unplug() {
     master_.close();
     std::filesystem::remove(folder_ / "tag-1");
   }

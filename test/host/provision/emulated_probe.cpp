@@ -221,9 +221,9 @@ EmulatedProbe::~EmulatedProbe() {
   thread_.join();
 }
 
-void EmulatedProbe::set_pull(std::function<bool()> pull) {
+void EmulatedProbe::set_unplug(std::function<bool()> unplug) {
   const std::lock_guard lock(mutex_);
-  pull_ = std::move(pull);
+  unplug_ = std::move(unplug);
 }
 
 void EmulatedProbe::run() {
@@ -264,7 +264,7 @@ void EmulatedProbe::serve(int client) {
       sent += static_cast<std::size_t>(count);
     }
     const std::lock_guard lock(mutex_);
-    if (pull_ && pull_()) return;
+    if (unplug_ && unplug_()) return;
   }
 }
 

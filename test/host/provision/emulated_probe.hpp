@@ -78,7 +78,7 @@ class EmulatedProbe {
   EmulatedProbe& operator=(const EmulatedProbe&) = delete;
 
   // Called after each batch of pin changes; true: unplugs the probe.
-  void set_pull(std::function<bool()> pull);
+  void set_unplug(std::function<bool()> unplug);
   [[nodiscard]] int sessions() const { return sessions_; }
 
  private:
@@ -89,7 +89,7 @@ class EmulatedProbe {
   EmulatedPart* part_;
   io::Descriptor listening_;
   std::mutex mutex_;
-  std::function<bool()> pull_;
+  std::function<bool()> unplug_;
   std::atomic<bool> stop_ = false;
   std::atomic<int> sessions_ = 0;
   std::thread thread_;

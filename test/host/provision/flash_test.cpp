@@ -138,13 +138,13 @@ TEST_F(FlashTest, AnUnknownFailureIsReportedInOpenOcdsWords) {
   EXPECT_THAT(outcome.message, HasSubstr("OpenOCD failed (Error on socket 'connect'"));
 }
 
-class PulledAt : public FlashTest, public ::testing::WithParamInterface<int> {};
+class UnpluggedAt : public FlashTest, public ::testing::WithParamInterface<int> {};
 
 // Parameter: the number of words written when the probe is unplugged; 0 is before the first erase.
-TEST_P(PulledAt, ItIsReportedAndARepetitionSucceeds) {
+TEST_P(UnpluggedAt, ItIsReportedAndARepetitionSucceeds) {
   plug_in(&part_);
   const int word = GetParam();
-  probe_->set_pull([&] { return word == 0 ? part_.halted() : part_.words_written() >= word; });
+  probe_->set_unplug([&] { return word == 0 ? part_.halted() : part_.words_written() >= word; });
   const FlashOutcome cut = run();
   EXPECT_EQ(cut.fault, FlashFault::kProbeLost) << cut.output;
   EXPECT_THAT(cut.message, HasSubstr("the probe went away in the middle"));
@@ -158,7 +158,7 @@ TEST_P(PulledAt, ItIsReportedAndARepetitionSucceeds) {
   EXPECT_TRUE(holds_image());
 }
 
-INSTANTIATE_TEST_SUITE_P(FlashTest, PulledAt, ::testing::Values(0, 1, 1024, 2000));
+INSTANTIATE_TEST_SUITE_P(FlashTest, UnpluggedAt, ::testing::Values(0, 1, 1024, 2000));
 
 // ---- failures of USB: messages of OpenOCD 0.12.0 and libjaylink 0.3.1 -----------------------------------
 

@@ -260,11 +260,11 @@ TEST_F(CommandTest, NodesWithoutACableAreReachedThroughATag) {
 
   const ChildResult asked = groma_run({"nodes", "--plan", path("hung.yaml"), "--node", "1,10,11", "--json"});
   EXPECT_EQ(asked.exit_code, 0) << asked.err;
-  const json told = json::parse(asked.out)["nodes"];
-  ASSERT_EQ(told.size(), 3U);
-  EXPECT_EQ(told[2]["id"], 11);
-  EXPECT_EQ(told[2]["role"], "anchor");
-  EXPECT_GT(told[2]["counters"]["beacons_received"], 0);
+  const json answered = json::parse(asked.out)["nodes"];
+  ASSERT_EQ(answered.size(), 3U);
+  EXPECT_EQ(answered[2]["id"], 11);
+  EXPECT_EQ(answered[2]["role"], "anchor");
+  EXPECT_GT(answered[2]["counters"]["beacons_received"], 0);
   const ChildResult missing = groma_run({"nodes", nodes_[0].port, "--node", "77"});
   EXPECT_EQ(missing.exit_code, 69);
   EXPECT_THAT(missing.err, ::testing::HasSubstr("no answer from node 77 over the air"));
@@ -309,11 +309,11 @@ TEST_F(CommandTest, ATagTakesHintsAndLeavesOnCommand) {
   // anchor.
   const ChildResult hinted = groma_run({"nodes", tag, "--node", "1", "--prefer", "99=120,12=0", "--json"});
   EXPECT_EQ(hinted.exit_code, 0) << hinted.err;
-  const json told = json::parse(hinted.out)["nodes"];
-  ASSERT_EQ(told.size(), 1U);
-  EXPECT_EQ(told[0]["told"], "prefer");
-  EXPECT_EQ(told[0]["id"], 1);
-  EXPECT_GT(told[0]["counters"]["ranges_completed"], 0);
+  const json answered = json::parse(hinted.out)["nodes"];
+  ASSERT_EQ(answered.size(), 1U);
+  EXPECT_EQ(answered[0]["told"], "prefer");
+  EXPECT_EQ(answered[0]["id"], 1);
+  EXPECT_GT(answered[0]["counters"]["ranges_completed"], 0);
   EXPECT_EQ(json::parse(listen("1.5").out)["candidates"], 4);
   const ChildResult none = groma_run({"nodes", anchor, "--node", "1", "--prefer", "none"});
   EXPECT_EQ(none.exit_code, 0) << none.err;
