@@ -46,7 +46,7 @@ struct PoseEstimate {
   filter::Reason reason = filter::Reason::kNone;
 };
 
-// A planar estimate carried onto the surface.
+// Maps a planar estimate onto the surface.
 [[nodiscard]] PoseEstimate pose_on(const model::Surface& surface, const filter::Estimate& estimate) noexcept;
 
 class Localizer : public MeasurementSink {

@@ -55,12 +55,12 @@ std::unique_ptr<NodeClient> connect(const std::string& port, unsigned baud, cons
 
 groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Reply>& reply,
                          const char* command) {
-  if (!reply) throw Failure{NodeFault::kNoAnswer, client.silence()};
+  if (!reply) throw Failure{NodeFault::kNoAnswer, client.explain_silence()};
   switch (link::number_in(reply->result)) {
     case groma_Result_RESULT_OK:
       return *reply;
     case groma_Result_RESULT_UNREACHABLE:
-      throw Failure{NodeFault::kNoAnswer, client.silence()};
+      throw Failure{NodeFault::kNoAnswer, client.explain_silence()};
     case groma_Result_RESULT_STORAGE:
       throw Failure{NodeFault::kStorage,
                     fmt::format("{} failed ({}); repeat it, and replace the node if that does not help",
@@ -125,7 +125,7 @@ class Configuring {
         if (client_->last_hello()) throw not_in_force(*client_->last_hello());
         throw Failure{
             NodeFault::kNoAnswer,
-            client_->silence() + "; it will revert to its previous configuration by itself"};
+            client_->explain_silence() + "; it will revert to its previous configuration by itself"};
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(200));
     }
@@ -168,10 +168,10 @@ class Configuring {
   void reach_by_air() {
     outcome_.port = node_.via_port;
     client_ = connect(outcome_.port, baud_, options_.open);
-    if (!client_->ask_hello()) throw Failure{NodeFault::kNoAnswer, client_->silence()};
+    if (!client_->ask_hello()) throw Failure{NodeFault::kNoAnswer, client_->explain_silence()};
     client_->set_target(node_.id);
     outcome_.hello = client_->ask_hello();
-    if (!outcome_.hello) throw Failure{NodeFault::kNoAnswer, client_->silence()};
+    if (!outcome_.hello) throw Failure{NodeFault::kNoAnswer, client_->explain_silence()};
   }
 
   void reach() {
@@ -197,9 +197,9 @@ class Configuring {
     throw Failure{
         NodeFault::kNoAnswer,
         outcome_.port == node_.can_link
-            ? client_->silence() +
+            ? client_->explain_silence() +
                   "; a node that was never configured is reached by its UART alone: name that as 'port:'"
-            : client_->silence()};
+            : client_->explain_silence()};
   }
 
   void check_release() const {
@@ -260,7 +260,7 @@ class Configuring {
         client_->ask_hello([this](const groma_Hello& said) { return in_force(said); }, kApplyingPatience);
     if (client_->last_hello()) outcome_.hello = client_->last_hello();
     if (hello) return;
-    if (!client_->last_hello()) throw Failure{NodeFault::kNoAnswer, client_->silence()};
+    if (!client_->last_hello()) throw Failure{NodeFault::kNoAnswer, client_->explain_silence()};
     throw not_in_force(*outcome_.hello);
   }
 
@@ -481,9 +481,9 @@ NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target
   note(report.outcome, [&] {
     const std::unique_ptr<NodeClient> client = connect(port, baud, open, target);
     report.outcome.hello = client->ask_hello();
-    if (!report.outcome.hello) throw Failure{NodeFault::kNoAnswer, client->silence()};
+    if (!report.outcome.hello) throw Failure{NodeFault::kNoAnswer, client->explain_silence()};
     report.counters = client->ask_counters();
-    if (!report.counters) throw Failure{NodeFault::kNoAnswer, client->silence()};
+    if (!report.counters) throw Failure{NodeFault::kNoAnswer, client->explain_silence()};
   });
   return report;
 }

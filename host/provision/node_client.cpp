@@ -194,7 +194,7 @@ void NodeClient::read() {
   gone_ = result.gone;
 }
 
-std::string NodeClient::silence() const {
+std::string NodeClient::explain_silence() const {
   if (unreachable()) {
     return fmt::format(
         "no answer from node {} over the air ({}); check that it has power, was configured by its cable once "
