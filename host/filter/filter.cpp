@@ -25,7 +25,7 @@ Learning learning(Model model) noexcept {
   return Learning::kNothing;
 }
 
-// The calibration as it holds on another drive than its own.
+// Adapts the calibration to another drive than the one it was estimated from.
 model::Calibration on_another_drive(model::Calibration calibration, const Config& config) {
   if (model::is_ablated(Mechanism::kRangeBias) && calibration.range_noise) {
     model::RangeNoise& noise = *calibration.range_noise;
@@ -44,7 +44,7 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
   return calibration;
 }
 
-// The original model knows of no calibration but positions: its noise is as configured.
+// The original model uses nothing of the calibration but positions, so its noise is as configured.
 double white_sigma_m(const model::Calibration& calibration, const Config& config) noexcept {
   if (!calibration.range_noise || config.model == Model::kOriginal) return config.range_sigma_m;
   return calibration.range_noise->white_sigma_m;
@@ -94,7 +94,7 @@ void Filter::start(const Start& start) noexcept {
   now_.core.segment<3>(kX) << start.pose.x_m, start.pose.y_m, model::wrap_angle(start.pose.theta_rad);
   now_.core(kDelay) = delays_.range_s;
 
-  // Without a row, nothing is known of the velocity but what a robot may do.
+  // Without an odometry sample the velocity is zero, with the sigmas of an overdue sample after 1 s.
   if (!now_.has_row) now_.row = {.t_s = start.t_s};
   const model::OdometryNoise noise =
       now_.has_row
@@ -193,15 +193,15 @@ RangeOutcome Filter::admit(const model::RangeSample& range, PairPlace& pair) noe
   return RangeOutcome::kUsed;
 }
 
-// The algorithm of the source paper, with its equations' numbers; propagation (1)-(3) is advance_to().
+// Update by one range, with the equation numbers of the source paper. Propagation, (1)-(3), is advance_to().
 RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pair) noexcept {
-  const RangeMeasurement predicted = predict(pair);  // z_n by (12); H and J of (16)
+  const RangeMeasurement predicted = predict(pair);  // z_n of (12), (17); Jacobians H, J of (16)
   Projected projected;
-  project(predicted, pair, projected);  // P Hᵀ and H P Hᵀ; where P_pc is not kept, H P Hᵀ + J P_c Jᵀ of (18)
-  RangeResult result = innovation(range.range_m, predicted, projected.variance);  // z - z_n of (17), and S
+  project(predicted, pair, projected);  // P Hᵀ and H P Hᵀ; inflated: J P_c Jᵀ of (18)
+  RangeResult result = innovation(range.range_m, predicted, projected.variance);  // residual z - z_n of (17), and S
   weigh(range, pair, result);
   watch_slip(pair, predicted, result);
-  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x + K (z - z_n), Schmidt's P
+  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n); Schmidt's P
   tune(pair, result);
   if (result.weight > 0.0) motion().follow_chart();
   return result;
@@ -234,7 +234,7 @@ RangeResult Filter::innovation(double range_m, const RangeMeasurement& predicted
 
 void Filter::update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
                     RangeResult& result) noexcept {
-  // A weight below one is that much more noise: S / weight in place of S.
+  // A weight below one inflates the noise: S / weight in place of S.
   const double variance =
       result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
   const CoreVector change = projected.core * (result.innovation_m / variance);
@@ -247,7 +247,7 @@ void Filter::update(const RangeMeasurement& predicted, const PairPlace& pair, Pr
 
 void Filter::weigh(const model::RangeSample& range, const PairPlace& pair, RangeResult& result) noexcept {
   const model::PowerClass powers = model::power_class(range);
-  result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // before the gate learns from this range
+  result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // before the gate counts this range
   result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,
                                   result.innovation_variance_m2, powers);
   if (model::is_ablated(Mechanism::kGate)) result.weight = result.weight >= 0.0 ? 1.0 : 0.0;
@@ -324,8 +324,8 @@ SensorResult Filter::correct(std::size_t sensor, const CoreMeasurement<kSize>& m
     return result;
   }
 
-  // A weight below one stands for that much more noise: S / weight in place of S. In units of its root the
-  // components are independent, and taken one after the other.
+  // A weight below one inflates the noise: S / weight in place of S. Whitening by the noise's Cholesky factor
+  // makes the components independent, so that they are processed one by one.
   const Eigen::LLT<Square> noise(variance / result.weight - by_core);
   if (noise.info() != Eigen::Success) return {.outcome = SensorOutcome::kBadValue};
   Eigen::Matrix<double, kSize, kCoreSize> rows = d_core;
@@ -373,7 +373,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
 
   AnchorMemory back = memories_[static_cast<std::size_t>(anchor)];
   if (back.was_active && back.cross.size() > 0) {
-    // Longer ago than is known of, it is related to nothing.
+    // The ring of exchanges does not reach back that far: assume no correlation.
     if (number - back.left >= kMaxExchanges) back.cross.setZero();
     for (std::uint64_t i = back.left + 1; i <= number && !back.cross.isZero(0.0); ++i) {
       back.cross = back.cross.lazyProduct(at(i).absence).eval();
@@ -447,7 +447,7 @@ Estimate Filter::estimate_of(const MotionState& now, const Covariance& covarianc
   out.ground_cross = ground_cross.leftCols<3>();
   if (!(delays_.odometry_share() > 0.0)) return out;
 
-  // The core tells of where the robot was when its odometry was true.
+  // The core's pose is delayed by the odometry delay: propagate it to the present.
   out.odometry_delay_s = delays_.odometry_s(now.core(kDelay));
   out.range_delay_s += out.odometry_delay_s;
   const PresentPose present = present_pose(surface_, now.core, now.row, delays_, now.chart);

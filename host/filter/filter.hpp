@@ -1,14 +1,14 @@
-// The terrain-informed error-state filter (M-ESEKF of the source paper): odometry moves a pose on the
-// surface, ranges correct it, and the uncertainty of the site's calibration is carried along.
+// The terrain-informed error-state filter (M-ESEKF of the source paper). Odometry propagates a pose on the
+// surface, ranges correct it, and the calibration parameters are consider (Schmidt) states or estimated.
 //
 //   filter::Filter filter(surface, tags, calibration, config);
 //   filter.start({.t_s = 12.0, .pose = {x, y, theta}});
-//   filter.process(odometry_row);
+//   filter.process(odometry_sample);
 //   filter.process(range);
 //   filter.estimate();
 //
-// No clock, no I/O, no log, no exceptions, no allocation after construction. Inputs come in time order;
-// what came of each is returned.
+// No clock, no I/O, no log, no exceptions, no allocation after construction. Inputs come in time order; each
+// call returns the outcome of its input.
 #pragma once
 
 #include <vector>
@@ -28,56 +28,56 @@ struct Start {
 
 enum class OdometryOutcome {
   kUsed,
-  kUsedLate,     // older than the state, newer than the row held: holds from the state's time on
-  kStored,       // before the start: held for it
-  kOutOfOrder,   // not newer than the row held: refused
+  kUsedLate,     // older than the state, newer than the sample held: applies from the state's time on
+  kStored,       // before the start: held until then
+  kOutOfOrder,   // not newer than the sample held: refused
   kBadValue,     // not finite: refused
-  kImplausible,  // no robot can do it: dropped, the row before holds on to its time
+  kImplausible,  // physically impossible: dropped; the previous sample is held until its time
 };
 
 enum class RangeOutcome {
   kUsed,
   kGated,
   kUnknownTag,
-  kUnknownAnchor,  // or a pair of tag and anchor that the calibration lacks
+  kUnknownAnchor,  // or the calibration lacks this pair of tag and anchor
   kBadValue,       // not finite, or out of bounds
   kOutOfOrder,     // older than the state: refused
   kNotStarted,
-  kNotActive,    // of an anchor that finds no place: all that are active answered of late
-  kNotModelled,  // the model uses no ranges
+  kNotActive,    // no free slot for this anchor: all active anchors answered recently
+  kNotModelled,  // Model::kOdometry uses no ranges
 };
 
 struct RangeResult {
   RangeOutcome outcome = RangeOutcome::kNotStarted;
-  // Of ranges used or gated:
-  double innovation_m = 0.0;            // measured less predicted
-  double innovation_variance_m2 = 0.0;  // S, before any weight
+  // The following are set for ranges that were used or gated.
+  double innovation_m = 0.0;            // measured minus predicted
+  double innovation_variance_m2 = 0.0;  // S, without weight
   double nis = 0.0;                     // innovation^2 / S
-  // Of S, what is not by the pose: noise, biases, anchors. NaN with the original model: without biases,
-  // ranges say nothing of the map.
+  // S without the contribution of the pose: noise, biases, anchors. NaN with the original model, whose
+  // ranges cannot test the map because it has no biases.
   double map_variance_m2 = std::numeric_limits<double>::quiet_NaN();
   double weight = 0.0;      // 0 gated, 1 full
-  double blocked = 0.0;     // probability that the pair is, from its past and this range
-  double hint_ratio = 1.0;  // likelihood of its powers if blocked, over that if in sight
-  Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // what x, y, theta were moved by
+  double blocked = 0.0;     // probability of NLOS, from the pair's history and this range
+  double hint_ratio = 1.0;  // likelihood ratio NLOS / LOS of its received powers
+  Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // correction of x, y, theta
 };
 
 enum class SensorOutcome {
   kUsed,
-  kGated,       // too far from what is known
-  kJumped,      // a yaw rate that cannot follow the one before it
-  kBadValue,    // not finite, beyond what can be, or with a covariance that can be none
+  kGated,       // beyond the gate
+  kJumped,      // a yaw rate that is implausible after the previous one
+  kBadValue,    // not finite, out of bounds, or with an invalid covariance
   kOutOfOrder,  // older than the state: refused
   kNotStarted,
 };
 
 struct SensorResult {
   SensorOutcome outcome = SensorOutcome::kNotStarted;
-  double nis = 0.0;  // innovation' S^-1 innovation, of samples used or gated
+  double nis = 0.0;  // innovation' S^-1 innovation, of samples that were used or gated
   double weight = 0.0;
 };
 
-// How many inputs had each outcome.
+// Number of inputs for each outcome.
 template <class Outcome, std::size_t kOutcomes>
 class CountBy {
  public:
@@ -92,14 +92,14 @@ class CountBy {
   std::array<std::size_t, kOutcomes> counts_{};
 };
 
-// Each input of the filter is counted once.
+// Each input is counted exactly once.
 struct Counters {
   CountBy<OdometryOutcome, 6> odometry;
   CountBy<RangeOutcome, 9> ranges;
   std::array<CountBy<SensorOutcome, 6>, model::kSensors> sensors;  // in the order of SensorSample
-  std::size_t doubts = 0;                                          // times that divergence was suspected
-  std::size_t slips = 0;             // times that ranges showed odometry to be wrong
-  std::size_t anchor_exchanges = 0;  // times an anchor took the place of another one
+  std::size_t doubts = 0;                                          // how often divergence was suspected
+  std::size_t slips = 0;             // wheel slips detected by ranges
+  std::size_t anchor_exchanges = 0;  // how often an anchor replaced another one in its slot
 };
 
 struct Estimate {
@@ -110,18 +110,18 @@ struct Estimate {
   double yaw_rate_bias_radps = 0.0;
   double range_delay_s = 0.0;
   double odometry_delay_s = 0.0;
-  // What the ground may differ by from the surface (height, dS/dx, dS/dy): variances, and covariance with the
-  // pose, by row.
+  // The ground's deviation from the surface model (height in m, dS/dx, dS/dy): its variances, and its
+  // covariance with the pose, one row for each.
   Eigen::Vector3d ground_variances = Eigen::Vector3d::Zero();
   Eigen::Matrix3d ground_cross = Eigen::Matrix3d::Zero();
 
-  // Of x_m, y_m, theta_rad and the ground, for model::on_surface.
+  // Covariance of x_m, y_m, theta_rad and the ground's deviation, for model::on_surface.
   [[nodiscard]] Eigen::Matrix<double, 6, 6> covariance_with_ground() const noexcept;
 };
 
 class Filter {
  public:
-  // All that inputs change; copying it over another one of the same filter allocates nothing.
+  // Everything that inputs change. Assigning it to another snapshot of the same filter allocates nothing.
   struct Snapshot : MotionState {
     Parameters parameters;
     Gate gate;
@@ -130,82 +130,80 @@ class Filter {
     SensorGate sensors;
     JointCovariance covariance;
     bool started = false;
-    std::array<double, kMaxAnchors> last_answer_s{};  // of each slot
+    std::array<double, kMaxAnchors> last_answer_s{};  // time of the last range in each slot
     std::uint64_t exchanges = 0;
     Counters counters{};
   };
-  // So many exchanges of anchors can be undone.
+  // Number of anchor exchanges that restore() can undo.
   static constexpr std::size_t kMaxExchanges = 64;
 
   // Tags beyond kMaxTags are left out, and so are anchors without a finite position and covariance; anchors()
-  // is how many are in.
+  // is the number of anchors used.
   Filter(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,
          const Config& config);
 
-  // Begins, or begins anew, at a known pose; what was learnt of the parameters stays.
+  // Initializes or re-initializes the core at a known pose; the parameters' estimates stay.
   void start(const Start& start) noexcept;
-  // Begins where another filter is that has started, of the same robot, surface and configuration by another
-  // calibration: with its core, the covariance of that, and the rows; unrelated to the parameters.
+  // Takes over the core state, its covariance and the odometry of another started filter with the same robot,
+  // surface and configuration but another calibration. The core is then uncorrelated with the parameters.
   void resume(const Filter& other) noexcept;
-  // Back to before the first start: the time and the rows are forgotten, what was learnt of the parameters
-  // stays.
+  // Back to before the first start: forgets the time and the odometry; the parameters' estimates stay.
   void stop() noexcept;
   [[nodiscard]] bool started() const noexcept { return now_.started; }
 
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
-  // With any model.
+  // Works with every model.
   SensorResult process(const model::SensorSample& sample) noexcept;
-  // Moves the state to t_s by the row held. False, and nothing done, when t_s is not a later time.
+  // Propagates the state to t_s with the odometry held. Returns false and does nothing if t_s is not later.
   bool advance_to(double t_s) noexcept;
 
   // At the time of the last input.
   [[nodiscard]] Estimate estimate() const noexcept;
-  // The state as it is now, carried on by one input after the other as process() would, to the last bit (what
-  // the ground adds: to rounding); the filter stays as it is. Inputs that it would refuse are passed over.
-  // For a filter that has started.
+  // A copy of the state that carry() propagates by odometry and yaw rates as process() would, bit for bit
+  // (the ground's contribution: up to rounding). The filter does not change. Inputs that process() would
+  // refuse are skipped. Requires a started filter.
   struct Prediction {
     MotionState motion;
     CoreCovariance covariance;
-    bool by_odometry_alone = false;  // refused ranges do not count: see DeadReckoning
+    bool by_odometry_alone = false;  // ignores suspected divergence: see DeadReckoning
   };
   [[nodiscard]] Prediction prediction() const noexcept;
   void carry(Prediction& prediction, const MotionInput& input) const noexcept;
   [[nodiscard]] Estimate estimate(const Prediction& prediction) const noexcept {
     return estimate_of(prediction.motion, prediction.covariance);
   }
-  // Beyond what the surface tells of: what it tells there is a guess.
+  // The pose is outside the surface model's domain, where heights are extrapolated.
   [[nodiscard]] bool is_off_surface() const noexcept {
     return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
   }
   [[nodiscard]] const Counters& counters() const noexcept { return now_.counters; }
   [[nodiscard]] std::size_t anchors() const noexcept { return slots_.size(); }
 
-  // What restore() brings back: all inputs since are as if they had never been. Of this filter, and from its
-  // past; of anchors that are not active it holds nothing but how many exchanges there were. can_restore():
-  // no more than kMaxExchanges since.
+  // restore() undoes all inputs since a snapshot of this filter. The snapshot holds no state of inactive
+  // anchors, only the number of exchanges; can_restore() is false after more than kMaxExchanges since then.
   [[nodiscard]] const Snapshot& snapshot() const noexcept { return now_; }
   [[nodiscard]] bool can_restore(const Snapshot& snapshot) const noexcept {
     return now_.exchanges - snapshot.exchanges <= kMaxExchanges;
   }
   void restore(const Snapshot& snapshot) noexcept;
 
-  // For tests and diagnosis.
+  // For tests and diagnostics.
   [[nodiscard]] const CoreVector& core() const noexcept { return now_.core; }
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
   [[nodiscard]] const Site& site() const noexcept { return site_; }
-  // Of an anchor of the site, -1 where it is not active.
+  // Slot of an anchor of the site; -1 if it is not active.
   [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 
  private:
-  // here: the calibration as it holds on this drive.
+  // here: the calibration, adapted to another drive than its own.
   Filter(model::Surface surface, std::span<const model::Tag> tags, const Config& config,
          const model::Calibration& here);
-  // On that floor, and nothing is known of ranges and other sensors yet.
+  // Starts on that chart, with empty gates and without memory of earlier ranges and other sensors.
   void begin_on(int chart) noexcept;
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
-  // The range's pair; kUsed where it can be taken: the state is then of its time, the anchor active.
+  // Finds the range's pair. kUsed if the range is valid: then the state is at its time and its anchor active.
   RangeOutcome admit(const model::RangeSample& range, PairPlace& pair) noexcept;
   RangeResult correct(const model::RangeSample& range, const PairPlace& pair) noexcept;
   // Arithmetic of the update.
@@ -215,7 +213,7 @@ class Filter {
                                        double variance_m2) const noexcept;
   void update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
               RangeResult& result) noexcept;
-  // Policy: the range's weight; what it shows of the odometry, before it is used, and of its noise, after it.
+  // Policy: weight of the range; slip detection before the update; noise tuning after it.
   void weigh(const model::RangeSample& range, const PairPlace& pair, RangeResult& result) noexcept;
   void watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,
                   const RangeResult& result) noexcept;
@@ -236,16 +234,16 @@ class Filter {
   }
   template <class Covariance>
   [[nodiscard]] Estimate estimate_of(const MotionState& now, const Covariance& covariance) const noexcept;
-  // The slot whose anchor was silent longest, -1 where none was silent for long enough.
+  // The slot whose anchor was silent longest; -1 if none was silent for silent_s.
   [[nodiscard]] int free_slot(double t_s) const noexcept;
   void exchange(int slot, int anchor) noexcept;
   void find_slots() noexcept;
 
-  // One exchange, as far as it is needed to undo it and to bring the anchor back.
+  // What is needed to undo one exchange and to re-activate the anchor that was removed.
   struct Exchange {
-    int left = 0;  // which anchor
+    int left = 0;  // index of the anchor that was removed
     AnchorMemory before;
-    CoreMatrix absence;  // of the time from the exchange before to this one
+    CoreMatrix absence;  // JointCovariance::absence() from the previous exchange to this one
   };
   [[nodiscard]] Exchange& at(std::uint64_t exchange) noexcept {
     return exchanges_[static_cast<std::size_t>(exchange % kMaxExchanges)];
@@ -255,11 +253,11 @@ class Filter {
   Site site_;
   Config config_;
   LinkDelays delays_;
-  double slow_time_s_ = 0.0;  // 0: there is no slow error
+  double slow_time_s_ = 0.0;  // 0: no slow range bias
   Snapshot now_;
-  std::vector<int> slots_;              // of each anchor of the site, -1 where it is not active
-  std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty where all are active
-  std::vector<Exchange> exchanges_;     // a ring; empty where all are active
+  std::vector<int> slots_;              // of each anchor of the site; -1 if it is not active
+  std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty if all are active
+  std::vector<Exchange> exchanges_;     // ring buffer; empty if all are active
 };
 
 }  // namespace groma::filter
