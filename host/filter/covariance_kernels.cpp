@@ -62,7 +62,7 @@ GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d_cor
 GROMA_CLONES void subtract_square(double* lower, int stride, int size, const double* g) noexcept {
   const double* const __restrict v = g;
   const int end = padded(size);
-  // Four columns at once, from the line of the first one's row on: what is above the diagonal is never read.
+  // Four columns at once, from the aligned row group of the diagonal on; nothing reads what is above it.
   for (int j = 0; j < size; j += 4) {
     double* const column = aligned(lower) + static_cast<std::ptrdiff_t>(j) * stride;
     double* const __restrict p0 = aligned(column);

@@ -12,23 +12,22 @@ namespace groma::filter {
 
 namespace {
 
-// A jump in time is crossed in so many steps at most, and a longer one than this, more than a day, as this
-// one.
+// Bounds on one propagation: number of steps, and a time (more than a day) to which longer gaps are cut.
 constexpr double kMaxSteps = 400.0;
 constexpr double kMaxJump_s = 1e5;
-// Doubt does not widen the pose beyond these.
+// A suspected divergence does not grow the pose's sigmas beyond these.
 constexpr double kMaxDoubt_m = 10.0;
 constexpr double kMaxDoubt_rad = 0.5;
-// Nothing is known of a pose from these sigmas on: they grow no further, and numbers stay finite.
+// Sigmas from which a pose is unknown: they grow no further, so that all numbers stay finite.
 constexpr double kUnknown_m = 1e6;
 constexpr double kUnknown_rad = 1e3;
-// While the gate suspects divergence, the covariance grows by these, per sqrt(s).
+// Random walk of the pose while the gate suspects divergence: m and rad per sqrt(s).
 constexpr double kDoubtPosition_m = 0.7;
 constexpr double kDoubtHeading_rad = 0.2;
-// Two samples of a gyro may differ by so many sigmas for their noise, and with time for turning.
+// Two gyro samples may differ by this many sigmas of noise, plus this acceleration times their distance.
 constexpr double kGyroNoiseSigmas = 6.0;
 constexpr double kGyroAcceleration_radps2 = 20.0;
-// When it is silent for longer, odometry's yaw rate holds again.
+// After a longer gap of the gyro, odometry's yaw rate is used again.
 constexpr double kGyroHold_s = 0.2;
 
 using model::square;
@@ -118,7 +117,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   now.row = held;
   now.has_row = true;
   now.hold_s = config.max_hold_s;
-  // Wheels that slip turn the robot no more.
+  // With a gyro, slipping wheels cause no heading error.
   if (now.gyro.holds) doubt.heading_rad2 = 0.0;
   const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
   const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
@@ -130,7 +129,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     covariance.renew_row({variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
   }
   if (doubt.position_m2 > 0.0) grow_position(doubt.position_m2);
-  // Of a heading that is more uncertain, a linearized update would take a wrong position from the lever arms.
+  // With a larger heading sigma, a linearized update would turn lever arms into position errors.
   const double most_rad2 = std::max(square(kMaxDoubt_rad) - covariance.core()(kTheta, kTheta), 0.0);
   if (doubt.heading_rad2 > 0.0) covariance.grow(kTheta, std::min(doubt.heading_rad2, most_rad2));
   return true;
@@ -155,7 +154,7 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   if (way_m > 0.0) covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
   follow_chart();
 
-  // A row older than it may be tells less and less of the velocity.
+  // A sample held for longer than hold_s: its velocity error becomes a random walk.
   const double overdue_s = std::clamp(now.t_s - now.row.t_s - now.hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {
     covariance.grow(kRowVx, square(config.hold_walk_mps) * overdue_s);

@@ -197,8 +197,8 @@ RangeOutcome Filter::admit(const model::RangeSample& range, PairPlace& pair) noe
 RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pair) noexcept {
   const RangeMeasurement predicted = predict(pair);  // z_n of (12), (17); Jacobians H, J of (16)
   Projected projected;
-  project(predicted, pair, projected);  // P Hᵀ and H P Hᵀ; inflated: J P_c Jᵀ of (18)
-  RangeResult result = innovation(range.range_m, predicted, projected.variance);  // residual z - z_n of (17), and S
+  project(predicted, pair, projected);  // P Hᵀ and H P Hᵀ; inflated model: H P_cc Hᵀ + J P_c Jᵀ, see (18)
+  RangeResult result = innovation(range.range_m, predicted, projected.variance);  // residual of (17), and S
   weigh(range, pair, result);
   watch_slip(pair, predicted, result);
   if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n); Schmidt's P

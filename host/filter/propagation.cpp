@@ -6,8 +6,8 @@ namespace groma::filter {
 
 namespace {
 
-// The tangent plane's directions seen from above, A = sigma R_WT restricted to the plane, with its
-// derivatives by position.
+// The tangent plane's axes projected to the xy-plane, A = sigma R_WT restricted to the plane, and its
+// derivatives w.r.t. x and y.
 struct Projection {
   Eigen::Matrix2d a;
   Eigen::Matrix2d d_x;
@@ -37,7 +37,7 @@ Projection projection(const model::Surface& surface, int chart, const Eigen::Vec
   return out;
 }
 
-// Mean of the rotated unit velocities over a turn by angle: R(angle/2) sinc(angle/2), and its derivative.
+// Mean of R(theta + s) over s in 0..angle, R(theta + angle/2) sinc(angle/2), and its derivative w.r.t. angle.
 struct MeanTurn {
   Eigen::Matrix2d r;
   Eigen::Matrix2d d_angle;
@@ -77,7 +77,7 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   const Eigen::Vector2d v_row(row.vx_mps, row.vy_mps);
   const double omega = row.omega_radps - core(kYawBias) - core(kRowOmega);
 
-  // Halfway along the surface, where its slope stands for the whole step.
+  // Midpoint rule: the slope halfway is used for the whole step.
   const double half_s = 0.5 * dt_s;
   const Projection first = projection(surface, chart, start);
   const MeanTurn half_turn = mean_turn(core(kTheta), omega * half_s);
@@ -92,7 +92,7 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   out.pose.head<2>() = start + dt_s * (mean.a * u);
   out.pose(2) = core(kTheta) + omega * dt_s;
 
-  // Each column is the step's derivative with the middle held, plus what moving the middle does.
+  // Chain rule: derivative with the midpoint fixed, plus the derivative through the midpoint.
   Eigen::Matrix2d by_middle;
   by_middle << dt_s * (mean.d_x * u), dt_s * (mean.d_y * u);
   Eigen::Matrix<double, 2, kCoreSize> middle_by_core = Eigen::Matrix<double, 2, kCoreSize>::Zero();

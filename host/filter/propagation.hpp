@@ -1,5 +1,5 @@
-// Motion on the surface: t' = sigma(R_WT(t) R_z(theta) v), theta' = omega, over one step of constant body
-// velocity, with the derivatives of the step.
+// Motion on the surface, equations (1)-(3): t' = sigma(R_WT(t) R_z(theta) v), theta' = omega, over one step
+// of constant body velocity, and the Jacobian of the step.
 #pragma once
 
 #include <Eigen/Core>
@@ -11,21 +11,22 @@
 
 namespace groma::filter {
 
-// Longer steps are to be cut: the error of a step on a curved surface grows with its third power.
+// The caller splits longer steps: the error of a step on a curved surface is of third order in its length.
 inline constexpr double kMaxStep_s = 0.05;
 
 struct Motion {
   Eigen::Vector3d pose;                        // x, y, theta (not wrapped) after the step
-  Eigen::Matrix<double, 3, kCoreSize> d_core;  // of them by the core state before it
+  Eigen::Matrix<double, 3, kCoreSize> d_core;  // of pose, w.r.t. the core state before the step
 };
 
-// One step of dt_s from the core state, with the row's velocity v = (1 + scale) v_row - e_v and
-// omega = omega_row - bias - e_omega. Exact for planes; second order in dt_s for curved surfaces, its
-// derivatives exact for what it computes. `chart`: of the surface, for the whole step.
+// One step of dt_s from the core state, with v = (1 + scale) v_row - e_v and
+// omega = omega_row - bias - e_omega, v_row and omega_row from the odometry sample. Exact on planes, second
+// order in dt_s on curved surfaces; the Jacobian is that of the computed step. `chart`: the surface's chart
+// for the whole step.
 [[nodiscard]] Motion move(const model::Surface& surface, const CoreVector& core,
                           const model::OdometrySample& row, double dt_s, int chart = 0) noexcept;
 
-// x', y', theta' of the core state now; sideways: the upper left of R_WR where it is.
+// Time derivatives of x, y, theta; sideways: the upper left 2 x 2 of R_WR at the pose.
 [[nodiscard]] Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                                         const model::OdometrySample& row) noexcept;
 

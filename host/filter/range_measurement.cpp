@@ -15,7 +15,7 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
   const Eigen::Vector3d turned(-pair.position_m.y(), pair.position_m.x(), 0.0);
   const Eigen::Vector3d position = pair.position_m + frame.head<3>() + frame(3) * turned;
 
-  // The pose that the range tells of: a delay ago, by the row held.
+  // The pose at the time of the measurement: kDelay ago, by the odometry sample held.
   Motion then;
   then.pose = core.segment<3>(kX);
   then.d_core.setIdentity();
@@ -30,7 +30,7 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
       ground, {then.pose.x(), then.pose.y(), then.pose.z()}, lever_arm, position, pair.beta_m, pair.gamma);
 
   RangeMeasurement out;
-  // What the pattern adds to the derivatives is a tenth of what the lever arm does, and left out.
+  // The pattern's contribution to the Jacobians is a tenth of the lever arm's and is neglected.
   out.range_m =
       prediction.range_m + pair.slow_error_m + model::pattern_terms(prediction.in_body).dot(pair.pattern_m);
   out.distance_m = prediction.distance_m;

@@ -1,5 +1,5 @@
-// The bias-aware range as the filter sees it: what is predicted, and its derivatives by the core state and
-// by the parameters of the one pair.
+// The bias-aware range measurement, equation (12): the prediction, and its Jacobians w.r.t. the core state
+// and the parameters of the pair.
 #pragma once
 
 #include <Eigen/Core>
@@ -12,21 +12,21 @@
 namespace groma::filter {
 
 struct RangeMeasurement {
-  double range_m = 0.0;                                    // predicted
+  double range_m = 0.0;                                    // predicted, z_n of (17)
   double distance_m = 0.0;                                 // between the antennas
-  CoreRow d_core;                                          // by the core state
-  Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // by those of the pair
+  CoreRow d_core;                                          // H: w.r.t. the core state
+  Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // J: w.r.t. the pair's parameters
 };
 
-// Range of a tag to an anchor, z = gamma d + beta and what the tag's antenna adds in that direction, at the
-// pose that the core state had a delay ago, on that chart of the surface. The anchor stands at
-// a + (frame x, y, z) + frame yaw * (z axis x a). The derivatives are those where the ground differs from the
-// surface by nothing.
+// Range of a tag to an anchor, z = gamma d + beta + slow range bias + the tag's antenna pattern in that
+// direction. The pose is the core state's, kDelay earlier, on that chart of the surface. The anchor's
+// position is a + (frame x, y, z) + frame yaw * (z axis x a). The Jacobians assume that the ground deviates
+// from the surface by zero.
 [[nodiscard]] RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& core,
                                              const model::OdometrySample& row, const PairParameters& pair,
                                              int chart = 0) noexcept;
 
-// The pure distance of the original model: beta 0, gamma 1.
+// The pure distance of the original model, equation (4): beta 0, gamma 1, no slow range bias, no pattern.
 [[nodiscard]] RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
                                                 const model::OdometrySample& row, const PairParameters& pair,
                                                 int chart = 0) noexcept;
