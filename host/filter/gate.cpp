@@ -14,25 +14,25 @@ namespace {
 using model::Mechanism;
 using model::square;
 
-// Fewer ranges than this within the window say nothing about the state.
+// With fewer ranges than this within the window, the divergence test is undecided.
 constexpr double kMinRangesToDoubt = 4.0;
-// A weight below this turns the range away.
+// A weight below this rejects the range.
 constexpr double kNoWeight = 1e-3;
-// The median gap between a pair's ranges is followed by this share of itself a range.
+// poll_interval_s_ tracks the kLongGaps quantile of the gaps between a pair's ranges in steps of this share.
 constexpr double kGapStep = 0.02;
 constexpr double kLongGaps = 0.9;
-// Fewer polls than this within the window, and a silence tells nothing.
+// With fewer polls than this within kReception_s, missed polls carry no information.
 constexpr double kReceptionPolls = 10.0;
-// A pair that misses more than the slack of its polls, over kReception_s, is likely blocked: see GateConfig.
+// A pair that misses more than this share of its polls, over kReception_s, is likely NLOS: see GateConfig.
 constexpr double kReception_s = 2.0;
 constexpr double kReceptionSlack = 0.2;
-// Mean excess of a pair that misses polls, all of it from this share of polls missed on.
+// Mean excess of a pair that misses polls; from the share kFarMissed of missed polls on, all NLOS has it.
 constexpr double kRegained_m = 3.0;
 constexpr double kFarMissed = 0.5;
-// Divergence is suspected where at least two anchors and as many as agree refuse more than this share of
-// their ranges within window_s, by more than a way around an obstacle adds (twice excess_m), and those that
-// agree are fewer than a position and a check of it take; or where over kPatience_s all anchors together
-// refuse as many.
+// Divergence is suspected in two cases. Either at least two anchors, and no fewer than agree, each refuse
+// more than kDoubtShare of their ranges within window_s, by more than kFar_m on average (twice the mean NLOS
+// excess excess_m), and fewer than kFixingAnchors agree, too few to fix a position with redundancy. Or all
+// anchors together refuse more than kDoubtShare of the ranges over kPatience_s.
 constexpr double kDoubtShare = 0.7;
 constexpr double kPatience_s = 5.0;
 constexpr double kFar_m = 1.0;
@@ -40,16 +40,16 @@ constexpr int kFixingAnchors = 3;
 constexpr double kExponentialTail = 8.0;
 constexpr double kMaxUnit = 1e6;
 
-// Of a Gaussian, 1/m.
+// Density of a Gaussian, 1/m.
 double gaussian_density(double error_m, double sigma_m) noexcept {
   const double e = error_m / sigma_m;
   return std::exp(-0.5 * e * e) / (sigma_m * std::sqrt(2.0 * std::numbers::pi));
 }
 
-// Of a Gaussian plus an exponential excess of that mean, 1/m.
+// Density of a Gaussian plus an exponential excess of that mean, 1/m.
 double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   const double ratio = sigma_m / mean_m;
-  // For a wide sigma the product of a huge and a tiny factor; it then is the Gaussian's own.
+  // For a wide sigma this is the product of a huge and a tiny factor; the limit is the Gaussian.
   if (ratio > 8.0) return gaussian_density(error_m, sigma_m);
   const double below = 0.5 * std::erfc((ratio - error_m / sigma_m) * std::numbers::sqrt2 / 2.0);
   if (!(below > 0.0)) return 0.0;
@@ -63,9 +63,9 @@ double weight_of(double in_sight) noexcept {
 }  // namespace
 
 double excess_square(double error_m, double sigma_m, double mean_m) noexcept {
-  // Given the error, the excess is a Gaussian's part above zero.
+  // Given the error, the excess is a Gaussian truncated to positive values.
   const double sigmas = error_m / sigma_m - sigma_m / mean_m;
-  // So far below, what is left of it falls like an exponential.
+  // Far in the tail the truncated Gaussian is nearly exponential.
   if (sigmas < -kExponentialTail) return 2.0 * square(sigma_m / sigmas);
   const double below = 0.5 * std::erfc(-sigmas * std::numbers::sqrt2 / 2.0);
   const double at_zero = gaussian_density(sigmas, 1.0) / below;
@@ -142,7 +142,7 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   const double polls = poll_interval_s_ > 0.0 ? kReception_s / poll_interval_s_ : 0.0;
   if (polls < kReceptionPolls) return {};
   const double expected = 1.0 - kReceptionSlack;
-  // All of the anchor's in the window together count as one range.
+  // All ranges of the anchor within the window together count as one.
   double tags = 0.0;
   for (int tag = 0; tag < kMaxTags; ++tag) {
     const Pair& other = pairs_[pair_at(anchor, tag)];
@@ -156,7 +156,7 @@ double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noex
   const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
   double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
   if (model::is_ablated(Mechanism::kGateTags)) return out;
-  // What hides an anchor from one tag hides it from the next.
+  // An obstacle that makes an anchor NLOS for one tag often does so for the other tags.
   for (int tag = 0; tag < kMaxTags; ++tag) {
     const Pair& other = pairs_[pair_at(anchor, tag)];
     if (other.unhinted > std::max(out, config_.blocked_share))
@@ -169,7 +169,7 @@ Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const n
   const double in_sight = (1.0 - prior) * (1.0 - density.garbage_share) * density.in_sight;
   const double blocked = prior * (1.0 - density.garbage_share) * density.blocked;
   const double total = in_sight + blocked + density.garbage;
-  // Nothing explains it: nothing is learnt from it.
+  // No hypothesis explains the range: the pair's probability stays.
   if (!(total > 0.0)) return {.pair_blocked = prior};
   return {.in_sight = in_sight / total,
           .blocked = blocked / total,
@@ -189,7 +189,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   prior += std::max(config_.regained_share - prior, 0.0) * reception.missed;
   const RangeDensities density = range_densities(innovation_m, sigma, config_, reception.missed);
 
-  // What powers tell makes neither itself nor a doubt of the state.
+  // The power hint must not feed back into itself or into the divergence test: these use innovations only.
   const Posterior unhinted = judge(density, prior);
   const double weight = weight_of(unhinted.in_sight);
   chain.regained_m2 = 0.0;
@@ -210,11 +210,11 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
     hint_.learn(hint, t_s, share * unhinted.blocked, share * unhinted.in_sight);
   }
   const auto with_hint = [ratio](double share) { return share * ratio / (share * ratio + 1.0 - share); };
-  // The innovations that made the chain so sure hang together, too.
+  // Innovations of a pair are correlated, so `prior` is overconfident: bound it by the share on site.
   const double known = std::min(std::max(prior, hint_.blocked_share()), config_.blocked_most);
   const Posterior hinted = judge(density, with_hint(known));
   chain.blocked = hinted.pair_blocked;
-  // And so do those of one class that fit: where most are blocked the state follows them.
+  // Small innovations of a mostly NLOS class are correlated, too: the state may have followed them.
   const double trust = 1.0 - with_hint(hint_.blocked_share());
   return weight_of(hinted.in_sight * trust * trust);
 }
@@ -232,7 +232,7 @@ bool Gate::Tally::refuses() const noexcept {
 }
 
 void Gate::observe(int anchor, double t_s, double innovation_m, double weight) noexcept {
-  // Garbage is off by anything; what lasts is not.
+  // Bounds the influence of a single garbage range.
   const double off_m = std::clamp(innovation_m, -config_.garbage_width_m, config_.garbage_width_m);
   anchors_[static_cast<std::size_t>(anchor)].add(t_s, config_.window_s, off_m, weight);
   all_.add(t_s, kPatience_s, off_m, weight);
@@ -254,7 +254,7 @@ bool Gate::anchors_refuse(double t_s) const noexcept {
       ++refusing;
     }
   }
-  // One alone may have any reason.
+  // One refusing anchor alone is no evidence of divergence.
   return refusing >= 2 && refusing >= agreeing && agreeing < kFixingAnchors;
 }
 

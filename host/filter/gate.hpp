@@ -1,10 +1,10 @@
-// What weight a range deserves, from its innovation and from what its pair did before; apart from the
-// update, and unable to lock itself out.
+// The gate: weight of a range from its innovation and its pair's history. It is independent of the update and
+// detects divergence, so that it cannot lock out a wrong state.
 //
-// A pair is in sight (innovation Gaussian with the filter's own variance) or goes wrong (an exponential
-// excess on top: blocked ranges are too long, those of a wrong calibration may be too short), and stays so
-// for a while; any single range may be garbage. The weight is the posterior probability of being in sight,
-// less what is taken from innovations beyond the knee, and from ranges whose powers tell of an obstacle.
+// A pair is LOS (Gaussian innovation with the filter's variance S) or NLOS (plus an exponential excess: NLOS
+// ranges are too long, those of a wrong calibration may be too short). The pair keeps its state for a while.
+// Any single range may be garbage. The weight is the posterior probability of LOS, reduced for ranges whose
+// received powers hint at NLOS.
 #pragma once
 
 #include <array>
@@ -16,36 +16,36 @@
 
 namespace groma::filter {
 
-// Of a Gaussian plus an exponential excess of that mean, the mean square of the excess, given such an error,
-// m^2.
+// An error is the sum of zero-mean Gaussian noise and an exponential excess of mean mean_m. Returns the mean
+// square of the excess given the error, m^2.
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
-// The kinds of error that the gate separates, 1/m. The first two: of a range that is not garbage; blocked
-// ones are too long, or by short_share too short.
+// Probability densities of a range error, 1/m. in_sight and blocked: LOS and NLOS, given that the range is no
+// garbage. NLOS ranges are too long, or with probability short_share too short.
 struct RangeDensities {
   double in_sight = 0.0;
   double blocked = 0.0;
-  double far = 0.0;            // the part of blocked with the larger excess of a pair that misses polls
-  double garbage = 0.0;        // with its share,
-  double garbage_share = 0.0;  // which is this
+  double far = 0.0;            // part of blocked: larger excess of a pair that misses polls
+  double garbage = 0.0;        // already times garbage_share
+  double garbage_share = 0.0;
 };
-// missed: the share of its polls that the pair missed of late.
+// missed: share of the pair's recent polls without an answer.
 [[nodiscard]] RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
                                              double missed = 0.0) noexcept;
 
-// What the powers of a range tell of its pair's sight: learnt on the site itself, by what innovations say. A
-// range falls into one class, and how often either state gives the class is counted. The counts begin with
-// what the chip's maker tells of the first and with nothing of the second: a hint that is wrong here, or
-// tells nothing, soon has a likelihood ratio of 1.
+// LOS/NLOS hint by the received powers of a range, estimated on site with the innovations as reference. Each
+// range falls into one power class; the hint counts how often LOS and NLOS ranges have that class. The prior
+// counts are the chip manufacturer's for the power beside the first path, and uniform for the first path's
+// strength. A class that is wrong or carries no information here soon gets a likelihood ratio of 1.
 class SightHint {
  public:
   explicit SightHint(const GateConfig& config) noexcept : config_(config) {}
 
-  // Of a blocked pair over one in sight, from 1/hint_most to hint_most; 1 of kNoPowerClass.
+  // Likelihood ratio NLOS / LOS of a class, from 1/hint_most to hint_most; 1 for kNoPowerClass.
   [[nodiscard]] double likelihood_ratio(model::PowerClass of) const noexcept;
-  // Of all ranges that were learnt from.
+  // Share of NLOS among all ranges counted.
   [[nodiscard]] double blocked_share() const noexcept;
-  // Takes note of a range of that class at t_s, held for blocked and for in sight by those shares.
+  // Counts a range of that class at t_s, as NLOS and as LOS with those probabilities.
   void learn(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept;
 
  private:
@@ -53,12 +53,12 @@ class SightHint {
     std::array<double, model::kPowerClasses> of{};
     double all = 0.0;
   };
-  // Of a class in a state.
+  // Probability of a class given LOS or NLOS.
   [[nodiscard]] double share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
                              model::PowerClass of) const noexcept;
 
   GateConfig config_;
-  // Counts fade: in place of all that were, what one more is worth grows with time.
+  // Counts decay exponentially: instead of scaling all counts down, the unit of one more count grows.
   Counts blocked_;
   Counts in_sight_;
   double unit_ = 1.0;
@@ -69,71 +69,73 @@ class Gate {
  public:
   explicit Gate(const GateConfig& config);
 
-  // Weight in [0, 1] of an innovation of that variance by a pair of slots at t_s, of a range of that class,
-  // and takes note of it. 0 turns the range away; so does what is not a number.
+  // Returns the weight in [0, 1] of a range of the pair (slot of the anchor, tag) at t_s with that
+  // innovation, variance S and power class, and updates the pair's history. 0 rejects the range; it also
+  // results from values that are not finite.
   [[nodiscard]] double weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2,
                              model::PowerClass hint = model::kNoPowerClass) noexcept;
 
-  // Variance to be added to the noise of the pair's last range: a pair that was silent is often still blocked
-  // when it is heard again, and all its anchor's ranges of that while are off together.
+  // Additional noise variance of the pair's last range: a pair that answers again after a silence is often
+  // still NLOS, and the errors of all ranges of its anchor are then correlated.
   [[nodiscard]] double regained_variance_m2(int anchor, int tag) const noexcept {
     return pairs_[pair_at(anchor, tag)].regained_m2;
   }
-  // Probability that the pair is blocked, as of its last range.
+  // Probability that the pair is NLOS, as of its last range.
   [[nodiscard]] double blocked(int anchor, int tag) const noexcept {
     return pairs_[pair_at(anchor, tag)].blocked;
   }
 
-  // What powers tell here.
   [[nodiscard]] const SightHint& hint() const noexcept { return hint_; }
 
-  // Not the ranges, the state is wrong: see GateConfig. Where no ranges come there is no doubt either.
+  // Whether divergence is suspected: the state is wrong rather than the ranges (see gate.cpp). False after
+  // window_s without a range.
   [[nodiscard]] bool doubts(double t_s) const noexcept;
-  // Times that a doubt began.
+  // How often divergence became suspected.
   [[nodiscard]] std::size_t doubts_begun() const noexcept { return doubts_begun_; }
-  // Another anchor comes into a slot.
+  // Forgets a slot's history: another anchor is active there.
   void renew(int anchor, double t_s) noexcept;
-  // Forgets everything but the count and what powers tell.
+  // Forgets the pairs' history and the sums of the divergence test.
   void reset(double t_s) noexcept;
 
  private:
   struct Pair {
     double t_s = 0.0;
-    double blocked = 0.0;    // with the hint of its last range
-    double unhinted = 0.0;   // by innovations alone
-    double reception = 1.0;  // share of its polls of late that were answered
+    double blocked = 0.0;    // NLOS probability, with the power hint of the last range
+    double unhinted = 0.0;   // NLOS probability by innovations alone
+    double reception = 1.0;  // share of the recent polls that were answered
     double regained_m2 = 0.0;
     bool heard = false;
   };
 
   struct Reception {
-    double missed = 0.0;  // share of the pair's polls of late, beyond what is usual
-    double alike = 0.0;   // ranges of the anchor that are off together with one, itself included
+    double missed = 0.0;  // share of the pair's recent polls without an answer, beyond the usual share
+    double alike = 0.0;   // number of the anchor's ranges with correlated errors, this one included
   };
 
-  // Sums over ranges that fade with time.
+  // Sums over ranges with exponential forgetting.
   struct Tally {
     double t_s = 0.0;
     double seen = 0.0;
     double refused = 0.0;
-    double refused_m = 0.0;  // refused times the innovation's size
+    double refused_m = 0.0;  // sum of (1 - weight) |innovation|
 
     void add(double at_s, double window_s, double innovation_m, double weight) noexcept;
     [[nodiscard]] bool refuses() const noexcept;
   };
 
-  // What a range is, by the probability that its pair was blocked before it.
+  // Posterior of one range.
   struct Posterior {
     double in_sight = 0.0;
-    double blocked = 0.0;       // what is left is garbage
-    double far = 0.0;           // of blocked: by as much as after a silence
-    double pair_blocked = 0.0;  // after it
+    double blocked = 0.0;       // the rest to 1 is garbage
+    double far = 0.0;           // part of blocked with the larger excess
+    double pair_blocked = 0.0;  // NLOS probability of the pair after this range
   };
+  // prior: NLOS probability of the pair before the range.
   [[nodiscard]] Posterior judge(const RangeDensities& density, double prior) const noexcept;
 
-  // Takes note that the pair was heard.
+  // Updates the pair's reception.
   Reception listen(int anchor, Pair& pair, double t_s) noexcept;
-  // Probability that the pair is blocked, before its range is seen.
+  // Prior NLOS probability of the pair, before its range.
   [[nodiscard]] double expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
@@ -141,7 +143,7 @@ class Gate {
   GateConfig config_;
   SightHint hint_;
   std::array<Pair, kMaxPairs> pairs_{};
-  double poll_interval_s_ = 0.0;  // median of the gaps between a pair's ranges; 0: not known yet
+  double poll_interval_s_ = 0.0;  // 0.9 quantile of the gaps between a pair's ranges; 0: unknown
   double t_s_ = 0.0;
   Tally all_;
   std::array<Tally, kMaxAnchors> anchors_{};

@@ -10,7 +10,7 @@ namespace groma::filter {
 
 namespace {
 
-// Slow errors are brought to their own scale when they have faded so far.
+// The common decay factor is applied to the stored values when it falls below this.
 constexpr double kFaded = 1e-3;
 
 template <class Block>
@@ -25,7 +25,7 @@ RowsMap<const CrossBlock> rows_of(const double* cross) noexcept {
   return {cross, kCrossStride, kCoreSize, {}};
 }
 
-// Positions of the parts within d_parameters.
+// First index of each group within d_parameters.
 constexpr int kOfPosition = 0;
 constexpr int kOfBeta = 3;
 constexpr int kOfGamma = 4;
@@ -35,9 +35,9 @@ constexpr int kOfSlowError = 12;
 constexpr int kOfGround = 13;
 static_assert(kOfGround + kGroundSize == kPairParameters);
 
-// P <- F P F^T with F the identity but for the pose's rows, whose derivatives by the delay are zero.
+// P <- F P F^T, F the identity except the pose's rows, whose derivatives w.r.t. the delay are zero.
 void propagate_core(CoreMatrix& core, const PoseRows& f) noexcept {
-  // The heading's row has three terms. lazyProduct: Eigen would go through its kernels for large matrices.
+  // The heading's row of F has three nonzero terms. lazyProduct avoids Eigen's kernels for large matrices.
   PoseRows fp;
   fp.topRows<2>() = f.topRows<2>().lazyProduct(core);
   fp.row(kTheta) = core.row(kTheta) + f(kTheta, kYawBias) * core.row(kYawBias) +
@@ -119,7 +119,7 @@ void JointCovariance::learn(int slot, bool learnt) noexcept {
   double* const own = learns_.data() + layout_.position(slot);
   std::fill_n(own, layout_.anchor_size(), 0.0);
   if (learnt) std::fill_n(own, learning_ == Learning::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
-  // The slow error's variance is known at all times and stands apart.
+  // The slow range bias's variance is always slow_variance_m2_ and is stored there.
   lower(layout_.slow_error(slot), layout_.slow_error(slot)) = 0.0;
   considered_ = learning_ != Learning::kAll;
   for (int other = 0; other < layout_.anchor_count(); ++other) {
@@ -158,7 +158,7 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
   motion.topRows<2>() = f.topLeftCorner<2, 3>().lazyProduct(motion_);
   motion.row(kTheta) = motion_.row(kTheta);
   motion.middleCols<3>(3) += f.middleCols<3>(3);
-  // Errors of a new row are related to nothing yet.
+  // The errors of a new odometry sample are uncorrelated.
   if (same_row_) motion.rightCols<3>() += f.rightCols<3>();
   motion_ = motion;
   moved_ = true;
@@ -335,7 +335,7 @@ void JointCovariance::project(const CoreRow& d_core, Projected& out) noexcept {
 }
 
 void JointCovariance::correct_core(const CoreVector& ph, double variance) noexcept {
-  // Of one factor, so that rounding keeps it symmetric.
+  // As the square of one factor, so that rounding keeps it symmetric.
   const CoreVector root = ph / std::sqrt(variance);
   core_.noalias() -= root.lazyProduct(root.transpose());
 }
@@ -355,13 +355,13 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   }
   if (!considered_) {
     subtract_square(lower_data(), stride_, size_, q);
-    // Slow errors are considered: their own covariance stays.
+    // Slow range biases are considered: their own covariance block stays.
     for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
       for (int other = 0; other <= slot; ++other) {
         lower(layout_.slow_error(slot), layout_.slow_error(other)) = 0.0;
       }
     }
-    // So are the ground's.
+    // So is the ground's deviation.
     if (!has_ground()) return;
     for (int i = layout_.ground(); i < size_; ++i) {
       for (int slot = 0; slot < layout_.anchor_count(); ++slot) lower(i, layout_.slow_error(slot)) = 0.0;
@@ -372,7 +372,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
   for (std::size_t i = 0; i < static_cast<std::size_t>(size_); ++i) masked[i] = learns_[i] * q[i];
   for (int j = 0; j < size_; ++j) {
-    // A pair of considered parameters keeps its covariance.
+    // Two considered parameters keep their covariance.
     const bool learnt = learns_[static_cast<std::size_t>(j)] != 0.0;
     subtract_column(&lower(0, j), j, size_, q[j], learnt ? q : masked.data());
   }
@@ -411,7 +411,8 @@ void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory
     memory.cross = rows_of(cross_.data()).middleRows(first, size);
     return;
   }
-  // The anchor given what all share, and how it depends on that, at unit variances.
+  // The anchor's covariance given the common parameters, and its regression on them, scaled to unit
+  // variances.
   CommonMatrix shared(common, common);
   read(0, 0, shared);
   const CommonVector unit = shared.diagonal().unaryExpr(
@@ -422,7 +423,7 @@ void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory
   to_shared = unit.asDiagonal() * to_shared;
   memory.covariance.resize(size, size);
   read(first, first, memory.covariance);
-  // The slow error forgets.
+  // The slow range bias decays and is not stored.
   to_shared.col(size - 1).setZero();
   memory.covariance.row(size - 1).setZero();
   memory.covariance.col(size - 1).setZero();
@@ -455,7 +456,7 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
   for (int j = 0; j < size_; ++j) write(j, AnchorVector::Zero(size));
   AnchorMatrix own = memory.was_active ? memory.covariance : anchor.covariance;
   if (memory.was_active) {
-    // What it has in common with the others comes by what all share.
+    // It is correlated with the others through the common parameters only.
     const auto& by = memory.by_common;
     parameters.values().segment(first, size) += by * (parameters.values().head(common) - memory.common);
     own_cross = by.lazyProduct(cross.topRows(common));

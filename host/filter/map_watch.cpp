@@ -10,8 +10,8 @@ namespace groma::filter {
 
 namespace {
 
-// On right maps, recorded and simulated, the share stays below 0.2: NLOS at worst. On wrong ones it is 0.2 to
-// 1: anchors that are a metre off in each axis are at the lower end.
+// With right maps, recorded and simulated, the share stays below 0.2, the largest due to NLOS. With wrong
+// maps it is 0.2 to 1; the smallest are maps whose anchors are 1 m off on each axis.
 constexpr double kWindow_s = 20.0;
 constexpr double kSigmas = 3.0;
 constexpr double kPoseSigma_m = 0.2;
@@ -19,9 +19,9 @@ constexpr double kDoubtfulShare = 0.25;
 constexpr double kClearShare = 0.2;
 constexpr double kGoodShare = 0.12;
 constexpr double kFitShare = 0.05;
-// As many ranges that fit are taken for granted, so that the first few decide nothing.
+// Added to the number of fitting ranges, so that the first few ranges decide nothing.
 constexpr double kGranted = 5.0;
-// A robot that was carried away is found within some seconds.
+// Longer than the few seconds after which a robot that was carried away is relocalized.
 constexpr double kWrongAfter_s = 15.0;
 constexpr double kWrongAfterRanges = 50.0;
 constexpr double kClearFor_s = 5.0;

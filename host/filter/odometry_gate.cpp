@@ -14,15 +14,15 @@ using model::square;
 
 constexpr double kMaxJump_mps = 7.0;
 constexpr double kMaxJump_radps = 8.0;
-// Dropped samples that follow each other for so long, and are more than so many, are believed.
+// Dropped samples that are consistent with each other are accepted after this time and number.
 constexpr double kAgreeing_s = 0.5;
 constexpr std::size_t kAgreeingSamples = 20;
 
 constexpr double kMaxTurnAcceleration_radps2 = 10.0;
-constexpr double kNoiseSigmas = 6.0;  // by which two rows may differ for their noise
-constexpr double kLasts_s = 0.5;      // an error that showed by a jump
+constexpr double kNoiseSigmas = 6.0;  // by which two samples may differ due to their noise
+constexpr double kLasts_s = 0.5;      // duration of an error after a jump
 constexpr double kLeastSpeed_mps = 1.0;
-constexpr double kLeastGap_s = 1e-6;  // between two rows
+constexpr double kLeastGap_s = 1e-6;  // between two samples
 
 }  // namespace
 
@@ -68,7 +68,7 @@ OdometryDoubt OdometryWatch::judge(const model::OdometrySample& before, const mo
       std::max(change_mps - max_acceleration_mps2_ * gap_s - kNoiseSigmas * sigma_mps, 0.0);
   double turn_excess_radps = std::max(
       turn_change_radps - kMaxTurnAcceleration_radps2 * gap_s - kNoiseSigmas * noise.sigma_omega_radps, 0.0);
-  // A velocity that is not the robot's has another direction, too.
+  // A wrong velocity has a wrong direction, too, so it also counts as yaw-rate error.
   const double speed_mps = std::max(
       {std::hypot(before.vx_mps, before.vy_mps), std::hypot(row.vx_mps, row.vy_mps), kLeastSpeed_mps});
   turn_excess_radps = std::max(turn_excess_radps, excess_mps / speed_mps);

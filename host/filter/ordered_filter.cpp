@@ -20,10 +20,10 @@ using model::RangeSample;
 constexpr double kNothingYet_s = -std::numeric_limits<double>::infinity();
 // Checkpoints within the window.
 constexpr double kPerWindow = 4.0;
-// Inputs from one checkpoint to the next at most: so many are taken again for one that comes late.
+// Maximum number of inputs between checkpoints, which bounds how many a late input makes replay.
 constexpr std::uint64_t kMostAgain = OrderedFilter::kMaxInputs / 8;
 
-// What inputs of one kind are sorted by: which sensor's, time, and values.
+// Sort key of inputs of one kind: sensor, time, values.
 using Key = std::pair<std::size_t, SampleKey>;
 Key key_of(const Start& s) noexcept {
   return {0, {s.t_s, s.pose.x_m, s.pose.y_m, s.pose.theta_rad}};
@@ -43,7 +43,7 @@ double time_of(const Input& input) noexcept {
   return model::visit(input, [](const auto& held) { return key_of(held).second[0]; });
 }
 
-// By time, kind, and what else they say.
+// Order by time, kind, sensor and values.
 template <class Input>
 bool is_before(const Input& a, const Input& b) noexcept {
   const double a_s = time_of(a);
@@ -92,7 +92,7 @@ void OrderedFilter::begin(double newest_s) noexcept {
 }
 
 OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
-  // What is not a number has no place in any order.
+  // Values that are not finite cannot be ordered.
   if (!model::is_finite(row)) {
     ++refused_.odometry[OdometryOutcome::kBadValue];
     return OdometryOutcome::kBadValue;
@@ -136,14 +136,14 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
   const double t_s = time_of(input);
   if (t_s < newest_s_ - window_s_) return {};
   if (inputs_.size() == kMaxInputs) {
-    // Too many for the window: half of it goes.
+    // The buffer is full: drop half of it.
     check_in(first_ + inputs_.size(), newest_s_);
     while (checkpoint_count_ > 1 && checkpoint(0).next < first_ + kMaxInputs / 2) drop_checkpoint();
     forget();
   }
   const auto place = std::upper_bound(inputs_.begin(), inputs_.end(), input, is_before<Input>);
   const std::uint64_t number = first_ + static_cast<std::uint64_t>(std::distance(inputs_.begin(), place));
-  // Anchors came and went too often to go back that far.
+  // Drop checkpoints with too many exchanges of anchors since.
   while (checkpoint_count_ > 1 && !filter_.can_restore(checkpoint(0).filter)) drop_checkpoint();
   if (number < checkpoint(0).next) return {};
   const bool last = place == inputs_.end();
@@ -199,8 +199,8 @@ void OrderedFilter::check_in_when_due(std::uint64_t next, double t_s) noexcept {
   if (t_s - last.t_s > window_s_ / kPerWindow || next - last.next >= kMostAgain) check_in(next, t_s);
 }
 
-// The filter as it is now, before the input of number `next`, which is of t_s. Where the ring is full the
-// oldest goes.
+// Adds a checkpoint of the current filter, before input number `next` at t_s. If the ring is full, drops the
+// oldest one.
 void OrderedFilter::check_in(std::uint64_t next, double t_s) noexcept {
   if (checkpoint_count_ == kMaxCheckpoints) drop_checkpoint();
   Checkpoint& at = checkpoint(checkpoint_count_++);
@@ -214,7 +214,7 @@ void OrderedFilter::drop_checkpoint() noexcept {
   --checkpoint_count_;
 }
 
-// Inputs before the first checkpoint.
+// Drops the inputs before the first checkpoint.
 void OrderedFilter::forget() noexcept {
   const std::uint64_t first = checkpoint(0).next;
   inputs_.erase(inputs_.begin(), inputs_.begin() + static_cast<std::ptrdiff_t>(first - first_));

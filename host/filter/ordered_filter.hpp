@@ -1,9 +1,9 @@
-// The filter for inputs in any order: what comes late by less than the window has the effect that it would
-// have had in time, to the last bit. Memory and the time of each call are bounded.
+// The filter for out-of-order inputs: an input that is late by less than the window has the same effect, bit
+// for bit, as if it had come in time. Memory and the time of each call are bounded.
 //
-// Inputs of the window are kept, and the filter as it was at some instants of it. A late one is put in its
-// place, and the filter goes on from the instant before it. Inputs of one time are taken in an order of their
-// own: starts, odometry, ranges by tag, anchor and value, then those of other sensors.
+// The inputs of the window are kept in order, with checkpoints of the filter. A late input is inserted at its
+// place, and the filter is replayed from the last checkpoint before it. Inputs with equal times are ordered:
+// starts, odometry, ranges by tag, anchor and value, then other sensors.
 #pragma once
 
 #include <array>
@@ -24,39 +24,40 @@ namespace groma::filter {
 
 class OrderedFilter {
  public:
-  // Inputs that are kept; where more come within the window, it is shorter.
+  // Maximum number of inputs kept; if more come within the window, the window is shorter.
   static constexpr std::size_t kMaxInputs = 4096;
   static constexpr std::size_t kMaxCheckpoints = 8;
 
-  // As Filter's; window_s: by how much an input may be older than the newest one.
+  // As Filter's; window_s: maximum age of an input, relative to the newest one.
   OrderedFilter(model::Surface surface, std::span<const model::Tag> tags,
                 const model::Calibration& calibration, const Config& config, double window_s = 0.5);
 
-  // False, and nothing done, where it comes too late.
+  // Returns false and does nothing if the start is too late or implausible.
   bool start(const Start& start) noexcept;
-  // As Filter's; what is older than the other's newest input is refused from then on.
+  // As Filter's. Inputs older than the other's newest input are refused from then on.
   void resume(const OrderedFilter& other) noexcept;
-  // As Filter's; inputs of any time are taken after it.
+  // As Filter's. Afterwards inputs of any time are accepted.
   void stop() noexcept;
-  // kOutOfOrder: too late, and refused.
+  // kOutOfOrder: too late, refused.
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   SensorResult process(const model::SensorSample& sample) noexcept;
 
-  // As of the newest input.
+  // At the newest input.
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
-  // Right after a row of odometry was taken: as of that row, which is estimate() unless it came late.
+  // Right after an odometry sample: the estimate at that sample's time. Equals estimate() unless it came
+  // late.
   [[nodiscard]] Estimate row_estimate() const noexcept { return late_row_ ? *late_row_ : estimate(); }
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
-  // Each input once, as it counts by now: what came late may have changed what became of others.
+  // Each input counted once by its current outcome: late inputs may have changed the outcomes of others.
   [[nodiscard]] Counters counters() const noexcept;
-  // Inputs that were put before others.
+  // Number of inputs that were inserted before others.
   [[nodiscard]] std::size_t reordered() const noexcept { return reordered_; }
   [[nodiscard]] const Filter& filter() const noexcept { return filter_; }
 
  private:
   using Input = std::variant<Start, model::OdometrySample, model::RangeSample, model::SensorSample>;
-  // The filter before the input of that number; inputs are numbered in their order.
+  // The filter before input number `next`; inputs are numbered in their order.
   struct Checkpoint {
     Filter::Snapshot filter;
     std::uint64_t next = 0;
@@ -75,7 +76,7 @@ class OrderedFilter {
   void check_in(std::uint64_t next, double t_s) noexcept;
   void drop_checkpoint() noexcept;  // the oldest
   void forget() noexcept;
-  // All inputs, too: the filter as it is now is of that time, and what there is.
+  // Forgets all inputs and checkpoints: the filter's current state, at that time, is the only one.
   void begin(double newest_s) noexcept;
   [[nodiscard]] Checkpoint& checkpoint(std::size_t i) noexcept {
     return checkpoints_[(first_checkpoint_ + i) % kMaxCheckpoints];
@@ -83,13 +84,13 @@ class OrderedFilter {
 
   Filter filter_;
   double window_s_;
-  std::vector<Input> inputs_;            // in order; never grows beyond what is reserved
+  std::vector<Input> inputs_;            // in order; never exceeds the reserved capacity
   std::uint64_t first_ = 0;              // number of inputs_.front()
-  std::vector<Checkpoint> checkpoints_;  // a ring
+  std::vector<Checkpoint> checkpoints_;  // ring buffer
   std::size_t first_checkpoint_ = 0;
   std::size_t checkpoint_count_ = 0;
   double newest_s_;
-  std::optional<Estimate> late_row_;  // where the last row came late
+  std::optional<Estimate> late_row_;  // if the last odometry sample came late
   Counters refused_;
   std::size_t reordered_ = 0;
 };

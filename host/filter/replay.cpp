@@ -24,7 +24,7 @@ Percentiles percentiles(std::vector<double>& values) {
 
 constexpr double kNoneLeft_s = std::numeric_limits<double>::infinity();
 
-// All sensors' samples by time; at one time in the order of the sensors.
+// The samples of all sensors by time; for equal times in the order of the sensors.
 std::vector<model::SensorSample> merged(const model::SensorTables* tables) {
   std::vector<model::SensorSample> out;
   if (tables == nullptr) return out;
@@ -35,7 +35,7 @@ std::vector<model::SensorSample> merged(const model::SensorTables* tables) {
   return out;
 }
 
-// The state of the row at t_s.
+// Records the state for the odometry sample at t_s.
 void record(const Tracker& tracker, const model::Surface& surface, double t_s, ReplayResult& result) {
   const Estimate estimate = tracker.estimate();
   result.rows.push_back({.t_s = t_s,
@@ -52,7 +52,7 @@ void record(const Tracker& tracker, const model::Surface& surface, double t_s, R
 ReplayResult replay(const Run& run, const ReplayOptions& options) {
   TrackerConfig config;
   config.relocates = options.relocates || !options.knows_start;
-  // A run's times are in order: where they jump, nothing was recorded.
+  // A run's times are in order: a jump is a gap in the recording, not a clock step.
   config.clock_step_s = std::numeric_limits<double>::infinity();
   const auto tracker =
       std::make_unique<Tracker>(*run.surface, run.tags, *run.calibration, options.config, config);
@@ -68,7 +68,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   const std::vector<model::SensorSample> sensor_samples = merged(run.sensors);
   auto sensor = std::lower_bound(sensor_samples.begin(), sensor_samples.end(), from_s,
                                  [](const auto& sample, double t_s) { return model::time_of(sample) < t_s; });
-  // The row that holds at the start.
+  // The odometry sample held at the start.
   if (row != run.odometry.begin() && (row == run.odometry.end() || row->t_s > from_s)) {
     tracker->process(*std::prev(row));
   }
@@ -95,7 +95,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   };
   const auto take_up_to = [&](double t_s) {
     while (true) {
-      // The earliest; at one time ranges first, as in OrderedFilter's order.
+      // The earliest one; for equal times ranges first, as in OrderedFilter's order.
       const double range_s = range != run.ranges.end() ? range->t_s : kNoneLeft_s;
       const double sensor_s = sensor != sensor_samples.end() ? model::time_of(*sensor) : kNoneLeft_s;
       if (!(std::min(range_s, sensor_s) <= t_s)) return;
