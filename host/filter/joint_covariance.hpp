@@ -199,7 +199,7 @@ class JointCovariance {
   // Covariance of the parameters, lower triangle by columns. Empty if all are considered.
   struct alignas(64) Line : std::array<double, kKernelStep> {};
   std::vector<Line> lower_;
-  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> learns_{};  // 1 estimated, 0 considered
+  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> learns_{};  // 1: estimated
   bool considered_ = false;  // besides slow range biases and ground
 };
 

@@ -1,10 +1,10 @@
-// Detects a wrong map: whether the ranges contradict the calibration. With the map of another site, or of this
-// one before anchors were moved or their ids exchanged, most ranges contradict it at any pose.
+// Detects a wrong map: whether the ranges contradict the calibration. With the map of another site, or of
+// this one before anchors were moved or their ids exchanged, most ranges contradict it at any pose.
 //
 // A range contradicts the map if its innovation exceeds what noise, biases and the anchors' covariances
 // explain at a pose known to kPoseSigma_m. The pose's own covariance does not count, because it grows while
-// ranges are refused. NLOS, slipping wheels, a robot that was carried away and a single moved anchor make only
-// few ranges contradict, or only for a short time.
+// ranges are refused. NLOS, slipping wheels, a robot that was carried away and a single moved anchor make
+// only few ranges contradict, or only for a short time.
 #pragma once
 
 #include <limits>

@@ -10,25 +10,25 @@ namespace groma::filter {
 
 namespace {
 
-// Half of a Gaussian's draws lie within this many sigmas.
+// Median of |x| of a standard Gaussian.
 constexpr double kHalfWithin = 0.6744897501960817;
-// Ranges that are too long by more sigmas are likely blocked. Those that are too short all count: where the
-// sigma is much too small they still are wide enough to widen it.
+// Ranges that are too long by more than this many sigmas are likely NLOS and are ignored. All ranges that are
+// too short count: if the sigma is far too small, they are the only ones that can increase it.
 constexpr double kTooLong = 2.0;
-// Of a slow error the state takes up a part, which innovations do not show.
+// Factor on the expected sigma: the state absorbs part of the slow range bias, which innovations do not show.
 constexpr double kShown = 0.7;
-// Of rows x0 to x3, x0 - 3 x1 + 3 x2 - x3 has the variance (1 + 9 + 9 + 1) sigma^2.
+// The third difference x0 - 3 x1 + 3 x2 - x3 of white noise has the variance (1 + 9 + 9 + 1) sigma^2.
 constexpr double kThirdDifference = 4.47213595499958;
-// Ranges of a pair that are closer tell of white noise.
+// Differences of a pair's ranges that are closer in time show white noise.
 constexpr double kDifference_s = 3.0;
 constexpr double kSlowStep = 0.002;
 constexpr double kSlowMostFactor = 3.0;
-constexpr double kMaxGap_s = 0.3;     // rows that are further apart tell of motion, not of noise
-constexpr double kUneven = 0.3;       // by which gaps may differ
-constexpr double kMostFactor = 10.0;  // upon the sigma that was told, and below it
+constexpr double kMaxGap_s = 0.3;     // samples further apart show motion, not noise
+constexpr double kUneven = 0.3;       // relative difference allowed between gaps
+constexpr double kMostFactor = 10.0;  // bound of the factor on the nominal sigma, up and down
 
-// The factor 1 + step or 1 - step upon a sigma after so many differences, of which half should be larger than
-// half.
+// Median tracking: the factor 1 + step or 1 - step on a sigma. `half`: the median expected of |difference|;
+// differences: number of differences so far, with which the step shrinks.
 double adjustment(double differences, double difference, double half) noexcept {
   const double step = std::max(0.003, 0.05 / (1.0 + differences / 100.0));
   return 1.0 + (std::abs(difference) > half ? step : -step);
@@ -41,7 +41,7 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   if (innovation_m > kTooLong * std::sqrt(variance_m2)) return;
   Last& last = last_[pair_at(anchor, tag)];
   const double gap_s = t_s - last.t_s;
-  // What lasts is in both, and their difference is white.
+  // The slow range bias cancels in the difference of two successive innovations.
   if (last.heard && gap_s > 0.0 && gap_s < kDifference_s &&
       !model::is_ablated(model::Mechanism::kRangeNoise)) {
     differences_ += 1.0;
@@ -51,7 +51,7 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
                    told_sigma_m_ / kMostFactor, told_sigma_m_ * kMostFactor);
   }
   last = {.t_s = t_s, .innovation_m = innovation_m, .heard = true};
-  // All that lasts, from ranges that are too short: walls make none of these.
+  // The slow range bias is estimated from ranges that are too short, because NLOS makes none of these.
   if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
     const double change =
         innovation_m * innovation_m > kShown * kShown * kHalfWithin * kHalfWithin * variance_m2 ? 1.0 : -1.0;
@@ -81,7 +81,7 @@ void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
 
 void OdometryTuning::adjust(Factor& factor, double difference, double told) noexcept {
   if (model::is_ablated(model::Mechanism::kOdometryNoise)) return;
-  // Of an axis that is not measured there is nothing to see.
+  // Exactly zero: the axis is not measured.
   if (difference == 0.0 || !(told > 0.0)) return;
   factor.differences += 1.0;
   const double half = kHalfWithin * kThirdDifference * told * factor.value;

@@ -1,5 +1,5 @@
-// The noise of ranges as their innovations show it, and that of odometry as its rows do. What the
-// configuration or the calibration tells is where it begins.
+// Adaptive noise: the noise of ranges from their innovations, and that of odometry from its samples. Both
+// start at the nominal values of the calibration or the configuration.
 #pragma once
 
 #include <array>
@@ -15,13 +15,13 @@ class RangeTuning {
  public:
   explicit RangeTuning(double white_sigma_m) : told_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}
 
-  // Takes note of an innovation of a pair of slots, of that variance, white noise and all.
+  // Adapts to an innovation of a pair; variance_m2: S, with the white noise.
   void observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept;
-  // The pairs' past is forgotten, what was learnt of the noise stays.
+  // Forgets the pairs' last innovations; the noise estimates stay.
   void reset() noexcept { last_.fill({}); }
 
   [[nodiscard]] double white_sigma_m() const noexcept { return white_sigma_m_; }
-  // Factor upon the sigma of the slow error.
+  // Factor on the sigma of the slow range bias.
   [[nodiscard]] double slow_scale() const noexcept { return slow_scale_; }
 
  private:
@@ -34,29 +34,29 @@ class RangeTuning {
   double told_sigma_m_;
   double white_sigma_m_;
   double slow_scale_ = 1.0;
-  double differences_ = 0.0;  // seen
+  double differences_ = 0.0;  // number so far
   std::array<Last, kMaxPairs> last_{};
 };
 
-// The white noise of odometry rows. No robot changes its acceleration much from one row to the next: of
-// four rows at even times the third difference is noise, of variance 20 sigma^2. vx and vy share a factor
-// upon what was told, as many robots measure one alone; omega has its own.
+// The white noise of odometry samples. A robot's acceleration hardly changes between samples, so the third
+// difference of four equidistant samples is noise of variance 20 sigma^2. vx and vy share one factor on their
+// nominal sigmas, because many robots measure only one of them; omega has its own.
 class OdometryTuning {
  public:
   explicit OdometryTuning(const model::OdometryNoise& told) : told_(told) {}
 
-  // Takes note of the next row.
+  // Adapts to the next sample.
   void observe(const model::OdometrySample& row) noexcept;
-  // The rows are forgotten, what was learnt of the noise stays.
+  // Forgets the samples; the noise estimates stay.
   void reset() noexcept { rows_ = 0; }
 
-  // From a tenth to ten times what was told.
+  // Within a tenth to ten times the nominal sigmas.
   [[nodiscard]] model::OdometryNoise noise() const noexcept;
 
  private:
   struct Factor {
     double value = 1.0;
-    double differences = 0.0;  // seen
+    double differences = 0.0;  // number so far
   };
 
   static void adjust(Factor& factor, double difference, double told) noexcept;
@@ -65,7 +65,7 @@ class OdometryTuning {
   Factor velocity_;
   Factor turn_;
   std::array<model::OdometrySample, 3> last_{};  // newest first
-  std::size_t rows_ = 0;                         // of last_ that hold one
+  std::size_t rows_ = 0;                         // number of valid entries of last_
 };
 
 }  // namespace groma::filter

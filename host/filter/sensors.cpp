@@ -11,9 +11,9 @@ namespace {
 
 using model::square;
 
-// Beyond so many sigmas a sample's weight falls with the square.
+// Huber threshold on the root mean square in sigmas; beyond it the weight is (threshold / rms)^2.
 constexpr double kHuberThreshold = 3.0;
-// Beyond so many it is refused, unless none of its sensor was used for so long.
+// Beyond the gate a sample is refused, unless no sample of its sensor was within it for kSensorPatience_s.
 constexpr double kGateSigmas = 10.0;
 constexpr double kSensorPatience_s = 2.0;
 

@@ -40,9 +40,9 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     anchor.values.head<3>() = told.position_m;
     anchor.covariance.setZero(size, size);
     const auto pairs = static_cast<Eigen::Index>(told.pairs.size());
-    // What the anchors share is a parameter of its own.
+    // The common frame's error is a parameter of its own.
     const Eigen::MatrixXd own = model::own_covariance(told, frame_covariance_);
-    // Where each row of the calibration's block goes, -1 for tags that are not ours.
+    // Target index of each row of the calibration's block; -1 for tags that this robot lacks.
     const auto target = [&](Eigen::Index row) {
       if (row < 3) return static_cast<int>(row);
       const int tag = tag_slot(told.pairs[static_cast<std::size_t>((row - 3) % pairs)].tag_id);

@@ -1,4 +1,4 @@
-// What is known of a site before the filter starts, and its parameters as the filter numbers them.
+// The site as calibrated, and the layout of its parameters (x_s of the source paper, equation (9)).
 #pragma once
 
 #include <array>
@@ -16,39 +16,39 @@
 
 namespace groma::filter {
 
-// What the range of one tag and one anchor depends on.
+// Parameters of the range of one tag and one anchor, x_s,ij of equation (11), and those that the paper lacks.
 struct PairParameters {
-  Eigen::Vector3d position_m;  // of the anchor, in the frame that the anchors share
+  Eigen::Vector3d position_m;  // of the anchor, without the error of the common frame
   double beta_m = 0.0;
   double gamma = 1.0;
   double slow_error_m = 0.0;
   Eigen::Vector3d lever_arm_m;
   Eigen::Vector4d frame = Eigen::Vector4d::Zero();
   model::PatternTerms pattern_m = model::PatternTerms::Zero();
-  Eigen::Vector3d ground = Eigen::Vector3d::Zero();  // higher (m) and steeper (dS/dx, dS/dy) than the surface
+  Eigen::Vector3d ground = Eigen::Vector3d::Zero();  // deviation from the surface: height (m), dS/dx, dS/dy
 };
 
 struct SiteAnchor {
   model::NodeId id = 0;
-  bool is_learnt = false;  // the calibration is sure of it: one that is not may have more than one solution
+  bool is_learnt = false;  // verdict kOk; other anchors may have more than one solution and are considered
   std::array<bool, kMaxTags> knows_tag{};
   AnchorVector values;
-  // Without what the frame adds; the slow error's variance last, related to nothing.
+  // Without the common frame's contribution. Last the slow range bias, uncorrelated.
   AnchorMatrix covariance;
 };
 
-// All of the site's anchors, however many, and the robot's tags. Made once and never changed.
+// All anchors of the site and the tags of the robot. Immutable.
 class Site {
  public:
-  // Takes the first kMaxTags tags, and the anchors that have a finite position and a finite covariance of
-  // the right size. Lever arms are those of the calibration where it tells them.
+  // Takes the first kMaxTags tags, and the anchors that have a finite position and a finite covariance of the
+  // right size. The calibration's lever arms, if given, replace those of `tags`.
   Site(std::span<const model::Tag> tags, const model::Calibration& calibration, double lever_arm_sigma_m);
 
   [[nodiscard]] int anchor_count() const noexcept { return static_cast<int>(anchors_.size()); }
   [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
   [[nodiscard]] int anchor_size() const noexcept { return 3 + 2 * tag_count_ + 1; }
 
-  // Index of an id, -1 where there is none.
+  // Index of an id; -1 if unknown.
   [[nodiscard]] int anchor_index(model::NodeId id) const noexcept {
     return id < index_by_id_.size() ? index_by_id_[id] : -1;
   }
@@ -57,14 +57,14 @@ class Site {
   [[nodiscard]] const SiteAnchor& anchor(int index) const noexcept {
     return anchors_[static_cast<std::size_t>(index)];
   }
-  // Whether the calibration knows this pair.
+  // Whether the calibration has this pair.
   [[nodiscard]] bool knows_pair(int index, int tag) const noexcept {
     return anchor(index).knows_tag[static_cast<std::size_t>(tag)];
   }
   [[nodiscard]] const Eigen::Vector3d& lever_arm_m(int tag) const noexcept {
     return lever_arms_m_[static_cast<std::size_t>(tag)];
   }
-  // Of a tag's antenna, zero where the calibration tells none.
+  // Antenna pattern of a tag; zero if the calibration has none.
   [[nodiscard]] const model::PatternTerms& pattern_m(int tag) const noexcept {
     return patterns_m_[static_cast<std::size_t>(tag)];
   }
@@ -72,7 +72,7 @@ class Site {
   [[nodiscard]] const Eigen::Matrix4d& frame_covariance() const noexcept { return frame_covariance_; }
   [[nodiscard]] double slow_variance_m2() const noexcept { return slow_variance_m2_; }
 
-  // As the site was told, before anything is learnt.
+  // The parameters as calibrated.
   [[nodiscard]] PairParameters pair(int index, int tag) const noexcept;
 
  private:
@@ -89,12 +89,12 @@ class Site {
 
 using ParameterVector = Bounded<kMaxParameters, 1>;
 
-// Position, beta, gamma, lever arm, frame, slow error, ground.
+// Position, beta, gamma, lever arm, frame, slow range bias, ground.
 inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1 + kGroundSize;
 using PairIndices = std::array<int, kPairParameters>;
 
-// Where each parameter stands in the vector; active anchors are numbered by slots from 0, tags as the site
-// does.
+// Index of each parameter in the parameter vector. Active anchors are numbered by slot from 0, tags as in
+// Site.
 class Layout {
  public:
   Layout(int anchor_count, int tag_count) : anchor_count_(anchor_count), tag_count_(tag_count) {}
@@ -103,7 +103,7 @@ class Layout {
   [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
   [[nodiscard]] int size() const noexcept { return ground() + kGroundSize; }
 
-  // First index of each.
+  // First index of each group.
   [[nodiscard]] static constexpr int frame() noexcept { return 0; }
   [[nodiscard]] static constexpr int lever_arm(int tag) noexcept { return kFrameSize + 3 * tag; }
   [[nodiscard]] int common_size() const noexcept { return lever_arm(tag_count_); }
@@ -113,7 +113,7 @@ class Layout {
   [[nodiscard]] int gamma(int slot, int tag) const noexcept { return beta(slot, tag) + tag_count_; }
   [[nodiscard]] int slow_error(int slot) const noexcept { return position(slot + 1) - 1; }
   [[nodiscard]] int ground() const noexcept { return position(anchor_count_); }
-  // Of what a pair's range depends on, in the order of kPairParameters.
+  // Indices of the parameters of a pair's range, in the order of kPairParameters.
   [[nodiscard]] PairIndices pair_indices(int slot, int tag) const noexcept;
 
  private:
@@ -121,20 +121,20 @@ class Layout {
   int tag_count_;
 };
 
-// The parameters with their values: those that all anchors share, and those of the active anchors.
+// The parameters' values: the common ones and those of the active anchors.
 class Parameters : public Layout {
  public:
-  // The site's first `capacity` anchors are active.
+  // Activates the site's first `capacity` anchors.
   explicit Parameters(const Site& site, int capacity = kMaxAnchors);
 
-  // The site's index of an active anchor.
+  // Index in Site of the anchor in a slot.
   [[nodiscard]] int anchor_in(int slot) const noexcept { return active_[static_cast<std::size_t>(slot)]; }
 
   [[nodiscard]] const ParameterVector& values() const noexcept { return values_; }
   [[nodiscard]] ParameterVector& values() noexcept { return values_; }
   [[nodiscard]] PairParameters pair(const Site& site, int slot, int tag) const noexcept;
 
-  // Another anchor in a slot, with these values.
+  // Replaces the anchor in a slot.
   void exchange(int slot, int index, const AnchorVector& values) noexcept;
 
  private:

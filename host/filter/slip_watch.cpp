@@ -11,29 +11,29 @@ namespace {
 
 using model::square;
 
-constexpr double kUsual_s = 3.0;     // over which a pair's innovations are usual
-constexpr double kMostSigmas = 3.0;  // by which one range counts at most
-constexpr double kNearSigmas = 2.5;  // by which an anchor's mean is too near to be looked into
-constexpr double kTooFarCost = 2.0;  // ln of how unlikely another reason is: NLOS
+constexpr double kUsual_s = 3.0;     // time constant of a pair's mean LOS innovation
+constexpr double kMostSigmas = 3.0;  // bound of one range's excess
+constexpr double kNearSigmas = 2.5;  // shortfall of an anchor's mean from which a slip is searched for
+constexpr double kTooFarCost = 2.0;  // ln of the odds against another cause, NLOS
 constexpr double kTooNearCost = 7.0;
-constexpr double kExplainedShare = 0.65;  // of all cost
-constexpr double kLeast_m = 0.04;         // a smaller displacement is none
-constexpr double kLeast_mps = 0.3;        // by which odometry is then off
+constexpr double kExplainedShare = 0.65;  // share of the cost that a slip has to explain
+constexpr double kLeast_m = 0.04;         // smallest displacement detected
+constexpr double kLeast_mps = 0.3;        // bounds of the assumed odometry error after a slip
 constexpr double kMost_mps = 2.0;
-constexpr double kAgain_s = 3.0;  // a slip that shows again within this lasts twice as long
+constexpr double kAgain_s = 3.0;  // a slip that repeats within this lasts twice as long
 constexpr double kMostLasts_s = 2.0;
 constexpr double kMostTurn_radps = 0.5;
-// What is left of a doubt below this share of the least one is none.
+// The inflation ends below this share of kLeast_mps.
 constexpr double kOver = 0.1;
-// Of two anchors' directions, the sine of the angle between them squared, below which they fix no place.
+// sin^2 of the angle between two anchors' directions below which they do not fix a position.
 constexpr double kAlongside = 0.03;
-// By which an anchor agrees with a displacement, in deviations.
+// Residual in standard deviations up to which an anchor agrees with a displacement.
 constexpr double kAgrees = 2.0;
 constexpr int kFewestAgreeing = 3;
-// An anchor whose faded count of ranges is below this is no witness.
+// An anchor with a smaller count of ranges (with forgetting) is ignored.
 constexpr double kMinFadedRanges = 0.3;
 
-// What an anchor saw of late, as an equation: direction d = off, each in deviations of its mean.
+// An anchor's recent excess as an equation in the displacement d: (x, y) d = off, whitened.
 struct View {
   double x = 0.0;
   double y = 0.0;
@@ -89,7 +89,7 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
   own.off += w * off_m;
   own.x += w * by_position.x();
   own.y += w * by_position.y();
-  // Nothing else but a displacement makes an anchor come too near; without one, there is nothing to look for.
+  // Only a displacement makes ranges too short: search only if this anchor's mean is.
   if (!(own.off < 0.0) || square(own.off) < square(kNearSigmas) * own.w) return std::nullopt;
   std::optional<Eigen::Vector2d> displacement_m = find_displacement(t_s);
   if (displacement_m) anchors_.fill({.t_s = t_s});
@@ -110,7 +110,7 @@ std::optional<Eigen::Vector2d> SlipWatch::find_displacement(double t_s) noexcept
   const double without = cost(views, Eigen::Vector2d::Zero());
   if (without < odds_) return std::nullopt;
   std::optional<Eigen::Vector2d> best_m;
-  // What leaves much unexplained is something else: a wrong surface, a wrong calibration.
+  // A displacement that leaves much unexplained has another cause: a wrong surface or calibration.
   double least = std::min(without - odds_, (1.0 - kExplainedShare) * without);
   for (std::size_t i = 0; i < count; ++i) {
     const View& a = views[i];

@@ -1,16 +1,17 @@
-// Whether the robot went another way than its odometry, by what the ranges of many anchors say together:
-// wheels slip as gently as a robot accelerates, or it is carried. An anchor alone is blocked, and so are
-// several that are all too far; one displacement that explains what at least three of them see, some of them
-// from too near, is the robot's.
+// Detects a displacement of the robot that its odometry does not show, from the ranges of several anchors:
+// wheels that slip as gently as a robot accelerates, or a robot that is carried. One anchor alone may be
+// NLOS, and so may several anchors whose ranges are all too long. A single displacement that explains the
+// ranges of at least three anchors, some of them too short, is attributed to the robot.
 //
-// Of each range counts by how much its innovation is above what its pair's in sight was of late, so that what
-// an anchor is always off by is no displacement. In a window that fades, an anchor is off by z deviations of
-// its mean. Of a displacement d, with h the mean derivative by x and y and w the sum of 1/S,
+// The excess e of a range is its innovation minus the pair's recent mean LOS innovation, so that a constant
+// bias is no displacement. Each anchor has a window with exponential forgetting, in which its mean excess is
+// z standard deviations. For a displacement d, with h the mean derivative of the range w.r.t. x and y and w
+// the sum of 1/S,
 //
 //   z(d) = (sum e/S - w h d)/√w,     cost(d) = sum over anchors of min(z²/2, c),
 //
-// c what it costs to have another reason: little to be too far (a wall), much to be too near. The odometry is
-// wrong where the best d costs less than none by as much as a slip is unlikely.
+// where c is the cost of another cause: low for too long (NLOS), high for too short. A slip is detected if
+// the best d has a lower cost than d = 0 by the prior odds against a slip.
 #pragma once
 
 #include <array>
@@ -29,17 +30,17 @@ class SlipWatch {
  public:
   static constexpr double kWindow_s = 0.4;
 
-  // odds: ln of how unlikely a slip is.
+  // odds: ln of the prior odds against a slip.
   explicit SlipWatch(double odds) : odds_(odds) {}
 
-  // Of a pair of slots, before the range is used: innovation and its variance, the gate's weight, and the
-  // derivative of the range by x and y. The displacement (m, map) by which the pose is wrong, where that
-  // shows.
+  // Called for each range of a pair (slot, tag), before the update, with the innovation, its variance S, the
+  // gate's weight and the derivative of the range w.r.t. x and y. Returns the displacement (m, map frame) of
+  // the robot from the estimated position when a slip is detected.
   std::optional<Eigen::Vector2d> observe(int anchor, int tag, double t_s, double innovation_m,
                                          double variance_m2, double weight,
                                          const Eigen::RowVector2d& by_position) noexcept;
 
-  // Another anchor comes into a slot.
+  // Forgets a slot's history: another anchor is active there.
   void renew(int anchor) noexcept;
 
  private:
@@ -65,15 +66,15 @@ class SlipWatch {
   std::array<Usual, kMaxPairs> usual_{};
 };
 
-// How far odometry is to be believed since a slip showed: not for a while, and longer where it shows again.
+// Inflates the odometry noise for a while after a slip, and for longer if slips repeat.
 class SlipDoubt {
  public:
-  static constexpr double kLasts_s = 0.5;    // at first; twice as long each time that it shows again
-  static constexpr double kTurnPer_m = 0.5;  // rad/s of the yaw rate's doubt for each m/s
+  static constexpr double kLasts_s = 0.5;    // time constant; doubled with each repetition
+  static constexpr double kTurnPer_m = 0.5;  // yaw-rate error in rad/s per m/s
 
-  // A displacement by so much showed.
+  // A slip by this displacement was detected.
   void begin(double displacement_m, double t_s) noexcept;
-  // Of a row, gap_s after the one before.
+  // Additional variances of an odometry sample, gap_s after the previous one.
   OdometryDoubt judge(double gap_s) noexcept;
   [[nodiscard]] bool is_open() const noexcept { return excess_mps_ > 0.0; }
 

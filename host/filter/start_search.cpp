@@ -13,50 +13,50 @@ namespace groma::filter {
 
 namespace {
 
-constexpr double kSearchWindow_s = 6.0;  // older ranges are forgotten
-constexpr double kSpacing_s = 0.25;      // between the ranges of one pair that are used
-constexpr double kLatest_s = 0.5;        // by how much a range may be older than the newest input
-// The errors of one pair are correlated over a second, so a range counts as a share of an independent one.
+constexpr double kSearchWindow_s = 6.0;  // older ranges are dropped
+constexpr double kSpacing_s = 0.25;      // minimum interval between the ranges of a pair
+constexpr double kLatest_s = 0.5;        // maximum age of a range, relative to the newest input
+// The errors of one pair are correlated over a second, so each range counts as this share of one.
 constexpr double kShare = kSpacing_s / 1.0;
-// Scales of the Cauchy cost in sigmas, of ranges that are too long and too short.
+// Scales of the Cauchy cost in sigmas, for ranges that are too long and too short.
 constexpr double kExcessScale = 1.5;
 constexpr double kShortfallScale = 3.0;
-constexpr double kGivenUpOdds = 8.0;  // ln of the odds at which a hypothesis is given up
-constexpr double kAnchorCost = 4.0;   // ln of the odds from which one anchor's cautious cost is bounded
-// A hypothesis is settled below these.
+constexpr double kGivenUpOdds = 8.0;  // ln of the odds at which a hypothesis is dropped
+constexpr double kAnchorCost = 4.0;   // scale from which one anchor's cautious cost grows logarithmically
+// Sigmas below which a hypothesis is settled.
 constexpr double kSettled_m = 0.5;
 constexpr double kSettled_rad = 0.2;
 constexpr std::ptrdiff_t kRings = 3;
 constexpr int kRingPoints = 16;
 constexpr int kHeadings = 12;
-// Of them, so many of each chart are refined: roughly, and in so many steps more where they end apart.
+// Candidates refined on each chart, steps of the rough refinement, and of the final one of distinct results.
 constexpr std::size_t kRefined = 24;
 constexpr int kRoughSteps = 10;
 constexpr int kSteps = 25;
-// A step smaller than this is the last one.
+// The refinement ends with a step smaller than this,
 constexpr double kLastStep_m = 1e-3;
 constexpr double kLastStep_rad = 1e-4;
-// So is one that lowers the cost by less, or that needs more damping.
+// that lowers the cost by less than this, or that needs more damping.
 constexpr double kLeastGain = 1e-3;
 constexpr double kMostDamping = 1e3;
-// A part of the ranges gives no hypothesis up that all of them might keep.
+// Wider than kGivenUpOdds: a subset of the ranges must not drop what all of them would keep.
 constexpr double kRoughOdds = 3.0 * kGivenUpOdds;
-// The coarse judgement uses so many ranges, and the rough refinement these.
+// Number of ranges for the coarse rating and for the rough refinement.
 constexpr std::size_t kCoarseRanges = 48;
 constexpr std::size_t kRoughRanges = 64;
-// A start that is worse than kRefined others is given up on the way.
+// The coarse rating stops early for a candidate worse than kRefined others; checked every so many ranges.
 constexpr int kRangesPerCheck = 8;
-// Weak priors about where a hypothesis starts keep the steps finite in an unobservable direction.
+// Weak priors around a candidate keep the steps finite in an unobservable direction.
 constexpr double kFarStart_m = 1000.0;
 constexpr double kAnyHeading_rad = 10.0;
-// Ends of refinement nearer than this are one hypothesis.
+// Results nearer than this are one hypothesis.
 constexpr double kSameStart_m = 0.3;
 constexpr double kSameHeading_rad = 0.1;
 
 using model::square;
 
 // Sum of robust costs of residuals e in sigmas, each -ln of a Cauchy density: redescending, zero and with
-// unit curvature at e = 0. Logarithms cost most of a search, so factors are collected first.
+// unit curvature at e = 0. Logarithms dominate the cost of a search, so the factors are multiplied first.
 class RobustCost {
  public:
   void add(double e) noexcept {
@@ -69,7 +69,7 @@ class RobustCost {
   [[nodiscard]] double sum() const noexcept { return excess_.sum() + shortfall_.sum(); }
 
  private:
-  static constexpr double kMost = 1e150;  // the next factor does not overflow
+  static constexpr double kMost = 1e150;  // keeps the next factor from overflowing
   struct Side {
     double scale;
     double factors = 1.0;
@@ -103,7 +103,7 @@ Eigen::Vector3d step_of(const model::OdometrySample& row, double dt_s) noexcept 
 constexpr auto kIsLikelier = [](const auto& a, const auto& b) { return a.cost < b.cost; };
 constexpr auto kIsLess = [](const auto& a, const auto& b) { return a.first < b.first; };
 
-// The derivatives by a pair's parameters, in the order of SiteAnchor::values.
+// Derivatives w.r.t. a pair's parameters; by_anchor in the order of SiteAnchor::values.
 struct PairOf {
   PairOf(const Site& site, int tag, const RangeMeasurement& measurement)
       : by_anchor(AnchorVector::Zero(site.anchor_size())) {
@@ -125,15 +125,15 @@ struct PairOf {
 
 }  // namespace
 
-// A pose as a frame.
+// A planar pose as a coordinate frame.
 struct StartSearch::Frame {
   explicit Frame(const Eigen::Vector3d& at) noexcept : pose(at), c(std::cos(at.z())), s(std::sin(at.z())) {}
 
-  // The pose `step` (x, y, theta in this frame) away.
+  // This pose composed with a step (x, y, theta in this frame).
   [[nodiscard]] Eigen::Vector3d compose(const Eigen::Vector3d& step) const noexcept {
     return pose + Eigen::Vector3d(c * step.x() - s * step.y(), s * step.x() + c * step.y(), step.z());
   }
-  // The step to a pose.
+  // The step from this pose to another one.
   [[nodiscard]] Eigen::Vector3d to(const Eigen::Vector3d& other) const noexcept {
     const Eigen::Vector3d d = other - pose;
     return {c * d.x() + s * d.y(), -s * d.x() + c * d.y(), d.z()};
@@ -176,7 +176,7 @@ void StartSearch::stop() noexcept {
 
 void StartSearch::advance(double t_s) noexcept {
   if (row_ && t_s > t_s_) {
-    // A row holds for so long at most; then the robot is taken to stand, and to be anywhere it may have gone.
+    // After max_hold_s the robot is assumed stationary, with the variance of the hold walk.
     const double dt_s = t_s - t_s_;
     const double held_s = std::clamp(row_->t_s + config_.max_hold_s - t_s_, 0.0, dt_s);
     const Eigen::Vector3d step = step_of(*row_, held_s);
@@ -334,7 +334,7 @@ StartSearch::Hypothesis StartSearch::refine(const model::PlanarPose& start, std:
                                             int steps) noexcept {
   Eigen::Vector3d pose = vector_of(start);
   double damping = 1e-3;
-  // The variances hardly change on the way, and cost more than all else.
+  // The variances hardly change during the refinement and are the most expensive part: keep them.
   Sums sums = linearize(pose, start.chart, every, true);
   for (int step = 0; step < steps; ++step) {
     Eigen::Matrix3d damped = sums.information;
@@ -387,8 +387,8 @@ void StartSearch::refine_starts() noexcept {
 }
 
 void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
-  // The solution is linear in the residuals near by: what the parameters' errors, common to many ranges, do
-  // to it is not averaged away.
+  // To first order the solution is linear in the residuals. The errors of the parameters are common to many
+  // ranges and do not average out, so they are propagated to the solution's covariance.
   std::array<Eigen::Matrix3d, kMaxTags> by_lever_arm;
   by_lever_arm.fill(Eigen::Matrix3d::Zero());
   Eigen::Matrix<double, 3, kFrameSize> by_frame = Eigen::Matrix<double, 3, kFrameSize>::Zero();
@@ -444,14 +444,14 @@ void StartSearch::try_chart(int chart) noexcept {
     const double width_m = std::hypot(0.2 * radius_m, 0.5);
     const Eigen::Vector3d to_now = Frame(seen->back).to(Eigen::Vector3d::Zero());
     for (int i = 0; i < kRingPoints * kHeadings; ++i) {
-      // The range was measured then; the hypothesis is about now.
+      // The candidate is a pose at the time of the range; the hypothesis is the pose now.
       const int point = i / kHeadings;
       const double angle = 2.0 * std::numbers::pi * point / kRingPoints;
       const double heading = 2.0 * std::numbers::pi * (i % kHeadings + 0.5 * (point % 2)) / kHeadings;
       const Eigen::Vector3d then(anchor.x() + radius_m * std::cos(angle),
                                  anchor.y() + radius_m * std::sin(angle), heading);
       const Eigen::Vector3d pose = Frame(then).compose(to_now);
-      // The best so far are a heap, the worst of them on top.
+      // starts_ is a heap of the best so far, with the worst of them on top.
       const double most =
           starts_.size() < kRefined ? std::numeric_limits<double>::infinity() : starts_.front().first;
       const double cost = coarse_cost(pose, chart, width_m, most);
@@ -502,7 +502,7 @@ std::span<const StartSearch::Hypothesis> StartSearch::search_floors(const model:
 
 std::span<const StartSearch::Hypothesis> StartSearch::search() noexcept {
   if (!begin_search()) return {};
-  // The anchors that were nearest, each with its shortest range.
+  // The shortest range of each anchor, nearest anchors first.
   shortest_.assign(anchor_costs_.size(), nullptr);
   for (std::size_t i = 0; i < count_; ++i) {
     const Seen*& least = shortest_[static_cast<std::size_t>(seen(i).anchor)];

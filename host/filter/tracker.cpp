@@ -13,36 +13,37 @@ namespace groma::filter {
 
 namespace {
 
-constexpr double kAgreement_s = 1.0;     // over which agreement is judged
-constexpr double kDisagreeShare = 0.5;   // of the weight of ranges that is refused
-constexpr double kFewRanges = 4.0;       // within the window: too few to judge by
-constexpr double kTagSilent_s = 2.0;     // without a range of one tag
-constexpr double kLostAfter_s = 3.0;     // of disagreement, until another place is searched for
-constexpr double kAgreeFor_s = 0.5;      // of agreement, until a started pose is tracked
+constexpr double kAgreement_s = 1.0;     // time constant of the agreement test
+constexpr double kDisagreeShare = 0.5;   // share of refused weight from which ranges disagree
+constexpr double kFewRanges = 4.0;       // with fewer ranges in the window the test is undecided
+constexpr double kTagSilent_s = 2.0;     // timeout of one tag
+constexpr double kLostAfter_s = 3.0;     // disagreement until another pose is searched for
+constexpr double kAgreeFor_s = 0.5;      // agreement until CONVERGING becomes TRACKING
 constexpr std::size_t kClockInputs = 5;  // see TrackerConfig::clock_step_s
-// A search costs some 10 ms: so many at this interval (twice of it where the map is in doubt), then one
-// each time that another is earned.
+// A search takes some 10 ms, so searches are rate limited: at most kMostSearches at this interval (twice the
+// interval if the map is suspected to be wrong), then one each kSearchEarned_s.
 constexpr double kSearchEvery_s = 0.5;
 constexpr double kMostSearches = 40.0;
 constexpr double kSearchEarned_s = 5.0;
 constexpr double kSearchEarnedOnWrongMap_s = 30.0;
-// From this share on, other floors at the same place are searched: a floor above differs by ranges to some
-// anchors only, and the position makes up for others.
+// Share of refused weight from which other floors at the same position are compared. It is small because a
+// wrong floor changes the ranges of some anchors only, and the position compensates for others.
 constexpr double kFloorShare = 0.1;
 constexpr double kUncertain_m = 1.0;  // sigmas from which the pose is uncertain
 constexpr double kUncertain_rad = 0.3;
 constexpr double kUnknownAfterPause_m =
-    3.0;  // from which, after a pause of odometry, the pose is searched for
-// A hypothesis is another place from so many sigmas and so much likelier, ln of the odds, by cautious cost:
-// of all places that the robot may have been carried to, that one is one of some ten thousand.
+    3.0;  // sigma from which a pose after a pause of odometry is dropped
+// A hypothesis is accepted as another pose if it is this many sigmas away and this much likelier (ln of the
+// odds, by cautious cost). The odds include a prior of one in ten thousand: the number of distinct poses that
+// the robot may have been carried to.
 constexpr double kOtherSigmas = 5.0;
 constexpr double kOtherOdds = 25.0;
-constexpr double kLostOdds = 20.0;   // from which the robot is lost, settled or not
-constexpr double kFloorOdds = 15.0;  // of floors at the same place there are few
-// Searches of which none explains half of the ranges, for so long and so many ranges: the map is wrong.
+constexpr double kLostOdds = 20.0;   // odds from which the state is LOST, settled or not
+constexpr double kFloorOdds = 15.0;  // smaller: few floors have the same position
+// The map is wrong if no search explains half of the ranges for this time and number of ranges.
 constexpr double kNoPlace_s = 25.0;
 constexpr double kNoPlaceRanges = 150.0;
-// Where the clock was set back, or odometry paused, the pose has these sigmas more.
+// Sigmas added to the pose after the clock was set back or odometry paused.
 constexpr double kSetBack_m = 0.5;
 constexpr double kSetBack_rad = 0.2;
 
@@ -71,7 +72,7 @@ double largest_variance(const Eigen::Matrix3d& covariance) noexcept {
   return 0.5 * (a + b) + std::hypot(0.5 * (a - b), covariance(0, 1));
 }
 
-// A start at a pose of that covariance of x_m, y_m, theta_rad, and of these sigmas beside it.
+// A start at a pose with that covariance of x_m, y_m, theta_rad, plus additional sigmas.
 Start start_of(double t_s, const model::PlanarPose& pose, const Eigen::Matrix3d& covariance,
                double position_sigma_m = 0.0, double heading_sigma_rad = 0.0) noexcept {
   return {.t_s = t_s,
@@ -147,7 +148,7 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   newest_s_ = std::max(newest_s_, row.t_s);
   if (outcome != OdometryOutcome::kImplausible) {
     search_.process(row);
-    // What went on meanwhile is a guess, which the ranges have to confirm as they do a start.
+    // The motion during the pause is extrapolated: the ranges have to confirm the pose, as after a start.
     if (row.t_s - last_row_s_ > kSilent_s && last_row_s_ != kNotYet_s) prove_again(true);
     last_row_s_ = std::max(last_row_s_, row.t_s);
   }
@@ -218,7 +219,7 @@ void Tracker::carry_on(const MotionInput& input) noexcept {
 
 void Tracker::name_wrong_map() noexcept {
   if (!by_odometry_) {
-    // The pose is known by ranges alone: it may be anywhere.
+    // The pose is known from ranges only, so it may be anywhere on the site.
     go_on_alone_from(filter_.filter().prediction());
     by_odometry_->covariance.grow(kX, square(reach_m_));
     by_odometry_->covariance.grow(kY, square(reach_m_));
@@ -235,8 +236,8 @@ bool Tracker::believe(double t_s) noexcept {
     strange_ = 0;
     return true;
   }
-  // One input may be wrong. Some that agree with each other say that the clock was set, or that nothing came
-  // for a while: forwards both are the same.
+  // A single input may have a wrong time. Several consistent ones mean that the clock was set, or that there
+  // was a gap; forwards both are treated alike.
   strange_ = strange_ > 0 && std::abs(t_s - strange_s_) < config_.clock_step_s ? strange_ + 1 : 1;
   strange_s_ = t_s;
   if (strange_ < kClockInputs) return false;
@@ -259,7 +260,7 @@ void Tracker::set_back(double t_s) noexcept {
   newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNotYet_s;
   judge_again();
   for (TagWatch& tag : tags_) tag.last_s = kNotYet_s;
-  // The robot is about where it was, though nobody knows how long ago that was.
+  // The robot is near its last pose, although the time since then is unknown.
   if (known) start_near(before, t_s);
 }
 
@@ -284,7 +285,7 @@ void Tracker::watch(const model::RangeSample& range, const RangeResult& result) 
   if (judged_ < kFewRanges) return;
   const bool disagrees = refused_ > kDisagreeShare * judged_;
   if (disagrees && !disagrees_.holds()) {
-    // What came before may be of another place.
+    // Earlier ranges may be from another place.
     search_.clear();
     last_search_s_ = newest_s_;
   }
@@ -300,7 +301,7 @@ void Tracker::prove_again(bool widens) noexcept {
   const Estimate now = estimate();
   if (!config_.relocates || largest_variance(now.covariance) < square(kUnknownAfterPause_m))
     return start_near(now, now.t_s);
-  // As good as nothing is known of it: ranges linearized there would mislead.
+  // The pose is practically unknown: linearizing ranges there would be wrong.
   filter_.stop();
   by_odometry_.reset();
   search_.clear();
@@ -358,7 +359,8 @@ void Tracker::assess() noexcept {
     proven_ = false;
     agrees_.reset();
   }
-  // Walls may hide most anchors for a while, and what passes them agrees with a place some way off.
+  // Wait for kLostAfter_s: obstacles may make most anchors NLOS for a while, and the ranges then fit a pose
+  // some way off.
   if (disagrees && disagrees_.lasted_s(newest_s_) > kLostAfter_s) {
     search_when_due();
   } else if (surface_.chart_count() > 1 && judged_ >= kFewRanges && refused_ > kFloorShare * judged_) {
@@ -432,7 +434,7 @@ bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noex
   const Estimate now = filter_.estimate();
   const Eigen::Vector3d apart(hypothesis.pose.x_m - now.pose.x_m, hypothesis.pose.y_m - now.pose.y_m,
                               model::wrap_angle(hypothesis.pose.theta_rad - now.pose.theta_rad));
-  // By the hypothesis's covariance alone: the filter's grows while ranges are refused.
+  // Mahalanobis distance by the hypothesis's covariance only: the filter's grows while ranges are refused.
   const double distance2 = apart.dot(hypothesis.covariance.ldlt().solve(apart));
   return distance2 > square(kOtherSigmas);
 }

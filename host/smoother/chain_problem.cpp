@@ -100,8 +100,8 @@ ChainProblem::Solution ChainProblem::solve() {
 std::vector<Eigen::MatrixXd> ChainProblem::covariances(const std::vector<Eigen::Index>& shared) const {
   std::vector<Eigen::MatrixXd> out(blocks_.size());
   const auto beside = static_cast<Eigen::Index>(shared.size());
-  Eigen::MatrixXd given_shared;  // of the block after, with what is shared known
-  Eigen::MatrixXd by_shared;     // what that moves it, negative
+  Eigen::MatrixXd given_shared;  // covariance of the next block given the shared vector
+  Eigen::MatrixXd by_shared;     // negative derivative of the next block w.r.t. the shared vector
   for (std::size_t k = blocks_.size(); k-- > 0;) {
     const Block& block = blocks_[k];
     Eigen::MatrixXd own = block.inverse;

@@ -1,4 +1,4 @@
-// Least squares over a chain of blocks, each related to the next, and beside them a vector that all share.
+// Least squares over a chain of blocks, each coupled to the next, and a shared vector coupled to all blocks.
 #pragma once
 
 #include <cstddef>
@@ -9,17 +9,17 @@
 
 namespace groma::smoother {
 
-// Gauss-Newton's normal equations; solved by eliminating block after block, so that time and memory are
-// linear in the number of blocks.
+// The Gauss-Newton normal equations: block tridiagonal with a border for the shared vector. Solved by block
+// elimination, in time and memory linear in the number of blocks.
 class ChainProblem {
  public:
-  // residual = by_first d(block k) + by_second d(block k + 1) + by_shared d(shared at those places) + noise
-  // of that information.
+  // residual = by_first d(block k) + by_second d(block k + 1) + by_shared d(shared vector at the indices
+  // `shared`) + noise; information: inverse covariance of that noise.
   struct Term {
     Term(Eigen::Index block_size, Eigen::Index residual_size, Eigen::Index shared_size);
 
     Eigen::MatrixXd by_first;   // residual_size x block_size
-    Eigen::MatrixXd by_second;  // the same
+    Eigen::MatrixXd by_second;  // residual_size x block_size
     Eigen::MatrixXd by_shared;  // residual_size x shared_size
     std::vector<Eigen::Index> shared;
     Eigen::VectorXd residual;
@@ -31,29 +31,29 @@ class ChainProblem {
     Eigen::VectorXd shared;
   };
 
-  // The last `considered` of the shared vector stay as they are: what they may be off by is in the
-  // covariances of blocks, and nothing is learnt of them.
+  // The last `considered` components of the shared vector are considered: they are not estimated, but their
+  // prior covariance contributes to the covariances of the blocks.
   ChainProblem(std::size_t blocks, Eigen::Index block_size, Eigen::Index shared_size,
                Eigen::Index considered = 0);
 
   void clear();
-  // The shared vector, now at `unknowns`, is drawn with unit covariance about zero; of those considered,
-  // `unknowns` is zero.
+  // Prior of the shared vector: zero mean, unit covariance. unknowns: its current value, zero for considered
+  // components.
   void add_shared_prior(const Eigen::VectorXd& unknowns);
-  // Between block k and the next one; k + 1 is a block, too.
+  // Adds a term between the blocks k and k + 1; both must exist.
   void add(std::size_t k, const Term& term);
 
-  // The normal equations have to be positive definite.
+  // Requires positive definite normal equations.
   [[nodiscard]] Solution solve();
-  // Of each block, after solve(): with all others and what is shared not known either. Beside it, behind the
-  // block's own rows, those of the shared vector that are named; none of them is considered.
+  // Marginal covariance of each block, after solve(), jointly with the components of the shared vector given
+  // by `shared`, which follow the block's own rows. None of these may be considered.
   [[nodiscard]] std::vector<Eigen::MatrixXd> covariances(const std::vector<Eigen::Index>& shared = {}) const;
 
  private:
   struct Block {
     Eigen::MatrixXd own;
-    Eigen::MatrixXd next;    // with the next block
-    Eigen::MatrixXd shared;  // with the shared vector
+    Eigen::MatrixXd next;    // coupling with the next block
+    Eigen::MatrixXd shared;  // coupling with the shared vector
     Eigen::VectorXd right;
     // After elimination: own^-1 times next, shared, right.
     Eigen::MatrixXd inverse;
@@ -68,8 +68,8 @@ class ChainProblem {
   Eigen::Index block_size_;
   Eigen::Index shared_size_;
   Eigen::Index considered_;
-  Eigen::LLT<Eigen::MatrixXd> shared_root_;  // of what is solved for
-  Eigen::MatrixXd by_considered_;            // what of it is off by each of those considered, negative
+  Eigen::LLT<Eigen::MatrixXd> shared_root_;  // of the estimated part
+  Eigen::MatrixXd by_considered_;            // -d estimated / d considered
 };
 
 }  // namespace groma::smoother

@@ -12,7 +12,7 @@ namespace groma::smoother {
 
 std::vector<double> in_sight(std::span<const Residual> pair, const filter::GateConfig& config) {
   using States = Eigen::Vector2d;  // LOS, NLOS
-  // From the row's state to the column's, between a range and the one before.
+  // Transition matrix from range i - 1 (matrix row) to range i (matrix column).
   const auto transition = [&](std::size_t i) {
     const double dt_s = pair[i].t_s - pair[i - 1].t_s;
     const double forgotten =
@@ -23,7 +23,7 @@ std::vector<double> in_sight(std::span<const Residual> pair, const filter::GateC
   };
   const auto normalised = [](const States& states) -> States { return states / (states(0) + states(1)); };
   std::vector<States> likelihoods;
-  std::vector<double> true_shares;  // of LOS that is not garbage
+  std::vector<double> true_shares;  // probability of no garbage, given LOS
   std::vector<States> forward;
   States now(1.0 - config.blocked_share, config.blocked_share);
   for (std::size_t i = 0; i < pair.size(); ++i) {
@@ -37,7 +37,7 @@ std::vector<double> in_sight(std::span<const Residual> pair, const filter::GateC
     forward.push_back(now);
   }
   std::vector<double> out(pair.size());
-  States after = States::Ones();  // likelihood of all later ones
+  States after = States::Ones();  // likelihood of all later ranges, up to scale
   for (std::size_t i = pair.size(); i-- > 0;) {
     out[i] = normalised(forward[i].cwiseProduct(after))(0) * true_shares[i];
     if (i > 0) after = normalised(transition(i) * after.cwiseProduct(likelihoods[i]));

@@ -1,4 +1,4 @@
-// Which ranges of a pair were in sight, told from all of them.
+// LOS probabilities of the ranges of a pair, from all of them.
 #pragma once
 
 #include <span>
@@ -10,12 +10,12 @@ namespace groma::smoother {
 
 struct Residual {
   double t_s = 0.0;
-  double error_m = 0.0;  // measured less predicted
-  double sigma_m = 0.1;  // of a range in sight
+  double error_m = 0.0;  // measured minus predicted
+  double sigma_m = 0.1;  // of a LOS range
 };
 
-// The probability of each of one pair's ranges, by time, that it was in sight: the gate's two states and
-// kinds of error (host/filter/gate.hpp), by the forward-backward algorithm.
+// LOS probability of each range of one pair, sorted by time: forward-backward algorithm on the gate's two
+// states and error densities (host/filter/gate.hpp).
 [[nodiscard]] std::vector<double> in_sight(std::span<const Residual> pair, const filter::GateConfig& config);
 
 }  // namespace groma::smoother

@@ -29,9 +29,9 @@ constexpr Eigen::Index kPose = 3;
 
 using model::square;
 
-// What all rows share: the odometry's scale and yaw-rate bias, the delay, then of each anchor position, beta
-// and gamma, then lever arms, then the frame. Known by what they come with, so in units of that: shared
-// values = mean + root * unknowns, the unknowns of unit variance.
+// Parameters common to all poses: the odometry's scale and yaw-rate bias, the delay, then position, beta and
+// gamma of each anchor, then the lever arms, then the frame. They are whitened by their prior: values = mean
+// + root * unknowns, where the unknowns have unit prior covariance.
 class Shared {
  public:
   Shared(const std::vector<model::Tag>& tags, const model::Calibration& calibration,
@@ -40,7 +40,7 @@ class Shared {
     for (const model::AnchorCalibration& anchor : calibration.anchors) {
       if (model::has_position(anchor)) anchors_.push_back(&anchor);
     }
-    // Those that are always solved for come first.
+    // Anchors that are always estimated come first.
     const auto first_trusted = std::stable_partition(
         anchors_.begin(), anchors_.end(),
         [](const model::AnchorCalibration* anchor) { return anchor->verdict != model::AnchorVerdict::kOk; });
@@ -73,14 +73,14 @@ class Shared {
 
   Eigen::VectorXd mean;
   Eigen::MatrixXd root;
-  filter::LinkDelays delays;  // kDelay is the ranges' less the odometry's
+  filter::LinkDelays delays;  // kDelay is the ranges' delay minus the odometry's
 
   static constexpr Eigen::Index kScale = 0;
   static constexpr Eigen::Index kYawBias = 1;
   static constexpr Eigen::Index kDelay = 2;
 
   [[nodiscard]] Eigen::Index anchors() const noexcept { return static_cast<Eigen::Index>(anchors_.size()); }
-  // From here on are those that may be considered: anchors marked ok, lever arms, frame.
+  // First index of the parameters that may be considered: anchors with verdict ok, lever arms, frame.
   [[nodiscard]] Eigen::Index considered() const noexcept { return position(not_trusted_); }
   [[nodiscard]] Eigen::Index position(Eigen::Index anchor) const noexcept {
     return kDelay + 1 + anchor * (3 + 2 * tags_);
@@ -95,7 +95,7 @@ class Shared {
     return position(anchors()) + 3 * tag;
   }
   [[nodiscard]] Eigen::Index frame() const noexcept { return lever_arm(tags_); }
-  // -1 where there is none, or none with that tag.
+  // -1 if the anchor is unknown or the calibration lacks its pair with that tag.
   [[nodiscard]] Eigen::Index anchor_slot(model::NodeId id, model::NodeId tag_id) const noexcept {
     for (std::size_t slot = 0; slot < anchors_.size(); ++slot) {
       if (anchors_[slot]->id != id) continue;
@@ -114,7 +114,7 @@ class Shared {
   }
 
  private:
-  // A root of a covariance that may have directions of none.
+  // Square root of a positive semidefinite covariance.
   void set_root(Eigen::Index at, const Eigen::MatrixXd& covariance) {
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(covariance);
     root.block(at, at, covariance.rows(), covariance.cols()) =
@@ -128,7 +128,7 @@ class Shared {
     const auto a = static_cast<Eigen::Index>(slot);
     mean.segment<3>(position(a)) = anchor.position_m;
     const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
-    // Rows of the calibration's block that are ours, and where they go.
+    // Rows of the calibration's block for this robot's tags, and their target rows.
     std::vector<Eigen::Index> from{0, 1, 2};
     std::vector<Eigen::Index> to = from;
     for (Eigen::Index pair = 0; pair < pairs; ++pair) {
@@ -150,7 +150,7 @@ class Shared {
   Eigen::Index not_trusted_ = 0;
 };
 
-// A range between the rows `row` and `row + 1`.
+// A range between the odometry samples `row` and `row + 1`; weight: its LOS probability.
 struct Sighting {
   const model::RangeSample* range = nullptr;
   Eigen::Index anchor = 0;
@@ -194,14 +194,14 @@ class Smoother {
     const std::vector<model::PlanarEstimate>& first = beginning.rows;
     charts_.assign(rows_.size(), start_.pose.chart);
     states_.assign(rows_.size(), Eigen::VectorXd::Zero(block_));
-    // A row before the start has its pose by the odometry from the start back.
+    // The sample before the start, if any, gets the start's pose.
     std::size_t k = 0;
     while (k < rows_.size() && rows_[k].t_s < first.front().t_s) ++k;
     for (std::size_t i = k; i < rows_.size(); ++i) {
       const model::PlanarEstimate& row = first[i - k];
       states_[i].head<kPose>() << row.x_m, row.y_m, row.yaw_rad;
       charts_[i] = beginning.spatial[i - k].chart;
-      // The heading without jumps.
+      // Unwrapped heading.
       if (i > k) states_[i](2) = states_[i - 1](2) + model::wrap_angle(row.yaw_rad - states_[i - 1](2));
     }
     if (k == 1) {
@@ -260,8 +260,8 @@ class Smoother {
   }
 
  private:
-  // The pose at a row's stamp, which late odometry is behind of; covariance: of the row's states, then scale,
-  // yaw-rate bias and delay in units of their roots.
+  // The pose at a sample's timestamp, corrected for the odometry delay. covariance: of the sample's states,
+  // then scale, yaw-rate bias and delay, these three in units of their prior sigmas.
   [[nodiscard]] model::PlanarEstimate present(std::size_t k, const Eigen::VectorXd& values,
                                               const Eigen::MatrixXd& covariance) const {
     constexpr std::array<filter::CoreIndex, 3> kShared{filter::kScale, filter::kYawBias, filter::kDelay};
@@ -282,10 +282,10 @@ class Smoother {
             0.5 * (moved + moved.transpose()) + now.noise};
   }
 
-  // What a range should have been, with its derivatives by the states of its two rows and by the unknowns.
+  // Predicted range, with derivatives w.r.t. the interpolated pose, the delay and the calibration.
   struct Prediction {
     double range_m = 0.0;
-    double share = 0.0;  // of the later row
+    double share = 0.0;  // weight of the later sample in the interpolation, 0 .. 1 between the samples
     Eigen::RowVector3d by_pose;
     double by_delay = 0.0;
     model::RangePrediction range;
@@ -328,7 +328,7 @@ class Smoother {
     return out;
   }
 
-  // Puts each range between its rows, by the delay as it is known now.
+  // Finds the two samples around each range with the current delay.
   void locate() {
     const double delay_s = shared_values()(Shared::kDelay);
     for (Sighting& sighting : sightings_) {
@@ -342,7 +342,7 @@ class Smoother {
     }
   }
 
-  // How likely each is in sight, by all ranges of its pair.
+  // Updates the LOS probability of each range from all ranges of its pair.
   void weigh(const std::vector<Eigen::MatrixXd>& covariances) {
     const Eigen::VectorXd values = shared_values();
     std::map<std::pair<Eigen::Index, Eigen::Index>, std::vector<std::size_t>> pairs;
@@ -355,7 +355,7 @@ class Smoother {
       for (const std::size_t i : members) {
         const Sighting& sighting = sightings_[i];
         const Prediction predicted = predict(sighting, values);
-        // As far off as a filter expects it: not each reflection is a wall.
+        // The sigma includes bias and pose, as in the filter, so that not each reflection counts as NLOS.
         double variance_m2 = square(noise_.white_sigma_m) + square(noise_.slow_sigma_m);
         if (covariances.empty()) {
           variance_m2 += square(kFirst_m);
@@ -389,7 +389,7 @@ class Smoother {
     for (const Sighting& sighting : sightings_) add_range(problem, sighting, values);
   }
 
-  // Of each anchor at the first row, then from row to row.
+  // Gauss-Markov range biases: prior at the first sample, then transitions from sample to sample.
   void add_slow_errors(ChainProblem& problem) const {
     const Eigen::Index slow = block_ - kPose;
     const double variance = square(noise_.slow_sigma_m);
@@ -425,14 +425,14 @@ class Smoother {
     problem.add(0, term);
   }
 
-  // What odometry tells of the way between two rows.
+  // Odometry between the samples k and k + 1.
   void add_row(ChainProblem& problem, std::size_t k, const Eigen::VectorXd& values) const {
     filter::CoreVector core = filter::CoreVector::Zero();
     core.head<kPose>() = states_[k].head<kPose>();
     core(filter::kScale) = values(Shared::kScale);
     core(filter::kYawBias) = values(Shared::kYawBias);
     const double row_s = rows_[k + 1].t_s - rows_[k].t_s;
-    // Steps as the filter's.
+    // The filter's steps.
     const double steps = std::clamp(std::ceil(row_s / filter::kMaxStep_s), 1.0, 400.0);
     Eigen::Matrix<double, filter::kCoreSize, filter::kCoreSize> by_core;
     by_core.setIdentity();
@@ -444,11 +444,10 @@ class Smoother {
     }
     Eigen::Vector3d variances(square(config_.odometry.sigma_vx_mps), square(config_.odometry.sigma_vy_mps),
                               square(config_.odometry.sigma_omega_radps));
-    // Of a row that holds for too long, the velocity walks: as one error that moves it as far.
+    // Velocity random walk after max_hold_s, as a constant velocity error with the same position variance.
     const double overdue_s = std::max(row_s - config_.max_hold_s, 0.0);
     double walk = overdue_s * overdue_s * overdue_s / (3.0 * row_s * row_s);
-    // And so it does where rows were dropped: together they are as uncertain as by a walk since the last that
-    // held.
+    // The same where implausible samples were dropped: a random walk since the last accepted sample.
     if (stale_s_[k] > 0.0) walk += (stale_s_[k] * (stale_s_[k] - row_s) + square(row_s) / 3.0) / row_s;
     variances += walk * Eigen::Vector3d(square(config_.hold_walk_mps), square(config_.hold_walk_mps),
                                         square(config_.hold_walk_radps));
@@ -466,7 +465,7 @@ class Smoother {
     problem.add(k, term);
   }
 
-  // Derivative of a prediction by the shared unknowns that it depends on.
+  // Derivative of a prediction w.r.t. the common unknowns that it depends on.
   struct ByShared {
     std::vector<Eigen::Index> at;
     Eigen::RowVectorXd by;
@@ -515,7 +514,7 @@ class Smoother {
     problem.add(sighting.row, term);
   }
 
-  // What the beginning may be off by.
+  // Sigma of the initial poses.
   static constexpr double kFirst_m = 0.3;
 
   const model::Surface& surface_;
@@ -523,14 +522,14 @@ class Smoother {
   filter::Start start_;
   std::vector<model::Tag> tags_;
   std::vector<model::OdometrySample> rows_;
-  std::vector<double> stale_s_;  // of each row, where it was dropped: the age of the one that holds on
+  std::vector<double> stale_s_;  // of each sample: age of the held one if it was dropped, else 0
   Shared shared_;
   std::vector<model::PatternTerms> patterns_m_;
   model::RangeNoise noise_;
   Eigen::Index block_ = kPose;
   Eigen::VectorXd unknowns_;
-  std::vector<Eigen::VectorXd> states_;  // pose, then the slow error of each anchor
-  std::vector<int> charts_;              // of each row, as the filter had it
+  std::vector<Eigen::VectorXd> states_;  // pose, then the slow range bias of each pair
+  std::vector<int> charts_;              // of each sample, from the filter
   std::vector<Sighting> sightings_;
 };
 
@@ -550,8 +549,8 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   if (beginning.rows.empty()) return {};
   const double end_s = beginning.rows.back().t_s;
 
-  // The rows of the beginning, and the one that holds at the start. What no robot can do is left out, as the
-  // filter does: the velocity before it holds on.
+  // The odometry samples of the initial estimate, and the one held at the start. As in the filter, physically
+  // impossible samples are replaced by the previous velocity.
   filter::OdometryGate gate;
   model::OdometrySample held;
   std::vector<double> stale_s;
