@@ -206,11 +206,14 @@ class Filter {
   // Finds the range's pair. kUsed if the range is valid: then the state is at its time and its anchor active.
   RangeOutcome admit(const model::RangeSample& range, PairPlace& pair) noexcept;
   RangeResult correct(const model::RangeSample& range, const PairPlace& pair) noexcept;
-  // Arithmetic of the update.
+  // Arithmetic of the update. predict(): z_n of (12), or of (4) with the original model, and its Jacobians.
   [[nodiscard]] RangeMeasurement predict(const PairPlace& pair) const noexcept;
+  // P Hᵀ and H P Hᵀ, with the parameters' contribution as the model has it.
   void project(const RangeMeasurement& predicted, const PairPlace& pair, Projected& out) noexcept;
+  // The residual of (17), S = H P Hᵀ + R with variance_m2 = H P Hᵀ, and NIS.
   [[nodiscard]] RangeResult innovation(double range_m, const RangeMeasurement& predicted,
                                        double variance_m2) const noexcept;
+  // Kalman update of the core, consider (Schmidt) update of the parameters.
   void update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
               RangeResult& result) noexcept;
   // Policy: weight of the range; slip detection before the update; noise tuning after it.

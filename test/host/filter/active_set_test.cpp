@@ -1,4 +1,4 @@
-// Sites with more anchors than are active at a time: corridors that are driven from end to end and back.
+// Sites with more anchors than the filter keeps active: corridors driven from end to end and back.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -22,7 +22,7 @@ constexpr double kSpacing_m = 4.0;
 constexpr double kReach_m = 9.0;
 constexpr double kSpeed_mps = 2.0;
 
-// On both walls in turn; surveyed so well.
+// Anchors alternate between both sides of the corridor.
 model::Calibration corridor(int anchors, double position_sigma_m = 0.1) {
   std::vector<model::Anchor> along;
   along.reserve(static_cast<std::size_t>(anchors));
@@ -42,13 +42,13 @@ model::Calibration corridor(int anchors, double position_sigma_m = 0.1) {
 
 struct Truth {
   std::vector<model::OdometrySample> odometry;
-  std::vector<model::RangeSample> ranges;  // of the row before the next one
-  std::vector<std::size_t> ranges_until;   // of each row: how many ranges come before it ends
-  std::vector<model::PlanarPose> poses;    // at each row
+  std::vector<model::RangeSample> ranges;  // by time
+  std::vector<std::size_t> ranges_until;   // number of ranges before the end of each odometry interval
+  std::vector<model::PlanarPose> poses;    // at each odometry sample
   std::vector<Eigen::Vector3d> anchors;
 };
 
-// End to end, `trips` times; all that is random drawn from what the calibration says of it.
+// Drives from end to end `trips` times. All errors are drawn from the calibration's covariances.
 Truth drive_along(const model::Calibration& calibration, int trips, Random& random) {
   constexpr double kRow_s = 0.1;
   const double length_m = kSpacing_m * static_cast<double>(calibration.anchors.size() - 1);
@@ -87,7 +87,7 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
     for (double& error_m : slow_m) {
       error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.slow_sigma_m * random.gaussian();
     }
-    // Each anchor in reach answers one tag a row.
+    // Each anchor in reach answers one tag per odometry interval.
     int count = 0;
     for (std::size_t i = 0; i < sites.size(); ++i) {
       if (std::abs(sites[i](0) - at.x_m) > kReach_m) continue;
@@ -116,7 +116,7 @@ Config config_with(Model model, int active) {
   config.active_anchors = active;
   config.slow_error_growth = 1.0;
   config.slow_time_growth = 1.0;
-  // The chain of blocked pairs would count what an anchor said before it left: here all are in sight.
+  // No NLOS, so that the gate's history of an anchor before its removal does not matter.
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
   config.tunes_noise = false;
@@ -128,7 +128,7 @@ std::unique_ptr<FilterType> make(const model::Calibration& calibration, const Co
   return std::make_unique<FilterType>(model::Surface(), testing::three_tags(), calibration, config);
 }
 
-// Rows [from, to) with their ranges; `check` after each row's ranges.
+// Processes the odometry samples [from, to) and their ranges; calls `check` after each sample.
 template <class FilterType, class Check>
 void feed(const Truth& truth, std::size_t from, std::size_t to, FilterType& filter, const Check& check) {
   for (std::size_t row = from; row < to; ++row) {
@@ -149,8 +149,8 @@ void begin(const Truth& truth, FilterType& filter, Random* random = nullptr) {
 
 const auto kNothing = [](std::size_t) {};
 
-// The twin has all anchors active. What relates an absent anchor to the core is known exactly where anchors
-// are only considered.
+// The reference has all anchors active. For considered anchors, the cross-covariance of an inactive anchor
+// with the core is exact.
 TEST(ActiveSet, ConsideredAnchorsComeAndGoWithoutATrace) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(81);
@@ -181,7 +181,7 @@ struct Drives {
   double error_m = 0.0;
 };
 
-// One instant of the last trip of many corridors that are driven there and back.
+// Mean NEES and error at one instant of the last trip, over many corridors.
 Drives drive_many(Model model, int anchors, int active, int trips, int corridors, std::uint64_t seed) {
   Random random(seed);
   Drives out;
@@ -217,13 +217,13 @@ TEST_P(ActiveSetModels, ErrorsAreAsLargeAsStatedOverManyReturns) {
   const Drives drives = drive_many(GetParam(), kMaxAnchors, 8, 2, kCorridors, 82);
   RecordProperty("nees", std::to_string(drives.nees));
   RecordProperty("nees_twin", std::to_string(twin.nees));
-  // Chi-square, 4 sigmas.
+  // 4 sigmas of the mean of chi-squares.
   EXPECT_NEAR(twin.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kCorridors)));
   EXPECT_NEAR(drives.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kCorridors)));
   EXPECT_NEAR(drives.error_m, twin.error_m, 0.1 * twin.error_m);
 }
 
-// The same anchors leave and come back many times: what is dropped of what relates them adds up to little.
+// The same anchors are removed and come back many times: the neglected correlations must not add up.
 TEST(ActiveSet, LearntAnchorsStayHonestOverManyTrips) {
   constexpr int kCorridors = 60;
   const Drives drives = drive_many(Model::kJoint, kMaxAnchors, 6, 12, kCorridors, 87);
@@ -231,7 +231,7 @@ TEST(ActiveSet, LearntAnchorsStayHonestOverManyTrips) {
   EXPECT_NEAR(drives.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kCorridors)));
 }
 
-// A thousand anchors: errors stay what they are with few, and nothing is allocated on the way.
+// A thousand anchors: errors are as small as with few, and nothing is allocated.
 TEST_P(ActiveSetModels, AThousandAnchorsFromEndToEnd) {
   const model::Calibration calibration = corridor(1000);
   Random random(83);
@@ -260,8 +260,8 @@ TEST_P(ActiveSetModels, AThousandAnchorsFromEndToEnd) {
   EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], truth.ranges.size());
 }
 
-// Badly surveyed anchors are learnt on the way out, forgotten by the active set, and there again on the way
-// back.
+// Poorly surveyed anchors are estimated on the way out and removed from the active set. On the way back their
+// estimates are restored.
 TEST(ActiveSet, AnAnchorComesBackWithWhatWasLearnt) {
   const model::Calibration calibration = corridor(40, 0.5);
   Random random(84);
@@ -271,7 +271,7 @@ TEST(ActiveSet, AnAnchorComesBackWithWhatWasLearnt) {
     const Truth truth = drive_along(calibration, 2, random);
     const auto filter = make<Filter>(calibration, config_with(Model::kJoint, kMaxAnchors));
     begin(truth, *filter);
-    // Driven past the fifth anchor on the way out, at the far end, and as soon as it is back.
+    // The variance of the fifth anchor: at first, when it is removed, and when it is active again.
     constexpr int kAnchor = 4;
     const int slot = filter->slot_of(kAnchor);
     ASSERT_EQ(slot, kAnchor);
@@ -306,11 +306,11 @@ TEST(ActiveSet, AnAnchorComesBackWithWhatWasLearnt) {
     const Eigen::Matrix3d p = d * filter->covariance().parameters(filter->site(), parameters) * d.transpose();
     nees += e.dot(p.inverse() * e) / (3.0 * kSites);
   }
-  // Chi-square of 60, 4 sigmas.
+  // Chi-square of 60 degrees of freedom, 4 sigmas.
   EXPECT_LT(nees, 1.0 + 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
 }
 
-// Late inputs across exchanges: the anchors that came and went are as if all had come in order.
+// Late inputs across exchanges of anchors: the result equals that of inputs in order.
 TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
   const model::Calibration calibration = corridor(60);
   Random random(85);
@@ -322,7 +322,7 @@ TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
   feed(truth, 0, truth.odometry.size(), *twin, kNothing);
   const auto filter = make<OrderedFilter>(calibration, config);
   begin(truth, *filter);
-  // Of each block of four rows the ranges, then the rows, each the last first.
+  // In blocks of four odometry samples: first the ranges, then the samples, each in reverse order.
   const std::size_t before = test::allocations();
   for (std::size_t block = 0; block < truth.odometry.size(); block += 4) {
     const std::size_t end = std::min(block + 4, truth.odometry.size());
@@ -342,7 +342,7 @@ TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
   EXPECT_EQ(filter->filter().parameters().values(), twin->parameters().values());
 }
 
-// Where more answer than may be active, those that are in stay, and the others' ranges are counted.
+// If more anchors answer than may be active, the active ones stay and the others' ranges are counted.
 TEST(ActiveSet, TurnsAwayWhatFindsNoPlace) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(86);

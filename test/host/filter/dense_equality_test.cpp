@@ -1,4 +1,4 @@
-// The filter against a plain Kalman filter over the one full state, written densely in Joseph form.
+// Compares the filter with a plain dense Kalman filter of the full state in Joseph form.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -22,7 +22,7 @@ Config plain_config(Model model) {
   Config config;
   config.model = model;
   config.odometry = {0.03, 0.03, 0.01};
-  // No weights: the reference has none.
+  // All weights are 1, as in the reference.
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
   config.tunes_noise = false;
@@ -31,7 +31,7 @@ Config plain_config(Model model) {
   return config;
 }
 
-// Knows every row and column by number; nothing is sparse, nothing is kept apart.
+// The reference: dense matrices, no sparsity, no deferred operations.
 class DenseFilter {
  public:
   DenseFilter(const model::Surface& surface, const model::Calibration& calibration, const Config& config)

@@ -1,6 +1,6 @@
-// A filter that is driven for as many updates as one likes through all that may happen to it: standing still
-// and driving, ranges without noise to speak of, starts at wrong places that it comes to doubt, silence, and
-// anchors that come and go.
+// Endurance test: a given number of updates in all operating conditions. Stationary and driving phases,
+// nearly noise-free ranges, starts at wrong poses until divergence is suspected, silence, and exchanges of
+// anchors.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -18,8 +18,8 @@
 
 namespace groma::filter::testing {
 
-// Whether the covariance of all is symmetric to the last bit, and the smallest eigenvalue of it scaled to
-// unit variances, so that no unit hides another.
+// Expects the joint covariance to be exactly symmetric. Returns the smallest eigenvalue of the correlation
+// matrix, which does not depend on units.
 inline double smallest_eigenvalue(const Filter& filter) {
   const Eigen::MatrixXd p = whole(filter);
   EXPECT_EQ((p - p.transpose()).cwiseAbs().maxCoeff(), 0.0);
@@ -32,7 +32,7 @@ inline double smallest_eigenvalue(const Filter& filter) {
       .minCoeff();
 }
 
-// The least of the smallest eigenvalues seen.
+// Returns the minimum of smallest_eigenvalue() over the run.
 inline double endure(Model model, std::size_t updates, double white_sigma_m, std::uint64_t seed) {
   constexpr int kAnchors = 12;
   constexpr int kActive = 8;
@@ -62,7 +62,8 @@ inline double endure(Model model, std::size_t updates, double white_sigma_m, std
   const std::size_t check_every = std::max<std::size_t>(updates / 50, 1);
   std::size_t given = 0;
   for (std::size_t phase = 0; given < updates; ++phase) {
-    // A phase stands or drives, hears a part of the anchors, and may begin at a wrong place or after silence.
+    // In each phase the robot is stationary or drives, receives some of the anchors, and may start at a wrong
+    // pose or after a silence.
     const bool stands = phase % 2 == 0;
     const Eigen::Vector3d velocity = stands ? Eigen::Vector3d::Zero() : Eigen::Vector3d(0.8, 0.1, 0.4);
     const int first = phase % 3 == 0 ? 0 : 4;

@@ -1,4 +1,4 @@
-// Ten million updates.
+// Ten million updates for each model.
 #include "test/host/filter/endurance.hpp"
 
 namespace groma::filter {

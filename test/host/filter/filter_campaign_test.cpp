@@ -1,7 +1,7 @@
-// Whether the filter is as good as its inputs allow, and says how good it is: drives with the seeds
-// GROMA_FIRST_SEED to GROMA_LAST_SEED, which the environment may set otherwise, each on a site of its own
-// that is drawn from the calibration's covariance, and of each one instant. Where they are few, the limits
-// are wider by GROMA_SAMPLING_SIGMAS of what the figure scatters.
+// Accuracy and consistency of the filter against the posterior Cramer-Rao bound. One instant of each drive
+// with the seeds GROMA_FIRST_SEED to GROMA_LAST_SEED (the environment may override these), each on a site of
+// its own drawn from the calibration's covariance. For short campaigns the limits are wider by
+// GROMA_SAMPLING_SIGMAS standard deviations of the figure.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -49,9 +49,9 @@ model::Calibration twelve_anchors() {
                                   {15, {0.0, 6.0, 5.5}}});
 }
 
-// The posterior Cramer-Rao bound of the pose: what is known of it, of the odometry's errors and of the site,
-// linear about the truth. Written out for itself: derivatives are differences of the simulator's own motion
-// and of the distance.
+// Posterior Cramer-Rao bound of the pose, with the priors of pose, odometry errors and site, linearized about
+// the truth. Independent of the filter's code: the derivatives are finite differences of the simulator's
+// motion and of the distance.
 class Bound {
  public:
   Bound(const model::Surface& surface, const model::Calibration& calibration)
@@ -72,7 +72,7 @@ class Bound {
     covariance_.bottomRightCorner<4, 4>() = calibration.common_frame_covariance;
   }
 
-  // The next row of odometry: its errors are its own.
+  // Next odometry sample: its errors are independent.
   void begin_row() {
     covariance_.middleRows<3>(kRow).setZero();
     covariance_.middleCols<3>(kRow).setZero();
@@ -80,7 +80,7 @@ class Bound {
         std::pow(kNoise.sigma_vy_mps, 2), std::pow(kNoise.sigma_omega_radps, 2);
   }
 
-  // From that true pose at that true velocity; `row` is what odometry says of it.
+  // Propagates from the true pose at the true velocity; row: the odometry sample.
   void drive(const model::PlanarPose& from, const Eigen::Vector3d& velocity, const model::OdometrySample& row,
              double dt_s) {
     const auto to = [&](const Eigen::VectorXd& error) -> Eigen::VectorXd {
@@ -101,7 +101,7 @@ class Bound {
     covariance_.topLeftCorner<3, 3>() = corner;
   }
 
-  // A range in sight from that true pose.
+  // Update by a LOS range at the true pose.
   void measure(const model::PlanarPose& pose, std::size_t anchor, std::size_t tag, double sigma_m) {
     const auto a = static_cast<Eigen::Index>(anchor);
     const auto j = static_cast<Eigen::Index>(tag);
@@ -135,7 +135,7 @@ class Bound {
   [[nodiscard]] double heading_rad2() const { return covariance_(2, 2); }
 
  private:
-  static constexpr Eigen::Index kRow = 5;  // x, y, theta, scale, yaw-rate bias; then the row's errors
+  static constexpr Eigen::Index kRow = 5;  // after x, y, theta, scale, yaw-rate bias: the sample's errors
   static constexpr Eigen::Index kOdometry = 8;
   static constexpr Eigen::Index kAnchor = 9;
 
@@ -153,14 +153,14 @@ struct Campaign {
   int runs = 0;
   double nees = 0.0;  // sum
   int inside_95 = 0;
-  double nis = 0.0;  // sum, of one range a run
+  double nis = 0.0;  // sum over runs, of one range each
   std::size_t used = 0;
   std::size_t gated = 0;
   double square_m2 = 0.0;
   double square_rad2 = 0.0;
   double bound_m2 = 0.0;
   double bound_rad2 = 0.0;
-  // Of the same instant, foreseen kAhead rows before it.
+  // The same instant, predicted from kAhead odometry samples before it.
   double foreseen_nees = 0.0;
   int foreseen_inside_95 = 0;
   double foreseen_square_m2 = 0.0;
@@ -169,7 +169,7 @@ struct Campaign {
   [[nodiscard]] double heading_over_bound() const { return std::sqrt(square_rad2 / bound_rad2); }
 };
 
-// Half the width of the 99 % band of a mean of chi-squares over their degrees of freedom.
+// Half width of the 99 % interval of chi-square divided by its degrees of freedom.
 double band(double degrees) {
   return 2.576 * std::sqrt(2.0 / degrees);
 }
@@ -261,7 +261,7 @@ Campaign run(Model model) {
   return out;
 }
 
-// A property of the test, in the file that --gtest_output names.
+// Records a property of the test in the --gtest_output file.
 void record(const char* name, double value) {
   ::testing::Test::RecordProperty(name, std::to_string(value));
 }
@@ -289,7 +289,7 @@ TEST_P(FilterCampaign, ErrsAsMuchAsItSaysAndHardlyMoreThanItMust) {
   record("foreseen_inside_95", campaign.foreseen_inside_95 / runs);
   record("foreseen_position_rmse_m", std::sqrt(campaign.foreseen_square_m2 / runs));
 
-  // No range is blocked: next to none is taken for garbage.
+  // All ranges are LOS: hardly any is gated.
   EXPECT_LE(1000 * campaign.gated, campaign.used);
   const double sigmas = GROMA_SAMPLING_SIGMAS;
   const double nees_luck = sigmas * std::sqrt(2.0 / (3.0 * runs));
@@ -306,7 +306,7 @@ TEST_P(FilterCampaign, ErrsAsMuchAsItSaysAndHardlyMoreThanItMust) {
   if (GetParam() != Model::kJoint) return;
   EXPECT_LE(campaign.position_over_bound(), 1.1 + sigmas / std::sqrt(4.0 * runs));
   EXPECT_LE(campaign.heading_over_bound(), 1.1 + sigmas / std::sqrt(2.0 * runs));
-  // And not less than it can be, but for luck.
+  // Not below the bound, up to sampling error.
   EXPECT_GE(campaign.position_over_bound(), 1.0 - 4.0 / std::sqrt(4.0 * runs));
   EXPECT_GE(campaign.heading_over_bound(), 1.0 - 4.0 / std::sqrt(2.0 * runs));
 }

@@ -26,7 +26,7 @@ std::unique_ptr<Filter> make_filter(Model model, const model::Surface& surface =
                                   testing::config_of(model));
 }
 
-// Odometry and ranges in order of time, up to before end_s; what has been taken in is remembered.
+// Feeds odometry and ranges in order of time, up to end_s exclusive, and continues there on the next call.
 class Feeder {
  public:
   explicit Feeder(const testing::Drive& drive) : drive_(drive) {}
@@ -118,14 +118,14 @@ TEST(Filter, ReportsTheLikelihoodRatioOfARangesPowers) {
   const RangeResult unknown = filter->process(range);
   EXPECT_EQ(unknown.hint_ratio, 1.0) << "it has no powers";
 
-  // The first path is 11 dB below the whole power: by the chip's figures 0.3/0.05 for a blocked pair.
+  // The first path is 11 dB below the total power: by the chip's figures NLOS by 0.3/0.05.
   range.t_s = 0.5;
   range.range_m -= unknown.innovation_m;
   range.first_path_power_dbm = -90.0F;
   range.receive_power_dbm = -79.0F;
   const RangeResult hidden = filter->process(range);
   EXPECT_NEAR(hidden.hint_ratio, 6.0, 1e-12);
-  // The range fitted, so the next one of its class is less of a hint.
+  // The range fitted, so its class hints less at NLOS afterwards.
   range.t_s = 1.0;
   EXPECT_LT(filter->process(range).hint_ratio, hidden.hint_ratio);
   // Only 2 dB below: 0.4/0.8.
@@ -168,9 +168,9 @@ TEST(Filter, TwoStepsWithinARowAreOneStep) {
   once->advance_to(0.04);
   for (int i = 1; i <= 8; ++i) often->advance_to(0.005 * i);
   EXPECT_LT((once->core() - often->core()).cwiseAbs().maxCoeff(), 1e-12);
-  // The walks of scale and bias are all that may differ.
+  // The covariances agree up to rounding.
   EXPECT_LT((once->covariance().core() - often->covariance().core()).cwiseAbs().maxCoeff(), 1e-9);
-  // One draw of sigma 0.03 m/s held over 0.04 s, and so on: not 8 draws of an eighth.
+  // The odometry noise is one draw held over 0.04 s, not eight independent draws.
   EXPECT_NEAR(often->estimate().covariance(0, 0) - 0.01,
               std::pow(0.04 * 0.03, 2) + std::pow(0.04 * 1.3 * 0.01, 2) + 0.0025 * std::pow(0.04 * 0.62, 2),
               2e-6);
@@ -215,7 +215,7 @@ INSTANTIATE_TEST_SUITE_P(Filter, Consistency,
                            return name;
                          });
 
-// Mean NEES over many sites, one instant of each, and how many lie within 95 %; ranges are all used.
+// Mean NEES over many sites, one instant each, and the number within the 95 % bound. All ranges are used.
 struct Nees {
   double mean = 0.0;
   int inside = 0;
@@ -237,7 +237,7 @@ Nees nees_over_sites(int sites, const model::Calibration& calibration, const mod
                    .pose = {start.x_m + 0.1 * random.gaussian(), start.y_m + 0.1 * random.gaussian(),
                             start.theta_rad + 0.05 * random.gaussian()}});
     Feeder feeder(drive);
-    // One instant of each, as errors are nearly constant within a site.
+    // Only one instant, because errors are nearly constant within a site.
     const std::size_t instant = 40 + static_cast<std::size_t>(random.uniform(0.0, 259.0));
     feeder.until(drive.odometry[instant].t_s, *filter);
     const RangeResult last = filter->process(model::RangeSample{drive.odometry[instant].t_s, 1, 11, 1.0});
@@ -268,13 +268,13 @@ TEST_P(Consistency, OfRangesWithASlowErrorTooOverManySites) {
   Config config = testing::config_of(GetParam());
   config.slow_error_growth = 1.0;
   config.slow_time_growth = 1.0;
-  // As configured.
+  // Keep the configured noise.
   config.tunes_noise = false;
   Random random(67);
   const Nees nees = nees_over_sites(kSites, calibration, calibration, config, random);
   EXPECT_NEAR(nees.mean, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
   EXPECT_GE(nees.inside, 105);
-  // The same taken for white noise of that size: what lasts seems to average out.
+  // Modelled as white noise of that size, the slow range bias seems to average out: overconfident.
   model::Calibration white = calibration;
   white.range_noise = {.white_sigma_m = std::hypot(0.05, 0.15), .slow_sigma_m = 0.0, .slow_time_s = 1.0};
   Random again(67);
@@ -282,7 +282,7 @@ TEST_P(Consistency, OfRangesWithASlowErrorTooOverManySites) {
 }
 
 TEST(Filter, WithoutCrossCovariancesItIsOverconfident) {
-  // What the consider filter is for: the same sites with the inflated model.
+  // The inflated model on the same sites, as a contrast to the consider filter.
   const model::Surface surface = testing::hills(0.2);
   const model::PlanarPose start{1.0, -2.0, 0.4};
   Random random(63);
@@ -313,7 +313,7 @@ TEST(Filter, FindsBackAfterItWasCarriedAway) {
     filter->start({.t_s = 0.0, .pose = start});
     Feeder feeder(drive);
     feeder.until(5.0, *filter);
-    // 3 m off and sure of it.
+    // 3 m off, with a small covariance.
     const Estimate estimate = filter->estimate();
     filter->start({.t_s = estimate.t_s,
                    .pose = {estimate.pose.x_m + 2.5, estimate.pose.y_m - 1.7, estimate.pose.theta_rad + 0.2},
@@ -339,15 +339,15 @@ TEST(Filter, TrustsAnOverdueRowLessAndLess) {
   EXPECT_NEAR(filter->estimate().pose.x_m, 0.5, 1e-12);
   EXPECT_LT(filter->estimate().covariance(0, 0), std::pow(0.03, 2));
   filter->advance_to(3.5);
-  // A velocity that walks by 1 m/s per sqrt(s) over 3 s: variance 3^3 / 3.
+  // A velocity random walk of 1 m/s per sqrt(s) over 3 s: position variance 3^3 / 3.
   EXPECT_NEAR(filter->estimate().covariance(0, 0), 9.0, 0.3);
-  // A leap in time ends in bounded work and finite numbers.
+  // A jump in time takes bounded work and gives finite numbers.
   filter->advance_to(1e9);
   EXPECT_TRUE(filter->core().allFinite());
   EXPECT_TRUE(filter->covariance().core().allFinite());
 }
 
-// A drive whose odometry stops for three seconds, begins again, and jumps once; with a gyro from `gyro_s` on.
+// A drive whose odometry is zero for three seconds and later jumps once; with a gyro from `gyro_s` on.
 std::vector<MotionInput> motion_of(const testing::Drive& drive, double gyro_s) {
   std::vector<MotionInput> inputs;
   for (model::OdometrySample row : drive.odometry) {
@@ -363,7 +363,7 @@ double instant_of(const MotionInput& input) {
   return std::visit([](const auto& of) { return of.t_s; }, input);
 }
 
-// A twin takes for good what the filter only looks at.
+// The reference processes the inputs over which the filter only predicts.
 TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
   constexpr double kAhead_s = 0.2;
   std::vector<model::Chart> charts = testing::hills(0.2).charts();
@@ -375,7 +375,7 @@ TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
   const std::vector<MotionInput> motion = motion_of(drive, 7.5);
   Config config = testing::config_of(GetParam());
   config.range_delay_sigma_s = 0.02;
-  config.odometry_delay_sigma_s = 0.02;  // so that the pose now is not that of the core
+  config.odometry_delay_sigma_s = 0.02;  // so that the present pose differs from the core's
   for (double horizon_s = 0.5; horizon_s < 9.7; horizon_s += 0.37) {
     const auto made = [&] {
       auto filter = std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(), config);
@@ -390,7 +390,8 @@ TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
       if (instant_of(input) > horizon_s + kAhead_s) break;
       const double until_s = std::min(instant_of(input), horizon_s);
       for (; range < drive.ranges.size() && drive.ranges[range].t_s < until_s; ++range) {
-        // None of where the robot would be had it not stopped, but for some at the end, which make doubt.
+        // No ranges while odometry is zero, because the simulated robot drives on. The first ones afterwards
+        // make the gate suspect divergence.
         if (drive.ranges[range].t_s > 3.0 && drive.ranges[range].t_s < 6.0) continue;
         filter->process(drive.ranges[range]);
         twin->process(drive.ranges[range]);
@@ -463,14 +464,14 @@ TEST_P(EveryModel, ResumesWhereAnotherOneIs) {
   EXPECT_EQ(after.covariance().core(), before->covariance().core());
   EXPECT_EQ(after.covariance().cross(), Eigen::MatrixXd::Zero(after.parameters().size(), kCoreSize));
   EXPECT_EQ(after.estimate().t_s, before->estimate().t_s);
-  // Of odometry alone both go on alike.
+  // Predictions by odometry only are equal.
   const std::vector<MotionInput> row{model::OdometrySample{15.05, 1.0, 0.0, 0.1}};
   EXPECT_EQ(testing::predict(after, row).covariance, testing::predict(*before, row).covariance);
   const double end_s = drive.odometry.back().t_s;
   feeder.until(end_s, after);
   after.advance_to(end_s);
   if (GetParam() != Model::kSchmidt && GetParam() != Model::kJoint) return;
-  EXPECT_LT(testing::squared_error(after.estimate(), drive.truth.back()), 16.27);  // but for 1 of 1000
+  EXPECT_LT(testing::squared_error(after.estimate(), drive.truth.back()), 16.27);  // 99.9 % of chi-square
 }
 
 TEST_P(EveryModel, NeverAllocatesOnceItStands) {
@@ -501,7 +502,7 @@ INSTANTIATE_TEST_SUITE_P(Filter, Enduring, ::testing::Values(Model::kSchmidt, Mo
                            return std::string(model_name(model.param));
                          });
 
-// Ten million are in the long tests.
+// The long tests do ten million updates.
 TEST_P(Enduring, StaysPositiveWhateverHappens) {
   for (const double white_sigma_m : {1e-4, 0.1})
     EXPECT_GT(testing::endure(GetParam(), 200'000, white_sigma_m, 93), -1e-12) << white_sigma_m;
@@ -518,8 +519,8 @@ TEST_P(EveryModel, StaysSymmetricAndPositiveOverALongRun) {
   Feeder(drive).until(200.0, *filter);
   Eigen::MatrixXd p = testing::whole(*filter);
   EXPECT_LT((p - p.transpose()).cwiseAbs().maxCoeff(), 1e-13);
-  // Of the matrix scaled to unit variances, so that no unit hides another; the delay is known, there are no
-  // slow errors, and the ground is as the surface: no variance.
+  // The smallest eigenvalue of the correlation matrix. The delay, the slow range biases and the ground's
+  // deviation have zero variance here.
   Eigen::VectorXd scale = p.diagonal().cwiseSqrt();
   EXPECT_EQ(scale(kDelay), 0.0);
   EXPECT_EQ((scale.array() == 0.0).count(), 1 + static_cast<Eigen::Index>(filter->anchors()) + kGroundSize);

@@ -61,7 +61,7 @@ TEST(Gate, GarbageLeavesAPairAsItWas) {
     EXPECT_TRUE(std::isfinite(gate.blocked(0, 0))) << garbage_m;
     EXPECT_GT(gate.weigh(0, 0, 0.1, 0.0, kVariance_m2), 0.9) << garbage_m;
   }
-  // With no class for garbage, nothing explains it; nothing is learnt from it.
+  // Without garbage in the model no hypothesis explains the range, and the pair's probability stays.
   GateConfig config;
   config.garbage_share = 0.0;
   Gate gate(config);
@@ -84,10 +84,10 @@ TEST(Gate, RemembersABlockedPairForAWhileAndNoOtherAnchor) {
   }
   EXPECT_GT(gate.blocked(3, 1), 0.4);
   EXPECT_LT(gate.blocked(4, 2), 0.1);
-  // An innovation that by itself would pass is taken for a blocked one still.
+  // An innovation that would pass for another pair still has a low weight.
   const double suspect = gate.weigh(3, 1, t_s, 1.5 * kSigma_m, kVariance_m2);
   EXPECT_LT(suspect, gate.weigh(4, 2, t_s, 1.5 * kSigma_m, kVariance_m2) - 0.2);
-  // Back in sight: trusted again within seconds.
+  // LOS again: full weight within seconds.
   for (const double end_s = t_s + 2.0; t_s < end_s; t_s += 0.1)
     static_cast<void>(gate.weigh(3, 1, t_s, 0.0, kVariance_m2));
   EXPECT_GT(gate.weigh(3, 1, t_s, 0.0, kVariance_m2), 0.95);
@@ -99,11 +99,11 @@ TEST(Gate, ExpectsAnAnchorThatIsBlockedForOneTagToBeSoForTheNext) {
     static_cast<void>(gate.weigh(3, 1, t_s, 5.0 * kSigma_m, kVariance_m2));
     static_cast<void>(gate.weigh(4, 1, t_s, 0.0, kVariance_m2));
   }
-  // An innovation that by itself would pass: of another tag at the blocked anchor, and at one in sight.
+  // The same moderate innovation for another tag at the NLOS anchor and at the LOS anchor.
   const double next = gate.weigh(3, 2, 2.0, 1.5 * kSigma_m, kVariance_m2);
   EXPECT_LT(next, gate.weigh(4, 2, 2.0, 1.5 * kSigma_m, kVariance_m2) - 0.1);
   EXPECT_LT(next, fresh_weight(1.5 * kSigma_m) - 0.1);
-  // That the first is in sight again is no reason to forget what the second shows.
+  // The first tag is LOS again, but the second one stays NLOS.
   for (double t_s = 2.1; t_s < 4.0; t_s += 0.1) {
     static_cast<void>(gate.weigh(3, 2, t_s, 5.0 * kSigma_m, kVariance_m2));
     static_cast<void>(gate.weigh(3, 1, t_s, 0.0, kVariance_m2));
@@ -111,12 +111,12 @@ TEST(Gate, ExpectsAnAnchorThatIsBlockedForOneTagToBeSoForTheNext) {
   EXPECT_GT(gate.blocked(3, 2), 0.4);
 }
 
-// E(x^2 | e) of e = x + n, x exponential and n Gaussian, by Simpson's rule.
+// E(x^2 | e) for e = x + n, x exponential and n Gaussian, by Simpson's rule.
 TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
   for (const double mean_m : {0.5, 3.0}) {
     for (const double sigma_m : {0.05, 0.3, 2.0, 6.0}) {
       for (const double error_m : {-5.0, -1.0, -0.1, 0.0, 0.2, 1.0, 4.0, 15.0}) {
-        // The excess is about the error, or about zero where that is below.
+        // The integrand is concentrated near the error, or near zero if the error is negative.
         const double width_m = std::min(sigma_m, sigma_m * sigma_m / (std::abs(error_m) + sigma_m));
         const double from_m = std::max(0.0, error_m - sigma_m * sigma_m / mean_m - 12.0 * sigma_m);
         const double to_m = std::max(0.0, error_m) + 12.0 * sigma_m;
@@ -128,7 +128,7 @@ TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
           const double x = from_m + i * step_m;
           const double inner = i % 2 == 0 ? 2.0 : 4.0;
           const double weight = (i == 0 || i == steps ? 1.0 : inner) * step_m / 3.0;
-          // About its largest value, lest all of it be too small a number.
+          // Relative to the largest value, to avoid underflow.
           const double z = (error_m - x) / sigma_m;
           const double z0 = std::min(error_m, 0.0) / sigma_m;
           const double p = weight * std::exp(-0.5 * (z * z - z0 * z0) - x / mean_m);
@@ -136,7 +136,7 @@ TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
           square += p * x * x;
         }
         const double expected = square / density;
-        // Far below zero the tail's exponential is good to a few hundredths.
+        // In the far tail the exponential approximation is good to some per cent.
         const bool is_tail = error_m / sigma_m - sigma_m / mean_m < -8.0;
         EXPECT_NEAR(excess_square(error_m, sigma_m, mean_m), expected, (is_tail ? 0.1 : 1e-6) * expected)
             << error_m << " " << sigma_m << " " << mean_m;
@@ -156,14 +156,14 @@ TEST(Gate, DoubtsTheStateWhenMostIsRefusedAndNotForOneBlockedPair) {
   for (int i = 0; i < 300; ++i, t_s += 0.01) static_cast<void>(gate.weigh(i % 6, 0, t_s, 3.0, kVariance_m2));
   EXPECT_TRUE(gate.doubts(t_s));
   EXPECT_EQ(gate.doubts_begun(), 1U);
-  // Silence is no reason for doubt.
+  // No suspected divergence without ranges.
   EXPECT_FALSE(gate.doubts(t_s + 2.0 * config.window_s));
-  // Good ranges end it.
+  // Good ranges clear the flag.
   for (int i = 0; i < 300; ++i, t_s += 0.01) static_cast<void>(gate.weigh(i % 6, 0, t_s, 0.0, kVariance_m2));
   EXPECT_FALSE(gate.doubts(t_s));
 }
 
-// A range each 10 ms by the anchors in turn, of which the first so many are off by that much.
+// One range each 10 ms from the anchors in turn; the first `off` anchors have the error off_m.
 double feed(Gate& gate, double begin_s, double duration_s, int anchors, int off, double off_m) {
   double t_s = begin_s;
   for (int i = 0; t_s < begin_s + duration_s; ++i, t_s += 0.01) {
@@ -191,14 +191,14 @@ TEST(Gate, DoubtsWhereAsManyAnchorsAreFarOffAsAgreeButForThreeThatAgree) {
     return gate.doubts(t_s);
   };
   EXPECT_TRUE(doubts(4, 2, 2.0));
-  EXPECT_FALSE(doubts(4, 2, 0.5));  // as much as an obstacle adds
+  EXPECT_FALSE(doubts(4, 2, 0.5));  // a typical NLOS excess
   EXPECT_FALSE(doubts(4, 1, 2.0));
   EXPECT_FALSE(doubts(2, 1, 2.0));
   EXPECT_FALSE(doubts(5, 2, 2.0));
   EXPECT_FALSE(doubts(6, 3, 2.0));
 }
 
-// A range of 10 m with a first path so strong at 1 m, and so far below the whole power.
+// A range of 10 m whose first path has strength_dbm at 1 m and is hidden_db below the total power.
 model::RangeSample with_powers(double strength_dbm, double hidden_db) {
   model::RangeSample range;
   range.range_m = 10.0;
@@ -222,7 +222,7 @@ TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
   EXPECT_NE(class_of(-60.1, 1.0), class_of(-59.9, 1.0));
   EXPECT_EQ(class_of(-99.0, 1.0), class_of(-300.0, 1.0));
   EXPECT_EQ(class_of(-50.0, 1.0), class_of(300.0, 1.0));
-  // Length does not make it weak.
+  // The class does not depend on the length.
   model::RangeSample far = with_powers(-58.0, 1.0);
   far.range_m = 20.0;
   far.first_path_power_dbm -= 6.02F;
@@ -242,7 +242,7 @@ TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
   EXPECT_EQ(hidden(model::power_class(told)), 0U);
 }
 
-// What a hint says from all that was learnt, each by itself.
+// Reference for SightHint: the probability of a class from all counted ranges, summed directly.
 struct Learnt {
   model::PowerClass of = 0;
   double t_s = 0.0;
@@ -268,7 +268,7 @@ double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model
 
 TEST(SightHint, IsTheFadingCountOfWhatItWasTold) {
   GateConfig config;
-  config.hint_memory_s = 3.0;  // so that the unit is renewed on the way
+  config.hint_memory_s = 3.0;  // short, so that the unit is renormalized during the test
   config.hint_most = 50.0;
   SightHint hint(config);
   EXPECT_NEAR(hint.likelihood_ratio(class_of(-60.0, 12.0)), 0.3 / 0.05, 1e-12);
@@ -314,7 +314,7 @@ TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
   Gate gate(config);
   SightHint twin(config);
   Random random(32);
-  constexpr double kStep_s = 0.5;  // too rare for a silence to tell
+  constexpr double kStep_s = 0.5;  // polls too rare for the reception test
   double chain = config.blocked_share;
   double t_s = 0.0;
   for (int i = 0; i < 200; ++i) {
@@ -379,8 +379,7 @@ TEST(Gate, WithoutPowersOrWithNoUseOfThemIsTheSameToTheBit) {
   }
 }
 
-// Five anchors in sight and one behind a wall every other 5 s, which its powers tell where they tell
-// anything.
+// Five LOS anchors and one that is NLOS every other 5 s. tells: whether its powers indicate that.
 void teach(Gate& gate, bool tells, Random& random) {
   double t_s = 0.0;
   for (int i = 0; t_s < 60.0; ++i, t_s += 0.01) {
@@ -392,7 +391,7 @@ void teach(Gate& gate, bool tells, Random& random) {
   }
 }
 
-// Ranges of a pair in sight, then of one that is blocked by little: how many it takes to believe them less.
+// A pair is LOS, then NLOS with a small excess: number of ranges until the weight is below 0.5.
 int ranges_until_found(bool tells) {
   Gate gate{GateConfig{}};
   Random random(34);
@@ -411,7 +410,7 @@ TEST(Gate, FindsABlockedPairSoonerByPowersThatTell) {
   EXPECT_GT(ranges_until_found(false), 3);
 }
 
-// An antenna that is always weak is no wall.
+// A weak antenna is not NLOS.
 TEST(Gate, DoesNotLockOutAPairWhosePowersLie) {
   Gate gate{GateConfig{}};
   Random random(35);

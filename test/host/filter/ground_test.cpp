@@ -1,5 +1,5 @@
-// The ground as the filter knows it: floors above each other with a ramp between, and ground that differs
-// from its model.
+// The filter on floors above each other with a ramp between them, and on ground that deviates from its
+// surface model.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -21,8 +21,7 @@ constexpr int kRamp = 1;
 constexpr int kUpper = 2;
 constexpr double kRow_s = 0.05;
 
-// A hall, a ramp of 20 % that leads 3 m up from its east end, and an upper floor there that has a gallery
-// back over the hall.
+// A hall, a 20 % ramp at its east end that leads 3 m up, and an upper floor with a gallery above the hall.
 model::Surface two_floors() {
   model::Chart ground{"ground", model::Plane(0.0, {0.0, 0.0, 1.0}), {}, {}};
   ground.domain_m = {{-20.0, -10.0}, {10.0, -10.0}, {10.0, 10.0}, {-20.0, 10.0}};
@@ -47,8 +46,8 @@ model::Calibration on_both_floors() {
                                   {30, {3.0, 9.5, 5.8}}});
 }
 
-// A robot that drives from waypoint to waypoint. Which floor it is on is what it drove over, written out for
-// itself.
+// A simulated robot that drives from waypoint to waypoint. Its floor follows from its path, independent of
+// Surface::follow().
 class Robot {
  public:
   Robot(const model::PlanarPose& at, std::vector<Eigen::Vector2d> waypoints, std::uint64_t seed)
@@ -59,7 +58,7 @@ class Robot {
   [[nodiscard]] double t_s() const { return t_s_; }
   void put_on(int chart) { at_.chart = chart; }
 
-  // The row that holds now, then the ranges until the next.
+  // Gives the current odometry sample, then the ranges until the next one.
   template <class Estimator>
   void drive(Estimator& estimator) {
     const Eigen::Vector2d way = waypoints_[next_] - Eigen::Vector2d(at_.x_m, at_.y_m);
@@ -135,7 +134,7 @@ TEST(Floors, UpTheRampOverTheGalleryAndDownAgainWithoutAWrongFloor) {
     sum_m += off_m;
     ++rows;
     ++seen[static_cast<std::size_t>(estimate.pose.chart)];
-    // Where two charts meet either one will do.
+    // Near the border of two charts either one is right.
     const double x_m = robot.at().x_m;
     const bool meet = std::abs(x_m - 10.0) < 1.2 || std::abs(x_m - 25.0) < 1.2;
     ASSERT_TRUE(meet || estimate.pose.chart == robot.at().chart) << robot.t_s();
@@ -144,7 +143,7 @@ TEST(Floors, UpTheRampOverTheGalleryAndDownAgainWithoutAWrongFloor) {
   EXPECT_LT(sum_m / static_cast<double>(rows), 0.1);
 }
 
-// Until it tracks on that floor, for so long at most.
+// Time until the tracker tracks on the right floor, at most most_s.
 double time_to_find(Tracker& tracker, Robot& robot, double most_s) {
   const double from_s = robot.t_s();
   while (robot.t_s() - from_s < most_s && !robot.done()) {
@@ -188,10 +187,10 @@ TEST(Floors, BeyondTheSurfaceTheTrackerSaysSo) {
   EXPECT_EQ(tracker.reason(), Reason::kOffSurface);
 }
 
-// Ground about the plane z = 0: a spline with a height drawn for each knot.
+// Random ground around the plane z = 0: a spline with a random height for each knot.
 constexpr double kKnot_m = 3.0;
 constexpr double kHeightSigma_m = 0.10;
-// Of the cubic basis functions: sum of squares, averaged over a cell, and of their derivatives.
+// Sum of squares of the cubic basis functions, averaged over a cell, and of their derivatives.
 const double kSquares = 151.0 / 315.0;
 const double kSlopes = 2.0 / 3.0;
 
@@ -268,7 +267,7 @@ TEST(GroundMismatch, IsAllowedForByAsMuchAsItIsOverManyDrives) {
     RecordProperty(std::string(model_name(model)) + "_nees_untold", std::to_string(untold.planar));
     RecordProperty(std::string(model_name(model)) + "_inside_95", std::to_string(told.inside_95));
     RecordProperty(std::string(model_name(model)) + "_spatial_nees", std::to_string(told.spatial));
-    // Three standard deviations of a mean of 40 chi-squares of three degrees are 0.39.
+    // 0.39: three standard deviations of the mean of 40 chi-square(3) / 3.
     EXPECT_GT(told.planar, 0.61);
     EXPECT_LT(told.planar, 1.39);
     EXPECT_GT(told.inside_95, 0.84);

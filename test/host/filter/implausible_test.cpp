@@ -1,5 +1,5 @@
-// Samples that no robot can do, of any size and in any column: the run stays as good as without them, and
-// everything stays finite.
+// Physically impossible samples, of any size and in any column: the run stays as good as without them, and
+// all numbers stay finite.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -35,7 +35,7 @@ constexpr std::array kTurnSizes{5.0, 9.0, 12.0, 30.0, 100.0, 1e6, 1e8, 1e154, kL
 
 const model::PlanarPose kStart{1.0, -2.0, 0.4};
 
-// A drive with all sensors, as they are told.
+// A drive with the samples of all sensors.
 struct Samples {
   testing::Drive drive;
   model::SensorTables sensors;
@@ -99,7 +99,7 @@ Outcome run(const Samples& samples, const std::vector<model::PlanarPose>& truth)
   return out;
 }
 
-// One pose for each odometry sample, all finite, and none called TRACKING beyond 5 sigma.
+// One pose for each odometry sample, all finite, and none is TRACKING with an error beyond 5 sigma.
 void expect_honest(const Outcome& with, const std::vector<model::PlanarPose>& truth,
                    const std::string& what) {
   ASSERT_EQ(with.result.rows.size(), truth.size()) << what;
@@ -119,7 +119,7 @@ void expect_honest(const Outcome& with, const std::vector<model::PlanarPose>& tr
 enum class Pattern { kOnce, kEach5s, k20InARow };
 constexpr std::array kPatterns{Pattern::kOnce, Pattern::kEach5s, Pattern::k20InARow};
 
-// Whether sample i, at t_s, of one that comes each `every_s` is wrong.
+// Whether sample i at t_s, of a series with interval every_s, is replaced by a wrong value.
 bool is_wrong(Pattern pattern, std::size_t i, double t_s, double every_s) {
   const auto first = static_cast<std::size_t>(std::lround(6.0 / every_s));
   if (pattern == Pattern::kOnce) return i == first;
@@ -128,8 +128,9 @@ bool is_wrong(Pattern pattern, std::size_t i, double t_s, double every_s) {
   return t_s > 4.0 && since_s < every_s - 1e-9;
 }
 
-// Each size, either way, in each pattern, in the column that `at` gives of a sample. As good as the run
-// without: in the mean over `seeds`, since the error of a single drive of 16 s is a matter of chance.
+// Tests each size, with both signs, in each pattern, in the column of a sample that `at` selects. The error
+// has to be as small as without wrong samples, in the mean over `seeds`, because a single drive of 16 s is
+// random.
 template <class Sample>
 void expect_good_of_all(const std::string& column, const std::vector<double>& sizes, double every_s,
                         std::vector<Sample>& (*of)(Samples&), double& (*at)(Sample&), bool with_sensors,
@@ -144,7 +145,8 @@ void expect_good_of_all(const std::string& column, const std::vector<double>& si
     const std::vector<model::PlanarPose>& truth = right.drive.truth;
     const Outcome as_it_should_be = run(right, truth);
     for (const Pattern pattern : kPatterns) {
-      // Without the wrong samples: as they should have been or, where a sensor is missed, left out.
+      // The reference without wrong samples: with the right values or, for sensors, with these samples left
+      // out, whichever is worse.
       Samples wrong = right;
       Samples left_out = right;
       of(left_out).clear();
@@ -256,7 +258,7 @@ TEST(Implausible, SamplesAreCountedAndTheirTimeStillPasses) {
             1U);
   EXPECT_EQ(out.result.counters.sensors[model::kSensorOf<model::PoseSample>][SensorOutcome::kBadValue], 1U);
   EXPECT_EQ(out.result.rows.size(), samples.drive.odometry.size());
-  // The robot moves on by the sample that holds.
+  // The pose is propagated with the sample held.
   const model::PlanarEstimate& before = out.result.rows[299];
   const model::PlanarEstimate& at = out.result.rows[300];
   EXPECT_EQ(at.t_s, samples.drive.odometry[300].t_s);
@@ -269,7 +271,7 @@ TEST(Implausible, WhatWasMissedMeanwhileIsInTheCovariance) {
                 testing::config_of(Model::kSchmidt));
   filter.process(model::OdometrySample{0.0, 1.2, 0.0, 1.0});
   filter.start({.t_s = 0.0, .position_sigma_m = 0.001, .heading_sigma_rad = 0.001});
-  // For 0.4 s the robot brakes and turns less and less, and its odometry is wrong.
+  // For 0.4 s the robot brakes and turns less, while its odometry is implausible.
   model::PlanarPose truth;
   for (int i = 1; i <= 21; ++i) {
     const double share = 1.0 - 0.05 * (i - 0.5);
@@ -282,7 +284,7 @@ TEST(Implausible, WhatWasMissedMeanwhileIsInTheCovariance) {
   const Estimate estimate = filter.estimate();
   EXPECT_GT(std::abs(estimate.pose.theta_rad - truth.theta_rad), 0.1);
   EXPECT_LT(testing::squared_error(estimate, truth), 16.0) << "within 4 sigma";
-  // Right samples since then are as sure as ever.
+  // Valid samples afterwards have their usual noise.
   const double variance = filter.covariance().core()(kRowVx, kRowVx);
   EXPECT_LT(variance, 2.0 * 0.03 * 0.03);
 }
@@ -328,7 +330,7 @@ TEST(OdometryGate, BelievesSamplesThatAgreeForHalfASecondButNoneThatNoRobotDoes)
     EXPECT_FALSE(gate.accepts({10.01 + 0.02 * i, 19.5, 0.0, 31.0}));
   }
   EXPECT_TRUE(gate.accepts({40.0, 19.0, 0.0, 0.0})) << "as before";
-  // What agrees with nothing is not believed.
+  // Inconsistent samples are never accepted.
   for (int i = 0; i < 1000; ++i)
     EXPECT_FALSE(gate.accepts({50.0 + 0.02 * i, i % 2 == 0 ? -20.0 : 0.0, 0.0, 0.0}));
 }
@@ -359,7 +361,7 @@ TEST(StartFromPrior, PassesOverAPoseThatNoRobotHas) {
   EXPECT_FALSE(start_from_prior(std::span(priors).first(3), 0.0, surface));
 }
 
-// Any finite numbers, most of them far beyond all sense.
+// Any finite number: half of them usual, half of random magnitude.
 double any_number(Random& random, double usual) {
   if (random.uniform() < 0.5) return usual;
   const double size = std::pow(10.0, random.uniform(-308.0, 308.0));
@@ -378,7 +380,7 @@ TEST(Implausible, NothingFiniteMakesTheStateInfinite) {
     filter.start({.t_s = 0.0, .pose = kStart});
     double t_s = 0.0;
     for (int i = 0; i < 600; ++i) {
-      // Times, too; most of them plain, or all that follows would be late.
+      // Random times, too; rarely, because later inputs would be out of order.
       t_s += random.uniform() < 0.98 ? 0.01 : std::pow(10.0, random.uniform(-12.0, 9.0));
       const auto any = [&](double usual) { return any_number(random, usual); };
       switch (random.next() % 6U) {

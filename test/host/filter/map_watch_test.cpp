@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kMapVariance_m2 = 0.01;
 
-// Ranges at that rate for so long, of which a share is off by 5 m.
+// Ranges at a given rate; a share of them is off by 5 m.
 struct Feed {
   MapWatch watch;
   test::Random random{1};
@@ -86,7 +86,7 @@ TEST(MapWatch, BelievesTheMapAgainWhenRangesFitFor30s) {
   Feed feed;
   feed.ranges(30.0, 0.9);
   ASSERT_TRUE(feed.watch.is_wrong());
-  feed.ranges(60.0, 0.0);  // 57 s until 0.9 has faded to 0.05
+  feed.ranges(60.0, 0.0);  // a share of 0.9 takes 57 s to decay to 0.05
   EXPECT_TRUE(feed.watch.is_wrong());
   feed.ranges(40.0, 0.0);
   EXPECT_FALSE(feed.watch.is_wrong());

@@ -26,7 +26,7 @@ double time_of(const Input& input) {
   return std::visit([](const auto& of) { return of.t_s; }, input);
 }
 
-// Odometry before ranges of the same time.
+// All inputs by time; odometry before ranges with equal times.
 std::vector<Input> in_order(const testing::Drive& drive) {
   std::vector<Input> inputs(drive.odometry.begin(), drive.odometry.end());
   inputs.insert(inputs.end(), drive.ranges.begin(), drive.ranges.end());
@@ -35,7 +35,7 @@ std::vector<Input> in_order(const testing::Drive& drive) {
   return inputs;
 }
 
-// Each delayed by 0 to `most_s`.
+// Each input delayed by 0 to most_s.
 std::vector<Input> shuffled(const std::vector<Input>& inputs, double most_s, std::uint64_t seed) {
   std::mt19937_64 random(seed);
   std::vector<std::pair<double, Input>> arrivals;
@@ -86,7 +86,7 @@ INSTANTIATE_TEST_SUITE_P(OrderedFilter, OrderedModels, ::testing::ValuesIn(kMode
                            return name;
                          });
 
-// A filter that takes each input once, in the order of their times, is the twin.
+// The reference processes all inputs in order of time.
 TEST_P(OrderedModels, ShuffledWithinTheWindowIsAsInOrder) {
   const testing::Drive drive = some_drive();
   const std::vector<Input> inputs = in_order(drive);
@@ -125,7 +125,7 @@ TEST(OrderedFilter, WhatComesLaterThanTheWindowIsRefusedAndChangesNothing) {
   EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kOutOfOrder], 1U);
   EXPECT_EQ(filter->filter().core(), before->core);
   EXPECT_EQ(filter->filter().covariance().core(), before->covariance.core());
-  // One that is just in time is taken.
+  // An input just within the window is accepted.
   model::RangeSample timely = late;
   timely.t_s = newest_s - 0.99 * kWindow_s;
   EXPECT_NE(filter->process(timely).outcome, RangeOutcome::kOutOfOrder);
@@ -147,7 +147,7 @@ TEST(OrderedFilter, WhatIsNotANumberIsRefused) {
   EXPECT_EQ(filter->estimate().t_s, 0.0);
 }
 
-// What the robot is told of a row that came late is what it would have been told of it in time.
+// The estimate for a late odometry sample equals the one for the same sample in time.
 TEST(OrderedFilter, TellsTheEstimateOfARowThatCameLate) {
   const std::vector<Input> inputs = in_order(some_drive(3.0));
   const auto twin = make<OrderedFilter>(Model::kSchmidt);
@@ -182,7 +182,7 @@ TEST(OrderedFilter, TellsTheEstimateOfARowThatCameLate) {
   }
 }
 
-// All of one instant, in any order.
+// Inputs with equal times in random order.
 TEST(OrderedFilter, InputsOfOneTimeCountAlikeInAnyOrder) {
   std::vector<Input> inputs{model::OdometrySample{1.0, 1.0, 0.0, 0.1}};
   for (const model::NodeId anchor : std::to_array<model::NodeId>({11, 12, 13, 14})) {
@@ -219,7 +219,7 @@ TEST(OrderedFilter, AStartThatComesLateCountsFromItsTime) {
   expect_same(filter->filter(), *twin);
 }
 
-// More within the window than is kept: the window gets shorter, and nothing else.
+// More inputs within the window than the buffer holds only shorten the window.
 TEST(OrderedFilter, AFloodOfInputsShortensTheWindow) {
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
   const auto twin = make<Filter>(Model::kSchmidt);

@@ -60,12 +60,12 @@ TEST(Move, FollowsACurvedSurfaceToSecondOrder) {
     fine += error_of_step(surface, core, row, 0.5 * kMaxStep_s);
   }
   EXPECT_LT(coarse / 200.0, 1e-6);
-  // The error of one step falls with its third power.
+  // The error of one step is of third order in its length.
   EXPECT_NEAR(coarse / fine, 8.0, 0.5);
 }
 
 TEST(Move, KeepsThePathsLengthOnTheSurface) {
-  // Up a plane of slope 1, a metre driven is 1/sqrt(2) seen from above.
+  // On a plane of slope 1, one metre driven uphill is 1/sqrt(2) m in the xy-plane.
   const model::Surface slope = model::Plane(0.0, {-1.0, 0.0, 1.0});
   const Motion motion = move(slope, CoreVector::Zero(), {0.0, 1.0, 0.0, 0.0}, 1.0);
   EXPECT_NEAR(motion.pose.x(), std::sqrt(0.5), 1e-12);
@@ -78,7 +78,7 @@ TEST(Move, DerivativesEqualNumericalOnes) {
   for (const double dt_s : {0.05, 0.01, 0.0, -0.02, 1.0}) {
     for (int i = 0; i < 100; ++i) {
       const CoreVector core = some_core(random);
-      // Straight and turning rows: the mean turn has a series for small angles.
+      // Turning and nearly straight motion: mean_turn uses a series for small angles.
       model::OdometrySample row = some_row(random);
       if (i % 4 == 0) row.omega_radps = core(kYawBias) + core(kRowOmega) + 1e-6 * random.gaussian();
       const Eigen::MatrixXd numerical = numerical_jacobian(
@@ -94,7 +94,7 @@ TEST(Move, DerivativesEqualNumericalOnes) {
 TEST(Move, IsContinuousWhereTheTurnVanishes) {
   const model::Surface surface = testing::hills(0.5);
   const CoreVector core = CoreVector::Zero();
-  // Either side of where the series takes over.
+  // Both sides of the switch to the series.
   const Eigen::Vector3d below = move(surface, core, {0.0, 1.0, 0.2, 1.9999}, 1e-3).pose;
   const Eigen::Vector3d above = move(surface, core, {0.0, 1.0, 0.2, 2.0001}, 1e-3).pose;
   EXPECT_LT((below - above).norm(), 1e-6);

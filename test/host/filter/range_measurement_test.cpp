@@ -16,18 +16,18 @@ using test::Random;
 
 class RangeMeasurementTest : public ::testing::Test {
  protected:
-  // A robot somewhere, every parameter off its nominal value.
+  // Random pose, all parameters off their nominal values.
   void draw() {
     core_ << random_.uniform(-9.0, 9.0), random_.uniform(-9.0, 9.0), random_.uniform(-3.0, 3.0),
         0.02 * random_.gaussian(), 0.01 * random_.gaussian(), 0.02 * random_.gaussian(),
         0.1 * random_.gaussian(), 0.1 * random_.gaussian(), 0.05 * random_.gaussian();
     row_ = {0.0, 2.0 * random_.gaussian(), random_.gaussian(), random_.gaussian()};
     parameters_.values() += 0.02 * random_.gaussians(parameters_.size());
-    // What the ground differs by is considered, never estimated: it stays zero.
+    // The ground's deviation is considered, never estimated: its value stays zero.
     parameters_.values().segment<kGroundSize>(parameters_.ground()).setZero();
   }
 
-  // The derivative by every core state and parameter of what a function of them tells.
+  // Compares the Jacobians w.r.t. all core states and parameters with numerical ones.
   template <typename Measure>
   void expect_exact(const Measure& measure, int anchor, int tag) {
     const RangeMeasurement measurement =
@@ -49,7 +49,7 @@ class RangeMeasurementTest : public ::testing::Test {
     for (int i = 0; i < kPairParameters; ++i) {
       exact(kCoreSize + index[static_cast<std::size_t>(i)]) = measurement.d_parameters(i);
     }
-    // Of the delay the first order alone is claimed on a curved surface.
+    // The derivative w.r.t. the delay is first order only on a curved surface.
     EXPECT_NEAR(exact(kDelay), numerical(kDelay), 2e-3);
     exact(kDelay) = numerical(kDelay);
     EXPECT_LT((exact - numerical).cwiseAbs().maxCoeff(), 3e-7);
@@ -91,7 +91,7 @@ TEST_F(RangeMeasurementTest, WithoutDelayTheyAreExactForItToo) {
 }
 
 TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
-  // A robot that drives away from the anchor at 2 m/s, its ranges 50 ms old: 0.1 m short.
+  // The robot drives away from the anchor at 2 m/s with ranges 50 ms old: 0.1 m too short.
   const model::Calibration calibration = model::surveyed_calibration(
       std::vector<model::Anchor>{{5, {0.0, 0.0, 0.0}}}, std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}},
       {.sigma_m = 0.1, .beta_m = {0.3, 0.1}, .gamma = {1.0, 0.01}}, 0.02);
@@ -131,7 +131,7 @@ TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
 TEST(Parameters, TakeTheCalibrationsBlocksForTheTagsThatAreThere) {
   const model::Calibration calibration = testing::six_anchors();
   const std::vector<model::Tag> all = testing::three_tags();
-  // In another order, one missing, one that the calibration does not know.
+  // Tags in another order, one missing, and one that the calibration lacks.
   const std::vector<model::Tag> tags{all[2], {77, Eigen::Vector3d::Ones()}, all[0]};
   const Site site(tags, calibration, 0.01);
   const Parameters parameters(site);
@@ -180,8 +180,8 @@ TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
   EXPECT_EQ(Parameters(site, 5).anchor_count(), 5);
 }
 
-// A tag that looks ahead at an anchor sees it by its pattern's first coefficient too far; its lever arm is
-// the calibration's.
+// The lever arm and the antenna pattern are the calibration's. For an anchor straight ahead the range is
+// longer by the pattern's first coefficient.
 TEST(RangeMeasurement, KnowsWhatADriveShowedOfTheTag) {
   model::Calibration calibration =
       model::surveyed_calibration(std::vector<model::Anchor>{{5, {10.0, 0.0, 0.0}}},

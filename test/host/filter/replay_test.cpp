@@ -42,7 +42,7 @@ TEST_F(ReplayTest, GivesOneRowForEachOdometryRowAtItsTime) {
   const ReplayResult result = run();
   ASSERT_EQ(result.rows.size(), drive_.odometry.size());
   for (std::size_t i = 0; i < result.rows.size(); ++i) EXPECT_EQ(result.rows[i].t_s, drive_.odometry[i].t_s);
-  // Ranges after the last row are not seen: no row could tell of them.
+  // Ranges after the last odometry sample are not processed.
   std::size_t before = 0;
   for (const model::RangeSample& range : drive_.ranges)
     before += range.t_s <= drive_.odometry.back().t_s ? 1U : 0U;
@@ -59,7 +59,7 @@ TEST_F(ReplayTest, GivesOneRowForEachOdometryRowAtItsTime) {
 
 TEST_F(ReplayTest, IsCausal) {
   const ReplayResult whole = run();
-  // Cut anywhere: the rows before are the same to the last bit.
+  // If the inputs are cut anywhere, the rows before are equal bit for bit.
   for (const double cut_s : {0.6, 3.3, 9.05}) {
     const testing::Drive uncut = drive_;
     std::erase_if(drive_.odometry, [&](const model::OdometrySample& row) { return row.t_s > cut_s; });
@@ -96,7 +96,7 @@ TEST_F(ReplayTest, KeepsWithinItsTimes) {
   EXPECT_EQ(result.ranges_seen, expected);
   EXPECT_EQ(result.counters.ranges[RangeOutcome::kUsed] + result.counters.ranges[RangeOutcome::kGated],
             expected);
-  // The row before the start holds at it.
+  // The odometry sample before the start is held at the start.
   EXPECT_EQ(result.counters.odometry[OdometryOutcome::kStored], 1U);
 }
 

@@ -1,5 +1,4 @@
-// What no model of noise foresees: late links, odometry that goes astray, pairs that come back from behind a
-// wall.
+// Errors beyond the noise models: link delays, faulty odometry, and pairs that answer again after NLOS.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -24,7 +23,7 @@ using test::Random;
 
 TEST(LinkDelays, PartTheDifferenceAsGaussiansDo) {
   const LinkDelays delays{.range_s = 0.02, .range_sigma_s = 0.004, .odometry_sigma_s = 0.015};
-  // Of (ranges', odometry's) with the first less the second known.
+  // Posterior of (range delay, odometry delay) given their difference.
   const Eigen::Matrix2d prior = Eigen::Vector2d(0.004 * 0.004, 0.015 * 0.015).asDiagonal();
   const Eigen::RowVector2d h(1.0, -1.0);
   const double s = h * prior * h.transpose();
@@ -46,7 +45,7 @@ struct Errors {
   std::unique_ptr<Filter> filter;
 };
 
-// A drive through the filter, from where it began.
+// Runs the filter from the true start; errors from from_s on.
 Errors replay(const model::Surface& surface, const model::Calibration& calibration, const Config& config,
               const testing::Drive& drive, double from_s = 0.0) {
   Errors out;
@@ -86,7 +85,7 @@ TEST(LateLinks, OdometryAndRangesAreEachTakenForAsLateAsTheyAre) {
   Random random(5);
   testing::Drive drive =
       testing::drive(flat, calibration, {0.0, 0.0, 0.2}, {.duration_s = 120.0, .range_s = 0.02}, random);
-  // A row that is late by two rows, ranges that are late by their delay, and the truth on time.
+  // Odometry is late by two samples, ranges by their delay; the truth is on time.
   for (model::RangeSample& range : drive.ranges) range.t_s += calibration.range_delay_s;
   for (std::size_t i = drive.odometry.size(); i-- > 2;) {
     const double t_s = drive.odometry[i].t_s;
@@ -119,7 +118,7 @@ TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
   EXPECT_NEAR(jump.velocity_m2ps2, excess_mps * excess_mps * 10.0, 1e-9);
   EXPECT_GT(jump.turn_rad2ps2, 0.0);
   EXPECT_EQ(watch.jumps(), 1U);
-  // And forgets it.
+  // The inflation decays.
   const OdometryDoubt later = watch.judge({1.05, 2.0, 2.0, 0.1}, {3.05, 2.0, 2.0, 0.1}, noise);
   EXPECT_LT(later.velocity_m2ps2, 0.01 * jump.velocity_m2ps2);
   EXPECT_EQ(later.position_m2, 0.0);
@@ -131,7 +130,7 @@ TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
   Random random(6);
   testing::Drive drive =
       testing::drive(flat, calibration, {0.0, 0.0, 0.2}, {.duration_s = 30.0, .range_s = 0.1}, random);
-  // The wheels spin for a second, and no range tells of it meanwhile.
+  // The wheels slip for a second without ranges meanwhile.
   for (model::OdometrySample& row : drive.odometry) {
     if (row.t_s >= 20.0 && row.t_s < 21.0) row.vx_mps += 3.0;
   }
@@ -156,7 +155,7 @@ TEST(OdometryTuning, FindsTheWhiteSigmaOfARobotThatDrives) {
     for (int i = 0; i < 6000; ++i) {
       const double t_s = 0.05 * i;
       const Eigen::Vector3d velocity = testing::true_velocity(t_s);
-      // No sideways axis, as of most wheels.
+      // vy is not measured, as on most robots.
       tuning.observe({t_s, velocity.x() + kTrue.sigma_vx_mps * random.gaussian(), 0.0,
                       velocity.z() + kTrue.sigma_omega_radps * random.gaussian()});
       if (i < 3000) continue;
@@ -186,7 +185,8 @@ TEST(OdometryTuning, StaysWithinItsBoundsAndLearnsNothingOfRowsFarApart) {
   EXPECT_NEAR(tuning.noise().sigma_omega_radps, 0.001, 1e-5);
 }
 
-// Eight drives with what `wrong` makes of the configuration, told right and wrong by three either way.
+// Eight drives each with the right sigma and with one wrong by a factor of three in both directions, which
+// `wrong` applies to the configuration.
 template <class Wrong>
 void expect_little_cost(double range_s, double most_nees, const Wrong& wrong) {
   const model::Surface flat;
@@ -240,14 +240,14 @@ TEST(RangeTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   expect_little_cost(0.01, 2.5, [](Config& config, double factor) { config.range_sigma_m *= factor; });
 }
 
-// Feeds a pair that is in sight with good ranges.
+// Feeds a pair with LOS ranges.
 void feed(Gate& gate, double from_s, double to_s, double every_s, Random& random) {
   for (double t_s = from_s; t_s < to_s; t_s += every_s)
     static_cast<void>(gate.weigh(0, 0, t_s, 0.1 * random.gaussian(), 0.01));
 }
 
 TEST(RangeTuning, LeavesTheComparisonsAsTheyWereTold) {
-  // Noise of a third, and biases that these models do not know: a sigma that followed would turn all away.
+  // A third of the nominal noise, and biases that these models lack: an adapted sigma would gate all ranges.
   const model::Surface surface = testing::hills(0.2);
   const model::Calibration calibration = testing::six_anchors();
   Random random(75);
@@ -284,7 +284,7 @@ TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
   EXPECT_GT(gate.weigh(0, 0, 31.0, 0.0, 0.01), 0.9);
 }
 
-// What a range may be off by, unseen, depends on how well the pose is known.
+// The undetectable error of a range depends on the pose's covariance.
 TEST(Reception, ARangeOfASilentPairIsBelievedWhereItCanBeTold) {
   const auto regained_m2 = [](double innovation_m, double variance_m2) {
     Gate gate{GateConfig{}};
@@ -294,12 +294,12 @@ TEST(Reception, ARangeOfASilentPairIsBelievedWhereItCanBeTold) {
   };
   EXPECT_LT(regained_m2(0.0, 0.01), 0.05);
   EXPECT_GT(regained_m2(0.0, 4.0), 10.0);
-  // Too long is likelier than too short, but after a silence there is either.
+  // Too long is likelier than too short, but after a silence both occur.
   EXPECT_GT(regained_m2(2.0, 1.0), 2.0 * regained_m2(-2.0, 1.0));
   EXPECT_GT(regained_m2(-3.0, 1.0), 30.0);
 }
 
-// However many tags hear an anchor again, what bends the ranges of one bends those of all.
+// If several tags receive an anchor again, their errors are common.
 TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
   const auto regained_m2 = [](int tags) {
     Gate gate{GateConfig{}};
@@ -307,7 +307,7 @@ TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
       for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, t_s, 0.0, 0.01));
     }
     for (int tag = 0; tag < tags; ++tag) static_cast<void>(gate.weigh(0, tag, 40.0, 2.0, 1.0));
-    // Another anchor's silence is its own.
+    // Another anchor's silence does not matter.
     static_cast<void>(gate.weigh(1, 0, 40.0, 2.0, 1.0));
     return gate.regained_variance_m2(0, tags - 1);
   };
@@ -316,7 +316,7 @@ TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
   EXPECT_NEAR(regained_m2(3), 3.0 * regained_m2(1), 0.1 * regained_m2(1));
 }
 
-// A drive of which each pair is polled each 50 ms, and what is left of its ranges: those that `change` keeps.
+// A drive in which each pair is polled each 50 ms; `change` may alter a range and returns whether it is kept.
 template <typename Change>
 testing::Drive polled(const model::Surface& surface, const model::Calibration& calibration,
                       const model::OdometryNoise& noise, Random& random, const Change& change) {
@@ -362,7 +362,7 @@ TEST(Reception, AnchorsThatComeBackFromBehindWallsAreTakenForAsUnsureAsTheyAre) 
     Random random(seed);
     const double excess_m[] = {-3.0 * std::log(1.0 - random.uniform()),
                                -3.0 * std::log(1.0 - random.uniform())};
-    // Nothing for 8 s; then for 2 s of two anchors alone a reply in five, too long.
+    // No ranges for 8 s; then for 2 s one reply in five from two anchors only, too long.
     testing::Drive drive = polled(flat, calibration, config.odometry, random, [&](model::RangeSample& range) {
       if (range.t_s < 10.0 || range.t_s > 20.0) return true;
       if (range.t_s < 18.0 || range.anchor_id > 12) return false;
@@ -386,10 +386,10 @@ TEST(Reception, SilenceTellsNothingWherePollsAreRare) {
   EXPECT_EQ(gate.regained_variance_m2(0, 0), 0.0);
 }
 
-// What the powers of ranges tell.
+// Relation of the received powers to LOS and NLOS.
 enum class Tells { kNothing, kTruth, kOpposite, kNoise };
 
-// Six anchors of which each is blocked for a third of the time, by 0.15 to 0.75 m.
+// Six anchors, each NLOS for a third of the time with an excess of 0.15 to 0.75 m.
 Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
   const model::Surface flat;
   const model::Calibration calibration = testing::six_anchors(0.3);

@@ -1,4 +1,4 @@
-// What a gyro, GNSS, another localization and a robot that is known to stand tell.
+// Gyro, GNSS, poses of another localization, and zero-velocity updates.
 #include "host/filter/sensors.hpp"
 
 #include <gtest/gtest.h>
@@ -37,14 +37,14 @@ CoreVector any_core(Random& random) {
   return core;
 }
 
-// That of the prediction, which is the measured value less the innovation.
+// Compares the Jacobian of the prediction (measured value minus innovation) with a numerical one.
 template <class Measure>
 void expect_jacobian(const Measure& measure, const CoreVector& core, double tolerance) {
   const auto exact = measure(core).d_core.eval();
   Eigen::MatrixXd numerical = numerical_jacobian(
       [&](const Eigen::VectorXd& x) { return Eigen::VectorXd(-measure(CoreVector(x)).innovation); }, core,
       1e-6);
-  // Of the delay the first order alone is claimed.
+  // The derivative w.r.t. the delay is first order only.
   EXPECT_LT((exact.col(kDelay) - numerical.col(kDelay)).cwiseAbs().maxCoeff(), 2e-3);
   numerical.col(kDelay) = exact.col(kDelay);
   EXPECT_LT((exact - numerical).cwiseAbs().maxCoeff(), tolerance);
@@ -100,7 +100,7 @@ std::unique_ptr<Filter> filter_of(const Config& config) {
   return std::make_unique<Filter>(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), config);
 }
 
-// A filter that has driven for 3 s, everything in it correlated.
+// A filter after a drive of 3 s, with all states correlated.
 std::unique_ptr<Filter> driven(const Config& config) {
   Random random(6);
   const testing::Drive drive = testing::drive(testing::hills(0.2), testing::six_anchors(), {},
@@ -118,7 +118,7 @@ std::unique_ptr<Filter> driven(const Config& config) {
 
 class SensorModels : public ::testing::TestWithParam<Model> {
  protected:
-  // Core and parameters after the update in Joseph form, of a consider filter that knows nothing of blocks.
+  // Compares core and parameters with a dense consider update in Joseph form.
   template <int kSize>
   void expect_update(const Filter& before, const CoreMeasurement<kSize>& measurement, const Filter& after) {
     const Eigen::MatrixXd p = testing::whole(before);
@@ -186,8 +186,8 @@ TEST_P(SensorModels, UpdateEqualsADenseOne) {
       *after);
 }
 
-// Of drives with all errors drawn from their sigmas, e' P^-1 e / 3 at the end, with a gyro and one other
-// sensor beside odometry, and no range.
+// Mean of e' P^-1 e / 3 at the end of drives whose errors are drawn from their sigmas, with odometry, perhaps
+// a gyro, and one other sensor, without ranges.
 template <class Sense>
 double mean_nees(int drives, bool gyro, const Sense& sense) {
   const model::Surface surface = testing::hills(0.2);
@@ -288,7 +288,7 @@ TEST(Sensors, AGyroTurnsTheRobotThoughItsWheelsSlip) {
     if (i % 5 == 0) filter->process(model::OdometrySample{t_s, 0.0, 0.0, 1.5});
   }
   EXPECT_NEAR(filter->estimate().pose.theta_rad, 0.3 * 4.99, 0.01);
-  // Silent, and odometry's own holds again.
+  // Without gyro samples odometry's yaw rate is used again.
   const double before = filter->estimate().pose.theta_rad;
   for (int i = 1; i <= 20; ++i) filter->process(model::OdometrySample{5.0 + 0.05 * i, 0.0, 0.0, 0.1});
   EXPECT_NEAR(filter->estimate().pose.theta_rad - before, 0.25 * 0.3 + 0.75 * 0.1, 0.03);

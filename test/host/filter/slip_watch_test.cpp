@@ -25,11 +25,11 @@ using test::Random;
 
 constexpr double kSigma_m = 0.1;
 
-// Six anchors all around, heard by turns, and what each is off by beside a displacement of the robot.
+// Six anchors in a circle, ranged in turn, each with an excess in addition to a displacement of the robot.
 struct Circle {
   explicit Circle(std::uint64_t seed) : random(seed) {}
 
-  // Until the watch finds a displacement; it is off by so much from the beginning of this call.
+  // Feeds ranges with this displacement and excess. Stops when the watch finds a displacement and returns it.
   std::optional<Eigen::Vector2d> hear(double duration_s, const Eigen::Vector2d& displacement_m,
                                       const std::array<double, 6>& excess_m, double weight = 1.0) {
     for (const double end_s = t_s + duration_s; t_s < end_s;) {
@@ -55,7 +55,7 @@ constexpr std::array<double, 6> kInSight{};
 TEST(SlipWatch, FindsTheDisplacementThatAllAnchorsSee) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     Circle circle(seed);
-    // What a pair is always off by is no displacement.
+    // Constant biases of the pairs are no displacement.
     const std::array<double, 6> usual{0.05, -0.05, 0.03, 0.0, -0.04, 0.05};
     ASSERT_FALSE(circle.hear(20.0, Eigen::Vector2d::Zero(), usual)) << seed;
     const double before_s = circle.t_s;
@@ -63,7 +63,7 @@ TEST(SlipWatch, FindsTheDisplacementThatAllAnchorsSee) {
     const auto found = circle.hear(2.0, displacement_m, usual);
     ASSERT_TRUE(found) << seed;
     EXPECT_LT(circle.t_s - before_s, 0.5);
-    // Of what the window holds by then.
+    // The part of the displacement that the window shows by then.
     EXPECT_GT(found->dot(displacement_m.normalized()), 0.05);
     EXPECT_LT(std::abs(found->x() * displacement_m.y() - found->y() * displacement_m.x()),
               0.4 * found->norm() * displacement_m.norm());
@@ -79,7 +79,7 @@ TEST(SlipWatch, BlockedSightIsNoSlip) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     Circle circle(seed);
     ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
-    // Walls come and go, of up to four neighbours at once: what a robot sees that went away from them.
+    // Up to four adjacent anchors are NLOS at once, as if the robot had moved away from them.
     for (std::size_t blocked = 1; blocked <= 4; ++blocked) {
       std::array<double, 6> excess{};
       std::fill_n(excess.begin(), blocked, 0.8);
@@ -89,18 +89,18 @@ TEST(SlipWatch, BlockedSightIsNoSlip) {
   }
 }
 
-// One anchor that is carried nearer, or a single wrong reflection, has its own reason.
+// One anchor that was moved nearer, or a single wrong reflection, is no slip.
 TEST(SlipWatch, OneAnchorThatIsTooNearIsNoSlip) {
   Circle circle(7);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
   EXPECT_FALSE(circle.hear(5.0, Eigen::Vector2d::Zero(), {-1.0, 0.0, 0.0, 0.0, 0.0, 0.0}, 0.0));
 }
 
-// Anchors that were heard once, and then no more, agree with nothing.
+// Anchors without recent ranges do not count as agreeing.
 TEST(SlipWatch, SilentAnchorsAreNoWitnesses) {
   Circle circle(10);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
-  // Only two are left, both of a sudden too near.
+  // Only two anchors are left, and both are suddenly too near.
   for (int i = 0; i < 1000; ++i) {
     circle.t_s += 0.01;
     const int anchor = i % 2;
@@ -111,7 +111,8 @@ TEST(SlipWatch, SilentAnchorsAreNoWitnesses) {
   }
 }
 
-// As where the ground is not the surface: anchors are too far and too near as no displacement makes them.
+// A wrong surface, for example, makes ranges too long and too short in a pattern that no displacement
+// explains.
 TEST(SlipWatch, WhatADisplacementLeavesUnexplainedIsNoSlip) {
   Circle circle(9);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
@@ -124,7 +125,7 @@ TEST(SlipWatch, IgnoresWhatIsNoNumberAndForgets) {
   const double none = std::numeric_limits<double>::quiet_NaN();
   EXPECT_FALSE(circle.watch.observe(0, 0, circle.t_s, none, 0.01, 1.0, {1.0, 0.0}));
   EXPECT_FALSE(circle.watch.observe(0, 0, circle.t_s, 0.1, none, 1.0, {1.0, 0.0}));
-  // Half of a displacement's evidence, and then nothing of it.
+  // Some evidence of a displacement, then a reset.
   EXPECT_FALSE(circle.hear(0.08, {0.3, 0.0}, kInSight));
   circle.watch = SlipWatch(Config{}.slip_odds);
   EXPECT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
@@ -159,12 +160,12 @@ struct Slipped {
   double mean_m = 0.0;
   double max_m = 0.0;
   double nees = 0.0;
-  double wrong_s = 0.0;  // tracked with an error over 5 sigma, at a stretch
+  double wrong_s = 0.0;  // longest time in TRACKING with an error over 5 sigma
   std::size_t slips = 0;
 };
 
-// The wheels spin up within half a second, as gently as a robot accelerates, and tell of a way that is not
-// gone; or they stop as gently and tell of none, and the robot is carried.
+// Slip: the wheels spin up within half a second, as gently as a robot accelerates, and odometry shows motion
+// that does not happen. Carried: odometry fades to zero as gently while the robot moves on.
 struct Disturbance {
   double slip_mps = 0.0;
   bool carried = false;
@@ -246,7 +247,7 @@ TEST(Slip, IsFoundAndCostsLittle) {
       EXPECT_LT(with.nees, 0.6 * without.nees) << slip_mps << ' ' << length_s;
     }
   }
-  // With a tenth of the ranges it takes longer to show.
+  // With a tenth of the ranges the detection takes longer.
   for (const double length_s : {3.0, 8.0}) {
     const Disturbance slip{.slip_mps = 1.0, .length_s = length_s, .range_s = 0.03};
     const Slipped with = drive_with(slip, 6, told_truly());

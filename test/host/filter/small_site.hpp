@@ -1,5 +1,6 @@
-// A small simulated site for the filter's tests: hilly ground, anchors, a robot with tags on a drive, its
-// odometry with the errors that the contract tells, and ranges. Truth is integrated in fine steps.
+// A small simulated site for the filter's tests: hilly ground, anchors, a robot with tags on a drive,
+// odometry with the errors that the data set format specifies, and ranges. The truth is integrated in fine
+// steps.
 #pragma once
 
 #include <cmath>
@@ -43,7 +44,7 @@ inline std::vector<model::Tag> three_tags() {
   return {{1, {0.75, 0.45, 1.9}}, {2, {-0.7, -0.4, 1.2}}, {3, {0.6, -0.45, 0.4}}};
 }
 
-// Each anchor with a full covariance block and correlated biases, the common frame's error in it.
+// Each anchor has a full covariance block with correlated biases, which includes the common frame's error.
 inline model::Calibration calibration_of(const std::vector<model::Anchor>& anchors, double scale = 1.0) {
   model::Calibration calibration = model::surveyed_calibration(
       anchors, three_tags(), {.sigma_m = 0.1, .beta_m = {0.2, 0.05}, .gamma = {1.0, 0.002}}, 0.1);
@@ -64,7 +65,7 @@ inline model::Calibration calibration_of(const std::vector<model::Anchor>& ancho
   return calibration;
 }
 
-// Six anchors around.
+// Six anchors around the origin.
 inline model::Calibration six_anchors(double scale = 1.0) {
   return calibration_of({{11, {-12.0, -11.0, 2.5}},
                          {12, {13.0, -9.0, 3.0}},
@@ -75,17 +76,17 @@ inline model::Calibration six_anchors(double scale = 1.0) {
                         scale);
 }
 
-// One drive with its truth.
+// One drive with its ground truth.
 struct Drive {
   std::vector<model::OdometrySample> odometry;
   std::vector<model::RangeSample> ranges;
-  std::vector<model::PlanarPose> truth;  // at each odometry row
+  std::vector<model::PlanarPose> truth;  // at each odometry sample
 };
 
 struct DriveOptions {
   double duration_s = 10.0;
   double row_s = 0.05;
-  double range_s = 0.0;  // between ranges; 0: none
+  double range_s = 0.0;  // interval between ranges; 0: none
   double scale_sigma = 0.01;
   double yaw_rate_bias_sigma_radps = 0.002;
   double range_sigma_m = 0.1;
@@ -94,13 +95,13 @@ struct DriveOptions {
   model::OdometryNoise noise{0.03, 0.03, 0.01};
 };
 
-// Of the robot on its drive: vx, vy and the yaw rate, constant over an odometry row.
+// True vx, vy and yaw rate, constant over the interval of an odometry sample.
 inline Eigen::Vector3d true_velocity(double row_t_s) {
   return {1.0 + 0.5 * std::sin(0.7 * row_t_s), 0.3 * std::sin(0.3 * row_t_s),
           0.25 + 0.4 * std::sin(0.5 * row_t_s)};
 }
 
-// theta' = omega, t' = sigma(R_WT R_z v), by the classical Runge-Kutta rule.
+// theta' = omega, t' = sigma(R_WT R_z v), by the classical Runge-Kutta method.
 inline model::PlanarPose integrate(const model::Surface& surface, const model::PlanarPose& from,
                                    const Eigen::Vector3d& velocity, double dt_s, int steps) {
   const auto rate = [&](const Eigen::Vector3d& at) {
@@ -120,8 +121,8 @@ inline model::PlanarPose integrate(const model::Surface& surface, const model::P
   return {at.x(), at.y(), at.z()};
 }
 
-// A curved drive around the middle from the pose given, with everything random drawn from its sigma: odometry
-// errors, and the true site from the calibration's covariance.
+// A curved drive around the origin from `start`. All errors are drawn from their sigmas: odometry errors, and
+// the true site from the calibration's covariance.
 inline Drive drive(const model::Surface& surface, const model::Calibration& calibration,
                    const model::PlanarPose& start, const DriveOptions& options, Random& random) {
   const double scale = options.scale_sigma * random.gaussian();
@@ -144,7 +145,7 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
     sites.push_back(site);
   }
 
-  // Of each anchor, exact from range to range.
+  // Gauss-Markov range bias of each anchor, with exact transitions from range to range.
   const model::RangeNoise noise =
       calibration.range_noise.value_or(model::RangeNoise{options.range_sigma_m, 0.0, 1.0});
   std::vector<double> slow_m;
@@ -175,7 +176,7 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
       const std::size_t anchor = turn % sites.size();
       const std::size_t tag = turn / sites.size() % tags.size();
       ++turn;
-      // A range is stamped late by the delay.
+      // Range timestamps are late by the delay.
       const model::PlanarPose when = integrate(surface, at, velocity, next_range_s - delay - t_s, 2);
       const Eigen::VectorXd& site = sites[anchor];
       const auto prediction = model::predict_range(
@@ -189,7 +190,7 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
   return out;
 }
 
-// The covariance that parameters come with, from the calibration's own blocks, all anchors active.
+// Prior covariance of the parameters from the calibration's blocks, with all anchors active.
 inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& parameters,
                                         const model::Calibration& calibration) {
   Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(parameters.size(), parameters.size());
@@ -213,7 +214,7 @@ inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& para
   return covariance;
 }
 
-// Of core and parameters together.
+// Joint covariance of core and parameters.
 inline Eigen::MatrixXd whole(const Filter& filter) {
   const Eigen::MatrixXd cross = filter.covariance().cross();
   Eigen::MatrixXd p(kCoreSize + cross.rows(), kCoreSize + cross.rows());
@@ -222,14 +223,14 @@ inline Eigen::MatrixXd whole(const Filter& filter) {
   return p;
 }
 
-// As the filter's estimate would be after these inputs too.
+// The filter's estimate predicted over these inputs.
 inline Estimate predict(const Filter& filter, std::span<const MotionInput> ahead) {
   Filter::Prediction then = filter.prediction();
   for (const MotionInput& input : ahead) filter.carry(then, input);
   return filter.estimate(then);
 }
 
-// e' P^-1 e of an estimate.
+// e' P^-1 e of an estimate, the squared Mahalanobis distance of its error.
 inline double squared_error(const Estimate& estimate, const model::PlanarPose& truth) {
   const Eigen::Vector3d e(estimate.pose.x_m - truth.x_m, estimate.pose.y_m - truth.y_m,
                           model::wrap_angle(estimate.pose.theta_rad - truth.theta_rad));

@@ -28,7 +28,7 @@ std::unique_ptr<StartSearch> make(const model::Calibration& calibration) {
   return std::make_unique<StartSearch>(testing::hills(0.2), testing::three_tags(), calibration, config_of());
 }
 
-// Odometry before ranges of the same time.
+// Feeds all inputs by time; odometry before ranges with equal times.
 void feed(const testing::Drive& drive, StartSearch& into) {
   std::size_t next = 0;
   for (const model::OdometrySample& row : drive.odometry) {
@@ -67,19 +67,19 @@ TEST(StartSearch, FindsThePoseFromAnyPlaceAndHeading) {
     const double error = nees(hypotheses[0], drive.truth.back());
     EXPECT_LT(error, 25.0) << run;
     sum += error / 3.0;
-    // What all ranges share of the calibration's errors costs the truth something, somewhere else far more.
+    // The calibration's errors give the true pose some cost, but a wrong pose costs far more.
     model::PlanarPose away = drive.truth.back();
     away.x_m += 5.0;
     EXPECT_LT(search->cautious_cost(drive.truth.back()), 0.5 * search->cautious_cost(away)) << run;
   }
-  // Errors of 60 runs; the covariance is not to promise too much.
+  // Consistency over 60 runs: the covariance must not be overconfident.
   EXPECT_LT(sum / kRuns, 1.3);
   EXPECT_GT(sum / kRuns, 0.2);
 }
 
 TEST(StartSearch, WhatOneAnchorSaysIsOneEvent) {
   const model::Calibration calibration = testing::six_anchors(0.1);
-  // By how much the truth costs more with so many anchors behind walls.
+  // Additional cost of the true pose if some anchors are NLOS.
   const auto cost_of_walls = [&](std::size_t walls, double range_s) {
     double costs[2] = {};
     for (const bool blocked : {false, true}) {
@@ -101,13 +101,13 @@ TEST(StartSearch, WhatOneAnchorSaysIsOneEvent) {
   EXPECT_GT(one, 4.0);
   EXPECT_LT(one, 16.0);
   EXPECT_NEAR(cost_of_walls(3, 0.01), 3.0 * one, 0.25 * one);
-  // Nearly six times the ranges (a pair's are taken each 0.25 s at most), by the same wall, do not count
-  // twice.
+  // Nearly six times as many ranges (at most one of a pair each 0.25 s is used) with the same obstacle cost
+  // less than twice as much.
   EXPECT_LT(one, 2.0 * cost_of_walls(1, 0.08));
 }
 
 TEST(StartSearch, KeepsBothSidesOfALineOfAnchorsUntilTheRobotTurns) {
-  // All anchors on y = 0, as high as the tag; the robot first drives along them.
+  // All anchors are on the line y = 0; the robot first drives along it.
   const std::vector<model::Anchor> anchors{{11, {-8.0, 0.0, 2.0}},
                                            {12, {-4.0, 0.0, 2.0}},
                                            {13, {0.0, 0.0, 2.0}},

@@ -23,7 +23,7 @@ using test::Random;
 
 constexpr testing::DriveOptions kMinute{.duration_s = 60.0, .range_s = 0.01};
 
-// One site, the same in all drives of a test.
+// One site for all drives of a test.
 class TrackerTest : public ::testing::TestWithParam<std::uint64_t> {
  protected:
   TrackerTest() : random_(GetParam()) {
@@ -36,8 +36,8 @@ class TrackerTest : public ::testing::TestWithParam<std::uint64_t> {
     return testing::drive(surface_, calibration_, start, options, random_);
   }
 
-  // In order of time, odometry first; `keep` tells which ranges come. Notes after each row what the tracker
-  // says, and how far it is off.
+  // Feeds all inputs by time, odometry first, and only the ranges that `keep` accepts. Records the tracker's
+  // state and error after each odometry sample.
   void run(const testing::Drive& drive, double shift_s = 0.0,
            const std::function<bool(const model::RangeSample&)>& keep = {}) {
     std::size_t next = 0;
@@ -88,7 +88,7 @@ class TrackerTest : public ::testing::TestWithParam<std::uint64_t> {
              moment.t_s < to_s;
     });
   }
-  // The time from which on the tracker tracks to the end.
+  // Time from which the state is TRACKING until the end; infinity if it is not at the end.
   [[nodiscard]] double tracks_from_s() const {
     double from_s = std::numeric_limits<double>::infinity();
     for (const Moment& moment : moments_) {
@@ -97,7 +97,7 @@ class TrackerTest : public ::testing::TestWithParam<std::uint64_t> {
     }
     return from_s;
   }
-  // 5 sigma in three dimensions (the same share as 5 sigma in one: 34.6) for more than 2 s while TRACKING.
+  // TRACKING for more than 2 s with an error above 34.6 (the probability of 5 sigma in one dimension).
   [[nodiscard]] bool lied() const { return longest_wrong_s_ > 2.0; }
 
   Random random_;
@@ -151,8 +151,7 @@ TEST_P(TrackerTest, FindsAKidnappedRobot) {
   EXPECT_LT(moments_.back().error_m, 0.5);
 }
 
-// A gate passed: what comes through the walls is too long, for all tags and for seconds, and much as it would
-// be a step aside.
+// Passing a gate: for seconds the ranges of all tags are too long, much as if the robot were a step aside.
 TEST_P(TrackerTest, StaysWhereItIsBehindAWall) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   testing::Drive blocked = drive(kHere);
@@ -184,7 +183,7 @@ TEST_P(TrackerTest, SaysThatRangesAreLostAndComesBack) {
   EXPECT_FALSE(lied());
 }
 
-// Of the rows none come for a while; ranges go on, or pause too.
+// Odometry pauses for a while; ranges continue or pause, too.
 TEST_P(TrackerTest, AfterAPauseOfOdometryTheRangesAgreeBeforeItTracks) {
   for (const bool ranges : {true, false}) {
     SCOPED_TRACE(ranges);
@@ -205,7 +204,7 @@ TEST_P(TrackerTest, AfterAPauseOfOdometryTheRangesAgreeBeforeItTracks) {
       left.truth.push_back(paused.truth[i]);
     }
     run(left, 0.0, [&](const model::RangeSample& range) { return ranges || !in_pause(range.t_s); });
-    // The first inputs after such a jump in time are not taken yet, and change nothing.
+    // The first inputs after such a jump in time are not accepted yet and change nothing.
     EXPECT_FALSE(was(State::kTracking, 25.04, 25.5));
     EXPECT_LT(tracks_from_s(), 35.0);
     EXPECT_FALSE(lied());
@@ -254,7 +253,7 @@ TEST_P(TrackerTest, GoesOnAfterTheClockWasSet) {
 
 TEST_P(TrackerTest, TakesInputsOutOfOrder) {
   const testing::Drive whole = drive(kHere);
-  std::vector<std::pair<double, std::size_t>> order;  // rows, then ranges
+  std::vector<std::pair<double, std::size_t>> order;  // odometry samples, then ranges
   for (std::size_t i = 0; i < whole.odometry.size(); ++i)
     order.emplace_back(whole.odometry[i].t_s + random_.uniform(0.0, 0.4), i);
   for (std::size_t i = 0; i < whole.ranges.size(); ++i)
@@ -272,7 +271,7 @@ TEST_P(TrackerTest, TakesInputsOutOfOrder) {
   EXPECT_FALSE(lied());
 }
 
-// Ids exchanged in a circle: metres off at any pose.
+// Anchor ids permuted cyclically: the ranges are metres off at any pose.
 std::vector<model::RangeSample> renumbered(std::vector<model::RangeSample> ranges, double until_s) {
   for (model::RangeSample& range : ranges) {
     if (range.t_s < until_s)
@@ -298,7 +297,7 @@ TEST_P(TrackerTest, NamesAWrongMapAndGoesOnByOdometryAlone) {
     squared += moment.squared;
   }
   EXPECT_LT(tracking, moments_.size() / 20);
-  // As good as the same odometry without any range.
+  // As accurate as the same odometry without ranges.
   Config config;
   config.model = Model::kOdometry;
   config.odometry = {0.03, 0.03, 0.01};
@@ -346,7 +345,8 @@ TEST_P(TrackerTest, TakesOneMovedAnchorForNoWrongMap) {
   EXPECT_FALSE(lied());
 }
 
-// The source paper's model without biases: what they make of the ranges is not the map's fault.
+// The original model of the source paper has no biases: unmodelled biases must not be reported as a wrong
+// map.
 TEST_P(TrackerTest, BlamesNoMapForBiasesThatTheModelLeavesOut) {
   Config config;
   config.model = Model::kOriginal;

@@ -14,7 +14,7 @@ constexpr Eigen::Index kBlockSize = 3;
 constexpr Eigen::Index kSharedSize = 5;
 constexpr Eigen::Index kChainSize = static_cast<Eigen::Index>(kBlocks) * kBlockSize;
 
-// The same normal equations in one dense matrix.
+// Reference: the normal equations as one dense matrix.
 struct Dense {
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(kChainSize + kSharedSize, kChainSize + kSharedSize);
   Eigen::VectorXd right = Eigen::VectorXd::Zero(kChainSize + kSharedSize);
@@ -40,7 +40,7 @@ TEST_P(OfConsidered, SolutionAndCovariancesAreThoseOfTheDenseProblem) {
   const Eigen::Index solved = kSharedSize - considered;
   test::Random random(11);
   ChainProblem problem(kBlocks, kBlockSize, kSharedSize, considered);
-  // What a round before has left is gone.
+  // clear() removes the terms of a previous round.
   problem.clear();
   ChainProblem::Term stale(kBlockSize, 1, 0);
   stale.by_first.setOnes();
@@ -72,7 +72,7 @@ TEST_P(OfConsidered, SolutionAndCovariancesAreThoseOfTheDenseProblem) {
   const Eigen::Index size = kChainSize + solved;
   const Eigen::MatrixXd inverse = dense.information.topLeftCorner(size, size).inverse();
   const Eigen::VectorXd expected = inverse * dense.right.head(size);
-  // What is considered moves the rest by this, and has unit variance.
+  // Derivative of the estimated part w.r.t. the considered one, which has unit covariance.
   const Eigen::MatrixXd moved = inverse * dense.information.topRightCorner(size, considered);
   const Eigen::MatrixXd covariance = inverse + moved * moved.transpose();
   const std::vector<Eigen::MatrixXd> covariances = problem.covariances();

@@ -63,7 +63,7 @@ TEST(InSight, IsTheSumOverAllWaysThroughTheStates) {
   const std::vector<double> found = in_sight(pair, config);
   ASSERT_EQ(found.size(), n);
   for (std::size_t i = 0; i < n; ++i) EXPECT_NEAR(found[i], expected[i] / total, 1e-6) << i;
-  // 0.15 m alone would be in sight; between two that are not, and soon after, it is not so sure.
+  // 0.15 m alone would be LOS; right after NLOS ranges the probability is lower.
   EXPECT_LT(found[3], in_sight(std::span(pair).subspan(3, 1), config)[0]);
   EXPECT_LT(found[6], 0.01);
 }

@@ -30,7 +30,7 @@ struct Score {
   double nees = 0.0;  // over 3
 };
 
-// At one row in the middle.
+// Score of one estimate.
 Score score(const model::PlanarEstimate& row, const model::PlanarPose& truth) {
   const Eigen::Vector3d e(row.x_m - truth.x_m, row.y_m - truth.y_m,
                           model::wrap_angle(row.yaw_rad - truth.theta_rad));
