@@ -24,10 +24,10 @@ std::optional<Model> model_from_name(std::string_view name) noexcept {
   return std::nullopt;
 }
 
-SensorConfig::SensorConfig(const model::SensorDescription& told) {
-  gyro_sigma_radps = told.gyro_sigma_radps.value_or(gyro_sigma_radps);
-  gyro_bias_radps = told.gyro_bias_sigma_radps.value_or(gyro_bias_radps);
-  position_lever_arm_m = told.gnss_lever_arm_m.value_or(position_lever_arm_m);
+SensorConfig::SensorConfig(const model::SensorDescription& description) {
+  gyro_sigma_radps = description.gyro_sigma_radps.value_or(gyro_sigma_radps);
+  gyro_bias_radps = description.gyro_bias_sigma_radps.value_or(gyro_bias_radps);
+  position_lever_arm_m = description.gnss_lever_arm_m.value_or(position_lever_arm_m);
 }
 
 Config ablated(Config config) noexcept {

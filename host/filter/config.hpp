@@ -62,7 +62,7 @@ struct GateConfig {
 struct SensorConfig {
   SensorConfig() = default;
   // Takes the given values; the others keep the defaults below.
-  explicit SensorConfig(const model::SensorDescription& told);
+  explicit SensorConfig(const model::SensorDescription& description);
 
   double gyro_sigma_radps = 0.005;                                 // white, constant until the next sample
   double gyro_bias_radps = 0.01;                                   // sigma of its constant bias

@@ -19,33 +19,33 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     tag_ids_[slot] = tag.id;
     lever_arms_m_[slot] = tag.lever_arm_m;
   }
-  for (const model::TagCalibration& told : calibration.tags) {
-    const int tag = tag_slot(told.id);
+  for (const model::TagCalibration& calibrated : calibration.tags) {
+    const int tag = tag_slot(calibrated.id);
     if (tag < 0) continue;
-    if (told.lever_arm) lever_arms_m_[static_cast<std::size_t>(tag)] = told.lever_arm->position_m;
-    if (told.pattern_m && !model::is_ablated(model::Mechanism::kAntennaPattern))
-      patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
+    if (calibrated.lever_arm) lever_arms_m_[static_cast<std::size_t>(tag)] = calibrated.lever_arm->position_m;
+    if (calibrated.pattern_m && !model::is_ablated(model::Mechanism::kAntennaPattern))
+      patterns_m_[static_cast<std::size_t>(tag)] = *calibrated.pattern_m;
   }
   if (calibration.range_noise) {
     slow_variance_m2_ = calibration.range_noise->slow_sigma_m * calibration.range_noise->slow_sigma_m;
   }
 
   const int size = anchor_size();
-  for (const model::AnchorCalibration& told : calibration.anchors) {
-    if (!model::has_position(told)) continue;
+  for (const model::AnchorCalibration& calibrated : calibration.anchors) {
+    if (!model::has_position(calibrated)) continue;
     SiteAnchor anchor;
-    anchor.id = told.id;
-    anchor.is_learnt = told.verdict == model::AnchorVerdict::kOk;
+    anchor.id = calibrated.id;
+    anchor.is_learnt = calibrated.verdict == model::AnchorVerdict::kOk;
     anchor.values.setZero(size);
-    anchor.values.head<3>() = told.position_m;
+    anchor.values.head<3>() = calibrated.position_m;
     anchor.covariance.setZero(size, size);
-    const auto pairs = static_cast<Eigen::Index>(told.pairs.size());
+    const auto pairs = static_cast<Eigen::Index>(calibrated.pairs.size());
     // The common frame's error is a parameter of its own.
-    const Eigen::MatrixXd own = model::own_covariance(told, frame_covariance_);
+    const Eigen::MatrixXd own = model::own_covariance(calibrated, frame_covariance_);
     // Target index of each row of the calibration's block; -1 for tags that this robot lacks.
     const auto target = [&](Eigen::Index row) {
       if (row < 3) return static_cast<int>(row);
-      const int tag = tag_slot(told.pairs[static_cast<std::size_t>((row - 3) % pairs)].tag_id);
+      const int tag = tag_slot(calibrated.pairs[static_cast<std::size_t>((row - 3) % pairs)].tag_id);
       if (tag < 0) return -1;
       return row - 3 < pairs ? 3 + tag : 3 + tag_count_ + tag;
     };
@@ -57,15 +57,15 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
       }
     }
     anchor.covariance(size - 1, size - 1) = slow_variance_m2_;
-    for (const model::PairBias& pair : told.pairs) {
+    for (const model::PairBias& pair : calibrated.pairs) {
       const int tag = tag_slot(pair.tag_id);
       if (tag < 0) continue;
       anchor.values(3 + tag) = pair.beta_m;
       anchor.values(3 + tag_count_ + tag) = pair.gamma;
       anchor.knows_tag[static_cast<std::size_t>(tag)] = true;
     }
-    if (told.id >= index_by_id_.size()) index_by_id_.resize(told.id + std::size_t{1}, -1);
-    index_by_id_[told.id] = anchor_count();
+    if (calibrated.id >= index_by_id_.size()) index_by_id_.resize(calibrated.id + std::size_t{1}, -1);
+    index_by_id_[calibrated.id] = anchor_count();
     anchors_.push_back(anchor);
   }
 }

@@ -64,9 +64,10 @@ class Shared {
       mean.segment<3>(lever_arm(tag)) = tags[static_cast<std::size_t>(tag)].lever_arm_m;
       root.diagonal().segment<3>(lever_arm(tag)).setConstant(config.lever_arm_sigma_m);
     }
-    for (const model::TagCalibration& told : calibration.tags) {
-      const Eigen::Index tag = tag_slot(tags, told.id);
-      if (tag >= 0 && told.lever_arm) mean.segment<3>(lever_arm(tag)) = told.lever_arm->position_m;
+    for (const model::TagCalibration& calibrated : calibration.tags) {
+      const Eigen::Index tag = tag_slot(tags, calibrated.id);
+      if (tag >= 0 && calibrated.lever_arm)
+        mean.segment<3>(lever_arm(tag)) = calibrated.lever_arm->position_m;
     }
     set_root(frame(), calibration.common_frame_covariance);
   }
@@ -184,9 +185,10 @@ class Smoother {
     }
     block_ =
         kPose + (noise_.slow_sigma_m > 0.0 ? shared_.anchors() * static_cast<Eigen::Index>(tags_.size()) : 0);
-    for (const model::TagCalibration& told : run.calibration->tags) {
-      const Eigen::Index tag = Shared::tag_slot(tags_, told.id);
-      if (tag >= 0 && told.pattern_m) patterns_m_[static_cast<std::size_t>(tag)] = *told.pattern_m;
+    for (const model::TagCalibration& calibrated : run.calibration->tags) {
+      const Eigen::Index tag = Shared::tag_slot(tags_, calibrated.id);
+      if (tag >= 0 && calibrated.pattern_m)
+        patterns_m_[static_cast<std::size_t>(tag)] = *calibrated.pattern_m;
     }
   }
 
