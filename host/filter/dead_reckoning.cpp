@@ -126,7 +126,8 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     renew(kRowVy, variance_vy);
   } else {
     now.core.segment<3>(kRowVx).setZero();
-    covariance.renew_row({variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
+    covariance.renew_odometry_errors(
+        {variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
   }
   if (doubt.position_m2 > 0.0) grow_position(doubt.position_m2);
   // With a larger heading sigma, a linearized update would turn lever arms into position errors.
@@ -190,7 +191,7 @@ void DeadReckoning<Covariance>::bound_pose() noexcept {
 }
 
 template <class Covariance>
-void DeadReckoning<Covariance>::stand_on(int chart) noexcept {
+void DeadReckoning<Covariance>::set_chart(int chart) noexcept {
   now.chart = chart;
   if (model::is_ablated(model::Mechanism::kGroundMismatch)) return;
   const model::SurfaceMismatch& mismatch = surface.mismatch(chart);
@@ -202,7 +203,7 @@ template <class Covariance>
 void DeadReckoning<Covariance>::follow_chart() noexcept {
   if (surface.chart_count() == 1) return;
   const int chart = surface.follow(now.chart, now.core(kX), now.core(kY));
-  if (chart != now.chart) stand_on(chart);
+  if (chart != now.chart) set_chart(chart);
 }
 
 template struct DeadReckoning<JointCovariance>;

@@ -61,7 +61,7 @@ struct LinkDelays {
 
 // The pose now: the core state's pose, which lags by the odometry delay, propagated by that delay.
 struct PresentPose {
-  Eigen::Vector3d pose;  // x, y, theta, not wrapped
+  Eigen::Vector3d pose;   // x, y, theta, not wrapped
   PoseRows d_core;        // of pose, w.r.t. the core state
   Eigen::Matrix3d noise;  // covariance from the odometry delay's variance given the core state
   int chart = 0;
@@ -110,7 +110,7 @@ struct DeadReckoning {
   // Holds this yaw rate in place of odometry's. If it is implausible after the previous one: returns false
   // and does nothing.
   bool turn(const model::YawRateSample& sample) noexcept;
-  void stand_on(int chart) noexcept;
+  void set_chart(int chart) noexcept;
   void follow_chart() noexcept;
 
  private:

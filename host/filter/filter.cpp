@@ -19,10 +19,10 @@ constexpr double kNoAnswerYet_s = -std::numeric_limits<double>::infinity();
 using model::Mechanism;
 using model::square;
 
-Learning learning(Model model) noexcept {
-  if (model == Model::kJoint) return Learning::kAll;
-  if (model == Model::kAnchorStates) return Learning::kPositions;
-  return Learning::kNothing;
+EstimatedParameters estimated(Model model) noexcept {
+  if (model == Model::kJoint) return EstimatedParameters::kAll;
+  if (model == Model::kAnchorStates) return EstimatedParameters::kPositions;
+  return EstimatedParameters::kNothing;
 }
 
 // Adapts the calibration to another drive than the one it was estimated from.
@@ -58,7 +58,7 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
           SlipWatch(config.slip_odds),
           RangeTuning(white_sigma_m),
           SensorGate(),
-          JointCovariance(site, parameters, learning(config.model))};
+          JointCovariance(site, parameters, estimated(config.model))};
 }
 
 }  // namespace
@@ -111,17 +111,17 @@ void Filter::start(const Start& start) noexcept {
   }
   now_.covariance.reset_core(variances.asDiagonal());
   now_.odometry_tuning.reset();
-  begin_on(std::clamp(start.pose.chart, 0, surface_.chart_count() - 1));
+  begin_on_chart(std::clamp(start.pose.chart, 0, surface_.chart_count() - 1));
 }
 
 void Filter::resume(const Filter& other) noexcept {
   static_cast<MotionState&>(now_) = other.now_;
   now_.covariance.reset_core(other.now_.covariance.core());
-  begin_on(now_.chart);
+  begin_on_chart(now_.chart);
 }
 
-void Filter::begin_on(int chart) noexcept {
-  motion().stand_on(chart);
+void Filter::begin_on_chart(int chart) noexcept {
+  motion().set_chart(chart);
   now_.gate.reset(now_.t_s);
   now_.slip_watch = SlipWatch(config_.slip_odds);
   now_.slip = {};
@@ -365,7 +365,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   record.left = leaving;
   AnchorMemory& left = memories_[static_cast<std::size_t>(leaving)];
   record.before = left;
-  now_.covariance.leave(now_.parameters, slot, left);
+  now_.covariance.marginalize(now_.parameters, slot, left);
   left.left = number;
   left.t_s = now_.t_s;
   record.absence = now_.covariance.absence();
@@ -383,7 +383,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   const AnchorVector& values =
       back.was_active && back.values.size() > 0 ? back.values : site_.anchor(anchor).values;
   now_.parameters.exchange(slot, anchor, values);
-  now_.covariance.enter(site_.anchor(anchor), slot, back, faded, now_.parameters);
+  now_.covariance.augment(site_.anchor(anchor), slot, back, faded, now_.parameters);
   now_.gate.renew(slot, now_.t_s);
   now_.slip_watch.renew(slot);
   slots_[static_cast<std::size_t>(leaving)] = -1;

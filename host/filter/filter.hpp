@@ -98,7 +98,7 @@ struct Counters {
   CountBy<RangeOutcome, 9> ranges;
   std::array<CountBy<SensorOutcome, 6>, model::kSensors> sensors;  // in the order of SensorSample
   std::size_t doubts = 0;                                          // how often divergence was suspected
-  std::size_t slips = 0;             // wheel slips detected by ranges
+  std::size_t slips = 0;                                           // wheel slips detected by ranges
   std::size_t anchor_exchanges = 0;  // how often an anchor replaced another one in its slot
 };
 
@@ -201,7 +201,7 @@ class Filter {
   Filter(model::Surface surface, std::span<const model::Tag> tags, const Config& config,
          const model::Calibration& here);
   // Starts on that chart, with empty gates and without memory of earlier ranges and other sensors.
-  void begin_on(int chart) noexcept;
+  void begin_on_chart(int chart) noexcept;
   OdometryOutcome take(const model::OdometrySample& row) noexcept;
   // Finds the range's pair. kUsed if the range is valid: then the state is at its time and its anchor active.
   RangeOutcome admit(const model::RangeSample& range, PairPlace& pair) noexcept;

@@ -56,7 +56,7 @@ void propagate_core(CoreMatrix& core, const PoseRows& f) noexcept {
 
 }  // namespace
 
-void CoreCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
+void CoreCovariance::renew_odometry_errors(const Eigen::Vector3d& variances) noexcept {
   core_.bottomRows<3>().setZero();
   core_.rightCols<3>().setZero();
   core_.diagonal().tail<3>() = variances;
@@ -81,24 +81,25 @@ void CoreCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
   ground_variances_ = variances;
 }
 
-JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, Learning learning)
-    : learning_(learning),
+JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
+                                 EstimatedParameters estimated)
+    : estimated_(estimated),
       layout_(parameters),
       size_(parameters.size()),
       stride_(padded(size_)),
       lever_arm_variance_m2_(site.lever_arm_variance_m2()),
       slow_variance_m2_(site.slow_variance_m2()),
       frame_covariance_(site.frame_covariance()) {
-  if (learning == Learning::kNothing) {
+  if (estimated == EstimatedParameters::kNothing) {
     absent_rows_ = site.anchor_count() > layout_.anchor_count() ? kCoreSize : 0;
     begin_absence();
     return;
   }
   lower_.resize(static_cast<std::size_t>(stride_ / kKernelStep) * static_cast<std::size_t>(stride_));
   set_prior(site, parameters, Eigen::Map<Eigen::MatrixXd>(lower_data(), stride_, stride_));
-  if (learning == Learning::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
+  if (estimated == EstimatedParameters::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-    learn(slot, site.anchor(parameters.anchor_in(slot)).is_learnt);
+    set_estimated(slot, site.anchor(parameters.anchor_in(slot)).is_estimated);
   }
 }
 
@@ -115,13 +116,14 @@ void JointCovariance::set_prior(const Site& site, const Parameters& parameters,
   }
 }
 
-void JointCovariance::learn(int slot, bool learnt) noexcept {
+void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
   double* const own = learns_.data() + layout_.position(slot);
   std::fill_n(own, layout_.anchor_size(), 0.0);
-  if (learnt) std::fill_n(own, learning_ == Learning::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
+  if (is_estimated)
+    std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
   // The slow range bias's variance is always slow_variance_m2_ and is stored there.
   lower(layout_.slow_error(slot), layout_.slow_error(slot)) = 0.0;
-  considered_ = learning_ != Learning::kAll;
+  considered_ = estimated_ != EstimatedParameters::kAll;
   for (int other = 0; other < layout_.anchor_count(); ++other) {
     if (learns_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
   }
@@ -131,17 +133,17 @@ void JointCovariance::reset_core(const CoreMatrix& covariance) noexcept {
   core_ = covariance;
   cross_.fill(0.0);
   moved_ = false;
-  same_row_ = true;
+  same_sample_ = true;
   motion_.setIdentity();
   ground_scale_ = 1.0;
 }
 
-void JointCovariance::renew_row(const Eigen::Vector3d& variances) noexcept {
+void JointCovariance::renew_odometry_errors(const Eigen::Vector3d& variances) noexcept {
   core_.bottomRows<3>().setZero();
   core_.rightCols<3>().setZero();
   core_.diagonal().tail<3>() = variances;
   moved_ = true;
-  same_row_ = false;
+  same_sample_ = false;
 }
 
 void JointCovariance::renew(CoreIndex index, double variance) noexcept {
@@ -159,7 +161,7 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
   motion.row(kTheta) = motion_.row(kTheta);
   motion.middleCols<3>(3) += f.middleCols<3>(3);
   // The errors of a new odometry sample are uncorrelated.
-  if (same_row_) motion.rightCols<3>() += f.rightCols<3>();
+  if (same_sample_) motion.rightCols<3>() += f.rightCols<3>();
   motion_ = motion;
   moved_ = true;
 }
@@ -167,10 +169,10 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
 void JointCovariance::settle_motion() noexcept {
   if (!moved_) return;
   move_cross(cross_.data(), rows(), motion_);
-  if (!same_row_) std::fill(cross_.begin() + kRowVx * kCrossStride, cross_.end(), 0.0);
+  if (!same_sample_) std::fill(cross_.begin() + kRowVx * kCrossStride, cross_.end(), 0.0);
   motion_.setIdentity();
   moved_ = false;
-  same_row_ = true;
+  same_sample_ = true;
 }
 
 void JointCovariance::fade_slow_errors(double factor) noexcept {
@@ -191,7 +193,7 @@ void JointCovariance::fade_ground(double factor) noexcept {
 
 void JointCovariance::scale_cross(int parameter, double factor) noexcept {
   rows_of(cross_.data()).row(parameter) *= factor;
-  if (learning_ == Learning::kNothing) return;
+  if (estimated_ == EstimatedParameters::kNothing) return;
   for (int i = 0; i < parameter; ++i) lower(parameter, i) *= factor;
   for (int i = parameter + 1; i < size_; ++i) lower(i, parameter) *= factor;
 }
@@ -206,7 +208,7 @@ GroundRows JointCovariance::ground_cross() const noexcept {
   GroundRows out = before;
   if (!moved_) return out;
   out.leftCols<3>() = before.lazyProduct(motion_.transpose());
-  if (!same_row_) out.rightCols<3>().setZero();
+  if (!same_sample_) out.rightCols<3>().setZero();
   return out;
 }
 
@@ -252,8 +254,8 @@ void JointCovariance::own_of_considered(const RangeMeasurement& measurement, con
   }
 }
 
-void JointCovariance::own_of_learnt(const RangeMeasurement& measurement, const PairPlace& pair,
-                                    double* own) const noexcept {
+void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
+                                       double* own) const noexcept {
   const auto d = stored(measurement);
   std::array<double, kMaxAnchorSize> of_anchor{};
   std::copy_n(d.data() + kOfPosition, 3, of_anchor.begin());
@@ -307,10 +309,10 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
                               Projected& out) noexcept {
   settle_motion();
   std::fill_n(out.own.begin(), padded(rows()), 0.0);
-  if (learning_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     own_of_considered(measurement, pair, out.own.data());
   } else {
-    own_of_learnt(measurement, pair, out.own.data());
+    own_of_estimated(measurement, pair, out.own.data());
   }
   const PairIndices index = layout_.pair_indices(pair.slot, pair.tag);
   const auto d = stored(measurement);
@@ -345,7 +347,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   correct_core(projected.core, variance);
   double* const q = projected.own.data();
   correct_cross(cross_.data(), rows(), d_core.transpose(), projected.core / variance, q);
-  if (learning_ == Learning::kNothing) return;
+  if (estimated_ == EstimatedParameters::kNothing) return;
 
   const double gain = innovation / variance;
   const double root = 1.0 / std::sqrt(variance);
@@ -373,8 +375,8 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   for (std::size_t i = 0; i < static_cast<std::size_t>(size_); ++i) masked[i] = learns_[i] * q[i];
   for (int j = 0; j < size_; ++j) {
     // Two considered parameters keep their covariance.
-    const bool learnt = learns_[static_cast<std::size_t>(j)] != 0.0;
-    subtract_column(&lower(0, j), j, size_, q[j], learnt ? q : masked.data());
+    const bool is_estimated = learns_[static_cast<std::size_t>(j)] != 0.0;
+    subtract_column(&lower(0, j), j, size_, q[j], is_estimated ? q : masked.data());
   }
 }
 
@@ -400,14 +402,14 @@ void JointCovariance::read(int row, int column, Block& out) const noexcept {
   }
 }
 
-void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept {
+void JointCovariance::marginalize(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept {
   settle_motion();
   settle_slow_errors();
   const int first = layout_.position(slot);
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
   memory.was_active = true;
-  if (learning_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     memory.cross = rows_of(cross_.data()).middleRows(first, size);
     return;
   }
@@ -435,8 +437,8 @@ void JointCovariance::leave(const Parameters& parameters, int slot, AnchorMemory
   memory.values = parameters.values().segment(first, size);
 }
 
-void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
-                            Parameters& parameters) noexcept {
+void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
+                              Parameters& parameters) noexcept {
   settle_motion();
   settle_slow_errors();
   const int first = layout_.position(slot);
@@ -445,7 +447,7 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
   RowsMap<CrossBlock> cross = rows_of(cross_.data());
   auto own_cross = cross.middleRows(first, size);
   own_cross.setZero();
-  if (learning_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     if (memory.was_active) own_cross = memory.cross;
     cross.row(first + size - 1) *= faded;
     return;
@@ -473,7 +475,7 @@ void JointCovariance::enter(const SiteAnchor& anchor, int slot, const AnchorMemo
   for (int j = 0; j < size; ++j) {
     for (int i = j; i < size; ++i) lower(first + i, first + j) = own(i, j);
   }
-  learn(slot, anchor.is_learnt);
+  set_estimated(slot, anchor.is_estimated);
 }
 
 Eigen::MatrixXd JointCovariance::cross() const {
@@ -486,7 +488,7 @@ Eigen::MatrixXd JointCovariance::cross() const {
 
 Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& parameters) const {
   Eigen::MatrixXd all = Eigen::MatrixXd::Zero(size_, size_);
-  if (learning_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     set_prior(site, parameters, all);
   } else {
     JointCovariance settled = *this;

@@ -31,7 +31,7 @@ class CoreCovariance {
                  const Eigen::Vector3d& ground_variances)
       : core_(core), ground_cross_(ground_cross), ground_variances_(ground_variances) {}
 
-  void renew_row(const Eigen::Vector3d& variances) noexcept;
+  void renew_odometry_errors(const Eigen::Vector3d& variances) noexcept;
   void renew(CoreIndex index, double variance) noexcept;
   void grow(CoreIndex index, double variance) noexcept { core_(index, index) += variance; }
   void propagate(const PoseRows& pose_rows) noexcept;
@@ -50,7 +50,7 @@ class CoreCovariance {
 };
 
 // Which parameters an update estimates; the others are consider states.
-enum class Learning {
+enum class EstimatedParameters {
   kNothing,    // all are considered: their covariance stays block diagonal by anchor, tag and frame
   kPositions,  // anchor positions are estimated, the others considered
   kAll,
@@ -88,12 +88,12 @@ struct AnchorMemory {
 
 class JointCovariance {
  public:
-  JointCovariance(const Site& site, const Parameters& parameters, Learning learning);
+  JointCovariance(const Site& site, const Parameters& parameters, EstimatedParameters estimated);
 
   // Re-initializes the core's covariance, uncorrelated with the parameters.
   void reset_core(const CoreMatrix& covariance) noexcept;
   // Re-initializes the errors of the odometry sample (m^2/s^2, m^2/s^2, rad^2/s^2), uncorrelated.
-  void renew_row(const Eigen::Vector3d& variances) noexcept;
+  void renew_odometry_errors(const Eigen::Vector3d& variances) noexcept;
   // Re-initializes one core state, uncorrelated.
   void renew(CoreIndex index, double variance) noexcept;
   // Adds process noise to one core state.
@@ -135,9 +135,9 @@ class JointCovariance {
 
   // Marginalizes the anchor in a slot, and augments the state by another one there. faded: decay factor of
   // the anchor's slow range bias since it was removed. parameters: already with the new anchor's values.
-  void leave(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept;
-  void enter(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
-             Parameters& parameters) noexcept;
+  void marginalize(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept;
+  void augment(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
+               Parameters& parameters) noexcept;
   // If parameters are considered: the matrix by which, from the right, the cross-covariances of all inactive
   // anchors with the core have changed since begin_absence().
   [[nodiscard]] CoreMatrix absence() noexcept;
@@ -163,7 +163,7 @@ class JointCovariance {
   void read(int row, int column, Block& out) const noexcept;
   // The calibration's covariance, with slow range biases, without the ground.
   void set_prior(const Site& site, const Parameters& parameters, Eigen::Ref<Eigen::MatrixXd> all) const;
-  void learn(int slot, bool learnt) noexcept;
+  void set_estimated(int slot, bool is_estimated) noexcept;
   void settle_motion() noexcept;
   void scale_cross(int parameter, double factor) noexcept;
   void settle_slow_errors() noexcept;
@@ -175,9 +175,10 @@ class JointCovariance {
       const RangeMeasurement& measurement) const noexcept;
   void own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,
                          double* own) const noexcept;
-  void own_of_learnt(const RangeMeasurement& measurement, const PairPlace& pair, double* own) const noexcept;
+  void own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
+                        double* own) const noexcept;
 
-  Learning learning_;
+  EstimatedParameters estimated_;
   Layout layout_;
   int size_ = 0;
   int stride_ = 0;
@@ -192,7 +193,7 @@ class JointCovariance {
   // same.
   PoseRows motion_ = PoseRows::Identity();
   bool moved_ = false;
-  bool same_row_ = true;
+  bool same_sample_ = true;
   double slow_scale_ = 1.0;
   Eigen::Vector3d ground_variances_ = Eigen::Vector3d::Zero();
   double ground_scale_ = 1.0;

@@ -35,7 +35,7 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     if (!model::has_position(calibrated)) continue;
     SiteAnchor anchor;
     anchor.id = calibrated.id;
-    anchor.is_learnt = calibrated.verdict == model::AnchorVerdict::kOk;
+    anchor.is_estimated = calibrated.verdict == model::AnchorVerdict::kOk;
     anchor.values.setZero(size);
     anchor.values.head<3>() = calibrated.position_m;
     anchor.covariance.setZero(size, size);

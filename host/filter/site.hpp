@@ -30,7 +30,7 @@ struct PairParameters {
 
 struct SiteAnchor {
   model::NodeId id = 0;
-  bool is_learnt = false;  // verdict kOk; other anchors may have more than one solution and are considered
+  bool is_estimated = false;  // verdict kOk; other anchors may have more than one solution and are considered
   std::array<bool, kMaxTags> knows_tag{};
   AnchorVector values;
   // Without the common frame's contribution. Last the slow range bias, uncorrelated.
