@@ -46,13 +46,13 @@ struct GateConfig {
   // garbage. From half of the polls missed on, all of the NLOS excess has the larger mean kRegained_m.
   double regained_share = 0.7;
   double regained_garbage = 0.14;
-  double garbage_share = 0.01;  // of all ranges
+  double garbage_share = 0.01;    // of all ranges
   double garbage_width_m = 50.0;  // their errors are uniform over this width
 
-  // LOS/NLOS hint by the received powers, estimated on site: see SightHint.
-  double hint_most = 10.0;       // bound of one range's likelihood ratio; 1: powers are not used
-  double hint_s = 0.2;           // ranges of a pair that are closer are correlated and count as one
-  double hint_memory_s = 600.0;  // time constant of the counts
+  // LOS/NLOS hint by the received powers, estimated on site: see PowerHint.
+  double hint_most = 10.0;         // bound of one range's likelihood ratio; 1: powers are not used
+  double hint_s = 0.2;             // ranges of a pair that are closer are correlated and count as one
+  double hint_memory_s = 600.0;    // time constant of the counts
   double hint_prior_count = 30.0;  // weight of the prior, in ranges
 
   double window_s = 1.0;  // window of the divergence test: see gate.cpp
@@ -67,7 +67,7 @@ struct SensorConfig {
   double gyro_sigma_radps = 0.005;                                 // white, constant until the next sample
   double gyro_bias_radps = 0.01;                                   // sigma of its constant bias
   Eigen::Vector3d position_lever_arm_m = Eigen::Vector3d::Zero();  // of the GNSS antenna, in base_link
-  double standing_sigma_mps = 0.005;  // of the zero-velocity update
+  double standing_sigma_mps = 0.005;                               // of the zero-velocity update
   double standing_sigma_radps = 0.002;
 };
 

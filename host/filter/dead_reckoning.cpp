@@ -105,12 +105,12 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   model::OdometrySample held = row;
   if (now.gyro.holds) held.omega_radps = now.gyro.radps;
   const model::OdometryNoise noise = now.odometry_tuning.noise();
-  OdometryDoubt doubt;
+  OdometryInflation doubt;
   if (now.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
     doubt = now.watch.judge(now.row, held, noise);
   if (keeps_cross(config.model)) {
     if (config.tunes_noise) now.odometry_tuning.observe(row);
-    const OdometryDoubt slip = now.slip.judge(std::max(row.t_s - now.row.t_s, 0.0));
+    const OdometryInflation slip = now.slip.judge(std::max(row.t_s - now.row.t_s, 0.0));
     doubt.velocity_m2ps2 += slip.velocity_m2ps2;
     doubt.turn_rad2ps2 += slip.turn_rad2ps2;
   }

@@ -87,14 +87,14 @@ RangeDensities range_densities(double error_m, double sigma_m, const GateConfig&
           .garbage_share = garbage_share};
 }
 
-double SightHint::share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
+double PowerHint::share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
                         model::PowerClass of) const noexcept {
   const double before = believed[model::hidden_class(of)] / static_cast<double>(model::kStrengthClasses);
   const double prior = config_.hint_prior_count * unit_;
   return (counts.of[of] + prior * before) / (counts.all + prior);
 }
 
-double SightHint::likelihood_ratio(model::PowerClass of) const noexcept {
+double PowerHint::likelihood_ratio(model::PowerClass of) const noexcept {
   if (of >= model::kNoPowerClass) return 1.0;
   const double ratio =
       share(blocked_, model::kBelievedBlocked, of) / share(in_sight_, model::kBelievedInSight, of);
@@ -102,12 +102,12 @@ double SightHint::likelihood_ratio(model::PowerClass of) const noexcept {
   return std::clamp(ratio, 1.0 / most, most);
 }
 
-double SightHint::blocked_share() const noexcept {
+double PowerHint::blocked_share() const noexcept {
   const double prior = config_.hint_prior_count * unit_;
   return (blocked_.all + prior * config_.blocked_share) / (blocked_.all + in_sight_.all + prior);
 }
 
-void SightHint::learn(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept {
+void PowerHint::observe(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept {
   if (of >= model::kNoPowerClass) return;
   const double passed_s = std::clamp(t_s - t_s_, 0.0, config_.hint_memory_s);
   unit_ *= std::exp(passed_s / config_.hint_memory_s);
@@ -128,7 +128,7 @@ Gate::Gate(const GateConfig& config) : config_(config), hint_(config) {
   reset(0.0);
 }
 
-Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
+Gate::Reception Gate::update_reception(int anchor, Pair& pair, double t_s) noexcept {
   const double gap_s = std::max(t_s - pair.t_s, 0.0);
   if (pair.heard && gap_s > 0.0) {
     const double step = gap_s > poll_interval_s_ ? kLongGaps * kGapStep : (kLongGaps - 1.0) * kGapStep;
@@ -151,7 +151,7 @@ Gate::Reception Gate::listen(int anchor, Pair& pair, double t_s) noexcept {
   return {.missed = std::max(expected - pair.reception, 0.0) / expected, .alike = polls * tags};
 }
 
-double Gate::expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept {
+double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept {
   if (model::is_ablated(Mechanism::kGateMemory)) return config_.blocked_share;
   const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
   double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
@@ -184,8 +184,8 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   Pair& chain = pairs_[pair_at(anchor, tag)];
 
   const double gap_s = std::max(t_s - chain.t_s, 0.0);
-  double prior = expect_blocked(anchor, chain, t_s);
-  const Reception reception = listen(anchor, chain, t_s);
+  double prior = prior_nlos(anchor, chain, t_s);
+  const Reception reception = update_reception(anchor, chain, t_s);
   prior += std::max(config_.regained_share - prior, 0.0) * reception.missed;
   const RangeDensities density = range_densities(innovation_m, sigma, config_, reception.missed);
 
@@ -207,7 +207,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const double ratio = hint_.likelihood_ratio(hint);
   if (!doubts_) {
     const double share = std::min(gap_s / config_.hint_s, 1.0);
-    hint_.learn(hint, t_s, share * unhinted.blocked, share * unhinted.in_sight);
+    hint_.observe(hint, t_s, share * unhinted.blocked, share * unhinted.in_sight);
   }
   const auto with_hint = [ratio](double share) { return share * ratio / (share * ratio + 1.0 - share); };
   // Innovations of a pair are correlated, so `prior` is overconfident: bound it by the share on site.

@@ -25,8 +25,8 @@ namespace groma::filter {
 struct RangeDensities {
   double in_sight = 0.0;
   double blocked = 0.0;
-  double far = 0.0;            // part of blocked: larger excess of a pair that misses polls
-  double garbage = 0.0;        // already times garbage_share
+  double far = 0.0;      // part of blocked: larger excess of a pair that misses polls
+  double garbage = 0.0;  // already times garbage_share
   double garbage_share = 0.0;
 };
 // missed: share of the pair's recent polls without an answer.
@@ -37,16 +37,16 @@ struct RangeDensities {
 // range falls into one power class; the hint counts how often LOS and NLOS ranges have that class. The prior
 // counts are the chip manufacturer's for the power beside the first path, and uniform for the first path's
 // strength. A class that is wrong or carries no information here soon gets a likelihood ratio of 1.
-class SightHint {
+class PowerHint {
  public:
-  explicit SightHint(const GateConfig& config) noexcept : config_(config) {}
+  explicit PowerHint(const GateConfig& config) noexcept : config_(config) {}
 
   // Likelihood ratio NLOS / LOS of a class, from 1/hint_most to hint_most; 1 for kNoPowerClass.
   [[nodiscard]] double likelihood_ratio(model::PowerClass of) const noexcept;
   // Share of NLOS among all ranges counted.
   [[nodiscard]] double blocked_share() const noexcept;
   // Counts a range of that class at t_s, as NLOS and as LOS with those probabilities.
-  void learn(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept;
+  void observe(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept;
 
  private:
   struct Counts {
@@ -85,7 +85,7 @@ class Gate {
     return pairs_[pair_at(anchor, tag)].blocked;
   }
 
-  [[nodiscard]] const SightHint& hint() const noexcept { return hint_; }
+  [[nodiscard]] const PowerHint& hint() const noexcept { return hint_; }
 
   // Whether divergence is suspected: the state is wrong rather than the ranges (see gate.cpp). False after
   // window_s without a range.
@@ -134,14 +134,14 @@ class Gate {
   [[nodiscard]] Posterior judge(const RangeDensities& density, double prior) const noexcept;
 
   // Updates the pair's reception.
-  Reception listen(int anchor, Pair& pair, double t_s) noexcept;
+  Reception update_reception(int anchor, Pair& pair, double t_s) noexcept;
   // Prior NLOS probability of the pair, before its range.
-  [[nodiscard]] double expect_blocked(int anchor, const Pair& pair, double t_s) const noexcept;
+  [[nodiscard]] double prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept;
   void observe(int anchor, double t_s, double innovation_m, double weight) noexcept;
   [[nodiscard]] bool anchors_refuse(double t_s) const noexcept;
 
   GateConfig config_;
-  SightHint hint_;
+  PowerHint hint_;
   std::array<Pair, kMaxPairs> pairs_{};
   double poll_interval_s_ = 0.0;  // 0.9 quantile of the gaps between a pair's ranges; 0: unknown
   double t_s_ = 0.0;

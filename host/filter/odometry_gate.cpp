@@ -54,8 +54,8 @@ double white_factor(double lasts_s, double gap_s) noexcept {
   return gap_s > 0.0 ? std::max(lasts_s / std::max(gap_s, kLeastGap_s), 1.0) : 1.0;
 }
 
-OdometryDoubt OdometryWatch::judge(const model::OdometrySample& before, const model::OdometrySample& row,
-                                   const model::OdometryNoise& noise) noexcept {
+OdometryInflation OdometryWatch::judge(const model::OdometrySample& before, const model::OdometrySample& row,
+                                       const model::OdometryNoise& noise) noexcept {
   const double gap_s = std::max(row.t_s - before.t_s, 0.0);
   const double fade = std::exp(-gap_s / kLasts_s);
   excess_m2ps2_ *= fade;

@@ -32,7 +32,7 @@ class OdometryGate {
 };
 
 // Variances added to an odometry sample's noise, beyond OdometryNoise, and to the pose at once.
-struct OdometryDoubt {
+struct OdometryInflation {
   double velocity_m2ps2 = 0.0;  // of each axis, white from sample to sample
   double turn_rad2ps2 = 0.0;
   double position_m2 = 0.0;  // of each axis, for the error before it was detected
@@ -50,8 +50,8 @@ class OdometryWatch {
   explicit OdometryWatch(double max_acceleration_mps2) : max_acceleration_mps2_(max_acceleration_mps2) {}
 
   // Additional variances of `row`, which follows `before`; noise: the white noise of both.
-  OdometryDoubt judge(const model::OdometrySample& before, const model::OdometrySample& row,
-                      const model::OdometryNoise& noise) noexcept;
+  OdometryInflation judge(const model::OdometrySample& before, const model::OdometrySample& row,
+                          const model::OdometryNoise& noise) noexcept;
   // Number of samples that jumped.
   [[nodiscard]] std::size_t jumps() const noexcept { return jumps_; }
 

@@ -147,7 +147,7 @@ void SlipDoubt::begin(double displacement_m, double t_s) noexcept {
   last_s_ = t_s;
 }
 
-OdometryDoubt SlipDoubt::judge(double gap_s) noexcept {
+OdometryInflation SlipDoubt::judge(double gap_s) noexcept {
   if (!is_open()) return {};
   excess_mps_ *= std::exp(-gap_s / lasts_s_);
   if (excess_mps_ < kOver * kLeast_mps) {

@@ -75,7 +75,7 @@ class SlipDoubt {
   // A slip by this displacement was detected.
   void begin(double displacement_m, double t_s) noexcept;
   // Additional variances of an odometry sample, gap_s after the previous one.
-  OdometryDoubt judge(double gap_s) noexcept;
+  OdometryInflation judge(double gap_s) noexcept;
   [[nodiscard]] bool is_open() const noexcept { return excess_mps_ > 0.0; }
 
  private:

@@ -31,8 +31,7 @@ constexpr double kSearchEarnedOnWrongMap_s = 30.0;
 constexpr double kFloorShare = 0.1;
 constexpr double kUncertain_m = 1.0;  // sigmas from which the pose is uncertain
 constexpr double kUncertain_rad = 0.3;
-constexpr double kUnknownAfterPause_m =
-    3.0;  // sigma from which a pose after a pause of odometry is dropped
+constexpr double kUnknownAfterPause_m = 3.0;  // sigma from which a pose after a pause of odometry is dropped
 // A hypothesis is accepted as another pose if it is this many sigmas away and this much likelier (ln of the
 // odds, by cautious cost). The odds include a prior of one in ten thousand: the number of distinct poses that
 // the robot may have been carried to.
@@ -104,7 +103,7 @@ Tracker::Tracker(model::Surface surface, std::span<const model::Tag> tags,
 
 bool Tracker::start(const Start& start, State state) noexcept {
   if (!begin(start, state)) return false;
-  go_on_alone_from(filter_.filter().prediction());
+  restart_by_odometry(filter_.filter().prediction());
   return true;
 }
 
@@ -112,10 +111,10 @@ bool Tracker::begin(const Start& start, State state) noexcept {
   if (!filter_.start(start)) return false;
   state_ = state;
   reason_ = Reason::kNone;
-  proven_ = state == State::kTracking;
+  confirmed_ = state == State::kTracking;
   newest_s_ = std::max(newest_s_, start.t_s);
   last_used_s_ = newest_s_;
-  judge_again();
+  restart_agreement();
   return true;
 }
 
@@ -123,18 +122,18 @@ void Tracker::resume(const Tracker& other) noexcept {
   filter_.resume(other.filter_);
   state_ = other.state_;
   reason_ = other.reason_;
-  proven_ = other.proven_;
+  confirmed_ = other.confirmed_;
   newest_s_ = other.newest_s_;
   last_row_s_ = other.last_row_s_;
   last_used_s_ = other.last_used_s_;
   tags_ = other.tags_;
-  go_on_alone_from(other.prediction());
+  restart_by_odometry(other.prediction());
   relocations_ = other.relocations_;
   clock_steps_ = other.clock_steps_;
-  judge_again();
+  restart_agreement();
 }
 
-void Tracker::judge_again() noexcept {
+void Tracker::restart_agreement() noexcept {
   judged_s_ = newest_s_;
   refused_ = judged_ = 0.0;
   disagrees_.reset();
@@ -142,7 +141,7 @@ void Tracker::judge_again() noexcept {
 }
 
 OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
-  if (std::isfinite(row.t_s) && !believe(row.t_s)) return OdometryOutcome::kOutOfOrder;
+  if (std::isfinite(row.t_s) && !accepts_time(row.t_s)) return OdometryOutcome::kOutOfOrder;
   const OdometryOutcome outcome = filter_.process(row);
   if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
   newest_s_ = std::max(newest_s_, row.t_s);
@@ -152,13 +151,13 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
     if (row.t_s - last_row_s_ > kSilent_s && last_row_s_ != kNotYet_s) prove_again(true);
     last_row_s_ = std::max(last_row_s_, row.t_s);
   }
-  carry_on(row);
+  advance_by_odometry(row);
   assess();
   return outcome;
 }
 
 RangeResult Tracker::process(const model::RangeSample& range) noexcept {
-  if (std::isfinite(range.t_s) && !believe(range.t_s)) return {.outcome = RangeOutcome::kOutOfOrder};
+  if (std::isfinite(range.t_s) && !accepts_time(range.t_s)) return {.outcome = RangeOutcome::kOutOfOrder};
   RangeResult result = filter_.process(range);
   if (result.outcome != RangeOutcome::kUsed && result.outcome != RangeOutcome::kGated &&
       result.outcome != RangeOutcome::kNotStarted) {
@@ -173,7 +172,7 @@ RangeResult Tracker::process(const model::RangeSample& range) noexcept {
 
 SensorResult Tracker::process(const model::SensorSample& sample) noexcept {
   const double t_s = model::time_of(sample);
-  if (std::isfinite(t_s) && !believe(t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
+  if (std::isfinite(t_s) && !accepts_time(t_s)) return {.outcome = SensorOutcome::kOutOfOrder};
   const auto* pose = std::get_if<model::PoseSample>(&sample);
   if (pose != nullptr && !filter_.started() && is_usable(*pose)) return start_at(*pose);
   const SensorResult result = filter_.process(sample);
@@ -181,7 +180,7 @@ SensorResult Tracker::process(const model::SensorSample& sample) noexcept {
     newest_s_ = std::max(newest_s_, t_s);
   const bool is_fix = pose != nullptr || std::holds_alternative<model::PositionSample>(sample);
   if (is_fix && result.outcome == SensorOutcome::kUsed) last_used_s_ = std::max(last_used_s_, t_s);
-  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) carry_on(*rate);
+  if (const auto* rate = std::get_if<model::YawRateSample>(&sample)) advance_by_odometry(*rate);
   return result;
 }
 
@@ -203,35 +202,35 @@ Filter::Prediction Tracker::prediction() const noexcept {
   return is_on_wrong_map() ? *by_odometry_ : filter_.filter().prediction();
 }
 
-void Tracker::go_on_alone_from(const Filter::Prediction& prediction) noexcept {
+void Tracker::restart_by_odometry(const Filter::Prediction& prediction) noexcept {
   by_odometry_ = prediction;
   by_odometry_->by_odometry_alone = true;
 }
 
-void Tracker::carry_on(const MotionInput& input) noexcept {
+void Tracker::advance_by_odometry(const MotionInput& input) noexcept {
   if (!filter_.started()) return;
   if (map_watch_.fits()) {
-    go_on_alone_from(filter_.filter().prediction());
+    restart_by_odometry(filter_.filter().prediction());
   } else if (by_odometry_) {
     filter_.filter().carry(*by_odometry_, input);
   }
 }
 
-void Tracker::name_wrong_map() noexcept {
+void Tracker::report_wrong_map() noexcept {
   if (!by_odometry_) {
     // The pose is known from ranges only, so it may be anywhere on the site.
-    go_on_alone_from(filter_.filter().prediction());
+    restart_by_odometry(filter_.filter().prediction());
     by_odometry_->covariance.grow(kX, square(reach_m_));
     by_odometry_->covariance.grow(kY, square(reach_m_));
     by_odometry_->covariance.grow(kTheta, square(std::numbers::pi) / 3.0);
   }
   reason_ = Reason::kMapMismatch;
   state_ = is_certain(filter_.filter().estimate(*by_odometry_).covariance) ? State::kDegraded : State::kLost;
-  proven_ = false;
+  confirmed_ = false;
   agrees_.reset();
 }
 
-bool Tracker::believe(double t_s) noexcept {
+bool Tracker::accepts_time(double t_s) noexcept {
   if (newest_s_ == kNotYet_s || std::abs(t_s - newest_s_) < config_.clock_step_s) {
     strange_ = 0;
     return true;
@@ -258,7 +257,7 @@ void Tracker::set_back(double t_s) noexcept {
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
   newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNotYet_s;
-  judge_again();
+  restart_agreement();
   for (TagWatch& tag : tags_) tag.last_s = kNotYet_s;
   // The robot is near its last pose, although the time since then is unknown.
   if (known) start_near(before, t_s);
@@ -293,11 +292,11 @@ void Tracker::watch(const model::RangeSample& range, const RangeResult& result) 
 }
 
 void Tracker::prove_again(bool widens) noexcept {
-  proven_ = false;
+  confirmed_ = false;
   agrees_.reset();
   if (state_ != State::kTracking && state_ != State::kDegraded) return;
   state_ = State::kConverging;
-  if (!widens) return judge_again();
+  if (!widens) return restart_agreement();
   const Estimate now = estimate();
   if (!config_.relocates || largest_variance(now.covariance) < square(kUnknownAfterPause_m))
     return start_near(now, now.t_s);
@@ -336,7 +335,7 @@ void Tracker::assess() noexcept {
     return search_when_due();
   }
   if (map_watch_.is_wrong()) {
-    name_wrong_map();
+    report_wrong_map();
     return search_when_due();
   }
   reason_ = find_reason();
@@ -345,18 +344,18 @@ void Tracker::assess() noexcept {
     agrees_.update(!disagrees && judged_ >= kFewRanges, newest_s_);
     if (agrees_.lasted_s(newest_s_) >= kAgreeFor_s && reason_ != Reason::kUncertain) {
       state_ = State::kTracking;
-      proven_ = true;
+      confirmed_ = true;
     }
     if (reason_ == Reason::kNoRanges) state_ = State::kDegraded;
   }
   if (state_ == State::kTracking || state_ == State::kDegraded) {
-    const State good = proven_ ? State::kTracking : State::kConverging;
+    const State good = confirmed_ ? State::kTracking : State::kConverging;
     state_ = reason_ == Reason::kNone ? good : State::kDegraded;
     if (state_ == State::kConverging) agrees_.reset();
   }
   if (state_ == State::kLost && !disagrees) {
     state_ = State::kConverging;
-    proven_ = false;
+    confirmed_ = false;
     agrees_.reset();
   }
   // Wait for kLostAfter_s: obstacles may make most anchors NLOS for a while, and the ranges then fit a pose
@@ -375,7 +374,7 @@ bool Tracker::search_is_due() noexcept {
   return true;
 }
 
-bool Tracker::earns_search() noexcept {
+bool Tracker::take_search_token() noexcept {
   const bool is_wrong = reason_ == Reason::kMapMismatch;
   const double earned_in_s = is_wrong ? kSearchEarnedOnWrongMap_s : kSearchEarned_s;
   const double most = is_wrong ? 1.0 : kMostSearches;
@@ -389,7 +388,7 @@ bool Tracker::earns_search() noexcept {
 void Tracker::search_when_due() noexcept {
   const bool is_known = filter_.started() && !map_watch_.is_wrong();
   if (!is_known && !config_.relocates) return;
-  if (!search_is_due() || !earns_search()) return;
+  if (!search_is_due() || !take_search_token()) return;
   const auto hypotheses = search_.search();
   if (hypotheses.empty()) return;
   const StartSearch::Hypothesis& best = hypotheses.front();
@@ -442,7 +441,7 @@ bool Tracker::is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noex
 void Tracker::begin_at(const StartSearch::Hypothesis& hypothesis) noexcept {
   begin(start_of(search_.t_s(), hypothesis.pose, hypothesis.covariance), State::kConverging);
   map_watch_.restart();
-  if (map_watch_.is_wrong()) name_wrong_map();
+  if (map_watch_.is_wrong()) report_wrong_map();
   search_.clear();
 }
 

@@ -102,12 +102,12 @@ class Tracker {
   bool begin(const Start& start, State state) noexcept;
   [[nodiscard]] bool is_on_wrong_map() const noexcept { return map_watch_.is_wrong() && by_odometry_; }
   // Maintains by_odometry_: dead reckoning since the map last fitted, used if the map turns out to be wrong.
-  void carry_on(const MotionInput& input) noexcept;
-  void go_on_alone_from(const Filter::Prediction& prediction) noexcept;
-  void name_wrong_map() noexcept;
+  void advance_by_odometry(const MotionInput& input) noexcept;
+  void restart_by_odometry(const Filter::Prediction& prediction) noexcept;
+  void report_wrong_map() noexcept;
   SensorResult start_at(const model::PoseSample& sample) noexcept;
   // Clock-step filter: false if the input's time is not accepted yet.
-  bool believe(double t_s) noexcept;
+  bool accepts_time(double t_s) noexcept;
   void set_back(double t_s) noexcept;
   // Re-initializes at the same pose, with a larger covariance.
   void start_near(const Estimate& before, double t_s) noexcept;
@@ -118,13 +118,13 @@ class Tracker {
   // Whether enough time has passed since the last search; then restarts the interval.
   bool search_is_due() noexcept;
   // Token bucket of searches: true if one is left, and uses it.
-  bool earns_search() noexcept;
+  bool take_search_token() noexcept;
   // ln of the odds, by cautious cost, of the hypothesis against the estimate.
   [[nodiscard]] double odds(const StartSearch::Hypothesis& hypothesis) noexcept;
   [[nodiscard]] bool is_elsewhere(const StartSearch::Hypothesis& hypothesis) const noexcept;
   [[nodiscard]] bool is_on_other_floor(const StartSearch::Hypothesis& hypothesis) const noexcept;
   void begin_at(const StartSearch::Hypothesis& hypothesis) noexcept;
-  void judge_again() noexcept;
+  void restart_agreement() noexcept;
   [[nodiscard]] Reason find_reason() const noexcept;
 
   TrackerConfig config_;
@@ -147,7 +147,7 @@ class Tracker {
   double no_place_ranges_ = 0.0;  // ranges since then
   Since disagrees_;               // most ranges are refused
   Since agrees_;                  // while converging
-  bool proven_ = false;           // the ranges have agreed for long enough since the start
+  bool confirmed_ = false;        // the ranges have agreed for long enough since the start
   double judged_s_ = 0.0;
   double refused_ = 0.0;  // sums with exponential forgetting
   double judged_ = 0.0;

@@ -10,7 +10,7 @@
 
 namespace groma::smoother {
 
-std::vector<double> in_sight(std::span<const Residual> pair, const filter::GateConfig& config) {
+std::vector<double> los_probabilities(std::span<const Residual> pair, const filter::GateConfig& config) {
   using States = Eigen::Vector2d;  // LOS, NLOS
   // Transition matrix from range i - 1 (matrix row) to range i (matrix column).
   const auto transition = [&](std::size_t i) {

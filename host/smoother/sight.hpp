@@ -16,6 +16,7 @@ struct Residual {
 
 // LOS probability of each range of one pair, sorted by time: forward-backward algorithm on the gate's two
 // states and error densities (host/filter/gate.hpp).
-[[nodiscard]] std::vector<double> in_sight(std::span<const Residual> pair, const filter::GateConfig& config);
+[[nodiscard]] std::vector<double> los_probabilities(std::span<const Residual> pair,
+                                                    const filter::GateConfig& config);
 
 }  // namespace groma::smoother

@@ -376,7 +376,7 @@ class Smoother {
                              .error_m = sighting.range->range_m - predicted.range_m + slow_m,
                              .sigma_m = std::sqrt(variance_m2)});
       }
-      const std::vector<double> weights = in_sight(residuals, config_.gate);
+      const std::vector<double> weights = los_probabilities(residuals, config_.gate);
       for (std::size_t j = 0; j < members.size(); ++j) sightings_[members[j]].weight = weights[j];
     }
   }

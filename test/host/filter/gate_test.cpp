@@ -211,7 +211,7 @@ model::PowerClass class_of(double strength_dbm, double hidden_db) {
   return model::power_class(with_powers(strength_dbm, hidden_db));
 }
 
-TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
+TEST(PowerHint, TellsClassesByTheChipsFiguresAndByStrength) {
   const auto hidden = [](model::PowerClass of) { return model::hidden_class(of); };
   EXPECT_EQ(hidden(class_of(-60.0, 0.0)), 0U);
   EXPECT_EQ(hidden(class_of(-60.0, 5.9)), 0U);
@@ -229,20 +229,20 @@ TEST(SightHint, TellsClassesByTheChipsFiguresAndByStrength) {
   far.receive_power_dbm -= 6.02F;
   EXPECT_EQ(model::power_class(far), class_of(-58.0, 1.0));
 
-  model::RangeSample told;
-  told.range_m = 10.0;
-  EXPECT_EQ(model::power_class(told), model::kNoPowerClass);
-  told.first_path_power_dbm = -80.0F;
-  EXPECT_EQ(model::power_class(told), model::kNoPowerClass);
-  told.first_path_power_dbm = model::kUnknown;
-  told.line_of_sight = model::LineOfSight::kUnlikely;
-  EXPECT_EQ(hidden(model::power_class(told)), 2U);
-  EXPECT_EQ(model::power_class(told) % model::kStrengthClasses, model::kStrengthClasses - 1);
-  told.line_of_sight = model::LineOfSight::kLikely;
-  EXPECT_EQ(hidden(model::power_class(told)), 0U);
+  model::RangeSample sample;
+  sample.range_m = 10.0;
+  EXPECT_EQ(model::power_class(sample), model::kNoPowerClass);
+  sample.first_path_power_dbm = -80.0F;
+  EXPECT_EQ(model::power_class(sample), model::kNoPowerClass);
+  sample.first_path_power_dbm = model::kUnknown;
+  sample.line_of_sight = model::LineOfSight::kUnlikely;
+  EXPECT_EQ(hidden(model::power_class(sample)), 2U);
+  EXPECT_EQ(model::power_class(sample) % model::kStrengthClasses, model::kStrengthClasses - 1);
+  sample.line_of_sight = model::LineOfSight::kLikely;
+  EXPECT_EQ(hidden(model::power_class(sample)), 0U);
 }
 
-// Reference for SightHint: the probability of a class from all counted ranges, summed directly.
+// Reference for PowerHint: the probability of a class from all counted ranges, summed directly.
 struct Learnt {
   model::PowerClass of = 0;
   double t_s = 0.0;
@@ -266,11 +266,11 @@ double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model
   return of_class / sum;
 }
 
-TEST(SightHint, IsTheFadingCountOfWhatItWasTold) {
+TEST(PowerHint, IsTheFadingCountOfWhatItWasTold) {
   GateConfig config;
   config.hint_memory_s = 3.0;  // short, so that the unit is renormalized during the test
   config.hint_most = 50.0;
-  SightHint hint(config);
+  PowerHint hint(config);
   EXPECT_NEAR(hint.likelihood_ratio(class_of(-60.0, 12.0)), 0.3 / 0.05, 1e-12);
   EXPECT_NEAR(hint.likelihood_ratio(class_of(-70.0, 1.0)), 0.4 / 0.8, 1e-12);
   EXPECT_EQ(hint.likelihood_ratio(model::kNoPowerClass), 1.0);
@@ -282,7 +282,7 @@ TEST(SightHint, IsTheFadingCountOfWhatItWasTold) {
     const double blocked = random.uniform();
     all.push_back({static_cast<model::PowerClass>(random.next() % model::kNoPowerClass), t_s, blocked,
                    (1.0 - blocked) * random.uniform()});
-    hint.learn(all.back().of, t_s, all.back().blocked, all.back().in_sight);
+    hint.observe(all.back().of, t_s, all.back().blocked, all.back().in_sight);
     if (i % 500 != 499) continue;
     for (model::PowerClass of = 0; of < model::kNoPowerClass; ++of) {
       const double expected = share_of_all(all, &Learnt::blocked, of, t_s, config) /
@@ -291,7 +291,7 @@ TEST(SightHint, IsTheFadingCountOfWhatItWasTold) {
     }
   }
   const model::PowerClass rare = class_of(-60.0, 12.0);
-  for (int i = 0; i < 1000; ++i) hint.learn(rare, t_s + 100.0, 1.0, 0.0);
+  for (int i = 0; i < 1000; ++i) hint.observe(rare, t_s + 100.0, 1.0, 0.0);
   EXPECT_EQ(hint.likelihood_ratio(rare), config.hint_most);
 }
 
@@ -312,7 +312,7 @@ TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
   GateConfig config;
   config.hint_s = 0.8;
   Gate gate(config);
-  SightHint twin(config);
+  PowerHint twin(config);
   Random random(32);
   constexpr double kStep_s = 0.5;  // polls too rare for the reception test
   double chain = config.blocked_share;
@@ -345,7 +345,7 @@ TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
     if (of != model::kNoPowerClass) {
       const double ratio = twin.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
-      if (!gate.doubts(t_s)) twin.learn(of, t_s, count * blocked / total, count * in_sight / total);
+      if (!gate.doubts(t_s)) twin.observe(of, t_s, count * blocked / total, count * in_sight / total);
       const double all = twin.blocked_share();
       const double known = std::min(std::max(prior, all), config.blocked_most);
       const auto [now_in_sight, now_blocked] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));

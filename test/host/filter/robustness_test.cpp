@@ -108,18 +108,18 @@ TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
   const model::OdometryNoise noise{0.03, 0.03, 0.01};
   OdometryWatch watch(config.max_acceleration_mps2);
   const model::OdometrySample before{1.0, 2.0, 0.0, 0.1};
-  const OdometryDoubt none = watch.judge(before, {1.05, 2.3, 0.05, 0.4}, noise);
+  const OdometryInflation none = watch.judge(before, {1.05, 2.3, 0.05, 0.4}, noise);
   EXPECT_EQ(none.velocity_m2ps2, 0.0);
   EXPECT_EQ(none.position_m2, 0.0);
   EXPECT_EQ(none.turn_rad2ps2, 0.0);
-  const OdometryDoubt jump = watch.judge(before, {1.05, 2.0, 2.0, 0.1}, noise);
+  const OdometryInflation jump = watch.judge(before, {1.05, 2.0, 2.0, 0.1}, noise);
   const double excess_mps = 2.0 - config.max_acceleration_mps2 * 0.05 - 6.0 * 0.03;
   EXPECT_NEAR(jump.position_m2, std::pow(0.5 * excess_mps, 2), 1e-12);
   EXPECT_NEAR(jump.velocity_m2ps2, excess_mps * excess_mps * 10.0, 1e-9);
   EXPECT_GT(jump.turn_rad2ps2, 0.0);
   EXPECT_EQ(watch.jumps(), 1U);
   // The inflation decays.
-  const OdometryDoubt later = watch.judge({1.05, 2.0, 2.0, 0.1}, {3.05, 2.0, 2.0, 0.1}, noise);
+  const OdometryInflation later = watch.judge({1.05, 2.0, 2.0, 0.1}, {3.05, 2.0, 2.0, 0.1}, noise);
   EXPECT_LT(later.velocity_m2ps2, 0.01 * jump.velocity_m2ps2);
   EXPECT_EQ(later.position_m2, 0.0);
 }

@@ -142,7 +142,7 @@ TEST(SlipDoubt, LastsLongerWhereASlipGoesOn) {
     return length_s;
   };
   doubt.begin(0.2, 1.0);
-  const OdometryDoubt first = doubt.judge(0.05);
+  const OdometryInflation first = doubt.judge(0.05);
   const double excess_mps = 2.0 * 0.2 / SlipWatch::kWindow_s * std::exp(-0.05 / SlipDoubt::kLasts_s);
   EXPECT_NEAR(first.velocity_m2ps2, SlipDoubt::kLasts_s / 0.05 * excess_mps * excess_mps, 1e-9);
   EXPECT_NEAR(first.turn_rad2ps2,
@@ -219,19 +219,19 @@ Slipped drive_with(const Disturbance& disturbance, std::uint64_t seed, const Con
   return out;
 }
 
-Config told_truly() {
+Config consistent_config() {
   Config config;
   config.odometry = {0.03, 0.03, 0.01};
   return config;
 }
 
 TEST(Slip, IsFoundAndCostsLittle) {
-  Config blind = told_truly();
+  Config blind = consistent_config();
   blind.slip_odds = 1e9;
   for (const double slip_mps : {-1.0, 0.5, 1.0, 2.0}) {
     for (const double length_s : {1.0, 3.0, 8.0}) {
       const Disturbance slip{.slip_mps = slip_mps, .length_s = length_s};
-      const Slipped with = drive_with(slip, 6, told_truly());
+      const Slipped with = drive_with(slip, 6, consistent_config());
       const Slipped without = drive_with(slip, 6, blind);
       const std::string name =
           "at_" + std::to_string(slip_mps) + "_mps_for_" + std::to_string(length_s) + "_s";
@@ -250,7 +250,7 @@ TEST(Slip, IsFoundAndCostsLittle) {
   // With a tenth of the ranges the detection takes longer.
   for (const double length_s : {3.0, 8.0}) {
     const Disturbance slip{.slip_mps = 1.0, .length_s = length_s, .range_s = 0.03};
-    const Slipped with = drive_with(slip, 6, told_truly());
+    const Slipped with = drive_with(slip, 6, consistent_config());
     const Slipped without = drive_with(slip, 6, blind);
     EXPECT_GE(with.slips, 1U) << length_s;
     EXPECT_LT(with.mean_m, 0.3) << length_s;
@@ -259,11 +259,11 @@ TEST(Slip, IsFoundAndCostsLittle) {
 }
 
 TEST(Slip, ARobotThatIsCarriedDoesNotStand) {
-  Config blind = told_truly();
+  Config blind = consistent_config();
   blind.slip_odds = 1e9;
   for (const double length_s : {2.0, 5.0}) {
     const Disturbance carried{.carried = true, .length_s = length_s};
-    const Slipped with = drive_with(carried, 6, told_truly());
+    const Slipped with = drive_with(carried, 6, consistent_config());
     const Slipped without = drive_with(carried, 6, blind);
     EXPECT_GE(with.slips, 1U) << length_s;
     EXPECT_LT(with.wrong_s, 2.0) << length_s;
@@ -274,7 +274,7 @@ TEST(Slip, ARobotThatIsCarriedDoesNotStand) {
 
 TEST(Slip, IsNotSeenWhereThereIsNone) {
   for (std::uint64_t seed = 1; seed <= 5; ++seed)
-    EXPECT_EQ(drive_with({}, seed, told_truly()).slips, 0U) << seed;
+    EXPECT_EQ(drive_with({}, seed, consistent_config()).slips, 0U) << seed;
 }
 
 }  // namespace

@@ -60,16 +60,16 @@ TEST(InSight, IsTheSumOverAllWaysThroughTheStates) {
       if (!blocked(i)) expected[i] += p * in_sight_density[i] / (in_sight_density[i] + garbage);
     }
   }
-  const std::vector<double> found = in_sight(pair, config);
+  const std::vector<double> found = los_probabilities(pair, config);
   ASSERT_EQ(found.size(), n);
   for (std::size_t i = 0; i < n; ++i) EXPECT_NEAR(found[i], expected[i] / total, 1e-6) << i;
   // 0.15 m alone would be LOS; right after NLOS ranges the probability is lower.
-  EXPECT_LT(found[3], in_sight(std::span(pair).subspan(3, 1), config)[0]);
+  EXPECT_LT(found[3], los_probabilities(std::span(pair).subspan(3, 1), config)[0]);
   EXPECT_LT(found[6], 0.01);
 }
 
 TEST(InSight, OfNoneIsNothing) {
-  EXPECT_TRUE(in_sight({}, filter::GateConfig{}).empty());
+  EXPECT_TRUE(los_probabilities({}, filter::GateConfig{}).empty());
 }
 
 }  // namespace
