@@ -151,7 +151,7 @@ const auto kNothing = [](std::size_t) {};
 
 // The reference has all anchors active. For considered anchors, the cross-covariance of an inactive anchor
 // with the core is exact.
-TEST(ActiveSet, ConsideredAnchorsComeAndGoWithoutATrace) {
+TEST(ActiveSet, ExchangesOfConsideredAnchorsLoseNoInformation) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(81);
   const Truth truth = drive_along(calibration, 4, random);
@@ -211,7 +211,7 @@ INSTANTIATE_TEST_SUITE_P(ActiveSet, ActiveSetModels, ::testing::Values(Model::kS
                            return std::string(model_name(model.param));
                          });
 
-TEST_P(ActiveSetModels, ErrorsAreAsLargeAsStatedOverManyReturns) {
+TEST_P(ActiveSetModels, IsConsistentOverManyReturns) {
   constexpr int kCorridors = 150;
   const Drives twin = drive_many(GetParam(), kMaxAnchors, kMaxAnchors, 2, kCorridors, 82);
   const Drives drives = drive_many(GetParam(), kMaxAnchors, 8, 2, kCorridors, 82);
@@ -224,7 +224,7 @@ TEST_P(ActiveSetModels, ErrorsAreAsLargeAsStatedOverManyReturns) {
 }
 
 // The same anchors are removed and come back many times: the neglected correlations must not add up.
-TEST(ActiveSet, LearntAnchorsStayHonestOverManyTrips) {
+TEST(ActiveSet, EstimatedAnchorsStayConsistentOverManyTrips) {
   constexpr int kCorridors = 60;
   const Drives drives = drive_many(Model::kJoint, kMaxAnchors, 6, 12, kCorridors, 87);
   RecordProperty("nees", std::to_string(drives.nees));
@@ -262,7 +262,7 @@ TEST_P(ActiveSetModels, AThousandAnchorsFromEndToEnd) {
 
 // Poorly surveyed anchors are estimated on the way out and removed from the active set. On the way back their
 // estimates are restored.
-TEST(ActiveSet, AnAnchorComesBackWithWhatWasLearnt) {
+TEST(ActiveSet, AnAnchorComesBackWithItsEstimate) {
   const model::Calibration calibration = corridor(40, 0.5);
   Random random(84);
   double nees = 0.0;
@@ -311,7 +311,7 @@ TEST(ActiveSet, AnAnchorComesBackWithWhatWasLearnt) {
 }
 
 // Late inputs across exchanges of anchors: the result equals that of inputs in order.
-TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
+TEST_P(ActiveSetModels, LateInputsUndoExchanges) {
   const model::Calibration calibration = corridor(60);
   Random random(85);
   const Truth truth = drive_along(calibration, 2, random);
@@ -343,7 +343,7 @@ TEST_P(ActiveSetModels, WhatComesLateUndoesExchanges) {
 }
 
 // If more anchors answer than may be active, the active ones stay and the others' ranges are counted.
-TEST(ActiveSet, TurnsAwayWhatFindsNoPlace) {
+TEST(ActiveSet, RefusesRangesWithoutAFreeSlot) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(86);
   const Truth truth = drive_along(calibration, 1, random);

@@ -8,7 +8,7 @@ TEST(Endurance, ConsideredStaysPositive) {
   EXPECT_GT(testing::endure(Model::kSchmidt, 10'000'000, 1e-4, 91), -1e-12);
 }
 
-TEST(Endurance, LearntStaysPositive) {
+TEST(Endurance, EstimatedStaysPositive) {
   EXPECT_GT(testing::endure(Model::kJoint, 10'000'000, 1e-4, 92), -1e-12);
 }
 

@@ -272,7 +272,7 @@ INSTANTIATE_TEST_SUITE_P(Models, FilterCampaign, ::testing::Values(Model::kSchmi
                            return std::string(model_name(model.param));
                          });
 
-TEST_P(FilterCampaign, ErrsAsMuchAsItSaysAndHardlyMoreThanItMust) {
+TEST_P(FilterCampaign, IsConsistentAndNearTheCramerRaoBound) {
   const Campaign campaign = run(GetParam());
   const auto runs = static_cast<double>(campaign.runs);
   const double nees = campaign.nees / (3.0 * runs);

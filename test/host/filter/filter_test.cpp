@@ -58,13 +58,13 @@ INSTANTIATE_TEST_SUITE_P(Filter, EveryModel, ::testing::ValuesIn(kModels),
                            return name;
                          });
 
-TEST(ModelNames, GoBothWays) {
+TEST(ModelNames, ConvertBothWays) {
   for (const Model model : kModels) EXPECT_EQ(model_from_name(model_name(model)), model);
   EXPECT_FALSE(model_from_name("kalman").has_value());
   EXPECT_FALSE(model_from_name("").has_value());
 }
 
-TEST(Filter, SaysWhatBecameOfEachInputAndCountsIt) {
+TEST(Filter, ReturnsAndCountsTheOutcomeOfEachInput) {
   const auto filter = make_filter(Model::kSchmidt);
   const model::RangeSample good{1.0, 1, 11, 15.0};
   EXPECT_EQ(filter->process(good).outcome, RangeOutcome::kNotStarted);
@@ -139,7 +139,7 @@ TEST(Filter, ReportsTheLikelihoodRatioOfARangesPowers) {
   EXPECT_EQ(unhinted.process(range).hint_ratio, 1.0) << "powers are not used";
 }
 
-TEST(Filter, AnInputThatIsRefusedChangesNothing) {
+TEST(Filter, ARefusedInputChangesNothing) {
   const auto filter = make_filter(Model::kJoint);
   filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.1});
   filter->start({.t_s = 0.0});
@@ -157,7 +157,7 @@ TEST(Filter, AnInputThatIsRefusedChangesNothing) {
   EXPECT_EQ(filter->estimate().t_s, 0.0);
 }
 
-TEST(Filter, TwoStepsWithinARowAreOneStep) {
+TEST(Filter, SeveralStepsWithinAnOdometrySampleEqualOneStep) {
   const model::Surface flat;
   const auto once = make_filter(Model::kSchmidt, flat);
   const auto often = make_filter(Model::kSchmidt, flat);
@@ -176,7 +176,7 @@ TEST(Filter, TwoStepsWithinARowAreOneStep) {
               2e-6);
 }
 
-TEST(Filter, CovarianceOfDeadReckoningIsThatOverManyDrives) {
+TEST(Filter, DeadReckoningIsConsistentOverManyDrives) {
   const model::Surface surface = testing::hills(0.2);
   const model::PlanarPose start{1.0, -2.0, 0.4};
   Random random(61);
@@ -251,7 +251,7 @@ Nees nees_over_sites(int sites, const model::Calibration& calibration, const mod
   return {sum / (3.0 * sites), inside};
 }
 
-TEST_P(Consistency, ErrorsAreAsLargeAsStatedOverManySites) {
+TEST_P(Consistency, HoldsOverManySites) {
   constexpr int kSites = 120;
   Random random(62);
   const model::Calibration calibration = testing::six_anchors();
@@ -261,7 +261,7 @@ TEST_P(Consistency, ErrorsAreAsLargeAsStatedOverManySites) {
   EXPECT_GE(nees.inside, 105);
 }
 
-TEST_P(Consistency, OfRangesWithASlowErrorTooOverManySites) {
+TEST_P(Consistency, HoldsWithASlowRangeBiasOverManySites) {
   constexpr int kSites = 120;
   model::Calibration calibration = testing::six_anchors(0.3);
   calibration.range_noise = {.white_sigma_m = 0.05, .slow_sigma_m = 0.15, .slow_time_s = 4.0};
@@ -300,7 +300,7 @@ TEST(Filter, WithoutCrossCovariancesItIsOverconfident) {
   EXPECT_GT(sum / 60.0, 2.0);
 }
 
-TEST(Filter, FindsBackAfterItWasCarriedAway) {
+TEST(Filter, RecoversAfterItWasCarriedAway) {
   const model::Surface surface = testing::hills(0.2);
   const model::PlanarPose start{1.0, -2.0, 0.4};
   Random random(64);
@@ -331,7 +331,7 @@ TEST(Filter, FindsBackAfterItWasCarriedAway) {
   }
 }
 
-TEST(Filter, TrustsAnOverdueRowLessAndLess) {
+TEST(Filter, TrustsOverdueOdometryLessAndLess) {
   const auto filter = make_filter(Model::kOdometry, model::Surface());
   filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.0});
   filter->start({.t_s = 0.0, .position_sigma_m = 0.01});
@@ -364,7 +364,7 @@ double instant_of(const MotionInput& input) {
 }
 
 // The reference processes the inputs over which the filter only predicts.
-TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
+TEST_P(EveryModel, PredictionEqualsProcessingTheSameInputs) {
   constexpr double kAhead_s = 0.2;
   std::vector<model::Chart> charts = testing::hills(0.2).charts();
   charts.front().mismatch = {.sigma_m = 0.02, .slope_sigma = 0.01, .length_m = 3.0};
@@ -420,7 +420,7 @@ TEST_P(EveryModel, PredictsWhatItWouldBeAfterTheSameInputs) {
   }
 }
 
-TEST(Filter, PredictsOverWhatItWouldRefuse) {
+TEST(Filter, PredictionSkipsInputsThatItWouldRefuse) {
   const auto filter = make_filter(Model::kSchmidt);
   filter->process(model::OdometrySample{0.0, 1.0, 0.0, 0.1});
   filter->start({});
@@ -446,7 +446,7 @@ TEST(Filter, PredictsOverWhatItWouldRefuse) {
   EXPECT_EQ(testing::predict(*filter, {}).covariance, filter->estimate().covariance);
 }
 
-TEST_P(EveryModel, ResumesWhereAnotherOneIs) {
+TEST_P(EveryModel, ResumesAnotherFilter) {
   Random random(23);
   const testing::Drive drive = testing::drive(testing::hills(0.2), testing::six_anchors(), {},
                                               {.duration_s = 20.0, .range_s = 0.01}, random);
@@ -474,7 +474,7 @@ TEST_P(EveryModel, ResumesWhereAnotherOneIs) {
   EXPECT_LT(testing::squared_error(after.estimate(), drive.truth.back()), 16.27);  // 99.9 % of chi-square
 }
 
-TEST_P(EveryModel, NeverAllocatesOnceItStands) {
+TEST_P(EveryModel, NeverAllocatesAfterConstruction) {
   const model::Surface surface = testing::hills(0.2);
   Random random(65);
   const testing::Drive drive = testing::drive(surface, testing::six_anchors(), {1.0, -2.0, 0.4},
@@ -503,7 +503,7 @@ INSTANTIATE_TEST_SUITE_P(Filter, Enduring, ::testing::Values(Model::kSchmidt, Mo
                          });
 
 // The long tests do ten million updates.
-TEST_P(Enduring, StaysPositiveWhateverHappens) {
+TEST_P(Enduring, StaysPositiveInAllConditions) {
   for (const double white_sigma_m : {1e-4, 0.1})
     EXPECT_GT(testing::endure(GetParam(), 200'000, white_sigma_m, 93), -1e-12) << white_sigma_m;
 }

@@ -23,7 +23,7 @@ double fresh_weight(double innovation_m) {
   return Gate(GateConfig{}).weigh(0, 0, 0.0, innovation_m, kVariance_m2);
 }
 
-TEST(Gate, TurnsAwayWhatIsNoNumber) {
+TEST(Gate, RejectsNonFiniteValues) {
   Gate gate{GateConfig{}};
   for (const auto& [innovation, variance] : {std::pair{testing::kNan, 1.0},
                                              {1.0, testing::kNan},
@@ -38,7 +38,7 @@ TEST(Gate, TurnsAwayWhatIsNoNumber) {
   EXPECT_GT(gate.weigh(0, 0, 1.0, 0.0, kVariance_m2), 0.9);
 }
 
-TEST(Gate, WeighsInnovationsByTheirSizeAndRangesThatAreTooLongLess) {
+TEST(Gate, WeightFallsWithTheInnovationAndFasterForLongRanges) {
   EXPECT_GT(fresh_weight(0.0), 0.95);
   for (const double sigmas : {1.5, 2.0, 3.0, 4.0}) {
     EXPECT_LT(fresh_weight(sigmas * kSigma_m), fresh_weight(-sigmas * kSigma_m)) << sigmas;
@@ -69,13 +69,13 @@ TEST(Gate, GarbageLeavesAPairAsItWas) {
   EXPECT_GT(gate.weigh(0, 0, 0.1, 0.0, kVariance_m2), 0.9);
 }
 
-TEST(Gate, AWideVarianceForgives) {
+TEST(Gate, ALargeVarianceAcceptsLargeInnovations) {
   Gate gate{GateConfig{}};
   EXPECT_GT(gate.weigh(0, 0, 0.0, 8.0, 100.0), 0.85);
   EXPECT_GT(gate.weigh(0, 1, 0.0, 0.0, 1e12), 0.0);
 }
 
-TEST(Gate, RemembersABlockedPairForAWhileAndNoOtherAnchor) {
+TEST(Gate, RemembersAnNlosPairForAWhile) {
   Gate gate{GateConfig{}};
   double t_s = 0.0;
   for (; t_s < 2.0; t_s += 0.1) {
@@ -93,7 +93,7 @@ TEST(Gate, RemembersABlockedPairForAWhileAndNoOtherAnchor) {
   EXPECT_GT(gate.weigh(3, 1, t_s, 0.0, kVariance_m2), 0.95);
 }
 
-TEST(Gate, ExpectsAnAnchorThatIsBlockedForOneTagToBeSoForTheNext) {
+TEST(Gate, ExpectsNlosOfAnAnchorForItsOtherTags) {
   Gate gate{GateConfig{}};
   for (double t_s = 0.0; t_s < 2.0; t_s += 0.1) {
     static_cast<void>(gate.weigh(3, 1, t_s, 5.0 * kSigma_m, kVariance_m2));
@@ -112,7 +112,7 @@ TEST(Gate, ExpectsAnAnchorThatIsBlockedForOneTagToBeSoForTheNext) {
 }
 
 // E(x^2 | e) for e = x + n, x exponential and n Gaussian, by Simpson's rule.
-TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
+TEST(RangeDensity, MeanSquareExcessEqualsNumericalIntegration) {
   for (const double mean_m : {0.5, 3.0}) {
     for (const double sigma_m : {0.05, 0.3, 2.0, 6.0}) {
       for (const double error_m : {-5.0, -1.0, -0.1, 0.0, 0.2, 1.0, 4.0, 15.0}) {
@@ -145,7 +145,7 @@ TEST(RangeDensity, HasTheMeanSquareOfAnExcessThatIntegrationGives) {
   }
 }
 
-TEST(Gate, DoubtsTheStateWhenMostIsRefusedAndNotForOneBlockedPair) {
+TEST(Gate, SuspectsDivergenceIfMostIsRefusedAndNotForOneNlosPair) {
   const GateConfig config;
   Gate gate(config);
   double t_s = 0.0;
@@ -172,7 +172,7 @@ double feed(Gate& gate, double begin_s, double duration_s, int anchors, int off,
   return t_s;
 }
 
-TEST(Gate, TakesManyThatAreOffForBlockedUntilItLasts) {
+TEST(Gate, TakesManyOutliersForNlosUntilTheyLast) {
   for (const double off_m : {5.0 * kSigma_m, -5.0 * kSigma_m}) {
     Gate gate{GateConfig{}};
     double t_s = feed(gate, 0.0, 10.0, 12, 0, 0.0);
@@ -183,7 +183,7 @@ TEST(Gate, TakesManyThatAreOffForBlockedUntilItLasts) {
   }
 }
 
-TEST(Gate, DoubtsWhereAsManyAnchorsAreFarOffAsAgreeButForThreeThatAgree) {
+TEST(Gate, SuspectsDivergenceIfAsManyAnchorsAreFarOffAsAgreeUnlessThreeAgree) {
   const auto doubts = [](int anchors, int off, double off_m) {
     Gate gate{GateConfig{}};
     double t_s = feed(gate, 0.0, 10.0, anchors, 0, 0.0);
@@ -211,7 +211,7 @@ model::PowerClass class_of(double strength_dbm, double hidden_db) {
   return model::power_class(with_powers(strength_dbm, hidden_db));
 }
 
-TEST(PowerHint, TellsClassesByTheChipsFiguresAndByStrength) {
+TEST(PowerHint, ClassesFollowTheChipsFiguresAndTheStrength) {
   const auto hidden = [](model::PowerClass of) { return model::hidden_class(of); };
   EXPECT_EQ(hidden(class_of(-60.0, 0.0)), 0U);
   EXPECT_EQ(hidden(class_of(-60.0, 5.9)), 0U);
@@ -266,7 +266,7 @@ double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model
   return of_class / sum;
 }
 
-TEST(PowerHint, IsTheFadingCountOfWhatItWasTold) {
+TEST(PowerHint, IsTheDecayingCountOfObservations) {
   GateConfig config;
   config.hint_memory_s = 3.0;  // short, so that the unit is renormalized during the test
   config.hint_most = 50.0;
@@ -308,7 +308,7 @@ double with_excess(double x, double sigma, double mean) {
   return sum * end / kSteps / (mean * sigma * std::sqrt(2.0 * std::numbers::pi));
 }
 
-TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
+TEST(Gate, WeightEqualsTheBayesianPosterior) {
   GateConfig config;
   config.hint_s = 0.8;
   Gate gate(config);
@@ -360,7 +360,7 @@ TEST(Gate, WeighsByInnovationsAndPowersAsBayesHasIt) {
   }
 }
 
-TEST(Gate, WithoutPowersOrWithNoUseOfThemIsTheSameToTheBit) {
+TEST(Gate, UnusedPowersChangeNoBit) {
   GateConfig config;
   config.hint_most = 1.0;
   Gate plain{GateConfig{}};
@@ -405,13 +405,13 @@ int ranges_until_found(bool tells) {
   return 200;
 }
 
-TEST(Gate, FindsABlockedPairSoonerByPowersThatTell) {
+TEST(Gate, FindsAnNlosPairSoonerByInformativePowers) {
   EXPECT_EQ(ranges_until_found(true), 1);
   EXPECT_GT(ranges_until_found(false), 3);
 }
 
 // A weak antenna is not NLOS.
-TEST(Gate, DoesNotLockOutAPairWhosePowersLie) {
+TEST(Gate, DoesNotLockOutAPairWithMisleadingPowers) {
   Gate gate{GateConfig{}};
   Random random(35);
   teach(gate, true, random);

@@ -156,7 +156,7 @@ double time_to_find(Tracker& tracker, Robot& robot, double most_s) {
   return most_s;
 }
 
-TEST(Floors, AKidnapToTheOtherFloorIsFound) {
+TEST(Floors, RelocatesAfterAKidnapToTheOtherFloor) {
   Robot robot({-10.0, 8.0, 0.0}, {{6.0, 7.0}, {-14.0, 6.0}, {6.0, 8.0}, {-14.0, 6.0}, {6.0, 8.0}}, 2);
   Tracker tracker(two_floors(), testing::three_tags(), on_both_floors(), {});
   tracker.start({.t_s = 0.0, .pose = robot.at()});
@@ -167,7 +167,7 @@ TEST(Floors, AKidnapToTheOtherFloorIsFound) {
   EXPECT_LT(time_to_find(tracker, robot, 15.0), 12.0);
 }
 
-TEST(Floors, TheStartIsFoundOnWhicheverFloor) {
+TEST(Floors, FindsTheStartOnEitherFloor) {
   for (const int chart : {kGround, kUpper}) {
     Robot robot({-10.0, 8.0, 0.0, chart}, {{6.0, 7.0}, {-14.0, 6.0}, {6.0, 8.0}}, 3);
     Tracker tracker(two_floors(), testing::three_tags(), on_both_floors(), {});
@@ -175,7 +175,7 @@ TEST(Floors, TheStartIsFoundOnWhicheverFloor) {
   }
 }
 
-TEST(Floors, BeyondTheSurfaceTheTrackerSaysSo) {
+TEST(Floors, TheTrackerReportsAPoseOffTheSurface) {
   model::Chart small{"", model::Plane(), {{-20.0, -10.0}, {0.0, -10.0}, {0.0, 10.0}, {-20.0, 10.0}}, {}};
   Robot robot({-4.0, 0.0, 0.0}, {{6.0, 0.0}}, 4);
   Tracker tracker(model::Surface({small}), testing::three_tags(), on_both_floors(), {});
@@ -259,7 +259,7 @@ GroundFigures figures(Model model, bool modelled, int drives) {
   return out;
 }
 
-TEST(GroundMismatch, IsAllowedForByAsMuchAsItIsOverManyDrives) {
+TEST(GroundMismatch, IsConsistentOverManyDrives) {
   for (const Model model : {Model::kSchmidt, Model::kJoint}) {
     const GroundFigures told = figures(model, true, 40);
     const GroundFigures untold = figures(model, false, 15);

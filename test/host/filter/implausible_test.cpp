@@ -244,7 +244,7 @@ TEST(Implausible, PosesOfAnySizeCostNothing) {
   good("pose p_tt", kVariances, [](Pose& pose) -> double& { return (*pose.covariance)[5]; });
 }
 
-TEST(Implausible, SamplesAreCountedAndTheirTimeStillPasses) {
+TEST(Implausible, SamplesAreCountedAndTimeStillPasses) {
   Samples samples = make_samples(true);
   samples.drive.odometry[300].vx_mps = 1e308;
   samples.drive.odometry[301].omega_radps = -31.0;
@@ -266,7 +266,7 @@ TEST(Implausible, SamplesAreCountedAndTheirTimeStillPasses) {
               kRow_s * samples.drive.odometry[299].vx_mps, 0.02);
 }
 
-TEST(Implausible, WhatWasMissedMeanwhileIsInTheCovariance) {
+TEST(Implausible, MotionMissedMeanwhileIsInTheCovariance) {
   Filter filter(model::Surface(), testing::three_tags(), testing::six_anchors(),
                 testing::config_of(Model::kSchmidt));
   filter.process(model::OdometrySample{0.0, 1.2, 0.0, 1.0});
@@ -289,7 +289,7 @@ TEST(Implausible, WhatWasMissedMeanwhileIsInTheCovariance) {
   EXPECT_LT(variance, 2.0 * 0.03 * 0.03);
 }
 
-TEST(Implausible, OdometryThatStaysWrongIsNoOdometry) {
+TEST(Implausible, OdometryThatStaysImplausibleCountsAsMissing) {
   Samples samples = make_samples(false);
   for (std::size_t i = 300; i < samples.drive.odometry.size(); ++i) samples.drive.odometry[i].vx_mps = 1e6;
   const Outcome out = run(samples, samples.drive.truth);
@@ -298,7 +298,7 @@ TEST(Implausible, OdometryThatStaysWrongIsNoOdometry) {
   EXPECT_EQ(out.result.states[400].reason, Reason::kNoOdometry);
 }
 
-TEST(Implausible, WhatLooksAheadDropsTheSame) {
+TEST(Implausible, PredictionDropsTheSameSamples) {
   Filter filter(model::Surface(), testing::three_tags(), testing::six_anchors(),
                 testing::config_of(Model::kSchmidt));
   filter.process(model::OdometrySample{0.0, 1.0, 0.0, 0.1});
@@ -314,7 +314,7 @@ TEST(Implausible, WhatLooksAheadDropsTheSame) {
   EXPECT_EQ(predicted.covariance, filter.estimate().covariance);
 }
 
-TEST(OdometryGate, BelievesSamplesThatAgreeForHalfASecondButNoneThatNoRobotDoes) {
+TEST(OdometryGate, AcceptsConsistentSamplesAfterHalfASecondButNoImpossibleOnes) {
   OdometryGate gate;
   EXPECT_FALSE(gate.accepts({0.0, 25.0, 0.0, 0.0})) << "a robot begins at rest";
   EXPECT_TRUE(gate.accepts({0.02, 2.0, 0.0, 0.0}));
@@ -335,7 +335,7 @@ TEST(OdometryGate, BelievesSamplesThatAgreeForHalfASecondButNoneThatNoRobotDoes)
     EXPECT_FALSE(gate.accepts({50.0 + 0.02 * i, i % 2 == 0 ? -20.0 : 0.0, 0.0, 0.0}));
 }
 
-TEST(Gyro, DoesNotBelieveARateThatJumpedForItLasts) {
+TEST(Gyro, NeverAcceptsAConstantWrongRate) {
   Gyro gyro;
   const auto take = [&](double t_s, double omega_radps) {
     const bool follows = gyro.follows({t_s, omega_radps}, 0.1, SensorConfig{}.gyro_sigma_radps);
@@ -350,7 +350,7 @@ TEST(Gyro, DoesNotBelieveARateThatJumpedForItLasts) {
   EXPECT_TRUE(take(1.03, 0.12));
 }
 
-TEST(StartFromPrior, PassesOverAPoseThatNoRobotHas) {
+TEST(StartFromPrior, SkipsImplausiblePoses) {
   const model::Surface surface;
   const std::vector<model::PoseSample> priors{{.t_s = 0.0, .x_m = 1e300},
                                               {.t_s = 0.1, .yaw_rad = -1e12},

@@ -34,7 +34,7 @@ TEST(MapWatch, FollowsTheShareThatContradicts) {
   }
 }
 
-TEST(MapWatch, DoubtsAtOnceAndNamesAWrongMapAfterAWhile) {
+TEST(MapWatch, SuspectsAtOnceAndReportsAWrongMapAfterAWhile) {
   Feed feed;
   feed.ranges(1.0, 0.6);
   EXPECT_TRUE(feed.watch.is_doubtful());
@@ -45,7 +45,7 @@ TEST(MapWatch, DoubtsAtOnceAndNamesAWrongMapAfterAWhile) {
   EXPECT_TRUE(feed.watch.is_wrong());
 }
 
-TEST(MapWatch, WaitsForEnoughRangesWhereTheyAreRare) {
+TEST(MapWatch, WaitsForEnoughRangesIfTheyAreRare) {
   Feed feed;
   feed.ranges(30.0, 1.0, 1.0);
   EXPECT_TRUE(feed.watch.is_doubtful());
@@ -54,7 +54,7 @@ TEST(MapWatch, WaitsForEnoughRangesWhereTheyAreRare) {
   EXPECT_TRUE(feed.watch.is_wrong());
 }
 
-TEST(MapWatch, TakesNlosForNoWrongMap) {
+TEST(MapWatch, NlosIsNoWrongMap) {
   Feed feed;
   for (int i = 0; i < 20; ++i) {
     feed.ranges(5.0, 0.3);
@@ -63,7 +63,7 @@ TEST(MapWatch, TakesNlosForNoWrongMap) {
   EXPECT_FALSE(feed.watch.is_wrong());
 }
 
-TEST(MapWatch, TakesAKidnappedRobotForNoWrongMap) {
+TEST(MapWatch, AKidnappedRobotIsNoWrongMap) {
   Feed feed;
   feed.ranges(60.0, 0.02);
   feed.ranges(10.0, 0.9);
@@ -82,7 +82,7 @@ TEST(MapWatch, AnotherPoseDoesNotHideAWrongMap) {
   EXPECT_TRUE(feed.watch.is_wrong());
 }
 
-TEST(MapWatch, BelievesTheMapAgainWhenRangesFitFor30s) {
+TEST(MapWatch, AcceptsTheMapAgainWhenRangesFitFor30s) {
   Feed feed;
   feed.ranges(30.0, 0.9);
   ASSERT_TRUE(feed.watch.is_wrong());
@@ -92,7 +92,7 @@ TEST(MapWatch, BelievesTheMapAgainWhenRangesFitFor30s) {
   EXPECT_FALSE(feed.watch.is_wrong());
 }
 
-TEST(MapWatch, DoesNotCountWhatIsNoNumber) {
+TEST(MapWatch, IgnoresNonFiniteValues) {
   Feed feed;
   feed.ranges(10.0, 0.5);
   const double before = feed.watch.share();

@@ -87,7 +87,7 @@ INSTANTIATE_TEST_SUITE_P(OrderedFilter, OrderedModels, ::testing::ValuesIn(kMode
                          });
 
 // The reference processes all inputs in order of time.
-TEST_P(OrderedModels, ShuffledWithinTheWindowIsAsInOrder) {
+TEST_P(OrderedModels, ShuffledWithinTheWindowEqualsInOrder) {
   const testing::Drive drive = some_drive();
   const std::vector<Input> inputs = in_order(drive);
   const auto twin = make<Filter>(GetParam());
@@ -108,7 +108,7 @@ TEST_P(OrderedModels, ShuffledWithinTheWindowIsAsInOrder) {
   }
 }
 
-TEST(OrderedFilter, WhatComesLaterThanTheWindowIsRefusedAndChangesNothing) {
+TEST(OrderedFilter, InputsOlderThanTheWindowAreRefusedAndChangeNothing) {
   const std::vector<Input> inputs = in_order(some_drive());
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
   ASSERT_TRUE(filter->start({}));
@@ -131,7 +131,7 @@ TEST(OrderedFilter, WhatComesLaterThanTheWindowIsRefusedAndChangesNothing) {
   EXPECT_NE(filter->process(timely).outcome, RangeOutcome::kOutOfOrder);
 }
 
-TEST(OrderedFilter, WhatIsNotANumberIsRefused) {
+TEST(OrderedFilter, NonFiniteValuesAreRefused) {
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
   EXPECT_FALSE(filter->start({.t_s = testing::kNan}));
   EXPECT_FALSE(filter->start({.pose = {testing::kNan, 0.0, 0.0}}));
@@ -148,7 +148,7 @@ TEST(OrderedFilter, WhatIsNotANumberIsRefused) {
 }
 
 // The estimate for a late odometry sample equals the one for the same sample in time.
-TEST(OrderedFilter, TellsTheEstimateOfARowThatCameLate) {
+TEST(OrderedFilter, GivesTheEstimateAtALateOdometrySample) {
   const std::vector<Input> inputs = in_order(some_drive(3.0));
   const auto twin = make<OrderedFilter>(Model::kSchmidt);
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
@@ -183,7 +183,7 @@ TEST(OrderedFilter, TellsTheEstimateOfARowThatCameLate) {
 }
 
 // Inputs with equal times in random order.
-TEST(OrderedFilter, InputsOfOneTimeCountAlikeInAnyOrder) {
+TEST(OrderedFilter, InputsWithEqualTimesGiveTheSameResultInAnyOrder) {
   std::vector<Input> inputs{model::OdometrySample{1.0, 1.0, 0.0, 0.1}};
   for (const model::NodeId anchor : std::to_array<model::NodeId>({11, 12, 13, 14})) {
     for (const model::NodeId tag : std::to_array<model::NodeId>({1, 2, 3}))
@@ -203,7 +203,7 @@ TEST(OrderedFilter, InputsOfOneTimeCountAlikeInAnyOrder) {
   }
 }
 
-TEST(OrderedFilter, AStartThatComesLateCountsFromItsTime) {
+TEST(OrderedFilter, ALateStartAppliesFromItsTime) {
   const std::vector<Input> inputs = in_order(some_drive(1.0));
   const Start start{.t_s = 0.8};
   const auto twin = make<Filter>(Model::kSchmidt);
@@ -244,7 +244,7 @@ TEST(OrderedFilter, AFloodOfInputsShortensTheWindow) {
             RangeOutcome::kOutOfOrder);
 }
 
-TEST(OrderedFilter, AllocatesNothingOnceMade) {
+TEST(OrderedFilter, NeverAllocatesAfterConstruction) {
   const std::vector<Input> inputs = shuffled(in_order(some_drive(4.0)), kWindow_s, 4);
   for (const Model model : {Model::kSchmidt, Model::kJoint}) {
     const auto filter = make<OrderedFilter>(model);

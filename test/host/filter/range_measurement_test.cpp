@@ -72,7 +72,7 @@ TEST_F(RangeMeasurementTest, DerivativesEqualNumericalOnes) {
   }
 }
 
-TEST_F(RangeMeasurementTest, WithoutDelayTheyAreExactForItToo) {
+TEST_F(RangeMeasurementTest, DelayDerivativeIsExactWithoutDelay) {
   for (int i = 0; i < 30; ++i) {
     draw();
     core_(kDelay) = 0.0;
@@ -90,7 +90,7 @@ TEST_F(RangeMeasurementTest, WithoutDelayTheyAreExactForItToo) {
   }
 }
 
-TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
+TEST_F(RangeMeasurementTest, PredictsFromThePoseADelayAgo) {
   // The robot drives away from the anchor at 2 m/s with ranges 50 ms old: 0.1 m too short.
   const model::Calibration calibration = model::surveyed_calibration(
       std::vector<model::Anchor>{{5, {0.0, 0.0, 0.0}}}, std::vector<model::Tag>{{1, Eigen::Vector3d::Zero()}},
@@ -106,7 +106,7 @@ TEST_F(RangeMeasurementTest, TellsOfThePoseADelayAgo) {
   EXPECT_NEAR(measure_distance(model::Surface(), core, {0.0, 2.0, 0.0, 0.0}, pair).range_m, 9.9, 1e-12);
 }
 
-TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
+TEST(Parameters, EachHasItsOwnIndex) {
   const Parameters parameters(Site(testing::three_tags(), testing::six_anchors(), 0.01));
   ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4 + 6 + kGroundSize);
   Eigen::VectorXi taken = Eigen::VectorXi::Zero(parameters.size());
@@ -128,7 +128,7 @@ TEST(Parameters, EveryOneHasAPlaceOfItsOwn) {
   EXPECT_TRUE((taken.array() == 1).all());
 }
 
-TEST(Parameters, TakeTheCalibrationsBlocksForTheTagsThatAreThere) {
+TEST(Parameters, UseTheCalibrationsBlocksForTheGivenTags) {
   const model::Calibration calibration = testing::six_anchors();
   const std::vector<model::Tag> all = testing::three_tags();
   // Tags in another order, one missing, and one that the calibration lacks.
@@ -155,7 +155,7 @@ TEST(Parameters, TakeTheCalibrationsBlocksForTheTagsThatAreThere) {
   EXPECT_EQ(covariance, covariance.transpose());
 }
 
-TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
+TEST(Parameters, LeaveOutUnusableAnchorsAndExcessTags) {
   model::Calibration calibration = testing::six_anchors();
   calibration.anchors[1].position_m.x() = std::nan("");
   calibration.anchors[2].covariance.resize(2, 2);
@@ -183,7 +183,7 @@ TEST(Parameters, LeaveOutWhatCannotBeUsedAndWhatIsTooMuch) {
 
 // The lever arm and the antenna pattern are the calibration's. For an anchor straight ahead the range is
 // longer by the pattern's first coefficient.
-TEST(RangeMeasurement, KnowsWhatADriveShowedOfTheTag) {
+TEST(RangeMeasurement, UsesTheCalibratedLeverArmAndPattern) {
   model::Calibration calibration =
       model::surveyed_calibration(std::vector<model::Anchor>{{5, {10.0, 0.0, 0.0}}},
                                   std::vector<model::Tag>{{1, {1.0, 0.0, 0.0}}}, {}, 0.02);

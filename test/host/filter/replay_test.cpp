@@ -38,7 +38,7 @@ bool same(const model::PlanarEstimate& a, const model::PlanarEstimate& b) {
          a.covariance == b.covariance;
 }
 
-TEST_F(ReplayTest, GivesOneRowForEachOdometryRowAtItsTime) {
+TEST_F(ReplayTest, GivesOneEstimateForEachOdometrySampleAtItsTime) {
   const ReplayResult result = run();
   ASSERT_EQ(result.rows.size(), drive_.odometry.size());
   for (std::size_t i = 0; i < result.rows.size(); ++i) EXPECT_EQ(result.rows[i].t_s, drive_.odometry[i].t_s);
@@ -71,7 +71,7 @@ TEST_F(ReplayTest, IsCausal) {
   }
 }
 
-TEST_F(ReplayTest, ARowTellsOfTheRangeAtItsOwnTime) {
+TEST_F(ReplayTest, AnEstimateIncludesTheRangeAtItsOwnTime) {
   drive_.ranges = {{drive_.odometry[40].t_s, 1, 11, 15.0}};
   const ReplayResult with = run();
   drive_.ranges.front().range_m += 0.1;
@@ -81,7 +81,7 @@ TEST_F(ReplayTest, ARowTellsOfTheRangeAtItsOwnTime) {
   EXPECT_EQ(with.rows[40].t_s, drive_.odometry[40].t_s);
 }
 
-TEST_F(ReplayTest, KeepsWithinItsTimes) {
+TEST_F(ReplayTest, UsesOnlyInputsBetweenStartAndEnd) {
   options_.start.t_s = 3.02;
   options_.start.pose = drive_.truth[60];
   options_.to_s = 8.0;
@@ -109,7 +109,7 @@ TEST_F(ReplayTest, CountsRangesToAnchorsThatTheCalibrationLacks) {
             result.ranges_seen);
 }
 
-TEST_F(ReplayTest, TimesEachCallByTheClockThatIsGiven) {
+TEST_F(ReplayTest, TimesEachCallWithTheGivenClock) {
   EXPECT_EQ(run().update_ns.p50, 0.0);
   std::int64_t now = 0;
   options_.now_ns = [&now] { return now += 7; };
@@ -162,7 +162,7 @@ TEST_F(ReplayTest, WithoutAStartThePoseIsFound) {
             0.3);
 }
 
-TEST_F(ReplayTest, AnObserverSeesABlockedPairWhenItIsAndChangesNothing) {
+TEST_F(ReplayTest, AnObserverSeesAnNlosPairAndChangesNothing) {
   for (model::RangeSample& range : drive_.ranges) {
     if (range.anchor_id == 13 && range.t_s > 5.0 && range.t_s < 8.0) range.range_m += 2.0;
   }
@@ -184,7 +184,7 @@ TEST_F(ReplayTest, AnObserverSeesABlockedPairWhenItIsAndChangesNothing) {
   for (std::size_t i = 0; i < with.rows.size(); ++i) EXPECT_TRUE(same(with.rows[i], without.rows[i]));
 }
 
-TEST_F(ReplayTest, OtherSensorsAreTakenInTheirOrder) {
+TEST_F(ReplayTest, OtherSensorsAreProcessedInOrderOfTime) {
   drive_.ranges.clear();
   model::SensorTables sensors;
   std::vector<model::PositionSample>& positions = model::samples_of<model::PositionSample>(sensors);

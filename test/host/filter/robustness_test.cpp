@@ -21,7 +21,7 @@ namespace {
 
 using test::Random;
 
-TEST(LinkDelays, PartTheDifferenceAsGaussiansDo) {
+TEST(LinkDelays, SeparateTheDifferenceAsGaussiansDo) {
   const LinkDelays delays{.range_s = 0.02, .range_sigma_s = 0.004, .odometry_sigma_s = 0.015};
   // Posterior of (range delay, odometry delay) given their difference.
   const Eigen::Matrix2d prior = Eigen::Vector2d(0.004 * 0.004, 0.015 * 0.015).asDiagonal();
@@ -77,7 +77,7 @@ Config matching_config() {
   return config;
 }
 
-TEST(LateLinks, OdometryAndRangesAreEachTakenForAsLateAsTheyAre) {
+TEST(LateLinks, DelaysOfOdometryAndRangesAreEstimatedSeparately) {
   const model::Surface flat;
   model::Calibration calibration = testing::six_anchors(0.1);
   calibration.range_delay_s = 0.06;
@@ -103,7 +103,7 @@ TEST(LateLinks, OdometryAndRangesAreEachTakenForAsLateAsTheyAre) {
   EXPECT_LT(with.nees, 2.0);
 }
 
-TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
+TEST(OdometryWatch, InflatesImpossibleAccelerations) {
   const Config config;
   const model::OdometryNoise noise{0.03, 0.03, 0.01};
   OdometryWatch watch(config.max_acceleration_mps2);
@@ -124,7 +124,7 @@ TEST(OdometryWatch, DoubtsWhatNoWheelCanDo) {
   EXPECT_EQ(later.position_m2, 0.0);
 }
 
-TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
+TEST(OdometryWatch, ADetectedSlipIsInTheCovariance) {
   const model::Surface flat;
   const model::Calibration calibration = testing::six_anchors(0.1);
   Random random(6);
@@ -144,7 +144,7 @@ TEST(OdometryWatch, ASlipThatShowsIsInTheCovariance) {
   EXPECT_LT(with.mean_m, without.mean_m);
 }
 
-TEST(OdometryTuning, FindsTheWhiteSigmaOfARobotThatDrives) {
+TEST(OdometryTuning, FindsTheWhiteSigmaOfADrivingRobot) {
   constexpr model::OdometryNoise kTrue{0.03, 0.03, 0.01};
   for (const double factor : {0.12, 1.0 / 3.0, 1.0, 3.0, 8.0}) {
     OdometryTuning tuning(
@@ -168,7 +168,7 @@ TEST(OdometryTuning, FindsTheWhiteSigmaOfARobotThatDrives) {
   }
 }
 
-TEST(OdometryTuning, StaysWithinItsBoundsAndLearnsNothingOfRowsFarApart) {
+TEST(OdometryTuning, StaysWithinItsBoundsAndIgnoresSamplesFarApart) {
   OdometryTuning tuning({0.03, 0.03, 0.01});
   Random random(11);
   for (int i = 0; i < 2000; ++i) {
@@ -218,7 +218,7 @@ TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   });
 }
 
-TEST(RangeTuning, FindsTheWhiteSigmaBesideWhatLastsAndWhatIsBlocked) {
+TEST(RangeTuning, FindsTheWhiteSigmaDespiteSlowBiasAndNlos) {
   constexpr double kSigma_m = 0.1;
   for (const double told_m : {0.03, 0.1, 0.3}) {
     RangeTuning tuning(told_m);
@@ -246,7 +246,7 @@ void feed(Gate& gate, double from_s, double to_s, double every_s, Random& random
     static_cast<void>(gate.weigh(0, 0, t_s, 0.1 * random.gaussian(), 0.01));
 }
 
-TEST(RangeTuning, LeavesTheComparisonsAsTheyWereTold) {
+TEST(RangeTuning, LeavesTheComparisonModelsAtTheirNominalNoise) {
   // A third of the nominal noise, and biases that these models lack: an adapted sigma would gate all ranges.
   const model::Surface surface = testing::hills(0.2);
   const model::Calibration calibration = testing::six_anchors();
@@ -268,7 +268,7 @@ TEST(RangeTuning, LeavesTheComparisonsAsTheyWereTold) {
               0.01);
 }
 
-TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
+TEST(Reception, ASilentPairRegainsTrustGradually) {
   Gate gate{GateConfig{}};
   Random random(7);
   feed(gate, 0.0, 20.0, 0.05, random);
@@ -285,7 +285,7 @@ TEST(Reception, APairThatWasSilentHasToBeHeardForAWhile) {
 }
 
 // The undetectable error of a range depends on the pose's covariance.
-TEST(Reception, ARangeOfASilentPairIsBelievedWhereItCanBeTold) {
+TEST(Reception, RegainedVarianceDependsOnHowWellThePoseIsKnown) {
   const auto regained_m2 = [](double innovation_m, double variance_m2) {
     Gate gate{GateConfig{}};
     for (double t_s = 0.0; t_s < 20.0; t_s += 0.05) static_cast<void>(gate.weigh(0, 0, t_s, 0.0, 0.01));
@@ -300,7 +300,7 @@ TEST(Reception, ARangeOfASilentPairIsBelievedWhereItCanBeTold) {
 }
 
 // If several tags receive an anchor again, their errors are common.
-TEST(Reception, AnAnchorThatWasSilentTellsNoMoreToSeveralTags) {
+TEST(Reception, SeveralTagsOfASilentAnchorCountAsOne) {
   const auto regained_m2 = [](int tags) {
     Gate gate{GateConfig{}};
     for (double t_s = 0.0; t_s < 20.0; t_s += 0.05) {
@@ -333,7 +333,7 @@ Config without_silence(Config config) {
   return config;
 }
 
-TEST(Reception, HalfOfTheRepliesAreNearlyAsGoodAsAllWhereTheyAreInSight) {
+TEST(Reception, HalfOfTheRepliesAreNearlyAsGoodAsAllIfLos) {
   const model::Surface flat;
   const model::Calibration calibration = testing::six_anchors(0.1);
   const Config config = matching_config();
@@ -350,7 +350,7 @@ TEST(Reception, HalfOfTheRepliesAreNearlyAsGoodAsAllWhereTheyAreInSight) {
   EXPECT_LT(mean_m, 1.15 * blind_m);
 }
 
-TEST(Reception, AnchorsThatComeBackFromBehindWallsAreTakenForAsUnsureAsTheyAre) {
+TEST(Reception, AnchorsThatComeBackAfterNlosAreConsistent) {
   const model::Surface flat;
   const model::Calibration calibration = testing::six_anchors(0.1);
   Config config = matching_config();
@@ -378,7 +378,7 @@ TEST(Reception, AnchorsThatComeBackFromBehindWallsAreTakenForAsUnsureAsTheyAre) 
   EXPECT_LT(nees, 0.3 * blind_nees);
 }
 
-TEST(Reception, SilenceTellsNothingWherePollsAreRare) {
+TEST(Reception, SilenceIsNoEvidenceIfPollsAreRare) {
   Gate gate{GateConfig{}};
   Random random(8);
   feed(gate, 0.0, 100.0, 1.0, random);
@@ -411,7 +411,7 @@ Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
   return replay(flat, calibration, testing::config_of(model), drive, 20.0);
 }
 
-TEST(Powers, HelpWhereTheyTellAndCostLittleWhereTheyLieOverManyDrives) {
+TEST(Powers, HelpIfInformativeAndCostLittleIfMisleadingOverManyDrives) {
   constexpr std::uint64_t kDrives = 12;
   for (const Model model : {Model::kSchmidt, Model::kJoint}) {
     const auto mean_m = [model](Tells tells) {

@@ -75,7 +75,7 @@ TEST(Sensors, JacobiansEqualNumericalOnes) {
   }
 }
 
-TEST(Sensors, AnAttitudeTellsTheHeadingOnTheSurface) {
+TEST(Sensors, AttitudeGivesTheHeadingOnTheSurface) {
   const model::Surface surface = testing::hills(0.5);
   const model::SurfacePose there = model::pose_on_surface(surface, {3.0, -2.0, 0.7});
   const Eigen::Matrix3d& r = there.pose.rotation;
@@ -260,7 +260,7 @@ TEST(Sensors, PosesKeepTheFilterConsistentOverManyDrives) {
   EXPECT_LT(nees, 1.25);
 }
 
-TEST(Sensors, AStandingRobotLearnsTheYawRateBias) {
+TEST(Sensors, AStationaryRobotEstimatesTheYawRateBias) {
   const auto filter = filter_of(sensor_config());
   Random random(3);
   filter->process(model::OdometrySample{});
@@ -278,7 +278,7 @@ TEST(Sensors, AStandingRobotLearnsTheYawRateBias) {
   EXPECT_LT(std::abs(estimate.pose.theta_rad), 0.01);
 }
 
-TEST(Sensors, AGyroTurnsTheRobotThoughItsWheelsSlip) {
+TEST(Sensors, AGyroGivesTheHeadingWhileWheelsSlip) {
   const auto filter = filter_of(sensor_config());
   filter->process(model::OdometrySample{});
   filter->start({.heading_sigma_rad = 0.01});
@@ -294,7 +294,7 @@ TEST(Sensors, AGyroTurnsTheRobotThoughItsWheelsSlip) {
   EXPECT_NEAR(filter->estimate().pose.theta_rad - before, 0.25 * 0.3 + 0.75 * 0.1, 0.03);
 }
 
-TEST(Sensors, WildValuesAreTurnedAwayForTheirReason) {
+TEST(Sensors, ImplausibleValuesAreRefusedWithTheirReason) {
   const auto filter = filter_of(sensor_config());
   filter->process(model::OdometrySample{});
   EXPECT_EQ(filter->process(model::YawRateSample{0.0, 0.1}).outcome, SensorOutcome::kNotStarted);
@@ -325,7 +325,7 @@ TEST(Sensors, WildValuesAreTurnedAwayForTheirReason) {
   EXPECT_EQ(filter->counters().sensors[kPoseAt][SensorOutcome::kBadValue], 1U);
 }
 
-TEST(Sensors, WhatIsTurnedAwayForLongIsHeardAgain) {
+TEST(Sensors, ASensorRefusedForLongIsUsedAgain) {
   const auto filter = filter_of(sensor_config());
   filter->process(model::OdometrySample{});
   filter->start({});
@@ -343,7 +343,7 @@ TEST(Sensors, WhatIsTurnedAwayForLongIsHeardAgain) {
   EXPECT_NEAR(filter->estimate().pose.x_m, 3.0, 0.05);
 }
 
-TEST(Sensors, OutOfOrderTheyCountAsInOrder) {
+TEST(Sensors, OutOfOrderEqualsInOrder) {
   const Config config = sensor_config();
   const auto twin = filter_of(config);
   OrderedFilter filter(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), config);
@@ -403,7 +403,7 @@ TEST(Sensors, AllocateNothing) {
   EXPECT_EQ(test::allocations(), before);
 }
 
-TEST(Sensors, AnAbsolutePoseBeginsAndPositionsKeepTracking) {
+TEST(Sensors, AnAbsolutePoseInitializesTheTracker) {
   Tracker tracker(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), sensor_config());
   tracker.process(model::OdometrySample{});
   const SensorResult begun = tracker.process(model::PoseSample{

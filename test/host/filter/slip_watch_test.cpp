@@ -52,7 +52,7 @@ struct Circle {
 
 constexpr std::array<double, 6> kInSight{};
 
-TEST(SlipWatch, FindsTheDisplacementThatAllAnchorsSee) {
+TEST(SlipWatch, FindsADisplacementSeenByAllAnchors) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     Circle circle(seed);
     // Constant biases of the pairs are no displacement.
@@ -70,12 +70,12 @@ TEST(SlipWatch, FindsTheDisplacementThatAllAnchorsSee) {
   }
 }
 
-TEST(SlipWatch, TakesNoNoiseForASlip) {
+TEST(SlipWatch, NoiseIsNoSlip) {
   Circle circle(5);
   EXPECT_FALSE(circle.hear(3600.0, Eigen::Vector2d::Zero(), kInSight));
 }
 
-TEST(SlipWatch, BlockedSightIsNoSlip) {
+TEST(SlipWatch, NlosIsNoSlip) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     Circle circle(seed);
     ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
@@ -97,7 +97,7 @@ TEST(SlipWatch, OneAnchorThatIsTooNearIsNoSlip) {
 }
 
 // Anchors without recent ranges do not count as agreeing.
-TEST(SlipWatch, SilentAnchorsAreNoWitnesses) {
+TEST(SlipWatch, SilentAnchorsDoNotCount) {
   Circle circle(10);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
   // Only two anchors are left, and both are suddenly too near.
@@ -113,13 +113,13 @@ TEST(SlipWatch, SilentAnchorsAreNoWitnesses) {
 
 // A wrong surface, for example, makes ranges too long and too short in a pattern that no displacement
 // explains.
-TEST(SlipWatch, WhatADisplacementLeavesUnexplainedIsNoSlip) {
+TEST(SlipWatch, UnexplainedErrorsAreNoSlip) {
   Circle circle(9);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
   EXPECT_FALSE(circle.hear(2.0, {0.08, 0.0}, {-0.3, 0.3, -0.3, -0.3, 0.3, -0.3}));
 }
 
-TEST(SlipWatch, IgnoresWhatIsNoNumberAndForgets) {
+TEST(SlipWatch, IgnoresNonFiniteValuesAndForgets) {
   Circle circle(8);
   ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
   const double none = std::numeric_limits<double>::quiet_NaN();
@@ -131,7 +131,7 @@ TEST(SlipWatch, IgnoresWhatIsNoNumberAndForgets) {
   EXPECT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
 }
 
-TEST(SlipDoubt, LastsLongerWhereASlipGoesOn) {
+TEST(SlipDoubt, LastsLongerIfSlipsRepeat) {
   SlipDoubt doubt;
   EXPECT_FALSE(doubt.is_open());
   EXPECT_EQ(doubt.judge(0.05).velocity_m2ps2, 0.0);
@@ -258,7 +258,7 @@ TEST(Slip, IsFoundAndCostsLittle) {
   }
 }
 
-TEST(Slip, ARobotThatIsCarriedDoesNotStand) {
+TEST(Slip, DetectsARobotThatIsCarried) {
   Config blind = consistent_config();
   blind.slip_odds = 1e9;
   for (const double length_s : {2.0, 5.0}) {
@@ -272,7 +272,7 @@ TEST(Slip, ARobotThatIsCarriedDoesNotStand) {
   }
 }
 
-TEST(Slip, IsNotSeenWhereThereIsNone) {
+TEST(Slip, IsNotDetectedWhereThereIsNone) {
   for (std::uint64_t seed = 1; seed <= 5; ++seed)
     EXPECT_EQ(drive_with({}, seed, consistent_config()).slips, 0U) << seed;
 }

@@ -77,7 +77,7 @@ TEST(StartSearch, FindsThePoseFromAnyPlaceAndHeading) {
   EXPECT_GT(sum / kRuns, 0.2);
 }
 
-TEST(StartSearch, WhatOneAnchorSaysIsOneEvent) {
+TEST(StartSearch, NlosOfOneAnchorCountsAsOneEvent) {
   const model::Calibration calibration = testing::six_anchors(0.1);
   // Additional cost of the true pose if some anchors are NLOS.
   const auto cost_of_walls = [&](std::size_t walls, double range_s) {
@@ -154,7 +154,7 @@ TEST(StartSearch, KeepsBothSidesOfALineOfAnchorsUntilTheRobotTurns) {
   EXPECT_NEAR(model::wrap_angle(turned[0].pose.theta_rad - pose.z()), 0.0, 0.15);
 }
 
-TEST(StartSearch, OneTagThatStandsTellsNoHeading) {
+TEST(StartSearch, OneStationaryTagGivesNoHeading) {
   const model::Calibration calibration = testing::six_anchors();
   const std::vector<model::Tag> tags{{1, {0.0, 0.0, 1.0}}};
   StartSearch search(model::Plane(), tags, calibration, config_of());
@@ -174,7 +174,7 @@ TEST(StartSearch, OneTagThatStandsTellsNoHeading) {
   EXPECT_TRUE(hypotheses.size() > 1 || hypotheses[0].covariance(2, 2) > 1.0);
 }
 
-TEST(StartSearch, SomeBlockedRangesDoNotMislead) {
+TEST(StartSearch, SomeNlosRangesDoNotMislead) {
   int settled = 0;
   for (std::uint64_t run = 0; run < 20; ++run) {
     Random random(500 + run);
@@ -197,7 +197,7 @@ TEST(StartSearch, SomeBlockedRangesDoNotMislead) {
   EXPECT_GE(settled, 18);
 }
 
-TEST(StartSearch, RangesThatAgreeWithNoPlaceSettleNothing) {
+TEST(StartSearch, InconsistentRangesDoNotSettle) {
   const model::Calibration calibration = testing::six_anchors();
   const auto search = make(calibration);
   Random random(4);

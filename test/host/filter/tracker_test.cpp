@@ -152,7 +152,7 @@ TEST_P(TrackerTest, FindsAKidnappedRobot) {
 }
 
 // Passing a gate: for seconds the ranges of all tags are too long, much as if the robot were a step aside.
-TEST_P(TrackerTest, StaysWhereItIsBehindAWall) {
+TEST_P(TrackerTest, DoesNotRelocateDuringNlos) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   testing::Drive blocked = drive(kHere);
   const Eigen::Vector2d aside(0.0, 0.8);
@@ -172,7 +172,7 @@ TEST_P(TrackerTest, StaysWhereItIsBehindAWall) {
   EXPECT_LT(moments_.back().error_m, 0.3);
 }
 
-TEST_P(TrackerTest, SaysThatRangesAreLostAndComesBack) {
+TEST_P(TrackerTest, ReportsMissingRangesAndRecovers) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   run(drive(kHere), 0.0,
       [](const model::RangeSample& range) { return range.t_s < 10.0 || range.t_s > 40.0; });
@@ -184,7 +184,7 @@ TEST_P(TrackerTest, SaysThatRangesAreLostAndComesBack) {
 }
 
 // Odometry pauses for a while; ranges continue or pause, too.
-TEST_P(TrackerTest, AfterAPauseOfOdometryTheRangesAgreeBeforeItTracks) {
+TEST_P(TrackerTest, AfterAnOdometryPauseTracksOnlyOnceRangesAgree) {
   for (const bool ranges : {true, false}) {
     SCOPED_TRACE(ranges);
     moments_.clear();
@@ -212,7 +212,7 @@ TEST_P(TrackerTest, AfterAPauseOfOdometryTheRangesAgreeBeforeItTracks) {
   }
 }
 
-TEST_P(TrackerTest, SaysThatATagIsSilentAndGoesOn) {
+TEST_P(TrackerTest, ReportsASilentTagAndContinues) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   run(drive(kHere), 0.0, [](const model::RangeSample& range) {
     return range.tag_id != 2 || range.t_s < 20.0 || range.t_s > 40.0;
@@ -223,7 +223,7 @@ TEST_P(TrackerTest, SaysThatATagIsSilentAndGoesOn) {
   EXPECT_FALSE(lied());
 }
 
-TEST_P(TrackerTest, GoesOnAfterTheClockWasSet) {
+TEST_P(TrackerTest, ContinuesAfterAClockStep) {
   for (const double step_s : {1000.0, -1000.0}) {
     SCOPED_TRACE(step_s);
     moments_.clear();
@@ -251,7 +251,7 @@ TEST_P(TrackerTest, GoesOnAfterTheClockWasSet) {
   }
 }
 
-TEST_P(TrackerTest, TakesInputsOutOfOrder) {
+TEST_P(TrackerTest, AcceptsInputsOutOfOrder) {
   const testing::Drive whole = drive(kHere);
   std::vector<std::pair<double, std::size_t>> order;  // odometry samples, then ranges
   for (std::size_t i = 0; i < whole.odometry.size(); ++i)
@@ -282,7 +282,7 @@ std::vector<model::RangeSample> renumbered(std::vector<model::RangeSample> range
 
 constexpr double kNamedWithin_s = 30.0;
 
-TEST_P(TrackerTest, NamesAWrongMapAndGoesOnByOdometryAlone) {
+TEST_P(TrackerTest, ReportsAWrongMapAndContinuesByOdometryOnly) {
   testing::Drive two_minutes = drive(kHere, {.duration_s = 120.0, .range_s = 0.01});
   two_minutes.ranges = renumbered(two_minutes.ranges, 120.0);
   tracker_->start({.t_s = 0.0, .pose = kHere});
@@ -312,7 +312,7 @@ TEST_P(TrackerTest, NamesAWrongMapAndGoesOnByOdometryAlone) {
   EXPECT_NEAR(squared, squared_alone, 0.1 * squared_alone);
 }
 
-TEST_P(TrackerTest, ClaimsNothingOnAWrongMapWithoutAPrior) {
+TEST_P(TrackerTest, IsLostOnAWrongMapWithoutAPrior) {
   testing::Drive minute = drive(kHere);
   minute.ranges = renumbered(minute.ranges, 60.0);
   run(minute);
@@ -334,7 +334,7 @@ TEST_P(TrackerTest, TracksAgainWhenTheMapIsRightAgain) {
   EXPECT_FALSE(lied());
 }
 
-TEST_P(TrackerTest, TakesOneMovedAnchorForNoWrongMap) {
+TEST_P(TrackerTest, OneMovedAnchorIsNoWrongMap) {
   testing::Drive minute = drive(kHere);
   for (model::RangeSample& range : minute.ranges) {
     if (range.anchor_id == 12) range.range_m += 2.5;
@@ -347,7 +347,7 @@ TEST_P(TrackerTest, TakesOneMovedAnchorForNoWrongMap) {
 
 // The original model of the source paper has no biases: unmodelled biases must not be reported as a wrong
 // map.
-TEST_P(TrackerTest, BlamesNoMapForBiasesThatTheModelLeavesOut) {
+TEST_P(TrackerTest, UnmodelledBiasesAreNoWrongMap) {
   Config config;
   config.model = Model::kOriginal;
   config.odometry = {0.03, 0.03, 0.01};

@@ -32,10 +32,10 @@ struct Dense {
   }
 };
 
-class OfConsidered : public ::testing::TestWithParam<Eigen::Index> {};
-INSTANTIATE_TEST_SUITE_P(ChainProblem, OfConsidered, ::testing::Values(0, 2, 5));
+class WithConsidered : public ::testing::TestWithParam<Eigen::Index> {};
+INSTANTIATE_TEST_SUITE_P(ChainProblem, WithConsidered, ::testing::Values(0, 2, 5));
 
-TEST_P(OfConsidered, SolutionAndCovariancesAreThoseOfTheDenseProblem) {
+TEST_P(WithConsidered, SolutionAndCovariancesEqualTheDenseProblem) {
   const Eigen::Index considered = GetParam();
   const Eigen::Index solved = kSharedSize - considered;
   test::Random random(11);

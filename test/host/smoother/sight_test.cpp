@@ -27,7 +27,7 @@ double with_excess(double x, double sigma, double mean) {
   return sum * end / kSteps;
 }
 
-TEST(InSight, IsTheSumOverAllWaysThroughTheStates) {
+TEST(LosProbabilities, EqualsTheSumOverAllStateSequences) {
   const filter::GateConfig config;
   const std::vector<Residual> pair{{0.0, 0.05, 0.1}, {0.3, 0.4, 0.1},  {0.5, 0.6, 0.12}, {0.6, 0.15, 0.1},
                                    {3.0, 0.2, 0.1},  {3.1, -0.5, 0.1}, {3.2, 7.0, 0.1},  {9.0, 0.0, 0.2}};
@@ -68,7 +68,7 @@ TEST(InSight, IsTheSumOverAllWaysThroughTheStates) {
   EXPECT_LT(found[6], 0.01);
 }
 
-TEST(InSight, OfNoneIsNothing) {
+TEST(LosProbabilities, IsEmptyWithoutRanges) {
   EXPECT_TRUE(los_probabilities({}, filter::GateConfig{}).empty());
 }
 

@@ -44,7 +44,7 @@ INSTANTIATE_TEST_SUITE_P(Smoother, Smoothing,
                            return std::string(filter::model_name(model.param));
                          });
 
-TEST_P(Smoothing, IsBetterThanTheFilterAndErrsAsMuchAsItSays) {
+TEST_P(Smoothing, IsBetterThanTheFilterAndConsistent) {
   constexpr int kSites = 60;
   const model::Surface surface = site::hills(0.2);
   const model::Calibration calibration = site::six_anchors(0.5);
@@ -79,7 +79,7 @@ TEST_P(Smoothing, IsBetterThanTheFilterAndErrsAsMuchAsItSays) {
   EXPECT_NEAR(smoothed.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
 }
 
-TEST_P(Smoothing, TellsBlockedRangesByWhatComesLater) {
+TEST_P(Smoothing, FindsNlosRangesFromLaterOnes) {
   const model::Surface surface = site::hills(0.2);
   const model::Calibration calibration = site::six_anchors(0.2);
   Random random(32);
@@ -104,7 +104,7 @@ TEST_P(Smoothing, TellsBlockedRangesByWhatComesLater) {
   }
 }
 
-TEST_P(Smoothing, TakesOdometryAndRangesEachForAsLateAsTheyAre) {
+TEST_P(Smoothing, EstimatesDelaysOfOdometryAndRangesSeparately) {
   const model::Surface flat;
   model::Calibration calibration = site::six_anchors(0.1);
   calibration.range_delay_s = 0.06;
@@ -142,7 +142,7 @@ TEST_P(Smoothing, TakesOdometryAndRangesEachForAsLateAsTheyAre) {
   EXPECT_GT(exact_nees, 2.0 * open_nees);
 }
 
-TEST(Smoother, HasNothingToSayOfNoOdometry) {
+TEST(Smoother, GivesNothingWithoutOdometry) {
   const model::Surface surface;
   const model::Calibration calibration = site::six_anchors();
   const auto tags = site::three_tags();
