@@ -77,7 +77,7 @@ struct Config {
   model::OdometryNoise odometry;       // white, constant until the next sample
   double scale_sigma = 0.01;           // of the constant odometry scale error
   double yaw_rate_bias_radps = 0.002;  // sigma of the constant yaw-rate bias
-  double max_hold_s = 0.5;             // an odometry sample is held; then its velocity walks:
+  double max_hold_s = 0.5;             // hold time of a sample; then its velocity is a random walk:
   double hold_walk_mps = 1.0;          // m/s per sqrt(s)
   double hold_walk_radps = 0.5;        // rad/s per sqrt(s)
 

@@ -201,7 +201,7 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
   RangeResult result = innovation(range.range_m, predicted, projected.variance);  // residual of (17), and S
   weigh(range, pair, result);
   watch_slip(pair, predicted, result);
-  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n); Schmidt's P
+  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n); Schmidt update of P
   tune(pair, result);
   if (result.weight > 0.0) motion().follow_chart();
   return result;
@@ -234,7 +234,7 @@ RangeResult Filter::innovation(double range_m, const RangeMeasurement& predicted
 
 void Filter::update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
                     RangeResult& result) noexcept {
-  // A weight below one inflates the noise: S / weight in place of S.
+  // K = P Hᵀ / S. A weight below one inflates the noise: S / weight in place of S.
   const double variance =
       result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
   const CoreVector change = projected.core * (result.innovation_m / variance);

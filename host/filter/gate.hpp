@@ -1,5 +1,5 @@
-// The gate: weight of a range from its innovation and its pair's history. It is independent of the update and
-// detects divergence, so that it cannot lock out a wrong state.
+// The gate: weight of a range from its innovation and its pair's history. It is independent of the update. It
+// also detects divergence, so that a wrong state does not refuse the right ranges for good.
 //
 // A pair is LOS (Gaussian innovation with the filter's variance S) or NLOS (plus an exponential excess: NLOS
 // ranges are too long, those of a wrong calibration may be too short). The pair keeps its state for a while.

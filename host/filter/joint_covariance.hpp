@@ -201,7 +201,7 @@ class JointCovariance {
   struct alignas(64) Line : std::array<double, kKernelStep> {};
   std::vector<Line> lower_;
   alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> learns_{};  // 1: estimated
-  bool considered_ = false;  // besides slow range biases and ground
+  bool considered_ = false;  // any parameter other than slow range biases and ground
 };
 
 }  // namespace groma::filter
