@@ -19,10 +19,10 @@ constexpr double kNoAnswerYet_s = -std::numeric_limits<double>::infinity();
 using model::Mechanism;
 using model::square;
 
-EstimatedParameters estimated(Model model) noexcept {
-  if (model == Model::kJoint) return EstimatedParameters::kAll;
-  if (model == Model::kAnchorStates) return EstimatedParameters::kPositions;
-  return EstimatedParameters::kNothing;
+Learning estimated(Model model) noexcept {
+  if (model == Model::kJoint) return Learning::kAll;
+  if (model == Model::kAnchorStates) return Learning::kPositions;
+  return Learning::kNothing;
 }
 
 // Adapts the calibration to another drive than the one it was estimated from.
@@ -201,7 +201,7 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
   RangeResult result = innovation(range.range_m, predicted, projected.variance);  // residual of (17), and S
   weigh(range, pair, result);
   watch_slip(pair, predicted, result);
-  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n); Schmidt update of P
+  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n), Schmidt update
   tune(pair, result);
   if (result.weight > 0.0) motion().follow_chart();
   return result;

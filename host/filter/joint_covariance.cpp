@@ -81,8 +81,7 @@ void CoreCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
   ground_variances_ = variances;
 }
 
-JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
-                                 EstimatedParameters estimated)
+JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, Learning estimated)
     : estimated_(estimated),
       layout_(parameters),
       size_(parameters.size()),
@@ -90,14 +89,14 @@ JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
       lever_arm_variance_m2_(site.lever_arm_variance_m2()),
       slow_variance_m2_(site.slow_variance_m2()),
       frame_covariance_(site.frame_covariance()) {
-  if (estimated == EstimatedParameters::kNothing) {
+  if (estimated == Learning::kNothing) {
     absent_rows_ = site.anchor_count() > layout_.anchor_count() ? kCoreSize : 0;
     begin_absence();
     return;
   }
   lower_.resize(static_cast<std::size_t>(stride_ / kKernelStep) * static_cast<std::size_t>(stride_));
   set_prior(site, parameters, Eigen::Map<Eigen::MatrixXd>(lower_data(), stride_, stride_));
-  if (estimated == EstimatedParameters::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
+  if (estimated == Learning::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
     set_estimated(slot, site.anchor(parameters.anchor_in(slot)).is_estimated);
   }
@@ -119,11 +118,10 @@ void JointCovariance::set_prior(const Site& site, const Parameters& parameters,
 void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
   double* const own = learns_.data() + layout_.position(slot);
   std::fill_n(own, layout_.anchor_size(), 0.0);
-  if (is_estimated)
-    std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
+  if (is_estimated) std::fill_n(own, estimated_ == Learning::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
   // The slow range bias's variance is always slow_variance_m2_ and is stored there.
   lower(layout_.slow_error(slot), layout_.slow_error(slot)) = 0.0;
-  considered_ = estimated_ != EstimatedParameters::kAll;
+  considered_ = estimated_ != Learning::kAll;
   for (int other = 0; other < layout_.anchor_count(); ++other) {
     if (learns_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
   }
@@ -193,7 +191,7 @@ void JointCovariance::fade_ground(double factor) noexcept {
 
 void JointCovariance::scale_cross(int parameter, double factor) noexcept {
   rows_of(cross_.data()).row(parameter) *= factor;
-  if (estimated_ == EstimatedParameters::kNothing) return;
+  if (estimated_ == Learning::kNothing) return;
   for (int i = 0; i < parameter; ++i) lower(parameter, i) *= factor;
   for (int i = parameter + 1; i < size_; ++i) lower(i, parameter) *= factor;
 }
@@ -309,7 +307,7 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
                               Projected& out) noexcept {
   settle_motion();
   std::fill_n(out.own.begin(), padded(rows()), 0.0);
-  if (estimated_ == EstimatedParameters::kNothing) {
+  if (estimated_ == Learning::kNothing) {
     own_of_considered(measurement, pair, out.own.data());
   } else {
     own_of_estimated(measurement, pair, out.own.data());
@@ -347,7 +345,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   correct_core(projected.core, variance);
   double* const q = projected.own.data();
   correct_cross(cross_.data(), rows(), d_core.transpose(), projected.core / variance, q);
-  if (estimated_ == EstimatedParameters::kNothing) return;
+  if (estimated_ == Learning::kNothing) return;
 
   const double gain = innovation / variance;
   const double root = 1.0 / std::sqrt(variance);
@@ -409,7 +407,7 @@ void JointCovariance::marginalize(const Parameters& parameters, int slot, Anchor
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
   memory.was_active = true;
-  if (estimated_ == EstimatedParameters::kNothing) {
+  if (estimated_ == Learning::kNothing) {
     memory.cross = rows_of(cross_.data()).middleRows(first, size);
     return;
   }
@@ -447,7 +445,7 @@ void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMe
   RowsMap<CrossBlock> cross = rows_of(cross_.data());
   auto own_cross = cross.middleRows(first, size);
   own_cross.setZero();
-  if (estimated_ == EstimatedParameters::kNothing) {
+  if (estimated_ == Learning::kNothing) {
     if (memory.was_active) own_cross = memory.cross;
     cross.row(first + size - 1) *= faded;
     return;
@@ -488,7 +486,7 @@ Eigen::MatrixXd JointCovariance::cross() const {
 
 Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& parameters) const {
   Eigen::MatrixXd all = Eigen::MatrixXd::Zero(size_, size_);
-  if (estimated_ == EstimatedParameters::kNothing) {
+  if (estimated_ == Learning::kNothing) {
     set_prior(site, parameters, all);
   } else {
     JointCovariance settled = *this;

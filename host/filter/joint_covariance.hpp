@@ -50,7 +50,7 @@ class CoreCovariance {
 };
 
 // Which parameters an update estimates; the others are consider states.
-enum class EstimatedParameters {
+enum class Learning {
   kNothing,    // all are considered: their covariance stays block diagonal by anchor, tag and frame
   kPositions,  // anchor positions are estimated, the others considered
   kAll,
@@ -88,7 +88,7 @@ struct AnchorMemory {
 
 class JointCovariance {
  public:
-  JointCovariance(const Site& site, const Parameters& parameters, EstimatedParameters estimated);
+  JointCovariance(const Site& site, const Parameters& parameters, Learning estimated);
 
   // Re-initializes the core's covariance, uncorrelated with the parameters.
   void reset_core(const CoreMatrix& covariance) noexcept;
@@ -178,7 +178,7 @@ class JointCovariance {
   void own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
                         double* own) const noexcept;
 
-  EstimatedParameters estimated_;
+  Learning estimated_;
   Layout layout_;
   int size_ = 0;
   int stride_ = 0;
