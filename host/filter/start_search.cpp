@@ -289,10 +289,10 @@ double StartSearch::coarse_cost(const Eigen::Vector3d& pose, int chart, double w
   RobustCost sum;
   const Frame now(pose);
   int count = 0;
-  bool is_given_up = false;
+  bool is_stopped = false;
   walk_back(pose, chart, std::max<std::size_t>(1, count_ / kCoarseRanges), [&](const Seen& seen, int on) {
-    if (is_given_up) return;
-    if (++count % kRangesPerCheck == 0 && sum.sum() > most) is_given_up = true;
+    if (is_stopped) return;
+    if (++count % kRangesPerCheck == 0 && sum.sum() > most) is_stopped = true;
     const Eigen::Vector3d then = now.compose(seen.back);
     const PairParameters pair = site_.pair(seen.anchor, seen.tag);
     const Eigen::Vector3d& lever = pair.lever_arm_m;

@@ -143,7 +143,7 @@ void expect_good_of_all(const std::string& column, const std::vector<double>& si
   for (const std::uint64_t seed : seeds) {
     const Samples right = make_samples(with_sensors, seed);
     const std::vector<model::PlanarPose>& truth = right.drive.truth;
-    const Outcome as_it_should_be = run(right, truth);
+    const Outcome reference = run(right, truth);
     for (const Pattern pattern : kPatterns) {
       // The reference without wrong samples: with the right values or, for sensors, with these samples left
       // out, whichever is worse.
@@ -159,7 +159,7 @@ void expect_good_of_all(const std::string& column, const std::vector<double>& si
           of(left_out).push_back(sample);
         }
       }
-      double without_m = as_it_should_be.mean_m;
+      double without_m = reference.mean_m;
       if (with_sensors) without_m = std::max(without_m, run(left_out, truth).mean_m);
       for (const double size : sizes) {
         for (const double value : {size, -size}) {

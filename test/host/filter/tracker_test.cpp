@@ -98,7 +98,7 @@ class TrackerTest : public ::testing::TestWithParam<std::uint64_t> {
     return from_s;
   }
   // TRACKING for more than 2 s with an error above 34.6 (the probability of 5 sigma in one dimension).
-  [[nodiscard]] bool lied() const { return longest_wrong_s_ > 2.0; }
+  [[nodiscard]] bool was_overconfident() const { return longest_wrong_s_ > 2.0; }
 
   Random random_;
   model::Surface surface_ = testing::hills(0.2);
@@ -117,7 +117,7 @@ TEST_P(TrackerTest, TracksFromAKnownStart) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   run(known);
   EXPECT_LT(tracks_from_s(), 2.0);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
   EXPECT_EQ(tracker_->relocations(), 0U);
 }
 
@@ -127,7 +127,7 @@ TEST_P(TrackerTest, StartsWithoutAPrior) {
   EXPECT_TRUE(was(State::kConverging, 0.0, 10.0));
   EXPECT_LT(tracks_from_s(), 10.0);
   EXPECT_LT(moments_.back().error_m, 0.5);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
 }
 
 TEST_P(TrackerTest, RecoversFromAWrongStart) {
@@ -136,7 +136,7 @@ TEST_P(TrackerTest, RecoversFromAWrongStart) {
       {.t_s = 0.0, .pose = {kHere.x_m + 3.0, kHere.y_m + 4.0, kHere.theta_rad + 0.5 * std::numbers::pi}});
   run(wrong);
   EXPECT_LT(tracks_from_s(), 10.0);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
   EXPECT_LT(moments_.back().error_m, 0.5);
 }
 
@@ -147,7 +147,7 @@ TEST_P(TrackerTest, FindsAKidnappedRobot) {
   run(drive({-6.0, 5.0, -2.0}, {.duration_s = 30.0, .range_s = 0.01}), 20.0);
   EXPECT_LT(tracks_from_s(), 30.0);
   EXPECT_TRUE(was(State::kDegraded, 20.0, 24.0) || was(State::kLost, 20.0, 24.0));
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
   EXPECT_LT(moments_.back().error_m, 0.5);
 }
 
@@ -168,7 +168,7 @@ TEST_P(TrackerTest, DoesNotRelocateDuringNlos) {
   EXPECT_TRUE(was(Reason::kRangesDisagree, 20.0, 30.0));
   EXPECT_FALSE(was(State::kLost, 0.0, 60.0));
   EXPECT_EQ(tracker_->relocations(), 0U);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
   EXPECT_LT(moments_.back().error_m, 0.3);
 }
 
@@ -180,7 +180,7 @@ TEST_P(TrackerTest, ReportsMissingRangesAndRecovers) {
   EXPECT_FALSE(was(State::kTracking, 12.0, 40.0));
   EXPECT_LT(tracks_from_s(), 50.0);
   EXPECT_GE(tracks_from_s(), 40.0);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
 }
 
 // Odometry pauses for a while; ranges continue or pause, too.
@@ -207,7 +207,7 @@ TEST_P(TrackerTest, AfterAnOdometryPauseTracksOnlyOnceRangesAgree) {
     // The first inputs after such a jump in time are not accepted yet and change nothing.
     EXPECT_FALSE(was(State::kTracking, 25.04, 25.5));
     EXPECT_LT(tracks_from_s(), 35.0);
-    EXPECT_FALSE(lied());
+    EXPECT_FALSE(was_overconfident());
     EXPECT_LT(moments_.back().error_m, 0.5);
   }
 }
@@ -220,7 +220,7 @@ TEST_P(TrackerTest, ReportsASilentTagAndContinues) {
   EXPECT_TRUE(was(Reason::kTagSilent, 20.0, 24.0));
   EXPECT_FALSE(was(State::kLost, 0.0, 60.0));
   EXPECT_LT(tracks_from_s(), 41.0);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
 }
 
 TEST_P(TrackerTest, ContinuesAfterAClockStep) {
@@ -246,7 +246,7 @@ TEST_P(TrackerTest, ContinuesAfterAClockStep) {
     run(after, 2000.0 + step_s);
     EXPECT_EQ(tracker_->clock_steps(), 1U);
     EXPECT_LT(tracks_from_s(), 30.0);
-    EXPECT_FALSE(lied());
+    EXPECT_FALSE(was_overconfident());
     EXPECT_LT(moments_.back().error_m, 0.5);
   }
 }
@@ -268,7 +268,7 @@ TEST_P(TrackerTest, AcceptsInputsOutOfOrder) {
     }
   }
   EXPECT_LT(tracks_from_s(), 12.0);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
 }
 
 // Anchor ids permuted cyclically: the ranges are metres off at any pose.
@@ -318,7 +318,7 @@ TEST_P(TrackerTest, IsLostOnAWrongMapWithoutAPrior) {
   run(minute);
   EXPECT_EQ(tracker_->reason(), Reason::kMapMismatch);
   EXPECT_EQ(tracker_->state(), State::kLost);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
   if (!tracker_->started()) return;
   EXPECT_LT(moments_.back().squared / 3.0, 4.0);
 }
@@ -331,7 +331,7 @@ TEST_P(TrackerTest, TracksAgainWhenTheMapIsRightAgain) {
   EXPECT_TRUE(was(Reason::kMapMismatch, 30.0, 40.0) || was(State::kLost, 30.0, 40.0));
   EXPECT_LT(tracks_from_s(), 180.0);
   EXPECT_LT(moments_.back().error_m, 0.5);
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
 }
 
 TEST_P(TrackerTest, OneMovedAnchorIsNoWrongMap) {
@@ -342,7 +342,7 @@ TEST_P(TrackerTest, OneMovedAnchorIsNoWrongMap) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
   run(minute);
   EXPECT_FALSE(was(Reason::kMapMismatch, 0.0, 60.0));
-  EXPECT_FALSE(lied());
+  EXPECT_FALSE(was_overconfident());
 }
 
 // The original model of the source paper has no biases: unmodelled biases must not be reported as a wrong
