@@ -16,7 +16,7 @@ namespace {
 constexpr double kSearchWindow_s = 6.0;  // older ranges are dropped
 constexpr double kSpacing_s = 0.25;      // minimum interval between the ranges of a pair
 constexpr double kLatest_s = 0.5;        // maximum age of a range, relative to the newest input
-// The errors of one pair are correlated over a second, so each range counts as this share of one.
+// The errors of one pair are correlated over a second, so a range counts as this share of an independent one.
 constexpr double kShare = kSpacing_s / 1.0;
 // Scales of the Cauchy cost in sigmas, for ranges that are too long and too short.
 constexpr double kExcessScale = 1.5;
@@ -33,10 +33,10 @@ constexpr int kHeadings = 12;
 constexpr std::size_t kRefined = 24;
 constexpr int kRoughSteps = 10;
 constexpr int kSteps = 25;
-// The refinement ends with a step smaller than this,
+// The refinement ends with a step smaller than this.
 constexpr double kLastStep_m = 1e-3;
 constexpr double kLastStep_rad = 1e-4;
-// that lowers the cost by less than this, or that needs more damping.
+// It also ends with a step that lowers the cost by less than this, or that needs more damping.
 constexpr double kLeastGain = 1e-3;
 constexpr double kMostDamping = 1e3;
 // Wider than kGivenUpOdds: a subset of the ranges must not drop what all of them would keep.
