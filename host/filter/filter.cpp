@@ -250,7 +250,7 @@ void Filter::weigh(const model::RangeSample& range, const PairPlace& pair, Range
   result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // before the gate counts this range
   result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,
                                   result.innovation_variance_m2, powers);
-  if (model::is_ablated(Mechanism::kGate)) result.weight = result.weight >= 0.0 ? 1.0 : 0.0;
+  if (model::is_ablated(Mechanism::kGate)) result.weight = std::isfinite(result.innovation_m) ? 1.0 : 0.0;
   result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
   result.blocked = now_.gate.blocked(pair.slot, pair.tag);
   now_.counters.doubts = now_.gate.doubts_begun();

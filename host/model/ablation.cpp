@@ -3,11 +3,12 @@
 #ifdef GROMA_ABLATION
 
 #include <bitset>
+#include <charconv>
 #include <cstddef>
 #include <cstdio>
 #include <cstdlib>
-#include <string>
 #include <string_view>
+#include <system_error>
 
 namespace groma::model {
 namespace {
@@ -20,8 +21,10 @@ std::bitset<kCount> read() {
   const char* text = std::getenv("GROMA_ABLATE");
   for (std::string_view left = text == nullptr ? "" : text; !left.empty();) {
     const std::size_t end = left.find(',');
-    const auto number = static_cast<std::size_t>(std::atoi(std::string(left.substr(0, end)).c_str()));
-    if (number >= kCount) {
+    const std::string_view part = left.substr(0, end);
+    std::size_t number = kCount;
+    const auto [rest, error] = std::from_chars(part.data(), part.data() + part.size(), number);
+    if (error != std::errc{} || rest != part.data() + part.size() || number >= kCount) {
       std::fputs("GROMA_ABLATE: no such mechanism\n", stderr);
       std::exit(2);
     }
