@@ -1,10 +1,10 @@
-# How an image is compiled and linked: no hosted library, no heap, no exceptions.
+# Compiles and links an image: no hosted library, no heap, no exceptions.
 add_compile_options(
   -ffreestanding
   -ffunction-sections
   -fdata-sections
   -fno-math-errno
-  # As on the host: an enumeration can hold any number that comes over the wire.
+  # As on the host: an enumeration can hold any number that is received.
   -fno-short-enums
   $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions>
   $<$<COMPILE_LANGUAGE:CXX>:-fno-rtti>
@@ -12,8 +12,8 @@ add_compile_options(
   $<$<COMPILE_LANGUAGE:CXX>:-fno-use-cxa-atexit>
 )
 
-# groma_image(NAME <name> LINKER_SCRIPT <file> SOURCES ... [DEPENDS ...]): <name>.elf, .hex and .map in the build's root;
-# its size is printed.
+# groma_image(NAME <name> LINKER_SCRIPT <file> SOURCES ... [DEPENDS ...]): builds <name>.elf, .hex and .map in
+# the root of the build, and prints the size.
 function(groma_image)
   cmake_parse_arguments(arg "" "NAME;LINKER_SCRIPT" "SOURCES;DEPENDS" ${ARGN})
   set(stem ${CMAKE_BINARY_DIR}/${arg_NAME})
@@ -24,7 +24,7 @@ function(groma_image)
       SUFFIX .elf
       RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}
       LINK_DEPENDS ${arg_LINKER_SCRIPT}
-      # The C driver: what the C++ one adds is not needed, and Debian has it in a package of 1.6 GB.
+      # The C driver, because Debian has the additional libraries of the C++ one in a package of 1.6 GB.
       LINKER_LANGUAGE C
   )
   target_link_options(

@@ -2,7 +2,7 @@
 find_program(PROTOC protoc REQUIRED)
 find_program(PROTOC_GEN_NANOPB protoc-gen-nanopb REQUIRED)
 if(CMAKE_CROSSCOMPILING)
-  # Debian has nanopb's library for the host alone: scripts/setup keeps the sources of the same version.
+  # Debian has nanopb's library only for the host; scripts/setup fetches the sources of the same version.
   file(STRINGS /usr/include/pb.h nanopb_version REGEX "define NANOPB_VERSION")
   string(REGEX REPLACE ".*nanopb-([0-9.]+).*" "\\1" nanopb_version "${nanopb_version}")
   set(nanopb_cache "$ENV{XDG_CACHE_HOME}")

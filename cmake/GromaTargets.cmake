@@ -1,5 +1,5 @@
-# One way to declare each kind of target, so that warnings, include paths and
-# sanitizers are the same everywhere.
+# Functions to declare each kind of target, so that warnings, include paths and sanitizers are the same
+# everywhere.
 
 if(NOT CMAKE_CROSSCOMPILING)
   find_package(Threads REQUIRED)
@@ -25,7 +25,7 @@ target_compile_options(
     -ffp-contract=off
     -fno-math-errno
 )
-# Warnings are the release build's: through instrumentation a compiler sees ghosts.
+# Only the release build has warnings: instrumentation causes false ones.
 if(GROMA_SANITIZE)
   target_compile_options(
     groma_build_options
@@ -38,13 +38,14 @@ if(GROMA_SANITIZE)
   target_link_options(groma_build_options INTERFACE -fsanitize=${GROMA_SANITIZE})
 endif()
 target_include_directories(groma_build_options INTERFACE ${CMAKE_SOURCE_DIR})
-# Some 60 programs: lld links them in a third of the time.
+# About 60 programs: lld links them in a third of the time.
 find_program(GROMA_LLD ld.lld)
 if(GROMA_LLD AND NOT CMAKE_CROSSCOMPILING)
   target_link_options(groma_build_options INTERFACE -fuse-ld=lld)
 endif()
 
-# Of tests: their build takes longer than their run. At -O1 GCC 12 takes Eigen's dynamic matrices for null.
+# For tests, which take longer to build than to run. At -O1 GCC 12 wrongly assumes that Eigen's dynamic
+# matrices are null.
 add_library(groma_test_options INTERFACE)
 target_compile_options(
   groma_test_options
@@ -53,12 +54,12 @@ target_compile_options(
     -Wno-null-dereference
 )
 
-# To depend on where GCC 12 takes Eigen's dynamic matrices for null after a failed allocation.
+# For targets in which GCC 12 warns that Eigen's dynamic matrices are null after a failed allocation.
 add_library(groma_dynamic_eigen INTERFACE)
 target_compile_options(groma_dynamic_eigen INTERFACE -Wno-null-dereference)
 
-# groma_library(NAME <name> SOURCES ... [DEPENDS ...] [APART]); a library without sources is an interface. APART: each
-# source is compiled alone also where CMAKE_UNITY_BUILD is set.
+# groma_library(NAME <name> SOURCES ... [DEPENDS ...] [APART]); a library without sources is an interface.
+# APART: each source is compiled separately, even with CMAKE_UNITY_BUILD.
 function(groma_library)
   cmake_parse_arguments(arg "APART" "NAME" "SOURCES;DEPENDS" ${ARGN})
   if(arg_SOURCES)
@@ -82,12 +83,13 @@ function(groma_executable)
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
 endfunction()
 
-# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [SHARDS n] [TIMEOUT s] [STATISTICS]
-#            [LONG pattern] [SLOW] [UNSANITIZED]): a GoogleTest program. Each of its shards is one CTest test: one process that runs
-# every n-th case. A program with the label "long" exists with GROMA_LONG_TESTS only; so do the cases that match LONG
-# (a GoogleTest filter), as a CTest test of their own. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the
-# program does not run under a sanitizer, nor do cases named OverMany: many drives execute no other code than one.
-# UNSANITIZED: it does so with GROMA_LONG_TESTS only, as do the cases that match GROMA_UNSANITIZED.
+# groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [SHARDS n] [TIMEOUT s]
+#            [STATISTICS] [LONG pattern] [SLOW] [UNSANITIZED]): a GoogleTest program.
+# Each of its n shards is one CTest test: one process that runs every n-th case. A program with the label
+# "long" is only built with GROMA_LONG_TESTS. So are the cases that match LONG (a GoogleTest filter), as a
+# separate CTest test. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the program does not run under
+# a sanitizer, nor do cases named OverMany, because many drives execute no other code than one. UNSANITIZED:
+# under a sanitizer the program runs only with GROMA_LONG_TESTS, as do the cases that match GROMA_UNSANITIZED.
 function(groma_test)
   cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED" "NAME;TIMEOUT;SHARDS;LONG" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
   if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE)
@@ -108,7 +110,7 @@ function(groma_test)
     list(APPEND arg_LABELS slow)
   endif()
   add_executable(${arg_NAME} ${arg_SOURCES})
-  # What takes operator new's place is not to be seen where it is called.
+  # Replacements of operator new must be in their own unit, so that they are not inlined where it is called.
   set(support ${arg_SOURCES})
   list(FILTER support INCLUDE REGEX "/test/support/")
   set_source_files_properties(${support} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
@@ -127,7 +129,7 @@ function(groma_test)
   if(arg_LONG)
     string(APPEND left_out ":${arg_LONG}")
   endif()
-  # The longest begin first, so that none runs on alone at the end.
+  # The longest tests start first, so that none runs alone at the end.
   set(cost ${arg_SHARDS})
   if(arg_SLOW)
     math(EXPR cost "${cost} + 10")
@@ -135,7 +137,7 @@ function(groma_test)
   math(EXPR last "${arg_SHARDS} - 1")
   foreach(shard RANGE ${last})
     set(environment GTEST_TOTAL_SHARDS=${arg_SHARDS} GTEST_SHARD_INDEX=${shard} GTEST_FILTER=-${left_out})
-    # QEMU's bare metal takes its environment with its arguments, and cannot make a file.
+    # A bare-metal program in QEMU gets its environment with its arguments, and cannot create a file.
     if(CMAKE_CROSSCOMPILING)
       add_test(NAME ${arg_NAME}.${shard} COMMAND ${arg_NAME} ${environment})
     else()
@@ -165,8 +167,9 @@ function(groma_test)
   endif()
 endfunction()
 
-# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW]): the tests
-# <name>_test and, long, <name> of the same sources; SHORT and LONG are their definitions, TIMEOUT is the long one's.
+# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW]):
+# the tests <name>_test and, long, <name> of the same sources; SHORT and LONG are their definitions; TIMEOUT
+# is that of the long one.
 function(groma_campaign)
   cmake_parse_arguments(arg "STATISTICS;SLOW" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
   set(common SOURCES ${arg_SOURCES} DEPENDS ${arg_DEPENDS})
@@ -179,8 +182,8 @@ function(groma_campaign)
   groma_test(NAME ${arg_NAME} ${common} DEFINITIONS ${arg_LONG} LABELS long TIMEOUT ${arg_TIMEOUT})
 endfunction()
 
-# groma_benchmark(NAME <name> SOURCES ... [DEPENDS ...]); built with GROMA_LONG_TESTS or when asked for by name, and not
-# under a sanitizer.
+# groma_benchmark(NAME <name> SOURCES ... [DEPENDS ...]): built with GROMA_LONG_TESTS or when requested by
+# name, but not under a sanitizer.
 function(groma_benchmark)
   if(GROMA_SANITIZE)
     return()

@@ -1,5 +1,5 @@
-# groma_version: gives "generated/groma_version.hpp" with the project's version and the commit it is built from. It is
-# written anew when HEAD moves; outside a git repository the hash is 0.
+# groma_version: the header "generated/groma_version.hpp" with the project's version and the commit it is
+# built from. It is written again when HEAD moves; outside a git repository the hash is 0.
 find_package(Git QUIET)
 set(version_header ${CMAKE_BINARY_DIR}/generated/groma_version.hpp)
 set(version_dependencies ${CMAKE_SOURCE_DIR}/cmake/WriteVersion.cmake)
