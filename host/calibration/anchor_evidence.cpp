@@ -91,10 +91,10 @@ void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fi
   }
   const double n = std::max(1.0, static_cast<double>(fitted.size()));
   out.in_sight_share /= n;
-  if (!site.has_sight()) return;
-  out.sight = SightEvidence{.polls = site.sight.poll_shares[i],
+  if (!site.has_los_states()) return;
+  out.los_states = LosEvidence{.polls = site.los_states.poll_shares[i],
                             .counts_missed = site.polls.regular,
-                            .wall_excess_m = site.sight.model.wall_prior.mean_m,
+                            .wall_excess_m = site.los_states.model.wall_prior.mean_m,
                             .far_share = far / n,
                             .short_share = too_short / n};
 }

@@ -23,8 +23,8 @@ double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
     const double gamma = anchor(gamma_index(tag, problem.tag_count)) - priors.gamma.mean;
     cost += 0.5 * square(beta / priors.beta_m.sigma) + 0.5 * square(gamma / priors.gamma.sigma);
   }
-  if (problem.sight == nullptr || !problem.sight->behind_wall) return cost;
-  const WallPrior& wall = problem.sight->prior;
+  if (problem.los_states == nullptr || !problem.los_states->behind_wall) return cost;
+  const WallPrior& wall = problem.los_states->prior;
   const Eigen::Index common = wall_index(problem.tag_count);
   cost += 0.5 * square((anchor(common) - wall.mean_m) / wall.sigma_m);
   cost += 0.5 * anchor.tail(anchor.size() - common - 1).squaredNorm() / square(wall.episode_sigma_m);
@@ -131,7 +131,7 @@ class Linearizer {
       value.slope *= share;
       value.weight *= share.square();
     }
-    if (problem_.sight == nullptr) return value;
+    if (problem_.los_states == nullptr) return value;
     for (Eigen::Index lane = 0; lane < columns_.rows_in(tag, block); ++lane) {
       const std::uint32_t row = columns_.index(tag, block, lane);
       const RowValue whole =
@@ -143,7 +143,7 @@ class Linearizer {
       value.weight(lane) = whole.seen.weight;
       if (!(whole.wall_weight > 0.0)) continue;
       const PairRow j{-gamma * x[0](lane), -gamma * x[1](lane), -gamma * x[2](lane), 1.0, x[4](lane)};
-      const WallRow walled(j, problem_.sight->rows[row], tag, problem_.tag_count);
+      const WallRow walled(j, problem_.los_states->rows[row], tag, problem_.tag_count);
       walled.add(-whole.wall_slope, out.gradient);
       walled.add_square(whole.wall_weight, out.information);
     }
@@ -158,8 +158,8 @@ class Linearizer {
         1.0 / square(priors.beta_m.sigma) * (anchor.segment(3, tags).array() - priors.beta_m.mean);
     gradient.segment(3 + tags, tags).array() +=
         1.0 / square(priors.gamma.sigma) * (anchor.segment(3 + tags, tags).array() - priors.gamma.mean);
-    if (problem_.sight == nullptr || !problem_.sight->behind_wall) return;
-    const WallPrior& wall = problem_.sight->prior;
+    if (problem_.los_states == nullptr || !problem_.los_states->behind_wall) return;
+    const WallPrior& wall = problem_.los_states->prior;
     const Eigen::Index common = wall_index(problem_.tag_count);
     const Eigen::Index episodes = anchor.size() - common - 1;
     gradient(common) += (anchor(common) - wall.mean_m) / square(wall.sigma_m);
@@ -208,14 +208,14 @@ bool solve_damped(const NormalEquations& equations, double damping, Eigen::Matri
 Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
   const auto tags = static_cast<Eigen::Index>(problem.tag_count);
   const Eigen::Index common = wall_index(problem.tag_count);
-  const Eigen::Index extra = problem.sight != nullptr ? problem.sight->extra_unknowns() : 0;
+  const Eigen::Index extra = problem.los_states != nullptr ? problem.los_states->extra_unknowns() : 0;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(common + extra, common + extra);
   out.topLeftCorner<3, 3>() = problem.position.information;
   out.diagonal().segment(3, tags).setConstant(1.0 / square(problem.priors.beta_m.sigma));
   out.diagonal().segment(3 + tags, tags).setConstant(1.0 / square(problem.priors.gamma.sigma));
   if (extra == 0) return out;
-  out(common, common) = 1.0 / square(problem.sight->prior.sigma_m);
-  out.diagonal().tail(extra - 1).setConstant(1.0 / square(problem.sight->prior.episode_sigma_m));
+  out(common, common) = 1.0 / square(problem.los_states->prior.sigma_m);
+  out.diagonal().tail(extra - 1).setConstant(1.0 / square(problem.los_states->prior.episode_sigma_m));
   return out;
 }
 

@@ -22,7 +22,7 @@ namespace groma::calibration {
 inline constexpr std::int32_t kNoEpisode = -1;
 
 // Prior probability of one range's state (LOS, short NLOS, long NLOS), from all data except its own residual.
-struct RowSight {
+struct RangeLos {
   float in_sight = 1.0F;
   float wall = 0.0F;
   // Density of the range in the other states times their probability, 1/m. Short NLOS says nothing about the
@@ -40,8 +40,8 @@ struct WallPrior {
 
 // NLOS states of all ranges of an anchor. If some are long NLOS, the common excess and those of the episodes
 // are unknowns too.
-struct AnchorSight {
-  std::vector<RowSight> rows;  // by Observation::index
+struct AnchorLos {
+  std::vector<RangeLos> rows;  // by Observation::index
   bool behind_wall = false;    // some ranges are long NLOS
   std::size_t episodes = 0;
   WallPrior prior;
@@ -54,7 +54,7 @@ struct AnchorSight {
 };
 
 // Unknowns of one anchor: position (m, map), beta of each tag (m), gamma of each tag: 3 + 2T. With long NLOS,
-// then the common excess and that of each episode (m), as in AnchorSight.
+// then the common excess and that of each episode (m), as in AnchorLos.
 using AnchorVector = Eigen::VectorXd;
 
 [[nodiscard]] inline Eigen::Index beta_index(std::size_t tag) noexcept {
@@ -86,7 +86,7 @@ struct AnchorProblem {
   std::size_t tag_count = 0;
   model::RangePriors priors;
   PositionPrior position;
-  const AnchorSight* sight = nullptr;  // none: no NLOS states beyond the kernels'
+  const AnchorLos* los_states = nullptr;  // none: no NLOS states beyond the kernels'
 };
 
 // One anchor's solution with its problem and kernels.
@@ -139,10 +139,10 @@ struct AnchorFit {
 }
 
 // Excess of this range if it is long NLOS, m.
-[[nodiscard]] inline double wall_excess_m(const RowSight& sight, const AnchorVector& anchor,
+[[nodiscard]] inline double wall_excess_m(const RangeLos& los_states, const AnchorVector& anchor,
                                           std::size_t tag_count) noexcept {
   const double common_m = anchor(wall_index(tag_count));
-  return sight.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(sight.episode, tag_count));
+  return los_states.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(los_states.episode, tag_count));
 }
 
 // One range at one solution: `seen` has the density of the whole mixture and slope and weight of its LOS
@@ -158,17 +158,17 @@ struct RowValue {
                                        const KernelValue& seen, double residual_m, const AnchorVector& anchor,
                                        double pose_variance_m2) noexcept {
   RowValue out{.seen = seen};
-  if (problem.sight == nullptr) return out;
-  const RowSight& sight = problem.sight->rows[row];
-  const double in_sight = static_cast<double>(sight.in_sight) * seen.density;
+  if (problem.los_states == nullptr) return out;
+  const RangeLos& los_states = problem.los_states->rows[row];
+  const double in_sight = static_cast<double>(los_states.in_sight) * seen.density;
   KernelValue through;
   double walled = 0.0;
-  if (sight.wall > 0.0F) {
-    through = stretched(problem.sight->wall, noise_share(problem.sight->wall, pose_variance_m2),
-                        residual_m - wall_excess_m(sight, anchor, problem.tag_count));
-    walled = static_cast<double>(sight.wall) * through.density;
+  if (los_states.wall > 0.0F) {
+    through = stretched(problem.los_states->wall, noise_share(problem.los_states->wall, pose_variance_m2),
+                        residual_m - wall_excess_m(los_states, anchor, problem.tag_count));
+    walled = static_cast<double>(los_states.wall) * through.density;
   }
-  out.seen.density = in_sight + walled + static_cast<double>(sight.other_density);
+  out.seen.density = in_sight + walled + static_cast<double>(los_states.other_density);
   out.seen_share = in_sight / out.seen.density;
   out.seen.slope *= out.seen_share;
   out.seen.weight *= out.seen_share;
@@ -216,11 +216,11 @@ struct WallRow {
   std::array<Eigen::Index, 7> index{};  // of the anchor's unknowns
   std::size_t size = 6;                 // 7 in an episode
 
-  WallRow(const PairRow& j, const RowSight& sight, std::size_t tag, std::size_t tag_count) noexcept {
+  WallRow(const PairRow& j, const RangeLos& los_states, std::size_t tag, std::size_t tag_count) noexcept {
     derivative << j, 1.0, 1.0;
     index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), wall_index(tag_count), 0};
-    if (sight.episode == kNoEpisode) return;
-    index[6] = episode_index(sight.episode, tag_count);
+    if (los_states.episode == kNoEpisode) return;
+    index[6] = episode_index(los_states.episode, tag_count);
     size = 7;
   }
   // Adds weight J J^T.

@@ -57,7 +57,7 @@ double held_out_from(const Association& association) {
 
 void find_nlos(Site& site) {
   if (!needs_nlos_states(site.polls, site.fits)) return;
-  site.sight = solve_sight(site.polls, first_sight_model(site.polls, site.fits), site.fits);
+  site.los_states = solve_los(site.polls, first_los_model(site.polls, site.fits), site.fits);
 }
 
 // Poses whose own covariance is as large as a move cannot show one.
@@ -130,7 +130,7 @@ Site solve_anchors(const Drive& drive, const Options& options, HeightSource heig
   if (is_within_reach(site.fits)) {
     find_nlos(site);
     if (find_moves && poses_show_moves(site.association))
-      site.paths = find_moved(site.polls, site.sight, site.fits);
+      site.paths = find_moved(site.polls, site.los_states, site.fits);
   }
   test_mirrors(site, options.earlier);
   return site;
@@ -167,10 +167,10 @@ void find_nlos_again(Site& site, const model::Calibration* earlier) {
   if (is_within_reach(site.fits) && !has_moves(site) &&
       !model::is_ablated(model::Mechanism::kCalibrationAgain)) {
     for (AnchorFit& fit : site.fits) {
-      fit.problem.sight = nullptr;
+      fit.problem.los_states = nullptr;
       fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
     }
-    site.sight = {};
+    site.los_states = {};
     refine_site(site.fits, kLastRounds);
     find_nlos(site);
     test_mirrors(site, earlier);
@@ -251,7 +251,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   // If the poses drift by as much as a move, apparent moves of anchors are not real.
   if (has_moves(site) && site.error.prior.wander.sigma_m > kMovePose_m)
     site = solve_drive(drive, options, false);
-  if (!site.error.body.empty() && site.has_sight()) find_nlos_again(site, options.earlier);
+  if (!site.error.body.empty() && site.has_los_states()) find_nlos_again(site, options.earlier);
   const std::vector<double> inflation = score_inflation(site.error.evidence);
   const std::vector<Eigen::MatrixXd> solved = join_survey(drive, site, inflation);
 

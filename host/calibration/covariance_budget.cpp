@@ -77,7 +77,7 @@ Adds place_to_place(const Anchor& anchor, double sigma_m) {
 
 // Scatter by the part of the drive that the anchor is solved from.
 Adds parts_of_drive(const Anchor& anchor) {
-  if (!anchor.site.has_sight() && anchor.known.inflation <= kCorrelatedInflation) return {};
+  if (!anchor.site.has_los_states() && anchor.known.inflation <= kCorrelatedInflation) return {};
   const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(anchor.fit);
   if (!jackknife) return {};
   const Eigen::Index size = anchor.so_far.rows();
@@ -102,7 +102,7 @@ Adds reach(const Anchor& anchor) {
 }
 
 Adds nlos_taken_for_los(const Anchor& anchor) {
-  if (!anchor.known.sight || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return {};
+  if (!anchor.known.los_states || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return {};
   const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - anchor.known.in_sight_share));
   Adds out = anchor.nothing();
   out.diagonal().head<3>().setConstant(square(sigma_m));
@@ -125,21 +125,21 @@ Adds contradiction_by_place(const Anchor& anchor) {
 
 // Whether all or nearly all ranges are NLOS.
 bool is_always_nlos(const Anchor& anchor) {
-  return anchor.tags > 0 && (is_never_in_sight(anchor.known) || is_hardly_in_sight(anchor.known)) &&
+  return anchor.tags > 0 && (is_never_los(anchor.known) || is_hardly_los(anchor.known)) &&
          !model::is_ablated(model::Mechanism::kCalibrationBlocking);
 }
 
 Adds nlos_common_excess(const Anchor& anchor) {
   if (!is_always_nlos(anchor)) return {};
-  const std::optional<SightEvidence>& sight = anchor.known.sight;
-  if (!sight) return common_bias(anchor, kWallSigma_m);
+  const std::optional<LosEvidence>& los_states = anchor.known.los_states;
+  if (!los_states) return common_bias(anchor, kWallSigma_m);
   // The excess of its long NLOS is in the covariance already, unless that passed for short NLOS.
-  return common_bias(anchor, kWallDiffers_m + sight->wall_excess_m * sight->polls(kShadow));
+  return common_bias(anchor, kWallDiffers_m + los_states->wall_excess_m * los_states->polls(kShortNlos));
 }
 
 Adds nlos_excess_by_place(const Anchor& anchor) {
   if (!is_always_nlos(anchor)) return {};
-  return place_to_place(anchor, anchor.known.sight ? kWallPlaces_m : kWallVariation_m);
+  return place_to_place(anchor, anchor.known.los_states ? kWallPlaces_m : kWallVariation_m);
 }
 
 Adds across_plane(const Anchor& anchor) {
@@ -163,7 +163,7 @@ bool is_mirrored(const AnchorFit& first, const AnchorFit& whole, const TagSpread
 Adds height_of_beginning(const Anchor& anchor) {
   if (model::is_ablated(model::Mechanism::kCalibrationShift)) return {};
   const AnchorFit& first = anchor.site.beginning[anchor.index];
-  if (anchor.site.has_sight() || anchor.known.moved || anchor.surveyed() ||
+  if (anchor.site.has_los_states() || anchor.known.moved || anchor.surveyed() ||
       2 * first.problem.rows.size() <= anchor.fit.problem.rows.size() ||
       is_mirrored(first, anchor.fit, anchor.known.spread)) {
     return {};

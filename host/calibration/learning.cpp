@@ -204,7 +204,7 @@ LearningStep learn(const LearningInput& input) {
   // Too few ranges, or NLOS ranges alone, do not show where the anchor is.
   std::erase_if(recent.anchors, [](const model::AnchorCalibration& anchor) {
     return anchor.verdict == model::AnchorVerdict::kNoData ||
-           anchor.verdict == model::AnchorVerdict::kNeverInSight;
+           anchor.verdict == model::AnchorVerdict::kNeverLos;
   });
   step.rechecked = compare(input.live, recent).anchors;
   return step;

@@ -117,7 +117,7 @@ AnchorFit solve_alone(const AnchorProblem& problem, std::span<const Observation>
   AnchorFit out;
   out.problem = problem;
   out.problem.rows = rows;
-  out.problem.sight = nullptr;
+  out.problem.los_states = nullptr;
   find_start(out);
   refine_site({&out, 1}, rounds);
   return out;
@@ -207,7 +207,7 @@ std::optional<SecondPlace> separate(const AnchorProblem& problem, Stretch stretc
 std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   AnchorFit far;
   far.problem = fit.problem;
-  far.problem.sight = nullptr;
+  far.problem.los_states = nullptr;
   std::vector<Observation> rejected;
   const std::size_t tags = fit.problem.tag_count;
   for (const Observation& row : fit.problem.rows) {
@@ -276,7 +276,7 @@ constexpr int kJoiningSteps = 20;
 constexpr double kMinSquareSigmas = 40.0;
 // A piece needs at least twice as many independent ranges as it has unknowns (three tags).
 constexpr double kLeastRowsByThemselves = 20.0;
-constexpr double kMinInSight = 0.2;
+constexpr double kMinLos = 0.2;
 
 std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Poll first, Poll last) {
   std::vector<std::vector<Poll>> out;
@@ -329,7 +329,7 @@ struct Pieces {
   std::vector<AnchorFit> fits;
   std::vector<Evidence> evidence;
   std::vector<double> inflation;
-  SiteSight sight;
+  SiteLos los_states;
 };
 
 // Starts from the place that explains the observations best: few observations have several basins.
@@ -344,7 +344,7 @@ void start_at_best(AnchorFit& fit, std::span<const Eigen::Vector3d> places_m) {
   }
 }
 
-Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& table, const SiteSight& sight,
+Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& table, const SiteLos& los_states,
                     std::span<const AnchorFit> fits) {
   Pieces out;
   PollTable piece_table{.interval_s = table.interval_s, .regular = table.regular};
@@ -357,7 +357,7 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
       const bool last = k == changes.size();
       const std::size_t end = last ? rows.size() : changes[k];
       AnchorFit& piece = out.fits.emplace_back(fits[a]);
-      piece.problem.sight = nullptr;
+      piece.problem.los_states = nullptr;
       piece.problem.rows = rows.subspan(begin, end - begin);
       start_at_best(piece, suspicions[a].places_m);
       out.places.push_back({.anchor = a, .begin = begin});
@@ -368,7 +368,7 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
   }
   if (out.fits.empty()) return out;
   refine_site(out.fits, kMovedRounds);
-  if (!sight.anchors.empty()) out.sight = solve_sight(piece_table, sight.model, out.fits);
+  if (!los_states.anchors.empty()) out.los_states = solve_los(piece_table, los_states.model, out.fits);
   out.evidence = gather_evidence(std::span<const AnchorFit>(out.fits));
   out.inflation = score_inflation(out.evidence);
   return out;
@@ -394,7 +394,7 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
   const AnchorFit& first = pieces.fits[piece];
   const AnchorFit& next = pieces.fits[piece + 1];
   AnchorProblem own = first.problem;
-  own.sight = nullptr;
+  own.los_states = nullptr;
   AnchorProblem nexts = own;
   nexts.rows = next.problem.rows;
   AnchorProblem both = own;
@@ -416,7 +416,7 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
 std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   for (const std::size_t i : {piece, piece + 1}) {
     // A bias and a move cannot be distinguished in long NLOS.
-    if (!pieces.sight.poll_shares.empty() && pieces.sight.poll_shares[i](kInSight) <= kMinInSight)
+    if (!pieces.los_states.poll_shares.empty() && pieces.los_states.poll_shares[i](kLos) <= kMinLos)
       return std::nullopt;
     const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
     if (rows < kLeastRowsByThemselves * pieces.inflation[i]) return std::nullopt;
@@ -442,7 +442,7 @@ StretchGains::StretchGains(const AnchorFit& fit, std::size_t bins) {
   const AnchorVector anchor = fit.anchor.head(size);
   std::vector<Columns> cross;
   AnchorProblem alone = fit.problem;
-  alone.sight = nullptr;
+  alone.los_states = nullptr;
   Eigen::MatrixXd all = information_of_priors(alone);
   const AnchorVector offset = anchor - anchor_at(alone.position.mean_m, tags, alone.priors);
   Eigen::VectorXd gradient = all.diagonal().cwiseProduct(offset);
@@ -515,7 +515,7 @@ Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_
   return shift;
 }
 
-std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std::vector<AnchorFit>& fits) {
+std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states, std::vector<AnchorFit>& fits) {
   std::vector<AnchorPath> out(fits.size());
   std::vector<Suspicion> suspicions(fits.size());
   for (std::size_t a = 0; a < fits.size(); ++a) {
@@ -525,8 +525,8 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
     // be distinguished, and a move looks like NLOS in the residuals. Without missed replies and powers there
     // are only residuals.
     std::vector<Observation> examined(rows.begin(), rows.end());
-    if ((table.regular || sight.model.powers) && !sight.anchors.empty()) {
-      const std::vector<bool> seen = los_rows(sight.model, table.polls[a], rows);
+    if ((table.regular || los_states.model.powers) && !los_states.anchors.empty()) {
+      const std::vector<bool> seen = los_rows(los_states.model, table.polls[a], rows);
       std::erase_if(examined, [&](const Observation& row) { return !seen[row.index - rows.front().index]; });
     }
     suspicions[a] = suspect(fits[a], examined);
@@ -536,7 +536,7 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
   Pieces pieces;
   for (bool all_are_moves = false; !all_are_moves;) {
     all_are_moves = true;
-    pieces = solve_pieces(suspicions, table, sight, fits);
+    pieces = solve_pieces(suspicions, table, los_states, fits);
     for (std::size_t a = 0; a < fits.size(); ++a) {
       out[a].moved_at_s.clear();
       out[a].places_m.clear();
@@ -560,10 +560,10 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight, std
     const std::size_t a = pieces.places[i].anchor;
     if (i + 1 < pieces.places.size() && pieces.places[i + 1].anchor == a) continue;
     fits[a] = std::move(pieces.fits[i]);
-    if (sight.anchors.empty()) continue;
-    sight.anchors[a] = std::move(pieces.sight.anchors[i]);
-    sight.poll_shares[a] = pieces.sight.poll_shares[i];
-    fits[a].problem.sight = &sight.anchors[a];
+    if (los_states.anchors.empty()) continue;
+    los_states.anchors[a] = std::move(pieces.los_states.anchors[i]);
+    los_states.poll_shares[a] = pieces.los_states.poll_shares[i];
+    fits[a].problem.los_states = &los_states.anchors[a];
   }
   return out;
 }

@@ -59,7 +59,7 @@ struct AnchorPath {
 
 // Returns each anchor's path. The fit of an anchor that moved becomes that of the observations after its last
 // move, and so do its NLOS states, if the site has any.
-[[nodiscard]] std::vector<AnchorPath> find_moved(const PollTable& table, SiteSight& sight,
+[[nodiscard]] std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
                                                  std::vector<AnchorFit>& fits);
 
 }  // namespace groma::calibration

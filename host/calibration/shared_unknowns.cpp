@@ -178,7 +178,7 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
     of_tag[row.tag].moments.add(j, value.seen.slope + value.wall_slope,
                                 value.seen.weight + value.wall_weight);
     if (value.wall_weight == 0.0) continue;
-    const RowSight& sight = fit.problem.sight->rows[row.index];
+    const RangeLos& los_states = fit.problem.los_states->rows[row.index];
     const Eigen::Matrix<double, 1, Shared> by_wall = value.wall_weight * j.template tail<Shared>().matrix();
     const auto add_wall = [&](Eigen::Index to) {
       sums.cross.template block<1, Sums::kKnots>(to, first) += by_wall.template head<Sums::kKnots>();
@@ -187,7 +187,7 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
       }
     };
     add_wall(wall_index(tags));
-    if (sight.episode != kNoEpisode) add_wall(episode_index(sight.episode, tags));
+    if (los_states.episode != kNoEpisode) add_wall(episode_index(los_states.episode, tags));
   }
   leave_knots();
   for (auto& [moments, places] : of_tag) moments.move_to(places, Sums::kRest, Sums::kSize, sums);

@@ -82,7 +82,7 @@ double sum(const std::array<double, model::kPowerClasses>& counts) noexcept {
 
 }  // namespace
 
-Eigen::Matrix3d sight_transition(double interval_s) noexcept {
+Eigen::Matrix3d los_transition(double interval_s) noexcept {
   Eigen::Matrix3d a_round;
   a_round << 0.990, 0.005, 0.005, 0.033, 0.962, 0.005, 0.010, 0.0025, 0.9875;
   const Eigen::Matrix3d rates = (a_round - Eigen::Matrix3d::Identity()) / kRound_s;
@@ -114,7 +114,7 @@ PollTable tabulate_polls(const Association& association) {
           const std::vector<double>& times_s = replies_s[row.tag];
           const auto next = std::lower_bound(times_s.begin(), times_s.end(), begin_s);
           const bool asked = table.regular && next != times_s.end() && *next < begin_s + table.interval_s;
-          polls.push_back(asked ? kMissed : kNotTold);
+          polls.push_back(asked ? kMissed : kUnknownPoll);
         }
       }
       polls.push_back(static_cast<Poll>(row.index));
@@ -134,9 +134,9 @@ void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t
   }
 }
 
-void infer_states(const SightChain& chain, std::span<const Poll> polls,
-                  std::span<const SightVector> likelihoods, std::span<const double> hints,
-                  SightPosterior& out) {
+void infer_states(const LosChain& chain, std::span<const Poll> polls,
+                  std::span<const LosVector> likelihoods, std::span<const double> hints,
+                  LosPosterior& out) {
   out.prior.resize(likelihoods.size());
   out.posterior.resize(likelihoods.size());
   out.log_evidence = 0.0;
@@ -145,38 +145,38 @@ void infer_states(const SightChain& chain, std::span<const Poll> polls,
   const Eigen::Matrix3d forth = chain.transition.transpose();
   // Likelihoods of a poll by reply and powers, and by its residual; `row` counts the polls with an
   // observation.
-  const auto reply = [&](Poll poll, std::size_t row) -> SightVector {
-    if (poll == kMissed) return SightVector::Ones() - chain.reply;
+  const auto reply = [&](Poll poll, std::size_t row) -> LosVector {
+    if (poll == kMissed) return LosVector::Ones() - chain.reply;
     if (poll < 0 || hints.empty()) return chain.reply;
-    return chain.reply.cwiseProduct(SightVector(1.0, hints[row], hints[row]));
+    return chain.reply.cwiseProduct(LosVector(1.0, hints[row], hints[row]));
   };
-  const auto residual = [&](Poll poll, std::size_t row) -> SightVector {
-    if (poll < 0) return SightVector::Ones();
+  const auto residual = [&](Poll poll, std::size_t row) -> LosVector {
+    if (poll < 0) return LosVector::Ones();
     return likelihoods[row].cwiseMax(kMinLikelihood * likelihoods[row].maxCoeff());
   };
   std::size_t row = 0;
-  std::vector<SightVector> forward;  // of each poll, from those before it
+  std::vector<LosVector> forward;  // of each poll, from those before it
   forward.reserve(polls.size());
-  SightVector state = chain.start;
+  LosVector state = chain.start;
   for (std::size_t n = 0; n < polls.size(); ++n) {
-    if (n > 0) state = SightVector(forth * state);
+    if (n > 0) state = LosVector(forth * state);
     forward.push_back(state);
-    if (polls[n] == kNotTold) continue;
+    if (polls[n] == kUnknownPoll) continue;
     state = state.cwiseProduct(reply(polls[n], row)).cwiseProduct(residual(polls[n], row));
     if (polls[n] >= 0) ++row;
     const double total = state.sum();
     out.log_evidence += std::log(total);
     state /= total;
   }
-  SightVector backward = SightVector::Ones();  // from those after it
+  LosVector backward = LosVector::Ones();  // from those after it
   for (std::size_t n = polls.size(); n-- > 0;) {
     if (polls[n] >= 0) --row;
-    if (polls[n] != kNotTold) {
-      const SightVector by_reply = reply(polls[n], row);
-      const SightVector by_residual = residual(polls[n], row);
-      const SightVector prior = forward[n].cwiseProduct(backward).cwiseProduct(by_reply);
-      const SightVector both = prior.cwiseProduct(by_residual);
-      const SightVector posterior = both / both.sum();
+    if (polls[n] != kUnknownPoll) {
+      const LosVector by_reply = reply(polls[n], row);
+      const LosVector by_residual = residual(polls[n], row);
+      const LosVector prior = forward[n].cwiseProduct(backward).cwiseProduct(by_reply);
+      const LosVector both = prior.cwiseProduct(by_residual);
+      const LosVector posterior = both / both.sum();
       (polls[n] == kMissed ? out.missed : out.answered) += posterior;
       if (polls[n] >= 0) {
         out.prior[row] = prior / prior.sum();
@@ -227,8 +227,8 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
     const std::size_t strength = i % model::kStrengthClasses;
     const double in_sight =
         strength < kKnown ? (1.0 - kAnywhere) * near_usual[strength] / near_all : kAnywhere;
-    believed_.in_sight[i] = kBelievedCount * model::kBelievedInSight[hidden] * in_sight;
-    believed_.blocked[i] = kBelievedCount * model::kBelievedBlocked[hidden] * kAnywhere;
+    believed_.in_sight[i] = kBelievedCount * model::kPriorLos[hidden] * in_sight;
+    believed_.blocked[i] = kBelievedCount * model::kPriorNlos[hidden] * kAnywhere;
   }
   estimate({});
 }

@@ -16,21 +16,21 @@
 namespace groma::calibration {
 
 // States: LOS; short NLOS, caused by something that moves; long NLOS, caused by something fixed.
-enum SightState : std::uint8_t { kInSight, kShadow, kWall };
-using SightVector = Eigen::Vector3d;  // one value per state
+enum LosState : std::uint8_t { kLos, kShortNlos, kLongNlos };
+using LosVector = Eigen::Vector3d;  // one value per state
 
-struct SightChain {
+struct LosChain {
   Eigen::Matrix3d transition;  // per poll, from the row's state to the column's; rows sum to one
-  SightVector start{0.65, 0.05, 0.30};
-  SightVector reply{0.95, 0.5, 0.5};  // probability that a poll is answered
+  LosVector start{0.65, 0.05, 0.30};
+  LosVector reply{0.95, 0.5, 0.5};  // probability that a poll is answered
 };
 // Transition matrix over `interval_s`.
-[[nodiscard]] Eigen::Matrix3d sight_transition(double interval_s) noexcept;
+[[nodiscard]] Eigen::Matrix3d los_transition(double interval_s) noexcept;
 
 // One poll of a pair: the index of its observation, or a negative value if it has none.
 using Poll = std::int32_t;
 inline constexpr Poll kMissed = -1;   // no reply
-inline constexpr Poll kNotTold = -2;  // unknown
+inline constexpr Poll kUnknownPoll = -2;  // unknown
 inline constexpr Poll kReplied = -3;  // a reply whose range is not among the observations
 
 // The polls of each pair between its first and its last reply.
@@ -45,19 +45,19 @@ struct PollTable {
 void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t> kept);
 
 // For each poll with an observation, in order, and for all polls together.
-struct SightPosterior {
-  std::vector<SightVector> prior;      // from all data except its own residual
-  std::vector<SightVector> posterior;  // from all data
+struct LosPosterior {
+  std::vector<LosVector> prior;      // from all data except its own residual
+  std::vector<LosVector> posterior;  // from all data
   double log_evidence = 0.0;
-  SightVector answered = SightVector::Zero();  // expected number of polls in each state
-  SightVector missed = SightVector::Zero();
+  LosVector answered = LosVector::Zero();  // expected number of polls in each state
+  LosVector missed = LosVector::Zero();
 };
 // Forward-backward algorithm. `likelihoods` holds the density of the residual in each state, 1/m, for each
 // poll with an observation, in order; `hints` the likelihood ratio of its powers, NLOS over LOS, or nothing.
 // Reuses the vectors of `out`.
-void infer_states(const SightChain& chain, std::span<const Poll> polls,
-                  std::span<const SightVector> likelihoods, std::span<const double> hints,
-                  SightPosterior& out);
+void infer_states(const LosChain& chain, std::span<const Poll> polls,
+                  std::span<const LosVector> likelihoods, std::span<const double> hints,
+                  LosPosterior& out);
 
 // Expected numbers of LOS and of NLOS ranges in each power class.
 struct PowerCounts {

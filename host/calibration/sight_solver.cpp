@@ -15,7 +15,7 @@ constexpr double kBlockedByReplies = 0.02;
 // and that has this much more log evidence than independent losses of replies, at most kMostLosses of them;
 constexpr double kBlockedEvidence = 5.0;
 constexpr double kMostLosses = 0.2;
-constexpr std::array kLossesInSight{0.02, 0.01, 0.005};
+constexpr std::array kLossesInLos{0.02, 0.01, 0.005};
 // or if residuals longer than kLong scales are correlated in time.
 constexpr double kLong = 3.0;
 constexpr double kLongShare = 0.02;
@@ -27,10 +27,10 @@ constexpr std::size_t kMinPolls = 50;
 constexpr double kReach_m = 60.0;
 constexpr double kNearShare = 0.9;
 
-constexpr int kSightRounds = 7;
+constexpr int kLosRounds = 7;
 constexpr int kLabelRounds = 2;
 // Share of LOS ranges that is enough to solve an anchor from these alone in the first round.
-constexpr double kEnoughInSight = 0.25;
+constexpr double kEnoughLos = 0.25;
 constexpr double kEpisode_s = 4.0;
 constexpr std::size_t kEpisodeRows = 8;
 constexpr std::size_t kEpisodeBreak = 3;
@@ -41,9 +41,9 @@ constexpr double kWallSpread_m = 0.1;
 constexpr double kKnownWall_m = 0.1;
 constexpr double kWallShapeWeight = 50.0;
 // Scale of short NLOS residuals, or that of the noise if it is larger.
-constexpr double kShadowScale_m = 0.08;
+constexpr double kShortNlosScale_m = 0.08;
 
-KernelShape shadow_shape(double scale_m) {
+KernelShape short_nlos_shape(double scale_m) {
   return {.scale_m = scale_m, .wide = 0.15, .bumps = {0.38, 0.2, 0.08, 0.02, 0.01, 0.005}, .gross = 0.005};
 }
 KernelShape wall_shape() {
@@ -51,9 +51,9 @@ KernelShape wall_shape() {
 }
 
 struct AnchorPass {
-  AnchorSight sight;
-  SightVector answered = SightVector::Zero();
-  SightVector missed = SightVector::Zero();
+  AnchorLos los_states;
+  LosVector answered = LosVector::Zero();
+  LosVector missed = LosVector::Zero();
   PowerCounts powers;  // by residuals and replies alone
   std::vector<WeighedResidual> walled;
   std::vector<double> start_excess_m;  // of each episode, beyond the common excess
@@ -73,7 +73,7 @@ std::size_t rows_until(const AnchorFit& fit) {
   return fit.problem.rows.empty() ? 0 : fit.problem.rows.back().index + std::size_t{1};
 }
 
-SightVector poll_shares(const SightVector& answered, const SightVector& missed) {
+LosVector poll_shares(const LosVector& answered, const LosVector& missed) {
   return (answered + missed) / std::max(1e-9, (answered + missed).sum());
 }
 
@@ -96,9 +96,9 @@ std::vector<double> hints_of(std::span<const model::PowerClass> classes,
 }
 
 // Likelihoods of unknown residuals, for each poll with an observation.
-std::vector<SightVector> no_residuals(std::span<const Poll> polls) {
+std::vector<LosVector> no_residuals(std::span<const Poll> polls) {
   const auto rows = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
-  return std::vector<SightVector>(static_cast<std::size_t>(rows), SightVector::Ones());
+  return std::vector<LosVector>(static_cast<std::size_t>(rows), LosVector::Ones());
 }
 
 // Whether too long ranges are correlated in time and clearly more frequent than too short ones.
@@ -135,26 +135,26 @@ bool long_residuals_are_correlated(const AnchorFit& fit) {
 double log_evidence_of_losses(std::span<const Poll> polls) {
   const auto missed = static_cast<double>(std::count(polls.begin(), polls.end(), kMissed));
   const auto told = static_cast<double>(polls.size()) -
-                    static_cast<double>(std::count(polls.begin(), polls.end(), kNotTold));
+                    static_cast<double>(std::count(polls.begin(), polls.end(), kUnknownPoll));
   const double share = std::min(missed / told, kMostLosses);
   return missed * std::log(share) + (told - missed) * std::log1p(-share);
 }
 
 // Isolated missed replies are lost by chance: NLOS has to explain them better.
-bool replies_show_nlos(SightChain chain, std::span<const std::vector<Poll>> pairs) {
-  SightPosterior posterior;
-  const SightVector believed = chain.reply;
+bool replies_show_nlos(LosChain chain, std::span<const std::vector<Poll>> pairs) {
+  LosPosterior posterior;
+  const LosVector believed = chain.reply;
   for (const std::vector<Poll>& polls : pairs) {
     if (polls.size() < kMinPolls) continue;
     const auto is_answered = [](Poll poll) { return poll >= 0 || poll == kReplied; };
     if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
-    const std::vector<SightVector> likelihoods = no_residuals(polls);
+    const std::vector<LosVector> likelihoods = no_residuals(polls);
     chain.reply = believed;
     infer_states(chain, polls, likelihoods, {}, posterior);
-    if (poll_shares(posterior.answered, posterior.missed)(kInSight) >= 1.0 - kBlockedByReplies) continue;
+    if (poll_shares(posterior.answered, posterior.missed)(kLos) >= 1.0 - kBlockedByReplies) continue;
     double log_evidence = posterior.log_evidence;
-    for (const double lost : kLossesInSight) {
-      chain.reply(kInSight) = 1.0 - lost;
+    for (const double lost : kLossesInLos) {
+      chain.reply(kLos) = 1.0 - lost;
       infer_states(chain, polls, likelihoods, {}, posterior);
       log_evidence = std::max(log_evidence, posterior.log_evidence);
     }
@@ -167,18 +167,18 @@ bool replies_show_nlos(SightChain chain, std::span<const std::vector<Poll>> pair
 struct PairPass {
   std::vector<const Observation*> rows;
   std::vector<double> residuals_m;
-  std::vector<SightVector> likelihoods;
-  SightPosterior posterior;
+  std::vector<LosVector> likelihoods;
+  LosPosterior posterior;
 };
 
-class SightSolver {
+class LosSolver {
  public:
-  SightSolver(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits)
+  LosSolver(const PollTable& table, const LosModel& start, std::vector<AnchorFit>& fits)
       : table_(table), fits_(fits) {
     out_.model = start;
   }
 
-  SiteSight solve();
+  SiteLos solve();
 
  private:
   void label_first();
@@ -191,7 +191,7 @@ class SightSolver {
   void apply(std::size_t anchor, AnchorPass pass);
 
   [[nodiscard]] static bool has_wall(const AnchorFit& fit) {
-    return fit.problem.sight != nullptr && fit.problem.sight->behind_wall;
+    return fit.problem.los_states != nullptr && fit.problem.los_states->behind_wall;
   }
   // Common excess of the anchor's long NLOS, m.
   [[nodiscard]] double common_excess_m(const AnchorFit& fit) const {
@@ -206,30 +206,30 @@ class SightSolver {
 
   const PollTable& table_;
   std::vector<AnchorFit>& fits_;
-  SiteSight out_;
+  SiteLos out_;
 };
 
 // First classification, by replies and powers alone. Ranges that are not LOS are ignored or, if few are LOS,
 // taken as long NLOS.
-void SightSolver::label_first() {
+void LosSolver::label_first() {
   for (std::size_t a = 0; a < fits_.size(); ++a) {
     const std::span<const Observation> rows = fits_[a].problem.rows;
     const std::vector<bool> seen = los_rows(out_.model, table_.polls[a], rows);
     AnchorPass pass;
-    pass.sight.rows.resize(rows_until(fits_[a]));
-    pass.sight.behind_wall = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
-                             kEnoughInSight * static_cast<double>(pass.sight.rows.size());
+    pass.los_states.rows.resize(rows_until(fits_[a]));
+    pass.los_states.behind_wall = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
+                             kEnoughLos * static_cast<double>(pass.los_states.rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
       if (seen[i]) continue;
-      pass.sight.rows[rows[i].index] = pass.sight.behind_wall
-                                           ? RowSight{.in_sight = 0.0F, .wall = 1.0F}
-                                           : RowSight{.in_sight = 0.0F, .other_density = 1.0F};
+      pass.los_states.rows[rows[i].index] = pass.los_states.behind_wall
+                                           ? RangeLos{.in_sight = 0.0F, .wall = 1.0F}
+                                           : RangeLos{.in_sight = 0.0F, .other_density = 1.0F};
     }
     apply(a, std::move(pass));
   }
 }
 
-void SightSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& pair) const {
+void LosSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& pair) const {
   const AnchorFit& fit = fits_[a];
   const std::size_t tags = fit.problem.tag_count;
   const double common_m = common_excess_m(fit);
@@ -243,59 +243,59 @@ void SightSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass&
     const auto density = [&](const RobustKernel& kernel, double excess_m) {
       return stretched(kernel, noise_share(kernel, variance_m2), r - excess_m).density;
     };
-    const AnchorSight* before = has_wall(fit) ? fit.problem.sight : nullptr;
+    const AnchorLos* before = has_wall(fit) ? fit.problem.los_states : nullptr;
     const bool in_episode = before != nullptr && before->rows[row.index].episode != kNoEpisode;
     const double walled =
         in_episode ? density(before->wall, wall_excess_m(before->rows[row.index], fit.anchor, tags))
                    : density(anywhere, common_m);
     pair.rows.push_back(&row);
     pair.residuals_m.push_back(r);
-    pair.likelihoods.emplace_back(density(fit.kernels[row.tag], 0.0), density(out_.model.shadow, 0.0),
+    pair.likelihoods.emplace_back(density(fit.kernels[row.tag], 0.0), density(out_.model.short_nlos, 0.0),
                                   walled);
   }
 }
 
-AnchorPass SightSolver::infer(std::size_t a) const {
+AnchorPass LosSolver::infer(std::size_t a) const {
   const std::span<const Observation> rows = fits_[a].problem.rows;
   AnchorPass out;
   if (rows.empty()) return out;
-  out.sight.rows.resize(rows_until(fits_[a]));
+  out.los_states.rows.resize(rows_until(fits_[a]));
   for (const std::vector<Poll>& polls : table_.polls[a]) {
     PairPass pair;
     weigh(a, polls, pair);
-    SightPosterior& posterior = pair.posterior;
+    LosPosterior& posterior = pair.posterior;
     const std::vector<model::PowerClass> classes = classes_of(polls, rows);
     if (out_.model.powers) {
       // Powers are estimated without what they say themselves.
       infer_states(out_.model.chain, polls, pair.likelihoods, {}, posterior);
       for (std::size_t i = 0; i < classes.size(); ++i) {
-        out.powers.add(classes[i], posterior.posterior[i](kInSight));
+        out.powers.add(classes[i], posterior.posterior[i](kLos));
       }
     }
     infer_states(out_.model.chain, polls, pair.likelihoods, hints_of(classes, out_.model.powers), posterior);
     out.answered += posterior.answered;
     out.missed += posterior.missed;
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
-      RowSight& row = out.sight.rows[pair.rows[i]->index];
-      row.in_sight = static_cast<float>(posterior.prior[i](kInSight));
-      row.wall = static_cast<float>(posterior.prior[i](kWall));
-      row.other_density = static_cast<float>(posterior.prior[i](kShadow) * pair.likelihoods[i](kShadow));
+      RangeLos& row = out.los_states.rows[pair.rows[i]->index];
+      row.in_sight = static_cast<float>(posterior.prior[i](kLos));
+      row.wall = static_cast<float>(posterior.prior[i](kLongNlos));
+      row.other_density = static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
     }
     add_episodes(pair, common_excess_m(fits_[a]), out);
     // Outside episodes the excess is too uncertain for the range to be of use.
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
-      RowSight& row = out.sight.rows[pair.rows[i]->index];
+      RangeLos& row = out.los_states.rows[pair.rows[i]->index];
       if (row.episode != kNoEpisode) continue;
-      row.other_density += row.wall * static_cast<float>(pair.likelihoods[i](kWall));
+      row.other_density += row.wall * static_cast<float>(pair.likelihoods[i](kLongNlos));
       row.wall = 0.0F;
     }
   }
-  out.sight.behind_wall = out.sight.episodes > 0;
+  out.los_states.behind_wall = out.los_states.episodes > 0;
   return out;
 }
 
 // Adds the stretches of long NLOS ranges that no more than a few others interrupt.
-void SightSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const {
+void LosSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const {
   std::size_t first = 0;
   std::size_t last = 0;
   std::size_t inside = 0;
@@ -307,7 +307,7 @@ void SightSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass
     inside = 0;
   };
   for (std::size_t k = 0; k < pair.rows.size(); ++k) {
-    if (pair.posterior.posterior[k](kWall) > 0.5) {
+    if (pair.posterior.posterior[k](kLongNlos) > 0.5) {
       if (inside == 0) first = k;
       ++inside;
       last = k;
@@ -318,15 +318,15 @@ void SightSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass
   if (inside > 0) close();
 }
 
-void SightSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
+void LosSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
                               AnchorPass& out) const {
-  const auto episode = static_cast<std::int32_t>(out.sight.episodes++);
+  const auto episode = static_cast<std::int32_t>(out.los_states.episodes++);
   const double limit_m = 4.0 * anywhere_shape().scale_m;
   double sum_m = 0.0;
   double weight = 0.0;
   for (std::size_t k = first; k <= last; ++k) {
-    out.sight.rows[pair.rows[k]->index].episode = episode;
-    const double share = pair.posterior.posterior[k](kWall);
+    out.los_states.rows[pair.rows[k]->index].episode = episode;
+    const double share = pair.posterior.posterior[k](kLongNlos);
     const double r = pair.residuals_m[k] - common_m;
     if (std::abs(r) > limit_m) continue;
     sum_m += share * r;
@@ -337,13 +337,13 @@ void SightSolver::add_episode(const PairPass& pair, std::size_t first, std::size
   out.start_excess_m.push_back(start_m);
   for (std::size_t k = first; k <= last; ++k) {
     out.walled.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
-                          .weight = pair.posterior.posterior[k](kWall)});
+                          .weight = pair.posterior.posterior[k](kLongNlos)});
   }
 }
 
-void SightSolver::estimate_model(const std::vector<AnchorPass>& passes) {
-  SightVector answered = SightVector::Zero();
-  SightVector missed = SightVector::Zero();
+void LosSolver::estimate_model(const std::vector<AnchorPass>& passes) {
+  LosVector answered = LosVector::Zero();
+  LosVector missed = LosVector::Zero();
   PowerCounts powers;
   std::vector<WeighedResidual> walled;
   double information = 1.0 / std::pow(WallPrior{}.sigma_m, 2);
@@ -354,19 +354,19 @@ void SightSolver::estimate_model(const std::vector<AnchorPass>& passes) {
     missed += pass.missed;
     powers.add(pass.powers, 1.0);
     walled.insert(walled.end(), pass.walled.begin(), pass.walled.end());
-    if (!has_wall(fits_[a]) || !pass.sight.behind_wall) continue;
+    if (!has_wall(fits_[a]) || !pass.los_states.behind_wall) continue;
     // An excess differs from a bias only if the anchor is in LOS as well.
-    if (poll_shares(pass.answered, pass.missed)(kInSight) < 0.3) continue;
+    if (poll_shares(pass.answered, pass.missed)(kLos) < 0.3) continue;
     const double weight = 1.0 / (kKnownWall_m * kKnownWall_m + kWallSpread_m * kWallSpread_m);
     information += weight;
     weighted_m += weight * common_excess_m(fits_[a]);
   }
   if (out_.model.powers) out_.model.powers->estimate(powers);
-  const SightVector believed = SightChain{}.reply;
+  const LosVector believed = LosChain{}.reply;
   if (table_.regular) {
     out_.model.chain.reply =
         (answered + kReplyWeight * believed)
-            .cwiseQuotient((answered + missed).array().matrix() + SightVector::Constant(kReplyWeight));
+            .cwiseQuotient((answered + missed).array().matrix() + LosVector::Constant(kReplyWeight));
   } else {
     out_.model.chain.reply.setConstant(0.5);
   }
@@ -376,32 +376,32 @@ void SightSolver::estimate_model(const std::vector<AnchorPass>& passes) {
       walled, {.shape = wall_shape(), .scale_weight = kWallShapeWeight, .share_weight = kWallShapeWeight}, 3);
 }
 
-void SightSolver::apply(std::size_t a, AnchorPass pass) {
+void LosSolver::apply(std::size_t a, AnchorPass pass) {
   AnchorFit& fit = fits_[a];
-  pass.sight.prior = out_.model.wall_prior;
-  pass.sight.wall = RobustKernel(out_.model.wall);
+  pass.los_states.prior = out_.model.wall_prior;
+  pass.los_states.wall = RobustKernel(out_.model.wall);
   const Eigen::Index common = wall_index(fit.problem.tag_count);
-  AnchorVector anchor = AnchorVector::Zero(common + pass.sight.extra_unknowns());
+  AnchorVector anchor = AnchorVector::Zero(common + pass.los_states.extra_unknowns());
   anchor.head(common) = fit.anchor.head(common);
-  if (pass.sight.behind_wall) anchor(common) = common_excess_m(fit);
-  for (std::size_t k = 0; k < pass.sight.episodes; ++k) {
+  if (pass.los_states.behind_wall) anchor(common) = common_excess_m(fit);
+  for (std::size_t k = 0; k < pass.los_states.episodes; ++k) {
     anchor(episode_index(static_cast<std::int32_t>(k), fit.problem.tag_count)) = pass.start_excess_m[k];
   }
   fit.anchor = std::move(anchor);
-  out_.anchors[a] = std::move(pass.sight);
+  out_.anchors[a] = std::move(pass.los_states);
   out_.poll_shares[a] = poll_shares(pass.answered, pass.missed);
-  fit.problem.sight = &out_.anchors[a];
+  fit.problem.los_states = &out_.anchors[a];
 }
 
-SiteSight SightSolver::solve() {
+SiteLos LosSolver::solve() {
   out_.anchors.resize(fits_.size());
-  out_.poll_shares.resize(fits_.size(), SightVector::Zero());
+  out_.poll_shares.resize(fits_.size(), LosVector::Zero());
   if (table_.regular || out_.model.powers) {
     label_first();
     refine_site(fits_, kLabelRounds);
   }
-  for (int round = 0; round < kSightRounds; ++round) {
-    out_.model.shadow = RobustKernel(shadow_shape(std::max(kShadowScale_m, typical_scale_m(fits_))));
+  for (int round = 0; round < kLosRounds; ++round) {
+    out_.model.short_nlos = RobustKernel(short_nlos_shape(std::max(kShortNlosScale_m, typical_scale_m(fits_))));
     std::vector<AnchorPass> passes;
     for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(infer(a));
     estimate_model(passes);
@@ -413,24 +413,24 @@ SiteSight SightSolver::solve() {
 
 }  // namespace
 
-std::vector<bool> los_rows(const SightModel& model, std::span<const std::vector<Poll>> pairs,
+std::vector<bool> los_rows(const LosModel& model, std::span<const std::vector<Poll>> pairs,
                            std::span<const Observation> rows) {
   std::vector<bool> out(rows.size(), false);
-  SightPosterior posterior;
+  LosPosterior posterior;
   for (const std::vector<Poll>& polls : pairs) {
     infer_states(model.chain, polls, no_residuals(polls), hints_of(classes_of(polls, rows), model.powers),
                  posterior);
     std::size_t i = 0;
     for (const Poll poll : polls) {
       if (poll < 0) continue;
-      out[static_cast<std::size_t>(poll) - rows.front().index] = posterior.posterior[i++](kInSight) > 0.5;
+      out[static_cast<std::size_t>(poll) - rows.front().index] = posterior.posterior[i++](kLos) > 0.5;
     }
   }
   return out;
 }
 
-SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits) {
-  SightModel out;
+LosModel first_los_model(const PollTable& table, std::span<const AnchorFit> fits) {
+  LosModel out;
   std::array<double, model::kPowerClasses + 1> ranges{};
   double with_powers = 0.0;
   for (const AnchorFit& fit : fits) {
@@ -442,7 +442,7 @@ SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> 
   if (with_powers > 0.0 && !model::is_ablated(model::Mechanism::kCalibrationPowers)) {
     out.powers.emplace(std::span(ranges).first<model::kPowerClasses>(), table.interval_s);
   }
-  out.chain.transition = sight_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
+  out.chain.transition = los_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
   out.wall = wall_shape();
   return out;
 }
@@ -459,7 +459,7 @@ bool is_within_reach(const std::vector<AnchorFit>& fits) noexcept {
 
 bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits) {
   if (model::is_ablated(model::Mechanism::kCalibrationNlos)) return false;
-  const SightChain chain = first_sight_model(table, {}).chain;
+  const LosChain chain = first_los_model(table, {}).chain;
   const auto shows_nlos = [&](const std::vector<std::vector<Poll>>& pairs) {
     return replies_show_nlos(chain, pairs);
   };
@@ -473,8 +473,8 @@ bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits) {
   return false;
 }
 
-SiteSight solve_sight(const PollTable& table, const SightModel& start, std::vector<AnchorFit>& fits) {
-  return SightSolver(table, start, fits).solve();
+SiteLos solve_los(const PollTable& table, const LosModel& start, std::vector<AnchorFit>& fits) {
+  return LosSolver(table, start, fits).solve();
 }
 
 }  // namespace groma::calibration

@@ -14,23 +14,23 @@
 namespace groma::calibration {
 
 // NLOS model common to all pairs of a site.
-struct SightModel {
-  SightChain chain;
-  RobustKernel shadow;  // of short NLOS residuals
+struct LosModel {
+  LosChain chain;
+  RobustKernel short_nlos;  // of short NLOS residuals
   KernelShape wall;     // of long NLOS residuals without their excess
   WallPrior wall_prior;
   std::optional<PowerHints> powers;  // none if ranges carry no powers
 };
-[[nodiscard]] SightModel first_sight_model(const PollTable& table, std::span<const AnchorFit> fits);
+[[nodiscard]] LosModel first_los_model(const PollTable& table, std::span<const AnchorFit> fits);
 
 // For each observation of one anchor: whether replies and powers alone classify it as LOS.
-[[nodiscard]] std::vector<bool> los_rows(const SightModel& model, std::span<const std::vector<Poll>> pairs,
+[[nodiscard]] std::vector<bool> los_rows(const LosModel& model, std::span<const std::vector<Poll>> pairs,
                                          std::span<const Observation> rows);
 
-struct SiteSight {
-  std::vector<AnchorSight> anchors;      // empty: no NLOS states needed; the fits point here
-  std::vector<SightVector> poll_shares;  // per anchor: share of its polls in each state
-  SightModel model;                      // as estimated
+struct SiteLos {
+  std::vector<AnchorLos> anchors;      // empty: no NLOS states needed; the fits point here
+  std::vector<LosVector> poll_shares;  // per anchor: share of its polls in each state
+  LosModel model;                      // as estimated
 };
 
 // Whether nearly all ranges are as short as in a hall or a yard, where the NLOS model holds. On longer ones
@@ -44,7 +44,7 @@ struct SiteSight {
 [[nodiscard]] bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits);
 
 // Classifies each range and solves the fits with these states. `table` is of the same observations.
-[[nodiscard]] SiteSight solve_sight(const PollTable& table, const SightModel& start,
+[[nodiscard]] SiteLos solve_los(const PollTable& table, const LosModel& start,
                                     std::vector<AnchorFit>& fits);
 
 }  // namespace groma::calibration

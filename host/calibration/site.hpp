@@ -30,13 +30,13 @@ struct Site {
   double held_out_from_s = 0.0;
   std::vector<AnchorFit> beginning;  // solved without the held-out part
   std::vector<AnchorFit> fits;       // solved from the whole drive
-  SiteSight sight;                   // empty if no pair is NLOS for longer than a moment
+  SiteLos los_states;                   // empty if no pair is NLOS for longer than a moment
   std::vector<AnchorPath> paths;
   std::vector<AnchorEvidence> evidence;
   std::vector<HeldOut> held_out;
   DriveError error;
 
-  [[nodiscard]] bool has_sight() const noexcept { return !sight.anchors.empty(); }
+  [[nodiscard]] bool has_los_states() const noexcept { return !los_states.anchors.empty(); }
 };
 
 }  // namespace groma::calibration

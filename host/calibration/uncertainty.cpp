@@ -216,7 +216,7 @@ Evidence gather_evidence(const AnchorFit& fit) {
     const Eigen::Index block = std::min(blocks - 1, static_cast<Eigen::Index>(elapsed_s / block_s));
     scores(block, pair_index(row.tag, tags)) += value.slope * at.j.transpose();
     if (!(whole.wall_weight > 0.0)) continue;
-    const WallRow walled(at.j, problem.sight->rows[row.index], row.tag, tags);
+    const WallRow walled(at.j, problem.los_states->rows[row.index], row.tag, tags);
     walled.add(whole.wall_slope, scores.row(block).transpose());
     walled.add_square(whole.wall_weight, out.information);
     walled.add_square(whole.wall_slope * whole.wall_slope, out.score_variance);

@@ -18,12 +18,12 @@ constexpr double kWeakSigmaZ_m = 0.20;
 constexpr double kBlockedWeakSigmaZ_m = 0.15;
 // Limits of the sigmas grow with the distance to the nearest antenna: a sixtieth of it.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
-constexpr double kMinInSightShare = 0.3;
+constexpr double kMinLosShare = 0.3;
 constexpr double kBlockedScaleRatio = 1.2;
 constexpr double kBlockedCountRatio = 0.75;
 // LOS share of the polls below which an anchor is never, or hardly ever, in LOS.
-constexpr double kNeverInSight = 0.10;
-constexpr double kHardlyInSight = 0.30;
+constexpr double kNeverLos = 0.10;
+constexpr double kHardlyLos = 0.30;
 // Shares of ranges too long or too short for NLOS, above which the ranges contradict each other; above
 // kTwoAnchors (both together) two anchors may have one id.
 constexpr double kFarLimit = 0.06;
@@ -107,14 +107,14 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
 // From number and quality of the ranges; none if these are in order.
 std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
   const std::size_t all = anchor.ranges_used + anchor.ranges_rejected;
-  const bool never_in_sight = evidence.rows >= kMinRanges && is_never_in_sight(evidence);
-  if (anchor.ranges_used < kMinRanges && !never_in_sight) {
+  const bool never_los = evidence.rows >= kMinRanges && is_never_los(evidence);
+  if (anchor.ranges_used < kMinRanges && !never_los) {
     return Opinion{AnchorVerdict::kNoData,
                    all == 0 ? "no range at all: check that the anchor is powered and in the schedule"
                             : "too few ranges with a pose: drive where this anchor answers"};
   }
-  if (never_in_sight) {
-    return Opinion{AnchorVerdict::kNeverInSight,
+  if (never_los) {
+    return Opinion{AnchorVerdict::kNeverLos,
                    "its line of sight is nearly always blocked: drive where it is clear, or move it"};
   }
   if (evidence.twin_m) {
@@ -123,10 +123,10 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
                                              " apart: check whether two anchors have this id"};
   }
   const std::string where = drive_advice(evidence, anchor.position_m);
-  if (is_hardly_in_sight(evidence))
+  if (is_hardly_los(evidence))
     return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
   if (contradicts_itself(evidence)) {
-    if (evidence.sight->far_share + evidence.sight->short_share > kTwoAnchors) {
+    if (evidence.los_states->far_share + evidence.los_states->short_share > kTwoAnchors) {
       return Opinion{
           AnchorVerdict::kWeak,
           "most of its ranges contradict the others: check whether two anchors have this id; else " + where};
@@ -157,7 +157,7 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   if (is_plausible(evidence.mirror, evidence.inflation)) {
     return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice};
   }
-  if (sigma_z_m > std::max(evidence.sight ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
+  if (sigma_z_m > std::max(evidence.los_states ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
     return {AnchorVerdict::kWeakZ, "height uncertain: " + advice};
   }
   return {};
@@ -165,20 +165,20 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
 
 }  // namespace
 
-bool is_hardly_in_sight(const AnchorEvidence& evidence) noexcept {
-  return evidence.sight && evidence.sight->counts_missed && evidence.sight->polls(kInSight) < kHardlyInSight;
+bool is_hardly_los(const AnchorEvidence& evidence) noexcept {
+  return evidence.los_states && evidence.los_states->counts_missed && evidence.los_states->polls(kLos) < kHardlyLos;
 }
 
 bool contradicts_itself(const AnchorEvidence& evidence) noexcept {
-  return evidence.sight &&
-         (evidence.sight->far_share > kFarLimit || evidence.sight->short_share > kShortLimit);
+  return evidence.los_states &&
+         (evidence.los_states->far_share > kFarLimit || evidence.los_states->short_share > kShortLimit);
 }
 
-bool is_never_in_sight(const AnchorEvidence& evidence) noexcept {
-  if (evidence.sight && evidence.sight->counts_missed) {
-    return evidence.sight->polls(kInSight) < kNeverInSight;
+bool is_never_los(const AnchorEvidence& evidence) noexcept {
+  if (evidence.los_states && evidence.los_states->counts_missed) {
+    return evidence.los_states->polls(kLos) < kNeverLos;
   }
-  if (evidence.in_sight_share < kMinInSightShare) return true;
+  if (evidence.in_sight_share < kMinLosShare) return true;
   return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
 }
 

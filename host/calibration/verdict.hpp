@@ -20,8 +20,8 @@ inline constexpr std::size_t kMinRanges = 30;
 inline constexpr double kWeakSigma_m = 0.30;
 
 // LOS and NLOS of one anchor, if the site was solved with NLOS states.
-struct SightEvidence {
-  SightVector polls = SightVector::Zero();  // share of its polls in each state
+struct LosEvidence {
+  LosVector polls = LosVector::Zero();  // share of its polls in each state
   bool counts_missed = false;               // `polls` includes missed replies
   double wall_excess_m = 0.0;               // mean excess of long NLOS at the site
   double far_share = 0.0;                   // share of ranges longer than NLOS explains
@@ -51,13 +51,13 @@ struct AnchorEvidence {
   double flicker = 1.0;                   // range-to-range scatter over the site's noise
   std::optional<MoveEvidence> moved;      // during the drive
   std::optional<Eigen::Vector3d> twin_m;  // a second place with its id
-  std::optional<SightEvidence> sight;
+  std::optional<LosEvidence> los_states;
 };
 
 // Whether all or nearly all of its ranges are NLOS. Such ranges are noisier and fewer than those of other
 // anchors, and their common excess looks like a bias.
-[[nodiscard]] bool is_never_in_sight(const AnchorEvidence& evidence) noexcept;
-[[nodiscard]] bool is_hardly_in_sight(const AnchorEvidence& evidence) noexcept;
+[[nodiscard]] bool is_never_los(const AnchorEvidence& evidence) noexcept;
+[[nodiscard]] bool is_hardly_los(const AnchorEvidence& evidence) noexcept;
 // Whether more of its ranges are too long or too short than NLOS explains, as with reflections.
 [[nodiscard]] bool contradicts_itself(const AnchorEvidence& evidence) noexcept;
 

@@ -97,7 +97,7 @@ double PowerHint::share(const Counts& counts, const std::array<double, model::kH
 double PowerHint::likelihood_ratio(model::PowerClass of) const noexcept {
   if (of >= model::kNoPowerClass) return 1.0;
   const double ratio =
-      share(blocked_, model::kBelievedBlocked, of) / share(in_sight_, model::kBelievedInSight, of);
+      share(blocked_, model::kPriorNlos, of) / share(in_sight_, model::kPriorLos, of);
   const double most = std::max(config_.hint_most, 1.0);
   return std::clamp(ratio, 1.0 / most, most);
 }

@@ -14,7 +14,7 @@
 
 namespace groma::model {
 
-enum class AnchorVerdict { kOk, kWeakZ, kWeak, kNeverInSight, kMoved, kNoData };
+enum class AnchorVerdict { kOk, kWeakZ, kWeak, kNeverLos, kMoved, kNoData };
 // Whether a filter may use an anchor with this verdict.
 [[nodiscard]] constexpr bool is_usable(AnchorVerdict verdict) noexcept {
   return verdict == AnchorVerdict::kOk || verdict == AnchorVerdict::kWeakZ;

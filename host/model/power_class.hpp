@@ -30,7 +30,7 @@ inline constexpr double kStrengthStep_db = 3.0;
 
 // Assumed shares of the hidden classes (LOS likely, uncertain, unlikely by the chip maker's rule), for LOS
 // ranges and for NLOS ranges.
-inline constexpr std::array<double, kHiddenClasses> kBelievedInSight{0.8, 0.15, 0.05};
-inline constexpr std::array<double, kHiddenClasses> kBelievedBlocked{0.4, 0.3, 0.3};
+inline constexpr std::array<double, kHiddenClasses> kPriorLos{0.8, 0.15, 0.05};
+inline constexpr std::array<double, kHiddenClasses> kPriorNlos{0.4, 0.3, 0.3};
 
 }  // namespace groma::model

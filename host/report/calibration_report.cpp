@@ -396,7 +396,7 @@ Tone tone(model::AnchorVerdict verdict) {
       return Tone::kGood;
     case model::AnchorVerdict::kWeakZ:
     case model::AnchorVerdict::kWeak:
-    case model::AnchorVerdict::kNeverInSight:
+    case model::AnchorVerdict::kNeverLos:
       return Tone::kWarning;
     case model::AnchorVerdict::kMoved:
     case model::AnchorVerdict::kNoData:

@@ -32,8 +32,8 @@ struct Blocking {
   double wall_reply = 0.45;
   double wall_excess_m = 0.3;        // least excess behind a wall
   double wall_excess_mean_m = 0.15;  // mean of the exponential excess beyond it
-  double shadow_reply = 0.6;
-  double shadow_excess_mean_m = 0.3;
+  double short_nlos_reply = 0.6;
+  double short_nlos_excess_mean_m = 0.3;
   double shadows_per_s = 0.01;  // short NLOS of each pair, lasting 1 to 10 s
   double gross_share = 0.02;    // 0.5 to 4 m too long
   Powers powers = Powers::kNone;
@@ -69,7 +69,7 @@ struct Stay {
 
 // Sets the powers of a range that is NLOS to the given degree.
 inline void add_powers(Powers powers, double blocked_share, Random& random, model::RangeSample& range) {
-  constexpr double kInSight_dbm = -60.0;  // at 1 m
+  constexpr double kLos_dbm = -60.0;  // at 1 m
   constexpr double kLoss_db = 6.0;
   constexpr double kSigma_db = 2.0;
   constexpr double kPeriod_s = 14.0;
@@ -86,7 +86,7 @@ inline void add_powers(Powers powers, double blocked_share, Random& random, mode
     case Powers::kNothing:
       weak = std::fmod(range.t_s + range.anchor_id, kPeriod_s) < 0.5 * kPeriod_s ? 1.0 : 0.0;
   }
-  const double first_path_dbm = kInSight_dbm - 20.0 * std::log10(std::max(range.range_m, 0.1)) -
+  const double first_path_dbm = kLos_dbm - 20.0 * std::log10(std::max(range.range_m, 0.1)) -
                                 kLoss_db * weak + kSigma_db * random.gaussian();
   range.first_path_power_dbm = static_cast<float>(first_path_dbm);
   range.receive_power_dbm = static_cast<float>(first_path_dbm + 2.0 + weak);
@@ -139,11 +139,11 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
       blocked_share = 1.0;
       range.range_m += blocking.wall_excess_m + exponential_m(blocking.wall_excess_mean_m);
     } else {
-      for (const Span& shadow : shadows[a][j]) {
-        if (range.t_s < shadow.from_s || range.t_s > shadow.to_s) continue;
-        reply = blocking.shadow_reply;
+      for (const Span& short_nlos : shadows[a][j]) {
+        if (range.t_s < short_nlos.from_s || range.t_s > short_nlos.to_s) continue;
+        reply = blocking.short_nlos_reply;
         blocked_share = 0.6;
-        range.range_m += exponential_m(blocking.shadow_excess_mean_m);
+        range.range_m += exponential_m(blocking.short_nlos_excess_mean_m);
       }
     }
     if (random.uniform() < blocking.gross_share) range.range_m += random.uniform(0.5, 4.0);

@@ -89,7 +89,7 @@ Outcome calibrate_sites(test::Blocking blocking, test::Powers powers) {
 TEST(NlosSite, PowersRevealNlosWithoutLostRepliesOverMany) {
   test::Blocking racks = hall();
   racks.walls.push_back({{3.0, 6.0}, {18.0, 6.0}});
-  racks.wall_reply = racks.shadow_reply = racks.reply_in_sight;
+  racks.wall_reply = racks.short_nlos_reply = racks.reply_in_sight;
   const Outcome without = calibrate_sites(racks, test::Powers::kNone);
   const Outcome with = calibrate_sites(racks, test::Powers::kTrue);
   const Outcome opposite = calibrate_sites(racks, test::Powers::kOpposite);
@@ -151,10 +151,10 @@ TEST(NlosSite, MarksAnchorsWithoutLineOfSight) {
   const model::Calibration found = calibrate(site.drive()).calibration;
   for (const model::AnchorCalibration& anchor : found.anchors) {
     if (anchor.id != 12 && anchor.id != 13) {
-      EXPECT_NE(anchor.verdict, AnchorVerdict::kNeverInSight) << anchor.id;
+      EXPECT_NE(anchor.verdict, AnchorVerdict::kNeverLos) << anchor.id;
       continue;
     }
-    EXPECT_EQ(anchor.verdict, AnchorVerdict::kNeverInSight) << anchor.id;
+    EXPECT_EQ(anchor.verdict, AnchorVerdict::kNeverLos) << anchor.id;
     EXPECT_FALSE(anchor.advice.empty());
     for (const model::PairBias& pair : anchor.pairs) EXPECT_GT(pair.beta_sigma_m, 0.15);
     const std::size_t a = anchor.id - site.anchors.front().id;

@@ -288,8 +288,8 @@ TEST(MeasurementChoice, KeepsNlosDetectionOverManyDrives) {
       const model::AnchorCalibration& one = whole.calibration.anchors[a];
       const model::AnchorCalibration& other = chosen.calibration.anchors[a];
       EXPECT_EQ(model::is_usable(one.verdict), model::is_usable(other.verdict)) << seed << " " << one.id;
-      EXPECT_EQ(one.verdict == model::AnchorVerdict::kNeverInSight,
-                other.verdict == model::AnchorVerdict::kNeverInSight)
+      EXPECT_EQ(one.verdict == model::AnchorVerdict::kNeverLos,
+                other.verdict == model::AnchorVerdict::kNeverLos)
           << seed << " " << one.id;
       if (one.verdict != model::AnchorVerdict::kOk || other.verdict != model::AnchorVerdict::kOk) continue;
       ++both_ok;

@@ -149,7 +149,7 @@ TEST_F(RecordedRun, IndoorSimulationMarksAnchorsWithoutLineOfSight) {
   if (IsSkipped()) return;
   for (const model::AnchorCalibration& anchor : result_.calibration.anchors) {
     const bool behind = anchor.id == 12 || anchor.id == 13 || anchor.id == 14;
-    EXPECT_EQ(anchor.verdict == model::AnchorVerdict::kNeverInSight, behind) << anchor.id;
+    EXPECT_EQ(anchor.verdict == model::AnchorVerdict::kNeverLos, behind) << anchor.id;
   }
 }
 

@@ -206,13 +206,13 @@ TEST(SharedUnknowns, TypicalQualityIsTheMedian) {
 
 // An anchor with one episode of long NLOS: a third of its ranges are in it, another third are long NLOS
 // outside it.
-AnchorSight sight_of(std::size_t rows) {
-  AnchorSight out;
+AnchorLos los_of(std::size_t rows) {
+  AnchorLos out;
   out.behind_wall = true;
   out.episodes = 1;
   out.wall = RobustKernel(KernelShape{.scale_m = 0.15});
   for (std::size_t i = 0; i < rows; ++i) {
-    RowSight& row = out.rows.emplace_back();
+    RangeLos& row = out.rows.emplace_back();
     row = {.in_sight = 0.3F, .wall = 0.6F, .other_density = 0.05F, .episode = i % 3 == 0 ? 0 : kNoEpisode};
     if (i % 3 == 2) row = {};
   }
@@ -226,7 +226,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   constexpr std::size_t kAnchors = 3;
   constexpr std::size_t kRows = 60;
   constexpr Eigen::Index kOwn = 5 + 2 * kSharingTags;  // the two NLOS excesses at the end
-  const AnchorSight sight = sight_of(kRows);
+  const AnchorLos los_states = los_of(kRows);
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kSharingTags};
   const std::vector<double> inflation{1.0, 2.5, 4.0};
@@ -243,7 +243,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
     fit.anchor = anchor_at(8.0 * random.gaussians(3), kSharingTags, {});
     fit.kernels.assign(kSharingTags, RobustKernel(KernelShape{}));
     if (a == 1) {
-      fit.problem.sight = &sight;
+      fit.problem.los_states = &los_states;
       fit.anchor.conservativeResize(kOwn);
       fit.anchor.tail<2>() << 0.3, -0.1;
     }
@@ -285,7 +285,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
       add(value.seen.weight, value.seen.slope);
       if (a != 1) continue;
       own(at + kOwn - 2) = 1.0;
-      own(at + kOwn - 1) = sight.rows[row.index].episode == 0 ? 1.0 : 0.0;
+      own(at + kOwn - 1) = los_states.rows[row.index].episode == 0 ? 1.0 : 0.0;
       add(value.wall_weight, value.wall_slope);
     }
   }
@@ -311,12 +311,12 @@ TEST(JointEquations, LeaveAShiftOfAllPosesFree) {
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = 0};
   constexpr std::size_t kRows = 60;
-  const AnchorSight sight = sight_of(kRows);
+  const AnchorLos los_states = los_of(kRows);
   std::vector<Observation> rows;
   std::vector<AnchorFit> fits(1);
   AnchorFit& fit = fits.front();
   fit.problem.tag_count = kSharingTags;
-  fit.problem.sight = &sight;
+  fit.problem.los_states = &los_states;
   fit.problem.position.information = 1e-9 * Eigen::Matrix3d::Identity();
   fit.kernels.assign(kSharingTags, RobustKernel(KernelShape{}));
   fit.anchor = anchor_at(8.0 * random.gaussians(3), kSharingTags, {});

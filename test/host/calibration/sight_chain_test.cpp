@@ -26,17 +26,17 @@ constexpr std::size_t kStates = 3;
 // Sums over all state sequences.
 struct Enumeration {
   double total = 0.0;
-  std::vector<SightVector> prior;  // of each answered poll, without its own residual
-  std::vector<SightVector> posterior;
-  SightVector answered = SightVector::Zero();
-  SightVector missed = SightVector::Zero();
+  std::vector<LosVector> prior;  // of each answered poll, without its own residual
+  std::vector<LosVector> posterior;
+  LosVector answered = LosVector::Zero();
+  LosVector missed = LosVector::Zero();
 };
 
-Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
-                      const std::vector<SightVector>& likelihoods, const std::vector<double>& hints) {
+Enumeration enumerate(const LosChain& chain, const std::vector<Poll>& polls,
+                      const std::vector<LosVector>& likelihoods, const std::vector<double>& hints) {
   Enumeration out;
-  out.prior.assign(likelihoods.size(), SightVector::Zero());
-  out.posterior.assign(likelihoods.size(), SightVector::Zero());
+  out.prior.assign(likelihoods.size(), LosVector::Zero());
+  out.posterior.assign(likelihoods.size(), LosVector::Zero());
   std::size_t ways = 1;
   for (std::size_t n = 0; n < polls.size(); ++n) ways *= kStates;
   for (std::size_t way = 0; way < ways; ++way) {
@@ -51,7 +51,7 @@ Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
       if (polls[n] == kMissed) probability *= 1.0 - chain.reply(states[n]);
       if (polls[n] == kReplied) probability *= chain.reply(states[n]);
       if (polls[n] < 0) continue;
-      if (!hints.empty() && states[n] != kInSight) probability *= hints[answer];
+      if (!hints.empty() && states[n] != kLos) probability *= hints[answer];
       probability *= chain.reply(states[n]) * likelihoods[answer++](states[n]);
     }
     out.total += probability;
@@ -68,21 +68,21 @@ Enumeration enumerate(const SightChain& chain, const std::vector<Poll>& polls,
   }
   out.answered /= out.total;
   out.missed /= out.total;
-  for (SightVector& prior : out.prior) prior /= prior.sum();
-  for (SightVector& posterior : out.posterior) posterior /= posterior.sum();
+  for (LosVector& prior : out.prior) prior /= prior.sum();
+  for (LosVector& posterior : out.posterior) posterior /= posterior.sum();
   return out;
 }
 
-TEST(SightChain, EqualsTheSumOverAllStateSequences) {
+TEST(LosChain, EqualsTheSumOverAllStateSequences) {
   test::Random random(3);
-  const std::vector<Poll> polls{0, kMissed, 1, kNotTold, kReplied, 2, kMissed, kReplied, 3};
-  SightPosterior found;
+  const std::vector<Poll> polls{0, kMissed, 1, kUnknownPoll, kReplied, 2, kMissed, kReplied, 3};
+  LosPosterior found;
   for (int draw = 0; draw < 20; ++draw) {
-    SightChain chain;
-    chain.transition = sight_transition(random.uniform(0.1, 5.0));
+    LosChain chain;
+    chain.transition = los_transition(random.uniform(0.1, 5.0));
     chain.reply = {random.uniform(0.7, 1.0), random.uniform(0.2, 0.8), random.uniform(0.2, 0.8)};
-    std::vector<SightVector> likelihoods(4);
-    for (SightVector& likelihood : likelihoods) {
+    std::vector<LosVector> likelihoods(4);
+    for (LosVector& likelihood : likelihoods) {
       for (double& density : likelihood) density = random.uniform(0.01, 4.0);
     }
     std::vector<double> hints;
@@ -161,24 +161,24 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   }
 }
 
-TEST(SightChain, LeftOutRangesStillCountAsReplies) {
+TEST(LosChain, LeftOutRangesStillCountAsReplies) {
   PollTable table;
-  table.polls = {{{0, kMissed, 2, 3}, {1, kNotTold, 4}}, {{0, 1}}};
+  table.polls = {{{0, kMissed, 2, 3}, {1, kUnknownPoll, 4}}, {{0, 1}}};
   keep_rows(table, 0, std::vector<std::size_t>{1, 3});
   EXPECT_EQ(table.polls[0][0], (std::vector<Poll>{kReplied, kMissed, kReplied, 1}));
-  EXPECT_EQ(table.polls[0][1], (std::vector<Poll>{0, kNotTold, kReplied}));
+  EXPECT_EQ(table.polls[0][1], (std::vector<Poll>{0, kUnknownPoll, kReplied}));
   EXPECT_EQ(table.polls[1][0], (std::vector<Poll>{0, 1}));
 }
 
-TEST(SightChain, TransitionsCompose) {
-  const Eigen::Matrix3d both = sight_transition(0.5);
-  EXPECT_TRUE((sight_transition(0.2) * sight_transition(0.3)).isApprox(both, 1e-4));
+TEST(LosChain, TransitionsCompose) {
+  const Eigen::Matrix3d both = los_transition(0.5);
+  EXPECT_TRUE((los_transition(0.2) * los_transition(0.3)).isApprox(both, 1e-4));
   EXPECT_TRUE(both.rowwise().sum().isOnes(1e-9));
   EXPECT_GT(both.minCoeff(), 0.0);
-  EXPECT_TRUE(sight_transition(1e-3).isIdentity(1e-3));
+  EXPECT_TRUE(los_transition(1e-3).isIdentity(1e-3));
 }
 
-TEST(SightChain, DistinguishesMissedPollsFromPollsWithoutAnyReply) {
+TEST(LosChain, DistinguishesMissedPollsFromPollsWithoutAnyReply) {
   Association association;
   association.tags.resize(1);
   association.anchors.resize(2);
@@ -200,7 +200,7 @@ TEST(SightChain, DistinguishesMissedPollsFromPollsWithoutAnyReply) {
   ASSERT_EQ(polls.size(), 120U);
   for (std::size_t poll = 0; poll < polls.size(); ++poll) {
     if (poll == 70) {
-      EXPECT_EQ(polls[poll], kNotTold);
+      EXPECT_EQ(polls[poll], kUnknownPoll);
     } else if (poll == 50 || (poll >= 90 && poll <= 92)) {
       EXPECT_EQ(polls[poll], kMissed);
     } else {
@@ -209,7 +209,7 @@ TEST(SightChain, DistinguishesMissedPollsFromPollsWithoutAnyReply) {
   }
 }
 
-TEST(SightChain, IrregularPollsAreNeverMissed) {
+TEST(LosChain, IrregularPollsAreNeverMissed) {
   test::Random random(5);
   Association association;
   association.tags.resize(1);
@@ -230,16 +230,16 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   test::Random random(8);
   constexpr std::size_t kTags = 2;
   std::vector<Observation> rows;
-  AnchorSight sight;
-  sight.behind_wall = true;
-  sight.episodes = 2;
+  AnchorLos los_states;
+  los_states.behind_wall = true;
+  los_states.episodes = 2;
   for (std::uint32_t i = 0; i < 60; ++i) {
     Observation& row = rows.emplace_back();
     row.index = i;
     row.tag = i % kTags;
     row.tag_m = {random.uniform(0.0, 8.0), random.uniform(0.0, 8.0), random.uniform(0.3, 2.0)};
     row.range_m = (row.tag_m - Eigen::Vector3d(10.0, 5.0, 3.0)).norm() + 0.2 + 0.3 * random.gaussian();
-    RowSight& of_row = sight.rows.emplace_back();
+    RangeLos& of_row = los_states.rows.emplace_back();
     const auto seen = static_cast<float>(random.uniform(0.05, 0.9));
     of_row.in_sight = seen;
     of_row.episode = i < 20 ? 0 : (i < 40 ? 1 : kNoEpisode);
@@ -250,7 +250,7 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   problem.rows = rows;
   problem.tag_count = kTags;
   problem.position.information = 0.01 * Eigen::Matrix3d::Identity();
-  problem.sight = &sight;
+  problem.los_states = &los_states;
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.15}));
   AnchorVector anchor(wall_index(kTags) + 3);
   anchor << 9.7, 5.2, 2.5, 0.1, 0.3, 1.01, 0.99, 0.35, 0.1, -0.15;

@@ -251,10 +251,10 @@ struct Learnt {
 };
 double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model::PowerClass of, double t_s,
                     const GateConfig& config) {
-  constexpr double kInSight[] = {0.8, 0.15, 0.05};
+  constexpr double kLos[] = {0.8, 0.15, 0.05};
   constexpr double kBlocked[] = {0.4, 0.3, 0.3};
   const std::size_t hidden = of / model::kStrengthClasses;
-  const double believed = (state == &Learnt::blocked ? kBlocked[hidden] : kInSight[hidden]) /
+  const double believed = (state == &Learnt::blocked ? kBlocked[hidden] : kLos[hidden]) /
                           static_cast<double>(model::kStrengthClasses);
   double of_class = config.hint_prior_count * believed;
   double sum = config.hint_prior_count;

@@ -50,7 +50,7 @@ struct Circle {
   double t_s = 0.0;
 };
 
-constexpr std::array<double, 6> kInSight{};
+constexpr std::array<double, 6> kLos{};
 
 TEST(SlipWatch, FindsADisplacementSeenByAllAnchors) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
@@ -72,19 +72,19 @@ TEST(SlipWatch, FindsADisplacementSeenByAllAnchors) {
 
 TEST(SlipWatch, NoiseIsNoSlip) {
   Circle circle(5);
-  EXPECT_FALSE(circle.hear(3600.0, Eigen::Vector2d::Zero(), kInSight));
+  EXPECT_FALSE(circle.hear(3600.0, Eigen::Vector2d::Zero(), kLos));
 }
 
 TEST(SlipWatch, NlosIsNoSlip) {
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     Circle circle(seed);
-    ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+    ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
     // Up to four adjacent anchors are NLOS at once, as if the robot had moved away from them.
     for (std::size_t blocked = 1; blocked <= 4; ++blocked) {
       std::array<double, 6> excess{};
       std::fill_n(excess.begin(), blocked, 0.8);
       EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), excess, 0.0)) << seed << ' ' << blocked;
-      EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), kInSight)) << seed << ' ' << blocked;
+      EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), kLos)) << seed << ' ' << blocked;
     }
   }
 }
@@ -92,14 +92,14 @@ TEST(SlipWatch, NlosIsNoSlip) {
 // One anchor that was moved nearer, or a single wrong reflection, is no slip.
 TEST(SlipWatch, OneAnchorThatIsTooNearIsNoSlip) {
   Circle circle(7);
-  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
   EXPECT_FALSE(circle.hear(5.0, Eigen::Vector2d::Zero(), {-1.0, 0.0, 0.0, 0.0, 0.0, 0.0}, 0.0));
 }
 
 // Anchors without recent ranges do not count as agreeing.
 TEST(SlipWatch, SilentAnchorsDoNotCount) {
   Circle circle(10);
-  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
   // Only two anchors are left, and both are suddenly too near.
   for (int i = 0; i < 1000; ++i) {
     circle.t_s += 0.01;
@@ -115,20 +115,20 @@ TEST(SlipWatch, SilentAnchorsDoNotCount) {
 // explains.
 TEST(SlipWatch, UnexplainedErrorsAreNoSlip) {
   Circle circle(9);
-  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
   EXPECT_FALSE(circle.hear(2.0, {0.08, 0.0}, {-0.3, 0.3, -0.3, -0.3, 0.3, -0.3}));
 }
 
 TEST(SlipWatch, IgnoresNonFiniteValuesAndForgets) {
   Circle circle(8);
-  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
   const double none = std::numeric_limits<double>::quiet_NaN();
   EXPECT_FALSE(circle.watch.observe(0, 0, circle.t_s, none, 0.01, 1.0, {1.0, 0.0}));
   EXPECT_FALSE(circle.watch.observe(0, 0, circle.t_s, 0.1, none, 1.0, {1.0, 0.0}));
   // Some evidence of a displacement, then a reset.
-  EXPECT_FALSE(circle.hear(0.08, {0.3, 0.0}, kInSight));
+  EXPECT_FALSE(circle.hear(0.08, {0.3, 0.0}, kLos));
   circle.watch = SlipWatch(Config{}.slip_odds);
-  EXPECT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kInSight));
+  EXPECT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
 }
 
 TEST(SlipDoubt, LastsLongerIfSlipsRepeat) {
