@@ -10,7 +10,7 @@
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/robust_kernel.hpp"
-#include "host/calibration/sight_solver.hpp"
+#include "host/calibration/los_solver.hpp"
 #include "host/calibration/site_solver.hpp"
 
 namespace groma::calibration {

@@ -8,8 +8,8 @@
 #include "host/calibration/association.hpp"
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/moved.hpp"
-#include "host/calibration/sight_chain.hpp"
-#include "host/calibration/sight_solver.hpp"
+#include "host/calibration/los_chain.hpp"
+#include "host/calibration/los_solver.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/verdict.hpp"
 

@@ -11,7 +11,7 @@
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
 #include "host/calibration/robust_kernel.hpp"
-#include "host/calibration/sight_chain.hpp"
+#include "host/calibration/los_chain.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {

@@ -8,7 +8,7 @@
 
 #include <Eigen/Core>
 
-#include "host/calibration/sight_chain.hpp"
+#include "host/calibration/los_chain.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/model/calibration.hpp"
 

@@ -17,7 +17,7 @@
 #include "host/model/pose.hpp"
 #include "host/model/range_model.hpp"
 #include "host/smoother/chain_problem.hpp"
-#include "host/smoother/sight.hpp"
+#include "host/smoother/los.hpp"
 
 namespace groma::smoother {
 namespace {

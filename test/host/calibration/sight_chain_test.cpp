@@ -1,6 +1,6 @@
 // The LOS/NLOS Markov chain against sums over all state sequences, and the solver's cost with NLOS states
 // against numerical derivatives.
-#include "host/calibration/sight_chain.hpp"
+#include "host/calibration/los_chain.hpp"
 
 #include <gtest/gtest.h>
 
@@ -14,7 +14,7 @@
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/moved.hpp"
-#include "host/calibration/sight_solver.hpp"
+#include "host/calibration/los_solver.hpp"
 #include "test/host/calibration/blocked_site.hpp"
 #include "test/support/numerical_jacobian.hpp"
 

@@ -1,4 +1,4 @@
-#include "host/calibration/sight_chain.hpp"
+#include "host/calibration/los_chain.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "host/calibration/sight_solver.hpp"
+#include "host/calibration/los_solver.hpp"
 
 #include <algorithm>
 #include <array>

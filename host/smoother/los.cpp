@@ -1,4 +1,4 @@
-#include "host/smoother/sight.hpp"
+#include "host/smoother/los.hpp"
 
 #include <cmath>
 #include <cstddef>

@@ -7,7 +7,7 @@
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
-#include "host/calibration/sight_chain.hpp"
+#include "host/calibration/los_chain.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/model/types.hpp"
 
