@@ -84,13 +84,13 @@ void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fi
   double too_short = 0.0;
   if (!fitted.empty()) out.nearest_m = std::numeric_limits<double>::infinity();
   for (const FittedRange& row : fitted) {
-    out.in_sight_share += row.in_sight;
+    out.los_share += row.los;
     out.nearest_m = std::min(out.nearest_m, row.distance_m);
     if (row.residual_m > kFar_m) far += 1.0;
     if (row.residual_m < -kShort_m) too_short += 1.0;
   }
   const double n = std::max(1.0, static_cast<double>(fitted.size()));
-  out.in_sight_share /= n;
+  out.los_share /= n;
   if (!site.has_los_states()) return;
   out.los_states = LosEvidence{.polls = site.los_states.poll_shares[i],
                             .counts_missed = site.polls.regular,
@@ -138,8 +138,8 @@ std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const mod
                    .antenna_m = row.tag_m.head<2>(),
                    .distance_m = at.predicted.distance_m,
                    .residual_m = at.residual_m,
-                   .in_sight = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).in_sight() *
-                               at.value.seen_share});
+                   .los = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).los() *
+                               at.value.los_count});
   }
   return out;
 }

@@ -23,7 +23,7 @@ inline constexpr std::int32_t kNoEpisode = -1;
 
 // Prior probability of one range's state (LOS, short NLOS, long NLOS), from all data except its own residual.
 struct RangeLos {
-  float in_sight = 1.0F;
+  float los = 1.0F;
   float wall = 0.0F;
   // Density of the range in the other states times their probability, 1/m. Short NLOS says nothing about the
   // anchor's position: constant in the residual.
@@ -149,7 +149,7 @@ struct AnchorFit {
 // part; wall_slope and wall_weight are of its long NLOS part.
 struct RowValue {
   KernelValue seen;
-  double seen_share = 1.0;   // posterior
+  double los_count = 1.0;   // posterior
   double wall_slope = 0.0;   // 1/m
   double wall_weight = 0.0;  // 1/m^2
 };
@@ -160,7 +160,7 @@ struct RowValue {
   RowValue out{.seen = seen};
   if (problem.los_states == nullptr) return out;
   const RangeLos& los_states = problem.los_states->rows[row];
-  const double in_sight = static_cast<double>(los_states.in_sight) * seen.density;
+  const double los = static_cast<double>(los_states.los) * seen.density;
   KernelValue through;
   double walled = 0.0;
   if (los_states.wall > 0.0F) {
@@ -168,10 +168,10 @@ struct RowValue {
                         residual_m - wall_excess_m(los_states, anchor, problem.tag_count));
     walled = static_cast<double>(los_states.wall) * through.density;
   }
-  out.seen.density = in_sight + walled + static_cast<double>(los_states.other_density);
-  out.seen_share = in_sight / out.seen.density;
-  out.seen.slope *= out.seen_share;
-  out.seen.weight *= out.seen_share;
+  out.seen.density = los + walled + static_cast<double>(los_states.other_density);
+  out.los_count = los / out.seen.density;
+  out.seen.slope *= out.los_count;
+  out.seen.weight *= out.los_count;
   out.wall_slope = walled / out.seen.density * through.slope;
   out.wall_weight = walled / out.seen.density * through.weight;
   return out;

@@ -103,7 +103,7 @@ Adds reach(const Anchor& anchor) {
 
 Adds nlos_taken_for_los(const Anchor& anchor) {
   if (!anchor.known.los_states || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return {};
-  const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - anchor.known.in_sight_share));
+  const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - anchor.known.los_share));
   Adds out = anchor.nothing();
   out.diagonal().head<3>().setConstant(square(sigma_m));
   out.diagonal().segment(3, anchor.tags).setConstant(square(kMisjudgedBeta * sigma_m));

@@ -189,15 +189,15 @@ void infer_states(const LosChain& chain, std::span<const Poll> polls,
   }
 }
 
-void PowerCounts::add(model::PowerClass of, double in_sight_share) noexcept {
+void PowerCounts::add(model::PowerClass of, double los_share) noexcept {
   if (of >= model::kNoPowerClass) return;
-  in_sight[of] += in_sight_share;
-  blocked[of] += 1.0 - in_sight_share;
+  los[of] += los_share;
+  blocked[of] += 1.0 - los_share;
 }
 
 void PowerCounts::add(const PowerCounts& other, double times) noexcept {
   for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
-    in_sight[i] += times * other.in_sight[i];
+    los[i] += times * other.los[i];
     blocked[i] += times * other.blocked[i];
   }
 }
@@ -225,9 +225,9 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
   for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
     const std::size_t hidden = i / model::kStrengthClasses;
     const std::size_t strength = i % model::kStrengthClasses;
-    const double in_sight =
+    const double los =
         strength < kKnown ? (1.0 - kAnywhere) * near_usual[strength] / near_all : kAnywhere;
-    believed_.in_sight[i] = kBelievedCount * model::kPriorLos[hidden] * in_sight;
+    believed_.los[i] = kBelievedCount * model::kPriorLos[hidden] * los;
     believed_.blocked[i] = kBelievedCount * model::kPriorNlos[hidden] * kAnywhere;
   }
   estimate({});
@@ -236,10 +236,10 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
 void PowerHints::estimate(const PowerCounts& counts) noexcept {
   PowerCounts all = believed_;
   all.add(counts, share_);
-  const double in_sight = sum(all.in_sight);
+  const double los = sum(all.los);
   const double blocked = sum(all.blocked);
   for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
-    const double ratio = all.blocked[i] / blocked * (in_sight / all.in_sight[i]);
+    const double ratio = all.blocked[i] / blocked * (los / all.los[i]);
     ratios_[i] = std::clamp(ratio, 1.0 / kMost, kMost);
   }
   ratios_.back() = 1.0;

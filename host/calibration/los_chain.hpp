@@ -61,10 +61,10 @@ void infer_states(const LosChain& chain, std::span<const Poll> polls,
 
 // Expected numbers of LOS and of NLOS ranges in each power class.
 struct PowerCounts {
-  std::array<double, model::kPowerClasses> in_sight{};
+  std::array<double, model::kPowerClasses> los{};
   std::array<double, model::kPowerClasses> blocked{};
 
-  void add(model::PowerClass of, double in_sight_share) noexcept;
+  void add(model::PowerClass of, double los_share) noexcept;
   // Adds `times` times the other's.
   void add(const PowerCounts& other, double times) noexcept;
 };

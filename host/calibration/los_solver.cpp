@@ -222,8 +222,8 @@ void LosSolver::label_first() {
     for (std::size_t i = 0; i < rows.size(); ++i) {
       if (seen[i]) continue;
       pass.los_states.rows[rows[i].index] = pass.los_states.behind_wall
-                                           ? RangeLos{.in_sight = 0.0F, .wall = 1.0F}
-                                           : RangeLos{.in_sight = 0.0F, .other_density = 1.0F};
+                                           ? RangeLos{.los = 0.0F, .wall = 1.0F}
+                                           : RangeLos{.los = 0.0F, .other_density = 1.0F};
     }
     apply(a, std::move(pass));
   }
@@ -277,7 +277,7 @@ AnchorPass LosSolver::infer(std::size_t a) const {
     out.missed += posterior.missed;
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
       RangeLos& row = out.los_states.rows[pair.rows[i]->index];
-      row.in_sight = static_cast<float>(posterior.prior[i](kLos));
+      row.los = static_cast<float>(posterior.prior[i](kLos));
       row.wall = static_cast<float>(posterior.prior[i](kLongNlos));
       row.other_density = static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
     }

@@ -211,7 +211,7 @@ std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   std::vector<Observation> rejected;
   const std::size_t tags = fit.problem.tag_count;
   for (const Observation& row : fit.problem.rows) {
-    if (fit.kernels[row.tag].shares(residual_m(row, fit.anchor, tags)).in_sight() < 0.5)
+    if (fit.kernels[row.tag].shares(residual_m(row, fit.anchor, tags)).los() < 0.5)
       rejected.push_back(row);
   }
   const auto least = std::max(static_cast<double>(kLeastStretchRows),

@@ -97,9 +97,9 @@ KernelStatistics RobustKernel::statistics(std::span<const WeighedResidual> resid
     const double share = weight / (gross_density_ + static_cast<double>(densities.sum()));
     out.kinds += share * densities.cast<double>();
     out.gross += share * gross_density_;
-    const double in_sight =
+    const double los =
         static_cast<double>(densities(0)) + static_cast<double>(densities(1)) / kWideVariance;
-    out.square_m2 += share * in_sight * residual_m * residual_m;
+    out.square_m2 += share * los * residual_m * residual_m;
   }
   return out;
 }
@@ -126,8 +126,8 @@ KernelShape likeliest_shape(const KernelStatistics& statistics, const KernelPrio
   }
   shape.gross = share(statistics.gross, prior.shape.gross);
   // Bumps carry no information on the scale: the NLOS excess determines where they are.
-  const double in_sight = statistics.kinds(0) + statistics.kinds(1);
-  const double free = in_sight - std::min(statistics.parameters, 0.5 * in_sight) + prior.scale_weight;
+  const double los = statistics.kinds(0) + statistics.kinds(1);
+  const double free = los - std::min(statistics.parameters, 0.5 * los) + prior.scale_weight;
   const double prior_square_m2 = prior.scale_weight * prior.shape.scale_m * prior.shape.scale_m;
   shape.scale_m = std::max(kMinScale_m, std::sqrt((statistics.square_m2 + prior_square_m2) / free));
   return shape;

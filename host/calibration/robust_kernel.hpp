@@ -93,7 +93,7 @@ struct KernelShares {
   KindVector kinds = KindVector::Zero();
   double gross = 1.0;
 
-  [[nodiscard]] double in_sight() const noexcept { return kinds(0) + kinds(1); }
+  [[nodiscard]] double los() const noexcept { return kinds(0) + kinds(1); }
 };
 
 // The same for kLanes residuals side by side.

@@ -202,7 +202,7 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
     // The larger the pose's part of a residual, the less it shows of the kernel's variance.
     const double share = noise_share(fit.kernels[row.tag], pose_variance_m2(row, fit.anchor, tags));
     double weight = share * share * share * share;
-    if (fit.problem.los_states != nullptr) weight *= row_at(fit, row).value.seen_share;
+    if (fit.problem.los_states != nullptr) weight *= row_at(fit, row).value.los_count;
     out[row.tag].push_back({.residual_m = share * r, .weight = weight});
   }
   return out;

@@ -127,7 +127,7 @@ std::vector<Residual> los_residuals(const AnchorFit& fit, std::size_t tag) {
   for (const Observation& row : fit.problem.rows) {
     if (row.tag != tag) continue;
     const RowAt at = row_at(fit, row);
-    if (at.value.seen_share >= 0.5) out.push_back({row.t_s, at.residual_m});
+    if (at.value.los_count >= 0.5) out.push_back({row.t_s, at.residual_m});
   }
   if (out.size() < kFewRows) return {};
   std::vector<double> values;
@@ -205,10 +205,10 @@ Evidence gather_evidence(const AnchorFit& fit) {
     add_square(at.j, value.weight, pair.weighted);
     pair.weight += value.weight;
     // Curvature of the mixture: the variance of the slope between LOS and NLOS counts too.
-    pair.curvature += whole.seen_share * at.noise_share * at.noise_share *
+    pair.curvature += whole.los_count * at.noise_share * at.noise_share *
                       fit.kernels[row.tag].curvature(at.noise_share * at.residual_m);
-    if (whole.seen_share > 0.0) {
-      pair.curvature -= (1.0 / whole.seen_share - 1.0) * value.slope * value.slope;
+    if (whole.los_count > 0.0) {
+      pair.curvature -= (1.0 / whole.los_count - 1.0) * value.slope * value.slope;
     }
     pair.square_slope += value.slope * value.slope;
 

@@ -178,7 +178,7 @@ bool is_never_los(const AnchorEvidence& evidence) noexcept {
   if (evidence.los_states && evidence.los_states->counts_missed) {
     return evidence.los_states->polls(kLos) < kNeverLos;
   }
-  if (evidence.in_sight_share < kMinLosShare) return true;
+  if (evidence.los_share < kMinLosShare) return true;
   return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
 }
 

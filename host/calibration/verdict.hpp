@@ -43,7 +43,7 @@ struct AnchorEvidence {
   double nearest_m = 0.0;                 // closest antenna
   std::optional<Rival> mirror;            // across the plane of the tags
   std::optional<Rival> side;              // across the line of the drive
-  double in_sight_share = 0.0;            // LOS share of its ranges
+  double los_share = 0.0;            // LOS share of its ranges
   std::optional<double> held_out_z;       // rms of held-out residuals over its prediction
   double scale_ratio = 1.0;               // its noise over the site's median
   double count_ratio = 1.0;               // its ranges over the site's median

@@ -48,10 +48,10 @@ int run(const SmoothOptions& options) {
   io::write_file(options.input.output(), io::format_estimate(result.rows));
   FilterInput::warn_of_samples(result.counters, warnings);
   // The sum of the LOS probabilities is below one.
-  if (result.ranges_in_sight < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
+  if (result.ranges_los < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
   if (options.input.json()) {
     say_json(Json{{"ranges_seen", result.ranges_seen},
-                  {"ranges_in_sight", result.ranges_in_sight},
+                  {"ranges_in_sight", result.ranges_los},
                   {"rounds", result.rounds},
                   {"converged", result.converged},
                   {"scale_error", result.scale_error},
@@ -66,7 +66,7 @@ int run(const SmoothOptions& options) {
     say(fmt::format(
         "{} ranges, {:.0f} % of them LOS; odometry scale error {:.4f}, yaw-rate bias {:.5f} rad/s\n",
         result.ranges_seen,
-        result.ranges_seen > 0 ? 100.0 * result.ranges_in_sight / static_cast<double>(result.ranges_seen)
+        result.ranges_seen > 0 ? 100.0 * result.ranges_los / static_cast<double>(result.ranges_seen)
                                : 0.0,
         result.scale_error, result.yaw_rate_bias_radps));
   }

@@ -56,8 +56,8 @@ double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   return std::exp(0.5 * ratio * ratio - error_m / mean_m) * below / mean_m;
 }
 
-double weight_of(double in_sight) noexcept {
-  return in_sight >= kNoWeight ? in_sight : 0.0;
+double weight_of(double los) noexcept {
+  return los >= kNoWeight ? los : 0.0;
 }
 
 }  // namespace
@@ -80,7 +80,7 @@ RangeDensities range_densities(double error_m, double sigma_m, const GateConfig&
   const double near = (1.0 - short_share) * excess_density(error_m, sigma_m, config.excess_m) +
                       short_share * excess_density(-error_m, sigma_m, config.excess_m);
   const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, kRegained_m) : 0.0;
-  return {.in_sight = gaussian_density(error_m, sigma_m),
+  return {.los = gaussian_density(error_m, sigma_m),
           .blocked = (1.0 - far_share) * near + far,
           .far = far,
           .garbage = garbage_share / config.garbage_width_m,
@@ -97,27 +97,27 @@ double PowerHint::share(const Counts& counts, const std::array<double, model::kH
 double PowerHint::likelihood_ratio(model::PowerClass of) const noexcept {
   if (of >= model::kNoPowerClass) return 1.0;
   const double ratio =
-      share(blocked_, model::kPriorNlos, of) / share(in_sight_, model::kPriorLos, of);
+      share(blocked_, model::kPriorNlos, of) / share(los_, model::kPriorLos, of);
   const double most = std::max(config_.hint_most, 1.0);
   return std::clamp(ratio, 1.0 / most, most);
 }
 
 double PowerHint::blocked_share() const noexcept {
   const double prior = config_.hint_prior_count * unit_;
-  return (blocked_.all + prior * config_.blocked_share) / (blocked_.all + in_sight_.all + prior);
+  return (blocked_.all + prior * config_.blocked_share) / (blocked_.all + los_.all + prior);
 }
 
-void PowerHint::observe(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept {
+void PowerHint::observe(model::PowerClass of, double t_s, double blocked, double los) noexcept {
   if (of >= model::kNoPowerClass) return;
   const double passed_s = std::clamp(t_s - t_s_, 0.0, config_.hint_memory_s);
   unit_ *= std::exp(passed_s / config_.hint_memory_s);
   t_s_ = t_s;
   blocked_.of[of] += blocked * unit_;
   blocked_.all += blocked * unit_;
-  in_sight_.of[of] += in_sight * unit_;
-  in_sight_.all += in_sight * unit_;
+  los_.of[of] += los * unit_;
+  los_.all += los * unit_;
   if (unit_ < kMaxUnit) return;
-  for (Counts* counts : {&blocked_, &in_sight_}) {
+  for (Counts* counts : {&blocked_, &los_}) {
     for (double& count : counts->of) count /= unit_;
     counts->all /= unit_;
   }
@@ -166,12 +166,12 @@ double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept
 }
 
 Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const noexcept {
-  const double in_sight = (1.0 - prior) * (1.0 - density.garbage_share) * density.in_sight;
+  const double los = (1.0 - prior) * (1.0 - density.garbage_share) * density.los;
   const double blocked = prior * (1.0 - density.garbage_share) * density.blocked;
-  const double total = in_sight + blocked + density.garbage;
+  const double total = los + blocked + density.garbage;
   // No hypothesis explains the range: the pair's probability stays.
   if (!(total > 0.0)) return {.pair_blocked = prior};
-  return {.in_sight = in_sight / total,
+  return {.los = los / total,
           .blocked = blocked / total,
           .far = prior * (1.0 - density.garbage_share) * density.far / total,
           .pair_blocked = std::min((blocked + density.garbage * prior) / total, config_.blocked_most)};
@@ -191,10 +191,10 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
 
   // The power hint must not feed back into itself or into the divergence test: these use innovations only.
   const Posterior unhinted = judge(density, prior);
-  const double weight = weight_of(unhinted.in_sight);
+  const double weight = weight_of(unhinted.los);
   chain.regained_m2 = 0.0;
   if (reception.missed > 0.0) {
-    const double garbage = 1.0 - unhinted.in_sight - unhinted.blocked;
+    const double garbage = 1.0 - unhinted.los - unhinted.blocked;
     chain.regained_m2 = reception.alike * (unhinted.far * excess_square(innovation_m, sigma, kRegained_m) +
                                            garbage * square(innovation_m));
   }
@@ -207,7 +207,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const double ratio = hint_.likelihood_ratio(hint);
   if (!doubts_) {
     const double share = std::min(gap_s / config_.hint_s, 1.0);
-    hint_.observe(hint, t_s, share * unhinted.blocked, share * unhinted.in_sight);
+    hint_.observe(hint, t_s, share * unhinted.blocked, share * unhinted.los);
   }
   const auto with_hint = [ratio](double share) { return share * ratio / (share * ratio + 1.0 - share); };
   // Innovations of a pair are correlated, so `prior` is overconfident: bound it by the share on site.
@@ -216,7 +216,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   chain.blocked = hinted.pair_blocked;
   // Small innovations of a mostly NLOS class are correlated, too: the state may have followed them.
   const double trust = 1.0 - with_hint(hint_.blocked_share());
-  return weight_of(hinted.in_sight * trust * trust);
+  return weight_of(hinted.los * trust * trust);
 }
 
 void Gate::Tally::add(double at_s, double window_s, double innovation_m, double weight) noexcept {

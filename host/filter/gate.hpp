@@ -20,10 +20,10 @@ namespace groma::filter {
 // square of the excess given the error, m^2.
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
-// Probability densities of a range error, 1/m. in_sight and blocked: LOS and NLOS, given that the range is no
+// Probability densities of a range error, 1/m. los and blocked: LOS and NLOS, given that the range is no
 // garbage. NLOS ranges are too long, or with probability short_share too short.
 struct RangeDensities {
-  double in_sight = 0.0;
+  double los = 0.0;
   double blocked = 0.0;
   double far = 0.0;      // part of blocked: larger excess of a pair that misses polls
   double garbage = 0.0;  // already times garbage_share
@@ -46,7 +46,7 @@ class PowerHint {
   // Share of NLOS among all ranges counted.
   [[nodiscard]] double blocked_share() const noexcept;
   // Counts a range of that class at t_s, as NLOS and as LOS with those probabilities.
-  void observe(model::PowerClass of, double t_s, double blocked, double in_sight) noexcept;
+  void observe(model::PowerClass of, double t_s, double blocked, double los) noexcept;
 
  private:
   struct Counts {
@@ -60,7 +60,7 @@ class PowerHint {
   GateConfig config_;
   // Counts decay exponentially: instead of scaling all counts down, the unit of one more count grows.
   Counts blocked_;
-  Counts in_sight_;
+  Counts los_;
   double unit_ = 1.0;
   double t_s_ = 0.0;
 };
@@ -125,7 +125,7 @@ class Gate {
 
   // Posterior of one range.
   struct Posterior {
-    double in_sight = 0.0;
+    double los = 0.0;
     double blocked = 0.0;       // the rest to 1 is garbage
     double far = 0.0;           // part of blocked with the larger excess
     double pair_blocked = 0.0;  // NLOS probability of the pair after this range

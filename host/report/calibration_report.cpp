@@ -127,7 +127,7 @@ Chart los_map(const model::AnchorCalibration& anchor, std::span<const calibratio
   std::vector<Vector2d> los;
   std::vector<Vector2d> nlos;
   for (const calibration::FittedRange& row : rows)
-    (row.in_sight < 0.5 ? nlos : los).push_back(row.antenna_m);
+    (row.los < 0.5 ? nlos : los).push_back(row.antenna_m);
   map.add_points("LOS", Ink::kGood, std::move(los));
   map.add_points("NLOS or outlier", Ink::kBad, std::move(nlos));
   if (is_known(anchor)) {
@@ -163,8 +163,8 @@ void add_pairs(Page& page, const model::AnchorCalibration& anchor,
     for (const calibration::FittedRange& row : rows) {
       if (row.tag_id != pair.tag_id) continue;
       ++count;
-      los += row.in_sight;
-      square_m2 += row.in_sight * row.residual_m * row.residual_m;
+      los += row.los;
+      square_m2 += row.los * row.residual_m * row.residual_m;
     }
     const double all = static_cast<double>(count);
     cells.push_back({{fmt::format("{}", pair.tag_id)},
@@ -181,7 +181,7 @@ void add_pairs(Page& page, const model::AnchorCalibration& anchor,
 
 double los_share(std::span<const calibration::FittedRange> rows) {
   double sum = 0.0;
-  for (const calibration::FittedRange& row : rows) sum += row.in_sight;
+  for (const calibration::FittedRange& row : rows) sum += row.los;
   return rows.empty() ? kNone : sum / static_cast<double>(rows.size());
 }
 
@@ -234,7 +234,7 @@ std::map<long, std::set<model::NodeId>> los_anchors(const calibration::Result& r
   std::map<long, std::set<model::NodeId>> out;
   for (std::size_t i = 0; i < result.fitted.size(); ++i) {
     for (const calibration::FittedRange& row : result.fitted[i]) {
-      if (row.in_sight >= 0.5) out[std::lround(std::floor(row.t_s))].insert(result.calibration.anchors[i].id);
+      if (row.los >= 0.5) out[std::lround(std::floor(row.t_s))].insert(result.calibration.anchors[i].id);
     }
   }
   return out;

@@ -29,7 +29,7 @@ std::vector<double> los_probabilities(std::span<const Residual> pair, const filt
   for (std::size_t i = 0; i < pair.size(); ++i) {
     if (i > 0) now = transition(i).transpose() * now.eval();
     const filter::RangeDensities density = filter::range_densities(pair[i].error_m, pair[i].sigma_m, config);
-    const double seen = (1.0 - config.garbage_share) * density.in_sight;
+    const double seen = (1.0 - config.garbage_share) * density.los;
     const double blocked = (1.0 - config.garbage_share) * density.blocked;
     likelihoods.emplace_back(seen + density.garbage, blocked + density.garbage);
     true_shares.push_back(seen / (seen + density.garbage));

@@ -253,7 +253,7 @@ class Smoother {
     result.odometry_delay_s = shared_.delays.odometry_s(values(Shared::kDelay));
     result.range_delay_s = values(Shared::kDelay) + result.odometry_delay_s;
     result.ranges_seen = sightings_.size();
-    for (const Sighting& sighting : sightings_) result.ranges_in_sight += sighting.weight;
+    for (const Sighting& sighting : sightings_) result.ranges_los += sighting.weight;
     covariances = problem.covariances({Shared::kScale, Shared::kYawBias, Shared::kDelay});
     for (std::size_t k = 0; k < rows_.size(); ++k) {
       if (rows_[k].t_s >= start_.t_s) result.rows.push_back(present(k, values, covariances[k]));

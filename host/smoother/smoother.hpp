@@ -26,7 +26,7 @@ struct Result {
   double range_delay_s = 0.0;
   double odometry_delay_s = 0.0;
   std::size_t ranges_seen = 0;
-  double ranges_in_sight = 0.0;  // sum of their LOS probabilities
+  double ranges_los = 0.0;  // sum of their LOS probabilities
   filter::Counters counters;     // of the filter run that initializes it
   int rounds = 0;
   bool converged = false;  // the last round moved no pose by more than a millimetre

@@ -28,7 +28,7 @@ enum class Powers {
 
 struct Blocking {
   std::vector<PlanWall> walls;  // as high as the hall
-  double reply_in_sight = 0.95;
+  double reply_los = 0.95;
   double wall_reply = 0.45;
   double wall_excess_m = 0.3;        // least excess behind a wall
   double wall_excess_mean_m = 0.15;  // mean of the exponential excess beyond it
@@ -127,7 +127,7 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
       anchor_m += stay.by_m;
       range.range_m += site.gamma[a][j] * ((antenna_m - anchor_m).norm() - before_m);
     }
-    double reply = blocking.reply_in_sight;
+    double reply = blocking.reply_los;
     bool walled = false;
     double blocked_share = 0.0;
     for (const PlanWall& wall : blocking.walls) {

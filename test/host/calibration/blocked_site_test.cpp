@@ -89,7 +89,7 @@ Outcome calibrate_sites(test::Blocking blocking, test::Powers powers) {
 TEST(NlosSite, PowersRevealNlosWithoutLostRepliesOverMany) {
   test::Blocking racks = hall();
   racks.walls.push_back({{3.0, 6.0}, {18.0, 6.0}});
-  racks.wall_reply = racks.short_nlos_reply = racks.reply_in_sight;
+  racks.wall_reply = racks.short_nlos_reply = racks.reply_los;
   const Outcome without = calibrate_sites(racks, test::Powers::kNone);
   const Outcome with = calibrate_sites(racks, test::Powers::kTrue);
   const Outcome opposite = calibrate_sites(racks, test::Powers::kOpposite);
@@ -167,7 +167,7 @@ TEST(NlosSite, MarksBothMovedAnchorsAndNoOther) {
     test::Blocking blocking = walls ? hall() : test::Blocking{};
     if (!walls) {
       // No NLOS at all: moves are found without the Markov chain.
-      blocking.reply_in_sight = 1.0;
+      blocking.reply_los = 1.0;
       blocking.shadows_per_s = 0.0;
     }
     const test::SimulatedSite site =
@@ -186,7 +186,7 @@ TEST(NlosSite, MarksBothMovedAnchorsAndNoOther) {
 TEST(NlosSite, OutliersAndCollisionsAreNotNlos) {
   // Neither isolated outliers nor replies lost to collisions are NLOS.
   test::Blocking blocking;
-  blocking.reply_in_sight = 0.98;
+  blocking.reply_los = 0.98;
   blocking.shadows_per_s = 0.0;
   blocking.gross_share = 0.25;
   const test::SimulatedSite site =

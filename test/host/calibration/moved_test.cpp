@@ -28,7 +28,7 @@ constexpr double kEllipsoid9999 = 21.1;
 // No NLOS and no lost replies.
 test::Blocking nothing_blocked() {
   test::Blocking blocking;
-  blocking.reply_in_sight = 1.0;
+  blocking.reply_los = 1.0;
   blocking.shadows_per_s = 0.0;
   return blocking;
 }

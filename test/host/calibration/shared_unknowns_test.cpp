@@ -213,7 +213,7 @@ AnchorLos los_of(std::size_t rows) {
   out.wall = RobustKernel(KernelShape{.scale_m = 0.15});
   for (std::size_t i = 0; i < rows; ++i) {
     RangeLos& row = out.rows.emplace_back();
-    row = {.in_sight = 0.3F, .wall = 0.6F, .other_density = 0.05F, .episode = i % 3 == 0 ? 0 : kNoEpisode};
+    row = {.los = 0.3F, .wall = 0.6F, .other_density = 0.05F, .episode = i % 3 == 0 ? 0 : kNoEpisode};
     if (i % 3 == 2) row = {};
   }
   return out;

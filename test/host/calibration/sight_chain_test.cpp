@@ -106,7 +106,7 @@ TEST(LosChain, EqualsTheSumOverAllStateSequences) {
 TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   struct Told {
     model::PowerClass of;
-    double in_sight;
+    double los;
   };
   test::Random random(8);
   std::array<double, model::kPowerClasses> ranges{};
@@ -135,11 +135,11 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
       double all_seen = 30.0;
       double all_blocked = 30.0;
       for (const Told& told : all) {
-        all_seen += 0.25 * told.in_sight;
-        all_blocked += 0.25 * (1.0 - told.in_sight);
+        all_seen += 0.25 * told.los;
+        all_blocked += 0.25 * (1.0 - told.los);
         if (told.of != i) continue;
-        seen += 0.25 * told.in_sight;
-        blocked += 0.25 * (1.0 - told.in_sight);
+        seen += 0.25 * told.los;
+        blocked += 0.25 * (1.0 - told.los);
       }
       const double ratio = std::clamp(blocked / all_blocked / (seen / all_seen), 0.1, 10.0);
       EXPECT_NEAR(hints.ratio(static_cast<model::PowerClass>(i)), ratio, 1e-9 * ratio) << i;
@@ -152,8 +152,8 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
     PowerCounts counts;
     for (int i = 0; i < 500; ++i) {
       all.push_back(
-          {.of = static_cast<model::PowerClass>(random.uniform(0.0, 52.0)), .in_sight = random.uniform()});
-      counts.add(all.back().of, all.back().in_sight);
+          {.of = static_cast<model::PowerClass>(random.uniform(0.0, 52.0)), .los = random.uniform()});
+      counts.add(all.back().of, all.back().los);
       if (all.back().of == model::kNoPowerClass) all.pop_back();
     }
     hints.estimate(counts);
@@ -241,7 +241,7 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
     row.range_m = (row.tag_m - Eigen::Vector3d(10.0, 5.0, 3.0)).norm() + 0.2 + 0.3 * random.gaussian();
     RangeLos& of_row = los_states.rows.emplace_back();
     const auto seen = static_cast<float>(random.uniform(0.05, 0.9));
-    of_row.in_sight = seen;
+    of_row.los = seen;
     of_row.episode = i < 20 ? 0 : (i < 40 ? 1 : kNoEpisode);
     of_row.wall = of_row.episode == kNoEpisode ? 0.0F : 0.7F * (1.0F - seen);
     of_row.other_density = 0.2F * (1.0F - seen);

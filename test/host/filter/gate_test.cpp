@@ -247,7 +247,7 @@ struct Learnt {
   model::PowerClass of = 0;
   double t_s = 0.0;
   double blocked = 0.0;
-  double in_sight = 0.0;
+  double los = 0.0;
 };
 double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model::PowerClass of, double t_s,
                     const GateConfig& config) {
@@ -282,11 +282,11 @@ TEST(PowerHint, IsTheDecayingCountOfObservations) {
     const double blocked = random.uniform();
     all.push_back({static_cast<model::PowerClass>(random.next() % model::kNoPowerClass), t_s, blocked,
                    (1.0 - blocked) * random.uniform()});
-    hint.observe(all.back().of, t_s, all.back().blocked, all.back().in_sight);
+    hint.observe(all.back().of, t_s, all.back().blocked, all.back().los);
     if (i % 500 != 499) continue;
     for (model::PowerClass of = 0; of < model::kNoPowerClass; ++of) {
       const double expected = share_of_all(all, &Learnt::blocked, of, t_s, config) /
-                              share_of_all(all, &Learnt::in_sight, of, t_s, config);
+                              share_of_all(all, &Learnt::los, of, t_s, config);
       EXPECT_NEAR(hint.likelihood_ratio(of), expected, 1e-9 * expected) << of;
     }
   }
@@ -326,26 +326,26 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
                                  : behind_wall == seen ? class_of(-70.0, 11.0)
                                                        : class_of(-58.0, 1.0);
     const auto densities = [&](double share) {
-      const double in_sight = (1.0 - share) * (1.0 - config.garbage_share) *
+      const double los = (1.0 - share) * (1.0 - config.garbage_share) *
                               std::exp(-0.5 * e_m * e_m / kVariance_m2) /
                               (kSigma_m * std::sqrt(2.0 * std::numbers::pi));
       const double blocked = share * (1.0 - config.garbage_share) *
                              ((1.0 - config.short_share) * with_excess(e_m, kSigma_m, config.excess_m) +
                               config.short_share * with_excess(-e_m, kSigma_m, config.excess_m));
-      return std::pair{in_sight, blocked};
+      return std::pair{los, blocked};
     };
     const double garbage = config.garbage_share / config.garbage_width_m;
     const double prior =
         config.blocked_share + (chain - config.blocked_share) * std::exp(-kStep_s / config.sticky_s);
-    const auto [in_sight, blocked] = densities(prior);
-    const double total = in_sight + blocked + garbage;
+    const auto [los, blocked] = densities(prior);
+    const double total = los + blocked + garbage;
     chain = std::min((blocked + garbage * prior) / total, config.blocked_most);
     const double weight = gate.weigh(2, 1, t_s, e_m, kVariance_m2, of);
-    double expected = in_sight / total;
+    double expected = los / total;
     if (of != model::kNoPowerClass) {
       const double ratio = twin.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
-      if (!gate.doubts(t_s)) twin.observe(of, t_s, count * blocked / total, count * in_sight / total);
+      if (!gate.doubts(t_s)) twin.observe(of, t_s, count * blocked / total, count * los / total);
       const double all = twin.blocked_share();
       const double known = std::min(std::max(prior, all), config.blocked_most);
       const auto [now_in_sight, now_blocked] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));

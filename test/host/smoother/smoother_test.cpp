@@ -51,7 +51,7 @@ TEST_P(Smoothing, IsBetterThanTheFilterAndConsistent) {
   Random random(31);
   Score smoothed;
   Score filtered;
-  double in_sight = 0.0;
+  double los = 0.0;
   for (int i = 0; i < kSites; ++i) {
     const site::Drive drive =
         site::drive(surface, calibration, kStart, {.duration_s = 12.0, .range_s = 0.02}, random);
@@ -63,7 +63,7 @@ TEST_P(Smoothing, IsBetterThanTheFilterAndConsistent) {
     const Result result = smooth(run, options);
     ASSERT_EQ(result.rows.size(), drive.odometry.size());
     EXPECT_TRUE(result.converged);
-    in_sight += result.ranges_in_sight / static_cast<double>(result.ranges_seen) / kSites;
+    los += result.ranges_los / static_cast<double>(result.ranges_seen) / kSites;
     const std::size_t row = 60 + static_cast<std::size_t>(random.uniform(0.0, 120.0));
     EXPECT_EQ(result.rows[row].t_s, drive.odometry[row].t_s);
     const Score here = score(result.rows[row], drive.truth[row]);
@@ -74,7 +74,7 @@ TEST_P(Smoothing, IsBetterThanTheFilterAndConsistent) {
         (std::pow(live.x_m - drive.truth[row].x_m, 2) + std::pow(live.y_m - drive.truth[row].y_m, 2)) /
         kSites;
   }
-  EXPECT_GT(in_sight, 0.97);
+  EXPECT_GT(los, 0.97);
   EXPECT_LT(smoothed.square_m2, filtered.square_m2);
   EXPECT_NEAR(smoothed.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
 }
@@ -94,7 +94,7 @@ TEST_P(Smoothing, FindsNlosRangesFromLaterOnes) {
   const auto tags = site::three_tags();
   const Result result =
       smooth({drive.odometry, drive.ranges, tags, &surface, &calibration}, options_of(GetParam()));
-  EXPECT_NEAR(result.ranges_in_sight, static_cast<double>(drive.ranges.size() - blocked),
+  EXPECT_NEAR(result.ranges_los, static_cast<double>(drive.ranges.size() - blocked),
               0.05 * static_cast<double>(drive.ranges.size()));
   for (std::size_t row = 0; row < result.rows.size(); ++row) {
     EXPECT_LT(
