@@ -94,7 +94,7 @@ void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fi
   if (!site.has_los_states()) return;
   out.los_states = LosEvidence{.polls = site.los_states.poll_shares[i],
                             .counts_missed = site.polls.regular,
-                            .wall_excess_m = site.los_states.model.wall_prior.mean_m,
+                            .excess_m = site.los_states.model.excess_prior.mean_m,
                             .far_share = far / n,
                             .short_share = too_short / n};
 }

@@ -23,11 +23,11 @@ double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
     const double gamma = anchor(gamma_index(tag, problem.tag_count)) - priors.gamma.mean;
     cost += 0.5 * square(beta / priors.beta_m.sigma) + 0.5 * square(gamma / priors.gamma.sigma);
   }
-  if (problem.los_states == nullptr || !problem.los_states->behind_wall) return cost;
-  const WallPrior& wall = problem.los_states->prior;
-  const Eigen::Index common = wall_index(problem.tag_count);
-  cost += 0.5 * square((anchor(common) - wall.mean_m) / wall.sigma_m);
-  cost += 0.5 * anchor.tail(anchor.size() - common - 1).squaredNorm() / square(wall.episode_sigma_m);
+  if (problem.los_states == nullptr || !problem.los_states->has_long_nlos) return cost;
+  const LongNlosPrior& long_nlos = problem.los_states->prior;
+  const Eigen::Index common = excess_index(problem.tag_count);
+  cost += 0.5 * square((anchor(common) - long_nlos.mean_m) / long_nlos.sigma_m);
+  cost += 0.5 * anchor.tail(anchor.size() - common - 1).squaredNorm() / square(long_nlos.episode_sigma_m);
   return cost;
 }
 
@@ -141,11 +141,11 @@ class Linearizer {
       value.density(lane) = whole.seen.density;
       value.slope(lane) = whole.seen.slope;
       value.weight(lane) = whole.seen.weight;
-      if (!(whole.wall_weight > 0.0)) continue;
+      if (!(whole.nlos_weight > 0.0)) continue;
       const PairRow j{-gamma * x[0](lane), -gamma * x[1](lane), -gamma * x[2](lane), 1.0, x[4](lane)};
-      const WallRow walled(j, problem_.los_states->rows[row], tag, problem_.tag_count);
-      walled.add(-whole.wall_slope, out.gradient);
-      walled.add_square(whole.wall_weight, out.information);
+      const LongNlosRow nlos(j, problem_.los_states->rows[row], tag, problem_.tag_count);
+      nlos.add(-whole.nlos_slope, out.gradient);
+      nlos.add_square(whole.nlos_weight, out.information);
     }
     return value;
   }
@@ -158,12 +158,12 @@ class Linearizer {
         1.0 / square(priors.beta_m.sigma) * (anchor.segment(3, tags).array() - priors.beta_m.mean);
     gradient.segment(3 + tags, tags).array() +=
         1.0 / square(priors.gamma.sigma) * (anchor.segment(3 + tags, tags).array() - priors.gamma.mean);
-    if (problem_.los_states == nullptr || !problem_.los_states->behind_wall) return;
-    const WallPrior& wall = problem_.los_states->prior;
-    const Eigen::Index common = wall_index(problem_.tag_count);
+    if (problem_.los_states == nullptr || !problem_.los_states->has_long_nlos) return;
+    const LongNlosPrior& long_nlos = problem_.los_states->prior;
+    const Eigen::Index common = excess_index(problem_.tag_count);
     const Eigen::Index episodes = anchor.size() - common - 1;
-    gradient(common) += (anchor(common) - wall.mean_m) / square(wall.sigma_m);
-    gradient.tail(episodes) += anchor.tail(episodes) / square(wall.episode_sigma_m);
+    gradient(common) += (anchor(common) - long_nlos.mean_m) / square(long_nlos.sigma_m);
+    gradient.tail(episodes) += anchor.tail(episodes) / square(long_nlos.episode_sigma_m);
   }
 
   const AnchorProblem& problem_;
@@ -207,7 +207,7 @@ bool solve_damped(const NormalEquations& equations, double damping, Eigen::Matri
 
 Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
   const auto tags = static_cast<Eigen::Index>(problem.tag_count);
-  const Eigen::Index common = wall_index(problem.tag_count);
+  const Eigen::Index common = excess_index(problem.tag_count);
   const Eigen::Index extra = problem.los_states != nullptr ? problem.los_states->extra_unknowns() : 0;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(common + extra, common + extra);
   out.topLeftCorner<3, 3>() = problem.position.information;

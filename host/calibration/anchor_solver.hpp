@@ -24,7 +24,7 @@ inline constexpr std::int32_t kNoEpisode = -1;
 // Prior probability of one range's state (LOS, short NLOS, long NLOS), from all data except its own residual.
 struct RangeLos {
   float los = 1.0F;
-  float wall = 0.0F;
+  float long_nlos = 0.0F;
   // Density of the range in the other states times their probability, 1/m. Short NLOS says nothing about the
   // anchor's position: constant in the residual.
   float other_density = 0.0F;
@@ -32,7 +32,7 @@ struct RangeLos {
 };
 
 // Prior of the excess of long NLOS: a part common to all ranges, and one per episode.
-struct WallPrior {
+struct LongNlosPrior {
   double mean_m = 0.4;
   double sigma_m = 0.2;
   double episode_sigma_m = 0.2;
@@ -42,14 +42,14 @@ struct WallPrior {
 // are unknowns too.
 struct AnchorLos {
   std::vector<RangeLos> rows;  // by Observation::index
-  bool behind_wall = false;    // some ranges are long NLOS
+  bool has_long_nlos = false;    // some ranges are long NLOS
   std::size_t episodes = 0;
-  WallPrior prior;
-  RobustKernel wall;  // of a long NLOS residual without its excess
+  LongNlosPrior prior;
+  RobustKernel long_nlos;  // of a long NLOS residual without its excess
 
   // Unknowns beside position, beta and gamma.
   [[nodiscard]] Eigen::Index extra_unknowns() const noexcept {
-    return behind_wall ? 1 + static_cast<Eigen::Index>(episodes) : 0;
+    return has_long_nlos ? 1 + static_cast<Eigen::Index>(episodes) : 0;
   }
 };
 
@@ -63,11 +63,11 @@ using AnchorVector = Eigen::VectorXd;
 [[nodiscard]] inline Eigen::Index gamma_index(std::size_t tag, std::size_t tag_count) noexcept {
   return 3 + static_cast<Eigen::Index>(tag_count + tag);
 }
-[[nodiscard]] inline Eigen::Index wall_index(std::size_t tag_count) noexcept {
+[[nodiscard]] inline Eigen::Index excess_index(std::size_t tag_count) noexcept {
   return 3 + 2 * static_cast<Eigen::Index>(tag_count);
 }
 [[nodiscard]] inline Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept {
-  return wall_index(tag_count) + 1 + episode;
+  return excess_index(tag_count) + 1 + episode;
 }
 // Position, beta and gamma of one pair.
 [[nodiscard]] inline std::array<Eigen::Index, 5> pair_index(std::size_t tag, std::size_t tag_count) noexcept {
@@ -139,19 +139,19 @@ struct AnchorFit {
 }
 
 // Excess of this range if it is long NLOS, m.
-[[nodiscard]] inline double wall_excess_m(const RangeLos& los_states, const AnchorVector& anchor,
+[[nodiscard]] inline double long_nlos_excess_m(const RangeLos& los_states, const AnchorVector& anchor,
                                           std::size_t tag_count) noexcept {
-  const double common_m = anchor(wall_index(tag_count));
+  const double common_m = anchor(excess_index(tag_count));
   return los_states.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(los_states.episode, tag_count));
 }
 
 // One range at one solution: `seen` has the density of the whole mixture and slope and weight of its LOS
-// part; wall_slope and wall_weight are of its long NLOS part.
+// part; nlos_slope and nlos_weight are of its long NLOS part.
 struct RowValue {
   KernelValue seen;
   double los_count = 1.0;   // posterior
-  double wall_slope = 0.0;   // 1/m
-  double wall_weight = 0.0;  // 1/m^2
+  double nlos_slope = 0.0;   // 1/m
+  double nlos_weight = 0.0;  // 1/m^2
 };
 // `seen`: the value of the pair's kernel; `row`: Observation::index.
 [[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::uint32_t row,
@@ -162,18 +162,18 @@ struct RowValue {
   const RangeLos& los_states = problem.los_states->rows[row];
   const double los = static_cast<double>(los_states.los) * seen.density;
   KernelValue through;
-  double walled = 0.0;
-  if (los_states.wall > 0.0F) {
-    through = stretched(problem.los_states->wall, noise_share(problem.los_states->wall, pose_variance_m2),
-                        residual_m - wall_excess_m(los_states, anchor, problem.tag_count));
-    walled = static_cast<double>(los_states.wall) * through.density;
+  double nlos = 0.0;
+  if (los_states.long_nlos > 0.0F) {
+    through = stretched(problem.los_states->long_nlos, noise_share(problem.los_states->long_nlos, pose_variance_m2),
+                        residual_m - long_nlos_excess_m(los_states, anchor, problem.tag_count));
+    nlos = static_cast<double>(los_states.long_nlos) * through.density;
   }
-  out.seen.density = los + walled + static_cast<double>(los_states.other_density);
+  out.seen.density = los + nlos + static_cast<double>(los_states.other_density);
   out.los_count = los / out.seen.density;
   out.seen.slope *= out.los_count;
   out.seen.weight *= out.los_count;
-  out.wall_slope = walled / out.seen.density * through.slope;
-  out.wall_weight = walled / out.seen.density * through.weight;
+  out.nlos_slope = nlos / out.seen.density * through.slope;
+  out.nlos_weight = nlos / out.seen.density * through.weight;
   return out;
 }
 
@@ -211,14 +211,14 @@ struct RowAt {
 }
 
 // Derivative of a long NLOS range: also by the two parts of its excess.
-struct WallRow {
+struct LongNlosRow {
   Eigen::Matrix<double, 7, 1> derivative;
   std::array<Eigen::Index, 7> index{};  // of the anchor's unknowns
   std::size_t size = 6;                 // 7 in an episode
 
-  WallRow(const PairRow& j, const RangeLos& los_states, std::size_t tag, std::size_t tag_count) noexcept {
+  LongNlosRow(const PairRow& j, const RangeLos& los_states, std::size_t tag, std::size_t tag_count) noexcept {
     derivative << j, 1.0, 1.0;
-    index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), wall_index(tag_count), 0};
+    index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), excess_index(tag_count), 0};
     if (los_states.episode == kNoEpisode) return;
     index[6] = episode_index(los_states.episode, tag_count);
     size = 7;

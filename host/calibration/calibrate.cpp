@@ -168,7 +168,7 @@ void find_nlos_again(Site& site, const model::Calibration* earlier) {
       !model::is_ablated(model::Mechanism::kCalibrationAgain)) {
     for (AnchorFit& fit : site.fits) {
       fit.problem.los_states = nullptr;
-      fit.anchor.conservativeResize(wall_index(fit.problem.tag_count));
+      fit.anchor.conservativeResize(excess_index(fit.problem.tag_count));
     }
     site.los_states = {};
     refine_site(site.fits, kLastRounds);

@@ -31,10 +31,10 @@ constexpr double kMisjudgedBeta = 0.4;
 constexpr double kTornSigma_m = 0.3;
 // Excess of an anchor that is NLOS from all of a drive: its common part and its variation from place to
 // place, without NLOS states (first two) and with an estimated excess (last two).
-constexpr double kWallSigma_m = 0.5;
-constexpr double kWallVariation_m = 0.25;
-constexpr double kWallDiffers_m = 0.15;
-constexpr double kWallPlaces_m = 0.10;
+constexpr double kExcessSigma_m = 0.5;
+constexpr double kExcessVariation_m = 0.25;
+constexpr double kExcessDiffers_m = 0.15;
+constexpr double kNlosPlaces_m = 0.10;
 // Squared Mahalanobis distance of the heights by the drive's first part and by all of it: chi square with one
 // degree of freedom, 99.9 %.
 constexpr double kHeightChiSquare = 10.8;
@@ -132,14 +132,14 @@ bool is_always_nlos(const Anchor& anchor) {
 Adds nlos_common_excess(const Anchor& anchor) {
   if (!is_always_nlos(anchor)) return {};
   const std::optional<LosEvidence>& los_states = anchor.known.los_states;
-  if (!los_states) return common_bias(anchor, kWallSigma_m);
+  if (!los_states) return common_bias(anchor, kExcessSigma_m);
   // The excess of its long NLOS is in the covariance already, unless that passed for short NLOS.
-  return common_bias(anchor, kWallDiffers_m + los_states->wall_excess_m * los_states->polls(kShortNlos));
+  return common_bias(anchor, kExcessDiffers_m + los_states->excess_m * los_states->polls(kShortNlos));
 }
 
 Adds nlos_excess_by_place(const Anchor& anchor) {
   if (!is_always_nlos(anchor)) return {};
-  return place_to_place(anchor, anchor.known.los_states ? kWallPlaces_m : kWallVariation_m);
+  return place_to_place(anchor, anchor.known.los_states ? kNlosPlaces_m : kExcessVariation_m);
 }
 
 Adds across_plane(const Anchor& anchor) {
@@ -206,7 +206,7 @@ constexpr std::array kRules{
 std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t anchor,
                                           const Eigen::MatrixXd& solved) {
   const AnchorFit& fit = site.fits[anchor];
-  const Eigen::Index size = wall_index(fit.problem.tag_count);
+  const Eigen::Index size = excess_index(fit.problem.tag_count);
   Anchor inputs{.site = site,
                 .index = anchor,
                 .fit = fit,

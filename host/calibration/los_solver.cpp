@@ -11,9 +11,9 @@ namespace groma::calibration {
 namespace {
 
 // NLOS states are needed if replies alone put a pair in NLOS for this share of its polls,
-constexpr double kBlockedByReplies = 0.02;
+constexpr double kNlosByReplies = 0.02;
 // and that has this much more log evidence than independent losses of replies, at most kMostLosses of them;
-constexpr double kBlockedEvidence = 5.0;
+constexpr double kNlosEvidence = 5.0;
 constexpr double kMostLosses = 0.2;
 constexpr std::array kLossesInLos{0.02, 0.01, 0.005};
 // or if residuals longer than kLong scales are correlated in time.
@@ -37,16 +37,16 @@ constexpr std::size_t kEpisodeBreak = 3;
 // Number of polls that moves a state's reply probability half-way from its prior.
 constexpr double kReplyWeight = 200.0;
 // Standard deviation of the anchors' common excesses about the site's.
-constexpr double kWallSpread_m = 0.1;
-constexpr double kKnownWall_m = 0.1;
-constexpr double kWallShapeWeight = 50.0;
+constexpr double kExcessSpread_m = 0.1;
+constexpr double kKnownExcess_m = 0.1;
+constexpr double kLongNlosShapeWeight = 50.0;
 // Scale of short NLOS residuals, or that of the noise if it is larger.
 constexpr double kShortNlosScale_m = 0.08;
 
 KernelShape short_nlos_shape(double scale_m) {
   return {.scale_m = scale_m, .wide = 0.15, .bumps = {0.38, 0.2, 0.08, 0.02, 0.01, 0.005}, .gross = 0.005};
 }
-KernelShape wall_shape() {
+KernelShape long_nlos_shape() {
   return {.scale_m = 0.15, .wide = 0.1, .bumps = {0.1, 0.03, 0.01, 0.01, 0.005, 0.005}, .gross = 0.005};
 }
 
@@ -55,7 +55,7 @@ struct AnchorPass {
   LosVector answered = LosVector::Zero();
   LosVector missed = LosVector::Zero();
   PowerCounts powers;  // by residuals and replies alone
-  std::vector<WeighedResidual> walled;
+  std::vector<WeighedResidual> nlos;
   std::vector<double> start_excess_m;  // of each episode, beyond the common excess
 };
 
@@ -151,14 +151,14 @@ bool replies_show_nlos(LosChain chain, std::span<const std::vector<Poll>> pairs)
     const std::vector<LosVector> likelihoods = no_residuals(polls);
     chain.reply = believed;
     infer_states(chain, polls, likelihoods, {}, posterior);
-    if (poll_shares(posterior.answered, posterior.missed)(kLos) >= 1.0 - kBlockedByReplies) continue;
+    if (poll_shares(posterior.answered, posterior.missed)(kLos) >= 1.0 - kNlosByReplies) continue;
     double log_evidence = posterior.log_evidence;
     for (const double lost : kLossesInLos) {
       chain.reply(kLos) = 1.0 - lost;
       infer_states(chain, polls, likelihoods, {}, posterior);
       log_evidence = std::max(log_evidence, posterior.log_evidence);
     }
-    if (log_evidence > log_evidence_of_losses(polls) + kBlockedEvidence) return true;
+    if (log_evidence > log_evidence_of_losses(polls) + kNlosEvidence) return true;
   }
   return false;
 }
@@ -190,17 +190,17 @@ class LosSolver {
   void estimate_model(const std::vector<AnchorPass>& passes);
   void apply(std::size_t anchor, AnchorPass pass);
 
-  [[nodiscard]] static bool has_wall(const AnchorFit& fit) {
-    return fit.problem.los_states != nullptr && fit.problem.los_states->behind_wall;
+  [[nodiscard]] static bool had_long_nlos(const AnchorFit& fit) {
+    return fit.problem.los_states != nullptr && fit.problem.los_states->has_long_nlos;
   }
   // Common excess of the anchor's long NLOS, m.
   [[nodiscard]] double common_excess_m(const AnchorFit& fit) const {
-    return has_wall(fit) ? fit.anchor(wall_index(fit.problem.tag_count)) : out_.model.wall_prior.mean_m;
+    return had_long_nlos(fit) ? fit.anchor(excess_index(fit.problem.tag_count)) : out_.model.excess_prior.mean_m;
   }
   // Shape of long NLOS residuals outside episodes.
   [[nodiscard]] KernelShape anywhere_shape() const {
-    KernelShape out = out_.model.wall;
-    out.scale_m = std::hypot(out_.model.wall.scale_m, out_.model.wall_prior.episode_sigma_m);
+    KernelShape out = out_.model.long_nlos;
+    out.scale_m = std::hypot(out_.model.long_nlos.scale_m, out_.model.excess_prior.episode_sigma_m);
     return out;
   }
 
@@ -217,12 +217,12 @@ void LosSolver::label_first() {
     const std::vector<bool> seen = los_rows(out_.model, table_.polls[a], rows);
     AnchorPass pass;
     pass.los_states.rows.resize(rows_until(fits_[a]));
-    pass.los_states.behind_wall = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
+    pass.los_states.has_long_nlos = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
                              kEnoughLos * static_cast<double>(pass.los_states.rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
       if (seen[i]) continue;
-      pass.los_states.rows[rows[i].index] = pass.los_states.behind_wall
-                                           ? RangeLos{.los = 0.0F, .wall = 1.0F}
+      pass.los_states.rows[rows[i].index] = pass.los_states.has_long_nlos
+                                           ? RangeLos{.los = 0.0F, .long_nlos = 1.0F}
                                            : RangeLos{.los = 0.0F, .other_density = 1.0F};
     }
     apply(a, std::move(pass));
@@ -243,15 +243,15 @@ void LosSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& p
     const auto density = [&](const RobustKernel& kernel, double excess_m) {
       return stretched(kernel, noise_share(kernel, variance_m2), r - excess_m).density;
     };
-    const AnchorLos* before = has_wall(fit) ? fit.problem.los_states : nullptr;
+    const AnchorLos* before = had_long_nlos(fit) ? fit.problem.los_states : nullptr;
     const bool in_episode = before != nullptr && before->rows[row.index].episode != kNoEpisode;
-    const double walled =
-        in_episode ? density(before->wall, wall_excess_m(before->rows[row.index], fit.anchor, tags))
+    const double nlos =
+        in_episode ? density(before->long_nlos, long_nlos_excess_m(before->rows[row.index], fit.anchor, tags))
                    : density(anywhere, common_m);
     pair.rows.push_back(&row);
     pair.residuals_m.push_back(r);
     pair.likelihoods.emplace_back(density(fit.kernels[row.tag], 0.0), density(out_.model.short_nlos, 0.0),
-                                  walled);
+                                  nlos);
   }
 }
 
@@ -278,7 +278,7 @@ AnchorPass LosSolver::infer(std::size_t a) const {
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
       RangeLos& row = out.los_states.rows[pair.rows[i]->index];
       row.los = static_cast<float>(posterior.prior[i](kLos));
-      row.wall = static_cast<float>(posterior.prior[i](kLongNlos));
+      row.long_nlos = static_cast<float>(posterior.prior[i](kLongNlos));
       row.other_density = static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
     }
     add_episodes(pair, common_excess_m(fits_[a]), out);
@@ -286,11 +286,11 @@ AnchorPass LosSolver::infer(std::size_t a) const {
     for (std::size_t i = 0; i < pair.rows.size(); ++i) {
       RangeLos& row = out.los_states.rows[pair.rows[i]->index];
       if (row.episode != kNoEpisode) continue;
-      row.other_density += row.wall * static_cast<float>(pair.likelihoods[i](kLongNlos));
-      row.wall = 0.0F;
+      row.other_density += row.long_nlos * static_cast<float>(pair.likelihoods[i](kLongNlos));
+      row.long_nlos = 0.0F;
     }
   }
-  out.los_states.behind_wall = out.los_states.episodes > 0;
+  out.los_states.has_long_nlos = out.los_states.episodes > 0;
   return out;
 }
 
@@ -332,11 +332,11 @@ void LosSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t
     sum_m += share * r;
     weight += share;
   }
-  const double prior_weight = std::pow(out_.model.wall.scale_m / out_.model.wall_prior.episode_sigma_m, 2);
+  const double prior_weight = std::pow(out_.model.long_nlos.scale_m / out_.model.excess_prior.episode_sigma_m, 2);
   const double start_m = sum_m / (weight + prior_weight);
   out.start_excess_m.push_back(start_m);
   for (std::size_t k = first; k <= last; ++k) {
-    out.walled.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
+    out.nlos.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
                           .weight = pair.posterior.posterior[k](kLongNlos)});
   }
 }
@@ -345,19 +345,19 @@ void LosSolver::estimate_model(const std::vector<AnchorPass>& passes) {
   LosVector answered = LosVector::Zero();
   LosVector missed = LosVector::Zero();
   PowerCounts powers;
-  std::vector<WeighedResidual> walled;
-  double information = 1.0 / std::pow(WallPrior{}.sigma_m, 2);
-  double weighted_m = WallPrior{}.mean_m * information;
+  std::vector<WeighedResidual> nlos;
+  double information = 1.0 / std::pow(LongNlosPrior{}.sigma_m, 2);
+  double weighted_m = LongNlosPrior{}.mean_m * information;
   for (std::size_t a = 0; a < passes.size(); ++a) {
     const AnchorPass& pass = passes[a];
     answered += pass.answered;
     missed += pass.missed;
     powers.add(pass.powers, 1.0);
-    walled.insert(walled.end(), pass.walled.begin(), pass.walled.end());
-    if (!has_wall(fits_[a]) || !pass.los_states.behind_wall) continue;
+    nlos.insert(nlos.end(), pass.nlos.begin(), pass.nlos.end());
+    if (!had_long_nlos(fits_[a]) || !pass.los_states.has_long_nlos) continue;
     // An excess differs from a bias only if the anchor is in LOS as well.
     if (poll_shares(pass.answered, pass.missed)(kLos) < 0.3) continue;
-    const double weight = 1.0 / (kKnownWall_m * kKnownWall_m + kWallSpread_m * kWallSpread_m);
+    const double weight = 1.0 / (kKnownExcess_m * kKnownExcess_m + kExcessSpread_m * kExcessSpread_m);
     information += weight;
     weighted_m += weight * common_excess_m(fits_[a]);
   }
@@ -370,20 +370,20 @@ void LosSolver::estimate_model(const std::vector<AnchorPass>& passes) {
   } else {
     out_.model.chain.reply.setConstant(0.5);
   }
-  out_.model.wall_prior.mean_m = weighted_m / information;
-  out_.model.wall_prior.sigma_m = std::sqrt(1.0 / information + kWallSpread_m * kWallSpread_m);
-  out_.model.wall = fit_kernel(
-      walled, {.shape = wall_shape(), .scale_weight = kWallShapeWeight, .share_weight = kWallShapeWeight}, 3);
+  out_.model.excess_prior.mean_m = weighted_m / information;
+  out_.model.excess_prior.sigma_m = std::sqrt(1.0 / information + kExcessSpread_m * kExcessSpread_m);
+  out_.model.long_nlos = fit_kernel(
+      nlos, {.shape = long_nlos_shape(), .scale_weight = kLongNlosShapeWeight, .share_weight = kLongNlosShapeWeight}, 3);
 }
 
 void LosSolver::apply(std::size_t a, AnchorPass pass) {
   AnchorFit& fit = fits_[a];
-  pass.los_states.prior = out_.model.wall_prior;
-  pass.los_states.wall = RobustKernel(out_.model.wall);
-  const Eigen::Index common = wall_index(fit.problem.tag_count);
+  pass.los_states.prior = out_.model.excess_prior;
+  pass.los_states.long_nlos = RobustKernel(out_.model.long_nlos);
+  const Eigen::Index common = excess_index(fit.problem.tag_count);
   AnchorVector anchor = AnchorVector::Zero(common + pass.los_states.extra_unknowns());
   anchor.head(common) = fit.anchor.head(common);
-  if (pass.los_states.behind_wall) anchor(common) = common_excess_m(fit);
+  if (pass.los_states.has_long_nlos) anchor(common) = common_excess_m(fit);
   for (std::size_t k = 0; k < pass.los_states.episodes; ++k) {
     anchor(episode_index(static_cast<std::int32_t>(k), fit.problem.tag_count)) = pass.start_excess_m[k];
   }
@@ -443,7 +443,7 @@ LosModel first_los_model(const PollTable& table, std::span<const AnchorFit> fits
     out.powers.emplace(std::span(ranges).first<model::kPowerClasses>(), table.interval_s);
   }
   out.chain.transition = los_transition(table.interval_s > 0.0 ? table.interval_s : 0.12);
-  out.wall = wall_shape();
+  out.long_nlos = long_nlos_shape();
   return out;
 }
 

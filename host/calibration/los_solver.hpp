@@ -17,8 +17,8 @@ namespace groma::calibration {
 struct LosModel {
   LosChain chain;
   RobustKernel short_nlos;  // of short NLOS residuals
-  KernelShape wall;     // of long NLOS residuals without their excess
-  WallPrior wall_prior;
+  KernelShape long_nlos;     // of long NLOS residuals without their excess
+  LongNlosPrior excess_prior;
   std::optional<PowerHints> powers;  // none if ranges carry no powers
 };
 [[nodiscard]] LosModel first_los_model(const PollTable& table, std::span<const AnchorFit> fits);

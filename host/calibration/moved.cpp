@@ -376,7 +376,7 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
 
 // Shift to the next piece; none if it is too small for a move or not significant.
 std::optional<Shift> clear_shift(const Pieces& pieces, std::size_t piece) {
-  const Eigen::Index size = wall_index(pieces.fits[piece].problem.tag_count);
+  const Eigen::Index size = excess_index(pieces.fits[piece].problem.tag_count);
   // Residuals correlated in one piece are so in the other, even if it is too short to show it.
   const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
   const auto covariance = [&](std::size_t i) -> Eigen::MatrixXd {
@@ -401,7 +401,7 @@ double excess_of_one_place(const Pieces& pieces, std::size_t piece) {
   both.rows = {own.rows.data(), own.rows.size() + nexts.rows.size()};
   const std::vector<RobustKernel>& kernels =
       own.rows.size() > nexts.rows.size() ? first.kernels : next.kernels;
-  const Eigen::Index size = wall_index(own.tag_count);
+  const Eigen::Index size = excess_index(own.tag_count);
   const auto solve = [&](const AnchorProblem& problem, const AnchorVector& start, const AnchorVector& other) {
     AnchorSolution one = solve_anchor(problem, kernels, start, kJoiningSteps);
     AnchorSolution another = solve_anchor(problem, kernels, other, kJoiningSteps);
@@ -437,7 +437,7 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
 
 StretchGains::StretchGains(const AnchorFit& fit, std::size_t bins) {
   const std::size_t tags = fit.problem.tag_count;
-  const Eigen::Index size = wall_index(tags);
+  const Eigen::Index size = excess_index(tags);
   const std::span<const Observation> rows = fit.problem.rows;
   const AnchorVector anchor = fit.anchor.head(size);
   std::vector<Columns> cross;

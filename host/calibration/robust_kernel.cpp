@@ -19,7 +19,7 @@ double KernelShape::blocked() const noexcept {
   return std::accumulate(bumps.begin(), bumps.end(), 0.0);
 }
 
-KernelShape KernelShape::with_blocked(double share) const noexcept {
+KernelShape KernelShape::with_nlos(double share) const noexcept {
   KernelShape out = *this;
   out.bumps.fill(share / static_cast<double>(kBumps));
   return out;

@@ -37,7 +37,7 @@ struct KernelShape {
   [[nodiscard]] double blocked() const noexcept;
   [[nodiscard]] double core() const noexcept { return 1.0 - wide - blocked() - gross; }
   // The same with this share divided evenly among the bumps.
-  [[nodiscard]] KernelShape with_blocked(double share) const noexcept;
+  [[nodiscard]] KernelShape with_nlos(double share) const noexcept;
 };
 
 // Densities of the kinds at u = r/s, unit scale, tabulated and linear between nodes, with an error below 5e-4

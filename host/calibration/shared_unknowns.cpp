@@ -175,19 +175,19 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
                                     .transpose();
     // Long NLOS ranges count too: they tie the anchor to the poses, so that a common shift of both changes no
     // residual.
-    of_tag[row.tag].moments.add(j, value.seen.slope + value.wall_slope,
-                                value.seen.weight + value.wall_weight);
-    if (value.wall_weight == 0.0) continue;
+    of_tag[row.tag].moments.add(j, value.seen.slope + value.nlos_slope,
+                                value.seen.weight + value.nlos_weight);
+    if (value.nlos_weight == 0.0) continue;
     const RangeLos& los_states = fit.problem.los_states->rows[row.index];
-    const Eigen::Matrix<double, 1, Shared> by_wall = value.wall_weight * j.template tail<Shared>().matrix();
-    const auto add_wall = [&](Eigen::Index to) {
-      sums.cross.template block<1, Sums::kKnots>(to, first) += by_wall.template head<Sums::kKnots>();
+    const Eigen::Matrix<double, 1, Shared> by_long_nlos = value.nlos_weight * j.template tail<Shared>().matrix();
+    const auto add_long_nlos = [&](Eigen::Index to) {
+      sums.cross.template block<1, Sums::kKnots>(to, first) += by_long_nlos.template head<Sums::kKnots>();
       for (Eigen::Index k = Sums::kKnots; k < Shared; ++k) {
-        sums.cross(to, of_tag[row.tag].places(Sums::kPair + k)) += by_wall(k);
+        sums.cross(to, of_tag[row.tag].places(Sums::kPair + k)) += by_long_nlos(k);
       }
     };
-    add_wall(wall_index(tags));
-    if (los_states.episode != kNoEpisode) add_wall(episode_index(los_states.episode, tags));
+    add_long_nlos(excess_index(tags));
+    if (los_states.episode != kNoEpisode) add_long_nlos(episode_index(los_states.episode, tags));
   }
   leave_knots();
   for (auto& [moments, places] : of_tag) moments.move_to(places, Sums::kRest, Sums::kSize, sums);

@@ -323,7 +323,7 @@ TagSpread tag_spread(std::span<const Observation> rows) {
 AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start) {
   AnchorFit out{.problem = problem, .anchor = start};
   // The scale shrinks from the basin's width to that of the residuals: the basin is wide at first.
-  KernelShape shape = KernelShape{.scale_m = valley_width_m(problem)}.with_blocked(0.1);
+  KernelShape shape = KernelShape{.scale_m = valley_width_m(problem)}.with_nlos(0.1);
   std::vector<WeighedResidual> residuals(problem.rows.size());
   for (int round = 0; round < kSearchRounds; ++round) {
     if (round > 0) {

@@ -215,11 +215,11 @@ Evidence gather_evidence(const AnchorFit& fit) {
     const double elapsed_s = std::max(0.0, row.t_s - begin_s);
     const Eigen::Index block = std::min(blocks - 1, static_cast<Eigen::Index>(elapsed_s / block_s));
     scores(block, pair_index(row.tag, tags)) += value.slope * at.j.transpose();
-    if (!(whole.wall_weight > 0.0)) continue;
-    const WallRow walled(at.j, problem.los_states->rows[row.index], row.tag, tags);
-    walled.add(whole.wall_slope, scores.row(block).transpose());
-    walled.add_square(whole.wall_weight, out.information);
-    walled.add_square(whole.wall_slope * whole.wall_slope, out.score_variance);
+    if (!(whole.nlos_weight > 0.0)) continue;
+    const LongNlosRow nlos(at.j, problem.los_states->rows[row.index], row.tag, tags);
+    nlos.add(whole.nlos_slope, scores.row(block).transpose());
+    nlos.add_square(whole.nlos_weight, out.information);
+    nlos.add_square(whole.nlos_slope * whole.nlos_slope, out.score_variance);
   }
   for (std::size_t tag = 0; tag < tags; ++tag) {
     const PairMoments& pair = pairs[tag];

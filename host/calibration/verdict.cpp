@@ -15,12 +15,12 @@ namespace {
 using model::AnchorVerdict;
 
 constexpr double kWeakSigmaZ_m = 0.20;
-constexpr double kBlockedWeakSigmaZ_m = 0.15;
+constexpr double kNlosWeakSigmaZ_m = 0.15;
 // Limits of the sigmas grow with the distance to the nearest antenna: a sixtieth of it.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
 constexpr double kMinLosShare = 0.3;
-constexpr double kBlockedScaleRatio = 1.2;
-constexpr double kBlockedCountRatio = 0.75;
+constexpr double kNlosScaleRatio = 1.2;
+constexpr double kNlosCountRatio = 0.75;
 // LOS share of the polls below which an anchor is never, or hardly ever, in LOS.
 constexpr double kNeverLos = 0.10;
 constexpr double kHardlyLos = 0.30;
@@ -157,7 +157,7 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   if (is_plausible(evidence.mirror, evidence.inflation)) {
     return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice};
   }
-  if (sigma_z_m > std::max(evidence.los_states ? kBlockedWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
+  if (sigma_z_m > std::max(evidence.los_states ? kNlosWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
     return {AnchorVerdict::kWeakZ, "height uncertain: " + advice};
   }
   return {};
@@ -179,7 +179,7 @@ bool is_never_los(const AnchorEvidence& evidence) noexcept {
     return evidence.los_states->polls(kLos) < kNeverLos;
   }
   if (evidence.los_share < kMinLosShare) return true;
-  return evidence.scale_ratio > kBlockedScaleRatio && evidence.count_ratio < kBlockedCountRatio;
+  return evidence.scale_ratio > kNlosScaleRatio && evidence.count_ratio < kNlosCountRatio;
 }
 
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {

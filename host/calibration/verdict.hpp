@@ -23,7 +23,7 @@ inline constexpr double kWeakSigma_m = 0.30;
 struct LosEvidence {
   LosVector polls = LosVector::Zero();  // share of its polls in each state
   bool counts_missed = false;               // `polls` includes missed replies
-  double wall_excess_m = 0.0;               // mean excess of long NLOS at the site
+  double excess_m = 0.0;               // mean excess of long NLOS at the site
   double far_share = 0.0;                   // share of ranges longer than NLOS explains
   double short_share = 0.0;                 // share of ranges shorter than NLOS explains
 };

@@ -48,7 +48,7 @@ Scene make_scene(std::uint64_t seed, double noise_m, double blocked_share) {
 
 TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
   const Scene scene = make_scene(1, 0.1, 0.2);
-  const KernelShape shape = KernelShape{}.with_blocked(0.2);
+  const KernelShape shape = KernelShape{}.with_nlos(0.2);
   const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(shape));
   // By the kernel's definition, not its table.
   const auto exact_cost = [&](const AnchorVector& anchor) {
@@ -84,7 +84,7 @@ TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
   const Scene scene = make_scene(3, 0.0, 0.0);
   // An almost Gaussian kernel: its weight is the cost's curvature.
   const std::vector<RobustKernel> kernels(
-      kSolvedTags, RobustKernel(KernelShape{.scale_m = 0.1, .wide = 1e-9, .gross = 1e-9}.with_blocked(1e-9)));
+      kSolvedTags, RobustKernel(KernelShape{.scale_m = 0.1, .wide = 1e-9, .gross = 1e-9}.with_nlos(1e-9)));
   const auto gradient = [&](const Eigen::VectorXd& anchor) {
     return Eigen::VectorXd(
         linearize({.problem = scene.problem, .anchor = anchor, .kernels = kernels}).gradient);
@@ -135,7 +135,7 @@ TEST(AnchorSolver, WeightsARangeByItsPosesCovariance) {
 
 TEST(AnchorSolver, NeverEndsWorseThanItStarted) {
   const Scene scene = make_scene(4, 0.1, 0.4);
-  const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(KernelShape{}.with_blocked(0.3)));
+  const std::vector<RobustKernel> kernels(kSolvedTags, RobustKernel(KernelShape{}.with_nlos(0.3)));
   test::Random random(5);
   for (int i = 0; i < 50; ++i) {
     const AnchorVector start = anchor_at(20.0 * random.gaussians(3), kSolvedTags, {});

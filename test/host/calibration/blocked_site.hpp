@@ -29,9 +29,9 @@ enum class Powers {
 struct Blocking {
   std::vector<PlanWall> walls;  // as high as the hall
   double reply_los = 0.95;
-  double wall_reply = 0.45;
-  double wall_excess_m = 0.3;        // least excess behind a wall
-  double wall_excess_mean_m = 0.15;  // mean of the exponential excess beyond it
+  double long_nlos_reply = 0.45;
+  double excess_m = 0.3;        // least excess behind a wall
+  double long_nlos_excess_mean_m = 0.15;  // mean of the exponential excess beyond it
   double short_nlos_reply = 0.6;
   double short_nlos_excess_mean_m = 0.3;
   double shadows_per_s = 0.01;  // short NLOS of each pair, lasting 1 to 10 s
@@ -135,9 +135,9 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
     }
     const auto exponential_m = [&](double mean_m) { return -mean_m * std::log(1.0 - random.uniform()); };
     if (walled) {
-      reply = blocking.wall_reply;
+      reply = blocking.long_nlos_reply;
       blocked_share = 1.0;
-      range.range_m += blocking.wall_excess_m + exponential_m(blocking.wall_excess_mean_m);
+      range.range_m += blocking.excess_m + exponential_m(blocking.long_nlos_excess_mean_m);
     } else {
       for (const Span& short_nlos : shadows[a][j]) {
         if (range.t_s < short_nlos.from_s || range.t_s > short_nlos.to_s) continue;

@@ -89,7 +89,7 @@ Outcome calibrate_sites(test::Blocking blocking, test::Powers powers) {
 TEST(NlosSite, PowersRevealNlosWithoutLostRepliesOverMany) {
   test::Blocking racks = hall();
   racks.walls.push_back({{3.0, 6.0}, {18.0, 6.0}});
-  racks.wall_reply = racks.short_nlos_reply = racks.reply_los;
+  racks.long_nlos_reply = racks.short_nlos_reply = racks.reply_los;
   const Outcome without = calibrate_sites(racks, test::Powers::kNone);
   const Outcome with = calibrate_sites(racks, test::Powers::kTrue);
   const Outcome opposite = calibrate_sites(racks, test::Powers::kOpposite);

@@ -70,7 +70,7 @@ TEST(RobustKernel, WeightMajorizesTheCost) {
 }
 
 TEST(RobustKernel, PenalizesTooLongLessThanTooShort) {
-  const RobustKernel kernel(KernelShape{.scale_m = 0.1}.with_blocked(0.2));
+  const RobustKernel kernel(KernelShape{.scale_m = 0.1}.with_nlos(0.2));
   for (const double r : {0.35, 0.5, 0.8}) {
     EXPECT_GT(kernel.at(r).density, kernel.at(-r).density);
     EXPECT_LT(kernel.at(r).slope, -kernel.at(-r).slope + 1e-12);
@@ -160,7 +160,7 @@ TEST(RobustKernel, ScaleAndSharesHaveSeparatePriorWeights) {
 }
 
 TEST(RobustKernel, StaysAtItsPriorWithoutResiduals) {
-  const KernelPrior prior{.shape = KernelShape{.scale_m = 0.2, .wide = 0.1}.with_blocked(0.1)};
+  const KernelPrior prior{.shape = KernelShape{.scale_m = 0.2, .wide = 0.1}.with_nlos(0.1)};
   const KernelShape shape = fit_kernel({}, prior, 5);
   EXPECT_DOUBLE_EQ(shape.scale_m, prior.shape.scale_m);
   EXPECT_DOUBLE_EQ(shape.wide, prior.shape.wide);

@@ -208,12 +208,12 @@ TEST(SharedUnknowns, TypicalQualityIsTheMedian) {
 // outside it.
 AnchorLos los_of(std::size_t rows) {
   AnchorLos out;
-  out.behind_wall = true;
+  out.has_long_nlos = true;
   out.episodes = 1;
-  out.wall = RobustKernel(KernelShape{.scale_m = 0.15});
+  out.long_nlos = RobustKernel(KernelShape{.scale_m = 0.15});
   for (std::size_t i = 0; i < rows; ++i) {
     RangeLos& row = out.rows.emplace_back();
-    row = {.los = 0.3F, .wall = 0.6F, .other_density = 0.05F, .episode = i % 3 == 0 ? 0 : kNoEpisode};
+    row = {.los = 0.3F, .long_nlos = 0.6F, .other_density = 0.05F, .episode = i % 3 == 0 ? 0 : kNoEpisode};
     if (i % 3 == 2) row = {};
   }
   return out;
@@ -286,7 +286,7 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
       if (a != 1) continue;
       own(at + kOwn - 2) = 1.0;
       own(at + kOwn - 1) = los_states.rows[row.index].episode == 0 ? 1.0 : 0.0;
-      add(value.wall_weight, value.wall_slope);
+      add(value.nlos_weight, value.nlos_slope);
     }
   }
   const JointEquations found = eliminate_anchors(fits, inflation, unknowns);

@@ -231,7 +231,7 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   constexpr std::size_t kTags = 2;
   std::vector<Observation> rows;
   AnchorLos los_states;
-  los_states.behind_wall = true;
+  los_states.has_long_nlos = true;
   los_states.episodes = 2;
   for (std::uint32_t i = 0; i < 60; ++i) {
     Observation& row = rows.emplace_back();
@@ -243,7 +243,7 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
     const auto seen = static_cast<float>(random.uniform(0.05, 0.9));
     of_row.los = seen;
     of_row.episode = i < 20 ? 0 : (i < 40 ? 1 : kNoEpisode);
-    of_row.wall = of_row.episode == kNoEpisode ? 0.0F : 0.7F * (1.0F - seen);
+    of_row.long_nlos = of_row.episode == kNoEpisode ? 0.0F : 0.7F * (1.0F - seen);
     of_row.other_density = 0.2F * (1.0F - seen);
   }
   AnchorProblem problem;
@@ -252,7 +252,7 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   problem.position.information = 0.01 * Eigen::Matrix3d::Identity();
   problem.los_states = &los_states;
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.15}));
-  AnchorVector anchor(wall_index(kTags) + 3);
+  AnchorVector anchor(excess_index(kTags) + 3);
   anchor << 9.7, 5.2, 2.5, 0.1, 0.3, 1.01, 0.99, 0.35, 0.1, -0.15;
   const NormalEquations equations = linearize({.problem = problem, .anchor = anchor, .kernels = kernels});
   EXPECT_NEAR(equations.cost, robust_cost({.problem = problem, .anchor = anchor, .kernels = kernels}), 1e-9);
