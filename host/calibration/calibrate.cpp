@@ -249,7 +249,7 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
 Result calibrate(const Drive& drive, const Options& options) {
   Site site = solve_drive(drive, options, true);
   // If the poses drift by as much as a move, apparent moves of anchors are not real.
-  if (has_moves(site) && site.error.prior.wander.sigma_m > kMovePose_m)
+  if (has_moves(site) && site.error.prior.drift.sigma_m > kMovePose_m)
     site = solve_drive(drive, options, false);
   if (!site.error.body.empty() && site.has_los_states()) find_nlos_again(site, options.earlier);
   const std::vector<double> inflation = score_inflation(site.error.evidence);

@@ -23,11 +23,11 @@ constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};
 constexpr int kDriveRounds = 4;
 // First sigmas of the drift to try. The marginal likelihood of the ranges chooses one of them, then refines
 // sigma, yaw sigma and correlation time by these factors, until no factor gains kMinDriftGain.
-constexpr std::array kWander_m{0.02, 0.06, 0.2, 0.6};
+constexpr std::array kDriftSigmas_m{0.02, 0.06, 0.2, 0.6};
 constexpr double kFirstDriftFactor = 2.0;
 constexpr double kLastDriftFactor = 1.15;
 constexpr double kMinDriftGain = 0.01;
-constexpr WanderPrior kFirstWander{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
+constexpr DriftPrior kFirstDrift{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
 constexpr std::array kYawFactors{0.4, 2.5};
 // Then whether the drift is smooth, and how fast: inverse natural frequencies and damping ratios to try.
 constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
@@ -37,14 +37,14 @@ constexpr int kFollowingSteps = 3;
 constexpr double kLastStepSigmas = 0.1;
 // Least gain in log evidence (nats) to accept a drift, body terms, or body terms in addition to a drift; and
 // a smooth or an oscillating drift in place of a rough one.
-constexpr double kMinWanderEvidence = 4.0;
+constexpr double kMinDriftEvidence = 4.0;
 constexpr double kMinBodyEvidence = 10.0;
 constexpr double kMinMoreBodyEvidence = 8.0;
 constexpr double kMinSmoothEvidence = 1.0;
 constexpr double kMinOscillationEvidence = 4.0;
 // Least gain that has to remain with the inflation of kWhile_s: errors that depend on place in each anchor's
 // own ranges can look like shared ones.
-constexpr double kMinLastingWander = 4.0;
+constexpr double kMinLastingDrift = 4.0;
 constexpr double kMinLastingBody = 2.0;
 // Correlation within kMoment_s comes from the ranges themselves, as when they are filtered or repeated;
 // within kWhile_s, also from errors that depend on place.
@@ -64,7 +64,7 @@ double delay_sigma_s() noexcept {
 // Log evidence: log likelihood of the ranges with the drive's error marginalized, up to a constant.
 double evidence(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior) {
   // Unknowns that are not fixed at zero are contiguous.
-  const Eigen::Index first = prior.wander.sigma_m > 0.0 ? 0 : unknowns.delay();
+  const Eigen::Index first = prior.drift.sigma_m > 0.0 ? 0 : unknowns.delay();
   const Eigen::Index size = (prior.body ? unknowns.size() : unknowns.body(0)) - first;
   const Eigen::LLT<Eigen::MatrixXd> posterior(
       equations.information.block(first, first, size, size) +
@@ -98,19 +98,19 @@ struct DriftSetup {
 Belief select_drift(const JointEquations& equations, const DriftSetup& setup, const Belief& before) {
   if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
   Belief best = before;
-  best.evidence += kMinWanderEvidence;
+  best.evidence += kMinDriftEvidence;
   SharedPrior prior = before.prior;
-  prior.wander = kFirstWander;
-  for (const double sigma_m : kWander_m) {
-    prior.wander.sigma_m = sigma_m;
+  prior.drift = kFirstDrift;
+  for (const double sigma_m : kDriftSigmas_m) {
+    prior.drift.sigma_m = sigma_m;
     keep_likelier(equations, setup.unknowns, prior, 0.0, best);
   }
   if (setup.typical) {
-    prior.wander.sigma_m = setup.typical->sigma_m;
-    prior.wander.sigma_yaw_rad = setup.typical->sigma_yaw_rad;
+    prior.drift.sigma_m = setup.typical->sigma_m;
+    prior.drift.sigma_yaw_rad = setup.typical->sigma_yaw_rad;
     keep_likelier(equations, setup.unknowns, prior, 0.0, best);
   }
-  return best.prior.wander.sigma_m > 0.0 ? best : before;
+  return best.prior.drift.sigma_m > 0.0 ? best : before;
 }
 
 // The first-order drift that maximizes the evidence. Needs fine knots: coarse ones do not show its time.
@@ -121,9 +121,9 @@ SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& 
     const Belief before = best;
     const auto scale = [&](double correlation, double shift, double turn) {
       SharedPrior prior = before.prior;
-      prior.wander.correlation_s *= correlation;
-      prior.wander.sigma_m *= shift;
-      prior.wander.sigma_yaw_rad *= turn;
+      prior.drift.correlation_s *= correlation;
+      prior.drift.sigma_m *= shift;
+      prior.drift.sigma_yaw_rad *= turn;
       keep_likelier(equations, unknowns, prior, 0.0, best);
     };
     for (const double factor : {step, 1.0 / step}) {
@@ -151,18 +151,18 @@ SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknown
     for (const double damping_ratio : kDampingRatios) {
       for (const double time_s : kSmoothTimes_s) {
         SharedPrior prior = rough;
-        prior.wander.sigma_m *= factor;
-        prior.wander.correlation_s = time_s;
-        prior.wander.damping_ratio = damping_ratio;
+        prior.drift.sigma_m *= factor;
+        prior.drift.correlation_s = time_s;
+        prior.drift.damping_ratio = damping_ratio;
         keep_likelier(equations, unknowns, prior, least_gain(damping_ratio), best);
       }
     }
   }
-  if (!best.prior.wander.damping_ratio) return rough;
+  if (!best.prior.drift.damping_ratio) return rough;
   for (const double factor : kYawFactors) {
     SharedPrior prior = best.prior;
-    prior.wander.sigma_yaw_rad *= factor;
-    keep_likelier(equations, unknowns, prior, least_gain(*prior.wander.damping_ratio), best);
+    prior.drift.sigma_yaw_rad *= factor;
+    keep_likelier(equations, unknowns, prior, least_gain(*prior.drift.damping_ratio), best);
   }
   return best.prior;
 }
@@ -182,30 +182,30 @@ Belief select_body(const JointEquations& equations, const SharedUnknowns& unknow
 template <typename Slow>
 SharedPrior likeliest_prior(const JointEquations& equations, const DriftSetup& setup, const Slow& slow) {
   const SharedUnknowns& unknowns = setup.unknowns;
-  Belief nothing{.prior = {.wander = {}, .delay_sigma_s = delay_sigma_s()}};
+  Belief nothing{.prior = {.drift = {}, .delay_sigma_s = delay_sigma_s()}};
   nothing.evidence = evidence(equations, unknowns, nothing.prior);
-  Belief wander = select_drift(equations, setup, nothing);
+  Belief drift = select_drift(equations, setup, nothing);
   Belief body = select_body(equations, unknowns, nothing, kMinBodyEvidence);
-  if (!(wander.prior.wander.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
+  if (!(drift.prior.drift.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
 
   const JointEquations lasting = slow();
   const auto gain = [&](const Belief& more, const Belief& less) {
     return evidence(lasting, unknowns, more.prior) - evidence(lasting, unknowns, less.prior);
   };
-  const double by_wander = gain(wander, nothing);
+  const double by_drift = gain(drift, nothing);
   const double by_body = gain(body, nothing);
-  if (by_wander >= kMinLastingWander && by_wander >= by_body) {
-    body = select_body(equations, unknowns, wander, kMinMoreBodyEvidence);
-    return gain(body, wander) < kMinLastingBody ? wander.prior : body.prior;
+  if (by_drift >= kMinLastingDrift && by_drift >= by_body) {
+    body = select_body(equations, unknowns, drift, kMinMoreBodyEvidence);
+    return gain(body, drift) < kMinLastingBody ? drift.prior : body.prior;
   }
   if (by_body < kMinLastingBody) return nothing.prior;
-  wander = select_drift(equations, setup, body);
-  return gain(wander, body) < kMinLastingWander ? body.prior : wander.prior;
+  drift = select_drift(equations, setup, body);
+  return gain(drift, body) < kMinLastingDrift ? body.prior : drift.prior;
 }
 
 bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& unknowns,
                         const SharedPrior& prior) {
-  if (prior.wander.sigma_m > 0.0 || prior.body) return false;
+  if (prior.drift.sigma_m > 0.0 || prior.body) return false;
   const Eigen::Index delay = unknowns.delay();
   const double information = equations.information(delay, delay) + 1.0 / (delay_sigma_s() * delay_sigma_s());
   return std::abs(equations.descent(delay)) < kMinDelaySigmas * std::sqrt(information);
@@ -215,7 +215,7 @@ SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpre
                        const DriftSetup& setup, const SharedPrior& prior) {
   const SharedUnknowns& coarse = setup.unknowns;
   SharedUnknowns out;
-  const KnotGrid& grid = prior.wander.sigma_m > 0.0 ? kFineKnots : kNoKnots;
+  const KnotGrid& grid = prior.drift.sigma_m > 0.0 ? kFineKnots : kNoKnots;
   out.knots = place_knots(fits, grid).value_or(coarse.knots);
   out.body_tags = prior.body ? coarse.body_tags : 0;
   if (setup.typical) out.knot_scale = scale_knots(out.knots, spreads, *setup.typical);
@@ -438,14 +438,14 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
     return out;
   }
   out.unknowns = arrange(fits, association.pose_spreads, setup, prior);
-  if (prior.wander.sigma_m > 0.0) {
+  if (prior.drift.sigma_m > 0.0) {
     equations = eliminate_anchors(fits, inflation, out.unknowns);
     prior = likeliest_shape(equations, out.unknowns, refine_drift(equations, out.unknowns, prior));
   }
   out.prior = prior;
   out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());
-  if (setup.typical && prior.wander.sigma_m > 0.0) {
-    const double share = white_share(prior.wander, *setup.typical, out.unknowns.knots.spacing_s);
+  if (setup.typical && prior.drift.sigma_m > 0.0) {
+    const double share = white_share(prior.drift, *setup.typical, out.unknowns.knots.spacing_s);
     for (AnchorObservations& anchor : association.anchors) {
       for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
     }

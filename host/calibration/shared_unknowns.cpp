@@ -22,21 +22,21 @@ constexpr double inverse_square(double x) noexcept {
 constexpr double kLeastFresh = 1e-6;
 
 // Correlation matrix of one axis over all knots.
-Eigen::MatrixXd knot_correlation(const Knots& knots, const WanderPrior& wander) {
+Eigen::MatrixXd knot_correlation(const Knots& knots, const DriftPrior& drift) {
   Eigen::MatrixXd out(knots.count, knots.count);
   for (Eigen::Index i = 0; i < knots.count; ++i) {
     for (Eigen::Index k = 0; k < knots.count; ++k)
-      out(i, k) = wander_correlation(wander, static_cast<double>(i - k) * knots.spacing_s);
+      out(i, k) = drift_correlation(drift, static_cast<double>(i - k) * knots.spacing_s);
     out(i, i) += kLeastFresh;
   }
   return out;
 }
 
-Eigen::MatrixXd knot_information(const Knots& knots, const WanderPrior& wander) {
-  if (wander.damping_ratio) {
-    return knot_correlation(knots, wander).llt().solve(Eigen::MatrixXd::Identity(knots.count, knots.count));
+Eigen::MatrixXd knot_information(const Knots& knots, const DriftPrior& drift) {
+  if (drift.damping_ratio) {
+    return knot_correlation(knots, drift).llt().solve(Eigen::MatrixXd::Identity(knots.count, knots.count));
   }
-  const double keep = wander_correlation(wander, knots.spacing_s);
+  const double keep = drift_correlation(drift, knots.spacing_s);
   const double fresh = 1.0 / (1.0 - keep * keep);
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(knots.count, knots.count);
   for (Eigen::Index k = 0; k < knots.count; ++k) {
@@ -49,13 +49,13 @@ Eigen::MatrixXd knot_information(const Knots& knots, const WanderPrior& wander) 
   return out;
 }
 
-double knot_log_determinant(const Knots& knots, const WanderPrior& wander) {
-  if (wander.damping_ratio) {
-    const Eigen::LLT<Eigen::MatrixXd> factors(knot_correlation(knots, wander));
+double knot_log_determinant(const Knots& knots, const DriftPrior& drift) {
+  if (drift.damping_ratio) {
+    const Eigen::LLT<Eigen::MatrixXd> factors(knot_correlation(knots, drift));
     return 2.0 * factors.matrixLLT().diagonal().array().log().sum();
   }
   // A first-order process factors into its steps.
-  const double keep = wander_correlation(wander, knots.spacing_s);
+  const double keep = drift_correlation(drift, knots.spacing_s);
   return (static_cast<double>(knots.count) - 1.0) * std::log1p(-keep * keep);
 }
 
@@ -195,10 +195,10 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
 
 }  // namespace
 
-double wander_correlation(const WanderPrior& wander, double apart_s) noexcept {
-  const double a = std::abs(apart_s) / wander.correlation_s;
-  if (!wander.damping_ratio) return std::exp(-a);
-  const double damping = *wander.damping_ratio;
+double drift_correlation(const DriftPrior& drift, double apart_s) noexcept {
+  const double a = std::abs(apart_s) / drift.correlation_s;
+  if (!drift.damping_ratio) return std::exp(-a);
+  const double damping = *drift.damping_ratio;
   if (damping >= 1.0) return (1.0 + a) * std::exp(-a);
   const double frequency = std::sqrt(1.0 - damping * damping);
   return std::exp(-damping * a) * (std::cos(frequency * a) + damping / frequency * std::sin(frequency * a));
@@ -266,17 +266,17 @@ std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const Pos
   return out;
 }
 
-double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s) {
-  const double slow = std::pow(wander.sigma_m / typical.sigma_m, 2);
+double white_share(const DriftPrior& drift, const PoseQuality& typical, double spacing_s) {
+  const double slow = std::pow(drift.sigma_m / typical.sigma_m, 2);
   // Mean variance between two knots of the error of linear interpolation, for a process of unit variance.
   constexpr int kPlaces = 8;
-  const double over_way = wander_correlation(wander, spacing_s);
+  const double over_way = drift_correlation(drift, spacing_s);
   double missed = 0.0;
   for (int i = 0; i < kPlaces; ++i) {
     const double f = (i + 0.5) / kPlaces;
     missed += (1.0 + f * f + (1.0 - f) * (1.0 - f) + 2.0 * f * (1.0 - f) * over_way -
-               2.0 * (1.0 - f) * wander_correlation(wander, f * spacing_s) -
-               2.0 * f * wander_correlation(wander, (1.0 - f) * spacing_s)) /
+               2.0 * (1.0 - f) * drift_correlation(drift, f * spacing_s) -
+               2.0 * f * drift_correlation(drift, (1.0 - f) * spacing_s)) /
               kPlaces;
   }
   return std::max(0.0, 1.0 - slow) + std::min(1.0, slow) * missed;
@@ -286,10 +286,10 @@ SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction
                           double fraction) noexcept {
   const Eigen::Vector3d by_antenna = gamma * predicted.direction;
   const double by_yaw = by_antenna.head<2>().dot(row.yaw_arm_m);
-  const Eigen::Vector3d wander(by_antenna.x(), by_antenna.y(), by_yaw);
+  const Eigen::Vector3d drift(by_antenna.x(), by_antenna.y(), by_yaw);
   const Eigen::Vector3d in_body = row.attitude.conjugate().cast<double>() * predicted.direction;
   SharedRow out;
-  out << (1.0 - fraction) * wander, fraction * wander, -by_antenna.dot(row.velocity_mps), gamma * in_body,
+  out << (1.0 - fraction) * drift, fraction * drift, -by_antenna.dot(row.velocity_mps), gamma * in_body,
       model::pattern_terms(in_body);
   return out;
 }
@@ -313,13 +313,13 @@ void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const
 Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPrior& prior) {
   const Knots& knots = unknowns.knots;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size());
-  const double shift = inverse_square(std::max(prior.wander.sigma_m, kMinPoseSigma_m));
-  const double turn = inverse_square(std::max(prior.wander.sigma_yaw_rad, kMinPoseSigma_rad));
+  const double shift = inverse_square(std::max(prior.drift.sigma_m, kMinPoseSigma_m));
+  const double turn = inverse_square(std::max(prior.drift.sigma_yaw_rad, kMinPoseSigma_rad));
   const Eigen::Vector3d inverse(shift, shift, turn);
   std::vector<Eigen::Matrix3d> inverse_scale;
   inverse_scale.reserve(unknowns.knot_scale.size());
   for (const Eigen::Matrix3d& scale : unknowns.knot_scale) inverse_scale.emplace_back(scale.inverse());
-  const Eigen::MatrixXd of_axis = knot_information(knots, prior.wander);
+  const Eigen::MatrixXd of_axis = knot_information(knots, prior.drift);
   for (Eigen::Index k = 0; k < knots.count; ++k) {
     for (Eigen::Index other = 0; other < knots.count; ++other) {
       if (of_axis(k, other) == 0.0) continue;
@@ -340,10 +340,10 @@ Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPr
 
 double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& prior) {
   double out = -2.0 * std::log(prior.delay_sigma_s);
-  if (prior.wander.sigma_m > 0.0) {
+  if (prior.drift.sigma_m > 0.0) {
     const auto n = static_cast<double>(unknowns.knots.count);
-    out -= n * (4.0 * std::log(prior.wander.sigma_m) + 2.0 * std::log(prior.wander.sigma_yaw_rad)) +
-           3.0 * knot_log_determinant(unknowns.knots, prior.wander);
+    out -= n * (4.0 * std::log(prior.drift.sigma_m) + 2.0 * std::log(prior.drift.sigma_yaw_rad)) +
+           3.0 * knot_log_determinant(unknowns.knots, prior.drift);
     for (const Eigen::Matrix3d& scale : unknowns.knot_scale)
       out -= 2.0 * std::log(std::abs(scale.determinant()));
   }

@@ -19,7 +19,7 @@ namespace groma::calibration {
 
 // Prior of the pose drift: in x, y (map) and yaw, each a stationary process; sigma_m zero means that the
 // poses are exact.
-struct WanderPrior {
+struct DriftPrior {
   double sigma_m = 0.0;
   double sigma_yaw_rad = 0.0;
   double correlation_s = 20.0;
@@ -29,7 +29,7 @@ struct WanderPrior {
   std::optional<double> damping_ratio = {};
 };
 // Correlation of the drift at two times `apart_s` from each other.
-[[nodiscard]] double wander_correlation(const WanderPrior& wander, double apart_s) noexcept;
+[[nodiscard]] double drift_correlation(const DriftPrior& drift, double apart_s) noexcept;
 
 // Body terms of one tag: the error of its lever arm (base_link, m), then the coefficients of its antenna
 // pattern (m).
@@ -91,7 +91,7 @@ struct PoseQuality {
                                                        const PoseQuality& typical);
 // White share of the poses' variance beside a drift of this size: what the drift leaves of the reported
 // variance, and what linear interpolation between knots misses.
-[[nodiscard]] double white_share(const WanderPrior& wander, const PoseQuality& typical, double spacing_s);
+[[nodiscard]] double white_share(const DriftPrior& drift, const PoseQuality& typical, double spacing_s);
 
 // Derivative of one predicted range by the shared unknowns that it depends on: the knots before and after it
 // (6), the delay, the body terms of its tag.
@@ -109,7 +109,7 @@ void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const
 
 // Prior of the unknowns; those with sigma zero, or `body` false, are fixed at zero.
 struct SharedPrior {
-  WanderPrior wander;
+  DriftPrior drift;
   double delay_sigma_s = 0.03;
   bool body = false;
 };

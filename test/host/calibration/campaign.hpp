@@ -19,24 +19,24 @@ namespace groma::test {
 
 // Cramer-Rao bounds of all anchors' positions where poses drift, for an estimator that knows the drift's
 // statistics. The drift is linear between knots a second apart and common to all anchors.
-inline std::vector<Eigen::Matrix3d> bounds_with_wander(const SimulatedSite& site) {
+inline std::vector<Eigen::Matrix3d> bounds_with_drift(const SimulatedSite& site) {
   constexpr double kStep_s = 1.0;
   const SiteSettings& settings = site.settings;
   const std::size_t tags = site.tags.size();
   const auto size = static_cast<Eigen::Index>(3 + 2 * tags);
   const auto knots = static_cast<Eigen::Index>(settings.duration_s / kStep_s) + 2;
   const double keep = std::exp(-kStep_s / settings.pose_correlation_s);
-  Eigen::MatrixXd wander = Eigen::MatrixXd::Zero(3 * knots, 3 * knots);
+  Eigen::MatrixXd drift = Eigen::MatrixXd::Zero(3 * knots, 3 * knots);
   for (Eigen::Index axis = 0; axis < 3; ++axis) {
     const double sigma = axis < 2 ? settings.pose_sigma_m : settings.pose_yaw_sigma_rad;
-    wander(axis, axis) += 1.0 / (sigma * sigma);
+    drift(axis, axis) += 1.0 / (sigma * sigma);
     // Each step acts as an observation: the error minus what is kept of the one before.
     const double information = 1.0 / (sigma * sigma * (1.0 - keep * keep));
     for (Eigen::Index k = axis; k + 3 < 3 * knots; k += 3) {
-      wander(k + 3, k + 3) += information;
-      wander(k, k) += keep * keep * information;
-      wander(k, k + 3) -= keep * information;
-      wander(k + 3, k) -= keep * information;
+      drift(k + 3, k + 3) += information;
+      drift(k, k) += keep * keep * information;
+      drift(k, k + 3) -= keep * information;
+      drift(k + 3, k) -= keep * information;
     }
   }
   std::vector<Eigen::MatrixXd> own;
@@ -71,13 +71,13 @@ inline std::vector<Eigen::Matrix3d> bounds_with_wander(const SimulatedSite& site
       const double weight = 1.0 / std::pow(settings.sigma_m, 2);
       information += weight * row * row.transpose();
       cross.middleCols<6>(3 * knot) += weight * row * by_knots.transpose();
-      wander.block<6, 6>(3 * knot, 3 * knot) += weight * by_knots * by_knots.transpose();
+      drift.block<6, 6>(3 * knot, 3 * knot) += weight * by_knots * by_knots.transpose();
     }
     own.emplace_back(information.ldlt().solve(Eigen::MatrixXd::Identity(size, size)));
     gains.emplace_back(own.back() * cross);
-    wander -= cross.transpose() * gains.back();
+    drift -= cross.transpose() * gains.back();
   }
-  const Eigen::LLT<Eigen::MatrixXd> rest(wander);
+  const Eigen::LLT<Eigen::MatrixXd> rest(drift);
   std::vector<Eigen::Matrix3d> out;
   for (std::size_t a = 0; a < own.size(); ++a) {
     const Eigen::MatrixXd gain = gains[a].topRows<3>();
@@ -157,12 +157,12 @@ struct Campaign {
 // Calibrates the settings' site with each seed; computes the oracle if there are neither outliers nor pose
 // drift.
 inline void add_seeds(const SiteSettings& settings, std::uint64_t first, std::uint64_t last, Campaign& out) {
-  const bool wanders = settings.pose_sigma_m > 0.0;
-  const bool has_oracle = !wanders && settings.outlier_share == 0.0;
-  std::vector<Eigen::Matrix3d> of_wander;  // nearly the same for each seed
+  const bool drifts = settings.pose_sigma_m > 0.0;
+  const bool has_oracle = !drifts && settings.outlier_share == 0.0;
+  std::vector<Eigen::Matrix3d> of_drift;  // nearly the same for each seed
   for (std::uint64_t seed = first; seed <= last; ++seed) {
     const SimulatedSite site = simulate_site(settings, seed);
-    if (wanders && of_wander.empty()) of_wander = bounds_with_wander(site);
+    if (drifts && of_drift.empty()) of_drift = bounds_with_drift(site);
     const calibration::Result result = calibration::calibrate(site.drive());
     ASSERT_EQ(result.calibration.anchors.size(), site.anchors.size());
     for (std::size_t a = 0; a < site.anchors.size(); ++a) {
@@ -172,13 +172,13 @@ inline void add_seeds(const SiteSettings& settings, std::uint64_t first, std::ui
       // Without pose drift all of the common frame's covariance is unobservable error, and these poses have
       // none.
       const Eigen::Matrix3d covariance =
-          wanders ? Eigen::Matrix3d(found.covariance.topLeftCorner<3, 3>())
+          drifts ? Eigen::Matrix3d(found.covariance.topLeftCorner<3, 3>())
                   : Eigen::Matrix3d(model::own_covariance(found, result.calibration.common_frame_covariance)
                                         .topLeftCorner<3, 3>());
       const double nees = error_m.dot(covariance.ldlt().solve(error_m));
       out.square_m2 += error_m.squaredNorm();
       out.bound_m2 +=
-          wanders ? of_wander[a].trace() : cramer_rao_bound(site, a).topLeftCorner<3, 3>().trace();
+          drifts ? of_drift[a].trace() : cramer_rao_bound(site, a).topLeftCorner<3, 3>().trace();
       if (has_oracle) {
         out.oracle_m2 += (oracle_position_m(site, a) - site.anchors[a].position_m).squaredNorm();
       }

@@ -54,8 +54,8 @@ TEST(DriveError, EstimatesSizeAndCorrelationTimeOfPoseDrift) {
                                                          4);
     Solved solved;
     solve(site, solved);
-    EXPECT_NEAR(std::log(solved.error.prior.wander.correlation_s / correlation_s), 0.0, std::log(1.5));
-    EXPECT_NEAR(std::log(solved.error.prior.wander.sigma_m / 0.05), 0.0, std::log(2.0)) << correlation_s;
+    EXPECT_NEAR(std::log(solved.error.prior.drift.correlation_s / correlation_s), 0.0, std::log(1.5));
+    EXPECT_NEAR(std::log(solved.error.prior.drift.sigma_m / 0.05), 0.0, std::log(2.0)) << correlation_s;
   }
 }
 
@@ -74,8 +74,8 @@ TEST(DriveError, DistinguishesSmoothFromRoughDrift) {
     const test::SimulatedSite site = test::simulate_site(settings, seed);
     Solved smooth;
     solve(site, smooth);
-    ASSERT_TRUE(smooth.error.prior.wander.damping_ratio.has_value()) << seed;
-    EXPECT_LT(*smooth.error.prior.wander.damping_ratio, 1.0) << seed;
+    ASSERT_TRUE(smooth.error.prior.drift.damping_ratio.has_value()) << seed;
+    EXPECT_LT(*smooth.error.prior.drift.damping_ratio, 1.0) << seed;
     Eigen::Vector2d shift_m = Eigen::Vector2d::Zero();
     for (std::size_t i = 0; i < site.poses.size(); ++i) {
       shift_m +=
@@ -95,7 +95,7 @@ TEST(DriveError, DistinguishesSmoothFromRoughDrift) {
     settings.pose_damping_ratio.reset();
     Solved rough;
     solve(test::simulate_site(settings, seed), rough);
-    EXPECT_FALSE(rough.error.prior.wander.damping_ratio.has_value()) << seed;
+    EXPECT_FALSE(rough.error.prior.drift.damping_ratio.has_value()) << seed;
   }
   // 16 degrees of freedom, 99 %.
   EXPECT_GT(nees, 5.14);
@@ -129,7 +129,7 @@ TEST(DriveError, LeavesExactPosesAsTheyAre) {
   const test::SimulatedSite site = test::simulate_site({}, 6);
   Solved solved;
   solve(site, solved);
-  EXPECT_EQ(solved.error.prior.wander.sigma_m, 0.0);
+  EXPECT_EQ(solved.error.prior.drift.sigma_m, 0.0);
   EXPECT_NEAR(solved.error.range_delay_s, 0.0, 3.0 * solved.error.range_delay_sigma_s);
   EXPECT_LT(solved.error.range_delay_sigma_s, 0.01);
   EXPECT_TRUE(solved.error.body.empty());
@@ -179,7 +179,7 @@ TEST(DriveError, DoesNotTakePlaceDependentErrorsForDriftOrPatterns) {
         test::simulate_site({.ranges_per_pair = 600, .place_error_m = 0.08}, seed);
     Solved solved;
     solve(site, solved);
-    EXPECT_EQ(solved.error.prior.wander.sigma_m, 0.0) << seed;
+    EXPECT_EQ(solved.error.prior.drift.sigma_m, 0.0) << seed;
     EXPECT_TRUE(solved.error.body.empty()) << seed;
   }
 }

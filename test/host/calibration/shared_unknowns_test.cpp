@@ -79,7 +79,7 @@ TEST(SharedUnknowns, MoveRowRemovesTheError) {
 TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 5}, .knot_scale = {}, .body_tags = 1};
-  const SharedPrior prior{.wander = {.sigma_m = 0.2, .sigma_yaw_rad = 0.01, .correlation_s = 7.0},
+  const SharedPrior prior{.drift = {.sigma_m = 0.2, .sigma_yaw_rad = 0.01, .correlation_s = 7.0},
                           .delay_sigma_s = 0.03,
                           .body = true};
   const Eigen::MatrixXd information = prior_information(unknowns, prior);
@@ -98,14 +98,14 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
 // The correlation of an oscillator driven by white noise obeys its equation of motion, starting at rest.
 TEST(SharedUnknowns, SmoothDriftIsThatOfADrivenOscillator) {
   for (const double damping_ratio : {1.0, 0.6, 0.1, 0.03}) {
-    const WanderPrior wander{
+    const DriftPrior drift{
         .sigma_m = 1.0, .sigma_yaw_rad = 1.0, .correlation_s = 7.0, .damping_ratio = damping_ratio};
     constexpr double kStep_s = 1e-3;
     double correlation = 1.0;
     double rate = 0.0;
     for (int i = 0; i < 40'000; ++i) {
       if (i % 5000 == 0) {
-        EXPECT_NEAR(wander_correlation(wander, -kStep_s * i), correlation, 1e-3) << damping_ratio << i;
+        EXPECT_NEAR(drift_correlation(drift, -kStep_s * i), correlation, 1e-3) << damping_ratio << i;
       }
       rate += kStep_s * (-2.0 * damping_ratio / 7.0 * rate - correlation / 49.0);
       correlation += kStep_s * rate;
@@ -117,7 +117,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 6}, .knot_scale = {}, .body_tags = 1};
   for (const double damping_ratio : {1.0, 0.1}) {
-    const SharedPrior prior{.wander = {.sigma_m = 0.2,
+    const SharedPrior prior{.drift = {.sigma_m = 0.2,
                                        .sigma_yaw_rad = 0.01,
                                        .correlation_s = 7.0,
                                        .damping_ratio = damping_ratio},
@@ -127,7 +127,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
     const Eigen::MatrixXd covariance = information.inverse();
     for (Eigen::Index i = 0; i < unknowns.knots.count; ++i) {
       for (Eigen::Index k = 0; k < unknowns.knots.count; ++k) {
-        const double kept = wander_correlation(prior.wander, 3.0 * static_cast<double>(i - k));
+        const double kept = drift_correlation(prior.drift, 3.0 * static_cast<double>(i - k));
         EXPECT_NEAR(covariance(3 * i, 3 * k), 0.04 * kept, 1e-7);
         EXPECT_NEAR(covariance(3 * i + 2, 3 * k + 2), 1e-4 * kept, 1e-9);
         EXPECT_NEAR(covariance(3 * i, 3 * k + 1), 0.0, 1e-9);
@@ -140,9 +140,9 @@ TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
 // Reference: mean error variance of linear interpolation at many points between two knots.
 TEST(SharedUnknowns, InterpolationMissesLessOfASmoothDrift) {
   const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
-  WanderPrior wander{.sigma_m = 0.3, .sigma_yaw_rad = 0.02, .correlation_s = 20.0};
-  EXPECT_NEAR(white_share(wander, typical, 2.0), 2.0 / (3.0 * 20.0), 2e-3);
-  wander.damping_ratio = 1.0;
+  DriftPrior drift{.sigma_m = 0.3, .sigma_yaw_rad = 0.02, .correlation_s = 20.0};
+  EXPECT_NEAR(white_share(drift, typical, 2.0), 2.0 / (3.0 * 20.0), 2e-3);
+  drift.damping_ratio = 1.0;
   double missed = 0.0;
   constexpr int kPlaces = 1000;
   for (int i = 0; i < kPlaces; ++i) {
@@ -150,11 +150,11 @@ TEST(SharedUnknowns, InterpolationMissesLessOfASmoothDrift) {
     Eigen::Matrix3d covariance;  // of the first knot, the next, and the point between
     const Eigen::Vector3d at(0.0, 12.0, 12.0 * f);
     for (Eigen::Index a = 0; a < 3; ++a)
-      for (Eigen::Index b = 0; b < 3; ++b) covariance(a, b) = wander_correlation(wander, at(a) - at(b));
+      for (Eigen::Index b = 0; b < 3; ++b) covariance(a, b) = drift_correlation(drift, at(a) - at(b));
     const Eigen::Vector3d off(1.0 - f, f, -1.0);
     missed += off.dot(covariance * off) / kPlaces;
   }
-  EXPECT_NEAR(white_share(wander, typical, 12.0), missed, 0.02 * missed);
+  EXPECT_NEAR(white_share(drift, typical, 12.0), missed, 0.02 * missed);
   EXPECT_LT(missed, 0.03);
 }
 
@@ -176,7 +176,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsFollowsThePosesCovariance) {
   const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
   unknowns.knot_scale = scale_knots(unknowns.knots, spreads, typical);
   // Twice the typical sigmas: twice those that the poses report.
-  const SharedPrior prior{.wander = {.sigma_m = 0.6, .sigma_yaw_rad = 0.04, .correlation_s = 7.0},
+  const SharedPrior prior{.drift = {.sigma_m = 0.6, .sigma_yaw_rad = 0.04, .correlation_s = 7.0},
                           .delay_sigma_s = 0.03};
   const Eigen::MatrixXd information = prior_information(unknowns, prior);
   const Eigen::MatrixXd covariance = information.inverse();
