@@ -101,12 +101,12 @@ void test_mirrors(Site& site, const model::Calibration* earlier) {
     if (earlier != nullptr && site.paths[i].moved_at_s.empty()) {
       place = earlier_place(*earlier, site.association.anchors[i].id);
     }
-    for (const auto& [axis, rival] :
+    for (const auto& [axis, mirror] :
          {std::pair{kAcrossLine, &evidence.side}, {kAcrossPlane, &evidence.mirror}}) {
-      *rival = challenge(fit, evidence.spread, axis);
+      *mirror = test_mirror(fit, evidence.spread, axis);
       if (!place) continue;
       const std::vector<Evidence> alone{gather_evidence(fit)};
-      weigh_by_earlier(*place, score_inflation(alone).front(), fit, **rival);
+      weigh_by_earlier(*place, score_inflation(alone).front(), fit, **mirror);
     }
   }
   refine_site(site.fits, kLastRounds);

@@ -144,12 +144,12 @@ Adds nlos_excess_by_place(const Anchor& anchor) {
 
 Adds across_plane(const Anchor& anchor) {
   if (!anchor.known.mirror) return {};
-  return anchor.of_position(rival_spread(*anchor.known.mirror, anchor.fit, anchor.known.inflation));
+  return anchor.of_position(mirror_covariance(*anchor.known.mirror, anchor.fit, anchor.known.inflation));
 }
 
 Adds across_line(const Anchor& anchor) {
   if (!anchor.known.side) return {};
-  return anchor.of_position(rival_spread(*anchor.known.side, anchor.fit, anchor.known.inflation));
+  return anchor.of_position(mirror_covariance(*anchor.known.side, anchor.fit, anchor.known.inflation));
 }
 
 // Whether one height is about as far below the tags as the other is above: then the mirror test decides.

@@ -467,7 +467,7 @@ bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits) {
   for (AnchorFit& fit : fits) {
     if (!long_residuals_are_correlated(fit)) continue;
     if (fit.problem.position.surveyed) return true;
-    challenge_both(fit);
+    test_both_mirrors(fit);
     if (long_residuals_are_correlated(fit)) return true;
   }
   return false;

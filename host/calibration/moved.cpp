@@ -424,7 +424,7 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
   if (!clear_shift(pieces, piece)) return std::nullopt;
   // Not a move if one of the two only settled on another side of the tags.
   for (const std::size_t i : {piece, piece + 1}) {
-    challenge_both(pieces.fits[i]);
+    test_both_mirrors(pieces.fits[i]);
     pieces.evidence[i] = gather_evidence(pieces.fits[i]);
   }
   std::optional<Shift> shift = clear_shift(pieces, piece);

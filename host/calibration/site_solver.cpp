@@ -73,7 +73,7 @@ constexpr double kRefitMove_m = 0.3;
 // Largest cost of being away from the earlier place: anchors do get moved.
 constexpr double kMovedCost = 10.0;
 // Starts this close to each other are in one basin.
-constexpr double kSameRival_m = 0.1;
+constexpr double kSameMirror_m = 0.1;
 // Heights over the tags' plane to try, as shares of the distance to the nearest antenna.
 constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
 // Holds the anchor at a distance from the tags while the other unknowns are solved.
@@ -113,7 +113,7 @@ void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts)
   std::erase_if(starts, [&](const AnchorVector& start) {
     const Eigen::Vector3d place_m = start.head<3>();
     const bool tried = std::any_of(tried_m.begin(), tried_m.end(), [&](const Eigen::Vector3d& other_m) {
-      return (place_m - other_m).norm() < kSameRival_m;
+      return (place_m - other_m).norm() < kSameMirror_m;
     });
     if (!tried) tried_m.push_back(place_m);
     return tried;
@@ -383,7 +383,7 @@ AnchorFit search(const AnchorProblem& problem) {
   return best;
 }
 
-Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
+MirrorHypothesis test_mirror(AnchorFit& fit, const TagSpread& spread, int axis) {
   AnchorProblem sketch = fit.problem;
   const std::vector<Observation> few = spread_along_the_way(sketch.rows, sketch.tag_count, kRowsPerTag);
   sketch.rows = few;
@@ -405,36 +405,36 @@ Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis) {
   CostSum of_perfect;
   for (const Observation& row : sketch.rows) of_perfect.add(fit.kernels[row.tag].at(0.0));
   const double perfect = of_perfect.cost();
-  Rival rival;
-  rival.anchor = result.there.anchor;
-  rival.cost_excess = scale * std::max(0.0, result.there.cost - result.here.cost);
-  rival.cost_ratio =
+  MirrorHypothesis mirror;
+  mirror.anchor = result.there.anchor;
+  mirror.cost_excess = scale * std::max(0.0, result.there.cost - result.here.cost);
+  mirror.cost_ratio =
       std::clamp((result.here.cost - perfect) / std::max(result.there.cost - perfect, 1e-9), 0.0, 1.0);
-  return rival;
+  return mirror;
 }
 
-void challenge_both(AnchorFit& fit) {
+void test_both_mirrors(AnchorFit& fit) {
   const TagSpread spread = tag_spread(fit.problem.rows);
-  for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(challenge(fit, spread, axis));
+  for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(test_mirror(fit, spread, axis));
 }
 
-void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival) {
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, MirrorHypothesis& mirror) {
   const Eigen::LDLT<Eigen::Matrix3d> factors(earlier.covariance_m2);
   const auto cost = [&](const AnchorVector& anchor) {
     const Eigen::Vector3d offset_m = anchor.head<3>() - earlier.position_m;
     return std::min(kMovedCost, 0.5 * offset_m.dot(factors.solve(offset_m)));
   };
-  rival.cost_excess += inflation * (cost(rival.anchor) - cost(fit.anchor));
-  if (rival.cost_excess >= 0.0) return;
-  std::swap(fit.anchor, rival.anchor);
+  mirror.cost_excess += inflation * (cost(mirror.anchor) - cost(fit.anchor));
+  if (mirror.cost_excess >= 0.0) return;
+  std::swap(fit.anchor, mirror.anchor);
   fit.cost = robust_cost(fit);
-  rival.cost_excess = -rival.cost_excess;
+  mirror.cost_excess = -mirror.cost_excess;
 }
 
-Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation) {
+Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit, double inflation) {
   if (model::is_ablated(model::Mechanism::kCalibrationMirror)) return Eigen::Matrix3d::Zero();
-  const double odds = std::exp(-rival.cost_excess / std::max(1.0, inflation));
-  const Eigen::Vector3d offset_m = rival.anchor.head<3>() - fit.anchor.head<3>();
+  const double odds = std::exp(-mirror.cost_excess / std::max(1.0, inflation));
+  const Eigen::Vector3d offset_m = mirror.anchor.head<3>() - fit.anchor.head<3>();
   return odds / (1.0 + odds) * offset_m * offset_m.transpose();
 }
 

@@ -46,7 +46,7 @@ struct TagSpread {
 [[nodiscard]] AnchorFit search(const AnchorProblem& problem);
 
 // Mirror hypothesis: the best solution on the other side.
-struct Rival {
+struct MirrorHypothesis {
   AnchorVector anchor;
   double cost_excess = 0.0;  // negative log likelihood above the solution's, for independent residuals; >= 0
   double cost_ratio = 1.0;   // the solution's cost over this one's, 0..1, above those of perfect ranges
@@ -54,10 +54,10 @@ struct Rival {
 
 // Tests the mirror hypothesis along one axis. If it explains the ranges better, the fit moves there and its
 // former place becomes the mirror hypothesis. The fit must have ranges.
-[[nodiscard]] Rival challenge(AnchorFit& fit, const TagSpread& spread, int axis);
+[[nodiscard]] MirrorHypothesis test_mirror(AnchorFit& fit, const TagSpread& spread, int axis);
 
 // Tests across the line and across the plane of the tags, only for what they do to the fit.
-void challenge_both(AnchorFit& fit);
+void test_both_mirrors(AnchorFit& fit);
 
 // An anchor's position in an earlier calibration.
 struct EarlierPlace {
@@ -67,11 +67,11 @@ struct EarlierPlace {
 // Adds the cost of the earlier position to the hypothesis' excess; it is limited, because the anchor may have
 // been moved, and multiplied by `inflation`, because the excess is for independent residuals. If the excess
 // becomes negative, fit and hypothesis swap places.
-void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, Rival& rival);
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, MirrorHypothesis& mirror);
 
 // What the mirror hypothesis adds to the position's covariance, m^2: the second moment about the fit if the
 // hypothesis is true with the probability that its excess divided by `inflation` gives.
-[[nodiscard]] Eigen::Matrix3d rival_spread(const Rival& rival, const AnchorFit& fit, double inflation);
+[[nodiscard]] Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit, double inflation);
 
 struct SiteProblem {
   const Association* association = nullptr;

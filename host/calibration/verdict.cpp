@@ -64,8 +64,8 @@ std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& 
 // A mirror hypothesis within this of the best solution's negative log likelihood cannot be ruled out.
 constexpr double kPlausibleExcess = 6.0;
 
-bool is_plausible(const std::optional<Rival>& rival, double inflation) {
-  return rival && rival->cost_excess < kPlausibleExcess * inflation;
+bool is_plausible(const std::optional<MirrorHypothesis>& mirror, double inflation) {
+  return mirror && mirror->cost_excess < kPlausibleExcess * inflation;
 }
 
 struct Opinion {

@@ -41,8 +41,8 @@ struct AnchorEvidence {
   TagSpread spread;                       // of the antennas that ranged to it
   std::size_t rows = 0;                   // ranges with a pose
   double nearest_m = 0.0;                 // closest antenna
-  std::optional<Rival> mirror;            // across the plane of the tags
-  std::optional<Rival> side;              // across the line of the drive
+  std::optional<MirrorHypothesis> mirror;            // across the plane of the tags
+  std::optional<MirrorHypothesis> side;              // across the line of the drive
   double los_share = 0.0;            // LOS share of its ranges
   std::optional<double> held_out_z;       // rms of held-out residuals over its prediction
   double scale_ratio = 1.0;               // its noise over the site's median
