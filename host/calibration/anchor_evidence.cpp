@@ -160,7 +160,7 @@ void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>
     AnchorEvidence& out = site.evidence[i];
     out.inflation = inflation[i];
     out.moved = move_evidence(site, i);
-    out.twin_m = site.paths[i].twin_m;
+    out.duplicate_m = site.paths[i].duplicate_m;
     out.rows = site.fits[i].problem.rows.size();
     out.held_out_z = site.held_out[i].share_of_scale;
     judge_rows(site, i, fitted[i], out);

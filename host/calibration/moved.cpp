@@ -294,7 +294,7 @@ std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Pol
 struct Suspicion {
   std::vector<std::size_t> changes;         // indices of observations
   std::vector<Eigen::Vector3d> places_m{};  // where it may have been
-  std::optional<Eigen::Vector3d> twin_m;
+  std::optional<Eigen::Vector3d> duplicate_m;
 };
 
 Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
@@ -305,7 +305,7 @@ Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
     const std::optional<SecondPlace> second = find_second_place(rest);
     if (!second) break;
     if (second->torn_share > kTornShare) {
-      if (attempt == 0) out.twin_m = second->place_m;
+      if (attempt == 0) out.duplicate_m = second->place_m;
       break;
     }
     out.places_m.insert(out.places_m.end(), {second->usual_place_m, second->place_m});
@@ -530,7 +530,7 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states, 
       std::erase_if(examined, [&](const Observation& row) { return !seen[row.index - rows.front().index]; });
     }
     suspicions[a] = suspect(fits[a], examined);
-    out[a].twin_m = suspicions[a].twin_m;
+    out[a].duplicate_m = suspicions[a].duplicate_m;
   }
   // Drops a change that is no move; what it separated is solved as one.
   Pieces pieces;

@@ -30,8 +30,8 @@ constexpr double kFarLimit = 0.06;
 constexpr double kShortLimit = 0.03;
 constexpr double kTwoAnchors = 0.4;
 // A duplicate id: more ranges than the site's median, with more scatter from one to the next than noise.
-constexpr double kTwinFlicker = 2.5;
-constexpr double kTwinCountRatio = 1.3;
+constexpr double kDuplicateFlicker = 2.5;
+constexpr double kDuplicateCountRatio = 1.3;
 constexpr double kHeldOutLimit = 3.0;
 // A longer move suggests a duplicate id: few anchors are carried this far while a robot drives by.
 constexpr double kFarMove_m = 3.0;
@@ -117,9 +117,9 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
     return Opinion{AnchorVerdict::kNeverLos,
                    "its line of sight is nearly always blocked: drive where it is clear, or move it"};
   }
-  if (evidence.twin_m) {
+  if (evidence.duplicate_m) {
     return Opinion{AnchorVerdict::kWeak, "answers from two places, " +
-                                             metres((*evidence.twin_m - anchor.position_m).norm()) +
+                                             metres((*evidence.duplicate_m - anchor.position_m).norm()) +
                                              " apart: check whether two anchors have this id"};
   }
   const std::string where = drive_advice(evidence, anchor.position_m);
@@ -133,7 +133,7 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
     }
     return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
   }
-  if (evidence.flicker > kTwinFlicker && evidence.count_ratio > kTwinCountRatio) {
+  if (evidence.flicker > kDuplicateFlicker && evidence.count_ratio > kDuplicateCountRatio) {
     return Opinion{AnchorVerdict::kWeak,
                    "its ranges differ from one to the next: check whether two anchors answer to this id"};
   }

@@ -50,7 +50,7 @@ struct AnchorEvidence {
   double inflation = 1.0;                 // score_inflation(): residuals correlated in time
   double flicker = 1.0;                   // range-to-range scatter over the site's noise
   std::optional<MoveEvidence> moved;      // during the drive
-  std::optional<Eigen::Vector3d> twin_m;  // a second place with its id
+  std::optional<Eigen::Vector3d> duplicate_m;  // a second place with its id
   std::optional<LosEvidence> los_states;
 };
 
