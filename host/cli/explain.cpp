@@ -148,7 +148,7 @@ Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& sa
           .white_sigma_m = now.tuning.white_sigma_m(),
           .bias_sigma_m = std::sqrt(filter.site().slow_variance_m2()) * now.tuning.slow_scale(),
           .sample_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kRowVx).cwiseSqrt(),
-          .diverged = now.gate.doubts(now.t_s),
+          .diverged = now.gate.suspects_divergence(now.t_s),
           .jumps = now.watch.jumps(),
           .slips = now.counters.slips,
           .relocations = tracker.relocations()};
@@ -173,7 +173,7 @@ History replay(const ExplainOptions& options, FilterInput::Drive& drive) {
       const filter::Gate& gate = filter.snapshot().gate;
       record.regained_sigma_m =
           std::sqrt(gate.regained_variance_m2(filter.slot_of(anchor), filter.site().tag_slot(range.tag_id)));
-      record.diverged = gate.doubts(range.t_s);
+      record.diverged = gate.suspects_divergence(range.t_s);
     }
     history.pairs[{range.tag_id, range.anchor_id}].push_back(record);
   };

@@ -16,14 +16,14 @@ namespace {
 constexpr double kMaxSteps = 400.0;
 constexpr double kMaxJump_s = 1e5;
 // A suspected divergence does not grow the pose's sigmas beyond these.
-constexpr double kMaxDoubt_m = 10.0;
-constexpr double kMaxDoubt_rad = 0.5;
+constexpr double kMaxDivergence_m = 10.0;
+constexpr double kMaxDivergence_rad = 0.5;
 // Sigmas from which a pose is unknown: they grow no further, so that all numbers stay finite.
 constexpr double kUnknown_m = 1e6;
 constexpr double kUnknown_rad = 1e3;
 // Random walk of the pose while the gate suspects divergence: m and rad per sqrt(s).
-constexpr double kDoubtPosition_m = 0.7;
-constexpr double kDoubtHeading_rad = 0.2;
+constexpr double kDivergencePosition_m = 0.7;
+constexpr double kDivergenceHeading_rad = 0.2;
 // Two gyro samples may differ by this many sigmas of noise, plus this acceleration times their distance.
 constexpr double kGyroNoiseSigmas = 6.0;
 constexpr double kGyroAcceleration_radps2 = 20.0;
@@ -105,34 +105,34 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   model::OdometrySample held = row;
   if (now.gyro.holds) held.omega_radps = now.gyro.radps;
   const model::OdometryNoise noise = now.odometry_tuning.noise();
-  OdometryInflation doubt;
+  OdometryInflation inflation;
   if (now.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
-    doubt = now.watch.judge(now.row, held, noise);
+    inflation = now.watch.judge(now.row, held, noise);
   if (keeps_cross(config.model)) {
     if (config.tunes_noise) now.odometry_tuning.observe(row);
     const OdometryInflation slip = now.slip.judge(std::max(row.t_s - now.row.t_s, 0.0));
-    doubt.velocity_m2ps2 += slip.velocity_m2ps2;
-    doubt.turn_rad2ps2 += slip.turn_rad2ps2;
+    inflation.velocity_m2ps2 += slip.velocity_m2ps2;
+    inflation.turn_rad2ps2 += slip.turn_rad2ps2;
   }
   now.row = held;
   now.has_row = true;
   now.hold_s = config.max_hold_s;
   // With a gyro, slipping wheels cause no heading error.
-  if (now.gyro.holds) doubt.heading_rad2 = 0.0;
-  const double variance_vx = square(noise.sigma_vx_mps) + doubt.velocity_m2ps2;
-  const double variance_vy = square(noise.sigma_vy_mps) + doubt.velocity_m2ps2;
+  if (now.gyro.holds) inflation.heading_rad2 = 0.0;
+  const double variance_vx = square(noise.sigma_vx_mps) + inflation.velocity_m2ps2;
+  const double variance_vy = square(noise.sigma_vy_mps) + inflation.velocity_m2ps2;
   if (now.gyro.holds) {
     renew(kRowVx, variance_vx);
     renew(kRowVy, variance_vy);
   } else {
     now.core.segment<3>(kRowVx).setZero();
     covariance.renew_odometry_errors(
-        {variance_vx, variance_vy, square(noise.sigma_omega_radps) + doubt.turn_rad2ps2});
+        {variance_vx, variance_vy, square(noise.sigma_omega_radps) + inflation.turn_rad2ps2});
   }
-  if (doubt.position_m2 > 0.0) grow_position(doubt.position_m2);
+  if (inflation.position_m2 > 0.0) grow_position(inflation.position_m2);
   // With a larger heading sigma, a linearized update would turn lever arms into position errors.
-  const double most_rad2 = std::max(square(kMaxDoubt_rad) - covariance.core()(kTheta, kTheta), 0.0);
-  if (doubt.heading_rad2 > 0.0) covariance.grow(kTheta, std::min(doubt.heading_rad2, most_rad2));
+  const double most_rad2 = std::max(square(kMaxDivergence_rad) - covariance.core()(kTheta, kTheta), 0.0);
+  if (inflation.heading_rad2 > 0.0) covariance.grow(kTheta, std::min(inflation.heading_rad2, most_rad2));
   return true;
 }
 
@@ -164,13 +164,13 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
       covariance.grow(kRowOmega, square(config.hold_walk_radps) * overdue_s);
     }
   }
-  if (gate != nullptr && gate->doubts(now.t_s)) {
+  if (gate != nullptr && gate->suspects_divergence(now.t_s)) {
     const CoreMatrix& core = covariance.core();
-    if (core(kX, kX) + core(kY, kY) < square(kMaxDoubt_m)) {
-      grow_position(square(kDoubtPosition_m) * dt_s);
+    if (core(kX, kX) + core(kY, kY) < square(kMaxDivergence_m)) {
+      grow_position(square(kDivergencePosition_m) * dt_s);
     }
-    if (core(kTheta, kTheta) < square(kMaxDoubt_rad)) {
-      covariance.grow(kTheta, square(kDoubtHeading_rad) * dt_s);
+    if (core(kTheta, kTheta) < square(kMaxDivergence_rad)) {
+      covariance.grow(kTheta, square(kDivergenceHeading_rad) * dt_s);
     }
   }
   bound_pose();

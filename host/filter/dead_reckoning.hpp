@@ -77,7 +77,7 @@ struct MotionState {
 
   OdometryGate odometry_gate;
   OdometryWatch watch;
-  SlipDoubt slip;
+  SlipInflation slip;
   Gyro gyro;
   OdometryTuning odometry_tuning;
   CoreVector core = CoreVector::Zero();

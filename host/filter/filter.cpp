@@ -253,7 +253,7 @@ void Filter::weigh(const model::RangeSample& range, const PairPlace& pair, Range
   if (model::is_ablated(Mechanism::kGate)) result.weight = std::isfinite(result.innovation_m) ? 1.0 : 0.0;
   result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
   result.blocked = now_.gate.blocked(pair.slot, pair.tag);
-  now_.counters.doubts = now_.gate.doubts_begun();
+  now_.counters.divergences = now_.gate.divergences();
 }
 
 void Filter::watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,

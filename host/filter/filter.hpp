@@ -97,7 +97,7 @@ struct Counters {
   CountBy<OdometryOutcome, 6> odometry;
   CountBy<RangeOutcome, 9> ranges;
   std::array<CountBy<SensorOutcome, 6>, model::kSensors> sensors;  // in the order of SensorSample
-  std::size_t doubts = 0;                                          // how often divergence was suspected
+  std::size_t divergences = 0;  // how often divergence was suspected
   std::size_t slips = 0;                                           // wheel slips detected by ranges
   std::size_t anchor_exchanges = 0;  // how often an anchor replaced another one in its slot
 };

@@ -15,7 +15,7 @@ using model::Mechanism;
 using model::square;
 
 // With fewer ranges than this within the window, the divergence test is undecided.
-constexpr double kMinRangesToDoubt = 4.0;
+constexpr double kMinRangesOfDivergence = 4.0;
 // A weight below this rejects the range.
 constexpr double kNoWeight = 1e-3;
 // poll_interval_s_ tracks the kLongGaps quantile of the gaps between a pair's ranges in steps of this share.
@@ -30,10 +30,10 @@ constexpr double kReceptionSlack = 0.2;
 constexpr double kRegained_m = 3.0;
 constexpr double kFarMissed = 0.5;
 // Divergence is suspected in two cases. Either at least two anchors, and no fewer than agree, each refuse
-// more than kDoubtShare of their ranges within window_s, by more than kFar_m on average (twice the mean NLOS
+// more than kDivergenceShare of their ranges within window_s, by more than kFar_m on average (twice the mean NLOS
 // excess excess_m), and fewer than kFixingAnchors agree, too few to fix a position with redundancy. Or all
-// anchors together refuse more than kDoubtShare of the ranges over kPatience_s.
-constexpr double kDoubtShare = 0.7;
+// anchors together refuse more than kDivergenceShare of the ranges over kPatience_s.
+constexpr double kDivergenceShare = 0.7;
 constexpr double kPatience_s = 5.0;
 constexpr double kFar_m = 1.0;
 constexpr int kFixingAnchors = 3;
@@ -205,7 +205,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   if (model::is_ablated(Mechanism::kGatePowers)) return weight;
 
   const double ratio = hint_.likelihood_ratio(hint);
-  if (!doubts_) {
+  if (!suspects_divergence_) {
     const double share = std::min(gap_s / config_.hint_s, 1.0);
     hint_.observe(hint, t_s, share * unhinted.blocked, share * unhinted.los);
   }
@@ -228,7 +228,7 @@ void Gate::Tally::add(double at_s, double window_s, double innovation_m, double 
 }
 
 bool Gate::Tally::refuses() const noexcept {
-  return seen >= kMinRangesToDoubt && refused > kDoubtShare * seen;
+  return seen >= kMinRangesOfDivergence && refused > kDivergenceShare * seen;
 }
 
 void Gate::observe(int anchor, double t_s, double innovation_m, double weight) noexcept {
@@ -237,17 +237,17 @@ void Gate::observe(int anchor, double t_s, double innovation_m, double weight) n
   anchors_[static_cast<std::size_t>(anchor)].add(t_s, config_.window_s, off_m, weight);
   all_.add(t_s, kPatience_s, off_m, weight);
   t_s_ = t_s;
-  const bool before = doubts_;
+  const bool before = suspects_divergence_;
   const bool lasts = all_.refuses() && !model::is_ablated(Mechanism::kDivergenceLasting);
-  doubts_ = (lasts || anchors_refuse(t_s)) && !model::is_ablated(Mechanism::kDivergence);
-  if (doubts_ && !before) ++doubts_begun_;
+  suspects_divergence_ = (lasts || anchors_refuse(t_s)) && !model::is_ablated(Mechanism::kDivergence);
+  if (suspects_divergence_ && !before) ++divergences_;
 }
 
 bool Gate::anchors_refuse(double t_s) const noexcept {
   int agreeing = 0;
   int refusing = 0;
   for (const Tally& anchor : anchors_) {
-    if (anchor.seen < kMinRangesToDoubt || t_s - anchor.t_s > config_.window_s) continue;
+    if (anchor.seen < kMinRangesOfDivergence || t_s - anchor.t_s > config_.window_s) continue;
     if (!anchor.refuses()) {
       ++agreeing;
     } else if (anchor.refused_m > kFar_m * anchor.refused) {
@@ -258,8 +258,8 @@ bool Gate::anchors_refuse(double t_s) const noexcept {
   return refusing >= 2 && refusing >= agreeing && agreeing < kFixingAnchors;
 }
 
-bool Gate::doubts(double t_s) const noexcept {
-  return doubts_ && t_s - t_s_ < config_.window_s;
+bool Gate::suspects_divergence(double t_s) const noexcept {
+  return suspects_divergence_ && t_s - t_s_ < config_.window_s;
 }
 
 void Gate::renew(int anchor, double t_s) noexcept {
@@ -275,7 +275,7 @@ void Gate::reset(double t_s) noexcept {
   t_s_ = t_s;
   all_ = {.t_s = t_s};
   anchors_.fill({.t_s = t_s});
-  doubts_ = false;
+  suspects_divergence_ = false;
 }
 
 }  // namespace groma::filter

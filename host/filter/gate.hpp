@@ -89,9 +89,9 @@ class Gate {
 
   // Whether divergence is suspected: the state is wrong rather than the ranges (see gate.cpp). False after
   // window_s without a range.
-  [[nodiscard]] bool doubts(double t_s) const noexcept;
+  [[nodiscard]] bool suspects_divergence(double t_s) const noexcept;
   // How often divergence became suspected.
-  [[nodiscard]] std::size_t doubts_begun() const noexcept { return doubts_begun_; }
+  [[nodiscard]] std::size_t divergences() const noexcept { return divergences_; }
   // Forgets a slot's history: another anchor is active there.
   void renew(int anchor, double t_s) noexcept;
   // Forgets the pairs' history and the sums of the divergence test.
@@ -147,8 +147,8 @@ class Gate {
   double t_s_ = 0.0;
   Tally all_;
   std::array<Tally, kMaxAnchors> anchors_{};
-  bool doubts_ = false;
-  std::size_t doubts_begun_ = 0;
+  bool suspects_divergence_ = false;
+  std::size_t divergences_ = 0;
 };
 
 }  // namespace groma::filter

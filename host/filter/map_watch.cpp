@@ -15,7 +15,7 @@ namespace {
 constexpr double kWindow_s = 20.0;
 constexpr double kSigmas = 3.0;
 constexpr double kPoseSigma_m = 0.2;
-constexpr double kDoubtfulShare = 0.25;
+constexpr double kSuspectShare = 0.25;
 constexpr double kClearShare = 0.2;
 constexpr double kGoodShare = 0.12;
 constexpr double kFitShare = 0.05;
@@ -38,16 +38,16 @@ void MapWatch::observe(double t_s, double innovation_m, double variance_m2) noex
   judged_ = fade * judged_ + 1.0;
   contradicting_ = fade * contradicting_ + (model::square(innovation_m) > bound_m2 ? 1.0 : 0.0);
 
-  if (share() > kDoubtfulShare) is_doubtful_ = true;
-  if (share() < kClearShare) is_doubtful_ = false;
-  clear_.update(!is_doubtful_, t_s_);
-  if (clear_.lasted_s(t_s_) > kClearFor_s) doubtful_.reset();
-  if (is_doubtful_ && !doubtful_.holds()) {
-    doubtful_.update(true, t_s_);
-    doubtful_ranges_ = 0.0;
+  if (share() > kSuspectShare) is_suspect_ = true;
+  if (share() < kClearShare) is_suspect_ = false;
+  clear_.update(!is_suspect_, t_s_);
+  if (clear_.lasted_s(t_s_) > kClearFor_s) suspect_.reset();
+  if (is_suspect_ && !suspect_.holds()) {
+    suspect_.update(true, t_s_);
+    suspect_ranges_ = 0.0;
   }
-  doubtful_ranges_ += 1.0;
-  if (is_doubtful_ && doubtful_.lasted_s(t_s_) >= kWrongAfter_s && doubtful_ranges_ >= kWrongAfterRanges)
+  suspect_ranges_ += 1.0;
+  if (is_suspect_ && suspect_.lasted_s(t_s_) >= kWrongAfter_s && suspect_ranges_ >= kWrongAfterRanges)
     is_wrong_ = true;
   const bool fits = share() < kFitShare;
   fits_.update(fits, t_s_);
@@ -57,7 +57,7 @@ void MapWatch::observe(double t_s, double innovation_m, double variance_m2) noex
 
 void MapWatch::restart() noexcept {
   judged_ = contradicting_ = 0.0;
-  is_doubtful_ = false;
+  is_suspect_ = false;
   fits_.reset();
 }
 

@@ -39,7 +39,7 @@ class MapWatch {
   // The map has explained the ranges for kClearFor_s: the pose they give is reliable.
   [[nodiscard]] bool fits() const noexcept;
   // Many ranges contradict the map.
-  [[nodiscard]] bool is_doubtful() const noexcept { return is_doubtful_; }
+  [[nodiscard]] bool is_suspect() const noexcept { return is_suspect_; }
   // Many ranges have contradicted it for long. Cleared when the ranges fit for kFitsFor_s.
   [[nodiscard]] bool is_wrong() const noexcept { return is_wrong_; }
 
@@ -47,10 +47,10 @@ class MapWatch {
   double t_s_ = -std::numeric_limits<double>::infinity();
   double judged_ = 0.0;  // sums with exponential forgetting
   double contradicting_ = 0.0;
-  bool is_doubtful_ = false;
+  bool is_suspect_ = false;
   bool is_wrong_ = false;
-  Since doubtful_;                // ends after clear_ has lasted kClearFor_s
-  double doubtful_ranges_ = 0.0;  // ranges since then
+  Since suspect_;                // ends after clear_ has lasted kClearFor_s
+  double suspect_ranges_ = 0.0;  // ranges since then
   Since clear_;
   Since fits_;
   double fitting_ranges_ = 0.0;  // ranges since then

@@ -139,7 +139,7 @@ void SlipWatch::renew(int anchor) noexcept {
   for (int tag = 0; tag < kMaxTags; ++tag) usual_[pair_at(anchor, tag)] = {};
 }
 
-void SlipDoubt::begin(double displacement_m, double t_s) noexcept {
+void SlipInflation::begin(double displacement_m, double t_s) noexcept {
   const double excess_mps = 2.0 * displacement_m / SlipWatch::kWindow_s;
   excess_mps_ = std::max(excess_mps_, std::clamp(excess_mps, kLeast_mps, kMost_mps));
   const bool goes_on = t_s - last_s_ < kAgain_s;
@@ -147,7 +147,7 @@ void SlipDoubt::begin(double displacement_m, double t_s) noexcept {
   last_s_ = t_s;
 }
 
-OdometryInflation SlipDoubt::judge(double gap_s) noexcept {
+OdometryInflation SlipInflation::judge(double gap_s) noexcept {
   if (!is_open()) return {};
   excess_mps_ *= std::exp(-gap_s / lasts_s_);
   if (excess_mps_ < kOver * kLeast_mps) {

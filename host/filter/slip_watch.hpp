@@ -67,7 +67,7 @@ class SlipWatch {
 };
 
 // Inflates the odometry noise for a while after a slip, and for longer if slips repeat.
-class SlipDoubt {
+class SlipInflation {
  public:
   static constexpr double kLasts_s = 0.5;    // time constant; doubled with each repetition
   static constexpr double kTurnPer_m = 0.5;  // yaw-rate error in rad/s per m/s

@@ -313,7 +313,7 @@ bool Tracker::is_certain(const Eigen::Matrix3d& covariance) const noexcept {
 }
 
 Reason Tracker::find_reason() const noexcept {
-  if (disagrees_.holds() || map_watch_.is_doubtful()) return Reason::kRangesDisagree;
+  if (disagrees_.holds() || map_watch_.is_suspect()) return Reason::kRangesDisagree;
   if (newest_s_ - last_used_s_ > kSilent_s) return Reason::kNoRanges;
   if (newest_s_ - last_row_s_ > kSilent_s) return Reason::kNoOdometry;
   if (!is_certain(filter_.filter().covariance().core().topLeftCorner<3, 3>())) return Reason::kUncertain;
@@ -368,8 +368,8 @@ void Tracker::assess() noexcept {
 }
 
 bool Tracker::search_is_due() noexcept {
-  const bool is_map_doubtful = map_watch_.is_doubtful() || no_place_.holds();
-  if (newest_s_ - last_search_s_ < (is_map_doubtful ? 2.0 : 1.0) * kSearchEvery_s) return false;
+  const bool is_map_suspect = map_watch_.is_suspect() || no_place_.holds();
+  if (newest_s_ - last_search_s_ < (is_map_suspect ? 2.0 : 1.0) * kSearchEvery_s) return false;
   last_search_s_ = newest_s_;
   return true;
 }

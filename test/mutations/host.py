@@ -5,7 +5,7 @@ QUICK = ["map watch: a wrong map is never reported"]
 # name, source, text, its replacement
 MUTATIONS = [
     ("map watch: a wrong map is never reported", "host/filter/map_watch.cpp",
-     "doubtful_ranges_ >= kWrongAfterRanges",
+     "suspect_ranges_ >= kWrongAfterRanges",
      "false"),
     ("config: the gyro's white sigma is used for its bias", "host/filter/config.cpp",
      "gyro_bias_radps = description.gyro_bias_sigma_radps.value_or(",

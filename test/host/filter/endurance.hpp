@@ -96,7 +96,7 @@ inline double endure(Model model, std::size_t updates, double white_sigma_m, std
   const Counters& counters = filter->counters();
   EXPECT_GT(counters.ranges[RangeOutcome::kUsed], updates / 4);
   EXPECT_GT(counters.anchor_exchanges, 4U);
-  EXPECT_GT(counters.doubts, 0U);
+  EXPECT_GT(counters.divergences, 0U);
   return std::min(least, smallest_eigenvalue(*filter));
 }
 

@@ -151,16 +151,16 @@ TEST(Gate, SuspectsDivergenceIfMostIsRefusedAndNotForOneNlosPair) {
   double t_s = 0.0;
   for (int i = 0; i < 200; ++i, t_s += 0.01) {
     static_cast<void>(gate.weigh(i % 6, 0, t_s, i % 6 == 0 ? 3.0 : 0.0, kVariance_m2));
-    EXPECT_FALSE(gate.doubts(t_s));
+    EXPECT_FALSE(gate.suspects_divergence(t_s));
   }
   for (int i = 0; i < 300; ++i, t_s += 0.01) static_cast<void>(gate.weigh(i % 6, 0, t_s, 3.0, kVariance_m2));
-  EXPECT_TRUE(gate.doubts(t_s));
-  EXPECT_EQ(gate.doubts_begun(), 1U);
+  EXPECT_TRUE(gate.suspects_divergence(t_s));
+  EXPECT_EQ(gate.divergences(), 1U);
   // No suspected divergence without ranges.
-  EXPECT_FALSE(gate.doubts(t_s + 2.0 * config.window_s));
+  EXPECT_FALSE(gate.suspects_divergence(t_s + 2.0 * config.window_s));
   // Good ranges clear the flag.
   for (int i = 0; i < 300; ++i, t_s += 0.01) static_cast<void>(gate.weigh(i % 6, 0, t_s, 0.0, kVariance_m2));
-  EXPECT_FALSE(gate.doubts(t_s));
+  EXPECT_FALSE(gate.suspects_divergence(t_s));
 }
 
 // One range each 10 ms from the anchors in turn; the first `off` anchors have the error off_m.
@@ -177,25 +177,25 @@ TEST(Gate, TakesManyOutliersForNlosUntilTheyLast) {
     Gate gate{GateConfig{}};
     double t_s = feed(gate, 0.0, 10.0, 12, 0, 0.0);
     t_s = feed(gate, t_s, 3.0, 12, 10, off_m);
-    EXPECT_FALSE(gate.doubts(t_s));
+    EXPECT_FALSE(gate.suspects_divergence(t_s));
     t_s = feed(gate, t_s, 10.0, 12, 10, off_m);
-    EXPECT_TRUE(gate.doubts(t_s));
+    EXPECT_TRUE(gate.suspects_divergence(t_s));
   }
 }
 
 TEST(Gate, SuspectsDivergenceIfAsManyAnchorsAreFarOffAsAgreeUnlessThreeAgree) {
-  const auto doubts = [](int anchors, int off, double off_m) {
+  const auto suspects_divergence = [](int anchors, int off, double off_m) {
     Gate gate{GateConfig{}};
     double t_s = feed(gate, 0.0, 10.0, anchors, 0, 0.0);
     t_s = feed(gate, t_s, 2.0, anchors, off, off_m);
-    return gate.doubts(t_s);
+    return gate.suspects_divergence(t_s);
   };
-  EXPECT_TRUE(doubts(4, 2, 2.0));
-  EXPECT_FALSE(doubts(4, 2, 0.5));  // a typical NLOS excess
-  EXPECT_FALSE(doubts(4, 1, 2.0));
-  EXPECT_FALSE(doubts(2, 1, 2.0));
-  EXPECT_FALSE(doubts(5, 2, 2.0));
-  EXPECT_FALSE(doubts(6, 3, 2.0));
+  EXPECT_TRUE(suspects_divergence(4, 2, 2.0));
+  EXPECT_FALSE(suspects_divergence(4, 2, 0.5));  // a typical NLOS excess
+  EXPECT_FALSE(suspects_divergence(4, 1, 2.0));
+  EXPECT_FALSE(suspects_divergence(2, 1, 2.0));
+  EXPECT_FALSE(suspects_divergence(5, 2, 2.0));
+  EXPECT_FALSE(suspects_divergence(6, 3, 2.0));
 }
 
 // A range of 10 m whose first path has strength_dbm at 1 m and is hidden_db below the total power.
@@ -345,7 +345,7 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
     if (of != model::kNoPowerClass) {
       const double ratio = twin.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
-      if (!gate.doubts(t_s)) twin.observe(of, t_s, count * blocked / total, count * los / total);
+      if (!gate.suspects_divergence(t_s)) twin.observe(of, t_s, count * blocked / total, count * los / total);
       const double all = twin.blocked_share();
       const double known = std::min(std::max(prior, all), config.blocked_most);
       const auto [now_in_sight, now_blocked] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
@@ -375,7 +375,7 @@ TEST(Gate, UnusedPowersChangeNoBit) {
     ASSERT_EQ(plain.weigh(anchor, 0, t_s, e_m, kVariance_m2),
               unused.weigh(anchor, 0, t_s, e_m, kVariance_m2, of));
     ASSERT_EQ(plain.blocked(anchor, 0), unused.blocked(anchor, 0));
-    ASSERT_EQ(plain.doubts(t_s), unused.doubts(t_s));
+    ASSERT_EQ(plain.suspects_divergence(t_s), unused.suspects_divergence(t_s));
   }
 }
 

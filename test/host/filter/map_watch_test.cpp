@@ -37,7 +37,7 @@ TEST(MapWatch, FollowsTheShareThatContradicts) {
 TEST(MapWatch, SuspectsAtOnceAndReportsAWrongMapAfterAWhile) {
   Feed feed;
   feed.ranges(1.0, 0.6);
-  EXPECT_TRUE(feed.watch.is_doubtful());
+  EXPECT_TRUE(feed.watch.is_suspect());
   EXPECT_FALSE(feed.watch.is_wrong());
   feed.ranges(13.0, 0.6);
   EXPECT_FALSE(feed.watch.is_wrong());
@@ -48,7 +48,7 @@ TEST(MapWatch, SuspectsAtOnceAndReportsAWrongMapAfterAWhile) {
 TEST(MapWatch, WaitsForEnoughRangesIfTheyAreRare) {
   Feed feed;
   feed.ranges(30.0, 1.0, 1.0);
-  EXPECT_TRUE(feed.watch.is_doubtful());
+  EXPECT_TRUE(feed.watch.is_suspect());
   EXPECT_FALSE(feed.watch.is_wrong());
   feed.ranges(30.0, 1.0, 1.0);
   EXPECT_TRUE(feed.watch.is_wrong());

@@ -131,29 +131,29 @@ TEST(SlipWatch, IgnoresNonFiniteValuesAndForgets) {
   EXPECT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
 }
 
-TEST(SlipDoubt, LastsLongerIfSlipsRepeat) {
-  SlipDoubt doubt;
-  EXPECT_FALSE(doubt.is_open());
-  EXPECT_EQ(doubt.judge(0.05).velocity_m2ps2, 0.0);
+TEST(SlipInflation, LastsLongerIfSlipsRepeat) {
+  SlipInflation inflation;
+  EXPECT_FALSE(inflation.is_open());
+  EXPECT_EQ(inflation.judge(0.05).velocity_m2ps2, 0.0);
   const auto open_s = [&](double t_s) {
-    doubt.begin(0.2, t_s);
+    inflation.begin(0.2, t_s);
     double length_s = 0.0;
-    for (; doubt.is_open(); length_s += 0.05) doubt.judge(0.05);
+    for (; inflation.is_open(); length_s += 0.05) inflation.judge(0.05);
     return length_s;
   };
-  doubt.begin(0.2, 1.0);
-  const OdometryInflation first = doubt.judge(0.05);
-  const double excess_mps = 2.0 * 0.2 / SlipWatch::kWindow_s * std::exp(-0.05 / SlipDoubt::kLasts_s);
-  EXPECT_NEAR(first.velocity_m2ps2, SlipDoubt::kLasts_s / 0.05 * excess_mps * excess_mps, 1e-9);
+  inflation.begin(0.2, 1.0);
+  const OdometryInflation first = inflation.judge(0.05);
+  const double excess_mps = 2.0 * 0.2 / SlipWatch::kWindow_s * std::exp(-0.05 / SlipInflation::kLasts_s);
+  EXPECT_NEAR(first.velocity_m2ps2, SlipInflation::kLasts_s / 0.05 * excess_mps * excess_mps, 1e-9);
   EXPECT_NEAR(first.turn_rad2ps2,
-              SlipDoubt::kLasts_s / 0.05 * std::pow(SlipDoubt::kTurnPer_m * excess_mps, 2), 1e-9);
+              SlipInflation::kLasts_s / 0.05 * std::pow(SlipInflation::kTurnPer_m * excess_mps, 2), 1e-9);
   const double once_s = open_s(100.0);
   const double twice_s = open_s(101.0);
   EXPECT_NEAR(twice_s, 2.0 * once_s, 0.1);
   EXPECT_NEAR(open_s(200.0), once_s, 0.1);
-  doubt.begin(0.2, 300.0);
-  doubt = {};
-  EXPECT_FALSE(doubt.is_open());
+  inflation.begin(0.2, 300.0);
+  inflation = {};
+  EXPECT_FALSE(inflation.is_open());
 }
 
 struct Slipped {
