@@ -117,7 +117,7 @@ const char* why(const RangeRecord& record) {
 
 Eigen::Vector3d correction(const std::vector<RangeRecord>& ranges) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const RangeRecord& record : ranges) sum += record.result.pull;
+  for (const RangeRecord& record : ranges) sum += record.result.correction;
   return sum;
 }
 
@@ -230,7 +230,7 @@ Json to_json(const RangeRecord& record) {
   json["pair_in_sight"] = 1.0 - record.result.blocked;
   json["hint_ratio"] = record.result.hint_ratio;
   json["heard_again_sigma_m"] = record.regained_sigma_m;
-  json["pull"] = pose_json(record.result.pull);
+  json["pull"] = pose_json(record.result.correction);
   return json;
 }
 

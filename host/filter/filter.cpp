@@ -238,7 +238,7 @@ void Filter::update(const RangeMeasurement& predicted, const PairPlace& pair, Pr
   const double variance =
       result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
   const CoreVector change = projected.core * (result.innovation_m / variance);
-  result.pull = change.head<3>();
+  result.correction = change.head<3>();
   add(change);
   if (!keeps_cross(config_.model)) return now_.covariance.correct_core(projected.core, variance);
   now_.covariance.correct(predicted.d_core, projected, variance, result.innovation_m,

@@ -59,7 +59,7 @@ struct RangeResult {
   double weight = 0.0;      // 0 gated, 1 full
   double blocked = 0.0;     // probability of NLOS, from the pair's history and this range
   double hint_ratio = 1.0;  // likelihood ratio NLOS / LOS of its received powers
-  Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // correction of x, y, theta
+  Eigen::Vector3d correction = Eigen::Vector3d::Zero();  // correction of x, y, theta
 };
 
 enum class SensorOutcome {

@@ -175,7 +175,7 @@ TEST_F(ReplayTest, AnObserverSeesAnNlosPairAndChangesNothing) {
     EXPECT_EQ(tracker.estimate().t_s, range.t_s);
     const bool blocked = range.anchor_id == 13 && range.t_s > 5.0 && range.t_s < 8.0;
     EXPECT_EQ(result.weight < 0.5 && result.innovation_m > 1.0, blocked) << range.t_s;
-    if (blocked) pulled_by_blocked += result.pull;
+    if (blocked) pulled_by_blocked += result.correction;
   };
   const ReplayResult with = run();
   EXPECT_EQ(seen, with.ranges_seen);
