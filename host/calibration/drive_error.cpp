@@ -319,7 +319,7 @@ Eigen::Matrix<double, kThirdDegreeTerms, 1> third_degree_terms(const Eigen::Vect
 
 // Gradient of an anchor's cost by its unknowns per coefficient of a pattern of its own antenna, which is
 // fixed in the map: sum of weight J h^T.
-Eigen::MatrixXd pull_of_own_pattern(const AnchorFit& fit) {
+Eigen::MatrixXd influence_of_own_pattern(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(fit.anchor.size(), model::kPatternTerms + kThirdDegreeTerms);
   for (const Observation& row : fit.problem.rows) {
@@ -394,7 +394,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     out.shared_gain.push_back(part.gain);
     out.added_covariance[i] = part.gain * covariance * part.gain.transpose();
     if (!(pattern_m > 0.0) || model::is_ablated(model::Mechanism::kCalibrationOwnPattern)) continue;
-    const Eigen::MatrixXd response = part.information.solve(pull_of_own_pattern(fits[i]));
+    const Eigen::MatrixXd response = part.information.solve(influence_of_own_pattern(fits[i]));
     out.added_covariance[i] += pattern_m * pattern_m * response * response.transpose();
   }
   report_frame(unknowns.knots, covariance, fits, out);

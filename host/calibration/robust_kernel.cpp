@@ -64,7 +64,7 @@ RobustKernel::RobustKernel(const KernelShape& shape) noexcept
   const KindVector weight_factors = factors.cwiseProduct(table_->inverse_variance());
   factor_ = factors.cast<float>();
   weight_factor_ = weight_factors.cast<float>();
-  pull_factor_ = weight_factors.cwiseProduct(table_->center()).cast<float>();
+  influence_factor_ = weight_factors.cwiseProduct(table_->center()).cast<float>();
   KindVector curve = weight_factors.cwiseProduct(table_->inverse_variance());
   for (Eigen::Index power = 0; power < 3; ++power) {
     curve_factors_.col(power) = curve.cast<float>();

@@ -134,7 +134,7 @@ class RobustKernel {
     out.density += static_cast<double>(factor_.dot(densities));
     const auto weighted = static_cast<double>(weight_factor_.dot(densities));
     const double share = inverse_scale_ / out.density;
-    out.slope = share * (u * weighted - static_cast<double>(pull_factor_.dot(densities)));
+    out.slope = share * (u * weighted - static_cast<double>(influence_factor_.dot(densities)));
     out.weight = share * inverse_scale_ * weighted;
     return out;
   }
@@ -143,7 +143,7 @@ class RobustKernel {
     Lanes u = residual_m * inverse_scale_;
     Lanes density = Lanes::Zero();
     Lanes weighted = Lanes::Zero();
-    Lanes pull = Lanes::Zero();
+    Lanes influence = Lanes::Zero();
     for (Eigen::Index lane = 0; lane < kLanes; ++lane) {
       KindFloats densities;
       if (!table_->at(u(lane), densities)) {
@@ -152,12 +152,12 @@ class RobustKernel {
       }
       density(lane) = static_cast<double>(factor_.dot(densities));
       weighted(lane) = static_cast<double>(weight_factor_.dot(densities));
-      pull(lane) = static_cast<double>(pull_factor_.dot(densities));
+      influence(lane) = static_cast<double>(influence_factor_.dot(densities));
     }
     KernelLanes out;
     out.density = density + gross_density_;
     const Lanes share = inverse_scale_ / out.density;
-    out.slope = share * (u * weighted - pull);
+    out.slope = share * (u * weighted - influence);
     out.weight = share * inverse_scale_ * weighted;
     return out;
   }
@@ -169,7 +169,7 @@ class RobustKernel {
     const double total = gross_density_ + static_cast<double>(factor_.dot(densities));
     // Moments of the shares over the variances and over their squares.
     const double inverse = static_cast<double>(weight_factor_.dot(densities)) / total;
-    const double mean = u * inverse - static_cast<double>(pull_factor_.dot(densities)) / total;
+    const double mean = u * inverse - static_cast<double>(influence_factor_.dot(densities)) / total;
     const double square = (u * u * static_cast<double>(curve_factors_.col(0).dot(densities)) -
                            2.0 * u * static_cast<double>(curve_factors_.col(1).dot(densities)) +
                            static_cast<double>(curve_factors_.col(2).dot(densities))) /
@@ -188,7 +188,7 @@ class RobustKernel {
   double gross_density_;
   KindFloats factor_;         // shares over the scale
   KindFloats weight_factor_;  // the same over each kind's variance
-  KindFloats pull_factor_;    // the same times each kind's center
+  KindFloats influence_factor_;    // the same times each kind's center
   // Shares over the scale and each variance squared: times 1, the center and its square.
   Eigen::Matrix<float, kKinds, 3> curve_factors_;
 };
