@@ -293,7 +293,7 @@ MUTATIONS = [
      "std::sqrt((statistics.square_m2 + prior_square_m2) / free)",
      "std::sqrt(statistics.square_m2 / free)"),
     ("kernel: slope in lanes ignores the bumps' centers", "host/calibration/robust_kernel.hpp",
-     "out.slope = share * (u * weighted - correction);",
+     "out.slope = share * (u * weighted - influence);",
      "out.slope = share * (u * weighted);"),
     ("shared: derivative by the delay has the wrong sign", "host/calibration/shared_unknowns.cpp",
      "-by_antenna.dot(row.velocity_mps), gamma * in_body,",
