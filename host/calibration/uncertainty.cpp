@@ -405,8 +405,8 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
   slow_m2 = std::min(slow_m2, (1.0 - kLeastShare) * whole_m2);
   if (slow_m2 < kLeastShare * whole_m2) slow_m2 = 0.0;
   return model::RangeNoise{.white_sigma_m = std::sqrt(whole_m2 - slow_m2),
-                           .slow_sigma_m = std::sqrt(slow_m2),
-                           .slow_time_s = time_s};
+                           .bias_sigma_m = std::sqrt(slow_m2),
+                           .bias_time_s = time_s};
 }
 
 }  // namespace groma::calibration

@@ -84,8 +84,8 @@ struct Config {
   double range_sigma_m = 0.1;  // white; used if the calibration has no range noise
   // Factors on sigma and time constant of the calibration's slow range bias, for other drives. On its own
   // drive the calibration's beta, gamma and poses absorbed part of that bias, most of its slowest part.
-  double slow_error_growth = 2.5;
-  double slow_time_growth = 3.0;
+  double range_bias_growth = 2.5;
+  double range_bias_time_growth = 3.0;
   double lever_arm_sigma_m = 0.01;
   // Delay of range timestamps, used if the calibration observed none; sigma 0: the delay is known exactly.
   double range_delay_s = 0.0;

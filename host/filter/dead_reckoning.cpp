@@ -151,7 +151,7 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   now.core(kTheta) = model::wrap_angle(now.core(kTheta));
   covariance.propagate(motion.d_core);
   now.t_s += dt_s;
-  if (slow_time_s > 0.0) covariance.fade_slow_errors(std::exp(-dt_s / slow_time_s));
+  if (bias_time_s > 0.0) covariance.fade_range_biases(std::exp(-dt_s / bias_time_s));
   if (way_m > 0.0) covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
   follow_chart();
 

@@ -98,7 +98,7 @@ template <class Covariance>
 struct DeadReckoning {
   const model::Surface& surface;
   const Config& config;
-  double slow_time_s;  // time constant of the slow range bias; 0: there is none
+  double bias_time_s;  // time constant of the slow range bias; 0: there is none
   const Gate* gate;    // the pose covariance grows while it suspects divergence; null: ignored
   MotionState& now;
   Covariance& covariance;

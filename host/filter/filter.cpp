@@ -29,14 +29,14 @@ Learning estimated(Model model) noexcept {
 model::Calibration on_another_drive(model::Calibration calibration, const Config& config) {
   if (model::is_ablated(Mechanism::kRangeBias) && calibration.range_noise) {
     model::RangeNoise& noise = *calibration.range_noise;
-    noise.white_sigma_m = std::hypot(noise.white_sigma_m, noise.slow_sigma_m);
-    noise.slow_sigma_m = 0.0;
+    noise.white_sigma_m = std::hypot(noise.white_sigma_m, noise.bias_sigma_m);
+    noise.bias_sigma_m = 0.0;
   }
   if (model::is_ablated(Mechanism::kRangeDelay)) calibration.range_delay_sigma_s = 0.0;
   if (model::is_ablated(Mechanism::kOtherDrive)) return calibration;
   if (calibration.range_noise) {
-    calibration.range_noise->slow_sigma_m *= config.slow_error_growth;
-    calibration.range_noise->slow_time_s *= config.slow_time_growth;
+    calibration.range_noise->bias_sigma_m *= config.range_bias_growth;
+    calibration.range_noise->bias_time_s *= config.range_bias_time_growth;
   }
   if (calibration.range_delay_sigma_s > 0.0) {
     calibration.range_delay_sigma_s = std::hypot(calibration.range_delay_sigma_s, kRangeDelayChange_s);
@@ -75,7 +75,7 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const C
       delays_{config.range_delay_s, config.range_delay_sigma_s, config.odometry_delay_sigma_s},
       now_(begin(site_, config, white_sigma_m(here, config))),
       slots_(static_cast<std::size_t>(site_.anchor_count()), -1) {
-  if (here.range_noise && here.range_noise->slow_sigma_m > 0.0) slow_time_s_ = here.range_noise->slow_time_s;
+  if (here.range_noise && here.range_noise->bias_sigma_m > 0.0) range_bias_time_s_ = here.range_noise->bias_time_s;
   if (here.range_delay_sigma_s > 0.0) {
     delays_.range_s = here.range_delay_s;
     delays_.range_sigma_s = here.range_delay_sigma_s;
@@ -271,10 +271,10 @@ void Filter::watch_slip(const PairPlace& pair, const RangeMeasurement& predicted
 
 void Filter::tune(const PairPlace& pair, const RangeResult& result) noexcept {
   if (!keeps_cross(config_.model) || !config_.tunes_noise) return;
-  const double before = now_.tuning.slow_scale();
+  const double before = now_.tuning.range_bias_scale();
   now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
-  const double change = now_.tuning.slow_scale() / before;
-  if (slow_time_s_ > 0.0 && change != 1.0) now_.covariance.scale_slow_errors(change);
+  const double change = now_.tuning.range_bias_scale() / before;
+  if (range_bias_time_s_ > 0.0 && change != 1.0) now_.covariance.scale_range_biases(change);
 }
 
 void Filter::add(const CoreVector& change) noexcept {
@@ -379,7 +379,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
       back.cross = back.cross.lazyProduct(at(i).absence).eval();
     }
   }
-  const double faded = slow_time_s_ > 0.0 ? std::exp(-(now_.t_s - back.t_s) / slow_time_s_) : 1.0;
+  const double faded = range_bias_time_s_ > 0.0 ? std::exp(-(now_.t_s - back.t_s) / range_bias_time_s_) : 1.0;
   const AnchorVector& values =
       back.was_active && back.values.size() > 0 ? back.values : site_.anchor(anchor).values;
   now_.parameters.exchange(slot, anchor, values);
@@ -421,7 +421,7 @@ Filter::Prediction Filter::prediction() const noexcept {
 void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
   MotionState& then = prediction.motion;
   DeadReckoning<CoreCovariance> motion{surface_,     config_,
-                                       slow_time_s_, prediction.by_odometry_alone ? nullptr : &now_.gate,
+                                       range_bias_time_s_, prediction.by_odometry_alone ? nullptr : &now_.gate,
                                        then,         prediction.covariance};
   if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
     if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) return;

@@ -233,7 +233,7 @@ class Filter {
     return present_pose(surface_, now_.core, now_.row, delays_, now_.chart);
   }
   [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
-    return {surface_, config_, slow_time_s_, &now_.gate, now_, now_.covariance};
+    return {surface_, config_, range_bias_time_s_, &now_.gate, now_, now_.covariance};
   }
   template <class Covariance>
   [[nodiscard]] Estimate estimate_of(const MotionState& now, const Covariance& covariance) const noexcept;
@@ -256,7 +256,7 @@ class Filter {
   Site site_;
   Config config_;
   LinkDelays delays_;
-  double slow_time_s_ = 0.0;  // 0: no slow range bias
+  double range_bias_time_s_ = 0.0;  // 0: no slow range bias
   Snapshot now_;
   std::vector<int> slots_;              // of each anchor of the site; -1 if it is not active
   std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty if all are active

@@ -31,7 +31,7 @@ constexpr int kOfBeta = 3;
 constexpr int kOfGamma = 4;
 constexpr int kOfLeverArm = 5;
 constexpr int kOfFrame = 8;
-constexpr int kOfSlowError = 12;
+constexpr int kOfRangeBias = 12;
 constexpr int kOfGround = 13;
 static_assert(kOfGround + kGroundSize == kPairParameters);
 
@@ -87,7 +87,7 @@ JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
       size_(parameters.size()),
       stride_(padded(size_)),
       lever_arm_variance_m2_(site.lever_arm_variance_m2()),
-      slow_variance_m2_(site.slow_variance_m2()),
+      range_bias_variance_m2_(site.range_bias_variance_m2()),
       frame_covariance_(site.frame_covariance()) {
   if (estimated == Learning::kNothing) {
     absent_rows_ = site.anchor_count() > layout_.anchor_count() ? kCoreSize : 0;
@@ -119,8 +119,8 @@ void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
   double* const own = learns_.data() + layout_.position(slot);
   std::fill_n(own, layout_.anchor_size(), 0.0);
   if (is_estimated) std::fill_n(own, estimated_ == Learning::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
-  // The slow range bias's variance is always slow_variance_m2_ and is stored there.
-  lower(layout_.slow_error(slot), layout_.slow_error(slot)) = 0.0;
+  // The slow range bias's variance is always range_bias_variance_m2_ and is stored there.
+  lower(layout_.range_bias(slot), layout_.range_bias(slot)) = 0.0;
   considered_ = estimated_ != Learning::kAll;
   for (int other = 0; other < layout_.anchor_count(); ++other) {
     if (learns_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
@@ -173,9 +173,9 @@ void JointCovariance::settle_motion() noexcept {
   same_sample_ = true;
 }
 
-void JointCovariance::fade_slow_errors(double factor) noexcept {
-  slow_scale_ *= factor;
-  if (slow_scale_ < kFaded) settle_slow_errors();
+void JointCovariance::fade_range_biases(double factor) noexcept {
+  range_bias_scale_ *= factor;
+  if (range_bias_scale_ < kFaded) settle_range_biases();
 }
 
 void JointCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
@@ -210,18 +210,18 @@ GroundRows JointCovariance::ground_cross() const noexcept {
   return out;
 }
 
-void JointCovariance::scale_slow_errors(double factor) noexcept {
-  slow_variance_m2_ *= factor * factor;
-  settle_slow_errors();
-  slow_scale_ = factor;
-  settle_slow_errors();
+void JointCovariance::scale_range_biases(double factor) noexcept {
+  range_bias_variance_m2_ *= factor * factor;
+  settle_range_biases();
+  range_bias_scale_ = factor;
+  settle_range_biases();
 }
 
-void JointCovariance::settle_slow_errors() noexcept {
+void JointCovariance::settle_range_biases() noexcept {
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-    scale_cross(layout_.slow_error(slot), slow_scale_);
+    scale_cross(layout_.range_bias(slot), range_bias_scale_);
   }
-  slow_scale_ = 1.0;
+  range_bias_scale_ = 1.0;
 }
 
 double JointCovariance::project_core(const CoreRow& d_core, CoreVector& out) const noexcept {
@@ -242,7 +242,7 @@ void JointCovariance::own_of_considered(const RangeMeasurement& measurement, con
                 block(i, 2) * d(kOfPosition + 2) + block(i, beta) * d(kOfBeta) +
                 block(i, gamma) * d(kOfGamma);
   }
-  anchor[size] = slow_variance_m2_ * d(kOfSlowError) / slow_scale_;
+  anchor[size] = range_bias_variance_m2_ * d(kOfRangeBias) / range_bias_scale_;
   double* const lever_arm = own + layout_.lever_arm(pair.tag);
   for (int i = 0; i < 3; ++i) lever_arm[i] = lever_arm_variance_m2_ * d(kOfLeverArm + i);
   const Eigen::Vector4d frame = frame_covariance_ * d.segment<kFrameSize>(kOfFrame).transpose();
@@ -260,7 +260,7 @@ void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, cons
   const auto at_beta = std::size_t{3} + static_cast<std::size_t>(pair.tag);
   of_anchor[at_beta] = d(kOfBeta);
   of_anchor[at_beta + static_cast<std::size_t>(layout_.tag_count())] = d(kOfGamma);
-  of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = d(kOfSlowError);
+  of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = d(kOfRangeBias);
   const auto add = [&](int first, int count, const double* w) {
     add_columns(lower_data(), stride_, size_, first, count, w, own);
     for (int i = 0; i < count; ++i) {
@@ -272,8 +272,8 @@ void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, cons
   add(layout_.frame(), kFrameSize, d.data() + kOfFrame);
   add(layout_.lever_arm(pair.tag), 3, d.data() + kOfLeverArm);
   add(layout_.position(pair.slot), layout_.anchor_size(), of_anchor.data());
-  own[layout_.slow_error(pair.slot)] +=
-      slow_variance_m2_ * measurement.d_parameters(kOfSlowError) / slow_scale_;
+  own[layout_.range_bias(pair.slot)] +=
+      range_bias_variance_m2_ * measurement.d_parameters(kOfRangeBias) / range_bias_scale_;
   if (!has_ground()) return;
   add(layout_.ground(), kGroundSize, d.data() + kOfGround);
   for (int i = 0; i < kGroundSize; ++i) {
@@ -298,7 +298,7 @@ double JointCovariance::parameter_variance(const RangeMeasurement& measurement,
 Eigen::Matrix<double, 1, kPairParameters> JointCovariance::stored(
     const RangeMeasurement& measurement) const noexcept {
   Eigen::Matrix<double, 1, kPairParameters> d = measurement.d_parameters;
-  d(kOfSlowError) *= slow_scale_;
+  d(kOfRangeBias) *= range_bias_scale_;
   d.tail<kGroundSize>() *= ground_scale_;
   return d;
 }
@@ -358,13 +358,13 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
     // Slow range biases are considered: their own covariance block stays.
     for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
       for (int other = 0; other <= slot; ++other) {
-        lower(layout_.slow_error(slot), layout_.slow_error(other)) = 0.0;
+        lower(layout_.range_bias(slot), layout_.range_bias(other)) = 0.0;
       }
     }
     // So is the ground's deviation.
     if (!has_ground()) return;
     for (int i = layout_.ground(); i < size_; ++i) {
-      for (int slot = 0; slot < layout_.anchor_count(); ++slot) lower(i, layout_.slow_error(slot)) = 0.0;
+      for (int slot = 0; slot < layout_.anchor_count(); ++slot) lower(i, layout_.range_bias(slot)) = 0.0;
       for (int j = layout_.ground(); j <= i; ++j) lower(i, j) = 0.0;
     }
     return;
@@ -402,7 +402,7 @@ void JointCovariance::read(int row, int column, Block& out) const noexcept {
 
 void JointCovariance::marginalize(const Parameters& parameters, int slot, AnchorMemory& memory) noexcept {
   settle_motion();
-  settle_slow_errors();
+  settle_range_biases();
   const int first = layout_.position(slot);
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
@@ -438,7 +438,7 @@ void JointCovariance::marginalize(const Parameters& parameters, int slot, Anchor
 void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
                               Parameters& parameters) noexcept {
   settle_motion();
-  settle_slow_errors();
+  settle_range_biases();
   const int first = layout_.position(slot);
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
@@ -479,7 +479,7 @@ void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMe
 Eigen::MatrixXd JointCovariance::cross() const {
   JointCovariance settled = *this;
   settled.settle_motion();
-  settled.settle_slow_errors();
+  settled.settle_range_biases();
   settled.settle_ground();
   return rows_of(settled.cross_.data(), size_);
 }
@@ -490,13 +490,13 @@ Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& 
     set_prior(site, parameters, all);
   } else {
     JointCovariance settled = *this;
-    settled.settle_slow_errors();
+    settled.settle_range_biases();
     settled.settle_ground();
     for (int j = 0; j < size_; ++j) {
       for (int i = j; i < size_; ++i) all(i, j) = all(j, i) = settled.lower(i, j);
     }
     for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-      all(layout_.slow_error(slot), layout_.slow_error(slot)) = slow_variance_m2_;
+      all(layout_.range_bias(slot), layout_.range_bias(slot)) = range_bias_variance_m2_;
     }
   }
   all.diagonal().segment<kGroundSize>(layout_.ground()) = ground_variances_;

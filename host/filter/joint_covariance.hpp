@@ -37,7 +37,7 @@ class CoreCovariance {
   void propagate(const PoseRows& pose_rows) noexcept;
   void renew_ground(const Eigen::Vector3d& variances) noexcept;
   void fade_ground(double factor) noexcept { ground_cross_ *= factor; }
-  void fade_slow_errors(double /*factor*/) noexcept {}
+  void fade_range_biases(double /*factor*/) noexcept {}
 
   [[nodiscard]] const CoreMatrix& core() const noexcept { return core_; }
   [[nodiscard]] const Eigen::Vector3d& ground_variances() const noexcept { return ground_variances_; }
@@ -113,9 +113,9 @@ class JointCovariance {
 
   // Gauss-Markov decay of the slow range biases: their cross-covariances fall by the factor, their variance
   // stays.
-  void fade_slow_errors(double factor) noexcept;
+  void fade_range_biases(double factor) noexcept;
   // Scales the slow range biases: variance by the factor's square, cross-covariances by the factor.
-  void scale_slow_errors(double factor) noexcept;
+  void scale_range_biases(double factor) noexcept;
 
   // For models without cross-covariance: H P_cc H^T with out = P_cc H^T; J P_c J^T of (18); and the update of
   // the core.
@@ -166,10 +166,10 @@ class JointCovariance {
   void set_estimated(int slot, bool is_estimated) noexcept;
   void settle_motion() noexcept;
   void scale_cross(int parameter, double factor) noexcept;
-  void settle_slow_errors() noexcept;
+  void settle_range_biases() noexcept;
   void settle_ground() noexcept;
   [[nodiscard]] bool has_ground() const noexcept { return !ground_variances_.isZero(0.0); }
-  // Jacobian w.r.t. the stored parameters: slow range biases are stored in units of slow_scale_, the ground's
+  // Jacobian w.r.t. the stored parameters: slow range biases are stored in units of range_bias_scale_, the ground's
   // deviation in units of ground_scale_.
   [[nodiscard]] Eigen::Matrix<double, 1, kPairParameters> stored(
       const RangeMeasurement& measurement) const noexcept;
@@ -184,7 +184,7 @@ class JointCovariance {
   int stride_ = 0;
   int absent_rows_ = 0;  // rows of the cross-covariance behind the parameters': see absence()
   double lever_arm_variance_m2_ = 0.0;
-  double slow_variance_m2_ = 0.0;
+  double range_bias_variance_m2_ = 0.0;
   Eigen::Matrix4d frame_covariance_;
 
   CoreMatrix core_ = CoreMatrix::Zero();
@@ -194,7 +194,7 @@ class JointCovariance {
   PoseRows motion_ = PoseRows::Identity();
   bool moved_ = false;
   bool same_sample_ = true;
-  double slow_scale_ = 1.0;
+  double range_bias_scale_ = 1.0;
   Eigen::Vector3d ground_variances_ = Eigen::Vector3d::Zero();
   double ground_scale_ = 1.0;
   // Covariance of the parameters, lower triangle by columns. Empty if all are considered.

@@ -32,7 +32,7 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
   RangeMeasurement out;
   // The pattern's contribution to the Jacobians is a tenth of the lever arm's and is neglected.
   out.range_m =
-      prediction.range_m + pair.slow_error_m + model::pattern_terms(prediction.in_body).dot(pair.pattern_m);
+      prediction.range_m + pair.range_bias_m + model::pattern_terms(prediction.in_body).dot(pair.pattern_m);
   out.distance_m = prediction.distance_m;
   out.d_core = prediction.d_pose.lazyProduct(then.d_core);
   out.d_core(kDelay) = -prediction.d_pose.dot(pose_rate(prediction.sideways, core_then, row));
@@ -50,7 +50,7 @@ RangeMeasurement measure_distance(const model::Surface& surface, const CoreVecto
   PairParameters pure = pair;
   pure.beta_m = 0.0;
   pure.gamma = 1.0;
-  pure.slow_error_m = 0.0;
+  pure.range_bias_m = 0.0;
   pure.pattern_m.setZero();
   return measure_range(surface, core, row, pure, chart);
 }

@@ -21,8 +21,8 @@ constexpr double kShown = 0.7;
 constexpr double kThirdDifference = 4.47213595499958;
 // Differences of a pair's ranges that are closer in time show white noise.
 constexpr double kDifference_s = 3.0;
-constexpr double kSlowStep = 0.002;
-constexpr double kSlowMostFactor = 3.0;
+constexpr double kRangeBiasStep = 0.002;
+constexpr double kMaxRangeBiasFactor = 3.0;
 constexpr double kMaxGap_s = 0.3;     // samples further apart show motion, not noise
 constexpr double kUneven = 0.3;       // relative difference allowed between gaps
 constexpr double kMostFactor = 10.0;  // bound of the factor on the nominal sigma, up and down
@@ -55,8 +55,8 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
     const double change =
         innovation_m * innovation_m > kShown * kShown * kHalfWithin * kHalfWithin * variance_m2 ? 1.0 : -1.0;
-    slow_scale_ =
-        std::clamp(slow_scale_ * (1.0 + kSlowStep * change), 1.0 / kSlowMostFactor, kSlowMostFactor);
+    range_bias_scale_ =
+        std::clamp(range_bias_scale_ * (1.0 + kRangeBiasStep * change), 1.0 / kMaxRangeBiasFactor, kMaxRangeBiasFactor);
   }
 }
 

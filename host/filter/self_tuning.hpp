@@ -22,7 +22,7 @@ class RangeTuning {
 
   [[nodiscard]] double white_sigma_m() const noexcept { return white_sigma_m_; }
   // Factor on the sigma of the slow range bias.
-  [[nodiscard]] double slow_scale() const noexcept { return slow_scale_; }
+  [[nodiscard]] double range_bias_scale() const noexcept { return range_bias_scale_; }
 
  private:
   struct Last {
@@ -33,7 +33,7 @@ class RangeTuning {
 
   double told_sigma_m_;
   double white_sigma_m_;
-  double slow_scale_ = 1.0;
+  double range_bias_scale_ = 1.0;
   double differences_ = 0.0;  // number so far
   std::array<Last, kMaxPairs> last_{};
 };

@@ -27,7 +27,7 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
       patterns_m_[static_cast<std::size_t>(tag)] = *calibrated.pattern_m;
   }
   if (calibration.range_noise) {
-    slow_variance_m2_ = calibration.range_noise->slow_sigma_m * calibration.range_noise->slow_sigma_m;
+    range_bias_variance_m2_ = calibration.range_noise->bias_sigma_m * calibration.range_noise->bias_sigma_m;
   }
 
   const int size = anchor_size();
@@ -56,7 +56,7 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
         if (row >= 0 && column >= 0) anchor.covariance(row, column) = own(i, j);
       }
     }
-    anchor.covariance(size - 1, size - 1) = slow_variance_m2_;
+    anchor.covariance(size - 1, size - 1) = range_bias_variance_m2_;
     for (const model::PairBias& pair : calibrated.pairs) {
       const int tag = tag_slot(pair.tag_id);
       if (tag < 0) continue;
@@ -99,14 +99,14 @@ PairIndices Layout::pair_indices(int slot, int tag) const noexcept {
   const int f = frame();
   const int g = ground();
   return {p, p + 1, p + 2, beta(slot, tag), gamma(slot, tag), l, l + 1, l + 2,
-          f, f + 1, f + 2, f + 3,           slow_error(slot), g, g + 1, g + 2};
+          f, f + 1, f + 2, f + 3,           range_bias(slot), g, g + 1, g + 2};
 }
 
 PairParameters Parameters::pair(const Site& site, int slot, int tag) const noexcept {
   return {.position_m = values_.segment<3>(position(slot)),
           .beta_m = values_(beta(slot, tag)),
           .gamma = values_(gamma(slot, tag)),
-          .slow_error_m = values_(slow_error(slot)),
+          .range_bias_m = values_(range_bias(slot)),
           .lever_arm_m = values_.segment<3>(lever_arm(tag)),
           .frame = values_.segment<kFrameSize>(frame()),
           .pattern_m = site.pattern_m(tag),

@@ -21,7 +21,7 @@ struct PairParameters {
   Eigen::Vector3d position_m;  // of the anchor, without the error of the common frame
   double beta_m = 0.0;
   double gamma = 1.0;
-  double slow_error_m = 0.0;
+  double range_bias_m = 0.0;
   Eigen::Vector3d lever_arm_m;
   Eigen::Vector4d frame = Eigen::Vector4d::Zero();
   model::PatternTerms pattern_m = model::PatternTerms::Zero();
@@ -70,7 +70,7 @@ class Site {
   }
   [[nodiscard]] double lever_arm_variance_m2() const noexcept { return lever_arm_variance_m2_; }
   [[nodiscard]] const Eigen::Matrix4d& frame_covariance() const noexcept { return frame_covariance_; }
-  [[nodiscard]] double slow_variance_m2() const noexcept { return slow_variance_m2_; }
+  [[nodiscard]] double range_bias_variance_m2() const noexcept { return range_bias_variance_m2_; }
 
   // The parameters as calibrated.
   [[nodiscard]] PairParameters pair(int index, int tag) const noexcept;
@@ -84,7 +84,7 @@ class Site {
   int tag_count_ = 0;
   double lever_arm_variance_m2_;
   Eigen::Matrix4d frame_covariance_;
-  double slow_variance_m2_ = 0.0;
+  double range_bias_variance_m2_ = 0.0;
 };
 
 using ParameterVector = Bounded<kMaxParameters, 1>;
@@ -111,7 +111,7 @@ class Layout {
   [[nodiscard]] int position(int slot) const noexcept { return common_size() + slot * anchor_size(); }
   [[nodiscard]] int beta(int slot, int tag) const noexcept { return position(slot) + 3 + tag; }
   [[nodiscard]] int gamma(int slot, int tag) const noexcept { return beta(slot, tag) + tag_count_; }
-  [[nodiscard]] int slow_error(int slot) const noexcept { return position(slot + 1) - 1; }
+  [[nodiscard]] int range_bias(int slot) const noexcept { return position(slot + 1) - 1; }
   [[nodiscard]] int ground() const noexcept { return position(anchor_count_); }
   // Indices of the parameters of a pair's range, in the order of kPairParameters.
   [[nodiscard]] PairIndices pair_indices(int slot, int tag) const noexcept;

@@ -129,8 +129,8 @@ model::RangeNoise parse_range_noise(const YamlValue& yaml) {
   model::RangeNoise noise;
   const double white_m2 = yaml.at("white_variance_m2").positive_number();
   noise.white_sigma_m = std::sqrt(white_m2);
-  noise.slow_sigma_m = std::sqrt(parse_variance(yaml.at("slow_variance_m2")));
-  noise.slow_time_s = yaml.at("slow_time_s").positive_number();
+  noise.bias_sigma_m = std::sqrt(parse_variance(yaml.at("slow_variance_m2")));
+  noise.bias_time_s = yaml.at("slow_time_s").positive_number();
   return noise;
 }
 
@@ -268,8 +268,8 @@ std::string format_calibration(const model::Calibration& calibration) {
     const model::RangeNoise& noise = *calibration.range_noise;
     fmt::format_to(out, "# Of ranges in sight: white, and slow, which is common to an anchor's tags.\n");
     fmt::format_to(out, "range_noise: {{white_variance_m2: {}, slow_variance_m2: {}, slow_time_s: {}}}\n",
-                   noise.white_sigma_m * noise.white_sigma_m, noise.slow_sigma_m * noise.slow_sigma_m,
-                   noise.slow_time_s);
+                   noise.white_sigma_m * noise.white_sigma_m, noise.bias_sigma_m * noise.bias_sigma_m,
+                   noise.bias_time_s);
   }
   if (!calibration.tags.empty()) {
     fmt::format_to(

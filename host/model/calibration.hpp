@@ -67,8 +67,8 @@ struct TagCalibration {
 // to an anchor's tags (reflections, diffraction at near obstacles, survey errors).
 struct RangeNoise {
   double white_sigma_m = 0.0;
-  double slow_sigma_m = 0.0;  // of the Gauss-Markov range bias
-  double slow_time_s = 1.0;   // its correlation falls to 1/e over this time
+  double bias_sigma_m = 0.0;  // of the Gauss-Markov range bias
+  double bias_time_s = 1.0;   // its correlation falls to 1/e over this time
 };
 
 struct Calibration {

@@ -176,15 +176,15 @@ class Smoother {
             run.calibration->range_noise.value_or(model::RangeNoise{.white_sigma_m = config_.range_sigma_m})),
         unknowns_(Eigen::VectorXd::Zero(shared_.mean.size())) {
     if (run.calibration->range_noise) {
-      noise_.slow_sigma_m *= config_.slow_error_growth;
-      noise_.slow_time_s *= config_.slow_time_growth;
+      noise_.bias_sigma_m *= config_.range_bias_growth;
+      noise_.bias_time_s *= config_.range_bias_time_growth;
     }
     if (model::is_ablated(model::Mechanism::kSmootherRangeBias)) {
-      noise_.white_sigma_m = std::hypot(noise_.white_sigma_m, noise_.slow_sigma_m);
-      noise_.slow_sigma_m = 0.0;
+      noise_.white_sigma_m = std::hypot(noise_.white_sigma_m, noise_.bias_sigma_m);
+      noise_.bias_sigma_m = 0.0;
     }
     block_ =
-        kPose + (noise_.slow_sigma_m > 0.0 ? shared_.anchors() * static_cast<Eigen::Index>(tags_.size()) : 0);
+        kPose + (noise_.bias_sigma_m > 0.0 ? shared_.anchors() * static_cast<Eigen::Index>(tags_.size()) : 0);
     for (const model::TagCalibration& calibrated : run.calibration->tags) {
       const Eigen::Index tag = Shared::tag_slot(tags_, calibrated.id);
       if (tag >= 0 && calibrated.pattern_m)
@@ -358,7 +358,7 @@ class Smoother {
         const Sighting& sighting = sightings_[i];
         const Prediction predicted = predict(sighting, values);
         // The sigma includes bias and pose, as in the filter, so that not each reflection counts as NLOS.
-        double variance_m2 = square(noise_.white_sigma_m) + square(noise_.slow_sigma_m);
+        double variance_m2 = square(noise_.white_sigma_m) + square(noise_.bias_sigma_m);
         if (covariances.empty()) {
           variance_m2 += square(kFirst_m);
         } else {
@@ -387,21 +387,21 @@ class Smoother {
     problem.add_shared_prior(unknowns_);
     add_start(problem);
     for (std::size_t k = 0; k + 1 < rows_.size(); ++k) add_row(problem, k, values);
-    if (block_ > kPose) add_slow_errors(problem);
+    if (block_ > kPose) add_range_biases(problem);
     for (const Sighting& sighting : sightings_) add_range(problem, sighting, values);
   }
 
   // Gauss-Markov range biases: prior at the first sample, then transitions from sample to sample.
-  void add_slow_errors(ChainProblem& problem) const {
+  void add_range_biases(ChainProblem& problem) const {
     const Eigen::Index slow = block_ - kPose;
-    const double variance = square(noise_.slow_sigma_m);
+    const double variance = square(noise_.bias_sigma_m);
     ChainProblem::Term first(block_, slow, 0);
     first.by_first.rightCols(slow).setIdentity();
     first.residual = -states_.front().tail(slow);
     first.information = Eigen::VectorXd::Constant(slow, 1.0 / variance).asDiagonal();
     problem.add(0, first);
     for (std::size_t k = 0; k + 1 < rows_.size(); ++k) {
-      const double keep = std::exp(-(rows_[k + 1].t_s - rows_[k].t_s) / noise_.slow_time_s);
+      const double keep = std::exp(-(rows_[k + 1].t_s - rows_[k].t_s) / noise_.bias_time_s);
       ChainProblem::Term term(block_, slow, 0);
       term.by_first.rightCols(slow).diagonal().setConstant(-keep);
       term.by_second.rightCols(slow).setIdentity();

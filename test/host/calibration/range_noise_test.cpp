@@ -12,8 +12,8 @@ namespace {
 
 struct Truth {
   double white_sigma_m = 0.05;
-  double slow_sigma_m = 0.0;
-  double slow_time_s = 1.0;
+  double bias_sigma_m = 0.0;
+  double bias_time_s = 1.0;
   double blocked_share = 0.0;
   std::size_t pairs = 8;
 };
@@ -24,11 +24,11 @@ std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
   constexpr double kStep_s = 0.07;
   std::vector<std::vector<Observation>> rows(truth.pairs);
   std::vector<AnchorFit> fits(truth.pairs);
-  const double fade = std::exp(-kStep_s / truth.slow_time_s);
+  const double fade = std::exp(-kStep_s / truth.bias_time_s);
   for (std::size_t i = 0; i < truth.pairs; ++i) {
-    double slow_m = truth.slow_sigma_m * random.gaussian();
+    double slow_m = truth.bias_sigma_m * random.gaussian();
     for (std::uint32_t k = 0; k < 4000; ++k) {
-      slow_m = fade * slow_m + std::sqrt(1.0 - fade * fade) * truth.slow_sigma_m * random.gaussian();
+      slow_m = fade * slow_m + std::sqrt(1.0 - fade * fade) * truth.bias_sigma_m * random.gaussian();
       Observation row;
       row.t_s = kStep_s * k;
       row.tag_m = {3.0, 4.0, 0.0};
@@ -50,11 +50,11 @@ std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
 
 TEST(RangeNoise, SeparatesWhiteNoiseFromSlowBias) {
   for (const double time_s : {0.7, 4.0}) {
-    const auto noise = found({.white_sigma_m = 0.06, .slow_sigma_m = 0.1, .slow_time_s = time_s}, 5);
+    const auto noise = found({.white_sigma_m = 0.06, .bias_sigma_m = 0.1, .bias_time_s = time_s}, 5);
     ASSERT_TRUE(noise.has_value());
     EXPECT_NEAR(noise->white_sigma_m, 0.06, 0.006);
-    EXPECT_NEAR(noise->slow_sigma_m, 0.1, 0.01);
-    EXPECT_NEAR(noise->slow_time_s, time_s, 0.25 * time_s);
+    EXPECT_NEAR(noise->bias_sigma_m, 0.1, 0.01);
+    EXPECT_NEAR(noise->bias_time_s, time_s, 0.25 * time_s);
   }
 }
 
@@ -62,14 +62,14 @@ TEST(RangeNoise, WhiteNoiseHasNoSlowBias) {
   const auto noise = found({.white_sigma_m = 0.08}, 6);
   ASSERT_TRUE(noise.has_value());
   EXPECT_NEAR(noise->white_sigma_m, 0.08, 0.003);
-  EXPECT_EQ(noise->slow_sigma_m, 0.0);
+  EXPECT_EQ(noise->bias_sigma_m, 0.0);
 }
 
 TEST(RangeNoise, IgnoresNlosRanges) {
   const auto noise = found({.white_sigma_m = 0.05, .blocked_share = 0.1}, 7);
   ASSERT_TRUE(noise.has_value());
   EXPECT_NEAR(noise->white_sigma_m, 0.05, 0.003);
-  EXPECT_EQ(noise->slow_sigma_m, 0.0);
+  EXPECT_EQ(noise->bias_sigma_m, 0.0);
 }
 
 TEST(RangeNoise, NeedsThreePairs) {

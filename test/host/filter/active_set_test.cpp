@@ -36,7 +36,7 @@ model::Calibration corridor(int anchors, double position_sigma_m = 0.1) {
   calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-9;
   for (model::AnchorCalibration& anchor : calibration.anchors)
     model::add_common_frame(anchor, calibration.common_frame_covariance);
-  calibration.range_noise = {.white_sigma_m = 0.1, .slow_sigma_m = 0.05, .slow_time_s = 3.0};
+  calibration.range_noise = {.white_sigma_m = 0.1, .bias_sigma_m = 0.05, .bias_time_s = 3.0};
   return calibration;
 }
 
@@ -69,8 +69,8 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
   std::vector<model::Tag> tags = testing::three_tags();
   for (model::Tag& tag : tags) tag.lever_arm_m += 0.01 * random.gaussians(3);
   std::vector<double> slow_m;
-  for (std::size_t i = 0; i < sites.size(); ++i) slow_m.push_back(noise.slow_sigma_m * random.gaussian());
-  const double fade = std::exp(-kRow_s / noise.slow_time_s);
+  for (std::size_t i = 0; i < sites.size(); ++i) slow_m.push_back(noise.bias_sigma_m * random.gaussian());
+  const double fade = std::exp(-kRow_s / noise.bias_time_s);
   const double scale = 0.01 * random.gaussian();
   const double bias = 0.002 * random.gaussian();
 
@@ -85,7 +85,7 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
                             0.03 * random.gaussian() / (1.0 + scale),
                             velocity.z() + bias + 0.01 * random.gaussian()});
     for (double& error_m : slow_m) {
-      error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.slow_sigma_m * random.gaussian();
+      error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.bias_sigma_m * random.gaussian();
     }
     // Each anchor in reach answers one tag per odometry interval.
     int count = 0;
@@ -114,8 +114,8 @@ Config config_with(Model model, int active) {
   config.model = model;
   config.odometry = {0.03, 0.03, 0.01};
   config.active_anchors = active;
-  config.slow_error_growth = 1.0;
-  config.slow_time_growth = 1.0;
+  config.range_bias_growth = 1.0;
+  config.range_bias_time_growth = 1.0;
   // No NLOS, so that the gate's history of an anchor before its removal does not matter.
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;

@@ -26,8 +26,8 @@ Config plain_config(Model model) {
   config.gate.blocked_share = 0.0;
   config.gate.garbage_share = 0.0;
   config.tunes_noise = false;
-  config.slow_error_growth = 1.0;
-  config.slow_time_growth = 1.0;
+  config.range_bias_growth = 1.0;
+  config.range_bias_time_growth = 1.0;
   return config;
 }
 
@@ -51,7 +51,7 @@ class DenseFilter {
     if (config.model == Model::kJoint) {
       estimated_.setOnes();
       for (int i = 0; i < parameters_.anchor_count(); ++i)
-        estimated_(kCoreSize + parameters_.slow_error(i)) = 0.0;
+        estimated_(kCoreSize + parameters_.range_bias(i)) = 0.0;
     }
     if (config.model == Model::kAnchorStates) {
       for (int i = 0; i < parameters_.anchor_count(); ++i) {
@@ -80,16 +80,16 @@ class DenseFilter {
       Eigen::MatrixXd f = Eigen::MatrixXd::Identity(x_.size(), x_.size());
       f.block<3, kCoreSize>(0, 0) = motion.d_core;
       x_.head<3>() = motion.pose;
-      const double fade = std::exp(-dt_s / steps / noise_.slow_time_s);
+      const double fade = std::exp(-dt_s / steps / noise_.bias_time_s);
       for (int anchor = 0; anchor < parameters_.anchor_count(); ++anchor) {
-        const int slow = kCoreSize + parameters_.slow_error(anchor);
+        const int slow = kCoreSize + parameters_.range_bias(anchor);
         f(slow, slow) = fade;
         x_(slow) *= fade;
       }
       p_ = f * p_ * f.transpose();
       for (int anchor = 0; anchor < parameters_.anchor_count(); ++anchor) {
-        const int slow = kCoreSize + parameters_.slow_error(anchor);
-        p_(slow, slow) += (1.0 - fade * fade) * std::pow(noise_.slow_sigma_m, 2);
+        const int slow = kCoreSize + parameters_.range_bias(anchor);
+        p_(slow, slow) += (1.0 - fade * fade) * std::pow(noise_.bias_sigma_m, 2);
       }
     }
   }
@@ -151,7 +151,7 @@ class DenseEquality : public ::testing::TestWithParam<Model> {};
 TEST_P(DenseEquality, OverADriveOnHills) {
   const model::Surface surface = testing::hills(0.3);
   model::Calibration calibration = testing::six_anchors();
-  calibration.range_noise = {.white_sigma_m = 0.08, .slow_sigma_m = 0.1, .slow_time_s = 1.5};
+  calibration.range_noise = {.white_sigma_m = 0.08, .bias_sigma_m = 0.1, .bias_time_s = 1.5};
   calibration.anchors[2].verdict = model::AnchorVerdict::kWeak;
   const Config config = plain_config(GetParam());
   Random random(41);

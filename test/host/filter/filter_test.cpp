@@ -264,10 +264,10 @@ TEST_P(Consistency, HoldsOverManySites) {
 TEST_P(Consistency, HoldsWithASlowRangeBiasOverManySites) {
   constexpr int kSites = 120;
   model::Calibration calibration = testing::six_anchors(0.3);
-  calibration.range_noise = {.white_sigma_m = 0.05, .slow_sigma_m = 0.15, .slow_time_s = 4.0};
+  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.15, .bias_time_s = 4.0};
   Config config = testing::config_of(GetParam());
-  config.slow_error_growth = 1.0;
-  config.slow_time_growth = 1.0;
+  config.range_bias_growth = 1.0;
+  config.range_bias_time_growth = 1.0;
   // Keep the configured noise.
   config.tunes_noise = false;
   Random random(67);
@@ -276,7 +276,7 @@ TEST_P(Consistency, HoldsWithASlowRangeBiasOverManySites) {
   EXPECT_GE(nees.inside, 105);
   // Modelled as white noise of that size, the slow range bias seems to average out: overconfident.
   model::Calibration white = calibration;
-  white.range_noise = {.white_sigma_m = std::hypot(0.05, 0.15), .slow_sigma_m = 0.0, .slow_time_s = 1.0};
+  white.range_noise = {.white_sigma_m = std::hypot(0.05, 0.15), .bias_sigma_m = 0.0, .bias_time_s = 1.0};
   Random again(67);
   EXPECT_GT(nees_over_sites(kSites, calibration, white, config, again).mean, 1.5);
 }

@@ -123,7 +123,7 @@ TEST(Parameters, EachHasItsOwnIndex) {
   }
   for (int tag = 0; tag < 3; ++tag) take(parameters.lever_arm(tag), 3);
   take(parameters.frame(), 4);
-  for (int anchor = 0; anchor < 6; ++anchor) take(parameters.slow_error(anchor), 1);
+  for (int anchor = 0; anchor < 6; ++anchor) take(parameters.range_bias(anchor), 1);
   take(parameters.ground(), kGroundSize);
   EXPECT_TRUE((taken.array() == 1).all());
 }

@@ -127,7 +127,7 @@ class SensorModels : public ::testing::TestWithParam<Model> {
     if (GetParam() == Model::kJoint) {
       learnt.setOnes();
       for (int i = 0; i < before.parameters().anchor_count(); ++i)
-        learnt(kCoreSize + before.parameters().slow_error(i)) = 0.0;
+        learnt(kCoreSize + before.parameters().range_bias(i)) = 0.0;
     }
     Eigen::MatrixXd h = Eigen::MatrixXd::Zero(kSize, p.rows());
     h.leftCols<kCoreSize>() = measurement.d_core;

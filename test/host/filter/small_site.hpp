@@ -150,9 +150,9 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
       calibration.range_noise.value_or(model::RangeNoise{options.range_sigma_m, 0.0, 1.0});
   std::vector<double> slow_m;
   for (std::size_t i = 0; i < sites.size(); ++i) {
-    slow_m.push_back(noise.slow_sigma_m > 0.0 ? noise.slow_sigma_m * random.gaussian() : 0.0);
+    slow_m.push_back(noise.bias_sigma_m > 0.0 ? noise.bias_sigma_m * random.gaussian() : 0.0);
   }
-  const double fade = std::exp(-options.range_s / noise.slow_time_s);
+  const double fade = std::exp(-options.range_s / noise.bias_time_s);
 
   Drive out;
   model::PlanarPose at = start;
@@ -168,9 +168,9 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
                             velocity.z() + bias + options.noise.sigma_omega_radps * random.gaussian()});
     out.truth.push_back(at);
     for (; next_range_s < t_s + options.row_s; next_range_s += options.range_s) {
-      if (noise.slow_sigma_m > 0.0) {
+      if (noise.bias_sigma_m > 0.0) {
         for (double& error_m : slow_m) {
-          error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.slow_sigma_m * random.gaussian();
+          error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.bias_sigma_m * random.gaussian();
         }
       }
       const std::size_t anchor = turn % sites.size();
@@ -205,8 +205,8 @@ inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& para
       at.push_back(parameters.gamma(slot, site.tag_slot(pair.tag_id)));
     covariance(at, at) = model::own_covariance(anchor, calibration.common_frame_covariance);
     if (!calibration.range_noise) continue;
-    covariance(parameters.slow_error(slot), parameters.slow_error(slot)) =
-        std::pow(calibration.range_noise->slow_sigma_m, 2);
+    covariance(parameters.range_bias(slot), parameters.range_bias(slot)) =
+        std::pow(calibration.range_noise->bias_sigma_m, 2);
   }
   for (int tag = 0; tag < parameters.tag_count(); ++tag)
     covariance.diagonal().segment<3>(parameters.lever_arm(tag)).setConstant(site.lever_arm_variance_m2());

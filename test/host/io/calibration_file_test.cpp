@@ -62,7 +62,7 @@ model::Calibration make_calibration() {
   calibration.tags[1].lever_arm->sigma_m(1) = 0.004;
   calibration.range_delay_s = 0.0211;
   calibration.range_delay_sigma_s = 0.0017;
-  calibration.range_noise = {.white_sigma_m = 0.05, .slow_sigma_m = 0.07, .slow_time_s = 1.0 / 3.0};
+  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.07, .bias_time_s = 1.0 / 3.0};
   calibration.verdict = model::Verdict::kWarnings;
   calibration.input_sha256 = "00e1";
   calibration.program_version = "0.1.0";
@@ -91,8 +91,8 @@ TEST(CalibrationFileTest, EveryNumberSurvivesExactly) {
   EXPECT_DOUBLE_EQ(after.range_delay_sigma_s, before.range_delay_sigma_s);
   ASSERT_TRUE(after.range_noise.has_value());
   EXPECT_DOUBLE_EQ(after.range_noise->white_sigma_m, 0.05);
-  EXPECT_DOUBLE_EQ(after.range_noise->slow_sigma_m, 0.07);
-  EXPECT_EQ(after.range_noise->slow_time_s, before.range_noise->slow_time_s);
+  EXPECT_DOUBLE_EQ(after.range_noise->bias_sigma_m, 0.07);
+  EXPECT_EQ(after.range_noise->bias_time_s, before.range_noise->bias_time_s);
   EXPECT_EQ(after.verdict, before.verdict);
   EXPECT_EQ(after.input_sha256, before.input_sha256);
   EXPECT_EQ(after.program_version, before.program_version);
