@@ -227,7 +227,7 @@ Json to_json(const RangeRecord& record) {
   json["innovation_m"] = record.result.innovation_m;
   json["innovation_sigma_m"] = std::sqrt(record.result.innovation_variance_m2);
   json["weight"] = record.result.weight;
-  json["pair_in_sight"] = 1.0 - record.result.blocked;
+  json["pair_in_sight"] = 1.0 - record.result.nlos;
   json["hint_ratio"] = record.result.hint_ratio;
   json["heard_again_sigma_m"] = record.regained_sigma_m;
   json["pull"] = pose_json(record.result.correction);
@@ -305,7 +305,7 @@ std::string table_of(const ExplainOptions& options, const History& history) {
                number("{:.3f}", record.range_m - record.result.innovation_m),
                number("{:+.3f}", record.result.innovation_m),
                number("{:.3f}", std::sqrt(record.result.innovation_variance_m2)),
-               number("{:.2f}", record.result.weight), number("{:.2f}", 1.0 - record.result.blocked),
+               number("{:.2f}", record.result.weight), number("{:.2f}", 1.0 - record.result.nlos),
                number("{:.1f}", record.result.hint_ratio), fmt::format("{:+.1f}", 100.0 * by.x()),
                fmt::format("{:+.1f}", 100.0 * by.y()), fmt::format("{:+.1f}", 1000.0 * by.z()), why(record)});
   }

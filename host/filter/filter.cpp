@@ -252,7 +252,7 @@ void Filter::weigh(const model::RangeSample& range, const PairPlace& pair, Range
                                   result.innovation_variance_m2, powers);
   if (model::is_ablated(Mechanism::kGate)) result.weight = std::isfinite(result.innovation_m) ? 1.0 : 0.0;
   result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
-  result.blocked = now_.gate.blocked(pair.slot, pair.tag);
+  result.nlos = now_.gate.nlos(pair.slot, pair.tag);
   now_.counters.divergences = now_.gate.divergences();
 }
 

@@ -57,7 +57,7 @@ struct RangeResult {
   // ranges cannot test the map because it has no biases.
   double map_variance_m2 = std::numeric_limits<double>::quiet_NaN();
   double weight = 0.0;      // 0 gated, 1 full
-  double blocked = 0.0;     // probability of NLOS, from the pair's history and this range
+  double nlos = 0.0;     // probability of NLOS, from the pair's history and this range
   double hint_ratio = 1.0;  // likelihood ratio NLOS / LOS of its received powers
   Eigen::Vector3d correction = Eigen::Vector3d::Zero();  // correction of x, y, theta
 };

@@ -81,7 +81,7 @@ RangeDensities range_densities(double error_m, double sigma_m, const GateConfig&
                       short_share * excess_density(-error_m, sigma_m, config.excess_m);
   const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, kRegained_m) : 0.0;
   return {.los = gaussian_density(error_m, sigma_m),
-          .blocked = (1.0 - far_share) * near + far,
+          .nlos = (1.0 - far_share) * near + far,
           .far = far,
           .garbage = garbage_share / config.garbage_width_m,
           .garbage_share = garbage_share};
@@ -97,27 +97,27 @@ double PowerHint::share(const Counts& counts, const std::array<double, model::kH
 double PowerHint::likelihood_ratio(model::PowerClass of) const noexcept {
   if (of >= model::kNoPowerClass) return 1.0;
   const double ratio =
-      share(blocked_, model::kPriorNlos, of) / share(los_, model::kPriorLos, of);
+      share(nlos_, model::kPriorNlos, of) / share(los_, model::kPriorLos, of);
   const double most = std::max(config_.hint_most, 1.0);
   return std::clamp(ratio, 1.0 / most, most);
 }
 
-double PowerHint::blocked_share() const noexcept {
+double PowerHint::nlos_share() const noexcept {
   const double prior = config_.hint_prior_count * unit_;
-  return (blocked_.all + prior * config_.blocked_share) / (blocked_.all + los_.all + prior);
+  return (nlos_.all + prior * config_.nlos_prior) / (nlos_.all + los_.all + prior);
 }
 
-void PowerHint::observe(model::PowerClass of, double t_s, double blocked, double los) noexcept {
+void PowerHint::observe(model::PowerClass of, double t_s, double nlos, double los) noexcept {
   if (of >= model::kNoPowerClass) return;
   const double passed_s = std::clamp(t_s - t_s_, 0.0, config_.hint_memory_s);
   unit_ *= std::exp(passed_s / config_.hint_memory_s);
   t_s_ = t_s;
-  blocked_.of[of] += blocked * unit_;
-  blocked_.all += blocked * unit_;
+  nlos_.of[of] += nlos * unit_;
+  nlos_.all += nlos * unit_;
   los_.of[of] += los * unit_;
   los_.all += los * unit_;
   if (unit_ < kMaxUnit) return;
-  for (Counts* counts : {&blocked_, &los_}) {
+  for (Counts* counts : {&nlos_, &los_}) {
     for (double& count : counts->of) count /= unit_;
     counts->all /= unit_;
   }
@@ -152,14 +152,14 @@ Gate::Reception Gate::update_reception(int anchor, Pair& pair, double t_s) noexc
 }
 
 double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept {
-  if (model::is_ablated(Mechanism::kGateMemory)) return config_.blocked_share;
+  if (model::is_ablated(Mechanism::kGateMemory)) return config_.nlos_prior;
   const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
-  double out = config_.blocked_share + (pair.unhinted - config_.blocked_share) * fade(pair);
+  double out = config_.nlos_prior + (pair.unhinted - config_.nlos_prior) * fade(pair);
   if (model::is_ablated(Mechanism::kGateTags)) return out;
   // An obstacle that makes an anchor NLOS for one tag often does so for the other tags.
   for (int tag = 0; tag < kMaxTags; ++tag) {
     const Pair& other = pairs_[pair_at(anchor, tag)];
-    if (other.unhinted > std::max(out, config_.blocked_share))
+    if (other.unhinted > std::max(out, config_.nlos_prior))
       out = std::max(out, other.unhinted * fade(other));
   }
   return out;
@@ -167,14 +167,14 @@ double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept
 
 Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const noexcept {
   const double los = (1.0 - prior) * (1.0 - density.garbage_share) * density.los;
-  const double blocked = prior * (1.0 - density.garbage_share) * density.blocked;
-  const double total = los + blocked + density.garbage;
+  const double nlos = prior * (1.0 - density.garbage_share) * density.nlos;
+  const double total = los + nlos + density.garbage;
   // No hypothesis explains the range: the pair's probability stays.
-  if (!(total > 0.0)) return {.pair_blocked = prior};
+  if (!(total > 0.0)) return {.pair_nlos = prior};
   return {.los = los / total,
-          .blocked = blocked / total,
+          .nlos = nlos / total,
           .far = prior * (1.0 - density.garbage_share) * density.far / total,
-          .pair_blocked = std::min((blocked + density.garbage * prior) / total, config_.blocked_most)};
+          .pair_nlos = std::min((nlos + density.garbage * prior) / total, config_.nlos_max)};
 }
 
 double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2,
@@ -194,12 +194,12 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const double weight = weight_of(unhinted.los);
   chain.regained_m2 = 0.0;
   if (reception.missed > 0.0) {
-    const double garbage = 1.0 - unhinted.los - unhinted.blocked;
+    const double garbage = 1.0 - unhinted.los - unhinted.nlos;
     chain.regained_m2 = reception.alike * (unhinted.far * excess_square(innovation_m, sigma, kRegained_m) +
                                            garbage * square(innovation_m));
   }
-  chain.unhinted = unhinted.pair_blocked;
-  chain.blocked = unhinted.pair_blocked;
+  chain.unhinted = unhinted.pair_nlos;
+  chain.nlos = unhinted.pair_nlos;
   observe(anchor, t_s, innovation_m, weight);
   if (hint == model::kNoPowerClass || !(config_.hint_most > 1.0)) return weight;
   if (model::is_ablated(Mechanism::kGatePowers)) return weight;
@@ -207,15 +207,15 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const double ratio = hint_.likelihood_ratio(hint);
   if (!suspects_divergence_) {
     const double share = std::min(gap_s / config_.hint_s, 1.0);
-    hint_.observe(hint, t_s, share * unhinted.blocked, share * unhinted.los);
+    hint_.observe(hint, t_s, share * unhinted.nlos, share * unhinted.los);
   }
   const auto with_hint = [ratio](double share) { return share * ratio / (share * ratio + 1.0 - share); };
   // Innovations of a pair are correlated, so `prior` is overconfident: bound it by the share on site.
-  const double known = std::min(std::max(prior, hint_.blocked_share()), config_.blocked_most);
+  const double known = std::min(std::max(prior, hint_.nlos_share()), config_.nlos_max);
   const Posterior hinted = judge(density, with_hint(known));
-  chain.blocked = hinted.pair_blocked;
+  chain.nlos = hinted.pair_nlos;
   // Small innovations of a mostly NLOS class are correlated, too: the state may have followed them.
-  const double trust = 1.0 - with_hint(hint_.blocked_share());
+  const double trust = 1.0 - with_hint(hint_.nlos_share());
   return weight_of(hinted.los * trust * trust);
 }
 
@@ -265,13 +265,13 @@ bool Gate::suspects_divergence(double t_s) const noexcept {
 void Gate::renew(int anchor, double t_s) noexcept {
   for (int tag = 0; tag < kMaxTags; ++tag) {
     pairs_[pair_at(anchor, tag)] = {
-        .t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share, .reception = 0.0};
+        .t_s = t_s, .nlos = config_.nlos_prior, .unhinted = config_.nlos_prior, .reception = 0.0};
   }
   anchors_[static_cast<std::size_t>(anchor)] = {.t_s = t_s};
 }
 
 void Gate::reset(double t_s) noexcept {
-  pairs_.fill({.t_s = t_s, .blocked = config_.blocked_share, .unhinted = config_.blocked_share});
+  pairs_.fill({.t_s = t_s, .nlos = config_.nlos_prior, .unhinted = config_.nlos_prior});
   t_s_ = t_s;
   all_ = {.t_s = t_s};
   anchors_.fill({.t_s = t_s});

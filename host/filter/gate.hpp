@@ -24,7 +24,7 @@ namespace groma::filter {
 // garbage. NLOS ranges are too long, or with probability short_share too short.
 struct RangeDensities {
   double los = 0.0;
-  double blocked = 0.0;
+  double nlos = 0.0;
   double far = 0.0;      // part of blocked: larger excess of a pair that misses polls
   double garbage = 0.0;  // already times garbage_share
   double garbage_share = 0.0;
@@ -44,9 +44,9 @@ class PowerHint {
   // Likelihood ratio NLOS / LOS of a class, from 1/hint_most to hint_most; 1 for kNoPowerClass.
   [[nodiscard]] double likelihood_ratio(model::PowerClass of) const noexcept;
   // Share of NLOS among all ranges counted.
-  [[nodiscard]] double blocked_share() const noexcept;
+  [[nodiscard]] double nlos_share() const noexcept;
   // Counts a range of that class at t_s, as NLOS and as LOS with those probabilities.
-  void observe(model::PowerClass of, double t_s, double blocked, double los) noexcept;
+  void observe(model::PowerClass of, double t_s, double nlos, double los) noexcept;
 
  private:
   struct Counts {
@@ -59,7 +59,7 @@ class PowerHint {
 
   GateConfig config_;
   // Counts decay exponentially: instead of scaling all counts down, the unit of one more count grows.
-  Counts blocked_;
+  Counts nlos_;
   Counts los_;
   double unit_ = 1.0;
   double t_s_ = 0.0;
@@ -81,8 +81,8 @@ class Gate {
     return pairs_[pair_at(anchor, tag)].regained_m2;
   }
   // Probability that the pair is NLOS, as of its last range.
-  [[nodiscard]] double blocked(int anchor, int tag) const noexcept {
-    return pairs_[pair_at(anchor, tag)].blocked;
+  [[nodiscard]] double nlos(int anchor, int tag) const noexcept {
+    return pairs_[pair_at(anchor, tag)].nlos;
   }
 
   [[nodiscard]] const PowerHint& hint() const noexcept { return hint_; }
@@ -100,7 +100,7 @@ class Gate {
  private:
   struct Pair {
     double t_s = 0.0;
-    double blocked = 0.0;    // NLOS probability, with the power hint of the last range
+    double nlos = 0.0;    // NLOS probability, with the power hint of the last range
     double unhinted = 0.0;   // NLOS probability by innovations alone
     double reception = 1.0;  // share of the recent polls that were answered
     double regained_m2 = 0.0;
@@ -126,9 +126,9 @@ class Gate {
   // Posterior of one range.
   struct Posterior {
     double los = 0.0;
-    double blocked = 0.0;       // the rest to 1 is garbage
+    double nlos = 0.0;       // the rest to 1 is garbage
     double far = 0.0;           // part of blocked with the larger excess
-    double pair_blocked = 0.0;  // NLOS probability of the pair after this range
+    double pair_nlos = 0.0;  // NLOS probability of the pair after this range
   };
   // prior: NLOS probability of the pair before the range.
   [[nodiscard]] Posterior judge(const RangeDensities& density, double prior) const noexcept;

@@ -17,21 +17,21 @@ std::vector<double> los_probabilities(std::span<const Residual> pair, const filt
     const double dt_s = pair[i].t_s - pair[i - 1].t_s;
     const double forgotten =
         model::is_ablated(model::Mechanism::kSmootherNlos) ? 1.0 : 1.0 - std::exp(-dt_s / config.sticky_s);
-    const double blocked = config.blocked_share * forgotten;
-    const double freed = (1.0 - config.blocked_share) * forgotten;
-    return Eigen::Matrix2d{{1.0 - blocked, blocked}, {freed, 1.0 - freed}};
+    const double nlos = config.nlos_prior * forgotten;
+    const double freed = (1.0 - config.nlos_prior) * forgotten;
+    return Eigen::Matrix2d{{1.0 - nlos, nlos}, {freed, 1.0 - freed}};
   };
   const auto normalised = [](const States& states) -> States { return states / (states(0) + states(1)); };
   std::vector<States> likelihoods;
   std::vector<double> true_shares;  // probability of no garbage, given LOS
   std::vector<States> forward;
-  States now(1.0 - config.blocked_share, config.blocked_share);
+  States now(1.0 - config.nlos_prior, config.nlos_prior);
   for (std::size_t i = 0; i < pair.size(); ++i) {
     if (i > 0) now = transition(i).transpose() * now.eval();
     const filter::RangeDensities density = filter::range_densities(pair[i].error_m, pair[i].sigma_m, config);
     const double seen = (1.0 - config.garbage_share) * density.los;
-    const double blocked = (1.0 - config.garbage_share) * density.blocked;
-    likelihoods.emplace_back(seen + density.garbage, blocked + density.garbage);
+    const double nlos = (1.0 - config.garbage_share) * density.nlos;
+    likelihoods.emplace_back(seen + density.garbage, nlos + density.garbage);
     true_shares.push_back(seen / (seen + density.garbage));
     now = normalised(now.cwiseProduct(likelihoods[i]));
     forward.push_back(now);

@@ -117,7 +117,7 @@ Config config_with(Model model, int active) {
   config.range_bias_growth = 1.0;
   config.range_bias_time_growth = 1.0;
   // No NLOS, so that the gate's history of an anchor before its removal does not matter.
-  config.gate.blocked_share = 0.0;
+  config.gate.nlos_prior = 0.0;
   config.gate.garbage_share = 0.0;
   config.tunes_noise = false;
   return config;

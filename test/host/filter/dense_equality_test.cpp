@@ -23,7 +23,7 @@ Config plain_config(Model model) {
   config.model = model;
   config.odometry = {0.03, 0.03, 0.01};
   // All weights are 1, as in the reference.
-  config.gate.blocked_share = 0.0;
+  config.gate.nlos_prior = 0.0;
   config.gate.garbage_share = 0.0;
   config.tunes_noise = false;
   config.range_bias_growth = 1.0;

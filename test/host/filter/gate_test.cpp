@@ -34,7 +34,7 @@ TEST(Gate, RejectsNonFiniteValues) {
                                              {0.0, -1.0}}) {
     EXPECT_EQ(gate.weigh(0, 0, 0.0, innovation, variance), 0.0);
   }
-  EXPECT_TRUE(std::isfinite(gate.blocked(0, 0)));
+  EXPECT_TRUE(std::isfinite(gate.nlos(0, 0)));
   EXPECT_GT(gate.weigh(0, 0, 1.0, 0.0, kVariance_m2), 0.9);
 }
 
@@ -58,7 +58,7 @@ TEST(Gate, GarbageLeavesAPairAsItWas) {
   for (const double garbage_m : {300e3, 500.0, 30.0, -30.0, -500.0, -300e3}) {
     Gate gate{GateConfig{}};
     static_cast<void>(gate.weigh(0, 0, 0.0, garbage_m, kVariance_m2));
-    EXPECT_TRUE(std::isfinite(gate.blocked(0, 0))) << garbage_m;
+    EXPECT_TRUE(std::isfinite(gate.nlos(0, 0))) << garbage_m;
     EXPECT_GT(gate.weigh(0, 0, 0.1, 0.0, kVariance_m2), 0.9) << garbage_m;
   }
   // Without garbage in the model no hypothesis explains the range, and the pair's probability stays.
@@ -82,8 +82,8 @@ TEST(Gate, RemembersAnNlosPairForAWhile) {
     static_cast<void>(gate.weigh(3, 1, t_s, 5.0 * kSigma_m, kVariance_m2));
     static_cast<void>(gate.weigh(4, 2, t_s, 0.0, kVariance_m2));
   }
-  EXPECT_GT(gate.blocked(3, 1), 0.4);
-  EXPECT_LT(gate.blocked(4, 2), 0.1);
+  EXPECT_GT(gate.nlos(3, 1), 0.4);
+  EXPECT_LT(gate.nlos(4, 2), 0.1);
   // An innovation that would pass for another pair still has a low weight.
   const double suspect = gate.weigh(3, 1, t_s, 1.5 * kSigma_m, kVariance_m2);
   EXPECT_LT(suspect, gate.weigh(4, 2, t_s, 1.5 * kSigma_m, kVariance_m2) - 0.2);
@@ -108,7 +108,7 @@ TEST(Gate, ExpectsNlosOfAnAnchorForItsOtherTags) {
     static_cast<void>(gate.weigh(3, 2, t_s, 5.0 * kSigma_m, kVariance_m2));
     static_cast<void>(gate.weigh(3, 1, t_s, 0.0, kVariance_m2));
   }
-  EXPECT_GT(gate.blocked(3, 2), 0.4);
+  EXPECT_GT(gate.nlos(3, 2), 0.4);
 }
 
 // E(x^2 | e) for e = x + n, x exponential and n Gaussian, by Simpson's rule.
@@ -246,15 +246,15 @@ TEST(PowerHint, ClassesFollowTheChipsFiguresAndTheStrength) {
 struct Learnt {
   model::PowerClass of = 0;
   double t_s = 0.0;
-  double blocked = 0.0;
+  double nlos = 0.0;
   double los = 0.0;
 };
 double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model::PowerClass of, double t_s,
                     const GateConfig& config) {
   constexpr double kLos[] = {0.8, 0.15, 0.05};
-  constexpr double kBlocked[] = {0.4, 0.3, 0.3};
+  constexpr double kNlos[] = {0.4, 0.3, 0.3};
   const std::size_t hidden = of / model::kStrengthClasses;
-  const double believed = (state == &Learnt::blocked ? kBlocked[hidden] : kLos[hidden]) /
+  const double believed = (state == &Learnt::nlos ? kNlos[hidden] : kLos[hidden]) /
                           static_cast<double>(model::kStrengthClasses);
   double of_class = config.hint_prior_count * believed;
   double sum = config.hint_prior_count;
@@ -279,13 +279,13 @@ TEST(PowerHint, IsTheDecayingCountOfObservations) {
   double t_s = 0.0;
   for (int i = 0; i < 3000; ++i) {
     t_s += 0.05 * random.uniform();
-    const double blocked = random.uniform();
-    all.push_back({static_cast<model::PowerClass>(random.next() % model::kNoPowerClass), t_s, blocked,
-                   (1.0 - blocked) * random.uniform()});
-    hint.observe(all.back().of, t_s, all.back().blocked, all.back().los);
+    const double nlos = random.uniform();
+    all.push_back({static_cast<model::PowerClass>(random.next() % model::kNoPowerClass), t_s, nlos,
+                   (1.0 - nlos) * random.uniform()});
+    hint.observe(all.back().of, t_s, all.back().nlos, all.back().los);
     if (i % 500 != 499) continue;
     for (model::PowerClass of = 0; of < model::kNoPowerClass; ++of) {
-      const double expected = share_of_all(all, &Learnt::blocked, of, t_s, config) /
+      const double expected = share_of_all(all, &Learnt::nlos, of, t_s, config) /
                               share_of_all(all, &Learnt::los, of, t_s, config);
       EXPECT_NEAR(hint.likelihood_ratio(of), expected, 1e-9 * expected) << of;
     }
@@ -315,7 +315,7 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
   PowerHint twin(config);
   Random random(32);
   constexpr double kStep_s = 0.5;  // polls too rare for the reception test
-  double chain = config.blocked_share;
+  double chain = config.nlos_prior;
   double t_s = 0.0;
   for (int i = 0; i < 200; ++i) {
     t_s += kStep_s;
@@ -329,27 +329,27 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
       const double los = (1.0 - share) * (1.0 - config.garbage_share) *
                               std::exp(-0.5 * e_m * e_m / kVariance_m2) /
                               (kSigma_m * std::sqrt(2.0 * std::numbers::pi));
-      const double blocked = share * (1.0 - config.garbage_share) *
+      const double nlos = share * (1.0 - config.garbage_share) *
                              ((1.0 - config.short_share) * with_excess(e_m, kSigma_m, config.excess_m) +
                               config.short_share * with_excess(-e_m, kSigma_m, config.excess_m));
-      return std::pair{los, blocked};
+      return std::pair{los, nlos};
     };
     const double garbage = config.garbage_share / config.garbage_width_m;
     const double prior =
-        config.blocked_share + (chain - config.blocked_share) * std::exp(-kStep_s / config.sticky_s);
-    const auto [los, blocked] = densities(prior);
-    const double total = los + blocked + garbage;
-    chain = std::min((blocked + garbage * prior) / total, config.blocked_most);
+        config.nlos_prior + (chain - config.nlos_prior) * std::exp(-kStep_s / config.sticky_s);
+    const auto [los, nlos] = densities(prior);
+    const double total = los + nlos + garbage;
+    chain = std::min((nlos + garbage * prior) / total, config.nlos_max);
     const double weight = gate.weigh(2, 1, t_s, e_m, kVariance_m2, of);
     double expected = los / total;
     if (of != model::kNoPowerClass) {
       const double ratio = twin.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
-      if (!gate.suspects_divergence(t_s)) twin.observe(of, t_s, count * blocked / total, count * los / total);
-      const double all = twin.blocked_share();
-      const double known = std::min(std::max(prior, all), config.blocked_most);
-      const auto [now_in_sight, now_blocked] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
-      expected = now_in_sight / (now_in_sight + now_blocked + garbage);
+      if (!gate.suspects_divergence(t_s)) twin.observe(of, t_s, count * nlos / total, count * los / total);
+      const double all = twin.nlos_share();
+      const double known = std::min(std::max(prior, all), config.nlos_max);
+      const auto [now_in_sight, now_nlos] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
+      expected = now_in_sight / (now_in_sight + now_nlos + garbage);
       expected *= std::pow((1.0 - all) / (1.0 - all + ratio * all), 2);
     }
     if (weight > 0.0) {
@@ -374,7 +374,7 @@ TEST(Gate, UnusedPowersChangeNoBit) {
     const model::PowerClass of = static_cast<model::PowerClass>(random.next() % model::kNoPowerClass);
     ASSERT_EQ(plain.weigh(anchor, 0, t_s, e_m, kVariance_m2),
               unused.weigh(anchor, 0, t_s, e_m, kVariance_m2, of));
-    ASSERT_EQ(plain.blocked(anchor, 0), unused.blocked(anchor, 0));
+    ASSERT_EQ(plain.nlos(anchor, 0), unused.nlos(anchor, 0));
     ASSERT_EQ(plain.suspects_divergence(t_s), unused.suspects_divergence(t_s));
   }
 }

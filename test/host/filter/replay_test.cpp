@@ -168,18 +168,18 @@ TEST_F(ReplayTest, AnObserverSeesAnNlosPairAndChangesNothing) {
   }
   const ReplayResult without = run();
   std::size_t seen = 0;
-  Eigen::Vector3d pulled_by_blocked = Eigen::Vector3d::Zero();
+  Eigen::Vector3d corrected_by_nlos = Eigen::Vector3d::Zero();
   options_.on_range = [&](const Tracker& tracker, const model::RangeSample& range,
                           const RangeResult& result) {
     ++seen;
     EXPECT_EQ(tracker.estimate().t_s, range.t_s);
-    const bool blocked = range.anchor_id == 13 && range.t_s > 5.0 && range.t_s < 8.0;
-    EXPECT_EQ(result.weight < 0.5 && result.innovation_m > 1.0, blocked) << range.t_s;
-    if (blocked) pulled_by_blocked += result.correction;
+    const bool nlos = range.anchor_id == 13 && range.t_s > 5.0 && range.t_s < 8.0;
+    EXPECT_EQ(result.weight < 0.5 && result.innovation_m > 1.0, nlos) << range.t_s;
+    if (nlos) corrected_by_nlos += result.correction;
   };
   const ReplayResult with = run();
   EXPECT_EQ(seen, with.ranges_seen);
-  EXPECT_LT(pulled_by_blocked.head<2>().norm(), 0.01);
+  EXPECT_LT(corrected_by_nlos.head<2>().norm(), 0.01);
   ASSERT_EQ(with.rows.size(), without.rows.size());
   for (std::size_t i = 0; i < with.rows.size(); ++i) EXPECT_TRUE(same(with.rows[i], without.rows[i]));
 }

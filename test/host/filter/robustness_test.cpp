@@ -277,10 +277,10 @@ TEST(Reception, ASilentPairRegainsTrustGradually) {
   const double back = gate.weigh(0, 0, 26.0, 0.25, 0.01);
   EXPECT_LT(back, heard);
   EXPECT_GT(gate.regained_variance_m2(0, 0), 1.0);
-  EXPECT_GT(gate.blocked(0, 0), 0.3);
+  EXPECT_GT(gate.nlos(0, 0), 0.3);
   feed(gate, 26.05, 31.0, 0.05, random);
   EXPECT_EQ(gate.regained_variance_m2(0, 0), 0.0);
-  EXPECT_LT(gate.blocked(0, 0), 0.15);
+  EXPECT_LT(gate.nlos(0, 0), 0.15);
   EXPECT_GT(gate.weigh(0, 0, 31.0, 0.0, 0.01), 0.9);
 }
 
@@ -398,10 +398,10 @@ Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
       testing::drive(flat, calibration, {1.0, -2.0, 0.4}, {.duration_s = 120.0, .range_s = 0.005}, random);
   for (model::RangeSample& range : drive.ranges) {
     const int wall = static_cast<int>(range.t_s / 4.0) + 5 * range.anchor_id;
-    const bool blocked = wall * 7 % 3 == 0;
-    if (blocked) range.range_m += 0.15 + 0.1 * (wall * 11 % 7);
-    const bool weak = tells == Tells::kTruth      ? blocked
-                      : tells == Tells::kOpposite ? !blocked
+    const bool nlos = wall * 7 % 3 == 0;
+    if (nlos) range.range_m += 0.15 + 0.1 * (wall * 11 % 7);
+    const bool weak = tells == Tells::kTruth      ? nlos
+                      : tells == Tells::kOpposite ? !nlos
                                                   : random.next() % 2 == 0;
     if (tells == Tells::kNothing) continue;
     const double strength_dbm = (weak ? -68.0 : -59.0) + random.gaussian();

@@ -80,11 +80,11 @@ TEST(SlipWatch, NlosIsNoSlip) {
     Circle circle(seed);
     ASSERT_FALSE(circle.hear(10.0, Eigen::Vector2d::Zero(), kLos));
     // Up to four adjacent anchors are NLOS at once, as if the robot had moved away from them.
-    for (std::size_t blocked = 1; blocked <= 4; ++blocked) {
+    for (std::size_t nlos = 1; nlos <= 4; ++nlos) {
       std::array<double, 6> excess{};
-      std::fill_n(excess.begin(), blocked, 0.8);
-      EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), excess, 0.0)) << seed << ' ' << blocked;
-      EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), kLos)) << seed << ' ' << blocked;
+      std::fill_n(excess.begin(), nlos, 0.8);
+      EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), excess, 0.0)) << seed << ' ' << nlos;
+      EXPECT_FALSE(circle.hear(2.0, Eigen::Vector2d::Zero(), kLos)) << seed << ' ' << nlos;
     }
   }
 }

@@ -82,18 +82,18 @@ TEST(StartSearch, NlosOfOneAnchorCountsAsOneEvent) {
   // Additional cost of the true pose if some anchors are NLOS.
   const auto cost_of_walls = [&](std::size_t walls, double range_s) {
     double costs[2] = {};
-    for (const bool blocked : {false, true}) {
+    for (const bool nlos : {false, true}) {
       Random random(77);
       testing::Drive drive = testing::drive(testing::hills(0.2), calibration, {1.0, 2.0, 0.3},
                                             {.duration_s = 5.0, .range_s = range_s}, random);
       for (model::RangeSample& range : drive.ranges) {
-        for (std::size_t a = 0; blocked && a < walls; ++a) {
+        for (std::size_t a = 0; nlos && a < walls; ++a) {
           if (range.anchor_id == calibration.anchors[a].id) range.range_m += 3.0;
         }
       }
       const auto search = make(calibration);
       feed(drive, *search);
-      costs[blocked ? 1 : 0] = search->cautious_cost(drive.truth.back());
+      costs[nlos ? 1 : 0] = search->cautious_cost(drive.truth.back());
     }
     return costs[1] - costs[0];
   };

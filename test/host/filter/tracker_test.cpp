@@ -154,17 +154,17 @@ TEST_P(TrackerTest, FindsAKidnappedRobot) {
 // Passing a gate: for seconds the ranges of all tags are too long, much as if the robot were a step aside.
 TEST_P(TrackerTest, DoesNotRelocateDuringNlos) {
   tracker_->start({.t_s = 0.0, .pose = kHere});
-  testing::Drive blocked = drive(kHere);
+  testing::Drive nlos = drive(kHere);
   const Eigen::Vector2d aside(0.0, 0.8);
-  for (model::RangeSample& range : blocked.ranges) {
+  for (model::RangeSample& range : nlos.ranges) {
     if (range.t_s < 20.0 || range.t_s > 30.0) continue;
     const auto anchor = std::find_if(calibration_.anchors.begin(), calibration_.anchors.end(),
                                      [&](const auto& of) { return of.id == range.anchor_id; });
-    const model::PlanarPose& pose = blocked.truth.at(static_cast<std::size_t>(range.t_s / 0.05));
+    const model::PlanarPose& pose = nlos.truth.at(static_cast<std::size_t>(range.t_s / 0.05));
     const Eigen::Vector2d from = Eigen::Vector2d(pose.x_m, pose.y_m) - anchor->position_m.head<2>();
     range.range_m += std::max((from + aside).norm() - from.norm(), 0.0);
   }
-  run(blocked);
+  run(nlos);
   EXPECT_TRUE(was(Reason::kRangesDisagree, 20.0, 30.0));
   EXPECT_FALSE(was(State::kLost, 0.0, 60.0));
   EXPECT_EQ(tracker_->relocations(), 0U);

@@ -34,10 +34,10 @@ TEST(LosProbabilities, EqualsTheSumOverAllStateSequences) {
   const std::size_t n = pair.size();
   const double garbage = config.garbage_share / config.garbage_width_m;
   std::vector<double> in_sight_density;
-  std::vector<double> blocked_density;
+  std::vector<double> nlos_density;
   for (const Residual& r : pair) {
     in_sight_density.push_back((1.0 - config.garbage_share) * gaussian(r.error_m, r.sigma_m));
-    blocked_density.push_back(
+    nlos_density.push_back(
         (1.0 - config.garbage_share) *
         ((1.0 - config.short_share) * with_excess(r.error_m, r.sigma_m, config.excess_m) +
          config.short_share * with_excess(-r.error_m, r.sigma_m, config.excess_m)));
@@ -45,19 +45,19 @@ TEST(LosProbabilities, EqualsTheSumOverAllStateSequences) {
   std::vector<double> expected(n, 0.0);
   double total = 0.0;
   for (unsigned way = 0; way < (1U << n); ++way) {
-    const auto blocked = [way](std::size_t i) { return ((way >> i) & 1U) != 0U; };
-    double p = blocked(0) ? config.blocked_share : 1.0 - config.blocked_share;
+    const auto nlos = [way](std::size_t i) { return ((way >> i) & 1U) != 0U; };
+    double p = nlos(0) ? config.nlos_prior : 1.0 - config.nlos_prior;
     for (std::size_t i = 0; i < n; ++i) {
       if (i > 0) {
         const double keep = std::exp(-(pair[i].t_s - pair[i - 1].t_s) / config.sticky_s);
-        const double anew = blocked(i) ? config.blocked_share : 1.0 - config.blocked_share;
-        p *= (1.0 - keep) * anew + (blocked(i) == blocked(i - 1) ? keep : 0.0);
+        const double anew = nlos(i) ? config.nlos_prior : 1.0 - config.nlos_prior;
+        p *= (1.0 - keep) * anew + (nlos(i) == nlos(i - 1) ? keep : 0.0);
       }
-      p *= (blocked(i) ? blocked_density[i] : in_sight_density[i]) + garbage;
+      p *= (nlos(i) ? nlos_density[i] : in_sight_density[i]) + garbage;
     }
     total += p;
     for (std::size_t i = 0; i < n; ++i) {
-      if (!blocked(i)) expected[i] += p * in_sight_density[i] / (in_sight_density[i] + garbage);
+      if (!nlos(i)) expected[i] += p * in_sight_density[i] / (in_sight_density[i] + garbage);
     }
   }
   const std::vector<double> found = los_probabilities(pair, config);

@@ -85,16 +85,16 @@ TEST_P(Smoothing, FindsNlosRangesFromLaterOnes) {
   Random random(32);
   site::Drive drive =
       site::drive(surface, calibration, kStart, {.duration_s = 12.0, .range_s = 0.02}, random);
-  std::size_t blocked = 0;
+  std::size_t nlos = 0;
   for (model::RangeSample& range : drive.ranges) {
     if (range.anchor_id > 13 || range.t_s < 4.0 || range.t_s > 7.0) continue;
     range.range_m += 0.7 + 0.05 * random.gaussian();
-    ++blocked;
+    ++nlos;
   }
   const auto tags = site::three_tags();
   const Result result =
       smooth({drive.odometry, drive.ranges, tags, &surface, &calibration}, options_of(GetParam()));
-  EXPECT_NEAR(result.ranges_los, static_cast<double>(drive.ranges.size() - blocked),
+  EXPECT_NEAR(result.ranges_los, static_cast<double>(drive.ranges.size() - nlos),
               0.05 * static_cast<double>(drive.ranges.size()));
   for (std::size_t row = 0; row < result.rows.size(); ++row) {
     EXPECT_LT(
