@@ -47,7 +47,7 @@ Shared make_shared(const model::Calibration& of_a, const model::AnchorCalibratio
   Shared out;
   out.a = &a;
   out.b = &b;
-  out.frame = model::place_by_frame(a.position_m);
+  out.frame = model::position_by_frame(a.position_m);
   out.difference_m = b.position_m - a.position_m;
   out.covariance_m2 = model::own_covariance(a, of_a.common_frame_covariance).topLeftCorner<3, 3>() +
                       model::own_covariance(b, of_b.common_frame_covariance).topLeftCorner<3, 3>();
@@ -180,7 +180,7 @@ void set_values(AnchorCalibration& anchor, const Eigen::VectorXd& values, const 
 
 // Shifts and turns the anchor by a small offset of the frame, and adds the offset's uncertainty.
 void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen::Matrix4d& covariance) {
-  const Eigen::Matrix<double, 3, 4> frame = model::place_by_frame(anchor.position_m);
+  const Eigen::Matrix<double, 3, 4> frame = model::position_by_frame(anchor.position_m);
   anchor.position_m += frame * offset;
   anchor.covariance.topLeftCorner<3, 3>() += frame * covariance * frame.transpose();
 }

@@ -177,7 +177,7 @@ Adds height_of_beginning(const Anchor& anchor) {
 
 // Error that all anchors share and no range observes.
 Adds frame(const Anchor& anchor) {
-  const Eigen::Matrix<double, 3, 4> by_frame = model::place_by_frame(anchor.fit.anchor.head<3>());
+  const Eigen::Matrix<double, 3, 4> by_frame = model::position_by_frame(anchor.fit.anchor.head<3>());
   const Eigen::Matrix3d shared = by_frame * anchor.site.error.unseen_frame_covariance * by_frame.transpose();
   return anchor.of_position(0.5 * (shared + shared.transpose()));
 }

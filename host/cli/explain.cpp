@@ -147,7 +147,7 @@ Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& sa
           .estimate = filter.estimate(),
           .white_sigma_m = now.tuning.white_sigma_m(),
           .bias_sigma_m = std::sqrt(filter.site().range_bias_variance_m2()) * now.tuning.range_bias_scale(),
-          .sample_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kRowVx).cwiseSqrt(),
+          .sample_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kOdometryVx).cwiseSqrt(),
           .diverged = now.gate.suspects_divergence(now.t_s),
           .jumps = now.watch.jumps(),
           .slips = now.counters.slips,
@@ -177,7 +177,7 @@ History replay(const ExplainOptions& options, FilterInput::Drive& drive) {
     }
     history.pairs[{range.tag_id, range.anchor_id}].push_back(record);
   };
-  replay.on_row = [&](const filter::Tracker& tracker, const model::OdometrySample& sample) {
+  replay.on_odometry = [&](const filter::Tracker& tracker, const model::OdometrySample& sample) {
     if (sample.t_s >= from_s && tracker.started()) history.moments.push_back(moment_of(tracker, sample));
   };
   history.configured = replay.config;

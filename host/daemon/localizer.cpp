@@ -78,7 +78,7 @@ void Localizer::on_odometry(const model::OdometrySample& sample) {
   const bool implausible = outcome == filter::OdometryOutcome::kImplausible;
   if (implausible) ++implausible_;
   if (!tracker_->started() || !(outcome == filter::OdometryOutcome::kUsed || implausible)) return;
-  if (!was_announced) on_pose_(pose_of(tracker_->row_estimate()));
+  if (!was_announced) on_pose_(pose_of(tracker_->sample_estimate()));
   if (on_settled_) on_settled_(pose_of(tracker_->estimate()));
 }
 
@@ -145,7 +145,7 @@ void Localizer::on_clock_set() {
 
 void Localizer::on_clock_step(double step_s, bool found_late) {
   clock_s_ += step_s;
-  tracker_->prove_again(found_late);
+  tracker_->require_agreement(found_late);
   prediction_.reset();
 }
 

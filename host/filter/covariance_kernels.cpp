@@ -28,14 +28,14 @@ GROMA_CLONES void move_cross(double* cross, int rows, const PoseRows& pose_rows)
   for (int i = 0; i < end; ++i) {
     const auto at = [=](CoreIndex k) -> double& { return c[i + k * kCrossStride]; };
     const double x = at(kX), y = at(kY), theta = at(kTheta), scale = at(kScale), bias = at(kYawBias);
-    const double vx = at(kRowVx), vy = at(kRowVy), omega = at(kRowOmega);
+    const double vx = at(kOdometryVx), vy = at(kOdometryVy), omega = at(kOdometryOmega);
     const auto position = [&](int row) {
       return f(row, kX) * x + f(row, kY) * y + f(row, kTheta) * theta + f(row, kScale) * scale +
-             f(row, kYawBias) * bias + f(row, kRowVx) * vx + f(row, kRowVy) * vy + f(row, kRowOmega) * omega;
+             f(row, kYawBias) * bias + f(row, kOdometryVx) * vx + f(row, kOdometryVy) * vy + f(row, kOdometryOmega) * omega;
     };
     at(kX) = position(kX);
     at(kY) = position(kY);
-    at(kTheta) = f(kTheta, kTheta) * theta + f(kTheta, kYawBias) * bias + f(kTheta, kRowOmega) * omega;
+    at(kTheta) = f(kTheta, kTheta) * theta + f(kTheta, kYawBias) * bias + f(kTheta, kOdometryOmega) * omega;
   }
 }
 

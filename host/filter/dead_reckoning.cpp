@@ -82,7 +82,7 @@ bool DeadReckoning<Covariance>::turn(const model::YawRateSample& sample) noexcep
   if (!now.gyro.holds) renew(kYawBias, square(config.sensors.gyro_bias_radps));
   now.gyro = {.used_s = sample.t_s, .radps = sample.omega_radps, .holds = true};
   now.row.omega_radps = sample.omega_radps;
-  renew(kRowOmega, square(config.sensors.gyro_sigma_radps));
+  renew(kOdometryOmega, square(config.sensors.gyro_sigma_radps));
   return true;
 }
 
@@ -106,7 +106,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
   if (now.gyro.holds) held.omega_radps = now.gyro.radps;
   const model::OdometryNoise noise = now.odometry_tuning.noise();
   OdometryInflation inflation;
-  if (now.has_row && !model::is_ablated(model::Mechanism::kOdometryWatch))
+  if (now.has_sample && !model::is_ablated(model::Mechanism::kOdometryWatch))
     inflation = now.watch.judge(now.row, held, noise);
   if (keeps_cross(config.model)) {
     if (config.tunes_noise) now.odometry_tuning.observe(row);
@@ -115,17 +115,17 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept 
     inflation.turn_rad2ps2 += slip.turn_rad2ps2;
   }
   now.row = held;
-  now.has_row = true;
+  now.has_sample = true;
   now.hold_s = config.max_hold_s;
   // With a gyro, slipping wheels cause no heading error.
   if (now.gyro.holds) inflation.heading_rad2 = 0.0;
   const double variance_vx = square(noise.sigma_vx_mps) + inflation.velocity_m2ps2;
   const double variance_vy = square(noise.sigma_vy_mps) + inflation.velocity_m2ps2;
   if (now.gyro.holds) {
-    renew(kRowVx, variance_vx);
-    renew(kRowVy, variance_vy);
+    renew(kOdometryVx, variance_vx);
+    renew(kOdometryVy, variance_vy);
   } else {
-    now.core.segment<3>(kRowVx).setZero();
+    now.core.segment<3>(kOdometryVx).setZero();
     covariance.renew_odometry_errors(
         {variance_vx, variance_vy, square(noise.sigma_omega_radps) + inflation.turn_rad2ps2});
   }
@@ -158,10 +158,10 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   // A sample held for longer than hold_s: its velocity error becomes a random walk.
   const double overdue_s = std::clamp(now.t_s - now.row.t_s - now.hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {
-    covariance.grow(kRowVx, square(config.hold_walk_mps) * overdue_s);
-    covariance.grow(kRowVy, square(config.hold_walk_mps) * overdue_s);
+    covariance.grow(kOdometryVx, square(config.hold_walk_mps) * overdue_s);
+    covariance.grow(kOdometryVy, square(config.hold_walk_mps) * overdue_s);
     if (!now.gyro.holds || now.gyro.is_silent(now.t_s)) {
-      covariance.grow(kRowOmega, square(config.hold_walk_radps) * overdue_s);
+      covariance.grow(kOdometryOmega, square(config.hold_walk_radps) * overdue_s);
     }
   }
   if (gate != nullptr && gate->suspects_divergence(now.t_s)) {

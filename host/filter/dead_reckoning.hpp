@@ -82,7 +82,7 @@ struct MotionState {
   OdometryTuning odometry_tuning;
   CoreVector core = CoreVector::Zero();
   model::OdometrySample row{};
-  bool has_row = false;
+  bool has_sample = false;
   double hold_s;  // for how long the velocity of `row` is trusted: max_hold_s, or until the first implausible
                   // sample after it
   double t_s = 0.0;

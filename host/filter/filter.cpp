@@ -19,10 +19,10 @@ constexpr double kNoAnswerYet_s = -std::numeric_limits<double>::infinity();
 using model::Mechanism;
 using model::square;
 
-Learning estimated(Model model) noexcept {
-  if (model == Model::kJoint) return Learning::kAll;
-  if (model == Model::kAnchorStates) return Learning::kPositions;
-  return Learning::kNothing;
+EstimatedParameters estimated(Model model) noexcept {
+  if (model == Model::kJoint) return EstimatedParameters::kAll;
+  if (model == Model::kAnchorStates) return EstimatedParameters::kPositions;
+  return EstimatedParameters::kNothing;
 }
 
 // Adapts the calibration to another drive than the one it was estimated from.
@@ -95,9 +95,9 @@ void Filter::start(const Start& start) noexcept {
   now_.core(kDelay) = delays_.range_s;
 
   // Without an odometry sample the velocity is zero, with the sigmas of an overdue sample after 1 s.
-  if (!now_.has_row) now_.row = {.t_s = start.t_s};
+  if (!now_.has_sample) now_.row = {.t_s = start.t_s};
   const model::OdometryNoise noise =
-      now_.has_row
+      now_.has_sample
           ? now_.odometry_tuning.noise()
           : model::OdometryNoise{config_.hold_walk_mps, config_.hold_walk_mps, config_.hold_walk_radps};
   CoreVector variances;
@@ -107,7 +107,7 @@ void Filter::start(const Start& start) noexcept {
       square(noise.sigma_omega_radps);
   if (now_.gyro.holds) {
     variances(kYawBias) = square(config_.sensors.gyro_bias_radps);
-    variances(kRowOmega) = square(config_.sensors.gyro_sigma_radps);
+    variances(kOdometryOmega) = square(config_.sensors.gyro_sigma_radps);
   }
   now_.covariance.reset_core(variances.asDiagonal());
   now_.odometry_tuning.reset();
@@ -133,7 +133,7 @@ void Filter::begin_on_chart(int chart) noexcept {
 
 void Filter::stop() noexcept {
   now_.started = false;
-  now_.has_row = false;
+  now_.has_sample = false;
   now_.row = {};
   now_.hold_s = config_.max_hold_s;
   now_.odometry_gate = {};
@@ -148,11 +148,11 @@ OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
 
 OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
   if (!model::is_finite(row)) return OdometryOutcome::kBadValue;
-  if (now_.has_row && !(row.t_s > now_.row.t_s)) return OdometryOutcome::kOutOfOrder;
+  if (now_.has_sample && !(row.t_s > now_.row.t_s)) return OdometryOutcome::kOutOfOrder;
   if (!now_.started) {
     if (!now_.odometry_gate.accepts(row)) return OdometryOutcome::kImplausible;
     now_.row = row;
-    now_.has_row = true;
+    now_.has_sample = true;
     now_.hold_s = config_.max_hold_s;
     return OdometryOutcome::kStored;
   }
@@ -424,7 +424,7 @@ void Filter::carry(Prediction& prediction, const MotionInput& input) const noexc
                                        range_bias_time_s_, prediction.by_odometry_alone ? nullptr : &now_.gate,
                                        then,         prediction.covariance};
   if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
-    if (!model::is_finite(*row) || (then.has_row && !(row->t_s > then.row.t_s))) return;
+    if (!model::is_finite(*row) || (then.has_sample && !(row->t_s > then.row.t_s))) return;
     if (row->t_s > then.t_s) motion.advance_to(row->t_s);
     motion.hold(*row);
   } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {

@@ -41,10 +41,10 @@ void propagate_core(CoreMatrix& core, const PoseRows& f) noexcept {
   PoseRows fp;
   fp.topRows<2>() = f.topRows<2>().lazyProduct(core);
   fp.row(kTheta) = core.row(kTheta) + f(kTheta, kYawBias) * core.row(kYawBias) +
-                   f(kTheta, kRowOmega) * core.row(kRowOmega);
+                   f(kTheta, kOdometryOmega) * core.row(kOdometryOmega);
   const Eigen::Matrix<double, 3, 2> by_position = fp.lazyProduct(f.topRows<2>().transpose());
   const double heading = fp(kTheta, kTheta) + f(kTheta, kYawBias) * fp(kTheta, kYawBias) +
-                         f(kTheta, kRowOmega) * fp(kTheta, kRowOmega);
+                         f(kTheta, kOdometryOmega) * fp(kTheta, kOdometryOmega);
   core.topRows<3>() = fp;
   core.leftCols<3>() = fp.transpose();
   core.topLeftCorner<3, 2>() = by_position;
@@ -81,7 +81,7 @@ void CoreCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
   ground_variances_ = variances;
 }
 
-JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, Learning estimated)
+JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, EstimatedParameters estimated)
     : estimated_(estimated),
       layout_(parameters),
       size_(parameters.size()),
@@ -89,14 +89,14 @@ JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
       lever_arm_variance_m2_(site.lever_arm_variance_m2()),
       range_bias_variance_m2_(site.range_bias_variance_m2()),
       frame_covariance_(site.frame_covariance()) {
-  if (estimated == Learning::kNothing) {
+  if (estimated == EstimatedParameters::kNothing) {
     absent_rows_ = site.anchor_count() > layout_.anchor_count() ? kCoreSize : 0;
     begin_absence();
     return;
   }
   lower_.resize(static_cast<std::size_t>(stride_ / kKernelStep) * static_cast<std::size_t>(stride_));
   set_prior(site, parameters, Eigen::Map<Eigen::MatrixXd>(lower_data(), stride_, stride_));
-  if (estimated == Learning::kAll) std::fill_n(learns_.begin(), layout_.common_size(), 1.0);
+  if (estimated == EstimatedParameters::kAll) std::fill_n(estimates_.begin(), layout_.common_size(), 1.0);
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
     set_estimated(slot, site.anchor(parameters.anchor_in(slot)).is_estimated);
   }
@@ -116,14 +116,14 @@ void JointCovariance::set_prior(const Site& site, const Parameters& parameters,
 }
 
 void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
-  double* const own = learns_.data() + layout_.position(slot);
+  double* const own = estimates_.data() + layout_.position(slot);
   std::fill_n(own, layout_.anchor_size(), 0.0);
-  if (is_estimated) std::fill_n(own, estimated_ == Learning::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
+  if (is_estimated) std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
   // The slow range bias's variance is always range_bias_variance_m2_ and is stored there.
   lower(layout_.range_bias(slot), layout_.range_bias(slot)) = 0.0;
-  considered_ = estimated_ != Learning::kAll;
+  considered_ = estimated_ != EstimatedParameters::kAll;
   for (int other = 0; other < layout_.anchor_count(); ++other) {
-    if (learns_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
+    if (estimates_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
   }
 }
 
@@ -167,7 +167,7 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
 void JointCovariance::settle_motion() noexcept {
   if (!moved_) return;
   move_cross(cross_.data(), rows(), motion_);
-  if (!same_sample_) std::fill(cross_.begin() + kRowVx * kCrossStride, cross_.end(), 0.0);
+  if (!same_sample_) std::fill(cross_.begin() + kOdometryVx * kCrossStride, cross_.end(), 0.0);
   motion_.setIdentity();
   moved_ = false;
   same_sample_ = true;
@@ -191,7 +191,7 @@ void JointCovariance::fade_ground(double factor) noexcept {
 
 void JointCovariance::scale_cross(int parameter, double factor) noexcept {
   rows_of(cross_.data()).row(parameter) *= factor;
-  if (estimated_ == Learning::kNothing) return;
+  if (estimated_ == EstimatedParameters::kNothing) return;
   for (int i = 0; i < parameter; ++i) lower(parameter, i) *= factor;
   for (int i = parameter + 1; i < size_; ++i) lower(i, parameter) *= factor;
 }
@@ -307,7 +307,7 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
                               Projected& out) noexcept {
   settle_motion();
   std::fill_n(out.own.begin(), padded(rows()), 0.0);
-  if (estimated_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     own_of_considered(measurement, pair, out.own.data());
   } else {
     own_of_estimated(measurement, pair, out.own.data());
@@ -345,12 +345,12 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
   correct_core(projected.core, variance);
   double* const q = projected.own.data();
   correct_cross(cross_.data(), rows(), d_core.transpose(), projected.core / variance, q);
-  if (estimated_ == Learning::kNothing) return;
+  if (estimated_ == EstimatedParameters::kNothing) return;
 
   const double gain = innovation / variance;
   const double root = 1.0 / std::sqrt(variance);
   for (int i = 0; i < size_; ++i) {
-    values(i) += learns_[static_cast<std::size_t>(i)] * q[i] * gain;
+    values(i) += estimates_[static_cast<std::size_t>(i)] * q[i] * gain;
     q[i] *= root;
   }
   if (!considered_) {
@@ -370,10 +370,10 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
     return;
   }
   std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
-  for (std::size_t i = 0; i < static_cast<std::size_t>(size_); ++i) masked[i] = learns_[i] * q[i];
+  for (std::size_t i = 0; i < static_cast<std::size_t>(size_); ++i) masked[i] = estimates_[i] * q[i];
   for (int j = 0; j < size_; ++j) {
     // Two considered parameters keep their covariance.
-    const bool is_estimated = learns_[static_cast<std::size_t>(j)] != 0.0;
+    const bool is_estimated = estimates_[static_cast<std::size_t>(j)] != 0.0;
     subtract_column(&lower(0, j), j, size_, q[j], is_estimated ? q : masked.data());
   }
 }
@@ -407,7 +407,7 @@ void JointCovariance::marginalize(const Parameters& parameters, int slot, Anchor
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
   memory.was_active = true;
-  if (estimated_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     memory.cross = rows_of(cross_.data()).middleRows(first, size);
     return;
   }
@@ -445,7 +445,7 @@ void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMe
   RowsMap<CrossBlock> cross = rows_of(cross_.data());
   auto own_cross = cross.middleRows(first, size);
   own_cross.setZero();
-  if (estimated_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     if (memory.was_active) own_cross = memory.cross;
     cross.row(first + size - 1) *= faded;
     return;
@@ -486,7 +486,7 @@ Eigen::MatrixXd JointCovariance::cross() const {
 
 Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& parameters) const {
   Eigen::MatrixXd all = Eigen::MatrixXd::Zero(size_, size_);
-  if (estimated_ == Learning::kNothing) {
+  if (estimated_ == EstimatedParameters::kNothing) {
     set_prior(site, parameters, all);
   } else {
     JointCovariance settled = *this;

@@ -50,7 +50,7 @@ class CoreCovariance {
 };
 
 // Which parameters an update estimates; the others are consider states.
-enum class Learning {
+enum class EstimatedParameters {
   kNothing,    // all are considered: their covariance stays block diagonal by anchor, tag and frame
   kPositions,  // anchor positions are estimated, the others considered
   kAll,
@@ -88,7 +88,7 @@ struct AnchorMemory {
 
 class JointCovariance {
  public:
-  JointCovariance(const Site& site, const Parameters& parameters, Learning estimated);
+  JointCovariance(const Site& site, const Parameters& parameters, EstimatedParameters estimated);
 
   // Re-initializes the core's covariance, uncorrelated with the parameters.
   void reset_core(const CoreMatrix& covariance) noexcept;
@@ -178,7 +178,7 @@ class JointCovariance {
   void own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
                         double* own) const noexcept;
 
-  Learning estimated_;
+  EstimatedParameters estimated_;
   Layout layout_;
   int size_ = 0;
   int stride_ = 0;
@@ -200,7 +200,7 @@ class JointCovariance {
   // Covariance of the parameters, lower triangle by columns. Empty if all are considered.
   struct alignas(64) Line : std::array<double, kKernelStep> {};
   std::vector<Line> lower_;
-  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> learns_{};  // 1: estimated
+  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> estimates_{};  // 1: estimated
   bool considered_ = false;  // any parameter other than slow range biases and ground
 };
 

@@ -87,7 +87,7 @@ void OrderedFilter::begin(double newest_s) noexcept {
   first_ = 0;
   checkpoint_count_ = 0;
   newest_s_ = newest_s;
-  late_row_.reset();
+  late_sample_.reset();
   check_in(0, newest_s);
 }
 
@@ -153,7 +153,7 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
 
   Outcome outcome;
   const bool is_row = std::holds_alternative<OdometrySample>(input);
-  if (is_row) late_row_.reset();
+  if (is_row) late_sample_.reset();
   if (last) {
     check_in_when_due(number, t_s);
     outcome = apply(input);
@@ -168,7 +168,7 @@ OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
       const Outcome now = apply(again);
       if (i != number) continue;
       outcome = now;
-      if (is_row) late_row_ = filter_.estimate();
+      if (is_row) late_sample_ = filter_.estimate();
     }
   }
   outcome.taken = true;

@@ -47,7 +47,7 @@ class OrderedFilter {
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
   // Right after an odometry sample: the estimate at that sample's time. Equals estimate() unless it came
   // late.
-  [[nodiscard]] Estimate row_estimate() const noexcept { return late_row_ ? *late_row_ : estimate(); }
+  [[nodiscard]] Estimate sample_estimate() const noexcept { return late_sample_ ? *late_sample_ : estimate(); }
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
   // Each input counted once by its current outcome: late inputs may have changed the outcomes of others.
   [[nodiscard]] Counters counters() const noexcept;
@@ -90,7 +90,7 @@ class OrderedFilter {
   std::size_t first_checkpoint_ = 0;
   std::size_t checkpoint_count_ = 0;
   double newest_s_;
-  std::optional<Estimate> late_row_;  // if the last odometry sample came late
+  std::optional<Estimate> late_sample_;  // if the last odometry sample came late
   Counters refused_;
   std::size_t reordered_ = 0;
 };

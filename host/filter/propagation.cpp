@@ -65,7 +65,7 @@ Eigen::Vector2d perpendicular(const Eigen::Vector2d& v) noexcept {
 }
 
 Eigen::Vector2d row_velocity(const CoreVector& core, const model::OdometrySample& row) noexcept {
-  return {(1.0 + core(kScale)) * row.vx_mps - core(kRowVx), (1.0 + core(kScale)) * row.vy_mps - core(kRowVy)};
+  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx), (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy)};
 }
 
 }  // namespace
@@ -75,7 +75,7 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   const Eigen::Vector2d start = core.segment<2>(kX);
   const Eigen::Vector2d v = row_velocity(core, row);
   const Eigen::Vector2d v_row(row.vx_mps, row.vy_mps);
-  const double omega = row.omega_radps - core(kYawBias) - core(kRowOmega);
+  const double omega = row.omega_radps - core(kYawBias) - core(kOdometryOmega);
 
   // Midpoint rule: the slope halfway is used for the whole step.
   const double half_s = 0.5 * dt_s;
@@ -101,9 +101,9 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   middle_by_core.col(kTheta) = half_s * (first.a * perpendicular(u_half));
   middle_by_core.col(kScale) = half_s * (first.a * (half_turn.r * v_row));
   middle_by_core.col(kYawBias) = -half_s * half_s * (first.a * (half_turn.d_angle * v));
-  middle_by_core.col(kRowVx) = -half_s * (first.a * half_turn.r.col(0));
-  middle_by_core.col(kRowVy) = -half_s * (first.a * half_turn.r.col(1));
-  middle_by_core.col(kRowOmega) = middle_by_core.col(kYawBias);
+  middle_by_core.col(kOdometryVx) = -half_s * (first.a * half_turn.r.col(0));
+  middle_by_core.col(kOdometryVy) = -half_s * (first.a * half_turn.r.col(1));
+  middle_by_core.col(kOdometryOmega) = middle_by_core.col(kYawBias);
 
   auto d_xy = out.d_core.topRows<2>();
   d_xy.noalias() = by_middle * middle_by_core;
@@ -113,22 +113,22 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   d_xy.col(kScale) += dt_s * (mean.a * (turn.r * v_row));
   const Eigen::Vector2d by_omega = dt_s * dt_s * (mean.a * (turn.d_angle * v));
   d_xy.col(kYawBias) -= by_omega;
-  d_xy.col(kRowVx) -= dt_s * (mean.a * turn.r.col(0));
-  d_xy.col(kRowVy) -= dt_s * (mean.a * turn.r.col(1));
-  d_xy.col(kRowOmega) -= by_omega;
+  d_xy.col(kOdometryVx) -= dt_s * (mean.a * turn.r.col(0));
+  d_xy.col(kOdometryVy) -= dt_s * (mean.a * turn.r.col(1));
+  d_xy.col(kOdometryOmega) -= by_omega;
 
   auto d_theta = out.d_core.row(2);
   d_theta.setZero();
   d_theta(kTheta) = 1.0;
   d_theta(kYawBias) = -dt_s;
-  d_theta(kRowOmega) = -dt_s;
+  d_theta(kOdometryOmega) = -dt_s;
   return out;
 }
 
 Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                           const model::OdometrySample& row) noexcept {
   const Eigen::Vector2d rate = sideways * row_velocity(core, row);
-  return {rate.x(), rate.y(), row.omega_radps - core(kYawBias) - core(kRowOmega)};
+  return {rate.x(), rate.y(), row.omega_radps - core(kYawBias) - core(kOdometryOmega)};
 }
 
 }  // namespace groma::filter

@@ -111,7 +111,7 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     take_up_to(std::nextafter(row->t_s, -std::numeric_limits<double>::infinity()));
     timed(propagate_ns, *row);
     take_up_to(row->t_s);
-    if (options.on_row) options.on_row(*tracker, *row);
+    if (options.on_odometry) options.on_odometry(*tracker, *row);
     if (tracker->started()) record(*tracker, *run.surface, row->t_s, result);
   }
 

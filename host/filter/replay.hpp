@@ -38,7 +38,7 @@ struct ReplayOptions {
   std::optional<double> to_s;
   // Called after each range with its result, and after each odometry sample; may be empty.
   std::function<void(const Tracker&, const model::RangeSample&, const RangeResult&)> on_range;
-  std::function<void(const Tracker&, const model::OdometrySample&)> on_row;
+  std::function<void(const Tracker&, const model::OdometrySample&)> on_odometry;
   // Monotonic clock in nanoseconds, used for the timing only; empty: no timing.
   std::function<std::int64_t()> now_ns;
 };

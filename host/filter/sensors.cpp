@@ -65,8 +65,8 @@ CoreMeasurement<3> measure(const SensorView& state, const model::ZeroVelocitySam
   const model::OdometrySample& row = state.row;
   const double scale = 1.0 + core(kScale);
   CoreMeasurement<3> out;
-  out.innovation << core(kRowVx) - scale * row.vx_mps, core(kRowVy) - scale * row.vy_mps,
-      core(kYawBias) + core(kRowOmega) - row.omega_radps;
+  out.innovation << core(kOdometryVx) - scale * row.vx_mps, core(kOdometryVy) - scale * row.vy_mps,
+      core(kYawBias) + core(kOdometryOmega) - row.omega_radps;
   out.d_core.setZero();
   out.d_core(0, kScale) = row.vx_mps;
   out.d_core(1, kScale) = row.vy_mps;

@@ -39,9 +39,9 @@ enum CoreIndex : int {
   kScale,     // v = (1 + scale) v_odometry - e_v
   kYawBias,   // rad/s, omega = omega_odometry - bias - e_omega
   kDelay,     // s, a range measures the pose this long before its timestamp, less the odometry's delay
-  kRowVx,     // m/s, e_v
-  kRowVy,     // m/s
-  kRowOmega,  // rad/s, e_omega
+  kOdometryVx,     // m/s, e_v
+  kOdometryVy,     // m/s
+  kOdometryOmega,  // rad/s, e_omega
   kCoreSize,
 };
 

@@ -124,7 +124,7 @@ void Tracker::resume(const Tracker& other) noexcept {
   reason_ = other.reason_;
   confirmed_ = other.confirmed_;
   newest_s_ = other.newest_s_;
-  last_row_s_ = other.last_row_s_;
+  last_odometry_s_ = other.last_odometry_s_;
   last_used_s_ = other.last_used_s_;
   tags_ = other.tags_;
   restart_by_odometry(other.prediction());
@@ -148,8 +148,8 @@ OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
   if (outcome != OdometryOutcome::kImplausible) {
     search_.process(row);
     // The motion during the pause is extrapolated: the ranges have to confirm the pose, as after a start.
-    if (row.t_s - last_row_s_ > kSilent_s && last_row_s_ != kNotYet_s) prove_again(true);
-    last_row_s_ = std::max(last_row_s_, row.t_s);
+    if (row.t_s - last_odometry_s_ > kSilent_s && last_odometry_s_ != kNotYet_s) require_agreement(true);
+    last_odometry_s_ = std::max(last_odometry_s_, row.t_s);
   }
   advance_by_odometry(row);
   assess();
@@ -194,8 +194,8 @@ Estimate Tracker::estimate() const noexcept {
   return is_on_wrong_map() ? filter_.filter().estimate(*by_odometry_) : filter_.estimate();
 }
 
-Estimate Tracker::row_estimate() const noexcept {
-  return is_on_wrong_map() ? estimate() : filter_.row_estimate();
+Estimate Tracker::sample_estimate() const noexcept {
+  return is_on_wrong_map() ? estimate() : filter_.sample_estimate();
 }
 
 Filter::Prediction Tracker::prediction() const noexcept {
@@ -256,7 +256,7 @@ void Tracker::set_back(double t_s) noexcept {
   search_.stop();
   state_ = State::kUninitialized;
   reason_ = Reason::kNone;
-  newest_s_ = last_row_s_ = last_used_s_ = last_search_s_ = kNotYet_s;
+  newest_s_ = last_odometry_s_ = last_used_s_ = last_search_s_ = kNotYet_s;
   restart_agreement();
   for (TagWatch& tag : tags_) tag.last_s = kNotYet_s;
   // The robot is near its last pose, although the time since then is unknown.
@@ -291,7 +291,7 @@ void Tracker::watch(const model::RangeSample& range, const RangeResult& result) 
   disagrees_.update(disagrees, newest_s_);
 }
 
-void Tracker::prove_again(bool widens) noexcept {
+void Tracker::require_agreement(bool widens) noexcept {
   confirmed_ = false;
   agrees_.reset();
   if (state_ != State::kTracking && state_ != State::kDegraded) return;
@@ -315,7 +315,7 @@ bool Tracker::is_certain(const Eigen::Matrix3d& covariance) const noexcept {
 Reason Tracker::find_reason() const noexcept {
   if (disagrees_.holds() || map_watch_.is_suspect()) return Reason::kRangesDisagree;
   if (newest_s_ - last_used_s_ > kSilent_s) return Reason::kNoRanges;
-  if (newest_s_ - last_row_s_ > kSilent_s) return Reason::kNoOdometry;
+  if (newest_s_ - last_odometry_s_ > kSilent_s) return Reason::kNoOdometry;
   if (!is_certain(filter_.filter().covariance().core().topLeftCorner<3, 3>())) return Reason::kUncertain;
   for (const TagWatch& tag : tags_) {
     if (tag.last_s != kNotYet_s && newest_s_ - tag.last_s > kTagSilent_s) return Reason::kTagSilent;

@@ -64,7 +64,7 @@ class Tracker {
   void resume(const Tracker& other) noexcept;
   // Back to CONVERGING: the pose stays, but the ranges have to agree with it again, as after a start. widens:
   // with a larger covariance; a pose that is then too uncertain is dropped.
-  void prove_again(bool widens) noexcept;
+  void require_agreement(bool widens) noexcept;
   OdometryOutcome process(const model::OdometrySample& row) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   // A usable PoseSample initializes a tracker that has not started.
@@ -75,12 +75,12 @@ class Tracker {
   // Whether a covariance (of x_m, y_m, theta_rad) is small enough for TRACKING.
   [[nodiscard]] bool is_certain(const Eigen::Matrix3d& covariance) const noexcept;
   // Time of the newest odometry sample used; -infinity before any.
-  [[nodiscard]] double last_odometry_s() const noexcept { return last_row_s_; }
+  [[nodiscard]] double last_odometry_s() const noexcept { return last_odometry_s_; }
   // Whether there is an estimate; use it in the states TRACKING and DEGRADED.
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
   [[nodiscard]] Estimate estimate() const noexcept;
   // As OrderedFilter's.
-  [[nodiscard]] Estimate row_estimate() const noexcept;
+  [[nodiscard]] Estimate sample_estimate() const noexcept;
   // The state for prediction by newer odometry: see Filter::carry().
   [[nodiscard]] Filter::Prediction prediction() const noexcept;
   [[nodiscard]] const MapWatch& map_watch() const noexcept { return map_watch_; }
@@ -138,7 +138,7 @@ class Tracker {
   Reason reason_ = Reason::kNone;
 
   double newest_s_ = kNotYet_s;
-  double last_row_s_ = kNotYet_s;
+  double last_odometry_s_ = kNotYet_s;
   double last_used_s_ = kNotYet_s;
   double last_search_s_ = kNotYet_s;
   double searches_left_;

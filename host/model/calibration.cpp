@@ -19,7 +19,7 @@ const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) 
   return found == calibration.anchors.end() ? nullptr : &*found;
 }
 
-Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept {
+Eigen::Matrix<double, 3, 4> position_by_frame(const Eigen::Vector3d& place_m) noexcept {
   Eigen::Matrix<double, 3, 4> out;
   out << 1.0, 0.0, 0.0, -place_m.y(),  //
       0.0, 1.0, 0.0, place_m.x(),      //
@@ -31,7 +31,7 @@ namespace {
 
 // The common frame's covariance, projected onto a place.
 Eigen::Matrix3d frame_at(const Eigen::Vector3d& place_m, const Eigen::Matrix4d& common_frame_covariance) {
-  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(place_m);
+  const Eigen::Matrix<double, 3, 4> frame = position_by_frame(place_m);
   return frame * common_frame_covariance * frame.transpose();
 }
 

@@ -77,7 +77,7 @@ struct Calibration {
   std::vector<TagCalibration> tags;        // by id, ascending: those with a calibrated value
   // Covariance F (x, y, z, yaw about the map's origin) of the frame error that all anchors share through the
   // drive's poses: a + (x, y, z) + yaw (z axis x a). Each anchor's block already includes it: the covariance
-  // between the positions a and b of two anchors is place_by_frame(a) F place_by_frame(b)^T, and
+  // between the positions a and b of two anchors is position_by_frame(a) F position_by_frame(b)^T, and
   // own_covariance() is a block without it. Zero: errors of anchors are independent.
   Eigen::Matrix4d common_frame_covariance = Eigen::Matrix4d::Zero();
   // Range timestamps are late by this delay, relative to the poses' timestamps; both zero: not observed.
@@ -93,7 +93,7 @@ struct Calibration {
 [[nodiscard]] const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) noexcept;
 
 // Jacobian of a place by the common frame's (x, y, z, yaw): 3 x 4.
-[[nodiscard]] Eigen::Matrix<double, 3, 4> place_by_frame(const Eigen::Vector3d& place_m) noexcept;
+[[nodiscard]] Eigen::Matrix<double, 3, 4> position_by_frame(const Eigen::Vector3d& place_m) noexcept;
 
 // The anchor's block without the common frame's covariance: the part that is independent of the other
 // anchors. If the frame's covariance exceeds that of the position given the biases, only the latter is

@@ -453,7 +453,7 @@ class Smoother {
     if (stale_s_[k] > 0.0) walk += (stale_s_[k] * (stale_s_[k] - row_s) + square(row_s) / 3.0) / row_s;
     variances += walk * Eigen::Vector3d(square(config_.hold_walk_mps), square(config_.hold_walk_mps),
                                         square(config_.hold_walk_radps));
-    const Eigen::Matrix3d by_noise = by_core.block<3, 3>(0, filter::kRowVx);
+    const Eigen::Matrix3d by_noise = by_core.block<3, 3>(0, filter::kOdometryVx);
     const Eigen::Matrix3d covariance = by_noise * variances.asDiagonal() * by_noise.transpose();
 
     ChainProblem::Term term(block_, kPose, 2);

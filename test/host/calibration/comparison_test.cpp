@@ -19,7 +19,7 @@ namespace groma::calibration {
 namespace {
 
 using model::AnchorVerdict;
-using model::place_by_frame;
+using model::position_by_frame;
 using testing::ElementsAre;
 using testing::IsEmpty;
 
@@ -56,7 +56,7 @@ Pair draw_pair(std::uint64_t seed, std::size_t anchors = 12, double sigma_m = 0.
       anchor.id = static_cast<model::NodeId>(10 + i);
       anchor.covariance = drawn_covariance(random, 5, sigma_m);
       const Eigen::VectorXd error = random.gaussians(anchor.covariance);
-      anchor.position_m = out.truth[i] + place_by_frame(out.truth[i]) * frame + error.head<3>();
+      anchor.position_m = out.truth[i] + position_by_frame(out.truth[i]) * frame + error.head<3>();
       anchor.pairs.push_back({.tag_id = 1,
                               .beta_m = biases[i](0) + error(3),
                               .beta_sigma_m = std::sqrt(anchor.covariance(3, 3)),
@@ -72,7 +72,7 @@ Pair draw_pair(std::uint64_t seed, std::size_t anchors = 12, double sigma_m = 0.
 
 // The anchor's covariance without the common frame's.
 Eigen::MatrixXd own(const model::AnchorCalibration& anchor, const model::Calibration& calibration) {
-  const Eigen::Matrix<double, 3, 4> frame = place_by_frame(anchor.position_m);
+  const Eigen::Matrix<double, 3, 4> frame = position_by_frame(anchor.position_m);
   Eigen::MatrixXd out = anchor.covariance;
   out.topLeftCorner<3, 3>() -= frame * calibration.common_frame_covariance * frame.transpose();
   return out;
@@ -118,7 +118,7 @@ TEST(Comparison, IsTheConditionalOfTheJointGaussian) {
   for (Eigen::Index i = 0; i < 5; ++i) {
     const auto& a = pair.a.anchors[static_cast<std::size_t>(i)];
     const auto& b = pair.b.anchors[static_cast<std::size_t>(i)];
-    frames.middleRows<3>(3 * i) = place_by_frame(a.position_m);
+    frames.middleRows<3>(3 * i) = position_by_frame(a.position_m);
     joint.block<3, 3>(3 * i, 3 * i) =
         own(a, pair.a).topLeftCorner<3, 3>() + own(b, pair.b).topLeftCorner<3, 3>();
     difference.segment<3>(3 * i) = b.position_m - a.position_m;
@@ -209,7 +209,7 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
       Eigen::MatrixXd by = Eigen::MatrixXd::Zero(5, frames + 8);
       by.middleCols<5>(5 * i).setIdentity();
       by.block<3, 4>(0, frames + 4 * drive) =
-          place_by_frame(pair.a.anchors[static_cast<std::size_t>(i)].position_m);
+          position_by_frame(pair.a.anchors[static_cast<std::size_t>(i)].position_m);
       information += by.transpose() * weight * by;
       right_side += by.transpose() * weight * values;
     }

@@ -97,12 +97,12 @@ class DenseFilter {
   void take_row(const model::OdometrySample& row) {
     row_ = row;
     Eigen::MatrixXd keep = Eigen::MatrixXd::Identity(x_.size(), x_.size());
-    keep.block<3, 3>(kRowVx, kRowVx).setZero();
+    keep.block<3, 3>(kOdometryVx, kOdometryVx).setZero();
     x_ = keep * x_;
     p_ = keep * p_ * keep;
-    p_(kRowVx, kRowVx) = std::pow(config_.odometry.sigma_vx_mps, 2);
-    p_(kRowVy, kRowVy) = std::pow(config_.odometry.sigma_vy_mps, 2);
-    p_(kRowOmega, kRowOmega) = std::pow(config_.odometry.sigma_omega_radps, 2);
+    p_(kOdometryVx, kOdometryVx) = std::pow(config_.odometry.sigma_vx_mps, 2);
+    p_(kOdometryVy, kOdometryVy) = std::pow(config_.odometry.sigma_vy_mps, 2);
+    p_(kOdometryOmega, kOdometryOmega) = std::pow(config_.odometry.sigma_omega_radps, 2);
   }
 
   double update(const model::RangeSample& range) {

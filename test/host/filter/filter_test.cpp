@@ -33,10 +33,10 @@ class Feeder {
 
   void until(double end_s, Filter& filter) {
     while (true) {
-      const bool has_row = row_ < drive_.odometry.size() && drive_.odometry[row_].t_s < end_s;
+      const bool has_sample = row_ < drive_.odometry.size() && drive_.odometry[row_].t_s < end_s;
       const bool has_range = range_ < drive_.ranges.size() && drive_.ranges[range_].t_s < end_s;
-      if (!has_row && !has_range) return;
-      if (has_row && (!has_range || drive_.odometry[row_].t_s <= drive_.ranges[range_].t_s)) {
+      if (!has_sample && !has_range) return;
+      if (has_sample && (!has_range || drive_.odometry[row_].t_s <= drive_.ranges[range_].t_s)) {
         filter.process(drive_.odometry[row_++]);
       } else {
         filter.process(drive_.ranges[range_++]);

@@ -285,7 +285,7 @@ TEST(Implausible, MotionMissedMeanwhileIsInTheCovariance) {
   EXPECT_GT(std::abs(estimate.pose.theta_rad - truth.theta_rad), 0.1);
   EXPECT_LT(testing::squared_error(estimate, truth), 16.0) << "within 4 sigma";
   // Valid samples afterwards have their usual noise.
-  const double variance = filter.covariance().core()(kRowVx, kRowVx);
+  const double variance = filter.covariance().core()(kOdometryVx, kOdometryVx);
   EXPECT_LT(variance, 2.0 * 0.03 * 0.03);
 }
 

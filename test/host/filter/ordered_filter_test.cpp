@@ -161,7 +161,7 @@ TEST(OrderedFilter, GivesTheEstimateAtALateOdometrySample) {
     const bool late = row != nullptr && row->t_s > 2.0 && row->t_s < 2.3;
     std::visit([&](const auto& of) { twin->process(of); }, input);
     if (late) {
-      in_time.push_back(twin->row_estimate());
+      in_time.push_back(twin->sample_estimate());
       EXPECT_EQ(in_time.back().t_s, row->t_s);
       EXPECT_EQ(in_time.back().covariance, twin->estimate().covariance);
       held_back.push_back(input);
@@ -173,7 +173,7 @@ TEST(OrderedFilter, GivesTheEstimateAtALateOdometrySample) {
   for (std::size_t i = 0; i < held_back.size(); ++i) {
     const auto& row = std::get<model::OdometrySample>(held_back[i]);
     EXPECT_EQ(filter->process(row), OdometryOutcome::kUsed);
-    const Estimate then = filter->row_estimate();
+    const Estimate then = filter->sample_estimate();
     EXPECT_EQ(then.t_s, row.t_s);
     EXPECT_EQ(then.pose.x_m, in_time[i].pose.x_m);
     EXPECT_EQ(then.pose.y_m, in_time[i].pose.y_m);

@@ -27,8 +27,8 @@ model::OdometrySample some_row(Random& random) {
 }
 
 Eigen::Vector3d true_velocity(const CoreVector& core, const model::OdometrySample& row) {
-  return {(1.0 + core(kScale)) * row.vx_mps - core(kRowVx), (1.0 + core(kScale)) * row.vy_mps - core(kRowVy),
-          row.omega_radps - core(kYawBias) - core(kRowOmega)};
+  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx), (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy),
+          row.omega_radps - core(kYawBias) - core(kOdometryOmega)};
 }
 
 double error_of_step(const model::Surface& surface, const CoreVector& core, const model::OdometrySample& row,
@@ -80,7 +80,7 @@ TEST(Move, DerivativesEqualNumericalOnes) {
       const CoreVector core = some_core(random);
       // Turning and nearly straight motion: mean_turn uses a series for small angles.
       model::OdometrySample row = some_row(random);
-      if (i % 4 == 0) row.omega_radps = core(kYawBias) + core(kRowOmega) + 1e-6 * random.gaussian();
+      if (i % 4 == 0) row.omega_radps = core(kYawBias) + core(kOdometryOmega) + 1e-6 * random.gaussian();
       const Eigen::MatrixXd numerical = numerical_jacobian(
           [&](const Eigen::VectorXd& x) {
             return Eigen::VectorXd(move(surface, CoreVector(x), row, dt_s).pose);
