@@ -5,16 +5,16 @@
 #include <vector>
 
 #include <Eigen/Geometry>
-
 #include <groma/calibration/calibrate.hpp>
 
 int main() {
   namespace model = groma::model;
   namespace calibration = groma::calibration;
-  const std::vector<model::Tag> tags{{1, {0.4, 0.0, 0.5}}, {2, {-0.3, 0.2, 1.5}}};          // base_link, m
+  const std::vector<model::Tag> tags{{1, {0.4, 0.0, 0.5}}, {2, {-0.3, 0.2, 1.5}}};  // base_link, m
   const std::vector<model::Anchor> truth{{11, {9, 2, 4}}, {12, {-6, 8, 5}}, {13, {0, -9, 2}}};  // map, m
 
-  // 200 s on a figure eight. Each 0.1 s: a pose, and a range of one tag to one anchor (beta 0.3 m, sigma 0.05 m).
+  // 200 s on a figure eight. Each 0.1 s: a pose, and a range of one tag to one anchor (beta 0.3 m, sigma 0.05
+  // m).
   std::mt19937 random(1);
   std::normal_distribution<double> noise(0.3, 0.05);
   std::vector<model::PoseSample> poses;
@@ -27,9 +27,8 @@ int main() {
         {.t_s = t_s, .x_m = 5.0 * std::sin(phase), .y_m = 5.0 * std::sin(2.0 * phase), .yaw_rad = yaw_rad});
     const model::Tag& tag = tags[k % 2];
     const model::Anchor& anchor = truth[k % 3];
-    const Eigen::Vector3d antenna_m =
-        Eigen::Vector3d(poses.back().x_m, poses.back().y_m, 0) +
-        Eigen::AngleAxisd(yaw_rad, Eigen::Vector3d::UnitZ()) * tag.lever_arm_m;
+    const Eigen::Vector3d antenna_m = Eigen::Vector3d(poses.back().x_m, poses.back().y_m, 0) +
+                                      Eigen::AngleAxisd(yaw_rad, Eigen::Vector3d::UnitZ()) * tag.lever_arm_m;
     const double range_m = (anchor.position_m - antenna_m).norm() + noise(random);
     ranges.push_back({.t_s = t_s, .tag_id = tag.id, .anchor_id = anchor.id, .range_m = range_m});
   }

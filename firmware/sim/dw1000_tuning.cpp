@@ -93,7 +93,7 @@ Tuning read_tuning(const Dw1000Registers& registers) noexcept {
   tuning.longest_preamble = std::min(by_pac.longest, by_tune.longest);
 
   tuning.timestamps_valid = holds(Reg::kLdeCfg1, 0x6D) && holds(Reg::kLdeCfg2, 0x0607) &&
-                       registers.get(Reg::kLdeRepc) == replica_coefficient(tuning.receive_code);
+                            registers.get(Reg::kLdeRepc) == replica_coefficient(tuning.receive_code);
   return tuning;
 }
 

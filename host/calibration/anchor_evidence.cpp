@@ -93,10 +93,10 @@ void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fi
   out.los_share /= n;
   if (!site.has_los_states()) return;
   out.los_states = LosEvidence{.polls = site.los_states.poll_shares[i],
-                            .counts_missed = site.polls.regular,
-                            .excess_m = site.los_states.model.excess_prior.mean_m,
-                            .far_share = far / n,
-                            .short_share = too_short / n};
+                               .counts_missed = site.polls.regular,
+                               .excess_m = site.los_states.model.excess_prior.mean_m,
+                               .far_share = far / n,
+                               .short_share = too_short / n};
 }
 
 }  // namespace
@@ -133,13 +133,13 @@ std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const mod
   out.reserve(fit.problem.rows.size());
   for (const Observation& row : fit.problem.rows) {
     const RowAt at = row_at(fit, row);
-    out.push_back({.t_s = row.t_s,
-                   .tag_id = tags[row.tag].id,
-                   .antenna_m = row.tag_m.head<2>(),
-                   .distance_m = at.predicted.distance_m,
-                   .residual_m = at.residual_m,
-                   .los = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).los() *
-                               at.value.los_count});
+    out.push_back(
+        {.t_s = row.t_s,
+         .tag_id = tags[row.tag].id,
+         .antenna_m = row.tag_m.head<2>(),
+         .distance_m = at.predicted.distance_m,
+         .residual_m = at.residual_m,
+         .los = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).los() * at.value.los_count});
   }
   return out;
 }

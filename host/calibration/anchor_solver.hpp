@@ -42,7 +42,7 @@ struct LongNlosPrior {
 // are unknowns too.
 struct AnchorLos {
   std::vector<RangeLos> rows;  // by Observation::index
-  bool has_long_nlos = false;    // some ranges are long NLOS
+  bool has_long_nlos = false;  // some ranges are long NLOS
   std::size_t episodes = 0;
   LongNlosPrior prior;
   RobustKernel long_nlos;  // of a long NLOS residual without its excess
@@ -140,16 +140,17 @@ struct AnchorFit {
 
 // Excess of this range if it is long NLOS, m.
 [[nodiscard]] inline double long_nlos_excess_m(const RangeLos& los_states, const AnchorVector& anchor,
-                                          std::size_t tag_count) noexcept {
+                                               std::size_t tag_count) noexcept {
   const double common_m = anchor(excess_index(tag_count));
-  return los_states.episode == kNoEpisode ? common_m : common_m + anchor(episode_index(los_states.episode, tag_count));
+  return los_states.episode == kNoEpisode ? common_m
+                                          : common_m + anchor(episode_index(los_states.episode, tag_count));
 }
 
 // One range at one solution: `seen` has the density of the whole mixture and slope and weight of its LOS
 // part; nlos_slope and nlos_weight are of its long NLOS part.
 struct RowValue {
   KernelValue seen;
-  double los_count = 1.0;   // posterior
+  double los_count = 1.0;    // posterior
   double nlos_slope = 0.0;   // 1/m
   double nlos_weight = 0.0;  // 1/m^2
 };
@@ -164,8 +165,9 @@ struct RowValue {
   KernelValue through;
   double nlos = 0.0;
   if (los_states.long_nlos > 0.0F) {
-    through = stretched(problem.los_states->long_nlos, noise_share(problem.los_states->long_nlos, pose_variance_m2),
-                        residual_m - long_nlos_excess_m(los_states, anchor, problem.tag_count));
+    through =
+        stretched(problem.los_states->long_nlos, noise_share(problem.los_states->long_nlos, pose_variance_m2),
+                  residual_m - long_nlos_excess_m(los_states, anchor, problem.tag_count));
     nlos = static_cast<double>(los_states.long_nlos) * through.density;
   }
   out.seen.density = los + nlos + static_cast<double>(los_states.other_density);

@@ -232,8 +232,8 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
   out.covariance = covariance;
   out.pairs = pair_biases(fit.anchor, covariance, site.association.tags);
   // Ranges before the anchor's last move count as rejected, and so do those more likely NLOS than LOS.
-  out.ranges_used = static_cast<std::size_t>(std::count_if(
-      fitted.begin(), fitted.end(), [](const FittedRange& row) { return !(row.los < 0.5); }));
+  out.ranges_used = static_cast<std::size_t>(
+      std::count_if(fitted.begin(), fitted.end(), [](const FittedRange& row) { return !(row.los < 0.5); }));
   out.ranges_rejected = data.rejected + data.rows.size() - out.ranges_used;
   if (site.evidence[i].mirror) out.mirror_ratio = site.evidence[i].mirror->cost_ratio;
   out.held_out_rms_m = site.held_out[i].rms_m;

@@ -29,7 +29,7 @@ struct FittedRange {
   Eigen::Vector2d antenna_m = Eigen::Vector2d::Zero();  // x and y, map
   double distance_m = 0.0;                              // antenna to anchor
   double residual_m = 0.0;                              // measured - predicted
-  double los = 0.0;                                // probability of LOS
+  double los = 0.0;                                     // probability of LOS
 };
 
 struct Result {

@@ -150,7 +150,7 @@ constexpr double kLeastVariance = 1e-12;
 
 // Rank of a verdict: less is more trusted.
 std::ptrdiff_t rank(AnchorVerdict verdict) {
-  constexpr std::array kOrder{AnchorVerdict::kOk,           AnchorVerdict::kWeakZ, AnchorVerdict::kWeak,
+  constexpr std::array kOrder{AnchorVerdict::kOk,       AnchorVerdict::kWeakZ, AnchorVerdict::kWeak,
                               AnchorVerdict::kNeverLos, AnchorVerdict::kMoved, AnchorVerdict::kNoData};
   return std::find(kOrder.begin(), kOrder.end(), verdict) - kOrder.begin();
 }

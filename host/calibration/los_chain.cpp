@@ -134,9 +134,8 @@ void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t
   }
 }
 
-void infer_states(const LosChain& chain, std::span<const Poll> polls,
-                  std::span<const LosVector> likelihoods, std::span<const double> hints,
-                  LosPosterior& out) {
+void infer_states(const LosChain& chain, std::span<const Poll> polls, std::span<const LosVector> likelihoods,
+                  std::span<const double> hints, LosPosterior& out) {
   out.prior.resize(likelihoods.size());
   out.posterior.resize(likelihoods.size());
   out.log_evidence = 0.0;
@@ -225,8 +224,7 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
   for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
     const std::size_t hidden = i / model::kStrengthClasses;
     const std::size_t strength = i % model::kStrengthClasses;
-    const double los =
-        strength < kKnown ? (1.0 - kAnywhere) * near_usual[strength] / near_all : kAnywhere;
+    const double los = strength < kKnown ? (1.0 - kAnywhere) * near_usual[strength] / near_all : kAnywhere;
     believed_.los[i] = kBelievedCount * model::kPriorLos[hidden] * los;
     believed_.blocked[i] = kBelievedCount * model::kPriorNlos[hidden] * kAnywhere;
   }

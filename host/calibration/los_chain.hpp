@@ -29,9 +29,9 @@ struct LosChain {
 
 // One poll of a pair: the index of its observation, or a negative value if it has none.
 using Poll = std::int32_t;
-inline constexpr Poll kMissed = -1;   // no reply
+inline constexpr Poll kMissed = -1;       // no reply
 inline constexpr Poll kUnknownPoll = -2;  // unknown
-inline constexpr Poll kReplied = -3;  // a reply whose range is not among the observations
+inline constexpr Poll kReplied = -3;      // a reply whose range is not among the observations
 
 // The polls of each pair between its first and its last reply.
 struct PollTable {
@@ -55,9 +55,8 @@ struct LosPosterior {
 // Forward-backward algorithm. `likelihoods` holds the density of the residual in each state, 1/m, for each
 // poll with an observation, in order; `hints` the likelihood ratio of its powers, NLOS over LOS, or nothing.
 // Reuses the vectors of `out`.
-void infer_states(const LosChain& chain, std::span<const Poll> polls,
-                  std::span<const LosVector> likelihoods, std::span<const double> hints,
-                  LosPosterior& out);
+void infer_states(const LosChain& chain, std::span<const Poll> polls, std::span<const LosVector> likelihoods,
+                  std::span<const double> hints, LosPosterior& out);
 
 // Expected numbers of LOS and of NLOS ranges in each power class.
 struct PowerCounts {

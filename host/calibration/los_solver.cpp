@@ -195,7 +195,8 @@ class LosSolver {
   }
   // Common excess of the anchor's long NLOS, m.
   [[nodiscard]] double common_excess_m(const AnchorFit& fit) const {
-    return had_long_nlos(fit) ? fit.anchor(excess_index(fit.problem.tag_count)) : out_.model.excess_prior.mean_m;
+    return had_long_nlos(fit) ? fit.anchor(excess_index(fit.problem.tag_count))
+                              : out_.model.excess_prior.mean_m;
   }
   // Shape of long NLOS residuals outside episodes.
   [[nodiscard]] KernelShape anywhere_shape() const {
@@ -218,12 +219,12 @@ void LosSolver::label_first() {
     AnchorPass pass;
     pass.los_states.rows.resize(rows_until(fits_[a]));
     pass.los_states.has_long_nlos = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
-                             kEnoughLos * static_cast<double>(pass.los_states.rows.size());
+                                    kEnoughLos * static_cast<double>(pass.los_states.rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
       if (seen[i]) continue;
       pass.los_states.rows[rows[i].index] = pass.los_states.has_long_nlos
-                                           ? RangeLos{.los = 0.0F, .long_nlos = 1.0F}
-                                           : RangeLos{.los = 0.0F, .other_density = 1.0F};
+                                                ? RangeLos{.los = 0.0F, .long_nlos = 1.0F}
+                                                : RangeLos{.los = 0.0F, .other_density = 1.0F};
     }
     apply(a, std::move(pass));
   }
@@ -279,7 +280,8 @@ AnchorPass LosSolver::infer(std::size_t a) const {
       RangeLos& row = out.los_states.rows[pair.rows[i]->index];
       row.los = static_cast<float>(posterior.prior[i](kLos));
       row.long_nlos = static_cast<float>(posterior.prior[i](kLongNlos));
-      row.other_density = static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
+      row.other_density =
+          static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
     }
     add_episodes(pair, common_excess_m(fits_[a]), out);
     // Outside episodes the excess is too uncertain for the range to be of use.
@@ -319,7 +321,7 @@ void LosSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass& 
 }
 
 void LosSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
-                              AnchorPass& out) const {
+                            AnchorPass& out) const {
   const auto episode = static_cast<std::int32_t>(out.los_states.episodes++);
   const double limit_m = 4.0 * anywhere_shape().scale_m;
   double sum_m = 0.0;
@@ -332,12 +334,13 @@ void LosSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t
     sum_m += share * r;
     weight += share;
   }
-  const double prior_weight = std::pow(out_.model.long_nlos.scale_m / out_.model.excess_prior.episode_sigma_m, 2);
+  const double prior_weight =
+      std::pow(out_.model.long_nlos.scale_m / out_.model.excess_prior.episode_sigma_m, 2);
   const double start_m = sum_m / (weight + prior_weight);
   out.start_excess_m.push_back(start_m);
   for (std::size_t k = first; k <= last; ++k) {
     out.nlos.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
-                          .weight = pair.posterior.posterior[k](kLongNlos)});
+                        .weight = pair.posterior.posterior[k](kLongNlos)});
   }
 }
 
@@ -372,8 +375,11 @@ void LosSolver::estimate_model(const std::vector<AnchorPass>& passes) {
   }
   out_.model.excess_prior.mean_m = weighted_m / information;
   out_.model.excess_prior.sigma_m = std::sqrt(1.0 / information + kExcessSpread_m * kExcessSpread_m);
-  out_.model.long_nlos = fit_kernel(
-      nlos, {.shape = long_nlos_shape(), .scale_weight = kLongNlosShapeWeight, .share_weight = kLongNlosShapeWeight}, 3);
+  out_.model.long_nlos = fit_kernel(nlos,
+                                    {.shape = long_nlos_shape(),
+                                     .scale_weight = kLongNlosShapeWeight,
+                                     .share_weight = kLongNlosShapeWeight},
+                                    3);
 }
 
 void LosSolver::apply(std::size_t a, AnchorPass pass) {
@@ -401,7 +407,8 @@ SiteLos LosSolver::solve() {
     refine_site(fits_, kLabelRounds);
   }
   for (int round = 0; round < kLosRounds; ++round) {
-    out_.model.short_nlos = RobustKernel(short_nlos_shape(std::max(kShortNlosScale_m, typical_scale_m(fits_))));
+    out_.model.short_nlos =
+        RobustKernel(short_nlos_shape(std::max(kShortNlosScale_m, typical_scale_m(fits_))));
     std::vector<AnchorPass> passes;
     for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(infer(a));
     estimate_model(passes);

@@ -17,7 +17,7 @@ namespace groma::calibration {
 struct LosModel {
   LosChain chain;
   RobustKernel short_nlos;  // of short NLOS residuals
-  KernelShape long_nlos;     // of long NLOS residuals without their excess
+  KernelShape long_nlos;    // of long NLOS residuals without their excess
   LongNlosPrior excess_prior;
   std::optional<PowerHints> powers;  // none if ranges carry no powers
 };
@@ -44,7 +44,6 @@ struct SiteLos {
 [[nodiscard]] bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits);
 
 // Classifies each range and solves the fits with these states. `table` is of the same observations.
-[[nodiscard]] SiteLos solve_los(const PollTable& table, const LosModel& start,
-                                    std::vector<AnchorFit>& fits);
+[[nodiscard]] SiteLos solve_los(const PollTable& table, const LosModel& start, std::vector<AnchorFit>& fits);
 
 }  // namespace groma::calibration

@@ -211,8 +211,7 @@ std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   std::vector<Observation> rejected;
   const std::size_t tags = fit.problem.tag_count;
   for (const Observation& row : fit.problem.rows) {
-    if (fit.kernels[row.tag].shares(residual_m(row, fit.anchor, tags)).los() < 0.5)
-      rejected.push_back(row);
+    if (fit.kernels[row.tag].shares(residual_m(row, fit.anchor, tags)).los() < 0.5) rejected.push_back(row);
   }
   const auto least = std::max(static_cast<double>(kLeastStretchRows),
                               kRejectedShare * static_cast<double>(fit.problem.rows.size()));
@@ -515,7 +514,8 @@ Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_
   return shift;
 }
 
-std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states, std::vector<AnchorFit>& fits) {
+std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
+                                   std::vector<AnchorFit>& fits) {
   std::vector<AnchorPath> out(fits.size());
   std::vector<Suspicion> suspicions(fits.size());
   for (std::size_t a = 0; a < fits.size(); ++a) {

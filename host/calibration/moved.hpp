@@ -9,8 +9,8 @@
 #include <Eigen/Core>
 
 #include "host/calibration/anchor_solver.hpp"
-#include "host/calibration/robust_kernel.hpp"
 #include "host/calibration/los_solver.hpp"
+#include "host/calibration/robust_kernel.hpp"
 #include "host/calibration/site_solver.hpp"
 
 namespace groma::calibration {
@@ -54,7 +54,8 @@ struct AnchorPath {
   std::vector<double> moved_at_s;  // ascending; empty: it did not move
   Eigen::Vector3d last_move_m = Eigen::Vector3d::Zero();
   std::vector<Eigen::Vector3d> places_m;  // before the first move, after it, ...; empty without moves
-  std::optional<Eigen::Vector3d> duplicate_m;  // second place, not separated from the first in time: duplicate id
+  std::optional<Eigen::Vector3d>
+      duplicate_m;  // second place, not separated from the first in time: duplicate id
 };
 
 // Returns each anchor's path. The fit of an anchor that moved becomes that of the observations after its last

@@ -97,8 +97,7 @@ KernelStatistics RobustKernel::statistics(std::span<const WeighedResidual> resid
     const double share = weight / (gross_density_ + static_cast<double>(densities.sum()));
     out.kinds += share * densities.cast<double>();
     out.gross += share * gross_density_;
-    const double los =
-        static_cast<double>(densities(0)) + static_cast<double>(densities(1)) / kWideVariance;
+    const double los = static_cast<double>(densities(0)) + static_cast<double>(densities(1)) / kWideVariance;
     out.square_m2 += share * los * residual_m * residual_m;
   }
   return out;

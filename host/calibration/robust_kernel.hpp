@@ -186,9 +186,9 @@ class RobustKernel {
   KernelShape shape_;
   double inverse_scale_;
   double gross_density_;
-  KindFloats factor_;         // shares over the scale
-  KindFloats weight_factor_;  // the same over each kind's variance
-  KindFloats influence_factor_;    // the same times each kind's center
+  KindFloats factor_;            // shares over the scale
+  KindFloats weight_factor_;     // the same over each kind's variance
+  KindFloats influence_factor_;  // the same times each kind's center
   // Shares over the scale and each variance squared: times 1, the center and its square.
   Eigen::Matrix<float, kKinds, 3> curve_factors_;
 };

@@ -179,7 +179,8 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
                                 value.seen.weight + value.nlos_weight);
     if (value.nlos_weight == 0.0) continue;
     const RangeLos& los_states = fit.problem.los_states->rows[row.index];
-    const Eigen::Matrix<double, 1, Shared> by_long_nlos = value.nlos_weight * j.template tail<Shared>().matrix();
+    const Eigen::Matrix<double, 1, Shared> by_long_nlos =
+        value.nlos_weight * j.template tail<Shared>().matrix();
     const auto add_long_nlos = [&](Eigen::Index to) {
       sums.cross.template block<1, Sums::kKnots>(to, first) += by_long_nlos.template head<Sums::kKnots>();
       for (Eigen::Index k = Sums::kKnots; k < Shared; ++k) {

@@ -7,9 +7,9 @@
 
 #include "host/calibration/association.hpp"
 #include "host/calibration/drive_error.hpp"
-#include "host/calibration/moved.hpp"
 #include "host/calibration/los_chain.hpp"
 #include "host/calibration/los_solver.hpp"
+#include "host/calibration/moved.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/verdict.hpp"
 
@@ -30,7 +30,7 @@ struct Site {
   double held_out_from_s = 0.0;
   std::vector<AnchorFit> beginning;  // solved without the held-out part
   std::vector<AnchorFit> fits;       // solved from the whole drive
-  SiteLos los_states;                   // empty if no pair is NLOS for longer than a moment
+  SiteLos los_states;                // empty if no pair is NLOS for longer than a moment
   std::vector<AnchorPath> paths;
   std::vector<AnchorEvidence> evidence;
   std::vector<HeldOut> held_out;

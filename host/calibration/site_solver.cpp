@@ -418,7 +418,8 @@ void test_both_mirrors(AnchorFit& fit) {
   for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(test_mirror(fit, spread, axis));
 }
 
-void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, MirrorHypothesis& mirror) {
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit,
+                      MirrorHypothesis& mirror) {
   const Eigen::LDLT<Eigen::Matrix3d> factors(earlier.covariance_m2);
   const auto cost = [&](const AnchorVector& anchor) {
     const Eigen::Vector3d offset_m = anchor.head<3>() - earlier.position_m;

@@ -10,8 +10,8 @@
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
-#include "host/calibration/robust_kernel.hpp"
 #include "host/calibration/los_chain.hpp"
+#include "host/calibration/robust_kernel.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {
@@ -67,11 +67,13 @@ struct EarlierPlace {
 // Adds the cost of the earlier position to the hypothesis' excess; it is limited, because the anchor may have
 // been moved, and multiplied by `inflation`, because the excess is for independent residuals. If the excess
 // becomes negative, fit and hypothesis swap places.
-void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit, MirrorHypothesis& mirror);
+void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit,
+                      MirrorHypothesis& mirror);
 
 // What the mirror hypothesis adds to the position's covariance, m^2: the second moment about the fit if the
 // hypothesis is true with the probability that its excess divided by `inflation` gives.
-[[nodiscard]] Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit, double inflation);
+[[nodiscard]] Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit,
+                                                double inflation);
 
 struct SiteProblem {
   const Association* association = nullptr;

@@ -123,8 +123,7 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
                                              " apart: check whether two anchors have this id"};
   }
   const std::string where = drive_advice(evidence, anchor.position_m);
-  if (is_hardly_los(evidence))
-    return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
+  if (is_hardly_los(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
   if (contradicts_itself(evidence)) {
     if (evidence.los_states->far_share + evidence.los_states->short_share > kTwoAnchors) {
       return Opinion{
@@ -166,7 +165,8 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
 }  // namespace
 
 bool is_hardly_los(const AnchorEvidence& evidence) noexcept {
-  return evidence.los_states && evidence.los_states->counts_missed && evidence.los_states->polls(kLos) < kHardlyLos;
+  return evidence.los_states && evidence.los_states->counts_missed &&
+         evidence.los_states->polls(kLos) < kHardlyLos;
 }
 
 bool contradicts_itself(const AnchorEvidence& evidence) noexcept {

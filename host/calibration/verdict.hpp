@@ -22,10 +22,10 @@ inline constexpr double kWeakSigma_m = 0.30;
 // LOS and NLOS of one anchor, if the site was solved with NLOS states.
 struct LosEvidence {
   LosVector polls = LosVector::Zero();  // share of its polls in each state
-  bool counts_missed = false;               // `polls` includes missed replies
-  double excess_m = 0.0;               // mean excess of long NLOS at the site
-  double far_share = 0.0;                   // share of ranges longer than NLOS explains
-  double short_share = 0.0;                 // share of ranges shorter than NLOS explains
+  bool counts_missed = false;           // `polls` includes missed replies
+  double excess_m = 0.0;                // mean excess of long NLOS at the site
+  double far_share = 0.0;               // share of ranges longer than NLOS explains
+  double short_share = 0.0;             // share of ranges shorter than NLOS explains
 };
 
 // Evidence that an anchor moved during the drive.
@@ -38,18 +38,18 @@ struct MoveEvidence {
 
 // Statistics of one anchor beside its solution.
 struct AnchorEvidence {
-  TagSpread spread;                       // of the antennas that ranged to it
-  std::size_t rows = 0;                   // ranges with a pose
-  double nearest_m = 0.0;                 // closest antenna
-  std::optional<MirrorHypothesis> mirror;            // across the plane of the tags
-  std::optional<MirrorHypothesis> side;              // across the line of the drive
-  double los_share = 0.0;            // LOS share of its ranges
-  std::optional<double> held_out_z;       // rms of held-out residuals over its prediction
-  double scale_ratio = 1.0;               // its noise over the site's median
-  double count_ratio = 1.0;               // its ranges over the site's median
-  double inflation = 1.0;                 // score_inflation(): residuals correlated in time
-  double flicker = 1.0;                   // range-to-range scatter over the site's noise
-  std::optional<MoveEvidence> moved;      // during the drive
+  TagSpread spread;                            // of the antennas that ranged to it
+  std::size_t rows = 0;                        // ranges with a pose
+  double nearest_m = 0.0;                      // closest antenna
+  std::optional<MirrorHypothesis> mirror;      // across the plane of the tags
+  std::optional<MirrorHypothesis> side;        // across the line of the drive
+  double los_share = 0.0;                      // LOS share of its ranges
+  std::optional<double> held_out_z;            // rms of held-out residuals over its prediction
+  double scale_ratio = 1.0;                    // its noise over the site's median
+  double count_ratio = 1.0;                    // its ranges over the site's median
+  double inflation = 1.0;                      // score_inflation(): residuals correlated in time
+  double flicker = 1.0;                        // range-to-range scatter over the site's noise
+  std::optional<MoveEvidence> moved;           // during the drive
   std::optional<Eigen::Vector3d> duplicate_m;  // a second place with its id
   std::optional<LosEvidence> los_states;
 };

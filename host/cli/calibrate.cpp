@@ -211,9 +211,8 @@ void add_calibrate(CLI::App& app, Action& action) {
           "DATASET_OR_LOG", options->dataset,
           "Folder of the drive (dataset.yaml, ranges.csv, tags.csv, poses), or the log that gromad recorded")
       ->required();
-  command->add_option(
-      "--poses", options->poses,
-      "Poses to calibrate from, instead of pose_prior.csv (or, without it, groundtruth.csv)");
+  command->add_option("--poses", options->poses,
+                      "Poses to calibrate from, instead of pose_prior.csv (or, without it, groundtruth.csv)");
   command->add_option("--survey", options->survey,
                       "Ranges between the anchors, as groma survey prints them: all anchors are then solved "
                       "in one problem");
@@ -226,8 +225,7 @@ void add_calibrate(CLI::App& app, Action& action) {
       "Update this earlier calibration: anchors that did not move are combined with it, moved ones are "
       "reported, new ones added");
   command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")->required();
-  command->add_option("--report", options->report,
-                      "Folder for a report, report.html, to open in a browser");
+  command->add_option("--report", options->report, "Folder for a report, report.html, to open in a browser");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

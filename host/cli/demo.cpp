@@ -99,8 +99,8 @@ std::string format_text(const simulation::DemoResult& result) {
   text += fmt::format(
       "\n{:.0f} ranges/s, {:.0f} % of them NLOS; {} frames lost\n"
       "{:.0f} s simulated in {:.1f} s: {:.1f} times real time\n",
-      result.ranges_per_s, 100.0 * result.nlos_share, result.frames_lost, result.simulated_s,
-      result.wall_s, result.simulated_s / result.wall_s);
+      result.ranges_per_s, 100.0 * result.nlos_share, result.frames_lost, result.simulated_s, result.wall_s,
+      result.simulated_s / result.wall_s);
   return text;
 }
 

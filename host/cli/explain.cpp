@@ -37,7 +37,7 @@ struct RangeRecord {
   double range_m = 0.0;
   filter::RangeResult result;
   double regained_sigma_m = 0.0;  // see Gate::regained_variance_m2()
-  bool diverged = false;            // the gate's divergence flag is set
+  bool diverged = false;          // the gate's divergence flag is set
 };
 
 struct StateAt {
@@ -53,7 +53,7 @@ struct Moment {
   double white_sigma_m = 0.0;
   double bias_sigma_m = 0.0;
   Eigen::Vector3d sample_sigmas = Eigen::Vector3d::Zero();  // of the sample's vx, vy, yaw rate
-  bool diverged = false;                                   // the gate's divergence flag
+  bool diverged = false;                                    // the gate's divergence flag
   // Counts up to this sample:
   std::size_t jumps = 0;  // samples that jumped
   std::size_t slips = 0;  // slips that the ranges showed
@@ -327,10 +327,9 @@ std::string text_of(const ExplainOptions& options, const History& history) {
   out += fmt::format(
       "odometry  sample +- {:.3f} m/s (configured {:.3f}), +- {:.4f} rad/s (configured {:.4f}); scale error "
       "{:+.4f}, yaw-rate bias {:+.5f} rad/s, delay {:.0f} ms{}\n",
-      moment.sample_sigmas.head<2>().maxCoeff(),
-      std::max(configured.sigma_vx_mps, configured.sigma_vy_mps), moment.sample_sigmas.z(),
-      configured.sigma_omega_radps, estimate.scale_error, estimate.yaw_rate_bias_radps,
-      1000.0 * estimate.odometry_delay_s,
+      moment.sample_sigmas.head<2>().maxCoeff(), std::max(configured.sigma_vx_mps, configured.sigma_vy_mps),
+      moment.sample_sigmas.z(), configured.sigma_omega_radps, estimate.scale_error,
+      estimate.yaw_rate_bias_radps, 1000.0 * estimate.odometry_delay_s,
       jumps > 0 ? fmt::format("; {} samples jumped, their sigma is increased", jumps) : "");
   const std::size_t slips = history.moments.back().slips - history.moments.front().slips;
   if (slips > 0) {

@@ -77,9 +77,8 @@ model::Calibration FilterInput::load_calibration(const io::Dataset& dataset, War
   }
   model::Calibration calibration = io::read_calibration(*calibration_);
   if (calibration.verdict == model::Verdict::kUnusable) {
-    warnings.add(
-        fmt::format("{}: its verdict is 'unusable'; do not trust estimates made with it",
-                    calibration_->string()));
+    warnings.add(fmt::format("{}: its verdict is 'unusable'; do not trust estimates made with it",
+                             calibration_->string()));
   }
   return calibration;
 }
@@ -163,9 +162,8 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
 
 void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& warnings) {
   if (counters.odometry[filter::OdometryOutcome::kImplausible] > 0) {
-    warnings.add(
-        fmt::format("{} odometry samples were dropped: no robot moves or accelerates like that",
-                    counters.odometry[filter::OdometryOutcome::kImplausible]));
+    warnings.add(fmt::format("{} odometry samples were dropped: no robot moves or accelerates like that",
+                             counters.odometry[filter::OdometryOutcome::kImplausible]));
   }
   for (std::size_t sensor = 0; sensor < model::kSensors; ++sensor) {
     const auto& of = counters.sensors.at(sensor);

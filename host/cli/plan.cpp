@@ -182,8 +182,9 @@ void add_plan(CLI::App& app, Action& action) {
       ->check(CLI::IsMember({"uart", "can", "can-fd"}))
       ->excludes(file)
       ->capture_default_str();
-  command->add_flag("--raw-stamps", options->site.report_raw_stamps,
-                    "Report each range with its four time intervals")
+  command
+      ->add_flag("--raw-stamps", options->site.report_raw_stamps,
+                 "Report each range with its four time intervals")
       ->excludes(file);
   command->add_flag("--authenticated", options->authenticated, "With a MIC in each frame")->excludes(file);
   command->add_option("--loss", options->loss, "Share of the frames that are not received")

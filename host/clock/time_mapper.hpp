@@ -31,8 +31,7 @@ inline constexpr double kDeviceTicksPerSecond = 63.8976e9;
 
 struct HostInstant {
   double t_s = 0.0;
-  double sigma_s =
-      0.0;  // of the fit and, once a request was observed, of the delay common to all messages
+  double sigma_s = 0.0;  // of the fit and, once a request was observed, of the delay common to all messages
 };
 
 struct TimeMapperCounters {

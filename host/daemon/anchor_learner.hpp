@@ -96,7 +96,7 @@ class AnchorLearner : public MeasurementSink {
   Setup setup_;
   calibration::DriveStore store_;
   model::Calibration live_;
-  calibration::Result calibrated_;              // of the last step that solved the whole drive
+  calibration::Result calibrated_;          // of the last step that solved the whole drive
   std::map<model::NodeId, int> suspicion_;  // consecutive steps that found the anchor elsewhere
   std::map<model::NodeId, double> moved_m_;
   std::future<calibration::LearningStep> solving_;

@@ -46,7 +46,7 @@ class Daemon {
     std::string name;
     link::ReconnectingLink link;
     bool is_robot = false;
-    std::size_t node = 0;    // index in the session, except for the robot
+    std::size_t node = 0;      // index in the session, except for the robot
     std::string logged_error;  // the error logged last
   };
 
@@ -84,7 +84,7 @@ class Daemon {
   std::unique_ptr<CalibrationDrive> drive_;
   std::future<calibration::Result> solution_;
   std::unique_ptr<AnchorLearner> learner_;
-  bool to_write_ = false;              // the current calibration is not in its file yet
+  bool to_write_ = false;             // the current calibration is not in its file yet
   std::future<std::string> writing_;  // the error; empty: written
   std::unique_ptr<Localizer> localizer_;
   std::string frame_ = "map";

@@ -126,14 +126,14 @@ class Localizer : public MeasurementSink {
   OnPose on_pose_;
   OnPose on_settled_;
   std::unique_ptr<filter::Tracker> tracker_;
-  Ahead ahead_;        // in order; never exceeds the reserved capacity
+  Ahead ahead_;             // in order; never exceeds the reserved capacity
   double last_odometry_s_;  // the newest odometry sample that arrived
   double paused_until_s_ = -std::numeric_limits<double>::infinity();  // the sample that ended a pause
   double clock_s_ = 0.0;                                              // robot time less filter time
   bool times_suspect_ = false;
   std::optional<filter::Filter::Prediction> prediction_;
-  double predicted_since_s_ = 0.0;  // the sample that started it
-  filter::MotionInput last_propagated_;     // the last input that it includes
+  double predicted_since_s_ = 0.0;       // the sample that started it
+  filter::MotionInput last_propagated_;  // the last input that it includes
   std::uint64_t implausible_ = 0;
 };
 

@@ -33,9 +33,8 @@ link::LinkError explain(const std::string& address, std::uint16_t port, int erro
       return {link::LinkFault::kNoDevice,
               fmt::format("{}: not an address of this computer; set another pose_stream address", where)};
     default:
-      return {link::LinkFault::kUnsuitable,
-              fmt::format("{}: cannot listen ({}); set another pose_stream", where,
-                          std::generic_category().message(error))};
+      return {link::LinkFault::kUnsuitable, fmt::format("{}: cannot listen ({}); set another pose_stream",
+                                                        where, std::generic_category().message(error))};
   }
 }
 

@@ -126,12 +126,11 @@ struct MessageClass {
 
 constexpr std::array<MessageClass, 6> kClasses{{
     {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps", &RobotInputCounters::odometry, read_odometry},
-    {"POSE_PRIOR",
-     "plausible t_s, x_m, y_m, z_m, yaw_rad; if given, a valid covariance of 36 terms",
+    {"POSE_PRIOR", "plausible t_s, x_m, y_m, z_m, yaw_rad; if given, a valid covariance of 36 terms",
      &RobotInputCounters::pose_priors, read_pose_prior},
     {"IMU", "finite t_s, omega_radps", &RobotInputCounters::sensors, read_imu},
-    {"GNSS", "plausible t_s, x_m, y_m, and a valid covariance of 4 terms",
-     &RobotInputCounters::sensors, read_gnss},
+    {"GNSS", "plausible t_s, x_m, y_m, and a valid covariance of 4 terms", &RobotInputCounters::sensors,
+     read_gnss},
     {"ABSOLUTE_POSE", "plausible t_s, x_m, y_m, yaw_rad, and a valid covariance of 36 terms",
      &RobotInputCounters::sensors, read_absolute_pose},
     {"ZERO_VELOCITY", "a finite t_s", &RobotInputCounters::sensors, read_zero_velocity},

@@ -65,8 +65,8 @@ struct SessionCounters {
   std::uint64_t robot_time_wrong = 0;       // dropped
   std::uint64_t robot_time_early = 0;       // dropped
   std::uint64_t robot_clock_set = 0;        // clock steps and restarts
-  std::uint64_t without_odometry = 0;   // before the first odometry gave the robot's time: dropped
-  std::uint64_t waiting_overflows = 0;  // passed on before their wait was over
+  std::uint64_t without_odometry = 0;       // before the first odometry gave the robot's time: dropped
+  std::uint64_t waiting_overflows = 0;      // passed on before their wait was over
 };
 
 class Session {
@@ -195,7 +195,7 @@ class Session {
   std::optional<double> last_odometry_s_;
   SensorTimes pose_times_;
   std::array<SensorTimes, std::variant_size_v<model::SensorSample>> sensor_times_{};
-  bool times_suspect_ = false;            // as reported to the sinks
+  bool times_suspect_ = false;             // as reported to the sinks
   std::uint64_t timestamps_dropped_ = 0;   // of odometry
   std::optional<double> dropped_since_s_;  // host time; all odometry has been dropped since
   bool drop_reported_ = false;

@@ -37,11 +37,11 @@ inline constexpr std::array kModels{Model::kOdometry, Model::kOriginal,     Mode
 
 // How ranges are weighted: see gate.hpp.
 struct GateConfig {
-  double nlos_prior = 0.1;  // prior probability that a pair is NLOS
-  double nlos_max = 0.5;   // upper bound of a pair's NLOS probability: no pair is given up for good
-  double sticky_s = 2.0;       // time constant over which a pair's history is forgotten
-  double excess_m = 0.5;       // mean excess of NLOS ranges
-  double short_share = 0.2;    // share of NLOS ranges that are too short
+  double nlos_prior = 0.1;   // prior probability that a pair is NLOS
+  double nlos_max = 0.5;     // upper bound of a pair's NLOS probability: no pair is given up for good
+  double sticky_s = 2.0;     // time constant over which a pair's history is forgotten
+  double excess_m = 0.5;     // mean excess of NLOS ranges
+  double short_share = 0.2;  // share of NLOS ranges that are too short
   // For a pair that misses all polls: the share of its ranges that is NLOS, and the additional share that is
   // garbage. From half of the polls missed on, all of the NLOS excess has the larger mean kRegained_m.
   double regained_share = 0.7;

@@ -31,7 +31,8 @@ GROMA_CLONES void move_cross(double* cross, int rows, const PoseRows& pose_rows)
     const double vx = at(kOdometryVx), vy = at(kOdometryVy), omega = at(kOdometryOmega);
     const auto position = [&](int row) {
       return f(row, kX) * x + f(row, kY) * y + f(row, kTheta) * theta + f(row, kScale) * scale +
-             f(row, kYawBias) * bias + f(row, kOdometryVx) * vx + f(row, kOdometryVy) * vy + f(row, kOdometryOmega) * omega;
+             f(row, kYawBias) * bias + f(row, kOdometryVx) * vx + f(row, kOdometryVy) * vy +
+             f(row, kOdometryOmega) * omega;
     };
     at(kX) = position(kX);
     at(kY) = position(kY);

@@ -75,7 +75,8 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const C
       delays_{config.range_delay_s, config.range_delay_sigma_s, config.odometry_delay_sigma_s},
       now_(begin(site_, config, white_sigma_m(here, config))),
       slots_(static_cast<std::size_t>(site_.anchor_count()), -1) {
-  if (here.range_noise && here.range_noise->bias_sigma_m > 0.0) range_bias_time_s_ = here.range_noise->bias_time_s;
+  if (here.range_noise && here.range_noise->bias_sigma_m > 0.0)
+    range_bias_time_s_ = here.range_noise->bias_time_s;
   if (here.range_delay_sigma_s > 0.0) {
     delays_.range_s = here.range_delay_s;
     delays_.range_sigma_s = here.range_delay_sigma_s;
@@ -420,9 +421,12 @@ Filter::Prediction Filter::prediction() const noexcept {
 
 void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
   MotionState& then = prediction.motion;
-  DeadReckoning<CoreCovariance> motion{surface_,     config_,
-                                       range_bias_time_s_, prediction.by_odometry_alone ? nullptr : &now_.gate,
-                                       then,         prediction.covariance};
+  DeadReckoning<CoreCovariance> motion{surface_,
+                                       config_,
+                                       range_bias_time_s_,
+                                       prediction.by_odometry_alone ? nullptr : &now_.gate,
+                                       then,
+                                       prediction.covariance};
   if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
     if (!model::is_finite(*row) || (then.has_sample && !(row->t_s > then.row.t_s))) return;
     if (row->t_s > then.t_s) motion.advance_to(row->t_s);

@@ -57,7 +57,7 @@ struct RangeResult {
   // ranges cannot test the map because it has no biases.
   double map_variance_m2 = std::numeric_limits<double>::quiet_NaN();
   double weight = 0.0;      // 0 gated, 1 full
-  double nlos = 0.0;     // probability of NLOS, from the pair's history and this range
+  double nlos = 0.0;        // probability of NLOS, from the pair's history and this range
   double hint_ratio = 1.0;  // likelihood ratio NLOS / LOS of its received powers
   Eigen::Vector3d correction = Eigen::Vector3d::Zero();  // correction of x, y, theta
 };
@@ -97,7 +97,7 @@ struct Counters {
   CountBy<OdometryOutcome, 6> odometry;
   CountBy<RangeOutcome, 9> ranges;
   std::array<CountBy<SensorOutcome, 6>, model::kSensors> sensors;  // in the order of SensorSample
-  std::size_t divergences = 0;  // how often divergence was suspected
+  std::size_t divergences = 0;                                     // how often divergence was suspected
   std::size_t slips = 0;                                           // wheel slips detected by ranges
   std::size_t anchor_exchanges = 0;  // how often an anchor replaced another one in its slot
 };

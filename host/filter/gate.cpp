@@ -30,9 +30,9 @@ constexpr double kReceptionSlack = 0.2;
 constexpr double kRegained_m = 3.0;
 constexpr double kFarMissed = 0.5;
 // Divergence is suspected in two cases. Either at least two anchors, and no fewer than agree, each refuse
-// more than kDivergenceShare of their ranges within window_s, by more than kFar_m on average (twice the mean NLOS
-// excess excess_m), and fewer than kFixingAnchors agree, too few to fix a position with redundancy. Or all
-// anchors together refuse more than kDivergenceShare of the ranges over kPatience_s.
+// more than kDivergenceShare of their ranges within window_s, by more than kFar_m on average (twice the mean
+// NLOS excess excess_m), and fewer than kFixingAnchors agree, too few to fix a position with redundancy. Or
+// all anchors together refuse more than kDivergenceShare of the ranges over kPatience_s.
 constexpr double kDivergenceShare = 0.7;
 constexpr double kPatience_s = 5.0;
 constexpr double kFar_m = 1.0;
@@ -96,8 +96,7 @@ double PowerHint::share(const Counts& counts, const std::array<double, model::kH
 
 double PowerHint::likelihood_ratio(model::PowerClass of) const noexcept {
   if (of >= model::kNoPowerClass) return 1.0;
-  const double ratio =
-      share(nlos_, model::kPriorNlos, of) / share(los_, model::kPriorLos, of);
+  const double ratio = share(nlos_, model::kPriorNlos, of) / share(los_, model::kPriorLos, of);
   const double most = std::max(config_.hint_most, 1.0);
   return std::clamp(ratio, 1.0 / most, most);
 }
@@ -159,8 +158,7 @@ double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept
   // An obstacle that makes an anchor NLOS for one tag often does so for the other tags.
   for (int tag = 0; tag < kMaxTags; ++tag) {
     const Pair& other = pairs_[pair_at(anchor, tag)];
-    if (other.unhinted > std::max(out, config_.nlos_prior))
-      out = std::max(out, other.unhinted * fade(other));
+    if (other.unhinted > std::max(out, config_.nlos_prior)) out = std::max(out, other.unhinted * fade(other));
   }
   return out;
 }

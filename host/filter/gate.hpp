@@ -81,9 +81,7 @@ class Gate {
     return pairs_[pair_at(anchor, tag)].regained_m2;
   }
   // Probability that the pair is NLOS, as of its last range.
-  [[nodiscard]] double nlos(int anchor, int tag) const noexcept {
-    return pairs_[pair_at(anchor, tag)].nlos;
-  }
+  [[nodiscard]] double nlos(int anchor, int tag) const noexcept { return pairs_[pair_at(anchor, tag)].nlos; }
 
   [[nodiscard]] const PowerHint& hint() const noexcept { return hint_; }
 
@@ -100,7 +98,7 @@ class Gate {
  private:
   struct Pair {
     double t_s = 0.0;
-    double nlos = 0.0;    // NLOS probability, with the power hint of the last range
+    double nlos = 0.0;       // NLOS probability, with the power hint of the last range
     double unhinted = 0.0;   // NLOS probability by innovations alone
     double reception = 1.0;  // share of the recent polls that were answered
     double regained_m2 = 0.0;
@@ -127,7 +125,7 @@ class Gate {
   struct Posterior {
     double los = 0.0;
     double nlos = 0.0;       // the rest to 1 is garbage
-    double far = 0.0;           // part of blocked with the larger excess
+    double far = 0.0;        // part of blocked with the larger excess
     double pair_nlos = 0.0;  // NLOS probability of the pair after this range
   };
   // prior: NLOS probability of the pair before the range.

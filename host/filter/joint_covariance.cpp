@@ -81,7 +81,8 @@ void CoreCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
   ground_variances_ = variances;
 }
 
-JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, EstimatedParameters estimated)
+JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
+                                 EstimatedParameters estimated)
     : estimated_(estimated),
       layout_(parameters),
       size_(parameters.size()),
@@ -118,7 +119,8 @@ void JointCovariance::set_prior(const Site& site, const Parameters& parameters,
 void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
   double* const own = estimates_.data() + layout_.position(slot);
   std::fill_n(own, layout_.anchor_size(), 0.0);
-  if (is_estimated) std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
+  if (is_estimated)
+    std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
   // The slow range bias's variance is always range_bias_variance_m2_ and is stored there.
   lower(layout_.range_bias(slot), layout_.range_bias(slot)) = 0.0;
   considered_ = estimated_ != EstimatedParameters::kAll;

@@ -169,8 +169,8 @@ class JointCovariance {
   void settle_range_biases() noexcept;
   void settle_ground() noexcept;
   [[nodiscard]] bool has_ground() const noexcept { return !ground_variances_.isZero(0.0); }
-  // Jacobian w.r.t. the stored parameters: slow range biases are stored in units of range_bias_scale_, the ground's
-  // deviation in units of ground_scale_.
+  // Jacobian w.r.t. the stored parameters: slow range biases are stored in units of range_bias_scale_, the
+  // ground's deviation in units of ground_scale_.
   [[nodiscard]] Eigen::Matrix<double, 1, kPairParameters> stored(
       const RangeMeasurement& measurement) const noexcept;
   void own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,

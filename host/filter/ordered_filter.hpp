@@ -47,7 +47,9 @@ class OrderedFilter {
   [[nodiscard]] Estimate estimate() const noexcept { return filter_.estimate(); }
   // Right after an odometry sample: the estimate at that sample's time. Equals estimate() unless it came
   // late.
-  [[nodiscard]] Estimate sample_estimate() const noexcept { return late_sample_ ? *late_sample_ : estimate(); }
+  [[nodiscard]] Estimate sample_estimate() const noexcept {
+    return late_sample_ ? *late_sample_ : estimate();
+  }
   [[nodiscard]] bool started() const noexcept { return filter_.started(); }
   // Each input counted once by its current outcome: late inputs may have changed the outcomes of others.
   [[nodiscard]] Counters counters() const noexcept;

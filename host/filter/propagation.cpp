@@ -65,7 +65,8 @@ Eigen::Vector2d perpendicular(const Eigen::Vector2d& v) noexcept {
 }
 
 Eigen::Vector2d row_velocity(const CoreVector& core, const model::OdometrySample& row) noexcept {
-  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx), (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy)};
+  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx),
+          (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy)};
 }
 
 }  // namespace

@@ -55,8 +55,8 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
     const double change =
         innovation_m * innovation_m > kShown * kShown * kHalfWithin * kHalfWithin * variance_m2 ? 1.0 : -1.0;
-    range_bias_scale_ =
-        std::clamp(range_bias_scale_ * (1.0 + kRangeBiasStep * change), 1.0 / kMaxRangeBiasFactor, kMaxRangeBiasFactor);
+    range_bias_scale_ = std::clamp(range_bias_scale_ * (1.0 + kRangeBiasStep * change),
+                                   1.0 / kMaxRangeBiasFactor, kMaxRangeBiasFactor);
   }
 }
 

@@ -33,12 +33,12 @@ inline constexpr std::size_t kMaxPairs = static_cast<std::size_t>(kMaxAnchors) *
 // Core error state. The last three are the errors of the odometry sample that is held (zero-order hold). A
 // sample's noise is constant until the next sample, so all steps within the interval share it.
 enum CoreIndex : int {
-  kX,         // m, map
-  kY,         // m, map
-  kTheta,     // rad, heading on the surface
-  kScale,     // v = (1 + scale) v_odometry - e_v
-  kYawBias,   // rad/s, omega = omega_odometry - bias - e_omega
-  kDelay,     // s, a range measures the pose this long before its timestamp, less the odometry's delay
+  kX,              // m, map
+  kY,              // m, map
+  kTheta,          // rad, heading on the surface
+  kScale,          // v = (1 + scale) v_odometry - e_v
+  kYawBias,        // rad/s, omega = omega_odometry - bias - e_omega
+  kDelay,          // s, a range measures the pose this long before its timestamp, less the odometry's delay
   kOdometryVx,     // m/s, e_v
   kOdometryVy,     // m/s
   kOdometryOmega,  // rad/s, e_omega

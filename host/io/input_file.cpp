@@ -62,8 +62,7 @@ std::string read_file(const std::filesystem::path& path) {
     }
   }
   if (S_ISFIFO(status.st_mode) && size == 0) {
-    throw DataError({path}, "is a pipe without a writer",
-                    "give a regular file, or start its writer first");
+    throw DataError({path}, "is a pipe without a writer", "give a regular file, or start its writer first");
   }
   text.resize(size);
   return text;

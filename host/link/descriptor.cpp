@@ -30,10 +30,9 @@ LinkError explain_open_error(const std::string& path, int error_number) {
     case ENODEV:
     case ENXIO:
     case ENOTDIR:
-      return {LinkFault::kNoDevice,
-              fmt::format("{}: no such device; plug it in, or list the ports with "
-                          "'ls -l /dev/serial/by-id'",
-                          path)};
+      return {LinkFault::kNoDevice, fmt::format("{}: no such device; plug it in, or list the ports with "
+                                                "'ls -l /dev/serial/by-id'",
+                                                path)};
     case ECONNREFUSED:
       return {LinkFault::kNoDevice,
               fmt::format("{}: no program listens on this socket; start the one that serves it", path)};

@@ -56,7 +56,7 @@ struct ReportCounters {
   std::uint64_t ranges_out_of_bounds = 0;  // not finite, or not within (0, kMaxRange_m]
   // Further than kMaxInstantOffset_s from their report, or in a report whose own time is early.
   std::uint64_t ranges_bad_instant = 0;
-  std::uint64_t time_replies = 0;      // to time_request()
+  std::uint64_t time_replies = 0;            // to time_request()
   std::uint64_t time_replies_unmatched = 0;  // not to a request of this host, or later than kMaxRoundTrip_s
 };
 

@@ -143,9 +143,8 @@ void warn(const groma_Config& config, AirPlan& plan) {
         schedule.response_gap_us, kMinGap_us));
   }
   if (schedule.backup_ids_count == 0 && schedule.anchor_ids_count > 1) {
-    say(fmt::format(
-        "schedule.backup_ids: none, so that the site stops without anchor {}; name one or more",
-        schedule.master_id));
+    say(fmt::format("schedule.backup_ids: none, so that the site stops without anchor {}; name one or more",
+                    schedule.master_id));
   }
   if (plan.open_slots_per_s < 1.0) {
     say(fmt::format(

@@ -41,8 +41,8 @@ struct AirPlan {
   double air_use = 0.0;  // share of the time in which any node transmits, in one cell
   // Share of the time in which a node transmits.
   double tag_duty = 0.0;
-  double anchor_duty = 0.0;  // one that answers in each slot
-  double master_duty = 0.0;  // such an anchor that also sends the beacons
+  double anchor_duty = 0.0;           // one that answers in each slot
+  double master_duty = 0.0;           // such an anchor that also sends the beacons
   double open_slots_per_s = 0.0;      // for joining and commands over the air
   std::vector<LinkLoad> links;        // UART: of one tag on its own line; CAN: of all tags on one bus
   std::vector<std::string> warnings;  // full sentences for the integrator

@@ -123,9 +123,8 @@ class Configuring {
       const bool late = std::chrono::duration<double>(Clock::now() - begin).count() > max_s;
       if (late || client_->gone()) {
         if (client_->last_hello()) throw not_in_force(*client_->last_hello());
-        throw Failure{
-            NodeFault::kNoAnswer,
-            client_->explain_silence() + "; it will revert to its previous configuration by itself"};
+        throw Failure{NodeFault::kNoAnswer, client_->explain_silence() +
+                                                "; it will revert to its previous configuration by itself"};
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(200));
     }
@@ -438,7 +437,7 @@ namespace {
 
 // Sends a command that is complete with its reply, then requests the hello.
 NodeOutcome send_to_node(const std::string& port, unsigned baud, const groma_HostToNode& command,
-                      const char* name, const LinkOpener& open, model::NodeId target) {
+                         const char* name, const LinkOpener& open, model::NodeId target) {
   NodeOutcome outcome;
   outcome.port = port;
   note(outcome, [&] {

@@ -35,8 +35,8 @@ class NodeClient : private link::NodeSink {
     at_link_ = false;
   }
 
-  // Sets the command's request_id. Nothing if no reply came: see explain_silence(). Every command of the schema
-  // may be sent twice without harm.
+  // Sets the command's request_id. Nothing if no reply came: see explain_silence(). Every command of the
+  // schema may be sent twice without harm.
   [[nodiscard]] std::optional<groma_Reply> ask(groma_HostToNode command, const Patience& patience = {});
 
   // Requests a hello until one passes the test. Otherwise nothing; last_hello() is then the last one

@@ -34,7 +34,7 @@ constexpr std::size_t kMaxBackups = 7;
 
 // Reads an integer from `first` to `last`, if the key exists.
 void read_integer(const YamlValue& map, std::string_view key, std::int64_t first, std::int64_t last,
-                std::uint32_t& out) {
+                  std::uint32_t& out) {
   if (const auto value = map.find(key)) out = static_cast<std::uint32_t>(value->integer(first, last));
 }
 
@@ -134,9 +134,8 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
     const auto value = map.find(key);
     const bool fd_only = key == "data_bit_per_s";
     if (value && (type == 0 || (fd_only && type != 2))) {
-      value->fail(
-          fd_only ? "requires 'type: can-fd'" : "requires 'type: can' or 'type: can-fd'",
-          "remove it, or change the type");
+      value->fail(fd_only ? "requires 'type: can-fd'" : "requires 'type: can' or 'type: can-fd'",
+                  "remove it, or change the type");
     }
   }
   read_integer(map, "nominal_bit_per_s", 10'000, 1'000'000, site.can_nominal_bit_per_s);

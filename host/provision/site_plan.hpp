@@ -16,10 +16,10 @@ namespace groma::provision {
 struct PlannedNode {
   model::NodeId id = 0;
   groma_Role role = groma_Role_ROLE_UNCONFIGURED;
-  std::string port;       // path for link::open_link(), for commands; empty: not given
-  model::NodeId via = 0;  // the node that passes commands on to this one over the air; 0: none
-  std::string via_port;   // port of `via`; empty: none
-  std::string can_link;   // path for link::open_link(), for reports on CAN; empty: not on CAN
+  std::string port;                  // path for link::open_link(), for commands; empty: not given
+  model::NodeId via = 0;             // the node that passes commands on to this one over the air; 0: none
+  std::string via_port;              // port of `via`; empty: none
+  std::string can_link;              // path for link::open_link(), for reports on CAN; empty: not on CAN
   std::optional<std::uint8_t> slot;  // a tag's, if the plan names it
   std::string probe;                 // serial number of its debug probe; empty: not given
   groma_Config config = groma_Config_init_zero;  // passes node::fault_of()

@@ -126,8 +126,7 @@ Chart los_map(const model::AnchorCalibration& anchor, std::span<const calibratio
   Chart map(axes);
   std::vector<Vector2d> los;
   std::vector<Vector2d> nlos;
-  for (const calibration::FittedRange& row : rows)
-    (row.los < 0.5 ? nlos : los).push_back(row.antenna_m);
+  for (const calibration::FittedRange& row : rows) (row.los < 0.5 ? nlos : los).push_back(row.antenna_m);
   map.add_points("LOS", Ink::kGood, std::move(los));
   map.add_points("NLOS or outlier", Ink::kBad, std::move(nlos));
   if (is_known(anchor)) {
@@ -248,8 +247,8 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
     Ink ink;
     std::vector<Vector2d> line{};
   };
-  std::array<Part, 3> parts{Part{"path, LOS to 5 anchors or more", Ink::kGood},
-                            Part{"3 or 4", Ink::kSeries2}, Part{"fewer", Ink::kOther}};
+  std::array<Part, 3> parts{Part{"path, LOS to 5 anchors or more", Ink::kGood}, Part{"3 or 4", Ink::kSeries2},
+                            Part{"fewer", Ink::kOther}};
   std::size_t last_part = parts.size();
   std::optional<model::PoseSample> last;
   for (const model::PoseSample& pose : drive.poses) {
@@ -320,8 +319,8 @@ void add_map(Page& page, const calibration::Drive& drive, const calibration::Res
     map.add_ellipses("95 % ellipse", ink, std::move(group.ellipses));
     map.add_marks(group.name, ink, std::move(group.marks));
   }
-  page.add_chart(
-      map, "The drive and the estimated anchor positions from above. Click an anchor for its details.");
+  page.add_chart(map,
+                 "The drive and the estimated anchor positions from above. Click an anchor for its details.");
 }
 
 void add_anchors(Page& page, const calibration::Result& result) {

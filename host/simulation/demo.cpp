@@ -79,7 +79,7 @@ std::vector<double> errors_of(const model::Calibration& calibration,
 }
 
 double nlos_share(const sim::World& world, const std::vector<model::RangeSample>& first,
-                           const std::vector<model::RangeSample>& second) {
+                  const std::vector<model::RangeSample>& second) {
   std::size_t nlos = 0;
   for (const auto* ranges : {&first, &second}) {
     for (const model::RangeSample& range : *ranges) {

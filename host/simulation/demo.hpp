@@ -34,7 +34,7 @@ struct DemoResult {
   io::Dataset first_drive;  // measurements and truth
   io::Dataset second_drive;
   double ranges_per_s = 0.0;      // delivered to the estimators, mean over both drives
-  double nlos_share = 0.0;     // NLOS share of these ranges
+  double nlos_share = 0.0;        // NLOS share of these ranges
   std::uint64_t frames_lost = 0;  // reports lost in the nodes' queues and on the links together
   double simulated_s = 0.0;
   double wall_s = 0.0;

@@ -124,8 +124,7 @@ void SiteServer::step(double t_s) {
   std::array<std::uint8_t, 512> chunk{};
   for (std::size_t i = 0; i < ports_.size(); ++i) {
     const std::size_t size = ports_[i].read(chunk);
-    if (size > 0)
-      (void)site_.send(i, std::span(chunk).first(size));  // what exceeds the line's queue is lost
+    if (size > 0) (void)site_.send(i, std::span(chunk).first(size));  // what exceeds the line's queue is lost
   }
   site_.run_until(t_s);
   for (std::size_t i = 0; i < ports_.size(); ++i) {

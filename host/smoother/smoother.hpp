@@ -26,8 +26,8 @@ struct Result {
   double range_delay_s = 0.0;
   double odometry_delay_s = 0.0;
   std::size_t ranges_seen = 0;
-  double ranges_los = 0.0;  // sum of their LOS probabilities
-  filter::Counters counters;     // of the filter run that initializes it
+  double ranges_los = 0.0;    // sum of their LOS probabilities
+  filter::Counters counters;  // of the filter run that initializes it
   int rounds = 0;
   bool converged = false;  // the last round moved no pose by more than a millimetre
 };

@@ -100,8 +100,7 @@ link::ReportCounters recorded(const std::string& name) {
 class GromadOnCan : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (!std::filesystem::exists(kRecording / "fd.log"))
-      GTEST_SKIP() << "no recording by record_can_site";
+    if (!std::filesystem::exists(kRecording / "fd.log")) GTEST_SKIP() << "no recording by record_can_site";
     // Loads the executable into the page cache: a late page from the virtual machine's file system would
     // delay it.
     static_cast<void>(read_text(GROMAD_PATH));

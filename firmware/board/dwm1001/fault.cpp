@@ -70,7 +70,7 @@ std::optional<SavedFault> take_saved_fault() noexcept {
   record.magic = 0;
   if (saved.magic != kMagic || saved.crc != crc_of(saved)) return std::nullopt;
   return SavedFault{.cause = static_cast<FaultCause>(saved.cause),
-                   .fault = {.pc = saved.pc, .lr = saved.lr, .cfsr = saved.cfsr}};
+                    .fault = {.pc = saved.pc, .lr = saved.lr, .cfsr = saved.cfsr}};
 }
 
 }  // namespace groma::dwm1001

@@ -144,7 +144,7 @@ class Mastership {
   [[nodiscard]] bool is_credible(std::uint16_t source, const Beacon& beacon) const noexcept;
   [[nodiscard]] bool gives_way(const Beacon& beacon, ranging::Ticks ahead) const noexcept;
   [[nodiscard]] Verdict judge_misplaced(const Beacon& beacon, ranging::Ticks ahead,
-                                   ranging::ClockTime now) noexcept;
+                                        ranging::ClockTime now) noexcept;
   [[nodiscard]] Verdict request_merge() noexcept;
   [[nodiscard]] Verdict judge_other_session(std::uint16_t source, const Beacon& beacon,
                                             ranging::Ticks ahead) noexcept;
@@ -203,20 +203,20 @@ class Mastership {
   Role role_ = Role::kSearching;
   std::uint8_t last_beacons_ = 0;  // still to be sent by a master that resigns
   bool suspicious_ = false;
-  std::uint32_t suspected_ = 0;  // superframe
-  std::uint8_t unverified_polls_ = 0;    // superframes for which the report counts
+  std::uint32_t suspected_ = 0;        // superframe
+  std::uint8_t unverified_polls_ = 0;  // superframes for which the report counts
   bool lacking_ = false;
   bool idle_ = false;
   std::uint8_t hop_ = 0;
   std::uint16_t master_ = kNobody;
-  std::uint16_t parent_ = kNobody;  // the sender whose beacons the clock filter uses
-  std::uint32_t number_ = 0;        // superframe in progress
-  std::uint32_t fresh_ = 0;         // superframe in which the master sent what is known
-  std::uint32_t parent_origin_ = 0;   // as fresh_, of what the parent reported
+  std::uint16_t parent_ = kNobody;   // the sender whose beacons the clock filter uses
+  std::uint32_t number_ = 0;         // superframe in progress
+  std::uint32_t fresh_ = 0;          // superframe in which the master sent what is known
+  std::uint32_t parent_origin_ = 0;  // as fresh_, of what the parent reported
   // As fresh_, the latest known of former masters of this session.
   std::optional<std::uint32_t> former_;
   std::uint64_t session_ = 0;
-  bool proven_ = false;      // more than one beacon has confirmed the session
+  bool proven_ = false;         // more than one beacon has confirmed the session
   std::uint8_t misplaced_ = 0;  // consecutive beacons of masters of this session with a wrong count
   // Superframe in which each rank was last heard directly.
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
@@ -238,7 +238,7 @@ class Mastership {
   std::uint32_t led_ = 0;             // superframe of its last beacon as master
   std::uint32_t newer_schedule_ = 0;  // fingerprint of the newer schedule in the last beacon that had one
   std::uint32_t older_schedule_ = 0;
-  bool displaces_older_ = false;         // while searching: a network with an older schedule is near
+  bool displaces_older_ = false;    // while searching: a network with an older schedule is near
   ranging::ClockTime stale_until_;  // starts no session until then: a newer schedule is near
 
   ranging::ClockTime search_start_;

@@ -433,18 +433,18 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     return false;
   }
   const BeaconReception stamp{.superframe = beacon.superframe,
-                          .place = place_in_superframe(beacon),
-                          .heard = reception.stamp,
-                          .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
-                          .hop = beacon.hop,
-                          .age = beacon.age};
+                              .place = place_in_superframe(beacon),
+                              .heard = reception.stamp,
+                              .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
+                              .hop = beacon.hop,
+                              .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
   const bool requested = seal_.on() && beacon.invitation;
   const std::uint64_t session = mastership_.session();
   const Verdict verdict = unverified_ ? mastership_.judge_hearsay(frame.source, beacon)
                           : requested ? mastership_.judge_call(frame.source, beacon, ahead)
-                                   : mastership_.judge(frame.source, beacon, ahead, reception.stamp);
+                                      : mastership_.judge(frame.source, beacon, ahead, reception.stamp);
   switch (verdict) {
     case Verdict::kStale:
       ++counters_.stale_frames;
@@ -499,7 +499,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
 }
 
 bool Station::take_time(const BeaconReception& stamp, std::uint64_t session, Verdict verdict,
-                         bool persuasive) noexcept {
+                        bool persuasive) noexcept {
   if (verdict == Verdict::kAdopt) {
     if (!fresh()) freshness_.forget();
     seal_.enter(session);

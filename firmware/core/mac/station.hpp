@@ -226,7 +226,7 @@ class Station {
     std::uint32_t left = 0;  // how many of its shared slots this session's nodes stay silent for
   };
   std::optional<Others> others_;  // while searching: of an older schedule
-  bool unverified_ = false;          // the last beacon: its MIC is valid, but it may be a replay
+  bool unverified_ = false;       // the last beacon: its MIC is valid, but it may be a replay
   bool scanning_ = false;         // after the own beacon has been sent
   std::uint32_t number_ = 0;
   Action listening_;

@@ -1064,9 +1064,8 @@ class Node {
   std::size_t ranges_left_ = 0;
   ranging::ClockTime report_time_;
   std::uint64_t next_piece_us_ = 0;
-  std::optional<ranging::ClockTime>
-      armed_;                            // start of a listening armed before the machine asked for it
-  std::uint32_t proven_superframe_ = 0;  // superframe at the last proof of life
+  std::optional<ranging::ClockTime> armed_;  // start of a listening armed before the machine asked for it
+  std::uint32_t proven_superframe_ = 0;      // superframe at the last proof of life
   std::uint32_t report_sequence_ = 0;
   std::optional<dw1000::Ambient> ambient_;
   bool sampling_ = false;

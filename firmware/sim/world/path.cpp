@@ -49,7 +49,7 @@ void append_leg(std::vector<Point>& points, const Eigen::Vector2d& to) {
 
 // Appends an arc of turn_rad that starts with the heading tangent_rad. `at_half`: the index of its middle.
 void append_arc(std::vector<Point>& points, double tangent_rad, double turn_rad, double radius_m,
-              std::size_t& at_half) {
+                std::size_t& at_half) {
   const Point start = points.back();
   const double side = turn_rad > 0.0 ? 1.0 : -1.0;
   const double centre_x = start.x_m - side * radius_m * std::sin(tangent_rad);

@@ -172,8 +172,7 @@ std::vector<Wall> parse_walls(const YamlValue& list, const std::vector<Material>
     for (std::size_t i = 1; i < corners.size(); ++i) {
       wall.from_m = point2(corners[i - 1]);
       wall.to_m = point2(corners[i]);
-      if ((wall.to_m - wall.from_m).norm() < 1e-3)
-        corners[i].fail("equals the point before it", "remove it");
+      if ((wall.to_m - wall.from_m).norm() < 1e-3) corners[i].fail("equals the point before it", "remove it");
       walls.push_back(wall);
     }
   }

@@ -186,7 +186,7 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
     const double amplitude = std::min(std::sqrt(from_db(ray.power_dbm - first->power_dbm)), 1.0);
     const double overlap = std::exp(-(late_m / kLeadingEdge_m) * (late_m / kLeadingEdge_m));
     shift_m += kLeadingEdgeGain * amplitude * late_m * overlap *
-              std::cos(2.0 * std::numbers::pi * late_m / kWavelength_m);
+               std::cos(2.0 * std::numbers::pi * late_m / kWavelength_m);
   }
   arrival.receive_power_dbm = to_db(total);
   arrival.first_path_power_dbm = first->power_dbm;

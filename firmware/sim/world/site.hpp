@@ -15,8 +15,8 @@ namespace groma::sim {
 
 struct Material {
   std::string name;
-  double loss_db = 10.0;  // of a ray through it; opaque from kOpaqueLoss_db
-  double excess_m = 0.1;  // mean delay of a ray through it, times c
+  double loss_db = 10.0;                     // of a ray through it; opaque from kOpaqueLoss_db
+  double excess_m = 0.1;                     // mean delay of a ray through it, times c
   std::optional<double> reflection_loss_db;  // nullopt: no reflection
 };
 

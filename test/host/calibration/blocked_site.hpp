@@ -30,7 +30,7 @@ struct Blocking {
   std::vector<PlanWall> walls;  // as high as the hall
   double reply_los = 0.95;
   double long_nlos_reply = 0.45;
-  double excess_m = 0.3;        // least excess behind a wall
+  double excess_m = 0.3;                  // least excess behind a wall
   double long_nlos_excess_mean_m = 0.15;  // mean of the exponential excess beyond it
   double short_nlos_reply = 0.6;
   double short_nlos_excess_mean_m = 0.3;
@@ -86,8 +86,8 @@ inline void add_powers(Powers powers, double blocked_share, Random& random, mode
     case Powers::kNothing:
       weak = std::fmod(range.t_s + range.anchor_id, kPeriod_s) < 0.5 * kPeriod_s ? 1.0 : 0.0;
   }
-  const double first_path_dbm = kLos_dbm - 20.0 * std::log10(std::max(range.range_m, 0.1)) -
-                                kLoss_db * weak + kSigma_db * random.gaussian();
+  const double first_path_dbm = kLos_dbm - 20.0 * std::log10(std::max(range.range_m, 0.1)) - kLoss_db * weak +
+                                kSigma_db * random.gaussian();
   range.first_path_power_dbm = static_cast<float>(first_path_dbm);
   range.receive_power_dbm = static_cast<float>(first_path_dbm + 2.0 + weak);
 }

@@ -173,12 +173,11 @@ inline void add_seeds(const SiteSettings& settings, std::uint64_t first, std::ui
       // none.
       const Eigen::Matrix3d covariance =
           drifts ? Eigen::Matrix3d(found.covariance.topLeftCorner<3, 3>())
-                  : Eigen::Matrix3d(model::own_covariance(found, result.calibration.common_frame_covariance)
-                                        .topLeftCorner<3, 3>());
+                 : Eigen::Matrix3d(model::own_covariance(found, result.calibration.common_frame_covariance)
+                                       .topLeftCorner<3, 3>());
       const double nees = error_m.dot(covariance.ldlt().solve(error_m));
       out.square_m2 += error_m.squaredNorm();
-      out.bound_m2 +=
-          drifts ? of_drift[a].trace() : cramer_rao_bound(site, a).topLeftCorner<3, 3>().trace();
+      out.bound_m2 += drifts ? of_drift[a].trace() : cramer_rao_bound(site, a).topLeftCorner<3, 3>().trace();
       if (has_oracle) {
         out.oracle_m2 += (oracle_position_m(site, a) - site.anchors[a].position_m).squaredNorm();
       }

@@ -13,8 +13,8 @@
 #include <Eigen/Cholesky>
 
 #include "host/calibration/anchor_solver.hpp"
-#include "host/calibration/moved.hpp"
 #include "host/calibration/los_solver.hpp"
+#include "host/calibration/moved.hpp"
 #include "test/host/calibration/blocked_site.hpp"
 #include "test/support/numerical_jacobian.hpp"
 

@@ -118,9 +118,9 @@ TEST(SharedUnknowns, PriorOfTheKnotsMayBeSmooth) {
       .knots = {.begin_s = 0.0, .spacing_s = 3.0, .count = 6}, .knot_scale = {}, .body_tags = 1};
   for (const double damping_ratio : {1.0, 0.1}) {
     const SharedPrior prior{.drift = {.sigma_m = 0.2,
-                                       .sigma_yaw_rad = 0.01,
-                                       .correlation_s = 7.0,
-                                       .damping_ratio = damping_ratio},
+                                      .sigma_yaw_rad = 0.01,
+                                      .correlation_s = 7.0,
+                                      .damping_ratio = damping_ratio},
                             .delay_sigma_s = 0.03,
                             .body = true};
     const Eigen::MatrixXd information = prior_information(unknowns, prior);

@@ -294,7 +294,7 @@ TEST(Session, KeepsAndLogsMessagesOfNodes) {
   ASSERT_TRUE(site.session.node(site.tag).hello());
   EXPECT_EQ(site.session.node(site.tag).hello()->id, 3U);
   EXPECT_THAT(lines, testing::ElementsAre(testing::HasSubstr("tag-1: node 3 runs version 0.1.0"),
-                                         testing::HasSubstr("tag-1: no beacon")));
+                                          testing::HasSubstr("tag-1: no beacon")));
 }
 
 // The result does not depend on how the bytes are cut into pieces.

@@ -254,8 +254,8 @@ double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model
   constexpr double kLos[] = {0.8, 0.15, 0.05};
   constexpr double kNlos[] = {0.4, 0.3, 0.3};
   const std::size_t hidden = of / model::kStrengthClasses;
-  const double believed = (state == &Learnt::nlos ? kNlos[hidden] : kLos[hidden]) /
-                          static_cast<double>(model::kStrengthClasses);
+  const double believed =
+      (state == &Learnt::nlos ? kNlos[hidden] : kLos[hidden]) / static_cast<double>(model::kStrengthClasses);
   double of_class = config.hint_prior_count * believed;
   double sum = config.hint_prior_count;
   for (const Learnt& one : all) {
@@ -327,11 +327,11 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
                                                        : class_of(-58.0, 1.0);
     const auto densities = [&](double share) {
       const double los = (1.0 - share) * (1.0 - config.garbage_share) *
-                              std::exp(-0.5 * e_m * e_m / kVariance_m2) /
-                              (kSigma_m * std::sqrt(2.0 * std::numbers::pi));
+                         std::exp(-0.5 * e_m * e_m / kVariance_m2) /
+                         (kSigma_m * std::sqrt(2.0 * std::numbers::pi));
       const double nlos = share * (1.0 - config.garbage_share) *
-                             ((1.0 - config.short_share) * with_excess(e_m, kSigma_m, config.excess_m) +
-                              config.short_share * with_excess(-e_m, kSigma_m, config.excess_m));
+                          ((1.0 - config.short_share) * with_excess(e_m, kSigma_m, config.excess_m) +
+                           config.short_share * with_excess(-e_m, kSigma_m, config.excess_m));
       return std::pair{los, nlos};
     };
     const double garbage = config.garbage_share / config.garbage_width_m;

@@ -27,7 +27,8 @@ model::OdometrySample some_row(Random& random) {
 }
 
 Eigen::Vector3d true_velocity(const CoreVector& core, const model::OdometrySample& row) {
-  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx), (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy),
+  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx),
+          (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy),
           row.omega_radps - core(kYawBias) - core(kOdometryOmega)};
 }
 

@@ -137,7 +137,8 @@ TEST(Parameters, UseTheCalibrationsBlocksForTheGivenTags) {
   const Parameters parameters(site);
   const Eigen::MatrixXd covariance =
       JointCovariance(site, parameters, EstimatedParameters::kAll).parameters(site, parameters);
-  EXPECT_EQ(covariance, JointCovariance(site, parameters, EstimatedParameters::kNothing).parameters(site, parameters));
+  EXPECT_EQ(covariance,
+            JointCovariance(site, parameters, EstimatedParameters::kNothing).parameters(site, parameters));
   for (int slot = 0; slot < 6; ++slot) {
     const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(slot)];
     EXPECT_EQ(site.anchor_index(anchor.id), slot);

@@ -37,10 +37,9 @@ TEST(LosProbabilities, EqualsTheSumOverAllStateSequences) {
   std::vector<double> nlos_density;
   for (const Residual& r : pair) {
     in_sight_density.push_back((1.0 - config.garbage_share) * gaussian(r.error_m, r.sigma_m));
-    nlos_density.push_back(
-        (1.0 - config.garbage_share) *
-        ((1.0 - config.short_share) * with_excess(r.error_m, r.sigma_m, config.excess_m) +
-         config.short_share * with_excess(-r.error_m, r.sigma_m, config.excess_m)));
+    nlos_density.push_back((1.0 - config.garbage_share) *
+                           ((1.0 - config.short_share) * with_excess(r.error_m, r.sigma_m, config.excess_m) +
+                            config.short_share * with_excess(-r.error_m, r.sigma_m, config.excess_m)));
   }
   std::vector<double> expected(n, 0.0);
   double total = 0.0;
