@@ -134,10 +134,10 @@ bool long_residuals_are_correlated(const AnchorFit& fit) {
 // Largest log likelihood of the polls if replies are lost independently.
 double log_evidence_of_losses(std::span<const Poll> polls) {
   const auto missed = static_cast<double>(std::count(polls.begin(), polls.end(), kMissed));
-  const auto told = static_cast<double>(polls.size()) -
+  const auto known = static_cast<double>(polls.size()) -
                     static_cast<double>(std::count(polls.begin(), polls.end(), kUnknownPoll));
-  const double share = std::min(missed / told, kMostLosses);
-  return missed * std::log(share) + (told - missed) * std::log1p(-share);
+  const double share = std::min(missed / known, kMostLosses);
+  return missed * std::log(share) + (known - missed) * std::log1p(-share);
 }
 
 // Isolated missed replies are lost by chance: NLOS has to explain them better.

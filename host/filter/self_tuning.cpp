@@ -48,7 +48,7 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
     const double half_m = kHalfWithin * std::numbers::sqrt2 * white_sigma_m_;
     white_sigma_m_ =
         std::clamp(white_sigma_m_ * adjustment(differences_, innovation_m - last.innovation_m, half_m),
-                   told_sigma_m_ / kMostFactor, told_sigma_m_ * kMostFactor);
+                   nominal_sigma_m_ / kMostFactor, nominal_sigma_m_ * kMostFactor);
   }
   last = {.t_s = t_s, .innovation_m = innovation_m, .heard = true};
   // The slow range bias is estimated from ranges that are too short, because NLOS makes none of these.
@@ -71,27 +71,27 @@ void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
     const auto difference = [&](double model::OdometrySample::*axis) {
       return row.*axis - 3.0 * last_[0].*axis + 3.0 * last_[1].*axis - last_[2].*axis;
     };
-    adjust(velocity_, difference(&model::OdometrySample::vx_mps), told_.sigma_vx_mps);
-    adjust(velocity_, difference(&model::OdometrySample::vy_mps), told_.sigma_vy_mps);
-    adjust(turn_, difference(&model::OdometrySample::omega_radps), told_.sigma_omega_radps);
+    adjust(velocity_, difference(&model::OdometrySample::vx_mps), nominal_.sigma_vx_mps);
+    adjust(velocity_, difference(&model::OdometrySample::vy_mps), nominal_.sigma_vy_mps);
+    adjust(turn_, difference(&model::OdometrySample::omega_radps), nominal_.sigma_omega_radps);
   }
   last_ = {row, last_[0], last_[1]};
   rows_ = std::min(rows_ + 1, last_.size());
 }
 
-void OdometryTuning::adjust(Factor& factor, double difference, double told) noexcept {
+void OdometryTuning::adjust(Factor& factor, double difference, double nominal) noexcept {
   if (model::is_ablated(model::Mechanism::kOdometryNoise)) return;
   // Exactly zero: the axis is not measured.
-  if (difference == 0.0 || !(told > 0.0)) return;
+  if (difference == 0.0 || !(nominal > 0.0)) return;
   factor.differences += 1.0;
-  const double half = kHalfWithin * kThirdDifference * told * factor.value;
+  const double half = kHalfWithin * kThirdDifference * nominal * factor.value;
   factor.value = std::clamp(factor.value * adjustment(factor.differences, difference, half),
                             1.0 / kMostFactor, kMostFactor);
 }
 
 model::OdometryNoise OdometryTuning::noise() const noexcept {
-  return {told_.sigma_vx_mps * velocity_.value, told_.sigma_vy_mps * velocity_.value,
-          told_.sigma_omega_radps * turn_.value};
+  return {nominal_.sigma_vx_mps * velocity_.value, nominal_.sigma_vy_mps * velocity_.value,
+          nominal_.sigma_omega_radps * turn_.value};
 }
 
 }  // namespace groma::filter

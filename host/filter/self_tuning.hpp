@@ -13,7 +13,7 @@ namespace groma::filter {
 
 class RangeTuning {
  public:
-  explicit RangeTuning(double white_sigma_m) : told_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}
+  explicit RangeTuning(double white_sigma_m) : nominal_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}
 
   // Adapts to an innovation of a pair; variance_m2: S, with the white noise.
   void observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept;
@@ -31,7 +31,7 @@ class RangeTuning {
     bool heard = false;
   };
 
-  double told_sigma_m_;
+  double nominal_sigma_m_;
   double white_sigma_m_;
   double range_bias_scale_ = 1.0;
   double differences_ = 0.0;  // number so far
@@ -43,7 +43,7 @@ class RangeTuning {
 // nominal sigmas, because many robots measure only one of them; omega has its own.
 class OdometryTuning {
  public:
-  explicit OdometryTuning(const model::OdometryNoise& told) : told_(told) {}
+  explicit OdometryTuning(const model::OdometryNoise& nominal) : nominal_(nominal) {}
 
   // Adapts to the next sample.
   void observe(const model::OdometrySample& row) noexcept;
@@ -59,9 +59,9 @@ class OdometryTuning {
     double differences = 0.0;  // number so far
   };
 
-  static void adjust(Factor& factor, double difference, double told) noexcept;
+  static void adjust(Factor& factor, double difference, double nominal) noexcept;
 
-  model::OdometryNoise told_;
+  model::OdometryNoise nominal_;
   Factor velocity_;
   Factor turn_;
   std::array<model::OdometrySample, 3> last_{};  // newest first

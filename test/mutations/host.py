@@ -132,7 +132,7 @@ MUTATIONS = [
      ""),
     ("self-tuning: the estimated range noise is not used", "host/filter/self_tuning.hpp",
      "return white_sigma_m_; }",
-     "return told_sigma_m_; }"),
+     "return nominal_sigma_m_; }"),
     ("sensors: GNSS gives no heading by its lever arm", "host/filter/sensors.cpp",
      "pose.d_rotation_d_theta * lever_arm;",
      "0.0 * lever_arm;"),

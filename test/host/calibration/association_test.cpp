@@ -66,15 +66,15 @@ TEST(Association, PropagatesPoseCovarianceToTheAntenna) {
                                Eigen::Matrix3d::NullaryExpr([&] { return random.gaussian(); });
   const Eigen::Matrix3d covariance = root * root.transpose();
   std::vector<PoseSample> poses{{.t_s = 0.0, .yaw_rad = 0.4}, {.t_s = 0.2, .x_m = 0.3, .yaw_rad = 0.6}};
-  const auto told = [&](double factor) -> model::PoseCovariance {
+  const auto covariance_of = [&](double factor) -> model::PoseCovariance {
     const Eigen::Matrix3d all = factor * covariance;
     return {all(0, 0), all(0, 1), all(0, 2), all(1, 1), all(1, 2), all(2, 2)};
   };
   EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero());
-  poses[0].covariance = told(1.0);
+  poses[0].covariance = covariance_of(1.0);
   EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero())
       << "one pose with a covariance is not enough";
-  poses[1].covariance = told(3.0);
+  poses[1].covariance = covariance_of(3.0);
   const Observation row = only_row(poses, 0.05, model::Surface());
   Eigen::Matrix<double, 2, 3> by_pose;
   for (Eigen::Index axis = 0; axis < 3; ++axis) {
@@ -90,7 +90,7 @@ TEST(Association, PropagatesPoseCovarianceToTheAntenna) {
   EXPECT_NEAR(row.pose_spread_m2(0), expected(0, 0), 1e-5);
   EXPECT_NEAR(row.pose_spread_m2(1), expected(0, 1), 1e-5);
   EXPECT_NEAR(row.pose_spread_m2(2), expected(1, 1), 1e-5);
-  poses[1].covariance = told(-1.0);
+  poses[1].covariance = covariance_of(-1.0);
   EXPECT_EQ(only_row(poses, 0.05, model::Surface()).pose_spread_m2, Eigen::Vector3f::Zero())
       << "not a covariance";
 }

@@ -33,7 +33,7 @@ TEST(Calibrate, ReportsTheCommonFramesCovariance) {
 }
 
 // Poses that are poor for a quarter of the drive and, on demand, report their covariance.
-test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool told) {
+test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool with_covariance) {
   test::SimulatedSite site = test::simulate_site({.ranges_per_pair = 400, .beta_sigma_m = 0.3}, seed);
   test::Random random(seed + 100);
   Eigen::Vector3d error = random.gaussians(3);
@@ -47,7 +47,7 @@ test::SimulatedSite partly_poor(std::uint64_t seed, double correlation_s, bool t
     pose.x_m += sigma_m * error.x();
     pose.y_m += sigma_m * error.y();
     pose.yaw_rad = model::wrap_angle(pose.yaw_rad + sigma_rad * error.z());
-    if (!told) continue;
+    if (!with_covariance) continue;
     pose.covariance = {sigma_m * sigma_m, 0.0, 0.0, sigma_m * sigma_m, 0.0, sigma_rad * sigma_rad};
   }
   return site;
@@ -60,10 +60,10 @@ TEST(Calibrate, WeightsPosesByTheirCovarianceOverManyDrives) {
     double anchors = 0.0;
   };
   for (const double correlation_s : {0.02, 1.0, 20.0}) {
-    const auto score = [&](bool told) {
+    const auto score = [&](bool with_covariance) {
       Score out;
       for (std::uint64_t seed = 1; seed <= 6; ++seed) {
-        const test::SimulatedSite site = partly_poor(seed, correlation_s, told);
+        const test::SimulatedSite site = partly_poor(seed, correlation_s, with_covariance);
         const model::Calibration found = calibrate(site.drive()).calibration;
         for (std::size_t a = 0; a < site.anchors.size(); ++a) {
           const Eigen::Vector3d error_m = found.anchors[a].position_m - site.anchors[a].position_m;

@@ -224,9 +224,9 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
     const Eigen::Vector3d dense_m = solution.segment<3>(5 * i);
     const Eigen::Matrix3d dense = covariance.block<3, 3>(5 * i, 5 * i);
     EXPECT_LT((anchor.position_m - dense_m).norm(), 0.3 * std::sqrt(dense.trace())) << i;
-    const Eigen::Matrix3d told = anchor.covariance.topLeftCorner<3, 3>();
-    EXPECT_GT(told.trace(), 0.9 * dense.trace()) << i;
-    EXPECT_LT(told.trace(), 1.4 * dense.trace()) << i;
+    const Eigen::Matrix3d stated = anchor.covariance.topLeftCorner<3, 3>();
+    EXPECT_GT(stated.trace(), 0.9 * dense.trace()) << i;
+    EXPECT_LT(stated.trace(), 1.4 * dense.trace()) << i;
   }
 }
 

@@ -104,7 +104,7 @@ TEST(LosChain, EqualsTheSumOverAllStateSequences) {
 
 // Reference: likelihood ratios of the classes, range by range.
 TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
-  struct Told {
+  struct Counted {
     model::PowerClass of;
     double los;
   };
@@ -118,7 +118,7 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   ranges[kUsual + 2] = 5.0;
   PowerHints hints(ranges, kInterval_s);
   EXPECT_EQ(hints.ratio(model::kNoPowerClass), 1.0);
-  const auto expect = [&](const std::vector<Told>& all) {
+  const auto expect = [&](const std::vector<Counted>& all) {
     constexpr std::array kSeen{0.8, 0.15, 0.05};
     constexpr std::array kHidden{0.4, 0.3, 0.3};
     double near_all = 0.0;
@@ -134,12 +134,12 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
       double blocked = 30.0 * kHidden[hidden] / 17.0;
       double all_seen = 30.0;
       double all_blocked = 30.0;
-      for (const Told& told : all) {
-        all_seen += 0.25 * told.los;
-        all_blocked += 0.25 * (1.0 - told.los);
-        if (told.of != i) continue;
-        seen += 0.25 * told.los;
-        blocked += 0.25 * (1.0 - told.los);
+      for (const Counted& counted : all) {
+        all_seen += 0.25 * counted.los;
+        all_blocked += 0.25 * (1.0 - counted.los);
+        if (counted.of != i) continue;
+        seen += 0.25 * counted.los;
+        blocked += 0.25 * (1.0 - counted.los);
       }
       const double ratio = std::clamp(blocked / all_blocked / (seen / all_seen), 0.1, 10.0);
       EXPECT_NEAR(hints.ratio(static_cast<model::PowerClass>(i)), ratio, 1e-9 * ratio) << i;
@@ -148,7 +148,7 @@ TEST(PowerHints, AreTheSharesOfEachClassInEachState) {
   expect({});
   // Twice: earlier counts do not count.
   for (int round = 0; round < 2; ++round) {
-    std::vector<Told> all;
+    std::vector<Counted> all;
     PowerCounts counts;
     for (int i = 0; i < 500; ++i) {
       all.push_back(

@@ -162,15 +162,15 @@ TEST(SharedUnknowns, PriorOfTheKnotsFollowsThePosesCovariance) {
   test::Random random(4);
   SharedUnknowns unknowns{.knots = {.begin_s = 1.0, .spacing_s = 3.0, .count = 4}, .knot_scale = {}};
   std::vector<PoseSpread> spreads;
-  std::vector<Eigen::Matrix3d> told;
+  std::vector<Eigen::Matrix3d> covariances;
   for (int k = 0; k < 3; ++k) {  // none near the last knot
     Eigen::Matrix3d root = Eigen::Vector3d(0.3, 0.3, 0.02).asDiagonal() * Eigen::Matrix3d::Identity();
     for (Eigen::Index axis = 0; axis < 3; ++axis) root.row(axis) *= 1.0 + 0.5 * random.uniform();
     root(1, 0) = 0.1 * random.gaussian();
     root(2, 0) = 0.01 * random.gaussian();
-    told.emplace_back(root * root.transpose());
+    covariances.emplace_back(root * root.transpose());
     for (const double share : {0.5, 1.5}) {
-      spreads.push_back({.t_s = 1.0 + 3.0 * k + share - 1.0, .covariance = share * told.back()});
+      spreads.push_back({.t_s = 1.0 + 3.0 * k + share - 1.0, .covariance = share * covariances.back()});
     }
   }
   const PoseQuality typical{.sigma_m = 0.3, .sigma_yaw_rad = 0.02};
@@ -181,7 +181,7 @@ TEST(SharedUnknowns, PriorOfTheKnotsFollowsThePosesCovariance) {
   const Eigen::MatrixXd information = prior_information(unknowns, prior);
   const Eigen::MatrixXd covariance = information.inverse();
   for (Eigen::Index k = 0; k < 3; ++k) {
-    const Eigen::Matrix3d expected = 4.0 * told[static_cast<std::size_t>(k)];
+    const Eigen::Matrix3d expected = 4.0 * covariances[static_cast<std::size_t>(k)];
     EXPECT_LT((covariance.block<3, 3>(3 * k, 3 * k) - expected).norm(), 1e-4 * expected.norm());
   }
   EXPECT_NEAR(covariance(9, 9), 0.36, 1e-6);

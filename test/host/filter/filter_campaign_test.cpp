@@ -161,9 +161,9 @@ struct Campaign {
   double bound_m2 = 0.0;
   double bound_rad2 = 0.0;
   // The same instant, predicted from kAhead odometry samples before it.
-  double foreseen_nees = 0.0;
-  int foreseen_inside_95 = 0;
-  double foreseen_square_m2 = 0.0;
+  double predicted_nees = 0.0;
+  int predicted_inside_95 = 0;
+  double predicted_square_m2 = 0.0;
 
   [[nodiscard]] double position_over_bound() const { return std::sqrt(square_m2 / bound_m2); }
   [[nodiscard]] double heading_over_bound() const { return std::sqrt(square_rad2 / bound_rad2); }
@@ -217,11 +217,11 @@ Campaign run(Model model) {
       if (row + kAhead == instant) {
         const auto first = drive.odometry.begin() + static_cast<std::ptrdiff_t>(row);
         const std::vector<MotionInput> ahead(first, first + kAhead + 1);
-        const Estimate foreseen = testing::predict(filter, ahead);
-        const double error = testing::squared_error(foreseen, drive.truth[instant]);
-        out.foreseen_nees += error;
-        out.foreseen_inside_95 += error <= 7.815 ? 1 : 0;
-        out.foreseen_square_m2 += square_m2(foreseen, drive.truth[instant]);
+        const Estimate predicted = testing::predict(filter, ahead);
+        const double error = testing::squared_error(predicted, drive.truth[instant]);
+        out.predicted_nees += error;
+        out.predicted_inside_95 += error <= 7.815 ? 1 : 0;
+        out.predicted_square_m2 += square_m2(predicted, drive.truth[instant]);
       }
       if (row > 0) filter.process(odometry);
       bound.begin_row();
@@ -285,20 +285,20 @@ TEST_P(FilterCampaign, IsConsistentAndNearTheCramerRaoBound) {
   record("position_over_bound", campaign.position_over_bound());
   record("heading_rmse_rad", std::sqrt(campaign.square_rad2 / runs));
   record("heading_over_bound", campaign.heading_over_bound());
-  record("foreseen_nees", campaign.foreseen_nees / (3.0 * runs));
-  record("foreseen_inside_95", campaign.foreseen_inside_95 / runs);
-  record("foreseen_position_rmse_m", std::sqrt(campaign.foreseen_square_m2 / runs));
+  record("predicted_nees", campaign.predicted_nees / (3.0 * runs));
+  record("predicted_inside_95", campaign.predicted_inside_95 / runs);
+  record("predicted_position_rmse_m", std::sqrt(campaign.predicted_square_m2 / runs));
 
   // All ranges are LOS: hardly any is gated.
   EXPECT_LE(1000 * campaign.gated, campaign.used);
   const double sigmas = GROMA_SAMPLING_SIGMAS;
   const double nees_luck = sigmas * std::sqrt(2.0 / (3.0 * runs));
   const double inside_luck = sigmas * std::sqrt(0.95 * 0.05 / runs);
-  for (const double of : {nees, campaign.foreseen_nees / (3.0 * runs)}) {
+  for (const double of : {nees, campaign.predicted_nees / (3.0 * runs)}) {
     EXPECT_GE(of, 0.90 - nees_luck);
     EXPECT_LE(of, 1.11 + nees_luck);
   }
-  for (const double of : {inside, campaign.foreseen_inside_95 / runs}) {
+  for (const double of : {inside, campaign.predicted_inside_95 / runs}) {
     EXPECT_GE(of, 0.922 - inside_luck);
     EXPECT_LE(of, 0.978 + inside_luck);
   }

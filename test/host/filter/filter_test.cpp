@@ -221,7 +221,7 @@ struct Nees {
   int inside = 0;
 };
 
-Nees nees_over_sites(int sites, const model::Calibration& calibration, const model::Calibration& told,
+Nees nees_over_sites(int sites, const model::Calibration& calibration, const model::Calibration& given,
                      const Config& config, Random& random) {
   const model::Surface surface = testing::hills(0.2);
   const model::PlanarPose start{1.0, -2.0, 0.4};
@@ -231,7 +231,7 @@ Nees nees_over_sites(int sites, const model::Calibration& calibration, const mod
   for (int i = 0; i < sites; ++i) {
     const testing::Drive drive =
         testing::drive(surface, calibration, start, {.duration_s = 15.0, .range_s = 0.02}, random);
-    const auto filter = std::make_unique<Filter>(surface, testing::three_tags(), told, config);
+    const auto filter = std::make_unique<Filter>(surface, testing::three_tags(), given, config);
     filter->process(drive.odometry.front());
     filter->start({.t_s = 0.0,
                    .pose = {start.x_m + 0.1 * random.gaussian(), start.y_m + 0.1 * random.gaussian(),

@@ -380,22 +380,22 @@ TEST(Gate, UnusedPowersChangeNoBit) {
 }
 
 // Five LOS anchors and one that is NLOS every other 5 s. tells: whether its powers indicate that.
-void teach(Gate& gate, bool tells, Random& random) {
+void train(Gate& gate, bool informative, Random& random) {
   double t_s = 0.0;
   for (int i = 0; t_s < 60.0; ++i, t_s += 0.01) {
     const bool hidden = i % 6 == 5 && std::fmod(t_s, 10.0) > 5.0;
     const double e_m = kSigma_m * random.gaussian() + (hidden ? 0.6 : 0.0);
-    const bool weak = tells ? hidden : random.uniform() < 0.5;
+    const bool weak = informative ? hidden : random.uniform() < 0.5;
     static_cast<void>(
         gate.weigh(i % 6, 0, t_s, e_m, kVariance_m2, weak ? class_of(-70.0, 1.0) : class_of(-58.0, 1.0)));
   }
 }
 
 // A pair is LOS, then NLOS with a small excess: number of ranges until the weight is below 0.5.
-int ranges_until_found(bool tells) {
+int ranges_until_found(bool informative) {
   Gate gate{GateConfig{}};
   Random random(34);
-  teach(gate, tells, random);
+  train(gate, informative, random);
   double t_s = 60.0;
   for (; t_s < 65.0; t_s += 0.05)
     static_cast<void>(gate.weigh(0, 0, t_s, 0.0, kVariance_m2, class_of(-58.0, 1.0)));
@@ -414,7 +414,7 @@ TEST(Gate, FindsAnNlosPairSoonerByInformativePowers) {
 TEST(Gate, DoesNotLockOutAPairWithMisleadingPowers) {
   Gate gate{GateConfig{}};
   Random random(35);
-  teach(gate, true, random);
+  train(gate, true, random);
   const model::PowerClass weak = class_of(-70.0, 1.0);
   EXPECT_GT(gate.hint().likelihood_ratio(weak), 5.0);
   double t_s = 60.0;

@@ -387,10 +387,10 @@ TEST(Reception, SilenceIsNoEvidenceIfPollsAreRare) {
 }
 
 // Relation of the received powers to LOS and NLOS.
-enum class Tells { kNothing, kTruth, kOpposite, kNoise };
+enum class PowerContent { kNothing, kTruth, kOpposite, kNoise };
 
 // Six anchors, each NLOS for a third of the time with an excess of 0.15 to 0.75 m.
-Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
+Errors with_nlos(Model model, PowerContent powers, std::uint64_t seed) {
   const model::Surface flat;
   const model::Calibration calibration = testing::six_anchors(0.3);
   Random random(seed);
@@ -400,10 +400,10 @@ Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
     const int wall = static_cast<int>(range.t_s / 4.0) + 5 * range.anchor_id;
     const bool nlos = wall * 7 % 3 == 0;
     if (nlos) range.range_m += 0.15 + 0.1 * (wall * 11 % 7);
-    const bool weak = tells == Tells::kTruth      ? nlos
-                      : tells == Tells::kOpposite ? !nlos
+    const bool weak = powers == PowerContent::kTruth      ? nlos
+                      : powers == PowerContent::kOpposite ? !nlos
                                                   : random.next() % 2 == 0;
-    if (tells == Tells::kNothing) continue;
+    if (powers == PowerContent::kNothing) continue;
     const double strength_dbm = (weak ? -68.0 : -59.0) + random.gaussian();
     range.first_path_power_dbm = static_cast<float>(strength_dbm - 20.0 * std::log10(range.range_m));
     range.receive_power_dbm = range.first_path_power_dbm + (weak ? 11.0F : 2.0F);
@@ -414,15 +414,15 @@ Errors behind_walls(Model model, Tells tells, std::uint64_t seed) {
 TEST(Powers, HelpIfInformativeAndCostLittleIfMisleadingOverManyDrives) {
   constexpr std::uint64_t kDrives = 12;
   for (const Model model : {Model::kSchmidt, Model::kJoint}) {
-    const auto mean_m = [model](Tells tells) {
+    const auto mean_m = [model](PowerContent powers) {
       double sum_m = 0.0;
-      for (std::uint64_t seed = 1; seed <= kDrives; ++seed) sum_m += behind_walls(model, tells, seed).mean_m;
+      for (std::uint64_t seed = 1; seed <= kDrives; ++seed) sum_m += with_nlos(model, powers, seed).mean_m;
       return sum_m / static_cast<double>(kDrives);
     };
-    const double without_m = mean_m(Tells::kNothing);
-    const double truth = mean_m(Tells::kTruth) / without_m;
-    const double opposite = mean_m(Tells::kOpposite) / without_m;
-    const double noise = mean_m(Tells::kNoise) / without_m;
+    const double without_m = mean_m(PowerContent::kNothing);
+    const double truth = mean_m(PowerContent::kTruth) / without_m;
+    const double opposite = mean_m(PowerContent::kOpposite) / without_m;
+    const double noise = mean_m(PowerContent::kNoise) / without_m;
     const std::string name(model_name(model));
     RecordProperty(name + "_truth", std::to_string(truth));
     RecordProperty(name + "_opposite", std::to_string(opposite));
