@@ -155,25 +155,25 @@ TEST(ActiveSet, ExchangesOfConsideredAnchorsLoseNoInformation) {
   const model::Calibration calibration = corridor(kMaxAnchors);
   Random random(81);
   const Truth truth = drive_along(calibration, 4, random);
-  const auto twin = make<Filter>(calibration, config_with(Model::kSchmidt, kMaxAnchors));
+  const auto reference = make<Filter>(calibration, config_with(Model::kSchmidt, kMaxAnchors));
   const auto filter = make<Filter>(calibration, config_with(Model::kSchmidt, 8));
-  for (Filter* each : {twin.get(), filter.get()}) begin(truth, *each);
+  for (Filter* each : {reference.get(), filter.get()}) begin(truth, *each);
   double largest = 0.0;
   double largest_covariance = 0.0;
   std::size_t row = 0;
   for (; row < truth.odometry.size(); row += 10) {
     const std::size_t to = std::min(row + 10, truth.odometry.size());
-    for (Filter* each : {twin.get(), filter.get()}) feed(truth, row, to, *each, kNothing);
-    largest = std::max(largest, (twin->core() - filter->core()).cwiseAbs().maxCoeff());
+    for (Filter* each : {reference.get(), filter.get()}) feed(truth, row, to, *each, kNothing);
+    largest = std::max(largest, (reference->core() - filter->core()).cwiseAbs().maxCoeff());
     largest_covariance = std::max(
-        largest_covariance, (twin->covariance().core() - filter->covariance().core()).cwiseAbs().maxCoeff());
+        largest_covariance, (reference->covariance().core() - filter->covariance().core()).cwiseAbs().maxCoeff());
   }
   EXPECT_LT(largest, 1e-9);
   EXPECT_LT(largest_covariance, 1e-9);
-  EXPECT_EQ(twin->counters().anchor_exchanges, 0U);
+  EXPECT_EQ(reference->counters().anchor_exchanges, 0U);
   EXPECT_GT(filter->counters().anchor_exchanges, 24U);
   EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive], 0U);
-  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], twin->counters().ranges[RangeOutcome::kUsed]);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], reference->counters().ranges[RangeOutcome::kUsed]);
 }
 
 struct Drives {
@@ -213,14 +213,14 @@ INSTANTIATE_TEST_SUITE_P(ActiveSet, ActiveSetModels, ::testing::Values(Model::kS
 
 TEST_P(ActiveSetModels, IsConsistentOverManyReturns) {
   constexpr int kCorridors = 150;
-  const Drives twin = drive_many(GetParam(), kMaxAnchors, kMaxAnchors, 2, kCorridors, 82);
+  const Drives reference = drive_many(GetParam(), kMaxAnchors, kMaxAnchors, 2, kCorridors, 82);
   const Drives drives = drive_many(GetParam(), kMaxAnchors, 8, 2, kCorridors, 82);
   RecordProperty("nees", std::to_string(drives.nees));
-  RecordProperty("nees_twin", std::to_string(twin.nees));
+  RecordProperty("nees_reference", std::to_string(reference.nees));
   // 4 sigmas of the mean of chi-squares.
-  EXPECT_NEAR(twin.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kCorridors)));
+  EXPECT_NEAR(reference.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kCorridors)));
   EXPECT_NEAR(drives.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kCorridors)));
-  EXPECT_NEAR(drives.error_m, twin.error_m, 0.1 * twin.error_m);
+  EXPECT_NEAR(drives.error_m, reference.error_m, 0.1 * reference.error_m);
 }
 
 // The same anchors are removed and come back many times: the neglected correlations must not add up.
@@ -317,9 +317,9 @@ TEST_P(ActiveSetModels, LateInputsUndoExchanges) {
   const Truth truth = drive_along(calibration, 2, random);
   Config config = config_with(GetParam(), 6);
   config.silent_s = 0.3;
-  const auto twin = make<Filter>(calibration, config);
-  begin(truth, *twin);
-  feed(truth, 0, truth.odometry.size(), *twin, kNothing);
+  const auto reference = make<Filter>(calibration, config);
+  begin(truth, *reference);
+  feed(truth, 0, truth.odometry.size(), *reference, kNothing);
   const auto filter = make<OrderedFilter>(calibration, config);
   begin(truth, *filter);
   // In blocks of four odometry samples: first the ranges, then the samples, each in reverse order.
@@ -333,13 +333,13 @@ TEST_P(ActiveSetModels, LateInputsUndoExchanges) {
   }
   EXPECT_EQ(test::allocations(), before);
   EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);
-  EXPECT_GT(twin->counters().anchor_exchanges, 90U);
-  EXPECT_EQ(filter->counters().anchor_exchanges, twin->counters().anchor_exchanges);
+  EXPECT_GT(reference->counters().anchor_exchanges, 90U);
+  EXPECT_EQ(filter->counters().anchor_exchanges, reference->counters().anchor_exchanges);
   EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive],
-            twin->counters().ranges[RangeOutcome::kNotActive]);
-  EXPECT_EQ(filter->filter().core(), twin->core());
-  EXPECT_EQ(testing::whole(filter->filter()), testing::whole(*twin));
-  EXPECT_EQ(filter->filter().parameters().values(), twin->parameters().values());
+            reference->counters().ranges[RangeOutcome::kNotActive]);
+  EXPECT_EQ(filter->filter().core(), reference->core());
+  EXPECT_EQ(testing::whole(filter->filter()), testing::whole(*reference));
+  EXPECT_EQ(filter->filter().parameters().values(), reference->parameters().values());
 }
 
 // If more anchors answer than may be active, the active ones stay and the others' ranges are counted.

@@ -383,7 +383,7 @@ TEST_P(EveryModel, PredictionEqualsProcessingTheSameInputs) {
       return filter;
     };
     const std::unique_ptr<Filter> filter = made();
-    const std::unique_ptr<Filter> twin = made();
+    const std::unique_ptr<Filter> reference = made();
     std::vector<MotionInput> ahead;
     std::size_t range = 0;
     for (const MotionInput& input : motion) {
@@ -394,9 +394,9 @@ TEST_P(EveryModel, PredictionEqualsProcessingTheSameInputs) {
         // make the gate suspect divergence.
         if (drive.ranges[range].t_s > 3.0 && drive.ranges[range].t_s < 6.0) continue;
         filter->process(drive.ranges[range]);
-        twin->process(drive.ranges[range]);
+        reference->process(drive.ranges[range]);
       }
-      std::visit([&](const auto& of) { twin->process(of); }, input);
+      std::visit([&](const auto& of) { reference->process(of); }, input);
       if (instant_of(input) > horizon_s) {
         ahead.push_back(input);
       } else {
@@ -406,7 +406,7 @@ TEST_P(EveryModel, PredictionEqualsProcessingTheSameInputs) {
     ASSERT_GE(ahead.size(), 3U);
     const Eigen::MatrixXd before = testing::whole(*filter);
     const Estimate predicted = testing::predict(*filter, ahead);
-    const Estimate expected = twin->estimate();
+    const Estimate expected = reference->estimate();
     EXPECT_EQ(predicted.t_s, expected.t_s);
     EXPECT_EQ(predicted.pose.x_m, expected.pose.x_m);
     EXPECT_EQ(predicted.pose.y_m, expected.pose.y_m);

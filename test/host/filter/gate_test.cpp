@@ -312,7 +312,7 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
   GateConfig config;
   config.hint_s = 0.8;
   Gate gate(config);
-  PowerHint twin(config);
+  PowerHint reference(config);
   Random random(32);
   constexpr double kStep_s = 0.5;  // polls too rare for the reception test
   double chain = config.nlos_prior;
@@ -343,10 +343,10 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
     const double weight = gate.weigh(2, 1, t_s, e_m, kVariance_m2, of);
     double expected = los / total;
     if (of != model::kNoPowerClass) {
-      const double ratio = twin.likelihood_ratio(of);
+      const double ratio = reference.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
-      if (!gate.suspects_divergence(t_s)) twin.observe(of, t_s, count * nlos / total, count * los / total);
-      const double all = twin.nlos_share();
+      if (!gate.suspects_divergence(t_s)) reference.observe(of, t_s, count * nlos / total, count * los / total);
+      const double all = reference.nlos_share();
       const double known = std::min(std::max(prior, all), config.nlos_max);
       const auto [now_in_sight, now_nlos] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
       expected = now_in_sight / (now_in_sight + now_nlos + garbage);

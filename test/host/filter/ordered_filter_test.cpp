@@ -90,19 +90,19 @@ INSTANTIATE_TEST_SUITE_P(OrderedFilter, OrderedModels, ::testing::ValuesIn(kMode
 TEST_P(OrderedModels, ShuffledWithinTheWindowEqualsInOrder) {
   const testing::Drive drive = some_drive();
   const std::vector<Input> inputs = in_order(drive);
-  const auto twin = make<Filter>(GetParam());
-  twin->start({});
-  feed(inputs, *twin);
+  const auto reference = make<Filter>(GetParam());
+  reference->start({});
+  feed(inputs, *reference);
   for (const double most_s : {0.02, kWindow_s}) {
     const auto filter = make<OrderedFilter>(GetParam());
     ASSERT_TRUE(filter->start({}));
     feed(shuffled(inputs, most_s, 3), *filter);
     EXPECT_GT(filter->reordered(), inputs.size() * 2 / 5) << most_s;
-    expect_same(filter->filter(), *twin);
-    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], twin->counters().ranges[RangeOutcome::kUsed]);
-    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kGated], twin->counters().ranges[RangeOutcome::kGated]);
+    expect_same(filter->filter(), *reference);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], reference->counters().ranges[RangeOutcome::kUsed]);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kGated], reference->counters().ranges[RangeOutcome::kGated]);
     EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kUsed],
-              twin->counters().odometry[OdometryOutcome::kUsed]);
+              reference->counters().odometry[OdometryOutcome::kUsed]);
     EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);
     EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kOutOfOrder], 0U);
   }
@@ -150,20 +150,20 @@ TEST(OrderedFilter, NonFiniteValuesAreRefused) {
 // The estimate for a late odometry sample equals the one for the same sample in time.
 TEST(OrderedFilter, GivesTheEstimateAtALateOdometrySample) {
   const std::vector<Input> inputs = in_order(some_drive(3.0));
-  const auto twin = make<OrderedFilter>(Model::kSchmidt);
+  const auto reference = make<OrderedFilter>(Model::kSchmidt);
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
-  ASSERT_TRUE(twin->start({}));
+  ASSERT_TRUE(reference->start({}));
   ASSERT_TRUE(filter->start({}));
   std::vector<Estimate> in_time;
   std::vector<Input> held_back;
   for (const Input& input : inputs) {
     const auto* row = std::get_if<model::OdometrySample>(&input);
     const bool late = row != nullptr && row->t_s > 2.0 && row->t_s < 2.3;
-    std::visit([&](const auto& of) { twin->process(of); }, input);
+    std::visit([&](const auto& of) { reference->process(of); }, input);
     if (late) {
-      in_time.push_back(twin->sample_estimate());
+      in_time.push_back(reference->sample_estimate());
       EXPECT_EQ(in_time.back().t_s, row->t_s);
-      EXPECT_EQ(in_time.back().covariance, twin->estimate().covariance);
+      EXPECT_EQ(in_time.back().covariance, reference->estimate().covariance);
       held_back.push_back(input);
     } else if (time_of(input) < 2.3) {
       std::visit([&](const auto& of) { filter->process(of); }, input);
@@ -190,41 +190,41 @@ TEST(OrderedFilter, InputsWithEqualTimesGiveTheSameResultInAnyOrder) {
       inputs.emplace_back(
           model::RangeSample{.t_s = 1.0, .tag_id = tag, .anchor_id = anchor, .range_m = 17.0});
   }
-  const auto twin = make<OrderedFilter>(Model::kJoint);
-  ASSERT_TRUE(twin->start({}));
-  feed(inputs, *twin);
+  const auto reference = make<OrderedFilter>(Model::kJoint);
+  ASSERT_TRUE(reference->start({}));
+  feed(inputs, *reference);
   std::mt19937_64 random(9);
   for (int i = 0; i < 20; ++i) {
     std::shuffle(inputs.begin(), inputs.end(), random);
     const auto filter = make<OrderedFilter>(Model::kJoint);
     ASSERT_TRUE(filter->start({}));
     feed(inputs, *filter);
-    expect_same(filter->filter(), twin->filter());
+    expect_same(filter->filter(), reference->filter());
   }
 }
 
 TEST(OrderedFilter, ALateStartAppliesFromItsTime) {
   const std::vector<Input> inputs = in_order(some_drive(1.0));
   const Start start{.t_s = 0.8};
-  const auto twin = make<Filter>(Model::kSchmidt);
+  const auto reference = make<Filter>(Model::kSchmidt);
   for (const Input& input : inputs) {
-    if (time_of(input) >= start.t_s && !twin->started()) twin->start(start);
-    std::visit([&](const auto& of) { twin->process(of); }, input);
+    if (time_of(input) >= start.t_s && !reference->started()) reference->start(start);
+    std::visit([&](const auto& of) { reference->process(of); }, input);
   }
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
   feed(inputs, *filter);
   EXPECT_FALSE(filter->started());
   ASSERT_TRUE(filter->start(start));
   EXPECT_TRUE(filter->started());
-  expect_same(filter->filter(), *twin);
+  expect_same(filter->filter(), *reference);
 }
 
 // More inputs within the window than the buffer holds only shorten the window.
 TEST(OrderedFilter, AFloodOfInputsShortensTheWindow) {
   const auto filter = make<OrderedFilter>(Model::kSchmidt);
-  const auto twin = make<Filter>(Model::kSchmidt);
+  const auto reference = make<Filter>(Model::kSchmidt);
   ASSERT_TRUE(filter->start({}));
-  twin->start({});
+  reference->start({});
   std::vector<Input> inputs;
   constexpr int kFlood = 3 * static_cast<int>(OrderedFilter::kMaxInputs) / 2;
   inputs.reserve(kFlood);
@@ -237,9 +237,9 @@ TEST(OrderedFilter, AFloodOfInputsShortensTheWindow) {
   for (std::size_t i = 0; i + 1 < inputs.size(); i += 16) std::swap(inputs[i], inputs[i + 1]);
   feed(inputs, *filter);
   for (std::size_t i = 0; i + 1 < inputs.size(); i += 16) std::swap(inputs[i], inputs[i + 1]);
-  feed(inputs, *twin);
+  feed(inputs, *reference);
   EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);
-  expect_same(filter->filter(), *twin);
+  expect_same(filter->filter(), *reference);
   EXPECT_EQ(filter->process({.t_s = 0.1, .tag_id = 1, .anchor_id = 11, .range_m = 17.0}).outcome,
             RangeOutcome::kOutOfOrder);
 }

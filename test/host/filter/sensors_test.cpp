@@ -345,9 +345,9 @@ TEST(Sensors, ASensorRefusedForLongIsUsedAgain) {
 
 TEST(Sensors, OutOfOrderEqualsInOrder) {
   const Config config = sensor_config();
-  const auto twin = filter_of(config);
+  const auto reference = filter_of(config);
   OrderedFilter filter(testing::hills(0.2), testing::three_tags(), testing::six_anchors(), config);
-  twin->start({});
+  reference->start({});
   filter.start({});
   Random random(8);
   for (int step = 0; step < 40; ++step) {
@@ -361,22 +361,22 @@ TEST(Sensors, OutOfOrderEqualsInOrder) {
                                  .x_m = 0.05 * step,
                                  .yaw_rad = 0.01 * step,
                                  .covariance = model::PoseCovariance{0.1, 0.0, 0.0, 0.1, 0.0, 0.1}};
-    twin->process(row);
-    twin->process(rate);
-    twin->process(standing);
-    twin->process(position);
-    twin->process(pose);
+    reference->process(row);
+    reference->process(rate);
+    reference->process(standing);
+    reference->process(position);
+    reference->process(pose);
     filter.process(pose);
     filter.process(standing);
     filter.process(rate);
     filter.process(position);
     filter.process(row);
   }
-  EXPECT_EQ(filter.filter().core(), twin->core());
-  EXPECT_EQ(testing::whole(filter.filter()), testing::whole(*twin));
+  EXPECT_EQ(filter.filter().core(), reference->core());
+  EXPECT_EQ(testing::whole(filter.filter()), testing::whole(*reference));
   for (std::size_t i = 0; i < model::kSensors; ++i) {
     EXPECT_EQ(filter.counters().sensors[i][SensorOutcome::kUsed],
-              twin->counters().sensors[i][SensorOutcome::kUsed])
+              reference->counters().sensors[i][SensorOutcome::kUsed])
         << i;
     EXPECT_GT(filter.counters().sensors[i][SensorOutcome::kUsed] +
                   filter.counters().sensors[i][SensorOutcome::kGated],
