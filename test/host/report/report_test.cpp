@@ -150,7 +150,7 @@ TEST(PageTest, EveryOpenedElementIsClosed) {
   page.add_table({"a", "b"}, {{{"1"}, {"2"}}, {{"3"}, {"4"}}});
   Chart chart({.x_label = "x", .y_label = "y"});
   chart.add_intervals("i", Ink::kSeries1, {{0.0, 1.0}, {1.0, 2.0}}, {0.1, 0.2});
-  chart.add_strokes("wall", Ink::kLongNlos, {{{0.0, 0.0}, {1.0, 1.0}}});
+  chart.add_strokes("wall", Ink::kWall, {{{0.0, 0.0}, {1.0, 1.0}}});
   chart.add_marks("m", Ink::kAnchor, {{{0.0, 0.0}, "1", "hint", "place"}, {{1.0, 1.0}, "2"}});
   page.add_charts({chart, chart}, "two");
   page.begin_part("place", "part", "remark", Tone::kWarning, false);
