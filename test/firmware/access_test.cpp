@@ -73,7 +73,8 @@ TEST(Access, IsTheSameInEachReplay) {
   EXPECT_EQ(turns(a, 55, 500), turns(b, 55, 500));
 }
 
-// How many open slots until each of `nodes` was alone in one, all of them wanting from the same slot on.
+// Number of open slots until each of `nodes` contenders, all starting in slot `from`, has been alone in a
+// slot; 10'000 if that does not happen.
 std::uint32_t slots_until_all_came_through(std::uint16_t nodes, std::uint16_t first_id, std::uint32_t from,
                                            const Persistence& persistence) {
   std::vector<Access> all;
@@ -98,8 +99,8 @@ std::uint32_t slots_until_all_came_through(std::uint16_t nodes, std::uint16_t fi
 }
 
 TEST(Access, TwoThatBeginTogetherComeThroughSoon) {
-  // After the first collision both draw from 2 slots, then 4, 8, ...: the expected length of that, from a
-  // chain of "alone" probabilities 1/2, 3/4, 7/8, is about 5 slots.
+  // After the first collision both draw from 2 slots, then 4, 8, ... With the probabilities 1/2, 3/4, 7/8 of
+  // being alone, the expected duration is about 5 slots.
   std::vector<std::uint32_t> slots;
   for (std::uint16_t id = 1; id <= 100; ++id) {
     for (std::uint32_t from = 0; from < 10; ++from) {

@@ -1,5 +1,5 @@
-// A small world for the state machines: nodes with drifting clocks on one ideal air, no chip and no driver.
-// Frames may be lost, collide, or be sent again by someone else.
+// A small simulated channel for the MAC state machines: nodes with drifting clocks, without chip and driver.
+// Frames may be lost, collide or be replayed by an attacker. True times are in ticks.
 #pragma once
 
 #include <cmath>
@@ -46,7 +46,7 @@ struct NodeSettings {
   std::uint16_t id = 0;
   double x_m = 0.0;
   double offset_ppm = 0.0;
-  double phase_ticks = 0.0;  // what its clock shows at time 0
+  double phase_ticks = 0.0;  // clock reading at time 0
   Ticks antenna_delay{16436};
 };
 
@@ -71,7 +71,7 @@ class Air {
   Air(const groma_Schedule& schedule, dw1000::Preamble preamble) : schedule_(schedule), phy_(preamble) {}
 
   std::size_t add(const NodeSettings& settings) { return add(settings, schedule_); }
-  // A node that goes by a schedule of its own.
+  // A node with its own schedule.
   std::size_t add(const NodeSettings& settings, const groma_Schedule& schedule) {
     auto node = std::make_unique<Node>();
     node->settings = settings;
@@ -96,7 +96,7 @@ class Air {
     return nodes_.size() - 1;
   }
 
-  // Tags 1.. at random places of a hall, anchors 101.. too.
+  // Anchors 101.. and tags 1.. at random positions up to `spread_m`, with clock offsets up to +-`ppm`.
   void add_all(double spread_m, double ppm, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     const auto uniform = [&](double low, double high) {
@@ -129,7 +129,7 @@ class Air {
   void start_all() {
     for (std::size_t i = 0; i < nodes_.size(); ++i) start(i);
   }
-  // Its radio was off for a while; it goes on with what it knows.
+  // The radio is on again after a pause; the node keeps its state.
   void resume(std::size_t node) {
     Node& n = *nodes_[node];
     n.on = true;
@@ -147,25 +147,25 @@ class Air {
     now_ = end;
   }
 
-  // A frame sent by nobody of the site, its RMARKER at true time `rmarker`.
+  // Sends a frame from outside the site, its RMARKER at true time `rmarker`.
   void inject(double rmarker, double x_m, std::span<const std::uint8_t> bytes) {
     ghosts_.push_back({kGhost, rmarker, x_m, {bytes.begin(), bytes.end()}});
   }
 
-  // Of the network, for nodes that are added from then on.
+  // The network key of nodes that are added from now on.
   std::optional<security::Key> key{};
-  // Whether two nodes, by index, are near enough to hear, and to disturb, each other; without: all are.
+  // Whether two nodes (indices) hear and disturb each other. Unset: all do.
   std::function<bool(std::size_t a, std::size_t b)> reach;
   // True: this receiver does not hear this frame.
   std::function<bool(const Frame&, std::size_t receiver)> lost;
   // True: nobody hears this frame, and it disturbs no other.
   std::function<bool(const Frame&)> jammed;
-  // Sees each frame as it ends.
+  // Called with each frame at its end.
   std::function<void(const Frame&)> overheard;
-  // Changes a reception on its way.
+  // May change a reception before its receiver gets it.
   std::function<void(std::size_t receiver, mac::Reception&)> spoil;
   double stamp_noise_ticks = 0.0;
-  double work_ticks = 100e-6 * kTicksPerSecond;  // from an event to the next action armed
+  double work_ticks = 100e-6 * kTicksPerSecond;  // from an event until the next action is armed
 
   std::vector<RangeSeen> ranges;
   std::size_t collisions = 0;
@@ -181,7 +181,7 @@ class Air {
     return std::get<mac::Anchor>(machine).station();
   }
   [[nodiscard]] double offset_ppm(std::size_t node) const { return nodes_[node]->settings.offset_ppm; }
-  // What its clock shows now.
+  // Its clock reading now.
   [[nodiscard]] double local_ticks_of(std::size_t node) const { return local_ticks(*nodes_[node], now_); }
   void set_offset_ppm(std::size_t node, double ppm) {
     Node& n = *nodes_[node];
@@ -272,7 +272,7 @@ class Air {
     }
   }
 
-  // One event: the end of a frame, or of a listening. False: nothing before `end`.
+  // Processes one event: the end of a frame or of a listening period. False: there is none before `end`.
   bool step(double end) {
     double first = end;
     std::size_t who = kGhost;
@@ -337,7 +337,7 @@ class Air {
   [[nodiscard]] bool audible(std::size_t source, std::size_t receiver) const {
     return !reach || source == kGhost || reach(source, receiver);
   }
-  // By another frame than the one of `source`.
+  // Whether a frame other than that of `source` collides with it at `receiver`.
   [[nodiscard]] bool disturbed(std::size_t receiver, std::size_t source, double start, double end) const {
     for (const Past& past : past_) {
       if (past.source != receiver && past.end > start && past.start < end && audible(past.source, receiver)) {

@@ -1,4 +1,4 @@
-// Messages over a twin of the shared slots: frames are lost, collide, come twice and out of order.
+// Messages over simulated shared slots: frames are lost, collide, are duplicated and reordered.
 #include "firmware/core/node/air_link.hpp"
 
 #include <gtest/gtest.h>
@@ -23,7 +23,7 @@ class Slots {
  public:
   struct Node {
     std::uint16_t id = 0;
-    double x = 0.0;  // hears what is sent within kReach
+    double x = 0.0;  // hears senders within kReach
     bool relays = false;
     AirLink link;
     std::vector<Event> events;
@@ -75,9 +75,9 @@ class Slots {
     for (const auto& node : nodes_) serve(*node);
   }
 
-  // True: answered with `command`'s bytes doubled, false: reported as lost.
+  // True: answered with answer_to(command) and {1, 2, 3}. False: reported as lost.
   bool ask(Node& from, std::uint16_t target, std::uint32_t request, const Bytes& command) {
-    // As a host does: it may be at something else.
+    // Retries while the link is busy, as a host does.
     for (int i = 0; i < 1'000 && from.link.ask(target, request, command) == AirLink::Asked::kBusy; ++i)
       step();
     from.events.clear();
@@ -141,7 +141,7 @@ class Slots {
     const int copies = uniform() < twice ? 2 : 1;
     for (int i = 0; i < copies; ++i) {
       const auto late = static_cast<std::uint32_t>(uniform() * (most_late + 1));
-      // Through the bytes, as on the air.
+      // Serialized and parsed, as on the air.
       const mac::ParseResult parsed = mac::parse(mac::serialize(heard->frame).bytes());
       ASSERT_TRUE(parsed.frame);
       late_.push_back({number_ + late, &node, *parsed.frame});
@@ -191,7 +191,7 @@ struct Case {
   double loss;
   double twice;
   int most_late;
-  int hops;       // 1: in reach
+  int hops;       // 1: within reach
   int lost_most;  // of 200
 };
 std::ostream& operator<<(std::ostream& out, const Case& c) {
@@ -209,7 +209,7 @@ TEST_P(AirLinkTest, EachMessageArrivesOnceOrIsReportedLost) {
   Slots::Node& wired = slots.add(1, 0.0);
   for (int i = 1; i < c.hops; ++i) {
     slots.add(static_cast<std::uint16_t>(100 + i), 0.9 * i, true);
-    if (i == 1) slots.add(200, 0.85, true);  // two that hear the same
+    if (i == 1) slots.add(200, 0.85, true);  // two relays with the same neighbours
   }
   Slots::Node& far = slots.add(2, 0.9 * c.hops);
   std::mt19937_64 random(5);
@@ -228,7 +228,7 @@ TEST_P(AirLinkTest, EachMessageArrivesOnceOrIsReportedLost) {
     }
   }
   EXPECT_LE(lost, c.lost_most);
-  EXPECT_LE(far.carried_out.size(), 200U);  // nothing that was never sent
+  EXPECT_LE(far.carried_out.size(), 200U);  // no command that was never sent
   RecordProperty("frames", static_cast<int>(slots.frames));
   std::printf("[ %s ] %.1f frames a command and answer, %d of 200 reported lost, %zu collisions\n", c.name,
               static_cast<double>(slots.frames) / 200.0, lost, slots.collisions);
@@ -249,7 +249,7 @@ TEST(AirLink, InReachNobodyPassesOn) {
   slots.add(2, 0.9);
   std::mt19937_64 random(5);
   ASSERT_TRUE(slots.ask(wired, 2, 1, command_of(1, 48, random)));
-  EXPECT_LE(slots.frames, 5U);  // one there, two back, and acknowledgements
+  EXPECT_LE(slots.frames, 5U);  // one command frame, two answer frames, and acknowledgements
 }
 
 TEST(AirLink, ANodeThatIsNotThereIsReported) {
@@ -270,9 +270,9 @@ TEST(AirLink, ARequestAskedAgainGetsTheAnswerAndIsNotCarriedOutAgain) {
   std::mt19937_64 random(5);
   const Bytes command = command_of(17, 100, random);
   ASSERT_TRUE(slots.ask(wired, 2, 17, command));
-  ASSERT_TRUE(slots.ask(wired, 2, 17, command));  // from what it holds
+  ASSERT_TRUE(slots.ask(wired, 2, 17, command));  // from the stored answer
   EXPECT_EQ(far.carried_out[17], 1);
-  // The wired node, too, may have been asked something meanwhile, and have lost the answer.
+  // The wired node may have served a command meanwhile and lost the answer.
   ASSERT_TRUE(slots.ask(other, 1, 5, command_of(5, 200, random)));
   ASSERT_TRUE(slots.ask(wired, 2, 17, command));
   EXPECT_EQ(far.carried_out[17], 1);
@@ -290,7 +290,7 @@ TEST(AirLink, ANodeThatTakesItsTimeIsWaitedFor) {
   for (int i = 0; i < 3'000; ++i) slots.step();
   EXPECT_TRUE(wired.events.empty());
   EXPECT_EQ(far.carried_out[1], 1);
-  EXPECT_FALSE(slots.ask(other, 2, 9, command_of(9, 100, random)));  // one thing after the other
+  EXPECT_FALSE(slots.ask(other, 2, 9, command_of(9, 100, random)));  // it serves one command at a time
   far.link.begin_answer();
   far.link.append(0);
   far.link.send_answer();

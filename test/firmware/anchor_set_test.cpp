@@ -34,13 +34,13 @@ bool contains(const std::vector<std::uint16_t>& ids, std::uint16_t id) {
   return std::find(ids.begin(), ids.end(), id) != ids.end();
 }
 
-// A site around a tag: how likely each anchor's answer is, and how good it comes in.
+// The anchors around a tag: each one's answer probability and link quality.
 struct World {
   std::map<std::uint16_t, double> success{};
   std::map<std::uint16_t, std::uint8_t> quality{};
   std::mt19937_64 random{1};
 
-  // One superframe: whom the tag polled, and who answered.
+  // Runs one superframe. Returns the polled ids and those that answered.
   std::pair<std::vector<std::uint16_t>, std::set<std::uint16_t>> superframe(AnchorSet& set,
                                                                             std::size_t places) {
     const auto polled = choose(set, places);
@@ -60,7 +60,7 @@ struct World {
 // ---- quality ------------------------------------------------------------------------------------------
 
 dw1000::ReceiveQuality received(double receive_dbm, double first_path_dbm) {
-  // The formulas of 4.7.1 and 4.7.2 the other way round, with 120 symbols.
+  // Inverts the formulas of 4.7.1 and 4.7.2 for 120 symbols.
   constexpr double kConstant_db = 121.74;
   const double n2 = 120.0 * 120.0;
   const double first = std::pow(10.0, (first_path_dbm + kConstant_db) / 10.0) * n2;
@@ -75,9 +75,9 @@ dw1000::ReceiveQuality received(double receive_dbm, double first_path_dbm) {
 
 TEST(LinkQuality, GrowsWithPowerAndWithSight) {
   EXPECT_GE(link_quality(received(-80.0, -82.0)), 128 + 100);
-  EXPECT_LT(link_quality(received(-80.0, -88.0)), 128 + 64);  // 8 dB: perhaps
+  EXPECT_LT(link_quality(received(-80.0, -88.0)), 128 + 64);  // 8 dB: LOS uncertain
   EXPECT_GE(link_quality(received(-80.0, -88.0)), 64 + 100);
-  EXPECT_LT(link_quality(received(-80.0, -95.0)), 128);  // 15 dB: hardly
+  EXPECT_LT(link_quality(received(-80.0, -95.0)), 128);  // 15 dB: LOS unlikely
   int before = -1;
   for (double dbm = -98.0; dbm <= -80.0; dbm += 6.0) {
     const int q = link_quality(received(dbm, dbm - 2.0));
@@ -97,7 +97,7 @@ TEST(LinkQuality, IsNothingWhereTheRegistersHoldNothing) {
             127 + 128);
 }
 
-// ---- against a twin that keeps everything and sorts ---------------------------------------------------
+// ---- against a reference model that keeps all outcomes and sorts --------------------------------------
 
 class Twin {
  public:
@@ -134,10 +134,10 @@ class Twin {
     int rate = 0;
     int quality = 0;
     bool silent = true;
-    bool doubtful = true;  // the last outcome was none
+    bool doubtful = true;  // the last outcome was no answer
     int missed = 15;
   };
-  // From all that ever happened.
+  // From all outcomes so far.
   static Belief belief(const Anchor& a) {
     Belief b;
     int missed = a.configured ? 15 : 7;
@@ -287,7 +287,7 @@ TEST(AnchorSet, ChoosesAsATwinThatRemembersEverything) {
   }
 }
 
-// ---- what it is for -----------------------------------------------------------------------------------
+// ---- behaviour ----------------------------------------------------------------------------------------
 
 TEST(AnchorSet, PollsAllWhereTheyFit) {
   AnchorSet set(ids_from(101, 12));
@@ -308,14 +308,14 @@ TEST(AnchorSet, TheRateIsTheShareAnswered) {
   EXPECT_NEAR(sum / (kSuperframes - 100), 0.7, 0.03);
 }
 
-// A range needs two POLLs in a row where the next POLL closes the exchange.
+// If the next POLL closes the exchange, a range needs two POLLs in a row.
 TEST(AnchorSet, ARebornAnchorIsRangedWithinTenSuperframes) {
   for (std::size_t places = 3; places <= 16; ++places) {
     for (std::uint16_t dead = 101; dead <= 116; ++dead) {
       AnchorSet set(ids_from(101, 16));
       World world;
       for (const std::uint16_t id : ids_from(101, 16)) world.success[id] = id == dead ? 0.0 : 1.0;
-      // The reborn one is no better than others.
+      // The restarted anchor's link is worse than the others'.
       for (const std::uint16_t id : ids_from(101, 16)) world.quality[id] = id == dead ? 50 : 100;
       for (int i = 0; i < 100 + dead; ++i) (void)world.superframe(set, places);
       world.success[dead] = 1.0;
@@ -358,7 +358,7 @@ TEST(AnchorSet, TwelveInReachOfThirtyAreAllPolledAtOnceAndAlways) {
   AnchorSet set(ids_from(101, 30));
   World world;
   for (const std::uint16_t id : ids_from(110, 12)) world.success[id] = 1.0;
-  for (int i = 0; i < 3; ++i) (void)world.superframe(set, 16);  // 30 candidates, 16 a POLL
+  for (int i = 0; i < 3; ++i) (void)world.superframe(set, 16);  // 30 candidates, 16 per POLL
   for (int i = 0; i < 300; ++i) EXPECT_EQ(world.superframe(set, 16).second.size(), 12U);
 }
 
@@ -378,8 +378,8 @@ TEST(AnchorSet, ThirtyPercentLossCostsNoMoreThanItMust) {
 }
 
 TEST(AnchorSet, InAnotherCellItTurnsToThatCellsAnchors) {
-  // 64 anchors, 21 a cell: the robot is in the next cell from one superframe to the next. At 18 superframes a
-  // second (10 tags, 16 responses), it has one second.
+  // 64 anchors, 21 per cell. The robot changes cells between two superframes. The set has one second to
+  // adapt, 18 superframes (10 tags, 16 responses).
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     AnchorSet set(ids_from(101, 64));
     World world;

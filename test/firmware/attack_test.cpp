@@ -1,5 +1,5 @@
-// A keyed network on the ideal air, and somebody without the key who hears all, sends what and when he likes,
-// and keeps honest frames from whom he likes.
+// A keyed network on an ideal channel, and an attacker without the key. He hears every frame, sends any frame
+// at any time, and keeps genuine frames from any receiver.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -26,13 +26,13 @@ mac::Frame frame_of(std::span<const std::uint8_t> bytes) {
   return parsed.frame.value_or(mac::Frame{});
 }
 
-// What the attacker makes of an honest frame that he has just heard.
+// What the attacker makes of a genuine frame that he has just heard.
 enum class Forgery { kReplayed, kReplayedLongAfter, kWrongCode, kChanged, kWithoutCode, kOtherKey };
 
 constexpr std::array kForgeries = {Forgery::kReplayed, Forgery::kReplayedLongAfter, Forgery::kWrongCode,
                                    Forgery::kChanged,  Forgery::kWithoutCode,       Forgery::kOtherKey};
 
-// Sends now a JOIN, now a DATA in its own open slots, and counts what comes from others.
+// Alternates JOIN and DATA in its open slots, and counts the control frames and beacons that it receives.
 class Chatter final : public mac::ControlChannel {
  public:
   explicit Chatter(std::uint16_t id) : id_(id) {}
@@ -175,7 +175,7 @@ class AttackTest : public ::testing::Test {
     return {signed_bytes.bytes().begin(), signed_bytes.bytes().end()};
   }
 
-  // Each honest frame of that kind from that sender is kept from all, and the forgery put in its place.
+  // Jams each genuine frame of that kind from that sender and sends the forgery in its place.
   void replace(Kind kind, std::uint16_t sender, Forgery forgery) {
     air->jammed = [=, this](const Air::Frame& frame) {
       return frame.source != Air::kGhost && air->id(frame.source) == sender &&
@@ -250,7 +250,7 @@ TEST_P(Replaced, FramesAreDroppedAndCountedWhateverTheyAreMadeOf) {
     const std::size_t ranges_before = air->ranges.size();
     ghosts_sent = ghosts_heard = 0;
     replace(kind, sender, forgery);
-    // A tag that nobody answers polls in some of them only, and else listens for other networks.
+    // An unanswered tag polls only in some superframes and listens for other networks in the rest.
     run_superframes(kind == kPoll ? 24 : 8);
     cease();
     EXPECT_GE(ghosts_sent, kind >= kJoin ? 1U : 7U);
@@ -271,13 +271,13 @@ TEST_P(Replaced, FramesAreDroppedAndCountedWhateverTheyAreMadeOf) {
     };
     switch (kind) {
       case kBeacon:
-        // The others coast, and range on.
+        // The others coast and keep ranging.
         EXPECT_GE(good(0, 0), 7 * 8);
         EXPECT_TRUE(all_fresh());
         break;
       case kPoll:
         EXPECT_EQ(to_attacked_tag(), 0);
-        EXPECT_LE(good(sender, 0), 4);  // of the exchange before
+        EXPECT_LE(good(sender, 0), 4);  // of the previous exchange
         EXPECT_GE(good(2, 0), 23 * 4);
         break;
       case kResponse:
@@ -290,14 +290,14 @@ TEST_P(Replaced, FramesAreDroppedAndCountedWhateverTheyAreMadeOf) {
         break;
       case kJoin:
       case kData:
-        // What is left is of the other kind.
+        // The remaining frames are of the other kind.
         EXPECT_LE(received_in_shared_slots() - shared_before, 3 * (air->size() - 1));
         EXPECT_GE(good(0, 0), 7 * 8);
         break;
     }
     run_superframes(4);
     if (kind == kResponse) {
-      // Nor does what comes later make a range of them.
+      // Later frames do not complete an attacked exchange either.
       expect_no_forged_range(sender);
     }
     expect_full_rate();
@@ -311,7 +311,7 @@ INSTANTIATE_TEST_SUITE_P(EachKind, Replaced,
                                            Replacement{kData, 104, "Data"}),
                          [](const auto& one) { return one.param.name; });
 
-// The genuine RESPONSE after it closes the exchange that the forged one was of.
+// The next genuine RESPONSE closes the exchange that was attacked.
 TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
   come_up();
   run_superframes(20);
@@ -332,7 +332,7 @@ TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
   }
 }
 
-// Anchor 104's answer is kept from the tag, and 103's, of this very slot, comes in its window.
+// Anchor 104's RESPONSE is jammed, and 103's of the same slot is replayed in its window.
 TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
   come_up();
   std::optional<Air::Frame> of_103;
@@ -355,12 +355,12 @@ TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
   expect_true_ranges();
 }
 
-// The master's beacon comes again in the shared slot of the same superframe, and in the next superframe's.
+// Replays the master's beacon in the shared slot of the same superframe or of the next one.
 TEST_F(AttackTest, ABeaconIsNotBelievedTwice) {
   come_up();
   const double shared = static_cast<double>(
       (air->station(0).superframe().shared() - air->station(0).superframe().beacon()).count());
-  // The honest talk in the shared slots is kept away.
+  // Jams the genuine traffic in the shared slots.
   air->jammed = [this](const Air::Frame& frame) {
     const auto kind = frame_of(frame.bytes).body.index();
     return frame.source != Air::kGhost &&
@@ -376,14 +376,13 @@ TEST_F(AttackTest, ABeaconIsNotBelievedTwice) {
     air->inject(frame.rmarker + shared + (next ? duration() : 0.0), air->x_m(frame.source), frame.bytes);
   };
   run_superframes(30);
-  // The master hears it too, and the five others but for who talked itself.
+  // The master and the other five nodes hear it, except a node that was transmitting.
   EXPECT_GE(dropped(), sent * 4);
   EXPECT_TRUE(all_fresh());
   expect_full_rate();
 }
 
-// All that was said in half a minute, said again to a node that has just started, with no honest node on the
-// air.
+// Replays recorded traffic to a node that has just started, with no genuine node on the air.
 TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
   come_up();
   run_superframes(60);
@@ -408,14 +407,15 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
     const std::size_t told = chatter[index]->beacons;
     air->start(index);
     run_superframes(100);
-    // It hears the beacons and asks whether they are of now. It does not speak otherwise, nor tell.
+    // It hears the beacons and sends challenges, but no other frame, and reports no beacon to its control
+    // channel.
     EXPECT_GT(air->counters(index).beacons_received, beacons + 10);
     EXPECT_GE(heard[kJoin].size(), 3U);
     EXPECT_EQ(heard[kPoll].size() + heard[kResponse].size() + heard[kData].size() + heard[kFinal].size(), 0U);
     EXPECT_EQ(chatter[index]->beacons, told);
     EXPECT_FALSE(air->station(index).fresh());
     EXPECT_EQ(good_ranges(), ranges);
-    // The honest ones come back, and it is of them again.
+    // The genuine nodes come back, and it joins them again.
     run_superframes(40);
     for (std::size_t i = 0; i < air->size(); ++i) {
       if (i != index) air->start(i);
@@ -426,8 +426,8 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
   }
 }
 
-// A tag coasts until its clock is too uncertain, then hears the beacons that it missed, replayed. The slot
-// that it had is valid by their count, but the tag must not poll before a challenge was answered.
+// A tag coasts until its clock is too uncertain, then hears the beacons that it missed, replayed. By their
+// count the slot that it had is valid, but the tag must not poll before its challenge is answered.
 TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollByBeaconsThatItMissed) {
   come_up();
   for (const auto& one : chatter) one->talks = false;
@@ -456,8 +456,8 @@ TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollByBeaconsThatItMissed) {
   EXPECT_TRUE(heard[kPoll].empty());
 }
 
-// A whole session of former times, said again to the network that runs: as one that is older than it, which
-// an honest one would give way to, and as one that is younger. In shared slots, where all hear it.
+// Replays a whole earlier session to the running network, once as an older session, to which a genuine
+// network would yield, and once as a younger one. The replay is in shared slots, where all nodes hear it.
 class OldSession : public AttackTest, public ::testing::WithParamInterface<bool> {};
 
 TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
@@ -472,7 +472,7 @@ TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
     recording.clear();
   }
   run_superframes(200);
-  // With welcomes, for a node that starts.
+  // A restarted node's challenge puts responses into the recording.
   for (auto& one : chatter) one->talks = false;
   air->stop(5);
   run_superframes(20);
@@ -532,7 +532,7 @@ TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
   EXPECT_TRUE(all_fresh());
   for (std::size_t i = 0; i < air->size(); ++i) EXPECT_EQ(air->station(i).mastership().session(), session);
   EXPECT_TRUE(air->station(0).mastership().leads());
-  // Master and back-up, of four anchors, ask each time less often whether somebody is there.
+  // Master and back-up, two of the four anchors, send merge requests ever less often.
   EXPECT_GT(under_attack, 0.975 * honest);
   expect_full_rate();
 }
@@ -540,7 +540,7 @@ TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
 INSTANTIATE_TEST_SUITE_P(Looks, OldSession, ::testing::Bool(),
                          [](const auto& older) { return older.param ? "Older" : "Younger"; });
 
-// An open network's frames are not a keyed one's, and the other way round.
+// An open node and a keyed network ignore each other's frames.
 TEST_F(AttackTest, AnOpenNodeIsNotOfAKeyedNetwork) {
   come_up();
   air->key.reset();

@@ -5,7 +5,7 @@
 namespace groma::mcp2518fd {
 namespace {
 
-// What Microchip's own tables give for a 40 MHz clock, as values rather than register fields.
+// Microchip's own tables for a 40 MHz clock, as values rather than register fields.
 TEST(BitTiming, AgreesWithTheMakersTablesAt40MHz) {
   EXPECT_EQ(nominal_timing(1'000'000), (BitTiming{1, 31, 8, 8}));
   EXPECT_EQ(nominal_timing(500'000), (BitTiming{1, 63, 16, 16}));
@@ -27,7 +27,6 @@ TEST(BitTiming, AgreesWithTheMakersTablesAt40MHz) {
   EXPECT_EQ(transmitter_delay_offset(*data_timing(500'000)), 62);
 }
 
-// And for 20 MHz.
 TEST(BitTiming, AgreesWithTheMakersTablesAt20MHz) {
   EXPECT_EQ(nominal_timing(1'000'000, 20'000'000), (BitTiming{1, 15, 4, 4}));
   EXPECT_EQ(nominal_timing(500'000, 20'000'000), (BitTiming{1, 31, 8, 8}));

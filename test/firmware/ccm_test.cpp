@@ -1,4 +1,4 @@
-// The authentication code against published vectors. Its twin, and the cipher's, is in test/sim/aes_test.cpp.
+// The MIC against published vectors. test/sim/aes_test.cpp compares it and the cipher with OpenSSL.
 #include "firmware/core/security/ccm.hpp"
 
 #include <gtest/gtest.h>
@@ -81,7 +81,7 @@ TEST(Ccm, ChangesWithEachBitOfKeyNonceAndBytes) {
     bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
     EXPECT_TRUE(differs(kBeaconKey, kBeaconNonce, bytes)) << bit;
   }
-  // Its length is bound too: zeros at the end are not the padding.
+  // The MIC covers the length: trailing zeros are not taken for padding.
   std::vector<std::uint8_t> longer(kBeacon.begin(), kBeacon.end());
   longer.push_back(0);
   EXPECT_TRUE(differs(kBeaconKey, kBeaconNonce, longer));

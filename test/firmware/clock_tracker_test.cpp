@@ -13,7 +13,8 @@ using ranging::Ticks;
 
 constexpr double kTicksPerSecond = 63'897'600'000.0;
 
-// This node's clock as it follows the master's: offset, rate and ramp, stamps with noise.
+// This node's clock as a function of the master's: offset, rate, rate ramp, and timestamps with Gaussian
+// noise.
 class Beacons {
  public:
   Beacons(double ppm, double ramp_ppm_per_s, double noise_ticks, std::uint64_t seed)
@@ -47,7 +48,7 @@ TEST(ClockTracker, OneBeaconIsEnoughToMeetTheNext) {
   Beacons beacons(35.0, 0.0, 6.0, 1);
   ClockTracker tracker;
   EXPECT_FALSE(tracker.seeded());
-  tracker.seed(Ticks(0), beacons.stamp(Ticks(0)), -35'500);  // the carrier errs by half a ppm
+  tracker.seed(Ticks(0), beacons.stamp(Ticks(0)), -35'500);  // the carrier estimate errs by 0.5 ppm
   ASSERT_TRUE(tracker.seeded());
   const double error = static_cast<double>(tracker.local(kPeriod).count()) - beacons.exact(kPeriod);
   EXPECT_LT(std::abs(error), 20e-9 * kTicksPerSecond);
@@ -72,8 +73,8 @@ TEST(ClockTracker, CoastsTenLostBeaconsAndASecondWithinTheGuard) {
   }
 }
 
-// The filter's own sigma is an honest one: a walk of the rate as it assumes it, normalized errors over many
-// runs and horizons.
+// The tracker's sigma is consistent: normalized errors over many runs whose rate is the random walk that it
+// assumes.
 TEST(ClockTracker, ErrorsAreAsLargeAsItsSigmaSays) {
   double sum_squares = 0.0;
   int samples = 0;
@@ -136,7 +137,7 @@ TEST(ClockTracker, HoursOfBeaconsLoseNoPrecision) {
     ASSERT_TRUE(tracker.update(master, beacons.stamp(master)));
   }
   const Ticks next = master + kPeriod;
-  // The double of this test has 1/8 tick left at 2.2 hours.
+  // This test's double resolves 1/8 tick at 2.2 hours.
   EXPECT_NEAR(static_cast<double>(tracker.local(next).count()) - beacons.exact(next), 0.0, 60.0);
   EXPECT_NEAR(tracker.skew_ppb(), -39'000, 60);
 }

@@ -52,7 +52,7 @@ TEST(PowerBias, StaysAtTheTablesEnds) {
   EXPECT_EQ(power_bias(0), power_bias(-6'100));
 }
 
-// A strong signal crosses the threshold early: its stamp is early and its range short.
+// A strong signal crosses the threshold early: its timestamp is early and its range short.
 TEST(PowerBias, OfAStrongSignalShortensARange) {
   EXPECT_LT(power_bias(-6'100), FlightTime(0));
   EXPECT_GT(power_bias(-9'300), FlightTime(0));

@@ -29,7 +29,7 @@ constexpr bool lies_at(Place place) {
   return R::kId == place.file && R::kSub == place.sub && R::kLength == place.bytes;
 }
 
-// As the facts page has them.
+// As in the register map of the DW1000 User Manual.
 static_assert(lies_at<reg::DevId>({0x00, 0, 4}));
 static_assert(lies_at<reg::SysCfg>({0x04, 0, 4}));
 static_assert(lies_at<reg::SysTime>({0x06, 0, 5}));
@@ -80,7 +80,7 @@ static_assert(lies_at<reg::LdeCfg2>({0x2E, 0x1806, 2}));
 static_assert(lies_at<reg::LdeRepc>({0x2E, 0x2804, 2}));
 static_assert(lies_at<reg::PmscReset>({0x36, 0x03, 1}));
 
-// Fields are found and set at compile time, and only in their own register.
+// Fields are read and set at compile time, and only in their own register.
 static_assert(
     Value<reg::SysCtrl>().set(reg::sys_ctrl::kTransmit).set(reg::sys_ctrl::kDelayedTransmit).word() == 0x06);
 static_assert(Value<reg::SysStatus>(0x4'0000'0000).has(reg::sys_status::kPowerUpError));
@@ -218,7 +218,7 @@ TEST_F(Driver, BringUpLoadsTheLeadingEdgeMicrocode) {
   EXPECT_EQ((load - 1)->word(), 0x0301U);
   EXPECT_EQ((load + 1)->file, 0x36);
   EXPECT_EQ((load + 1)->word(), 0x0200U);
-  // Nothing else on the bus meanwhile, for 150 us or more.
+  // The bus is idle for at least 150 us.
   ASSERT_FALSE(waits.empty());
   EXPECT_EQ(waits.front().after.file, 0x2D);
   EXPECT_EQ(waits.front().after.word(), 0x8000U);
@@ -314,7 +314,7 @@ TEST_F(Driver, SamplesTemperatureAndSupplyByTheirCalibration) {
   chip.otp[0x09] = 0x1234'567D;  // 23 degrees C
   ready();
   radio.start_sampling();
-  // In this order: the bias, then the converter's, then the outputs, then the converter itself.
+  // In this order: the bias, the converter's bias, the outputs, the converter itself.
   expect_writes(
       {{0x28, 0x11, 0x80}, {0x28, 0x12, 0x0A}, {0x28, 0x12, 0x0F}, {0x2A, 0x00, 0}, {0x2A, 0x00, 1}});
   chip.put(0x2A, 0x03, 0xA9 - 52, 1);
@@ -327,7 +327,7 @@ TEST_F(Driver, SamplesTemperatureAndSupplyByTheirCalibration) {
   EXPECT_NEAR(ambient->temperature_cdegc, 100.0 * (23.0 + 11.4), 0.5);
 }
 
-// Without a calibration the typical reading of each is as good as any.
+// Without a calibration the typical readings are assumed.
 TEST_F(Driver, SamplesWithoutACalibrationToo) {
   chip.otp[0x08] = 0;
   chip.otp[0x09] = 0xFFFF'FFFF;
@@ -417,7 +417,7 @@ TEST_F(Driver, WritesTheNextFramesLengthAhead) {
   ready();
   radio.expect_length(4);
   EXPECT_EQ(chip.written(0x08, 0), 0x0016C006U);
-  // While it listens, too; once is enough.
+  // Also while listening; an unchanged length is not written again.
   ASSERT_EQ(radio.receive_now(Ticks(1 << 16), std::nullopt), Start::kStarted);
   radio.expect_length(10);
   EXPECT_EQ(chip.written(0x08, 0), 0x0016C00CU);
@@ -428,7 +428,7 @@ TEST_F(Driver, WritesTheNextFramesLengthAhead) {
   const std::uint8_t frame[] = {1, 2, 3, 4};
   ASSERT_EQ(radio.transmit_at(DeviceTime(1 << 20), frame), Start::kStarted);
   EXPECT_EQ(chip.written(0x08, 0), 0x0016C006U);
-  // Not while a frame is under way, which has another.
+  // Not while a frame of another length is being transmitted.
   chip.log.clear();
   radio.expect_length(10);
   EXPECT_TRUE(chip.log.empty());

@@ -1,5 +1,5 @@
-// A DW1000 as far as the bus shows it: bytes by register file, and a record of every transfer. It knows
-// nothing of radio; tests put into its registers what the radio would have.
+// A DW1000 as seen on SPI: bytes by register file, and a record of every transfer. It has no radio; tests
+// write into its registers what the radio would.
 #pragma once
 
 #include <array>
@@ -94,7 +94,7 @@ class FakeChip {
     }
     return out;
   }
-  // The last value written there, or all ones.
+  // The last value written to that register, or all ones.
   [[nodiscard]] std::uint64_t written(std::uint8_t id, std::uint16_t sub) const {
     for (auto t = log.rbegin(); t != log.rend(); ++t) {
       if (t->write && t->file == id && t->sub == sub) return t->word();

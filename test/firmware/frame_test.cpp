@@ -188,7 +188,7 @@ TEST(Frame, ASecuredOneIsLongerByItsCode) {
   EXPECT_LE(poll_bytes(kMaxAnchors) + kCodeBytes, dw1000::kMaxFrameBytes);
 }
 
-// Each copy sits at the very end of its own allocation, so that a sanitizer sees any read beyond it.
+// Each copy ends with its own allocation, so that a sanitizer sees any read beyond it.
 ParseResult parse_exact(const std::vector<std::uint8_t>& bytes) {
   const auto copy = std::make_unique<std::uint8_t[]>(bytes.size());
   std::copy(bytes.begin(), bytes.end(), copy.get());
@@ -235,7 +235,7 @@ TEST(Frame, AnyBytesAreParsedWithoutHarmAndOnlyCanonicalOnesAccepted) {
   for (int i = 0; i < 700'000; ++i) {
     std::vector<std::uint8_t> bytes(static_cast<std::size_t>(random() % 100));
     for (auto& byte : bytes) byte = static_cast<std::uint8_t>(random());
-    // Mostly with a header that leads into the bodies.
+    // Mostly with a valid header, so that the body is parsed.
     if (bytes.size() >= kHeaderBytes && i % 4 != 0) {
       bytes[0] = 0x41;
       bytes[1] = 0x88;
@@ -251,7 +251,7 @@ TEST(Frame, AnyBytesAreParsedWithoutHarmAndOnlyCanonicalOnesAccepted) {
     auto again = bytes_of(*result.frame);
     ASSERT_EQ(again.size(), bytes.size());
     if (result.frame->secured)
-      std::copy(bytes.end() - kCodeBytes, bytes.end(), again.end() - kCodeBytes);  // not of the frame
+      std::copy(bytes.end() - kCodeBytes, bytes.end(), again.end() - kCodeBytes);  // the MIC is not parsed
     ASSERT_EQ(again, bytes);
   }
   EXPECT_GT(accepted, 1000U);
@@ -298,7 +298,7 @@ TEST(Frame, AnyFrameComesBackAsItWentAndInNoOtherLength) {
     const auto result = parse_exact(bytes);
     ASSERT_TRUE(result.frame) << sent.body.index();
     ASSERT_TRUE(*result.frame == sent) << sent.body.index();
-    // A DATA's payload ends with the frame; it is the only one of its kind.
+    // Only DATA may have another length: its payload extends to the end of the frame.
     const auto* data = std::get_if<Data>(&sent.body);
     if (i % 4 != 0) continue;
     auto other = bytes;

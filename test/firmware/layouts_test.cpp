@@ -1,6 +1,6 @@
-// Networks of several hops whose nodes die and come back at random: lines, rings, stars and trees of
-// beaconers, with tags and anchors that hear one of them each. After the last change each part that hangs
-// together is one network under one master soon.
+// Multi-hop networks whose nodes fail and restart at random: lines, rings, stars and trees of beaconers, with
+// tags and anchors that each hear one beaconer. Soon after the last change each connected component is one
+// network with one master.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -71,7 +71,7 @@ class Layout {
     const mac::Superframe superframe(schedule_, dw1000::Phy(dw1000::Preamble::k128));
     superframe_s = static_cast<double>(superframe.duration().count()) / kTicksPerSecond;
     air.add_all(60.0, 20.0, seed);
-    // Which rank stands where is drawn, and whom a leaf hears.
+    // The rank at each position is random, and so is the beaconer that a leaf hears.
     std::vector<std::size_t> at(beaconers_);
     std::iota(at.begin(), at.end(), std::size_t{0});
     for (std::size_t i = beaconers_ - 1; i > 0; --i) std::swap(at[i], at[below(i + 1)]);
@@ -90,7 +90,7 @@ class Layout {
       air.stop(node);
     }
   }
-  // Some die or come back one after the other, and some more at once.
+  // Toggles the power of some nodes one after the other, then of more at once.
   void change() {
     for (int i = 0; i < 4; ++i) {
       const std::size_t node = below(air.size());
@@ -102,7 +102,7 @@ class Layout {
   }
   std::size_t below(std::size_t bound) { return static_cast<std::size_t>(random_() % bound); }
 
-  // Of each living node: the lowest beaconer that it hangs together with; those that reach none are left out.
+  // Maps each live node to the lowest beaconer of its connected component. Omits nodes that reach none.
   [[nodiscard]] std::map<std::size_t, std::size_t> parts() const {
     std::map<std::size_t, std::size_t> part;
     for (std::size_t first = 0; first < beaconers_; ++first) {
@@ -163,8 +163,8 @@ class Layout {
 
 class Layouts : public ::testing::TestWithParam<Shape> {};
 
-// Two parts that never hear each other, for each one's frames lie where the other does not listen, stay two:
-// at most one round in a hundred.
+// In at most 1 % of the rounds two networks of a component stay separate, because the frames of each fall
+// where the other does not listen.
 TEST_P(Layouts, EachPartIsOneNetworkUnderOneMasterSoonAfterTheLastChange) {
   constexpr int kRounds = 6;
   constexpr int kSoon = 60;

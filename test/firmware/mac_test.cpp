@@ -47,7 +47,7 @@ constexpr std::uint8_t kPollType = 2;
 constexpr std::uint8_t kResponseType = 3;
 constexpr std::uint8_t kFinalType = 4;
 
-// tof times offset (2 mm at 100 m and 20 ppm) and the rounding of six stamps.
+// Flight time times clock offset (2 mm at 100 m and 20 ppm) and the rounding of six timestamps.
 constexpr double kIdealError_m = 0.008;
 
 struct Case {
@@ -78,7 +78,7 @@ TEST_P(Network, EveryRangeComesAndIsRightInAnIdealWorld) {
   air.run(2.0);
   EXPECT_EQ(air.collisions, 0U);
   EXPECT_GT(static_cast<double>(good(air.ranges)),
-            // The master listens first, for five superframes at least.
+            // The master listens first, for at least five superframes.
             36.0 * (superframes_in(schedule(), GetParam().preamble, 2.0 - 0.15) - 6.0));
   EXPECT_EQ(good(air.ranges), air.ranges.size());
   EXPECT_LT(worst_error_m(air.ranges), kIdealError_m);
@@ -92,8 +92,8 @@ TEST_P(Network, TwoPercentLossLeavesTheShareThatItMustAndNoWrongRange) {
   air.start_all();
   air.run(5.0);
   EXPECT_LT(worst_error_m(air.ranges), kIdealError_m);
-  // A range needs POLL, RESPONSE, the closing frame and the RESPONSE after: with a FINAL there is a POLL
-  // more, and the FINAL is heard after its POLL.
+  // A range needs POLL, RESPONSE, the closing frame and the next RESPONSE. With a FINAL it also needs the
+  // next POLL, which is then not the closing frame.
   const double success = std::pow(0.98, has_final() ? 5 : 4);
   const double share = static_cast<double>(good(air.ranges)) / static_cast<double>(air.ranges.size());
   EXPECT_NEAR(share, success, 0.02);
@@ -113,14 +113,13 @@ TEST_P(Network, ThirtyPercentLossKeepsEveryoneInStep) {
   EXPECT_EQ(air.collisions, 0U);
 }
 
-// Of each kind of frame, each in turn is lost at its receivers: exactly the ranges that needed it are
-// missing.
+// Drops each frame type in turn at its receivers: exactly the ranges that needed the frame are missing.
 TEST_P(Network, AReceiverThatMissesAFrameNeverYieldsARange) {
   for (const std::uint8_t type : {kPollType, kResponseType, kFinalType}) {
     if (type == kFinalType && !has_final()) continue;
     Air air = this->air(schedule(1, 3));
     air.add_all(50.0, 20.0, 4);
-    // Anchor 102 misses, or is missed, in every superframe that is a multiple of 5.
+    // Anchor 102 does not hear, or is not heard, in every fifth superframe.
     std::uint32_t superframe = 0;
     std::size_t dropped = 0;
     air.lost = [&](const Air::Frame& frame, std::size_t receiver) {
@@ -140,8 +139,8 @@ TEST_P(Network, AReceiverThatMissesAFrameNeverYieldsARange) {
     for (const RangeSeen& r : air.ranges) {
       const std::uint32_t phase = r.superframe % 5;
       bool needed = r.anchor == 102 && phase == 0;
-      // The RESPONSE that brings the closing stamp is the next superframe's; without a FINAL the closing
-      // frame is the next POLL.
+      // The closing timestamp comes in the next superframe's RESPONSE. Without a FINAL the closing frame is
+      // the next POLL.
       if (r.anchor == 102 && phase == 4 && type != kFinalType) needed = true;
       EXPECT_EQ(r.range.status != RangeStatus::kOk, needed)
           << "type " << int{type} << " superframe " << r.superframe << " anchor " << r.anchor;
@@ -268,11 +267,11 @@ TEST_P(Network, ClocksMayDriftAPpmASecond) {
   EXPECT_GT(static_cast<double>(good(during)), 0.9 * static_cast<double>(during.size()));
   EXPECT_GT(static_cast<double>(during.size()),
             0.9 * 36.0 * superframes_in(schedule(), GetParam().preamble, 5.0));
-  // Drift within an exchange costs what it must: 2 ppm/s between two nodes over 20 ms are 4 cm a 7 ms reply.
+  // The expected error: 2 ppm/s between two nodes over 20 ms is 4 cm for a 7 ms reply.
   EXPECT_LT(worst_error_m(during), 0.1);
 }
 
-// Frames of the site, recorded and sent again later by someone else, at any time and from anywhere.
+// An attacker records the site's frames and replays them at any time and from anywhere.
 TEST_P(Network, FramesRepeatedByOthersYieldNoWrongRange) {
   for (const std::uint8_t type : {kBeaconType, kPollType, kResponseType, kFinalType}) {
     if (type == kFinalType && !has_final()) continue;
@@ -296,7 +295,7 @@ TEST_P(Network, FramesRepeatedByOthersYieldNoWrongRange) {
   }
 }
 
-// The genuine frame lost, its copy arriving too late for its place: a relay. Nothing must come of it.
+// A relay attack: the genuine frame is lost and its copy arrives too late. It must yield no wrong range.
 TEST_P(Network, AFrameDelayedBeyondItsWindowYieldsNoRange) {
   for (const std::uint8_t type : {kPollType, kResponseType, kFinalType}) {
     if (type == kFinalType && !has_final()) continue;
@@ -314,8 +313,7 @@ TEST_P(Network, AFrameDelayedBeyondItsWindowYieldsNoRange) {
         air.inject(frame.rmarker + delay_us * 63'897.6, frame.x_m, frame.bytes);
       };
       air.run(1.0);
-      // A relayed FINAL delays the closing stamp alone, and by so little against the interval that the
-      // clocks' offset tells.
+      // A relayed FINAL delays only the closing timestamp. The implied clock offset exposes it.
       EXPECT_LT(worst_error_m(air.ranges), kIdealError_m) << "type " << int{type} << ' ' << delay_us;
     }
   }
@@ -337,7 +335,7 @@ TEST_P(Network, InvalidStampsGiveNoRange) {
   EXPECT_GT(good(air.ranges), air.ranges.size() / 3);
 }
 
-// A stamp that the chip calls valid but that is another frame's.
+// A timestamp that the chip marks valid but that belongs to another frame.
 TEST_P(Network, StampsThatContradictEachOtherAreFoundOut) {
   Air air = this->air(schedule(1, 4));
   air.add_all(100.0, 20.0, 14);
@@ -376,7 +374,7 @@ TEST_P(Network, AStaleScheduleStaysSilent) {
   EXPECT_EQ(air.station(stale).sync().state(), SyncState::kSearching);
 }
 
-// 65536 exchanges of one tag: the number wraps, and nothing is noticed.
+// More than 65536 exchanges of one tag: the exchange number wraps without effect.
 TEST(Exchange, NumbersWrap) {
   Air air(schedule_of(1, 1, groma_RangingMethod_METHOD_DS_NEXT_POLL, 150, 50), dw1000::Preamble::k64);
   air.work_ticks = 20e-6 * kTicksPerSecond;
@@ -393,7 +391,7 @@ TEST(Exchange, NumbersWrap) {
   }
 }
 
-// The master's, of superframe 42 of network 9.
+// The master's beacon of superframe 42 in network 9.
 mac::FrameBytes beacon_of(const groma_Schedule& schedule) {
   mac::Beacon body{.superframe = 42,
                    .session = 5,
@@ -443,7 +441,7 @@ TEST(Anchor, AnswersOnlyAPollOfItsSlotItsSuperframeAndItsName) {
   EXPECT_EQ(counters.stale_frames, 3U);
 }
 
-// One tag and one anchor played by hand: two exchanges, the second RESPONSE as the test wants it.
+// A tag whose only anchor is played by the test, which supplies the RESPONSE of each exchange.
 class HandPlayed {
  public:
   HandPlayed() : tag_(site(), counters) {
@@ -453,7 +451,7 @@ class HandPlayed {
         tag_.on_received({.stamp = ClockTime(5'000'000'000), .stamp_valid = true, .frame = beacon.bytes()});
   }
 
-  // Sends the POLL and hears the RESPONSE, `late` after its due time.
+  // Lets the tag send its POLL and hear the RESPONSE `late` ticks after its due time.
   Step exchange(mac::Response response, Ticks late, std::uint16_t source = 101) {
     while (step_.action.kind == Action::Kind::kListen) step_ = tag_.on_timeout(step_.action.until);
     EXPECT_EQ(step_.action.kind, Action::Kind::kTransmit);
@@ -518,7 +516,7 @@ TEST(Tag, PollsAgainAfterALateTransmitWithoutClosingAcrossTheGap) {
   air.start_all();
   air.run(0.5);
   air.ranges.clear();
-  // For a while the nodes need so long that the POLL behind the beacon cannot be armed in time now and then.
+  // Nodes occasionally take so long that the POLL after the beacon cannot be armed in time.
   for (int i = 0; i < 200; ++i) {
     air.work_ticks = (i % 7 == 0 ? 3000e-6 : 100e-6) * kTicksPerSecond;
     air.run(0.003);

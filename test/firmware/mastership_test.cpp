@@ -36,7 +36,7 @@ ClockTime at_s(double t_s) {
   return ClockTime(std::llround(t_s * 63'897.6e6));
 }
 
-// One node on its own, told by hand what it hears.
+// A single node; the test hands it the beacons that it hears.
 struct Node {
   explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_of_backups(backups)) {
     site = {.id = id, .schedule = &schedule, .boot_count = 7, .sessions = &sessions};
@@ -57,12 +57,12 @@ struct Node {
   Verdict hear(std::uint16_t source, const Beacon& beacon, Ticks ahead = Ticks(0)) {
     return mastership->judge(source, beacon, ahead, at_s(1.0));
   }
-  // In step by two beacons, the last of them in superframe `number`.
+  // Synchronizes by two beacons, the second of superframe `number`.
   void enter(std::uint32_t number, std::uint16_t master = 101) {
     EXPECT_EQ(hear(master, beacon(number - 1, master)), Verdict::kAdopt);
     EXPECT_EQ(hear(master, beacon(number, master)), Verdict::kMeasure);
   }
-  // Superframes in which nothing is heard until it takes over; at most 1000.
+  // Number of silent superframes until it takes over; 1001 if it does not within 1000.
   std::uint32_t silent_until_takeover(std::uint32_t from) {
     for (std::uint32_t n = 1; n <= 1'000; ++n) {
       if (mastership->begin(from + n) == Duty::kTakeOver) return n;
@@ -165,7 +165,7 @@ TEST(Mastership, AnOrphanWithNothingToDisturbListensMostOfTheTime) {
         EXPECT_TRUE(!listens || n > Mastership::kPatience) << n;
         listening += listens ? 1 : 0;
       }
-      // In five of eight superframes: in the others it listens where its own network's beacon is due.
+      // In five of eight superframes; in the others it listens for its own network's beacon.
       const int expected = idle && id == 1 ? kOrphaned * 5 / 8 : 0;
       EXPECT_NEAR(listening, expected, 0.25 * expected) << id << (idle ? ", idle" : "");
     }
@@ -217,7 +217,7 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
   EXPECT_EQ(worse.hear(102, worse.beacon(140, 102)), Verdict::kSwitch);
   EXPECT_FALSE(worse->leads());
   EXPECT_EQ(worse->master(), 102);
-  // Far in time it dissolves, so that its nodes do not drag along.
+  // If their times differ by more than the guard it dissolves, so that its nodes leave it.
   Node far(103);
   far.enter(100);
   (void)far.silent_until_takeover(100);
@@ -235,11 +235,11 @@ TEST(Mastership, AFollowerGoesWithTheBetterMasterAndNotWithAnEcho) {
   EXPECT_EQ(node.hear(104, node.beacon(101, 101, 1, 13)), Verdict::kIgnore) << "told too late";
   EXPECT_EQ(node.hear(101, node.beacon(101, 101)), Verdict::kSwitch);
   EXPECT_EQ(node->master(), 101);
-  // When it has fallen silent the worse one is welcome.
+  // Once the better master has fallen silent the worse one is accepted.
   EXPECT_EQ(node.hear(103, node.beacon(114, 103)), Verdict::kSwitch);
 }
 
-// Whatever the two nodes and their times, exactly one of them gives way.
+// Exactly one of the two nodes yields, whatever their times.
 TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
   std::mt19937_64 random(3);
   const auto uniform = [&](double low, double high) {
@@ -261,7 +261,7 @@ TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
     (void)a.hear(102, of_b, ahead);
     (void)b.hear(101, of_a, -ahead);
     ASSERT_NE(a->dissolving(), b->dissolving()) << apart;
-    if (std::abs(apart) > 1e-3) {  // the guard's part of a superframe
+    if (std::abs(apart) > 1e-3) {  // the guard as a fraction of a superframe
       ++by_age;
       ASSERT_EQ(a->dissolving(), apart > 0.0);
     } else {
@@ -271,8 +271,8 @@ TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
   EXPECT_GT(by_age, 5'000);
 }
 
-// With a key: a call decides as an open network's beacon does, but nobody is dissolved; and hearsay moves
-// nobody.
+// Keyed network: a merge request decides as a beacon does in an open network, but dissolves nobody. An
+// unverified beacon changes nothing.
 TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
   std::mt19937_64 random(4);
   int adopted = 0;
@@ -286,7 +286,7 @@ TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
     of_a.session = a->session();
     Beacon of_b = b.beacon(500, 102);
     of_b.session = b->session();
-    // Once, and then ever less often.
+    // One merge request at once, then ever less often.
     EXPECT_EQ(a->judge_hearsay(102, of_b), Verdict::kCall);
     EXPECT_EQ(a->judge_hearsay(102, of_b), Verdict::kIgnore);
     ASSERT_TRUE(a->leads());
@@ -301,7 +301,7 @@ TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
     adopted += at_a == Verdict::kAdopt ? 1 : 0;
   }
   EXPECT_GT(adopted, 2'000);
-  // A call from within its own timeline says nothing new; one of a session that has drifted apart does.
+  // A merge request from the same timeline is ignored; one of the same session that has drifted apart is not.
   Node node(101);
   node->found();
   Beacon own = node.beacon(0, 102);
@@ -309,7 +309,7 @@ TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
   EXPECT_EQ(node->judge_call(102, own, kGuard), Verdict::kIgnore);
   EXPECT_EQ(node->judge_call(102, own, -2 * kGuard), Verdict::kCall);
   EXPECT_EQ(node->judge_call(102, own, 2 * kGuard), Verdict::kAdopt);
-  // Another schedule's hearsay is nobody to be called.
+  // An unverified beacon of another schedule triggers no merge request.
   own.schedule_hash ^= 1;
   EXPECT_EQ(Node(102)->judge_hearsay(102, own), Verdict::kIgnore);
 }
@@ -327,7 +327,7 @@ TEST(Mastership, WhoWasDissolvedDoesNotJoinThatSessionAgain) {
   EXPECT_EQ(node.hear(102, other), Verdict::kAdopt);
 }
 
-// A farewell that its master goes on after was somebody else's.
+// A dissolving beacon was forged if its master continues to send beacons.
 TEST(Mastership, AForgedFarewellIsDisprovedByTheMastersNextWord) {
   Node node(105);
   node.enter(100);
@@ -352,12 +352,12 @@ TEST(Mastership, WhoHasTheWrongCountGivesItUp) {
     EXPECT_EQ(follower.hear(101, follower.beacon(n), -4096 * kDuration), Verdict::kIgnore);
   EXPECT_EQ(follower.hear(101, follower.beacon(103), -4096 * kDuration), Verdict::kLeave);
   EXPECT_EQ(follower.hear(101, follower.beacon(104)), Verdict::kAdopt);
-  // Now and then one, between others that fit, changes nothing.
+  // Occasional wrong ones between right ones change nothing.
   for (std::uint32_t n = 105; n < 125; ++n) {
     EXPECT_EQ(follower.hear(101, follower.beacon(n + 7), 7 * kDuration), Verdict::kIgnore);
     EXPECT_EQ(follower.hear(101, follower.beacon(n)), Verdict::kMeasure);
   }
-  // Of two masters of one session the one whose count is behind gives way.
+  // Of two masters of one session the one whose count is behind yields.
   for (const int ahead : {-40, 40}) {
     Node leader(102);
     leader.enter(100);
@@ -377,8 +377,8 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
     beacon.schedule_hash ^= 1U;
     return beacon;
   };
-  // Searching: a newer network keeps everybody from starting; an older one those whose schedule is on trial,
-  // but for the master.
+  // While searching: a network with a newer schedule keeps every node from starting one. A network with an
+  // older schedule keeps only nodes on trial from it, except the master.
   for (const int by : {-1, 1}) {
     for (const std::uint16_t id : std::vector<std::uint16_t>{101, 102}) {
       for (const bool on_trial : {false, true}) {
@@ -388,7 +388,7 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
         const bool waits = by > 0 || (on_trial && id != 101);
         EXPECT_EQ(node.hear(101, with_epoch(node, by)), waits ? Verdict::kStale : Verdict::kCall);
         EXPECT_GE(*node->lead_at(), waits ? before + Ticks::from_us(2'000'000) : before);
-        // Of those who are to be driven off no noise keeps it back.
+        // Traffic of a network with an older schedule does not delay its start.
         const ClockTime then = *node->lead_at();
         node->on_traffic(at_s(0.9));
         if (!waits) {
@@ -403,7 +403,7 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(101, follower.beacon(101)), Verdict::kMeasure);
   EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall) << "the older ones are told";
-  // One frame is no evidence, nor are two that tell of different schedules.
+  // One frame is no evidence, nor are two with different schedules.
   for (const int by : {1, 2, 1}) EXPECT_EQ(follower.hear(102, with_epoch(follower, by)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(103, with_epoch(follower, 1)), Verdict::kLeave);
@@ -431,7 +431,7 @@ TEST(Mastership, WhatContradictsItselfIsStale) {
   EXPECT_EQ(node.hear(101, node.beacon(100, 101, 0, 1)), Verdict::kStale) << "its own word, of before";
 }
 
-// No two have the same turn, whoever leads, and a relay has one in each round.
+// No two nodes share a turn, whichever leads, and each relay has one turn per round.
 TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
   for (std::size_t backups = 0; backups <= 7; ++backups) {
     for (std::size_t leader = 0; leader <= backups; ++leader) {
@@ -482,8 +482,8 @@ TEST(Mastership, CountsOverTheNumbersWrap) {
 
 // ---- many nodes at random --------------------------------------------------------------------------------
 
-// Superframe by superframe: who leads and who relays is heard by who is in reach and in step; another
-// timeline only by who searches or scans.
+// Simulates superframe by superframe: synchronized nodes in reach hear masters and relays. Only searching or
+// scanning nodes hear another timeline.
 class Crowd {
  public:
   Crowd(std::uint64_t seed, std::size_t backups, std::size_t others) : random_(seed), backups_(backups) {
@@ -558,7 +558,7 @@ class Crowd {
   }
 
   std::vector<Member> nodes;
-  std::vector<int> cut;  // nodes hear each other where this is the same
+  std::vector<int> cut;  // nodes with equal values hear each other
   double loss = 0.0;
 
  private:
@@ -603,7 +603,7 @@ class Crowd {
       m.base = std::floor(m.base) + uniform() * 0.999 + 1.0;
     }
     if (several) mastership.suspect();
-    // Nothing of its network for a hundred superframes: its clock is lost.
+    // After a hundred superframes without its network its clock is lost.
     if (mastership.role() == Role::kFollowing && mastership.age(number(m)) > 100) {
       return mastership.search(now());
     }
@@ -627,7 +627,7 @@ class Crowd {
             .shared = shared};
   }
 
-  // Beacons of one timeline that are sent at one time disturb each other.
+  // Simultaneous beacons of one timeline collide.
   void deliver(const std::vector<Sent>& sent, bool in_step_collide) {
     for (Member& m : nodes) {
       if (!m.on) continue;
@@ -691,7 +691,7 @@ TEST(Mastership, WhateverHappensOneNetworkUnderOneMasterComesOfIt) {
       }
       ASSERT_LT(steps, 200) << "seed " << seed << " round " << round;
       longest = std::max(longest, steps);
-      // And it stays so.
+      // And the network stays one.
       for (int i = 0; i < 50; ++i) crowd.step();
       ASSERT_TRUE(crowd.one_network()) << "seed " << seed << " round " << round;
     }

@@ -26,8 +26,8 @@ groma_Schedule schedule_with(const std::vector<std::uint16_t>& tags, std::uint32
   return schedule;
 }
 
-// Superframes of beacon and shared slot, without radio and clocks: nodes hear those whose cell is next to
-// theirs, two that send at once are not heard. Back-ups relay what they heard last.
+// Superframes of beacon and shared slot, without radio and clocks. Nodes hear senders of their own and the
+// adjacent cells; simultaneous transmissions collide. Back-ups relay the last beacon that they heard.
 class Sea {
  public:
   struct Node {
@@ -61,7 +61,7 @@ class Sea {
   void run(std::uint32_t superframes) {
     for (std::uint32_t i = 0; i < superframes; ++i) superframe();
   }
-  // Superframes until it holds; `most` where it does not.
+  // Superframes until `holds`, or `most` if it never does.
   std::uint32_t until(const std::function<bool()>& holds, std::uint32_t most = 400) {
     for (std::uint32_t i = 0; i < most; ++i) {
       if (holds()) return i;
@@ -74,7 +74,7 @@ class Sea {
   std::uint16_t master = kMaster;
   int collisions = 0;
   int joins = 0;
-  std::vector<std::uint16_t> holders;  // as the master's last beacon had them
+  std::vector<std::uint16_t> holders;  // slot owners in the master's last beacon
 
  private:
   struct Sending {
@@ -214,7 +214,7 @@ TEST(Membership, ASlotThatATagLeavesServesAnother) {
   EXPECT_FALSE(second.tag->slot(sea.number));
   first.tag->leave();
   EXPECT_FALSE(first.tag->slot(sea.number)) << "silent at once";
-  // The one that waits asks about each 16 superframes by now.
+  // The waiting tag now asks about every 16 superframes.
   EXPECT_LE(sea.until([&] { return second.tag->slot(sea.number).has_value(); }), 20U);
   sea.run(300);
   EXPECT_FALSE(first.tag->slot(sea.number));
@@ -297,7 +297,7 @@ TEST(Membership, AnAnchorThatStartsIsKnownToTheTagsInReach) {
   sea.add_anchor(kMaster);
   Sea::Node& tag = sea.add_tag(1);
   Sea::Node& far = sea.add_tag(2, 1);
-  tag.polls = far.polls = false;  // so that nothing keeps an anchor from announcing itself
+  tag.polls = far.polls = false;  // a poll would keep the anchor from announcing itself
   sea.run(200);
   EXPECT_EQ(sea.joins, 3) << "the master's";
   sea.add_anchor(900, -1);

@@ -114,7 +114,7 @@ class NodeTest : public ::testing::Test {
   void command(std::span<const std::uint8_t> payload) {
     std::vector<std::uint8_t> frame(wire::max_encoded_size(payload.size()));
     frame.resize(wire::encode_frame(payload, frame));
-    // In two pieces, as a UART may give them.
+    // In two pieces, as a UART may deliver them.
     node.on_link_bytes(std::span(frame).first(frame.size() / 2));
     node.on_link_bytes(std::span(frame).subspan(frame.size() / 2));
   }
@@ -144,7 +144,7 @@ class NodeTest : public ::testing::Test {
     EXPECT_FALSE(replies.empty());
     return replies.empty() ? groma_Reply groma_Reply_init_zero : replies.back().body.reply;
   }
-  // Commands to the radio: a transmission or a reception.
+  // Commands to the radio: transmissions and receptions.
   std::size_t radio_starts() {
     std::size_t n = 0;
     for (const Transfer& t : platform.chip.writes()) {
@@ -160,14 +160,14 @@ class NodeTest : public ::testing::Test {
     }
     return n;
   }
-  // By the radio's own time-out.
+  // Ends it by the radio's own time-out.
   void end_listening() {
     ++receptions_ended;
     platform.chip.status |= kFrameTimeout;
     node.on_radio_interrupt();
   }
 
-  // A master that hears nobody for its time, and has armed its first beacon.
+  // A master that has heard nobody in its listening time and has armed its first beacon.
   void start_leading() {
     node.start();
     await_leading();
@@ -265,7 +265,7 @@ TEST_F(NodeTest, UnconfiguredAndWithoutTheRadiosInterruptItProvesNothing) {
   const std::uint64_t began_us = platform.time_us;
   while (platform.time_us < began_us + 10'000'000) {
     platform.time_us = node.next_deadline_us();
-    // Its listening ends, and the line that would tell is cut.
+    // Its listening ends, but the interrupt line is cut.
     if (radio_starts() > 0) platform.chip.status |= kFrameTimeout;
     node.on_timer();
   }
@@ -287,7 +287,7 @@ TEST_F(NodeTest, AMasterProvesLifeOnceASuperframe) {
   store(good_config(groma_Role_ROLE_ANCHOR));
   start_leading();
   platform.proofs = 0;
-  // The beacon's, the shared one and three tags'.
+  // The slots of the beacon, of the shared frame and of three tags.
   for (int superframe = 0; superframe < 3; ++superframe) {
     platform.chip.put(0x17, 0, platform.chip.written(0x0A, 0) + 16'436, 5);
     platform.chip.time = platform.chip.written(0x0A, 0);
@@ -393,7 +393,7 @@ TEST_F(NodeTest, NeverTellsTheNetworksKey) {
   }
   EXPECT_NE(std::search(platform.stored.begin(), platform.stored.end(), key.begin(), key.end()),
             platform.stored.end());
-  // What the hello says of all of the configuration does not hang on the key, but on its hash.
+  // The Hello's hash of the configuration depends on the key's hash, not on the key.
   groma_Config other = config;
   other.network_key.bytes[3] ^= 0x55;
   EXPECT_EQ(config_hash_of(other), config_hash_of(config));
@@ -413,7 +413,7 @@ TEST_F(NodeTest, KeepsItsKeyWhereTheHashAloneIsWritten) {
   EXPECT_EQ(kept->preamble, groma_Preamble_PREAMBLE_64);
   EXPECT_EQ(kept->network_key.size, 16);
   EXPECT_EQ(kept->network_key.bytes[15], 0x4F);
-  // The hash of another key: that key has to come with it.
+  // The hash of another key requires that key with it.
   changed.network_key_hash ^= 1;
   write(changed);
   changed = config;
@@ -459,7 +459,7 @@ TEST_F(NodeTest, EachBadConfigurationIsRefusedByName) {
   EXPECT_EQ(node.counters().commands_refused, 11U);
 }
 
-// nanopb takes any number for an enumeration.
+// nanopb accepts any number for an enumeration.
 TEST_F(NodeTest, NumbersThatAreNoEnumeratorsAreRefused) {
   node.start();
   for (const auto& [member, offset] : {std::pair{"role", offsetof(groma_Config, role)},
@@ -483,7 +483,7 @@ TEST_F(NodeTest, AStoreThatFailsOrLiesIsToldAndTheNodeGoesOn) {
   const std::size_t starts = radio_starts();
   write(good_config());
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_STORAGE);
-  // Off the air while storing, and on it again.
+  // The radio is off while storing, and on again after it.
   EXPECT_EQ(radio_starts(), starts + 1);
 }
 
@@ -512,7 +512,7 @@ TEST_F(NodeTest, AMasterGoesOnWithItsCountAfterAWrite) {
   config.report_raw_stamps = true;
   write(config);
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
-  // The slots of some superframes have passed; the next beacon comes as many whole ones later.
+  // Some superframes have passed; the next beacon comes a whole number of them later.
   for (int i = 0; i < 6 && platform.chip.written(0x0D, 0) != kTransmission; ++i) {
     platform.chip.time = platform.chip.written(0x0A, 0) + 400 * kTicksPerUs;
     end_listening();
@@ -584,7 +584,7 @@ TEST_F(NodeTest, HintsAreForTagsAndEachHasItsWeight) {
   groma_AnchorPreference& hint = message.body.prefer_anchors;
   hint.ids_count = hint.weights_count = 2;
   hint.ids[0] = 104;
-  hint.ids[1] = 777;  // one that the schedule does not name: the host knows it
+  hint.ids[1] = 777;  // not in the schedule, but known to the host
   hint.weights[0] = 200;
   hint.weights[1] = 30;
   node.start();
@@ -705,7 +705,7 @@ TEST_F(NodeTest, WhenTheInterruptStaysAwayTheRadioIsBroughtUpAgain) {
   node.start();
   EXPECT_EQ(radio_starts(), 1U);
   const int resets = platform.resets;
-  // Listening for 50 ms; its end is never told.
+  // It listens for 50 ms; no interrupt reports the end.
   const std::uint64_t deadline_us = node.next_deadline_us();
   EXPECT_LT(deadline_us, platform.time_us + 60'000);
   platform.time_us = deadline_us;
@@ -780,20 +780,20 @@ TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
 
 TEST_F(NodeTest, TellsUntilWhenTheRadioLetsItDoOtherThings) {
   EXPECT_EQ(node.quiet_until_us(), ~std::uint64_t{0});
-  // A master has armed its first beacon.
+  // A master that has armed its first beacon.
   store(good_config(groma_Role_ROLE_ANCHOR));
   start_leading();
   const std::uint64_t beacon_us = node.quiet_until_us();
   EXPECT_GT(beacon_us, platform.time_us);
   EXPECT_LT(beacon_us, platform.time_us + 100'000);
-  // And where it searches for a beacon, nothing hangs on how soon it is served.
+  // While it searches for a beacon, service latency does not matter.
   store(good_config());
   command(groma_HostToNode_apply_config_tag);
   EXPECT_EQ(node.quiet_until_us(), ~std::uint64_t{0});
 }
 
 TEST_F(NodeTest, DeviceTimeGoesOnWhenTheRadioIsBroughtUpAgain) {
-  // A master: each beacon's DX_TIME tells where its clock stands.
+  // A master: each beacon's DX_TIME shows its clock.
   store(good_config(groma_Role_ROLE_ANCHOR));
   platform.chip.time = 400'000'000'000;
   start_leading();
@@ -986,7 +986,7 @@ TEST(MessageEncoder, AReplyWithAStoredConfigurationHasNanopbsBytes) {
     whole.body.reply.has_config = true;
     whole.body.reply.config = without_key(config);
     EXPECT_TRUE(std::ranges::equal(encoder.encode(whole), seen)) << on_trial;
-    // Where it does not fit there is nothing, at any length that is too short.
+    // Returns 0 for every buffer that is too short.
     std::vector<std::uint8_t> room(groma_NodeToHost_size);
     const std::size_t size = encode_message(message, told, room);
     EXPECT_EQ(encode_message(message, told, std::span(room).first(size)), size);

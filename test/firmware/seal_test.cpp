@@ -1,4 +1,5 @@
-// A frame's code holds in one session, superframe and place, for one sender and one type, and for no other.
+// A frame's MIC is valid in one session, superframe and slot, for one sender and one frame type, and nowhere
+// else.
 #include "firmware/core/mac/seal.hpp"
 
 #include <gtest/gtest.h>
@@ -107,7 +108,7 @@ TEST_F(SealTest, SeesEachBitThatIsChanged) {
   }
 }
 
-// What is made ahead is the same code, for each kind of frame and wherever it was expected.
+// A precomputed MIC equals the plain one, for each frame type and whichever type was expected.
 TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
@@ -123,7 +124,7 @@ TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
       ahead.glance(plain, place);
       EXPECT_TRUE(ahead.fits(plain, place));
       EXPECT_TRUE(ahead.fits(plain, place));
-      // Another session's frames are not expected.
+      // Frames of another session are not expected.
       ahead.enter(kSession + 1);
       ahead.glance(plain, place);
       EXPECT_FALSE(ahead.fits(plain, place));
@@ -169,7 +170,7 @@ TEST_F(SealTest, SeesAForgeryAtAGlanceToo) {
   EXPECT_TRUE(seal.fits(bytes, place));
 }
 
-// The frame before was never asked about, and its bytes lay where this one's lie.
+// The previous frame was never verified, and its bytes were at the same address.
 TEST_F(SealTest, TellsNothingOfAFrameByTheOneBefore) {
   seal.expect_received(101, FrameType::kPoll, place);
   const auto good = signed_bytes(frame_with(bodies()[1]), place);
@@ -200,13 +201,13 @@ TEST_F(SealTest, TakesABeaconByWhatItSaysOfItself) {
   Seal searching(&cipher, kKey);
   EXPECT_TRUE(searching.fits(own, beacon));
   EXPECT_TRUE(seal.fits(own, beacon));
-  // One that is passed on goes out in the shared slot.
+  // A relayed beacon goes out in the shared slot.
   beacon.hop = 1;
   beacon.shared = true;
   const auto relayed = signed_bytes(frame_with(beacon), {1'000, Place::kShared});
   EXPECT_TRUE(seal.fits(relayed, beacon));
   EXPECT_FALSE(seal.fits(signed_bytes(frame_with(beacon), {1'000, Place::kBeacon}), beacon));
-  // Another session's is another key's.
+  // Another session has another key.
   beacon.session ^= 1;
   EXPECT_FALSE(seal.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
   Seal other(&cipher, kKey);
@@ -233,7 +234,7 @@ TEST_F(SealTest, ACallHoldsForThoseCalledInThatSuperframeAlone) {
   EXPECT_FALSE(called.fits(frame, beacon, {callees.session, callees.superframe + 256}));
   EXPECT_FALSE(called.fits(frame, beacon, {callees.session + 1, callees.superframe}));
   EXPECT_FALSE(called.fits(frame, beacon, {callees.session ^ (std::uint64_t{1} << 60), callees.superframe}));
-  // It is no beacon of its own session, nor is one of those a call.
+  // It does not verify as a beacon of its own session, nor does such a beacon verify as a merge request.
   EXPECT_FALSE(called.fits(frame, beacon));
   EXPECT_FALSE(called.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon, callees));
   for (std::size_t i = 0; i < frame.size(); ++i) {
@@ -241,7 +242,7 @@ TEST_F(SealTest, ACallHoldsForThoseCalledInThatSuperframeAlone) {
     changed[i] ^= 1;
     EXPECT_FALSE(called.fits(changed, beacon, callees)) << i;
   }
-  // Who has another key makes none.
+  // A node with another key cannot make one.
   Seal stranger(&cipher, kOtherKey);
   stranger.enter(kSession);
   FrameBytes forged = serialize(frame_with(beacon));
@@ -264,7 +265,7 @@ TEST_F(SealTest, BelievesNothingWhereTheCipherFails) {
   const auto uncoded = signed_bytes(frame_with(Final{4}), place);
   seal.enter(kSession + 1);
   cipher.good = true;
-  // No key for that session, not one of zeros.
+  // That session then has no key, not one of zeros.
   EXPECT_EQ(signed_bytes(frame_with(Final{4}), place), uncoded);
   EXPECT_FALSE(seal.fits(bytes, place));
   EXPECT_FALSE(seal.fits(uncoded, place));
@@ -272,7 +273,7 @@ TEST_F(SealTest, BelievesNothingWhereTheCipherFails) {
   EXPECT_FALSE(seal.fits(uncoded, place));
   EXPECT_TRUE(seal.fits(bytes, place));
 
-  // Nor by what was made ahead.
+  // Nor with a precomputed MIC.
   cipher.good = false;
   seal.expect_received(101, FrameType::kFinal, place);
   seal.glance(bytes, place);
@@ -299,7 +300,7 @@ TEST(Seal, OfAnOpenNetworkDoesNothing) {
   EXPECT_FALSE(keyless.fits(bytes.bytes(), Beacon{}));
 }
 
-// ---- freshness ------------------------------------------------------------------------------------------
+// ---- challenge and response against replay ------------------------------------------------------------
 
 class FreshnessTest : public ::testing::Test {
  protected:
@@ -338,11 +339,11 @@ TEST_F(FreshnessTest, BelievesABeaconThatBringsItsNonceBack) {
   EXPECT_FALSE(node.fresh());
   hear(node, Welcome{7, join.nonce});
   EXPECT_TRUE(node.fresh());
-  // Until it searches again.
+  // Only until it searches again.
   Freshness lost = node;
   lost.forget();
   EXPECT_FALSE(lost.fresh());
-  // And asks no more.
+  // It sends no further challenge.
   for (std::uint32_t number = 1; number < 20; ++number) EXPECT_FALSE(node.open_slot(number).has_value());
 }
 
@@ -354,18 +355,18 @@ TEST_F(FreshnessTest, NeverMakesANonceTwice) {
   EXPECT_NE(first.nonce, second.nonce);
   hear(node, Welcome{7, first.nonce});
   EXPECT_FALSE(node.fresh());
-  // In the same boot as another station.
+  // A second station in the same boot.
   Freshness again(settings_of(7, &nonces));
   const Join third = ask(again, 0);
   EXPECT_NE(third.nonce, first.nonce);
   EXPECT_NE(third.nonce, second.nonce);
-  // After a reboot, the count begins anew.
+  // After a reboot the count of nonces restarts.
   std::uint32_t none = 0;
   Freshness::Settings settings = settings_of(7, &none);
   settings.boot_count = 6;
   Freshness rebooted(settings);
   EXPECT_NE(ask(rebooted, 0).nonce, first.nonce);
-  // A boot that was not counted asks for nothing, and so believes nothing.
+  // Without a boot count it sends no challenge and so accepts no beacon.
   settings.boot_count = 0;
   Freshness uncounted(settings);
   for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(uncounted.open_slot(number).has_value());
@@ -379,7 +380,8 @@ TEST_F(FreshnessTest, AsksAtOnceAndThenInTurn) {
     node.on_sent(number, true);
     turns.push_back(number);
   }
-  // Each second superframe's slot is open; of four of those one is this node's, each time an earlier one.
+  // Every second superframe has an open slot. One of four of these is this node's, one place earlier each
+  // round.
   EXPECT_EQ(turns, (std::vector<std::uint32_t>{16, 30, 36, 42}));
 }
 

@@ -1,5 +1,4 @@
-// Networks whose masters die, come back, are cut off from each other and meet again; and sites larger than a
-// radio cell.
+// Networks whose masters fail, restart, are separated and meet again; and sites larger than a radio cell.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -34,7 +33,8 @@ std::size_t good(const std::vector<RangeSeen>& ranges) {
       ranges.begin(), ranges.end(), [](const RangeSeen& r) { return r.range.status == RangeStatus::kOk; }));
 }
 
-// All but those to the dead, of which one may have been under way.
+// Expects good ranges to all live anchors and none to `dead` ones. An exchange in the first superframe may
+// still complete.
 void expect_good_but_to(const std::set<std::uint16_t>& dead, const std::vector<RangeSeen>& ranges) {
   ASSERT_FALSE(ranges.empty());
   for (const RangeSeen& r : ranges) {
@@ -46,7 +46,7 @@ void expect_good_but_to(const std::set<std::uint16_t>& dead, const std::vector<R
   }
 }
 
-// Anchors 101.., of which 101 is the master and the next ones the back-ups; tags 1.., added after them.
+// Anchors 101.. (101 is the master, the next ones are the back-ups) and tags 1.., added after the anchors.
 groma_Schedule schedule_with(std::size_t tags, std::size_t anchors, std::size_t backups) {
   groma_Schedule schedule = schedule_of(tags, anchors, groma_RangingMethod_METHOD_DS_NEXT_POLL, 300, 150);
   schedule.backup_ids_count = static_cast<pb_size_t>(backups);
@@ -74,14 +74,14 @@ class Site {
     return air.station(index_of(id)).mastership();
   }
   void run_superframes(double count) { air.run(count * superframe_s); }
-  // Keeps none of the ranges: those of minutes are more than the memory of a small target holds.
+  // Discards the ranges: minutes of them exceed the memory of a small target.
   void run_unseen(double seconds) {
     for (double done_s = 0.0; done_s < seconds; done_s += 1.0) {
       air.run(std::min(1.0, seconds - done_s));
       air.ranges.clear();
     }
   }
-  // What the tags complete meanwhile.
+  // The ranges that the tags complete in these superframes.
   std::vector<RangeSeen> ranges_of(double superframes) {
     air.ranges.clear();
     run_superframes(superframes);
@@ -96,7 +96,7 @@ class Site {
     }
     return out;
   }
-  // With a key: each has asked whether what it hears is of now, and been answered.
+  // Keyed network: every node is synchronized and has completed its challenge-response.
   [[nodiscard]] bool all_fresh() const {
     for (std::size_t i = 0; i < air.size(); ++i) {
       if (!air.station(i).fresh() || air.station(i).sync().state() == SyncState::kSearching) return false;
@@ -161,9 +161,9 @@ TEST(SelfOrganizing, AMasterThatComesBackJoinsTheNetworkThatRuns) {
   EXPECT_EQ(good(ranges), ranges.size());
   EXPECT_GE(ranges.size(), 99U * 3 * 8);
   EXPECT_EQ(site.air.collisions, 0U);
-  // And when the one that leads dies, the schedule's master is the next in rank again.
+  // When the current master dies, the schedule's master leads again.
   site.air.stop(site.index_of(102));
-  site.run_superframes(1);  // it had its part in the exchange under way
+  site.run_superframes(1);  // it took part in the exchange under way
   const auto later = site.ranges_of(100);
   EXPECT_EQ(site.leaders({102}), Ids{101});
   expect_good_but_to({102}, later);
@@ -201,8 +201,8 @@ class KeyedOrOpen : public ::testing::TestWithParam<bool> {};
 INSTANTIATE_TEST_SUITE_P(SelfOrganizing, KeyedOrOpen, ::testing::Bool(),
                          [](const auto& keyed) { return keyed.param ? "Keyed" : "Open"; });
 
-// Cut in two for so long that each half has its own master of the one session, then together again. With a
-// key the half stays whose count is ahead, where the two have drifted apart.
+// The network is split until each half of the session has its own master, then rejoined. In a keyed network
+// whose halves have drifted apart, the half with the higher superframe count wins.
 TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
   const bool keyed = GetParam();
   for (const double cut_s : {1.0, 20.0, 120.0}) {
@@ -223,7 +223,7 @@ TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
       EXPECT_EQ(site.leaders(), Ids{101}) << cut_s;
     }
     EXPECT_EQ(site.sessions().size(), 1U) << cut_s;
-    // Tags that were out of the master's reach have lost their slots, and join.
+    // Tags out of the master's reach have lost their slots and join again.
     site.run_superframes(20);
     const auto ranges = site.ranges_of(50);
     EXPECT_EQ(good(ranges), ranges.size()) << cut_s;
@@ -232,8 +232,8 @@ TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
   }
 }
 
-// Two that never heard of each other, at all phases of their superframes, both with tags that range: the
-// older one stays.
+// Two independent networks meet at all relative superframe phases, both with ranging tags: the older one
+// wins.
 class MeetingTest : public ::testing::TestWithParam<std::tuple<std::size_t, double, bool>> {};
 
 TEST_P(MeetingTest, TwoNetworksThatMeetBecomeOneWithinTenSuperframes) {
@@ -280,8 +280,9 @@ INSTANTIATE_TEST_SUITE_P(BackUpsAndClocks, MeetingTest,
                          ::testing::Combine(::testing::Values(1U, 3U, 7U), ::testing::Values(0.5, 20.0),
                                             ::testing::Bool()));
 
-// All calls are kept from all, and said again in later superframes' shared slots: they move nobody, and when
-// the honest ones come through again, the two are one after the longest pause between two of them.
+// All merge requests are jammed and replayed in the shared slots of later superframes. The replays change
+// nothing. Once genuine requests get through, the networks merge within the longest pause between two
+// requests.
 TEST(SelfOrganizing, ACallThatIsSaidAgainMovesNobody) {
   Site site(schedule_with(4, 8, 3), 3, 0.5, true);
   const auto half = [&](std::size_t i) { return site.air.id(i) % 2; };
@@ -340,11 +341,10 @@ TEST(SelfOrganizing, ElevenLostBeaconsCostNothing) {
   EXPECT_EQ(site.leaders().size(), 1U);
 }
 
-// The node's clocks run off by 1 ppm a second, each its own way, and no beacon comes any more: who ranges,
-// ranges right, and nobody ever sends outside of the guard; when the table of slots is too old all are
-// silent.
+// The clocks drift by 1 ppm/s in alternating directions and all beacons are lost. All ranges stay correct and
+// all transmissions stay within the guard. The nodes fall silent when the slot table expires.
 TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
-  // No back-ups: nobody takes over.
+  // No back-ups, so nobody takes over.
   const groma_Schedule schedule = schedule_with(3, 8, 0);
   Site site(schedule);
   const mac::Superframe superframe(schedule, dw1000::Phy(dw1000::Preamble::k128));
@@ -368,7 +368,7 @@ TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
     const auto* poll = parsed ? std::get_if<mac::Poll>(&parsed->body) : nullptr;
     if (poll == nullptr) return;
     ++polls;
-    // By the master's clock, to which all of this is due.
+    // By the master's clock, which defines when frames are due.
     const double shown = site.air.local_ticks_of(master) - (site.air.now() - frame.rmarker);
     const auto time = site.air.station(master).network_time(ClockTime(std::llround(shown)));
     ASSERT_TRUE(time);
@@ -385,10 +385,10 @@ TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
   EXPECT_LT(worst_error_m(site.air.ranges), kIdealError_m);
   drift(108);
   EXPECT_LT(worst_late_us, schedule.guard_us) << "nobody sends outside of its slot";
-  // A table of slots counts for 32 superframes; in some of the last ones all listen for a master.
+  // A slot table is valid for 32 superframes; in some of the last ones all nodes listen for a master.
   EXPECT_GE(polls, 25U * 3);
   EXPECT_LE(polls, 33U * 3);
-  // Two superframes with 2 ppm a second between the clocks.
+  // An exchange spans two superframes, with 2 ppm/s between the clocks.
   EXPECT_LT(worst_error_m(site.air.ranges), 0.02);
   std::printf("[ coasting ] %zu polls of 3 tags, up to %.2f us off\n", polls, worst_late_us);
   polls = 0;
@@ -396,7 +396,7 @@ TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
   EXPECT_EQ(polls, 0U) << "silent";
 }
 
-// A tag misses its turn for so long that the clocks' drift would bend the range of the exchange before.
+// A tag skips its slot for so long that clock drift would bias the range of the previous exchange.
 TEST(SelfOrganizing, AnExchangeIsClosedByThePollOfTheNextTwoSuperframesOrNotAtAll) {
   for (const int pause : {1, 2, 4}) {
     Site site(schedule_with(1, 4, 0));
@@ -404,7 +404,7 @@ TEST(SelfOrganizing, AnExchangeIsClosedByThePollOfTheNextTwoSuperframesOrNotAtAl
     site.air.run(1.0);
     const std::size_t tag = site.index_of(1);
     site.air.ranges.clear();
-    // Off from between two exchanges, for `pause` superframes but for a little.
+    // Switched off between two exchanges, for half a superframe less than `pause` superframes.
     std::uint32_t last = 0;
     site.air.overheard = [&](const Air::Frame& frame) {
       const auto parsed = mac::parse(frame.bytes).frame;
@@ -437,12 +437,12 @@ TEST(SelfOrganizing, AnExchangeIsClosedByThePollOfTheNextTwoSuperframesOrNotAtAl
   }
 }
 
-// Three cells in a row, each anchor hears its own cell and the relays next to it.
+// Three cells in a row. Each anchor hears its own cell and the adjacent relays.
 TEST(SelfOrganizing, NodesThatHearOnlyARelayRangeAsWellAsTheOthers) {
   groma_Schedule schedule = schedule_with(3, 9, 2);
   Site site(schedule);
-  // Anchors 101, 104, 107 and tag 1 in the first cell, 102 ... in the second, 103 ... in the third. The
-  // relays 102 and 103 hear the cell before theirs too.
+  // Anchors 101, 104, 107 and tag 1 are in the first cell, 102 ... in the second, 103 ... in the third. The
+  // relays 102 and 103 also hear the cell before theirs.
   const auto cell = [&](std::size_t i) {
     const std::uint16_t id = site.air.id(i);
     return static_cast<int>(id < 100 ? id - 1 : (id - 101) % 3);
@@ -453,7 +453,7 @@ TEST(SelfOrganizing, NodesThatHearOnlyARelayRangeAsWellAsTheOthers) {
     const std::size_t second = cell(a) < cell(b) ? b : a;
     const std::uint16_t id = site.air.id(second);
     const std::uint16_t other = site.air.id(first);
-    // The relay of the later cell and what is in the one before.
+    // The relay of the later cell and the anchors of the one before.
     return cell(second) == cell(first) + 1 && (id == 102 || id == 103) && other > 100;
   };
   site.air.start_all();
@@ -473,7 +473,7 @@ TEST(SelfOrganizing, NodesThatHearOnlyARelayRangeAsWellAsTheOthers) {
   }
   EXPECT_GE(good(ranges), 99U * 9);
   EXPECT_LT(worst_error_m(ranges), kIdealError_m);
-  // The master dies: the relays lead on, and no cell loses a range among its living.
+  // The master dies: a relay takes over, and no cell loses a range to its live anchors.
   site.air.stop(site.index_of(101));
   const auto later = site.ranges_of(200);
   EXPECT_EQ(site.leaders({101}), Ids{102});
@@ -521,7 +521,7 @@ TEST(SelfOrganizing, ANodeWithAnOldScheduleStaysSilent) {
   }
 }
 
-// Off for a flash write, and for so long that another one leads.
+// Off for the duration of a flash write, and long enough for another node to take over.
 TEST(SelfOrganizing, AMasterWhoseRadioWasOffIsConsistentAgain) {
   for (const double off_s : {0.03, 0.085, 0.2, 0.4, 1.0, 5.0}) {
     Site site(schedule_with(2, 6, 2));
@@ -553,10 +553,10 @@ TEST(SelfOrganizing, TheNetworksTimeIsContinuousOverAChangeOfMaster) {
   site.air.stop(site.index_of(101));
   site.air.run(10.0);
   const auto after = network_time_at(tag, site.air.local_ticks_of(tag));
-  // By the first master's clock, as the second one knew it when it took over: to 0.05 ppm.
+  // At the first master's rate as the second one had estimated it at the takeover: to 0.05 ppm.
   const double rate = 1.0 + site.air.offset_ppm(site.index_of(101)) * 1e-6;
   EXPECT_NEAR(static_cast<double>(after - before) / ((site.air.now() - before_now) * rate), 1.0, 0.05e-6);
-  // All agree about it, but for the flight of the beacons.
+  // All nodes agree except for the beacons' flight times.
   for (const std::uint16_t id : Ids{102, 103, 104, 105}) {
     const std::size_t i = site.index_of(id);
     EXPECT_NEAR(static_cast<double>(network_time_at(i, site.air.local_ticks_of(i)) - after), 0.0, 20'000.0);

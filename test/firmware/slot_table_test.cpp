@@ -137,11 +137,11 @@ TEST(SlotTable, AMasterThatHearsNobodyCallsNothingBack) {
     table.reclaim();
   }
   EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
-  // Back in reach, the first that it hears costs the others nothing.
+  // Back in reach, hearing one tag does not cost the others their slots.
   table.hear(2, 1);
   table.reclaim();
   EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
-  // From then on it counts.
+  // From then on silence counts.
   for (std::uint32_t t = 10 * kLease; t < 12 * kLease; ++t) {
     table.advance(t);
     table.hear(2, 1);
@@ -168,7 +168,7 @@ TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
   EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast})) << "and is not asked again for a lease";
 }
 
-// Three forged JOINs have filled the table; the tags of the schedule ask in vain.
+// Three forged JOINs have filled the table; the scheduled tags find no free slot.
 TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
   SlotTable table(schedule);
@@ -185,7 +185,7 @@ TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
     table.reclaim();
   }
   EXPECT_LE(t, kFirstLease + kTableGoodFor + 12);
-  // Who polls keeps its slot, however many ask.
+  // A tag that polls keeps its slot, however many others ask.
   SlotTable full(schedule);
   full.lead(7);
   full.advance(1);
@@ -200,7 +200,7 @@ TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
   }
 }
 
-// A table that a beacon of a forged count has brought is none for the right one.
+// A slot table from a beacon with a forged count does not outrank the true one.
 TEST(Tenure, ATableOfTheFutureGivesWayToTheNextOne) {
   Tenure tenure(1, 0);
   Beacon beacon{.superframe = 1'000'000, .session = 7, .slots = 2, .holders = {50, kNobody}};
@@ -317,8 +317,8 @@ struct Head {
   std::uint32_t told = 0;
 };
 
-// Masters that die and come back, tags that come, leave, die, hear little, or are not heard; beacons told
-// late by relays. In no superframe do two tags poll in one slot.
+// Masters die and come back; tags join, leave, die, miss beacons or are not heard; relays deliver beacons
+// late. No two tags ever poll in one slot.
 TEST(Slots, NeverHaveTwoOwners) {
   std::uint64_t polls = 0;
   std::uint64_t moves = 0;
@@ -335,7 +335,7 @@ TEST(Slots, NeverHaveTwoOwners) {
     std::vector<Beacon> past;
     for (std::uint32_t t = 1; t < 3000; ++t) {
       for (Head& head : heads) head.table->advance(t);
-      // The master dies; another one that heard it lately goes on 13 superframes later.
+      // The master dies; another node that heard it recently takes over 13 superframes later.
       if (chance(0.005)) {
         heads[leader].on = false;
         std::size_t next = leader;
@@ -358,7 +358,7 @@ TEST(Slots, NeverHaveTwoOwners) {
       for (std::size_t i = 0; i < heads.size(); ++i) {
         if (i == leader) continue;
         if (!heads[i].on) {
-          // Reborn, it takes the table from the air before it may lead.
+          // A restarted node copies the table from the air before it may lead.
           if (!chance(0.02)) continue;
           heads[i].on = true;
           heads[i].table = std::make_unique<SlotTable>(schedule);
@@ -405,7 +405,7 @@ TEST(Slots, NeverHaveTwoOwners) {
           (void)table.claim(player.id);
         }
         if (chance(0.003)) {
-          if (chance(0.5)) table.leave(player.id);  // else it dies, or its word is lost
+          if (chance(0.5)) table.leave(player.id);  // else it dies, or its JOIN is lost
           player.tenure.reset();
           player.back_at = t + kTableGoodFor;
         }

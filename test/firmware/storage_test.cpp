@@ -1,5 +1,5 @@
-// The power is cut at every single flash operation of each scenario, with each kind of torn result, several
-// times over: in the manner of littlefs's tests.
+// Cuts the power at every flash operation of each scenario, with each kind of torn result and several seeds,
+// in the manner of littlefs's tests.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -40,7 +40,7 @@ bool store(NorFlash& flash, const Bytes& bytes) {
   return ConfigStore(flash).store(bytes);
 }
 
-// As a page's head and a record are laid out (record_store.hpp), written word by word.
+// Writes a page header and one record word by word in the layout of record_store.hpp.
 void put_page(NorFlash& flash, std::size_t page, std::uint32_t sequence, std::uint32_t payload_word) {
   const auto start = static_cast<std::uint32_t>(page) * kPageBytes;
   ASSERT_TRUE(flash.erase(page));
@@ -105,7 +105,7 @@ TEST(ConfigStore, ErasesOnceForAPageOfRecordsAndTreatsTheFlashWell) {
   constexpr std::uint64_t kStores = 1'000;
   for (std::uint64_t i = 0; i < kStores; ++i) ASSERT_TRUE(store(flash, blob(200, i)));
   EXPECT_EQ(load(flash), blob(200, kStores - 1));
-  // A page holds (4096 - 16) / 208 = 19 of them.
+  // A page holds (4096 - 16) / 208 = 19 records.
   EXPECT_EQ(flash.erases(0), 27U);
   EXPECT_EQ(flash.erases(1), 26U);
   EXPECT_LE(flash.most_writes_in_a_block(), NorFlash::kBlockBytes / 4);
@@ -134,7 +134,7 @@ TEST(ConfigStore, TheSequenceNumberMayWrap) {
     put_page(flash, 0, sequence, 1);
     put_page(flash, 1, sequence + 1, 2);
     EXPECT_EQ(load(flash), (Bytes{2, 0, 0, 0})) << sequence;
-    // Four pages full go over the wrap.
+    // Enough stores to fill four pages and to pass the wrap.
     for (std::uint64_t i = 0; i < 14; ++i) {
       ASSERT_TRUE(store(flash, blob(1000, i)));
       ASSERT_EQ(load(flash), blob(1000, i)) << sequence << ' ' << i;
@@ -174,7 +174,7 @@ TEST(ConfigStore, AnyFlippedBitOfAPageHeadGivesTheOtherPage) {
   }
 }
 
-// Some words take no more writes, or pages no more erases.
+// Flash of which some words no longer take writes, or the pages no longer erase.
 class WornFlash {
  public:
   bool erase(std::size_t page) noexcept { return erases ? flash.erase(page) : lies; }
@@ -187,7 +187,7 @@ class WornFlash {
   NorFlash flash{kPages};
   std::vector<std::uint32_t> worn;
   bool erases = true;
-  bool lies = false;  // says that it did
+  bool lies = false;  // reports success all the same
 };
 
 TEST(ConfigStore, AWordThatTakesNoWriteIsFoundAndTheOtherPageUsed) {
@@ -229,7 +229,7 @@ TEST(ConfigStore, APageThatIsNotErasedIsNotWritten) {
 
 // ---- power cuts -----------------------------------------------------------------------------------------
 
-// What is in flash, and what may be after a store that was cut short.
+// `before` prepares the flash; the power is cut while `next` is being stored.
 struct Scenario {
   std::string name;
   std::function<void(NorFlash&)> before;
@@ -283,14 +283,14 @@ std::vector<Scenario> scenarios() {
   };
 }
 
-// The next value of the counter in a copy, whose power stays on.
+// The counter's next value, read from a copy with its power on.
 std::uint64_t counter_after(NorFlash flash) {
   flash.power_on();
   return Counter(flash).next().value_or(0);
 }
 
-// Cuts the power at each operation of `work` in each way; calls check(flash, done, where) on what is left,
-// with the power back.
+// Cuts the power at each operation of `work` in each way, then restores it and calls check(flash, done,
+// where).
 void cut_everywhere(const NorFlash& start, const std::function<bool(NorFlash&)>& work,
                     const std::function<void(NorFlash&, bool, const std::string&)>& check) {
   NorFlash whole = start;
@@ -332,7 +332,7 @@ TEST_P(PowerCut, LeavesTheOldOrTheNewAndTheCounterAsItWas) {
         ASSERT_TRUE(!done || left == next) << where;
         ++(left == next ? news : olds);
         ASSERT_EQ(counter_after(flash), counter) << where;
-        // Life goes on.
+        // The store still works.
         ASSERT_TRUE(store(flash, blob(300, 77))) << where;
         ASSERT_EQ(load(flash), blob(300, 77)) << where;
         ASSERT_EQ(flash.overwrites(), 0U) << where;
@@ -342,14 +342,15 @@ TEST_P(PowerCut, LeavesTheOldOrTheNewAndTheCounterAsItWas) {
   EXPECT_GT(news, 0U);
 }
 
-// What the first cut left is cut into again: half-erased pages, torn records with others behind them to move.
+// Cuts the power again on the flash left by a first cut: half-erased pages, torn records followed by others
+// that have to move.
 TEST_P(PowerCut, TwiceInARowIsBorneToo) {
   NorFlash start(kPages);
   GetParam().before(start);
   const Bytes old = load(start);
   const Bytes& first = GetParam().next;
   const Bytes second = blob(40, 9);
-  // Each way of the first cut is too many: a sample of them, the last operations among them.
+  // A sample of the first cuts, including late operations: all of them would take too long.
   NorFlash whole = start;
   ASSERT_TRUE(store(whole, first));
   const std::uint64_t operations = whole.operations() - start.operations();
@@ -385,7 +386,7 @@ TEST(PowerCutFuzz, WhateverIsCutWheneverTheOldOrTheNewIsThereAndNoCounterRepeats
     KeyedRandom random(seed);
     NorFlash flash(kPages);
     Bytes config;
-    std::uint64_t given = 0;  // the counter's values so far were below
+    std::uint64_t given = 0;  // above all counter values so far
     for (std::uint64_t step = 0; step < 400; ++step) {
       const KeyedRandom draw = random.of(step);
       if (draw.of(0).uniform() < 0.5) {
@@ -419,8 +420,7 @@ TEST(PowerCutFuzz, WhateverIsCutWheneverTheOldOrTheNewIsThereAndNoCounterRepeats
   }
 }
 
-// ---- the counter
-// -------------------------------------------------------------------------------------------
+// ---- the counter ----------------------------------------------------------------------------------------
 
 TEST(Counter, CountsOnWithinABlockAndReservesTheNext) {
   NorFlash flash(kPages);
@@ -453,7 +453,7 @@ TEST(Counter, BeginsEachBootWithABlockOfItsOwn) {
     ASSERT_EQ(counter.next(), boot * Counter<NorFlash>::kBlock + 1);
   }
   EXPECT_EQ(load(flash), blob(100, 1));
-  // Some 250 boots an erase.
+  // About 250 boots per erase.
   EXPECT_LE(flash.erases(0) + flash.erases(1), 6U);
 }
 

@@ -91,7 +91,7 @@ TEST(Superframe, NoFrameOverlapsAnotherAndEachGapIsKept) {
   }
 }
 
-// Whoever relays the beacon, and whoever polls after a relay, has taken one in first.
+// A node that relays a beacon, or polls after a relay, must first process a beacon.
 TEST(Superframe, LeavesTimeToTakeABeaconIn) {
   for (const bool secured : {false, true}) {
     for (const std::uint32_t gap_us : {50U, 160U, 700U}) {
@@ -101,7 +101,7 @@ TEST(Superframe, LeavesTimeToTakeABeaconIn) {
       const Ticks frame = superframe.phy().air_time(superframe.control_bytes());
       const double before_relay_us =
           us(superframe.shared() - superframe.beacon() - frame - superframe.guard());
-      // With a key a message's code is made after the beacon's has been checked.
+      // In a keyed network a message's MIC is computed after the beacon's has been verified.
       EXPECT_NEAR(before_relay_us, std::max<std::uint32_t>(gap_us, 300) + (secured ? 200.0 : 100.0), 0.1);
       const double before_poll_us = us(superframe.poll(0) - superframe.shared() - frame - superframe.guard());
       EXPECT_NEAR(before_poll_us, 400.0, 0.1);
@@ -109,7 +109,7 @@ TEST(Superframe, LeavesTimeToTakeABeaconIn) {
   }
 }
 
-// An anchor that heard a FINAL has the next POLL to hear, the master a beacon to make.
+// After a FINAL an anchor must be ready for the next POLL, and the master must prepare its beacon.
 TEST(Superframe, LeavesTheTurnRoundAfterAFinal) {
   for (const bool secured : {false, true}) {
     for (const std::uint32_t gap_us : {50U, 120U, 150U, 200U, 250U, 300U, 700U}) {
@@ -150,7 +150,7 @@ TEST(Superframe, ThreeTagsAndTwelveAnchorsGetWellOverAThousandRangesASecond) {
   EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 650, 290), 1550.0);
   EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_FINAL, 650, 290), 1350.0);
   EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 300, 100), 2500.0);
-  // Nothing for free: it cannot beat the air.
+  // The air time limits the rate.
   EXPECT_LT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 650, 290), 1900.0);
 }
 
@@ -194,7 +194,7 @@ TEST(Schedule, IdsMayComeInAnyOrderButOnceEach) {
   groma_Schedule schedule = schedule_of(16, 64, groma_RangingMethod_METHOD_DS_FINAL);
   schedule.backup_ids_count = 0;
   std::reverse(std::begin(schedule.tag_ids), std::end(schedule.tag_ids));
-  // 27 and 64 have no common factor: each place once, far from where it was.
+  // 27 and 64 are coprime: each place occurs once, far from where it was.
   const groma_Schedule sorted = schedule;
   for (std::size_t i = 0; i < 64; ++i) schedule.anchor_ids[i] = sorted.anchor_ids[27 * i % 64];
   EXPECT_EQ(check(schedule), ScheduleFault::kNone);
@@ -232,7 +232,7 @@ TEST(Schedule, TheHashTellsEveryDifference) {
   EXPECT_NE(hash, changed([](auto& s) { ++s.turn_round_us; }));
   EXPECT_NE(hash, changed([](auto& s) { ++s.response_gap_us; }));
   EXPECT_NE(hash, changed([](auto& s) { ++s.guard_us; }));
-  // What lies beyond the lists' ends is no part of them.
+  // Entries beyond the lists' counts do not matter.
   EXPECT_EQ(hash, changed([](auto& s) { s.tag_ids[9] = 77; }));
 }
 

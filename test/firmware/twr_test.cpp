@@ -43,7 +43,7 @@ Int128 exact_double_sided(std::int64_t ra, std::int64_t da, std::int64_t rb, std
 TEST(DoubleSided, EqualsTheExactRationalForAnyFourIntervals) {
   Random random(1);
   for (int i = 0; i < 200'000; ++i) {
-    // All magnitudes from 1 tick to the whole period, alike and unlike.
+    // Magnitudes from 1 tick to the whole period, similar and different.
     const auto interval = [&] { return random.integer(1, (std::int64_t{1} << random.integer(1, 40)) - 1); };
     const std::int64_t ra = interval();
     const std::int64_t da = interval();
@@ -81,7 +81,7 @@ TEST(DoubleSided, RefusesWhatIsNoInterval) {
   }
 }
 
-// A clock that is off by `ppb` and shows `phase` at time 0; true time in thousandths of a tick.
+// A clock with rate offset `ppb` and reading `phase` at true time 0; true time in thousandths of a tick.
 struct Clock {
   std::int64_t ppb;
   std::int64_t phase;
@@ -114,7 +114,7 @@ TEST(DoubleSided, MeasuresTheDistanceAcrossTheWrapAndAtFortyPpm) {
     ASSERT_TRUE(result);
     const double tof = static_cast<double>(tof_m) / 1000.0;
     const double measured = static_cast<double>(result->in_256ths()) / 256.0;
-    // Six stamps rounded to a tick, and tof times the clocks' offset.
+    // Six timestamps rounded to a tick, and the flight time times the clock offset.
     ASSERT_NEAR(measured, tof, 1.6 + tof * 41e-6);
     const double offset_ppb = static_cast<double>(anchor.ppb - tag.ppb);
     ASSERT_NEAR(clock_offset_ppb(intervals), offset_ppb,
@@ -122,7 +122,8 @@ TEST(DoubleSided, MeasuresTheDistanceAcrossTheWrapAndAtFortyPpm) {
   }
 }
 
-// For linear motion the estimate is the distance at the RESPONSE, however unequal the two halves are.
+// For linear motion the estimate is the distance at the RESPONSE, even if the two round trips differ in
+// length.
 TEST(DoubleSided, IsTheDistanceAtTheResponseOfATagInMotion) {
   const double speed_mps = 3.0;
   const double metres_per_tick = kSpeedOfLight_mps / static_cast<double>(Ticks::kPerSecond);
@@ -137,7 +138,7 @@ TEST(DoubleSided, IsTheDistanceAtTheResponseOfATagInMotion) {
   const auto result = double_sided({ticks(t2 - t1), ticks(a2 - a1), ticks(a3 - a2), ticks(t3 - t2)});
   ASSERT_TRUE(result);
   EXPECT_NEAR(static_cast<double>(result->distance_m()), tof_at(a2) * metres_per_tick, 0.006);
-  // The distance at the POLL was another.
+  // The distance at the POLL was different.
   EXPECT_GT(tof_at(a2) * metres_per_tick - tof_at(t1) * metres_per_tick, 0.018);
 }
 
