@@ -17,7 +17,7 @@ std::vector<std::uint32_t> turns(Access& access, std::uint32_t from, std::uint32
   return taken;
 }
 
-TEST(Access, WaitsLongerAfterEachSendingUpToABound) {
+TEST(Access, WindowGrowsAfterEachTransmissionUpToABound) {
   for (std::uint16_t id = 1; id < 60; ++id) {
     Access access(id);
     access.want(Purpose::kJoin, {.first_window_log2 = 0, .last_window_log2 = 3}, 1000);
@@ -30,7 +30,7 @@ TEST(Access, WaitsLongerAfterEachSendingUpToABound) {
   }
 }
 
-TEST(Access, SendsNoMoreOnceSettledAndNoOftenerThanAsked) {
+TEST(Access, StopsWhenSettledOrAfterTheRequestedTimes) {
   Access access(7);
   EXPECT_TRUE(turns(access, 0, 20).empty());
   access.want(Purpose::kAnnounce, {.first_window_log2 = 2, .last_window_log2 = 4, .times = 3}, 20);
@@ -44,7 +44,7 @@ TEST(Access, SendsNoMoreOnceSettledAndNoOftenerThanAsked) {
   EXPECT_TRUE(turns(access, 201, 300).empty());
 }
 
-TEST(Access, WhatWasTooLateIsSentInTheNextSlotAndDoesNotCount) {
+TEST(Access, AMissedTransmissionMovesToTheNextSlotAndDoesNotCount) {
   Access access(7);
   access.want(Purpose::kAnnounce, {.times = 2}, 0);
   EXPECT_EQ(access.turn(0), Purpose::kAnnounce);
@@ -57,7 +57,7 @@ TEST(Access, WhatWasTooLateIsSentInTheNextSlotAndDoesNotCount) {
   EXPECT_TRUE(turns(access, 51, 90).empty());
 }
 
-TEST(Access, TheFirstPurposeGoesFirstAndNoneIsForgotten) {
+TEST(Access, SendsThePurposesInOrderAndForgetsNone) {
   Access access(9);
   access.want(Purpose::kAnnounce, {.times = 1}, 0);
   access.want(Purpose::kLeave, {.times = 1}, 0);
@@ -66,7 +66,7 @@ TEST(Access, TheFirstPurposeGoesFirstAndNoneIsForgotten) {
   EXPECT_EQ(access.turn(2), std::nullopt);
 }
 
-TEST(Access, IsTheSameInEachReplay) {
+TEST(Access, IsDeterministic) {
   Access a(300);
   Access b(300);
   for (Access* access : {&a, &b}) access->want(Purpose::kJoin, {.first_window_log2 = 3}, 55);
@@ -75,14 +75,14 @@ TEST(Access, IsTheSameInEachReplay) {
 
 // Number of open slots until each of `nodes` contenders, all starting in slot `from`, has been alone in a
 // slot; 10'000 if that does not happen.
-std::uint32_t slots_until_all_came_through(std::uint16_t nodes, std::uint16_t first_id, std::uint32_t from,
+std::uint32_t slots_until_all_succeeded(std::uint16_t nodes, std::uint16_t first_id, std::uint32_t from,
                                            const Persistence& persistence) {
   std::vector<Access> all;
   for (std::uint16_t i = 0; i < nodes; ++i) {
     all.emplace_back(static_cast<std::uint16_t>(first_id + i));
     all.back().want(Purpose::kJoin, persistence, from);
   }
-  std::size_t through = 0;
+  std::size_t succeeded = 0;
   for (std::uint32_t number = from; number < from + 10'000; ++number) {
     Access* only = nullptr;
     int senders = 0;
@@ -93,18 +93,18 @@ std::uint32_t slots_until_all_came_through(std::uint16_t nodes, std::uint16_t fi
     }
     if (senders != 1) continue;
     only->settle(Purpose::kJoin);
-    if (++through == nodes) return number - from + 1;
+    if (++succeeded == nodes) return number - from + 1;
   }
   return 10'000;
 }
 
-TEST(Access, TwoThatBeginTogetherComeThroughSoon) {
+TEST(Access, TwoSimultaneousContendersSucceedSoon) {
   // After the first collision both draw from 2 slots, then 4, 8, ... With the probabilities 1/2, 3/4, 7/8 of
   // being alone, the expected duration is about 5 slots.
   std::vector<std::uint32_t> slots;
   for (std::uint16_t id = 1; id <= 100; ++id) {
     for (std::uint32_t from = 0; from < 10; ++from) {
-      slots.push_back(slots_until_all_came_through(2, id, 77 * from, {}));
+      slots.push_back(slots_until_all_succeeded(2, id, 77 * from, {}));
     }
   }
   std::sort(slots.begin(), slots.end());
@@ -113,13 +113,13 @@ TEST(Access, TwoThatBeginTogetherComeThroughSoon) {
   EXPECT_LE(slots.back(), 60U);
 }
 
-TEST(Access, ACrowdComesThroughToo) {
+TEST(Access, SixteenContendersSucceed) {
   for (std::uint32_t from = 0; from < 20; ++from) {
-    EXPECT_LE(slots_until_all_came_through(16, 1, 1000 * from, {.last_window_log2 = 6}), 400U) << from;
+    EXPECT_LE(slots_until_all_succeeded(16, 1, 1000 * from, {.last_window_log2 = 6}), 400U) << from;
   }
 }
 
-TEST(Access, TheDrawsAreEven) {
+TEST(Access, DrawsAreUniform) {
   // Chi-square over 8 slots of the first window, 8000 draws: 7 degrees of freedom, 24.3 at 0.1 %.
   std::array<int, 8> seen{};
   for (std::uint16_t id = 1; id <= 80; ++id) {

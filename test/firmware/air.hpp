@@ -27,7 +27,7 @@ inline constexpr double kTicksPerSecond = 63'897'600'000.0;
 inline constexpr double kMetresPerTick = 299'792'458.0 / kTicksPerSecond;
 
 inline groma_Schedule schedule_of(std::size_t tags, std::size_t anchors, groma_RangingMethod method,
-                                  std::uint32_t turn_round_us = 650, std::uint32_t gap_us = 290) {
+                                  std::uint32_t turnaround_us = 650, std::uint32_t gap_us = 290) {
   groma_Schedule schedule = groma_Schedule_init_zero;
   schedule.epoch = 7;
   schedule.master_id = 101;
@@ -36,7 +36,7 @@ inline groma_Schedule schedule_of(std::size_t tags, std::size_t anchors, groma_R
   schedule.anchor_ids_count = static_cast<pb_size_t>(anchors);
   for (std::size_t i = 0; i < anchors; ++i) schedule.anchor_ids[i] = static_cast<std::uint16_t>(101 + i);
   schedule.method = method;
-  schedule.turn_round_us = turn_round_us;
+  schedule.turn_round_us = turnaround_us;
   schedule.response_gap_us = gap_us;
   schedule.guard_us = 20;
   return schedule;
@@ -119,7 +119,7 @@ class Air {
   void start(std::size_t node) {
     Node& n = *nodes_[node];
     n.on = true;
-    arm(node, tell(n, [&](auto& machine) { return machine.start(local(n, now_)); }));
+    arm(node, dispatch(n, [&](auto& machine) { return machine.start(local(n, now_)); }));
   }
   void attach(std::size_t node, mac::ControlChannel& channel) {
     auto& machine = nodes_[node]->machine;
@@ -133,7 +133,7 @@ class Air {
   void resume(std::size_t node) {
     Node& n = *nodes_[node];
     n.on = true;
-    arm(node, tell(n, [&](auto& machine) { return machine.resume(local(n, now_)); }));
+    arm(node, dispatch(n, [&](auto& machine) { return machine.resume(local(n, now_)); }));
   }
   void stop(std::size_t node) {
     nodes_[node]->on = false;
@@ -164,7 +164,7 @@ class Air {
   std::function<void(const Frame&)> overheard;
   // May change a reception before its receiver gets it.
   std::function<void(std::size_t receiver, mac::Reception&)> spoil;
-  double stamp_noise_ticks = 0.0;
+  double timestamp_noise_ticks = 0.0;
   double work_ticks = 100e-6 * kTicksPerSecond;  // from an event until the next action is armed
 
   std::vector<RangeSeen> ranges;
@@ -185,9 +185,9 @@ class Air {
   [[nodiscard]] double local_ticks_of(std::size_t node) const { return local_ticks(*nodes_[node], now_); }
   void set_offset_ppm(std::size_t node, double ppm) {
     Node& n = *nodes_[node];
-    const double shown = local_ticks(n, now_);
+    const double local_now = local_ticks(n, now_);
     n.settings.offset_ppm = ppm;
-    n.settings.phase_ticks = shown - now_ * (1.0 + ppm * 1e-6);
+    n.settings.phase_ticks = local_now - now_ * (1.0 + ppm * 1e-6);
   }
 
  private:
@@ -211,7 +211,7 @@ class Air {
     return i;
   }
   template <class F>
-  static Step tell(Node& n, F&& f) {
+  static Step dispatch(Node& n, F&& f) {
     if (auto* tag = std::get_if<mac::Tag>(&n.machine)) return f(*tag);
     return f(std::get<mac::Anchor>(n.machine));
   }
@@ -231,7 +231,7 @@ class Air {
 
   void arm(std::size_t index, Step step) {
     carry_out(index, step);
-    (void)tell(*nodes_[index], [](auto& machine) {
+    (void)dispatch(*nodes_[index], [](auto& machine) {
       machine.prepare();
       return Step{};
     });
@@ -243,19 +243,19 @@ class Air {
       n.action = step.action;
       n.ready = now_ + work_ticks;
       if (n.action.kind == Action::Kind::kTransmit) {
-        (void)tell(n, [](auto& machine) {
+        (void)dispatch(n, [](auto& machine) {
           machine.complete();
           return Step{};
         });
         n.outgoing.assign(n.action.frame.begin(), n.action.frame.end());
         if (true_time(n, n.action.at) - before() >= n.ready) return;
-        step = tell(n, [&](auto& machine) { return machine.on_late(local(n, n.ready)); });
+        step = dispatch(n, [&](auto& machine) { return machine.on_late(local(n, n.ready)); });
         continue;
       }
       const double from = n.action.kind == Action::Kind::kListen ? true_time(n, n.action.at) : n.ready;
       n.busy_from = std::max(from, n.ready);
       if (n.action.kind == Action::Kind::kNone || true_time(n, n.action.until) > n.busy_from) return;
-      step = tell(n, [&](auto& machine) { return machine.on_timeout(local(n, n.ready)); });
+      step = dispatch(n, [&](auto& machine) { return machine.on_timeout(local(n, n.ready)); });
     }
   }
 
@@ -275,7 +275,7 @@ class Air {
   // Processes one event: the end of a frame or of a listening period. False: there is none before `end`.
   bool step(double end) {
     double first = end;
-    std::size_t who = kGhost;
+    std::size_t actor = kGhost;
     const Frame* ghost = nullptr;
     for (std::size_t i = 0; i < nodes_.size(); ++i) {
       const Node& n = *nodes_[i];
@@ -285,7 +285,7 @@ class Air {
           sends ? true_time(n, n.action.at) + after(n.outgoing.size()) : true_time(n, n.action.until);
       if (t < first) {
         first = t;
-        who = i;
+        actor = i;
       }
     }
     for (const Frame& g : ghosts_) {
@@ -294,26 +294,26 @@ class Air {
         ghost = &g;
       }
     }
-    if (ghost == nullptr && who == kGhost) return false;
+    if (ghost == nullptr && actor == kGhost) return false;
     now_ = first;
     if (ghost != nullptr) {
       const Frame frame = *ghost;
       ghosts_.erase(ghosts_.begin() + (ghost - ghosts_.data()));
-      spread(frame);
+      transmit(frame);
       return true;
     }
-    Node& n = *nodes_[who];
+    Node& n = *nodes_[actor];
     if (n.action.kind != Action::Kind::kTransmit) {
-      arm(who, tell(n, [&](auto& machine) { return machine.on_timeout(local(n, now_)); }));
+      arm(actor, dispatch(n, [&](auto& machine) { return machine.on_timeout(local(n, now_)); }));
       return true;
     }
     const ClockTime stamp = n.action.at;
-    spread({who, true_time(n, stamp), n.settings.x_m, n.outgoing});
-    arm(who, tell(n, [&](auto& machine) { return machine.on_transmitted(stamp); }));
+    transmit({actor, true_time(n, stamp), n.settings.x_m, n.outgoing});
+    arm(actor, dispatch(n, [&](auto& machine) { return machine.on_transmitted(stamp); }));
     return true;
   }
 
-  void spread(const Frame& frame) {
+  void transmit(const Frame& frame) {
     if (overheard) overheard(frame);
     if (jammed && jammed(frame)) return;
     const double start = frame.rmarker - before();
@@ -366,16 +366,16 @@ class Air {
         frame.source == kGhost ? n.settings.offset_ppm : nodes_[frame.source]->settings.offset_ppm;
     const double offset_ppb = (sender_ppm - n.settings.offset_ppm) * 1e3;
     mac::Reception reception{
-        .stamp = local(n, frame.rmarker + flight + stamp_noise_ticks * gaussian()),
+        .stamp = local(n, frame.rmarker + flight + timestamp_noise_ticks * gaussian()),
         .stamp_valid = true,
         .frame = frame.bytes,
         .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
     if (spoil) spoil(index, reception);
-    (void)tell(n, [&](auto& machine) {
+    (void)dispatch(n, [&](auto& machine) {
       machine.glance(reception.frame);
       return Step{};
     });
-    arm(index, tell(n, [&](auto& machine) { return machine.on_received(reception); }));
+    arm(index, dispatch(n, [&](auto& machine) { return machine.on_received(reception); }));
     if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->check();
   }
 

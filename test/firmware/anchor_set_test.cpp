@@ -73,7 +73,7 @@ dw1000::ReceiveQuality received(double receive_dbm, double first_path_dbm) {
           .preamble_count = 120};
 }
 
-TEST(LinkQuality, GrowsWithPowerAndWithSight) {
+TEST(LinkQuality, GrowsWithPowerAndLineOfSight) {
   EXPECT_GE(link_quality(received(-80.0, -82.0)), 128 + 100);
   EXPECT_LT(link_quality(received(-80.0, -88.0)), 128 + 64);  // 8 dB: LOS uncertain
   EXPECT_GE(link_quality(received(-80.0, -88.0)), 64 + 100);
@@ -86,7 +86,7 @@ TEST(LinkQuality, GrowsWithPowerAndWithSight) {
   }
 }
 
-TEST(LinkQuality, IsNothingWhereTheRegistersHoldNothing) {
+TEST(LinkQuality, IsZeroForEmptyRegistersAndBoundedForAnyOthers) {
   EXPECT_EQ(link_quality({}), 0);
   EXPECT_EQ(link_quality({.channel_power = 100}), 0);
   EXPECT_EQ(link_quality({.amplitude1 = 0xFFFF,
@@ -99,7 +99,7 @@ TEST(LinkQuality, IsNothingWhereTheRegistersHoldNothing) {
 
 // ---- against a reference model that keeps all outcomes and sorts --------------------------------------
 
-class Twin {
+class Model {
  public:
   struct Anchor {
     std::uint16_t id;
@@ -114,7 +114,7 @@ class Twin {
   void add(std::uint16_t id, bool configured = false) {
     anchors.push_back({.id = id, .outcomes = {}, .configured = configured});
   }
-  void hear_nothing_of(std::uint16_t id) {
+  void record_silence(std::uint16_t id) {
     Anchor& a = of(id);
     a.outcomes.push_back(-1);
     const Belief b = belief(a);
@@ -134,7 +134,7 @@ class Twin {
     int rate = 0;
     int quality = 0;
     bool silent = true;
-    bool doubtful = true;  // the last outcome was no answer
+    bool unanswered = true;  // the last outcome was no answer
     int missed = 15;
   };
   // From all outcomes so far.
@@ -153,7 +153,7 @@ class Twin {
       }
     }
     b.silent = missed >= 7;
-    b.doubtful = missed > 0;
+    b.unanswered = missed > 0;
     b.missed = missed;
     return b;
   }
@@ -174,7 +174,7 @@ class Twin {
       return anchors[i].chosen ? v + std::floor(v / 4) : v;
     };
     const auto urgency = [&](std::size_t i) {
-      const int hope = beliefs[i].doubtful ? 8 + beliefs[i].rate / 32 : 1;
+      const int hope = beliefs[i].unanswered ? 8 + beliefs[i].rate / 32 : 1;
       return (anchors[i].untried + 1.0) * (anchors[i].weight + 1.0) * hope +
              (anchors[i].eager > 0 ? 0x80000000 : 0);
     };
@@ -186,7 +186,7 @@ class Twin {
       const std::size_t price = places >= 3 ? 32 : 128;
       const std::size_t most = places >= 3 ? 2 : 1;
       for (std::size_t i = 0; i < anchors.size(); ++i) {
-        if (!anchors[i].chosen) credit += beliefs[i].doubtful ? 5U : 1U;
+        if (!anchors[i].chosen) credit += beliefs[i].unanswered ? 5U : 1U;
       }
       std::size_t trials = 0;
       while (trials < most && credit >= price) {
@@ -228,58 +228,59 @@ class Twin {
   std::size_t credit = 0;
 };
 
-TEST(AnchorSet, ChoosesAsATwinThatRemembersEverything) {
+TEST(AnchorSet, ChoosesLikeTheReferenceModel) {
   for (std::uint64_t seed = 1; seed <= 40; ++seed) {
     std::mt19937_64 random(seed);
     const auto configured = static_cast<std::size_t>(1 + random() % 40);
     const std::size_t places = 1 + random() % 16;
     const auto ids = ids_from(100, configured);
     AnchorSet set(ids);
-    Twin twin;
-    for (const std::uint16_t id : ids) twin.add(id, true);
+    Model model;
+    for (const std::uint16_t id : ids) model.add(id, true);
     std::map<std::uint16_t, double> success;
     for (int superframe = 0; superframe < 300; ++superframe) {
-      if (random() % 16 == 0 && twin.anchors.size() < 64) {
+      if (random() % 16 == 0 && model.anchors.size() < 64) {
         const auto id = static_cast<std::uint16_t>(100 + random() % 64);
         ASSERT_TRUE(set.announce(id));
-        if (std::none_of(twin.anchors.begin(), twin.anchors.end(), [=](auto& a) { return a.id == id; })) {
-          twin.add(id);
+        if (std::none_of(model.anchors.begin(), model.anchors.end(), [=](auto& a) { return a.id == id; })) {
+          model.add(id);
         }
-        twin.of(id).eager = 3;
+        model.of(id).eager = 3;
       }
       if (random() % 16 == 0) {
-        const std::uint16_t id = twin.anchors[static_cast<std::size_t>(random() % twin.anchors.size())].id;
+        const std::uint16_t id = model.anchors[static_cast<std::size_t>(random() % model.anchors.size())].id;
         const auto weight = static_cast<std::uint8_t>(random() % 4 == 0 ? 0 : random());
         set.prefer(id, weight);
-        twin.of(id).weight = weight;
+        model.of(id).weight = weight;
       }
       if (random() % 8 == 0) {
-        Twin::Anchor& a = twin.anchors[static_cast<std::size_t>(random() % twin.anchors.size())];
+        Model::Anchor& a = model.anchors[static_cast<std::size_t>(random() % model.anchors.size())];
         set.hear(a.id);
-        if (Twin::belief(a).silent && a.untried >= 16) a.eager = 1;
+        if (Model::belief(a).silent && a.untried >= 16) a.eager = 1;
       }
       if (superframe % 50 == 0) {
-        for (const Twin::Anchor& a : twin.anchors) success[a.id] = random() % 2 == 0 ? 0.0 : uniform(random);
+        for (const Model::Anchor& a : model.anchors)
+          success[a.id] = random() % 2 == 0 ? 0.0 : uniform(random);
       }
-      const auto expected = twin.choose(places);
+      const auto expected = model.choose(places);
       ASSERT_EQ(choose(set, places), expected) << "seed " << seed << ", superframe " << superframe;
       for (const std::uint16_t id : expected) {
         const bool answers = uniform(random) < success[id];
         const auto quality = static_cast<std::uint8_t>(random());
         if (answers) {
           set.on_answer(id, quality);
-          twin.of(id).eager = Twin::belief(twin.of(id)).doubtful && !twin.of(id).chosen ? 1 : 0;
+          model.of(id).eager = Model::belief(model.of(id)).unanswered && !model.of(id).chosen ? 1 : 0;
         } else {
           set.on_silence(id);
-          twin.hear_nothing_of(id);
+          model.record_silence(id);
           continue;
         }
-        twin.of(id).outcomes.push_back(quality);
+        model.of(id).outcomes.push_back(quality);
       }
     }
-    ASSERT_EQ(set.size(), twin.anchors.size());
+    ASSERT_EQ(set.size(), model.anchors.size());
     for (std::size_t i = 0; i < set.size(); ++i) {
-      const Twin::Belief belief = Twin::belief(twin.anchors[i]);
+      const Model::Belief belief = Model::belief(model.anchors[i]);
       EXPECT_EQ(set.at(i).rate_256ths, belief.rate);
       EXPECT_EQ(set.at(i).quality, belief.quality);
       EXPECT_EQ(set.at(i).silent, belief.silent);
@@ -289,13 +290,13 @@ TEST(AnchorSet, ChoosesAsATwinThatRemembersEverything) {
 
 // ---- behaviour ----------------------------------------------------------------------------------------
 
-TEST(AnchorSet, PollsAllWhereTheyFit) {
+TEST(AnchorSet, PollsAllAnchorsIfTheyFit) {
   AnchorSet set(ids_from(101, 12));
   World world;
   for (int i = 0; i < 50; ++i) EXPECT_EQ(world.superframe(set, 16).first, ids_from(101, 12));
 }
 
-TEST(AnchorSet, TheRateIsTheShareAnswered) {
+TEST(AnchorSet, TheRateEstimatesTheShareAnswered) {
   AnchorSet set(ids_from(101, 1));
   World world;
   world.success[101] = 0.7;
@@ -309,7 +310,7 @@ TEST(AnchorSet, TheRateIsTheShareAnswered) {
 }
 
 // If the next POLL closes the exchange, a range needs two POLLs in a row.
-TEST(AnchorSet, ARebornAnchorIsRangedWithinTenSuperframes) {
+TEST(AnchorSet, ARestartedAnchorIsRangedWithinTenSuperframes) {
   for (std::size_t places = 3; places <= 16; ++places) {
     for (std::uint16_t dead = 101; dead <= 116; ++dead) {
       AnchorSet set(ids_from(101, 16));
@@ -341,7 +342,7 @@ TEST(AnchorSet, AnAnnouncedAnchorIsPolledNext) {
   EXPECT_TRUE(contains(choose(set, 8), 900)) << "and again, should the answer have been lost";
 }
 
-TEST(AnchorSet, OneThatNeverAnswersCostsTheUsefulOnesNoMoreThanTheTrials) {
+TEST(AnchorSet, ASilentAnchorCostsOnlyTheTrials) {
   // 16 anchors answer, one is dead: it gets 5 trials in 32 superframes, and the best 15 are always polled.
   AnchorSet set(ids_from(101, 17));
   World world;
@@ -354,7 +355,7 @@ TEST(AnchorSet, OneThatNeverAnswersCostsTheUsefulOnesNoMoreThanTheTrials) {
   EXPECT_EQ(std::count_if(polled.begin(), polled.end(), [](const auto& p) { return p.second == 800; }), 15);
 }
 
-TEST(AnchorSet, TwelveInReachOfThirtyAreAllPolledAtOnceAndAlways) {
+TEST(AnchorSet, TwelveReachableAnchorsOfThirtyAreAllPolledAtOnceAndAlways) {
   AnchorSet set(ids_from(101, 30));
   World world;
   for (const std::uint16_t id : ids_from(110, 12)) world.success[id] = 1.0;
@@ -362,7 +363,7 @@ TEST(AnchorSet, TwelveInReachOfThirtyAreAllPolledAtOnceAndAlways) {
   for (int i = 0; i < 300; ++i) EXPECT_EQ(world.superframe(set, 16).second.size(), 12U);
 }
 
-TEST(AnchorSet, ThirtyPercentLossCostsNoMoreThanItMust) {
+TEST(AnchorSet, ThirtyPercentLossRarelyDropsAnAnchor) {
   AnchorSet set(ids_from(101, 30));
   World world;
   for (const std::uint16_t id : ids_from(110, 12)) world.success[id] = 0.49;  // POLL and RESPONSE
@@ -377,7 +378,7 @@ TEST(AnchorSet, ThirtyPercentLossCostsNoMoreThanItMust) {
   EXPECT_GT(polls, 0.97 * 12 * kSuperframes);
 }
 
-TEST(AnchorSet, InAnotherCellItTurnsToThatCellsAnchors) {
+TEST(AnchorSet, SwitchesToTheAnchorsOfANewCell) {
   // 64 anchors, 21 per cell. The robot changes cells between two superframes. The set has one second to
   // adapt, 18 superframes (10 tags, 16 responses).
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
@@ -399,7 +400,7 @@ TEST(AnchorSet, InAnotherCellItTurnsToThatCellsAnchors) {
   }
 }
 
-TEST(AnchorSet, EachCandidateIsTriedInItsTurn) {
+TEST(AnchorSet, EachCandidateIsTriedInTurn) {
   AnchorSet set(ids_from(101, 64));
   World world;
   for (const std::uint16_t id : ids_from(101, 20)) world.success[id] = 1.0;
@@ -411,7 +412,7 @@ TEST(AnchorSet, EachCandidateIsTriedInItsTurn) {
   EXPECT_GE(tried.size(), 42U) << "44 silent ones at two places a superframe";
 }
 
-TEST(AnchorSet, PrefersWhatAnswersWellAndWhatTheHostHints) {
+TEST(AnchorSet, PrefersReliableAnchorsAndTheHostsHints) {
   AnchorSet set(ids_from(101, 32));
   World world;
   for (const std::uint16_t id : ids_from(101, 32)) {
@@ -440,7 +441,7 @@ TEST(AnchorSet, PrefersWhatAnswersWellAndWhatTheHostHints) {
   EXPECT_EQ(set.at(2).weight, AnchorSet::kNeutralWeight);
 }
 
-TEST(AnchorSet, TakesTheRoomOfSilentGuestsButNotOfTheConfigured) {
+TEST(AnchorSet, ReplacesSilentGuestsButNotConfiguredAnchors) {
   AnchorSet set(ids_from(101, 62));
   EXPECT_TRUE(set.announce(901));
   EXPECT_TRUE(set.announce(902));
@@ -462,7 +463,7 @@ TEST(AnchorSet, TakesTheRoomOfSilentGuestsButNotOfTheConfigured) {
   EXPECT_TRUE(ids.contains(903) && ids.contains(902) && !ids.contains(901));
 }
 
-TEST(AnchorSet, NothingToPollIsNothing) {
+TEST(AnchorSet, AnEmptySetPollsNothing) {
   AnchorSet set;
   EXPECT_TRUE(choose(set, 16).empty());
   EXPECT_EQ(set.answering(), 0U);

@@ -27,10 +27,10 @@ mac::Frame frame_of(std::span<const std::uint8_t> bytes) {
 }
 
 // What the attacker makes of a genuine frame that he has just heard.
-enum class Forgery { kReplayed, kReplayedLongAfter, kWrongCode, kChanged, kWithoutCode, kOtherKey };
+enum class Forgery { kReplayed, kReplayedLongAfter, kWrongMic, kChanged, kWithoutMic, kOtherKey };
 
-constexpr std::array kForgeries = {Forgery::kReplayed, Forgery::kReplayedLongAfter, Forgery::kWrongCode,
-                                   Forgery::kChanged,  Forgery::kWithoutCode,       Forgery::kOtherKey};
+constexpr std::array kForgeries = {Forgery::kReplayed, Forgery::kReplayedLongAfter, Forgery::kWrongMic,
+                                   Forgery::kChanged,  Forgery::kWithoutMic,       Forgery::kOtherKey};
 
 // Alternates JOIN and DATA in its open slots, and counts the control frames and beacons that it receives.
 class Chatter final : public mac::ControlChannel {
@@ -119,7 +119,7 @@ class AttackTest : public ::testing::Test {
     }
     return true;
   }
-  void come_up() {
+  void start_network() {
     air->start_all();
     run_superframes(60);
     ASSERT_TRUE(all_fresh());
@@ -151,13 +151,13 @@ class AttackTest : public ::testing::Test {
         return last_of(
                    [&](const Air::Frame& other) { return other.rmarker < frame.rmarker - 40 * duration(); })
             ->bytes;
-      case Forgery::kWrongCode:
+      case Forgery::kWrongMic:
         bytes.back() ^= 0x10;
         return bytes;
       case Forgery::kChanged:
         bytes[mac::kHeaderBytes] ^= 0x01;
         return bytes;
-      case Forgery::kWithoutCode:
+      case Forgery::kWithoutMic:
         bytes.resize(bytes.size() - mac::kCodeBytes);
         bytes[mac::kHeaderBytes - 1] &= 0x7F;
         return bytes;
@@ -219,8 +219,8 @@ class AttackTest : public ::testing::Test {
   sim::Aes aes;
 };
 
-TEST_F(AttackTest, AKeyedNetworkComesUpAndRanges) {
-  come_up();
+TEST_F(AttackTest, AKeyedNetworkStartsAndRanges) {
+  start_network();
   expect_full_rate(50);
   EXPECT_EQ(dropped(), 0U);
   EXPECT_FALSE(heard[kJoin].empty());
@@ -235,10 +235,10 @@ struct Replacement {
 
 class Replaced : public AttackTest, public ::testing::WithParamInterface<Replacement> {};
 
-TEST_P(Replaced, FramesAreDroppedAndCountedWhateverTheyAreMadeOf) {
+TEST_P(Replaced, ForgedFramesAreDroppedAndCounted) {
   const Kind kind = GetParam().kind;
   const std::uint16_t sender = GetParam().sender;
-  come_up();
+  start_network();
   run_superframes(20);
   // Not between a POLL and its RESPONSEs.
   const std::size_t answered = heard[kResponse].size();
@@ -313,7 +313,7 @@ INSTANTIATE_TEST_SUITE_P(EachKind, Replaced,
 
 // The next genuine RESPONSE closes the exchange that was attacked.
 TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
-  come_up();
+  start_network();
   run_superframes(20);
   for (const std::uint16_t anchor : std::array<std::uint16_t, 4>{101, 102, 103, 104}) {
     for (const Forgery forgery : kForgeries) {
@@ -333,8 +333,8 @@ TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
 }
 
 // Anchor 104's RESPONSE is jammed, and 103's of the same slot is replayed in its window.
-TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
-  come_up();
+TEST_F(AttackTest, AReplayedResponseInAnotherAnchorsWindowIsStale) {
+  start_network();
   std::optional<Air::Frame> of_103;
   air->jammed = [this](const Air::Frame& frame) {
     return frame.source != Air::kGhost && air->id(frame.source) == 104 &&
@@ -356,8 +356,8 @@ TEST_F(AttackTest, AnAnswerOfTheSameSlotInAnothersWindowIsStale) {
 }
 
 // Replays the master's beacon in the shared slot of the same superframe or of the next one.
-TEST_F(AttackTest, ABeaconIsNotBelievedTwice) {
-  come_up();
+TEST_F(AttackTest, AReplayedBeaconIsRejected) {
+  start_network();
   const double shared = static_cast<double>(
       (air->station(0).superframe().shared() - air->station(0).superframe().beacon()).count());
   // Jams the genuine traffic in the shared slots.
@@ -383,8 +383,8 @@ TEST_F(AttackTest, ABeaconIsNotBelievedTwice) {
 }
 
 // Replays recorded traffic to a node that has just started, with no genuine node on the air.
-TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
-  come_up();
+TEST_F(AttackTest, AStartingNodeRejectsARecording) {
+  start_network();
   run_superframes(60);
   for (const auto& one : chatter) one->talks = false;
   std::vector<Air::Frame> recording;
@@ -404,7 +404,7 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
       if (air->id(frame.source) != victim) air->inject(frame.rmarker + later, frame.x_m, frame.bytes);
     }
     const std::uint32_t beacons = air->counters(index).beacons_received;
-    const std::size_t told = chatter[index]->beacons;
+    const std::size_t beacons_before = chatter[index]->beacons;
     air->start(index);
     run_superframes(100);
     // It hears the beacons and sends challenges, but no other frame, and reports no beacon to its control
@@ -412,7 +412,7 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
     EXPECT_GT(air->counters(index).beacons_received, beacons + 10);
     EXPECT_GE(heard[kJoin].size(), 3U);
     EXPECT_EQ(heard[kPoll].size() + heard[kResponse].size() + heard[kData].size() + heard[kFinal].size(), 0U);
-    EXPECT_EQ(chatter[index]->beacons, told);
+    EXPECT_EQ(chatter[index]->beacons, beacons_before);
     EXPECT_FALSE(air->station(index).fresh());
     EXPECT_EQ(good_ranges(), ranges);
     // The genuine nodes come back, and it joins them again.
@@ -428,8 +428,8 @@ TEST_F(AttackTest, ANodeThatStartsDoesNotBelieveARecording) {
 
 // A tag coasts until its clock is too uncertain, then hears the beacons that it missed, replayed. By their
 // count the slot that it had is valid, but the tag must not poll before its challenge is answered.
-TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollByBeaconsThatItMissed) {
-  come_up();
+TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollOnReplayedBeacons) {
+  start_network();
   for (const auto& one : chatter) one->talks = false;
   std::size_t tag = 0;
   while (air->id(tag) != 1) ++tag;
@@ -460,13 +460,13 @@ TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollByBeaconsThatItMissed) {
 // network would yield, and once as a younger one. The replay is in shared slots, where all nodes hear it.
 class OldSession : public AttackTest, public ::testing::WithParamInterface<bool> {};
 
-TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
+TEST_P(OldSession, ChangesNothingAndCostsHardlyAnyRange) {
   const bool older = GetParam();
   std::vector<Air::Frame> recording;
   on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
     if (parsed.body.index() == kBeacon) recording.push_back(frame);
   };
-  come_up();
+  start_network();
   if (older) {
     run_superframes(900);
     recording.clear();
@@ -505,23 +505,23 @@ TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
     run_superframes(kSuperframes);
     return static_cast<double>(good_ranges() - before) / kSuperframes;
   };
-  const double honest = rate_of();
+  const double undisturbed = rate_of();
   const std::uint32_t dropped_before = dropped();
   std::size_t next = 0;
-  std::vector<std::uint8_t> said;
+  std::vector<std::uint8_t> replayed;
   const double shared = static_cast<double>(
       (air->station(0).superframe().shared() - air->station(0).superframe().beacon()).count());
   on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
     const auto* beacon = std::get_if<mac::Beacon>(&parsed.body);
     if (beacon == nullptr || beacon->hop != 0 || beacon->shared || beacon->superframe % 2 != 0) return;
     const Air::Frame& old = recording[next++ % recording.size()];
-    said = old.bytes;
-    air->inject(frame.rmarker + shared + 64.0, old.x_m, said);
+    replayed = old.bytes;
+    air->inject(frame.rmarker + shared + 64.0, old.x_m, replayed);
     ++ghosts_sent;
   };
   air->spoil = [&](std::size_t receiver, mac::Reception& reception) {
-    if (!std::equal(said.begin(), said.end(), reception.frame.begin(), reception.frame.end())) return;
-    const auto destination = frame_of(said).destination;
+    if (!std::equal(replayed.begin(), replayed.end(), reception.frame.begin(), reception.frame.end())) return;
+    const auto destination = frame_of(replayed).destination;
     if (destination == mac::kBroadcast || destination == air->id(receiver)) ++ghosts_heard;
   };
   const double under_attack = rate_of();
@@ -533,16 +533,16 @@ TEST_P(OldSession, MovesNobodyAndCostsHardlyAnyRange) {
   for (std::size_t i = 0; i < air->size(); ++i) EXPECT_EQ(air->station(i).mastership().session(), session);
   EXPECT_TRUE(air->station(0).mastership().leads());
   // Master and back-up, two of the four anchors, send merge requests ever less often.
-  EXPECT_GT(under_attack, 0.975 * honest);
+  EXPECT_GT(under_attack, 0.975 * undisturbed);
   expect_full_rate();
 }
 
-INSTANTIATE_TEST_SUITE_P(Looks, OldSession, ::testing::Bool(),
+INSTANTIATE_TEST_SUITE_P(Ages, OldSession, ::testing::Bool(),
                          [](const auto& older) { return older.param ? "Older" : "Younger"; });
 
 // An open node and a keyed network ignore each other's frames.
-TEST_F(AttackTest, AnOpenNodeIsNotOfAKeyedNetwork) {
-  come_up();
+TEST_F(AttackTest, AnOpenNodeIgnoresAKeyedNetwork) {
+  start_network();
   air->key.reset();
   const std::size_t open = air->add({.id = 2, .x_m = 3.0});
   air->stop(5);

@@ -34,7 +34,7 @@ TEST(BitTiming, AgreesWithTheMakersTablesAt20MHz) {
   EXPECT_EQ(data_timing(5'000'000, 20'000'000), (BitTiming{1, 2, 1, 1}));
 }
 
-TEST(BitTiming, IsExactAndWithinTheRegistersWhereverThereIsOne) {
+TEST(BitTiming, EveryResultIsExactAndFitsTheRegisters) {
   int found = 0;
   for (std::uint32_t clock : {40'000'000U, 20'000'000U}) {
     for (std::uint32_t rate = 10'000; rate <= 8'000'000; rate += 1'000) {
@@ -61,7 +61,7 @@ TEST(BitTiming, IsExactAndWithinTheRegistersWhereverThereIsOne) {
   EXPECT_GT(found, 50);
 }
 
-TEST(BitTiming, RefusesWhatCannotBe) {
+TEST(BitTiming, RefusesImpossibleRates) {
   EXPECT_FALSE(nominal_timing(0));
   EXPECT_FALSE(nominal_timing(333'333));    // no whole number of cycles
   EXPECT_FALSE(nominal_timing(2'000'000));  // arbitration is at most 1 Mbit/s

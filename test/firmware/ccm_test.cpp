@@ -33,10 +33,10 @@ constexpr Nonce kBeaconNonce = {0xAC, 0xDE, 0x48, 0x00, 0x00, 0x00, 0x00, 0x01, 
 constexpr std::array<std::uint8_t, 26> kBeacon = {0x08, 0xD0, 0x84, 0x21, 0x43, 0x01, 0x00, 0x00, 0x00,
                                                   0x00, 0x48, 0xDE, 0xAC, 0x02, 0x05, 0x00, 0x00, 0x00,
                                                   0x55, 0xCF, 0x00, 0x00, 0x51, 0x52, 0x53, 0x54};
-constexpr Code kBeaconCode = {0x22, 0x3B, 0xC1, 0xEC, 0x84, 0x1A, 0xB5, 0x53};
+constexpr Code kBeaconMic = {0x22, 0x3B, 0xC1, 0xEC, 0x84, 0x1A, 0xB5, 0x53};
 
 // FIPS 197, appendix B and C.1.
-TEST(Aes, IsThatOfTheStandard) {
+TEST(Aes, MatchesTheStandardsVectors) {
   sim::Aes aes;
   Block block = {0x32, 0x43, 0xF6, 0xA8, 0x88, 0x5A, 0x30, 0x8D,
                  0x31, 0x31, 0x98, 0xA2, 0xE0, 0x37, 0x07, 0x34};
@@ -55,16 +55,16 @@ TEST(Aes, IsThatOfTheStandard) {
                           0xC5, 0x5A}));
 }
 
-TEST(Ccm, GivesTheStandardsBeaconItsCode) {
+TEST(Ccm, ReproducesTheStandardsBeaconMic) {
   sim::Aes aes;
-  EXPECT_EQ(code_of(aes, kBeaconKey, kBeaconNonce, kBeacon), kBeaconCode);
+  EXPECT_EQ(code_of(aes, kBeaconKey, kBeaconNonce, kBeacon), kBeaconMic);
 }
 
 TEST(Ccm, ChangesWithEachBitOfKeyNonceAndBytes) {
   sim::Aes aes;
   const auto differs = [&](const Key& key, const Nonce& nonce, std::span<const std::uint8_t> bytes) {
-    const auto code = code_of(aes, key, nonce, bytes);
-    return code.has_value() && *code != kBeaconCode;
+    const auto mic = code_of(aes, key, nonce, bytes);
+    return mic.has_value() && *mic != kBeaconMic;
   };
   for (std::size_t bit = 0; bit < 8 * kBeaconKey.size(); ++bit) {
     Key key = kBeaconKey;
@@ -87,7 +87,7 @@ TEST(Ccm, ChangesWithEachBitOfKeyNonceAndBytes) {
   EXPECT_TRUE(differs(kBeaconKey, kBeaconNonce, longer));
 }
 
-TEST(Ccm, TakesTheBlocksThatItSays) {
+TEST(Ccm, UsesTheStatedNumberOfBlocks) {
   for (const std::size_t bytes : {1U, 13U, 14U, 15U, 26U, 30U, 31U, 117U}) {
     const int blocks = 2 + static_cast<int>((2 + bytes + 15) / 16);
     const std::vector<std::uint8_t> content(bytes, 0x5A);
@@ -100,15 +100,15 @@ TEST(Ccm, TakesTheBlocksThatItSays) {
   }
 }
 
-TEST(Equal, SeesEachDifference) {
-  const Code code = kBeaconCode;
-  EXPECT_TRUE(equal(code, kBeaconCode));
+TEST(Equal, DetectsEachDifference) {
+  const Code mic = kBeaconMic;
+  EXPECT_TRUE(equal(mic, kBeaconMic));
   for (std::size_t bit = 0; bit < 64; ++bit) {
-    Code other = code;
+    Code other = mic;
     other[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
-    EXPECT_FALSE(equal(code, other)) << bit;
+    EXPECT_FALSE(equal(mic, other)) << bit;
   }
-  EXPECT_FALSE(equal(code, std::span(code).first(7)));
+  EXPECT_FALSE(equal(mic, std::span(mic).first(7)));
   EXPECT_TRUE(equal({}, {}));
 }
 

@@ -25,7 +25,7 @@ class Beacons {
     const double t_s = m / kTicksPerSecond;
     return kPhase + m + m * 1e-6 * (ppm_ + ramp_ * t_s / 2.0);
   }
-  [[nodiscard]] ClockTime stamp(Ticks master) {
+  [[nodiscard]] ClockTime timestamp(Ticks master) {
     return ClockTime(std::llround(exact(master) + noise_ticks_ * gaussian()));
   }
   double gaussian() {
@@ -44,16 +44,16 @@ class Beacons {
 
 constexpr Ticks kPeriod = Ticks::from_us(20'000);
 
-TEST(ClockTracker, OneBeaconIsEnoughToMeetTheNext) {
+TEST(ClockTracker, OneBeaconPredictsTheNext) {
   Beacons beacons(35.0, 0.0, 6.0, 1);
   ClockTracker tracker;
   EXPECT_FALSE(tracker.seeded());
-  tracker.seed(Ticks(0), beacons.stamp(Ticks(0)), -35'500);  // the carrier estimate errs by 0.5 ppm
+  tracker.seed(Ticks(0), beacons.timestamp(Ticks(0)), -35'500);  // the carrier estimate errs by 0.5 ppm
   ASSERT_TRUE(tracker.seeded());
   const double error = static_cast<double>(tracker.local(kPeriod).count()) - beacons.exact(kPeriod);
   EXPECT_LT(std::abs(error), 20e-9 * kTicksPerSecond);
   EXPECT_LT(std::abs(error), 3.0 * static_cast<double>(tracker.sigma(kPeriod).count()));
-  EXPECT_TRUE(tracker.update(kPeriod, beacons.stamp(kPeriod)));
+  EXPECT_TRUE(tracker.update(kPeriod, beacons.timestamp(kPeriod)));
   EXPECT_NEAR(tracker.skew_ppb(), 35'000, 20);
 }
 
@@ -61,9 +61,9 @@ TEST(ClockTracker, CoastsTenLostBeaconsAndASecondWithinTheGuard) {
   for (const double ramp : {0.0, 1.0, -1.0}) {
     Beacons beacons(-20.0, ramp, 6.0, 2);
     ClockTracker tracker;
-    tracker.seed(Ticks(0), beacons.stamp(Ticks(0)), 20'000);
+    tracker.seed(Ticks(0), beacons.timestamp(Ticks(0)), 20'000);
     int n = 1;
-    for (; n <= 200; ++n) ASSERT_TRUE(tracker.update(n * kPeriod, beacons.stamp(n * kPeriod)));
+    for (; n <= 200; ++n) ASSERT_TRUE(tracker.update(n * kPeriod, beacons.timestamp(n * kPeriod)));
     for (const int lost : {1, 10, 50}) {
       const Ticks then = (n + lost) * kPeriod;
       const double error = static_cast<double>(tracker.local(then).count()) - beacons.exact(then);
@@ -75,7 +75,7 @@ TEST(ClockTracker, CoastsTenLostBeaconsAndASecondWithinTheGuard) {
 
 // The tracker's sigma is consistent: normalized errors over many runs whose rate is the random walk that it
 // assumes.
-TEST(ClockTracker, ErrorsAreAsLargeAsItsSigmaSays) {
+TEST(ClockTracker, ErrorsMatchItsSigma) {
   double sum_squares = 0.0;
   int samples = 0;
   std::mt19937_64 random(3);
@@ -115,26 +115,26 @@ TEST(ClockTracker, ErrorsAreAsLargeAsItsSigmaSays) {
   EXPECT_NEAR(sum_squares / samples, 1.0, 4.0 * std::sqrt(2.0 / samples));
 }
 
-TEST(ClockTracker, RefusesAStampFarOffAndIsNotHarmedByIt) {
+TEST(ClockTracker, RejectsAnOutlierAndIsUnaffected) {
   Beacons beacons(10.0, 0.0, 6.0, 4);
   ClockTracker tracker;
-  tracker.seed(Ticks(0), beacons.stamp(Ticks(0)), -10'000);
-  for (int n = 1; n < 50; ++n) tracker.update(n * kPeriod, beacons.stamp(n * kPeriod));
+  tracker.seed(Ticks(0), beacons.timestamp(Ticks(0)), -10'000);
+  for (int n = 1; n < 50; ++n) tracker.update(n * kPeriod, beacons.timestamp(n * kPeriod));
   const ClockTime before = tracker.local(60 * kPeriod);
-  EXPECT_FALSE(tracker.update(50 * kPeriod, beacons.stamp(50 * kPeriod) + Ticks::from_us(10)));
-  EXPECT_FALSE(tracker.update(50 * kPeriod, beacons.stamp(50 * kPeriod) - Ticks::from_us(1'000'000)));
+  EXPECT_FALSE(tracker.update(50 * kPeriod, beacons.timestamp(50 * kPeriod) + Ticks::from_us(10)));
+  EXPECT_FALSE(tracker.update(50 * kPeriod, beacons.timestamp(50 * kPeriod) - Ticks::from_us(1'000'000)));
   EXPECT_EQ(tracker.local(60 * kPeriod), before);
-  EXPECT_TRUE(tracker.update(50 * kPeriod, beacons.stamp(50 * kPeriod)));
+  EXPECT_TRUE(tracker.update(50 * kPeriod, beacons.timestamp(50 * kPeriod)));
 }
 
 TEST(ClockTracker, HoursOfBeaconsLoseNoPrecision) {
   Beacons beacons(-39.0, 0.0, 6.0, 5);
   ClockTracker tracker;
-  tracker.seed(Ticks(0), beacons.stamp(Ticks(0)), 39'000);
+  tracker.seed(Ticks(0), beacons.timestamp(Ticks(0)), 39'000);
   Ticks master(0);
   for (int n = 0; n < 400'000; ++n) {
     master += kPeriod;
-    ASSERT_TRUE(tracker.update(master, beacons.stamp(master)));
+    ASSERT_TRUE(tracker.update(master, beacons.timestamp(master)));
   }
   const Ticks next = master + kPeriod;
   // This test's double resolves 1/8 tick at 2.2 hours.

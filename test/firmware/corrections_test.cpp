@@ -14,7 +14,7 @@ double metres(FlightTime t) {
 
 constexpr double kRounding_m = 0.000'01;  // half of 1/256 tick is 9 um
 
-TEST(Drift, IsNothingAtTheReference) {
+TEST(Drift, IsZeroAtTheReference) {
   EXPECT_EQ(temperature_drift(2'300).in_256ths(), 0);
   EXPECT_EQ(supply_drift(3'300).in_256ths(), 0);
 }
@@ -32,7 +32,7 @@ TEST(Drift, Is2Point15MillimetresADegreeAnd5Point35CentimetresAVolt) {
 }
 
 // The published points, in centimetres from -93 dBm up.
-TEST(PowerBias, GoesThroughThePublishedTable) {
+TEST(PowerBias, InterpolatesThePublishedTable) {
   const std::vector<double> table_cm = {8.1,  7.6,  7.1,  6.2,  4.9,  4.2,   3.5,   2.1,  0.0,
                                         -2.7, -5.1, -6.9, -8.2, -9.3, -10.0, -10.5, -11.0};
   for (std::size_t i = 0; i < table_cm.size(); ++i) {
@@ -45,7 +45,7 @@ TEST(PowerBias, GoesThroughThePublishedTable) {
   }
 }
 
-TEST(PowerBias, StaysAtTheTablesEnds) {
+TEST(PowerBias, ClampsAtTheTablesEnds) {
   EXPECT_EQ(power_bias(-9'301), power_bias(-9'300));
   EXPECT_EQ(power_bias(-32'768), power_bias(-9'300));
   EXPECT_EQ(power_bias(-6'099), power_bias(-6'100));

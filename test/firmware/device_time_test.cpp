@@ -42,7 +42,7 @@ TEST(Ticks, ConvertToMicrosecondsAndBack) {
   EXPECT_EQ(Ticks(-638'977).to_us(), -11);
 }
 
-TEST(DeviceTime, DifferencesTakeTheShorterWayRoundTheWrap) {
+TEST(DeviceTime, DifferencesTakeTheShorterWayAroundTheWrap) {
   const DeviceTime before(static_cast<std::uint64_t>(kWrap - 10));
   const DeviceTime after(5);
   EXPECT_EQ((after - before).count(), 15);
@@ -53,7 +53,7 @@ TEST(DeviceTime, DifferencesTakeTheShorterWayRoundTheWrap) {
   EXPECT_EQ((DeviceTime(static_cast<std::uint64_t>(kWrap / 2 - 1)) - DeviceTime(0)).count(), kWrap / 2 - 1);
 }
 
-TEST(Unwrapper, FollowsManyWrapsAndToleratesStampsOutOfOrder) {
+TEST(Unwrapper, FollowsManyWrapsAndToleratesTimestampsOutOfOrder) {
   std::mt19937_64 random(3);
   Unwrapper clock;
   std::int64_t truth = 0;
@@ -67,7 +67,7 @@ TEST(Unwrapper, FollowsManyWrapsAndToleratesStampsOutOfOrder) {
   }
 }
 
-TEST(Unwrapper, ARestartedCounterGoesOnWithoutAStepBackAndOnTheSameGrid) {
+TEST(Unwrapper, ARestartedCounterContinuesWithoutAStepBackAndOnTheSameGrid) {
   Unwrapper clock;
   const ClockTime last = clock.unwrap(DeviceTime(123'456'789'012));
   clock.restart(DeviceTime(777), Ticks(1'000'000));
@@ -78,12 +78,12 @@ TEST(Unwrapper, ARestartedCounterGoesOnWithoutAStepBackAndOnTheSameGrid) {
   EXPECT_EQ(clock.wrap(next), DeviceTime(777 + 5'000));
 }
 
-TEST(TransmitGrid, TheStampIsTheLastOnTheGridWithTheAntennaDelayAdded) {
+TEST(TransmitGrid, TheTimestampIsTheLastOnTheGridWithTheAntennaDelayAdded) {
   for (std::int64_t latest = 40'000; latest < 42'000; latest += 7) {
-    const ClockTime stamp = transmit_stamp_not_after(ClockTime(latest), Ticks(16'436));
-    EXPECT_LE(stamp.count(), latest);
-    EXPECT_GT(stamp.count() + 512, latest);
-    EXPECT_EQ((stamp.count() - 16'436) % 512, 0);
+    const ClockTime timestamp = transmit_stamp_not_after(ClockTime(latest), Ticks(16'436));
+    EXPECT_LE(timestamp.count(), latest);
+    EXPECT_GT(timestamp.count() + 512, latest);
+    EXPECT_EQ((timestamp.count() - 16'436) % 512, 0);
   }
   EXPECT_EQ(round_up_to_grid(Ticks(512)).count(), 512);
   EXPECT_EQ(round_up_to_grid(Ticks(513)).count(), 1024);

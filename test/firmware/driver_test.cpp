@@ -172,7 +172,7 @@ struct PreambleFacts {
   std::uint64_t sfd_timeout;
 };
 
-TEST_F(Driver, BringUpWritesWhatTheFactsPageHas) {
+TEST_F(Driver, BringUpWritesTheReferenceValues) {
   for (const PreambleFacts& facts :
        {PreambleFacts{Preamble::k64, 0x0006C000, 0x313B006B, 0x0010, 0x0010, 65},
         PreambleFacts{Preamble::k128, 0x0016C000, 0x313B006B, 0x0020, 0x0028, 129},
@@ -269,7 +269,7 @@ TEST_F(Driver, ConfiguredAntennaDelaysAndPowerWin) {
   EXPECT_EQ(chip.written(0x1E, 0), 0x1F1F1F1FU);
 }
 
-TEST_F(Driver, BringUpSaysWhatFailed) {
+TEST_F(Driver, BringUpReportsWhatFailed) {
   chip.absent = true;
   EXPECT_EQ(bring_up(), BringUp::kNoChip);
   chip.absent = false;
@@ -352,7 +352,7 @@ TEST_F(Driver, SamplingDisturbsNoReceptionAndNeedsAChip) {
   EXPECT_EQ(radio.state(), State::kReceiving);
 }
 
-TEST(LineOfSight, HangsOnThePowerThatIsNotInTheFirstPath) {
+TEST(LineOfSight, DependsOnThePowerOutsideTheFirstPath) {
   EXPECT_EQ(line_of_sight(std::nullopt, -8'000, 0), LineOfSight::kUnknown);
   EXPECT_EQ(line_of_sight(-8'000, std::nullopt, 0), LineOfSight::kUnknown);
   EXPECT_EQ(line_of_sight(-8'000, -8'000, 0), LineOfSight::kLikely);
@@ -362,7 +362,7 @@ TEST(LineOfSight, HangsOnThePowerThatIsNotInTheFirstPath) {
   EXPECT_EQ(line_of_sight(-9'001, -8'000, 0), LineOfSight::kUnlikely);
 }
 
-TEST(LineOfSight, HangsOnHowFarTheStrongestPathIsFromTheFirst) {
+TEST(LineOfSight, DependsOnTheDistanceOfTheStrongestPathFromTheFirst) {
   EXPECT_EQ(line_of_sight(-8'200, -8'000, 211), LineOfSight::kLikely);
   EXPECT_EQ(line_of_sight(-8'200, -8'000, 212), LineOfSight::kUncertain);
   EXPECT_EQ(line_of_sight(-8'200, -8'000, 384), LineOfSight::kUncertain);
@@ -373,7 +373,7 @@ TEST(LineOfSight, HangsOnHowFarTheStrongestPathIsFromTheFirst) {
   EXPECT_EQ(peak_distance_64ths({.first_path_index_64ths = 64 * 746 + 16, .peak_index = 745}), 80);
 }
 
-TEST_F(Driver, TransmitsAtAStamp) {
+TEST_F(Driver, TransmitsAtATimestamp) {
   ready();
   const std::uint8_t frame[] = {0x41, 0x88, 0x01, 0xAA};
   const DeviceTime stamp(0x12'3456'7800 + 16436);
@@ -398,7 +398,7 @@ TEST_F(Driver, TransmitsAtAStamp) {
   EXPECT_EQ(radio.state(), State::kIdle);
 }
 
-TEST_F(Driver, AsksForTheRestOfAFrameBeforeItHandsItOver) {
+TEST_F(Driver, CompletesAFrameBeforeWritingIt) {
   ready();
   std::array<std::uint8_t, 4> frame = {0x41, 0x88, 0x01, 0x00};
   chip.log.clear();
@@ -413,7 +413,7 @@ TEST_F(Driver, AsksForTheRestOfAFrameBeforeItHandsItOver) {
   EXPECT_EQ(chip.written(0x09, 0), 0xAA018841U);
 }
 
-TEST_F(Driver, WritesTheNextFramesLengthAhead) {
+TEST_F(Driver, WritesTheNextFramesLengthInAdvance) {
   ready();
   radio.expect_length(4);
   EXPECT_EQ(chip.written(0x08, 0), 0x0016C006U);
@@ -441,7 +441,7 @@ TEST_F(Driver, TheTransmitTimeWrapsWithTheCounter) {
   EXPECT_EQ(chip.written(0x0A, 0), (std::uint64_t{1} << 40) + 52 - 16436);
 }
 
-TEST_F(Driver, ALateTransmitIsTakenBack) {
+TEST_F(Driver, ALateTransmitIsCancelled) {
   for (const int bit : {27, 34}) {
     ready();
     chip.on_write = [&](const Transfer& t) {
@@ -459,7 +459,7 @@ TEST_F(Driver, ALateTransmitIsTakenBack) {
   }
 }
 
-TEST_F(Driver, ReceivesFromAnInstantForAWhile) {
+TEST_F(Driver, ReceivesFromAGivenTimeForAGivenDuration) {
   ready();
   ASSERT_EQ(radio.receive_at(DeviceTime(0x55'0000'1234), Ticks(19'660'801), Ticks(2'080'763)),
             Start::kStarted);
@@ -475,7 +475,7 @@ TEST_F(Driver, ReceivesFromAnInstantForAWhile) {
   expect_writes({{0x0C, 0, 0xFFFF}, {0x27, 0x24, 0}, {0x0D, 0, 0x100}});
 }
 
-TEST_F(Driver, ALateReceiveIsTakenBack) {
+TEST_F(Driver, ALateReceiveIsCancelled) {
   ready();
   chip.on_write = [&](const Transfer& t) {
     if (t.file == 0x0D && t.word() == 0x300) chip.status |= std::uint64_t{1} << 27;
@@ -501,7 +501,7 @@ void put_frame(FakeChip& chip, std::span<const std::uint8_t> frame, std::uint64_
   chip.status |= 1U << 14 | 1U << 10 | 1U << 13;
 }
 
-TEST_F(Driver, ReadsAFrameWithItsStampAndQuality) {
+TEST_F(Driver, ReadsAFrameWithItsTimestampAndQuality) {
   ready();
   ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
   const std::vector<std::uint8_t> frame{9, 8, 7, 6, 5};
@@ -525,7 +525,7 @@ TEST_F(Driver, ReadsAFrameWithItsStampAndQuality) {
   EXPECT_EQ(radio.take_event().kind, EventKind::kNone);
 }
 
-TEST_F(Driver, WaitsForTheLeadingEdgeAndMarksAStampWithoutOne) {
+TEST_F(Driver, WaitsForTheLeadingEdgeAndMarksATimestampWithoutOne) {
   ready();
   ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
   put_frame(chip, std::vector<std::uint8_t>{1}, 5);
@@ -537,7 +537,7 @@ TEST_F(Driver, WaitsForTheLeadingEdgeAndMarksAStampWithoutOne) {
   EXPECT_FALSE(radio.take_event().stamp_valid);
 }
 
-TEST_F(Driver, LengthsThatCannotBeAreHarmless) {
+TEST_F(Driver, ImpossibleLengthsAreHarmless) {
   for (const std::uint64_t length : {0U, 1U, 2U, 127U, 128U, 1023U}) {
     ready();
     ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
@@ -571,7 +571,7 @@ TEST_F(Driver, AfterAFailedReceptionTheReceiverIsReset) {
   }
 }
 
-TEST_F(Driver, AnOperationUnderWayIsNotTrampled) {
+TEST_F(Driver, AnOperationUnderWayIsNotDisturbed) {
   ready();
   const std::uint8_t frame[] = {1};
   ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
@@ -624,7 +624,7 @@ TEST(ReceiveQuality, PowersFollowTheManualsFormulas) {
   EXPECT_FALSE(receive_power_cdbm({.channel_power = 5}));
 }
 
-TEST(ReceiveQuality, ThePreambleCountSheds5SymbolsOnlyWhereNotSaturated) {
+TEST(ReceiveQuality, ThePreambleCountLoses5SymbolsUnlessSaturated) {
   EXPECT_EQ(corrected_preamble_count(118, 118), 113);
   EXPECT_EQ(corrected_preamble_count(118, 117), 118);
   EXPECT_EQ(corrected_preamble_count(5, 5), 5);

@@ -28,14 +28,14 @@ Poll full_poll() {
   return poll;
 }
 
-TEST(Frame, HasTheBytesThatTheHeaderPromises) {
+TEST(Frame, HasTheLayoutOfTheHeaderFile) {
   const auto bytes = bytes_of(with(Final{.exchange = 0x0A0B}));
   const std::vector<std::uint8_t> expected{0x41, 0x88, 0x5A, 0xEF, 0xBE, 0x34,
                                            0x12, 0x02, 0x01, 4,    0x0B, 0x0A};
   EXPECT_EQ(bytes, expected);
 }
 
-TEST(Frame, LengthsAreThoseTheScheduleCountsOn) {
+TEST(Frame, LengthsMatchTheSchedulesAssumptions) {
   Beacon beacon{.slots = 5};
   EXPECT_EQ(bytes_of(with(beacon)).size() + 2, beacon_bytes(5, false));
   beacon.welcome = Welcome{};
@@ -49,7 +49,7 @@ TEST(Frame, LengthsAreThoseTheScheduleCountsOn) {
   EXPECT_LE(poll_bytes(kMaxAnchors), dw1000::kMaxFrameBytes);
 }
 
-TEST(Frame, ComesBackAsItWent) {
+TEST(Frame, RoundTrips) {
   {
     Beacon sent{.superframe = 0x89ABCDEF,
                 .session = 0x1122'3344'5566'7788,
@@ -170,7 +170,7 @@ TEST(Frame, ComesBackAsItWent) {
   }
 }
 
-TEST(Frame, ASecuredOneIsLongerByItsCode) {
+TEST(Frame, ASecuredFrameIsLongerByItsMic) {
   for (const Body& body :
        {Body(Beacon{}), Body(full_poll()), Body(Response{}), Body(Final{}), Body(Join{})}) {
     Frame frame = with(body);
@@ -195,7 +195,7 @@ ParseResult parse_exact(const std::vector<std::uint8_t>& bytes) {
   return parse(std::span<const std::uint8_t>(copy.get(), bytes.size()));
 }
 
-TEST(Frame, CutOrLengthenedIsNoFrame) {
+TEST(Frame, ATruncatedOrExtendedFrameIsRejected) {
   for (const Body& body :
        {Body(Beacon{}), Body(full_poll()), Body(Response{}), Body(Final{}), Body(Join{})}) {
     auto bytes = bytes_of(with(body));
@@ -209,7 +209,7 @@ TEST(Frame, CutOrLengthenedIsNoFrame) {
   }
 }
 
-TEST(Frame, APollThatNamesMoreThanItCarriesIsMalformed) {
+TEST(Frame, APollWhoseCountDiffersFromItsLengthIsMalformed) {
   auto bytes = bytes_of(with(full_poll()));
   bytes[17] = kMaxAnchors - 1;
   EXPECT_FALSE(parse_exact(bytes).frame);
@@ -240,10 +240,10 @@ TEST(Frame, AnyBytesAreParsedWithoutHarmAndOnlyCanonicalOnesAccepted) {
       bytes[0] = 0x41;
       bytes[1] = 0x88;
       const auto type = static_cast<std::uint8_t>(random() % 8);
-      const std::size_t code = i % 3 == 0 ? kCodeBytes : 0;
-      bytes[9] = static_cast<std::uint8_t>(type | (code != 0 ? 0x80U : 0U));
-      if (type == 2 && bytes.size() > 17 + code)
-        bytes[17] = static_cast<std::uint8_t>((bytes.size() - code - 18) / 2);
+      const std::size_t mic_bytes = i % 3 == 0 ? kCodeBytes : 0;
+      bytes[9] = static_cast<std::uint8_t>(type | (mic_bytes != 0 ? 0x80U : 0U));
+      if (type == 2 && bytes.size() > 17 + mic_bytes)
+        bytes[17] = static_cast<std::uint8_t>((bytes.size() - mic_bytes - 18) / 2);
     }
     const auto result = parse_exact(bytes);
     if (!result.frame) continue;
@@ -290,7 +290,7 @@ class RandomFrames {
   RandomBodies bodies_{12};
 };
 
-TEST(Frame, AnyFrameComesBackAsItWentAndInNoOtherLength) {
+TEST(Frame, AnyFrameRoundTripsAndNoOtherLengthIsAccepted) {
   RandomFrames frames;
   for (int i = 0; i < 300'000; ++i) {
     const Frame sent = frames.next();

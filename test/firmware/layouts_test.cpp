@@ -74,9 +74,9 @@ class Layout {
     // The rank at each position is random, and so is the beaconer that a leaf hears.
     std::vector<std::size_t> at(beaconers_);
     std::iota(at.begin(), at.end(), std::size_t{0});
-    for (std::size_t i = beaconers_ - 1; i > 0; --i) std::swap(at[i], at[below(i + 1)]);
+    for (std::size_t i = beaconers_ - 1; i > 0; --i) std::swap(at[i], at[random_below(i + 1)]);
     for (const auto& [a, b] : edges_of(shape)) join(at[a], at[b]);
-    for (std::size_t i = beaconers_; i < air.size(); ++i) join(i, below(beaconers_));
+    for (std::size_t i = beaconers_; i < air.size(); ++i) join(i, random_below(beaconers_));
     on.assign(air.size(), false);
     air.reach = [this](std::size_t a, std::size_t b) { return edges_.contains({a, b}); };
   }
@@ -93,51 +93,53 @@ class Layout {
   // Toggles the power of some nodes one after the other, then of more at once.
   void change() {
     for (int i = 0; i < 4; ++i) {
-      const std::size_t node = below(air.size());
+      const std::size_t node = random_below(air.size());
       set_power(node, !on[node]);
-      air.run(superframe_s * static_cast<double>(below(40)));
+      air.run(superframe_s * static_cast<double>(random_below(40)));
     }
     for (std::size_t i = 0; i < air.size(); ++i)
-      if (below(3) == 0) set_power(i, below(4) != 0);
+      if (random_below(3) == 0) set_power(i, random_below(4) != 0);
   }
-  std::size_t below(std::size_t bound) { return static_cast<std::size_t>(random_() % bound); }
+  std::size_t random_below(std::size_t bound) { return static_cast<std::size_t>(random_() % bound); }
 
   // Maps each live node to the lowest beaconer of its connected component. Omits nodes that reach none.
-  [[nodiscard]] std::map<std::size_t, std::size_t> parts() const {
-    std::map<std::size_t, std::size_t> part;
+  [[nodiscard]] std::map<std::size_t, std::size_t> components() const {
+    std::map<std::size_t, std::size_t> component;
     for (std::size_t first = 0; first < beaconers_; ++first) {
-      if (!on[first] || part.contains(first)) continue;
+      if (!on[first] || component.contains(first)) continue;
       std::vector<std::size_t> open{first};
       while (!open.empty()) {
         const std::size_t node = open.back();
         open.pop_back();
-        if (!part.emplace(node, first).second || node >= beaconers_) continue;
+        if (!component.emplace(node, first).second || node >= beaconers_) continue;
         for (std::size_t i = 0; i < air.size(); ++i)
           if (on[i] && edges_.contains({node, i})) open.push_back(i);
       }
     }
-    return part;
+    return component;
   }
-  [[nodiscard]] bool one_master_a_part() const {
+  [[nodiscard]] bool one_master_per_component() const {
     std::map<std::size_t, int> leaders;
-    for (const auto& [node, part] : parts()) leaders[part] += air.station(node).mastership().leads() ? 1 : 0;
+    for (const auto& [node, component] : components())
+      leaders[component] += air.station(node).mastership().leads() ? 1 : 0;
     return std::all_of(leaders.begin(), leaders.end(), [](const auto& l) { return l.second == 1; });
   }
-  [[nodiscard]] bool in_step() const {
+  [[nodiscard]] bool all_synchronized() const {
     std::map<std::size_t, std::set<std::uint64_t>> sessions;
-    for (const auto& [node, part] : parts()) {
+    for (const auto& [node, component] : components()) {
       if (air.station(node).sync().state() == SyncState::kSearching) return false;
-      sessions[part].insert(air.station(node).mastership().session());
+      sessions[component].insert(air.station(node).mastership().session());
     }
     return std::all_of(sessions.begin(), sessions.end(), [](const auto& s) { return s.second.size() == 1; });
   }
-  [[nodiscard]] std::string told() const {
+  [[nodiscard]] std::string description() const {
     std::string text;
-    for (const auto& [node, part] : parts()) {
+    for (const auto& [node, component] : components()) {
       const auto& m = air.station(node).mastership();
       std::array<char, 160> line{};
-      std::snprintf(line.data(), line.size(), "  %u of part %u: role %d, master %u, session %llx, hop %d\n",
-                    air.id(node), air.id(part), static_cast<int>(m.role()), m.master(),
+      std::snprintf(line.data(), line.size(),
+                    "  %u of component %u: role %d, master %u, session %llx, hop %d\n",
+                    air.id(node), air.id(component), static_cast<int>(m.role()), m.master(),
                     static_cast<unsigned long long>(m.session()), m.hop());
       text += line.data();
     }
@@ -165,34 +167,34 @@ class Layouts : public ::testing::TestWithParam<Shape> {};
 
 // In at most 1 % of the rounds two networks of a component stay separate, because the frames of each fall
 // where the other does not listen.
-TEST_P(Layouts, EachPartIsOneNetworkUnderOneMasterSoonAfterTheLastChange) {
+TEST_P(Layouts, EachComponentSoonIsOneNetworkAfterTheLastChange) {
   constexpr int kRounds = 6;
   constexpr int kSoon = 60;
   constexpr int kMost = 400;
   std::vector<int> until_one;
-  std::vector<int> until_in_step;
+  std::vector<int> until_synchronized;
   for (std::uint64_t seed = GROMA_FIRST_SEED; seed <= GROMA_LAST_SEED; ++seed) {
     Layout layout(GetParam(), 100 * seed + static_cast<std::uint64_t>(GetParam()));
     for (std::size_t i = 0; i < layout.air.size(); ++i) layout.set_power(i, true);
     for (int round = 0; round < kRounds; ++round) {
       if (round > 0) layout.change();
       int one = 0;
-      int in_step = 0;
-      for (int n = 1; n <= kMost && n <= std::max(one, in_step) + 30; ++n) {
+      int sync_superframes = 0;
+      for (int n = 1; n <= kMost && n <= std::max(one, sync_superframes) + 30; ++n) {
         layout.air.run(layout.superframe_s);
-        if (!layout.one_master_a_part()) one = n;
-        if (!layout.in_step()) in_step = n;
+        if (!layout.one_master_per_component()) one = n;
+        if (!layout.all_synchronized()) sync_superframes = n;
       }
       layout.air.ranges.clear();
       until_one.push_back(one);
-      until_in_step.push_back(in_step);
-      if (std::max(one, in_step) > kSoon)
+      until_synchronized.push_back(sync_superframes);
+      if (std::max(one, sync_superframes) > kSoon)
         std::printf("%s, seed %d, round %d: %d and %d superframes\n%s", name_of(GetParam()),
-                    static_cast<int>(seed), round, one, in_step, layout.told().c_str());
+                    static_cast<int>(seed), round, one, sync_superframes, layout.description().c_str());
     }
   }
   std::sort(until_one.begin(), until_one.end());
-  std::sort(until_in_step.begin(), until_in_step.end());
+  std::sort(until_synchronized.begin(), until_synchronized.end());
   const auto at = [](const std::vector<int>& of, double share) {
     return of[static_cast<std::size_t>(share * static_cast<double>(of.size() - 1))];
   };
@@ -200,11 +202,11 @@ TEST_P(Layouts, EachPartIsOneNetworkUnderOneMasterSoonAfterTheLastChange) {
       "%s, %zu rounds: superframes until one master: median %d, 90 %% %d, 99 %% %d, longest %d; until all in "
       "step: %d, %d, %d, %d\n",
       name_of(GetParam()), until_one.size(), at(until_one, 0.5), at(until_one, 0.9), at(until_one, 0.99),
-      until_one.back(), at(until_in_step, 0.5), at(until_in_step, 0.9), at(until_in_step, 0.99),
-      until_in_step.back());
+      until_one.back(), at(until_synchronized, 0.5), at(until_synchronized, 0.9),
+      at(until_synchronized, 0.99), until_synchronized.back());
   EXPECT_GT(until_one.back(), 5) << "there was something to do";
   EXPECT_LE(at(until_one, 0.99), kSoon);
-  EXPECT_LE(at(until_in_step, 0.99), kSoon);
+  EXPECT_LE(at(until_synchronized, 0.99), kSoon);
 }
 
 INSTANTIATE_TEST_SUITE_P(Shapes, Layouts,

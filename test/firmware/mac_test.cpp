@@ -71,7 +71,7 @@ INSTANTIATE_TEST_SUITE_P(
                       Case{groma_RangingMethod_METHOD_DS_FINAL, dw1000::Preamble::k64},
                       Case{groma_RangingMethod_METHOD_DS_NEXT_POLL, dw1000::Preamble::k256}));
 
-TEST_P(Network, EveryRangeComesAndIsRightInAnIdealWorld) {
+TEST_P(Network, EveryRangeCompletesAndIsCorrectInAnIdealWorld) {
   Air air = this->air(schedule());
   air.add_all(100.0, 20.0, 1);
   air.start_all();
@@ -84,7 +84,7 @@ TEST_P(Network, EveryRangeComesAndIsRightInAnIdealWorld) {
   EXPECT_LT(worst_error_m(air.ranges), kIdealError_m);
 }
 
-TEST_P(Network, TwoPercentLossLeavesTheShareThatItMustAndNoWrongRange) {
+TEST_P(Network, TwoPercentLossCostsTheExpectedShareAndYieldsNoWrongRange) {
   Air air = this->air(schedule());
   air.add_all(100.0, 20.0, 2);
   std::mt19937_64 random(5);
@@ -100,7 +100,7 @@ TEST_P(Network, TwoPercentLossLeavesTheShareThatItMustAndNoWrongRange) {
   EXPECT_GT(good(air.ranges) / 5, 300U);
 }
 
-TEST_P(Network, ThirtyPercentLossKeepsEveryoneInStep) {
+TEST_P(Network, ThirtyPercentLossKeepsAllNodesSynchronized) {
   Air air = this->air(schedule());
   air.add_all(100.0, 20.0, 3);
   std::mt19937_64 random(6);
@@ -155,13 +155,13 @@ TEST_P(Network, AMissingAnchorCostsItsOwnRangesOnly) {
     if (air.id(i) != 105 && air.id(i) != 112) air.start(i);
   }
   air.run(2.0);
-  std::size_t of_missing = 0;
+  std::size_t to_missing = 0;
   for (const RangeSeen& r : air.ranges) {
     const bool missing = r.anchor == 105 || r.anchor == 112;
-    of_missing += missing ? 1 : 0;
+    to_missing += missing ? 1 : 0;
     EXPECT_EQ(r.range.status, missing ? RangeStatus::kNoResponse : RangeStatus::kOk);
   }
-  EXPECT_GT(of_missing, 100U);
+  EXPECT_GT(to_missing, 100U);
 }
 
 TEST_P(Network, AnAnchorMayComeAndGo) {
@@ -211,7 +211,7 @@ TEST_P(Network, TenLostBeaconsAreCoastedOver) {
   EXPECT_EQ(air.collisions, 0U);
 }
 
-TEST_P(Network, WithoutItsMasterTheNetworkFallsSilentAndComesBackWithIt) {
+TEST_P(Network, WithoutItsMasterTheNetworkFallsSilentUntilItReturns) {
   Air air = this->air(schedule());
   air.add_all(100.0, 20.0, 8);
   air.start_all();
@@ -248,7 +248,7 @@ TEST_P(Network, AMasterThatRestartsAtOnceIsFollowedAgain) {
   EXPECT_LT(worst_error_m(air.ranges), kIdealError_m);
 }
 
-TEST_P(Network, ClocksMayDriftAPpmASecond) {
+TEST_P(Network, ClocksMayDriftOnePpmPerSecond) {
   Air air = this->air(schedule());
   air.add_all(100.0, 0.0, 10);
   air.start_all();
@@ -272,7 +272,7 @@ TEST_P(Network, ClocksMayDriftAPpmASecond) {
 }
 
 // An attacker records the site's frames and replays them at any time and from anywhere.
-TEST_P(Network, FramesRepeatedByOthersYieldNoWrongRange) {
+TEST_P(Network, ReplayedFramesYieldNoWrongRange) {
   for (const std::uint8_t type : {kBeaconType, kPollType, kResponseType, kFinalType}) {
     if (type == kFinalType && !has_final()) continue;
     Air air = this->air(schedule(2, 4));
@@ -319,7 +319,7 @@ TEST_P(Network, AFrameDelayedBeyondItsWindowYieldsNoRange) {
   }
 }
 
-TEST_P(Network, InvalidStampsGiveNoRange) {
+TEST_P(Network, InvalidTimestampsYieldNoRange) {
   Air air = this->air(schedule());
   air.add_all(100.0, 20.0, 12);
   std::mt19937_64 random(13);
@@ -336,7 +336,7 @@ TEST_P(Network, InvalidStampsGiveNoRange) {
 }
 
 // A timestamp that the chip marks valid but that belongs to another frame.
-TEST_P(Network, StampsThatContradictEachOtherAreFoundOut) {
+TEST_P(Network, ContradictoryTimestampsAreDetected) {
   Air air = this->air(schedule(1, 4));
   air.add_all(100.0, 20.0, 14);
   air.start_all();
@@ -403,7 +403,7 @@ mac::FrameBytes beacon_of(const groma_Schedule& schedule) {
   return mac::serialize({.network = 9, .destination = mac::kBroadcast, .source = 101, .body = body});
 }
 
-TEST(Anchor, AnswersOnlyAPollOfItsSlotItsSuperframeAndItsName) {
+TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
   const groma_Schedule schedule = schedule_of(2, 3, groma_RangingMethod_METHOD_DS_NEXT_POLL);
   groma_Counters counters = groma_Counters_init_zero;
   const mac::Site site{
@@ -442,9 +442,9 @@ TEST(Anchor, AnswersOnlyAPollOfItsSlotItsSuperframeAndItsName) {
 }
 
 // A tag whose only anchor is played by the test, which supplies the RESPONSE of each exchange.
-class HandPlayed {
+class ScriptedAnchor {
  public:
-  HandPlayed() : tag_(site(), counters) {
+  ScriptedAnchor() : tag_(site(), counters) {
     (void)tag_.start(ClockTime(0));
     const auto beacon = beacon_of(schedule());
     step_ =
@@ -478,11 +478,11 @@ class HandPlayed {
   Step step_;
 };
 
-TEST(Tag, TakesAClosingStampOnlyOfTheExchangeBefore) {
+TEST(Tag, AcceptsAClosingTimestampOnlyOfThePreviousExchange) {
   for (const std::uint16_t closed : {std::uint16_t{0}, std::uint16_t{1}, std::uint16_t{0xFFFF}}) {
-    HandPlayed play;
-    EXPECT_EQ(play.exchange({.exchange = 0}, Ticks(0)).completed, nullptr);
-    const Step step = play.exchange(
+    ScriptedAnchor script;
+    EXPECT_EQ(script.exchange({.exchange = 0}, Ticks(0)).completed, nullptr);
+    const Step step = script.exchange(
         {.exchange = 1, .closing_valid = true, .closed_exchange = closed, .closing = Ticks(1000)}, Ticks(0));
     ASSERT_NE(step.completed, nullptr);
     EXPECT_TRUE(step.completed->legs[0].answered);
@@ -491,14 +491,14 @@ TEST(Tag, TakesAClosingStampOnlyOfTheExchangeBefore) {
   }
 }
 
-TEST(Tag, TakesAResponseOnlyOfThisExchangeThisAnchorAndThisWindow) {
+TEST(Tag, AcceptsAResponseOnlyOfThisExchangeAnchorAndWindow) {
   const auto answered = [](std::uint16_t number, Ticks late, std::uint16_t source) {
-    HandPlayed play;
-    (void)play.exchange({.exchange = number}, late, source);
-    const Step step = play.exchange({.exchange = 1}, Ticks(0));
+    ScriptedAnchor script;
+    (void)script.exchange({.exchange = number}, late, source);
+    const Step step = script.exchange({.exchange = 1}, Ticks(0));
     EXPECT_NE(step.completed, nullptr);
     const bool taken = step.completed != nullptr && step.completed->legs[0].answered;
-    EXPECT_EQ(play.counters.stale_frames, taken ? 0U : 1U);
+    EXPECT_EQ(script.counters.stale_frames, taken ? 0U : 1U);
     return taken;
   };
   EXPECT_TRUE(answered(0, Ticks(0), 101));
@@ -510,7 +510,7 @@ TEST(Tag, TakesAResponseOnlyOfThisExchangeThisAnchorAndThisWindow) {
   EXPECT_FALSE(answered(0, Ticks(0), 102));
 }
 
-TEST(Tag, PollsAgainAfterALateTransmitWithoutClosingAcrossTheGap) {
+TEST(Tag, PollsAfterALateTransmitWithoutClosingAcrossTheGap) {
   Air air(schedule_of(1, 2, groma_RangingMethod_METHOD_DS_NEXT_POLL), dw1000::Preamble::k128);
   air.add_all(50.0, 20.0, 18);
   air.start_all();

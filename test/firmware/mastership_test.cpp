@@ -58,7 +58,7 @@ struct Node {
     return mastership->judge(source, beacon, ahead, at_s(1.0));
   }
   // Synchronizes by two beacons, the second of superframe `number`.
-  void enter(std::uint32_t number, std::uint16_t master = 101) {
+  void synchronize(std::uint32_t number, std::uint16_t master = 101) {
     EXPECT_EQ(hear(master, beacon(number - 1, master)), Verdict::kAdopt);
     EXPECT_EQ(hear(master, beacon(number, master)), Verdict::kMeasure);
   }
@@ -78,7 +78,7 @@ struct Node {
   std::unique_ptr<Mastership> mastership;
 };
 
-TEST(Mastership, ListensFirstAndTheRanksStartOneAfterTheOther) {
+TEST(Mastership, ListensFirstAndStartsInOrderOfRank) {
   ClockTime before;
   for (std::uint16_t id = 101; id <= 104; ++id) {
     Node node(id);
@@ -91,7 +91,7 @@ TEST(Mastership, ListensFirstAndTheRanksStartOneAfterTheOther) {
   EXPECT_FALSE(Node(1)->lead_at()) << "a tag";
 }
 
-TEST(Mastership, WhoHearsSomebodyWaitsButNotForEver) {
+TEST(Mastership, TrafficDelaysTheStartButNotForEver) {
   Node node(101);
   const ClockTime first = *node->lead_at();
   double t_s = 0.0;
@@ -103,27 +103,27 @@ TEST(Mastership, WhoHearsSomebodyWaitsButNotForEver) {
   EXPECT_GT(at_s(t_s), first + Ticks::from_us(500'000));
 }
 
-TEST(Mastership, EachSessionHasItsOwnName) {
-  std::set<std::uint64_t> names;
+TEST(Mastership, EachSessionHasAUniqueId) {
+  std::set<std::uint64_t> ids;
   for (const std::uint16_t id : std::vector<std::uint16_t>{101, 102}) {
     for (const std::uint32_t boot : {7U, 8U, 0x10007U}) {
       Node node(id);
       node.site.boot_count = boot;
       for (int i = 0; i < 3; ++i) {
         node->found();
-        names.insert(node->session());
+        ids.insert(node->session());
         node->search(ClockTime(0));
       }
     }
   }
-  EXPECT_EQ(names.size(), 18U);
+  EXPECT_EQ(ids.size(), 18U);
 }
 
-TEST(Mastership, TheFirstBackUpTakesOverAfterTwelveAndTheNextOnesLater) {
+TEST(Mastership, BackUpsTakeOverAfterTwelveSuperframesInOrderOfRank) {
   std::uint32_t before = 0;
   for (std::uint16_t id = 102; id <= 104; ++id) {
     Node node(id);
-    node.enter(100);
+    node.synchronize(100);
     // The other back-ups are alive.
     for (std::uint16_t other = 102; other <= 104; ++other) {
       if (other == id) continue;
@@ -139,25 +139,25 @@ TEST(Mastership, TheFirstBackUpTakesOverAfterTwelveAndTheNextOnesLater) {
   }
 }
 
-TEST(Mastership, ABackUpDoesNotWaitForOneThatIsDeadToo) {
+TEST(Mastership, ABackUpDoesNotWaitForADeadBackUp) {
   Node node(104);
-  node.enter(100);
+  node.synchronize(100);
   EXPECT_EQ(node.silent_until_takeover(100), 13U);
 }
 
-TEST(Mastership, WhoIsNoBackUpNeverTakesOver) {
+TEST(Mastership, OnlyABackUpTakesOver) {
   Node node(107);
-  node.enter(100);
+  node.synchronize(100);
   EXPECT_EQ(node.silent_until_takeover(100), 1'001U);
 }
 
-TEST(Mastership, AnOrphanWithNothingToDisturbListensMostOfTheTime) {
+TEST(Mastership, AnIdleOrphanListensMostOfTheTime) {
   constexpr std::uint32_t kLast = 100;
   constexpr std::uint32_t kOrphaned = 64;
   for (const bool idle : {true, false}) {
     for (const std::uint16_t id : {std::uint16_t{1}, std::uint16_t{103}}) {
       Node node(id);
-      node.enter(kLast);
+      node.synchronize(kLast);
       int listening = 0;
       for (std::uint32_t n = 1; n <= Mastership::kPatience + kOrphaned; ++n) {
         node->on_lack(false, idle);
@@ -172,7 +172,7 @@ TEST(Mastership, AnOrphanWithNothingToDisturbListensMostOfTheTime) {
   }
 }
 
-TEST(Mastership, ASessionThatOneBeaconToldOfIsLedOnByNobodyAndSoonGivenUp) {
+TEST(Mastership, ASessionKnownFromOneBeaconIsNotTakenOverAndSoonAbandoned) {
   Node node(102);
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
   std::uint32_t n = 101;
@@ -186,8 +186,8 @@ TEST(Mastership, ASessionThatOneBeaconToldOfIsLedOnByNobodyAndSoonGivenUp) {
 TEST(Mastership, RelaysDoNotKeepADeadMasterAlive) {
   Node a(102);
   Node b(103);
-  a.enter(100);
-  b.enter(100);
+  a.synchronize(100);
+  b.synchronize(100);
   std::uint32_t n = 101;
   for (; n < 200 && !a->leads(); ++n) {
     (void)a->begin(n);
@@ -204,11 +204,11 @@ TEST(Mastership, RelaysDoNotKeepADeadMasterAlive) {
   EXPECT_FALSE(b->leads());
 }
 
-TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
+TEST(Mastership, OfTwoMastersOfASessionTheBetterRankWins) {
   Node better(102);
   Node worse(103);
   for (Node* node : {&better, &worse}) {
-    node->enter(100);
+    node->synchronize(100);
     (void)node->silent_until_takeover(100);
     ASSERT_TRUE((*node)->leads());
   }
@@ -219,7 +219,7 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
   EXPECT_EQ(worse->master(), 102);
   // If their times differ by more than the guard it dissolves, so that its nodes leave it.
   Node far(103);
-  far.enter(100);
+  far.synchronize(100);
   (void)far.silent_until_takeover(100);
   EXPECT_EQ(far.hear(102, far.beacon(140, 102), 2 * kGuard), Verdict::kIgnore);
   EXPECT_TRUE(far->dissolving());
@@ -227,7 +227,7 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankStays) {
   EXPECT_EQ(far->role(), Role::kSearching);
 }
 
-TEST(Mastership, AFollowerGoesWithTheBetterMasterAndNotWithAnEcho) {
+TEST(Mastership, AFollowerSwitchesToTheBetterMasterAndIgnoresOldBeacons) {
   Node node(107);
   EXPECT_EQ(node.hear(102, node.beacon(100, 102)), Verdict::kAdopt);
   EXPECT_EQ(node.hear(103, node.beacon(101, 103)), Verdict::kIgnore) << "a worse one";
@@ -240,7 +240,7 @@ TEST(Mastership, AFollowerGoesWithTheBetterMasterAndNotWithAnEcho) {
 }
 
 // Exactly one of the two nodes yields, whatever their times.
-TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
+TEST(Mastership, OfTwoSessionsOneYieldsAndBothAgreeWhich) {
   std::mt19937_64 random(3);
   const auto uniform = [&](double low, double high) {
     return low + (high - low) * static_cast<double>(random() >> 11) * 0x1p-53;
@@ -273,7 +273,7 @@ TEST(Mastership, OfTwoSessionsOneGivesWayAndBothAgreeWhich) {
 
 // Keyed network: a merge request decides as a beacon does in an open network, but dissolves nobody. An
 // unverified beacon changes nothing.
-TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
+TEST(Mastership, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot) {
   std::mt19937_64 random(4);
   int adopted = 0;
   for (int i = 0; i < 5'000; ++i) {
@@ -314,7 +314,7 @@ TEST(Mastership, WhoIsCalledGoesOverOrCallsBackAndHearsayMovesNobody) {
   EXPECT_EQ(Node(102)->judge_hearsay(102, own), Verdict::kIgnore);
 }
 
-TEST(Mastership, WhoWasDissolvedDoesNotJoinThatSessionAgain) {
+TEST(Mastership, ANodeDoesNotRejoinADissolvedSession) {
   Node node(105);
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
   Beacon last = node.beacon(101);
@@ -328,9 +328,9 @@ TEST(Mastership, WhoWasDissolvedDoesNotJoinThatSessionAgain) {
 }
 
 // A dissolving beacon was forged if its master continues to send beacons.
-TEST(Mastership, AForgedFarewellIsDisprovedByTheMastersNextWord) {
+TEST(Mastership, AForgedDissolutionIsRefutedByTheMastersNextBeacon) {
   Node node(105);
-  node.enter(100);
+  node.synchronize(100);
   Beacon last = node.beacon(101);
   last.dissolving = true;
   Beacon far = last;
@@ -344,7 +344,7 @@ TEST(Mastership, AForgedFarewellIsDisprovedByTheMastersNextWord) {
   EXPECT_EQ(node->role(), Role::kFollowing);
 }
 
-TEST(Mastership, WhoHasTheWrongCountGivesItUp) {
+TEST(Mastership, ANodeWithTheWrongCountGivesItUp) {
   Node follower(102);
   Beacon wrong = follower.beacon(100 + 4096);
   EXPECT_EQ(follower.hear(101, wrong), Verdict::kAdopt);
@@ -360,7 +360,7 @@ TEST(Mastership, WhoHasTheWrongCountGivesItUp) {
   // Of two masters of one session the one whose count is behind yields.
   for (const int ahead : {-40, 40}) {
     Node leader(102);
-    leader.enter(100);
+    leader.synchronize(100);
     (void)leader.silent_until_takeover(100);
     for (int i = 0; i < 3; ++i) {
       EXPECT_FALSE(leader->dissolving());
@@ -370,7 +370,7 @@ TEST(Mastership, WhoHasTheWrongCountGivesItUp) {
   }
 }
 
-TEST(Mastership, AStaleScheduleFallsSilent) {
+TEST(Mastership, ANodeWithAStaleScheduleFallsSilent) {
   const auto with_epoch = [](Node& node, int by) {
     Beacon beacon = node.beacon(100);
     beacon.epoch = static_cast<std::uint32_t>(static_cast<int>(beacon.epoch) + by);
@@ -408,7 +408,7 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(103, with_epoch(follower, 1)), Verdict::kLeave);
   Node backup(102);
-  backup.enter(100);
+  backup.synchronize(100);
   EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kStale);
   EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kLeave);
   EXPECT_GE(*backup->lead_at() - at_s(1.0), Ticks::from_us(2'000'000)) << "founds nothing meanwhile";
@@ -422,7 +422,7 @@ TEST(Mastership, AStaleScheduleFallsSilent) {
   EXPECT_TRUE(leader->dissolving());
 }
 
-TEST(Mastership, WhatContradictsItselfIsStale) {
+TEST(Mastership, AContradictoryBeaconIsStale) {
   Node node(105);
   EXPECT_EQ(node.hear(107, node.beacon(100, 101, 1)), Verdict::kStale) << "no relay";
   EXPECT_EQ(node.hear(101, node.beacon(100, 107)), Verdict::kStale) << "no master";
@@ -451,9 +451,9 @@ TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
       for (std::uint32_t n = 0; n < rounds; ++n) {
         int senders = 0;
         for (std::size_t i = 0; i <= backups; ++i) {
-          const auto told = (*nodes[i])->leads() ? Verdict::kIgnore
+          const auto verdict = (*nodes[i])->leads() ? Verdict::kIgnore
                                                  : nodes[i]->hear(leader_id, nodes[i]->beacon(n, leader_id));
-          EXPECT_NE(told, Verdict::kStale);
+          EXPECT_NE(verdict, Verdict::kStale);
           if (!(*nodes[i])->has_shared_turn(n)) continue;
           ++senders;
           ++turns[i];
@@ -468,7 +468,7 @@ TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
   }
 }
 
-TEST(Mastership, CountsOverTheNumbersWrap) {
+TEST(Mastership, CountsPastTheSuperframeNumbersWrap) {
   Node node(102);
   const std::uint32_t last = 0xFFFF'FFFA;
   EXPECT_EQ(node.hear(101, node.beacon(last)), Verdict::kAdopt);
@@ -495,7 +495,7 @@ class Crowd {
     std::unique_ptr<Node> node;
     bool on = false;
     bool scans = false;
-    bool hushes = false;
+    bool silent = false;
     double base = 0.0;  // its superframes are `base` ahead of the step's number
   };
 
@@ -518,7 +518,7 @@ class Crowd {
     std::vector<Sent> sent;
     for (std::size_t i = 0; i < nodes.size(); ++i) {
       const Member& m = nodes[i];
-      if (m.on && !m.hushes && (*m.node)->leads()) sent.push_back({i, beacon_of(m, false)});
+      if (m.on && !m.silent && (*m.node)->leads()) sent.push_back({i, beacon_of(m, false)});
     }
     deliver(sent, true);
     for (const Sent& s : sent) (void)(*nodes[s.source].node)->on_led(now());
@@ -530,9 +530,9 @@ class Crowd {
       }
     }
     deliver(sent, false);
-    std::vector<Sent> invitations;
-    invitations.swap(invitations_);
-    for (const Sent& s : invitations) {
+    std::vector<Sent> merge_requests;
+    merge_requests.swap(merge_requests_);
+    for (const Sent& s : merge_requests) {
       for (Member& m : nodes) {
         if (m.on && hears(s.source, m)) take(m, s, nodes[s.source].base);
       }
@@ -593,7 +593,7 @@ class Crowd {
   void begin(Member& m, bool several) {
     if (!m.on) return;
     Mastership& mastership = *m.node->mastership;
-    m.scans = m.hushes = false;
+    m.scans = m.silent = false;
     if (mastership.role() == Role::kSearching) {
       const auto lead_at = mastership.lead_at();
       if (!lead_at || now() < *lead_at) return;
@@ -610,7 +610,7 @@ class Crowd {
     const Duty duty = mastership.begin(number(m));
     if (mastership.forsaken_at_once(number(m))) return mastership.search(now());
     m.scans = duty != Duty::kGoOn && duty != Duty::kTakeOver;
-    m.hushes = duty == Duty::kHush || duty == Duty::kHushLong;
+    m.silent = duty == Duty::kHush || duty == Duty::kHushLong;
   }
 
   [[nodiscard]] Beacon beacon_of(const Member& m, bool shared) const {
@@ -655,7 +655,7 @@ class Crowd {
     if (verdict == Verdict::kCall && m.node->mastership->may_invite(s.beacon.superframe)) {
       Beacon invitation = beacon_of(m, true);
       invitation.invitation = true;
-      invitations_.push_back({static_cast<std::size_t>(&m - nodes.data()), invitation});
+      merge_requests_.push_back({static_cast<std::size_t>(&m - nodes.data()), invitation});
     }
   }
 
@@ -663,10 +663,10 @@ class Crowd {
   std::size_t backups_;
   std::int64_t t_ = 0;
   std::uint32_t boots_ = 100;
-  std::vector<Sent> invitations_;
+  std::vector<Sent> merge_requests_;
 };
 
-TEST(Mastership, WhateverHappensOneNetworkUnderOneMasterComesOfIt) {
+TEST(Mastership, RandomFailuresEndInOneNetworkWithOneMaster) {
   int longest = 0;
   for (std::uint64_t seed = 0; seed < 150; ++seed) {
     std::mt19937_64 random(seed);
@@ -678,8 +678,8 @@ TEST(Mastership, WhateverHappensOneNetworkUnderOneMasterComesOfIt) {
         if (random() % 3 == 0) crowd.power(i, !crowd.nodes[i].on);
         crowd.cut[i] = static_cast<int>(random() % 3);
       }
-      const std::uint64_t turmoil = random() % 200;
-      for (std::uint64_t i = 0; i < turmoil; ++i) crowd.step();
+      const std::uint64_t failures = random() % 200;
+      for (std::uint64_t i = 0; i < failures; ++i) crowd.step();
       std::fill(crowd.cut.begin(), crowd.cut.end(), 0);
       crowd.loss = 0.0;
       crowd.power(static_cast<std::size_t>(random() % (backups + 1)), true);

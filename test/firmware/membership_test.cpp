@@ -28,7 +28,7 @@ groma_Schedule schedule_with(const std::vector<std::uint16_t>& tags, std::uint32
 
 // Superframes of beacon and shared slot, without radio and clocks. Nodes hear senders of their own and the
 // adjacent cells; simultaneous transmissions collide. Back-ups relay the last beacon that they heard.
-class Sea {
+class Cells {
  public:
   struct Node {
     std::uint16_t id;
@@ -45,7 +45,7 @@ class Sea {
     }
   };
 
-  explicit Sea(const groma_Schedule& schedule) : schedule_(schedule) {}
+  explicit Cells(const groma_Schedule& schedule) : schedule_(schedule) {}
 
   Node& add_tag(std::uint16_t id, int cell = 0) {
     nodes_.push_back(std::make_unique<Node>(Node{.id = id, .cell = cell}));
@@ -74,7 +74,7 @@ class Sea {
   std::uint16_t master = kMaster;
   int collisions = 0;
   int joins = 0;
-  std::vector<std::uint16_t> holders;  // slot owners in the master's last beacon
+  std::vector<std::uint16_t> owners;  // slot owners in the master's last beacon
 
  private:
   struct Sending {
@@ -88,7 +88,7 @@ class Sea {
       if (node->id == master && node->on) {
         Beacon beacon{.superframe = number, .session = 1, .master = master, .slots = kMaxTags};
         node->channel().on_beacon_out(beacon, true);
-        holders.assign(beacon.holders.begin(), beacon.holders.begin() + beacon.slots);
+        owners.assign(beacon.holders.begin(), beacon.holders.begin() + beacon.slots);
         deliver({{node.get(), beacon}});
       }
     }
@@ -97,7 +97,7 @@ class Sea {
   }
 
   void share() {
-    std::vector<Sending> sent;
+    std::vector<Sending> transmissions;
     const std::uint32_t turn = number % (schedule_.backup_ids_count + 1U);
     std::vector<Node*> asked;
     for (const auto& node : nodes_) {
@@ -113,25 +113,25 @@ class Sea {
           relayed.superframe = number;
           ++relayed.hop;
           node->channel().on_beacon_out(relayed, false);
-          sent.push_back({node.get(), relayed});
+          transmissions.push_back({node.get(), relayed});
         }
       }
       if (!out) continue;
-      sent.push_back({node.get(), out->body});
+      transmissions.push_back({node.get(), out->body});
       asked.push_back(node.get());
       ++joins;
     }
     for (Node* node : asked) node->channel().on_sent(number, true);
-    deliver(sent);
+    deliver(transmissions);
   }
 
-  void deliver(const std::vector<Sending>& sent) {
+  void deliver(const std::vector<Sending>& transmissions) {
     for (const auto& node : nodes_) {
       if (!node->on) continue;
       const Sending* only = nullptr;
       int audible = 0;
       bool sends = false;
-      for (const Sending& s : sent) {
+      for (const Sending& s : transmissions) {
         sends = sends || s.from == node.get();
         if (std::abs(s.from->cell - node->cell) > 1) continue;
         only = &s;
@@ -166,155 +166,156 @@ class Sea {
   std::vector<std::unique_ptr<Node>> nodes_;
 };
 
-bool knows(const Sea::Node& tag, std::uint16_t anchor) {
+bool knows(const Cells::Node& tag, std::uint16_t anchor) {
   for (std::size_t i = 0; i < tag.tag->anchors().size(); ++i) {
     if (tag.tag->anchors().at(i).id == anchor) return true;
   }
   return false;
 }
 
-TEST(Membership, ATagThatTheScheduleDoesNotNameHasASlotWithinThreeSuperframes) {
-  Sea sea(schedule_with({1}, 3));
-  sea.add_anchor(kMaster);
-  sea.add_tag(1);
-  sea.run(20);
-  Sea::Node& guest = sea.add_tag(50);
-  EXPECT_LE(sea.until([&] { return guest.tag->slot(sea.number).has_value(); }), 3U);
-  EXPECT_EQ(sea.holders, (std::vector<std::uint16_t>{kBroadcast, 50, kNobody}));
-  const int joins = sea.joins;
-  sea.run(300);
-  EXPECT_EQ(sea.joins, joins) << "who has a slot asks no more";
-  EXPECT_TRUE(guest.tag->slot(sea.number));
+TEST(Membership, AnUnscheduledTagGetsASlotWithinThreeSuperframes) {
+  Cells cells(schedule_with({1}, 3));
+  cells.add_anchor(kMaster);
+  cells.add_tag(1);
+  cells.run(20);
+  Cells::Node& guest = cells.add_tag(50);
+  EXPECT_LE(cells.until([&] { return guest.tag->slot(cells.number).has_value(); }), 3U);
+  EXPECT_EQ(cells.owners, (std::vector<std::uint16_t>{kBroadcast, 50, kNobody}));
+  const int joins = cells.joins;
+  cells.run(300);
+  EXPECT_EQ(cells.joins, joins) << "who has a slot asks no more";
+  EXPECT_TRUE(guest.tag->slot(cells.number));
 }
 
-TEST(Membership, TwoAtOnceHaveTheirSlotsSoon) {
-  std::vector<std::uint32_t> took;
+TEST(Membership, TwoSimultaneousTagsGetTheirSlotsSoon) {
+  std::vector<std::uint32_t> superframes;
   for (std::uint16_t id = 200; id < 300; ++id) {
-    Sea sea(schedule_with({1}, 3));
-    sea.add_anchor(kMaster);
-    sea.run(20 + id % 7);
-    Sea::Node& a = sea.add_tag(id);
-    Sea::Node& b = sea.add_tag(static_cast<std::uint16_t>(id + 1000));
-    took.push_back(sea.until([&] { return a.tag->slot(sea.number) && b.tag->slot(sea.number); }));
-    EXPECT_NE(a.tag->slot(sea.number), b.tag->slot(sea.number));
+    Cells cells(schedule_with({1}, 3));
+    cells.add_anchor(kMaster);
+    cells.run(20 + id % 7);
+    Cells::Node& a = cells.add_tag(id);
+    Cells::Node& b = cells.add_tag(static_cast<std::uint16_t>(id + 1000));
+    superframes.push_back(
+        cells.until([&] { return a.tag->slot(cells.number) && b.tag->slot(cells.number); }));
+    EXPECT_NE(a.tag->slot(cells.number), b.tag->slot(cells.number));
   }
-  std::sort(took.begin(), took.end());
-  EXPECT_LE(took[50], 7U);
-  EXPECT_LE(took[95], 16U);
-  EXPECT_LT(took.back(), 100U);
+  std::sort(superframes.begin(), superframes.end());
+  EXPECT_LE(superframes[50], 7U);
+  EXPECT_LE(superframes[95], 16U);
+  EXPECT_LT(superframes.back(), 100U);
 }
 
-TEST(Membership, ASlotThatATagLeavesServesAnother) {
-  Sea sea(schedule_with({1}, 1));
-  sea.add_anchor(kMaster);
-  Sea::Node& first = sea.add_tag(1);
-  Sea::Node& second = sea.add_tag(50);
-  sea.run(200);
-  EXPECT_TRUE(first.tag->slot(sea.number));
-  EXPECT_FALSE(second.tag->slot(sea.number));
+TEST(Membership, AReleasedSlotGoesToAnotherTag) {
+  Cells cells(schedule_with({1}, 1));
+  cells.add_anchor(kMaster);
+  Cells::Node& first = cells.add_tag(1);
+  Cells::Node& second = cells.add_tag(50);
+  cells.run(200);
+  EXPECT_TRUE(first.tag->slot(cells.number));
+  EXPECT_FALSE(second.tag->slot(cells.number));
   first.tag->leave();
-  EXPECT_FALSE(first.tag->slot(sea.number)) << "silent at once";
+  EXPECT_FALSE(first.tag->slot(cells.number)) << "silent at once";
   // The waiting tag now asks about every 16 superframes.
-  EXPECT_LE(sea.until([&] { return second.tag->slot(sea.number).has_value(); }), 20U);
-  sea.run(300);
-  EXPECT_FALSE(first.tag->slot(sea.number));
-  EXPECT_TRUE(second.tag->slot(sea.number));
+  EXPECT_LE(cells.until([&] { return second.tag->slot(cells.number).has_value(); }), 20U);
+  cells.run(300);
+  EXPECT_FALSE(first.tag->slot(cells.number));
+  EXPECT_TRUE(second.tag->slot(cells.number));
 }
 
-TEST(Membership, ATagThatDiesLosesItsSlotAndAConfiguredOneJoinsAnewWhenItIsBack) {
-  Sea sea(schedule_with({1}, 2));
-  sea.add_anchor(kMaster);
-  Sea::Node& dead = sea.add_tag(1);
-  sea.run(20);
+TEST(Membership, ADeadTagLosesItsSlotAndRejoinsWhenItIsBack) {
+  Cells cells(schedule_with({1}, 2));
+  cells.add_anchor(kMaster);
+  Cells::Node& dead = cells.add_tag(1);
+  cells.run(20);
   dead.on = false;
-  sea.add_tag(50);
-  sea.run(10);
-  Sea::Node& late = sea.add_tag(51);
-  const std::uint32_t took = sea.until([&] { return late.tag->slot(sea.number).has_value(); });
-  EXPECT_GT(took, kTableGoodFor);
-  EXPECT_LE(took, kLease + kTableGoodFor + 20);
-  EXPECT_EQ(sea.holders, (std::vector<std::uint16_t>{51, 50}));
+  cells.add_tag(50);
+  cells.run(10);
+  Cells::Node& late = cells.add_tag(51);
+  const std::uint32_t superframes = cells.until([&] { return late.tag->slot(cells.number).has_value(); });
+  EXPECT_GT(superframes, kTableGoodFor);
+  EXPECT_LE(superframes, kLease + kTableGoodFor + 20);
+  EXPECT_EQ(cells.owners, (std::vector<std::uint16_t>{51, 50}));
   late.tag->leave();
   dead.on = true;
-  EXPECT_LE(sea.until([&] { return dead.tag->slot(sea.number) == 0U; }), 10U);
+  EXPECT_LE(cells.until([&] { return dead.tag->slot(cells.number) == 0U; }), 10U);
 }
 
-TEST(Membership, ATagBeyondTheMastersReachJoinsOverRelays) {
+TEST(Membership, ATagBeyondTheMastersReachJoinsThroughRelays) {
   // Cells in a row, the master in the first; 102 and 103 relay.
-  Sea sea(schedule_with({1}, 3, {102, 103}));
-  sea.add_anchor(kMaster, 0);
-  sea.add_anchor(102, 1);
-  sea.add_anchor(103, 2);
-  sea.run(30);
-  Sea::Node& guest = sea.add_tag(50, 3);
-  EXPECT_LE(sea.until([&] { return guest.tag->slot(sea.number).has_value(); }), 20U);
-  sea.run(1000);
-  EXPECT_TRUE(guest.tag->slot(sea.number)) << "the master never hears it, and nobody else asks";
-  Sea::Node& near = sea.add_tag(51, 0);
-  EXPECT_LE(sea.until([&] { return near.tag->slot(sea.number).has_value(); }), 5U);
+  Cells cells(schedule_with({1}, 3, {102, 103}));
+  cells.add_anchor(kMaster, 0);
+  cells.add_anchor(102, 1);
+  cells.add_anchor(103, 2);
+  cells.run(30);
+  Cells::Node& guest = cells.add_tag(50, 3);
+  EXPECT_LE(cells.until([&] { return guest.tag->slot(cells.number).has_value(); }), 20U);
+  cells.run(1000);
+  EXPECT_TRUE(guest.tag->slot(cells.number)) << "the master never hears it, and nobody else asks";
+  Cells::Node& near = cells.add_tag(51, 0);
+  EXPECT_LE(cells.until([&] { return near.tag->slot(cells.number).has_value(); }), 5U);
   guest.tag->leave();
-  Sea::Node& next = sea.add_tag(52, 0);
-  sea.run(30);
-  EXPECT_TRUE(next.tag->slot(sea.number));
+  Cells::Node& next = cells.add_tag(52, 0);
+  cells.run(30);
+  EXPECT_TRUE(next.tag->slot(cells.number));
 }
 
-TEST(Membership, ANewMasterGoesOnWithTheTable) {
-  Sea sea(schedule_with({1}, 3, {102}));
-  Sea::Node& old = sea.add_anchor(kMaster);
-  sea.add_anchor(102);
-  Sea::Node& guest = sea.add_tag(50);
-  sea.run(30);
-  ASSERT_TRUE(guest.tag->slot(sea.number));
+TEST(Membership, ANewMasterContinuesWithTheSlotTable) {
+  Cells cells(schedule_with({1}, 3, {102}));
+  Cells::Node& old = cells.add_anchor(kMaster);
+  cells.add_anchor(102);
+  Cells::Node& guest = cells.add_tag(50);
+  cells.run(30);
+  ASSERT_TRUE(guest.tag->slot(cells.number));
   old.on = false;
-  sea.run(13);
-  EXPECT_TRUE(guest.tag->slot(sea.number)) << "coasting";
-  sea.master = 102;
+  cells.run(13);
+  EXPECT_TRUE(guest.tag->slot(cells.number)) << "coasting";
+  cells.master = 102;
   for (int i = 0; i < 100; ++i) {
-    sea.run(1);
-    ASSERT_TRUE(guest.tag->slot(sea.number)) << "no gap";
+    cells.run(1);
+    ASSERT_TRUE(guest.tag->slot(cells.number)) << "no gap";
   }
-  Sea::Node& other = sea.add_tag(51);
-  EXPECT_LE(sea.until([&] { return other.tag->slot(sea.number).has_value(); }), 5U);
+  Cells::Node& other = cells.add_tag(51);
+  EXPECT_LE(cells.until([&] { return other.tag->slot(cells.number).has_value(); }), 5U);
 }
 
 TEST(Membership, ATagThatHearsNoBeaconsFallsSilent) {
-  Sea sea(schedule_with({1}, 1));
-  Sea::Node& master = sea.add_anchor(kMaster);
-  Sea::Node& tag = sea.add_tag(1);
-  sea.run(20);
+  Cells cells(schedule_with({1}, 1));
+  Cells::Node& master = cells.add_anchor(kMaster);
+  Cells::Node& tag = cells.add_tag(1);
+  cells.run(20);
   master.on = false;
-  sea.run(kTableGoodFor);
-  EXPECT_TRUE(tag.tag->slot(sea.number));
-  sea.run(1);
-  EXPECT_FALSE(tag.tag->slot(sea.number));
+  cells.run(kTableGoodFor);
+  EXPECT_TRUE(tag.tag->slot(cells.number));
+  cells.run(1);
+  EXPECT_FALSE(tag.tag->slot(cells.number));
   master.on = true;
-  sea.run(1);
-  EXPECT_TRUE(tag.tag->slot(sea.number));
+  cells.run(1);
+  EXPECT_TRUE(tag.tag->slot(cells.number));
 }
 
-TEST(Membership, AnAnchorThatStartsIsKnownToTheTagsInReach) {
-  Sea sea(schedule_with({1, 2}, 2));
-  sea.add_anchor(kMaster);
-  Sea::Node& tag = sea.add_tag(1);
-  Sea::Node& far = sea.add_tag(2, 1);
+TEST(Membership, AStartingAnchorBecomesKnownToTheTagsInReach) {
+  Cells cells(schedule_with({1, 2}, 2));
+  cells.add_anchor(kMaster);
+  Cells::Node& tag = cells.add_tag(1);
+  Cells::Node& far = cells.add_tag(2, 1);
   tag.polls = far.polls = false;  // a poll would keep the anchor from announcing itself
-  sea.run(200);
-  EXPECT_EQ(sea.joins, 3) << "the master's";
-  sea.add_anchor(900, -1);
-  EXPECT_LE(sea.until([&] { return knows(tag, 900); }), 8U);
-  sea.run(200);
+  cells.run(200);
+  EXPECT_EQ(cells.joins, 3) << "the master's";
+  cells.add_anchor(900, -1);
+  EXPECT_LE(cells.until([&] { return knows(tag, 900); }), 8U);
+  cells.run(200);
   EXPECT_FALSE(knows(far, 900));
-  EXPECT_EQ(sea.joins, 6);
-  Sea::Node& late = sea.add_tag(3);
-  EXPECT_LE(sea.until([&] { return knows(late, 900); }), 256U + 16U);
+  EXPECT_EQ(cells.joins, 6);
+  Cells::Node& late = cells.add_tag(3);
+  EXPECT_LE(cells.until([&] { return knows(late, 900); }), 256U + 16U);
 }
 
-TEST(Membership, AnchorsThatArePolledDoNotCrowdTheOpenSlots) {
-  Sea sea(schedule_with({1}, 1, {}, 60));
-  sea.add_tag(1);
-  for (std::uint16_t id = kMaster; id < kMaster + 60; ++id) sea.add_anchor(id);
-  sea.run(100);
-  EXPECT_EQ(sea.joins, 0) << "all started at once, and were polled at once";
+TEST(Membership, PolledAnchorsDoNotCrowdTheOpenSlots) {
+  Cells cells(schedule_with({1}, 1, {}, 60));
+  cells.add_tag(1);
+  for (std::uint16_t id = kMaster; id < kMaster + 60; ++id) cells.add_anchor(id);
+  cells.run(100);
+  EXPECT_EQ(cells.joins, 0) << "all started at once, and were polled at once";
 }
 
 }  // namespace

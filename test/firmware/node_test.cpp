@@ -191,7 +191,7 @@ class NodeTest : public ::testing::Test {
   Node<FakePlatform> node{platform, {.version = "1.2.3", .git_hash = 0xC0FFEE01}};
 };
 
-TEST_F(NodeTest, SaysHelloAtStart) {
+TEST_F(NodeTest, SendsHelloAtStart) {
   platform.fault = Fault{.pc = 0x1234, .lr = 0x5678, .cfsr = 0x82};
   store(good_config());
   node.start();
@@ -239,7 +239,7 @@ TEST_F(NodeTest, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
   EXPECT_EQ(transmissions(), 0U);
 }
 
-TEST_F(NodeTest, UnconfiguredItListensEachSecondToProveItsLife) {
+TEST_F(NodeTest, UnconfiguredItListensEachSecondAsProofOfLife) {
   node.start();
   const std::uint64_t began_us = platform.time_us;
   while (platform.time_us < began_us + 5'500'000) {
@@ -304,7 +304,7 @@ TEST_F(NodeTest, AMasterProvesLifeOnceASuperframe) {
   EXPECT_EQ(node.counters().late_transmits, 0U);
 }
 
-TEST_F(NodeTest, WhatHadToBeRecoveredFromProvesNothing) {
+TEST_F(NodeTest, ARadioRecoveryIsNoProofOfLife) {
   store(good_config());
   node.start();
   for (int i = 0; i < 5; ++i) {
@@ -315,7 +315,7 @@ TEST_F(NodeTest, WhatHadToBeRecoveredFromProvesNothing) {
   EXPECT_EQ(platform.proofs, 0);
 }
 
-TEST_F(NodeTest, TellsWhyTheRadioIsDownAndTriesAgain) {
+TEST_F(NodeTest, ReportsWhyTheRadioIsDownAndRetries) {
   platform.chip.absent = true;
   store(good_config());
   node.start();
@@ -373,7 +373,7 @@ groma_Config keyed_config(std::uint8_t first) {
   return config;
 }
 
-TEST_F(NodeTest, NeverTellsTheNetworksKey) {
+TEST_F(NodeTest, NeverRevealsTheNetworkKey) {
   node.start();
   const groma_Config config = keyed_config(0x40);
   write(config);
@@ -401,7 +401,7 @@ TEST_F(NodeTest, NeverTellsTheNetworksKey) {
   EXPECT_NE(config_hash_of(other), config_hash_of(config));
 }
 
-TEST_F(NodeTest, KeepsItsKeyWhereTheHashAloneIsWritten) {
+TEST_F(NodeTest, KeepsItsKeyIfOnlyTheHashIsWritten) {
   node.start();
   const groma_Config config = keyed_config(0x40);
   write(config);
@@ -426,7 +426,7 @@ TEST_F(NodeTest, KeepsItsKeyWhereTheHashAloneIsWritten) {
   EXPECT_STREQ(replies[3].body.reply.text, "network_key: 16 bytes, or none");
 }
 
-TEST_F(NodeTest, ReadingBeforeAnythingWasWrittenGivesAnUnconfiguredOne) {
+TEST_F(NodeTest, ReadingBeforeAnyWriteReturnsAnUnconfiguredNode) {
   node.start();
   command(groma_HostToNode_read_config_tag);
   ASSERT_TRUE(last_reply().has_config);
@@ -460,7 +460,7 @@ TEST_F(NodeTest, EachBadConfigurationIsRefusedByName) {
 }
 
 // nanopb accepts any number for an enumeration.
-TEST_F(NodeTest, NumbersThatAreNoEnumeratorsAreRefused) {
+TEST_F(NodeTest, InvalidEnumeratorsAreRefused) {
   node.start();
   for (const auto& [member, offset] : {std::pair{"role", offsetof(groma_Config, role)},
                                        std::pair{"preamble", offsetof(groma_Config, preamble)}}) {
@@ -470,7 +470,7 @@ TEST_F(NodeTest, NumbersThatAreNoEnumeratorsAreRefused) {
   }
 }
 
-TEST_F(NodeTest, AStoreThatFailsOrLiesIsToldAndTheNodeGoesOn) {
+TEST_F(NodeTest, AFailedOrCorruptedStoreIsReportedAndTheNodeContinues) {
   store(good_config());
   node.start();
   const auto kept = platform.stored;
@@ -487,7 +487,7 @@ TEST_F(NodeTest, AStoreThatFailsOrLiesIsToldAndTheNodeGoesOn) {
   EXPECT_EQ(radio_starts(), starts + 1);
 }
 
-TEST_F(NodeTest, TellsTheHostAndLeavesTheAirBeforeItWritesFlash) {
+TEST_F(NodeTest, NotifiesTheHostAndStopsTheRadioBeforeAFlashWrite) {
   store(good_config());
   node.start();
   for (const bool reset : {false, true}) {
@@ -504,7 +504,7 @@ TEST_F(NodeTest, TellsTheHostAndLeavesTheAirBeforeItWritesFlash) {
   }
 }
 
-TEST_F(NodeTest, AMasterGoesOnWithItsCountAfterAWrite) {
+TEST_F(NodeTest, AMasterContinuesItsCountAfterAFlashWrite) {
   groma_Config config = good_config(groma_Role_ROLE_ANCHOR);
   store(config);
   start_leading();
@@ -538,7 +538,7 @@ TEST_F(NodeTest, AResetThatLeavesTheOldConfigurationIsRefused) {
   EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
 }
 
-TEST_F(NodeTest, AStoredConfigurationThatIsNotValidIsNone) {
+TEST_F(NodeTest, AnInvalidStoredConfigurationIsIgnored) {
   groma_Config config = good_config();
   config.id = 101;  // an anchor's
   store(config);
@@ -561,7 +561,7 @@ TEST_F(NodeTest, FactoryResetForgetsAndFallsSilent) {
   EXPECT_EQ(messages(groma_NodeToHost_hello_tag).back().body.hello.role, groma_Role_ROLE_UNCONFIGURED);
 }
 
-TEST_F(NodeTest, AfterAFactoryResetNoBeaconsAreMissed) {
+TEST_F(NodeTest, AfterAFactoryResetNoMissedBeaconsAreReported) {
   store(good_config(groma_Role_ROLE_ANCHOR));
   node.start();
   platform.chip.put(0x17, 0, platform.chip.written(0x0A, 0) + 16'436, 5);
@@ -621,7 +621,7 @@ TEST_F(NodeTest, OnlyATagLeavesTheNetwork) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
 }
 
-TEST_F(NodeTest, ANodeThatTheScheduleDoesNotListMayJoin) {
+TEST_F(NodeTest, AnUnscheduledNodeMayJoin) {
   for (const groma_Role role : {groma_Role_ROLE_TAG, groma_Role_ROLE_ANCHOR}) {
     groma_Config config = good_config(role);
     config.id = 5000;
@@ -674,7 +674,7 @@ TEST_F(NodeTest, UnknownCommandsAndGarbageAreCounted) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
 }
 
-TEST_F(NodeTest, WhatAFullLinkDropsIsCounted) {
+TEST_F(NodeTest, FramesDroppedByAFullLinkAreCounted) {
   node.start();
   platform.link_full = true;
   command(groma_HostToNode_get_hello_tag);
@@ -700,7 +700,7 @@ TEST_F(NodeTest, SendsTelemetryOnceASecond) {
   EXPECT_EQ(status.back().body.network_status.master_id, 0U) << "none that it knows of";
 }
 
-TEST_F(NodeTest, WhenTheInterruptStaysAwayTheRadioIsBroughtUpAgain) {
+TEST_F(NodeTest, AMissingInterruptReinitializesTheRadio) {
   store(good_config());
   node.start();
   EXPECT_EQ(radio_starts(), 1U);
@@ -716,7 +716,7 @@ TEST_F(NodeTest, WhenTheInterruptStaysAwayTheRadioIsBroughtUpAgain) {
   EXPECT_EQ(messages(groma_NodeToHost_log_tag).size(), 1U);
 }
 
-TEST_F(NodeTest, AnInterruptThatWasOverlookedIsTakenAtTheDeadline) {
+TEST_F(NodeTest, AMissedInterruptIsHandledAtTheDeadline) {
   store(good_config());
   node.start();
   platform.chip.status |= kFrameTimeout;
@@ -737,7 +737,7 @@ TEST_F(NodeTest, ALostClockIsRecoveredFrom) {
   EXPECT_FALSE(platform.chip.interrupt());
 }
 
-TEST_F(NodeTest, AChipThatFindsEverythingLateDoesNotHangTheNode) {
+TEST_F(NodeTest, AChipThatRejectsEverythingAsLateDoesNotHangTheNode) {
   platform.chip.on_write = [&](const Transfer& t) {
     if (t.file == 0x0D && (t.word() & 0x204) != 0) platform.chip.status |= 1U << 27;
   };
@@ -778,7 +778,7 @@ TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
   EXPECT_EQ(beacon->schedule_hash, schedule_hash_of(good_config()));
 }
 
-TEST_F(NodeTest, TellsUntilWhenTheRadioLetsItDoOtherThings) {
+TEST_F(NodeTest, ReportsUntilWhenTheRadioIsQuiet) {
   EXPECT_EQ(node.quiet_until_us(), ~std::uint64_t{0});
   // A master that has armed its first beacon.
   store(good_config(groma_Role_ROLE_ANCHOR));
@@ -792,7 +792,7 @@ TEST_F(NodeTest, TellsUntilWhenTheRadioLetsItDoOtherThings) {
   EXPECT_EQ(node.quiet_until_us(), ~std::uint64_t{0});
 }
 
-TEST_F(NodeTest, DeviceTimeGoesOnWhenTheRadioIsBroughtUpAgain) {
+TEST_F(NodeTest, DeviceTimeContinuesOverARadioReset) {
   // A master: each beacon's DX_TIME shows its clock.
   store(good_config(groma_Role_ROLE_ANCHOR));
   platform.chip.time = 400'000'000'000;
@@ -860,7 +860,7 @@ TEST_F(TwoLinksTest, TheConfigurationInForceChoosesTheLink) {
   EXPECT_EQ(platform.configured.back(), groma_Link_LINK_UART);
 }
 
-TEST_F(TwoLinksTest, AnAnswerGoesToWhoAskedAndTellsWhatFailed) {
+TEST_F(TwoLinksTest, AnAnswerGoesToTheRequesterAndReportsTheLinkError) {
   groma_Config config = good_config(groma_Role_ROLE_ANCHOR);
   config.link = groma_Link_LINK_CAN;
   store(config);
@@ -879,7 +879,7 @@ TEST_F(TwoLinksTest, AnAnswerGoesToWhoAskedAndTellsWhatFailed) {
   EXPECT_EQ(decode(platform.answered[3]).body.counters.can_frames_sent, 7U);
 }
 
-TEST_F(NodeTest, RefusesALinkThatIsNoneAndBitRatesThatCannotBe) {
+TEST_F(NodeTest, RefusesInvalidLinksAndBitRates) {
   groma_Config config = good_config();
   config.link = groma_Link_LINK_CAN;
   config.can_nominal_bit_per_s = 500'000;
@@ -909,7 +909,7 @@ TEST(SlotReport, BecomesCompact) {
   EXPECT_EQ(message.body.compact_report.ranges.bytes[11], 104);
 }
 
-TEST(SlotReport, CarriesEachRangeWithItsInstantAndItsStatus) {
+TEST(SlotReport, CarriesEachRangeWithItsTimeAndStatus) {
   mac::Exchange exchange{.number = 9, .superframe = 1234, .slot = 2, .count = 3};
   exchange.poll_sent = ranging::ClockTime(1'000'000'000'000);
   exchange.closing_sent = exchange.poll_sent + ranging::Ticks(800'000'000);
@@ -957,7 +957,7 @@ TEST(SlotReport, CarriesEachRangeWithItsInstantAndItsStatus) {
   EXPECT_EQ(counters.ranges_lost, 2U);
 }
 
-TEST(MessageEncoder, AReplyWithAStoredConfigurationHasNanopbsBytes) {
+TEST(MessageEncoder, AReplyWithAStoredConfigurationMatchesNanopbsEncoding) {
   groma_Config config = good_config();
   config.network_key.size = 16;
   config.network_key_hash = 0x12345678;
@@ -974,13 +974,13 @@ TEST(MessageEncoder, AReplyWithAStoredConfigurationHasNanopbsBytes) {
   for (const bool on_trial : {false, true}) {
     std::vector<std::uint8_t> stored(kMaxStoredBytes);
     stored.resize(on_trial ? encode_on_trial(config, before, stored) : encode_config(config, stored));
-    const auto told = shown(stored);
+    const auto visible = shown(stored);
     std::vector<std::uint8_t> expected(kMaxConfigBytes);
     expected.resize(encode_config(without_key(config), expected));
-    EXPECT_TRUE(std::ranges::equal(told, expected)) << on_trial;
+    EXPECT_TRUE(std::ranges::equal(visible, expected)) << on_trial;
 
     MessageEncoder encoder;
-    const auto frame = encoder.encode(message, told);
+    const auto frame = encoder.encode(message, visible);
     const std::vector<std::uint8_t> seen(frame.begin(), frame.end());
     groma_NodeToHost whole = message;
     whole.body.reply.has_config = true;
@@ -988,10 +988,10 @@ TEST(MessageEncoder, AReplyWithAStoredConfigurationHasNanopbsBytes) {
     EXPECT_TRUE(std::ranges::equal(encoder.encode(whole), seen)) << on_trial;
     // Returns 0 for every buffer that is too short.
     std::vector<std::uint8_t> room(groma_NodeToHost_size);
-    const std::size_t size = encode_message(message, told, room);
-    EXPECT_EQ(encode_message(message, told, std::span(room).first(size)), size);
+    const std::size_t size = encode_message(message, visible, room);
+    EXPECT_EQ(encode_message(message, visible, std::span(room).first(size)), size);
     for (std::size_t shorter = 0; shorter < size; ++shorter) {
-      EXPECT_EQ(encode_message(message, told, std::span(room).first(shorter)), 0U) << shorter;
+      EXPECT_EQ(encode_message(message, visible, std::span(room).first(shorter)), 0U) << shorter;
     }
   }
 }

@@ -62,7 +62,7 @@ class SealTest : public ::testing::Test {
   const Place place{1'000, 2};
 };
 
-TEST_F(SealTest, FitsWhatItSignedForEachKindOfFrame) {
+TEST_F(SealTest, VerifiesItsOwnMicForEachFrameType) {
   for (const Body& body : bodies()) {
     const auto bytes = signed_bytes(frame_with(body), place);
     EXPECT_TRUE(seal.fits(bytes, place)) << body.index();
@@ -70,7 +70,7 @@ TEST_F(SealTest, FitsWhatItSignedForEachKindOfFrame) {
   }
 }
 
-TEST_F(SealTest, FitsNowhereElse) {
+TEST_F(SealTest, RejectsItsMicAnywhereElse) {
   for (const Body& body : bodies()) {
     const auto bytes = signed_bytes(frame_with(body), place);
     for (const std::uint32_t superframe :
@@ -94,7 +94,7 @@ TEST_F(SealTest, FitsNowhereElse) {
   }
 }
 
-TEST_F(SealTest, SeesEachBitThatIsChanged) {
+TEST_F(SealTest, DetectsEachFlippedBit) {
   for (const Body& body : bodies()) {
     auto bytes = signed_bytes(frame_with(body), place);
     for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
@@ -109,30 +109,30 @@ TEST_F(SealTest, SeesEachBitThatIsChanged) {
 }
 
 // A precomputed MIC equals the plain one, for each frame type and whichever type was expected.
-TEST_F(SealTest, GivesAnExpectedFrameTheSameCode) {
+TEST_F(SealTest, PrecomputationGivesTheSameMic) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
     for (const FrameType type : kTypes) {
-      Seal ahead(&cipher, kKey);
-      ahead.enter(kSession);
-      ahead.expect_sent(101, type, place);
-      ahead.expect_received(101, type, place);
+      Seal precomputed(&cipher, kKey);
+      precomputed.enter(kSession);
+      precomputed.expect_sent(101, type, place);
+      precomputed.expect_received(101, type, place);
       FrameBytes bytes = serialize(frame_with(body));
-      ahead.begin_signing(bytes, place);
-      ahead.finish_signing(bytes);
+      precomputed.begin_signing(bytes, place);
+      precomputed.finish_signing(bytes);
       EXPECT_TRUE(std::equal(plain.begin(), plain.end(), bytes.bytes().begin(), bytes.bytes().end()));
-      ahead.glance(plain, place);
-      EXPECT_TRUE(ahead.fits(plain, place));
-      EXPECT_TRUE(ahead.fits(plain, place));
+      precomputed.glance(plain, place);
+      EXPECT_TRUE(precomputed.fits(plain, place));
+      EXPECT_TRUE(precomputed.fits(plain, place));
       // Frames of another session are not expected.
-      ahead.enter(kSession + 1);
-      ahead.glance(plain, place);
-      EXPECT_FALSE(ahead.fits(plain, place));
+      precomputed.enter(kSession + 1);
+      precomputed.glance(plain, place);
+      EXPECT_FALSE(precomputed.fits(plain, place));
     }
   }
 }
 
-TEST_F(SealTest, ForgetsWhatItPrecomputedForTheSessionBefore) {
+TEST_F(SealTest, DiscardsPrecomputationsOfThePreviousSession) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
     for (const FrameType type : kTypes) {
@@ -150,7 +150,7 @@ TEST_F(SealTest, ForgetsWhatItPrecomputedForTheSessionBefore) {
   }
 }
 
-TEST_F(SealTest, SeesAForgeryAtAGlanceToo) {
+TEST_F(SealTest, DetectsAForgeryWhoseVerificationBeganEarly) {
   seal.expect_received(101, FrameType::kPoll, place);
   const auto good = signed_bytes(frame_with(bodies()[1]), place);
   auto bytes = good;
@@ -171,7 +171,7 @@ TEST_F(SealTest, SeesAForgeryAtAGlanceToo) {
 }
 
 // The previous frame was never verified, and its bytes were at the same address.
-TEST_F(SealTest, TellsNothingOfAFrameByTheOneBefore) {
+TEST_F(SealTest, CarriesNoResultOverFromThePreviousFrame) {
   seal.expect_received(101, FrameType::kPoll, place);
   const auto good = signed_bytes(frame_with(bodies()[1]), place);
   const auto change = [](std::vector<std::uint8_t>& bytes) { bytes.at(kHeaderBytes) ^= 1; };
@@ -195,7 +195,7 @@ TEST_F(SealTest, TellsNothingOfAFrameByTheOneBefore) {
   EXPECT_FALSE(seal.fits(bytes, place));
 }
 
-TEST_F(SealTest, TakesABeaconByWhatItSaysOfItself) {
+TEST_F(SealTest, VerifiesABeaconByItsOwnSessionAndSuperframe) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
   const auto own = signed_bytes(frame_with(beacon), place_of(beacon));
   Seal searching(&cipher, kKey);
@@ -217,60 +217,60 @@ TEST_F(SealTest, TakesABeaconByWhatItSaysOfItself) {
   EXPECT_TRUE(seal.fits(bytes.bytes(), beacon));
 }
 
-TEST_F(SealTest, ACallHoldsForThoseCalledInThatSuperframeAlone) {
+TEST_F(SealTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
   beacon.shared = beacon.invitation = true;
   beacon.place = ranging::Ticks(12'345);
-  const Callees callees{kSession + 5, 77};
+  const Callees target{kSession + 5, 77};
   FrameBytes bytes = serialize(frame_with(beacon));
-  seal.begin_signing(bytes, place_of(beacon), callees);
+  seal.begin_signing(bytes, place_of(beacon), target);
   seal.finish_signing(bytes);
-  Seal called(&cipher, kKey);
-  called.enter(callees.session);
+  Seal receiver(&cipher, kKey);
+  receiver.enter(target.session);
   const auto frame = bytes.bytes();
-  EXPECT_TRUE(called.fits(frame, beacon, callees));
-  EXPECT_TRUE(seal.fits(frame, beacon, callees));
-  EXPECT_FALSE(called.fits(frame, beacon, {callees.session, callees.superframe + 1}));
-  EXPECT_FALSE(called.fits(frame, beacon, {callees.session, callees.superframe + 256}));
-  EXPECT_FALSE(called.fits(frame, beacon, {callees.session + 1, callees.superframe}));
-  EXPECT_FALSE(called.fits(frame, beacon, {callees.session ^ (std::uint64_t{1} << 60), callees.superframe}));
+  EXPECT_TRUE(receiver.fits(frame, beacon, target));
+  EXPECT_TRUE(seal.fits(frame, beacon, target));
+  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session, target.superframe + 1}));
+  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session, target.superframe + 256}));
+  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session + 1, target.superframe}));
+  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session ^ (std::uint64_t{1} << 60), target.superframe}));
   // It does not verify as a beacon of its own session, nor does such a beacon verify as a merge request.
-  EXPECT_FALSE(called.fits(frame, beacon));
-  EXPECT_FALSE(called.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon, callees));
+  EXPECT_FALSE(receiver.fits(frame, beacon));
+  EXPECT_FALSE(receiver.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon, target));
   for (std::size_t i = 0; i < frame.size(); ++i) {
     std::vector<std::uint8_t> changed(frame.begin(), frame.end());
     changed[i] ^= 1;
-    EXPECT_FALSE(called.fits(changed, beacon, callees)) << i;
+    EXPECT_FALSE(receiver.fits(changed, beacon, target)) << i;
   }
   // A node with another key cannot make one.
   Seal stranger(&cipher, kOtherKey);
   stranger.enter(kSession);
   FrameBytes forged = serialize(frame_with(beacon));
-  stranger.begin_signing(forged, place_of(beacon), callees);
+  stranger.begin_signing(forged, place_of(beacon), target);
   stranger.finish_signing(forged);
-  EXPECT_FALSE(called.fits(forged.bytes(), beacon, callees));
+  EXPECT_FALSE(receiver.fits(forged.bytes(), beacon, target));
   cipher.good = false;
-  EXPECT_FALSE(called.fits(frame, beacon, callees));
-  FrameBytes uncoded = serialize(frame_with(beacon));
-  seal.begin_signing(uncoded, place_of(beacon), callees);
-  seal.finish_signing(uncoded);
+  EXPECT_FALSE(receiver.fits(frame, beacon, target));
+  FrameBytes unsigned_frame = serialize(frame_with(beacon));
+  seal.begin_signing(unsigned_frame, place_of(beacon), target);
+  seal.finish_signing(unsigned_frame);
   cipher.good = true;
-  EXPECT_FALSE(called.fits(uncoded.bytes(), beacon, callees));
+  EXPECT_FALSE(receiver.fits(unsigned_frame.bytes(), beacon, target));
 }
 
-TEST_F(SealTest, BelievesNothingWhereTheCipherFails) {
+TEST_F(SealTest, VerifiesNothingIfTheCipherFails) {
   const auto bytes = signed_bytes(frame_with(Final{4}), place);
   cipher.good = false;
   EXPECT_FALSE(seal.fits(bytes, place));
-  const auto uncoded = signed_bytes(frame_with(Final{4}), place);
+  const auto unsigned_frame = signed_bytes(frame_with(Final{4}), place);
   seal.enter(kSession + 1);
   cipher.good = true;
   // That session then has no key, not one of zeros.
-  EXPECT_EQ(signed_bytes(frame_with(Final{4}), place), uncoded);
+  EXPECT_EQ(signed_bytes(frame_with(Final{4}), place), unsigned_frame);
   EXPECT_FALSE(seal.fits(bytes, place));
-  EXPECT_FALSE(seal.fits(uncoded, place));
+  EXPECT_FALSE(seal.fits(unsigned_frame, place));
   seal.enter(kSession);
-  EXPECT_FALSE(seal.fits(uncoded, place));
+  EXPECT_FALSE(seal.fits(unsigned_frame, place));
   EXPECT_TRUE(seal.fits(bytes, place));
 
   // Nor with a precomputed MIC.
@@ -314,7 +314,7 @@ class FreshnessTest : public ::testing::Test {
     beacon.welcome = welcome;
     node.on_beacon(frame_of(beacon), beacon);
   }
-  static Join ask(Freshness& node, std::uint32_t number) {
+  static Join challenge(Freshness& node, std::uint32_t number) {
     const auto outgoing = node.open_slot(number);
     EXPECT_TRUE(outgoing.has_value());
     node.on_sent(number, true);
@@ -325,12 +325,12 @@ class FreshnessTest : public ::testing::Test {
   Freshness node{settings_of(7, &nonces)};
 };
 
-TEST_F(FreshnessTest, BelievesABeaconThatBringsItsNonceBack) {
+TEST_F(FreshnessTest, AcceptsABeaconThatReturnsItsNonce) {
   EXPECT_FALSE(node.fresh());
   hear(node, std::nullopt);
   hear(node, Welcome{7, 0});
   EXPECT_FALSE(node.fresh());
-  const Join join = ask(node, 0);
+  const Join join = challenge(node, 0);
   EXPECT_EQ(join.origin, 7);
   EXPECT_TRUE(join.wants_welcome);
   hear(node, std::nullopt);
@@ -347,17 +347,17 @@ TEST_F(FreshnessTest, BelievesABeaconThatBringsItsNonceBack) {
   for (std::uint32_t number = 1; number < 20; ++number) EXPECT_FALSE(node.open_slot(number).has_value());
 }
 
-TEST_F(FreshnessTest, NeverMakesANonceTwice) {
-  const Join first = ask(node, 0);
+TEST_F(FreshnessTest, NeverRepeatsANonce) {
+  const Join first = challenge(node, 0);
   node.forget();
   EXPECT_FALSE(node.fresh());
-  const Join second = ask(node, 0);
+  const Join second = challenge(node, 0);
   EXPECT_NE(first.nonce, second.nonce);
   hear(node, Welcome{7, first.nonce});
   EXPECT_FALSE(node.fresh());
   // A second station in the same boot.
   Freshness again(settings_of(7, &nonces));
-  const Join third = ask(again, 0);
+  const Join third = challenge(again, 0);
   EXPECT_NE(third.nonce, first.nonce);
   EXPECT_NE(third.nonce, second.nonce);
   // After a reboot the count of nonces restarts.
@@ -365,15 +365,15 @@ TEST_F(FreshnessTest, NeverMakesANonceTwice) {
   Freshness::Settings settings = settings_of(7, &none);
   settings.boot_count = 6;
   Freshness rebooted(settings);
-  EXPECT_NE(ask(rebooted, 0).nonce, first.nonce);
+  EXPECT_NE(challenge(rebooted, 0).nonce, first.nonce);
   // Without a boot count it sends no challenge and so accepts no beacon.
   settings.boot_count = 0;
   Freshness uncounted(settings);
   for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(uncounted.open_slot(number).has_value());
 }
 
-TEST_F(FreshnessTest, AsksAtOnceAndThenInTurn) {
-  (void)ask(node, 12);
+TEST_F(FreshnessTest, SendsAChallengeAtOnceAndThenInTurn) {
+  (void)challenge(node, 12);
   std::vector<std::uint32_t> turns;
   for (std::uint32_t number = 14; number < 46; number += 2) {
     if (!node.open_slot(number)) continue;
@@ -385,7 +385,7 @@ TEST_F(FreshnessTest, AsksAtOnceAndThenInTurn) {
   EXPECT_EQ(turns, (std::vector<std::uint32_t>{16, 30, 36, 42}));
 }
 
-TEST_F(FreshnessTest, GivesUpOnAVoiceThatNeverAnswers) {
+TEST_F(FreshnessTest, GivesUpOnANetworkThatNeverAnswers) {
   std::uint32_t number = 0;
   while (!node.hopeless() && number < 1'000) {
     if (node.open_slot(number)) node.on_sent(number, true);
@@ -396,7 +396,7 @@ TEST_F(FreshnessTest, GivesUpOnAVoiceThatNeverAnswers) {
   EXPECT_FALSE(node.hopeless());
 }
 
-TEST_F(FreshnessTest, WelcomesOnceWhoAskedLastIfItIsFreshItself) {
+TEST_F(FreshnessTest, AnswersTheLastChallengeOnceIfItIsVerifiedItself) {
   std::uint32_t others = 0;
   Freshness master(settings_of(101, &others));
   const Join join{.origin = 7, .nonce = 99, .wants_welcome = true};
@@ -420,7 +420,7 @@ TEST_F(FreshnessTest, WelcomesOnceWhoAskedLastIfItIsFreshItself) {
   EXPECT_FALSE(beacon.welcome.has_value());
 }
 
-TEST(Freshness, IsGivenInAnOpenNetwork) {
+TEST(Freshness, NeedsNoChallengeInAnOpenNetwork) {
   Freshness node({.id = 7});
   EXPECT_TRUE(node.fresh());
   node.forget();

@@ -35,7 +35,7 @@ std::size_t good(const std::vector<RangeSeen>& ranges) {
 
 // Expects good ranges to all live anchors and none to `dead` ones. An exchange in the first superframe may
 // still complete.
-void expect_good_but_to(const std::set<std::uint16_t>& dead, const std::vector<RangeSeen>& ranges) {
+void expect_good_except_to(const std::set<std::uint16_t>& dead, const std::vector<RangeSeen>& ranges) {
   ASSERT_FALSE(ranges.empty());
   for (const RangeSeen& r : ranges) {
     if (!dead.contains(r.anchor)) {
@@ -75,7 +75,7 @@ class Site {
   }
   void run_superframes(double count) { air.run(count * superframe_s); }
   // Discards the ranges: minutes of them exceed the memory of a small target.
-  void run_unseen(double seconds) {
+  void run_discarding_ranges(double seconds) {
     for (double done_s = 0.0; done_s < seconds; done_s += 1.0) {
       air.run(std::min(1.0, seconds - done_s));
       air.ranges.clear();
@@ -132,21 +132,21 @@ TEST(SelfOrganizing, ABackUpTakesOverWithoutALostRange) {
   const auto ranges = site.ranges_of(200);
   EXPECT_EQ(site.leaders({101}), Ids{102});
   EXPECT_EQ(site.sessions({101}), session) << "the same count goes on";
-  std::size_t of_dead = 0;
+  std::size_t to_dead = 0;
   for (const RangeSeen& r : ranges) {
     if (r.anchor == 101) {
-      ++of_dead;
+      ++to_dead;
     } else {
       ASSERT_EQ(r.range.status, RangeStatus::kOk) << r.tag << ' ' << r.anchor << ' ' << r.superframe;
     }
   }
   EXPECT_GE(ranges.size(), 199U * 3 * 8);
-  EXPECT_EQ(of_dead * 8, ranges.size());
+  EXPECT_EQ(to_dead * 8, ranges.size());
   EXPECT_LT(worst_error_m(ranges), kIdealError_m);
   EXPECT_EQ(site.air.collisions, 0U);
 }
 
-TEST(SelfOrganizing, AMasterThatComesBackJoinsTheNetworkThatRuns) {
+TEST(SelfOrganizing, ARestartedMasterJoinsTheRunningNetwork) {
   Site site(schedule_with(3, 8, 2));
   site.air.start_all();
   site.air.run(1.0);
@@ -166,10 +166,10 @@ TEST(SelfOrganizing, AMasterThatComesBackJoinsTheNetworkThatRuns) {
   site.run_superframes(1);  // it took part in the exchange under way
   const auto later = site.ranges_of(100);
   EXPECT_EQ(site.leaders({102}), Ids{101});
-  expect_good_but_to({102}, later);
+  expect_good_except_to({102}, later);
 }
 
-TEST(SelfOrganizing, WhenSeveralDieAtOnceTheNextInRankLeads) {
+TEST(SelfOrganizing, TheNextInRankLeadsWhenSeveralFailAtOnce) {
   Site site(schedule_with(2, 8, 4));
   site.air.start_all();
   site.air.run(1.0);
@@ -179,10 +179,10 @@ TEST(SelfOrganizing, WhenSeveralDieAtOnceTheNextInRankLeads) {
   const auto ranges = site.ranges_of(100);
   EXPECT_EQ(site.leaders({101, 102, 103}), Ids{104});
   EXPECT_EQ(site.sessions({101, 102, 103}), session);
-  expect_good_but_to({101, 102, 103}, ranges);
+  expect_good_except_to({101, 102, 103}, ranges);
 }
 
-TEST(SelfOrganizing, AColdSiteStartsUnderTheFirstThatIsAlive) {
+TEST(SelfOrganizing, AColdSiteStartsUnderTheFirstLiveRank) {
   for (const int dead : {0, 1, 2}) {
     Site site(schedule_with(2, 6, 3));
     for (std::size_t i = 0; i < site.air.size(); ++i) {
@@ -203,7 +203,7 @@ INSTANTIATE_TEST_SUITE_P(SelfOrganizing, KeyedOrOpen, ::testing::Bool(),
 
 // The network is split until each half of the session has its own master, then rejoined. In a keyed network
 // whose halves have drifted apart, the half with the higher superframe count wins.
-TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
+TEST_P(KeyedOrOpen, TheHalvesOfASplitNetworkMerge) {
   const bool keyed = GetParam();
   for (const double cut_s : {1.0, 20.0, 120.0}) {
     Site site(schedule_with(4, 8, 3), 1, 20.0, keyed);
@@ -212,7 +212,7 @@ TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
     site.air.run(1.0);
     site.run_until_fresh();
     site.air.reach = [&](std::size_t a, std::size_t b) { return half(a) == half(b); };
-    site.run_unseen(cut_s);
+    site.run_discarding_ranges(cut_s);
     EXPECT_EQ(site.leaders(), (Ids{101, 102})) << cut_s;
     site.air.reach = nullptr;
     site.run_superframes(10);
@@ -236,7 +236,7 @@ TEST_P(KeyedOrOpen, TheHalvesOfANetworkThatWasCutBecomeOneAgain) {
 // wins.
 class MeetingTest : public ::testing::TestWithParam<std::tuple<std::size_t, double, bool>> {};
 
-TEST_P(MeetingTest, TwoNetworksThatMeetBecomeOneWithinTenSuperframes) {
+TEST_P(MeetingTest, TwoNetworksThatMeetMergeWithinTenSuperframes) {
   constexpr int kPhases = 60;
   int slow = 0;
   const auto [backups, ppm, keyed] = GetParam();
@@ -283,7 +283,7 @@ INSTANTIATE_TEST_SUITE_P(BackUpsAndClocks, MeetingTest,
 // All merge requests are jammed and replayed in the shared slots of later superframes. The replays change
 // nothing. Once genuine requests get through, the networks merge within the longest pause between two
 // requests.
-TEST(SelfOrganizing, ACallThatIsSaidAgainMovesNobody) {
+TEST(SelfOrganizing, AReplayedMergeRequestChangesNothing) {
   Site site(schedule_with(4, 8, 3), 3, 0.5, true);
   const auto half = [&](std::size_t i) { return site.air.id(i) % 2; };
   site.air.reach = [&](std::size_t a, std::size_t b) { return half(a) == half(b); };
@@ -296,28 +296,30 @@ TEST(SelfOrganizing, ACallThatIsSaidAgainMovesNobody) {
   }
   site.air.run(0.5);
   site.run_until_fresh();
-  const auto is_call = [](const Air::Frame& frame) {
+  const auto is_merge_request = [](const Air::Frame& frame) {
     const auto parsed = mac::parse(frame.bytes).frame;
     const auto* beacon = parsed ? std::get_if<mac::Beacon>(&parsed->body) : nullptr;
     return beacon != nullptr && beacon->invitation;
   };
   site.air.reach = nullptr;
-  site.air.jammed = [&](const Air::Frame& frame) { return frame.source != Air::kGhost && is_call(frame); };
-  std::size_t said_again = 0;
+  site.air.jammed = [&](const Air::Frame& frame) {
+    return frame.source != Air::kGhost && is_merge_request(frame);
+  };
+  std::size_t replayed = 0;
   site.air.overheard = [&](const Air::Frame& frame) {
-    if (frame.source == Air::kGhost || !is_call(frame)) return;
+    if (frame.source == Air::kGhost || !is_merge_request(frame)) return;
     for (const double later : {1.0, 4.0, 9.0}) {
-      ++said_again;
+      ++replayed;
       site.air.inject(frame.rmarker + later * site.superframe_s * kTicksPerSecond, frame.x_m, frame.bytes);
     }
   };
   site.run_superframes(100);
-  EXPECT_GE(said_again, 9U);
+  EXPECT_GE(replayed, 9U);
   EXPECT_EQ(site.sessions().size(), 2U);
   EXPECT_FALSE(site.sessions().contains(0));
   std::uint32_t forged = 0;
   for (std::size_t i = 0; i < site.air.size(); ++i) forged += site.air.counters(i).forged_frames;
-  EXPECT_GT(forged, said_again);
+  EXPECT_GT(forged, replayed);
   site.air.jammed = nullptr;
   site.air.overheard = nullptr;
   site.run_superframes(280);
@@ -343,7 +345,7 @@ TEST(SelfOrganizing, ElevenLostBeaconsCostNothing) {
 
 // The clocks drift by 1 ppm/s in alternating directions and all beacons are lost. All ranges stay correct and
 // all transmissions stay within the guard. The nodes fall silent when the slot table expires.
-TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
+TEST(SelfOrganizing, WithoutBeaconsNodesCoastWithinTheGuardAndThenFallSilent) {
   // No back-ups, so nobody takes over.
   const groma_Schedule schedule = schedule_with(3, 8, 0);
   Site site(schedule);
@@ -360,7 +362,7 @@ TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
   drift(150);
   site.air.lost = [](const Air::Frame& frame, std::size_t) { return frame.bytes[9] == 1; };
   std::size_t polls = 0;
-  double worst_late_us = 0.0;
+  double worst_offset_us = 0.0;
   const double duration = static_cast<double>(superframe.duration().count());
   const std::size_t master = site.index_of(101);
   site.air.overheard = [&](const Air::Frame& frame) {
@@ -369,13 +371,13 @@ TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
     if (poll == nullptr) return;
     ++polls;
     // By the master's clock, which defines when frames are due.
-    const double shown = site.air.local_ticks_of(master) - (site.air.now() - frame.rmarker);
-    const auto time = site.air.station(master).network_time(ClockTime(std::llround(shown)));
+    const double local_ticks = site.air.local_ticks_of(master) - (site.air.now() - frame.rmarker);
+    const auto time = site.air.station(master).network_time(ClockTime(std::llround(local_ticks)));
     ASSERT_TRUE(time);
     const double due = static_cast<double>(poll->superframe) * duration +
                        static_cast<double>(superframe.poll(poll->slot).count());
-    worst_late_us =
-        std::max(worst_late_us, std::abs(static_cast<double>(time->count()) - due) / kTicksPerSecond * 1e6);
+    worst_offset_us =
+        std::max(worst_offset_us, std::abs(static_cast<double>(time->count()) - due) / kTicksPerSecond * 1e6);
   };
   site.air.ranges.clear();
   drift(12);
@@ -384,13 +386,13 @@ TEST(SelfOrganizing, WithoutBeaconsAllGoOnAsLongAsTheyKnowTheTimeAndNoLonger) {
   EXPECT_EQ(polls, 12U * 3);
   EXPECT_LT(worst_error_m(site.air.ranges), kIdealError_m);
   drift(108);
-  EXPECT_LT(worst_late_us, schedule.guard_us) << "nobody sends outside of its slot";
+  EXPECT_LT(worst_offset_us, schedule.guard_us) << "nobody sends outside of its slot";
   // A slot table is valid for 32 superframes; in some of the last ones all nodes listen for a master.
   EXPECT_GE(polls, 25U * 3);
   EXPECT_LE(polls, 33U * 3);
   // An exchange spans two superframes, with 2 ppm/s between the clocks.
   EXPECT_LT(worst_error_m(site.air.ranges), 0.02);
-  std::printf("[ coasting ] %zu polls of 3 tags, up to %.2f us off\n", polls, worst_late_us);
+  std::printf("[ coasting ] %zu polls of 3 tags, up to %.2f us off\n", polls, worst_offset_us);
   polls = 0;
   drift(30);
   EXPECT_EQ(polls, 0U) << "silent";
@@ -438,7 +440,7 @@ TEST(SelfOrganizing, AnExchangeIsClosedByThePollOfTheNextTwoSuperframesOrNotAtAl
 }
 
 // Three cells in a row. Each anchor hears its own cell and the adjacent relays.
-TEST(SelfOrganizing, NodesThatHearOnlyARelayRangeAsWellAsTheOthers) {
+TEST(SelfOrganizing, NodesThatHearOnlyARelayRangeLikeTheOthers) {
   groma_Schedule schedule = schedule_with(3, 9, 2);
   Site site(schedule);
   // Anchors 101, 104, 107 and tag 1 are in the first cell, 102 ... in the second, 103 ... in the third. The
@@ -522,7 +524,7 @@ TEST(SelfOrganizing, ANodeWithAnOldScheduleStaysSilent) {
 }
 
 // Off for the duration of a flash write, and long enough for another node to take over.
-TEST(SelfOrganizing, AMasterWhoseRadioWasOffIsConsistentAgain) {
+TEST(SelfOrganizing, AMasterWhoseRadioWasOffResynchronizes) {
   for (const double off_s : {0.03, 0.085, 0.2, 0.4, 1.0, 5.0}) {
     Site site(schedule_with(2, 6, 2));
     site.air.start_all();
@@ -540,7 +542,7 @@ TEST(SelfOrganizing, AMasterWhoseRadioWasOffIsConsistentAgain) {
   }
 }
 
-TEST(SelfOrganizing, TheNetworksTimeIsContinuousOverAChangeOfMaster) {
+TEST(SelfOrganizing, NetworkTimeIsContinuousOverATakeover) {
   Site site(schedule_with(1, 5, 2));
   site.air.start_all();
   site.air.run(1.0);

@@ -26,7 +26,7 @@ Beacon beacon_of(const SlotTable& table, std::uint32_t superframe, std::uint64_t
   return beacon;
 }
 
-std::vector<std::uint16_t> holders(const SlotTable& table) {
+std::vector<std::uint16_t> slot_owners(const SlotTable& table) {
   return {table.holders().begin(), table.holders().end()};
 }
 
@@ -34,10 +34,10 @@ using Ids = std::vector<std::uint16_t>;
 
 // ---- the table ----------------------------------------------------------------------------------------
 
-TEST(SlotTable, BeginsAsTheScheduleSays) {
+TEST(SlotTable, StartsFromTheSchedule) {
   auto schedule = schedule_of_slots({1, 2, 3}, 5);
   SlotTable table(schedule);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast, kBroadcast, kNobody, kNobody}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast, kBroadcast, kNobody, kNobody}));
   EXPECT_TRUE(table.may_poll(2, 1));
   EXPECT_FALSE(table.may_poll(2, 0));
   EXPECT_FALSE(table.may_poll(9, 3));
@@ -48,40 +48,40 @@ TEST(SlotTable, BeginsAsTheScheduleSays) {
   schedule.tag_slots[0] = schedule.tag_slots[1] = 4;
   schedule.tag_slots[2] = 0;
   SlotTable shared(schedule);
-  EXPECT_EQ(holders(shared), (Ids{kBroadcast, kNobody, kNobody, kNobody, kBroadcast}));
+  EXPECT_EQ(slot_owners(shared), (Ids{kBroadcast, kNobody, kNobody, kNobody, kBroadcast}));
   EXPECT_TRUE(shared.may_poll(1, 4) && shared.may_poll(2, 4) && shared.may_poll(3, 0));
 }
 
-TEST(SlotTable, GivesAFreeSlotAtOnceAndTheSameOneWhenAskedAgain) {
+TEST(SlotTable, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
   const auto schedule = schedule_of_slots({1}, 3);
   SlotTable table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   EXPECT_EQ(table.claim(50), Claim::kHeld);
   EXPECT_EQ(table.claim(1), Claim::kHeld);
   EXPECT_EQ(table.claim(60), Claim::kGranted);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, 50, 60}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, 50, 60}));
   EXPECT_EQ(table.claim(70), Claim::kWait);
   EXPECT_TRUE(table.may_poll(60, 2));
 }
 
-TEST(SlotTable, ASlotThatWasLeftServesAnotherAtOnce) {
+TEST(SlotTable, AReleasedSlotIsGrantedAtOnce) {
   const auto schedule = schedule_of_slots({1}, 2);
   SlotTable table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.advance(1);
   table.leave(50);
   EXPECT_EQ(table.claim(60), Claim::kGranted);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, 60}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, 60}));
   table.leave(1);
-  EXPECT_EQ(holders(table), (Ids{kNobody, 60})) << "a slot of the schedule too";
+  EXPECT_EQ(slot_owners(table), (Ids{kNobody, 60})) << "a slot of the schedule too";
   EXPECT_EQ(table.claim(70), Claim::kGranted);
   EXPECT_EQ(table.claim(1), Claim::kWait);
   table.leave(60);
   EXPECT_EQ(table.claim(1), Claim::kGranted) << "its own is another's now: it gets what there is";
-  EXPECT_EQ(holders(table), (Ids{70, 1}));
+  EXPECT_EQ(slot_owners(table), (Ids{70, 1}));
 }
 
-TEST(SlotTable, ASlotThatOthersShareStaysTheirs) {
+TEST(SlotTable, ASharedSlotStaysWithTheOthers) {
   auto schedule = schedule_of_slots({1, 2}, 2);
   schedule.tag_slots_count = 2;
   SlotTable table(schedule);
@@ -89,7 +89,7 @@ TEST(SlotTable, ASlotThatOthersShareStaysTheirs) {
   EXPECT_TRUE(table.may_poll(2, 0));
 }
 
-TEST(SlotTable, ATagThatFellSilentLosesItsSlotAndAnotherHasItOnlyAfterAPause) {
+TEST(SlotTable, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
   SlotTable table(schedule);
   std::uint32_t t = 0;
@@ -100,16 +100,16 @@ TEST(SlotTable, ATagThatFellSilentLosesItsSlotAndAnotherHasItOnlyAfterAPause) {
     table.reclaim();
   };
   while (t < 10 + kLease - 1) step();
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast}));
   step();
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kNobody}));
-  const std::uint32_t called = t;
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kNobody}));
+  const std::uint32_t reclaimed_at = t;
   while (table.claim(50) == Claim::kWait) step();
-  EXPECT_EQ(t, called + kTableGoodFor + 1);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, 50}));
+  EXPECT_EQ(t, reclaimed_at + kTableGoodFor + 1);
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, 50}));
 }
 
-TEST(SlotTable, WhoIsStillThereHasItsSlotAgain) {
+TEST(SlotTable, AReclaimedSlotReturnsToItsOwnerOnRequest) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
   SlotTable table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
@@ -120,14 +120,14 @@ TEST(SlotTable, WhoIsStillThereHasItsSlotAgain) {
     table.hear(2, 1);
   }
   table.reclaim();
-  EXPECT_EQ(holders(table), (Ids{kNobody, kBroadcast, kNobody}));
+  EXPECT_EQ(slot_owners(table), (Ids{kNobody, kBroadcast, kNobody}));
   EXPECT_EQ(table.claim(60), Claim::kWait) << "too early";
   EXPECT_EQ(table.claim(50), Claim::kHeld);
   EXPECT_EQ(table.claim(1), Claim::kHeld);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast, 50}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast, 50}));
 }
 
-TEST(SlotTable, AMasterThatHearsNobodyCallsNothingBack) {
+TEST(SlotTable, AMasterThatHearsNobodyReclaimsNothing) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
   SlotTable table(schedule);
   table.hear(1, 0);
@@ -136,21 +136,21 @@ TEST(SlotTable, AMasterThatHearsNobodyCallsNothingBack) {
     table.advance(t);
     table.reclaim();
   }
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast}));
   // Back in reach, hearing one tag does not cost the others their slots.
   table.hear(2, 1);
   table.reclaim();
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast}));
   // From then on silence counts.
   for (std::uint32_t t = 10 * kLease; t < 12 * kLease; ++t) {
     table.advance(t);
     table.hear(2, 1);
     table.reclaim();
   }
-  EXPECT_EQ(holders(table), (Ids{kNobody, kBroadcast}));
+  EXPECT_EQ(slot_owners(table), (Ids{kNobody, kBroadcast}));
 }
 
-TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
+TEST(SlotTable, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
   SlotTable table(schedule);
   for (std::uint32_t t = 1; t < 1000; ++t) {
@@ -158,18 +158,18 @@ TEST(SlotTable, OneThatTheMasterNeverHeardKeepsItsSlotUntilSomeoneAsks) {
     table.hear(1, 0);
     table.reclaim();
   }
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast}));
   EXPECT_EQ(table.claim(50), Claim::kWait);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kNobody}));
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kNobody}));
   EXPECT_EQ(table.claim(51), Claim::kWait);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kNobody})) << "one at a time";
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kNobody})) << "one at a time";
   EXPECT_EQ(table.claim(2), Claim::kHeld) << "it was only out of the master's reach";
   EXPECT_EQ(table.claim(50), Claim::kWait);
-  EXPECT_EQ(holders(table), (Ids{kBroadcast, kBroadcast})) << "and is not asked again for a lease";
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast})) << "and is not asked again for a lease";
 }
 
 // Three forged JOINs have filled the table; the scheduled tags find no free slot.
-TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
+TEST(SlotTable, AClaimantThatNeverPollsSoonLosesItsSlot) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
   SlotTable table(schedule);
   table.lead(7);
@@ -201,7 +201,7 @@ TEST(SlotTable, WhoAskedAndNeverCameGivesWayToWhoAsksSoon) {
 }
 
 // A slot table from a beacon with a forged count does not outrank the true one.
-TEST(Tenure, ATableOfTheFutureGivesWayToTheNextOne) {
+TEST(Tenure, ATableFromTheFutureIsReplacedByTheNext) {
   Tenure tenure(1, 0);
   Beacon beacon{.superframe = 1'000'000, .session = 7, .slots = 2, .holders = {50, kNobody}};
   tenure.take(beacon);
@@ -213,7 +213,7 @@ TEST(Tenure, ATableOfTheFutureGivesWayToTheNextOne) {
   EXPECT_EQ(tenure.slot(101), std::size_t{0});
 }
 
-TEST(SlotTable, ACopyIsTheMastersTableAndNoOlderOne) {
+TEST(SlotTable, ACopyFollowsTheMastersNewestTable) {
   const auto schedule = schedule_of_slots({1}, 3);
   SlotTable master(schedule);
   SlotTable copy(schedule);
@@ -221,20 +221,20 @@ TEST(SlotTable, ACopyIsTheMastersTableAndNoOlderOne) {
   const Beacon old = beacon_of(master, 10);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
   copy.copy(beacon_of(master, 11));
-  EXPECT_EQ(holders(copy), holders(master));
+  EXPECT_EQ(slot_owners(copy), slot_owners(master));
   Beacon relayed = old;
   relayed.superframe = 13;
   relayed.age = 3;
   copy.copy(relayed);
-  EXPECT_EQ(holders(copy), holders(master)) << "told of superframe 10";
+  EXPECT_EQ(slot_owners(copy), slot_owners(master)) << "told of superframe 10";
   Beacon other = old;
   other.session = 2;
   other.superframe = 3;
   copy.copy(other);
-  EXPECT_EQ(holders(copy), (Ids{kBroadcast, kNobody, kNobody})) << "another session's count says nothing";
+  EXPECT_EQ(slot_owners(copy), (Ids{kBroadcast, kNobody, kNobody})) << "another session's count says nothing";
 }
 
-TEST(SlotTable, ANewMasterGoesOnWithTheCopyAndLetsWhatIsFreeRest) {
+TEST(SlotTable, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
   const auto schedule = schedule_of_slots({1}, 3);
   SlotTable master(schedule);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
@@ -243,7 +243,7 @@ TEST(SlotTable, ANewMasterGoesOnWithTheCopyAndLetsWhatIsFreeRest) {
   next.copy(beacon_of(master, 100));
   next.advance(113);
   next.lead(1);
-  EXPECT_EQ(holders(next), (Ids{kBroadcast, 50, kNobody}));
+  EXPECT_EQ(slot_owners(next), (Ids{kBroadcast, 50, kNobody}));
   EXPECT_EQ(next.claim(50), Claim::kHeld);
   next.advance(113 + kTableGoodFor);
   EXPECT_EQ(next.claim(60), Claim::kWait);
@@ -253,7 +253,7 @@ TEST(SlotTable, ANewMasterGoesOnWithTheCopyAndLetsWhatIsFreeRest) {
 
 // ---- the tag's side -----------------------------------------------------------------------------------
 
-TEST(Tenure, GoesByTheNewestTableAndNotByAnOldOne) {
+TEST(Tenure, UsesTheNewestTable) {
   Tenure tenure(2, 1);
   EXPECT_FALSE(tenure.slot(0));
   EXPECT_FALSE(tenure.homeless()) << "it knows nothing yet";
@@ -289,7 +289,7 @@ TEST(Tenure, GoesByTheNewestTableAndNotByAnOldOne) {
   EXPECT_EQ(tenure.slot(130), 2U);
 }
 
-TEST(Tenure, AGuestHasOnlyWhatIsGivenToIt) {
+TEST(Tenure, AGuestHasOnlyAGrantedSlot) {
   Tenure tenure(9, std::nullopt);
   Beacon beacon{.superframe = 1, .slots = 2};
   beacon.holders = {kBroadcast, kNobody};
@@ -314,7 +314,7 @@ struct Player {
 struct Head {
   std::unique_ptr<SlotTable> table;
   bool on = true;
-  std::uint32_t told = 0;
+  std::uint32_t copied_at = 0;
 };
 
 // Masters die and come back; tags join, leave, die, miss beacons or are not heard; relays deliver beacons
@@ -340,7 +340,7 @@ TEST(Slots, NeverHaveTwoOwners) {
         heads[leader].on = false;
         std::size_t next = leader;
         for (std::size_t i = 0; i < heads.size(); ++i) {
-          if (i != leader && heads[i].on && t - heads[i].told <= 3) next = i;
+          if (i != leader && heads[i].on && t - heads[i].copied_at <= 3) next = i;
         }
         if (next == leader) {
           heads[leader].on = true;
@@ -364,10 +364,10 @@ TEST(Slots, NeverHaveTwoOwners) {
           heads[i].table = std::make_unique<SlotTable>(schedule);
           heads[i].table->advance(t);
           heads[i].table->copy(beacon);
-          heads[i].told = t;
+          heads[i].copied_at = t;
         } else if (chance(0.7)) {
           heads[i].table->copy(beacon);
-          heads[i].told = t;
+          heads[i].copied_at = t;
         }
       }
       std::map<std::size_t, std::uint16_t> owners;
@@ -383,11 +383,11 @@ TEST(Slots, NeverHaveTwoOwners) {
         if (chance(player.hears)) player.tenure->take(beacon);
         if (chance(player.hears / 2)) {  // by a relay, late
           const auto late = static_cast<std::size_t>(random() % std::min<std::size_t>(past.size(), 13));
-          Beacon told = past[past.size() - 1 - late];
-          const std::uint32_t age = t - told.superframe;
-          told.superframe = t;
-          told.age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255));
-          player.tenure->take(told);
+          Beacon relayed = past[past.size() - 1 - late];
+          const std::uint32_t age = t - relayed.superframe;
+          relayed.superframe = t;
+          relayed.age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255));
+          player.tenure->take(relayed);
         }
         if (const auto slot = player.tenure->slot(t)) {
           ++polls;

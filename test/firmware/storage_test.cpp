@@ -60,7 +60,7 @@ void put_page(NorFlash& flash, std::size_t page, std::uint32_t sequence, std::ui
   ASSERT_TRUE(flash.write(start + 24, record.value()));
 }
 
-TEST(ConfigStore, GivesBackWhatItWasGiven) {
+TEST(ConfigStore, ReturnsWhatWasStored) {
   NorFlash flash(kPages);
   EXPECT_TRUE(load(flash).empty());
   for (const std::size_t size : {1U, 2U, 3U, 4U, 5U, 255U, 256U, 1023U, 1024U, 7U}) {
@@ -70,7 +70,7 @@ TEST(ConfigStore, GivesBackWhatItWasGiven) {
   }
 }
 
-TEST(ConfigStore, WhatIsTooLongIsRefusedAndNothingIsLost) {
+TEST(ConfigStore, ARecordThatIsTooLongIsRefusedAndNothingIsLost) {
   NorFlash flash(kPages);
   const Bytes bytes = blob(100, 1);
   ASSERT_TRUE(store(flash, bytes));
@@ -100,7 +100,7 @@ TEST(ConfigStore, WritesNothingWhereNothingChanges) {
   EXPECT_EQ(flash.operations(), operations);
 }
 
-TEST(ConfigStore, ErasesOnceForAPageOfRecordsAndTreatsTheFlashWell) {
+TEST(ConfigStore, ErasesOncePerPageOfRecordsAndKeepsTheWriteLimits) {
   NorFlash flash(kPages);
   constexpr std::uint64_t kStores = 1'000;
   for (std::uint64_t i = 0; i < kStores; ++i) ASSERT_TRUE(store(flash, blob(200, i)));
@@ -112,7 +112,7 @@ TEST(ConfigStore, ErasesOnceForAPageOfRecordsAndTreatsTheFlashWell) {
   EXPECT_LE(flash.most_writes_in_a_block(), NorFlash::kMaxWritesPerBlock);
 }
 
-TEST(ConfigStore, TheLayoutIsAsDescribed) {
+TEST(ConfigStore, TheLayoutMatchesItsSpecification) {
   NorFlash flash(kPages);
   put_page(flash, 0, 7, 0x44332211);
   EXPECT_EQ(load(flash), (Bytes{0x11, 0x22, 0x33, 0x44}));
@@ -142,7 +142,7 @@ TEST(ConfigStore, TheSequenceNumberMayWrap) {
   }
 }
 
-TEST(ConfigStore, AnyFlippedBitOfTheNewestRecordGivesTheOneBefore) {
+TEST(ConfigStore, AnyFlippedBitOfTheNewestRecordReturnsThePreviousOne) {
   NorFlash flash(kPages);
   ASSERT_TRUE(store(flash, blob(12, 1)));
   const std::uint32_t from = 16 + 4 + 12 + 4;
@@ -160,7 +160,7 @@ TEST(ConfigStore, AnyFlippedBitOfTheNewestRecordGivesTheOneBefore) {
   }
 }
 
-TEST(ConfigStore, AnyFlippedBitOfAPageHeadGivesTheOtherPage) {
+TEST(ConfigStore, AnyFlippedBitOfAPageHeaderSelectsTheOtherPage) {
   NorFlash flash(kPages);
   put_page(flash, 0, 7, 1);
   put_page(flash, 1, 8, 2);
@@ -190,7 +190,7 @@ class WornFlash {
   bool lies = false;  // reports success all the same
 };
 
-TEST(ConfigStore, AWordThatTakesNoWriteIsFoundAndTheOtherPageUsed) {
+TEST(ConfigStore, AWornWordIsDetectedAndTheOtherPageUsed) {
   for (const bool lies : {false, true}) {
     WornFlash worn;
     worn.lies = lies;
@@ -316,7 +316,7 @@ void cut_everywhere(const NorFlash& start, const std::function<bool(NorFlash&)>&
 
 class PowerCut : public ::testing::TestWithParam<Scenario> {};
 
-TEST_P(PowerCut, LeavesTheOldOrTheNewAndTheCounterAsItWas) {
+TEST_P(PowerCut, LeavesTheOldOrTheNewRecordAndTheCounterUnchanged) {
   NorFlash start(kPages);
   GetParam().before(start);
   const Bytes old = load(start);
@@ -344,7 +344,7 @@ TEST_P(PowerCut, LeavesTheOldOrTheNewAndTheCounterAsItWas) {
 
 // Cuts the power again on the flash left by a first cut: half-erased pages, torn records followed by others
 // that have to move.
-TEST_P(PowerCut, TwiceInARowIsBorneToo) {
+TEST_P(PowerCut, TwiceInARowIsSurvived) {
   NorFlash start(kPages);
   GetParam().before(start);
   const Bytes old = load(start);
@@ -381,7 +381,7 @@ INSTANTIATE_TEST_SUITE_P(Storage, PowerCut, ::testing::ValuesIn(scenarios()), []
   return name;
 });
 
-TEST(PowerCutFuzz, WhateverIsCutWheneverTheOldOrTheNewIsThereAndNoCounterRepeats) {
+TEST(PowerCutFuzz, RandomCutsLeaveTheOldOrTheNewRecordAndNoCounterRepeats) {
   for (std::uint64_t seed = 1; seed <= 40; ++seed) {
     KeyedRandom random(seed);
     NorFlash flash(kPages);
@@ -422,7 +422,7 @@ TEST(PowerCutFuzz, WhateverIsCutWheneverTheOldOrTheNewIsThereAndNoCounterRepeats
 
 // ---- the counter ----------------------------------------------------------------------------------------
 
-TEST(Counter, CountsOnWithinABlockAndReservesTheNext) {
+TEST(Counter, CountsWithinABlockAndReservesTheNext) {
   NorFlash flash(kPages);
   Counter counter(flash);
   ASSERT_EQ(counter.next(), 0U);
@@ -433,7 +433,7 @@ TEST(Counter, CountsOnWithinABlockAndReservesTheNext) {
   EXPECT_GT(flash.operations(), operations);
 }
 
-TEST(Counter, TheBlocksNumberCountsTheBoots) {
+TEST(Counter, TheBlockNumberCountsTheBoots) {
   NorFlash flash(kPages);
   for (std::uint32_t boot = 1; boot <= 5; ++boot) {
     Counter counter(flash);
@@ -444,7 +444,7 @@ TEST(Counter, TheBlocksNumberCountsTheBoots) {
   EXPECT_EQ(Counter(flash).open_block(), 0U);
 }
 
-TEST(Counter, BeginsEachBootWithABlockOfItsOwn) {
+TEST(Counter, StartsEachBootWithANewBlock) {
   NorFlash flash(kPages);
   ASSERT_TRUE(store(flash, blob(100, 1)));
   for (std::uint64_t boot = 0; boot < 1'000; ++boot) {
@@ -457,7 +457,7 @@ TEST(Counter, BeginsEachBootWithABlockOfItsOwn) {
   EXPECT_LE(flash.erases(0) + flash.erases(1), 6U);
 }
 
-TEST(Counter, NoPowerCutMakesItRepeat) {
+TEST(Counter, NeverRepeatsAfterAPowerCut) {
   for (const std::size_t boots : {0U, 1U, 248U, 251U, 252U}) {
     NorFlash start(kPages);
     ASSERT_TRUE(store(start, blob(30, 1)));
@@ -472,7 +472,7 @@ TEST(Counter, NoPowerCutMakesItRepeat) {
   }
 }
 
-TEST(Counter, GivesNothingWhereItCouldNotReserve) {
+TEST(Counter, ReturnsNothingIfItCannotReserve) {
   NorFlash flash(kPages);
   flash.cut_power_at(3, NorFlash::Tear::kHalf, 0);
   Counter counter(flash);

@@ -21,7 +21,7 @@ double us(Ticks t) {
   return static_cast<double>(t.count()) / 63'897.6;
 }
 
-TEST(AirTime, IsThatOfTheFactsPage) {
+TEST(AirTime, MatchesTheReferenceTable) {
   const std::size_t bytes[] = {12, 20, 32, 64, 100, 127};
   const int expected_us[3][6] = {
       {113, 122, 134, 173, 216, 250}, {178, 187, 199, 238, 281, 315}, {309, 317, 329, 368, 411, 445}};
@@ -92,7 +92,7 @@ TEST(Superframe, NoFrameOverlapsAnotherAndEachGapIsKept) {
 }
 
 // A node that relays a beacon, or polls after a relay, must first process a beacon.
-TEST(Superframe, LeavesTimeToTakeABeaconIn) {
+TEST(Superframe, LeavesTimeToProcessABeacon) {
   for (const bool secured : {false, true}) {
     for (const std::uint32_t gap_us : {50U, 160U, 700U}) {
       const groma_Schedule schedule =
@@ -110,7 +110,7 @@ TEST(Superframe, LeavesTimeToTakeABeaconIn) {
 }
 
 // After a FINAL an anchor must be ready for the next POLL, and the master must prepare its beacon.
-TEST(Superframe, LeavesTheTurnRoundAfterAFinal) {
+TEST(Superframe, LeavesTheTurnaroundAfterAFinal) {
   for (const bool secured : {false, true}) {
     for (const std::uint32_t gap_us : {50U, 120U, 150U, 200U, 250U, 300U, 700U}) {
       const groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, 300, gap_us);
@@ -121,9 +121,9 @@ TEST(Superframe, LeavesTheTurnRoundAfterAFinal) {
         return us(next - superframe.phy().before_rmarker() - end - superframe.guard());
       };
       EXPECT_NEAR(silence_us(0, superframe.poll(1)), std::max<std::uint32_t>(gap_us, 300U), 0.05) << gap_us;
-      const double code_us = secured ? 100.0 : 0.0;
+      const double mic_us = secured ? 100.0 : 0.0;
       EXPECT_NEAR(silence_us(2, superframe.duration() + superframe.beacon()),
-                  std::max<std::uint32_t>(gap_us, 300U) + code_us, 0.05)
+                  std::max<std::uint32_t>(gap_us, 300U) + mic_us, 0.05)
           << gap_us;
     }
   }
@@ -143,8 +143,8 @@ TEST(Superframe, EveryTransmissionLiesOnTheGrid) {
 }
 
 TEST(Superframe, ThreeTagsAndTwelveAnchorsGetWellOverAThousandRangesASecond) {
-  const auto rate = [](groma_RangingMethod method, std::uint32_t turn_us, std::uint32_t gap_us) {
-    const Superframe superframe(schedule_of(3, 12, method, turn_us, gap_us), Phy(Preamble::k128));
+  const auto rate = [](groma_RangingMethod method, std::uint32_t turnaround_us, std::uint32_t gap_us) {
+    const Superframe superframe(schedule_of(3, 12, method, turnaround_us, gap_us), Phy(Preamble::k128));
     return 36.0 / (us(superframe.duration()) * 1e-6);
   };
   EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 650, 290), 1550.0);
@@ -190,7 +190,7 @@ TEST(Schedule, EachFaultIsFoundAndNamed) {
   expect(ScheduleFault::kBadGuard, [](auto& s) { s.guard_us = 4; });
 }
 
-TEST(Schedule, IdsMayComeInAnyOrderButOnceEach) {
+TEST(Schedule, IdsMayComeInAnyOrderWithoutRepetition) {
   groma_Schedule schedule = schedule_of(16, 64, groma_RangingMethod_METHOD_DS_FINAL);
   schedule.backup_ids_count = 0;
   std::reverse(std::begin(schedule.tag_ids), std::end(schedule.tag_ids));
@@ -213,7 +213,7 @@ TEST(Schedule, IdsMayComeInAnyOrderButOnceEach) {
   }
 }
 
-TEST(Schedule, TheHashTellsEveryDifference) {
+TEST(Schedule, TheHashReflectsEveryDifference) {
   const groma_Schedule base = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL);
   const std::uint32_t hash = schedule_hash(base, 1, Preamble::k128);
   EXPECT_EQ(hash, schedule_hash(base, 1, Preamble::k128));

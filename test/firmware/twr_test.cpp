@@ -71,7 +71,7 @@ TEST(DoubleSided, EqualsTheExactRationalAtTheEdges) {
   }
 }
 
-TEST(DoubleSided, RefusesWhatIsNoInterval) {
+TEST(DoubleSided, RefusesInvalidIntervals) {
   const Ticks good(1000);
   for (const Ticks bad : {Ticks(0), Ticks(-1), Ticks(kWrap)}) {
     EXPECT_FALSE(double_sided({bad, good, good, good}));
@@ -85,7 +85,7 @@ TEST(DoubleSided, RefusesWhatIsNoInterval) {
 struct Clock {
   std::int64_t ppb;
   std::int64_t phase;
-  [[nodiscard]] DeviceTime stamp(std::int64_t t_milliticks) const {
+  [[nodiscard]] DeviceTime timestamp(std::int64_t t_milliticks) const {
     const Int128 shown = Int128{t_milliticks} * (1'000'000'000 + ppb);
     return DeviceTime(
         static_cast<std::uint64_t>(static_cast<std::int64_t>(nearest(shown, 1'000'000'000'000)) + phase));
@@ -106,10 +106,10 @@ TEST(DoubleSided, MeasuresTheDistanceAcrossTheWrapAndAtFortyPpm) {
     const std::int64_t t2 = a2 + tof_m;
     const std::int64_t t3 = t2 + rest;
     const std::int64_t a3 = t3 + tof_m;
-    const DoubleSidedIntervals intervals{.tag_round = tag.stamp(t2) - tag.stamp(t1),
-                                         .anchor_reply = anchor.stamp(a2) - anchor.stamp(a1),
-                                         .anchor_round = anchor.stamp(a3) - anchor.stamp(a2),
-                                         .tag_reply = tag.stamp(t3) - tag.stamp(t2)};
+    const DoubleSidedIntervals intervals{.tag_round = tag.timestamp(t2) - tag.timestamp(t1),
+                                         .anchor_reply = anchor.timestamp(a2) - anchor.timestamp(a1),
+                                         .anchor_round = anchor.timestamp(a3) - anchor.timestamp(a2),
+                                         .tag_reply = tag.timestamp(t3) - tag.timestamp(t2)};
     const auto result = double_sided(intervals);
     ASSERT_TRUE(result);
     const double tof = static_cast<double>(tof_m) / 1000.0;
@@ -164,14 +164,14 @@ TEST(SingleSided, AgreesWithDoubleSidedWhenTheOffsetIsKnown) {
   const Clock anchor{23'000, 9};
   const std::int64_t tof = 21'314'000;  // 100 m
   const std::int64_t reply = 200'000'000'000;
-  const auto round_ticks = tag.stamp(2 * tof + reply) - tag.stamp(0);
-  const auto reply_ticks = anchor.stamp(tof + reply) - anchor.stamp(tof);
+  const auto round_ticks = tag.timestamp(2 * tof + reply) - tag.timestamp(0);
+  const auto reply_ticks = anchor.timestamp(tof + reply) - anchor.timestamp(tof);
   const auto result = single_sided(round_ticks, reply_ticks, 40'000);
   ASSERT_TRUE(result);
   EXPECT_NEAR(static_cast<double>(result->distance_m()), 100.0, 0.02);
 }
 
-TEST(FlightTime, IsInMetresByTheSpeedOfLight) {
+TEST(FlightTime, ConvertsToMetresByTheSpeedOfLight) {
   EXPECT_NEAR(static_cast<double>(FlightTime(256).distance_m()), 0.00469176, 1e-8);
   EXPECT_NEAR(static_cast<double>(FlightTime(-5'456'384).distance_m()), -100.0, 0.001);
 }
