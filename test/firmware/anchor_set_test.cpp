@@ -339,7 +339,7 @@ TEST(AnchorSet, AnAnnouncedAnchorIsPolledNext) {
   for (int i = 0; i < 100; ++i) (void)world.superframe(set, 8);
   ASSERT_TRUE(set.announce(900));
   EXPECT_TRUE(contains(choose(set, 8), 900));
-  EXPECT_TRUE(contains(choose(set, 8), 900)) << "and again, should the answer have been lost";
+  EXPECT_TRUE(contains(choose(set, 8), 900)) << "and again, in case the answer was lost";
 }
 
 TEST(AnchorSet, ASilentAnchorCostsOnlyTheTrials) {
@@ -409,7 +409,7 @@ TEST(AnchorSet, EachCandidateIsTriedInTurn) {
   for (int i = 0; i < 24; ++i)
     for (const std::uint16_t id : world.superframe(set, 16).first)
       if (id >= 121) tried.insert(id);
-  EXPECT_GE(tried.size(), 42U) << "44 silent ones at two places a superframe";
+  EXPECT_GE(tried.size(), 42U) << "44 silent anchors, two trials per superframe";
 }
 
 TEST(AnchorSet, PrefersReliableAnchorsAndTheHostsHints) {

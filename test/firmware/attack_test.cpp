@@ -452,7 +452,7 @@ TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollOnReplayedBeacons) {
   const std::uint32_t beacons = air->counters(tag).beacons_received;
   run_superframes(mac::kTableGoodFor);
   EXPECT_GT(air->counters(tag).beacons_received, beacons + 10);
-  EXPECT_GE(heard[kJoin].size(), 1U) << "it asks whether the beacons are of now";
+  EXPECT_GE(heard[kJoin].size(), 1U) << "it sends a challenge";
   EXPECT_TRUE(heard[kPoll].empty());
 }
 
@@ -527,7 +527,7 @@ TEST_P(OldSession, ChangesNothingAndCostsHardlyAnyRange) {
   const double under_attack = rate_of();
   cease();
   EXPECT_GE(ghosts_sent, 490U);
-  EXPECT_GE(ghosts_heard, 5 * ghosts_sent) << "six hear it, but who is about to call";
+  EXPECT_GE(ghosts_heard, 5 * ghosts_sent) << "six hear it, except one about to send a merge request";
   EXPECT_EQ(dropped() - dropped_before, ghosts_heard);
   EXPECT_TRUE(all_fresh());
   for (std::size_t i = 0; i < air->size(); ++i) EXPECT_EQ(air->station(i).mastership().session(), session);

@@ -199,12 +199,12 @@ TEST_P(Layouts, EachComponentSoonIsOneNetworkAfterTheLastChange) {
     return of[static_cast<std::size_t>(share * static_cast<double>(of.size() - 1))];
   };
   std::printf(
-      "%s, %zu rounds: superframes until one master: median %d, 90 %% %d, 99 %% %d, longest %d; until all in "
+      "%s, %zu rounds: superframes until one master: median %d, 90 %% %d, 99 %% %d, longest %d; until all "
       "step: %d, %d, %d, %d\n",
       name_of(GetParam()), until_one.size(), at(until_one, 0.5), at(until_one, 0.9), at(until_one, 0.99),
       until_one.back(), at(until_synchronized, 0.5), at(until_synchronized, 0.9),
       at(until_synchronized, 0.99), until_synchronized.back());
-  EXPECT_GT(until_one.back(), 5) << "there was something to do";
+  EXPECT_GT(until_one.back(), 5) << "some rounds needed a merge";
   EXPECT_LE(at(until_one, 0.99), kSoon);
   EXPECT_LE(at(until_synchronized, 0.99), kSoon);
 }

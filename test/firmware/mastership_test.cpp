@@ -86,7 +86,7 @@ TEST(Mastership, ListensFirstAndStartsInOrderOfRank) {
     EXPECT_GE(*node->lead_at() - before, Ticks::from_us(60'000)) << id;
     before = *node->lead_at();
   }
-  EXPECT_EQ(*Node(101)->lead_at(), at_s(0.1)) << "quick enough for a fresh site";
+  EXPECT_EQ(*Node(101)->lead_at(), at_s(0.1)) << "a new site starts quickly";
   EXPECT_FALSE(Node(105)->lead_at()) << "no rank";
   EXPECT_FALSE(Node(1)->lead_at()) << "a tag";
 }
@@ -230,9 +230,9 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankWins) {
 TEST(Mastership, AFollowerSwitchesToTheBetterMasterAndIgnoresOldBeacons) {
   Node node(107);
   EXPECT_EQ(node.hear(102, node.beacon(100, 102)), Verdict::kAdopt);
-  EXPECT_EQ(node.hear(103, node.beacon(101, 103)), Verdict::kIgnore) << "a worse one";
-  EXPECT_EQ(node.hear(101, node.beacon(60, 101), -40 * kDuration), Verdict::kIgnore) << "of former times";
-  EXPECT_EQ(node.hear(104, node.beacon(101, 101, 1, 13)), Verdict::kIgnore) << "told too late";
+  EXPECT_EQ(node.hear(103, node.beacon(101, 103)), Verdict::kIgnore) << "a worse rank";
+  EXPECT_EQ(node.hear(101, node.beacon(60, 101), -40 * kDuration), Verdict::kIgnore) << "outdated";
+  EXPECT_EQ(node.hear(104, node.beacon(101, 101, 1, 13)), Verdict::kIgnore) << "relayed too late";
   EXPECT_EQ(node.hear(101, node.beacon(101, 101)), Verdict::kSwitch);
   EXPECT_EQ(node->master(), 101);
   // Once the better master has fallen silent the worse one is accepted.
@@ -265,7 +265,7 @@ TEST(Mastership, OfTwoSessionsOneYieldsAndBothAgreeWhich) {
       ++by_age;
       ASSERT_EQ(a->dissolving(), apart > 0.0);
     } else {
-      ASSERT_TRUE(b->dissolving()) << "the smaller name stays";
+      ASSERT_TRUE(b->dissolving()) << "the smaller session id wins";
     }
   }
   EXPECT_GT(by_age, 5'000);
@@ -335,7 +335,7 @@ TEST(Mastership, AForgedDissolutionIsRefutedByTheMastersNextBeacon) {
   last.dissolving = true;
   Beacon far = last;
   far.superframe = 501;
-  EXPECT_EQ(node.hear(101, far, 400 * kDuration), Verdict::kIgnore) << "of another time";
+  EXPECT_EQ(node.hear(101, far, 400 * kDuration), Verdict::kIgnore) << "of another superframe";
   Beacon of_other = last;
   of_other.master = 102;
   EXPECT_EQ(node.hear(102, of_other), Verdict::kIgnore) << "not its master's";
@@ -402,7 +402,7 @@ TEST(Mastership, ANodeWithAStaleScheduleFallsSilent) {
   EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(101, follower.beacon(101)), Verdict::kMeasure);
-  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall) << "the older ones are told";
+  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall) << "a merge request goes to the network with the older schedule";
   // One frame is no evidence, nor are two with different schedules.
   for (const int by : {1, 2, 1}) EXPECT_EQ(follower.hear(102, with_epoch(follower, by)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
@@ -411,7 +411,7 @@ TEST(Mastership, ANodeWithAStaleScheduleFallsSilent) {
   backup.synchronize(100);
   EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kStale);
   EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kLeave);
-  EXPECT_GE(*backup->lead_at() - at_s(1.0), Ticks::from_us(2'000'000)) << "founds nothing meanwhile";
+  EXPECT_GE(*backup->lead_at() - at_s(1.0), Ticks::from_us(2'000'000)) << "starts no session meanwhile";
   Node leader(101);
   leader->found();
   EXPECT_EQ(leader.hear(102, with_epoch(leader, -1)), Verdict::kStale);
@@ -426,9 +426,9 @@ TEST(Mastership, AContradictoryBeaconIsStale) {
   Node node(105);
   EXPECT_EQ(node.hear(107, node.beacon(100, 101, 1)), Verdict::kStale) << "no relay";
   EXPECT_EQ(node.hear(101, node.beacon(100, 107)), Verdict::kStale) << "no master";
-  EXPECT_EQ(node.hear(102, node.beacon(100, 101)), Verdict::kStale) << "another one's own word";
-  EXPECT_EQ(node.hear(101, node.beacon(100, 101, 1)), Verdict::kStale) << "its own word, relayed";
-  EXPECT_EQ(node.hear(101, node.beacon(100, 101, 0, 1)), Verdict::kStale) << "its own word, of before";
+  EXPECT_EQ(node.hear(102, node.beacon(100, 101)), Verdict::kStale) << "hop 0, but not from the master";
+  EXPECT_EQ(node.hear(101, node.beacon(100, 101, 1)), Verdict::kStale) << "from the master, but hop 1";
+  EXPECT_EQ(node.hear(101, node.beacon(100, 101, 0, 1)), Verdict::kStale) << "from the master, but age 1";
 }
 
 // No two nodes share a turn, whichever leads, and each relay has one turn per round.
@@ -459,7 +459,7 @@ TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
           ++turns[i];
         }
         ASSERT_LE(senders, 1) << backups << ' ' << leader << ' ' << n;
-        ASSERT_EQ(senders == 0, n % (backups + 1) == 0) << "but the open one each is somebody's";
+        ASSERT_EQ(senders == 0, n % (backups + 1) == 0) << "each slot except the open one has a sender";
       }
       for (std::size_t i = 1; i <= backups; ++i) {
         EXPECT_EQ(turns[i], i == leader ? 1 : 2);
@@ -697,7 +697,7 @@ TEST(Mastership, RandomFailuresEndInOneNetworkWithOneMaster) {
     }
   }
   RecordProperty("longest", longest);
-  EXPECT_GT(longest, 5) << "there was something to do";
+  EXPECT_GT(longest, 5) << "some rounds needed a merge";
 }
 
 }  // namespace

@@ -183,7 +183,7 @@ TEST(Membership, AnUnscheduledTagGetsASlotWithinThreeSuperframes) {
   EXPECT_EQ(cells.owners, (std::vector<std::uint16_t>{kBroadcast, 50, kNobody}));
   const int joins = cells.joins;
   cells.run(300);
-  EXPECT_EQ(cells.joins, joins) << "who has a slot asks no more";
+  EXPECT_EQ(cells.joins, joins) << "a tag with a slot asks no more";
   EXPECT_TRUE(guest.tag->slot(cells.number));
 }
 
@@ -300,7 +300,7 @@ TEST(Membership, AStartingAnchorBecomesKnownToTheTagsInReach) {
   Cells::Node& far = cells.add_tag(2, 1);
   tag.polls = far.polls = false;  // a poll would keep the anchor from announcing itself
   cells.run(200);
-  EXPECT_EQ(cells.joins, 3) << "the master's";
+  EXPECT_EQ(cells.joins, 3) << "the master's announcements";
   cells.add_anchor(900, -1);
   EXPECT_LE(cells.until([&] { return knows(tag, 900); }), 8U);
   cells.run(200);

@@ -604,7 +604,7 @@ TEST_F(NodeTest, HintsAreForTagsAndEachHasItsWeight) {
   ASSERT_FALSE(status.empty());
   EXPECT_EQ(status.back().body.network_status.candidates, 5U);
   EXPECT_EQ(status.back().body.network_status.answering, 0U);
-  EXPECT_FALSE(status.back().body.network_status.has_slot) << "no beacon has told of one";
+  EXPECT_FALSE(status.back().body.network_status.has_slot) << "no beacon has assigned one";
   hint.weights_count = 1;
   command(message);
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID);
@@ -697,7 +697,7 @@ TEST_F(NodeTest, SendsTelemetryOnceASecond) {
   EXPECT_NEAR(static_cast<double>(status.size()), 5.0, 1.0);
   EXPECT_EQ(messages(groma_NodeToHost_counters_tag).size(), status.size());
   EXPECT_EQ(status.back().body.network_status.state, groma_SyncState_SYNC_SEARCHING);
-  EXPECT_EQ(status.back().body.network_status.master_id, 0U) << "none that it knows of";
+  EXPECT_EQ(status.back().body.network_status.master_id, 0U) << "no known master";
 }
 
 TEST_F(NodeTest, AMissingInterruptReinitializesTheRadio) {
@@ -773,7 +773,7 @@ TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
   const auto* beacon = std::get_if<mac::Beacon>(&parsed.frame->body);
   ASSERT_NE(beacon, nullptr);
   EXPECT_EQ(beacon->superframe, 0U);
-  EXPECT_EQ(beacon->session, std::uint64_t{101} << 48 | std::uint64_t{42} << 16) << "its id and its boot";
+  EXPECT_EQ(beacon->session, std::uint64_t{101} << 48 | std::uint64_t{42} << 16) << "its id and its boot count";
   EXPECT_EQ(beacon->epoch, 7U);
   EXPECT_EQ(beacon->schedule_hash, schedule_hash_of(good_config()));
 }

@@ -131,7 +131,7 @@ TEST(SelfOrganizing, ABackUpTakesOverWithoutALostRange) {
   site.air.stop(site.index_of(101));
   const auto ranges = site.ranges_of(200);
   EXPECT_EQ(site.leaders({101}), Ids{102});
-  EXPECT_EQ(site.sessions({101}), session) << "the same count goes on";
+  EXPECT_EQ(site.sessions({101}), session) << "the superframe count continues";
   std::size_t to_dead = 0;
   for (const RangeSeen& r : ranges) {
     if (r.anchor == 101) {

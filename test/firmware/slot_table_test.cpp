@@ -41,7 +41,7 @@ TEST(SlotTable, StartsFromTheSchedule) {
   EXPECT_TRUE(table.may_poll(2, 1));
   EXPECT_FALSE(table.may_poll(2, 0));
   EXPECT_FALSE(table.may_poll(9, 3));
-  EXPECT_FALSE(table.may_poll(kNobody, 3)) << "nobody is no tag";
+  EXPECT_FALSE(table.may_poll(kNobody, 3)) << "kNobody is not a tag";
   EXPECT_FALSE(table.may_poll(1, 16));
 
   schedule.tag_slots_count = 3;
@@ -73,11 +73,11 @@ TEST(SlotTable, AReleasedSlotIsGrantedAtOnce) {
   EXPECT_EQ(table.claim(60), Claim::kGranted);
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, 60}));
   table.leave(1);
-  EXPECT_EQ(slot_owners(table), (Ids{kNobody, 60})) << "a slot of the schedule too";
+  EXPECT_EQ(slot_owners(table), (Ids{kNobody, 60})) << "a scheduled slot too";
   EXPECT_EQ(table.claim(70), Claim::kGranted);
   EXPECT_EQ(table.claim(1), Claim::kWait);
   table.leave(60);
-  EXPECT_EQ(table.claim(1), Claim::kGranted) << "its own is another's now: it gets what there is";
+  EXPECT_EQ(table.claim(1), Claim::kGranted) << "another tag owns its slot: it gets the free one";
   EXPECT_EQ(slot_owners(table), (Ids{70, 1}));
 }
 
@@ -165,7 +165,7 @@ TEST(SlotTable, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kNobody})) << "one at a time";
   EXPECT_EQ(table.claim(2), Claim::kHeld) << "it was only out of the master's reach";
   EXPECT_EQ(table.claim(50), Claim::kWait);
-  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast})) << "and is not asked again for a lease";
+  EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast})) << "and is not reclaimed again for a lease";
 }
 
 // Three forged JOINs have filled the table; the scheduled tags find no free slot.
@@ -226,12 +226,12 @@ TEST(SlotTable, ACopyFollowsTheMastersNewestTable) {
   relayed.superframe = 13;
   relayed.age = 3;
   copy.copy(relayed);
-  EXPECT_EQ(slot_owners(copy), slot_owners(master)) << "told of superframe 10";
+  EXPECT_EQ(slot_owners(copy), slot_owners(master)) << "of superframe 10";
   Beacon other = old;
   other.session = 2;
   other.superframe = 3;
   copy.copy(other);
-  EXPECT_EQ(slot_owners(copy), (Ids{kBroadcast, kNobody, kNobody})) << "another session's count says nothing";
+  EXPECT_EQ(slot_owners(copy), (Ids{kBroadcast, kNobody, kNobody})) << "the counts of two sessions do not compare";
 }
 
 TEST(SlotTable, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
@@ -413,7 +413,7 @@ TEST(Slots, NeverHaveTwoOwners) {
     }
   }
   EXPECT_GT(polls, 100'000U);
-  EXPECT_GT(moves, 1'000U) << "slots do change hands";
+  EXPECT_GT(moves, 1'000U) << "slots do change owners";
 }
 
 }  // namespace
