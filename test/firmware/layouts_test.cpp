@@ -200,7 +200,7 @@ TEST_P(Layouts, EachComponentSoonIsOneNetworkAfterTheLastChange) {
   };
   std::printf(
       "%s, %zu rounds: superframes until one master: median %d, 90 %% %d, 99 %% %d, longest %d; until all "
-      "step: %d, %d, %d, %d\n",
+      "synchronized: %d, %d, %d, %d\n",
       name_of(GetParam()), until_one.size(), at(until_one, 0.5), at(until_one, 0.9), at(until_one, 0.99),
       until_one.back(), at(until_synchronized, 0.5), at(until_synchronized, 0.9),
       at(until_synchronized, 0.99), until_synchronized.back());

@@ -402,7 +402,8 @@ TEST(Mastership, ANodeWithAStaleScheduleFallsSilent) {
   EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(101, follower.beacon(101)), Verdict::kMeasure);
-  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall) << "a merge request goes to the network with the older schedule";
+  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall)
+      << "a merge request goes to the network with the older schedule";
   // One frame is no evidence, nor are two with different schedules.
   for (const int by : {1, 2, 1}) EXPECT_EQ(follower.hear(102, with_epoch(follower, by)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);

@@ -773,7 +773,8 @@ TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
   const auto* beacon = std::get_if<mac::Beacon>(&parsed.frame->body);
   ASSERT_NE(beacon, nullptr);
   EXPECT_EQ(beacon->superframe, 0U);
-  EXPECT_EQ(beacon->session, std::uint64_t{101} << 48 | std::uint64_t{42} << 16) << "its id and its boot count";
+  EXPECT_EQ(beacon->session, std::uint64_t{101} << 48 | std::uint64_t{42} << 16)
+      << "its id and its boot count";
   EXPECT_EQ(beacon->epoch, 7U);
   EXPECT_EQ(beacon->schedule_hash, schedule_hash_of(good_config()));
 }

@@ -231,7 +231,8 @@ TEST(SlotTable, ACopyFollowsTheMastersNewestTable) {
   other.session = 2;
   other.superframe = 3;
   copy.copy(other);
-  EXPECT_EQ(slot_owners(copy), (Ids{kBroadcast, kNobody, kNobody})) << "the counts of two sessions do not compare";
+  EXPECT_EQ(slot_owners(copy), (Ids{kBroadcast, kNobody, kNobody}))
+      << "the counts of two sessions do not compare";
 }
 
 TEST(SlotTable, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
