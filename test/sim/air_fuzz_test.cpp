@@ -1,6 +1,6 @@
-// A running site that hears rubbish: any bytes, pieces of its own frames, its own frames with bits turned
-// round, and frames of each kind that make no sense, all with a good frame check. What it ranges is true all
-// the same, and it ranges on at once when it is quiet again.
+// A running site receives invalid frames: random bytes, pieces of its own frames, its own frames with flipped
+// bits, and frames of each type with random content, all with a valid frame check. Its ranges stay correct,
+// and it recovers once the noise ends.
 #include <gtest/gtest.h>
 
 #include <array>
@@ -18,7 +18,7 @@ constexpr std::uint16_t kNoise = kFirstStranger + 900;
 constexpr int kTags = 2;
 constexpr int kAnchors = 5;
 
-// Mostly of one of the site.
+// Ids are mostly those of the site.
 class SiteBodies : public mac::RandomBodies {
  public:
   using RandomBodies::RandomBodies;
@@ -47,7 +47,7 @@ class Noise {
 
   using Maker = std::vector<std::uint8_t> (Noise::*)();
 
-  // Some 1,000 frames a second, one after the other.
+  // About 1,000 frames a second, one after the other.
   void make(Maker maker, double for_s) {
     const SimTime end = site_.network.now() + from_seconds(for_s);
     SimTime at = site_.network.now() + kAhead;
@@ -59,7 +59,7 @@ class Noise {
       site_.run_for(to_seconds(kStep));
       remember();
     }
-    site_.run_for(to_seconds(kAhead + kStep));  // the last are on the air
+    site_.run_for(to_seconds(kAhead + kStep));  // until the last frames are on the air
   }
   [[nodiscard]] std::uint32_t frames() const { return transmitter_.frames_sent(); }
 
@@ -76,7 +76,7 @@ class Noise {
   std::vector<std::uint8_t> turned() {
     std::vector<std::uint8_t> bytes = heard();
     for (std::size_t i = 0, count = 1 + below(4); i < count; ++i) {
-      // The same bit twice would be none.
+      // Flipping the same bit twice would change nothing.
       const std::size_t bit = 8 * bytes.size() * i / count + below(8 * bytes.size() / count);
       bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
     }
@@ -94,7 +94,7 @@ class Noise {
   static constexpr SimTime kStep = 4 * kUnitsPerMillisecond;
 
   std::size_t below(std::size_t bound) { return bodies_.below(bound); }
-  // With a code of its own making where there is a key, and now and then without.
+  // In a keyed site with a random MIC, and sometimes without one.
   std::vector<std::uint8_t> framed(const mac::Body& body) {
     const bool secured = secured_ ? below(4) != 0 : below(8) == 0;
     mac::FrameBytes out =
@@ -139,9 +139,8 @@ std::ostream& operator<<(std::ostream& out, const FuzzCase& of) {
              << (of.method == groma_RangingMethod_METHOD_DS_FINAL ? ", FINAL" : ", next POLL");
 }
 
-// Superframes after forged frames until all range as before in an open site: a node that could lead waits for
-// up to 20 listenings, 2 s, while it hears others at all, and the sessions that are founded then have to
-// meet.
+// Superframes until all nodes of an open site range again after forged frames. A node that could lead listens
+// for up to 20 listening times (2 s) while it hears others, and the sessions started then have to merge.
 constexpr double kHealed = 250.0;
 
 class AirFuzz : public testing::TestWithParam<FuzzCase> {};
@@ -167,11 +166,11 @@ TEST_P(AirFuzz, MakesNoRangeWrongAndLocksNothingUp) {
   if (of.keyed) settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
   FaultSite site(settings);
   const auto noise = std::make_shared<Noise>(site, of.keyed, of.seed + (of.keyed ? 21 : 22));
-  // Without a key a POLL out of place may be another network's and is looked for in a scan, some time later.
+  // In an open site a misplaced POLL may belong to another network; the nodes scan for it some time later.
   const double believed = of.keyed ? 3.0 : 2.5 / site.superframe_s();
   const double watched_s = of.keyed ? 0.5 : 3.0;
-  // There a JOIN may give any tag's slot back and fill the table, and a beacon with bits turned round may
-  // tell of another time or session: what was believed is given up again within so many superframes.
+  // In an open site a forged JOIN may release any tag's slot and fill the table, and a beacon with flipped
+  // bits may announce another time or session. The nodes recover within this many superframes.
   const double healed = of.keyed ? 3.0 : kHealed;
   FaultCampaign campaign(site);
   std::vector<FaultPhase> phases{
@@ -185,7 +184,7 @@ TEST_P(AirFuzz, MakesNoRangeWrongAndLocksNothingUp) {
       noisy(noise, "BEACONs", &Noise::beacon),
       noisy(noise, "POLLs", &Noise::poll, believed, watched_s),
   };
-  // In an open site a JOIN may give any tag's slot back, and so may a beacon with bits turned round.
+  // Both kinds can disturb an open site, see above.
   phases.push_back(noisy(noise, "JOINs", &Noise::join, healed, watched_s));
   phases.push_back(noisy(noise, "with bits turned round", &Noise::turned, healed, watched_s));
   phases.push_back(nothing_wrong(2.0));

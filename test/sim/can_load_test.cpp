@@ -1,4 +1,4 @@
-// The demo's three tags, with some 1500 ranges a second together, on one bus of 1 Mbit/s.
+// The demo's three tags, together some 1500 ranges a second, on one bus of 1 Mbit/s.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -95,7 +95,7 @@ Outcome run(CanFormat format, bool compact, SimTime duration) {
   };
   for (std::uint32_t superframe = 0; superframe * kSuperframe < duration; ++superframe) {
     for (std::size_t tag = 0; tag < kTags; ++tag) {
-      // In one superframe of ten all three come at once.
+      // In one of ten superframes all three reports come at once.
       const SimTime offset = superframe % 10 == 0 ? 0 : static_cast<SimTime>(tag) * kSlot;
       const SimTime t = begin + superframe * kSuperframe + offset;
       listen(t);

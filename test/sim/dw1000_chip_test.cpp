@@ -128,7 +128,7 @@ TEST_F(Dw1000ChipTest, AFastBusBeforeThePllLocksGivesGarbage) {
   EXPECT_NE(radio.status() & status::kCplock, 0U);
   EXPECT_EQ(radio.read(0x00, 0, 4), 0xDECA0130U);
   EXPECT_EQ(radio.chip().garbled_transfers(), 2U);
-  // The same when the clock is forced back to the crystal.
+  // Transfers are garbled again when the clock is forced back to the crystal.
   radio.write(0x36, 0, 0x0201, 2);
   EXPECT_NE(radio.read(0x00, 0, 4), 0xDECA0130U);
   radio.hz = 3'000'000;
@@ -277,8 +277,8 @@ TEST_F(Dw1000ChipTest, AForgottenLateTransmitComesAPeriodLater) {
   EXPECT_EQ(radio.transmit_stamp(), (target + 16436) & kMask40);
 }
 
-// The manual's two ways to be late: by more than the preamble (HPDWARN), or by less than the power-up
-// (TXPUTE).
+// The manual's two cases of a late transmit: the preamble's start is past (HPDWARN), or it leaves too little
+// time for the power-up (TXPUTE).
 TEST_F(Dw1000ChipTest, TooLittleTimeForPowerUpIsTold) {
   radio.bring_up();
   const std::int64_t preamble = preamble_ticks(128);

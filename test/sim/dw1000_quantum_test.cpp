@@ -1,5 +1,5 @@
-// Chips driven ahead of each other by a quantum of time, as processors in an emulator drive them: what is
-// heard, and each stamp, is the same for all quanta below the lookahead.
+// Chips driven ahead of each other by a quantum of time, as processors in an emulator drive them. Receptions
+// and timestamps are the same for all quanta below the lookahead.
 #include <gtest/gtest.h>
 
 #include "test/sim/radio_bench.hpp"
@@ -7,7 +7,8 @@
 namespace groma::sim {
 namespace {
 
-// Polls at once every 3 ms, or answers a poll after 500 us by a delayed frame; logs all it learns.
+// Polls every 3 ms, or answers a poll after 500 us with a delayed frame. Logs each status, timestamp and
+// payload.
 class Talker {
  public:
   Talker(const ChipSpec& spec, Medium& medium, bool polls) : radio(spec, medium), polls_(polls) {}

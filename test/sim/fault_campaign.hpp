@@ -1,8 +1,8 @@
-// The fault campaign: a site goes through one phase after the other, each a fault and what is due after it.
+// The fault campaign: a site runs through phases, each a fault and the requirements after it.
 //
-// What is due: so many superframes after the fault is over each pair of a tag and an anchor that are both
-// alive ranges once a superframe again, without a gap, as long as it is watched; while frames are lost, the
-// share of ranges that the frames' successes allow; and no range, ever, further from the truth than 6 sigma.
+// Requirements: within the given number of superframes after the fault each pair of a live tag and a live
+// anchor ranges once per superframe again, without a gap while it is watched. While frames are lost, the
+// share of good ranges is as the frames' success rates allow. No range is ever off by more than 6 sigma.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -26,18 +26,18 @@ struct FaultPhase {
   std::function<void(FaultSite&)> begin{};
   double lasts_s = 0.0;
   std::function<void(FaultSite&)> end{};
-  // Of all pairs' ranges, while it lasts, at least; nothing is asked where it is 0.
+  // Bounds of the share of all pairs' ranges during the fault; least 0: not checked.
   double least_share = 0.0;
   double most_share = 1.0;
-  // At least 90 % of the product of the frame successes that the overlaps on the air left.
+  // least_share is 90 % of the product of the frame successes that the overlaps on the air leave.
   bool of_what_overlaps_left = false;
-  // Dead from here on, or alive again.
+  // Nodes that die or start in this phase.
   std::set<std::uint16_t> die{};
   std::set<std::uint16_t> rise{};
-  // These do not hear the others from here on, for this phase.
+  // These nodes do not hear the others during this phase.
   std::set<std::uint16_t> apart{};
-  // Superframes after which all is well again: between those that were there all the time, and with those
-  // that rose.
+  // Superframes within which pairs range again: pairs that were alive throughout, and pairs with a node that
+  // started.
   double within = 3.0;
   double newcomers_within = 10.0;
   double watched_s = 0.8;
@@ -48,12 +48,12 @@ struct PhaseOutcome {
   double began_s = 0.0;
   double over_s = 0.0;
   double ended_s = 0.0;
-  double least_share = 0.0;            // that was due; 0: nothing was asked
-  double share = 0.0;                  // while it lasted; NaN where it did not
-  double old_superframes = 0.0;        // until all is well
+  double least_share = 0.0;            // required; 0: not checked
+  double share = 0.0;                  // during the fault; NaN if it had no duration
+  double old_superframes = 0.0;        // until all pairs range
   double newcomers_superframes = 0.0;  // NaN: there were none
   std::size_t late_pairs = 0;
-  std::string slowest{};  // the pair that was last
+  std::string slowest{};  // the pair that recovered last
   std::size_t good = 0;
   double worst_sigmas = 0.0;
   std::vector<std::string> faults{};
@@ -83,11 +83,11 @@ class FaultCampaign {
       if (phase.end) phase.end(site_);
       at.over_s = site_.now_s();
       site_.run_for(phase.watched_s);
-      // A range takes the next superframe, too, which may be the next phase's.
+      // A range also needs the next superframe, which may belong to the next phase.
       at.ended_s = site_.now_s() - 3.0 * superframe_s();
       times.push_back(at);
     }
-    // What was ranged before the last end is told by then.
+    // By then all ranges before the last end are reported.
     site_.run_for(5.0 * superframe_s());
     index();
     std::set<std::uint16_t> alive;
@@ -140,7 +140,7 @@ class FaultCampaign {
     for (auto& [pair, at] : instants_) std::sort(at.begin(), at.end());
   }
 
-  // From when on the pair ranges each superframe until `ended_s`; infinite: not at all.
+  // Time from which the pair ranges in each superframe until `ended_s`; infinity: not at all.
   [[nodiscard]] double well_since_s(const Pair& pair, double over_s, double ended_s) const {
     const double longest_gap_s = 1.5 * superframe_s();
     const auto found = instants_.find(pair);
@@ -233,8 +233,8 @@ class FaultCampaign {
   std::size_t good_ = 0;
 };
 
-// What the nodes counted is what happened to their radios, and each leg of each exchange is a range or a lost
-// one. Of nodes that did not restart meanwhile.
+// The nodes' counters match what happened to their radios, and each leg of each exchange is a completed or a
+// lost range. Only for nodes that did not restart.
 inline void expect_counters_account(FaultSite& site, const std::vector<std::uint16_t>& ids) {
   for (const std::uint16_t id : ids) {
     const groma_Counters told = site.counters(id);
@@ -248,7 +248,7 @@ inline void expect_counters_account(FaultSite& site, const std::vector<std::uint
     EXPECT_GT(told.sfd_timeouts, 0U) << id;
     EXPECT_EQ(told.radio_recoveries, 0U) << id;
     EXPECT_EQ(told.reports_dropped, 0U) << id;
-    // What the radio does between the answer and now.
+    // Events between the answer and now.
     constexpr double kSince = 40.0;
     EXPECT_NEAR(told.frames_received, seen.frames_received, kSince) << id;
     EXPECT_NEAR(told.preamble_timeouts, seen.preamble_timeouts, kSince) << id;
@@ -262,7 +262,7 @@ inline void expect_counters_account(FaultSite& site, const std::vector<std::uint
   }
 }
 
-// What is true at the end of each campaign, whoever ran the nodes.
+// Holds at the end of each campaign, whether the nodes are native or emulated.
 inline void expect_no_harm(FaultSite& site, const FaultCampaign& campaign) {
   EXPECT_TRUE(campaign.sound()) << campaign.table();
   EXPECT_LT(campaign.worst_sigmas(), 6.0);
@@ -281,8 +281,8 @@ inline std::set<std::uint16_t> all_of(int tags, int anchors) {
   return ids;
 }
 
-// POLL and RESPONSE, the frame that closes the exchange, and the RESPONSE that brings its stamp back; where a
-// FINAL closes it, the next POLL as well, for it asks for that RESPONSE.
+// POLL, RESPONSE, the closing frame, and the RESPONSE that returns its timestamp. If a FINAL closes the
+// exchange, also the next POLL, which requests that RESPONSE.
 inline int frames_a_range_needs(groma_RangingMethod method) {
   return method == groma_RangingMethod_METHOD_DS_FINAL ? 5 : 4;
 }
@@ -305,7 +305,7 @@ inline FaultPhase beacons_lost(double superframes, double superframe_s) {
           .begin = [=](FaultSite& site) { site.lose(1.0, superframes * superframe_s, &is_a<mac::Beacon>); },
           .lasts_s = superframes * superframe_s,
           .least_share = 0.99,
-          .most_share = 1.3};  // of so few superframes one more counts
+          .most_share = 1.3};  // one more superframe weighs much among so few
 }
 
 template <class BodyType>
@@ -336,7 +336,7 @@ inline FaultPhase killed(const char* name, const std::set<std::uint16_t>& ids, d
           .watched_s = watched_s};
 }
 
-// For as long as it is watched.
+// Lasts as long as it is watched.
 inline FaultPhase cut_off(const char* name, const std::set<std::uint16_t>& ids, double for_s) {
   return {.name = name,
           .begin = [=](FaultSite& site) { site.cut_off(ids, for_s); },
@@ -349,7 +349,7 @@ inline FaultPhase meet_again(const char* name, double within = 10.0) {
   return {.name = name, .within = within};
 }
 
-// One that no schedule names.
+// A tag that no schedule lists.
 inline FaultPhase tag_joins(const char* name, std::uint16_t id) {
   return {.name = name,
           .begin =

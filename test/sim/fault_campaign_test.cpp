@@ -1,4 +1,4 @@
-// A site of native nodes that loses frames, anchors, masters and power, and what comes of its ranges.
+// A site of native nodes under loss of frames, anchors, masters and power, and the effect on its ranges.
 #include "test/sim/fault_campaign.hpp"
 
 #include <gtest/gtest.h>
@@ -35,8 +35,8 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
   };
 }
 
-// The same of a site with a key whose parts lose each other and meet again: each with a master of its own,
-// and the old master, which was off, with a session of its own.
+// A keyed site whose parts are separated and meet again: each part with its own master, and the old master,
+// restarted, with its own session.
 class KeyedFaultCampaignTest : public testing::TestWithParam<std::uint64_t> {};
 
 TEST_P(KeyedFaultCampaignTest, PartsThatMeetAgainAreOneSite) {
@@ -77,7 +77,7 @@ TEST_P(FaultCampaignTest, EachFaultCostsNoMoreThanItMustAndNoRangeIsEverWrong) {
   campaign.run(phases(site, method));
   expect_no_harm(site, campaign);
   EXPECT_GT(campaign.good(), 20'000U);
-  // As noisy as it should be: of so many the worst is not near.
+  // The noise has its size: the worst of so many ranges is beyond 3.5 sigma.
   EXPECT_GT(campaign.worst_sigmas(), 3.5);
   expect_counters_account(site, {1, 3, 102, 103, 104, 109});
   for (const std::uint16_t id : std::vector<std::uint16_t>{1, 3, 102, 103})

@@ -1,8 +1,8 @@
-// A site that goes through faults, and all that its tags said meanwhile: each range with the error that it
-// has by the geometry, in units of the sigma that its own intervals give.
+// A site under injected faults, and all ranges that its tags report: each with its error against the geometry
+// and the sigma that follows from its own intervals.
 //
-// Tags 1, 2, ... drive round and round; anchors 101, 102, ... hang around them: the first is the master, the
-// next ones its ranked back-ups. Strangers are other networks' nodes.
+// Tags 1, 2, ... drive in circles; anchors 101, 102, ... are fixed around them: the first is the master, the
+// next ones are the ranked back-ups. Strangers are nodes of other networks.
 #pragma once
 
 #include <algorithm>
@@ -30,7 +30,7 @@
 
 namespace groma::sim {
 
-// Round a centre at constant speed; without radius it hangs still.
+// Circular motion at constant speed; stationary if the radius is 0.
 struct Motion {
   Place centre;
   double radius_m = 0.0;
@@ -73,9 +73,9 @@ bool is_a(const AirFrame& frame, std::uint16_t /*from*/ = 0, std::uint16_t /*to*
   return content && std::holds_alternative<BodyType>(content->body);
 }
 
-inline constexpr std::uint16_t kFirstStranger = 1000;  // from here on ids are other networks'
+inline constexpr std::uint16_t kFirstStranger = 1000;  // ids from here on belong to other networks
 
-// What went on the air and how it ended, as nobody on the site knows it.
+// Ground truth of what was on the air and how receptions ended.
 class AirLog final : public Witness {
  public:
   explicit AirLog(const Medium& medium) : medium_(medium) {}
@@ -96,7 +96,7 @@ class AirLog final : public Witness {
       ++successes_[kResponse].due;
       ++answered_[content->destination];
     } else if (std::holds_alternative<mac::Final>(content->body)) {
-      // Those that answered wait for it.
+      // The anchors that answered wait for it.
       successes_[kFinal].due += answered_[content->source];
     }
   }
@@ -137,7 +137,7 @@ class AirLog final : public Witness {
     }
   }
 
-  // A beacon is for whoever listens, a POLL for those that it names, anything else for its destination.
+  // A beacon addresses every listener, a POLL the anchors that it names, any other frame its destination.
   static bool wants(std::uint16_t receiver, const AirFrame& frame) {
     const auto content = parsed(frame);
     if (!content) return false;
@@ -146,12 +146,12 @@ class AirLog final : public Witness {
     return content->destination == receiver || content->destination == mac::kBroadcast;
   }
 
-  // Of POLLs, RESPONSEs and FINALs of the site, from now on or no more.
+  // Starts or stops counting the successes of the site's POLLs, RESPONSEs and FINALs.
   void count_successes(bool on) {
     counting_ = on;
     if (on) successes_ = {};
   }
-  // A range needs a POLL and its RESPONSE, then a FINAL where there are any, and the next POLL and RESPONSE.
+  // A range needs a POLL and its RESPONSE, a FINAL if the method has one, and the next POLL and RESPONSE.
   [[nodiscard]] double product_of_successes() const {
     const auto share = [&](Kind kind) {
       const Successes& of = successes_[kind];
@@ -162,9 +162,9 @@ class AirLog final : public Witness {
 
   bool keep_sent = false;
   std::vector<Sent> sent;
-  // Frames spoilt or hidden by an overlap at a receiver that listened and wanted them.
+  // Frames that an overlap corrupted or masked at a receiver that listened for them.
   std::uint64_t collisions = 0;
-  std::map<std::uint16_t, groma_Counters> endings;  // those counters that tell how receptions end
+  std::map<std::uint16_t, groma_Counters> endings;  // only the counters of how receptions end
 
  private:
   enum Kind : std::size_t { kPoll, kResponse, kFinal, kKinds };
@@ -180,7 +180,7 @@ class AirLog final : public Witness {
 };
 
 struct FaultSiteSettings {
-  int tags = 3;  // that the schedule knows
+  int tags = 3;  // in the schedule
   int anchors = 12;
   int backups = 3;
   int slots = 4;
@@ -190,11 +190,11 @@ struct FaultSiteSettings {
   std::uint32_t turn_round_us = 250;
   std::uint32_t response_gap_us = 200;
   std::uint32_t guard_us = 30;
-  std::optional<security::Key> network_key{};  // each frame carries a code
+  std::optional<security::Key> network_key{};  // each frame carries a MIC
   MediumSettings medium{.stamp_noise_s = 1e-10};
   std::uint64_t seed = 1;
   double crystals_ppm = 10.0;  // offsets lie within +- this
-  double wander_ppm = 10.0;    // and go up to so much further up and back, or down and back, without end
+  double wander_ppm = 10.0;    // amplitude of a periodic drift, up or down from the offset
   double wander_ppm_per_s = 1.0;
   double until_s = 200.0;  // the longest that the run may last
   std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
@@ -202,7 +202,7 @@ struct FaultSiteSettings {
 
 // A range, good or not.
 struct SeenRange {
-  double at_s = 0.0;  // world time of its own instant, or of its report where it is not good
+  double at_s = 0.0;  // world time of the range, or of its report if it is not good
   std::uint16_t tag = 0;
   std::uint16_t anchor = 0;
   bool good = false;
@@ -245,7 +245,7 @@ class FaultSite {
   }
   [[nodiscard]] double superframe_s() const { return seconds_of(superframe()); }
 
-  // A node that the schedule does not know, or another network's. Before `power_on`.
+  // Adds a node that the schedule does not list, or one of another network. Call before `power_on`.
   void add(std::uint16_t id, groma_Role role, SimTime power_on, const groma_Config& config) {
     const auto index = static_cast<int>(network.size());
     const KeyedRandom draw = KeyedRandom(settings_.seed).of(0xC10C, id);
@@ -286,7 +286,7 @@ class FaultSite {
                                .hits = std::move(hits)},
                               network.now());
   }
-  // No frame gets from these to the others or back.
+  // No frame passes between these nodes and the others.
   void cut_off(std::set<std::uint16_t> ids, double for_s) {
     network.medium().add_fade(
         {.from = network.now(),
@@ -296,7 +296,7 @@ class FaultSite {
                                         std::uint16_t b) { return ids.contains(a) != ids.contains(b); }},
         network.now());
   }
-  // Takes the power at `fraction` of the node's next frame of that kind, for so long.
+  // Cuts the node's power at `fraction` of its next frame of that type, for `for_s`.
   template <class BodyType>
   void brown_out(std::uint16_t id, double fraction, double for_s) {
     const AirFrame frame = next_frame<BodyType>(id);
@@ -307,7 +307,7 @@ class FaultSite {
     set_power(id, true);
   }
 
-  // Two tags and four anchors of another owner in the same hall, with a schedule and a timeline of their own.
+  // Adds another network of two tags and four anchors in the same hall, with its own schedule and timeline.
   void second_network(std::uint32_t network_id, int serial) {
     constexpr int kTags = 2;
     constexpr int kAnchors = 4;
@@ -334,9 +334,10 @@ class FaultSite {
       strangers_.insert(id);
     }
   }
-  // The gap that lets a network's frames fall on other places of the site's superframe each time, and on all
-  // alike: the site's lasts whole ones of it and 0.38 of one (the golden section's share). Where the two are
-  // nearly commensurate, the same frames are spoilt again and again, and no product tells what is left.
+  // The response gap at which the other network's frames spread evenly over the site's superframe: the ratio
+  // of the two superframes has the fractional part 0.382 (golden section). If the two are nearly
+  // commensurate, the same frames collide every time, and the product of the frame successes does not give
+  // the share of ranges.
   [[nodiscard]] std::uint32_t gap_out_of_step(groma_Config config) const {
     constexpr double kStep = 0.382;
     std::uint32_t best = settings_.response_gap_us;
@@ -365,11 +366,11 @@ class FaultSite {
   [[nodiscard]] const std::vector<std::uint16_t>& ids() const { return ids_; }
   [[nodiscard]] bool powered(std::uint16_t id) { return chip(id).powered(); }
 
-  // Over its line.
+  // Sends a command over the node's serial line.
   void send(std::uint16_t id, const groma_HostToNode& command) {
     if (!network.send(nodes_.at(id), frame_of(command))) throw std::logic_error("the line is full");
   }
-  // As the node tells them now.
+  // Requests the node's current counters.
   groma_Counters counters(std::uint16_t id) {
     groma_HostToNode command = groma_HostToNode_init_zero;
     command.request_id = ++requests_;
@@ -385,8 +386,8 @@ class FaultSite {
     throw std::runtime_error("node " + std::to_string(id) + " does not answer");
   }
 
-  // The standard deviation that the noise of its three receive stamps gives a range of these intervals, with
-  // the counters' own rounding. See docs/explanation/ranging.md.
+  // Standard deviation of a range with these intervals, from the noise and rounding of its three receive
+  // timestamps. See docs/explanation/ranging.md.
   [[nodiscard]] double sigma_m(const groma_RawStamps& raw) const {
     const auto ra = static_cast<double>(raw.tag_round_dtu);
     const auto db = static_cast<double>(raw.anchor_reply_dtu);
@@ -417,7 +418,7 @@ class FaultSite {
     throw std::runtime_error("node " + std::to_string(id) + " sends no such frame");
   }
 
-  // Tags low above the floor, anchors around under the ceiling, strangers on either side.
+  // Tags are near the floor, anchors around them under the ceiling; strangers likewise.
   [[nodiscard]] Motion place_of(std::uint16_t id, groma_Role role) const {
     const KeyedRandom draw = KeyedRandom(settings_.seed).of(0x91ACE, id);
     if (role == groma_Role_ROLE_TAG)
@@ -449,7 +450,7 @@ class FaultSite {
                      .anchor = static_cast<std::uint16_t>(range.anchor_id),
                      .good = range.status == groma_RangeStatus_RANGE_OK};
       if (seen.good) {
-        // The line took some milliseconds: as many millimetres of a tag's way.
+        // The report's delay on the line, some milliseconds, is neglected: the tag moves as many millimetres.
         seen.at_s += static_cast<double>(range.instant_offset_dtu) / 63.8976e9;
         seen.error_m = static_cast<double>(range.range_m) - hall.distance_m(seen.tag, seen.anchor, seen.at_s);
         seen.sigma_m = sigma_m(range.raw);

@@ -1,4 +1,4 @@
-// Nodes that come and go while a site runs: native nodes on the chip model and the medium.
+// Nodes that join and leave a running site: native nodes on the chip model and the medium.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -26,7 +26,7 @@ struct JoiningSettings {
   double loss = 0.0;
 };
 
-// A schedule, and nodes that are switched on when the test says so, listed in it or not.
+// A schedule, and nodes that the test switches on, listed in the schedule or not.
 class Yard {
  public:
   explicit Yard(const JoiningSettings& settings)
@@ -37,7 +37,7 @@ class Yard {
     for (const std::uint16_t id : settings.tags) add(id);
   }
 
-  // On from now on.
+  // Adds a node that is on from now.
   void add(std::uint16_t id, std::uint32_t epoch = 1) {
     const bool tag = id < 100;
     const Place place = place_of(id);
@@ -81,7 +81,7 @@ class Yard {
   }
   [[nodiscard]] const Listener& of(std::uint16_t id) const { return listeners[index_.at(id)]; }
 
-  // Good ranges of a tag with an anchor (0: any) since `from_s`; each is right.
+  // Good ranges of a tag with an anchor (0: any) since `from_s`. Each must be correct.
   [[nodiscard]] int good(std::uint16_t tag, std::uint16_t anchor, double from_s) const {
     int count = 0;
     for (const Listener::Report& report : of(tag).reports) {
@@ -97,7 +97,7 @@ class Yard {
     }
     return count;
   }
-  // Superframes until a report of the tag's holds that many good ranges (of that anchor); 1000: never.
+  // Superframes until a report of the tag has that many good ranges (with that anchor; 0: any); 1000: never.
   [[nodiscard]] double superframes_until(std::uint16_t tag, int ranges, double from_s,
                                          std::uint16_t anchor = 0) const {
     for (const Listener::Report& report : of(tag).reports) {
@@ -111,7 +111,7 @@ class Yard {
     }
     return 1000.0;
   }
-  // No two reports of one superframe tell the same slot.
+  // No two tags report the same slot of one superframe.
   void expect_one_owner_a_slot() const {
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> owners;
     for (const Listener& listener : listeners) {
@@ -176,7 +176,7 @@ INSTANTIATE_TEST_SUITE_P(Joining, Methods,
                          ::testing::Values(groma_RangingMethod_METHOD_DS_FINAL,
                                            groma_RangingMethod_METHOD_DS_NEXT_POLL));
 
-// From being in step, which takes a superframe; the report of an exchange comes one later.
+// Synchronization takes a superframe, and the report of an exchange comes one superframe later.
 TEST_P(Methods, ATagThatTheScheduleDoesNotNameHasItsFullRateWithinTenSuperframes) {
   Yard yard({.slots = 4, .method = GetParam()});
   yard.run(kSettled_s);
@@ -296,7 +296,7 @@ TEST(Joining, OfThirtyCandidatesTheTwelveInReachAreAlwaysPolled) {
   yard.run(1.1);
   EXPECT_EQ(yard.of(1).status.candidates, 30U);
   EXPECT_EQ(yard.of(1).status.answering, 12U);
-  // The robot is elsewhere: 12 others are in reach.
+  // The robot is elsewhere: 12 other anchors are in reach.
   const double moved_s = yard.now_s;
   for (std::uint16_t id = 101; id < 131; ++id) {
     yard.space.put(id, id < 118 ? Place{500.0, 10.0 * id, 3.0} : Place{10.0, 0.5 * id - 60.0, 3.0});

@@ -79,7 +79,7 @@ TEST_F(MediumTest, LossesComeAtTheirRateAndInTheirKinds) {
 
 TEST_F(MediumTest, LossesFollowNoPatternInTime) {
   const ThreeStations air(space, {.loss_probability = 0.3}, 5);
-  // Pairs of neighbouring frames: the four outcomes in the product of their shares.
+  // Pairs of consecutive frames: the four outcomes have the products of their shares.
   std::array<double, 4> seen{};
   constexpr std::uint32_t kPairs = 50'000;
   for (std::uint32_t n = 0; n < kPairs; ++n) {

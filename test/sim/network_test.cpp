@@ -1,4 +1,4 @@
-// Whole sites of native nodes: the firmware as it is, on the chip model and the medium.
+// Whole sites of native nodes: the unmodified firmware on the chip model and the medium.
 #include "firmware/sim/network.hpp"
 
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 namespace groma::sim {
 namespace {
 
-constexpr double kInStep_s = 0.6;  // by then each node is in step and each pair has ranged
+constexpr double kInStep_s = 0.6;  // by then each node is synchronized and each pair has ranged
 
 void expect_sound(SiteBench& site) {
   for (std::size_t i = 0; i < site.network.size(); ++i) {
@@ -56,7 +56,7 @@ Errors errors_of(const SiteBench& site, double from_s = kInStep_s) {
   return errors;
 }
 
-// Ranges a second that the schedule promises.
+// Ranges per second by the schedule.
 double promised_rate(const SiteBench& site, const SiteSettings& settings) {
   const double superframe_s = seconds_of(site.superframe());
   return settings.tags * settings.anchors / superframe_s;
@@ -180,7 +180,8 @@ INSTANTIATE_TEST_SUITE_P(
 
 // ---- noise ----------------------------------------------------------------------------------------
 
-// tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), each of the three receive stamps with its own noise.
+// tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), with independent noise on each of the three receive
+// timestamps.
 TEST(NoisyStamps, SpreadRangesAsTheClosedFormSays) {
   SiteBench site({.tags = 1, .anchors = 6, .medium = {.stamp_noise_s = 1e-10}});
   site.run_until(12.0);
@@ -225,7 +226,7 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
   const Errors errors = errors_of(site);
   EXPECT_LT(errors.worst_m, 0.01) << "a lost frame never gives a range";
   const double share = errors.good / (10.0 * promised_rate(site, settings));
-  // POLL, RESPONSE, FINAL, then the next POLL and RESPONSE that bring the last stamp back.
+  // POLL, RESPONSE, FINAL, then the next POLL and RESPONSE that return the closing timestamp.
   const double product = std::pow(0.98, 5);
   EXPECT_GT(share, 0.9 * product);
   EXPECT_LT(share, 1.02 * product);
@@ -233,7 +234,7 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
     EXPECT_EQ(node.counters.radio_recoveries, 0U);
     EXPECT_EQ(node.counters.bad_stamps, 0U);
   }
-  // Each kind of failure has been met.
+  // Each kind of failure occurred.
   EXPECT_GT(site.listeners[0].counters.crc_errors, 0U);
   EXPECT_GT(site.listeners[0].counters.header_errors, 0U);
   EXPECT_GT(site.listeners[0].counters.sfd_timeouts, 0U);
@@ -330,7 +331,7 @@ TEST(Faults, AConfigurationWrittenOverTheLinkIsKept) {
   EXPECT_TRUE(site.listeners[1].reports.back().body.ranges[0].has_raw);
 }
 
-// Often enough that pages fill up and are erased: each erase takes the node off the air for 85 ms.
+// Writes often enough that pages fill up and are erased: each erase takes the node off the air for 85 ms.
 TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
   for (const std::size_t writer : {0U, 1U, 2U}) {  // the tag, the master, another anchor
     const SiteSettings settings{.tags = 1, .anchors = 3};
@@ -363,7 +364,7 @@ TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
       EXPECT_EQ(site.listeners[i].status.state, groma_SyncState_SYNC_LOCKED);
       EXPECT_EQ(site.listeners[i].counters.radio_recoveries, 0U);
     }
-    // As many superframes as without, so nobody began anew.
+    // As many superframes as without the writes, so no session restarted.
     EXPECT_NEAR(site.listeners[0].status.superframe,
                 end_s / to_seconds(site.superframe().duration().count() * kUnitsPerTick),
                 1.2 / to_seconds(site.superframe().duration().count() * kUnitsPerTick));
@@ -393,7 +394,7 @@ TEST(Determinism, TheNumberOfThreadsChangesNothing) {
     SiteBench site({.tags = 3, .anchors = 12, .medium = {.loss_probability = 0.02}});
     site.network.set_threads(threads);
     site.run_until(1.0);
-    // A power cut amid frames, perhaps.
+    // A power cut, perhaps within a frame.
     site.network.set_power(4, false);
     site.run_until(1.3);
     site.network.set_power(4, true);
@@ -426,7 +427,7 @@ TEST(Determinism, OneSeedGivesOneTraceWhateverTheSteps) {
   EXPECT_NE(whole, trace(2.0));
 }
 
-// A node's speed moves no stamp: the same frames carry the same noise.
+// A node's speed changes no timestamp: the same frames carry the same noise.
 TEST(Determinism, TheBussSpeedChangesNoRange) {
   const auto ranges = [](double transaction_us) {
     SiteBench site(

@@ -113,7 +113,7 @@ TEST(NodeClock, WithADriftIsTheExactSumOfItsPieces) {
 TEST(NodeClock, ADriftFollowsItsRamp) {
   const ClockSpec spec{.offset_ppm = -4.0, .drift_ppm_per_s = 1.0, .drift_from_s = 1.0, .drift_until_s = 3.0};
   const NodeClock clock(spec);
-  // Phase against nominal, by the area under the frequency: off by less than a step of the piecewise line.
+  // Phase against nominal, as the integral of the frequency. The tolerance is a step of the piecewise line.
   const auto area_ppm_s = [&](double t_s) {
     const double grown_s = std::clamp(t_s - 1.0, 0.0, 2.0);
     return -4.0 * t_s + grown_s * grown_s / 2.0 + 2.0 * std::max(t_s - 3.0, 0.0);
@@ -125,7 +125,7 @@ TEST(NodeClock, ADriftFollowsItsRamp) {
     EXPECT_NEAR(seen_ppm_s, area_ppm_s(t_s), 0.015) << t_s;
     EXPECT_NEAR(clock.offset(t) * 1e6, -4.0 + std::clamp(t_s - 1.0, 0.0, 2.0), 0.005) << t_s;
   }
-  // The frequency told is the slope of the phase.
+  // The reported frequency offset is the slope of the phase.
   for (double t_s = 0.5; t_s < 5.0; t_s += 0.517) {
     const SimTime t = from_seconds(t_s) & ~((SimTime{1} << 30) - 1);
     const SimTime span = SimTime{1} << 30;
@@ -144,7 +144,7 @@ TEST(NodeClock, GoesUpAndDownWithinItsBounds) {
     const double triangle = t_s >= 41.0 ? 0.0 : 2.0 * std::min(phase_s, 20.0 - phase_s);
     EXPECT_NEAR(clock.offset(from_seconds(t_s)) * 1e6, -10.0 + triangle, 0.02) << t_s;
   }
-  // Strictly in order over the corners, and back.
+  // Strictly monotonic over the corners, and invertible.
   for (SimTime t = from_seconds(10.9); t < from_seconds(11.1); t += 7'777'777)
     EXPECT_EQ(clock.time_of_local(clock.local_units(t) + 1) > t, true);
 }

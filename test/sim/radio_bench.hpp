@@ -1,4 +1,4 @@
-// Chips on one medium, driven by hand: every register access spelled out, nothing taken from the driver.
+// Chips on one medium, driven register by register, without the driver.
 #pragma once
 
 #include <algorithm>
@@ -19,10 +19,10 @@ inline constexpr SimTime kMicrosecond = kUnitsPerMicrosecond;
 inline constexpr SimTime kMillisecond = kUnitsPerMillisecond;
 inline constexpr std::uint64_t kMask40 = (std::uint64_t{1} << 40) - 1;
 inline constexpr std::uint64_t kTicksPerMicrosecond = 63'898;  // nearly
-// The way of light in one tick.
+// Distance that light travels in one tick.
 inline constexpr double kMetresPerTick = 299'792'458.0 / 63.8976e9;
 
-// Nodes at given distances; all else as in empty space.
+// Given propagation between pairs of nodes; a default between all others.
 class DistanceTable final : public PropagationModel {
  public:
   void set(std::uint16_t a, std::uint16_t b, const Propagation& propagation) {
@@ -40,7 +40,7 @@ class DistanceTable final : public PropagationModel {
   Propagation default_{.audible = true, .flight_m = 0.0};
 };
 
-// One chip and the time at which its bus is.
+// One chip and the current time of its bus.
 class HandDriven {
  public:
   HandDriven(const ChipSpec& spec, Medium& medium) : chip_(spec, medium) {}
@@ -69,7 +69,7 @@ class HandDriven {
     return value;
   }
 
-  // Reset, crystal clock, LDE, PLL, channel 5 at PRF 64 MHz: as the manual has it. Takes 5 ms from t.
+  // Reset, crystal clock, LDE, PLL, channel 5 at PRF 64 MHz, as in the manual. Takes 5 ms from t.
   void bring_up(std::uint16_t preamble = 128, bool load_lde = true) {
     chip_.set_power(true, t);
     t += 4 * kMillisecond;
@@ -120,7 +120,7 @@ class HandDriven {
     write(0x08, 0x00, fctrl_ | (payload.size() + 2), 5);
   }
   void send_now() { write(0x0D, 0x00, 0x02, 4); }
-  // The PMSC byte is erratum TX-1's.
+  // The PMSC write works around erratum TX-1.
   void send_at(std::uint64_t dx_time) {
     write(0x36, 0x00, 0x0220, 2);
     write(0x0A, 0x00, dx_time & kMask40, 5);
@@ -173,7 +173,7 @@ class RadioBench {
     return *nodes_.back();
   }
 
-  // Everyone's time, in the order of what happens.
+  // Advances all chips to `t`, in the order of their events.
   void run_until(SimTime t) {
     for (;;) {
       HandDriven* next = nullptr;

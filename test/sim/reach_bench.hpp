@@ -1,4 +1,4 @@
-// A site whose anchors have no cable: commands for them go in at the line of its tag.
+// A site whose anchors have no cable: their commands go through the tag's serial line.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 
 namespace groma::sim {
 
-// A tag at the origin, and anchors in a row; neighbours hear each other, and no others do.
+// Spacing of a tag at the origin and anchors in a row. Only neighbours hear each other.
 inline constexpr double kApart_m = 80.0;
 
 class Reach {
@@ -30,7 +30,7 @@ class Reach {
     bool in_a_row = false;
     double loss = 0.0;
     bool keyed = false;
-    // What runs the nodes, and the like.
+    // Changes the site's settings, for example what runs the nodes.
     std::function<SiteSettings(SiteSettings)> change = [](SiteSettings site) { return site; };
   };
 
@@ -52,7 +52,7 @@ class Reach {
     if (options.keyed)
       site.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
     site.configure = [anchors](groma_Config& config) {
-      // A name for the key: what is written over the air has it in the key's place.
+      // The key's hash: a configuration written over the air has it in place of the key.
       if (config.network_key.size != 0) config.network_key_hash = 0xC0DE'0001;
       // All but the last one relay.
       for (int i = 1; i + 1 < anchors && i <= 4; ++i)
@@ -66,7 +66,7 @@ class Reach {
     now_s_ += duration_s;
     bench.run_until(now_s_);
   }
-  // For 0.2 s; `node` is its place in the network.
+  // Cuts the node's power for 0.2 s. `node`: its index in the network.
   void cut_power(std::size_t node) {
     bench.network.set_power(node, false);
     run(0.2);
@@ -74,7 +74,7 @@ class Reach {
   }
   [[nodiscard]] Listener& wired() { return bench.listeners[0]; }
 
-  // As a host would: repeats the request once the node has fallen silent.
+  // Sends the command and waits for its final reply, at most `most_s`.
   std::optional<Answer> ask(std::uint16_t target, groma_HostToNode command, double most_s = 60.0) {
     command.target_id = target;
     command.request_id = ++request_;
@@ -144,7 +144,7 @@ class Reach {
     return answer ? answer->reply.result : groma_Result_RESULT_STORAGE;
   }
 
-  // Of all nodes that have a line.
+  // Summed over all nodes that have a serial line.
   [[nodiscard]] std::uint32_t frames_not_genuine() const {
     std::uint32_t count = 0;
     for (const Listener& listener : bench.listeners)

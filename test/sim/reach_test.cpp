@@ -152,7 +152,7 @@ TEST(Reach, AnAnchorRangesToTheOthersInASlotThatIsLentToIt) {
   }
   std::printf("a survey of %d exchanges took %.2f s\n", static_cast<int>(command.body.survey.exchanges),
               answer->took_s);
-  // Then the tag ranges as before, and nothing of what it tells is wrong.
+  // Then the tag ranges as before, and all its ranges are correct.
   reach.run(2.0);
   const int then = reach.bench.good_ranges();
   reach.run(1.0);
@@ -215,7 +215,7 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
     reach.run(1.5);
     const auto away = reach.ask(103, groma_HostToNode_get_hello_tag, 2.0);
     EXPECT_TRUE(!away || away->reply.result == groma_Result_RESULT_UNREACHABLE);
-    if (power_cut) {  // it begins with the new one again, for a minute
+    if (power_cut) {  // it restarts with the new one, for a minute
       reach.cut_power(3);
       reach.run(60.0);
     }
@@ -223,7 +223,7 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
     const auto hello = reach.hello(103);
     ASSERT_TRUE(hello) << power_cut;
     EXPECT_EQ(hello->config_hash, node::config_hash_of(good));
-    // And so it stays, also over a power cut.
+    // It stays so, also over a power cut.
     reach.run(3.0);
     reach.cut_power(3);
     reach.run(3.0);
@@ -232,7 +232,7 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
   }
 }
 
-// The anchor that only the master hears: through the tag and over the master.
+// An anchor that only the master hears: reached through the tag and the master.
 TEST(Reach, TwoHopsAwayATrialIsWonOrLostAsItIsNextDoor) {
   for (const bool keyed : {false, true}) {
     constexpr std::uint16_t kFar = 102;
@@ -258,7 +258,7 @@ TEST(Reach, TwoHopsAwayATrialIsWonOrLostAsItIsNextDoor) {
     const auto back = reach.hello(kFar);
     ASSERT_TRUE(back) << keyed;
     EXPECT_EQ(back->config_hash, node::config_hash_of(better)) << keyed;
-    // With its key, or nobody would have understood it; and for good.
+    // It kept its key, or its frames would have been rejected.
     const auto read = reach.ask(kFar, groma_HostToNode_read_config_tag);
     ASSERT_TRUE(read && read->reply.has_config);
     EXPECT_EQ(read->reply.config.schedule.epoch, better.schedule.epoch);

@@ -1,4 +1,4 @@
-// A site that ranges while its nodes get another schedule, one after the other over their cables.
+// A ranging site whose nodes receive another schedule, one after the other over their cables.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -29,8 +29,8 @@ std::ostream& operator<<(std::ostream& out, const Reconfiguring& of) {
 
 class Reconfigured : public testing::TestWithParam<Reconfiguring> {};
 
-// Superframes after which nobody goes by the older schedule any more once a beaconer has the newer one, and
-// those that have it range. Of which a node is off the air for as long as it writes its flash.
+// Superframes within which, once a beaconer has the newer schedule, no node follows the older one and the
+// nodes with the newer one range. Includes the time that a node is off the air to write its flash.
 constexpr double kBound = 60.0;
 
 TEST_P(Reconfigured, ThePartWithTheNewestScheduleRangesAndTheOthersAreSilent) {
@@ -69,7 +69,7 @@ TEST_P(Reconfigured, ThePartWithTheNewestScheduleRangesAndTheOthersAreSilent) {
       if (led && !newer.contains(sent.transmitter))
         stale_s = std::max(stale_s, to_seconds(sent.frame.preamble_start) - from_s);
     longest = std::max(longest, stale_s);
-    // Each pair that can, all the time; of the others none.
+    // Each pair that can range does so all the time, and no other pair ranges.
     std::set<std::pair<std::uint16_t, std::uint16_t>> pairs;
     std::size_t good = 0;
     double first_s = 1e9;

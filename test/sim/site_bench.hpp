@@ -55,7 +55,7 @@ class FreeSpace : public PropagationModel {
             .first_path_power_dbm = power_dbm - hidden_db};
   }
 
-  double hidden_db = 2.0;  // of the power that is not in the first path
+  double hidden_db = 2.0;  // power outside the first path
 
  protected:
   [[nodiscard]] const Place& place(std::uint16_t id) const { return places_.at(id); }
@@ -64,7 +64,7 @@ class FreeSpace : public PropagationModel {
   std::map<std::uint16_t, Place> places_;
 };
 
-// As the host sends it.
+// A command's frame as the host sends it.
 inline std::vector<std::uint8_t> frame_of(const groma_HostToNode& command) {
   std::vector<std::uint8_t> payload(groma_HostToNode_size);
   pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
@@ -137,7 +137,7 @@ class Listener {
   std::vector<Report> reports;
   std::vector<groma_Hello> hellos;
   std::vector<groma_Reply> replies;
-  std::vector<groma_NodeToHost> relayed;  // what other nodes said over the air
+  std::vector<groma_NodeToHost> relayed;  // from other nodes, received over the air
   std::vector<groma_TimeReply> time_replies;
   std::vector<std::string> logs;
   groma_Counters counters = groma_Counters_init_zero;
@@ -158,19 +158,19 @@ struct SiteSettings {
   groma_Preamble preamble = groma_Preamble_PREAMBLE_128;
   MediumSettings medium{.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0};
   std::uint64_t seed = 1;
-  double spread_ppm = 20.0;  // clocks lie evenly in +- this
+  double spread_ppm = 20.0;  // clock offsets are spread evenly over +- this
   std::uint32_t turn_round_us = 300;
   std::uint32_t response_gap_us = 200;
   std::uint32_t guard_us = 30;
-  std::optional<security::Key> network_key{};  // each frame carries a code
+  std::optional<security::Key> network_key{};  // each frame carries a MIC
   double drift_ppm_per_s = 0.0;                // up on the odd nodes, down on the even ones, from 1 s to 11 s
   double spi_transaction_us = 2.5;
   std::uint32_t uart_bits_per_s = 1'000'000;
-  // What is special about a node; tags come first.
+  // Change a node's configuration and chip. Called for the tags first.
   std::function<void(groma_Config&)> configure = [](groma_Config&) {};
   std::function<void(ChipSpec&)> equip = [](ChipSpec&) {};
   bool raw_stamps = true;  // in the reports
-  // What runs a node; tags come first.
+  // Makes a node. Called for the tags first.
   std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
 };
 
@@ -181,7 +181,8 @@ inline std::uint16_t nth_anchor(int i) {
   return static_cast<std::uint16_t>(101 + i);
 }
 
-// Of a node in a site of settings.tags and settings.anchors, the first of them the master.
+// Configuration of a node in a site of settings.tags tags and settings.anchors anchors, of which the first is
+// the master.
 template <class Settings>
 groma_Config config_by(const Settings& settings, std::uint16_t id, groma_Role role, std::uint32_t epoch) {
   groma_Config config = groma_Config_init_zero;
@@ -245,7 +246,7 @@ class SiteBench {
     }
   }
 
-  // A hash over each byte on each line with its time.
+  // For each node: a hash over each byte on its line and the byte's time.
   [[nodiscard]] const std::vector<std::uint64_t>& line_traces() const { return traces_; }
 
   template <class F>
@@ -267,7 +268,7 @@ class SiteBench {
  private:
   void add(std::uint16_t id, groma_Role role, int index) {
     const int count = settings_.tags + settings_.anchors;
-    // Neighbours far apart in frequency, tags low above the floor, anchors around.
+    // Consecutive nodes lie far apart in frequency. Tags are near the floor, anchors around them.
     const double turn = std::fmod(static_cast<double>(index) * 0.618034, 1.0);
     const double angle = 6.2831853 * static_cast<double>(index) / static_cast<double>(count);
     space.put(id, role == groma_Role_ROLE_TAG ? Place{1.0 + index, 0.7 * index, 0.5}

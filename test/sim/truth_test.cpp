@@ -1,4 +1,4 @@
-// What is said with each range is true: its distance, its spread, its instant, and what was corrected.
+// All that is reported with a range is true: its distance, spread, time and corrections.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -16,7 +16,7 @@ namespace {
 constexpr double kSpeedOfLight_mps = 299'792'458.0;
 constexpr double kTicksPerSecond = 63.8976e9;
 constexpr double kMetresPerTick = kSpeedOfLight_mps / kTicksPerSecond;
-constexpr double kRanging_s = 0.6;  // by then each node is in step and each pair has ranged
+constexpr double kRanging_s = 0.6;  // by then each node is synchronized and each pair has ranged
 
 bool ok(const groma_Range& range) {
   return range.status == groma_RangeStatus_RANGE_OK;
@@ -38,7 +38,7 @@ double error_m(const SiteBench& site, const groma_SlotReport& report, const grom
          site.space.distance_m(static_cast<std::uint16_t>(report.tag_id), range.anchor_id);
 }
 
-// The same exchange without its closing frame: the anchor's clock by the carrier's offset.
+// The single-sided range of the exchange, with the anchor's clock rate from the carrier offset.
 double single_sided_error_m(const SiteBench& site, const groma_SlotReport& report, const groma_Range& range) {
   const auto flight =
       ranging::single_sided(ranging::Ticks(range.raw.tag_round_dtu),
@@ -59,7 +59,7 @@ struct Accuracy {
 
 class AbsoluteError : public testing::TestWithParam<Accuracy> {};
 
-// One site, its tag put further and further away.
+// One site; its anchors are moved further and further away.
 TEST_P(AbsoluteError, IsAtMostACentimetreFrom1To100MetresForTheFirstAndTheLastResponder) {
   const Accuracy& p = GetParam();
   SiteBench site({.tags = 1, .anchors = p.anchors, .method = p.method, .equip = [&](ChipSpec& chip) {
@@ -125,9 +125,9 @@ struct Spread {
 
 class StampNoise : public testing::TestWithParam<Spread> {};
 
-// docs/explanation/ranging.md: with D the POLL's RMARKER to the RESPONSE's and D' from there to the closing
-// frame's, the three receive stamps weigh D' / 2(D + D'), 1/2 and D / 2(D + D'). Single-sided, the two weigh
-// 1/2 each.
+// See docs/explanation/ranging.md. With D from the POLL's RMARKER to the RESPONSE's and D' from there to the
+// closing frame's, the three receive timestamps have the weights D' / 2(D + D'), 1/2 and D / 2(D + D').
+// Single-sided, the two timestamps have the weight 1/2 each.
 double closed_form_m(double stamp_sigma_s, double to_response, double to_closing) {
   const double total = to_response + to_closing;
   return kSpeedOfLight_mps * stamp_sigma_s * 0.5 *
@@ -143,7 +143,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
                   .medium = {.stamp_noise_s = kNoise_s, .carrier_noise_ppm = 0.0},
                   .seed = 7});
   site.run_until(kRanging_s + 20.0);
-  // A stamp is a whole number of ticks.
+  // A timestamp is a whole number of ticks.
   const double stamp_sigma_s = std::hypot(kNoise_s, 1.0 / kTicksPerSecond / std::sqrt(12.0));
   const mac::Superframe superframe = site.superframe();
   const auto count = static_cast<std::size_t>(p.anchors);
@@ -153,7 +153,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
   std::vector<int> ranges(count);
   site.each_range(
       [&](const groma_SlotReport& report, const groma_Range& range) {
-        // A POLL closes one exchange and opens the next: every other one is independent of all before.
+        // A POLL closes one exchange and opens the next, so only every other exchange is independent.
         if (!ok(range) || report.superframe % 2 == 1) return;
         const auto responder = static_cast<std::size_t>(range.anchor_id - nth_anchor(0));
         const auto to_response = static_cast<double>(superframe.response(responder, count).count());
@@ -178,7 +178,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
     all_ranges += ranges[i];
   }
   EXPECT_NEAR(all, all_ranges, 5.0 * std::sqrt(2.0 * all_ranges));
-  // Those of one exchange have nothing in common but the POLL, which each anchor stamps itself.
+  // Ranges of one exchange share only the POLL, which each anchor timestamps itself.
   EXPECT_NEAR(single_sided_squares, all_ranges, 5.0 * std::sqrt(2.0 * all_ranges));
   std::printf("%s: spread %.4f of the closed form over %d ranges; first %.4f, last %.4f\n", p.name,
               std::sqrt(all / all_ranges), all_ranges, std::sqrt(squares.front() / ranges.front()),
@@ -193,7 +193,7 @@ INSTANTIATE_TEST_SUITE_P(Methods, StampNoise,
 
 // ---- antenna delays -------------------------------------------------------------------------------
 
-// The mean error of the pair's ranges where the configured delays are off by so much from the true ones.
+// Mean range error in metres if the configured delays differ from the true ones by these ticks.
 double mean_error_with(std::int32_t tag_transmit, std::int32_t tag_receive, std::int32_t anchor_transmit,
                        std::int32_t anchor_receive) {
   constexpr std::int32_t kTransmit = 16'500;
@@ -228,7 +228,7 @@ double mean_error_with(std::int32_t tag_transmit, std::int32_t tag_receive, std:
   return sum_m / count;
 }
 
-// Each of the four enters a range by half, once.
+// Each of the four delays enters a range once, by half.
 TEST(AntennaDelays, AreTakenOffOnce) {
   constexpr std::int32_t kOff = 200;
   const double half_m = 0.5 * kOff * kMetresPerTick;
@@ -315,13 +315,13 @@ TEST(Health, OfEachChipIsToldAndCostsNoSlot) {
   }
   site.each_range([](const groma_SlotReport&, const groma_Range& range) { EXPECT_TRUE(ok(range)); },
                   kRanging_s);
-  // What changes is told a second later.
+  // A change is reported a second later.
   site.network.node(0).chip().set_ambient({.temperature_c = 60.0, .supply_v = 3.3});
   site.run_until(7.2);
   EXPECT_NEAR(site.listeners[0].status.temperature_cdegc, 6'000, 58.0);
 }
 
-// The simulated chip stamps a strong signal early and a weak one late, as the leading edge's threshold does.
+// The simulated chip timestamps a strong signal early and a weak one late, as a leading edge threshold does.
 TEST(PowerBias, BendsARangeUntilItIsCorrected) {
   for (const bool correct : {false, true}) {
     SiteBench site({.tags = 1,
@@ -383,7 +383,7 @@ TEST(Quality, HintsAtTheLineOfSightAndTellsTheNoise) {
 
 // ---- the instant ----------------------------------------------------------------------------------
 
-// By the schedule alone: superframe, slot and the RESPONSE's place in it.
+// Predicted by the schedule alone: superframe, slot and the RESPONSE's place in it.
 TEST(NetworkTime, OfARangeIsItsPlaceInTheSchedule) {
   SiteBench site({.tags = 3, .anchors = 6});
   site.run_until(3.0);
@@ -403,7 +403,8 @@ TEST(NetworkTime, OfARangeIsItsPlaceInTheSchedule) {
                                                 superframe.response(responder, 6))
                                                    .count()) +
                            static_cast<double>(superframe.poll(report.slot).count()) * rate;
-        // The way of the beacon and of the two frames, the anchor's clock, and the transmit grid: 0.2 us.
+        // The flight times of the beacon and of the two frames, the anchor's clock, and the transmit grid:
+        // 0.2 us.
         EXPECT_NEAR(static_cast<double>(at), due, 12'800.0);
         ++count;
       },
@@ -411,7 +412,7 @@ TEST(NetworkTime, OfARangeIsItsPlaceInTheSchedule) {
   EXPECT_GT(count, 500);
 }
 
-// The same instant in the times of two tags, by what both have in common: the master's clock.
+// The network time of both tags follows the master's clock.
 TEST(NetworkTime, RunsAsTheMastersClockOverTheCountersWrap) {
   SiteBench site({.tags = 2, .anchors = 3});
   site.run_until(20.0);
@@ -426,14 +427,14 @@ TEST(NetworkTime, RunsAsTheMastersClockOverTheCountersWrap) {
     for (auto report = first; report != reports.end(); ++report) {
       const auto network = static_cast<double>(report->body.network_time_dtu - first->body.network_time_dtu);
       const auto device = static_cast<double>(report->body.device_time_dtu - first->body.device_time_dtu);
-      // 1 ns where each of the two starts of a superframe is known to a tick or so.
+      // 100 ticks: each of the two superframe starts is known to about a tick.
       ASSERT_NEAR(network, device * master / own, 100.0);
       ASSERT_NEAR(report->body.network_rate_ppb, (master / own - 1.0) * 1e9, 40.0);
     }
   }
 }
 
-// The back-up that takes over goes on with count, place and rate of the one that died.
+// A back-up that takes over continues the dead master's count, phase and rate.
 TEST(NetworkTime, GoesOnOverAChangeOfMaster) {
   SiteBench site({.tags = 1, .anchors = 4, .configure = [](groma_Config& config) {
                     config.schedule.backup_ids_count = 1;
@@ -454,7 +455,7 @@ TEST(NetworkTime, GoesOnOverAChangeOfMaster) {
     ASSERT_NE(report->body.network_time_dtu, 0U) << to_seconds(report->t);
     const auto network = static_cast<double>(report->body.network_time_dtu - first->body.network_time_dtu);
     const auto device = static_cast<double>(report->body.device_time_dtu - first->body.device_time_dtu);
-    // 0.5 us: the back-up's rate is the dead master's as far as it knew it.
+    // 0.5 us: the back-up continues at its estimate of the dead master's rate.
     ASSERT_NEAR(network, device * master / own, 32'000.0) << to_seconds(report->t);
     if (to_seconds(report->t) > 3.5) ++after;
   }
@@ -463,7 +464,7 @@ TEST(NetworkTime, GoesOnOverAChangeOfMaster) {
 
 // ---- host and node --------------------------------------------------------------------------------
 
-// By its own clock, which is that of its reports: between two of those, before and after.
+// Each node answers by the clock of its reports: the answer lies between two of them.
 TEST(TimeRequest, IsAnsweredByEachNodeWithItsOwnClock) {
   SiteBench site({});
   double t_s = 1.0;

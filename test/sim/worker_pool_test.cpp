@@ -16,7 +16,7 @@ TEST(WorkerPool, DoesEachPieceOnceInEachRound) {
     int expected = 0;
     for (std::uint16_t round = 0; round < 2'000; ++round) {
       const auto count = static_cast<std::uint16_t>(round % 65);
-      // Each piece is its own element, and the next round sees what this one wrote.
+      // Each item writes its own element, and the next round sees what this one wrote.
       pool.run(count, [&](std::uint16_t piece) { ++done[piece]; });
       expected += count;
     }
@@ -29,7 +29,7 @@ TEST(WorkerPool, DoesEachPieceOnceInEachRound) {
 TEST(WorkerPool, WakesThreadsThatHaveFallenAsleep) {
   WorkerPool pool(2);
   std::vector<std::thread::id> who(2);
-  // Long enough that the second piece is not left to the first one's thread.
+  // Long enough that one thread does not run both items.
   for (int tries = 0; tries < 50 && who[0] == who[1]; ++tries) {
     std::this_thread::sleep_for(std::chrono::milliseconds(5));
     pool.run(2, [&](std::uint16_t piece) {

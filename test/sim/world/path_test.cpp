@@ -43,7 +43,7 @@ TEST(Path, AccelerationDoesNotJumpAndKeepsItsLimits) {
     const auto next = acceleration(t + 2e-4);
     EXPECT_NEAR(now[0], next[0], 0.02) << t;
     EXPECT_NEAR(now[1], next[1], 0.02) << t;
-    // Along and across the path at once: the root of two.
+    // Along and across the path at once: a factor of root two.
     EXPECT_LE(std::hypot(now[0], now[1]), 1.45 * options.max_acceleration_mps2) << t;
     EXPECT_LE(std::hypot(at.vx_mps, at.vy_mps), options.max_speed_mps + 1e-9) << t;
     EXPECT_LE(std::abs(at.theta_radps), 1.001 * options.max_yaw_rate_radps) << t;

@@ -69,7 +69,7 @@ TEST(Robot, StandsOnTheGroundAndAlongIt) {
   }
 }
 
-// Integrates rows as rigid motions: nothing of the filter's propagation.
+// Integrates odometry samples as rigid motions, independently of the filter's propagation.
 TEST(Robot, NoiseFreeRowsReproduceTheWay) {
   const Robot subject = robot(exact_odometry(), {});
   const auto rows =
@@ -86,7 +86,7 @@ TEST(Robot, NoiseFreeRowsReproduceTheWay) {
       const model::SurfacePose pose =
           model::pose_on_surface(subject.ground(), {at.x(), at.y(), theta + 0.5 * dt * row.omega_radps});
       const Eigen::Vector3d step = pose.pose.rotation * Eigen::Vector3d(row.vx_mps, row.vy_mps, 0.0) * dt;
-      // What the tilting of the ground alone turns the body by, about its own normal.
+      // The rotation of the body about its own normal that the change of the ground's tilt alone causes.
       const Eigen::Matrix3d tilting = pose.rotation_wt.transpose() *
                                       (pose.d_rotation_wt_d_x * step.x() + pose.d_rotation_wt_d_y * step.y());
       at += step.head<2>();

@@ -133,7 +133,7 @@ std::vector<std::filesystem::path> shipped() {
 INSTANTIATE_TEST_SUITE_P(All, ShippedScenario, ::testing::ValuesIn(shipped()),
                          [](const auto& scenario) { return scenario.param.stem().string(); });
 
-// What the demo promises of its world.
+// The properties that the demo promises of its world.
 TEST(PaperHall, IsNoEasyWorld) {
   const Scenario scenario = read_scenario(std::filesystem::path(GROMA_SCENARIOS) / "paper_hall.yaml");
   EXPECT_EQ(scenario.anchors.size(), 12U);

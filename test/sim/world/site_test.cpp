@@ -20,7 +20,7 @@ Wall any_wall(const KeyedRandom& random) {
   return {a.head<2>(), b.head<2>(), 0.2, random.of(2).uniform(0.5, 3.5), 0};
 }
 
-// Walks the straight way in small steps and looks for a change of side within the wall's outline.
+// Steps along the straight line and detects a change of side within the wall's outline.
 bool crosses_by_walking(const Wall& wall, const Vector3d& a, const Vector3d& b) {
   const Vector2d along = wall.to_m - wall.from_m;
   const Vector2d normal(-along.y(), along.x());
@@ -136,7 +136,7 @@ TEST(Site, AnOpaqueWallIsHeardAroundAndOnlyByReflection) {
   const Site closed({metal}, {wall}, quiet_climate());
   EXPECT_FALSE(closed.arrival(a, b, 0.0, KeyedRandom(1)).audible);
 
-  // A mirror beside lets it in, later by its detour.
+  // A reflecting wall beside it lets the signal through, delayed by the detour.
   Wall half = wall;
   half.to_m.y() = 4.0;
   const Wall mirror{{-5.0, 8.0}, {15.0, 8.0}, -1.0, 40.0, 0};

@@ -88,7 +88,7 @@ TEST(World, BiasesHaveTheirStatisticsAndBounds) {
   EXPECT_LE(largest, 1.2);
   EXPECT_GT(largest, 1.15);
   EXPECT_GE(smallest, -0.4);
-  EXPECT_NEAR(sum / count, 0.36, 0.03);  // 0.35, but for what the bounds cut off
+  EXPECT_NEAR(sum / count, 0.36, 0.03);  // 0.35, shifted by the bounds
   EXPECT_NEAR(std::sqrt(gammas / count), 0.005, 0.0003);
 }
 
