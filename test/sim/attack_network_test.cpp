@@ -1,5 +1,4 @@
-// Whole nodes of a keyed network, and a transmitter without the key that says again what it heard, and what
-// it makes up.
+// Whole nodes of a keyed network, and a transmitter without the key that replays and forges frames.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -34,7 +33,7 @@ struct Heard {
   std::vector<std::uint8_t> bytes;
 };
 
-// Hears each honest frame, with its bytes as they were when it was sent.
+// Records each genuine frame with its bytes as sent.
 class Ear final : public Witness {
  public:
   explicit Ear(Medium& medium) : medium_(medium) { medium.set_witness(this); }
@@ -84,7 +83,7 @@ struct Stage {
     for (std::size_t i = 0; i < site.network.size(); ++i) (void)site.network.send(i, frame_of(command));
     run_for(20 * kUnitsPerMillisecond);
   }
-  // Of all nodes, as they told last.
+  // Summed over all nodes, by their last reports.
   [[nodiscard]] std::uint32_t dropped() const {
     std::uint32_t sum = 0;
     for (const Listener& listener : site.listeners)
@@ -121,7 +120,7 @@ TEST(KeyedSite, RangesAsAnOpenOneDoes) {
   }
 }
 
-// In the shared slot, where nobody else speaks: what was said before, and what is made up.
+// Replayed and forged frames in the shared slot, where nobody else sends.
 TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
   Stage honest(keyed());
   honest.site.run_until(6.0);
@@ -153,9 +152,9 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
     ASSERT_NE(heard, nullptr);
     std::vector<std::uint8_t> bytes = heard->bytes;
     switch (turn / 5 % 5) {
-      case 0:  // the last one of its kind: of this superframe or the one before
+      case 0:  // the last one of its kind, of this superframe or the one before
         break;
-      case 1:  // one of seconds ago
+      case 1:  // one from seconds ago
         while (old_frames[next_of_old % old_frames.size()].frame.body.index() != kind) ++next_of_old;
         bytes = old_frames[next_of_old++ % old_frames.size()].bytes;
         break;
@@ -194,7 +193,7 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
   stage.expect_true_ranges();
 }
 
-// In the place of what an honest node says, which is kept from all: nothing of it is taken.
+// Replays frames in place of a genuine node's, which are jammed: none is accepted.
 TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
   for (const Kind kind : {kBeacon, kPoll, kResponse, kFinal}) {
     SCOPED_TRACE(kind);
@@ -205,7 +204,7 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
     ASSERT_EQ(stage.dropped(), 0U);
     const std::uint16_t sender = kind == kBeacon ? 101 : kind == kResponse ? 103 : 1;
     const SimTime from = stage.site.network.now() + 2 * stage.duration();
-    // A tag that nobody answers leaves out a POLL now and then, to listen.
+    // An unanswered tag sometimes skips a POLL to listen.
     const int superframes = kind == kPoll ? 12 : 8;
     const SimTime until = from + superframes * stage.duration() - stage.duration() / 10;
     stage.site.network.medium().add_fade(
@@ -218,7 +217,7 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
                return transmitter == sender && parsed && parsed->body.index() == kind;
              }},
         stage.site.network.now());
-    // A frame's next one comes a superframe later.
+    // The next frame of its kind comes a superframe later.
     std::uint32_t sent = 0;
     std::map<SimTime, bool> done;
     while (stage.site.network.now() < until) {
@@ -246,7 +245,7 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
     EXPECT_GE(stage.dropped(), sent);
     stage.expect_true_ranges();
     if (kind == kPoll) {
-      // Nobody answers what tag 1 said a superframe ago. An honest POLL just before may still be answered.
+      // Nobody answers the replayed POLLs of tag 1. A genuine POLL just before may still be answered.
       const SimTime answered = from + stage.duration() / 2;
       const auto answers =
           std::count_if(stage.ear.frames.begin(), stage.ear.frames.end(), [&](const Heard& heard) {
@@ -281,7 +280,7 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
   }
 }
 
-// A node that was switched off and on again, and hears what was said a minute ago, and nothing else.
+// A node that was switched off and on again, and hears only a recording from a minute ago.
 TEST(KeyedSite, ANodeThatRebootsDoesNotBelieveARecording) {
   Stage stage(keyed());
   Transmitter attacker(kAttacker, stage.site.network.medium());

@@ -1,4 +1,4 @@
-// A module with its CAN controller on a bus, as the board has it, without the node.
+// A CAN controller with its driver and link on a bus, as on the board, without the node.
 #pragma once
 
 #include <algorithm>
@@ -14,7 +14,7 @@
 
 namespace groma::sim::test {
 
-// The bus between processor and controller. Each transfer takes its time, which is the module's.
+// The SPI between processor and controller. Each transfer advances the module's time.
 class TimedSpi {
  public:
   static constexpr std::uint32_t kClock_hz = 8'000'000;
@@ -49,7 +49,7 @@ struct CanModule {
     return link.start(settings, now_us(), [this](std::uint32_t us) { wait(us); });
   }
 
-  // Up to t, or as far as the work at hand takes.
+  // Runs up to `t`, or longer until the current work is done.
   void run(SimTime t) {
     while (now < t) {
       chip.advance(now);
@@ -95,7 +95,7 @@ struct CanModule {
   std::size_t most_transfers = 0;
 };
 
-// All of them in steps, so that none is ahead of the others by more.
+// Runs all modules in steps, so that none is ahead of the others by more than `step`.
 inline void run_all(std::span<CanModule* const> modules, SimTime until,
                     SimTime step = 50 * kUnitsPerMicrosecond) {
   SimTime t = until;

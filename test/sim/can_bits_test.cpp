@@ -20,7 +20,7 @@ std::string binary(std::uint64_t value, int width) {
   return text;
 }
 
-// Long division of the bits, with zeros for the remainder behind them, by the generator polynomial.
+// Long division of the bits, extended by zeros for the remainder, by the generator polynomial.
 std::string crc_by_division(const std::string& bits, const std::string& generator) {
   std::string work = bits + std::string(generator.size() - 1, '0');
   for (std::size_t i = 0; i + generator.size() <= work.size(); ++i) {
@@ -45,7 +45,7 @@ std::string field_bits(const CanFrame& frame, bool error_passive) {
   return bits;
 }
 
-// After five equal bits, the stuff bits themselves counted, comes one of the other value: marked by a letter.
+// After five equal bits (stuff bits included) a bit of the other value follows, marked by a letter.
 std::string stuffed(const std::string& bits) {
   std::string out;
   std::string plain;
@@ -70,9 +70,10 @@ CanBits by_brute_force(const CanFrame& frame, bool error_passive) {
     return {.nominal = static_cast<unsigned>(coded.size()) + 10, .data = 0, .stuff = letters(coded)};
   }
   std::string coded = stuffed(fields);
-  // The fixed stuff bit in front of the stuff count takes its place.
+  // The fixed stuff bit before the stuff count replaces it.
   if (coded.back() > '9') coded.pop_back();
-  // Up to and with BRS: 1 + 11 + 2 + 18 + 1 + 3 bits of fields. A stuff bit behind BRS is of the data phase.
+  // Up to and including BRS: 1 + 11 + 2 + 18 + 1 + 3 bits of fields. A stuff bit after BRS belongs to the
+  // data phase.
   std::size_t to_brs = 0;
   for (int left = 36; left > 0; ++to_brs) left -= coded[to_brs] > '9' ? 0 : 1;
   const unsigned crc = frame.size <= 16 ? 17 : 21;
@@ -97,7 +98,7 @@ TEST(CanBits, AgreeWithBruteForceForManyFrames) {
     frame.size = wire::kCanLengths[code];
     for (auto& byte : frame.data) {
       const std::uint64_t word = random();
-      // Long runs, so that there is something to stuff.
+      // Long runs, which need stuff bits.
       constexpr std::array<std::uint8_t, 6> kRuns{0x00, 0xFF, 0xF0, 0x0F, 0x1F, 0xE0};
       byte = word % 4 == 0 ? static_cast<std::uint8_t>(word >> 8) : kRuns[(word >> 8) % kRuns.size()];
     }

@@ -1,4 +1,4 @@
-// What the receiver of the chip model hears, stamps and reports.
+// What the chip model's receiver hears, timestamps and reports.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -24,7 +24,7 @@ struct Dw1000ReceiverTest : testing::Test {
     sender.bring_up(preamble);
     receiver.bring_up(preamble);
   }
-  // A frame whose RMARKER leaves in 1 ms; the receiver's fate 2 ms on.
+  // Sends a frame whose RMARKER leaves in 1 ms. Returns its DX_TIME.
   std::uint64_t send(const std::vector<std::uint8_t>& payload = {0x41, 0x88, 7}) {
     sender.write(0x0F, 0, kMask40, 5);
     sender.load(payload);
@@ -63,7 +63,7 @@ TEST_F(Dw1000ReceiverTest, TheFrameCheckIsThatOfIeee802154) {
   EXPECT_EQ(receiver.read(0x11, 9, 2), 0x2189U);
 }
 
-// With equal, nominal clocks the stamp is the sender's plus a whole number of ticks of flight.
+// With equal, nominal clocks the receiver's timestamp is the sender's plus a whole number of ticks of flight.
 TEST_F(Dw1000ReceiverTest, StampsAreExactToTheTick) {
   bring_up();
   for (const int flight_ticks : {0, 1, 213, 2132, 21321}) {
@@ -74,7 +74,7 @@ TEST_F(Dw1000ReceiverTest, StampsAreExactToTheTick) {
     ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
     EXPECT_EQ(receiver.receive_stamp(), target + 16436 + static_cast<std::uint64_t>(flight_ticks));
     EXPECT_EQ(sender.transmit_stamp(), target + 16436);
-    // Raw: with the antenna delay still in it, on the coarse grid.
+    // The raw timestamp includes the antenna delay and is on the coarse grid.
     const std::uint64_t raw = receiver.read(0x15, 9, 5);
     EXPECT_EQ(raw % 512, 0U);
     EXPECT_LT(receiver.receive_stamp() + 16436 - raw, 512U);
@@ -104,7 +104,7 @@ TEST(Dw1000Stamps, FollowBothClocksOverTheWrap) {
     bench.space.set_default({.audible = true, .flight_m = flight_m});
     sender.bring_up();
     receiver.bring_up();
-    // Reset was at time 0 for both: the counters are the clocks from there on.
+    // Both were reset at time 0: from then on the counters equal the clocks.
     bool wrapped = false;
     for (int i = 0; i < 20; ++i) {
       receiver.receive_now();
@@ -116,8 +116,7 @@ TEST(Dw1000Stamps, FollowBothClocksOverTheWrap) {
       ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
       const std::uint64_t stamp = sender.transmit_stamp();
       ASSERT_EQ(stamp, (target + 16436) & kMask40);
-      // Exactly, in rational arithmetic: t = (stamp - first) / (1 + e1); received = first2 + (t + f) (1 +
-      // e2).
+      // In exact arithmetic: t = (stamp - first) / (1 + e1); received = first2 + (t + f) (1 + e2).
       const long double local = static_cast<long double>((stamp - fast.first_tick) & kMask40);
       const long double t_ticks = local / (1.0L + static_cast<long double>(ppm) * 1e-6L);
       const long double flight = static_cast<long double>(flight_m / 299'792'458.0 * 63.8976e9);
@@ -191,7 +190,7 @@ TEST_F(Dw1000ReceiverTest, TheFrameIsWhatTheBufferHoldsWhenItStarts) {
   sender.write_bytes(0x09, 1, {9});
   pass();
   EXPECT_EQ(receiver.read_bytes(0x11, 0, 3), (std::vector<std::uint8_t>{1, 9, 3}));
-  // And is taken from the offset in TX_FCTRL.
+  // It is taken from the offset in TX_FCTRL.
   receiver.receive_now();
   sender.write_bytes(0x09, 100, {7, 8, 9});
   sender.write(0x0F, 0, kMask40, 5);
@@ -266,7 +265,8 @@ TEST_F(Dw1000ReceiverTest, AFrameCutOffFailsItsCheck) {
 // ---- time-outs ------------------------------------------------------------------------------------
 
 struct Dw1000TimeoutTest : Dw1000ReceiverTest {
-  // The instant, to the microsecond, at which the receiver gives up with that event.
+  // Microseconds from `from` until the receiver ends with that event, in steps of 0.1 us; -1: not within 100
+  // ms.
   double ends_after_us(std::uint64_t event, SimTime from) {
     while (receiver.t < from + 100 * kMillisecond) {
       bench.run_until(receiver.t + kMicrosecond / 10);
@@ -295,7 +295,7 @@ TEST_F(Dw1000TimeoutTest, FrameWaitIsOffUnlessEnabled) {
 
 TEST_F(Dw1000TimeoutTest, FrameWaitEndsAReceptionInProgress) {
   bring_up();
-  // From 20 us before the preamble: less than the frame takes.
+  // The wait starts 20 us before the preamble and is shorter than the frame.
   receiver.limit_frame_wait(100);
   const std::uint64_t target = send();
   receiver.receive_at(target - static_cast<std::uint64_t>(preamble_ticks(128)) -
@@ -374,7 +374,7 @@ TEST_F(Dw1000TimeoutTest, WaitForResponseSwitchesOnAfterItsTime) {
   EXPECT_NE(sender.status() & status::kRxrfto, 0U);
 }
 
-// ---- what makes a stamp wrong or a radio deaf ------------------------------------------------------
+// ---- what makes a timestamp wrong or a receiver deaf ---------------------------------------------------
 
 TEST_F(Dw1000ReceiverTest, WithoutMicrocodeThereIsNoStamp) {
   sender.bring_up();
@@ -465,7 +465,7 @@ TEST_F(Dw1000ReceiverTest, EachPreambleCodeHasItsLeadingEdgeSetting) {
   }
 }
 
-// A node may be ahead of the one that sends: what it did meanwhile counts.
+// A receiving node may be ahead of the sender in simulated time: what it did until then counts.
 TEST_F(Dw1000ReceiverTest, AFrameAnnouncedLateIsHeardOnlyIfTheReceiverWasOnInTime) {
   bring_up();
   sender.load({1, 2, 3});
@@ -488,7 +488,7 @@ TEST_F(Dw1000ReceiverTest, AFrameAnnouncedTooLateIsCounted) {
   sender.load({1, 2, 3});
   receiver.receive_now();
   receiver.t += 40 * kMicrosecond;
-  receiver.off();  // it would have been amid the frame's preamble
+  receiver.off();  // it would have been within the frame's preamble
   sender.send_now();
   EXPECT_EQ(receiver.chip().late_announcements(), 1U);
 }
@@ -550,7 +550,7 @@ TEST_F(Dw1000ReceiverTest, EachPreambleLengthWorksWithItsOwnSettings) {
     HandDriven& b = pair.add({.id = 2});
     a.bring_up(preamble);
     b.bring_up(preamble);
-    // Wherever in a chunk of symbols the preamble begins.
+    // For each phase of the preamble within a chunk of symbols.
     for (int phase = 0; phase < 40; ++phase) {
       pair.run_until(a.t + phase * kMicrosecond / 2);
       b.receive_now();
@@ -592,7 +592,7 @@ TEST(Dw1000Diagnostics, TheManualsFormulasGiveBackThePowers) {
       const auto c = static_cast<double>(b.read(0x12, 6, 2));
       EXPECT_NEAR(10.0 * std::log10((f1 * f1 + f2 * f2 + f3 * f3) / (n * n)) - 121.74, power_dbm - 4.0, 0.1);
       EXPECT_NEAR(10.0 * std::log10(c * 131072.0 / (n * n)) - 121.74, power_dbm, 0.2);
-      // The peak comes after the first path, by more the more power is hidden.
+      // The peak follows the first path, the later the more power is outside it.
       const auto first = static_cast<double>(b.read(0x15, 5, 2)) / 64.0;
       const auto peak = static_cast<double>(b.read(0x2E, 0x1000, 2));
       EXPECT_NEAR(peak - first, 2.5, 0.6);
@@ -707,13 +707,13 @@ TEST_F(Dw1000CollisionTest, AFrameUnderWayHidesAWeakerOneFromALateReceiver) {
     second.load({2, 2, 2});
     first.send_at(target);
     second.send_at(target + 100 * kTicksPerMicrosecond);
-    receiver.receive_at(target - 50 * kTicksPerMicrosecond);  // amid the first one's preamble
+    receiver.receive_at(target - 50 * kTicksPerMicrosecond);  // within the first frame's preamble
     bench.run_until(receiver.t + 3 * kMillisecond);
     EXPECT_EQ((receiver.status() & status::kRxfcg) != 0, hears);
   }
 }
 
-// Who lost what to whom, by the first byte of each frame.
+// Records which frame was lost to which, by their first bytes.
 class OverlapList final : public Witness {
  public:
   void overlapped(const AirFrame& lost, const AirFrame& by, std::uint16_t receiver) override {
@@ -753,7 +753,7 @@ TEST_F(Dw1000CollisionTest, ASenderWithoutAChipIsHeardLikeAnyOther) {
   EXPECT_EQ(receiver.read(0x10, 0, 1), 5U);
   EXPECT_EQ(receiver.read_bytes(0x11, 0, 3), bytes);
   EXPECT_EQ(receiver.read(0x11, 3, 2), frame_check(bytes));
-  // Of the preamble's 128 symbols and the SFD's 8, and 3 m of flight; nominal clocks.
+  // After the preamble's 128 symbols, the SFD's 8 and 3 m of flight; nominal clocks.
   const std::int64_t rmarker = at / kUnitsPerTick + std::int64_t{136} * 508 * 128;
   const double flight_ticks = 3.0 / kMetresPerTick;
   EXPECT_NEAR(static_cast<double>(receiver.receive_stamp()),

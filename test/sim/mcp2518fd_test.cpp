@@ -37,7 +37,7 @@ Bytes framed(std::size_t size, std::uint64_t seed) {
   return out;
 }
 
-// What the host makes of the frames it hears.
+// Decodes the frames as the host does.
 struct Host {
   wire::FrameDecoder decoder;
   std::vector<Bytes> payloads;
@@ -124,9 +124,9 @@ TEST_P(McpTest, FillsTheBusWhenTheQueueIsFull) {
   }
   EXPECT_GT(refused, 100U);
   EXPECT_EQ(host.decoder.counters().bytes_discarded, 0U);
-  // Two transfers a frame, and few to look for room.
+  // Two transfers per frame, and a few to check for room.
   EXPECT_LT(module.spi.transfers - transfers, module.link.counters().frames_sent * 11 / 4);
-  // Frame follows frame: nothing is left idle between them but what a refused write leaves.
+  // Frames follow each other: the bus is idle only where a write was refused.
   EXPECT_GT(static_cast<double>(bus.counters().busy - busy), 0.97 * static_cast<double>(module.now - begin));
 }
 
@@ -140,7 +140,7 @@ TEST_P(McpTest, TakesWhatTheHostSendsToIt) {
     frame.id = wire::can_id({CanDirection::kToNode, 3});
     left = left.subspan(wire::cut_can_payload(left, GetParam(), frame));
     tap.send(module.now, frame);
-    // And to others, which must not come through.
+    // Frames to others, which must not come through.
     frame.id = wire::can_id({CanDirection::kToNode, 2});
     tap.send(module.now, frame);
     frame.id = wire::can_id({CanDirection::kToHost, 7});
@@ -166,7 +166,7 @@ TEST_P(McpTest, CountsWhatFoundTheReceiveFifoFullAndGoesOn) {
   start();
   wire::CanFrame frame = frame_of(wire::can_id({CanDirection::kToNode, 3}), 8, GetParam());
   for (int i = 0; i < 50; ++i) tap.send(module.now, frame);
-  module.now += 50 * kMs;  // the processor is away
+  module.now += 50 * kMs;  // the processor does not serve the chip
   module.run(module.now + 10 * kMs);
   EXPECT_EQ(module.link.counters().receive_overruns, 1U);
   EXPECT_EQ(module.link.counters().frames_received, GetParam() == CanFormat::kFd ? 8U : 32U);
@@ -212,7 +212,7 @@ TEST_P(McpTest, SurvivesBusOffAndComesBackByItself) {
   feed(300 * kMs);
   EXPECT_EQ(host.payloads.size(), before);
   EXPECT_GE(module.link.counters().bus_offs, 3U);
-  // Each try costs 32 failed frames; the waits between them double from 10 ms on.
+  // Each attempt costs 32 failed frames; the waits between them double from 10 ms on.
   EXPECT_LE(module.link.counters().bus_offs, 6U);
   feed(400 * kMs);
   const std::size_t after = host.payloads.size();
@@ -222,7 +222,7 @@ TEST_P(McpTest, SurvivesBusOffAndComesBackByItself) {
   EXPECT_EQ(module.chip.transmit_errors(), 0U);
   EXPECT_EQ(module.link.counters().errors.transmit, 0U);
   EXPECT_EQ(module.link.counters().restarts, 0U);
-  // Of what went wrong the host saw a torn frame at most for each time.
+  // For each bus-off the host sees at most one torn frame.
   const auto& seen = host.decoder.counters();
   EXPECT_LE(seen.crc_errors + seen.cobs_errors + seen.truncated, module.link.counters().bus_offs);
 }
@@ -241,7 +241,7 @@ TEST_P(McpTest, SurvivesAShortCircuit) {
   module.run(module.now + 10 * kMs);
   Host host;
   host.take(tap.take(module.now), 3);
-  // What was in the controller is lost, and nothing of it comes again.
+  // The controller's content is lost and is not sent later.
   wire::FrameDecoder decoder;
   for (const std::uint8_t byte : frame) (void)decoder.push(byte);
   EXPECT_EQ(host.payloads, std::vector<Bytes>({Bytes(decoder.payload().begin(), decoder.payload().end())}));
@@ -366,8 +366,7 @@ TEST(McpBringUp, WorksAtEachUsualBitRate) {
   }
 }
 
-// ---- the model's own strictness
-// --------------------------------------------------------------------------------
+// ---- the model's own strictness ---------------------------------------------------------------------------
 
 class McpChipTest : public ::testing::Test {
  protected:
@@ -509,7 +508,7 @@ TEST_F(McpChipTest, CountsTheEndOfEachFrameForItsRecovery) {
   bus.hold_dominant(now, quiet);
   chip.advance(quiet);
   ASSERT_TRUE(chip.bus_off());
-  // Others talk without a pause: each of their frames gives one sequence of 11 bits and no more.
+  // Others send without a pause: each of their frames gives one sequence of 11 bits and no more.
   CanTap talker(bus, {});
   for (int i = 0; i < 200; ++i) talker.send(quiet, frame_of(0x16000005, 8, CanFormat::kClassic));
   SimTime t = quiet;

@@ -1,6 +1,6 @@
-// Ten tags and 64 anchors in three halls in a row. Walls keep each hall's frames inside; one anchor of each
-// hangs above the walls and hears its neighbours: the middle one is the master, the others relay its beacon.
-// The halls' tags share their slots.
+// Ten tags and 64 anchors in three halls in a row. Walls keep each hall's frames inside. One anchor of each
+// hall is mounted above the walls and hears its neighbours: the middle one is the master, the others relay
+// its beacon. The halls' tags share their slots.
 #include <gtest/gtest.h>
 
 #include "host/provision/air_plan.hpp"
@@ -45,7 +45,7 @@ class Halls final : public FreeSpace {
 
 struct CellNodes {
   std::vector<std::uint16_t> tags;
-  std::vector<std::uint16_t> anchors;  // the first hangs above the walls
+  std::vector<std::uint16_t> anchors;  // the first is above the walls
 };
 
 TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
@@ -102,7 +102,7 @@ TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
   schedule.master_id = kMaster;
   schedule.backup_ids[schedule.backup_ids_count++] = cells[0].anchors[0];
   schedule.backup_ids[schedule.backup_ids_count++] = cells[2].anchors[0];
-  // Only the relays hear the master over the walls, and not each other.
+  // Only the relays hear the master over the walls, and they do not hear each other.
   ASSERT_FALSE(halls.between(kMaster, cells[0].tags[0], 0.0).audible);
   ASSERT_FALSE(halls.between(kMaster, cells[2].anchors[1], 0.0).audible);
   ASSERT_FALSE(halls.between(cells[0].anchors[0], cells[2].anchors[0], 0.0).audible);
@@ -164,7 +164,7 @@ TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
     EXPECT_GE(rate, 2000.0) << cell;
   }
   EXPECT_EQ(air.collisions - collisions_before, 0U);
-  EXPECT_LT(worst_m, 6.0 * 0.0225);  // sigma of a range by stamps of 0.1 ns is at most this
+  EXPECT_LT(worst_m, 6.0 * 0.0225);  // at most sigma of a range for timestamps of 0.1 ns
 }
 
 }  // namespace

@@ -172,7 +172,7 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
   int all_ranges = 0;
   for (std::size_t i = 0; i < count; ++i) {
     ASSERT_GT(ranges[i], 200);
-    // Chi-squared with so many degrees of freedom, 5 sigma either way.
+    // Chi-squared with ranges[i] degrees of freedom, within 5 sigma.
     EXPECT_NEAR(squares[i], ranges[i], 5.0 * std::sqrt(2.0 * ranges[i])) << "responder " << i;
     all += squares[i];
     all_ranges += ranges[i];

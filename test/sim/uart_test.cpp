@@ -21,7 +21,7 @@ TEST(UartLine, SpendsTenBitsAByte) {
   ASSERT_EQ(first.size(), 2U);
   EXPECT_EQ(first[1].t, start + 20 * kUnitsPerMicrosecond);
   EXPECT_EQ(first[1].value, 2);
-  // Written while the line is busy: it waits its turn.
+  // Written while the line is busy: it waits.
   ASSERT_TRUE(line.write(start + 25 * kUnitsPerMicrosecond, std::vector<std::uint8_t>{4}));
   const std::vector<TimedByte> rest = taken(line, start + kUnitsPerMillisecond);
   ASSERT_EQ(rest.size(), 2U);
@@ -34,7 +34,7 @@ TEST(UartLine, RefusesWhatDoesNotFitWhole) {
   EXPECT_FALSE(line.write(0, std::vector<std::uint8_t>(3, 2)));
   EXPECT_EQ(line.overflow_bytes(), 3U);
   EXPECT_EQ(line.overflow_writes(), 1U);
-  // One byte through makes room for one.
+  // One byte sent makes room for the refused write.
   EXPECT_TRUE(line.write(10 * kUnitsPerMicrosecond, std::vector<std::uint8_t>(3, 2)));
   EXPECT_FALSE(line.write(10 * kUnitsPerMicrosecond, std::vector<std::uint8_t>(1, 3)));
   EXPECT_EQ(taken(line, kUnitsPerSecond).size(), 11U);

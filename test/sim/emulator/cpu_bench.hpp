@@ -1,4 +1,4 @@
-// A processor with its memories on a bench: code by half-words, handlers, a bus of a few words.
+// A test bench of a processor with its memories: code by half-words, handlers, a bus of a few words.
 #pragma once
 
 #include <cstdint>
@@ -65,7 +65,7 @@ class CpuBench final : public Bus {
   }
   void handler(unsigned exception, std::uint32_t address) { put_word(4 * exception, address | 1); }
 
-  // The program from reset, for this long.
+  // Runs the program from reset for `duration`.
   void run(const Code& program, SimTime duration = kUnitsPerMillisecond) {
     put(kMain, program);
     cpu_.reset(0);
@@ -82,13 +82,13 @@ class CpuBench final : public Bus {
     return cpu_.get_register(static_cast<Register>(static_cast<unsigned>(Register::kR0) + number));
   }
   [[nodiscard]] std::uint32_t reg(Register which) { return cpu_.get_register(which); }
-  // Of the frame on top of the stack.
+  // Words of the frame on top of the stack.
   [[nodiscard]] std::uint32_t stacked(unsigned index) { return word(reg(Register::kSp) + 4 * index); }
   [[nodiscard]] std::uint32_t stacked_pc() { return stacked(6); }
   [[nodiscard]] std::uint32_t stacked_xpsr() { return stacked(7); }
   [[nodiscard]] std::uint32_t ipsr() { return reg(Register::kXpsr) & 0x1FF; }
 
-  // The bus: words that are kept, and what happens at a write.
+  // The bus: words that are kept, and callbacks for writes.
   std::map<std::uint32_t, std::uint32_t> registers;
   std::function<void(std::uint32_t address, std::uint32_t value)> on_write;
   std::function<bool(std::uint32_t address, std::uint32_t value)> on_flash_write;

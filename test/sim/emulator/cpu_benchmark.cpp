@@ -53,7 +53,7 @@ void BM_in_quanta_of_40_us(benchmark::State& state) {
 }
 BENCHMARK(BM_in_quanta_of_40_us);
 
-// From the call to the instruction behind it, by way of a handler that returns at once.
+// From the SVC to the next instruction, by way of a handler that returns at once.
 void BM_exceptions(benchmark::State& state) {
   CpuBench bench;
   bench.handler(CpuBench::kSvCall, 0x1800);

@@ -38,7 +38,7 @@ class CpuExceptions : public testing::Test {
     bench_.put(address, {static_cast<std::uint16_t>(0x2000 | letter)});
   }
 
-  // Interrupts 0 to 7 enabled, R6 = 0xE000E000, R7 the text; then the program.
+  // Runs the program with interrupts 0 to 7 enabled, R6 = 0xE000E000, and R7 at the text.
   void run(const CpuBench::Code& program) {
     bench_.put(kProgram, program);
     bench_.run({
@@ -102,7 +102,7 @@ TEST_F(CpuExceptions, StacksEightWordsAndReturns) {
   for (std::uint32_t i = 0; i < 6; ++i) EXPECT_EQ(bench_.word(stack - 0x20 + 4 * i), expected[i]) << i;
   EXPECT_EQ(bench_.word(stack - 8), kProgram + 34);
   EXPECT_EQ(bench_.word(stack - 4), 1U << 31 | 1U << 24);  // N, T
-  // All back.
+  // All registers are restored.
   EXPECT_EQ(bench_.reg(Register::kSp), stack);
   for (unsigned i = 0; i < 4; ++i) EXPECT_EQ(bench_.r(i), 10 + i);
   EXPECT_EQ(bench_.r(12), 14U);
@@ -128,7 +128,7 @@ TEST_F(CpuExceptions, AlignsTheStackAndPutsItBack) {
   EXPECT_EQ(bench_.r(8), CpuBench::kStack - 8 - 0x20);
   EXPECT_EQ(bench_.r(9) & 1U << 9, 1U << 9);
 
-  // B1.5.7: not with STKALIGN off.
+  // B1.5.7: no alignment with STKALIGN off.
   run({
       0x2500,          // movs r5, #0
       0xF8C6, 0x5D14,  // str.w r5, [r6, #0xD14]
@@ -252,7 +252,7 @@ TEST_F(CpuExceptions, LowerNumberComesFirstAtEqualPriority) {
 }
 
 TEST_F(CpuExceptions, PreemptsALowerHandler) {
-  // Interrupt 0 (priority 0x80) pends 1 (0x40) and 2 (0x80) in the midst of its work.
+  // Interrupt 0 (priority 0x80) pends 1 (0x40) and 2 (0x80) while it runs.
   bench_.put(0x1800, {
                          0x2061,          // movs r0, #97
                          0xF807, 0x0B01,  // strb.w r0, [r7], #1
@@ -277,7 +277,7 @@ TEST_F(CpuExceptions, PreemptsALowerHandler) {
   EXPECT_EQ(text(), "abAc.");
 }
 
-// B1.5.4: with PRIGROUP 6 only bit 7 preempts; the rest orders what waits.
+// B1.5.4: with PRIGROUP 6 only bit 7 preempts; the rest orders pending interrupts.
 TEST_F(CpuExceptions, SubpriorityDoesNotPreempt) {
   bench_.put(0x1800, {
                          0x2061,          // movs r0, #97
@@ -427,7 +427,8 @@ TEST_F(CpuExceptions, UnprivilegedThreadCallsTheSupervisorAndStaysUnprivileged) 
   EXPECT_EQ(bench_.r(4), 3U);
   EXPECT_EQ(bench_.r(5), 0x20000800U);
   EXPECT_EQ(bench_.r(3), 0U);
-  // The mask that the handler left holds although the thread cannot see it; its CPSID did nothing.
+  // The mask that the handler left stays in force although the thread cannot read it; the thread's CPSID had
+  // no effect.
   bench_.cpu().set_irq(3, true);
   bench_.cpu().set_irq(3, false);
   bench_.go_on(kUnitsPerMillisecond);
@@ -488,7 +489,7 @@ TEST_F(CpuExceptions, TailChainsWithoutUnstacking) {
                                    0xDF00,          // svc #0
                                    0xBF30,          // wfi
                                });
-    // PendSV is pended under the mask, and taken after it; or not at all.
+    // PendSV is pended while it is masked, and taken afterwards; or not at all.
     bench.cpu().reset(0);
     if (second) {
       bench.put(0x1800, {
@@ -513,7 +514,7 @@ TEST_F(CpuExceptions, ALineThatStaysHighPendsAgain) {
   EXPECT_GT(often, 50U);
   bench_.cpu().set_irq(2, false);
   bench_.go_on(100 * kUnitsPerMicrosecond);
-  // What was pending when it fell is taken once more.
+  // An interrupt that was pending when the line fell is taken once more.
   EXPECT_LE(text().size(), often + 2);
 }
 

@@ -1,4 +1,4 @@
-// Faults as the firmware's handlers see them: which one, with which status, and whose address is stacked.
+// Faults as the firmware's handlers see them: which fault, with which status and which stacked address.
 #include <gtest/gtest.h>
 
 #include <string>
@@ -9,7 +9,7 @@
 namespace groma::sim {
 namespace {
 
-// Of CFSR.
+// Bits of CFSR.
 constexpr std::uint32_t kIaccviol = 1U << 0;
 constexpr std::uint32_t kIbuserr = 1U << 8;
 constexpr std::uint32_t kPreciserr = 1U << 9;
@@ -21,14 +21,15 @@ constexpr std::uint32_t kInvstate = 1U << 17;
 constexpr std::uint32_t kInvpc = 1U << 18;
 constexpr std::uint32_t kNocp = 1U << 19;
 constexpr std::uint32_t kDivbyzero = 1U << 25;
-// Of HFSR.
+// Bits of HFSR.
 constexpr std::uint32_t kVecttbl = 1U << 1;
 constexpr std::uint32_t kForced = 1U << 30;
 constexpr std::uint32_t kDebugevt = 1U << 31;
 
 class CpuFaults : public testing::Test {
  protected:
-  // Enables MemManage, BusFault and UsageFault, and the FPU; then R1 = 0x30000000, where nothing is.
+  // Enables MemManage, BusFault and UsageFault, and the FPU; sets R1 = 0x30000000, where nothing is; then
+  // runs the program.
   void with_faults_enabled(const CpuBench::Code& program) {
     bench_.put(kProgram, program);
     bench_.run({
@@ -79,7 +80,7 @@ struct Form {
   const char* name;
   std::vector<std::uint16_t> code;
   std::uint32_t offset;   // of the instruction that faults
-  std::uint32_t address;  // that it touches first outside
+  std::uint32_t address;  // of its first access outside
 };
 
 class CpuFaultForms : public CpuFaults, public testing::WithParamInterface<Form> {};
@@ -314,7 +315,7 @@ TEST_F(CpuFaults, ReturnsBehindTheInstructionThatItsHandlerSkips) {
       0xE7FE,  // b .
   });
   EXPECT_EQ(bench_.ipsr(), 0U);
-  // The IT block went on where it was: MOVNE met the skipped load's "eq", ADDS its own "ne".
+  // The IT block continues where it was: MOVNE runs under the skipped load's "eq", ADDS under MOVNE's "ne".
   EXPECT_EQ(bench_.r(2), 22U);
   EXPECT_EQ(bench_.cpu().pc(), kProgram + 16);
 }
@@ -402,7 +403,7 @@ TEST_F(CpuFaults, StackOverflowIsABusFaultThatCouldNotStackItsFrame) {
   EXPECT_EQ(bench_.r(8), kPreciserr | kBfarvalid | kStkerr);
   EXPECT_EQ(bench_.r(10), CpuBench::kRam - 8);
   EXPECT_EQ(bench_.reg(CpuBench::Register::kSp), CpuBench::kRam + 8 - 0x20);
-  // What of the frame lies in the RAM is there: PC and xPSR.
+  // The part of the frame that lies in the RAM is stored: PC and xPSR.
   EXPECT_EQ(bench_.word(CpuBench::kRam), kProgram + 10);
 }
 
@@ -595,7 +596,7 @@ TEST_F(CpuFaults, ReturnToNoException) {
       0xDF00,  // svc #0
       0xE7FE,  // b .
   });
-  // 0xFFFFFFF1 is for a handler under this one; there is none.
+  // 0xFFFFFFF1 returns to a preempted handler; there is none.
   EXPECT_EQ(bench_.ipsr(), CpuBench::kUsageFault);
   EXPECT_EQ(bench_.r(8), kInvpc);
   EXPECT_EQ(bench_.reg(CpuBench::Register::kLr), 0xFFFFFFF1U);
@@ -626,7 +627,7 @@ TEST_F(CpuFaults, VectorTableOutsideTheMemory) {
       0xDF00,          // svc #0
       0xE7FE,          // b .
   });
-  // The HardFault's own vector is not there either (B1.5.15).
+  // The HardFault's own vector is outside too (B1.5.15).
   EXPECT_TRUE(bench_.cpu().lockup());
 }
 

@@ -1,4 +1,4 @@
-// Time, sleep, and that the result does not depend on how a run is cut.
+// Time and sleep, and that the result does not depend on how a run is divided.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -217,13 +217,13 @@ TEST_F(CpuSleep, WaitsForAnEvent) {
   EXPECT_FALSE(bench_.cpu().sleeping());
   bench_.go_on(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(5), 2U);
-  // An interrupt wakes too, and its entry and return leave an event behind.
+  // An interrupt also wakes it, and its entry and return set an event.
   interrupt();
   EXPECT_EQ(bench_.r(5), 3U);
 }
 
 TEST_F(CpuSleep, AReturnFromAnExceptionIsAnEvent) {
-  // The handler uses up the one that its entry was.
+  // The handler consumes the event that its entry set.
   bench_.handler(CpuBench::kSvCall, 0x1900);
   bench_.put(0x1900, {
                          0xBF20,  // wfe

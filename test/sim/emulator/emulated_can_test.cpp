@@ -73,7 +73,7 @@ class CanSite {
     }
   }
 
-  // The ranges' largest error, of those that are good.
+  // The largest error of the good ranges.
   double worst_error_m() const {
     double worst_m = 0.0;
     for (const Listener& listener : listeners) {
@@ -163,14 +163,13 @@ TEST_P(EmulatedCan, ThreeTagsStreamTheirRangesAndLoseNone) {
     EXPECT_GT(listener.counters.can_frames_sent, 100U);
     EXPECT_EQ(listener.counters.late_transmits, 0U);
     EXPECT_EQ(listener.counters.radio_recoveries, 0U);
-    // Nothing for the UART.
+    // Nothing goes to the UART.
     EXPECT_TRUE(can.site->listeners[i].reports.empty());
     EXPECT_TRUE(can.site->listeners[i].hellos.empty());
   }
 }
 
-// Each exchange of one tag, as fast as the schedule lets it: a bus carries what `groma plan` foretells for
-// it.
+// One tag ranges as fast as the schedule allows: a bus carries the rate that `groma plan` predicts for it.
 TEST_P(EmulatedCan, ATagAloneGetsAllItsReportsOntoTheBus) {
   SiteSettings settings{.tags = 1,
                         .anchors = 4,

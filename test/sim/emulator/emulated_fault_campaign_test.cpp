@@ -1,4 +1,4 @@
-// A site of shipped images that loses frames, anchors, masters and power, and what comes of its ranges.
+// A site of shipped images under loss of frames, anchors, masters and power, and the effect on its ranges.
 #include <gtest/gtest.h>
 
 #include "test/sim/emulator/emulated_site.hpp"
@@ -10,7 +10,7 @@ namespace {
 constexpr int kTags = 3;
 constexpr int kAnchors = 6;
 
-// At the shortest gap that the image keeps, with a slot for one that joins.
+// With the shortest gap that the image meets, and a slot for a joining tag.
 FaultSiteSettings site_of_images(std::uint64_t seed, groma_RangingMethod method) {
   return emulating(FaultSiteSettings{.tags = kTags,
                                      .anchors = kAnchors,
@@ -54,7 +54,7 @@ TEST_P(EmulatedFaultCampaign, EachFaultCostsNoMoreThanItMustAndNoRangeIsEverWron
   campaign.run(phases(site, method));
   expect_no_harm(site, campaign);
   EXPECT_GT(campaign.good(), 10'000U);
-  EXPECT_GT(campaign.worst_sigmas(), 3.0);  // as noisy as it should be
+  EXPECT_GT(campaign.worst_sigmas(), 3.0);  // the noise has its size
   const std::vector<std::uint16_t> never_off{1, 3, 102, 103, 104};
   expect_counters_account(site, never_off);
   for (const std::uint16_t id : never_off) {

@@ -1,4 +1,4 @@
-// The shipped image in a keyed network: its ECB makes and checks the same codes as the native nodes'
+// The shipped image in a keyed network: its ECB computes and verifies the same MICs as the native nodes'
 // software.
 #include <gtest/gtest.h>
 
@@ -26,7 +26,7 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
                         .turn_round_us = 300,
                         .response_gap_us = 100};
   settings.network_key = kKey;
-  // The tag and the second anchor; the master is native.
+  // The tag and the second anchor are emulated; the master is native.
   SiteBench site(emulating(settings, {}, [](std::uint16_t id) { return id != nth_anchor(0); }));
   site.run_until(2.2);
   const double rate = 2.0 / seconds_of(site.superframe());
@@ -46,7 +46,7 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
   EXPECT_GT(emulated(site, 2).soc().ecb().blocks(), 1'000U);
 }
 
-// Hears tag 1's POLLs and what answers them.
+// Records tag 1's POLLs and counts the RESPONSEs to them.
 class Ear final : public Witness {
  public:
   explicit Ear(Medium& medium) { medium.set_witness(this); }
@@ -67,9 +67,9 @@ class Ear final : public Witness {
   std::vector<std::uint8_t> poll_bytes;
 };
 
-// The tag is off the air, and somebody without the key polls in its place: says its last POLL again, or one
-// of now with the last one's code, or with a code by another key. Another tag goes on, so that the anchors
-// have no cause to look for other networks meanwhile.
+// The tag is off, and an attacker without the key polls in its place. It replays the tag's last POLL, or
+// sends a current one with the last one's MIC or with a MIC by another key. Another tag keeps ranging, so
+// that the anchors do not search for other networks.
 TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   constexpr std::uint16_t kAttacker = 900;

@@ -86,7 +86,7 @@ TEST_F(ShippedImage, AnswersItsHost) {
   EXPECT_EQ(site.node().soc().uarte().lost_bytes(), 0U);
 }
 
-// As large as it can be, and its ids in no order, or of a usual site.
+// The largest configuration, with its ids in no order, or that of a usual site.
 groma_Config anchors_config(bool large) {
   groma_Config config = groma_Config_init_zero;
   config.role = groma_Role_ROLE_ANCHOR;
@@ -156,8 +156,8 @@ TEST_F(ShippedImage, CountsWhatCameFasterThanItCouldAnswer) {
   const std::size_t each = sent_bytes / kCommands;
   EXPECT_GT(answered, kCommands / 10);
   EXPECT_LT(answered, kCommands);
-  // What was lost last may have held a frame's end, and what was left of that frame would be the next one's
-  // beginning.
+  // The last lost bytes may have held a frame's end; the rest of that frame would then be taken for the start
+  // of the next one.
   ASSERT_TRUE(site.network.send(0, std::vector<std::uint8_t>{0}));
   site.send(1, groma_HostToNode_get_counters_tag);
   site.run_until(1.6);
@@ -165,13 +165,13 @@ TEST_F(ShippedImage, CountsWhatCameFasterThanItCouldAnswer) {
   const groma_Counters& counters = site.listener.counters;
   std::cout << answered << " of " << kCommands << " answered, " << counters.link_bytes_lost << " of "
             << sent_bytes << " bytes lost, " << counters.link_frames_bad << " frames bad\n";
-  // What is not answered was lost whole, or came torn at the edge of what was lost, a chunk of 64 bytes.
+  // An unanswered command was lost whole, or torn at the edge of a lost chunk of 64 bytes.
   EXPECT_GT(counters.link_frames_bad, 0U);
   EXPECT_GE(answered * each + counters.link_bytes_lost + (64 + 2 * each) * counters.link_frames_bad,
             sent_bytes);
   EXPECT_LE(answered * each + counters.link_bytes_lost, sent_bytes + each);
 
-  // One at a time, nothing is.
+  // One at a time, nothing is lost.
   const std::uint32_t lost = counters.link_bytes_lost;
   double t_s = 1.6;
   for (std::uint32_t i = 0; i < 20; ++i) {
@@ -344,7 +344,7 @@ TEST_F(ShippedImage, RunsAheadByNoMoreThanTheHostsDelay) {
 TEST_F(ShippedImage, TellsTheProgramCounterOfABadAddress) {
   LoneNode site;
   site.run_until(1.5);
-  // Code that is not there.
+  // An address without code.
   site.node().cpu().set_register(Register::kPc, 0x00300000);
   site.run_until(3.0);
   ASSERT_EQ(site.listener.hellos.size(), 2U);
@@ -353,7 +353,7 @@ TEST_F(ShippedImage, TellsTheProgramCounterOfABadAddress) {
   ASSERT_TRUE(hello.has_last_fault);
   EXPECT_EQ(hello.last_fault.pc, 0x00300000U);
   EXPECT_NE(hello.last_fault.cfsr, 0U);
-  // And is well again.
+  // The node works again.
   EXPECT_STREQ(hello.radio_error, "");
   site.send(1, groma_HostToNode_get_hello_tag);
   site.run_until(3.5);
@@ -374,7 +374,7 @@ TEST_F(ShippedImage, TellsOfAStackThatOverflowed) {
 TEST_F(ShippedImage, IsBittenByTheWatchdogWhenItIsStuck) {
   LoneNode site;
   site.run_until(1.5);
-  // A loop without end, where the image leaves flash blank: 200 times nothing, and back.
+  // An endless loop where the image leaves flash blank: 200 NOPs and a branch back.
   constexpr std::uint32_t kLoop = 0x60000;
   constexpr std::uint32_t kLoopEnd = kLoop + 400;
   EmulatedNode& node = site.node();
@@ -386,7 +386,7 @@ TEST_F(ShippedImage, IsBittenByTheWatchdogWhenItIsStuck) {
   node.flash()[kLoopEnd + 1] = 0xE7;
   node.cpu().flash_changed(kLoop, kLoopEnd + 2 - kLoop);
   node.cpu().set_register(Register::kPc, kLoop);
-  // It slept with its interrupts held back.
+  // It slept with its interrupts masked.
   node.cpu().set_register(Register::kPrimask, 0);
   site.run_until(4.0);
   EXPECT_EQ(site.listener.hellos.size(), 1U);

@@ -1,5 +1,5 @@
-// The shipped image relays the beacon, whatever the gap: with few slots to tell of also where each
-// instruction costs 1.5 times as much.
+// The shipped image relays the beacon at any gap; with a single slot in its table also if each instruction
+// costs 1.5 times as much.
 #include <gtest/gtest.h>
 
 #include <vector>

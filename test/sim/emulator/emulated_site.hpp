@@ -1,4 +1,4 @@
-// A site's bench (site_bench.hpp) whose nodes, or some of them, run the shipped image.
+// A SiteBench (site_bench.hpp) of which all or some nodes run the shipped image.
 #pragma once
 
 #include <functional>
@@ -17,7 +17,7 @@ inline const FirmwareImage& shipped() {
   return image;
 }
 
-// Runs those nodes emulated that `which` picks by id, all others native.
+// Emulates the nodes whose id `which` selects; all others are native.
 template <class Settings = SiteSettings>
 Settings emulating(
     Settings settings, const EmulatorOptions& options = {},

@@ -1,4 +1,4 @@
-// How much faster than real time 15 nodes run as the shipped image, and what they spend it on.
+// How much faster than real time 15 nodes run the shipped image, and how it loads processor and SPI.
 #include <benchmark/benchmark.h>
 
 #include <filesystem>

@@ -1,4 +1,4 @@
-// The site whose rate is promised: 3 tags, 12 anchors, preamble 128; and others at the same pauses.
+// The site whose rate is specified: 3 tags, 12 anchors, preamble 128; and others with the same gaps.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -8,7 +8,7 @@
 
 namespace groma::sim {
 
-// With back-ups of the master, 101 being that, from 102 on.
+// Anchor 101 is the master; its back-ups are the anchors from 102 on.
 inline SiteSettings fast_site(int tags = 3, int anchors = 12,
                               groma_Preamble preamble = groma_Preamble_PREAMBLE_128, int backups = 2) {
   SiteSettings settings;
@@ -27,7 +27,7 @@ inline SiteSettings fast_site(int tags = 3, int anchors = 12,
   return settings;
 }
 
-// Without back-ups, with which a keyed site's nodes take longer to come in than is measured here.
+// Without back-ups: with them a keyed site's nodes join later than the measurement begins.
 inline SiteSettings fast_keyed_site() {
   SiteSettings settings = fast_site(3, 12, groma_Preamble_PREAMBLE_128, 0);
   settings.response_gap_us = 155;

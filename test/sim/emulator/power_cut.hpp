@@ -1,5 +1,5 @@
-// Power goes while a configuration that came over the UART is written to flash: whatever the instant, the
-// node comes back with the old one or the new one, whole.
+// The power fails while a configuration received over the UART is written to flash. At any instant the node
+// comes back with the whole old or the whole new configuration.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -21,7 +21,7 @@ inline constexpr double kBooted_s = 0.4;
 struct CutPlan {
   bool page_full = false;  // so that the new configuration goes to the other page
   int anchors = 3;         // in the configuration
-  std::vector<double> after_us = {0.0, 12.0, 25.0, 45.0, 40'000.0};  // of each operation's begin
+  std::vector<double> after_us = {0.0, 12.0, 25.0, 45.0, 40'000.0};  // after each operation's start
 };
 
 inline groma_Config config_with(std::uint32_t antenna_delay, int anchors) {
@@ -36,7 +36,7 @@ inline std::vector<std::uint8_t> blob_of(const groma_Config& config) {
   return {blob.begin(), blob.begin() + static_cast<std::ptrdiff_t>(size)};
 }
 
-// The storage's pages of a node's flash.
+// The storage pages in a node's flash.
 struct Pages {
   std::span<std::uint8_t> bytes;
   std::uint64_t erases = 0;
@@ -58,7 +58,7 @@ struct Pages {
   }
 };
 
-// A tag with the old configuration, that looks for a network and is told of the new one.
+// A tag with the old configuration that searches for a network and has received the new configuration.
 struct ToldNode {
   explicit ToldNode(const CutPlan& plan) : anchors(plan.anchors) {
     const groma_Config old_config = config_with(kOldDelay, anchors);
@@ -73,7 +73,7 @@ struct ToldNode {
     Pages pages{owned->flash().subspan(kFlashBytes - storage::kPages * storage::kPageBytes)};
     storage::ConfigStore store(pages);
     EXPECT_TRUE(store.store(blob_of(old_config)));
-    // As often as leaves room for the boot's count, but not for another configuration.
+    // Fills the page until it has room for the boot's count, but not for another configuration.
     for (std::uint32_t i = 0; plan.page_full; ++i) {
       std::vector<std::uint8_t> copy(pages.bytes.begin(), pages.bytes.end());
       Pages trial{copy};
@@ -94,18 +94,18 @@ struct ToldNode {
     EXPECT_TRUE(network.send(0, frame_of(command)));
   }
 
-  // Operations of the flash since the command.
+  // Flash operations since the command.
   [[nodiscard]] std::uint64_t operations() const {
     return node->soc().nvmc().operations() - operations_of_boot;
   }
 
-  // Until that many operations of the flash have begun.
+  // Runs until that many flash operations have begun.
   void run_to_operation(std::uint64_t number) {
     while (operations() < number && to_seconds(network.now()) < kBooted_s + 1.0)
       network.run_until(network.now() + 10 * kUnitsPerMicrosecond);
   }
 
-  // Of the configuration that the node has after a power cut now; 0: none.
+  // The antenna delay in the node's configuration after a power cut now; 0: no configuration.
   std::uint32_t delay_after_power_cut() {
     network.set_power(0, false);
     network.run_until(network.now() + from_seconds(0.1));
@@ -135,7 +135,7 @@ struct ToldNode {
   std::uint64_t operations_of_boot = 0;
 };
 
-// In each operation of the flash that the change takes.
+// Cuts the power in each flash operation of the change of configuration.
 inline void cut_power_everywhere(const CutPlan& plan) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   ToldNode whole(plan);
@@ -164,7 +164,7 @@ inline void cut_power_everywhere(const CutPlan& plan) {
       ++cuts;
       EXPECT_TRUE(delay == old_delay || delay == kNewDelay)
           << "operation " << operation << " after " << after_us << " us: " << delay;
-      // No way back.
+      // Once the new one is in force it stays.
       if (delay == kNewDelay) new_one_in_force = true;
       EXPECT_TRUE(!new_one_in_force || delay == kNewDelay) << "operation " << operation;
       seen.insert(delay);

@@ -1,4 +1,4 @@
-// The longest configuration, many instants of each operation of the flash.
+// Power cuts with the longest configuration, at many instants of each flash operation.
 #include "test/sim/emulator/power_cut.hpp"
 
 namespace groma::sim {

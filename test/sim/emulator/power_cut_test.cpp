@@ -1,4 +1,4 @@
-// A few instants of each operation of the flash; the campaign (power_cut_campaign.cpp) has more.
+// Power cuts at a few instants of each flash operation; the campaign (power_cut_campaign.cpp) has more.
 #include "test/sim/emulator/power_cut.hpp"
 
 namespace groma::sim {

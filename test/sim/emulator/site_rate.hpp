@@ -1,4 +1,4 @@
-// How many ranges a site makes each second, and how many it could.
+// How many ranges a site completes per second, and the bounds of that.
 #pragma once
 
 #include <algorithm>
@@ -12,15 +12,15 @@ namespace groma::sim {
 
 struct SiteRate {
   double ranges_per_s = 0.0;    // good ones, on the host
-  double schedule_per_s = 0.0;  // one from each window
-  double bound_per_s = 0.0;  // the same without gaps, turn-rounds, guards and the shared slot: air time alone
+  double schedule_per_s = 0.0;  // one from each window of the schedule
+  double bound_per_s = 0.0;  // no gaps, turnarounds, guards, shared slot: air time only
   int late_transmits = 0;
   int late_receives = 0;
   int reports_lost = 0;
   int recoveries = 0;
 };
 
-// Of one superframe with nothing in its shared slot, in seconds.
+// The air time of one superframe with an empty shared slot, in seconds.
 inline double air_time_s(const mac::Superframe& superframe, std::size_t tags, std::size_t anchors) {
   const dw1000::Phy phy = superframe.phy();
   const auto air_s = [&](std::size_t bytes) {
@@ -33,8 +33,8 @@ inline double air_time_s(const mac::Superframe& superframe, std::size_t tags, st
   return air_s(mac::beacon_bytes(tags, false)) + static_cast<double>(tags) * slot_s;
 }
 
-// Runs the site for `settle_s` and then as many whole superframes as `seconds` begin, and as long as it takes
-// to hear of the nodes' counters.
+// Runs the site for `settle_s`, then for `seconds` rounded up to whole superframes, then until the nodes have
+// reported their counters.
 inline SiteRate measure_rate(const SiteSettings& settings, double seconds, double settle_s = 1.0,
                              unsigned threads = 1) {
   SiteBench site(settings);

@@ -16,7 +16,7 @@ TEST(SiteRate, NothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
   expect_fast(measure_rate(emulating(fast_site(), slow_processor()), 0.5));
 }
 
-// By the schedule 2255. A quarter of a second may miss a superframe at either end.
+// The schedule gives 2255. A quarter of a second may miss a superframe at either end.
 TEST(KeyedSiteRate, ThreeTagsAndTwelveAnchorsMake2100RangesASecond) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   expect_fast(measure_rate(emulating(fast_keyed_site()), 0.25), 2'100.0);
@@ -27,7 +27,7 @@ TEST(KeyedSiteRate, NothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
   expect_fast(measure_rate(emulating(fast_keyed_site(), slow_processor()), 0.25), 2'100.0);
 }
 
-// Else nothing above would show it.
+// The tests above can detect late transmits only if a slow processor causes them.
 TEST(KeyedSiteRate, MuchIsLateWhereEachInstructionCosts5TimesAsMuch) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   EmulatorOptions slow;

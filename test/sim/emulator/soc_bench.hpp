@@ -1,4 +1,4 @@
-// The chip's peripherals with a bus master of the test's own in the processor's place.
+// The chip's peripherals with a scripted bus master in the processor's place.
 #pragma once
 
 #include <array>
@@ -29,7 +29,7 @@ class ScriptedProcessor final : public Processor {
   std::array<bool, 48> lines{};
 };
 
-// An echo: sends back the bytes of the transfer before, first 0x80, 0x81, ...
+// Answers each transfer with 0x80, 0x81, ... and keeps the bytes that it received.
 class EchoDevice final : public SpiDevice {
  public:
   void transfer(SimTime end, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
@@ -65,13 +65,13 @@ struct SocBench {
     if (!soc.read(address, 4, value)) throw std::runtime_error("bus fault at " + hexadecimal(address));
     return value;
   }
-  // Time passes.
+  // Lets time pass.
   void run_us(double t_us) { run_until(processor.t + from_seconds(t_us * 1e-6)); }
   void run_until(SimTime t) {
     processor.t = t;
     soc.advance(t);
   }
-  // What a call complains of; empty: nothing.
+  // The simulation error that a call raises; empty: none.
   template <class F>
   static std::string complaint(F&& f) {
     try {
@@ -107,7 +107,7 @@ struct SocBench {
                 .from_host = from_host}};
 };
 
-// Registers by their full addresses, as the product specification has them.
+// Base addresses of the peripherals, as in the product specification.
 namespace reg {
 inline constexpr std::uint32_t kPower = 0x40000000;
 inline constexpr std::uint32_t kUarte = 0x40002000;

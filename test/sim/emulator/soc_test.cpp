@@ -105,7 +105,7 @@ TEST(Gpio, DrivesItsPinsAndReadsThem) {
   EXPECT_EQ(bench.read(reg::kP0 + 0x514), 1U << 14);
   bench.write(reg::kP0 + 0x51C, 1U << 14);
   EXPECT_FALSE(bench.soc.lit(0));
-  // An input that nothing drives: by its pull; with its buffer off: 0.
+  // An undriven input reads its pull; with its buffer off it reads 0.
   bench.write(reg::kP0 + 0x700 + 4 * 2, 0xC);
   EXPECT_EQ(bench.read(reg::kP0 + 0x510), 1U << 2);
   bench.write(reg::kP0 + 0x700 + 4 * 2, 0xE);
@@ -185,7 +185,7 @@ TEST(Timer, CountsMicrosecondsAndTellsOfAMatch) {
   EXPECT_EQ(bench.read(reg::kTimer + 0x140), 1U);
   bench.write(reg::kTimer + 0x140, 0);
   EXPECT_FALSE(bench.irq(8));
-  // What is past, and what is now, comes only after the counter has gone round.
+  // A compare value that is past or current matches only after the counter has wrapped.
   bench.write(reg::kTimer + 0x540, 1000);
   bench.run_us(2e6);
   EXPECT_FALSE(bench.irq(8));
@@ -446,7 +446,7 @@ struct UarteBench : SocBench {
     to_host.take(processor.t, bytes);
     return bytes;
   }
-  // From the host, and through by then.
+  // Sends bytes from the host and waits until they have arrived.
   void host_sends(const std::vector<std::uint8_t>& bytes) {
     ASSERT_TRUE(from_host.write(processor.t, bytes));
     run_us(static_cast<double>(bytes.size()) * 10 + 50);
@@ -513,7 +513,7 @@ TEST(Uarte, ReceivesIntoItsBufferByteByByte) {
   bench.host_sends({3});
   EXPECT_TRUE(bench.irq(2));
   EXPECT_EQ(bench.read(reg::kUarte + 0x53C), 3U);
-  // Four more wait in the FIFO, a fifth is lost.
+  // Four more wait in the FIFO; a fifth is lost.
   bench.host_sends({4, 5, 6, 7});
   EXPECT_EQ(bench.read(reg::kUarte + 0x124), 0U);
   bench.host_sends({8});
@@ -541,7 +541,7 @@ TEST(Uarte, StopsReceivingAndFlushesWhatCameLate) {
   UarteBench bench;
   bench.receive_to(0x20000200, 10);
   bench.host_sends({1, 2, 3});
-  // Two bytes are on their way.
+  // Two bytes are on the line.
   ASSERT_TRUE(bench.from_host.write(bench.processor.t - 45 * kMicrosecond, std::vector<std::uint8_t>{9, 8}));
   bench.write(reg::kUarte + 0x004, 1);
   EXPECT_EQ(bench.read(reg::kUarte + 0x110), 1U);
