@@ -77,7 +77,7 @@ TEST_P(FaultCampaignTest, EachFaultCostsNoMoreThanItMustAndNoRangeIsEverWrong) {
   campaign.run(phases(site, method));
   expect_no_harm(site, campaign);
   EXPECT_GT(campaign.good(), 20'000U);
-  // The noise has its size: the worst of so many ranges is beyond 3.5 sigma.
+  // The ranges are as noisy as expected: the worst of so many exceeds 3.5 sigma.
   EXPECT_GT(campaign.worst_sigmas(), 3.5);
   expect_counters_account(site, {1, 3, 102, 103, 104, 109});
   for (const std::uint16_t id : std::vector<std::uint16_t>{1, 3, 102, 103})

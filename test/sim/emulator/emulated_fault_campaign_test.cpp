@@ -54,7 +54,7 @@ TEST_P(EmulatedFaultCampaign, EachFaultCostsNoMoreThanItMustAndNoRangeIsEverWron
   campaign.run(phases(site, method));
   expect_no_harm(site, campaign);
   EXPECT_GT(campaign.good(), 10'000U);
-  EXPECT_GT(campaign.worst_sigmas(), 3.0);  // the noise has its size
+  EXPECT_GT(campaign.worst_sigmas(), 3.0);  // as noisy as expected
   const std::vector<std::uint16_t> never_off{1, 3, 102, 103, 104};
   expect_counters_account(site, never_off);
   for (const std::uint16_t id : never_off) {
