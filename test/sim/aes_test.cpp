@@ -26,22 +26,22 @@ security::Block openssl_block(const security::Key& key, const security::Block& c
   return out;
 }
 
-security::Code openssl_code(const security::Key& key, const security::Nonce& nonce,
+security::Code openssl_mic(const security::Key& key, const security::Nonce& nonce,
                             const std::vector<std::uint8_t>& bytes) {
   const Context context(EVP_CIPHER_CTX_new(), &EVP_CIPHER_CTX_free);
   EVP_CIPHER_CTX* const c = context.get();
-  security::Code code{};
+  security::Code mic{};
   int size = 0;
   std::uint8_t nothing = 0;
   EXPECT_EQ(EVP_EncryptInit_ex(c, EVP_aes_128_ccm(), nullptr, nullptr, nullptr), 1);
   EXPECT_EQ(EVP_CIPHER_CTX_ctrl(c, EVP_CTRL_AEAD_SET_IVLEN, static_cast<int>(nonce.size()), nullptr), 1);
-  EXPECT_EQ(EVP_CIPHER_CTX_ctrl(c, EVP_CTRL_AEAD_SET_TAG, static_cast<int>(code.size()), nullptr), 1);
+  EXPECT_EQ(EVP_CIPHER_CTX_ctrl(c, EVP_CTRL_AEAD_SET_TAG, static_cast<int>(mic.size()), nullptr), 1);
   EXPECT_EQ(EVP_EncryptInit_ex(c, nullptr, nullptr, key.data(), nonce.data()), 1);
   EXPECT_EQ(EVP_EncryptUpdate(c, nullptr, &size, nullptr, 0), 1);
   EXPECT_EQ(EVP_EncryptUpdate(c, nullptr, &size, bytes.data(), static_cast<int>(bytes.size())), 1);
   EXPECT_EQ(EVP_EncryptUpdate(c, &nothing, &size, &nothing, 0), 1);
-  EXPECT_EQ(EVP_CIPHER_CTX_ctrl(c, EVP_CTRL_AEAD_GET_TAG, static_cast<int>(code.size()), code.data()), 1);
-  return code;
+  EXPECT_EQ(EVP_CIPHER_CTX_ctrl(c, EVP_CTRL_AEAD_GET_TAG, static_cast<int>(mic.size()), mic.data()), 1);
+  return mic;
 }
 
 template <class A>
@@ -49,7 +49,7 @@ void fill(A& bytes, std::mt19937_64& random) {
   for (auto& byte : bytes) byte = static_cast<std::uint8_t>(random());
 }
 
-TEST(SimulatedAes, IsOpenSsls) {
+TEST(SimulatedAes, MatchesOpenSsl) {
   std::mt19937_64 random(1);
   Aes aes;
   for (int i = 0; i < 2'000; ++i) {
@@ -63,7 +63,7 @@ TEST(SimulatedAes, IsOpenSsls) {
   }
 }
 
-TEST(Ccm, IsOpenSslsForFramesOfAllLengths) {
+TEST(Ccm, MatchesOpenSslForAllLengths) {
   std::mt19937_64 random(2);
   Aes aes;
   for (std::size_t length = 1; length <= 300; ++length) {
@@ -73,7 +73,7 @@ TEST(Ccm, IsOpenSslsForFramesOfAllLengths) {
     fill(key, random);
     fill(nonce, random);
     fill(bytes, random);
-    ASSERT_EQ(security::code_of(aes, key, nonce, bytes), openssl_code(key, nonce, bytes)) << length;
+    ASSERT_EQ(security::code_of(aes, key, nonce, bytes), openssl_mic(key, nonce, bytes)) << length;
   }
 }
 

@@ -63,17 +63,17 @@ class Noise {
   }
   [[nodiscard]] std::uint32_t frames() const { return transmitter_.frames_sent(); }
 
-  std::vector<std::uint8_t> rubbish() {
+  std::vector<std::uint8_t> random_bytes() {
     std::vector<std::uint8_t> bytes(below(126));
     for (std::uint8_t& byte : bytes) byte = static_cast<std::uint8_t>(below(256));
     return bytes;
   }
-  std::vector<std::uint8_t> piece() {
+  std::vector<std::uint8_t> fragment() {
     std::vector<std::uint8_t> bytes = heard();
     bytes.resize(below(bytes.size()));
     return bytes;
   }
-  std::vector<std::uint8_t> turned() {
+  std::vector<std::uint8_t> flipped() {
     std::vector<std::uint8_t> bytes = heard();
     for (std::size_t i = 0, count = 1 + below(4); i < count; ++i) {
       // Flipping the same bit twice would change nothing.
@@ -141,11 +141,11 @@ std::ostream& operator<<(std::ostream& out, const FuzzCase& of) {
 
 // Superframes until all nodes of an open site range again after forged frames. A node that could lead listens
 // for up to 20 listening times (2 s) while it hears others, and the sessions started then have to merge.
-constexpr double kHealed = 250.0;
+constexpr double kRecovered = 250.0;
 
 class AirFuzz : public testing::TestWithParam<FuzzCase> {};
 
-FaultPhase noisy(const std::shared_ptr<Noise>& noise, const char* name, Noise::Maker maker,
+FaultPhase noise_phase(const std::shared_ptr<Noise>& noise, const char* name, Noise::Maker maker,
                  double within = 3.0, double watched_s = 0.5) {
   constexpr double kFor_s = 0.5;
   return {.name = name,
@@ -154,7 +154,7 @@ FaultPhase noisy(const std::shared_ptr<Noise>& noise, const char* name, Noise::M
           .watched_s = watched_s};
 }
 
-TEST_P(AirFuzz, MakesNoRangeWrongAndLocksNothingUp) {
+TEST_P(AirFuzz, NoRangeIsWrongAndTheSiteRecovers) {
   const FuzzCase of = GetParam();
   FaultSiteSettings settings{.tags = kTags,
                              .anchors = kAnchors,
@@ -167,39 +167,39 @@ TEST_P(AirFuzz, MakesNoRangeWrongAndLocksNothingUp) {
   FaultSite site(settings);
   const auto noise = std::make_shared<Noise>(site, of.keyed, of.seed + (of.keyed ? 21 : 22));
   // In an open site a misplaced POLL may belong to another network; the nodes scan for it some time later.
-  const double believed = of.keyed ? 3.0 : 2.5 / site.superframe_s();
+  const double poll_recovered = of.keyed ? 3.0 : 2.5 / site.superframe_s();
   const double watched_s = of.keyed ? 0.5 : 3.0;
   // In an open site a forged JOIN may release any tag's slot and fill the table, and a beacon with flipped
   // bits may announce another time or session. The nodes recover within this many superframes.
-  const double healed = of.keyed ? 3.0 : kHealed;
+  const double recovered = of.keyed ? 3.0 : kRecovered;
   FaultCampaign campaign(site);
   std::vector<FaultPhase> phases{
       {.name = "power on", .rise = all_of(kTags, kAnchors), .newcomers_within = 100.0, .watched_s = 2.5},
-      nothing_wrong(2.0),
-      noisy(noise, "any bytes", &Noise::rubbish),
-      noisy(noise, "pieces of what was sent", &Noise::piece),
-      noisy(noise, "RESPONSEs without sense", &Noise::response),
-      noisy(noise, "FINALs", &Noise::final),
-      noisy(noise, "DATA", &Noise::data),
-      noisy(noise, "BEACONs", &Noise::beacon),
-      noisy(noise, "POLLs", &Noise::poll, believed, watched_s),
+      no_fault(2.0),
+      noise_phase(noise, "any bytes", &Noise::random_bytes),
+      noise_phase(noise, "pieces of what was sent", &Noise::fragment),
+      noise_phase(noise, "RESPONSEs without sense", &Noise::response),
+      noise_phase(noise, "FINALs", &Noise::final),
+      noise_phase(noise, "DATA", &Noise::data),
+      noise_phase(noise, "BEACONs", &Noise::beacon),
+      noise_phase(noise, "POLLs", &Noise::poll, poll_recovered, watched_s),
   };
   // Both kinds can disturb an open site, see above.
-  phases.push_back(noisy(noise, "JOINs", &Noise::join, healed, watched_s));
-  phases.push_back(noisy(noise, "with bits turned round", &Noise::turned, healed, watched_s));
-  phases.push_back(nothing_wrong(2.0));
+  phases.push_back(noise_phase(noise, "JOINs", &Noise::join, recovered, watched_s));
+  phases.push_back(noise_phase(noise, "with bits turned round", &Noise::flipped, recovered, watched_s));
+  phases.push_back(no_fault(2.0));
   campaign.run(phases);
   expect_no_harm(site, campaign);
   std::printf("%s%u frames of noise\n", campaign.table().c_str(), noise->frames());
   groma_Counters sum = groma_Counters_init_zero;
   for (const std::uint16_t id : site.ids()) {
-    const groma_Counters told = site.counters(id);
-    EXPECT_EQ(told.radio_recoveries, 0U) << id;
-    sum.foreign_frames += told.foreign_frames;
-    sum.malformed_frames += told.malformed_frames;
-    sum.stale_frames += told.stale_frames;
-    sum.unsecured_frames += told.unsecured_frames;
-    sum.forged_frames += told.forged_frames;
+    const groma_Counters counted = site.counters(id);
+    EXPECT_EQ(counted.radio_recoveries, 0U) << id;
+    sum.foreign_frames += counted.foreign_frames;
+    sum.malformed_frames += counted.malformed_frames;
+    sum.stale_frames += counted.stale_frames;
+    sum.unsecured_frames += counted.unsecured_frames;
+    sum.forged_frames += counted.forged_frames;
   }
   std::printf("foreign %u malformed %u stale %u unsecured %u forged %u\n", sum.foreign_frames,
               sum.malformed_frames, sum.stale_frames, sum.unsecured_frames, sum.forged_frames);

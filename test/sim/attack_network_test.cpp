@@ -34,9 +34,9 @@ struct Heard {
 };
 
 // Records each genuine frame with its bytes as sent.
-class Ear final : public Witness {
+class Recorder final : public Witness {
  public:
-  explicit Ear(Medium& medium) : medium_(medium) { medium.set_witness(this); }
+  explicit Recorder(Medium& medium) : medium_(medium) { medium.set_witness(this); }
   void announced(const AirFrame& frame) override {
     if (medium_.id_of(frame.source) == kAttacker) return;
     const std::span<const std::uint8_t> bytes(frame.data.data(), frame.length - 2U);
@@ -72,7 +72,7 @@ class Ear final : public Witness {
 };
 
 struct Stage {
-  explicit Stage(const SiteSettings& settings) : site(settings), ear(site.network.medium()) {
+  explicit Stage(const SiteSettings& settings) : site(settings), recorder(site.network.medium()) {
     site.space.put(kAttacker, {2.0, 2.0, 1.5});
   }
   [[nodiscard]] SimTime duration() const { return site.superframe().duration().count() * kUnitsPerTick; }
@@ -100,10 +100,10 @@ struct Stage {
   }
 
   SiteBench site;
-  Ear ear;
+  Recorder recorder;
 };
 
-TEST(KeyedSite, RangesAsAnOpenOneDoes) {
+TEST(KeyedSite, RangesLikeAnOpenSite) {
   Stage stage(keyed());
   stage.site.run_until(4.0);
   stage.refresh_counters();
@@ -111,8 +111,8 @@ TEST(KeyedSite, RangesAsAnOpenOneDoes) {
   EXPECT_GT(stage.site.good_ranges(2.0), 0.97 * 2.0 * rate);
   stage.expect_true_ranges();
   EXPECT_EQ(stage.dropped(), 0U);
-  EXPECT_EQ(stage.ear.unparsed, 0);
-  for (const Heard& heard : stage.ear.frames) EXPECT_TRUE(heard.frame.secured);
+  EXPECT_EQ(stage.recorder.unparsed, 0);
+  for (const Heard& heard : stage.recorder.frames) EXPECT_TRUE(heard.frame.secured);
   for (const Listener& listener : stage.site.listeners) {
     EXPECT_EQ(listener.counters.late_transmits, 0U);
     EXPECT_EQ(listener.counters.foreign_frames, 0U);
@@ -121,10 +121,10 @@ TEST(KeyedSite, RangesAsAnOpenOneDoes) {
 }
 
 // Replayed and forged frames in the shared slot, where nobody else sends.
-TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
-  Stage honest(keyed());
-  honest.site.run_until(6.0);
-  honest.refresh_counters();
+TEST(KeyedSite, CountsAnAttackersFramesAndKeepsRanging) {
+  Stage undisturbed(keyed());
+  undisturbed.site.run_until(6.0);
+  undisturbed.refresh_counters();
 
   Stage stage(keyed());
   Transmitter attacker(kAttacker, stage.site.network.medium());
@@ -134,9 +134,9 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
   stage.site.run_until(2.0);
   stage.refresh_counters();
   ASSERT_EQ(stage.dropped(), 0U);
-  const Heard* const long_ago = stage.ear.last(kPoll);
+  const Heard* const long_ago = stage.recorder.last(kPoll);
   ASSERT_NE(long_ago, nullptr);
-  const auto old_frames = stage.ear.frames;
+  const auto old_frames = stage.recorder.frames;
   const auto shared =
       (stage.site.superframe().shared() - stage.site.superframe().beacon()).count() * kUnitsPerTick;
 
@@ -145,10 +145,10 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
   int turn = 0;
   std::size_t next_of_old = 0;
   while (stage.site.network.now() < from_seconds(5.5)) {
-    const Heard* const beacon = stage.ear.last(kBeacon);
+    const Heard* const beacon = stage.recorder.last(kBeacon);
     ASSERT_NE(beacon, nullptr);
     const Kind kind = static_cast<Kind>(turn % 5);  // no DATA is on the air here
-    const Heard* heard = stage.ear.last(kind);
+    const Heard* heard = stage.recorder.last(kind);
     ASSERT_NE(heard, nullptr);
     std::vector<std::uint8_t> bytes = heard->bytes;
     switch (turn / 5 % 5) {
@@ -166,10 +166,10 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
         bytes[mac::kHeaderBytes - 1] &= 0x7F;
         break;
       default: {
-        const auto& told = std::get<mac::Beacon>(beacon->frame.body);
-        seal.enter(told.session);
+        const auto& current = std::get<mac::Beacon>(beacon->frame.body);
+        seal.enter(current.session);
         auto made = mac::serialize(heard->frame);
-        seal.sign(made, {told.superframe + 1, mac::Place::kShared});
+        seal.sign(made, {current.superframe + 1, mac::Place::kShared});
         bytes.assign(made.bytes().begin(), made.bytes().end());
         break;
       }
@@ -177,9 +177,9 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
     // Into the shared slot of the superframe after the next beacon's.
     const SimTime at = beacon->preamble_start + shared + 2 * stage.duration();
     attacker.send(at, bytes);
-    const auto told = mac::parse(bytes).frame;
-    ASSERT_TRUE(told.has_value());
-    const bool for_one = told->destination != mac::kBroadcast;
+    const auto parsed = mac::parse(bytes).frame;
+    ASSERT_TRUE(parsed.has_value());
+    const bool for_one = parsed->destination != mac::kBroadcast;
     expected += for_one ? 1U : 6U;
     ++sent[kind];
     ++turn;
@@ -189,12 +189,12 @@ TEST(KeyedSite, CountsWhatItHearsFromAStrangerAndRangesOn) {
   stage.refresh_counters();
   for (const Kind kind : {kBeacon, kPoll, kResponse, kFinal, kJoin}) EXPECT_GT(sent.at(kind), 5);
   EXPECT_EQ(stage.dropped(), expected);
-  EXPECT_EQ(stage.site.good_ranges(2.2), honest.site.good_ranges(2.2));
+  EXPECT_EQ(stage.site.good_ranges(2.2), undisturbed.site.good_ranges(2.2));
   stage.expect_true_ranges();
 }
 
 // Replays frames in place of a genuine node's, which are jammed: none is accepted.
-TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
+TEST(KeyedSite, AcceptsNoReplayInAGenuineFramesPlace) {
   for (const Kind kind : {kBeacon, kPoll, kResponse, kFinal}) {
     SCOPED_TRACE(kind);
     Stage stage(keyed());
@@ -222,7 +222,7 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
     std::map<SimTime, bool> done;
     while (stage.site.network.now() < until) {
       std::vector<Heard> due;
-      for (const Heard& heard : stage.ear.frames) {
+      for (const Heard& heard : stage.recorder.frames) {
         const SimTime at = heard.preamble_start + stage.duration();
         if (heard.source != sender || heard.frame.body.index() != kind || done[heard.preamble_start])
           continue;
@@ -248,7 +248,7 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
       // Nobody answers the replayed POLLs of tag 1. A genuine POLL just before may still be answered.
       const SimTime answered = from + stage.duration() / 2;
       const auto answers =
-          std::count_if(stage.ear.frames.begin(), stage.ear.frames.end(), [&](const Heard& heard) {
+          std::count_if(stage.recorder.frames.begin(), stage.recorder.frames.end(), [&](const Heard& heard) {
             return heard.frame.body.index() == kResponse && heard.frame.destination == 1 &&
                    heard.rmarker > answered && heard.rmarker < until;
           });
@@ -281,16 +281,16 @@ TEST(KeyedSite, TakesNothingInAnHonestFramesPlace) {
 }
 
 // A node that was switched off and on again, and hears only a recording from a minute ago.
-TEST(KeyedSite, ANodeThatRebootsDoesNotBelieveARecording) {
+TEST(KeyedSite, ARebootedNodeRejectsARecording) {
   Stage stage(keyed());
   Transmitter attacker(kAttacker, stage.site.network.medium());
   stage.site.run_until(3.0);
   std::vector<Heard> recording;
-  for (const Heard& heard : stage.ear.frames)
+  for (const Heard& heard : stage.recorder.frames)
     if (heard.rmarker > from_seconds(1.0) && heard.source != 1) recording.push_back(heard);
   for (std::size_t i = 0; i < stage.site.network.size(); ++i) stage.site.network.set_power(i, false);
   stage.site.run_until(60.0);
-  stage.ear.frames.clear();
+  stage.recorder.frames.clear();
   const int ranges = stage.site.good_ranges();
   const SimTime later = from_seconds(61.0) - recording.front().preamble_start;
   stage.site.network.set_power(0, true);
@@ -304,8 +304,8 @@ TEST(KeyedSite, ANodeThatRebootsDoesNotBelieveARecording) {
   }
   stage.site.run_until(63.2);
   EXPECT_GT(stage.site.listeners[0].counters.beacons_received, 10U);
-  EXPECT_GE(stage.ear.count(kJoin, 1), 2U);
-  EXPECT_EQ(stage.ear.count(kPoll, 1), 0U);
+  EXPECT_GE(stage.recorder.count(kJoin, 1), 2U);
+  EXPECT_EQ(stage.recorder.count(kPoll, 1), 0U);
   EXPECT_EQ(stage.site.good_ranges(), ranges);
   // The others are back.
   for (std::size_t i = 1; i < stage.site.network.size(); ++i) stage.site.network.set_power(i, true);

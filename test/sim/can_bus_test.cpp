@@ -54,7 +54,7 @@ TEST(CanBus, GivesTheBusToTheLowestIdAndKeepsTheOthersWaiting) {
   EXPECT_EQ(ids, (std::vector<std::uint32_t>{0x16000007, 0x16000004, 0x16000005, 0x16000003}));
 }
 
-TEST(CanBus, SaysWhenTwoSendTheSameId) {
+TEST(CanBus, FaultsTwoSendersOfTheSameId) {
   CanBus bus;
   CanTap a(bus, {});
   CanTap b(bus, {});
@@ -64,7 +64,7 @@ TEST(CanBus, SaysWhenTwoSendTheSameId) {
   EXPECT_NE(bus.fault().find("same id"), std::string::npos);
 }
 
-TEST(CanBus, IsTheSameWhateverTheStepsItIsAdvancedIn) {
+TEST(CanBus, DoesNotDependOnItsSteps) {
   const auto run = [](SimTime step) {
     CanBus bus;
     CanTap a(bus, {});
@@ -103,7 +103,7 @@ TEST(CanBus, RepeatsAFrameThatWasDamaged) {
   EXPECT_EQ(bus.counters().errors, 1U);
 }
 
-TEST(CanBus, AcknowledgesNobodysFrameWhenAlone) {
+TEST(CanBus, AFrameWithoutAnotherNodeIsNotAcknowledged) {
   CanBus bus;
   CanTap sender(bus, {});
   CanTap host(bus, {});
@@ -139,7 +139,7 @@ TEST(CanBus, EnforcesBitRatesAndFormats) {
   EXPECT_TRUE(delivered(one_two, classic, CanFormat::kClassic));
 }
 
-TEST(CanLog, IsWhatCandumpWrites) {
+TEST(CanLog, MatchesCandumpsFormat) {
   auto classic = frame_of(0x16000003, 3, CanFormat::kClassic);
   classic.data[0] = 0x01;
   classic.data[1] = 0xAB;

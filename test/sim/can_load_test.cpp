@@ -144,7 +144,7 @@ TEST(CanLoad, ThreeTagsLoseNothingOnCanFdWithFullReports) {
   EXPECT_LT(o.longest_ms, 10.0);
 }
 
-TEST(CanLoad, FullReportsWouldTakeTwiceAsMuchOfClassicCan) {
+TEST(CanLoad, FullReportsNeedTwiceTheLoadOfClassicCan) {
   const Outcome compact = run(CanFormat::kClassic, true, 2 * kUnitsPerSecond);
   const Outcome full = run(CanFormat::kClassic, false, 2 * kUnitsPerSecond);
   print("classic, full", full);

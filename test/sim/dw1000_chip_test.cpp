@@ -39,7 +39,7 @@ void start_converter(HandDriven& radio) {
   radio.write(0x2A, 0x00, 0x01, 1);
 }
 
-TEST_F(Dw1000ChipTest, ItsConverterTellsTemperatureAndSupply) {
+TEST_F(Dw1000ChipTest, ItsConverterMeasuresTemperatureAndSupply) {
   radio.bring_up();
   radio.chip().set_ambient({.temperature_c = 23.0 + 1.14 * 20.0, .supply_v = 3.3 - 26.0 / 173.0});
   start_converter(radio);
@@ -49,7 +49,7 @@ TEST_F(Dw1000ChipTest, ItsConverterTellsTemperatureAndSupply) {
   EXPECT_EQ(radio.chip().fault(), "");
 }
 
-TEST_F(Dw1000ChipTest, ItsConverterNeedsItsTimeAndItsBias) {
+TEST_F(Dw1000ChipTest, ItsConverterNeedsItsBiasAndItsTime) {
   radio.bring_up();
   start_converter(radio);
   radio.t += 500 * kMicrosecond;
@@ -81,7 +81,7 @@ TEST_F(Dw1000ChipTest, DecodesEachFormOfHeader) {
   EXPECT_EQ(radio.chip().fault(), "");
 }
 
-TEST_F(Dw1000ChipTest, NamesTheRegisterThatIsNotThere) {
+TEST_F(Dw1000ChipTest, NamesAnUnknownRegister) {
   radio.bring_up();
   radio.read(0x2E, 0x1006, 2);
   EXPECT_THAT(radio.chip().fault(), HasSubstr("read of 2E:1006"));
@@ -93,7 +93,7 @@ TEST_F(Dw1000ChipTest, AnAccessBeyondARegistersEndIsCaught) {
   EXPECT_THAT(radio.chip().fault(), HasSubstr("write to 18:0002"));
 }
 
-TEST_F(Dw1000ChipTest, AWriteToWhatCannotBeWrittenIsCaught) {
+TEST_F(Dw1000ChipTest, AWriteToAReadOnlyRegisterIsCaught) {
   radio.bring_up();
   radio.write(0x15, 0, 0, 5);
   EXPECT_THAT(radio.chip().fault(), HasSubstr("RX_TIME"));
@@ -149,7 +149,7 @@ TEST_F(Dw1000ChipTest, ReadsItsOneTimeWords) {
   EXPECT_EQ(radio.chip().fault(), "");
 }
 
-TEST_F(Dw1000ChipTest, ASoftResetTakesBackAllRegisters) {
+TEST_F(Dw1000ChipTest, ASoftResetRestoresAllRegisters) {
   radio.bring_up();
   radio.hz = 2'000'000;
   radio.write(0x36, 0x00, 0x01, 1);
@@ -216,13 +216,13 @@ TEST_F(Dw1000ChipTest, ADelayedTransmitIgnoresTheLowNineBits) {
     EXPECT_EQ(radio.status() & (status::kHpdwarn | status::kTxpute), 0U);
     bench.run_until(radio.t + 2 * kMillisecond);
     EXPECT_NE(radio.status() & status::kTxfrs, 0U);
-    EXPECT_EQ(radio.transmit_stamp(), target + 16436);
+    EXPECT_EQ(radio.transmit_timestamp(), target + 16436);
     EXPECT_EQ(radio.read(0x17, 5, 5), target);
   }
   EXPECT_EQ(radio.chip().fault(), "");
 }
 
-TEST_F(Dw1000ChipTest, AFrameTakesItsTimeInTheAir) {
+TEST_F(Dw1000ChipTest, AFrameTakesItsAirTime) {
   struct Case {
     std::uint16_t preamble;
     std::size_t length;
@@ -249,7 +249,7 @@ TEST_F(Dw1000ChipTest, AFrameTakesItsTimeInTheAir) {
   }
 }
 
-TEST_F(Dw1000ChipTest, ATransmitThatIsAlreadyPastWarnsOfHalfAPeriod) {
+TEST_F(Dw1000ChipTest, ALateTransmitRaisesTheHalfPeriodWarning) {
   radio.bring_up();
   radio.load({1, 2, 3});
   radio.write(0x2F, 0, 1, 4);
@@ -265,7 +265,7 @@ TEST_F(Dw1000ChipTest, ATransmitThatIsAlreadyPastWarnsOfHalfAPeriod) {
   EXPECT_EQ(radio.status() & status::kTxfrb, 0U);
 }
 
-TEST_F(Dw1000ChipTest, AForgottenLateTransmitComesAPeriodLater) {
+TEST_F(Dw1000ChipTest, AnUncancelledLateTransmitComesAPeriodLater) {
   radio.bring_up();
   radio.load({1, 2, 3});
   const std::uint64_t target = radio.system_time() & ~std::uint64_t{0x1FF};
@@ -274,12 +274,12 @@ TEST_F(Dw1000ChipTest, AForgottenLateTransmitComesAPeriodLater) {
   EXPECT_EQ(radio.status() & status::kHpdwarn, 0U) << "less than half a period to go";
   bench.run_until(radio.t + from_seconds(8.25));
   EXPECT_NE(radio.status() & status::kTxfrs, 0U);
-  EXPECT_EQ(radio.transmit_stamp(), (target + 16436) & kMask40);
+  EXPECT_EQ(radio.transmit_timestamp(), (target + 16436) & kMask40);
 }
 
 // The manual's two cases of a late transmit: the preamble's start is past (HPDWARN), or it leaves too little
 // time for the power-up (TXPUTE).
-TEST_F(Dw1000ChipTest, TooLittleTimeForPowerUpIsTold) {
+TEST_F(Dw1000ChipTest, TooLittleTimeForPowerUpIsReported) {
   radio.bring_up();
   const std::int64_t preamble = preamble_ticks(128);
   const auto attempt = [&](std::int64_t start_ahead_ticks) {
@@ -297,7 +297,7 @@ TEST_F(Dw1000ChipTest, TooLittleTimeForPowerUpIsTold) {
   EXPECT_EQ(attempt(-2048), status::kHpdwarn);
 }
 
-TEST_F(Dw1000ChipTest, WithoutTheForcedClockADelayedTransmitEndsInSilence) {
+TEST_F(Dw1000ChipTest, WithoutTheForcedClockADelayedTransmitNeverCompletes) {
   radio.bring_up();
   radio.load({1, 2, 3});
   radio.write(0x0A, 0, radio.system_time() + 40'000'000, 5);
@@ -307,7 +307,7 @@ TEST_F(Dw1000ChipTest, WithoutTheForcedClockADelayedTransmitEndsInSilence) {
   EXPECT_EQ(radio.status() & status::kTxfrs, 0U) << "erratum TX-1";
 }
 
-TEST_F(Dw1000ChipTest, TransmitStampsWrapAtFortyBits) {
+TEST_F(Dw1000ChipTest, TransmitTimestampsWrapAtFortyBits) {
   RadioBench wrapping;
   HandDriven& late =
       wrapping.add({.id = 1, .clock = {.first_tick = (std::uint64_t{1} << 40) - 1'000'000'000}});
@@ -320,14 +320,14 @@ TEST_F(Dw1000ChipTest, TransmitStampsWrapAtFortyBits) {
   EXPECT_EQ(late.status() & (status::kHpdwarn | status::kTxpute), 0U);
   wrapping.run_until(late.t + 12 * kMillisecond);
   EXPECT_NE(late.status() & status::kTxfrs, 0U);
-  EXPECT_EQ(late.transmit_stamp(), target + 16436);
+  EXPECT_EQ(late.transmit_timestamp(), target + 16436);
   late.load({1, 2, 3});
   late.write(0x18, 0, 0xFFFF, 2);
   late.send_at((std::uint64_t{1} << 40) - 512);
   EXPECT_NE(late.status() & status::kHpdwarn, 0U) << "17 s away";
 }
 
-TEST_F(Dw1000ChipTest, CommandsThatTheChipWouldNotBearAreCaught) {
+TEST_F(Dw1000ChipTest, InvalidCommandsAreCaught) {
   const auto fault_of = [](auto&& misuse) {
     RadioBench alone;
     HandDriven& r = alone.add({.id = 1});

@@ -60,18 +60,18 @@ class Talker {
     radio.write(0x0F, 0, kMask40, 5);
     log.push_back(status);
     if ((status & status::kTxfrs) != 0) {
-      log.push_back(radio.transmit_stamp());
+      log.push_back(radio.transmit_timestamp());
       radio.write(0x36, 0, 0x0200, 2);
       radio.limit_frame_wait(1000);
       radio.receive_now();
       return;
     }
     if ((status & status::kRxfcg) != 0) {
-      log.push_back(radio.receive_stamp());
+      log.push_back(radio.receive_timestamp());
       log.push_back(radio.read(0x11, 0, 2));
       if (!polls_) {
         radio.load({2, static_cast<std::uint8_t>(log.size())});
-        radio.send_at(radio.receive_stamp() + 500 * kTicksPerMicrosecond);
+        radio.send_at(radio.receive_timestamp() + 500 * kTicksPerMicrosecond);
         return;
       }
     } else {

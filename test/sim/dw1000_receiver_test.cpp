@@ -41,7 +41,7 @@ struct Dw1000ReceiverTest : testing::Test {
   }
 };
 
-TEST_F(Dw1000ReceiverTest, HearsAFrameWhole) {
+TEST_F(Dw1000ReceiverTest, ReceivesAWholeFrame) {
   bring_up();
   receiver.receive_now();
   send({1, 2, 3, 4, 5});
@@ -64,7 +64,7 @@ TEST_F(Dw1000ReceiverTest, TheFrameCheckIsThatOfIeee802154) {
 }
 
 // With equal, nominal clocks the receiver's timestamp is the sender's plus a whole number of ticks of flight.
-TEST_F(Dw1000ReceiverTest, StampsAreExactToTheTick) {
+TEST_F(Dw1000ReceiverTest, TimestampsAreExactToTheTick) {
   bring_up();
   for (const int flight_ticks : {0, 1, 213, 2132, 21321}) {
     bench.space.set(1, 2, {.audible = true, .flight_m = flight_ticks * kMetresPerTick});
@@ -72,16 +72,16 @@ TEST_F(Dw1000ReceiverTest, StampsAreExactToTheTick) {
     const std::uint64_t target = send();
     pass();
     ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
-    EXPECT_EQ(receiver.receive_stamp(), target + 16436 + static_cast<std::uint64_t>(flight_ticks));
-    EXPECT_EQ(sender.transmit_stamp(), target + 16436);
+    EXPECT_EQ(receiver.receive_timestamp(), target + 16436 + static_cast<std::uint64_t>(flight_ticks));
+    EXPECT_EQ(sender.transmit_timestamp(), target + 16436);
     // The raw timestamp includes the antenna delay and is on the coarse grid.
     const std::uint64_t raw = receiver.read(0x15, 9, 5);
     EXPECT_EQ(raw % 512, 0U);
-    EXPECT_LT(receiver.receive_stamp() + 16436 - raw, 512U);
+    EXPECT_LT(receiver.receive_timestamp() + 16436 - raw, 512U);
   }
 }
 
-TEST_F(Dw1000ReceiverTest, AntennaDelaysAreWhatTheRegistersTakeOff) {
+TEST_F(Dw1000ReceiverTest, TimestampsSubtractTheConfiguredAntennaDelays) {
   bring_up();
   sender.write(0x18, 0, 16000, 2);
   receiver.write(0x2E, 0x1804, 17000, 2);
@@ -89,8 +89,8 @@ TEST_F(Dw1000ReceiverTest, AntennaDelaysAreWhatTheRegistersTakeOff) {
   const std::uint64_t target = send();
   pass();
   // The true delays are 16436 at either end.
-  EXPECT_EQ(sender.transmit_stamp(), target + 16000);
-  EXPECT_EQ(receiver.receive_stamp(), target + 16436 + 16436 - 17000);
+  EXPECT_EQ(sender.transmit_timestamp(), target + 16000);
+  EXPECT_EQ(receiver.receive_timestamp(), target + 16436 + 16436 - 17000);
 }
 
 TEST(Dw1000Stamps, FollowBothClocksOverTheWrap) {
@@ -114,7 +114,7 @@ TEST(Dw1000Stamps, FollowBothClocksOverTheWrap) {
       sender.send_at(target);
       bench.run_until(sender.t + 2 * kMillisecond);
       ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
-      const std::uint64_t stamp = sender.transmit_stamp();
+      const std::uint64_t stamp = sender.transmit_timestamp();
       ASSERT_EQ(stamp, (target + 16436) & kMask40);
       // In exact arithmetic: t = (stamp - first) / (1 + e1); received = first2 + (t + f) (1 + e2).
       const long double local = static_cast<long double>((stamp - fast.first_tick) & kMask40);
@@ -123,7 +123,7 @@ TEST(Dw1000Stamps, FollowBothClocksOverTheWrap) {
       const long double heard = (t_ticks + flight) * (1.0L - static_cast<long double>(ppm) * 0.5e-6L);
       const auto offset = static_cast<std::uint64_t>(std::llround(heard));
       const std::uint64_t expected = (slow.first_tick + offset) & kMask40;
-      const auto difference = static_cast<std::int64_t>(receiver.receive_stamp() - expected);
+      const auto difference = static_cast<std::int64_t>(receiver.receive_timestamp() - expected);
       EXPECT_LE(std::abs(difference), 1) << ppm;
     }
     EXPECT_TRUE(wrapped);
@@ -200,7 +200,7 @@ TEST_F(Dw1000ReceiverTest, TheFrameIsWhatTheBufferHoldsWhenItStarts) {
   EXPECT_EQ(receiver.read_bytes(0x11, 0, 3), (std::vector<std::uint8_t>{7, 8, 9}));
 }
 
-TEST_F(Dw1000ReceiverTest, CountsItsEventsOnceToldTo) {
+TEST_F(Dw1000ReceiverTest, CountsItsEventsOnceEnabled) {
   bring_up();
   hear();
   EXPECT_EQ(receiver.read(0x2F, 0x08, 2), 0U);
@@ -251,7 +251,7 @@ TEST_F(Dw1000ReceiverTest, ARetractedFrameIsNeverHeard) {
   EXPECT_EQ(receiver.status() & status::kAllRx, kGood);
 }
 
-TEST_F(Dw1000ReceiverTest, AFrameCutOffFailsItsCheck) {
+TEST_F(Dw1000ReceiverTest, ATruncatedFrameFailsItsCheck) {
   bring_up();
   receiver.receive_now();
   const std::uint64_t target = send(std::vector<std::uint8_t>(100));
@@ -376,14 +376,14 @@ TEST_F(Dw1000TimeoutTest, WaitForResponseSwitchesOnAfterItsTime) {
 
 // ---- what makes a timestamp wrong or a receiver deaf ---------------------------------------------------
 
-TEST_F(Dw1000ReceiverTest, WithoutMicrocodeThereIsNoStamp) {
+TEST_F(Dw1000ReceiverTest, WithoutMicrocodeThereIsNoTimestamp) {
   sender.bring_up();
   receiver.bring_up(128, false);
   receiver.receive_now();
   const std::uint64_t target = send();
   pass();
   EXPECT_EQ(receiver.status() & (status::kRxfcg | status::kLdedone), status::kRxfcg);
-  EXPECT_GT((receiver.receive_stamp() - target) & kMask40, 1'000'000U);
+  EXPECT_GT((receiver.receive_timestamp() - target) & kMask40, 1'000'000U);
 }
 
 TEST_F(Dw1000ReceiverTest, MicrocodeNeedsItsClocksAndItsTime) {
@@ -412,7 +412,7 @@ TEST_F(Dw1000ReceiverTest, LdeRunEnableIsNeeded) {
   EXPECT_EQ(hear() & (status::kRxfcg | status::kLdedone), status::kRxfcg);
 }
 
-TEST_F(Dw1000ReceiverTest, AfterATimeOutTheStampIsWrongUntilTheReceiverIsReset) {
+TEST_F(Dw1000ReceiverTest, AfterATimeOutTheTimestampIsWrongUntilTheReceiverIsReset) {
   bring_up();
   for (const bool reset : {false, true}) {
     receiver.limit_frame_wait(50);
@@ -425,7 +425,7 @@ TEST_F(Dw1000ReceiverTest, AfterATimeOutTheStampIsWrongUntilTheReceiverIsReset) 
     const std::uint64_t target = send();
     pass();
     ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
-    const auto error = std::abs(static_cast<std::int64_t>(receiver.receive_stamp() - target - 16436));
+    const auto error = std::abs(static_cast<std::int64_t>(receiver.receive_timestamp() - target - 16436));
     if (reset) {
       EXPECT_EQ(error, 0);
     } else {
@@ -445,7 +445,7 @@ TEST_F(Dw1000ReceiverTest, AGoodFrameIsNoReset) {
     const std::uint64_t target = send();
     pass();
     ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
-    EXPECT_GE(std::abs(static_cast<std::int64_t>(receiver.receive_stamp() - target - 16436)), 64);
+    EXPECT_GE(std::abs(static_cast<std::int64_t>(receiver.receive_timestamp() - target - 16436)), 64);
   }
 }
 
@@ -461,7 +461,7 @@ TEST_F(Dw1000ReceiverTest, EachPreambleCodeHasItsLeadingEdgeSetting) {
     const std::uint64_t target = send();
     pass();
     ASSERT_EQ(receiver.status() & status::kAllRx, kGood) << code;
-    EXPECT_EQ(receiver.receive_stamp(), target + 16436);
+    EXPECT_EQ(receiver.receive_timestamp(), target + 16436);
   }
 }
 
@@ -493,13 +493,13 @@ TEST_F(Dw1000ReceiverTest, AFrameAnnouncedTooLateIsCounted) {
   EXPECT_EQ(receiver.chip().late_announcements(), 1U);
 }
 
-TEST_F(Dw1000ReceiverTest, LeadingEdgeSettingsOfAnotherCodeBendTheStamp) {
+TEST_F(Dw1000ReceiverTest, LeadingEdgeSettingsOfAnotherCodeBiasTheTimestamp) {
   bring_up();
   receiver.write(0x2E, 0x2804, 0x3332, 2);
   receiver.receive_now();
   const std::uint64_t target = send();
   pass();
-  EXPECT_GE(std::abs(static_cast<std::int64_t>(receiver.receive_stamp() - target - 16436)), 64);
+  EXPECT_GE(std::abs(static_cast<std::int64_t>(receiver.receive_timestamp() - target - 16436)), 64);
 }
 
 struct WrongSetting {
@@ -600,7 +600,7 @@ TEST(Dw1000Diagnostics, TheManualsFormulasGiveBackThePowers) {
   }
 }
 
-TEST(Dw1000Diagnostics, CarrierAndTrackingTellTheClockOffset) {
+TEST(Dw1000Diagnostics, CarrierAndTrackingGiveTheClockOffset) {
   for (const auto& [from_ppm, to_ppm] :
        {std::pair{12.0, -5.0}, std::pair{-20.0, 20.0}, std::pair{0.1, 0.0}}) {
     RadioBench bench;
@@ -646,7 +646,7 @@ struct Dw1000CollisionTest : testing::Test {
   std::uint64_t heard() { return receiver.read(0x11, 0, 1); }
 };
 
-TEST_F(Dw1000CollisionTest, FramesApartAreNoCollision) {
+TEST_F(Dw1000CollisionTest, SeparateFramesDoNotCollide) {
   EXPECT_NE(collide(300, 0.0) & status::kRxfcg, 0U);
   EXPECT_EQ(heard(), 1U);
 }
@@ -654,11 +654,11 @@ TEST_F(Dw1000CollisionTest, AWeakLatecomerDoesNoHarm) {
   EXPECT_NE(collide(100, -6.5) & status::kRxfcg, 0U);
   EXPECT_EQ(heard(), 1U);
 }
-TEST_F(Dw1000CollisionTest, AStrongOneInThePreambleTakesOver) {
+TEST_F(Dw1000CollisionTest, AStrongerFrameInThePreambleTakesOver) {
   EXPECT_NE(collide(50, 6.5) & status::kRxfcg, 0U);
   EXPECT_EQ(heard(), 2U);
 }
-TEST_F(Dw1000CollisionTest, AStrongOneTakesOverAlsoWhereThePreambleIsWaitedFor) {
+TEST_F(Dw1000CollisionTest, AStrongerFrameTakesOverDuringThePreambleWaitToo) {
   bench.space.set(1, 3, {.audible = true, .receive_power_dbm = -80.0});
   bench.space.set(2, 3, {.audible = true, .receive_power_dbm = -70.0});
   for (HandDriven* node : {&first, &second, &receiver}) node->bring_up();
@@ -673,18 +673,18 @@ TEST_F(Dw1000CollisionTest, AStrongOneTakesOverAlsoWhereThePreambleIsWaitedFor) 
   EXPECT_EQ(receiver.status() & status::kAllRx, kGood);
   EXPECT_EQ(heard(), 2U);
 }
-TEST_F(Dw1000CollisionTest, EqualOnesInThePreambleLoseBoth) {
+TEST_F(Dw1000CollisionTest, TwoEqualFramesInThePreambleAreBothLost) {
   EXPECT_EQ(collide(50, 0.0) & (status::kRxsfdto | status::kRxfcg | status::kRxdfr), status::kRxsfdto);
 }
-TEST_F(Dw1000CollisionTest, OneInTheHeaderSpoilsIt) {
+TEST_F(Dw1000CollisionTest, AnOverlapInTheHeaderCorruptsIt) {
   EXPECT_EQ(collide(145, 3.0) & (status::kRxphe | status::kRxfcg), status::kRxphe);
 }
-TEST_F(Dw1000CollisionTest, OneInTheDataFailsTheCheck) {
+TEST_F(Dw1000CollisionTest, AnOverlapInTheDataFailsTheCheck) {
   const std::uint64_t status = collide(200, 20.0);
   EXPECT_NE(status & (status::kRxfce | status::kRxrfsl), 0U);
   EXPECT_EQ(status & status::kRxfcg, 0U);
 }
-TEST_F(Dw1000CollisionTest, AnInaudibleOneDoesNotCollide) {
+TEST_F(Dw1000CollisionTest, AnInaudibleFrameDoesNotCollide) {
   bench.space.set(2, 3, {.audible = false});
   for (HandDriven* node : {&first, &second, &receiver}) node->bring_up();
   receiver.receive_now();
@@ -697,7 +697,7 @@ TEST_F(Dw1000CollisionTest, AnInaudibleOneDoesNotCollide) {
   EXPECT_NE(receiver.status() & status::kRxfcg, 0U);
   EXPECT_EQ(heard(), 1U);
 }
-TEST_F(Dw1000CollisionTest, AFrameUnderWayHidesAWeakerOneFromALateReceiver) {
+TEST_F(Dw1000CollisionTest, AFrameUnderWayMasksAWeakerOneForALateReceiver) {
   for (const auto& [stronger_db, hears] : {std::pair{0.0, false}, std::pair{7.0, true}}) {
     bench.space.set(1, 3, {.audible = true, .receive_power_dbm = -80.0});
     bench.space.set(2, 3, {.audible = true, .receive_power_dbm = -80.0 + stronger_db});
@@ -723,7 +723,7 @@ class OverlapList final : public Witness {
   std::vector<std::pair<int, int>> seen;
 };
 
-TEST_F(Dw1000CollisionTest, AWitnessIsToldOfEachFrameThatAnOverlapTook) {
+TEST_F(Dw1000CollisionTest, AWitnessSeesEachFrameLostToAnOverlap) {
   using Seen = std::vector<std::pair<int, int>>;
   struct Case {
     int later_us;
@@ -732,10 +732,10 @@ TEST_F(Dw1000CollisionTest, AWitnessIsToldOfEachFrameThatAnOverlapTook) {
   };
   for (const Case& c : {Case{300, 0.0, {}}, Case{100, -6.5, {{2, 1}}}, Case{50, 6.5, {{1, 2}}},
                         Case{50, 0.0, {{2, 1}, {1, 2}}}, Case{200, 20.0, {{2, 1}, {1, 2}}}}) {
-    Dw1000CollisionTest_AWitnessIsToldOfEachFrameThatAnOverlapTook_Test fresh;
+    Dw1000CollisionTest_AWitnessSeesEachFrameLostToAnOverlap_Test collision;
     OverlapList witness;
-    fresh.bench.medium.set_witness(&witness);
-    (void)fresh.collide(c.later_us, c.stronger_db);
+    collision.bench.medium.set_witness(&witness);
+    (void)collision.collide(c.later_us, c.stronger_db);
     EXPECT_EQ(witness.seen, c.expected) << c.later_us << ' ' << c.stronger_db;
   }
 }
@@ -756,7 +756,7 @@ TEST_F(Dw1000CollisionTest, ASenderWithoutAChipIsHeardLikeAnyOther) {
   // After the preamble's 128 symbols, the SFD's 8 and 3 m of flight; nominal clocks.
   const std::int64_t rmarker = at / kUnitsPerTick + std::int64_t{136} * 508 * 128;
   const double flight_ticks = 3.0 / kMetresPerTick;
-  EXPECT_NEAR(static_cast<double>(receiver.receive_stamp()),
+  EXPECT_NEAR(static_cast<double>(receiver.receive_timestamp()),
               std::fmod(static_cast<double>(rmarker) + flight_ticks, 0x1.0p40), 1.01);
 }
 

@@ -30,7 +30,7 @@ struct FaultPhase {
   double least_share = 0.0;
   double most_share = 1.0;
   // least_share is 90 % of the product of the frame successes that the overlaps on the air leave.
-  bool of_what_overlaps_left = false;
+  bool share_by_overlaps = false;
   // Nodes that die or start in this phase.
   std::set<std::uint16_t> die{};
   std::set<std::uint16_t> rise{};
@@ -50,7 +50,7 @@ struct PhaseOutcome {
   double ended_s = 0.0;
   double least_share = 0.0;            // required; 0: not checked
   double share = 0.0;                  // during the fault; NaN if it had no duration
-  double old_superframes = 0.0;        // until all pairs range
+  double survivors_superframes = 0.0;        // until all pairs range
   double newcomers_superframes = 0.0;  // NaN: there were none
   std::size_t late_pairs = 0;
   std::string slowest{};  // the pair that recovered last
@@ -73,10 +73,10 @@ class FaultCampaign {
     std::vector<Times> times;
     for (const FaultPhase& phase : phases) {
       Times at{.began_s = site_.now_s(), .over_s = 0.0, .ended_s = 0.0, .least_share = phase.least_share};
-      if (phase.of_what_overlaps_left) site_.air.count_successes(true);
+      if (phase.share_by_overlaps) site_.air.count_successes(true);
       if (phase.begin) phase.begin(site_);
       if (phase.lasts_s > 0.0) site_.run_until(std::max(at.began_s + phase.lasts_s, site_.now_s()));
-      if (phase.of_what_overlaps_left) {
+      if (phase.share_by_overlaps) {
         at.least_share = 0.9 * site_.air.product_of_successes();
         site_.air.count_successes(false);
       }
@@ -117,7 +117,8 @@ class FaultCampaign {
       std::array<char, 200> line{};
       std::snprintf(line.data(), line.size(),
                     "%-34s %6.2f  %6.2f  %5.3f  %5.3f  %5.1f  %6.1f  %8.2f  %6zu  %s\n", o.name.c_str(),
-                    o.began_s, o.over_s, o.share, o.least_share, o.old_superframes, o.newcomers_superframes,
+                    o.began_s, o.over_s, o.share, o.least_share, o.survivors_superframes,
+                    o.newcomers_superframes,
                     o.worst_sigmas, o.good, o.slowest.c_str());
       text += line.data();
       for (const std::string& fault : o.faults) text += "    ! " + fault + "\n";
@@ -141,7 +142,7 @@ class FaultCampaign {
   }
 
   // Time from which the pair ranges in each superframe until `ended_s`; infinity: not at all.
-  [[nodiscard]] double well_since_s(const Pair& pair, double over_s, double ended_s) const {
+  [[nodiscard]] double ranging_since_s(const Pair& pair, double over_s, double ended_s) const {
     const double longest_gap_s = 1.5 * superframe_s();
     const auto found = instants_.find(pair);
     if (found == instants_.end()) return std::numeric_limits<double>::infinity();
@@ -183,9 +184,9 @@ class FaultCampaign {
         if (is_tag(anchor)) continue;
         if (phase.apart.contains(tag) != phase.apart.contains(anchor)) continue;
         const Pair pair{tag, anchor};
-        const double took = (well_since_s(pair, over_s, ended_s) - over_s) / superframe;
+        const double took = (ranging_since_s(pair, over_s, ended_s) - over_s) / superframe;
         const bool newcomer = phase.rise.contains(tag) || phase.rise.contains(anchor);
-        double& worst = newcomer ? out.newcomers_superframes : out.old_superframes;
+        double& worst = newcomer ? out.newcomers_superframes : out.survivors_superframes;
         worst = std::isnan(worst) ? took : std::max(worst, took);
         if (took > (newcomer ? phase.newcomers_within : phase.within)) ++out.late_pairs;
         if (took > slowest) {
@@ -214,7 +215,7 @@ class FaultCampaign {
                              std::to_string(range.at_s) + " s: off by " + std::to_string(range.error_m) +
                              " m, " + std::to_string(range.error_m / range.sigma_m) + " sigma");
     }
-    if (out.old_superframes > phase.within)
+    if (out.survivors_superframes > phase.within)
       out.faults.push_back(std::to_string(out.late_pairs) + " pairs are not well again within " +
                            std::to_string(phase.within) + " superframes");
     if (out.newcomers_superframes > phase.newcomers_within)
@@ -237,28 +238,28 @@ class FaultCampaign {
 // lost range. Only for nodes that did not restart.
 inline void expect_counters_account(FaultSite& site, const std::vector<std::uint16_t>& ids) {
   for (const std::uint16_t id : ids) {
-    const groma_Counters told = site.counters(id);
+    const groma_Counters counted = site.counters(id);
     const groma_Counters& seen = site.air.endings.at(id);
-    EXPECT_EQ(told.crc_errors, seen.crc_errors) << id;
-    EXPECT_EQ(told.header_errors, seen.header_errors) << id;
-    EXPECT_EQ(told.sfd_timeouts, seen.sfd_timeouts) << id;
-    EXPECT_EQ(told.frame_timeouts, seen.frame_timeouts) << id;
-    EXPECT_GT(told.crc_errors, 0U) << id;
-    EXPECT_GT(told.header_errors, 0U) << id;
-    EXPECT_GT(told.sfd_timeouts, 0U) << id;
-    EXPECT_EQ(told.radio_recoveries, 0U) << id;
-    EXPECT_EQ(told.reports_dropped, 0U) << id;
+    EXPECT_EQ(counted.crc_errors, seen.crc_errors) << id;
+    EXPECT_EQ(counted.header_errors, seen.header_errors) << id;
+    EXPECT_EQ(counted.sfd_timeouts, seen.sfd_timeouts) << id;
+    EXPECT_EQ(counted.frame_timeouts, seen.frame_timeouts) << id;
+    EXPECT_GT(counted.crc_errors, 0U) << id;
+    EXPECT_GT(counted.header_errors, 0U) << id;
+    EXPECT_GT(counted.sfd_timeouts, 0U) << id;
+    EXPECT_EQ(counted.radio_recoveries, 0U) << id;
+    EXPECT_EQ(counted.reports_dropped, 0U) << id;
     // Events between the answer and now.
     constexpr double kSince = 40.0;
-    EXPECT_NEAR(told.frames_received, seen.frames_received, kSince) << id;
-    EXPECT_NEAR(told.preamble_timeouts, seen.preamble_timeouts, kSince) << id;
+    EXPECT_NEAR(counted.frames_received, seen.frames_received, kSince) << id;
+    EXPECT_NEAR(counted.preamble_timeouts, seen.preamble_timeouts, kSince) << id;
     if (id >= nth_anchor(0)) continue;
     double good = 0.0;
     double lost = 0.0;
     for (const SeenRange& range : site.ranges())
       if (range.tag == id) (range.good ? good : lost) += 1.0;
-    EXPECT_NEAR(told.ranges_completed, good, kSince) << id;
-    EXPECT_NEAR(told.ranges_lost, lost, kSince) << id;
+    EXPECT_NEAR(counted.ranges_completed, good, kSince) << id;
+    EXPECT_NEAR(counted.ranges_lost, lost, kSince) << id;
   }
 }
 
@@ -287,7 +288,7 @@ inline int frames_a_range_needs(groma_RangingMethod method) {
   return method == groma_RangingMethod_METHOD_DS_FINAL ? 5 : 4;
 }
 
-inline FaultPhase nothing_wrong(double for_s) {
+inline FaultPhase no_fault(double for_s) {
   return {.name = "nothing wrong", .lasts_s = for_s, .least_share = 0.99, .most_share = 1.01};
 }
 
@@ -321,7 +322,7 @@ inline FaultPhase another_network(const char* name, std::uint32_t network_id, in
           .lasts_s = for_s,
           .end = [](FaultSite& site) { site.end_second_network(); },
           .most_share = 1.02,
-          .of_what_overlaps_left = true};
+          .share_by_overlaps = true};
 }
 
 inline FaultPhase killed(const char* name, const std::set<std::uint16_t>& ids, double within = 3.0,
@@ -360,7 +361,7 @@ inline FaultPhase tag_joins(const char* name, std::uint16_t id) {
           .rise = {id}};
 }
 
-inline FaultPhase reborn(const char* name, std::uint16_t id, double within = 3.0) {
+inline FaultPhase restarted(const char* name, std::uint16_t id, double within = 3.0) {
   return {.name = name,
           .begin = [=](FaultSite& site) { site.set_power(id, true); },
           .rise = {id},

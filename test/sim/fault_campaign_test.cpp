@@ -6,16 +6,16 @@
 namespace groma::sim {
 namespace {
 
-constexpr double kMeetWithin = 10.0;  // superframes
+constexpr double kMergeWithin = 10.0;  // superframes
 
 std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method) {
   return {
       {.name = "power on", .rise = all_of(3, 12), .newcomers_within = 40.0, .watched_s = 1.5},
-      nothing_wrong(1.0),
+      no_fault(1.0),
       loss(0.3, 10.0, method),
       beacons_lost(10.0, site.superframe_s()),
       killed("two anchors killed", {105, 108}),
-      reborn("one of them reborn", 105),
+      restarted("one of them reborn", 105),
       brown_out<mac::Response>("brown-out in a RESPONSE", 106, 0.5, 0.005),
       brown_out<mac::Response>("brown-out before a RESPONSE", 107, -0.5, 0.002),
       brown_out<mac::Poll>("brown-out in a POLL", 2, 0.7, 0.005),
@@ -26,12 +26,12 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
       tag_joins("another takes its slot", 10),
       brown_out<mac::Beacon>("brown-out of the master in a beacon", 101, 0.6, 0.005),
       killed("master killed", {101}, 10.0, 2.0),
-      reborn("master reborn", 101, 10.0),
+      restarted("master reborn", 101, 10.0),
       cut_off("master alone: two masters", {101}, 2.0),
       meet_again("they meet"),
       cut_off("site cut in two", {101, 1, 103, 105, 106, 107}, 1.2),
       meet_again("its halves meet"),
-      nothing_wrong(1.0),
+      no_fault(1.0),
   };
 }
 
@@ -39,7 +39,7 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
 // restarted, with its own session.
 class KeyedFaultCampaignTest : public testing::TestWithParam<std::uint64_t> {};
 
-TEST_P(KeyedFaultCampaignTest, PartsThatMeetAgainAreOneSite) {
+TEST_P(KeyedFaultCampaignTest, PartsThatMeetAgainMerge) {
   FaultSite site({.turn_round_us = 400,
                   .network_key = security::Key{3, 1, 4, 1, 5, 9, 2, 6, 5, 3, 5, 8, 9, 7, 9, 3},
                   .seed = GetParam()});
@@ -51,15 +51,18 @@ TEST_P(KeyedFaultCampaignTest, PartsThatMeetAgainAreOneSite) {
   FaultCampaign campaign(site);
   campaign.run({
       {.name = "power on", .rise = all_of(3, 12), .newcomers_within = 160.0, .watched_s = 4.0},
-      nothing_wrong(1.0),
+      no_fault(1.0),
       cut_off("master alone: two masters", {101}, 2.0),
-      meet_again("they meet", kMeetWithin),
+      meet_again("they meet", kMergeWithin),
       cut_off("site cut in two", {101, 1, 103, 105, 106, 107}, 1.2),
-      meet_again("its halves meet", kMeetWithin),
+      meet_again("its halves meet", kMergeWithin),
       {.name = "master killed", .begin = off, .die = {101}, .within = 10.0, .watched_s = 2.0},
       {.name = "and reborn alone", .begin = alone, .watched_s = 3.0},
-      {.name = "it meets the others", .rise = {101}, .within = kMeetWithin, .newcomers_within = kMeetWithin},
-      nothing_wrong(1.0),
+      {.name = "it meets the others",
+       .rise = {101},
+       .within = kMergeWithin,
+       .newcomers_within = kMergeWithin},
+      no_fault(1.0),
   });
   expect_no_harm(site, campaign);
   std::printf("%s", campaign.table().c_str());
@@ -70,7 +73,7 @@ INSTANTIATE_TEST_SUITE_P(Seeds, KeyedFaultCampaignTest,
 
 class FaultCampaignTest : public testing::TestWithParam<std::tuple<std::uint64_t, groma_RangingMethod>> {};
 
-TEST_P(FaultCampaignTest, EachFaultCostsNoMoreThanItMustAndNoRangeIsEverWrong) {
+TEST_P(FaultCampaignTest, FaultsStayWithinTheirBoundsAndNoRangeIsWrong) {
   const auto [seed, method] = GetParam();
   FaultSite site({.method = method, .seed = seed});
   FaultCampaign campaign(site);

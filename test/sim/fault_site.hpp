@@ -194,8 +194,8 @@ struct FaultSiteSettings {
   MediumSettings medium{.stamp_noise_s = 1e-10};
   std::uint64_t seed = 1;
   double crystals_ppm = 10.0;  // offsets lie within +- this
-  double wander_ppm = 10.0;    // amplitude of a periodic drift, up or down from the offset
-  double wander_ppm_per_s = 1.0;
+  double drift_ppm = 10.0;    // amplitude of a periodic drift, up or down from the offset
+  double drift_rate_ppm_per_s = 1.0;
   double until_s = 200.0;  // the longest that the run may last
   std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;
 };
@@ -254,10 +254,10 @@ class FaultSite {
     spec.chip.id = id;
     spec.chip.clock.offset_ppm = draw.of(1).uniform(-settings_.crystals_ppm, settings_.crystals_ppm);
     spec.chip.clock.first_tick = draw.of(2).bits() & ((std::uint64_t{1} << 40) - 1);
-    if (settings_.wander_ppm_per_s > 0.0)
+    if (settings_.drift_rate_ppm_per_s > 0.0)
       spec.chip.clock.more_ramps =
-          up_and_down(index % 2 == 0 ? settings_.wander_ppm_per_s : -settings_.wander_ppm_per_s,
-                      settings_.wander_ppm, draw.of(3).uniform(0.0, 3.0), settings_.until_s);
+          up_and_down(index % 2 == 0 ? settings_.drift_rate_ppm_per_s : -settings_.drift_rate_ppm_per_s,
+                      settings_.drift_ppm, draw.of(3).uniform(0.0, 3.0), settings_.until_s);
     spec.power_on = power_on;
     std::array<std::uint8_t, node::kMaxConfigBytes> blob{};
     const std::size_t size = node::encode_config(config, blob);

@@ -112,7 +112,7 @@ class Yard {
     return 1000.0;
   }
   // No two tags report the same slot of one superframe.
-  void expect_one_owner_a_slot() const {
+  void expect_one_owner_per_slot() const {
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> owners;
     for (const Listener& listener : listeners) {
       for (const Listener::Report& report : listener.reports) {
@@ -177,7 +177,7 @@ INSTANTIATE_TEST_SUITE_P(Joining, Methods,
                                            groma_RangingMethod_METHOD_DS_NEXT_POLL));
 
 // Synchronization takes a superframe, and the report of an exchange comes one superframe later.
-TEST_P(Methods, ATagThatTheScheduleDoesNotNameHasItsFullRateWithinTenSuperframes) {
+TEST_P(Methods, AnUnscheduledTagHasItsFullRateWithinTenSuperframes) {
   Yard yard({.slots = 4, .method = GetParam()});
   yard.run(kSettled_s);
   const double from_s = yard.now_s;
@@ -188,7 +188,7 @@ TEST_P(Methods, ATagThatTheScheduleDoesNotNameHasItsFullRateWithinTenSuperframes
   yard.run_superframes(100);
   EXPECT_GE(yard.good(50, 0, joined_s), 4 * 98) << "full rate";
   EXPECT_GE(yard.good(1, 0, from_s), 4 * 105) << "and at nobody's cost";
-  yard.expect_one_owner_a_slot();
+  yard.expect_one_owner_per_slot();
   yard.run(1.1);
   EXPECT_TRUE(yard.of(50).status.has_slot);
   EXPECT_EQ(yard.of(50).status.slot, 2U);
@@ -201,7 +201,7 @@ TEST_P(Methods, ATagThatTheScheduleDoesNotNameHasItsFullRateWithinTenSuperframes
   EXPECT_EQ(master.holders[3], 0);
 }
 
-TEST(Joining, TwoTagsAtOnceBothHaveASlot) {
+TEST(Joining, TwoSimultaneousTagsBothGetASlot) {
   Yard yard({.slots = 4});
   yard.run(kSettled_s);
   const double from_s = yard.now_s;
@@ -210,10 +210,10 @@ TEST(Joining, TwoTagsAtOnceBothHaveASlot) {
   yard.run_superframes(25);
   EXPECT_LE(yard.superframes_until(50, 4, from_s), 20.0);
   EXPECT_LE(yard.superframes_until(51, 4, from_s), 20.0);
-  yard.expect_one_owner_a_slot();
+  yard.expect_one_owner_per_slot();
 }
 
-TEST(Joining, ASlotThatATagLeavesServesTheNextOne) {
+TEST(Joining, AReleasedSlotGoesToTheNextTag) {
   Yard yard({.slots = 2});
   yard.run(kSettled_s);
   yard.add(50);
@@ -229,10 +229,10 @@ TEST(Joining, ASlotThatATagLeavesServesTheNextOne) {
   EXPECT_LE(yard.superframes_until(50, 4, from_s), 24.0) << "by then it asks about each 16 superframes";
   EXPECT_EQ(yard.good(1, 0, from_s + 0.1), 0);
   EXPECT_GT(yard.good(2, 0, from_s + 0.1), 0);
-  yard.expect_one_owner_a_slot();
+  yard.expect_one_owner_per_slot();
 }
 
-TEST(Joining, ADeadTagsSlotIsGivenToAnotherAndItJoinsAnewWhenItIsBack) {
+TEST(Joining, ADeadTagsSlotGoesToAnotherAndItRejoinsWhenItIsBack) {
   Yard yard({.slots = 3});
   yard.run(kSettled_s);
   yard.add(50);
@@ -251,10 +251,10 @@ TEST(Joining, ADeadTagsSlotIsGivenToAnotherAndItJoinsAnewWhenItIsBack) {
   const double back_s = yard.now_s;
   yard.run_superframes(15);
   EXPECT_LE(yard.superframes_until(1, 4, back_s), 12.0);
-  yard.expect_one_owner_a_slot();
+  yard.expect_one_owner_per_slot();
 }
 
-TEST(Joining, AnAnchorThatTheScheduleDoesNotNameIsRangedWithinTenSuperframes) {
+TEST(Joining, AnUnscheduledAnchorIsRangedWithinTenSuperframes) {
   Yard yard({.responses = 8});
   yard.run(kSettled_s);
   const double from_s = yard.now_s;
@@ -283,7 +283,7 @@ TEST(Joining, AnAnchorThatDiesAndComesBackCostsItsOwnRangesOnly) {
   EXPECT_LE(yard.superframes_until(1, 1, from_s, 103), 12.0);
 }
 
-TEST(Joining, OfThirtyCandidatesTheTwelveInReachAreAlwaysPolled) {
+TEST(Joining, TheTwelveReachableOfThirtyCandidatesAreAlwaysPolled) {
   JoiningSettings settings{.tags = {1}, .anchors = {}, .responses = 16};
   for (std::uint16_t id = 101; id < 131; ++id) settings.anchors.push_back(id);
   Yard yard(settings);
@@ -332,7 +332,7 @@ TEST(Joining, AHostsHintPutsAnAnchorIntoThePoll) {
   EXPECT_EQ(yard.of(1).replies[1].result, groma_Result_RESULT_INVALID);
 }
 
-TEST(Joining, AGuestKeepsItsSlotOverAChangeOfMaster) {
+TEST(Joining, AGuestKeepsItsSlotOverATakeover) {
   Yard yard({.backups = {102}, .slots = 3});
   yard.run(kSettled_s);
   yard.add(50);
@@ -345,7 +345,7 @@ TEST(Joining, AGuestKeepsItsSlotOverAChangeOfMaster) {
   yard.add(51);
   yard.run_superframes(60);
   EXPECT_EQ(yard.superframes_until(51, 1, late_s), 1000.0) << "no slot is free";
-  yard.expect_one_owner_a_slot();
+  yard.expect_one_owner_per_slot();
 }
 
 TEST(Joining, ANodeWithAnOldScheduleStaysSilentAndCountsWhatItHears) {
@@ -364,14 +364,14 @@ TEST(Joining, ANodeWithAnOldScheduleStaysSilentAndCountsWhatItHears) {
   EXPECT_GE(yard.good(1, 0, from_s), 4 * 199) << "nobody is disturbed";
 }
 
-TEST(Joining, AtThirtyPercentLossATagJoinsToo) {
+TEST(Joining, ATagJoinsAtThirtyPercentLoss) {
   Yard yard({.slots = 4, .loss = 0.3});
   yard.run(kSettled_s);
   const double from_s = yard.now_s;
   yard.add(50);
   yard.run_superframes(100);
   EXPECT_LE(yard.superframes_until(50, 1, from_s), 40.0);
-  yard.expect_one_owner_a_slot();
+  yard.expect_one_owner_per_slot();
 }
 
 }  // namespace

@@ -130,7 +130,7 @@ TEST_P(McpTest, FillsTheBusWhenTheQueueIsFull) {
   EXPECT_GT(static_cast<double>(bus.counters().busy - busy), 0.97 * static_cast<double>(module.now - begin));
 }
 
-TEST_P(McpTest, TakesWhatTheHostSendsToIt) {
+TEST_P(McpTest, ReceivesOnlyTheFramesToItsNode) {
   start();
   const Bytes command = framed(100, 4);
   std::uint32_t pieces = 0;
@@ -162,7 +162,7 @@ TEST_P(McpTest, TakesWhatTheHostSendsToIt) {
   EXPECT_FALSE(module.chip.irq());
 }
 
-TEST_P(McpTest, CountsWhatFoundTheReceiveFifoFullAndGoesOn) {
+TEST_P(McpTest, CountsReceiveOverrunsAndContinues) {
   start();
   wire::CanFrame frame = frame_of(wire::can_id({CanDirection::kToNode, 3}), 8, GetParam());
   for (int i = 0; i < 50; ++i) tap.send(module.now, frame);
@@ -193,7 +193,7 @@ TEST_P(McpTest, KeepsEachStepWithinItsBounds) {
   EXPECT_LE(module.longest_step, (GetParam() == CanFormat::kFd ? 270 : 160) * kMicrosecond);
 }
 
-TEST_P(McpTest, SurvivesBusOffAndComesBackByItself) {
+TEST_P(McpTest, RecoversFromBusOffByItself) {
   start();
   Host host;
   std::uint64_t seed = 0;
@@ -247,7 +247,7 @@ TEST_P(McpTest, SurvivesAShortCircuit) {
   EXPECT_EQ(host.payloads, std::vector<Bytes>({Bytes(decoder.payload().begin(), decoder.payload().end())}));
 }
 
-TEST_P(McpTest, TriesForEverWhenNobodyAcknowledgesAndGoesOnWhenSomebodyDoes) {
+TEST_P(McpTest, RetriesUntilSomebodyAcknowledges) {
   tap.set_connected(false);
   start();
   ASSERT_TRUE(module.link.write(framed(20, 1)));
@@ -262,7 +262,7 @@ TEST_P(McpTest, TriesForEverWhenNobodyAcknowledgesAndGoesOnWhenSomebodyDoes) {
   EXPECT_EQ(host.payloads.size(), 1U);
 }
 
-TEST_P(McpTest, BringsAChipUpAgainThatHadLostItsPower) {
+TEST_P(McpTest, ReinitializesAChipAfterAPowerLoss) {
   start();
   ASSERT_TRUE(module.link.write(framed(20, 1)));
   module.run(module.now + 5 * kMs);
@@ -280,7 +280,7 @@ TEST_P(McpTest, BringsAChipUpAgainThatHadLostItsPower) {
   EXPECT_EQ(host.payloads.size(), 1U);
 }
 
-TEST_P(McpTest, CanBeStartedAgainWithOtherSettingsAmidTraffic) {
+TEST_P(McpTest, CanBeRestartedWithOtherSettingsDuringTraffic) {
   start();
   for (int i = 0; i < 5; ++i) (void)module.link.write(framed(200, 1));
   module.run(module.now + 1 * kMs);
@@ -301,7 +301,7 @@ TEST_P(McpTest, UsesTheWholeTransmitFifo) {
   EXPECT_EQ(module.link.counters().frames_sent, GetParam() == CanFormat::kFd ? 20U : 32U);
 }
 
-TEST_P(McpTest, RefusesAWholeFrameWhereThereIsNoRoomForAllOfIt) {
+TEST_P(McpTest, RefusesAFrameThatDoesNotFitWhole) {
   start();
   tap.set_connected(false);
   std::size_t accepted = 0;
@@ -310,7 +310,7 @@ TEST_P(McpTest, RefusesAWholeFrameWhereThereIsNoRoomForAllOfIt) {
   EXPECT_TRUE(module.link.write(framed(1, 0)));
 }
 
-TEST(McpBringUp, SaysWhatFailed) {
+TEST(McpBringUp, ReportsWhatFailed) {
   const auto result_of = [](const Mcp2518fdSpec& spec, const Settings& settings = {.node = 3}) {
     CanBus bus;
     CanTap tap(bus, {});
@@ -419,7 +419,7 @@ TEST_F(McpChipTest, FaultsHalfAWordOfRam) {
   EXPECT_NE(chip.fault().find("whole words"), std::string::npos);
 }
 
-TEST_F(McpChipTest, FaultsAFasterBusThanItBears) {
+TEST_F(McpChipTest, FaultsATooFastBus) {
   transfer({0x30, 0x00, 0, 0, 0, 0}, 17'000'000);
   EXPECT_EQ(chip.fault(), "");
   transfer({0x30, 0x00, 0, 0, 0, 0}, 18'000'000);

@@ -61,7 +61,7 @@ TEST_F(MediumTest, ADrawDependsOnItsKeysAlone) {
   EXPECT_GT(differ, 50);
 }
 
-TEST_F(MediumTest, LossesComeAtTheirRateAndInTheirKinds) {
+TEST_F(MediumTest, LossesHaveTheirRateAndKinds) {
   const double p = 0.02;
   const ThreeStations air(space, {.loss_probability = p}, 3);
   constexpr int kFrames = 200'000;
@@ -93,7 +93,7 @@ TEST_F(MediumTest, LossesFollowNoPatternInTime) {
   EXPECT_LT(chi2, 16.27) << "99.9 % of 3 degrees of freedom";
 }
 
-TEST_F(MediumTest, StampNoiseIsGaussianOfTheSigmaAsked) {
+TEST_F(MediumTest, TimestampNoiseIsGaussianWithTheConfiguredSigma) {
   const ThreeStations air(space, {.stamp_noise_s = 1e-10}, 9);
   constexpr int kFrames = 100'000;
   double sum = 0.0;
@@ -119,7 +119,7 @@ AirFrame frame_at(std::uint32_t number, SimTime rmarker) {
   return frame;
 }
 
-TEST_F(MediumTest, AFadeTakesItsShareOfFramesInItsTimeAndNoOther) {
+TEST_F(MediumTest, AFadeAffectsItsShareOfFramesInItsTimeOnly) {
   ThreeStations air(space, {}, 3);
   air.medium.add_fade({.from = from_seconds(1.0), .until = from_seconds(2.0), .probability = 0.3}, 0);
   std::array<int, 3> lost{};
@@ -136,7 +136,7 @@ TEST_F(MediumTest, AFadeTakesItsShareOfFramesInItsTimeAndNoOther) {
   EXPECT_EQ(lost[2], 0);
 }
 
-TEST_F(MediumTest, AFadeHitsTheFramesAndLinksThatItIsFor) {
+TEST_F(MediumTest, AFadeHitsOnlyItsFramesAndLinks) {
   ThreeStations air(space, {}, 3);
   air.medium.add_fade(
       {.silent = true,
@@ -150,7 +150,7 @@ TEST_F(MediumTest, AFadeHitsTheFramesAndLinksThatItIsFor) {
   EXPECT_EQ(air.medium.reception(frame, 2).loss, Loss::kUnheard);
 }
 
-TEST_F(MediumTest, TwoFadesAreTwoDraws) {
+TEST_F(MediumTest, TwoFadesDrawIndependently) {
   ThreeStations air(space, {}, 3);
   for (int i = 0; i < 2; ++i) air.medium.add_fade({.probability = 0.5}, 0);
   int received = 0;
@@ -159,7 +159,7 @@ TEST_F(MediumTest, TwoFadesAreTwoDraws) {
   EXPECT_NEAR(received, 2500, 4 * std::sqrt(10'000 * 0.25 * 0.75));
 }
 
-TEST_F(MediumTest, AFadeThatIsForgottenChangesNoLaterOne) {
+TEST_F(MediumTest, AnExpiredFadeChangesNoLaterOne) {
   const auto losses = [&](bool with_an_old_one) {
     ThreeStations air(space, {}, 3);
     air.medium.add_fade({.until = from_seconds(1.0)}, 0);

@@ -13,7 +13,7 @@
 namespace groma::sim {
 namespace {
 
-constexpr double kInStep_s = 0.6;  // by then each node is synchronized and each pair has ranged
+constexpr double kSynchronized_s = 0.6;  // by then each node is synchronized and each pair has ranged
 
 void expect_sound(SiteBench& site) {
   for (std::size_t i = 0; i < site.network.size(); ++i) {
@@ -35,7 +35,7 @@ struct Errors {
   double mean_m = 0.0;
 };
 
-Errors errors_of(const SiteBench& site, double from_s = kInStep_s) {
+Errors errors_of(const SiteBench& site, double from_s = kSynchronized_s) {
   Errors errors;
   double sum = 0.0;
   site.each_range(
@@ -57,14 +57,14 @@ Errors errors_of(const SiteBench& site, double from_s = kInStep_s) {
 }
 
 // Ranges per second by the schedule.
-double promised_rate(const SiteBench& site, const SiteSettings& settings) {
+double scheduled_rate(const SiteBench& site, const SiteSettings& settings) {
   const double superframe_s = seconds_of(site.superframe());
   return settings.tags * settings.anchors / superframe_s;
 }
 
 // ---- a small site ---------------------------------------------------------------------------------
 
-TEST(SmallSite, ComesUpAndKeepsInStep) {
+TEST(SmallSite, StartsAndStaysSynchronized) {
   SiteBench site({});
   site.run_until(3.0);
   expect_sound(site);
@@ -108,11 +108,11 @@ TEST(SmallSite, ReportsPowersAndTheAnchorsClockOffset) {
         EXPECT_NEAR(range.first_path_power_cdbm, path.first_path_power_dbm * 100.0, 20.0);
         ++seen;
       },
-      kInStep_s);
+      kSynchronized_s);
   EXPECT_GT(seen, 100);
 }
 
-TEST(SmallSite, ARangesInstantIsThatOfItsExchange) {
+TEST(SmallSite, EachRangeHasTheInstantOfItsExchange) {
   SiteBench site({});
   site.run_until(2.0);
   for (const Listener::Report& report : site.listeners[0].reports) {
@@ -130,7 +130,7 @@ TEST(SmallSite, ARangesInstantIsThatOfItsExchange) {
   }
 }
 
-TEST(SmallSite, DeviceTimeRunsAsTheTagsClockOverTheWrap) {
+TEST(SmallSite, DeviceTimeFollowsTheTagsClockOverTheWrap) {
   SiteBench site({});
   site.run_until(40.0);
   const auto& reports = site.listeners[0].reports;
@@ -155,16 +155,16 @@ struct Variant {
 
 class NoiseFree : public testing::TestWithParam<Variant> {};
 
-TEST_P(NoiseFree, RangesAreTrueAndAsManyAsPromised) {
+TEST_P(NoiseFree, RangesAreTrueAndAtTheScheduledRate) {
   const SiteSettings& settings = GetParam().settings;
   SiteBench site(settings);
-  site.run_until(kInStep_s + 2.0);
+  site.run_until(kSynchronized_s + 2.0);
   expect_sound(site);
   const Errors errors = errors_of(site);
   EXPECT_EQ(errors.missing, 0);
   EXPECT_LT(errors.worst_m, 0.01);
   EXPECT_LT(std::abs(errors.mean_m), 0.003);
-  EXPECT_NEAR(errors.good, 2.0 * promised_rate(site, settings), settings.tags * settings.anchors + 0.0);
+  EXPECT_NEAR(errors.good, 2.0 * scheduled_rate(site, settings), settings.tags * settings.anchors + 0.0);
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -182,7 +182,7 @@ INSTANTIATE_TEST_SUITE_P(
 
 // tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), with independent noise on each of the three receive
 // timestamps.
-TEST(NoisyStamps, SpreadRangesAsTheClosedFormSays) {
+TEST(NoisyStamps, SpreadRangesAsInTheClosedForm) {
   SiteBench site({.tags = 1, .anchors = 6, .medium = {.stamp_noise_s = 1e-10}});
   site.run_until(12.0);
   double squares = 0.0;
@@ -199,9 +199,9 @@ TEST(NoisyStamps, SpreadRangesAsTheClosedFormSays) {
         const double poll = da / sum;
         const double response = (rb + db) / sum;
         const double closing = ra / sum;
-        const double stamp_sigma_m = std::hypot(1e-10, 15.65e-12 / std::sqrt(12.0)) * 299'792'458.0;
+        const double timestamp_sigma_m = std::hypot(1e-10, 15.65e-12 / std::sqrt(12.0)) * 299'792'458.0;
         const double sigma_m =
-            stamp_sigma_m * std::sqrt(poll * poll + response * response + closing * closing);
+            timestamp_sigma_m * std::sqrt(poll * poll + response * response + closing * closing);
         const double truth = site.space.distance_m(static_cast<std::uint16_t>(report.tag_id),
                                                    static_cast<std::uint16_t>(range.anchor_id));
         const double normalized = (static_cast<double>(range.range_m) - truth) / sigma_m;
@@ -209,7 +209,7 @@ TEST(NoisyStamps, SpreadRangesAsTheClosedFormSays) {
         squares += normalized * normalized;
         ++count;
       },
-      kInStep_s);
+      kSynchronized_s);
   ASSERT_GT(count, 5000);
   EXPECT_NEAR(squares / count, 1.0, 4.0 * std::sqrt(2.0 / count) + 0.02);
 }
@@ -222,10 +222,10 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
       .anchors = 12,
       .medium = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.02}};
   SiteBench site(settings);
-  site.run_until(kInStep_s + 10.0);
+  site.run_until(kSynchronized_s + 10.0);
   const Errors errors = errors_of(site);
   EXPECT_LT(errors.worst_m, 0.01) << "a lost frame never gives a range";
-  const double share = errors.good / (10.0 * promised_rate(site, settings));
+  const double share = errors.good / (10.0 * scheduled_rate(site, settings));
   // POLL, RESPONSE, FINAL, then the next POLL and RESPONSE that return the closing timestamp.
   const double product = std::pow(0.98, 5);
   EXPECT_GT(share, 0.9 * product);
@@ -240,7 +240,7 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
   EXPECT_GT(site.listeners[0].counters.sfd_timeouts, 0U);
 }
 
-TEST(Faults, ThirtyPercentLossLocksNothingUp) {
+TEST(Faults, TheSiteRecoversFromThirtyPercentLoss) {
   const SiteSettings settings{
       .tags = 2,
       .anchors = 6,
@@ -253,7 +253,7 @@ TEST(Faults, ThirtyPercentLossLocksNothingUp) {
   clear.loss_probability = 0.0;
   site.network.medium().set_settings(clear);
   site.run_until(14.0);
-  EXPECT_NEAR(site.good_ranges(12.0), 2.0 * promised_rate(site, settings), 24.0);
+  EXPECT_NEAR(site.good_ranges(12.0), 2.0 * scheduled_rate(site, settings), 24.0);
 }
 
 TEST(Faults, ADeadAnchorCostsItsOwnRangesOnly) {
@@ -272,10 +272,10 @@ TEST(Faults, ADeadAnchorCostsItsOwnRangesOnly) {
         }
       },
       2.5);
-  EXPECT_NEAR(others, 1.5 * promised_rate(site, settings) * 5.0 / 6.0, 12.0);
+  EXPECT_NEAR(others, 1.5 * scheduled_rate(site, settings) * 5.0 / 6.0, 12.0);
   site.network.set_power(2 + 3, true);
   site.run_until(6.0);
-  EXPECT_NEAR(site.good_ranges(5.0), promised_rate(site, settings), 12.0);
+  EXPECT_NEAR(site.good_ranges(5.0), scheduled_rate(site, settings), 12.0);
   EXPECT_LT(errors_of(site).worst_m, 0.01);
 }
 
@@ -288,11 +288,11 @@ TEST(Faults, ADeadMasterSilencesTheSiteUntilItReturns) {
   EXPECT_EQ(site.listeners[0].status.state, groma_SyncState_SYNC_SEARCHING);
   site.network.set_power(1, true);
   site.run_until(8.0);
-  EXPECT_NEAR(site.good_ranges(7.0), promised_rate(site, settings), 8.0);
+  EXPECT_NEAR(site.good_ranges(7.0), scheduled_rate(site, settings), 8.0);
   EXPECT_LT(errors_of(site).worst_m, 0.01);
 }
 
-TEST(Faults, ARebootedTagRangesAgain) {
+TEST(Faults, ARebootedTagResumesRanging) {
   const SiteSettings settings{.tags = 2, .anchors = 4};
   SiteBench site(settings);
   site.run_until(2.0);
@@ -307,7 +307,7 @@ TEST(Faults, ARebootedTagRangesAgain) {
   EXPECT_EQ(site.listeners[0].hellos[1].boot_count, 2U);
   ASSERT_EQ(site.listeners[0].replies.size(), 1U);
   EXPECT_EQ(site.listeners[0].replies[0].request_id, 77U);
-  EXPECT_NEAR(site.good_ranges(3.0), promised_rate(site, settings), 8.0);
+  EXPECT_NEAR(site.good_ranges(3.0), scheduled_rate(site, settings), 8.0);
   EXPECT_LT(errors_of(site).worst_m, 0.01);
 }
 
@@ -332,7 +332,7 @@ TEST(Faults, AConfigurationWrittenOverTheLinkIsKept) {
 }
 
 // Writes often enough that pages fill up and are erased: each erase takes the node off the air for 85 ms.
-TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
+TEST(Faults, WritingFlashKeepsAllNodesSynchronized) {
   for (const std::size_t writer : {0U, 1U, 2U}) {  // the tag, the master, another anchor
     const SiteSettings settings{.tags = 1, .anchors = 3};
     SiteBench site(settings);
@@ -359,8 +359,9 @@ TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
     const auto& logs = site.listeners[writer].logs;
     EXPECT_EQ(std::count(logs.begin(), logs.end(), "off the air to write flash"), kWrites);
     for (std::size_t i = 0; i < site.network.size(); ++i) {
-      const auto& said = site.listeners[i].logs;
-      EXPECT_EQ(std::count(said.begin(), said.end(), "beacons lost, searching"), 0) << writer << ' ' << i;
+      const auto& node_logs = site.listeners[i].logs;
+      EXPECT_EQ(std::count(node_logs.begin(), node_logs.end(), "beacons lost, searching"), 0)
+          << writer << ' ' << i;
       EXPECT_EQ(site.listeners[i].status.state, groma_SyncState_SYNC_LOCKED);
       EXPECT_EQ(site.listeners[i].counters.radio_recoveries, 0U);
     }
@@ -368,12 +369,12 @@ TEST(Faults, WritingFlashTakesNobodyOutOfStep) {
     EXPECT_NEAR(site.listeners[0].status.superframe,
                 end_s / to_seconds(site.superframe().duration().count() * kUnitsPerTick),
                 1.2 / to_seconds(site.superframe().duration().count() * kUnitsPerTick));
-    EXPECT_GT(site.good_ranges(end_s), 0.95 * promised_rate(site, settings));
+    EXPECT_GT(site.good_ranges(end_s), 0.95 * scheduled_rate(site, settings));
     EXPECT_LT(errors_of(site).worst_m, 0.01);
   }
 }
 
-TEST(Faults, AFullLineDropsWholeReportsAndSaysSo) {
+TEST(Faults, AFullLineDropsWholeReportsAndCountsThem) {
   // 20 kbit/s is far too slow for this many reports.
   SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});
   site.run_until(6.0);
@@ -409,7 +410,7 @@ TEST(Determinism, TheNumberOfThreadsChangesNothing) {
   EXPECT_EQ(trace(3), reference);
 }
 
-TEST(Determinism, OneSeedGivesOneTraceWhateverTheSteps) {
+TEST(Determinism, OneSeedGivesOneTraceForAnySteps) {
   SiteSettings settings{.tags = 2, .anchors = 5, .medium = {.loss_probability = 0.02}};
   const auto trace = [&](double step_s) {
     SiteBench site(settings);
@@ -428,7 +429,7 @@ TEST(Determinism, OneSeedGivesOneTraceWhateverTheSteps) {
 }
 
 // A node's speed changes no timestamp: the same frames carry the same noise.
-TEST(Determinism, TheBussSpeedChangesNoRange) {
+TEST(Determinism, TheBusSpeedChangesNoRange) {
   const auto ranges = [](double transaction_us) {
     SiteBench site(
         {.tags = 1, .anchors = 4, .medium = {.stamp_noise_s = 1e-10}, .spi_transaction_us = transaction_us});
@@ -456,7 +457,7 @@ TEST(Determinism, TheBussSpeedChangesNoRange) {
   EXPECT_LT(std::sqrt(squares / shared), 0.02);
 }
 
-TEST(Faults, DriftRampsBendNoRange) {
+TEST(Faults, DriftRampsBiasNoRange) {
   SiteBench site({.tags = 2, .anchors = 5, .drift_ppm_per_s = 1.0});
   site.run_until(12.0);
   const Errors errors = errors_of(site, 1.0);

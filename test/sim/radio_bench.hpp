@@ -142,8 +142,8 @@ class HandDriven {
   }
 
   std::uint64_t status() { return read(0x0F, 0x00, 5); }
-  std::uint64_t transmit_stamp() { return read(0x17, 0x00, 5); }
-  std::uint64_t receive_stamp() { return read(0x15, 0x00, 5); }
+  std::uint64_t transmit_timestamp() { return read(0x17, 0x00, 5); }
+  std::uint64_t receive_timestamp() { return read(0x15, 0x00, 5); }
   std::uint64_t system_time() { return read(0x06, 0x00, 5); }
   [[nodiscard]] std::uint16_t symbols() const { return symbols_; }
 

@@ -34,7 +34,7 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
   int asked = 0;
   for (int i = 0; i < c.anchors; ++i) {
     const std::uint16_t id = nth_anchor(i);
-    const auto took = [&](const std::optional<Reach::Answer>& answer) {
+    const auto record = [&](const std::optional<Reach::Answer>& answer) {
       if (!answer) return;
       longest_s = std::max(longest_s, answer->took_s);
       sum_s += answer->took_s;
@@ -46,12 +46,12 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
     EXPECT_EQ(hello->role, groma_Role_ROLE_ANCHOR);
 
     const auto counters = reach.ask(id, groma_HostToNode_get_counters_tag);
-    took(counters);
+    record(counters);
     ASSERT_TRUE(counters && counters->rest.size() == 2U) << "anchor " << id;
     EXPECT_GT(counters->rest[1].body.counters.frames_received, 10U);
 
     const auto read = reach.ask(id, groma_HostToNode_read_config_tag);
-    took(read);
+    record(read);
     ASSERT_TRUE(read && read->reply.has_config) << "anchor " << id;
     EXPECT_EQ(read->reply.config.id, id);
     EXPECT_EQ(node::config_hash_of(read->reply.config), hello->config_hash);
@@ -62,7 +62,7 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
     command.which_body = groma_HostToNode_write_config_tag;
     command.body.write_config = changed;
     const auto written = reach.ask(id, command);
-    took(written);
+    record(written);
     ASSERT_TRUE(written) << "anchor " << id;
     EXPECT_EQ(written->reply.result, groma_Result_RESULT_OK) << written->reply.text;
     EXPECT_EQ(written->reply.config.transmit_antenna_delay_dtu, changed.transmit_antenna_delay_dtu);
@@ -71,7 +71,7 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
     command.which_body = groma_HostToNode_identify_s_tag;
     command.body.identify_s = 5;
     const auto identified = reach.ask(id, command);
-    took(identified);
+    record(identified);
     ASSERT_TRUE(identified) << "anchor " << id;
     EXPECT_EQ(identified->reply.result, groma_Result_RESULT_OK);
   }
@@ -89,7 +89,7 @@ INSTANTIATE_TEST_SUITE_P(Site, ReachTest,
                                            Case{"KeyedTwoHopsThirtyPercent", 2, true, 0.3, true}),
                          ::testing::PrintToStringParamName());
 
-TEST(Reach, ANodeThatIsNotThereIsToldAndTheRateStays) {
+TEST(Reach, AnAbsentNodeIsReportedAndTheRateStays) {
   Reach reach({.anchors = 3});
   const auto answer = reach.ask(999, groma_HostToNode_get_hello_tag);
   ASSERT_TRUE(answer);
@@ -113,7 +113,7 @@ TEST(Reach, ARebootOverTheAirHappensOnce) {
   EXPECT_EQ(after->boot_count, before->boot_count + 1);
 }
 
-TEST(Reach, WhatWouldCutANodeOffIsRefusedOverTheAir) {
+TEST(Reach, CommandsThatWouldCutANodeOffAreRefusedOverTheAir) {
   Reach reach({.anchors = 3});
   const auto reset = reach.ask(102, groma_HostToNode_factory_reset_tag);
   ASSERT_TRUE(reset);
@@ -132,7 +132,7 @@ TEST(Reach, WhatWouldCutANodeOffIsRefusedOverTheAir) {
 
 // ---- ranges between anchors -------------------------------------------------------------------------------
 
-TEST(Reach, AnAnchorRangesToTheOthersInASlotThatIsLentToIt) {
+TEST(Reach, AnAnchorRangesToTheOthersInABorrowedSlot) {
   Reach reach({.anchors = 4, .loss = 0.02});
   groma_HostToNode command = groma_HostToNode_init_zero;
   command.which_body = groma_HostToNode_survey_tag;
@@ -204,7 +204,7 @@ TEST(Reach, AConfigurationThatProvesItselfStays) {
             node::config_hash_of(config));
 }
 
-TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
+TEST(Reach, AConfigurationThatCutsTheNodeOffIsRevertedToThePreviousOne) {
   for (const bool power_cut : {false, true}) {
     Reach reach({.anchors = 3, .loss = 0.02});
     const groma_Config good = reach.bench.config_of(103, groma_Role_ROLE_ANCHOR);
@@ -233,7 +233,7 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffGivesWayToTheOneBefore) {
 }
 
 // An anchor that only the master hears: reached through the tag and the master.
-TEST(Reach, TwoHopsAwayATrialIsWonOrLostAsItIsNextDoor) {
+TEST(Reach, TwoHopsAwayATrialSucceedsOrFailsAsInDirectReach) {
   for (const bool keyed : {false, true}) {
     constexpr std::uint16_t kFar = 102;
     Reach reach({.anchors = 2, .in_a_row = true, .loss = 0.02, .keyed = keyed});
@@ -242,9 +242,9 @@ TEST(Reach, TwoHopsAwayATrialIsWonOrLostAsItIsNextDoor) {
     ASSERT_EQ(reach.write(kFar, better).result, groma_Result_RESULT_OK);
     ASSERT_EQ(reach.apply(kFar, 5), groma_Result_RESULT_OK);
     reach.run(1.0);
-    const auto won = reach.hello(kFar);
-    ASSERT_TRUE(won);
-    EXPECT_EQ(won->config_hash, node::config_hash_of(better)) << keyed;
+    const auto accepted = reach.hello(kFar);
+    ASSERT_TRUE(accepted);
+    EXPECT_EQ(accepted->config_hash, node::config_hash_of(better)) << keyed;
     reach.run(8.0);
 
     groma_Config wrong = better;

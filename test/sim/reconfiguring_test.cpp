@@ -33,7 +33,7 @@ class Reconfigured : public testing::TestWithParam<Reconfiguring> {};
 // nodes with the newer one range. Includes the time that a node is off the air to write its flash.
 constexpr double kBound = 60.0;
 
-TEST_P(Reconfigured, ThePartWithTheNewestScheduleRangesAndTheOthersAreSilent) {
+TEST_P(Reconfigured, TheNodesWithTheNewestScheduleRangeAndTheOthersAreSilent) {
   const Reconfiguring& of = GetParam();
   FaultSite site({.tags = kTags, .anchors = kAnchors, .backups = 2, .slots = 3});
   site.run_for(2.0);
@@ -102,7 +102,7 @@ TEST_P(Reconfigured, ThePartWithTheNewestScheduleRangesAndTheOthersAreSilent) {
   std::printf("%s: longest %.0f ms\n", of.name, 1e3 * longest);
 }
 
-void nothing_else(groma_Schedule& /*schedule*/) {}
+void no_other_change(groma_Schedule& /*schedule*/) {}
 void another_slot(groma_Schedule& schedule) {
   ++schedule.slots;
 }
@@ -112,22 +112,22 @@ void another_layout(groma_Schedule& schedule) {
   schedule.response_gap_us += 37;
 }
 
-const std::vector<std::uint16_t> kAsByAir{104, 105, 106, 1, 2, 103, 102, 101};
-const std::vector<std::uint16_t> kAsNamed{1, 2, 101, 102, 103, 104, 105, 106};
+const std::vector<std::uint16_t> kMasterLast{104, 105, 106, 1, 2, 103, 102, 101};
+const std::vector<std::uint16_t> kTagsFirst{1, 2, 101, 102, 103, 104, 105, 106};
 const std::vector<std::uint16_t> kMasterFirst{101, 1, 104, 102, 2, 105, 106, 103};
 const std::vector<std::uint16_t> kBackUpFirst{103, 1, 106, 2, 101, 105, 102, 104};
 
 INSTANTIATE_TEST_SUITE_P(
     Orders, Reconfigured,
-    testing::Values(Reconfiguring{"master last", kAsByAir, nothing_else},
-                    Reconfiguring{"tags first", kAsNamed, nothing_else},
-                    Reconfiguring{"master first", kMasterFirst, nothing_else},
-                    Reconfiguring{"back-up first", kBackUpFirst, nothing_else},
+    testing::Values(Reconfiguring{"master last", kMasterLast, no_other_change},
+                    Reconfiguring{"tags first", kTagsFirst, no_other_change},
+                    Reconfiguring{"master first", kMasterFirst, no_other_change},
+                    Reconfiguring{"back-up first", kBackUpFirst, no_other_change},
                     Reconfiguring{"master first, one more slot", kMasterFirst, another_slot},
                     Reconfiguring{"back-up first, one more slot", kBackUpFirst, another_slot},
                     Reconfiguring{"master first, another layout", kMasterFirst, another_layout},
                     Reconfiguring{"back-up first, another layout", kBackUpFirst, another_layout},
-                    Reconfiguring{"tags first, another layout", kAsNamed, another_layout}));
+                    Reconfiguring{"tags first, another layout", kTagsFirst, another_layout}));
 
 }  // namespace
 }  // namespace groma::sim

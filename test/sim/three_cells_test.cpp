@@ -48,7 +48,7 @@ struct CellNodes {
   std::vector<std::uint16_t> anchors;  // the first is above the walls
 };
 
-TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
+TEST(ThreeCells, RangeAtThePredictedRateWithoutCollisions) {
   constexpr double kSettled_s = 4.0;
   constexpr double kWatched_s = GROMA_WATCHED_S;
   std::array<CellNodes, kCells> cells;
@@ -158,9 +158,9 @@ TEST(ThreeCells, RangeAtOnceWithoutCollisionsAsFastAsTheScheduleForetells) {
               static_cast<unsigned long long>(air.collisions - collisions_before), worst_m);
   for (std::size_t cell = 0; cell < kCells; ++cell) {
     const double rate = static_cast<double>(good[cell]) / kWatched_s;
-    const double foretold = kTags[cell] * plan.tag_ranges_per_s;
-    std::printf("cell %zu: %.0f ranges/s, foretold %.0f\n", cell, rate, foretold);
-    EXPECT_NEAR(rate, foretold, 0.05 * foretold) << cell;
+    const double predicted = kTags[cell] * plan.tag_ranges_per_s;
+    std::printf("cell %zu: %.0f ranges/s, predicted %.0f\n", cell, rate, predicted);
+    EXPECT_NEAR(rate, predicted, 0.05 * predicted) << cell;
     EXPECT_GE(rate, 2000.0) << cell;
   }
   EXPECT_EQ(air.collisions - collisions_before, 0U);

@@ -128,13 +128,13 @@ class StampNoise : public testing::TestWithParam<Spread> {};
 // See docs/explanation/ranging.md. With D from the POLL's RMARKER to the RESPONSE's and D' from there to the
 // closing frame's, the three receive timestamps have the weights D' / 2(D + D'), 1/2 and D / 2(D + D').
 // Single-sided, the two timestamps have the weight 1/2 each.
-double closed_form_m(double stamp_sigma_s, double to_response, double to_closing) {
+double closed_form_m(double timestamp_sigma_s, double to_response, double to_closing) {
   const double total = to_response + to_closing;
-  return kSpeedOfLight_mps * stamp_sigma_s * 0.5 *
+  return kSpeedOfLight_mps * timestamp_sigma_s * 0.5 *
          std::sqrt(1.0 + (to_response * to_response + to_closing * to_closing) / (total * total));
 }
 
-TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
+TEST_P(StampNoise, SpreadsRangesAsInTheClosedForm) {
   const Spread& p = GetParam();
   constexpr double kNoise_s = 1e-10;
   SiteBench site({.tags = 1,
@@ -144,10 +144,10 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
                   .seed = 7});
   site.run_until(kRanging_s + 20.0);
   // A timestamp is a whole number of ticks.
-  const double stamp_sigma_s = std::hypot(kNoise_s, 1.0 / kTicksPerSecond / std::sqrt(12.0));
+  const double timestamp_sigma_s = std::hypot(kNoise_s, 1.0 / kTicksPerSecond / std::sqrt(12.0));
   const mac::Superframe superframe = site.superframe();
   const auto count = static_cast<std::size_t>(p.anchors);
-  const double single_sided_m = kSpeedOfLight_mps * stamp_sigma_s / std::sqrt(2.0);
+  const double single_sided_m = kSpeedOfLight_mps * timestamp_sigma_s / std::sqrt(2.0);
   double single_sided_squares = 0.0;
   std::vector<double> squares(count);
   std::vector<int> ranges(count);
@@ -159,12 +159,12 @@ TEST_P(StampNoise, SpreadsRangesAsTheClosedFormSays) {
         const auto to_response = static_cast<double>(superframe.response(responder, count).count());
         const auto closing = static_cast<double>(
             (p.method == kFinal ? superframe.final(count) : superframe.duration()).count());
-        const double sigma_m = closed_form_m(stamp_sigma_s, to_response, closing - to_response);
+        const double sigma_m = closed_form_m(timestamp_sigma_s, to_response, closing - to_response);
         const double normalized = error_m(site, report, range) / sigma_m;
         EXPECT_LT(std::abs(normalized), 6.0);
         squares[responder] += normalized * normalized;
-        const double of_two_frames = single_sided_error_m(site, report, range) / single_sided_m;
-        single_sided_squares += of_two_frames * of_two_frames;
+        const double single_sided_normalized = single_sided_error_m(site, report, range) / single_sided_m;
+        single_sided_squares += single_sided_normalized * single_sided_normalized;
         ++ranges[responder];
       },
       kRanging_s);
@@ -229,7 +229,7 @@ double mean_error_with(std::int32_t tag_transmit, std::int32_t tag_receive, std:
 }
 
 // Each of the four delays enters a range once, by half.
-TEST(AntennaDelays, AreTakenOffOnce) {
+TEST(AntennaDelays, AreSubtractedOnce) {
   constexpr std::int32_t kOff = 200;
   const double half_m = 0.5 * kOff * kMetresPerTick;
   EXPECT_NEAR(mean_error_with(0, 0, 0, 0), 0.0, 0.003);
@@ -264,7 +264,7 @@ SiteSettings drifting(bool correct) {
               }};
 }
 
-TEST(Drift, OfBothEndsIsInARangeUntilItIsCorrected) {
+TEST(Drift, OfBothEndsBiasesARangeUntilCorrected) {
   SiteBench site(drifting(false));
   site.run_until(3.0);
   int count = 0;
@@ -283,7 +283,7 @@ TEST(Drift, OfBothEndsIsInARangeUntilItIsCorrected) {
   EXPECT_GT(count, 50);
 }
 
-TEST(Drift, IsTakenOutWhereItIsAskedForAndSaid) {
+TEST(Drift, IsCorrectedAndFlaggedIfConfigured) {
   SiteBench site(drifting(true));
   site.run_until(3.0);
   int count = 0;
@@ -299,7 +299,7 @@ TEST(Drift, IsTakenOutWhereItIsAskedForAndSaid) {
   EXPECT_GT(count, 50);
 }
 
-TEST(Health, OfEachChipIsToldAndCostsNoSlot) {
+TEST(Health, OfEachChipIsReportedAndCostsNoSlot) {
   SiteBench site(drifting(true));
   site.run_until(4.2);
   for (std::size_t i = 0; i < site.network.size(); ++i) {
@@ -322,7 +322,7 @@ TEST(Health, OfEachChipIsToldAndCostsNoSlot) {
 }
 
 // The simulated chip timestamps a strong signal early and a weak one late, as a leading edge threshold does.
-TEST(PowerBias, BendsARangeUntilItIsCorrected) {
+TEST(PowerBias, BiasesARangeUntilCorrected) {
   for (const bool correct : {false, true}) {
     SiteBench site({.tags = 1,
                     .anchors = 3,
@@ -358,7 +358,7 @@ TEST(PowerBias, BendsARangeUntilItIsCorrected) {
 
 // ---- quality --------------------------------------------------------------------------------------
 
-TEST(Quality, HintsAtTheLineOfSightAndTellsTheNoise) {
+TEST(Quality, ReportsTheLineOfSightAndTheNoise) {
   struct Case {
     double hidden_db;
     groma_LineOfSight hint;
@@ -413,7 +413,7 @@ TEST(NetworkTime, OfARangeIsItsPlaceInTheSchedule) {
 }
 
 // The network time of both tags follows the master's clock.
-TEST(NetworkTime, RunsAsTheMastersClockOverTheCountersWrap) {
+TEST(NetworkTime, FollowsTheMastersClockOverTheCountersWrap) {
   SiteBench site({.tags = 2, .anchors = 3});
   site.run_until(20.0);
   const double master = 1.0 + site.network.node(2).chip().clock().offset(0);
@@ -435,7 +435,7 @@ TEST(NetworkTime, RunsAsTheMastersClockOverTheCountersWrap) {
 }
 
 // A back-up that takes over continues the dead master's count, phase and rate.
-TEST(NetworkTime, GoesOnOverAChangeOfMaster) {
+TEST(NetworkTime, ContinuesOverATakeover) {
   SiteBench site({.tags = 1, .anchors = 4, .configure = [](groma_Config& config) {
                     config.schedule.backup_ids_count = 1;
                     config.schedule.backup_ids[0] = nth_anchor(1);

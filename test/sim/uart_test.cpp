@@ -11,7 +11,7 @@ std::vector<TimedByte> taken(UartLine& line, SimTime until) {
   return out;
 }
 
-TEST(UartLine, SpendsTenBitsAByte) {
+TEST(UartLine, TakesTenBitsPerByte) {
   UartLine line({.bits_per_s = 1'000'000, .queue_bytes = 100});
   const SimTime start = 7 * kUnitsPerMillisecond;
   ASSERT_TRUE(line.write(start, std::vector<std::uint8_t>{1, 2, 3}));
@@ -28,7 +28,7 @@ TEST(UartLine, SpendsTenBitsAByte) {
   EXPECT_EQ(rest[1].t, start + 40 * kUnitsPerMicrosecond);
 }
 
-TEST(UartLine, RefusesWhatDoesNotFitWhole) {
+TEST(UartLine, RefusesAWriteThatDoesNotFitWhole) {
   UartLine line({.bits_per_s = 1'000'000, .queue_bytes = 10});
   ASSERT_TRUE(line.write(0, std::vector<std::uint8_t>(8, 1)));
   EXPECT_FALSE(line.write(0, std::vector<std::uint8_t>(3, 2)));
@@ -41,7 +41,7 @@ TEST(UartLine, RefusesWhatDoesNotFitWhole) {
   EXPECT_EQ(line.accepted_bytes(), 11U);
 }
 
-TEST(UartLine, LosesTheRestWhenSilenced) {
+TEST(UartLine, DropsTheRestWhenCleared) {
   UartLine line;
   ASSERT_TRUE(line.write(0, std::vector<std::uint8_t>(10, 1)));
   line.clear(35 * kUnitsPerMicrosecond);

@@ -9,7 +9,7 @@
 namespace groma::sim {
 namespace {
 
-TEST(WorkerPool, DoesEachPieceOnceInEachRound) {
+TEST(WorkerPool, RunsEachItemOncePerRound) {
   for (const unsigned threads : {1U, 2U, 5U}) {
     WorkerPool pool(threads);
     std::vector<int> done(64, 0);
@@ -17,7 +17,7 @@ TEST(WorkerPool, DoesEachPieceOnceInEachRound) {
     for (std::uint16_t round = 0; round < 2'000; ++round) {
       const auto count = static_cast<std::uint16_t>(round % 65);
       // Each item writes its own element, and the next round sees what this one wrote.
-      pool.run(count, [&](std::uint16_t piece) { ++done[piece]; });
+      pool.run(count, [&](std::uint16_t item) { ++done[item]; });
       expected += count;
     }
     int sum = 0;
@@ -26,18 +26,18 @@ TEST(WorkerPool, DoesEachPieceOnceInEachRound) {
   }
 }
 
-TEST(WorkerPool, WakesThreadsThatHaveFallenAsleep) {
+TEST(WorkerPool, WakesSleepingThreads) {
   WorkerPool pool(2);
-  std::vector<std::thread::id> who(2);
+  std::vector<std::thread::id> ids(2);
   // Long enough that one thread does not run both items.
-  for (int tries = 0; tries < 50 && who[0] == who[1]; ++tries) {
+  for (int tries = 0; tries < 50 && ids[0] == ids[1]; ++tries) {
     std::this_thread::sleep_for(std::chrono::milliseconds(5));
-    pool.run(2, [&](std::uint16_t piece) {
-      who[piece] = std::this_thread::get_id();
+    pool.run(2, [&](std::uint16_t item) {
+      ids[item] = std::this_thread::get_id();
       std::this_thread::sleep_for(std::chrono::milliseconds(20));
     });
   }
-  EXPECT_NE(who[0], who[1]);
+  EXPECT_NE(ids[0], ids[1]);
 }
 
 }  // namespace

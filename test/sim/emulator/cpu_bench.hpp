@@ -69,9 +69,9 @@ class CpuBench final : public Bus {
   void run(const Code& program, SimTime duration = kUnitsPerMillisecond) {
     put(kMain, program);
     cpu_.reset(0);
-    go_on(duration);
+    run_for(duration);
   }
-  void go_on(SimTime duration) {
+  void run_for(SimTime duration) {
     const SimTime end = cpu_.now() + duration;
     cpu_.run(end);
     if (cpu_.now() < end) cpu_.idle_until(end);

@@ -43,10 +43,10 @@ void run(benchmark::State& state, SimTime quantum) {
       static_cast<double>(bench.cpu().instructions() - before), benchmark::Counter::kIsRate);
 }
 
-void BM_at_a_stretch(benchmark::State& state) {
+void BM_in_one_run(benchmark::State& state) {
   run(state, 10 * kUnitsPerMillisecond);
 }
-BENCHMARK(BM_at_a_stretch);
+BENCHMARK(BM_in_one_run);
 
 void BM_in_quanta_of_40_us(benchmark::State& state) {
   run(state, 40 * kUnitsPerMicrosecond);

@@ -110,7 +110,7 @@ TEST_F(CpuExceptions, StacksEightWordsAndReturns) {
   EXPECT_EQ(bench_.r(11), 1U << 31);
 }
 
-TEST_F(CpuExceptions, AlignsTheStackAndPutsItBack) {
+TEST_F(CpuExceptions, AlignsTheStackAndRestoresIt) {
   bench_.put(0x1800, {
                          0x46E8,          // mov r8, sp
                          0xF8DD, 0x901C,  // ldr.w r9, [sp, #28]
@@ -185,7 +185,7 @@ TEST_F(CpuExceptions, StacksFloatingPointOnlyWhereItWasUsed) {
   EXPECT_EQ(bench_.r(3), stack - 0x68 + 0x20);
 }
 
-TEST_F(CpuExceptions, AHandlersFloatsAreStackedAgainAfterOneWithoutReturnedToIt) {
+TEST_F(CpuExceptions, AHandlersFloatsAreStackedAgainAfterAHandlerWithoutFloats) {
   // Interrupt 0 uses floats and pends 1 twice, with no floats in between.
   bench_.put(0x1800, {
                          0x2007,          // movs r0, #7
@@ -341,7 +341,7 @@ TEST_F(CpuExceptions, BasepriMaxOnlyRaises) {
   EXPECT_EQ(bench_.r(5), 0x20U);
 }
 
-TEST_F(CpuExceptions, FaultmaskKeepsAllButTheNmiOutAndEndsWithItsHandler) {
+TEST_F(CpuExceptions, FaultmaskBlocksAllButTheNmiAndEndsWithItsHandler) {
   bench_.put(0x1800, {
                          0xB671,          // cpsid f
                          0x2002,          // movs r0, #2
@@ -431,7 +431,7 @@ TEST_F(CpuExceptions, UnprivilegedThreadCallsTheSupervisorAndStaysUnprivileged) 
   // no effect.
   bench_.cpu().set_irq(3, true);
   bench_.cpu().set_irq(3, false);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(text(), "d");
 }
 
@@ -447,7 +447,7 @@ TEST_F(CpuExceptions, MaskedInUnprivilegedThread) {
       0xE7FE,          // b .
   });
   bench_.cpu().set_irq(0, true);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(text(), "");
 }
 
@@ -513,7 +513,7 @@ TEST_F(CpuExceptions, ALineThatStaysHighPendsAgain) {
   const std::size_t often = text().size();
   EXPECT_GT(often, 50U);
   bench_.cpu().set_irq(2, false);
-  bench_.go_on(100 * kUnitsPerMicrosecond);
+  bench_.run_for(100 * kUnitsPerMicrosecond);
   // An interrupt that was pending when the line fell is taken once more.
   EXPECT_LE(text().size(), often + 2);
 }
@@ -531,11 +531,11 @@ TEST_F(CpuExceptions, ALineThatIsHighCannotBeCleared) {
                         0xF8D6, 0x1200,  // ldr.w r1, [r6, #0x200]
                         0xE7FE,          // b .
                     });
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(1), 4U);
   bench_.cpu().set_irq(2, false);
   bench_.cpu().set_register(Register::kPc, 0x400);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(1), 0U);
 }
 
@@ -554,7 +554,7 @@ TEST_F(CpuExceptions, APulseIsRemembered) {
   EXPECT_TRUE(bench_.cpu().sleeping());
   bench_.cpu().set_irq(1, true);
   bench_.cpu().set_irq(1, false);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(text(), "b");
 }
 
@@ -608,7 +608,7 @@ TEST_F(CpuExceptions, SoftwareTriggerAndPendedSystemHandlers) {
   EXPECT_EQ(text(), "fptns");
 }
 
-TEST_F(CpuExceptions, PendSvCanBeTakenBack) {
+TEST_F(CpuExceptions, PendSvCanBeCancelled) {
   run({
       0xB672,          // cpsid i
       0xF04F, 0x5080,  // mov.w r0, #0x10000000
@@ -636,7 +636,7 @@ TEST_F(CpuExceptions, VectorTableMoves) {
   EXPECT_EQ(text(), "b");
 }
 
-TEST_F(CpuExceptions, ResetIsAskedForAndStartsAfresh) {
+TEST_F(CpuExceptions, ResetIsRequestedAndClearsTheState) {
   run({
       0x2040,          // movs r0, #0x40
       0xF380, 0x8811,  // msr basepri, r0
@@ -658,7 +658,7 @@ TEST_F(CpuExceptions, ResetIsAskedForAndStartsAfresh) {
   bench_.cpu().reset(t);
   EXPECT_FALSE(bench_.cpu().reset_requested());
   EXPECT_EQ(bench_.cpu().now(), t);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(1), 0U);
   EXPECT_EQ(bench_.r(2), 0U);
   EXPECT_EQ(bench_.r(3), CpuBench::kStack);

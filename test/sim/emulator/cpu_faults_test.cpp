@@ -57,7 +57,7 @@ class CpuFaults : public testing::Test {
   CpuBench bench_;
 };
 
-TEST_F(CpuFaults, BusFaultOfALoadTellsPcAndAddressAndKeepsTheRegisters) {
+TEST_F(CpuFaults, BusFaultOfALoadReportsPcAndAddressAndKeepsTheRegisters) {
   with_faults_enabled({
       0x200B,  // movs r0, #11
       0x2216,  // movs r2, #22
@@ -85,7 +85,7 @@ struct Form {
 
 class CpuFaultForms : public CpuFaults, public testing::WithParamInterface<Form> {};
 
-TEST_P(CpuFaultForms, TellsTheInstructionWithinItsBlock) {
+TEST_P(CpuFaultForms, ReportsTheInstructionWithinItsBlock) {
   with_faults_enabled(GetParam().code);
   expect_fault(CpuBench::kBusFault, kPreciserr | kBfarvalid, kProgram + GetParam().offset);
   EXPECT_EQ(bench_.r(10), GetParam().address);
@@ -295,7 +295,7 @@ TEST_F(CpuFaults, StacksTheConditionStateOfAnItBlock) {
   EXPECT_EQ(bench_.stacked_xpsr() & 0x0600FC00U, 0x00000C00U);
 }
 
-TEST_F(CpuFaults, ReturnsBehindTheInstructionThatItsHandlerSkips) {
+TEST_F(CpuFaults, ReturnsAfterTheInstructionThatItsHandlerSkips) {
   bench_.put(0x1800, {
                          0x9806,  // ldr r0, [sp, #24]
                          0x3002,  // adds r0, #2
@@ -354,7 +354,7 @@ TEST_F(CpuFaults, BecomesAHardFaultUnderAMaskAndInAHandlerOfItsPriority) {
   EXPECT_EQ(bench_.reg(CpuBench::Register::kLr), 0xFFFFFFF1U);
 }
 
-TEST_F(CpuFaults, LocksUpWhereAHardFaultFaults) {
+TEST_F(CpuFaults, LocksUpWhenAHardFaultFaults) {
   bench_.put(0x1800, {
                          0x6808,  // ldr r0, [r1]
                          0xE7FE,  // b .
@@ -371,7 +371,7 @@ TEST_F(CpuFaults, LocksUpWhereAHardFaultFaults) {
   EXPECT_FALSE(bench_.cpu().lockup());
 }
 
-TEST_F(CpuFaults, LocksUpWhereTheNmiOrAFaultMaskKeepsTheHardFaultOut) {
+TEST_F(CpuFaults, LocksUpWhenTheNmiOrAFaultMaskBlocksTheHardFault) {
   bench_.put(0x1800, {
                          0xDE00,  // udf #0
                      });
@@ -380,7 +380,7 @@ TEST_F(CpuFaults, LocksUpWhereTheNmiOrAFaultMaskKeepsTheHardFaultOut) {
       0xE7FE,  // b .
   });
   bench_.cpu().pend_nmi();
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_TRUE(bench_.cpu().lockup());
 
   bench_.run({
@@ -421,7 +421,7 @@ TEST_F(CpuFaults, StackingForAnInterruptFaultsAndTheInterruptComesLater) {
       0xE7FE,          // b .
   });
   bench_.cpu().set_irq(0, true);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(8), kStkerr);
   EXPECT_EQ(bench_.ipsr(), CpuBench::kBusFault);
   EXPECT_EQ(bench_.reg(CpuBench::Register::kSp), kNowhere - 0x20);
@@ -492,7 +492,7 @@ TEST_F(CpuFaults, BranchToAPeripheral) {
   expect_fault(CpuBench::kMemManage, kIaccviol, CpuBench::kBus);
 }
 
-TEST_F(CpuFaults, DivisionByZeroTrapsOnDemand) {
+TEST_F(CpuFaults, DivisionByZeroTrapsIfEnabled) {
   const CpuBench::Code divide = {
       0x2064,          // movs r0, #100
       0x2200,          // movs r2, #0
@@ -541,7 +541,7 @@ TEST_F(CpuFaults, FloatingPointBeforeItIsEnabled) {
   EXPECT_EQ(bench_.reg(CpuBench::Register::kLr), 0xFFFFFFF9U);
 }
 
-TEST_F(CpuFaults, FloatingPointIsFoundInOtherCodeAtTheSamePlace) {
+TEST_F(CpuFaults, FloatingPointIsDetectedInOtherCodeAtTheSameAddress) {
   bench_.run({
       0xBF00,          // nop
       0xBF00,          // nop
@@ -648,7 +648,7 @@ TEST_F(CpuFaults, OneVectorOutsideTheMemory) {
   EXPECT_EQ(bench_.ipsr(), 0U);
   bench_.put_word(CpuBench::kStack - 0x80 + 4 * CpuBench::kHardFault, CpuBench::kHandler | 1);
   bench_.cpu().set_irq(40, true);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.ipsr(), 0U);  // not enabled
   bench_.cpu().set_register(CpuBench::Register::kPc, 0x380);
   bench_.put(0x380, {
@@ -658,7 +658,7 @@ TEST_F(CpuFaults, OneVectorOutsideTheMemory) {
                         0x6001,          // str r1, [r0]
                         0xE7FE,          // b .
                     });
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.ipsr(), CpuBench::kHardFault);
   EXPECT_EQ(bench_.r(9), kVecttbl);
 }
@@ -709,7 +709,7 @@ TEST_F(CpuFaults, StatusIsClearedByWritingOnes) {
   EXPECT_EQ(bench_.r(7), kPreciserr >> 8);
 }
 
-TEST_F(CpuFaults, StoreToFlashIsTheBussToDecide) {
+TEST_F(CpuFaults, TheBusDecidesAboutAStoreToFlash) {
   with_faults_enabled({
       0xF242, 0x0200,  // movw r2, #0x2000
       0x2355,          // movs r3, #0x55
@@ -753,7 +753,7 @@ TEST_F(CpuFaults, CodeThatWasWrittenToFlashIsRun) {
   EXPECT_EQ(bench_.r(0), 0x11U);
 }
 
-TEST_F(CpuFaults, WhatIsNotModelledEndsTheRunAndNamesThePlace) {
+TEST_F(CpuFaults, AnUnmodelledAccessEndsTheRunAndIsNamed) {
   const auto error_of = [&](const CpuBench::Code& program) -> std::string {
     try {
       bench_.run(program);
@@ -802,7 +802,7 @@ TEST_F(CpuFaults, CodeInRamIsNotModelled) {
   }
 }
 
-TEST_F(CpuFaults, AnErrorOfTheBusLeavesTheRunAndMayAskForThePc) {
+TEST_F(CpuFaults, AnErrorOfTheBusEndsTheRunAndMayReadThePc) {
   bench_.on_write = [&](std::uint32_t address, std::uint32_t) {
     throw SimulationError(std::to_string(address - CpuBench::kBus) + " at " +
                           std::to_string(bench_.cpu().pc()));

@@ -12,10 +12,10 @@ namespace {
 constexpr SimTime kInstruction = CpuTiming{}.instruction;
 constexpr SimTime kCycle = CpuTiming{}.cycle;
 
-TEST(CpuTime, EachInstructionHasItsPrice) {
-  for (const SimTime price : {kInstruction, kInstruction * 3 / 2}) {
+TEST(CpuTime, EachInstructionHasItsCost) {
+  for (const SimTime cost : {kInstruction, kInstruction * 3 / 2}) {
     CpuTiming timing;
-    timing.instruction = price;
+    timing.instruction = cost;
     CpuBench bench(timing);
     bench.run({
         0x200A,  // movs r0, #10
@@ -30,7 +30,7 @@ TEST(CpuTime, EachInstructionHasItsPrice) {
     EXPECT_TRUE(bench.cpu().sleeping());
     bench.cpu().reset(5 * kUnitsPerMillisecond);
     bench.cpu().run(6 * kUnitsPerMillisecond);
-    EXPECT_EQ(bench.cpu().now(), 5 * kUnitsPerMillisecond + 42 * price);
+    EXPECT_EQ(bench.cpu().now(), 5 * kUnitsPerMillisecond + 42 * cost);
   }
 }
 
@@ -132,7 +132,7 @@ class CpuSleep : public testing::Test {
   void interrupt() {
     bench_.cpu().set_irq(0, true);
     bench_.cpu().set_irq(0, false);
-    bench_.go_on(kUnitsPerMillisecond);
+    bench_.run_for(kUnitsPerMillisecond);
   }
   CpuBench bench_;
 };
@@ -186,7 +186,7 @@ TEST_F(CpuSleep, PendingUnderPrimaskDoesNotSleep) {
   EXPECT_EQ(bench_.r(4), 0U);
 }
 
-TEST_F(CpuSleep, WhatBasepriMasksDoesNotWake) {
+TEST_F(CpuSleep, AnInterruptMaskedByBasepriDoesNotWake) {
   run({
       0x2080,          // movs r0, #0x80
       0xF886, 0x0400,  // strb.w r0, [r6, #0x400]
@@ -215,7 +215,7 @@ TEST_F(CpuSleep, WaitsForAnEvent) {
   EXPECT_TRUE(bench_.cpu().sleeping());
   bench_.cpu().set_event();
   EXPECT_FALSE(bench_.cpu().sleeping());
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(5), 2U);
   // An interrupt also wakes it, and its entry and return set an event.
   interrupt();
@@ -256,7 +256,7 @@ TEST_F(CpuSleep, WideEncodingsOfTheHints) {
   EXPECT_TRUE(bench_.cpu().sleeping());
 }
 
-TEST_F(CpuSleep, WhatBecomesPendingIsAnEventOnDemand) {
+TEST_F(CpuSleep, APendingInterruptIsAnEventIfEnabled) {
   run({
       0x2001,          // movs r0, #1
       0xF8C6, 0x0180,  // str.w r0, [r6, #0x180]
@@ -273,14 +273,14 @@ TEST_F(CpuSleep, WhatBecomesPendingIsAnEventOnDemand) {
   });
   EXPECT_EQ(bench_.r(5), 0U);
   bench_.cpu().set_irq(0, true);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(5), 0U);  // disabled, and no SEVONPEND
   bench_.cpu().set_event();
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(5), 1U);
   bench_.cpu().set_irq(0, false);
   bench_.cpu().set_irq(1, true);
-  bench_.go_on(kUnitsPerMillisecond);
+  bench_.run_for(kUnitsPerMillisecond);
   EXPECT_EQ(bench_.r(5), 2U);
   EXPECT_EQ(bench_.r(4), 0U);
 }
@@ -353,9 +353,9 @@ TEST_F(CpuSleep, SysTickCountsDown) {
 
 // A program with work of uneven length, a timer on the bus that interrupts, SysTick, sleep and floating
 // point.
-class Site {
+class Workload {
  public:
-  explicit Site(std::uint32_t cut_seed) : cuts_(cut_seed) {
+  explicit Workload(std::uint32_t cut_seed) : cuts_(cut_seed) {
     bench_.handler(CpuBench::kIrq0, 0x1800);
     bench_.put(0x1800, {
                            0xF04F, 0x4080,  // mov.w r0, #0x40000000
@@ -447,12 +447,12 @@ class Site {
 
 TEST(CpuCuts, ChangeNothing) {
   constexpr SimTime kEnd = 50 * kUnitsPerMillisecond;
-  Site whole(0);
+  Workload whole(0);
   whole.run(kEnd, false);
   EXPECT_GT(whole.bench().r(4), 500U);
   EXPECT_GT(whole.bench().r(5), 1000U);
   for (std::uint32_t seed = 1; seed <= 5; ++seed) {
-    Site cut(seed);
+    Workload cut(seed);
     cut.run(kEnd, true);
     EXPECT_EQ(cut.bench().cpu().trace_hash(), whole.bench().cpu().trace_hash()) << seed;
     EXPECT_EQ(cut.bench().cpu().instructions(), whole.bench().cpu().instructions());
@@ -461,10 +461,10 @@ TEST(CpuCuts, ChangeNothing) {
   }
 }
 
-TEST(CpuCuts, TheTraceTellsAnotherRun) {
-  Site one(0);
+TEST(CpuCuts, TheTraceDistinguishesAnotherRun) {
+  Workload one(0);
   one.run(kUnitsPerMillisecond, false);
-  Site other(0);
+  Workload other(0);
   other.bench().registers[CpuBench::kBus] = 0;
   other.bench().put(0x190A, {
                                 0xBF00,  // nop

@@ -216,7 +216,7 @@ TEST_P(EmulatedCan, AnswersOnTheLinkOnWhichItIsAsked) {
   EXPECT_EQ(can.lost_reports(), 0U);
 }
 
-TEST_P(EmulatedCan, RangesOnThroughBusOffAndReportsAgainAfterIt) {
+TEST_P(EmulatedCan, KeepsRangingThroughBusOffAndReportsAfterIt) {
   CanSite can(GetParam(), {.tags = 1, .anchors = 3});
   can.run_until(1.5);
   const std::size_t before = can.listeners[0].reports.size();
@@ -233,7 +233,7 @@ TEST_P(EmulatedCan, RangesOnThroughBusOffAndReportsAgainAfterIt) {
   EXPECT_LT(can.worst_error_m(), 0.01);
 }
 
-TEST_P(EmulatedCan, GivesTheSameFramesAtTheSameTimesAgainAndWithAnotherQuantum) {
+TEST_P(EmulatedCan, IsDeterministicForAnyQuantum) {
   const auto recording_of = [](SimTime quantum) {
     CanSite can(GetParam(), {.tags = 2, .anchors = 3}, quantum);
     can.run_until(1.5);
@@ -247,7 +247,7 @@ TEST_P(EmulatedCan, GivesTheSameFramesAtTheSameTimesAgainAndWithAnotherQuantum) 
   EXPECT_EQ(recording_of(23 * kUnitsPerMicrosecond), first);
 }
 
-TEST_P(EmulatedCan, SaysOnItsUartThatThereIsNoController) {
+TEST_P(EmulatedCan, ReportsAMissingControllerOnItsUart) {
   CanSite can(GetParam(), {.tags = 1, .anchors = 3}, EmulatorOptions{}.quantum, false);
   can.run_until(2.0);
   const Listener& listener = can.site->listeners[0];

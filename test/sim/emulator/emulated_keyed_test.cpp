@@ -18,7 +18,7 @@ namespace {
 
 constexpr security::Key kKey{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
 
-TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
+TEST(ShippedImageWithAKey, RangesWithNativeNodesWithoutLateTransmits) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   SiteSettings settings{.tags = 1,
                         .anchors = 2,
@@ -47,9 +47,9 @@ TEST(ShippedImageWithAKey, RangesWithNativeNodesAndIsLateForNothing) {
 }
 
 // Records tag 1's POLLs and counts the RESPONSEs to them.
-class Ear final : public Witness {
+class Recorder final : public Witness {
  public:
-  explicit Ear(Medium& medium) { medium.set_witness(this); }
+  explicit Recorder(Medium& medium) { medium.set_witness(this); }
   void announced(const AirFrame& frame) override {
     const auto bytes = std::span(frame.data).first(frame.length - 2U);
     const auto parsed = mac::parse(bytes);
@@ -83,16 +83,16 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
   settings.network_key = kKey;
   SiteBench site(emulating(settings));
   site.space.put(kAttacker, {2.0, 2.0, 1.5});
-  Ear ear(site.network.medium());
+  Recorder recorder(site.network.medium());
   Transmitter attacker(kAttacker, site.network.medium());
   site.run_until(1.5);
-  ASSERT_GT(ear.responses, 100);
+  ASSERT_GT(recorder.responses, 100);
   site.network.set_power(0, false);
   site.run_until(1.51);
-  const SimTime start = ear.poll_start;
-  const mac::Frame last = ear.poll;
-  const std::vector<std::uint8_t> last_bytes = ear.poll_bytes;
-  const int answered = ear.responses;
+  const SimTime start = recorder.poll_start;
+  const mac::Frame last = recorder.poll;
+  const std::vector<std::uint8_t> last_bytes = recorder.poll_bytes;
+  const int answered = recorder.responses;
   const auto& body = std::get<mac::Poll>(last.body);
   const SimTime duration = site.superframe().duration().count() * kUnitsPerTick;
 
@@ -120,7 +120,7 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
     site.run_until(to_seconds(start + ahead * duration + duration / 2));
   }
   site.run_until(to_seconds(site.network.now()) + 1.2);
-  EXPECT_EQ(ear.responses, answered);
+  EXPECT_EQ(recorder.responses, answered);
   for (int i = 0; i < kAnchors; ++i) {
     EXPECT_EQ(site.listeners[static_cast<std::size_t>(kTags + i)].counters.forged_frames, kForged) << i;
   }

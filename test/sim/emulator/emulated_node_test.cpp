@@ -52,7 +52,7 @@ struct LoneNode {
   Listener listener;
 };
 
-TEST_F(ShippedImage, BootsAndSaysHello) {
+TEST_F(ShippedImage, BootsAndSendsHello) {
   LoneNode site;
   site.run_until(1.5);
   ASSERT_EQ(site.listener.hellos.size(), 1U);
@@ -113,7 +113,7 @@ groma_Config anchors_config(bool large) {
   return config;
 }
 
-TEST_F(ShippedImage, TellsItsConfigurationSoon) {
+TEST_F(ShippedImage, ReportsItsConfigurationQuickly) {
   for (const bool large : {false, true}) {
     const groma_Config config = anchors_config(large);
     std::vector<std::uint8_t> blob(node::kMaxConfigBytes);
@@ -138,7 +138,7 @@ TEST_F(ShippedImage, TellsItsConfigurationSoon) {
   }
 }
 
-TEST_F(ShippedImage, CountsWhatCameFasterThanItCouldAnswer) {
+TEST_F(ShippedImage, CountsCommandsThatCameTooFast) {
   LoneNode site;
   site.run_until(1.0);
   constexpr std::size_t kCommands = 200;
@@ -254,7 +254,7 @@ TEST_F(ShippedImage, RangesInAMixedNetwork) {
   }
 }
 
-TEST_F(ShippedImage, RangesWithAProcessorCrystalOfItsOwn) {
+TEST_F(ShippedImage, RangesWithASeparateProcessorCrystal) {
   SiteSettings settings{.tags = 1, .anchors = 3};
   settings.make_node = [](const NodeSpec& spec, Medium& medium) -> std::unique_ptr<NodeHost> {
     NodeSpec changed = spec;
@@ -307,7 +307,7 @@ TEST_F(ShippedImage, AgreesWithTheNativeNodes) {
               0.05 * static_cast<double>(expected.size()));
 }
 
-TEST_F(ShippedImage, SaysTheSameBytesForTheSameSeedWithAnyQuantumAndThreads) {
+TEST_F(ShippedImage, SendsTheSameBytesForTheSameSeedWithAnyQuantumAndThreads) {
   const SiteSettings settings{.tags = 1, .anchors = 3, .medium = kNoise};
   const auto traces = [&](SimTime quantum_us, std::uint64_t seed, unsigned threads = 1) {
     SiteSettings seeded = settings;
@@ -341,7 +341,7 @@ TEST_F(ShippedImage, RunsAheadByNoMoreThanTheHostsDelay) {
 
 // ---- faults ---------------------------------------------------------------------------------------------
 
-TEST_F(ShippedImage, TellsTheProgramCounterOfABadAddress) {
+TEST_F(ShippedImage, ReportsTheProgramCounterOfABadAddress) {
   LoneNode site;
   site.run_until(1.5);
   // An address without code.
@@ -360,7 +360,7 @@ TEST_F(ShippedImage, TellsTheProgramCounterOfABadAddress) {
   EXPECT_EQ(site.listener.replies.size(), 1U);
 }
 
-TEST_F(ShippedImage, TellsOfAStackThatOverflowed) {
+TEST_F(ShippedImage, ReportsAStackOverflow) {
   LoneNode site;
   site.run_until(1.5);
   site.node().cpu().set_register(Register::kSp, kRamAddress + 16);
@@ -371,7 +371,7 @@ TEST_F(ShippedImage, TellsOfAStackThatOverflowed) {
   EXPECT_NE(site.listener.hellos[1].last_fault.cfsr, 0U);
 }
 
-TEST_F(ShippedImage, IsBittenByTheWatchdogWhenItIsStuck) {
+TEST_F(ShippedImage, IsResetByTheWatchdogWhenStuck) {
   LoneNode site;
   site.run_until(1.5);
   // An endless loop where the image leaves flash blank: 200 NOPs and a branch back.
@@ -399,7 +399,7 @@ TEST_F(ShippedImage, IsBittenByTheWatchdogWhenItIsStuck) {
   EXPECT_LE(hello.last_fault.pc, kLoopEnd);
 }
 
-TEST_F(ShippedImage, TellsOfItsResetPin) {
+TEST_F(ShippedImage, ReportsItsResetPin) {
   LoneNode site;
   site.run_until(1.0);
   site.node().press_reset(site.network.now());

@@ -17,7 +17,7 @@ class EmulatedReach : public ::testing::TestWithParam<bool> {};
 INSTANTIATE_TEST_SUITE_P(Keys, EmulatedReach, ::testing::Bool(),
                          [](const auto& keyed) { return keyed.param ? "Keyed" : "Unkeyed"; });
 
-TEST_P(EmulatedReach, AnAnchorTwoHopsAwayIsAskedConfiguredAndComesBack) {
+TEST_P(EmulatedReach, AnAnchorTwoHopsAwayIsQueriedConfiguredAndRecovers) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   constexpr std::uint16_t kFar = 102;
   Reach reach({.anchors = 2, .in_a_row = true, .keyed = GetParam(), .change = [](SiteSettings site) {

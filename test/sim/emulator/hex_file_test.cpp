@@ -15,7 +15,7 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
-std::string complaint(const std::string& text) {
+std::string error_of(const std::string& text) {
   try {
     (void)parse_hex(text);
   } catch (const SimulationError& error) {
@@ -44,18 +44,18 @@ TEST(HexFile, ReadsDataAtSegmentAndLinearAddresses) {
 
 TEST(HexFile, NamesTheLineAndTheCause) {
   const std::string end = "\n:00000001FF\n";
-  EXPECT_THAT(complaint(":00000001FF\n:0100000000FF\n"), HasSubstr("line 2: a record after"));
-  EXPECT_THAT(complaint(":0100000000FE" + end), HasSubstr("line 1: the checksum should be FF"));
-  EXPECT_THAT(complaint("\n0100000000FF" + end), HasSubstr("line 2: a record begins with ':'"));
-  EXPECT_THAT(complaint(":01000000000" + end), HasSubstr("odd number"));
-  EXPECT_THAT(complaint(":01000000G0FF" + end), HasSubstr("'G0' is not hexadecimal"));
-  EXPECT_THAT(complaint(":0200000000FE" + end), HasSubstr("announces 2 data bytes and carries 1"));
-  EXPECT_THAT(complaint(":00" + end), HasSubstr("too short"));
-  EXPECT_THAT(complaint(":00000006FA" + end), HasSubstr("unknown record type 6"));
-  EXPECT_THAT(complaint(":0100000401FA" + end), HasSubstr("carries 2 data bytes"));
-  EXPECT_THAT(complaint(":02FFFF00000000" + end), HasSubstr("beyond the end of its 64 KiB"));
-  EXPECT_THAT(complaint(":0100000000FF\n"), HasSubstr("no end-of-file record"));
-  EXPECT_THAT(complaint(""), HasSubstr("no end-of-file record"));
+  EXPECT_THAT(error_of(":00000001FF\n:0100000000FF\n"), HasSubstr("line 2: a record after"));
+  EXPECT_THAT(error_of(":0100000000FE" + end), HasSubstr("line 1: the checksum should be FF"));
+  EXPECT_THAT(error_of("\n0100000000FF" + end), HasSubstr("line 2: a record begins with ':'"));
+  EXPECT_THAT(error_of(":01000000000" + end), HasSubstr("odd number"));
+  EXPECT_THAT(error_of(":01000000G0FF" + end), HasSubstr("'G0' is not hexadecimal"));
+  EXPECT_THAT(error_of(":0200000000FE" + end), HasSubstr("announces 2 data bytes and carries 1"));
+  EXPECT_THAT(error_of(":00" + end), HasSubstr("too short"));
+  EXPECT_THAT(error_of(":00000006FA" + end), HasSubstr("unknown record type 6"));
+  EXPECT_THAT(error_of(":0100000401FA" + end), HasSubstr("carries 2 data bytes"));
+  EXPECT_THAT(error_of(":02FFFF00000000" + end), HasSubstr("beyond the end of its 64 KiB"));
+  EXPECT_THAT(error_of(":0100000000FF\n"), HasSubstr("no end-of-file record"));
+  EXPECT_THAT(error_of(""), HasSubstr("no end-of-file record"));
 }
 
 TEST(FirmwareImage, PutsDataIntoFlashAndUicr) {
@@ -78,7 +78,7 @@ TEST(FirmwareImage, RefusesDataWhereTheChipHasNone) {
   }
 }
 
-TEST(FirmwareImage, TellsHowToBuildAMissingOne) {
+TEST(FirmwareImage, ReportsHowToBuildAMissingImage) {
   const auto nowhere = std::filesystem::temp_directory_path() / "there-is-no-such-directory" / "node.hex";
   try {
     (void)read_firmware_image(nowhere);

@@ -59,8 +59,8 @@ struct Pages {
 };
 
 // A tag with the old configuration that searches for a network and has received the new configuration.
-struct ToldNode {
-  explicit ToldNode(const CutPlan& plan) : anchors(plan.anchors) {
+struct ReconfiguredNode {
+  explicit ReconfiguredNode(const CutPlan& plan) : anchors(plan.anchors) {
     const groma_Config old_config = config_with(kOldDelay, anchors);
     groma_Config other_config = old_config;
     other_config.transmit_antenna_delay_dtu = kOldDelay + 1;
@@ -138,23 +138,23 @@ struct ToldNode {
 // Cuts the power in each flash operation of the change of configuration.
 inline void cut_power_everywhere(const CutPlan& plan) {
   GROMA_NEEDS_SHIPPED_IMAGE();
-  ToldNode whole(plan);
+  ReconfiguredNode whole(plan);
   whole.network.run_until(from_seconds(kBooted_s + 1.0));
   const std::uint64_t operations = whole.operations();
   ASSERT_GT(operations, 10U);
   const std::uint32_t old_delay = [&] {
-    ToldNode untouched(plan);
+    ReconfiguredNode untouched(plan);
     return untouched.delay_after_power_cut();
   }();
   EXPECT_TRUE(old_delay == kOldDelay || old_delay == kOldDelay + 1) << old_delay;
   ASSERT_EQ(whole.delay_after_power_cut(), kNewDelay);
 
   std::set<std::uint32_t> seen;
-  bool new_one_in_force = false;
+  bool new_in_force = false;
   int cuts = 0;
   for (std::uint64_t operation = 1; operation <= operations; ++operation) {
     for (const double after_us : plan.after_us) {
-      ToldNode site(plan);
+      ReconfiguredNode site(plan);
       site.run_to_operation(operation);
       ASSERT_EQ(site.operations(), operation);
       const bool erases = site.node->soc().nvmc().next_event() - site.network.now() > kUnitsPerMillisecond;
@@ -165,8 +165,8 @@ inline void cut_power_everywhere(const CutPlan& plan) {
       EXPECT_TRUE(delay == old_delay || delay == kNewDelay)
           << "operation " << operation << " after " << after_us << " us: " << delay;
       // Once the new one is in force it stays.
-      if (delay == kNewDelay) new_one_in_force = true;
-      EXPECT_TRUE(!new_one_in_force || delay == kNewDelay) << "operation " << operation;
+      if (delay == kNewDelay) new_in_force = true;
+      EXPECT_TRUE(!new_in_force || delay == kNewDelay) << "operation " << operation;
       seen.insert(delay);
     }
   }

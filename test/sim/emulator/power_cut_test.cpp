@@ -4,11 +4,11 @@
 namespace groma::sim {
 namespace {
 
-TEST(PowerCut, AmidAWriteLeavesOneConfiguration) {
+TEST(PowerCut, DuringAWriteLeavesOneConfiguration) {
   cut_power_everywhere({});
 }
 
-TEST(PowerCut, AmidAMoveToTheOtherPageLeavesOneConfiguration) {
+TEST(PowerCut, DuringAMoveToTheOtherPageLeavesOneConfiguration) {
   cut_power_everywhere({.page_full = true});
 }
 

@@ -14,7 +14,7 @@ TEST(SiteRateCampaign, WithAKeyTheyMake2240RangesASecondForAMinute) {
   expect_fast(measure_rate(emulating(fast_keyed_site()), 60.0, 1.0, 2), 2'240.0);
 }
 
-TEST(SiteRateCampaign, WithAKeyNothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
+TEST(SiteRateCampaign, WithAKeyNothingIsSentLateIfEachInstructionCosts1p5TimesAsMuch) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   expect_fast(measure_rate(emulating(fast_keyed_site(), slow_processor()), 60.0, 1.0, 2), 2'240.0);
 }

@@ -11,7 +11,7 @@ TEST(SiteRate, ThreeTagsAndTwelveAnchorsMake2280RangesASecond) {
   expect_fast(measure_rate(emulating(fast_site()), 1.0));
 }
 
-TEST(SiteRate, NothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
+TEST(SiteRate, NothingIsSentLateIfEachInstructionCosts1p5TimesAsMuch) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   expect_fast(measure_rate(emulating(fast_site(), slow_processor()), 0.5));
 }
@@ -22,13 +22,13 @@ TEST(KeyedSiteRate, ThreeTagsAndTwelveAnchorsMake2100RangesASecond) {
   expect_fast(measure_rate(emulating(fast_keyed_site()), 0.25), 2'100.0);
 }
 
-TEST(KeyedSiteRate, NothingIsSentLateWhereEachInstructionCosts1p5TimesAsMuch) {
+TEST(KeyedSiteRate, NothingIsSentLateIfEachInstructionCosts1p5TimesAsMuch) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   expect_fast(measure_rate(emulating(fast_keyed_site(), slow_processor()), 0.25), 2'100.0);
 }
 
 // The tests above can detect late transmits only if a slow processor causes them.
-TEST(KeyedSiteRate, MuchIsLateWhereEachInstructionCosts5TimesAsMuch) {
+TEST(KeyedSiteRate, MuchIsLateIfEachInstructionCosts5TimesAsMuch) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   EmulatorOptions slow;
   slow.timing.instruction *= 5;

@@ -30,7 +30,7 @@ class ScriptedProcessor final : public Processor {
 };
 
 // Answers each transfer with 0x80, 0x81, ... and keeps the bytes that it received.
-class EchoDevice final : public SpiDevice {
+class PatternDevice final : public SpiDevice {
  public:
   void transfer(SimTime end, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
                 std::uint32_t hz) override {
@@ -73,7 +73,7 @@ struct SocBench {
   }
   // The simulation error that a call raises; empty: none.
   template <class F>
-  static std::string complaint(F&& f) {
+  static std::string error_of(F&& f) {
     try {
       f();
     } catch (const SimulationError& error) {
@@ -87,7 +87,7 @@ struct SocBench {
   Medium medium{space, {}, 1};
   Dw1000Chip chip{{.id = 1}, medium};
   RadioDevice radio{chip};
-  EchoDevice can;
+  PatternDevice can;
   UartLine to_host;
   UartLine from_host;
   NodeClock clock;

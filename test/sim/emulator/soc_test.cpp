@@ -20,15 +20,15 @@ constexpr std::uint32_t kReloadKey = 0x6E524635;
 
 TEST(Soc, FailsTheRunForRegistersThatAreNotModelled) {
   SocBench bench;
-  const auto complaint = SocBench::complaint([&] { bench.read(reg::kTimer + 0x300); });
+  const auto complaint = SocBench::error_of([&] { bench.read(reg::kTimer + 0x300); });
   EXPECT_THAT(complaint, HasSubstr("0x40008300"));
   EXPECT_THAT(complaint, HasSubstr("PC 0x00001234"));
   // A peripheral that the board does not use.
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(0x40011000, 1); }), HasSubstr("0x40011000"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kUarte + 0x504, 1); }), HasSubstr("0x40002504"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(0x10000060, 1); }), HasSubstr("FICR cannot be written"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.read(0x10000020); }), HasSubstr("0x10000020"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.soc.write(reg::kP0 + 0x508, 1, 1); }), HasSubstr("as words"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(0x40011000, 1); }), HasSubstr("0x40011000"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kUarte + 0x504, 1); }), HasSubstr("0x40002504"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(0x10000060, 1); }), HasSubstr("FICR cannot be written"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.read(0x10000020); }), HasSubstr("0x10000020"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.soc.write(reg::kP0 + 0x508, 1, 1); }), HasSubstr("as words"));
 }
 
 TEST(Soc, IsABusFaultOutsideTheMemoryMap) {
@@ -40,7 +40,7 @@ TEST(Soc, IsABusFaultOutsideTheMemoryMap) {
   }
 }
 
-TEST(Soc, TellsWhoItIs) {
+TEST(Soc, ReportsItsIdentity) {
   SocBench bench;
   bench.uicr[0x200] = 21;
   EXPECT_EQ(bench.read(0x10000060), 0x89ABCDEFU);
@@ -71,7 +71,7 @@ TEST(ClockPower, StartsItsCrystalsInTheirTime) {
   bench.run_us(250'000);
   EXPECT_EQ(bench.read(reg::kPower + 0x104), 1U);
   EXPECT_EQ(bench.read(reg::kPower + 0x418), 0x00010001U);
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kPower + 0x518, 0); }), HasSubstr("LFCLKSRC"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kPower + 0x518, 0); }), HasSubstr("LFCLKSRC"));
 }
 
 TEST(ClockPower, GathersResetReasonsUntilTheyAreWrittenBack) {
@@ -110,7 +110,7 @@ TEST(Gpio, DrivesItsPinsAndReadsThem) {
   EXPECT_EQ(bench.read(reg::kP0 + 0x510), 1U << 2);
   bench.write(reg::kP0 + 0x700 + 4 * 2, 0xE);
   EXPECT_EQ(bench.read(reg::kP0 + 0x510), 0U);
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kP0 + 0x700, 0x20000); }), HasSubstr("PIN_CNF[0]"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kP0 + 0x700, 0x20000); }), HasSubstr("PIN_CNF[0]"));
 }
 
 TEST(Gpio, HoldsTheRadioInResetAndMustNotDriveItHigh) {
@@ -123,7 +123,7 @@ TEST(Gpio, HoldsTheRadioInResetAndMustNotDriveItHigh) {
   EXPECT_LT(bench.chip.ticks(bench.processor.t), 10);
   EXPECT_GT(before, 300'000'000);
   bench.write(reg::kP0 + 0x508, 1U << 24);
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kP0 + 0x518, 1U << 24); }),
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kP0 + 0x518, 1U << 24); }),
               HasSubstr("reset line high"));
 }
 
@@ -135,7 +135,7 @@ TEST(Gpio, MayOpenTheDrainOfTheRadiosReset) {
   EXPECT_EQ(bench.soc.gpio().drive(24), PinDrive::kFloating);
 }
 
-TEST(Gpiote, RaisesEventsOnTheEdgesItWasToldOf) {
+TEST(Gpiote, RaisesEventsOnTheConfiguredEdges) {
   SocBench bench;
   bench.can.raises_interrupt = true;
   bench.write(reg::kP0 + 0x700 + 4 * 27, 0);
@@ -155,7 +155,7 @@ TEST(Gpiote, RaisesEventsOnTheEdgesItWasToldOf) {
   EXPECT_EQ(bench.read(reg::kGpiote + 0x100), 0U);
   bench.write(reg::kGpiote + 0x104, 0);
   EXPECT_FALSE(bench.irq(6));
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kGpiote + 0x510, 3); }), HasSubstr("CONFIG[0]"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kGpiote + 0x510, 3); }), HasSubstr("CONFIG[0]"));
 }
 
 // ---- TIMER0 ---------------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ struct TimerBench : SocBench {
   }
 };
 
-TEST(Timer, CountsMicrosecondsAndTellsOfAMatch) {
+TEST(Timer, CountsMicrosecondsAndSignalsAMatch) {
   TimerBench bench;
   bench.write(reg::kTimer + 0x540, 1000);
   bench.write(reg::kTimer + 0x304, 1U << 16);
@@ -191,7 +191,7 @@ TEST(Timer, CountsMicrosecondsAndTellsOfAMatch) {
   EXPECT_FALSE(bench.irq(8));
 }
 
-TEST(Timer, StopsClearsAndGoesOn) {
+TEST(Timer, StopsClearsAndContinues) {
   TimerBench bench;
   bench.write(reg::kTimer + 0x000, 1);
   bench.run_us(50.5);
@@ -204,7 +204,7 @@ TEST(Timer, StopsClearsAndGoesOn) {
   bench.write(reg::kTimer + 0x00C, 1);
   bench.run_us(3.5);
   EXPECT_EQ(bench.capture(), 3U);
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kTimer + 0x510, 1); }), HasSubstr("PRESCALER"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kTimer + 0x510, 1); }), HasSubstr("PRESCALER"));
 }
 
 TEST(Timer, RepeatsByItsShortcutInSixteenBits) {
@@ -267,7 +267,7 @@ TEST(Ecb, EncryptsTheBlockInItsTime) {
   EXPECT_EQ(bench.soc.ecb().blocks(), 1U);
 }
 
-TEST(Ecb, TellsOfABlockThatWasStopped) {
+TEST(Ecb, ReportsABlockThatWasStopped) {
   EcbBench bench;
   bench.write(reg::kEcb + 0x000, 1);
   bench.run_us(3.0);
@@ -283,22 +283,22 @@ TEST(Ecb, TellsOfABlockThatWasStopped) {
   EXPECT_EQ(bench.read(reg::kEcb + 0x504), 0U);
 }
 
-TEST(Ecb, FailsTheRunForWhatTheHardwareWouldNotBear) {
+TEST(Ecb, FailsTheRunForInvalidUse) {
   {
     EcbBench bench;
     bench.write(reg::kEcb + 0x504, kRamAddress + kRamBytes - 47);
-    EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb, 1); }), HasSubstr("not in RAM"));
+    EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kEcb, 1); }), HasSubstr("not in RAM"));
     bench.write(reg::kEcb + 0x504, 0x1000);
-    EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb, 1); }), HasSubstr("not in RAM"));
+    EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kEcb, 1); }), HasSubstr("not in RAM"));
   }
   EcbBench bench;
   bench.write(reg::kEcb, 1);
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb, 1); }), HasSubstr("STARTECB"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb + 0x504, 0); }), HasSubstr("ECBDATAPTR"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.read(reg::kEcb + 0x500); }), HasSubstr("0x4000E500"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kEcb + 0x304, 4); }), HasSubstr("0x4000E304"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kEcb, 1); }), HasSubstr("STARTECB"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kEcb + 0x504, 0); }), HasSubstr("ECBDATAPTR"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.read(reg::kEcb + 0x500); }), HasSubstr("0x4000E500"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kEcb + 0x304, 4); }), HasSubstr("0x4000E304"));
   bench.ram[EcbBench::kOffset + 20] ^= 1;
-  EXPECT_THAT(SocBench::complaint([&] { bench.run_us(8.0); }), HasSubstr("clear block changed"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.run_us(8.0); }), HasSubstr("clear block changed"));
 }
 
 // ---- SPIM -----------------------------------------------------------------------------------------------
@@ -353,47 +353,47 @@ TEST(Spim, MovesBytesBothWaysAndIsDoneWhenTheLastOneIs) {
   EXPECT_FALSE(bench.irq(4));
 }
 
-TEST(Spim, ReachesRamAlone) {
+TEST(Spim, ReachesOnlyRam) {
   SpimBench bench;
   bench.select();
   bench.buffers(0x00001000, 4, 0x20000000, 4);
-  EXPECT_THAT(SocBench::complaint([&] { bench.start(); }), HasSubstr("SPIM1 TXD.PTR: 4 bytes at 0x00001000"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.start(); }), HasSubstr("SPIM1 TXD.PTR: 4 bytes at 0x00001000"));
   bench.buffers(0x20000000, 4, 0x2000FFFE, 4);
-  EXPECT_THAT(SocBench::complaint([&] { bench.start(); }), HasSubstr("SPIM1 RXD.PTR"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.start(); }), HasSubstr("SPIM1 RXD.PTR"));
   bench.buffers(0x20000000, 256, 0x20000000, 4);
-  EXPECT_THAT(SocBench::complaint([&] { bench.start(); }), HasSubstr("at most 255 bytes"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.start(); }), HasSubstr("at most 255 bytes"));
 }
 
-TEST(Spim, DoesNotBearWhatTheHardwareWouldNot) {
+TEST(Spim, RejectsInvalidUse) {
   SpimBench bench;
   bench.buffers(0x20000000, 1, 0x20000100, 1);
   bench.select();
-  EXPECT_THAT(SocBench::complaint([&] { bench.start(); }), HasSubstr("erratum 58"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.start(); }), HasSubstr("erratum 58"));
   bench.buffers(0x20000000, 2, 0x20000100, 2);
   bench.start();
-  EXPECT_THAT(SocBench::complaint([&] { bench.start(); }), HasSubstr("in progress"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.deselect(); }), HasSubstr("chip select changes"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.start(); }), HasSubstr("in progress"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.deselect(); }), HasSubstr("chip select changes"));
 }
 
-TEST(Spim, WantsItsBufferLeftAlone) {
+TEST(Spim, RequiresItsBufferUnchanged) {
   SpimBench bench;
   bench.buffers(0x20000000, 2, 0x20000100, 2);
   bench.select();
   bench.start();
   bench.ram[1] = 0x55;
-  EXPECT_THAT(SocBench::complaint([&] { bench.run_us(100); }), HasSubstr("buffer was changed"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.run_us(100); }), HasSubstr("buffer was changed"));
 }
 
-TEST(Spim, WantsItsChipSelectedOnceATransfer) {
+TEST(Spim, RequiresOneChipSelectPerTransfer) {
   SpimBench bench;
   bench.buffers(0x20000000, 2, 0x20000100, 2);
   bench.start();
-  EXPECT_THAT(SocBench::complaint([&] { bench.run_us(100); }), HasSubstr("no chip is selected"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.run_us(100); }), HasSubstr("no chip is selected"));
   bench.select();
   bench.start();
   bench.run_us(100);
   bench.start();
-  EXPECT_THAT(SocBench::complaint([&] { bench.run_us(100); }), HasSubstr("second transfer"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.run_us(100); }), HasSubstr("second transfer"));
   bench.deselect();
   bench.select();
   bench.start();
@@ -486,19 +486,19 @@ TEST(Uarte, StopsAfterTheByteThatIsOnTheLine) {
   EXPECT_EQ(bench.sent().size(), 3U);
 }
 
-TEST(Uarte, WantsItsBufferInRamAndLeftAlone) {
+TEST(Uarte, RequiresItsBufferInRamAndUnchanged) {
   UarteBench bench;
-  EXPECT_THAT(SocBench::complaint([&] { bench.send(0x1000, 4); }), HasSubstr("UARTE0 TXD.PTR"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.send(0x1000, 4); }), HasSubstr("UARTE0 TXD.PTR"));
   bench.send(0x20000000, 4);
-  EXPECT_THAT(SocBench::complaint([&] { bench.send(0x20000000, 4); }), HasSubstr("in progress"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.send(0x20000000, 4); }), HasSubstr("in progress"));
   bench.ram[3] = 1;
-  EXPECT_THAT(SocBench::complaint([&] { bench.run_us(100); }), HasSubstr("buffer was changed"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.run_us(100); }), HasSubstr("buffer was changed"));
 }
 
 TEST(Uarte, RunsAtTheSpeedOfTheHostsLine) {
   UarteBench bench;
   bench.write(reg::kUarte + 0x524, 0x0F000000);
-  EXPECT_THAT(SocBench::complaint([&] { bench.send(0x20000000, 4); }), HasSubstr("at 937500 bit/s"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.send(0x20000000, 4); }), HasSubstr("at 937500 bit/s"));
 }
 
 TEST(Uarte, ReceivesIntoItsBufferByteByByte) {
@@ -526,7 +526,7 @@ TEST(Uarte, ReceivesIntoItsBufferByteByByte) {
   EXPECT_THAT(std::span(bench.ram).subspan(0x300, 5), ElementsAre(4, 5, 6, 7, 0));
 }
 
-TEST(Uarte, GoesOnToTheNextBufferByItsShortcut) {
+TEST(Uarte, ContinuesWithTheNextBufferByItsShortcut) {
   UarteBench bench;
   bench.write(reg::kUarte + 0x200, 1U << 5);
   bench.receive_to(0x20000200, 2);
@@ -537,7 +537,7 @@ TEST(Uarte, GoesOnToTheNextBufferByItsShortcut) {
   EXPECT_THAT(std::span(bench.ram).subspan(0x280, 2), ElementsAre(3, 0));
 }
 
-TEST(Uarte, StopsReceivingAndFlushesWhatCameLate) {
+TEST(Uarte, StopsReceivingAndFlushesLateBytes) {
   UarteBench bench;
   bench.receive_to(0x20000200, 10);
   bench.host_sends({1, 2, 3});
@@ -607,27 +607,27 @@ TEST(Nvmc, FaultsAStoreThatIsNotEnabled) {
   EXPECT_FALSE(bench.soc.flash_write(0x7E000, 4, 0));
   EXPECT_EQ(bench.word(0x7E000), 0xFFFFFFFFU);
   bench.write(reg::kNvmc + 0x504, 0);
-  EXPECT_THAT(SocBench::complaint([&] { bench.write(reg::kNvmc + 0x508, 0x7E000); }),
+  EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kNvmc + 0x508, 0x7E000); }),
               HasSubstr("not enabled"));
-  EXPECT_THAT(SocBench::complaint([&] { bench.erase(0x7E004); }), HasSubstr("not the start of a page"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.erase(0x7E004); }), HasSubstr("not the start of a page"));
 }
 
-TEST(Nvmc, WearsOutByMoreWritesThanABlockBears) {
+TEST(Nvmc, FaultsMoreWritesThanABlockAllows) {
   NvmcBench bench;
   bench.write(reg::kNvmc + 0x504, 1);
   for (int i = 0; i < 181; ++i) {
     bench.store(0x7E000 + 4U * static_cast<unsigned>(i % 128), 0xFFFFFFFF);
     bench.run_us(41);
   }
-  EXPECT_THAT(SocBench::complaint([&] { bench.store(0x7E000, 0); }), HasSubstr("more than 181 writes"));
+  EXPECT_THAT(SocBench::error_of([&] { bench.store(0x7E000, 0); }), HasSubstr("more than 181 writes"));
   bench.store(0x7E200, 0);
   bench.run_us(41);
   bench.erase(0x7E000);
   bench.run_us(85'000);
-  EXPECT_EQ(SocBench::complaint([&] { bench.store(0x7E000, 0); }), "");
+  EXPECT_EQ(SocBench::error_of([&] { bench.store(0x7E000, 0); }), "");
 }
 
-TEST(Nvmc, WritesTheUserInformationToo) {
+TEST(Nvmc, WritesUicrToo) {
   NvmcBench bench;
   EXPECT_FALSE(bench.soc.write(0x10001208, 4, 0x5A));
   bench.write(reg::kNvmc + 0x504, 1);
@@ -706,7 +706,7 @@ TEST(Watchdog, CannotBeChangedNorStoppedOnceItRuns) {
   bench.write(reg::kWdt + 0x508, 1);
   EXPECT_EQ(bench.read(reg::kWdt + 0x504), 32'767U);
   EXPECT_EQ(bench.read(reg::kWdt + 0x508), 3U);
-  EXPECT_NE(SocBench::complaint([&] { bench.write(reg::kWdt + 0x004, 1); }), "");
+  EXPECT_NE(SocBench::error_of([&] { bench.write(reg::kWdt + 0x004, 1); }), "");
   bench.soc.reset(ResetCause::kSoftware, bench.processor.t);
   EXPECT_EQ(bench.read(reg::kWdt + 0x400), 1U);
   bench.soc.reset(ResetCause::kWatchdog, bench.processor.t);

@@ -23,7 +23,7 @@ TEST(Thumb, CountsInstructionsByTheirLengths) {
   EXPECT_EQ(facts.traits, 0);
 }
 
-TEST(Thumb, ToldKindsOfInstructions) {
+TEST(Thumb, ClassifiesInstructions) {
   EXPECT_TRUE(is_send_event(instruction(0xBF40)));
   EXPECT_TRUE(is_send_event(instruction(0xF3AF, 0x8004)));
   EXPECT_FALSE(is_send_event(instruction(0xBF20)));
@@ -56,7 +56,7 @@ TEST(Thumb, WalksThroughItBlocks) {
   EXPECT_TRUE(it.condition_holds(1U << 30));
 }
 
-TEST(Thumb, ToldConditions) {
+TEST(Thumb, EvaluatesConditions) {
   constexpr std::uint32_t kN = 1U << 31;
   constexpr std::uint32_t kZ = 1U << 30;
   constexpr std::uint32_t kC = 1U << 29;
@@ -77,7 +77,7 @@ TEST(Thumb, ToldConditions) {
   EXPECT_TRUE(holds(0xE, 0));        // al
 }
 
-TEST(Thumb, ToldMemoryOfWideForms) {
+TEST(Thumb, FindsTheAddressesOfMemoryAccesses) {
   Registers r{};
   r[1] = 0x1000;
   r[2] = 3;
@@ -101,7 +101,7 @@ TEST(Thumb, ToldMemoryOfWideForms) {
   EXPECT_EQ(address(0x1840), 0xFFFFFFFFU);          // adds r0, r0, r1
 }
 
-TEST(Thumb, ToldWriteBack) {
+TEST(Thumb, FindsTheWriteBack) {
   Registers r{};
   r[1] = 0x1000;
   const auto access = memory_access(instruction(0xF841, 0x0D08), r);  // str r0, [r1, #-8]!

@@ -52,7 +52,7 @@ TEST(Path, AccelerationDoesNotJumpAndKeepsItsLimits) {
   EXPECT_GT(fastest, 0.95 * options.max_speed_mps);
 }
 
-TEST(Path, ComesByItsWaypointsInTimeAndStopsWhereItHasTo) {
+TEST(Path, PassesItsWaypointsInTimeAndStopsWhereRequired) {
   PathOptions options;
   options.corner_radius_m = 0.5;
   const Path path(kSquare, options);
@@ -69,7 +69,7 @@ TEST(Path, ComesByItsWaypointsInTimeAndStopsWhereItHasTo) {
   }
 }
 
-TEST(Path, HeadsWhereItGoesWhenDifferential) {
+TEST(Path, ADifferentialRobotHeadsAlongItsVelocity) {
   const Path path(kSquare, {});
   for (double t = 0.0; t < path.duration_s(); t += 0.05) {
     const PlanarMotion at = path.at(t);
@@ -92,7 +92,7 @@ TEST(Path, TurnsTowardsTheHeadingsOfAnOmnidirectionalRobot) {
   EXPECT_NEAR(path.at(path.duration_s()).theta_rad, 2.0 * std::numbers::pi - 3.0, 1e-9);
 }
 
-TEST(Path, StandsBeforeItsBeginAndAfterItsEnd) {
+TEST(Path, IsStationaryBeforeItsBeginAndAfterItsEnd) {
   const Path path(kSquare, {});
   for (const double t : {-10.0, -0.01, path.duration_s() + 0.01, 1e6}) {
     const PlanarMotion at = path.at(t);

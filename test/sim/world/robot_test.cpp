@@ -56,7 +56,7 @@ TEST(Robot, BodyVelocityIsTheNumericalDerivativeOfThePose) {
   EXPECT_GT(steepest, 0.05) << "the test has to be on a slope";
 }
 
-TEST(Robot, StandsOnTheGroundAndAlongIt) {
+TEST(Robot, TouchesTheGroundAndIsParallelToIt) {
   const Robot subject = robot({}, {});
   for (double t = 0.0; t < subject.path().duration_s(); t += 0.5) {
     const model::SurfacePose pose = subject.pose(t);
@@ -70,30 +70,31 @@ TEST(Robot, StandsOnTheGroundAndAlongIt) {
 }
 
 // Integrates odometry samples as rigid motions, independently of the filter's propagation.
-TEST(Robot, NoiseFreeRowsReproduceTheWay) {
+TEST(Robot, NoiseFreeSamplesReproduceThePath) {
   const Robot subject = robot(exact_odometry(), {});
-  const auto rows =
+  const auto samples =
       static_cast<std::uint64_t>(subject.path().duration_s() * subject.odometry_options().rate_hz);
   const double interval_s = 1.0 / subject.odometry_options().rate_hz;
   model::PoseSample start = subject.truth(0.0);
   Eigen::Vector2d at(start.x_m, start.y_m);
   double theta = start.yaw_rad;
-  for (std::uint64_t k = 0; k < rows; ++k) {
-    const model::OdometrySample row = subject.odometry(k);
-    constexpr int kPieces = 4;
-    for (int piece = 0; piece < kPieces; ++piece) {
-      const double dt = interval_s / kPieces;
+  for (std::uint64_t k = 0; k < samples; ++k) {
+    const model::OdometrySample sample = subject.odometry(k);
+    constexpr int kSteps = 4;
+    for (int i = 0; i < kSteps; ++i) {
+      const double dt = interval_s / kSteps;
       const model::SurfacePose pose =
-          model::pose_on_surface(subject.ground(), {at.x(), at.y(), theta + 0.5 * dt * row.omega_radps});
-      const Eigen::Vector3d step = pose.pose.rotation * Eigen::Vector3d(row.vx_mps, row.vy_mps, 0.0) * dt;
+          model::pose_on_surface(subject.ground(), {at.x(), at.y(), theta + 0.5 * dt * sample.omega_radps});
+      const Eigen::Vector3d step =
+          pose.pose.rotation * Eigen::Vector3d(sample.vx_mps, sample.vy_mps, 0.0) * dt;
       // The rotation of the body about its own normal that the change of the ground's tilt alone causes.
       const Eigen::Matrix3d tilting = pose.rotation_wt.transpose() *
                                       (pose.d_rotation_wt_d_x * step.x() + pose.d_rotation_wt_d_y * step.y());
       at += step.head<2>();
-      theta += row.omega_radps * dt - 0.5 * (tilting(1, 0) - tilting(0, 1));
+      theta += sample.omega_radps * dt - 0.5 * (tilting(1, 0) - tilting(0, 1));
     }
   }
-  const model::PoseSample end = subject.truth(static_cast<double>(rows) * interval_s);
+  const model::PoseSample end = subject.truth(static_cast<double>(samples) * interval_s);
   EXPECT_NEAR(at.x(), end.x_m, 2e-3);
   EXPECT_NEAR(at.y(), end.y_m, 2e-3);
   EXPECT_NEAR(model::wrap_angle(theta - end.yaw_rad), 0.0, 5e-4);
@@ -111,17 +112,17 @@ TEST(Robot, OdometryErrorsAreWhiteConstantScaleAndBias) {
     double square = 0.0;
     double turn = 0.0;
     constexpr std::uint64_t kFirst = 150;  // on the first leg, along x
-    constexpr std::uint64_t kRows = 200;
-    for (std::uint64_t k = kFirst; k < kFirst + kRows; ++k) {
-      const model::OdometrySample told = subject.odometry(k);
-      const model::OdometrySample true_row = exact.odometry(k);
-      with += told.vx_mps * true_row.vx_mps + told.vy_mps * true_row.vy_mps;
-      square += true_row.vx_mps * true_row.vx_mps + true_row.vy_mps * true_row.vy_mps;
-      turn += told.omega_radps - true_row.omega_radps;
+    constexpr std::uint64_t kSamples = 200;
+    for (std::uint64_t k = kFirst; k < kFirst + kSamples; ++k) {
+      const model::OdometrySample sample = subject.odometry(k);
+      const model::OdometrySample exact_sample = exact.odometry(k);
+      with += sample.vx_mps * exact_sample.vx_mps + sample.vy_mps * exact_sample.vy_mps;
+      square += exact_sample.vx_mps * exact_sample.vx_mps + exact_sample.vy_mps * exact_sample.vy_mps;
+      turn += sample.omega_radps - exact_sample.omega_radps;
     }
     const double scale = with / square - 1.0;
     scales += scale * scale;
-    biases += (turn / kRows) * (turn / kRows);
+    biases += (turn / kSamples) * (turn / kSamples);
   }
   // The white part averages out to 0.0014 and 0.0004.
   EXPECT_NEAR(std::sqrt(scales / kSeeds), std::hypot(options.scale_sigma, 0.0016), 0.0012);
@@ -131,18 +132,18 @@ TEST(Robot, OdometryErrorsAreWhiteConstantScaleAndBias) {
   double squares = 0.0;
   double neighbours = 0.0;
   double last = 0.0;
-  constexpr std::uint64_t kRows = 1500;
-  for (std::uint64_t k = 0; k < kRows; ++k) {
+  constexpr std::uint64_t kSamples = 1500;
+  for (std::uint64_t k = 0; k < kSamples; ++k) {
     const double error = subject.odometry(k).omega_radps - exact.odometry(k).omega_radps;
     squares += error * error;
     neighbours += error * last;
     last = error;
   }
-  EXPECT_NEAR(std::sqrt(squares / kRows), options.noise.sigma_omega_radps, 0.0005);
+  EXPECT_NEAR(std::sqrt(squares / kSamples), options.noise.sigma_omega_radps, 0.0005);
   EXPECT_NEAR(neighbours / squares, 0.0, 0.1);
 }
 
-TEST(Robot, PosePriorErrsSlowlyAndALittleFast) {
+TEST(Robot, PosePriorErrorsAreCorrelatedAndWhite) {
   const PosePriorOptions options;
   double squares = 0.0;
   double jumps = 0.0;
@@ -152,16 +153,16 @@ TEST(Robot, PosePriorErrsSlowlyAndALittleFast) {
     const Robot subject = robot({}, options, seed);
     double last = 0.0;
     for (std::uint64_t k = 0; k < 200; ++k) {
-      const model::PoseSample row = subject.pose_prior(k);
-      const model::PoseSample truth = subject.truth(row.t_s);
-      const double error = row.x_m - truth.x_m;
-      const double yaw = model::wrap_angle(row.yaw_rad - truth.yaw_rad);
+      const model::PoseSample sample = subject.pose_prior(k);
+      const model::PoseSample truth = subject.truth(sample.t_s);
+      const double error = sample.x_m - truth.x_m;
+      const double yaw = model::wrap_angle(sample.yaw_rad - truth.yaw_rad);
       squares += error * error;
       yaws += yaw * yaw;
       if (k > 0) jumps += (error - last) * (error - last);
       last = error;
       ++count;
-      EXPECT_NEAR(row.z_m, subject.ground().at(row.x_m, row.y_m).z_m, 1e-12);
+      EXPECT_NEAR(sample.z_m, subject.ground().at(sample.x_m, sample.y_m).z_m, 1e-12);
     }
   }
   EXPECT_NEAR(std::sqrt(squares / count), std::hypot(options.correlated_sigma_m, options.white_sigma_m),
@@ -171,7 +172,7 @@ TEST(Robot, PosePriorErrsSlowlyAndALittleFast) {
   EXPECT_NEAR(std::sqrt(jumps / count), std::sqrt(2.0) * options.white_sigma_m, 0.001);
 }
 
-TEST(Robot, RowsDoNotDependOnTheOrderOfTheQuestions) {
+TEST(Robot, SamplesDoNotDependOnTheOrderOfQueries) {
   const Robot a = robot({}, {}, 9);
   const Robot b = robot({}, {}, 9);
   (void)b.odometry(700);

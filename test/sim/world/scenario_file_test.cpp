@@ -46,7 +46,7 @@ std::string error_of(const std::string& text) {
   return "no error";
 }
 
-TEST(ScenarioFile, ReadsWhatItSays) {
+TEST(ScenarioFile, ReadsItsContent) {
   const Scenario scenario = parse_scenario("site.yaml", kSmall);
   EXPECT_EQ(scenario.name, "small");
   ASSERT_EQ(scenario.walls.size(), 2U);
@@ -58,7 +58,7 @@ TEST(ScenarioFile, ReadsWhatItSays) {
   EXPECT_EQ(scenario.radio.clock_ppm, RadioOptions{}.clock_ppm);
 }
 
-TEST(ScenarioFile, ErrorsNameThePlace) {
+TEST(ScenarioFile, ErrorsNameLineAndColumn) {
   using ::testing::HasSubstr;
   EXPECT_THAT(error_of(with("name: small", "name: small\ncolour: red")),
               HasSubstr("site.yaml:3:1: unknown key"));
@@ -78,7 +78,7 @@ TEST(ScenarioFile, ErrorsNameThePlace) {
   EXPECT_THAT(error_of("a: [1"), HasSubstr("site.yaml:"));
 }
 
-TEST(ScenarioFile, RanksBackUpsAsNamedAndLeavesThemOpenWhereItNamesNone) {
+TEST(ScenarioFile, RanksBackUpsAsListedAndLeavesThemUnsetIfItListsNone) {
   const auto scheduled = [](const std::string& keys) {
     return with("name: small\n", "name: small\nschedule: {" + keys + "}\n");
   };
@@ -134,7 +134,7 @@ INSTANTIATE_TEST_SUITE_P(All, ShippedScenario, ::testing::ValuesIn(shipped()),
                          [](const auto& scenario) { return scenario.param.stem().string(); });
 
 // The properties that the demo promises of its world.
-TEST(PaperHall, IsNoEasyWorld) {
+TEST(PaperHall, HasThePromisedDifficulty) {
   const Scenario scenario = read_scenario(std::filesystem::path(GROMA_SCENARIOS) / "paper_hall.yaml");
   EXPECT_EQ(scenario.anchors.size(), 12U);
   EXPECT_EQ(scenario.tags.size(), 3U);
@@ -161,7 +161,7 @@ TEST(PaperHall, IsNoEasyWorld) {
 
   for (const DriveTime& drive : world.drives()) {
     int audible = 0;
-    int hidden = 0;
+    int nlos = 0;
     double furthest_m = 0.0;
     double deepest_m = 0.0;
     for (double t = drive.begin_s; t < drive.end_s; t += 0.25) {
@@ -169,14 +169,14 @@ TEST(PaperHall, IsNoEasyWorld) {
       deepest_m = std::min(deepest_m, world.robot().truth(t).z_m);
       for (const model::Anchor& anchor : scenario.anchors) {
         for (const model::Tag& tag : scenario.tags) {
-          const Propagation way = world.between(tag.id, anchor.id, t);
-          if (!way.audible) continue;
+          const Propagation path = world.between(tag.id, anchor.id, t);
+          if (!path.audible) continue;
           ++audible;
-          hidden += world.in_sight(tag.id, anchor.id, t) ? 0 : 1;
+          nlos += world.in_sight(tag.id, anchor.id, t) ? 0 : 1;
         }
       }
     }
-    const double share = static_cast<double>(hidden) / audible;
+    const double share = static_cast<double>(nlos) / audible;
     EXPECT_GE(share, 0.10) << drive.name;
     EXPECT_LE(share, 0.20) << drive.name;
     const bool outside = drive.name == "yard";

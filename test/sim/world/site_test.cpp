@@ -21,7 +21,7 @@ Wall any_wall(const KeyedRandom& random) {
 }
 
 // Steps along the straight line and detects a change of side within the wall's outline.
-bool crosses_by_walking(const Wall& wall, const Vector3d& a, const Vector3d& b) {
+bool crosses_by_stepping(const Wall& wall, const Vector3d& a, const Vector3d& b) {
   const Vector2d along = wall.to_m - wall.from_m;
   const Vector2d normal(-along.y(), along.x());
   constexpr int kSteps = 20'000;
@@ -38,7 +38,7 @@ bool crosses_by_walking(const Wall& wall, const Vector3d& a, const Vector3d& b) 
   return false;
 }
 
-TEST(Crossing, AgreesWithWalkingTheWay) {
+TEST(Crossing, AgreesWithSteppingAlongTheLine) {
   int crossings = 0;
   int disagreements = 0;
   constexpr int kTries = 1500;
@@ -49,14 +49,14 @@ TEST(Crossing, AgreesWithWalkingTheWay) {
     const Vector3d b = anywhere(random.of(2));
     const bool crosses = crossing(wall, a, b).has_value();
     crossings += crosses ? 1 : 0;
-    disagreements += crosses != crosses_by_walking(wall, a, b) ? 1 : 0;
+    disagreements += crosses != crosses_by_stepping(wall, a, b) ? 1 : 0;
     EXPECT_EQ(crosses, crossing(wall, b, a).has_value()) << i;
   }
   EXPECT_GT(crossings, 100);
   EXPECT_LE(disagreements, 1) << "a step may hide an edge";
 }
 
-TEST(Crossing, TellsWhere) {
+TEST(Crossing, GivesTheFractionOfTheCrossing) {
   const Wall wall{{2.0, -1.0}, {2.0, 1.0}, 0.0, 3.0, 0};
   EXPECT_NEAR(crossing(wall, {0.0, 0.0, 1.0}, {8.0, 0.0, 1.0}).value_or(-1.0), 0.25, 1e-12);
   EXPECT_FALSE(crossing(wall, {0.0, 0.0, 1.0}, {1.9, 0.0, 1.0}));
@@ -80,7 +80,7 @@ RadioClimate quiet_climate() {
   return climate;
 }
 
-TEST(Site, FreeSpaceDelaysNothingAndFadesByTheSquare) {
+TEST(Site, FreeSpaceAddsNoDelayAndFollowsTheInverseSquare) {
   const Site site({}, {}, quiet_climate());
   const Vector3d a(0.0, 0.0, 1.0);
   for (const double distance_m : {1.0, 3.0, 10.0, 30.0}) {
@@ -95,7 +95,7 @@ TEST(Site, FreeSpaceDelaysNothingAndFadesByTheSquare) {
   EXPECT_FALSE(site.arrival(a, a + Vector3d(60.0, 0.0, 0.0), 0.0, KeyedRandom(1)).audible);
 }
 
-TEST(Site, AWallThatLetsThroughDelaysAndWeakens) {
+TEST(Site, ATransparentWallDelaysAndAttenuates) {
   const Wall wall{{5.0, -40.0}, {5.0, 40.0}, -1.0, 40.0, 0};
   const Site site({{"brick", 9.0, 0.3, {}}}, {wall}, quiet_climate());
   const Site open({}, {}, quiet_climate());
@@ -128,7 +128,7 @@ TEST(Site, AWallThatLetsThroughDelaysAndWeakens) {
             site.arrival(a, b, 0.0, KeyedRandom(4)).excess_m);
 }
 
-TEST(Site, AnOpaqueWallIsHeardAroundAndOnlyByReflection) {
+TEST(Site, AnOpaqueWallIsPassedOnlyByReflection) {
   const Material metal{"cladding", kOpaqueLoss_db, 0.0, 3.0};
   const Wall wall{{5.0, -40.0}, {5.0, 40.0}, -1.0, 40.0, 0};
   const Vector3d a(0.0, 0.0, 1.0);
@@ -147,7 +147,7 @@ TEST(Site, AnOpaqueWallIsHeardAroundAndOnlyByReflection) {
   EXPECT_NEAR(arrival.excess_m, std::hypot(10.0, 16.0) - 10.0, 1e-9);
 }
 
-TEST(Site, AnEdgeBendsWhatPassesCloseBehindIt) {
+TEST(Site, AnEdgeDiffractsWhatPassesCloseBehindIt) {
   const Material metal{"cladding", kOpaqueLoss_db, 0.0, {}};
   const Vector3d a(0.0, 0.0, 1.0);
   const Vector3d b(10.0, 0.0, 1.0);
@@ -159,7 +159,7 @@ TEST(Site, AnEdgeBendsWhatPassesCloseBehindIt) {
   EXPECT_LT(arrival.first_path_power_dbm, quiet_climate().power_at_1m_dbm - 20.0 - 6.0);
 }
 
-TEST(Site, ReflectionsAddPowerAndPullTheStampALittle) {
+TEST(Site, ReflectionsAddPowerAndBiasTheTimestampSlightly) {
   const Material metal{"cladding", kOpaqueLoss_db, 0.0, 1.0};
   const Site site({metal}, {{{-5.0, 0.5}, {15.0, 0.5}, -1.0, 10.0, 0}}, quiet_climate());
   const Vector3d a(0.0, 0.0, 1.0);
@@ -174,7 +174,7 @@ TEST(Site, ReflectionsAddPowerAndPullTheStampALittle) {
   EXPECT_LT(largest_m, 0.15);
 }
 
-TEST(Site, ALowRackBlocksTheLowTagAlone) {
+TEST(Site, ALowRackMakesOnlyTheLowTagNlos) {
   const Site site({{"rack", 8.0, 0.4, {}}}, {{{4.0, -3.0}, {4.0, 3.0}, 0.0, 1.2, 0}}, quiet_climate());
   const Vector3d anchor(10.0, 0.0, 3.0);
   EXPECT_FALSE(site.in_sight({3.0, 0.0, 0.35}, anchor));

@@ -44,7 +44,7 @@ TEST(KeyedRandom, NeighbouringKeysAndSeedsAreUncorrelated) {
   EXPECT_NEAR(swapped / kDraws, 0.0, 0.02);
 }
 
-TEST(SmoothNoise, HasUnitVarianceAndForgetsBeyondFourUnits) {
+TEST(SmoothNoise, HasUnitVarianceAndNoCorrelationBeyondFourUnits) {
   const KeyedRandom random(5);
   constexpr int kPoints = 40'000;
   double squares = 0.0;

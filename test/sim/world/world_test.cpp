@@ -23,7 +23,7 @@ Scenario scenario() {
   return out;
 }
 
-TEST(World, TreatsBothDirectionsAlikeAtAnyTime) {
+TEST(World, IsReciprocalAtAnyTime) {
   const World world(scenario(), 1);
   for (double t = 0.0; t < 20.0; t += 0.37) {
     for (const auto& [a, b] :
@@ -37,7 +37,7 @@ TEST(World, TreatsBothDirectionsAlikeAtAnyTime) {
   }
 }
 
-TEST(World, AnswersTheSameWhateverWasAskedBefore) {
+TEST(World, AnswersDoNotDependOnEarlierQueries) {
   const World one(scenario(), 1);
   const World other(scenario(), 1);
   for (double t = 10.0; t > 0.0; t -= 0.7) (void)other.between(2, 12, t);
@@ -45,7 +45,7 @@ TEST(World, AnswersTheSameWhateverWasAskedBefore) {
     EXPECT_EQ(one.between(2, 11, t).flight_m, other.between(2, 11, t).flight_m);
 }
 
-TEST(World, FlightInSightIsTheBiasedDistance) {
+TEST(World, FlightInLosIsTheBiasedDistance) {
   Scenario clear = scenario();
   clear.walls.clear();
   clear.climate.floor_reflection_loss_db.reset();
@@ -98,7 +98,7 @@ TEST(World, NodesOfTheSameKindHaveNoBias) {
   EXPECT_EQ(world.bias(10, 11).gamma, 1.0);
 }
 
-TEST(World, KnowsNoStrangers) {
+TEST(World, UnknownIdsAreInaudible) {
   const World world(scenario(), 1);
   EXPECT_FALSE(world.between(1, 999, 0.0).audible);
   EXPECT_FALSE(world.between(1, 1, 0.0).audible);
