@@ -176,9 +176,9 @@ TEST_P(AirFuzz, NoRangeIsWrongAndTheSiteRecovers) {
   std::vector<FaultPhase> phases{
       {.name = "power on", .rise = all_of(kTags, kAnchors), .newcomers_within = 100.0, .watched_s = 2.5},
       no_fault(2.0),
-      noise_phase(noise, "any bytes", &Noise::random_bytes),
-      noise_phase(noise, "pieces of what was sent", &Noise::fragment),
-      noise_phase(noise, "RESPONSEs without sense", &Noise::response),
+      noise_phase(noise, "random bytes", &Noise::random_bytes),
+      noise_phase(noise, "pieces of sent frames", &Noise::fragment),
+      noise_phase(noise, "RESPONSEs with random content", &Noise::response),
       noise_phase(noise, "FINALs", &Noise::final),
       noise_phase(noise, "DATA", &Noise::data),
       noise_phase(noise, "BEACONs", &Noise::beacon),
@@ -186,7 +186,7 @@ TEST_P(AirFuzz, NoRangeIsWrongAndTheSiteRecovers) {
   };
   // Both kinds can disturb an open site, see above.
   phases.push_back(noise_phase(noise, "JOINs", &Noise::join, recovered, watched_s));
-  phases.push_back(noise_phase(noise, "with bits turned round", &Noise::flipped, recovered, watched_s));
+  phases.push_back(noise_phase(noise, "frames with flipped bits", &Noise::flipped, recovered, watched_s));
   phases.push_back(no_fault(2.0));
   campaign.run(phases);
   expect_no_harm(site, campaign);

@@ -111,7 +111,7 @@ class FaultCampaign {
 
   [[nodiscard]] std::string table() const {
     std::string text =
-        "phase                              from s  over s  share   least   well after     worst  ranges\n"
+        "phase                              from s  over s  share   least   recovered in   worst  ranges\n"
         "                                                           old   new (sf)    sigma        \n";
     for (const PhaseOutcome& o : outcomes_) {
       std::array<char, 200> line{};
@@ -216,13 +216,13 @@ class FaultCampaign {
                              " m, " + std::to_string(range.error_m / range.sigma_m) + " sigma");
     }
     if (out.survivors_superframes > phase.within)
-      out.faults.push_back(std::to_string(out.late_pairs) + " pairs are not well again within " +
+      out.faults.push_back(std::to_string(out.late_pairs) + " pairs do not range again within " +
                            std::to_string(phase.within) + " superframes");
     if (out.newcomers_superframes > phase.newcomers_within)
-      out.faults.push_back("newcomers not in within " + std::to_string(phase.newcomers_within) +
+      out.faults.push_back("newcomers do not range within " + std::to_string(phase.newcomers_within) +
                            " superframes");
     if (least_share > 0.0 && !(out.share >= least_share && out.share <= phase.most_share))
-      out.faults.push_back("share not within " + std::to_string(least_share) + " and " +
+      out.faults.push_back("share not between " + std::to_string(least_share) + " and " +
                            std::to_string(phase.most_share));
     return out;
   }
@@ -289,7 +289,7 @@ inline int frames_a_range_needs(groma_RangingMethod method) {
 }
 
 inline FaultPhase no_fault(double for_s) {
-  return {.name = "nothing wrong", .lasts_s = for_s, .least_share = 0.99, .most_share = 1.01};
+  return {.name = "no fault", .lasts_s = for_s, .least_share = 0.99, .most_share = 1.01};
 }
 
 inline FaultPhase loss(double probability, double for_s, groma_RangingMethod method) {

@@ -15,7 +15,7 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
       loss(0.3, 10.0, method),
       beacons_lost(10.0, site.superframe_s()),
       killed("two anchors killed", {105, 108}),
-      restarted("one of them reborn", 105),
+      restarted("one of them restarted", 105),
       brown_out<mac::Response>("brown-out in a RESPONSE", 106, 0.5, 0.005),
       brown_out<mac::Response>("brown-out before a RESPONSE", 107, -0.5, 0.002),
       brown_out<mac::Poll>("brown-out in a POLL", 2, 0.7, 0.005),
@@ -26,7 +26,7 @@ std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method
       tag_joins("another takes its slot", 10),
       brown_out<mac::Beacon>("brown-out of the master in a beacon", 101, 0.6, 0.005),
       killed("master killed", {101}, 10.0, 2.0),
-      restarted("master reborn", 101, 10.0),
+      restarted("master restarted", 101, 10.0),
       cut_off("master alone: two masters", {101}, 2.0),
       meet_again("they meet"),
       cut_off("site cut in two", {101, 1, 103, 105, 106, 107}, 1.2),
@@ -57,7 +57,7 @@ TEST_P(KeyedFaultCampaignTest, PartsThatMeetAgainMerge) {
       cut_off("site cut in two", {101, 1, 103, 105, 106, 107}, 1.2),
       meet_again("its halves meet", kMergeWithin),
       {.name = "master killed", .begin = off, .die = {101}, .within = 10.0, .watched_s = 2.0},
-      {.name = "and reborn alone", .begin = alone, .watched_s = 3.0},
+      {.name = "and restarted alone", .begin = alone, .watched_s = 3.0},
       {.name = "it meets the others",
        .rise = {101},
        .within = kMergeWithin,
@@ -84,7 +84,7 @@ TEST_P(FaultCampaignTest, FaultsStayWithinTheirBoundsAndNoRangeIsWrong) {
   EXPECT_GT(campaign.worst_sigmas(), 3.5);
   expect_counters_account(site, {1, 3, 102, 103, 104, 109});
   for (const std::uint16_t id : std::vector<std::uint16_t>{1, 3, 102, 103})
-    EXPECT_GE(site.chip(id).ticks(site.network.now()) >> 40, 1) << id << " has not come over its 40 bits";
+    EXPECT_GE(site.chip(id).ticks(site.network.now()) >> 40, 1) << id << ": its 40-bit counter has not wrapped";
   std::printf("%s", campaign.table().c_str());
 }
 

@@ -187,7 +187,7 @@ TEST_P(Methods, AnUnscheduledTagHasItsFullRateWithinTenSuperframes) {
   const double joined_s = yard.now_s;
   yard.run_superframes(100);
   EXPECT_GE(yard.good(50, 0, joined_s), 4 * 98) << "full rate";
-  EXPECT_GE(yard.good(1, 0, from_s), 4 * 105) << "and at nobody's cost";
+  EXPECT_GE(yard.good(1, 0, from_s), 4 * 105) << "at no other tag's cost";
   yard.expect_one_owner_per_slot();
   yard.run(1.1);
   EXPECT_TRUE(yard.of(50).status.has_slot);
@@ -226,7 +226,7 @@ TEST(Joining, AReleasedSlotGoesToTheNextTag) {
   yard.run(1.0);
   ASSERT_EQ(yard.of(1).replies.size(), 1U);
   EXPECT_EQ(yard.of(1).replies[0].result, groma_Result_RESULT_OK);
-  EXPECT_LE(yard.superframes_until(50, 4, from_s), 24.0) << "by then it asks about each 16 superframes";
+  EXPECT_LE(yard.superframes_until(50, 4, from_s), 24.0) << "by then it asks about every 16 superframes";
   EXPECT_EQ(yard.good(1, 0, from_s + 0.1), 0);
   EXPECT_GT(yard.good(2, 0, from_s + 0.1), 0);
   yard.expect_one_owner_per_slot();
@@ -242,7 +242,7 @@ TEST(Joining, ADeadTagsSlotGoesToAnotherAndItRejoinsWhenItIsBack) {
   yard.add(51);
   const double from_s = yard.now_s;
   yard.run_superframes(60);
-  EXPECT_LE(yard.superframes_until(51, 4, from_s), 50.0) << "the lease is over; the slot rests for 33";
+  EXPECT_LE(yard.superframes_until(51, 4, from_s), 50.0) << "the lease is over; the slot stays vacant for 33";
   groma_HostToNode leave = groma_HostToNode_init_zero;
   leave.which_body = groma_HostToNode_leave_network_tag;
   yard.send(50, leave);
@@ -261,7 +261,7 @@ TEST(Joining, AnUnscheduledAnchorIsRangedWithinTenSuperframes) {
   yard.add(150);
   yard.run_superframes(40);
   for (const std::uint16_t tag : {std::uint16_t{1}, std::uint16_t{2}}) {
-    EXPECT_LE(yard.superframes_until(tag, 1, from_s, 150), 12.0) << "10, and what it takes to be in step";
+    EXPECT_LE(yard.superframes_until(tag, 1, from_s, 150), 12.0) << "10, and the time to synchronize";
   }
   yard.run(1.1);
   EXPECT_EQ(yard.of(1).status.candidates, 5U);
@@ -275,7 +275,7 @@ TEST(Joining, AnAnchorThatDiesAndComesBackCostsItsOwnRangesOnly) {
   yard.run_superframes(12);
   double from_s = yard.now_s;
   yard.run_superframes(100);
-  EXPECT_GE(yard.good(1, 0, from_s), 4 * 100 * 8 / 10) << "five left for four places, less the trials";
+  EXPECT_GE(yard.good(1, 0, from_s), 4 * 100 * 8 / 10) << "five anchors for four places, less the trials";
   EXPECT_EQ(yard.good(1, 103, from_s), 0);
   from_s = yard.now_s;
   yard.set_power(103, true);

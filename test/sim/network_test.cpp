@@ -126,7 +126,7 @@ TEST(SmallSite, EachRangeHasTheInstantOfItsExchange) {
       instants.insert(range.instant_offset_dtu);
       ++good;
     }
-    EXPECT_EQ(instants.size(), good) << "each range has its own";
+    EXPECT_EQ(instants.size(), good) << "each range has its own instant";
   }
 }
 
@@ -224,7 +224,7 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
   SiteBench site(settings);
   site.run_until(kSynchronized_s + 10.0);
   const Errors errors = errors_of(site);
-  EXPECT_LT(errors.worst_m, 0.01) << "a lost frame never gives a range";
+  EXPECT_LT(errors.worst_m, 0.01) << "a lost frame never gives a wrong range";
   const double share = errors.good / (10.0 * scheduled_rate(site, settings));
   // POLL, RESPONSE, FINAL, then the next POLL and RESPONSE that return the closing timestamp.
   const double product = std::pow(0.98, 5);

@@ -76,7 +76,7 @@ TEST_P(ReachTest, HelloCountersConfigurationAndIdentifyReachEveryAnchor) {
     EXPECT_EQ(identified->reply.result, groma_Result_RESULT_OK);
   }
   EXPECT_EQ(reach.frames_not_genuine(), 0U);
-  std::printf("[ %s ] an answer after %.2f s, the last after %.2f s\n", c.name, sum_s / asked, longest_s);
+  std::printf("[ %s ] answers after %.2f s on average, %.2f s at most\n", c.name, sum_s / asked, longest_s);
 }
 
 INSTANTIATE_TEST_SUITE_P(Site, ReachTest,

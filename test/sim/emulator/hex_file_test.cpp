@@ -72,7 +72,7 @@ TEST(FirmwareImage, PutsDataIntoFlashAndUicr) {
 TEST(FirmwareImage, RefusesDataWhereTheChipHasNone) {
   try {
     (void)firmware_image_of_hex(":020000042000DA\n:0100000000FF\n:00000001FF\n");
-    FAIL() << "data in RAM was taken";
+    FAIL() << "data in RAM was accepted";
   } catch (const SimulationError& error) {
     EXPECT_THAT(error.what(), HasSubstr("1 bytes at 0x20000000 lie in neither flash nor UICR"));
   }

@@ -53,7 +53,7 @@ TEST(ScenarioFile, ReadsItsContent) {
   EXPECT_EQ(scenario.walls[1].from_m, Eigen::Vector2d(4.0, 5.0));
   EXPECT_EQ(scenario.walls[1].top_m, 3.0);
   ASSERT_EQ(scenario.anchors.size(), 2U);
-  EXPECT_EQ(scenario.anchors[0].id, 11) << "by id";
+  EXPECT_EQ(scenario.anchors[0].id, 11) << "sorted by id";
   EXPECT_EQ(scenario.drives[0].waypoints[1].stop_s, 1.0);
   EXPECT_EQ(scenario.radio.clock_ppm, RadioOptions{}.clock_ppm);
 }

@@ -62,7 +62,7 @@ TEST(Crossing, GivesTheFractionOfTheCrossing) {
   EXPECT_FALSE(crossing(wall, {0.0, 0.0, 1.0}, {1.9, 0.0, 1.0}));
   EXPECT_FALSE(crossing(wall, {0.0, 1.5, 1.0}, {8.0, 1.5, 1.0}));
   EXPECT_FALSE(crossing(wall, {0.0, 0.0, 3.5}, {8.0, 0.0, 3.5}));
-  EXPECT_FALSE(crossing(wall, {2.0, -3.0, 1.0}, {2.0, 3.0, 1.0})) << "a way within the wall's plane";
+  EXPECT_FALSE(crossing(wall, {2.0, -3.0, 1.0}, {2.0, 3.0, 1.0})) << "a line within the wall's plane";
 }
 
 TEST(KnifeEdge, HasTheLossesOfTheRecommendation) {
@@ -112,13 +112,13 @@ TEST(Site, ATransparentWallDelaysAndAttenuates) {
     EXPECT_NEAR(arrival.first_path_power_dbm,
                 open.arrival(a, b, 0.0, KeyedRandom(3)).first_path_power_dbm - 9.0, 1e-9);
     if (i > 0) {
-      EXPECT_NEAR(arrival.excess_m, last_m, 0.03) << "what blocks varies slowly";
+      EXPECT_NEAR(arrival.excess_m, last_m, 0.03) << "the excess varies slowly";
     }
     last_m = arrival.excess_m;
     sum += arrival.excess_m;
     squares += arrival.excess_m * arrival.excess_m;
     EXPECT_EQ(arrival.excess_m, site.arrival(a, b, 0.0, KeyedRandom(3)).excess_m)
-        << "it is the same each time";
+        << "the excess is deterministic";
   }
   const double mean = sum / kPlaces;
   EXPECT_NEAR(mean, 0.3, 0.05);
