@@ -93,7 +93,7 @@ TEST_F(Dw1000ReceiverTest, TimestampsSubtractTheConfiguredAntennaDelays) {
   EXPECT_EQ(receiver.receive_timestamp(), target + 16436 + 16436 - 17000);
 }
 
-TEST(Dw1000Stamps, FollowBothClocksOverTheWrap) {
+TEST(Dw1000Timestamps, FollowBothClocksOverTheWrap) {
   for (const double ppm : {-20.0, -1.3, 0.0, 7.7, 20.0}) {
     RadioBench bench;
     const ClockSpec fast{.offset_ppm = ppm, .first_tick = (std::uint64_t{1} << 40) - 800'000'000};

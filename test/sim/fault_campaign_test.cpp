@@ -84,7 +84,8 @@ TEST_P(FaultCampaignTest, FaultsStayWithinTheirBoundsAndNoRangeIsWrong) {
   EXPECT_GT(campaign.worst_sigmas(), 3.5);
   expect_counters_account(site, {1, 3, 102, 103, 104, 109});
   for (const std::uint16_t id : std::vector<std::uint16_t>{1, 3, 102, 103})
-    EXPECT_GE(site.chip(id).ticks(site.network.now()) >> 40, 1) << id << ": its 40-bit counter has not wrapped";
+    EXPECT_GE(site.chip(id).ticks(site.network.now()) >> 40, 1)
+        << id << ": its 40-bit counter has not wrapped";
   std::printf("%s", campaign.table().c_str());
 }
 

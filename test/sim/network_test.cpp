@@ -182,7 +182,7 @@ INSTANTIATE_TEST_SUITE_P(
 
 // tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), with independent noise on each of the three receive
 // timestamps.
-TEST(NoisyStamps, SpreadRangesAsInTheClosedForm) {
+TEST(NoisyTimestamps, SpreadRangesAsInTheClosedForm) {
   SiteBench site({.tags = 1, .anchors = 6, .medium = {.stamp_noise_s = 1e-10}});
   site.run_until(12.0);
   double squares = 0.0;

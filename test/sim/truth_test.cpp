@@ -123,7 +123,7 @@ struct Spread {
   int anchors;
 };
 
-class StampNoise : public testing::TestWithParam<Spread> {};
+class TimestampNoise : public testing::TestWithParam<Spread> {};
 
 // See docs/explanation/ranging.md. With D from the POLL's RMARKER to the RESPONSE's and D' from there to the
 // closing frame's, the three receive timestamps have the weights D' / 2(D + D'), 1/2 and D / 2(D + D').
@@ -134,7 +134,7 @@ double closed_form_m(double timestamp_sigma_s, double to_response, double to_clo
          std::sqrt(1.0 + (to_response * to_response + to_closing * to_closing) / (total * total));
 }
 
-TEST_P(StampNoise, SpreadsRangesAsInTheClosedForm) {
+TEST_P(TimestampNoise, SpreadsRangesAsInTheClosedForm) {
   const Spread& p = GetParam();
   constexpr double kNoise_s = 1e-10;
   SiteBench site({.tags = 1,
@@ -185,7 +185,7 @@ TEST_P(StampNoise, SpreadsRangesAsInTheClosedForm) {
               std::sqrt(squares.back() / ranges.back()));
 }
 
-INSTANTIATE_TEST_SUITE_P(Methods, StampNoise,
+INSTANTIATE_TEST_SUITE_P(Methods, TimestampNoise,
                          testing::Values(Spread{"final_12", kFinal, 12}, Spread{"final_16", kFinal, 16},
                                          Spread{"next_poll_12", kNextPoll, 12},
                                          Spread{"next_poll_16", kNextPoll, 16}),
