@@ -12,17 +12,23 @@ namespace {
 
 using model::square;
 
+// "By hand" is explained in config.hpp.
+//
+// Twice the largest change between samples of a robot in the recorded drives (see follows()); in simulated
+// drives 0.15 m/s and 0.07 rad/s.
 constexpr double kMaxJump_mps = 7.0;
 constexpr double kMaxJump_radps = 8.0;
-// Dropped samples that are consistent with each other are accepted after this time and number.
+// Dropped samples that are consistent with each other are accepted after this time and number. By hand: more
+// than the 20 wrong samples in a row of the simulated Implausible.*.
 constexpr double kAgreeing_s = 0.5;
 constexpr std::size_t kAgreeingSamples = 20;
 
-constexpr double kMaxTurnAcceleration_radps2 = 10.0;
-constexpr double kNoiseSigmas = 6.0;  // by which two samples may differ due to their noise
-constexpr double kLasts_s = 0.5;      // duration of an error after a jump
-constexpr double kLeastSpeed_mps = 1.0;
-constexpr double kLeastGap_s = 1e-6;  // between two samples
+constexpr double kMaxTurnAcceleration_radps2 = 10.0;  // by hand
+// By which two samples may differ due to their noise. Statistics: 4.2 sigmas of the difference (2e-5).
+constexpr double kNoiseSigmas = 6.0;
+constexpr double kLasts_s = 0.5;         // duration of an error after a jump. By hand; OdometryWatch.*
+constexpr double kLeastSpeed_mps = 1.0;  // bounds the yaw-rate error of a slow robot. By hand
+constexpr double kLeastGap_s = 1e-6;     // between two samples. Numerics: avoids a division by zero
 
 }  // namespace
 

@@ -10,25 +10,32 @@ namespace groma::filter {
 
 namespace {
 
-// Median of |x| of a standard Gaussian.
+// "By hand" is explained in config.hpp.
+//
+// Statistics: the median of |x| of a standard Gaussian.
 constexpr double kHalfWithin = 0.6744897501960817;
 // Ranges that are too long by more than this many sigmas are likely NLOS and are ignored. All ranges that are
-// too short count: if the sigma is far too small, they are the only ones that can increase it.
+// too short count: if the sigma is far too small, they are the only ones that can increase it. Statistics:
+// 2.3 % of LOS ranges are longer.
 constexpr double kTooLong = 2.0;
 // Factor on the expected sigma: the state absorbs part of the slow range bias, which innovations do not show.
+// By hand; it has no test of its own.
 constexpr double kShown = 0.7;
-// The third difference x0 - 3 x1 + 3 x2 - x3 of white noise has the variance (1 + 9 + 9 + 1) sigma^2.
+// Statistics: the third difference x0 - 3 x1 + 3 x2 - x3 of white noise has the variance
+// (1 + 9 + 9 + 1) sigma^2.
 constexpr double kThirdDifference = 4.47213595499958;
-// Differences of a pair's ranges that are closer in time show white noise.
+// Differences of a pair's ranges that are closer in time show white noise. By hand;
+// RangeTuning.FindsTheWhiteSigmaDespiteSlowBiasAndNlos (a bias with a period of 21 s).
 constexpr double kDifference_s = 3.0;
-constexpr double kRangeBiasStep = 0.002;
-constexpr double kMaxRangeBiasFactor = 3.0;
-constexpr double kMaxGap_s = 0.3;     // samples further apart show motion, not noise
-constexpr double kUneven = 0.3;       // relative difference allowed between gaps
-constexpr double kMostFactor = 10.0;  // bound of the factor on the nominal sigma, up and down
+constexpr double kRangeBiasStep = 0.002;     // by hand: e-fold in 500 short ranges
+constexpr double kMaxRangeBiasFactor = 3.0;  // by hand
+constexpr double kMaxGap_s = 0.3;  // samples further apart show motion, not noise. By hand; OdometryTuning.*
+constexpr double kUneven = 0.3;    // relative difference allowed between gaps. By hand
+// Bound of the factor on the nominal sigma, up and down. By hand; OdometryTuning.* find factors of 0.12 to 8.
+constexpr double kMostFactor = 10.0;
 
 // Median tracking: the factor 1 + step or 1 - step on a sigma. `half`: the median expected of |difference|;
-// differences: number of differences so far, with which the step shrinks.
+// differences: number of differences so far, with which the step shrinks from 0.05 to 0.003 (by hand).
 double adjustment(double differences, double difference, double half) noexcept {
   const double step = std::max(0.003, 0.05 / (1.0 + differences / 100.0));
   return 1.0 + (std::abs(difference) > half ? step : -step);
