@@ -12,6 +12,7 @@
 namespace groma::filter {
 
 // The caller splits longer steps: the error of a step on a curved surface is of third order in its length.
+// Numerics: 1e-6 m on hills of 0.5 m (Move.FollowsACurvedSurfaceToSecondOrder), 8 times that if doubled.
 inline constexpr double kMaxStep_s = 0.05;
 
 struct Motion {

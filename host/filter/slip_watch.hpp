@@ -28,7 +28,7 @@ namespace groma::filter {
 
 class SlipWatch {
  public:
-  static constexpr double kWindow_s = 0.4;
+  static constexpr double kWindow_s = 0.4;  // time constant of an anchor's sums. By hand; Slip.* (simulated)
 
   // odds: ln of the prior odds against a slip.
   explicit SlipWatch(double odds) : odds_(odds) {}
@@ -69,6 +69,7 @@ class SlipWatch {
 // Inflates the odometry noise for a while after a slip, and for longer if slips repeat.
 class SlipInflation {
  public:
+  // By hand; Slip.* (simulated).
   static constexpr double kLasts_s = 0.5;    // time constant; doubled with each repetition
   static constexpr double kTurnPer_m = 0.5;  // yaw-rate error in rad/s per m/s
 
