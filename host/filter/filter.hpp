@@ -22,6 +22,7 @@ namespace groma::filter {
 struct Start {
   double t_s = 0.0;
   model::PlanarPose pose = {};
+  // By hand, used if the start has none; filter_campaign draws starts with them.
   double position_sigma_m = 0.1;
   double heading_sigma_rad = 0.05;
 };
@@ -134,7 +135,8 @@ class Filter {
     std::uint64_t exchanges = 0;
     Counters counters{};
   };
-  // Number of anchor exchanges that restore() can undo.
+  // Number of anchor exchanges that restore() can undo. A size; after as many, an absent anchor's covariance
+  // with the core counts as zero.
   static constexpr std::size_t kMaxExchanges = 64;
 
   // Tags beyond kMaxTags are left out, and so are anchors without a finite position and covariance; anchors()

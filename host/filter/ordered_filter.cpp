@@ -18,9 +18,10 @@ using model::OdometrySample;
 using model::RangeSample;
 
 constexpr double kNothingYet_s = -std::numeric_limits<double>::infinity();
-// Checkpoints within the window.
+// Checkpoints within the window. By hand: half of kMaxCheckpoints. The result does not depend on it.
 constexpr double kPerWindow = 4.0;
-// Maximum number of inputs between checkpoints, which bounds how many a late input makes replay.
+// Maximum number of inputs between checkpoints, which bounds how many a late input makes replay. By hand: so
+// that kMaxCheckpoints cover all inputs.
 constexpr std::uint64_t kMostAgain = OrderedFilter::kMaxInputs / 8;
 
 // Sort key of inputs of one kind: sensor, time, values.

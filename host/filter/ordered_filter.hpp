@@ -28,7 +28,8 @@ class OrderedFilter {
   static constexpr std::size_t kMaxInputs = 4096;
   static constexpr std::size_t kMaxCheckpoints = 8;
 
-  // As Filter's; window_s: maximum age of an input, relative to the newest one.
+  // As Filter's; window_s: maximum age of an input, relative to the newest one. By hand: gromad delays inputs
+  // by 0.2 s (reorder_lag_s); OrderedFilter.*.
   OrderedFilter(model::Surface surface, std::span<const model::Tag> tags,
                 const model::Calibration& calibration, const Config& config, double window_s = 0.5);
 

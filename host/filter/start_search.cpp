@@ -13,43 +13,57 @@ namespace groma::filter {
 
 namespace {
 
-constexpr double kSearchWindow_s = 6.0;  // older ranges are dropped
-constexpr double kSpacing_s = 0.25;      // minimum interval between the ranges of a pair
-constexpr double kLatest_s = 0.5;        // maximum age of a range, relative to the newest input
+// "By hand" is explained in config.hpp. The tests of all of them are the simulated StartSearch.* and
+// TrackerTest.*.
+constexpr double kSearchWindow_s = 6.0;  // older ranges are dropped. By hand
+constexpr double kSpacing_s = 0.25;      // minimum interval between the ranges of a pair. By hand
+constexpr double kLatest_s = 0.5;  // maximum age of a range, relative to the newest input; OrderedFilter's
 // The errors of one pair are correlated over a second, so a range counts as this share of an independent one.
+// By hand; StartSearch.FindsThePoseFromAnyPlaceAndHeading bounds NEES. On a recorded campus it is 0.6.
 constexpr double kShare = kSpacing_s / 1.0;
-// Scales of the Cauchy cost in sigmas, for ranges that are too long and too short.
+// Scales of the Cauchy cost in sigmas, for ranges that are too long and too short. By hand: NLOS makes ranges
+// too long only.
 constexpr double kExcessScale = 1.5;
 constexpr double kShortfallScale = 3.0;
-constexpr double kGivenUpOdds = 8.0;  // ln of the odds at which a hypothesis is dropped
-constexpr double kAnchorCost = 4.0;   // scale from which one anchor's cautious cost grows logarithmically
-// Sigmas below which a hypothesis is settled.
+// ln of the odds at which a hypothesis is dropped. Statistics: 4 sigmas of a Gaussian cost as much (3e-4).
+constexpr double kGivenUpOdds = 8.0;
+// Scale from which one anchor's cautious cost grows logarithmically. By hand, with kOtherOdds of the tracker;
+// StartSearch.NlosOfOneAnchorCountsAsOneEvent.
+constexpr double kAnchorCost = 4.0;
+// Sigmas below which a hypothesis is settled. By hand: below kUncertain_m and kUncertain_rad of the tracker.
 constexpr double kSettled_m = 0.5;
 constexpr double kSettled_rad = 0.2;
+// Geometry: the coarse rating is 0.2 radii wide, half the distance of points on a ring (pi/16); headings are
+// 30 degrees apart, and shifted by 15 at every other point. The number of rings is by hand.
 constexpr std::ptrdiff_t kRings = 3;
 constexpr int kRingPoints = 16;
 constexpr int kHeadings = 12;
 // Candidates refined on each chart, steps of the rough refinement, and of the final one of distinct results.
+// By hand, for the time of a search.
 constexpr std::size_t kRefined = 24;
 constexpr int kRoughSteps = 10;
 constexpr int kSteps = 25;
-// The refinement ends with a step smaller than this.
+// The refinement ends with a step smaller than this. Numerics: far below any sigma.
 constexpr double kLastStep_m = 1e-3;
 constexpr double kLastStep_rad = 1e-4;
-// It also ends with a step that lowers the cost by less than this, or that needs more damping.
+// It also ends with a step that lowers the cost by less than this, or that needs more damping. Numerics: far
+// below kGivenUpOdds; seven failed steps in a row, each with 8 times the damping, from 1e-3.
 constexpr double kLeastGain = 1e-3;
 constexpr double kMostDamping = 1e3;
-// Wider than kGivenUpOdds: a subset of the ranges must not drop what all of them would keep.
+// Wider than kGivenUpOdds: a subset of the ranges must not drop what all of them would keep. By hand.
 constexpr double kRoughOdds = 3.0 * kGivenUpOdds;
-// Number of ranges for the coarse rating and for the rough refinement.
+// Number of ranges for the coarse rating and for the rough refinement. By hand, for the time of a search.
+// kRoughRanges was 96; scripts/golden gave the same results.
 constexpr std::size_t kCoarseRanges = 48;
 constexpr std::size_t kRoughRanges = 64;
-// The coarse rating stops early for a candidate worse than kRefined others; checked every so many ranges.
+// The coarse rating stops early for a candidate worse than kRefined others; checked every so many ranges. By
+// hand: a logarithm for each check.
 constexpr int kRangesPerCheck = 8;
-// Weak priors around a candidate keep the steps finite in an unobservable direction.
+// Weak priors around a candidate keep the steps finite in an unobservable direction. Numerics: wider than a
+// site, and than a whole turn.
 constexpr double kFarStart_m = 1000.0;
 constexpr double kAnyHeading_rad = 10.0;
-// Results nearer than this are one hypothesis.
+// Results nearer than this are one hypothesis. By hand.
 constexpr double kSameStart_m = 0.3;
 constexpr double kSameHeading_rad = 0.1;
 
@@ -69,7 +83,7 @@ class RobustCost {
   [[nodiscard]] double sum() const noexcept { return excess_.sum() + shortfall_.sum(); }
 
  private:
-  static constexpr double kMost = 1e150;  // keeps the next factor from overflowing
+  static constexpr double kMost = 1e150;  // numerics: keeps the next factor from overflowing (1.8e308)
   struct Side {
     double scale;
     double factors = 1.0;

@@ -18,9 +18,10 @@ namespace groma::filter {
 
 class StartSearch {
  public:
-  static constexpr std::size_t kMaxRanges = 512;
-  static constexpr std::size_t kMaxHypotheses = 8;
-  // A hypothesis with a larger mean weight explains the ranges.
+  static constexpr std::size_t kMaxRanges = 512;    // a size; a search over all of them takes 9 to 14 ms
+  static constexpr std::size_t kMaxHypotheses = 8;  // a size
+  // A hypothesis with a larger mean weight explains the ranges. By hand;
+  // StartSearch.InconsistentRangesDoNotSettle (simulated).
   static constexpr double kExplainedShare = 0.5;
 
   struct Hypothesis {

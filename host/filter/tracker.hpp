@@ -45,13 +45,15 @@ enum class Reason : std::uint8_t {
 struct TrackerConfig {
   // Whether the tracker searches for a pose and relocates; otherwise it waits for a start and keeps to it.
   bool relocates = true;
-  // Several consistent inputs at least this far before or after the newest one are a clock step.
+  // Several consistent inputs at least this far before or after the newest one are a clock step. By hand:
+  // longer than the 0.5 s by which inputs may be late; TrackerTest.ContinuesAfterAClockStep (simulated).
   double clock_step_s = 2.0;
 };
 
 class Tracker {
  public:
-  static constexpr double kSilent_s = 1.0;  // timeout of ranges used and of odometry
+  // Timeout of ranges used and of odometry. By hand; TrackerTest.ReportsMissingRangesAndRecovers (simulated).
+  static constexpr double kSilent_s = 1.0;
 
   // As Filter's.
   Tracker(model::Surface surface, std::span<const model::Tag> tags, const model::Calibration& calibration,

@@ -22,7 +22,8 @@
 namespace groma::smoother {
 namespace {
 
-constexpr int kMaxRounds = 30;
+constexpr int kMaxRounds = 30;  // by hand; a result that needs more is reported as not converged
+// Numerics: far below any sigma of a pose.
 constexpr double kConverged_m = 1e-3;
 constexpr double kConverged_rad = 1e-4;
 constexpr Eigen::Index kPose = 3;
@@ -516,7 +517,7 @@ class Smoother {
     problem.add(sighting.row, term);
   }
 
-  // Sigma of the initial poses.
+  // Sigma of the initial poses, for the LOS probabilities of the first round. By hand.
   static constexpr double kFirst_m = 0.3;
 
   const model::Surface& surface_;
