@@ -71,7 +71,7 @@ struct SensorConfig {
   // Takes the given values; the others keep the defaults below.
   explicit SensorConfig(const model::SensorDescription& description);
 
-  // Sigmas by hand, used if the description of the robot has none. Sensors.*OverManyDrives (simulated).
+  // Sigmas by hand; those of the gyro are used if the description of the robot has none.
   double gyro_sigma_radps = 0.005;                                 // white, constant until the next sample
   double gyro_bias_radps = 0.01;                                   // sigma of its constant bias
   Eigen::Vector3d position_lever_arm_m = Eigen::Vector3d::Zero();  // of the GNSS antenna, in base_link
@@ -82,7 +82,9 @@ struct SensorConfig {
 struct Config {
   Model model = Model::kSchmidt;
 
-  model::OdometryNoise odometry;  // white, constant until the next sample
+  // White, constant until the next sample. By hand (its defaults are model::OdometryNoise's). Three times or
+  // a third costs little: OdometryTuning.ASigmaThatIsWrongByThreeCostsLittleOverManyDrives (simulated).
+  model::OdometryNoise odometry;
   // By hand. Simulated drives draw the scale with 0.01, the bias with 0.002 or, in filter_campaign, 0.001.
   double scale_sigma = 0.01;           // of the constant odometry scale error
   double yaw_rate_bias_radps = 0.002;  // sigma of the constant yaw-rate bias
