@@ -167,7 +167,7 @@ class AttackTest : public ::testing::Test {
     constexpr security::Key kOwn = {1};
     mac::Seal seal(&aes, kOwn);
     mac::Place place{air->station(0).superframe_number(), mac::Place::kShared};
-    seal.enter(air->station(0).mastership().session());
+    seal.enter(air->station(0).election().session());
     if (const auto* beacon = std::get_if<mac::Beacon>(&parsed.body)) place = mac::place_of(*beacon);
     if (const auto* poll = std::get_if<mac::Poll>(&parsed.body)) place = {poll->superframe, poll->slot};
     auto signed_bytes = mac::serialize(parsed);
@@ -484,14 +484,14 @@ TEST_P(OldSession, ChangesNothingAndCostsHardlyAnyRange) {
     const auto* beacon = std::get_if<mac::Beacon>(&parsed.body);
     return beacon != nullptr && beacon->welcome.has_value();
   }));
-  const std::uint64_t old_session = air->station(0).mastership().session();
+  const std::uint64_t old_session = air->station(0).election().session();
   for (std::size_t i = 0; i < air->size(); ++i) air->stop(i);
   run_superframes(older ? 20 : 1'500);
   air->start_all();
   run_superframes(80);
   if (!older) run_superframes(1'500);
   ASSERT_TRUE(all_fresh());
-  const std::uint64_t session = air->station(0).mastership().session();
+  const std::uint64_t session = air->station(0).election().session();
   ASSERT_NE(session, old_session);
   const std::uint32_t number = air->station(0).superframe_number();
   const mac::Frame last = frame_of(recording.back().bytes);
@@ -530,8 +530,8 @@ TEST_P(OldSession, ChangesNothingAndCostsHardlyAnyRange) {
   EXPECT_GE(ghosts_heard, 5 * ghosts_sent) << "six hear it, except one about to send a merge request";
   EXPECT_EQ(dropped() - dropped_before, ghosts_heard);
   EXPECT_TRUE(all_fresh());
-  for (std::size_t i = 0; i < air->size(); ++i) EXPECT_EQ(air->station(i).mastership().session(), session);
-  EXPECT_TRUE(air->station(0).mastership().leads());
+  for (std::size_t i = 0; i < air->size(); ++i) EXPECT_EQ(air->station(i).election().session(), session);
+  EXPECT_TRUE(air->station(0).election().leads());
   // Master and back-up, two of the four anchors, send merge requests ever less often.
   EXPECT_GT(under_attack, 0.975 * undisturbed);
   expect_full_rate();

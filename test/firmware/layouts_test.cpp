@@ -121,21 +121,21 @@ class Layout {
   [[nodiscard]] bool one_master_per_component() const {
     std::map<std::size_t, int> leaders;
     for (const auto& [node, component] : components())
-      leaders[component] += air.station(node).mastership().leads() ? 1 : 0;
+      leaders[component] += air.station(node).election().leads() ? 1 : 0;
     return std::all_of(leaders.begin(), leaders.end(), [](const auto& l) { return l.second == 1; });
   }
   [[nodiscard]] bool all_synchronized() const {
     std::map<std::size_t, std::set<std::uint64_t>> sessions;
     for (const auto& [node, component] : components()) {
       if (air.station(node).sync().state() == SyncState::kSearching) return false;
-      sessions[component].insert(air.station(node).mastership().session());
+      sessions[component].insert(air.station(node).election().session());
     }
     return std::all_of(sessions.begin(), sessions.end(), [](const auto& s) { return s.second.size() == 1; });
   }
   [[nodiscard]] std::string description() const {
     std::string text;
     for (const auto& [node, component] : components()) {
-      const auto& m = air.station(node).mastership();
+      const auto& m = air.station(node).election();
       std::array<char, 160> line{};
       std::snprintf(line.data(), line.size(),
                     "  %u of component %u: role %d, master %u, session %llx, hop %d\n",

@@ -70,8 +70,8 @@ class Site {
     }
     throw std::out_of_range("no such node");
   }
-  [[nodiscard]] const mac::Mastership& of(std::uint16_t id) const {
-    return air.station(index_of(id)).mastership();
+  [[nodiscard]] const mac::MasterElection& of(std::uint16_t id) const {
+    return air.station(index_of(id)).election();
   }
   void run_superframes(double count) { air.run(count * superframe_s); }
   // Discards the ranges: minutes of them exceed the memory of a small target.
@@ -92,7 +92,7 @@ class Site {
     for (std::size_t i = 0; i < air.size(); ++i) {
       if (off.contains(air.id(i))) continue;
       const bool searching = air.station(i).sync().state() == SyncState::kSearching;
-      out.insert(searching ? 0 : air.station(i).mastership().session());
+      out.insert(searching ? 0 : air.station(i).election().session());
     }
     return out;
   }
@@ -110,7 +110,7 @@ class Site {
   [[nodiscard]] std::vector<std::uint16_t> leaders(const std::set<std::uint16_t>& off = {}) const {
     std::vector<std::uint16_t> out;
     for (std::size_t i = 0; i < air.size(); ++i) {
-      if (!off.contains(air.id(i)) && air.station(i).mastership().leads()) out.push_back(air.id(i));
+      if (!off.contains(air.id(i)) && air.station(i).election().leads()) out.push_back(air.id(i));
     }
     return out;
   }

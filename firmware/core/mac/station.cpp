@@ -39,7 +39,7 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       superframe_(*site.schedule, dw1000::Phy(site.preamble), !site.network_key.empty()),
       hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
       sync_(superframe_),
-      mastership_(site_, superframe_.duration(), superframe_.guard(), hash_),
+      election_(site_, superframe_.duration(), superframe_.guard(), hash_),
       seal_(site.cipher, site.network_key),
       freshness_(freshness_of(site)),
       counters_(counters) {
@@ -60,7 +60,7 @@ void Station::attach(ControlChannel& channel) noexcept {
 
 void Station::start(ClockTime now) noexcept {
   sync_.search();
-  mastership_.search(now);
+  election_.search(now);
   others_.reset();
   phase_ = Phase::kSearching;
 }
@@ -69,16 +69,16 @@ void Station::resume(ClockTime now) noexcept {
   if (sync_.state() == SyncState::kSearching) return start(now);
   if (phase_ == Phase::kBeacon && !own_beacon_) miss();
   const Ticks elapsed = now - sync_.start(number_);
-  mastership_.on_absence(number_ +
+  election_.on_absence(number_ +
                          static_cast<std::uint32_t>(elapsed.count() / superframe_.duration().count()));
-  if (!mastership_.leads()) sync_.follow();
+  if (!election_.leads()) sync_.follow();
 }
 
 void Station::prepare_control() noexcept {
   if (!keyed()) return;
   if (phase_ == Phase::kBeacon) {
-    if (!own_beacon_) expect_heard(mastership_.master(), FrameType::kBeacon, control_place());
-    expect_said(mastership_.has_shared_turn(number_) ? FrameType::kBeacon : FrameType::kJoin,
+    if (!own_beacon_) expect_heard(election_.master(), FrameType::kBeacon, control_place());
+    expect_said(election_.has_shared_turn(number_) ? FrameType::kBeacon : FrameType::kJoin,
                 {number_, Place::kShared});
   } else if (const std::size_t turn = superframe_.shared_turn(number_);
              phase_ == Phase::kShared && turn != 0) {
@@ -93,7 +93,7 @@ void Station::end_superframe() noexcept {
 
 std::optional<Action> Station::control(ClockTime now) noexcept {
   for (;;) {
-    if (!fresh() && (freshness_.hopeless() || sync_.missed_in_a_row() > Mastership::kPatience))
+    if (!fresh() && (freshness_.hopeless() || sync_.missed_in_a_row() > MasterElection::kPatience))
       sync_.search();
     if (sync_.state() == SyncState::kSearching && !start_session_if_due(now)) return search(now);
     std::optional<Action> action = request_in_turn(now);
@@ -122,9 +122,9 @@ std::optional<Action> Station::control(ClockTime now) noexcept {
 }
 
 std::optional<Action> Station::control_ahead() const noexcept {
-  if (sync_.state() == SyncState::kSearching || mastership_.leads()) return std::nullopt;
+  if (sync_.state() == SyncState::kSearching || election_.leads()) return std::nullopt;
   Ticks place;
-  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !mastership_.has_shared_turn(number_) &&
+  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !election_.has_shared_turn(number_) &&
       !keyed()) {
     const bool sends = std::any_of(channels_.begin(), channels_.end(), [](const ControlChannel* channel) {
       return channel != nullptr && channel->wants_slot();
@@ -140,19 +140,19 @@ std::optional<Action> Station::control_ahead() const noexcept {
 }
 
 bool Station::start_session_if_due(ClockTime now) noexcept {
-  if (mastership_.role() != Role::kSearching) {
-    mastership_.search(now);
+  if (election_.role() != Role::kSearching) {
+    election_.search(now);
     others_.reset();
   }
   freshness_.forget();
-  const auto lead_at = mastership_.lead_at();
+  const auto lead_at = election_.lead_at();
   if (!lead_at || now < *lead_at) return false;
   // A session of an uncounted boot may have the id of an earlier one.
   if (seal_.on() && site_.boot_count == 0) return false;
   constexpr Ticks kHead = Ticks::from_us(2'000);
-  mastership_.found();
+  election_.found();
   freshness_.found();
-  seal_.enter(mastership_.session());
+  seal_.enter(election_.session());
   sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
   forget_holders();
   number_ = 0;
@@ -167,31 +167,31 @@ Action Station::search(ClockTime now) noexcept {
   constexpr Ticks kWhile = Ticks::from_us(50'000);
   phase_ = Phase::kSearching;
   listening_ = {.kind = Action::Kind::kListenNow,
-                .until = std::min(now + kWhile, mastership_.lead_at().value_or(now + kWhile))};
+                .until = std::min(now + kWhile, election_.lead_at().value_or(now + kWhile))};
   return listening_;
 }
 
 std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   sync_.begin(number_);
   if (sync_.state() == SyncState::kSearching) return std::nullopt;
-  const Duty duty = mastership_.begin(number_);
-  if ((duty == Duty::kTakeOver && !fresh()) || mastership_.forsaken_at_once(number_)) {
+  const Duty duty = election_.begin(number_);
+  if ((duty == Duty::kTakeOver && !fresh()) || election_.forsaken_at_once(number_)) {
     sync_.search();
     return std::nullopt;
   }
   if (duty == Duty::kTakeOver) sync_.lead();
   scanning_ =
       duty == Duty::kScan || (keyed() && requests_within(sync_.start(number_), sync_.start(number_ + 1)));
-  if (duty == Duty::kHush || (scanning_ && !mastership_.leads())) return scan(now);
+  if (duty == Duty::kHush || (scanning_ && !election_.leads())) return scan(now);
   if (duty == Duty::kHushLong) return scan(now, 2);
   const ClockTime due = sync_.start(number_) + superframe_.beacon();
   if (scanning_ && requests_beside(due)) return scan(now);
   if (!ahead(due, now)) {
-    if (mastership_.parent_due(number_, false)) miss();
+    if (election_.parent_due(number_, false)) miss();
     return std::nullopt;
   }
   phase_ = Phase::kBeacon;
-  if (mastership_.leads()) return send_beacon(due, false);
+  if (election_.leads()) return send_beacon(due, false);
   return listen(due, superframe_.control_bytes(), sync_.margin(number_));
 }
 
@@ -210,15 +210,15 @@ std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
   if (scanning_) return scan(now);
   const ClockTime due = sync_.start(number_) + superframe_.shared();
   if (!ahead(due, now)) {
-    if (mastership_.parent_due(number_, true)) miss();
+    if (election_.parent_due(number_, true)) miss();
     return std::nullopt;
   }
   phase_ = Phase::kShared;
   if (timed(number_)) {
     const ClockTime stamp = stamp_not_after(due);
-    if (fresh() && mastership_.has_shared_turn(number_)) {
+    if (fresh() && election_.has_shared_turn(number_)) {
       const bool odd = number_ / (site_.schedule->backup_ids_count + 1U) % 2 != 0;
-      if (odd && !mastership_.leads()) {
+      if (odd && !election_.leads()) {
         if (const auto action = from_channels(stamp, true)) return action;
       }
       return send_beacon(due, true);
@@ -245,14 +245,14 @@ std::optional<Action> Station::from_channels(ClockTime stamp, bool own_turn) noe
 
 Beacon Station::make_beacon(Ticks tx_offset, bool shared) noexcept {
   return {.superframe = number_,
-          .session = mastership_.session(),
+          .session = election_.session(),
           .epoch = site_.schedule->epoch,
           .schedule_hash = hash_,
-          .master = mastership_.master(),
-          .hop = mastership_.hop(),
-          .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(mastership_.age(number_), 255)),
+          .master = election_.master(),
+          .hop = election_.hop(),
+          .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(election_.age(number_), 255)),
           .lateness_dtu = static_cast<std::int16_t>(tx_offset.count()),
-          .dissolving = mastership_.dissolving(),
+          .dissolving = election_.dissolving(),
           .shared = shared,
           .slots = static_cast<std::uint8_t>(superframe_.slot_count()),
           .holders = holders_};
@@ -265,7 +265,7 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
   while (others_) {
     const ClockTime stamp = stamp_not_after(others_->shared);
-    if (ahead(stamp, now) && sure(number_) && mastership_.may_invite(others_->callees.superframe)) {
+    if (ahead(stamp, now) && sure(number_) && election_.may_invite(others_->callees.superframe)) {
       const ClockTime ready = stamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
       if (ready > now + kToGetReady) {
@@ -292,7 +292,7 @@ bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
   if (!others_) return false;
   for (std::uint32_t i = 0; i < others_->left; ++i) {
     const ClockTime shared = others_->shared + std::int64_t{i} * superframe_.duration();
-    if (shared > from && shared < to) return mastership_.may_invite(others_->callees.superframe + i);
+    if (shared > from && shared < to) return election_.may_invite(others_->callees.superframe + i);
   }
   return false;
 }
@@ -339,22 +339,22 @@ void Station::send_merge_requests(const Callees& callees, ClockTime shared, std:
   // may be the only one in range of the others.
   constexpr std::uint32_t kMore = 1;
   std::uint32_t last = to_open + (rounds - 1) * turns + kMore;
-  while (!mastership_.leads() && mastership_.rank() && last < 2 * turns &&
-         !mastership_.may_invite_within(others_->callees.superframe, last)) {
+  while (!election_.leads() && election_.rank() && last < 2 * turns &&
+         !election_.may_invite_within(others_->callees.superframe, last)) {
     ++last;
   }
   others_->left = last + 1;
-  mastership_.keep_silence(number_at(others_->shared + std::int64_t{last} * duration));
+  election_.keep_silence(number_at(others_->shared + std::int64_t{last} * duration));
 }
 
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   const ClockTime stamp = stamp_not_after(due);
   Beacon beacon = make_beacon(stamp - due, shared);
-  beacon.quiet = shared ? mastership_.ask_for_silence() : scanning_ && mastership_.quiet();
+  beacon.quiet = shared ? election_.ask_for_silence() : scanning_ && election_.quiet();
   for (ControlChannel* channel : channels_) {
-    if (channel != nullptr) channel->on_beacon_out(beacon, mastership_.leads());
+    if (channel != nullptr) channel->on_beacon_out(beacon, election_.leads());
   }
-  if (mastership_.leads()) {
+  if (election_.leads()) {
     holders_ = beacon.holders;
     holders_origin_ = number_;
   }
@@ -367,7 +367,7 @@ void Station::on_control_transmitted(ClockTime stamp) noexcept {
   ++counters_.frames_sent;
   if (sender_ != nullptr) {
     std::exchange(sender_, nullptr)->on_sent(number_, true);
-  } else if (phase_ == Phase::kBeacon && mastership_.on_led(stamp)) {
+  } else if (phase_ == Phase::kBeacon && election_.on_led(stamp)) {
     sync_.search();
   }
   own_beacon_ = false;
@@ -386,16 +386,16 @@ std::optional<Action> Station::on_control_received(const Reception& reception) n
     if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
       if (take_beacon(*frame, *beacon, reception)) return std::nullopt;
     } else if (std::holds_alternative<Join>(frame->body) || std::holds_alternative<Data>(frame->body)) {
-      if (phase == Phase::kSearching) mastership_.on_traffic(reception.stamp);
+      if (phase == Phase::kSearching) election_.on_traffic(reception.stamp);
       for (ControlChannel* channel : channels_) {
-        if (channel != nullptr) channel->on_control(*frame, number_, mastership_.leads());
+        if (channel != nullptr) channel->on_control(*frame, number_, election_.leads());
       }
       if (phase == Phase::kShared) return std::nullopt;
     } else if (phase == Phase::kSearching) {
-      mastership_.on_traffic(reception.stamp);
+      election_.on_traffic(reception.stamp);
     } else if (phase != Phase::kScanning) {
       ++counters_.stale_frames;
-      if (std::holds_alternative<Poll>(frame->body)) mastership_.suspect();
+      if (std::holds_alternative<Poll>(frame->body)) election_.suspect();
     }
   }
   if (phase_ == Phase::kSearching) return std::nullopt;
@@ -405,8 +405,8 @@ std::optional<Action> Station::on_control_received(const Reception& reception) n
 }
 
 void Station::on_control_timeout() noexcept {
-  if (phase_ == Phase::kBeacon && mastership_.parent_due(number_, false)) miss();
-  if (phase_ == Phase::kShared && mastership_.parent_due(number_, true)) miss();
+  if (phase_ == Phase::kBeacon && election_.parent_due(number_, false)) miss();
+  if (phase_ == Phase::kShared && election_.parent_due(number_, true)) miss();
 }
 
 void Station::miss() noexcept {
@@ -417,7 +417,7 @@ void Station::miss() noexcept {
 bool Station::overhear(const Frame& frame, const Reception& reception) noexcept {
   if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return take_beacon(frame, *beacon, reception);
   ++counters_.stale_frames;
-  if (std::holds_alternative<Poll>(frame.body)) mastership_.suspect();
+  if (std::holds_alternative<Poll>(frame.body)) election_.suspect();
   return false;
 }
 
@@ -441,10 +441,10 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
   const bool requested = seal_.on() && beacon.invitation;
-  const std::uint64_t session = mastership_.session();
-  const Verdict verdict = unverified_ ? mastership_.judge_hearsay(frame.source, beacon)
-                          : requested ? mastership_.judge_call(frame.source, beacon, ahead)
-                                      : mastership_.judge(frame.source, beacon, ahead, reception.stamp);
+  const std::uint64_t session = election_.session();
+  const Verdict verdict = unverified_ ? election_.judge_hearsay(frame.source, beacon)
+                          : requested ? election_.judge_call(frame.source, beacon, ahead)
+                                      : election_.judge(frame.source, beacon, ahead, reception.stamp);
   switch (verdict) {
     case Verdict::kStale:
       ++counters_.stale_frames;
@@ -588,12 +588,12 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
     return authentic(*beacon, reception);
   }
   // Without knowing the place this node cannot verify the MIC; but another node is there.
-  if (phase_ == Phase::kSearching) mastership_.on_traffic(reception.stamp);
+  if (phase_ == Phase::kSearching) election_.on_traffic(reception.stamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
   const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
   if (later || is_genuine(reception.frame, place)) return true;
   if (check == Check::kNobodysSlot && std::holds_alternative<Poll>(frame.body)) {
-    mastership_.on_unverified_poll();
+    election_.on_unverified_poll();
   }
   return false;
 }
@@ -622,7 +622,7 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
     good = !beacon.invitation && seal_.fits(reception.frame, beacon);
   } else if (beacon.invitation) {
     if (is_merge_request(beacon, reception)) return true;
-    if (beacon.session == mastership_.session()) {  // a merge request of this session to another one
+    if (beacon.session == election_.session()) {  // a merge request of this session to another one
       ++counters_.stale_frames;
       return false;
     }
@@ -630,7 +630,7 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
     const Ticks most = superframe_.guard() + sync_.margin(beacon.superframe);
     const Ticks ahead = ahead_by(beacon, reception.stamp);
     const bool aligned = ahead <= most && ahead >= -most;
-    if (beacon.session == mastership_.session() && (aligned || beacon.master == mastership_.master())) {
+    if (beacon.session == election_.session() && (aligned || beacon.master == election_.master())) {
       good = ahead >= -most && seal_.fits(reception.frame, beacon);
     } else {
       unverified_ = seal_.fits(reception.frame, beacon);
@@ -647,7 +647,7 @@ bool Station::is_merge_request(const Beacon& beacon, const Reception& reception)
   const Ticks late = reception.stamp - (sync_.start(number) + superframe_.shared());
   const Ticks most = superframe_.guard() + sync_.margin(number);
   return late <= most && late >= -most &&
-         seal_.fits(reception.frame, beacon, {mastership_.session(), number});
+         seal_.fits(reception.frame, beacon, {election_.session(), number});
 }
 
 Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place,

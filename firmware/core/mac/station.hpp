@@ -14,7 +14,7 @@
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/mac/freshness.hpp"
-#include "firmware/core/mac/mastership.hpp"
+#include "firmware/core/mac/master_election.hpp"
 #include "firmware/core/mac/seal.hpp"
 #include "firmware/core/mac/site.hpp"
 #include "firmware/core/mac/step.hpp"
@@ -44,7 +44,7 @@ class Station {
   [[nodiscard]] std::uint32_t hash() const noexcept { return hash_; }
   [[nodiscard]] groma_Counters& counters() noexcept { return counters_; }
   [[nodiscard]] const Synchronizer& sync() const noexcept { return sync_; }
-  [[nodiscard]] const Mastership& mastership() const noexcept { return mastership_; }
+  [[nodiscard]] const MasterElection& election() const noexcept { return election_; }
 
   // Of this node's chip, sent to others.
   [[nodiscard]] const Health& health() const noexcept { return health_; }
@@ -87,10 +87,10 @@ class Station {
   [[nodiscard]] bool overhear(const Frame& frame, const Reception& reception) noexcept;
   // Reports whether expected frames are missing. `idle`: no frame came at all, so a scan would disturb
   // nothing.
-  void on_lack(bool lacking, bool idle) noexcept { mastership_.on_lack(lacking, idle); }
+  void on_lack(bool lacking, bool idle) noexcept { election_.on_lack(lacking, idle); }
   // Neither a beacon nor an answer came: the other nodes may keep radio silence on purpose.
   void on_silence() noexcept {
-    if (sync_.state() == SyncState::kCoasting) mastership_.on_silence();
+    if (sync_.state() == SyncState::kCoasting) election_.on_silence();
   }
 
   // ---- slots ---------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ class Station {
   [[nodiscard]] Action merge_request(ranging::ClockTime stamp, const Callees& callees) noexcept;
   void send_merge_requests(const Callees& callees, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
   // The other session may be a recording, and no expected frames are missing.
-  [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !mastership_.lacking(); }
+  [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !election_.lacking(); }
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA for the shared slot, of the first channel that has one.
@@ -209,7 +209,7 @@ class Station {
   Superframe superframe_;
   std::uint32_t hash_;
   Synchronizer sync_;
-  Mastership mastership_;
+  MasterElection election_;
   Seal seal_;
   Freshness freshness_;
   groma_Counters& counters_;

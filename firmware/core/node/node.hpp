@@ -642,10 +642,10 @@ class Node {
         }
         fill_membership(body.network_status);
         if (!machine_.in_step()) return;
-        const mac::Mastership& mastership = member->mastership();
-        body.network_status.master_id = mastership.master();
-        body.network_status.hop = mastership.hop();
-        body.network_status.session = mastership.session();
+        const mac::MasterElection& election = member->election();
+        body.network_status.master_id = election.master();
+        body.network_status.hop = election.hop();
+        body.network_status.session = election.session();
         body.network_status.network_time_dtu =
             static_cast<std::uint64_t>(member->sync().network_time(clock_.latest()).count());
       });
@@ -961,7 +961,7 @@ class Node {
     if (exchanges == 0 || exchanges > kMost) {
       return refuse(groma_Result_RESULT_INVALID, "survey.exchanges: 1 to 200");
     }
-    if (!by_air_ || !machine_.anchor() || machine_.station()->mastership().leads()) {
+    if (!by_air_ || !machine_.anchor() || machine_.station()->election().leads()) {
       return refuse(groma_Result_RESULT_UNSUPPORTED, "only over the air, to an anchor that does not lead");
     }
     if (!mac::configured_slot(config_->schedule, air_.peer())) {

@@ -50,11 +50,11 @@ enum class Duty : std::uint8_t {
   kHushLong,  // as kHush, for two superframes: hears also what crosses their boundary
 };
 
-class Mastership {
+class MasterElection {
  public:
   // `duration`: of a superframe. `hash`: schedule_hash(). `guard`: timelines that differ by less count as
   // aligned.
-  Mastership(const Site& site, ranging::Ticks duration, ranging::Ticks guard, std::uint32_t hash) noexcept;
+  MasterElection(const Site& site, ranging::Ticks duration, ranging::Ticks guard, std::uint32_t hash) noexcept;
 
   // Starts the search, at power-up or when the time is lost.
   void search(ranging::ClockTime now) noexcept;

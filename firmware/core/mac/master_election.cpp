@@ -1,4 +1,4 @@
-#include "firmware/core/mac/mastership.hpp"
+#include "firmware/core/mac/master_election.hpp"
 
 #include <algorithm>
 #include <utility>
@@ -32,7 +32,7 @@ std::uint32_t chance_of(std::uint64_t session, std::uint32_t number) noexcept {
 
 }  // namespace
 
-Mastership::Mastership(const Site& site, Ticks duration, Ticks guard, std::uint32_t hash) noexcept
+MasterElection::MasterElection(const Site& site, Ticks duration, Ticks guard, std::uint32_t hash) noexcept
     : site_(site),
       duration_(duration),
       guard_(guard),
@@ -43,13 +43,13 @@ Mastership::Mastership(const Site& site, Ticks duration, Ticks guard, std::uint3
 
 // Long enough to hear a running network in spite of five lost beacons, and for each rank to hear the one
 // before.
-Ticks Mastership::listening_time() const noexcept {
+Ticks MasterElection::listening_time() const noexcept {
   const auto rank = static_cast<std::int64_t>(rank_.value_or(0));
   return std::max(Ticks::from_us(100'000), 5 * duration_) +
          rank * std::max(Ticks::from_us(60'000), 3 * duration_);
 }
 
-void Mastership::search(ClockTime now) noexcept {
+void MasterElection::search(ClockTime now) noexcept {
   role_ = Role::kSearching;
   master_ = parent_ = kNobody;
   last_beacons_ = 0;
@@ -61,19 +61,19 @@ void Mastership::search(ClockTime now) noexcept {
   lead_at_ = std::max(now + listening_time(), stale_until_);
 }
 
-void Mastership::on_traffic(ClockTime now) noexcept {
+void MasterElection::on_traffic(ClockTime now) noexcept {
   if (displaces_older_) return;
   constexpr std::int64_t kMostListenings = 20;
   const ClockTime latest = search_start_ + kMostListenings * listening_time();
   lead_at_ = std::max(lead_at_, std::min(now + listening_time(), latest));
 }
 
-std::optional<ClockTime> Mastership::lead_at() const noexcept {
+std::optional<ClockTime> MasterElection::lead_at() const noexcept {
   if (!rank_) return std::nullopt;
   return lead_at_;
 }
 
-void Mastership::found() noexcept {
+void MasterElection::found() noexcept {
   const std::uint16_t start = site_.sessions == nullptr ? std::uint16_t{0} : (*site_.sessions)++;
   session_ = std::uint64_t{site_.id} << 48 | std::uint64_t{site_.boot_count} << 16 | start;
   heard_ = {};
@@ -87,7 +87,7 @@ void Mastership::found() noexcept {
   lead();
 }
 
-void Mastership::lead() noexcept {
+void MasterElection::lead() noexcept {
   if (role_ == Role::kFollowing) former_ = fresh_;
   role_ = Role::kLeading;
   master_ = site_.id;
@@ -99,14 +99,14 @@ void Mastership::lead() noexcept {
   misplaced_ = 0;
 }
 
-void Mastership::dissolve() noexcept {
+void MasterElection::dissolve() noexcept {
   constexpr std::uint8_t kLastBeacons = 1;
   if (last_beacons_ == 0) last_beacons_ = kLastBeacons;
 }
 
 // The next relay of the other session may be two rounds away, and more if it is the schedule's master, which
 // has only every second turn of another rank.
-void Mastership::leave_session(ClockTime now) noexcept {
+void MasterElection::leave_session(ClockTime now) noexcept {
   avoided_ = session_;
   avoided_master_ = master_;
   avoided_at_ = number_;
@@ -117,12 +117,12 @@ void Mastership::leave_session(ClockTime now) noexcept {
 
 // A master that resigned does not continue: newer information than its last beacon's shows that its farewell
 // was not genuine.
-bool Mastership::is_avoided(const Beacon& beacon, ClockTime now) const noexcept {
+bool MasterElection::is_avoided(const Beacon& beacon, ClockTime now) const noexcept {
   if (beacon.session != avoided_ || now >= avoided_until_) return false;
   return beacon.master != avoided_master_ || since(beacon.superframe - beacon.age, avoided_at_) <= 0;
 }
 
-void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
+void MasterElection::follow(std::uint16_t source, const Beacon& beacon) noexcept {
   if (role_ == Role::kSearching || session_ != beacon.session) {
     heard_ = {};
     silent_left_ = 0;
@@ -151,22 +151,22 @@ void Mastership::follow(std::uint16_t source, const Beacon& beacon) noexcept {
   misplaced_ = 0;
 }
 
-std::size_t Mastership::rank_of_id(std::uint16_t id) const noexcept {
+std::size_t MasterElection::rank_of_id(std::uint16_t id) const noexcept {
   return rank_of(*site_.schedule, id).value_or(beaconers_);
 }
 
-std::uint32_t Mastership::age(std::uint32_t number) const noexcept {
+std::uint32_t MasterElection::age(std::uint32_t number) const noexcept {
   if (leads()) return 0;
   return static_cast<std::uint32_t>(std::max<std::int32_t>(since(number, fresh_), 0));
 }
 
 // Each hop beyond the first may wait for its turn twice.
-std::uint32_t Mastership::patience_at(std::uint8_t hop) const noexcept {
+std::uint32_t MasterElection::patience_at(std::uint8_t hop) const noexcept {
   const std::uint32_t relays = hop == 0 ? 0 : std::min<std::uint32_t>(hop - 1U, kMaxBeaconers);
   return kPatience + 2 * beaconers_ * relays;
 }
 
-bool Mastership::is_credible(std::uint16_t source, const Beacon& beacon) const noexcept {
+bool MasterElection::is_credible(std::uint16_t source, const Beacon& beacon) const noexcept {
   const bool own_word = beacon.hop == 0;
   return rank_of_id(source) != beaconers_ && rank_of_id(beacon.master) != beaconers_ &&
          own_word == (source == beacon.master) && (!own_word || beacon.age == 0);
@@ -174,12 +174,12 @@ bool Mastership::is_credible(std::uint16_t source, const Beacon& beacon) const n
 
 // Of a beacon with another master of this session: that master may be alive, given its path's delay, and the
 // information is newer than what was known when that master was replaced.
-bool Mastership::is_news(const Beacon& beacon) const noexcept {
+bool MasterElection::is_news(const Beacon& beacon) const noexcept {
   const std::uint32_t origin = beacon.superframe - beacon.age;
   return beacon.age <= patience_at(beacon.hop) && (!former_ || since(origin, *former_) > 0);
 }
 
-Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
+Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
   if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_) {
     return judge_schedule(beacon, now);
   }
@@ -208,7 +208,7 @@ Verdict Mastership::judge(std::uint16_t source, const Beacon& beacon, Ticks ahea
 
 // A beacon far from its place is outdated. But if the acting master repeats such a count several times in a
 // row, this node's own count is wrong.
-Verdict Mastership::judge_misplaced(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
+Verdict MasterElection::judge_misplaced(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
   constexpr std::uint8_t kBelieved = 3;
   if (beacon.hop != 0 || beacon.invitation || ++misplaced_ < kBelieved) return Verdict::kIgnore;
   misplaced_ = 0;
@@ -224,7 +224,7 @@ Verdict Mastership::judge_misplaced(const Beacon& beacon, Ticks ahead, ClockTime
 // transmitting, and a node with the newer one informs the others. A node whose schedule is on trial leaves
 // the older network alone, because other nodes receive their schedule over it; the master receives it last
 // and is the exception.
-Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept {
+Verdict MasterElection::judge_schedule(const Beacon& beacon, ClockTime now) noexcept {
   const std::uint32_t epoch = site_.schedule->epoch;
   const bool newer = beacon.epoch != epoch ? beacon.epoch > epoch : beacon.schedule_hash > hash_;
   constexpr Ticks kQuiet = Ticks::from_us(2'000'000);
@@ -254,7 +254,7 @@ Verdict Mastership::judge_schedule(const Beacon& beacon, ClockTime now) noexcept
 
 // Aligned parts of one session: judge() decides by rank. Parts that have drifted apart: the one ahead stays,
 // so that no count goes back.
-Verdict Mastership::judge_call(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_call(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (!is_credible(source, beacon)) return Verdict::kStale;
   if (beacon.session == session_ && ahead <= guard_ && ahead >= -guard_) return Verdict::kIgnore;
   if (gives_way(beacon, ahead)) {
@@ -264,7 +264,7 @@ Verdict Mastership::judge_call(std::uint16_t source, const Beacon& beacon, Ticks
   return silent_left_ != 0 ? Verdict::kIgnore : Verdict::kCall;
 }
 
-Verdict Mastership::judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept {
+Verdict MasterElection::judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept {
   if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_ || !is_credible(source, beacon))
     return Verdict::kIgnore;
   if (silent_left_ != 0 || !merge_requests_.over(number_)) return Verdict::kIgnore;
@@ -273,13 +273,13 @@ Verdict Mastership::judge_hearsay(std::uint16_t source, const Beacon& beacon) no
 }
 
 // This node's session gives way to the beacon's session.
-bool Mastership::gives_way(const Beacon& beacon, Ticks ahead) const noexcept {
+bool MasterElection::gives_way(const Beacon& beacon, Ticks ahead) const noexcept {
   const bool older = ahead > guard_ || (ahead >= -guard_ && beacon.session < session_);
   const bool lost_master = role_ == Role::kFollowing && age(number_) > patience();
   return older || lost_master;
 }
 
-Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (!gives_way(beacon, ahead)) return request_merge();
   if (leads()) {
     dissolve();
@@ -289,7 +289,7 @@ Verdict Mastership::judge_other_session(std::uint16_t source, const Beacon& beac
   return Verdict::kAdopt;
 }
 
-Verdict Mastership::request_merge() noexcept {
+Verdict MasterElection::request_merge() noexcept {
   if (!proven_ || silent_left_ != 0 || last_beacons_ != 0 || !merge_requests_.over(number_)) {
     return Verdict::kIgnore;
   }
@@ -297,7 +297,7 @@ Verdict Mastership::request_merge() noexcept {
   return Verdict::kCall;
 }
 
-Verdict Mastership::judge_as_master(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_as_master(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (beacon.master == site_.id) {
     if (beacon.quiet) listens_next_ = true;
     return Verdict::kIgnore;
@@ -317,7 +317,7 @@ Verdict Mastership::judge_as_master(std::uint16_t source, const Beacon& beacon, 
   return Verdict::kSwitch;
 }
 
-Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_as_follower(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (beacon.master == site_.id) return Verdict::kIgnore;  // outdated: this node was the master
   const bool aligned = ahead <= guard_ && ahead >= -guard_;
   const std::int32_t newer = since(beacon.superframe - beacon.age, fresh_);
@@ -356,7 +356,7 @@ Verdict Mastership::judge_as_follower(std::uint16_t source, const Beacon& beacon
 
 // If the master is heard in successive shared slots but never in the beacon slot, beacons of another session
 // may collide with its own. They can be heard only while the master is silent.
-void Mastership::watch_place(const Beacon& beacon) noexcept {
+void MasterElection::watch_place(const Beacon& beacon) noexcept {
   const bool next = beacon.shared && beacon.master == displaced_ &&
                     since(beacon.superframe, displaced_at_) <= static_cast<std::int32_t>(4 * beaconers_);
   asks_for_silence_ = next;
@@ -364,13 +364,13 @@ void Mastership::watch_place(const Beacon& beacon) noexcept {
   displaced_at_ = beacon.superframe;
 }
 
-bool Mastership::ask_for_silence() noexcept {
+bool MasterElection::ask_for_silence() noexcept {
   listens_next_ = !leads() && std::exchange(asks_for_silence_, false);
   return listens_next_;
 }
 
 // Counts better ranks that were heard recently, except the present master.
-std::uint32_t Mastership::better_ranks_alive(std::uint32_t number) const noexcept {
+std::uint32_t MasterElection::better_ranks_alive(std::uint32_t number) const noexcept {
   const auto recent = static_cast<std::int32_t>(kPatience + 4 * beaconers_);
   std::uint32_t count = 0;
   for (std::size_t rank = 0; rank < *rank_; ++rank) {
@@ -380,7 +380,7 @@ std::uint32_t Mastership::better_ranks_alive(std::uint32_t number) const noexcep
   return count;
 }
 
-Duty Mastership::begin(std::uint32_t number) noexcept {
+Duty MasterElection::begin(std::uint32_t number) noexcept {
   number_ = number;
   if (competitor_ != 0 && since(number, competitor_until_) > 0) competitor_ = 0;
   if (leads()) {
@@ -397,16 +397,16 @@ Duty Mastership::begin(std::uint32_t number) noexcept {
   return scan_duty(number);
 }
 
-bool Mastership::forsaken_at_once(std::uint32_t number) const noexcept {
+bool MasterElection::forsaken_at_once(std::uint32_t number) const noexcept {
   return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
 }
 
-void Mastership::keep_silence(std::uint32_t until) noexcept {
+void MasterElection::keep_silence(std::uint32_t until) noexcept {
   silent_left_ = static_cast<std::uint32_t>(
       std::clamp<std::int32_t>(since(until, number_), 0, static_cast<std::int32_t>(2 * beaconers_ + 1)));
 }
 
-void Mastership::on_silence() noexcept {
+void MasterElection::on_silence() noexcept {
   if (!silences_.over(number_)) return;
   silences_.begin(number_);
   silent_left_ = std::max(silent_left_, std::uint32_t{1});
@@ -414,7 +414,7 @@ void Mastership::on_silence() noexcept {
 
 // A rank exists once in a site, so its turn is free in the other session. An acting master shares its turn
 // with the schedule's master, as in has_shared_turn().
-bool Mastership::may_invite(std::uint32_t number) const noexcept {
+bool MasterElection::may_invite(std::uint32_t number) const noexcept {
   if (!rank_ || last_beacons_ != 0) return false;
   const std::uint32_t turn = number % beaconers_;
   const bool even = number / beaconers_ % 2 == 0;
@@ -426,7 +426,7 @@ bool Mastership::may_invite(std::uint32_t number) const noexcept {
 // All nodes of a session scan in the same superframes, so that they do not drown out what they listen for. A
 // master mostly omits its beacon then, because two nodes that send at once do not hear each other. Scans are
 // random, because two sessions that scan at once do not hear each other either.
-Duty Mastership::scan_duty(std::uint32_t number) noexcept {
+Duty MasterElection::scan_duty(std::uint32_t number) noexcept {
   if (last_beacons_ != 0) return Duty::kGoOn;
   quiet_ = silent_left_ != 0;
   const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
@@ -459,16 +459,16 @@ Duty Mastership::scan_duty(std::uint32_t number) noexcept {
   return may_be_silent && chance / 8 % 4 != 0 ? Duty::kHush : Duty::kScan;
 }
 
-void Mastership::Pause::restart(std::uint32_t number) noexcept {
+void MasterElection::Pause::restart(std::uint32_t number) noexcept {
   next_ = number;
   times_ = 0;
 }
 
-bool Mastership::Pause::over(std::uint32_t number) const noexcept {
+bool MasterElection::Pause::over(std::uint32_t number) const noexcept {
   return since(number, next_) >= 0;
 }
 
-void Mastership::Pause::begin(std::uint32_t number) noexcept {
+void MasterElection::Pause::begin(std::uint32_t number) noexcept {
   constexpr std::int32_t kForgotten = 64;
   constexpr int kGoesOn_log2 = 6;
   if (since(number, next_) > kForgotten) times_ = 0;
@@ -478,7 +478,7 @@ void Mastership::Pause::begin(std::uint32_t number) noexcept {
   next_ = number + (1U << log2);
 }
 
-void Mastership::on_absence(std::uint32_t number) noexcept {
+void MasterElection::on_absence(std::uint32_t number) noexcept {
   if (!leads() || since(number, fresh_) < static_cast<std::int32_t>(kPatience - 2)) return;
   constexpr std::uint32_t kToHearOthers = 3;
   role_ = Role::kFollowing;
@@ -489,7 +489,7 @@ void Mastership::on_absence(std::uint32_t number) noexcept {
 
 // The ranks beyond the first have one turn each. An acting master of such a rank uses every second one of its
 // turns; the schedule's master, which has no turn, uses the others. So any two of them can hear each other.
-bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
+bool MasterElection::has_shared_turn(std::uint32_t number) const noexcept {
   if (!rank_ || role_ == Role::kSearching || last_beacons_ != 0) return false;
   const std::uint32_t turn = number % beaconers_;
   const bool even = number / beaconers_ % 2 == 0;
@@ -502,14 +502,14 @@ bool Mastership::has_shared_turn(std::uint32_t number) const noexcept {
   return turn != 0 && turn == rank_of_id(master_) && !even;
 }
 
-bool Mastership::on_led(ClockTime now) noexcept {
+bool MasterElection::on_led(ClockTime now) noexcept {
   led_ = number_;
   if (last_beacons_ == 0 || --last_beacons_ != 0) return false;
   leave_session(now);
   return true;
 }
 
-bool Mastership::parent_due(std::uint32_t number, bool shared) const noexcept {
+bool MasterElection::parent_due(std::uint32_t number, bool shared) const noexcept {
   if (role_ != Role::kFollowing) return false;
   if (hop_ <= 1) return !shared;
   return shared && number % beaconers_ == rank_of_id(parent_);

@@ -1,4 +1,4 @@
-#include "firmware/core/mac/mastership.hpp"
+#include "firmware/core/mac/master_election.hpp"
 
 #include <gtest/gtest.h>
 
@@ -40,8 +40,8 @@ ClockTime at_s(double t_s) {
 struct Node {
   explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_of_backups(backups)) {
     site = {.id = id, .schedule = &schedule, .boot_count = 7, .sessions = &sessions};
-    mastership = std::make_unique<Mastership>(site, kDuration, kGuard, kHash);
-    mastership->search(ClockTime(0));
+    election = std::make_unique<MasterElection>(site, kDuration, kGuard, kHash);
+    election->search(ClockTime(0));
   }
   [[nodiscard]] Beacon beacon(std::uint32_t number, std::uint16_t master = 101, std::uint8_t hop = 0,
                               std::uint8_t age = 0) const {
@@ -55,7 +55,7 @@ struct Node {
             .shared = hop != 0};
   }
   Verdict hear(std::uint16_t source, const Beacon& beacon, Ticks ahead = Ticks(0)) {
-    return mastership->judge(source, beacon, ahead, at_s(1.0));
+    return election->judge(source, beacon, ahead, at_s(1.0));
   }
   // Synchronizes by two beacons, the second of superframe `number`.
   void synchronize(std::uint32_t number, std::uint16_t master = 101) {
@@ -65,20 +65,20 @@ struct Node {
   // Number of silent superframes until it takes over; 1001 if it does not within 1000.
   std::uint32_t silent_until_takeover(std::uint32_t from) {
     for (std::uint32_t n = 1; n <= 1'000; ++n) {
-      if (mastership->begin(from + n) == Duty::kTakeOver) return n;
+      if (election->begin(from + n) == Duty::kTakeOver) return n;
     }
     return 1'001;
   }
-  Mastership& operator*() { return *mastership; }
-  Mastership* operator->() { return mastership.get(); }
+  MasterElection& operator*() { return *election; }
+  MasterElection* operator->() { return election.get(); }
 
   groma_Schedule schedule;
   std::uint16_t sessions = 0;
   Site site;
-  std::unique_ptr<Mastership> mastership;
+  std::unique_ptr<MasterElection> election;
 };
 
-TEST(Mastership, ListensFirstAndStartsInOrderOfRank) {
+TEST(MasterElection, ListensFirstAndStartsInOrderOfRank) {
   ClockTime before;
   for (std::uint16_t id = 101; id <= 104; ++id) {
     Node node(id);
@@ -91,7 +91,7 @@ TEST(Mastership, ListensFirstAndStartsInOrderOfRank) {
   EXPECT_FALSE(Node(1)->lead_at()) << "a tag";
 }
 
-TEST(Mastership, TrafficDelaysTheStartButNotForEver) {
+TEST(MasterElection, TrafficDelaysTheStartButNotForEver) {
   Node node(101);
   const ClockTime first = *node->lead_at();
   double t_s = 0.0;
@@ -103,7 +103,7 @@ TEST(Mastership, TrafficDelaysTheStartButNotForEver) {
   EXPECT_GT(at_s(t_s), first + Ticks::from_us(500'000));
 }
 
-TEST(Mastership, EachSessionHasAUniqueId) {
+TEST(MasterElection, EachSessionHasAUniqueId) {
   std::set<std::uint64_t> ids;
   for (const std::uint16_t id : std::vector<std::uint16_t>{101, 102}) {
     for (const std::uint32_t boot : {7U, 8U, 0x10007U}) {
@@ -119,7 +119,7 @@ TEST(Mastership, EachSessionHasAUniqueId) {
   EXPECT_EQ(ids.size(), 18U);
 }
 
-TEST(Mastership, BackUpsTakeOverAfterTwelveSuperframesInOrderOfRank) {
+TEST(MasterElection, BackUpsTakeOverAfterTwelveSuperframesInOrderOfRank) {
   std::uint32_t before = 0;
   for (std::uint16_t id = 102; id <= 104; ++id) {
     Node node(id);
@@ -139,19 +139,19 @@ TEST(Mastership, BackUpsTakeOverAfterTwelveSuperframesInOrderOfRank) {
   }
 }
 
-TEST(Mastership, ABackUpDoesNotWaitForADeadBackUp) {
+TEST(MasterElection, ABackUpDoesNotWaitForADeadBackUp) {
   Node node(104);
   node.synchronize(100);
   EXPECT_EQ(node.silent_until_takeover(100), 13U);
 }
 
-TEST(Mastership, OnlyABackUpTakesOver) {
+TEST(MasterElection, OnlyABackUpTakesOver) {
   Node node(107);
   node.synchronize(100);
   EXPECT_EQ(node.silent_until_takeover(100), 1'001U);
 }
 
-TEST(Mastership, AnIdleOrphanListensMostOfTheTime) {
+TEST(MasterElection, AnIdleOrphanListensMostOfTheTime) {
   constexpr std::uint32_t kLast = 100;
   constexpr std::uint32_t kOrphaned = 64;
   for (const bool idle : {true, false}) {
@@ -159,10 +159,10 @@ TEST(Mastership, AnIdleOrphanListensMostOfTheTime) {
       Node node(id);
       node.synchronize(kLast);
       int listening = 0;
-      for (std::uint32_t n = 1; n <= Mastership::kPatience + kOrphaned; ++n) {
+      for (std::uint32_t n = 1; n <= MasterElection::kPatience + kOrphaned; ++n) {
         node->on_lack(false, idle);
         const bool listens = node->begin(kLast + n) == Duty::kHushLong;
-        EXPECT_TRUE(!listens || n > Mastership::kPatience) << n;
+        EXPECT_TRUE(!listens || n > MasterElection::kPatience) << n;
         listening += listens ? 1 : 0;
       }
       // In five of eight superframes; in the others it listens for its own network's beacon.
@@ -172,7 +172,7 @@ TEST(Mastership, AnIdleOrphanListensMostOfTheTime) {
   }
 }
 
-TEST(Mastership, ASessionKnownFromOneBeaconIsNotTakenOverAndSoonAbandoned) {
+TEST(MasterElection, ASessionKnownFromOneBeaconIsNotTakenOverAndSoonAbandoned) {
   Node node(102);
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
   std::uint32_t n = 101;
@@ -180,10 +180,10 @@ TEST(Mastership, ASessionKnownFromOneBeaconIsNotTakenOverAndSoonAbandoned) {
     EXPECT_NE(node->begin(n), Duty::kTakeOver);
     if (node->forsaken_at_once(n)) break;
   }
-  EXPECT_EQ(n, 100 + Mastership::kPatience + 2 * 4 + 1);
+  EXPECT_EQ(n, 100 + MasterElection::kPatience + 2 * 4 + 1);
 }
 
-TEST(Mastership, RelaysDoNotKeepADeadMasterAlive) {
+TEST(MasterElection, RelaysDoNotKeepADeadMasterAlive) {
   Node a(102);
   Node b(103);
   a.synchronize(100);
@@ -204,7 +204,7 @@ TEST(Mastership, RelaysDoNotKeepADeadMasterAlive) {
   EXPECT_FALSE(b->leads());
 }
 
-TEST(Mastership, OfTwoMastersOfASessionTheBetterRankWins) {
+TEST(MasterElection, OfTwoMastersOfASessionTheBetterRankWins) {
   Node better(102);
   Node worse(103);
   for (Node* node : {&better, &worse}) {
@@ -227,7 +227,7 @@ TEST(Mastership, OfTwoMastersOfASessionTheBetterRankWins) {
   EXPECT_EQ(far->role(), Role::kSearching);
 }
 
-TEST(Mastership, AFollowerSwitchesToTheBetterMasterAndIgnoresOldBeacons) {
+TEST(MasterElection, AFollowerSwitchesToTheBetterMasterAndIgnoresOldBeacons) {
   Node node(107);
   EXPECT_EQ(node.hear(102, node.beacon(100, 102)), Verdict::kAdopt);
   EXPECT_EQ(node.hear(103, node.beacon(101, 103)), Verdict::kIgnore) << "a worse rank";
@@ -240,7 +240,7 @@ TEST(Mastership, AFollowerSwitchesToTheBetterMasterAndIgnoresOldBeacons) {
 }
 
 // Exactly one of the two nodes yields, whatever their times.
-TEST(Mastership, OfTwoSessionsOneYieldsAndBothAgreeWhich) {
+TEST(MasterElection, OfTwoSessionsOneYieldsAndBothAgreeWhich) {
   std::mt19937_64 random(3);
   const auto uniform = [&](double low, double high) {
     return low + (high - low) * static_cast<double>(random() >> 11) * 0x1p-53;
@@ -273,7 +273,7 @@ TEST(Mastership, OfTwoSessionsOneYieldsAndBothAgreeWhich) {
 
 // Keyed network: a merge request decides as a beacon does in an open network, but dissolves nobody. An
 // unverified beacon changes nothing.
-TEST(Mastership, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot) {
+TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot) {
   std::mt19937_64 random(4);
   int adopted = 0;
   for (int i = 0; i < 5'000; ++i) {
@@ -314,7 +314,7 @@ TEST(Mastership, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot) {
   EXPECT_EQ(Node(102)->judge_hearsay(102, own), Verdict::kIgnore);
 }
 
-TEST(Mastership, ANodeDoesNotRejoinADissolvedSession) {
+TEST(MasterElection, ANodeDoesNotRejoinADissolvedSession) {
   Node node(105);
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
   Beacon last = node.beacon(101);
@@ -328,7 +328,7 @@ TEST(Mastership, ANodeDoesNotRejoinADissolvedSession) {
 }
 
 // A dissolving beacon was forged if its master continues to send beacons.
-TEST(Mastership, AForgedDissolutionIsRefutedByTheMastersNextBeacon) {
+TEST(MasterElection, AForgedDissolutionIsRefutedByTheMastersNextBeacon) {
   Node node(105);
   node.synchronize(100);
   Beacon last = node.beacon(101);
@@ -344,7 +344,7 @@ TEST(Mastership, AForgedDissolutionIsRefutedByTheMastersNextBeacon) {
   EXPECT_EQ(node->role(), Role::kFollowing);
 }
 
-TEST(Mastership, ANodeWithTheWrongCountGivesItUp) {
+TEST(MasterElection, ANodeWithTheWrongCountGivesItUp) {
   Node follower(102);
   Beacon wrong = follower.beacon(100 + 4096);
   EXPECT_EQ(follower.hear(101, wrong), Verdict::kAdopt);
@@ -370,7 +370,7 @@ TEST(Mastership, ANodeWithTheWrongCountGivesItUp) {
   }
 }
 
-TEST(Mastership, ANodeWithAStaleScheduleFallsSilent) {
+TEST(MasterElection, ANodeWithAStaleScheduleFallsSilent) {
   const auto with_epoch = [](Node& node, int by) {
     Beacon beacon = node.beacon(100);
     beacon.epoch = static_cast<std::uint32_t>(static_cast<int>(beacon.epoch) + by);
@@ -423,7 +423,7 @@ TEST(Mastership, ANodeWithAStaleScheduleFallsSilent) {
   EXPECT_TRUE(leader->dissolving());
 }
 
-TEST(Mastership, AContradictoryBeaconIsStale) {
+TEST(MasterElection, AContradictoryBeaconIsStale) {
   Node node(105);
   EXPECT_EQ(node.hear(107, node.beacon(100, 101, 1)), Verdict::kStale) << "no relay";
   EXPECT_EQ(node.hear(101, node.beacon(100, 107)), Verdict::kStale) << "no master";
@@ -433,7 +433,7 @@ TEST(Mastership, AContradictoryBeaconIsStale) {
 }
 
 // No two nodes share a turn, whichever leads, and each relay has one turn per round.
-TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
+TEST(MasterElection, NoTwoBeaconersSendInOneSharedSlot) {
   for (std::size_t backups = 0; backups <= 7; ++backups) {
     for (std::size_t leader = 0; leader <= backups; ++leader) {
       std::vector<std::unique_ptr<Node>> nodes;
@@ -469,7 +469,7 @@ TEST(Mastership, NoTwoBeaconersSendInOneSharedSlot) {
   }
 }
 
-TEST(Mastership, CountsPastTheSuperframeNumbersWrap) {
+TEST(MasterElection, CountsPastTheSuperframeNumbersWrap) {
   Node node(102);
   const std::uint32_t last = 0xFFFF'FFFA;
   EXPECT_EQ(node.hear(101, node.beacon(last)), Verdict::kAdopt);
@@ -542,20 +542,20 @@ class Crowd {
 
   [[nodiscard]] std::size_t leaders() const {
     return static_cast<std::size_t>(std::count_if(
-        nodes.begin(), nodes.end(), [](const Member& m) { return m.on && m.node->mastership->leads(); }));
+        nodes.begin(), nodes.end(), [](const Member& m) { return m.on && m.node->election->leads(); }));
   }
   [[nodiscard]] bool one_network() const {
     std::set<std::uint64_t> sessions;
     for (const Member& m : nodes) {
       if (!m.on) continue;
-      if (m.node->mastership->role() == Role::kSearching) return false;
-      sessions.insert(m.node->mastership->session());
+      if (m.node->election->role() == Role::kSearching) return false;
+      sessions.insert(m.node->election->session());
     }
     return sessions.size() == 1 && leaders() == 1;
   }
   [[nodiscard]] bool anyone_could_lead() const {
     return std::any_of(nodes.begin(), nodes.end(),
-                       [](const Member& m) { return m.on && m.node->mastership->rank().has_value(); });
+                       [](const Member& m) { return m.on && m.node->election->rank().has_value(); });
   }
 
   std::vector<Member> nodes;
@@ -582,7 +582,7 @@ class Crowd {
   [[nodiscard]] std::size_t timelines() const {
     std::set<double> bases;
     for (const Member& m : nodes) {
-      if (m.on && m.node->mastership->role() != Role::kSearching) bases.insert(m.base);
+      if (m.on && m.node->election->role() != Role::kSearching) bases.insert(m.base);
     }
     return bases.size();
   }
@@ -593,38 +593,38 @@ class Crowd {
 
   void begin(Member& m, bool several) {
     if (!m.on) return;
-    Mastership& mastership = *m.node->mastership;
+    MasterElection& election = *m.node->election;
     m.scans = m.silent = false;
-    if (mastership.role() == Role::kSearching) {
-      const auto lead_at = mastership.lead_at();
+    if (election.role() == Role::kSearching) {
+      const auto lead_at = election.lead_at();
       if (!lead_at || now() < *lead_at) return;
-      mastership.found();
+      election.found();
       m.base = -static_cast<double>(t_) - uniform();
       while (number(m) == ~0U) m.base += 1e-3;
       m.base = std::floor(m.base) + uniform() * 0.999 + 1.0;
     }
-    if (several) mastership.suspect();
+    if (several) election.suspect();
     // After a hundred superframes without its network its clock is lost.
-    if (mastership.role() == Role::kFollowing && mastership.age(number(m)) > 100) {
-      return mastership.search(now());
+    if (election.role() == Role::kFollowing && election.age(number(m)) > 100) {
+      return election.search(now());
     }
-    const Duty duty = mastership.begin(number(m));
-    if (mastership.forsaken_at_once(number(m))) return mastership.search(now());
+    const Duty duty = election.begin(number(m));
+    if (election.forsaken_at_once(number(m))) return election.search(now());
     m.scans = duty != Duty::kGoOn && duty != Duty::kTakeOver;
     m.silent = duty == Duty::kHush || duty == Duty::kHushLong;
   }
 
   [[nodiscard]] Beacon beacon_of(const Member& m, bool shared) const {
-    const Mastership& mastership = *m.node->mastership;
-    const std::uint32_t age = mastership.age(number(m));
+    const MasterElection& election = *m.node->election;
+    const std::uint32_t age = election.age(number(m));
     return {.superframe = number(m),
-            .session = mastership.session(),
+            .session = election.session(),
             .epoch = m.node->schedule.epoch,
             .schedule_hash = kHash,
-            .master = mastership.master(),
-            .hop = mastership.hop(),
+            .master = election.master(),
+            .hop = election.hop(),
             .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255)),
-            .dissolving = mastership.dissolving(),
+            .dissolving = election.dissolving(),
             .shared = shared};
   }
 
@@ -635,10 +635,10 @@ class Crowd {
       const auto i = static_cast<std::size_t>(&m - nodes.data());
       for (const Sent& s : sent) {
         const Member& source = nodes[s.source];
-        const bool searching = m.node->mastership->role() == Role::kSearching;
+        const bool searching = m.node->election->role() == Role::kSearching;
         if (s.source == i || cut[i] != cut[s.source]) continue;
         if (!searching && !m.scans && source.base != m.base) continue;
-        if (in_step_collide && !searching && m.node->mastership->leads() && source.base == m.base) continue;
+        if (in_step_collide && !searching && m.node->election->leads() && source.base == m.base) continue;
         const bool collides = std::any_of(sent.begin(), sent.end(), [&](const Sent& other) {
           return other.source != s.source && cut[other.source] == cut[i] &&
                  nodes[other.source].base == source.base;
@@ -651,9 +651,9 @@ class Crowd {
 
   void take(Member& m, const Sent& s, double base) {
     const Ticks ahead(std::llround((base - m.base) * static_cast<double>(kDuration.count())));
-    const Verdict verdict = m.node->mastership->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
+    const Verdict verdict = m.node->election->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
     if (verdict == Verdict::kAdopt || verdict == Verdict::kSwitch) m.base = base;
-    if (verdict == Verdict::kCall && m.node->mastership->may_invite(s.beacon.superframe)) {
+    if (verdict == Verdict::kCall && m.node->election->may_invite(s.beacon.superframe)) {
       Beacon invitation = beacon_of(m, true);
       invitation.invitation = true;
       merge_requests_.push_back({static_cast<std::size_t>(&m - nodes.data()), invitation});
@@ -667,7 +667,7 @@ class Crowd {
   std::vector<Sent> merge_requests_;
 };
 
-TEST(Mastership, RandomFailuresEndInOneNetworkWithOneMaster) {
+TEST(MasterElection, RandomFailuresEndInOneNetworkWithOneMaster) {
   int longest = 0;
   for (std::uint64_t seed = 0; seed < 150; ++seed) {
     std::mt19937_64 random(seed);
