@@ -62,7 +62,7 @@ TEST(Frame, RoundTrips) {
                 .dissolving = true,
                 .shared = true,
                 .quiet = true,
-                .invitation = true,
+                .merge_request = true,
                 .place = ranging::Ticks(0x12'3456'789A),
                 .slots = 2,
                 .welcome = Welcome{.id = 0x7766, .nonce = 0x8899'AABB'CCDD'EEFF}};
@@ -85,7 +85,7 @@ TEST(Frame, RoundTrips) {
     EXPECT_EQ(beacon.lateness_dtu, sent.lateness_dtu);
     EXPECT_TRUE(beacon.dissolving);
     EXPECT_TRUE(beacon.shared);
-    EXPECT_TRUE(beacon.invitation);
+    EXPECT_TRUE(beacon.merge_request);
     EXPECT_TRUE(beacon.quiet);
     EXPECT_EQ(beacon.place, sent.place);
     EXPECT_EQ(beacon.slots, sent.slots);

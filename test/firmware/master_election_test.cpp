@@ -287,12 +287,12 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
     Beacon of_b = b.beacon(500, 102);
     of_b.session = b->session();
     // One merge request at once, then ever less often.
-    EXPECT_EQ(a->judge_hearsay(102, of_b), Verdict::kCall);
-    EXPECT_EQ(a->judge_hearsay(102, of_b), Verdict::kIgnore);
+    EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kCall);
+    EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kIgnore);
     ASSERT_TRUE(a->leads());
     ASSERT_EQ(a->session(), of_a.session);
-    const Verdict at_a = a->judge_call(102, of_b, Ticks(apart));
-    const Verdict at_b = b->judge_call(101, of_a, Ticks(-apart));
+    const Verdict at_a = a->judge_merge_request(102, of_b, Ticks(apart));
+    const Verdict at_b = b->judge_merge_request(101, of_a, Ticks(-apart));
     const Verdict loses = apart > kGuard.count() ? at_a : at_b;
     ASSERT_EQ(loses, Verdict::kAdopt) << apart;
     ASSERT_EQ(loses == at_a ? at_b : at_a, Verdict::kCall) << apart;
@@ -306,12 +306,12 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
   node->found();
   Beacon own = node.beacon(0, 102);
   own.session = node->session();
-  EXPECT_EQ(node->judge_call(102, own, kGuard), Verdict::kIgnore);
-  EXPECT_EQ(node->judge_call(102, own, -2 * kGuard), Verdict::kCall);
-  EXPECT_EQ(node->judge_call(102, own, 2 * kGuard), Verdict::kAdopt);
+  EXPECT_EQ(node->judge_merge_request(102, own, kGuard), Verdict::kIgnore);
+  EXPECT_EQ(node->judge_merge_request(102, own, -2 * kGuard), Verdict::kCall);
+  EXPECT_EQ(node->judge_merge_request(102, own, 2 * kGuard), Verdict::kAdopt);
   // An unverified beacon of another schedule triggers no merge request.
   own.schedule_hash ^= 1;
-  EXPECT_EQ(Node(102)->judge_hearsay(102, own), Verdict::kIgnore);
+  EXPECT_EQ(Node(102)->judge_unverified(102, own), Verdict::kIgnore);
 }
 
 TEST(MasterElection, ANodeDoesNotRejoinADissolvedSession) {
@@ -653,10 +653,10 @@ class Crowd {
     const Ticks ahead(std::llround((base - m.base) * static_cast<double>(kDuration.count())));
     const Verdict verdict = m.node->election->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
     if (verdict == Verdict::kAdopt || verdict == Verdict::kSwitch) m.base = base;
-    if (verdict == Verdict::kCall && m.node->election->may_invite(s.beacon.superframe)) {
-      Beacon invitation = beacon_of(m, true);
-      invitation.invitation = true;
-      merge_requests_.push_back({static_cast<std::size_t>(&m - nodes.data()), invitation});
+    if (verdict == Verdict::kCall && m.node->election->may_request_merge(s.beacon.superframe)) {
+      Beacon merge_request = beacon_of(m, true);
+      merge_request.merge_request = true;
+      merge_requests_.push_back({static_cast<std::size_t>(&m - nodes.data()), merge_request});
     }
   }
 

@@ -219,9 +219,9 @@ TEST_F(SealTest, VerifiesABeaconByItsOwnSessionAndSuperframe) {
 
 TEST_F(SealTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
-  beacon.shared = beacon.invitation = true;
+  beacon.shared = beacon.merge_request = true;
   beacon.place = ranging::Ticks(12'345);
-  const Callees target{kSession + 5, 77};
+  const MergeTarget target{kSession + 5, 77};
   FrameBytes bytes = serialize(frame_with(beacon));
   seal.begin_signing(bytes, place_of(beacon), target);
   seal.finish_signing(bytes);

@@ -299,7 +299,7 @@ TEST(SelfOrganizing, AReplayedMergeRequestChangesNothing) {
   const auto is_merge_request = [](const Air::Frame& frame) {
     const auto parsed = mac::parse(frame.bytes).frame;
     const auto* beacon = parsed ? std::get_if<mac::Beacon>(&parsed->body) : nullptr;
-    return beacon != nullptr && beacon->invitation;
+    return beacon != nullptr && beacon->merge_request;
   };
   site.air.reach = nullptr;
   site.air.jammed = [&](const Air::Frame& frame) {

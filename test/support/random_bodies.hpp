@@ -38,9 +38,9 @@ class RandomBodies {
                 .dissolving = coin(),
                 .shared = coin(),
                 .quiet = coin(),
-                .invitation = coin(),
+                .merge_request = coin(),
                 .slots = static_cast<std::uint8_t>(below(kMaxTags + 1))};
-    if (body.invitation) body.place = ranging::Ticks(static_cast<std::int64_t>(random_() >> 24));
+    if (body.merge_request) body.place = ranging::Ticks(static_cast<std::int64_t>(random_() >> 24));
     for (std::size_t i = 0; i < body.slots; ++i) body.holders[i] = somebody();
     if (coin()) body.welcome = Welcome{.id = somebody(), .nonce = random_()};
     return body;

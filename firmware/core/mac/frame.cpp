@@ -13,7 +13,7 @@ constexpr std::uint16_t kFrameControl = 0x8841;
 constexpr std::uint8_t kDissolving = 0x01;  // BEACON
 constexpr std::uint8_t kWelcome = 0x02;
 constexpr std::uint8_t kShared = 0x04;
-constexpr std::uint8_t kInvitation = 0x08;
+constexpr std::uint8_t kMergeRequest = 0x08;
 constexpr std::uint8_t kQuiet = 0x10;
 constexpr std::uint8_t kClosingValid = 0x01;  // RESPONSE
 constexpr std::uint8_t kTag = 0x01;           // JOIN
@@ -86,10 +86,10 @@ bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.hop = in.take8();
   beacon.age = in.take8();
   beacon.lateness_dtu = static_cast<std::int16_t>(in.take16());
-  const std::uint8_t flags = in.take_flags(kDissolving | kWelcome | kShared | kInvitation | kQuiet);
+  const std::uint8_t flags = in.take_flags(kDissolving | kWelcome | kShared | kMergeRequest | kQuiet);
   beacon.dissolving = (flags & kDissolving) != 0;
   beacon.shared = (flags & kShared) != 0;
-  beacon.invitation = (flags & kInvitation) != 0;
+  beacon.merge_request = (flags & kMergeRequest) != 0;
   beacon.quiet = (flags & kQuiet) != 0;
   beacon.slots = in.take8();
   if (beacon.slots > kMaxTags) return false;
@@ -98,7 +98,7 @@ bool read(Reader& in, Beacon& beacon) noexcept {
     const std::uint16_t id = in.take16();
     beacon.welcome = Welcome{.id = id, .nonce = in.take64()};
   }
-  if (beacon.invitation) beacon.place = in.take_ticks(5);
+  if (beacon.merge_request) beacon.place = in.take_ticks(5);
   return true;
 }
 
@@ -260,7 +260,7 @@ void write(const Beacon& beacon, FrameWriter& out) noexcept {
   out.put(beacon.age, 1);
   out.put(static_cast<std::uint16_t>(beacon.lateness_dtu), 2);
   out.put(flag_if(beacon.dissolving, kDissolving) | flag_if(beacon.welcome.has_value(), kWelcome) |
-              flag_if(beacon.shared, kShared) | flag_if(beacon.invitation, kInvitation) |
+              flag_if(beacon.shared, kShared) | flag_if(beacon.merge_request, kMergeRequest) |
               flag_if(beacon.quiet, kQuiet),
           1);
   const std::size_t slots = std::min<std::size_t>(beacon.slots, kMaxTags);
@@ -270,7 +270,7 @@ void write(const Beacon& beacon, FrameWriter& out) noexcept {
     out.put(beacon.welcome->id, 2);
     out.put(beacon.welcome->nonce, 8);
   }
-  if (beacon.invitation) out.put(beacon.place, 5);
+  if (beacon.merge_request) out.put(beacon.place, 5);
 }
 
 void write(const Poll& poll, FrameWriter& out) noexcept {

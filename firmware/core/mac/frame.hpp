@@ -73,7 +73,7 @@ struct Beacon {
   bool quiet = false;
   // With `shared`: a merge request, sent in the shared slot of another session, whose nodes should join this
   // one. `place` is the RMARKER's place in this session's superframe, in ticks of network time.
-  bool invitation = false;
+  bool merge_request = false;
   ranging::Ticks place{};  // 0 to 2^40 - 1
   std::uint8_t slots = 0;
   std::array<std::uint16_t, kMaxTags> holders{};  // of each slot; kNobody: free

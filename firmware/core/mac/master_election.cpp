@@ -184,7 +184,7 @@ Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks 
     return judge_schedule(beacon, now);
   }
   if (!is_credible(source, beacon)) return Verdict::kStale;
-  if (beacon.invitation && role_ != Role::kSearching && beacon.session == session_) return Verdict::kIgnore;
+  if (beacon.merge_request && role_ != Role::kSearching && beacon.session == session_) return Verdict::kIgnore;
   const bool own_word = beacon.hop == 0;
   const Ticks half(duration_.count() / 2);
   const bool far = ahead > half || ahead < -half;
@@ -202,7 +202,7 @@ Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks 
   }
   if (beacon.session != session_) return judge_other_session(source, beacon, ahead);
   if (far) return judge_misplaced(beacon, ahead, now);
-  if (own_word && !beacon.invitation) watch_place(beacon);
+  if (own_word && !beacon.merge_request) watch_place(beacon);
   return leads() ? judge_as_master(source, beacon, ahead) : judge_as_follower(source, beacon, ahead);
 }
 
@@ -210,7 +210,7 @@ Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks 
 // row, this node's own count is wrong.
 Verdict MasterElection::judge_misplaced(const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
   constexpr std::uint8_t kBelieved = 3;
-  if (beacon.hop != 0 || beacon.invitation || ++misplaced_ < kBelieved) return Verdict::kIgnore;
+  if (beacon.hop != 0 || beacon.merge_request || ++misplaced_ < kBelieved) return Verdict::kIgnore;
   misplaced_ = 0;
   if (leads()) {
     if (ahead > Ticks(0)) dissolve();
@@ -254,7 +254,7 @@ Verdict MasterElection::judge_schedule(const Beacon& beacon, ClockTime now) noex
 
 // Aligned parts of one session: judge() decides by rank. Parts that have drifted apart: the one ahead stays,
 // so that no count goes back.
-Verdict MasterElection::judge_call(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_merge_request(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (!is_credible(source, beacon)) return Verdict::kStale;
   if (beacon.session == session_ && ahead <= guard_ && ahead >= -guard_) return Verdict::kIgnore;
   if (gives_way(beacon, ahead)) {
@@ -264,7 +264,7 @@ Verdict MasterElection::judge_call(std::uint16_t source, const Beacon& beacon, T
   return silent_left_ != 0 ? Verdict::kIgnore : Verdict::kCall;
 }
 
-Verdict MasterElection::judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept {
+Verdict MasterElection::judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept {
   if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_ || !is_credible(source, beacon))
     return Verdict::kIgnore;
   if (silent_left_ != 0 || !merge_requests_.over(number_)) return Verdict::kIgnore;
@@ -414,7 +414,7 @@ void MasterElection::on_silence() noexcept {
 
 // A rank exists once in a site, so its turn is free in the other session. An acting master shares its turn
 // with the schedule's master, as in has_shared_turn().
-bool MasterElection::may_invite(std::uint32_t number) const noexcept {
+bool MasterElection::may_request_merge(std::uint32_t number) const noexcept {
   if (!rank_ || last_beacons_ != 0) return false;
   const std::uint32_t turn = number % beaconers_;
   const bool even = number / beaconers_ % 2 == 0;

@@ -72,9 +72,9 @@ class MasterElection {
                               ranging::ClockTime now) noexcept;
   // In a network with a key, while not searching: judges an unverified beacon of another timeline, which may
   // be a recording. This node does not join that timeline, but may send merge requests to it.
-  [[nodiscard]] Verdict judge_hearsay(std::uint16_t source, const Beacon& beacon) noexcept;
+  [[nodiscard]] Verdict judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept;
   // In a network with a key, while not searching: judges a verified merge request.
-  [[nodiscard]] Verdict judge_call(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_merge_request(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead) noexcept;
   // Reports a frame of this network that does not fit the timeline: another session may be near.
   void suspect() noexcept {
     suspicious_ = true;
@@ -105,11 +105,11 @@ class MasterElection {
   // may have been forged or damaged.
   [[nodiscard]] bool forsaken_at_once(std::uint32_t number) const noexcept;
   // This node may send a merge request in the shared slot of the other session's superframe `number`.
-  [[nodiscard]] bool may_invite(std::uint32_t number) const noexcept;
+  [[nodiscard]] bool may_request_merge(std::uint32_t number) const noexcept;
   // This node may do so in superframe `number` or one of the `more` that follow.
-  [[nodiscard]] bool may_invite_within(std::uint32_t number, std::uint32_t more) const noexcept {
+  [[nodiscard]] bool may_request_merge_within(std::uint32_t number, std::uint32_t more) const noexcept {
     for (std::uint32_t i = 0; i <= more; ++i) {
-      if (may_invite(number + i)) return true;
+      if (may_request_merge(number + i)) return true;
     }
     return false;
   }

@@ -60,14 +60,14 @@ const std::optional<Key>& Seal::key_of(std::uint64_t session) noexcept {
   return other_key_;
 }
 
-std::optional<Key> Seal::call_key(std::uint64_t caller, const Callees& callees) noexcept {
+std::optional<Key> Seal::call_key(std::uint64_t caller, const MergeTarget& merge_target) noexcept {
   const auto& key = key_of(caller);
   if (!key) return std::nullopt;
   abandon();
   security::Block block = {0, 0, 0, 0, 0, 0, 0, 0, 'c', 'a', 'l', 'l'};
-  for (std::size_t i = 0; i < 8; ++i) block[i] = static_cast<std::uint8_t>(callees.session >> (8 * i));
+  for (std::size_t i = 0; i < 8; ++i) block[i] = static_cast<std::uint8_t>(merge_target.session >> (8 * i));
   for (std::size_t i = 0; i < 4; ++i)
-    block[12 + i] = static_cast<std::uint8_t>(callees.superframe >> (8 * i));
+    block[12 + i] = static_cast<std::uint8_t>(merge_target.superframe >> (8 * i));
   return cipher_->encrypt(*key, block) ? std::optional(block) : std::nullopt;
 }
 
@@ -143,8 +143,8 @@ bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexc
   return fits(frame, place_of(beacon), key_of(beacon.session));
 }
 
-bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon, const Callees& callees) noexcept {
-  return on() && fits(frame, place_of(beacon), call_key(beacon.session, callees));
+bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon, const MergeTarget& merge_target) noexcept {
+  return on() && fits(frame, place_of(beacon), call_key(beacon.session, merge_target));
 }
 
 bool Seal::fits(std::span<const std::uint8_t> frame, Place place, const std::optional<Key>& key) noexcept {
@@ -161,10 +161,10 @@ void Seal::begin_signing(const FrameBytes& frame, Place place) noexcept {
   signing_mask_ = begin(nonce_of(bytes, place), without_code(bytes));
 }
 
-void Seal::begin_signing(const FrameBytes& frame, Place place, const Callees& callees) noexcept {
+void Seal::begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept {
   abandon();
   if (!on()) return;
-  const auto key = call_key(session_, callees);
+  const auto key = call_key(session_, merge_target);
   if (!key) return;
   const auto bytes = frame.bytes();
   signing_mask_ = begin(*key, nonce_of(bytes, place), without_code(bytes));

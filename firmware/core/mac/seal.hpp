@@ -42,7 +42,7 @@ struct Place {
 }
 
 // Receivers of a merge request: their session, and the superframe of theirs in which it is sent.
-struct Callees {
+struct MergeTarget {
   std::uint64_t session = 0;
   std::uint32_t superframe = 0;
 };
@@ -77,12 +77,12 @@ class Seal {
 
   // Whether the MIC of a merge request to these receivers is valid.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
-                          const Callees& callees) noexcept;
+                          const MergeTarget& merge_target) noexcept;
 
   // Writes the MIC to the end of a secured frame. If the cipher fails, the frame is left without a valid MIC
   // and all receivers reject it. The frame must not change between begin and finish.
   void begin_signing(const FrameBytes& frame, Place place) noexcept;
-  void begin_signing(const FrameBytes& frame, Place place, const Callees& callees) noexcept;
+  void begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept;
   void finish_signing(FrameBytes& frame) noexcept;
   void sign(FrameBytes& frame, Place place) noexcept {
     begin_signing(frame, place);
@@ -101,7 +101,7 @@ class Seal {
     signing_mask_.reset();
   }
   [[nodiscard]] const std::optional<security::Key>& key_of(std::uint64_t session) noexcept;
-  [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller, const Callees& callees) noexcept;
+  [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller, const MergeTarget& merge_target) noexcept;
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place,
                           const std::optional<security::Key>& key) noexcept;
   void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;

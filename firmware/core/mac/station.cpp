@@ -159,7 +159,7 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
   next_ = Next::kBeacon;
   phase_ = Phase::kBeacon;
   // Nodes obey a newer schedule only after two beacons with it.
-  if (others_) send_merge_requests(Callees(others_->callees), others_->shared, 2);
+  if (others_) send_merge_requests(MergeTarget(others_->merge_target), others_->shared, 2);
   return true;
 }
 
@@ -265,16 +265,16 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
   while (others_) {
     const ClockTime stamp = stamp_not_after(others_->shared);
-    if (ahead(stamp, now) && sure(number_) && election_.may_invite(others_->callees.superframe)) {
+    if (ahead(stamp, now) && sure(number_) && election_.may_request_merge(others_->merge_target.superframe)) {
       const ClockTime ready = stamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
       if (ready > now + kToGetReady) {
         phase_ = Phase::kScanning;
         return Action{.kind = Action::Kind::kListenNow, .until = ready};
       }
-      const Callees callees = others_->callees;
+      const MergeTarget merge_target = others_->merge_target;
       next_of_others();
-      return merge_request(stamp, callees);
+      return merge_request(stamp, merge_target);
     }
     next_of_others();
   }
@@ -292,7 +292,7 @@ bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
   if (!others_) return false;
   for (std::uint32_t i = 0; i < others_->left; ++i) {
     const ClockTime shared = others_->shared + std::int64_t{i} * superframe_.duration();
-    if (shared > from && shared < to) return election_.may_invite(others_->callees.superframe + i);
+    if (shared > from && shared < to) return election_.may_request_merge(others_->merge_target.superframe + i);
   }
   return false;
 }
@@ -300,47 +300,47 @@ bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
 void Station::next_of_others() noexcept {
   if (--others_->left == 0) return others_.reset();
   others_->shared += superframe_.duration();
-  ++others_->callees.superframe;
+  ++others_->merge_target.superframe;
 }
 
-Action Station::merge_request(ClockTime stamp, const Callees& callees) noexcept {
+Action Station::merge_request(ClockTime stamp, const MergeTarget& merge_target) noexcept {
   const std::int64_t duration = superframe_.duration().count();
   const std::int64_t time = sync_.network_time(stamp).count();
   Beacon beacon = make_beacon(Ticks(0), true);
   beacon.superframe = static_cast<std::uint32_t>(time / duration);
   beacon.place = Ticks(time % duration);
-  beacon.invitation = true;
+  beacon.merge_request = true;
   phase_ = Phase::kRequesting;
   sender_ = nullptr;
   own_beacon_ = true;
-  return transmit(stamp, kBroadcast, beacon, place_of(beacon), &callees);
+  return transmit(stamp, kBroadcast, beacon, place_of(beacon), &merge_target);
 }
 
 // All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:
 // from the next superframe on, or at once if they are scanning. If the beacon may be a recording and no
 // expected frames are missing, only the requesting node stays silent, and only in that superframe.
-void Station::send_merge_requests(const Callees& callees, ClockTime shared, std::uint32_t rounds) noexcept {
+void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime shared, std::uint32_t rounds) noexcept {
   const Ticks duration = superframe_.duration();
   const auto number_at = [&](ClockTime at) {
     return static_cast<std::uint32_t>(sync_.network_time(at).count() / duration.count());
   };
-  others_ = Others{.shared = shared, .callees = callees, .left = 0};
+  others_ = Others{.shared = shared, .merge_target = merge_target, .left = 0};
   while (phase_ != Phase::kScanning && static_cast<std::int32_t>(number_at(others_->shared) - number_) <= 0) {
     others_->shared += duration;
-    ++others_->callees.superframe;
+    ++others_->merge_target.superframe;
   }
   const std::uint32_t turns = site_.schedule->backup_ids_count + 1U;
   if (only_requester_silent()) {
     others_->left = turns;  // each once
     return;
   }
-  const std::uint32_t to_open = (turns - others_->callees.superframe % turns) % turns;
+  const std::uint32_t to_open = (turns - others_->merge_target.superframe % turns) % turns;
   // In the first slot some nodes may not know yet that they have to be silent. A node with a turn of its own
   // may be the only one in range of the others.
   constexpr std::uint32_t kMore = 1;
   std::uint32_t last = to_open + (rounds - 1) * turns + kMore;
   while (!election_.leads() && election_.rank() && last < 2 * turns &&
-         !election_.may_invite_within(others_->callees.superframe, last)) {
+         !election_.may_request_merge_within(others_->merge_target.superframe, last)) {
     ++last;
   }
   others_->left = last + 1;
@@ -440,10 +440,10 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                               .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
-  const bool requested = seal_.on() && beacon.invitation;
+  const bool requested = seal_.on() && beacon.merge_request;
   const std::uint64_t session = election_.session();
-  const Verdict verdict = unverified_ ? election_.judge_hearsay(frame.source, beacon)
-                          : requested ? election_.judge_call(frame.source, beacon, ahead)
+  const Verdict verdict = unverified_ ? election_.judge_unverified(frame.source, beacon)
+                          : requested ? election_.judge_merge_request(frame.source, beacon, ahead)
                                       : election_.judge(frame.source, beacon, ahead, reception.stamp);
   switch (verdict) {
     case Verdict::kStale:
@@ -454,7 +454,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     case Verdict::kCall:
       if (searching) {
         others_ = Others{.shared = reception.stamp - stamp.place + superframe_.shared(),
-                         .callees = {beacon.session, beacon.superframe}};
+                         .merge_target = {beacon.session, beacon.superframe}};
         return false;
       }
       send_merge_requests({beacon.session, beacon.superframe},
@@ -477,7 +477,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   if (requested && verdict == Verdict::kAdopt) {
     const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
     former = Others{.shared = sync_.start(next) + superframe_.shared(),
-                    .callees = {session, next},
+                    .merge_target = {session, next},
                     .left = site_.schedule->backup_ids_count + 1U};
   }
   // A beacon later than its place may have been delayed by an attacker.
@@ -605,7 +605,7 @@ bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexc
 }
 
 Ticks Station::place_in_superframe(const Beacon& beacon) const noexcept {
-  if (beacon.invitation) return beacon.place;
+  if (beacon.merge_request) return beacon.place;
   return (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu);
 }
 
@@ -619,8 +619,8 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
   unverified_ = false;
   bool good = false;
   if (sync_.state() == SyncState::kSearching || !fresh()) {
-    good = !beacon.invitation && seal_.fits(reception.frame, beacon);
-  } else if (beacon.invitation) {
+    good = !beacon.merge_request && seal_.fits(reception.frame, beacon);
+  } else if (beacon.merge_request) {
     if (is_merge_request(beacon, reception)) return true;
     if (beacon.session == election_.session()) {  // a merge request of this session to another one
       ++counters_.stale_frames;
@@ -651,7 +651,7 @@ bool Station::is_merge_request(const Beacon& beacon, const Reception& reception)
 }
 
 Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place,
-                         const Callees* callees) noexcept {
+                         const MergeTarget* merge_target) noexcept {
   serialize({.sequence = sequence_++,
              .network = site_.network_id,
              .destination = destination,
@@ -659,8 +659,8 @@ Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body&
              .secured = seal_.on(),
              .body = body},
             outgoing_);
-  if (callees != nullptr) {
-    seal_.begin_signing(outgoing_, place, *callees);
+  if (merge_target != nullptr) {
+    seal_.begin_signing(outgoing_, place, *merge_target);
   } else if (seal_.on()) {
     seal_.begin_signing(outgoing_, place);
   }

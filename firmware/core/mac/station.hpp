@@ -134,7 +134,7 @@ class Station {
 
   // `place`: where the frame is sent. complete() adds the MIC.
   [[nodiscard]] Action transmit(ranging::ClockTime stamp, std::uint16_t destination, const Body& body,
-                                Place place, const Callees* callees = nullptr) noexcept;
+                                Place place, const MergeTarget* merge_target = nullptr) noexcept;
   void complete() noexcept { seal_.finish_signing(outgoing_); }
   // The last timestamp on the transmit grid that is not after `latest`.
   [[nodiscard]] ranging::ClockTime stamp_not_after(ranging::ClockTime latest) const noexcept {
@@ -172,8 +172,8 @@ class Station {
   [[nodiscard]] bool requests_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
   [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
   void next_of_others() noexcept;
-  [[nodiscard]] Action merge_request(ranging::ClockTime stamp, const Callees& callees) noexcept;
-  void send_merge_requests(const Callees& callees, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
+  [[nodiscard]] Action merge_request(ranging::ClockTime stamp, const MergeTarget& merge_target) noexcept;
+  void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
   // The other session may be a recording, and no expected frames are missing.
   [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !election_.lacking(); }
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
@@ -222,7 +222,7 @@ class Station {
   // Another session, the target of merge requests: its next shared slot, and the number of its superframe.
   struct Others {
     ranging::ClockTime shared;
-    Callees callees{};
+    MergeTarget merge_target{};
     std::uint32_t left = 0;  // how many of its shared slots this session's nodes stay silent for
   };
   std::optional<Others> others_;  // while searching: of an older schedule
