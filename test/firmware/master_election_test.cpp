@@ -161,7 +161,7 @@ TEST(MasterElection, AnIdleOrphanListensMostOfTheTime) {
       int listening = 0;
       for (std::uint32_t n = 1; n <= MasterElection::kPatience + kOrphaned; ++n) {
         node->on_lack(false, idle);
-        const bool listens = node->begin(kLast + n) == Duty::kHushLong;
+        const bool listens = node->begin(kLast + n) == Duty::kLongSilence;
         EXPECT_TRUE(!listens || n > MasterElection::kPatience) << n;
         listening += listens ? 1 : 0;
       }
@@ -178,7 +178,7 @@ TEST(MasterElection, ASessionKnownFromOneBeaconIsNotTakenOverAndSoonAbandoned) {
   std::uint32_t n = 101;
   for (; n < 200; ++n) {
     EXPECT_NE(node->begin(n), Duty::kTakeOver);
-    if (node->forsaken_at_once(n)) break;
+    if (node->orphaned_after_one_beacon(n)) break;
   }
   EXPECT_EQ(n, 100 + MasterElection::kPatience + 2 * 4 + 1);
 }
@@ -287,7 +287,7 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
     Beacon of_b = b.beacon(500, 102);
     of_b.session = b->session();
     // One merge request at once, then ever less often.
-    EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kCall);
+    EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kRequestMerge);
     EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kIgnore);
     ASSERT_TRUE(a->leads());
     ASSERT_EQ(a->session(), of_a.session);
@@ -295,7 +295,7 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
     const Verdict at_b = b->judge_merge_request(101, of_a, Ticks(-apart));
     const Verdict loses = apart > kGuard.count() ? at_a : at_b;
     ASSERT_EQ(loses, Verdict::kAdopt) << apart;
-    ASSERT_EQ(loses == at_a ? at_b : at_a, Verdict::kCall) << apart;
+    ASSERT_EQ(loses == at_a ? at_b : at_a, Verdict::kRequestMerge) << apart;
     ASSERT_NE(a->leads(), b->leads());
     ASSERT_EQ(a->session() == of_a.session, a->leads());
     adopted += at_a == Verdict::kAdopt ? 1 : 0;
@@ -307,7 +307,7 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
   Beacon own = node.beacon(0, 102);
   own.session = node->session();
   EXPECT_EQ(node->judge_merge_request(102, own, kGuard), Verdict::kIgnore);
-  EXPECT_EQ(node->judge_merge_request(102, own, -2 * kGuard), Verdict::kCall);
+  EXPECT_EQ(node->judge_merge_request(102, own, -2 * kGuard), Verdict::kRequestMerge);
   EXPECT_EQ(node->judge_merge_request(102, own, 2 * kGuard), Verdict::kAdopt);
   // An unverified beacon of another schedule triggers no merge request.
   own.schedule_hash ^= 1;
@@ -386,7 +386,7 @@ TEST(MasterElection, ANodeWithAStaleScheduleFallsSilent) {
         node.site.on_trial = on_trial;
         const ClockTime before = *node->lead_at();
         const bool waits = by > 0 || (on_trial && id != 101);
-        EXPECT_EQ(node.hear(101, with_epoch(node, by)), waits ? Verdict::kStale : Verdict::kCall);
+        EXPECT_EQ(node.hear(101, with_epoch(node, by)), waits ? Verdict::kStale : Verdict::kRequestMerge);
         EXPECT_GE(*node->lead_at(), waits ? before + Ticks::from_us(2'000'000) : before);
         // Traffic of a network with an older schedule does not delay its start.
         const ClockTime then = *node->lead_at();
@@ -402,7 +402,7 @@ TEST(MasterElection, ANodeWithAStaleScheduleFallsSilent) {
   EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kStale);
   EXPECT_EQ(follower->role(), Role::kFollowing);
   EXPECT_EQ(follower.hear(101, follower.beacon(101)), Verdict::kMeasure);
-  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kCall)
+  EXPECT_EQ(follower.hear(102, with_epoch(follower, -1)), Verdict::kRequestMerge)
       << "a merge request goes to the network with the older schedule";
   // One frame is no evidence, nor are two with different schedules.
   for (const int by : {1, 2, 1}) EXPECT_EQ(follower.hear(102, with_epoch(follower, by)), Verdict::kStale);
@@ -609,9 +609,9 @@ class Crowd {
       return election.search(now());
     }
     const Duty duty = election.begin(number(m));
-    if (election.forsaken_at_once(number(m))) return election.search(now());
+    if (election.orphaned_after_one_beacon(number(m))) return election.search(now());
     m.scans = duty != Duty::kGoOn && duty != Duty::kTakeOver;
-    m.silent = duty == Duty::kHush || duty == Duty::kHushLong;
+    m.silent = duty == Duty::kSilence || duty == Duty::kLongSilence;
   }
 
   [[nodiscard]] Beacon beacon_of(const Member& m, bool shared) const {
@@ -653,7 +653,7 @@ class Crowd {
     const Ticks ahead(std::llround((base - m.base) * static_cast<double>(kDuration.count())));
     const Verdict verdict = m.node->election->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
     if (verdict == Verdict::kAdopt || verdict == Verdict::kSwitch) m.base = base;
-    if (verdict == Verdict::kCall && m.node->election->may_request_merge(s.beacon.superframe)) {
+    if (verdict == Verdict::kRequestMerge && m.node->election->may_request_merge(s.beacon.superframe)) {
       Beacon merge_request = beacon_of(m, true);
       merge_request.merge_request = true;
       merge_requests_.push_back({static_cast<std::size_t>(&m - nodes.data()), merge_request});

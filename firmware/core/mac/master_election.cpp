@@ -233,7 +233,7 @@ Verdict MasterElection::judge_schedule(const Beacon& beacon, ClockTime now) noex
     if (waits) lead_at_ = std::max(lead_at_, now + kQuiet);
     if (waits || !rank_) return Verdict::kStale;
     if (!std::exchange(displaces_older_, true)) lead_at_ = std::max(now + listening_time(), stale_until_);
-    return Verdict::kCall;
+    return Verdict::kRequestMerge;
   }
   if (beacon.dissolving) return Verdict::kStale;
   // A single frame may be damaged or forged: require a second one with the same content.
@@ -261,7 +261,7 @@ Verdict MasterElection::judge_merge_request(std::uint16_t source, const Beacon& 
     follow(source, beacon);
     return Verdict::kAdopt;
   }
-  return silent_left_ != 0 ? Verdict::kIgnore : Verdict::kCall;
+  return silent_left_ != 0 ? Verdict::kIgnore : Verdict::kRequestMerge;
 }
 
 Verdict MasterElection::judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept {
@@ -269,7 +269,7 @@ Verdict MasterElection::judge_unverified(std::uint16_t source, const Beacon& bea
     return Verdict::kIgnore;
   if (silent_left_ != 0 || !merge_requests_.over(number_)) return Verdict::kIgnore;
   merge_requests_.begin(number_);
-  return Verdict::kCall;
+  return Verdict::kRequestMerge;
 }
 
 // This node's session gives way to the beacon's session.
@@ -294,7 +294,7 @@ Verdict MasterElection::request_merge() noexcept {
     return Verdict::kIgnore;
   }
   merge_requests_.begin(number_);
-  return Verdict::kCall;
+  return Verdict::kRequestMerge;
 }
 
 Verdict MasterElection::judge_as_master(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
@@ -397,7 +397,7 @@ Duty MasterElection::begin(std::uint32_t number) noexcept {
   return scan_duty(number);
 }
 
-bool MasterElection::forsaken_at_once(std::uint32_t number) const noexcept {
+bool MasterElection::orphaned_after_one_beacon(std::uint32_t number) const noexcept {
   return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
 }
 
@@ -431,10 +431,10 @@ Duty MasterElection::scan_duty(std::uint32_t number) noexcept {
   quiet_ = silent_left_ != 0;
   const std::uint32_t chance = chance_of(session_ ^ std::uint64_t{master_} << 32, number);
   const bool may_scan = chance % 8 < 5;
-  if (std::exchange(listens_next_, false) || (may_scan && orphaned(number))) return Duty::kHushLong;
+  if (std::exchange(listens_next_, false) || (may_scan && orphaned(number))) return Duty::kLongSilence;
   if (silent_left_ != 0) {
     --silent_left_;
-    return leads() ? Duty::kScan : Duty::kHush;
+    return leads() ? Duty::kScan : Duty::kSilence;
   }
   const bool unverified_poll = unverified_polls_ != 0;
   if (unverified_poll) --unverified_polls_;
@@ -456,7 +456,7 @@ Duty MasterElection::scan_duty(std::uint32_t number) noexcept {
   // Its own nodes need its beacons.
   constexpr std::int32_t kLongestSilence = 3;
   const bool may_be_silent = since(number, led_) < kLongestSilence;
-  return may_be_silent && chance / 8 % 4 != 0 ? Duty::kHush : Duty::kScan;
+  return may_be_silent && chance / 8 % 4 != 0 ? Duty::kSilence : Duty::kScan;
 }
 
 void MasterElection::Pause::restart(std::uint32_t number) noexcept {

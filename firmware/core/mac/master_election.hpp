@@ -38,7 +38,7 @@ enum class Verdict : std::uint8_t {
   kSwitch,   // as kMeasure, the first by another path
   kAdopt,    // to follow this timeline from now on: the clock filter restarts with it
   kLeave,    // to stop transmitting and search
-  kCall,     // to send merge requests to its session, which has to join this one or fall silent
+  kRequestMerge,     // to send merge requests to its session, which has to join this one or fall silent
 };
 
 // What this node does in the superframe that begins.
@@ -46,8 +46,8 @@ enum class Duty : std::uint8_t {
   kGoOn,
   kTakeOver,  // lead from now on, and keep the present time
   kScan,      // listen for another timeline; a master still sends its own beacon
-  kHush,      // as kScan, without that beacon: two nodes that send at once do not hear each other
-  kHushLong,  // as kHush, for two superframes: hears also what crosses their boundary
+  kSilence,      // as kScan, without that beacon: two nodes that send at once do not hear each other
+  kLongSilence,  // as kSilence, for two superframes: hears also what crosses their boundary
 };
 
 class MasterElection {
@@ -103,7 +103,7 @@ class MasterElection {
   [[nodiscard]] bool quiet() const noexcept { return quiet_; }
   // The followed session is known from one beacon only, and has not been confirmed for too long: the beacon
   // may have been forged or damaged.
-  [[nodiscard]] bool forsaken_at_once(std::uint32_t number) const noexcept;
+  [[nodiscard]] bool orphaned_after_one_beacon(std::uint32_t number) const noexcept;
   // This node may send a merge request in the shared slot of the other session's superframe `number`.
   [[nodiscard]] bool may_request_merge(std::uint32_t number) const noexcept;
   // This node may do so in superframe `number` or one of the `more` that follow.

@@ -175,15 +175,15 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   sync_.begin(number_);
   if (sync_.state() == SyncState::kSearching) return std::nullopt;
   const Duty duty = election_.begin(number_);
-  if ((duty == Duty::kTakeOver && !fresh()) || election_.forsaken_at_once(number_)) {
+  if ((duty == Duty::kTakeOver && !fresh()) || election_.orphaned_after_one_beacon(number_)) {
     sync_.search();
     return std::nullopt;
   }
   if (duty == Duty::kTakeOver) sync_.lead();
   scanning_ =
       duty == Duty::kScan || (keyed() && requests_within(sync_.start(number_), sync_.start(number_ + 1)));
-  if (duty == Duty::kHush || (scanning_ && !election_.leads())) return scan(now);
-  if (duty == Duty::kHushLong) return scan(now, 2);
+  if (duty == Duty::kSilence || (scanning_ && !election_.leads())) return scan(now);
+  if (duty == Duty::kLongSilence) return scan(now, 2);
   const ClockTime due = sync_.start(number_) + superframe_.beacon();
   if (scanning_ && requests_beside(due)) return scan(now);
   if (!ahead(due, now)) {
@@ -451,7 +451,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
       return false;
     case Verdict::kIgnore:
       return false;
-    case Verdict::kCall:
+    case Verdict::kRequestMerge:
       if (searching) {
         others_ = Others{.shared = reception.stamp - stamp.place + superframe_.shared(),
                          .merge_target = {beacon.session, beacon.superframe}};
