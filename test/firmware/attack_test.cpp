@@ -482,7 +482,7 @@ TEST_P(OldSession, ChangesNothingAndCostsHardlyAnyRange) {
   ASSERT_TRUE(std::any_of(recording.begin(), recording.end(), [](const Air::Frame& frame) {
     const mac::Frame parsed = frame_of(frame.bytes);
     const auto* beacon = std::get_if<mac::Beacon>(&parsed.body);
-    return beacon != nullptr && beacon->welcome.has_value();
+    return beacon != nullptr && beacon->challenge_response.has_value();
   }));
   const std::uint64_t old_session = air->station(0).election().session();
   for (std::size_t i = 0; i < air->size(); ++i) air->stop(i);

@@ -38,7 +38,7 @@ TEST(Frame, HasTheLayoutOfTheHeaderFile) {
 TEST(Frame, LengthsMatchTheSchedulesAssumptions) {
   Beacon beacon{.slots = 5};
   EXPECT_EQ(bytes_of(with(beacon)).size() + 2, beacon_bytes(5, false));
-  beacon.welcome = Welcome{};
+  beacon.challenge_response = ChallengeResponse{};
   EXPECT_EQ(bytes_of(with(beacon)).size() + 2, beacon_bytes(5, true));
   EXPECT_EQ(bytes_of(with(Join{})).size() + 2, kJoinBytes);
   EXPECT_EQ(bytes_of(with(Data{.fragments = 1, .size = 48})).size() + 2, data_bytes(48));
@@ -65,7 +65,7 @@ TEST(Frame, RoundTrips) {
                 .merge_request = true,
                 .place = ranging::Ticks(0x12'3456'789A),
                 .slots = 2,
-                .welcome = Welcome{.id = 0x7766, .nonce = 0x8899'AABB'CCDD'EEFF}};
+                .challenge_response = ChallengeResponse{.id = 0x7766, .nonce = 0x8899'AABB'CCDD'EEFF}};
     sent.holders[0] = kBroadcast;
     sent.holders[1] = 0x0203;
     const auto parsed = parse(bytes_of(with(sent)));
@@ -90,9 +90,9 @@ TEST(Frame, RoundTrips) {
     EXPECT_EQ(beacon.place, sent.place);
     EXPECT_EQ(beacon.slots, sent.slots);
     EXPECT_EQ(beacon.holders, sent.holders);
-    ASSERT_TRUE(beacon.welcome);
-    EXPECT_EQ(beacon.welcome->id, sent.welcome->id);
-    EXPECT_EQ(beacon.welcome->nonce, sent.welcome->nonce);
+    ASSERT_TRUE(beacon.challenge_response);
+    EXPECT_EQ(beacon.challenge_response->id, sent.challenge_response->id);
+    EXPECT_EQ(beacon.challenge_response->nonce, sent.challenge_response->nonce);
   }
   {
     const Poll sent = full_poll();
@@ -127,7 +127,7 @@ TEST(Frame, RoundTrips) {
                     .nonce = 0x0102'0304'0506'0708,
                     .tag = set,
                     .wants_slot = !set,
-                    .wants_welcome = set,
+                    .wants_challenge_response = set,
                     .leaving = !set};
     const auto parsed = parse(bytes_of(with(sent)));
     ASSERT_TRUE(parsed.frame);
@@ -136,7 +136,7 @@ TEST(Frame, RoundTrips) {
     EXPECT_EQ(join.nonce, sent.nonce);
     EXPECT_EQ(join.tag, set);
     EXPECT_EQ(join.wants_slot, !set);
-    EXPECT_EQ(join.wants_welcome, set);
+    EXPECT_EQ(join.wants_challenge_response, set);
     EXPECT_EQ(join.leaving, !set);
   }
   for (const std::uint8_t size : {std::uint8_t{0}, std::uint8_t{1}, std::uint8_t{48}}) {

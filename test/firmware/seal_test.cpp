@@ -8,7 +8,7 @@
 #include <array>
 #include <vector>
 
-#include "firmware/core/mac/freshness.hpp"
+#include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/sim/aes.hpp"
 
 namespace groma::mac {
@@ -40,7 +40,7 @@ class SealTest : public ::testing::Test {
   }
   static std::vector<Body> bodies() {
     Beacon beacon{.superframe = 1'000, .session = kSession, .master = 101, .slots = 3, .holders = {1, 2, 3}};
-    beacon.welcome = Welcome{5, 6};
+    beacon.challenge_response = ChallengeResponse{5, 6};
     Poll poll{.exchange = 4, .superframe = 1'000, .slot = 2, .count = 3, .anchors = {101, 102, 103}};
     Response response{
         .exchange = 4, .reply = ranging::Ticks(1234567), .closing_valid = true, .closed_exchange = 3};
@@ -302,19 +302,19 @@ TEST(Seal, OfAnOpenNetworkDoesNothing) {
 
 // ---- challenge and response against replay ------------------------------------------------------------
 
-class FreshnessTest : public ::testing::Test {
+class ReplayGuardTest : public ::testing::Test {
  protected:
-  static Freshness::Settings settings_of(std::uint16_t id, std::uint32_t* nonces) {
+  static ReplayGuard::Settings settings_of(std::uint16_t id, std::uint32_t* nonces) {
     return {
         .id = id, .required = true, .boot_count = 5, .nonces = nonces, .turn = 2, .turns = 4, .relays = 1};
   }
   static Frame frame_of(const Body& body) { return {.source = 101, .secured = true, .body = body}; }
-  static void hear(Freshness& node, std::optional<Welcome> welcome) {
+  static void hear(ReplayGuard& node, std::optional<ChallengeResponse> challenge_response) {
     Beacon beacon;
-    beacon.welcome = welcome;
+    beacon.challenge_response = challenge_response;
     node.on_beacon(frame_of(beacon), beacon);
   }
-  static Join challenge(Freshness& node, std::uint32_t number) {
+  static Join challenge(ReplayGuard& node, std::uint32_t number) {
     const auto outgoing = node.open_slot(number);
     EXPECT_TRUE(outgoing.has_value());
     node.on_sent(number, true);
@@ -322,57 +322,57 @@ class FreshnessTest : public ::testing::Test {
   }
 
   std::uint32_t nonces = 0;
-  Freshness node{settings_of(7, &nonces)};
+  ReplayGuard node{settings_of(7, &nonces)};
 };
 
-TEST_F(FreshnessTest, AcceptsABeaconThatReturnsItsNonce) {
+TEST_F(ReplayGuardTest, AcceptsABeaconThatReturnsItsNonce) {
   EXPECT_FALSE(node.fresh());
   hear(node, std::nullopt);
-  hear(node, Welcome{7, 0});
+  hear(node, ChallengeResponse{7, 0});
   EXPECT_FALSE(node.fresh());
   const Join join = challenge(node, 0);
   EXPECT_EQ(join.origin, 7);
-  EXPECT_TRUE(join.wants_welcome);
+  EXPECT_TRUE(join.wants_challenge_response);
   hear(node, std::nullopt);
-  hear(node, Welcome{8, join.nonce});
-  hear(node, Welcome{7, join.nonce + 1});
+  hear(node, ChallengeResponse{8, join.nonce});
+  hear(node, ChallengeResponse{7, join.nonce + 1});
   EXPECT_FALSE(node.fresh());
-  hear(node, Welcome{7, join.nonce});
+  hear(node, ChallengeResponse{7, join.nonce});
   EXPECT_TRUE(node.fresh());
   // Only until it searches again.
-  Freshness lost = node;
+  ReplayGuard lost = node;
   lost.forget();
   EXPECT_FALSE(lost.fresh());
   // It sends no further challenge.
   for (std::uint32_t number = 1; number < 20; ++number) EXPECT_FALSE(node.open_slot(number).has_value());
 }
 
-TEST_F(FreshnessTest, NeverRepeatsANonce) {
+TEST_F(ReplayGuardTest, NeverRepeatsANonce) {
   const Join first = challenge(node, 0);
   node.forget();
   EXPECT_FALSE(node.fresh());
   const Join second = challenge(node, 0);
   EXPECT_NE(first.nonce, second.nonce);
-  hear(node, Welcome{7, first.nonce});
+  hear(node, ChallengeResponse{7, first.nonce});
   EXPECT_FALSE(node.fresh());
   // A second station in the same boot.
-  Freshness again(settings_of(7, &nonces));
+  ReplayGuard again(settings_of(7, &nonces));
   const Join third = challenge(again, 0);
   EXPECT_NE(third.nonce, first.nonce);
   EXPECT_NE(third.nonce, second.nonce);
   // After a reboot the count of nonces restarts.
   std::uint32_t none = 0;
-  Freshness::Settings settings = settings_of(7, &none);
+  ReplayGuard::Settings settings = settings_of(7, &none);
   settings.boot_count = 6;
-  Freshness rebooted(settings);
+  ReplayGuard rebooted(settings);
   EXPECT_NE(challenge(rebooted, 0).nonce, first.nonce);
   // Without a boot count it sends no challenge and so accepts no beacon.
   settings.boot_count = 0;
-  Freshness uncounted(settings);
+  ReplayGuard uncounted(settings);
   for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(uncounted.open_slot(number).has_value());
 }
 
-TEST_F(FreshnessTest, SendsAChallengeAtOnceAndThenInTurn) {
+TEST_F(ReplayGuardTest, SendsAChallengeAtOnceAndThenInTurn) {
   (void)challenge(node, 12);
   std::vector<std::uint32_t> turns;
   for (std::uint32_t number = 14; number < 46; number += 2) {
@@ -385,7 +385,7 @@ TEST_F(FreshnessTest, SendsAChallengeAtOnceAndThenInTurn) {
   EXPECT_EQ(turns, (std::vector<std::uint32_t>{16, 30, 36, 42}));
 }
 
-TEST_F(FreshnessTest, GivesUpOnANetworkThatNeverAnswers) {
+TEST_F(ReplayGuardTest, GivesUpOnANetworkThatNeverAnswers) {
   std::uint32_t number = 0;
   while (!node.hopeless() && number < 1'000) {
     if (node.open_slot(number)) node.on_sent(number, true);
@@ -396,32 +396,32 @@ TEST_F(FreshnessTest, GivesUpOnANetworkThatNeverAnswers) {
   EXPECT_FALSE(node.hopeless());
 }
 
-TEST_F(FreshnessTest, AnswersTheLastChallengeOnceIfItIsVerifiedItself) {
+TEST_F(ReplayGuardTest, AnswersTheLastChallengeOnceIfItIsVerifiedItself) {
   std::uint32_t others = 0;
-  Freshness master(settings_of(101, &others));
-  const Join join{.origin = 7, .nonce = 99, .wants_welcome = true};
+  ReplayGuard master(settings_of(101, &others));
+  const Join join{.origin = 7, .nonce = 99, .wants_challenge_response = true};
   Beacon beacon;
   master.on_control(frame_of(join), 0, true);
   master.on_beacon_out(beacon, true);
-  EXPECT_FALSE(beacon.welcome.has_value());
+  EXPECT_FALSE(beacon.challenge_response.has_value());
 
   master.found();
   master.on_control(frame_of(Join{.origin = 8, .nonce = 98, .wants_slot = true}), 0, true);
   master.on_beacon_out(beacon, true);
-  EXPECT_FALSE(beacon.welcome.has_value());
-  master.on_control(frame_of(Join{.origin = 8, .nonce = 98, .wants_welcome = true}), 0, true);
+  EXPECT_FALSE(beacon.challenge_response.has_value());
+  master.on_control(frame_of(Join{.origin = 8, .nonce = 98, .wants_challenge_response = true}), 0, true);
   master.on_control(frame_of(join), 0, true);
   master.on_beacon_out(beacon, true);
-  ASSERT_TRUE(beacon.welcome.has_value());
-  EXPECT_EQ(beacon.welcome->id, 7);
-  EXPECT_EQ(beacon.welcome->nonce, 99U);
-  beacon.welcome.reset();
+  ASSERT_TRUE(beacon.challenge_response.has_value());
+  EXPECT_EQ(beacon.challenge_response->id, 7);
+  EXPECT_EQ(beacon.challenge_response->nonce, 99U);
+  beacon.challenge_response.reset();
   master.on_beacon_out(beacon, true);
-  EXPECT_FALSE(beacon.welcome.has_value());
+  EXPECT_FALSE(beacon.challenge_response.has_value());
 }
 
-TEST(Freshness, NeedsNoChallengeInAnOpenNetwork) {
-  Freshness node({.id = 7});
+TEST(ReplayGuard, NeedsNoChallengeInAnOpenNetwork) {
+  ReplayGuard node({.id = 7});
   EXPECT_TRUE(node.fresh());
   node.forget();
   EXPECT_TRUE(node.fresh());

@@ -42,7 +42,7 @@ class RandomBodies {
                 .slots = static_cast<std::uint8_t>(below(kMaxTags + 1))};
     if (body.merge_request) body.place = ranging::Ticks(static_cast<std::int64_t>(random_() >> 24));
     for (std::size_t i = 0; i < body.slots; ++i) body.holders[i] = somebody();
-    if (coin()) body.welcome = Welcome{.id = somebody(), .nonce = random_()};
+    if (coin()) body.challenge_response = ChallengeResponse{.id = somebody(), .nonce = random_()};
     return body;
   }
   Poll poll() {
@@ -68,7 +68,7 @@ class RandomBodies {
             .nonce = random_(),
             .tag = coin(),
             .wants_slot = coin(),
-            .wants_welcome = coin(),
+            .wants_challenge_response = coin(),
             .leaving = coin()};
   }
   Data data() {

@@ -11,14 +11,14 @@ constexpr std::uint16_t kFrameControl = 0x8841;
 
 // Flags.
 constexpr std::uint8_t kDissolving = 0x01;  // BEACON
-constexpr std::uint8_t kWelcome = 0x02;
+constexpr std::uint8_t kChallengeResponse = 0x02;
 constexpr std::uint8_t kShared = 0x04;
 constexpr std::uint8_t kMergeRequest = 0x08;
 constexpr std::uint8_t kQuiet = 0x10;
 constexpr std::uint8_t kClosingValid = 0x01;  // RESPONSE
 constexpr std::uint8_t kTag = 0x01;           // JOIN
 constexpr std::uint8_t kWantsSlot = 0x02;
-constexpr std::uint8_t kWantsWelcome = 0x04;
+constexpr std::uint8_t kWantsChallengeResponse = 0x04;
 constexpr std::uint8_t kLeaving = 0x08;
 constexpr std::uint8_t kAcknowledgement = 0x01;  // DATA
 constexpr std::uint8_t kToHost = 0x02;
@@ -86,7 +86,7 @@ bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.hop = in.take8();
   beacon.age = in.take8();
   beacon.lateness_dtu = static_cast<std::int16_t>(in.take16());
-  const std::uint8_t flags = in.take_flags(kDissolving | kWelcome | kShared | kMergeRequest | kQuiet);
+  const std::uint8_t flags = in.take_flags(kDissolving | kChallengeResponse | kShared | kMergeRequest | kQuiet);
   beacon.dissolving = (flags & kDissolving) != 0;
   beacon.shared = (flags & kShared) != 0;
   beacon.merge_request = (flags & kMergeRequest) != 0;
@@ -94,9 +94,9 @@ bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.slots = in.take8();
   if (beacon.slots > kMaxTags) return false;
   for (std::size_t i = 0; i < beacon.slots; ++i) beacon.holders[i] = in.take16();
-  if ((flags & kWelcome) != 0) {
+  if ((flags & kChallengeResponse) != 0) {
     const std::uint16_t id = in.take16();
-    beacon.welcome = Welcome{.id = id, .nonce = in.take64()};
+    beacon.challenge_response = ChallengeResponse{.id = id, .nonce = in.take64()};
   }
   if (beacon.merge_request) beacon.place = in.take_ticks(5);
   return true;
@@ -131,10 +131,10 @@ bool read(Reader& in, Final& final) noexcept {
 bool read(Reader& in, Join& join) noexcept {
   join.origin = in.take16();
   join.nonce = in.take64();
-  const std::uint8_t flags = in.take_flags(kTag | kWantsSlot | kWantsWelcome | kLeaving);
+  const std::uint8_t flags = in.take_flags(kTag | kWantsSlot | kWantsChallengeResponse | kLeaving);
   join.tag = (flags & kTag) != 0;
   join.wants_slot = (flags & kWantsSlot) != 0;
-  join.wants_welcome = (flags & kWantsWelcome) != 0;
+  join.wants_challenge_response = (flags & kWantsChallengeResponse) != 0;
   join.leaving = (flags & kLeaving) != 0;
   return true;
 }
@@ -259,16 +259,16 @@ void write(const Beacon& beacon, FrameWriter& out) noexcept {
   out.put(beacon.hop, 1);
   out.put(beacon.age, 1);
   out.put(static_cast<std::uint16_t>(beacon.lateness_dtu), 2);
-  out.put(flag_if(beacon.dissolving, kDissolving) | flag_if(beacon.welcome.has_value(), kWelcome) |
+  out.put(flag_if(beacon.dissolving, kDissolving) | flag_if(beacon.challenge_response.has_value(), kChallengeResponse) |
               flag_if(beacon.shared, kShared) | flag_if(beacon.merge_request, kMergeRequest) |
               flag_if(beacon.quiet, kQuiet),
           1);
   const std::size_t slots = std::min<std::size_t>(beacon.slots, kMaxTags);
   out.put(slots, 1);
   for (std::size_t i = 0; i < slots; ++i) out.put(beacon.holders[i], 2);
-  if (beacon.welcome) {
-    out.put(beacon.welcome->id, 2);
-    out.put(beacon.welcome->nonce, 8);
+  if (beacon.challenge_response) {
+    out.put(beacon.challenge_response->id, 2);
+    out.put(beacon.challenge_response->nonce, 8);
   }
   if (beacon.merge_request) out.put(beacon.place, 5);
 }
@@ -300,7 +300,7 @@ void write(const Join& join, FrameWriter& out) noexcept {
   out.put(join.origin, 2);
   out.put(join.nonce, 8);
   out.put(flag_if(join.tag, kTag) | flag_if(join.wants_slot, kWantsSlot) |
-              flag_if(join.wants_welcome, kWantsWelcome) | flag_if(join.leaving, kLeaving),
+              flag_if(join.wants_challenge_response, kWantsChallengeResponse) | flag_if(join.leaving, kLeaving),
           1);
 }
 

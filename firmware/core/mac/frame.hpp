@@ -46,10 +46,10 @@ inline constexpr std::uint8_t kSecuredFlag = 0x80;  // of the type byte
 
 // Response to the challenge in a JOIN: repeats the nonce, which proves to its sender that this frame is no
 // replay.
-struct Welcome {
+struct ChallengeResponse {
   std::uint16_t id = kNobody;
   std::uint64_t nonce = 0;
-  friend bool operator==(const Welcome&, const Welcome&) = default;
+  friend bool operator==(const ChallengeResponse&, const ChallengeResponse&) = default;
 };
 
 // Sent by the master at the start of a superframe, and relayed by the back-ups.
@@ -77,7 +77,7 @@ struct Beacon {
   ranging::Ticks place{};  // 0 to 2^40 - 1
   std::uint8_t slots = 0;
   std::array<std::uint16_t, kMaxTags> holders{};  // of each slot; kNobody: free
-  std::optional<Welcome> welcome{};
+  std::optional<ChallengeResponse> challenge_response{};
   friend bool operator==(const Beacon&, const Beacon&) = default;
 };
 
@@ -117,13 +117,13 @@ struct Final {
   friend bool operator==(const Final&, const Final&) = default;
 };
 
-// Sent in a shared slot by a new node: announces it, and requests a slot or a Welcome.
+// Sent in a shared slot by a new node: announces it, and requests a slot or a ChallengeResponse.
 struct Join {
   std::uint16_t origin = 0;  // the joining node; differs from the frame's source if relayed
   std::uint64_t nonce = 0;   // never used before
   bool tag = false;
   bool wants_slot = false;
-  bool wants_welcome = false;
+  bool wants_challenge_response = false;
   bool leaving = false;  // gives up its slot
   friend bool operator==(const Join&, const Join&) = default;
 };
@@ -198,8 +198,8 @@ void serialize(const Frame& frame, FrameBytes& out) noexcept;
 // Bytes on the air, including the frame check but not the MIC of a secured frame.
 inline constexpr std::size_t kCodeBytes = 8;
 inline constexpr std::size_t kHeaderBytes = 10;
-[[nodiscard]] constexpr std::size_t beacon_bytes(std::size_t slots, bool welcome) noexcept {
-  return kHeaderBytes + 28 + 2 * slots + (welcome ? 10 : 0) + dw1000::kFrameCheckBytes;
+[[nodiscard]] constexpr std::size_t beacon_bytes(std::size_t slots, bool challenge_response) noexcept {
+  return kHeaderBytes + 28 + 2 * slots + (challenge_response ? 10 : 0) + dw1000::kFrameCheckBytes;
 }
 // The largest frame in a beacon slot or a shared slot.
 inline constexpr std::size_t kMaxControlBytes = beacon_bytes(kMaxTags, true);

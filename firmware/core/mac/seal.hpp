@@ -7,7 +7,7 @@
 //
 // A receiver takes superframe and place from its own count, not from the frame, so a frame replayed in
 // another superframe, slot or session fails. A beacon is the exception: it carries its own session and
-// superframe. Its receiver decides whether those are current (freshness.hpp). No node sends two frames of one
+// superframe. Its receiver decides whether those are current (replay_guard.hpp). No node sends two frames of one
 // type in one place, so no nonce is used twice.
 //
 // A merge request ("call") is a beacon that announces this session to the nodes of another one, in their

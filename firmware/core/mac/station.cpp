@@ -13,7 +13,7 @@ using ranging::Ticks;
 namespace {
 
 // Nodes that the schedule names have a turn each; other nodes derive theirs from their ids.
-Freshness::Settings freshness_of(const Site& site) noexcept {
+ReplayGuard::Settings replay_guard_of(const Site& site) noexcept {
   const groma_Schedule& schedule = *site.schedule;
   const auto anchors = std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
   const auto tags = std::span(schedule.tag_ids).first(schedule.tag_ids_count);
@@ -41,9 +41,9 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       sync_(superframe_),
       election_(site_, superframe_.duration(), superframe_.guard(), hash_),
       seal_(site.cipher, site.network_key),
-      freshness_(freshness_of(site)),
+      replay_guard_(replay_guard_of(site)),
       counters_(counters) {
-  if (!site.network_key.empty()) attach(freshness_);
+  if (!site.network_key.empty()) attach(replay_guard_);
   forget_holders();
 }
 
@@ -93,7 +93,7 @@ void Station::end_superframe() noexcept {
 
 std::optional<Action> Station::control(ClockTime now) noexcept {
   for (;;) {
-    if (!fresh() && (freshness_.hopeless() || sync_.missed_in_a_row() > MasterElection::kPatience))
+    if (!fresh() && (replay_guard_.hopeless() || sync_.missed_in_a_row() > MasterElection::kPatience))
       sync_.search();
     if (sync_.state() == SyncState::kSearching && !start_session_if_due(now)) return search(now);
     std::optional<Action> action = request_in_turn(now);
@@ -144,14 +144,14 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
     election_.search(now);
     others_.reset();
   }
-  freshness_.forget();
+  replay_guard_.forget();
   const auto lead_at = election_.lead_at();
   if (!lead_at || now < *lead_at) return false;
   // A session of an uncounted boot may have the id of an earlier one.
   if (seal_.on() && site_.boot_count == 0) return false;
   constexpr Ticks kHead = Ticks::from_us(2'000);
   election_.found();
-  freshness_.found();
+  replay_guard_.found();
   seal_.enter(election_.session());
   sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
   forget_holders();
@@ -233,7 +233,7 @@ std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
 std::optional<Action> Station::from_channels(ClockTime stamp, bool own_turn) noexcept {
   for (ControlChannel* channel : channels_) {
     if (channel == nullptr) break;
-    if (!fresh() && channel != &freshness_) continue;
+    if (!fresh() && channel != &replay_guard_) continue;
     const auto outgoing = own_turn ? channel->own_turn(number_) : channel->open_slot(number_);
     if (!outgoing) continue;
     sender_ = channel;
@@ -501,7 +501,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
 bool Station::take_time(const BeaconReception& stamp, std::uint64_t session, Verdict verdict,
                         bool persuasive) noexcept {
   if (verdict == Verdict::kAdopt) {
-    if (!fresh()) freshness_.forget();
+    if (!fresh()) replay_guard_.forget();
     seal_.enter(session);
     sync_.adopt(stamp);
     return true;
@@ -517,7 +517,7 @@ void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
     holders_ = beacon.holders;
   }
   for (ControlChannel* channel : channels_) {
-    if (channel != nullptr && (fresh() || channel == &freshness_)) channel->on_beacon(frame, beacon);
+    if (channel != nullptr && (fresh() || channel == &replay_guard_)) channel->on_beacon(frame, beacon);
   }
 }
 

@@ -13,7 +13,7 @@
 
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
-#include "firmware/core/mac/freshness.hpp"
+#include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/core/mac/master_election.hpp"
 #include "firmware/core/mac/seal.hpp"
 #include "firmware/core/mac/site.hpp"
@@ -159,7 +159,7 @@ class Station {
   // recording.
   [[nodiscard]] bool sure(std::uint32_t number) const noexcept { return fresh() && timed(number); }
   // Replay has been excluded for this session.
-  [[nodiscard]] bool fresh() const noexcept { return freshness_.fresh(); }
+  [[nodiscard]] bool fresh() const noexcept { return replay_guard_.fresh(); }
 
  private:
   enum class Phase : std::uint8_t { kSearching, kScanning, kRequesting, kBeacon, kShared, kSlots };
@@ -211,9 +211,9 @@ class Station {
   Synchronizer sync_;
   MasterElection election_;
   Seal seal_;
-  Freshness freshness_;
+  ReplayGuard replay_guard_;
   groma_Counters& counters_;
-  std::array<ControlChannel*, 3> channels_{};  // the first is freshness_ where the network has a key
+  std::array<ControlChannel*, 3> channels_{};  // the first is replay_guard_ where the network has a key
   ControlChannel* sender_ = nullptr;           // whose frame is being sent
 
   Phase phase_ = Phase::kSearching;

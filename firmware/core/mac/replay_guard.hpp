@@ -2,7 +2,7 @@
 //
 // A node that starts to listen could receive a recording. Before it trusts the time in beacons it sends a
 // challenge, a nonce that it never used before, in a JOIN, and waits for a beacon that returns the nonce (a
-// Welcome). The JOIN's own MIC is valid in its superframe only, so a node that answers it is synchronized
+// ChallengeResponse). The JOIN's own MIC is valid in its superframe only, so a node that answers it is synchronized
 // with this node. From then on the node compares beacons with its own clock and rejects those that do not
 // fit.
 #pragma once
@@ -15,7 +15,7 @@
 
 namespace groma::mac {
 
-class Freshness final : public ControlChannel {
+class ReplayGuard final : public ControlChannel {
  public:
   // `required`: the network has a key; without one every frame is trusted. `boot_count`: this boot's number,
   // never used before; `nonces`: how many were made in this boot, outlives this object. `turn` of `turns`:
@@ -31,7 +31,7 @@ class Freshness final : public ControlChannel {
     std::uint32_t turns = 1;
     std::uint32_t relays = 0;
   };
-  explicit Freshness(const Settings& settings) noexcept : settings_(settings), fresh_(!settings.required) {}
+  explicit ReplayGuard(const Settings& settings) noexcept : settings_(settings), fresh_(!settings.required) {}
 
   // Discards all trust: the node searches.
   void forget() noexcept;
@@ -56,7 +56,7 @@ class Freshness final : public ControlChannel {
   bool fresh_;
   std::uint64_t nonce_ = 0;  // 0: none made yet
   std::uint32_t asked_ = 0;
-  Welcome pending_answer_{};  // the response to the last challenge received
+  ChallengeResponse pending_answer_{};  // the response to the last challenge received
 };
 
 }  // namespace groma::mac
