@@ -372,7 +372,7 @@ class Air {
         .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
     if (spoil) spoil(index, reception);
     (void)dispatch(n, [&](auto& machine) {
-      machine.glance(reception.frame);
+      machine.begin_verify(reception.frame);
       return Step{};
     });
     arm(index, dispatch(n, [&](auto& machine) { return machine.on_received(reception); }));

@@ -165,13 +165,13 @@ class AttackTest : public ::testing::Test {
         break;
     }
     constexpr security::Key kOwn = {1};
-    mac::Seal seal(&aes, kOwn);
+    mac::FrameAuthenticator authenticator(&aes, kOwn);
     mac::Place place{air->station(0).superframe_number(), mac::Place::kShared};
-    seal.enter(air->station(0).election().session());
+    authenticator.enter(air->station(0).election().session());
     if (const auto* beacon = std::get_if<mac::Beacon>(&parsed.body)) place = mac::place_of(*beacon);
     if (const auto* poll = std::get_if<mac::Poll>(&parsed.body)) place = {poll->superframe, poll->slot};
     auto signed_bytes = mac::serialize(parsed);
-    seal.sign(signed_bytes, place);
+    authenticator.sign(signed_bytes, place);
     return {signed_bytes.bytes().begin(), signed_bytes.bytes().end()};
   }
 

@@ -15,8 +15,8 @@ TIME_TEST = ["test/firmware/device_time_test.cpp"]
 TWR_TEST = ["test/firmware/twr_test.cpp"]
 FRAME_TEST = ["test/firmware/frame_test.cpp"]
 CCM_TEST = ["test/firmware/ccm_test.cpp"]
-SEAL = "firmware/core/mac/seal.cpp"
-SEAL_TEST = ["test/firmware/seal_test.cpp"]
+SEAL = "firmware/core/mac/frame_authenticator.cpp"
+SEAL_TEST = ["test/firmware/frame_authenticator_test.cpp"]
 STATION = "firmware/core/mac/station.cpp"
 ATTACK_TEST = ["test/firmware/attack_test.cpp"]
 ANCHOR_SET_TEST = ["test/firmware/anchor_set_test.cpp"]
@@ -142,10 +142,10 @@ MUTATIONS = [
     ("freshness: nonce used twice", "firmware/core/mac/replay_guard.cpp", "(*settings_.nonces)++", "*settings_.nonces", SEAL_TEST),
     ("freshness: state kept over a new search", "firmware/core/mac/replay_guard.cpp", "  fresh_ = !settings_.required;\n", "", SEAL_TEST),
     ("security: frames without a MIC accepted", STATION, "    ++counters_.unsecured_frames;\n    return false;\n", "    ++counters_.unsecured_frames;\n    return true;\n", ATTACK_TEST),
-    ("security: MIC not verified", STATION, "  if (!seal_.on() || seal_.fits(frame, place)) return true;\n", "  return true;\n", ATTACK_TEST),
-    ("security: MIC of beacons not verified", STATION, "good = ahead >= -most && seal_.fits(reception.frame, beacon);", "good = ahead >= -most;", ATTACK_TEST),
-    ("security: replayed beacons accepted", STATION, "good = ahead >= -most && seal_", "good = seal_", ATTACK_TEST),
-    ("security: beacons of replayed sessions accepted", STATION, "      unverified_ = seal_", "      good = seal_", ATTACK_TEST),
+    ("security: MIC not verified", STATION, "  if (!authenticator_.on() || authenticator_.fits(frame, place)) return true;\n", "  return true;\n", ATTACK_TEST),
+    ("security: MIC of beacons not verified", STATION, "good = ahead >= -most && authenticator_.fits(reception.frame, beacon);", "good = ahead >= -most;", ATTACK_TEST),
+    ("security: replayed beacons accepted", STATION, "good = ahead >= -most && authenticator_", "good = authenticator_", ATTACK_TEST),
+    ("security: beacons of replayed sessions accepted", STATION, "      unverified_ = authenticator_", "      good = authenticator_", ATTACK_TEST),
     ("security: merge request to another session accepted", SEAL, "static_cast<std::uint8_t>(merge_target.session >> (8 * i))", "0", SEAL_TEST),
     ("security: merge request of another time accepted", SEAL, "static_cast<std::uint8_t>(merge_target.superframe >> (8 * i))", "0", SEAL_TEST),
     ("security: RESPONSE never verified", "firmware/core/mac/tag.cpp", "  if (station_.is_genuine(taken.frame, taken.place)) return;\n", "  return;\n", ATTACK_TEST),

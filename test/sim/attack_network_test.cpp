@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "firmware/core/mac/frame.hpp"
-#include "firmware/core/mac/seal.hpp"
+#include "firmware/core/mac/frame_authenticator.hpp"
 #include "firmware/sim/aes.hpp"
 #include "firmware/sim/dw1000_air_time.hpp"
 #include "firmware/sim/transmitter.hpp"
@@ -130,7 +130,7 @@ TEST(KeyedSite, CountsAnAttackersFramesAndKeepsRanging) {
   Transmitter attacker(kAttacker, stage.site.network.medium());
   Aes aes;
   const security::Key another_key{9, 9, 9};
-  mac::Seal seal(&aes, another_key);
+  mac::FrameAuthenticator authenticator(&aes, another_key);
   stage.site.run_until(2.0);
   stage.refresh_counters();
   ASSERT_EQ(stage.dropped(), 0U);
@@ -167,9 +167,9 @@ TEST(KeyedSite, CountsAnAttackersFramesAndKeepsRanging) {
         break;
       default: {
         const auto& current = std::get<mac::Beacon>(beacon->frame.body);
-        seal.enter(current.session);
+        authenticator.enter(current.session);
         auto made = mac::serialize(heard->frame);
-        seal.sign(made, {current.superframe + 1, mac::Place::kShared});
+        authenticator.sign(made, {current.superframe + 1, mac::Place::kShared});
         bytes.assign(made.bytes().begin(), made.bytes().end());
         break;
       }

@@ -34,8 +34,8 @@ class Anchor {
   [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
 
   // Run in the background of other work, see step.hpp.
-  void glance(std::span<const std::uint8_t> frame) noexcept {
-    station_.glance(frame, phase_ == Phase::kControl ? station_.control_place() : place());
+  void begin_verify(std::span<const std::uint8_t> frame) noexcept {
+    station_.begin_verify(frame, phase_ == Phase::kControl ? station_.control_place() : place());
   }
   void complete() noexcept { station_.complete(); }
   std::size_t prepare() noexcept;

@@ -13,7 +13,7 @@
 //   DATA      origin (2)  target (2)  message (1)  fragment (1)  fragments (1)  flags (1)  payload
 //
 // BEACON, JOIN and DATA fit the control slots (kMaxControlBytes). The type byte's top bit says that a MIC
-// follows the body: see seal.hpp.
+// follows the body: see frame_authenticator.hpp.
 #pragma once
 
 #include <array>

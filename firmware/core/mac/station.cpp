@@ -40,7 +40,7 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
       sync_(superframe_),
       election_(site_, superframe_.duration(), superframe_.guard(), hash_),
-      seal_(site.cipher, site.network_key),
+      authenticator_(site.cipher, site.network_key),
       replay_guard_(replay_guard_of(site)),
       counters_(counters) {
   if (!site.network_key.empty()) attach(replay_guard_);
@@ -148,11 +148,11 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
   const auto lead_at = election_.lead_at();
   if (!lead_at || now < *lead_at) return false;
   // A session of an uncounted boot may have the id of an earlier one.
-  if (seal_.on() && site_.boot_count == 0) return false;
+  if (authenticator_.on() && site_.boot_count == 0) return false;
   constexpr Ticks kHead = Ticks::from_us(2'000);
   election_.found();
   replay_guard_.found();
-  seal_.enter(election_.session());
+  authenticator_.enter(election_.session());
   sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
   forget_holders();
   number_ = 0;
@@ -440,7 +440,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                               .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
-  const bool requested = seal_.on() && beacon.merge_request;
+  const bool requested = authenticator_.on() && beacon.merge_request;
   const std::uint64_t session = election_.session();
   const Verdict verdict = unverified_ ? election_.judge_unverified(frame.source, beacon)
                           : requested ? election_.judge_merge_request(frame.source, beacon, ahead)
@@ -481,7 +481,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                     .left = site_.schedule->backup_ids_count + 1U};
   }
   // A beacon later than its place may have been delayed by an attacker.
-  if (!take_time(stamp, beacon.session, verdict, !seal_.on() || ahead >= Ticks(0))) {
+  if (!take_time(stamp, beacon.session, verdict, !authenticator_.on() || ahead >= Ticks(0))) {
     ++counters_.bad_stamps;
     return false;
   }
@@ -502,7 +502,7 @@ bool Station::take_time(const BeaconReception& stamp, std::uint64_t session, Ver
                         bool persuasive) noexcept {
   if (verdict == Verdict::kAdopt) {
     if (!fresh()) replay_guard_.forget();
-    seal_.enter(session);
+    authenticator_.enter(session);
     sync_.adopt(stamp);
     return true;
   }
@@ -576,7 +576,7 @@ bool Station::is_for_this_node(const Frame& frame) const noexcept {
 }
 
 bool Station::authentic(const Frame& frame, const Reception& reception, Place place, Check check) noexcept {
-  if (!seal_.on()) {
+  if (!authenticator_.on()) {
     if (frame.secured) ++counters_.foreign_frames;
     return !frame.secured;
   }
@@ -599,7 +599,7 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
 }
 
 bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept {
-  if (!seal_.on() || seal_.fits(frame, place)) return true;
+  if (!authenticator_.on() || authenticator_.fits(frame, place)) return true;
   ++counters_.forged_frames;
   return false;
 }
@@ -619,7 +619,7 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
   unverified_ = false;
   bool good = false;
   if (sync_.state() == SyncState::kSearching || !fresh()) {
-    good = !beacon.merge_request && seal_.fits(reception.frame, beacon);
+    good = !beacon.merge_request && authenticator_.fits(reception.frame, beacon);
   } else if (beacon.merge_request) {
     if (is_merge_request(beacon, reception)) return true;
     if (beacon.session == election_.session()) {  // a merge request of this session to another one
@@ -631,9 +631,9 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
     const Ticks ahead = ahead_by(beacon, reception.stamp);
     const bool aligned = ahead <= most && ahead >= -most;
     if (beacon.session == election_.session() && (aligned || beacon.master == election_.master())) {
-      good = ahead >= -most && seal_.fits(reception.frame, beacon);
+      good = ahead >= -most && authenticator_.fits(reception.frame, beacon);
     } else {
-      unverified_ = seal_.fits(reception.frame, beacon);
+      unverified_ = authenticator_.fits(reception.frame, beacon);
     }
   }
   counters_.forged_frames += good ? 0U : 1U;
@@ -647,7 +647,7 @@ bool Station::is_merge_request(const Beacon& beacon, const Reception& reception)
   const Ticks late = reception.stamp - (sync_.start(number) + superframe_.shared());
   const Ticks most = superframe_.guard() + sync_.margin(number);
   return late <= most && late >= -most &&
-         seal_.fits(reception.frame, beacon, {election_.session(), number});
+         authenticator_.fits(reception.frame, beacon, {election_.session(), number});
 }
 
 Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place,
@@ -656,13 +656,13 @@ Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body&
              .network = site_.network_id,
              .destination = destination,
              .source = site_.id,
-             .secured = seal_.on(),
+             .secured = authenticator_.on(),
              .body = body},
             outgoing_);
   if (merge_target != nullptr) {
-    seal_.begin_signing(outgoing_, place, *merge_target);
-  } else if (seal_.on()) {
-    seal_.begin_signing(outgoing_, place);
+    authenticator_.begin_signing(outgoing_, place, *merge_target);
+  } else if (authenticator_.on()) {
+    authenticator_.begin_signing(outgoing_, place);
   }
   return {.kind = Action::Kind::kTransmit, .at = stamp, .frame = outgoing_.bytes()};
 }

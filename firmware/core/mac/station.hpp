@@ -15,7 +15,7 @@
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/core/mac/master_election.hpp"
-#include "firmware/core/mac/seal.hpp"
+#include "firmware/core/mac/frame_authenticator.hpp"
 #include "firmware/core/mac/site.hpp"
 #include "firmware/core/mac/step.hpp"
 #include "firmware/core/mac/superframe.hpp"
@@ -117,16 +117,16 @@ class Station {
   [[nodiscard]] bool is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept;
 
   // Frames carry MICs.
-  [[nodiscard]] bool keyed() const noexcept { return seal_.on(); }
+  [[nodiscard]] bool keyed() const noexcept { return authenticator_.on(); }
   // Precomputes cipher blocks for the frame most likely received, or sent, next. Call in idle time.
   // prepare_control() does so for the beacon slot and the shared slot.
   void expect_heard(std::uint16_t source, FrameType type, Place place) noexcept {
-    seal_.expect_received(source, type, place);
+    authenticator_.expect_received(source, type, place);
   }
-  void expect_said(FrameType type, Place place) noexcept { seal_.expect_sent(site_.id, type, place); }
+  void expect_said(FrameType type, Place place) noexcept { authenticator_.expect_sent(site_.id, type, place); }
   void prepare_control() noexcept;
   // Call for each frame before accept(): starts to verify its MIC in the background.
-  void glance(std::span<const std::uint8_t> frame, Place place) noexcept { seal_.glance(frame, place); }
+  void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept { authenticator_.begin_verify(frame, place); }
   // Of the present beacon slot or shared slot.
   [[nodiscard]] Place control_place() const noexcept {
     return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
@@ -135,7 +135,7 @@ class Station {
   // `place`: where the frame is sent. complete() adds the MIC.
   [[nodiscard]] Action transmit(ranging::ClockTime stamp, std::uint16_t destination, const Body& body,
                                 Place place, const MergeTarget* merge_target = nullptr) noexcept;
-  void complete() noexcept { seal_.finish_signing(outgoing_); }
+  void complete() noexcept { authenticator_.finish_signing(outgoing_); }
   // The last timestamp on the transmit grid that is not after `latest`.
   [[nodiscard]] ranging::ClockTime stamp_not_after(ranging::ClockTime latest) const noexcept {
     return ranging::transmit_stamp_not_after(latest, site_.transmit_antenna_delay);
@@ -210,7 +210,7 @@ class Station {
   std::uint32_t hash_;
   Synchronizer sync_;
   MasterElection election_;
-  Seal seal_;
+  FrameAuthenticator authenticator_;
   ReplayGuard replay_guard_;
   groma_Counters& counters_;
   std::array<ControlChannel*, 3> channels_{};  // the first is replay_guard_ where the network has a key

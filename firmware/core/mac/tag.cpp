@@ -152,8 +152,8 @@ Step Tag::on_received(const Reception& reception) noexcept {
   return next_window(reception.stamp);
 }
 
-void Tag::glance(std::span<const std::uint8_t> frame) noexcept {
-  station_.glance(frame, phase_ == Phase::kControl ? station_.control_place() : place_of(current()));
+void Tag::begin_verify(std::span<const std::uint8_t> frame) noexcept {
+  station_.begin_verify(frame, phase_ == Phase::kControl ? station_.control_place() : place_of(current()));
 }
 
 std::size_t Tag::prepare() noexcept {

@@ -28,7 +28,7 @@ class Tag {
   [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
   [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
   // Run in the background of other work, see step.hpp.
-  void glance(std::span<const std::uint8_t> frame) noexcept;
+  void begin_verify(std::span<const std::uint8_t> frame) noexcept;
   void complete() noexcept { station_.complete(); }
   std::size_t prepare() noexcept;
   // Call after the Step's action is armed: discards the last RESPONSE if its MIC is wrong. The frame's bytes

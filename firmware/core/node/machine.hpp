@@ -48,9 +48,9 @@ class Machine {
     return std::nullopt;
   }
   // The calls besides events, see step.hpp.
-  void glance(std::span<const std::uint8_t> frame) noexcept {
-    if (tag_) tag_->glance(frame);
-    if (anchor_) anchor_->glance(frame);
+  void begin_verify(std::span<const std::uint8_t> frame) noexcept {
+    if (tag_) tag_->begin_verify(frame);
+    if (anchor_) anchor_->begin_verify(frame);
   }
   void complete() noexcept {
     if (tag_) tag_->complete();

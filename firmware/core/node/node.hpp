@@ -262,7 +262,7 @@ class Node {
         arm_ahead();
         // The answer to a POLL is urgent, and a POLL's quality is not needed.
         radio_.read_frame(event, [this](std::span<const std::uint8_t> frame) {
-          machine_.glance(frame);
+          machine_.begin_verify(frame);
           return !mac::looks_like_poll(frame);
         });
         const ranging::ClockTime stamp = event.stamp_valid ? clock_.unwrap(event.stamp) : read_clock();

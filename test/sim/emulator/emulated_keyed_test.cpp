@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "firmware/core/mac/frame.hpp"
-#include "firmware/core/mac/seal.hpp"
+#include "firmware/core/mac/frame_authenticator.hpp"
 #include "firmware/sim/aes.hpp"
 #include "firmware/sim/transmitter.hpp"
 #include "test/sim/emulator/emulated_site.hpp"
@@ -98,7 +98,7 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
 
   Aes aes;
   const security::Key another_key{9, 9, 9};
-  mac::Seal other(&aes, another_key);
+  mac::FrameAuthenticator other(&aes, another_key);
   other.enter(1);
   constexpr std::uint32_t kForged = 12;
   std::uint32_t ahead = 0;

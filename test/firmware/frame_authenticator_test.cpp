@@ -1,6 +1,6 @@
 // A frame's MIC is valid in one session, superframe and slot, for one sender and one frame type, and nowhere
 // else.
-#include "firmware/core/mac/seal.hpp"
+#include "firmware/core/mac/frame_authenticator.hpp"
 
 #include <gtest/gtest.h>
 
@@ -30,9 +30,9 @@ class FailingCipher final : public security::BlockCipher {
   sim::Aes aes;
 };
 
-class SealTest : public ::testing::Test {
+class FrameAuthenticatorTest : public ::testing::Test {
  protected:
-  SealTest() { seal.enter(kSession); }
+  FrameAuthenticatorTest() { authenticator.enter(kSession); }
 
   static Frame frame_with(const Body& body) {
     return {
@@ -53,67 +53,67 @@ class SealTest : public ::testing::Test {
   }
   std::vector<std::uint8_t> signed_bytes(const Frame& frame, Place at) {
     FrameBytes bytes = serialize(frame);
-    seal.sign(bytes, at);
+    authenticator.sign(bytes, at);
     return {bytes.bytes().begin(), bytes.bytes().end()};
   }
 
   FailingCipher cipher;
-  Seal seal{&cipher, kKey};
+  FrameAuthenticator authenticator{&cipher, kKey};
   const Place place{1'000, 2};
 };
 
-TEST_F(SealTest, VerifiesItsOwnMicForEachFrameType) {
+TEST_F(FrameAuthenticatorTest, VerifiesItsOwnMicForEachFrameType) {
   for (const Body& body : bodies()) {
     const auto bytes = signed_bytes(frame_with(body), place);
-    EXPECT_TRUE(seal.fits(bytes, place)) << body.index();
+    EXPECT_TRUE(authenticator.fits(bytes, place)) << body.index();
     EXPECT_TRUE(parse(bytes).frame.has_value()) << body.index();
   }
 }
 
-TEST_F(SealTest, RejectsItsMicAnywhereElse) {
+TEST_F(FrameAuthenticatorTest, RejectsItsMicAnywhereElse) {
   for (const Body& body : bodies()) {
     const auto bytes = signed_bytes(frame_with(body), place);
     for (const std::uint32_t superframe :
          {0U, 999U, 1'001U, 1'000U + (1U << 8), 1'000U + (1U << 16), 1'000U + (1U << 24)}) {
-      EXPECT_FALSE(seal.fits(bytes, Place{superframe, place.slot})) << body.index();
+      EXPECT_FALSE(authenticator.fits(bytes, Place{superframe, place.slot})) << body.index();
     }
     for (const std::uint8_t slot :
          {std::uint8_t{0}, std::uint8_t{1}, std::uint8_t{3}, Place::kBeacon, Place::kShared}) {
-      EXPECT_FALSE(seal.fits(bytes, Place{place.superframe, slot})) << body.index();
+      EXPECT_FALSE(authenticator.fits(bytes, Place{place.superframe, slot})) << body.index();
     }
     for (unsigned bit = 0; bit < 64; ++bit) {
-      Seal other(&cipher, kKey);
+      FrameAuthenticator other(&cipher, kKey);
       other.enter(kSession ^ std::uint64_t{1} << bit);
       EXPECT_FALSE(other.fits(bytes, place)) << bit;
     }
-    Seal stranger(&cipher, kOtherKey);
+    FrameAuthenticator stranger(&cipher, kOtherKey);
     stranger.enter(kSession);
     EXPECT_FALSE(stranger.fits(bytes, place)) << body.index();
-    Seal searching(&cipher, kKey);
+    FrameAuthenticator searching(&cipher, kKey);
     EXPECT_FALSE(searching.fits(bytes, place)) << body.index();
   }
 }
 
-TEST_F(SealTest, DetectsEachFlippedBit) {
+TEST_F(FrameAuthenticatorTest, DetectsEachFlippedBit) {
   for (const Body& body : bodies()) {
     auto bytes = signed_bytes(frame_with(body), place);
     for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
       bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
-      EXPECT_FALSE(seal.fits(bytes, place)) << body.index() << ", bit " << bit;
+      EXPECT_FALSE(authenticator.fits(bytes, place)) << body.index() << ", bit " << bit;
       bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
     }
     for (std::size_t size = 0; size < bytes.size(); ++size) {
-      EXPECT_FALSE(seal.fits(std::span(bytes).first(size), place)) << body.index() << ", " << size;
+      EXPECT_FALSE(authenticator.fits(std::span(bytes).first(size), place)) << body.index() << ", " << size;
     }
   }
 }
 
 // A precomputed MIC equals the plain one, for each frame type and whichever type was expected.
-TEST_F(SealTest, PrecomputationGivesTheSameMic) {
+TEST_F(FrameAuthenticatorTest, PrecomputationGivesTheSameMic) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
     for (const FrameType type : kTypes) {
-      Seal precomputed(&cipher, kKey);
+      FrameAuthenticator precomputed(&cipher, kKey);
       precomputed.enter(kSession);
       precomputed.expect_sent(101, type, place);
       precomputed.expect_received(101, type, place);
@@ -121,22 +121,22 @@ TEST_F(SealTest, PrecomputationGivesTheSameMic) {
       precomputed.begin_signing(bytes, place);
       precomputed.finish_signing(bytes);
       EXPECT_TRUE(std::equal(plain.begin(), plain.end(), bytes.bytes().begin(), bytes.bytes().end()));
-      precomputed.glance(plain, place);
+      precomputed.begin_verify(plain, place);
       EXPECT_TRUE(precomputed.fits(plain, place));
       EXPECT_TRUE(precomputed.fits(plain, place));
       // Frames of another session are not expected.
       precomputed.enter(kSession + 1);
-      precomputed.glance(plain, place);
+      precomputed.begin_verify(plain, place);
       EXPECT_FALSE(precomputed.fits(plain, place));
     }
   }
 }
 
-TEST_F(SealTest, DiscardsPrecomputationsOfThePreviousSession) {
+TEST_F(FrameAuthenticatorTest, DiscardsPrecomputationsOfThePreviousSession) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
     for (const FrameType type : kTypes) {
-      Seal node(&cipher, kKey);
+      FrameAuthenticator node(&cipher, kKey);
       node.enter(kSession + 1);
       node.expect_sent(101, type, place);
       node.expect_received(101, type, place);
@@ -150,86 +150,86 @@ TEST_F(SealTest, DiscardsPrecomputationsOfThePreviousSession) {
   }
 }
 
-TEST_F(SealTest, DetectsAForgeryWhoseVerificationBeganEarly) {
-  seal.expect_received(101, FrameType::kPoll, place);
+TEST_F(FrameAuthenticatorTest, DetectsAForgeryWhoseVerificationBeganEarly) {
+  authenticator.expect_received(101, FrameType::kPoll, place);
   const auto good = signed_bytes(frame_with(bodies()[1]), place);
   auto bytes = good;
   for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
     bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
-    seal.glance(bytes, place);
-    EXPECT_FALSE(seal.fits(bytes, place)) << bit;
+    authenticator.begin_verify(bytes, place);
+    EXPECT_FALSE(authenticator.fits(bytes, place)) << bit;
     bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
   }
   for (std::size_t size = 0; size < bytes.size(); ++size) {
-    seal.glance(std::span(bytes).first(size), place);
-    EXPECT_FALSE(seal.fits(std::span(bytes).first(size), place)) << size;
+    authenticator.begin_verify(std::span(bytes).first(size), place);
+    EXPECT_FALSE(authenticator.fits(std::span(bytes).first(size), place)) << size;
   }
-  seal.glance(bytes, place);
-  EXPECT_FALSE(seal.fits(bytes, Place{place.superframe + 1, place.slot}));
-  seal.glance(bytes, place);
-  EXPECT_TRUE(seal.fits(bytes, place));
+  authenticator.begin_verify(bytes, place);
+  EXPECT_FALSE(authenticator.fits(bytes, Place{place.superframe + 1, place.slot}));
+  authenticator.begin_verify(bytes, place);
+  EXPECT_TRUE(authenticator.fits(bytes, place));
 }
 
 // The previous frame was never verified, and its bytes were at the same address.
-TEST_F(SealTest, CarriesNoResultOverFromThePreviousFrame) {
-  seal.expect_received(101, FrameType::kPoll, place);
+TEST_F(FrameAuthenticatorTest, CarriesNoResultOverFromThePreviousFrame) {
+  authenticator.expect_received(101, FrameType::kPoll, place);
   const auto good = signed_bytes(frame_with(bodies()[1]), place);
   const auto change = [](std::vector<std::uint8_t>& bytes) { bytes.at(kHeaderBytes) ^= 1; };
   auto bytes = good;
-  seal.glance(bytes, place);
+  authenticator.begin_verify(bytes, place);
   change(bytes);
-  seal.glance(bytes, Place{place.superframe, 5});
-  EXPECT_FALSE(seal.fits(bytes, place));
+  authenticator.begin_verify(bytes, Place{place.superframe, 5});
+  EXPECT_FALSE(authenticator.fits(bytes, place));
 
   bytes = good;
-  seal.glance(bytes, place);
+  authenticator.begin_verify(bytes, place);
   FrameBytes own = serialize(frame_with(bodies()[2]));
-  seal.sign(own, place);
+  authenticator.sign(own, place);
   change(bytes);
-  EXPECT_FALSE(seal.fits(bytes, place));
+  EXPECT_FALSE(authenticator.fits(bytes, place));
 
   bytes = good;
-  seal.glance(bytes, place);
-  seal.expect_received(102, FrameType::kPoll, place);
+  authenticator.begin_verify(bytes, place);
+  authenticator.expect_received(102, FrameType::kPoll, place);
   change(bytes);
-  EXPECT_FALSE(seal.fits(bytes, place));
+  EXPECT_FALSE(authenticator.fits(bytes, place));
 }
 
-TEST_F(SealTest, VerifiesABeaconByItsOwnSessionAndSuperframe) {
+TEST_F(FrameAuthenticatorTest, VerifiesABeaconByItsOwnSessionAndSuperframe) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
   const auto own = signed_bytes(frame_with(beacon), place_of(beacon));
-  Seal searching(&cipher, kKey);
+  FrameAuthenticator searching(&cipher, kKey);
   EXPECT_TRUE(searching.fits(own, beacon));
-  EXPECT_TRUE(seal.fits(own, beacon));
+  EXPECT_TRUE(authenticator.fits(own, beacon));
   // A relayed beacon goes out in the shared slot.
   beacon.hop = 1;
   beacon.shared = true;
   const auto relayed = signed_bytes(frame_with(beacon), {1'000, Place::kShared});
-  EXPECT_TRUE(seal.fits(relayed, beacon));
-  EXPECT_FALSE(seal.fits(signed_bytes(frame_with(beacon), {1'000, Place::kBeacon}), beacon));
+  EXPECT_TRUE(authenticator.fits(relayed, beacon));
+  EXPECT_FALSE(authenticator.fits(signed_bytes(frame_with(beacon), {1'000, Place::kBeacon}), beacon));
   // Another session has another key.
   beacon.session ^= 1;
-  EXPECT_FALSE(seal.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
-  Seal other(&cipher, kKey);
+  EXPECT_FALSE(authenticator.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
+  FrameAuthenticator other(&cipher, kKey);
   other.enter(beacon.session);
   FrameBytes bytes = serialize(frame_with(beacon));
   other.sign(bytes, place_of(beacon));
-  EXPECT_TRUE(seal.fits(bytes.bytes(), beacon));
+  EXPECT_TRUE(authenticator.fits(bytes.bytes(), beacon));
 }
 
-TEST_F(SealTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
+TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
   beacon.shared = beacon.merge_request = true;
   beacon.place = ranging::Ticks(12'345);
   const MergeTarget target{kSession + 5, 77};
   FrameBytes bytes = serialize(frame_with(beacon));
-  seal.begin_signing(bytes, place_of(beacon), target);
-  seal.finish_signing(bytes);
-  Seal receiver(&cipher, kKey);
+  authenticator.begin_signing(bytes, place_of(beacon), target);
+  authenticator.finish_signing(bytes);
+  FrameAuthenticator receiver(&cipher, kKey);
   receiver.enter(target.session);
   const auto frame = bytes.bytes();
   EXPECT_TRUE(receiver.fits(frame, beacon, target));
-  EXPECT_TRUE(seal.fits(frame, beacon, target));
+  EXPECT_TRUE(authenticator.fits(frame, beacon, target));
   EXPECT_FALSE(receiver.fits(frame, beacon, {target.session, target.superframe + 1}));
   EXPECT_FALSE(receiver.fits(frame, beacon, {target.session, target.superframe + 256}));
   EXPECT_FALSE(receiver.fits(frame, beacon, {target.session + 1, target.superframe}));
@@ -243,7 +243,7 @@ TEST_F(SealTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
     EXPECT_FALSE(receiver.fits(changed, beacon, target)) << i;
   }
   // A node with another key cannot make one.
-  Seal stranger(&cipher, kOtherKey);
+  FrameAuthenticator stranger(&cipher, kOtherKey);
   stranger.enter(kSession);
   FrameBytes forged = serialize(frame_with(beacon));
   stranger.begin_signing(forged, place_of(beacon), target);
@@ -252,45 +252,45 @@ TEST_F(SealTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
   cipher.good = false;
   EXPECT_FALSE(receiver.fits(frame, beacon, target));
   FrameBytes unsigned_frame = serialize(frame_with(beacon));
-  seal.begin_signing(unsigned_frame, place_of(beacon), target);
-  seal.finish_signing(unsigned_frame);
+  authenticator.begin_signing(unsigned_frame, place_of(beacon), target);
+  authenticator.finish_signing(unsigned_frame);
   cipher.good = true;
   EXPECT_FALSE(receiver.fits(unsigned_frame.bytes(), beacon, target));
 }
 
-TEST_F(SealTest, VerifiesNothingIfTheCipherFails) {
+TEST_F(FrameAuthenticatorTest, VerifiesNothingIfTheCipherFails) {
   const auto bytes = signed_bytes(frame_with(Final{4}), place);
   cipher.good = false;
-  EXPECT_FALSE(seal.fits(bytes, place));
+  EXPECT_FALSE(authenticator.fits(bytes, place));
   const auto unsigned_frame = signed_bytes(frame_with(Final{4}), place);
-  seal.enter(kSession + 1);
+  authenticator.enter(kSession + 1);
   cipher.good = true;
   // That session then has no key, not one of zeros.
   EXPECT_EQ(signed_bytes(frame_with(Final{4}), place), unsigned_frame);
-  EXPECT_FALSE(seal.fits(bytes, place));
-  EXPECT_FALSE(seal.fits(unsigned_frame, place));
-  seal.enter(kSession);
-  EXPECT_FALSE(seal.fits(unsigned_frame, place));
-  EXPECT_TRUE(seal.fits(bytes, place));
+  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(authenticator.fits(unsigned_frame, place));
+  authenticator.enter(kSession);
+  EXPECT_FALSE(authenticator.fits(unsigned_frame, place));
+  EXPECT_TRUE(authenticator.fits(bytes, place));
 
   // Nor with a precomputed MIC.
   cipher.good = false;
-  seal.expect_received(101, FrameType::kFinal, place);
-  seal.glance(bytes, place);
-  EXPECT_FALSE(seal.fits(bytes, place));
+  authenticator.expect_received(101, FrameType::kFinal, place);
+  authenticator.begin_verify(bytes, place);
+  EXPECT_FALSE(authenticator.fits(bytes, place));
   cipher.good = true;
-  seal.expect_received(101, FrameType::kFinal, place);
+  authenticator.expect_received(101, FrameType::kFinal, place);
   cipher.good = false;
-  seal.glance(bytes, place);
+  authenticator.begin_verify(bytes, place);
   cipher.good = true;
-  EXPECT_FALSE(seal.fits(bytes, place));
-  EXPECT_TRUE(seal.fits(bytes, place));
+  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_TRUE(authenticator.fits(bytes, place));
 }
 
-TEST(Seal, OfAnOpenNetworkDoesNothing) {
+TEST(FrameAuthenticator, OfAnOpenNetworkDoesNothing) {
   sim::Aes aes;
-  Seal open;
-  Seal keyless(&aes, {});
+  FrameAuthenticator open;
+  FrameAuthenticator keyless(&aes, {});
   open.enter(kSession);
   keyless.enter(kSession);
   EXPECT_FALSE(open.on());

@@ -1,4 +1,4 @@
-#include "firmware/core/mac/seal.hpp"
+#include "firmware/core/mac/frame_authenticator.hpp"
 
 #include <algorithm>
 
@@ -47,7 +47,7 @@ bool fits(std::optional<security::Code> code, std::span<const std::uint8_t> fram
 
 }  // namespace
 
-const std::optional<Key>& Seal::key_of(std::uint64_t session) noexcept {
+const std::optional<Key>& FrameAuthenticator::key_of(std::uint64_t session) noexcept {
   if (session_key_ && session_ == session) return session_key_;
   if (other_key_ && other_session_ == session) return other_key_;
   abandon();
@@ -60,7 +60,7 @@ const std::optional<Key>& Seal::key_of(std::uint64_t session) noexcept {
   return other_key_;
 }
 
-std::optional<Key> Seal::call_key(std::uint64_t caller, const MergeTarget& merge_target) noexcept {
+std::optional<Key> FrameAuthenticator::call_key(std::uint64_t caller, const MergeTarget& merge_target) noexcept {
   const auto& key = key_of(caller);
   if (!key) return std::nullopt;
   abandon();
@@ -71,7 +71,7 @@ std::optional<Key> Seal::call_key(std::uint64_t caller, const MergeTarget& merge
   return cipher_->encrypt(*key, block) ? std::optional(block) : std::nullopt;
 }
 
-void Seal::enter(std::uint64_t session) noexcept {
+void FrameAuthenticator::enter(std::uint64_t session) noexcept {
   if (!on()) return;
   session_key_ = key_of(session);
   session_ = session;
@@ -79,22 +79,22 @@ void Seal::enter(std::uint64_t session) noexcept {
   sent_.reset();
 }
 
-void Seal::expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept {
+void FrameAuthenticator::expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept {
   if (!on() || !session_key_ || (out && out->nonce == nonce)) return;
   abandon();
   out.reset();
   if (const auto prepared = prepare(*cipher_, *session_key_, nonce)) out = {nonce, *prepared};
 }
 
-void Seal::expect_received(std::uint16_t source, FrameType type, Place place) noexcept {
+void FrameAuthenticator::expect_received(std::uint16_t source, FrameType type, Place place) noexcept {
   expect(received_, nonce_of(source, secured(type), place));
 }
 
-void Seal::expect_sent(std::uint16_t source, FrameType type, Place place) noexcept {
+void FrameAuthenticator::expect_sent(std::uint16_t source, FrameType type, Place place) noexcept {
   expect(sent_, nonce_of(source, secured(type), place));
 }
 
-std::optional<security::Block> Seal::begin(std::uint64_t nonce,
+std::optional<security::Block> FrameAuthenticator::begin(std::uint64_t nonce,
                                            std::span<const std::uint8_t> bytes) noexcept {
   for (const auto* expected : {&received_, &sent_}) {
     if (!*expected || (*expected)->nonce != nonce) continue;
@@ -104,7 +104,7 @@ std::optional<security::Block> Seal::begin(std::uint64_t nonce,
   return begin(*session_key_, nonce, bytes);
 }
 
-std::optional<security::Block> Seal::begin(const Key& key, std::uint64_t nonce,
+std::optional<security::Block> FrameAuthenticator::begin(const Key& key, std::uint64_t nonce,
                                            std::span<const std::uint8_t> bytes) noexcept {
   const auto prepared = prepare(*cipher_, key, nonce);
   if (!prepared) return std::nullopt;
@@ -112,20 +112,20 @@ std::optional<security::Block> Seal::begin(const Key& key, std::uint64_t nonce,
   return prepared->mask;
 }
 
-void Seal::begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept {
+void FrameAuthenticator::begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept {
   abandon();
   if (!on() || !session_key_) return;
   if (const auto mask = begin(nonce, without_code(frame))) checking_ = {frame, nonce, *mask};
 }
 
-void Seal::glance(std::span<const std::uint8_t> frame, Place place) noexcept {
+void FrameAuthenticator::begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept {
   abandon();
   if (!received_ || !is_whole(frame)) return;
   if (const std::uint64_t nonce = nonce_of(frame, place); nonce == received_->nonce)
     begin_check(frame, nonce);
 }
 
-bool Seal::fits(std::span<const std::uint8_t> frame, Place place) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place) noexcept {
   if (!is_whole(frame)) return false;
   const std::uint64_t nonce = nonce_of(frame, place);
   const bool begun = checking_ && checking_->nonce == nonce && checking_->frame.data() == frame.data() &&
@@ -137,31 +137,31 @@ bool Seal::fits(std::span<const std::uint8_t> frame, Place place) noexcept {
   return mac::fits(code, frame);
 }
 
-bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept {
   if (!on()) return false;
   if (session_key_ && beacon.session == session_) return fits(frame, place_of(beacon));
   return fits(frame, place_of(beacon), key_of(beacon.session));
 }
 
-bool Seal::fits(std::span<const std::uint8_t> frame, const Beacon& beacon, const MergeTarget& merge_target) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon& beacon, const MergeTarget& merge_target) noexcept {
   return on() && fits(frame, place_of(beacon), call_key(beacon.session, merge_target));
 }
 
-bool Seal::fits(std::span<const std::uint8_t> frame, Place place, const std::optional<Key>& key) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place, const std::optional<Key>& key) noexcept {
   if (!key || !is_whole(frame)) return false;
   abandon();
   const auto mask = begin(*key, nonce_of(frame, place), without_code(frame));
   return mask && mac::fits(security::end_code(*cipher_, *mask), frame);
 }
 
-void Seal::begin_signing(const FrameBytes& frame, Place place) noexcept {
+void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place) noexcept {
   abandon();
   if (!on() || !session_key_) return;
   const auto bytes = frame.bytes();
   signing_mask_ = begin(nonce_of(bytes, place), without_code(bytes));
 }
 
-void Seal::begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept {
+void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept {
   abandon();
   if (!on()) return;
   const auto key = call_key(session_, merge_target);
@@ -170,7 +170,7 @@ void Seal::begin_signing(const FrameBytes& frame, Place place, const MergeTarget
   signing_mask_ = begin(*key, nonce_of(bytes, place), without_code(bytes));
 }
 
-void Seal::finish_signing(FrameBytes& frame) noexcept {
+void FrameAuthenticator::finish_signing(FrameBytes& frame) noexcept {
   if (!signing_mask_) return;
   const auto code = security::end_code(*cipher_, *signing_mask_);
   signing_mask_.reset();

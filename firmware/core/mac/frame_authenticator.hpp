@@ -47,12 +47,12 @@ struct MergeTarget {
   std::uint32_t superframe = 0;
 };
 
-class Seal {
+class FrameAuthenticator {
  public:
   // For an open network: frames carry no MIC.
-  Seal() noexcept = default;
+  FrameAuthenticator() noexcept = default;
   // Both arguments outlive this object. An empty key: an open network.
-  Seal(security::BlockCipher* cipher, std::span<const std::uint8_t> network_key) noexcept
+  FrameAuthenticator(security::BlockCipher* cipher, std::span<const std::uint8_t> network_key) noexcept
       : cipher_(network_key.size() == security::kBlockBytes ? cipher : nullptr), network_key_(network_key) {}
 
   // The network has a key.
@@ -69,7 +69,7 @@ class Seal {
   // Call for each frame received, before fits(). Starts the computation that fits(frame, place) needs if the
   // frame was expected, and discards any other that is in progress. The frame's bytes must not change until
   // fits(): a change would not be detected.
-  void glance(std::span<const std::uint8_t> frame, Place place) noexcept;
+  void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept;
   // Whether the MIC of a secured frame is valid in the present session.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place) noexcept;
   // Whether the MIC is valid in the session, superframe and place that the beacon itself states.
