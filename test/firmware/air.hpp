@@ -232,7 +232,7 @@ class Air {
   void arm(std::size_t index, Step step) {
     carry_out(index, step);
     (void)dispatch(*nodes_[index], [](auto& machine) {
-      machine.prepare();
+      machine.precompute();
       return Step{};
     });
   }
@@ -244,7 +244,7 @@ class Air {
       n.ready = now_ + work_ticks;
       if (n.action.kind == Action::Kind::kTransmit) {
         (void)dispatch(n, [](auto& machine) {
-          machine.complete();
+          machine.finish_signing();
           return Step{};
         });
         n.outgoing.assign(n.action.frame.begin(), n.action.frame.end());
@@ -376,7 +376,7 @@ class Air {
       return Step{};
     });
     arm(index, dispatch(n, [&](auto& machine) { return machine.on_received(reception); }));
-    if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->check();
+    if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->verify_deferred();
   }
 
   double gaussian() {

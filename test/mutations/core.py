@@ -15,8 +15,8 @@ TIME_TEST = ["test/firmware/device_time_test.cpp"]
 TWR_TEST = ["test/firmware/twr_test.cpp"]
 FRAME_TEST = ["test/firmware/frame_test.cpp"]
 CCM_TEST = ["test/firmware/ccm_test.cpp"]
-SEAL = "firmware/core/mac/frame_authenticator.cpp"
-SEAL_TEST = ["test/firmware/frame_authenticator_test.cpp"]
+AUTHENTICATOR = "firmware/core/mac/frame_authenticator.cpp"
+AUTHENTICATOR_TEST = ["test/firmware/frame_authenticator_test.cpp"]
 STATION = "firmware/core/mac/station.cpp"
 ATTACK_TEST = ["test/firmware/attack_test.cpp"]
 ANCHOR_SET_TEST = ["test/firmware/anchor_set_test.cpp"]
@@ -131,23 +131,23 @@ MUTATIONS = [
     ("ccm: MIC not masked", "firmware/core/security/ccm.cpp", "(*mac)[i] ^ mask[i]", "(*mac)[i]", CCM_TEST),
     ("ccm: length not authenticated", "firmware/core/security/ccm.cpp", "  mac[1] ^= static_cast<std::uint8_t>(bytes.size());\n", "", CCM_TEST),
     ("ccm: only half of the MIC compared", "firmware/core/security/ccm.cpp", "i < a.size(); ++i) difference", "i < a.size() / 2; ++i) difference", CCM_TEST),
-    ("seal: nonce without the superframe", SEAL, "std::uint64_t{place.superframe} << 16 |", "", SEAL_TEST),
-    ("seal: nonce without the slot", SEAL, "std::uint64_t{place.slot} << 48 |", "", SEAL_TEST),
-    ("seal: precomputation of another frame used", SEAL, "(*expected)->nonce != nonce", "false", SEAL_TEST),
-    ("seal: verification of the previous frame used", SEAL, "  abandon();\n  if (!received_ || !is_whole(frame)) return;\n", "  if (!received_ || !is_whole(frame)) return;\n", SEAL_TEST),
-    ("seal: precomputation of the previous session used", SEAL, "  received_.reset();\n", "", SEAL_TEST),
-    ("seal: one key for all sessions", SEAL, "static_cast<std::uint8_t>(session >> (8 * i))", "0", SEAL_TEST),
-    ("seal: zero key after a cipher failure", SEAL, "  session_key_ = key_of(session);\n", "  session_key_ = key_of(session).value_or(Key{});\n", SEAL_TEST),
-    ("freshness: any returned nonce accepted", "firmware/core/mac/replay_guard.cpp", " && beacon.challenge_response->nonce == nonce_", "", SEAL_TEST),
-    ("freshness: nonce used twice", "firmware/core/mac/replay_guard.cpp", "(*settings_.nonces)++", "*settings_.nonces", SEAL_TEST),
-    ("freshness: state kept over a new search", "firmware/core/mac/replay_guard.cpp", "  fresh_ = !settings_.required;\n", "", SEAL_TEST),
+    ("authenticator: nonce without the superframe", AUTHENTICATOR, "std::uint64_t{place.superframe} << 16 |", "", AUTHENTICATOR_TEST),
+    ("authenticator: nonce without the slot", AUTHENTICATOR, "std::uint64_t{place.slot} << 48 |", "", AUTHENTICATOR_TEST),
+    ("authenticator: precomputation of another frame used", AUTHENTICATOR, "(*expected)->nonce != nonce", "false", AUTHENTICATOR_TEST),
+    ("authenticator: verification of the previous frame used", AUTHENTICATOR, "  abandon();\n  if (!received_ || !is_whole(frame)) return;\n", "  if (!received_ || !is_whole(frame)) return;\n", AUTHENTICATOR_TEST),
+    ("authenticator: precomputation of the previous session used", AUTHENTICATOR, "  received_.reset();\n", "", AUTHENTICATOR_TEST),
+    ("authenticator: one key for all sessions", AUTHENTICATOR, "static_cast<std::uint8_t>(session >> (8 * i))", "0", AUTHENTICATOR_TEST),
+    ("authenticator: zero key after a cipher failure", AUTHENTICATOR, "  session_key_ = key_of(session);\n", "  session_key_ = key_of(session).value_or(Key{});\n", AUTHENTICATOR_TEST),
+    ("freshness: any returned nonce accepted", "firmware/core/mac/replay_guard.cpp", " && beacon.challenge_response->nonce == nonce_", "", AUTHENTICATOR_TEST),
+    ("freshness: nonce used twice", "firmware/core/mac/replay_guard.cpp", "(*settings_.nonces)++", "*settings_.nonces", AUTHENTICATOR_TEST),
+    ("freshness: state kept over a new search", "firmware/core/mac/replay_guard.cpp", "  fresh_ = !settings_.required;\n", "", AUTHENTICATOR_TEST),
     ("security: frames without a MIC accepted", STATION, "    ++counters_.unsecured_frames;\n    return false;\n", "    ++counters_.unsecured_frames;\n    return true;\n", ATTACK_TEST),
     ("security: MIC not verified", STATION, "  if (!authenticator_.on() || authenticator_.fits(frame, place)) return true;\n", "  return true;\n", ATTACK_TEST),
     ("security: MIC of beacons not verified", STATION, "good = ahead >= -most && authenticator_.fits(reception.frame, beacon);", "good = ahead >= -most;", ATTACK_TEST),
     ("security: replayed beacons accepted", STATION, "good = ahead >= -most && authenticator_", "good = authenticator_", ATTACK_TEST),
     ("security: beacons of replayed sessions accepted", STATION, "      unverified_ = authenticator_", "      good = authenticator_", ATTACK_TEST),
-    ("security: merge request to another session accepted", SEAL, "static_cast<std::uint8_t>(merge_target.session >> (8 * i))", "0", SEAL_TEST),
-    ("security: merge request of another time accepted", SEAL, "static_cast<std::uint8_t>(merge_target.superframe >> (8 * i))", "0", SEAL_TEST),
+    ("security: merge request to another session accepted", AUTHENTICATOR, "static_cast<std::uint8_t>(merge_target.session >> (8 * i))", "0", AUTHENTICATOR_TEST),
+    ("security: merge request of another time accepted", AUTHENTICATOR, "static_cast<std::uint8_t>(merge_target.superframe >> (8 * i))", "0", AUTHENTICATOR_TEST),
     ("security: RESPONSE never verified", "firmware/core/mac/tag.cpp", "  if (station_.is_genuine(taken.frame, taken.place)) return;\n", "  return;\n", ATTACK_TEST),
     ("security: forged RESPONSE not undone", "firmware/core/mac/tag.cpp", "  *taken.leg = Leg{.anchor = taken.leg->anchor};\n", "", ATTACK_TEST),
     ("mastership: an orphaned node does not scan", "firmware/core/mac/master_election.cpp", " || (may_scan && orphaned(number))) return", ") return", ["test/firmware/master_election_test.cpp"]),

@@ -191,7 +191,7 @@ std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
   return station_.transmit(stamp, frame.source, body, place());
 }
 
-std::size_t Anchor::prepare() noexcept {
+std::size_t Anchor::precompute() noexcept {
   if (phase_ == Phase::kControl) station_.prepare_control();
   if (phase_ != Phase::kPoll) return 0;
   if (station_.keyed()) {

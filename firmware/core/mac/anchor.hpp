@@ -37,13 +37,13 @@ class Anchor {
   void begin_verify(std::span<const std::uint8_t> frame) noexcept {
     station_.begin_verify(frame, phase_ == Phase::kControl ? station_.control_place() : place());
   }
-  void complete() noexcept { station_.complete(); }
-  std::size_t prepare() noexcept;
+  void finish_signing() noexcept { station_.finish_signing(); }
+  std::size_t precompute() noexcept;
 
   void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
   [[nodiscard]] const AnchorMembership& membership() const noexcept { return membership_; }
-  // As Tag::ahead().
-  [[nodiscard]] std::optional<Action> ahead() const noexcept {
+  // As Tag::next_rx_window().
+  [[nodiscard]] std::optional<Action> next_rx_window() const noexcept {
     return phase_ == Phase::kControl ? station_.control_ahead() : std::nullopt;
   }
   [[nodiscard]] const Station& station() const noexcept { return station_; }

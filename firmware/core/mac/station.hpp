@@ -132,10 +132,10 @@ class Station {
     return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
   }
 
-  // `place`: where the frame is sent. complete() adds the MIC.
+  // `place`: where the frame is sent. finish_signing() adds the MIC.
   [[nodiscard]] Action transmit(ranging::ClockTime stamp, std::uint16_t destination, const Body& body,
                                 Place place, const MergeTarget* merge_target = nullptr) noexcept;
-  void complete() noexcept { authenticator_.finish_signing(outgoing_); }
+  void finish_signing() noexcept { authenticator_.finish_signing(outgoing_); }
   // The last timestamp on the transmit grid that is not after `latest`.
   [[nodiscard]] ranging::ClockTime stamp_not_after(ranging::ClockTime latest) const noexcept {
     return ranging::transmit_stamp_not_after(latest, site_.transmit_antenna_delay);

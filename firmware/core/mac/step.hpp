@@ -8,8 +8,8 @@
 //
 // The caller also calls three functions while the radio or its bus is busy, so that MICs are computed and
 // verified then: glance(frame) when a frame's bytes have been read, before on_received() with them, starts
-// the verification; complete() just before a transmission's frame is written to the chip finishes the frame;
-// prepare() after the Step's action is armed precomputes cipher blocks and returns the size on the air of the
+// the verification; finish_signing() just before a transmission's frame is written to the chip finishes the frame;
+// precompute() after the Step's action is armed precomputes cipher blocks and returns the size on the air of the
 // most likely next frame to send, 0 if not known.
 #pragma once
 
@@ -42,7 +42,7 @@ struct Action {
   ranging::ClockTime until{};
   // The latest instant for a preamble; the listening may end then.
   std::optional<ranging::ClockTime> preamble_until{};
-  // Complete after complete(); valid until the machine's next event.
+  // Complete after finish_signing(); valid until the machine's next event.
   std::span<const std::uint8_t> frame{};
 };
 

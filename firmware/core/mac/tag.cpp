@@ -113,7 +113,7 @@ Step Tag::on_late(ClockTime now) noexcept {
   return {plan(now), nullptr};
 }
 
-std::optional<Action> Tag::ahead() const noexcept {
+std::optional<Action> Tag::next_rx_window() const noexcept {
   if (phase_ == Phase::kControl) return station_.control_ahead();
   if (phase_ != Phase::kResponses) return std::nullopt;
   if (window_ + 1 < current().count) return response_window(window_ + 1);
@@ -156,7 +156,7 @@ void Tag::begin_verify(std::span<const std::uint8_t> frame) noexcept {
   station_.begin_verify(frame, phase_ == Phase::kControl ? station_.control_place() : place_of(current()));
 }
 
-std::size_t Tag::prepare() noexcept {
+std::size_t Tag::precompute() noexcept {
   if (!station_.keyed()) return 0;
   if (phase_ == Phase::kResponses) {
     station_.expect_heard(current().legs[window_].anchor, FrameType::kResponse, place_of(current()));
@@ -169,7 +169,7 @@ std::size_t Tag::prepare() noexcept {
   return 0;
 }
 
-void Tag::check() noexcept {
+void Tag::verify_deferred() noexcept {
   if (unchecked_.frame.empty()) return;
   const Unchecked taken = std::exchange(unchecked_, {});
   if (station_.is_genuine(taken.frame, taken.place)) return;

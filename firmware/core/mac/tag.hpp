@@ -29,18 +29,18 @@ class Tag {
   [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
   // Run in the background of other work, see step.hpp.
   void begin_verify(std::span<const std::uint8_t> frame) noexcept;
-  void complete() noexcept { station_.complete(); }
-  std::size_t prepare() noexcept;
+  void finish_signing() noexcept { station_.finish_signing(); }
+  std::size_t precompute() noexcept;
   // Call after the Step's action is armed: discards the last RESPONSE if its MIC is wrong. The frame's bytes
   // must still be valid.
-  void check() noexcept;
+  void verify_deferred() noexcept;
   // Call after the radio was stopped and restarted: continues with the next action, with the time of the
   // clock filter.
   [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
 
   // The action that follows the listening in progress whatever it brings, so that it can be armed before its
   // result is known. Nothing if it depends on the result.
-  [[nodiscard]] std::optional<Action> ahead() const noexcept;
+  [[nodiscard]] std::optional<Action> next_rx_window() const noexcept;
 
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   void set_health(const Health& health) noexcept { station_.set_health(health); }
@@ -89,7 +89,7 @@ class Tag {
   std::size_t current_ = 0;
   bool previous_valid_ = false;
   bool lent_ = false;
-  // The last RESPONSE, until check() has verified its MIC, and the legs that it filled in.
+  // The last RESPONSE, until verify_deferred() has verified its MIC, and the legs that it filled in.
   struct Unchecked {
     std::span<const std::uint8_t> frame{};
     Place place{};

@@ -42,9 +42,9 @@ class Machine {
     if (anchor_) return f(*anchor_);
     return {};
   }
-  [[nodiscard]] std::optional<mac::Action> ahead() const noexcept {
-    if (tag_) return tag_->ahead();
-    if (anchor_) return anchor_->ahead();
+  [[nodiscard]] std::optional<mac::Action> next_rx_window() const noexcept {
+    if (tag_) return tag_->next_rx_window();
+    if (anchor_) return anchor_->next_rx_window();
     return std::nullopt;
   }
   // The calls besides events, see step.hpp.
@@ -52,13 +52,13 @@ class Machine {
     if (tag_) tag_->begin_verify(frame);
     if (anchor_) anchor_->begin_verify(frame);
   }
-  void complete() noexcept {
-    if (tag_) tag_->complete();
-    if (anchor_) anchor_->complete();
+  void finish_signing() noexcept {
+    if (tag_) tag_->finish_signing();
+    if (anchor_) anchor_->finish_signing();
   }
-  [[nodiscard]] std::size_t prepare() noexcept {
-    if (tag_) return tag_->prepare();
-    if (anchor_) return anchor_->prepare();
+  [[nodiscard]] std::size_t precompute() noexcept {
+    if (tag_) return tag_->precompute();
+    if (anchor_) return anchor_->precompute();
     return 0;
   }
   void attach(mac::ControlChannel& channel) noexcept {

@@ -270,7 +270,7 @@ class Node {
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{stamp, event.stamp_valid, event.frame, event.quality};
         perform(machine_.dispatch([&](auto& machine) { return machine.on_received(reception); }));
-        if (machine_.tag()) machine_.tag()->check();
+        if (machine_.tag()) machine_.tag()->verify_deferred();
         break;
       }
       case EventKind::kPreambleTimeout:
@@ -290,21 +290,21 @@ class Node {
         recover();
         break;
     }
-    prepare();
+    precompute();
     watch_sync();
     return true;
   }
 
   // The radio is armed: precompute for the next frames.
-  void prepare() noexcept {
-    const std::size_t on_air_bytes = machine_.prepare();
+  void precompute() noexcept {
+    const std::size_t on_air_bytes = machine_.precompute();
     if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - dw1000::kFrameCheckBytes);
   }
 
   // Time is short between two RESPONSEs: arm the next window before reading the frame.
   void arm_ahead() noexcept {
     armed_.reset();
-    const std::optional<mac::Action> next = machine_.ahead();
+    const std::optional<mac::Action> next = machine_.next_rx_window();
     if (!next) return;
     dw1000::Start start =
         radio_.receive_at(clock_.wrap(next->at), next->until - next->at, preamble_timeout(*next, next->at));
@@ -367,7 +367,7 @@ class Node {
           event_due_us_ = 0;
           return;
         case mac::Action::Kind::kTransmit:
-          start = radio_.transmit_at(clock_.wrap(action.at), action.frame, [this] { machine_.complete(); });
+          start = radio_.transmit_at(clock_.wrap(action.at), action.frame, [this] { machine_.finish_signing(); });
           break;
         case mac::Action::Kind::kListen:
           start = radio_.receive_at(clock_.wrap(action.at), action.until - action.at,
