@@ -39,7 +39,7 @@ class FrameAuthenticatorTest : public ::testing::Test {
         .sequence = 9, .network = 7, .destination = kBroadcast, .source = 101, .secured = true, .body = body};
   }
   static std::vector<Body> bodies() {
-    Beacon beacon{.superframe = 1'000, .session = kSession, .master = 101, .slots = 3, .holders = {1, 2, 3}};
+    Beacon beacon{.superframe = 1'000, .session = kSession, .master = 101, .slots = 3, .owners = {1, 2, 3}};
     beacon.challenge_response = ChallengeResponse{5, 6};
     Poll poll{.exchange = 4, .superframe = 1'000, .slot = 2, .count = 3, .anchors = {101, 102, 103}};
     Response response{

@@ -58,7 +58,7 @@ TEST(Frame, RoundTrips) {
                 .master = 0xABCD,
                 .hop = 3,
                 .age = 0xFF,
-                .lateness_dtu = -511,
+                .tx_offset_dtu = -511,
                 .dissolving = true,
                 .shared = true,
                 .quiet = true,
@@ -66,8 +66,8 @@ TEST(Frame, RoundTrips) {
                 .place = ranging::Ticks(0x12'3456'789A),
                 .slots = 2,
                 .challenge_response = ChallengeResponse{.id = 0x7766, .nonce = 0x8899'AABB'CCDD'EEFF}};
-    sent.holders[0] = kBroadcast;
-    sent.holders[1] = 0x0203;
+    sent.owners[0] = kBroadcast;
+    sent.owners[1] = 0x0203;
     const auto parsed = parse(bytes_of(with(sent)));
     ASSERT_TRUE(parsed.frame);
     EXPECT_EQ(parsed.frame->sequence, 0x5A);
@@ -82,14 +82,14 @@ TEST(Frame, RoundTrips) {
     EXPECT_EQ(beacon.master, sent.master);
     EXPECT_EQ(beacon.hop, sent.hop);
     EXPECT_EQ(beacon.age, sent.age);
-    EXPECT_EQ(beacon.lateness_dtu, sent.lateness_dtu);
+    EXPECT_EQ(beacon.tx_offset_dtu, sent.tx_offset_dtu);
     EXPECT_TRUE(beacon.dissolving);
     EXPECT_TRUE(beacon.shared);
     EXPECT_TRUE(beacon.merge_request);
     EXPECT_TRUE(beacon.quiet);
     EXPECT_EQ(beacon.place, sent.place);
     EXPECT_EQ(beacon.slots, sent.slots);
-    EXPECT_EQ(beacon.holders, sent.holders);
+    EXPECT_EQ(beacon.owners, sent.owners);
     ASSERT_TRUE(beacon.challenge_response);
     EXPECT_EQ(beacon.challenge_response->id, sent.challenge_response->id);
     EXPECT_EQ(beacon.challenge_response->nonce, sent.challenge_response->nonce);

@@ -399,7 +399,7 @@ mac::FrameBytes beacon_of(const groma_Schedule& schedule) {
                    .schedule_hash = mac::schedule_hash(schedule, 9, dw1000::Preamble::k128),
                    .master = 101,
                    .slots = static_cast<std::uint8_t>(schedule.tag_ids_count)};
-  body.holders.fill(mac::kBroadcast);
+  body.owners.fill(mac::kBroadcast);
   return mac::serialize({.network = 9, .destination = mac::kBroadcast, .source = 101, .body = body});
 }
 

@@ -88,7 +88,7 @@ class Cells {
       if (node->id == master && node->on) {
         Beacon beacon{.superframe = number, .session = 1, .master = master, .slots = kMaxTags};
         node->channel().on_beacon_out(beacon, true);
-        owners.assign(beacon.holders.begin(), beacon.holders.begin() + beacon.slots);
+        owners.assign(beacon.owners.begin(), beacon.owners.begin() + beacon.slots);
         deliver({{node.get(), beacon}});
       }
     }

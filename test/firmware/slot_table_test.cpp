@@ -27,7 +27,7 @@ Beacon beacon_of(const SlotTable& table, std::uint32_t superframe, std::uint64_t
 }
 
 std::vector<std::uint16_t> slot_owners(const SlotTable& table) {
-  return {table.holders().begin(), table.holders().end()};
+  return {table.owners().begin(), table.owners().end()};
 }
 
 using Ids = std::vector<std::uint16_t>;
@@ -201,16 +201,16 @@ TEST(SlotTable, AClaimantThatNeverPollsSoonLosesItsSlot) {
 }
 
 // A slot table from a beacon with a forged count does not outrank the true one.
-TEST(Tenure, ATableFromTheFutureIsReplacedByTheNext) {
-  Tenure tenure(1, 0);
-  Beacon beacon{.superframe = 1'000'000, .session = 7, .slots = 2, .holders = {50, kNobody}};
-  tenure.take(beacon);
-  EXPECT_TRUE(tenure.homeless());
+TEST(SlotLease, ATableFromTheFutureIsReplacedByTheNext) {
+  SlotLease lease(1, 0);
+  Beacon beacon{.superframe = 1'000'000, .session = 7, .slots = 2, .owners = {50, kNobody}};
+  lease.take(beacon);
+  EXPECT_TRUE(lease.homeless());
   beacon.superframe = 100;
-  beacon.holders = {kBroadcast, kNobody};
-  tenure.take(beacon);
-  EXPECT_FALSE(tenure.homeless());
-  EXPECT_EQ(tenure.slot(101), std::size_t{0});
+  beacon.owners = {kBroadcast, kNobody};
+  lease.take(beacon);
+  EXPECT_FALSE(lease.homeless());
+  EXPECT_EQ(lease.slot(101), std::size_t{0});
 }
 
 TEST(SlotTable, ACopyFollowsTheMastersNewestTable) {
@@ -254,60 +254,60 @@ TEST(SlotTable, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
 
 // ---- the tag's side -----------------------------------------------------------------------------------
 
-TEST(Tenure, UsesTheNewestTable) {
-  Tenure tenure(2, 1);
-  EXPECT_FALSE(tenure.slot(0));
-  EXPECT_FALSE(tenure.homeless()) << "it knows nothing yet";
+TEST(SlotLease, UsesTheNewestTable) {
+  SlotLease lease(2, 1);
+  EXPECT_FALSE(lease.slot(0));
+  EXPECT_FALSE(lease.homeless()) << "it knows nothing yet";
   Beacon beacon{.superframe = 100, .session = 5, .slots = 3};
-  beacon.holders = {kBroadcast, kBroadcast, kNobody};
-  tenure.take(beacon);
-  EXPECT_EQ(tenure.slot(100), 1U);
-  EXPECT_EQ(tenure.slot(100 + kTableGoodFor), 1U);
-  EXPECT_FALSE(tenure.slot(101 + kTableGoodFor));
-  EXPECT_FALSE(tenure.homeless());
+  beacon.owners = {kBroadcast, kBroadcast, kNobody};
+  lease.take(beacon);
+  EXPECT_EQ(lease.slot(100), 1U);
+  EXPECT_EQ(lease.slot(100 + kTableGoodFor), 1U);
+  EXPECT_FALSE(lease.slot(101 + kTableGoodFor));
+  EXPECT_FALSE(lease.homeless());
 
   Beacon taken = beacon;
   taken.superframe = 110;
-  taken.holders[1] = 77;
-  tenure.take(taken);
-  EXPECT_FALSE(tenure.slot(110));
-  EXPECT_TRUE(tenure.homeless());
+  taken.owners[1] = 77;
+  lease.take(taken);
+  EXPECT_FALSE(lease.slot(110));
+  EXPECT_TRUE(lease.homeless());
   Beacon relayed = beacon;
   relayed.superframe = 112;
   relayed.age = 3;
-  tenure.take(relayed);
-  EXPECT_FALSE(tenure.slot(112));
+  lease.take(relayed);
+  EXPECT_FALSE(lease.slot(112));
   relayed.superframe = 120;
-  tenure.take(relayed);
-  EXPECT_EQ(tenure.slot(117 + kTableGoodFor), 1U);
-  EXPECT_FALSE(tenure.slot(118 + kTableGoodFor)) << "its table is of superframe 117";
+  lease.take(relayed);
+  EXPECT_EQ(lease.slot(117 + kTableGoodFor), 1U);
+  EXPECT_FALSE(lease.slot(118 + kTableGoodFor)) << "its table is of superframe 117";
 
   Beacon given = beacon;
   given.superframe = 130;
-  given.holders[1] = kNobody;
-  given.holders[2] = 2;
-  tenure.take(given);
-  EXPECT_EQ(tenure.slot(130), 2U);
+  given.owners[1] = kNobody;
+  given.owners[2] = 2;
+  lease.take(given);
+  EXPECT_EQ(lease.slot(130), 2U);
 }
 
-TEST(Tenure, AGuestHasOnlyAGrantedSlot) {
-  Tenure tenure(9, std::nullopt);
+TEST(SlotLease, AGuestHasOnlyAGrantedSlot) {
+  SlotLease lease(9, std::nullopt);
   Beacon beacon{.superframe = 1, .slots = 2};
-  beacon.holders = {kBroadcast, kNobody};
-  tenure.take(beacon);
-  EXPECT_TRUE(tenure.homeless());
+  beacon.owners = {kBroadcast, kNobody};
+  lease.take(beacon);
+  EXPECT_TRUE(lease.homeless());
   beacon.superframe = 0;
   beacon.session = 99;
-  beacon.holders[1] = 9;
-  tenure.take(beacon);
-  EXPECT_EQ(tenure.slot(0), 1U) << "another session";
+  beacon.owners[1] = 9;
+  lease.take(beacon);
+  EXPECT_EQ(lease.slot(0), 1U) << "another session";
 }
 
 // ---- never two in one slot ----------------------------------------------------------------------------
 
 struct Player {
   std::uint16_t id;
-  std::optional<Tenure> tenure{};  // while it is on
+  std::optional<SlotLease> lease{};  // while it is on
   double hears = 1.0;              // share of beacons
   std::uint32_t back_at = 0;
 };
@@ -373,24 +373,24 @@ TEST(Slots, NeverHaveTwoOwners) {
       }
       std::map<std::size_t, std::uint16_t> owners;
       for (Player& player : players) {
-        if (!player.tenure) {
+        if (!player.lease) {
           if (t > player.back_at && chance(0.02)) {
             const auto slot = configured_slot(schedule, player.id);
-            player.tenure.emplace(player.id, slot);
+            player.lease.emplace(player.id, slot);
             player.hears = chance(0.4) ? 0.02 : 0.9;
           }
           continue;
         }
-        if (chance(player.hears)) player.tenure->take(beacon);
+        if (chance(player.hears)) player.lease->take(beacon);
         if (chance(player.hears / 2)) {  // by a relay, late
           const auto late = static_cast<std::size_t>(random() % std::min<std::size_t>(past.size(), 13));
           Beacon relayed = past[past.size() - 1 - late];
           const std::uint32_t age = t - relayed.superframe;
           relayed.superframe = t;
           relayed.age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255));
-          player.tenure->take(relayed);
+          player.lease->take(relayed);
         }
-        if (const auto slot = player.tenure->slot(t)) {
+        if (const auto slot = player.lease->slot(t)) {
           ++polls;
           const auto [other, alone] = owners.emplace(*slot, player.id);
           ASSERT_TRUE(alone) << "seed " << seed << ", superframe " << t << ", slot " << *slot << ": "
@@ -402,12 +402,12 @@ TEST(Slots, NeverHaveTwoOwners) {
             ++moves;
             last[*slot] = player.id;
           }
-        } else if (player.tenure->homeless() && chance(0.2)) {
+        } else if (player.lease->homeless() && chance(0.2)) {
           (void)table.claim(player.id);
         }
         if (chance(0.003)) {
           if (chance(0.5)) table.leave(player.id);  // else it dies, or its JOIN is lost
-          player.tenure.reset();
+          player.lease.reset();
           player.back_at = t + kTableGoodFor;
         }
       }

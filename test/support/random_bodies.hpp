@@ -34,14 +34,14 @@ class RandomBodies {
                 .master = somebody(),
                 .hop = word<std::uint8_t>(),
                 .age = word<std::uint8_t>(),
-                .lateness_dtu = static_cast<std::int16_t>(word<std::uint16_t>()),
+                .tx_offset_dtu = static_cast<std::int16_t>(word<std::uint16_t>()),
                 .dissolving = coin(),
                 .shared = coin(),
                 .quiet = coin(),
                 .merge_request = coin(),
                 .slots = static_cast<std::uint8_t>(below(kMaxTags + 1))};
     if (body.merge_request) body.place = ranging::Ticks(static_cast<std::int64_t>(random_() >> 24));
-    for (std::size_t i = 0; i < body.slots; ++i) body.holders[i] = somebody();
+    for (std::size_t i = 0; i < body.slots; ++i) body.owners[i] = somebody();
     if (coin()) body.challenge_response = ChallengeResponse{.id = somebody(), .nonce = random_()};
     return body;
   }

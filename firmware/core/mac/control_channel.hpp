@@ -40,7 +40,7 @@ class ControlChannel {
   // A beacon of the followed network, from the master or a relay.
   virtual void on_beacon(const Frame& frame, const Beacon& beacon) noexcept = 0;
 
-  // This node is about to send a beacon. As acting master (`leading`) it may change `holders`; otherwise it
+  // This node is about to send a beacon. As acting master (`leading`) it may change `owners`; otherwise it
   // relays. Either may add a welcome.
   virtual void on_beacon_out(Beacon& beacon, bool leading) noexcept = 0;
 

@@ -85,7 +85,7 @@ bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.master = in.take16();
   beacon.hop = in.take8();
   beacon.age = in.take8();
-  beacon.lateness_dtu = static_cast<std::int16_t>(in.take16());
+  beacon.tx_offset_dtu = static_cast<std::int16_t>(in.take16());
   const std::uint8_t flags = in.take_flags(kDissolving | kChallengeResponse | kShared | kMergeRequest | kQuiet);
   beacon.dissolving = (flags & kDissolving) != 0;
   beacon.shared = (flags & kShared) != 0;
@@ -93,7 +93,7 @@ bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.quiet = (flags & kQuiet) != 0;
   beacon.slots = in.take8();
   if (beacon.slots > kMaxTags) return false;
-  for (std::size_t i = 0; i < beacon.slots; ++i) beacon.holders[i] = in.take16();
+  for (std::size_t i = 0; i < beacon.slots; ++i) beacon.owners[i] = in.take16();
   if ((flags & kChallengeResponse) != 0) {
     const std::uint16_t id = in.take16();
     beacon.challenge_response = ChallengeResponse{.id = id, .nonce = in.take64()};
@@ -258,14 +258,14 @@ void write(const Beacon& beacon, FrameWriter& out) noexcept {
   out.put(beacon.master, 2);
   out.put(beacon.hop, 1);
   out.put(beacon.age, 1);
-  out.put(static_cast<std::uint16_t>(beacon.lateness_dtu), 2);
+  out.put(static_cast<std::uint16_t>(beacon.tx_offset_dtu), 2);
   out.put(flag_if(beacon.dissolving, kDissolving) | flag_if(beacon.challenge_response.has_value(), kChallengeResponse) |
               flag_if(beacon.shared, kShared) | flag_if(beacon.merge_request, kMergeRequest) |
               flag_if(beacon.quiet, kQuiet),
           1);
   const std::size_t slots = std::min<std::size_t>(beacon.slots, kMaxTags);
   out.put(slots, 1);
-  for (std::size_t i = 0; i < slots; ++i) out.put(beacon.holders[i], 2);
+  for (std::size_t i = 0; i < slots; ++i) out.put(beacon.owners[i], 2);
   if (beacon.challenge_response) {
     out.put(beacon.challenge_response->id, 2);
     out.put(beacon.challenge_response->nonce, 8);

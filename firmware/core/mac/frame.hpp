@@ -64,7 +64,7 @@ struct Beacon {
   std::uint8_t age = 0;            // superframes since the master sent this information; saturates at 255
   // Offset of the RMARKER from its nominal place in the superframe, in ticks of network time. It results from
   // rounding to the transmit grid, so it is -511 to 0.
-  std::int16_t lateness_dtu = 0;
+  std::int16_t tx_offset_dtu = 0;
   // The master gives up this session: its nodes search for another one.
   bool dissolving = false;
   bool shared = false;  // sent in the shared slot, not in the beacon slot
@@ -76,7 +76,7 @@ struct Beacon {
   bool merge_request = false;
   ranging::Ticks place{};  // 0 to 2^40 - 1
   std::uint8_t slots = 0;
-  std::array<std::uint16_t, kMaxTags> holders{};  // of each slot; kNobody: free
+  std::array<std::uint16_t, kMaxTags> owners{};  // of each slot; kNobody: free
   std::optional<ChallengeResponse> challenge_response{};
   friend bool operator==(const Beacon&, const Beacon&) = default;
 };

@@ -47,7 +47,7 @@ class TagMembership final : public ControlChannel {
 
  private:
   std::uint16_t id_;
-  Tenure lease_;
+  SlotLease lease_;
   AnchorSet anchors_;
   Access access_;
   bool leaving_ = false;

@@ -39,7 +39,7 @@ std::uint16_t SlotTable::by_schedule(std::size_t slot) const noexcept {
 
 void SlotTable::begin() noexcept {
   for (std::size_t slot = 0; slot < count_; ++slot) {
-    holders_[slot] = by_schedule(slot);
+    owners_[slot] = by_schedule(slot);
     uses_[slot] = Use{.vacant = kLong};
   }
   copied_ = false;
@@ -47,14 +47,14 @@ void SlotTable::begin() noexcept {
   unasked_ = kLong;
 }
 
-void SlotTable::set(std::size_t slot, std::uint16_t holder) noexcept {
-  holders_[slot] = holder;
+void SlotTable::set(std::size_t slot, std::uint16_t owner) noexcept {
+  owners_[slot] = owner;
   uses_[slot] = Use{};
 }
 
 // The slot's former owner, or the schedule's tags, may have it back.
 void SlotTable::revoke(std::size_t slot) noexcept {
-  const std::uint16_t before = holders_[slot];
+  const std::uint16_t before = owners_[slot];
   set(slot, kNobody);
   uses_[slot].before = before;
 }
@@ -81,12 +81,12 @@ void SlotTable::copy(const Beacon& beacon) noexcept {
   session_ = beacon.session;
   origin_ = origin;
   for (std::size_t slot = 0; slot < std::min<std::size_t>(count_, beacon.slots); ++slot) {
-    const std::uint16_t holder = beacon.holders[slot];
-    if (holder == holders_[slot]) continue;
-    if (holder == kNobody) {
+    const std::uint16_t owner = beacon.owners[slot];
+    if (owner == owners_[slot]) continue;
+    if (owner == kNobody) {
       revoke(slot);
     } else {
-      set(slot, holder);
+      set(slot, owner);
     }
   }
 }
@@ -103,17 +103,17 @@ void SlotTable::lead(std::uint64_t session) noexcept {
     use.before = kNobody;
     use.vacant = 0;
     use.unheard = 0;
-    use.awaited = !use.heard && holders_[slot] != kNobody && holders_[slot] != kBroadcast;
+    use.awaited = !use.heard && owners_[slot] != kNobody && owners_[slot] != kBroadcast;
   }
 }
 
-bool SlotTable::belongs_to(std::uint16_t holder, std::size_t slot, std::uint16_t tag) const noexcept {
+bool SlotTable::belongs_to(std::uint16_t owner, std::size_t slot, std::uint16_t tag) const noexcept {
   if (tag == kNobody || tag == kBroadcast) return false;
-  return holder == tag || (holder == kBroadcast && configured_slot(*schedule_, tag) == slot);
+  return owner == tag || (owner == kBroadcast && configured_slot(*schedule_, tag) == slot);
 }
 
 bool SlotTable::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
-  return slot < count_ && belongs_to(holders_[slot], slot, tag);
+  return slot < count_ && belongs_to(owners_[slot], slot, tag);
 }
 
 std::optional<std::size_t> SlotTable::slot_of(std::uint16_t tag) const noexcept {
@@ -141,7 +141,7 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
   }
   for (std::size_t slot = 0; slot < count_; ++slot) {
     const std::uint16_t before = uses_[slot].before;
-    if (holders_[slot] != kNobody || !belongs_to(before, slot, tag)) continue;
+    if (owners_[slot] != kNobody || !belongs_to(before, slot, tag)) continue;
     set(slot, before);
     return Claim::kHeld;
   }
@@ -149,7 +149,7 @@ SlotTable::Claim SlotTable::claim(std::uint16_t tag) noexcept {
   std::optional<std::size_t> free;
   bool coming = false;
   for (std::size_t slot = 0; slot < count_; ++slot) {
-    if (holders_[slot] != kNobody) continue;
+    if (owners_[slot] != kNobody) continue;
     if (uses_[slot].vacant < kVacantFor) {
       coming = true;
     } else if (!free || (by_schedule(*free) != kNobody && by_schedule(slot) == kNobody)) {
@@ -186,7 +186,7 @@ void SlotTable::reclaim() noexcept {
 void SlotTable::leave(std::uint16_t tag) noexcept {
   for (std::size_t slot = 0; slot < count_; ++slot) {
     if (!may_poll(tag, slot)) continue;
-    if (holders_[slot] == kBroadcast) {
+    if (owners_[slot] == kBroadcast) {
       std::size_t sharing = 0;
       for (std::size_t i = 0; i < schedule_->tag_ids_count; ++i) {
         sharing += configured_slot(*schedule_, schedule_->tag_ids[i]) == slot ? 1U : 0U;
@@ -200,10 +200,10 @@ void SlotTable::leave(std::uint16_t tag) noexcept {
 
 void SlotTable::fill(Beacon& beacon) const noexcept {
   beacon.slots = static_cast<std::uint8_t>(count_);
-  beacon.holders = holders_;
+  beacon.owners = owners_;
 }
 
-void Tenure::take(const Beacon& beacon) noexcept {
+void SlotLease::take(const Beacon& beacon) noexcept {
   const std::uint32_t origin = origin_of(beacon);
   if (known_ && beacon.session == session_ && is_late(origin, origin_)) return;
   known_ = true;
@@ -211,12 +211,12 @@ void Tenure::take(const Beacon& beacon) noexcept {
   origin_ = origin;
   slot_.reset();
   for (std::size_t slot = 0; slot < std::min<std::size_t>(beacon.slots, kMaxTags); ++slot) {
-    const std::uint16_t holder = beacon.holders[slot];
-    if (holder == tag_ || (holder == kBroadcast && configured_ == slot)) slot_ = slot;
+    const std::uint16_t owner = beacon.owners[slot];
+    if (owner == tag_ || (owner == kBroadcast && configured_ == slot)) slot_ = slot;
   }
 }
 
-std::optional<std::size_t> Tenure::slot(std::uint32_t number) const noexcept {
+std::optional<std::size_t> SlotLease::slot(std::uint32_t number) const noexcept {
   if (!known_ || outdated(number)) return std::nullopt;
   return slot_;
 }

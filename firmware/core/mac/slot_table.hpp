@@ -82,8 +82,8 @@ class SlotTable {
   void leave(std::uint16_t tag) noexcept;
 
   void fill(Beacon& beacon) const noexcept;
-  [[nodiscard]] std::span<const std::uint16_t> holders() const noexcept {
-    return std::span(holders_).first(count_);
+  [[nodiscard]] std::span<const std::uint16_t> owners() const noexcept {
+    return std::span(owners_).first(count_);
   }
 
  private:
@@ -96,14 +96,14 @@ class SlotTable {
   };
 
   void begin() noexcept;
-  void set(std::size_t slot, std::uint16_t holder) noexcept;
+  void set(std::size_t slot, std::uint16_t owner) noexcept;
   void revoke(std::size_t slot) noexcept;
-  [[nodiscard]] bool belongs_to(std::uint16_t holder, std::size_t slot, std::uint16_t tag) const noexcept;
+  [[nodiscard]] bool belongs_to(std::uint16_t owner, std::size_t slot, std::uint16_t tag) const noexcept;
   [[nodiscard]] std::uint16_t by_schedule(std::size_t slot) const noexcept;
 
   const groma_Schedule* schedule_;
   std::size_t count_;
-  std::array<std::uint16_t, kMaxTags> holders_{};
+  std::array<std::uint16_t, kMaxTags> owners_{};
   std::array<Use, kMaxTags> uses_{};
   std::uint32_t now_ = 0;
   std::uint16_t quiet_ = 0;    // superframes since any tag was heard; saturates
@@ -115,10 +115,10 @@ class SlotTable {
 };
 
 // A tag's slot lease: the slot that it may use.
-class Tenure {
+class SlotLease {
  public:
   // `configured`: the slot that the schedule assigns to the tag.
-  Tenure(std::uint16_t tag, std::optional<std::size_t> configured) noexcept
+  SlotLease(std::uint16_t tag, std::optional<std::size_t> configured) noexcept
       : tag_(tag), configured_(configured) {}
 
   // A beacon of the followed network.

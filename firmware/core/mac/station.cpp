@@ -44,7 +44,7 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       replay_guard_(replay_guard_of(site)),
       counters_(counters) {
   if (!site.network_key.empty()) attach(replay_guard_);
-  forget_holders();
+  forget_owners();
 }
 
 void Station::attach(ControlChannel& channel) noexcept {
@@ -154,7 +154,7 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
   replay_guard_.found();
   authenticator_.enter(election_.session());
   sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
-  forget_holders();
+  forget_owners();
   number_ = 0;
   next_ = Next::kBeacon;
   phase_ = Phase::kBeacon;
@@ -251,11 +251,11 @@ Beacon Station::make_beacon(Ticks tx_offset, bool shared) noexcept {
           .master = election_.master(),
           .hop = election_.hop(),
           .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(election_.age(number_), 255)),
-          .lateness_dtu = static_cast<std::int16_t>(tx_offset.count()),
+          .tx_offset_dtu = static_cast<std::int16_t>(tx_offset.count()),
           .dissolving = election_.dissolving(),
           .shared = shared,
           .slots = static_cast<std::uint8_t>(superframe_.slot_count()),
-          .holders = holders_};
+          .owners = owners_};
 }
 
 // Sends merge requests in the shared slots of the other session, in this node's turns, while all of its own
@@ -355,8 +355,8 @@ Action Station::send_beacon(ClockTime due, bool shared) noexcept {
     if (channel != nullptr) channel->on_beacon_out(beacon, election_.leads());
   }
   if (election_.leads()) {
-    holders_ = beacon.holders;
-    holders_origin_ = number_;
+    owners_ = beacon.owners;
+    owners_origin_ = number_;
   }
   sender_ = nullptr;
   own_beacon_ = true;
@@ -488,7 +488,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   ++counters_.beacons_received;
   if (verdict == Verdict::kAdopt) {
     others_ = former;
-    holders_origin_ = beacon.superframe - beacon.age;
+    owners_origin_ = beacon.superframe - beacon.age;
   }
   take_content(frame, beacon);
   if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
@@ -512,9 +512,9 @@ bool Station::take_time(const BeaconReception& stamp, std::uint64_t session, Ver
 
 void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
   const std::uint32_t origin = beacon.superframe - beacon.age;
-  if (static_cast<std::int32_t>(origin - holders_origin_) >= 0) {
-    holders_origin_ = origin;
-    holders_ = beacon.holders;
+  if (static_cast<std::int32_t>(origin - owners_origin_) >= 0) {
+    owners_origin_ = origin;
+    owners_ = beacon.owners;
   }
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr && (fresh() || channel == &replay_guard_)) channel->on_beacon(frame, beacon);
@@ -523,22 +523,22 @@ void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
 
 // ---- slots
 
-void Station::forget_holders() noexcept {
-  holders_.fill(kNobody);
+void Station::forget_owners() noexcept {
+  owners_.fill(kNobody);
   for (std::size_t i = 0; i < site_.schedule->tag_ids_count; ++i) {
     const auto slot = configured_slot(*site_.schedule, site_.schedule->tag_ids[i]);
-    if (slot && *slot < kMaxTags) holders_[*slot] = kBroadcast;
+    if (slot && *slot < kMaxTags) owners_[*slot] = kBroadcast;
   }
-  holders_origin_ = 0;
+  owners_origin_ = 0;
 }
 
 bool Station::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
   if (slot >= superframe_.slot_count()) return false;
-  return holders_[slot] == kBroadcast ? configured_slot(*site_.schedule, tag) == slot : holders_[slot] == tag;
+  return owners_[slot] == kBroadcast ? configured_slot(*site_.schedule, tag) == slot : owners_[slot] == tag;
 }
 
 std::uint16_t Station::owner_of(std::size_t slot) const noexcept {
-  if (holders_[slot] != kBroadcast) return holders_[slot];
+  if (owners_[slot] != kBroadcast) return owners_[slot];
   const auto tags = std::span(site_.schedule->tag_ids).first(site_.schedule->tag_ids_count);
   const auto owner = std::find_if(tags.begin(), tags.end(), [=, this](std::uint16_t tag) {
     return configured_slot(*site_.schedule, tag) == slot;
@@ -606,7 +606,7 @@ bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexc
 
 Ticks Station::place_in_superframe(const Beacon& beacon) const noexcept {
   if (beacon.merge_request) return beacon.place;
-  return (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.lateness_dtu);
+  return (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.tx_offset_dtu);
 }
 
 Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {

@@ -102,7 +102,7 @@ class Station {
   // The slot in which this tag may poll.
   [[nodiscard]] std::optional<std::size_t> slot_of(std::uint16_t tag) const noexcept;
   // The owner of each slot. kBroadcast: the owner by the schedule; kNobody: free.
-  [[nodiscard]] const std::array<std::uint16_t, kMaxTags>& holders() const noexcept { return holders_; }
+  [[nodiscard]] const std::array<std::uint16_t, kMaxTags>& owners() const noexcept { return owners_; }
 
   // ---- frames --------------------------------------------------------------------------------------------
 
@@ -202,7 +202,7 @@ class Station {
   // How far the beacon's timeline is ahead of this node's.
   [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   void take_poll(const Poll& poll) noexcept;
-  void forget_holders() noexcept;
+  void forget_owners() noexcept;
   void miss() noexcept;
 
   Site site_;
@@ -230,8 +230,8 @@ class Station {
   bool scanning_ = false;         // after the own beacon has been sent
   std::uint32_t number_ = 0;
   Action listening_;
-  std::uint32_t holders_origin_ = 0;  // superframe in which the master sent them
-  std::array<std::uint16_t, kMaxTags> holders_{};
+  std::uint32_t owners_origin_ = 0;  // superframe in which the master sent them
+  std::array<std::uint16_t, kMaxTags> owners_{};
   std::uint8_t sequence_ = 0;
   Health health_{};
   FrameBytes outgoing_;

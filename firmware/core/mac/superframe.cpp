@@ -114,7 +114,7 @@ const char* describe(ScheduleFault fault) noexcept {
       return "schedule.master_id: one of anchor_ids";
     case ScheduleFault::kBadMethod:
       return "schedule.method: not known to this node";
-    case ScheduleFault::kBadTurnRound:
+    case ScheduleFault::kBadTurnaround:
       return "schedule.turn_round_us: 150 to 5000";
     case ScheduleFault::kBadGap:
       return "schedule.response_gap_us: 50 to 2000";
@@ -135,7 +135,7 @@ ScheduleFault check(const groma_Schedule& schedule) noexcept {
   if (schedule.anchor_ids_count == 0) return ScheduleFault::kNoAnchors;
   if (const ScheduleFault fault = check_ids(schedule); fault != ScheduleFault::kNone) return fault;
   if (number_of(schedule.method) > _groma_RangingMethod_MAX) return ScheduleFault::kBadMethod;
-  if (outside(schedule.turn_round_us, 150, 5'000)) return ScheduleFault::kBadTurnRound;
+  if (outside(schedule.turn_round_us, 150, 5'000)) return ScheduleFault::kBadTurnaround;
   if (outside(schedule.response_gap_us, 50, 2'000)) return ScheduleFault::kBadGap;
   if (outside(schedule.guard_us, 5, 1'000)) return ScheduleFault::kBadGuard;
   if (!backups_fit(schedule)) return ScheduleFault::kBadBackup;

@@ -42,7 +42,7 @@ enum class ScheduleFault : std::uint8_t {
   kRepeatedId,    // tags and anchors share one number space
   kBadMaster,     // the master is not among the anchors
   kBadMethod,     // this node does not know the method
-  kBadTurnRound,  // outside of 150 to 5000 us
+  kBadTurnaround,  // outside of 150 to 5000 us
   kBadGap,        // outside of 50 to 2000 us
   kBadGuard,      // outside of 5 to 1000 us
   kBadBackup,     // a back-up is not among the anchors, or is the master

@@ -620,9 +620,9 @@ class Node {
       status.candidates = static_cast<std::uint32_t>(membership.anchors().size());
       status.answering = static_cast<std::uint32_t>(membership.anchors().answering());
     } else if (const mac::Anchor* anchor = machine_.anchor()) {
-      const auto holders = anchor->membership().slots().holders();
-      std::copy(holders.begin(), holders.end(), status.holders);
-      status.holders_count = static_cast<pb_size_t>(holders.size());
+      const auto owners = anchor->membership().slots().owners();
+      std::copy(owners.begin(), owners.end(), status.holders);
+      status.holders_count = static_cast<pb_size_t>(owners.size());
     }
   }
 
