@@ -307,9 +307,9 @@ class Air {
       arm(actor, dispatch(n, [&](auto& machine) { return machine.on_timeout(local(n, now_)); }));
       return true;
     }
-    const ClockTime stamp = n.action.at;
-    transmit({actor, true_time(n, stamp), n.settings.x_m, n.outgoing});
-    arm(actor, dispatch(n, [&](auto& machine) { return machine.on_transmitted(stamp); }));
+    const ClockTime timestamp = n.action.at;
+    transmit({actor, true_time(n, timestamp), n.settings.x_m, n.outgoing});
+    arm(actor, dispatch(n, [&](auto& machine) { return machine.on_transmitted(timestamp); }));
     return true;
   }
 
@@ -366,8 +366,8 @@ class Air {
         frame.source == kGhost ? n.settings.offset_ppm : nodes_[frame.source]->settings.offset_ppm;
     const double offset_ppb = (sender_ppm - n.settings.offset_ppm) * 1e3;
     mac::Reception reception{
-        .stamp = local(n, frame.rmarker + flight + timestamp_noise_ticks * gaussian()),
-        .stamp_valid = true,
+        .timestamp = local(n, frame.rmarker + flight + timestamp_noise_ticks * gaussian()),
+        .timestamp_valid = true,
         .frame = frame.bytes,
         .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
     if (spoil) spoil(index, reception);

@@ -80,7 +80,7 @@ TEST(Unwrapper, ARestartedCounterContinuesWithoutAStepBackAndOnTheSameGrid) {
 
 TEST(TransmitGrid, TheTimestampIsTheLastOnTheGridWithTheAntennaDelayAdded) {
   for (std::int64_t latest = 40'000; latest < 42'000; latest += 7) {
-    const ClockTime timestamp = transmit_stamp_not_after(ClockTime(latest), Ticks(16'436));
+    const ClockTime timestamp = transmit_timestamp_not_after(ClockTime(latest), Ticks(16'436));
     EXPECT_LE(timestamp.count(), latest);
     EXPECT_GT(timestamp.count() + 512, latest);
     EXPECT_EQ((timestamp.count() - 16'436) % 512, 0);

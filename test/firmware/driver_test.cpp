@@ -91,10 +91,10 @@ static_assert(Value<reg::DrxCarInt>(0x0F'FFFF).get_signed(reg::drx_car_int::kInt
 
 TEST(Register, FieldsComeBackAsSetAndLeaveTheOthersAlone) {
   Value<reg::RxTime> value;
-  value.set(reg::rx_time::kStamp, 0xAB'CDEF'0123);
+  value.set(reg::rx_time::kTimestamp, 0xAB'CDEF'0123);
   value.set(reg::rx_time::kFirstPath, 0xBEEF);
   value.set(reg::rx_time::kAmplitude1, 0x1234);
-  EXPECT_EQ(value.get(reg::rx_time::kStamp), 0xAB'CDEF'0123U);
+  EXPECT_EQ(value.get(reg::rx_time::kTimestamp), 0xAB'CDEF'0123U);
   EXPECT_EQ(value.get(reg::rx_time::kFirstPath), 0xBEEFU);
   EXPECT_EQ(value.get(reg::rx_time::kAmplitude1), 0x1234U);
   EXPECT_EQ(value.bytes()[0], 0x23);
@@ -102,7 +102,7 @@ TEST(Register, FieldsComeBackAsSetAndLeaveTheOthersAlone) {
   EXPECT_EQ(value.bytes()[5], 0xEF);
   EXPECT_EQ(value.bytes()[7], 0x34);
   value.set(reg::rx_time::kFirstPath, 0);
-  EXPECT_EQ(value.get(reg::rx_time::kStamp), 0xAB'CDEF'0123U);
+  EXPECT_EQ(value.get(reg::rx_time::kTimestamp), 0xAB'CDEF'0123U);
   EXPECT_EQ(value.get(reg::rx_time::kAmplitude1), 0x1234U);
   // More bits than the field has do not spill.
   Value<reg::TxFctrl> format;
@@ -295,15 +295,15 @@ TEST_F(Driver, BringUpReportsWhatFailed) {
     chip.on_write = [this, setting](const Transfer& transfer) {
       if (transfer.file == 0x2E && transfer.sub == setting) chip.put(0x2E, setting, 0, 1);
     };
-    EXPECT_EQ(bring_up(), BringUp::kNoStamps);
+    EXPECT_EQ(bring_up(), BringUp::kNoTimestamps);
   }
   chip.on_write = [this](const Transfer&) { chip.put(0x36, 0x04, 0x81000738, 4); };
-  EXPECT_EQ(bring_up(), BringUp::kNoStamps);
+  EXPECT_EQ(bring_up(), BringUp::kNoTimestamps);
   chip.on_write = nullptr;
   EXPECT_EQ(bring_up(), BringUp::kOk);
   EXPECT_EQ(radio.state(), State::kIdle);
   for (const BringUp result : {BringUp::kNoChip, BringUp::kNoLock, BringUp::kNoFastBus, BringUp::kNotWritable,
-                               BringUp::kNoTrim, BringUp::kNoStamps}) {
+                               BringUp::kNoTrim, BringUp::kNoTimestamps}) {
     EXPECT_GT(std::string_view(describe(result)).size(), 10U);
     EXPECT_LT(std::string_view(describe(result)).size(), 32U);
   }
@@ -376,8 +376,8 @@ TEST(LineOfSight, DependsOnTheDistanceOfTheStrongestPathFromTheFirst) {
 TEST_F(Driver, TransmitsAtATimestamp) {
   ready();
   const std::uint8_t frame[] = {0x41, 0x88, 0x01, 0xAA};
-  const DeviceTime stamp(0x12'3456'7800 + 16436);
-  ASSERT_EQ(radio.transmit_at(stamp, frame), Start::kStarted);
+  const DeviceTime timestamp(0x12'3456'7800 + 16436);
+  ASSERT_EQ(radio.transmit_at(timestamp, frame), Start::kStarted);
   expect_writes({{0x0A, 0, 0x12'3456'7800},
                  {0x08, 0, 0x0016C006},
                  {0x09, 0, 0xAA018841},
@@ -388,11 +388,11 @@ TEST_F(Driver, TransmitsAtATimestamp) {
 
   chip.log.clear();
   chip.status |= 1U << 7;
-  chip.put(0x17, 0, stamp.count(), 5);
+  chip.put(0x17, 0, timestamp.count(), 5);
   EXPECT_TRUE(chip.interrupt());
   const Event event = radio.take_event();
   EXPECT_EQ(event.kind, EventKind::kTransmitted);
-  EXPECT_EQ(event.stamp, stamp);
+  EXPECT_EQ(event.timestamp, timestamp);
   EXPECT_FALSE(chip.interrupt());
   EXPECT_EQ(chip.written(0x36, 0), 0x00U);
   EXPECT_EQ(radio.state(), State::kIdle);
@@ -485,10 +485,10 @@ TEST_F(Driver, ALateReceiveIsCancelled) {
   EXPECT_FALSE(chip.interrupt());
 }
 
-void put_frame(FakeChip& chip, std::span<const std::uint8_t> frame, std::uint64_t stamp) {
+void put_frame(FakeChip& chip, std::span<const std::uint8_t> frame, std::uint64_t timestamp) {
   chip.put(0x10, 0, (frame.size() + 2) | 118ULL << 20, 4);
   chip.put(0x11, frame);
-  chip.put(0x15, 0, stamp, 5);
+  chip.put(0x15, 0, timestamp, 5);
   chip.put(0x15, 5, 0xB9C0, 2);
   chip.put(0x15, 7, 11'000, 2);
   chip.put(0x2E, 0x1000, 748, 2);
@@ -508,8 +508,8 @@ TEST_F(Driver, ReadsAFrameWithItsTimestampAndQuality) {
   put_frame(chip, frame, 0xFE'DCBA'9876);
   const Event event = radio.take_event();
   EXPECT_EQ(event.kind, EventKind::kReceived);
-  EXPECT_EQ(event.stamp, DeviceTime(0xFE'DCBA'9876));
-  EXPECT_TRUE(event.stamp_valid);
+  EXPECT_EQ(event.timestamp, DeviceTime(0xFE'DCBA'9876));
+  EXPECT_TRUE(event.timestamp_valid);
   EXPECT_EQ(std::vector<std::uint8_t>(event.frame.begin(), event.frame.end()), frame);
   EXPECT_EQ(event.quality.amplitude1, 11'000);
   EXPECT_EQ(event.quality.amplitude2, 12'000);
@@ -530,11 +530,11 @@ TEST_F(Driver, WaitsForTheLeadingEdgeAndMarksATimestampWithoutOne) {
   ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
   put_frame(chip, std::vector<std::uint8_t>{1}, 5);
   chip.status &= ~std::uint64_t{1U << 10};
-  EXPECT_FALSE(radio.take_event().stamp_valid);
+  EXPECT_FALSE(radio.take_event().timestamp_valid);
   ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
   put_frame(chip, std::vector<std::uint8_t>{1}, 5);
   chip.status |= 1U << 18;
-  EXPECT_FALSE(radio.take_event().stamp_valid);
+  EXPECT_FALSE(radio.take_event().timestamp_valid);
 }
 
 TEST_F(Driver, ImpossibleLengthsAreHarmless) {

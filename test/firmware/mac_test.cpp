@@ -325,13 +325,13 @@ TEST_P(Network, InvalidTimestampsYieldNoRange) {
   std::mt19937_64 random(13);
   air.spoil = [&](std::size_t, mac::Reception& reception) {
     if (uniform(random) > 0.1) return;
-    reception.stamp_valid = false;
-    reception.stamp += Ticks(static_cast<std::int64_t>(random() % 100'000));
+    reception.timestamp_valid = false;
+    reception.timestamp += Ticks(static_cast<std::int64_t>(random() % 100'000));
   };
   air.start_all();
   air.run(3.0);
   EXPECT_LT(worst_error_m(air.ranges), kIdealError_m);
-  EXPECT_GT(count(air.ranges, RangeStatus::kBadStamp), 100U);
+  EXPECT_GT(count(air.ranges, RangeStatus::kBadTimestamp), 100U);
   EXPECT_GT(good(air.ranges), air.ranges.size() / 3);
 }
 
@@ -345,9 +345,9 @@ TEST_P(Network, ContradictoryTimestampsAreDetected) {
   std::map<std::size_t, ClockTime> before;
   std::size_t swapped = 0;
   air.spoil = [&](std::size_t receiver, mac::Reception& reception) {
-    const ClockTime own = reception.stamp;
+    const ClockTime own = reception.timestamp;
     if (before.contains(receiver) && uniform(random) < 0.1) {
-      reception.stamp = before[receiver];
+      reception.timestamp = before[receiver];
       ++swapped;
     }
     before[receiver] = own;
@@ -413,7 +413,7 @@ TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
     (void)anchor.start(ClockTime(1'000'000));
     const auto beacon = beacon_of(schedule);
     const ClockTime heard(5'000'000'000);
-    Step step = anchor.on_received({.stamp = heard, .stamp_valid = true, .frame = beacon.bytes()});
+    Step step = anchor.on_received({.timestamp = heard, .timestamp_valid = true, .frame = beacon.bytes()});
     EXPECT_EQ(step.action.kind, Action::Kind::kListen);
     step = anchor.on_timeout(step.action.until);  // nobody in the shared slot
     EXPECT_EQ(step.action.kind, Action::Kind::kListen);
@@ -421,7 +421,7 @@ TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
         mac::serialize({.network = network, .destination = mac::kBroadcast, .source = source, .body = poll});
     const ClockTime due =
         heard + anchor.station().superframe().poll(0) - anchor.station().superframe().beacon();
-    step = anchor.on_received({.stamp = due, .stamp_valid = true, .frame = bytes.bytes()});
+    step = anchor.on_received({.timestamp = due, .timestamp_valid = true, .frame = bytes.bytes()});
     return step.action.kind;
   };
   const mac::Poll good_poll{.exchange = 5, .superframe = 42, .slot = 0, .count = 2, .anchors = {101, 102}};
@@ -448,7 +448,7 @@ class ScriptedAnchor {
     (void)tag_.start(ClockTime(0));
     const auto beacon = beacon_of(schedule());
     step_ =
-        tag_.on_received({.stamp = ClockTime(5'000'000'000), .stamp_valid = true, .frame = beacon.bytes()});
+        tag_.on_received({.timestamp = ClockTime(5'000'000'000), .timestamp_valid = true, .frame = beacon.bytes()});
   }
 
   // Lets the tag send its POLL and hear the RESPONSE `late` ticks after its due time.
@@ -460,7 +460,7 @@ class ScriptedAnchor {
     const Ticks due = tag_.station().superframe().response(0, 1);
     response.reply = due - Ticks(200);
     const auto bytes = mac::serialize({.network = 9, .destination = 1, .source = source, .body = response});
-    step_ = tag_.on_received({.stamp = sent + due + late, .stamp_valid = true, .frame = bytes.bytes()});
+    step_ = tag_.on_received({.timestamp = sent + due + late, .timestamp_valid = true, .frame = bytes.bytes()});
     return step_;
   }
 

@@ -917,7 +917,7 @@ TEST(SlotReport, CarriesEachRangeWithItsTimeAndStatus) {
   const std::int64_t tof = 2131;  // 10 m
   exchange.legs[0] = {.anchor = 101,
                       .answered = true,
-                      .stamp_valid = true,
+                      .timestamp_valid = true,
                       .received = exchange.poll_sent + ranging::Ticks(400'000'000 + 2 * tof),
                       .reply = ranging::Ticks(400'000'000),
                       .quality = {.amplitude1 = 11'000,

@@ -46,7 +46,7 @@ enum class BringUp : std::uint8_t {
   kNoFastBus,    // it answers at 2 MHz, but not at 8 MHz
   kNotWritable,  // a register did not keep what was written
   kNoTrim,       // the crystal trim register did not keep its value
-  kNoStamps,     // the leading edge detector's registers did not keep their values, or it is off
+  kNoTimestamps,     // the leading edge detector's registers did not keep their values, or it is off
 };
 
 // At most 31 characters; empty for kOk.
@@ -64,7 +64,7 @@ enum class BringUp : std::uint8_t {
       return "registers do not keep values";
     case BringUp::kNoTrim:
       return "crystal trim is not kept";
-    case BringUp::kNoStamps:
+    case BringUp::kNoTimestamps:
       return "leading edge detector not ready";
   }
   return "";
@@ -93,8 +93,8 @@ enum class EventKind : std::uint8_t {
 
 struct Event {
   EventKind kind = EventKind::kNone;
-  ranging::DeviceTime stamp{};            // of the RMARKER at the antenna, for kTransmitted and kReceived
-  bool stamp_valid = false;               // for kReceived: the leading edge was found and timestamped
+  ranging::DeviceTime timestamp{};            // of the RMARKER at the antenna, for kTransmitted and kReceived
+  bool timestamp_valid = false;               // for kReceived: the leading edge was found and timestamped
   std::span<const std::uint8_t> frame{};  // for kReceived: no frame check; valid until the next operation
   ReceiveQuality quality{};               // for kReceived
 };
@@ -143,7 +143,7 @@ class Dw1000 {
     // shows.
     if (read<reg::LdeCfg1>() != kLdeNoiseThreshold || read<reg::LdeRepc>() != kLdeReplicaCode ||
         !read<reg::PmscCtrl1>().has(reg::pmsc_ctrl1::kLeadingEdge)) {
-      return BringUp::kNoStamps;
+      return BringUp::kNoTimestamps;
     }
     state_ = State::kIdle;
     return BringUp::kOk;
@@ -169,17 +169,17 @@ class Dw1000 {
   }
 
   // Sends `frame` (without frame check) so that its RMARKER leaves the antenna at `stamp`. `stamp` must be a
-  // result of transmit_stamp_not_after() and less than 8.6 s ahead.
-  [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame) noexcept {
-    return transmit_at(stamp, frame, [] {});
+  // result of transmit_timestamp_not_after() and less than 8.6 s ahead.
+  [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp, std::span<const std::uint8_t> frame) noexcept {
+    return transmit_at(timestamp, frame, [] {});
   }
   // For a frame whose bytes are complete only after `complete()`, which is called as late as possible.
   template <class Complete>
-  [[nodiscard]] Start transmit_at(ranging::DeviceTime stamp, std::span<const std::uint8_t> frame,
+  [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp, std::span<const std::uint8_t> frame,
                                   Complete&& complete) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
     if (frame.size() + kFrameCheckBytes > kMaxFrameBytes) return Start::kTooLong;
-    write(Value<reg::DxTime>((stamp - transmit_antenna_delay()).count()));
+    write(Value<reg::DxTime>((timestamp - transmit_antenna_delay()).count()));
     set_length(frame.size());
     complete();
     spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
@@ -248,13 +248,13 @@ class Dw1000 {
     if (state_ == State::kReceiving) {
       if (status.has(st::kReceived)) {
         // The frame may be complete before its leading edge is found.
-        for (int i = 0; i < kLdeTries && !status.has(st::kStamped) && !status.has(st::kStampError); ++i) {
+        for (int i = 0; i < kLdeTries && !status.has(st::kTimestamped) && !status.has(st::kTimestampError); ++i) {
           status = read_part<reg::SysStatus, 0, 4>();
         }
         clear_events();
         state_ = State::kIdle;
         return {.kind = EventKind::kReceived,
-                .stamp_valid = status.has(st::kStamped) && !status.has(st::kStampError)};
+                .timestamp_valid = status.has(st::kTimestamped) && !status.has(st::kTimestampError)};
       }
       if (const EventKind failure = failure_of(status); failure != EventKind::kNone) {
         clear_events();
@@ -284,7 +284,7 @@ class Dw1000 {
     spi_.read(TransactionHeader(false, reg::RxBuffer::kId, reg::RxBuffer::kSub).bytes(), frame);
     const bool quality_wanted = on_bytes(std::span<const std::uint8_t>(frame));
     const auto time = read_part<reg::RxTime, 0, 9>();
-    event.stamp = ranging::DeviceTime(time.get(reg::rx_time::kStamp));
+    event.timestamp = ranging::DeviceTime(time.get(reg::rx_time::kTimestamp));
     event.frame = frame;
     if (!quality_wanted) return;
     if (!armed) results = read<reg::DrxResults>();
@@ -572,11 +572,11 @@ class Dw1000 {
   }
 
   [[nodiscard]] Event take_transmitted() noexcept {
-    const ranging::DeviceTime stamp(read<reg::TxTime>().get(reg::tx_time::kStamp));
+    const ranging::DeviceTime timestamp(read<reg::TxTime>().get(reg::tx_time::kTimestamp));
     clear_events();
     write<reg::PmscClock>(kClocksAutomatic);
     state_ = State::kIdle;
-    return {.kind = EventKind::kTransmitted, .stamp = stamp};
+    return {.kind = EventKind::kTransmitted, .timestamp = timestamp};
   }
 
   [[nodiscard]] static EventKind failure_of(const Value<reg::SysStatus>& status) noexcept {

@@ -90,16 +90,16 @@ void Anchor::end_superframe() noexcept {
   next_slot_ = 0;
 }
 
-Step Anchor::on_transmitted(ClockTime stamp) noexcept {
+Step Anchor::on_transmitted(ClockTime timestamp) noexcept {
   if (phase_ == Phase::kControl) {
-    station_.on_control_transmitted(stamp);
-    return doing(plan(stamp));
+    station_.on_control_transmitted(timestamp);
+    return doing(plan(timestamp));
   }
   ++station_.counters().frames_sent;
   Record& record = *answered_;
-  record.valid = stamp == record.responded;
+  record.valid = timestamp == record.responded;
   if (!record.valid) ++station_.counters().bad_stamps;
-  if (!station_.superframe().has_final()) return doing(plan(stamp));
+  if (!station_.superframe().has_final()) return doing(plan(timestamp));
   phase_ = Phase::kFinal;
   return doing(station_.listen(poll_heard_ + station_.superframe().final(polled_),
                                station_.superframe().on_air(kFinalBytes), Ticks(0)));
@@ -117,9 +117,9 @@ Step Anchor::on_late(ClockTime now) noexcept {
 Step Anchor::on_received(const Reception& reception) noexcept {
   if (phase_ == Phase::kControl) {
     if (const auto rest = station_.on_control_received(reception)) return doing(*rest);
-    return doing(plan(reception.stamp));
+    return doing(plan(reception.timestamp));
   }
-  if (phase_ == Phase::kPoll) go_on_to(reception.stamp);
+  if (phase_ == Phase::kPoll) go_on_to(reception.timestamp);
   const bool nobodys = phase_ == Phase::kPoll && silent_[slot_] >= kSilent && !in_time(reception);
   const auto check = nobodys ? Station::Check::kNobodysSlot : Station::Check::kNow;
   if (const auto frame = station_.accept(reception, place(), check)) {
@@ -130,18 +130,18 @@ Step Anchor::on_received(const Reception& reception) noexcept {
     } else if (const auto* final = std::get_if<Final>(&frame->body);
                final != nullptr && phase_ == Phase::kFinal) {
       close(*frame, *final, reception);
-      return doing(plan(reception.stamp));
+      return doing(plan(reception.timestamp));
     } else if (station_.overhear(*frame, reception)) {
-      return doing(plan(reception.stamp));
+      return doing(plan(reception.timestamp));
     }
   }
-  return listen_on_or(reception.stamp);
+  return listen_on_or(reception.timestamp);
 }
 
 bool Anchor::in_time(const Reception& reception) const noexcept {
-  const Ticks late = reception.stamp - station_.poll_due(slots_of_, slot_);
+  const Ticks late = reception.timestamp - station_.poll_due(slots_of_, slot_);
   const Ticks most = station_.superframe().guard() + station_.sync().margin(slots_of_);
-  return !reception.stamp_valid || (late <= most && late >= -most);
+  return !reception.timestamp_valid || (late <= most && late >= -most);
 }
 
 bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& reception) const noexcept {
@@ -152,7 +152,7 @@ bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& r
 std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
                                      const Reception& reception) noexcept {
   if (!station_.fresh()) return std::nullopt;
-  if (!reception.stamp_valid) {
+  if (!reception.timestamp_valid) {
     ++station_.counters().bad_stamps;
     return std::nullopt;
   }
@@ -173,22 +173,22 @@ std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
     } else {
       // This POLL closes the previous exchange if it directly follows it.
       const auto following = static_cast<std::uint16_t>(record.exchange + 1);
-      body.closing = reception.stamp - record.responded;
+      body.closing = reception.timestamp - record.responded;
       body.closing_valid = poll.exchange == following && body.closing <= kMaxClosing;
     }
     if (!body.closing_valid) body.closing = Ticks(0);
   }
 
-  poll_heard_ = reception.stamp;
+  poll_heard_ = reception.timestamp;
   polled_ = poll.count;
-  const ClockTime stamp =
-      station_.stamp_not_after(reception.stamp + station_.superframe().response(index, poll.count));
-  body.reply = stamp - reception.stamp;
+  const ClockTime timestamp =
+      station_.timestamp_not_after(reception.timestamp + station_.superframe().response(index, poll.count));
+  body.reply = timestamp - reception.timestamp;
   record = {
-      .tag = frame.source, .exchange = poll.exchange, .superframe = poll.superframe, .responded = stamp};
+      .tag = frame.source, .exchange = poll.exchange, .superframe = poll.superframe, .responded = timestamp};
   answered_ = &record;
   phase_ = Phase::kResponse;
-  return station_.transmit(stamp, frame.source, body, place());
+  return station_.transmit(timestamp, frame.source, body, place());
 }
 
 std::size_t Anchor::precompute() noexcept {
@@ -229,11 +229,11 @@ void Anchor::close(const Frame& frame, const Final& final, const Reception& rece
     ++station_.counters().stale_frames;
     return;
   }
-  if (!reception.stamp_valid) {
+  if (!reception.timestamp_valid) {
     ++station_.counters().bad_stamps;
     return;
   }
-  record.closing = reception.stamp - record.responded;
+  record.closing = reception.timestamp - record.responded;
   record.closing_valid = true;
 }
 

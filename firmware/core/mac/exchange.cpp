@@ -34,11 +34,11 @@ bool plausible(const Range& range, const Leg& leg) noexcept {
 Range evaluate(const Exchange& exchange, const Leg& leg) noexcept {
   Range range;
   if (!leg.answered) return range;
-  if (!leg.stamp_valid) {
-    range.status = RangeStatus::kBadStamp;
+  if (!leg.timestamp_valid) {
+    range.status = RangeStatus::kBadTimestamp;
     return range;
   }
-  range.status = RangeStatus::kNoClosingStamp;
+  range.status = RangeStatus::kNoClosingTimestamp;
   if (leg.closing_state == Leg::Closing::kStale) {
     range.status = RangeStatus::kStale;
     return range;
@@ -49,7 +49,7 @@ Range evaluate(const Exchange& exchange, const Leg& leg) noexcept {
                      .anchor_round = leg.closing,
                      .tag_reply = *exchange.closing_sent - leg.received};
   if (range.intervals.tag_reply > kMaxClosing) return range;
-  range.status = RangeStatus::kBadStamp;
+  range.status = RangeStatus::kBadTimestamp;
   const auto flight = ranging::double_sided(range.intervals);
   if (!flight) return range;
   range.flight = *flight;

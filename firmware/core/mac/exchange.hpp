@@ -16,16 +16,16 @@ namespace groma::mac {
 enum class RangeStatus : std::uint8_t {
   kOk,
   kNoResponse,      // the anchor's RESPONSE was not received
-  kNoClosingStamp,  // the anchor missed the closing frame, or its next RESPONSE was not received
+  kNoClosingTimestamp,  // the anchor missed the closing frame, or its next RESPONSE was not received
   kStale,           // the closing interval that the anchor returned belongs to another exchange
-  kBadStamp,        // a timestamp was invalid, or the four intervals contradict each other
+  kBadTimestamp,        // a timestamp was invalid, or the four intervals contradict each other
 };
 
 // One anchor's share of the exchange.
 struct Leg {
   std::uint16_t anchor = 0;
   bool answered = false;
-  bool stamp_valid = false;
+  bool timestamp_valid = false;
   Health health{};                // of the anchor's chip
   ranging::ClockTime received{};  // T2
   ranging::Ticks reply{};         // A2 - A1

@@ -215,22 +215,22 @@ std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
   }
   phase_ = Phase::kShared;
   if (timed(number_)) {
-    const ClockTime stamp = stamp_not_after(due);
+    const ClockTime timestamp = timestamp_not_after(due);
     if (fresh() && election_.has_shared_turn(number_)) {
       const bool odd = number_ / (site_.schedule->backup_ids_count + 1U) % 2 != 0;
       if (odd && !election_.leads()) {
-        if (const auto action = from_channels(stamp, true)) return action;
+        if (const auto action = from_channels(timestamp, true)) return action;
       }
       return send_beacon(due, true);
     }
     if (superframe_.shared_turn(number_) == 0) {
-      if (const auto action = from_channels(stamp, false)) return action;
+      if (const auto action = from_channels(timestamp, false)) return action;
     }
   }
   return listen(due, superframe_.control_bytes(), sync_.margin(number_));
 }
 
-std::optional<Action> Station::from_channels(ClockTime stamp, bool own_turn) noexcept {
+std::optional<Action> Station::from_channels(ClockTime timestamp, bool own_turn) noexcept {
   for (ControlChannel* channel : channels_) {
     if (channel == nullptr) break;
     if (!fresh() && channel != &replay_guard_) continue;
@@ -238,7 +238,7 @@ std::optional<Action> Station::from_channels(ClockTime stamp, bool own_turn) noe
     if (!outgoing) continue;
     sender_ = channel;
     own_beacon_ = false;
-    return transmit(stamp, outgoing->destination, outgoing->body, {number_, Place::kShared});
+    return transmit(timestamp, outgoing->destination, outgoing->body, {number_, Place::kShared});
   }
   return std::nullopt;
 }
@@ -264,9 +264,9 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
   const bool quiet = phase_ == Phase::kScanning || phase_ == Phase::kRequesting;
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
   while (others_) {
-    const ClockTime stamp = stamp_not_after(others_->shared);
-    if (ahead(stamp, now) && sure(number_) && election_.may_request_merge(others_->merge_target.superframe)) {
-      const ClockTime ready = stamp - superframe_.phy().before_rmarker() - kToGetReady;
+    const ClockTime timestamp = timestamp_not_after(others_->shared);
+    if (ahead(timestamp, now) && sure(number_) && election_.may_request_merge(others_->merge_target.superframe)) {
+      const ClockTime ready = timestamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
       if (ready > now + kToGetReady) {
         phase_ = Phase::kScanning;
@@ -274,7 +274,7 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
       }
       const MergeTarget merge_target = others_->merge_target;
       next_of_others();
-      return merge_request(stamp, merge_target);
+      return merge_request(timestamp, merge_target);
     }
     next_of_others();
   }
@@ -303,9 +303,9 @@ void Station::next_of_others() noexcept {
   ++others_->merge_target.superframe;
 }
 
-Action Station::merge_request(ClockTime stamp, const MergeTarget& merge_target) noexcept {
+Action Station::merge_request(ClockTime timestamp, const MergeTarget& merge_target) noexcept {
   const std::int64_t duration = superframe_.duration().count();
-  const std::int64_t time = sync_.network_time(stamp).count();
+  const std::int64_t time = sync_.network_time(timestamp).count();
   Beacon beacon = make_beacon(Ticks(0), true);
   beacon.superframe = static_cast<std::uint32_t>(time / duration);
   beacon.place = Ticks(time % duration);
@@ -313,7 +313,7 @@ Action Station::merge_request(ClockTime stamp, const MergeTarget& merge_target) 
   phase_ = Phase::kRequesting;
   sender_ = nullptr;
   own_beacon_ = true;
-  return transmit(stamp, kBroadcast, beacon, place_of(beacon), &merge_target);
+  return transmit(timestamp, kBroadcast, beacon, place_of(beacon), &merge_target);
 }
 
 // All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:
@@ -348,8 +348,8 @@ void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime sha
 }
 
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
-  const ClockTime stamp = stamp_not_after(due);
-  Beacon beacon = make_beacon(stamp - due, shared);
+  const ClockTime timestamp = timestamp_not_after(due);
+  Beacon beacon = make_beacon(timestamp - due, shared);
   beacon.quiet = shared ? election_.ask_for_silence() : scanning_ && election_.quiet();
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr) channel->on_beacon_out(beacon, election_.leads());
@@ -360,14 +360,14 @@ Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   }
   sender_ = nullptr;
   own_beacon_ = true;
-  return transmit(stamp, kBroadcast, beacon, place_of(beacon));
+  return transmit(timestamp, kBroadcast, beacon, place_of(beacon));
 }
 
-void Station::on_control_transmitted(ClockTime stamp) noexcept {
+void Station::on_control_transmitted(ClockTime timestamp) noexcept {
   ++counters_.frames_sent;
   if (sender_ != nullptr) {
     std::exchange(sender_, nullptr)->on_sent(number_, true);
-  } else if (phase_ == Phase::kBeacon && election_.on_led(stamp)) {
+  } else if (phase_ == Phase::kBeacon && election_.on_led(timestamp)) {
     sync_.search();
   }
   own_beacon_ = false;
@@ -386,20 +386,20 @@ std::optional<Action> Station::on_control_received(const Reception& reception) n
     if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
       if (take_beacon(*frame, *beacon, reception)) return std::nullopt;
     } else if (std::holds_alternative<Join>(frame->body) || std::holds_alternative<Data>(frame->body)) {
-      if (phase == Phase::kSearching) election_.on_traffic(reception.stamp);
+      if (phase == Phase::kSearching) election_.on_traffic(reception.timestamp);
       for (ControlChannel* channel : channels_) {
         if (channel != nullptr) channel->on_control(*frame, number_, election_.leads());
       }
       if (phase == Phase::kShared) return std::nullopt;
     } else if (phase == Phase::kSearching) {
-      election_.on_traffic(reception.stamp);
+      election_.on_traffic(reception.timestamp);
     } else if (phase != Phase::kScanning) {
       ++counters_.stale_frames;
       if (std::holds_alternative<Poll>(frame->body)) election_.suspect();
     }
   }
   if (phase_ == Phase::kSearching) return std::nullopt;
-  const auto rest = listen_on(listening_, reception.stamp);
+  const auto rest = listen_on(listening_, reception.timestamp);
   if (!rest) on_control_timeout();
   return rest;
 }
@@ -424,7 +424,7 @@ bool Station::overhear(const Frame& frame, const Reception& reception) noexcept 
 // ---- beacons
 
 bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept {
-  if (!reception.stamp_valid) {
+  if (!reception.timestamp_valid) {
     ++counters_.bad_stamps;
     return false;
   }
@@ -432,19 +432,19 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     ++counters_.stale_frames;
     return false;
   }
-  const BeaconReception stamp{.superframe = beacon.superframe,
+  const BeaconReception timestamp{.superframe = beacon.superframe,
                               .place = place_in_superframe(beacon),
-                              .heard = reception.stamp,
+                              .heard = reception.timestamp,
                               .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
                               .hop = beacon.hop,
                               .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
-  const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.stamp);
+  const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.timestamp);
   const bool requested = authenticator_.on() && beacon.merge_request;
   const std::uint64_t session = election_.session();
   const Verdict verdict = unverified_ ? election_.judge_unverified(frame.source, beacon)
                           : requested ? election_.judge_merge_request(frame.source, beacon, ahead)
-                                      : election_.judge(frame.source, beacon, ahead, reception.stamp);
+                                      : election_.judge(frame.source, beacon, ahead, reception.timestamp);
   switch (verdict) {
     case Verdict::kStale:
       ++counters_.stale_frames;
@@ -453,14 +453,14 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
       return false;
     case Verdict::kRequestMerge:
       if (searching) {
-        others_ = Others{.shared = reception.stamp - stamp.place + superframe_.shared(),
+        others_ = Others{.shared = reception.timestamp - timestamp.place + superframe_.shared(),
                          .merge_target = {beacon.session, beacon.superframe}};
         return false;
       }
       send_merge_requests({beacon.session, beacon.superframe},
-                          reception.stamp - stamp.place + superframe_.shared(), 1);
+                          reception.timestamp - timestamp.place + superframe_.shared(), 1);
       return phase_ == Phase::kScanning &&
-             (!only_requester_silent() || requests_within(reception.stamp, sync_.start(number_)));
+             (!only_requester_silent() || requests_within(reception.timestamp, sync_.start(number_)));
     case Verdict::kLeave:
       sync_.search();
       return true;
@@ -481,7 +481,7 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
                     .left = site_.schedule->backup_ids_count + 1U};
   }
   // A beacon later than its place may have been delayed by an attacker.
-  if (!take_time(stamp, beacon.session, verdict, !authenticator_.on() || ahead >= Ticks(0))) {
+  if (!take_time(timestamp, beacon.session, verdict, !authenticator_.on() || ahead >= Ticks(0))) {
     ++counters_.bad_stamps;
     return false;
   }
@@ -498,16 +498,16 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   return true;
 }
 
-bool Station::take_time(const BeaconReception& stamp, std::uint64_t session, Verdict verdict,
+bool Station::take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                         bool persuasive) noexcept {
   if (verdict == Verdict::kAdopt) {
     if (!fresh()) replay_guard_.forget();
     authenticator_.enter(session);
-    sync_.adopt(stamp);
+    sync_.adopt(timestamp);
     return true;
   }
   sync_.follow();
-  return sync_.on_beacon(stamp, verdict == Verdict::kSwitch, persuasive);
+  return sync_.on_beacon(timestamp, verdict == Verdict::kSwitch, persuasive);
 }
 
 void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
@@ -588,7 +588,7 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
     return authentic(*beacon, reception);
   }
   // Without knowing the place this node cannot verify the MIC; but another node is there.
-  if (phase_ == Phase::kSearching) election_.on_traffic(reception.stamp);
+  if (phase_ == Phase::kSearching) election_.on_traffic(reception.timestamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
   const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
   if (later || is_genuine(reception.frame, place)) return true;
@@ -628,7 +628,7 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
     }
   } else {
     const Ticks most = superframe_.guard() + sync_.margin(beacon.superframe);
-    const Ticks ahead = ahead_by(beacon, reception.stamp);
+    const Ticks ahead = ahead_by(beacon, reception.timestamp);
     const bool aligned = ahead <= most && ahead >= -most;
     if (beacon.session == election_.session() && (aligned || beacon.master == election_.master())) {
       good = ahead >= -most && authenticator_.fits(reception.frame, beacon);
@@ -642,15 +642,15 @@ bool Station::authentic(const Beacon& beacon, const Reception& reception) noexce
 
 // The beacon came in this node's own shared slot, and its MIC was made for that slot.
 bool Station::is_merge_request(const Beacon& beacon, const Reception& reception) noexcept {
-  const auto number = static_cast<std::uint32_t>(sync_.network_time(reception.stamp).count() /
+  const auto number = static_cast<std::uint32_t>(sync_.network_time(reception.timestamp).count() /
                                                  superframe_.duration().count());
-  const Ticks late = reception.stamp - (sync_.start(number) + superframe_.shared());
+  const Ticks late = reception.timestamp - (sync_.start(number) + superframe_.shared());
   const Ticks most = superframe_.guard() + sync_.margin(number);
   return late <= most && late >= -most &&
          authenticator_.fits(reception.frame, beacon, {election_.session(), number});
 }
 
-Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body& body, Place place,
+Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const Body& body, Place place,
                          const MergeTarget* merge_target) noexcept {
   serialize({.sequence = sequence_++,
              .network = site_.network_id,
@@ -664,7 +664,7 @@ Action Station::transmit(ClockTime stamp, std::uint16_t destination, const Body&
   } else if (authenticator_.on()) {
     authenticator_.begin_signing(outgoing_, place);
   }
-  return {.kind = Action::Kind::kTransmit, .at = stamp, .frame = outgoing_.bytes()};
+  return {.kind = Action::Kind::kTransmit, .at = timestamp, .frame = outgoing_.bytes()};
 }
 
 Action Station::listen(ClockTime due, std::size_t bytes, Ticks slack) const noexcept {

@@ -77,7 +77,7 @@ class Station {
   [[nodiscard]] std::uint32_t superframe_number() const noexcept { return number_; }
 
   // Events of the last action of control(). The next action is the one returned, otherwise that of control().
-  void on_control_transmitted(ranging::ClockTime stamp) noexcept;
+  void on_control_transmitted(ranging::ClockTime timestamp) noexcept;
   void on_control_late() noexcept;
   [[nodiscard]] std::optional<Action> on_control_received(const Reception& reception) noexcept;
   void on_control_timeout() noexcept;
@@ -133,12 +133,12 @@ class Station {
   }
 
   // `place`: where the frame is sent. finish_signing() adds the MIC.
-  [[nodiscard]] Action transmit(ranging::ClockTime stamp, std::uint16_t destination, const Body& body,
+  [[nodiscard]] Action transmit(ranging::ClockTime timestamp, std::uint16_t destination, const Body& body,
                                 Place place, const MergeTarget* merge_target = nullptr) noexcept;
   void finish_signing() noexcept { authenticator_.finish_signing(outgoing_); }
   // The last timestamp on the transmit grid that is not after `latest`.
-  [[nodiscard]] ranging::ClockTime stamp_not_after(ranging::ClockTime latest) const noexcept {
-    return ranging::transmit_stamp_not_after(latest, site_.transmit_antenna_delay);
+  [[nodiscard]] ranging::ClockTime timestamp_not_after(ranging::ClockTime latest) const noexcept {
+    return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay);
   }
 
   // Listens for a frame of up to `bytes` whose RMARKER is due at `due`, from guard plus `slack` before to
@@ -172,14 +172,14 @@ class Station {
   [[nodiscard]] bool requests_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
   [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
   void next_of_others() noexcept;
-  [[nodiscard]] Action merge_request(ranging::ClockTime stamp, const MergeTarget& merge_target) noexcept;
+  [[nodiscard]] Action merge_request(ranging::ClockTime timestamp, const MergeTarget& merge_target) noexcept;
   void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
   // The other session may be a recording, and no expected frames are missing.
   [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !election_.lacking(); }
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA for the shared slot, of the first channel that has one.
-  [[nodiscard]] std::optional<Action> from_channels(ranging::ClockTime stamp, bool own_turn) noexcept;
+  [[nodiscard]] std::optional<Action> from_channels(ranging::ClockTime timestamp, bool own_turn) noexcept;
   [[nodiscard]] Beacon make_beacon(ranging::Ticks tx_offset, bool shared) noexcept;
   [[nodiscard]] Action send_beacon(ranging::ClockTime due, bool shared) noexcept;
   // Returns false while there is no session to follow or start.
@@ -187,7 +187,7 @@ class Station {
 
   // Returns true if the place in the timeline changed or was lost.
   bool take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept;
-  bool take_time(const BeaconReception& stamp, std::uint64_t session, Verdict verdict,
+  bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                  bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon) noexcept;
   [[nodiscard]] bool timed(std::uint32_t number) const noexcept {

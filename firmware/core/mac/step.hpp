@@ -24,8 +24,8 @@
 namespace groma::mac {
 
 struct Reception {
-  ranging::ClockTime stamp{};
-  bool stamp_valid = false;
+  ranging::ClockTime timestamp{};
+  bool timestamp_valid = false;
   std::span<const std::uint8_t> frame{};  // without its frame check
   dw1000::ReceiveQuality quality{};
 };

@@ -76,27 +76,27 @@ Action Tag::poll(std::uint32_t superframe, std::size_t slot) noexcept {
     exchange.legs[i] = Leg{.anchor = next_anchors_[i]};
     body.anchors[i] = next_anchors_[i];
   }
-  const ClockTime stamp = station_.stamp_not_after(station_.poll_due(superframe, slot));
-  return station_.transmit(stamp, kBroadcast, body, place_of(exchange));
+  const ClockTime timestamp = station_.timestamp_not_after(station_.poll_due(superframe, slot));
+  return station_.transmit(timestamp, kBroadcast, body, place_of(exchange));
 }
 
-Step Tag::on_transmitted(ClockTime stamp) noexcept {
+Step Tag::on_transmitted(ClockTime timestamp) noexcept {
   if (phase_ == Phase::kControl) {
-    station_.on_control_transmitted(stamp);
-    return {plan(stamp), nullptr};
+    station_.on_control_transmitted(timestamp);
+    return {plan(timestamp), nullptr};
   }
   ++station_.counters().frames_sent;
   if (phase_ == Phase::kFinal) {
-    current().closing_sent = stamp;
-    return finish(stamp);
+    current().closing_sent = timestamp;
+    return finish(timestamp);
   }
   Exchange& exchange = current();
-  exchange.poll_sent = stamp;
+  exchange.poll_sent = timestamp;
   // If the closing frame is later, clock drift distorts the range: at 2 ppm/s by 0.7 m for each second.
   constexpr std::uint32_t kLatestClosing = 2;
   if (previous_valid_ && !station_.superframe().has_final() &&
       exchange.superframe - previous().superframe <= kLatestClosing) {
-    previous().closing_sent = stamp;
+    previous().closing_sent = timestamp;
   }
   phase_ = Phase::kResponses;
   window_ = 0;
@@ -130,7 +130,7 @@ Action Tag::response_window(std::size_t index) const noexcept {
 Step Tag::on_received(const Reception& reception) noexcept {
   if (phase_ == Phase::kControl) {
     if (const auto rest = station_.on_control_received(reception)) return {*rest, nullptr};
-    return {plan(reception.stamp), nullptr};
+    return {plan(reception.timestamp), nullptr};
   }
   // There is time to verify the MIC once the receiver is on for the next RESPONSE.
   const bool last = window_ + 1U >= current().count;
@@ -146,10 +146,10 @@ Step Tag::on_received(const Reception& reception) noexcept {
                       .closed = previous_leg(leg.anchor)};
       }
     } else if (station_.overhear(*frame, reception)) {
-      return finish(reception.stamp);
+      return finish(reception.timestamp);
     }
   }
-  return next_window(reception.stamp);
+  return next_window(reception.timestamp);
 }
 
 void Tag::begin_verify(std::span<const std::uint8_t> frame) noexcept {
@@ -191,16 +191,16 @@ void Tag::take_response(const Frame& frame, const Response& response, const Rece
   Leg& leg = exchange.legs[window_];
   const ClockTime due = exchange.poll_sent + station_.superframe().response(window_, exchange.count);
   const Ticks guard = station_.superframe().guard();
-  const bool in_window = reception.stamp >= due - guard && reception.stamp <= due + guard;
+  const bool in_window = reception.timestamp >= due - guard && reception.timestamp <= due + guard;
   if (frame.source != leg.anchor || response.exchange != exchange.number ||
-      (reception.stamp_valid && !in_window)) {
+      (reception.timestamp_valid && !in_window)) {
     ++station_.counters().stale_frames;
     return;
   }
-  if (!reception.stamp_valid) ++station_.counters().bad_stamps;
+  if (!reception.timestamp_valid) ++station_.counters().bad_stamps;
   leg.answered = true;
-  leg.stamp_valid = reception.stamp_valid;
-  leg.received = reception.stamp;
+  leg.timestamp_valid = reception.timestamp_valid;
+  leg.received = reception.timestamp;
   leg.reply = response.reply;
   leg.health = response.health;
   leg.quality = reception.quality;
@@ -218,9 +218,9 @@ Step Tag::next_window(ClockTime now) noexcept {
   if (++window_ < exchange.count) return {response_window(window_), nullptr};
   if (!station_.superframe().has_final()) return finish(now);
   phase_ = Phase::kFinal;
-  const ClockTime stamp =
-      station_.stamp_not_after(exchange.poll_sent + station_.superframe().final(exchange.count));
-  return {station_.transmit(stamp, kBroadcast, Final{exchange.number}, place_of(exchange)), nullptr};
+  const ClockTime timestamp =
+      station_.timestamp_not_after(exchange.poll_sent + station_.superframe().final(exchange.count));
+  return {station_.transmit(timestamp, kBroadcast, Final{exchange.number}, place_of(exchange)), nullptr};
 }
 
 // Reports interference if the answers are less than half of the usual twice in a row.

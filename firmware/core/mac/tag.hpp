@@ -22,7 +22,7 @@ class Tag {
   Tag(const Site& site, groma_Counters& counters) noexcept;
 
   [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_transmitted(ranging::ClockTime stamp) noexcept;
+  [[nodiscard]] Step on_transmitted(ranging::ClockTime timestamp) noexcept;
   [[nodiscard]] Step on_late(ranging::ClockTime now) noexcept;
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
   [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;

@@ -18,11 +18,11 @@ groma_RangeStatus status_of(mac::RangeStatus status) noexcept {
       return groma_RangeStatus_RANGE_OK;
     case mac::RangeStatus::kNoResponse:
       return groma_RangeStatus_RANGE_NO_RESPONSE;
-    case mac::RangeStatus::kNoClosingStamp:
+    case mac::RangeStatus::kNoClosingTimestamp:
       return groma_RangeStatus_RANGE_NO_CLOSING_STAMP;
     case mac::RangeStatus::kStale:
       return groma_RangeStatus_RANGE_STALE;
-    case mac::RangeStatus::kBadStamp:
+    case mac::RangeStatus::kBadTimestamp:
       return groma_RangeStatus_RANGE_BAD_STAMP;
   }
   return groma_RangeStatus_RANGE_BAD_STAMP;

@@ -252,9 +252,9 @@ class Node {
       case EventKind::kNone:
         return false;
       case EventKind::kTransmitted: {
-        const ranging::ClockTime stamp = clock_.unwrap(event.stamp);
-        refer(stamp);
-        perform(machine_.dispatch([&](auto& machine) { return machine.on_transmitted(stamp); }));
+        const ranging::ClockTime timestamp = clock_.unwrap(event.timestamp);
+        refer(timestamp);
+        perform(machine_.dispatch([&](auto& machine) { return machine.on_transmitted(timestamp); }));
         break;
       }
       case EventKind::kReceived: {
@@ -265,10 +265,10 @@ class Node {
           machine_.begin_verify(frame);
           return !mac::looks_like_poll(frame);
         });
-        const ranging::ClockTime stamp = event.stamp_valid ? clock_.unwrap(event.stamp) : read_clock();
-        refer(stamp);
+        const ranging::ClockTime timestamp = event.timestamp_valid ? clock_.unwrap(event.timestamp) : read_clock();
+        refer(timestamp);
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
-        const mac::Reception reception{stamp, event.stamp_valid, event.frame, event.quality};
+        const mac::Reception reception{timestamp, event.timestamp_valid, event.frame, event.quality};
         perform(machine_.dispatch([&](auto& machine) { return machine.on_received(reception); }));
         if (machine_.tag()) machine_.tag()->verify_deferred();
         break;
