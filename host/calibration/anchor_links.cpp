@@ -12,8 +12,10 @@
 namespace groma::calibration {
 namespace {
 
-// Lower limit of the sigma of a pair's mean range, however many ranges it has.
+// Lower limit of the sigma of a pair's mean range, however many ranges it has: systematic errors do not
+// average out. By hand; AnchorLinks.ImproveAPoorlyDeterminedSite holds with it (NEES 1.02).
 constexpr double kLinkSigmaFloor_m = 0.01;
+// Bounds on iterations: by hand; AnchorLinks.EqualADenseUpdateOfAllUnknowns holds with them.
 constexpr int kFusingSteps = 8;
 constexpr int kFusionRounds = 3;
 constexpr int kFlippingRounds = 4;

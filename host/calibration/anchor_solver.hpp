@@ -31,7 +31,8 @@ struct RangeLos {
   std::int32_t episode = kNoEpisode;  // index of the anchor's long NLOS episode
 };
 
-// Prior of the excess of long NLOS: a part common to all ranges, and one per episode.
+// Prior of the excess of long NLOS: a part common to all ranges, and one per episode. By hand; the NlosSite
+// tests hold with it, with walls that add 0.3 m and an exponential excess of 0.15 m on average.
 struct LongNlosPrior {
   double mean_m = 0.4;
   double sigma_m = 0.2;

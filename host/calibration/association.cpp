@@ -14,8 +14,9 @@
 namespace groma::calibration {
 namespace {
 
-// A longer two-way range is a wrapped timestamp, not a distance.
+// A longer two-way range is a wrapped timestamp, not a distance. By hand: beyond the reach of the radios.
 constexpr double kMaxRange_m = 1000.0;
+// By hand: at 1 m/s^2, linear interpolation over the gap is off by up to gap^2/8 = 0.011 m.
 constexpr double kMaxPoseGap_s = 0.3;
 
 bool is_finite(const model::PoseSample& pose) noexcept {

@@ -22,8 +22,9 @@ namespace {
 
 using Frame = Eigen::Matrix<double, 3, 4>;
 
+// 95 % of the chi-square distribution with three degrees of freedom.
 constexpr double kClear = 7.815;
-// Keeps covariances of exact values invertible.
+// Numerics: keeps covariances of exact values invertible (1 um).
 constexpr double kLeastVariance_m2 = 1e-12;
 
 // An anchor in both, linearized in the frames' offset.
@@ -146,7 +147,7 @@ using model::AnchorCalibration;
 using model::AnchorVerdict;
 using model::has_position;
 
-constexpr double kLeastVariance = 1e-12;
+constexpr double kLeastVariance = 1e-12;  // numerics, as kLeastVariance_m2
 
 // Rank of a verdict: less is more trusted.
 std::ptrdiff_t rank(AnchorVerdict verdict) {
@@ -187,7 +188,7 @@ void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen
 
 // Removes the common frame's part from the anchor's covariance but keeps kKeptShare of the whole. Otherwise
 // an anchor whose uncertainty along some axis is all the frame's counts as exact there and outweighs every
-// other drive.
+// other drive: two simulated drives that owed an axis to the frame were fused 0.4 m away. By hand, small.
 void remove_common_frame(AnchorCalibration& anchor, const model::Calibration& of) {
   constexpr double kKeptShare = 0.01;
   if (!has_position(anchor)) return;
@@ -246,7 +247,8 @@ void settle_heights(AnchorCalibration& earlier, AnchorCalibration& later) {
 }
 
 // Deviation of the ranges' spheres from their tangent planes over `way_m`, m: a solution's covariance is no
-// better than this for another solution so far away.
+// better than this for another solution so far away. The range is by hand: a short one, for which the
+// deviation is large. See kWeakHeight_m for its effect.
 double bend_over(double way_m) noexcept {
   constexpr double kRange_m = 2.5;
   return way_m * way_m / (2.0 * kRange_m);

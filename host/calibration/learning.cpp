@@ -40,9 +40,10 @@ bool is_usable(double t_s) noexcept {
   return std::abs(t_s) < 1e12;  // false for NaN
 }
 
-// Largest coverage of an anchor whose verdict does not allow use.
+// Largest coverage of an anchor whose verdict does not allow use: any value below 1.
 constexpr double kAlmost = 0.99;
-// Ranges per anchor and step. Most ranges of a robot that is stationary for long are redundant.
+// Ranges per anchor and step. Most ranges of a robot that is stationary for long are redundant. By hand; in
+// simulation 1800 of 6000 cost 4 % of RMSE, 900 cost 8 % (MeasurementChoice.ADriveOfTenTimesTheRanges...).
 constexpr std::size_t kMostAnchorRanges = 4000;
 
 Drive drive_of(const DriveStore::Samples& samples, const LearningInput& input) {
