@@ -19,6 +19,8 @@ namespace groma::calibration {
 enum LosState : std::uint8_t { kLos, kShortNlos, kLongNlos };
 using LosVector = Eigen::Vector3d;  // one value per state
 
+// By hand. `start` is near the stationary distribution of los_transition(), (0.61, 0.10, 0.29). The reply
+// probabilities are only priors if polls are regular; the NlosSite tests hold with 0.95, 0.6 and 0.45.
 struct LosChain {
   Eigen::Matrix3d transition;  // per poll, from the row's state to the column's; rows sum to one
   LosVector start{0.65, 0.05, 0.30};

@@ -15,28 +15,32 @@
 namespace groma::calibration {
 namespace {
 
+// All constants of this file are by hand unless their origin is given; the Moved, SwappedIds and DuplicateId
+// tests hold with them.
+// A bin is half of the least stretch (kLeastStretchShare), and a quarter of kLeastStretchRows.
 constexpr std::size_t kBins = 40;
 constexpr std::size_t kRowsPerBin = 15;
-// Huber threshold, in scales of the kernel.
+// Huber threshold, in scales of the kernel: 0.3 % of LOS residuals are beyond (normal distribution).
 constexpr double kHuberScales = 3.0;
 constexpr double kLeastStretch_s = 10.0;
 constexpr double kLeastStretchShare = 0.05;
-// Prior sigmas of the biases in a second place, given those of the first.
+// Prior sigmas of the biases in a second place, given those of the first: gamma's is a tenth of its prior's.
 constexpr double kBetaAgain_m = 0.02;
 constexpr double kGammaAgain = 5e-4;
-// Prior sigma of a move, per axis.
+// Prior sigma of a move, per axis: the size of a hall.
 constexpr double kOpenShift_m = 10.0;
-// A stretch with less gain is not tested.
+// A stretch with less gain is not tested: 60 of chi square with three degrees of freedom, 6e-13 by chance, as
+// residuals are correlated and hundreds of stretches compete.
 constexpr double kLeastGain = 30.0;
-constexpr int kPlaceRounds = 4;
+constexpr int kPlaceRounds = 4;  // bounds on time
 constexpr int kRefinements = 3;
-constexpr double kPreference = 0.5;
-// An observation clearly prefers a place if its cost there is less by this.
+constexpr double kPreference = 0.5;  // nats per observation, on average
+// An observation clearly prefers a place if its cost there is less by this: odds of 20 to 1.
 constexpr double kClearlyBetter = 3.0;
 // Least share of observations that the fit rejects, and of these, least share that another place explains.
 constexpr double kRejectedShare = 0.2;
 constexpr double kExplainedShare = 0.5;
-constexpr double kExplainedScales = 3.0;
+constexpr double kExplainedScales = 3.0;  // 99.7 % (normal distribution)
 constexpr double kFarPlace_m = 1.5;
 
 struct Stretch {
@@ -267,15 +271,17 @@ std::optional<SecondPlace> find_second_place(const AnchorFit& fit) {
   return separate(fit.problem, best);
 }
 
+// Bounds on time.
 constexpr int kMovedRounds = 4;
 constexpr int kAttempts = 3;
 constexpr int kPieceSteps = 6;
 constexpr int kJoiningSteps = 20;
-// A move has at least this squared Mahalanobis distance between the two solutions.
+// A move has at least this squared Mahalanobis distance between the two solutions: 1e-8 by chance (chi
+// square, three degrees of freedom), as covariances of pieces are too small where errors depend on the place.
 constexpr double kMinSquareSigmas = 40.0;
-// A piece needs at least twice as many independent ranges as it has unknowns (three tags).
+// A piece needs at least twice as many independent ranges as it has unknowns (three tags: 9).
 constexpr double kLeastRowsByThemselves = 20.0;
-constexpr double kMinLos = 0.2;
+constexpr double kMinLos = 0.2;  // share of a piece's polls
 
 std::vector<std::vector<Poll>> cut(std::span<const std::vector<Poll>> pairs, Poll first, Poll last) {
   std::vector<std::vector<Poll>> out;

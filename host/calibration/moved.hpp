@@ -37,7 +37,8 @@ class StretchGains {
   Eigen::VectorXd half_gradient_;
 };
 
-// Shortest move in the plane, m, that counts as one.
+// Shortest move in the plane, m, that counts as one. By hand; the tests of moves have 0.5 m, and
+// Moved.FindsNoneWhereNoneMovedOverManyDrives holds with it.
 inline constexpr double kMinMove_m = 0.15;
 
 // Difference of two solutions of one anchor from different observations.

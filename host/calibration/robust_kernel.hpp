@@ -19,6 +19,9 @@ namespace groma::calibration {
 //   bumps  N(c s, ((c/3)^2 + 1) s^2) with c = 3, 6, 12 ... 96, NLOS: their shares follow any distribution of
 //          the excess, and none has its peak at the core's
 //   gross  outliers, uniform over 1000 s
+// Origin: NLOS shorter than 3 s is no different from noise (3 sigmas); bumps reach to 9.6 m, outliers over
+// 100 m at s = 0.1 m, about the bounds of an earlier exponential kernel. Bumps instead of an exponential
+// lower the RMSE at 30 % NLOS from 1.23 to 1.20 times the bound (calibration_campaign).
 inline constexpr std::size_t kBumps = 6;
 inline constexpr double kGrossScales = 1000.0;
 
@@ -28,6 +31,8 @@ using KindVector = Eigen::Matrix<double, kKinds, 1>;
 // For the inner loop: a float is as precise as the table.
 using KindFloats = Eigen::Matrix<float, kKinds, 1>;
 
+// Shares by hand: only a start, estimated in each calibration; the CalibrationCampaign tests hold with them
+// (NEES 1.0 at 0, 15 and 30 % NLOS).
 struct KernelShape {
   double scale_m = 0.1;
   double wide = 0.02;  // shares; the core has the rest
@@ -66,7 +71,10 @@ class KindTable {
  private:
   KindTable() noexcept;
 
-  // Nodes in three pieces: dense where the narrow kinds are, then one per scale above and below.
+  // Nodes in three pieces: dense where the narrow kinds are, then one per scale above and below. Numerics:
+  // the error of linear interpolation, h^2/8 of the largest second derivative, is 1.2e-4 of the core's peak
+  // at 1/32 and below 4.9e-4 of the bump's at 48, sigma 16, at 1. The ends are 7 and 9.5 sigmas from the
+  // widest bump's center.
   static constexpr double kLow = -128.0;
   static constexpr double kFineLow = -16.0;
   static constexpr double kFineHigh = 60.0;
@@ -218,13 +226,14 @@ class CostSum {
     product_ = 1.0;
   }
 
+  // Numerics: one more factor of such a size does not leave the range of a double, 1e-308 to 1e308.
   static constexpr double kSmall = 1e-150;
   static constexpr double kLarge = 1e150;
   double cost_ = 0.0;
   double product_ = 1.0;
 };
 
-// Prior of a kernel's shape, weighted as this many residuals.
+// Prior of a kernel's shape, weighted as this many residuals; every caller sets the weights.
 struct KernelPrior {
   KernelShape shape;
   double scale_weight = 10.0;
@@ -239,7 +248,7 @@ struct KernelPrior {
 [[nodiscard]] KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelPrior& prior,
                                      int iterations) noexcept;
 
-// Standard deviation of a normal distribution over its median absolute deviation.
+// Standard deviation of a normal distribution over its median absolute deviation: 1 / quantile(0.75).
 inline constexpr double kSigmaOfMad = 1.482602218505602;
 
 // Upper median; zero if empty.

@@ -10,6 +10,7 @@
 namespace groma::calibration {
 namespace {
 
+// Numerics: the sigmas of poses that count as exact. Their information, 1e12 and 1e14, leaves some digits.
 constexpr double kMinPoseSigma_m = 1e-6;
 constexpr double kMinPoseSigma_rad = 1e-7;
 
@@ -18,7 +19,7 @@ constexpr double inverse_square(double x) noexcept {
 }
 
 // Added to the unit variance at each knot: a smooth process is nearly equal at neighbouring knots, and its
-// correlation matrix would be singular.
+// correlation matrix would be singular. Numerics: 1e-3 of the drift's sigma, far above a double's rounding.
 constexpr double kLeastFresh = 1e-6;
 
 // Correlation matrix of one axis over all knots.
@@ -254,6 +255,7 @@ std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const Pos
   }
   const Eigen::Vector3d unit(1.0 / typical.sigma_m, 1.0 / typical.sigma_m, 1.0 / typical.sigma_yaw_rad);
   // Keeps a knot from being held so much tighter than a typical one that the equations lose precision.
+  // Numerics: weights then differ by 1e6 at most.
   constexpr double kLeastScale = 1e-3;
   std::vector<Eigen::Matrix3d> out(count, Eigen::Matrix3d::Identity());
   for (std::size_t k = 0; k < count; ++k) {
@@ -270,7 +272,7 @@ std::vector<Eigen::Matrix3d> scale_knots(const Knots& knots, std::span<const Pos
 double white_share(const DriftPrior& drift, const PoseQuality& typical, double spacing_s) {
   const double slow = std::pow(drift.sigma_m / typical.sigma_m, 2);
   // Mean variance between two knots of the error of linear interpolation, for a process of unit variance.
-  constexpr int kPlaces = 8;
+  constexpr int kPlaces = 8;  // midpoint rule
   const double over_way = drift_correlation(drift, spacing_s);
   double missed = 0.0;
   for (int i = 0; i < kPlaces; ++i) {

@@ -22,7 +22,7 @@ namespace groma::calibration {
 struct DriftPrior {
   double sigma_m = 0.0;
   double sigma_yaw_rad = 0.0;
-  double correlation_s = 20.0;
+  double correlation_s = 20.0;  // by hand: where the search starts (kFirstDrift in drive_error.cpp)
   // None: first order (Gauss-Markov), rough. Else second order, smooth: white noise through an oscillator
   // with natural frequency 1/correlation_s and this damping ratio, in (0, 1]; far below one if the robot
   // passes the same places repeatedly.
@@ -37,14 +37,15 @@ inline constexpr Eigen::Index kBodyTerms = 3 + model::kPatternTerms;
 using BodyVector = Eigen::Matrix<double, kBodyTerms, 1>;
 using BodyMatrix = Eigen::Matrix<double, kBodyTerms, kBodyTerms>;
 
-// Their prior sigmas: of a lever arm measured by hand, and of a common antenna's pattern coefficients.
+// Their prior sigmas: of a lever arm measured by hand, and of a common antenna's pattern coefficients. Both
+// are assumed; DriveError.EstimatesLeverArmsAndPatterns draws from them, so it does not verify them.
 inline constexpr double kLeverArmSigma_m = 0.02;
 inline constexpr double kPatternSigma_m = 0.015;
 
 // Knots of the pose drift, which is linear between them.
 struct Knots {
   double begin_s = 0.0;
-  double spacing_s = 8.0;
+  double spacing_s = 8.0;  // set by place_knots()
   Eigen::Index count = 2;
 };
 
@@ -110,7 +111,7 @@ void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const
 // Prior of the unknowns; those with sigma zero, or `body` false, are fixed at zero.
 struct SharedPrior {
   DriftPrior drift;
-  double delay_sigma_s = 0.03;
+  double delay_sigma_s = 0.03;  // kDelaySigma_s in drive_error.cpp
   bool body = false;
 };
 // Information matrix of the prior; a sigma of zero is replaced by a negligible one.
