@@ -10,8 +10,7 @@ constexpr double kFirstDamping = 1e-4;
 constexpr double kMaxDamping = 1e10;
 // Smaller damping hardly changes a step: this one shortens it to 1/1.1.
 constexpr double kFeltDamping = 0.1;
-// Converged if no parameter changes by more than this share of its sigma: 0.02^2 is negligible in a chi
-// square.
+// Converged if no parameter changes by more than this share of its sigma: 0.0004 in chi square.
 constexpr double kConvergedSigmas = 2e-2;
 
 using model::square;

@@ -39,7 +39,7 @@ constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
 constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
 constexpr std::array kSmoothFactors{1.0, 0.7};
 constexpr int kFollowingSteps = 3;       // a bound on time, by hand
-constexpr double kLastStepSigmas = 0.1;  // 0.1^2 is negligible in a chi square
+constexpr double kLastStepSigmas = 0.1;  // 0.01 in chi square
 // Least gain in log evidence (nats) to accept a drift, body terms, or body terms in addition to a drift; and
 // a smooth or an oscillating drift in place of a rough one. By hand: 1, 4, 8 and 10 nats are odds of 2.7, 55,
 // 3000 and 22000 to 1. DriveError.DistinguishesSmooth..., LeavesExactPoses... and

@@ -18,7 +18,7 @@ struct RangeGeometry {
   Eigen::Vector3d direction = Eigen::Vector3d::Zero();  // unit vector from anchor to antenna, map frame
   double distance_m = 0.0;
   double mirrored_m = 0.0;  // distance from the antenna to the mirror position
-  double sigma_m = 0.1;
+  double sigma_m = 0.1;     // default as in model::RangePriors
 };
 
 // All ranges of one anchor.

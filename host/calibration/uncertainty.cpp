@@ -13,15 +13,20 @@
 namespace groma::calibration {
 namespace {
 
+// By hand: with 8 blocks the ratio for 9 unknowns has a sigma of sqrt(2 / (8 * 9)) = 0.17; the shortest block
+// holds a few ranges of each pair; the most blocks bound memory, at 34 minutes.
 constexpr double kMinBlocks = 8.0;
 constexpr double kScoreBlock_s = 0.5;
 constexpr double kMaxScoreBlocks = 4096.0;
-// Excess scatter counts if it is above this many of its own standard deviations.
+// Excess scatter counts if it is above this many of its own standard deviations: 0.6 % by chance (normal,
+// one-sided) for each block length.
 constexpr double kSignificance = 2.5;
-// Lower limit of a kernel's mean curvature, as a share of its majorizer's.
+// Lower limit of a kernel's mean curvature, as a share of its majorizer's: it keeps the information positive.
+// By hand; the CalibrationCampaign tests hold with it (NEES 1.0).
 constexpr double kMinCurvatureShare = 0.3;
 
-// Jackknife: parts of the drive, solver steps for each.
+// Jackknife: parts of the drive, solver steps for each. By hand: five parts have four degrees of freedom for
+// three coordinates; 50 ranges are ten in each part.
 constexpr int kParts = 5;
 constexpr int kJackknifeSteps = 6;
 constexpr std::size_t kMinJackknifeRows = 50;
@@ -102,13 +107,14 @@ double significant_ratio(std::span<const Scatter> levels, double dimensions) {
   return largest;
 }
 
-// Lag bins, each from its own value to the next.
+// Lag bins, each from its own value to the next: from a usual interval of ranges on, doubled. Unless stated,
+// the constants of range_noise() are by hand; the RangeNoise tests hold with them (times of 0.7 and 4 s).
 constexpr std::array kLags_s{0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8};
 constexpr std::size_t kLags = kLags_s.size() - 1;
 constexpr std::size_t kFewPairs = 3;
 constexpr std::size_t kFewRows = 50;
-constexpr double kFewProducts = 30.0;
-// Residuals beyond this many robust sigmas of their pair are not LOS.
+constexpr double kFewProducts = 30.0;  // a covariance of white residuals: sigma 1/sqrt(30) of the variance
+// Residuals beyond this many robust sigmas of their pair are not LOS: 6e-5 by chance (normal, two-sided).
 constexpr double kWithin = 4.0;
 // Correlation times to try, each longer than the one before by the factor kLonger.
 constexpr double kShortest_s = 0.2;
@@ -337,7 +343,7 @@ Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation) {
 }
 
 Eigen::MatrixXd rough_covariance(const AnchorFit& fit) {
-  constexpr std::size_t kRows = 200;
+  constexpr std::size_t kRows = 200;  // by hand, a bound on time
   const AnchorProblem& problem = fit.problem;
   const std::size_t tags = problem.tag_count;
   const std::size_t step = 1 + problem.rows.size() / kRows;

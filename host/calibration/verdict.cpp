@@ -14,28 +14,35 @@ namespace {
 
 using model::AnchorVerdict;
 
+// All limits of this file are by hand: no test or campaign determines them beyond those named here.
+// The second with LOS states: ranges then come through obstacles.
 constexpr double kWeakSigmaZ_m = 0.20;
 constexpr double kNlosWeakSigmaZ_m = 0.15;
-// Limits of the sigmas grow with the distance to the nearest antenna: a sixtieth of it.
+// Limits of the sigmas grow with the distance to the nearest antenna: a sixtieth of it, one degree.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
+// Without missed polls. The two ratios came with simulated/indoor (an independent simulator): RecordedRun.
+// IndoorSimulationMarksAnchorsWithoutLineOfSight. No other reason is known.
 constexpr double kMinLosShare = 0.3;
 constexpr double kNlosScaleRatio = 1.2;
 constexpr double kNlosCountRatio = 0.75;
-// LOS share of the polls below which an anchor is never, or hardly ever, in LOS.
+// LOS share of the polls below which an anchor is never, or hardly ever, in LOS: NlosSite.
+// MarksAnchorsWithoutLineOfSight.
 constexpr double kNeverLos = 0.10;
 constexpr double kHardlyLos = 0.30;
 // Shares of ranges too long or too short for NLOS, above which the ranges contradict each other; above
-// kTwoAnchors (both together) two anchors may have one id.
+// kTwoAnchors (both together) two anchors may have one id: NlosSite.OutliersAndCollisionsAreNotNlos,
+// DuplicateId.IsNeverTrusted.
 constexpr double kFarLimit = 0.06;
 constexpr double kShortLimit = 0.03;
 constexpr double kTwoAnchors = 0.4;
-// A duplicate id: more ranges than the site's median, with more scatter from one to the next than noise.
+// A duplicate id: more ranges than the site's median, with more scatter from one to the next than noise:
+// DuplicateId.IsNeverTrusted.
 constexpr double kDuplicateFlicker = 2.5;
 constexpr double kDuplicateCountRatio = 1.3;
-constexpr double kHeldOutLimit = 3.0;
+constexpr double kHeldOutLimit = 3.0;  // times the predicted rms
 // A longer move suggests a duplicate id: few anchors are carried this far while a robot drives by.
 constexpr double kFarMove_m = 3.0;
-constexpr std::ptrdiff_t kMinAnchors = 3;
+constexpr std::ptrdiff_t kMinAnchors = 3;  // geometry: a position in the plane needs three ranges
 
 // Octant of the direction from one point to the other. From the drive's center to the anchor: the side that
 // the drive covers least.
@@ -61,7 +68,8 @@ std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& 
          side_of(evidence.spread.center_m, anchor_m) + " side, and turn there";
 }
 
-// A mirror hypothesis within this of the best solution's negative log likelihood cannot be ruled out.
+// A mirror hypothesis within this of the best solution's negative log likelihood cannot be ruled out: odds of
+// 400 to 1, by hand. DegenerateDrive.InAStraightLineLeavesTheSideOpen and WithOneTagMarksHeights hold.
 constexpr double kPlausibleExcess = 6.0;
 
 bool is_plausible(const std::optional<MirrorHypothesis>& mirror, double inflation) {

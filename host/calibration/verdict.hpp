@@ -14,9 +14,10 @@
 
 namespace groma::calibration {
 
-// With fewer ranges an anchor has no data.
+// With fewer ranges an anchor has no data. By hand: some three for each of the nine unknowns with three tags;
+// DegenerateDrive.WithOneRangeEachIsNoData holds with it.
 inline constexpr std::size_t kMinRanges = 30;
-// Largest horizontal sigma, m, of a position that is good enough for a filter.
+// Largest horizontal sigma, m, of a position that is good enough for a filter. By hand.
 inline constexpr double kWeakSigma_m = 0.30;
 
 // LOS and NLOS of one anchor, if the site was solved with NLOS states.

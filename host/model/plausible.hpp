@@ -6,14 +6,15 @@
 
 namespace groma::model {
 
-// Ten times the values of industrial robots.
+// By hand: ten times the values of industrial robots.
 inline constexpr double kMaxSpeed_mps = 30.0;
 inline constexpr double kMaxYawRate_radps = 30.0;
-// Twice the circumference of the Earth.
+// Physics: twice the circumference of the Earth.
 inline constexpr double kMaxCoordinate_m = 8e7;
-// For a yaw that counts whole turns.
+// For a yaw that counts whole turns: by hand, 160000 of them.
 inline constexpr double kMaxAngle_rad = 1e6;
-// Variance of a position or an angle (m^2, rad^2): sigmas of 0.01 mm and of 1e9 m.
+// Variance of a position or an angle (m^2, rad^2): sigmas of 0.01 mm and of 1e9 m. By hand: no sensor
+// is as good as the first, and the second means unknown.
 inline constexpr double kMinVariance = 1e-10;
 inline constexpr double kMaxVariance = 1e18;
 

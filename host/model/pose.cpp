@@ -163,7 +163,7 @@ bool is_covariance(const std::array<double, 3>& covariance_m2) noexcept {
 }
 
 bool is_covariance(const PoseCovariance& covariance) noexcept {
-  constexpr double kRounding = 1e-5;
+  constexpr double kRounding = 1e-5;  // numerics: some 170 roundings of a float, 6e-8
   const Eigen::Matrix3d matrix = to_matrix(covariance);
   if (!matrix.allFinite() || !(matrix.diagonal().minCoeff() > 0.0)) return false;
   const Eigen::Vector3d inverse_sigma = matrix.diagonal().cwiseSqrt().cwiseInverse();

@@ -85,7 +85,8 @@ struct Chart {
 // chart. Evaluation allocates no memory.
 class Surface {
  public:
-  // A robot can cross from one chart to another where their heights differ by less than this.
+  // A robot can cross from one chart to another where their heights differ by less than this. By hand:
+  // more than a curb, less than a storey; Charts.ARobotFollowsTheChartAtItsHeight holds with it.
   static constexpr double kStep_m = 0.3;
 
   Surface() : charts_(1) {}                                    // the plane z = 0

@@ -34,9 +34,9 @@ struct SurfaceFit {
   Eigen::Vector2d gap_at_m = Eigen::Vector2d::Zero();
 };
 
-// Upper bound on nx * ny.
+// Upper bound on nx * ny: by hand, on time and memory.
 inline constexpr double kMaxControlHeights = 100'000.0;
-inline constexpr std::size_t kMinSurfacePoints = 3;
+inline constexpr std::size_t kMinSurfacePoints = 3;  // geometry: three points define a plane
 
 // Least-squares fit of a spline to the points (x, y, z; at least kMinSurfacePoints, finite) with a penalty on
 // bending. The mismatch is the covariance of the held-out residuals of neighbouring points at short

@@ -193,6 +193,8 @@ struct ScalarPrior {
 };
 
 // Priors of z = gamma d + beta + noise: the same for each pair, independent between pairs.
+// Defaults as in docs/reference/files.md, by hand. No narrower than what the calibration's campaigns
+// simulate: biases of 0.3 m and 0.005. The estimators find sigma_m from the ranges.
 struct RangePriors {
   double sigma_m = 0.1;
   ScalarPrior beta_m{0.0, 0.5};
@@ -200,6 +202,8 @@ struct RangePriors {
 };
 
 // White noise of one odometry sample, constant over its interval. It excludes scale and yaw-rate bias.
+// Defaults by hand; every data set and configuration may set them, and the filter estimates the noise from
+// the samples.
 struct OdometryNoise {
   double sigma_vx_mps = 0.05;
   double sigma_vy_mps = 0.05;
