@@ -10,13 +10,13 @@
 namespace groma::calibration {
 namespace {
 
-// NLOS states are needed if replies alone put a pair in NLOS for this share of its polls,
+// NLOS states are needed (limits by hand) if replies alone put a pair in NLOS for this share of its polls,
 constexpr double kNlosByReplies = 0.02;
 // and that has this much more log evidence than independent losses of replies, at most kMostLosses of them;
 constexpr double kNlosEvidence = 5.0;
 constexpr double kMostLosses = 0.2;
 constexpr std::array kLossesInLos{0.02, 0.01, 0.005};
-// or if residuals longer than kLong scales are correlated in time. All by hand: 5 nats are odds of 150 to 1,
+// or if residuals longer than kLong scales are correlated in time. 5 nats are odds of 150 to 1,
 // 5 / sqrt(n) are 5 sigmas of the correlation of n white pairs, 50 polls give that a sigma of 0.14. NlosSite
 // tests IsolatedLostReplies... (3 % lost, 10 % too long) and OutliersAndCollisions... (2 %, 25 %) hold.
 constexpr double kLong = 3.0;

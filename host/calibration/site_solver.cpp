@@ -169,7 +169,7 @@ constexpr int kWarmRounds = 1;
 // an anchor's is the site's kernel, a pair's is its anchor's kernel. By hand; the campaigns hold with them,
 // and NlosSite.ResultDoesNotDependOnTheConfiguredNoise.
 constexpr double kSiteWeight = 20.0;
-// Shares need far more residuals than scales do: few ranges are NLOS.
+// Shares need far more residuals than scales do, because few ranges are NLOS: ten times as many, by hand.
 constexpr double kAnchorScaleWeight = 50.0;
 constexpr double kAnchorShareWeight = 500.0;
 constexpr double kPairScaleWeight = 100.0;
