@@ -75,8 +75,8 @@ constexpr int kIterations = 6;
 constexpr double kCloseExcess = 10.0;
 // If the fit moved by more than this, the test is repeated with all ranges. By hand.
 constexpr double kRefitMove_m = 0.3;
-// Largest cost of being away from the earlier place, as anchors do get moved: by hand, 10 nats. Update.
-// ByAWeakDriveIsBetterThanEitherAloneOverManyDrives holds with it.
+// Largest cost of being away from the earlier place, as anchors do get moved: by hand, 10 nats.
+// Update.ByAWeakDriveIsBetterThanEitherAloneOverManyDrives holds with it.
 constexpr double kMovedCost = 10.0;
 // Starts this close to each other are in one basin. By hand.
 constexpr double kSameMirror_m = 0.1;

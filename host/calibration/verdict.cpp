@@ -20,13 +20,13 @@ constexpr double kWeakSigmaZ_m = 0.20;
 constexpr double kNlosWeakSigmaZ_m = 0.15;
 // Limits of the sigmas grow with the distance to the nearest antenna: a sixtieth of it, one degree.
 constexpr double kWeakSigmaShare = 1.0 / 60.0;
-// Without missed polls. The two ratios came with simulated/indoor (an independent simulator): RecordedRun.
-// IndoorSimulationMarksAnchorsWithoutLineOfSight. No other reason is known.
+// Without missed polls. The two ratios came with simulated/indoor (an independent simulator):
+// RecordedRun.IndoorSimulationMarksAnchorsWithoutLineOfSight. No other reason is known.
 constexpr double kMinLosShare = 0.3;
 constexpr double kNlosScaleRatio = 1.2;
 constexpr double kNlosCountRatio = 0.75;
-// LOS share of the polls below which an anchor is never, or hardly ever, in LOS: NlosSite.
-// MarksAnchorsWithoutLineOfSight.
+// LOS share of the polls below which an anchor is never, or hardly ever, in LOS:
+// NlosSite.MarksAnchorsWithoutLineOfSight.
 constexpr double kNeverLos = 0.10;
 constexpr double kHardlyLos = 0.30;
 // Shares of ranges too long or too short for NLOS, above which the ranges contradict each other; above
