@@ -146,7 +146,7 @@ bool long_residuals_are_correlated(const AnchorFit& fit) {
 double log_evidence_of_losses(std::span<const Poll> polls) {
   const auto missed = static_cast<double>(std::count(polls.begin(), polls.end(), kMissed));
   const auto known = static_cast<double>(polls.size()) -
-                    static_cast<double>(std::count(polls.begin(), polls.end(), kUnknownPoll));
+                     static_cast<double>(std::count(polls.begin(), polls.end(), kUnknownPoll));
   const double share = std::min(missed / known, kMostLosses);
   return missed * std::log(share) + (known - missed) * std::log1p(-share);
 }

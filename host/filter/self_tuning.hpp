@@ -13,7 +13,8 @@ namespace groma::filter {
 
 class RangeTuning {
  public:
-  explicit RangeTuning(double white_sigma_m) : nominal_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}
+  explicit RangeTuning(double white_sigma_m)
+      : nominal_sigma_m_(white_sigma_m), white_sigma_m_(white_sigma_m) {}
 
   // Adapts to an innovation of a pair; variance_m2: S, with the white noise.
   void observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept;

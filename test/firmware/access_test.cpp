@@ -76,7 +76,7 @@ TEST(Access, IsDeterministic) {
 // Number of open slots until each of `nodes` contenders, all starting in slot `from`, has been alone in a
 // slot; 10'000 if that does not happen.
 std::uint32_t slots_until_all_succeeded(std::uint16_t nodes, std::uint16_t first_id, std::uint32_t from,
-                                           const Persistence& persistence) {
+                                        const Persistence& persistence) {
   std::vector<Access> all;
   for (std::uint16_t i = 0; i < nodes; ++i) {
     all.emplace_back(static_cast<std::uint16_t>(first_id + i));

@@ -191,7 +191,7 @@ struct Case {
   double loss;
   double duplicated;
   int max_delay;
-  int hops;       // 1: within reach
+  int hops;      // 1: within reach
   int max_lost;  // of 200
 };
 std::ostream& operator<<(std::ostream& out, const Case& c) {
@@ -234,14 +234,15 @@ TEST_P(AirLinkTest, EachMessageArrivesOnceOrIsReportedLost) {
               static_cast<double>(slots.frames) / 200.0, lost, slots.collisions);
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Air, AirLinkTest,
-    ::testing::Values(Case{"Clean", 0.0, 0.0, 0, 1, 0}, Case{"TwoPercent", 0.02, 0.0, 0, 1, 0},
-                      Case{"ThirtyPercent", 0.3, 0.0, 0, 1, 0},
-                      Case{"DuplicatedAndDelayed", 0.3, 0.3, 12, 1, 0},
-                      Case{"TwoHops", 0.0, 0.0, 0, 2, 0}, Case{"TwoHopsThirtyPercent", 0.3, 0.1, 6, 2, 2},
-                      Case{"FourHopsThirtyPercent", 0.3, 0.0, 0, 4, 4}),
-    ::testing::PrintToStringParamName());
+INSTANTIATE_TEST_SUITE_P(Air, AirLinkTest,
+                         ::testing::Values(Case{"Clean", 0.0, 0.0, 0, 1, 0},
+                                           Case{"TwoPercent", 0.02, 0.0, 0, 1, 0},
+                                           Case{"ThirtyPercent", 0.3, 0.0, 0, 1, 0},
+                                           Case{"DuplicatedAndDelayed", 0.3, 0.3, 12, 1, 0},
+                                           Case{"TwoHops", 0.0, 0.0, 0, 2, 0},
+                                           Case{"TwoHopsThirtyPercent", 0.3, 0.1, 6, 2, 2},
+                                           Case{"FourHopsThirtyPercent", 0.3, 0.0, 0, 4, 4}),
+                         ::testing::PrintToStringParamName());
 
 TEST(AirLink, WithinReachNobodyRelays) {
   Slots slots(1);

@@ -30,7 +30,7 @@ mac::Frame frame_of(std::span<const std::uint8_t> bytes) {
 enum class Forgery { kReplayed, kReplayedLongAfter, kWrongMic, kChanged, kWithoutMic, kOtherKey };
 
 constexpr std::array kForgeries = {Forgery::kReplayed, Forgery::kReplayedLongAfter, Forgery::kWrongMic,
-                                   Forgery::kChanged,  Forgery::kWithoutMic,       Forgery::kOtherKey};
+                                   Forgery::kChanged,  Forgery::kWithoutMic,        Forgery::kOtherKey};
 
 // Alternates JOIN and DATA in its open slots, and counts the control frames and beacons that it receives.
 class Chatter final : public mac::ControlChannel {

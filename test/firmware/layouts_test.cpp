@@ -138,8 +138,8 @@ class Layout {
       const auto& m = air.station(node).election();
       std::array<char, 160> line{};
       std::snprintf(line.data(), line.size(),
-                    "  %u of component %u: role %d, master %u, session %llx, hop %d\n",
-                    air.id(node), air.id(component), static_cast<int>(m.role()), m.master(),
+                    "  %u of component %u: role %d, master %u, session %llx, hop %d\n", air.id(node),
+                    air.id(component), static_cast<int>(m.role()), m.master(),
                     static_cast<unsigned long long>(m.session()), m.hop());
       text += line.data();
     }

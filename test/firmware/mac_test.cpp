@@ -447,8 +447,8 @@ class ScriptedAnchor {
   ScriptedAnchor() : tag_(site(), counters) {
     (void)tag_.start(ClockTime(0));
     const auto beacon = beacon_of(schedule());
-    step_ =
-        tag_.on_received({.timestamp = ClockTime(5'000'000'000), .timestamp_valid = true, .frame = beacon.bytes()});
+    step_ = tag_.on_received(
+        {.timestamp = ClockTime(5'000'000'000), .timestamp_valid = true, .frame = beacon.bytes()});
   }
 
   // Lets the tag send its POLL and hear the RESPONSE `late` ticks after its due time.
@@ -460,7 +460,8 @@ class ScriptedAnchor {
     const Ticks due = tag_.station().superframe().response(0, 1);
     response.reply = due - Ticks(200);
     const auto bytes = mac::serialize({.network = 9, .destination = 1, .source = source, .body = response});
-    step_ = tag_.on_received({.timestamp = sent + due + late, .timestamp_valid = true, .frame = bytes.bytes()});
+    step_ =
+        tag_.on_received({.timestamp = sent + due + late, .timestamp_valid = true, .frame = bytes.bytes()});
     return step_;
   }
 

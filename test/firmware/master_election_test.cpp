@@ -452,8 +452,9 @@ TEST(MasterElection, NoTwoBeaconersSendInOneSharedSlot) {
       for (std::uint32_t n = 0; n < rounds; ++n) {
         int senders = 0;
         for (std::size_t i = 0; i <= backups; ++i) {
-          const auto verdict = (*nodes[i])->leads() ? Verdict::kIgnore
-                                                 : nodes[i]->hear(leader_id, nodes[i]->beacon(n, leader_id));
+          const auto verdict = (*nodes[i])->leads()
+                                   ? Verdict::kIgnore
+                                   : nodes[i]->hear(leader_id, nodes[i]->beacon(n, leader_id));
           EXPECT_NE(verdict, Verdict::kStale);
           if (!(*nodes[i])->has_shared_turn(n)) continue;
           ++senders;

@@ -308,7 +308,7 @@ TEST(SlotLease, AGuestHasOnlyAGrantedSlot) {
 struct Player {
   std::uint16_t id;
   std::optional<SlotLease> lease{};  // while it is on
-  double hears = 1.0;              // share of beacons
+  double hears = 1.0;                // share of beacons
   std::uint32_t back_at = 0;
 };
 

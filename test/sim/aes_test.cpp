@@ -27,7 +27,7 @@ security::Block openssl_block(const security::Key& key, const security::Block& c
 }
 
 security::Code openssl_mic(const security::Key& key, const security::Nonce& nonce,
-                            const std::vector<std::uint8_t>& bytes) {
+                           const std::vector<std::uint8_t>& bytes) {
   const Context context(EVP_CIPHER_CTX_new(), &EVP_CIPHER_CTX_free);
   EVP_CIPHER_CTX* const c = context.get();
   security::Code mic{};

@@ -146,7 +146,7 @@ constexpr double kRecovered = 250.0;
 class AirFuzz : public testing::TestWithParam<FuzzCase> {};
 
 FaultPhase noise_phase(const std::shared_ptr<Noise>& noise, const char* name, Noise::Maker maker,
-                 double within = 3.0, double watched_s = 0.5) {
+                       double within = 3.0, double watched_s = 0.5) {
   constexpr double kFor_s = 0.5;
   return {.name = name,
           .begin = [=](FaultSite&) { noise->make(maker, kFor_s); },

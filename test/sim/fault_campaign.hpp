@@ -50,7 +50,7 @@ struct PhaseOutcome {
   double ended_s = 0.0;
   double least_share = 0.0;            // required; 0: not checked
   double share = 0.0;                  // during the fault; NaN if it had no duration
-  double survivors_superframes = 0.0;        // until all pairs range
+  double survivors_superframes = 0.0;  // until all pairs range
   double newcomers_superframes = 0.0;  // NaN: there were none
   std::size_t late_pairs = 0;
   std::string slowest{};  // the pair that recovered last
@@ -118,8 +118,7 @@ class FaultCampaign {
       std::snprintf(line.data(), line.size(),
                     "%-34s %6.2f  %6.2f  %5.3f  %5.3f  %5.1f  %6.1f  %8.2f  %6zu  %s\n", o.name.c_str(),
                     o.began_s, o.over_s, o.share, o.least_share, o.survivors_superframes,
-                    o.newcomers_superframes,
-                    o.worst_sigmas, o.good, o.slowest.c_str());
+                    o.newcomers_superframes, o.worst_sigmas, o.good, o.slowest.c_str());
       text += line.data();
       for (const std::string& fault : o.faults) text += "    ! " + fault + "\n";
     }

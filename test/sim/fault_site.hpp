@@ -194,7 +194,7 @@ struct FaultSiteSettings {
   MediumSettings medium{.stamp_noise_s = 1e-10};
   std::uint64_t seed = 1;
   double crystals_ppm = 10.0;  // offsets lie within +- this
-  double drift_ppm = 10.0;    // amplitude of a periodic drift, up or down from the offset
+  double drift_ppm = 10.0;     // amplitude of a periodic drift, up or down from the offset
   double drift_rate_ppm_per_s = 1.0;
   double until_s = 200.0;  // the longest that the run may last
   std::function<std::unique_ptr<NodeHost>(const NodeSpec&, Medium&)> make_node = make_native_node;

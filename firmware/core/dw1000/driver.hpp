@@ -41,12 +41,12 @@ struct RadioSettings {
 
 enum class BringUp : std::uint8_t {
   kOk,
-  kNoChip,       // no DW1000 answers on the bus
-  kNoLock,       // its clock PLL did not lock
-  kNoFastBus,    // it answers at 2 MHz, but not at 8 MHz
-  kNotWritable,  // a register did not keep what was written
-  kNoTrim,       // the crystal trim register did not keep its value
-  kNoTimestamps,     // the leading edge detector's registers did not keep their values, or it is off
+  kNoChip,        // no DW1000 answers on the bus
+  kNoLock,        // its clock PLL did not lock
+  kNoFastBus,     // it answers at 2 MHz, but not at 8 MHz
+  kNotWritable,   // a register did not keep what was written
+  kNoTrim,        // the crystal trim register did not keep its value
+  kNoTimestamps,  // the leading edge detector's registers did not keep their values, or it is off
 };
 
 // At most 31 characters; empty for kOk.
@@ -93,8 +93,8 @@ enum class EventKind : std::uint8_t {
 
 struct Event {
   EventKind kind = EventKind::kNone;
-  ranging::DeviceTime timestamp{};            // of the RMARKER at the antenna, for kTransmitted and kReceived
-  bool timestamp_valid = false;               // for kReceived: the leading edge was found and timestamped
+  ranging::DeviceTime timestamp{};        // of the RMARKER at the antenna, for kTransmitted and kReceived
+  bool timestamp_valid = false;           // for kReceived: the leading edge was found and timestamped
   std::span<const std::uint8_t> frame{};  // for kReceived: no frame check; valid until the next operation
   ReceiveQuality quality{};               // for kReceived
 };
@@ -170,7 +170,8 @@ class Dw1000 {
 
   // Sends `frame` (without frame check) so that its RMARKER leaves the antenna at `stamp`. `stamp` must be a
   // result of transmit_timestamp_not_after() and less than 8.6 s ahead.
-  [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp, std::span<const std::uint8_t> frame) noexcept {
+  [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp,
+                                  std::span<const std::uint8_t> frame) noexcept {
     return transmit_at(timestamp, frame, [] {});
   }
   // For a frame whose bytes are complete only after `complete()`, which is called as late as possible.
@@ -248,7 +249,8 @@ class Dw1000 {
     if (state_ == State::kReceiving) {
       if (status.has(st::kReceived)) {
         // The frame may be complete before its leading edge is found.
-        for (int i = 0; i < kLdeTries && !status.has(st::kTimestamped) && !status.has(st::kTimestampError); ++i) {
+        for (int i = 0; i < kLdeTries && !status.has(st::kTimestamped) && !status.has(st::kTimestampError);
+             ++i) {
           status = read_part<reg::SysStatus, 0, 4>();
         }
         clear_events();

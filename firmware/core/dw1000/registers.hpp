@@ -94,13 +94,13 @@ namespace sys_status {
 inline constexpr Field<SysStatus, 0> kInterrupt{};         // IRQS: an unmasked bit is set
 inline constexpr Field<SysStatus, 1> kPllLocked{};         // CPLOCK
 inline constexpr Field<SysStatus, 7> kTransmitted{};       // TXFRS
-inline constexpr Field<SysStatus, 10> kTimestamped{};          // LDEDONE
+inline constexpr Field<SysStatus, 10> kTimestamped{};      // LDEDONE
 inline constexpr Field<SysStatus, 12> kHeaderError{};      // RXPHE
 inline constexpr Field<SysStatus, 14> kReceived{};         // RXFCG
 inline constexpr Field<SysStatus, 15> kCheckError{};       // RXFCE
 inline constexpr Field<SysStatus, 16> kSyncLoss{};         // RXRFSL: Reed-Solomon gave up
 inline constexpr Field<SysStatus, 17> kFrameTimeout{};     // RXRFTO
-inline constexpr Field<SysStatus, 18> kTimestampError{};       // LDEERR
+inline constexpr Field<SysStatus, 18> kTimestampError{};   // LDEERR
 inline constexpr Field<SysStatus, 21> kPreambleTimeout{};  // RXPTO
 inline constexpr Field<SysStatus, 24> kRfPllLosing{};      // RFPLL_LL
 inline constexpr Field<SysStatus, 25> kClockPllLosing{};   // CLKPLL_LL

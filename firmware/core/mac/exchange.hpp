@@ -15,9 +15,9 @@ namespace groma::mac {
 
 enum class RangeStatus : std::uint8_t {
   kOk,
-  kNoResponse,      // the anchor's RESPONSE was not received
+  kNoResponse,          // the anchor's RESPONSE was not received
   kNoClosingTimestamp,  // the anchor missed the closing frame, or its next RESPONSE was not received
-  kStale,           // the closing interval that the anchor returned belongs to another exchange
+  kStale,               // the closing interval that the anchor returned belongs to another exchange
   kBadTimestamp,        // a timestamp was invalid, or the four intervals contradict each other
 };
 

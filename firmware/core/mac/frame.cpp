@@ -86,7 +86,8 @@ bool read(Reader& in, Beacon& beacon) noexcept {
   beacon.hop = in.take8();
   beacon.age = in.take8();
   beacon.tx_offset_dtu = static_cast<std::int16_t>(in.take16());
-  const std::uint8_t flags = in.take_flags(kDissolving | kChallengeResponse | kShared | kMergeRequest | kQuiet);
+  const std::uint8_t flags =
+      in.take_flags(kDissolving | kChallengeResponse | kShared | kMergeRequest | kQuiet);
   beacon.dissolving = (flags & kDissolving) != 0;
   beacon.shared = (flags & kShared) != 0;
   beacon.merge_request = (flags & kMergeRequest) != 0;
@@ -259,7 +260,8 @@ void write(const Beacon& beacon, FrameWriter& out) noexcept {
   out.put(beacon.hop, 1);
   out.put(beacon.age, 1);
   out.put(static_cast<std::uint16_t>(beacon.tx_offset_dtu), 2);
-  out.put(flag_if(beacon.dissolving, kDissolving) | flag_if(beacon.challenge_response.has_value(), kChallengeResponse) |
+  out.put(flag_if(beacon.dissolving, kDissolving) |
+              flag_if(beacon.challenge_response.has_value(), kChallengeResponse) |
               flag_if(beacon.shared, kShared) | flag_if(beacon.merge_request, kMergeRequest) |
               flag_if(beacon.quiet, kQuiet),
           1);
@@ -300,7 +302,8 @@ void write(const Join& join, FrameWriter& out) noexcept {
   out.put(join.origin, 2);
   out.put(join.nonce, 8);
   out.put(flag_if(join.tag, kTag) | flag_if(join.wants_slot, kWantsSlot) |
-              flag_if(join.wants_challenge_response, kWantsChallengeResponse) | flag_if(join.leaving, kLeaving),
+              flag_if(join.wants_challenge_response, kWantsChallengeResponse) |
+              flag_if(join.leaving, kLeaving),
           1);
 }
 

@@ -60,7 +60,8 @@ const std::optional<Key>& FrameAuthenticator::key_of(std::uint64_t session) noex
   return other_key_;
 }
 
-std::optional<Key> FrameAuthenticator::call_key(std::uint64_t caller, const MergeTarget& merge_target) noexcept {
+std::optional<Key> FrameAuthenticator::call_key(std::uint64_t caller,
+                                                const MergeTarget& merge_target) noexcept {
   const auto& key = key_of(caller);
   if (!key) return std::nullopt;
   abandon();
@@ -95,7 +96,7 @@ void FrameAuthenticator::expect_sent(std::uint16_t source, FrameType type, Place
 }
 
 std::optional<security::Block> FrameAuthenticator::begin(std::uint64_t nonce,
-                                           std::span<const std::uint8_t> bytes) noexcept {
+                                                         std::span<const std::uint8_t> bytes) noexcept {
   for (const auto* expected : {&received_, &sent_}) {
     if (!*expected || (*expected)->nonce != nonce) continue;
     security::begin_code(*cipher_, *session_key_, (*expected)->prepared.first, bytes);
@@ -105,7 +106,7 @@ std::optional<security::Block> FrameAuthenticator::begin(std::uint64_t nonce,
 }
 
 std::optional<security::Block> FrameAuthenticator::begin(const Key& key, std::uint64_t nonce,
-                                           std::span<const std::uint8_t> bytes) noexcept {
+                                                         std::span<const std::uint8_t> bytes) noexcept {
   const auto prepared = prepare(*cipher_, key, nonce);
   if (!prepared) return std::nullopt;
   security::begin_code(*cipher_, key, prepared->first, bytes);
@@ -143,11 +144,13 @@ bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon&
   return fits(frame, place_of(beacon), key_of(beacon.session));
 }
 
-bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon& beacon, const MergeTarget& merge_target) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
+                              const MergeTarget& merge_target) noexcept {
   return on() && fits(frame, place_of(beacon), call_key(beacon.session, merge_target));
 }
 
-bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place, const std::optional<Key>& key) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place,
+                              const std::optional<Key>& key) noexcept {
   if (!key || !is_whole(frame)) return false;
   abandon();
   const auto mask = begin(*key, nonce_of(frame, place), without_code(frame));
@@ -161,7 +164,8 @@ void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place) noe
   signing_mask_ = begin(nonce_of(bytes, place), without_code(bytes));
 }
 
-void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept {
+void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place,
+                                       const MergeTarget& merge_target) noexcept {
   abandon();
   if (!on()) return;
   const auto key = call_key(session_, merge_target);

@@ -7,8 +7,8 @@
 //
 // A receiver takes superframe and place from its own count, not from the frame, so a frame replayed in
 // another superframe, slot or session fails. A beacon is the exception: it carries its own session and
-// superframe. Its receiver decides whether those are current (replay_guard.hpp). No node sends two frames of one
-// type in one place, so no nonce is used twice.
+// superframe. Its receiver decides whether those are current (replay_guard.hpp). No node sends two frames of
+// one type in one place, so no nonce is used twice.
 //
 // A merge request ("call") is a beacon that announces this session to the nodes of another one, in their
 // shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key:
@@ -101,7 +101,8 @@ class FrameAuthenticator {
     signing_mask_.reset();
   }
   [[nodiscard]] const std::optional<security::Key>& key_of(std::uint64_t session) noexcept;
-  [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller, const MergeTarget& merge_target) noexcept;
+  [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller,
+                                                      const MergeTarget& merge_target) noexcept;
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place,
                           const std::optional<security::Key>& key) noexcept;
   void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;

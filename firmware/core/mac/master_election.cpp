@@ -179,12 +179,14 @@ bool MasterElection::is_news(const Beacon& beacon) const noexcept {
   return beacon.age <= patience_at(beacon.hop) && (!former_ || since(origin, *former_) > 0);
 }
 
-Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead, ClockTime now) noexcept {
+Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks ahead,
+                              ClockTime now) noexcept {
   if (beacon.epoch != site_.schedule->epoch || beacon.schedule_hash != hash_) {
     return judge_schedule(beacon, now);
   }
   if (!is_credible(source, beacon)) return Verdict::kStale;
-  if (beacon.merge_request && role_ != Role::kSearching && beacon.session == session_) return Verdict::kIgnore;
+  if (beacon.merge_request && role_ != Role::kSearching && beacon.session == session_)
+    return Verdict::kIgnore;
   const bool own_word = beacon.hop == 0;
   const Ticks half(duration_.count() / 2);
   const bool far = ahead > half || ahead < -half;
@@ -254,7 +256,8 @@ Verdict MasterElection::judge_schedule(const Beacon& beacon, ClockTime now) noex
 
 // Aligned parts of one session: judge() decides by rank. Parts that have drifted apart: the one ahead stays,
 // so that no count goes back.
-Verdict MasterElection::judge_merge_request(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_merge_request(std::uint16_t source, const Beacon& beacon,
+                                            Ticks ahead) noexcept {
   if (!is_credible(source, beacon)) return Verdict::kStale;
   if (beacon.session == session_ && ahead <= guard_ && ahead >= -guard_) return Verdict::kIgnore;
   if (gives_way(beacon, ahead)) {
@@ -279,7 +282,8 @@ bool MasterElection::gives_way(const Beacon& beacon, Ticks ahead) const noexcept
   return older || lost_master;
 }
 
-Verdict MasterElection::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
+Verdict MasterElection::judge_other_session(std::uint16_t source, const Beacon& beacon,
+                                            Ticks ahead) noexcept {
   if (!gives_way(beacon, ahead)) return request_merge();
   if (leads()) {
     dissolve();

@@ -31,21 +31,21 @@ enum class Role : std::uint8_t { kSearching, kFollowing, kLeading };
 
 // How this node uses a beacon.
 enum class Verdict : std::uint8_t {
-  kIgnore,   // not at all
-  kStale,    // of another schedule
-  kKnown,    // of the followed network, but by another path than the clock filter's
-  kMeasure,  // as a measurement for the clock filter
-  kSwitch,   // as kMeasure, the first by another path
-  kAdopt,    // to follow this timeline from now on: the clock filter restarts with it
-  kLeave,    // to stop transmitting and search
-  kRequestMerge,     // to send merge requests to its session, which has to join this one or fall silent
+  kIgnore,        // not at all
+  kStale,         // of another schedule
+  kKnown,         // of the followed network, but by another path than the clock filter's
+  kMeasure,       // as a measurement for the clock filter
+  kSwitch,        // as kMeasure, the first by another path
+  kAdopt,         // to follow this timeline from now on: the clock filter restarts with it
+  kLeave,         // to stop transmitting and search
+  kRequestMerge,  // to send merge requests to its session, which has to join this one or fall silent
 };
 
 // What this node does in the superframe that begins.
 enum class Duty : std::uint8_t {
   kGoOn,
-  kTakeOver,  // lead from now on, and keep the present time
-  kScan,      // listen for another timeline; a master still sends its own beacon
+  kTakeOver,     // lead from now on, and keep the present time
+  kScan,         // listen for another timeline; a master still sends its own beacon
   kSilence,      // as kScan, without that beacon: two nodes that send at once do not hear each other
   kLongSilence,  // as kSilence, for two superframes: hears also what crosses their boundary
 };
@@ -54,7 +54,8 @@ class MasterElection {
  public:
   // `duration`: of a superframe. `hash`: schedule_hash(). `guard`: timelines that differ by less count as
   // aligned.
-  MasterElection(const Site& site, ranging::Ticks duration, ranging::Ticks guard, std::uint32_t hash) noexcept;
+  MasterElection(const Site& site, ranging::Ticks duration, ranging::Ticks guard,
+                 std::uint32_t hash) noexcept;
 
   // Starts the search, at power-up or when the time is lost.
   void search(ranging::ClockTime now) noexcept;
@@ -74,7 +75,8 @@ class MasterElection {
   // be a recording. This node does not join that timeline, but may send merge requests to it.
   [[nodiscard]] Verdict judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept;
   // In a network with a key, while not searching: judges a verified merge request.
-  [[nodiscard]] Verdict judge_merge_request(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_merge_request(std::uint16_t source, const Beacon& beacon,
+                                            ranging::Ticks ahead) noexcept;
   // Reports a frame of this network that does not fit the timeline: another session may be near.
   void suspect() noexcept {
     suspicious_ = true;

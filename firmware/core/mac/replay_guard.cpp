@@ -19,7 +19,8 @@ std::optional<ControlChannel::Outgoing> ReplayGuard::open_slot(std::uint32_t num
   if (asked_ != 0 && (slot + round) % settings_.turns != settings_.turn) return std::nullopt;
   if (nonce_ == 0) nonce_ = std::uint64_t{settings_.boot_count} << 32 | (*settings_.nonces)++;
   return Outgoing{
-      .body = Join{.origin = settings_.id, .nonce = nonce_, .tag = settings_.tag, .wants_challenge_response = true}};
+      .body = Join{
+          .origin = settings_.id, .nonce = nonce_, .tag = settings_.tag, .wants_challenge_response = true}};
 }
 
 void ReplayGuard::on_sent(std::uint32_t, bool sent) noexcept {

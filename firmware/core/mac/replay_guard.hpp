@@ -2,9 +2,9 @@
 //
 // A node that starts to listen could receive a recording. Before it trusts the time in beacons it sends a
 // challenge, a nonce that it never used before, in a JOIN, and waits for a beacon that returns the nonce (a
-// ChallengeResponse). The JOIN's own MIC is valid in its superframe only, so a node that answers it is synchronized
-// with this node. From then on the node compares beacons with its own clock and rejects those that do not
-// fit.
+// ChallengeResponse). The JOIN's own MIC is valid in its superframe only, so a node that answers it is
+// synchronized with this node. From then on the node compares beacons with its own clock and rejects those
+// that do not fit.
 #pragma once
 
 #include <cstdint>

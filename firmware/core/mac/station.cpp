@@ -70,7 +70,7 @@ void Station::resume(ClockTime now) noexcept {
   if (phase_ == Phase::kBeacon && !own_beacon_) miss();
   const Ticks elapsed = now - sync_.start(number_);
   election_.on_absence(number_ +
-                         static_cast<std::uint32_t>(elapsed.count() / superframe_.duration().count()));
+                       static_cast<std::uint32_t>(elapsed.count() / superframe_.duration().count()));
   if (!election_.leads()) sync_.follow();
 }
 
@@ -124,8 +124,7 @@ std::optional<Action> Station::control(ClockTime now) noexcept {
 std::optional<Action> Station::control_ahead() const noexcept {
   if (sync_.state() == SyncState::kSearching || election_.leads()) return std::nullopt;
   Ticks place;
-  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !election_.has_shared_turn(number_) &&
-      !keyed()) {
+  if (phase_ == Phase::kBeacon && next_ == Next::kShared && !election_.has_shared_turn(number_) && !keyed()) {
     const bool sends = std::any_of(channels_.begin(), channels_.end(), [](const ControlChannel* channel) {
       return channel != nullptr && channel->wants_slot();
     });
@@ -265,7 +264,8 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
   if (next_ != Next::kBeacon || !quiet) return std::nullopt;
   while (others_) {
     const ClockTime timestamp = timestamp_not_after(others_->shared);
-    if (ahead(timestamp, now) && sure(number_) && election_.may_request_merge(others_->merge_target.superframe)) {
+    if (ahead(timestamp, now) && sure(number_) &&
+        election_.may_request_merge(others_->merge_target.superframe)) {
       const ClockTime ready = timestamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
       if (ready > now + kToGetReady) {
@@ -292,7 +292,8 @@ bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
   if (!others_) return false;
   for (std::uint32_t i = 0; i < others_->left; ++i) {
     const ClockTime shared = others_->shared + std::int64_t{i} * superframe_.duration();
-    if (shared > from && shared < to) return election_.may_request_merge(others_->merge_target.superframe + i);
+    if (shared > from && shared < to)
+      return election_.may_request_merge(others_->merge_target.superframe + i);
   }
   return false;
 }
@@ -319,7 +320,8 @@ Action Station::merge_request(ClockTime timestamp, const MergeTarget& merge_targ
 // All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:
 // from the next superframe on, or at once if they are scanning. If the beacon may be a recording and no
 // expected frames are missing, only the requesting node stays silent, and only in that superframe.
-void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime shared, std::uint32_t rounds) noexcept {
+void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime shared,
+                                  std::uint32_t rounds) noexcept {
   const Ticks duration = superframe_.duration();
   const auto number_at = [&](ClockTime at) {
     return static_cast<std::uint32_t>(sync_.network_time(at).count() / duration.count());
@@ -433,11 +435,11 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
     return false;
   }
   const BeaconReception timestamp{.superframe = beacon.superframe,
-                              .place = place_in_superframe(beacon),
-                              .heard = reception.timestamp,
-                              .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
-                              .hop = beacon.hop,
-                              .age = beacon.age};
+                                  .place = place_in_superframe(beacon),
+                                  .heard = reception.timestamp,
+                                  .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
+                                  .hop = beacon.hop,
+                                  .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.timestamp);
   const bool requested = authenticator_.on() && beacon.merge_request;

@@ -13,9 +13,9 @@
 
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
-#include "firmware/core/mac/replay_guard.hpp"
-#include "firmware/core/mac/master_election.hpp"
 #include "firmware/core/mac/frame_authenticator.hpp"
+#include "firmware/core/mac/master_election.hpp"
+#include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/core/mac/site.hpp"
 #include "firmware/core/mac/step.hpp"
 #include "firmware/core/mac/superframe.hpp"
@@ -123,10 +123,14 @@ class Station {
   void expect_heard(std::uint16_t source, FrameType type, Place place) noexcept {
     authenticator_.expect_received(source, type, place);
   }
-  void expect_said(FrameType type, Place place) noexcept { authenticator_.expect_sent(site_.id, type, place); }
+  void expect_said(FrameType type, Place place) noexcept {
+    authenticator_.expect_sent(site_.id, type, place);
+  }
   void prepare_control() noexcept;
   // Call for each frame before accept(): starts to verify its MIC in the background.
-  void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept { authenticator_.begin_verify(frame, place); }
+  void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept {
+    authenticator_.begin_verify(frame, place);
+  }
   // Of the present beacon slot or shared slot.
   [[nodiscard]] Place control_place() const noexcept {
     return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
@@ -173,7 +177,8 @@ class Station {
   [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
   void next_of_others() noexcept;
   [[nodiscard]] Action merge_request(ranging::ClockTime timestamp, const MergeTarget& merge_target) noexcept;
-  void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared, std::uint32_t rounds) noexcept;
+  void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared,
+                           std::uint32_t rounds) noexcept;
   // The other session may be a recording, and no expected frames are missing.
   [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !election_.lacking(); }
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;

@@ -38,16 +38,16 @@ enum class ScheduleFault : std::uint8_t {
   kNone,
   kNoTags,
   kNoAnchors,
-  kBadId,         // ids are 1 to 65534
-  kRepeatedId,    // tags and anchors share one number space
-  kBadMaster,     // the master is not among the anchors
-  kBadMethod,     // this node does not know the method
+  kBadId,          // ids are 1 to 65534
+  kRepeatedId,     // tags and anchors share one number space
+  kBadMaster,      // the master is not among the anchors
+  kBadMethod,      // this node does not know the method
   kBadTurnaround,  // outside of 150 to 5000 us
-  kBadGap,        // outside of 50 to 2000 us
-  kBadGuard,      // outside of 5 to 1000 us
-  kBadBackup,     // a back-up is not among the anchors, or is the master
-  kBadSlots,      // outside of 0 to 16, or a tag's slot is beyond them
-  kBadResponses,  // outside of 0 to 16
+  kBadGap,         // outside of 50 to 2000 us
+  kBadGuard,       // outside of 5 to 1000 us
+  kBadBackup,      // a back-up is not among the anchors, or is the master
+  kBadSlots,       // outside of 0 to 16, or a tag's slot is beyond them
+  kBadResponses,   // outside of 0 to 16
 };
 
 // The field and its valid values, at most 63 characters; empty for kNone.

@@ -265,7 +265,8 @@ class Node {
           machine_.begin_verify(frame);
           return !mac::looks_like_poll(frame);
         });
-        const ranging::ClockTime timestamp = event.timestamp_valid ? clock_.unwrap(event.timestamp) : read_clock();
+        const ranging::ClockTime timestamp =
+            event.timestamp_valid ? clock_.unwrap(event.timestamp) : read_clock();
         refer(timestamp);
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{timestamp, event.timestamp_valid, event.frame, event.quality};
@@ -367,7 +368,8 @@ class Node {
           event_due_us_ = 0;
           return;
         case mac::Action::Kind::kTransmit:
-          start = radio_.transmit_at(clock_.wrap(action.at), action.frame, [this] { machine_.finish_signing(); });
+          start =
+              radio_.transmit_at(clock_.wrap(action.at), action.frame, [this] { machine_.finish_signing(); });
           break;
         case mac::Action::Kind::kListen:
           start = radio_.receive_at(clock_.wrap(action.at), action.until - action.at,

@@ -127,7 +127,8 @@ inline constexpr Ticks kTransmitGrid{512};
 
 // The timestamp of the last transmission that can leave the antenna not after `latest`, given the grid and
 // the antenna delay. It is known before the frame is sent.
-[[nodiscard]] constexpr ClockTime transmit_timestamp_not_after(ClockTime latest, Ticks antenna_delay) noexcept {
+[[nodiscard]] constexpr ClockTime transmit_timestamp_not_after(ClockTime latest,
+                                                               Ticks antenna_delay) noexcept {
   const std::int64_t at_chip = (latest - antenna_delay).count() & ~(kTransmitGrid.count() - 1);
   return ClockTime(at_chip) + antenna_delay;
 }

@@ -165,15 +165,17 @@ TEST(ActiveSet, ExchangesOfConsideredAnchorsLoseNoInformation) {
     const std::size_t to = std::min(row + 10, truth.odometry.size());
     for (Filter* each : {reference.get(), filter.get()}) feed(truth, row, to, *each, kNothing);
     largest = std::max(largest, (reference->core() - filter->core()).cwiseAbs().maxCoeff());
-    largest_covariance = std::max(
-        largest_covariance, (reference->covariance().core() - filter->covariance().core()).cwiseAbs().maxCoeff());
+    largest_covariance =
+        std::max(largest_covariance,
+                 (reference->covariance().core() - filter->covariance().core()).cwiseAbs().maxCoeff());
   }
   EXPECT_LT(largest, 1e-9);
   EXPECT_LT(largest_covariance, 1e-9);
   EXPECT_EQ(reference->counters().anchor_exchanges, 0U);
   EXPECT_GT(filter->counters().anchor_exchanges, 24U);
   EXPECT_EQ(filter->counters().ranges[RangeOutcome::kNotActive], 0U);
-  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], reference->counters().ranges[RangeOutcome::kUsed]);
+  EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed],
+            reference->counters().ranges[RangeOutcome::kUsed]);
 }
 
 struct Drives {

@@ -345,7 +345,8 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
     if (of != model::kNoPowerClass) {
       const double ratio = reference.likelihood_ratio(of);
       const double count = kStep_s / config.hint_s;
-      if (!gate.suspects_divergence(t_s)) reference.observe(of, t_s, count * nlos / total, count * los / total);
+      if (!gate.suspects_divergence(t_s))
+        reference.observe(of, t_s, count * nlos / total, count * los / total);
       const double all = reference.nlos_share();
       const double known = std::min(std::max(prior, all), config.nlos_max);
       const auto [now_in_sight, now_nlos] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));

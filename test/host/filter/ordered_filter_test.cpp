@@ -99,8 +99,10 @@ TEST_P(OrderedModels, ShuffledWithinTheWindowEqualsInOrder) {
     feed(shuffled(inputs, most_s, 3), *filter);
     EXPECT_GT(filter->reordered(), inputs.size() * 2 / 5) << most_s;
     expect_same(filter->filter(), *reference);
-    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed], reference->counters().ranges[RangeOutcome::kUsed]);
-    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kGated], reference->counters().ranges[RangeOutcome::kGated]);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kUsed],
+              reference->counters().ranges[RangeOutcome::kUsed]);
+    EXPECT_EQ(filter->counters().ranges[RangeOutcome::kGated],
+              reference->counters().ranges[RangeOutcome::kGated]);
     EXPECT_EQ(filter->counters().odometry[OdometryOutcome::kUsed],
               reference->counters().odometry[OdometryOutcome::kUsed]);
     EXPECT_EQ(filter->counters().ranges[RangeOutcome::kOutOfOrder], 0U);

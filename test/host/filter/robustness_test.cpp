@@ -402,7 +402,7 @@ Errors with_nlos(Model model, PowerContent powers, std::uint64_t seed) {
     if (nlos) range.range_m += 0.15 + 0.1 * (wall * 11 % 7);
     const bool weak = powers == PowerContent::kTruth      ? nlos
                       : powers == PowerContent::kOpposite ? !nlos
-                                                  : random.next() % 2 == 0;
+                                                          : random.next() % 2 == 0;
     if (powers == PowerContent::kNothing) continue;
     const double strength_dbm = (weak ? -68.0 : -59.0) + random.gaussian();
     range.first_path_power_dbm = static_cast<float>(strength_dbm - 20.0 * std::log10(range.range_m));

@@ -13,7 +13,7 @@ namespace groma::sim {
 struct SiteRate {
   double ranges_per_s = 0.0;    // good ones, on the host
   double schedule_per_s = 0.0;  // one from each window of the schedule
-  double bound_per_s = 0.0;  // no gaps, turnarounds, guards, shared slot: air time only
+  double bound_per_s = 0.0;     // no gaps, turnarounds, guards, shared slot: air time only
   int late_transmits = 0;
   int late_receives = 0;
   int reports_lost = 0;
