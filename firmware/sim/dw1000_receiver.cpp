@@ -340,7 +340,7 @@ void Dw1000Chip::write_reception(bool damaged) {
   const std::int64_t rmarker =
       clock_.nearest_tick(frame.rmarker + reception.delay,
                           static_cast<double>(spec_.receive_antenna_delay_ticks) +
-                              reception.delay_residue_ticks + reception.stamp_noise_ticks +
+                              reception.delay_residue_ticks + reception.timestamp_noise_ticks +
                               timestamp_bias_ticks(reception.receive_power_dbm)) -
       counter_base_;
   std::uint64_t timestamp = static_cast<std::uint64_t>(rmarker) - registers_.get(Reg::kLdeRxAntd);

@@ -61,7 +61,7 @@ constexpr std::uint32_t kFifoTransmits = 1U << 7;
 constexpr std::uint32_t kFifoAdvance = 1U << 8;
 constexpr std::uint32_t kFifoRequest = 1U << 9;
 constexpr std::uint32_t kFifoReset = 1U << 10;
-constexpr std::uint32_t kFifoTimeStamp = 1U << 5;
+constexpr std::uint32_t kFifoTimestamp = 1U << 5;
 constexpr std::uint32_t kFifoRemote = 1U << 6;
 constexpr std::uint32_t kFifoOverrun = 1U << 3;
 
@@ -332,7 +332,7 @@ void Mcp2518fdChip::write_con(std::uint32_t value, std::uint32_t mask) {
 void Mcp2518fdChip::write_fifo_con(unsigned index, std::uint32_t value, std::uint32_t mask) {
   constexpr std::uint32_t kCommands = kFifoAdvance | kFifoRequest | kFifoReset;
   constexpr std::uint32_t kWritable = 0xFF7F'00FF;
-  constexpr std::uint32_t kProtected = 0xFF00'0000 | kFifoTransmits | kFifoTimeStamp | kFifoRemote;
+  constexpr std::uint32_t kProtected = 0xFF00'0000 | kFifoTransmits | kFifoTimestamp | kFifoRemote;
   const unsigned address = kFifoBegin + (index - 1) * kFifoStride;
   config_only("CiFIFOCON", address, value & ~kCommands, mask & ~kCommands, kWritable, kProtected);
   const std::uint32_t commands = value & mask & kCommands;
@@ -465,7 +465,7 @@ void Mcp2518fdChip::lay_out_fifos() {
   for (unsigned i = 1; i < kFifos; ++i) {
     std::uint32_t& control = word(kFifoBegin + (i - 1) * kFifoStride);
     control &= ~kFifoReset;
-    if ((control & kFifoTimeStamp) != 0) complain("timestamps are not modelled");
+    if ((control & kFifoTimestamp) != 0) complain("timestamps are not modelled");
     Fifo& fifo = fifos_[i];
     fifo.payload_bytes = kPayloadSizes[bits(control, 29, 3)];
     fifo.object_bytes = 8 + fifo.payload_bytes;

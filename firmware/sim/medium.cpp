@@ -108,8 +108,9 @@ Reception Medium::reception(const AirFrame& frame, std::size_t receiver) const {
 
   const auto draw = [&](std::uint64_t purpose) { return random_.of(purpose, from, to, frame.number); };
   reception.junk = draw(kJunk).bits();
-  if (settings_.stamp_noise_s > 0.0)
-    reception.stamp_noise_ticks = draw(kTimestampNoise).normal() * settings_.stamp_noise_s * kTicksPerSecond;
+  if (settings_.timestamp_noise_s > 0.0)
+    reception.timestamp_noise_ticks =
+        draw(kTimestampNoise).normal() * settings_.timestamp_noise_s * kTicksPerSecond;
   if (settings_.carrier_noise_ppm > 0.0)
     reception.carrier_noise_ppm = draw(kCarrierNoise).normal() * settings_.carrier_noise_ppm;
   if (settings_.loss_probability > 0.0 && draw(kLossDraw).uniform() < settings_.loss_probability)

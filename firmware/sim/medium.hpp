@@ -18,10 +18,10 @@ namespace groma::sim {
 class Dw1000Chip;
 
 struct MediumSettings {
-  double stamp_noise_s = 1e-10;     // standard deviation of a receive timestamp
-  double carrier_noise_ppm = 0.05;  // standard deviation of the clock offset measured on a frame's carrier
-  double loss_probability = 0.0;    // of each frame at each receiver, in addition to the propagation model
-  double capture_db = 6.0;          // power ratio at which the stronger of two overlapping frames is received
+  double timestamp_noise_s = 1e-10;  // standard deviation of a receive timestamp
+  double carrier_noise_ppm = 0.05;   // standard deviation of the clock offset measured on a frame's carrier
+  double loss_probability = 0.0;     // of each frame at each receiver, in addition to the propagation model
+  double capture_db = 6.0;  // power ratio at which the stronger of two overlapping frames is received
 };
 
 // How a frame that loss_probability selects fails at a receiver.
@@ -65,7 +65,7 @@ struct Reception {
   double delay_residue_ticks = 0.0;  // the remaining fraction of the time of flight
   double receive_power_dbm = 0.0;
   double first_path_power_dbm = 0.0;
-  double stamp_noise_ticks = 0.0;
+  double timestamp_noise_ticks = 0.0;
   double carrier_noise_ppm = 0.0;
   std::uint64_t junk = 0;  // random bits for invalid results
   Loss loss = Loss::kNone;

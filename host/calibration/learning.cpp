@@ -75,16 +75,16 @@ void DriveStore::add(const model::PoseSample& pose) {
 }
 
 void DriveStore::reach(double t_s) {
-  if (any_ && t_s < last_s_ - kLateness_s) {
+  if (any_ && t_s < last_s_ - kMaxDelay_s) {
     return;  // reopens its segment, which closes with the next one
   }
   last_s_ = any_ ? std::max(last_s_, t_s) : t_s;
   any_ = true;
   while (!open_.empty() &&
-         static_cast<double>(open_.begin()->first + 1) * limits_.segment_s + kLateness_s <= last_s_) {
+         static_cast<double>(open_.begin()->first + 1) * limits_.segment_s + kMaxDelay_s <= last_s_) {
     close_first();
   }
-  const double keep_from_s = last_s_ - 2.0 * (limits_.segment_s + kLateness_s);
+  const double keep_from_s = last_s_ - 2.0 * (limits_.segment_s + kMaxDelay_s);
   if (!poses_.empty() && poses_.front().t_s < keep_from_s - limits_.segment_s) {
     std::erase_if(poses_, [keep_from_s](const auto& pose) { return pose.t_s < keep_from_s; });
   }
@@ -196,8 +196,8 @@ LearningStep learn(const LearningInput& input) {
   LearningStep step;
   if (input.places) {
     step.samples = input.places->samples();
-    step.learnt = calibrate(drive_of(step.samples, input), {.most_anchor_ranges = kMostAnchorRanges});
-    step.learnt->fitted.clear();
+    step.calibrated = calibrate(drive_of(step.samples, input), {.most_anchor_ranges = kMostAnchorRanges});
+    step.calibrated->fitted.clear();
   }
   if (input.live.anchors.empty() || input.recent.segments() < kMinRecheckSegments) return step;
   const DriveStore::Samples samples = input.recent.samples();

@@ -33,8 +33,8 @@ class DriveStore {
  public:
   explicit DriveStore(const DriveStoreLimits& limits = {}) : limits_(limits) {}
 
-  // Samples come in time order; one may be late by kLateness_s at most (by hand).
-  static constexpr double kLateness_s = 1.0;
+  // Samples come in time order; one may be late by kMaxDelay_s at most (by hand).
+  static constexpr double kMaxDelay_s = 1.0;
   void add(const model::RangeSample& range);
   void add(const model::PoseSample& pose);
   // Closes all open segments: at the end of the drive, or when the samples so far have to do.
@@ -107,8 +107,8 @@ struct LearningInput {
 };
 
 struct LearningStep {
-  std::optional<Result> learnt;         // calibration from `places`, if given; `fitted` is empty
-  DriveStore::Samples samples;          // that `learnt` was estimated from
+  std::optional<Result> calibrated;     // calibration from `places`, if given; `fitted` is empty
+  DriveStore::Samples samples;          // that `calibrated` was estimated from
   std::vector<AnchorChange> rechecked;  // anchors in use against the recent drive; empty while that is short
 };
 

@@ -23,7 +23,7 @@ void Warnings::add(const io::DroppedRows& dropped) {
   count(dropped.range_out_of_bounds, fmt::format("with a range not within 0 to {} m", io::kMaxRange_m));
   count(dropped.unknown_tag, "of an unknown tag");
   count(dropped.unknown_anchor, "of an unknown anchor");
-  count(dropped.late, fmt::format("out of order by over {} s (odometry: over {} samples)", io::kMaxLateness_s,
+  count(dropped.late, fmt::format("out of order by over {} s (odometry: over {} samples)", io::kMaxDelay_s,
                                   io::kMaxOdometryOutOfOrder));
   count(dropped.repeated, "repeated");
   count(dropped.implausible, "with a pose that no robot has, or an invalid covariance");

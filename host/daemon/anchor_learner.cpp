@@ -28,8 +28,8 @@ double sigma_xy_m(const model::AnchorCalibration& anchor) {
 
 calibration::LearningStep learn_with_digest(const calibration::LearningInput& input) {
   calibration::LearningStep step = calibration::learn(input);
-  if (step.learnt) {
-    step.learnt->calibration.input_sha256 = sample_digest(step.samples.ranges, step.samples.poses);
+  if (step.calibrated) {
+    step.calibrated->calibration.input_sha256 = sample_digest(step.samples.ranges, step.samples.poses);
   }
   return step;
 }
@@ -121,8 +121,8 @@ bool AnchorLearner::finish() {
 
 bool AnchorLearner::take(calibration::LearningStep step, bool last) {
   ++steps_;
-  const bool solved = step.learnt.has_value();
-  if (solved) calibrated_ = std::move(*step.learnt);
+  const bool solved = step.calibrated.has_value();
+  if (solved) calibrated_ = std::move(*step.calibrated);
   const bool moved = remove_moved(step.rechecked);
   for (const model::AnchorCalibration& anchor : calibrated_.calibration.anchors) {
     // The anchor moved before it was good enough to be used: discard its ranges from the former position.

@@ -22,7 +22,7 @@ using io::YamlValue;
 
 constexpr double kMinDrive_s = 10.0;
 constexpr double kMaxDrive_s = 3600.0;
-constexpr double kMaxReorderLag_s = 0.5;  // SessionConfig::max_lateness_s: later measurements are dropped
+constexpr double kMaxReorderLag_s = 0.5;  // SessionConfig::max_delay_s: later measurements are dropped
 constexpr double kMaxSpeed = 1000.0;
 constexpr std::array<std::string_view, 2> kSwitch{"false", "true"};
 

@@ -7,7 +7,7 @@ namespace groma::daemon {
 
 // All times are robot time (the t_s of its odometry). Measurements come in the order of their times. A
 // measurement that was delayed by more than the session's reorder lag comes out of order, at most
-// SessionConfig::max_lateness_s behind the robot's present.
+// SessionConfig::max_delay_s behind the robot's present.
 class MeasurementSink {
  public:
   MeasurementSink(const MeasurementSink&) = delete;

@@ -87,7 +87,7 @@ Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
   early_ = 0;
   last_s_ = t_s;
   if (offset_s >= -kConsistent_s) run_ = {};
-  watch_lateness(now_s, offset_s);
+  watch_delay(now_s, offset_s);
   return Timestamp::kGood;
 }
 
@@ -153,8 +153,8 @@ Timestamp RobotClock::step(double t_s, double now_s, double by_s) noexcept {
   return Timestamp::kStepped;
 }
 
-void RobotClock::watch_lateness(double now_s, double offset_s) noexcept {
-  lateness_s_ = -offset_s;
+void RobotClock::watch_delay(double now_s, double offset_s) noexcept {
+  delay_s_ = -offset_s;
   if (offset_s >= -kLateAlike_s) {
     late_alike_ = 0;
   } else if (late_alike_ == 0 || std::abs(-offset_s - late_by_s_) > kAgree_s) {

@@ -78,7 +78,7 @@ class RobotClock {
   [[nodiscard]] bool suspected() const noexcept;
   [[nodiscard]] bool is_late() const noexcept { return late_alike_ >= kRun || behind_; }
   // How late the last good sample was; negative: early.
-  [[nodiscard]] double lateness_s() const noexcept { return lateness_s_; }
+  [[nodiscard]] double delay_s() const noexcept { return delay_s_; }
   // The last wrong timestamp or clock step.
   [[nodiscard]] const std::optional<TimestampFault>& fault() const noexcept { return fault_; }
 
@@ -100,7 +100,7 @@ class RobotClock {
   Timestamp judge_far(double t_s, double now_s, double offset_s) noexcept;
   Timestamp judge_fallen_back(double t_s, double now_s, double offset_s) noexcept;
   Timestamp step(double t_s, double now_s, double by_s) noexcept;
-  void watch_lateness(double now_s, double offset_s) noexcept;
+  void watch_delay(double now_s, double offset_s) noexcept;
 
   RobotClockConfig config_;
   clock::TimeMapper mapper_;
@@ -111,7 +111,7 @@ class RobotClock {
   std::uint32_t late_alike_ = 0;  // in a row
   double late_by_s_ = 0.0;
   double on_time_s_ = 0.0;  // host time
-  double lateness_s_ = 0.0;
+  double delay_s_ = 0.0;
   bool behind_ = false;
   double step_s_ = 0.0;
   bool step_found_late_ = false;

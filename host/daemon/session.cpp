@@ -238,7 +238,7 @@ void Session::take(model::RangeSample range) {
 }
 
 void Session::enqueue(double t_s, const Sample& sample) {
-  if (*robot_time_s(now_s_) - t_s > config_.max_lateness_s) {
+  if (*robot_time_s(now_s_) - t_s > config_.max_delay_s) {
     ++counters_.dropped_late;
     return;
   }
@@ -337,7 +337,7 @@ void Session::report_suspect_times() {
   times_suspect_ = suspect;
   if (suspect && robot_clock_.is_late() && now_s_ >= next_late_report_s_) {
     next_late_report_s_ = now_s_ + kLateReported_s;
-    say(fmt::format("robot: odometry arrives {:.2f} s late; poses are degraded", robot_clock_.lateness_s()));
+    say(fmt::format("robot: odometry arrives {:.2f} s late; poses are degraded", robot_clock_.delay_s()));
   }
   for (MeasurementSink* sink : sinks_) sink->on_odometry_times(suspect);
 }

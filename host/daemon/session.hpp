@@ -41,7 +41,7 @@ struct SessionConfig {
   // How long measurements wait for earlier ones: a range is reported a superframe after its instant.
   double reorder_lag_s = 0.2;
   // A measurement further behind the robot's present is dropped.
-  double max_lateness_s = 0.5;
+  double max_delay_s = 0.5;
   // A t_s of the robot further from the expected time is dropped as wrong ...
   double max_clock_error_s = 1.0;
   // ... unless all are, for this long: then the clock was set.
@@ -58,7 +58,7 @@ struct SessionCounters {
   std::uint64_t ranges = 0;
   std::uint64_t sensors = 0;                // samples of other sensors
   std::uint64_t passed_late = 0;            // passed on out of order; also counted above
-  std::uint64_t dropped_late = 0;           // more than max_lateness_s behind
+  std::uint64_t dropped_late = 0;           // more than max_delay_s behind
   std::uint64_t odometry_out_of_order = 0;  // not newer than the sample before, or fallen back: dropped
   std::uint64_t odometry_merged = 0;        // samples saved by merging: input less output
   std::uint64_t sensors_out_of_order = 0;   // poses and sensor samples that fell back: dropped

@@ -266,7 +266,8 @@ std::string format_calibration(const model::Calibration& calibration) {
                  calibration.range_delay_sigma_s * calibration.range_delay_sigma_s);
   if (calibration.range_noise) {
     const model::RangeNoise& noise = *calibration.range_noise;
-    fmt::format_to(out, "# Of ranges in sight: white, and slow, which is common to an anchor's tags.\n");
+    fmt::format_to(out,
+                   "# Noise of LOS ranges: white, and a Gauss-Markov bias that an anchor's tags share.\n");
     fmt::format_to(out, "range_noise: {{white_variance_m2: {}, slow_variance_m2: {}, slow_time_s: {}}}\n",
                    noise.white_sigma_m * noise.white_sigma_m, noise.bias_sigma_m * noise.bias_sigma_m,
                    noise.bias_time_s);

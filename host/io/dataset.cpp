@@ -29,7 +29,7 @@ using Presence = CsvReader::Presence;
 constexpr std::array<std::string_view, 2> kOrigins{"recorded", "simulated"};
 constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
 
-// Sorts rows by time. A row more than kMaxLateness_s behind the latest row before it is dropped. So is a row
+// Sorts rows by time. A row more than kMaxDelay_s behind the latest row before it is dropped. So is a row
 // ahead of most of the following rows: it would make all of them late.
 template <typename Sample, typename Key>
 void put_in_order(std::vector<Sample>& samples, const Key& key, DroppedRows& dropped) {
@@ -38,12 +38,12 @@ void put_in_order(std::vector<Sample>& samples, const Key& key, DroppedRows& dro
   std::vector<Sample> kept;
   kept.reserve(samples.size());
   for (auto row = samples.begin(); row != samples.end(); ++row) {
-    bool misplaced = row->t_s < latest_s - kMaxLateness_s;
-    if (row->t_s > latest_s + kMaxLateness_s) {
+    bool misplaced = row->t_s < latest_s - kMaxDelay_s;
+    if (row->t_s > latest_s + kMaxDelay_s) {
       const auto next = std::next(row);
       const auto end = samples.end() - next > kRowsAhead ? next + kRowsAhead : samples.end();
-      const auto behind = std::count_if(
-          next, end, [&](const Sample& other) { return other.t_s < row->t_s - kMaxLateness_s; });
+      const auto behind =
+          std::count_if(next, end, [&](const Sample& other) { return other.t_s < row->t_s - kMaxDelay_s; });
       misplaced = 2 * behind > end - next;
     }
     if (misplaced) {

@@ -19,7 +19,7 @@ struct DroppedRows {
   std::size_t range_out_of_bounds = 0;  // not within (0, kMaxRange_m]
   std::size_t unknown_tag = 0;          // not in tags.csv
   std::size_t unknown_anchor = 0;       // no 16-bit id, or not in anchors.csv if that file is read
-  std::size_t late = 0;         // in any file: out of order, see kMaxLateness_s and kMaxOdometryOutOfOrder
+  std::size_t late = 0;         // in any file: out of order, see kMaxDelay_s and kMaxOdometryOutOfOrder
   std::size_t repeated = 0;     // equal time; for ranges, also equal pair and range
   std::size_t implausible = 0;  // impossible poses and positions, or invalid covariances of them
 
@@ -29,7 +29,7 @@ struct DroppedRows {
 };
 
 inline constexpr double kMaxRange_m = 1000.0;
-inline constexpr double kMaxLateness_s = 0.5;
+inline constexpr double kMaxDelay_s = 0.5;
 // An odometry sample may be earlier than this many preceding samples, or later than this many following ones.
 inline constexpr std::size_t kMaxOdometryOutOfOrder = 4;
 

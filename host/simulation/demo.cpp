@@ -83,7 +83,7 @@ double nlos_share(const sim::World& world, const std::vector<model::RangeSample>
   std::size_t nlos = 0;
   for (const auto* ranges : {&first, &second}) {
     for (const model::RangeSample& range : *ranges) {
-      nlos += world.in_sight(range.tag_id, range.anchor_id, range.t_s) ? 0U : 1U;
+      nlos += world.is_los(range.tag_id, range.anchor_id, range.t_s) ? 0U : 1U;
     }
   }
   const std::size_t all = first.size() + second.size();

@@ -62,7 +62,7 @@ sim::NodeSpec spec_of(const sim::Scenario& scenario, const groma_Config& config,
 
 sim::MediumSettings medium_settings(const sim::RadioOptions& radio) {
   sim::MediumSettings settings;
-  settings.stamp_noise_s = radio.stamp_sigma_ns * 1e-9;
+  settings.timestamp_noise_s = radio.timestamp_sigma_ns * 1e-9;
   settings.loss_probability = radio.loss;
   return settings;
 }

@@ -116,7 +116,7 @@ TEST(Dw1000Timestamps, FollowBothClocksOverTheWrap) {
       ASSERT_EQ(receiver.status() & status::kAllRx, kGood);
       const std::uint64_t timestamp = sender.transmit_timestamp();
       ASSERT_EQ(timestamp, (target + 16436) & kMask40);
-      // In exact arithmetic: t = (stamp - first) / (1 + e1); received = first2 + (t + f) (1 + e2).
+      // In exact arithmetic: t = (timestamp - first) / (1 + e1); received = first2 + (t + f) (1 + e2).
       const long double local = static_cast<long double>((timestamp - fast.first_tick) & kMask40);
       const long double t_ticks = local / (1.0L + static_cast<long double>(ppm) * 1e-6L);
       const long double flight = static_cast<long double>(flight_m / 299'792'458.0 * 63.8976e9);

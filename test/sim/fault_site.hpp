@@ -191,7 +191,7 @@ struct FaultSiteSettings {
   std::uint32_t response_gap_us = 200;
   std::uint32_t guard_us = 30;
   std::optional<security::Key> network_key{};  // each frame carries a MIC
-  MediumSettings medium{.stamp_noise_s = 1e-10};
+  MediumSettings medium{.timestamp_noise_s = 1e-10};
   std::uint64_t seed = 1;
   double crystals_ppm = 10.0;  // offsets lie within +- this
   double drift_ppm = 10.0;     // amplitude of a periodic drift, up or down from the offset
@@ -394,9 +394,9 @@ class FaultSite {
     const auto rb = static_cast<double>(raw.anchor_round_dtu);
     const auto da = static_cast<double>(raw.tag_reply_dtu);
     const double sum = ra + rb + da + db;
-    const double stamp_m =
-        std::hypot(settings_.medium.stamp_noise_s, 15.65e-12 / std::sqrt(12.0)) * 299'792'458.0;
-    return stamp_m * std::hypot(da / sum, (rb + db) / sum, ra / sum);
+    const double timestamp_m =
+        std::hypot(settings_.medium.timestamp_noise_s, 15.65e-12 / std::sqrt(12.0)) * 299'792'458.0;
+    return timestamp_m * std::hypot(da / sum, (rb + db) / sum, ra / sum);
   }
 
  private:

@@ -31,8 +31,8 @@ class Yard {
  public:
   explicit Yard(const JoiningSettings& settings)
       : settings_(settings),
-        network(space, {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = settings.loss},
-                1) {
+        network(space,
+                {.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = settings.loss}, 1) {
     for (const std::uint16_t id : settings.anchors) add(id);
     for (const std::uint16_t id : settings.tags) add(id);
   }

@@ -47,15 +47,15 @@ TEST_F(MediumTest, ADrawDependsOnItsKeysAlone) {
     const Reception forward = one.medium.reception(frame(0, n), 1);
     const Reception backward = two.medium.reception(frame(0, 200 - n), 1);
     const Reception same = two.medium.reception(frame(0, n), 1);
-    EXPECT_EQ(forward.stamp_noise_ticks, same.stamp_noise_ticks);
+    EXPECT_EQ(forward.timestamp_noise_ticks, same.timestamp_noise_ticks);
     EXPECT_EQ(forward.carrier_noise_ppm, same.carrier_noise_ppm);
     EXPECT_EQ(forward.loss, same.loss);
     EXPECT_EQ(forward.junk, same.junk);
     if (n != 100) {
-      EXPECT_NE(forward.stamp_noise_ticks, backward.stamp_noise_ticks);
+      EXPECT_NE(forward.timestamp_noise_ticks, backward.timestamp_noise_ticks);
     }
-    EXPECT_NE(forward.stamp_noise_ticks, one.medium.reception(frame(0, n), 2).stamp_noise_ticks);
-    EXPECT_NE(forward.stamp_noise_ticks, one.medium.reception(frame(1, n), 0).stamp_noise_ticks);
+    EXPECT_NE(forward.timestamp_noise_ticks, one.medium.reception(frame(0, n), 2).timestamp_noise_ticks);
+    EXPECT_NE(forward.timestamp_noise_ticks, one.medium.reception(frame(1, n), 0).timestamp_noise_ticks);
     differ += forward.loss != other.medium.reception(frame(0, n), 1).loss ? 1 : 0;
   }
   EXPECT_GT(differ, 50);
@@ -94,13 +94,13 @@ TEST_F(MediumTest, LossesFollowNoPatternInTime) {
 }
 
 TEST_F(MediumTest, TimestampNoiseIsGaussianWithTheConfiguredSigma) {
-  const ThreeStations air(space, {.stamp_noise_s = 1e-10}, 9);
+  const ThreeStations air(space, {.timestamp_noise_s = 1e-10}, 9);
   constexpr int kFrames = 100'000;
   double sum = 0.0;
   double squares = 0.0;
   double beyond_two_sigma = 0.0;
   for (std::uint32_t n = 0; n < kFrames; ++n) {
-    const double noise_s = air.medium.reception(frame(0, n), 1).stamp_noise_ticks / 63.8976e9;
+    const double noise_s = air.medium.reception(frame(0, n), 1).timestamp_noise_ticks / 63.8976e9;
     sum += noise_s;
     squares += noise_s * noise_s;
     beyond_two_sigma += std::abs(noise_s) > 2e-10 ? 1.0 : 0.0;

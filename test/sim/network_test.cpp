@@ -183,7 +183,7 @@ INSTANTIATE_TEST_SUITE_P(
 // tof = (Ra Rb - Da Db) / (Ra + Rb + Da + Db), with independent noise on each of the three receive
 // timestamps.
 TEST(NoisyTimestamps, SpreadRangesAsInTheClosedForm) {
-  SiteBench site({.tags = 1, .anchors = 6, .medium = {.stamp_noise_s = 1e-10}});
+  SiteBench site({.tags = 1, .anchors = 6, .medium = {.timestamp_noise_s = 1e-10}});
   site.run_until(12.0);
   double squares = 0.0;
   int count = 0;
@@ -220,7 +220,7 @@ TEST(Faults, LostFramesCostRangesAndNothingElse) {
   const SiteSettings settings{
       .tags = 3,
       .anchors = 12,
-      .medium = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.02}};
+      .medium = {.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.02}};
   SiteBench site(settings);
   site.run_until(kSynchronized_s + 10.0);
   const Errors errors = errors_of(site);
@@ -244,7 +244,7 @@ TEST(Faults, TheSiteRecoversFromThirtyPercentLoss) {
   const SiteSettings settings{
       .tags = 2,
       .anchors = 6,
-      .medium = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.3}};
+      .medium = {.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.3}};
   SiteBench site(settings);
   site.run_until(10.0);
   EXPECT_LT(errors_of(site).worst_m, 0.01);
@@ -431,8 +431,10 @@ TEST(Determinism, OneSeedGivesOneTraceForAnySteps) {
 // A node's speed changes no timestamp: the same frames carry the same noise.
 TEST(Determinism, TheBusSpeedChangesNoRange) {
   const auto ranges = [](double transaction_us) {
-    SiteBench site(
-        {.tags = 1, .anchors = 4, .medium = {.stamp_noise_s = 1e-10}, .spi_transaction_us = transaction_us});
+    SiteBench site({.tags = 1,
+                    .anchors = 4,
+                    .medium = {.timestamp_noise_s = 1e-10},
+                    .spi_transaction_us = transaction_us});
     site.run_until(2.0);
     std::map<std::pair<std::uint32_t, std::uint32_t>, float> out;
     site.each_range([&](const groma_SlotReport& report, const groma_Range& range) {

@@ -164,7 +164,7 @@ class HandDriven {
 
 class RadioBench {
  public:
-  explicit RadioBench(const MediumSettings& settings = {.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0},
+  explicit RadioBench(const MediumSettings& settings = {.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0},
                       std::uint64_t seed = 1)
       : medium(space, settings, seed) {}
 

@@ -156,7 +156,7 @@ struct SiteSettings {
   int anchors = 3;
   groma_RangingMethod method = groma_RangingMethod_METHOD_DS_FINAL;
   groma_Preamble preamble = groma_Preamble_PREAMBLE_128;
-  MediumSettings medium{.stamp_noise_s = 0.0, .carrier_noise_ppm = 0.0};
+  MediumSettings medium{.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0};
   std::uint64_t seed = 1;
   double spread_ppm = 20.0;  // clock offsets are spread evenly over +- this
   std::uint32_t turn_round_us = 300;

@@ -107,7 +107,7 @@ TEST(ThreeCells, RangeAtThePredictedRateWithoutCollisions) {
   ASSERT_FALSE(halls.between(kMaster, cells[2].anchors[1], 0.0).audible);
   ASSERT_FALSE(halls.between(cells[0].anchors[0], cells[2].anchors[0], 0.0).audible);
 
-  Network network(halls, {.stamp_noise_s = 1e-10}, 1);
+  Network network(halls, {.timestamp_noise_s = 1e-10}, 1);
   AirLog air(network.medium());
   network.medium().set_witness(&air);
   for (NodeSpec& spec : specs) {

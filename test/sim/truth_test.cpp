@@ -140,7 +140,7 @@ TEST_P(TimestampNoise, SpreadsRangesAsInTheClosedForm) {
   SiteBench site({.tags = 1,
                   .anchors = p.anchors,
                   .method = p.method,
-                  .medium = {.stamp_noise_s = kNoise_s, .carrier_noise_ppm = 0.0},
+                  .medium = {.timestamp_noise_s = kNoise_s, .carrier_noise_ppm = 0.0},
                   .seed = 7});
   site.run_until(kRanging_s + 20.0);
   // A timestamp is a whole number of ticks.

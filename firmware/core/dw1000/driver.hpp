@@ -168,8 +168,8 @@ class Dw1000 {
     }
   }
 
-  // Sends `frame` (without frame check) so that its RMARKER leaves the antenna at `stamp`. `stamp` must be a
-  // result of transmit_timestamp_not_after() and less than 8.6 s ahead.
+  // Sends `frame` (without frame check) so that its RMARKER leaves the antenna at `timestamp`. `timestamp`
+  // must be a result of transmit_timestamp_not_after() and less than 8.6 s ahead.
   [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp,
                                   std::span<const std::uint8_t> frame) noexcept {
     return transmit_at(timestamp, frame, [] {});

@@ -41,7 +41,7 @@ class ControlChannel {
   virtual void on_beacon(const Frame& frame, const Beacon& beacon) noexcept = 0;
 
   // This node is about to send a beacon. As acting master (`leading`) it may change `owners`; otherwise it
-  // relays. Either may add a welcome.
+  // relays. Either may add a challenge response.
   virtual void on_beacon_out(Beacon& beacon, bool leading) noexcept = 0;
 
  protected:

@@ -13,10 +13,10 @@
 // A merge request ("call") is a beacon that announces this session to the nodes of another one, in their
 // shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key:
 //
-//   call key    = AES(caller's session key, callees' session (8) | "call" | callees' superframe (4))
+//   call key    = AES(caller's session key, target's session (8) | "call" | target's superframe (4))
 //
 // If time is short, a MIC is computed in three steps, of which the second runs in the background:
-// expect_...() when the next frame is known, glance() or begin_signing() with its bytes, then fits() or
+// expect_...() when the next frame is known, begin_verify() or begin_signing() with its bytes, then fits() or
 // finish_signing(). A frame that was not expected only takes longer.
 #pragma once
 

@@ -10,7 +10,7 @@
 // unique. Of two masters of one session the better rank stays. Of two sessions the older one stays, by its
 // count; within the guard, the one with the smaller id. The losing master marks its last beacon `dissolving`,
 // so that its nodes join the other session. If the losing session does not know of the other one, a node that
-// hears its beacon sends an `invitation`, a merge request, in the slot where its nodes listen.
+// hears its beacon sends a merge request in the slot where its nodes listen.
 //
 // The content of a beacon left the master `age` superframes ago. A relay passes the age on and cannot reduce
 // it, so relays cannot keep a dead master alive among themselves.

@@ -7,10 +7,10 @@
 // the event.
 //
 // The caller also calls three functions while the radio or its bus is busy, so that MICs are computed and
-// verified then: glance(frame) when a frame's bytes have been read, before on_received() with them, starts
-// the verification; finish_signing() just before a transmission's frame is written to the chip finishes the
-// frame; precompute() after the Step's action is armed precomputes cipher blocks and returns the size on the
-// air of the most likely next frame to send, 0 if not known.
+// verified then: begin_verify(frame) when a frame's bytes have been read, before on_received() with them,
+// starts the verification; finish_signing() just before a transmission's frame is written to the chip
+// finishes the frame; precompute() after the Step's action is armed precomputes cipher blocks and returns the
+// size on the air of the most likely next frame to send, 0 if not known.
 #pragma once
 
 #include <cstdint>

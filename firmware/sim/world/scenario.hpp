@@ -30,9 +30,9 @@ struct BiasOptions {
 };
 
 struct RadioOptions {
-  double clock_ppm = 20.0;      // offset of each node's crystal, uniform within +-clock_ppm
-  double stamp_sigma_ns = 0.1;  // of each receive timestamp
-  double loss = 0.02;           // of each frame at each receiver
+  double clock_ppm = 20.0;          // offset of each node's crystal, uniform within +-clock_ppm
+  double timestamp_sigma_ns = 0.1;  // of each receive timestamp
+  double loss = 0.02;               // of each frame at each receiver
 };
 
 // The superframe and the physical layer, as the nodes are configured.

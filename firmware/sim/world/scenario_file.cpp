@@ -318,7 +318,7 @@ RadioOptions parse_radio(const YamlValue& map) {
   map.expect_keys({{}, {"clock_ppm", "stamp_sigma_ns", "loss"}});
   RadioOptions options;
   options.clock_ppm = not_negative(map, "clock_ppm", options.clock_ppm);
-  options.stamp_sigma_ns = not_negative(map, "stamp_sigma_ns", options.stamp_sigma_ns);
+  options.timestamp_sigma_ns = not_negative(map, "stamp_sigma_ns", options.timestamp_sigma_ns);
   options.loss = not_negative(map, "loss", options.loss);
   if (options.loss >= 1.0) map.at("loss").fail("leaves no frame", "write the share that is lost, below 1");
   return options;

@@ -81,7 +81,7 @@ double knife_edge_loss_db(double clearance_m, double d1_m, double d2_m) noexcept
 Site::Site(std::vector<Material> materials, std::vector<Wall> walls, const RadioClimate& climate)
     : materials_(std::move(materials)), walls_(std::move(walls)), climate_(climate) {}
 
-bool Site::in_sight(const Eigen::Vector3d& a, const Eigen::Vector3d& b) const noexcept {
+bool Site::is_los(const Eigen::Vector3d& a, const Eigen::Vector3d& b) const noexcept {
   return std::none_of(walls_.begin(), walls_.end(),
                       [&](const Wall& wall) { return crossing(wall, a, b).has_value(); });
 }
@@ -134,7 +134,7 @@ Arrival Site::arrival(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double
 
   const Through direct = through(a, b, kNoWall, texture);
   Arrival arrival;
-  arrival.in_sight = direct.loss_db == 0.0 && direct.excess_m == 0.0;
+  arrival.is_los = direct.loss_db == 0.0 && direct.excess_m == 0.0;
   keep(straight_m, direct.loss_db, direct.excess_m);
 
   for (std::size_t i = 0; i < walls_.size(); ++i) {

@@ -52,7 +52,7 @@ struct RadioClimate {
 // One pulse at the receiver.
 struct Arrival {
   bool audible = false;
-  bool in_sight = false;  // LOS: the straight line crosses no wall
+  bool is_los = false;    // LOS: the straight line crosses no wall
   double excess_m = 0.0;  // length of the first detected path minus the straight line
   double first_path_power_dbm = 0.0;
   double receive_power_dbm = 0.0;
@@ -65,7 +65,7 @@ class Site {
   Site(std::vector<Material> materials, std::vector<Wall> walls, const RadioClimate& climate);
 
   // LOS between a and b.
-  [[nodiscard]] bool in_sight(const Eigen::Vector3d& a, const Eigen::Vector3d& b) const noexcept;
+  [[nodiscard]] bool is_los(const Eigen::Vector3d& a, const Eigen::Vector3d& b) const noexcept;
 
   // Traces the direct path, diffraction at the edges of each wall that it crosses, and one reflection at each
   // other wall and at the floor (at height floor_m). The first path is the earliest one that can be detected.

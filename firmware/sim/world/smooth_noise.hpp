@@ -1,4 +1,4 @@
-// Noise that varies smoothly along one or two coordinates: ground heights, slow errors of a pose prior, the
+// Noise that varies smoothly along one or two coordinates: ground heights, slow drift of a pose prior, the
 // delay within a wall. It has no state and does not depend on the order of the calls.
 #pragma once
 

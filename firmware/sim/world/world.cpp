@@ -73,11 +73,11 @@ std::optional<Eigen::Vector3d> World::antenna_m(std::uint16_t id, double t_s) co
   return antenna_m(*node, t_s);
 }
 
-bool World::in_sight(std::uint16_t a, std::uint16_t b, double t_s) const {
+bool World::is_los(std::uint16_t a, std::uint16_t b, double t_s) const {
   const Node* first = find(std::min(a, b));
   const Node* second = find(std::max(a, b));
   return first != nullptr && second != nullptr &&
-         site_.in_sight(antenna_m(*first, t_s), antenna_m(*second, t_s));
+         site_.is_los(antenna_m(*first, t_s), antenna_m(*second, t_s));
 }
 
 TrueBias World::bias(std::uint16_t a, std::uint16_t b) const {

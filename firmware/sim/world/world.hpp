@@ -36,7 +36,7 @@ class World final : public PropagationModel {
   [[nodiscard]] Propagation between(std::uint16_t transmitter, std::uint16_t receiver,
                                     double t_s) const override;
   // LOS between the two nodes; false for an unknown id.
-  [[nodiscard]] bool in_sight(std::uint16_t a, std::uint16_t b, double t_s) const;
+  [[nodiscard]] bool is_los(std::uint16_t a, std::uint16_t b, double t_s) const;
   // An antenna's position in the map frame; nullopt: the scenario has no such node.
   [[nodiscard]] std::optional<Eigen::Vector3d> antenna_m(std::uint16_t id, double t_s) const;
   [[nodiscard]] TrueBias bias(std::uint16_t a, std::uint16_t b) const;

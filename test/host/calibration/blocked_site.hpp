@@ -102,9 +102,9 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
     double from_s;
     double to_s;
   };
-  std::vector<std::vector<std::vector<Span>>> shadows(site.anchors.size(),
-                                                      std::vector<std::vector<Span>>(site.tags.size()));
-  for (auto& of_anchor : shadows) {
+  std::vector<std::vector<std::vector<Span>>> short_nlos_spans(
+      site.anchors.size(), std::vector<std::vector<Span>>(site.tags.size()));
+  for (auto& of_anchor : short_nlos_spans) {
     for (std::vector<Span>& of_pair : of_anchor) {
       double t_s = 0.0;
       while (blocking.shadows_per_s > 0.0) {
@@ -139,7 +139,7 @@ inline SimulatedSite blocked_site(const SiteSettings& settings, const Blocking& 
       blocked_share = 1.0;
       range.range_m += blocking.excess_m + exponential_m(blocking.long_nlos_excess_mean_m);
     } else {
-      for (const Span& short_nlos : shadows[a][j]) {
+      for (const Span& short_nlos : short_nlos_spans[a][j]) {
         if (range.t_s < short_nlos.from_s || range.t_s > short_nlos.to_s) continue;
         reply = blocking.short_nlos_reply;
         blocked_share = 0.6;

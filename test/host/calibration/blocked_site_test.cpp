@@ -118,9 +118,9 @@ TEST(NlosSite, ResultDoesNotDependOnTheConfiguredNoise) {
       test::blocked_site(test::polled_settings(test::Route::kWaves, kDrive_s), hall(), 5);
   Drive drive = site.drive();
   const model::Calibration right = calibrate(drive).calibration;
-  const double told_m = drive.priors.sigma_m;
+  const double nominal_m = drive.priors.sigma_m;
   for (const double factor : {3.0, 1.0 / 3.0}) {
-    drive.priors.sigma_m = factor * told_m;
+    drive.priors.sigma_m = factor * nominal_m;
     const model::Calibration found = calibrate(drive).calibration;
     for (std::size_t a = 0; a < right.anchors.size(); ++a) {
       EXPECT_EQ(found.anchors[a].verdict, right.anchors[a].verdict) << right.anchors[a].id;

@@ -283,18 +283,18 @@ TEST(ActiveSet, AnAnchorComesBackWithItsEstimate) {
       return filter->covariance().parameters(filter->site(), parameters)(x, x);
     };
     const double before = variance();
-    double learnt = 0.0;
+    double estimated = 0.0;
     double back = 0.0;
     std::size_t row = 0;
     for (; row < truth.odometry.size() && back == 0.0; ++row) {
       const bool was_active = filter->slot_of(kAnchor) >= 0;
-      if (was_active) learnt = variance();
+      if (was_active) estimated = variance();
       feed(truth, row, row + 1, *filter, kNothing);
       if (!was_active && filter->slot_of(kAnchor) >= 0) back = variance();
     }
     ASSERT_GT(back, 0.0);
-    EXPECT_LT(learnt, 0.1 * before);
-    EXPECT_LT(back, 1.2 * learnt);
+    EXPECT_LT(estimated, 0.1 * before);
+    EXPECT_LT(back, 1.2 * estimated);
     const Parameters& parameters = filter->parameters();
     const int first = parameters.position(filter->slot_of(kAnchor));
     const Eigen::Vector3d e = parameters.values().segment<3>(first) + parameters.values().head<3>() +

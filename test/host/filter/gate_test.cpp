@@ -243,22 +243,22 @@ TEST(PowerHint, ClassesFollowTheChipsFiguresAndTheStrength) {
 }
 
 // Reference for PowerHint: the probability of a class from all counted ranges, summed directly.
-struct Learnt {
+struct PowerObservation {
   model::PowerClass of = 0;
   double t_s = 0.0;
   double nlos = 0.0;
   double los = 0.0;
 };
-double share_of_all(const std::vector<Learnt>& all, double Learnt::*state, model::PowerClass of, double t_s,
-                    const GateConfig& config) {
+double share_of_all(const std::vector<PowerObservation>& all, double PowerObservation::*state,
+                    model::PowerClass of, double t_s, const GateConfig& config) {
   constexpr double kLos[] = {0.8, 0.15, 0.05};
   constexpr double kNlos[] = {0.4, 0.3, 0.3};
   const std::size_t hidden = of / model::kStrengthClasses;
-  const double believed =
-      (state == &Learnt::nlos ? kNlos[hidden] : kLos[hidden]) / static_cast<double>(model::kStrengthClasses);
+  const double believed = (state == &PowerObservation::nlos ? kNlos[hidden] : kLos[hidden]) /
+                          static_cast<double>(model::kStrengthClasses);
   double of_class = config.hint_prior_count * believed;
   double sum = config.hint_prior_count;
-  for (const Learnt& one : all) {
+  for (const PowerObservation& one : all) {
     const double counted = one.*state * std::exp(-(t_s - one.t_s) / config.hint_memory_s);
     sum += counted;
     if (one.of == of) of_class += counted;
@@ -275,7 +275,7 @@ TEST(PowerHint, IsTheDecayingCountOfObservations) {
   EXPECT_NEAR(hint.likelihood_ratio(class_of(-70.0, 1.0)), 0.4 / 0.8, 1e-12);
   EXPECT_EQ(hint.likelihood_ratio(model::kNoPowerClass), 1.0);
   Random random(31);
-  std::vector<Learnt> all;
+  std::vector<PowerObservation> all;
   double t_s = 0.0;
   for (int i = 0; i < 3000; ++i) {
     t_s += 0.05 * random.uniform();
@@ -285,8 +285,8 @@ TEST(PowerHint, IsTheDecayingCountOfObservations) {
     hint.observe(all.back().of, t_s, all.back().nlos, all.back().los);
     if (i % 500 != 499) continue;
     for (model::PowerClass of = 0; of < model::kNoPowerClass; ++of) {
-      const double expected = share_of_all(all, &Learnt::nlos, of, t_s, config) /
-                              share_of_all(all, &Learnt::los, of, t_s, config);
+      const double expected = share_of_all(all, &PowerObservation::nlos, of, t_s, config) /
+                              share_of_all(all, &PowerObservation::los, of, t_s, config);
       EXPECT_NEAR(hint.likelihood_ratio(of), expected, 1e-9 * expected) << of;
     }
   }
@@ -349,8 +349,8 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
         reference.observe(of, t_s, count * nlos / total, count * los / total);
       const double all = reference.nlos_share();
       const double known = std::min(std::max(prior, all), config.nlos_max);
-      const auto [now_in_sight, now_nlos] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
-      expected = now_in_sight / (now_in_sight + now_nlos + garbage);
+      const auto [now_los, now_nlos] = densities(1.0 / (1.0 + (1.0 - known) / (ratio * known)));
+      expected = now_los / (now_los + now_nlos + garbage);
       expected *= std::pow((1.0 - all) / (1.0 - all + ratio * all), 2);
     }
     if (weight > 0.0) {
@@ -380,7 +380,7 @@ TEST(Gate, UnusedPowersChangeNoBit) {
   }
 }
 
-// Five LOS anchors and one that is NLOS every other 5 s. tells: whether its powers indicate that.
+// Five LOS anchors and one that is NLOS every other 5 s. informative: whether its powers indicate that.
 void train(Gate& gate, bool informative, Random& random) {
   double t_s = 0.0;
   for (int i = 0; t_s < 60.0; ++i, t_s += 0.01) {

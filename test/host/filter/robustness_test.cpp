@@ -220,8 +220,8 @@ TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
 
 TEST(RangeTuning, FindsTheWhiteSigmaDespiteSlowBiasAndNlos) {
   constexpr double kSigma_m = 0.1;
-  for (const double told_m : {0.03, 0.1, 0.3}) {
-    RangeTuning tuning(told_m);
+  for (const double nominal_m : {0.03, 0.1, 0.3}) {
+    RangeTuning tuning(nominal_m);
     Random random(9);
     double mean_m = 0.0;
     for (int i = 0; i < 20000; ++i) {
@@ -232,7 +232,7 @@ TEST(RangeTuning, FindsTheWhiteSigmaDespiteSlowBiasAndNlos) {
                      std::pow(tuning.white_sigma_m(), 2) + 0.005);
       if (i >= 10000) mean_m += tuning.white_sigma_m() / 10000.0;
     }
-    EXPECT_NEAR(mean_m, kSigma_m, 0.1 * kSigma_m) << told_m;
+    EXPECT_NEAR(mean_m, kSigma_m, 0.1 * kSigma_m) << nominal_m;
   }
 }
 

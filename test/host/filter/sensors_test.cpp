@@ -122,17 +122,17 @@ class SensorModels : public ::testing::TestWithParam<Model> {
   template <int kSize>
   void expect_update(const Filter& before, const CoreMeasurement<kSize>& measurement, const Filter& after) {
     const Eigen::MatrixXd p = testing::whole(before);
-    Eigen::VectorXd learnt = Eigen::VectorXd::Zero(p.rows());
-    learnt.head<kCoreSize>().setOnes();
+    Eigen::VectorXd estimated = Eigen::VectorXd::Zero(p.rows());
+    estimated.head<kCoreSize>().setOnes();
     if (GetParam() == Model::kJoint) {
-      learnt.setOnes();
+      estimated.setOnes();
       for (int i = 0; i < before.parameters().anchor_count(); ++i)
-        learnt(kCoreSize + before.parameters().range_bias(i)) = 0.0;
+        estimated(kCoreSize + before.parameters().range_bias(i)) = 0.0;
     }
     Eigen::MatrixXd h = Eigen::MatrixXd::Zero(kSize, p.rows());
     h.leftCols<kCoreSize>() = measurement.d_core;
     const Eigen::MatrixXd s = h * p * h.transpose() + measurement.noise;
-    const Eigen::MatrixXd gain = learnt.asDiagonal() * p * h.transpose() * s.inverse();
+    const Eigen::MatrixXd gain = estimated.asDiagonal() * p * h.transpose() * s.inverse();
     const Eigen::MatrixXd rest = Eigen::MatrixXd::Identity(p.rows(), p.rows()) - gain * h;
     const Eigen::MatrixXd expected =
         rest * p * rest.transpose() + gain * measurement.noise * gain.transpose();

@@ -33,10 +33,10 @@ TEST(LosProbabilities, EqualsTheSumOverAllStateSequences) {
                                    {3.0, 0.2, 0.1},  {3.1, -0.5, 0.1}, {3.2, 7.0, 0.1},  {9.0, 0.0, 0.2}};
   const std::size_t n = pair.size();
   const double garbage = config.garbage_share / config.garbage_width_m;
-  std::vector<double> in_sight_density;
+  std::vector<double> los_density;
   std::vector<double> nlos_density;
   for (const Residual& r : pair) {
-    in_sight_density.push_back((1.0 - config.garbage_share) * gaussian(r.error_m, r.sigma_m));
+    los_density.push_back((1.0 - config.garbage_share) * gaussian(r.error_m, r.sigma_m));
     nlos_density.push_back((1.0 - config.garbage_share) *
                            ((1.0 - config.short_share) * with_excess(r.error_m, r.sigma_m, config.excess_m) +
                             config.short_share * with_excess(-r.error_m, r.sigma_m, config.excess_m)));
@@ -49,14 +49,14 @@ TEST(LosProbabilities, EqualsTheSumOverAllStateSequences) {
     for (std::size_t i = 0; i < n; ++i) {
       if (i > 0) {
         const double keep = std::exp(-(pair[i].t_s - pair[i - 1].t_s) / config.sticky_s);
-        const double anew = nlos(i) ? config.nlos_prior : 1.0 - config.nlos_prior;
-        p *= (1.0 - keep) * anew + (nlos(i) == nlos(i - 1) ? keep : 0.0);
+        const double renewed = nlos(i) ? config.nlos_prior : 1.0 - config.nlos_prior;
+        p *= (1.0 - keep) * renewed + (nlos(i) == nlos(i - 1) ? keep : 0.0);
       }
-      p *= (nlos(i) ? nlos_density[i] : in_sight_density[i]) + garbage;
+      p *= (nlos(i) ? nlos_density[i] : los_density[i]) + garbage;
     }
     total += p;
     for (std::size_t i = 0; i < n; ++i) {
-      if (!nlos(i)) expected[i] += p * in_sight_density[i] / (in_sight_density[i] + garbage);
+      if (!nlos(i)) expected[i] += p * los_density[i] / (los_density[i] + garbage);
     }
   }
   const std::vector<double> found = los_probabilities(pair, config);

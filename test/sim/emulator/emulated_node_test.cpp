@@ -16,7 +16,8 @@ namespace {
 
 using Register = CortexM4::Register;
 
-constexpr MediumSettings kNoise{.stamp_noise_s = 1e-10, .carrier_noise_ppm = 0.05, .loss_probability = 0.02};
+constexpr MediumSettings kNoise{
+    .timestamp_noise_s = 1e-10, .carrier_noise_ppm = 0.05, .loss_probability = 0.02};
 
 class ShippedImage : public ::testing::Test {
  protected:

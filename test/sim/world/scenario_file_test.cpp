@@ -139,7 +139,7 @@ TEST(PaperHall, HasThePromisedDifficulty) {
   EXPECT_EQ(scenario.anchors.size(), 12U);
   EXPECT_EQ(scenario.tags.size(), 3U);
   EXPECT_EQ(scenario.radio.clock_ppm, 20.0);
-  EXPECT_EQ(scenario.radio.stamp_sigma_ns, 0.1);
+  EXPECT_EQ(scenario.radio.timestamp_sigma_ns, 0.1);
   EXPECT_EQ(scenario.radio.loss, 0.02);
   EXPECT_EQ(scenario.biases.beta_max_m, 1.2);
 
@@ -172,7 +172,7 @@ TEST(PaperHall, HasThePromisedDifficulty) {
           const Propagation path = world.between(tag.id, anchor.id, t);
           if (!path.audible) continue;
           ++audible;
-          nlos += world.in_sight(tag.id, anchor.id, t) ? 0 : 1;
+          nlos += world.is_los(tag.id, anchor.id, t) ? 0 : 1;
         }
       }
     }

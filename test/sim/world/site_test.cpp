@@ -86,7 +86,7 @@ TEST(Site, FreeSpaceAddsNoDelayAndFollowsTheInverseSquare) {
   for (const double distance_m : {1.0, 3.0, 10.0, 30.0}) {
     const Arrival arrival = site.arrival(a, a + Vector3d(distance_m, 0.0, 0.0), 0.0, KeyedRandom(1));
     EXPECT_TRUE(arrival.audible);
-    EXPECT_TRUE(arrival.in_sight);
+    EXPECT_TRUE(arrival.is_los);
     EXPECT_EQ(arrival.excess_m, 0.0);
     EXPECT_NEAR(arrival.receive_power_dbm, quiet_climate().power_at_1m_dbm - 20.0 * std::log10(distance_m),
                 1e-9);
@@ -107,7 +107,7 @@ TEST(Site, ATransparentWallDelaysAndAttenuates) {
   for (int i = 0; i < kPlaces; ++i) {
     const Vector3d b(10.0, -15.0 + 0.05 * i, 2.0);
     const Arrival arrival = site.arrival(a, b, 0.0, KeyedRandom(3));
-    EXPECT_FALSE(arrival.in_sight);
+    EXPECT_FALSE(arrival.is_los);
     EXPECT_GT(arrival.excess_m, 0.0);
     EXPECT_NEAR(arrival.first_path_power_dbm,
                 open.arrival(a, b, 0.0, KeyedRandom(3)).first_path_power_dbm - 9.0, 1e-9);
@@ -143,7 +143,7 @@ TEST(Site, AnOpaqueWallIsPassedOnlyByReflection) {
   const Site open({metal}, {half, mirror}, quiet_climate());
   const Arrival arrival = open.arrival(a, b, 0.0, KeyedRandom(1));
   EXPECT_TRUE(arrival.audible);
-  EXPECT_FALSE(arrival.in_sight);
+  EXPECT_FALSE(arrival.is_los);
   EXPECT_NEAR(arrival.excess_m, std::hypot(10.0, 16.0) - 10.0, 1e-9);
 }
 
@@ -154,7 +154,7 @@ TEST(Site, AnEdgeDiffractsWhatPassesCloseBehindIt) {
   const Site site({metal}, {{{5.0, -40.0}, {5.0, 0.1}, -1.0, 40.0, 0}}, quiet_climate());
   const Arrival arrival = site.arrival(a, b, 0.0, KeyedRandom(1));
   EXPECT_TRUE(arrival.audible);
-  EXPECT_FALSE(arrival.in_sight);
+  EXPECT_FALSE(arrival.is_los);
   EXPECT_NEAR(arrival.excess_m, 2.0 * std::hypot(5.0, 0.12) - 10.0, 1e-9);
   EXPECT_LT(arrival.first_path_power_dbm, quiet_climate().power_at_1m_dbm - 20.0 - 6.0);
 }
@@ -166,7 +166,7 @@ TEST(Site, ReflectionsAddPowerAndBiasTheTimestampSlightly) {
   double largest_m = 0.0;
   for (double x = 4.0; x < 12.0; x += 0.01) {
     const Arrival arrival = site.arrival(a, {x, 0.0, 1.0}, 0.0, KeyedRandom(1));
-    EXPECT_TRUE(arrival.in_sight);
+    EXPECT_TRUE(arrival.is_los);
     EXPECT_GT(arrival.receive_power_dbm, arrival.first_path_power_dbm + 1.0);
     largest_m = std::max(largest_m, std::abs(arrival.excess_m));
   }
@@ -177,8 +177,8 @@ TEST(Site, ReflectionsAddPowerAndBiasTheTimestampSlightly) {
 TEST(Site, ALowRackMakesOnlyTheLowTagNlos) {
   const Site site({{"rack", 8.0, 0.4, {}}}, {{{4.0, -3.0}, {4.0, 3.0}, 0.0, 1.2, 0}}, quiet_climate());
   const Vector3d anchor(10.0, 0.0, 3.0);
-  EXPECT_FALSE(site.in_sight({3.0, 0.0, 0.35}, anchor));
-  EXPECT_TRUE(site.in_sight({3.0, 0.0, 1.9}, anchor));
+  EXPECT_FALSE(site.is_los({3.0, 0.0, 0.35}, anchor));
+  EXPECT_TRUE(site.is_los({3.0, 0.0, 1.9}, anchor));
 }
 
 }  // namespace
