@@ -45,8 +45,9 @@ GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d_cor
   static_assert(kCoreSize == 9);
   double* const c = aligned(cross);
   double* const __restrict out = aligned(q);
-  const CoreVector d = d_core;
-  const CoreVector gain = gain_of;
+  // Copies, which the stores to `c` cannot change: the loop is vectorized.
+  const CoreVector d = d_core;      // NOLINT(performance-unnecessary-copy-initialization)
+  const CoreVector gain = gain_of;  // NOLINT(performance-unnecessary-copy-initialization)
   const int end = padded(rows);
   for (int i = 0; i < end; ++i) {
     std::array<double, kCoreSize> v;
