@@ -10,9 +10,13 @@
 #include <array>
 #include <limits>
 #include <optional>
+#include <span>
+#include <utility>
 #include <vector>
 
+#include "host/filter/config.hpp"
 #include "host/filter/range_measurement.hpp"
+#include "host/model/pose.hpp"
 
 namespace groma::filter {
 
