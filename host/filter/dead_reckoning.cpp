@@ -56,19 +56,19 @@ bool Gyro::is_silent(double t_s) const noexcept {
 }
 
 PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
-                         const model::OdometrySample& row, const LinkDelays& delays, int chart) noexcept {
+                         const model::OdometrySample& sample, const LinkDelays& delays, int chart) noexcept {
   PresentPose out{.pose = core.segment<3>(kX),
                   .d_core = PoseRows::Identity(),
                   .noise = Eigen::Matrix3d::Zero(),
                   .chart = chart};
   const double share = delays.odometry_share();
   if (!(share > 0.0)) return out;
-  const Motion motion = move(surface, core, row, delays.odometry_s(core(kDelay)), chart);
+  const Motion motion = move(surface, core, sample, delays.odometry_s(core(kDelay)), chart);
   CoreVector now = core;
   now.segment<3>(kX) = motion.pose;
   const model::SurfacePose there =
       model::pose_on_surface(surface, {motion.pose.x(), motion.pose.y(), motion.pose.z(), chart});
-  const Eigen::Vector3d rate = pose_rate(there.pose.rotation.topLeftCorner<2, 2>(), now, row);
+  const Eigen::Vector3d rate = pose_rate(there.pose.rotation.topLeftCorner<2, 2>(), now, sample);
   out.pose = motion.pose;
   out.d_core = motion.d_core;
   out.d_core.col(kDelay) -= share * rate;
@@ -86,10 +86,10 @@ void DeadReckoning<Covariance>::advance_to(double t_s) noexcept {
 
 template <class Covariance>
 bool DeadReckoning<Covariance>::turn(const model::YawRateSample& sample) noexcept {
-  if (!now.gyro.follows(sample, now.row.omega_radps, config.sensors.gyro_sigma_radps)) return false;
+  if (!now.gyro.follows(sample, now.odometry.omega_radps, config.sensors.gyro_sigma_radps)) return false;
   if (!now.gyro.holds) renew(kYawBias, square(config.sensors.gyro_bias_radps));
   now.gyro = {.used_s = sample.t_s, .radps = sample.omega_radps, .holds = true};
-  now.row.omega_radps = sample.omega_radps;
+  now.odometry.omega_radps = sample.omega_radps;
   renew(kOdometryOmega, square(config.sensors.gyro_sigma_radps));
   return true;
 }
@@ -101,28 +101,28 @@ void DeadReckoning<Covariance>::renew(CoreIndex index, double variance) noexcept
 }
 
 template <class Covariance>
-bool DeadReckoning<Covariance>::hold(const model::OdometrySample& row) noexcept {
-  if (!now.odometry_gate.accepts(row)) {
-    now.hold_s = std::min(now.hold_s, std::max(row.t_s - now.row.t_s, 0.0));
+bool DeadReckoning<Covariance>::hold(const model::OdometrySample& sample) noexcept {
+  if (!now.odometry_gate.accepts(sample)) {
+    now.hold_s = std::min(now.hold_s, std::max(sample.t_s - now.odometry.t_s, 0.0));
     return false;
   }
-  if (now.gyro.holds && now.gyro.is_silent(row.t_s)) {
+  if (now.gyro.holds && now.gyro.is_silent(sample.t_s)) {
     now.gyro.holds = false;
     renew(kYawBias, square(config.yaw_rate_bias_radps));
   }
-  model::OdometrySample held = row;
+  model::OdometrySample held = sample;
   if (now.gyro.holds) held.omega_radps = now.gyro.radps;
   const model::OdometryNoise noise = now.odometry_tuning.noise();
   OdometryInflation inflation;
   if (now.has_sample && !model::is_ablated(model::Mechanism::kOdometryWatch))
-    inflation = now.watch.judge(now.row, held, noise);
+    inflation = now.watch.judge(now.odometry, held, noise);
   if (keeps_cross(config.model)) {
-    if (config.tunes_noise) now.odometry_tuning.observe(row);
-    const OdometryInflation slip = now.slip.judge(std::max(row.t_s - now.row.t_s, 0.0));
+    if (config.tunes_noise) now.odometry_tuning.observe(sample);
+    const OdometryInflation slip = now.slip.judge(std::max(sample.t_s - now.odometry.t_s, 0.0));
     inflation.velocity_m2ps2 += slip.velocity_m2ps2;
     inflation.turn_rad2ps2 += slip.turn_rad2ps2;
   }
-  now.row = held;
+  now.odometry = held;
   now.has_sample = true;
   now.hold_s = config.max_hold_s;
   // With a gyro, slipping wheels cause no heading error.
@@ -152,7 +152,7 @@ void DeadReckoning<Covariance>::grow_position(double variance_m2) noexcept {
 
 template <class Covariance>
 void DeadReckoning<Covariance>::step(double dt_s) noexcept {
-  const Motion motion = move(surface, now.core, now.row, dt_s, now.chart);
+  const Motion motion = move(surface, now.core, now.odometry, dt_s, now.chart);
   const model::SurfaceMismatch& mismatch = surface.mismatch(now.chart);
   const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now.core.head<2>()).norm() : 0.0;
   now.core.segment<3>(kX) = motion.pose;
@@ -164,7 +164,7 @@ void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   follow_chart();
 
   // A sample held for longer than hold_s: its velocity error becomes a random walk.
-  const double overdue_s = std::clamp(now.t_s - now.row.t_s - now.hold_s, 0.0, dt_s);
+  const double overdue_s = std::clamp(now.t_s - now.odometry.t_s - now.hold_s, 0.0, dt_s);
   if (overdue_s > 0.0) {
     covariance.grow(kOdometryVx, square(config.hold_walk_mps) * overdue_s);
     covariance.grow(kOdometryVy, square(config.hold_walk_mps) * overdue_s);

@@ -67,7 +67,7 @@ struct PresentPose {
   int chart = 0;
 };
 [[nodiscard]] PresentPose present_pose(const model::Surface& surface, const CoreVector& core,
-                                       const model::OdometrySample& row, const LinkDelays& delays,
+                                       const model::OdometrySample& sample, const LinkDelays& delays,
                                        int chart = 0) noexcept;
 
 // Everything that motion changes, except the covariance.
@@ -81,10 +81,10 @@ struct MotionState {
   Gyro gyro;
   OdometryTuning odometry_tuning;
   CoreVector core = CoreVector::Zero();
-  model::OdometrySample row{};
+  model::OdometrySample odometry{};
   bool has_sample = false;
-  double hold_s;  // for how long the velocity of `row` is trusted: max_hold_s, or until the first implausible
-                  // sample after it
+  double hold_s;  // for how long the velocity of `odometry` is trusted: max_hold_s, or until the first
+                  // implausible sample after it
   double t_s = 0.0;
   int chart = 0;  // of the surface
 };
@@ -106,7 +106,7 @@ struct DeadReckoning {
   // Propagates to a later time with the sample held.
   void advance_to(double t_s) noexcept;
   // Holds this sample from now on. If it is physically impossible: returns false and keeps the previous one.
-  bool hold(const model::OdometrySample& row) noexcept;
+  bool hold(const model::OdometrySample& sample) noexcept;
   // Holds this yaw rate in place of odometry's. If it is implausible after the previous one: returns false
   // and does nothing.
   bool turn(const model::YawRateSample& sample) noexcept;

@@ -96,7 +96,7 @@ void Filter::start(const Start& start) noexcept {
   now_.core(kDelay) = delays_.range_s;
 
   // Without an odometry sample the velocity is zero, with the sigmas of an overdue sample after 1 s.
-  if (!now_.has_sample) now_.row = {.t_s = start.t_s};
+  if (!now_.has_sample) now_.odometry = {.t_s = start.t_s};
   const model::OdometryNoise noise =
       now_.has_sample
           ? now_.odometry_tuning.noise()
@@ -135,31 +135,31 @@ void Filter::begin_on_chart(int chart) noexcept {
 void Filter::stop() noexcept {
   now_.started = false;
   now_.has_sample = false;
-  now_.row = {};
+  now_.odometry = {};
   now_.hold_s = config_.max_hold_s;
   now_.odometry_gate = {};
   now_.gyro = {};
 }
 
-OdometryOutcome Filter::process(const model::OdometrySample& row) noexcept {
-  const OdometryOutcome outcome = take(row);
+OdometryOutcome Filter::process(const model::OdometrySample& sample) noexcept {
+  const OdometryOutcome outcome = take(sample);
   ++now_.counters.odometry[outcome];
   return outcome;
 }
 
-OdometryOutcome Filter::take(const model::OdometrySample& row) noexcept {
-  if (!model::is_finite(row)) return OdometryOutcome::kBadValue;
-  if (now_.has_sample && !(row.t_s > now_.row.t_s)) return OdometryOutcome::kOutOfOrder;
+OdometryOutcome Filter::take(const model::OdometrySample& sample) noexcept {
+  if (!model::is_finite(sample)) return OdometryOutcome::kBadValue;
+  if (now_.has_sample && !(sample.t_s > now_.odometry.t_s)) return OdometryOutcome::kOutOfOrder;
   if (!now_.started) {
-    if (!now_.odometry_gate.accepts(row)) return OdometryOutcome::kImplausible;
-    now_.row = row;
+    if (!now_.odometry_gate.accepts(sample)) return OdometryOutcome::kImplausible;
+    now_.odometry = sample;
     now_.has_sample = true;
     now_.hold_s = config_.max_hold_s;
     return OdometryOutcome::kStored;
   }
-  const bool late = row.t_s < now_.t_s;
-  advance_to(row.t_s);
-  if (!motion().hold(row)) return OdometryOutcome::kImplausible;
+  const bool late = sample.t_s < now_.t_s;
+  advance_to(sample.t_s);
+  if (!motion().hold(sample)) return OdometryOutcome::kImplausible;
   return late ? OdometryOutcome::kUsedLate : OdometryOutcome::kUsed;
 }
 
@@ -210,7 +210,8 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
 
 RangeMeasurement Filter::predict(const PairPlace& pair) const noexcept {
   const auto measure = config_.model == Model::kOriginal ? measure_distance : measure_range;
-  return measure(surface_, now_.core, now_.row, now_.parameters.pair(site_, pair.slot, pair.tag), now_.chart);
+  return measure(surface_, now_.core, now_.odometry, now_.parameters.pair(site_, pair.slot, pair.tag),
+                 now_.chart);
 }
 
 void Filter::project(const RangeMeasurement& predicted, const PairPlace& pair, Projected& out) noexcept {
@@ -305,7 +306,7 @@ SensorResult Filter::use(const model::YawRateSample& sample) noexcept {
 
 template <class Sample>
 SensorResult Filter::use(const Sample& sample) noexcept {
-  const SensorView view{surface_, config_.sensors, now_.core, now_.row, present()};
+  const SensorView view{surface_, config_.sensors, now_.core, now_.odometry, present()};
   return correct(model::kSensorOf<Sample>, measure(view, sample));
 }
 
@@ -427,10 +428,10 @@ void Filter::carry(Prediction& prediction, const MotionInput& input) const noexc
                                        prediction.by_odometry_alone ? nullptr : &now_.gate,
                                        then,
                                        prediction.covariance};
-  if (const auto* row = std::get_if<model::OdometrySample>(&input)) {
-    if (!model::is_finite(*row) || (then.has_sample && !(row->t_s > then.row.t_s))) return;
-    if (row->t_s > then.t_s) motion.advance_to(row->t_s);
-    motion.hold(*row);
+  if (const auto* sample = std::get_if<model::OdometrySample>(&input)) {
+    if (!model::is_finite(*sample) || (then.has_sample && !(sample->t_s > then.odometry.t_s))) return;
+    if (sample->t_s > then.t_s) motion.advance_to(sample->t_s);
+    motion.hold(*sample);
   } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
     if (!std::isfinite(rate->omega_radps) || !(rate->t_s >= then.t_s)) return;
     if (rate->t_s > then.t_s) motion.advance_to(rate->t_s);
@@ -454,7 +455,7 @@ Estimate Filter::estimate_of(const MotionState& now, const Covariance& covarianc
   // The core's pose is delayed by the odometry delay: propagate it to the present.
   out.odometry_delay_s = delays_.odometry_s(now.core(kDelay));
   out.range_delay_s += out.odometry_delay_s;
-  const PresentPose present = present_pose(surface_, now.core, now.row, delays_, now.chart);
+  const PresentPose present = present_pose(surface_, now.core, now.odometry, delays_, now.chart);
   out.pose = {present.pose.x(), present.pose.y(), model::wrap_angle(present.pose.z()), now.chart};
   out.ground_cross = ground_cross.lazyProduct(present.d_core.transpose());
   const Eigen::Matrix3d moved = present.d_core * covariance.core() * present.d_core.transpose();

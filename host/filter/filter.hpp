@@ -153,7 +153,7 @@ class Filter {
   void stop() noexcept;
   [[nodiscard]] bool started() const noexcept { return now_.started; }
 
-  OdometryOutcome process(const model::OdometrySample& row) noexcept;
+  OdometryOutcome process(const model::OdometrySample& sample) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   // Works with every model.
   SensorResult process(const model::SensorSample& sample) noexcept;
@@ -204,7 +204,7 @@ class Filter {
          const model::Calibration& here);
   // Starts on that chart, with empty gates and without memory of earlier ranges and other sensors.
   void begin_on_chart(int chart) noexcept;
-  OdometryOutcome take(const model::OdometrySample& row) noexcept;
+  OdometryOutcome take(const model::OdometrySample& sample) noexcept;
   // Finds the range's pair. kUsed if the range is valid: then the state is at its time and its anchor active.
   RangeOutcome admit(const model::RangeSample& range, PairPlace& pair) noexcept;
   RangeResult correct(const model::RangeSample& range, const PairPlace& pair) noexcept;
@@ -232,7 +232,7 @@ class Filter {
   SensorResult correct(std::size_t sensor, const CoreMeasurement<kSize>& measurement) noexcept;
   void add(const CoreVector& change) noexcept;
   [[nodiscard]] PresentPose present() const noexcept {
-    return present_pose(surface_, now_.core, now_.row, delays_, now_.chart);
+    return present_pose(surface_, now_.core, now_.odometry, delays_, now_.chart);
   }
   [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
     return {surface_, config_, range_bias_time_s_, &now_.gate, now_, now_.covariance};

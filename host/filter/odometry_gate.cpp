@@ -60,23 +60,24 @@ double white_factor(double lasts_s, double gap_s) noexcept {
   return gap_s > 0.0 ? std::max(lasts_s / std::max(gap_s, kLeastGap_s), 1.0) : 1.0;
 }
 
-OdometryInflation OdometryWatch::judge(const model::OdometrySample& before, const model::OdometrySample& row,
+OdometryInflation OdometryWatch::judge(const model::OdometrySample& before,
+                                       const model::OdometrySample& sample,
                                        const model::OdometryNoise& noise) noexcept {
-  const double gap_s = std::max(row.t_s - before.t_s, 0.0);
+  const double gap_s = std::max(sample.t_s - before.t_s, 0.0);
   const double fade = std::exp(-gap_s / kLasts_s);
   excess_m2ps2_ *= fade;
   turn_excess_rad2ps2_ *= fade;
 
   const double sigma_mps = std::max(noise.sigma_vx_mps, noise.sigma_vy_mps);
-  const double change_mps = std::hypot(row.vx_mps - before.vx_mps, row.vy_mps - before.vy_mps);
-  const double turn_change_radps = std::abs(row.omega_radps - before.omega_radps);
+  const double change_mps = std::hypot(sample.vx_mps - before.vx_mps, sample.vy_mps - before.vy_mps);
+  const double turn_change_radps = std::abs(sample.omega_radps - before.omega_radps);
   const double excess_mps =
       std::max(change_mps - max_acceleration_mps2_ * gap_s - kNoiseSigmas * sigma_mps, 0.0);
   double turn_excess_radps = std::max(
       turn_change_radps - kMaxTurnAcceleration_radps2 * gap_s - kNoiseSigmas * noise.sigma_omega_radps, 0.0);
   // A wrong velocity has a wrong direction, too, so it also counts as yaw-rate error.
   const double speed_mps = std::max(
-      {std::hypot(before.vx_mps, before.vy_mps), std::hypot(row.vx_mps, row.vy_mps), kLeastSpeed_mps});
+      {std::hypot(before.vx_mps, before.vy_mps), std::hypot(sample.vx_mps, sample.vy_mps), kLeastSpeed_mps});
   turn_excess_radps = std::max(turn_excess_radps, excess_mps / speed_mps);
   if (excess_mps > 0.0 || turn_excess_radps > 0.0) ++jumps_;
   excess_m2ps2_ = std::max(excess_m2ps2_, square(excess_mps));

@@ -49,8 +49,8 @@ class OdometryWatch {
  public:
   explicit OdometryWatch(double max_acceleration_mps2) : max_acceleration_mps2_(max_acceleration_mps2) {}
 
-  // Additional variances of `row`, which follows `before`; noise: the white noise of both.
-  OdometryInflation judge(const model::OdometrySample& before, const model::OdometrySample& row,
+  // Additional variances of `sample`, which follows `before`; noise: the white noise of both.
+  OdometryInflation judge(const model::OdometrySample& before, const model::OdometrySample& sample,
                           const model::OdometryNoise& noise) noexcept;
   // Number of samples that jumped.
   [[nodiscard]] std::size_t jumps() const noexcept { return jumps_; }

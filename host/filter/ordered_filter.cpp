@@ -92,13 +92,13 @@ void OrderedFilter::begin(double newest_s) noexcept {
   check_in(0, newest_s);
 }
 
-OdometryOutcome OrderedFilter::process(const OdometrySample& row) noexcept {
+OdometryOutcome OrderedFilter::process(const OdometrySample& sample) noexcept {
   // Values that are not finite cannot be ordered.
-  if (!model::is_finite(row)) {
+  if (!model::is_finite(sample)) {
     ++refused_.odometry[OdometryOutcome::kBadValue];
     return OdometryOutcome::kBadValue;
   }
-  const Outcome outcome = insert(row);
+  const Outcome outcome = insert(sample);
   if (!outcome.taken) ++refused_.odometry[OdometryOutcome::kOutOfOrder];
   return outcome.odometry;
 }

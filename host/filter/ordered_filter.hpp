@@ -40,7 +40,7 @@ class OrderedFilter {
   // As Filter's. Afterwards inputs of any time are accepted.
   void stop() noexcept;
   // kOutOfOrder: too late, refused.
-  OdometryOutcome process(const model::OdometrySample& row) noexcept;
+  OdometryOutcome process(const model::OdometrySample& sample) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   SensorResult process(const model::SensorSample& sample) noexcept;
 

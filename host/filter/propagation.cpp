@@ -64,19 +64,19 @@ Eigen::Vector2d perpendicular(const Eigen::Vector2d& v) noexcept {
   return {-v.y(), v.x()};
 }
 
-Eigen::Vector2d row_velocity(const CoreVector& core, const model::OdometrySample& row) noexcept {
-  return {(1.0 + core(kScale)) * row.vx_mps - core(kOdometryVx),
-          (1.0 + core(kScale)) * row.vy_mps - core(kOdometryVy)};
+Eigen::Vector2d sample_velocity(const CoreVector& core, const model::OdometrySample& sample) noexcept {
+  return {(1.0 + core(kScale)) * sample.vx_mps - core(kOdometryVx),
+          (1.0 + core(kScale)) * sample.vy_mps - core(kOdometryVy)};
 }
 
 }  // namespace
 
-Motion move(const model::Surface& surface, const CoreVector& core, const model::OdometrySample& row,
+Motion move(const model::Surface& surface, const CoreVector& core, const model::OdometrySample& sample,
             double dt_s, int chart) noexcept {
   const Eigen::Vector2d start = core.segment<2>(kX);
-  const Eigen::Vector2d v = row_velocity(core, row);
-  const Eigen::Vector2d v_row(row.vx_mps, row.vy_mps);
-  const double omega = row.omega_radps - core(kYawBias) - core(kOdometryOmega);
+  const Eigen::Vector2d v = sample_velocity(core, sample);
+  const Eigen::Vector2d v_sample(sample.vx_mps, sample.vy_mps);
+  const double omega = sample.omega_radps - core(kYawBias) - core(kOdometryOmega);
 
   // Midpoint rule: the slope halfway is used for the whole step.
   const double half_s = 0.5 * dt_s;
@@ -100,7 +100,7 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   middle_by_core.col(kX) = Eigen::Vector2d::UnitX() + half_s * (first.d_x * u_half);
   middle_by_core.col(kY) = Eigen::Vector2d::UnitY() + half_s * (first.d_y * u_half);
   middle_by_core.col(kTheta) = half_s * (first.a * perpendicular(u_half));
-  middle_by_core.col(kScale) = half_s * (first.a * (half_turn.r * v_row));
+  middle_by_core.col(kScale) = half_s * (first.a * (half_turn.r * v_sample));
   middle_by_core.col(kYawBias) = -half_s * half_s * (first.a * (half_turn.d_angle * v));
   middle_by_core.col(kOdometryVx) = -half_s * (first.a * half_turn.r.col(0));
   middle_by_core.col(kOdometryVy) = -half_s * (first.a * half_turn.r.col(1));
@@ -111,7 +111,7 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   d_xy.col(kX) += Eigen::Vector2d::UnitX();
   d_xy.col(kY) += Eigen::Vector2d::UnitY();
   d_xy.col(kTheta) += dt_s * (mean.a * perpendicular(u));
-  d_xy.col(kScale) += dt_s * (mean.a * (turn.r * v_row));
+  d_xy.col(kScale) += dt_s * (mean.a * (turn.r * v_sample));
   const Eigen::Vector2d by_omega = dt_s * dt_s * (mean.a * (turn.d_angle * v));
   d_xy.col(kYawBias) -= by_omega;
   d_xy.col(kOdometryVx) -= dt_s * (mean.a * turn.r.col(0));
@@ -127,9 +127,9 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
 }
 
 Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
-                          const model::OdometrySample& row) noexcept {
-  const Eigen::Vector2d rate = sideways * row_velocity(core, row);
-  return {rate.x(), rate.y(), row.omega_radps - core(kYawBias) - core(kOdometryOmega)};
+                          const model::OdometrySample& sample) noexcept {
+  const Eigen::Vector2d rate = sideways * sample_velocity(core, sample);
+  return {rate.x(), rate.y(), sample.omega_radps - core(kYawBias) - core(kOdometryOmega)};
 }
 
 }  // namespace groma::filter

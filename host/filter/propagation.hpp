@@ -20,15 +20,15 @@ struct Motion {
   Eigen::Matrix<double, 3, kCoreSize> d_core;  // of pose, w.r.t. the core state before the step
 };
 
-// One step of dt_s from the core state, with v = (1 + scale) v_row - e_v and
-// omega = omega_row - bias - e_omega, v_row and omega_row from the odometry sample. Exact on planes, second
+// One step of dt_s from the core state, with v = (1 + scale) v_odo - e_v and
+// omega = omega_odo - bias - e_omega, v_odo and omega_odo from the odometry sample. Exact on planes, second
 // order in dt_s on curved surfaces; the Jacobian is that of the computed step. `chart`: the surface's chart
 // for the whole step.
 [[nodiscard]] Motion move(const model::Surface& surface, const CoreVector& core,
-                          const model::OdometrySample& row, double dt_s, int chart = 0) noexcept;
+                          const model::OdometrySample& sample, double dt_s, int chart = 0) noexcept;
 
 // Time derivatives of x, y, theta; sideways: the upper left 2 x 2 of R_WR at the pose.
 [[nodiscard]] Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
-                                        const model::OdometrySample& row) noexcept;
+                                        const model::OdometrySample& sample) noexcept;
 
 }  // namespace groma::filter

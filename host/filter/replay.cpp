@@ -63,14 +63,14 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     return std::lower_bound(samples.begin(), samples.end(), from_s,
                             [](const auto& sample, double t_s) { return sample.t_s < t_s; });
   };
-  auto row = from(run.odometry);
+  auto odometry = from(run.odometry);
   auto range = from(run.ranges);
   const std::vector<model::SensorSample> sensor_samples = merged(run.sensors);
   auto sensor = std::lower_bound(sensor_samples.begin(), sensor_samples.end(), from_s,
                                  [](const auto& sample, double t_s) { return model::time_of(sample) < t_s; });
   // The odometry sample held at the start.
-  if (row != run.odometry.begin() && (row == run.odometry.end() || row->t_s > from_s)) {
-    tracker->process(*std::prev(row));
+  if (odometry != run.odometry.begin() && (odometry == run.odometry.end() || odometry->t_s > from_s)) {
+    tracker->process(*std::prev(odometry));
   }
   if (options.knows_start) tracker->start(options.start);
 
@@ -107,12 +107,12 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
     }
   };
 
-  for (; row != run.odometry.end() && row->t_s <= to_s; ++row) {
-    take_up_to(std::nextafter(row->t_s, -std::numeric_limits<double>::infinity()));
-    timed(propagate_ns, *row);
-    take_up_to(row->t_s);
-    if (options.on_odometry) options.on_odometry(*tracker, *row);
-    if (tracker->started()) record(*tracker, *run.surface, row->t_s, result);
+  for (; odometry != run.odometry.end() && odometry->t_s <= to_s; ++odometry) {
+    take_up_to(std::nextafter(odometry->t_s, -std::numeric_limits<double>::infinity()));
+    timed(propagate_ns, *odometry);
+    take_up_to(odometry->t_s);
+    if (options.on_odometry) options.on_odometry(*tracker, *odometry);
+    if (tracker->started()) record(*tracker, *run.surface, odometry->t_s, result);
   }
 
   result.relocations = tracker->relocations();

@@ -67,8 +67,8 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   }
 }
 
-void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
-  const double gap_s = rows_ > 0 ? row.t_s - last_[0].t_s : 0.0;
+void OdometryTuning::observe(const model::OdometrySample& sample) noexcept {
+  const double gap_s = rows_ > 0 ? sample.t_s - last_[0].t_s : 0.0;
   bool even = rows_ == last_.size() && gap_s <= kMaxGap_s;
   for (std::size_t i = 0; even && i + 1 < last_.size(); ++i) {
     const double other_s = last_[i].t_s - last_[i + 1].t_s;
@@ -76,13 +76,13 @@ void OdometryTuning::observe(const model::OdometrySample& row) noexcept {
   }
   if (even) {
     const auto difference = [&](double model::OdometrySample::*axis) {
-      return row.*axis - 3.0 * last_[0].*axis + 3.0 * last_[1].*axis - last_[2].*axis;
+      return sample.*axis - 3.0 * last_[0].*axis + 3.0 * last_[1].*axis - last_[2].*axis;
     };
     adjust(velocity_, difference(&model::OdometrySample::vx_mps), nominal_.sigma_vx_mps);
     adjust(velocity_, difference(&model::OdometrySample::vy_mps), nominal_.sigma_vy_mps);
     adjust(turn_, difference(&model::OdometrySample::omega_radps), nominal_.sigma_omega_radps);
   }
-  last_ = {row, last_[0], last_[1]};
+  last_ = {sample, last_[0], last_[1]};
   rows_ = std::min(rows_ + 1, last_.size());
 }
 

@@ -47,7 +47,7 @@ class OdometryTuning {
   explicit OdometryTuning(const model::OdometryNoise& nominal) : nominal_(nominal) {}
 
   // Adapts to the next sample.
-  void observe(const model::OdometrySample& row) noexcept;
+  void observe(const model::OdometrySample& sample) noexcept;
   // Forgets the samples; the noise estimates stay.
   void reset() noexcept { rows_ = 0; }
 

@@ -64,14 +64,14 @@ model::PlanarPose place_on(const model::Surface& surface, const model::PoseSampl
 
 CoreMeasurement<3> measure(const SensorView& state, const model::ZeroVelocitySample& /*sample*/) noexcept {
   const CoreVector& core = state.core;
-  const model::OdometrySample& row = state.row;
+  const model::OdometrySample& sample = state.odometry;
   const double scale = 1.0 + core(kScale);
   CoreMeasurement<3> out;
-  out.innovation << core(kOdometryVx) - scale * row.vx_mps, core(kOdometryVy) - scale * row.vy_mps,
-      core(kYawBias) + core(kOdometryOmega) - row.omega_radps;
+  out.innovation << core(kOdometryVx) - scale * sample.vx_mps, core(kOdometryVy) - scale * sample.vy_mps,
+      core(kYawBias) + core(kOdometryOmega) - sample.omega_radps;
   out.d_core.setZero();
-  out.d_core(0, kScale) = row.vx_mps;
-  out.d_core(1, kScale) = row.vy_mps;
+  out.d_core(0, kScale) = sample.vx_mps;
+  out.d_core(1, kScale) = sample.vy_mps;
   out.d_core(2, kYawBias) = -1.0;
   out.d_core.rightCols<3>().diagonal().setConstant(-1.0);
   const double variance_m2ps2 = square(state.config.standing_sigma_mps);

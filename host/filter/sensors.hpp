@@ -22,7 +22,7 @@ struct SensorView {
   const model::Surface& surface;
   const SensorConfig& config;
   const CoreVector& core;
-  const model::OdometrySample& row;  // the sample held
+  const model::OdometrySample& odometry;  // the sample held
   PresentPose now;
 };
 

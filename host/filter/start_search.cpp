@@ -110,8 +110,8 @@ Eigen::Vector3d vector_of(const model::PlanarPose& pose) noexcept {
   return {pose.x_m, pose.y_m, pose.theta_rad};
 }
 
-Eigen::Vector3d step_of(const model::OdometrySample& row, double dt_s) noexcept {
-  return {row.vx_mps * dt_s, row.vy_mps * dt_s, row.omega_radps * dt_s};
+Eigen::Vector3d step_of(const model::OdometrySample& sample, double dt_s) noexcept {
+  return {sample.vx_mps * dt_s, sample.vy_mps * dt_s, sample.omega_radps * dt_s};
 }
 
 constexpr auto kIsLikelier = [](const auto& a, const auto& b) { return a.cost < b.cost; };
@@ -184,20 +184,20 @@ void StartSearch::clear() noexcept {
 
 void StartSearch::stop() noexcept {
   clear();
-  row_.reset();
+  sample_.reset();
   t_s_ = -std::numeric_limits<double>::infinity();
 }
 
 void StartSearch::advance(double t_s) noexcept {
-  if (row_ && t_s > t_s_) {
+  if (sample_ && t_s > t_s_) {
     // After max_hold_s the robot is assumed stationary, with the variance of the hold walk.
     const double dt_s = t_s - t_s_;
-    const double held_s = std::clamp(row_->t_s + config_.max_hold_s - t_s_, 0.0, dt_s);
-    const Eigen::Vector3d step = step_of(*row_, held_s);
+    const double held_s = std::clamp(sample_->t_s + config_.max_hold_s - t_s_, 0.0, dt_s);
+    const Eigen::Vector3d step = step_of(*sample_, held_s);
     const Eigen::Vector3d half_turn(0.0, 0.0, 0.5 * step.z());
     now_.pose = Frame(now_.pose + half_turn).compose(step) - half_turn;
     now_.path_m += step.head<2>().norm();
-    const double row_s = std::max(t_s - row_->t_s, dt_s);
+    const double row_s = std::max(t_s - sample_->t_s, dt_s);
     now_.position_variance_m2 +=
         (square(config_.odometry.sigma_vx_mps) + square(config_.odometry.sigma_vy_mps)) * held_s * row_s;
     now_.heading_variance_rad2 += square(config_.odometry.sigma_omega_radps) * held_s * row_s;
@@ -208,10 +208,10 @@ void StartSearch::advance(double t_s) noexcept {
   t_s_ = t_s;
 }
 
-void StartSearch::process(const model::OdometrySample& row) noexcept {
-  if (!model::is_finite(row) || (row_ && row.t_s < t_s_)) return;
-  advance(row.t_s);
-  row_ = row;
+void StartSearch::process(const model::OdometrySample& sample) noexcept {
+  if (!model::is_finite(sample) || (sample_ && sample.t_s < t_s_)) return;
+  advance(sample.t_s);
+  sample_ = sample;
 }
 
 void StartSearch::process(const model::RangeSample& range) noexcept {
@@ -227,13 +227,13 @@ void StartSearch::process(const model::RangeSample& range) noexcept {
   if (range.t_s - last_s < kSpacing_s) return;
   last_s = range.t_s;
   while (count_ == kMaxRanges || (count_ > 0 && t_s_ - seen(0).t_s > kSearchWindow_s)) drop_oldest();
-  const model::OdometrySample row = row_.value_or(model::OdometrySample{.t_s = range.t_s});
+  const model::OdometrySample sample = sample_.value_or(model::OdometrySample{.t_s = range.t_s});
   Odometer at = now_;
-  const Eigen::Vector3d back = step_of(row, -(t_s_ - range.t_s + config_.range_delay_s));
+  const Eigen::Vector3d back = step_of(sample, -(t_s_ - range.t_s + config_.range_delay_s));
   at.pose = Frame(at.pose).compose(back);
   at.path_m -= back.head<2>().norm();
   seen(count_++) = {
-      .t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .row = row, .at = at};
+      .t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .odometry = sample, .at = at};
 }
 
 void StartSearch::drop_oldest() noexcept {
@@ -278,7 +278,7 @@ StartSearch::Residual StartSearch::residual(const Seen& seen, const Frame& now, 
   CoreVector core = CoreVector::Zero();
   core.segment<3>(kX) = now.compose(seen.back);
   Residual out;
-  out.predicted = measure_range(surface_, core, seen.row, site_.pair(seen.anchor, seen.tag), chart);
+  out.predicted = measure_range(surface_, core, seen.odometry, site_.pair(seen.anchor, seen.tag), chart);
   out.e_m = seen.range_m - out.predicted.range_m;
   const Eigen::Vector2d lever = core.segment<2>(kX) - now.pose.head<2>();
   out.d_pose = out.predicted.d_core.segment<3>(kX);

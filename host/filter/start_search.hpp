@@ -42,7 +42,7 @@ class StartSearch {
 
   // Ignores odometry older than the newest input, ranges older than it by 0.5 s, unknown ids, values that are
   // not finite, and ranges out of bounds.
-  void process(const model::OdometrySample& row) noexcept;
+  void process(const model::OdometrySample& sample) noexcept;
   void process(const model::RangeSample& range) noexcept;
   // Forgets the ranges.
   void clear() noexcept;
@@ -76,7 +76,7 @@ class StartSearch {
     int anchor = 0;
     int tag = 0;
     double range_m = 0.0;
-    model::OdometrySample row;
+    model::OdometrySample odometry;
     Odometer at;  // at the measurement: range_delay_s before the timestamp
     // Independent of the hypothesis, as of the last relate().
     Eigen::Vector3d back = Eigen::Vector3d::Zero();  // pose then, in the frame of the newest pose
@@ -148,7 +148,7 @@ class StartSearch {
   std::vector<Hypothesis> rough_;
   std::vector<Hypothesis> hypotheses_;
   Odometer now_;
-  std::optional<model::OdometrySample> row_;
+  std::optional<model::OdometrySample> sample_;
   double t_s_ = -std::numeric_limits<double>::infinity();
   bool settled_ = false;
 };

@@ -150,18 +150,18 @@ void Tracker::restart_agreement() noexcept {
   agrees_.reset();
 }
 
-OdometryOutcome Tracker::process(const model::OdometrySample& row) noexcept {
-  if (std::isfinite(row.t_s) && !accepts_time(row.t_s)) return OdometryOutcome::kOutOfOrder;
-  const OdometryOutcome outcome = filter_.process(row);
+OdometryOutcome Tracker::process(const model::OdometrySample& sample) noexcept {
+  if (std::isfinite(sample.t_s) && !accepts_time(sample.t_s)) return OdometryOutcome::kOutOfOrder;
+  const OdometryOutcome outcome = filter_.process(sample);
   if (outcome == OdometryOutcome::kBadValue || outcome == OdometryOutcome::kOutOfOrder) return outcome;
-  newest_s_ = std::max(newest_s_, row.t_s);
+  newest_s_ = std::max(newest_s_, sample.t_s);
   if (outcome != OdometryOutcome::kImplausible) {
-    search_.process(row);
+    search_.process(sample);
     // The motion during the pause is extrapolated: the ranges have to confirm the pose, as after a start.
-    if (row.t_s - last_odometry_s_ > kSilent_s && last_odometry_s_ != kNotYet_s) require_agreement(true);
-    last_odometry_s_ = std::max(last_odometry_s_, row.t_s);
+    if (sample.t_s - last_odometry_s_ > kSilent_s && last_odometry_s_ != kNotYet_s) require_agreement(true);
+    last_odometry_s_ = std::max(last_odometry_s_, sample.t_s);
   }
-  advance_by_odometry(row);
+  advance_by_odometry(sample);
   assess();
   return outcome;
 }

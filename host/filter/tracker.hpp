@@ -67,7 +67,7 @@ class Tracker {
   // Back to CONVERGING: the pose stays, but the ranges have to agree with it again, as after a start. widens:
   // with a larger covariance; a pose that is then too uncertain is dropped.
   void require_agreement(bool widens) noexcept;
-  OdometryOutcome process(const model::OdometrySample& row) noexcept;
+  OdometryOutcome process(const model::OdometrySample& sample) noexcept;
   RangeResult process(const model::RangeSample& range) noexcept;
   // A usable PoseSample initializes a tracker that has not started.
   SensorResult process(const model::SensorSample& sample) noexcept;

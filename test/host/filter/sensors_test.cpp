@@ -154,7 +154,7 @@ TEST_P(SensorModels, UpdateEqualsADenseOne) {
   ASSERT_GT(before->covariance().cross().cwiseAbs().maxCoeff(), 1e-5);
   const Estimate now = before->estimate();
   const model::Surface surface = testing::hills(0.2);
-  const model::OdometrySample& row = before->snapshot().row;
+  const model::OdometrySample& row = before->snapshot().odometry;
   const PresentPose present = present_pose(surface, before->core(), row, {});
 
   const model::PositionSample position{.t_s = now.t_s,
