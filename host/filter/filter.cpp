@@ -415,6 +415,10 @@ Estimate Filter::estimate() const noexcept {
   return estimate_of(now_, now_.covariance);
 }
 
+Estimate Filter::estimate(const Prediction& prediction) const noexcept {
+  return estimate_of(prediction.motion, prediction.covariance);
+}
+
 Filter::Prediction Filter::prediction() const noexcept {
   return {now_, CoreCovariance(now_.covariance.core(), now_.covariance.ground_cross(),
                                now_.covariance.ground_variances())};

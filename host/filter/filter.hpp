@@ -172,9 +172,7 @@ class Filter {
   };
   [[nodiscard]] Prediction prediction() const noexcept;
   void carry(Prediction& prediction, const MotionInput& input) const noexcept;
-  [[nodiscard]] Estimate estimate(const Prediction& prediction) const noexcept {
-    return estimate_of(prediction.motion, prediction.covariance);
-  }
+  [[nodiscard]] Estimate estimate(const Prediction& prediction) const noexcept;
   // The pose is outside the surface model's domain, where heights are extrapolated.
   [[nodiscard]] bool is_off_surface() const noexcept {
     return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
