@@ -164,6 +164,8 @@ class Air {
   std::function<void(const Frame&)> overheard;
   // May change a reception before its receiver gets it.
   std::function<void(std::size_t receiver, mac::Reception&)> spoil;
+  // True: omits the calls to a machine that only save time (step.hpp).
+  bool only_events = false;
   double timestamp_noise_ticks = 0.0;
   double work_ticks = 100e-6 * kTicksPerSecond;  // from an event until the next action is armed
 
@@ -231,8 +233,8 @@ class Air {
 
   void arm(std::size_t index, Step step) {
     carry_out(index, step);
-    (void)dispatch(*nodes_[index], [](auto& machine) {
-      machine.precompute();
+    (void)dispatch(*nodes_[index], [this](auto& machine) {
+      if (!only_events) machine.precompute();
       return Step{};
     });
   }
@@ -372,10 +374,11 @@ class Air {
         .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
     if (spoil) spoil(index, reception);
     (void)dispatch(n, [&](auto& machine) {
-      machine.begin_verify(reception.frame);
+      if (!only_events) machine.begin_verify(reception.frame);
       return Step{};
     });
     arm(index, dispatch(n, [&](auto& machine) { return machine.on_received(reception); }));
+    if (only_events) return;
     if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->verify_deferred();
   }
 

@@ -332,6 +332,27 @@ TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
   }
 }
 
+// A caller that forgets a call besides the events must not make a tag use a forged RESPONSE.
+TEST_F(AttackTest, EventsAloneVerifyEachResponse) {
+  air->only_events = true;
+  start_network();
+  run_superframes(20);
+  for (const Forgery forgery : kForgeries) {
+    SCOPED_TRACE(static_cast<int>(forgery));
+    const std::uint32_t dropped_before = dropped();
+    attacked.clear();
+    ghosts_sent = ghosts_heard = 0;
+    replace(kResponse, 103, forgery);
+    run_superframes(8);
+    cease();
+    EXPECT_GE(ghosts_heard, 7U);
+    run_superframes(4);
+    expect_no_forged_range(103);
+    EXPECT_GE(dropped() - dropped_before, ghosts_heard);
+  }
+  expect_full_rate();
+}
+
 // Anchor 104's RESPONSE is jammed, and 103's of the same slot is replayed in its window.
 TEST_F(AttackTest, AReplayedResponseInAnotherAnchorsWindowIsStale) {
   start_network();
