@@ -378,8 +378,6 @@ class Air {
       return Step{};
     });
     arm(index, dispatch(n, [&](auto& machine) { return machine.on_received(reception); }));
-    if (only_events) return;
-    if (auto* tag = std::get_if<mac::Tag>(&n.machine)) tag->verify_deferred();
   }
 
   double gaussian() {

@@ -120,9 +120,8 @@ Step Anchor::on_received(const Reception& reception) noexcept {
     return doing(plan(reception.timestamp));
   }
   if (phase_ == Phase::kPoll) go_on_to(reception.timestamp);
-  const bool nobodys = phase_ == Phase::kPoll && silent_[slot_] >= kSilent && !in_time(reception);
-  const auto check = nobodys ? Station::Check::kNobodysSlot : Station::Check::kNow;
-  if (const auto frame = station_.accept(reception, place(), check)) {
+  const bool unused_slot = phase_ == Phase::kPoll && silent_[slot_] >= kSilent && !in_time(reception);
+  if (const auto frame = station_.accept(reception, place(), unused_slot)) {
     if (const auto* poll = std::get_if<Poll>(&frame->body);
         poll != nullptr && phase_ == Phase::kPoll && is_of_slot(*frame, *poll, reception)) {
       silent_[slot_] = 0;

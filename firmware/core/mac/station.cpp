@@ -557,7 +557,7 @@ std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
 
 // ---- frames
 
-std::optional<Frame> Station::accept(const Reception& reception, Place place, Check check) noexcept {
+std::optional<Frame> Station::accept(const Reception& reception, Place place, bool unused_slot) noexcept {
   // One named object, so that it is returned without a copy.
   std::optional<Frame> frame(std::in_place);
   if (const auto error = parse(reception.frame, *frame)) {
@@ -566,7 +566,7 @@ std::optional<Frame> Station::accept(const Reception& reception, Place place, Ch
   } else if (frame->network != site_.network_id) {
     ++counters_.foreign_frames;
     frame.reset();
-  } else if (!is_for_this_node(*frame) || !authentic(*frame, reception, place, check)) {
+  } else if (!is_for_this_node(*frame) || !authentic(*frame, reception, place, unused_slot)) {
     frame.reset();
   }
   return frame;
@@ -577,7 +577,8 @@ bool Station::is_for_this_node(const Frame& frame) const noexcept {
          std::holds_alternative<Join>(frame.body) || std::holds_alternative<Data>(frame.body);
 }
 
-bool Station::authentic(const Frame& frame, const Reception& reception, Place place, Check check) noexcept {
+bool Station::authentic(const Frame& frame, const Reception& reception, Place place,
+                        bool unused_slot) noexcept {
   if (!authenticator_.on()) {
     if (frame.secured) ++counters_.foreign_frames;
     return !frame.secured;
@@ -592,17 +593,9 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
   // Without knowing the place this node cannot verify the MIC; but another node is there.
   if (phase_ == Phase::kSearching) election_.on_traffic(reception.timestamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
-  const bool later = check == Check::kResponseLater && std::holds_alternative<Response>(frame.body);
-  if (later || is_genuine(reception.frame, place)) return true;
-  if (check == Check::kNobodysSlot && std::holds_alternative<Poll>(frame.body)) {
-    election_.on_unverified_poll();
-  }
-  return false;
-}
-
-bool Station::is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept {
-  if (!authenticator_.on() || authenticator_.fits(frame, place)) return true;
+  if (authenticator_.fits(reception.frame, place)) return true;
   ++counters_.forged_frames;
+  if (unused_slot && std::holds_alternative<Poll>(frame.body)) election_.on_unverified_poll();
   return false;
 }
 

@@ -108,13 +108,9 @@ class Station {
 
   // Returns a frame that belongs to this network, is addressed to this node, to all or to relays, and has the
   // MIC that the network key requires at `place`, where it was heard. Other frames are counted, and nothing
-  // is returned. kResponseLater leaves a RESPONSE's MIC to is_genuine(). kNobodysSlot marks an unused slot: a
-  // POLL there with a wrong MIC may belong to another session.
-  enum class Check : std::uint8_t { kNow, kResponseLater, kNobodysSlot };
+  // is returned. In an unused slot a POLL with a wrong MIC may belong to another session.
   [[nodiscard]] std::optional<Frame> accept(const Reception& reception, Place place,
-                                            Check check = Check::kNow) noexcept;
-  // The frame's MIC is valid, or the network has no key; counts a wrong MIC.
-  [[nodiscard]] bool is_genuine(std::span<const std::uint8_t> frame, Place place) noexcept;
+                                            bool unused_slot = false) noexcept;
 
   // Frames carry MICs.
   [[nodiscard]] bool keyed() const noexcept { return authenticator_.on(); }
@@ -200,7 +196,7 @@ class Station {
   }
   [[nodiscard]] bool is_for_this_node(const Frame& frame) const noexcept;
   [[nodiscard]] bool authentic(const Frame& frame, const Reception& reception, Place place,
-                               Check check) noexcept;
+                               bool unused_slot) noexcept;
   [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
   [[nodiscard]] bool authentic(const Beacon& beacon, const Reception& reception) noexcept;
   [[nodiscard]] bool is_merge_request(const Beacon& beacon, const Reception& reception) noexcept;

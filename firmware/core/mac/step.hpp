@@ -10,7 +10,8 @@
 // verified then: begin_verify(frame) when a frame's bytes have been read, before on_received() with them,
 // starts the verification; finish_signing() just before a transmission's frame is written to the chip
 // finishes the frame; precompute() after the Step's action is armed precomputes cipher blocks and returns the
-// size on the air of the most likely next frame to send, 0 if not known.
+// size on the air of the most likely next frame to send, 0 if not known. on_received() verifies each frame
+// that it uses: without begin_verify() and precompute() it only takes longer.
 #pragma once
 
 #include <cstdint>

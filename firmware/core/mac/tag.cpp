@@ -132,19 +132,9 @@ Step Tag::on_received(const Reception& reception) noexcept {
     if (const auto rest = station_.on_control_received(reception)) return {*rest, nullptr};
     return {plan(reception.timestamp), nullptr};
   }
-  // There is time to verify the MIC once the receiver is on for the next RESPONSE.
-  const bool last = window_ + 1U >= current().count;
-  const auto check = last ? Station::Check::kNow : Station::Check::kResponseLater;
-  if (const auto frame = station_.accept(reception, place_of(current()), check)) {
+  if (const auto frame = station_.accept(reception, place_of(current()))) {
     if (const auto* response = std::get_if<Response>(&frame->body)) {
       take_response(*frame, *response, reception);
-      if (!last) {
-        Leg& leg = current().legs[window_];
-        unchecked_ = {.frame = reception.frame,
-                      .place = place_of(current()),
-                      .leg = &leg,
-                      .closed = previous_leg(leg.anchor)};
-      }
     } else if (station_.overhear(*frame, reception)) {
       return finish(reception.timestamp);
     }
@@ -167,14 +157,6 @@ std::size_t Tag::precompute() noexcept {
     if (slot) station_.expect_said(FrameType::kPoll, {superframe, static_cast<std::uint8_t>(*slot)});
   }
   return 0;
-}
-
-void Tag::verify_deferred() noexcept {
-  if (unchecked_.frame.empty()) return;
-  const Unchecked taken = std::exchange(unchecked_, {});
-  if (station_.is_genuine(taken.frame, taken.place)) return;
-  *taken.leg = Leg{.anchor = taken.leg->anchor};
-  if (taken.closed != nullptr) taken.closed->closing_state = Leg::Closing::kNone;
 }
 
 Leg* Tag::previous_leg(std::uint16_t anchor) noexcept {

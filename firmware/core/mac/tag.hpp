@@ -31,9 +31,6 @@ class Tag {
   void begin_verify(std::span<const std::uint8_t> frame) noexcept;
   void finish_signing() noexcept { station_.finish_signing(); }
   std::size_t precompute() noexcept;
-  // Call after the Step's action is armed: discards the last RESPONSE if its MIC is wrong. The frame's bytes
-  // must still be valid.
-  void verify_deferred() noexcept;
   // Call after the radio was stopped and restarted: continues with the next action, with the time of the
   // clock filter.
   [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
@@ -89,14 +86,6 @@ class Tag {
   std::size_t current_ = 0;
   bool previous_valid_ = false;
   bool lent_ = false;
-  // The last RESPONSE, until verify_deferred() has verified its MIC, and the legs that it filled in.
-  struct Unchecked {
-    std::span<const std::uint8_t> frame{};
-    Place place{};
-    Leg* leg = nullptr;
-    Leg* closed = nullptr;  // of the previous exchange; null: the anchor was not polled in it
-  };
-  Unchecked unchecked_;
   std::uint8_t windows_over_ = 0;  // windows of the last exchange that choose_anchors() has not evaluated
   std::uint8_t next_count_ = 0;    // chosen for the next POLL; 0: not chosen yet
   std::array<std::uint16_t, kMaxAnchors> next_anchors_{};

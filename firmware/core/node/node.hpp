@@ -271,7 +271,6 @@ class Node {
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{timestamp, event.timestamp_valid, event.frame, event.quality};
         perform(machine_.dispatch([&](auto& machine) { return machine.on_received(reception); }));
-        if (machine_.tag()) machine_.tag()->verify_deferred();
         break;
       }
       case EventKind::kPreambleTimeout:
