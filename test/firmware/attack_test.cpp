@@ -561,6 +561,68 @@ TEST_P(OldSession, ChangesNothingAndCostsHardlyAnyRange) {
 INSTANTIATE_TEST_SUITE_P(Ages, OldSession, ::testing::Bool(),
                          [](const auto& older) { return older.param ? "Older" : "Younger"; });
 
+// A master accepts a recorded beacon of another session, which it may answer but must not obey, and a genuine
+// one before it handles the first.
+TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
+  groma_Schedule schedule = schedule_of(2, 4, groma_RangingMethod_METHOD_DS_FINAL);
+  schedule.backup_ids_count = 1;
+  schedule.backup_ids[0] = 102;
+  groma_Counters counters = groma_Counters_init_zero;
+  std::uint16_t sessions = 0;
+  std::uint32_t nonces = 0;
+  sim::Aes aes;
+  const mac::Site site{.id = 101,
+                       .network_id = 0x55AA,
+                       .schedule = &schedule,
+                       .boot_count = 1,
+                       .sessions = &sessions,
+                       .network_key = kKey,
+                       .cipher = &aes,
+                       .nonces = &nonces};
+  mac::Station station(site, counters);
+  station.start(ClockTime(0));
+  auto action = station.control(ClockTime(0));
+  for (int i = 0; i < 100 && action && action->kind == Action::Kind::kListenNow; ++i)
+    action = station.control(action->until);
+  ASSERT_TRUE(station.election().leads());
+
+  const auto signed_bytes = [&](const mac::Beacon& beacon) {
+    mac::FrameAuthenticator sender(&aes, kKey);
+    sender.enter(beacon.session);
+    auto bytes = mac::serialize({.network = site.network_id,
+                                 .destination = mac::kBroadcast,
+                                 .source = 102,
+                                 .secured = true,
+                                 .body = beacon});
+    sender.sign(bytes, mac::place_of(beacon));
+    return bytes;
+  };
+  mac::Beacon beacon{.superframe = 5'000,
+                     .session = std::uint64_t{102} << 48 | 1U << 16,
+                     .epoch = schedule.epoch,
+                     .schedule_hash = station.hash(),
+                     .master = 102,
+                     .slots = 2};
+  const auto recorded_bytes = signed_bytes(beacon);
+  beacon.superframe = station.superframe_number();
+  beacon.session = station.election().session();
+  beacon.master = 101;
+  beacon.hop = 1;
+  beacon.shared = true;
+  const auto genuine_bytes = signed_bytes(beacon);
+  const ClockTime shared = station.sync().start(beacon.superframe) + station.superframe().shared();
+  const mac::Reception recording{
+      .timestamp = shared, .timestamp_valid = true, .frame = recorded_bytes.bytes()};
+  const auto recorded = station.accept(recording, station.control_place());
+  ASSERT_TRUE(recorded.has_value());
+  EXPECT_EQ(counters.forged_frames, 1U);
+  ASSERT_TRUE(station.accept({.timestamp = shared, .timestamp_valid = true, .frame = genuine_bytes.bytes()},
+                             station.control_place()));
+  EXPECT_EQ(counters.forged_frames, 1U);
+  (void)station.overhear(*recorded, recording);
+  EXPECT_FALSE(station.election().dissolving()) << "it gives up its session for a recording";
+}
+
 // An open node and a keyed network ignore each other's frames.
 TEST_F(AttackTest, AnOpenNodeIgnoresAKeyedNetwork) {
   start_network();
