@@ -158,7 +158,7 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
   next_ = Next::kBeacon;
   phase_ = Phase::kBeacon;
   // Nodes obey a newer schedule only after two beacons with it.
-  if (others_) send_merge_requests(MergeTarget(others_->merge_target), others_->shared, 2);
+  if (others_) send_merge_requests(MergeTarget(others_->merge_target), others_->shared, 2, false);
   return true;
 }
 
@@ -318,21 +318,19 @@ Action Station::merge_request(ClockTime timestamp, const MergeTarget& merge_targ
 }
 
 // All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:
-// from the next superframe on, or at once if they are scanning. If the beacon may be a recording and no
-// expected frames are missing, only the requesting node stays silent, and only in that superframe.
-void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime shared,
-                                  std::uint32_t rounds) noexcept {
+// from the next superframe on, or at once if they are scanning. If `only_requester_silent`, only the
+// requesting node stays silent, and only in that superframe.
+void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime shared, std::uint32_t rounds,
+                                  bool only_requester_silent) noexcept {
   const Ticks duration = superframe_.duration();
-  const auto number_at = [&](ClockTime at) {
-    return static_cast<std::uint32_t>(sync_.network_time(at).count() / duration.count());
-  };
   others_ = Others{.shared = shared, .merge_target = merge_target, .left = 0};
-  while (phase_ != Phase::kScanning && static_cast<std::int32_t>(number_at(others_->shared) - number_) <= 0) {
+  while (phase_ != Phase::kScanning &&
+         static_cast<std::int32_t>(superframe_at(others_->shared) - number_) <= 0) {
     others_->shared += duration;
     ++others_->merge_target.superframe;
   }
   const std::uint32_t turns = site_.schedule->backup_ids_count + 1U;
-  if (only_requester_silent()) {
+  if (only_requester_silent) {
     others_->left = turns;  // each once
     return;
   }
@@ -346,7 +344,7 @@ void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime sha
     ++last;
   }
   others_->left = last + 1;
-  election_.keep_silence(number_at(others_->shared + std::int64_t{last} * duration));
+  election_.keep_silence(superframe_at(others_->shared + std::int64_t{last} * duration));
 }
 
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
@@ -416,7 +414,7 @@ void Station::miss() noexcept {
   sync_.on_beacon_missed();
 }
 
-bool Station::overhear(const Frame& frame, const Reception& reception) noexcept {
+bool Station::overhear(const Accepted& frame, const Reception& reception) noexcept {
   if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return take_beacon(frame, *beacon, reception);
   ++counters_.stale_frames;
   if (std::holds_alternative<Poll>(frame.body)) election_.suspect();
@@ -425,7 +423,7 @@ bool Station::overhear(const Frame& frame, const Reception& reception) noexcept 
 
 // ---- beacons
 
-bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept {
+bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept {
   if (!reception.timestamp_valid) {
     ++counters_.bad_stamps;
     return false;
@@ -444,8 +442,8 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.timestamp);
   const bool requested = authenticator_.on() && beacon.merge_request;
   const std::uint64_t session = election_.session();
-  const Verdict verdict = unverified_ ? election_.judge_unverified(frame.source, beacon)
-                          : requested ? election_.judge_merge_request(frame.source, beacon, ahead)
+  const Verdict verdict = frame.unverified ? election_.judge_unverified(frame.source, beacon)
+                          : requested      ? election_.judge_merge_request(frame.source, beacon, ahead)
                                       : election_.judge(frame.source, beacon, ahead, reception.timestamp);
   switch (verdict) {
     case Verdict::kStale:
@@ -453,16 +451,20 @@ bool Station::take_beacon(const Frame& frame, const Beacon& beacon, const Recept
       return false;
     case Verdict::kIgnore:
       return false;
-    case Verdict::kRequestMerge:
+    case Verdict::kRequestMerge: {
       if (searching) {
         others_ = Others{.shared = reception.timestamp - timestamp.place + superframe_.shared(),
                          .merge_target = {beacon.session, beacon.superframe}};
         return false;
       }
+      // The other session may be a recording, and no expected frames are missing.
+      const bool only_requester_silent = frame.unverified && !election_.lacking();
       send_merge_requests({beacon.session, beacon.superframe},
-                          reception.timestamp - timestamp.place + superframe_.shared(), 1);
+                          reception.timestamp - timestamp.place + superframe_.shared(), 1,
+                          only_requester_silent);
       return phase_ == Phase::kScanning &&
-             (!only_requester_silent() || requests_within(reception.timestamp, sync_.start(number_)));
+             (!only_requester_silent || requests_within(reception.timestamp, sync_.start(number_)));
+    }
     case Verdict::kLeave:
       sync_.search();
       return true;
@@ -557,16 +559,17 @@ std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
 
 // ---- frames
 
-std::optional<Frame> Station::accept(const Reception& reception, Place place, bool unused_slot) noexcept {
+std::optional<Station::Accepted> Station::accept(const Reception& reception, Place place,
+                                                 bool unused_slot) noexcept {
   // One named object, so that it is returned without a copy.
-  std::optional<Frame> frame(std::in_place);
+  std::optional<Accepted> frame(std::in_place);
   if (const auto error = parse(reception.frame, *frame)) {
     ++(*error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
     frame.reset();
   } else if (frame->network != site_.network_id) {
     ++counters_.foreign_frames;
     frame.reset();
-  } else if (!is_for_this_node(*frame) || !authentic(*frame, reception, place, unused_slot)) {
+  } else if (!is_for_this_node(*frame) || !authenticate(*frame, reception, place, unused_slot)) {
     frame.reset();
   }
   return frame;
@@ -577,8 +580,8 @@ bool Station::is_for_this_node(const Frame& frame) const noexcept {
          std::holds_alternative<Join>(frame.body) || std::holds_alternative<Data>(frame.body);
 }
 
-bool Station::authentic(const Frame& frame, const Reception& reception, Place place,
-                        bool unused_slot) noexcept {
+bool Station::authenticate(Accepted& frame, const Reception& reception, Place place,
+                           bool unused_slot) noexcept {
   if (!authenticator_.on()) {
     if (frame.secured) ++counters_.foreign_frames;
     return !frame.secured;
@@ -587,9 +590,7 @@ bool Station::authentic(const Frame& frame, const Reception& reception, Place pl
     ++counters_.unsecured_frames;
     return false;
   }
-  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) {
-    return authentic(*beacon, reception);
-  }
+  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return authenticate(frame, *beacon, reception);
   // Without knowing the place this node cannot verify the MIC; but another node is there.
   if (phase_ == Phase::kSearching) election_.on_traffic(reception.timestamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
@@ -609,40 +610,36 @@ Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
 }
 
 // Once this node knows the time, a replayed beacon of its own session is late against this node's clock. A
-// beacon of another timeline may be a replay, unless it is a merge request to this session.
-bool Station::authentic(const Beacon& beacon, const Reception& reception) noexcept {
-  unverified_ = false;
-  bool good = false;
-  if (sync_.state() == SyncState::kSearching || !fresh()) {
-    good = !beacon.merge_request && authenticator_.fits(reception.frame, beacon);
-  } else if (beacon.merge_request) {
-    if (is_merge_request(beacon, reception)) return true;
-    if (beacon.session == election_.session()) {  // a merge request of this session to another one
-      ++counters_.stale_frames;
-      return false;
-    }
-  } else {
-    const Ticks most = superframe_.guard() + sync_.margin(beacon.superframe);
-    const Ticks ahead = ahead_by(beacon, reception.timestamp);
-    const bool aligned = ahead <= most && ahead >= -most;
-    if (beacon.session == election_.session() && (aligned || beacon.master == election_.master())) {
-      good = ahead >= -most && authenticator_.fits(reception.frame, beacon);
-    } else {
-      unverified_ = authenticator_.fits(reception.frame, beacon);
-    }
-  }
-  counters_.forged_frames += good ? 0U : 1U;
-  return good || unverified_;
+// beacon of another timeline may be a replay, unless it is a merge request to this session: it then came in
+// this node's own shared slot, and its MIC was made for that slot.
+Station::Trust Station::trust_in(const Beacon& beacon, ClockTime heard) const noexcept {
+  if (!knows_time()) return beacon.merge_request ? Trust::kNone : Trust::kFull;
+  const std::uint32_t number = beacon.merge_request ? superframe_at(heard) : beacon.superframe;
+  const Ticks most = superframe_.guard() + sync_.margin(number);
+  const Ticks ahead =
+      beacon.merge_request ? sync_.start(number) + superframe_.shared() - heard : ahead_by(beacon, heard);
+  const bool aligned = ahead <= most && ahead >= -most;
+  if (beacon.merge_request) return aligned ? Trust::kFull : Trust::kNone;
+  if (beacon.session != election_.session() || (!aligned && beacon.master != election_.master()))
+    return Trust::kUnverified;
+  return ahead >= -most ? Trust::kFull : Trust::kNone;
 }
 
-// The beacon came in this node's own shared slot, and its MIC was made for that slot.
-bool Station::is_merge_request(const Beacon& beacon, const Reception& reception) noexcept {
-  const auto number = static_cast<std::uint32_t>(sync_.network_time(reception.timestamp).count() /
-                                                 superframe_.duration().count());
-  const Ticks late = reception.timestamp - (sync_.start(number) + superframe_.shared());
-  const Ticks most = superframe_.guard() + sync_.margin(number);
-  return late <= most && late >= -most &&
-         authenticator_.fits(reception.frame, beacon, {election_.session(), number});
+bool Station::authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept {
+  const Trust trust = trust_in(beacon, reception.timestamp);
+  bool fits = false;
+  if (trust != Trust::kNone && beacon.merge_request) {
+    fits = authenticator_.fits(reception.frame, beacon,
+                               {election_.session(), superframe_at(reception.timestamp)});
+  } else if (trust != Trust::kNone) {
+    fits = authenticator_.fits(reception.frame, beacon);
+  }
+  frame.unverified = fits && trust == Trust::kUnverified;
+  if (fits && !frame.unverified) return true;
+  // A merge request of this session to another one is no forgery.
+  const bool own_request = beacon.merge_request && knows_time() && beacon.session == election_.session();
+  ++(own_request ? counters_.stale_frames : counters_.forged_frames);
+  return fits;
 }
 
 Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const Body& body, Place place,

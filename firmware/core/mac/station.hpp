@@ -82,9 +82,14 @@ class Station {
   [[nodiscard]] std::optional<Action> on_control_received(const Reception& reception) noexcept;
   void on_control_timeout() noexcept;
 
+  // An accepted frame. `unverified`: a beacon of another timeline, which may be a replay although its MIC is
+  // valid.
+  struct Accepted : Frame {
+    bool unverified = false;
+  };
   // Handles a frame heard in a tag slot to which it does not belong. Returns true if the timeline changed or
   // was lost: continue with control().
-  [[nodiscard]] bool overhear(const Frame& frame, const Reception& reception) noexcept;
+  [[nodiscard]] bool overhear(const Accepted& frame, const Reception& reception) noexcept;
   // Reports whether expected frames are missing. `idle`: no frame came at all, so a scan would disturb
   // nothing.
   void on_lack(bool lacking, bool idle) noexcept { election_.on_lack(lacking, idle); }
@@ -109,8 +114,8 @@ class Station {
   // Returns a frame that belongs to this network, is addressed to this node, to all or to relays, and has the
   // MIC that the network key requires at `place`, where it was heard. Other frames are counted, and nothing
   // is returned. In an unused slot a POLL with a wrong MIC may belong to another session.
-  [[nodiscard]] std::optional<Frame> accept(const Reception& reception, Place place,
-                                            bool unused_slot = false) noexcept;
+  [[nodiscard]] std::optional<Accepted> accept(const Reception& reception, Place place,
+                                               bool unused_slot = false) noexcept;
 
   // Frames carry MICs.
   [[nodiscard]] bool keyed() const noexcept { return authenticator_.on(); }
@@ -173,10 +178,8 @@ class Station {
   [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
   void next_of_others() noexcept;
   [[nodiscard]] Action merge_request(ranging::ClockTime timestamp, const MergeTarget& merge_target) noexcept;
-  void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared,
-                           std::uint32_t rounds) noexcept;
-  // The other session may be a recording, and no expected frames are missing.
-  [[nodiscard]] bool only_requester_silent() const noexcept { return unverified_ && !election_.lacking(); }
+  void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared, std::uint32_t rounds,
+                           bool only_requester_silent) noexcept;
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA for the shared slot, of the first channel that has one.
@@ -187,7 +190,7 @@ class Station {
   [[nodiscard]] bool start_session_if_due(ranging::ClockTime now) noexcept;
 
   // Returns true if the place in the timeline changed or was lost.
-  bool take_beacon(const Frame& frame, const Beacon& beacon, const Reception& reception) noexcept;
+  bool take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                  bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon) noexcept;
@@ -195,11 +198,20 @@ class Station {
     return sync_.margin(number) <= superframe_.guard();
   }
   [[nodiscard]] bool is_for_this_node(const Frame& frame) const noexcept;
-  [[nodiscard]] bool authentic(const Frame& frame, const Reception& reception, Place place,
-                               bool unused_slot) noexcept;
+  // Counts a frame that is not authentic.
+  [[nodiscard]] bool authenticate(Accepted& frame, const Reception& reception, Place place,
+                                  bool unused_slot) noexcept;
+  [[nodiscard]] bool authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
-  [[nodiscard]] bool authentic(const Beacon& beacon, const Reception& reception) noexcept;
-  [[nodiscard]] bool is_merge_request(const Beacon& beacon, const Reception& reception) noexcept;
+  // This node's own time is no recording's.
+  [[nodiscard]] bool knows_time() const noexcept { return sync_.state() != SyncState::kSearching && fresh(); }
+  // What a beacon is worth if its MIC is valid.
+  enum class Trust : std::uint8_t { kNone, kUnverified, kFull };
+  [[nodiscard]] Trust trust_in(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
+  // The superframe of this node's timeline.
+  [[nodiscard]] std::uint32_t superframe_at(ranging::ClockTime t) const noexcept {
+    return static_cast<std::uint32_t>(sync_.network_time(t).count() / superframe_.duration().count());
+  }
   // How far the beacon's timeline is ahead of this node's.
   [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   void take_poll(const Poll& poll) noexcept;
@@ -227,7 +239,6 @@ class Station {
     std::uint32_t left = 0;  // how many of its shared slots this session's nodes stay silent for
   };
   std::optional<Others> others_;  // while searching: of an older schedule
-  bool unverified_ = false;       // the last beacon: its MIC is valid, but it may be a replay
   bool scanning_ = false;         // after the own beacon has been sent
   std::uint32_t number_ = 0;
   Action listening_;
