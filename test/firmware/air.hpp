@@ -76,17 +76,7 @@ class Air {
     auto node = std::make_unique<Node>();
     node->settings = settings;
     node->schedule = schedule;
-    const mac::Site site{
-        .id = settings.id,
-        .network_id = 0x55AA,
-        .preamble = phy_.preamble(),
-        .schedule = &node->schedule,
-        .transmit_antenna_delay = settings.antenna_delay,
-        .boot_count = 1,
-        .sessions = &node->sessions,
-        .network_key = key ? std::span<const std::uint8_t>(*key) : std::span<const std::uint8_t>(),
-        .cipher = &aes_,
-        .nonces = &node->nonces};
+    const mac::Site site = site_of(*node);
     if (settings.id < 100) {
       node->machine.emplace<mac::Tag>(site, node->counters);
     } else {
@@ -120,6 +110,14 @@ class Air {
     Node& n = *nodes_[node];
     n.on = true;
     arm(node, dispatch(n, [&](auto& machine) { return machine.start(local(n, now_)); }));
+  }
+  // An anchor starts again and surveys: it polls in the slot of the tag `lender`.
+  void survey(std::size_t node, std::uint16_t lender) {
+    Node& n = *nodes_[node];
+    mac::Site site = site_of(n);
+    site.id = lender;
+    n.machine.emplace<mac::Tag>(site, n.counters);
+    start(node);
   }
   void attach(std::size_t node, mac::ControlChannel& channel) {
     auto& machine = nodes_[node]->machine;
@@ -207,6 +205,18 @@ class Air {
     double busy_from = 0.0;  // true time at which the receiver is on
   };
 
+  mac::Site site_of(Node& node) {
+    return {.id = node.settings.id,
+            .network_id = 0x55AA,
+            .preamble = phy_.preamble(),
+            .schedule = &node.schedule,
+            .transmit_antenna_delay = node.settings.antenna_delay,
+            .boot_count = 1,
+            .sessions = &node.sessions,
+            .network_key = key ? std::span<const std::uint8_t>(*key) : std::span<const std::uint8_t>(),
+            .cipher = &aes_,
+            .nonces = &node.nonces};
+  }
   [[nodiscard]] std::size_t index_of(const Node& n) const {
     std::size_t i = 0;
     while (nodes_[i].get() != &n) ++i;

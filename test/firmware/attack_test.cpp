@@ -353,6 +353,42 @@ TEST_F(AttackTest, EventsAloneVerifyEachResponse) {
   expect_full_rate();
 }
 
+// Anchor 103 surveys in the slot of tag 1, which at first is silent and then polls too. Nobody may use a
+// nonce of another node, or one of its own twice.
+TEST_F(AttackTest, ASurveyPollsWithNoncesOfItsOwn) {
+  start_network();
+  for (const auto& one : chatter) one->talks = false;
+  constexpr std::size_t kSurveyor = 2;
+  constexpr std::size_t kLender = 4;
+  ASSERT_EQ(air->id(kSurveyor), 103);
+  ASSERT_EQ(air->id(kLender), 1);
+  std::map<std::size_t, std::size_t> polls;  // of each node
+  std::map<std::array<std::uint32_t, 3>, std::vector<std::uint8_t>> polls_of_nonce;
+  on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
+    EXPECT_EQ(parsed.source, air->id(frame.source));
+    const auto* poll = std::get_if<mac::Poll>(&parsed.body);
+    if (poll == nullptr) return;
+    ++polls[frame.source];
+    const auto [found, first] =
+        polls_of_nonce.try_emplace({parsed.source, poll->superframe, poll->slot}, frame.bytes);
+    EXPECT_TRUE(first || found->second == frame.bytes) << "superframe " << poll->superframe;
+  };
+  air->stop(kLender);
+  air->survey(kSurveyor, 1);
+  // Longer than the master leaves a slot to a tag that does not poll.
+  run_superframes(2.0 * mac::kLease);
+  EXPECT_GT(polls[kSurveyor], mac::kLease);
+  const std::size_t polls_before = polls[kSurveyor];
+  run_superframes(20);
+  EXPECT_GE(polls[kSurveyor] - polls_before, 15U);
+  for (const std::uint16_t anchor : std::array<std::uint16_t, 3>{101, 102, 104})
+    EXPECT_GT(good_ranges(103, anchor), mac::kLease / 2);
+  expect_true_ranges();
+  air->start(kLender);
+  run_superframes(80);
+  EXPECT_GT(polls[kLender], 10U);
+}
+
 // Anchor 104's RESPONSE is jammed, and 103's of the same slot is replayed in its window.
 TEST_F(AttackTest, AReplayedResponseInAnotherAnchorsWindowIsStale) {
   start_network();

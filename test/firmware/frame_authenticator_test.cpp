@@ -258,6 +258,26 @@ TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSup
   EXPECT_FALSE(receiver.fits(unsigned_frame.bytes(), beacon, target));
 }
 
+// Two MICs with one nonce would help to forge a third one.
+TEST_F(FrameAuthenticatorTest, RefusesToUseANonceTwice) {
+  const auto signed_at = [&](const Body& body, Place at) {
+    FrameBytes bytes = serialize(frame_with(body));
+    authenticator.sign(bytes, at);
+    return authenticator.fits(bytes.bytes(), at);
+  };
+  EXPECT_TRUE(signed_at(Final{4}, place));
+  EXPECT_FALSE(signed_at(Final{4}, place));
+  EXPECT_FALSE(signed_at(Final{5}, place));
+  EXPECT_FALSE(signed_at(Final{5}, {place.superframe, 1})) << "an earlier place may have been used";
+  EXPECT_FALSE(signed_at(Final{5}, {place.superframe - 1, Place::kShared}));
+  EXPECT_TRUE(signed_at(Response{.exchange = 5}, place)) << "another type";
+  EXPECT_TRUE(signed_at(Final{5}, {place.superframe, 3}));
+  EXPECT_TRUE(signed_at(Final{6}, {place.superframe + 1, 0}));
+  authenticator.enter(kSession + 1);
+  EXPECT_TRUE(signed_at(Final{7}, place)) << "another session's key";
+  EXPECT_FALSE(signed_at(Final{8}, place));
+}
+
 TEST_F(FrameAuthenticatorTest, VerifiesNothingIfTheCipherFails) {
   const auto bytes = signed_bytes(frame_with(Final{4}), place);
   cipher.good = false;

@@ -7,6 +7,7 @@
 #include <optional>
 #include <span>
 
+#include "firmware/core/mac/frame.hpp"
 #include "firmware/core/node/config.hpp"
 #include "test/sim/reach_bench.hpp"
 
@@ -167,6 +168,37 @@ TEST(Reach, AnAnchorRangesToTheOthersInABorrowedSlot) {
   const auto hello = reach.hello(103);
   ASSERT_TRUE(hello);
   EXPECT_EQ(hello->role, groma_Role_ROLE_ANCHOR);
+}
+
+// Counts the frames whose source is not their sender: their nonces could be those of another node's frames.
+class SourceWitness final : public Witness {
+ public:
+  explicit SourceWitness(Medium& medium) : medium_(medium) { medium.set_witness(this); }
+  void announced(const AirFrame& frame) override {
+    const auto parsed = mac::parse(std::span(frame.data).first(frame.length - 2U)).frame;
+    ++seen;
+    wrong += parsed && parsed->source == medium_.id_of(frame.source) ? 0 : 1;
+  }
+  int seen = 0;
+  int wrong = 0;
+
+ private:
+  Medium& medium_;
+};
+
+TEST(Reach, EachNodeSendsUnderItsOwnIdDuringASurvey) {
+  Reach reach({.anchors = 4, .keyed = true});
+  SourceWitness witness(reach.bench.network.medium());
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.which_body = groma_HostToNode_survey_tag;
+  command.body.survey.exchanges = 60;
+  const auto answer = reach.ask(103, command);
+  ASSERT_TRUE(answer);
+  ASSERT_EQ(answer->reply.result, groma_Result_RESULT_OK) << answer->reply.text;
+  EXPECT_EQ(answer->rest.at(0).body.survey_report.pairs_count, 3U);
+  EXPECT_GT(witness.seen, 60);
+  EXPECT_EQ(witness.wrong, 0);
+  EXPECT_EQ(reach.frames_not_genuine(), 0U);
 }
 
 TEST(Reach, TheMasterDoesNotSurvey) {
