@@ -115,7 +115,7 @@ class Air {
   void survey(std::size_t node, std::uint16_t lender) {
     Node& n = *nodes_[node];
     mac::Site site = site_of(n);
-    site.id = lender;
+    site.lender = lender;
     n.machine.emplace<mac::Tag>(site, n.counters);
     start(node);
   }
@@ -196,6 +196,7 @@ class Air {
     groma_Schedule schedule = groma_Schedule_init_zero;
     std::uint16_t sessions = 0;
     std::uint32_t nonces = 0;
+    mac::SignedPlaces signed_places;
     groma_Counters counters = groma_Counters_init_zero;
     std::variant<std::monostate, mac::Tag, mac::Anchor> machine;
     bool on = false;
@@ -215,7 +216,8 @@ class Air {
             .sessions = &node.sessions,
             .network_key = key ? std::span<const std::uint8_t>(*key) : std::span<const std::uint8_t>(),
             .cipher = &aes_,
-            .nonces = &node.nonces};
+            .nonces = &node.nonces,
+            .signed_places = &node.signed_places};
   }
   [[nodiscard]] std::size_t index_of(const Node& n) const {
     std::size_t i = 0;

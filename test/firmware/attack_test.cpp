@@ -165,7 +165,8 @@ class AttackTest : public ::testing::Test {
         break;
     }
     constexpr security::Key kOwn = {1};
-    mac::FrameAuthenticator authenticator(&aes, kOwn);
+    mac::SignedPlaces signed_places;
+    mac::FrameAuthenticator authenticator(&aes, kOwn, &signed_places);
     mac::Place place{air->station(0).superframe_number(), mac::Place::kShared};
     authenticator.enter(air->station(0).election().session());
     if (const auto* beacon = std::get_if<mac::Beacon>(&parsed.body)) place = mac::place_of(*beacon);
@@ -606,6 +607,7 @@ TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
   groma_Counters counters = groma_Counters_init_zero;
   std::uint16_t sessions = 0;
   std::uint32_t nonces = 0;
+  mac::SignedPlaces own_places;
   sim::Aes aes;
   const mac::Site site{.id = 101,
                        .network_id = 0x55AA,
@@ -614,7 +616,8 @@ TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
                        .sessions = &sessions,
                        .network_key = kKey,
                        .cipher = &aes,
-                       .nonces = &nonces};
+                       .nonces = &nonces,
+                       .signed_places = &own_places};
   mac::Station station(site, counters);
   station.start(ClockTime(0));
   auto action = station.control(ClockTime(0));
@@ -623,7 +626,8 @@ TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
   ASSERT_TRUE(station.election().leads());
 
   const auto signed_bytes = [&](const mac::Beacon& beacon) {
-    mac::FrameAuthenticator sender(&aes, kKey);
+    mac::SignedPlaces signed_places;
+    mac::FrameAuthenticator sender(&aes, kKey, &signed_places);
     sender.enter(beacon.session);
     auto bytes = mac::serialize({.network = site.network_id,
                                  .destination = mac::kBroadcast,

@@ -51,14 +51,17 @@ class FrameAuthenticatorTest : public ::testing::Test {
             Join{.origin = 3, .nonce = 77},
             Data{.origin = 3, .fragments = 1, .size = 9}};
   }
+  // Signs it even if its nonce was used.
   std::vector<std::uint8_t> signed_bytes(const Frame& frame, Place at) {
+    signed_places = {};
     FrameBytes bytes = serialize(frame);
     authenticator.sign(bytes, at);
     return {bytes.bytes().begin(), bytes.bytes().end()};
   }
 
   FailingCipher cipher;
-  FrameAuthenticator authenticator{&cipher, kKey};
+  SignedPlaces signed_places;
+  FrameAuthenticator authenticator{&cipher, kKey, &signed_places};
   const Place place{1'000, 2};
 };
 
@@ -113,7 +116,8 @@ TEST_F(FrameAuthenticatorTest, PrecomputationGivesTheSameMic) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
     for (const FrameType type : kTypes) {
-      FrameAuthenticator precomputed(&cipher, kKey);
+      SignedPlaces places;
+      FrameAuthenticator precomputed(&cipher, kKey, &places);
       precomputed.enter(kSession);
       precomputed.expect_sent(101, type, place);
       precomputed.expect_received(101, type, place);
@@ -136,7 +140,8 @@ TEST_F(FrameAuthenticatorTest, DiscardsPrecomputationsOfThePreviousSession) {
   for (const Body& body : bodies()) {
     const auto plain = signed_bytes(frame_with(body), place);
     for (const FrameType type : kTypes) {
-      FrameAuthenticator node(&cipher, kKey);
+      SignedPlaces places;
+      FrameAuthenticator node(&cipher, kKey, &places);
       node.enter(kSession + 1);
       node.expect_sent(101, type, place);
       node.expect_received(101, type, place);
@@ -210,7 +215,8 @@ TEST_F(FrameAuthenticatorTest, VerifiesABeaconByItsOwnSessionAndSuperframe) {
   // Another session has another key.
   beacon.session ^= 1;
   EXPECT_FALSE(authenticator.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
-  FrameAuthenticator other(&cipher, kKey);
+  SignedPlaces places;
+  FrameAuthenticator other(&cipher, kKey, &places);
   other.enter(beacon.session);
   FrameBytes bytes = serialize(frame_with(beacon));
   other.sign(bytes, place_of(beacon));
@@ -243,7 +249,8 @@ TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSup
     EXPECT_FALSE(receiver.fits(changed, beacon, target)) << i;
   }
   // A node with another key cannot make one.
-  FrameAuthenticator stranger(&cipher, kOtherKey);
+  SignedPlaces places;
+  FrameAuthenticator stranger(&cipher, kOtherKey, &places);
   stranger.enter(kSession);
   FrameBytes forged = serialize(frame_with(beacon));
   stranger.begin_signing(forged, place_of(beacon), target);
@@ -252,6 +259,7 @@ TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSup
   cipher.good = false;
   EXPECT_FALSE(receiver.fits(frame, beacon, target));
   FrameBytes unsigned_frame = serialize(frame_with(beacon));
+  signed_places = {};
   authenticator.begin_signing(unsigned_frame, place_of(beacon), target);
   authenticator.finish_signing(unsigned_frame);
   cipher.good = true;
@@ -260,11 +268,12 @@ TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSup
 
 // Two MICs with one nonce would help to forge a third one.
 TEST_F(FrameAuthenticatorTest, RefusesToUseANonceTwice) {
-  const auto signed_at = [&](const Body& body, Place at) {
+  const auto signs = [&](FrameAuthenticator& signer, const Body& body, Place at) {
     FrameBytes bytes = serialize(frame_with(body));
-    authenticator.sign(bytes, at);
-    return authenticator.fits(bytes.bytes(), at);
+    signer.sign(bytes, at);
+    return signer.fits(bytes.bytes(), at);
   };
+  const auto signed_at = [&](const Body& body, Place at) { return signs(authenticator, body, at); };
   EXPECT_TRUE(signed_at(Final{4}, place));
   EXPECT_FALSE(signed_at(Final{4}, place));
   EXPECT_FALSE(signed_at(Final{5}, place));
@@ -273,6 +282,23 @@ TEST_F(FrameAuthenticatorTest, RefusesToUseANonceTwice) {
   EXPECT_TRUE(signed_at(Response{.exchange = 5}, place)) << "another type";
   EXPECT_TRUE(signed_at(Final{5}, {place.superframe, 3}));
   EXPECT_TRUE(signed_at(Final{6}, {place.superframe + 1, 0}));
+  FrameAuthenticator restarted(&cipher, kKey, &signed_places);
+  restarted.enter(kSession);
+  EXPECT_FALSE(signs(restarted, Final{7}, place)) << "as after a radio recovery";
+  FrameAuthenticator verifier(&cipher, kKey);
+  verifier.enter(kSession);
+  EXPECT_FALSE(signs(verifier, Final{7}, {place.superframe + 9, 0})) << "it could not know what was used";
+  // Merge requests are beacons with keys of their own.
+  Beacon beacon = std::get<Beacon>(bodies()[0]);
+  beacon.shared = beacon.merge_request = true;
+  const MergeTarget target{kSession + 5, 77};
+  for (const bool first : {true, false}) {
+    FrameBytes bytes = serialize(frame_with(beacon));
+    authenticator.begin_signing(bytes, place_of(beacon), target);
+    authenticator.finish_signing(bytes);
+    EXPECT_EQ(authenticator.fits(bytes.bytes(), beacon, target), first);
+  }
+  EXPECT_TRUE(signed_at(beacon, place_of(beacon)));
   authenticator.enter(kSession + 1);
   EXPECT_TRUE(signed_at(Final{7}, place)) << "another session's key";
   EXPECT_FALSE(signed_at(Final{8}, place));

@@ -95,13 +95,15 @@ TEST(Frame, RoundTrips) {
     EXPECT_EQ(beacon.challenge_response->nonce, sent.challenge_response->nonce);
   }
   {
-    const Poll sent = full_poll();
+    Poll sent = full_poll();
+    sent.lent = true;
     const auto parsed = parse(bytes_of(with(sent)));
     ASSERT_TRUE(parsed.frame);
     const auto& poll = std::get<Poll>(parsed.frame->body);
     EXPECT_EQ(poll.exchange, sent.exchange);
     EXPECT_EQ(poll.superframe, sent.superframe);
     EXPECT_EQ(poll.slot, sent.slot);
+    EXPECT_TRUE(poll.lent);
     EXPECT_EQ(poll.count, sent.count);
     EXPECT_EQ(poll.anchors, sent.anchors);
   }

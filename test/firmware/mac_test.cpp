@@ -436,6 +436,9 @@ TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
   poll.anchors[1] = 103;
   EXPECT_NE(poll_result(poll, 1, 9), Action::Kind::kTransmit);
   EXPECT_NE(poll_result(good_poll, 2, 9), Action::Kind::kTransmit);
+  poll = good_poll;
+  poll.lent = true;
+  EXPECT_EQ(poll_result(poll, 103, 9), Action::Kind::kTransmit);
   EXPECT_NE(poll_result(good_poll, 1, 8), Action::Kind::kTransmit);
   EXPECT_EQ(counters.foreign_frames, 1U);
   EXPECT_EQ(counters.stale_frames, 3U);

@@ -130,7 +130,8 @@ TEST(KeyedSite, CountsAnAttackersFramesAndKeepsRanging) {
   Transmitter attacker(kAttacker, stage.site.network.medium());
   Aes aes;
   const security::Key another_key{9, 9, 9};
-  mac::FrameAuthenticator authenticator(&aes, another_key);
+  mac::SignedPlaces signed_places;
+  mac::FrameAuthenticator authenticator(&aes, another_key, &signed_places);
   stage.site.run_until(2.0);
   stage.refresh_counters();
   ASSERT_EQ(stage.dropped(), 0U);

@@ -125,6 +125,7 @@ Step Anchor::on_received(const Reception& reception) noexcept {
     if (const auto* poll = std::get_if<Poll>(&frame->body);
         poll != nullptr && phase_ == Phase::kPoll && is_of_slot(*frame, *poll, reception)) {
       silent_[slot_] = 0;
+      pollers_[slot_] = frame->source;
       if (const auto action = answer(*frame, *poll, reception)) return doing(*action);
     } else if (const auto* final = std::get_if<Final>(&frame->body);
                final != nullptr && phase_ == Phase::kFinal) {
@@ -144,8 +145,9 @@ bool Anchor::in_time(const Reception& reception) const noexcept {
 }
 
 bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& reception) const noexcept {
-  return poll.superframe == slots_of_ && poll.slot == slot_ && station_.may_poll(frame.source, slot_) &&
-         in_time(reception);
+  const std::uint16_t owner = owner_for(frame, poll);
+  return poll.superframe == slots_of_ && poll.slot == slot_ && owner != kNobody &&
+         station_.may_poll(owner, slot_) && in_time(reception);
 }
 
 std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
@@ -157,7 +159,7 @@ std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
   }
   const auto end = poll.anchors.begin() + poll.count;
   const auto self = std::find(poll.anchors.begin(), end, station_.site().id);
-  membership_.on_poll(frame.source, slot_, self != end);
+  membership_.on_poll(owner_for(frame, poll), slot_, self != end);
   if (self == end) return std::nullopt;
   const auto index = static_cast<std::size_t>(self - poll.anchors.begin());
 
@@ -200,14 +202,11 @@ std::size_t Anchor::precompute() noexcept {
   return station_.superframe().on_air(kResponseBytes);
 }
 
-// The slot's owner; if several tags share it, the one answered last.
+// The last one that polled in the slot: several tags may share it, or its owner has lent it. If nobody has
+// for a while, the owner.
 std::uint16_t Anchor::expected_tag() const noexcept {
-  const Record* last = nullptr;
-  for (const Record& record : records_) {
-    if (record.tag == kNobody || !station_.may_poll(record.tag, slot_)) continue;
-    if (last == nullptr || slots_of_ - record.superframe < slots_of_ - last->superframe) last = &record;
-  }
-  return last != nullptr ? last->tag : station_.owner_of(slot_);
+  const bool used = pollers_[slot_] != kNobody && silent_[slot_] < kSilent;
+  return used ? pollers_[slot_] : station_.owner_of(slot_);
 }
 
 Anchor::Record& Anchor::record_of(std::uint16_t tag) noexcept {

@@ -75,6 +75,11 @@ class Anchor {
   void go_on_to(ranging::ClockTime now) noexcept;
   // The reception is where the POLL of the present slot is due.
   [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
+  // The owner of the present slot, as far as it follows from a POLL: its sender, or the one who lent the
+  // slot.
+  [[nodiscard]] std::uint16_t owner_for(const Frame& frame, const Poll& poll) const noexcept {
+    return poll.lent ? station_.owner_of(slot_) : frame.source;
+  }
   // The POLL is in the present slot and its sender may poll there.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,
                                 const Reception& reception) const noexcept;
@@ -93,11 +98,12 @@ class Anchor {
   Action doing_;
   [[nodiscard]] Place place() const noexcept { return {slots_of_, static_cast<std::uint8_t>(slot_)}; }
 
-  std::uint32_t slots_of_ = 0;                   // superframe that the slot indices refer to
-  std::size_t next_slot_ = 0;                    // index of the next slot
-  std::size_t slot_ = 0;                         // index of the present slot
-  std::array<std::uint8_t, kMaxTags> silent_{};  // of each slot: superframes without a POLL
-  std::uint32_t polls_missing_ = 0;              // superframes without a POLL that names this anchor
+  std::uint32_t slots_of_ = 0;                     // superframe that the slot indices refer to
+  std::size_t next_slot_ = 0;                      // index of the next slot
+  std::size_t slot_ = 0;                           // index of the present slot
+  std::array<std::uint8_t, kMaxTags> silent_{};    // of each slot: superframes without a POLL
+  std::array<std::uint16_t, kMaxTags> pollers_{};  // of each slot: the sender of its last POLL
+  std::uint32_t polls_missing_ = 0;                // superframes without a POLL that names this anchor
   ranging::ClockTime poll_heard_{};
   std::size_t polled_ = 0;      // number of anchors in the POLL
   Record* answered_ = nullptr;  // of the POLL's sender

@@ -15,6 +15,7 @@ constexpr std::uint8_t kChallengeResponse = 0x02;
 constexpr std::uint8_t kShared = 0x04;
 constexpr std::uint8_t kMergeRequest = 0x08;
 constexpr std::uint8_t kQuiet = 0x10;
+constexpr std::uint8_t kLent = 0x80;          // POLL, with the slot
 constexpr std::uint8_t kClosingValid = 0x01;  // RESPONSE
 constexpr std::uint8_t kTag = 0x01;           // JOIN
 constexpr std::uint8_t kWantsSlot = 0x02;
@@ -106,7 +107,9 @@ bool read(Reader& in, Beacon& beacon) noexcept {
 bool read(Reader& in, Poll& poll) noexcept {
   poll.exchange = in.take16();
   poll.superframe = in.take32();
-  poll.slot = in.take8();
+  const std::uint8_t slot = in.take8();
+  poll.slot = static_cast<std::uint8_t>(slot & ~kLent);
+  poll.lent = (slot & kLent) != 0;
   poll.count = in.take8();
   if (poll.count > kMaxAnchors) return false;
   for (std::size_t i = 0; i < poll.count; ++i) poll.anchors[i] = in.take16();
@@ -278,7 +281,7 @@ void write(const Beacon& beacon, FrameWriter& out) noexcept {
 void write(const Poll& poll, FrameWriter& out) noexcept {
   out.put(poll.exchange, 2);
   out.put(poll.superframe, 4);
-  out.put(poll.slot, 1);
+  out.put(poll.slot | unsigned{flag_if(poll.lent, kLent)}, 1);
   const std::size_t count = std::min<std::size_t>(poll.count, kMaxAnchors);
   out.put(count, 1);
   for (std::size_t i = 0; i < count; ++i) out.put(poll.anchors[i], 2);

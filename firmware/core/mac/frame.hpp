@@ -6,6 +6,7 @@
 //   BEACON    superframe (4)  session (8)  epoch (4)  schedule hash (4)  master (2)  hop (1)  age (1)
 //             tx offset (2)  flags (1)  slots (1)  slot owners (2 each)  [challenger (2)  nonce (8)]
 //   POLL      exchange (2)  superframe (4)  slot (1)  count (1)  anchor ids in the order of answers (2 each)
+//             the slot's top bit: its owner has lent it to the sender
 //   RESPONSE  exchange (2)  reply interval (4)  flags (1)  closed exchange (2)  closing interval (5)
 //             temperature (1)  supply (1)
 //   FINAL     exchange (2)
@@ -81,11 +82,12 @@ struct Beacon {
   friend bool operator==(const Beacon&, const Beacon&) = default;
 };
 
-// Sent by a tag to all anchors that it names.
+// Sent by a tag, or by an anchor that surveys, to all anchors that it names.
 struct Poll {
   std::uint16_t exchange = 0;
   std::uint32_t superframe = 0;
-  std::uint8_t slot = 0;
+  std::uint8_t slot = 0;  // 0 to 127
+  bool lent = false;      // the sender is not the slot's owner, who lent it the slot
   std::uint8_t count = 0;
   std::array<std::uint16_t, kMaxAnchors> anchors{};
   friend bool operator==(const Poll&, const Poll&) = default;

@@ -45,7 +45,24 @@ bool fits(std::optional<security::Code> code, std::span<const std::uint8_t> fram
   return code && security::equal(*code, frame.last(kCodeBytes));
 }
 
+// The kinds of SignedPlaces: the frame's type; merge requests are beacons with keys of their own.
+constexpr std::size_t kMergeRequests = 0;
+std::size_t kind_of(std::span<const std::uint8_t> frame) noexcept {
+  return frame[kType] & 7U;
+}
+
 }  // namespace
+
+bool SignedPlaces::take(std::uint64_t session, std::size_t kind, Place place) noexcept {
+  if (session != session_) {
+    session_ = session;
+    next_.fill(0);
+  }
+  const std::uint64_t at = std::uint64_t{place.superframe} << 8 | place.slot;
+  if (at < next_[kind]) return false;
+  next_[kind] = at + 1;
+  return true;
+}
 
 const std::optional<Key>& FrameAuthenticator::key_of(std::uint64_t session) noexcept {
   if (session_key_ && session_ == session) return session_key_;
@@ -159,15 +176,15 @@ bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place,
 
 void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place) noexcept {
   abandon();
-  if (!on() || !session_key_) return;
   const auto bytes = frame.bytes();
+  if (!on() || !session_key_ || !may_sign(kind_of(bytes), place)) return;
   signing_mask_ = begin(nonce_of(bytes, place), without_code(bytes));
 }
 
 void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place,
                                        const MergeTarget& merge_target) noexcept {
   abandon();
-  if (!on()) return;
+  if (!on() || !may_sign(kMergeRequests, place)) return;
   const auto key = call_key(session_, merge_target);
   if (!key) return;
   const auto bytes = frame.bytes();

@@ -7,8 +7,8 @@
 //
 // A receiver takes superframe and place from its own count, not from the frame, so a frame replayed in
 // another superframe, slot or session fails. A beacon is the exception: it carries its own session and
-// superframe. Its receiver decides whether those are current (replay_guard.hpp). No node sends two frames of
-// one type in one place, so no nonce is used twice.
+// superframe. Its receiver decides whether those are current (replay_guard.hpp). Each node signs under its
+// own id, and SignedPlaces refuses a second frame of one type in one place, so no nonce is used twice.
 //
 // A merge request ("call") is a beacon that announces this session to the nodes of another one, in their
 // shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key:
@@ -20,6 +20,7 @@
 // finish_signing(). A frame that was not expected only takes longer.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -47,13 +48,30 @@ struct MergeTarget {
   std::uint32_t superframe = 0;
 };
 
+// The last place in which a node signed a frame of each type, in its session. A frame there or earlier could
+// repeat a nonce: take() refuses it. Belongs to the node's boot, not to its state machine, which a radio
+// recovery replaces.
+class SignedPlaces {
+ public:
+  // `kind`: 0 to 7.
+  [[nodiscard]] bool take(std::uint64_t session, std::size_t kind, Place place) noexcept;
+
+ private:
+  std::uint64_t session_ = 0;
+  std::array<std::uint64_t, 8> next_{};
+};
+
 class FrameAuthenticator {
  public:
   // For an open network: frames carry no MIC.
   FrameAuthenticator() noexcept = default;
-  // Both arguments outlive this object. An empty key: an open network.
-  FrameAuthenticator(security::BlockCipher* cipher, std::span<const std::uint8_t> network_key) noexcept
-      : cipher_(network_key.size() == security::kBlockBytes ? cipher : nullptr), network_key_(network_key) {}
+  // All arguments outlive this object. An empty key: an open network. Without `signed_places` it only
+  // verifies.
+  FrameAuthenticator(security::BlockCipher* cipher, std::span<const std::uint8_t> network_key,
+                     SignedPlaces* signed_places = nullptr) noexcept
+      : cipher_(network_key.size() == security::kBlockBytes ? cipher : nullptr),
+        network_key_(network_key),
+        signed_places_(signed_places) {}
 
   // The network has a key.
   [[nodiscard]] bool on() const noexcept { return cipher_ != nullptr; }
@@ -79,8 +97,9 @@ class FrameAuthenticator {
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
                           const MergeTarget& merge_target) noexcept;
 
-  // Writes the MIC to the end of a secured frame. If the cipher fails, the frame is left without a valid MIC
-  // and all receivers reject it. The frame must not change between begin and finish.
+  // Writes the MIC to the end of a secured frame. If the cipher fails, or the nonce may have been used, the
+  // frame is left without a valid MIC and all receivers reject it. The frame must not change between begin
+  // and finish.
   void begin_signing(const FrameBytes& frame, Place place) noexcept;
   void begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept;
   void finish_signing(FrameBytes& frame) noexcept;
@@ -105,6 +124,9 @@ class FrameAuthenticator {
                                                       const MergeTarget& merge_target) noexcept;
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place,
                           const std::optional<security::Key>& key) noexcept;
+  [[nodiscard]] bool may_sign(std::size_t kind, Place place) noexcept {
+    return signed_places_ != nullptr && signed_places_->take(session_, kind, place);
+  }
   void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;
   void begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept;
   // Starts a MIC, with the session's key or with `key`, and returns its mask.
@@ -115,6 +137,7 @@ class FrameAuthenticator {
 
   security::BlockCipher* cipher_ = nullptr;
   std::span<const std::uint8_t> network_key_{};
+  SignedPlaces* signed_places_ = nullptr;
   std::uint64_t session_ = 0;
   std::optional<security::Key> session_key_{};
   // Of the other session whose beacon was heard last.

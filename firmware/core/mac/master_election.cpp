@@ -37,7 +37,7 @@ MasterElection::MasterElection(const Site& site, Ticks duration, Ticks guard, st
       duration_(duration),
       guard_(guard),
       hash_(hash),
-      rank_(rank_of(*site.schedule, site.id)),
+      rank_(site.lender == kNobody ? rank_of(*site.schedule, site.id) : std::nullopt),
       beaconers_(site.schedule->backup_ids_count + 1U),
       merge_requests_(site.network_key.empty() ? Pause(4, 8, 8) : Pause(1, 2, 8)) {}
 

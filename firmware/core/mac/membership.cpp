@@ -31,9 +31,10 @@ constexpr std::uint64_t nonce_of(std::uint16_t id, std::uint32_t number) noexcep
 
 // ---- the tag --------------------------------------------------------------------------------------------
 
-TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept
+TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule, std::uint16_t lender) noexcept
     : id_(id),
-      lease_(id, configured_slot(schedule, id)),
+      borrows_(lender != kNobody),
+      lease_(borrows_ ? lender : id, configured_slot(schedule, borrows_ ? lender : id)),
       anchors_(std::span(schedule.anchor_ids).first(schedule.anchor_ids_count)),
       access_(id) {}
 
@@ -72,7 +73,7 @@ void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept
   anchors_.hear(frame.source);
   if (leaving_) {
     if (lease_.homeless()) access_.settle(Purpose::kLeave);
-  } else if (lease_.homeless()) {
+  } else if (lease_.homeless() && !borrows_) {
     access_.want(Purpose::kJoin, kAsk, beacon.superframe);
   } else {
     access_.settle(Purpose::kJoin);

@@ -25,7 +25,8 @@ namespace groma::mac {
 
 class TagMembership final : public ControlChannel {
  public:
-  TagMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept;
+  // `lender`: uses the slot of that tag instead of one of its own; kNobody: its own.
+  TagMembership(std::uint16_t id, const groma_Schedule& schedule, std::uint16_t lender = kNobody) noexcept;
 
   // The slot in which the tag may poll in superframe `number`.
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
@@ -33,6 +34,8 @@ class TagMembership final : public ControlChannel {
   }
   // The last slot table received is too old for polling in superframe `number`.
   [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return lease_.outdated(number); }
+  // The slot is another tag's.
+  [[nodiscard]] bool borrows() const noexcept { return borrows_; }
   // Stops polling permanently and announces it.
   void leave() noexcept;
 
@@ -47,6 +50,7 @@ class TagMembership final : public ControlChannel {
 
  private:
   std::uint16_t id_;
+  bool borrows_;
   SlotLease lease_;
   AnchorSet anchors_;
   Access access_;

@@ -10,9 +10,13 @@
 
 namespace groma::mac {
 
+class SignedPlaces;
+
 // A node's identity, schedule and network key.
 struct Site {
   std::uint16_t id = 0;
+  // A tag's machine polls in the slot that this tag lends, not in one of its own. kNobody: in its own.
+  std::uint16_t lender = 0;
   std::uint16_t network_id = 0;
   dw1000::Preamble preamble = dw1000::Preamble::k128;
   const groma_Schedule* schedule = nullptr;  // passed check(); outlives its users
@@ -21,11 +25,12 @@ struct Site {
   bool on_trial = false;         // the schedule came over the air and is on trial
   // Sessions that this node has started in this boot; outlives its users. Null: none before.
   std::uint16_t* sessions = nullptr;
-  // In a network with a key: the 16 bytes of the key, the cipher, and the number of nonces made in this boot;
-  // all outlive their users. An empty key: an open network.
+  // In a network with a key: the 16 bytes of the key, the cipher, the number of nonces made in this boot, and
+  // where it signed frames; all outlive their users. An empty key: an open network.
   std::span<const std::uint8_t> network_key{};
   security::BlockCipher* cipher = nullptr;
   std::uint32_t* nonces = nullptr;
+  SignedPlaces* signed_places = nullptr;
 };
 
 }  // namespace groma::mac

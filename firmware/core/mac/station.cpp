@@ -40,7 +40,7 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
       sync_(superframe_),
       election_(site_, superframe_.duration(), superframe_.guard(), hash_),
-      authenticator_(site.cipher, site.network_key),
+      authenticator_(site.cipher, site.network_key, site.signed_places),
       replay_guard_(replay_guard_of(site)),
       counters_(counters) {
   if (!site.network_key.empty()) attach(replay_guard_);

@@ -17,7 +17,7 @@ using ranging::ClockTime;
 using ranging::Ticks;
 
 Tag::Tag(const Site& site, groma_Counters& counters) noexcept
-    : station_(site, counters), membership_(site.id, *site.schedule) {
+    : station_(site, counters), membership_(site.id, *site.schedule, site.lender) {
   station_.attach(membership_);
 }
 
@@ -71,6 +71,7 @@ Action Tag::poll(std::uint32_t superframe, std::size_t slot) noexcept {
   Poll body{.exchange = exchange.number,
             .superframe = exchange.superframe,
             .slot = exchange.slot,
+            .lent = membership_.borrows(),
             .count = exchange.count};
   for (std::size_t i = 0; i < exchange.count; ++i) {
     exchange.legs[i] = Leg{.anchor = next_anchors_[i]};

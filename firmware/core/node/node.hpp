@@ -172,14 +172,14 @@ class Node {
     site.network_key = std::span(config_->network_key.bytes).first(config_->network_key.size);
     site.cipher = &platform_.cipher();
     site.nonces = &nonces_;
-    const auto own_id = static_cast<std::uint16_t>(config_->id);
-    if (survey_as_ != mac::kNobody) site.id = survey_as_;
-    if (config_->role == groma_Role_ROLE_TAG || survey_as_ != mac::kNobody) {
+    site.signed_places = &signed_places_;
+    site.lender = lender_;
+    if (config_->role == groma_Role_ROLE_TAG || lender_ != mac::kNobody) {
       machine_.become_tag(site, counters_);
     } else {
       machine_.become_anchor(site, counters_);
     }
-    air_.start(own_id, mac::rank_of(*site.schedule, own_id).has_value(), platform_.boot_count());
+    air_.start(site.id, mac::rank_of(*site.schedule, site.id).has_value(), platform_.boot_count());
     machine_.attach(air_);
     const ranging::ClockTime now = read_clock();
     perform(machine_.dispatch([now](auto& machine) { return machine.start(now); }));
@@ -534,7 +534,7 @@ class Node {
     switch (reporting_) {
       case Reporting::kChoosing:
         if (machine_.tag()) machine_.tag()->choose_anchors();
-        if (survey_as_ != mac::kNobody) {
+        if (lender_ != mac::kNobody) {
           survey(*std::exchange(completed_, nullptr));
           break;
         }
@@ -876,7 +876,7 @@ class Node {
 
   // Handles what came over the air since the last call.
   void serve_air() noexcept {
-    if (survey_as_ != mac::kNobody && survey_left_ == 0) end_survey();
+    if (lender_ != mac::kNobody && survey_left_ == 0) end_survey();
     switch (air_.take_event()) {
       case AirLink::Event::kNone:
         return;
@@ -913,7 +913,7 @@ class Node {
     } else {
       refuse(groma_Result_RESULT_INVALID, "not a command of this protocol version");
     }
-    if (survey_as_ == mac::kNobody) air_.send_answer();
+    if (lender_ == mac::kNobody) air_.send_answer();
     by_air_ = false;
   }
 
@@ -943,18 +943,17 @@ class Node {
     }
     if (trial_.is_over(now_us)) end_trial();
     if (now_us >= lent_until_us_) lend(0);
-    if (survey_as_ != mac::kNobody && now_us >= survey_until_us_) end_survey();
+    if (lender_ != mac::kNobody && now_us >= survey_until_us_) end_survey();
   }
 
   // ---- ranges between anchors ----------------------------------------------------------------------------
   //
-  // An anchor that surveys acts as a tag meanwhile: it polls the other anchors in the slot and in the name of
-  // the tag that forwarded the command, while that tag is silent. The sums are kept in the buffer of the
-  // answer.
+  // An anchor that surveys acts as a tag meanwhile: it polls the other anchors in the slot of the tag that
+  // forwarded the command, while that tag is silent. The sums are kept in the buffer of the answer.
 
   void lend(std::uint64_t duration_us) noexcept {
     lent_until_us_ = duration_us == 0 ? kNever_us : platform_.now_us() + duration_us;
-    if (machine_.tag() && survey_as_ == mac::kNobody) machine_.tag()->lend(duration_us != 0);
+    if (machine_.tag() && lender_ == mac::kNobody) machine_.tag()->lend(duration_us != 0);
   }
 
   void begin_survey(std::uint32_t exchanges) noexcept {
@@ -968,7 +967,7 @@ class Node {
     if (!mac::configured_slot(config_->schedule, air_.peer())) {
       return refuse(groma_Result_RESULT_INVALID, "ask through a tag of the schedule, which lends its slot");
     }
-    survey_as_ = air_.peer();
+    lender_ = air_.peer();
     survey_request_ = command_.request_id;
     survey_left_ = static_cast<std::uint16_t>(exchanges);
     survey_sums_.clear();
@@ -999,7 +998,7 @@ class Node {
     reply(groma_Result_RESULT_OK, "");
     by_air_ = false;
     air_.send_answer();
-    survey_as_ = mac::kNobody;
+    lender_ = mac::kNobody;
     leave();
     forget_machine();
     join();
@@ -1073,6 +1072,7 @@ class Node {
   std::uint64_t next_ambient_us_ = 0;
   std::uint16_t sessions_ = 0;  // started in this boot
   std::uint32_t nonces_ = 0;    // made in this boot
+  mac::SignedPlaces signed_places_;
   const char* link_error_ = "";
   groma_Counters counters_ = groma_Counters_init_zero;
   std::uint32_t undecodable_ = 0;  // whole frames from the host that contained no command
@@ -1085,8 +1085,8 @@ class Node {
   AirLink air_;
   bool by_air_ = false;  // the present command came over the air
   After after_ = After::kNothing;
-  std::uint16_t survey_as_ = mac::kNobody;  // the tag in whose name this anchor ranges
-  std::uint16_t survey_left_ = 0;           // exchanges left
+  std::uint16_t lender_ = mac::kNobody;  // the tag in whose slot this anchor surveys
+  std::uint16_t survey_left_ = 0;        // exchanges left
   SurveySums survey_sums_;
   std::uint32_t survey_request_ = 0;
   std::uint64_t survey_until_us_ = 0;

@@ -98,7 +98,8 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
 
   Aes aes;
   const security::Key another_key{9, 9, 9};
-  mac::FrameAuthenticator other(&aes, another_key);
+  mac::SignedPlaces signed_places;
+  mac::FrameAuthenticator other(&aes, another_key, &signed_places);
   other.enter(1);
   constexpr std::uint32_t kForged = 12;
   std::uint32_t ahead = 0;
