@@ -809,6 +809,107 @@ TEST_F(NodeTest, DeviceTimeContinuesOverARadioReset) {
   EXPECT_LT(second, 10'000'000'000U);
 }
 
+// A tag that hears a master's beacons and nothing else. The master's clock is the tag's.
+class LoneTagTest : public NodeTest {
+ protected:
+  LoneTagTest() { store(config); }
+
+  void advance_to(std::uint64_t ticks) {
+    if (ticks <= platform.chip.time) return;
+    platform.time_us += (ticks - platform.chip.time) / kTicksPerUs;
+    platform.chip.time = ticks;
+  }
+  [[nodiscard]] std::uint64_t beacon_at(std::uint32_t number) const {
+    return kStart + static_cast<std::uint64_t>(
+                        (std::int64_t{number} * superframe.duration() + superframe.beacon()).count());
+  }
+  void send_beacon() {
+    mac::Beacon beacon{.superframe = next,
+                       .session = 1,
+                       .epoch = config.schedule.epoch,
+                       .schedule_hash = schedule_hash_of(config),
+                       .master = 101,
+                       .slots = 3};
+    beacon.owners.fill(mac::kBroadcast);
+    const auto frame =
+        mac::serialize({.network = 0x1234, .destination = mac::kBroadcast, .source = 101, .body = beacon});
+    platform.chip.put(0x11, frame.bytes());
+    platform.chip.put(0x10, 0, frame.bytes().size() + 2, 4);
+    platform.chip.put(0x15, 0, beacon_at(next), 5);
+    advance_to(beacon_at(next++) + kLater);
+    platform.chip.status |= kReceivedAndTimestamped;
+    node.on_radio_interrupt();
+  }
+  void end_transmission(std::uint64_t start) {
+    const auto writes = platform.chip.writes();
+    const auto buffer =
+        std::find_if(writes.rbegin(), writes.rend(), [](const Transfer& t) { return t.file == 0x09; });
+    ASSERT_NE(buffer, writes.rend());
+    const auto parsed = mac::parse(buffer->bytes);
+    ASSERT_TRUE(parsed.frame);
+    if (std::holds_alternative<mac::Poll>(parsed.frame->body)) ++polls;
+    platform.chip.put(0x17, 0, start + 16'436, 5);
+    advance_to(start + kLater);
+    platform.chip.status |= kTransmitted;
+    node.on_radio_interrupt();
+  }
+  void run_superframes(std::uint32_t count) {
+    const std::uint32_t end = next + count;
+    for (int i = 0; next < end; ++i) {
+      ASSERT_LT(i, 2'000);
+      while (beacon_at(next) < platform.chip.time + kLater) ++next;
+      const std::uint64_t command = platform.chip.written(0x0D, 0);
+      const std::uint64_t start = platform.chip.written(0x0A, 0);
+      const bool delayed = command != kReceiveNow;
+      if (command == kTransmission) {
+        end_transmission(start);
+      } else if (!delayed || (start < beacon_at(next) && start + 2 * kLater > beacon_at(next))) {
+        send_beacon();
+      } else {
+        advance_to(start + kLater);
+        end_listening();
+      }
+    }
+  }
+
+  static constexpr std::uint64_t kReceiveNow = 0x100;
+  static constexpr std::uint64_t kReceivedAndTimestamped = 1U << 14 | 1U << 13 | 1U << 10;
+  static constexpr std::uint64_t kStart = 1'000'000'000;
+  // From the start of an operation to its end, longer than a frame takes.
+  static constexpr std::uint64_t kLater = 500 * kTicksPerUs;
+
+  groma_Config config = good_config();
+  mac::Superframe superframe{config.schedule, dw1000::Phy(dw1000::Preamble::k128)};
+  std::uint32_t next = 0;  // superframe of the next beacon
+  std::size_t polls = 0;
+};
+
+TEST_F(LoneTagTest, ALentSlotStaysLentOverARadioRecovery) {
+  node.start();
+  run_superframes(20);
+  EXPECT_GT(polls, 2U);
+  groma_HostToNode survey = groma_HostToNode_init_zero;
+  survey.request_id = 9;
+  survey.target_id = 102;
+  survey.which_body = groma_HostToNode_survey_tag;
+  survey.body.survey.exchanges = 60;
+  command(survey);
+  ASSERT_EQ(last_reply().result, groma_Result_RESULT_PENDING);
+  polls = 0;
+  run_superframes(20);
+  EXPECT_EQ(polls, 0U);
+  platform.chip.status |= kClockPllLosing;
+  node.on_radio_interrupt();
+  ASSERT_EQ(node.counters().radio_recoveries, 1U);
+  run_superframes(20);
+  EXPECT_EQ(polls, 0U) << "the anchor that surveys polls in this slot";
+  // The survey was never answered.
+  platform.time_us += 61'000'000;
+  node.on_timer();
+  run_superframes(20);
+  EXPECT_GT(polls, 2U);
+}
+
 // A platform with a second link beside the UART.
 struct TwoLinks : FakePlatform {
   std::vector<groma_Link> configured;
