@@ -171,6 +171,7 @@ MUTATIONS = [
     ("store: erase not checked", STORE, "if (!flash_.erase(to) || !blank(start, start + kPageBytes)) return false;", "(void)flash_.erase(to);", STORAGE_TEST),
     ("counter: block used before it is reserved", "firmware/core/storage/counter.hpp", "    if (!records_.store(Key::kCounter, bytes)) return false;\n", "    (void)records_.store(Key::kCounter, bytes);\n", STORAGE_TEST),
     ("counter: previous block used again", "firmware/core/storage/counter.hpp", "    const std::uint64_t start = end;\n", "    const std::uint64_t start = end < kBlock ? end : end - kBlock;\n", STORAGE_TEST),
+    ("node: a radio recovery ends the loan of a slot", NODE, "    ++counters_.radio_recoveries;\n", "    ++counters_.radio_recoveries;\n    lent_until_us_.reset();\n", NODE_TEST),
     ("node: radio on while flash is written", NODE, "    leave();\n    return stored_.keep(config, before);\n", "    return stored_.keep(config, before);\n", NODE_TEST),
     ("node: a master restarts its session after a write", NODE, "if (machine_.station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();", "return join();", NODE_TEST),
     ("air: repeated command executed again", AIR_LINK, "  if (idle_ >= kForgotten) return false;\n", "  if (idle_ < kForgotten) return false;\n", AIR_LINK_TEST),

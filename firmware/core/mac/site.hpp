@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 
 #include "firmware/core/dw1000/phy.hpp"
@@ -17,6 +18,9 @@ struct Site {
   std::uint16_t id = 0;
   // A tag's machine polls in the slot that this tag lends, not in one of its own. kNobody: in its own.
   std::uint16_t lender = 0;
+  // Of a tag that lends its slot: until when, on the node's clock. With a value the tag does not poll. The
+  // node owns it, so that a radio recovery does not end the loan; it outlives its users. Null: never lent.
+  const std::optional<std::uint64_t>* lent_until_us = nullptr;
   std::uint16_t network_id = 0;
   dw1000::Preamble preamble = dw1000::Preamble::k128;
   const groma_Schedule* schedule = nullptr;  // passed check(); outlives its users

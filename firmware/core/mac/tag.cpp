@@ -35,7 +35,7 @@ Action Tag::plan(ClockTime now) noexcept {
     const std::uint32_t superframe = station_.superframe_number();
     station_.end_superframe();
     if (membership_.outdated(superframe)) station_.on_lack(false, true);
-    const auto slot = lent_ ? std::nullopt : membership_.slot(superframe);
+    const auto slot = has_lent() ? std::nullopt : membership_.slot(superframe);
     if (slot && station_.ahead(station_.poll_due(superframe, *slot), now) && station_.sure(superframe)) {
       phase_ = Phase::kPoll;
       return poll(superframe, *slot);

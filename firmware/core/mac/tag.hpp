@@ -18,7 +18,8 @@ namespace groma::mac {
 
 class Tag {
  public:
-  // `counters` outlives the tag. The tag polls once the schedule or a beacon assigns it a slot.
+  // `counters` outlives the tag. The tag polls once the schedule or a beacon assigns it a slot, unless that
+  // is lent.
   Tag(const Site& site, groma_Counters& counters) noexcept;
 
   [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
@@ -42,8 +43,6 @@ class Tag {
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   void set_health(const Health& health) noexcept { station_.set_health(health); }
   void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
-  // While the slot is lent, another node polls in it and in this tag's name.
-  void lend(bool lent) noexcept { lent_ = lent; }
 
   // Evaluates the last exchange and chooses the anchors of the next one. Call when there is time; otherwise
   // the POLL does it.
@@ -59,6 +58,10 @@ class Tag {
 
   // The next action outside of an exchange, with its preamble after `now`.
   Action plan(ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool has_lent() const noexcept {
+    const auto* until_us = station_.site().lent_until_us;
+    return until_us != nullptr && until_us->has_value();
+  }
   Action poll(std::uint32_t superframe, std::size_t slot) noexcept;
   [[nodiscard]] Action response_window(std::size_t index) const noexcept;
   void take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept;
@@ -85,7 +88,6 @@ class Tag {
   std::array<Exchange, 3> exchanges_{};
   std::size_t current_ = 0;
   bool previous_valid_ = false;
-  bool lent_ = false;
   std::uint8_t windows_over_ = 0;  // windows of the last exchange that choose_anchors() has not evaluated
   std::uint8_t next_count_ = 0;    // chosen for the next POLL; 0: not chosen yet
   std::array<std::uint16_t, kMaxAnchors> next_anchors_{};

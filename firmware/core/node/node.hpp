@@ -174,6 +174,7 @@ class Node {
     site.nonces = &nonces_;
     site.signed_places = &signed_places_;
     site.lender = lender_;
+    if (lender_ == mac::kNobody) site.lent_until_us = &lent_until_us_;
     if (config_->role == groma_Role_ROLE_TAG || lender_ != mac::kNobody) {
       machine_.become_tag(site, counters_);
     } else {
@@ -867,7 +868,8 @@ class Node {
       case AirLink::Asked::kTooLong:
         return refuse(groma_Result_RESULT_INVALID, "too long to go over the air");
       case AirLink::Asked::kUnderWay:
-        lend(command_.which_body == groma_HostToNode_survey_tag ? kLongestSurvey_us : 0);
+        lent_until_us_.reset();
+        if (command_.which_body == groma_HostToNode_survey_tag) lend(kLongestSurvey_us);
         return reply(groma_Result_RESULT_PENDING, "");
       case AirLink::Asked::kBusy:
         return reply(groma_Result_RESULT_PENDING, "waiting for another command");
@@ -919,7 +921,7 @@ class Node {
 
   void pass_answer_on() noexcept {
     finish_report();
-    lend(0);
+    lent_until_us_.reset();
     auto answer = air_.message();
     while (const auto message = AirLink::next_message(answer)) {
       if (!answer_link(encoder_.encode_of(*message, air_.peer()))) ++counters_.reports_dropped;
@@ -927,7 +929,7 @@ class Node {
   }
 
   void report_silence() noexcept {
-    if (lent_until_us_ != kNever_us) lend(kLentOn_us);
+    if (lent_until_us_) lend(kLentOn_us);
     command_.request_id = air_.request_id();
     by_air_ = false;
     reply(groma_Result_RESULT_UNREACHABLE, "no answer over the air");
@@ -942,7 +944,7 @@ class Node {
       reply(groma_Result_RESULT_PENDING, "");
     }
     if (trial_.is_over(now_us)) end_trial();
-    if (now_us >= lent_until_us_) lend(0);
+    if (lent_until_us_ && now_us >= *lent_until_us_) lent_until_us_.reset();
     if (lender_ != mac::kNobody && now_us >= survey_until_us_) end_survey();
   }
 
@@ -951,10 +953,7 @@ class Node {
   // An anchor that surveys acts as a tag meanwhile: it polls the other anchors in the slot of the tag that
   // forwarded the command, while that tag is silent. The sums are kept in the buffer of the answer.
 
-  void lend(std::uint64_t duration_us) noexcept {
-    lent_until_us_ = duration_us == 0 ? kNever_us : platform_.now_us() + duration_us;
-    if (machine_.tag() && lender_ == mac::kNobody) machine_.tag()->lend(duration_us != 0);
-  }
+  void lend(std::uint64_t duration_us) noexcept { lent_until_us_ = platform_.now_us() + duration_us; }
 
   void begin_survey(std::uint32_t exchanges) noexcept {
     constexpr std::uint32_t kMost = 200;
@@ -1090,7 +1089,7 @@ class Node {
   SurveySums survey_sums_;
   std::uint32_t survey_request_ = 0;
   std::uint64_t survey_until_us_ = 0;
-  std::uint64_t lent_until_us_ = kNever_us;  // of this tag's slot
+  std::optional<std::uint64_t> lent_until_us_;  // this tag's slot
   Trial trial_;
   std::uint32_t trial_s_ = Trial::kUsual_s;  // duration of the next trial
 
