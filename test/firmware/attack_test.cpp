@@ -354,8 +354,8 @@ TEST_F(AttackTest, EventsAloneVerifyEachResponse) {
   expect_full_rate();
 }
 
-// Anchor 103 surveys in the slot of tag 1, which at first is silent and then polls too. Nobody may use a
-// nonce of another node, or one of its own twice.
+// Anchor 103 surveys in the slot of tag 1, which is silent at first and then polls too. No nonce may be used
+// by two nodes, or twice.
 TEST_F(AttackTest, ASurveyPollsWithNoncesOfItsOwn) {
   start_network();
   for (const auto& one : chatter) one->talks = false;
@@ -387,7 +387,7 @@ TEST_F(AttackTest, ASurveyPollsWithNoncesOfItsOwn) {
   expect_true_ranges();
   air->start(kLender);
   run_superframes(80);
-  EXPECT_GT(polls[kLender], 10U);
+  EXPECT_GT(polls[kLender], 4U);
 }
 
 // Anchor 104's RESPONSE is jammed, and 103's of the same slot is replayed in its window.

@@ -75,8 +75,7 @@ class Anchor {
   void go_on_to(ranging::ClockTime now) noexcept;
   // The reception is where the POLL of the present slot is due.
   [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
-  // The owner of the present slot, as far as it follows from a POLL: its sender, or the one who lent the
-  // slot.
+  // The tag in whose slot the POLL is sent: its sender, or the present slot's owner, which lent it.
   [[nodiscard]] std::uint16_t owner_for(const Frame& frame, const Poll& poll) const noexcept {
     return poll.lent ? station_.owner_of(slot_) : frame.source;
   }

@@ -16,10 +16,10 @@ class SignedPlaces;
 // A node's identity, schedule and network key.
 struct Site {
   std::uint16_t id = 0;
-  // A tag's machine polls in the slot that this tag lends, not in one of its own. kNobody: in its own.
+  // During a survey: the tag that lends its slot to this node. kNobody: this node polls in its own slot.
   std::uint16_t lender = 0;
-  // Of a tag that lends its slot: until when, on the node's clock. With a value the tag does not poll. The
-  // node owns it, so that a radio recovery does not end the loan; it outlives its users. Null: never lent.
+  // Until when this tag lends its slot, on the node's clock; nothing: it polls. The node keeps it, so that a
+  // radio recovery does not end the loan; outlives its users. Null: it never lends.
   const std::optional<std::uint64_t>* lent_until_us = nullptr;
   std::uint16_t network_id = 0;
   dw1000::Preamble preamble = dw1000::Preamble::k128;

@@ -203,12 +203,12 @@ class Station {
                                   bool unused_slot) noexcept;
   [[nodiscard]] bool authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
-  // This node's own time is no recording's.
+  // This node is synchronized, and not with a recording.
   [[nodiscard]] bool knows_time() const noexcept { return sync_.state() != SyncState::kSearching && fresh(); }
-  // What a beacon is worth if its MIC is valid.
+  // How far to trust a beacon whose MIC is valid.
   enum class Trust : std::uint8_t { kNone, kUnverified, kFull };
   [[nodiscard]] Trust trust_in(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
-  // The superframe of this node's timeline.
+  // The superframe at `t` on this node's timeline.
   [[nodiscard]] std::uint32_t superframe_at(ranging::ClockTime t) const noexcept {
     return static_cast<std::uint32_t>(sync_.network_time(t).count() / superframe_.duration().count());
   }
