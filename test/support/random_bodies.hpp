@@ -48,7 +48,8 @@ class RandomBodies {
   Poll poll() {
     Poll body{.exchange = word<std::uint16_t>(),
               .superframe = word<std::uint32_t>(),
-              .slot = word<std::uint8_t>(),
+              .slot = static_cast<std::uint8_t>(below(0x80)),  // the top bit is `lent`
+              .lent = coin(),
               .count = static_cast<std::uint8_t>(below(kMaxAnchors + 1))};
     for (std::size_t i = 0; i < body.count; ++i) body.anchors[i] = somebody();
     return body;
