@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <numbers>
 #include <variant>
 #include <vector>
 
@@ -155,6 +156,15 @@ TEST(Filter, ARefusedInputChangesNothing) {
   EXPECT_EQ(filter->core(), core);
   EXPECT_EQ(filter->covariance().core(), covariance);
   EXPECT_EQ(filter->estimate().t_s, 0.0);
+}
+
+TEST(Filter, KeepsTheHeadingWithinHalfATurnOnACircle) {
+  const auto filter = make_filter(Model::kSchmidt);
+  filter->start({.t_s = 0.0});
+  for (int i = 1; i <= 200; ++i) {
+    filter->process(model::OdometrySample{0.1 * i, 0.0, 0.0, 1.0});
+    EXPECT_LE(std::abs(filter->estimate().pose.theta_rad), std::numbers::pi) << i;
+  }
 }
 
 TEST(Filter, SeveralStepsWithinAnOdometrySampleEqualOneStep) {

@@ -37,6 +37,14 @@ CoreVector any_core(Random& random) {
   return core;
 }
 
+TEST(Sensors, TheDescriptionSetsEachGyroSigma) {
+  const SensorConfig config({.gyro_sigma_radps = 0.003, .gyro_bias_sigma_radps = 0.02});
+  EXPECT_EQ(config.gyro_sigma_radps, 0.003);
+  EXPECT_EQ(config.gyro_bias_radps, 0.02);
+  const SensorConfig defaults({.gyro_sigma_radps = 0.003});
+  EXPECT_EQ(defaults.gyro_bias_radps, SensorConfig{}.gyro_bias_radps);
+}
+
 // Compares the Jacobian of the prediction (measured value minus innovation) with a numerical one.
 template <class Measure>
 void expect_jacobian(const Measure& measure, const CoreVector& core, double tolerance) {
