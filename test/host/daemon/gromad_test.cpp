@@ -251,23 +251,32 @@ TEST_F(GromadTest, NamesAWrongMapInPosesStatusAndLog) {
   SimulatedSite site(folder_.path(), kSpeed);
   write_surveyed(site, /*renumbered=*/true);
   Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  // Not simply the first finding: on a busy machine the odometry can be late as well.
+  const auto finding_in = [](const json& status) {
+    const json findings = status.value("diagnosis", json::array());
+    const auto found = std::find_if(findings.begin(), findings.end(), [](const json& finding) {
+      return finding.at("cause") == "map-mismatch";
+    });
+    return found == findings.end() ? json() : *found;
+  };
   const auto named = [&] {
-    return std::find_if(objects_.begin(), objects_.end(), [](const json& object) {
-      return object.at("class") == "STATUS" && !object.at("diagnosis").empty();
+    return std::find_if(objects_.begin(), objects_.end(), [&](const json& object) {
+      return object.at("class") == "STATUS" && !finding_in(object).is_null();
     });
   };
   ASSERT_TRUE(run_until(site, gromad, [&] { return named() != objects_.end(); })) << gromad.log();
-  const json finding = named()->at("diagnosis")[0];
-  EXPECT_EQ(finding.at("cause"), "map-mismatch");
-  EXPECT_THAT(finding.at("remedy").get<std::string>(), HasSubstr("calibrate again"));
+  EXPECT_THAT(finding_in(*named()).at("remedy").get<std::string>(), HasSubstr("calibrate again"));
   EXPECT_THAT(gromad.log(), HasSubstr("map-mismatch: "));
   EXPECT_LT(poses("TRACKING"), objects_.size() / 20);
-  EXPECT_EQ(std::count_if(named(), objects_.end(),
-                          [](const json& object) {
-                            return object.at("class") == "POSE" &&
-                                   object.value("reason", "") != "map-mismatch";
-                          }),
-            0);
+
+  objects_.clear();
+  const auto poses_with_reason = [&] {
+    return std::count_if(objects_.begin(), objects_.end(), [](const json& object) {
+      return object.at("class") == "POSE" && object.value("reason", "") == "map-mismatch";
+    });
+  };
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses_with_reason() >= 50; })) << gromad.log();
+  EXPECT_EQ(poses("TRACKING"), 0U);
 }
 
 // A pose does not wait for reorder_lag_s as its odometry sample does. The lag is long so that the test also
