@@ -25,9 +25,9 @@ constexpr double kLongOverShort = 2.0;
 constexpr double kLongCorrelation = 0.2;
 constexpr double kLongSignificance = 5.0;
 constexpr std::size_t kMinPolls = 50;
-// The NLOS model is for halls and yards: this share of the ranges has to be shorter than kReach_m. By hand.
-// The only figure is of a recorded run of long ranges: with the model mcd_ntu_day_09 is off by 0.29 m, else
-// 0.21 m.
+// The NLOS model is for halls and yards: this share of the ranges, by hand, has to be shorter than kReach_m,
+// the reach of a DWM1001 with a line of sight (its datasheet). A recorded run of longer ranges, by other
+// modules, is off by 0.29 m with the model and 0.21 m without (mcd_ntu_day_09).
 constexpr double kReach_m = 60.0;
 constexpr double kNearShare = 0.9;
 
