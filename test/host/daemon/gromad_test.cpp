@@ -252,30 +252,27 @@ TEST_F(GromadTest, NamesAWrongMapInPosesStatusAndLog) {
   write_surveyed(site, /*renumbered=*/true);
   Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
   // Not simply the first finding: on a busy machine the odometry can be late as well.
-  const auto finding_in = [](const json& status) {
-    const json findings = status.value("diagnosis", json::array());
-    const auto found = std::find_if(findings.begin(), findings.end(), [](const json& finding) {
-      return finding.at("cause") == "map-mismatch";
-    });
-    return found == findings.end() ? json() : *found;
+  const auto finding = [&] {
+    for (const json& object : objects_) {
+      if (object.at("class") != "STATUS") continue;
+      for (const json& each : object.at("diagnosis"))
+        if (each.at("cause") == "map-mismatch") return each;
+    }
+    return json();
   };
-  const auto named = [&] {
-    return std::find_if(objects_.begin(), objects_.end(), [&](const json& object) {
-      return object.at("class") == "STATUS" && !finding_in(object).is_null();
-    });
-  };
-  ASSERT_TRUE(run_until(site, gromad, [&] { return named() != objects_.end(); })) << gromad.log();
-  EXPECT_THAT(finding_in(*named()).at("remedy").get<std::string>(), HasSubstr("calibrate again"));
+  ASSERT_TRUE(run_until(site, gromad, [&] { return !finding().is_null(); })) << gromad.log();
+  EXPECT_THAT(finding().at("remedy").get<std::string>(), HasSubstr("calibrate again"));
   EXPECT_THAT(gromad.log(), HasSubstr("map-mismatch: "));
   EXPECT_LT(poses("TRACKING"), objects_.size() / 20);
 
   objects_.clear();
-  const auto poses_with_reason = [&] {
-    return std::count_if(objects_.begin(), objects_.end(), [](const json& object) {
-      return object.at("class") == "POSE" && object.value("reason", "") == "map-mismatch";
+  const auto poses_by_mismatch = [&](bool mismatch) {
+    return std::count_if(objects_.begin(), objects_.end(), [&](const json& object) {
+      return object.at("class") == "POSE" && (object.at("reason") == "map-mismatch") == mismatch;
     });
   };
-  ASSERT_TRUE(run_until(site, gromad, [&] { return poses_with_reason() >= 50; })) << gromad.log();
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses_by_mismatch(true) >= 50; })) << gromad.log();
+  EXPECT_EQ(poses_by_mismatch(false), 0);
   EXPECT_EQ(poses("TRACKING"), 0U);
 }
 
