@@ -77,14 +77,6 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   ReplayResult result;
   std::vector<double> propagate_ns;
   std::vector<double> update_ns;
-  const auto rows = static_cast<std::size_t>(run.odometry.end() - odometry);
-  result.rows.reserve(rows);
-  result.states.reserve(rows);
-  result.spatial.reserve(rows);
-  if (options.now_ns) {
-    propagate_ns.reserve(rows);
-    update_ns.reserve(static_cast<std::size_t>(run.ranges.end() - range));
-  }
   double nis_sum = 0.0;
   const auto timed = [&](std::vector<double>& durations, const auto& sample) {
     const std::int64_t begin = options.now_ns ? options.now_ns() : 0;
