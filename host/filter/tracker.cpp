@@ -28,12 +28,12 @@ constexpr std::size_t kClockInputs = 5;  // see TrackerConfig::clock_step_s. By 
 // interval if the map is suspected to be wrong), then one each kSearchEarned_s. By hand, for the processor:
 // 2 % of it, later 0.2 %, on a wrong map 0.03 %.
 constexpr double kSearchEvery_s = 0.5;
-// The next search waits for this share of the time that the ranges have disagreed: by hand, for the
-// processor.
-constexpr double kSearchShare = 0.3;
 constexpr double kMostSearches = 40.0;
 constexpr double kSearchEarned_s = 5.0;
 constexpr double kSearchEarnedOnWrongMap_s = 30.0;
+// The next search waits for this share of the time that the ranges have disagreed, at most kSearchEarned_s:
+// by hand, for the processor.
+constexpr double kSearchShare = 0.3;
 // Share of refused weight from which other floors at the same position are compared. It is small because a
 // wrong floor changes the ranges of some anchors only, and the position compensates for others. By hand;
 // Floors.* (simulated).
@@ -382,8 +382,8 @@ void Tracker::assess() noexcept {
 
 bool Tracker::search_is_due() noexcept {
   const bool is_map_suspect = map_watch_.is_suspect() || no_place_.holds();
-  const double every_s =
-      std::max((is_map_suspect ? 2.0 : 1.0) * kSearchEvery_s, kSearchShare * disagrees_.lasted_s(newest_s_));
+  const double every_s = std::clamp(kSearchShare * disagrees_.lasted_s(newest_s_),
+                                    (is_map_suspect ? 2.0 : 1.0) * kSearchEvery_s, kSearchEarned_s);
   if (newest_s_ - last_search_s_ < every_s) return false;
   last_search_s_ = newest_s_;
   return true;
