@@ -47,6 +47,9 @@ class Bus {
   virtual bool write(std::uint32_t address, unsigned bytes, std::uint32_t value) = 0;
   // The implementation changes the flash's bytes itself.
   virtual bool flash_write(std::uint32_t address, unsigned bytes, std::uint32_t value) = 0;
+
+  // The CPU falls asleep at t: WFI, WFE or sleep-on-exit with nothing to wake it. Not within an access.
+  virtual void on_sleep(SimTime t) { (void)t; }
 };
 
 struct CpuTiming {

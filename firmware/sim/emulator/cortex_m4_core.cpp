@@ -147,6 +147,11 @@ SimTime CortexM4::Core::next_wake() const {
   return sleeping() ? std::max(ready, sys_tick_.next_interrupt()) : ready;
 }
 
+void CortexM4::Core::fall_asleep(Sleep kind) {
+  sleep_ = kind;
+  if (!wakes()) bus_.on_sleep(now_);
+}
+
 // B1.5.17 and B1.5.18: an interrupt wakes the CPU even if PRIMASK is set.
 bool CortexM4::Core::wakes() const {
   if (sleep_ == Sleep::kForEvent && event_) return true;
@@ -548,9 +553,9 @@ void CortexM4::Core::after_event(uc_err result) {
       throw SimulationError(fmt::format("Unicorn's exception {} at PC {:#010x}", interrupt_, pc));
   }
   switch (result) {
-    case UC_ERR_OK:
-      sleep_ = Sleep::kForInterrupt;
-      return;  // WFI
+    case UC_ERR_OK:  // WFI
+      fall_asleep(Sleep::kForInterrupt);
+      return;
     case UC_ERR_FETCH_UNMAPPED:
     case UC_ERR_FETCH_PROT:
       if (!memory_at(pc, 2).empty()) {
@@ -572,7 +577,7 @@ void CortexM4::Core::after_event(uc_err result) {
       if (!hint) {
         fault(exception::kUsageFault, fault_status::kUndefined, pc);
       } else if (thumb::is_wait_for_event(last_instruction())) {
-        sleep_ = Sleep::kForEvent;
+        fall_asleep(Sleep::kForEvent);
       }
       return;
     }

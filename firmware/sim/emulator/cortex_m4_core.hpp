@@ -130,6 +130,7 @@ class CortexM4::Core {
   void execute();
   void after_event(uc_err result);
   [[nodiscard]] thumb::Instruction last_instruction() const;
+  void fall_asleep(Sleep kind);
   [[nodiscard]] bool wakes() const;
 
   // Exceptions (cortex_m4_exceptions.cpp).

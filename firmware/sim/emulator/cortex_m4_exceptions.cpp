@@ -193,7 +193,7 @@ void CortexM4::Core::return_from_exception(std::uint32_t exc_return) {
   }
   if (!pop_frame(exc_return)) return;
   add_cycles(timing_.return_cycles);
-  if (to_thread && nvic_.active_count() == 0 && control_.sleeps_on_exit()) sleep_ = Sleep::kForInterrupt;
+  if (to_thread && nvic_.active_count() == 0 && control_.sleeps_on_exit()) fall_asleep(Sleep::kForInterrupt);
 }
 
 void CortexM4::Core::invalid_return(std::uint32_t exc_return) {

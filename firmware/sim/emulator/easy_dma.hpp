@@ -5,7 +5,13 @@
 #include <optional>
 #include <span>
 
+#include "firmware/sim/time.hpp"
+
 namespace groma::sim {
+
+// Anomaly 109: how long after the start of a transfer the processor must stay awake. No source states the
+// time.
+inline constexpr SimTime kDmaStart = 2 * kUnitsPerMicrosecond;
 
 class EasyDma {
  public:

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <span>
+#include <utility>
 
 #include "firmware/sim/simulation_error.hpp"
 
@@ -21,6 +22,11 @@ void Ecb::reset() {
   events_ = EventRegisters{0x3};
   pointer_ = 0;
   end_at_ = kNever;
+  spoiled_ = 0;
+}
+
+void Ecb::spoil_start(SimTime t, std::uint8_t bits) noexcept {
+  if (busy() && t - (end_at_ - kBlockTime) < kDmaStart) spoiled_ = bits;
 }
 
 void Ecb::advance(SimTime t) {
@@ -34,6 +40,7 @@ void Ecb::advance(SimTime t) {
   security::Block block{};
   std::copy_n(taken_.begin(), key.size(), key.begin());
   std::copy_n(taken_.begin() + key.size(), block.size(), block.begin());
+  block[0] ^= std::exchange(spoiled_, std::uint8_t{0});
   if (aes_.encrypt(key, block)) std::copy(block.begin(), block.end(), data.last(block.size()).begin());
   ++blocks_;
   events_.raise(kEnd);
@@ -57,6 +64,7 @@ bool Ecb::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     case kTasksStopecb:
       if (value == 0 || !busy()) return true;
       end_at_ = kNever;
+      spoiled_ = 0;
       events_.raise(kError);
       return true;
     case kEcbdataptr:

@@ -18,6 +18,8 @@ class Ecb final : public Peripheral {
   explicit Ecb(EasyDma dma) noexcept : dma_(dma) {}
 
   void reset();
+  // As Spim::spoil_start(), for the first byte of the clear block.
+  void spoil_start(SimTime t, std::uint8_t bits) noexcept;
 
   // Number of blocks encrypted.
   [[nodiscard]] std::uint64_t blocks() const noexcept { return blocks_; }
@@ -40,6 +42,7 @@ class Ecb final : public Peripheral {
   EventRegisters events_{0x3};
   std::uint32_t pointer_ = 0;
   SimTime end_at_ = kNever;
+  std::uint8_t spoiled_ = 0;              // bits of the clear block's first byte
   std::array<std::uint8_t, 32> taken_{};  // copy of key and clear block at the start
   std::uint64_t blocks_ = 0;
 };

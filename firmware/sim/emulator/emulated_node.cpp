@@ -68,7 +68,8 @@ class EmulatedNode::Machine final : private Processor {
              .can = options.can,
              .to_host = uart_out,
              .from_host = uart_in,
-             .bits_per_s = spec.uart.bits_per_s}),
+             .bits_per_s = spec.uart.bits_per_s,
+             .silicon = options.silicon}),
         cpu(flash, ram, soc, options.timing),
         boots_at_(spec.power_on) {
     if (quantum_ <= 0 || quantum_ > Nrf52832::kHostDelay)

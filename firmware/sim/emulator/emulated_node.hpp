@@ -15,6 +15,7 @@
 #include "firmware/sim/emulator/cortex_m4.hpp"
 #include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/emulator/nrf52832.hpp"
+#include "firmware/sim/emulator/silicon.hpp"
 #include "firmware/sim/network.hpp"
 
 namespace groma::sim {
@@ -23,6 +24,7 @@ struct EmulatorOptions {
   // Must be below both the look-ahead of the medium (dw1000_chip.hpp) and the delay of the host's bytes.
   SimTime quantum = 40 * kUnitsPerMicrosecond;
   CpuTiming timing{};
+  SiliconQuirks silicon{};
   // The CAN controller on the header's SPI, in world time; it must outlive the node.
   SpiDevice* can = nullptr;
 };

@@ -19,6 +19,9 @@ constexpr std::uint32_t kPeripherals = 0x40000000;
 constexpr std::uint32_t kPeripheralsEnd = 0x40027000;
 constexpr std::uint32_t kP0 = 0x50000000;
 
+// Purposes of draws.
+enum : std::uint64_t { kSpoiledBits = 0xE101 };
+
 bool chip_has(std::uint32_t address) {
   return (address >= kPeripherals && address < kPeripheralsEnd) ||
          (address >= kP0 && address < kP0 + kBlockBytes);
@@ -28,6 +31,7 @@ bool chip_has(std::uint32_t address) {
 
 Nrf52832::Nrf52832(const Parts& parts)
     : parts_(parts),
+      random_(parts.identity.device_id),
       slots_{{{"SPIM1", parts.can, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
               {"SPIM2", &parts.radio, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
       gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
@@ -198,6 +202,19 @@ void Nrf52832::pin_driven(SimTime t, unsigned pin, PinDrive drive) {
       throw SimulationError(std::string(slot.name) + ": chip select changes during a transfer");
     slot.transfers_in_window = 0;
   }
+}
+
+// Anomaly 109.
+void Nrf52832::on_sleep(SimTime t) {
+  // At least one bit.
+  const auto bits =
+      static_cast<std::uint8_t>(random_.of(kSpoiledBits, static_cast<std::uint64_t>(t)).bits() % 0xFF + 1);
+  if (parts_.silicon.spim_start) {
+    spim1_.spoil_start(t, bits);
+    spim2_.spoil_start(t, bits);
+  }
+  if (parts_.silicon.uarte_start) uarte_.spoil_start(t, bits);
+  if (parts_.silicon.ecb_start) ecb_.spoil_start(t, bits);
 }
 
 // ---- the bus --------------------------------------------------------------------------------------------

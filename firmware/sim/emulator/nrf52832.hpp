@@ -8,8 +8,7 @@
 // access to an address without a peripheral is a bus fault. Registers can only be read and written as words.
 //
 // Limits of the model: the internal oscillators are as exact as the crystals; the PIN_CNF of a GPIO that a
-// serial peripheral uses is not checked; erratum 109 (EasyDMA out of sleep) is not modelled, since it does
-// not affect tasks that the processor starts.
+// serial peripheral uses is not checked. silicon.hpp has what the silicon does beyond the specification.
 #pragma once
 
 #include <array>
@@ -28,10 +27,12 @@
 #include "firmware/sim/emulator/information.hpp"
 #include "firmware/sim/emulator/nvmc.hpp"
 #include "firmware/sim/emulator/radio_device.hpp"
+#include "firmware/sim/emulator/silicon.hpp"
 #include "firmware/sim/emulator/spim.hpp"
 #include "firmware/sim/emulator/timer.hpp"
 #include "firmware/sim/emulator/uarte.hpp"
 #include "firmware/sim/emulator/watchdog.hpp"
+#include "firmware/sim/keyed_random.hpp"
 #include "firmware/sim/node_clock.hpp"
 #include "firmware/sim/uart.hpp"
 
@@ -79,6 +80,7 @@ class Nrf52832 final : public Bus {
     UartLine& to_host;
     UartLine& from_host;
     std::uint32_t bits_per_s = 1'000'000;
+    SiliconQuirks silicon{};
   };
 
   // The UARTE receives bytes from the host this much later than the end of their stop bits, so that a
@@ -98,6 +100,7 @@ class Nrf52832 final : public Bus {
   bool read(std::uint32_t address, unsigned bytes, std::uint32_t& value) override;
   bool write(std::uint32_t address, unsigned bytes, std::uint32_t value) override;
   bool flash_write(std::uint32_t address, unsigned bytes, std::uint32_t value) override;
+  void on_sleep(SimTime t) override;
 
   [[nodiscard]] const Gpio& gpio() const noexcept { return gpio_; }
   [[nodiscard]] const Nvmc& nvmc() const noexcept { return nvmc_; }
@@ -148,6 +151,7 @@ class Nrf52832 final : public Bus {
   [[noreturn]] void fail(const std::string& what, std::uint32_t address) const;
 
   Parts parts_;
+  KeyedRandom random_;
   std::array<Slot, 2> slots_;
   ClockPower clock_power_;
   Gpiote gpiote_;

@@ -46,6 +46,7 @@ void Spim::reset() {
   over_read_ = 0;
   buffers_ = {};
   end_at_ = kNever;
+  spoiled_ = 0;
 }
 
 std::uint32_t Spim::clock_hz() const {
@@ -88,10 +89,15 @@ void Spim::start(SimTime t) {
   sending_ = buffers_.transmit;
   receiving_ = buffers_.receive;
   const SimTime duration = kOverhead + static_cast<SimTime>(bytes) * 8 * (kUnitsPerSecond / clock_hz());
+  started_at_ = t;
   end_at_ = t + duration;
   busy_time_ += duration;
   ++transfers_;
   events_.raise(kStarted);
+}
+
+void Spim::spoil_start(SimTime t, std::uint8_t bits) noexcept {
+  if (busy() && sending_.maximum != 0 && t - started_at_ < kDmaStart) spoiled_ = bits;
 }
 
 void Spim::advance(SimTime t) {
@@ -101,6 +107,7 @@ void Spim::advance(SimTime t) {
       dma_.at(sending_.pointer, sending_.maximum, transmit_name_.c_str());
   if (!std::equal(out.begin(), out.end(), mosi_.begin()))
     throw SimulationError(name_ + ": the transmit buffer was changed during the transfer");
+  if (spoiled_ != 0) mosi_[0] ^= std::exchange(spoiled_, std::uint8_t{0});
 
   miso_.assign(mosi_.size(), 0);
   if (!mosi_.empty() && !exchange_(end, mosi_, miso_, clock_hz()))

@@ -36,6 +36,9 @@ class Spim final : public Peripheral {
 
   void reset();
   [[nodiscard]] bool busy() const noexcept { return end_at_ != kNever; }
+  // The processor falls asleep at t: if a transfer has just started, these bits of its first byte are
+  // inverted.
+  void spoil_start(SimTime t, std::uint8_t bits) noexcept;
   // Total duration and number of transfers since construction.
   [[nodiscard]] SimTime busy_time() const noexcept { return busy_time_; }
   [[nodiscard]] std::uint64_t transfers() const noexcept { return transfers_; }
@@ -72,7 +75,9 @@ class Spim final : public Peripheral {
   std::uint32_t over_read_ = 0;
   DmaRegisters buffers_;
 
+  SimTime started_at_ = 0;
   SimTime end_at_ = kNever;
+  std::uint8_t spoiled_ = 0;  // bits of the first byte
   DmaBuffer receiving_;
   DmaBuffer sending_;
   std::vector<std::uint8_t> mosi_;

@@ -51,7 +51,8 @@ void Uarte::reset(SimTime t) {
   receiving_ = false;
   fifo_.clear();
   timeout_at_ = kNever;
-  sent_at_ = kNever;
+  first_sent_at_ = sent_at_ = kNever;
+  spoiled_ = 0;
   stopping_ = false;
 }
 
@@ -160,9 +161,22 @@ void Uarte::start_transmit(SimTime t) {
   out_ = {buffers_.transmit.pointer, buffers_.transmit.maximum, buffers_.transmit.maximum};
   sending_since_ = t;
   sent_at_ = t + static_cast<SimTime>(sending_.size()) * byte_time();
+  if (!sending_.empty()) first_sent_at_ = t + byte_time();
   stopping_ = false;
   events_.raise(kTxStarted);
-  line_.send(t, sending_);
+}
+
+void Uarte::spoil_start(SimTime t, std::uint8_t bits) noexcept {
+  if (first_sent_at_ != kNever && t - sending_since_ < kDmaStart) spoiled_ = bits;
+}
+
+void Uarte::first_transmitted() {
+  first_sent_at_ = kNever;
+  events_.raise(kTxdrdy);
+  std::vector<std::uint8_t> bytes(sending_.begin(),
+                                  sending_.begin() + static_cast<std::ptrdiff_t>(out_.amount));
+  bytes[0] ^= std::exchange(spoiled_, std::uint8_t{0});
+  line_.send(sending_since_, bytes);
 }
 
 // The byte on the line is completed.
@@ -176,7 +190,7 @@ void Uarte::stop_transmit(SimTime t) {
   if (begun >= out_.amount) return;
   out_.amount = begun;
   sent_at_ = sending_since_ + static_cast<SimTime>(begun) * byte_time();
-  line_.cut(sent_at_ + byte_time() / 2);
+  if (first_sent_at_ == kNever) line_.cut(sent_at_ + byte_time() / 2);
 }
 
 void Uarte::transmitted() {
@@ -193,10 +207,11 @@ void Uarte::transmitted() {
 // ---- registers --------------------------------------------------------------------------------------------
 
 SimTime Uarte::next_event() const noexcept {
-  return std::min(sent_at_, timeout_at_);
+  return std::min({first_sent_at_, sent_at_, timeout_at_});
 }
 
 void Uarte::advance(SimTime t) {
+  if (first_sent_at_ <= t) first_transmitted();
   if (sent_at_ <= t) transmitted();
   if (timeout_at_ <= t) {
     timeout_at_ = kNever;

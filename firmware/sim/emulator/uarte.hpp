@@ -1,8 +1,8 @@
 // UARTE0 (0x40002000): transmitter and receiver with EasyDMA, 8 data bits, no parity, no flow control.
 //
-// The transmitter passes its bytes to the host's line when the transfer starts; the line computes the time of
-// each byte. A change of the buffer before the transfer ends fails the run. The receiver takes each byte at
-// its own time.
+// The transmitter passes its bytes to the host's line when the first one has been sent; the line computes the
+// time of each byte. TXDRDY is raised after the first and the last byte of a transfer, not after each. A
+// change of the buffer before the transfer ends fails the run. The receiver takes each byte at its own time.
 #pragma once
 
 #include <array>
@@ -23,7 +23,8 @@ struct UartePins {
 
 class Uarte final : public Peripheral {
  public:
-  // The line to the host, in local time. send: bytes from `t` on. cut: bytes not complete by `t` are lost.
+  // The line to the host, in local time. send: bytes from `t` on, which is a byte ago. cut: bytes not
+  // complete by `t` are lost.
   struct Line {
     std::uint32_t bits_per_s;
     std::function<void(SimTime t, std::span<const std::uint8_t> bytes)> send;
@@ -34,6 +35,8 @@ class Uarte final : public Peripheral {
 
   // Cuts off a transfer to the host.
   void reset(SimTime t);
+  // As Spim::spoil_start(), for a transmission.
+  void spoil_start(SimTime t, std::uint8_t bits) noexcept;
   // A byte from the host whose stop bit ends at t.
   void receive(SimTime t, std::uint8_t byte);
 
@@ -70,6 +73,7 @@ class Uarte final : public Peripheral {
   void flush_receive();
   void start_transmit(SimTime t);
   void stop_transmit(SimTime t);
+  void first_transmitted();
   void transmitted();
 
   UartePins wired_;
@@ -90,8 +94,10 @@ class Uarte final : public Peripheral {
   std::vector<std::uint8_t> fifo_;
   SimTime timeout_at_ = kNever;
 
-  SimTime sent_at_ = kNever;  // end of the transfer
+  SimTime first_sent_at_ = kNever;  // end of the transfer's first byte
+  SimTime sent_at_ = kNever;        // end of the transfer
   SimTime sending_since_ = 0;
+  std::uint8_t spoiled_ = 0;  // bits of the first byte
   bool stopping_ = false;
   DmaBuffer out_;
   std::vector<std::uint8_t> sending_;

@@ -461,7 +461,11 @@ TEST(Uarte, SendsEachByteInItsTime) {
   const SimTime start = bench.processor.t;
   bench.send(0x20000000, 4);
   EXPECT_EQ(bench.read(reg::kUarte + 0x150), 1U);
-  bench.run_us(20.5);
+  bench.run_us(9.9);
+  EXPECT_EQ(bench.read(reg::kUarte + 0x11C), 0U);
+  bench.run_us(0.2);
+  EXPECT_EQ(bench.read(reg::kUarte + 0x11C), 1U);
+  bench.run_us(10.4);
   EXPECT_EQ(bench.sent().size(), 2U);
   EXPECT_FALSE(bench.irq(2));
   bench.run_us(20);

@@ -1,0 +1,15 @@
+// What the nRF52832's silicon does beyond its product specification: docs/explanation/silicon.md has the
+// sources, and what is uncertain. Each quirk can be switched off.
+#pragma once
+
+namespace groma::sim {
+
+struct SiliconQuirks {
+  // Anomaly 109: the first byte that EasyDMA reads is wrong if the processor falls asleep just after the
+  // start of the transfer (kDmaStart, easy_dma.hpp). In the model it is always wrong, by seeded bits.
+  bool spim_start = false;
+  bool uarte_start = false;  // of a transmission
+  bool ecb_start = false;    // no list of the anomaly has ECB; another user of the same AES engine showed it
+};
+
+}  // namespace groma::sim
