@@ -42,7 +42,8 @@ class Bus {
   Bus& operator=(const Bus&) = delete;
   virtual ~Bus() = default;
 
-  // False: nothing is mapped there; the firmware gets a bus fault.
+  // False: nothing is mapped there; the firmware gets a bus fault. A word that the CPU reads again and again
+  // must not change before the time given to limit() or run(): the CPU passes over the turns of such a loop.
   virtual bool read(std::uint32_t address, unsigned bytes, std::uint32_t& value) = 0;
   virtual bool write(std::uint32_t address, unsigned bytes, std::uint32_t value) = 0;
   // The implementation changes the flash's bytes itself.

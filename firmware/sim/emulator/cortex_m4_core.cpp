@@ -246,14 +246,27 @@ void CortexM4::Core::on_block(uc_engine*, std::uint64_t address, std::uint32_t b
     return;
   }
   const Facts facts = self.facts_of(block);
+  const bool again = self.bus_read_ && block.address == self.block_.address;
   self.block_ = block;
+  self.bus_read_ = false;
   const unsigned traits = facts.traits & self.attention_;
   if (traits != 0 && !self.attend(traits, block)) [[unlikely]]
     return;
   const std::uint32_t count = facts.instructions;
+  if (again && count == thumb::kPollingInstructions) self.pass_over_turns(block);
   self.instructions_ += count;
   self.now_ += count * self.instruction_time_;
   if (self.tracing_) self.trace_point(address);
+}
+
+// The previous turn of the loop has read a word from the bus that does not change before limit_. So all turns
+// that end before it are equal; the next turn runs again.
+void CortexM4::Core::pass_over_turns(const CodeBlock& block) {
+  if (tracing_ || !thumb::is_polling_loop(memory_at(block.address, block.bytes))) return;
+  const SimTime turn = thumb::kPollingInstructions * instruction_time_;
+  const SimTime turns = (limit_ - 1 - now_) / turn;
+  now_ += turns * turn;
+  instructions_ += static_cast<std::uint64_t>(turns) * thumb::kPollingInstructions;
 }
 
 void CortexM4::Core::stop_before(const CodeBlock& block) {
@@ -325,6 +338,7 @@ std::uint64_t CortexM4::Core::on_bus_read(uc_engine*, std::uint64_t offset, unsi
   Core& self = *static_cast<Core*>(user);
   const auto address = static_cast<std::uint32_t>(base + offset);
   std::uint32_t value = 0;
+  self.bus_read_ = true;
   self.guarded({address, false}, [&] { return self.bus_.read(address, bytes, value); });
   return value;
 }
@@ -505,6 +519,7 @@ void CortexM4::Core::execute() {
   limit_ = std::min(until_, sys_tick_.next_interrupt());
   update_attention();
   stopped_before_block_ = false;
+  bus_read_ = false;
   interrupt_ = -1;
   const uc_err result = engine_.start(next_pc_);
   if (error_) {

@@ -116,6 +116,7 @@ class CortexM4::Core {
   void exceptions_changed();
   void update_attention();
   void count_ticks();
+  void pass_over_turns(const CodeBlock& block);
   void trace_point(std::uint64_t what);
 
   // Bus accesses and their faults.
@@ -157,6 +158,7 @@ class CortexM4::Core {
   CodeBlock block_;
   unsigned attention_ = 0;  // traits that need attend() now
   bool tracing_ = false;
+  bool bus_read_ = false;     // by the present block
   std::vector<Facts> facts_;  // of the blocks that begin at each half-word of the flash
 
   std::span<std::uint8_t> flash_;

@@ -227,6 +227,29 @@ BlockFacts facts_of_block(std::span<const std::uint8_t> code) noexcept {
   return facts;
 }
 
+bool is_polling_loop(std::span<const std::uint8_t> code) noexcept {
+  if (code.size() < 2) return false;
+  const Instruction load = instruction_at(code);
+  if (code.size() != load.bytes + 4) return false;
+  unsigned base = 0;
+  unsigned loaded = 0;
+  if (bits(load.first, 15, 11) == 0b01101) {  // LDR immediate
+    base = bits(load.first, 5, 3);
+    loaded = bits(load.first, 2, 0);
+  } else if (bits(load.first, 15, 4) == 0xF8D) {  // LDR.W immediate
+    base = bits(load.first, 3, 0);
+    loaded = bits(load.second, 15, 12);
+  } else {
+    return false;
+  }
+  const std::uint32_t compare = instruction_at(code.subspan(load.bytes)).first;
+  const std::uint32_t branch = instruction_at(code.subspan(load.bytes + 2)).first;
+  const bool compares = bits(compare, 15, 11) == 0b00101 && bits(compare, 10, 8) == loaded;
+  const bool branches = bits(branch, 15, 12) == 0b1101 && bits(branch, 11, 9) != 0b111;
+  const int target = static_cast<int>(load.bytes) + 6 + 2 * static_cast<std::int8_t>(branch & 0xFF);
+  return base != loaded && compares && branches && target == 0;
+}
+
 void ItState::after(const Instruction& i) noexcept {
   if ((i.first & 0xFF00) == 0xBF00 && (i.first & 0xF) != 0) {
     bits_ = static_cast<std::uint8_t>(i.first & 0xFF);

@@ -43,6 +43,10 @@ struct BlockFacts {
 
 [[nodiscard]] BlockFacts facts_of_block(std::span<const std::uint8_t> code) noexcept;
 
+// The code is nothing but this loop: load a word, compare it with a number, branch back on a condition.
+[[nodiscard]] bool is_polling_loop(std::span<const std::uint8_t> code) noexcept;
+inline constexpr unsigned kPollingInstructions = 3;
+
 // The state of an IT block (EPSR.IT, B1.4.2): 0 outside an IT block.
 class ItState {
  public:

@@ -93,7 +93,10 @@ class CpuBench final : public Bus {
   std::function<void(std::uint32_t address, std::uint32_t value)> on_write;
   std::function<bool(std::uint32_t address, std::uint32_t value)> on_flash_write;
 
+  int reads = 0;
+
   bool read(std::uint32_t address, unsigned, std::uint32_t& value) override {
+    ++reads;
     const auto found = registers.find(address);
     if (found == registers.end()) return false;
     value = found->second;

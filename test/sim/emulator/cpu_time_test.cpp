@@ -93,6 +93,42 @@ TEST(CpuTime, AStallLetsTimePass) {
   EXPECT_EQ(bench.r(1), 2U);
 }
 
+// Tracing makes it run each turn.
+TEST(CpuTime, PassesOverTheTurnsOfAPollingLoopWithoutADifference) {
+  struct Outcome {
+    std::uint64_t instructions;
+    SimTime found_at;
+    int reads;
+  };
+  const auto outcome_of = [](bool traced, SimTime cut) {
+    CpuBench bench;
+    bench.registers[CpuBench::kBus] = 0;
+    bench.put(CpuBench::kMain, {
+                                   0xF04F, 0x4080,  // mov.w r0, #0x40000000
+                                   0x6801,          // ldr r1, [r0]
+                                   0x2900,          // cmp r1, #0
+                                   0xD0FC,          // beq .-4
+                                   0xBF30,          // wfi
+                               });
+    bench.cpu().reset(0);
+    bench.cpu().trace(traced);
+    constexpr SimTime kChange = 100 * kUnitsPerMicrosecond;
+    while (bench.cpu().now() < kChange) bench.cpu().run(std::min(kChange, bench.cpu().now() + cut));
+    bench.registers[CpuBench::kBus] = 1;
+    while (!bench.cpu().sleeping()) bench.cpu().run(bench.cpu().now() + cut);
+    return Outcome{bench.cpu().instructions(), bench.cpu().now(), bench.reads};
+  };
+  const Outcome each = outcome_of(true, kUnitsPerMillisecond);
+  EXPECT_GT(each.reads, 1'000);
+  for (const SimTime cut : {kUnitsPerMillisecond, 7 * kUnitsPerMicrosecond, kInstruction}) {
+    const Outcome passed_over = outcome_of(false, cut);
+    EXPECT_EQ(passed_over.instructions, each.instructions) << cut;
+    EXPECT_EQ(passed_over.found_at, each.found_at) << cut;
+    EXPECT_LE(passed_over.reads, each.reads) << cut;
+  }
+  EXPECT_LT(outcome_of(false, kUnitsPerMillisecond).reads, 10);
+}
+
 TEST(CpuTime, EntryAndReturnCost) {
   CpuBench bench;
   bench.handler(CpuBench::kSvCall, 0x1800);

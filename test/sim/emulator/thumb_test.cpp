@@ -42,6 +42,28 @@ TEST(Thumb, ClassifiesInstructions) {
   EXPECT_FALSE(is_division(instruction(0xFBA0, 0x0101)));              // umull r0, r1, r0, r1
 }
 
+TEST(Thumb, RecognizesAPollingLoop) {
+  const auto polls = [](const std::vector<std::uint16_t>& code) {
+    std::vector<std::uint8_t> bytes;
+    for (const std::uint16_t half : code) {
+      bytes.push_back(static_cast<std::uint8_t>(half));
+      bytes.push_back(static_cast<std::uint8_t>(half >> 8));
+    }
+    return is_polling_loop(bytes);
+  };
+  EXPECT_TRUE(polls({0x6813, 0x2B00, 0xD0FC}));           // ldr r3, [r2]; cmp r3, #0; beq .-4
+  EXPECT_TRUE(polls({0xF8D2, 0x3118, 0x2B01, 0xD1FB}));   // ldr.w r3, [r2, #280]; cmp r3, #1; bne .-6
+  EXPECT_FALSE(polls({0x6812, 0x2A00, 0xD0FC}));          // ldr r2, [r2]: the address changes
+  EXPECT_FALSE(polls({0x6813, 0x2A00, 0xD0FC}));          // cmp r2, #0: another register
+  EXPECT_FALSE(polls({0x6813, 0x2B00, 0xD0FB}));          // branches to before the load
+  EXPECT_FALSE(polls({0x6813, 0x2B00, 0xDFFC}));          // svc
+  EXPECT_FALSE(polls({0x6013, 0x2B00, 0xD0FC}));          // str r3, [r2]
+  EXPECT_FALSE(polls({0x7813, 0x2B00, 0xD0FC}));          // ldrb r3, [r2]
+  EXPECT_FALSE(polls({0x6813, 0x3B01, 0xD0FC}));          // subs r3, #1
+  EXPECT_FALSE(polls({0x6813, 0x2B00, 0xD0FC, 0xBF00}));  // more code
+  EXPECT_FALSE(polls({}));
+}
+
 TEST(Thumb, WalksThroughItBlocks) {
   ItState it;
   it.after(instruction(0xBF14));  // ite ne
