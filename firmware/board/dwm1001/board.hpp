@@ -53,13 +53,12 @@ class Board {
   // ---- interface to main() -------------------------------------------------------------------------------
   [[nodiscard]] bool radio_interrupt() const noexcept;
   Uarte& uart() noexcept { return uart_; }
-  RadioBus& radio() noexcept { return radio_; }
   CanPort& can() noexcept { return can_; }
   Ecb& ecb() noexcept { return ecb_; }
   // Selects the link for link_answer() until the next call.
   void set_command_over_can(bool over_can) noexcept { command_over_can_ = over_can; }
   void update_leds(std::uint64_t now_us) noexcept { leds_.update(now_us); }
-  // Sleeps until `t_us` or until there is something to do.
+  // Sleeps until `t_us` or until there is something to do. The program's only sleep.
   void sleep_until(std::uint64_t t_us) noexcept;
 
  private:

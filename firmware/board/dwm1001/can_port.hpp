@@ -17,11 +17,9 @@ class CanSpi {
  public:
   void start() noexcept { spim_.start(SpiFrequency::k8MHz); }
   void transfer(std::span<std::uint8_t> inout) noexcept { spim_.transfer(inout, inout); }
-  void on_interrupt() noexcept { spim_.on_interrupt(); }
 
  private:
   Spim spim_{{.base = nrf52832::spim::kBase1,
-              .irq = nrf52832::Irq::kSpim1,
               .clock_pin = pin::kCanClock,
               .out_pin = pin::kCanOut,
               .in_pin = pin::kCanIn,
@@ -67,9 +65,6 @@ class CanPort {
   }
 
   void count(groma_Counters& counters) const noexcept;
-
-  // SPIM1's interrupt handler.
-  void on_interrupt() noexcept { spi_.on_interrupt(); }
 
  private:
   // A step is postponed for at most this time.

@@ -73,8 +73,6 @@ void delay_us(std::uint32_t duration_us) noexcept {
   // One more for the elapsed part of the present microsecond.
   const std::uint64_t end_us = now_us() + duration_us + 1;
   while (now_us() < end_us) {
-    const InterruptLock lock;
-    if (wake_at(end_us)) sleep();
   }
 }
 

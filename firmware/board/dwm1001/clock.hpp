@@ -16,7 +16,7 @@ void start() noexcept;
 // under an InterruptLock, so that the interrupt is not taken before the sleep.
 [[nodiscard]] bool wake_at(std::uint64_t t_us) noexcept;
 
-// Sleeps for at least this time; interrupts are served.
+// Waits for at least this time, awake; interrupts are served.
 void delay_us(std::uint32_t duration_us) noexcept;
 
 // TIMER0's interrupt handler.

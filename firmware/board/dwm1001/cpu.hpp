@@ -23,12 +23,6 @@ inline void enable_interrupt(nrf52832::Irq irq, Priority priority) noexcept {
   scb::kBlock[scb::kNvicEnable + number / 32 * 4] = 1U << (number % 32);
 }
 
-inline void clear_pending_interrupt(nrf52832::Irq irq) noexcept {
-  namespace scb = nrf52832::scb;
-  const auto number = static_cast<std::uint32_t>(irq);
-  scb::kBlock[scb::kNvicClearPending + number / 32 * 4] = 1U << (number % 32);
-}
-
 // Masks interrupts, but not faults, during its lifetime. For thread mode; must not be nested.
 class InterruptLock {
  public:

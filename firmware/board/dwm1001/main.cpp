@@ -26,14 +26,6 @@ void uarte0_entry() {
   board.uart().on_interrupt();
 }
 
-void spim1_entry() {
-  board.can().on_interrupt();
-}
-
-void spim2_entry() {
-  board.radio().on_interrupt();
-}
-
 void ecb_entry() {
   board.ecb().on_interrupt();
 }

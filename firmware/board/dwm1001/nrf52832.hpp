@@ -37,12 +37,10 @@ inline void clear_event(Register& event) noexcept {
 enum class Irq : std::uint8_t {
   kPowerClock = 0,
   kUarte0 = 2,
-  kSpim1 = 4,
   kGpiote = 6,
   kTimer0 = 8,
   kEcb = 14,
   kWatchdog = 16,
-  kSpim2 = 35,
 };
 
 // ---- FICR (13) and UICR (14) -----------------------------------------------------------------------------
@@ -113,8 +111,6 @@ inline constexpr std::uint32_t kBase1 = 0x4000'4000;
 inline constexpr std::uint32_t kBase2 = 0x4002'3000;
 inline constexpr std::uint32_t kStart = 0x010;
 inline constexpr std::uint32_t kEventEnd = 0x118;
-inline constexpr std::uint32_t kInterruptSet = 0x304;
-inline constexpr std::uint32_t kInterruptEnd = 1U << 6;
 inline constexpr std::uint32_t kEnable = 0x500;
 inline constexpr std::uint32_t kEnabled = 7;
 inline constexpr std::uint32_t kPinClock = 0x508;
@@ -136,6 +132,7 @@ inline constexpr std::uint32_t kStartReceive = 0x000;
 inline constexpr std::uint32_t kStartTransmit = 0x008;
 inline constexpr std::uint32_t kEventByteReceived = 0x108;
 inline constexpr std::uint32_t kEventReceiveEnd = 0x110;
+inline constexpr std::uint32_t kEventByteSent = 0x11C;
 inline constexpr std::uint32_t kEventTransmitEnd = 0x120;
 inline constexpr std::uint32_t kEventReceiveStarted = 0x14C;
 inline constexpr std::uint32_t kShortcuts = 0x200;
@@ -219,9 +216,8 @@ inline constexpr std::uint32_t kCacheEnabled = 1;
 // ---- Cortex-M4 -------------------------------------------------------------------------------------------
 namespace scb {
 inline constexpr Block kBlock{0xE000'E000};
-inline constexpr std::uint32_t kNvicEnable = 0x100;        // plus 4 per 32 interrupts
-inline constexpr std::uint32_t kNvicClearPending = 0x280;  // plus 4 per 32 interrupts
-inline constexpr std::uint32_t kNvicPriority = 0x400;      // one byte per interrupt
+inline constexpr std::uint32_t kNvicEnable = 0x100;    // plus 4 per 32 interrupts
+inline constexpr std::uint32_t kNvicPriority = 0x400;  // one byte per interrupt
 inline constexpr std::uint32_t kResetControl = 0xD0C;
 inline constexpr std::uint32_t kResetRequest = 0x05FA'0004;
 inline constexpr std::uint32_t kConfigControl = 0xD14;

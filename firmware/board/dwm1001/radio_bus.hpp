@@ -34,8 +34,6 @@ class RadioBus {
     spim_.set_frequency(speed == dw1000::SpiSpeed::kFast ? SpiFrequency::k8MHz : SpiFrequency::k2MHz);
   }
 
-  void on_interrupt() noexcept { spim_.on_interrupt(); }
-
  private:
   // Header and body are copied to one buffer in RAM: EasyDMA cannot read flash, and erratum 58 forbids
   // transfers of one byte.
@@ -48,7 +46,6 @@ class RadioBus {
   static constexpr std::size_t kHeaderBytes = 3;
 
   Spim spim_{{.base = nrf52832::spim::kBase2,
-              .irq = nrf52832::Irq::kSpim2,
               .clock_pin = pin::kRadioClock,
               .out_pin = pin::kRadioOut,
               .in_pin = pin::kRadioIn,

@@ -1,15 +1,11 @@
 #include "firmware/board/dwm1001/spim.hpp"
 
-#include "firmware/board/dwm1001/cpu.hpp"
 #include "firmware/board/dwm1001/pins.hpp"
 
 namespace groma::dwm1001 {
 
 namespace gpio = nrf52832::gpio;
 namespace spim = nrf52832::spim;
-
-// There is one processor, and its interrupt handlers see memory in program order.
-constexpr auto kRelaxed = std::memory_order_relaxed;
 
 void Spim::start(SpiFrequency frequency) noexcept {
   pin::set(wiring_.select_pin);
@@ -26,9 +22,6 @@ void Spim::start(SpiFrequency frequency) noexcept {
   registers_[spim::kOverReadByte] = 0;
   set_frequency(frequency);
   registers_[spim::kEnable] = spim::kEnabled;
-  registers_[spim::kEventEnd] = 0;
-  registers_[spim::kInterruptSet] = spim::kInterruptEnd;
-  enable_interrupt(wiring_.irq, Priority::kPeripheral);
 }
 
 void Spim::set_frequency(SpiFrequency frequency) noexcept {
@@ -40,30 +33,15 @@ void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> i
   registers_[spim::kTransmitCount] = out.size();
   registers_[spim::kReceivePointer] = reinterpret_cast<std::uintptr_t>(in.data());
   registers_[spim::kReceiveCount] = in.size();
-  over_.store(false, kRelaxed);
+  nrf52832::clear_event(registers_[spim::kEventEnd]);
   pin::clear(wiring_.select_pin);
   asm volatile("" ::: "memory");
   registers_[spim::kStart] = 1;
-  for (bool over = false; !over;) {
-    const InterruptLock lock;
-    // The interrupt may have come while another one was served.
-    if (!over_.load(kRelaxed)) sleep();
-    if (registers_[spim::kEventEnd] != 0) {
-      // Clears the interrupt: taking it now would only cost time.
-      nrf52832::clear_event(registers_[spim::kEventEnd]);
-      clear_pending_interrupt(wiring_.irq);
-      over = true;
-    } else {
-      over = over_.load(kRelaxed);
-    }
+  // Awake, because of anomaly 109.
+  while (registers_[spim::kEventEnd] == 0) {
   }
   asm volatile("" ::: "memory");
   pin::set(wiring_.select_pin);
-}
-
-void Spim::on_interrupt() noexcept {
-  nrf52832::clear_event(registers_[spim::kEventEnd]);
-  over_.store(true, kRelaxed);
 }
 
 }  // namespace groma::dwm1001

@@ -1,7 +1,6 @@
 // An SPI master with EasyDMA: mode 0, most significant bit first, chip select by GPIO.
 #pragma once
 
-#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -20,7 +19,6 @@ class Spim {
 
   struct Wiring {
     std::uint32_t base;  // spim::kBase1 or kBase2
-    nrf52832::Irq irq;
     std::uint32_t clock_pin, out_pin, in_pin, select_pin;
   };
 
@@ -31,18 +29,14 @@ class Spim {
   void set_frequency(SpiFrequency frequency) noexcept;
 
   // One chip-select window of the longer of the two sizes. Sends `out`, then zeros; receives `in` from the
-  // first byte on. Sleeps until the end; interrupts are served. Both spans are in RAM, may be the same bytes,
+  // first byte on. Returns at the end; interrupts are served. Both spans are in RAM, may be the same bytes,
   // and have at most kMaxTransfer bytes. Not for a single received byte, for which the chip clocks two
   // (erratum 58).
   void transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> in) noexcept;
 
-  // The SPIM's interrupt handler.
-  void on_interrupt() noexcept;
-
  private:
   Wiring wiring_;
   nrf52832::Block registers_;
-  std::atomic<bool> over_ = false;
 };
 
 }  // namespace groma::dwm1001

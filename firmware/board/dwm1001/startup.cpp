@@ -18,8 +18,6 @@ void watchdog_entry();
 void uarte0_entry();
 void gpiote_entry();
 void timer0_entry();
-void spim1_entry();
-void spim2_entry();
 void ecb_entry();
 
 // Fills the stack, which is not in use yet, with kStackPaint and sets the stack pointer: a debugger may start
@@ -84,8 +82,6 @@ consteval std::array<Handler, kExceptions + kInterrupts> handlers() {
   set(Irq::kGpiote, gpiote_entry);
   set(Irq::kTimer0, timer0_entry);
   set(Irq::kWatchdog, watchdog_entry);
-  set(Irq::kSpim1, spim1_entry);
-  set(Irq::kSpim2, spim2_entry);
   set(Irq::kEcb, ecb_entry);
   return table;
 }

@@ -60,7 +60,12 @@ void Uarte::send_next() noexcept {
   if (size == 0) return;
   uarte::kBlock[uarte::kTransmitPointer] = reinterpret_cast<std::uintptr_t>(send_.data() + at);
   uarte::kBlock[uarte::kTransmitCount] = size;
+  uarte::kBlock[uarte::kEventByteSent] = 0;
   uarte::kBlock[uarte::kStartTransmit] = 1;
+}
+
+bool Uarte::starting() const noexcept {
+  return sending_ != 0 && uarte::kBlock[uarte::kEventByteSent] == 0;
 }
 
 void Uarte::receive_into(std::uint32_t chunk) noexcept {

@@ -24,6 +24,8 @@ class Uarte {
   [[nodiscard]] bool write(std::span<const std::uint8_t> frame) noexcept;
   // All queued bytes have been sent.
   [[nodiscard]] bool idle() const noexcept { return head_ == tail_; }
+  // A transfer's first byte has not been sent yet: the processor must not sleep, because of anomaly 109.
+  [[nodiscard]] bool starting() const noexcept;
 
   // Received bytes up to the end of a frame or of a chunk; release() them before the next call.
   [[nodiscard]] std::span<const std::uint8_t> received(std::uint64_t now_us) noexcept;

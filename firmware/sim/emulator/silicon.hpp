@@ -7,9 +7,9 @@ namespace groma::sim {
 struct SiliconQuirks {
   // Anomaly 109: the first byte that EasyDMA reads is wrong if the processor falls asleep just after the
   // start of the transfer (kDmaStart, easy_dma.hpp). In the model it is always wrong, by seeded bits.
-  bool spim_start = false;
-  bool uarte_start = false;  // of a transmission
-  bool ecb_start = false;    // no list of the anomaly has ECB; another user of the same AES engine showed it
+  bool spim_start = true;
+  bool uarte_start = true;  // of a transmission
+  bool ecb_start = true;    // no list of the anomaly has ECB; another user of the same AES engine showed it
 };
 
 }  // namespace groma::sim
