@@ -54,6 +54,9 @@ bool CortexM4::lockup() const {
 bool CortexM4::reset_requested() const {
   return core_->reset_requested();
 }
+void CortexM4::guard_wake_up(bool on) {
+  core_->guard_wake_up(on);
+}
 void CortexM4::flash_changed(std::uint32_t address, std::size_t bytes) {
   core_->flash_changed(address, bytes);
 }

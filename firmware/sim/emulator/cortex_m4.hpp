@@ -134,6 +134,10 @@ class CortexM4 {
   // AIRCR.SYSRESETREQ was written.
   [[nodiscard]] bool reset_requested() const;
 
+  // With it, run() throws a SimulationError if the CPU falls asleep without PRIMASK or without four NOPs
+  // after the sleep (silicon.hpp, anomaly 220 of the nRF52832).
+  void guard_wake_up(bool on);
+
   // Discards the cached code there.
   void flash_changed(std::uint32_t address, std::size_t bytes);
 

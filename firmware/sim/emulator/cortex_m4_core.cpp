@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 #include <limits>
 
@@ -149,7 +150,20 @@ SimTime CortexM4::Core::next_wake() const {
 
 void CortexM4::Core::fall_asleep(Sleep kind) {
   sleep_ = kind;
-  if (!wakes()) bus_.on_sleep(now_);
+  if (wakes()) return;
+  if (guards_wake_up_ && !wakes_up_quietly()) {
+    throw SimulationError(
+        fmt::format("anomaly 220: a sleep before PC {:#010x} without PRIMASK or without four NOPs after it",
+                    next_pc_ & ~1U));
+  }
+  bus_.on_sleep(now_);
+}
+
+// No exception is taken and no memory is written in the first four instructions after the sleep.
+bool CortexM4::Core::wakes_up_quietly() const {
+  constexpr std::array<std::uint8_t, 8> kFourNops{0x00, 0xBF, 0x00, 0xBF, 0x00, 0xBF, 0x00, 0xBF};
+  const std::span<const std::uint8_t> code = memory_at(next_pc_ & ~1U, kFourNops.size());
+  return engine_.masks().primask && std::equal(code.begin(), code.end(), kFourNops.begin(), kFourNops.end());
 }
 
 // B1.5.17 and B1.5.18: an interrupt wakes the CPU even if PRIMASK is set.

@@ -38,6 +38,7 @@ class CortexM4::Core {
   void set_event() { event_ = true; }
   [[nodiscard]] bool lockup() const { return lockup_; }
   [[nodiscard]] bool reset_requested() const { return control_.reset_requested(); }
+  void guard_wake_up(bool on) { guards_wake_up_ = on; }
   void flash_changed(std::uint32_t address, std::size_t bytes);
   [[nodiscard]] std::uint32_t pc() const;
   [[nodiscard]] std::uint32_t get_register(Register which) const;
@@ -132,6 +133,7 @@ class CortexM4::Core {
   void after_event(uc_err result);
   [[nodiscard]] thumb::Instruction last_instruction() const;
   void fall_asleep(Sleep kind);
+  [[nodiscard]] bool wakes_up_quietly() const;
   [[nodiscard]] bool wakes() const;
 
   // Exceptions (cortex_m4_exceptions.cpp).
@@ -174,6 +176,7 @@ class CortexM4::Core {
   SimTime stalled_until_ = 0;
   std::uint32_t next_pc_ = 0;  // between executions; bit 0 is the T bit
   Sleep sleep_ = Sleep::kAwake;
+  bool guards_wake_up_ = false;
   bool event_ = false;
   bool recheck_exceptions_ = false;  // an exception may now be taken
   bool lockup_ = false;

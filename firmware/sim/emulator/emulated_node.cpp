@@ -74,6 +74,7 @@ class EmulatedNode::Machine final : private Processor {
         boots_at_(spec.power_on) {
     if (quantum_ <= 0 || quantum_ > Nrf52832::kHostDelay)
       throw SimulationError("the quantum of an emulated node must be above 0 and at most 50 us");
+    cpu.guard_wake_up(options.silicon.wake_up);
     ImageFlash pages{std::span<std::uint8_t>(flash).subspan(kStoragePages)};
     if (!spec.stored_config.empty() && !storage::ConfigStore(pages).store(spec.stored_config))
       throw SimulationError("stored_config: at most " + std::to_string(storage::kMaxRecordBytes) + " bytes");

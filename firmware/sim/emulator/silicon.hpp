@@ -10,6 +10,10 @@ struct SiliconQuirks {
   bool spim_start = true;
   bool uarte_start = true;  // of a transmission
   bool ecb_start = true;    // no list of the anomaly has ECB; another user of the same AES engine showed it
+
+  // Anomaly 220: RAM is not written in the first cycle after a wake-up. In the model a sleep fails the run
+  // unless PRIMASK is set and four NOPs follow, so that nothing is written before.
+  bool wake_up = false;
 };
 
 }  // namespace groma::sim

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <random>
 
+#include "firmware/sim/simulation_error.hpp"
 #include "test/sim/emulator/cpu_bench.hpp"
 
 namespace groma::sim {
@@ -234,6 +235,46 @@ TEST_F(CpuSleep, AnInterruptMaskedByBasepriDoesNotWake) {
   interrupt();
   EXPECT_TRUE(bench_.cpu().sleeping());
   EXPECT_EQ(bench_.r(5), 0U);
+}
+
+TEST_F(CpuSleep, MayBeRequiredToWakeUpQuietly) {
+  constexpr std::uint16_t kMask = 0xB672;  // cpsid i
+  constexpr std::uint16_t kWfi = 0xBF30;
+  constexpr std::uint16_t kWfe = 0xBF20;
+  constexpr std::uint16_t kNop = 0xBF00;
+  constexpr std::uint16_t kUnmask = 0xB662;  // cpsie i
+  constexpr std::uint16_t kLoop = 0xE7FE;
+  for (const std::uint16_t sleep : {kWfi, kWfe}) {
+    const std::vector<CpuBench::Code> noisy_codes{{sleep, kNop, kNop, kNop, kNop, kLoop},
+                                                  {kMask, sleep, kUnmask, kLoop},
+                                                  {kMask, sleep, kNop, kNop, kNop, kUnmask, kLoop}};
+    for (const CpuBench::Code& noisy : noisy_codes) {
+      bench_.cpu().guard_wake_up(false);
+      EXPECT_NO_THROW(run(noisy));
+      EXPECT_TRUE(bench_.cpu().sleeping());
+      bench_.cpu().guard_wake_up(true);
+      EXPECT_THROW(run(noisy), SimulationError);
+    }
+    run({kMask, sleep, kNop, kNop, kNop, kNop, kUnmask, kLoop});
+    EXPECT_TRUE(bench_.cpu().sleeping());
+    interrupt();
+    EXPECT_EQ(bench_.r(4), 1U);
+    // With an interrupt pending there is no sleep, and so no wake-up.
+    EXPECT_NO_THROW(run({kMask,
+                         0x2001,          // movs r0, #1
+                         0xF8C6, 0x0200,  // str.w r0, [r6, #0x200]
+                         kWfi, kUnmask, kLoop}));
+  }
+  // Sleep-on-exit wakes up into a handler.
+  bench_.handler(CpuBench::kSvCall, 0x1800);
+  EXPECT_THROW(run({
+                   0x2002,  // movs r0, #2
+                   0xF8C6,
+                   0x0D10,  // str.w r0, [r6, #0xD10]
+                   0xDF00,  // svc #0
+                   kLoop,
+               }),
+               SimulationError);
 }
 
 TEST_F(CpuSleep, WaitsForAnEvent) {

@@ -76,5 +76,13 @@ TEST_F(ShippedSilicon, StaysAwakeWhileBlocksAreEncrypted) {
   EXPECT_EQ(out.good_ranges, outcome_of(fast_processor({.ecb_start = false}), keyed_site()).good_ranges);
 }
 
+// ---- anomaly 220 ------------------------------------------------------------------------------------------
+
+// The image unmasks interrupts at once.
+TEST_F(ShippedSilicon, WritesMemoryJustAfterItsWakeUps) {
+  EXPECT_THAT(outcome_of({.silicon = {.wake_up = true}}, small_site()).error,
+              testing::HasSubstr("anomaly 220"));
+}
+
 }  // namespace
 }  // namespace groma::sim

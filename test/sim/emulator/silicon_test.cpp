@@ -13,6 +13,7 @@ namespace groma::sim {
 namespace {
 
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 
 using Code = SmallProgram::Code;
 using Writes = SmallProgram::Writes;
@@ -119,6 +120,24 @@ TEST(Silicon, SleepAtTheStartOfAnEncryptionSpoilsTheBlock) {
   EXPECT_EQ(first_bytes(kSleepLater, true), right);
   EXPECT_EQ(first_bytes(kSleep, false), right);
   EXPECT_NE(first_bytes(kSleep, true), right);
+}
+
+// ---- anomaly 220 ------------------------------------------------------------------------------------------
+
+TEST(Silicon, FailsTheRunIfMemoryCouldBeWrittenJustAfterAWakeUp) {
+  const auto error_of = [](const Code& tail, bool on) {
+    SmallProgram program({}, tail, {.silicon = {.wake_up = on}});
+    return SocBench::error_of([&] { program.run_until(kEnd_s); });
+  };
+  EXPECT_EQ(error_of(kSleep, true), "");
+  const Code hasty{
+      0xB672,  // cpsid i
+      0xBF30,  // wfi
+      0xB662,  // cpsie i
+      0xE7FE,  // b .
+  };
+  EXPECT_THAT(error_of(hasty, true), HasSubstr("anomaly 220"));
+  EXPECT_EQ(error_of(hasty, false), "");
 }
 
 }  // namespace
