@@ -23,7 +23,7 @@ inline void enable_interrupt(nrf52832::Irq irq, Priority priority) noexcept {
   scb::kBlock[scb::kNvicEnable + number / 32 * 4] = 1U << (number % 32);
 }
 
-// Masks interrupts, but not faults, during its lifetime. For thread mode; must not be nested.
+// Masks interrupts, but not faults, during its lifetime. Must not be nested.
 class InterruptLock {
  public:
   InterruptLock() noexcept { asm volatile("cpsid i" ::: "memory"); }
@@ -32,10 +32,12 @@ class InterruptLock {
   InterruptLock& operator=(const InterruptLock&) = delete;
 };
 
-// Sleeps until an interrupt is pending. Under an InterruptLock the interrupt is taken when the lock ends, so
-// a condition checked under the lock cannot change unnoticed before the sleep.
+// Sleeps until an interrupt is pending. Only under an InterruptLock: the interrupt is taken when the lock
+// ends, so a condition checked under the lock cannot change unnoticed before the sleep. Anomaly 220: RAM may
+// not be written in the first cycle after the wake-up; Nordic's workaround is four NOPs before interrupts are
+// unmasked.
 inline void sleep() noexcept {
-  asm volatile("dsb\n wfi" ::: "memory");
+  asm volatile("dsb\n wfi\n nop\n nop\n nop\n nop" ::: "memory");
 }
 
 [[noreturn]] inline void reset_processor() noexcept {

@@ -98,6 +98,7 @@ extern "C" {
   groma::node::Fault place;
   if (in_stack(frame)) place = {.pc = frame[kStackedPc], .lr = frame[kStackedLr]};
   save(FaultCause::kWatchdog, place);
+  const InterruptLock lock;
   for (;;) sleep();
 }
 

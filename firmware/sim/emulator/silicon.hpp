@@ -13,7 +13,7 @@ struct SiliconQuirks {
 
   // Anomaly 220: RAM is not written in the first cycle after a wake-up. In the model a sleep fails the run
   // unless PRIMASK is set and four NOPs follow, so that nothing is written before.
-  bool wake_up = false;
+  bool wake_up = true;
 };
 
 }  // namespace groma::sim
