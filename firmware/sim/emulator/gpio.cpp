@@ -55,6 +55,10 @@ PinDrive Gpio::driven(unsigned pin) const noexcept {
   return mode == 4 || mode == 5 ? PinDrive::kFloating : PinDrive::kLow;
 }
 
+bool Gpio::input_connected(unsigned pin) const noexcept {
+  return (pins_[pin].configuration & kInputDisconnected) == 0;
+}
+
 bool Gpio::level(unsigned pin) const noexcept {
   const Pin& state = pins_[pin];
   if (state.drive != PinDrive::kFloating) return state.drive == PinDrive::kHigh;
@@ -69,7 +73,7 @@ void Gpio::update_pin(SimTime t, unsigned pin) {
     state.drive = drive;
     on_drive_(t, pin, drive);
   }
-  const bool seen = (state.configuration & kInputDisconnected) == 0 && level(pin);
+  const bool seen = input_connected(pin) && level(pin);
   if (seen != state.level) {
     state.level = seen;
     on_level_(t, pin, seen);

@@ -27,6 +27,7 @@ class Gpio final : public Peripheral {
   void drive_from_outside(SimTime t, unsigned pin, PinDrive drive);
 
   [[nodiscard]] PinDrive drive(unsigned pin) const noexcept { return pins_[pin].drive; }
+  [[nodiscard]] bool input_connected(unsigned pin) const noexcept;
   // The level on the wire: driven, else pulled, else low.
   [[nodiscard]] bool level(unsigned pin) const noexcept;
 

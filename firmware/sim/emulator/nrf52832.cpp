@@ -32,8 +32,9 @@ bool chip_has(std::uint32_t address) {
 Nrf52832::Nrf52832(const Parts& parts)
     : parts_(parts),
       random_(parts.identity.device_id),
-      slots_{{{"SPIM1", parts.can, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
-              {"SPIM2", &parts.radio, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
+      slots_{
+          {{"SPIM1", parts.can, kCanPins.sck, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
+           {"SPIM2", &parts.radio, kRadioPins.sck, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
       gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
             [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
       spim1_("SPIM1", kCanPins, EasyDma(parts.ram),
@@ -174,6 +175,8 @@ void Nrf52832::update_interrupt_pin(SimTime t, const Slot& slot) {
 bool Nrf52832::exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> mosi,
                         std::span<std::uint8_t> miso, std::uint32_t hz) {
   if (gpio_.drive(slot.select_pin) != PinDrive::kLow) return false;
+  if (parts_.silicon.sck_input && !gpio_.input_connected(slot.clock_pin))
+    throw SimulationError(std::string(slot.name) + ": the input buffer of SCK is disconnected");
   if (++slot.transfers_in_window > 1) {
     throw SimulationError(std::string(slot.name) +
                           ": a second transfer within one chip-select window is not modelled");

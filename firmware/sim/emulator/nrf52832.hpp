@@ -7,8 +7,9 @@
 // An access to a register that is not modelled, or to any other peripheral of the chip, fails the run; an
 // access to an address without a peripheral is a bus fault. Registers can only be read and written as words.
 //
-// Limits of the model: the internal oscillators are as exact as the crystals; the PIN_CNF of a GPIO that a
-// serial peripheral uses is not checked. silicon.hpp has what the silicon does beyond the specification.
+// Limits of the model: the internal oscillators are as exact as the crystals; of the GPIOs that a serial
+// peripheral uses, only the input buffer of SCK is checked. silicon.hpp has what the silicon does beyond the
+// specification.
 #pragma once
 
 #include <array>
@@ -126,6 +127,7 @@ class Nrf52832 final : public Bus {
   struct Slot {
     const char* name;
     SpiDevice* device;
+    unsigned clock_pin;
     unsigned select_pin;
     unsigned interrupt_pin;
     bool active_high;

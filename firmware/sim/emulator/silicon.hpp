@@ -14,6 +14,10 @@ struct SiliconQuirks {
   // Anomaly 220: RAM is not written in the first cycle after a wake-up. In the model a sleep fails the run
   // unless PRIMASK is set and four NOPs follow, so that nothing is written before.
   bool wake_up = true;
+
+  // An SPI master needs the input buffer of its clock pin, by most of Nordic's drivers. In the model a
+  // transfer without it fails the run.
+  bool sck_input = false;
 };
 
 }  // namespace groma::sim

@@ -84,5 +84,12 @@ TEST_F(ShippedSilicon, WritesNoMemoryJustAfterItsWakeUps) {
   EXPECT_GT(out.good_ranges, 100);
 }
 
+// ---- SCK --------------------------------------------------------------------------------------------------
+
+TEST_F(ShippedSilicon, DisconnectsTheInputBufferOfTheSpiClock) {
+  EXPECT_THAT(outcome_of({.silicon = {.sck_input = true}}, small_site()).error,
+              testing::HasSubstr("SPIM2: the input buffer of SCK"));
+}
+
 }  // namespace
 }  // namespace groma::sim

@@ -122,6 +122,20 @@ TEST(Silicon, SleepAtTheStartOfAnEncryptionSpoilsTheBlock) {
   EXPECT_NE(first_bytes(kSleep, true), right);
 }
 
+// ---- SCK --------------------------------------------------------------------------------------------------
+
+TEST(Silicon, NeedsTheInputBufferOfTheSpiClock) {
+  const auto error_of = [](std::uint32_t clock_configuration, bool on) {
+    Writes writes = kTransfer;
+    writes[3].second = clock_configuration;
+    SmallProgram program(writes, kAwake, {.silicon = {.sck_input = on}});
+    return SocBench::error_of([&] { program.run_until(kEnd_s); });
+  };
+  EXPECT_EQ(error_of(1, true), "");
+  EXPECT_THAT(error_of(3, true), HasSubstr("input buffer of SCK"));
+  EXPECT_EQ(error_of(3, false), "");
+}
+
 // ---- anomaly 220 ------------------------------------------------------------------------------------------
 
 TEST(Silicon, FailsTheRunIfMemoryCouldBeWrittenJustAfterAWakeUp) {
