@@ -87,8 +87,9 @@ inline constexpr std::uint32_t kIn = 0x510;
 inline constexpr std::uint32_t kDirectionSet = 0x518;
 inline constexpr std::uint32_t kDirectionClear = 0x51C;
 inline constexpr std::uint32_t kPinConfig = 0x700;  // plus 4 per pin
-// Pin configurations: output; input without and with a pull.
+// Pin configurations: output without and with its input buffer; input without and with a pull.
 inline constexpr std::uint32_t kOutput = 0x3;
+inline constexpr std::uint32_t kOutputWithInput = 0x1;
 inline constexpr std::uint32_t kInput = 0x0;
 inline constexpr std::uint32_t kInputPulledDown = 0x4;
 inline constexpr std::uint32_t kInputPulledUp = 0xC;

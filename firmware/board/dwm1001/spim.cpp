@@ -11,7 +11,8 @@ void Spim::start(SpiFrequency frequency) noexcept {
   pin::set(wiring_.select_pin);
   pin::configure(wiring_.select_pin, gpio::kOutput);
   pin::clear(wiring_.clock_pin);
-  pin::configure(wiring_.clock_pin, gpio::kOutput);
+  // Nordic's older drivers say that SPI works only with the clock's input buffer.
+  pin::configure(wiring_.clock_pin, gpio::kOutputWithInput);
   pin::clear(wiring_.out_pin);
   pin::configure(wiring_.out_pin, gpio::kOutput);
   pin::configure(wiring_.in_pin, gpio::kInput);

@@ -17,7 +17,7 @@ struct SiliconQuirks {
 
   // An SPI master needs the input buffer of its clock pin, by most of Nordic's drivers. In the model a
   // transfer without it fails the run.
-  bool sck_input = false;
+  bool sck_input = true;
 };
 
 }  // namespace groma::sim

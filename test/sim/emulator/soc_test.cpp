@@ -147,6 +147,7 @@ TEST(Gpiote, RaisesEventsOnTheConfiguredEdges) {
        {std::pair{0x508U, 4U}, {0x50CU, 6U}, {0x510U, 7U}, {0x534U, 0x20000100U}, {0x538U, 2U}, {0x500U, 7U}})
     bench.write(reg::kSpim1 + offset, value);
   bench.write(reg::kP0 + 0x518, 1U << 3);
+  bench.write(reg::kP0 + 0x700 + 4 * 4, 1);
   bench.write(reg::kSpim1 + 0x10, 1);
   EXPECT_FALSE(bench.irq(6));
   bench.run_us(100);
@@ -307,6 +308,7 @@ struct SpimBench : SocBench {
   SpimBench() {
     write(reg::kP0 + 0x508, 1U << 3);
     write(reg::kP0 + 0x518, 1U << 3);
+    write(reg::kP0 + 0x700 + 4 * 4, 1);
     write(reg::kSpim1 + 0x508, 4);
     write(reg::kSpim1 + 0x50C, 6);
     write(reg::kSpim1 + 0x510, 7);
@@ -405,6 +407,7 @@ TEST(Spim, ReadsTheRadiosIdentity) {
   SocBench bench;
   bench.run_us(5000);
   bench.write(reg::kP0 + 0x518, 1U << 17);
+  bench.write(reg::kP0 + 0x700 + 4 * 16, 1);
   for (const auto& [offset, value] : {std::pair{0x508U, 16U},
                                       {0x50CU, 20U},
                                       {0x510U, 18U},
