@@ -32,8 +32,9 @@ constexpr std::uint32_t kSourceCrystal = 1;
 
 }  // namespace
 
-void ClockPower::reset(ResetCause cause) {
+void ClockPower::reset(ResetCause cause, SimTime t) {
   events_ = EventRegisters{1U << kHfclkStarted | 1U << kLfclkStarted};
+  lfclk_stopped_at_ = t;
   hfxo_at_ = lfclk_at_ = kNever;
   hfxo_requested_ = hfxo_runs_ = lfclk_requested_ = lfclk_runs_ = false;
   lfclk_source_ = lfclk_source_copy_ = 0;
@@ -88,6 +89,8 @@ bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       return true;
     case kTasksLfclkstart:
       if (value == 0 || lfclk_requested_) return true;
+      if (guards_restart_ && t - lfclk_stopped_at_ < kLfclkRestart)
+        throw SimulationError("CLOCK: LFCLKSTART within 330 us of a reset or a stop (anomaly 132)");
       lfclk_requested_ = true;
       lfclk_source_copy_ = lfclk_source_;
       lfclk_at_ = t + (lfclk_source_ == kSourceCrystal ? kLfxoStart : kLfrcStart);
@@ -96,6 +99,7 @@ bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       if (value == 0) return true;
       lfclk_requested_ = lfclk_runs_ = false;
       lfclk_at_ = kNever;
+      lfclk_stopped_at_ = t;
       return true;
     case kLfclksrc:
       if (value > kSourceCrystal)

@@ -21,9 +21,14 @@ class ClockPower final : public Peripheral {
   static constexpr SimTime kHfxoStart = 360 * kUnitsPerMicrosecond;
   static constexpr SimTime kLfxoStart = 250 * kUnitsPerMillisecond;
   static constexpr SimTime kLfrcStart = 600 * kUnitsPerMicrosecond;
+  // Anomaly 132: from a stop or reset to the next start.
+  static constexpr SimTime kLfclkRestart = 330 * kUnitsPerMicrosecond;
+
+  // `guards_restart`: LFCLKSTART sooner than kLfclkRestart fails the run.
+  explicit ClockPower(bool guards_restart) noexcept : guards_restart_(guards_restart) {}
 
   // Registers that survive a soft reset keep their values; RESETREAS accumulates causes.
-  void reset(ResetCause cause);
+  void reset(ResetCause cause, SimTime t);
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
   [[nodiscard]] bool write(SimTime t, std::uint32_t offset, std::uint32_t value) override;
@@ -38,7 +43,9 @@ class ClockPower final : public Peripheral {
   static constexpr unsigned kHfclkStarted = 0;
   static constexpr unsigned kLfclkStarted = 1;
 
+  bool guards_restart_;
   EventRegisters events_{1U << kHfclkStarted | 1U << kLfclkStarted};
+  SimTime lfclk_stopped_at_ = 0;
   SimTime hfxo_at_ = kNever;
   SimTime lfclk_at_ = kNever;
   bool hfxo_requested_ = false;

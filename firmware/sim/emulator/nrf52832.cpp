@@ -35,6 +35,7 @@ Nrf52832::Nrf52832(const Parts& parts)
       slots_{
           {{"SPIM1", parts.can, kCanPins.sck, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
            {"SPIM2", &parts.radio, kRadioPins.sck, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
+      clock_power_(parts.silicon.lfclk_restart),
       gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
             [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
       spim1_("SPIM1", kCanPins, EasyDma(parts.ram),
@@ -87,7 +88,7 @@ void Nrf52832::reset(ResetCause cause, SimTime t) {
   timer_.reset();
   ecb_.reset();
   nvmc_.reset();
-  clock_power_.reset(cause);
+  clock_power_.reset(cause, t);
   if (cause != ResetCause::kSoftware && cause != ResetCause::kLockup) watchdog_.reset();
   for (const Slot& slot : slots_) update_interrupt_pin(t, slot);
   refresh_all();

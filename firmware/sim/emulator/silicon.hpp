@@ -18,6 +18,10 @@ struct SiliconQuirks {
   // An SPI master needs the input buffer of its clock pin, by most of Nordic's drivers. In the model a
   // transfer without it fails the run.
   bool sck_input = true;
+
+  // Anomaly 132: the low-frequency clock may not start if it is started soon after it stopped, or after a
+  // reset. In the model this fails the run (ClockPower::kLfclkRestart).
+  bool lfclk_restart = false;
 };
 
 }  // namespace groma::sim

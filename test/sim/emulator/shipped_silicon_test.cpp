@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <string>
+#include <utility>
 
 #include "firmware/sim/simulation_error.hpp"
 #include "test/sim/emulator/emulated_site.hpp"
@@ -95,6 +96,34 @@ TEST_F(ShippedSilicon, ConnectsTheInputBufferOfBothSpiClocks) {
   const Outcome out = outcome_of({}, settings);
   EXPECT_EQ(out.error, "");
   EXPECT_GT(out.good_ranges, 100);
+}
+
+// ---- anomaly 132 ------------------------------------------------------------------------------------------
+
+// The error of a node whose reset button is pressed.
+std::string error_after_reset(const EmulatorOptions& options) {
+  FreeSpace space;
+  space.put(1, {});
+  Network network(space, {}, 1);
+  NodeSpec spec;
+  spec.chip.id = 1;
+  auto owned = make_emulated_node(spec, shipped(), network.medium(), options);
+  EmulatedNode& node = *owned;
+  network.add(std::move(owned));
+  network.run_until(from_seconds(0.5));
+  node.press_reset(network.now());
+  try {
+    network.run_until(from_seconds(1.0));
+  } catch (const SimulationError& error) {
+    return error.what();
+  }
+  return {};
+}
+
+// It takes 0.45 ms to initialize its memory, and starts the clock then.
+TEST_F(ShippedSilicon, StartsItsSlowClockTooSoonIfItsMemoryIsInitializedSooner) {
+  EXPECT_EQ(error_after_reset({.silicon = {.lfclk_restart = true}}), "");
+  EXPECT_THAT(error_after_reset(fast_processor({.lfclk_restart = true})), testing::HasSubstr("anomaly 132"));
 }
 
 }  // namespace

@@ -154,5 +154,21 @@ TEST(Silicon, FailsTheRunIfMemoryCouldBeWrittenJustAfterAWakeUp) {
   EXPECT_EQ(error_of(hasty, false), "");
 }
 
+// ---- anomaly 132 ------------------------------------------------------------------------------------------
+
+const Writes kSlowClockStart{{reg::kPower + 0x518, 1}, {reg::kPower + 0x008, 1}};
+
+TEST(Silicon, FailsTheRunIfTheSlowClockIsStartedSoonAfterAReset) {
+  const auto error_of = [](bool on) {
+    SmallProgram program(kSlowClockStart, kAwake, {.silicon = {.lfclk_restart = on}});
+    // The supply takes longer to rise than the clock needs.
+    program.run_until(kEnd_s);
+    program.node->press_reset(program.network.now());
+    return SocBench::error_of([&] { program.run_until(2 * kEnd_s); });
+  };
+  EXPECT_THAT(error_of(true), HasSubstr("anomaly 132"));
+  EXPECT_EQ(error_of(false), "");
+}
+
 }  // namespace
 }  // namespace groma::sim

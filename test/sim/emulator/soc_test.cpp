@@ -74,6 +74,20 @@ TEST(ClockPower, StartsItsCrystalsInTheirTime) {
   EXPECT_THAT(SocBench::error_of([&] { bench.write(reg::kPower + 0x518, 0); }), HasSubstr("LFCLKSRC"));
 }
 
+TEST(ClockPower, DoesNotStartTheSlowClockSoonAfterItStopped) {
+  ClockPower clock(true);
+  clock.reset(ResetCause::kPin, 0);
+  const auto start = [&](SimTime t) { EXPECT_TRUE(clock.write(t, 0x008, 1)); };
+  EXPECT_THAT(SocBench::error_of([&] { start(ClockPower::kLfclkRestart - 1); }), HasSubstr("anomaly 132"));
+  start(ClockPower::kLfclkRestart);
+  EXPECT_TRUE(clock.write(kMillisecond, 0x00C, 1));
+  EXPECT_THAT(SocBench::error_of([&] { start(kMillisecond + 138 * kMicrosecond); }),
+              HasSubstr("anomaly 132"));
+  start(kMillisecond + ClockPower::kLfclkRestart);
+  ClockPower other(false);
+  EXPECT_TRUE(other.write(0, 0x008, 1));
+}
+
 TEST(ClockPower, GathersResetReasonsUntilTheyAreWrittenBack) {
   SocBench bench;
   EXPECT_EQ(bench.read(reg::kPower + 0x400), 0U);
