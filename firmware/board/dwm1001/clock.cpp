@@ -27,13 +27,6 @@ std::uint64_t awaited_us = kNothing;  // changed only under an InterruptLock or 
 }  // namespace
 
 void start() noexcept {
-  power::kBlock[power::kLfclkSource] = power::kLfclkCrystal;
-  power::kBlock[power::kLfclkStart] = 1;
-  power::kBlock[power::kHfclkStarted] = 0;
-  power::kBlock[power::kHfclkStart] = 1;
-  while (power::kBlock[power::kHfclkStarted] == 0) {
-  }
-
   const auto& registers = timer::kBlock0;
   registers[timer::kMode] = timer::kTimerMode;
   registers[timer::kBitMode] = timer::k32Bits;
@@ -42,6 +35,19 @@ void start() noexcept {
   registers[timer::kInterruptSet] = timer::kInterruptCompare0;
   enable_interrupt(nrf52832::Irq::kTimer0, Priority::kPeripheral);
   registers[timer::kStart] = 1;
+
+  power::kBlock[power::kHfclkStarted] = 0;
+  power::kBlock[power::kHfclkStart] = 1;
+  while (power::kBlock[power::kHfclkStarted] == 0) {
+  }
+
+  // Anomaly 132: the slow clock may not start sooner than 330 us after a reset. The timer has run for a part
+  // of the time since, by the internal oscillator at first, so a margin is left.
+  constexpr std::uint32_t kAfterReset_us = 400;
+  while (now_us() < kAfterReset_us) {
+  }
+  power::kBlock[power::kLfclkSource] = power::kLfclkCrystal;
+  power::kBlock[power::kLfclkStart] = 1;
 }
 
 std::uint64_t now_us() noexcept {

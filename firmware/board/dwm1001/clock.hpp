@@ -5,8 +5,8 @@
 
 namespace groma::dwm1001::clock {
 
-// Starts both crystals and the timer. Returns when the 64 MHz clock is exact; it does not wait another
-// quarter of a second for the slow crystal.
+// Starts the timer and both crystals; at most 0.5 ms. Returns when the 64 MHz clock is exact; it does not
+// wait another quarter of a second for the slow crystal.
 void start() noexcept;
 
 // Call from thread mode only, at least once an hour.

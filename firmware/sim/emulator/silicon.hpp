@@ -21,7 +21,7 @@ struct SiliconQuirks {
 
   // Anomaly 132: the low-frequency clock may not start if it is started soon after it stopped, or after a
   // reset. In the model this fails the run (ClockPower::kLfclkRestart).
-  bool lfclk_restart = false;
+  bool lfclk_restart = true;
 };
 
 }  // namespace groma::sim

@@ -54,6 +54,7 @@ TEST(Soc, ReportsItsIdentity) {
 
 TEST(ClockPower, StartsItsCrystalsInTheirTime) {
   SocBench bench;
+  bench.run_us(330);
   bench.write(reg::kPower + 0x518, 1);
   bench.write(reg::kPower + 0x304, 1);
   bench.write(reg::kPower + 0x000, 1);
