@@ -14,8 +14,9 @@ namespace groma::sim {
 class NorFlash {
  public:
   static constexpr std::uint32_t kPageBytes = 4096;
-  static constexpr SimTime kEraseTime = 85 * kUnitsPerMillisecond;
-  static constexpr SimTime kWriteTime = 41 * kUnitsPerMicrosecond;
+  // The nRF52832's longest times.
+  static constexpr SimTime kEraseTime = 897 * kUnitsPerMillisecond / 10;
+  static constexpr SimTime kWriteTime = 338 * kUnitsPerMicrosecond;
   // The nRF52832's limit of writes to a block of 512 bytes between two erases (nWRITE,BLOCK).
   static constexpr std::uint32_t kBlockBytes = 512;
   static constexpr std::uint32_t kMaxWritesPerBlock = 181;

@@ -54,8 +54,8 @@ struct FakePlatform {
   bool store_config(std::span<const std::uint8_t> blob) noexcept {
     sent_before_store = sent.size();
     last_radio_command_at_store = chip.written(0x0D, 0);
-    time_us += 85'000;
-    chip.time += 85'000 * kTicksPerUs;
+    time_us += 90'000;
+    chip.time += 90'000 * kTicksPerUs;
     if (store_fails) return false;
     stored.assign(blob.begin(), blob.end());
     if (store_corrupts && !stored.empty()) stored.back() ^= 1;
@@ -521,7 +521,7 @@ TEST_F(NodeTest, AMasterContinuesItsCountAfterAFlashWrite) {
   const auto duration = static_cast<std::uint64_t>(
       mac::Superframe(config.schedule, dw1000::Phy(dw1000::Preamble::k128)).duration().count());
   const std::uint64_t since = platform.chip.written(0x0A, 0) - first;
-  EXPECT_GT(since, 85'000U * 63'897U);
+  EXPECT_GT(since, 90'000U * 63'897U);
   EXPECT_LT(std::min(since % duration, duration - since % duration), 512U);
   EXPECT_EQ(node.counters().late_transmits, 0U);
   EXPECT_EQ(node.counters().radio_recoveries, 0U);

@@ -331,7 +331,7 @@ TEST(Faults, AConfigurationWrittenOverTheLinkIsKept) {
   EXPECT_TRUE(site.listeners[1].reports.back().body.ranges[0].has_raw);
 }
 
-// Writes often enough that pages fill up and are erased: each erase takes the node off the air for 85 ms.
+// Writes often enough that pages fill up and are erased: each erase takes the node off the air for 90 ms.
 TEST(Faults, WritingFlashKeepsAllNodesSynchronized) {
   for (const std::size_t writer : {0U, 1U, 2U}) {  // the tag, the master, another anchor
     const SiteSettings settings{.tags = 1, .anchors = 3};

@@ -8,8 +8,8 @@
 
 namespace groma::dwm1001 {
 
-// Offsets are from the start of the first page. An operation halts the processor: 85 ms for the erase of a
-// page, 338 us for a word (nRF52832 PS v1.4, 11.2).
+// Offsets are from the start of the first page. An operation halts the processor: at most 89.7 ms for the
+// erase of a page, 338 us for a word.
 class Nvmc {
  public:
   static constexpr std::size_t kPages = 2;

@@ -42,7 +42,8 @@ class StoredConfig {
   }
 
   // Stores `config`, and if it is on trial the one `before` it. Returns false if it was not stored or reads
-  // back differently. An erase stalls the processor for 85 ms, so the node must be off the air.
+  // back differently. Stalls the processor for at most 0.1 s, with an erase 0.2 s, so the node must be off
+  // the air.
   [[nodiscard, gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
     const std::size_t size =
         before == nullptr ? encode_config(config, blob_) : encode_on_trial(config, *before, blob_);

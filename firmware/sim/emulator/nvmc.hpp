@@ -16,9 +16,9 @@ namespace groma::sim {
 
 class Nvmc final : public Peripheral {
  public:
-  // Product specification 11.4, electrical specification.
-  static constexpr SimTime kEraseTime = 85 * kUnitsPerMillisecond;
-  static constexpr SimTime kWriteTime = 41 * kUnitsPerMicrosecond;
+  // The longest times in the product specification (docs/explanation/silicon.md, flash times).
+  static constexpr SimTime kEraseTime = 897 * kUnitsPerMillisecond / 10;
+  static constexpr SimTime kWriteTime = 338 * kUnitsPerMicrosecond;
   // The limit of writes to a block between two erases (nWRITE,BLOCK); one more fails the run.
   static constexpr std::uint32_t kBlockBytes = 512;
   static constexpr std::uint8_t kMostWrites = 181;

@@ -21,7 +21,7 @@ inline constexpr double kBooted_s = 0.4;
 struct CutPlan {
   bool page_full = false;  // so that the new configuration goes to the other page
   int anchors = 3;         // in the configuration
-  std::vector<double> after_us = {0.0, 12.0, 25.0, 45.0, 40'000.0};  // after each operation's start
+  std::vector<double> after_us = {0.0, 100.0, 200.0, 360.0, 45'000.0};  // after each operation's start
 };
 
 inline groma_Config config_with(std::uint32_t antenna_delay, int anchors) {
@@ -158,7 +158,7 @@ inline void cut_power_everywhere(const CutPlan& plan) {
       site.run_to_operation(operation);
       ASSERT_EQ(site.operations(), operation);
       const bool erases = site.node->soc().nvmc().next_event() - site.network.now() > kUnitsPerMillisecond;
-      if (after_us > 50.0 && !erases) continue;
+      if (after_us > 400.0 && !erases) continue;
       site.network.run_until(site.network.now() + from_seconds(after_us * 1e-6));
       const std::uint32_t delay = site.delay_after_power_cut();
       ++cuts;

@@ -6,7 +6,7 @@ namespace {
 
 std::vector<double> many_instants() {
   std::vector<double> after_us;
-  for (int i = 0; i <= 11; ++i) after_us.push_back(4.0 * i);
+  for (int i = 0; i <= 11; ++i) after_us.push_back(33.0 * i);
   for (int i = 1; i <= 8; ++i) after_us.push_back(10'000.0 * i);
   return after_us;
 }

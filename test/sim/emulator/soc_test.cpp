@@ -603,18 +603,18 @@ TEST(Nvmc, ClearsBitsByWritesAndSetsThemByErases) {
   EXPECT_EQ(bench.processor.stalled, Nvmc::kWriteTime);
   EXPECT_EQ(bench.word(0x7E000), 0xFFFFFFFFU);
   EXPECT_EQ(bench.read(reg::kNvmc + 0x400), 0U);
-  bench.run_us(41);
+  bench.run_us(338);
   EXPECT_EQ(bench.read(reg::kNvmc + 0x400), 1U);
   EXPECT_EQ(bench.word(0x7E000), 0x12345678U);
   EXPECT_EQ(bench.processor.flash_changes, 1);
   bench.store(0x7E000, 0xFFFF0000);
-  bench.run_us(41);
+  bench.run_us(338);
   EXPECT_EQ(bench.word(0x7E000), 0x12340000U);
   bench.store(0x7F000, 0);
-  bench.run_us(41);
+  bench.run_us(338);
   bench.erase(0x7E000);
   EXPECT_EQ(bench.processor.stalled, 3 * Nvmc::kWriteTime + Nvmc::kEraseTime);
-  bench.run_us(85'000);
+  bench.run_us(89'700);
   EXPECT_EQ(bench.word(0x7E000), 0xFFFFFFFFU);
   EXPECT_EQ(bench.word(0x7F000), 0U);
 }
@@ -639,13 +639,13 @@ TEST(Nvmc, FaultsMoreWritesThanABlockAllows) {
   bench.write(reg::kNvmc + 0x504, 1);
   for (int i = 0; i < 181; ++i) {
     bench.store(0x7E000 + 4U * static_cast<unsigned>(i % 128), 0xFFFFFFFF);
-    bench.run_us(41);
+    bench.run_us(338);
   }
   EXPECT_THAT(SocBench::error_of([&] { bench.store(0x7E000, 0); }), HasSubstr("more than 181 writes"));
   bench.store(0x7E200, 0);
-  bench.run_us(41);
+  bench.run_us(338);
   bench.erase(0x7E000);
-  bench.run_us(85'000);
+  bench.run_us(89'700);
   EXPECT_EQ(SocBench::error_of([&] { bench.store(0x7E000, 0); }), "");
 }
 
@@ -654,17 +654,17 @@ TEST(Nvmc, WritesUicrToo) {
   EXPECT_FALSE(bench.soc.write(0x10001208, 4, 0x5A));
   bench.write(reg::kNvmc + 0x504, 1);
   bench.write(0x10001208, 0x5A);
-  bench.run_us(41);
+  bench.run_us(338);
   EXPECT_EQ(bench.read(0x10001208), 0x5AU);
   EXPECT_EQ(bench.processor.flash_changes, 0);
 }
 
 TEST(Nvmc, IsTornByAPowerCut) {
   for (const auto& [after_us, expected] : {std::pair{0.0, 0xFFFFFFFFU},
-                                           {20.0, 0xFFFFFFFFU},
-                                           {21.0, 0xFFFF5678U},
-                                           {40.9, 0xFFFF5678U},
-                                           {41.0, 0x12345678U}}) {
+                                           {168.0, 0xFFFFFFFFU},
+                                           {170.0, 0xFFFF5678U},
+                                           {337.9, 0xFFFF5678U},
+                                           {338.0, 0x12345678U}}) {
     NvmcBench bench;
     bench.store(0x7E000, 0x12345678);
     bench.soc.power_cut(from_seconds(after_us * 1e-6));
@@ -674,7 +674,7 @@ TEST(Nvmc, IsTornByAPowerCut) {
   NvmcBench bench;
   std::fill(bench.flash.begin() + 0x7E000, bench.flash.end(), std::uint8_t{0});
   bench.erase(0x7E000);
-  bench.soc.power_cut(bench.processor.t + 85 * kMillisecond / 4);
+  bench.soc.power_cut(bench.processor.t + Nvmc::kEraseTime / 4);
   const std::span<const std::uint8_t> page = std::span(bench.flash).subspan(0x7E000, 4096);
   EXPECT_THAT(page.first(1024), Each(0xFF));
   EXPECT_THAT(page.subspan(1024), Each(0));
