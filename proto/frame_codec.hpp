@@ -34,8 +34,7 @@ inline constexpr std::size_t kFrameOverhead = 5;
 }
 
 // Writes one whole frame to the start of `out` and returns its length. Returns 0 if the payload is longer
-// than kMaxPayload or `out` is shorter than max_encoded_size(payload.size()). The payload may lie at the end
-// of `out`.
+// than kMaxPayload or `out` is shorter than max_encoded_size(payload.size()).
 [[nodiscard]] std::size_t encode_frame(std::span<const std::uint8_t> payload,
                                        std::span<std::uint8_t> out) noexcept;
 

@@ -51,9 +51,8 @@ class Uarte {
   [[nodiscard]] std::uint32_t received_end() noexcept;
   void receive_into(std::uint32_t chunk) noexcept;
 
-  // Static, so that they take no flash; there is only one UARTE.
-  static inline std::array<std::uint8_t, kSendRing> send_{};
-  static inline std::array<std::uint8_t, kReceiveRing> receive_{};
+  std::array<std::uint8_t, kSendRing> send_{};
+  std::array<std::uint8_t, kReceiveRing> receive_{};
   // All counters wrap at 2^32.
   std::atomic<std::uint32_t> head_ = 0;     // bytes queued
   std::atomic<std::uint32_t> tail_ = 0;     // bytes sent

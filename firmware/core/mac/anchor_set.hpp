@@ -89,17 +89,16 @@ class AnchorSet {
     std::uint8_t rate = 0;
     std::uint8_t quality = 0;
     std::uint8_t weight = kNeutralWeight;
-    std::uint8_t missed : 4 = kMostMissed;  // POLLs missed in a row, saturates
-    std::uint8_t eager : 2 = 0;             // trials with priority over all others
-    bool chosen : 1 = false;                // in the last POLL, and not as a trial
-    bool configured : 1 = false;
+    std::uint8_t missed = kMostMissed;  // POLLs missed in a row, saturates
+    std::uint8_t eager = 0;             // trials with priority over all others
+    bool chosen = false;                // in the last POLL, and not as a trial
+    bool configured = false;
 
     [[nodiscard]] bool silent() const noexcept { return missed >= kSilentAfter; }
     [[nodiscard]] bool useful() const noexcept { return !silent() && weight > 0; }
     [[nodiscard]] std::uint32_t worth() const noexcept;
     [[nodiscard]] std::uint32_t urgency() const noexcept;
   };
-  static_assert(sizeof(Candidate) == 8);
   static constexpr std::uint16_t kLongest = 1023;
   static constexpr std::uint8_t kEagerTrials = 3;
 

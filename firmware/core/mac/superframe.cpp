@@ -60,11 +60,7 @@ ScheduleFault check_ids(const groma_Schedule& schedule) noexcept {
   std::array<std::uint16_t, kMaxTags + std::extent_v<decltype(schedule.anchor_ids)>> room;
   const auto begin = room.begin();
   const auto end = std::copy(anchors.begin(), anchors.end(), std::copy(tags.begin(), tags.end(), begin));
-  // Most sites number their nodes in order. The heap sort is there because std::sort needs more flash.
-  if (!std::is_sorted(begin, end)) {
-    std::make_heap(begin, end);
-    std::sort_heap(begin, end);
-  }
+  std::sort(begin, end);
   if (outside(*begin, 1, kLargestId) || outside(*(end - 1), 1, kLargestId)) return ScheduleFault::kBadId;
   if (std::adjacent_find(begin, end) != end) return ScheduleFault::kRepeatedId;
   return is_one_of(anchors, schedule.master_id) ? ScheduleFault::kNone : ScheduleFault::kBadMaster;

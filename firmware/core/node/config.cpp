@@ -153,20 +153,8 @@ groma_Config without_key(const groma_Config& config) noexcept {
 }
 
 std::uint32_t config_hash_of(const groma_Config& config) noexcept {
-  wire::Crc32 crc;
-  // Feeds the CRC directly: the stack has no room for the encoded bytes.
-  pb_ostream_t stream = {.callback =
-                             [](pb_ostream_t* to, const pb_byte_t* bytes, std::size_t count) {
-                               auto& check = *static_cast<wire::Crc32*>(to->state);
-                               for (std::size_t i = 0; i < count; ++i) check.add(bytes[i]);
-                               return true;
-                             },
-                         .state = &crc,
-                         .max_size = SIZE_MAX,
-                         .bytes_written = 0,
-                         .errmsg = nullptr};
-  const groma_Config shown = without_key(config);
-  return pb_encode(&stream, groma_Config_fields, &shown) ? crc.value() : 0;
+  std::array<std::uint8_t, kMaxConfigBytes> bytes{};
+  return wire::crc32(std::span(bytes).first(encode_config(without_key(config), bytes)));
 }
 
 }  // namespace groma::node

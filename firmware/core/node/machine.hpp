@@ -4,11 +4,8 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 #include <optional>
 #include <span>
-#include <type_traits>
-#include <variant>
 
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
@@ -19,21 +16,23 @@ class Machine {
  public:
   // All arguments must outlive the machine.
   void become_tag(const mac::Site& site, groma_Counters& counters) noexcept {
-    tag_ = std::construct_at(&room_.tag, site, counters);
+    anchor_.reset();
+    tag_.emplace(site, counters);
   }
   void become_anchor(const mac::Site& site, groma_Counters& counters) noexcept {
-    anchor_ = std::construct_at(&room_.anchor, site, counters);
+    tag_.reset();
+    anchor_.emplace(site, counters);
   }
   void forget() noexcept {
-    tag_ = nullptr;
-    anchor_ = nullptr;
+    tag_.reset();
+    anchor_.reset();
   }
 
   // Null if it is not one.
-  [[nodiscard]] mac::Tag* tag() noexcept { return tag_; }
-  [[nodiscard]] const mac::Tag* tag() const noexcept { return tag_; }
-  [[nodiscard]] mac::Anchor* anchor() noexcept { return anchor_; }
-  [[nodiscard]] const mac::Anchor* anchor() const noexcept { return anchor_; }
+  [[nodiscard]] mac::Tag* tag() noexcept { return tag_ ? &*tag_ : nullptr; }
+  [[nodiscard]] const mac::Tag* tag() const noexcept { return tag_ ? &*tag_ : nullptr; }
+  [[nodiscard]] mac::Anchor* anchor() noexcept { return anchor_ ? &*anchor_ : nullptr; }
+  [[nodiscard]] const mac::Anchor* anchor() const noexcept { return anchor_ ? &*anchor_ : nullptr; }
 
   // Passes an event to the machine and returns its Step; an empty Step if there is no machine.
   template <class F>
@@ -88,16 +87,8 @@ class Machine {
   }
 
  private:
-  union Room {
-    Room() noexcept : none() {}
-    std::monostate none;
-    mac::Tag tag;
-    mac::Anchor anchor;
-  };
-  static_assert(std::is_trivially_destructible_v<mac::Tag> && std::is_trivially_destructible_v<mac::Anchor>);
-  Room room_;
-  mac::Tag* tag_ = nullptr;
-  mac::Anchor* anchor_ = nullptr;
+  std::optional<mac::Tag> tag_;
+  std::optional<mac::Anchor> anchor_;
 };
 
 }  // namespace groma::node

@@ -178,17 +178,16 @@ groma_SyncState sync_state_of(mac::SyncState state) noexcept {
 std::span<const std::uint8_t> MessageEncoder::encode_of(std::span<const std::uint8_t> message,
                                                         std::uint16_t source) noexcept {
   // A decoder uses the last value of a field.
-  pb_ostream_t stream = pb_ostream_from_buffer(buffer_.data(), groma_NodeToHost_size);
+  pb_ostream_t stream = pb_ostream_from_buffer(encoded_.data(), encoded_.size());
   const bool fits = pb_write(&stream, message.data(), message.size()) &&
                     pb_encode_tag(&stream, PB_WT_VARINT, groma_NodeToHost_source_id_tag) &&
                     pb_encode_varint(&stream, source);
-  return fits ? frame_first(stream.bytes_written) : std::span<const std::uint8_t>();
+  return frame_of(std::span(encoded_).first(fits ? stream.bytes_written : 0));
 }
 
-std::span<const std::uint8_t> MessageEncoder::frame_first(std::size_t bytes) noexcept {
-  const auto end = buffer_.begin() + static_cast<std::ptrdiff_t>(bytes);
-  std::copy_backward(buffer_.begin(), end, buffer_.end());
-  return std::span(buffer_).first(wire::encode_frame(std::span(buffer_).last(bytes), buffer_));
+std::span<const std::uint8_t> MessageEncoder::frame_of(std::span<const std::uint8_t> payload) noexcept {
+  if (payload.empty()) return {};
+  return std::span(frame_).first(wire::encode_frame(payload, frame_));
 }
 
 std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
@@ -213,18 +212,15 @@ std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& c
 std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message,
                                                      const ReplyConfig& config) noexcept {
   if (message.which_body == groma_NodeToHost_slot_report_tag) {
-    const auto payload = wire::encode_slot_report(message.body.slot_report, buffer_);
-    if (payload.empty()) return {};
-    return std::span(buffer_).first(wire::encode_frame(payload, buffer_));
+    return frame_of(wire::encode_slot_report(message.body.slot_report, encoded_));
   }
-  const std::size_t size = encode_message(message, config, std::span(buffer_).first(groma_NodeToHost_size));
-  return size == 0 ? std::span<const std::uint8_t>() : frame_first(size);
+  return frame_of(std::span(encoded_).first(encode_message(message, config, encoded_)));
 }
 
 void MessageEncoder::close(const groma_SlotReport& report) noexcept {
   payload_ = report_.finish(report);
   frame_bytes_ = 0;
-  if (!payload_.empty()) writer_ = wire::FrameWriter(buffer_);
+  if (!payload_.empty()) writer_ = wire::FrameWriter(frame_);
 }
 
 bool MessageEncoder::step() noexcept {

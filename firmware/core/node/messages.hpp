@@ -62,7 +62,7 @@ using ReplyConfig = std::optional<std::span<const std::uint8_t>>;
 [[nodiscard]] std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
                                          std::span<std::uint8_t> out) noexcept;
 
-// Encodes and frames messages in its own buffer.
+// Encodes and frames messages in its own buffers.
 class MessageEncoder {
  public:
   // Returns one whole frame, valid until the next call; empty if the message does not fit, which no message
@@ -76,23 +76,22 @@ class MessageEncoder {
   // Encodes a slot report in steps: begin(), put_range() from the last range to the first, close(), then
   // step() until it returns true. frame() is then what encode() would return. Each step takes at most about
   // 30 us at 64 MHz.
-  void begin(const groma_SlotReport& report) noexcept { report_.begin(report, buffer_); }
+  void begin(const groma_SlotReport& report) noexcept { report_.begin(report, encoded_); }
   void put_range(const groma_Range& range) noexcept { report_.put_range(range); }
   void close(const groma_SlotReport& report) noexcept;
   [[nodiscard]] bool step() noexcept;
   [[nodiscard]] std::span<const std::uint8_t> frame() const noexcept {
-    return std::span(buffer_).first(frame_bytes_);
+    return std::span(frame_).first(frame_bytes_);
   }
 
  private:
-  // Moves the first `bytes` bytes of the buffer to its end and frames them.
-  [[nodiscard]] std::span<const std::uint8_t> frame_first(std::size_t bytes) noexcept;
+  [[nodiscard]] std::span<const std::uint8_t> frame_of(std::span<const std::uint8_t> payload) noexcept;
 
-  // The payload is written at the buffer's end and framed to its beginning.
-  std::array<std::uint8_t, wire::max_encoded_size(groma_NodeToHost_size)> buffer_{};
+  std::array<std::uint8_t, groma_NodeToHost_size> encoded_{};
+  std::array<std::uint8_t, wire::max_encoded_size(groma_NodeToHost_size)> frame_{};
   wire::SlotReportWriter report_;
   std::span<const std::uint8_t> payload_;  // the part that is not framed yet
-  wire::FrameWriter writer_{buffer_};
+  wire::FrameWriter writer_{frame_};
   std::size_t frame_bytes_ = 0;
 };
 

@@ -24,7 +24,7 @@ class StoredConfig {
     bool on_trial = false;
   };
   // The stored configuration, or with `before` the one to revert to; nothing if it is not valid.
-  [[nodiscard, gnu::noinline]] Stored load(bool before = false) noexcept {
+  [[nodiscard]] Stored load(bool before = false) noexcept {
     Stored stored;
     size_ = platform_.load_config(blob_);
     if (size_ > blob_.size()) size_ = 0;
@@ -44,7 +44,7 @@ class StoredConfig {
   // Stores `config`, and if it is on trial the one `before` it. Returns false if it was not stored or reads
   // back differently. Stalls the processor for at most 0.1 s, with an erase 0.2 s, so the node must be off
   // the air.
-  [[nodiscard, gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
+  [[nodiscard]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
     const std::size_t size =
         before == nullptr ? encode_config(config, blob_) : encode_on_trial(config, *before, blob_);
     const std::uint32_t check = wire::crc32(std::span(blob_).first(size));
