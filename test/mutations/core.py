@@ -34,6 +34,8 @@ CORRECTIONS_TEST = ["test/firmware/corrections_test.cpp"]
 TRUTH_TEST = ["test/sim/truth_test.cpp"]
 DECODER_TEST = ["test/host/link/report_decoder_test.cpp"]
 CLOCK_TEST = ["test/host/clock/time_mapper_test.cpp"]
+EMULATOR = "firmware/sim/emulator/"
+SILICON_TEST = ["test/sim/emulator/silicon_test.cpp"]
 
 QUICK = ["register: wrong address of DX_TIME", "driver: no LDE microcode", "time: wrong low-bits mask of DX_TIME"]
 
@@ -220,4 +222,11 @@ MUTATIONS = [
     ("node: length of a reply without its configuration", "firmware/core/node/messages.cpp", "                    pb_encode_string(&size, config->data(), config->size()) &&\n", "", NODE_TEST),
     ("schedule: duplicate id accepted", "firmware/core/mac/superframe.cpp", "  std::sort(begin, end);\n", "", ["test/firmware/superframe_test.cpp"]),
     ("node: proof of life after a recovery", NODE, "if (counters_.radio_recoveries == recoveries) prove_life();", "prove_life();", NODE_TEST),
+    ("silicon: sleep spoils no SPI transfer", EMULATOR + "spim.cpp", "t - started_at_ < kDmaStart", "false", SILICON_TEST),
+    ("silicon: any sleep spoils an SPI transfer", EMULATOR + "spim.cpp", " && t - started_at_ < kDmaStart", "", SILICON_TEST),
+    ("silicon: sleep spoils no message", EMULATOR + "uarte.cpp", "t - sending_since_ < kDmaStart", "false", SILICON_TEST),
+    ("silicon: sleep spoils no block", EMULATOR + "ecb.cpp", "t - (end_at_ - kBlockTime) < kDmaStart", "false", SILICON_TEST),
+    ("silicon: memory may be written after a wake-up", EMULATOR + "cortex_m4_core.cpp", "if (guards_wake_up_ && !wakes_up_quietly()) {", "if (false) {", SILICON_TEST),
+    ("silicon: SPI clock not checked", EMULATOR + "nrf52832.cpp", "!gpio_.input_connected(slot.clock_pin)", "false", SILICON_TEST),
+    ("silicon: slow clock starts at any time", EMULATOR + "clock_power.cpp", "t - lfclk_stopped_at_ < kLfclkRestart", "false", SILICON_TEST),
 ]
