@@ -32,6 +32,9 @@ constexpr std::uint32_t kDisStxp = 1U << 18;
 constexpr std::uint32_t kRxwtoe = 1U << 28;
 constexpr std::uint32_t kFilterRules = 0x1FE;  // no effect without FFE
 
+// Purposes of draws.
+enum : std::uint64_t { kFalsePllFlag = 0xD101 };
+
 struct Header {
   bool valid = false;
   bool write = false;
@@ -130,6 +133,7 @@ void Dw1000Chip::reset(SimTime t) {
   lde_loaded_ = false;
   lde_loaded_at_ = kNever;
   pll_locked_ = false;
+  pll_flag_at_ = kNever;
   spi_ready_at_ = t + kSpiReadyAfterReset;
   pll_locks_at_ = t + kPllLockAfterReset;
   update_next_event();
@@ -147,11 +151,31 @@ void Dw1000Chip::soft_reset() {
   lde_loaded_ = false;
   lde_loaded_at_ = kNever;
   pll_locked_ = false;
+  pll_flag_at_ = kNever;
   pll_locks_at_ = kNever;
 }
 
 void Dw1000Chip::restart_counter(SimTime t) noexcept {
   counter_base_ = clock_.ticks(t) - static_cast<std::int64_t>(spec_.clock.first_tick);
+}
+
+void Dw1000Chip::lock_pll() {
+  pll_locked_ = true;
+  status_ |= status::kCplock;
+  draw_pll_flag(now_);
+  const KeyedRandom draw = medium_.random().of(kFalsePllFlag, spec_.id, pll_flags_drawn_++);
+  if (pll_flag_at_ == kNever || draw.of(0).uniform() < 0.5) return;
+  pll_flag_ = status::kClkpllLl;
+  pll_flag_at_ = now_ + from_seconds(draw.of(1).uniform(10e-6, 500e-6));
+}
+
+// The times between false flags are distributed exponentially.
+void Dw1000Chip::draw_pll_flag(SimTime from) {
+  const double rate_hz = spec_.quirks.false_pll_flags_per_minute / 60.0;
+  if (rate_hz <= 0.0) return;
+  const KeyedRandom draw = medium_.random().of(kFalsePllFlag, spec_.id, pll_flags_drawn_++);
+  pll_flag_ = draw.of(0).uniform() < 0.5 ? status::kClkpllLl : status::kRfpllLl;
+  pll_flag_at_ = from + from_seconds(-std::log(draw.of(1).uniform()) / rate_hz);
 }
 
 void Dw1000Chip::clear_radio() {
@@ -648,7 +672,8 @@ void Dw1000Chip::start_receive(bool delayed) {
 void Dw1000Chip::update_next_event() noexcept {
   next_event_ = kNever;
   if (!powered_) return;
-  SimTime next = std::min({pll_locked_ ? kNever : pll_locks_at_, lde_loaded_at_, next_receiver_event()});
+  SimTime next =
+      std::min({pll_locked_ ? kNever : pll_locks_at_, pll_flag_at_, lde_loaded_at_, next_receiver_event()});
   if (transmission_.frame != nullptr)
     next = std::min(
         next, transmission_.announced ? transmission_.at[transmission_.stage] : transmission_.announce_at);
@@ -665,8 +690,10 @@ void Dw1000Chip::advance(SimTime t) {
   while (next_event_ <= t) {
     now_ = std::max(now_, next_event_);
     if (!pll_locked_ && pll_locks_at_ <= now_) {
-      pll_locked_ = true;
-      status_ |= status::kCplock;
+      lock_pll();
+    } else if (pll_flag_at_ <= next_event_) {
+      status_ |= pll_flag_;
+      draw_pll_flag(pll_flag_at_);
     } else if (lde_loaded_at_ <= now_) {
       lde_loaded_ = true;
       lde_loaded_at_ = kNever;

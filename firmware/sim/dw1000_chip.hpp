@@ -62,6 +62,13 @@ struct TimestampBias {
   bool power = false;  // depends on receive power: APS011, table 2, for PRF 64 MHz
 };
 
+// What the silicon does and the manual's model of it does not show; see docs/explanation/silicon.md.
+struct ChipQuirks {
+  // Erratum SYSSTAT-1: CLKPLL_LL or RFPLL_LL is set although both PLLs are locked, this often on average, and
+  // CLKPLL_LL also 10 to 500 us after half of the locks. 0: never.
+  double false_pll_flags_per_minute = 0.0;
+};
+
 struct ChipSpec {
   std::uint16_t id = 0;  // names the antenna to the propagation model
   ClockSpec clock{};
@@ -71,6 +78,7 @@ struct ChipSpec {
   std::uint32_t receive_antenna_delay_ticks = 16436;
   Ambient ambient{};
   TimestampBias bias{};
+  ChipQuirks quirks{};
 };
 
 class Dw1000Chip {
@@ -153,6 +161,8 @@ class Dw1000Chip {
 
   // dw1000_chip.cpp: power, SPI, commands, transmitter
   void restart_counter(SimTime t) noexcept;
+  void lock_pll();
+  void draw_pll_flag(SimTime from);
   void clear_radio();
   bool spi_answers(std::uint32_t hz);
   void write_register(const RegisterInfo& info, std::size_t at, std::span<const std::uint8_t> bytes);
@@ -215,6 +225,9 @@ class Dw1000Chip {
   SimTime spi_ready_at_ = kNever;
   SimTime pll_locks_at_ = kNever;
   bool pll_locked_ = false;
+  SimTime pll_flag_at_ = kNever;  // the next false flag
+  std::uint64_t pll_flag_ = 0;    // its bit of SYS_STATUS
+  std::uint64_t pll_flags_drawn_ = 0;
   SimTime lde_loaded_at_ = kNever;
   bool lde_loaded_ = false;
   SimTime converted_at_ = kNever;

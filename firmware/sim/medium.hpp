@@ -133,6 +133,8 @@ class Medium {
   void set_witness(Witness* witness) noexcept { witness_ = witness; }
   [[nodiscard]] Witness* witness() const noexcept { return witness_; }
   [[nodiscard]] std::uint16_t id_of(std::size_t station) const { return stations_.at(station).id; }
+  // The draws of this medium's seed, for the chips on it.
+  [[nodiscard]] const KeyedRandom& random() const noexcept { return random_; }
 
  private:
   // An action of a chip that other chips are notified of.

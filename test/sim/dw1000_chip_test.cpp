@@ -2,6 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "test/sim/radio_bench.hpp"
 
 namespace groma::sim {
@@ -203,6 +205,56 @@ TEST_F(Dw1000ChipTest, SystemTimeCountsInStepsOf512) {
   EXPECT_EQ(before % 512, 0U);
   radio.t += kMillisecond;
   EXPECT_NEAR(static_cast<double>(radio.system_time() - before), 63'897'600.0, 512.0);
+}
+
+// ---- quirks ---------------------------------------------------------------------------------------
+
+constexpr std::uint64_t kPllFlags = status::kRfpllLl | status::kClkpllLl;
+
+TEST(Dw1000Quirks, FalsePllFlagsComeAtTheirRate) {
+  RadioBench bench;
+  HandDriven& radio = bench.add({.id = 1, .quirks = {.false_pll_flags_per_minute = 60.0}});
+  radio.bring_up();
+  int flags = 0;
+  std::uint64_t kinds = 0;
+  for (int i = 0; i < 6'000; ++i) {
+    bench.run_until(radio.t + 100 * kMillisecond);
+    const std::uint64_t flag = radio.status() & kPllFlags;
+    flags += flag != 0 ? 1 : 0;
+    kinds |= flag;
+    radio.write(0x0F, 0, flag, 4);
+    EXPECT_EQ(radio.status() & kPllFlags, 0U);
+  }
+  // One a second; a step of 100 ms shows one flag at most.
+  EXPECT_NEAR(flags, 6'000 * (1.0 - std::exp(-0.1)), 100.0);
+  EXPECT_EQ(kinds, kPllFlags);
+  EXPECT_EQ(radio.chip().fault(), "");
+}
+
+TEST(Dw1000Quirks, FalsePllFlagsFollowHalfOfTheLocks) {
+  int flagged = 0;
+  for (std::uint64_t seed = 1; seed <= 100; ++seed) {
+    RadioBench bench({}, seed);
+    HandDriven& radio = bench.add({.id = 1, .quirks = {.false_pll_flags_per_minute = 1e-3}});
+    radio.chip().set_power(true, 0);
+    bench.run_until(Dw1000Chip::kPllLockAfterReset + 500 * kMicrosecond);
+    flagged += (radio.status() & kPllFlags) == status::kClkpllLl ? 1 : 0;
+  }
+  EXPECT_NEAR(flagged, 50, 20);
+}
+
+TEST(Dw1000Quirks, FalsePllFlagsDependOnTheSeed) {
+  const auto first_flag_ms = [](std::uint64_t seed) {
+    RadioBench bench({}, seed);
+    HandDriven& radio = bench.add({.id = 1, .quirks = {.false_pll_flags_per_minute = 60.0}});
+    radio.bring_up();
+    radio.write(0x0F, 0, kPllFlags, 4);
+    int ms = 0;
+    for (; (radio.status() & kPllFlags) == 0; ++ms) bench.run_until(radio.t + kMillisecond);
+    return ms;
+  };
+  EXPECT_EQ(first_flag_ms(1), first_flag_ms(1));
+  EXPECT_NE(first_flag_ms(1), first_flag_ms(2));
 }
 
 // ---- transmitting ---------------------------------------------------------------------------------

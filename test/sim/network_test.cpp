@@ -374,6 +374,13 @@ TEST(Faults, WritingFlashKeepsAllNodesSynchronized) {
   }
 }
 
+// Erratum SYSSTAT-1, far more often than a chip shows it. The firmware takes the flags for a loss of clock.
+TEST(Faults, FalsePllFlagsTakeNodesOutOfTheNetwork) {
+  SiteBench site({.equip = [](ChipSpec& chip) { chip.quirks.false_pll_flags_per_minute = 60.0; }});
+  site.run_until(5.0);
+  for (const Listener& node : site.listeners) EXPECT_GT(node.counters.radio_recoveries, 0U);
+}
+
 TEST(Faults, AFullLineDropsWholeReportsAndCountsThem) {
   // 20 kbit/s is far too slow for this many reports.
   SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});
