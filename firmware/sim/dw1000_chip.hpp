@@ -66,7 +66,7 @@ struct TimestampBias {
 struct ChipQuirks {
   // Erratum SYSSTAT-1: CLKPLL_LL or RFPLL_LL is set although both PLLs are locked, this often on average, and
   // CLKPLL_LL also 10 to 500 us after half of the locks. 0: never.
-  double false_pll_flags_per_minute = 0.0;
+  double false_pll_flags_per_minute = 1.0;
 };
 
 struct ChipSpec {

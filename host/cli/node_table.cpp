@@ -141,7 +141,8 @@ Json counters_json(const groma_Counters& counters) {
           {"reports_dropped", counters.reports_dropped},
           {"link_frames_bad", counters.link_frames_bad},
           {"link_bytes_lost", counters.link_bytes_lost},
-          {"radio_recoveries", counters.radio_recoveries}};
+          {"radio_recoveries", counters.radio_recoveries},
+          {"pll_flags", counters.pll_flags}};
 }
 
 std::string share_missed(const groma_Counters& counters) {

@@ -135,6 +135,7 @@ class Driver : public ::testing::Test {
         },
         [this](std::uint32_t us) {
           waited_us += us;
+          chip.wait(us);
           waits.push_back({us, chip.writes().empty() ? Transfer{} : chip.writes().back()});
         });
   }
@@ -587,16 +588,38 @@ TEST_F(Driver, AnOperationUnderWayIsNotDisturbed) {
   EXPECT_EQ(radio.transmit_at(DeviceTime(1 << 20), longest), Start::kStarted);
 }
 
-TEST_F(Driver, ALostClockTakesTheDriverDown) {
+// Erratum SYSSTAT-1.
+TEST_F(Driver, PllFlagsAreCountedAndChangeNothing) {
+  std::uint32_t count = 0;
   for (const int bit : {24, 25}) {
     ready();
     ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
     chip.status |= std::uint64_t{1} << bit;
-    EXPECT_TRUE(chip.interrupt());
-    EXPECT_EQ(radio.take_event().kind, EventKind::kClockLost);
     EXPECT_FALSE(chip.interrupt());
-    EXPECT_EQ(radio.state(), State::kDown);
+    // The end of an operation leaves the flag for the count.
+    radio.stop();
+    EXPECT_EQ(radio.pll_flags(), count);
+    ASSERT_EQ(radio.receive_now(Ticks(65'536), std::nullopt), Start::kStarted);
+    put_frame(chip, std::vector<std::uint8_t>{1}, 5);
+    EXPECT_EQ(radio.take_event().kind, EventKind::kReceived);
+    EXPECT_EQ(radio.pll_flags(), ++count);
+    EXPECT_EQ(radio.take_event().kind, EventKind::kNone);
+    EXPECT_EQ(radio.pll_flags(), count);
+    EXPECT_EQ(radio.state(), State::kIdle);
   }
+}
+
+TEST_F(Driver, TheCounterDecidesWhetherThePllIsLocked) {
+  chip.shows_lock = false;
+  chip.on_write = [&](const Transfer& t) {
+    if (t.file == 0x0F) chip.status |= 1U << 25;
+  };
+  EXPECT_EQ(bring_up(), BringUp::kOk);
+  EXPECT_LT(waited_us, 10'000U);
+  chip.on_write = nullptr;
+  chip.shows_lock = true;
+  chip.locks = false;
+  EXPECT_EQ(bring_up(), BringUp::kNoLock);
 }
 
 TEST_F(Driver, AStrayInterruptIsClearedAndIsNoEvent) {

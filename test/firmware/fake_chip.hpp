@@ -38,7 +38,11 @@ class FakeChip {
     memory_.clear();
     put(0x00, 0, 0xDECA0130, 4);
     put(0x36, 0x04, 0x81020738, 4);
-    status = locks ? kLocked : 0;
+    status = locks && shows_lock ? kLocked : 0;
+  }
+  // Time passes. The counter runs while the PLL is locked.
+  void wait(std::uint32_t us) {
+    if (locks) time += std::uint64_t{us} * 63'898;
   }
 
   void write(std::span<const std::uint8_t> header, std::span<const std::uint8_t> out) noexcept {
@@ -106,6 +110,7 @@ class FakeChip {
   std::uint64_t time = 0;
   std::map<std::uint16_t, std::uint32_t> otp;
   bool locks = true;
+  bool shows_lock = true;  // by CPLOCK
   bool absent = false;
   bool slow_only = false;
   bool deaf = false;  // writes have no effect

@@ -76,7 +76,9 @@ MUTATIONS = [
     ("driver: no receiver reset after an error", DRIVER, "        clear_events();\n        reset_receiver();\n", "        clear_events();\n", DRIVER_TEST),
     ("driver: receiver left in reset", DRIVER, "    write(kReceiverReset);\n    write(kNoReset);\n", "    write(kReceiverReset);\n", DRIVER_TEST),
     ("driver: timestamp valid without LDEDONE", DRIVER, ".timestamp_valid = status.has(st::kTimestamped) && !status.has(st::kTimestampError)", ".timestamp_valid = !status.has(st::kTimestampError)", DRIVER_TEST),
-    ("driver: loss of clock not reported", DRIVER, "status.has(st::kClockPllLosing) || status.has(st::kRfPllLosing)) {", "status.has(st::kRfPllLosing)) {", DRIVER_TEST + NODE_TEST),
+    ("driver: PLL flags raise the interrupt line", DRIVER, "                          .set(st::kPreambleTimeout)\n", "                          .set(st::kPreambleTimeout)\n                          .set(st::kClockPllLosing)\n", DRIVER_TEST + NODE_TEST),
+    ("driver: PLL flags not counted", DRIVER, "      ++pll_flags_;\n", "", DRIVER_TEST + NODE_TEST),
+    ("driver: any clock accepted as locked", DRIVER, "    return runs(delay_us);\n", "    return true;\n", DRIVER_TEST),
     ("quality: wrong sign of the carrier offset", "firmware/core/dw1000/receive_quality.cpp", "* -57312", "* 57312", DRIVER_TEST),
     ("time: wrong low-bits mask of DX_TIME", "firmware/core/ranging/device_time.hpp", "kTransmitGrid{512}", "kTransmitGrid{256}", TIME_TEST),
     ("time: start time later than requested", "firmware/core/ranging/device_time.hpp", "(latest - antenna_delay).count() & ~(", "(latest - antenna_delay + kTransmitGrid).count() & ~(", TIME_TEST),
@@ -229,4 +231,5 @@ MUTATIONS = [
     ("silicon: memory may be written after a wake-up", EMULATOR + "cortex_m4_core.cpp", "if (guards_wake_up_ && !wakes_up_quietly()) {", "if (false) {", SILICON_TEST),
     ("silicon: SPI clock not checked", EMULATOR + "nrf52832.cpp", "!gpio_.input_connected(slot.clock_pin)", "false", SILICON_TEST),
     ("silicon: slow clock starts at any time", EMULATOR + "clock_power.cpp", "t - lfclk_stopped_at_ < kLfclkRestart", "false", SILICON_TEST),
+    ("schedule: duplicate id accepted", "firmware/core/mac/superframe.cpp", "  if (!std::is_sorted(begin, end)) {", "  if (begin == end) {", ["test/firmware/superframe_test.cpp"]),
 ]

@@ -88,7 +88,6 @@ enum class EventKind : std::uint8_t {
   kFrameTimeout,
   kCheckError,   // the frame check failed
   kHeaderError,  // the PHY header or the Reed-Solomon code failed
-  kClockLost,    // a PLL lost its lock: the chip has to be brought up again
 };
 
 struct Event {
@@ -154,6 +153,8 @@ class Dw1000 {
   [[nodiscard]] ranging::Ticks transmit_antenna_delay() const noexcept {
     return ranging::Ticks(transmit_antenna_delay_dtu_);
   }
+  // Times that poll_event() found CLKPLL_LL or RFPLL_LL set.
+  [[nodiscard]] std::uint32_t pll_flags() const noexcept { return pll_flags_; }
 
   [[nodiscard]] ranging::DeviceTime now() noexcept {
     return ranging::DeviceTime(read<reg::SysTime>().word());
@@ -240,10 +241,10 @@ class Dw1000 {
     namespace st = reg::sys_status;
     if (state_ == State::kDown) return {};
     auto status = read_part<reg::SysStatus, 0, 4>();
+    // Erratum SYSSTAT-1: these flags come without cause, too.
     if (status.has(st::kClockPllLosing) || status.has(st::kRfPllLosing)) {
-      state_ = State::kDown;
-      write(kAllEvents);
-      return {.kind = EventKind::kClockLost};
+      ++pll_flags_;
+      write_part<reg::SysStatus, 3, 1>(kPllFlags);
     }
     if (state_ == State::kTransmitting && status.has(st::kTransmitted)) return take_transmitted();
     if (state_ == State::kReceiving) {
@@ -376,7 +377,7 @@ class Dw1000 {
   static constexpr auto kReceiveNow = Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive);
   static constexpr auto kOff = Value<reg::SysCtrl>().set(reg::sys_ctrl::kOff);
 
-  // The events that raise the interrupt line: each end of an operation, and the loss of a PLL.
+  // The events that raise the interrupt line: each end of an operation.
   static constexpr Value<reg::SysMask> kInterrupts = [] {
     namespace st = reg::sys_status;
     const auto bits = Value<reg::SysStatus>()
@@ -387,12 +388,14 @@ class Dw1000 {
                           .set(st::kSyncLoss)
                           .set(st::kFrameTimeout)
                           .set(st::kPreambleTimeout)
-                          .set(st::kRfPllLosing)
-                          .set(st::kClockPllLosing)
                           .set(st::kSfdTimeout);
     return Value<reg::SysMask>(bits.word());
   }();
-  static constexpr Value<reg::SysStatus> kAllEvents{0x07'FFFF'FFFF};
+  static constexpr Value<reg::SysStatus> kAllFlags{0x07'FFFF'FFFF};
+  static constexpr auto kPllFlags =
+      Value<reg::SysStatus>().set(reg::sys_status::kRfPllLosing).set(reg::sys_status::kClockPllLosing);
+  // All except kPllFlags, which only poll_event() clears, so that it counts each of them.
+  static constexpr Value<reg::SysStatus> kAllEvents{0x07'FCFF'FFFF};
 
   // Register values that depend on the preamble length.
   struct Tuning {
@@ -535,20 +538,26 @@ class Dw1000 {
     chunk_ = phy.acquisition_chunk_symbols() * Phy::kPreambleSymbol;
   }
 
+  // Erratum SYSSTAT-1: CPLOCK is not reliable either, so the counter decides.
   template <class Delay>
   [[nodiscard]] bool await_lock(Delay& delay_us) noexcept {
     constexpr int kTries = 50;
     constexpr std::uint32_t kTry_us = 100;
-    for (int i = 0; i < kTries; ++i) {
-      if (read<reg::SysStatus>().has(reg::sys_status::kPllLocked)) {
-        // The flags set while the PLL was settling are not valid.
-        write(kAllEvents);
-        const auto status = read<reg::SysStatus>();
-        return !status.has(reg::sys_status::kClockPllLosing) && !status.has(reg::sys_status::kRfPllLosing);
-      }
+    for (int i = 0; i < kTries && !read<reg::SysStatus>().has(reg::sys_status::kPllLocked); ++i) {
       delay_us(kTry_us);
     }
-    return false;
+    write(kAllFlags);
+    return runs(delay_us);
+  }
+
+  // The counter runs at its full rate, that of the PLL; the crystal's is 6.5 times lower.
+  template <class Delay>
+  [[nodiscard]] bool runs(Delay& delay_us) noexcept {
+    constexpr std::uint32_t kWhile_us = 100;
+    constexpr ranging::Ticks kLeast = ranging::Ticks::from_us(90);
+    const ranging::DeviceTime from = now();
+    delay_us(kWhile_us);
+    return now() - from >= kLeast;
   }
 
   void set_timeouts(ranging::Ticks frame_timeout, std::optional<ranging::Ticks> preamble_timeout) noexcept {
@@ -616,6 +625,7 @@ class Dw1000 {
   std::uint16_t transmit_antenna_delay_dtu_ = 0;
   std::uint8_t supply_at_reference_ = kTypicalSupplyReading;
   std::uint8_t temperature_at_reference_ = kTypicalTemperatureReading;
+  std::uint32_t pll_flags_ = 0;
   Value<reg::FsXtalt> crystal_trim_;
   // Cached register values of the chip; 0: not known, except for the first one.
   std::uint16_t preamble_timeout_chunks_ = 0;

@@ -55,11 +55,10 @@ class Node {
 
   // Call while the radio's interrupt line is high, until it is low.
   void on_radio_interrupt() noexcept {
-    const std::uint32_t recoveries = counters_.radio_recoveries;
     if (!handle_event()) return;
     serve_air();
     sample_ambient();
-    if (counters_.radio_recoveries == recoveries) prove_life();
+    prove_life();
   }
 
   // Bytes from the host, split in any way.
@@ -196,7 +195,7 @@ class Node {
     supervise({.kind = mac::Action::Kind::kListenNow, .until = now + kUnconfiguredListening});
   }
 
-  // Call after an interrupt that the radio handled without recovery.
+  // Call after an interrupt that reported an event.
   void prove_life() noexcept {
     if (machine_.in_step() && machine_.superframe() == proven_superframe_) return;
     proven_superframe_ = machine_.superframe();
@@ -287,9 +286,6 @@ class Node {
             [&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }));
         break;
       }
-      case EventKind::kClockLost:
-        recover();
-        break;
     }
     precompute();
     watch_sync();
@@ -609,6 +605,7 @@ class Node {
 
   void send_counters(To to = To::kHost) noexcept {
     if constexpr (ChoosesLink<P>) platform_.count_link(counters_);
+    counters_.pll_flags = radio_.pll_flags();
     send(
         groma_NodeToHost_counters_tag, [&](auto& body) { body.counters = counters_; }, to);
   }
