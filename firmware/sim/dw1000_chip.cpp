@@ -25,6 +25,13 @@ constexpr std::uint32_t kLdeLoadClocks = 0x0301;  // the low half while the LDE 
 constexpr std::uint32_t kTxclks = 0x30;
 constexpr std::uint32_t kTxclksPll = 0x20;
 
+// AON_CFG0, AON_CTRL, and the values with which other firmware puts the chip to sleep.
+constexpr std::uint64_t kSleepEnable = 1U << 0;
+constexpr std::uint64_t kAonSave = 1U << 1;
+constexpr std::uint64_t kAonUpload = 1U << 2;
+constexpr std::uint64_t kSleepSettings = 0x07;   // SLEEP_EN, WAKE_PIN, WAKE_SPI
+constexpr std::uint64_t kWakeSettings = 0x0840;  // ONW_LLDE, ONW_LDC
+
 // SYS_CFG
 constexpr std::uint32_t kHirqPol = 1U << 9;
 constexpr std::uint32_t kDisDrxb = 1U << 12;
@@ -111,6 +118,9 @@ void Dw1000Chip::set_power(bool on, SimTime t) {
   advance(t);
   if (on == powered_) return;
   powered_ = on;
+  asleep_ = on && spec_.quirks.asleep;
+  kept_sleep_settings_ = asleep_ ? kSleepSettings : 0;
+  kept_wake_settings_ = asleep_ ? kWakeSettings : 0;
   if (on) {
     reset(t);
     return;
@@ -124,6 +134,32 @@ void Dw1000Chip::set_power(bool on, SimTime t) {
 void Dw1000Chip::reset(SimTime t) {
   advance(t);
   if (!powered_) return;
+  // The reset loads the always-on memory.
+  if ((kept_sleep_settings_ & kSleepEnable) != 0) {
+    asleep_ = true;
+    clear_radio();
+    status_ = 0;
+    update_next_event();
+    return;
+  }
+  if (kept_wake_settings_ != 0) complain("AON: a reset that restores settings is not modelled");
+  boot(t, kSpiReadyAfterReset);
+}
+
+void Dw1000Chip::select(SimTime t, bool low) {
+  if (low) {
+    selected_at_ = t;
+    return;
+  }
+  if (!asleep_ || t - selected_at_ < kWakeUpSelect) return;
+  advance(t);
+  asleep_ = false;
+  boot(selected_at_ + kWakeUpSelect, kSpiReadyAfterWakeUp);
+  registers_.set(Reg::kAonCfg0, kept_sleep_settings_);
+  registers_.set(Reg::kAonWcfg, kept_wake_settings_);
+}
+
+void Dw1000Chip::boot(SimTime t, SimTime until_spi) {
   clear_radio();
   registers_.reset();
   status_ = 0;
@@ -134,8 +170,8 @@ void Dw1000Chip::reset(SimTime t) {
   lde_loaded_at_ = kNever;
   pll_locked_ = false;
   pll_flag_at_ = kNever;
-  spi_ready_at_ = t + kSpiReadyAfterReset;
-  pll_locks_at_ = t + kPllLockAfterReset;
+  spi_ready_at_ = t + until_spi;
+  pll_locks_at_ = spi_ready_at_ + (kPllLockAfterReset - kSpiReadyAfterReset);
   update_next_event();
 }
 
@@ -187,7 +223,7 @@ void Dw1000Chip::clear_radio() {
 // ---- SPI ------------------------------------------------------------------------------------------
 
 bool Dw1000Chip::spi_answers(std::uint32_t hz) {
-  if (!powered_ || now_ < spi_ready_at_) return false;
+  if (!powered_ || asleep_ || now_ < spi_ready_at_) return false;
   const bool on_crystal = !pll_locked_ || (registers_.get(Reg::kPmscCtrl0) & kSysclks) == kSysclksXti;
   if (hz > (on_crystal ? kSlowSpi_hz : kFastSpi_hz)) {
     ++garbled_transfers_;
@@ -336,7 +372,13 @@ void Dw1000Chip::register_written(Reg reg) {
       break;
     case Reg::kAonCfg0:
     case Reg::kAonWcfg:
-      if (registers_.get(reg) != 0) complain("AON: sleep is not modelled");
+      if (registers_.get(reg) != 0) complain("AON: going to sleep is not modelled");
+      break;
+    case Reg::kAonCtrl:
+      if ((registers_.get(reg) & (kAonSave | kAonUpload)) != 0) {
+        kept_sleep_settings_ = registers_.get(Reg::kAonCfg0);
+        kept_wake_settings_ = registers_.get(Reg::kAonWcfg);
+      }
       break;
     case Reg::kEvcCtrl:
       if ((registers_.get(reg) & 2) != 0) {
@@ -474,7 +516,7 @@ std::uint64_t Dw1000Chip::live_status() const noexcept {
 }
 
 bool Dw1000Chip::irq() const noexcept {
-  return powered_ && (live_status() & status::kIrqs) != 0;
+  return powered_ && !asleep_ && (live_status() & status::kIrqs) != 0;
 }
 
 // ---- commands and transmitter ---------------------------------------------------------------------
@@ -671,7 +713,7 @@ void Dw1000Chip::start_receive(bool delayed) {
 
 void Dw1000Chip::update_next_event() noexcept {
   next_event_ = kNever;
-  if (!powered_) return;
+  if (!powered_ || asleep_) return;
   SimTime next =
       std::min({pll_locked_ ? kNever : pll_locks_at_, pll_flag_at_, lde_loaded_at_, next_receiver_event()});
   if (transmission_.frame != nullptr)

@@ -67,6 +67,9 @@ struct ChipQuirks {
   // Erratum SYSSTAT-1: CLKPLL_LL or RFPLL_LL is set although both PLLs are locked, this often on average, and
   // CLKPLL_LL also 10 to 500 us after half of the locks. 0: never.
   double false_pll_flags_per_minute = 1.0;
+  // At power-on the chip sleeps, as another firmware left it: only the select line wakes it, held low for
+  // kWakeUpSelect. The next reset puts it to sleep again unless its always-on memory was cleared before.
+  bool asleep = false;
 };
 
 struct ChipSpec {
@@ -87,6 +90,9 @@ class Dw1000Chip {
   // lock of the clock PLL.
   static constexpr SimTime kSpiReadyAfterReset = 1500 * kUnitsPerMicrosecond;
   static constexpr SimTime kPllLockAfterReset = 2100 * kUnitsPerMicrosecond;
+  // From a wake-up to the first SPI access that succeeds.
+  static constexpr SimTime kSpiReadyAfterWakeUp = 4000 * kUnitsPerMicrosecond;
+  static constexpr SimTime kWakeUpSelect = 500 * kUnitsPerMicrosecond;
   static constexpr SimTime kPllLockAfterSoftReset = 10 * kUnitsPerMicrosecond;
   // One conversion of temperature and supply, with the PLL's clock.
   static constexpr SimTime kConversionTime = 900 * kUnitsPerMicrosecond;
@@ -102,6 +108,8 @@ class Dw1000Chip {
   void set_power(bool on, SimTime t);
   // The reset line is released at t. The 40-bit counter restarts at the clock's first_tick.
   void reset(SimTime t);
+  // The select line is pulled low or released at t. Only a chip that sleeps needs these calls.
+  void select(SimTime t, bool low);
 
   // One chip-select window that ends at t: a header of 1 to 3 bytes, then the payload. hz: the SPI clock.
   void write(SimTime t, std::span<const std::uint8_t> header, std::span<const std::uint8_t> out,
@@ -161,6 +169,7 @@ class Dw1000Chip {
 
   // dw1000_chip.cpp: power, SPI, commands, transmitter
   void restart_counter(SimTime t) noexcept;
+  void boot(SimTime t, SimTime until_spi);
   void lock_pll();
   void draw_pll_flag(SimTime from);
   void clear_radio();
@@ -222,6 +231,11 @@ class Dw1000Chip {
   SimTime next_event_ = kNever;
   std::int64_t counter_base_ = 0;
   bool powered_ = false;
+  bool asleep_ = false;
+  SimTime selected_at_ = kNever;  // the last time that the select line was pulled low
+  // The always-on memory's AON_CFG0 and AON_WCFG.
+  std::uint64_t kept_sleep_settings_ = 0;
+  std::uint64_t kept_wake_settings_ = 0;
   SimTime spi_ready_at_ = kNever;
   SimTime pll_locks_at_ = kNever;
   bool pll_locked_ = false;

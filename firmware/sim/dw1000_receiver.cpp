@@ -37,7 +37,7 @@ void put(std::span<std::uint8_t> bytes, std::size_t at, std::size_t count, std::
 // ---- from the medium ------------------------------------------------------------------------------
 
 void Dw1000Chip::incoming(std::shared_ptr<const AirFrame> frame) {
-  if (!powered_) return;
+  if (!powered_ || asleep_) return;
   if (frame->preamble_start < now_ && last_on_at_ <= frame->preamble_start &&
       frame->preamble_start < last_off_at_)
     ++late_announcements_;

@@ -257,6 +257,67 @@ TEST(Dw1000Quirks, FalsePllFlagsDependOnTheSeed) {
   EXPECT_NE(first_flag_ms(1), first_flag_ms(2));
 }
 
+struct SleepingChip : testing::Test {
+  RadioBench bench;
+  HandDriven& radio = bench.add({.id = 1, .quirks = {.asleep = true}});
+
+  void SetUp() override {
+    radio.chip().set_power(true, 0);
+    radio.hz = 2'000'000;
+    radio.t = 10 * kMillisecond;
+  }
+  void hold_select(SimTime duration) {
+    radio.chip().select(radio.t, true);
+    radio.t += duration;
+    radio.chip().select(radio.t, false);
+  }
+  void reset() {
+    radio.chip().reset(radio.t);
+    radio.t += 3 * kMillisecond;
+  }
+  std::uint64_t device_id() { return radio.read(0x00, 0, 4); }
+};
+
+TEST_F(SleepingChip, OnlyALongSelectWakesIt) {
+  EXPECT_EQ(device_id(), 0U);
+  reset();
+  EXPECT_EQ(device_id(), 0U);
+  hold_select(499 * kMicrosecond);
+  radio.t += 5 * kMillisecond;
+  EXPECT_EQ(device_id(), 0U);
+  hold_select(500 * kMicrosecond);
+  radio.t += 3 * kMillisecond;
+  EXPECT_EQ(device_id(), 0U);
+  radio.t += kMillisecond;
+  EXPECT_EQ(device_id(), 0xDECA0130U);
+  EXPECT_FALSE(radio.chip().irq());
+}
+
+TEST_F(SleepingChip, SleepsAgainAtTheNextResetUnlessItsMemoryIsCleared) {
+  for (const bool clear : {false, true}) {
+    hold_select(600 * kMicrosecond);
+    radio.t += 5 * kMillisecond;
+    ASSERT_EQ(device_id(), 0xDECA0130U);
+    if (clear) {
+      radio.write(0x2C, 0x00, 0, 2);
+      radio.write(0x2C, 0x06, 0, 1);
+      radio.write(0x2C, 0x02, 0x02, 1);
+    }
+    reset();
+    EXPECT_EQ(device_id() == 0xDECA0130U, clear);
+    EXPECT_EQ(radio.chip().fault(), "");
+  }
+}
+
+TEST_F(SleepingChip, ItsWakeUpSettingsHaveToBeClearedToo) {
+  hold_select(600 * kMicrosecond);
+  radio.t += 5 * kMillisecond;
+  radio.write(0x2C, 0x06, 0, 1);
+  radio.write(0x2C, 0x02, 0x02, 1);
+  reset();
+  EXPECT_THAT(radio.chip().fault(), HasSubstr("restores settings"));
+}
+
 // ---- transmitting ---------------------------------------------------------------------------------
 
 TEST_F(Dw1000ChipTest, ADelayedTransmitIgnoresTheLowNineBits) {

@@ -384,6 +384,14 @@ TEST(Faults, FalsePllFlagsAreCountedAndCostNothing) {
   EXPECT_GT(errors_of(site).good, 0.99 * 10.0 * scheduled_rate(site, settings));
 }
 
+// As the firmware that came with the module may leave it. The reset line does not wake the chip.
+TEST(Faults, ARadioThatSleepsStaysDown) {
+  SiteBench site({.equip = [](ChipSpec& chip) { chip.quirks.asleep = chip.id == nth_tag(0); }});
+  site.run_until(3.0);
+  EXPECT_STREQ(site.listeners[0].hellos.at(0).radio_error, "no DW1000 answers on SPI");
+  EXPECT_EQ(site.good_ranges(), 0);
+}
+
 TEST(Faults, AFullLineDropsWholeReportsAndCountsThem) {
   // 20 kbit/s is far too slow for this many reports.
   SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});

@@ -205,6 +205,7 @@ void Nrf52832::pin_driven(SimTime t, unsigned pin, PinDrive drive) {
     if (master.busy())
       throw SimulationError(std::string(slot.name) + ": chip select changes during a transfer");
     slot.transfers_in_window = 0;
+    if (slot.device != nullptr) slot.device->select(world(t), drive == PinDrive::kLow);
   }
 }
 

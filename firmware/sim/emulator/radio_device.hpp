@@ -12,6 +12,7 @@ class RadioDevice final : public SpiDevice {
 
   void transfer(SimTime end, std::span<const std::uint8_t> mosi, std::span<std::uint8_t> miso,
                 std::uint32_t hz) override;
+  void select(SimTime t, bool low) override { chip_.select(t, low); }
   void advance(SimTime t) override { chip_.advance(t); }
   [[nodiscard]] SimTime next_event() const override { return chip_.next_event(); }
   [[nodiscard]] bool irq() const override { return !held_ && chip_.irq(); }
