@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <utility>
 
 #include "firmware/sim/frame_check.hpp"
 
@@ -147,14 +148,11 @@ void Dw1000Chip::reset(SimTime t) {
 }
 
 void Dw1000Chip::select(SimTime t, bool low) {
-  if (low) {
-    selected_at_ = t;
-    return;
-  }
-  if (!asleep_ || t - selected_at_ < kWakeUpSelect) return;
+  const SimTime since = std::exchange(selected_at_, low ? t : kNever);
+  if (low || !asleep_ || since == kNever || t - since < kWakeUpSelect) return;
   advance(t);
   asleep_ = false;
-  boot(selected_at_ + kWakeUpSelect, kSpiReadyAfterWakeUp);
+  boot(since + kWakeUpSelect, kSpiReadyAfterWakeUp);
   registers_.set(Reg::kAonCfg0, kept_sleep_settings_);
   registers_.set(Reg::kAonWcfg, kept_wake_settings_);
 }

@@ -232,7 +232,7 @@ class Dw1000Chip {
   std::int64_t counter_base_ = 0;
   bool powered_ = false;
   bool asleep_ = false;
-  SimTime selected_at_ = kNever;  // the last time that the select line was pulled low
+  SimTime selected_at_ = kNever;  // when the select line was pulled low; kNever: it is high
   // The always-on memory's AON_CFG0 and AON_WCFG.
   std::uint64_t kept_sleep_settings_ = 0;
   std::uint64_t kept_wake_settings_ = 0;

@@ -55,6 +55,7 @@ class NativePlatform {
       const CpuSettings& cpu = platform_.spec_.cpu;
       platform_.spi_hz_ = speed == dw1000::SpiSpeed::kFast ? cpu.spi_fast_hz : cpu.spi_slow_hz;
     }
+    void select(bool low) noexcept { platform_.chip.select(platform_.now, low); }
 
    private:
     NativePlatform& platform_;

@@ -69,6 +69,9 @@ static_assert(lies_at<reg::TcPgdelay>({0x2A, 0x0B, 1}));
 static_assert(lies_at<reg::FsPllcfg>({0x2B, 0x07, 4}));
 static_assert(lies_at<reg::FsPlltune>({0x2B, 0x0B, 1}));
 static_assert(lies_at<reg::FsXtalt>({0x2B, 0x0E, 1}));
+static_assert(lies_at<reg::AonWcfg>({0x2C, 0x00, 2}));
+static_assert(lies_at<reg::AonCtrl>({0x2C, 0x02, 1}));
+static_assert(lies_at<reg::AonCfg0>({0x2C, 0x06, 1}));
 static_assert(lies_at<reg::OtpAddr>({0x2D, 0x04, 2}));
 static_assert(lies_at<reg::OtpCtrl>({0x2D, 0x06, 2}));
 static_assert(lies_at<reg::OtpRdat>({0x2D, 0x0A, 4}));
@@ -238,6 +241,20 @@ TEST_F(Driver, TheBusIsSlowUntilThePllHasLocked) {
   EXPECT_TRUE(fast);
 }
 
+TEST_F(Driver, WakesAChipThatSleeps) {
+  for (const int wake_ups : {1, 3}) {
+    resets = 0;
+    chip.fall_asleep(wake_ups);
+    EXPECT_EQ(bring_up(), BringUp::kOk);
+    EXPECT_TRUE(radio.woken());
+    EXPECT_EQ(resets, 1 + wake_ups);
+  }
+  EXPECT_EQ(bring_up(), BringUp::kOk);
+  EXPECT_FALSE(radio.woken());
+  chip.fall_asleep(100);
+  EXPECT_EQ(bring_up(), BringUp::kNoChip);
+}
+
 TEST_F(Driver, OtpGivesLdoTuneCrystalTrimAndAntennaDelay) {
   chip.otp[0x04] = 0x1234'5688;
   chip.otp[0x1E] = 0xFFFF'FF0B;
@@ -273,6 +290,8 @@ TEST_F(Driver, ConfiguredAntennaDelaysAndPowerWin) {
 TEST_F(Driver, BringUpReportsWhatFailed) {
   chip.absent = true;
   EXPECT_EQ(bring_up(), BringUp::kNoChip);
+  EXPECT_LT(waited_us, 50'000U);
+  waited_us = 0;
   chip.absent = false;
   chip.locks = false;
   EXPECT_EQ(bring_up(), BringUp::kNoLock);

@@ -39,10 +39,26 @@ class FakeChip {
     put(0x00, 0, 0xDECA0130, 4);
     put(0x36, 0x04, 0x81020738, 4);
     status = locks && shows_lock ? kLocked : 0;
+    asleep = asleep || sleeps_again;
   }
   // Time passes. The counter runs while the PLL is locked.
   void wait(std::uint32_t us) {
+    waited_us += us;
     if (locks) time += std::uint64_t{us} * 63'898;
+  }
+  // Until so many wake-ups, and again after each reset until its always-on memory is cleared.
+  void fall_asleep(int wake_ups = 1) {
+    asleep = sleeps_again = true;
+    wake_ups_left = wake_ups;
+  }
+  void select(bool low) noexcept {
+    const bool long_enough = selected && !low && waited_us - selected_us >= 500;
+    selected = low;
+    selected_us = waited_us;
+    if (!asleep || !long_enough || --wake_ups_left > 0) return;
+    asleep = false;
+    put(0x2C, 0x00, 0x0840, 2);
+    put(0x2C, 0x06, 0x07, 1);
   }
 
   void write(std::span<const std::uint8_t> header, std::span<const std::uint8_t> out) noexcept {
@@ -53,12 +69,16 @@ class FakeChip {
       headers_bad = true;
       return;
     }
+    if (asleep) return;
     if (transfer.file == 0x0F) {
       status &= ~(transfer.word() << (8 * transfer.sub));
     } else if (transfer.file == 0x2D && transfer.sub == 0x06 && (transfer.word() & 2) != 0) {
       put(0x2D, 0x0A, otp[static_cast<std::uint16_t>(get(0x2D, 0x04, 2))], 4);
     }
     if (!deaf) std::copy(out.begin(), out.end(), file(transfer.file).begin() + transfer.sub);
+    if (transfer.file == 0x2C && transfer.sub == 0x02 && (transfer.word() & 6) != 0) {
+      sleeps_again = get(0x2C, 0x00, 2) != 0 || get(0x2C, 0x06, 1) != 0;
+    }
     if (on_write) on_write(transfer);
   }
 
@@ -69,6 +89,7 @@ class FakeChip {
     if (transfer.file == 0x06) put(0x06, 0, time, 5);
     const auto& bytes = file(transfer.file);
     std::copy_n(bytes.begin() + transfer.sub, in.size(), in.begin());
+    if (asleep) std::fill(in.begin(), in.end(), 0);
     if (absent || (speed == dw1000::SpiSpeed::kFast && slow_only)) std::fill(in.begin(), in.end(), 0xFF);
     transfer.bytes.assign(in.begin(), in.end());
     log.push_back(transfer);
@@ -112,6 +133,12 @@ class FakeChip {
   bool locks = true;
   bool shows_lock = true;  // by CPLOCK
   bool absent = false;
+  bool asleep = false;        // reads give zeros, writes have no effect
+  bool sleeps_again = false;  // after a reset
+  int wake_ups_left = 0;
+  std::uint64_t waited_us = 0;
+  bool selected = false;          // without a transfer
+  std::uint64_t selected_us = 0;  // waited_us at the last select()
   bool slow_only = false;
   bool deaf = false;  // writes have no effect
   bool headers_bad = false;

@@ -61,6 +61,8 @@ MUTATIONS = [
     ("driver: antenna delay from the low half of the OTP word", DRIVER, "static_cast<std::uint16_t>(otp_word >> 16)", "static_cast<std::uint16_t>(otp_word)", DRIVER_TEST),
     ("driver: fast SPI before the PLL has locked", DRIVER, "    spi_.set_speed(SpiSpeed::kSlow);\n", "    spi_.set_speed(SpiSpeed::kFast);\n", DRIVER_TEST),
     ("driver: no wait for the PLL lock", DRIVER, "if (!await_lock(delay_us)) return BringUp::kNoLock;", "", DRIVER_TEST),
+    ("driver: a chip that sleeps is not selected", DRIVER, "    spi_.select(true);\n", "", DRIVER_TEST),
+    ("driver: a woken chip keeps its request to sleep", DRIVER, "    write(Value<reg::AonCfg0>());\n", "", DRIVER_TEST),
     ("driver: no interrupt for the frame timeout", DRIVER, "                          .set(st::kFrameTimeout)\n", "", DRIVER_TEST + NODE_TEST),
     ("driver: interrupt line active low", DRIVER, "              .set(reg::sys_cfg::kInterruptHigh)\n", "", DRIVER_TEST),
     ("driver: TX_FCTRL without the ranging bit", DRIVER, "                        .set(reg::tx_fctrl::kRanging)\n", "", DRIVER_TEST),

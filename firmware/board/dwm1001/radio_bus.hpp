@@ -34,6 +34,8 @@ class RadioBus {
     spim_.set_frequency(speed == dw1000::SpiSpeed::kFast ? SpiFrequency::k8MHz : SpiFrequency::k2MHz);
   }
 
+  void select(bool low) noexcept { spim_.select(low); }
+
  private:
   // Header and body are copied to one buffer in RAM: EasyDMA cannot read flash, and erratum 58 forbids
   // transfers of one byte.

@@ -45,4 +45,12 @@ void Spim::transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> i
   pin::set(wiring_.select_pin);
 }
 
+void Spim::select(bool low) noexcept {
+  if (low) {
+    pin::clear(wiring_.select_pin);
+  } else {
+    pin::set(wiring_.select_pin);
+  }
+}
+
 }  // namespace groma::dwm1001

@@ -33,6 +33,8 @@ class Spim {
   // and have at most kMaxTransfer bytes. Not for a single received byte, for which the chip clocks two
   // (erratum 58).
   void transfer(std::span<const std::uint8_t> out, std::span<std::uint8_t> in) noexcept;
+  // Pulls the select line low without a transfer, or releases it.
+  void select(bool low) noexcept;
 
  private:
   Wiring wiring_;

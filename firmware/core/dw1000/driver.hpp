@@ -114,9 +114,15 @@ class Dw1000 {
   template <class Reset, class Delay>
   [[nodiscard]] BringUp bring_up(const RadioSettings& settings, Reset&& reset, Delay&& delay_us) noexcept {
     state_ = State::kDown;
-    reset();
-    spi_.set_speed(SpiSpeed::kSlow);
-    if (read<reg::DevId>() != kDeviceId) return BringUp::kNoChip;
+    int wake_ups = 0;
+    for (;; ++wake_ups) {
+      reset();
+      spi_.set_speed(SpiSpeed::kSlow);
+      if (read<reg::DevId>() == kDeviceId) break;
+      if (wake_ups == kMostWakeUps) return BringUp::kNoChip;
+      wake_up(wake_ups < kMostWakeUps / 2 ? kWakeUp_us : kLongWakeUp_us, delay_us);
+    }
+    woken_ = wake_ups > 0;
 
     write<reg::PmscCtrl0>(kCrystalClock);
     write(Value<reg::EcCtrl>().set(reg::ec_ctrl::kLockDetect));
@@ -149,6 +155,8 @@ class Dw1000 {
   }
 
   [[nodiscard]] State state() const noexcept { return state_; }
+  // The last bring-up found the chip asleep.
+  [[nodiscard]] bool woken() const noexcept { return woken_; }
   // Since the last bring-up.
   [[nodiscard]] ranging::Ticks transmit_antenna_delay() const noexcept {
     return ranging::Ticks(transmit_antenna_delay_dtu_);
@@ -453,6 +461,26 @@ class Dw1000 {
   // Clears all events that end an operation, except late transmissions.
   void clear_events() noexcept { write_part<reg::SysStatus, 0, 4>(kAllEvents); }
 
+  // A chip that other firmware put to sleep wakes by its select line alone (user manual 2.3.2: 500 us), and
+  // not always at the first time. From its always-on memory each reset would load the request to sleep again.
+  // To clear that memory the manual names UPL_CFG; Decawave's driver uses SAVE.
+  template <class Delay>
+  void wake_up(std::uint32_t select_us, Delay& delay_us) noexcept {
+    constexpr std::uint32_t kCrystal_us = 5'000;
+    spi_.select(true);
+    delay_us(select_us);
+    spi_.select(false);
+    delay_us(kCrystal_us);
+    if (read<reg::DevId>() != kDeviceId) return;
+    write<reg::PmscCtrl0>(kCrystalClock);
+    write(Value<reg::AonWcfg>());
+    write(Value<reg::AonCfg0>());
+    write(Value<reg::AonCtrl>().set(reg::aon_ctrl::kSave));
+    write(Value<reg::AonCtrl>());
+    write(Value<reg::AonCtrl>().set(reg::aon_ctrl::kUpload));
+    write(Value<reg::AonCtrl>());
+  }
+
   // User manual 6.3.3. Needs the crystal's clock: words read at the PLL's clock are not reliable.
   [[nodiscard]] std::uint32_t read_otp(std::uint16_t address) noexcept {
     write(Value<reg::OtpAddr>(address));
@@ -619,9 +647,15 @@ class Dw1000 {
   }
 
   static constexpr int kLdeTries = 8;
+  // Half of the attempts to wake the chip are of the manual's length, the others as long as Decawave's
+  // driver's.
+  static constexpr int kMostWakeUps = 4;
+  static constexpr std::uint32_t kWakeUp_us = 600;
+  static constexpr std::uint32_t kLongWakeUp_us = 2'000;
 
   S& spi_;
   State state_ = State::kDown;
+  bool woken_ = false;
   std::uint16_t transmit_antenna_delay_dtu_ = 0;
   std::uint8_t supply_at_reference_ = kTypicalSupplyReading;
   std::uint8_t temperature_at_reference_ = kTypicalTemperatureReading;

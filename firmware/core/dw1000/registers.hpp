@@ -52,6 +52,9 @@ using TcPgdelay    = Register<0x2A, 0x000B,  1, kReadWrite>;  // pulse width, by
 using FsPllcfg     = Register<0x2B, 0x0007,  4, kReadWrite>;  // synthesizer, by channel
 using FsPlltune    = Register<0x2B, 0x000B,  1, kReadWrite>;  // synthesizer, by channel
 using FsXtalt      = Register<0x2B, 0x000E,  1, kReadWrite>;  // crystal trim
+using AonWcfg      = Register<0x2C, 0x0000,  2, kReadWrite>;  // what the chip restores when it wakes
+using AonCtrl      = Register<0x2C, 0x0002,  1, kReadWrite>;  // copies the two others to the always-on memory
+using AonCfg0      = Register<0x2C, 0x0006,  1, kReadWrite>;  // sleep and wake-up (its low byte)
 using OtpAddr      = Register<0x2D, 0x0004,  2, kReadWrite>;  // one-time programmable word to read
 using OtpCtrl      = Register<0x2D, 0x0006,  2, kReadWrite>;  // read it, load the LDE microcode
 using OtpRdat      = Register<0x2D, 0x000A,  4, kRead>;       // the word read
@@ -143,6 +146,11 @@ namespace drx_results {
 inline constexpr Field<DrxResults, 0, 21> kIntegral{};  // signed
 inline constexpr Field<DrxResults, 32, 16> kUnsaturatedCount{};
 }  // namespace drx_results
+
+namespace aon_ctrl {
+inline constexpr Field<AonCtrl, 1> kSave{};    // SAVE
+inline constexpr Field<AonCtrl, 2> kUpload{};  // UPL_CFG
+}  // namespace aon_ctrl
 
 namespace otp_ctrl {
 inline constexpr Field<OtpCtrl, 0> kReadEnable{};      // OTPRDEN

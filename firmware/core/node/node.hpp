@@ -149,6 +149,7 @@ class Node {
       indicate();
       return;
     }
+    if (radio_.woken()) log(groma_LogLevel_LOG_INFO, "radio: woken from sleep");
     radio_deadline_us_ = kNever_us;
     const std::uint64_t now_us = platform_.now_us();
     clock_.restart(radio_.now(), ranging::Ticks::from_us(static_cast<std::int64_t>(now_us - reference_us_)));

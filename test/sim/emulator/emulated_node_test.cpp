@@ -26,10 +26,12 @@ class ShippedImage : public ::testing::Test {
 
 // One node without a configuration, in empty space.
 struct LoneNode {
-  explicit LoneNode(const EmulatorOptions& options = {}, std::vector<std::uint8_t> stored_config = {}) {
+  explicit LoneNode(const EmulatorOptions& options = {}, std::vector<std::uint8_t> stored_config = {},
+                    const ChipQuirks& quirks = {}) {
     space.put(1, {});
     NodeSpec spec;
     spec.chip.id = 1;
+    spec.chip.quirks = quirks;
     spec.chip.clock.offset_ppm = 13.0;
     spec.stored_config = std::move(stored_config);
     network.add(make_emulated_node(spec, shipped(), network.medium(), options));
@@ -67,6 +69,14 @@ TEST_F(ShippedImage, BootsAndSendsHello) {
   EXPECT_EQ(site.listener.undecodable, 0);
   EXPECT_EQ(site.node().usage(site.network.now()).resets, 0U);
   EXPECT_LT(site.node().usage(site.network.now()).cpu_load, 0.5);
+}
+
+TEST_F(ShippedImage, WakesARadioThatSleeps) {
+  LoneNode site({}, {}, {.asleep = true});
+  site.run_until(1.5);
+  ASSERT_EQ(site.listener.hellos.size(), 1U);
+  EXPECT_STREQ(site.listener.hellos[0].radio_error, "");
+  EXPECT_THAT(site.listener.logs, ::testing::ElementsAre("radio: woken from sleep"));
 }
 
 TEST_F(ShippedImage, AnswersItsHost) {
