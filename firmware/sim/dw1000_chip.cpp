@@ -612,6 +612,7 @@ void Dw1000Chip::start_transmit(bool delayed, bool wait_for_response) {
   sending.wait_for_response = wait_for_response;
   const std::int64_t to_rmarker = preamble_ticks(symbols);
   const std::int64_t now = ticks(now_);
+  bool missed = false;
   if (delayed) {
     const std::uint64_t rmarker = registers_.get(Reg::kDxTime) & kCoarseMask;
     sending.start_tick = next_tick_with(rmarker - static_cast<std::uint64_t>(to_rmarker));
@@ -622,6 +623,7 @@ void Dw1000Chip::start_transmit(bool delayed, bool wait_for_response) {
     } else if (ahead < kTransmitterPowerUpTicks) {
       status_ |= status::kTxpute;
       count_event(Reg::kEvcTpw);
+      missed = spec_.quirks.missed_starts;
     }
   } else {
     sending.rmarker_tick = (now + kTransmitterPowerUpTicks + to_rmarker + 0x1FF) & ~std::int64_t{0x1FF};
@@ -639,7 +641,7 @@ void Dw1000Chip::start_transmit(bool delayed, bool wait_for_response) {
   frame->data_start = sending.at[2] + antenna;
   frame->end = sending.at[3] + antenna;
   frame->clock_offset = clock_.offset(rmarker);
-  sending.announce_at = std::max(now_, sending.at[0] - kAnnounceAhead);
+  sending.announce_at = missed ? kNever : std::max(now_, sending.at[0] - kAnnounceAhead);
   sending.frame = std::move(frame);
   if (sending.announce_at <= now_) transmission_step();
 }

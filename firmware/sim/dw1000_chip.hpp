@@ -8,7 +8,7 @@
 //
 // How receptions end:
 //   - The receiver has to be on when a frame's preamble begins. Switched on during the preamble, it does not
-//     detect the frame.
+//     detect the frame, unless ChipQuirks::receiver_start_up says otherwise.
 //   - Two frames overlap at a receiver that is locked to the first. If the first is stronger by capture_db it
 //     is received. If the second is stronger by capture_db and begins before the first's RMARKER it is
 //     received instead. Otherwise the first is damaged from where the second begins (no SFD, then header
@@ -70,6 +70,12 @@ struct ChipQuirks {
   // At power-on the chip sleeps, as another firmware left it: only the select line wakes it, held low for
   // kWakeUpSelect. The next reset puts it to sleep again unless its always-on memory was cleared before.
   bool asleep = false;
+  // The receiver hunts for preambles from kReceiverStartTicks after it was switched on, and then also detects
+  // a preamble that has begun, if kLeastChunks of it are left. Its time-outs run from when it was switched
+  // on.
+  bool receiver_start_up = false;
+  // A delayed transmission without time for the power-up (TXPUTE) is never sent and never reported.
+  bool missed_starts = false;
 };
 
 struct ChipSpec {
@@ -97,7 +103,10 @@ class Dw1000Chip {
   // One conversion of temperature and supply, with the PLL's clock.
   static constexpr SimTime kConversionTime = 900 * kUnitsPerMicrosecond;
   static constexpr SimTime kLdeLoadTime = 120 * kUnitsPerMicrosecond;
-  static constexpr std::int64_t kTransmitterPowerUpTicks = 5 * kTicksPerUus;
+  static constexpr std::int64_t kTransmitterPowerUpTicks = 351'437;  // 5.5 us
+  static constexpr std::int64_t kReceiverStartTicks = 1'997 * 512;   // 16 us in periods of the 125 MHz clock
+  // Chunks of PAC symbols that the receiver needs to detect a preamble.
+  static constexpr std::int64_t kLeastChunks = 2;
 
   // Attaches itself to the medium, which must outlive it. Unpowered until set_power().
   Dw1000Chip(const ChipSpec& spec, Medium& medium);
@@ -206,6 +215,8 @@ class Dw1000Chip {
   void receiver_on(SimTime at);
   void receiver_ends(std::uint64_t event, Reg counter, bool needs_reset);
   void preamble_begins(Arrival& arrival);
+  [[nodiscard]] std::int64_t detection_of(const Arrival& arrival);
+  [[nodiscard]] bool detectable(const Arrival& arrival);
   void lock(const Arrival& arrival);
   void overlap(const Arrival& later);
   void report_overlap(const AirFrame& lost, const AirFrame& by) const;
@@ -256,6 +267,7 @@ class Dw1000Chip {
   bool receiver_needs_reset_ = false;
   std::int64_t receive_start_tick_ = 0;  // delayed
   SimTime receiver_on_at_ = 0;
+  SimTime hunts_from_ = 0;
   SimTime last_on_at_ = kNever;  // of the previous listening period
   SimTime last_off_at_ = 0;
   SimTime preamble_timeout_at_ = kNever;

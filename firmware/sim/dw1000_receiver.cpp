@@ -38,8 +38,8 @@ void put(std::span<std::uint8_t> bytes, std::size_t at, std::size_t count, std::
 
 void Dw1000Chip::incoming(std::shared_ptr<const AirFrame> frame) {
   if (!powered_ || asleep_) return;
-  if (frame->preamble_start < now_ && last_on_at_ <= frame->preamble_start &&
-      frame->preamble_start < last_off_at_)
+  const SimTime latest_on = spec_.quirks.receiver_start_up ? frame->rmarker : frame->preamble_start;
+  if (frame->preamble_start < now_ && last_on_at_ <= latest_on && frame->preamble_start < last_off_at_)
     ++late_announcements_;
   const auto before = [](const Arrival& a, const Arrival& b) {
     return a.frame->preamble_start != b.frame->preamble_start
@@ -149,6 +149,7 @@ void Dw1000Chip::receiver_on(SimTime at) {
   registers_.set(Reg::kDrxCarInt, 0);
   registers_.set(Reg::kRxpaccNosat, 0);
   const std::int64_t on = ticks(at);
+  hunts_from_ = spec_.quirks.receiver_start_up ? time_of(on + kReceiverStartTicks) : at;
   const auto chunks = static_cast<std::int64_t>(registers_.get(Reg::kDrxPretoc));
   // The chip adds one to the counter (user manual 7.2.40.9).
   preamble_timeout_at_ =
@@ -156,6 +157,9 @@ void Dw1000Chip::receiver_on(SimTime at) {
   const bool limited = (registers_.get(Reg::kSysCfg) & kWaitTimeout) != 0;
   frame_timeout_at_ =
       limited ? time_of(on + static_cast<std::int64_t>(registers_.get(Reg::kRxFwto)) * kTicksPerUus) : kNever;
+  if (!spec_.quirks.receiver_start_up) return;
+  for (Arrival& arrival : arrivals_)
+    if (arrival.started && arrival.frame->rmarker > at) preamble_begins(arrival);
 }
 
 void Dw1000Chip::receiver_ends(std::uint64_t event, Reg counter, bool needs_reset) {
@@ -182,20 +186,22 @@ void Dw1000Chip::resolve(Arrival& arrival) {
   arrival.reception = medium_.reception(*arrival.frame, station_);
 }
 
+// Or the receiver is switched on during it.
 void Dw1000Chip::preamble_begins(Arrival& arrival) {
-  if (!listening() || receiver_on_at_ > arrival.frame->preamble_start) return;
-  if (!tuning().can_receive(arrival.frame->format)) return;
+  if (!listening() || !tuning().can_receive(arrival.frame->format)) return;
+  if (!spec_.quirks.receiver_start_up && receiver_on_at_ > arrival.frame->preamble_start) return;
   resolve(arrival);
   if (!arrival.reception.audible || arrival.reception.loss == Loss::kUnheard) return;
   if (current_.frame) {
     overlap(arrival);
     return;
   }
+  if (!detectable(arrival)) return;
+  const SimTime from = std::max(arrival.frame->preamble_start + arrival.reception.delay, hunts_from_);
   for (Arrival& other : arrivals_) {
     if (&other == &arrival || !other.started || !tuning().can_receive(other.frame->format)) continue;
     resolve(other);
-    const bool over = std::min(other.frame->end, other.frame->cut_at) + other.reception.delay <=
-                      arrival.frame->preamble_start + arrival.reception.delay;
+    const bool over = std::min(other.frame->end, other.frame->cut_at) + other.reception.delay <= from;
     if (!over && other.reception.audible && other.reception.loss != Loss::kUnheard &&
         arrival.reception.receive_power_dbm <
             other.reception.receive_power_dbm + medium_.settings().capture_db) {
@@ -207,16 +213,27 @@ void Dw1000Chip::preamble_begins(Arrival& arrival) {
 }
 
 // The preamble is detected at the end of the first chunk of PAC symbols that lies wholly within it. Chunks
-// are counted from the start of the receiver.
+// are counted from the start of the hunt.
+std::int64_t Dw1000Chip::detection_of(const Arrival& arrival) {
+  const std::int64_t chunk = tuning().pac_symbols * kPreambleSymbolTicks;
+  const std::int64_t hunt = ticks(hunts_from_);
+  const std::int64_t begin = ticks(arrival.frame->preamble_start + arrival.reception.delay);
+  return hunt + ((std::max(begin - hunt, std::int64_t{0}) + chunk - 1) / chunk + 1) * chunk;
+}
+
+bool Dw1000Chip::detectable(const Arrival& arrival) {
+  const std::int64_t chunk = tuning().pac_symbols * kPreambleSymbolTicks;
+  const SimTime sfd = arrival.frame->rmarker - kSfdSymbols * kPreambleSymbolTicks * kUnitsPerTick;
+  const SimTime end = std::min(sfd, arrival.frame->cut_at) + arrival.reception.delay;
+  return detection_of(arrival) + (kLeastChunks - 1) * chunk <= ticks(end);
+}
+
 void Dw1000Chip::lock(const Arrival& arrival) {
   current_ = arrival;
   damage_ = arrival.reception.loss;
   receiver_ = Receiver::kHunting;
-  const std::int64_t chunk = tuning().pac_symbols * kPreambleSymbolTicks;
-  const std::int64_t on = ticks(receiver_on_at_);
   const std::int64_t begin = ticks(arrival.frame->preamble_start + arrival.reception.delay);
-  const std::int64_t whole_chunks = (begin - on + chunk - 1) / chunk + 1;
-  const std::int64_t detected = on + whole_chunks * chunk;
+  const std::int64_t detected = detection_of(arrival);
   detected_at_ = time_of(detected);
   accumulated_symbols_ = std::max<std::int64_t>(
       arrival.frame->format.preamble_symbols - (detected - begin) / kPreambleSymbolTicks, 1);

@@ -410,6 +410,26 @@ TEST_F(Dw1000ChipTest, TooLittleTimeForPowerUpIsReported) {
   EXPECT_EQ(attempt(-2048), status::kHpdwarn);
 }
 
+TEST(Dw1000Quirks, WithoutTimeForPowerUpNothingIsSent) {
+  RadioBench bench;
+  HandDriven& radio = bench.add({.id = 1, .quirks = {.missed_starts = true}});
+  radio.bring_up();
+  const auto send_in = [&](std::int64_t ticks) {
+    radio.write(0x0F, 0, kMask40, 5);
+    radio.load({1, 2, 3});
+    radio.send_at(radio.system_time() + static_cast<std::uint64_t>(preamble_ticks(128) + ticks + 511));
+    const std::uint64_t late = radio.status() & (status::kHpdwarn | status::kTxpute);
+    bench.run_until(radio.t + 2 * kMillisecond);
+    return late;
+  };
+  EXPECT_EQ(send_in(5 * std::int64_t{kTicksPerMicrosecond}), status::kTxpute);
+  EXPECT_EQ(radio.status() & (status::kTxfrb | status::kTxfrs), 0U);
+  radio.off();
+  EXPECT_EQ(send_in(7 * std::int64_t{kTicksPerMicrosecond}), 0U);
+  EXPECT_NE(radio.status() & status::kTxfrs, 0U);
+  EXPECT_EQ(radio.chip().fault(), "");
+}
+
 TEST_F(Dw1000ChipTest, WithoutTheForcedClockADelayedTransmitNeverCompletes) {
   radio.bring_up();
   radio.load({1, 2, 3});

@@ -374,6 +374,67 @@ TEST_F(Dw1000TimeoutTest, WaitForResponseSwitchesOnAfterItsTime) {
   EXPECT_NE(sender.status() & status::kRxrfto, 0U);
 }
 
+// ---- start-up -----------------------------------------------------------------------------------------
+
+// Symbols that a receiver accumulates of a preamble if it is switched on this long after the preamble's
+// begin; 0: it does not receive the frame.
+int symbols_heard(int late_us, std::uint16_t preamble = 128) {
+  RadioBench bench;
+  HandDriven& sender = bench.add({.id = 1});
+  HandDriven& receiver = bench.add({.id = 2, .quirks = {.receiver_start_up = true}});
+  sender.bring_up(preamble);
+  receiver.bring_up(preamble);
+  sender.load({1, 2, 3});
+  const std::uint64_t target = (sender.system_time() + 63'897'600) & ~std::uint64_t{0x1FF};
+  sender.send_at(target);
+  const auto begins = static_cast<std::int64_t>(target) + 16436 - preamble_ticks(preamble);
+  receiver.receive_at(static_cast<std::uint64_t>(begins + late_us * std::int64_t{kTicksPerMicrosecond}));
+  bench.run_until(receiver.t + 2 * kMillisecond);
+  EXPECT_EQ(receiver.chip().fault(), "");
+  if ((receiver.status() & status::kAllRx) != kGood) return 0;
+  constexpr int kOfTheSfd = 5;
+  return static_cast<int>(receiver.read(0x10, 0, 4) >> 20) - kOfTheSfd;
+}
+
+TEST(Dw1000StartUp, TheHuntBegins16MicrosecondsAfterTheReceiverIsOn) {
+  // A chunk of 8 symbols, and what of one passes before the preamble.
+  EXPECT_GE(symbols_heard(-50), 112);
+  EXPECT_GE(symbols_heard(-17), 112);
+  EXPECT_LE(symbols_heard(0), 128 - 15 - 8);
+  EXPECT_GE(symbols_heard(0), 128 - 17 - 8);
+}
+
+TEST(Dw1000StartUp, APreambleIsDetectedWhileTwoChunksAreLeft) {
+  // From begin to SFD: 130.3 us; two chunks: 16.3 us, or 32.6 us where they have 16 symbols.
+  EXPECT_GT(symbols_heard(97), 8);
+  EXPECT_EQ(symbols_heard(99), 0);
+  EXPECT_GT(symbols_heard(31, 64), 8);
+  EXPECT_EQ(symbols_heard(34, 64), 0);
+  EXPECT_GT(symbols_heard(210, 256), 16);
+  EXPECT_EQ(symbols_heard(213, 256), 0);
+}
+
+TEST(Dw1000StartUp, OfTwoPreamblesUnderWayTheStrongerIsDetected) {
+  for (const std::uint16_t stronger : std::array<std::uint16_t, 2>{1, 2}) {
+    RadioBench bench;
+    HandDriven& first = bench.add({.id = 1});
+    HandDriven& second = bench.add({.id = 2});
+    HandDriven& receiver = bench.add({.id = 3, .quirks = {.receiver_start_up = true}});
+    bench.space.set_default({.audible = true, .receive_power_dbm = -80.0});
+    bench.space.set(stronger, 3, {.audible = true, .receive_power_dbm = -73.0});
+    for (HandDriven* node : {&first, &second, &receiver}) node->bring_up();
+    const std::uint64_t target = first.system_time() + 63'897'600;
+    first.load({1, 1, 1});
+    second.load({2, 2, 2});
+    first.send_at(target);
+    second.send_at(target + 20 * kTicksPerMicrosecond);
+    receiver.receive_at(target - 100 * kTicksPerMicrosecond);
+    bench.run_until(receiver.t + 3 * kMillisecond);
+    EXPECT_EQ(receiver.status() & status::kAllRx, kGood);
+    EXPECT_EQ(receiver.read(0x11, 0, 1), stronger);
+  }
+}
+
 // ---- what makes a timestamp wrong or a receiver deaf ---------------------------------------------------
 
 TEST_F(Dw1000ReceiverTest, WithoutMicrocodeThereIsNoTimestamp) {

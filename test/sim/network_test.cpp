@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <set>
+#include <utility>
 
 #include "test/sim/site_bench.hpp"
 
@@ -144,6 +145,29 @@ TEST(SmallSite, DeviceTimeFollowsTheTagsClockOverTheWrap) {
   EXPECT_GT(errors_of(site).good, 30'000);
   EXPECT_LT(errors_of(site).worst_m, 0.01);
   EXPECT_EQ(errors_of(site).missing, 0);
+}
+
+// Fewest and most symbols of a preamble that the tag's receiver accumulated, without those of the SFD.
+std::pair<int, int> symbols_at_tag(SiteBench& site) {
+  constexpr int kOfTheSfd = 5;
+  constexpr int kOverwritten = 0xA5A;
+  std::pair<int, int> symbols{1'000, 0};
+  site.run_until(kSynchronized_s);
+  for (int i = 1; i <= 100; ++i) {
+    site.run_until(kSynchronized_s + 0.0037 * i);
+    const auto count = static_cast<int>(site.network.node(0).chip().register_value(Reg::kRxFinfo) >> 20);
+    if (count == kOverwritten) continue;
+    symbols.first = std::min(symbols.first, count - kOfTheSfd);
+    symbols.second = std::max(symbols.second, count - kOfTheSfd);
+  }
+  return symbols;
+}
+
+// User manual 7.2.15: 16 us from a receiver's start to its hunt for preambles.
+TEST(SmallSite, AShortGuardCostsTheBeginOfEachPreamble) {
+  SiteBench site({.guard_us = 5, .equip = [](ChipSpec& chip) { chip.quirks.receiver_start_up = true; }});
+  EXPECT_LT(symbols_at_tag(site).second, 113);
+  expect_sound(site);
 }
 
 // ---- ranges without noise -------------------------------------------------------------------------
