@@ -7,8 +7,9 @@
 // late_announcements() counts the others.
 //
 // How receptions end:
-//   - The receiver has to be on when a frame's preamble begins. Switched on during the preamble, it does not
-//     detect the frame, unless ChipQuirks::receiver_start_up says otherwise.
+//   - The receiver detects a preamble of which it hears two chunks of PAC symbols or more. Its hunt begins 16
+//   us
+//     after it was switched on (ChipQuirks).
 //   - Two frames overlap at a receiver that is locked to the first. If the first is stronger by capture_db it
 //     is received. If the second is stronger by capture_db and begins before the first's RMARKER it is
 //     received instead. Otherwise the first is damaged from where the second begins (no SFD, then header
@@ -73,9 +74,9 @@ struct ChipQuirks {
   // The receiver hunts for preambles from kReceiverStartTicks after it was switched on, and then also detects
   // a preamble that has begun, if kLeastChunks of it are left. Its time-outs run from when it was switched
   // on.
-  bool receiver_start_up = false;
+  bool receiver_start_up = true;
   // A delayed transmission without time for the power-up (TXPUTE) is never sent and never reported.
-  bool missed_starts = false;
+  bool missed_starts = true;
 };
 
 struct ChipSpec {

@@ -131,6 +131,7 @@ Json counters_json(const groma_Counters& counters) {
           {"crc_errors", counters.crc_errors},
           {"header_errors", counters.header_errors},
           {"late_transmits", counters.late_transmits},
+          {"power_up_errors", counters.power_up_errors},
           {"late_receives", counters.late_receives},
           {"foreign_frames", counters.foreign_frames},
           {"malformed_frames", counters.malformed_frames},

@@ -468,7 +468,7 @@ TEST_F(Driver, ALateTransmitIsCancelled) {
       if (t.file == 0x0D && t.word() == 0x06) chip.status |= std::uint64_t{1} << bit;
     };
     const std::uint8_t frame[] = {1};
-    EXPECT_EQ(radio.transmit_at(DeviceTime(1 << 20), frame), Start::kLate);
+    EXPECT_EQ(radio.transmit_at(DeviceTime(1 << 20), frame), bit == 27 ? Start::kLate : Start::kTooClose);
     EXPECT_EQ(chip.written(0x0D, 0), 0x40U);
     EXPECT_EQ(chip.written(0x36, 0), 0x00U);
     EXPECT_EQ(radio.state(), State::kIdle);

@@ -444,6 +444,20 @@ TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
   EXPECT_EQ(counters.stale_frames, 3U);
 }
 
+TEST(Station, ItsReceiverHuntsAGuardBeforeAFrameIsDue) {
+  const groma_Schedule schedule = schedule_of(1, 2, groma_RangingMethod_METHOD_DS_NEXT_POLL);
+  groma_Counters counters = groma_Counters_init_zero;
+  const mac::Anchor anchor({.id = 102, .network_id = 9, .schedule = &schedule}, counters);
+  const mac::Superframe& superframe = anchor.station().superframe();
+  const ClockTime due(10'000'000'000);
+  const Ticks slack(1'000);
+  const Action action = anchor.station().listen(due, 100, slack);
+  const Ticks to_start = due - superframe.phy().before_rmarker() - superframe.guard() - slack - action.at;
+  EXPECT_GE(to_start, Ticks::from_us(16));
+  EXPECT_LT(to_start, Ticks::from_us(17));
+  EXPECT_EQ(action.preamble_until, due + superframe.guard() + slack);
+}
+
 // A tag whose only anchor is played by the test, which supplies the RESPONSE of each exchange.
 class ScriptedAnchor {
  public:

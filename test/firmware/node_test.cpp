@@ -768,6 +768,26 @@ TEST_F(NodeTest, AChipThatRejectsEverythingAsLateDoesNotHangTheNode) {
   SUCCEED();
 }
 
+TEST_F(NodeTest, ATransmissionTooCloseToPowerUpIsLateAndCounted) {
+  store(good_config(groma_Role_ROLE_ANCHOR));
+  node.start();
+  std::uint32_t refused = 0;
+  platform.chip.on_write = [&](const Transfer& t) {
+    if (t.file != 0x0D || (t.word() & 0x4) == 0) return;
+    platform.chip.status |= std::uint64_t{1} << 34;
+    ++refused;
+  };
+  for (int i = 0; i < 10 && refused == 0; ++i) {
+    platform.time_us += 50'000;
+    platform.chip.time += 50'000 * kTicksPerUs;
+    end_listening();
+  }
+  EXPECT_GT(refused, 0U);
+  EXPECT_EQ(node.counters().power_up_errors, refused);
+  EXPECT_EQ(node.counters().late_transmits, refused);
+  EXPECT_EQ(node.counters().radio_recoveries, 0U);
+}
+
 TEST_F(NodeTest, TheMasterSendsItsFirstBeacon) {
   store(good_config(groma_Role_ROLE_ANCHOR));
   node.start();

@@ -106,6 +106,7 @@ MUTATIONS = [
     ("membership: a tag that left still polls", "firmware/core/mac/membership.hpp", "leaving_ ? std::nullopt : lease_.slot(number)", "lease_.slot(number)", MEMBERSHIP_TEST),
     ("membership: a relay overwrites the master's table", "firmware/core/mac/membership.cpp", "  if (beacon.master == id_) return;  // its own table, relayed\n", "", MEMBERSHIP_TEST),
     ("mac: receiver enabled without the preamble's length", "firmware/core/mac/station.cpp", "due - phy.before_rmarker() - guard", "due - guard", MAC_TEST),
+    ("mac: receiver enabled without the time of its start-up", "firmware/core/mac/station.cpp", " - guard - dw1000::Phy::kReceiverStart", " - guard", MAC_TEST),
     ("mac: no time to process a beacon before its relay", "firmware/core/mac/superframe.cpp", "kBeaconProcessing = round_up_to_grid(Ticks::from_us(100))", "kBeaconProcessing = round_up_to_grid(Ticks::from_us(0))", ["test/firmware/superframe_test.cpp"]),
     ("radio: LOS hint without the peak's distance", "firmware/core/dw1000/receive_quality.cpp", "hidden_cdb > kUnlikelyHidden_cdb || peak_distance_64ths > kUnlikely_64ths", "hidden_cdb > kUnlikelyHidden_cdb", ["test/firmware/driver_test.cpp"]),
     ("radio: peak before the first path not counted", "firmware/core/dw1000/receive_quality.cpp", "return std::abs(std::int32_t{quality.peak_index}", "return (std::int32_t{quality.peak_index}", ["test/firmware/driver_test.cpp"]),

@@ -74,7 +74,8 @@ enum class State : std::uint8_t { kDown, kIdle, kTransmitting, kReceiving };
 
 enum class Start : std::uint8_t {
   kStarted,
-  kLate,  // the instant had passed: nothing is sent or received, the chip is idle
+  kLate,      // the instant had passed: nothing is sent or received, the chip is idle
+  kTooClose,  // as kLate, but only the transmitter's power-up would have come too late
   kNotIdle,
   kTooLong,  // the frame does not fit
 };
@@ -201,7 +202,7 @@ class Dw1000 {
     const auto status = read_part<reg::SysStatus, 3, 2>();
     if (status.has(reg::sys_status::kHalfPeriod) || status.has(reg::sys_status::kPowerUpError)) {
       stop();
-      return Start::kLate;
+      return status.has(reg::sys_status::kHalfPeriod) ? Start::kLate : Start::kTooClose;
     }
     return Start::kStarted;
   }

@@ -45,6 +45,8 @@ class Phy {
   static constexpr ranging::Ticks kPreambleSymbol{std::int64_t{508} * 128};  // 508 chips of 499.2 MHz
   static constexpr ranging::Ticks kHeaderSymbol{std::int64_t{512} * 128};
   static constexpr ranging::Ticks kDataBit{std::int64_t{64} * 128};
+  // From the receiver's start to its hunt for preambles: 16 us (user manual 7.2.15).
+  static constexpr ranging::Ticks kReceiverStart = ranging::round_up_to_grid(ranging::Ticks::from_us(16));
   static constexpr int kSfdSymbols = 8;
   static constexpr int kHeaderSymbols = 21;
 

@@ -663,7 +663,7 @@ Action Station::listen(ClockTime due, std::size_t bytes, Ticks slack) const noex
   const Ticks guard = superframe_.guard() + slack;
   const dw1000::Phy phy = superframe_.phy();
   return {.kind = Action::Kind::kListen,
-          .at = due - phy.before_rmarker() - guard,
+          .at = due - phy.before_rmarker() - guard - dw1000::Phy::kReceiverStart,
           .until = due + dw1000::Phy::after_rmarker(bytes) + guard,
           .preamble_until = due + guard};
 }

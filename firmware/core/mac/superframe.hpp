@@ -21,6 +21,8 @@
 // A node that received a FINAL has to listen for the next POLL or to make a beacon next, so the turnaround,
 // or the gap if longer, follows a FINAL. After a last RESPONSE the gap is enough, because the polled anchors
 // have sent.
+//
+// A receiver starts 16 us before its guard, still in the time that follows the frame before.
 #pragma once
 
 #include <cstddef>

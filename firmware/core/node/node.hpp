@@ -377,6 +377,10 @@ class Node {
           break;
       }
       if (start == dw1000::Start::kStarted) return supervise(action);
+      if (start == dw1000::Start::kTooClose) {
+        ++counters_.power_up_errors;
+        start = dw1000::Start::kLate;
+      }
       if (start != dw1000::Start::kLate) return recover();
 
       const ranging::ClockTime now = read_clock();
