@@ -487,11 +487,12 @@ void Dw1000Chip::power_management_written(std::uint32_t before) {
     case 0xE:
       if (transmission_.frame != nullptr) complain("receiver reset while a frame is pending or being sent");
       receiver_off();
+      receiver_needs_reset_ = receiver_needs_reset_ || (spec_.quirks.reset_needs_off && !turned_off_);
       break;
     case 0xF:
       if (reset_before == 0x0) {
         pll_locks_at_ = now_ + kPllLockAfterSoftReset;
-      } else if (reset_before == 0xE) {
+      } else if (reset_before == 0xE && (turned_off_ || !spec_.quirks.reset_needs_off)) {
         receiver_needs_reset_ = false;
       }
       break;
@@ -531,6 +532,7 @@ void Dw1000Chip::command(std::uint32_t bits) {
 }
 
 void Dw1000Chip::transceiver_off() {
+  turned_off_ = true;
   if (transmission_.frame != nullptr) {
     if (transmission_.stage > 0) {
       medium_.cut(transmission_.frame, now_);

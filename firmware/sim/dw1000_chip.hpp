@@ -77,6 +77,8 @@ struct ChipQuirks {
   bool receiver_start_up = true;
   // A delayed transmission without time for the power-up (TXPUTE) is never sent and never reported.
   bool missed_starts = true;
+  // A reset of the receiver counts only after TRXOFF: without it timestamps stay wrong.
+  bool reset_needs_off = false;
 };
 
 struct ChipSpec {
@@ -266,6 +268,7 @@ class Dw1000Chip {
 
   Receiver receiver_ = Receiver::kOff;
   bool receiver_needs_reset_ = false;
+  bool turned_off_ = true;               // by TRXOFF since the receiver was last on
   std::int64_t receive_start_tick_ = 0;  // delayed
   SimTime receiver_on_at_ = 0;
   SimTime hunts_from_ = 0;

@@ -140,6 +140,7 @@ void Dw1000Chip::receiver_step(SimTime at) {
 
 void Dw1000Chip::receiver_on(SimTime at) {
   status_ &= ~status::kAllRx;
+  turned_off_ = false;
   receiver_ = Receiver::kHunting;
   receiver_on_at_ = at;
   current_ = {};
