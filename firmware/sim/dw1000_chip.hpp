@@ -78,7 +78,7 @@ struct ChipQuirks {
   // A delayed transmission without time for the power-up (TXPUTE) is never sent and never reported.
   bool missed_starts = true;
   // A reset of the receiver counts only after TRXOFF: without it timestamps stay wrong.
-  bool reset_needs_off = false;
+  bool reset_needs_off = true;
 };
 
 struct ChipSpec {

@@ -582,9 +582,11 @@ TEST_F(Driver, AfterAFailedReceptionTheReceiverIsReset) {
     EXPECT_EQ(radio.take_event().kind, kind) << bit;
     EXPECT_FALSE(chip.interrupt());
     const auto writes = chip.writes();
-    ASSERT_GE(writes.size(), 2U);
+    ASSERT_GE(writes.size(), 3U);
+    const Transfer& idle = writes[writes.size() - 3];
     const Transfer& on = writes[writes.size() - 2];
     const Transfer& off = writes.back();
+    EXPECT_EQ(std::tuple(idle.file, idle.sub, idle.word()), std::tuple(0x0D, 0x00, 0x40U));
     EXPECT_EQ(std::tuple(on.file, on.sub, on.word()), std::tuple(0x36, 0x03, 0xE0U));
     EXPECT_EQ(std::tuple(off.file, off.sub, off.word()), std::tuple(0x36, 0x03, 0xF0U));
     EXPECT_EQ(radio.state(), State::kIdle);

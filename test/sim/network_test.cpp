@@ -420,14 +420,6 @@ TEST(Faults, ARadioThatSleepsIsWoken) {
   EXPECT_GT(errors_of(site).good, 0.99 * 2.0 * scheduled_rate(site, settings));
 }
 
-// Decawave's driver turns the transceiver off before each reset of the receiver; this one does not.
-TEST(Faults, AResetOfTheReceiverAloneLeavesRangesWrong) {
-  SiteBench site({.medium = {.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0, .loss_probability = 0.02},
-                  .equip = [](ChipSpec& chip) { chip.quirks.reset_needs_off = true; }});
-  site.run_until(kSynchronized_s + 2.0);
-  EXPECT_GT(errors_of(site).worst_m, 0.1);
-}
-
 TEST(Faults, AFullLineDropsWholeReportsAndCountsThem) {
   // 20 kbit/s is far too slow for this many reports.
   SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});

@@ -131,7 +131,8 @@ class HandDriven {
     write(0x0A, 0x00, dx_time & kMask40, 5);
     write(0x0D, 0x00, 0x0300, 2);
   }
-  void receiver_reset() {
+  void receiver_reset(bool turn_off = true) {
+    if (turn_off) off();
     write(0x36, 0x03, 0xE0, 1);
     write(0x36, 0x03, 0xF0, 1);
   }

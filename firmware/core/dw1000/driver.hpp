@@ -270,6 +270,7 @@ class Dw1000 {
       }
       if (const EventKind failure = failure_of(status); failure != EventKind::kNone) {
         clear_events();
+        command(kOff);
         reset_receiver();
         state_ = State::kIdle;
         return {.kind = failure};
@@ -641,7 +642,8 @@ class Dw1000 {
     write(frame_format_);
   }
 
-  // User manual 4.1.6: after an error or a time-out the next timestamp would be wrong.
+  // User manual 4.1.6: after an error or a time-out the next timestamp would be wrong. After kOff, as in
+  // Decawave's driver.
   void reset_receiver() noexcept {
     write(kReceiverReset);
     write(kNoReset);
