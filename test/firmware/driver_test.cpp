@@ -329,6 +329,25 @@ TEST_F(Driver, BringUpReportsWhatFailed) {
   }
 }
 
+TEST_F(Driver, EachRegisterWrittenAtBringUpIsReadBack) {
+  ASSERT_EQ(bring_up(), BringUp::kOk);
+  std::vector<Transfer> settings;
+  for (const Transfer& t : chip.writes()) {
+    // Commands, and what each operation sets again.
+    const bool setting =
+        t.file != 0x0F && t.file != 0x2D && t.file != 0x36 && !(t.file == 0x27 && t.sub == 0x24);
+    if (setting) settings.push_back(t);
+  }
+  EXPECT_EQ(settings.size(), 25U);
+  for (const Transfer& lost : settings) {
+    chip.on_write = [&](const Transfer& t) {
+      if (t.file == lost.file && t.sub == lost.sub) chip.put(t.file, t.sub, t.word() ^ 1, t.bytes.size());
+    };
+    EXPECT_NE(bring_up(), BringUp::kOk) << int{lost.file} << ' ' << lost.sub;
+    EXPECT_EQ(radio.state(), State::kDown);
+  }
+}
+
 TEST_F(Driver, SamplesTemperatureAndSupplyByTheirCalibration) {
   chip.otp[0x08] = 0x1234'56A9;  // 3.3 V
   chip.otp[0x09] = 0x1234'567D;  // 23 degrees C

@@ -13,6 +13,7 @@
 // frame.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -22,6 +23,7 @@
 #include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/dw1000/receive_quality.hpp"
 #include "firmware/core/dw1000/registers.hpp"
+#include "firmware/core/dw1000/settings.hpp"
 #include "firmware/core/dw1000/spi.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 
@@ -126,31 +128,24 @@ class Dw1000 {
     woken_ = wake_ups > 0;
 
     write<reg::PmscCtrl0>(kCrystalClock);
-    write(Value<reg::EcCtrl>().set(reg::ec_ctrl::kLockDetect));
     if (const std::uint32_t ldo_tune = read_otp(kOtpLdoTune); (ldo_tune & 0xFF) != 0) {
       write<reg::OtpSf>(kLdoKick);
     }
-    trim_crystal(read_otp(kOtpCrystalTrim));
-    settle_antenna_delays(settings, read_otp(kOtpAntennaDelay));
+    settle(settings, read_otp(kOtpAntennaDelay), read_otp(kOtpCrystalTrim));
     supply_at_reference_ = reading_of(read_otp(kOtpSupply), kTypicalSupplyReading);
     temperature_at_reference_ = reading_of(read_otp(kOtpTemperature), kTypicalTemperatureReading);
     load_leading_edge_microcode(delay_us);
-    tune(settings);
+    for_each_setting([this](const Setting& s) {
+      const auto bytes = s.bytes();
+      spi_.write(TransactionHeader(true, s.id, s.sub).bytes(), std::span(bytes).first(s.length));
+      return true;
+    });
+    forget_operations();
     if (!await_lock(delay_us)) return BringUp::kNoLock;
 
     spi_.set_speed(SpiSpeed::kFast);
     if (read<reg::DevId>() != kDeviceId) return BringUp::kNoFastBus;
-    if (read<reg::ChanCtrl>() != kChannel ||
-        read<reg::TxAntd>() != Value<reg::TxAntd>(transmit_antenna_delay_dtu_)) {
-      return BringUp::kNotWritable;
-    }
-    if (read<reg::FsXtalt>() != crystal_trim_) return BringUp::kNoTrim;
-    // The microcode cannot be read back. If it is missing, no timestamp is valid, which counters.bad_stamps
-    // shows.
-    if (read<reg::LdeCfg1>() != kLdeNoiseThreshold || read<reg::LdeRepc>() != kLdeReplicaCode ||
-        !read<reg::PmscCtrl1>().has(reg::pmsc_ctrl1::kLeadingEdge)) {
-      return BringUp::kNoTimestamps;
-    }
+    if (const BringUp fault = check_settings(); fault != BringUp::kOk) return fault;
     state_ = State::kIdle;
     return BringUp::kOk;
   }
@@ -364,9 +359,6 @@ class Dw1000 {
   static constexpr Value<reg::PmscReset> kReceiverReset{0xE0};
   static constexpr Value<reg::PmscReset> kNoReset{0xF0};
   static constexpr Value<reg::OtpSf> kLdoKick{0x02};
-  static constexpr Value<reg::ChanCtrl> kChannel{0x4A480055};
-  static constexpr Value<reg::LdeCfg1> kLdeNoiseThreshold{0x6D};
-  static constexpr Value<reg::LdeRepc> kLdeReplicaCode{0x28F4};
   static constexpr Value<reg::RfBias> kSensorBias{0x80};
   static constexpr Value<reg::RfSensors> kSensorAndConverterBias{0x0A};
   static constexpr Value<reg::RfSensors> kSensorOutputs{0x0F};
@@ -387,47 +379,11 @@ class Dw1000 {
   static constexpr auto kReceiveNow = Value<reg::SysCtrl>().set(reg::sys_ctrl::kReceive);
   static constexpr auto kOff = Value<reg::SysCtrl>().set(reg::sys_ctrl::kOff);
 
-  // The events that raise the interrupt line: each end of an operation.
-  static constexpr Value<reg::SysMask> kInterrupts = [] {
-    namespace st = reg::sys_status;
-    const auto bits = Value<reg::SysStatus>()
-                          .set(st::kTransmitted)
-                          .set(st::kHeaderError)
-                          .set(st::kReceived)
-                          .set(st::kCheckError)
-                          .set(st::kSyncLoss)
-                          .set(st::kFrameTimeout)
-                          .set(st::kPreambleTimeout)
-                          .set(st::kSfdTimeout);
-    return Value<reg::SysMask>(bits.word());
-  }();
   static constexpr Value<reg::SysStatus> kAllFlags{0x07'FFFF'FFFF};
   static constexpr auto kPllFlags =
       Value<reg::SysStatus>().set(reg::sys_status::kRfPllLosing).set(reg::sys_status::kClockPllLosing);
   // All except kPllFlags, which only poll_event() clears, so that it counts each of them.
   static constexpr Value<reg::SysStatus> kAllEvents{0x07'FCFF'FFFF};
-
-  // Register values that depend on the preamble length.
-  struct Tuning {
-    Value<reg::DrxTune1b> tune1b;
-    Value<reg::DrxTune2> tune2;
-    Value<reg::DrxTune4h> tune4h;
-    std::uint8_t code;  // TXPSR and PE
-  };
-  static constexpr Tuning tuning_of(Preamble preamble) noexcept {
-    using T1 = Value<reg::DrxTune1b>;
-    using T2 = Value<reg::DrxTune2>;
-    using T4 = Value<reg::DrxTune4h>;
-    switch (preamble) {
-      case Preamble::k64:
-        return {T1(0x0010), T2(0x313B006B), T4(0x0010), 0b0001};
-      case Preamble::k128:
-        return {T1(0x0020), T2(0x313B006B), T4(0x0028), 0b0101};
-      case Preamble::k256:
-        return {T1(0x0020), T2(0x333B00BE), T4(0x0028), 0b1001};
-    }
-    return {};
-  }
 
   template <class R>
   [[nodiscard]] Value<R> read() noexcept {
@@ -491,21 +447,68 @@ class Dw1000 {
     return static_cast<std::uint32_t>(read<reg::OtpRdat>().word());
   }
 
-  void trim_crystal(std::uint32_t otp_word) noexcept {
+  // The settings of this node and chip.
+  void settle(const RadioSettings& settings, std::uint32_t otp_delay, std::uint32_t otp_trim) noexcept {
     constexpr std::uint32_t kMidRange = 0x10;
-    const std::uint32_t trim = otp_word & 0x1F;
-    crystal_trim_ = Value<reg::FsXtalt>()
-                        .set(reg::fs_xtalt::kFixed, 3)
-                        .set(reg::fs_xtalt::kTrim, trim == 0 ? kMidRange : trim);
-    write(crystal_trim_);
-  }
-
-  void settle_antenna_delays(const RadioSettings& settings, std::uint32_t otp_word) noexcept {
-    const auto at_prf64 = static_cast<std::uint16_t>(otp_word >> 16);
+    const std::uint32_t trim = otp_trim & 0x1F;
+    const auto at_prf64 = static_cast<std::uint16_t>(otp_delay >> 16);
     const std::uint16_t fallback = at_prf64 == 0 || at_prf64 == 0xFFFF ? kDefaultAntennaDelay_dtu : at_prf64;
     transmit_antenna_delay_dtu_ = settings.transmit_antenna_delay_dtu.value_or(fallback);
-    write(Value<reg::TxAntd>(transmit_antenna_delay_dtu_));
-    write(Value<reg::LdeRxantd>(settings.receive_antenna_delay_dtu.value_or(fallback)));
+    const auto preamble = preamble_settings(settings.preamble);
+    node_settings_ = {
+        preamble[0],
+        preamble[1],
+        preamble[2],
+        preamble[3],
+        setting(Value<reg::TxPower>(settings.transmit_power)),
+        setting(Value<reg::TxAntd>(transmit_antenna_delay_dtu_)),
+        setting(Value<reg::LdeRxantd>(settings.receive_antenna_delay_dtu.value_or(fallback))),
+        setting(Value<reg::FsXtalt>()
+                    .set(reg::fs_xtalt::kFixed, 3)
+                    .set(reg::fs_xtalt::kTrim, trim == 0 ? kMidRange : trim)),
+    };
+    frame_format_ = Value<reg::TxFctrl>()
+                        .set(reg::tx_fctrl::kBitRate, 2)
+                        .set(reg::tx_fctrl::kRanging)
+                        .set(reg::tx_fctrl::kPrf, 2)
+                        .set(reg::tx_fctrl::kPreamble, preamble_code(settings.preamble));
+    chunk_ = Phy(settings.preamble).acquisition_chunk_symbols() * Phy::kPreambleSymbol;
+  }
+
+  // Calls f(setting) until it returns false. Returns whether it never did.
+  template <class F>
+  bool for_each_setting(const F& f) const noexcept {
+    return std::all_of(kFixedSettings.begin(), kFixedSettings.end(), f) &&
+           std::all_of(node_settings_.begin(), node_settings_.end(), f);
+  }
+
+  // Reads all settings back.
+  [[nodiscard]] BringUp check_settings() noexcept {
+    BringUp fault = BringUp::kOk;
+    for_each_setting([&](const Setting& s) {
+      std::array<std::uint8_t, 4> bytes{};
+      spi_.read(TransactionHeader(false, s.id, s.sub).bytes(), std::span(bytes).first(s.length));
+      if (bytes == s.bytes()) return true;
+      fault = s.id == reg::LdeCfg1::kId                                  ? BringUp::kNoTimestamps
+              : s.id == reg::FsXtalt::kId && s.sub == reg::FsXtalt::kSub ? BringUp::kNoTrim
+                                                                         : BringUp::kNotWritable;
+      return false;
+    });
+    // The microcode cannot be read back. If it is missing, no timestamp is valid, which counters.bad_stamps
+    // shows.
+    if (fault == BringUp::kOk && !read<reg::PmscCtrl1>().has(reg::pmsc_ctrl1::kLeadingEdge)) {
+      fault = BringUp::kNoTimestamps;
+    }
+    return fault;
+  }
+
+  // The registers that each operation may set are as after a reset, or not known.
+  void forget_operations() noexcept {
+    write(Value<reg::DrxPretoc>());
+    preamble_timeout_chunks_ = 0;
+    frame_timeout_units_ = 0;
+    frame_timeout_ = ranging::Ticks(-1);
+    format_length_ = 0;
   }
 
   // The converter's reading at the reference, from the manufacturer's calibration.
@@ -522,50 +525,6 @@ class Dw1000 {
     write(Value<reg::OtpCtrl>().set(reg::otp_ctrl::kLoadMicrocode));
     delay_us(kLoad_us);
     write(kNormalClock);
-  }
-
-  // User manual 2.5.5 and 7.2.31 ff. for channel 5, PRF 64 MHz, 6.8 Mbit/s, code 9.
-  void tune(const RadioSettings& settings) noexcept {
-    const Phy phy(settings.preamble);
-    const Tuning tuning = tuning_of(settings.preamble);
-    write(Value<reg::SysCfg>()
-              .set(reg::sys_cfg::kInterruptHigh)
-              .set(reg::sys_cfg::kSingleBuffer)
-              .set(reg::sys_cfg::kConstantPower)
-              .set(reg::sys_cfg::kFrameWaitTimeout));
-    write(kChannel);
-    write(Value<reg::TxPower>(settings.transmit_power));
-    write(Value<reg::AgcTune1>(0x889B));
-    write(Value<reg::AgcTune2>(0x2502A907));
-    write(Value<reg::AgcTune3>(0x0035));
-    write(Value<reg::DrxTune0b>(0x0001));
-    write(Value<reg::DrxTune1a>(0x008D));
-    write(tuning.tune1b);
-    write(tuning.tune2);
-    write(tuning.tune4h);
-    // The longest search for an SFD: the whole preamble, the SFD, and one symbol of margin.
-    write(Value<reg::DrxSfdtoc>(static_cast<std::uint64_t>(phy.preamble_symbols() + 1 + Phy::kSfdSymbols -
-                                                           phy.acquisition_chunk_symbols())));
-    write(Value<reg::DrxPretoc>());
-    write(Value<reg::RfRxctrlh>(0xD8));
-    write(Value<reg::RfTxctrl>(0x001E3FE3));
-    write(Value<reg::TcPgdelay>(0xB5));
-    write(Value<reg::FsPllcfg>(0x0800041D));
-    write(Value<reg::FsPlltune>(0xBE));
-    write(kLdeNoiseThreshold);
-    write(Value<reg::LdeCfg2>(0x0607));
-    write(kLdeReplicaCode);
-    write(kInterrupts);
-    frame_format_ = Value<reg::TxFctrl>()
-                        .set(reg::tx_fctrl::kBitRate, 2)
-                        .set(reg::tx_fctrl::kRanging)
-                        .set(reg::tx_fctrl::kPrf, 2)
-                        .set(reg::tx_fctrl::kPreamble, tuning.code);
-    preamble_timeout_chunks_ = 0;
-    frame_timeout_units_ = 0;
-    frame_timeout_ = ranging::Ticks(-1);
-    format_length_ = 0;
-    chunk_ = phy.acquisition_chunk_symbols() * Phy::kPreambleSymbol;
   }
 
   // Erratum SYSSTAT-1: CPLOCK is not reliable either, so the counter decides.
@@ -663,7 +622,7 @@ class Dw1000 {
   std::uint8_t supply_at_reference_ = kTypicalSupplyReading;
   std::uint8_t temperature_at_reference_ = kTypicalTemperatureReading;
   std::uint32_t pll_flags_ = 0;
-  Value<reg::FsXtalt> crystal_trim_;
+  std::array<Setting, 8> node_settings_{};
   // Cached register values of the chip; 0: not known, except for the first one.
   std::uint16_t preamble_timeout_chunks_ = 0;
   std::uint16_t frame_timeout_units_ = 0;
