@@ -677,7 +677,8 @@ void Dw1000Chip::transmission_step() {
     }
     default: {
       // Erratum TX-1: after a delayed transmit TXFRS is set only if the transmitter's clock was forced on.
-      if (!sending.delayed || (registers_.get(Reg::kPmscCtrl0) & kTxclks) == kTxclksPll)
+      if (const bool reported = !std::exchange(loses_event_, false);
+          reported && (!sending.delayed || (registers_.get(Reg::kPmscCtrl0) & kTxclks) == kTxclksPll))
         status_ |= status::kTxfrs;
       count_event(Reg::kEvcTxfs);
       const bool wait = sending.wait_for_response;

@@ -135,6 +135,8 @@ class Dw1000Chip {
   // The next internal event, or kNever.
   [[nodiscard]] SimTime next_event() const noexcept { return next_event_; }
   [[nodiscard]] SimTime now() const noexcept { return now_; }
+  // The next end of a transmission or of a reception sets no flag, so the processor never hears of it.
+  void lose_next_event() noexcept { loses_event_ = true; }
   void set_ambient(const Ambient& ambient) noexcept { spec_.ambient = ambient; }
 
   // The interrupt line, active high, at now().
@@ -284,6 +286,7 @@ class Dw1000Chip {
   std::int64_t accumulated_symbols_ = 0;
   std::vector<Arrival> arrivals_;  // sorted by (start, source); past frames are removed
 
+  bool loses_event_ = false;
   std::uint64_t late_announcements_ = 0;
   std::uint64_t garbled_transfers_ = 0;
   std::string fault_;

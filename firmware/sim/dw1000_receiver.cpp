@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 #include "firmware/sim/dw1000_chip.hpp"
 
@@ -164,7 +165,7 @@ void Dw1000Chip::receiver_on(SimTime at) {
 }
 
 void Dw1000Chip::receiver_ends(std::uint64_t event, Reg counter, bool needs_reset) {
-  status_ |= event;
+  if (!std::exchange(loses_event_, false)) status_ |= event;
   count_event(counter);
   if (Witness* const witness = medium_.witness(); witness != nullptr)
     witness->reception_ended(spec_.id, event);

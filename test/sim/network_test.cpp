@@ -420,6 +420,21 @@ TEST(Faults, ARadioThatSleepsIsWoken) {
   EXPECT_GT(errors_of(site).good, 0.99 * 2.0 * scheduled_rate(site, settings));
 }
 
+int times_logged(const Listener& node, const char* text) {
+  return static_cast<int>(std::count(node.logs.begin(), node.logs.end(), text));
+}
+
+TEST(Faults, ALostEventTakesANodeOutOfTheNetwork) {
+  for (const std::size_t node : {0U, 1U, 2U}) {  // the tag, the master, another anchor
+    SiteBench site({});
+    site.run_until(1.5);
+    site.network.node(node).chip().lose_next_event();
+    site.run_until(3.0);
+    EXPECT_EQ(site.listeners[node].counters.radio_recoveries, 1U);
+    EXPECT_EQ(times_logged(site.listeners[node], "beacons lost, searching"), 1);
+  }
+}
+
 TEST(Faults, AFullLineDropsWholeReportsAndCountsThem) {
   // 20 kbit/s is far too slow for this many reports.
   SiteBench site({.tags = 1, .anchors = 12, .uart_bits_per_s = 20'000});
