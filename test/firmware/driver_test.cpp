@@ -662,6 +662,31 @@ TEST_F(Driver, TheCounterDecidesWhetherThePllIsLocked) {
   EXPECT_EQ(bring_up(), BringUp::kNoLock);
 }
 
+TEST_F(Driver, ARestartChecksTheChipWithoutAReset) {
+  const auto restart = [this] { return radio.restart([this](std::uint32_t us) { chip.wait(us); }); };
+  EXPECT_FALSE(restart());
+  ready();
+  resets = 0;
+  ASSERT_EQ(radio.receive_now(Ticks(65'536), Ticks(2'080'763)), Start::kStarted);
+  EXPECT_TRUE(restart());
+  EXPECT_EQ(resets, 0);
+  EXPECT_EQ(radio.state(), State::kIdle);
+  // The registers of each operation are written again.
+  chip.log.clear();
+  ASSERT_EQ(radio.receive_now(Ticks(65'536), Ticks(2'080'763)), Start::kStarted);
+  expect_writes({{0x0C, 0, 1}, {0x27, 0x24, 4}, {0x0D, 0, 0x100}});
+  chip.locks = false;
+  EXPECT_FALSE(restart());
+  EXPECT_EQ(radio.state(), State::kDown);
+  chip.locks = true;
+  ready();
+  chip.put(0x2E, 0x2804, 0, 2);
+  EXPECT_FALSE(restart());
+  ready();
+  chip.absent = true;
+  EXPECT_FALSE(restart());
+}
+
 TEST_F(Driver, AStrayInterruptIsClearedAndIsNoEvent) {
   ready();
   chip.status |= 1U << 14;

@@ -48,6 +48,14 @@ struct FakePlatform {
     time_us += us;
     chip.wait(us);
   }
+  // Both clocks go on, together.
+  void pass(std::uint64_t us) noexcept {
+    time_us += us;
+    chip.time += us * kTicksPerUs;
+  }
+  void pass_to(std::uint64_t us) noexcept {
+    if (us > time_us) pass(us - time_us);
+  }
   std::uint64_t now_us() noexcept { return time_us; }
   bool link_write(std::span<const std::uint8_t> frame) noexcept {
     if (link_full) return false;
@@ -57,8 +65,7 @@ struct FakePlatform {
   bool store_config(std::span<const std::uint8_t> blob) noexcept {
     sent_before_store = sent.size();
     last_radio_command_at_store = chip.written(0x0D, 0);
-    time_us += 90'000;
-    chip.time += 90'000 * kTicksPerUs;
+    pass(90'000);
     if (store_fails) return false;
     stored.assign(blob.begin(), blob.end());
     if (store_corrupts && !stored.empty()) stored.back() ^= 1;
@@ -174,9 +181,7 @@ class NodeTest : public ::testing::Test {
   void miss_event() {
     const std::uint32_t before = node.counters().radio_recoveries;
     for (int i = 0; i < 100 && node.counters().radio_recoveries == before; ++i) {
-      const std::uint64_t next_us = std::max(node.next_deadline_us(), platform.time_us);
-      platform.chip.time += (next_us - platform.time_us) * kTicksPerUs;
-      platform.time_us = next_us;
+      platform.pass_to(node.next_deadline_us());
       node.on_timer();
     }
   }
@@ -188,8 +193,7 @@ class NodeTest : public ::testing::Test {
   }
   void await_leading() {
     for (int i = 0; i < 10 && platform.chip.written(0x0D, 0) != kTransmission; ++i) {
-      platform.time_us += 50'000;
-      platform.chip.time += 50'000 * kTicksPerUs;
+      platform.pass(50'000);
       end_listening();
     }
     ASSERT_EQ(platform.chip.written(0x0D, 0), kTransmission);
@@ -247,7 +251,7 @@ TEST_F(NodeTest, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
   command(groma_HostToNode_get_counters_tag);
   EXPECT_EQ(messages(groma_NodeToHost_counters_tag).size(), 1U);
   for (int i = 0; i < 10; ++i) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
   }
   EXPECT_EQ(transmissions(), 0U);
@@ -259,11 +263,10 @@ TEST_F(NodeTest, UnconfiguredItListensEachSecondAsProofOfLife) {
   while (platform.time_us < began_us + 5'500'000) {
     if (radio_starts() > receptions_ended) {
       EXPECT_GE(platform.chip.written(0x0C, 0), 20'000U / 1.0257);
-      platform.time_us += 20'000;
-      platform.chip.time += 20'000 * kTicksPerUs;
+      platform.pass(20'000);
       end_listening();
     } else {
-      platform.time_us = node.next_deadline_us();
+      platform.pass_to(node.next_deadline_us());
       node.on_timer();
     }
   }
@@ -278,7 +281,7 @@ TEST_F(NodeTest, UnconfiguredAndWithoutTheRadiosInterruptItProvesNothing) {
   node.start();
   const std::uint64_t began_us = platform.time_us;
   while (platform.time_us < began_us + 10'000'000) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     // Its listening ends, but the interrupt line is cut.
     if (radio_starts() > 0) platform.chip.status |= kFrameTimeout;
     node.on_timer();
@@ -334,7 +337,7 @@ TEST_F(NodeTest, ReportsWhyTheRadioIsDownAndRetries) {
   EXPECT_EQ(platform.shown.back(), Indicator::kRadioFault);
   const int resets = platform.resets;
   for (int i = 0; i < 4; ++i) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
   }
   EXPECT_GT(platform.resets, resets);
@@ -342,7 +345,7 @@ TEST_F(NodeTest, ReportsWhyTheRadioIsDownAndRetries) {
   EXPECT_EQ(platform.proofs, 0);
   platform.chip.absent = false;
   for (int i = 0; i < 4; ++i) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
   }
   EXPECT_STREQ(messages(groma_NodeToHost_hello_tag).back().body.hello.radio_error, "");
@@ -581,7 +584,7 @@ TEST_F(NodeTest, AfterAFactoryResetNoMissedBeaconsAreReported) {
   command(groma_HostToNode_factory_reset_tag);
   platform.sent.clear();
   for (int i = 0; i < 3; ++i) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
     end_listening();
   }
@@ -607,7 +610,7 @@ TEST_F(NodeTest, HintsAreForTagsAndEachHasItsWeight) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
   platform.sent.clear();
   for (int i = 0; i < 40; ++i) {
-    platform.time_us += 30'000;
+    platform.pass(30'000);
     end_listening();
     node.on_timer();
   }
@@ -657,7 +660,7 @@ TEST_F(NodeTest, IdentifyBlinksForItsTime) {
   EXPECT_EQ(platform.shown.back(), Indicator::kIdentify);
   const std::uint64_t began_us = platform.time_us;
   while (platform.shown.back() == Indicator::kIdentify && platform.time_us < 10'000'000) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
   }
   EXPECT_EQ(platform.time_us - began_us, 2'000'000U);
@@ -700,8 +703,7 @@ TEST_F(NodeTest, SendsTelemetryOnceASecond) {
   node.start();
   platform.sent.clear();
   while (platform.time_us < 5'500'000) {
-    platform.chip.time += 1'000'000;
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
   }
   const auto status = messages(groma_NodeToHost_network_status_tag);
@@ -711,7 +713,7 @@ TEST_F(NodeTest, SendsTelemetryOnceASecond) {
   EXPECT_EQ(status.back().body.network_status.master_id, 0U) << "no known master";
 }
 
-TEST_F(NodeTest, AMissingInterruptReinitializesTheRadio) {
+TEST_F(NodeTest, AMissingInterruptRestartsTheRadio) {
   store(good_config());
   node.start();
   EXPECT_EQ(radio_starts(), 1U);
@@ -719,19 +721,54 @@ TEST_F(NodeTest, AMissingInterruptReinitializesTheRadio) {
   // It listens for 50 ms; no interrupt reports the end.
   const std::uint64_t deadline_us = node.next_deadline_us();
   EXPECT_LT(deadline_us, platform.time_us + 60'000);
-  platform.time_us = deadline_us;
+  platform.pass_to(deadline_us);
   node.on_timer();
   EXPECT_EQ(node.counters().radio_recoveries, 1U);
-  EXPECT_EQ(platform.resets, resets + 1);
+  EXPECT_EQ(platform.resets, resets);
   EXPECT_EQ(radio_starts(), 2U);
   EXPECT_EQ(messages(groma_NodeToHost_log_tag).size(), 1U);
+  // A second one in a row resets it, but not after an event.
+  end_listening();
+  miss_event();
+  EXPECT_EQ(platform.resets, resets);
+  miss_event();
+  EXPECT_EQ(platform.resets, resets + 1);
+  EXPECT_EQ(node.counters().radio_recoveries, 3U);
+}
+
+TEST_F(NodeTest, AChipThatLostItsRegistersIsResetAtOnce) {
+  store(good_config());
+  node.start();
+  const int resets = platform.resets;
+  platform.chip.put(0x1F, 0, 0x21040055, 4);
+  miss_event();
+  EXPECT_EQ(platform.resets, resets + 1);
+  EXPECT_EQ(platform.chip.get(0x1F, 0, 4), 0x4A480055U);
+  EXPECT_EQ(node.counters().radio_recoveries, 1U);
+}
+
+TEST_F(NodeTest, ACounterThatRestartedResetsTheRadio) {
+  store(good_config());
+  node.start();
+  for (int i = 0; i < 20; ++i) {
+    platform.pass(50'000);
+    end_listening();
+  }
+  const int resets = platform.resets;
+  platform.chip.time = 12'345;
+  end_listening();
+  EXPECT_EQ(node.counters().radio_recoveries, 1U);
+  EXPECT_LE(node.next_deadline_us(), platform.time_us);
+  node.on_timer();
+  EXPECT_EQ(platform.resets, resets + 1);
+  EXPECT_EQ(node.counters().radio_recoveries, 1U);
 }
 
 TEST_F(NodeTest, AMissedInterruptIsHandledAtTheDeadline) {
   store(good_config());
   node.start();
   platform.chip.status |= kFrameTimeout;
-  platform.time_us = node.next_deadline_us();
+  platform.pass_to(node.next_deadline_us());
   node.on_timer();
   EXPECT_EQ(node.counters().radio_recoveries, 0U);
   EXPECT_EQ(node.counters().frame_timeouts, 1U);
@@ -756,13 +793,12 @@ TEST_F(NodeTest, AChipThatRejectsEverythingAsLateDoesNotHangTheNode) {
   store(good_config(groma_Role_ROLE_ANCHOR));
   node.start();
   for (int i = 0; i < 3; ++i) {
-    platform.time_us += 50'000;
-    platform.chip.time += 50'000 * kTicksPerUs;
+    platform.pass(50'000);
     end_listening();
   }
   EXPECT_GT(node.counters().late_transmits + node.counters().late_receives, 0U);
   for (int i = 0; i < 3; ++i) {
-    platform.time_us = node.next_deadline_us();
+    platform.pass_to(node.next_deadline_us());
     node.on_timer();
   }
   SUCCEED();
@@ -778,8 +814,7 @@ TEST_F(NodeTest, ATransmissionTooCloseToPowerUpIsLateAndCounted) {
     ++refused;
   };
   for (int i = 0; i < 10 && refused == 0; ++i) {
-    platform.time_us += 50'000;
-    platform.chip.time += 50'000 * kTicksPerUs;
+    platform.pass(50'000);
     end_listening();
   }
   EXPECT_GT(refused, 0U);
@@ -832,7 +867,7 @@ TEST_F(NodeTest, DeviceTimeContinuesOverARadioReset) {
   start_leading();
   const std::uint64_t first = platform.chip.written(0x0A, 0);
   platform.chip.time = 1'000'000;  // a reset counter
-  platform.time_us = node.next_deadline_us();
+  platform.pass_to(node.next_deadline_us());
   node.on_timer();
   EXPECT_EQ(node.counters().radio_recoveries, 1U);
   await_leading();
@@ -915,6 +950,20 @@ class LoneTagTest : public NodeTest {
   std::uint32_t next = 0;  // superframe of the next beacon
   std::size_t polls = 0;
 };
+
+TEST_F(LoneTagTest, KeepsItsPlaceOverARadioRecovery) {
+  node.start();
+  run_superframes(20);
+  platform.sent.clear();
+  miss_event();
+  ASSERT_EQ(node.counters().radio_recoveries, 1U);
+  polls = 0;
+  run_superframes(4);
+  EXPECT_GE(polls, 3U);
+  for (const auto& message : messages(groma_NodeToHost_log_tag)) {
+    EXPECT_STREQ(message.body.log.text, "radio: no answer, started again");
+  }
+}
 
 TEST_F(LoneTagTest, ALentSlotStaysLentOverARadioRecovery) {
   node.start();

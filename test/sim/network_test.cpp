@@ -424,14 +424,43 @@ int times_logged(const Listener& node, const char* text) {
   return static_cast<int>(std::count(node.logs.begin(), node.logs.end(), text));
 }
 
-TEST(Faults, ALostEventTakesANodeOutOfTheNetwork) {
+// All nodes are synchronized and have been since they joined.
+void expect_nobody_searched(const SiteBench& site) {
+  for (const Listener& node : site.listeners) {
+    EXPECT_EQ(times_logged(node, "beacons lost, searching"), 0);
+    EXPECT_EQ(node.status.state, groma_SyncState_SYNC_LOCKED);
+  }
+}
+
+TEST(Faults, ALostEventCostsSomeSuperframes) {
   for (const std::size_t node : {0U, 1U, 2U}) {  // the tag, the master, another anchor
-    SiteBench site({});
+    const SiteSettings settings{};
+    SiteBench site(settings);
     site.run_until(1.5);
     site.network.node(node).chip().lose_next_event();
-    site.run_until(3.0);
+    site.run_until(3.1);
     EXPECT_EQ(site.listeners[node].counters.radio_recoveries, 1U);
-    EXPECT_EQ(times_logged(site.listeners[node], "beacons lost, searching"), 1);
+    EXPECT_EQ(times_logged(site.listeners[node], "radio: no answer, started again"), 1);
+    expect_nobody_searched(site);
+    EXPECT_GT(errors_of(site, 1.5).good, (1.6 - 0.04) * scheduled_rate(site, settings));
+    EXPECT_LT(errors_of(site).worst_m, 0.01);
+  }
+}
+
+// With its counter. In this method an exchange lasts from one superframe to the next; none may span the
+// reset.
+TEST(Faults, AChipThatResetsItselfIsBroughtUpInItsPlace) {
+  for (const std::size_t node : {0U, 1U, 2U}) {
+    const SiteSettings settings{.method = groma_RangingMethod_METHOD_DS_NEXT_POLL};
+    SiteBench site(settings);
+    site.run_until(3.5);
+    site.network.node(node).chip().reset(site.network.now());
+    site.run_until(5.6);
+    EXPECT_EQ(site.listeners[node].counters.radio_recoveries, 1U);
+    EXPECT_EQ(times_logged(site.listeners[node], "radio: no answer, brought up again"), 1);
+    expect_nobody_searched(site);
+    EXPECT_GT(errors_of(site, 3.5).good, (2.1 - 0.08) * scheduled_rate(site, settings));
+    EXPECT_LT(errors_of(site).worst_m, 0.01);
   }
 }
 

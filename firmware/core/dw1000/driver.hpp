@@ -150,6 +150,19 @@ class Dw1000 {
     return BringUp::kOk;
   }
 
+  // Ends the present operation and checks the chip: it answers, has kept its registers, and its counter runs.
+  // If so, the driver is kIdle and the counter has continued; otherwise it is kDown. `delay_us` as for
+  // bring_up().
+  template <class Delay>
+  [[nodiscard]] bool restart(Delay&& delay_us) noexcept {
+    stop();
+    forget_operations();
+    const bool works = state_ == State::kIdle && read<reg::DevId>() == kDeviceId &&
+                       check_settings() == BringUp::kOk && runs(delay_us);
+    if (!works) state_ = State::kDown;
+    return works;
+  }
+
   [[nodiscard]] State state() const noexcept { return state_; }
   // The last bring-up found the chip asleep.
   [[nodiscard]] bool woken() const noexcept { return woken_; }

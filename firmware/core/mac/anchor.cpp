@@ -240,6 +240,13 @@ Step Anchor::on_timeout(ClockTime now) noexcept {
   return doing(plan(now));
 }
 
+// No exchange may span the restart.
+void Anchor::on_clock_restart() noexcept {
+  station_.on_clock_restart();
+  records_ = {};
+  answered_ = nullptr;
+}
+
 Step Anchor::resume(ClockTime now) noexcept {
   station_.resume(now);
   return doing(plan(now));

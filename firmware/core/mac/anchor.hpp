@@ -48,6 +48,8 @@ class Anchor {
   }
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   void set_health(const Health& health) noexcept { station_.set_health(health); }
+  // Call before resume() if this node's clock has continued by another one, with an error of some us.
+  void on_clock_restart() noexcept;
   // The superframe in progress.
   [[nodiscard]] std::uint32_t superframe_number() const noexcept { return station_.superframe_number(); }
 

@@ -67,6 +67,7 @@ void Station::start(ClockTime now) noexcept {
 
 void Station::resume(ClockTime now) noexcept {
   if (sync_.state() == SyncState::kSearching) return start(now);
+  if (sender_ != nullptr) std::exchange(sender_, nullptr)->on_sent(number_, false);
   if (phase_ == Phase::kBeacon && !own_beacon_) miss();
   const Ticks elapsed = now - sync_.start(number_);
   election_.on_absence(number_ +

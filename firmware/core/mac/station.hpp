@@ -63,6 +63,8 @@ class Station {
   void start(ranging::ClockTime now) noexcept;
   // Call after the radio was stopped and restarted.
   void resume(ranging::ClockTime now) noexcept;
+  // Call before resume() if this node's clock has continued by another one, with an error of some us.
+  void on_clock_restart() noexcept { sync_.on_clock_restart(); }
   // The next action, not before `now`; nothing: the tag slots are next.
   [[nodiscard]] std::optional<Action> control(ranging::ClockTime now) noexcept;
   // The listening that control() will most likely return next, so that it can be armed before the present one

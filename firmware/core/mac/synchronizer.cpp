@@ -12,6 +12,8 @@ using ranging::Ticks;
 constexpr float kPathSigma_ticks = 12'800.0F;
 // Difference to another master's time, of a master that has led by itself for long.
 constexpr float kFormerMasterSigma_ticks = 320'000.0F;
+// Error of this node's clock after it has continued by the processor's: 1 us.
+constexpr float kRestartSigma_ticks = 64'000.0F;
 
 // The error that a relay adds to a beacon: its receive timestamp's at each hop, and its clock's random walk
 // (as the tracker's: 0.1 ppm in a second) since it received the beacon.
@@ -50,6 +52,10 @@ void Synchronizer::search() noexcept {
   state_ = SyncState::kSearching;
   missed_ = 0;
   misfits_ = 0;
+}
+
+void Synchronizer::on_clock_restart() noexcept {
+  tracker_.widen(kRestartSigma_ticks);
 }
 
 // The time since superframe `base_`; correct across the number's wrap.

@@ -38,6 +38,8 @@ class Synchronizer {
   void follow() noexcept;
   // Discards the time.
   void search() noexcept;
+  // This node's clock has continued over a restart, with an error of some us.
+  void on_clock_restart() noexcept;
 
   // Initializes the time from the first beacon of a timeline. Its sender may be a relay: the carrier then
   // gives the relay's clock, which may be some ppm off the network's.

@@ -238,6 +238,14 @@ Step Tag::on_timeout(ClockTime now) noexcept {
   return {plan(now), nullptr};
 }
 
+// No exchange may span the restart.
+void Tag::on_clock_restart() noexcept {
+  station_.on_clock_restart();
+  phase_ = Phase::kControl;
+  previous_valid_ = false;
+  windows_over_ = 0;
+}
+
 Step Tag::resume(ClockTime now) noexcept {
   station_.resume(now);
   if (phase_ == Phase::kResponses || phase_ == Phase::kFinal) return finish(now);

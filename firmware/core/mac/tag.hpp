@@ -42,6 +42,8 @@ class Tag {
 
   [[nodiscard]] const Station& station() const noexcept { return station_; }
   void set_health(const Health& health) noexcept { station_.set_health(health); }
+  // Call before resume() if this node's clock has continued by another one, with an error of some us.
+  void on_clock_restart() noexcept;
   void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
 
   // Evaluates the last exchange and chooses the anchors of the next one. Call when there is time; otherwise

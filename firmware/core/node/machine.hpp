@@ -69,6 +69,12 @@ class Machine {
     if (anchor_) anchor_->set_health(health);
   }
 
+  // The clock has continued over a restart, with an error of some us.
+  void on_clock_restart() noexcept {
+    if (tag_) tag_->on_clock_restart();
+    if (anchor_) anchor_->on_clock_restart();
+  }
+
   [[nodiscard]] const mac::Station* station() const noexcept {
     if (tag_) return &tag_->station();
     if (anchor_) return &anchor_->station();

@@ -4,7 +4,8 @@
 // the next action. After that it evaluates and reports a completed exchange, in steps that fit into the time
 // in which the radio does not need the processor (on_timer()). The slots depend on the DW1000's clock only.
 // The processor's clock times the telemetry and a deadline for each operation of the radio. If the interrupt
-// does not come by then, the node brings the chip up and joins again.
+// does not come by then, the node restarts the chip and continues in its place in the network: the same time,
+// master and slot. Only if that fails twice in a row it joins again.
 //
 // An unconfigured node sends nothing. It listens for 20 ms each second, to prove that radio, bus, interrupt
 // and loop are alive (platform.hpp, proof_of_life()).
@@ -75,14 +76,14 @@ class Node {
   // On the clock of now_us(); the maximum: never.
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
     const std::uint64_t piece_us = completed_ != nullptr ? next_piece_us_ : kNever_us;
-    return std::min(
-        {radio_deadline_us_, next_listening_us_, next_telemetry_us_, identify_until_us_, piece_us});
+    const std::uint64_t radio_us = failed_ ? 0 : radio_deadline_us_;
+    return std::min({radio_us, next_listening_us_, next_telemetry_us_, identify_until_us_, piece_us});
   }
 
   // Call at or after next_deadline_us(); earlier calls are harmless.
   void on_timer() noexcept {
     const std::uint64_t now_us = platform_.now_us();
-    if (now_us >= radio_deadline_us_) on_radio_deadline();
+    if (failed_ || now_us >= radio_deadline_us_) on_radio_deadline();
     if (now_us >= next_listening_us_) listen_unconfigured();
     if (now_us >= identify_until_us_) {
       identify_until_us_ = kNever_us;
@@ -136,14 +137,19 @@ class Node {
 
   // ---- the radio -----------------------------------------------------------------------------------------
 
+  // Resets and configures the radio. The machine, if there is one, continues.
   void bring_radio_up() noexcept {
-    forget_machine();
+    completed_ = nullptr;  // its report would read the radio's clock
+    armed_.reset();
+    event_due_us_ = 0;
     next_listening_us_ = kNever_us;
     sampling_ = false;
+    failed_ = false;
     const dw1000::RadioSettings settings = config_ ? radio_settings(*config_) : dw1000::RadioSettings{};
     bring_up_ = radio_.bring_up(
         settings, [this] { platform_.reset_radio(); }, [this](std::uint32_t us) { platform_.delay_us(us); });
     if (bring_up_ != dw1000::BringUp::kOk) {
+      forget_machine();
       log(groma_LogLevel_LOG_ERROR, dw1000::describe(bring_up_));
       radio_deadline_us_ = platform_.now_us() + kBringUpRetry_us;
       indicate();
@@ -151,10 +157,12 @@ class Node {
     }
     if (radio_.woken()) log(groma_LogLevel_LOG_INFO, "radio: woken from sleep");
     radio_deadline_us_ = kNever_us;
-    const std::uint64_t now_us = platform_.now_us();
-    clock_.restart(radio_.now(), ranging::Ticks::from_us(static_cast<std::int64_t>(now_us - reference_us_)));
-    refer(clock_.latest());
-    join();
+    if (continue_clock()) {
+      machine_.on_clock_restart();
+    } else {
+      forget_machine();
+    }
+    resume();
   }
 
   // Joins the network from the beginning, with the configuration in force.
@@ -249,6 +257,7 @@ class Node {
   bool handle_event() noexcept {
     using dw1000::EventKind;
     dw1000::Event event = radio_.poll_event();
+    if (event.kind != EventKind::kNone) failures_ = 0;
     switch (event.kind) {
       case EventKind::kNone:
         return false;
@@ -445,16 +454,93 @@ class Node {
       return;
     }
     // Handle an event whose interrupt was lost like any other.
-    if (!handle_event()) recover();
+    if (!failed_ && handle_event()) return;
+    recover();
+    restart_radio();
   }
 
+  // The radio did not answer as expected: on_timer() restarts it, as soon as possible.
   void recover() noexcept {
+    if (failed_) return;
+    failed_ = true;
     ++counters_.radio_recoveries;
+  }
+
+  // At the first failure checks the chip and continues. If the chip does not work, or at the second failure
+  // in a row, resets it. At the third one also the machine starts again.
+  void restart_radio() noexcept {
+    ++failures_;
+    const bool works = failures_ == 1 &&
+                       radio_.restart([this](std::uint32_t us) { platform_.delay_us(us); }) &&
+                       is_plausible(radio_.now());
+    if (works) {
+      log(groma_LogLevel_LOG_WARNING, "radio: no answer, started again");
+      failed_ = false;
+      armed_.reset();
+      return resume();
+    }
+    if (failures_ > 2) forget_machine();
+    completed_ = nullptr;
     log(groma_LogLevel_LOG_WARNING, "radio: no answer, brought up again");
     bring_radio_up();
   }
 
-  [[nodiscard]] ranging::ClockTime read_clock() noexcept { return clock_.unwrap(radio_.now()); }
+  // The radio's clock, or where it should be if the radio has failed.
+  [[nodiscard]] ranging::ClockTime read_clock() noexcept {
+    const ranging::DeviceTime counter = radio_.now();
+    if (is_plausible(counter)) return clock_.unwrap(counter);
+    recover();
+    return expected_clock();
+  }
+
+  [[nodiscard]] bool is_plausible(ranging::DeviceTime counter) noexcept {
+    constexpr ranging::Ticks kMostApart = ranging::Ticks::from_us(100'000);
+    const ranging::Ticks apart = counter - clock_.wrap(expected_clock());
+    return apart < kMostApart && -apart < kMostApart;
+  }
+
+  // The radio's clock by the processor's, to some ms.
+  [[nodiscard]] ranging::ClockTime expected_clock() noexcept {
+    constexpr std::int64_t kRoughlyPer_us = 63'898;
+    return reference_ +
+           kRoughlyPer_us * ranging::Ticks(static_cast<std::int64_t>(platform_.now_us() - reference_us_));
+  }
+
+  // Both clocks, read together.
+  struct ClockPair {
+    ranging::ClockTime radio;
+    std::uint64_t us = 0;  // 0: never
+  };
+  [[nodiscard]] ClockPair read_clocks() noexcept {
+    const std::uint64_t before_us = platform_.now_us();
+    const ranging::ClockTime radio = read_clock();
+    return {radio, (before_us + platform_.now_us()) / 2};
+  }
+
+  // The counter has restarted: continues the radio's clock by the processor's. Returns whether the error is
+  // some us, which takes two pairs, about a second apart.
+  bool continue_clock() noexcept {
+    const std::uint64_t before_us = platform_.now_us();
+    const ranging::DeviceTime counter = radio_.now();
+    const std::uint64_t now_us = (before_us + platform_.now_us()) / 2;
+    ranging::ClockTime now = reference_ + elapsed_ticks(now_us - reference_us_);
+    const bool exact = former_pair_.us != 0;
+    if (exact) {
+      const std::uint64_t apart_us = pair_.us - former_pair_.us;
+      const std::uint64_t since_us = now_us - pair_.us;
+      const std::int64_t excess = (pair_.radio - former_pair_.radio - elapsed_ticks(apart_us)).count();
+      now =
+          pair_.radio + elapsed_ticks(since_us) +
+          ranging::Ticks(excess * static_cast<std::int64_t>(since_us) / static_cast<std::int64_t>(apart_us));
+    }
+    clock_.restart(counter, std::max(now - clock_.latest(), ranging::Ticks(0)));
+    refer(clock_.latest());
+    return exact;
+  }
+
+  [[nodiscard]] static ranging::Ticks elapsed_ticks(std::uint64_t us) noexcept {
+    return ranging::Ticks::from_us(static_cast<std::int64_t>(us));
+  }
 
   // Records that the radio's clock shows `now` at the processor's present time.
   void refer(ranging::ClockTime now) noexcept {
@@ -632,7 +718,13 @@ class Node {
 
   void send_telemetry() noexcept {
     // Reading the clock at least this often extends it over its wraps, even off the air.
-    if (bring_up_ == dw1000::BringUp::kOk) (void)read_clock();
+    if (bring_up_ == dw1000::BringUp::kOk) {
+      const ClockPair pair = read_clocks();
+      if (!failed_) {
+        former_pair_ = std::exchange(pair_, pair);
+        refer(pair.radio);
+      }
+    }
     if (const mac::Station* member = machine_.station()) {
       send(groma_NodeToHost_network_status_tag, [&](auto& body) {
         body.network_status.state = sync_state_of(member->sync().state());
@@ -826,6 +918,7 @@ class Node {
 
   void work_by(const std::optional<groma_Config>& config) noexcept {
     leave();
+    forget_machine();
     config_ = config;
     choose_link();
     bring_radio_up();
@@ -1054,6 +1147,10 @@ class Node {
   ranging::Unwrapper clock_;
   ranging::ClockTime reference_;
   std::uint64_t reference_us_ = 0;
+  ClockPair pair_;  // of the last telemetry, and of the one before
+  ClockPair former_pair_;
+  bool failed_ = false;        // the radio; on_timer() restarts it
+  std::uint8_t failures_ = 0;  // in a row, without an event between
 
   std::optional<groma_Config> config_;  // in force
   Machine machine_;
