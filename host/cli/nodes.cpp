@@ -65,6 +65,15 @@ std::string firmware_fault_in(const provision::NodeOutcome& outcome) {
       outcome.port, fault.pc, fault.lr, fault.cfsr, outcome.hello->version, outcome.hello->git_hash);
 }
 
+// What the hello says of a radio that came up; empty if nothing.
+std::string radio_warning_in(const provision::NodeOutcome& outcome) {
+  if (!outcome.hello || outcome.hello->radio_warning[0] == '\0') return {};
+  return fmt::format(
+      "{}: the node's radio: {}; measure its antenna delays and name them in the plan "
+      "(docs/how-to/plan-a-site.md)",
+      outcome.port, outcome.hello->radio_warning);
+}
+
 }  // namespace
 
 std::vector<const provision::PlannedNode*> select_nodes(const provision::SitePlan& plan,
@@ -124,6 +133,7 @@ Json to_json(const provision::NodeOutcome& outcome) {
 int report_outcome(const provision::NodeOutcome& outcome, Warnings& warnings) {
   if (outcome.fault != NodeFault::kNone) complain(outcome.message);
   if (const std::string fault = firmware_fault_in(outcome); !fault.empty()) warnings.add(fault);
+  if (const std::string warning = radio_warning_in(outcome); !warning.empty()) warnings.add(warning);
   return exit_code_of(outcome.fault);
 }
 

@@ -42,9 +42,9 @@ void Session::Node::on_range(const model::RangeSample& range) {
 
 void Session::Node::on_hello(const groma_Hello& hello) {
   hello_ = hello;
+  const char* radio = hello.radio_error[0] != '\0' ? hello.radio_error : hello.radio_warning;
   session_.say(fmt::format("{}: node {} runs version {}, reset reason {}{}{}", name_, hello.id, hello.version,
-                           link::number_in(hello.reset_reason),
-                           hello.radio_error[0] != '\0' ? "; radio: " : "", hello.radio_error));
+                           link::number_in(hello.reset_reason), radio[0] != '\0' ? "; radio: " : "", radio));
 }
 
 void Session::Node::on_log(const groma_Log& log) {

@@ -276,6 +276,31 @@ TEST_F(Driver, AnEmptyOtpLeavesTheDefaults) {
   EXPECT_EQ(chip.written(0x2E, 0x1804), 16436U);
 }
 
+TEST_F(Driver, ImplausibleAntennaDelaysAreReplaced) {
+  using Delay = std::optional<std::uint16_t>;
+  struct Case {
+    std::uint32_t otp;
+    Delay configured;
+    std::uint64_t used;
+    bool warns;
+  };
+  for (const Case& c :
+       {Case{0x404C'404C, {}, 0x404C, false}, Case{0x8098'8098, {}, 16436, true},
+        Case{0x3A97'0000, {}, 16436, true}, Case{0x3A98'0000, {}, 15'000, false},
+        Case{0x4650'0000, {}, 18'000, false}, Case{0x4651'0000, {}, 16436, true},
+        Case{0x8098'8098, Delay(16'500), 16'500, false}, Case{0x404C'404C, Delay(14'000), 16436, true}}) {
+    chip.otp[0x1C] = c.otp;
+    ASSERT_EQ(
+        bring_up({.transmit_antenna_delay_dtu = c.configured, .receive_antenna_delay_dtu = c.configured}),
+        BringUp::kOk);
+    EXPECT_EQ(chip.written(0x18, 0), c.used);
+    EXPECT_EQ(chip.written(0x2E, 0x1804), c.used);
+    EXPECT_EQ(radio.transmit_antenna_delay().count(), static_cast<std::int64_t>(c.used));
+    EXPECT_EQ(radio.warning()[0] != '\0', c.warns);
+    EXPECT_LT(std::string_view(radio.warning()).size(), 48U);
+  }
+}
+
 TEST_F(Driver, ConfiguredAntennaDelaysAndPowerWin) {
   chip.otp[0x1C] = 0x4041'0000;
   ASSERT_EQ(bring_up({.transmit_power = 0x1F1F1F1F,

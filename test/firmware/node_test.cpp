@@ -329,6 +329,18 @@ TEST_F(NodeTest, ARadioRecoveryIsNoProofOfLife) {
   EXPECT_EQ(platform.proofs, 0);
 }
 
+TEST_F(NodeTest, WarnsOfAnImplausibleAntennaDelay) {
+  platform.chip.otp[0x1C] = 0x8098'8098;
+  store(good_config());
+  node.start();
+  const char* const warning = "antenna delay not plausible, 16436 used";
+  EXPECT_STREQ(messages(groma_NodeToHost_hello_tag).at(0).body.hello.radio_warning, warning);
+  const auto logs = messages(groma_NodeToHost_log_tag);
+  ASSERT_EQ(logs.size(), 1U);
+  EXPECT_STREQ(logs[0].body.log.text, warning);
+  EXPECT_EQ(logs[0].body.log.level, groma_LogLevel_LOG_WARNING);
+}
+
 TEST_F(NodeTest, ReportsWhyTheRadioIsDownAndRetries) {
   platform.chip.absent = true;
   store(good_config());

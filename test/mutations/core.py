@@ -60,6 +60,7 @@ MUTATIONS = [
     ("driver: registers not read back", DRIVER, "      if (bytes == s.bytes()) return true;\n", "      return true;\n", DRIVER_TEST),
     ("driver: leading edge detector not checked", DRIVER, "fault == BringUp::kOk && !read<reg::PmscCtrl1>().has(reg::pmsc_ctrl1::kLeadingEdge)", "false", DRIVER_TEST),
     ("driver: antenna delay from the low half of the OTP word", DRIVER, "static_cast<std::uint16_t>(otp_delay >> 16)", "static_cast<std::uint16_t>(otp_delay)", DRIVER_TEST),
+    ("driver: an implausible antenna delay used", DRIVER, "    return kDefaultAntennaDelay_dtu;\n", "    return delay_dtu;\n", DRIVER_TEST),
     ("driver: fast SPI before the PLL has locked", DRIVER, "    spi_.set_speed(SpiSpeed::kSlow);\n", "    spi_.set_speed(SpiSpeed::kFast);\n", DRIVER_TEST),
     ("driver: no wait for the PLL lock", DRIVER, "if (!await_lock(delay_us)) return BringUp::kNoLock;", "", DRIVER_TEST),
     ("driver: a chip that sleeps is not selected", DRIVER, "    spi_.select(true);\n", "", DRIVER_TEST),

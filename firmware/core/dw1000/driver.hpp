@@ -30,13 +30,16 @@
 namespace groma::dw1000 {
 
 inline constexpr std::uint16_t kDefaultAntennaDelay_dtu = 16436;
+// Of one side. Some chips hold the sum of both sides in their OTP memory.
+inline constexpr std::uint16_t kLeastAntennaDelay_dtu = 15'000;
+inline constexpr std::uint16_t kMostAntennaDelay_dtu = 18'000;
 inline constexpr std::uint32_t kDefaultTransmitPower = 0x8585'8585;
 
 struct RadioSettings {
   Preamble preamble = Preamble::k128;
   std::uint32_t transmit_power = kDefaultTransmitPower;  // TX_POWER, equal for all parts of a frame
-  // Nothing: the value that the manufacturer wrote to the OTP memory, or kDefaultAntennaDelay_dtu if there is
-  // none.
+  // Nothing: the value that the manufacturer wrote to the OTP memory. kDefaultAntennaDelay_dtu if there is
+  // none, or if either is outside of kLeastAntennaDelay_dtu to kMostAntennaDelay_dtu.
   std::optional<std::uint16_t> transmit_antenna_delay_dtu{};
   std::optional<std::uint16_t> receive_antenna_delay_dtu{};
 };
@@ -169,6 +172,10 @@ class Dw1000 {
   // Since the last bring-up.
   [[nodiscard]] ranging::Ticks transmit_antenna_delay() const noexcept {
     return ranging::Ticks(transmit_antenna_delay_dtu_);
+  }
+  // What the host should know about a chip that came up; empty if nothing. At most 47 characters.
+  [[nodiscard]] const char* warning() const noexcept {
+    return delay_replaced_ ? "antenna delay not plausible, 16436 used" : "";
   }
   // Times that poll_event() found CLKPLL_LL or RFPLL_LL set.
   [[nodiscard]] std::uint32_t pll_flags() const noexcept { return pll_flags_; }
@@ -465,8 +472,10 @@ class Dw1000 {
     constexpr std::uint32_t kMidRange = 0x10;
     const std::uint32_t trim = otp_trim & 0x1F;
     const auto at_prf64 = static_cast<std::uint16_t>(otp_delay >> 16);
-    const std::uint16_t fallback = at_prf64 == 0 || at_prf64 == 0xFFFF ? kDefaultAntennaDelay_dtu : at_prf64;
-    transmit_antenna_delay_dtu_ = settings.transmit_antenna_delay_dtu.value_or(fallback);
+    const std::uint16_t own = at_prf64 == 0 || at_prf64 == 0xFFFF ? kDefaultAntennaDelay_dtu : at_prf64;
+    delay_replaced_ = false;
+    transmit_antenna_delay_dtu_ = plausible_delay(settings.transmit_antenna_delay_dtu.value_or(own));
+    const std::uint16_t receive_delay = plausible_delay(settings.receive_antenna_delay_dtu.value_or(own));
     const auto preamble = preamble_settings(settings.preamble);
     node_settings_ = {
         preamble[0],
@@ -475,7 +484,7 @@ class Dw1000 {
         preamble[3],
         setting(Value<reg::TxPower>(settings.transmit_power)),
         setting(Value<reg::TxAntd>(transmit_antenna_delay_dtu_)),
-        setting(Value<reg::LdeRxantd>(settings.receive_antenna_delay_dtu.value_or(fallback))),
+        setting(Value<reg::LdeRxantd>(receive_delay)),
         setting(Value<reg::FsXtalt>()
                     .set(reg::fs_xtalt::kFixed, 3)
                     .set(reg::fs_xtalt::kTrim, trim == 0 ? kMidRange : trim)),
@@ -486,6 +495,12 @@ class Dw1000 {
                         .set(reg::tx_fctrl::kPrf, 2)
                         .set(reg::tx_fctrl::kPreamble, preamble_code(settings.preamble));
     chunk_ = Phy(settings.preamble).acquisition_chunk_symbols() * Phy::kPreambleSymbol;
+  }
+
+  [[nodiscard]] std::uint16_t plausible_delay(std::uint16_t delay_dtu) noexcept {
+    if (delay_dtu >= kLeastAntennaDelay_dtu && delay_dtu <= kMostAntennaDelay_dtu) return delay_dtu;
+    delay_replaced_ = true;
+    return kDefaultAntennaDelay_dtu;
   }
 
   // Calls f(setting) until it returns false. Returns whether it never did.
@@ -631,6 +646,7 @@ class Dw1000 {
   S& spi_;
   State state_ = State::kDown;
   bool woken_ = false;
+  bool delay_replaced_ = false;
   std::uint16_t transmit_antenna_delay_dtu_ = 0;
   std::uint8_t supply_at_reference_ = kTypicalSupplyReading;
   std::uint8_t temperature_at_reference_ = kTypicalTemperatureReading;

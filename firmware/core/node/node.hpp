@@ -156,6 +156,7 @@ class Node {
       return;
     }
     if (radio_.woken()) log(groma_LogLevel_LOG_INFO, "radio: woken from sleep");
+    if (const char* text = radio_.warning(); text[0] != '\0') log(groma_LogLevel_LOG_WARNING, text);
     radio_deadline_us_ = kNever_us;
     if (continue_clock()) {
       machine_.on_clock_restart();
@@ -690,6 +691,7 @@ class Node {
                      platform_.stack_use(), dw1000::describe(bring_up_));
           body.hello.boot_count = platform_.boot_count();
           copy_text(body.hello.link_error, link_error_);
+          copy_text(body.hello.radio_warning, radio_.warning());
         },
         to);
   }
