@@ -9,6 +9,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
@@ -166,10 +167,12 @@ void add_plan(CLI::App& app, Action& action) {
   number("--backups", options->backups, "Anchors that back up the master", 0, 7);
   number("--responses", options->site.responses, "Anchors that a tag polls at once; 0: all, up to 16", 0, 16);
   number("--turn-round", options->site.turn_round_us,
-         "Turnaround: end of a frame to the preamble of the answer, us", 150, 5'000);
-  number("--gap", options->site.response_gap_us, "Time between answers, us", 50, 2'000);
-  number("--guard", options->site.guard_us, "A receiver turns on this long before a frame is due, us", 5,
-         1'000);
+         "Turnaround: end of a frame to the preamble of the answer, us", mac::kLeastTurnaround_us,
+         mac::kMostTurnaround_us);
+  number("--gap", options->site.response_gap_us, "Time between answers, us", mac::kLeastGap_us,
+         mac::kMostGap_us);
+  number("--guard", options->site.guard_us, "A receiver turns on this long before a frame is due, us",
+         mac::kLeastGuard_us, mac::kMostGuard_us);
   command->add_option("--preamble", options->site.preamble_symbols, "Length of the preamble, symbols")
       ->check(CLI::IsMember({64U, 128U, 256U}))
       ->excludes(file)

@@ -12,6 +12,7 @@
 #include <string_view>
 #include <system_error>
 
+#include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
@@ -96,9 +97,9 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
     site.preamble_symbols =
         std::array{64U, 128U, 256U}.at(preamble->one_of(std::array<std::string_view, 3>{"64", "128", "256"}));
   }
-  read_integer(map, "turn_round_us", 150, 5'000, site.turn_round_us);
-  read_integer(map, "response_gap_us", 50, 2'000, site.response_gap_us);
-  read_integer(map, "guard_us", 5, 1'000, site.guard_us);
+  read_integer(map, "turn_round_us", mac::kLeastTurnaround_us, mac::kMostTurnaround_us, site.turn_round_us);
+  read_integer(map, "response_gap_us", mac::kLeastGap_us, mac::kMostGap_us, site.response_gap_us);
+  read_integer(map, "guard_us", mac::kLeastGuard_us, mac::kMostGuard_us, site.guard_us);
 }
 
 // Keys that a node may have; the site's values are the default.

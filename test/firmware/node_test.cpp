@@ -963,6 +963,31 @@ class LoneTagTest : public NodeTest {
   std::size_t polls = 0;
 };
 
+TEST_F(LoneTagTest, ReportsOnceThatItIsLateForTheSchedule) {
+  node.start();
+  const auto run_a_second = [this] {
+    for (int i = 0; i < 20; ++i) {
+      run_superframes(4);
+      node.on_timer();
+    }
+  };
+  const auto reports = [this] {
+    const auto logs = messages(groma_NodeToHost_log_tag);
+    return std::count_if(logs.begin(), logs.end(), [](const groma_NodeToHost& message) {
+      return std::string(message.body.log.text) == "late for the schedule: lengthen its turnaround or gap";
+    });
+  };
+  run_a_second();
+  run_a_second();
+  EXPECT_EQ(reports(), 0);
+  platform.chip.on_write = [this](const Transfer& t) {
+    if (t.file == 0x0D && (t.word() & 0x204) != 0) platform.chip.status |= 1U << 27;
+  };
+  for (int i = 0; i < 4; ++i) run_a_second();
+  EXPECT_GT(node.counters().late_transmits + node.counters().late_receives, 100U);
+  EXPECT_EQ(reports(), 1);
+}
+
 TEST_F(LoneTagTest, KeepsItsPlaceOverARadioRecovery) {
   node.start();
   run_superframes(20);

@@ -183,11 +183,11 @@ TEST(Schedule, EachFaultIsFoundAndNamed) {
   expect(ScheduleFault::kBadMaster, [](auto& s) { s.master_id = 1; });
   expect(ScheduleFault::kBadMaster, [](auto& s) { s.master_id = 65536 + 101; });
   expect(ScheduleFault::kBadMethod, [](auto& s) { std::memset(&s.method, 9, sizeof s.method); });
-  expect(ScheduleFault::kBadTurnaround, [](auto& s) { s.turn_round_us = 149; });
+  expect(ScheduleFault::kBadTurnaround, [](auto& s) { s.turn_round_us = 89; });
   expect(ScheduleFault::kBadTurnaround, [](auto& s) { s.turn_round_us = 5001; });
-  expect(ScheduleFault::kBadGap, [](auto& s) { s.response_gap_us = 49; });
+  expect(ScheduleFault::kBadGap, [](auto& s) { s.response_gap_us = 34; });
   expect(ScheduleFault::kBadGap, [](auto& s) { s.response_gap_us = 0xFFFFFFFF; });
-  expect(ScheduleFault::kBadGuard, [](auto& s) { s.guard_us = 4; });
+  expect(ScheduleFault::kBadGuard, [](auto& s) { s.guard_us = 1; });
 }
 
 TEST(Schedule, IdsMayComeInAnyOrderWithoutRepetition) {

@@ -95,6 +95,8 @@ bool slots_fit(const groma_Schedule& schedule) noexcept {
 }  // namespace
 
 const char* describe(ScheduleFault fault) noexcept {
+  static_assert(kLeastTurnaround_us == 90 && kLeastGap_us == 35 && kLeastGuard_us == 2,
+                "the texts name them");
   switch (fault) {
     case ScheduleFault::kNone:
       return "";
@@ -111,11 +113,11 @@ const char* describe(ScheduleFault fault) noexcept {
     case ScheduleFault::kBadMethod:
       return "schedule.method: not known to this node";
     case ScheduleFault::kBadTurnaround:
-      return "schedule.turn_round_us: 150 to 5000";
+      return "schedule.turn_round_us: 90 to 5000";
     case ScheduleFault::kBadGap:
-      return "schedule.response_gap_us: 50 to 2000";
+      return "schedule.response_gap_us: 35 to 2000";
     case ScheduleFault::kBadGuard:
-      return "schedule.guard_us: 5 to 1000";
+      return "schedule.guard_us: 2 to 1000";
     case ScheduleFault::kBadBackup:
       return "schedule.backup_ids: anchors, each once, not the master";
     case ScheduleFault::kBadSlots:
@@ -131,9 +133,11 @@ ScheduleFault check(const groma_Schedule& schedule) noexcept {
   if (schedule.anchor_ids_count == 0) return ScheduleFault::kNoAnchors;
   if (const ScheduleFault fault = check_ids(schedule); fault != ScheduleFault::kNone) return fault;
   if (number_of(schedule.method) > _groma_RangingMethod_MAX) return ScheduleFault::kBadMethod;
-  if (outside(schedule.turn_round_us, 150, 5'000)) return ScheduleFault::kBadTurnaround;
-  if (outside(schedule.response_gap_us, 50, 2'000)) return ScheduleFault::kBadGap;
-  if (outside(schedule.guard_us, 5, 1'000)) return ScheduleFault::kBadGuard;
+  if (outside(schedule.turn_round_us, kLeastTurnaround_us, kMostTurnaround_us)) {
+    return ScheduleFault::kBadTurnaround;
+  }
+  if (outside(schedule.response_gap_us, kLeastGap_us, kMostGap_us)) return ScheduleFault::kBadGap;
+  if (outside(schedule.guard_us, kLeastGuard_us, kMostGuard_us)) return ScheduleFault::kBadGuard;
   if (!backups_fit(schedule)) return ScheduleFault::kBadBackup;
   if (!slots_fit(schedule)) return ScheduleFault::kBadSlots;
   if (schedule.responses > kMaxAnchors) return ScheduleFault::kBadResponses;

@@ -36,6 +36,27 @@
 
 namespace groma::mac {
 
+// A schedule outside of these limits is refused: no board can keep it. Below what the image was measured to
+// keep (air_plan.hpp), a node takes the schedule, counts what is late, and logs that.
+//
+// The lower limits are the time that is left if the processor needs none at all and SPI runs at 8 MHz, 1 us a
+// byte (driver.hpp; each transfer with its header). They are sums of:
+// - Turnaround, from the end of a POLL for one anchor to the preamble of the RESPONSE: SYS_STATUS read and
+//   cleared 10, RX_FINFO 5, RX_BUFFER 1 and the POLL, RX_TIME 10, DX_TIME 6, TX_BUFFER 1 and the RESPONSE,
+//   PMSC 2, SYS_CTRL 3, the transmitter's power-up 6.
+// - Gap, from the end of a RESPONSE to the preamble of the next: SYS_STATUS read and cleared 10, DX_TIME 6,
+//   SYS_CTRL 3, the receiver's start-up 16. The RESPONSE is read after that.
+// - Guard: 1 for flights of 100 m and clocks 40 ppm apart over the 7 ms of 16 RESPONSEs; 1 for 5 sigma of a
+//   beacon's path (synchronizer.cpp), because a node sends only if its clock is known to within the guard.
+inline constexpr std::uint32_t kLeastTurnaround_us = 10 + 5 + 1 + (poll_bytes(1) - dw1000::kFrameCheckBytes) +
+                                                     10 + 6 + 1 +
+                                                     (kResponseBytes - dw1000::kFrameCheckBytes) + 2 + 3 + 6;
+inline constexpr std::uint32_t kLeastGap_us = 10 + 6 + 3 + 16;
+inline constexpr std::uint32_t kLeastGuard_us = 2;
+inline constexpr std::uint32_t kMostTurnaround_us = 5'000;
+inline constexpr std::uint32_t kMostGap_us = 2'000;
+inline constexpr std::uint32_t kMostGuard_us = 1'000;
+
 enum class ScheduleFault : std::uint8_t {
   kNone,
   kNoTags,
@@ -44,9 +65,9 @@ enum class ScheduleFault : std::uint8_t {
   kRepeatedId,     // tags and anchors share one number space
   kBadMaster,      // the master is not among the anchors
   kBadMethod,      // this node does not know the method
-  kBadTurnaround,  // outside of 150 to 5000 us
-  kBadGap,         // outside of 50 to 2000 us
-  kBadGuard,       // outside of 5 to 1000 us
+  kBadTurnaround,  // outside of 90 to 5000 us
+  kBadGap,         // outside of 35 to 2000 us
+  kBadGuard,       // outside of 2 to 1000 us
   kBadBackup,      // a back-up is not among the anchors, or is the master
   kBadSlots,       // outside of 0 to 16, or a tag's slot is beyond them
   kBadResponses,   // outside of 0 to 16

@@ -749,6 +749,19 @@ class Node {
       });
     }
     send_counters();
+    report_late();
+  }
+
+  // Once for each period of seconds in which the schedule leaves this node too little time.
+  void report_late() noexcept {
+    constexpr std::uint32_t kMany = 10;
+    const std::uint32_t late = counters_.late_transmits + counters_.late_receives;
+    const bool many = late - late_before_ > kMany;
+    if (many && !were_late_) {
+      log(groma_LogLevel_LOG_WARNING, "late for the schedule: lengthen its turnaround or gap");
+    }
+    late_before_ = late;
+    were_late_ = many;
   }
 
   void log(groma_LogLevel level, const char* text) noexcept {
@@ -1175,6 +1188,8 @@ class Node {
   mac::SignedPlaces signed_places_;
   const char* link_error_ = "";
   groma_Counters counters_ = groma_Counters_init_zero;
+  std::uint32_t late_before_ = 0;  // transmissions and receptions, at the last telemetry
+  bool were_late_ = false;         // many in the second before
   std::uint32_t undecodable_ = 0;  // whole frames from the host that contained no command
 
   wire::FrameDecoder decoder_;

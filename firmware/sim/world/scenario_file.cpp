@@ -358,9 +358,9 @@ ScheduleOptions parse_schedule(const YamlValue& map, const std::vector<model::An
     options.preamble =
         std::array{64U, 128U, 256U}[preamble->one_of(std::array<std::string_view, 3>{"64", "128", "256"})];
   }
-  options.turn_round_us = whole(map, "turn_round_us", 150, 5'000, options.turn_round_us);
-  options.response_gap_us = whole(map, "response_gap_us", 50, 2'000, options.response_gap_us);
-  options.guard_us = whole(map, "guard_us", 5, 1'000, options.guard_us);
+  options.turn_round_us = whole(map, "turn_round_us", 90, 5'000, options.turn_round_us);
+  options.response_gap_us = whole(map, "response_gap_us", 35, 2'000, options.response_gap_us);
+  options.guard_us = whole(map, "guard_us", 2, 1'000, options.guard_us);
   return options;
 }
 

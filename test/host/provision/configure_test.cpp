@@ -194,7 +194,7 @@ TEST(ConfigureNode, ARefusalIsReportedWithTheNodesText) {
   node.config.schedule.guard_us = 1;
   const NodeOutcome outcome = configure_node(node, kBaud);
   EXPECT_EQ(outcome.fault, NodeFault::kRefused);
-  EXPECT_THAT(outcome.message, HasSubstr("refuses to write_config: schedule.guard_us: 5 to 1000"));
+  EXPECT_THAT(outcome.message, HasSubstr("refuses to write_config: schedule.guard_us: 2 to 1000"));
 }
 
 TEST(ConfigureNode, ANodeUnpluggedMeanwhileIsReported) {

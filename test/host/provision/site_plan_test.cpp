@@ -207,7 +207,7 @@ TEST_F(SitePlanTest, EachFaultIsReportedWithPlaceAndRemedy) {
   EXPECT_THAT(fault_with("18258", "65535"), HasSubstr(":2:13: network_id is 65535; it has to be 0 to 65534"));
   EXPECT_THAT(fault_with("master_id: 12", "master_id: 3"),
               HasSubstr("schedule.master_id is 3; name one of the anchors"));
-  EXPECT_THAT(fault_with("guard_us: 40", "guard_us: 4"), HasSubstr("guard_us is 4; it has to be 5 to 1000"));
+  EXPECT_THAT(fault_with("guard_us: 40", "guard_us: 1"), HasSubstr("guard_us is 1; it has to be 2 to 1000"));
   EXPECT_THAT(fault_with("preamble: 64", "preamble: 65"), HasSubstr("it has to be one of 64, 128, 256"));
   EXPECT_THAT(fault_with("0x1F1F1F1F", "0x1F1F1F1F1"), HasSubstr("is not a register value of 32 bits"));
   EXPECT_THAT(fault_with("0x1F1F1F1F", "loud"), HasSubstr("is not a register value of 32 bits"));
