@@ -15,7 +15,9 @@ constexpr unsigned kDbtcfg = 0x008;
 constexpr unsigned kTdc = 0x00C;
 constexpr unsigned kInt = 0x01C;
 constexpr unsigned kTrec = 0x034;
-constexpr unsigned kFifoBegin = 0x05C;  // CiFIFOCON1; status and user address follow
+constexpr unsigned kBdiag1 = 0x03C;
+constexpr std::uint32_t kWasBusOff = 1U << 23;  // TXBOERR
+constexpr unsigned kFifoBegin = 0x05C;          // CiFIFOCON1; status and user address follow
 constexpr unsigned kFifoEnd = 0x1D0;
 constexpr unsigned kFifoStride = 12;
 constexpr unsigned kFilterControl = 0x1D0;
@@ -217,6 +219,8 @@ std::uint32_t Mcp2518fdChip::read_register(unsigned address) {
       if (bus_off_) value |= 1U << 21;
       return value;
     }
+    case kBdiag1:
+      return was_bus_off_ ? kWasBusOff : 0;
     case kOsc:
       return osc_ | (now_ >= oscillator_ready_at_ ? kOscReady : 0);
     case kEccControl:
@@ -271,6 +275,9 @@ void Mcp2518fdChip::write_register(unsigned address, std::uint32_t value, std::u
       // Writing 0 clears a flag; writing 1 has no effect.
       word(kInt) &= ~(kClearable & mask & ~value);
       word(kInt) = (word(kInt) & ~(kEnableBits & mask)) | (value & mask & kEnableBits);
+      return;
+    case kBdiag1:
+      if ((mask & kWasBusOff) != 0 && (value & kWasBusOff) == 0) was_bus_off_ = false;
       return;
     case kOsc:
       if ((value & mask & kOscPll) != 0) complain("the PLL is turned on, which this clock does not need");
@@ -446,7 +453,7 @@ void Mcp2518fdChip::enter_configuration() {
   }
   next_frame_.reset();
   transmit_errors_ = receive_errors_ = 0;
-  bus_off_ = false;
+  bus_off_ = was_bus_off_ = false;
 }
 
 void Mcp2518fdChip::enter_normal(Mode mode) {
@@ -709,7 +716,7 @@ void Mcp2518fdChip::errors_changed(ErrorState before) {
 }
 
 void Mcp2518fdChip::go_bus_off(SimTime t) {
-  bus_off_ = true;
+  bus_off_ = was_bus_off_ = true;
   bus_off_at_ = t;
   recessive_sequences_ = 0;
   next_frame_.reset();

@@ -152,6 +152,7 @@ class Mcp2518fdChip final : public SpiDevice, public CanStation {
   unsigned transmit_errors_ = 0;
   unsigned receive_errors_ = 0;
   bool bus_off_ = false;
+  bool was_bus_off_ = false;  // since the flag was last cleared
   SimTime bus_off_at_ = 0;
   std::int64_t recessive_sequences_ = 0;  // of 11 bits, seen before the last frame began
   std::string fault_;

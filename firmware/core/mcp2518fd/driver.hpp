@@ -279,13 +279,11 @@ class Mcp2518fd {
 
   void follow_errors(Events& events) noexcept {
     const bool off = read<reg::Trec>().has(reg::trec::kBusOff);
-    if (off && state_ == State::kOnBus) {
-      state_ = State::kBusOff;
-      events.bus_off = true;
-    } else if (!off && state_ == State::kBusOff) {
-      state_ = State::kOnBus;
-      events.on_bus = true;
-    }
+    // The chip may have returned to the bus before this call.
+    events.bus_off = read<reg::Bdiag1>().has(reg::bdiag1::kWasBusOff);
+    if (events.bus_off) write_byte<reg::Bdiag1>(2, Value<reg::Bdiag1>());
+    events.on_bus = !off && (events.bus_off || state_ == State::kBusOff);
+    state_ = off ? State::kBusOff : State::kOnBus;
     room_ = 0;
   }
 

@@ -28,6 +28,7 @@ using Dbtcfg       = Register<0x008>;  // CiDBTCFG: data bit time
 using Tdc          = Register<0x00C>;  // CiTDC: transmitter delay compensation
 using Int          = Register<0x01C>;  // CiINT: interrupt flags and enables
 using Trec         = Register<0x034>;  // CiTREC: error counters and states
+using Bdiag1       = Register<0x03C>;  // CiBDIAG1: kinds of errors since they were cleared
 using TransmitCon  = Register<0x050 + 12 * kTransmitFifo>;  // CiFIFOCON1: control
 using TransmitSta  = Register<0x054 + 12 * kTransmitFifo>;  // CiFIFOSTA1: status
 using TransmitUa   = Register<0x058 + 12 * kTransmitFifo>;  // CiFIFOUA1: next object for the processor
@@ -93,6 +94,10 @@ inline constexpr Field<Trec, 0, 8> kReceiveErrors{};
 inline constexpr Field<Trec, 8, 8> kTransmitErrors{};
 inline constexpr Field<Trec, 21> kBusOff{};  // TXBO
 }  // namespace trec
+
+namespace bdiag1 {
+inline constexpr Field<Bdiag1, 23> kWasBusOff{};  // TXBOERR
+}  // namespace bdiag1
 
 namespace transmit_con {
 inline constexpr Field<TransmitCon, 29, 3> kPayloadSize{};  // PLSIZE
