@@ -627,17 +627,23 @@ void Dw1000Chip::start_transmit(bool delayed, bool wait_for_response) {
       count_event(Reg::kEvcTpw);
       missed = spec_.quirks.missed_starts;
     }
+    if (ahead <= kCounterPeriod / 2) {
+      const auto lead = static_cast<double>(sending.rmarker_tick - now);
+      sending.gain_ticks = std::llround(1e-6 * spec_.quirks.delayed_transmit_gain_ppm * lead);
+    }
   } else {
     sending.rmarker_tick = (now + kTransmitterPowerUpTicks + to_rmarker + 0x1FF) & ~std::int64_t{0x1FF};
     sending.start_tick = sending.rmarker_tick - to_rmarker;
   }
+  // By the counter before the launch.
+  const auto time_at = [&](std::int64_t tick) { return time_of(tick - sending.gain_ticks); };
   const std::int64_t data = sending.rmarker_tick + kHeaderTicks;
-  sending.at = {time_of(sending.start_tick),
-                time_of(sending.rmarker_tick - kSfdSymbols * kPreambleSymbolTicks), time_of(data),
-                time_of(data + data_ticks(length))};
+  sending.at = {time_at(sending.start_tick),
+                time_at(sending.rmarker_tick - kSfdSymbols * kPreambleSymbolTicks), time_at(data),
+                time_at(data + data_ticks(length))};
   // The antenna radiates later than the chip's counter says, by the antenna delay.
-  const SimTime rmarker = time_of(sending.rmarker_tick);
-  frame->rmarker = time_of(sending.rmarker_tick + spec_.transmit_antenna_delay_ticks);
+  const SimTime rmarker = time_at(sending.rmarker_tick);
+  frame->rmarker = time_at(sending.rmarker_tick + spec_.transmit_antenna_delay_ticks);
   const SimTime antenna = frame->rmarker - rmarker;
   frame->preamble_start = sending.at[0] + antenna;
   frame->data_start = sending.at[2] + antenna;
@@ -659,6 +665,7 @@ void Dw1000Chip::transmission_step() {
   switch (sending.stage++) {
     case 0:
       ++frames_sent_;
+      counter_base_ -= sending.gain_ticks;
       status_ = (status_ & ~status::kAllTx) | status::kTxfrb | (status_ & status::kTxpute);
       break;
     case 1:

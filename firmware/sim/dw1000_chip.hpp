@@ -79,6 +79,9 @@ struct ChipQuirks {
   bool missed_starts = true;
   // A reset of the receiver counts only after TRXOFF: without it timestamps stay wrong.
   bool reset_needs_off = true;
+  // At the launch of a delayed transmission the counter gains this share of the time from the command to the
+  // RMARKER, as one bench has measured. Off by default, because no second source has seen it.
+  double delayed_transmit_gain_ppm = 0.0;
 };
 
 struct ChipSpec {
@@ -107,7 +110,8 @@ class Dw1000Chip {
   static constexpr SimTime kConversionTime = 900 * kUnitsPerMicrosecond;
   static constexpr SimTime kLdeLoadTime = 120 * kUnitsPerMicrosecond;
   static constexpr std::int64_t kTransmitterPowerUpTicks = 351'437;  // 5.5 us
-  static constexpr std::int64_t kReceiverStartTicks = 1'997 * 512;   // 16 us in periods of the 125 MHz clock
+  static constexpr std::int64_t kReceiverStartTicks =
+      std::int64_t{1'997} * 512;  // 16 us in periods of the 125 MHz clock
   // Chunks of PAC symbols that the receiver needs to detect a preamble.
   static constexpr std::int64_t kLeastChunks = 2;
 
@@ -166,6 +170,7 @@ class Dw1000Chip {
     bool announced = false;
     std::int64_t start_tick = 0;
     std::int64_t rmarker_tick = 0;  // without antenna delay: TX_RAWST
+    std::int64_t gain_ticks = 0;    // of the counter at the launch
     SimTime announce_at = 0;
     // Starts of preamble, SFD and data, and the end: when TXFRB, TXPRS, TXPHS and TXFRS are set.
     std::array<SimTime, 4> at{};

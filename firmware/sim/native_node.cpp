@@ -85,6 +85,7 @@ class NativePlatform {
   }
   void delay_us(std::uint32_t duration_us) noexcept { now += SimTime{duration_us} * kUnitsPerMicrosecond; }
   std::uint64_t now_us() noexcept { return local_us(now) - boot_us_; }
+  std::uint64_t radio_interrupt_us() noexcept { return local_us(interrupt_at) - boot_us_; }
   bool link_write(std::span<const std::uint8_t> frame) noexcept { return uart_out.write(now, frame); }
   bool store_config(std::span<const std::uint8_t> blob) noexcept {
     const SimTime busy_before = flash_.busy_time();
@@ -126,6 +127,7 @@ class NativePlatform {
   UartLine uart_in;
   SimTime now = 0;  // the node's local time: its processor is busy until then
   bool restart_requested = false;
+  SimTime interrupt_at = kNever;  // when the radio's interrupt line rose; kNever: it is low
 
  private:
   SimTime spend(std::size_t bytes) noexcept {
@@ -174,10 +176,12 @@ class NativeNode final : public NodeHost {
       return;
     }
     platform_.chip.advance(now);
+    if (platform_.chip.irq()) platform_.interrupt_at = std::min(platform_.interrupt_at, now);
     if (platform_.now > now) return;
     if (platform_.chip.irq()) {
       platform_.now = now + interrupt_time_;
       firmware_->on_radio_interrupt();
+      platform_.interrupt_at = kNever;
     } else if (timer_at_ <= now) {
       platform_.now = now + interrupt_time_;
       firmware_->on_timer();

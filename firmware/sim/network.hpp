@@ -31,8 +31,8 @@ namespace groma::sim {
 
 // The speed of a native node's processor. Computation itself takes no time.
 struct CpuSettings {
-  double interrupt_us = 4.0;        // from the interrupt line to the handler's first useful instruction
-  double spi_transaction_us = 2.5;  // per transaction: set-up, chip select, end-of-transfer interrupt
+  double interrupt_us = 5.0;        // wake-up, and to the handler's first useful instruction
+  double spi_transaction_us = 9.0;  // per transaction: 5 us in the peripheral, 130 instructions in the driver
   std::uint32_t spi_slow_hz = 2'000'000;
   std::uint32_t spi_fast_hz = 8'000'000;
 };

@@ -20,9 +20,9 @@ using model::square;
 // The jackknife is computed where the score's scatter is this many times that of independent residuals. By
 // hand; Jackknife.DetectsPlaceDependentErrors holds with it.
 constexpr double kCorrelatedInflation = 1.5;
-// Sigma of the reach: this many times the distance r to the nearest antenna. Geometry: an anchor at the distance r in
-// an unknown direction has a sigma of r / sqrt(3) along each axis; 2 r is 3.5 times that, so that the bound never
-// makes a covariance too small.
+// Sigma of the reach: this many times the distance r to the nearest antenna. Geometry: an anchor at the
+// distance r in an unknown direction has a sigma of r / sqrt(3) along each axis; 2 r is 3.5 times that, so
+// that the bound never makes a covariance too small.
 constexpr double kReachFactor = 2.0;
 // NLOS ranges that pass for LOS move the position by kMisjudged_m times the share of NLOS ranges, by
 // kMostMisjudged_m at most; a beta by a share of that. Tuned on simulation. Seeds 1 to 20 of the

@@ -64,6 +64,9 @@ int run(const ConfigureOptions& options) {
   Json json{{"plan", plan.path.string()}, {"nodes", Json::array()}};
   int first_failure = io::kGood;
   const auto outcomes = provision::configure_nodes(nodes, plan.baud, configuring);
+  const auto advised = std::find_if(outcomes.begin(), outcomes.end(),
+                                    [](const auto& outcome) { return !outcome.advice.empty(); });
+  if (advised != outcomes.end()) warnings.add(fmt::format("{}: {}", plan.path.string(), advised->advice));
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     const provision::PlannedNode* node = nodes[i];
     const provision::NodeOutcome& outcome = outcomes[i];

@@ -1,11 +1,15 @@
 // groma nodes: role, firmware and counters of each node of a site, also of nodes reached over the air.
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <array>
 #include <charconv>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 #include <sstream>
 #include <string>
 #include <system_error>
@@ -20,6 +24,7 @@
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/io/exit_code.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -146,6 +151,49 @@ Json counters_json(const groma_Counters& counters) {
           {"pll_flags", counters.pll_flags}};
 }
 
+// Names of groma_SlotKind.
+constexpr std::array<const char*, 5> kSlotNames{"beacon", "shared", "poll", "response", "final"};
+
+std::span<const groma_SlotSlack> slots_of(const groma_Slack& slack) {
+  return std::span(slack.slots).first(std::min<std::size_t>(slack.slots_count, kSlotNames.size()));
+}
+const char* name_of(const groma_SlotSlack& slot) {
+  const auto kind = static_cast<std::size_t>(link::number_in(slot.kind));
+  return kind < kSlotNames.size() ? kSlotNames[kind] : "unknown";
+}
+
+Json slack_json(const groma_Slack& slack) {
+  Json json = Json::object();
+  for (const groma_SlotSlack& slot : slots_of(slack)) {
+    const auto counts =
+        std::span(slot.counts).first(std::min(std::size_t{slot.counts_count}, std::size(slot.counts)));
+    json[name_of(slot)] = {{"least", slot.least_us}, {"counts", std::vector(counts.begin(), counts.end())}};
+  }
+  return json;
+}
+
+// The slot with the least slack; null if there is none.
+const groma_SlotSlack* tightest(const groma_Slack& slack) {
+  const auto slots = slots_of(slack);
+  const auto least = std::min_element(slots.begin(), slots.end(),
+                                      [](const auto& a, const auto& b) { return a.least_us < b.least_us; });
+  return least == slots.end() ? nullptr : &*least;
+}
+
+// Empty if the radio was always armed in good time.
+std::string slack_warning(std::uint32_t node, const groma_Slack& slack) {
+  constexpr std::int32_t kLeast_us = 20;
+  const groma_SlotSlack* slot = tightest(slack);
+  if (slot == nullptr || slot->least_us >= kLeast_us) return {};
+  return fmt::format(
+      "node {}: its radio was armed only {} us before a {} slot; below {} us its frames or ranges may be "
+      "lost: "
+      "increase schedule.{}",
+      node, slot->least_us, name_of(*slot), kLeast_us,
+      link::number_in(slot->kind) == groma_SlotKind_SLOT_RESPONSE ? "response_gap_us and turn_round_us"
+                                                                  : "turn_round_us");
+}
+
 std::string share_missed(const groma_Counters& counters) {
   const double all = static_cast<double>(counters.beacons_received) + counters.beacons_missed;
   return all > 0.0 ? fmt::format("{:.1f} %", 100.0 * counters.beacons_missed / all) : "-";
@@ -157,7 +205,8 @@ int run(NodeTableOptions options) {
   }
   const Orders orders = orders_of(options);
   Warnings warnings;
-  Table table({"node", "role", "port", "firmware", "schedule", "boots", "frames", "beacons missed", "late"});
+  Table table({"node", "role", "port", "firmware", "schedule", "boots", "frames", "beacons missed", "late",
+               "slack us"});
   Json list = Json::array();
   int first_failure = io::kGood;
   for (const Place& place : places_of(options, orders)) {
@@ -183,6 +232,7 @@ int run(NodeTableOptions options) {
       entry["told"] = done ? Json(orders.word()) : Json(nullptr);
     }
     entry["counters"] = report.counters ? counters_json(*report.counters) : Json(nullptr);
+    entry["slack_us"] = report.slack ? slack_json(*report.slack) : Json(nullptr);
     const auto& hello = report.outcome.hello;
     if (hello) {
       entry["id"] = hello->id;
@@ -193,11 +243,15 @@ int run(NodeTableOptions options) {
     }
     if (hello && report.counters) {
       const groma_Counters& counters = *report.counters;
+      const groma_SlotSlack* slot = report.slack ? tightest(*report.slack) : nullptr;
       table.add({fmt::format("{}", hello->id), provision::role_word(hello->role),
                  (place.over_air ? "via " : "") + place.port, hello->version,
                  fmt::format("{:08x}", hello->schedule_hash), fmt::format("{}", hello->boot_count),
                  fmt::format("{}", counters.frames_received), share_missed(counters),
-                 fmt::format("{}", counters.late_transmits + counters.late_receives)});
+                 fmt::format("{}", counters.late_transmits + counters.late_receives),
+                 slot != nullptr ? fmt::format("{}", slot->least_us) : "-"});
+      if (const std::string text = report.slack ? slack_warning(hello->id, *report.slack) : ""; !text.empty())
+        warnings.add(text);
     }
     list.push_back(std::move(entry));
   }

@@ -50,8 +50,8 @@ groma_Config config_from_numbers(const PlanOptions& options) {
   site.link = options.link == "can"      ? groma_Link_LINK_CAN
               : options.link == "can-fd" ? groma_Link_LINK_CAN_FD
                                          : groma_Link_LINK_UART;
-  groma_Config config = provision::config_of(site, groma_Role_ROLE_TAG, site.tag_ids.front());
-  if (options.authenticated) config.network_key.size = sizeof(config.network_key.bytes);
+  if (options.authenticated) site.network_key.emplace();
+  const groma_Config config = provision::config_of(site, groma_Role_ROLE_TAG, site.tag_ids.front());
   if (const char* fault = node::fault_of(config); *fault != '\0') throw CLI::ValidationError("plan", fault);
   return config;
 }
@@ -169,8 +169,13 @@ void add_plan(CLI::App& app, Action& action) {
   number("--turn-round", options->site.turn_round_us,
          "Turnaround: end of a frame to the preamble of the answer, us", mac::kLeastTurnaround_us,
          mac::kMostTurnaround_us);
-  number("--gap", options->site.response_gap_us, "Time between answers, us", mac::kLeastGap_us,
-         mac::kMostGap_us);
+  command
+      ->add_option("--gap", options->site.response_gap_us,
+                   fmt::format("Time between answers, us (default: {}, with a MIC {}, with --arm-ahead {})",
+                               mac::usual_gap_us(false, false), mac::usual_gap_us(false, true),
+                               mac::usual_gap_us(true, false)))
+      ->check(CLI::Range(mac::kLeastGap_us, mac::kMostGap_us))
+      ->excludes(file);
   number("--guard", options->site.guard_us, "A receiver turns on this long before a frame is due, us",
          mac::kLeastGuard_us, mac::kMostGuard_us);
   command->add_option("--preamble", options->site.preamble_symbols, "Length of the preamble, symbols")
@@ -188,6 +193,10 @@ void add_plan(CLI::App& app, Action& action) {
   command
       ->add_flag("--raw-stamps", options->site.report_raw_stamps,
                  "Report each range with its four time intervals")
+      ->excludes(file);
+  command
+      ->add_flag("--arm-ahead", options->site.arm_ahead,
+                 "Tags arm the receiver for the next answer before they read the last one")
       ->excludes(file);
   command->add_flag("--authenticated", options->authenticated, "With a MIC in each frame")->excludes(file);
   command->add_option("--loss", options->loss, "Share of the frames that are not received")

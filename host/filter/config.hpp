@@ -47,9 +47,10 @@ struct GateConfig {
   double excess_m = 0.5;     // mean excess of NLOS ranges. By hand; a row of simulated racks adds 0.35 m
   double short_share = 0.2;  // share of NLOS ranges that are too short (wrong calibration). By hand
   // For a pair that misses all polls: the share of its ranges that is NLOS, and the additional share that is
-  // garbage. From half of the polls missed on, all of the NLOS excess has the larger mean kRegained_m. Both by
-  // hand, in one step of six recorded campus runs (docs/explanation/filter.md: 71 % off at a reception of 0.05) and
-  // of Reception.AnchorsThatComeBackAfterNlosAreConsistent in simulation: less than 0.3 of the NEES with zeros.
+  // garbage. From half of the polls missed on, all of the NLOS excess has the larger mean kRegained_m. Both
+  // by hand, in one step of six recorded campus runs (docs/explanation/filter.md: 71 % off at a reception of
+  // 0.05) and of Reception.AnchorsThatComeBackAfterNlosAreConsistent in simulation: less than 0.3 of the NEES
+  // with zeros.
   double regained_share = 0.7;
   double regained_garbage = 0.14;
   double garbage_share = 0.01;    // of all ranges. By hand

@@ -28,16 +28,16 @@ constexpr double kLongGaps = 0.9;
 // With fewer polls than this within kReception_s, missed polls carry no information. By hand; statistics: a
 // share of 0.8 of 10 polls, with exponential forgetting, has a sigma of 0.09.
 constexpr double kReceptionPolls = 10.0;
-// A pair that misses more than this share of its polls, over kReception_s, is likely NLOS: see GateConfig. Six
-// recorded campus runs (docs/explanation/filter.md) and the simulated Reception.* hold with these four.
+// A pair that misses more than this share of its polls, over kReception_s, is likely NLOS: see GateConfig.
+// Six recorded campus runs (docs/explanation/filter.md) and the simulated Reception.* hold with these four.
 constexpr double kReception_s = 2.0;  // as sticky_s: at 1 m/s an obstacle of 2 m hides an anchor for so long
 // Without an obstacle: a range needs four frames (docs/explanation/ranging.md), and 0.95^4 = 0.81.
 constexpr double kReceptionSlack = 0.2;
-// Mean excess of a pair that misses polls. Geometry: what is left is a reflection; one at a wall 4 m beside a path
-// of 10 m is sqrt(10^2 + 8^2) - 10 = 2.8 m too long. Recorded: 2.4 to 3.2 m.
+// Mean excess of a pair that misses polls. Geometry: what is left is a reflection; one at a wall 4 m beside a
+// path of 10 m is sqrt(10^2 + 8^2) - 10 = 2.8 m too long. Recorded: 2.4 to 3.2 m.
 constexpr double kRegained_m = 3.0;
-// From this share of missed polls on, all NLOS has it. By hand: a receiver that misses half of the polls has lost
-// the direct path.
+// From this share of missed polls on, all NLOS has it. By hand: a receiver that misses half of the polls has
+// lost the direct path.
 constexpr double kFarMissed = 0.5;
 // Divergence is suspected in two cases. Either at least two anchors, and no fewer than agree, each refuse
 // more than kDivergenceShare of their ranges within window_s, by more than kFar_m on average (twice the mean

@@ -88,6 +88,9 @@ void ReportDecoder::take_message(double arrival_s, NodeSink& sink) {
     case groma_NodeToHost_counters_tag:
       sink.on_counters(message_.body.counters);
       break;
+    case groma_NodeToHost_slack_tag:
+      sink.on_slack(message_.body.slack);
+      break;
     case groma_NodeToHost_log_tag:
       sink.on_log(message_.body.log);
       break;

@@ -36,6 +36,7 @@ class NodeSink {
   virtual void on_hello(const groma_Hello& /*hello*/) {}
   virtual void on_network_status(const groma_NetworkStatus& /*status*/) {}
   virtual void on_counters(const groma_Counters& /*counters*/) {}
+  virtual void on_slack(const groma_Slack& /*slack*/) {}
   virtual void on_log(const groma_Log& /*log*/) {}
   virtual void on_reply(const groma_Reply& /*reply*/) {}
   // A message of another node than the wired one, received over the air; the calls above never give those.

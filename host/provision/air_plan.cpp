@@ -130,17 +130,20 @@ void warn(const groma_Config& config, AirPlan& plan) {
         "link, or a longer response gap",
         link.name, 100.0 * link.busy, raw ? "turn report_raw_stamps off, or " : ""));
   }
-  if (schedule.turn_round_us < kMinTurnaround_us) {
-    say(fmt::format(
-        "schedule.turn_round_us: {} is less than {}, the minimum measured for the image; frames will be "
-        "sent late",
-        schedule.turn_round_us, kMinTurnaround_us));
+  if (schedule.turn_round_us < mac::kUsualTurnaround_us) {
+    say(
+        fmt::format("schedule.turn_round_us: {} is less than {}, which is proven for the image; frames may "
+                    "be sent late: watch "
+                    "'slack us' in groma nodes",
+                    schedule.turn_round_us, mac::kUsualTurnaround_us));
   }
-  if (schedule.response_gap_us < kMinGap_us) {
-    say(fmt::format(
-        "schedule.response_gap_us: {} is less than {}, the minimum measured for the image; tags will miss "
-        "responses",
-        schedule.response_gap_us, kMinGap_us));
+  if (const auto usual_us = mac::usual_gap_us(schedule.arm_ahead, config.network_key.size != 0);
+      schedule.response_gap_us < usual_us) {
+    say(
+        fmt::format("schedule.response_gap_us: {} is less than {}, which is proven for the image{}; tags may "
+                    "miss responses: "
+                    "watch 'slack us' in groma nodes",
+                    schedule.response_gap_us, usual_us, schedule.arm_ahead ? " with arm_ahead" : ""));
   }
   if (schedule.backup_ids_count == 0 && schedule.anchor_ids_count > 1) {
     say(fmt::format("schedule.backup_ids: none, so that the site stops without anchor {}; name one or more",

@@ -10,11 +10,6 @@
 
 namespace groma::provision {
 
-// The smallest values at which the shipped image sends nothing late, even at 1.5 times the emulator's cost
-// of an instruction: scripts/rates.
-inline constexpr unsigned kMinTurnaround_us = 300;
-inline constexpr unsigned kMinGap_us = 120;
-
 // One link for reports to the host.
 struct LinkLoad {
   std::string name;                // "UART", "CAN", "CAN FD"

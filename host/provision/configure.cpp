@@ -6,7 +6,9 @@
 #include <chrono>
 #include <memory>
 #include <span>
+#include <string>
 #include <thread>
+#include <tuple>
 #include <utility>
 
 #include "firmware/core/mac/superframe.hpp"
@@ -72,6 +74,27 @@ groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Rep
   }
 }
 
+// What a site has to do whose nodes hold another timing of the same epoch, because the plan or the defaults
+// of its keys have changed; empty: nothing.
+std::string advice_on(const groma_Config& stored, const groma_Config& wanted) {
+  const groma_Schedule& is = stored.schedule;
+  const groma_Schedule& should_be = wanted.schedule;
+  const auto timing = [](const groma_Schedule& of) {
+    return std::tuple(of.turn_round_us, of.response_gap_us, of.guard_us, of.arm_ahead);
+  };
+  if (!stored.has_schedule || is.epoch != should_be.epoch || timing(is) == timing(should_be)) return {};
+  // Images before arm-ahead was an option always armed ahead.
+  const bool tight = !is.arm_ahead && is.response_gap_us < mac::usual_gap_us(false, false);
+  return fmt::format(
+      "the nodes have ranged with turn_round_us: {}, response_gap_us: {}, guard_us: {}; the plan says {}, "
+      "{}, {}. Nodes "
+      "of both schedules do not hear each other: increase schedule.epoch above {}, and configure all nodes "
+      "of the "
+      "site. To keep the old timing, write those values into the plan's schedule{}",
+      is.turn_round_us, is.response_gap_us, is.guard_us, should_be.turn_round_us, should_be.response_gap_us,
+      should_be.guard_us, is.epoch, tight ? ", with arm_ahead: true" : "");
+}
+
 // Configures one node.
 class Configuring {
  public:
@@ -98,6 +121,7 @@ class Configuring {
     report_step("reads");
     const groma_Reply stored =
         expect_reply(*client_, client_->ask(command_of(groma_HostToNode_read_config_tag)), "read_config");
+    if (stored.has_config && outcome_.advice.empty()) outcome_.advice = advice_on(stored.config, wanted());
     if (!stored.has_config || !differences(stored.config, wanted()).empty()) write();
   }
   void close_link() { client_.reset(); }
@@ -483,6 +507,7 @@ NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target
     if (!report.outcome.hello) throw Failure{NodeFault::kNoAnswer, client->explain_silence()};
     report.counters = client->ask_counters();
     if (!report.counters) throw Failure{NodeFault::kNoAnswer, client->explain_silence()};
+    report.slack = client->ask_slack();
   });
   return report;
 }

@@ -36,9 +36,10 @@ enum class NodeFault {
 
 struct NodeOutcome {
   NodeFault fault = NodeFault::kNone;
-  std::string message;               // of the fault: names node, port, cause and remedy
-  bool changed = false;              // false: the configuration was in force already
-  std::string port;                  // the port used for commands
+  std::string message;   // of the fault: names node, port, cause and remedy
+  bool changed = false;  // false: the configuration was in force already
+  std::string advice;    // what the site has to do, if the plan changes its timing; empty: nothing
+  std::string port;      // the port used for commands
   std::optional<groma_Hello> hello;  // the last one received
 };
 
@@ -95,10 +96,11 @@ inline constexpr std::size_t kMaxAnchorHints = std::extent_v<decltype(groma_Anch
                                        const std::vector<AnchorHint>& hints, model::NodeId target = 0,
                                        const LinkOpener& open = link::open_link);
 
-// A node's hello and counters.
+// A node's hello, counters and slack.
 struct NodeReport {
   NodeOutcome outcome;
   std::optional<groma_Counters> counters;
+  std::optional<groma_Slack> slack;  // nothing: the node's firmware does not measure it
 };
 [[nodiscard]] NodeReport ask_node(const std::string& port, unsigned baud, model::NodeId target = 0,
                                   const LinkOpener& open = link::open_link);

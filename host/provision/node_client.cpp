@@ -47,6 +47,10 @@ void NodeClient::on_counters(const groma_Counters& counters) {
   if (target_ == 0 || at_link_) counters_ = counters;
 }
 
+void NodeClient::on_slack(const groma_Slack& slack) {
+  if (target_ == 0 || at_link_) slack_ = slack;
+}
+
 // From the node at the link, also about a target that it did not reach.
 void NodeClient::on_reply(const groma_Reply& reply) {
   if (reply.request_id != request_id_) return;
@@ -65,6 +69,9 @@ void NodeClient::on_relayed(const groma_NodeToHost& message) {
       break;
     case groma_NodeToHost_counters_tag:
       counters_ = message.body.counters;
+      break;
+    case groma_NodeToHost_slack_tag:
+      slack_ = message.body.slack;
       break;
     case groma_NodeToHost_survey_report_tag:
       survey_ = message.body.survey_report;
@@ -140,6 +147,17 @@ std::optional<groma_Counters> NodeClient::ask_counters(const Patience& patience)
   command.request_id = ++request_id_;
   (void)repeat(command, patience, [this] { return counters_.has_value() && reply_.has_value(); });
   return counters_;
+}
+
+std::optional<groma_Slack> NodeClient::ask_slack(const Patience& patience) {
+  slack_.reset();
+  groma_HostToNode command = groma_HostToNode_init_zero;
+  command.which_body = groma_HostToNode_get_slack_tag;
+  command.request_id = ++request_id_;
+  (void)repeat(command, patience, [this] {
+    return reply_ && (slack_ || link::number_in(reply_->result) != groma_Result_RESULT_OK);
+  });
+  return slack_;
 }
 
 std::optional<groma_Hello> NodeClient::ask_hello(const Patience& patience) {

@@ -49,6 +49,9 @@ class NodeClient : private link::NodeSink {
   // Nothing if no counters came.
   [[nodiscard]] std::optional<groma_Counters> ask_counters(const Patience& patience = {});
 
+  // Nothing if no answer came, or the node's firmware does not measure it.
+  [[nodiscard]] std::optional<groma_Slack> ask_slack(const Patience& patience = {});
+
   struct Survey {
     groma_Reply reply = groma_Reply_init_zero;
     groma_SurveyReport report = groma_SurveyReport_init_zero;  // valid with a good reply
@@ -66,6 +69,7 @@ class NodeClient : private link::NodeSink {
   void on_range(const model::RangeSample& /*range*/) override {}
   void on_hello(const groma_Hello& hello) override;
   void on_counters(const groma_Counters& counters) override;
+  void on_slack(const groma_Slack& slack) override;
   void on_reply(const groma_Reply& reply) override;
   void on_relayed(const groma_NodeToHost& message) override;
 
@@ -83,6 +87,7 @@ class NodeClient : private link::NodeSink {
   std::optional<groma_Reply> reply_;  // to request_id_
   std::optional<groma_Hello> hello_;
   std::optional<groma_Counters> counters_;
+  std::optional<groma_Slack> slack_;
   std::optional<groma_SurveyReport> survey_;
   model::NodeId target_;
   bool at_link_ = false;  // the target is the node at the link

@@ -107,8 +107,11 @@ groma_Config config_of(const SiteSettings& site, groma_Role role, model::NodeId 
   schedule.responses = site.responses;
   schedule.method = site.method;
   schedule.turn_round_us = site.turn_round_us;
-  schedule.response_gap_us = site.response_gap_us;
+  schedule.response_gap_us = site.response_gap_us != 0
+                                 ? site.response_gap_us
+                                 : mac::usual_gap_us(site.arm_ahead, site.network_key.has_value());
   schedule.guard_us = site.guard_us;
+  schedule.arm_ahead = site.arm_ahead;
   return config;
 }
 
@@ -152,6 +155,7 @@ std::string differences(const groma_Config& is, const groma_Config& should_be) {
     fields.compare("schedule.turn_round_us", a.turn_round_us, b.turn_round_us);
     fields.compare("schedule.response_gap_us", a.response_gap_us, b.response_gap_us);
     fields.compare("schedule.guard_us", a.guard_us, b.guard_us);
+    fields.compare("schedule.arm_ahead", a.arm_ahead, b.arm_ahead);
   }
   return fields.text();
 }

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware/core/mac/superframe.hpp"
 #include "groma.pb.h"
 #include "host/model/types.hpp"
 
@@ -30,9 +31,10 @@ struct SiteSettings {
   std::uint32_t slots = 0;                // in one superframe; 0: one a tag
   std::uint32_t responses = 0;            // anchors that a POLL names at most; 0: all, up to 16
   groma_RangingMethod method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
-  std::uint32_t turn_round_us = 300;
-  std::uint32_t response_gap_us = 160;
-  std::uint32_t guard_us = 30;
+  std::uint32_t turn_round_us = mac::kUsualTurnaround_us;
+  std::uint32_t response_gap_us = 0;  // 0: mac::usual_gap_us()
+  std::uint32_t guard_us = mac::kUsualGuard_us;
+  bool arm_ahead = false;  // tags arm the receiver for the next RESPONSE before reading the last one
   std::uint32_t transmit_antenna_delay_dtu = 0;  // 0: the chip's own; likewise the next
   std::uint32_t receive_antenna_delay_dtu = 0;
   std::uint32_t transmit_power = 0;  // TX_POWER register; 0: the firmware's default

@@ -39,6 +39,12 @@ void read_integer(const YamlValue& map, std::string_view key, std::int64_t first
   if (const auto value = map.find(key)) out = static_cast<std::uint32_t>(value->integer(first, last));
 }
 
+// False if the key is absent.
+bool is_true(const YamlValue& map, std::string_view key) {
+  const auto value = map.find(key);
+  return value && value->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
+}
+
 // Decimal, or hexadecimal with 0x, as manuals write registers.
 std::uint32_t parse_register(const YamlValue& value) {
   const std::string text = value.text();
@@ -76,7 +82,7 @@ std::vector<model::NodeId> parse_backups(const YamlValue& list, const SiteSettin
 void parse_schedule(const YamlValue& map, SiteSettings& site) {
   map.expect_keys({{},
                    {"epoch", "master_id", "backup_ids", "method", "preamble", "slots", "responses",
-                    "turn_round_us", "response_gap_us", "guard_us"}});
+                    "turn_round_us", "response_gap_us", "guard_us", "arm_ahead"}});
   read_integer(map, "slots", 1, kMaxSlots, site.slots);
   read_integer(map, "responses", 1, 16, site.responses);
   read_integer(map, "epoch", 0, kMaxEpoch, site.epoch);
@@ -100,6 +106,7 @@ void parse_schedule(const YamlValue& map, SiteSettings& site) {
   read_integer(map, "turn_round_us", mac::kLeastTurnaround_us, mac::kMostTurnaround_us, site.turn_round_us);
   read_integer(map, "response_gap_us", mac::kLeastGap_us, mac::kMostGap_us, site.response_gap_us);
   read_integer(map, "guard_us", mac::kLeastGuard_us, mac::kMostGuard_us, site.guard_us);
+  site.arm_ahead = is_true(map, "arm_ahead");
 }
 
 // Keys that a node may have; the site's values are the default.
@@ -235,16 +242,6 @@ void resolve_via(const std::vector<YamlValue>& entries, SitePlan& plan) {
     }
     node.via_port = wired->port;
   }
-}
-
-}  // namespace
-
-namespace {
-
-// False if the key is absent.
-bool is_true(const YamlValue& root, std::string_view key) {
-  const auto value = root.find(key);
-  return value && value->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
 }
 
 }  // namespace

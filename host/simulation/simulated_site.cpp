@@ -39,6 +39,7 @@ provision::SiteSettings settings_of(const sim::Scenario& scenario) {
   settings.turn_round_us = scenario.schedule.turn_round_us;
   settings.response_gap_us = scenario.schedule.response_gap_us;
   settings.guard_us = scenario.schedule.guard_us;
+  settings.arm_ahead = scenario.schedule.arm_ahead;
   return settings;
 }
 
@@ -51,6 +52,7 @@ sim::NodeSpec spec_of(const sim::Scenario& scenario, const groma_Config& config,
   spec.chip.id = static_cast<std::uint16_t>(config.id);
   spec.chip.clock.offset_ppm =
       random.of(kClockOffset).uniform(-scenario.radio.clock_ppm, scenario.radio.clock_ppm);
+  spec.chip.quirks.delayed_transmit_gain_ppm = scenario.radio.delayed_transmit_gain_ppm;
   spec.chip.clock.first_tick = random.of(kFirstTick).bits() & kCounterMask;
   spec.power_on = sim::from_seconds(random.of(kPowerOn).uniform(0.0, kLatestPowerOn_s));
   spec.uart.bits_per_s = scenario.link.bit_per_s;

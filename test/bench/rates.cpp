@@ -1,10 +1,14 @@
 // Ranges per second over preambles, tags and anchors, measured on simulated sites:
 //   rates             the tables of docs/results.md, as Markdown
-//   rates NAME VALUE ...   one site; names: tags, anchors, preamble, backups, turn_round_us, gap_us,
-//                     guard_us, seconds, emulated (0, 1), instruction (units, 6240 is 1.25 cycles), raw (0,
-//                     1), key (0, 1), final (0, 1: METHOD_DS_FINAL), threads
+//   rates NAME VALUE ...   one site, by the usual schedule except for what is named: tags, anchors, preamble,
+//                     backups, turn_round_us, gap_us, guard_us, arm_ahead (0, 1), key (0, 1), final (0, 1:
+//                     METHOD_DS_FINAL), raw (0, 1), seconds, threads; emulated (0, 1) with instruction
+//                     (units; 4992 is a cycle) and spi_overhead_us
+// Ranges and late frames count from when all tags have ranged with all anchors. Exit code 1: something was
+// late or lost, or the site did not join; 2: a wrong name or value.
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -13,6 +17,7 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "test/sim/emulator/fast_site.hpp"
@@ -33,51 +38,98 @@ groma_Preamble preamble_of(int symbols) {
   }
 }
 
+std::string text_of(const SiteRate::Slacks& slacks) {
+  constexpr std::array kKinds{"beacon", "shared", "poll", "response", "final"};
+  std::string text;
+  for (std::size_t i = 0; i < slacks.size(); ++i) {
+    if (slacks[i]) text += std::string(" ") + kKinds[i] + " " + std::to_string(*slacks[i]);
+  }
+  return text;
+}
+
 void print(const SiteRate& rate) {
+  if (!rate.joined_s) {
+    std::printf(
+        "0 ranges/s of %.0f by the schedule: not all tags ranged with all anchors within %.0f s; late: %d "
+        "transmits, %d "
+        "receives; %d recoveries\n",
+        rate.schedule_per_s, kPatience_s, rate.late_transmits, rate.late_receives, rate.recoveries);
+    return;
+  }
   std::printf(
       "%.0f ranges/s of %.0f by the schedule, %.0f by air time alone; late: %d transmits, %d receives; %d "
-      "reports lost, %d recoveries\n",
+      "reports lost, %d recoveries; joined after %.1f s; least slack in us: tags%s, anchors%s\n",
       rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s, rate.late_transmits, rate.late_receives,
-      rate.reports_lost, rate.recoveries);
+      rate.reports_lost, rate.recoveries, *rate.joined_s, text_of(rate.tags_slack_us).c_str(),
+      text_of(rate.anchors_slack_us).c_str());
 }
 
 bool have_image() {
   return std::filesystem::exists(test::shipped_image(".hex"));
 }
 
-int one(const std::map<std::string, double>& given) {
-  const auto value = [&](const char* name, double fallback) {
-    const auto found = given.find(name);
-    return found == given.end() ? fallback : found->second;
-  };
-  SiteSettings settings =
-      fast_site(static_cast<int>(value("tags", 3)), static_cast<int>(value("anchors", 12)),
-                preamble_of(static_cast<int>(value("preamble", 128))), static_cast<int>(value("backups", 2)));
-  settings.turn_round_us = static_cast<std::uint32_t>(value("turn_round_us", settings.turn_round_us));
-  settings.response_gap_us = static_cast<std::uint32_t>(value("gap_us", settings.response_gap_us));
-  settings.guard_us = static_cast<std::uint32_t>(value("guard_us", settings.guard_us));
-  settings.raw_stamps = value("raw", 0) != 0;
-  if (value("key", 0) != 0)
-    settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
-  if (value("final", 0) != 0) settings.method = groma_RangingMethod_METHOD_DS_FINAL;
-  if (value("emulated", 0) != 0) {
-    EmulatorOptions options;
-    options.timing.instruction =
-        static_cast<SimTime>(value("instruction", static_cast<double>(options.timing.instruction)));
-    settings = emulating(settings, options);
+// The values given by name; each name has to be asked for.
+class Arguments {
+ public:
+  explicit Arguments(std::map<std::string, double> given) : given_(std::move(given)) {}
+  double value(const std::string& name, double fallback) {
+    known_ += known_.empty() ? name : ", " + name;
+    const auto found = given_.find(name);
+    if (found == given_.end()) return fallback;
+    const double value = found->second;
+    given_.erase(found);
+    return value;
   }
-  const SiteRate rate =
-      measure_rate(settings, value("seconds", 5), 1.0, static_cast<unsigned>(value("threads", 1)));
+  template <typename T>
+  T whole(const std::string& name, T fallback) {
+    return static_cast<T>(value(name, static_cast<double>(fallback)));
+  }
+  bool flag(const std::string& name) { return value(name, 0.0) != 0.0; }
+  // Throws std::invalid_argument if a name was not asked for.
+  void expect_all_known() const {
+    if (!given_.empty())
+      throw std::invalid_argument("no name " + given_.begin()->first + "; names: " + known_);
+  }
+
+ private:
+  std::map<std::string, double> given_;
+  std::string known_;
+};
+
+int one(Arguments given) {
+  SiteSettings settings = fast_site(given.whole("tags", 3), given.whole("anchors", 12),
+                                    preamble_of(given.whole("preamble", 128)), given.whole("backups", 2));
+  settings.turn_round_us = given.whole("turn_round_us", settings.turn_round_us);
+  settings.response_gap_us = given.whole("gap_us", settings.response_gap_us);
+  settings.guard_us = given.whole("guard_us", settings.guard_us);
+  settings.arm_ahead = given.flag("arm_ahead");
+  if (given.flag("key")) settings = with_key(settings);
+  if (given.flag("final")) settings.method = groma_RangingMethod_METHOD_DS_FINAL;
+  settings.raw_stamps = given.flag("raw");
+  EmulatorOptions options;
+  options.timing.instruction = given.whole("instruction", options.timing.instruction);
+  options.spi_overhead =
+      from_seconds(1e-6 * given.value("spi_overhead_us", 1e6 * to_seconds(options.spi_overhead)));
+  if (given.flag("emulated")) settings = emulating(settings, options);
+  const double seconds = given.value("seconds", 5.0);
+  const auto threads = given.whole("threads", 1U);
+  given.expect_all_known();
+  const SiteRate rate = measure_rate(settings, seconds, threads);
   print(rate);
-  return rate.late_transmits == 0 && rate.reports_lost == 0 ? 0 : 1;
+  return rate.joined_s && rate.late_transmits == 0 && rate.late_receives == 0 && rate.reports_lost == 0 ? 0
+                                                                                                        : 1;
 }
 
 constexpr double kSeconds = 1.0;
 
+unsigned threads() {
+  return std::max(1U, std::thread::hardware_concurrency());
+}
+
 SiteRate rate_of(int preamble, int tags, int anchors, bool emulated) {
   SiteSettings settings = fast_site(tags, anchors, preamble_of(preamble));
   if (emulated) settings = emulating(settings);
-  return measure_rate(settings, kSeconds, 1.0, std::max(1U, std::thread::hardware_concurrency()));
+  return measure_rate(settings, kSeconds, threads());
 }
 
 void table_of_image() {
@@ -96,6 +148,31 @@ void table_of_image() {
                 rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s, rate.late_transmits,
                 rate.reports_lost);
     std::fflush(stdout);
+  }
+}
+
+// What is left if an instruction costs more than assumed, or less.
+void table_of_processors() {
+  std::puts(
+      "| cycles an instruction | usual | with a key | arm-ahead | arm-ahead, with a key "
+      "|\n|---|---|---|---|---|");
+  const std::array sites{fast_site(), with_key(fast_site()), arming_ahead(fast_site()),
+                         arming_ahead(with_key(fast_site()))};
+  for (const double cycles : {1.25, 1.5, 2.0, 2.5, 3.0, 3.5}) {
+    std::printf("| %.2f |", cycles);
+    for (const SiteSettings& site : sites) {
+      EmulatorOptions options;
+      options.timing.instruction = std::llround(cycles * static_cast<double>(options.timing.cycle));
+      const SiteRate rate = measure_rate(emulating(site, options), kSeconds, threads());
+      if (rate.joined_s) {
+        std::printf(" %.0f, late %d and %d, joined after %.1f s |", rate.ranges_per_s, rate.late_transmits,
+                    rate.late_receives, *rate.joined_s);
+      } else {
+        std::printf(" did not join |");
+      }
+      std::fflush(stdout);
+    }
+    std::puts("");
   }
 }
 
@@ -126,6 +203,10 @@ int tables() {
   if (have_image()) {
     std::puts("The shipped image in each node:\n");
     table_of_image();
+    std::puts(
+        "\nThe shipped image by the cost of an instruction, 3 tags, 12 anchors; late transmissions and "
+        "listenings:\n");
+    table_of_processors();
   } else {
     std::puts("No image: cmake --preset dwm1001 && cmake --build --preset dwm1001");
   }
@@ -140,9 +221,15 @@ int tables() {
 int main(int argc, char** argv) {
   try {
     if (argc == 1) return groma::sim::tables();
+    if (argc % 2 == 0) throw std::invalid_argument(std::string("no value for ") + argv[argc - 1]);
     std::map<std::string, double> given;
-    for (int i = 1; i + 1 < argc; i += 2) given[argv[i]] = std::strtod(argv[i + 1], nullptr);
-    return groma::sim::one(given);
+    for (int i = 1; i < argc; i += 2) {
+      char* end = nullptr;
+      given[argv[i]] = std::strtod(argv[i + 1], &end);
+      if (end == argv[i + 1] || *end != '\0')
+        throw std::invalid_argument(std::string(argv[i]) + ": not a number: " + argv[i + 1]);
+    }
+    return groma::sim::one(groma::sim::Arguments(std::move(given)));
   } catch (const std::exception& error) {
     std::fprintf(stderr, "rates: %s\n", error.what());
     return 2;

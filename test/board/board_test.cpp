@@ -92,10 +92,17 @@ TEST_F(Board, AnswersABurstOfCommandsWhileRanging) {
 }
 
 TEST_F(Board, DropsWholeFramesIfTheLineIsFull) {
-  // A single tag with raw timestamps reports more than the line can carry.
-  SiteBench site(emulating(
-      {.tags = 1, .anchors = 12, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL, .response_gap_us = 155},
-      {}, [](std::uint16_t id) { return id == nth_tag(0); }));
+  // With a faster processor and bus, a single tag with raw timestamps reports more than the line can carry.
+  EmulatorOptions fast;
+  fast.timing.instruction = fast.timing.cycle * 5 / 4;
+  fast.spi_overhead = kUnitsPerMicrosecond / 2;
+  SiteBench site(emulating({.tags = 1,
+                            .anchors = 12,
+                            .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
+                            .turn_round_us = 300,
+                            .response_gap_us = 155,
+                            .arm_ahead = true},
+                           fast, [](std::uint16_t id) { return id == nth_tag(0); }));
   site.run_until(3.0);
   const Listener& heard = site.listeners[0];
   ASSERT_FALSE(heard.reports.empty());

@@ -451,7 +451,7 @@ TEST(Station, ItsReceiverHuntsAGuardBeforeAFrameIsDue) {
   const mac::Superframe& superframe = anchor.station().superframe();
   const ClockTime due(10'000'000'000);
   const Ticks slack(1'000);
-  const Action action = anchor.station().listen(due, 100, slack);
+  const Action action = anchor.station().listen(mac::SlotKind::kPoll, due, 100, slack);
   const Ticks to_start = due - superframe.phy().before_rmarker() - superframe.guard() - slack - action.at;
   EXPECT_GE(to_start, Ticks::from_us(16));
   EXPECT_LT(to_start, Ticks::from_us(17));

@@ -156,13 +156,8 @@ FaultPhase noise_phase(const std::shared_ptr<Noise>& noise, const char* name, No
 
 TEST_P(AirFuzz, NoRangeIsWrongAndTheSiteRecovers) {
   const FuzzCase of = GetParam();
-  FaultSiteSettings settings{.tags = kTags,
-                             .anchors = kAnchors,
-                             .backups = 2,
-                             .slots = 3,
-                             .method = of.method,
-                             .turn_round_us = of.keyed ? 400U : 300U,
-                             .response_gap_us = 150};
+  FaultSiteSettings settings{
+      .tags = kTags, .anchors = kAnchors, .backups = 2, .slots = 3, .method = of.method};
   if (of.keyed) settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
   FaultSite site(settings);
   const auto noise = std::make_shared<Noise>(site, of.keyed, of.seed + (of.keyed ? 21 : 22));

@@ -187,9 +187,10 @@ struct FaultSiteSettings {
   int responses = 0;
   groma_RangingMethod method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
   groma_Preamble preamble = groma_Preamble_PREAMBLE_128;
-  std::uint32_t turn_round_us = 250;
-  std::uint32_t response_gap_us = 200;
-  std::uint32_t guard_us = 30;
+  std::uint32_t turn_round_us = mac::kUsualTurnaround_us;
+  std::uint32_t response_gap_us = 0;  // 0: mac::usual_gap_us()
+  std::uint32_t guard_us = mac::kUsualGuard_us;
+  bool arm_ahead = false;
   std::optional<security::Key> network_key{};  // each frame carries a MIC
   MediumSettings medium{.timestamp_noise_s = 1e-10};
   std::uint64_t seed = 1;
@@ -340,10 +341,10 @@ class FaultSite {
   // the share of ranges.
   [[nodiscard]] std::uint32_t gap_out_of_step(groma_Config config) const {
     constexpr double kStep = 0.382;
-    std::uint32_t best = settings_.response_gap_us;
+    const std::uint32_t shortest = config.schedule.response_gap_us;
+    std::uint32_t best = shortest;
     double least_off = 1.0;
-    for (std::uint32_t gap_us = settings_.response_gap_us; gap_us < settings_.response_gap_us + 100U;
-         ++gap_us) {
+    for (std::uint32_t gap_us = shortest; gap_us < shortest + 100U; ++gap_us) {
       config.schedule.response_gap_us = gap_us;
       const double ratio = superframe_s() / seconds_of(superframe(config));
       const double off = std::abs(ratio - std::floor(ratio) - kStep);

@@ -154,9 +154,9 @@ class Yard {
     schedule.slots = settings_.slots;
     schedule.responses = settings_.responses;
     schedule.method = settings_.method;
-    schedule.turn_round_us = 300;
-    schedule.response_gap_us = 200;
-    schedule.guard_us = 30;
+    schedule.turn_round_us = mac::kUsualTurnaround_us;
+    schedule.response_gap_us = mac::usual_gap_us(false, false);
+    schedule.guard_us = mac::kUsualGuard_us;
     return config;
   }
 

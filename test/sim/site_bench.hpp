@@ -118,6 +118,9 @@ class Listener {
         case groma_NodeToHost_network_status_tag:
           status = message.body.network_status;
           break;
+        case groma_NodeToHost_slack_tag:
+          slack = message.body.slack;
+          break;
         case groma_NodeToHost_log_tag:
           logs.emplace_back(message.body.log.text);
           break;
@@ -141,6 +144,7 @@ class Listener {
   std::vector<groma_TimeReply> time_replies;
   std::vector<std::string> logs;
   groma_Counters counters = groma_Counters_init_zero;
+  groma_Slack slack = groma_Slack_init_zero;
   groma_NetworkStatus status = groma_NetworkStatus_init_zero;
   int undecodable = 0;
   int compact_reports = 0;
@@ -159,12 +163,13 @@ struct SiteSettings {
   MediumSettings medium{.timestamp_noise_s = 0.0, .carrier_noise_ppm = 0.0};
   std::uint64_t seed = 1;
   double spread_ppm = 20.0;  // clock offsets are spread evenly over +- this
-  std::uint32_t turn_round_us = 300;
-  std::uint32_t response_gap_us = 200;
-  std::uint32_t guard_us = 30;
+  std::uint32_t turn_round_us = mac::kUsualTurnaround_us;
+  std::uint32_t response_gap_us = 0;  // 0: mac::usual_gap_us()
+  std::uint32_t guard_us = mac::kUsualGuard_us;
+  bool arm_ahead = false;
   std::optional<security::Key> network_key{};  // each frame carries a MIC
   double drift_ppm_per_s = 0.0;                // up on the odd nodes, down on the even ones, from 1 s to 11 s
-  double spi_transaction_us = 2.5;
+  double spi_transaction_us = CpuSettings{}.spi_transaction_us;
   std::uint32_t uart_bits_per_s = 1'000'000;
   // Change a node's configuration and chip. Called for the tags first.
   std::function<void(groma_Config&)> configure = [](groma_Config&) {};
@@ -205,8 +210,11 @@ groma_Config config_by(const Settings& settings, std::uint16_t id, groma_Role ro
   for (int i = 0; i < settings.anchors; ++i) schedule.anchor_ids[schedule.anchor_ids_count++] = nth_anchor(i);
   schedule.method = settings.method;
   schedule.turn_round_us = settings.turn_round_us;
-  schedule.response_gap_us = settings.response_gap_us;
+  schedule.response_gap_us = settings.response_gap_us != 0
+                                 ? settings.response_gap_us
+                                 : mac::usual_gap_us(settings.arm_ahead, settings.network_key.has_value());
   schedule.guard_us = settings.guard_us;
+  schedule.arm_ahead = settings.arm_ahead;
   return config;
 }
 

@@ -56,6 +56,10 @@ std::uint64_t Board::now_us() noexcept {
   return clock::now_us();
 }
 
+std::uint64_t Board::radio_interrupt_us() noexcept {
+  return clock::marked_us();
+}
+
 // Sends the bytes queued for the host first: they may hold the reply to the command that requested the
 // restart.
 void Board::restart() noexcept {

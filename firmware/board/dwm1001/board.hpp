@@ -28,6 +28,7 @@ class Board {
   void reset_radio() noexcept;
   void delay_us(std::uint32_t duration_us) noexcept;
   std::uint64_t now_us() noexcept;
+  std::uint64_t radio_interrupt_us() noexcept;
   bool link_write(std::span<const std::uint8_t> frame) noexcept {
     return can_.up() ? can_.write(frame) : uart_.write(frame);
   }

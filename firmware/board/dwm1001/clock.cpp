@@ -13,6 +13,7 @@ namespace timer = nrf52832::timer;
 
 constexpr std::uint32_t kDeadlineChannel = 0;
 constexpr std::uint32_t kNowChannel = 1;
+constexpr std::uint32_t kMarkChannel = 2;
 
 // At most half the timer's range, so that the compare value is not taken for a past time.
 constexpr std::uint64_t kLongestSleep_us = std::uint64_t{1} << 31;
@@ -56,6 +57,16 @@ std::uint64_t now_us() noexcept {
   if (count_us < last_count_us) ++wraps;
   last_count_us = count_us;
   return std::uint64_t{wraps} << 32 | count_us;
+}
+
+void mark() noexcept {
+  timer::kBlock0[timer::kCapture + 4 * kMarkChannel] = 1;
+}
+
+std::uint64_t marked_us() noexcept {
+  const std::uint64_t now = now_us();
+  const std::uint32_t mark = timer::kBlock0[timer::kCompare + 4 * kMarkChannel];
+  return now - (static_cast<std::uint32_t>(now) - mark);
 }
 
 bool wake_at(std::uint64_t t_us) noexcept {

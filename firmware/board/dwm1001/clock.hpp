@@ -12,6 +12,12 @@ void start() noexcept;
 // Call from thread mode only, at least once an hour.
 [[nodiscard]] std::uint64_t now_us() noexcept;
 
+// Marks the present time, from an interrupt handler; the processor's cycle counter would stand still in
+// sleep.
+void mark() noexcept;
+// now_us() at the last mark(), at most an hour ago. Call from thread mode only.
+[[nodiscard]] std::uint64_t marked_us() noexcept;
+
 // Arranges an interrupt at t_us or before; the maximum: never. False: t_us has passed. Call from thread mode
 // under an InterruptLock, so that the interrupt is not taken before the sleep.
 [[nodiscard]] bool wake_at(std::uint64_t t_us) noexcept;

@@ -1,5 +1,6 @@
 // The image: runs one node on this board.
 #include "firmware/board/dwm1001/board.hpp"
+#include "firmware/board/dwm1001/clock.hpp"
 #include "firmware/board/dwm1001/nrf52832.hpp"
 #include "firmware/core/node/image_identity.hpp"
 #include "firmware/core/node/node.hpp"
@@ -30,9 +31,10 @@ void ecb_entry() {
   board.ecb().on_interrupt();
 }
 
-// The event itself needs no record: the lines' levels are read before each sleep.
+// The events themselves need no record: the lines' levels are read before each sleep.
 void gpiote_entry() {
   namespace gpiote = groma::nrf52832::gpiote;
+  if (gpiote::kBlock[gpiote::kEventIn] != 0) groma::dwm1001::clock::mark();
   groma::nrf52832::clear_event(gpiote::kBlock[gpiote::kEventIn]);
   groma::nrf52832::clear_event(gpiote::kBlock[gpiote::kEventIn + 4]);
 }

@@ -61,7 +61,7 @@ Action Anchor::plan(ClockTime now) noexcept {
 // that another network is near.
 Action Anchor::listen_in_slot(ClockTime due) const noexcept {
   const Superframe& superframe = station_.superframe();
-  Action action = station_.listen(due, superframe.on_air(poll_bytes(superframe.responses())),
+  Action action = station_.listen(SlotKind::kPoll, due, superframe.on_air(poll_bytes(superframe.responses())),
                                   station_.sync().margin(slots_of_));
   if (silent_[slot_] < kSilent) return action;
   // The next action, listening for a POLL or a beacon, is one slot length later.
@@ -101,7 +101,7 @@ Step Anchor::on_transmitted(ClockTime timestamp) noexcept {
   if (!record.valid) ++station_.counters().bad_stamps;
   if (!station_.superframe().has_final()) return doing(plan(timestamp));
   phase_ = Phase::kFinal;
-  return doing(station_.listen(poll_heard_ + station_.superframe().final(polled_),
+  return doing(station_.listen(SlotKind::kFinal, poll_heard_ + station_.superframe().final(polled_),
                                station_.superframe().on_air(kFinalBytes), Ticks(0)));
 }
 

@@ -32,6 +32,13 @@ ReplayGuard::Settings replay_guard_of(const Site& site) noexcept {
           .relays = schedule.backup_ids_count};
 }
 
+SlotKind slot_kind(const Body& body, Place place) noexcept {
+  if (place.slot == Place::kBeacon) return SlotKind::kBeacon;
+  if (place.slot == Place::kShared) return SlotKind::kShared;
+  if (std::holds_alternative<Poll>(body)) return SlotKind::kPoll;
+  return std::holds_alternative<Final>(body) ? SlotKind::kFinal : SlotKind::kResponse;
+}
+
 }  // namespace
 
 Station::Station(const Site& site, groma_Counters& counters) noexcept
@@ -125,18 +132,20 @@ std::optional<Action> Station::control(ClockTime now) noexcept {
 std::optional<Action> Station::control_ahead() const noexcept {
   if (sync_.state() == SyncState::kSearching || election_.leads()) return std::nullopt;
   Ticks place;
+  SlotKind slot = SlotKind::kBeacon;
   if (phase_ == Phase::kBeacon && next_ == Next::kShared && !election_.has_shared_turn(number_) && !keyed()) {
     const bool sends = std::any_of(channels_.begin(), channels_.end(), [](const ControlChannel* channel) {
       return channel != nullptr && channel->wants_slot();
     });
     if (sends) return std::nullopt;
     place = superframe_.shared();
+    slot = SlotKind::kShared;
   } else if (phase_ == Phase::kSlots && next_ == Next::kBeacon) {
     place = superframe_.beacon();
   } else {
     return std::nullopt;
   }
-  return listen(sync_.start(number_) + place, superframe_.control_bytes(), sync_.margin(number_));
+  return listen(slot, sync_.start(number_) + place, superframe_.control_bytes(), sync_.margin(number_));
 }
 
 bool Station::start_session_if_due(ClockTime now) noexcept {
@@ -192,7 +201,7 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   }
   phase_ = Phase::kBeacon;
   if (election_.leads()) return send_beacon(due, false);
-  return listen(due, superframe_.control_bytes(), sync_.margin(number_));
+  return listen(SlotKind::kBeacon, due, superframe_.control_bytes(), sync_.margin(number_));
 }
 
 // Listens until the end of this superframe, or of a later one.
@@ -227,7 +236,7 @@ std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
       if (const auto action = from_channels(timestamp, false)) return action;
     }
   }
-  return listen(due, superframe_.control_bytes(), sync_.margin(number_));
+  return listen(SlotKind::kShared, due, superframe_.control_bytes(), sync_.margin(number_));
 }
 
 std::optional<Action> Station::from_channels(ClockTime timestamp, bool own_turn) noexcept {
@@ -657,13 +666,17 @@ Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const B
   } else if (authenticator_.on()) {
     authenticator_.begin_signing(outgoing_, place);
   }
-  return {.kind = Action::Kind::kTransmit, .at = timestamp, .frame = outgoing_.bytes()};
+  return {.kind = Action::Kind::kTransmit,
+          .slot = slot_kind(body, place),
+          .at = timestamp,
+          .frame = outgoing_.bytes()};
 }
 
-Action Station::listen(ClockTime due, std::size_t bytes, Ticks slack) const noexcept {
+Action Station::listen(SlotKind slot, ClockTime due, std::size_t bytes, Ticks slack) const noexcept {
   const Ticks guard = superframe_.guard() + slack;
   const dw1000::Phy phy = superframe_.phy();
   return {.kind = Action::Kind::kListen,
+          .slot = slot,
           .at = due - phy.before_rmarker() - guard - dw1000::Phy::kReceiverStart,
           .until = due + dw1000::Phy::after_rmarker(bytes) + guard,
           .preamble_until = due + guard};

@@ -148,9 +148,11 @@ class Station {
     return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay);
   }
 
-  // Listens for a frame of up to `bytes` whose RMARKER is due at `due`: hunts for its preamble from guard
-  // plus `slack` before to guard plus `slack` after. The receiver starts earlier by Phy::kReceiverStart.
-  [[nodiscard]] Action listen(ranging::ClockTime due, std::size_t bytes, ranging::Ticks slack) const noexcept;
+  // Listens in a slot of this kind for a frame of up to `bytes` whose RMARKER is due at `due`: hunts for its
+  // preamble from guard plus `slack` before to guard plus `slack` after. The receiver starts earlier by
+  // Phy::kReceiverStart.
+  [[nodiscard]] Action listen(SlotKind slot, ranging::ClockTime due, std::size_t bytes,
+                              ranging::Ticks slack) const noexcept;
   // The remainder of a listening that an unusable frame interrupted; nothing: it is over.
   [[nodiscard]] static std::optional<Action> listen_on(const Action& interrupted,
                                                        ranging::ClockTime now) noexcept;

@@ -31,6 +31,9 @@ struct Reception {
   dw1000::ReceiveQuality quality{};
 };
 
+// The slot for which an action is armed. Same values as groma.SlotKind of the schema, except the last.
+enum class SlotKind : std::uint8_t { kBeacon, kShared, kPoll, kResponse, kFinal, kNone };
+
 struct Action {
   enum class Kind : std::uint8_t {
     kNone,       // the radio stays off
@@ -39,6 +42,7 @@ struct Action {
     kListenNow,  // from now until `until`
   };
   Kind kind = Kind::kNone;
+  SlotKind slot = SlotKind::kNone;
   ranging::ClockTime at{};
   ranging::ClockTime until{};
   // The latest instant for a preamble; the listening may end then.

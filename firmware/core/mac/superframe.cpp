@@ -178,6 +178,8 @@ std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t networ
   for (const std::uint8_t slot : std::span(schedule.tag_slots).first(schedule.tag_slots_count))
     hash.add(slot);
   hash.add(schedule.responses);
+  // Without arm-ahead the hash is that of nodes that do not know it.
+  if (schedule.arm_ahead) hash.add(1);
   return hash.value();
 }
 

@@ -57,6 +57,16 @@ inline constexpr std::uint32_t kMostTurnaround_us = 5'000;
 inline constexpr std::uint32_t kMostGap_us = 2'000;
 inline constexpr std::uint32_t kMostGuard_us = 1'000;
 
+// The usual schedule: what the image keeps on a module with reserve, derived in docs/explanation/ranging.md.
+// The gap is the time in which a tag reads a RESPONSE and arms the receiver for the next one. `secured`:
+// frames carry a MIC.
+inline constexpr std::uint32_t kUsualTurnaround_us = 350;
+inline constexpr std::uint32_t kUsualGuard_us = 30;
+[[nodiscard]] constexpr std::uint32_t usual_gap_us(bool arm_ahead, bool secured) noexcept {
+  if (arm_ahead) return 220;
+  return secured ? 320 : 300;
+}
+
 enum class ScheduleFault : std::uint8_t {
   kNone,
   kNoTags,

@@ -125,7 +125,7 @@ std::optional<Action> Tag::next_rx_window() const noexcept {
 Action Tag::response_window(std::size_t index) const noexcept {
   const Exchange& exchange = current();
   const ClockTime due = exchange.poll_sent + station_.superframe().response(index, exchange.count);
-  return station_.listen(due, station_.superframe().on_air(kResponseBytes), Ticks(0));
+  return station_.listen(SlotKind::kResponse, due, station_.superframe().on_air(kResponseBytes), Ticks(0));
 }
 
 Step Tag::on_received(const Reception& reception) noexcept {

@@ -1,5 +1,6 @@
 #include "firmware/core/node/messages.hpp"
 
+#include <pb_common.h>
 #include <pb_encode.h>
 
 #include <algorithm>
@@ -94,6 +95,28 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
                .tag_reply_dtu = ticks_of(range.intervals.tag_reply)};
   }
   return out;
+}
+
+// nanopb encodes a nested message twice, first to find its length. This encodes the body once, behind room
+// for the longest tag and length, and moves it; 0 if there is no such room. A node's own messages have no
+// source_id.
+std::size_t encode_body(const groma_NodeToHost& message, std::span<std::uint8_t> out) noexcept {
+  constexpr std::size_t kHead_bytes = 4;
+  static_assert(groma_NodeToHost_size < 1U << 14U);
+  pb_field_iter_t field;
+  if (out.size() < kHead_bytes || !pb_field_iter_begin_const(&field, groma_NodeToHost_fields, &message) ||
+      !pb_field_iter_find(&field, message.which_body)) {
+    return 0;
+  }
+  pb_ostream_t head = pb_ostream_from_buffer(out.data(), kHead_bytes);
+  pb_ostream_t body = pb_ostream_from_buffer(out.data() + kHead_bytes, out.size() - kHead_bytes);
+  if (!pb_encode(&body, field.submsg_desc, field.pData) ||
+      !pb_encode_tag(&head, PB_WT_STRING, message.which_body) ||
+      !pb_encode_varint(&head, body.bytes_written)) {
+    return 0;
+  }
+  std::copy_n(out.data() + kHead_bytes, body.bytes_written, out.data() + head.bytes_written);
+  return head.bytes_written + body.bytes_written;
 }
 
 }  // namespace
@@ -193,7 +216,10 @@ std::span<const std::uint8_t> MessageEncoder::frame_of(std::span<const std::uint
 std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
                            std::span<std::uint8_t> out) noexcept {
   pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
-  if (!config) return pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0;
+  if (!config) {
+    if (const std::size_t size = encode_body(message, out); size != 0) return size;
+    return pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0;
+  }
   const groma_Reply& reply = message.body.reply;
   // The configuration is the last field of the reply, and the reply the last one set in the message.
   static_assert(groma_Reply_config_tag == 4 && groma_NodeToHost_reply_tag == 6);

@@ -26,6 +26,7 @@
 #include "firmware/core/node/machine.hpp"
 #include "firmware/core/node/messages.hpp"
 #include "firmware/core/node/platform.hpp"
+#include "firmware/core/node/slack.hpp"
 #include "firmware/core/node/stored_config.hpp"
 #include "firmware/core/node/survey.hpp"
 #include "firmware/core/node/trial.hpp"
@@ -56,7 +57,7 @@ class Node {
 
   // Call while the radio's interrupt line is high, until it is low.
   void on_radio_interrupt() noexcept {
-    if (!handle_event()) return;
+    if (!handle_event(platform_.radio_interrupt_us())) return;
     serve_air();
     sample_ambient();
     prove_life();
@@ -94,9 +95,7 @@ class Node {
         next_piece_us_ = has_idle_time(now_us, kPiece_us) ? report_piece() : now_us + kPiece_us;
     } else if (now_us >= next_telemetry_us_) {
       if (has_idle_time(now_us, kTelemetry_us) || now_us >= telemetry_due_us_ + kTelemetryPatience_us) {
-        telemetry_due_us_ = next_telemetry_us_ = now_us + kTelemetryPeriod_us;
-        send_telemetry();
-        watch_air(now_us);
+        send_telemetry(now_us);
       } else {
         next_telemetry_us_ = now_us + kTelemetryRetry_us;
       }
@@ -115,12 +114,12 @@ class Node {
  private:
   static constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::max();
   static constexpr std::uint64_t kTelemetryPeriod_us = 1'000'000;
-  // Telemetry waits for this much idle time, up to kTelemetryPatience_us.
-  static constexpr std::uint64_t kTelemetry_us = 1'200;
+  // Each part of the telemetry waits for this much idle time, up to kTelemetryPatience_us.
+  static constexpr std::uint64_t kTelemetry_us = 1'300;
   static constexpr std::uint64_t kTelemetryRetry_us = 250;
   static constexpr std::uint64_t kTelemetryPatience_us = 100'000;
   // The longest step of a report.
-  static constexpr std::uint64_t kPiece_us = 60;
+  static constexpr std::uint64_t kPiece_us = 100;
   // Time after its due end until an operation of the radio is aborted.
   static constexpr std::uint64_t kRadioGrace_us = 5'000;
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
@@ -169,6 +168,7 @@ class Node {
   // Joins the network from the beginning, with the configuration in force.
   void join() noexcept {
     next_listening_us_ = kNever_us;
+    slack_.clear();
     if (bring_up_ != dw1000::BringUp::kOk) return indicate();
     if (!config_) {
       next_listening_us_ = platform_.now_us() + kUnconfiguredPeriod_us;
@@ -199,8 +199,7 @@ class Node {
 
   void listen_unconfigured() noexcept {
     next_listening_us_ = platform_.now_us() + kUnconfiguredPeriod_us;
-    const ranging::ClockTime now = read_clock();
-    refer(now);
+    const ranging::ClockTime now = refer_now();
     if (radio_.receive_now(kUnconfiguredListening, std::nullopt) != dw1000::Start::kStarted) return recover();
     supervise({.kind = mac::Action::Kind::kListenNow, .until = now + kUnconfiguredListening});
   }
@@ -241,8 +240,7 @@ class Node {
   // nodes, which have coasted meanwhile, expect them.
   void resume() noexcept {
     if (machine_.station() == nullptr || bring_up_ != dw1000::BringUp::kOk) return join();
-    const ranging::ClockTime now = read_clock();
-    refer(now);
+    const ranging::ClockTime now = refer_now();
     perform(machine_.dispatch([now](auto& machine) { return machine.resume(now); }));
     watch_sync();
   }
@@ -254,8 +252,8 @@ class Node {
     event_due_us_ = 0;
   }
 
-  // Returns false if there was no event.
-  bool handle_event() noexcept {
+  // `interrupt_us`: when the radio reported the event. Returns false if there was none.
+  bool handle_event(std::uint64_t interrupt_us) noexcept {
     using dw1000::EventKind;
     dw1000::Event event = radio_.poll_event();
     if (event.kind != EventKind::kNone) failures_ = 0;
@@ -264,21 +262,27 @@ class Node {
         return false;
       case EventKind::kTransmitted: {
         const ranging::ClockTime timestamp = clock_.unwrap(event.timestamp);
-        refer(timestamp);
+        refer(timestamp + dw1000::Phy::after_rmarker(sent_bytes_), interrupt_us);
         perform(machine_.dispatch([&](auto& machine) { return machine.on_transmitted(timestamp); }));
         break;
       }
       case EventKind::kReceived: {
         ++counters_.frames_received;
-        arm_ahead();
+        armed_.reset();
+        // Reading a frame while the receiver is armed for the next one is fast, but unproven on hardware.
+        if (arms_ahead()) arm_next_window();
         // The answer to a POLL is urgent, and a POLL's quality is not needed.
         radio_.read_frame(event, [this](std::span<const std::uint8_t> frame) {
           machine_.begin_verify(frame);
           return !mac::looks_like_poll(frame);
         });
+        if (!arms_ahead()) arm_next_window();
         const ranging::ClockTime timestamp =
-            event.timestamp_valid ? clock_.unwrap(event.timestamp) : read_clock();
-        refer(timestamp);
+            event.timestamp_valid ? clock_.unwrap(event.timestamp) : refer_now();
+        if (event.timestamp_valid) {
+          refer(timestamp + dw1000::Phy::after_rmarker(event.frame.size() + dw1000::kFrameCheckBytes),
+                interrupt_us);
+        }
         if (machine_.station() == nullptr) ++counters_.foreign_frames;
         const mac::Reception reception{timestamp, event.timestamp_valid, event.frame, event.quality};
         perform(machine_.dispatch([&](auto& machine) { return machine.on_received(reception); }));
@@ -289,10 +293,10 @@ class Node {
       case EventKind::kFrameTimeout:
       case EventKind::kCheckError:
       case EventKind::kHeaderError: {
-        arm_ahead();
+        armed_.reset();
+        arm_next_window();
         const bool error = count_failure(event.kind);
-        const ranging::ClockTime now = read_clock();
-        refer(now);
+        const ranging::ClockTime now = refer_now();
         perform(machine_.dispatch(
             [&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }));
         break;
@@ -309,9 +313,10 @@ class Node {
     if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - dw1000::kFrameCheckBytes);
   }
 
-  // Time is short between two RESPONSEs: arm the next window before reading the frame.
-  void arm_ahead() noexcept {
-    armed_.reset();
+  [[nodiscard]] bool arms_ahead() const noexcept { return config_ && config_->schedule.arm_ahead; }
+
+  // Time is short between two RESPONSEs: arms the next window before the machine evaluates the frame.
+  void arm_next_window() noexcept {
     const std::optional<mac::Action> next = machine_.next_rx_window();
     if (!next) return;
     dw1000::Start start =
@@ -322,6 +327,7 @@ class Node {
       ++counters_.late_receives;
       start = radio_.receive_now(next->until - now, preamble_timeout(*next, now));
     }
+    armed_us_ = platform_.now_us();
     if (start == dw1000::Start::kStarted) armed_ = next->at;
   }
 
@@ -386,6 +392,7 @@ class Node {
           start = dw1000::Start::kLate;
           break;
       }
+      armed_us_ = platform_.now_us();
       if (start == dw1000::Start::kStarted) return supervise(action);
       if (start == dw1000::Start::kTooClose) {
         ++counters_.power_up_errors;
@@ -393,8 +400,8 @@ class Node {
       }
       if (start != dw1000::Start::kLate) return recover();
 
-      const ranging::ClockTime now = read_clock();
-      refer(now);
+      const ranging::ClockTime now = refer_now();
+      slack_.add(action.slot, std::min<std::int32_t>(slack_us(action), -1));
       if (action.kind == mac::Action::Kind::kTransmit) {
         step = machine_.dispatch([&](auto& machine) { return machine.on_late(now); });
         continue;
@@ -420,6 +427,8 @@ class Node {
 
   void supervise(const mac::Action& action) noexcept {
     using Kind = mac::Action::Kind;
+    if (action.kind == Kind::kTransmit) sent_bytes_ = action.frame.size() + dw1000::kFrameCheckBytes;
+    if (action.kind != Kind::kListenNow) slack_.add(action.slot, slack_us(action));
     const bool later = action.kind != Kind::kListenNow && action.at > reference_;
     quiet_until_us_ = later ? reference_us_ + rough_us(action.at - reference_) : 0;
     event_due_us_ = quiet_until_us_;
@@ -443,6 +452,19 @@ class Node {
     return std::uint64_t{uus} + uus / 39;
   }
 
+  // How long before its deadline the action was armed, at armed_us_.
+  [[nodiscard]] std::int32_t slack_us(const mac::Action& action) const noexcept {
+    const mac::Station* member = machine_.station();
+    if (member == nullptr) return 0;
+    const bool sends = action.kind == mac::Action::Kind::kTransmit;
+    const ranging::ClockTime deadline =
+        sends ? action.at - member->superframe().phy().before_rmarker() : action.at;
+    const ranging::Ticks left = deadline - reference_;
+    const auto left_us =
+        static_cast<std::int64_t>(rough_us(left)) - static_cast<std::int64_t>(rough_us(-left));
+    return static_cast<std::int32_t>(left_us - static_cast<std::int64_t>(armed_us_ - reference_us_));
+  }
+
   // The radio does not need the processor for this long.
   [[nodiscard]] bool has_idle_time(std::uint64_t now_us, std::uint64_t needed_us) const noexcept {
     return event_due_us_ == 0 || now_us + needed_us <= event_due_us_;
@@ -455,7 +477,7 @@ class Node {
       return;
     }
     // Handle an event whose interrupt was lost like any other.
-    if (!failed_ && handle_event()) return;
+    if (!failed_ && handle_event(platform_.now_us())) return;
     recover();
     restart_radio();
   }
@@ -535,7 +557,7 @@ class Node {
           ranging::Ticks(excess * static_cast<std::int64_t>(since_us) / static_cast<std::int64_t>(apart_us));
     }
     clock_.restart(counter, std::max(now - clock_.latest(), ranging::Ticks(0)));
-    refer(clock_.latest());
+    refer(clock_.latest(), now_us);
     return exact;
   }
 
@@ -543,10 +565,15 @@ class Node {
     return ranging::Ticks::from_us(static_cast<std::int64_t>(us));
   }
 
-  // Records that the radio's clock shows `now` at the processor's present time.
-  void refer(ranging::ClockTime now) noexcept {
-    reference_ = now;
-    reference_us_ = platform_.now_us();
+  // Records that the radio's clock showed `then` at `at_us`.
+  void refer(ranging::ClockTime then, std::uint64_t at_us) noexcept {
+    reference_ = then;
+    reference_us_ = at_us;
+  }
+  ranging::ClockTime refer_now() noexcept {
+    const std::uint64_t now_us = platform_.now_us();
+    refer(read_clock(), now_us);
+    return reference_;
   }
 
   void watch_sync() noexcept {
@@ -616,7 +643,7 @@ class Node {
     return platform_.link_write(frame);
   }
 
-  // Reports completed_ in steps of 30 us at 64 MHz, its ranges from the last to the first. Returns the time
+  // Reports completed_ in steps of 50 us at 64 MHz, its ranges from the last to the first. Returns the time
   // of the next step.
   std::uint64_t report_piece() noexcept {
     groma_SlotReport& report = message_.body.slot_report;
@@ -718,13 +745,27 @@ class Node {
     }
   }
 
-  void send_telemetry() noexcept {
+  // The status and the counters in turn: idle times are too short for both.
+  void send_telemetry(std::uint64_t now_us) noexcept {
+    if (counters_next_) {
+      send_counters();
+      report_late();
+      telemetry_due_us_ = next_telemetry_us_ = now_us + kTelemetryPeriod_us;
+    } else {
+      send_status();
+      watch_air(now_us);
+      telemetry_due_us_ = next_telemetry_us_ = now_us;
+    }
+    counters_next_ = !counters_next_;
+  }
+
+  void send_status() noexcept {
     // Reading the clock at least this often extends it over its wraps, even off the air.
     if (bring_up_ == dw1000::BringUp::kOk) {
       const ClockPair pair = read_clocks();
       if (!failed_) {
         former_pair_ = std::exchange(pair_, pair);
-        refer(pair.radio);
+        refer(pair.radio, pair.us);
       }
     }
     if (const mac::Station* member = machine_.station()) {
@@ -748,8 +789,6 @@ class Node {
             static_cast<std::uint64_t>(member->sync().network_time(clock_.latest()).count());
       });
     }
-    send_counters();
-    report_late();
   }
 
   // Once for each period of seconds in which the schedule leaves this node too little time.
@@ -801,6 +840,11 @@ class Node {
       case groma_HostToNode_get_counters_tag:
         reply(groma_Result_RESULT_OK, "");
         send_counters(To::kAsker);
+        break;
+      case groma_HostToNode_get_slack_tag:
+        reply(groma_Result_RESULT_OK, "");
+        send(
+            groma_NodeToHost_slack_tag, [&](auto& body) { slack_.fill(body.slack); }, To::kAsker);
         break;
       case groma_HostToNode_read_config_tag:
         read_config();
@@ -1164,8 +1208,11 @@ class Node {
   std::uint64_t reference_us_ = 0;
   ClockPair pair_;  // of the last telemetry, and of the one before
   ClockPair former_pair_;
-  bool failed_ = false;        // the radio; on_timer() restarts it
-  std::uint8_t failures_ = 0;  // in a row, without an event between
+  bool failed_ = false;         // the radio; on_timer() restarts it
+  std::uint8_t failures_ = 0;   // in a row, without an event between
+  std::size_t sent_bytes_ = 0;  // of the last frame, on the air
+  std::uint64_t armed_us_ = 0;  // when the radio was last armed
+  Slack slack_;
 
   std::optional<groma_Config> config_;  // in force
   Machine machine_;
@@ -1217,6 +1264,7 @@ class Node {
   std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured
   std::uint64_t next_telemetry_us_ = kNever_us;
   std::uint64_t telemetry_due_us_ = kNever_us;
+  bool counters_next_ = false;  // the next part of the telemetry
   std::uint64_t identify_until_us_ = kNever_us;
 };
 

@@ -49,6 +49,8 @@ struct Build {
 // - reset_radio(): pulls the radio's reset line low, releases it, and returns when the chip is ready for SPI
 // - delay_us(n): returns after at least n microseconds
 // - now_us(): microseconds since boot, 64 bits, monotonic; any drift
+// - radio_interrupt_us(): now_us() when the radio's interrupt line last rose, even if the processor was busy
+// then
 // - link_write(frame): queues one whole frame for the host, or nothing and returns false
 // - store_config(blob): replaces the stored blob, which survives resets and power cuts; false: not stored. An
 //   empty blob erases it. May take 100 ms: the node leaves the air before
@@ -75,6 +77,8 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
   { platform.delay_us(duration_us) }
   noexcept->std::same_as<void>;
   { platform.now_us() }
+  noexcept->std::same_as<std::uint64_t>;
+  { platform.radio_interrupt_us() }
   noexcept->std::same_as<std::uint64_t>;
   { platform.link_write(bytes) }
   noexcept->std::same_as<bool>;

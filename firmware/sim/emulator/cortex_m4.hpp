@@ -10,7 +10,7 @@
 //   }
 //
 // Limits of the model:
-//  - An instruction takes a fixed time; there are no flash wait states and no bus contention.
+//  - An instruction takes a fixed time, which includes an average of the flash's wait states.
 //  - Interrupts are taken between blocks of straight-line code, never inside one. A block's time is added
 //    when it begins, so now() in a bus access is the end of the block that makes it.
 //  - Every data bus fault is precise, that of a buffered store too. If two instructions of a block could have
@@ -54,9 +54,10 @@ class Bus {
 };
 
 struct CpuTiming {
-  SimTime cycle = 4992;             // 64 MHz
-  SimTime instruction = 6240;       // 1.25 cycles
-  std::uint32_t entry_cycles = 12;  // exception entry, with zero wait states
+  SimTime cycle = 4992;                        // 64 MHz
+  SimTime instruction = 9984;                  // 2.0 cycles: docs/explanation/silicon.md, A4
+  SimTime wake_up = 3 * kUnitsPerMicrosecond;  // from the interrupt that ends a sleep; tIDLE2CPU
+  std::uint32_t entry_cycles = 12;             // exception entry, with zero wait states
   std::uint32_t return_cycles = 10;
   std::uint32_t tail_chain_cycles = 6;
 };

@@ -6,6 +6,7 @@
 #include <array>
 #include <cstring>
 #include <limits>
+#include <utility>
 
 #include "firmware/sim/simulation_error.hpp"
 
@@ -84,6 +85,7 @@ void CortexM4::Core::reset(SimTime t) {
   now_ = t;
   stalled_until_ = t;
   sleep_ = Sleep::kAwake;
+  idle_ = false;
   event_ = false;
   lockup_ = false;
   recheck_exceptions_ = true;
@@ -105,7 +107,6 @@ void CortexM4::Core::run(SimTime until) {
       continue;
     }
     count_ticks();
-    if (recheck_exceptions_ && take_pending()) continue;
     if (sleep_ != Sleep::kAwake) {
       if (!wakes()) {
         const SimTime tick = sys_tick_.next_interrupt();
@@ -115,7 +116,12 @@ void CortexM4::Core::run(SimTime until) {
       }
       if (sleep_ == Sleep::kForEvent) event_ = false;
       sleep_ = Sleep::kAwake;
+      if (std::exchange(idle_, false)) {
+        stalled_until_ = now_ + timing_.wake_up;
+        continue;
+      }
     }
+    if (recheck_exceptions_ && take_pending()) continue;
     execute();
   }
 }
@@ -150,7 +156,8 @@ SimTime CortexM4::Core::next_wake() const {
 
 void CortexM4::Core::fall_asleep(Sleep kind) {
   sleep_ = kind;
-  if (wakes()) return;
+  idle_ = !wakes();
+  if (!idle_) return;
   if (guards_wake_up_ && !wakes_up_quietly()) {
     throw SimulationError(
         fmt::format("anomaly 220: a sleep before PC {:#010x} without PRIMASK or without four NOPs after it",

@@ -177,6 +177,7 @@ class CortexM4::Core {
   std::uint32_t next_pc_ = 0;  // between executions; bit 0 is the T bit
   Sleep sleep_ = Sleep::kAwake;
   bool guards_wake_up_ = false;
+  bool idle_ = false;  // asleep with nothing to wake it, so that waking takes time
   bool event_ = false;
   bool recheck_exceptions_ = false;  // an exception may now be taken
   bool lockup_ = false;

@@ -25,6 +25,7 @@ struct EmulatorOptions {
   SimTime quantum = 40 * kUnitsPerMicrosecond;
   CpuTiming timing{};
   SiliconQuirks silicon{};
+  SimTime spi_overhead = kSpiOverhead;
   // The CAN controller on the header's SPI, in world time; it must outlive the node.
   SpiDevice* can = nullptr;
 };

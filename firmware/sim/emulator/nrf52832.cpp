@@ -38,11 +38,11 @@ Nrf52832::Nrf52832(const Parts& parts)
       clock_power_(parts.silicon.lfclk_restart),
       gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
             [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
-      spim1_("SPIM1", kCanPins, EasyDma(parts.ram),
+      spim1_("SPIM1", kCanPins, EasyDma(parts.ram), parts.spi_overhead,
              [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
                return exchange(slots_[0], end, mosi, miso, hz);
              }),
-      spim2_("SPIM2", kRadioPins, EasyDma(parts.ram),
+      spim2_("SPIM2", kRadioPins, EasyDma(parts.ram), parts.spi_overhead,
              [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
                return exchange(slots_[1], end, mosi, miso, hz);
              }),

@@ -49,6 +49,10 @@ inline constexpr unsigned kCanInterrupt = 27;
 inline constexpr std::array<unsigned, 4> kLights = {14, 22, 30, 31};  // red, red, green, blue; lit when low
 }  // namespace dwm1001
 
+// Of each SPI transfer. No public figure exists; this one is on the safe side (docs/explanation/silicon.md,
+// A4).
+inline constexpr SimTime kSpiOverhead = 5 * kUnitsPerMicrosecond;
+
 // The interface from the peripherals to the processor; Bus is the opposite direction.
 class Processor {
  public:
@@ -82,6 +86,7 @@ class Nrf52832 final : public Bus {
     UartLine& from_host;
     std::uint32_t bits_per_s = 1'000'000;
     SiliconQuirks silicon{};
+    SimTime spi_overhead = kSpiOverhead;
   };
 
   // The UARTE receives bytes from the host this much later than the end of their stop bits, so that a

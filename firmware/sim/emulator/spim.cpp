@@ -28,12 +28,13 @@ constexpr std::uint32_t kDisconnected = 0xFFFFFFFF;
 
 }  // namespace
 
-Spim::Spim(std::string name, const SpimPins& wired, EasyDma dma, Exchange exchange)
+Spim::Spim(std::string name, const SpimPins& wired, EasyDma dma, SimTime overhead, Exchange exchange)
     : name_(std::move(name)),
       receive_name_(name_ + " RXD"),
       transmit_name_(name_ + " TXD"),
       wired_(wired),
       dma_(dma),
+      overhead_(overhead),
       exchange_(std::move(exchange)) {
   reset();
 }
@@ -88,7 +89,7 @@ void Spim::start(SimTime t) {
   mosi_.resize(bytes, static_cast<std::uint8_t>(over_read_));
   sending_ = buffers_.transmit;
   receiving_ = buffers_.receive;
-  const SimTime duration = kOverhead + static_cast<SimTime>(bytes) * 8 * (kUnitsPerSecond / clock_hz());
+  const SimTime duration = overhead_ + static_cast<SimTime>(bytes) * 8 * (kUnitsPerSecond / clock_hz());
   started_at_ = t;
   end_at_ = t + duration;
   busy_time_ += duration;

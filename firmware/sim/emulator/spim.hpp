@@ -1,6 +1,6 @@
 // SPIM1 (0x40004000) and SPIM2 (0x40023000): an SPI master with EasyDMA.
 //
-// A transfer takes bytes x 8 / f plus kOverhead. It takes effect on the device and in RAM at its end. The
+// A transfer takes bytes x 8 / f plus an overhead. It takes effect on the device and in RAM at its end. The
 // chip select is a GPIO; only one transfer per chip-select window is modelled, as all drivers here use it.
 #pragma once
 
@@ -24,15 +24,13 @@ struct SpimPins {
 
 class Spim final : public Peripheral {
  public:
-  // From START to the first clock edge plus from the last edge to END: an estimate.
-  static constexpr SimTime kOverhead = kUnitsPerMicrosecond / 2;
-
   // Makes the transfer with the selected device; `end` is local time. False: no device is selected.
   using Exchange = std::function<bool(SimTime end, std::span<const std::uint8_t> mosi,
                                       std::span<std::uint8_t> miso, std::uint32_t hz)>;
 
-  // `wired`: the pins that lead to the device; a transfer over others fails the run.
-  Spim(std::string name, const SpimPins& wired, EasyDma dma, Exchange exchange);
+  // `wired`: the pins that lead to the device; a transfer over others fails the run. `overhead`: from START
+  // to the first clock edge plus from the last edge to END.
+  Spim(std::string name, const SpimPins& wired, EasyDma dma, SimTime overhead, Exchange exchange);
 
   void reset();
   [[nodiscard]] bool busy() const noexcept { return end_at_ != kNever; }
@@ -66,6 +64,7 @@ class Spim final : public Peripheral {
   std::string transmit_name_;
   SpimPins wired_;
   EasyDma dma_;
+  SimTime overhead_;
   Exchange exchange_;
 
   EventRegisters events_{kEvents};

@@ -33,6 +33,8 @@ struct RadioOptions {
   double clock_ppm = 20.0;          // offset of each node's crystal, uniform within +-clock_ppm
   double timestamp_sigma_ns = 0.1;  // of each receive timestamp
   double loss = 0.02;               // of each frame at each receiver
+  // See sim::ChipQuirks; not negative.
+  double delayed_transmit_gain_ppm = 0.0;
 };
 
 // The superframe and the physical layer, as the nodes are configured.
@@ -41,10 +43,12 @@ struct ScheduleOptions {
   model::NodeId master_id = 0;                             // the anchor that sends the master beacon
   std::optional<std::vector<model::NodeId>> backup_ids{};  // by rank; nullopt: the default of a site plan
   Method method = Method::kNextPoll;
-  unsigned preamble = 128;         // symbols: 64, 128 or 256
-  unsigned turn_round_us = 300;    // turnaround: end of a received frame to the preamble of the reply
-  unsigned response_gap_us = 160;  // end of a RESPONSE to the preamble of the next
+  unsigned preamble = 128;       // symbols: 64, 128 or 256
+  unsigned turn_round_us = 350;  // turnaround: end of a received frame to the preamble of the reply
+  unsigned response_gap_us =
+      0;  // end of a RESPONSE to the preamble of the next; 0: the default of a site plan
   unsigned guard_us = 30;
+  bool arm_ahead = false;
 };
 
 struct LinkOptions {

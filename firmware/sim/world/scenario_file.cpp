@@ -315,19 +315,21 @@ PosePriorOptions parse_pose_prior(const YamlValue& map) {
 }
 
 RadioOptions parse_radio(const YamlValue& map) {
-  map.expect_keys({{}, {"clock_ppm", "stamp_sigma_ns", "loss"}});
+  map.expect_keys({{}, {"clock_ppm", "stamp_sigma_ns", "loss", "delayed_transmit_gain_ppm"}});
   RadioOptions options;
   options.clock_ppm = not_negative(map, "clock_ppm", options.clock_ppm);
   options.timestamp_sigma_ns = not_negative(map, "stamp_sigma_ns", options.timestamp_sigma_ns);
   options.loss = not_negative(map, "loss", options.loss);
+  options.delayed_transmit_gain_ppm =
+      not_negative(map, "delayed_transmit_gain_ppm", options.delayed_transmit_gain_ppm);
   if (options.loss >= 1.0) map.at("loss").fail("leaves no frame", "write the share that is lost, below 1");
   return options;
 }
 
 ScheduleOptions parse_schedule(const YamlValue& map, const std::vector<model::Anchor>& anchors) {
-  map.expect_keys(
-      {{},
-       {"master_id", "backup_ids", "method", "preamble", "turn_round_us", "response_gap_us", "guard_us"}});
+  map.expect_keys({{},
+                   {"master_id", "backup_ids", "method", "preamble", "turn_round_us", "response_gap_us",
+                    "guard_us", "arm_ahead"}});
   ScheduleOptions options;
   options.master_id = anchors.front().id;
   const auto anchor_in = [&](const YamlValue& value) {
@@ -361,6 +363,8 @@ ScheduleOptions parse_schedule(const YamlValue& map, const std::vector<model::An
   options.turn_round_us = whole(map, "turn_round_us", 90, 5'000, options.turn_round_us);
   options.response_gap_us = whole(map, "response_gap_us", 35, 2'000, options.response_gap_us);
   options.guard_us = whole(map, "guard_us", 2, 1'000, options.guard_us);
+  if (const auto ahead = map.find("arm_ahead"))
+    options.arm_ahead = ahead->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
   return options;
 }
 

@@ -735,13 +735,12 @@ TEST_F(CliTest, UsageEndsWith2) {
 }
 
 TEST_F(CliTest, PlanPredictsTheFiguresOfASchedule) {
-  const ChildResult result =
-      groma({"plan", "--tags", "3", "--anchors", "12", "--gap", "160", "--loss", "0.3", "--json"});
+  const ChildResult result = groma({"plan", "--tags", "3", "--anchors", "12", "--loss", "0.3", "--json"});
   EXPECT_EQ(result.exit_code, 0) << result.err;
   const json plan = json::parse(result.out);
-  // POLL and twelve RESPONSEs of 215 and 195 us, pauses of 300 and 160, and 1.2 ms for beacon and shared
+  // POLL and twelve RESPONSEs of 215 and 195 us, pauses of 350 and 300, and 1.4 ms for beacon and shared
   // slot.
-  EXPECT_NEAR(plan.at("superframe_s").get<double>(), 15.55e-3, 0.3e-3);
+  EXPECT_NEAR(plan.at("superframe_s").get<double>(), 21.05e-3, 0.3e-3);
   EXPECT_NEAR(plan.at("ranges_per_s").get<double>(), 36.0 / plan.at("superframe_s").get<double>(), 1e-6);
   EXPECT_NEAR(plan.at("ranges_per_s_at_loss").get<double>(), 0.2401 * plan.at("ranges_per_s").get<double>(),
               1e-6);

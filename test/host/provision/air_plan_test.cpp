@@ -24,7 +24,7 @@ SiteSettings site_of(unsigned tags, unsigned anchors) {
   site.master_id = 100;
   if (anchors > 1) site.backup_ids = {101};
   site.method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
-  site.response_gap_us = 160;
+  site.response_gap_us = 300;
   return site;
 }
 
@@ -49,12 +49,12 @@ TEST(AirPlan, DurationsAreTheSumOfFramesAndPauses) {
         const AirPlan plan = plan_of(site);
         const double poll_us = air_us(preamble, 20.0 + 2.0 * anchors);
         const double response_us = air_us(preamble, 28.0);
-        const double slot_us = 30.0 + poll_us + 300.0 + anchors * (response_us + 160.0);
+        const double slot_us = 30.0 + poll_us + 350.0 + anchors * (response_us + 300.0);
         // The transmit grid's 8 ns for each frame.
         const double grid_us = 0.02 * (anchors + 2.0);
         EXPECT_NEAR(plan.slot_s * 1e6, slot_us, grid_us);
         const double control_us = air_us(preamble, std::max(68.0, 50.0 + 2.0 * tags));
-        const double whole_us = 2.0 * (30.0 + control_us) + 400.0 + 400.0 + tags * slot_us;
+        const double whole_us = 2.0 * (30.0 + control_us) + 450.0 + 450.0 + tags * slot_us;
         EXPECT_NEAR(plan.superframe_s * 1e6, whole_us, (tags + 1.0) * grid_us);
         EXPECT_NEAR(plan.ranges_per_s, tags * anchors / (whole_us * 1e-6), 1.0);
         EXPECT_NEAR(plan.tag_ranges_per_s * tags, plan.ranges_per_s, 1e-6);

@@ -290,6 +290,15 @@ TEST_F(OverTheAir, AWholeSiteChangesItsSchedule) {
   }
 }
 
+TEST_F(OverTheAir, AnotherTimingOfTheSameEpochSaysWhatTheSiteHasToDo) {
+  for (const NodeOutcome& outcome : configure_nodes(all(), kBaud)) EXPECT_EQ(outcome.advice, "");
+  for (PlannedNode& node : plan.nodes) node.config.schedule.response_gap_us += 20;
+  for (const NodeOutcome& outcome : configure_nodes(all(), kBaud)) {
+    EXPECT_THAT(outcome.advice, HasSubstr("response_gap_us: 300, guard_us: 30; the plan says 350, 320, 30"));
+    EXPECT_THAT(outcome.advice, HasSubstr("increase schedule.epoch above"));
+  }
+}
+
 TEST_F(OverTheAir, AScheduleChangeWaitsForTheNodeThatPassesItOn) {
   plan.nodes[2].config.schedule.epoch = 8;
   const NodeOutcome outcome = configure_node(plan.nodes[2], kBaud);
@@ -322,6 +331,12 @@ TEST_F(OverTheAir, IdentifyAndCountersWork) {
   ASSERT_TRUE(report.counters) << report.outcome.message;
   EXPECT_EQ(report.outcome.hello->id, 12U);
   EXPECT_GT(report.counters->beacons_received, 0U);
+  ASSERT_TRUE(report.slack);
+  EXPECT_GE(report.slack->slots_count, 2U) << "beacon and shared slot";
+  for (const groma_SlotSlack& slot : std::span(report.slack->slots).first(report.slack->slots_count)) {
+    EXPECT_GT(slot.least_us, 20) << slot.kind;
+    EXPECT_EQ(slot.counts_count, 8U);
+  }
 }
 
 TEST_F(OverTheAir, AnAnchorSurveysTheOthers) {

@@ -114,12 +114,25 @@ TEST_F(SitePlanTest, AMinimalPlanUsesTheDefaults) {
   EXPECT_EQ(plan.nodes[0].port, "");
   EXPECT_EQ(plan.nodes[0].can_link, "");
   EXPECT_EQ(config.schedule.method, groma_RangingMethod_METHOD_DS_NEXT_POLL);
-  EXPECT_EQ(config.schedule.turn_round_us, 300U);
-  EXPECT_EQ(config.schedule.response_gap_us, 160U);
+  EXPECT_EQ(config.schedule.turn_round_us, 350U);
+  EXPECT_EQ(config.schedule.response_gap_us, 300U);
+  EXPECT_FALSE(config.schedule.arm_ahead);
   // The site survives the loss of its master.
   ASSERT_EQ(config.schedule.backup_ids_count, 1);
   EXPECT_EQ(config.schedule.backup_ids[0], 9);
   EXPECT_EQ(config.network_key.size, 0);
+}
+
+TEST_F(SitePlanTest, TheDefaultGapDependsOnKeyAndArmAhead) {
+  const std::string nodes = "schema: 1\nnetwork_id: 5\nnodes: [{id: 9, role: anchor}, {id: 1, role: tag}]\n";
+  const SitePlan ahead = read(nodes + "schedule: {arm_ahead: true}\n");
+  EXPECT_TRUE(ahead.nodes[0].config.schedule.arm_ahead);
+  EXPECT_EQ(ahead.nodes[0].config.schedule.response_gap_us, 220U);
+  EXPECT_NE(node::schedule_hash_of(ahead.nodes[0].config),
+            node::schedule_hash_of(read(nodes + "schedule: {response_gap_us: 220}\n").nodes[0].config));
+  SiteSettings keyed;
+  keyed.network_key.emplace();
+  EXPECT_EQ(config_of(keyed, groma_Role_ROLE_TAG, 1).schedule.response_gap_us, 320U);
 }
 
 constexpr const char* kCells = R"(schema: 1

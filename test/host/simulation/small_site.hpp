@@ -14,7 +14,6 @@ inline sim::Scenario small_site() {
   site.drives = {{"first", {{1.0, 1.0, {}, 0.0}, {6.0, 1.5, {}, 0.0}, {6.0, 4.5, {}, 0.0}}},
                  {"second", {{2.0, 4.5, {}, 0.0}, {1.5, 2.0, {}, 0.0}}}};
   site.schedule.master_id = 10;
-  site.schedule.response_gap_us = 200;
   return site;
 }
 

@@ -134,7 +134,7 @@ INSTANTIATE_TEST_SUITE_P(Links, EmulatedCan, ::testing::Values(groma_Link_LINK_C
                          });
 
 TEST_P(EmulatedCan, ThreeTagsStreamTheirRangesAndLoseNone) {
-  CanSite can(GetParam(), {.tags = 3, .anchors = 12, .turn_round_us = 400, .response_gap_us = 250});
+  CanSite can(GetParam(), {.tags = 3, .anchors = 12});
   can.run_until(1.5);
   const SimTime busy = can.bus.counters().busy;
   const int before = can.good_ranges();
@@ -171,12 +171,7 @@ TEST_P(EmulatedCan, ThreeTagsStreamTheirRangesAndLoseNone) {
 
 // One tag ranges as fast as the schedule allows: a bus carries the rate that `groma plan` predicts for it.
 TEST_P(EmulatedCan, ATagAloneGetsAllItsReportsOntoTheBus) {
-  SiteSettings settings{.tags = 1,
-                        .anchors = 4,
-                        .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
-                        .turn_round_us = 300,
-                        .response_gap_us = 155,
-                        .guard_us = 20};
+  SiteSettings settings{.tags = 1, .anchors = 4, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL};
   CanSite can(GetParam(), settings);
   can.run_until(3.0);
   const std::size_t before = can.listeners[0].reports.size();

@@ -10,16 +10,10 @@ namespace {
 constexpr int kTags = 3;
 constexpr int kAnchors = 6;
 
-// With the shortest gap that the image meets, and a slot for a joining tag.
+// With a slot for a joining tag.
 FaultSiteSettings site_of_images(std::uint64_t seed, groma_RangingMethod method) {
-  return emulating(FaultSiteSettings{.tags = kTags,
-                                     .anchors = kAnchors,
-                                     .backups = 3,
-                                     .slots = 4,
-                                     .method = method,
-                                     .turn_round_us = 300,
-                                     .response_gap_us = 120,
-                                     .seed = seed});
+  return emulating(FaultSiteSettings{
+      .tags = kTags, .anchors = kAnchors, .backups = 3, .slots = 4, .method = method, .seed = seed});
 }
 
 std::vector<FaultPhase> phases(const FaultSite& site, groma_RangingMethod method) {

@@ -20,11 +20,7 @@ constexpr security::Key kKey{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 
 
 TEST(ShippedImageWithAKey, RangesWithNativeNodesWithoutLateTransmits) {
   GROMA_NEEDS_SHIPPED_IMAGE();
-  SiteSettings settings{.tags = 1,
-                        .anchors = 2,
-                        .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
-                        .turn_round_us = 300,
-                        .response_gap_us = 100};
+  SiteSettings settings{.tags = 1, .anchors = 2, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL};
   settings.network_key = kKey;
   // The tag and the second anchor are emulated; the master is native.
   SiteBench site(emulating(settings, {}, [](std::uint16_t id) { return id != nth_anchor(0); }));
@@ -75,11 +71,8 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
   constexpr std::uint16_t kAttacker = 900;
   constexpr int kAnchors = 2;
   constexpr int kTags = 2;
-  SiteSettings settings{.tags = kTags,
-                        .anchors = kAnchors,
-                        .method = groma_RangingMethod_METHOD_DS_NEXT_POLL,
-                        .turn_round_us = 300,
-                        .response_gap_us = 155};
+  SiteSettings settings{
+      .tags = kTags, .anchors = kAnchors, .method = groma_RangingMethod_METHOD_DS_NEXT_POLL};
   settings.network_key = kKey;
   SiteBench site(emulating(settings));
   site.space.put(kAttacker, {2.0, 2.0, 1.5});

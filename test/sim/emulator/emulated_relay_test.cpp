@@ -25,15 +25,10 @@ class RelayingImages : public testing::TestWithParam<RelayCase> {};
 TEST_P(RelayingImages, AreInTimeWithEachBeacon) {
   GROMA_NEEDS_SHIPPED_IMAGE();
   const RelayCase of = GetParam();
-  FaultSiteSettings settings{.tags = 1,
-                             .anchors = 3,
-                             .backups = 2,
-                             .slots = of.slots,
-                             .turn_round_us = of.keyed ? 500U : 300U,
-                             .response_gap_us = of.gap_us};
+  FaultSiteSettings settings{
+      .tags = 1, .anchors = 3, .backups = 2, .slots = of.slots, .response_gap_us = of.gap_us};
   if (of.keyed) settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
   EmulatorOptions options;
-  if (of.slots == 1) options.timing.instruction = options.timing.instruction * 3 / 2;
   FaultSite site(emulating(settings, options));
   constexpr double kSettled_s = 1.4;
   site.run_until(kSettled_s);
@@ -59,10 +54,9 @@ TEST_P(RelayingImages, AreInTimeWithEachBeacon) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Gaps, RelayingImages,
-                         testing::Values(RelayCase{1, 120, false}, RelayCase{1, 200, false},
-                                         RelayCase{1, 300, false}, RelayCase{1, 120, true},
-                                         RelayCase{1, 200, true}, RelayCase{1, 300, true},
-                                         RelayCase{16, 120, false}, RelayCase{16, 120, true}));
+                         testing::Values(RelayCase{1, 220, false}, RelayCase{1, 300, false},
+                                         RelayCase{1, 220, true}, RelayCase{1, 320, true},
+                                         RelayCase{16, 300, false}, RelayCase{16, 320, true}));
 
 }  // namespace
 }  // namespace groma::sim

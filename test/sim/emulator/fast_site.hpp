@@ -1,4 +1,4 @@
-// The site whose rate is specified: 3 tags, 12 anchors, preamble 128; and others with the same gaps.
+// The site whose rate is specified, 3 tags, 12 anchors, preamble 128, by the usual schedule; and others.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -16,9 +16,6 @@ inline SiteSettings fast_site(int tags = 3, int anchors = 12,
   settings.anchors = anchors;
   settings.preamble = preamble;
   settings.method = groma_RangingMethod_METHOD_DS_NEXT_POLL;
-  settings.turn_round_us = 300;
-  settings.response_gap_us = 120;
-  settings.guard_us = 20;
   settings.raw_stamps = false;
   settings.configure = [backups](groma_Config& config) {
     groma_Schedule& schedule = config.schedule;
@@ -27,22 +24,24 @@ inline SiteSettings fast_site(int tags = 3, int anchors = 12,
   return settings;
 }
 
-// Without back-ups: with them a keyed site's nodes join later than the measurement begins.
-inline SiteSettings fast_keyed_site() {
-  SiteSettings settings = fast_site(3, 12, groma_Preamble_PREAMBLE_128, 0);
-  settings.response_gap_us = 155;
+inline SiteSettings arming_ahead(SiteSettings settings) {
+  settings.arm_ahead = true;
+  return settings;
+}
+
+inline SiteSettings with_key(SiteSettings settings) {
   settings.network_key = security::Key{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16};
   return settings;
 }
 
-// A processor that needs 1.5 times as long for each instruction.
+// A processor that needs 3.0 cycles for each instruction.
 inline EmulatorOptions slow_processor() {
   EmulatorOptions slow;
-  slow.timing.instruction = slow.timing.instruction * 3 / 2;
+  slow.timing.instruction = 3 * slow.timing.cycle;
   return slow;
 }
 
-inline void expect_fast(const SiteRate& rate, double least_per_s = 2'280.0) {
+inline void expect_fast(const SiteRate& rate, double least_per_s) {
   EXPECT_GE(rate.ranges_per_s, least_per_s);
   EXPECT_EQ(rate.late_transmits, 0);
   EXPECT_EQ(rate.reports_lost, 0);

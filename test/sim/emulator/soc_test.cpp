@@ -351,7 +351,7 @@ TEST(Spim, MovesBytesBothWaysAndIsDoneWhenTheLastOneIs) {
   bench.start();
   EXPECT_EQ(bench.read(reg::kSpim1 + 0x14C), 1U);
   // Five bytes at 8 MHz take 5 us.
-  const SimTime due = bench.processor.t + 5 * kMicrosecond + Spim::kOverhead;
+  const SimTime due = bench.processor.t + 5 * kMicrosecond + kSpiOverhead;
   bench.run_until(due - 1);
   EXPECT_FALSE(bench.irq(4));
   EXPECT_EQ(bench.ram[0x100], 0);
