@@ -202,14 +202,21 @@ void system_handlers() {
       ".ltorg");
 }
 
-void print_frame(const char* name) {
+// barrier_end: the address after the barrier. A processor may take a pending interrupt before it.
+void print_frame(const char* name, std::uint32_t barrier_end) {
+  constexpr std::size_t kReturnAddress = 8;
+  constexpr std::uint32_t kBarrierSize = 8;
   print_line(name, torture_frame[0]);
-  for (std::size_t i = 1; i < 10; ++i) print_line("  frame", torture_frame[i]);
+  for (std::size_t i = 1; i < 10; ++i) {
+    if (i != kReturnAddress) print_line("  frame", torture_frame[i]);
+  }
+  print_line("  returns to the barrier", barrier_end - torture_frame[kReturnAddress] <= kBarrierSize ? 1 : 0);
 }
 
 void stacks() {
   reset_state();
   set_handler(kIrq0, record_frame);
+  std::uint32_t barrier_end = 0;
   asm volatile(
       "movs r2, #0x12\n"
       "movs r3, #0x13\n"
@@ -218,9 +225,11 @@ void stacks() {
       "ldr r1, =0xE000E200\n"
       "str r0, [r1]\n"
       "dsb\n"
-      "isb\n" ::
-          : "r0", "r1", "r2", "r3", "r12", "cc", "memory");
-  print_frame("main stack");
+      "isb\n"
+      "mov %0, pc\n"
+      : "=r"(barrier_end)::"r0", "r1", "r2", "r3", "r12", "cc", "memory");
+  barrier_end -= 4;  // pc reads as the address of the instruction plus 4
+  print_frame("main stack", barrier_end);
 
   // A stack aligned to four bytes only: entry skips one word, and return restores it.
   std::uint32_t before = 0;
@@ -252,17 +261,19 @@ void stacks() {
       "str r0, [r1]\n"
       "dsb\n"
       "isb\n"
+      "mov %1, pc\n"
       "mrs %0, control\n"
       "svc 5\n"
       "movs r0, #0\n"
       "msr control, r0\n"
       "isb\n"
-      : "=&r"(before)::"r0", "r1", "cc", "memory");
+      : "=&r"(before), "=&r"(barrier_end)::"r0", "r1", "cc", "memory");
+  barrier_end -= 4;
   print_line("control on process stack", before);
   print_line("main stack kept", main_stack - msp());
   print_line("process stack kept",
              reinterpret_cast<std::uint32_t>(process_stack.data() + process_stack.size()) - psp());
-  print_frame("process stack");
+  print_frame("process stack", barrier_end);
 
   // Unprivileged: masks and the main stack pointer are not accessible; a supervisor call is.
   set_handler(kSvCall, [] {

@@ -32,10 +32,11 @@ struct Outcome {
   int exit_code = -1;
 };
 
+// -icount: QEMU's time advances by instructions, so that no pause of its host adds a SysTick.
 Outcome run_on_qemu() {
-  const test::ChildResult result =
-      test::run_child({kQemu, "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "none",
-                       "-semihosting-config", "enable=on,target=native", "-kernel", kImage});
+  const test::ChildResult result = test::run_child(
+      {kQemu, "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "none", "-icount",
+       "shift=5,sleep=off", "-semihosting-config", "enable=on,target=native", "-kernel", kImage});
   return {.text = result.out + result.err, .exit_code = result.exit_code};
 }
 
