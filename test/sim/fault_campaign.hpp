@@ -29,7 +29,7 @@ struct FaultPhase {
   // Bounds of the share of all pairs' ranges during the fault; least 0: not checked.
   double least_share = 0.0;
   double most_share = 1.0;
-  // least_share is 90 % of the product of the frame successes that the overlaps on the air leave.
+  // least_share is 90 % of what the overlaps on the air left possible, exchange by exchange.
   bool share_by_overlaps = false;
   // Nodes that die or start in this phase.
   std::set<std::uint16_t> die{};
@@ -73,12 +73,12 @@ class FaultCampaign {
     std::vector<Times> times;
     for (const FaultPhase& phase : phases) {
       Times at{.began_s = site_.now_s(), .over_s = 0.0, .ended_s = 0.0, .least_share = phase.least_share};
-      if (phase.share_by_overlaps) site_.air.count_successes(true);
+      if (phase.share_by_overlaps) site_.air.count_exchanges(true);
       if (phase.begin) phase.begin(site_);
       if (phase.lasts_s > 0.0) site_.run_until(std::max(at.began_s + phase.lasts_s, site_.now_s()));
       if (phase.share_by_overlaps) {
-        at.least_share = 0.9 * site_.air.product_of_successes();
-        site_.air.count_successes(false);
+        at.least_share = 0.9 * site_.air.possible_share();
+        site_.air.count_exchanges(false);
       }
       if (phase.end) phase.end(site_);
       at.over_s = site_.now_s();

@@ -90,14 +90,9 @@ class AirLog final : public Witness {
     const auto content = parsed(frame);
     if (!content) return;
     if (const auto* poll = std::get_if<mac::Poll>(&content->body)) {
-      successes_[kPoll].due += poll->count;
-      answered_[content->source] = 0;
-    } else if (std::holds_alternative<mac::Response>(content->body)) {
-      ++successes_[kResponse].due;
-      ++answered_[content->destination];
-    } else if (std::holds_alternative<mac::Final>(content->body)) {
-      // The anchors that answered wait for it.
-      successes_[kFinal].due += answered_[content->source];
+      exchanges_[{content->source, poll->exchange}].polled = poll->count;
+    } else if (const auto* response = std::get_if<mac::Response>(&content->body)) {
+      exchanges_[{content->destination, response->exchange}].answers.insert(content->source);
     }
   }
   void overlapped(const AirFrame& lost, const AirFrame& /*by*/, std::uint16_t receiver) override {
@@ -106,9 +101,10 @@ class AirLog final : public Witness {
     ++collisions;
     if (!counting_ || receiver >= kFirstStranger) return;
     const auto content = parsed(lost);
-    if (std::holds_alternative<mac::Poll>(content->body)) ++successes_[kPoll].lost;
-    if (std::holds_alternative<mac::Response>(content->body)) ++successes_[kResponse].lost;
-    if (std::holds_alternative<mac::Final>(content->body)) ++successes_[kFinal].lost;
+    if (const auto* response = std::get_if<mac::Response>(&content->body))
+      exchanges_[{receiver, response->exchange}].answers.erase(content->source);
+    if (const auto* final = std::get_if<mac::Final>(&content->body))
+      exchanges_[{content->source, final->exchange}].unclosed.insert(receiver);
   }
   void reception_ended(std::uint16_t receiver, std::uint64_t event) override {
     groma_Counters& seen = endings[receiver];
@@ -146,18 +142,26 @@ class AirLog final : public Witness {
     return content->destination == receiver || content->destination == mac::kBroadcast;
   }
 
-  // Starts or stops counting the successes of the site's POLLs, RESPONSEs and FINALs.
-  void count_successes(bool on) {
+  // Starts or stops counting the exchanges of the site's tags.
+  void count_exchanges(bool on) {
     counting_ = on;
-    if (on) successes_ = {};
+    if (on) exchanges_.clear();
   }
-  // A range needs a POLL and its RESPONSE, a FINAL if the method has one, and the next POLL and RESPONSE.
-  [[nodiscard]] double product_of_successes() const {
-    const auto share = [&](Kind kind) {
-      const Successes& of = successes_[kind];
-      return of.due == 0 ? 1.0 : 1.0 - static_cast<double>(of.lost) / static_cast<double>(of.due);
-    };
-    return std::pow(share(kPoll) * share(kResponse), 2) * share(kFinal);
+  // The share of all polled ranges that the overlaps left possible: a range needs a POLL, its RESPONSE, a
+  // FINAL if the method has one, and the next POLL and its RESPONSE. An anchor that missed the POLL did not
+  // answer.
+  [[nodiscard]] double possible_share() const {
+    std::size_t polled = 0;
+    std::size_t possible = 0;
+    for (const auto& [key, exchange] : exchanges_) {
+      const auto next = exchanges_.find({key.first, static_cast<std::uint16_t>(key.second + 1)});
+      if (next == exchanges_.end()) continue;
+      polled += exchange.polled;
+      for (const std::uint16_t anchor : exchange.answers) {
+        if (!exchange.unclosed.contains(anchor) && next->second.answers.contains(anchor)) ++possible;
+      }
+    }
+    return polled == 0 ? 0.0 : static_cast<double>(possible) / static_cast<double>(polled);
   }
 
   bool keep_sent = false;
@@ -167,15 +171,14 @@ class AirLog final : public Witness {
   std::map<std::uint16_t, groma_Counters> endings;  // only the counters of how receptions end
 
  private:
-  enum Kind : std::size_t { kPoll, kResponse, kFinal, kKinds };
-  struct Successes {
-    std::uint64_t due = 0;
-    std::uint64_t lost = 0;
+  struct Counted {
+    std::size_t polled = 0;
+    std::set<std::uint16_t> answers;   // anchors whose RESPONSE was sent and not overlapped at the tag
+    std::set<std::uint16_t> unclosed;  // anchors at which the FINAL was overlapped
   };
   const Medium& medium_;
   bool counting_ = false;
-  std::map<std::uint16_t, std::uint64_t> answered_;  // RESPONSEs since the tag's last POLL
-  std::array<Successes, kKinds> successes_{};
+  std::map<std::pair<std::uint16_t, std::uint16_t>, Counted> exchanges_;  // by tag and number
   std::set<std::tuple<std::uint16_t, std::size_t, std::uint32_t>> lost_frames_;
 };
 
