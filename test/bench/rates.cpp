@@ -4,8 +4,8 @@
 //                     backups, turn_round_us, gap_us, guard_us, arm_ahead (0, 1), key (0, 1), final (0, 1:
 //                     METHOD_DS_FINAL), raw (0, 1), seconds, threads; emulated (0, 1) with instruction
 //                     (units; 4992 is a cycle) and spi_overhead_us
-// Ranges and late frames count from when all tags have ranged with all anchors. Exit code 1: something was
-// late or lost, or the site did not join; 2: a wrong name or value.
+// Ranges and late frames count from when all tags have ranged with all anchors, at the latest after 20 s.
+// Exit code 1: something was late or lost, or a pair had not ranged by then; 2: a wrong name or value.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -47,21 +47,25 @@ std::string text_of(const SiteRate::Slacks& slacks) {
   return text;
 }
 
-void print(const SiteRate& rate) {
-  if (!rate.joined_s) {
-    std::printf(
-        "0 ranges/s of %.0f by the schedule: not all tags ranged with all anchors within %.0f s; late: %d "
-        "transmits, %d "
-        "receives; %d recoveries\n",
-        rate.schedule_per_s, kPatience_s, rate.late_transmits, rate.late_receives, rate.recoveries);
-    return;
+// How long the site took to join, or how much of it did.
+std::string text_of_join(const SiteRate& rate, int tags, int anchors) {
+  std::array<char, 80> text{};
+  if (rate.joined_s) {
+    std::snprintf(text.data(), text.size(), "joined after %.1f s", *rate.joined_s);
+  } else {
+    std::snprintf(text.data(), text.size(), "after %.0f s %zu of %d pairs of tag and anchor had ranged",
+                  kPatience_s, rate.pairs, tags * anchors);
   }
+  return text.data();
+}
+
+void print(const SiteRate& rate, const SiteSettings& settings) {
   std::printf(
       "%.0f ranges/s of %.0f by the schedule, %.0f by air time alone; late: %d transmits, %d receives; %d "
-      "reports lost, %d recoveries; joined after %.1f s; least slack in us: tags%s, anchors%s\n",
+      "reports lost, %d recoveries; %s; least slack in us: tags%s, anchors%s\n",
       rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s, rate.late_transmits, rate.late_receives,
-      rate.reports_lost, rate.recoveries, *rate.joined_s, text_of(rate.tags_slack_us).c_str(),
-      text_of(rate.anchors_slack_us).c_str());
+      rate.reports_lost, rate.recoveries, text_of_join(rate, settings.tags, settings.anchors).c_str(),
+      text_of(rate.tags_slack_us).c_str(), text_of(rate.anchors_slack_us).c_str());
 }
 
 bool have_image() {
@@ -115,7 +119,7 @@ int one(Arguments given) {
   const auto threads = given.whole("threads", 1U);
   given.expect_all_known();
   const SiteRate rate = measure_rate(settings, seconds, threads);
-  print(rate);
+  print(rate, settings);
   return rate.joined_s && rate.late_transmits == 0 && rate.late_receives == 0 && rate.reports_lost == 0 ? 0
                                                                                                         : 1;
 }
@@ -164,12 +168,8 @@ void table_of_processors() {
       EmulatorOptions options;
       options.timing.instruction = std::llround(cycles * static_cast<double>(options.timing.cycle));
       const SiteRate rate = measure_rate(emulating(site, options), kSeconds, threads());
-      if (rate.joined_s) {
-        std::printf(" %.0f, late %d and %d, joined after %.1f s |", rate.ranges_per_s, rate.late_transmits,
-                    rate.late_receives, *rate.joined_s);
-      } else {
-        std::printf(" did not join |");
-      }
+      std::printf(" %.0f, late %d and %d, %s |", rate.ranges_per_s, rate.late_transmits, rate.late_receives,
+                  text_of_join(rate, site.tags, site.anchors).c_str());
       std::fflush(stdout);
     }
     std::puts("");

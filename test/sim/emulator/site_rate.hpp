@@ -18,10 +18,12 @@ namespace groma::sim {
 constexpr double kPatience_s = 20.0;
 
 struct SiteRate {
-  std::optional<double> joined_s;  // nothing: not within kPatience_s; then only what was late is counted
-  double ranges_per_s = 0.0;       // good ones, on the host
-  double schedule_per_s = 0.0;     // one from each window of the schedule
-  double bound_per_s = 0.0;        // no gaps, turnarounds, guards, shared slot: air time only
+  std::optional<double>
+      joined_s;                 // when each tag had ranged with each anchor; nothing: not within kPatience_s
+  std::size_t pairs = 0;        // of a tag and an anchor that had ranged by then
+  double ranges_per_s = 0.0;    // good ones, on the host
+  double schedule_per_s = 0.0;  // one from each window of the schedule
+  double bound_per_s = 0.0;     // no gaps, turnarounds, guards, shared slot: air time only
   int late_transmits = 0;
   int late_receives = 0;
   int reports_lost = 0;
@@ -45,10 +47,16 @@ inline double air_time_s(const mac::Superframe& superframe, std::size_t tags, st
   return air_s(mac::beacon_bytes(tags, false)) + static_cast<double>(tags) * slot_s;
 }
 
-// When each tag has ranged with each anchor, in seconds; nothing if that takes longer than `within_s`.
-inline std::optional<double> join(SiteBench& site, const SiteSettings& settings, double within_s) {
+struct Join {
+  std::optional<double> at_s;  // when each tag had ranged with each anchor
+  std::size_t pairs = 0;       // that have ranged
+};
+
+// Runs the site until each tag has ranged with each anchor, at most for `within_s`.
+inline Join join(SiteBench& site, const SiteSettings& settings, double within_s) {
   constexpr double kStep_s = 0.1;
   const auto pairs = static_cast<std::size_t>(settings.tags) * static_cast<std::size_t>(settings.anchors);
+  Join out;
   for (double t_s = kStep_s; t_s <= within_s; t_s += kStep_s) {
     site.run_until(t_s);
     std::set<std::pair<std::uint32_t, std::uint32_t>> seen;
@@ -62,9 +70,13 @@ inline std::optional<double> join(SiteBench& site, const SiteSettings& settings,
         }
       }
     }
-    if (seen.size() == pairs) return joined_s;
+    out.pairs = seen.size();
+    if (seen.size() == pairs) {
+      out.at_s = joined_s;
+      break;
+    }
   }
-  return std::nullopt;
+  return out;
 }
 
 // Runs the site until it has joined (at most kPatience_s) and each node has reported its counters, then for
@@ -80,7 +92,9 @@ inline SiteRate measure_rate(const SiteSettings& settings, double seconds, unsig
   SiteRate out;
   out.schedule_per_s = ranges / superframe_s;
   out.bound_per_s = ranges / air_time_s(superframe, tags, static_cast<std::size_t>(settings.anchors));
-  out.joined_s = join(site, settings, kPatience_s);
+  const Join joined = join(site, settings, kPatience_s);
+  out.joined_s = joined.at_s;
+  out.pairs = joined.pairs;
 
   constexpr double kTelemetry_s = 1.3;
   const auto run_for = [&](double span_s) {
@@ -96,10 +110,6 @@ inline SiteRate measure_rate(const SiteSettings& settings, double seconds, unsig
       out.recoveries += sign * static_cast<int>(listener.counters.radio_recoveries);
     }
   };
-  if (!out.joined_s) {
-    count(1);
-    return out;
-  }
   run_for(kTelemetry_s);
   count(-1);
   const double begin_s = to_seconds(site.network.now());
