@@ -147,21 +147,23 @@ class AirLog final : public Witness {
     counting_ = on;
     if (on) exchanges_.clear();
   }
-  // The share of all polled ranges that the overlaps left possible: a range needs a POLL, its RESPONSE, a
-  // FINAL if the method has one, and the next POLL and its RESPONSE. An anchor that missed the POLL did not
-  // answer.
-  [[nodiscard]] double possible_share() const {
-    std::size_t polled = 0;
+  // The share of all ranges due in so many superframes that the overlaps left possible: a range needs a POLL,
+  // its RESPONSE, a FINAL if the method has one, and the next POLL and its RESPONSE. An anchor that missed
+  // the POLL did not answer; a tag may have skipped its turn.
+  [[nodiscard]] double possible_share(double superframes) const {
+    std::map<std::uint16_t, std::size_t> polled;
     std::size_t possible = 0;
     for (const auto& [key, exchange] : exchanges_) {
+      polled[key.first] = std::max(polled[key.first], exchange.polled);
       const auto next = exchanges_.find({key.first, static_cast<std::uint16_t>(key.second + 1)});
       if (next == exchanges_.end()) continue;
-      polled += exchange.polled;
       for (const std::uint16_t anchor : exchange.answers) {
         if (!exchange.unclosed.contains(anchor) && next->second.answers.contains(anchor)) ++possible;
       }
     }
-    return polled == 0 ? 0.0 : static_cast<double>(possible) / static_cast<double>(polled);
+    double due = 0.0;
+    for (const auto& [tag, anchors] : polled) due += static_cast<double>(anchors) * superframes;
+    return due == 0.0 ? 0.0 : static_cast<double>(possible) / due;
   }
 
   bool keep_sent = false;
