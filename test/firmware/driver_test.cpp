@@ -467,14 +467,35 @@ TEST_F(Driver, CompletesAFrameBeforeWritingIt) {
   std::array<std::uint8_t, 4> frame = {0x41, 0x88, 0x01, 0x00};
   chip.log.clear();
   std::size_t transfers_before = 0;
-  ASSERT_EQ(radio.transmit_at(DeviceTime(1 << 20), frame,
-                              [&] {
-                                transfers_before = chip.log.size();
-                                frame.back() = 0xAA;
-                              }),
+  ASSERT_EQ(radio.load(DeviceTime(1 << 20), frame,
+                       [&] {
+                         transfers_before = chip.log.size();
+                         frame.back() = 0xAA;
+                       }),
             Start::kStarted);
   EXPECT_EQ(transfers_before, 2U);
   EXPECT_EQ(chip.written(0x09, 0), 0xAA018841U);
+}
+
+TEST_F(Driver, SendsALoadedFrameOnlyWhenLaunched) {
+  ready();
+  EXPECT_EQ(radio.launch(), Start::kNotIdle);
+  const std::array<std::uint8_t, 4> frame = {0x41, 0x88, 0x01, 0xAA};
+  chip.log.clear();
+  ASSERT_EQ(radio.load(DeviceTime(1 << 20), frame, [] {}), Start::kStarted);
+  EXPECT_EQ(radio.state(), State::kLoaded);
+  expect_writes({{0x0A, 0, ((1 << 20) - 16'436)}, {0x08, 0, 0x0016C006}, {0x09, 0, 0xAA018841}});
+  // The length register is the loaded frame's, and no other operation takes its place.
+  radio.expect_length(10);
+  EXPECT_EQ(chip.written(0x08, 0), 0x0016C006U);
+  EXPECT_EQ(radio.receive_now(Ticks(1 << 16), std::nullopt), Start::kNotIdle);
+  ASSERT_EQ(radio.launch(), Start::kStarted);
+  EXPECT_EQ(chip.written(0x0D, 0), 0x06U);
+  EXPECT_EQ(radio.state(), State::kTransmitting);
+  radio.stop();
+  ASSERT_EQ(radio.load(DeviceTime(1 << 20), frame, [] {}), Start::kStarted);
+  radio.stop();
+  EXPECT_EQ(radio.launch(), Start::kNotIdle);
 }
 
 TEST_F(Driver, WritesTheNextFramesLengthInAdvance) {

@@ -172,11 +172,24 @@ class NodeTest : public ::testing::Test {
     }
     return n;
   }
-  // Ends it by the radio's own time-out.
+  // Ends it by the radio's own time-out; then launches what is loaded.
   void end_listening() {
     ++receptions_ended;
     platform.chip.status |= kFrameTimeout;
     node.on_radio_interrupt();
+    launch();
+  }
+  [[nodiscard]] bool is_loaded() {
+    const auto writes = platform.chip.writes();
+    const auto last = std::find_if(writes.rbegin(), writes.rend(),
+                                   [](const Transfer& t) { return t.file == 0x09 || t.file == 0x0D; });
+    return last != writes.rend() && last->file == 0x09;
+  }
+  void launch() {
+    for (int i = 0; i < 100 && is_loaded(); ++i) {
+      platform.pass_to(node.next_deadline_us());
+      node.on_timer();
+    }
   }
 
   // Passes the radio's deadline without an event.
@@ -312,6 +325,7 @@ TEST_F(NodeTest, AMasterProvesLifeOnceASuperframe) {
     platform.chip.time = platform.chip.written(0x0A, 0);
     platform.chip.status |= kTransmitted;
     node.on_radio_interrupt();
+    launch();
     for (int slot = 0; slot < 4; ++slot) {
       EXPECT_EQ(platform.proofs, superframe);
       platform.chip.time = platform.chip.written(0x0A, 0) + 400 * kTicksPerUs;
@@ -920,6 +934,7 @@ class LoneTagTest : public NodeTest {
     advance_to(beacon_at(next++) + kLater);
     platform.chip.status |= kReceivedAndTimestamped;
     node.on_radio_interrupt();
+    launch();
   }
   void end_transmission(std::uint64_t start) {
     const auto writes = platform.chip.writes();
@@ -933,6 +948,7 @@ class LoneTagTest : public NodeTest {
     advance_to(start + kLater);
     platform.chip.status |= kTransmitted;
     node.on_radio_interrupt();
+    launch();
   }
   void run_superframes(std::uint32_t count) {
     const std::uint32_t end = next + count;
@@ -964,6 +980,22 @@ class LoneTagTest : public NodeTest {
   std::uint32_t next = 0;  // superframe of the next beacon
   std::size_t polls = 0;
 };
+
+// The chip may shift its clock by a share of the lead (docs/explanation/silicon.md).
+TEST_F(LoneTagTest, LaunchesEachFrameWithTheSameLead) {
+  std::vector<std::int64_t> leads;
+  platform.chip.on_write = [&](const Transfer& t) {
+    if (t.file != 0x0D || (t.word() & 0x2) == 0) return;
+    const auto to_rmarker = static_cast<std::int64_t>(platform.chip.written(0x0A, 0) - platform.chip.time);
+    leads.push_back((to_rmarker - superframe.phy().before_rmarker().count()) /
+                    static_cast<std::int64_t>(kTicksPerUs));
+  };
+  node.start();
+  run_superframes(40);
+  EXPECT_GT(polls, 10U);
+  EXPECT_GE(leads.size(), polls);
+  for (const std::int64_t lead_us : leads) EXPECT_NEAR(static_cast<double>(lead_us), 200.0, 20.0);
+}
 
 TEST_F(LoneTagTest, ReportsOnceThatItIsLateForTheSchedule) {
   node.start();

@@ -102,9 +102,9 @@ TEST(Superframe, LeavesTimeToProcessABeacon) {
       const double before_relay_us =
           us(superframe.shared() - superframe.beacon() - frame - superframe.guard());
       // In a keyed network a message's MIC is computed after the beacon's has been verified.
-      EXPECT_NEAR(before_relay_us, std::max<std::uint32_t>(gap_us, 300) + (secured ? 200.0 : 100.0), 0.1);
+      EXPECT_NEAR(before_relay_us, std::max<std::uint32_t>(gap_us, 300) + (secured ? 400.0 : 100.0), 0.1);
       const double before_poll_us = us(superframe.poll(0) - superframe.shared() - frame - superframe.guard());
-      EXPECT_NEAR(before_poll_us, 400.0, 0.1);
+      EXPECT_NEAR(before_poll_us, secured ? 700.0 : 400.0, 0.1);
     }
   }
 }
@@ -121,7 +121,7 @@ TEST(Superframe, LeavesTheTurnaroundAfterAFinal) {
         return us(next - superframe.phy().before_rmarker() - end - superframe.guard());
       };
       EXPECT_NEAR(silence_us(0, superframe.poll(1)), std::max<std::uint32_t>(gap_us, 300U), 0.05) << gap_us;
-      const double mic_us = secured ? 100.0 : 0.0;
+      const double mic_us = secured ? 300.0 : 0.0;
       EXPECT_NEAR(silence_us(2, superframe.duration() + superframe.beacon()),
                   std::max<std::uint32_t>(gap_us, 300U) + mic_us, 0.05)
           << gap_us;

@@ -240,4 +240,6 @@ MUTATIONS = [
     ("silicon: SPI clock not checked", EMULATOR + "nrf52832.cpp", "!gpio_.input_connected(slot.clock_pin)", "false", SILICON_TEST),
     ("silicon: slow clock starts at any time", EMULATOR + "clock_power.cpp", "t - lfclk_stopped_at_ < kLfclkRestart", "false", SILICON_TEST),
     ("schedule: duplicate id accepted", "firmware/core/mac/superframe.cpp", "  if (std::adjacent_find(begin, end) != end)", "  if (begin == end && begin != end)", ["test/firmware/superframe_test.cpp"]),
+    ("node: each frame launched at once", NODE, "if (start_us <= platform_.now_us() + kLaunchAhead_us) return std::nullopt;", "return std::nullopt;", NODE_TEST),
+    ("driver: a loaded frame's length overwritten", DRIVER, "    if ((state_ == State::kIdle || state_ == State::kReceiving) &&\n", "    if (state_ != State::kDown &&\n", DRIVER_TEST),
 ]

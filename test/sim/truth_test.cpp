@@ -115,6 +115,38 @@ INSTANTIATE_TEST_SUITE_P(Clocks, AbsoluteError,
                                          Accuracy{"next_poll_12_all_slow", kNextPoll, 12, -20.0, -20.0}),
                          [](const auto& test) { return std::string(test.param.name); });
 
+// ---- a clock that each delayed transmission shifts ---------------------------------------------------
+
+// By derivation the last of twelve RESPONSEs would be 0.4 m off if it were launched when its POLL has been
+// read. The lead is the preamble and 200 us whichever slot it is for, so that beta takes up the same 0.05 m a
+// ppm of each range.
+TEST(DelayedTransmitGain, MovesAllRangesAlikeWhicheverTheirSlots) {
+  constexpr double kGain_ppm = 3.0;
+  constexpr int kTags = 3;
+  constexpr int kAnchors = 12;
+  for (const auto method : {kNextPoll, kFinal}) {
+    SiteBench site({.tags = kTags, .anchors = kAnchors, .method = method, .equip = [](ChipSpec& chip) {
+                      chip.quirks.delayed_transmit_gain_ppm = kGain_ppm;
+                    }});
+    site.run_until(2.0 * kRanging_s);
+    std::map<std::pair<int, int>, int> count;
+    double least_m = 1.0;
+    double most_m = -1.0;
+    site.each_range(
+        [&](const groma_SlotReport& report, const groma_Range& range) {
+          ASSERT_TRUE(ok(range)) << range.status;
+          ++count[{report.tag_id, range.anchor_id}];
+          least_m = std::min(least_m, error_m(site, report, range));
+          most_m = std::max(most_m, error_m(site, report, range));
+        },
+        kRanging_s);
+    EXPECT_EQ(count.size(), static_cast<std::size_t>(kTags * kAnchors));
+    EXPECT_GE(least_m, -0.05 * kGain_ppm);
+    EXPECT_LE(most_m, -0.01 * kGain_ppm) << "the clocks are not shifted";
+    EXPECT_LE(most_m - least_m, 0.025 * kGain_ppm);
+  }
+}
+
 // ---- spread ---------------------------------------------------------------------------------------
 
 struct Spread {

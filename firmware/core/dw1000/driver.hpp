@@ -1,10 +1,10 @@
 // Driver of the DW1000 on its SPI bus: brings the chip up, arms one delayed transmission or one reception at
 // a time, and reports the result.
 //
-//        bring_up()            transmit_at() / receive_at() / receive_now()
-//   kDown --------> kIdle --------------------------------------------> kTransmitting / kReceiving
+//        bring_up()         transmit_at(), or load() and launch(); receive_at(); receive_now()
+//   kDown --------> kIdle ---------------- [kLoaded] -----------------> kTransmitting / kReceiving
 //                     ^                                                        |
-//                     +------------ take_event() reports the end, or stop() ---+
+//                     +------------ poll_event() reports the end, or stop() ---+
 //
 // An operation requested in any state other than kIdle is refused (Start::kNotIdle) without access to the
 // chip, so it cannot disturb a frame in progress. The receiver does not re-enable itself: one buffer, one
@@ -75,7 +75,7 @@ enum class BringUp : std::uint8_t {
   return "";
 }
 
-enum class State : std::uint8_t { kDown, kIdle, kTransmitting, kReceiving };
+enum class State : std::uint8_t { kDown, kIdle, kLoaded, kTransmitting, kReceiving };
 
 enum class Start : std::uint8_t {
   kStarted,
@@ -197,18 +197,27 @@ class Dw1000 {
   // must be a result of transmit_timestamp_not_after() and less than 8.6 s ahead.
   [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp,
                                   std::span<const std::uint8_t> frame) noexcept {
-    return transmit_at(timestamp, frame, [] {});
+    const Start loaded = load(timestamp, frame, [] {});
+    return loaded == Start::kStarted ? launch() : loaded;
   }
-  // For a frame whose bytes are complete only after `complete()`, which is called as late as possible.
+  // The first part of transmit_at(): writes timestamp and frame. The frame's bytes are complete only after
+  // `complete()`, which is called as late as possible.
   template <class Complete>
-  [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp, std::span<const std::uint8_t> frame,
-                                  Complete&& complete) noexcept {
+  [[nodiscard]] Start load(ranging::DeviceTime timestamp, std::span<const std::uint8_t> frame,
+                           Complete&& complete) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
     if (frame.size() + kFrameCheckBytes > kMaxFrameBytes) return Start::kTooLong;
     write(Value<reg::DxTime>((timestamp - transmit_antenna_delay()).count()));
     set_length(frame.size());
     complete();
     spi_.write(TransactionHeader(true, reg::TxBuffer::kId, reg::TxBuffer::kSub).bytes(), frame);
+    state_ = State::kLoaded;
+    return Start::kStarted;
+  }
+  // The second part: starts the transmission. The chip may shift its clock by a share of the time from here
+  // to the RMARKER (docs/explanation/silicon.md), so call it at a fixed time before.
+  [[nodiscard]] Start launch() noexcept {
+    if (state_ != State::kLoaded) return Start::kNotIdle;
     // Erratum TX-1: without this clock the chip does not report the end of a delayed transmission.
     write<reg::PmscClock>(kTransmitClockForced);
     command(kTransmitDelayed);

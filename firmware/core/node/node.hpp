@@ -78,12 +78,14 @@ class Node {
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
     const std::uint64_t piece_us = completed_ != nullptr ? next_piece_us_ : kNever_us;
     const std::uint64_t radio_us = failed_ ? 0 : radio_deadline_us_;
-    return std::min({radio_us, next_listening_us_, next_telemetry_us_, identify_until_us_, piece_us});
+    return std::min(
+        {radio_us, launch_us_, next_listening_us_, next_telemetry_us_, identify_until_us_, piece_us});
   }
 
   // Call at or after next_deadline_us(); earlier calls are harmless.
   void on_timer() noexcept {
     const std::uint64_t now_us = platform_.now_us();
+    if (now_us >= launch_us_) launch();
     if (failed_ || now_us >= radio_deadline_us_) on_radio_deadline();
     if (now_us >= next_listening_us_) listen_unconfigured();
     if (now_us >= identify_until_us_) {
@@ -120,6 +122,9 @@ class Node {
   static constexpr std::uint64_t kTelemetryPatience_us = 100'000;
   // The longest step of a report.
   static constexpr std::uint64_t kPiece_us = 100;
+  // A frame that is loaded early is launched so long before its preamble: enough for the longest step of a
+  // report and the launch itself.
+  static constexpr std::uint64_t kLaunchAhead_us = 200;
   // Time after its due end until an operation of the radio is aborted.
   static constexpr std::uint64_t kRadioGrace_us = 5'000;
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
@@ -140,6 +145,7 @@ class Node {
   void bring_radio_up() noexcept {
     completed_ = nullptr;  // its report would read the radio's clock
     armed_.reset();
+    launch_us_ = kNever_us;
     event_due_us_ = 0;
     next_listening_us_ = kNever_us;
     sampling_ = false;
@@ -231,6 +237,7 @@ class Node {
   // Goes off the air until resume(), join() or bring_radio_up().
   void leave() noexcept {
     radio_.stop();
+    launch_us_ = kNever_us;
     event_due_us_ = 0;
     next_listening_us_ = kNever_us;
     if (bring_up_ == dw1000::BringUp::kOk) radio_deadline_us_ = kNever_us;
@@ -249,6 +256,7 @@ class Node {
     machine_.forget();
     completed_ = nullptr;
     armed_.reset();
+    launch_us_ = kNever_us;
     event_due_us_ = 0;
   }
 
@@ -381,8 +389,17 @@ class Node {
           event_due_us_ = 0;
           return;
         case mac::Action::Kind::kTransmit:
-          start =
-              radio_.transmit_at(clock_.wrap(action.at), action.frame, [this] { machine_.finish_signing(); });
+          start = radio_.load(clock_.wrap(action.at), action.frame, [this] { machine_.finish_signing(); });
+          if (start == dw1000::Start::kStarted) {
+            if (const auto at_us = launch_time_us(action)) {
+              armed_us_ = platform_.now_us();
+              supervise(action);
+              launch_us_ = quiet_until_us_ = event_due_us_ = *at_us;
+              launching_ = action;
+              return;
+            }
+            start = radio_.launch();
+          }
           break;
         case mac::Action::Kind::kListen:
           start = radio_.receive_at(clock_.wrap(action.at), action.until - action.at,
@@ -426,9 +443,13 @@ class Node {
   }
 
   void supervise(const mac::Action& action) noexcept {
+    if (action.kind != mac::Action::Kind::kListenNow) slack_.add(action.slot, slack_us(action));
+    expect_event(action);
+  }
+
+  void expect_event(const mac::Action& action) noexcept {
     using Kind = mac::Action::Kind;
     if (action.kind == Kind::kTransmit) sent_bytes_ = action.frame.size() + dw1000::kFrameCheckBytes;
-    if (action.kind != Kind::kListenNow) slack_.add(action.slot, slack_us(action));
     const bool later = action.kind != Kind::kListenNow && action.at > reference_;
     quiet_until_us_ = later ? reference_us_ + rough_us(action.at - reference_) : 0;
     event_due_us_ = quiet_until_us_;
@@ -443,6 +464,29 @@ class Node {
     }
     const ranging::ClockTime end = action.kind == Kind::kTransmit ? action.at : action.until;
     radio_deadline_us_ = reference_us_ + rough_us(end - reference_) + kRadioGrace_us;
+  }
+
+  // When to launch a loaded frame, so that its lead does not depend on its slot; nothing: now.
+  [[nodiscard]] std::optional<std::uint64_t> launch_time_us(const mac::Action& action) const noexcept {
+    const mac::Station* member = machine_.station();
+    if (member == nullptr) return std::nullopt;
+    const ranging::Ticks ahead = action.at - member->superframe().phy().before_rmarker() - reference_;
+    const std::uint64_t start_us = reference_us_ + rough_us(ahead);
+    if (start_us <= platform_.now_us() + kLaunchAhead_us) return std::nullopt;
+    return start_us - kLaunchAhead_us;
+  }
+
+  void launch() noexcept {
+    launch_us_ = kNever_us;
+    const dw1000::Start start = radio_.launch();
+    if (start == dw1000::Start::kStarted) return expect_event(launching_);
+    if (start == dw1000::Start::kNotIdle) return recover();
+    if (start == dw1000::Start::kTooClose) ++counters_.power_up_errors;
+    slack_.add(launching_.slot, -1);
+    const ranging::ClockTime now = refer_now();
+    perform(machine_.dispatch([now](auto& machine) { return machine.on_late(now); }));
+    precompute();
+    watch_sync();
   }
 
   // At most 1 us too short, without 64-bit division: 65536 ticks are 40/39 us. 0 for times that have passed.
@@ -1259,6 +1303,8 @@ class Node {
   StoredConfig<P> stored_;
 
   std::uint64_t radio_deadline_us_ = kNever_us;
+  mac::Action launching_;                        // loaded, to be launched
+  std::uint64_t launch_us_ = kNever_us;          // when
   std::uint64_t quiet_until_us_ = 0;             // the radio is armed for this time
   std::uint64_t event_due_us_ = 0;               // the next radio interrupt is not before; 0: not known
   std::uint64_t next_listening_us_ = kNever_us;  // while unconfigured

@@ -26,5 +26,18 @@ TEST(SiteRateCampaign, WithAKeyAndArmingAheadTheyMake1800RangesASecondForAMinute
   expect_fast(measure_rate(emulating(arming_ahead(with_key(fast_site()))), kMinute_s, 2), 1'800.0);
 }
 
+// Only the first RESPONSE of each POLL is late.
+TEST(SiteRateCampaign, AtThreeAndAHalfCyclesAnInstructionMoreThanHalfOfTheScheduleIsLeft) {
+  GROMA_NEEDS_SHIPPED_IMAGE();
+  EmulatorOptions slow;
+  slow.timing.instruction = 7 * slow.timing.cycle / 2;
+  for (const SiteSettings& settings :
+       {fast_site(), arming_ahead(fast_site()), with_key(fast_site()), arming_ahead(with_key(fast_site()))}) {
+    const SiteRate rate = measure_rate(emulating(settings, slow), 1.0, 2);
+    EXPECT_GT(rate.ranges_per_s, 0.5 * rate.schedule_per_s);
+    EXPECT_EQ(rate.recoveries, 0);
+  }
+}
+
 }  // namespace
 }  // namespace groma::sim
