@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <map>
@@ -117,6 +118,26 @@ TEST(MasterElection, EachSessionHasAUniqueId) {
     }
   }
   EXPECT_EQ(ids.size(), 18U);
+}
+
+TEST(MasterElection, AKeyedNetworkStartsNoSessionWhoseIdMayHaveBeenUsed) {
+  constexpr std::array<std::uint8_t, 16> kKey = {1};
+  Node node(101);
+  node.site.network_key = kKey;
+  node.sessions = 0xFFFE;
+  ASSERT_TRUE(node->lead_at());
+  node->found();
+  EXPECT_EQ(node->session(), 0x65'0000'0007'FFFEU);
+  node->search(ClockTime(0));
+  EXPECT_FALSE(node->lead_at()) << "the count within the boot would wrap";
+  node.sessions = 0;
+  node.site.boot_count = 0;
+  EXPECT_FALSE(node->lead_at()) << "the boot was not counted";
+  node.site.boot_count = 7;
+  node.site.sessions = nullptr;
+  EXPECT_FALSE(node->lead_at()) << "nothing counts the sessions";
+  node.site.network_key = {};
+  EXPECT_TRUE(node->lead_at()) << "an open network";
 }
 
 TEST(MasterElection, BackUpsTakeOverAfterTwelveSuperframesInOrderOfRank) {

@@ -242,4 +242,7 @@ MUTATIONS = [
     ("schedule: duplicate id accepted", "firmware/core/mac/superframe.cpp", "  if (std::adjacent_find(begin, end) != end)", "  if (begin == end && begin != end)", ["test/firmware/superframe_test.cpp"]),
     ("node: each frame launched at once", NODE, "if (start_us <= platform_.now_us() + kLaunchAhead_us) return std::nullopt;", "return std::nullopt;", NODE_TEST),
     ("driver: a loaded frame's length overwritten", DRIVER, "    if ((state_ == State::kIdle || state_ == State::kReceiving) &&\n", "    if (state_ != State::kDown &&\n", DRIVER_TEST),
+    ("schedule: duplicate id accepted", "firmware/core/mac/superframe.cpp", "  if (!std::is_sorted(begin, end)) {", "  if (begin == end) {", ["test/firmware/superframe_test.cpp"]),
+    ("election: session ids wrap in a keyed network", "firmware/core/mac/master_election.cpp", " &&\n         *site_.sessions != std::numeric_limits<std::uint16_t>::max();", ";", ["test/firmware/master_election_test.cpp"]),
+    ("election: a session of an uncounted boot in a keyed network", "firmware/core/mac/master_election.cpp", "site_.boot_count != 0 && ", "", ["test/firmware/master_election_test.cpp"]),
 ]

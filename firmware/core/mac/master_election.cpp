@@ -1,6 +1,7 @@
 #include "firmware/core/mac/master_election.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <utility>
 
 #include "firmware/core/mac/superframe.hpp"
@@ -69,8 +70,16 @@ void MasterElection::on_traffic(ClockTime now) noexcept {
 }
 
 std::optional<ClockTime> MasterElection::lead_at() const noexcept {
-  if (!rank_) return std::nullopt;
+  if (!rank_ || !has_session_id()) return std::nullopt;
   return lead_at_;
+}
+
+// In a network with a key no session id may be used twice: it makes the session's key. The ids of an
+// uncounted boot may have been used.
+bool MasterElection::has_session_id() const noexcept {
+  if (site_.network_key.empty()) return true;
+  return site_.boot_count != 0 && site_.sessions != nullptr &&
+         *site_.sessions != std::numeric_limits<std::uint16_t>::max();
 }
 
 void MasterElection::found() noexcept {

@@ -173,6 +173,8 @@ class MasterElection {
   }
   [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
   [[nodiscard]] ranging::Ticks listening_time() const noexcept;
+  // There is an unused session id for found().
+  [[nodiscard]] bool has_session_id() const noexcept;
 
   static constexpr std::size_t kMaxBeaconers = 8;
 

@@ -27,7 +27,8 @@ struct Site {
   ranging::Ticks transmit_antenna_delay{};
   std::uint32_t boot_count = 0;  // number of this boot; with `sessions` it makes a session id unique
   bool on_trial = false;         // the schedule came over the air and is on trial
-  // Sessions that this node has started in this boot; outlives its users. Null: none before.
+  // Sessions that this node has started in this boot; outlives its users. Null: none before, and in a network
+  // with a key it starts none.
   std::uint16_t* sessions = nullptr;
   // In a network with a key: the 16 bytes of the key, the cipher, the number of nonces made in this boot, and
   // where it signed frames; all outlive their users. An empty key: an open network.

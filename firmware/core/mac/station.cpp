@@ -156,8 +156,6 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
   replay_guard_.forget();
   const auto lead_at = election_.lead_at();
   if (!lead_at || now < *lead_at) return false;
-  // A session of an uncounted boot may have the id of an earlier one.
-  if (authenticator_.on() && site_.boot_count == 0) return false;
   constexpr Ticks kHead = Ticks::from_us(2'000);
   election_.found();
   replay_guard_.found();
