@@ -1,5 +1,6 @@
 // A small simulated channel for the MAC state machines: nodes with drifting clocks, without chip and driver.
-// Frames may be lost, collide or be replayed by an attacker. True times are in ticks.
+// Frames may be lost, collide or be replayed by an attacker. True times are in ticks. If two frames of a
+// keyed site share a nonce, the test fails.
 #pragma once
 
 #include <cmath>
@@ -14,7 +15,7 @@
 
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
-#include "firmware/sim/aes.hpp"
+#include "test/support/nonce_witness.hpp"
 
 namespace groma::testing {
 
@@ -76,12 +77,7 @@ class Air {
     auto node = std::make_unique<Node>();
     node->settings = settings;
     node->schedule = schedule;
-    const mac::Site site = site_of(*node);
-    if (settings.id < 100) {
-      node->machine.emplace<mac::Tag>(site, node->counters);
-    } else {
-      node->machine.emplace<mac::Anchor>(site, node->counters);
-    }
+    build(*node);
     nodes_.push_back(std::move(node));
     return nodes_.size() - 1;
   }
@@ -127,6 +123,16 @@ class Air {
   void start_all() {
     for (std::size_t i = 0; i < nodes_.size(); ++i) start(i);
   }
+  // Switches a node off and resets it: it keeps the count of its boots only, and its channels are detached.
+  void reset(std::size_t node) {
+    Node& n = *nodes_[node];
+    stop(node);
+    ++n.boots;
+    n.sessions = 0;
+    n.nonces = 0;
+    n.signed_places = {};
+    build(n);
+  }
   // The radio is on again after a pause; the node keeps its state.
   void resume(std::size_t node) {
     Node& n = *nodes_[node];
@@ -170,6 +176,7 @@ class Air {
   std::vector<RangeSeen> ranges;
   std::size_t collisions = 0;
 
+  [[nodiscard]] const NonceWitness& nonces() const { return witness_; }
   [[nodiscard]] double now() const { return now_; }
   [[nodiscard]] std::size_t size() const { return nodes_.size(); }
   [[nodiscard]] std::uint16_t id(std::size_t node) const { return nodes_[node]->settings.id; }
@@ -194,6 +201,7 @@ class Air {
   struct Node {
     NodeSettings settings;
     groma_Schedule schedule = groma_Schedule_init_zero;
+    std::uint32_t boots = 1;
     std::uint16_t sessions = 0;
     std::uint32_t nonces = 0;
     mac::SignedPlaces signed_places;
@@ -212,12 +220,20 @@ class Air {
             .preamble = phy_.preamble(),
             .schedule = &node.schedule,
             .transmit_antenna_delay = node.settings.antenna_delay,
-            .boot_count = 1,
+            .boot_count = node.boots,
             .sessions = &node.sessions,
             .network_key = key ? std::span<const std::uint8_t>(*key) : std::span<const std::uint8_t>(),
-            .cipher = &aes_,
+            .cipher = &witness_,
             .nonces = &node.nonces,
             .signed_places = &node.signed_places};
+  }
+  void build(Node& node) {
+    const mac::Site site = site_of(node);
+    if (node.settings.id < 100) {
+      node.machine.emplace<mac::Tag>(site, node.counters);
+    } else {
+      node.machine.emplace<mac::Anchor>(site, node.counters);
+    }
   }
   [[nodiscard]] std::size_t index_of(const Node& n) const {
     std::size_t i = 0;
@@ -322,6 +338,7 @@ class Air {
       return true;
     }
     const ClockTime timestamp = n.action.at;
+    witness_.see(n.outgoing);
     transmit({actor, true_time(n, timestamp), n.settings.x_m, n.outgoing});
     arm(actor, dispatch(n, [&](auto& machine) { return machine.on_transmitted(timestamp); }));
     return true;
@@ -407,7 +424,7 @@ class Air {
   dw1000::Phy phy_;
   std::vector<std::unique_ptr<Node>> nodes_;
   std::vector<Frame> ghosts_;
-  sim::Aes aes_;
+  NonceWitness witness_;
   std::vector<Past> past_;
   std::mt19937_64 random_{42};
   double now_ = 0.0;

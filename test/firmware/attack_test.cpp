@@ -200,6 +200,26 @@ class AttackTest : public ::testing::Test {
       if (for_all || parsed.destination == air->id(receiver)) ++ghosts_heard;
     };
   }
+  // Replays the beacons from superframe `from` on, for `superframes`, to a node that starts. All others are
+  // off.
+  void replay_to(std::size_t victim, const std::vector<Air::Frame>& beacons, std::uint32_t from,
+                 double superframes) {
+    for (std::size_t i = 0; i < air->size(); ++i) air->stop(i);
+    const auto first = std::find_if(beacons.begin(), beacons.end(), [&](const Air::Frame& frame) {
+      const mac::Frame parsed = frame_of(frame.bytes);
+      const auto* beacon = std::get_if<mac::Beacon>(&parsed.body);
+      return beacon != nullptr && beacon->superframe >= from;
+    });
+    ASSERT_NE(first, beacons.end());
+    const double later = air->now() - first->rmarker + 4 * duration();
+    const double last = first->rmarker + superframes * duration();
+    for (auto frame = first; frame != beacons.end() && frame->rmarker < last; ++frame) {
+      air->inject(frame->rmarker + later, frame->x_m, frame->bytes);
+    }
+    air->start(victim);
+    run_superframes(superframes + 4);
+    air->stop(victim);
+  }
   void cease() {
     air->jammed = nullptr;
     air->spoil = nullptr;
@@ -311,6 +331,36 @@ INSTANTIATE_TEST_SUITE_P(EachKind, Replaced,
                                            Replacement{kFinal, 1, "Final"}, Replacement{kJoin, 104, "Join"},
                                            Replacement{kData, 104, "Data"}),
                          [](const auto& one) { return one.param.name; });
+
+TEST_F(AttackTest, AForgedChallengeGetsNoAnswer) {
+  start_network();
+  run_superframes(60);
+  for (const auto& one : chatter) one->talks = false;
+  constexpr std::size_t kStarting = 5;
+  for (const Forgery forgery : kForgeries) {
+    SCOPED_TRACE(static_cast<int>(forgery));
+    air->stop(kStarting);
+    run_superframes(4);
+    const std::uint32_t dropped_before = dropped();
+    const std::size_t beacons_before = heard[kBeacon].size();
+    ghosts_sent = ghosts_heard = 0;
+    replace(kJoin, air->id(kStarting), forgery);
+    air->start(kStarting);
+    run_superframes(40);
+    cease();
+    EXPECT_GE(ghosts_sent, 3U);
+    EXPECT_EQ(ghosts_heard, ghosts_sent * (air->size() - 1));
+    EXPECT_EQ(dropped() - dropped_before, ghosts_heard);
+    EXPECT_FALSE(air->station(kStarting).fresh());
+    for (const Air::Frame& frame : std::span(heard[kBeacon]).subspan(beacons_before)) {
+      const mac::Frame parsed = frame_of(frame.bytes);
+      EXPECT_FALSE(std::get<mac::Beacon>(parsed.body).challenge_response.has_value());
+    }
+    run_superframes(60);
+    EXPECT_TRUE(all_fresh());
+  }
+  expect_full_rate();
+}
 
 // The next genuine RESPONSE closes the exchange that was attacked.
 TEST_F(AttackTest, OneForgedResponseMakesNoRange) {
@@ -661,6 +711,179 @@ TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
   EXPECT_EQ(counters.forged_frames, 1U);
   (void)station.overhear(*recorded, recording);
   EXPECT_FALSE(station.election().dissolving()) << "it gives up its session for a recording";
+}
+
+// The beacons of a session, and the superframes in which each node (index) sent a JOIN.
+struct Recording {
+  std::vector<Air::Frame> beacons;
+  std::map<std::size_t, std::set<std::uint32_t>> joins;
+};
+
+class Nonces : public AttackTest {
+ protected:
+  void record(Recording& recording) {
+    on_frame = [&](const Air::Frame& frame, const mac::Frame& parsed) {
+      if (parsed.body.index() == kBeacon) recording.beacons.push_back(frame);
+      if (parsed.body.index() == kJoin)
+        recording.joins[frame.source].insert(air->station(frame.source).superframe_number());
+    };
+  }
+  // Leads the node back to some of the superframes in which it has sent a JOIN, after `prepare`. Returns in
+  // how many it sends one again.
+  std::size_t lead_back(std::size_t victim, const Recording& recording,
+                        const std::function<void()>& prepare) {
+    constexpr int kTrials = 4;
+    const auto joins = recording.joins.find(victim);
+    if (joins == recording.joins.end()) return 0;
+    std::size_t again = 0;
+    int trials = 0;
+    for (const std::uint32_t number : joins->second) {
+      if (++trials > kTrials) break;
+      prepare();
+      on_frame = [&](const Air::Frame&, const mac::Frame& parsed) {
+        const std::uint32_t at = air->station(victim).superframe_number();
+        if (parsed.body.index() == kJoin && joins->second.contains(at)) ++again;
+      };
+      replay_to(victim, recording.beacons, number, 12);
+      on_frame = nullptr;
+    }
+    return again;
+  }
+};
+
+// A recording of the present session, from before a node was reset, leads it to places in which it has
+// signed.
+TEST_F(Nonces, ANodeThatWasResetUsesNoneAgain) {
+  Recording recording;
+  record(recording);
+  start_network();
+  run_superframes(40);
+  on_frame = nullptr;
+  std::size_t again = 0;
+  for (std::size_t victim = 0; victim < air->size(); ++victim)
+    again += lead_back(victim, recording, [&] { air->reset(victim); });
+  EXPECT_GE(again, 10U);
+  EXPECT_EQ(air->nonces().repeats(), 0U);
+  EXPECT_EQ(air->nonces().unsigned_frames(), 0U);
+}
+
+// A node hears a recording of a former session, in which it signs challenges, and then one of its own
+// session.
+TEST_F(Nonces, ARecordingOfAnotherSessionLeadsToNoneOfBefore) {
+  Recording former;
+  record(former);
+  start_network();
+  const std::uint64_t session = air->station(0).election().session();
+  for (auto& one : chatter) one->talks = false;  // it would mask the challenges
+  for (std::size_t i = 0; i < air->size(); ++i) air->stop(i);
+  air->reset(0);
+  Recording present;
+  record(present);
+  air->start_all();
+  run_superframes(100);
+  on_frame = nullptr;
+  ASSERT_TRUE(all_fresh());
+  ASSERT_NE(air->station(0).election().session(), session);
+  std::size_t again = 0;
+  for (std::size_t victim = 0; victim < air->size(); ++victim)
+    again += lead_back(victim, present, [&] { replay_to(victim, former.beacons, 0, 12); });
+  EXPECT_GE(again, 10U);
+  EXPECT_EQ(air->nonces().repeats(), 0U);
+  EXPECT_EQ(air->nonces().unsigned_frames(), 0U);
+  air->start_all();
+  run_superframes(100);
+  EXPECT_TRUE(all_fresh());
+  expect_full_rate();
+}
+
+// A recording of a former session takes a node away from its own for a while.
+TEST_F(Nonces, ANodeThatComesBackToItsSessionSignsOn) {
+  Recording former;
+  record(former);
+  start_network();
+  for (auto& one : chatter) one->talks = false;  // it would mask the challenges
+  for (std::size_t i = 0; i < air->size(); ++i) air->stop(i);
+  air->start_all();
+  on_frame = nullptr;
+  run_superframes(100);
+  ASSERT_TRUE(all_fresh());
+  const std::uint64_t session = air->station(0).election().session();
+  for (const std::size_t victim : {std::size_t{1}, std::size_t{2}, std::size_t{4}}) {
+    SCOPED_TRACE(air->id(victim));
+    // Nobody else hears the recording, or the node.
+    air->reach = [=](std::size_t a, std::size_t b) { return (a == victim) == (b == victim); };
+    air->lost = [=](const Air::Frame& frame, std::size_t receiver) {
+      return frame.source == Air::kGhost && receiver != victim;
+    };
+    const double later = air->now() - former.beacons.front().rmarker + 4 * duration();
+    for (const Air::Frame& frame : former.beacons) {
+      if (frame.rmarker + later < air->now() + 30 * duration())
+        air->inject(frame.rmarker + later, frame.x_m, frame.bytes);
+    }
+    air->start(victim);
+    run_superframes(30);
+    EXPECT_NE(air->station(victim).election().session(), session);
+    EXPECT_FALSE(air->station(victim).fresh());
+    air->reach = nullptr;
+    air->lost = nullptr;
+    run_superframes(100);
+    EXPECT_EQ(air->station(victim).election().session(), session);
+    EXPECT_TRUE(all_fresh());
+  }
+  EXPECT_EQ(air->nonces().unsigned_frames(), 0U);
+  expect_full_rate();
+}
+
+// A node that has heard one beacon, which may be recorded.
+TEST(KeyedStation, SignsOnlyAChallengeBeforeAReplayIsExcluded) {
+  const groma_Schedule schedule = schedule_of(2, 4, groma_RangingMethod_METHOD_DS_FINAL);
+  groma_Counters counters = groma_Counters_init_zero;
+  std::uint32_t nonces = 0;
+  mac::SignedPlaces own_places;
+  sim::Aes aes;
+  mac::Station station({.id = 1,
+                        .network_id = 0x55AA,
+                        .schedule = &schedule,
+                        .boot_count = 1,
+                        .network_key = kKey,
+                        .cipher = &aes,
+                        .nonces = &nonces,
+                        .signed_places = &own_places},
+                       counters);
+  station.start(ClockTime(0));
+  ASSERT_TRUE(station.control(ClockTime(0)).has_value());
+  const mac::Beacon beacon{.superframe = 5'000,
+                           .session = std::uint64_t{101} << 48 | 1U << 16,
+                           .epoch = schedule.epoch,
+                           .schedule_hash = station.hash(),
+                           .master = 101,
+                           .slots = 2};
+  mac::SignedPlaces places;
+  mac::FrameAuthenticator master(&aes, kKey, &places);
+  master.enter(beacon.session);
+  auto bytes = mac::serialize(
+      {.network = 0x55AA, .destination = mac::kBroadcast, .source = 101, .secured = true, .body = beacon});
+  master.sign(bytes, mac::place_of(beacon));
+  const mac::Reception reception{
+      .timestamp = ClockTime(1'000'000'000), .timestamp_valid = true, .frame = bytes.bytes()};
+  EXPECT_FALSE(station.on_control_received(reception).has_value());
+  ASSERT_EQ(station.sync().state(), mac::SyncState::kLocked);
+  ASSERT_FALSE(station.fresh());
+
+  const mac::Place place{5'000, mac::Place::kShared};
+  const auto code_of = [&](const mac::Body& body, const mac::MergeTarget* target = nullptr) {
+    const auto action = station.transmit(ClockTime(2'000'000'000), mac::kBroadcast, body, place, target);
+    station.finish_signing();
+    return std::vector<std::uint8_t>(action.frame.end() - mac::kCodeBytes, action.frame.end());
+  };
+  const std::vector<std::uint8_t> none(mac::kCodeBytes);
+  mac::Join join{.origin = 1, .nonce = 99, .wants_challenge_response = true};
+  EXPECT_NE(code_of(join), none);
+  join.wants_challenge_response = false;
+  EXPECT_EQ(code_of(join), none);
+  EXPECT_EQ(code_of(mac::Data{.origin = 1, .fragments = 1}), none);
+  const mac::MergeTarget target{beacon.session + 1, 70};
+  EXPECT_EQ(code_of(beacon, &target), none);
 }
 
 // An open node and a keyed network ignore each other's frames.

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <vector>
 
 #include "firmware/core/mac/replay_guard.hpp"
@@ -304,6 +305,92 @@ TEST_F(FrameAuthenticatorTest, RefusesToUseANonceTwice) {
   EXPECT_FALSE(signed_at(Final{8}, place));
 }
 
+// A challenge's key depends on the session and on the challenge's nonce.
+TEST_F(FrameAuthenticatorTest, SignsAChallengeWithAKeyOfItsOwn) {
+  constexpr std::uint64_t kNonce = 0x0000'0005'0000'0003;
+  const Frame frame =
+      frame_with(Join{.origin = 101, .nonce = kNonce, .tag = true, .wants_challenge_response = true});
+  FrameBytes out = serialize(frame);
+  // What was precomputed is of another key.
+  authenticator.expect_sent(101, FrameType::kJoin, place);
+  authenticator.begin_signing_challenge(out, place, kNonce);
+  authenticator.finish_signing(out);
+  const auto bytes = out.bytes();
+
+  security::Block session_key = {1, 0, 7, 0, 0, 0, 0x65, 0, 'g', 'r', 'o', 'm', 'a'};
+  ASSERT_TRUE(cipher.encrypt(kKey, session_key));
+  security::Block key = {3, 0, 0, 0, 5, 0, 0, 0, 'j', 'o', 'i', 'n'};
+  ASSERT_TRUE(cipher.encrypt(session_key, key));
+  const security::Nonce nonce = {101, 0, 0xE8, 0x03, 0, 0, 2, 0x85};
+  const auto code = security::code_of(cipher, key, nonce, bytes.first(bytes.size() - kCodeBytes));
+  ASSERT_TRUE(code.has_value());
+  EXPECT_TRUE(security::equal(*code, bytes.last(kCodeBytes)));
+
+  FrameAuthenticator receiver(&cipher, kKey);
+  EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce)) << "it follows no session";
+  receiver.enter(kSession);
+  receiver.expect_received(101, FrameType::kJoin, place);
+  receiver.begin_verify(bytes, place);
+  EXPECT_TRUE(receiver.fits_challenge(bytes, place, kNonce));
+  EXPECT_TRUE(authenticator.fits_challenge(bytes, place, kNonce));
+  EXPECT_FALSE(receiver.fits(bytes, place)) << "the session's key";
+  EXPECT_FALSE(receiver.fits_challenge(signed_bytes(frame, place), place, kNonce));
+  EXPECT_FALSE(receiver.fits_challenge(bytes, {place.superframe + 1, place.slot}, kNonce));
+  EXPECT_FALSE(receiver.fits_challenge(bytes, {place.superframe, 3}, kNonce));
+  for (unsigned bit = 0; bit < 64; ++bit)
+    EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce ^ std::uint64_t{1} << bit)) << bit;
+  for (std::size_t i = 0; i < bytes.size(); ++i) {
+    std::vector<std::uint8_t> changed(bytes.begin(), bytes.end());
+    changed[i] ^= 1;
+    EXPECT_FALSE(receiver.fits_challenge(changed, place, kNonce)) << i;
+  }
+  receiver.enter(kSession + 1);
+  EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce));
+  receiver.enter(kSession);
+  cipher.good = false;
+  EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce));
+  FrameBytes unsigned_frame = serialize(frame);
+  signed_places = {};
+  authenticator.begin_signing_challenge(unsigned_frame, place, kNonce);
+  authenticator.finish_signing(unsigned_frame);
+  cipher.good = true;
+  EXPECT_FALSE(receiver.fits_challenge(unsigned_frame.bytes(), place, kNonce));
+}
+
+TEST_F(FrameAuthenticatorTest, SignsAChallengeOnceInAPlace) {
+  const auto signs = [&](FrameAuthenticator& signer, std::uint64_t nonce, std::uint32_t superframe) {
+    const Place at{superframe, Place::kShared};
+    FrameBytes bytes = serialize(frame_with(Join{.nonce = nonce, .wants_challenge_response = true}));
+    signer.begin_signing_challenge(bytes, at, nonce);
+    signer.finish_signing(bytes);
+    return signer.fits_challenge(bytes.bytes(), at, nonce);
+  };
+  EXPECT_TRUE(signs(authenticator, 7, 10));
+  EXPECT_FALSE(signs(authenticator, 7, 10));
+  EXPECT_FALSE(signs(authenticator, 7, 9)) << "an earlier place may have been used";
+  EXPECT_TRUE(signs(authenticator, 7, 12));
+  EXPECT_TRUE(signs(authenticator, 8, 3)) << "another challenge";
+  EXPECT_FALSE(signs(authenticator, 8, 3));
+  EXPECT_TRUE(signs(authenticator, 8, 4));
+  EXPECT_FALSE(signs(authenticator, 7, 20)) << "a former challenge";
+  FrameAuthenticator restarted(&cipher, kKey, &signed_places);
+  restarted.enter(kSession);
+  EXPECT_FALSE(signs(restarted, 8, 4)) << "as after a radio recovery";
+  FrameAuthenticator verifier(&cipher, kKey);
+  verifier.enter(kSession);
+  EXPECT_FALSE(signs(verifier, 9, 30)) << "it could not know what was used";
+}
+
+// Before it excludes a replay, a node signs nothing but challenges in another session.
+TEST_F(FrameAuthenticatorTest, ChallengesInAnotherSessionKeepTheRecordOfThisOne) {
+  EXPECT_TRUE(signed_places.take(kSession, 5, {1'000, Place::kShared}));
+  EXPECT_TRUE(signed_places.take_challenge(7, {20, Place::kShared}));
+  EXPECT_TRUE(signed_places.take_challenge(8, {21, Place::kShared}));
+  EXPECT_FALSE(signed_places.take(kSession, 5, {1'000, Place::kShared}));
+  EXPECT_FALSE(signed_places.take(kSession, 5, {30, Place::kShared}));
+  EXPECT_TRUE(signed_places.take(kSession, 5, {1'001, Place::kShared}));
+}
+
 TEST_F(FrameAuthenticatorTest, VerifiesNothingIfTheCipherFails) {
   const auto bytes = signed_bytes(frame_with(Final{4}), place);
   cipher.good = false;
@@ -416,6 +503,14 @@ TEST_F(ReplayGuardTest, NeverRepeatsANonce) {
   settings.boot_count = 0;
   ReplayGuard uncounted(settings);
   for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(uncounted.open_slot(number).has_value());
+}
+
+TEST_F(ReplayGuardTest, SendsNoChallengeWhenItsNoncesAreUsedUp) {
+  nonces = std::numeric_limits<std::uint32_t>::max() - 1;
+  const Join last = challenge(node, 0);
+  EXPECT_EQ(last.nonce, 5ULL << 32 | 0xFFFF'FFFEU);
+  node.forget();
+  for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(node.open_slot(number).has_value());
 }
 
 TEST_F(ReplayGuardTest, SendsAChallengeAtOnceAndThenInTurn) {

@@ -51,6 +51,11 @@ std::size_t kind_of(std::span<const std::uint8_t> frame) noexcept {
   return frame[kType] & 7U;
 }
 
+// Counts the places of a session.
+constexpr std::uint64_t index_of(Place place) noexcept {
+  return std::uint64_t{place.superframe} << 8 | place.slot;
+}
+
 }  // namespace
 
 bool SignedPlaces::take(std::uint64_t session, std::size_t kind, Place place) noexcept {
@@ -58,9 +63,21 @@ bool SignedPlaces::take(std::uint64_t session, std::size_t kind, Place place) no
     session_ = session;
     next_.fill(0);
   }
-  const std::uint64_t at = std::uint64_t{place.superframe} << 8 | place.slot;
+  const std::uint64_t at = index_of(place);
   if (at < next_[kind]) return false;
   next_[kind] = at + 1;
+  return true;
+}
+
+bool SignedPlaces::take_challenge(std::uint64_t nonce, Place place) noexcept {
+  if (nonce < challenge_) return false;
+  if (nonce > challenge_) {
+    challenge_ = nonce;
+    next_of_challenge_ = 0;
+  }
+  const std::uint64_t at = index_of(place);
+  if (at < next_of_challenge_) return false;
+  next_of_challenge_ = at + 1;
   return true;
 }
 
@@ -87,6 +104,14 @@ std::optional<Key> FrameAuthenticator::call_key(std::uint64_t caller,
   for (std::size_t i = 0; i < 4; ++i)
     block[12 + i] = static_cast<std::uint8_t>(merge_target.superframe >> (8 * i));
   return cipher_->encrypt(*key, block) ? std::optional(block) : std::nullopt;
+}
+
+std::optional<Key> FrameAuthenticator::challenge_key(std::uint64_t nonce) noexcept {
+  if (!session_key_) return std::nullopt;
+  abandon();
+  security::Block block = {0, 0, 0, 0, 0, 0, 0, 0, 'j', 'o', 'i', 'n'};
+  for (std::size_t i = 0; i < 8; ++i) block[i] = static_cast<std::uint8_t>(nonce >> (8 * i));
+  return cipher_->encrypt(*session_key_, block) ? std::optional(block) : std::nullopt;
 }
 
 void FrameAuthenticator::enter(std::uint64_t session) noexcept {
@@ -166,6 +191,11 @@ bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon&
   return on() && fits(frame, place_of(beacon), call_key(beacon.session, merge_target));
 }
 
+bool FrameAuthenticator::fits_challenge(std::span<const std::uint8_t> frame, Place place,
+                                        std::uint64_t nonce) noexcept {
+  return on() && fits(frame, place, challenge_key(nonce));
+}
+
 bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place,
                               const std::optional<Key>& key) noexcept {
   if (!key || !is_whole(frame)) return false;
@@ -185,7 +215,18 @@ void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place,
                                        const MergeTarget& merge_target) noexcept {
   abandon();
   if (!on() || !may_sign(kMergeRequests, place)) return;
-  const auto key = call_key(session_, merge_target);
+  begin_signing(frame, place, call_key(session_, merge_target));
+}
+
+void FrameAuthenticator::begin_signing_challenge(const FrameBytes& frame, Place place,
+                                                 std::uint64_t nonce) noexcept {
+  abandon();
+  if (!on() || signed_places_ == nullptr || !signed_places_->take_challenge(nonce, place)) return;
+  begin_signing(frame, place, challenge_key(nonce));
+}
+
+void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place,
+                                       const std::optional<Key>& key) noexcept {
   if (!key) return;
   const auto bytes = frame.bytes();
   signing_mask_ = begin(*key, nonce_of(bytes, place), without_code(bytes));

@@ -7,8 +7,16 @@
 //
 // A receiver takes superframe and place from its own count, not from the frame, so a frame replayed in
 // another superframe, slot or session fails. A beacon is the exception: it carries its own session and
-// superframe. Its receiver decides whether those are current (replay_guard.hpp). Each node signs under its
-// own id, and SignedPlaces refuses a second frame of one type in one place, so no nonce is used twice.
+// superframe. Its receiver decides whether those are current (replay_guard.hpp).
+//
+// No nonce is used twice under one key. Each node signs under its own id, and SignedPlaces refuses a second
+// frame of one type in one place or before it. SignedPlaces is lost when the node restarts, and a recording
+// could lead a node back to a place of before. So a node that has not excluded a replay signs nothing but its
+// challenge, a JOIN, and this with a key of its own:
+//
+//   challenge key = AES(session key, challenge's nonce (8) | "join" | 0 0 0 0)
+//
+// A node uses no nonce for two challenges. A challenge may be sent several times: then its places differ.
 //
 // A merge request ("call") is a beacon that announces this session to the nodes of another one, in their
 // shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key:
@@ -48,17 +56,22 @@ struct MergeTarget {
   std::uint32_t superframe = 0;
 };
 
-// The last place in which a node signed a frame of each type, in its session. A frame there or earlier could
-// repeat a nonce: take() refuses it. Belongs to the node's boot, not to its state machine, which a radio
-// recovery replaces.
+// The last place in which a node signed a frame of each type in its session, and that of its challenge. A
+// frame there or earlier could repeat a nonce: take() refuses it. Belongs to the node's boot, not to its
+// state machine, which a radio recovery replaces.
 class SignedPlaces {
  public:
-  // `kind`: 0 to 7.
+  // For a session in which a replay has been excluded. `kind`: 0 to 7.
   [[nodiscard]] bool take(std::uint64_t session, std::size_t kind, Place place) noexcept;
+  // For a challenge, in any session. Also refuses a nonce that is less than the last one: nonces of a boot
+  // count up.
+  [[nodiscard]] bool take_challenge(std::uint64_t nonce, Place place) noexcept;
 
  private:
   std::uint64_t session_ = 0;
   std::array<std::uint64_t, 8> next_{};
+  std::uint64_t challenge_ = 0;
+  std::uint64_t next_of_challenge_ = 0;
 };
 
 class FrameAuthenticator {
@@ -90,6 +103,9 @@ class FrameAuthenticator {
   void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept;
   // Whether the MIC of a secured frame is valid in the present session.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place) noexcept;
+  // The same for a challenge JOIN with this nonce.
+  [[nodiscard]] bool fits_challenge(std::span<const std::uint8_t> frame, Place place,
+                                    std::uint64_t nonce) noexcept;
   // Whether the MIC is valid in the session, superframe and place that the beacon itself states.
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept;
 
@@ -102,7 +118,14 @@ class FrameAuthenticator {
   // and finish.
   void begin_signing(const FrameBytes& frame, Place place) noexcept;
   void begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept;
+  // The frame: a challenge JOIN with this nonce.
+  void begin_signing_challenge(const FrameBytes& frame, Place place, std::uint64_t nonce) noexcept;
   void finish_signing(FrameBytes& frame) noexcept;
+  // Discards the computations in progress; the next finish_signing() does nothing.
+  void abandon() noexcept {
+    checking_.reset();
+    signing_mask_.reset();
+  }
   void sign(FrameBytes& frame, Place place) noexcept {
     begin_signing(frame, place);
     finish_signing(frame);
@@ -114,14 +137,12 @@ class FrameAuthenticator {
     security::Prepared prepared{};
   };
 
-  // Discards the computations in progress: the cipher is needed for another one.
-  void abandon() noexcept {
-    checking_.reset();
-    signing_mask_.reset();
-  }
   [[nodiscard]] const std::optional<security::Key>& key_of(std::uint64_t session) noexcept;
   [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller,
                                                       const MergeTarget& merge_target) noexcept;
+  // In the present session.
+  [[nodiscard]] std::optional<security::Key> challenge_key(std::uint64_t nonce) noexcept;
+  void begin_signing(const FrameBytes& frame, Place place, const std::optional<security::Key>& key) noexcept;
   [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place,
                           const std::optional<security::Key>& key) noexcept;
   [[nodiscard]] bool may_sign(std::size_t kind, Place place) noexcept {

@@ -1,5 +1,7 @@
 #include "firmware/core/mac/replay_guard.hpp"
 
+#include <limits>
+
 namespace groma::mac {
 
 void ReplayGuard::forget() noexcept {
@@ -17,7 +19,10 @@ std::optional<ControlChannel::Outgoing> ReplayGuard::open_slot(std::uint32_t num
   const std::uint32_t slot = number / (settings_.relays + 1);
   const std::uint32_t round = slot / settings_.turns;
   if (asked_ != 0 && (slot + round) % settings_.turns != settings_.turn) return std::nullopt;
-  if (nonce_ == 0) nonce_ = std::uint64_t{settings_.boot_count} << 32 | (*settings_.nonces)++;
+  if (nonce_ == 0) {
+    if (*settings_.nonces == std::numeric_limits<std::uint32_t>::max()) return std::nullopt;
+    nonce_ = std::uint64_t{settings_.boot_count} << 32 | (*settings_.nonces)++;
+  }
   return Outgoing{
       .body = Join{
           .origin = settings_.id, .nonce = nonce_, .tag = settings_.tag, .wants_challenge_response = true}};

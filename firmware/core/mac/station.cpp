@@ -39,6 +39,12 @@ SlotKind slot_kind(const Body& body, Place place) noexcept {
   return std::holds_alternative<Final>(body) ? SlotKind::kFinal : SlotKind::kResponse;
 }
 
+// The nonce of a challenge.
+std::optional<std::uint64_t> challenge_of(const Body& body) noexcept {
+  const auto* join = std::get_if<Join>(&body);
+  return join != nullptr && join->wants_challenge_response ? std::optional(join->nonce) : std::nullopt;
+}
+
 }  // namespace
 
 Station::Station(const Site& site, groma_Counters& counters) noexcept
@@ -86,8 +92,10 @@ void Station::prepare_control() noexcept {
   if (!keyed()) return;
   if (phase_ == Phase::kBeacon) {
     if (!own_beacon_) expect_heard(election_.master(), FrameType::kBeacon, control_place());
-    expect_said(election_.has_shared_turn(number_) ? FrameType::kBeacon : FrameType::kJoin,
-                {number_, Place::kShared});
+    if (fresh()) {  // a challenge has a key of its own
+      expect_said(election_.has_shared_turn(number_) ? FrameType::kBeacon : FrameType::kJoin,
+                  {number_, Place::kShared});
+    }
   } else if (const std::size_t turn = superframe_.shared_turn(number_);
              phase_ == Phase::kShared && turn != 0) {
     expect_heard(site_.schedule->backup_ids[turn - 1], FrameType::kBeacon, control_place());
@@ -602,6 +610,11 @@ bool Station::authenticate(Accepted& frame, const Reception& reception, Place pl
   // Without knowing the place this node cannot verify the MIC; but another node is there.
   if (phase_ == Phase::kSearching) election_.on_traffic(reception.timestamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
+  if (const auto nonce = challenge_of(frame.body)) {
+    if (authenticator_.fits_challenge(reception.frame, place, *nonce)) return true;
+    ++counters_.forged_frames;
+    return false;
+  }
   if (authenticator_.fits(reception.frame, place)) return true;
   ++counters_.forged_frames;
   if (unused_slot && std::holds_alternative<Poll>(frame.body)) election_.on_unverified_poll();
@@ -659,7 +672,12 @@ Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const B
              .secured = authenticator_.on(),
              .body = body},
             outgoing_);
-  if (merge_target != nullptr) {
+  if (!fresh()) {
+    // A node that may hear a recording signs nothing else.
+    authenticator_.abandon();
+    if (const auto nonce = challenge_of(body))
+      authenticator_.begin_signing_challenge(outgoing_, place, *nonce);
+  } else if (merge_target != nullptr) {
     authenticator_.begin_signing(outgoing_, place, *merge_target);
   } else if (authenticator_.on()) {
     authenticator_.begin_signing(outgoing_, place);

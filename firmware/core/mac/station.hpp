@@ -139,7 +139,8 @@ class Station {
     return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
   }
 
-  // `place`: where the frame is sent. finish_signing() adds the MIC.
+  // `place`: where the frame is sent. finish_signing() adds the MIC; before a replay has been excluded, to a
+  // challenge alone.
   [[nodiscard]] Action transmit(ranging::ClockTime timestamp, std::uint16_t destination, const Body& body,
                                 Place place, const MergeTarget* merge_target = nullptr) noexcept;
   void finish_signing() noexcept { authenticator_.finish_signing(outgoing_); }
