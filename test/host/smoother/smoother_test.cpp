@@ -142,6 +142,96 @@ TEST_P(Smoothing, EstimatesDelaysOfOdometryAndRangesSeparately) {
   EXPECT_GT(exact_nees, 2.0 * open_nees);
 }
 
+// One tag, because the filter's bias is an anchor's and the smoother's is a pair's. All weights are 1, so
+// that the problem is Gaussian.
+TEST_P(Smoothing, IsConsistentWithASlowRangeBias) {
+  constexpr int kSites = 40;
+  const model::Surface flat;
+  model::Calibration calibration = site::six_anchors(0.3);
+  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.15, .bias_time_s = 4.0};
+  const std::vector<model::Tag> tag{site::three_tags().front()};
+  Random random(34);
+  Score smoothed;
+  Score filtered;
+  for (int i = 0; i < kSites; ++i) {
+    const site::Drive drive =
+        site::drive(flat, calibration, kStart, {.duration_s = 6.0, .range_s = 0.02}, random);
+    const filter::Run run{drive.odometry, drive.ranges, tag, &flat, &calibration};
+    filter::ReplayOptions options = options_of(GetParam());
+    options.config.range_bias_growth = 1.0;
+    options.config.range_bias_time_growth = 1.0;
+    options.config.tunes_noise = false;
+    options.config.gate.nlos_prior = 0.0;
+    options.config.gate.garbage_share = 0.0;
+    options.start.position_sigma_m = 0.5;
+    options.start.heading_sigma_rad = 0.2;
+    options.start.pose = {kStart.x_m + 0.5 * random.gaussian(), kStart.y_m + 0.5 * random.gaussian(),
+                          kStart.theta_rad + 0.2 * random.gaussian()};
+    const Result result = smooth(run, options);
+    ASSERT_EQ(result.rows.size(), drive.odometry.size());
+    const std::size_t row = 30 + static_cast<std::size_t>(random.uniform(0.0, 60.0));
+    const Score here = score(result.rows[row], drive.truth[row]);
+    smoothed.square_m2 += here.square_m2 / kSites;
+    smoothed.nees += here.nees / kSites;
+    filtered.square_m2 += score(filter::replay(run, options).rows[row], drive.truth[row]).square_m2 / kSites;
+  }
+  EXPECT_NEAR(smoothed.nees, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
+  EXPECT_LT(smoothed.square_m2, filtered.square_m2);
+}
+
+// Straight on along x for 2 s: the poses and their covariance in closed form.
+TEST(Smoother, FollowsOdometryFromItsStartWithoutRanges) {
+  const model::Surface flat;
+  const model::Calibration calibration = site::six_anchors();
+  const auto tags = site::three_tags();
+  std::vector<model::OdometrySample> odometry;
+  for (int i = 0; i <= 20; ++i) odometry.push_back({0.1 * i, 1.0, 0.0, 0.0});
+  filter::ReplayOptions options = options_of(filter::Model::kSchmidt);
+  options.start = {.t_s = 0.0, .pose = {1.0, -2.0, 0.0}, .position_sigma_m = 0.1, .heading_sigma_rad = 0.05};
+  options.config.tunes_noise = false;
+  options.config.scale_sigma = 0.01;
+  options.config.yaw_rate_bias_radps = 0.002;
+  const Result result = smooth({odometry, {}, tags, &flat, &calibration}, options);
+  ASSERT_EQ(result.rows.size(), odometry.size());
+  EXPECT_TRUE(result.converged);
+  for (std::size_t i = 0; i < result.rows.size(); ++i) {
+    const double t_s = odometry[i].t_s;
+    EXPECT_NEAR(result.rows[i].x_m, 1.0 + t_s, 1e-9);
+    EXPECT_NEAR(result.rows[i].y_m, -2.0, 1e-9);
+    EXPECT_NEAR(result.rows[i].yaw_rad, 0.0, 1e-9);
+    const double white = 0.1 * t_s;  // sum of the squared intervals
+    // Of y by the turns: white ones, each acting from its interval on, and the yaw-rate bias.
+    const double turned = 1e-4 * 0.1 * std::pow(t_s, 3) / 3.0 + 4e-6 * std::pow(t_s, 4) / 4.0;
+    const Eigen::Matrix3d& covariance = result.rows[i].covariance;
+    EXPECT_NEAR(covariance(0, 0), 0.01 + 9e-4 * white + 1e-4 * t_s * t_s, 1e-6) << t_s;
+    EXPECT_NEAR(covariance(2, 2), 0.0025 + 1e-4 * white + 4e-6 * t_s * t_s, 1e-7) << t_s;
+    EXPECT_NEAR(covariance(1, 1), 0.01 + 9e-4 * white + 0.0025 * t_s * t_s + turned, 1e-6) << t_s;
+  }
+}
+
+TEST(Smoother, IgnoresOdometryOutOfOrder) {
+  const model::Surface flat;
+  const model::Calibration calibration = site::six_anchors(0.2);
+  const auto tags = site::three_tags();
+  Random random(35);
+  const site::Drive drive =
+      site::drive(flat, calibration, kStart, {.duration_s = 3.0, .range_s = 0.02}, random);
+  std::vector<model::OdometrySample> disordered = drive.odometry;
+  // A late one, and a second one with the same time.
+  disordered.insert(disordered.begin() + 30, model::OdometrySample{drive.odometry[20].t_s, 3.0, 1.0, -1.0});
+  disordered.insert(disordered.begin() + 10, model::OdometrySample{drive.odometry[9].t_s, -2.0, 0.0, 1.0});
+  const filter::ReplayOptions options = options_of(filter::Model::kSchmidt);
+  const Result expected = smooth({drive.odometry, drive.ranges, tags, &flat, &calibration}, options);
+  const Result found = smooth({disordered, drive.ranges, tags, &flat, &calibration}, options);
+  ASSERT_EQ(found.rows.size(), drive.odometry.size());
+  for (std::size_t i = 0; i < found.rows.size(); ++i) {
+    EXPECT_EQ(found.rows[i].t_s, expected.rows[i].t_s);
+    EXPECT_EQ(found.rows[i].x_m, expected.rows[i].x_m);
+    EXPECT_EQ(found.rows[i].y_m, expected.rows[i].y_m);
+    EXPECT_EQ(found.rows[i].yaw_rad, expected.rows[i].yaw_rad);
+  }
+}
+
 TEST(Smoother, GivesNothingWithoutOdometry) {
   const model::Surface surface;
   const model::Calibration calibration = site::six_anchors();
