@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
+#include <vector>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -114,6 +116,61 @@ TEST(Calibrate, ReportsPairsHeldOutScoreAndVerdict) {
       EXPECT_NEAR(pair.beta_sigma_m * pair.beta_sigma_m, anchor.covariance(3 + j, 3 + j), 1e-12);
       EXPECT_NEAR(pair.gamma_sigma * pair.gamma_sigma, anchor.covariance(6 + j, 6 + j), 1e-12);
     }
+  }
+}
+
+// A single tag at one height does not show on which side of it an anchor is. An earlier calibration does,
+// where its height is trusted; else the other side stays in the covariance.
+TEST(Calibrate, AWeakEarlierHeightDoesNotDecideTheSide) {
+  const test::SimulatedSite site = test::simulate_site({}, 11);
+  Drive drive = site.drive();
+  drive.tags = drive.tags.first(1);
+  const auto calibrated = [&](model::AnchorVerdict verdict) {
+    model::Calibration earlier;
+    for (const model::Anchor& anchor : site.anchors) {
+      model::AnchorCalibration& known = earlier.anchors.emplace_back();
+      known.id = anchor.id;
+      known.position_m = anchor.position_m;
+      known.covariance = 1e-3 * Eigen::MatrixXd::Identity(5, 5);
+      known.pairs.push_back({.tag_id = 1});
+      known.verdict = verdict;
+    }
+    return calibrate(drive, {.earlier = &earlier}).calibration;
+  };
+  const model::Calibration trusted = calibrated(model::AnchorVerdict::kOk);
+  const model::Calibration weak = calibrated(model::AnchorVerdict::kWeakZ);
+  int decided = 0;
+  for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+    const double z_m = site.anchors[a].position_m.z();
+    const double apart_m = 2.0 * std::abs(z_m - drive.tags[0].lever_arm_m.z());
+    const double variance_m2 = trusted.anchors[a].covariance(2, 2);
+    if (variance_m2 > 0.05 * apart_m * apart_m) continue;
+    ++decided;
+    EXPECT_LT(std::abs(trusted.anchors[a].position_m.z() - z_m), 0.5 * apart_m) << site.anchors[a].id;
+    EXPECT_GT(weak.anchors[a].covariance(2, 2), variance_m2 + 0.2 * apart_m * apart_m) << site.anchors[a].id;
+  }
+  EXPECT_GE(decided, 6);
+}
+
+TEST(Calibrate, EstimatesAKnownAnchorWhosePositionIsNotFinite) {
+  const test::SimulatedSite site = test::simulate_site({}, 8);
+  std::vector<model::Anchor> known = site.anchors;
+  constexpr std::size_t kUnknown = 2;
+  known[kUnknown].position_m.x() = std::numeric_limits<double>::quiet_NaN();
+  Drive drive = site.drive();
+  drive.known_anchors = known;
+  const model::Calibration found = calibrate(drive).calibration;
+  for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+    const model::AnchorCalibration& anchor = found.anchors[a];
+    EXPECT_EQ(anchor.mirror_ratio.has_value(), a == kUnknown);
+    if (a != kUnknown) {
+      EXPECT_EQ(anchor.position_m, site.anchors[a].position_m);
+      continue;
+    }
+    const Eigen::Vector3d error_m = anchor.position_m - site.anchors[a].position_m;
+    const Eigen::Matrix3d covariance_m2 = anchor.covariance.topLeftCorner<3, 3>();
+    EXPECT_LT(error_m.dot(covariance_m2.ldlt().solve(error_m)), 16.27);  // 99.9 %
+    EXPECT_LT(error_m.norm(), 0.3);
   }
 }
 

@@ -230,6 +230,35 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
   }
 }
 
+// Each drive alone knows a bias as well as the prior: the means of three equal terms.
+TEST(Update, CountsThePriorsOfTheBiasesOnce) {
+  model::RangePriors priors;
+  priors.beta_m = {0.1, 0.3};
+  priors.gamma = {1.0, 0.02};
+  const auto of_drive = [&](double beta_m, double gamma) {
+    model::Calibration out;
+    model::AnchorCalibration& anchor = out.anchors.emplace_back();
+    anchor.id = 10;
+    anchor.position_m = {3.0, 4.0, 2.0};
+    anchor.covariance = 0.01 * Eigen::MatrixXd::Identity(5, 5);
+    anchor.covariance(3, 3) = 0.5 * 0.09;
+    anchor.covariance(4, 4) = 0.5 * 0.0004;
+    anchor.pairs.push_back({.tag_id = 1,
+                            .beta_m = 0.5 * (priors.beta_m.mean + beta_m),
+                            .beta_sigma_m = std::sqrt(anchor.covariance(3, 3)),
+                            .gamma = 0.5 * (priors.gamma.mean + gamma),
+                            .gamma_sigma = std::sqrt(anchor.covariance(4, 4))});
+    anchor.verdict = AnchorVerdict::kOk;
+    return out;
+  };
+  const Update updated = update(of_drive(0.3, 1.02), of_drive(0.5, 1.01), priors);
+  const model::PairBias& pair = updated.calibration.anchors.at(0).pairs.at(0);
+  EXPECT_NEAR(pair.beta_m, (0.1 + 0.3 + 0.5) / 3.0, 1e-9);
+  EXPECT_NEAR(pair.beta_sigma_m, 0.3 / std::sqrt(3.0), 1e-9);
+  EXPECT_NEAR(pair.gamma, (1.0 + 1.02 + 1.01) / 3.0, 1e-9);
+  EXPECT_NEAR(pair.gamma_sigma, 0.02 / std::sqrt(3.0), 1e-9);
+}
+
 TEST(Comparison, DoesNotTrustAnAmbiguousHeight) {
   Pair pair = draw_pair(6);
   pair.b.anchors[2].position_m.z() += 3.0;

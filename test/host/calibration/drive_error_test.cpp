@@ -139,6 +139,12 @@ TEST(DriveError, LeavesExactPosesAsTheyAre) {
     EXPECT_EQ(solved.association.anchors[a].rows.back().tag_m, before.anchors[a].rows.back().tag_m);
   }
   EXPECT_NEAR(solved.error.frame_covariance(2, 2), 0.002 * 0.002, 1e-12);
+  // A turn of the frame leaves the drive's center in place.
+  const Eigen::Vector2d center_m = center_of(solved);
+  Eigen::Matrix<double, 2, 4> at_center = Eigen::Matrix<double, 2, 4>::Identity();
+  at_center.col(3) << -center_m.y(), center_m.x();
+  const Eigen::Matrix2d shift_m2 = at_center * solved.error.frame_covariance * at_center.transpose();
+  EXPECT_LT((shift_m2 - 0.002 * 0.002 * Eigen::Matrix2d::Identity()).norm(), 1e-12);
 }
 
 // Lever arms and patterns drawn from their priors are estimated, consistently with their covariance.

@@ -209,6 +209,25 @@ TEST(LosChain, DistinguishesMissedPollsFromPollsWithoutAnyReply) {
   }
 }
 
+// The first half of the polls is answered, then every second one.
+TEST(LosRows, ManyMissedRepliesAreNlos) {
+  const LosModel model = first_los_model({.interval_s = 0.12, .regular = true}, {});
+  std::vector<Observation> rows;
+  std::vector<Poll> polls;
+  for (int i = 0; i < 300; ++i) {
+    if (i >= 150 && i % 2 == 1) {
+      polls.push_back(kMissed);
+      continue;
+    }
+    polls.push_back(static_cast<Poll>(rows.size()));
+    rows.emplace_back().index = static_cast<std::uint32_t>(polls.back());
+  }
+  const std::vector<bool> los = los_rows(model, std::vector<std::vector<Poll>>{polls}, rows);
+  ASSERT_EQ(los.size(), 225U);
+  for (const std::size_t i : {20U, 75U, 130U}) EXPECT_TRUE(los[i]) << i;
+  for (const std::size_t i : {170U, 190U, 210U}) EXPECT_FALSE(los[i]) << i;
+}
+
 TEST(LosChain, IrregularPollsAreNeverMissed) {
   test::Random random(5);
   Association association;

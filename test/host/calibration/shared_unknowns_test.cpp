@@ -93,6 +93,11 @@ TEST(SharedUnknowns, PriorOfTheKnotsIsAFirstOrderProcess) {
     }
   }
   EXPECT_NEAR(prior_log_determinant(unknowns, prior), std::log(information.determinant()), 1e-6);
+  // A lever arm measured by hand.
+  for (Eigen::Index axis = 0; axis < 3; ++axis) {
+    const Eigen::Index at = unknowns.body(0) + axis;
+    EXPECT_NEAR(covariance(at, at), 0.02 * 0.02, 1e-12);
+  }
 }
 
 // The correlation of an oscillator driven by white noise obeys its equation of motion, starting at rest.

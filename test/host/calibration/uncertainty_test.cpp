@@ -25,6 +25,43 @@ Eigen::MatrixXd random_covariance(std::uint64_t seed) {
   return root * root.transpose() + 0.1 * Eigen::MatrixXd::Identity(kSize, kSize);
 }
 
+// Correlated residuals scatter the score `inflation` times as much.
+TEST(AnchorCovariance, FollowsTheScatterOfTheScore) {
+  constexpr double kInflation = 2.5;
+  Evidence evidence;
+  evidence.information = random_covariance(11);
+  evidence.prior_information = random_covariance(12);
+  evidence.score_variance = random_covariance(13);
+  const Eigen::MatrixXd inverse = evidence.information.inverse();
+  const Eigen::MatrixXd scatter = evidence.prior_information + kInflation * evidence.score_variance;
+  const Eigen::MatrixXd expected = inverse * scatter * inverse;
+  EXPECT_LT((anchor_covariance(evidence, kInflation) - expected).norm(), 1e-9 * expected.norm());
+}
+
+// The biases were solved with the position held: they move with its error, which is independent of the score.
+TEST(AnchorCovariance, OfASurveyedAnchorHasTheSurveysErrorInTheBiases) {
+  constexpr double kInflation = 2.5;
+  constexpr Eigen::Index kBiases = kSize - 3;
+  Evidence evidence;
+  evidence.surveyed = true;
+  evidence.information = random_covariance(14);
+  evidence.prior_information = Eigen::MatrixXd::Identity(kSize, kSize);
+  evidence.prior_information.topLeftCorner<3, 3>() = 2500.0 * Eigen::Matrix3d::Identity();
+  evidence.score_variance = random_covariance(15);
+  // Errors of the position and of the score, side by side.
+  Eigen::MatrixXd errors = Eigen::MatrixXd::Zero(kSize, kSize);
+  errors.topLeftCorner<3, 3>() = Eigen::Matrix3d::Identity() / 2500.0;
+  errors.bottomRightCorner<kBiases, kBiases>() =
+      evidence.prior_information.bottomRightCorner<kBiases, kBiases>() +
+      kInflation * evidence.score_variance.bottomRightCorner<kBiases, kBiases>();
+  Eigen::MatrixXd by_errors = Eigen::MatrixXd::Identity(kSize, kSize);
+  const Eigen::MatrixXd inverse = evidence.information.bottomRightCorner<kBiases, kBiases>().inverse();
+  by_errors.bottomLeftCorner<kBiases, 3>() = -inverse * evidence.information.bottomLeftCorner<kBiases, 3>();
+  by_errors.bottomRightCorner<kBiases, kBiases>() = inverse;
+  const Eigen::MatrixXd expected = by_errors * errors * by_errors.transpose();
+  EXPECT_LT((anchor_covariance(evidence, kInflation) - expected).norm(), 1e-9 * expected.norm());
+}
+
 TEST(Jackknife, AddsNothingToACovarianceThatItAgreesWith) {
   const Eigen::MatrixXd expected = random_covariance(1);
   const Eigen::Matrix3d position = expected.topLeftCorner<3, 3>();

@@ -1,0 +1,84 @@
+#include "host/calibration/covariance_budget.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <span>
+#include <vector>
+
+#include <Eigen/LU>
+
+#include "host/calibration/anchor_evidence.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::calibration {
+namespace {
+
+constexpr Eigen::Index kUnknowns = 5;  // of one tag
+constexpr double kNearest_m = 3.0;
+
+// A site with one anchor at z = 2 m and one tag.
+class CovarianceBudget : public ::testing::Test {
+ protected:
+  CovarianceBudget() {
+    AnchorFit& fit = site_.fits.emplace_back();
+    fit.problem.rows = rows_;
+    fit.problem.tag_count = 1;
+    fit.problem.position.information = 1e-4 * Eigen::Matrix3d::Identity();
+    fit.kernels.resize(1);
+    fit.anchor.resize(kUnknowns);
+    fit.anchor << 4.0, 3.0, 2.0, 0.0, 1.0;
+    site_.beginning.resize(1);
+    site_.held_out.resize(1);
+    AnchorEvidence& evidence = site_.evidence.emplace_back();
+    evidence.rows = rows_.size();
+    evidence.nearest_m = kNearest_m;
+    evidence.los_share = 0.95;
+  }
+  [[nodiscard]] Eigen::MatrixXd budget() const { return total(covariance_budget(site_, 0, solved_)); }
+
+  std::vector<Observation> rows_{100};
+  Site site_;
+  Eigen::MatrixXd solved_ = 1e-2 * Eigen::MatrixXd::Identity(kUnknowns, kUnknowns);
+};
+
+// As one more observation of the position, with twice the distance to the nearest antenna as its sigma.
+TEST_F(CovarianceBudget, TheReachBoundsAnOpenDirection) {
+  test::Random random(5);
+  Eigen::MatrixXd root(kUnknowns, kUnknowns);
+  for (Eigen::Index i = 0; i < kUnknowns; ++i) root.row(i) = random.gaussians(kUnknowns).transpose();
+  root.row(2) *= 1000.0;
+  solved_ = root * root.transpose() + Eigen::MatrixXd::Identity(kUnknowns, kUnknowns);
+  Eigen::MatrixXd information = solved_.inverse();
+  information.diagonal().head<3>().array() += 1.0 / std::pow(2.0 * kNearest_m, 2);
+  const Eigen::MatrixXd expected = information.inverse();
+  EXPECT_LT((budget() - expected).norm(), 1e-6 * expected.norm());
+}
+
+// The second moment about the fit.
+TEST_F(CovarianceBudget, TheOtherSideCountsWithItsProbability) {
+  const Eigen::MatrixXd before = budget();
+  MirrorHypothesis mirror{.anchor = site_.fits[0].anchor, .cost_excess = 0.7};
+  mirror.anchor(2) = -1.0;
+  site_.evidence[0].mirror = mirror;
+  const double probability = std::exp(-0.7) / (1.0 + std::exp(-0.7));
+  Eigen::MatrixXd added = budget() - before;
+  EXPECT_NEAR(added(2, 2), 9.0 * probability, 1e-9);
+  added(2, 2) = 0.0;
+  EXPECT_LT(added.norm(), 1e-9);
+}
+
+TEST_F(CovarianceBudget, AnotherHeightByTheBeginningCountsOnlyWhereItWasKnown) {
+  const double before_m2 = budget()(2, 2);
+  AnchorFit& first = site_.beginning[0];
+  first = site_.fits[0];
+  first.problem.rows = std::span(rows_).first(60);
+  first.anchor(2) = 3.0;
+  site_.held_out[0] = score_held_out(first, {}, 0.0);
+  EXPECT_NEAR(budget()(2, 2), before_m2, 1e-12);
+  site_.held_out[0].height_variance_m2 = 0.01;
+  EXPECT_NEAR(budget()(2, 2), before_m2 + 1.0, 1e-9);
+}
+
+}  // namespace
+}  // namespace groma::calibration
