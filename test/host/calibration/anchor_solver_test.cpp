@@ -80,6 +80,24 @@ TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
   }
 }
 
+// Beside many ranges the priors are hardly visible.
+TEST(AnchorSolver, WithoutRangesTheGradientIsThatOfThePriors) {
+  AnchorProblem problem;
+  problem.tag_count = kSolvedTags;
+  problem.priors.beta_m = {0.1, 0.3};
+  problem.priors.gamma = {0.99, 0.02};
+  problem.position.mean_m = {1.0, 2.0, 3.0};
+  problem.position.information = Eigen::Vector3d(4.0, 5.0, 6.0).asDiagonal();
+  const std::vector<RobustKernel> kernels(kSolvedTags);
+  AnchorVector anchor = anchor_at({2.0, 0.0, 3.5}, kSolvedTags, problem.priors);
+  anchor.segment(3, 3) << 0.4, -0.2, 0.1;
+  anchor.segment(6, 3) << 1.01, 0.97, 0.99;
+  Eigen::VectorXd expected(9);
+  expected << 4.0, -10.0, 3.0, 0.3 / 0.09, -0.3 / 0.09, 0.0, 0.02 / 0.0004, -0.02 / 0.0004, 0.0;
+  const NormalEquations found = linearize({.problem = problem, .anchor = anchor, .kernels = kernels});
+  EXPECT_LT((found.gradient - expected).norm(), 1e-9);
+}
+
 TEST(AnchorSolver, InformationIsTheHessianWhereRangesArePerfect) {
   const Scene scene = make_scene(3, 0.0, 0.0);
   // An almost Gaussian kernel: its weight is the cost's curvature.
