@@ -111,6 +111,17 @@ TEST(Filter, ReturnsAndCountsTheOutcomeOfEachInput) {
   EXPECT_EQ(counters.odometry[OdometryOutcome::kBadValue], 2U);
 }
 
+TEST(Filter, RefusesPairsThatTheCalibrationLacks) {
+  const std::vector<model::Tag> tags = testing::three_tags();
+  const model::Calibration calibration =
+      model::surveyed_calibration(std::vector<model::Anchor>{{11, {-12.0, -11.0, 2.5}}},
+                                  std::vector<model::Tag>{tags[0], tags[2]}, {}, 0.1);
+  Filter filter(model::Surface(), tags, calibration, testing::config_of(Model::kSchmidt));
+  filter.start({});
+  EXPECT_EQ(filter.process(model::RangeSample{0.1, 2, 11, 16.0}).outcome, RangeOutcome::kUnknownAnchor);
+  EXPECT_EQ(filter.process(model::RangeSample{0.1, 3, 11, 16.0}).outcome, RangeOutcome::kUsed);
+}
+
 TEST(Filter, ReportsTheLikelihoodRatioOfARangesPowers) {
   const auto filter = make_filter(Model::kJoint);
   filter->process(model::OdometrySample{0.0, 0.0, 0.0, 0.0});

@@ -13,6 +13,7 @@
 #include "host/filter/filter.hpp"
 #include "host/filter/gate.hpp"
 #include "host/filter/odometry_gate.hpp"
+#include "host/filter/range_measurement.hpp"
 #include "host/filter/self_tuning.hpp"
 #include "test/host/filter/small_site.hpp"
 
@@ -36,6 +37,19 @@ TEST(LinkDelays, SeparateTheDifferenceAsGaussiansDo) {
   EXPECT_NEAR(delays.odometry_s(difference_s) + difference_s, mean(0), 1e-15);
   EXPECT_NEAR(delays.odometry_variance_s2(), posterior(1, 1), 1e-15);
   EXPECT_EQ((LinkDelays{.range_s = 0.02}).odometry_s(0.01), 0.0);
+}
+
+// What the odometry delay leaves unknown is an error along the motion.
+TEST(LinkDelays, TheirUncertaintyIsInThePresentPose) {
+  const LinkDelays delays{.range_s = 0.02, .range_sigma_s = 0.004, .odometry_sigma_s = 0.015};
+  CoreVector core = CoreVector::Zero();
+  core(kTheta) = 0.3;
+  core(kDelay) = delays.range_s;
+  const PresentPose present = present_pose(model::Surface(), core, {0.0, 2.0, 0.5, 0.4}, delays);
+  const double variance_s2 = 1.0 / (1.0 / (0.004 * 0.004) + 1.0 / (0.015 * 0.015));
+  const Eigen::Vector3d rate(2.0 * std::cos(0.3) - 0.5 * std::sin(0.3),
+                             2.0 * std::sin(0.3) + 0.5 * std::cos(0.3), 0.4);
+  EXPECT_LT((present.noise - variance_s2 * rate * rate.transpose()).cwiseAbs().maxCoeff(), 1e-15);
 }
 
 struct Errors {
@@ -268,6 +282,22 @@ TEST(RangeTuning, LeavesTheComparisonModelsAtTheirNominalNoise) {
               0.01);
 }
 
+// With hardly any other uncertainty, the variance of an innovation without the pose's part is the noise.
+TEST(RangeTuning, TheFilterWeighsRangesByTheEstimatedSigma) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.01);
+  Random random(76);
+  const testing::Drive drive = testing::drive(
+      flat, calibration, {1.0, -2.0, 0.4},
+      {.duration_s = 30.0, .range_s = 0.005, .range_sigma_m = 0.03, .lever_arm_sigma_m = 0.0}, random);
+  Config config = matching_config();
+  config.lever_arm_sigma_m = 0.0;
+  const Errors errors = replay(flat, calibration, config, drive);
+  const RangeResult result =
+      errors.filter->process(model::RangeSample{errors.filter->estimate().t_s, 1, 11, 15.0});
+  EXPECT_NEAR(std::sqrt(result.map_variance_m2), 0.03, 0.01);
+}
+
 TEST(Reception, ASilentPairRegainsTrustGradually) {
   Gate gate{GateConfig{}};
   Random random(7);
@@ -297,6 +327,37 @@ TEST(Reception, RegainedVarianceDependsOnHowWellThePoseIsKnown) {
   // Too long is likelier than too short, but after a silence both occur.
   EXPECT_GT(regained_m2(2.0, 1.0), 2.0 * regained_m2(-2.0, 1.0));
   EXPECT_GT(regained_m2(-3.0, 1.0), 30.0);
+}
+
+// The gain of a range after a silence, from the dense covariance of core and parameters.
+TEST(Reception, ARegainedPairCorrectsThePoseLess) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.1);
+  Random random(12);
+  testing::Drive drive = testing::drive(flat, calibration, {0.0, 0.0, 0.2},
+                                        {.duration_s = 16.0, .range_s = 0.05 / 18.0}, random);
+  std::erase_if(drive.ranges, [](const model::RangeSample& range) { return range.t_s > 10.0; });
+  const Errors errors = replay(flat, calibration, matching_config(), drive);
+  Filter& filter = *errors.filter;
+  const int slot = filter.site().anchor_index(11);
+  const int tag = filter.site().tag_slot(1);
+  const RangeMeasurement predicted = measure_range(flat, filter.core(), filter.snapshot().odometry,
+                                                   filter.parameters().pair(filter.site(), slot, tag));
+  const Eigen::MatrixXd p = testing::whole(filter);
+  Eigen::VectorXd h = Eigen::VectorXd::Zero(p.rows());
+  h.head<kCoreSize>() = predicted.d_core;
+  const PairIndices index = filter.parameters().pair_indices(slot, tag);
+  for (std::size_t i = 0; i < index.size(); ++i)
+    h(kCoreSize + index[i]) = predicted.d_parameters(static_cast<Eigen::Index>(i));
+  const RangeResult result =
+      filter.process(model::RangeSample{filter.estimate().t_s, 1, 11, predicted.range_m + 0.3});
+  ASSERT_GT(result.weight, 0.0);
+  EXPECT_LT(result.weight, 0.9);
+  const double regained_m2 = filter.snapshot().gate.regained_variance_m2(slot, tag);
+  EXPECT_GT(regained_m2, result.innovation_variance_m2);
+  const Eigen::Vector3d expected =
+      (p * h).head<3>() * 0.3 / (result.innovation_variance_m2 / result.weight + regained_m2);
+  EXPECT_LT((result.correction - expected).norm(), 1e-6 * expected.norm());
 }
 
 // If several tags receive an anchor again, their errors are common.

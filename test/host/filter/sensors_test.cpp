@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -81,6 +82,18 @@ TEST(Sensors, JacobiansEqualNumericalOnes) {
     expect_jacobian(pose, core, 3e-7);
     expect_jacobian(standing, core, 1e-8);
   }
+}
+
+TEST(Sensors, AHeadingAcrossHalfATurnIsASmallInnovation) {
+  const model::Surface flat;
+  const SensorConfig config;
+  const model::OdometrySample row{};
+  CoreVector core = CoreVector::Zero();
+  core(kTheta) = 3.1;
+  const model::PoseSample pose{.yaw_rad = -3.1,
+                               .covariance = model::PoseCovariance{0.01, 0.0, 0.0, 0.01, 0.0, 0.01}};
+  const SensorView view{flat, config, core, row, present_pose(flat, core, row, {})};
+  EXPECT_NEAR(measure(view, pose).innovation(2), 2.0 * std::numbers::pi - 6.2, 1e-12);
 }
 
 TEST(Sensors, AttitudeGivesTheHeadingOnTheSurface) {

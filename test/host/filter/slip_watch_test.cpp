@@ -96,6 +96,30 @@ TEST(SlipWatch, OneAnchorThatIsTooNearIsNoSlip) {
   EXPECT_FALSE(circle.hear(5.0, Eigen::Vector2d::Zero(), {-1.0, 0.0, 0.0, 0.0, 0.0, 0.0}, 0.0));
 }
 
+// NLOS makes ranges too long, so two that are too short are stronger evidence than two that are too long.
+TEST(SlipWatch, RangesThatAreTooShortCountMore) {
+  const auto is_found = [](double displacement_m) {
+    // Two anchors behind the robot, one ahead, one on each side.
+    const std::array<Eigen::RowVector2d, 5> by_position{
+        Eigen::RowVector2d(1.0, 0.0), Eigen::RowVector2d(1.0, 0.0), Eigen::RowVector2d(-1.0, 0.0),
+        Eigen::RowVector2d(0.0, 1.0), Eigen::RowVector2d(0.0, -1.0)};
+    SlipWatch watch(Config{}.slip_odds);
+    bool found = false;
+    for (int i = 0; i < 1000; ++i) {
+      const std::size_t anchor = static_cast<std::size_t>(i) % by_position.size();
+      const double off_m = i < 500 ? 0.0 : by_position[anchor].x() * displacement_m;
+      found = watch
+                  .observe(static_cast<int>(anchor), 0, 0.01 * i, off_m, kSigma_m * kSigma_m, 0.0,
+                           by_position[anchor])
+                  .has_value() ||
+              found;
+    }
+    return found;
+  };
+  EXPECT_TRUE(is_found(-0.5));
+  EXPECT_FALSE(is_found(0.5));
+}
+
 // Anchors without recent ranges do not count as agreeing.
 TEST(SlipWatch, SilentAnchorsDoNotCount) {
   Circle circle(10);

@@ -213,6 +213,25 @@ TEST(StartSearch, InconsistentRangesDoNotSettle) {
   EXPECT_FALSE(search->settled());
 }
 
+// The best pose is right, but most ranges contradict it: they may be of another map.
+TEST(StartSearch, APoseThatExplainsFewRangesDoesNotSettle) {
+  const model::Calibration calibration = testing::six_anchors(0.1);
+  for (const double wrong_share : {0.2, 0.7}) {
+    Random random(9);
+    testing::Drive drive = testing::drive(testing::hills(0.2), calibration, {1.0, 2.0, 0.3},
+                                          {.duration_s = 5.0, .range_s = 0.01}, random);
+    for (model::RangeSample& range : drive.ranges) {
+      if (random.uniform() < wrong_share) range.range_m = random.uniform(1.0, 40.0);
+    }
+    const auto search = make(calibration);
+    feed(drive, *search);
+    const auto hypotheses = search->search();
+    ASSERT_EQ(hypotheses.size(), 1U) << wrong_share;
+    EXPECT_LT(distance_m(hypotheses[0].pose, drive.truth.back()), 0.5) << wrong_share;
+    EXPECT_EQ(search->settled(), wrong_share < 0.5);
+  }
+}
+
 TEST(StartSearch, AllocatesNothingAndForgetsAllOnRequest) {
   Random random(1);
   const model::Calibration calibration = testing::six_anchors();

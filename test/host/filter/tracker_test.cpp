@@ -376,6 +376,91 @@ TEST_P(TrackerTest, AllocatesNothing) {
   EXPECT_TRUE(tracker_->started());
 }
 
+// An input whose time is far off is refused, unless several agree: see ContinuesAfterAClockStep.
+TEST_P(TrackerTest, IgnoresASingleWrongTime) {
+  Config config;
+  config.odometry = {0.03, 0.03, 0.01};
+  Tracker undisturbed(surface_, testing::three_tags(), calibration_, config);
+  const testing::Drive ten_seconds = drive(kHere, {.duration_s = 10.0, .range_s = 0.01});
+  for (Tracker* tracker : {tracker_.get(), &undisturbed}) tracker->start({.t_s = 0.0, .pose = kHere});
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < ten_seconds.odometry.size(); ++i) {
+    const model::OdometrySample& row = ten_seconds.odometry[i];
+    for (; next < ten_seconds.ranges.size() && ten_seconds.ranges[next].t_s < row.t_s; ++next) {
+      tracker_->process(ten_seconds.ranges[next]);
+      undisturbed.process(ten_seconds.ranges[next]);
+    }
+    tracker_->process(row);
+    undisturbed.process(row);
+    if (i % 20 != 10) continue;
+    for (const double off_s : {-1000.0, 1000.0}) {
+      model::OdometrySample wrong = row;
+      wrong.t_s += off_s;
+      EXPECT_EQ(tracker_->process(wrong), OdometryOutcome::kOutOfOrder);
+      model::RangeSample range = ten_seconds.ranges[next];
+      range.t_s -= off_s;
+      EXPECT_EQ(tracker_->process(range).outcome, RangeOutcome::kOutOfOrder);
+    }
+  }
+  EXPECT_EQ(tracker_->clock_steps(), 0U);
+  EXPECT_EQ(tracker_->state(), undisturbed.state());
+  EXPECT_EQ(tracker_->filter().filter().core(), undisturbed.filter().filter().core());
+  EXPECT_EQ(tracker_->estimate().covariance, undisturbed.estimate().covariance);
+}
+
+// GNSS or another localization, without any range.
+TEST_P(TrackerTest, PositionsOfAnotherSensorReplaceRanges) {
+  const testing::Drive silent = drive(kHere, {.duration_s = 5.0});
+  for (const bool poses : {false, true}) {
+    SCOPED_TRACE(poses);
+    Config config;
+    config.odometry = {0.03, 0.03, 0.01};
+    Tracker tracker(surface_, testing::three_tags(), calibration_, config);
+    tracker.start({.t_s = 0.0, .pose = kHere}, State::kTracking);
+    for (std::size_t i = 0; i < silent.odometry.size(); ++i) {
+      const double t_s = silent.odometry[i].t_s;
+      tracker.process(silent.odometry[i]);
+      if (t_s < 3.9) EXPECT_EQ(tracker.state(), State::kTracking) << t_s;
+      if (t_s > 4.1) EXPECT_EQ(tracker.reason(), Reason::kNoRanges) << t_s;
+      if (i % 4 != 0 || t_s > 3.01) continue;
+      const model::PlanarPose& truth = silent.truth[i];
+      if (poses) {
+        tracker.process(
+            model::PoseSample{.t_s = t_s,
+                              .x_m = truth.x_m,
+                              .y_m = truth.y_m,
+                              .yaw_rad = truth.theta_rad,
+                              .covariance = model::PoseCovariance{0.01, 0.0, 0.0, 0.01, 0.0, 0.0025}});
+      } else {
+        tracker.process(model::PositionSample{
+            .t_s = t_s, .x_m = truth.x_m, .y_m = truth.y_m, .covariance_m2 = {0.01, 0.0, 0.01}});
+      }
+    }
+  }
+}
+
+TEST(Tracker, IsUncertainWhileTheHeadingIs) {
+  for (const double heading_sigma_rad : {0.1, 0.6}) {
+    Tracker tracker(model::Surface(), testing::three_tags(), testing::six_anchors(),
+                    testing::config_of(Model::kSchmidt));
+    tracker.start({.t_s = 0.0, .heading_sigma_rad = heading_sigma_rad}, State::kTracking);
+    tracker.process(model::OdometrySample{0.05, 0.0, 0.0, 0.0});
+    const bool is_uncertain = heading_sigma_rad > 0.3;
+    EXPECT_EQ(tracker.state(), is_uncertain ? State::kDegraded : State::kTracking);
+    EXPECT_EQ(tracker.reason(), is_uncertain ? Reason::kUncertain : Reason::kNone);
+  }
+}
+
+TEST(Tracker, GivesTheEstimateAtALateOdometrySample) {
+  Tracker tracker(model::Surface(), testing::three_tags(), testing::six_anchors(),
+                  testing::config_of(Model::kSchmidt));
+  tracker.start({});
+  for (const double t_s : {0.0, 0.1, 0.3, 0.2}) tracker.process(model::OdometrySample{t_s, 1.0, 0.0, 0.0});
+  EXPECT_EQ(tracker.estimate().t_s, 0.3);
+  EXPECT_EQ(tracker.sample_estimate().t_s, 0.2);
+  EXPECT_NEAR(tracker.sample_estimate().pose.x_m, 0.2, 1e-12);
+}
+
 INSTANTIATE_TEST_SUITE_P(Seeds, TrackerTest, ::testing::Values(1, 2, 3, 4, 5, 6));
 
 }  // namespace
