@@ -403,6 +403,7 @@ groma_Schedule schedule_with(std::size_t tags, std::size_t anchors, groma_Rangin
 }
 
 Formulas formulas_for(const groma_Schedule& schedule, Preamble preamble, bool secured) {
+  EXPECT_TRUE(page().contains("has (638976 u + 5) / 10 ticks, rounded"));
   const auto ticks_of = [](std::uint32_t us) { return std::floor((638'976.0 * us + 5.0) / 10.0); };
   Formulas formulas;
   formulas.define(page().indented("Ticks and durations"));
@@ -493,6 +494,7 @@ TEST(AirReference, FormulasOfAirTimeHoldForEachFrame) {
 
 // FNV-1a over the page's example words, by its definition there.
 TEST(AirReference, TheScheduleHashIsThatOfTheWords) {
+  EXPECT_TRUE(page().contains("initial value 2166136261; for each byte, h = ((h xor byte) · 16777619)"));
   std::uint32_t hash = 2'166'136'261U;
   for (const auto& row : page().table("words", "example").rows) {
     std::string left = row[2];
@@ -695,7 +697,7 @@ TEST(AirReference, EachConstantHasItsValue) {
     for (const auto& row : table.rows) {
       const auto found = all.find(row[2]);
       ASSERT_NE(found, all.end()) << row[2];
-      EXPECT_NEAR(number(row[1]), found->second, 1e-9 * std::abs(found->second)) << row[0];
+      EXPECT_DOUBLE_EQ(number(row[1]), found->second) << row[0];
       EXPECT_TRUE(seen.insert(row[2]).second) << row[2] << " is there twice";
     }
   }
@@ -733,25 +735,52 @@ class Keys {
     EXPECT_TRUE(cipher_.encrypt(k, b));
     return {b.begin(), b.end()};
   }
-  // The MIC of the frame by the page's formula, which is that of CCM*.
+  // The MIC of the frame by the page's table of the nonce and its formulas.
   [[nodiscard]] Bytes mic(const Bytes& key, const Frame& frame, const Bytes& data, Place place) {
-    security::Key k{};
-    std::copy_n(key.begin(), k.size(), k.begin());
-    security::Nonce nonce{};
-    nonce[0] = static_cast<std::uint8_t>(frame.source);
-    nonce[1] = static_cast<std::uint8_t>(frame.source >> 8);
-    for (std::size_t i = 0; i < 4; ++i) nonce[2 + i] = static_cast<std::uint8_t>(place.superframe >> (8 * i));
-    nonce[6] = place.slot;
-    nonce[7] = data[kHeaderBytes - 1];
-    nonce_.assign(nonce.begin(), nonce.end());
-    const auto code = security::code_of(cipher_, k, nonce, data);
-    EXPECT_TRUE(code.has_value());
-    return code ? Bytes(code->begin(), code->end()) : Bytes{};
+    const std::map<std::string, std::uint64_t> parts = {{"source of the header", frame.source},
+                                                        {"superframe", place.superframe},
+                                                        {"place", place.slot},
+                                                        {"type byte, with 0x80", data[kHeaderBytes - 1]},
+                                                        {"0", 0}};
+    nonce_.assign(std::tuple_size_v<security::Nonce>, 0xEE);
+    for (const auto& row : page().table("offset", "part").rows) {
+      const auto at = static_cast<std::size_t>(number(row[0]));
+      const auto size = static_cast<std::size_t>(number(row[1]));
+      EXPECT_LE(at + size, nonce_.size()) << row[2];
+      for (std::size_t i = 0; i < size && at + i < nonce_.size(); ++i)
+        nonce_[at + i] = static_cast<std::uint8_t>(parts.at(row[2]) >> (8 * i));
+    }
+    Bytes x = derived(key, first_block("X0"));
+    Bytes b = {static_cast<std::uint8_t>(data.size() >> 8), static_cast<std::uint8_t>(data.size())};
+    b.insert(b.end(), data.begin(), data.end());
+    b.resize((b.size() + 15) / 16 * 16);
+    for (std::size_t begin = 0; begin < b.size(); begin += 16) {
+      for (std::size_t i = 0; i < 16; ++i) x[i] = static_cast<std::uint8_t>(x[i] ^ b[begin + i]);
+      x = derived(key, x);
+    }
+    const Bytes mask = derived(key, first_block("MIC"));
+    Bytes code(kCodeBytes);
+    for (std::size_t i = 0; i < code.size(); ++i) code[i] = static_cast<std::uint8_t>(x[i] ^ mask[i]);
+    return code;
   }
   [[nodiscard]] const Bytes& last_nonce() const { return nonce_; }
   [[nodiscard]] FrameAuthenticator& authenticator() { return authenticator_; }
 
  private:
+  // The byte before the nonce in the formula of this name, the nonce, and zeros.
+  [[nodiscard]] Bytes first_block(const std::string& name) const {
+    Bytes block;
+    for (const std::string& line : page().indented("Keys and nonces")) {
+      const auto flags = line.find("AES(key, 0x");
+      if (line.substr(0, name.size()) != name || flags == std::string::npos) continue;
+      block.push_back(static_cast<std::uint8_t>(number(line.substr(flags + 9))));
+    }
+    EXPECT_EQ(block.size(), 1U) << name;
+    block.insert(block.end(), nonce_.begin(), nonce_.end());
+    block.resize(security::kBlockBytes);
+    return block;
+  }
+
   std::map<std::string, std::string> cells_;
   security::Key key_{};
   sim::Aes cipher_;
@@ -824,6 +853,9 @@ TEST(AirReference, OpenExamplesAreWhatTheyStandFor) {
 }
 
 TEST(AirReference, KeysAreDerivedAsDescribed) {
+  EXPECT_TRUE(page().contains("AES(network key, session (8) | \"groma\" | 0 0 0)"));
+  EXPECT_TRUE(page().contains("session of the receivers (8) | \"call\" | their superframe (4))"));
+  EXPECT_TRUE(page().contains("AES(session key, nonce (8) | \"join\" | 0 0 0 0)"));
   Keys keys;
   const Bytes session = in_bytes(keys.session(), 8);
   EXPECT_EQ(keys.derived(keys.bytes("network_key"), concatenated(session, "groma")),
