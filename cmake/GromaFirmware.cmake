@@ -12,18 +12,20 @@ add_compile_options(
   $<$<COMPILE_LANGUAGE:CXX>:-fno-use-cxa-atexit>
 )
 
-# groma_image(NAME <name> LINKER_SCRIPT <file> SOURCES ... [DEPENDS ...]): builds <name>.elf, .hex and .map in
-# the root of the build, and prints the size.
+# groma_image(NAME <name> LINKER_SCRIPTS <file> ... SOURCES ... [DEPENDS ...]): builds <name>.elf, .hex and .map
+# in the root of the build, and prints the size. The first script includes the others by their paths from the
+# root of the sources.
 function(groma_image)
-  cmake_parse_arguments(arg "" "NAME;LINKER_SCRIPT" "SOURCES;DEPENDS" ${ARGN})
+  cmake_parse_arguments(arg "" "NAME" "LINKER_SCRIPTS;SOURCES;DEPENDS" ${ARGN})
   set(stem ${CMAKE_BINARY_DIR}/${arg_NAME})
+  list(GET arg_LINKER_SCRIPTS 0 script)
   groma_executable(NAME ${arg_NAME} SOURCES ${arg_SOURCES} DEPENDS ${arg_DEPENDS} m)
   set_target_properties(
     ${arg_NAME}
     PROPERTIES
       SUFFIX .elf
       RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}
-      LINK_DEPENDS ${arg_LINKER_SCRIPT}
+      LINK_DEPENDS "${arg_LINKER_SCRIPTS}"
       # The C driver, because Debian has the additional libraries of the C++ one in a package of 1.6 GB.
       LINKER_LANGUAGE C
   )
@@ -32,7 +34,8 @@ function(groma_image)
     PRIVATE
       -nostartfiles
       --specs=nano.specs
-      -Wl,--script=${arg_LINKER_SCRIPT}
+      -L${CMAKE_SOURCE_DIR}
+      -Wl,--script=${script}
       -Wl,--gc-sections
       -Wl,--fatal-warnings
       -Wl,--no-enum-size-warning

@@ -25,7 +25,7 @@ namespace {
 
 using test::ElfFile;
 
-// As in the linker script, which gives the reasons.
+// As in firmware/soc/nrf52832/nrf52832.ld, which gives the reasons.
 constexpr std::uint32_t kFlashBudget = 192 * 1024;
 constexpr std::uint32_t kRamBudget = 48 * 1024;
 constexpr std::uint32_t kRam = sim::kRamAddress;
@@ -151,11 +151,11 @@ test::ChildResult link(const std::string& source) {
   const test::ScratchFolder folder;
   const std::filesystem::path file = folder.path() / "image.c";
   std::ofstream(file) << source;
-  const std::string script = std::string(GROMA_SOURCE_DIR) + "/firmware/board/dwm1001/dwm1001.ld";
+  const std::string script = std::string(GROMA_SOURCE_DIR) + "/firmware/soc/nrf52832/nrf52832.ld";
   return test::run_child({"/usr/bin/env", "arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-ffreestanding",
                           "-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections",
-                          "-Wl,--script=" + script, "-o", (folder.path() / "image.elf").string(),
-                          file.string()});
+                          "-L" GROMA_SOURCE_DIR, "-Wl,--script=" + script, "-o",
+                          (folder.path() / "image.elf").string(), file.string()});
 }
 
 class Linker : public testing::Test {
