@@ -91,6 +91,8 @@ bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
       if (value == 0 || lfclk_requested_) return true;
       if (guards_restart_ && t - lfclk_stopped_at_ < kLfclkRestart)
         throw SimulationError("CLOCK: LFCLKSTART within 330 us of a reset or a stop (anomaly 132)");
+      if (lfclk_source_ == kSourceCrystal && !slow_crystal_)
+        throw SimulationError("CLOCK: LFCLKSTART by the crystal, which the board does not have");
       lfclk_requested_ = true;
       lfclk_source_copy_ = lfclk_source_;
       lfclk_at_ = t + (lfclk_source_ == kSourceCrystal ? kLfxoStart : kLfrcStart);

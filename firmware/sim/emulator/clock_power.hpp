@@ -24,8 +24,10 @@ class ClockPower final : public Peripheral {
   // Anomaly 132: from a stop or reset to the next start.
   static constexpr SimTime kLfclkRestart = 330 * kUnitsPerMicrosecond;
 
-  // `guards_restart`: LFCLKSTART sooner than kLfclkRestart fails the run.
-  explicit ClockPower(bool guards_restart) noexcept : guards_restart_(guards_restart) {}
+  // `guards_restart`: LFCLKSTART sooner than kLfclkRestart fails the run. `slow_crystal`: the board has a
+  // 32.768 kHz crystal; a start without it fails the run.
+  explicit ClockPower(bool guards_restart, bool slow_crystal = true) noexcept
+      : guards_restart_(guards_restart), slow_crystal_(slow_crystal) {}
 
   // Registers that survive a soft reset keep their values; RESETREAS accumulates causes.
   void reset(ResetCause cause, SimTime t);
@@ -44,6 +46,7 @@ class ClockPower final : public Peripheral {
   static constexpr unsigned kLfclkStarted = 1;
 
   bool guards_restart_;
+  bool slow_crystal_;
   EventRegisters events_{1U << kHfclkStarted | 1U << kLfclkStarted};
   SimTime lfclk_stopped_at_ = 0;
   SimTime hfxo_at_ = kNever;

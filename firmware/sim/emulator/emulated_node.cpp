@@ -70,7 +70,8 @@ class EmulatedNode::Machine final : private Processor {
              .from_host = uart_in,
              .bits_per_s = spec.uart.bits_per_s,
              .silicon = options.silicon,
-             .spi_overhead = options.spi_overhead}),
+             .spi_overhead = options.spi_overhead,
+             .board = options.board}),
         cpu(flash, ram, soc, options.timing),
         boots_at_(spec.power_on) {
     if (quantum_ <= 0 || quantum_ > Nrf52832::kHostDelay)

@@ -12,6 +12,7 @@
 #include <memory>
 #include <span>
 
+#include "firmware/sim/emulator/board_wiring.hpp"
 #include "firmware/sim/emulator/cortex_m4.hpp"
 #include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/emulator/nrf52832.hpp"
@@ -26,8 +27,9 @@ struct EmulatorOptions {
   CpuTiming timing{};
   SiliconQuirks silicon{};
   SimTime spi_overhead = kSpiOverhead;
-  // The CAN controller on the header's SPI, in world time; it must outlive the node.
+  // The CAN controller, in world time; it must outlive the node.
   SpiDevice* can = nullptr;
+  BoardWiring board = kDwm1001;  // the one that the image is for
 };
 
 // Totals since the first power-on.

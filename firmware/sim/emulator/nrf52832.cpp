@@ -8,9 +8,10 @@ namespace groma::sim {
 
 namespace {
 
-constexpr SpimPins kCanPins{4, 6, 7};
-constexpr SpimPins kRadioPins{16, 20, 18};
-constexpr UartePins kHostPins{5, 11};
+// Of a chip that the board does not have. No pin has this number, so a transfer to it fails the run.
+constexpr unsigned kNoPin = 64;
+constexpr BoardWiring::Chip kNoChip{
+    .spi = {.sck = kNoPin, .mosi = kNoPin, .miso = kNoPin}, .select = kNoPin, .interrupt = kNoPin};
 
 constexpr std::uint32_t kFicr = 0x10000000;
 constexpr std::uint32_t kBlockBytes = 0x1000;
@@ -32,21 +33,20 @@ bool chip_has(std::uint32_t address) {
 Nrf52832::Nrf52832(const Parts& parts)
     : parts_(parts),
       random_(parts.identity.device_id),
-      slots_{
-          {{"SPIM1", parts.can, kCanPins.sck, dwm1001::kCanSelect, dwm1001::kCanInterrupt, false},
-           {"SPIM2", &parts.radio, kRadioPins.sck, dwm1001::kRadioSelect, dwm1001::kRadioInterrupt, true}}},
-      clock_power_(parts.silicon.lfclk_restart),
+      slots_{{{"SPIM1", parts.can, parts.board.can.value_or(kNoChip), false},
+              {"SPIM2", &parts.radio, parts.board.radio, true}}},
+      clock_power_(parts.silicon.lfclk_restart, parts.board.slow_crystal),
       gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
             [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
-      spim1_("SPIM1", kCanPins, EasyDma(parts.ram), parts.spi_overhead,
+      spim1_("SPIM1", slots_[0].wiring.spi, EasyDma(parts.ram), parts.spi_overhead,
              [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
                return exchange(slots_[0], end, mosi, miso, hz);
              }),
-      spim2_("SPIM2", kRadioPins, EasyDma(parts.ram), parts.spi_overhead,
+      spim2_("SPIM2", slots_[1].wiring.spi, EasyDma(parts.ram), parts.spi_overhead,
              [this](SimTime end, auto mosi, auto miso, std::uint32_t hz) {
                return exchange(slots_[1], end, mosi, miso, hz);
              }),
-      uarte_(kHostPins,
+      uarte_(parts.board.host,
              {parts.bits_per_s,
               [this](SimTime t, auto bytes) {
                 if (!parts_.to_host.write(world(t), bytes))
@@ -168,15 +168,15 @@ void Nrf52832::step(SimTime t) {
 void Nrf52832::update_interrupt_pin(SimTime t, const Slot& slot) {
   if (slot.device == nullptr) return;
   const bool high = slot.device->irq() == slot.active_high;
-  gpio_.drive_from_outside(t, slot.interrupt_pin, high ? PinDrive::kHigh : PinDrive::kLow);
+  gpio_.drive_from_outside(t, slot.wiring.interrupt, high ? PinDrive::kHigh : PinDrive::kLow);
 }
 
 // ---- pins and buses -------------------------------------------------------------------------------------
 
 bool Nrf52832::exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> mosi,
                         std::span<std::uint8_t> miso, std::uint32_t hz) {
-  if (gpio_.drive(slot.select_pin) != PinDrive::kLow) return false;
-  if (parts_.silicon.sck_input && !gpio_.input_connected(slot.clock_pin))
+  if (gpio_.drive(slot.wiring.select) != PinDrive::kLow) return false;
+  if (parts_.silicon.sck_input && !gpio_.input_connected(slot.wiring.spi.sck))
     throw SimulationError(std::string(slot.name) + ": the input buffer of SCK is disconnected");
   if (++slot.transfers_in_window > 1) {
     throw SimulationError(std::string(slot.name) +
@@ -189,8 +189,9 @@ bool Nrf52832::exchange(Slot& slot, SimTime end, std::span<const std::uint8_t> m
 }
 
 void Nrf52832::pin_driven(SimTime t, unsigned pin, PinDrive drive) {
-  if (pin == dwm1001::kRadioReset) {
-    if (drive == PinDrive::kHigh) throw SimulationError("P0.24 drives the DW1000's reset line high");
+  if (pin == parts_.board.radio_reset) {
+    if (drive == PinDrive::kHigh)
+      throw SimulationError("P0." + std::to_string(pin) + " drives the DW1000's reset line high");
     if (drive == PinDrive::kLow) {
       parts_.radio.hold_in_reset(world(t));
     } else {
@@ -200,7 +201,7 @@ void Nrf52832::pin_driven(SimTime t, unsigned pin, PinDrive drive) {
     return;
   }
   for (Slot& slot : slots_) {
-    if (pin != slot.select_pin) continue;
+    if (pin != slot.wiring.select) continue;
     const Spim& master = &slot == &slots_.front() ? spim1_ : spim2_;
     if (master.busy())
       throw SimulationError(std::string(slot.name) + ": chip select changes during a transfer");

@@ -1,4 +1,4 @@
-// The nRF52832 without its processor, on a DWM1001: a strict model of the peripherals that the image uses.
+// The nRF52832 without its processor, on a board: a strict model of the peripherals that the image uses.
 //
 // 0x40000000 CLOCK, POWER   0x40002000 UARTE0   0x40004000 SPIM1    0x40006000 GPIOTE   0x40008000 TIMER0
 // 0x4000E000 ECB            0x40010000 WDT      0x4001E000 NVMC     0x40023000 SPIM2    0x50000000 P0
@@ -19,6 +19,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware/sim/emulator/board_wiring.hpp"
 #include "firmware/sim/emulator/clock_power.hpp"
 #include "firmware/sim/emulator/cortex_m4.hpp"
 #include "firmware/sim/emulator/ecb.hpp"
@@ -38,16 +39,6 @@
 #include "firmware/sim/uart.hpp"
 
 namespace groma::sim {
-
-// The module's wiring: P0 pin numbers.
-namespace dwm1001 {
-inline constexpr unsigned kRadioSelect = 17;
-inline constexpr unsigned kRadioInterrupt = 19;
-inline constexpr unsigned kRadioReset = 24;
-inline constexpr unsigned kCanSelect = 3;
-inline constexpr unsigned kCanInterrupt = 27;
-inline constexpr std::array<unsigned, 4> kLights = {14, 22, 30, 31};  // red, red, green, blue; lit when low
-}  // namespace dwm1001
 
 // Of each SPI transfer. No public figure exists; this one is on the safe side (docs/explanation/silicon.md,
 // A4).
@@ -81,12 +72,13 @@ class Nrf52832 final : public Bus {
     std::span<std::uint8_t> uicr;
     ChipIdentity identity;
     RadioDevice& radio;
-    SpiDevice* can = nullptr;  // null: nothing on the header's SPI; reads give zeros
+    SpiDevice* can = nullptr;  // null: nothing on the board's CAN pins; reads give zeros
     UartLine& to_host;
     UartLine& from_host;
     std::uint32_t bits_per_s = 1'000'000;
     SiliconQuirks silicon{};
     SimTime spi_overhead = kSpiOverhead;
+    BoardWiring board = kDwm1001;
   };
 
   // The UARTE receives bytes from the host this much later than the end of their stop bits, so that a
@@ -115,9 +107,10 @@ class Nrf52832 final : public Bus {
   [[nodiscard]] const Spim& can_spi() const noexcept { return spim1_; }
   [[nodiscard]] const Ecb& ecb() const noexcept { return ecb_; }
   [[nodiscard]] const Watchdog& watchdog() const noexcept { return watchdog_; }
-  // Whether the LED with this index in kLights is lit.
+  // Whether the LED with this index in BoardWiring::lights is lit.
   [[nodiscard]] bool lit(std::size_t light) const noexcept {
-    return gpio_.drive(dwm1001::kLights[light]) == PinDrive::kLow;
+    const BoardWiring& board = parts_.board;
+    return gpio_.drive(board.lights[light]) == (board.lights_active_low ? PinDrive::kLow : PinDrive::kHigh);
   }
 
  private:
@@ -128,13 +121,11 @@ class Nrf52832 final : public Bus {
     bool level = false;
     SimTime next = kNever;  // the peripheral's next_event()
   };
-  // A chip on an SPI bus with its select and interrupt pins.
+  // A chip on an SPI bus.
   struct Slot {
     const char* name;
     SpiDevice* device;
-    unsigned clock_pin;
-    unsigned select_pin;
-    unsigned interrupt_pin;
+    BoardWiring::Chip wiring;
     bool active_high;
     unsigned transfers_in_window = 0;
     SimTime event = kNever;        // the device's next event, world time
