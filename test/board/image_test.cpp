@@ -1,4 +1,4 @@
-// The contents of the shipped image, and the linker's rejection of forbidden contents.
+// The contents of each board's image, and the linker's rejection of forbidden contents.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -15,10 +15,10 @@
 
 #include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/emulator/hex_file.hpp"
+#include "test/board/image_file.hpp"
 #include "test/support/child_process.hpp"
 #include "test/support/elf_file.hpp"
 #include "test/support/scratch_folder.hpp"
-#include "test/support/shipped_image.hpp"
 
 namespace groma {
 namespace {
@@ -31,17 +31,22 @@ constexpr std::uint32_t kRamBudget = 48 * 1024;
 constexpr std::uint32_t kRam = sim::kRamAddress;
 constexpr std::uint32_t kThumb = 1;
 
-class Image : public testing::Test {
+class Image : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
     GROMA_NEEDS_SHIPPED_IMAGE();
-    elf_ = std::make_unique<ElfFile>(test::shipped_image(".elf"));
+    elf_ = std::make_unique<ElfFile>(test::image_file(GetParam(), ".elf"));
   }
 
   std::unique_ptr<ElfFile> elf_;
 };
 
-TEST_F(Image, FitsItsBudgetOfFlashAndRam) {
+INSTANTIATE_TEST_SUITE_P(Boards, Image, testing::Values(test::kShippedImage, test::kBareBoardImage),
+                         [](const auto& board) {
+                           return board.param == std::string(test::kShippedImage) ? "Dwm1001" : "BareBoard";
+                         });
+
+TEST_P(Image, FitsItsBudgetOfFlashAndRam) {
   EXPECT_GT(elf_->loaded().size(), 16U * 1024);
   EXPECT_LE(elf_->loaded().rbegin()->first + 1, kFlashBudget);
   std::uint32_t ram_end = kRam;
@@ -55,14 +60,14 @@ TEST_F(Image, FitsItsBudgetOfFlashAndRam) {
   RecordProperty("ram_bytes", static_cast<int>(ram_end - kRam));
 }
 
-TEST_F(Image, HasItsStackAtTheBottomOfTheRam) {
+TEST_P(Image, HasItsStackAtTheBottomOfTheRam) {
   EXPECT_EQ(elf_->symbol("groma_stack_begin"), kRam);
   EXPECT_GE(elf_->symbol("groma_stack_end"), kRam + 4 * 1024);
   EXPECT_EQ(elf_->symbol("groma_stack_end") % 8, 0U);
   EXPECT_GE(elf_->symbol("groma_data_begin"), elf_->symbol("groma_fault_stack_end"));
 }
 
-TEST_F(Image, HasNoHeapNoExceptionsAndNoFiles) {
+TEST_P(Image, HasNoHeapNoExceptionsAndNoFiles) {
   const std::set<std::string> forbidden{"malloc",
                                         "_malloc_r",
                                         "free",
@@ -97,7 +102,7 @@ TEST_F(Image, HasNoHeapNoExceptionsAndNoFiles) {
   EXPECT_EQ(elf_->section(".eh_frame").bytes, 0U);
 }
 
-TEST_F(Image, BeginsWithAVectorTableOfItsHandlers) {
+TEST_P(Image, BeginsWithAVectorTableOfItsHandlers) {
   EXPECT_EQ(elf_->section(".vectors").address, 0U);
   const auto handler = [this](const char* name) { return elf_->symbol(name) | kThumb; };
   EXPECT_EQ(elf_->loaded_word(0), elf_->symbol("groma_stack_end"));
@@ -122,7 +127,7 @@ TEST_F(Image, BeginsWithAVectorTableOfItsHandlers) {
   }
 }
 
-TEST_F(Image, KeepsItsFaultRecordAtStartUp) {
+TEST_P(Image, KeepsItsFaultRecordAtStartUp) {
   const ElfFile::Section kept = elf_->section(".noinit");
   EXPECT_GT(kept.bytes, 0U);
   EXPECT_FALSE(kept.has_content);
@@ -134,8 +139,8 @@ TEST_F(Image, KeepsItsFaultRecordAtStartUp) {
   EXPECT_FALSE(inside(elf_->symbol("groma_stack_begin"), elf_->symbol("groma_fault_stack_end")));
 }
 
-TEST_F(Image, HasTheSameContentInBothFiles) {
-  std::ifstream file(test::shipped_image(".hex"));
+TEST_P(Image, HasTheSameContentInBothFiles) {
+  std::ifstream file(test::image_file(GetParam(), ".hex"));
   std::ostringstream text;
   text << file.rdbuf();
   std::map<std::uint32_t, std::uint8_t> flashed;
