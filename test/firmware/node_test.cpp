@@ -1190,7 +1190,10 @@ TEST(SlotReport, CarriesEachRangeWithItsTimeAndStatus) {
   groma_SlotReport report = groma_SlotReport_init_zero;
   groma_Counters counters = groma_Counters_init_zero;
   const ranging::ClockTime now = exchange.poll_sent + ranging::Ticks(1'500'000'000);
-  fill_slot_report(report, exchange, now, {.raw_stamps = true}, counters);
+  begin_slot_report(report, exchange, now);
+  for (std::size_t i = 0; i < exchange.count; ++i) {
+    fill_range(report, i, exchange, now, {.raw_stamps = true}, counters);
+  }
   EXPECT_EQ(report.superframe, 1234U);
   EXPECT_EQ(report.slot, 2U);
   EXPECT_EQ(report.device_time_dtu, 1'001'500'000'000U);

@@ -71,9 +71,6 @@ class AirLink final : public mac::ControlChannel {
 
   // Call after kCommand. An answer consists of messages, each after its length (2 bytes, little-endian).
   void begin_answer() noexcept { size_ = 0; }
-  // A buffer of kMaxMessageBytes that the node may use while it executes the command, until it starts to
-  // answer.
-  [[nodiscard]] std::span<std::uint8_t> scratch() noexcept { return buffer_; }
   // The free space for the next message.
   [[nodiscard]] std::span<std::uint8_t> room() noexcept;
   // Adds the first `size` bytes of room() as a message.

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "firmware/core/mac/synchronizer.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/ranging/corrections.hpp"
 #include "proto/compact_report.hpp"
@@ -13,21 +14,15 @@
 namespace groma::node {
 namespace {
 
-groma_RangeStatus status_of(mac::RangeStatus status) noexcept {
-  switch (status) {
-    case mac::RangeStatus::kOk:
-      return groma_RangeStatus_RANGE_OK;
-    case mac::RangeStatus::kNoResponse:
-      return groma_RangeStatus_RANGE_NO_RESPONSE;
-    case mac::RangeStatus::kNoClosingTimestamp:
-      return groma_RangeStatus_RANGE_NO_CLOSING_STAMP;
-    case mac::RangeStatus::kStale:
-      return groma_RangeStatus_RANGE_STALE;
-    case mac::RangeStatus::kBadTimestamp:
-      return groma_RangeStatus_RANGE_BAD_STAMP;
-  }
-  return groma_RangeStatus_RANGE_BAD_STAMP;
-}
+// These have the schema's values.
+static_assert(static_cast<int>(mac::RangeStatus::kNoResponse) == groma_RangeStatus_RANGE_NO_RESPONSE &&
+              static_cast<int>(mac::RangeStatus::kNoClosingTimestamp) ==
+                  groma_RangeStatus_RANGE_NO_CLOSING_STAMP &&
+              static_cast<int>(mac::RangeStatus::kStale) == groma_RangeStatus_RANGE_STALE &&
+              static_cast<int>(mac::RangeStatus::kBadTimestamp) == groma_RangeStatus_RANGE_BAD_STAMP);
+static_assert(static_cast<int>(mac::SyncState::kLocked) == groma_SyncState_SYNC_LOCKED &&
+              static_cast<int>(mac::SyncState::kCoasting) == groma_SyncState_SYNC_COASTING);
+static_assert(static_cast<int>(dw1000::LineOfSight::kUnlikely) == groma_LineOfSight_LINE_OF_SIGHT_UNLIKELY);
 
 std::uint64_t ticks_of(ranging::Ticks t) noexcept {
   return static_cast<std::uint64_t>(t.count());
@@ -38,8 +33,6 @@ void set(bool& has, T& field, std::optional<std::int32_t> value) noexcept {
   has = value.has_value();
   field = static_cast<T>(value.value_or(0));
 }
-
-static_assert(static_cast<int>(dw1000::LineOfSight::kUnlikely) == groma_LineOfSight_LINE_OF_SIGHT_UNLIKELY);
 
 // Applies the corrections that are requested and for which the data is known; sets `flags` accordingly.
 ranging::FlightTime corrected(ranging::FlightTime flight, const mac::Leg& leg, const Ranging& ranging,
@@ -68,7 +61,7 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
   const mac::Range range = mac::evaluate(exchange, leg);
   groma_Range out = groma_Range_init_zero;
   out.anchor_id = leg.anchor;
-  out.status = status_of(range.status);
+  out.status = static_cast<groma_RangeStatus>(range.status);
   // Without a RESPONSE the instant is that of the POLL, so that the report has a time.
   const ranging::ClockTime instant = leg.answered ? leg.received : exchange.poll_sent;
   out.instant_offset_dtu = (instant - device_time).count();
@@ -97,28 +90,6 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
   return out;
 }
 
-// nanopb encodes a nested message twice, first to find its length. This encodes the body once, behind room
-// for the longest tag and length, and moves it; 0 if there is no such room. A node's own messages have no
-// source_id.
-std::size_t encode_body(const groma_NodeToHost& message, std::span<std::uint8_t> out) noexcept {
-  constexpr std::size_t kHead_bytes = 4;
-  static_assert(groma_NodeToHost_size < 1U << 14U);
-  pb_field_iter_t field;
-  if (out.size() < kHead_bytes || !pb_field_iter_begin_const(&field, groma_NodeToHost_fields, &message) ||
-      !pb_field_iter_find(&field, message.which_body)) {
-    return 0;
-  }
-  pb_ostream_t head = pb_ostream_from_buffer(out.data(), kHead_bytes);
-  pb_ostream_t body = pb_ostream_from_buffer(out.data() + kHead_bytes, out.size() - kHead_bytes);
-  if (!pb_encode(&body, field.submsg_desc, field.pData) ||
-      !pb_encode_tag(&head, PB_WT_STRING, message.which_body) ||
-      !pb_encode_varint(&head, body.bytes_written)) {
-    return 0;
-  }
-  std::copy_n(out.data() + kHead_bytes, body.bytes_written, out.data() + head.bytes_written);
-  return head.bytes_written + body.bytes_written;
-}
-
 }  // namespace
 
 void copy_text(std::span<char> out, const char* text) noexcept {
@@ -140,14 +111,6 @@ void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange
   report.ranges[index] = range_of(exchange, exchange.legs[index], device_time, ranging);
   const bool good = report.ranges[index].status == groma_RangeStatus_RANGE_OK;
   ++(good ? counters.ranges_completed : counters.ranges_lost);
-}
-
-void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, ranging::ClockTime device_time,
-                      const Ranging& ranging, groma_Counters& counters) noexcept {
-  begin_slot_report(report, exchange, device_time);
-  for (std::size_t i = 0; i < exchange.count; ++i) {
-    fill_range(report, i, exchange, device_time, ranging, counters);
-  }
 }
 
 mac::Health health_of(const dw1000::Ambient& ambient) noexcept {
@@ -186,18 +149,6 @@ void fill_hello(groma_Hello& hello, const Build& build, const std::optional<grom
   copy_text(hello.radio_error, radio_error);
 }
 
-groma_SyncState sync_state_of(mac::SyncState state) noexcept {
-  switch (state) {
-    case mac::SyncState::kSearching:
-      return groma_SyncState_SYNC_SEARCHING;
-    case mac::SyncState::kLocked:
-      return groma_SyncState_SYNC_LOCKED;
-    case mac::SyncState::kCoasting:
-      return groma_SyncState_SYNC_COASTING;
-  }
-  return groma_SyncState_SYNC_SEARCHING;
-}
-
 std::span<const std::uint8_t> MessageEncoder::encode_of(std::span<const std::uint8_t> message,
                                                         std::uint16_t source) noexcept {
   // A decoder uses the last value of a field.
@@ -213,26 +164,35 @@ std::span<const std::uint8_t> MessageEncoder::frame_of(std::span<const std::uint
   return std::span(frame_).first(wire::encode_frame(payload, frame_));
 }
 
+// Encodes the body once, at the start of `out`, and then moves it behind its tag and length. A node's own
+// messages have no source_id.
 std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
                            std::span<std::uint8_t> out) noexcept {
-  pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
-  if (!config) {
-    if (const std::size_t size = encode_body(message, out); size != 0) return size;
-    return pb_encode(&stream, groma_NodeToHost_fields, &message) ? stream.bytes_written : 0;
+  pb_field_iter_t field;
+  if (!pb_field_iter_begin_const(&field, groma_NodeToHost_fields, &message) ||
+      !pb_field_iter_find(&field, message.which_body)) {
+    return 0;
   }
-  const groma_Reply& reply = message.body.reply;
-  // The configuration is the last field of the reply, and the reply the last one set in the message.
-  static_assert(groma_Reply_config_tag == 4 && groma_NodeToHost_reply_tag == 6);
-  pb_ostream_t size = PB_OSTREAM_SIZING;
-  const bool fits = pb_encode(&size, groma_Reply_fields, &reply) &&
-                    pb_encode_tag(&size, PB_WT_STRING, groma_Reply_config_tag) &&
-                    pb_encode_string(&size, config->data(), config->size()) &&
-                    pb_encode_tag(&stream, PB_WT_STRING, groma_NodeToHost_reply_tag) &&
-                    pb_encode_varint(&stream, size.bytes_written) &&
-                    pb_encode(&stream, groma_Reply_fields, &reply) &&
-                    pb_encode_tag(&stream, PB_WT_STRING, groma_Reply_config_tag) &&
-                    pb_encode_string(&stream, config->data(), config->size());
-  return fits ? stream.bytes_written : 0;
+  static_assert(groma_Reply_config_tag == 4, "the configuration is the reply's last field");
+  pb_ostream_t body = pb_ostream_from_buffer(out.data(), out.size());
+  if (!pb_encode(&body, field.submsg_desc, field.pData)) return 0;
+  if (config && (!pb_encode_tag(&body, PB_WT_STRING, groma_Reply_config_tag) ||
+                 !pb_encode_string(&body, config->data(), config->size()))) {
+    return 0;
+  }
+  constexpr std::size_t kLongestHead = 4;
+  static_assert(groma_NodeToHost_size < 1U << 14U);
+  std::array<std::uint8_t, kLongestHead> head_bytes{};
+  pb_ostream_t head = pb_ostream_from_buffer(head_bytes.data(), head_bytes.size());
+  if (!pb_encode_tag(&head, PB_WT_STRING, message.which_body) ||
+      !pb_encode_varint(&head, body.bytes_written)) {
+    return 0;
+  }
+  const std::size_t size = head.bytes_written + body.bytes_written;
+  if (size > out.size()) return 0;
+  std::copy_backward(out.data(), out.data() + body.bytes_written, out.data() + size);
+  std::copy_n(head_bytes.data(), head.bytes_written, out.data());
+  return size;
 }
 
 std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message,

@@ -9,7 +9,6 @@
 
 #include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/mac/exchange.hpp"
-#include "firmware/core/mac/synchronizer.hpp"
 #include "firmware/core/node/platform.hpp"
 #include "groma.pb.h"
 #include "proto/frame_codec.hpp"
@@ -30,11 +29,8 @@ struct Ranging {
   std::optional<dw1000::Ambient> ambient{};  // of the tag's chip
 };
 
-// Evaluates the exchange's ranges; counts completed and lost ones in `counters`. `device_time` is now.
-void fill_slot_report(groma_SlotReport& report, const mac::Exchange& exchange, ranging::ClockTime device_time,
-                      const Ranging& ranging, groma_Counters& counters) noexcept;
-// The same in steps, for callers that cannot spend the time at once: all fields except the ranges, then each
-// range.
+// Fills a report of the exchange in steps: all fields except the ranges, then each range. Counts completed
+// and lost ranges in `counters`. `device_time` is now.
 void begin_slot_report(groma_SlotReport& report, const mac::Exchange& exchange,
                        ranging::ClockTime device_time) noexcept;
 void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange& exchange,
@@ -51,16 +47,31 @@ void fill_hello(groma_Hello& hello, const Build& build, const std::optional<grom
                 ResetReason reset_reason, const std::optional<Fault>& last_fault, const StackUse& stack,
                 const char* radio_error) noexcept;
 
-[[nodiscard]] groma_SyncState sync_state_of(mac::SyncState state) noexcept;
-
 // The encoded configuration of a reply; nothing if the reply has none or contains it itself.
 using ReplyConfig = std::optional<std::span<const std::uint8_t>>;
 
-// Writes the message to the start of `out`, as nanopb does. Returns its size, 0 if it does not fit. nanopb
-// encodes nested messages again to find their length, a schedule in a reply eight times; `config`, for a
-// reply that does not contain one, is therefore copied in encoded form.
+// Writes the message to the start of `out`, as nanopb does, but in less time: nanopb encodes nested messages
+// again to find their length, a schedule in a reply eight times; `config`, for a reply that does not contain
+// one, is therefore copied in encoded form. Returns the size, 0 if the message does not fit.
 [[nodiscard]] std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
                                          std::span<std::uint8_t> out) noexcept;
+
+// Where a message goes: to the host unasked, or as the answer to a command.
+struct ReplyContext {
+  enum class Way : std::uint8_t {
+    kHost,   // over the link that the configuration in force selects
+    kAsker,  // over the link that last delivered bytes to the node
+    kAir,    // into the answer that the air link collects
+  };
+  Way way = Way::kHost;
+  std::uint32_t request_id = 0;  // of the command
+
+  [[nodiscard]] static ReplyContext link(std::uint32_t request_id) noexcept {
+    return {Way::kAsker, request_id};
+  }
+  [[nodiscard]] static ReplyContext air(std::uint32_t request_id) noexcept { return {Way::kAir, request_id}; }
+  [[nodiscard]] bool by_air() const noexcept { return way == Way::kAir; }
+};
 
 // Encodes and frames messages in its own buffers.
 class MessageEncoder {

@@ -3,6 +3,7 @@
 #include <concepts>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <span>
 #include <type_traits>
@@ -12,6 +13,9 @@
 #include "groma.pb.h"
 
 namespace groma::node {
+
+// A deadline that never comes.
+inline constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::max();
 
 // The states that the node's LEDs show.
 enum class Indicator : std::uint8_t {
@@ -121,14 +125,5 @@ concept ChoosesLink = Platform<P> && requires(P& platform, const groma_Config& c
   { platform.count_link(counters) }
   noexcept->std::same_as<void>;
 };
-
-// The node (node.hpp); all calls are noexcept and come from one context:
-//   Node<P> node(platform, build);
-//   node.start()                 once after boot
-//   node.on_radio_interrupt()    whenever the radio's interrupt line is high; returns with it low
-//   node.on_link_bytes(bytes)    bytes from the host, in any pieces
-//   node.next_deadline_us()      the now_us() at which on_timer() has to be called; UINT64_MAX: never
-//   node.on_timer()              harmless if early
-// The radio's slots never wait for on_timer(), which serves recovery, telemetry and the LEDs.
 
 }  // namespace groma::node

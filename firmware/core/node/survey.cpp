@@ -1,44 +1,44 @@
 #include "firmware/core/node/survey.hpp"
 
+#include <algorithm>
 #include <cmath>
-#include <cstring>
+#include <span>
 
 namespace groma::node {
-namespace {
 
-using Sum = SurveySums::Sum;
-
-// The bytes need not be aligned.
-Sum sum_at(std::span<const std::uint8_t> room, std::size_t i) noexcept {
-  Sum sum;
-  std::memcpy(&sum, room.subspan(i * sizeof(Sum)).data(), sizeof(Sum));
-  return sum;
+void Survey::begin(std::uint16_t lender, std::uint32_t exchanges, std::uint64_t until_us) noexcept {
+  lender_ = lender;
+  left_ = static_cast<std::uint16_t>(exchanges);
+  until_us_ = until_us;
+  count_ = 0;
 }
 
-}  // namespace
-
-void SurveySums::add(std::uint16_t anchor, float range_m, std::span<std::uint8_t> room) noexcept {
-  std::size_t i = 0;
-  Sum sum;
-  for (; i < count_; ++i) {
-    sum = sum_at(room, i);
-    if (sum.anchor == anchor) break;
+void Survey::add(const mac::Exchange& exchange) noexcept {
+  if (left_ == 0) return;
+  --left_;
+  for (const mac::Leg& leg : std::span(exchange.legs).first(exchange.count)) {
+    const mac::Range range = mac::evaluate(exchange, leg);
+    if (range.status == mac::RangeStatus::kOk) add(leg.anchor, range.flight.distance_m());
   }
-  if (i == count_) {
-    if (i == kMaxPairs) return;
-    sum = Sum{.anchor = anchor};
+}
+
+// Welford's recurrence.
+void Survey::add(std::uint16_t anchor, float range_m) noexcept {
+  const auto end = sums_.begin() + static_cast<std::ptrdiff_t>(count_);
+  const auto sum = std::find_if(sums_.begin(), end, [=](const Sum& s) { return s.anchor == anchor; });
+  if (sum == end) {
+    if (count_ == kMaxPairs) return;
+    *sum = {.anchor = anchor};
     ++count_;
   }
-  ++sum.count;
-  const float off_m = range_m - sum.mean_m;
-  sum.mean_m += off_m / static_cast<float>(sum.count);
-  sum.squares_m2 += off_m * (range_m - sum.mean_m);
-  std::memcpy(room.subspan(i * sizeof(Sum)).data(), &sum, sizeof(Sum));
+  ++sum->count;
+  const float off_m = range_m - sum->mean_m;
+  sum->mean_m += off_m / static_cast<float>(sum->count);
+  sum->squares_m2 += off_m * (range_m - sum->mean_m);
 }
 
-void SurveySums::fill(groma_SurveyReport& report, std::span<const std::uint8_t> room) const noexcept {
-  for (std::size_t i = 0; i < count_; ++i) {
-    const Sum sum = sum_at(room, i);
+void Survey::fill(groma_SurveyReport& report) const noexcept {
+  for (const Sum& sum : std::span(sums_).first(count_)) {
     const float freedom = sum.count > 1 ? static_cast<float>(sum.count - 1) : 1.0F;
     report.pairs[report.pairs_count++] = {.anchor_id = sum.anchor,
                                           .mean_m = sum.mean_m,

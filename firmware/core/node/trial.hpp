@@ -3,7 +3,8 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
+
+#include "firmware/core/node/platform.hpp"
 
 namespace groma::node {
 
@@ -28,8 +29,6 @@ class Trial {
   [[nodiscard]] bool next_round() noexcept { return ++round_ % 2 != 0; }
 
  private:
-  static constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::max();
-
   std::uint8_t round_ = 0;
   std::uint64_t duration_us_ = 0;
   std::uint64_t end_us_ = kNever_us;
