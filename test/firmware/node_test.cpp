@@ -1030,8 +1030,10 @@ TEST_F(LoneTagTest, KeepsItsPlaceOverARadioRecovery) {
   const std::size_t usual = polls;
   EXPECT_GE(usual, 4U);
   platform.sent.clear();
+  platform.shown.clear();
   miss_event();
   ASSERT_EQ(node.counters().radio_recoveries, 1U);
+  EXPECT_EQ(std::count(platform.shown.begin(), platform.shown.end(), Indicator::kSearching), 0);
   polls = 0;
   run_superframes(8);
   EXPECT_GE(polls + 1, usual);
