@@ -545,7 +545,7 @@ TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollOnReplayedBeacons) {
   air->lost = [tag](const Air::Frame& frame, std::size_t receiver) {
     return receiver == tag && frame.source != Air::kGhost;
   };
-  run_superframes(mac::kTableGoodFor - 4.0);
+  run_superframes(mac::kMapGoodFor - 4.0);
   const std::vector<Air::Frame> missed = heard[kBeacon];
   for (int i = 0; i < 200 && air->station(tag).sync().state() != mac::SyncState::kSearching; ++i)
     run_superframes(1);
@@ -558,7 +558,7 @@ TEST_F(AttackTest, ATagThatLostItsNetworkDoesNotPollOnReplayedBeacons) {
   const double later = air->now() - missed.front().rmarker + duration();
   for (const Air::Frame& frame : missed) air->inject(frame.rmarker + later, frame.x_m, frame.bytes);
   const std::uint32_t beacons = air->counters(tag).beacons_received;
-  run_superframes(mac::kTableGoodFor);
+  run_superframes(mac::kMapGoodFor);
   EXPECT_GT(air->counters(tag).beacons_received, beacons + 10);
   EXPECT_GE(heard[kJoin].size(), 1U) << "it sends a challenge";
   EXPECT_TRUE(heard[kPoll].empty());

@@ -33,6 +33,7 @@ class Cells {
   struct Node {
     std::uint16_t id;
     int cell;
+    std::unique_ptr<SlotMap> slots;
     std::unique_ptr<TagMembership> tag{};
     std::unique_ptr<AnchorMembership> anchor{};
     std::optional<Beacon> heard{};
@@ -48,14 +49,14 @@ class Cells {
   explicit Cells(const groma_Schedule& schedule) : schedule_(schedule) {}
 
   Node& add_tag(std::uint16_t id, int cell = 0) {
-    nodes_.push_back(std::make_unique<Node>(Node{.id = id, .cell = cell}));
-    nodes_.back()->tag = std::make_unique<TagMembership>(id, schedule_);
-    return *nodes_.back();
+    Node& node = add(id, cell);
+    node.tag = std::make_unique<TagMembership>(id, schedule_, *node.slots);
+    return node;
   }
   Node& add_anchor(std::uint16_t id, int cell = 0) {
-    nodes_.push_back(std::make_unique<Node>(Node{.id = id, .cell = cell}));
-    nodes_.back()->anchor = std::make_unique<AnchorMembership>(id, schedule_);
-    return *nodes_.back();
+    Node& node = add(id, cell);
+    node.anchor = std::make_unique<AnchorMembership>(id, schedule_, *node.slots);
+    return node;
   }
 
   void run(std::uint32_t superframes) {
@@ -82,12 +83,19 @@ class Cells {
     Body body;
   };
 
+  Node& add(std::uint16_t id, int cell) {
+    nodes_.push_back(
+        std::make_unique<Node>(Node{.id = id, .cell = cell, .slots = std::make_unique<SlotMap>(schedule_)}));
+    return *nodes_.back();
+  }
+
   void superframe() {
     ++number;
     for (const auto& node : nodes_) {
       if (node->id == master && node->on) {
         Beacon beacon{.superframe = number, .session = 1, .master = master, .slots = kMaxTags};
         node->channel().on_beacon_out(beacon, true);
+        node->slots->take(beacon);
         owners.assign(beacon.owners.begin(), beacon.owners.begin() + beacon.slots);
         deliver({{node.get(), beacon}});
       }
@@ -141,8 +149,10 @@ class Cells {
       if (audible != 1 || sends) continue;
       const Frame frame{.source = only->from->id, .body = only->body};
       if (const auto* beacon = std::get_if<Beacon>(&only->body)) {
+        if (node->id == master) continue;  // its own, relayed
+        node->slots->take(*beacon);
         node->channel().on_beacon(frame, *beacon);
-        if (node->id != master) node->heard = *beacon;
+        node->heard = *beacon;
       } else {
         node->channel().on_control(frame, number, node->id == master);
       }
@@ -232,8 +242,8 @@ TEST(Membership, ADeadTagLosesItsSlotAndRejoinsWhenItIsBack) {
   cells.run(10);
   Cells::Node& late = cells.add_tag(51);
   const std::uint32_t superframes = cells.until([&] { return late.tag->slot(cells.number).has_value(); });
-  EXPECT_GT(superframes, kTableGoodFor);
-  EXPECT_LE(superframes, kLease + kTableGoodFor + 20);
+  EXPECT_GT(superframes, kMapGoodFor);
+  EXPECT_LE(superframes, kLease + kMapGoodFor + 20);
   EXPECT_EQ(cells.owners, (std::vector<std::uint16_t>{51, 50}));
   late.tag->leave();
   dead.on = true;
@@ -284,7 +294,7 @@ TEST(Membership, ATagThatHearsNoBeaconsFallsSilent) {
   Cells::Node& tag = cells.add_tag(1);
   cells.run(20);
   master.on = false;
-  cells.run(kTableGoodFor);
+  cells.run(kMapGoodFor);
   EXPECT_TRUE(tag.tag->slot(cells.number));
   cells.run(1);
   EXPECT_FALSE(tag.tag->slot(cells.number));

@@ -344,7 +344,7 @@ TEST(SelfOrganizing, ElevenLostBeaconsCostNothing) {
 }
 
 // The clocks drift by 1 ppm/s in alternating directions and all beacons are lost. All ranges stay correct and
-// all transmissions stay within the guard. The nodes fall silent when the slot table expires.
+// all transmissions stay within the guard. The nodes fall silent when the slot map expires.
 TEST(SelfOrganizing, WithoutBeaconsNodesCoastWithinTheGuardAndThenFallSilent) {
   // No back-ups, so nobody takes over.
   const groma_Schedule schedule = schedule_with(3, 8, 0);
@@ -387,7 +387,7 @@ TEST(SelfOrganizing, WithoutBeaconsNodesCoastWithinTheGuardAndThenFallSilent) {
   EXPECT_LT(worst_error_m(site.air.ranges), kIdealError_m);
   drift(108);
   EXPECT_LT(worst_offset_us, schedule.guard_us) << "nobody sends outside of its slot";
-  // A slot table is valid for 32 superframes; in some of the last ones all nodes listen for a master.
+  // A slot map is valid for 32 superframes; in some of the last ones all nodes listen for a master.
   EXPECT_GE(polls, 25U * 3);
   EXPECT_LE(polls, 33U * 3);
   // An exchange spans two superframes, with 2 ppm/s between the clocks.

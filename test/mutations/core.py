@@ -23,7 +23,7 @@ AUTHENTICATOR_TEST = ["test/firmware/frame_authenticator_test.cpp"]
 STATION = "firmware/core/mac/station.cpp"
 ATTACK_TEST = ["test/firmware/attack_test.cpp"]
 ANCHOR_SET_TEST = ["test/firmware/anchor_set_test.cpp"]
-SLOTS_TEST = ["test/firmware/slot_table_test.cpp"]
+SLOTS_TEST = ["test/firmware/slot_map_test.cpp"]
 ACCESS_TEST = ["test/firmware/access_test.cpp"]
 MEMBERSHIP_TEST = ["test/firmware/membership_test.cpp"]
 CODEC_TEST = ["test/proto/frame_codec_test.cpp"]
@@ -99,17 +99,17 @@ MUTATIONS = [
     ("anchor set: no places for trials", "firmware/core/mac/anchor_set.cpp", "out.size() - trials(out.size())", "out.size()", ANCHOR_SET_TEST),
     ("anchor set: hints ignored", "firmware/core/mac/anchor_set.cpp", "(128U + quality / 2U) * weight;", "(128U + quality / 2U) * 100U;", ANCHOR_SET_TEST),
     ("anchor set: a found anchor not polled again", "firmware/core/mac/anchor_set.cpp", "c->missed > 0 && !c->chosen ? 1 : 0;", "0;", ANCHOR_SET_TEST),
-    ("slots: reassigned too early", "firmware/core/mac/slot_table.cpp", "kVacantFor = kTableGoodFor + 1", "kVacantFor = kTableGoodFor - 8", SLOTS_TEST),
-    ("slots: an older table accepted", "firmware/core/mac/slot_table.cpp", "is_late(origin, origin_)) return;\n  known_", "false) return;\n  known_", SLOTS_TEST),
-    ("slots: a tag polls with an outdated table", "firmware/core/mac/slot_table.cpp", "!known_ || outdated(number)", "!known_", SLOTS_TEST),
-    ("slots: a new master assigns free slots without the pause", "firmware/core/mac/slot_table.cpp", "    use.vacant = 0;\n", "", SLOTS_TEST),
-    ("slots: a tag that never polls keeps its slot", "firmware/core/mac/slot_table.cpp", "uses_[slot].awaited && uses_[slot].unheard >= kFirstLease", "false", SLOTS_TEST),
-    ("slots: lease never expires", "firmware/core/mac/slot_table.cpp", "uses_[slot].unheard >= kLease) revoke", "false) revoke", SLOTS_TEST),
+    ("slots: reassigned too early", "firmware/core/mac/slot_leases.cpp", "kVacantFor = kMapGoodFor + 1", "kVacantFor = kMapGoodFor - 8", SLOTS_TEST),
+    ("slots: an older map accepted", "firmware/core/mac/slot_map.cpp", "is_late(origin, origin_)) return;", "false) return;", SLOTS_TEST),
+    ("slots: a tag polls with an outdated map", "firmware/core/mac/slot_map.cpp", "known_ && !outdated(number) ?", "known_ ?", SLOTS_TEST),
+    ("slots: a new master assigns free slots without the pause", "firmware/core/mac/slot_leases.cpp", "    lease.vacant = 0;\n", "", SLOTS_TEST),
+    ("slots: a tag that never polls keeps its slot", "firmware/core/mac/slot_leases.cpp", "lease.awaited && lease.unheard >= kFirstLease", "false", SLOTS_TEST),
+    ("slots: lease never expires", "firmware/core/mac/slot_leases.cpp", "lease.heard && lease.unheard >= kLease", "false", SLOTS_TEST),
     ("access: no back-off", "firmware/core/mac/access.cpp", "p.wait = draw(i, number, p.window_log2);", "p.wait = 0;", ACCESS_TEST),
     ("access: all nodes draw the same back-off", "firmware/core/mac/access.cpp", "(std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3)", "0U", ACCESS_TEST),
     ("membership: back-ups relay no JOIN", "firmware/core/mac/membership.cpp", "  access_.want(Purpose::kPassOn, kPassOn, number);\n", "", MEMBERSHIP_TEST),
-    ("membership: a tag that left still polls", "firmware/core/mac/membership.hpp", "leaving_ ? std::nullopt : lease_.slot(number)", "lease_.slot(number)", MEMBERSHIP_TEST),
-    ("membership: a relay overwrites the master's table", "firmware/core/mac/membership.cpp", "  if (beacon.master == id_) return;  // its own table, relayed\n", "", MEMBERSHIP_TEST),
+    ("membership: a tag that left still polls", "firmware/core/mac/membership.hpp", "leaving_ ? std::nullopt : slots_.valid_slot_of(owner_, number)", "slots_.valid_slot_of(owner_, number)", MEMBERSHIP_TEST),
+    ("slots: the count of a former timeline outranks the followed one", "firmware/core/mac/slot_map.cpp", "known_ && !adopted &&", "known_ &&", SLOTS_TEST),
     ("mac: receiver enabled without the preamble's length", "firmware/core/mac/station.cpp", "due - phy.before_rmarker() - guard", "due - guard", MAC_TEST),
     ("mac: receiver enabled without the time of its start-up", "firmware/core/mac/station.cpp", " - guard - dw1000::Phy::kReceiverStart", " - guard", MAC_TEST),
     ("mac: no time to process a beacon before its relay", "firmware/core/mac/superframe.cpp", "kBeaconProcessing = round_up_to_grid(Ticks::from_us(100))", "kBeaconProcessing = round_up_to_grid(Ticks::from_us(0))", ["test/firmware/superframe_test.cpp"]),

@@ -14,7 +14,7 @@ constexpr int kSilent = 4;  // superframes without a POLL after which a slot cou
 }  // namespace
 
 Anchor::Anchor(const Site& site, groma_Counters& counters) noexcept
-    : station_(site, counters), membership_(site.id, *site.schedule) {
+    : station_(site, counters), membership_(site.id, *site.schedule, station_.slots()) {
   station_.attach(membership_);
 }
 
@@ -147,7 +147,7 @@ bool Anchor::in_time(const Reception& reception) const noexcept {
 bool Anchor::is_of_slot(const Frame& frame, const Poll& poll, const Reception& reception) const noexcept {
   const std::uint16_t owner = owner_for(frame, poll);
   return poll.superframe == slots_of_ && poll.slot == slot_ && owner != kNobody &&
-         station_.may_poll(owner, slot_) && in_time(reception);
+         station_.slots().may_poll(owner, slot_) && in_time(reception);
 }
 
 std::optional<Action> Anchor::answer(const Frame& frame, const Poll& poll,
@@ -206,7 +206,7 @@ std::size_t Anchor::precompute() noexcept {
 // for a while, the owner.
 std::uint16_t Anchor::expected_tag() const noexcept {
   const bool used = pollers_[slot_] != kNobody && silent_[slot_] < kSilent;
-  return used ? pollers_[slot_] : station_.owner_of(slot_);
+  return used ? pollers_[slot_] : station_.slots().owner_of(slot_);
 }
 
 Anchor::Record& Anchor::record_of(std::uint16_t tag) noexcept {

@@ -79,7 +79,7 @@ class Anchor {
   [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
   // The tag in whose slot the POLL is sent: its sender, or the present slot's owner, which lent it.
   [[nodiscard]] std::uint16_t owner_for(const Frame& frame, const Poll& poll) const noexcept {
-    return poll.lent ? station_.owner_of(slot_) : frame.source;
+    return poll.lent ? station_.slots().owner_of(slot_) : frame.source;
   }
   // The POLL is in the present slot and its sender may poll there.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,

@@ -82,6 +82,11 @@ struct Beacon {
   friend bool operator==(const Beacon&, const Beacon&) = default;
 };
 
+// The superframe in which the master sent the content of a beacon, direct or relayed.
+[[nodiscard]] constexpr std::uint32_t origin_of(const Beacon& beacon) noexcept {
+  return beacon.superframe - beacon.age;
+}
+
 // Sent by a tag, or by an anchor that surveys, to all anchors that it names.
 struct Poll {
   std::uint16_t exchange = 0;

@@ -31,10 +31,11 @@ constexpr std::uint64_t nonce_of(std::uint16_t id, std::uint32_t number) noexcep
 
 // ---- the tag --------------------------------------------------------------------------------------------
 
-TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule, std::uint16_t lender) noexcept
+TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule, const SlotMap& slots,
+                             std::uint16_t lender) noexcept
     : id_(id),
-      borrows_(lender != kNobody),
-      lease_(borrows_ ? lender : id, configured_slot(schedule, borrows_ ? lender : id)),
+      owner_(lender != kNobody ? lender : id),
+      slots_(slots),
       anchors_(std::span(schedule.anchor_ids).first(schedule.anchor_ids_count)),
       access_(id) {}
 
@@ -69,11 +70,11 @@ void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, boo
 }
 
 void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept {
-  lease_.take(beacon);
   anchors_.hear(frame.source);
+  const bool homeless = !slots_.slot_of(owner_);
   if (leaving_) {
-    if (lease_.homeless()) access_.settle(Purpose::kLeave);
-  } else if (lease_.homeless() && !borrows_) {
+    if (homeless) access_.settle(Purpose::kLeave);
+  } else if (homeless && !borrows()) {
     access_.want(Purpose::kJoin, kAsk, beacon.superframe);
   } else {
     access_.settle(Purpose::kJoin);
@@ -82,15 +83,16 @@ void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept
 
 // ---- the anchor -----------------------------------------------------------------------------------------
 
-AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept
+AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& schedule, SlotMap& slots) noexcept
     : id_(id),
       beaconer_(rank_of(schedule, id).has_value()),
       listed_(std::count(schedule.anchor_ids, schedule.anchor_ids + schedule.anchor_ids_count, id) != 0),
-      slots_(schedule),
+      slots_(slots),
+      leases_(slots),
       access_(id) {}
 
 void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept {
-  slots_.hear(tag, slot);
+  leases_.hear(tag, slot);
   // The polling tag knows this anchor. Other tags in range will soon learn of it as well.
   if (!named || !listed_) return;
   announcing_ = Announcing::kDone;
@@ -142,12 +144,12 @@ void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool
   const auto* join = std::get_if<Join>(&frame.body);
   if (join == nullptr || !join->tag) return;
   if (leading) {
-    if (!slots_.leads()) return;  // not before its first beacon
-    slots_.advance(number);
+    if (!leases_.leads()) return;  // not before its first beacon
+    leases_.advance(number);
     if (join->leaving) {
-      slots_.leave(join->origin);
+      leases_.leave(join->origin);
     } else if (join->wants_slot) {
-      (void)slots_.claim(join->origin);
+      (void)leases_.claim(join->origin);
     }
   } else if (beaconer_ && (join->leaving || join->wants_slot)) {
     consider_passing_on(frame, *join, number);
@@ -174,18 +176,17 @@ void AnchorMembership::consider_passing_on(const Frame& frame, const Join& join,
 }
 
 void AnchorMembership::on_beacon(const Frame& /*frame*/, const Beacon& beacon) noexcept {
-  if (beacon.master == id_) return;  // its own table, relayed
-  slots_.advance(beacon.superframe);
-  slots_.copy(beacon);
+  leases_.advance(beacon.superframe);
+  leases_.follow(beacon.session);
   const bool holds = slots_.slot_of(pending_.origin).has_value();
   if (holds != pending_.leaving) access_.settle(Purpose::kPassOn);  // the master knows
 }
 
 void AnchorMembership::on_beacon_out(Beacon& beacon, bool leading) noexcept {
   if (!leading) return;
-  slots_.advance(beacon.superframe);
-  slots_.lead(beacon.session);
-  slots_.reclaim();
+  leases_.advance(beacon.superframe);
+  leases_.lead(beacon.session);
+  leases_.reclaim();
   slots_.fill(beacon);
 }
 

@@ -5,7 +5,7 @@
 //           leave() --> silent, JOIN "leaving" --> its slot is free
 //   anchor: synchronized after its start --> JOIN, a few times: tags that hear it try it at once; repeated
 //           periodically if the schedule does not name the anchor, for tags that join later
-//           leads: assigns slots to tags that ask; follows: keeps a copy of the table
+//           leads: assigns slots to tags that ask; follows: keeps a copy of the slot map
 //           relays the beacon: relays the tags' requests towards the master
 #pragma once
 
@@ -18,24 +18,27 @@
 #include "firmware/core/mac/anchor_set.hpp"
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
-#include "firmware/core/mac/slot_table.hpp"
+#include "firmware/core/mac/slot_leases.hpp"
+#include "firmware/core/mac/slot_map.hpp"
 #include "groma.pb.h"
 
 namespace groma::mac {
 
 class TagMembership final : public ControlChannel {
  public:
-  // `lender`: uses the slot of that tag instead of one of its own; kNobody: its own.
-  TagMembership(std::uint16_t id, const groma_Schedule& schedule, std::uint16_t lender = kNobody) noexcept;
+  // `slots`, this node's slot map, outlives this object. `lender`: uses the slot of that tag instead of one
+  // of its own; kNobody: its own.
+  TagMembership(std::uint16_t id, const groma_Schedule& schedule, const SlotMap& slots,
+                std::uint16_t lender = kNobody) noexcept;
 
   // The slot in which the tag may poll in superframe `number`.
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
-    return leaving_ ? std::nullopt : lease_.slot(number);
+    return leaving_ ? std::nullopt : slots_.valid_slot_of(owner_, number);
   }
-  // The last slot table received is too old for polling in superframe `number`.
-  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return lease_.outdated(number); }
+  // The slot map is too old for polling in superframe `number`.
+  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return slots_.outdated(number); }
   // The slot is another tag's.
-  [[nodiscard]] bool borrows() const noexcept { return borrows_; }
+  [[nodiscard]] bool borrows() const noexcept { return owner_ != id_; }
   // Stops polling permanently and announces it.
   void leave() noexcept;
 
@@ -50,8 +53,8 @@ class TagMembership final : public ControlChannel {
 
  private:
   std::uint16_t id_;
-  bool borrows_;
-  SlotLease lease_;
+  std::uint16_t owner_;  // of the slot in which this node polls
+  const SlotMap& slots_;
   AnchorSet anchors_;
   Access access_;
   bool leaving_ = false;
@@ -60,10 +63,10 @@ class TagMembership final : public ControlChannel {
 
 class AnchorMembership final : public ControlChannel {
  public:
-  // The schedule outlives this object.
-  AnchorMembership(std::uint16_t id, const groma_Schedule& schedule) noexcept;
+  // `slots`, this node's slot map, outlives this object. At the master this object changes it.
+  AnchorMembership(std::uint16_t id, const groma_Schedule& schedule, SlotMap& slots) noexcept;
 
-  [[nodiscard]] const SlotTable& slots() const noexcept { return slots_; }
+  [[nodiscard]] const SlotMap& slots() const noexcept { return slots_; }
   // A POLL was heard in its slot; `named`: it asks for this anchor's answer.
   void on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept;
 
@@ -90,7 +93,8 @@ class AnchorMembership final : public ControlChannel {
   std::uint32_t next_announcement_ = 0;
   enum class Announcing : std::uint8_t { kNotYet, kSoon, kDone };
   Announcing announcing_ = Announcing::kNotYet;
-  SlotTable slots_;
+  SlotMap& slots_;
+  SlotLeases leases_;
   Access access_;
   std::optional<Purpose> under_way_;
   Join pending_;  // to be relayed, while access_ has kPassOn pending

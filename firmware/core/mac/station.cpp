@@ -53,11 +53,11 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
       sync_(superframe_),
       election_(site_, superframe_.duration(), superframe_.guard(), hash_),
+      slots_(*site.schedule),
       authenticator_(site.cipher, site.network_key, site.signed_places),
       replay_guard_(replay_guard_of(site)),
       counters_(counters) {
   if (!site.network_key.empty()) attach(replay_guard_);
-  forget_owners();
 }
 
 void Station::attach(ControlChannel& channel) noexcept {
@@ -169,7 +169,7 @@ bool Station::start_session_if_due(ClockTime now) noexcept {
   replay_guard_.found();
   authenticator_.enter(election_.session());
   sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
-  forget_owners();
+  slots_.reset();
   number_ = 0;
   next_ = Next::kBeacon;
   phase_ = Phase::kBeacon;
@@ -259,18 +259,18 @@ std::optional<Action> Station::from_channels(ClockTime timestamp, bool own_turn)
 }
 
 Beacon Station::make_beacon(Ticks tx_offset, bool shared) noexcept {
-  return {.superframe = number_,
-          .session = election_.session(),
-          .epoch = site_.schedule->epoch,
-          .schedule_hash = hash_,
-          .master = election_.master(),
-          .hop = election_.hop(),
-          .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(election_.age(number_), 255)),
-          .tx_offset_dtu = static_cast<std::int16_t>(tx_offset.count()),
-          .dissolving = election_.dissolving(),
-          .shared = shared,
-          .slots = static_cast<std::uint8_t>(superframe_.slot_count()),
-          .owners = owners_};
+  Beacon beacon{.superframe = number_,
+                .session = election_.session(),
+                .epoch = site_.schedule->epoch,
+                .schedule_hash = hash_,
+                .master = election_.master(),
+                .hop = election_.hop(),
+                .age = static_cast<std::uint8_t>(std::min<std::uint32_t>(election_.age(number_), 255)),
+                .tx_offset_dtu = static_cast<std::int16_t>(tx_offset.count()),
+                .dissolving = election_.dissolving(),
+                .shared = shared};
+  slots_.fill(beacon);
+  return beacon;
 }
 
 // Sends merge requests in the shared slots of the other session, in this node's turns, while all of its own
@@ -370,10 +370,7 @@ Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr) channel->on_beacon_out(beacon, election_.leads());
   }
-  if (election_.leads()) {
-    owners_ = beacon.owners;
-    owners_origin_ = number_;
-  }
+  if (election_.leads()) slots_.take(beacon);
   sender_ = nullptr;
   own_beacon_ = true;
   return transmit(timestamp, kBroadcast, beacon, place_of(beacon));
@@ -485,7 +482,7 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
       sync_.search();
       return true;
     case Verdict::kKnown:
-      take_content(frame, beacon);
+      take_content(frame, beacon, false);
       return phase_ == Phase::kShared;
     case Verdict::kMeasure:
     case Verdict::kSwitch:
@@ -506,11 +503,8 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
     return false;
   }
   ++counters_.beacons_received;
-  if (verdict == Verdict::kAdopt) {
-    others_ = former;
-    owners_origin_ = beacon.superframe - beacon.age;
-  }
-  take_content(frame, beacon);
+  if (verdict == Verdict::kAdopt) others_ = former;
+  take_content(frame, beacon, verdict == Verdict::kAdopt);
   if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
   number_ = beacon.superframe;
   next_ = beacon.shared ? Next::kSlots : Next::kShared;
@@ -530,47 +524,11 @@ bool Station::take_time(const BeaconReception& timestamp, std::uint64_t session,
   return sync_.on_beacon(timestamp, verdict == Verdict::kSwitch, persuasive);
 }
 
-void Station::take_content(const Frame& frame, const Beacon& beacon) noexcept {
-  const std::uint32_t origin = beacon.superframe - beacon.age;
-  if (static_cast<std::int32_t>(origin - owners_origin_) >= 0) {
-    owners_origin_ = origin;
-    owners_ = beacon.owners;
-  }
+void Station::take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept {
+  slots_.take(beacon, adopted);
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr && (fresh() || channel == &replay_guard_)) channel->on_beacon(frame, beacon);
   }
-}
-
-// ---- slots
-
-void Station::forget_owners() noexcept {
-  owners_.fill(kNobody);
-  for (std::size_t i = 0; i < site_.schedule->tag_ids_count; ++i) {
-    const auto slot = configured_slot(*site_.schedule, site_.schedule->tag_ids[i]);
-    if (slot && *slot < kMaxTags) owners_[*slot] = kBroadcast;
-  }
-  owners_origin_ = 0;
-}
-
-bool Station::may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
-  if (slot >= superframe_.slot_count()) return false;
-  return owners_[slot] == kBroadcast ? configured_slot(*site_.schedule, tag) == slot : owners_[slot] == tag;
-}
-
-std::uint16_t Station::owner_of(std::size_t slot) const noexcept {
-  if (owners_[slot] != kBroadcast) return owners_[slot];
-  const auto tags = std::span(site_.schedule->tag_ids).first(site_.schedule->tag_ids_count);
-  const auto owner = std::find_if(tags.begin(), tags.end(), [=, this](std::uint16_t tag) {
-    return configured_slot(*site_.schedule, tag) == slot;
-  });
-  return owner == tags.end() ? kNobody : *owner;
-}
-
-std::optional<std::size_t> Station::slot_of(std::uint16_t tag) const noexcept {
-  for (std::size_t slot = 0; slot < superframe_.slot_count(); ++slot) {
-    if (may_poll(tag, slot)) return slot;
-  }
-  return std::nullopt;
 }
 
 // ---- frames

@@ -17,6 +17,7 @@
 #include "firmware/core/mac/master_election.hpp"
 #include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/core/mac/site.hpp"
+#include "firmware/core/mac/slot_map.hpp"
 #include "firmware/core/mac/step.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/mac/synchronizer.hpp"
@@ -45,6 +46,9 @@ class Station {
   [[nodiscard]] groma_Counters& counters() noexcept { return counters_; }
   [[nodiscard]] const Synchronizer& sync() const noexcept { return sync_; }
   [[nodiscard]] const MasterElection& election() const noexcept { return election_; }
+  // Follows the beacons. At the master a channel may change it in on_control() and on_beacon_out().
+  [[nodiscard]] SlotMap& slots() noexcept { return slots_; }
+  [[nodiscard]] const SlotMap& slots() const noexcept { return slots_; }
 
   // Of this node's chip, sent to others.
   [[nodiscard]] const Health& health() const noexcept { return health_; }
@@ -99,17 +103,6 @@ class Station {
   void on_silence() noexcept {
     if (sync_.state() == SyncState::kCoasting) election_.on_silence();
   }
-
-  // ---- slots ---------------------------------------------------------------------------------------------
-
-  // The tag may poll in this slot, as far as this node knows.
-  [[nodiscard]] bool may_poll(std::uint16_t tag, std::size_t slot) const noexcept;
-  // The tag that may poll in this slot, or kNobody; if several may, the schedule's first.
-  [[nodiscard]] std::uint16_t owner_of(std::size_t slot) const noexcept;
-  // The slot in which this tag may poll.
-  [[nodiscard]] std::optional<std::size_t> slot_of(std::uint16_t tag) const noexcept;
-  // The owner of each slot. kBroadcast: the owner by the schedule; kNobody: free.
-  [[nodiscard]] const std::array<std::uint16_t, kMaxTags>& owners() const noexcept { return owners_; }
 
   // ---- frames --------------------------------------------------------------------------------------------
 
@@ -198,7 +191,7 @@ class Station {
   bool take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                  bool persuasive) noexcept;
-  void take_content(const Frame& frame, const Beacon& beacon) noexcept;
+  void take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept;
   [[nodiscard]] bool timed(std::uint32_t number) const noexcept {
     return sync_.margin(number) <= superframe_.guard();
   }
@@ -220,7 +213,6 @@ class Station {
   // How far the beacon's timeline is ahead of this node's.
   [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   void take_poll(const Poll& poll) noexcept;
-  void forget_owners() noexcept;
   void miss() noexcept;
 
   Site site_;
@@ -228,6 +220,7 @@ class Station {
   std::uint32_t hash_;
   Synchronizer sync_;
   MasterElection election_;
+  SlotMap slots_;
   FrameAuthenticator authenticator_;
   ReplayGuard replay_guard_;
   groma_Counters& counters_;
@@ -247,8 +240,6 @@ class Station {
   bool scanning_ = false;         // after the own beacon has been sent
   std::uint32_t number_ = 0;
   Action listening_;
-  std::uint32_t owners_origin_ = 0;  // superframe in which the master sent them
-  std::array<std::uint16_t, kMaxTags> owners_{};
   std::uint8_t sequence_ = 0;
   Health health_{};
   FrameBytes outgoing_;

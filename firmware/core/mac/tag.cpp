@@ -17,7 +17,7 @@ using ranging::ClockTime;
 using ranging::Ticks;
 
 Tag::Tag(const Site& site, groma_Counters& counters) noexcept
-    : station_(site, counters), membership_(site.id, *site.schedule, site.lender) {
+    : station_(site, counters), membership_(site.id, *site.schedule, station_.slots(), site.lender) {
   station_.attach(membership_);
 }
 

@@ -1,5 +1,3 @@
-#include "firmware/core/mac/slot_table.hpp"
-
 #include <gtest/gtest.h>
 
 #include <map>
@@ -8,10 +6,12 @@
 #include <set>
 #include <vector>
 
+#include "firmware/core/mac/slot_leases.hpp"
+
 namespace groma::mac {
 namespace {
 
-using Claim = SlotTable::Claim;
+using Claim = SlotLeases::Claim;
 
 groma_Schedule schedule_of_slots(const std::vector<std::uint16_t>& tags, std::uint32_t slots) {
   groma_Schedule schedule = groma_Schedule_init_zero;
@@ -20,13 +20,23 @@ groma_Schedule schedule_of_slots(const std::vector<std::uint16_t>& tags, std::ui
   return schedule;
 }
 
-Beacon beacon_of(const SlotTable& table, std::uint32_t superframe, std::uint64_t session = 1) {
+// The slot map and the leases of one anchor.
+struct Table : SlotMap, SlotLeases {
+  explicit Table(const groma_Schedule& schedule)
+      : SlotMap(schedule), SlotLeases(static_cast<SlotMap&>(*this)) {}
+  void copy(const Beacon& beacon) {
+    take(beacon);
+    follow(beacon.session);
+  }
+};
+
+Beacon beacon_of(const Table& table, std::uint32_t superframe, std::uint64_t session = 1) {
   Beacon beacon{.superframe = superframe, .session = session};
   table.fill(beacon);
   return beacon;
 }
 
-std::vector<std::uint16_t> slot_owners(const SlotTable& table) {
+std::vector<std::uint16_t> slot_owners(const Table& table) {
   return {table.owners().begin(), table.owners().end()};
 }
 
@@ -34,9 +44,9 @@ using Ids = std::vector<std::uint16_t>;
 
 // ---- the table ----------------------------------------------------------------------------------------
 
-TEST(SlotTable, StartsFromTheSchedule) {
+TEST(SlotLeases, StartsFromTheSchedule) {
   auto schedule = schedule_of_slots({1, 2, 3}, 5);
-  SlotTable table(schedule);
+  Table table(schedule);
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast, kBroadcast, kNobody, kNobody}));
   EXPECT_TRUE(table.may_poll(2, 1));
   EXPECT_FALSE(table.may_poll(2, 0));
@@ -47,14 +57,14 @@ TEST(SlotTable, StartsFromTheSchedule) {
   schedule.tag_slots_count = 3;
   schedule.tag_slots[0] = schedule.tag_slots[1] = 4;
   schedule.tag_slots[2] = 0;
-  SlotTable shared(schedule);
+  Table shared(schedule);
   EXPECT_EQ(slot_owners(shared), (Ids{kBroadcast, kNobody, kNobody, kNobody, kBroadcast}));
   EXPECT_TRUE(shared.may_poll(1, 4) && shared.may_poll(2, 4) && shared.may_poll(3, 0));
 }
 
-TEST(SlotTable, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
+TEST(SlotLeases, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
   const auto schedule = schedule_of_slots({1}, 3);
-  SlotTable table(schedule);
+  Table table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   EXPECT_EQ(table.claim(50), Claim::kHeld);
   EXPECT_EQ(table.claim(1), Claim::kHeld);
@@ -64,9 +74,9 @@ TEST(SlotTable, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
   EXPECT_TRUE(table.may_poll(60, 2));
 }
 
-TEST(SlotTable, AReleasedSlotIsGrantedAtOnce) {
+TEST(SlotLeases, AReleasedSlotIsGrantedAtOnce) {
   const auto schedule = schedule_of_slots({1}, 2);
-  SlotTable table(schedule);
+  Table table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.advance(1);
   table.leave(50);
@@ -81,17 +91,17 @@ TEST(SlotTable, AReleasedSlotIsGrantedAtOnce) {
   EXPECT_EQ(slot_owners(table), (Ids{70, 1}));
 }
 
-TEST(SlotTable, ASharedSlotStaysWithTheOthers) {
+TEST(SlotLeases, ASharedSlotStaysWithTheOthers) {
   auto schedule = schedule_of_slots({1, 2}, 2);
   schedule.tag_slots_count = 2;
-  SlotTable table(schedule);
+  Table table(schedule);
   table.leave(1);
   EXPECT_TRUE(table.may_poll(2, 0));
 }
 
-TEST(SlotTable, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
+TEST(SlotLeases, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
-  SlotTable table(schedule);
+  Table table(schedule);
   std::uint32_t t = 0;
   const auto step = [&] {
     table.advance(++t);
@@ -105,13 +115,13 @@ TEST(SlotTable, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kNobody}));
   const std::uint32_t reclaimed_at = t;
   while (table.claim(50) == Claim::kWait) step();
-  EXPECT_EQ(t, reclaimed_at + kTableGoodFor + 1);
+  EXPECT_EQ(t, reclaimed_at + kMapGoodFor + 1);
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, 50}));
 }
 
-TEST(SlotTable, AReclaimedSlotReturnsToItsOwnerOnRequest) {
+TEST(SlotLeases, AReclaimedSlotReturnsToItsOwnerOnRequest) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
-  SlotTable table(schedule);
+  Table table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.hear(50, 2);
   table.hear(1, 0);
@@ -127,9 +137,9 @@ TEST(SlotTable, AReclaimedSlotReturnsToItsOwnerOnRequest) {
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast, 50}));
 }
 
-TEST(SlotTable, AMasterThatHearsNobodyReclaimsNothing) {
+TEST(SlotLeases, AMasterThatHearsNobodyReclaimsNothing) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
-  SlotTable table(schedule);
+  Table table(schedule);
   table.hear(1, 0);
   table.hear(2, 1);
   for (std::uint32_t t = 1; t < 10 * kLease; ++t) {
@@ -150,9 +160,9 @@ TEST(SlotTable, AMasterThatHearsNobodyReclaimsNothing) {
   EXPECT_EQ(slot_owners(table), (Ids{kNobody, kBroadcast}));
 }
 
-TEST(SlotTable, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
+TEST(SlotLeases, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
-  SlotTable table(schedule);
+  Table table(schedule);
   for (std::uint32_t t = 1; t < 1000; ++t) {
     table.advance(t);
     table.hear(1, 0);
@@ -169,9 +179,9 @@ TEST(SlotTable, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
 }
 
 // Three forged JOINs have filled the table; the scheduled tags find no free slot.
-TEST(SlotTable, AClaimantThatNeverPollsSoonLosesItsSlot) {
+TEST(SlotLeases, AClaimantThatNeverPollsSoonLosesItsSlot) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
-  SlotTable table(schedule);
+  Table table(schedule);
   table.lead(7);
   table.advance(1);
   table.leave(1);
@@ -184,9 +194,9 @@ TEST(SlotTable, AClaimantThatNeverPollsSoonLosesItsSlot) {
     if (t % 8 == 4) (void)table.claim(2);
     table.reclaim();
   }
-  EXPECT_LE(t, kFirstLease + kTableGoodFor + 12);
+  EXPECT_LE(t, kFirstLease + kMapGoodFor + 12);
   // A tag that polls keeps its slot, however many others ask.
-  SlotTable full(schedule);
+  Table full(schedule);
   full.lead(7);
   full.advance(1);
   EXPECT_EQ(full.claim(60), Claim::kGranted);
@@ -200,23 +210,38 @@ TEST(SlotTable, AClaimantThatNeverPollsSoonLosesItsSlot) {
   }
 }
 
-// A slot table from a beacon with a forged count does not outrank the true one.
-TEST(SlotLease, ATableFromTheFutureIsReplacedByTheNext) {
-  SlotLease lease(1, 0);
+// A slot map from a beacon with a forged count does not outrank the true one.
+TEST(SlotMap, AMapFromTheFutureIsReplacedByTheNext) {
+  const auto schedule = schedule_of_slots({1}, 2);
+  SlotMap map(schedule);
   Beacon beacon{.superframe = 1'000'000, .session = 7, .slots = 2, .owners = {50, kNobody}};
-  lease.take(beacon);
-  EXPECT_TRUE(lease.homeless());
+  map.take(beacon);
+  EXPECT_FALSE(map.slot_of(1));
   beacon.superframe = 100;
   beacon.owners = {kBroadcast, kNobody};
-  lease.take(beacon);
-  EXPECT_FALSE(lease.homeless());
-  EXPECT_EQ(lease.slot(101), std::size_t{0});
+  map.take(beacon);
+  EXPECT_TRUE(map.slot_of(1));
+  EXPECT_EQ(map.valid_slot_of(1, 101), std::size_t{0});
 }
 
-TEST(SlotTable, ACopyFollowsTheMastersNewestTable) {
+// A node whose own count was ahead follows the site's again.
+TEST(SlotMap, AnAdoptedTimelineReplacesTheFormerCount) {
+  const auto schedule = schedule_of_slots({1}, 2);
+  SlotMap map(schedule);
+  Beacon beacon{.superframe = 200, .session = 7, .slots = 2, .owners = {50, kNobody}};
+  map.take(beacon);
+  beacon.superframe = 100;
+  beacon.owners = {kBroadcast, kNobody};
+  map.take(beacon);
+  EXPECT_FALSE(map.slot_of(1)) << "an older map";
+  map.take(beacon, true);
+  EXPECT_EQ(map.valid_slot_of(1, 101), std::size_t{0});
+}
+
+TEST(SlotLeases, ACopyFollowsTheMastersNewestTable) {
   const auto schedule = schedule_of_slots({1}, 3);
-  SlotTable master(schedule);
-  SlotTable copy(schedule);
+  Table master(schedule);
+  Table copy(schedule);
   copy.copy(beacon_of(master, 10));
   const Beacon old = beacon_of(master, 10);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
@@ -235,85 +260,88 @@ TEST(SlotTable, ACopyFollowsTheMastersNewestTable) {
       << "the counts of two sessions do not compare";
 }
 
-TEST(SlotTable, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
+TEST(SlotLeases, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
   const auto schedule = schedule_of_slots({1}, 3);
-  SlotTable master(schedule);
+  Table master(schedule);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
-  SlotTable next(schedule);
+  Table next(schedule);
   next.advance(100);
   next.copy(beacon_of(master, 100));
   next.advance(113);
   next.lead(1);
   EXPECT_EQ(slot_owners(next), (Ids{kBroadcast, 50, kNobody}));
   EXPECT_EQ(next.claim(50), Claim::kHeld);
-  next.advance(113 + kTableGoodFor);
+  next.advance(113 + kMapGoodFor);
   EXPECT_EQ(next.claim(60), Claim::kWait);
-  next.advance(113 + kTableGoodFor + 1);
+  next.advance(113 + kMapGoodFor + 1);
   EXPECT_EQ(next.claim(60), Claim::kGranted);
 }
 
 // ---- the tag's side -----------------------------------------------------------------------------------
 
-TEST(SlotLease, UsesTheNewestTable) {
-  SlotLease lease(2, 1);
-  EXPECT_FALSE(lease.slot(0));
-  EXPECT_FALSE(lease.homeless()) << "it knows nothing yet";
+TEST(SlotMap, IsTheNewestOneHeard) {
+  const auto schedule = schedule_of_slots({1, 2}, 3);
+  SlotMap map(schedule);
+  EXPECT_FALSE(map.valid_slot_of(2, 0));
+  EXPECT_FALSE(map.outdated(1'000)) << "it knows nothing yet";
   Beacon beacon{.superframe = 100, .session = 5, .slots = 3};
   beacon.owners = {kBroadcast, kBroadcast, kNobody};
-  lease.take(beacon);
-  EXPECT_EQ(lease.slot(100), 1U);
-  EXPECT_EQ(lease.slot(100 + kTableGoodFor), 1U);
-  EXPECT_FALSE(lease.slot(101 + kTableGoodFor));
-  EXPECT_FALSE(lease.homeless());
+  map.take(beacon);
+  EXPECT_EQ(map.valid_slot_of(2, 100), 1U);
+  EXPECT_EQ(map.valid_slot_of(2, 100 + kMapGoodFor), 1U);
+  EXPECT_FALSE(map.valid_slot_of(2, 101 + kMapGoodFor));
+  EXPECT_TRUE(map.slot_of(2));
 
   Beacon taken = beacon;
   taken.superframe = 110;
   taken.owners[1] = 77;
-  lease.take(taken);
-  EXPECT_FALSE(lease.slot(110));
-  EXPECT_TRUE(lease.homeless());
+  map.take(taken);
+  EXPECT_FALSE(map.valid_slot_of(2, 110));
+  EXPECT_FALSE(map.slot_of(2));
   Beacon relayed = beacon;
   relayed.superframe = 112;
   relayed.age = 3;
-  lease.take(relayed);
-  EXPECT_FALSE(lease.slot(112));
+  map.take(relayed);
+  EXPECT_FALSE(map.valid_slot_of(2, 112));
   relayed.superframe = 120;
-  lease.take(relayed);
-  EXPECT_EQ(lease.slot(117 + kTableGoodFor), 1U);
-  EXPECT_FALSE(lease.slot(118 + kTableGoodFor)) << "its table is of superframe 117";
+  map.take(relayed);
+  EXPECT_EQ(map.valid_slot_of(2, 117 + kMapGoodFor), 1U);
+  EXPECT_FALSE(map.valid_slot_of(2, 118 + kMapGoodFor)) << "the map is of superframe 117";
 
   Beacon given = beacon;
   given.superframe = 130;
   given.owners[1] = kNobody;
   given.owners[2] = 2;
-  lease.take(given);
-  EXPECT_EQ(lease.slot(130), 2U);
+  map.take(given);
+  EXPECT_EQ(map.valid_slot_of(2, 130), 2U);
 }
 
-TEST(SlotLease, AGuestHasOnlyAGrantedSlot) {
-  SlotLease lease(9, std::nullopt);
+TEST(SlotMap, AGuestHasOnlyAGrantedSlot) {
+  const auto schedule = schedule_of_slots({1}, 2);
+  SlotMap map(schedule);
   Beacon beacon{.superframe = 1, .slots = 2};
   beacon.owners = {kBroadcast, kNobody};
-  lease.take(beacon);
-  EXPECT_TRUE(lease.homeless());
+  map.take(beacon);
+  EXPECT_FALSE(map.slot_of(9));
   beacon.superframe = 0;
   beacon.session = 99;
   beacon.owners[1] = 9;
-  lease.take(beacon);
-  EXPECT_EQ(lease.slot(0), 1U) << "another session";
+  map.take(beacon);
+  EXPECT_EQ(map.valid_slot_of(9, 0), 1U) << "another session";
 }
 
 // ---- never two in one slot ----------------------------------------------------------------------------
 
 struct Player {
   std::uint16_t id;
-  std::optional<SlotLease> lease{};  // while it is on
-  double hears = 1.0;                // share of beacons
+  std::optional<SlotMap> map{};  // while it is on
+  bool heard = false;            // a beacon
+  double hears = 1.0;            // share of beacons
   std::uint32_t back_at = 0;
 };
 
 struct Head {
-  std::unique_ptr<SlotTable> table;
+  std::unique_ptr<Table> table;
   bool on = true;
   std::uint32_t copied_at = 0;
 };
@@ -330,7 +358,7 @@ TEST(Slots, NeverHaveTwoOwners) {
     std::vector<Player> players;
     for (const std::uint16_t id : Ids{1, 2, 3, 50, 51, 52, 53}) players.push_back({.id = id});
     std::vector<Head> heads(3);
-    for (Head& head : heads) head.table = std::make_unique<SlotTable>(schedule);
+    for (Head& head : heads) head.table = std::make_unique<Table>(schedule);
     std::size_t leader = 0;
     std::map<std::size_t, std::uint16_t> last;
     std::vector<Beacon> past;
@@ -352,7 +380,7 @@ TEST(Slots, NeverHaveTwoOwners) {
           heads[leader].table->lead(1);
         }
       }
-      SlotTable& table = *heads[leader].table;
+      Table& table = *heads[leader].table;
       table.reclaim();
       const Beacon beacon = beacon_of(table, t);
       past.push_back(beacon);
@@ -362,7 +390,7 @@ TEST(Slots, NeverHaveTwoOwners) {
           // A restarted node copies the table from the air before it may lead.
           if (!chance(0.02)) continue;
           heads[i].on = true;
-          heads[i].table = std::make_unique<SlotTable>(schedule);
+          heads[i].table = std::make_unique<Table>(schedule);
           heads[i].table->advance(t);
           heads[i].table->copy(beacon);
           heads[i].copied_at = t;
@@ -373,24 +401,28 @@ TEST(Slots, NeverHaveTwoOwners) {
       }
       std::map<std::size_t, std::uint16_t> owners;
       for (Player& player : players) {
-        if (!player.lease) {
+        if (!player.map) {
           if (t > player.back_at && chance(0.02)) {
-            const auto slot = configured_slot(schedule, player.id);
-            player.lease.emplace(player.id, slot);
+            player.map.emplace(schedule);
+            player.heard = false;
             player.hears = chance(0.4) ? 0.02 : 0.9;
           }
           continue;
         }
-        if (chance(player.hears)) player.lease->take(beacon);
+        if (chance(player.hears)) {
+          player.map->take(beacon);
+          player.heard = true;
+        }
         if (chance(player.hears / 2)) {  // by a relay, late
           const auto late = static_cast<std::size_t>(random() % std::min<std::size_t>(past.size(), 13));
           Beacon relayed = past[past.size() - 1 - late];
           const std::uint32_t age = t - relayed.superframe;
           relayed.superframe = t;
           relayed.age = static_cast<std::uint8_t>(std::min<std::uint32_t>(age, 255));
-          player.lease->take(relayed);
+          player.map->take(relayed);
+          player.heard = true;
         }
-        if (const auto slot = player.lease->slot(t)) {
+        if (const auto slot = player.map->valid_slot_of(player.id, t)) {
           ++polls;
           const auto [other, alone] = owners.emplace(*slot, player.id);
           ASSERT_TRUE(alone) << "seed " << seed << ", superframe " << t << ", slot " << *slot << ": "
@@ -402,13 +434,13 @@ TEST(Slots, NeverHaveTwoOwners) {
             ++moves;
             last[*slot] = player.id;
           }
-        } else if (player.lease->homeless() && chance(0.2)) {
+        } else if (player.heard && !player.map->slot_of(player.id) && chance(0.2)) {
           (void)table.claim(player.id);
         }
         if (chance(0.003)) {
           if (chance(0.5)) table.leave(player.id);  // else it dies, or its JOIN is lost
-          player.lease.reset();
-          player.back_at = t + kTableGoodFor;
+          player.map.reset();
+          player.back_at = t + kMapGoodFor;
         }
       }
     }
