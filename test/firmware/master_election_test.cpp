@@ -1,5 +1,3 @@
-#include "firmware/core/mac/master_election.hpp"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -12,6 +10,7 @@
 #include <set>
 #include <vector>
 
+#include "firmware/core/mac/coexistence.hpp"
 #include "test/firmware/air.hpp"
 
 namespace groma::mac {
@@ -41,8 +40,9 @@ ClockTime at_s(double t_s) {
 struct Node {
   explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_of_backups(backups)) {
     site = {.id = id, .schedule = &schedule, .boot_count = 7, .sessions = &sessions};
-    election = std::make_unique<MasterElection>(site, kDuration, kGuard, kHash);
-    election->search(ClockTime(0));
+    election = std::make_unique<MasterElection>(site, kDuration, kGuard);
+    coexistence = std::make_unique<Coexistence>(site, *election, kHash);
+    coexistence->search(ClockTime(0));
   }
   [[nodiscard]] Beacon beacon(std::uint32_t number, std::uint16_t master = 101, std::uint8_t hop = 0,
                               std::uint8_t age = 0) const {
@@ -56,7 +56,7 @@ struct Node {
             .shared = hop != 0};
   }
   Verdict hear(std::uint16_t source, const Beacon& beacon, Ticks ahead = Ticks(0)) {
-    return election->judge(source, beacon, ahead, at_s(1.0));
+    return coexistence->judge(source, beacon, ahead, at_s(1.0));
   }
   // Synchronizes by two beacons, the second of superframe `number`.
   void synchronize(std::uint32_t number, std::uint16_t master = 101) {
@@ -66,7 +66,7 @@ struct Node {
   // Number of silent superframes until it takes over; 1001 if it does not within 1000.
   std::uint32_t silent_until_takeover(std::uint32_t from) {
     for (std::uint32_t n = 1; n <= 1'000; ++n) {
-      if (election->begin(from + n) == Duty::kTakeOver) return n;
+      if (coexistence->begin(from + n) == Duty::kTakeOver) return n;
     }
     return 1'001;
   }
@@ -77,6 +77,7 @@ struct Node {
   std::uint16_t sessions = 0;
   Site site;
   std::unique_ptr<MasterElection> election;
+  std::unique_ptr<Coexistence> coexistence;
 };
 
 TEST(MasterElection, ListensFirstAndStartsInOrderOfRank) {
@@ -97,7 +98,7 @@ TEST(MasterElection, TrafficDelaysTheStartButNotForEver) {
   const ClockTime first = *node->lead_at();
   double t_s = 0.0;
   while (at_s(t_s) < *node->lead_at()) {
-    node->on_traffic(at_s(t_s));
+    node.coexistence->on_traffic(at_s(t_s));
     t_s += 0.01;
     ASSERT_LT(t_s, 10.0);
   }
@@ -111,9 +112,9 @@ TEST(MasterElection, EachSessionHasAUniqueId) {
       Node node(id);
       node.site.boot_count = boot;
       for (int i = 0; i < 3; ++i) {
-        node->found();
+        node.coexistence->found();
         ids.insert(node->session());
-        node->search(ClockTime(0));
+        node.coexistence->search(ClockTime(0));
       }
     }
   }
@@ -181,8 +182,8 @@ TEST(MasterElection, AnIdleOrphanListensMostOfTheTime) {
       node.synchronize(kLast);
       int listening = 0;
       for (std::uint32_t n = 1; n <= MasterElection::kPatience + kOrphaned; ++n) {
-        node->on_lack(false, idle);
-        const bool listens = node->begin(kLast + n) == Duty::kLongSilence;
+        node.coexistence->on_lack(false, idle);
+        const bool listens = node.coexistence->begin(kLast + n) == Duty::kLongSilence;
         EXPECT_TRUE(!listens || n > MasterElection::kPatience) << n;
         listening += listens ? 1 : 0;
       }
@@ -198,7 +199,7 @@ TEST(MasterElection, ASessionKnownFromOneBeaconIsNotTakenOverAndSoonAbandoned) {
   EXPECT_EQ(node.hear(101, node.beacon(100)), Verdict::kAdopt);
   std::uint32_t n = 101;
   for (; n < 200; ++n) {
-    EXPECT_NE(node->begin(n), Duty::kTakeOver);
+    EXPECT_NE(node.coexistence->begin(n), Duty::kTakeOver);
     if (node->orphaned_after_one_beacon(n)) break;
   }
   EXPECT_EQ(n, 100 + MasterElection::kPatience + 2 * 4 + 1);
@@ -211,8 +212,8 @@ TEST(MasterElection, RelaysDoNotKeepADeadMasterAlive) {
   b.synchronize(100);
   std::uint32_t n = 101;
   for (; n < 200 && !a->leads(); ++n) {
-    (void)a->begin(n);
-    (void)b->begin(n);
+    (void)a.coexistence->begin(n);
+    (void)b.coexistence->begin(n);
     const auto relayed = [&](Node& node) {
       return node.beacon(n, 101, node->hop(), static_cast<std::uint8_t>(node->age(n)));
     };
@@ -244,7 +245,7 @@ TEST(MasterElection, OfTwoMastersOfASessionTheBetterRankWins) {
   (void)far.silent_until_takeover(100);
   EXPECT_EQ(far.hear(102, far.beacon(140, 102), 2 * kGuard), Verdict::kIgnore);
   EXPECT_TRUE(far->dissolving());
-  EXPECT_TRUE(far->on_led(at_s(1.02)));
+  EXPECT_TRUE(far.coexistence->on_led(at_s(1.02)));
   EXPECT_EQ(far->role(), Role::kSearching);
 }
 
@@ -270,8 +271,8 @@ TEST(MasterElection, OfTwoSessionsOneYieldsAndBothAgreeWhich) {
   for (int i = 0; i < 20'000; ++i) {
     Node a(101);
     Node b(102);
-    a->found();
-    b->found();
+    a.coexistence->found();
+    b.coexistence->found();
     const double apart = std::pow(10.0, uniform(-6.0, 6.0)) * (random() % 2 == 0 ? 1.0 : -1.0);
     if (std::abs(std::abs(apart) - 1e-3) < 1e-5) continue;
     const Ticks ahead(std::llround(apart * static_cast<double>(kDuration.count())));
@@ -300,20 +301,20 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
   for (int i = 0; i < 5'000; ++i) {
     Node a(101);
     Node b(102);
-    a->found();
-    b->found();
+    a.coexistence->found();
+    b.coexistence->found();
     const auto apart = static_cast<std::int64_t>(random() % 40'000'000) - 20'000'000;
     Beacon of_a = a.beacon(500, 101);
     of_a.session = a->session();
     Beacon of_b = b.beacon(500, 102);
     of_b.session = b->session();
     // One merge request at once, then ever less often.
-    EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kRequestMerge);
-    EXPECT_EQ(a->judge_unverified(102, of_b), Verdict::kIgnore);
+    EXPECT_EQ(a.coexistence->judge_unverified(102, of_b), Verdict::kRequestMerge);
+    EXPECT_EQ(a.coexistence->judge_unverified(102, of_b), Verdict::kIgnore);
     ASSERT_TRUE(a->leads());
     ASSERT_EQ(a->session(), of_a.session);
-    const Verdict at_a = a->judge_merge_request(102, of_b, Ticks(apart));
-    const Verdict at_b = b->judge_merge_request(101, of_a, Ticks(-apart));
+    const Verdict at_a = a.coexistence->judge_merge_request(102, of_b, Ticks(apart));
+    const Verdict at_b = b.coexistence->judge_merge_request(101, of_a, Ticks(-apart));
     const Verdict loses = apart > kGuard.count() ? at_a : at_b;
     ASSERT_EQ(loses, Verdict::kAdopt) << apart;
     ASSERT_EQ(loses == at_a ? at_b : at_a, Verdict::kRequestMerge) << apart;
@@ -324,15 +325,15 @@ TEST(MasterElection, AMergeRequestIsFollowedOrAnsweredAndAnUnverifiedBeaconIsNot
   EXPECT_GT(adopted, 2'000);
   // A merge request from the same timeline is ignored; one of the same session that has drifted apart is not.
   Node node(101);
-  node->found();
+  node.coexistence->found();
   Beacon own = node.beacon(0, 102);
   own.session = node->session();
-  EXPECT_EQ(node->judge_merge_request(102, own, kGuard), Verdict::kIgnore);
-  EXPECT_EQ(node->judge_merge_request(102, own, -2 * kGuard), Verdict::kRequestMerge);
-  EXPECT_EQ(node->judge_merge_request(102, own, 2 * kGuard), Verdict::kAdopt);
+  EXPECT_EQ(node.coexistence->judge_merge_request(102, own, kGuard), Verdict::kIgnore);
+  EXPECT_EQ(node.coexistence->judge_merge_request(102, own, -2 * kGuard), Verdict::kRequestMerge);
+  EXPECT_EQ(node.coexistence->judge_merge_request(102, own, 2 * kGuard), Verdict::kAdopt);
   // An unverified beacon of another schedule triggers no merge request.
   own.schedule_hash ^= 1;
-  EXPECT_EQ(Node(102)->judge_unverified(102, own), Verdict::kIgnore);
+  EXPECT_EQ(Node(102).coexistence->judge_unverified(102, own), Verdict::kIgnore);
 }
 
 TEST(MasterElection, ANodeDoesNotRejoinADissolvedSession) {
@@ -411,7 +412,7 @@ TEST(MasterElection, ANodeWithAStaleScheduleFallsSilent) {
         EXPECT_GE(*node->lead_at(), waits ? before + Ticks::from_us(2'000'000) : before);
         // Traffic of a network with an older schedule does not delay its start.
         const ClockTime then = *node->lead_at();
-        node->on_traffic(at_s(0.9));
+        node.coexistence->on_traffic(at_s(0.9));
         if (!waits) {
           EXPECT_EQ(*node->lead_at(), then);
         }
@@ -435,7 +436,7 @@ TEST(MasterElection, ANodeWithAStaleScheduleFallsSilent) {
   EXPECT_EQ(backup.hear(103, with_epoch(backup, 1)), Verdict::kLeave);
   EXPECT_GE(*backup->lead_at() - at_s(1.0), Ticks::from_us(2'000'000)) << "starts no session meanwhile";
   Node leader(101);
-  leader->found();
+  leader.coexistence->found();
   EXPECT_EQ(leader.hear(102, with_epoch(leader, -1)), Verdict::kStale);
   EXPECT_FALSE(leader->dissolving());
   EXPECT_EQ(leader.hear(102, with_epoch(leader, 1)), Verdict::kStale);
@@ -463,7 +464,7 @@ TEST(MasterElection, NoTwoBeaconersSendInOneSharedSlot) {
         nodes.push_back(std::make_unique<Node>(static_cast<std::uint16_t>(101 + i), backups));
         Node& node = *nodes.back();
         if (i == leader) {
-          node->found();
+          node.coexistence->found();
         } else {
           (void)node.hear(leader_id, node.beacon(0, leader_id));
         }
@@ -496,7 +497,7 @@ TEST(MasterElection, CountsPastTheSuperframeNumbersWrap) {
   const std::uint32_t last = 0xFFFF'FFFA;
   EXPECT_EQ(node.hear(101, node.beacon(last)), Verdict::kAdopt);
   for (std::uint32_t i = 1; i < 20; ++i) {
-    EXPECT_EQ(node->begin(last + i), Duty::kGoOn);
+    EXPECT_EQ(node.coexistence->begin(last + i), Duty::kGoOn);
     EXPECT_EQ(node.hear(101, node.beacon(last + i)), Verdict::kMeasure);
   }
   EXPECT_EQ(node->age(last + 19), 0U);
@@ -529,7 +530,7 @@ class Crowd {
       ++boots_;
       member.node = std::make_unique<Node>(id, backups_);
       member.node->site.boot_count = boots_;
-      (*member.node)->search(now());
+      member.node->coexistence->search(now());
     }
     member.on = on;
   }
@@ -544,7 +545,7 @@ class Crowd {
       if (m.on && !m.silent && (*m.node)->leads()) sent.push_back({i, beacon_of(m, false)});
     }
     deliver(sent, true);
-    for (const Sent& s : sent) (void)(*nodes[s.source].node)->on_led(now());
+    for (const Sent& s : sent) (void)nodes[s.source].node->coexistence->on_led(now());
     sent.clear();
     for (std::size_t i = 0; i < nodes.size(); ++i) {
       const Member& m = nodes[i];
@@ -615,23 +616,24 @@ class Crowd {
 
   void begin(Member& m, bool several) {
     if (!m.on) return;
-    MasterElection& election = *m.node->election;
+    const MasterElection& election = *m.node->election;
+    Coexistence& coexistence = *m.node->coexistence;
     m.scans = m.silent = false;
     if (election.role() == Role::kSearching) {
       const auto lead_at = election.lead_at();
       if (!lead_at || now() < *lead_at) return;
-      election.found();
+      coexistence.found();
       m.base = -static_cast<double>(t_) - uniform();
       while (number(m) == ~0U) m.base += 1e-3;
       m.base = std::floor(m.base) + uniform() * 0.999 + 1.0;
     }
-    if (several) election.suspect();
+    if (several) coexistence.suspect();
     // After a hundred superframes without its network its clock is lost.
     if (election.role() == Role::kFollowing && election.age(number(m)) > 100) {
-      return election.search(now());
+      return coexistence.search(now());
     }
-    const Duty duty = election.begin(number(m));
-    if (election.orphaned_after_one_beacon(number(m))) return election.search(now());
+    const Duty duty = coexistence.begin(number(m));
+    if (election.orphaned_after_one_beacon(number(m))) return coexistence.search(now());
     m.scans = duty != Duty::kGoOn && duty != Duty::kTakeOver;
     m.silent = duty == Duty::kSilence || duty == Duty::kLongSilence;
   }
@@ -673,9 +675,9 @@ class Crowd {
 
   void take(Member& m, const Sent& s, double base) {
     const Ticks ahead(std::llround((base - m.base) * static_cast<double>(kDuration.count())));
-    const Verdict verdict = m.node->election->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
+    const Verdict verdict = m.node->coexistence->judge(nodes[s.source].node->site.id, s.beacon, ahead, now());
     if (verdict == Verdict::kAdopt || verdict == Verdict::kSwitch) m.base = base;
-    if (verdict == Verdict::kRequestMerge && m.node->election->may_request_merge(s.beacon.superframe)) {
+    if (verdict == Verdict::kRequestMerge && m.node->coexistence->may_request_merge(s.beacon.superframe)) {
       Beacon merge_request = beacon_of(m, true);
       merge_request.merge_request = true;
       merge_requests_.push_back({static_cast<std::size_t>(&m - nodes.data()), merge_request});

@@ -2,18 +2,14 @@
 
 #include <algorithm>
 
+#include "firmware/core/mac/hash.hpp"
+
 namespace groma::mac {
 
-// The finalizer of MurmurHash3: each bit of the input changes each of the output with probability 1/2.
 std::uint16_t Access::draw(std::size_t purpose, std::uint32_t number,
                            std::uint8_t window_log2) const noexcept {
-  std::uint32_t h = number ^ (std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3) ^
-                    static_cast<std::uint32_t>(purpose) * 0x9E37'79B9U;
-  h ^= h >> 16;
-  h *= 0x85EB'CA6BU;
-  h ^= h >> 13;
-  h *= 0xC2B2'AE35U;
-  h ^= h >> 16;
+  const std::uint32_t h = mix(number ^ (std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3) ^
+                              static_cast<std::uint32_t>(purpose) * 0x9E37'79B9U);
   return static_cast<std::uint16_t>(h & ((1U << window_log2) - 1U));
 }
 

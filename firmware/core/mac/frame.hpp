@@ -86,6 +86,10 @@ struct Beacon {
 [[nodiscard]] constexpr std::uint32_t origin_of(const Beacon& beacon) noexcept {
   return beacon.superframe - beacon.age;
 }
+// The number of superframes from `b` to `a`; correct across the number's wrap.
+[[nodiscard]] constexpr std::int32_t since(std::uint32_t a, std::uint32_t b) noexcept {
+  return static_cast<std::int32_t>(a - b);
+}
 
 // Sent by a tag, or by an anchor that surveys, to all anchors that it names.
 struct Poll {

@@ -52,7 +52,8 @@ Station::Station(const Site& site, groma_Counters& counters) noexcept
       superframe_(*site.schedule, dw1000::Phy(site.preamble), !site.network_key.empty()),
       hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
       sync_(superframe_),
-      election_(site_, superframe_.duration(), superframe_.guard(), hash_),
+      election_(site_, superframe_.duration(), superframe_.guard()),
+      coexistence_(site_, election_, hash_),
       slots_(*site.schedule),
       authenticator_(site.cipher, site.network_key, site.signed_places),
       replay_guard_(replay_guard_of(site)),
@@ -73,7 +74,7 @@ void Station::attach(ControlChannel& channel) noexcept {
 
 void Station::start(ClockTime now) noexcept {
   sync_.search();
-  election_.search(now);
+  coexistence_.search(now);
   others_.reset();
   phase_ = Phase::kSearching;
 }
@@ -158,14 +159,14 @@ std::optional<Action> Station::control_ahead() const noexcept {
 
 bool Station::start_session_if_due(ClockTime now) noexcept {
   if (election_.role() != Role::kSearching) {
-    election_.search(now);
+    coexistence_.search(now);
     others_.reset();
   }
   replay_guard_.forget();
   const auto lead_at = election_.lead_at();
   if (!lead_at || now < *lead_at) return false;
   constexpr Ticks kHead = Ticks::from_us(2'000);
-  election_.found();
+  coexistence_.found();
   replay_guard_.found();
   authenticator_.enter(election_.session());
   sync_.found(ClockTime(0) + ranging::round_up_to_grid(now + kHead - ClockTime(0)));
@@ -189,7 +190,7 @@ Action Station::search(ClockTime now) noexcept {
 std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   sync_.begin(number_);
   if (sync_.state() == SyncState::kSearching) return std::nullopt;
-  const Duty duty = election_.begin(number_);
+  const Duty duty = coexistence_.begin(number_);
   if ((duty == Duty::kTakeOver && !fresh()) || election_.orphaned_after_one_beacon(number_)) {
     sync_.search();
     return std::nullopt;
@@ -281,7 +282,7 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
   while (others_) {
     const ClockTime timestamp = timestamp_not_after(others_->shared);
     if (ahead(timestamp, now) && sure(number_) &&
-        election_.may_request_merge(others_->merge_target.superframe)) {
+        coexistence_.may_request_merge(others_->merge_target.superframe)) {
       const ClockTime ready = timestamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
       if (ready > now + kToGetReady) {
@@ -309,7 +310,7 @@ bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
   for (std::uint32_t i = 0; i < others_->left; ++i) {
     const ClockTime shared = others_->shared + std::int64_t{i} * superframe_.duration();
     if (shared > from && shared < to)
-      return election_.may_request_merge(others_->merge_target.superframe + i);
+      return coexistence_.may_request_merge(others_->merge_target.superframe + i);
   }
   return false;
 }
@@ -356,17 +357,17 @@ void Station::send_merge_requests(const MergeTarget& merge_target, ClockTime sha
   constexpr std::uint32_t kMore = 1;
   std::uint32_t last = to_open + (rounds - 1) * turns + kMore;
   while (!election_.leads() && election_.rank() && last < 2 * turns &&
-         !election_.may_request_merge_within(others_->merge_target.superframe, last)) {
+         !coexistence_.may_request_merge_within(others_->merge_target.superframe, last)) {
     ++last;
   }
   others_->left = last + 1;
-  election_.keep_silence(superframe_at(others_->shared + std::int64_t{last} * duration));
+  coexistence_.keep_silence(superframe_at(others_->shared + std::int64_t{last} * duration));
 }
 
 Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   const ClockTime timestamp = timestamp_not_after(due);
   Beacon beacon = make_beacon(timestamp - due, shared);
-  beacon.quiet = shared ? election_.ask_for_silence() : scanning_ && election_.quiet();
+  beacon.quiet = shared ? coexistence_.ask_for_silence() : scanning_ && coexistence_.quiet();
   for (ControlChannel* channel : channels_) {
     if (channel != nullptr) channel->on_beacon_out(beacon, election_.leads());
   }
@@ -380,7 +381,7 @@ void Station::on_control_transmitted(ClockTime timestamp) noexcept {
   ++counters_.frames_sent;
   if (sender_ != nullptr) {
     std::exchange(sender_, nullptr)->on_sent(number_, true);
-  } else if (phase_ == Phase::kBeacon && election_.on_led(timestamp)) {
+  } else if (phase_ == Phase::kBeacon && coexistence_.on_led(timestamp)) {
     sync_.search();
   }
   own_beacon_ = false;
@@ -399,16 +400,16 @@ std::optional<Action> Station::on_control_received(const Reception& reception) n
     if (const auto* beacon = std::get_if<Beacon>(&frame->body)) {
       if (take_beacon(*frame, *beacon, reception)) return std::nullopt;
     } else if (std::holds_alternative<Join>(frame->body) || std::holds_alternative<Data>(frame->body)) {
-      if (phase == Phase::kSearching) election_.on_traffic(reception.timestamp);
+      if (phase == Phase::kSearching) coexistence_.on_traffic(reception.timestamp);
       for (ControlChannel* channel : channels_) {
         if (channel != nullptr) channel->on_control(*frame, number_, election_.leads());
       }
       if (phase == Phase::kShared) return std::nullopt;
     } else if (phase == Phase::kSearching) {
-      election_.on_traffic(reception.timestamp);
+      coexistence_.on_traffic(reception.timestamp);
     } else if (phase != Phase::kScanning) {
       ++counters_.stale_frames;
-      if (std::holds_alternative<Poll>(frame->body)) election_.suspect();
+      if (std::holds_alternative<Poll>(frame->body)) coexistence_.suspect();
     }
   }
   if (phase_ == Phase::kSearching) return std::nullopt;
@@ -430,7 +431,7 @@ void Station::miss() noexcept {
 bool Station::overhear(const Accepted& frame, const Reception& reception) noexcept {
   if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return take_beacon(frame, *beacon, reception);
   ++counters_.stale_frames;
-  if (std::holds_alternative<Poll>(frame.body)) election_.suspect();
+  if (std::holds_alternative<Poll>(frame.body)) coexistence_.suspect();
   return false;
 }
 
@@ -455,9 +456,9 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
   const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.timestamp);
   const bool requested = authenticator_.on() && beacon.merge_request;
   const std::uint64_t session = election_.session();
-  const Verdict verdict = frame.unverified ? election_.judge_unverified(frame.source, beacon)
-                          : requested      ? election_.judge_merge_request(frame.source, beacon, ahead)
-                                      : election_.judge(frame.source, beacon, ahead, reception.timestamp);
+  const Verdict verdict = frame.unverified ? coexistence_.judge_unverified(frame.source, beacon)
+                          : requested      ? coexistence_.judge_merge_request(frame.source, beacon, ahead)
+                                      : coexistence_.judge(frame.source, beacon, ahead, reception.timestamp);
   switch (verdict) {
     case Verdict::kStale:
       ++counters_.stale_frames;
@@ -471,7 +472,7 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
         return false;
       }
       // The other session may be a recording, and no expected frames are missing.
-      const bool only_requester_silent = frame.unverified && !election_.lacking();
+      const bool only_requester_silent = frame.unverified && !coexistence_.lacking();
       send_merge_requests({beacon.session, beacon.superframe},
                           reception.timestamp - timestamp.place + superframe_.shared(), 1,
                           only_requester_silent);
@@ -566,7 +567,7 @@ bool Station::authenticate(Accepted& frame, const Reception& reception, Place pl
   }
   if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return authenticate(frame, *beacon, reception);
   // Without knowing the place this node cannot verify the MIC; but another node is there.
-  if (phase_ == Phase::kSearching) election_.on_traffic(reception.timestamp);
+  if (phase_ == Phase::kSearching) coexistence_.on_traffic(reception.timestamp);
   if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
   if (const auto nonce = challenge_of(frame.body)) {
     if (authenticator_.fits_challenge(reception.frame, place, *nonce)) return true;
@@ -575,7 +576,7 @@ bool Station::authenticate(Accepted& frame, const Reception& reception, Place pl
   }
   if (authenticator_.fits(reception.frame, place)) return true;
   ++counters_.forged_frames;
-  if (unused_slot && std::holds_alternative<Poll>(frame.body)) election_.on_unverified_poll();
+  if (unused_slot && std::holds_alternative<Poll>(frame.body)) coexistence_.on_unverified_poll();
   return false;
 }
 

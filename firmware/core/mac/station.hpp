@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <optional>
 
+#include "firmware/core/mac/coexistence.hpp"
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/mac/frame_authenticator.hpp"
@@ -98,10 +99,10 @@ class Station {
   [[nodiscard]] bool overhear(const Accepted& frame, const Reception& reception) noexcept;
   // Reports whether expected frames are missing. `idle`: no frame came at all, so a scan would disturb
   // nothing.
-  void on_lack(bool lacking, bool idle) noexcept { election_.on_lack(lacking, idle); }
+  void on_lack(bool lacking, bool idle) noexcept { coexistence_.on_lack(lacking, idle); }
   // Neither a beacon nor an answer came: the other nodes may keep radio silence on purpose.
   void on_silence() noexcept {
-    if (sync_.state() == SyncState::kCoasting) election_.on_silence();
+    if (sync_.state() == SyncState::kCoasting) coexistence_.on_silence();
   }
 
   // ---- frames --------------------------------------------------------------------------------------------
@@ -220,6 +221,7 @@ class Station {
   std::uint32_t hash_;
   Synchronizer sync_;
   MasterElection election_;
+  Coexistence coexistence_;
   SlotMap slots_;
   FrameAuthenticator authenticator_;
   ReplayGuard replay_guard_;
