@@ -24,7 +24,7 @@ STATION = "firmware/core/mac/station.cpp"
 ATTACK_TEST = ["test/firmware/attack_test.cpp"]
 ANCHOR_SET_TEST = ["test/firmware/anchor_set_test.cpp"]
 SLOTS_TEST = ["test/firmware/slot_map_test.cpp"]
-ACCESS_TEST = ["test/firmware/access_test.cpp"]
+QUEUE_TEST = ["test/firmware/open_slot_queue_test.cpp"]
 MEMBERSHIP_TEST = ["test/firmware/membership_test.cpp"]
 CODEC_TEST = ["test/proto/frame_codec_test.cpp"]
 CAN_DRIVER = "firmware/core/mcp2518fd/driver.hpp"
@@ -105,9 +105,9 @@ MUTATIONS = [
     ("slots: a new master assigns free slots without the pause", "firmware/core/mac/slot_leases.cpp", "    lease.vacant = 0;\n", "", SLOTS_TEST),
     ("slots: a tag that never polls keeps its slot", "firmware/core/mac/slot_leases.cpp", "lease.awaited && lease.unheard >= kFirstLease", "false", SLOTS_TEST),
     ("slots: lease never expires", "firmware/core/mac/slot_leases.cpp", "lease.heard && lease.unheard >= kLease", "false", SLOTS_TEST),
-    ("access: no back-off", "firmware/core/mac/access.cpp", "p.wait = draw(i, number, p.window_log2);", "p.wait = 0;", ACCESS_TEST),
-    ("access: all nodes draw the same back-off", "firmware/core/mac/access.cpp", "(std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3)", "0U", ACCESS_TEST),
-    ("membership: back-ups relay no JOIN", "firmware/core/mac/membership.cpp", "  access_.want(Purpose::kPassOn, kPassOn, number);\n", "", MEMBERSHIP_TEST),
+    ("open slots: no back-off", "firmware/core/mac/open_slot_queue.cpp", "  p.wait = draw(purpose, number, p.window_log2);\n}\n\nstd::optional<Join> OpenSlotQueue::take", "p.wait = 0;", QUEUE_TEST),
+    ("open slots: all nodes draw the same back-off", "firmware/core/mac/open_slot_queue.cpp", "(std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3)", "0U", QUEUE_TEST),
+    ("membership: back-ups relay no JOIN", "firmware/core/mac/membership.cpp", "  queue_.want(Purpose::kPassOn, join, kPassOn, number);\n", "", MEMBERSHIP_TEST),
     ("membership: a tag that left still polls", "firmware/core/mac/membership.hpp", "leaving_ ? std::nullopt : slots_.valid_slot_of(owner_, number)", "slots_.valid_slot_of(owner_, number)", MEMBERSHIP_TEST),
     ("slots: the count of a former timeline outranks the followed one", "firmware/core/mac/slot_map.cpp", "known_ && !adopted &&", "known_ &&", SLOTS_TEST),
     ("mac: receiver enabled without the preamble's length", "firmware/core/mac/station.cpp", "due - phy.before_rmarker() - guard", "due - guard", MAC_TEST),

@@ -9,22 +9,22 @@ namespace groma::mac {
 namespace {
 
 // A tag without a slot asks at once, then ever less often, until it has one.
-constexpr Persistence kAsk{.first_window_log2 = 0, .last_window_log2 = 4};
-constexpr Persistence kAnnounceLeaving{.first_window_log2 = 0, .last_window_log2 = 4, .times = 4};
+constexpr Repetition kAsk{.first_window_log2 = 0, .last_window_log2 = 4};
+constexpr Repetition kAnnounceLeaving{.first_window_log2 = 0, .last_window_log2 = 4, .times = 4};
 // All anchors may start at once, and most are polled before their turn comes.
 constexpr std::uint32_t kBeforeAnnouncing = 3;  // superframes
-constexpr Persistence kAnnounce{.first_window_log2 = 2, .last_window_log2 = 5, .times = 3};
-constexpr Persistence kPassOn{.first_window_log2 = 1, .last_window_log2 = 4, .times = 2};
+constexpr Repetition kAnnounce{.first_window_log2 = 2, .last_window_log2 = 5, .times = 3};
+constexpr Repetition kPassOn{.first_window_log2 = 1, .last_window_log2 = 4, .times = 2};
 
-constexpr Persistence kRemind{.first_window_log2 = 4, .last_window_log2 = 4, .times = 1};
+constexpr Repetition kRemind{.first_window_log2 = 4, .last_window_log2 = 4, .times = 1};
 constexpr std::uint32_t kRemindEach = 256;  // superframes
 
 // In superframes: after this time the tag has repeated its request itself.
 constexpr std::uint32_t kPassedOnWithin = 32;
 
-// Unique for each request and node.
-constexpr std::uint64_t nonce_of(std::uint16_t id, std::uint32_t number) noexcept {
-  return std::uint64_t{id} << 32 | number;
+std::optional<ControlChannel::Outgoing> outgoing(const std::optional<Join>& join) noexcept {
+  if (!join) return std::nullopt;
+  return ControlChannel::Outgoing{.body = *join};
 }
 
 }  // namespace
@@ -37,29 +37,17 @@ TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule, c
       owner_(lender != kNobody ? lender : id),
       slots_(slots),
       anchors_(std::span(schedule.anchor_ids).first(schedule.anchor_ids_count)),
-      access_(id) {}
+      queue_(id) {}
 
 void TagMembership::leave() noexcept {
   if (leaving_) return;
   leaving_ = true;
-  access_.settle(Purpose::kJoin);
-  access_.want(Purpose::kLeave, kAnnounceLeaving, 0);
+  queue_.settle(Purpose::kJoin);
+  queue_.want(Purpose::kLeave, {.origin = id_, .tag = true, .leaving = true}, kAnnounceLeaving, 0);
 }
 
 std::optional<ControlChannel::Outgoing> TagMembership::open_slot(std::uint32_t number) noexcept {
-  under_way_ = access_.turn(number);
-  if (!under_way_) return std::nullopt;
-  const bool leaves = *under_way_ == Purpose::kLeave;
-  return Outgoing{.body = Join{.origin = id_,
-                               .nonce = nonce_of(id_, number),
-                               .tag = true,
-                               .wants_slot = !leaves,
-                               .leaving = leaves}};
-}
-
-void TagMembership::on_sent(std::uint32_t /*number*/, bool sent) noexcept {
-  if (!sent && under_way_) access_.missed(*under_way_);
-  under_way_.reset();
+  return outgoing(queue_.turn(number));
 }
 
 void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, bool /*leading*/) noexcept {
@@ -73,11 +61,11 @@ void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept
   anchors_.hear(frame.source);
   const bool homeless = !slots_.slot_of(owner_);
   if (leaving_) {
-    if (homeless) access_.settle(Purpose::kLeave);
+    if (homeless) queue_.settle(Purpose::kLeave);
   } else if (homeless && !borrows()) {
-    access_.want(Purpose::kJoin, kAsk, beacon.superframe);
+    queue_.want(Purpose::kJoin, {.origin = id_, .tag = true, .wants_slot = true}, kAsk, beacon.superframe);
   } else {
-    access_.settle(Purpose::kJoin);
+    queue_.settle(Purpose::kJoin);
   }
 }
 
@@ -89,14 +77,14 @@ AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& sched
       listed_(std::count(schedule.anchor_ids, schedule.anchor_ids + schedule.anchor_ids_count, id) != 0),
       slots_(slots),
       leases_(slots),
-      access_(id) {}
+      queue_(id) {}
 
 void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept {
   leases_.hear(tag, slot);
   // The polling tag knows this anchor. Other tags in range will soon learn of it as well.
   if (!named || !listed_) return;
   announcing_ = Announcing::kDone;
-  access_.settle(Purpose::kAnnounce);
+  queue_.settle(Purpose::kAnnounce);
 }
 
 void AnchorMembership::announce(std::uint32_t number) noexcept {
@@ -108,11 +96,11 @@ void AnchorMembership::announce(std::uint32_t number) noexcept {
       return;
     case Announcing::kSoon:
       if (ahead != 0 && ahead <= kBeforeAnnouncing) return;
-      access_.want(Purpose::kAnnounce, kAnnounce, number);
+      queue_.want(Purpose::kAnnounce, {.origin = id_}, kAnnounce, number);
       break;
     case Announcing::kDone:
       if (listed_ || (ahead != 0 && ahead <= kRemindEach)) return;
-      access_.want(Purpose::kAnnounce, kRemind, number);
+      queue_.want(Purpose::kAnnounce, {.origin = id_}, kRemind, number);
       break;
   }
   announcing_ = Announcing::kDone;
@@ -121,23 +109,13 @@ void AnchorMembership::announce(std::uint32_t number) noexcept {
 
 std::optional<ControlChannel::Outgoing> AnchorMembership::open_slot(std::uint32_t number) noexcept {
   announce(number);
-  if (number - pending_since_ > kPassedOnWithin) access_.settle(Purpose::kPassOn);
-  under_way_ = access_.turn(number);
-  if (!under_way_) return std::nullopt;
-  if (*under_way_ == Purpose::kPassOn) return passed_on();
-  return Outgoing{.body = Join{.origin = id_, .nonce = nonce_of(id_, number)}};
+  if (number - passed_on_since_ > kPassedOnWithin) queue_.settle(Purpose::kPassOn);
+  return outgoing(queue_.turn(number));
 }
 
 std::optional<ControlChannel::Outgoing> AnchorMembership::own_turn(std::uint32_t number) noexcept {
-  if (!access_.pending(Purpose::kPassOn) || number - pending_since_ > kPassedOnWithin) return std::nullopt;
-  under_way_ = Purpose::kPassOn;
-  access_.settle(Purpose::kPassOn);  // no other node sends in that slot
-  return passed_on();
-}
-
-void AnchorMembership::on_sent(std::uint32_t /*number*/, bool sent) noexcept {
-  if (!sent && under_way_) access_.missed(*under_way_);
-  under_way_.reset();
+  if (number - passed_on_since_ > kPassedOnWithin) return std::nullopt;
+  return outgoing(queue_.take(Purpose::kPassOn));
 }
 
 void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept {
@@ -160,26 +138,27 @@ void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool
 // area is not needed.
 void AnchorMembership::consider_passing_on(const Frame& frame, const Join& join,
                                            std::uint32_t number) noexcept {
+  const Join& pending = queue_.join(Purpose::kPassOn);
   const auto low = static_cast<std::uint32_t>(join.nonce);
   const bool seen = std::any_of(passed_.begin(), passed_.end(),
                                 [&](const Passed& p) { return p.origin == join.origin && p.nonce == low; });
   if (seen) {
     const bool by_another = frame.source != join.origin;
-    if (by_another && pending_.origin == join.origin) access_.settle(Purpose::kPassOn);
+    if (by_another && pending.origin == join.origin) queue_.settle(Purpose::kPassOn);
     return;
   }
-  if (access_.pending(Purpose::kPassOn) && pending_.origin != join.origin) return;
+  if (queue_.pending(Purpose::kPassOn) && pending.origin != join.origin) return;
   passed_[next_passed_++ % passed_.size()] = {join.origin, low};
-  pending_ = join;
-  pending_since_ = number;
-  access_.want(Purpose::kPassOn, kPassOn, number);
+  passed_on_since_ = number;
+  queue_.want(Purpose::kPassOn, join, kPassOn, number);
 }
 
 void AnchorMembership::on_beacon(const Frame& /*frame*/, const Beacon& beacon) noexcept {
   leases_.advance(beacon.superframe);
   leases_.follow(beacon.session);
-  const bool holds = slots_.slot_of(pending_.origin).has_value();
-  if (holds != pending_.leaving) access_.settle(Purpose::kPassOn);  // the master knows
+  const Join& pending = queue_.join(Purpose::kPassOn);
+  const bool holds = slots_.slot_of(pending.origin).has_value();
+  if (holds != pending.leaving) queue_.settle(Purpose::kPassOn);  // the master knows
 }
 
 void AnchorMembership::on_beacon_out(Beacon& beacon, bool leading) noexcept {

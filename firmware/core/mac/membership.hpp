@@ -14,10 +14,10 @@
 #include <cstdint>
 #include <optional>
 
-#include "firmware/core/mac/access.hpp"
 #include "firmware/core/mac/anchor_set.hpp"
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/open_slot_queue.hpp"
 #include "firmware/core/mac/slot_leases.hpp"
 #include "firmware/core/mac/slot_map.hpp"
 #include "groma.pb.h"
@@ -46,7 +46,7 @@ class TagMembership final : public ControlChannel {
   [[nodiscard]] const AnchorSet& anchors() const noexcept { return anchors_; }
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
-  void on_sent(std::uint32_t number, bool sent) noexcept override;
+  void on_sent(std::uint32_t /*number*/, bool sent) noexcept override { queue_.on_sent(sent); }
   void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
   void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
   void on_beacon_out(Beacon& /*beacon*/, bool /*leading*/) noexcept override {}
@@ -56,9 +56,8 @@ class TagMembership final : public ControlChannel {
   std::uint16_t owner_;  // of the slot in which this node polls
   const SlotMap& slots_;
   AnchorSet anchors_;
-  Access access_;
+  OpenSlotQueue queue_;
   bool leaving_ = false;
-  std::optional<Purpose> under_way_;
 };
 
 class AnchorMembership final : public ControlChannel {
@@ -72,7 +71,7 @@ class AnchorMembership final : public ControlChannel {
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
   [[nodiscard]] std::optional<Outgoing> own_turn(std::uint32_t number) noexcept override;
-  void on_sent(std::uint32_t number, bool sent) noexcept override;
+  void on_sent(std::uint32_t /*number*/, bool sent) noexcept override { queue_.on_sent(sent); }
   void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
   void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
   void on_beacon_out(Beacon& beacon, bool leading) noexcept override;
@@ -85,7 +84,6 @@ class AnchorMembership final : public ControlChannel {
 
   void announce(std::uint32_t number) noexcept;
   void consider_passing_on(const Frame& frame, const Join& join, std::uint32_t number) noexcept;
-  [[nodiscard]] Outgoing passed_on() const noexcept { return {.body = pending_}; }
 
   std::uint16_t id_;
   bool beaconer_;  // this node relays beacons
@@ -95,10 +93,8 @@ class AnchorMembership final : public ControlChannel {
   Announcing announcing_ = Announcing::kNotYet;
   SlotMap& slots_;
   SlotLeases leases_;
-  Access access_;
-  std::optional<Purpose> under_way_;
-  Join pending_;  // to be relayed, while access_ has kPassOn pending
-  std::uint32_t pending_since_ = 0;
+  OpenSlotQueue queue_;
+  std::uint32_t passed_on_since_ = 0;  // superframe of the last request to be relayed
   std::array<Passed, 4> passed_{};
   std::size_t next_passed_ = 0;
 };
