@@ -465,20 +465,8 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
       return false;
     case Verdict::kIgnore:
       return false;
-    case Verdict::kRequestMerge: {
-      if (searching) {
-        others_ = Others{.shared = reception.timestamp - timestamp.place + superframe_.shared(),
-                         .merge_target = {beacon.session, beacon.superframe}};
-        return false;
-      }
-      // The other session may be a recording, and no expected frames are missing.
-      const bool only_requester_silent = frame.unverified && !coexistence_.lacking();
-      send_merge_requests({beacon.session, beacon.superframe},
-                          reception.timestamp - timestamp.place + superframe_.shared(), 1,
-                          only_requester_silent);
-      return phase_ == Phase::kScanning &&
-             (!only_requester_silent || requests_within(reception.timestamp, sync_.start(number_)));
-    }
+    case Verdict::kRequestMerge:
+      return request_merge(beacon, reception.timestamp, frame.unverified);
     case Verdict::kLeave:
       sync_.search();
       return true;
@@ -511,6 +499,20 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
   next_ = beacon.shared ? Next::kSlots : Next::kShared;
   scanning_ = beacon.quiet && !beacon.shared;
   return true;
+}
+
+bool Station::request_merge(const Beacon& beacon, ClockTime heard, bool unverified) noexcept {
+  const MergeTarget merge_target{beacon.session, beacon.superframe};
+  const ClockTime shared = heard - place_in_superframe(beacon) + superframe_.shared();
+  if (sync_.state() == SyncState::kSearching) {
+    others_ = Others{.shared = shared, .merge_target = merge_target};
+    return false;
+  }
+  // The other session may be a recording, and no expected frames are missing.
+  const bool only_requester_silent = unverified && !coexistence_.lacking();
+  send_merge_requests(merge_target, shared, 1, only_requester_silent);
+  return phase_ == Phase::kScanning &&
+         (!only_requester_silent || requests_within(heard, sync_.start(number_)));
 }
 
 bool Station::take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,

@@ -190,6 +190,8 @@ class Station {
 
   // Returns true if the place in the timeline changed or was lost.
   bool take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
+  // Of a session that has to join this one or fall silent. Returns as take_beacon().
+  bool request_merge(const Beacon& beacon, ranging::ClockTime heard, bool unverified) noexcept;
   bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                  bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept;
