@@ -30,15 +30,15 @@ enum class Duty : std::uint8_t {
   kLongSilence,  // as kSilence, for two superframes: hears also what crosses their boundary
 };
 
-// Back-off between actions that cost ranges: the first `at_once` follow directly, then each interval is twice
-// the one before. After an interval of 2^burst_log2 superframes the next is 64: a disturbance that lasts this
-// long is probably not a network to merge with. The intervals end at 2^longest_log2 superframes, so in the
-// long run at most that share of the superframes is lost.
+// Back-off between actions that cost ranges: `at_once` more follow the first one directly, then each interval
+// is twice the one before. After an interval of 2^burst_log2 superframes the next is 64: a disturbance that
+// lasts this long is probably not a network to merge with. The intervals end at 2^longest_log2 superframes,
+// so in the long run at most that share of the superframes is lost.
 class Pause {
  public:
   constexpr Pause(std::uint8_t at_once, std::uint8_t burst_log2, std::uint8_t longest_log2) noexcept
       : at_once_(at_once), burst_log2_(burst_log2), longest_log2_(longest_log2) {}
-  // No pause until superframe `number`; the next one is the first.
+  // No action is due before superframe `number`, and the pause after that one is the first.
   void restart(std::uint32_t number) noexcept;
   [[nodiscard]] bool over(std::uint32_t number) const noexcept { return since(number, next_) >= 0; }
   void begin(std::uint32_t number) noexcept;
@@ -144,26 +144,27 @@ class Coexistence {
   bool lacking_ = false;
   bool idle_ = false;
 
-  // Two networks that both scan for each other: each superframe the other master sends its beacon with a
-  // probability of 1 - 5/8 * 3/4 = 0.53 (may_scan and silence of scan_duty()). All of four scans miss it in
-  // 5 % of cases. A frame at a wrong time is strong evidence, so the pauses end at 32: 3 % of superframes.
+  // The pauses. Of two networks that scan for each other, each master sends its beacon in a superframe with a
+  // probability of 1 - 5/8 * 3/4 = 0.53 (scan_duty()), so that n scans miss the other one in 0.47^n of cases.
+  //
+  // A frame at an unexpected time is strong evidence. Five scans in a row miss in 2 % of cases; in the long
+  // run a disturbance costs 1 of 32 superframes.
   Pause scans_{4, 5, 5};
-  // Anybody can send a POLL with a wrong MIC: two scans at once, which miss in 22 % of cases, and in the long
-  // run 0.4 % of superframes.
+  // Anybody can send a POLL with a wrong MIC: five scans within 9 superframes, and in the long run 1 of 256.
   Pause unverified_scans_{2, 2, 8};
-  // Frames are mostly missing because a node is off or has no LOS, and a scan costs more of them: three scans
-  // with pauses between them, which miss in 10 % of cases, then in the long run 0.4 % of superframes.
+  // Frames are mostly missing because a node is off or has no LOS, and a scan costs more of them: four scans
+  // within 8 superframes, which miss in 5 % of cases, and in the long run 1 of 256.
   Pause lacks_{1, 2, 8};
-  // No frame came, so a scan costs nothing but the chance to hear the own network again: pauses of 4
-  // superframes leave three of four for that.
+  // No frame came, so a scan costs only the chance to hear the own network again: three of four superframes
+  // remain for that.
   Pause idles_{0, 2, 2};
   // Each request costs the session up to two rounds of radio silence. In an open network the beacon shows
-  // that the other session is there: four at once, because a JOIN or a request of another node may collide
-  // with each, then rarely, because the other session may be unable to hear this one. In a network with a key
-  // the beacon may be a recording, so the request is repeated as rarely as lacks_.
+  // that the other session is there: five in a row, because frames of other nodes may collide with each, then
+  // rarely, because the other session may be unable to hear this one. In a network with a key the beacon may
+  // be a recording, so the request is repeated as rarely as the scans of lacks_.
   Pause merge_requests_;
-  // The others' radio silence lasts for up to two rounds. A tag that hears nobody joins it for one
-  // superframe, then for another one, then rarely, because mostly nobody is there.
+  // The others' radio silence lasts for up to two rounds. A tag that hears nobody is silent for three of four
+  // superframes, then for 1 of 64 and fewer, because mostly nobody is there.
   Pause silences_{1, 1, 8};
 
   std::uint32_t silent_left_ = 0;  // superframes
