@@ -129,7 +129,7 @@ TEST(MasterElection, AKeyedNetworkStartsNoSessionWhoseIdMayHaveBeenUsed) {
   ASSERT_TRUE(node->lead_at());
   node->found();
   EXPECT_EQ(node->session(), 0x65'0000'0007'FFFEU);
-  node->search(ClockTime(0));
+  node.coexistence->search(ClockTime(0));
   EXPECT_FALSE(node->lead_at()) << "the count within the boot would wrap";
   node.sessions = 0;
   node.site.boot_count = 0;

@@ -15,12 +15,13 @@
 #include <string>
 
 #include "firmware/core/dw1000/driver.hpp"
+#include "firmware/core/mac/coexistence.hpp"
 #include "firmware/core/mac/exchange.hpp"
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/mac/frame_authenticator.hpp"
 #include "firmware/core/mac/master_election.hpp"
 #include "firmware/core/mac/replay_guard.hpp"
-#include "firmware/core/mac/slot_table.hpp"
+#include "firmware/core/mac/slot_leases.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/air_link.hpp"
 #include "firmware/core/ranging/twr.hpp"
@@ -422,7 +423,7 @@ Formulas formulas_for(const groma_Schedule& schedule, Preamble preamble, bool se
     if (row[0] == "c") c = number(row[1]);
   }
   formulas.set("c", c);
-  formulas.set("e", secured ? c : 0.0);
+  formulas.set("e", secured ? 3.0 * c : 0.0);
   formulas.set("k", secured ? 8.0 : 0.0);
   return formulas;
 }
@@ -578,8 +579,9 @@ Ticks listening(std::size_t rank) {
   const groma_Schedule usual = schedule_with(3, 12, groma_RangingMethod_METHOD_DS_NEXT_POLL,
                                              kUsualTurnaround_us, usual_gap_us(false, false), kUsualGuard_us);
   const Ticks duration = Superframe(usual, Phy(Preamble::k128)).duration();
-  MasterElection election(site, duration, Ticks::from_us(30), 1);
-  election.search(ranging::ClockTime(0));
+  MasterElection election(site, duration, Ticks::from_us(30));
+  Coexistence coexistence(site, election, 1);
+  coexistence.search(ranging::ClockTime(0));
   return election.lead_at().value() - ranging::ClockTime(0);
 }
 
@@ -587,16 +589,17 @@ Ticks listening(std::size_t rank) {
 double vacancy() {
   groma_Schedule schedule = example_schedule();
   schedule.tag_ids_count = 1;
-  SlotTable table(schedule);
+  SlotMap map(schedule);
+  SlotLeases leases(map);
   std::uint32_t superframe = 1;
-  table.advance(superframe);
-  table.lead(1);
+  leases.advance(superframe);
+  leases.lead(1);
   superframe += kLease;
-  table.advance(superframe);
-  EXPECT_EQ(table.claim(99), SlotTable::Claim::kWait);  // revokes it
+  leases.advance(superframe);
+  EXPECT_EQ(leases.claim(99), SlotLeases::Claim::kWait);  // revokes it
   const std::uint32_t revoked = superframe;
-  while (table.claim(99) != SlotTable::Claim::kGranted && superframe < revoked + 1000)
-    table.advance(++superframe);
+  while (leases.claim(99) != SlotLeases::Claim::kGranted && superframe < revoked + 1000)
+    leases.advance(++superframe);
   return superframe - revoked;
 }
 
@@ -674,7 +677,7 @@ std::map<std::string, double> constants() {
       {"MasterElection::kPatience", MasterElection::kPatience},
       {"lead_at, rank 0", count(listening(0))},
       {"lead_at, rank 1", count(listening(1) - listening(0))},
-      {"kTableGoodFor", kTableGoodFor},
+      {"kMapGoodFor", kMapGoodFor},
       {"kLease", kLease},
       {"kFirstLease", kFirstLease},
       {"kDeaf", kDeaf},
