@@ -907,6 +907,9 @@ TEST(AirReference, KeyedExamplesAreValid) {
       .origin = 1, .nonce = 0x0000'0009'0000'0000, .tag = true, .wants_challenge_response = true};
   expect("challenge JOIN", frame_from(3, kBroadcast, 1, challenge), keys.bytes("challenge key"),
          {998, Place::kShared});
+  EXPECT_TRUE(
+      keys.authenticator().fits_challenge(checked("challenge JOIN"), {998, Place::kShared}, challenge.nonce));
+  EXPECT_FALSE(keys.authenticator().fits(checked("challenge JOIN"), Place{998, Place::kShared}));
 
   beacon.superframe = 1001;
   beacon.tx_offset_dtu = 0;
