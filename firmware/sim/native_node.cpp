@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/node/node.hpp"
 #include "firmware/core/storage/config_store.hpp"
 #include "firmware/core/storage/counter.hpp"
@@ -60,6 +61,7 @@ class NativePlatform {
    private:
     NativePlatform& platform_;
   };
+  using Radio = dw1000::Dw1000<Spi>;
 
   NativePlatform(const NodeSpec& spec, Medium& medium)
       : chip(spec.chip, medium),

@@ -11,6 +11,7 @@
 #include <span>
 #include <vector>
 
+#include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/anchor_set.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
@@ -180,7 +181,7 @@ double range_success(groma_RangingMethod method, double frame_success) {
 AirPlan plan_air(const groma_Config& config, unsigned baud) {
   const groma_Schedule& schedule = config.schedule;
   const bool secured = config.network_key.size != 0;
-  const dw1000::Phy phy(node::radio_settings(config).preamble);
+  const radio::Phy phy = dw1000::phy_of(node::radio_settings(config).preamble);
   const Superframe superframe(schedule, phy, secured);
   AirPlan plan;
   plan.superframe_s = seconds(superframe.duration());

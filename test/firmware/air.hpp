@@ -13,6 +13,7 @@
 #include <variant>
 #include <vector>
 
+#include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
 #include "test/support/nonce_witness.hpp"
@@ -69,7 +70,8 @@ class Air {
   };
   static constexpr std::size_t kGhost = ~std::size_t{0};
 
-  Air(const groma_Schedule& schedule, dw1000::Preamble preamble) : schedule_(schedule), phy_(preamble) {}
+  Air(const groma_Schedule& schedule, radio::Preamble preamble)
+      : schedule_(schedule), phy_(dw1000::phy_of(preamble)) {}
 
   std::size_t add(const NodeSettings& settings) { return add(settings, schedule_); }
   // A node with its own schedule.
@@ -178,6 +180,7 @@ class Air {
 
   [[nodiscard]] const NonceWitness& nonces() const { return witness_; }
   [[nodiscard]] double now() const { return now_; }
+  [[nodiscard]] const radio::Phy& phy() const { return phy_; }
   [[nodiscard]] std::size_t size() const { return nodes_.size(); }
   [[nodiscard]] std::uint16_t id(std::size_t node) const { return nodes_[node]->settings.id; }
   [[nodiscard]] double x_m(std::size_t node) const { return nodes_[node]->settings.x_m; }
@@ -217,7 +220,7 @@ class Air {
   mac::Site site_of(Node& node) {
     return {.id = node.settings.id,
             .network_id = 0x55AA,
-            .preamble = phy_.preamble(),
+            .phy = phy_,
             .schedule = &node.schedule,
             .transmit_antenna_delay = node.settings.antenna_delay,
             .boot_count = node.boots,
@@ -255,8 +258,8 @@ class Air {
     return (static_cast<double>(t.count()) - n.settings.phase_ticks) / (1.0 + n.settings.offset_ppm * 1e-6);
   }
   [[nodiscard]] double before() const { return static_cast<double>(phy_.before_rmarker().count()); }
-  [[nodiscard]] static double after(std::size_t bytes) {
-    return static_cast<double>(dw1000::Phy::after_rmarker(bytes + dw1000::kFrameCheckBytes).count());
+  [[nodiscard]] double after(std::size_t bytes) const {
+    return static_cast<double>(phy_.after_rmarker(bytes + radio::kFrameCheckBytes).count());
   }
 
   void arm(std::size_t index, Step step) {
@@ -400,7 +403,7 @@ class Air {
         .timestamp = local(n, frame.rmarker + flight + timestamp_noise_ticks * gaussian()),
         .timestamp_valid = true,
         .frame = frame.bytes,
-        .quality = {.carrier_integral = static_cast<std::int32_t>(std::lround(offset_ppb / -0.57312))}};
+        .quality = {.clock_offset_ppb = static_cast<std::int32_t>(std::lround(offset_ppb))}};
     if (spoil) spoil(index, reception);
     (void)dispatch(n, [&](auto& machine) {
       if (!only_events) machine.begin_verify(reception.frame);
@@ -421,7 +424,7 @@ class Air {
     double end;
   };
   groma_Schedule schedule_;
-  dw1000::Phy phy_;
+  radio::Phy phy_;
   std::vector<std::unique_ptr<Node>> nodes_;
   std::vector<Frame> ghosts_;
   NonceWitness witness_;

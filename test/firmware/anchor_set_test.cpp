@@ -59,18 +59,18 @@ struct World {
 
 // ---- quality ------------------------------------------------------------------------------------------
 
-dw1000::ReceiveQuality received(double receive_dbm, double first_path_dbm) {
+radio::LinkQuality received(double receive_dbm, double first_path_dbm) {
   // Inverts the formulas of 4.7.1 and 4.7.2 for 120 symbols.
   constexpr double kConstant_db = 121.74;
   const double n2 = 120.0 * 120.0;
   const double first = std::pow(10.0, (first_path_dbm + kConstant_db) / 10.0) * n2;
   const double whole = std::pow(10.0, (receive_dbm + kConstant_db) / 10.0) * n2 / 131072.0;
   const auto amplitude = static_cast<std::uint16_t>(std::lround(std::sqrt(first / 3.0)));
-  return {.amplitude1 = amplitude,
-          .amplitude2 = amplitude,
-          .amplitude3 = amplitude,
-          .channel_power = static_cast<std::uint16_t>(std::lround(whole)),
-          .preamble_count = 120};
+  return dw1000::link_quality({.amplitude1 = amplitude,
+                               .amplitude2 = amplitude,
+                               .amplitude3 = amplitude,
+                               .channel_power = static_cast<std::uint16_t>(std::lround(whole)),
+                               .preamble_count = 120});
 }
 
 TEST(LinkQuality, GrowsWithPowerAndLineOfSight) {
@@ -88,12 +88,12 @@ TEST(LinkQuality, GrowsWithPowerAndLineOfSight) {
 
 TEST(LinkQuality, IsZeroForEmptyRegistersAndBoundedForAnyOthers) {
   EXPECT_EQ(link_quality({}), 0);
-  EXPECT_EQ(link_quality({.channel_power = 100}), 0);
-  EXPECT_EQ(link_quality({.amplitude1 = 0xFFFF,
-                          .amplitude2 = 0xFFFF,
-                          .amplitude3 = 0xFFFF,
-                          .channel_power = 0xFFFF,
-                          .preamble_count = 1}),
+  EXPECT_EQ(link_quality(dw1000::link_quality({.channel_power = 100})), 0);
+  EXPECT_EQ(link_quality(dw1000::link_quality({.amplitude1 = 0xFFFF,
+                                               .amplitude2 = 0xFFFF,
+                                               .amplitude3 = 0xFFFF,
+                                               .channel_power = 0xFFFF,
+                                               .preamble_count = 1})),
             127 + 128);
 }
 

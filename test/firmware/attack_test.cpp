@@ -59,7 +59,7 @@ class AttackTest : public ::testing::Test {
   AttackTest() {
     schedule.backup_ids_count = 1;
     schedule.backup_ids[0] = 102;
-    air.emplace(schedule, dw1000::Preamble::k128);
+    air.emplace(schedule, radio::Preamble::k128);
     air->key = kKey;
     air->add_all(30.0, 15.0, 5);
     for (std::size_t i = 0; i < air->size(); ++i) {
@@ -186,7 +186,7 @@ class AttackTest : public ::testing::Test {
       if (parsed.source != sender || parsed.body.index() != kind) return;
       ghost = forge(forgery, frame, parsed);
       const double shorter = static_cast<double>(
-          (dw1000::Phy::after_rmarker(frame.bytes.size() + 2) - dw1000::Phy::after_rmarker(ghost.size() + 2))
+          (air->phy().after_rmarker(frame.bytes.size() + 2) - air->phy().after_rmarker(ghost.size() + 2))
               .count());
       air->inject(frame.rmarker + shorter + 64.0, air->x_m(frame.source), ghost);
       if (ghosts_sent++ == 0) first_ghost = frame.rmarker;
@@ -661,6 +661,7 @@ TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
   sim::Aes aes;
   const mac::Site site{.id = 101,
                        .network_id = 0x55AA,
+                       .phy = dw1000::phy_of(radio::Preamble::k128),
                        .schedule = &schedule,
                        .boot_count = 1,
                        .sessions = &sessions,
@@ -843,6 +844,7 @@ TEST(KeyedStation, SignsOnlyAChallengeBeforeAReplayIsExcluded) {
   sim::Aes aes;
   mac::Station station({.id = 1,
                         .network_id = 0x55AA,
+                        .phy = dw1000::phy_of(radio::Preamble::k128),
                         .schedule = &schedule,
                         .boot_count = 1,
                         .network_key = kKey,

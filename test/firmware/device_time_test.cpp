@@ -80,10 +80,12 @@ TEST(Unwrapper, ARestartedCounterContinuesWithoutAStepBackAndOnTheSameGrid) {
 
 TEST(TransmitGrid, TheTimestampIsTheLastOnTheGridWithTheAntennaDelayAdded) {
   for (std::int64_t latest = 40'000; latest < 42'000; latest += 7) {
-    const ClockTime timestamp = transmit_timestamp_not_after(ClockTime(latest), Ticks(16'436));
-    EXPECT_LE(timestamp.count(), latest);
-    EXPECT_GT(timestamp.count() + 512, latest);
-    EXPECT_EQ((timestamp.count() - 16'436) % 512, 0);
+    for (const std::int64_t grid : {512, 64, 1}) {
+      const ClockTime timestamp = transmit_timestamp_not_after(ClockTime(latest), Ticks(16'436), Ticks(grid));
+      EXPECT_LE(timestamp.count(), latest);
+      EXPECT_GT(timestamp.count() + grid, latest);
+      EXPECT_EQ((timestamp.count() - 16'436) % grid, 0);
+    }
   }
   EXPECT_EQ(round_up_to_grid(Ticks(512)).count(), 512);
   EXPECT_EQ(round_up_to_grid(Ticks(513)).count(), 1024);

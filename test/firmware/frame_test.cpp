@@ -46,7 +46,7 @@ TEST(Frame, LengthsMatchTheSchedulesAssumptions) {
   EXPECT_EQ(bytes_of(with(Final{})).size() + 2, kFinalBytes);
   EXPECT_EQ(bytes_of(with(full_poll())).size() + 2, poll_bytes(kMaxAnchors));
   EXPECT_EQ(bytes_of(with(Poll{})).size() + 2, poll_bytes(0));
-  EXPECT_LE(poll_bytes(kMaxAnchors), dw1000::kMaxFrameBytes);
+  EXPECT_LE(poll_bytes(kMaxAnchors), radio::kMaxFrameBytes);
 }
 
 TEST(Frame, RoundTrips) {
@@ -187,7 +187,7 @@ TEST(Frame, ASecuredFrameIsLongerByItsMic) {
     bytes.resize(plain);
     EXPECT_FALSE(parse(bytes).frame);
   }
-  EXPECT_LE(poll_bytes(kMaxAnchors) + kCodeBytes, dw1000::kMaxFrameBytes);
+  EXPECT_LE(poll_bytes(kMaxAnchors) + kCodeBytes, radio::kMaxFrameBytes);
 }
 
 // Each copy ends with its own allocation, so that a sanitizer sees any read beyond it.
@@ -304,7 +304,7 @@ TEST(Frame, AnyFrameRoundTripsAndNoOtherLengthIsAccepted) {
     const auto* data = std::get_if<Data>(&sent.body);
     if (i % 4 != 0) continue;
     auto other = bytes;
-    other.resize(frames.below(dw1000::kMaxFrameBytes - 1U));
+    other.resize(frames.below(radio::kMaxFrameBytes - 1U));
     if (other.size() == bytes.size()) continue;
     const std::size_t shortest = bytes.size() - (data != nullptr ? data->size : 0);
     const bool fits = data != nullptr && other.size() >= shortest && other.size() - shortest <= kMaxDataBytes;

@@ -67,8 +67,8 @@ class Layout {
       : beaconers_(beaconers_of(shape)),
         schedule_(schedule_of_shape(shape)),
         random_(seed),
-        air(schedule_, dw1000::Preamble::k128) {
-    const mac::Superframe superframe(schedule_, dw1000::Phy(dw1000::Preamble::k128));
+        air(schedule_, radio::Preamble::k128) {
+    const mac::Superframe superframe(schedule_, dw1000::phy_of(radio::Preamble::k128));
     superframe_s = static_cast<double>(superframe.duration().count()) / kTicksPerSecond;
     air.add_all(60.0, 20.0, seed);
     // The rank at each position is random, and so is the beaconer that a leaf hears.

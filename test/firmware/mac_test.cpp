@@ -30,8 +30,8 @@ double worst_error_m(const std::vector<RangeSeen>& ranges) {
   return worst;
 }
 
-double superframes_in(const groma_Schedule& schedule, dw1000::Preamble preamble, double seconds) {
-  const mac::Superframe superframe(schedule, dw1000::Phy(preamble));
+double superframes_in(const groma_Schedule& schedule, radio::Preamble preamble, double seconds) {
+  const mac::Superframe superframe(schedule, dw1000::phy_of(preamble));
   return seconds * kTicksPerSecond / static_cast<double>(superframe.duration().count());
 }
 
@@ -52,7 +52,7 @@ constexpr double kIdealError_m = 0.008;
 
 struct Case {
   groma_RangingMethod method;
-  dw1000::Preamble preamble;
+  radio::Preamble preamble;
 };
 
 class Network : public ::testing::TestWithParam<Case> {
@@ -66,10 +66,10 @@ class Network : public ::testing::TestWithParam<Case> {
 
 INSTANTIATE_TEST_SUITE_P(
     Methods, Network,
-    ::testing::Values(Case{groma_RangingMethod_METHOD_DS_FINAL, dw1000::Preamble::k128},
-                      Case{groma_RangingMethod_METHOD_DS_NEXT_POLL, dw1000::Preamble::k128},
-                      Case{groma_RangingMethod_METHOD_DS_FINAL, dw1000::Preamble::k64},
-                      Case{groma_RangingMethod_METHOD_DS_NEXT_POLL, dw1000::Preamble::k256}));
+    ::testing::Values(Case{groma_RangingMethod_METHOD_DS_FINAL, radio::Preamble::k128},
+                      Case{groma_RangingMethod_METHOD_DS_NEXT_POLL, radio::Preamble::k128},
+                      Case{groma_RangingMethod_METHOD_DS_FINAL, radio::Preamble::k64},
+                      Case{groma_RangingMethod_METHOD_DS_NEXT_POLL, radio::Preamble::k256}));
 
 TEST_P(Network, EveryRangeCompletesAndIsCorrectInAnIdealWorld) {
   Air air = this->air(schedule());
@@ -376,7 +376,7 @@ TEST_P(Network, AStaleScheduleStaysSilent) {
 
 // More than 65536 exchanges of one tag: the exchange number wraps without effect.
 TEST(Exchange, NumbersWrap) {
-  Air air(schedule_of(1, 1, groma_RangingMethod_METHOD_DS_NEXT_POLL, 150, 50), dw1000::Preamble::k64);
+  Air air(schedule_of(1, 1, groma_RangingMethod_METHOD_DS_NEXT_POLL, 150, 50), radio::Preamble::k64);
   air.work_ticks = 20e-6 * kTicksPerSecond;
   air.add_all(50.0, 20.0, 17);
   air.start_all();
@@ -396,7 +396,7 @@ mac::FrameBytes beacon_of(const groma_Schedule& schedule) {
   mac::Beacon body{.superframe = 42,
                    .session = 5,
                    .epoch = schedule.epoch,
-                   .schedule_hash = mac::schedule_hash(schedule, 9, dw1000::Preamble::k128),
+                   .schedule_hash = mac::schedule_hash(schedule, 9, radio::Preamble::k128),
                    .master = 101,
                    .slots = static_cast<std::uint8_t>(schedule.tag_ids_count)};
   body.owners.fill(mac::kBroadcast);
@@ -406,8 +406,11 @@ mac::FrameBytes beacon_of(const groma_Schedule& schedule) {
 TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
   const groma_Schedule schedule = schedule_of(2, 3, groma_RangingMethod_METHOD_DS_NEXT_POLL);
   groma_Counters counters = groma_Counters_init_zero;
-  const mac::Site site{
-      .id = 102, .network_id = 9, .schedule = &schedule, .transmit_antenna_delay = Ticks(16436)};
+  const mac::Site site{.id = 102,
+                       .network_id = 9,
+                       .phy = dw1000::phy_of(radio::Preamble::k128),
+                       .schedule = &schedule,
+                       .transmit_antenna_delay = Ticks(16436)};
   const auto poll_result = [&](const mac::Poll& poll, std::uint16_t source, std::uint16_t network) {
     mac::Anchor anchor(site, counters);
     (void)anchor.start(ClockTime(1'000'000));
@@ -447,7 +450,9 @@ TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
 TEST(Station, ItsReceiverHuntsAGuardBeforeAFrameIsDue) {
   const groma_Schedule schedule = schedule_of(1, 2, groma_RangingMethod_METHOD_DS_NEXT_POLL);
   groma_Counters counters = groma_Counters_init_zero;
-  const mac::Anchor anchor({.id = 102, .network_id = 9, .schedule = &schedule}, counters);
+  const mac::Anchor anchor(
+      {.id = 102, .network_id = 9, .phy = dw1000::phy_of(radio::Preamble::k128), .schedule = &schedule},
+      counters);
   const mac::Superframe& superframe = anchor.station().superframe();
   const ClockTime due(10'000'000'000);
   const Ticks slack(1'000);
@@ -490,7 +495,11 @@ class ScriptedAnchor {
     return schedule;
   }
   static mac::Site site() {
-    return {.id = 1, .network_id = 9, .schedule = &schedule(), .transmit_antenna_delay = Ticks(16436)};
+    return {.id = 1,
+            .network_id = 9,
+            .phy = dw1000::phy_of(radio::Preamble::k128),
+            .schedule = &schedule(),
+            .transmit_antenna_delay = Ticks(16436)};
   }
   mac::Tag tag_;
   Step step_;
@@ -529,7 +538,7 @@ TEST(Tag, AcceptsAResponseOnlyOfThisExchangeAnchorAndWindow) {
 }
 
 TEST(Tag, PollsAfterALateTransmitWithoutClosingAcrossTheGap) {
-  Air air(schedule_of(1, 2, groma_RangingMethod_METHOD_DS_NEXT_POLL), dw1000::Preamble::k128);
+  Air air(schedule_of(1, 2, groma_RangingMethod_METHOD_DS_NEXT_POLL), radio::Preamble::k128);
   air.add_all(50.0, 20.0, 18);
   air.start_all();
   air.run(0.5);

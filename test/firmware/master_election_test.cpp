@@ -39,7 +39,10 @@ ClockTime at_s(double t_s) {
 // A single node; the test hands it the beacons that it hears.
 struct Node {
   explicit Node(std::uint16_t id, std::size_t backups = 3) : schedule(schedule_of_backups(backups)) {
-    site = {.id = id, .schedule = &schedule, .boot_count = 7, .sessions = &sessions};
+    site.id = id;
+    site.schedule = &schedule;
+    site.boot_count = 7;
+    site.sessions = &sessions;
     election = std::make_unique<MasterElection>(site, kDuration, kGuard);
     coexistence = std::make_unique<Coexistence>(site, *election, kHash);
     coexistence->search(ClockTime(0));
@@ -75,7 +78,7 @@ struct Node {
 
   groma_Schedule schedule;
   std::uint16_t sessions = 0;
-  Site site;
+  Site site{.phy = dw1000::phy_of(radio::Preamble::k128)};
   std::unique_ptr<MasterElection> election;
   std::unique_ptr<Coexistence> coexistence;
 };

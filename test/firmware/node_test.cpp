@@ -10,6 +10,7 @@
 #include <limits>
 #include <string>
 
+#include "firmware/core/dw1000/driver.hpp"
 #include "firmware/sim/aes.hpp"
 #include "test/firmware/air.hpp"
 #include "test/firmware/fake_chip.hpp"
@@ -24,6 +25,8 @@ using testing::Transfer;
 constexpr std::uint64_t kTicksPerUs = 63'898;
 
 struct FakePlatform {
+  using Radio = dw1000::Dw1000<FakeChip>;
+
   FakeChip chip;
   std::uint64_t time_us = 1'000;
   sim::Aes aes;
@@ -561,7 +564,7 @@ TEST_F(NodeTest, AMasterContinuesItsCountAfterAFlashWrite) {
   }
   EXPECT_EQ(platform.chip.written(0x0D, 0), kTransmission);
   const auto duration = static_cast<std::uint64_t>(
-      mac::Superframe(config.schedule, dw1000::Phy(dw1000::Preamble::k128)).duration().count());
+      mac::Superframe(config.schedule, dw1000::phy_of(radio::Preamble::k128)).duration().count());
   const std::uint64_t since = platform.chip.written(0x0A, 0) - first;
   EXPECT_GT(since, 90'000U * 63'897U);
   EXPECT_LT(std::min(since % duration, duration - since % duration), 512U);
@@ -976,7 +979,7 @@ class LoneTagTest : public NodeTest {
   static constexpr std::uint64_t kLater = 500 * kTicksPerUs;
 
   groma_Config config = good_config();
-  mac::Superframe superframe{config.schedule, dw1000::Phy(dw1000::Preamble::k128)};
+  mac::Superframe superframe{config.schedule, dw1000::phy_of(radio::Preamble::k128)};
   std::uint32_t next = 0;  // superframe of the next beacon
   std::size_t polls = 0;
 };
@@ -1178,11 +1181,11 @@ TEST(SlotReport, CarriesEachRangeWithItsTimeAndStatus) {
                       .timestamp_valid = true,
                       .received = exchange.poll_sent + ranging::Ticks(400'000'000 + 2 * tof),
                       .reply = ranging::Ticks(400'000'000),
-                      .quality = {.amplitude1 = 11'000,
-                                  .amplitude2 = 12'000,
-                                  .amplitude3 = 9'000,
-                                  .channel_power = 5'000,
-                                  .preamble_count = 113},
+                      .quality = dw1000::link_quality({.amplitude1 = 11'000,
+                                                       .amplitude2 = 12'000,
+                                                       .amplitude3 = 9'000,
+                                                       .channel_power = 5'000,
+                                                       .preamble_count = 113}),
                       .closing_state = mac::Leg::Closing::kHeld,
                       .closing = ranging::Ticks(400'000'000)};
   exchange.legs[1] = {.anchor = 102};

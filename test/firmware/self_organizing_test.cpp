@@ -57,10 +57,10 @@ groma_Schedule schedule_with(std::size_t tags, std::size_t anchors, std::size_t 
 class Site {
  public:
   explicit Site(const groma_Schedule& by, std::uint64_t seed = 1, double ppm = 20.0, bool keyed = false)
-      : air(by, dw1000::Preamble::k128) {
+      : air(by, radio::Preamble::k128) {
     if (keyed) air.key = kKey;
     air.add_all(60.0, ppm, seed);
-    const mac::Superframe superframe(by, dw1000::Phy(dw1000::Preamble::k128), keyed);
+    const mac::Superframe superframe(by, dw1000::phy_of(radio::Preamble::k128), keyed);
     superframe_s = static_cast<double>(superframe.duration().count()) / kTicksPerSecond;
   }
 
@@ -349,7 +349,7 @@ TEST(SelfOrganizing, WithoutBeaconsNodesCoastWithinTheGuardAndThenFallSilent) {
   // No back-ups, so nobody takes over.
   const groma_Schedule schedule = schedule_with(3, 8, 0);
   Site site(schedule);
-  const mac::Superframe superframe(schedule, dw1000::Phy(dw1000::Preamble::k128));
+  const mac::Superframe superframe(schedule, dw1000::phy_of(radio::Preamble::k128));
   const auto drift = [&](double superframes) {
     for (double done = 0.0; done < superframes; done += 1.0) {
       for (std::size_t i = 0; i < site.air.size(); ++i) {
@@ -491,7 +491,7 @@ TEST(SelfOrganizing, ANodeWithAnOldScheduleStaysSilent) {
     const groma_Schedule now = schedule_with(2, 5, 2);
     groma_Schedule old = now;
     old.epoch -= 1;
-    Air air(now, dw1000::Preamble::k128);
+    Air air(now, radio::Preamble::k128);
     const std::uint16_t stale_anchor = master_is_old ? 101 : 103;
     for (std::uint16_t id = 101; id <= 105; ++id) {
       air.add({.id = id, .x_m = 3.0 * id - 300.0, .offset_ppm = 0.3 * id - 30.0},

@@ -7,13 +7,15 @@
 #include <string_view>
 #include <vector>
 
+#include "firmware/core/dw1000/driver.hpp"
 #include "test/firmware/air.hpp"
 
 namespace groma::mac {
 namespace {
 
-using dw1000::Phy;
-using dw1000::Preamble;
+using dw1000::phy_of;
+using radio::Phy;
+using radio::Preamble;
 using ranging::Ticks;
 using testing::schedule_of;
 
@@ -28,18 +30,18 @@ TEST(AirTime, MatchesTheReferenceTable) {
   const Preamble preambles[] = {Preamble::k64, Preamble::k128, Preamble::k256};
   for (std::size_t p = 0; p < 3; ++p) {
     for (std::size_t n = 0; n < 6; ++n) {
-      EXPECT_NEAR(us(Phy(preambles[p]).air_time(bytes[n])), expected_us[p][n], 0.6)
-          << Phy(preambles[p]).preamble_symbols() << " symbols, " << bytes[n] << " bytes";
+      EXPECT_NEAR(us(phy_of(preambles[p]).air_time(bytes[n])), expected_us[p][n], 0.6)
+          << dw1000::preamble_symbols(preambles[p]) << " symbols, " << bytes[n] << " bytes";
     }
   }
 }
 
 TEST(AirTime, AgreesWithTheFormulaForEveryLength) {
-  for (std::size_t n = 0; n <= dw1000::kMaxFrameBytes; ++n) {
+  for (std::size_t n = 0; n <= radio::kMaxFrameBytes; ++n) {
     const double bits = 8.0 * static_cast<double>(n);
     const double formula_us =
         (128 + 8) * 1.01763 + 21 * 1.02564 + (bits + 48.0 * std::ceil(bits / 330.0)) * 0.128205;
-    EXPECT_NEAR(us(Phy(Preamble::k128).air_time(n)), formula_us, 0.01) << n;
+    EXPECT_NEAR(us(phy_of(Preamble::k128).air_time(n)), formula_us, 0.01) << n;
   }
 }
 
@@ -54,7 +56,7 @@ std::vector<Span> frames_of(const groma_Schedule& schedule, const Superframe& su
   const std::size_t anchors = schedule.anchor_ids_count;
   std::vector<Span> spans;
   const auto add = [&](Ticks rmarker, std::size_t bytes) {
-    spans.push_back({rmarker - phy.before_rmarker(), rmarker + Phy::after_rmarker(bytes)});
+    spans.push_back({rmarker - phy.before_rmarker(), rmarker + phy.after_rmarker(bytes)});
   };
   add(superframe.beacon(), superframe.control_bytes());
   add(superframe.shared(), superframe.control_bytes());
@@ -75,7 +77,7 @@ TEST(Superframe, NoFrameOverlapsAnotherAndEachGapIsKept) {
           for (const std::uint32_t gap_us : {50U, 290U, 2000U}) {
             const groma_Schedule schedule = schedule_of(tags, anchors, method, 300, gap_us);
             ASSERT_EQ(check(schedule), ScheduleFault::kNone);
-            const Superframe superframe(schedule, Phy(preamble));
+            const Superframe superframe(schedule, phy_of(preamble));
             const auto spans = frames_of(schedule, superframe);
             const Ticks guard = superframe.guard();
             EXPECT_GE(spans.front().from, guard);
@@ -97,7 +99,7 @@ TEST(Superframe, LeavesTimeToProcessABeacon) {
     for (const std::uint32_t gap_us : {50U, 160U, 700U}) {
       const groma_Schedule schedule =
           schedule_of(3, 12, groma_RangingMethod_METHOD_DS_NEXT_POLL, 300, gap_us);
-      const Superframe superframe(schedule, Phy(Preamble::k128), secured);
+      const Superframe superframe(schedule, phy_of(Preamble::k128), secured);
       const Ticks frame = superframe.phy().air_time(superframe.control_bytes());
       const double before_relay_us =
           us(superframe.shared() - superframe.beacon() - frame - superframe.guard());
@@ -114,10 +116,10 @@ TEST(Superframe, LeavesTheTurnaroundAfterAFinal) {
   for (const bool secured : {false, true}) {
     for (const std::uint32_t gap_us : {50U, 120U, 150U, 200U, 250U, 300U, 700U}) {
       const groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, 300, gap_us);
-      const Superframe superframe(schedule, Phy(Preamble::k128), secured);
+      const Superframe superframe(schedule, phy_of(Preamble::k128), secured);
       const auto silence_us = [&](std::size_t slot, Ticks next) {
-        const Ticks end =
-            superframe.poll(slot) + superframe.final(12) + Phy::after_rmarker(superframe.on_air(kFinalBytes));
+        const Ticks end = superframe.poll(slot) + superframe.final(12) +
+                          superframe.phy().after_rmarker(superframe.on_air(kFinalBytes));
         return us(next - superframe.phy().before_rmarker() - end - superframe.guard());
       };
       EXPECT_NEAR(silence_us(0, superframe.poll(1)), std::max<std::uint32_t>(gap_us, 300U), 0.05) << gap_us;
@@ -133,7 +135,7 @@ TEST(Superframe, EveryTransmissionLiesOnTheGrid) {
   for (const std::uint32_t odd_us : {151U, 299U, 653U}) {
     groma_Schedule schedule = schedule_of(3, 12, groma_RangingMethod_METHOD_DS_FINAL, odd_us, odd_us);
     schedule.guard_us = 17;
-    const Superframe superframe(schedule, Phy(Preamble::k128));
+    const Superframe superframe(schedule, phy_of(Preamble::k128));
     EXPECT_EQ(superframe.duration().count() % 512, 0);
     EXPECT_EQ(superframe.beacon().count() % 512, 0);
     EXPECT_EQ(superframe.poll(2).count() % 512, 0);
@@ -144,7 +146,7 @@ TEST(Superframe, EveryTransmissionLiesOnTheGrid) {
 
 TEST(Superframe, ThreeTagsAndTwelveAnchorsGetWellOverAThousandRangesASecond) {
   const auto rate = [](groma_RangingMethod method, std::uint32_t turnaround_us, std::uint32_t gap_us) {
-    const Superframe superframe(schedule_of(3, 12, method, turnaround_us, gap_us), Phy(Preamble::k128));
+    const Superframe superframe(schedule_of(3, 12, method, turnaround_us, gap_us), phy_of(Preamble::k128));
     return 36.0 / (us(superframe.duration()) * 1e-6);
   };
   EXPECT_GT(rate(groma_RangingMethod_METHOD_DS_NEXT_POLL, 650, 290), 1550.0);
@@ -158,9 +160,15 @@ TEST(Superframe, ReplyIntervalsFitTheirFieldAndWindowsTheReceiversTimeout) {
   groma_Schedule schedule = schedule_of(16, 16, groma_RangingMethod_METHOD_DS_FINAL, 5000, 2000);
   schedule.guard_us = 1000;
   ASSERT_EQ(check(schedule), ScheduleFault::kNone);
-  const Superframe superframe(schedule, Phy(Preamble::k256));
+  const Superframe superframe(schedule, phy_of(Preamble::k256));
   EXPECT_LT(superframe.response(15, 16).count() + 1'000'000, std::int64_t{1} << 32);
   EXPECT_LT(superframe.duration(), kMaxClosing);
+}
+
+TEST(Schedule, ItsLowerLimitsAreThoseOfTheFastestRadio) {
+  EXPECT_EQ(kLeastTurnaround_us, dw1000::least_turnaround_us(poll_bytes(1) - radio::kFrameCheckBytes,
+                                                             kResponseBytes - radio::kFrameCheckBytes));
+  EXPECT_EQ(kLeastGap_us, dw1000::kLeastGap_us);
 }
 
 TEST(Schedule, EachFaultIsFoundAndNamed) {

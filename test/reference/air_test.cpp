@@ -34,7 +34,6 @@
 namespace groma::mac {
 namespace {
 
-using dw1000::Phy;
 using dw1000::Preamble;
 using ranging::Ticks;
 using reference::Bytes;
@@ -409,7 +408,7 @@ Formulas formulas_for(const groma_Schedule& schedule, Preamble preamble, bool se
   Formulas formulas;
   formulas.define(page().indented("Ticks and durations"));
   formulas.define(page().indented("The superframe"));
-  formulas.set("p", Phy(preamble).preamble_symbols());
+  formulas.set("p", dw1000::preamble_symbols(preamble));
   formulas.set("g", ticks_of(schedule.guard_us));
   formulas.set("t", ticks_of(schedule.turn_round_us));
   formulas.set("a", ticks_of(schedule.response_gap_us));
@@ -442,7 +441,7 @@ TEST(AirReference, TheFormulasGiveEachInstantOfASuperframe) {
             schedule.slots = static_cast<std::uint32_t>(size == 3 ? 5 : 0);
             schedule.responses = size == 3 ? 7 : 0;
             ASSERT_EQ(check(schedule), ScheduleFault::kNone);
-            const Superframe superframe(schedule, Phy(preamble), secured);
+            const Superframe superframe(schedule, dw1000::phy_of(preamble), secured);
             const Formulas page_says = formulas_for(schedule, preamble, secured);
             const std::string end = superframe.has_final() ? "_final" : "";
             EXPECT_EQ(page_says.value("size"), superframe.control_bytes());
@@ -487,9 +486,11 @@ TEST(AirReference, TheDefaultSchedulesNumbersAreThoseOfTheFormulas) {
 TEST(AirReference, FormulasOfAirTimeHoldForEachFrame) {
   for (const Preamble preamble : {Preamble::k64, Preamble::k128, Preamble::k256}) {
     const Formulas formulas = formulas_for(example_schedule(), preamble, false);
-    EXPECT_EQ(formulas.value("before(p)"), count(Phy(preamble).before_rmarker()));
+    EXPECT_EQ(formulas.value("before(p)"), count(dw1000::phy_of(preamble).before_rmarker()));
     for (std::size_t n = 0; n <= dw1000::kMaxFrameBytes; ++n)
-      ASSERT_EQ(formulas.value("after(" + std::to_string(n) + ")"), count(Phy::after_rmarker(n))) << n;
+      ASSERT_EQ(formulas.value("after(" + std::to_string(n) + ")"),
+                count(dw1000::phy_of(preamble).after_rmarker(n)))
+          << n;
   }
 }
 
@@ -519,7 +520,7 @@ TEST(AirReference, PreamblesHaveTheirNumbers) {
   for (const auto& row : table.rows) {
     const auto& [preamble, configured] = preambles.at(static_cast<int>(number(row[0])));
     EXPECT_EQ(number(row[1]), static_cast<int>(configured));
-    EXPECT_EQ(number(row[2]), Phy(preamble).acquisition_chunk_symbols());
+    EXPECT_EQ(number(row[2]), dw1000::acquisition_chunk_symbols(preamble));
     EXPECT_EQ(number(row[3]), static_cast<int>(preamble));
   }
 }
@@ -575,10 +576,13 @@ ranging::DoubleSidedIntervals example_intervals() {
 // When a node of this rank starts a session, from the start of its search.
 Ticks listening(std::size_t rank) {
   const groma_Schedule schedule = example_schedule();
-  Site site{.id = static_cast<std::uint16_t>(101 + rank), .network_id = 7, .schedule = &schedule};
+  Site site{.id = static_cast<std::uint16_t>(101 + rank),
+            .network_id = 7,
+            .phy = dw1000::phy_of(Preamble::k128),
+            .schedule = &schedule};
   const groma_Schedule usual = schedule_with(3, 12, groma_RangingMethod_METHOD_DS_NEXT_POLL,
                                              kUsualTurnaround_us, usual_gap_us(false, false), kUsualGuard_us);
-  const Ticks duration = Superframe(usual, Phy(Preamble::k128)).duration();
+  const Ticks duration = Superframe(usual, dw1000::phy_of(Preamble::k128)).duration();
   MasterElection election(site, duration, Ticks::from_us(30));
   Coexistence coexistence(site, election, 1);
   coexistence.search(ranging::ClockTime(0));
@@ -622,23 +626,23 @@ std::map<std::string, double> constants() {
   armed.arm_ahead = true;
   const std::uint32_t channel = channel_control();
   const double data_kbps =
-      static_cast<double>(Ticks::kPerSecond) / count(Phy::kDataBit) * 330.0 / 378.0 / 1e3;
+      static_cast<double>(Ticks::kPerSecond) / count(dw1000::kDataBit) * 330.0 / 378.0 / 1e3;
   const auto flight = ranging::double_sided(intervals).value_or(ranging::FlightTime());
   return {
       {"channel", channel & 0xFU},
       {"prf", (channel >> 18 & 3U) == 2 ? 64 : 0},
       {"preamble code", (channel >> 22 & 0x1FU) == channel >> 27 ? channel >> 27 : 0},
       {"data rate", std::round(data_kbps / 10.0) * 10.0},
-      {"Phy::kSfdSymbols", Phy::kSfdSymbols},
-      {"Phy::kHeaderSymbols", Phy::kHeaderSymbols},
+      {"kSfdSymbols", dw1000::kSfdSymbols},
+      {"kHeaderSymbols", dw1000::kHeaderSymbols},
       {"kMaxFrameBytes", dw1000::kMaxFrameBytes},
       {"kFrameCheckBytes", dw1000::kFrameCheckBytes},
       {"Ticks::kPerSecond", static_cast<double>(Ticks::kPerSecond)},
       {"kTransmitGrid", count(ranging::kTransmitGrid)},
-      {"Phy::kPreambleSymbol", count(Phy::kPreambleSymbol)},
-      {"Phy::kHeaderSymbol", count(Phy::kHeaderSymbol)},
-      {"Phy::kDataBit", count(Phy::kDataBit)},
-      {"Phy::kReceiverStart", count(Phy::kReceiverStart)},
+      {"kPreambleSymbol", count(dw1000::kPreambleSymbol)},
+      {"kHeaderSymbol", count(dw1000::kHeaderSymbol)},
+      {"kDataBit", count(dw1000::kDataBit)},
+      {"receiver_start", count(dw1000::phy_of(Preamble::k128).receiver_start())},
       {"kDefaultAntennaDelay_dtu", kDefaultAntennaDelay_dtu},
       {"kLeastAntennaDelay_dtu", dw1000::kLeastAntennaDelay_dtu},
       {"kMostAntennaDelay_dtu", dw1000::kMostAntennaDelay_dtu},

@@ -20,6 +20,7 @@
 #include <variant>
 #include <vector>
 
+#include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
@@ -246,7 +247,7 @@ class FaultSite {
     return superframe(config_of(nth_tag(0), groma_Role_ROLE_TAG));
   }
   [[nodiscard]] mac::Superframe superframe(const groma_Config& config) const {
-    return {config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
+    return {config.schedule, dw1000::phy_of(node::radio_settings(config).preamble),
             settings_.network_key.has_value()};
   }
   [[nodiscard]] double superframe_s() const { return seconds_of(superframe()); }

@@ -76,7 +76,7 @@ class Yard {
 
   [[nodiscard]] double superframe_s() const {
     const groma_Config config = config_of(1, groma_Role_ROLE_TAG);
-    const mac::Superframe superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble));
+    const mac::Superframe superframe(config.schedule, dw1000::phy_of(node::radio_settings(config).preamble));
     return seconds_of(superframe);
   }
   [[nodiscard]] const Listener& of(std::uint16_t id) const { return listeners[index_.at(id)]; }

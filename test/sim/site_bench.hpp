@@ -17,6 +17,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/ranging/device_time.hpp"
@@ -238,7 +239,7 @@ class SiteBench {
 
   [[nodiscard]] mac::Superframe superframe() const {
     const groma_Config config = config_of(nth_tag(0), groma_Role_ROLE_TAG);
-    return mac::Superframe(config.schedule, dw1000::Phy(node::radio_settings(config).preamble),
+    return mac::Superframe(config.schedule, dw1000::phy_of(node::radio_settings(config).preamble),
                            settings_.network_key.has_value());
   }
 

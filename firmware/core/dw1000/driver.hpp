@@ -1,7 +1,6 @@
-// Driver of the DW1000 on its SPI bus: brings the chip up, arms one delayed transmission or one reception at
-// a time, and reports the result.
+// Driver of the DW1000 on its SPI bus: implements radio::Radio.
 //
-//        bring_up()         transmit_at(), or load() and launch(); receive_at(); receive_now()
+//        bring_up()         load() and launch(); receive_at(); receive_now()
 //   kDown --------> kIdle ---------------- [kLoaded] -----------------> kTransmitting / kReceiving
 //                     ^                                                        |
 //                     +------------ poll_event() reports the end, or stop() ---+
@@ -25,24 +24,25 @@
 #include "firmware/core/dw1000/registers.hpp"
 #include "firmware/core/dw1000/settings.hpp"
 #include "firmware/core/dw1000/spi.hpp"
+#include "firmware/core/radio/radio.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 
 namespace groma::dw1000 {
 
+// Without a configured delay the one that the manufacturer wrote to the OTP memory applies. This one does if
+// there is none there, or if either is outside of the limits.
 inline constexpr std::uint16_t kDefaultAntennaDelay_dtu = 16436;
 // Of one side. Some chips hold the sum of both sides in their OTP memory.
 inline constexpr std::uint16_t kLeastAntennaDelay_dtu = 15'000;
 inline constexpr std::uint16_t kMostAntennaDelay_dtu = 18'000;
+// TX_POWER, equal for all parts of a frame.
 inline constexpr std::uint32_t kDefaultTransmitPower = 0x8585'8585;
 
-struct RadioSettings {
-  Preamble preamble = Preamble::k128;
-  std::uint32_t transmit_power = kDefaultTransmitPower;  // TX_POWER, equal for all parts of a frame
-  // Nothing: the value that the manufacturer wrote to the OTP memory. kDefaultAntennaDelay_dtu if there is
-  // none, or if either is outside of kLeastAntennaDelay_dtu to kMostAntennaDelay_dtu.
-  std::optional<std::uint16_t> transmit_antenna_delay_dtu{};
-  std::optional<std::uint16_t> receive_antenna_delay_dtu{};
-};
+using radio::Ambient;
+using radio::Event;
+using radio::EventKind;
+using radio::Settings;
+using radio::Start;
 
 enum class BringUp : std::uint8_t {
   kOk,
@@ -77,48 +77,28 @@ enum class BringUp : std::uint8_t {
 
 enum class State : std::uint8_t { kDown, kIdle, kLoaded, kTransmitting, kReceiving };
 
-enum class Start : std::uint8_t {
-  kStarted,
-  kLate,      // the instant had passed: nothing is sent or received, the chip is idle
-  kTooClose,  // as kLate, but only the transmitter's power-up would have come too late
-  kNotIdle,
-  kTooLong,  // the frame does not fit
-};
-
-enum class EventKind : std::uint8_t {
-  kNone,
-  kTransmitted,
-  kReceived,
-  kPreambleTimeout,
-  kSfdTimeout,
-  kFrameTimeout,
-  kCheckError,   // the frame check failed
-  kHeaderError,  // the PHY header or the Reed-Solomon code failed
-};
-
-struct Event {
-  EventKind kind = EventKind::kNone;
-  ranging::DeviceTime timestamp{};        // of the RMARKER at the antenna, for kTransmitted and kReceived
-  bool timestamp_valid = false;           // for kReceived: the leading edge was found and timestamped
-  std::span<const std::uint8_t> frame{};  // for kReceived: no frame check; valid until the next operation
-  ReceiveQuality quality{};               // for kReceived
-};
-
-// The readings of the chip's own converter, with the manufacturer's calibration from the OTP memory.
-struct Ambient {
-  std::int16_t temperature_cdegc = 0;  // of the chip; in steps of 1.14 degrees
-  std::uint16_t supply_mv = 0;         // in steps of 6 mV
-};
+// The least time from the end of a frame of `heard` bytes to the preamble of an answer of `sent` bytes,
+// without frame checks, and from the end of a frame to the preamble of the next one to be heard: if the
+// processor needs none at all and SPI runs at 8 MHz, 1 us a byte, each transfer with its header. SYS_STATUS
+// read and cleared 10, RX_FINFO 5, RX_BUFFER 1 and the frame, RX_TIME 10, DX_TIME 6, TX_BUFFER 1 and the
+// answer, PMSC 2, SYS_CTRL 3, the transmitter's power-up 6, the receiver's start-up 16. The frame of a gap is
+// read after that.
+[[nodiscard]] constexpr std::uint32_t least_turnaround_us(std::size_t heard, std::size_t sent) noexcept {
+  return 10 + 5 + 1 + static_cast<std::uint32_t>(heard) + 10 + 6 + 1 + static_cast<std::uint32_t>(sent) + 2 +
+         3 + 6;
+}
+inline constexpr std::uint32_t kLeastGap_us = 10 + 6 + 3 + 16;
 
 template <Spi S>
 class Dw1000 {
  public:
+  using BringUp = dw1000::BringUp;
+
   explicit Dw1000(S& spi) noexcept : spi_(spi) {}
 
-  // Resets and configures the chip; `reset()` pulls its reset line, `delay_us(n)` waits. Afterwards the bus
-  // is fast and the driver is kIdle; if the result is not kOk, the driver is kDown.
+  // Afterwards the bus is fast and the driver is kIdle; if the result is not kOk, the driver is kDown.
   template <class Reset, class Delay>
-  [[nodiscard]] BringUp bring_up(const RadioSettings& settings, Reset&& reset, Delay&& delay_us) noexcept {
+  [[nodiscard]] BringUp bring_up(const Settings& settings, Reset&& reset, Delay&& delay_us) noexcept {
     state_ = State::kDown;
     int wake_ups = 0;
     for (;; ++wake_ups) {
@@ -153,9 +133,8 @@ class Dw1000 {
     return BringUp::kOk;
   }
 
-  // Ends the present operation and checks the chip: it answers, has kept its registers, and its counter runs.
-  // If so, the driver is kIdle and the counter has continued; otherwise it is kDown. `delay_us` as for
-  // bring_up().
+  // Checks that the chip answers, has kept its registers, and that its counter runs: the driver is then
+  // kIdle, otherwise kDown.
   template <class Delay>
   [[nodiscard]] bool restart(Delay&& delay_us) noexcept {
     stop();
@@ -170,6 +149,7 @@ class Dw1000 {
   // The last bring-up found the chip asleep.
   [[nodiscard]] bool woken() const noexcept { return woken_; }
   // Since the last bring-up.
+  [[nodiscard]] const radio::Phy& phy() const noexcept { return phy_; }
   [[nodiscard]] ranging::Ticks transmit_antenna_delay() const noexcept {
     return ranging::Ticks(transmit_antenna_delay_dtu_);
   }
@@ -184,8 +164,6 @@ class Dw1000 {
     return ranging::DeviceTime(read<reg::SysTime>().word());
   }
 
-  // Sets the length of the next frame to be sent, in bytes without frame check, which saves time later if it
-  // is right. Call in idle time, in any state except during a transmission.
   void expect_length(std::size_t bytes) noexcept {
     if ((state_ == State::kIdle || state_ == State::kReceiving) &&
         bytes + kFrameCheckBytes <= kMaxFrameBytes) {
@@ -193,15 +171,6 @@ class Dw1000 {
     }
   }
 
-  // Sends `frame` (without frame check) so that its RMARKER leaves the antenna at `timestamp`. `timestamp`
-  // must be a result of transmit_timestamp_not_after() and less than 8.6 s ahead.
-  [[nodiscard]] Start transmit_at(ranging::DeviceTime timestamp,
-                                  std::span<const std::uint8_t> frame) noexcept {
-    const Start loaded = load(timestamp, frame, [] {});
-    return loaded == Start::kStarted ? launch() : loaded;
-  }
-  // The first part of transmit_at(): writes timestamp and frame. The frame's bytes are complete only after
-  // `complete()`, which is called as late as possible.
   template <class Complete>
   [[nodiscard]] Start load(ranging::DeviceTime timestamp, std::span<const std::uint8_t> frame,
                            Complete&& complete) noexcept {
@@ -214,7 +183,7 @@ class Dw1000 {
     state_ = State::kLoaded;
     return Start::kStarted;
   }
-  // The second part: starts the transmission. The chip may shift its clock by a share of the time from here
+  // Starts the transmission of the loaded frame. The chip may shift its clock by a share of the time from here
   // to the RMARKER (docs/explanation/silicon.md), so call it at a fixed time before.
   [[nodiscard]] Start launch() noexcept {
     if (state_ != State::kLoaded) return Start::kNotIdle;
@@ -231,9 +200,7 @@ class Dw1000 {
     return Start::kStarted;
   }
 
-  // Listens from `from`, less than 8.6 s ahead, until a frame has come, `frame_timeout` has passed (rounded
-  // up to 1.03 us, at most 67 ms), or no preamble was found within `preamble_timeout` (rounded up to a chunk
-  // of symbols; nothing: no preamble time-out).
+  // `frame_timeout` is rounded up to 1.03 us, at most 67 ms, and `preamble_timeout` to a chunk of symbols.
   [[nodiscard]] Start receive_at(ranging::DeviceTime from, ranging::Ticks frame_timeout,
                                  std::optional<ranging::Ticks> preamble_timeout) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
@@ -250,7 +217,6 @@ class Dw1000 {
     return Start::kStarted;
   }
 
-  // As receive_at(), from now on.
   [[nodiscard]] Start receive_now(ranging::Ticks frame_timeout,
                                   std::optional<ranging::Ticks> preamble_timeout) noexcept {
     if (state_ != State::kIdle) return Start::kNotIdle;
@@ -260,16 +226,6 @@ class Dw1000 {
     return Start::kStarted;
   }
 
-  // The event that ended the present operation; kNone if there is none. The interrupt line is low afterwards.
-  [[nodiscard]] Event take_event() noexcept {
-    Event event = poll_event();
-    if (event.kind == EventKind::kReceived) {
-      read_frame(event, [](std::span<const std::uint8_t>) { return true; });
-    }
-    return event;
-  }
-
-  // As take_event(), but leaves a received frame in the chip until read_frame().
   [[nodiscard]] Event poll_event() noexcept {
     namespace st = reg::sys_status;
     if (state_ == State::kDown) return {};
@@ -304,9 +260,7 @@ class Dw1000 {
     return {};
   }
 
-  // Completes the event of a received frame after poll_event(). Calls `on_bytes`(bytes) as soon as the
-  // frame's bytes are read, and reads the quality only if that returns true. Must end before the next
-  // listening begins, which may be armed already.
+  // Must end before the next listening begins, which may be armed already.
   template <class OnBytes>
   void read_frame(Event& event, OnBytes&& on_bytes) noexcept {
     // If the next listening is armed, read first what the receiver overwrites first.
@@ -329,7 +283,7 @@ class Dw1000 {
     const auto peak = read<reg::LdePpindx>();
     const auto count = info.get(reg::rx_finfo::kPreambleCount);
     const auto unsaturated_count = results.get(reg::drx_results::kUnsaturatedCount);
-    event.quality = {
+    event.quality = link_quality({
         .amplitude1 = static_cast<std::uint16_t>(time.get(reg::rx_time::kAmplitude1)),
         .amplitude2 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude2)),
         .amplitude3 = static_cast<std::uint16_t>(quality.get(reg::rx_fqual::kAmplitude3)),
@@ -340,12 +294,11 @@ class Dw1000 {
         .preamble_count = corrected_preamble_count(static_cast<std::uint16_t>(count),
                                                    static_cast<std::uint16_t>(unsaturated_count)),
         .carrier_integral = static_cast<std::int32_t>(results.get_signed(reg::drx_results::kIntegral)),
-    };
+    });
   }
 
-  // Starts to measure the chip's temperature and supply, in any operation; the result is available
-  // kSampling_us later. User manual 6.4; switches the sensors on step by step as the manufacturer's driver
-  // does.
+  // User manual 6.4; switches the sensors on step by step as the manufacturer's driver does. Temperature in
+  // steps of 1.14 degrees, supply in steps of 6 mV.
   static constexpr std::uint32_t kSampling_us = 1'000;
   void start_sampling() noexcept {
     if (state_ == State::kDown) return;
@@ -477,7 +430,7 @@ class Dw1000 {
   }
 
   // The settings of this node and chip.
-  void settle(const RadioSettings& settings, std::uint32_t otp_delay, std::uint32_t otp_trim) noexcept {
+  void settle(const Settings& settings, std::uint32_t otp_delay, std::uint32_t otp_trim) noexcept {
     constexpr std::uint32_t kMidRange = 0x10;
     const std::uint32_t trim = otp_trim & 0x1F;
     const auto at_prf64 = static_cast<std::uint16_t>(otp_delay >> 16);
@@ -491,7 +444,7 @@ class Dw1000 {
         preamble[1],
         preamble[2],
         preamble[3],
-        setting(Value<reg::TxPower>(settings.transmit_power)),
+        setting(Value<reg::TxPower>(settings.transmit_power.value_or(kDefaultTransmitPower))),
         setting(Value<reg::TxAntd>(transmit_antenna_delay_dtu_)),
         setting(Value<reg::LdeRxantd>(receive_delay)),
         setting(Value<reg::FsXtalt>()
@@ -503,7 +456,8 @@ class Dw1000 {
                         .set(reg::tx_fctrl::kRanging)
                         .set(reg::tx_fctrl::kPrf, 2)
                         .set(reg::tx_fctrl::kPreamble, preamble_code(settings.preamble));
-    chunk_ = Phy(settings.preamble).acquisition_chunk_symbols() * Phy::kPreambleSymbol;
+    phy_ = phy_of(settings.preamble);
+    chunk_ = acquisition_chunk_symbols(settings.preamble) * kPreambleSymbol;
   }
 
   [[nodiscard]] std::uint16_t plausible_delay(std::uint16_t delay_dtu) noexcept {
@@ -667,6 +621,7 @@ class Dw1000 {
   ranging::Ticks frame_timeout_{-1};  // the last one requested
   std::optional<ranging::Ticks> preamble_timeout_{};
   std::size_t format_length_ = 0;
+  radio::Phy phy_ = phy_of(Preamble::k128);
   ranging::Ticks chunk_{1};
   Value<reg::TxFctrl> frame_format_;
   std::array<std::uint8_t, kMaxFrameBytes> frame_{};

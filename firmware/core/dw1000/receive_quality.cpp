@@ -1,19 +1,10 @@
 #include "firmware/core/dw1000/receive_quality.hpp"
 
-#include <cmath>
+#include <algorithm>
 #include <cstdlib>
 
 namespace groma::dw1000 {
 namespace {
-
-constexpr float kPrf64Constant_db = 121.74F;
-
-// 10 log10(energy / count^2) - A, in hundredths.
-std::int32_t power_cdbm(float energy, std::uint16_t count) noexcept {
-  const auto n = static_cast<float>(count);
-  const float power_dbm = 10.0F * std::log10(energy / (n * n)) - kPrf64Constant_db;
-  return static_cast<std::int32_t>(std::lround(power_dbm * 100.0F));
-}
 
 constexpr float square(std::uint16_t value) noexcept {
   return static_cast<float>(value) * static_cast<float>(value);
@@ -27,38 +18,24 @@ std::uint16_t corrected_preamble_count(std::uint16_t count, std::uint16_t unsatu
   return static_cast<std::uint16_t>(count - kSfdShare);
 }
 
-std::optional<std::int32_t> first_path_power_cdbm(const ReceiveQuality& q) noexcept {
-  const float energy = square(q.amplitude1) + square(q.amplitude2) + square(q.amplitude3);
-  if (energy <= 0.0F || q.preamble_count == 0) return std::nullopt;
-  return power_cdbm(energy, q.preamble_count);
-}
-
-std::optional<std::int32_t> receive_power_cdbm(const ReceiveQuality& q) noexcept {
-  if (q.channel_power == 0 || q.preamble_count == 0) return std::nullopt;
+radio::LinkQuality link_quality(const ReceiveQuality& q) noexcept {
   constexpr float kScale = 131072.0F;  // 2^17
-  return power_cdbm(static_cast<float>(q.channel_power) * kScale, q.preamble_count);
-}
-
-std::int32_t peak_distance_64ths(const ReceiveQuality& quality) noexcept {
-  return std::abs(std::int32_t{quality.peak_index} * 64 - std::int32_t{quality.first_path_index_64ths});
-}
-
-LineOfSight line_of_sight(std::optional<std::int32_t> first_path_power_cdbm,
-                          std::optional<std::int32_t> receive_power_cdbm,
-                          std::int32_t peak_distance_64ths) noexcept {
-  constexpr std::int32_t kLikely_64ths = 211;  // 3.3 samples
-  constexpr std::int32_t kUnlikely_64ths = 6 * 64;
-  if (!first_path_power_cdbm || !receive_power_cdbm) return LineOfSight::kUnknown;
-  const std::int32_t hidden_cdb = *receive_power_cdbm - *first_path_power_cdbm;
-  if (hidden_cdb > kUnlikelyHidden_cdb || peak_distance_64ths > kUnlikely_64ths)
-    return LineOfSight::kUnlikely;
-  const bool likely = hidden_cdb < kLikelyHidden_cdb && peak_distance_64ths <= kLikely_64ths;
-  return likely ? LineOfSight::kLikely : LineOfSight::kUncertain;
+  const float first_path = square(q.amplitude1) + square(q.amplitude2) + square(q.amplitude3);
+  const float count2 = square(q.preamble_count);
+  const bool known = q.preamble_count != 0;
+  const std::int32_t peak_distance = std::int32_t{q.peak_index} * 64 - std::int32_t{q.first_path_index_64ths};
+  return {.receive_power = known ? static_cast<float>(q.channel_power) * kScale / count2 : 0.0F,
+          .first_path_power = known ? first_path / count2 : 0.0F,
+          .clock_offset_ppb = clock_offset_ppb(q.carrier_integral),
+          .peak_distance_64ths =
+              static_cast<std::uint16_t>(std::min<std::int32_t>(std::abs(peak_distance), 0xFFFF)),
+          .noise = q.noise};
 }
 
 std::int32_t clock_offset_ppb(std::int32_t carrier_integral) noexcept {
-  // -5.7312e-4 ppm per count: 998.4 MHz / 2 / 1024 / 2^17 over the carrier of 6489.6 MHz.
-  return static_cast<std::int32_t>(std::int64_t{carrier_integral} * -57312 / 100'000);
+  // -5.7312e-4 ppm per count: 998.4 MHz / 2 / 1024 / 2^17 over the carrier of 6489.6 MHz. 57312 / 100000 in
+  // lowest terms, so that the product of 21 bits fits into 32.
+  return carrier_integral * -1791 / 3125;
 }
 
 }  // namespace groma::dw1000

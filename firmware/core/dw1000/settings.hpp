@@ -72,11 +72,10 @@ inline constexpr std::array kFixedSettings = {
 };
 
 [[nodiscard]] constexpr std::array<Setting, 4> preamble_settings(Preamble preamble) noexcept {
-  const Phy phy(preamble);
   const bool is_short = preamble == Preamble::k64;
   const bool is_long = preamble == Preamble::k256;
   // The longest search for an SFD: the whole preamble, the SFD, and one symbol of margin.
-  const int search = phy.preamble_symbols() + 1 + Phy::kSfdSymbols - phy.acquisition_chunk_symbols();
+  const int search = preamble_symbols(preamble) + 1 + kSfdSymbols - acquisition_chunk_symbols(preamble);
   return {setting(Value<reg::DrxTune1b>(is_short ? 0x0010U : 0x0020U)),
           setting(Value<reg::DrxTune2>(is_long ? 0x333B00BEU : 0x313B006BU)),
           setting(Value<reg::DrxTune4h>(is_short ? 0x0010U : 0x0028U)),

@@ -14,22 +14,16 @@ std::uint8_t approach(std::uint8_t value, std::uint8_t target, int shift) noexce
   return static_cast<std::uint8_t>(value + step);
 }
 
-constexpr std::uint64_t square(std::uint16_t value) noexcept {
-  return std::uint64_t{value} * value;
-}
-
 }  // namespace
 
-// User manual 4.7: the powers of the first path and of the total are these sums divided by the square of the
-// preamble count.
-std::uint8_t link_quality(const dw1000::ReceiveQuality& q) noexcept {
-  const std::uint64_t first_path = square(q.amplitude1) + square(q.amplitude2) + square(q.amplitude3);
-  const std::uint64_t total = std::uint64_t{q.channel_power} << 17;
-  if (q.preamble_count == 0 || total == 0) return 0;
+std::uint8_t link_quality(const radio::LinkQuality& q) noexcept {
+  if (q.receive_power <= 0.0F) return 0;
   // 3 dB per bit: 8 bits are -100 dBm, 14 are -80 dBm.
-  const auto bits = static_cast<int>(std::bit_width(total / square(q.preamble_count)));
-  const int strength = std::clamp(16 * (bits - 6), 0, 127);
-  const int los = total <= 4 * first_path ? 128 : total <= 10 * first_path ? 64 : 0;
+  constexpr float kStrongest = 1U << 20U;
+  const auto bits = std::bit_width(static_cast<std::uint32_t>(std::min(q.receive_power, kStrongest)));
+  const int strength = std::clamp(16 * (static_cast<int>(bits) - 6), 0, 127);
+  const bool likely = q.receive_power <= 4.0F * q.first_path_power;
+  const int los = likely ? 128 : q.receive_power <= 10.0F * q.first_path_power ? 64 : 0;
   return static_cast<std::uint8_t>(strength + los);
 }
 

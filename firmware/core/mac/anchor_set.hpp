@@ -13,14 +13,14 @@
 #include <span>
 #include <utility>
 
-#include "firmware/core/dw1000/receive_quality.hpp"
+#include "firmware/core/radio/link_quality.hpp"
 
 namespace groma::mac {
 
 // Quality of a received RESPONSE: 0 to 255. Up to 127 for its power, plus 128 if the first path is within 6
 // dB of the total power (LOS likely), or plus 64 if it is within 10 dB (LOS possible). Computed without a
 // logarithm.
-[[nodiscard]] std::uint8_t link_quality(const dw1000::ReceiveQuality& quality) noexcept;
+[[nodiscard]] std::uint8_t link_quality(const radio::LinkQuality& quality) noexcept;
 
 class AnchorSet {
  public:

@@ -23,9 +23,8 @@ bool plausible(const Range& range, const Leg& leg) noexcept {
   if (std::abs(offset_ppb) > kClockTolerance_ppb) return false;
   const ranging::Ticks length = range.intervals.tag_round + range.intervals.tag_reply;
   const std::int32_t tolerance_ppb = kCarrierTolerance_ppb + timestamp_tolerance_ppb(length);
-  if (std::abs(offset_ppb - dw1000::clock_offset_ppb(leg.quality.carrier_integral)) > tolerance_ppb) {
-    return false;
-  }
+  const std::int32_t carrier_ppb = leg.quality.clock_offset_ppb.value_or(offset_ppb);
+  if (std::abs(offset_ppb - carrier_ppb) > tolerance_ppb) return false;
   return range.flight >= kShortest && range.flight <= kLongest;
 }
 

@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <optional>
 
-#include "firmware/core/dw1000/receive_quality.hpp"
 #include "firmware/core/mac/frame.hpp"
+#include "firmware/core/radio/link_quality.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 #include "firmware/core/ranging/twr.hpp"
 
@@ -29,7 +29,7 @@ struct Leg {
   Health health{};                // of the anchor's chip
   ranging::ClockTime received{};  // T2
   ranging::Ticks reply{};         // A2 - A1
-  dw1000::ReceiveQuality quality{};
+  radio::LinkQuality quality{};
   enum class Closing : std::uint8_t { kNone, kStale, kHeld };
   Closing closing_state = Closing::kNone;
   ranging::Ticks closing{};  // A3 - A2
@@ -57,8 +57,8 @@ struct Range {
 inline constexpr ranging::Ticks kMaxClosing = ranging::Ticks::from_us(4'000'000);
 
 // A range is kOk only if both clocks agree on the exchange's length to 100 ppm, their offset agrees with the
-// carrier's to 5 ppm plus timestamp noise, and the flight time corresponds to -10 m to 1 km. A timestamp of
-// the wrong frame fails these tests.
+// carrier's, where the radio measures it, to 5 ppm plus timestamp noise, and the flight time corresponds to
+// -10 m to 1 km. A timestamp of the wrong frame fails these tests.
 [[nodiscard]] Range evaluate(const Exchange& exchange, const Leg& leg) noexcept;
 
 }  // namespace groma::mac

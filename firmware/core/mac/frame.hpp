@@ -24,7 +24,7 @@
 #include <span>
 #include <variant>
 
-#include "firmware/core/dw1000/phy.hpp"
+#include "firmware/core/radio/phy.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 
 namespace groma::mac {
@@ -196,7 +196,7 @@ class FrameBytes {
 
  private:
   friend class FrameWriter;
-  std::array<std::uint8_t, dw1000::kMaxFrameBytes - dw1000::kFrameCheckBytes> data_{};
+  std::array<std::uint8_t, radio::kMaxFrameBytes - radio::kFrameCheckBytes> data_{};
   std::size_t size_ = 0;
 };
 
@@ -210,19 +210,19 @@ void serialize(const Frame& frame, FrameBytes& out) noexcept;
 inline constexpr std::size_t kCodeBytes = 8;
 inline constexpr std::size_t kHeaderBytes = 10;
 [[nodiscard]] constexpr std::size_t beacon_bytes(std::size_t slots, bool challenge_response) noexcept {
-  return kHeaderBytes + 28 + 2 * slots + (challenge_response ? 10 : 0) + dw1000::kFrameCheckBytes;
+  return kHeaderBytes + 28 + 2 * slots + (challenge_response ? 10 : 0) + radio::kFrameCheckBytes;
 }
 // The largest frame in a beacon slot or a shared slot.
 inline constexpr std::size_t kMaxControlBytes = beacon_bytes(kMaxTags, true);
-inline constexpr std::size_t kResponseBytes = kHeaderBytes + 16 + dw1000::kFrameCheckBytes;
-inline constexpr std::size_t kFinalBytes = kHeaderBytes + 2 + dw1000::kFrameCheckBytes;
-inline constexpr std::size_t kJoinBytes = kHeaderBytes + 11 + dw1000::kFrameCheckBytes;
+inline constexpr std::size_t kResponseBytes = kHeaderBytes + 16 + radio::kFrameCheckBytes;
+inline constexpr std::size_t kFinalBytes = kHeaderBytes + 2 + radio::kFrameCheckBytes;
+inline constexpr std::size_t kJoinBytes = kHeaderBytes + 11 + radio::kFrameCheckBytes;
 [[nodiscard]] constexpr std::size_t data_bytes(std::size_t payload) noexcept {
-  return kHeaderBytes + 8 + payload + dw1000::kFrameCheckBytes;
+  return kHeaderBytes + 8 + payload + radio::kFrameCheckBytes;
 }
 static_assert(data_bytes(kMaxDataBytes) <= kMaxControlBytes);
 [[nodiscard]] constexpr std::size_t poll_bytes(std::size_t anchors) noexcept {
-  return kHeaderBytes + 8 + 2 * anchors + dw1000::kFrameCheckBytes;
+  return kHeaderBytes + 8 + 2 * anchors + radio::kFrameCheckBytes;
 }
 
 }  // namespace groma::mac

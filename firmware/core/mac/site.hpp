@@ -4,7 +4,7 @@
 #include <optional>
 #include <span>
 
-#include "firmware/core/dw1000/phy.hpp"
+#include "firmware/core/radio/phy.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 #include "firmware/core/security/block_cipher.hpp"
 #include "groma.pb.h"
@@ -22,7 +22,7 @@ struct Site {
   // radio recovery does not end the loan; outlives its users. Null: it never lends.
   const std::optional<std::uint64_t>* lent_until_us = nullptr;
   std::uint16_t network_id = 0;
-  dw1000::Preamble preamble = dw1000::Preamble::k128;
+  radio::Phy phy;  // the same at all nodes of the network, except for what the air does not show
   const groma_Schedule* schedule = nullptr;  // passed check(); outlives its users
   ranging::Ticks transmit_antenna_delay{};
   std::uint32_t boot_count = 0;  // number of this boot; with `sessions` it makes a session id unique

@@ -49,8 +49,8 @@ std::optional<std::uint64_t> challenge_of(const Body& body) noexcept {
 
 Station::Station(const Site& site, groma_Counters& counters) noexcept
     : site_(site),
-      superframe_(*site.schedule, dw1000::Phy(site.preamble), !site.network_key.empty()),
-      hash_(schedule_hash(*site.schedule, site.network_id, site.preamble)),
+      superframe_(*site.schedule, site.phy, !site.network_key.empty()),
+      hash_(schedule_hash(*site.schedule, site.network_id, site.phy.preamble())),
       sync_(superframe_),
       election_(site_, superframe_.duration(), superframe_.guard()),
       coexistence_(site_, election_, hash_),
@@ -300,8 +300,7 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
 
 // A merge request this close to the beacon leaves no time for the beacon.
 bool Station::requests_beside(ClockTime due) const noexcept {
-  const Ticks room = superframe_.phy().before_rmarker() +
-                     dw1000::Phy::after_rmarker(superframe_.control_bytes()) + kToGetReady;
+  const Ticks room = superframe_.phy().air_time(superframe_.control_bytes()) + kToGetReady;
   return requests_within(due - room, due + room);
 }
 
@@ -449,7 +448,7 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
   const BeaconReception timestamp{.superframe = beacon.superframe,
                                   .place = place_in_superframe(beacon),
                                   .heard = reception.timestamp,
-                                  .offset_ppb = dw1000::clock_offset_ppb(reception.quality.carrier_integral),
+                                  .offset_ppb = reception.quality.clock_offset_ppb,
                                   .hop = beacon.hop,
                                   .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
@@ -651,11 +650,11 @@ Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const B
 
 Action Station::listen(SlotKind slot, ClockTime due, std::size_t bytes, Ticks slack) const noexcept {
   const Ticks guard = superframe_.guard() + slack;
-  const dw1000::Phy phy = superframe_.phy();
+  const radio::Phy& phy = superframe_.phy();
   return {.kind = Action::Kind::kListen,
           .slot = slot,
-          .at = due - phy.before_rmarker() - guard - dw1000::Phy::kReceiverStart,
-          .until = due + dw1000::Phy::after_rmarker(bytes) + guard,
+          .at = due - phy.before_rmarker() - guard - phy.receiver_start(),
+          .until = due + phy.after_rmarker(bytes) + guard,
           .preamble_until = due + guard};
 }
 

@@ -140,12 +140,13 @@ class Station {
   void finish_signing() noexcept { authenticator_.finish_signing(outgoing_); }
   // The last timestamp on the transmit grid that is not after `latest`.
   [[nodiscard]] ranging::ClockTime timestamp_not_after(ranging::ClockTime latest) const noexcept {
-    return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay);
+    return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay,
+                                                 superframe_.phy().transmit_grid());
   }
 
   // Listens in a slot of this kind for a frame of up to `bytes` whose RMARKER is due at `due`: hunts for its
   // preamble from guard plus `slack` before to guard plus `slack` after. The receiver starts earlier by
-  // Phy::kReceiverStart.
+  // Phy::receiver_start().
   [[nodiscard]] Action listen(SlotKind slot, ranging::ClockTime due, std::size_t bytes,
                               ranging::Ticks slack) const noexcept;
   // The remainder of a listening that an unusable frame interrupted; nothing: it is over.

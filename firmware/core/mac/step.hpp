@@ -18,8 +18,8 @@
 #include <optional>
 #include <span>
 
-#include "firmware/core/dw1000/receive_quality.hpp"
 #include "firmware/core/mac/exchange.hpp"
+#include "firmware/core/radio/link_quality.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 
 namespace groma::mac {
@@ -28,7 +28,7 @@ struct Reception {
   ranging::ClockTime timestamp{};
   bool timestamp_valid = false;
   std::span<const std::uint8_t> frame{};  // without its frame check
-  dw1000::ReceiveQuality quality{};
+  radio::LinkQuality quality{};
 };
 
 // The slot for which an action is armed. Same values as groma.SlotKind of the schema, except the last.

@@ -10,11 +10,13 @@
 namespace groma::mac {
 namespace {
 
-using dw1000::Phy;
+using radio::Phy;
 using ranging::round_up_to_grid;
 using ranging::Ticks;
 
 constexpr std::uint16_t kLargestId = 65534;
+// Processing times that the network grants each node, whatever its processor: they are part of the protocol.
+//
 // A node feeds a beacon to its clock filter before it makes a relayed beacon or a POLL, so it needs more time
 // than to answer a POLL. This includes verifying and making one MIC.
 constexpr Ticks kBeaconProcessing = round_up_to_grid(Ticks::from_us(100));
@@ -161,7 +163,7 @@ std::optional<std::size_t> rank_of(const groma_Schedule& schedule, std::uint16_t
 }
 
 std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t network_id,
-                            dw1000::Preamble preamble) noexcept {
+                            radio::Preamble preamble) noexcept {
   Hash hash;
   hash.add(network_id);
   hash.add(static_cast<std::uint32_t>(preamble));
@@ -183,7 +185,7 @@ std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t networ
   return hash.value();
 }
 
-Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) noexcept
+Superframe::Superframe(const groma_Schedule& schedule, const Phy& phy, bool secured) noexcept
     : phy_(phy),
       has_final_(schedule.method == groma_RangingMethod_METHOD_DS_FINAL),
       mic_bytes_(secured ? kCodeBytes : 0),
@@ -199,28 +201,28 @@ Superframe::Superframe(const groma_Schedule& schedule, Phy phy, bool secured) no
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
       // A message instead of a relayed beacon takes a second MIC.
       control_slot_(
-          round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + std::max(gap_, turnaround_)) +
+          round_up_to_grid(first_frame_ + phy_.after_rmarker(control_bytes_) + std::max(gap_, turnaround_)) +
           kBeaconProcessing + (secured ? kForMic : Ticks(0))),
       slots_start_(control_slot_ +
-                   round_up_to_grid(first_frame_ + Phy::after_rmarker(control_bytes_) + turnaround_) +
+                   round_up_to_grid(first_frame_ + phy_.after_rmarker(control_bytes_) + turnaround_) +
                    kBeaconProcessing + (secured ? kForMic : Ticks(0))) {
   const Ticks last_frame =
-      has_final_ ? final(responses_) + Phy::after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turnaround_)
-                 : response(responses_ - 1, responses_) + Phy::after_rmarker(on_air(kResponseBytes)) + gap_;
+      has_final_ ? final(responses_) + phy_.after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turnaround_)
+                 : response(responses_ - 1, responses_) + phy_.after_rmarker(on_air(kResponseBytes)) + gap_;
   tag_slot_ = round_up_to_grid(first_frame_ + last_frame);
   if (secured) end_time_ = kForMic;
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {
   const Ticks first =
-      round_up_to_grid(Phy::after_rmarker(on_air(poll_bytes(count))) + turnaround_ + phy_.before_rmarker());
+      round_up_to_grid(phy_.after_rmarker(on_air(poll_bytes(count))) + turnaround_ + phy_.before_rmarker());
   return first + static_cast<std::int64_t>(index) * response_spacing_;
 }
 
 Ticks Superframe::final(std::size_t count) const noexcept {
   const std::size_t last = count == 0 ? 0 : count - 1;
   return response(last, count) +
-         round_up_to_grid(Phy::after_rmarker(on_air(kResponseBytes)) + turnaround_ + phy_.before_rmarker());
+         round_up_to_grid(phy_.after_rmarker(on_air(kResponseBytes)) + turnaround_ + phy_.before_rmarker());
 }
 
 }  // namespace groma::mac

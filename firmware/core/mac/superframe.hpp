@@ -8,29 +8,29 @@
 //
 // The master sends the first BEACON. The superframe's number decides whose turn the shared slot is: in one
 // superframe it is open to all, in the next ones the back-ups relay the beacon, in order of rank. All
-// instants are those of RMARKERs, in ticks of network time, and multiples of 512 (the transmit grid). All
+// instants are those of RMARKERs, in ticks of network time, and multiples of 512 (kTransmitGrid). All
 // instants in a slot follow from the POLL as sent or heard. A POLL that names fewer anchors than the schedule
 // allows only ends earlier.
 //
 // The beacon and the shared slot are each followed by the turnaround (the beacon by the gap, if longer) and
 // 100 us, in which a node feeds the beacon to its clock filter before it makes the next frame. In a network
-// with a key a node first verifies one MIC and then makes another, which takes an nRF52832 about 100 us for
-// both. Another 100 us therefore follow the beacon, for a message in the shared slot, and the last slot, for
+// with a key a node first verifies one MIC and then makes another, which takes up to 100 us for both.
+// Another 100 us therefore follow the beacon, for a message in the shared slot, and the last slot, for
 // the next beacon. In a tag's slot the schedule's turnaround has to be long enough.
 //
 // A node that received a FINAL has to listen for the next POLL or to make a beacon next, so the turnaround,
 // or the gap if longer, follows a FINAL. After a last RESPONSE the gap is enough, because the polled anchors
 // have sent.
 //
-// A receiver starts 16 us before its guard, still in the time that follows the frame before.
+// A receiver starts Phy::receiver_start() before its guard, still in the time that follows the frame before.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <optional>
 
-#include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/frame.hpp"
+#include "firmware/core/radio/phy.hpp"
 #include "firmware/core/ranging/device_time.hpp"
 #include "groma.pb.h"
 
@@ -39,19 +39,13 @@ namespace groma::mac {
 // A schedule outside of these limits is refused: no board can keep it. Below what the image was measured to
 // keep (air_plan.hpp), a node takes the schedule, counts what is late, and logs that.
 //
-// The lower limits are the time that is left if the processor needs none at all and SPI runs at 8 MHz, 1 us a
-// byte (driver.hpp; each transfer with its header). They are sums of:
-// - Turnaround, from the end of a POLL for one anchor to the preamble of the RESPONSE: SYS_STATUS read and
-//   cleared 10, RX_FINFO 5, RX_BUFFER 1 and the POLL, RX_TIME 10, DX_TIME 6, TX_BUFFER 1 and the RESPONSE,
-//   PMSC 2, SYS_CTRL 3, the transmitter's power-up 6.
-// - Gap, from the end of a RESPONSE to the preamble of the next: SYS_STATUS read and cleared 10, DX_TIME 6,
-//   SYS_CTRL 3, the receiver's start-up 16. The RESPONSE is read after that.
-// - Guard: 1 for flights of 100 m and clocks 40 ppm apart over the 7 ms of 16 RESPONSEs; 1 for 5 sigma of a
-//   beacon's path (synchronizer.cpp), because a node sends only if its clock is known to within the guard.
-inline constexpr std::uint32_t kLeastTurnaround_us = 10 + 5 + 1 + (poll_bytes(1) - dw1000::kFrameCheckBytes) +
-                                                     10 + 6 + 1 +
-                                                     (kResponseBytes - dw1000::kFrameCheckBytes) + 2 + 3 + 6;
-inline constexpr std::uint32_t kLeastGap_us = 10 + 6 + 3 + 16;
+// The lower limits are, for turnaround and gap, the time that the fastest known radio needs if its processor
+// needs none at all (its driver's least_turnaround_us() for a POLL to one anchor and its RESPONSE, and
+// kLeastGap_us). For the guard: 1 for flights of 100 m and clocks 40 ppm apart over the 7 ms of 16
+// RESPONSEs; 1 for 5 sigma of a beacon's path (synchronizer.cpp), because a node sends only if its clock is
+// known to within the guard.
+inline constexpr std::uint32_t kLeastTurnaround_us = 90;
+inline constexpr std::uint32_t kLeastGap_us = 35;
 inline constexpr std::uint32_t kLeastGuard_us = 2;
 inline constexpr std::uint32_t kMostTurnaround_us = 5'000;
 inline constexpr std::uint32_t kMostGap_us = 2'000;
@@ -91,12 +85,12 @@ enum class ScheduleFault : std::uint8_t {
 // A hash of everything that has to be equal at all nodes: the schedule with its epoch, the network and the
 // preamble. Nodes that disagree stay silent instead of colliding.
 [[nodiscard]] std::uint32_t schedule_hash(const groma_Schedule& schedule, std::uint32_t network_id,
-                                          dw1000::Preamble preamble) noexcept;
+                                          radio::Preamble preamble) noexcept;
 
 class Superframe {
  public:
   // `schedule` must have passed check(). `secured`: each frame carries a MIC.
-  Superframe(const groma_Schedule& schedule, dw1000::Phy phy, bool secured = false) noexcept;
+  Superframe(const groma_Schedule& schedule, const radio::Phy& phy, bool secured = false) noexcept;
 
   [[nodiscard]] ranging::Ticks duration() const noexcept {
     return slots_start_ + static_cast<std::int64_t>(slot_count_) * tag_slot_ + end_time_;
@@ -125,14 +119,14 @@ class Superframe {
 
   [[nodiscard]] bool has_final() const noexcept { return has_final_; }
   [[nodiscard]] ranging::Ticks guard() const noexcept { return guard_; }
-  [[nodiscard]] dw1000::Phy phy() const noexcept { return phy_; }
+  [[nodiscard]] const radio::Phy& phy() const noexcept { return phy_; }
   // Size on the air of a frame of `bytes` bytes without MIC.
   [[nodiscard]] std::size_t on_air(std::size_t bytes) const noexcept { return bytes + mic_bytes_; }
   // The largest frame in a beacon slot or a shared slot, including its MIC.
   [[nodiscard]] std::size_t control_bytes() const noexcept { return control_bytes_; }
 
  private:
-  dw1000::Phy phy_;
+  radio::Phy phy_;
   bool has_final_;
   std::size_t mic_bytes_;
   std::size_t slot_count_;

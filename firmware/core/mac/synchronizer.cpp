@@ -69,9 +69,14 @@ void Synchronizer::adopt(const BeaconReception& beacon) noexcept {
   // A relay's crystal is similar to the master's, no more: the best estimate is half the relay's offset.
   constexpr std::int32_t kCarrierSigma_ppb = 1'000;
   constexpr std::int32_t kRelaySigma_ppb = 15'000;
+  // Without the carrier: 5 sigma are two crystals at opposite limits of 20 ppm.
+  constexpr std::int32_t kCrystalSigma_ppb = 8'000;
   const bool relayed = beacon.hop != 0;
-  tracker_.seed(beacon.place, beacon.heard, relayed ? beacon.offset_ppb / 2 : beacon.offset_ppb,
-                relayed ? kRelaySigma_ppb : kCarrierSigma_ppb);
+  const std::int32_t offset_ppb = beacon.offset_ppb.value_or(0);
+  tracker_.seed(beacon.place, beacon.heard, relayed ? offset_ppb / 2 : offset_ppb,
+                !beacon.offset_ppb ? kCrystalSigma_ppb
+                : relayed          ? kRelaySigma_ppb
+                                   : kCarrierSigma_ppb);
   missed_ = 0;
   misfits_ = 0;
   state_ = SyncState::kLocked;

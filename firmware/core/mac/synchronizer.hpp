@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 
 #include "firmware/core/mac/clock_tracker.hpp"
 #include "firmware/core/mac/superframe.hpp"
@@ -20,7 +21,8 @@ struct BeaconReception {
   std::uint32_t superframe = 0;
   ranging::Ticks place{};  // of its RMARKER from the superframe's start, in network time
   ranging::ClockTime heard{};
-  std::int32_t offset_ppb = 0;  // the sender's clock against this node's, from the carrier
+  // The sender's clock against this node's, from the carrier; nothing: the radio does not measure it.
+  std::optional<std::int32_t> offset_ppb{};
   // Of the sender's knowledge of the network time.
   std::uint8_t hop = 0;
   std::uint8_t age = 0;

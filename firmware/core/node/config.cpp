@@ -17,14 +17,14 @@ namespace {
 constexpr std::uint32_t kLargest16 = 0xFFFF;
 constexpr std::uint32_t kBeforeTag = 100;
 
-dw1000::Preamble preamble_of(groma_Preamble preamble) noexcept {
+radio::Preamble preamble_of(groma_Preamble preamble) noexcept {
   switch (preamble) {
     case groma_Preamble_PREAMBLE_64:
-      return dw1000::Preamble::k64;
+      return radio::Preamble::k64;
     case groma_Preamble_PREAMBLE_256:
-      return dw1000::Preamble::k256;
+      return radio::Preamble::k256;
     default:
-      return dw1000::Preamble::k128;
+      return radio::Preamble::k128;
   }
 }
 
@@ -38,9 +38,10 @@ bool id_fits(const groma_Config& config) noexcept {
   return std::find(others, end, config.id) == end;
 }
 
-std::optional<std::uint16_t> delay_of(std::uint32_t delay_dtu) noexcept {
-  if (delay_dtu == 0) return std::nullopt;
-  return static_cast<std::uint16_t>(delay_dtu);
+template <class T>
+std::optional<T> unless_zero(std::uint32_t value) noexcept {
+  if (value == 0) return std::nullopt;
+  return static_cast<T>(value);
 }
 
 }  // namespace
@@ -126,18 +127,18 @@ std::span<const std::uint8_t> shown(std::span<std::uint8_t> stored) noexcept {
   return stored.first(kept);
 }
 
-dw1000::RadioSettings radio_settings(const groma_Config& config) noexcept {
-  return {
-      .preamble = preamble_of(config.preamble),
-      .transmit_power = config.transmit_power == 0 ? dw1000::kDefaultTransmitPower : config.transmit_power,
-      .transmit_antenna_delay_dtu = delay_of(config.transmit_antenna_delay_dtu),
-      .receive_antenna_delay_dtu = delay_of(config.receive_antenna_delay_dtu)};
+radio::Settings radio_settings(const groma_Config& config) noexcept {
+  return {.preamble = preamble_of(config.preamble),
+          .transmit_power = unless_zero<std::uint32_t>(config.transmit_power),
+          .transmit_antenna_delay_dtu = unless_zero<std::uint16_t>(config.transmit_antenna_delay_dtu),
+          .receive_antenna_delay_dtu = unless_zero<std::uint16_t>(config.receive_antenna_delay_dtu)};
 }
 
-mac::Site site_of(const groma_Config& config, ranging::Ticks transmit_antenna_delay) noexcept {
+mac::Site site_of(const groma_Config& config, const radio::Phy& phy,
+                  ranging::Ticks transmit_antenna_delay) noexcept {
   return {.id = static_cast<std::uint16_t>(config.id),
           .network_id = static_cast<std::uint16_t>(config.network_id),
-          .preamble = preamble_of(config.preamble),
+          .phy = phy,
           .schedule = &config.schedule,
           .transmit_antenna_delay = transmit_antenna_delay};
 }

@@ -7,9 +7,9 @@
 #include <span>
 #include <utility>
 
-#include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/mac/site.hpp"
 #include "firmware/core/mac/superframe.hpp"
+#include "firmware/core/radio/radio.hpp"
 #include "firmware/core/storage/record_store.hpp"
 #include "groma.pb.h"
 
@@ -45,10 +45,12 @@ inline constexpr std::size_t kMaxStoredBytes = storage::kMaxRecordBytes;
 [[nodiscard]] std::span<const std::uint8_t> shown(std::span<std::uint8_t> stored) noexcept;
 
 // A delay or a power of 0 selects the chip's own: see groma.proto.
-[[nodiscard]] dw1000::RadioSettings radio_settings(const groma_Config& config) noexcept;
+[[nodiscard]] radio::Settings radio_settings(const groma_Config& config) noexcept;
 
-// `config` must have no fault and outlive the site.
-[[nodiscard]] mac::Site site_of(const groma_Config& config, ranging::Ticks transmit_antenna_delay) noexcept;
+// `config` must have no fault and outlive the site. `phy`, `transmit_antenna_delay`: of the radio, which was
+// brought up with radio_settings().
+[[nodiscard]] mac::Site site_of(const groma_Config& config, const radio::Phy& phy,
+                                ranging::Ticks transmit_antenna_delay) noexcept;
 [[nodiscard]] std::uint32_t schedule_hash_of(const groma_Config& config) noexcept;
 // The configuration without the network key, which no node reveals; the key's hash remains.
 [[nodiscard]] groma_Config without_key(const groma_Config& config) noexcept;

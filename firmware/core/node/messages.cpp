@@ -22,7 +22,7 @@ static_assert(static_cast<int>(mac::RangeStatus::kNoResponse) == groma_RangeStat
               static_cast<int>(mac::RangeStatus::kBadTimestamp) == groma_RangeStatus_RANGE_BAD_STAMP);
 static_assert(static_cast<int>(mac::SyncState::kLocked) == groma_SyncState_SYNC_LOCKED &&
               static_cast<int>(mac::SyncState::kCoasting) == groma_SyncState_SYNC_COASTING);
-static_assert(static_cast<int>(dw1000::LineOfSight::kUnlikely) == groma_LineOfSight_LINE_OF_SIGHT_UNLIKELY);
+static_assert(static_cast<int>(radio::LineOfSight::kUnlikely) == groma_LineOfSight_LINE_OF_SIGHT_UNLIKELY);
 
 std::uint64_t ticks_of(ranging::Ticks t) noexcept {
   return static_cast<std::uint64_t>(t.count());
@@ -67,15 +67,15 @@ groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging
   out.instant_offset_dtu = (instant - device_time).count();
   std::optional<std::int32_t> receive_power_cdbm;
   if (leg.answered) {
-    const auto first_path_power_cdbm = dw1000::first_path_power_cdbm(leg.quality);
-    receive_power_cdbm = dw1000::receive_power_cdbm(leg.quality);
+    const radio::LinkQuality& link = leg.quality;
+    const auto first_path_power_cdbm = radio::power_cdbm(link.first_path_power);
+    receive_power_cdbm = radio::power_cdbm(link.receive_power);
     set(out.has_first_path_power_cdbm, out.first_path_power_cdbm, first_path_power_cdbm);
     set(out.has_receive_power_cdbm, out.receive_power_cdbm, receive_power_cdbm);
-    set(out.has_clock_offset_ppb, out.clock_offset_ppb,
-        dw1000::clock_offset_ppb(leg.quality.carrier_integral));
-    out.noise = leg.quality.noise;
-    out.flags = static_cast<std::uint8_t>(dw1000::line_of_sight(first_path_power_cdbm, receive_power_cdbm,
-                                                                dw1000::peak_distance_64ths(leg.quality)));
+    set(out.has_clock_offset_ppb, out.clock_offset_ppb, link.clock_offset_ppb);
+    out.noise = link.noise;
+    out.flags = static_cast<std::uint8_t>(
+        radio::line_of_sight(first_path_power_cdbm, receive_power_cdbm, link.peak_distance_64ths));
   }
   if (range.status != mac::RangeStatus::kOk) return out;
   out.flags |= groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS;
@@ -113,7 +113,7 @@ void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange
   ++(good ? counters.ranges_completed : counters.ranges_lost);
 }
 
-mac::Health health_of(const dw1000::Ambient& ambient) noexcept {
+mac::Health health_of(const radio::Ambient& ambient) noexcept {
   const int rounding = ambient.temperature_cdegc < 0 ? -50 : 50;
   const int temperature_c = (ambient.temperature_cdegc + rounding) / 100;
   const unsigned supply_64ths_v = (ambient.supply_mv * 64U + 500U) / 1000U;

@@ -7,9 +7,9 @@
 #include <optional>
 #include <span>
 
-#include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/mac/exchange.hpp"
 #include "firmware/core/node/platform.hpp"
+#include "firmware/core/radio/radio.hpp"
 #include "groma.pb.h"
 #include "proto/frame_codec.hpp"
 #include "proto/slot_report.hpp"
@@ -26,7 +26,7 @@ struct Ranging {
   bool raw_stamps = false;
   bool correct_temperature = false;  // if both ends' temperature, or supply, is known
   bool correct_power_bias = false;
-  std::optional<dw1000::Ambient> ambient{};  // of the tag's chip
+  std::optional<radio::Ambient> ambient{};  // of the tag's chip
 };
 
 // Fills a report of the exchange in steps: all fields except the ranges, then each range. Counts completed
@@ -37,7 +37,7 @@ void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange
                 ranging::ClockTime device_time, const Ranging& ranging, groma_Counters& counters) noexcept;
 
 // Converts to the units of a frame.
-[[nodiscard]] mac::Health health_of(const dw1000::Ambient& ambient) noexcept;
+[[nodiscard]] mac::Health health_of(const radio::Ambient& ambient) noexcept;
 
 // Replaces a slot report by a compact one.
 void make_compact(groma_NodeToHost& message) noexcept;

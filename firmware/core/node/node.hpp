@@ -2,7 +2,7 @@
 //
 // After each radio interrupt the node takes the event, lets the state machine decide, and arms the radio for
 // the next action. After that it evaluates and reports a completed exchange, in steps that fit into the time
-// in which the radio does not need the processor (on_timer()). The slots depend on the DW1000's clock only.
+// in which the radio does not need the processor (on_timer()). The slots depend on the radio's clock only.
 // The processor's clock times the telemetry and a deadline for each operation of the radio. If the interrupt
 // does not come by then, the node restarts the chip and continues in its place in the network: the same time,
 // master and slot. Only if that fails twice in a row it joins again.
@@ -138,7 +138,7 @@ class Node {
     next_listening_us_ = kNever_us;
     radio_.bring_up();
     if (!radio_.is_up()) {
-      log(groma_LogLevel_LOG_ERROR, dw1000::describe(radio_.state()));
+      log(groma_LogLevel_LOG_ERROR, describe(radio_.state()));
       return indicate();
     }
     if (radio_.driver().woken()) log(groma_LogLevel_LOG_INFO, "radio: woken from sleep");
@@ -155,7 +155,7 @@ class Node {
       next_listening_us_ = platform_.now_us() + kUnconfiguredPeriod_us;
       return indicate();
     }
-    mac::Site site = site_of(*config_, radio_.driver().transmit_antenna_delay());
+    mac::Site site = site_of(*config_, radio_.driver().phy(), radio_.driver().transmit_antenna_delay());
     site.boot_count = platform_.boot_count();
     site.on_trial = trial_.under_way();
     site.sessions = &sessions_;
@@ -195,7 +195,7 @@ class Node {
     next_listening_us_ = kNever_us;
   }
 
-  // Continues after leave(). The DW1000's clock has continued, so a master's beacons come when the other
+  // Continues after leave(). The radio's clock has continued, so a master's beacons come when the other
   // nodes, which have coasted meanwhile, expect them.
   void resume() noexcept {
     if (machine_.station() == nullptr || !radio_.is_up()) return join();
@@ -381,7 +381,7 @@ class Node {
         groma_NodeToHost_hello_tag,
         [&](auto& body) {
           fill_hello(body.hello, build_, config_, platform_.reset_reason(), platform_.last_fault(),
-                     platform_.stack_use(), dw1000::describe(radio_.state()));
+                     platform_.stack_use(), describe(radio_.state()));
           body.hello.boot_count = platform_.boot_count();
           copy_text(body.hello.link_error, link_error_);
           copy_text(body.hello.radio_warning, radio_.driver().warning());

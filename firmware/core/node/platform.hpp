@@ -8,7 +8,7 @@
 #include <span>
 #include <type_traits>
 
-#include "firmware/core/dw1000/spi.hpp"
+#include "firmware/core/radio/radio.hpp"
 #include "firmware/core/security/block_cipher.hpp"
 #include "groma.pb.h"
 
@@ -19,7 +19,7 @@ inline constexpr std::uint64_t kNever_us = std::numeric_limits<std::uint64_t>::m
 
 // The states that the node's LEDs show.
 enum class Indicator : std::uint8_t {
-  kRadioFault,    // the DW1000 did not come up
+  kRadioFault,    // the radio did not come up
   kUnconfigured,  // silent, waiting for a configuration
   kSearching,     // configured, no beacon heard yet
   kRanging,       // synchronized with the master, or the master itself
@@ -49,7 +49,8 @@ struct Build {
 };
 
 // The hardware under a node. All calls come from one context, that of the Node's caller.
-// - spi(): the bus to the radio; radio interrupts may come at any time during a transfer
+// - Radio: the radio's driver; spi(): the bus that it is constructed from; radio interrupts may come at any
+//   time during a transfer
 // - reset_radio(): pulls the radio's reset line low, releases it, and returns when the chip is ready for SPI
 // - delay_us(n): returns after at least n microseconds
 // - now_us(): microseconds since boot, 64 bits, monotonic; any drift
@@ -75,7 +76,8 @@ concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<co
                             std::span<std::uint8_t> out, Indicator indicator) {
   { platform.spi() }
   noexcept;
-  requires dw1000::Spi<std::remove_reference_t<decltype(platform.spi())>>;
+  requires radio::Radio<typename P::Radio> &&
+      std::constructible_from<typename P::Radio, decltype(platform.spi())>;
   { platform.reset_radio() }
   noexcept->std::same_as<void>;
   { platform.delay_us(duration_us) }

@@ -15,7 +15,6 @@
 #include <type_traits>
 #include <utility>
 
-#include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/machine.hpp"
 #include "firmware/core/node/messages.hpp"
@@ -23,13 +22,15 @@
 #include "firmware/core/node/radio_clock.hpp"
 #include "firmware/core/node/shared.hpp"
 #include "firmware/core/node/slack.hpp"
+#include "firmware/core/radio/radio.hpp"
 
 namespace groma::node {
 
 template <Platform P>
 class RadioExecutor {
  public:
-  using Driver = dw1000::Dw1000<std::remove_reference_t<decltype(std::declval<P&>().spi())>>;
+  using Driver = typename P::Radio;
+  using BringUp = typename Driver::BringUp;
   using ClockTime = ranging::ClockTime;
 
   // Keeps the reference.
@@ -40,8 +41,8 @@ class RadioExecutor {
   [[nodiscard]] const Driver& driver() const noexcept { return radio_; }
   [[nodiscard]] Slack& slack() noexcept { return slack_; }
   // The result of the last bring_up().
-  [[nodiscard]] dw1000::BringUp state() const noexcept { return bring_up_; }
-  [[nodiscard]] bool is_up() const noexcept { return bring_up_ == dw1000::BringUp::kOk; }
+  [[nodiscard]] BringUp state() const noexcept { return bring_up_; }
+  [[nodiscard]] bool is_up() const noexcept { return bring_up_ == BringUp::kOk; }
 
   // ---- start and stop ------------------------------------------------------------------------------------
 
@@ -52,8 +53,7 @@ class RadioExecutor {
     launch_us_ = kNever_us;
     sampling_ = false;
     failed_ = false;
-    const dw1000::RadioSettings settings =
-        shared_.config ? radio_settings(*shared_.config) : dw1000::RadioSettings{};
+    const radio::Settings settings = shared_.config ? radio_settings(*shared_.config) : radio::Settings{};
     bring_up_ = radio_.bring_up(
         settings, [this] { shared_.platform.reset_radio(); }, delay());
     deadline_us_ = is_up() ? kNever_us : now_us() + kBringUpRetry_us;
@@ -101,7 +101,7 @@ class RadioExecutor {
   // Listens from now on without a machine.
   void listen(ranging::Ticks duration) noexcept {
     const ClockTime now = refer_now();
-    if (radio_.receive_now(duration, std::nullopt) != dw1000::Start::kStarted) return recover();
+    if (radio_.receive_now(duration, std::nullopt) != radio::Start::kStarted) return recover();
     supervise({.kind = mac::Action::Kind::kListenNow, .until = now + duration});
   }
 
@@ -110,12 +110,12 @@ class RadioExecutor {
   // Takes the radio's event, lets the machine decide, and arms the radio for the next action. `interrupt_us`:
   // when the radio reported the event. Returns false if there was none.
   bool handle_event(std::uint64_t interrupt_us) noexcept {
-    dw1000::Event event = radio_.poll_event();
-    if (event.kind == dw1000::EventKind::kNone) return false;
+    radio::Event event = radio_.poll_event();
+    if (event.kind == radio::EventKind::kNone) return false;
     failures_ = 0;
-    if (event.kind == dw1000::EventKind::kTransmitted) {
+    if (event.kind == radio::EventKind::kTransmitted) {
       on_transmitted(event, interrupt_us);
-    } else if (event.kind == dw1000::EventKind::kReceived) {
+    } else if (event.kind == radio::EventKind::kReceived) {
       on_received(event, interrupt_us);
     } else {
       on_missed(event.kind);
@@ -128,10 +128,10 @@ class RadioExecutor {
   // Launches the frame that was loaded early.
   void launch() noexcept {
     launch_us_ = kNever_us;
-    const dw1000::Start start = radio_.launch();
-    if (start == dw1000::Start::kStarted) return expect_event(loaded_);
-    if (start == dw1000::Start::kNotIdle) return recover();
-    if (start == dw1000::Start::kTooClose) ++shared_.counters.power_up_errors;
+    const radio::Start start = radio_.launch();
+    if (start == radio::Start::kStarted) return expect_event(loaded_);
+    if (start == radio::Start::kNotIdle) return recover();
+    if (start == radio::Start::kTooClose) ++shared_.counters.power_up_errors;
     slack_.add(loaded_.slot, -1);
     const ClockTime now = refer_now();
     perform(machine_.call([now](auto& machine) { return machine.on_late(now); }));
@@ -177,7 +177,7 @@ class RadioExecutor {
   // ---- temperature and supply ----------------------------------------------------------------------------
 
   // Of the chip; nothing: not sampled yet.
-  [[nodiscard]] const std::optional<dw1000::Ambient>& ambient() const noexcept { return ambient_; }
+  [[nodiscard]] const std::optional<radio::Ambient>& ambient() const noexcept { return ambient_; }
   // Samples them once a second, in two halves with the chip's conversion time between. Each half runs when
   // the radio is armed for later, so it costs no slot.
   void sample_ambient() noexcept {
@@ -208,17 +208,18 @@ class RadioExecutor {
   static constexpr std::uint64_t kAmbientWork_us = 100;
 
   [[nodiscard]] std::uint64_t now_us() const noexcept { return shared_.platform.now_us(); }
+  [[nodiscard]] radio::Phy phy() const noexcept { return radio_.phy(); }
   [[nodiscard]] auto delay() noexcept {
     return [this](std::uint32_t us) { shared_.platform.delay_us(us); };
   }
 
-  void on_transmitted(const dw1000::Event& event, std::uint64_t interrupt_us) noexcept {
+  void on_transmitted(const radio::Event& event, std::uint64_t interrupt_us) noexcept {
     const ClockTime timestamp = clock_.unwrap(event.timestamp);
-    clock_.refer(timestamp + dw1000::Phy::after_rmarker(sent_bytes_), interrupt_us);
+    clock_.refer(timestamp + phy().after_rmarker(sent_bytes_), interrupt_us);
     perform(machine_.call([&](auto& machine) { return machine.on_transmitted(timestamp); }));
   }
 
-  void on_received(dw1000::Event& event, std::uint64_t interrupt_us) noexcept {
+  void on_received(radio::Event& event, std::uint64_t interrupt_us) noexcept {
     ++shared_.counters.frames_received;
     std::optional<ClockTime> armed;
     // Reading a frame while the receiver is armed for the next one is fast, but unproven on hardware.
@@ -232,7 +233,7 @@ class RadioExecutor {
     if (!ahead) armed = arm_next_window();
     const ClockTime timestamp = event.timestamp_valid ? clock_.unwrap(event.timestamp) : refer_now();
     if (event.timestamp_valid) {
-      clock_.refer(timestamp + dw1000::Phy::after_rmarker(event.frame.size() + dw1000::kFrameCheckBytes),
+      clock_.refer(timestamp + phy().after_rmarker(event.frame.size() + radio::kFrameCheckBytes),
                    interrupt_us);
     }
     if (machine_.station() == nullptr) ++shared_.counters.foreign_frames;
@@ -241,8 +242,8 @@ class RadioExecutor {
   }
 
   // A reception failed, or nothing came.
-  void on_missed(dw1000::EventKind kind) noexcept {
-    using dw1000::EventKind;
+  void on_missed(radio::EventKind kind) noexcept {
+    using radio::EventKind;
     const std::optional<ClockTime> armed = arm_next_window();
     ++counter_of(kind);
     const bool error = kind != EventKind::kPreambleTimeout && kind != EventKind::kFrameTimeout;
@@ -251,15 +252,15 @@ class RadioExecutor {
         machine_.call([&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }),
         armed);
   }
-  [[nodiscard]] std::uint32_t& counter_of(dw1000::EventKind kind) noexcept {
+  [[nodiscard]] std::uint32_t& counter_of(radio::EventKind kind) noexcept {
     switch (kind) {
-      case dw1000::EventKind::kPreambleTimeout:
+      case radio::EventKind::kPreambleTimeout:
         return shared_.counters.preamble_timeouts;
-      case dw1000::EventKind::kFrameTimeout:
+      case radio::EventKind::kFrameTimeout:
         return shared_.counters.frame_timeouts;
-      case dw1000::EventKind::kSfdTimeout:
+      case radio::EventKind::kSfdTimeout:
         return shared_.counters.sfd_timeouts;
-      case dw1000::EventKind::kCheckError:
+      case radio::EventKind::kCheckError:
         return shared_.counters.crc_errors;
       default:
         return shared_.counters.header_errors;
@@ -269,7 +270,7 @@ class RadioExecutor {
   // The radio is armed: precompute for the next frames.
   void precompute() noexcept {
     const std::size_t on_air_bytes = machine_.call([](auto& machine) { return machine.precompute(); });
-    if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - dw1000::kFrameCheckBytes);
+    if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - radio::kFrameCheckBytes);
   }
 
   // Time is short between two RESPONSEs: arms the next window before the machine evaluates the frame. Returns
@@ -277,15 +278,15 @@ class RadioExecutor {
   [[nodiscard]] std::optional<ClockTime> arm_next_window() noexcept {
     const auto next = machine_.call([](const auto& machine) { return machine.next_rx_window(); });
     if (!next) return std::nullopt;
-    dw1000::Start start = listen_at(*next);
-    if (start == dw1000::Start::kLate) {
+    radio::Start start = listen_at(*next);
+    if (start == radio::Start::kLate) {
       const ClockTime now = read_clock();
       if (now >= end_of(*next)) return std::nullopt;
       ++shared_.counters.late_receives;
       start = listen_now(*next, now);
     }
     armed_us_ = now_us();
-    if (start != dw1000::Start::kStarted) return std::nullopt;
+    if (start != radio::Start::kStarted) return std::nullopt;
     return next->at;
   }
 
@@ -301,11 +302,11 @@ class RadioExecutor {
         radio_.stop();
       }
       if (action.kind == mac::Action::Kind::kNone) return rest();
-      const dw1000::Start start = arm(action);
+      const radio::Start start = arm(action);
       armed_us_ = now_us();
-      if (start == dw1000::Start::kStarted) return supervise(action);
-      if (start != dw1000::Start::kLate && start != dw1000::Start::kTooClose) return recover();
-      if (start == dw1000::Start::kTooClose) ++shared_.counters.power_up_errors;
+      if (start == radio::Start::kStarted) return supervise(action);
+      if (start != radio::Start::kLate && start != radio::Start::kTooClose) return recover();
+      if (start == radio::Start::kTooClose) ++shared_.counters.power_up_errors;
 
       const ClockTime now = refer_now();
       slack_.add(action.slot, std::min<std::int32_t>(slack_us(action), -1));
@@ -318,34 +319,34 @@ class RadioExecutor {
         step = machine_.call([&](auto& machine) { return machine.on_timeout(now); });
         continue;
       }
-      if (listen_now(action, now) != dw1000::Start::kStarted) return recover();
+      if (listen_now(action, now) != radio::Start::kStarted) return recover();
       return supervise(action);
     }
     recover();
   }
 
-  [[nodiscard]] dw1000::Start arm(const mac::Action& action) noexcept {
-    if (action.kind == mac::Action::Kind::kListenNow) return dw1000::Start::kLate;
+  [[nodiscard]] radio::Start arm(const mac::Action& action) noexcept {
+    if (action.kind == mac::Action::Kind::kListenNow) return radio::Start::kLate;
     if (action.kind == mac::Action::Kind::kListen) return listen_at(action);
-    const dw1000::Start loaded = radio_.load(clock_.wrap(action.at), action.frame, [this] {
+    const radio::Start loaded = radio_.load(clock_.wrap(action.at), action.frame, [this] {
       machine_.call([](auto& machine) { machine.finish_signing(); });
     });
-    if (loaded != dw1000::Start::kStarted) return loaded;
+    if (loaded != radio::Start::kStarted) return loaded;
     const std::uint64_t ahead_us = clock_.us_at(preamble_of(action)) - kLaunchAhead_us;
     if (ahead_us <= now_us()) return radio_.launch();
     // Its lead must not depend on its slot.
     loaded_ = action;
     launch_us_ = ahead_us;
-    return dw1000::Start::kStarted;
+    return radio::Start::kStarted;
   }
   [[nodiscard]] ClockTime preamble_of(const mac::Action& action) const noexcept {
-    return action.at - machine_.station()->superframe().phy().before_rmarker();
+    return action.at - phy().before_rmarker();
   }
-  [[nodiscard]] dw1000::Start listen_at(const mac::Action& action) noexcept {
+  [[nodiscard]] radio::Start listen_at(const mac::Action& action) noexcept {
     return radio_.receive_at(clock_.wrap(action.at), action.until - action.at,
                              preamble_timeout(action, action.at));
   }
-  [[nodiscard]] dw1000::Start listen_now(const mac::Action& action, ClockTime now) noexcept {
+  [[nodiscard]] radio::Start listen_now(const mac::Action& action, ClockTime now) noexcept {
     return radio_.receive_now(action.until - now, preamble_timeout(action, now));
   }
   [[nodiscard]] static std::optional<ranging::Ticks> preamble_timeout(const mac::Action& action,
@@ -377,7 +378,7 @@ class RadioExecutor {
 
   void expect_event(const mac::Action& action) noexcept {
     using Kind = mac::Action::Kind;
-    if (action.kind == Kind::kTransmit) sent_bytes_ = action.frame.size() + dw1000::kFrameCheckBytes;
+    if (action.kind == Kind::kTransmit) sent_bytes_ = action.frame.size() + radio::kFrameCheckBytes;
     const bool later = action.kind != Kind::kListenNow && action.at > clock_.reference();
     event_due_us_ = quiet_until_us_ = later ? clock_.us_at(action.at) : 0;
     if (later && action.kind == Kind::kListen) {
@@ -386,8 +387,7 @@ class RadioExecutor {
       const mac::Station* member = machine_.station();
       const ranging::Ticks until_out = end_of(action) - action.at;
       event_due_us_ += RadioClock::rough_us(
-          member == nullptr ? until_out
-                            : std::min(until_out, member->superframe().phy().air_time(kShortest_bytes)));
+          member == nullptr ? until_out : std::min(until_out, phy().air_time(kShortest_bytes)));
     }
     deadline_us_ = clock_.us_at(action.kind == Kind::kTransmit ? action.at : action.until) + kGrace_us;
   }
@@ -423,7 +423,7 @@ class RadioExecutor {
   Machine machine_;
   Slack slack_;
   const mac::Exchange* completed_ = nullptr;
-  dw1000::BringUp bring_up_ = dw1000::BringUp::kNoChip;
+  BringUp bring_up_ = BringUp::kNoChip;
   bool failed_ = false;
   std::uint8_t failures_ = 0;   // in a row, without an event between
   std::size_t sent_bytes_ = 0;  // of the last frame, on the air
@@ -433,7 +433,7 @@ class RadioExecutor {
   std::uint64_t launch_us_ = kNever_us;
   std::uint64_t quiet_until_us_ = 0;  // the radio is armed for this time
   std::uint64_t event_due_us_ = 0;    // the next radio interrupt is not before; 0: not known
-  std::optional<dw1000::Ambient> ambient_;
+  std::optional<radio::Ambient> ambient_;
   bool sampling_ = false;
   std::uint64_t next_ambient_us_ = 0;
 };

@@ -1,8 +1,8 @@
-// Time in the DW1000's units: ticks of 1/(128 x 499.2 MHz) = 15.65 ps. The chip's counter has 40 bits and
-// wraps each 17.2 s.
+// Time in the network's units, also those of the frames: ticks of 1/(128 x 499.2 MHz) = 15.65 ps. A radio's
+// clock has 40 bits and wraps each 17.2 s; a radio that counts otherwise converts (radio/radio.hpp).
 //
 //   Ticks       a signed duration
-//   DeviceTime  an instant of the chip's counter, modulo 2^40
+//   DeviceTime  an instant of the radio's clock, modulo 2^40
 //   ClockTime   an instant of the node's clock in 64 bits, which does not wrap (9 years)
 //   Unwrapper   converts between the two
 //
@@ -118,23 +118,23 @@ class ClockTime {
   std::int64_t count_ = 0;
 };
 
-// A delayed transmission starts on a grid of 512 ticks: DX_TIME ignores its low 9 bits (user manual 3.3).
+// The instants of a superframe are multiples of 512 ticks of network time.
 inline constexpr Ticks kTransmitGrid{512};
 
 [[nodiscard]] constexpr Ticks round_up_to_grid(Ticks t) noexcept {
   return Ticks((t.count() + kTransmitGrid.count() - 1) & ~(kTransmitGrid.count() - 1));
 }
 
-// The timestamp of the last transmission that can leave the antenna not after `latest`, given the grid and
-// the antenna delay. It is known before the frame is sent.
-[[nodiscard]] constexpr ClockTime transmit_timestamp_not_after(ClockTime latest,
-                                                               Ticks antenna_delay) noexcept {
-  const std::int64_t at_chip = (latest - antenna_delay).count() & ~(kTransmitGrid.count() - 1);
+// The timestamp of the last transmission that can leave the antenna not after `latest`, if the radio starts
+// transmissions on `grid`, a power of two up to kTransmitGrid. It is known before the frame is sent.
+[[nodiscard]] constexpr ClockTime transmit_timestamp_not_after(ClockTime latest, Ticks antenna_delay,
+                                                               Ticks grid) noexcept {
+  const std::int64_t at_chip = (latest - antenna_delay).count() & ~(grid.count() - 1);
   return ClockTime(at_chip) + antenna_delay;
 }
 
 // Extends the 40-bit counter over its wraps. It must process an instant at least each 8 s. A ClockTime's low
-// 9 bits equal the counter's, so that both have the same transmit grid.
+// 9 bits equal the counter's, so that both have the same grid.
 class Unwrapper {
  public:
   [[nodiscard]] constexpr DeviceTime wrap(ClockTime t) const noexcept {

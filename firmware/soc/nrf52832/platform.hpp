@@ -8,6 +8,7 @@
 #include <span>
 
 #include "board.hpp"
+#include "firmware/core/dw1000/driver.hpp"
 #include "firmware/core/node/platform.hpp"
 #include "firmware/core/storage/config_store.hpp"
 #include "firmware/soc/nrf52832/can_port.hpp"
@@ -24,6 +25,8 @@ static_assert(is_valid(board::kWiring), "board.hpp: a pin has two uses, or is re
 
 class Platform {
  public:
+  using Radio = dw1000::Dw1000<RadioBus>;
+
   // Call once after boot.
   void start() noexcept;
 

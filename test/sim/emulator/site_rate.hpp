@@ -36,7 +36,7 @@ struct SiteRate {
 
 // The air time of one superframe with an empty shared slot, in seconds.
 inline double air_time_s(const mac::Superframe& superframe, std::size_t tags, std::size_t anchors) {
-  const dw1000::Phy phy = superframe.phy();
+  const radio::Phy phy = superframe.phy();
   const auto air_s = [&](std::size_t bytes) {
     return static_cast<double>(phy.air_time(superframe.on_air(bytes)).count()) /
            static_cast<double>(ranging::Ticks::kPerSecond);
