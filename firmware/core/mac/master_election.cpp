@@ -31,7 +31,7 @@ void MasterElection::search(ClockTime now, ClockTime not_before, std::uint32_t r
   dissolving_ = false;
   competitor_ = 0;
   search_start_ = now;
-  lead_at_ = std::max(now + listening_time(), not_before) + std::int64_t{rounds * beaconers_} * duration_;
+  lead_at_ = std::max(now + listening_time(), not_before) + std::int64_t{rounds} * beaconers_ * duration_;
 }
 
 void MasterElection::start_not_before(ClockTime time) noexcept {
