@@ -750,13 +750,16 @@ class Keys {
                                                         {"type byte, with 0x80", data[kHeaderBytes - 1]},
                                                         {"0", 0}};
     nonce_.assign(std::tuple_size_v<security::Nonce>, 0xEE);
+    std::size_t end = 0;
     for (const auto& row : page().table("offset", "part").rows) {
       const auto at = static_cast<std::size_t>(number(row[0]));
       const auto size = static_cast<std::size_t>(number(row[1]));
-      EXPECT_LE(at + size, nonce_.size()) << row[2];
+      EXPECT_EQ(at, end) << row[2];
+      end += size;
       for (std::size_t i = 0; i < size && at + i < nonce_.size(); ++i)
         nonce_[at + i] = static_cast<std::uint8_t>(parts.at(row[2]) >> (8 * i));
     }
+    EXPECT_EQ(end, nonce_.size());
     Bytes x = derived(key, first_block("X0"));
     Bytes b = {static_cast<std::uint8_t>(data.size() >> 8), static_cast<std::uint8_t>(data.size())};
     b.insert(b.end(), data.begin(), data.end());
