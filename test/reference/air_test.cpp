@@ -456,8 +456,9 @@ TEST(AirReference, TheFormulasGiveEachInstantOfASuperframe) {
               const std::string all = std::to_string(n);
               const std::string last = std::to_string(n - 1);
               EXPECT_EQ(page_says.value("response(0, " + all + ")"), count(superframe.response(0, n)));
-              EXPECT_EQ(page_says.value("response(" + last + ", " + all + ")"),
-                        count(superframe.response(n - 1, n)));
+              EXPECT_EQ(
+                  page_says.value(std::string("response(").append(last).append(", ").append(all).append(")")),
+                  count(superframe.response(n - 1, n)));
               EXPECT_EQ(page_says.value("final(" + all + ")"), count(superframe.final(n)));
             }
           }

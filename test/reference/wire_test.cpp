@@ -11,6 +11,7 @@
 #include <map>
 #include <sstream>
 #include <string>
+#include <tuple>
 
 #include "firmware/core/node/messages.hpp"
 #include "groma.pb.h"
@@ -223,7 +224,9 @@ struct SchemaField {
   std::string type;
   std::string name;
   int number = 0;
-  auto operator<=>(const SchemaField&) const = default;
+  [[nodiscard]] auto key() const { return std::tie(message, number, name, type); }
+  friend bool operator==(const SchemaField& a, const SchemaField& b) { return a.key() == b.key(); }
+  friend bool operator<(const SchemaField& a, const SchemaField& b) { return a.key() < b.key(); }
 };
 
 struct Schema {
@@ -277,7 +280,9 @@ std::map<std::string, std::string> limits() {
       if (word.find("max_size") == 0)
         most = std::to_string(std::stoi(value) - (strings[name] == "string" ? 1 : 0)) + " bytes";
     }
-    const std::string both = bits + (bits.empty() || most.empty() ? "" : ", ") + most;
+    std::string both = bits;
+    if (!bits.empty() && !most.empty()) both += ", ";
+    both += most;
     if (!both.empty()) limits[name] = both;
   }
   return limits;
