@@ -112,7 +112,7 @@ MUTATIONS = [
     ("covariance: a returning anchor misses common updates", "host/filter/joint_covariance.cpp",
      "parameters.values().segment(first, size) += by * (parameters.values().head(common) - memory.common);",
      "",
-     "filter_test:ActiveSet.AnAnchorComesBackWithItsEstimate"),
+     "filter_test:ActiveSet.AnAbsentAnchorFollowsTheCommonParameters"),
     ("covariance: changes of absent anchors are not kept", "host/filter/joint_covariance.hpp",
      "return size_ + absent_rows_;",
      "return size_;",

@@ -3,10 +3,12 @@
 
 #include <cmath>
 #include <cstddef>
+#include <initializer_list>
 #include <memory>
 #include <vector>
 
 #include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 
 #include "host/filter/filter.hpp"
 #include "host/filter/ordered_filter.hpp"
@@ -310,6 +312,61 @@ TEST(ActiveSet, AnAnchorComesBackWithItsEstimate) {
   }
   // Chi-square of 60 degrees of freedom, 4 sigmas.
   EXPECT_LT(nees, 1.0 + 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
+}
+
+// While an anchor is absent, the ranges of others improve frame and lever arms. Its estimate follows by the
+// regression on them when it left.
+TEST(ActiveSet, AnAbsentAnchorFollowsTheCommonParameters) {
+  model::Calibration calibration = corridor(4);
+  const Eigen::Matrix4d drift = Eigen::Vector4d(0.04, 0.04, 0.0, 0.0).asDiagonal();
+  calibration.common_frame_covariance += drift;
+  for (model::AnchorCalibration& anchor : calibration.anchors) {
+    anchor.verdict = model::AnchorVerdict::kOk;
+    model::add_common_frame(anchor, drift);
+  }
+  const auto filter = make<Filter>(calibration, config_with(Model::kJoint, 3));
+  const std::vector<model::Tag> tags = testing::three_tags();
+  filter->process(model::OdometrySample{});
+  filter->start({.pose = {5.0, 0.0, 0.0}});
+  // Ranges of these anchors in turn, from the start's pose to anchors off by the frame's error.
+  double t_s = 0.0;
+  const auto range = [&](std::initializer_list<std::size_t> anchors, double duration_s) {
+    for (const double end_s = t_s + duration_s; t_s < end_s;) {
+      for (const std::size_t anchor : anchors) {
+        for (const model::Tag& tag : tags) {
+          t_s += 0.02;
+          filter->process(model::OdometrySample{t_s, 0.0, 0.0, 0.0});
+          const Eigen::Vector3d antenna_m = Eigen::Vector3d(5.0, 0.0, 0.0) + tag.lever_arm_m;
+          const Eigen::Vector3d anchor_m =
+              calibration.anchors[anchor].position_m + Eigen::Vector3d(0.2, -0.15, 0.0);
+          filter->process(model::RangeSample{t_s, tag.id, calibration.anchors[anchor].id,
+                                             (antenna_m - anchor_m).norm() + 0.2});
+        }
+      }
+    }
+  };
+  range({0, 1, 2}, 0.2);
+  range({1, 2}, 1.5);
+  ASSERT_GE(filter->slot_of(0), 0);
+  const Parameters left = filter->parameters();
+  const Eigen::MatrixXd p = filter->covariance().parameters(filter->site(), left);
+  const int first = left.position(filter->slot_of(0));
+  const int size = left.anchor_size() - 1;  // without the slow range bias
+  const int common = left.common_size();
+  const Eigen::MatrixXd regression =
+      p.block(first, 0, size, common) * p.topLeftCorner(common, common).inverse();
+  range({3, 2}, 2.0);
+  ASSERT_EQ(filter->slot_of(0), -1);
+  // A range far off makes it active again and corrects nothing.
+  ASSERT_EQ(filter->process(model::RangeSample{t_s, 1, calibration.anchors[0].id, 900.0}).outcome,
+            RangeOutcome::kGated);
+  ASSERT_GE(filter->slot_of(0), 0);
+  const Parameters& now = filter->parameters();
+  const Eigen::VectorXd change =
+      now.values().segment(now.position(filter->slot_of(0)), size) - left.values().segment(first, size);
+  const Eigen::VectorXd expected = regression * (now.values().head(common) - left.values().head(common));
+  EXPECT_GT(expected.norm(), 1e-3);
+  EXPECT_LT((change - expected).norm(), 1e-7);
 }
 
 // Late inputs across exchanges of anchors: the result equals that of inputs in order.
