@@ -183,8 +183,8 @@ class Dw1000 {
     state_ = State::kLoaded;
     return Start::kStarted;
   }
-  // Starts the transmission of the loaded frame. The chip may shift its clock by a share of the time from here
-  // to the RMARKER (docs/explanation/silicon.md), so call it at a fixed time before.
+  // Starts the transmission of the loaded frame. The chip may shift its clock by a share of the time from
+  // here to the RMARKER (docs/explanation/silicon.md), so call it at a fixed time before.
   [[nodiscard]] Start launch() noexcept {
     if (state_ != State::kLoaded) return Start::kNotIdle;
     // Erratum TX-1: without this clock the chip does not report the end of a delayed transmission.
