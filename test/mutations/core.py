@@ -184,7 +184,7 @@ MUTATIONS = [
     ("counter: block used before it is reserved", "firmware/core/storage/counter.hpp", "    if (!records_.store(Key::kCounter, bytes)) return false;\n", "    (void)records_.store(Key::kCounter, bytes);\n", STORAGE_TEST),
     ("counter: previous block used again", "firmware/core/storage/counter.hpp", "    const std::uint64_t start = end;\n", "    const std::uint64_t start = end < kBlock ? end : end - kBlock;\n", STORAGE_TEST),
     ("node: a radio recovery ends the loan of a slot", NODE, "    if (radio_.restart()) {\n", "    lent_until_us_.reset();\n    if (radio_.restart()) {\n", NODE_TEST),
-    ("node: late operations not reported", NODE, "const bool many = late - late_before_ > kMany;", "const bool many = false;", NODE_TEST),
+    ("node: late operations not reported", "firmware/core/node/reporter.hpp", "const bool many = late - late_before_ > kMany;", "const bool many = false;", NODE_TEST),
     ("node: one lost event resets the radio", EXECUTOR, "failures_ == 1 && radio_.restart(delay())", "failures_ == 0 && radio_.restart(delay())", NODE_TEST),
     ("node: a lost event takes the machine along", NODE, "started again\");\n      return resume();\n", "started again\");\n      return join();\n", NODE_TEST),
     ("node: a counter that restarted is not noticed", RADIO_CLOCK, "return apart < kMostApart && -apart < kMostApart;", "return true;", NODE_TEST),

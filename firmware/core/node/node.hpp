@@ -24,6 +24,7 @@
 #include "firmware/core/node/messages.hpp"
 #include "firmware/core/node/platform.hpp"
 #include "firmware/core/node/radio_executor.hpp"
+#include "firmware/core/node/reporter.hpp"
 #include "firmware/core/node/shared.hpp"
 #include "firmware/core/node/stored_config.hpp"
 #include "firmware/core/node/survey.hpp"
@@ -37,7 +38,8 @@ template <Platform P>
 class Node {
  public:
   // Keeps a reference to the platform; the string build.version outlives the node.
-  Node(P& platform, const Build& build) noexcept : platform_(platform), build_(build), stored_(platform) {}
+  Node(P& platform, const Build& build) noexcept
+      : platform_(platform), reports_(shared_, radio_, build), stored_(platform) {}
 
   // Call once after boot: loads the configuration, brings the radio up, sends a hello, and joins the network
   // if configured.
@@ -47,9 +49,9 @@ class Node {
     const auto stored = stored_.load();
     config_ = stored.config;
     if (stored.on_trial) trial_.begin(platform_.now_us(), Trial::kUsual_s);
-    choose_link();
+    reports_.choose_link();
     bring_radio_up();
-    send_hello();
+    reports_.send_hello();
   }
 
   // Call while the radio's interrupt line is high, until it is low.
@@ -73,9 +75,8 @@ class Node {
 
   // On the clock of now_us(); the maximum: never.
   [[nodiscard]] std::uint64_t next_deadline_us() const noexcept {
-    const std::uint64_t piece_us = completed_ != nullptr ? next_piece_us_ : kNever_us;
     return std::min({radio_.deadline_us(), radio_.launch_us(), next_listening_us_, next_telemetry_us_,
-                     identify_until_us_, piece_us});
+                     identify_until_us_, reports_.report_due_us()});
   }
 
   // Call at or after next_deadline_us(); earlier calls are harmless.
@@ -91,13 +92,8 @@ class Node {
       identify_until_us_ = kNever_us;
       indicate();
     }
-    if (completed_ != nullptr) {
-      if (now_us < next_piece_us_) return;
-      if (radio_.has_idle_time(now_us, kPiece_us)) {
-        report_piece();
-      } else {
-        next_piece_us_ = now_us + kPiece_us;
-      }
+    if (reports_.is_reporting()) {
+      reports_.continue_report(now_us);
     } else if (now_us >= next_telemetry_us_) {
       if (radio_.has_idle_time(now_us, kTelemetry_us) ||
           now_us >= telemetry_due_us_ + kTelemetryPatience_us) {
@@ -120,8 +116,6 @@ class Node {
   static constexpr std::uint64_t kTelemetry_us = 1'300;
   static constexpr std::uint64_t kTelemetryRetry_us = 250;
   static constexpr std::uint64_t kTelemetryPatience_us = 100'000;
-  // The longest step of a report.
-  static constexpr std::uint64_t kPiece_us = 100;
   static constexpr std::uint64_t kUnconfiguredPeriod_us = 1'000'000;
   static constexpr ranging::Ticks kUnconfiguredListening = ranging::Ticks::from_us(20'000);
   static constexpr std::uint32_t kMaxIdentify_s = 3'600;
@@ -134,15 +128,16 @@ class Node {
 
   // Brings the radio up. The machine, if there is one, continues.
   void bring_radio_up() noexcept {
-    completed_ = nullptr;  // its report would read the radio's clock
+    reports_.drop_report();  // it would read the radio's clock
     next_listening_us_ = kNever_us;
     radio_.bring_up();
     if (!radio_.is_up()) {
-      log(groma_LogLevel_LOG_ERROR, describe(radio_.state()));
+      reports_.log(groma_LogLevel_LOG_ERROR, describe(radio_.state()));
       return indicate();
     }
-    if (radio_.driver().woken()) log(groma_LogLevel_LOG_INFO, "radio: woken from sleep");
-    if (const char* text = radio_.driver().warning(); text[0] != '\0') log(groma_LogLevel_LOG_WARNING, text);
+    if (radio_.driver().woken()) reports_.log(groma_LogLevel_LOG_INFO, "radio: woken from sleep");
+    if (const char* text = radio_.driver().warning(); text[0] != '\0')
+      reports_.log(groma_LogLevel_LOG_WARNING, text);
     resume();
   }
 
@@ -205,7 +200,7 @@ class Node {
 
   void forget_machine() noexcept {
     radio_.forget();
-    completed_ = nullptr;
+    reports_.drop_report();
   }
 
   bool handle_event(std::uint64_t interrupt_us) noexcept {
@@ -215,24 +210,24 @@ class Node {
   }
 
   void after_event() noexcept {
-    if (const mac::Exchange* exchange = radio_.take_completed()) begin_report(*exchange);
+    if (const mac::Exchange* exchange = radio_.take_completed()) reports_.begin_report(*exchange);
     watch_sync();
   }
 
   void on_radio_deadline() noexcept {
     if (!radio_.is_up()) {
       bring_radio_up();
-      if (radio_.is_up()) send_hello();
+      if (radio_.is_up()) reports_.send_hello();
       return;
     }
     // Handle an event whose interrupt was lost like any other.
     if (radio_.deadline_us() != 0 && handle_event(platform_.now_us())) return;
     if (radio_.restart()) {
-      log(groma_LogLevel_LOG_WARNING, "radio: no answer, started again");
+      reports_.log(groma_LogLevel_LOG_WARNING, "radio: no answer, started again");
       return resume();
     }
-    completed_ = nullptr;
-    log(groma_LogLevel_LOG_WARNING, "radio: no answer, brought up again");
+    reports_.drop_report();
+    reports_.log(groma_LogLevel_LOG_WARNING, "radio: no answer, brought up again");
     bring_radio_up();
   }
 
@@ -247,9 +242,9 @@ class Node {
     const bool was_searching = sync_state_ == mac::SyncState::kSearching;
     sync_state_ = state;
     if (state == mac::SyncState::kSearching) {
-      log(groma_LogLevel_LOG_WARNING, "beacons lost, searching");
+      reports_.log(groma_LogLevel_LOG_WARNING, "beacons lost, searching");
     } else if (was_searching) {
-      log(groma_LogLevel_LOG_INFO, "in step with the master");
+      reports_.log(groma_LogLevel_LOG_INFO, "in step with the master");
     } else {
       return;
     }
@@ -267,207 +262,22 @@ class Node {
     }
   }
 
-  // ---- to the host ---------------------------------------------------------------------------------------
-
-  // Configures the link of the configuration in force, or the platform's default without one.
-  void choose_link() noexcept {
-    if constexpr (ChoosesLink<P>) {
-      link_error_ = platform_.configure_link(config_.value_or(groma_Config groma_Config_init_zero));
-    }
-  }
-
-  template <class Fill>
-  void send(pb_size_t which, Fill&& fill, const ReplyContext& to = {},
-            const ReplyConfig& config = {}) noexcept {
-    finish_report();
-    message_ = groma_NodeToHost_init_zero;
-    message_.which_body = which;
-    fill(message_.body);
-    if (!write_message(to, config)) ++counters_.reports_dropped;
-  }
-
-  bool write_message(const ReplyContext& to = {}, const ReplyConfig& config = {}) noexcept {
-    if (to.by_air()) {
-      const std::size_t size = encode_message(message_, config, air_.room());
-      if (size != 0) air_.append(size);
-      return size != 0;
-    }
-    const auto frame = encoder_.encode(message_, config);
-    return to.way == ReplyContext::Way::kAsker ? answer_link(frame) : platform_.link_write(frame);
-  }
-
-  bool answer_link(std::span<const std::uint8_t> frame) noexcept {
-    if constexpr (ChoosesLink<P>) return platform_.link_answer(frame);
-    return platform_.link_write(frame);
-  }
-
-  // `exchange` is valid until the next one is complete.
-  void begin_report(const mac::Exchange& exchange) noexcept {
-    finish_report();
-    completed_ = &exchange;
-    ranges_left_ = exchange.count;
-    reporting_ = Reporting::kChoosing;
-    next_piece_us_ = 0;
-  }
-
-  // Reports completed_ in steps of 50 us at 64 MHz, its ranges from the last to the first.
-  void report_piece() noexcept {
-    groma_SlotReport& report = message_.body.slot_report;
-    switch (reporting_) {
-      case Reporting::kChoosing:
-        if (machine_.tag()) machine_.tag()->choose_anchors();
-        if (survey_.under_way()) {
-          // serve_air() ends the survey after its last exchange, where the machine may be changed.
-          survey_.add(*std::exchange(completed_, nullptr));
-          break;
-        }
-        reporting_ = Reporting::kBegin;
-        break;
-      case Reporting::kBegin:
-        message_ = groma_NodeToHost_init_zero;
-        message_.which_body = groma_NodeToHost_slot_report_tag;
-        report.sequence = report_sequence_++;
-        report.tag_id = config_->id;
-        report_time_ = radio_.read_clock();
-        begin_slot_report(report, *completed_, report_time_);
-        place_in_network(report, report_time_);
-        encoder_.begin(report);
-        reporting_ = Reporting::kRanges;
-        break;
-      case Reporting::kRanges:
-        if (ranges_left_ != 0) {
-          --ranges_left_;
-          fill_range(report, ranges_left_, *completed_, report_time_, ranging(), counters_);
-          if (config_->link != groma_Link_LINK_CAN) encoder_.put_range(report.ranges[ranges_left_]);
-        } else if (config_->link == groma_Link_LINK_CAN) {
-          make_compact(message_);
-          completed_ = nullptr;
-          if (!write_message()) ++counters_.reports_dropped;
-        } else {
-          encoder_.close(report);
-          reporting_ = Reporting::kFraming;
-        }
-        break;
-      case Reporting::kFraming:
-        if (!encoder_.step()) break;
-        completed_ = nullptr;
-        if (!platform_.link_write(encoder_.frame())) ++counters_.reports_dropped;
-        break;
-    }
-  }
-
-  void finish_report() noexcept {
-    while (completed_ != nullptr) report_piece();
-  }
-
-  [[nodiscard]] Ranging ranging() const noexcept {
-    return {.raw_stamps = config_->report_raw_stamps,
-            .correct_temperature = config_->correct_temperature,
-            .correct_power_bias = config_->correct_power_bias,
-            .ambient = radio_.ambient()};
-  }
-
-  void place_in_network(groma_SlotReport& report, ranging::ClockTime now) noexcept {
-    const mac::Station* member = machine_.station();
-    if (member == nullptr) return;
-    const auto network_time = member->network_time(now);
-    if (!network_time) return;
-    report.network_time_dtu = static_cast<std::uint64_t>(network_time->count());
-    report.network_rate_ppb = -member->sync().skew_ppb();
-  }
-
-  void send_hello(const ReplyContext& to = {}) noexcept {
-    send(
-        groma_NodeToHost_hello_tag,
-        [&](auto& body) {
-          fill_hello(body.hello, build_, config_, platform_.reset_reason(), platform_.last_fault(),
-                     platform_.stack_use(), describe(radio_.state()));
-          body.hello.boot_count = platform_.boot_count();
-          copy_text(body.hello.link_error, link_error_);
-          copy_text(body.hello.radio_warning, radio_.driver().warning());
-        },
-        to);
-  }
-
-  void send_counters(const ReplyContext& to = {}) noexcept {
-    if constexpr (ChoosesLink<P>) platform_.count_link(counters_);
-    counters_.pll_flags = radio_.driver().pll_flags();
-    send(
-        groma_NodeToHost_counters_tag, [&](auto& body) { body.counters = counters_; }, to);
-  }
-
-  void fill_membership(groma_NetworkStatus& status) const noexcept {
-    if (const mac::Tag* tag = machine_.tag()) {
-      const mac::TagMembership& membership = tag->membership();
-      const auto slot = membership.slot(machine_.superframe());
-      status.has_slot = slot.has_value();
-      status.slot = static_cast<std::uint8_t>(slot.value_or(0));
-      status.candidates = static_cast<std::uint32_t>(membership.anchors().size());
-      status.answering = static_cast<std::uint32_t>(membership.anchors().answering());
-    } else if (const mac::Anchor* anchor = machine_.anchor()) {
-      const auto owners = anchor->membership().slots().owners();
-      std::copy(owners.begin(), owners.end(), status.holders);
-      status.holders_count = static_cast<pb_size_t>(owners.size());
-    }
-  }
+  // ---- once a second
+  // ---------------------------------------------------------------------------------------
 
   // The status and the counters in turn: idle times are too short for both.
   void send_telemetry(std::uint64_t now_us) noexcept {
     if (counters_next_) {
-      send_counters();
-      report_late();
+      reports_.send_counters();
+      reports_.log_lateness();
       telemetry_due_us_ = next_telemetry_us_ = now_us + kTelemetryPeriod_us;
     } else {
-      send_status();
+      radio_.compare_clocks();
+      reports_.send_status();
       watch_air(now_us);
       telemetry_due_us_ = next_telemetry_us_ = now_us;
     }
     counters_next_ = !counters_next_;
-  }
-
-  void send_status() noexcept {
-    radio_.compare_clocks();
-    if (const mac::Station* member = machine_.station()) {
-      send(groma_NodeToHost_network_status_tag, [&](auto& body) {
-        body.network_status.state = static_cast<groma_SyncState>(member->sync().state());
-        body.network_status.superframe = machine_.superframe();
-        body.network_status.skew_ppb = -member->sync().skew_ppb();
-        body.network_status.beacons_missed = member->sync().missed_in_a_row();
-        body.network_status.has_temperature_cdegc = body.network_status.has_supply_mv =
-            radio_.ambient().has_value();
-        if (radio_.ambient()) {
-          body.network_status.temperature_cdegc = radio_.ambient()->temperature_cdegc;
-          body.network_status.supply_mv = radio_.ambient()->supply_mv;
-        }
-        fill_membership(body.network_status);
-        if (!machine_.in_step()) return;
-        const mac::MasterElection& election = member->election();
-        body.network_status.master_id = election.master();
-        body.network_status.hop = election.hop();
-        body.network_status.session = election.session();
-        body.network_status.network_time_dtu =
-            static_cast<std::uint64_t>(member->sync().network_time(radio_.latest()).count());
-      });
-    }
-  }
-
-  // Once for each period of seconds in which the schedule leaves this node too little time.
-  void report_late() noexcept {
-    constexpr std::uint32_t kMany = 10;
-    const std::uint32_t late = counters_.late_transmits + counters_.late_receives;
-    const bool many = late - late_before_ > kMany;
-    if (many && !were_late_) {
-      log(groma_LogLevel_LOG_WARNING, "late for the schedule: lengthen its turnaround or gap");
-    }
-    late_before_ = late;
-    were_late_ = many;
-  }
-
-  void log(groma_LogLevel level, const char* text) noexcept {
-    send(groma_NodeToHost_log_tag, [&](auto& body) {
-      body.log.level = level;
-      copy_text(body.log.text, text);
-    });
   }
 
   // ---- from the host -------------------------------------------------------------------------------------
@@ -495,17 +305,16 @@ class Node {
   void carry_out(const ReplyContext& to) noexcept {
     switch (command_.which_body) {
       case groma_HostToNode_get_hello_tag:
-        reply(to, groma_Result_RESULT_OK, "");
-        send_hello(to);
+        reports_.reply(to, groma_Result_RESULT_OK, "");
+        reports_.send_hello(to);
         break;
       case groma_HostToNode_get_counters_tag:
-        reply(to, groma_Result_RESULT_OK, "");
-        send_counters(to);
+        reports_.reply(to, groma_Result_RESULT_OK, "");
+        reports_.send_counters(to);
         break;
       case groma_HostToNode_get_slack_tag:
-        reply(to, groma_Result_RESULT_OK, "");
-        send(
-            groma_NodeToHost_slack_tag, [&](auto& body) { radio_.slack().fill(body.slack); }, to);
+        reports_.reply(to, groma_Result_RESULT_OK, "");
+        reports_.send_slack(to);
         break;
       case groma_HostToNode_read_config_tag:
         read_config(to);
@@ -524,14 +333,14 @@ class Node {
         break;
       case groma_HostToNode_leave_network_tag:
         if (machine_.tag() == nullptr) {
-          refuse(to, groma_Result_RESULT_UNSUPPORTED, "only a tag has a slot to leave");
+          reports_.refuse(to, groma_Result_RESULT_UNSUPPORTED, "only a tag has a slot to leave");
           break;
         }
         machine_.tag()->membership().leave();
-        reply(to, groma_Result_RESULT_OK, "");
+        reports_.reply(to, groma_Result_RESULT_OK, "");
         break;
       case groma_HostToNode_reboot_tag:
-        reply(to, groma_Result_RESULT_OK, "");
+        reports_.reply(to, groma_Result_RESULT_OK, "");
         after_ = After::kReboot;
         if (!to.by_air()) do_after();
         break;
@@ -545,46 +354,26 @@ class Node {
         send_time(to);
         break;
       default:
-        refuse(to, groma_Result_RESULT_UNSUPPORTED, "not a command of this protocol version");
+        reports_.refuse(to, groma_Result_RESULT_UNSUPPORTED, "not a command of this protocol version");
         break;
     }
   }
 
-  void reply(const ReplyContext& to, groma_Result result, const char* text,
-             const ReplyConfig& config = {}) noexcept {
-    send(
-        groma_NodeToHost_reply_tag,
-        [&](auto& body) {
-          body.reply.request_id = to.request_id;
-          body.reply.result = result;
-          copy_text(body.reply.text, text);
-        },
-        to, config);
-  }
-
   void send_time(const ReplyContext& to) noexcept {
     if (!radio_.is_up()) {
-      return refuse(to, groma_Result_RESULT_UNSUPPORTED, "no clock: the radio is down");
+      return reports_.refuse(to, groma_Result_RESULT_UNSUPPORTED, "no clock: the radio is down");
     }
     const ranging::ClockTime received = radio_.read_clock();
-    send(
-        groma_NodeToHost_time_reply_tag,
-        [&](auto& body) {
-          body.time_reply.host_time_ns = command_.body.time_request.host_time_ns;
-          body.time_reply.received_dtu = static_cast<std::uint64_t>(received.count());
-          body.time_reply.transmitted_dtu = static_cast<std::uint64_t>(radio_.read_clock().count());
-        },
-        to);
-  }
-
-  void refuse(const ReplyContext& to, groma_Result result, const char* text) noexcept {
-    ++counters_.commands_refused;
-    reply(to, result, text);
+    reports_.send(groma_NodeToHost_time_reply_tag, to, [&](auto& body) {
+      body.time_reply.host_time_ns = command_.body.time_request.host_time_ns;
+      body.time_reply.received_dtu = static_cast<std::uint64_t>(received.count());
+      body.time_reply.transmitted_dtu = static_cast<std::uint64_t>(radio_.read_clock().count());
+    });
   }
 
   [[gnu::noinline]] void read_config(const ReplyContext& to) noexcept {
     const bool good = stored_.load().config.has_value();
-    reply(to, groma_Result_RESULT_OK, "", good ? stored_.shown() : std::span<const std::uint8_t>());
+    reports_.reply(to, groma_Result_RESULT_OK, "", good ? stored_.shown() : std::span<const std::uint8_t>());
   }
 
   // If the key is missing but its hash is there, inserts the node's present key if the hash matches.
@@ -597,12 +386,12 @@ class Node {
 
   [[gnu::noinline]] void write_config(groma_Config& config, const ReplyContext& to) noexcept {
     if (to.by_air() && config.network_key.size != 0) {
-      return refuse(to, groma_Result_RESULT_INVALID,
-                    "network_key: not over the air, where anyone can read it");
+      return reports_.refuse(to, groma_Result_RESULT_INVALID,
+                             "network_key: not over the air, where anyone can read it");
     }
     complete_key(config);
     if (const char* fault = fault_of(config); fault[0] != '\0') {
-      return refuse(to, groma_Result_RESULT_INVALID, fault);
+      return reports_.refuse(to, groma_Result_RESULT_INVALID, fault);
     }
     // A configuration that came over the air may cut the node off, so the present one is stored with it.
     const bool trial = to.by_air() && config_;
@@ -610,14 +399,14 @@ class Node {
       trial_.end();
       read_config(to);
     } else {
-      refuse(to, groma_Result_RESULT_STORAGE, "not stored: write it again");
+      reports_.refuse(to, groma_Result_RESULT_STORAGE, "not stored: write it again");
     }
     resume();
   }
 
   // Leaves the air and logs it. Returns false as StoredConfig::keep().
   [[gnu::noinline]] bool keep(const groma_Config& config, const groma_Config* before) noexcept {
-    log(groma_LogLevel_LOG_INFO, kOffTheAir);
+    reports_.log(groma_LogLevel_LOG_INFO, kOffTheAir);
     leave();
     return stored_.keep(config, before);
   }
@@ -626,9 +415,9 @@ class Node {
     const std::uint32_t trial_s = command_.trial_s;
     const auto stored = stored_.load();
     if (!stored.config) {
-      return refuse(to, groma_Result_RESULT_INVALID, "no valid configuration is stored: write one");
+      return reports_.refuse(to, groma_Result_RESULT_INVALID, "no valid configuration is stored: write one");
     }
-    reply(to, groma_Result_RESULT_OK, "", stored_.shown());
+    reports_.reply(to, groma_Result_RESULT_OK, "", stored_.shown());
     if (to.by_air()) {
       trial_s_ = trial_s != 0 ? trial_s : Trial::kUsual_s;
       after_ = After::kApply;
@@ -642,24 +431,24 @@ class Node {
     leave();
     forget_machine();
     config_ = config;
-    choose_link();
+    reports_.choose_link();
     bring_radio_up();
-    send_hello();
+    reports_.send_hello();
   }
 
   [[gnu::noinline]] void factory_reset(const ReplyContext& to) noexcept {
-    log(groma_LogLevel_LOG_INFO, kOffTheAir);
+    reports_.log(groma_LogLevel_LOG_INFO, kOffTheAir);
     leave();
     if (!stored_.erase()) {
-      refuse(to, groma_Result_RESULT_STORAGE, "not erased: try again");
+      reports_.refuse(to, groma_Result_RESULT_STORAGE, "not erased: try again");
       return resume();
     }
     forget_machine();
     config_.reset();
-    reply(to, groma_Result_RESULT_OK, "");
-    choose_link();
+    reports_.reply(to, groma_Result_RESULT_OK, "");
+    reports_.choose_link();
     join();
-    send_hello();
+    reports_.send_hello();
   }
 
   // ---- over the air --------------------------------------------------------------------------------------
@@ -679,18 +468,18 @@ class Node {
   // Forwards a command for another node.
   void ask_by_air(std::span<const std::uint8_t> payload, const ReplyContext& to) noexcept {
     if (!machine_.in_step()) {
-      return refuse(to, groma_Result_RESULT_UNREACHABLE,
-                    "the wired node is not synchronized with its network");
+      return reports_.refuse(to, groma_Result_RESULT_UNREACHABLE,
+                             "the wired node is not synchronized with its network");
     }
     switch (air_.ask(command_.target_id, to.request_id, payload)) {
       case AirLink::Asked::kTooLong:
-        return refuse(to, groma_Result_RESULT_INVALID, "too long to go over the air");
+        return reports_.refuse(to, groma_Result_RESULT_INVALID, "too long to go over the air");
       case AirLink::Asked::kUnderWay:
         lent_until_us_.reset();
         if (command_.which_body == groma_HostToNode_survey_tag) lend(kLongestSurvey_us);
-        return reply(to, groma_Result_RESULT_PENDING, "");
+        return reports_.reply(to, groma_Result_RESULT_PENDING, "");
       case AirLink::Asked::kBusy:
-        return reply(to, groma_Result_RESULT_PENDING, "waiting for another command");
+        return reports_.reply(to, groma_Result_RESULT_PENDING, "waiting for another command");
     }
   }
 
@@ -727,33 +516,31 @@ class Node {
     const bool by_cable_alone = command_.which_body == groma_HostToNode_factory_reset_tag ||
                                 command_.which_body == groma_HostToNode_time_request_tag;
     if (whole && by_cable_alone) {
-      refuse(to, groma_Result_RESULT_UNSUPPORTED, "not over the air");
+      reports_.refuse(to, groma_Result_RESULT_UNSUPPORTED, "not over the air");
     } else if (whole) {
       carry_out(to);
     } else {
-      refuse(to, groma_Result_RESULT_INVALID, "not a command of this protocol version");
+      reports_.refuse(to, groma_Result_RESULT_INVALID, "not a command of this protocol version");
     }
     if (!survey_.under_way()) air_.send_answer();
   }
 
   void pass_answer_on() noexcept {
-    finish_report();
     lent_until_us_.reset();
     auto answer = air_.message();
-    while (const auto message = AirLink::next_message(answer)) {
-      if (!answer_link(encoder_.encode_of(*message, air_.peer()))) ++counters_.reports_dropped;
-    }
+    while (const auto message = AirLink::next_message(answer)) reports_.pass_on(*message, air_.peer());
   }
 
   void report_silence() noexcept {
     if (lent_until_us_) lend(kLentOn_us);
-    reply(ReplyContext::link(air_.request_id()), groma_Result_RESULT_UNREACHABLE, "no answer over the air");
+    reports_.reply(ReplyContext::link(air_.request_id()), groma_Result_RESULT_UNREACHABLE,
+                   "no answer over the air");
   }
 
   void watch_air(std::uint64_t now_us) noexcept {
     air_.on_second();
     serve_air();
-    if (air_.asking()) reply(ReplyContext::link(air_.request_id()), groma_Result_RESULT_PENDING, "");
+    if (air_.asking()) reports_.reply(ReplyContext::link(air_.request_id()), groma_Result_RESULT_PENDING, "");
     if (trial_.is_over(now_us)) end_trial();
     if (lent_until_us_ && now_us >= *lent_until_us_) lent_until_us_.reset();
     if (survey_.is_overdue(now_us)) end_survey();
@@ -765,15 +552,15 @@ class Node {
 
   void begin_survey(std::uint32_t exchanges, const ReplyContext& to) noexcept {
     if (exchanges == 0 || exchanges > Survey::kMaxExchanges) {
-      return refuse(to, groma_Result_RESULT_INVALID, "survey.exchanges: 1 to 200");
+      return reports_.refuse(to, groma_Result_RESULT_INVALID, "survey.exchanges: 1 to 200");
     }
     if (!to.by_air() || !machine_.anchor() || machine_.station()->election().leads()) {
-      return refuse(to, groma_Result_RESULT_UNSUPPORTED,
-                    "only over the air, to an anchor that does not lead");
+      return reports_.refuse(to, groma_Result_RESULT_UNSUPPORTED,
+                             "only over the air, to an anchor that does not lead");
     }
     if (!mac::configured_slot(config_->schedule, air_.peer())) {
-      return refuse(to, groma_Result_RESULT_INVALID,
-                    "ask through a tag of the schedule, which lends its slot");
+      return reports_.refuse(to, groma_Result_RESULT_INVALID,
+                             "ask through a tag of the schedule, which lends its slot");
     }
     survey_reply_ = to;
     survey_.begin(air_.peer(), exchanges, platform_.now_us() + kLongestSurvey_us / 2);
@@ -784,10 +571,9 @@ class Node {
 
   void end_survey() noexcept {
     air_.begin_answer();
-    send(
-        groma_NodeToHost_survey_report_tag, [&](auto& body) { survey_.fill(body.survey_report); },
-        survey_reply_);
-    reply(survey_reply_, groma_Result_RESULT_OK, "");
+    reports_.send(groma_NodeToHost_survey_report_tag, survey_reply_,
+                  [&](auto& body) { survey_.fill(body.survey_report); });
+    reports_.reply(survey_reply_, groma_Result_RESULT_OK, "");
     air_.send_answer();
     survey_.end();
     leave();
@@ -804,8 +590,8 @@ class Node {
     if (!stored.on_trial) return trial_.end();
     trial_.go_on(platform_.now_us());
     if (!stored.config) return;
-    log(groma_LogLevel_LOG_WARNING,
-        before ? "on trial: back to the previous configuration" : "on trial: trying again");
+    reports_.log(groma_LogLevel_LOG_WARNING,
+                 before ? "on trial: back to the previous configuration" : "on trial: trying again");
     work_by(stored.config);
   }
 
@@ -817,9 +603,10 @@ class Node {
   }
 
   void prefer_anchors(const groma_AnchorPreference& hint, const ReplyContext& to) noexcept {
-    if (!machine_.tag()) return refuse(to, groma_Result_RESULT_UNSUPPORTED, "only a tag polls anchors");
+    if (!machine_.tag())
+      return reports_.refuse(to, groma_Result_RESULT_UNSUPPORTED, "only a tag polls anchors");
     if (hint.ids_count != hint.weights_count) {
-      return refuse(to, groma_Result_RESULT_INVALID, "prefer_anchors: a weight for each id");
+      return reports_.refuse(to, groma_Result_RESULT_INVALID, "prefer_anchors: a weight for each id");
     }
     mac::AnchorSet& anchors = machine_.tag()->membership().anchors();
     anchors.prefer_none();
@@ -827,50 +614,38 @@ class Node {
       if (!anchors.knows(hint.ids[i]) && hint.weights[i] > 0) (void)anchors.announce(hint.ids[i]);
       anchors.prefer(hint.ids[i], hint.weights[i]);
     }
-    reply(to, groma_Result_RESULT_OK, "");
+    reports_.reply(to, groma_Result_RESULT_OK, "");
   }
 
   void identify(std::uint32_t duration_s, const ReplyContext& to) noexcept {
-    if (duration_s > kMaxIdentify_s) return refuse(to, groma_Result_RESULT_INVALID, "identify_s: 0 to 3600");
-    reply(to, groma_Result_RESULT_OK, "");
+    if (duration_s > kMaxIdentify_s)
+      return reports_.refuse(to, groma_Result_RESULT_INVALID, "identify_s: 0 to 3600");
+    reports_.reply(to, groma_Result_RESULT_OK, "");
     platform_.set_indicator(Indicator::kIdentify);
     identify_until_us_ = platform_.now_us() + std::uint64_t{duration_s} * 1'000'000;
   }
 
   P& platform_;
-  Build build_;
   Shared<P> shared_{platform_};
   RadioExecutor<P> radio_{shared_};
+  Reporter<P> reports_;
   // The executor's machine, and what all parts share.
   Machine& machine_ = radio_.machine();
   std::optional<groma_Config>& config_ = shared_.config;
   groma_Counters& counters_ = shared_.counters;
+  AirLink& air_ = shared_.air;
+  Survey& survey_ = shared_.survey;
   mac::SyncState sync_state_ = mac::SyncState::kSearching;
-  // The completed exchange, and the progress of its report.
-  enum class Reporting : std::uint8_t { kChoosing, kBegin, kRanges, kFraming };
-  const mac::Exchange* completed_ = nullptr;
-  Reporting reporting_ = Reporting::kChoosing;
-  std::size_t ranges_left_ = 0;
-  ranging::ClockTime report_time_;
-  std::uint64_t next_piece_us_ = 0;
   std::uint32_t proven_superframe_ = 0;  // superframe at the last proof of life
-  std::uint32_t report_sequence_ = 0;
-  std::uint16_t sessions_ = 0;  // started in this boot
-  std::uint32_t nonces_ = 0;    // made in this boot
+  std::uint16_t sessions_ = 0;           // started in this boot
+  std::uint32_t nonces_ = 0;             // made in this boot
   mac::SignedPlaces signed_places_;
-  const char* link_error_ = "";
-  std::uint32_t late_before_ = 0;  // transmissions and receptions, at the last telemetry
-  bool were_late_ = false;         // many in the second before
   std::uint32_t undecodable_ = 0;  // whole frames from the host that contained no command
 
   wire::FrameDecoder decoder_;
-  MessageEncoder encoder_;
-  groma_NodeToHost message_ = groma_NodeToHost_init_zero;
   groma_HostToNode command_ = groma_HostToNode_init_zero;
 
-  AirLink air_;
   After after_ = After::kNothing;
-  Survey survey_;
   ReplyContext survey_reply_;
   std::optional<std::uint64_t> lent_until_us_;  // this tag's slot
   Trial trial_;
