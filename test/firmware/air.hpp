@@ -16,6 +16,8 @@
 #include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
+#include "firmware/sim/aes.hpp"
+#include "test/firmware/other_radio.hpp"
 #include "test/support/nonce_witness.hpp"
 
 namespace groma::testing {
@@ -44,6 +46,15 @@ inline groma_Schedule schedule_of(std::size_t tags, std::size_t anchors, groma_R
   return schedule;
 }
 
+// What the MAC sees of a radio.
+struct RadioModel {
+  radio::Phy (*phy_of)(radio::Preamble) = dw1000::phy_of;
+  std::int64_t tick = 1;  // in network ticks; its readings, timestamps and transmissions are whole ones
+  bool carrier = true;    // it measures the offset of a sender's clock
+};
+inline constexpr RadioModel kDw1000{};
+inline constexpr RadioModel kOtherRadio{.phy_of = other_phy_of, .tick = kOtherTick, .carrier = false};
+
 struct NodeSettings {
   std::uint16_t id = 0;
   double x_m = 0.0;
@@ -70,8 +81,8 @@ class Air {
   };
   static constexpr std::size_t kGhost = ~std::size_t{0};
 
-  Air(const groma_Schedule& schedule, radio::Preamble preamble)
-      : schedule_(schedule), phy_(dw1000::phy_of(preamble)) {}
+  Air(const groma_Schedule& schedule, radio::Preamble preamble, const RadioModel& radio = kDw1000)
+      : schedule_(schedule), radio_(radio), phy_(radio.phy_of(preamble)) {}
 
   std::size_t add(const NodeSettings& settings) { return add(settings, schedule_); }
   // A node with its own schedule.
@@ -251,8 +262,13 @@ class Air {
   static double local_ticks(const Node& n, double t) {
     return n.settings.phase_ticks + t * (1.0 + n.settings.offset_ppm * 1e-6);
   }
-  static ClockTime local(const Node& n, double t) {
-    return ClockTime(static_cast<std::int64_t>(std::llround(local_ticks(n, t))));
+  [[nodiscard]] ClockTime local(const Node& n, double t) const {
+    return ClockTime(std::llround(local_ticks(n, t) / static_cast<double>(radio_.tick)) * radio_.tick);
+  }
+  // When a transmission leaves that the action requests; the radio reports what was requested.
+  [[nodiscard]] ClockTime leaves_at(const Action& action) const {
+    const auto ticks = static_cast<double>(action.at.count()) / static_cast<double>(radio_.tick);
+    return ClockTime(std::llround(ticks) * radio_.tick);
   }
   static double true_time(const Node& n, ClockTime t) {
     return (static_cast<double>(t.count()) - n.settings.phase_ticks) / (1.0 + n.settings.offset_ppm * 1e-6);
@@ -315,7 +331,7 @@ class Air {
       if (!n.on || n.action.kind == Action::Kind::kNone) continue;
       const bool sends = n.action.kind == Action::Kind::kTransmit;
       const double t =
-          sends ? true_time(n, n.action.at) + after(n.outgoing.size()) : true_time(n, n.action.until);
+          sends ? true_time(n, leaves_at(n.action)) + after(n.outgoing.size()) : true_time(n, n.action.until);
       if (t < first) {
         first = t;
         actor = i;
@@ -342,7 +358,7 @@ class Air {
     }
     const ClockTime timestamp = n.action.at;
     witness_.see(n.outgoing);
-    transmit({actor, true_time(n, timestamp), n.settings.x_m, n.outgoing});
+    transmit({actor, true_time(n, leaves_at(n.action)), n.settings.x_m, n.outgoing});
     arm(actor, dispatch(n, [&](auto& machine) { return machine.on_transmitted(timestamp); }));
     return true;
   }
@@ -382,7 +398,7 @@ class Air {
       const Node& n = *nodes_[i];
       if (i == source || i == receiver || !n.on || n.action.kind != Action::Kind::kTransmit) continue;
       if (!audible(i, receiver)) continue;
-      const double other = true_time(n, n.action.at);
+      const double other = true_time(n, leaves_at(n.action));
       if (jammed && jammed({i, other, n.settings.x_m, n.outgoing})) continue;
       if (other - before() < end && other + after(n.outgoing.size()) > start) return true;
     }
@@ -402,8 +418,9 @@ class Air {
     mac::Reception reception{
         .timestamp = local(n, frame.rmarker + flight + timestamp_noise_ticks * gaussian()),
         .timestamp_valid = true,
-        .frame = frame.bytes,
-        .quality = {.clock_offset_ppb = static_cast<std::int32_t>(std::lround(offset_ppb))}};
+        .frame = frame.bytes};
+    if (radio_.carrier)
+      reception.quality.clock_offset_ppb = static_cast<std::int32_t>(std::lround(offset_ppb));
     if (spoil) spoil(index, reception);
     (void)dispatch(n, [&](auto& machine) {
       if (!only_events) machine.begin_verify(reception.frame);
@@ -424,6 +441,7 @@ class Air {
     double end;
   };
   groma_Schedule schedule_;
+  RadioModel radio_;
   radio::Phy phy_;
   std::vector<std::unique_ptr<Node>> nodes_;
   std::vector<Frame> ghosts_;

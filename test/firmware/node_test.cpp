@@ -8,26 +8,28 @@
 #include <algorithm>
 #include <cstring>
 #include <limits>
+#include <map>
+#include <memory>
 #include <string>
 
 #include "firmware/core/dw1000/driver.hpp"
 #include "firmware/sim/aes.hpp"
 #include "test/firmware/air.hpp"
 #include "test/firmware/fake_chip.hpp"
+#include "test/firmware/other_radio.hpp"
 
 namespace groma::node {
 namespace {
 
 using testing::FakeChip;
+using testing::OtherChip;
 using testing::schedule_of;
 using testing::Transfer;
 
 constexpr std::uint64_t kTicksPerUs = 63'898;
 
-struct FakePlatform {
-  using Radio = dw1000::Dw1000<FakeChip>;
-
-  FakeChip chip;
+// A node's hardware except for its radio.
+struct FakeHost {
   std::uint64_t time_us = 1'000;
   sim::Aes aes;
   std::vector<std::vector<std::uint8_t>> sent;
@@ -36,30 +38,30 @@ struct FakePlatform {
   bool store_fails = false;
   bool store_corrupts = false;
   std::size_t sent_before_store = 0;
-  std::uint64_t last_radio_command_at_store = 0;
   std::vector<Indicator> shown;
   int restarts = 0;
   int resets = 0;
   int proofs = 0;
   std::optional<Fault> fault;
 
-  FakeChip& spi() noexcept { return chip; }
-  void reset_radio() noexcept {
-    ++resets;
-    chip.reset();
-  }
-  void delay_us(std::uint32_t us) noexcept {
-    time_us += us;
-    chip.wait(us);
-  }
+  FakeHost() = default;
+  FakeHost(const FakeHost&) = delete;
+  FakeHost& operator=(const FakeHost&) = delete;
+  virtual ~FakeHost() = default;
+
   // Both clocks go on, together.
-  void pass(std::uint64_t us) noexcept {
-    time_us += us;
-    chip.time += us * kTicksPerUs;
-  }
+  virtual void pass(std::uint64_t us) noexcept = 0;
   void pass_to(std::uint64_t us) noexcept {
     if (us > time_us) pass(us - time_us);
   }
+  // Commands to the radio: transmissions and receptions.
+  virtual std::size_t radio_starts() = 0;
+  virtual std::size_t transmissions() = 0;
+  // The radio's own time-out ends its listening.
+  virtual void end_listening() = 0;
+  // A frame waits to be launched.
+  virtual bool is_loaded() = 0;
+
   std::uint64_t now_us() noexcept { return time_us; }
   std::uint64_t radio_interrupt_us() noexcept { return time_us; }
   bool link_write(std::span<const std::uint8_t> frame) noexcept {
@@ -67,9 +69,8 @@ struct FakePlatform {
     sent.emplace_back(frame.begin(), frame.end());
     return true;
   }
-  bool store_config(std::span<const std::uint8_t> blob) noexcept {
+  virtual bool store_config(std::span<const std::uint8_t> blob) noexcept {
     sent_before_store = sent.size();
-    last_radio_command_at_store = chip.written(0x0D, 0);
     pass(90'000);
     if (store_fails) return false;
     stored.assign(blob.begin(), blob.end());
@@ -89,6 +90,50 @@ struct FakePlatform {
   std::uint32_t boot_count() noexcept { return 42; }
   void proof_of_life() noexcept { ++proofs; }
   StackUse stack_use() noexcept { return {.size_bytes = 4096, .high_water_bytes = 1234}; }
+};
+
+struct FakePlatform : FakeHost {
+  using Radio = dw1000::Dw1000<FakeChip>;
+  static constexpr std::uint64_t kFrameTimeout = 1U << 17;
+
+  FakeChip chip;
+  std::uint64_t last_radio_command_at_store = 0;
+
+  FakeChip& spi() noexcept { return chip; }
+  void reset_radio() noexcept {
+    ++resets;
+    chip.reset();
+  }
+  void delay_us(std::uint32_t us) noexcept {
+    time_us += us;
+    chip.wait(us);
+  }
+  void pass(std::uint64_t us) noexcept override {
+    time_us += us;
+    chip.time += us * kTicksPerUs;
+  }
+  bool store_config(std::span<const std::uint8_t> blob) noexcept override {
+    last_radio_command_at_store = chip.written(0x0D, 0);
+    return FakeHost::store_config(blob);
+  }
+  std::size_t radio_starts() override { return commands(0x102); }
+  std::size_t transmissions() override { return commands(0x2); }
+  void end_listening() override { chip.status |= kFrameTimeout; }
+  bool is_loaded() override {
+    const auto writes = chip.writes();
+    const auto last = std::find_if(writes.rbegin(), writes.rend(),
+                                   [](const Transfer& t) { return t.file == 0x09 || t.file == 0x0D; });
+    return last != writes.rend() && last->file == 0x09;
+  }
+
+ private:
+  std::size_t commands(std::uint64_t bits) {
+    std::size_t n = 0;
+    for (const Transfer& t : chip.writes()) {
+      if (t.file == 0x0D && (t.word() & bits) != 0) ++n;
+    }
+    return n;
+  }
 };
 static_assert(Platform<FakePlatform>);
 
@@ -113,12 +158,78 @@ groma_NodeToHost decode(std::span<const std::uint8_t> bytes) {
   return message;
 }
 
-class NodeTest : public ::testing::Test {
+// A radio of another kind, alone or on an air with others.
+struct OtherPlatform : FakeHost {
+  using Radio = testing::OtherRadio;
+  using Air = OtherChip::Air;
+
+  OtherPlatform() : OtherPlatform(std::make_shared<Air>(), {.first_count = 0xFFFF'0000}) {}
+  OtherPlatform(std::shared_ptr<Air> shared, const OtherChip::Settings& settings)
+      : air(std::move(shared)), chip(*air, settings) {}
+
+  OtherChip& spi() noexcept { return chip; }
+  void reset_radio() noexcept { ++resets; }
+  void delay_us(std::uint32_t us) noexcept { pass(us); }
+  void pass(std::uint64_t us) noexcept override {
+    time_us += us;
+    air->now += static_cast<double>(us) * 63'897.6;
+  }
+  std::size_t radio_starts() override { return chip.transmissions + chip.receptions; }
+  std::size_t transmissions() override { return chip.transmissions; }
+  void end_listening() override { chip.advance(); }
+  bool is_loaded() override { return chip.loaded; }
+
+  std::shared_ptr<Air> air;
+  OtherChip chip;
+};
+static_assert(Platform<OtherPlatform>);
+
+// A node with whichever radio.
+struct AnyNode {
+  AnyNode() = default;
+  AnyNode(const AnyNode&) = delete;
+  AnyNode& operator=(const AnyNode&) = delete;
+  virtual ~AnyNode() = default;
+  virtual FakeHost& host() = 0;
+  virtual void start() = 0;
+  virtual void on_radio_interrupt() = 0;
+  virtual void on_link_bytes(std::span<const std::uint8_t> bytes) = 0;
+  [[nodiscard]] virtual std::uint64_t next_deadline_us() const = 0;
+  virtual void on_timer() = 0;
+  [[nodiscard]] virtual std::uint64_t quiet_until_us() const = 0;
+  [[nodiscard]] virtual const groma_Counters& counters() const = 0;
+};
+
+template <class P>
+struct NodeOn final : AnyNode {
+  template <class... Args>
+  explicit NodeOn(Args&&... args) : platform(std::forward<Args>(args)...) {}
+  FakeHost& host() override { return platform; }
+  void start() override { node.start(); }
+  void on_radio_interrupt() override { node.on_radio_interrupt(); }
+  void on_link_bytes(std::span<const std::uint8_t> bytes) override { node.on_link_bytes(bytes); }
+  [[nodiscard]] std::uint64_t next_deadline_us() const override { return node.next_deadline_us(); }
+  void on_timer() override { node.on_timer(); }
+  [[nodiscard]] std::uint64_t quiet_until_us() const override { return node.quiet_until_us(); }
+  [[nodiscard]] const groma_Counters& counters() const override { return node.counters(); }
+
+  P platform;
+  Node<P> node{platform, {.version = "1.2.3", .git_hash = 0xC0FFEE01}};
+};
+
+template <class P>
+std::unique_ptr<AnyNode> node_on() {
+  return std::make_unique<NodeOn<P>>();
+}
+
+class NodeFixture : public ::testing::Test {
  protected:
+  explicit NodeFixture(std::unique_ptr<AnyNode> on) : owned_(std::move(on)) {}
+
   void store(const groma_Config& config) {
-    platform.stored.resize(kMaxConfigBytes);
-    platform.stored.resize(encode_config(config, platform.stored));
-    ASSERT_FALSE(platform.stored.empty());
+    host.stored.resize(kMaxConfigBytes);
+    host.stored.resize(encode_config(config, host.stored));
+    ASSERT_FALSE(host.stored.empty());
   }
   void command(const groma_HostToNode& message) {
     std::array<std::uint8_t, groma_HostToNode_size> payload{};
@@ -148,7 +259,7 @@ class NodeTest : public ::testing::Test {
   }
   std::vector<groma_NodeToHost> messages(pb_size_t which) {
     std::vector<groma_NodeToHost> out;
-    for (const auto& bytes : platform.sent) {
+    for (const auto& bytes : host.sent) {
       const auto message = decode(bytes);
       if (message.which_body == which) out.push_back(message);
     }
@@ -159,38 +270,18 @@ class NodeTest : public ::testing::Test {
     EXPECT_FALSE(replies.empty());
     return replies.empty() ? groma_Reply groma_Reply_init_zero : replies.back().body.reply;
   }
-  // Commands to the radio: transmissions and receptions.
-  std::size_t radio_starts() {
-    std::size_t n = 0;
-    for (const Transfer& t : platform.chip.writes()) {
-      if (t.file == 0x0D && (t.word() & 0x102) != 0) ++n;
-    }
-    return n;
-  }
-
-  std::size_t transmissions() {
-    std::size_t n = 0;
-    for (const Transfer& t : platform.chip.writes()) {
-      if (t.file == 0x0D && (t.word() & 0x2) != 0) ++n;
-    }
-    return n;
-  }
+  std::size_t radio_starts() { return host.radio_starts(); }
+  std::size_t transmissions() { return host.transmissions(); }
   // Ends it by the radio's own time-out; then launches what is loaded.
   void end_listening() {
     ++receptions_ended;
-    platform.chip.status |= kFrameTimeout;
+    host.end_listening();
     node.on_radio_interrupt();
     launch();
   }
-  [[nodiscard]] bool is_loaded() {
-    const auto writes = platform.chip.writes();
-    const auto last = std::find_if(writes.rbegin(), writes.rend(),
-                                   [](const Transfer& t) { return t.file == 0x09 || t.file == 0x0D; });
-    return last != writes.rend() && last->file == 0x09;
-  }
   void launch() {
-    for (int i = 0; i < 100 && is_loaded(); ++i) {
-      platform.pass_to(node.next_deadline_us());
+    for (int i = 0; i < 100 && host.is_loaded(); ++i) {
+      host.pass_to(node.next_deadline_us());
       node.on_timer();
     }
   }
@@ -199,10 +290,24 @@ class NodeTest : public ::testing::Test {
   void miss_event() {
     const std::uint32_t before = node.counters().radio_recoveries;
     for (int i = 0; i < 100 && node.counters().radio_recoveries == before; ++i) {
-      platform.pass_to(node.next_deadline_us());
+      host.pass_to(node.next_deadline_us());
       node.on_timer();
     }
   }
+
+ private:
+  std::unique_ptr<AnyNode> owned_;
+
+ protected:
+  std::size_t receptions_ended = 0;
+  AnyNode& node = *owned_;
+  FakeHost& host = owned_->host();
+};
+
+// With a DW1000, whose registers a test reads and writes.
+class NodeTest : public NodeFixture {
+ protected:
+  NodeTest() : NodeFixture(node_on<FakePlatform>()) {}
 
   // A master that has heard nobody in its listening time and has armed its first beacon.
   void start_leading() {
@@ -219,15 +324,24 @@ class NodeTest : public ::testing::Test {
 
   static constexpr std::uint64_t kTransmission = 0x06;
   static constexpr std::uint64_t kTransmitted = 1U << 7;
-  static constexpr std::uint64_t kFrameTimeout = 1U << 17;
+  static constexpr std::uint64_t kFrameTimeout = FakePlatform::kFrameTimeout;
   static constexpr std::uint64_t kClockPllLosing = 1U << 25;
 
-  std::size_t receptions_ended = 0;
-  FakePlatform platform;
-  Node<FakePlatform> node{platform, {.version = "1.2.3", .git_hash = 0xC0FFEE01}};
+  FakePlatform& platform = static_cast<FakePlatform&>(host);
 };
 
-TEST_F(NodeTest, SendsHelloAtStart) {
+// With each radio in turn: what does not depend on it.
+class AnyRadio : public NodeFixture, public ::testing::WithParamInterface<std::unique_ptr<AnyNode> (*)()> {
+ protected:
+  AnyRadio() : NodeFixture(GetParam()()) {}
+
+  FakeHost& platform = host;
+};
+
+INSTANTIATE_TEST_SUITE_P(Radios, AnyRadio, ::testing::Values(node_on<FakePlatform>, node_on<OtherPlatform>),
+                         [](const auto& tested) { return tested.index == 0 ? "Dw1000" : "Other"; });
+
+TEST_P(AnyRadio, SendsHelloAtStart) {
   platform.fault = Fault{.pc = 0x1234, .lr = 0x5678, .cfsr = 0x82};
   store(good_config());
   node.start();
@@ -256,7 +370,7 @@ TEST_F(NodeTest, SendsHelloAtStart) {
   EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
 }
 
-TEST_F(NodeTest, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
+TEST_P(AnyRadio, UnconfiguredItStaysSilentOnTheAirAndAnswersTheLink) {
   node.start();
   EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
   command(groma_HostToNode_get_hello_tag);
@@ -308,7 +422,7 @@ TEST_F(NodeTest, UnconfiguredAndWithoutTheRadiosInterruptItProvesNothing) {
   EXPECT_GE(node.counters().frame_timeouts, 9U);
 }
 
-TEST_F(NodeTest, EachListeningOfTheSearchProvesLife) {
+TEST_P(AnyRadio, EachListeningOfTheSearchProvesLife) {
   store(good_config());
   node.start();
   EXPECT_EQ(platform.proofs, 0);
@@ -340,7 +454,7 @@ TEST_F(NodeTest, AMasterProvesLifeOnceASuperframe) {
   EXPECT_EQ(node.counters().late_transmits, 0U);
 }
 
-TEST_F(NodeTest, ARadioRecoveryIsNoProofOfLife) {
+TEST_P(AnyRadio, ARadioRecoveryIsNoProofOfLife) {
   store(good_config());
   node.start();
   for (int i = 0; i < 5; ++i) miss_event();
@@ -418,7 +532,7 @@ groma_Config keyed_config(std::uint8_t first) {
   return config;
 }
 
-TEST_F(NodeTest, NeverRevealsTheNetworkKey) {
+TEST_P(AnyRadio, NeverRevealsTheNetworkKey) {
   node.start();
   const groma_Config config = keyed_config(0x40);
   write(config);
@@ -446,7 +560,7 @@ TEST_F(NodeTest, NeverRevealsTheNetworkKey) {
   EXPECT_NE(config_hash_of(other), config_hash_of(config));
 }
 
-TEST_F(NodeTest, KeepsItsKeyIfOnlyTheHashIsWritten) {
+TEST_P(AnyRadio, KeepsItsKeyIfOnlyTheHashIsWritten) {
   node.start();
   const groma_Config config = keyed_config(0x40);
   write(config);
@@ -471,7 +585,7 @@ TEST_F(NodeTest, KeepsItsKeyIfOnlyTheHashIsWritten) {
   EXPECT_STREQ(replies[3].body.reply.text, "network_key: 16 bytes, or none");
 }
 
-TEST_F(NodeTest, ReadingBeforeAnyWriteReturnsAnUnconfiguredNode) {
+TEST_P(AnyRadio, ReadingBeforeAnyWriteReturnsAnUnconfiguredNode) {
   node.start();
   command(groma_HostToNode_read_config_tag);
   ASSERT_TRUE(last_reply().has_config);
@@ -480,7 +594,7 @@ TEST_F(NodeTest, ReadingBeforeAnyWriteReturnsAnUnconfiguredNode) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID);
 }
 
-TEST_F(NodeTest, EachBadConfigurationIsRefusedByName) {
+TEST_P(AnyRadio, EachBadConfigurationIsRefusedByName) {
   node.start();
   const auto refused = [&](const char* word, auto&& spoil) {
     groma_Config config = good_config();
@@ -505,7 +619,7 @@ TEST_F(NodeTest, EachBadConfigurationIsRefusedByName) {
 }
 
 // nanopb accepts any number for an enumeration.
-TEST_F(NodeTest, InvalidEnumeratorsAreRefused) {
+TEST_P(AnyRadio, InvalidEnumeratorsAreRefused) {
   node.start();
   for (const auto& [member, offset] : {std::pair{"role", offsetof(groma_Config, role)},
                                        std::pair{"preamble", offsetof(groma_Config, preamble)}}) {
@@ -515,7 +629,7 @@ TEST_F(NodeTest, InvalidEnumeratorsAreRefused) {
   }
 }
 
-TEST_F(NodeTest, AFailedOrCorruptedStoreIsReportedAndTheNodeContinues) {
+TEST_P(AnyRadio, AFailedOrCorruptedStoreIsReportedAndTheNodeContinues) {
   store(good_config());
   node.start();
   const auto kept = platform.stored;
@@ -572,7 +686,7 @@ TEST_F(NodeTest, AMasterContinuesItsCountAfterAFlashWrite) {
   EXPECT_EQ(node.counters().radio_recoveries, 0U);
 }
 
-TEST_F(NodeTest, AResetThatLeavesTheOldConfigurationIsRefused) {
+TEST_P(AnyRadio, AResetThatLeavesTheOldConfigurationIsRefused) {
   store(good_config());
   node.start();
   const std::size_t starts = radio_starts();
@@ -583,7 +697,7 @@ TEST_F(NodeTest, AResetThatLeavesTheOldConfigurationIsRefused) {
   EXPECT_EQ(platform.shown.back(), Indicator::kSearching);
 }
 
-TEST_F(NodeTest, AnInvalidStoredConfigurationIsIgnored) {
+TEST_P(AnyRadio, AnInvalidStoredConfigurationIsIgnored) {
   groma_Config config = good_config();
   config.id = 101;  // an anchor's
   store(config);
@@ -623,7 +737,7 @@ TEST_F(NodeTest, AfterAFactoryResetNoMissedBeaconsAreReported) {
   EXPECT_TRUE(messages(groma_NodeToHost_log_tag).empty());
 }
 
-TEST_F(NodeTest, HintsAreForTagsAndEachHasItsWeight) {
+TEST_P(AnyRadio, HintsAreForTagsAndEachHasItsWeight) {
   groma_HostToNode message = groma_HostToNode_init_zero;
   message.which_body = groma_HostToNode_prefer_anchors_tag;
   groma_AnchorPreference& hint = message.body.prefer_anchors;
@@ -655,7 +769,7 @@ TEST_F(NodeTest, HintsAreForTagsAndEachHasItsWeight) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID);
 }
 
-TEST_F(NodeTest, OnlyATagLeavesTheNetwork) {
+TEST_P(AnyRadio, OnlyATagLeavesTheNetwork) {
   store(good_config(groma_Role_ROLE_ANCHOR));
   node.start();
   command(groma_HostToNode_leave_network_tag);
@@ -666,7 +780,7 @@ TEST_F(NodeTest, OnlyATagLeavesTheNetwork) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
 }
 
-TEST_F(NodeTest, AnUnscheduledNodeMayJoin) {
+TEST_P(AnyRadio, AnUnscheduledNodeMayJoin) {
   for (const groma_Role role : {groma_Role_ROLE_TAG, groma_Role_ROLE_ANCHOR}) {
     groma_Config config = good_config(role);
     config.id = 5000;
@@ -674,14 +788,14 @@ TEST_F(NodeTest, AnUnscheduledNodeMayJoin) {
   }
 }
 
-TEST_F(NodeTest, RebootAnswersAndRestarts) {
+TEST_P(AnyRadio, RebootAnswersAndRestarts) {
   node.start();
   command(groma_HostToNode_reboot_tag);
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
   EXPECT_EQ(platform.restarts, 1);
 }
 
-TEST_F(NodeTest, IdentifyBlinksForItsTime) {
+TEST_P(AnyRadio, IdentifyBlinksForItsTime) {
   node.start();
   groma_HostToNode message = groma_HostToNode_init_zero;
   message.which_body = groma_HostToNode_identify_s_tag;
@@ -701,7 +815,7 @@ TEST_F(NodeTest, IdentifyBlinksForItsTime) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_INVALID);
 }
 
-TEST_F(NodeTest, UnknownCommandsAndGarbageAreCounted) {
+TEST_P(AnyRadio, UnknownCommandsAndGarbageAreCounted) {
   node.start();
   const std::uint8_t unknown[] = {0x08, 0x05, 0xFA, 0x06, 0x00};  // request 5, field 111
   command(unknown);
@@ -719,7 +833,7 @@ TEST_F(NodeTest, UnknownCommandsAndGarbageAreCounted) {
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
 }
 
-TEST_F(NodeTest, FramesDroppedByAFullLinkAreCounted) {
+TEST_P(AnyRadio, FramesDroppedByAFullLinkAreCounted) {
   node.start();
   platform.link_full = true;
   command(groma_HostToNode_get_hello_tag);
@@ -729,7 +843,7 @@ TEST_F(NodeTest, FramesDroppedByAFullLinkAreCounted) {
   EXPECT_EQ(messages(groma_NodeToHost_counters_tag).back().body.counters.reports_dropped, 2U);
 }
 
-TEST_F(NodeTest, SendsTelemetryOnceASecond) {
+TEST_P(AnyRadio, SendsTelemetryOnceASecond) {
   store(good_config());
   node.start();
   platform.sent.clear();
@@ -744,7 +858,7 @@ TEST_F(NodeTest, SendsTelemetryOnceASecond) {
   EXPECT_EQ(status.back().body.network_status.master_id, 0U) << "no known master";
 }
 
-TEST_F(NodeTest, AMissingInterruptRestartsTheRadio) {
+TEST_P(AnyRadio, AMissingInterruptRestartsTheRadio) {
   store(good_config());
   node.start();
   EXPECT_EQ(radio_starts(), 1U);
@@ -1141,7 +1255,7 @@ TEST_F(TwoLinksTest, AnAnswerGoesToTheRequesterAndReportsTheLinkError) {
   EXPECT_EQ(decode(platform.answered[3]).body.counters.can_frames_sent, 7U);
 }
 
-TEST_F(NodeTest, RefusesInvalidLinksAndBitRates) {
+TEST_P(AnyRadio, RefusesInvalidLinksAndBitRates) {
   groma_Config config = good_config();
   config.link = groma_Link_LINK_CAN;
   config.can_nominal_bit_per_s = 500'000;
@@ -1307,6 +1421,111 @@ TEST(MessageEncoder, TheLargestMessageOfTheSchemaFits) {
   const auto frame = encoder.encode(message);
   ASSERT_FALSE(frame.empty());
   EXPECT_EQ(decode(frame).body.slot_report.ranges[15].anchor_id, 0xFFFF);
+}
+
+// ---- a network of nodes with a radio of another kind ------------------------------------------------------
+
+class OtherNetwork {
+ public:
+  using Node = NodeOn<OtherPlatform>;
+
+  Node& add(std::uint16_t id, double x_m, double offset_ppm) {
+    // The counters start at different places, and the first one wraps at once.
+    const std::uint64_t first = 0xFFFF'FFFF - std::uint64_t{nodes_.size()} * 0x3333'3333;
+    nodes_.push_back(std::make_unique<Node>(
+        air_, OtherChip::Settings{.x_m = x_m, .offset_ppm = offset_ppm, .first_count = first}));
+    Node& node = *nodes_.back();
+    groma_Config config = good_config(id < 100 ? groma_Role_ROLE_TAG : groma_Role_ROLE_ANCHOR);
+    config.id = id;
+    config.schedule = schedule_of(1, 3, groma_RangingMethod_METHOD_DS_FINAL);
+    node.platform.stored.resize(kMaxConfigBytes);
+    node.platform.stored.resize(encode_config(config, node.platform.stored));
+    return node;
+  }
+  void start() {
+    air_->now = 1e8;
+    set_clocks();
+    for (auto& node : nodes_) node->start();
+  }
+  void run(double seconds) {
+    const double end = air_->now + seconds * testing::kTicksPerSecond;
+    for (;;) {
+      double next = end;
+      for (const auto& node : nodes_) {
+        const auto deadline_us = static_cast<double>(node->next_deadline_us());
+        next = std::min({next, node->platform.chip.next_event(), deadline_us * kTicksIn1us + 1.0});
+      }
+      air_->now = std::max(next, air_->now);
+      set_clocks();
+      if (air_->now >= end) return;
+      for (auto& node : nodes_) {
+        if (node->platform.chip.next_event() <= air_->now) node->platform.chip.advance();
+      }
+      for (auto& node : nodes_) {
+        while (node->platform.chip.interrupt()) node->on_radio_interrupt();
+        if (node->next_deadline_us() <= node->platform.time_us) node->on_timer();
+      }
+    }
+  }
+
+ private:
+  void set_clocks() {
+    for (auto& node : nodes_) {
+      node->platform.time_us = static_cast<std::uint64_t>(air_->now / kTicksIn1us);
+    }
+  }
+
+  static constexpr double kTicksIn1us = 63'897.6;
+  std::shared_ptr<OtherChip::Air> air_ = std::make_shared<OtherChip::Air>();
+  std::vector<std::unique_ptr<Node>> nodes_;
+};
+
+TEST(OtherRadio, ANetworkRangesOverManyWrapsOfItsCounter) {
+  const std::map<std::uint32_t, double> anchors_m{{101, 0.0}, {102, 40.0}, {103, 71.3}};
+  constexpr double kTag_m = 12.3;
+  OtherNetwork network;
+  double ppm = -15.0;
+  for (const auto& [id, x_m] : anchors_m) network.add(static_cast<std::uint16_t>(id), x_m, ppm += 10.0);
+  OtherNetwork::Node& tag = network.add(1, kTag_m, -12.0);
+  network.start();
+  network.run(12.0);
+
+  EXPECT_EQ(tag.counters().radio_recoveries, 0U);
+  EXPECT_EQ(tag.counters().late_transmits + tag.counters().late_receives, 0U);
+  // Each of the six timestamps of a range may be half a tick off.
+  const double resolution_m = static_cast<double>(testing::kOtherTick) * testing::kMetresPerTick;
+  std::size_t good = 0;
+  std::size_t bad = 0;
+  double sum_m = 0.0;
+  for (const auto& bytes : tag.platform.sent) {
+    const groma_NodeToHost message = decode(bytes);
+    if (message.which_body != groma_NodeToHost_slot_report_tag) continue;
+    for (const groma_Range& range :
+         std::span(message.body.slot_report.ranges).first(message.body.slot_report.ranges_count)) {
+      if (range.status != groma_RangeStatus_RANGE_OK) {
+        ++bad;
+        continue;
+      }
+      ++good;
+      const double error_m =
+          static_cast<double>(range.range_m) - std::abs(anchors_m.at(range.anchor_id) - kTag_m);
+      EXPECT_LT(std::abs(error_m), 1.1 * resolution_m);
+      sum_m += error_m;
+      EXPECT_FALSE(range.has_clock_offset_ppb);
+      EXPECT_FALSE(range.has_first_path_power_cdbm);
+      EXPECT_EQ(range.receive_power_cdbm, -8'174);
+      EXPECT_EQ(range.flags & 3U, static_cast<unsigned>(groma_LineOfSight_LINE_OF_SIGHT_UNKNOWN));
+    }
+  }
+  const double superframe_s =
+      static_cast<double>(mac::Superframe(schedule_of(1, 3, groma_RangingMethod_METHOD_DS_FINAL),
+                                          testing::other_phy_of(radio::Preamble::k128))
+                              .duration()
+                              .count()) /
+      testing::kTicksPerSecond;
+  EXPECT_GT(static_cast<double>(good), 3 * (11.5 / superframe_s));
+  EXPECT_LT(bad, 10U);
+  EXPECT_LT(std::abs(sum_m / static_cast<double>(good)), resolution_m / 4);
 }
 
 }  // namespace

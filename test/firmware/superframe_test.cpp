@@ -71,13 +71,14 @@ std::vector<Span> frames_of(const groma_Schedule& schedule, const Superframe& su
 
 TEST(Superframe, NoFrameOverlapsAnotherAndEachGapIsKept) {
   for (const auto method : {groma_RangingMethod_METHOD_DS_FINAL, groma_RangingMethod_METHOD_DS_NEXT_POLL}) {
-    for (const Preamble preamble : {Preamble::k64, Preamble::k128, Preamble::k256}) {
+    for (const Phy& phy : {phy_of(Preamble::k64), phy_of(Preamble::k128), phy_of(Preamble::k256),
+                           testing::other_phy_of(Preamble::k128)}) {
       for (const std::size_t tags : {1U, 3U, 16U}) {
         for (const std::size_t anchors : {1U, 4U, 12U, 16U}) {
           for (const std::uint32_t gap_us : {50U, 290U, 2000U}) {
             const groma_Schedule schedule = schedule_of(tags, anchors, method, 300, gap_us);
             ASSERT_EQ(check(schedule), ScheduleFault::kNone);
-            const Superframe superframe(schedule, phy_of(preamble));
+            const Superframe superframe(schedule, phy);
             const auto spans = frames_of(schedule, superframe);
             const Ticks guard = superframe.guard();
             EXPECT_GE(spans.front().from, guard);

@@ -79,7 +79,8 @@ struct Ambient {
 // - receive_at(from, frame_timeout, preamble_timeout), receive_now(...): listens, from less than 8.6 s ahead,
 //   until a frame has come, `frame_timeout` has passed, or no preamble came within `preamble_timeout`
 //   (nothing: no such time-out). Between poll_event() and read_frame() it may arm the next listening
-// - poll_event(): what ended the present operation, without the frame. The interrupt line is low afterwards
+// - poll_event(): what ended the present operation, without the frame. The interrupt line is low afterwards.
+//   A transmission that left as requested, to the radio's resolution, has the timestamp that was requested
 // - read_frame(event, on_bytes): completes a kReceived, calls `on_bytes(bytes)` as soon as the frame is read,
 //   and adds the quality only if that returns true
 // - start_sampling(), and kSampling_us later finish_sampling(), in any operation
