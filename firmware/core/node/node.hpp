@@ -269,7 +269,7 @@ class Node {
   void send_telemetry(std::uint64_t now_us) noexcept {
     if (counters_next_) {
       reports_.send_counters();
-      reports_.log_lateness();
+      reports_.warn_if_late();
       telemetry_due_us_ = next_telemetry_us_ = now_us + kTelemetryPeriod_us;
     } else {
       radio_.compare_clocks();

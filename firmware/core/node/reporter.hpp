@@ -137,7 +137,7 @@ class Reporter {
 
   // Call once a second: logs once for each period of seconds in which the schedule leaves this node too
   // little time.
-  void log_lateness() noexcept {
+  void warn_if_late() noexcept {
     constexpr std::uint32_t kMany = 10;
     const std::uint32_t late = shared_.counters.late_transmits + shared_.counters.late_receives;
     const bool many = late - late_before_ > kMany;
@@ -285,7 +285,7 @@ class Reporter {
   ranging::ClockTime report_time_;
   std::uint64_t report_due_us_ = 0;
   std::uint32_t sequence_ = 0;     // of the next report
-  std::uint32_t late_before_ = 0;  // transmissions and receptions, at the last log_lateness()
+  std::uint32_t late_before_ = 0;  // transmissions and receptions, at the last warn_if_late()
   bool were_late_ = false;
 };
 
