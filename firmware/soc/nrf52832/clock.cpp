@@ -67,7 +67,7 @@ std::uint64_t marked_us() noexcept {
 }
 
 bool wake_at(std::uint64_t t_us) noexcept {
-  if (t_us == awaited_us) return true;
+  if (t_us == awaited_us) return t_us != kNothing;
   const std::uint64_t latest_us = now_us() + kLongestSleep_us;
   timer::kBlock0[timer::kCompare + 4 * kDeadlineChannel] =
       static_cast<std::uint32_t>(std::min(t_us, latest_us));
