@@ -84,7 +84,7 @@ class Node {
     const std::uint64_t now_us = platform_.now_us();
     if (now_us >= radio_.launch_us()) {
       radio_.launch();
-      after_event();
+      watch_sync();
     }
     if (now_us >= radio_.deadline_us()) on_radio_deadline();
     if (now_us >= next_listening_us_) listen_unconfigured();
@@ -195,7 +195,7 @@ class Node {
   void resume() noexcept {
     if (machine_.station() == nullptr || !radio_.is_up()) return join();
     radio_.resume();
-    after_event();
+    watch_sync();
   }
 
   void forget_machine() noexcept {
@@ -205,13 +205,8 @@ class Node {
 
   bool handle_event(std::uint64_t interrupt_us) noexcept {
     if (!radio_.handle_event(interrupt_us)) return false;
-    after_event();
-    return true;
-  }
-
-  void after_event() noexcept {
-    if (const mac::Exchange* exchange = radio_.take_completed()) reports_.begin_report(*exchange);
     watch_sync();
+    return true;
   }
 
   void on_radio_deadline() noexcept {
@@ -627,7 +622,7 @@ class Node {
 
   P& platform_;
   Shared<P> shared_{platform_};
-  RadioExecutor<P> radio_{shared_};
+  RadioExecutor<P> radio_{shared_, reports_};
   Reporter<P> reports_;
   // The executor's machine, and what all parts share.
   Machine& machine_ = radio_.machine();

@@ -26,6 +26,16 @@
 
 namespace groma::node {
 
+// Takes completed exchanges.
+class ExchangeSink {
+ public:
+  // Called before the radio is armed for what follows. The exchange is valid until the next one is complete.
+  virtual void on_completed(const mac::Exchange& exchange) noexcept = 0;
+
+ protected:
+  ~ExchangeSink() = default;
+};
+
 template <Platform P>
 class RadioExecutor {
  public:
@@ -33,8 +43,9 @@ class RadioExecutor {
   using BringUp = typename Driver::BringUp;
   using ClockTime = ranging::ClockTime;
 
-  // Keeps the reference.
-  explicit RadioExecutor(Shared<P>& shared) noexcept : shared_(shared), radio_(shared.platform.spi()) {}
+  // Keeps the references.
+  RadioExecutor(Shared<P>& shared, ExchangeSink& sink) noexcept
+      : shared_(shared), sink_(sink), radio_(shared.platform.spi()) {}
 
   [[nodiscard]] Machine& machine() noexcept { return machine_; }
   [[nodiscard]] const Machine& machine() const noexcept { return machine_; }
@@ -94,7 +105,6 @@ class RadioExecutor {
   }
   void forget() noexcept {
     machine_.forget();
-    completed_ = nullptr;
     event_due_us_ = 0;
     launch_us_ = kNever_us;
   }
@@ -137,8 +147,6 @@ class RadioExecutor {
     perform(machine_.call([now](auto& machine) { return machine.on_late(now); }));
     precompute();
   }
-  // The exchange that an event, or resume(), completed since the last call; null: none.
-  [[nodiscard]] const mac::Exchange* take_completed() noexcept { return std::exchange(completed_, nullptr); }
 
   // ---- time ----------------------------------------------------------------------------------------------
 
@@ -295,7 +303,7 @@ class RadioExecutor {
   void perform(mac::Step step, std::optional<ClockTime> armed = {}) noexcept {
     constexpr int kTries = 100;
     for (int i = 0; i < kTries; ++i) {
-      if (step.completed != nullptr) completed_ = step.completed;
+      if (step.completed != nullptr) sink_.on_completed(*step.completed);
       const mac::Action& action = step.action;
       if (const auto at = std::exchange(armed, std::nullopt)) {
         if (is_listening(action, *at)) return supervise(action);
@@ -418,11 +426,11 @@ class RadioExecutor {
   }
 
   Shared<P>& shared_;
+  ExchangeSink& sink_;
   Driver radio_;
   RadioClock clock_;
   Machine machine_;
   Slack slack_;
-  const mac::Exchange* completed_ = nullptr;
   BringUp bring_up_ = BringUp::kNoChip;
   bool failed_ = false;
   std::uint8_t failures_ = 0;   // in a row, without an event between

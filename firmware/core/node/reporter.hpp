@@ -17,7 +17,7 @@
 namespace groma::node {
 
 template <Platform P>
-class Reporter {
+class Reporter final : public ExchangeSink {
  public:
   // Keeps the references; the string build.version outlives the reporter.
   Reporter(Shared<P>& shared, RadioExecutor<P>& radio, const Build& build) noexcept
@@ -75,7 +75,7 @@ class Reporter {
 
   // Begins to report an exchange, which is valid until the next one is complete. A survey takes its ranges
   // instead.
-  void begin_report(const mac::Exchange& exchange) noexcept {
+  void on_completed(const mac::Exchange& exchange) noexcept override {
     finish_report();
     exchange_ = &exchange;
     ranges_left_ = exchange.count;
@@ -149,7 +149,7 @@ class Reporter {
   }
 
  private:
-  enum class Step : std::uint8_t { kChoose, kBegin, kRanges, kFrame };
+  enum class Step : std::uint8_t { kChoose, kBegin, kRanges, kCompact, kFrame };
 
   void count(bool accepted) noexcept {
     if (!accepted) ++shared_.counters.reports_dropped;
@@ -190,6 +190,10 @@ class Reporter {
           end_message();
         }
         break;
+      case Step::kCompact:
+        exchange_ = nullptr;
+        count(write({}));
+        break;
       case Step::kFrame:
         if (!encoder_.step()) break;
         exchange_ = nullptr;
@@ -228,8 +232,7 @@ class Reporter {
   void end_message() noexcept {
     if (is_compact()) {
       make_compact(message_);
-      exchange_ = nullptr;
-      count(write({}));
+      step_ = Step::kCompact;
     } else {
       encoder_.close(message_.body.slot_report);
       step_ = Step::kFrame;
