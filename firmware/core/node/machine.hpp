@@ -3,8 +3,8 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <type_traits>
-#include <variant>
 
 #include "firmware/core/mac/anchor.hpp"
 #include "firmware/core/mac/tag.hpp"
@@ -17,15 +17,23 @@ class Machine {
   // to, outlive it.
   template <class Role>
   void become(const mac::Site& site, groma_Counters& counters) noexcept {
-    machine_.emplace<Role>(site, counters);
+    forget();
+    if constexpr (std::is_same_v<Role, mac::Tag>) {
+      tag_.emplace(site, counters);
+    } else {
+      anchor_.emplace(site, counters);
+    }
   }
-  void forget() noexcept { machine_.emplace<std::monostate>(); }
+  void forget() noexcept {
+    tag_.reset();
+    anchor_.reset();
+  }
 
   // Null if it is not one.
-  [[nodiscard]] mac::Tag* tag() noexcept { return std::get_if<mac::Tag>(&machine_); }
-  [[nodiscard]] const mac::Tag* tag() const noexcept { return std::get_if<mac::Tag>(&machine_); }
-  [[nodiscard]] mac::Anchor* anchor() noexcept { return std::get_if<mac::Anchor>(&machine_); }
-  [[nodiscard]] const mac::Anchor* anchor() const noexcept { return std::get_if<mac::Anchor>(&machine_); }
+  [[nodiscard]] mac::Tag* tag() noexcept { return tag_ ? &*tag_ : nullptr; }
+  [[nodiscard]] const mac::Tag* tag() const noexcept { return tag_ ? &*tag_ : nullptr; }
+  [[nodiscard]] mac::Anchor* anchor() noexcept { return anchor_ ? &*anchor_ : nullptr; }
+  [[nodiscard]] const mac::Anchor* anchor() const noexcept { return anchor_ ? &*anchor_ : nullptr; }
 
   // Returns f(tag) or f(anchor); if there is neither, an empty result: for an event an empty Step.
   template <class F>
@@ -53,7 +61,10 @@ class Machine {
   }
 
  private:
-  std::variant<std::monostate, mac::Tag, mac::Anchor> machine_;
+  // At most one. A std::variant would save some kilobytes, but its emplace() may throw as far as clang-tidy
+  // sees.
+  std::optional<mac::Tag> tag_;
+  std::optional<mac::Anchor> anchor_;
 };
 
 }  // namespace groma::node
