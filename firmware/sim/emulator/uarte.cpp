@@ -175,7 +175,7 @@ void Uarte::first_transmitted() {
   events_.raise(kTxdrdy);
   std::vector<std::uint8_t> bytes(sending_.begin(),
                                   sending_.begin() + static_cast<std::ptrdiff_t>(out_.amount));
-  bytes[0] ^= std::exchange(spoiled_, std::uint8_t{0});
+  if (!bytes.empty()) bytes.front() ^= std::exchange(spoiled_, std::uint8_t{0});
   line_.send(sending_since_, bytes);
 }
 
